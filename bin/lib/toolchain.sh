@@ -1,0 +1,179 @@
+# Elixir, OTP and nats-server, without root and inside the checkout. Sourced by bin/setup.
+#
+# If the machine's own Elixir is new enough and brings the libraries, it is used. Else, on Debian and its kin, the
+# packages of Debian's forky suite are downloaded under a private apt configuration, checked by apt against Debian's
+# keys, and unpacked into .toolchain/. Every ELF program there is started through the unpacked loader and libc, so that
+# an older system's libc does not matter, with paths relative to the wrapper, so that the folder can be moved.
+
+TOOLCHAIN_SUITE=forky
+TOOLCHAIN_REVISION=3 # change it when the steps below change: set-ups made by the older ones are made anew
+
+toolchain_packages() {
+  cat <<'LIST'
+elixir elixir-ex-doc elixir-earmark-parser elixir-makeup elixir-makeup-elixir elixir-makeup-erlang
+elixir-nimble-parsec
+erlang-base erlang-crypto erlang-mnesia erlang-asn1 erlang-public-key erlang-runtime-tools erlang-ssl erlang-inets
+erlang-parsetools erlang-tools erlang-syntax-tools erlang-dialyzer erlang-os-mon erlang-eunit
+erlang-ranch erlang-cowlib erlang-cowboy erlang-p1-utils erlang-p1-yaml erlang-proper
+nats-server
+libc6 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 libssl3t64 libyaml-0-2
+LIST
+}
+
+# True when the Elixir on PATH (not ours) is new enough and has the libraries that design.md takes from Debian.
+toolchain_system_ok() {
+  have elixir && have erl && have nats-server || return 1
+  elixir -e '
+    ok = Version.match?(System.version(), ">= '"$AERIE_MIN_ELIXIR"'") and
+      String.to_integer(System.otp_release()) >= '"$AERIE_MIN_OTP"' and
+      Enum.all?([:cowboy, :proper, :fast_yaml, :crypto, :ssl], &Code.ensure_loaded?(&1))
+    System.halt(if ok, do: 0, else: 1)' >/dev/null 2>&1
+}
+
+toolchain_stamp() { printf '%s %s %s' "$TOOLCHAIN_REVISION" "$TOOLCHAIN_SUITE" "$(dpkg --print-architecture)"; }
+
+toolchain_install() {
+  if [ -x "$AERIE_TOOLCHAIN/bin/elixir" ] && [ "$(cat "$AERIE_TOOLCHAIN/.complete" 2>/dev/null)" = "$(toolchain_stamp 2>/dev/null)" ]; then
+    return 0
+  fi
+  if toolchain_system_ok; then
+    return 0
+  fi
+  local versions="Elixir >= $AERIE_MIN_ELIXIR on OTP >= $AERIE_MIN_OTP with cowboy, proper and fast_yaml, and nats-server"
+  have apt-get && have dpkg-deb && have dpkg || fail "no toolchain" \
+    "this is not Debian or its kin, so nothing can be downloaded for it" "install $versions, so that they are on PATH and in Erlang's library folder"
+  case $(dpkg --print-architecture) in
+    amd64 | arm64) ;;
+    *) fail "no toolchain for $(dpkg --print-architecture)" "only amd64 and arm64 are supported" "install $versions" ;;
+  esac
+  lock "$AERIE_TOOLCHAIN.lock"
+  [ "$(cat "$AERIE_TOOLCHAIN/.complete" 2>/dev/null)" = "$(toolchain_stamp)" ] && return 0
+
+  # All work happens beside the final folder; an interrupted set-up leaves only this, and the next one removes it.
+  local work="$AERIE_TOOLCHAIN.new"
+  rm -rf "$work"
+  mkdir -p "$work/debs"
+  toolchain_download "$work" "$versions"
+  toolchain_unpack "$work"
+  toolchain_wrap "$work"
+  toolchain_check "$work"
+  toolchain_stamp >"$work/.complete"
+  rm -rf "$AERIE_TOOLCHAIN"
+  mv "$work" "$AERIE_TOOLCHAIN"
+}
+
+# The mirror that this machine's own apt uses for Debian proper, or Debian's own name for it.
+toolchain_mirror() {
+  apt-get indextargets --format '$(REPO_URI) $(ORIGIN)' 'Created-By: Packages' 2>/dev/null |
+    awk '$2 == "Debian" && $1 !~ /security/ { print $1; exit }'
+}
+
+toolchain_download() {
+  local work=$1 versions=$2 mirror keyring apt log
+  mirror=$(toolchain_mirror)
+  if [ -z "$mirror" ]; then
+    # A root whose lists were cleaned away (containers) still names its mirror in the sources.
+    mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 2>/dev/null | grep -v security | grep '/debian/\?$' | head -n 1 || true)
+  fi
+  [ -n "$mirror" ] || fail "no Debian mirror" "apt on this machine names none" "add Debian to apt's sources, or install $versions"
+  keyring=/usr/share/keyrings/debian-archive-keyring.gpg
+  [ -e "$keyring" ] || keyring=/usr/share/keyrings/debian-archive-keyring.pgp
+  [ -e "$keyring" ] || fail "Debian's signing keys are missing" "packages could not be verified" "apt-get install debian-archive-keyring"
+
+  mkdir -p "$work/apt/lists/partial" "$work/apt/cache/archives/partial" "$work/apt/empty"
+  : >"$work/apt/status"
+  printf 'deb [signed-by=%s] %s %s main\n' "$keyring" "$mirror" "$TOOLCHAIN_SUITE" >"$work/apt/sources.list"
+  log="$work/apt/log"
+  apt=(-q -o "Dir::State=$work/apt" -o "Dir::State::lists=$work/apt/lists" -o "Dir::State::status=$work/apt/status"
+    -o "Dir::Cache=$work/apt/cache" -o "Dir::Etc::sourcelist=$work/apt/sources.list" -o "Dir::Etc::sourceparts=$work/apt/empty"
+    -o "Dir::Etc::preferences=$work/apt/none" -o "Dir::Etc::preferencesparts=$work/apt/empty"
+    -o Acquire::Languages=none -o "Acquire::IndexTargets::deb::DEP-11::DefaultEnabled=false"
+    -o Acquire::Retries=3 -o "APT::Sandbox::User=$(id -un)")
+  step "toolchain: reading the package lists of Debian $TOOLCHAIN_SUITE from $mirror"
+  # A list that could not be fetched is only a warning to apt; here it is the end.
+  if ! apt-get "${apt[@]}" -o APT::Update::Error-Mode=any update >"$log" 2>&1; then
+    tail -n 3 "$log" >&2
+    fail "cannot read $mirror" "no network, or the mirror does not answer" "check the network and run bin/setup again"
+  fi
+  step "toolchain: downloading Elixir, OTP, Cowboy, PropEr, fast_yaml and nats-server (about 45 MB)"
+  # shellcheck disable=SC2046 # a list of words on purpose
+  if ! (cd "$work/debs" && apt-get "${apt[@]}" download $(toolchain_packages) >"$log" 2>&1); then
+    tail -n 3 "$log" >&2
+    fail "the download from $mirror broke off" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run bin/setup again"
+  fi
+}
+
+toolchain_unpack() {
+  local work=$1 deb
+  step "toolchain: unpacking"
+  for deb in "$work"/debs/*.deb; do dpkg-deb -x "$deb" "$work"; done
+  rm -rf "$work/debs" "$work/apt" "$work/usr/share/doc" "$work/usr/share/man" "$work/usr/share/locale"
+}
+
+# The wrapper of one ELF program: started by any path, it finds the loader beside it, however the folder was moved.
+# $1 the program, $2 from its folder up to the toolchain's top
+toolchain_wrap_elf() {
+  local program=$1 up=$2 triplet=$3 loader=$4
+  mv "$program" "$program.elf"
+  cat >"$program" <<WRAPPER
+#!/bin/sh
+d=\${0%/*}; t=\$d/$up; l=\$t/usr/lib/$triplet
+exec "\$l/$loader" --library-path "\$l" --argv0 "\$0" "\$d/${program##*/}.elf" "\$@"
+WRAPPER
+  chmod 755 "$program"
+}
+
+toolchain_wrap() {
+  local work=$1 triplet loader file erts name
+  triplet=$(basename "$(dirname "$(ls -d "$work"/usr/lib/*-linux-gnu/libc.so.6)")")
+  loader=$(basename "$(ls "$work/usr/lib/$triplet"/ld-linux-*.so.*)")
+  erts=$(basename "$(ls -d "$work"/usr/lib/erlang/erts-*)")
+
+  for file in "$work/usr/lib/erlang/$erts"/bin/*; do
+    is_elf "$file" && toolchain_wrap_elf "$file" ../../../../.. "$triplet" "$loader"
+  done
+  for file in "$work"/usr/lib/erlang/bin/*; do
+    is_elf "$file" && toolchain_wrap_elf "$file" ../../../.. "$triplet" "$loader"
+  done
+  toolchain_wrap_elf "$work/usr/sbin/nats-server" ../.. "$triplet" "$loader"
+
+  # `erl` sets ROOTDIR to where Debian would have installed it: the folder that it really stands in, instead.
+  cat >"$work/usr/lib/erlang/bin/erl" <<ERL
+#!/bin/sh
+ROOTDIR=\$(cd "\${0%/*}/.." && pwd -P)
+BINDIR=\$ROOTDIR/$erts/bin
+EMU=beam
+PROGNAME=\${0##*/}
+export ROOTDIR BINDIR EMU PROGNAME
+exec "\$BINDIR/erlexec" "\$@"
+ERL
+  cp "$work/usr/lib/erlang/bin/erl" "$work/usr/lib/erlang/$erts/bin/erl"
+  sed -i 's|/bin/\.\." |/../.." |; s|^ROOTDIR=.*|ROOTDIR=$(cd "${0%/*}/../.." \&\& pwd -P)|' "$work/usr/lib/erlang/$erts/bin/erl"
+
+  mkdir -p "$work/bin"
+  for name in erl erlc escript dialyzer epmd; do
+    toolchain_forward "$work" "$name" "usr/lib/erlang/bin/$name"
+  done
+  for name in elixir elixirc iex mix; do toolchain_forward "$work" "$name" "usr/lib/elixir/bin/$name"; done
+  toolchain_forward "$work" nats-server usr/sbin/nats-server
+}
+
+toolchain_forward() {
+  [ -e "$1/$3" ] || return 0
+  printf '#!/bin/sh\nd=$(cd "${0%%/*}/.." && pwd -P)\nexec "$d/%s" "$@"\n' "$3" >"$1/bin/$2"
+  chmod 755 "$1/bin/$2"
+}
+
+is_elf() { [ -f "$1" ] && [ ! -L "$1" ] && [ "$(head -c 4 "$1" | od -An -c | tr -d ' ')" = '177ELF' ]; }
+
+toolchain_check() {
+  local work=$1 found
+  found=$(PATH=$work/bin:$PATH elixir --erl +fnu -e '
+    {:ok, _} = Application.ensure_all_started([:crypto, :ssl, :cowboy])
+    true = Enum.all?([:proper, :fast_yaml, :dialyzer], &Code.ensure_loaded?(&1))
+    {:ok, _} = Application.ensure_all_started(:fast_yaml)
+    _ = :crypto.hash(:sha256, "x")
+    IO.write("Elixir #{System.version()} on OTP #{System.otp_release()}")' 2>"$work/check.log") ||
+    { tail -n 5 "$work/check.log" >&2; fail "the unpacked toolchain does not run" "see above" "report it with the lines above; $work is kept"; }
+  step "toolchain: $found, nats-server $("$work/bin/nats-server" --version | sed 's/.* v//')"
+}

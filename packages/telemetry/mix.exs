@@ -13,7 +13,7 @@ defmodule Telemetry.MixProject do
   end
 
   def application do
-    [extra_applications: [:logger] ++ test_applications(Mix.env())]
+    [mod: {Telemetry.Application, []}, extra_applications: [:logger] ++ test_applications(Mix.env())]
   end
 
   # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.

@@ -1,0 +1,214 @@
+defmodule :telemetry do
+  @moduledoc """
+  Events from libraries to whoever wants to measure them.
+
+  A library calls `execute/3` where something happens; an application attaches functions to the names of the
+  events. Handlers run in the process that executes the event, so an event nobody listens to costs one ETS lookup.
+
+      :telemetry.attach("count-messages", [:gnat, :message_received], &MyApp.Metrics.count/4, nil)
+      :telemetry.execute([:gnat, :message_received], %{count: 1}, %{topic: "a.b"})
+
+  A handler that raises, exits or throws is detached, and `[:telemetry, :handler, :failure]` is executed with
+
+    * measurements: `monotonic_time`, `system_time` (native units)
+    * metadata: `event_name`, `handler_id`, `handler_config`, `kind` (`:error`, `:exit` or `:throw`), `reason`,
+      `stacktrace`
+
+  so that a broken handler never takes down the code it observes. The order of the handlers of one event is not
+  defined.
+  """
+
+  alias Telemetry.HandlerTable
+
+  require Logger
+
+  @type handler_id :: term()
+  @type event_name :: [atom(), ...]
+  @type event_prefix :: [atom()]
+  @type event_measurements :: map()
+  @type event_metadata :: map()
+  @type event_value :: number()
+  @type handler_config :: term()
+  @type handler_function :: (event_name(), event_measurements(), event_metadata(), handler_config() -> any())
+  @type handler :: %{
+          id: handler_id(),
+          event_name: event_name(),
+          function: handler_function(),
+          config: handler_config()
+        }
+  @type span_result :: term()
+  @type span_function ::
+          (-> {span_result(), event_metadata()} | {span_result(), event_measurements(), event_metadata()})
+
+  @failure_event [:telemetry, :handler, :failure]
+
+  @doc """
+  Attaches `function` to one event, under an id that no other handler has.
+
+  Anything but an external capture (`&Mod.fun/4`) is called slower and survives no code change, and is reported
+  once, at level info. Raises `ArgumentError` when the name is not a non-empty list of atoms or the function has not
+  four arguments.
+  """
+  @spec attach(handler_id(), event_name(), handler_function(), handler_config()) ::
+          :ok | {:error, :already_exists}
+  def attach(id, event_name, function, config), do: attach_many(id, [event_name], function, config)
+
+  @doc "Attaches one handler to several events. Detaching it, or its failure on any of them, removes it from all."
+  @spec attach_many(handler_id(), [event_name()], handler_function(), handler_config()) ::
+          :ok | {:error, :already_exists}
+  def attach_many(id, event_names, function, config) do
+    check_events!(event_names)
+    check_function!(function)
+    warn_if_local(id, function)
+    HandlerTable.insert(id, Enum.uniq(event_names), function, config)
+  end
+
+  @doc "Removes a handler from all its events."
+  @spec detach(handler_id()) :: :ok | {:error, :not_found}
+  def detach(id), do: HandlerTable.delete(id)
+
+  @doc "The same as `execute(event_name, measurements, %{})`."
+  @spec execute(event_name(), event_measurements() | event_value()) :: :ok
+  def execute(event_name, measurements), do: execute(event_name, measurements, %{})
+
+  @doc """
+  Calls every handler of `event_name` with the name, the measurements, the metadata and its own configuration.
+
+  A bare number instead of a map of measurements is the old form: it becomes `%{value: number}`, with a warning.
+  """
+  @spec execute(event_name(), event_measurements() | event_value(), event_metadata()) :: :ok
+  def execute(event_name, value, metadata) when is_number(value) do
+    Logger.warning("telemetry: #{inspect(event_name)} was executed with a number; give a map of measurements")
+    execute(event_name, %{value: value}, metadata)
+  end
+
+  def execute([_ | _] = event_name, measurements, metadata) when is_map(measurements) and is_map(metadata) do
+    run(HandlerTable.for_event(event_name), event_name, measurements, metadata)
+  end
+
+  @doc """
+  Runs `function` between the events `prefix ++ [:start]` and `prefix ++ [:stop]`, or `prefix ++ [:exception]`.
+
+  `function` gives `{result, stop_metadata}` or `{result, extra_measurements, stop_metadata}`; `result` is returned.
+  An exception is raised again after its event.
+
+  Measurements: `:start` has `system_time` and `monotonic_time`; the other two have `duration` and `monotonic_time`,
+  all in native units; extra measurements cannot replace those. Metadata: as given, plus `telemetry_span_context`
+  (a reference that is the same in both events, unless the metadata brings its own); `:exception` has the start's
+  metadata plus `kind`, `reason` and `stacktrace`.
+  """
+  @spec span(event_prefix(), event_metadata(), span_function()) :: span_result()
+  def span(prefix, start_metadata, function) do
+    started = :erlang.monotonic_time()
+    context = make_ref()
+
+    execute(
+      prefix ++ [:start],
+      %{monotonic_time: started, system_time: :erlang.system_time()},
+      with_context(start_metadata, context)
+    )
+
+    try do
+      function.()
+    catch
+      kind, reason ->
+        stacktrace = __STACKTRACE__
+        failure = Map.merge(start_metadata, %{kind: kind, reason: reason, stacktrace: stacktrace})
+        execute(prefix ++ [:exception], elapsed(started), with_context(failure, context))
+        :erlang.raise(kind, reason, stacktrace)
+    else
+      {result, stop_metadata} ->
+        execute(prefix ++ [:stop], elapsed(started), with_context(stop_metadata, context))
+        result
+
+      {result, extra, stop_metadata} ->
+        measurements = Map.merge(extra, elapsed(started))
+        execute(prefix ++ [:stop], measurements, with_context(stop_metadata, context))
+        result
+    end
+  end
+
+  @doc """
+  All handlers of the events whose names begin with `prefix`, `[]` for all. A handler of several events is listed once
+  for each.
+  """
+  @spec list_handlers(event_prefix()) :: [handler()]
+  def list_handlers(prefix) do
+    check_atoms!(prefix, "an event prefix must be a list of atoms")
+    HandlerTable.by_prefix(prefix)
+  end
+
+  defp run([], _event_name, _measurements, _metadata), do: :ok
+
+  defp run([{id, function, config} | rest], event_name, measurements, metadata) do
+    try do
+      function.(event_name, measurements, metadata, config)
+    catch
+      kind, reason -> failed(id, config, event_name, kind, reason, __STACKTRACE__)
+    end
+
+    run(rest, event_name, measurements, metadata)
+  end
+
+  # Detached before the event, so that a failure handler that fails as well ends this instead of going round.
+  defp failed(id, config, event_name, kind, reason, stacktrace) do
+    detach(id)
+
+    execute(
+      @failure_event,
+      %{monotonic_time: :erlang.monotonic_time(), system_time: :erlang.system_time()},
+      %{
+        event_name: event_name,
+        handler_id: id,
+        handler_config: config,
+        kind: kind,
+        reason: reason,
+        stacktrace: stacktrace
+      }
+    )
+
+    Logger.error(
+      "telemetry: handler #{inspect(id)} failed on #{inspect(event_name)} and is detached\n" <>
+        Exception.format(kind, reason, stacktrace)
+    )
+  end
+
+  defp elapsed(started) do
+    now = :erlang.monotonic_time()
+    %{duration: now - started, monotonic_time: now}
+  end
+
+  defp with_context(%{telemetry_span_context: _own} = metadata, _context), do: metadata
+  defp with_context(metadata, context), do: Map.put(metadata, :telemetry_span_context, context)
+
+  defp warn_if_local(id, function) do
+    if Function.info(function, :type) == {:type, :local} do
+      Logger.info(
+        "telemetry: handler #{inspect(id)} is a local function, which is called slower than a capture like &Mod.fun/4"
+      )
+    end
+  end
+
+  defp check_function!(function) when is_function(function, 4), do: :ok
+
+  defp check_function!(other) do
+    raise ArgumentError, "a handler must be a function of four arguments, got: #{inspect(other)}"
+  end
+
+  defp check_events!(names) when is_list(names) do
+    Enum.each(names, fn name ->
+      if name == [], do: raise(ArgumentError, "an event name must not be empty")
+      check_atoms!(name, "an event name must be a list of atoms")
+    end)
+  end
+
+  defp check_events!(other) do
+    raise ArgumentError, "the event names must be a list, got: #{inspect(other)}"
+  end
+
+  defp check_atoms!(list, message) do
+    unless is_list(list) and Enum.all?(list, &is_atom/1) do
+      raise ArgumentError, "#{message}, got: #{inspect(list)}"
+    end
+  end
+end

@@ -1,0 +1,114 @@
+defmodule Aerie.Link.SpecTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Link.Spec
+
+  doctest Spec
+
+  describe "the forms of pymavlink" do
+    test "UDP" do
+      for prefix <- ["udpin:", "udp:"] do
+        assert {:ok, spec} = Spec.parse(prefix <> "0.0.0.0:14550")
+        assert %{kind: :udp_server, host: {0, 0, 0, 0}, port: 14_550, network: "default"} = spec
+      end
+
+      assert {:ok, %{kind: :udp_client, host: {10, 0, 0, 7}, port: 14_551, broadcast: false}} =
+               Spec.parse("udpout:10.0.0.7:14551")
+
+      assert {:ok, %{kind: :udp_client, broadcast: true}} = Spec.parse("udpbcast:192.168.1.255:14550")
+    end
+
+    test "TCP, names and IPv6" do
+      assert {:ok, %{kind: :tcp_client, host: "sitl.local", port: 5760}} = Spec.parse("tcp:sitl.local:5760")
+      assert {:ok, %{kind: :tcp_client, host: {0, 0, 0, 0, 0, 0, 0, 1}}} = Spec.parse("tcp:[::1]:5760")
+      assert {:ok, %{kind: :tcp_server, host: {0, 0, 0, 0, 0, 0, 0, 0}}} = Spec.parse("tcpin:[::]:0")
+    end
+
+    test "a server's empty host is every IPv4 address, its port 0 any free one" do
+      assert {:ok, %{host: {0, 0, 0, 0}, port: 0}} = Spec.parse("udpin::0")
+      assert {:error, _} = Spec.parse("udpout::14550")
+      assert {:error, _} = Spec.parse("tcp:127.0.0.1:0")
+    end
+
+    test "serial" do
+      assert {:ok, %{kind: :serial, device: "/dev/ttyACM0", baud: 115_200}} = Spec.parse("/dev/ttyACM0")
+      assert {:ok, %{device: "/dev/serial/by-id/usb-A:b-if00"}} = Spec.parse("/dev/serial/by-id/usb-A:b-if00")
+      assert {:ok, %{device: "/dev/ttyUSB0", baud: 57_600}} = Spec.parse("/dev/ttyUSB0,57600")
+      assert {:ok, %{device: "ttyS1"}} = Spec.parse("ttyS1")
+    end
+
+    test "replay" do
+      assert {:ok, %{kind: :replay, file: "a b.tlog", speed: 1.0, loop: false}} =
+               Spec.parse("replay:a b.tlog")
+
+      assert {:ok, %{speed: :max, loop: true}} = Spec.parse("replay:x.tlog?speed=max&loop=true")
+      assert {:ok, %{speed: 2.5}} = Spec.parse("replay:x.tlog?speed=2.5")
+    end
+  end
+
+  test "identity and network" do
+    assert %{id: "udpin:0.0.0.0:14550", network: "default"} = Spec.parse!("udpin:0.0.0.0:14550")
+    assert %{id: "udpin::1", network: "a"} = Spec.parse!("udpin::1?network=a")
+    assert %{id: "r1", network: "b"} = Spec.parse!("udpin::1?network=a&id=q", id: "r1", network: "b")
+    assert %{options: %{max_peers: 3}} = Spec.parse!("udpin::1", options: [max_peers: 3])
+  end
+
+  test "places for people" do
+    assert Spec.place(Spec.parse!("tcp:[::1]:5760")) == "[::1]:5760"
+    assert Spec.place(Spec.parse!("tcp:a.b:1")) == "a.b:1"
+    assert Spec.place(Spec.parse!("/dev/ttyACM0,9600")) == "/dev/ttyACM0"
+    assert Spec.place(Spec.parse!("replay:/x/y.tlog")) == "y.tlog"
+  end
+
+  describe "what is wrong is said in words, with what was expected and an example" do
+    for {text, part} <- [
+          {"", "neither a known kind of link nor a serial device"},
+          {"udpin:", "host and port are missing"},
+          {"udpin:0.0.0.0", "the port is missing"},
+          {"udpin:0.0.0.0:", "the port is missing"},
+          {"udpin:0.0.0.0:99999", "\"99999\" is no port (0 to 65535)"},
+          {"tcp:300.1.1.1:5760", "\"300.1.1.1\" is no address and no name"},
+          {"tcp:::1:5760", "an IPv6 address stands in brackets"},
+          {"tcp:[::g]:5760", "\"::g\" is no IPv6 address"},
+          {"tcp:[::1", "the port is missing"},
+          {"/dev/ttyACM0,fast", "\"fast\" is no baud rate"},
+          {"/dev/ttyACM0,57600,8N1", "too many commas"},
+          {"replay:", "the file is missing"},
+          {"replay:x?speed=0", "\"0\" is no speed"},
+          {"replay:x?loop=maybe", "loop=maybe is no option of a replay"},
+          {"udpin::1?speed=2", "\"speed\" is no option"},
+          {"udpin::1?network=a b", "\"a b\" is no network"},
+          {"udp://:14540", "udp:// is another program's form"},
+          {"127.0.0.1:14550", "write udpin:127.0.0.1:14550 to listen there"}
+        ] do
+      test inspect(text) do
+        assert {:error, error} = Spec.parse(unquote(text))
+        message = Exception.message(error)
+        assert message =~ unquote(part)
+        assert message =~ "expected "
+        assert message =~ "for example "
+      end
+    end
+
+    test "what is not text at all" do
+      assert {:error, %Spec.Error{}} = Spec.parse(nil)
+      assert {:error, %Spec.Error{}} = Spec.parse(<<255, 0, 1>>)
+      assert_raise Spec.Error, fn -> Spec.parse!("x") end
+    end
+  end
+
+  test "any text is either a link or an error with a message" do
+    property =
+      :proper.forall(:proper_types.list(:proper_types.byte()), fn bytes ->
+        for prefix <- ["", "udpin:", "tcp:", "replay:", "/dev/", "udpin:[", "tcp:h:1?"] do
+          case Spec.parse(prefix <> IO.iodata_to_binary(bytes)) do
+            {:ok, %Spec{}} -> true
+            {:error, error} -> is_binary(Exception.message(error))
+          end
+        end
+        |> Enum.all?()
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+  end
+end

@@ -4,6 +4,15 @@ defmodule Aerie.Application do
 
   @impl Application
   def start(_type, _args) do
-    Supervisor.start_link([{Registry, keys: :unique, name: Aerie.Registry}], strategy: :one_for_one)
+    children = [
+      # Names of all processes of all gateways (Aerie.Names).
+      {Registry, keys: :unique, name: Aerie.Registry},
+      # Who listens to which change notices (Aerie.Fleet.PubSub).
+      {Registry, keys: :duplicate, name: Aerie.Fleet.PubSub.Subscribers}
+    ]
+
+    # A gateway's names are worth nothing without the registries, but gateways are not children of this supervisor:
+    # whoever wants one starts it (bin/run, a release's own child, a test).
+    Supervisor.start_link(children, strategy: :one_for_all)
   end
 end

@@ -1,0 +1,172 @@
+defmodule Aerie.Fleet.Journal do
+  @moduledoc """
+  Events between the moment they are detected and the moment NATS has acknowledged them.
+
+  Exactly once, whatever is killed: a detector's new state and the events that its step produced are written with *one*
+  atomic `:ets.insert`. Killed before it, the step never happened and is done again from the same state; killed after
+  it, the state says that it is done. What a detector is to look at reaches it through an inbox in the same table, and
+  the state says how far it has read.
+
+      session ─ offer/3 ─▶ inbox ─▶ Aerie.Vehicle.Events ─ commit/4 ─▶ pending ─▶ bridge ─ ack/2
+                                                                   └─▶ recent (for faces)
+
+  Bounds: #{inspect(4096)} entries in a vehicle's inbox, #{inspect(20_000)} unacknowledged events (the oldest is dropped),
+  the last #{inspect(256)} events of each vehicle for faces. Drops are counted in the store's counters
+  `{:journal, :inbox_dropped}` and `{:journal, :pending_dropped}`.
+
+  The table belongs to `Aerie.Fleet.Store`. Objects in it:
+
+      {{:state, vehicle}, term}         {{:inbox, vehicle, n}, term}       {{:inbox_last, vehicle}, n}
+      {{:pending, n}, event}            {{:id, event_id}, n}               {{:recent, vehicle, seq}, event}
+      {{:param, vehicle, name}, value}  {:last_pending, n}
+  """
+
+  alias Aerie.{Fleet, Names}
+  alias Aerie.Vehicle.Event
+
+  @max_inbox 4096
+  @max_pending 20_000
+  @max_recent 256
+
+  @type params :: %{String.t() => term()}
+
+  @doc """
+  Writes a detector's state and the events of its step, atomically, then tells subscribers of `:events` and
+  `:journal`.
+
+  `params` are parameter values to remember, part of the same write.
+  """
+  @spec commit(Names.gateway(), String.t(), term(), [Event.t()], params()) :: :ok
+  def commit(gateway, vehicle, state, events, params \\ %{}) do
+    table = Fleet.Store.table!(gateway, :journal)
+    known_params = for {name, value} <- params, do: {{:param, vehicle, name}, value}
+    new_events = Enum.flat_map(events, &objects(table, &1))
+    :ets.insert(table, [{{:state, vehicle}, state} | new_events ++ known_params])
+
+    if events != [] do
+      bound_pending(gateway, table)
+      Enum.each(events, &:ets.delete(table, {:recent, vehicle, &1.seq - @max_recent}))
+      Enum.each(events, &Fleet.PubSub.publish(gateway, :events, &1))
+      wake(gateway)
+    end
+
+    :ok
+  end
+
+  @doc "The state last committed for a vehicle, or nil."
+  @spec state(Names.gateway(), String.t()) :: term() | nil
+  def state(gateway, vehicle) do
+    Fleet.Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, {:state, vehicle}, 2, nil))
+  end
+
+  @doc "The value remembered for a vehicle's parameter: `{:ok, value}` or `:error`."
+  @spec param(Names.gateway(), String.t(), String.t()) :: {:ok, term()} | :error
+  def param(gateway, vehicle, name) do
+    Fleet.Store.with_table(gateway, :journal, :error, fn table ->
+      case :ets.lookup(table, {:param, vehicle, name}) do
+        [{_key, value}] -> {:ok, value}
+        [] -> :error
+      end
+    end)
+  end
+
+  @doc """
+  Tells subscribers of `:journal` (`{:fleet, :journal, :pending}`) that there may be unacknowledged events.
+
+  Done by every commit with events, and by a detector that starts: its forerunner may have been killed between the
+  write and the notice.
+  """
+  @spec wake(Names.gateway()) :: :ok
+  def wake(gateway), do: Fleet.PubSub.publish(gateway, :journal, :pending)
+
+  @doc "Unacknowledged events, oldest first; at most `limit`."
+  @spec pending(Names.gateway(), pos_integer()) :: [Event.t()]
+  def pending(gateway, limit \\ @max_pending) do
+    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+      case :ets.select(table, [{{{:pending, :_}, :"$1"}, [], [:"$1"]}], limit) do
+        {events, _continuation} -> events
+        :"$end_of_table" -> []
+      end
+    end)
+  end
+
+  @doc "How many events wait for their acknowledgement."
+  @spec pending_size(Names.gateway()) :: non_neg_integer()
+  def pending_size(gateway) do
+    Fleet.Store.with_table(gateway, :journal, 0, &:ets.select_count(&1, [{{{:pending, :_}, :_}, [], [true]}]))
+  end
+
+  @doc "Forgets events that are safe elsewhere. Ids that are unknown or acknowledged before are ignored."
+  @spec ack(Names.gateway(), [String.t()]) :: :ok
+  def ack(gateway, ids) do
+    table = Fleet.Store.table!(gateway, :journal)
+    for id <- ids, {_key, n} <- :ets.take(table, {:id, id}), do: :ets.delete(table, {:pending, n})
+    :ok
+  end
+
+  @doc "The last events of a vehicle, oldest first, acknowledged or not; at most #{@max_recent}."
+  @spec recent(Names.gateway(), String.t()) :: [Event.t()]
+  def recent(gateway, vehicle) do
+    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+      :ets.select(table, [{{{:recent, vehicle, :_}, :"$1"}, [], [:"$1"]}])
+    end)
+  end
+
+  @doc "Puts something for a vehicle's detector to look at into its inbox. Full: it is dropped and counted."
+  @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}
+  def offer(gateway, vehicle, observation) do
+    table = Fleet.Store.table!(gateway, :journal)
+    n = :ets.update_counter(table, {:inbox_last, vehicle}, 1, {{:inbox_last, vehicle}, 0})
+
+    if n - oldest(table, vehicle, n) < @max_inbox do
+      :ets.insert(table, {{:inbox, vehicle, n}, observation})
+      :ok
+    else
+      Fleet.Store.count(gateway, {:journal, :inbox_dropped})
+      {:error, :full}
+    end
+  end
+
+  @doc """
+  What a detector has not looked at yet, in order: the entries after the `done`-th as `{n, observation}`, at most
+  #{@max_inbox}.
+  """
+  @spec inbox(Names.gateway(), String.t(), non_neg_integer()) :: [{pos_integer(), term()}]
+  def inbox(gateway, vehicle, done) do
+    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+      :ets.select(table, [{{{:inbox, vehicle, :"$1"}, :"$2"}, [{:>, :"$1", done}], [{{:"$1", :"$2"}}]}])
+    end)
+  end
+
+  @doc "Removes inbox entries that a committed state has taken account of."
+  @spec forget(Names.gateway(), String.t(), [pos_integer()]) :: :ok
+  def forget(gateway, vehicle, numbers) do
+    table = Fleet.Store.table!(gateway, :journal)
+    Enum.each(numbers, &:ets.delete(table, {:inbox, vehicle, &1}))
+  end
+
+  defp objects(table, %Event{} = event) do
+    n = :ets.update_counter(table, :last_pending, 1, {:last_pending, 0})
+    [{{:pending, n}, event}, {{:id, event.id}, n}, {{:recent, event.vehicle, event.seq}, event}]
+  end
+
+  defp oldest(table, vehicle, default) do
+    case :ets.next(table, {:inbox, vehicle, 0}) do
+      {:inbox, ^vehicle, n} -> n
+      _other -> default
+    end
+  end
+
+  # The span of numbers is taken for the size: a number is used once, so there are never more events than that.
+  defp bound_pending(gateway, table) do
+    with {[{n, id}], _continuation} <- :ets.select(table, oldest_pending(), 1),
+         true <- :ets.lookup_element(table, :last_pending, 2) - n >= @max_pending do
+      :ets.delete(table, {:id, id})
+      # An acknowledgement may come in between; then nothing was dropped.
+      if :ets.take(table, {:pending, n}) != [], do: Fleet.Store.count(gateway, {:journal, :pending_dropped})
+      bound_pending(gateway, table)
+    end
+  end
+
+  defp oldest_pending, do: [{{{:pending, :"$1"}, %{id: :"$2"}}, [], [{{:"$1", :"$2"}}]}]
+end

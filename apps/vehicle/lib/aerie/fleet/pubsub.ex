@@ -1,0 +1,103 @@
+defmodule Aerie.Fleet.PubSub do
+  @moduledoc """
+  Change notices for faces: who subscribes to a topic gets `{:fleet, topic, payload}` messages.
+
+  | topic           | payload                                     | when                     |
+  |-----------------|---------------------------------------------|--------------------------|
+  | `:vehicles`     | ids of the vehicles that changed            | coalesced, once per tick |
+  | `{:vehicle, id}` | the vehicle's snapshot, nil when it is gone | coalesced, once per tick |
+  | `:links`        | ids of the links that changed               | coalesced, once per tick |
+  | `{:link, id}`   | the link's snapshot, nil when it is gone    | coalesced, once per tick |
+  | `:events`       | an `Aerie.Vehicle.Event`                    | at once                  |
+  | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
+
+  A vehicle may change 200 times a second; its watchers hear of it at most once per tick (100 ms), with the state that
+  holds at that moment. Nothing is queued for a slow subscriber but these messages.
+  """
+  use GenServer
+
+  alias Aerie.{Fleet, Names}
+  alias Aerie.Fleet.PubSub.Subscribers
+
+  @type topic :: :vehicles | :links | :events | :journal | {:vehicle, String.t()} | {:link, term()}
+
+  @spec start_link(gateway: Names.gateway(), tick_ms: pos_integer()) :: GenServer.on_start()
+  def start_link(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :pubsub))
+  end
+
+  @doc "Sends the calling process the notices of a topic from now on. Ends with `unsubscribe/2` or the process."
+  @spec subscribe(Names.gateway(), topic()) :: :ok
+  def subscribe(gateway, topic) do
+    {:ok, _owner} = Registry.register(Subscribers, {gateway, topic}, nil)
+    :ok
+  end
+
+  @doc "Ends all subscriptions of the calling process to a topic."
+  @spec unsubscribe(Names.gateway(), topic()) :: :ok
+  def unsubscribe(gateway, topic), do: Registry.unregister(Subscribers, {gateway, topic})
+
+  @doc "Notes that a vehicle or a link changed; its watchers are told at the next tick."
+  @spec changed(Names.gateway(), {:vehicle | :link, term()}) :: :ok
+  def changed(gateway, {_kind, _id} = what) do
+    case Names.value(gateway, :pubsub) do
+      {pid, dirty} ->
+        # Only the first change since the last tick wakes the process; all others cost one failed insert.
+        if :ets.insert_new(dirty, {what}), do: send(pid, :changed)
+        :ok
+
+      nil ->
+        :ok
+    end
+  rescue
+    # The process and its table went away in between; its successor starts with nothing noted.
+    ArgumentError -> :ok
+  end
+
+  @doc "Sends a payload to all subscribers of a topic at once."
+  @spec publish(Names.gateway(), topic(), term()) :: :ok
+  def publish(gateway, topic, payload) do
+    Registry.dispatch(Subscribers, {gateway, topic}, fn subscribers ->
+      for {pid, _} <- subscribers, do: send(pid, {:fleet, topic, payload})
+    end)
+  end
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:pubsub, gateway})
+    dirty = :ets.new(:dirty, [:set, :public, write_concurrency: true])
+    Names.put_value(gateway, :pubsub, {self(), dirty})
+    {:ok, %{gateway: gateway, dirty: dirty, tick_ms: Keyword.get(options, :tick_ms, 100), armed: false}}
+  end
+
+  @impl GenServer
+  def handle_info(:changed, %{armed: false} = state) do
+    Process.send_after(self(), :tick, state.tick_ms)
+    {:noreply, %{state | armed: true}}
+  end
+
+  def handle_info(:changed, state), do: {:noreply, state}
+
+  def handle_info(:tick, state) do
+    # Taken one by one: a change noted while this runs is either taken here or wakes the next tick.
+    changed = for {what} <- :ets.tab2list(state.dirty), :ets.take(state.dirty, what) != [], do: what
+    notify(state.gateway, :vehicles, :vehicle, for({:vehicle, id} <- changed, do: id))
+    notify(state.gateway, :links, :link, for({:link, id} <- changed, do: id))
+    {:noreply, %{state | armed: false}}
+  end
+
+  defp notify(_gateway, _all, _one, []), do: :ok
+
+  defp notify(gateway, all, one, ids) do
+    publish(gateway, all, ids)
+    for id <- ids, Registry.lookup(Subscribers, {gateway, {one, id}}) != [], do: notify_one(gateway, one, id)
+    :ok
+  end
+
+  defp notify_one(gateway, :vehicle, id),
+    do: publish(gateway, {:vehicle, id}, Fleet.Store.vehicle(gateway, id))
+
+  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Fleet.Store.link(gateway, id))
+end

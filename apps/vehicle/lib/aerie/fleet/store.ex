@@ -1,0 +1,183 @@
+defmodule Aerie.Fleet.Store do
+  @moduledoc """
+  The read model: one snapshot per vehicle and per link, counters, and the systems that were heard.
+
+  This process only owns ETS tables, so it outlives the death of any vehicle, link or bridge process, and what they
+  knew is there when they come back. Writers (sessions, links) write their own snapshot directly; readers (console,
+  REST, metrics, bridge) read the tables directly and never wait for a process.
+
+  When the gateway is not running, reading gives nothing (`[]`, `nil`) and writing raises: a reader has to live with an
+  absent gateway anyway, a writer without a store is a part that must not be running.
+
+  A vehicle's snapshot is a map with `:id` (public name), `:key` (`{network, system_id}`), `:network`, `:system_id`,
+  `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
+  `:groups` (see `Aerie.Vehicle.State`). A link's snapshot belongs to `Aerie.Link`.
+  """
+  use GenServer
+
+  alias Aerie.{Fleet, Names}
+
+  @type vehicle_key :: {network :: String.t(), system_id :: non_neg_integer()}
+  @type snapshot :: map()
+  @type counter :: term()
+
+  # Systems are whatever sends a heartbeat, so a noisy or hostile network could name four billion of them.
+  @max_systems 4096
+
+  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  def start_link(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :store))
+  end
+
+  @doc "Writes a vehicle's snapshot and tells subscribers of `:vehicles` and `{:vehicle, id}` at the next tick."
+  @spec put_vehicle(Names.gateway(), vehicle_key(), snapshot()) :: :ok
+  def put_vehicle(gateway, {_network, _system} = key, %{id: id} = snapshot) do
+    :ets.insert(table!(gateway, :vehicles), {key, id, snapshot})
+    Fleet.PubSub.changed(gateway, {:vehicle, id})
+  end
+
+  @doc "Forgets a vehicle."
+  @spec delete_vehicle(Names.gateway(), vehicle_key()) :: :ok
+  def delete_vehicle(gateway, key) do
+    case :ets.take(table!(gateway, :vehicles), key) do
+      [{^key, id, _snapshot}] -> Fleet.PubSub.changed(gateway, {:vehicle, id})
+      [] -> :ok
+    end
+  end
+
+  @doc "All vehicles' snapshots, in the order of their keys."
+  @spec vehicles(Names.gateway()) :: [snapshot()]
+  def vehicles(gateway) do
+    with_table(gateway, :vehicles, [], fn table ->
+      table |> :ets.tab2list() |> Enum.sort() |> Enum.map(fn {_key, _id, snapshot} -> snapshot end)
+    end)
+  end
+
+  @doc "One vehicle's snapshot by its public name or by its key; nil when it was never heard."
+  @spec vehicle(Names.gateway(), String.t() | vehicle_key()) :: snapshot() | nil
+  def vehicle(gateway, {_network, _system} = key) do
+    with_table(gateway, :vehicles, nil, fn table -> :ets.lookup_element(table, key, 3, nil) end)
+  end
+
+  def vehicle(gateway, id) when is_binary(id) do
+    with_table(gateway, :vehicles, nil, fn table ->
+      case :ets.match(table, {:_, id, :"$1"}) do
+        [[snapshot] | _] -> snapshot
+        [] -> nil
+      end
+    end)
+  end
+
+  @doc "Writes a link's snapshot and tells subscribers of `:links` and `{:link, id}` at the next tick."
+  @spec put_link(Names.gateway(), link_id :: term(), snapshot()) :: :ok
+  def put_link(gateway, id, snapshot) do
+    :ets.insert(table!(gateway, :links), {id, snapshot})
+    Fleet.PubSub.changed(gateway, {:link, id})
+  end
+
+  @doc "Forgets a link."
+  @spec delete_link(Names.gateway(), term()) :: :ok
+  def delete_link(gateway, id) do
+    :ets.delete(table!(gateway, :links), id)
+    Fleet.PubSub.changed(gateway, {:link, id})
+  end
+
+  @doc "All links' snapshots, in the order of their ids."
+  @spec links(Names.gateway()) :: [snapshot()]
+  def links(gateway) do
+    with_table(gateway, :links, [], fn table ->
+      table |> :ets.tab2list() |> Enum.sort() |> Enum.map(fn {_id, snapshot} -> snapshot end)
+    end)
+  end
+
+  @doc "One link's snapshot; nil when there is none."
+  @spec link(Names.gateway(), term()) :: snapshot() | nil
+  def link(gateway, id) do
+    with_table(gateway, :links, nil, fn table -> :ets.lookup_element(table, id, 2, nil) end)
+  end
+
+  @doc """
+  Adds to a counter and gives its new value. A counter is any term and starts at 0; its name must not come from outside
+  unchecked, because every name is kept.
+  """
+  @spec count(Names.gateway(), counter(), integer()) :: integer()
+  def count(gateway, counter, n \\ 1) do
+    :ets.update_counter(table!(gateway, :counters), counter, n, {counter, 0})
+  end
+
+  @doc "A counter's value, 0 when nothing was counted."
+  @spec counter(Names.gateway(), counter()) :: integer()
+  def counter(gateway, counter) do
+    with_table(gateway, :counters, 0, fn table -> :ets.lookup_element(table, counter, 2, 0) end)
+  end
+
+  @doc "All counters."
+  @spec counters(Names.gateway()) :: %{counter() => integer()}
+  def counters(gateway) do
+    with_table(gateway, :counters, %{}, fn table -> Map.new(:ets.tab2list(table)) end)
+  end
+
+  @doc """
+  Remembers that a system was heard, vehicle or not. At most #{@max_systems} are kept; a further one is counted as
+  `{:systems, :dropped}` and not kept.
+  """
+  @spec see_system(Names.gateway(), vehicle_key(), map()) :: :ok | {:error, :too_many}
+  def see_system(gateway, key, what) do
+    table = table!(gateway, :systems)
+
+    if :ets.info(table, :size) < @max_systems or :ets.member(table, key) do
+      :ets.insert(table, {key, what})
+      :ok
+    else
+      count(gateway, {:systems, :dropped})
+      {:error, :too_many}
+    end
+  end
+
+  @doc "All systems heard, with what was remembered about them."
+  @spec systems(Names.gateway()) :: %{vehicle_key() => map()}
+  def systems(gateway) do
+    with_table(gateway, :systems, %{}, fn table -> Map.new(:ets.tab2list(table)) end)
+  end
+
+  @doc false
+  # The tables are named by what they hold; only the modules of this folder ask for one.
+  @spec table!(Names.gateway(), atom()) :: :ets.table()
+  def table!(gateway, name) do
+    case Names.value(gateway, :store) do
+      %{^name => table} -> table
+      nil -> raise ArgumentError, "gateway #{inspect(gateway)} is not running"
+    end
+  end
+
+  @doc false
+  @spec with_table(Names.gateway(), atom(), result, (:ets.table() -> result)) :: result when result: term()
+  def with_table(gateway, name, absent, fun) do
+    case Names.value(gateway, :store) do
+      %{^name => table} -> fun.(table)
+      nil -> absent
+    end
+  rescue
+    # The store died between finding its table and reading it.
+    error in ArgumentError ->
+      if Names.whereis(gateway, :store), do: reraise(error, __STACKTRACE__), else: absent
+  end
+
+  @impl GenServer
+  def init(gateway) do
+    Process.set_label({:store, gateway})
+    shared = [:public, read_concurrency: true, write_concurrency: true]
+
+    tables = %{
+      vehicles: :ets.new(:vehicles, [:set | shared]),
+      links: :ets.new(:links, [:set | shared]),
+      counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),
+      systems: :ets.new(:systems, [:set | shared]),
+      journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
+    }
+
+    Names.put_value(gateway, :store, tables)
+    {:ok, gateway}
+  end
+end

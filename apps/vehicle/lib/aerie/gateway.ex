@@ -1,0 +1,95 @@
+defmodule Aerie.Gateway do
+  @moduledoc """
+  One gateway: the supervisor of everything between its links and its NATS server.
+
+  ```
+  Aerie.Gateway                    rest_for_one
+  ├─ Aerie.Fleet.Store             owns the ETS read model and the journal of events
+  ├─ Aerie.Fleet.PubSub            change notices, coalesced
+  ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
+  ├─ Aerie.Router.Supervisor       routes, client endpoints
+  ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
+  └─ Aerie.Link.Supervisor         one tree per physical link
+  ```
+
+  A child depends only on those before it, and a restart takes those after it along. What a restart costs:
+
+  | child that dies    | what is lost                                                      | what goes on                  |
+  |--------------------|-------------------------------------------------------------------|-------------------------------|
+  | a vehicle's process | frames in its mailbox; state comes back from the store and wire  | every other vehicle, all links |
+  | a link's process   | bytes in its socket buffer; vehicles stay, marked stale in time   | every other link, all vehicles |
+  | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
+  | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
+  | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
+  | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
+  | PubSub             | notices of one tick, then as above                                | store                          |
+  | Store              | the snapshots and the journal's unacknowledged events; then all   | nothing                        |
+
+  The store therefore does nothing but own tables: it has no code that could fail on input.
+
+  A gateway is addressed by its name everywhere: `Aerie.Fleet.Store.vehicles(name)`. Tests give each their own
+  (`make_ref()`), a node that runs only one uses `:default`.
+  """
+  use Supervisor
+
+  alias Aerie.Names
+
+  @typedoc """
+  * `:name` - any term, `:default` when absent
+  * `:config` - an `%Aerie.Config{}`; required
+  * `:pubsub_tick_ms` - how often change notices are sent at most, 100 when absent
+  """
+  @type option :: {:name, Names.gateway()} | {:config, term()} | {:pubsub_tick_ms, pos_integer()}
+
+  @spec start_link([option()]) :: Supervisor.on_start()
+  def start_link(options) do
+    name = Keyword.get(options, :name, :default)
+    Supervisor.start_link(__MODULE__, Keyword.put(options, :name, name), name: Names.via(name, :gateway))
+  end
+
+  @doc false
+  def child_spec(options) do
+    %{
+      id: {__MODULE__, Keyword.get(options, :name, :default)},
+      start: {__MODULE__, :start_link, [options]},
+      type: :supervisor
+    }
+  end
+
+  @doc "The configuration a running gateway was started with, or nil when there is no such gateway."
+  @spec config(Names.gateway()) :: term() | nil
+  def config(gateway), do: Names.value(gateway, :gateway)
+
+  @doc "Ends a gateway: links first, then vehicles, router, bridge and store."
+  @spec stop(Names.gateway()) :: :ok
+  def stop(gateway), do: Supervisor.stop(Names.via(gateway, :gateway))
+
+  @impl Supervisor
+  def init(options) do
+    name = Keyword.fetch!(options, :name)
+    config = Keyword.fetch!(options, :config)
+    Process.set_label({:gateway, name})
+    Names.put_value(name, :gateway, config)
+
+    children =
+      [
+        {Aerie.Fleet.Store, gateway: name},
+        {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
+        {Aerie.Bridge.Supervisor, gateway: name, config: config},
+        {Aerie.Router.Supervisor, gateway: name, config: config},
+        {Aerie.Vehicle.Supervisor, gateway: name, config: config},
+        {Aerie.Link.Supervisor, gateway: name, config: config}
+      ]
+      |> Enum.filter(fn {module, _options} -> Code.ensure_loaded?(module) end)
+
+    # Any of these dying is rare and serious: three times within a minute means that starting again does not help.
+    Supervisor.init(children, strategy: :rest_for_one, max_restarts: 3, max_seconds: 60)
+  end
+
+  defp tick(options) do
+    case Keyword.fetch(options, :pubsub_tick_ms) do
+      {:ok, tick_ms} -> [tick_ms: tick_ms]
+      :error -> []
+    end
+  end
+end

@@ -1,0 +1,57 @@
+defmodule Aerie.Names do
+  @moduledoc """
+  Where every process of a gateway instance is found.
+
+  Several gateways can live in one node (tests start one each), so no process has a global name: each is registered in
+  `Aerie.Registry` under `{gateway, role, id}`, where `gateway` is the instance's name (any term), `role` an atom that
+  says what the process does and `id` tells processes of one role apart (`nil` when there is only one).
+
+  | role             | id                     | process                              |
+  |------------------|------------------------|--------------------------------------|
+  | `:gateway`       | nil                    | `Aerie.Gateway` supervisor           |
+  | `:store`         | nil                    | `Aerie.Fleet.Store`                  |
+  | `:pubsub`        | nil                    | `Aerie.Fleet.PubSub`                 |
+  | `:vehicles`      | nil                    | `Aerie.Vehicle.Supervisor`           |
+  | `:vehicle_trees` | nil                    | its dynamic supervisor               |
+  | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Tree`                 |
+  | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
+  | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
+
+  Links, router and bridge add their own roles.
+  """
+
+  @type gateway :: term()
+  @type role :: atom()
+
+  @doc "The `:via` name to start or call a process by."
+  @spec via(gateway(), role(), term()) :: {:via, module(), term()}
+  def via(gateway, role, id \\ nil), do: {:via, Registry, {Aerie.Registry, {gateway, role, id}}}
+
+  @doc "The process registered under a role, or nil when there is none just now."
+  @spec whereis(gateway(), role(), term()) :: pid() | nil
+  def whereis(gateway, role, id \\ nil) do
+    # A dead process stays registered for a moment; its name is free already.
+    case Registry.whereis_name({Aerie.Registry, {gateway, role, id}}) do
+      :undefined -> nil
+      pid -> pid
+    end
+  end
+
+  @doc """
+  Attaches a value to the name that the calling process has, for others to read with `value/3` without a call.
+  """
+  @spec put_value(gateway(), role(), term(), term()) :: :ok
+  def put_value(gateway, role, id \\ nil, value) do
+    {_new, _old} = Registry.update_value(Aerie.Registry, {gateway, role, id}, fn _old -> value end)
+    :ok
+  end
+
+  @doc "The value a process attached to its name, or nil."
+  @spec value(gateway(), role(), term()) :: term() | nil
+  def value(gateway, role, id \\ nil) do
+    case Registry.lookup(Aerie.Registry, {gateway, role, id}) do
+      [{_pid, value}] -> value
+      [] -> nil
+    end
+  end
+end

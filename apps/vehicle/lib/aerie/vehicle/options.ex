@@ -1,0 +1,121 @@
+defmodule Aerie.Vehicle.Options do
+  @moduledoc """
+  What one vehicle's processes need to know of the configuration, looked up once when its tree starts.
+
+  Missing keys have defaults, so that a test can start a vehicle from a plain map with the few keys it is about.
+  """
+
+  alias Aerie.Fleet
+
+  @enforce_keys [:id, :key, :network, :system_id]
+  defstruct [
+    :id,
+    :key,
+    :network,
+    :system_id,
+    stale_us: 3_000_000,
+    lost_us: 5_000_000,
+    own_system: 245,
+    own_component: 191,
+    heartbeat: true,
+    request_streams: true,
+    battery_low: 0.25,
+    battery_critical: 0.10,
+    sampling: %{}
+  ]
+
+  @typedoc """
+  * `:id` - public name, a NATS token
+  * `:stale_us`, `:lost_us` - silence after which the vehicle counts as stale, as lost
+  * `:own_system`, `:own_component` - what the gateway calls itself towards this vehicle
+  * `:heartbeat` - send it the gateway's heartbeat
+  * `:request_streams` - ask it for state messages that do not come by themselves
+  * `:battery_low`, `:battery_critical` - remaining charge (0..1) below which the events are given
+  * `:sampling` - group => settings, see `Aerie.Vehicle.Sampling`
+  """
+  @type t :: %__MODULE__{
+          id: String.t(),
+          key: Fleet.Store.vehicle_key(),
+          network: String.t(),
+          system_id: non_neg_integer(),
+          stale_us: pos_integer(),
+          lost_us: pos_integer(),
+          own_system: pos_integer(),
+          own_component: pos_integer(),
+          heartbeat: boolean(),
+          request_streams: boolean(),
+          battery_low: float(),
+          battery_critical: float(),
+          sampling: %{atom() => map()}
+        }
+
+  @doc """
+  The options of a vehicle. `extra` overrides single fields of the result, as `Aerie.Vehicle.Supervisor.ensure/3` was
+  given them; unknown fields raise.
+  """
+  @spec new(term(), Fleet.Store.vehicle_key(), keyword()) :: t()
+  def new(config, {network, system_id} = key, extra \\ []) do
+    defaults = %__MODULE__{id: id(config, key), key: key, network: network, system_id: system_id}
+    companion = get(config, [:vehicle_id], nil) != nil
+
+    struct!(
+      %{
+        defaults
+        | stale_us: us(get(config, [:timeouts, :vehicle_stale_s], 3.0)),
+          lost_us: us(get(config, [:timeouts, :vehicle_lost_s], 5.0)),
+          own_system: get(config, [:mavlink, :system_id], nil) || if(companion, do: system_id, else: 245),
+          own_component: get(config, [:mavlink, :component_id], 191),
+          heartbeat: get(config, [:mavlink, :heartbeat], true),
+          request_streams: get(config, [:mavlink, :request_streams], true),
+          battery_low: get(config, [:events, :battery_low], defaults.battery_low),
+          battery_critical: get(config, [:events, :battery_critical], defaults.battery_critical),
+          sampling: get(config, [:sampling, :groups], %{})
+      },
+      extra
+    )
+  end
+
+  @doc "The configured bound on the number of vehicles, or nil."
+  @spec max_vehicles(term()) :: pos_integer() | nil
+  def max_vehicles(config), do: get(config, [:limits, :max_vehicles], nil)
+
+  @doc """
+  A vehicle's public name: the configured one, else `VID-` and the system id with three digits on the default network,
+  `{network}-` and the same on others.
+  """
+  @spec id(term(), Fleet.Store.vehicle_key()) :: String.t()
+  def id(config, {network, system_id} = key) do
+    configured = configured_ids(config)
+    default_network = get(config, [:network], "main")
+    number = system_id |> Integer.to_string() |> String.pad_leading(3, "0")
+    plain = if(network == default_network, do: "VID", else: network) <> "-" <> number
+
+    cond do
+      id = configured[key] -> id
+      # The configuration gave this name to another vehicle.
+      plain in Map.values(configured) -> "#{network}-sys-#{system_id}"
+      true -> plain
+    end
+  end
+
+  defp configured_ids(config) do
+    default_network = get(config, [:network], "main")
+
+    listed =
+      for vehicle <- get(config, [:vehicles], []), into: %{} do
+        {{get(vehicle, [:network], nil) || default_network, get(vehicle, [:system_id], nil)},
+         get(vehicle, [:id], nil)}
+      end
+
+    case get(config, [:vehicle_id], nil) do
+      nil -> listed
+      id -> Map.put_new(listed, {default_network, get(config, [:mavlink, :system_id], nil) || 1}, id)
+    end
+  end
+
+  defp us(seconds), do: round(seconds * 1_000_000)
+
+  defp get(value, [], default), do: if(is_nil(value), do: default, else: value)
+  defp get(%{} = map, [key | rest], default), do: map |> Map.get(key) |> get(rest, default)
+  defp get(_absent, _path, default), do: default
+end

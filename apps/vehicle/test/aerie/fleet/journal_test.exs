@@ -1,0 +1,95 @@
+defmodule Aerie.Fleet.JournalTest do
+  use Aerie.GatewayCase, async: true
+
+  alias Aerie.Fleet.{Journal, PubSub, Store}
+  alias Aerie.Vehicle.Event
+
+  defp event(seq, vehicle \\ "A"),
+    do: Event.new(vehicle, "statustext", seq, seq * 1000, nil, %{"text" => "#{seq}"})
+
+  test "a commit keeps the state and the events, and tells who listens" do
+    gateway = start_gateway()
+    PubSub.subscribe(gateway, :events)
+    PubSub.subscribe(gateway, :journal)
+    assert Journal.state(gateway, "A") == nil
+    [one, two] = [event(1), event(2)]
+    :ok = Journal.commit(gateway, "A", %{seq: 2}, [one, two])
+
+    assert Journal.state(gateway, "A") == %{seq: 2}
+    assert Journal.pending(gateway) == [one, two]
+    assert_received {:fleet, :events, ^one}
+    assert_received {:fleet, :events, ^two}
+    assert_received {:fleet, :journal, :pending}
+  end
+
+  test "acknowledged events are pending no more but still recent; unknown ids are nothing" do
+    gateway = start_gateway()
+    events = for seq <- 1..3, do: event(seq)
+    Journal.commit(gateway, "A", :state, events)
+    Journal.ack(gateway, [Enum.at(events, 1).id, "nonsense"])
+    Journal.ack(gateway, [Enum.at(events, 1).id])
+    assert Journal.pending(gateway) == [Enum.at(events, 0), Enum.at(events, 2)]
+    assert Journal.pending_size(gateway) == 2
+    assert Journal.pending(gateway, 1) == [hd(events)]
+    assert Journal.recent(gateway, "A") == events
+  end
+
+  test "events of several vehicles are pending in the order of their commits" do
+    gateway = start_gateway()
+    for seq <- 1..20, vehicle <- ["B", "A"], do: Journal.commit(gateway, vehicle, seq, [event(seq, vehicle)])
+
+    assert Enum.map(Journal.pending(gateway), &{&1.seq, &1.vehicle}) ==
+             for(s <- 1..20, v <- ["B", "A"], do: {s, v})
+
+    assert length(Journal.recent(gateway, "B")) == 20
+  end
+
+  test "both lists are bounded, and what is dropped is the oldest and counted" do
+    gateway = start_gateway()
+
+    for chunk <- Enum.chunk_every(1..20_005, 100),
+        do: Journal.commit(gateway, "A", :s, Enum.map(chunk, &event/1))
+
+    pending = Journal.pending(gateway)
+    assert length(pending) == 20_000
+    assert hd(pending).seq == 6
+    assert Store.counter(gateway, {:journal, :pending_dropped}) == 5
+    recent = Journal.recent(gateway, "A")
+    assert {length(recent), hd(recent).seq} == {256, 19_750}
+  end
+
+  test "the inbox gives what the committed state has not taken account of" do
+    gateway = start_gateway()
+    for n <- ~w(a b c)a, do: Journal.offer(gateway, "A", n)
+    Journal.offer(gateway, "B", :other)
+    assert Journal.inbox(gateway, "A", 0) == [{1, :a}, {2, :b}, {3, :c}]
+    assert Journal.inbox(gateway, "A", 2) == [{3, :c}]
+    Journal.forget(gateway, "A", [1, 2])
+    assert Journal.inbox(gateway, "A", 0) == [{3, :c}]
+  end
+
+  test "a full inbox drops the newest, counted, and takes more when it was read" do
+    gateway = start_gateway()
+    for n <- 1..4096, do: :ok = Journal.offer(gateway, "A", n)
+    assert Journal.offer(gateway, "A", :late) == {:error, :full}
+    assert Store.counter(gateway, {:journal, :inbox_dropped}) == 1
+    Journal.forget(gateway, "A", Enum.to_list(1..100))
+    assert Journal.offer(gateway, "A", :fits) == :ok
+    assert List.last(Journal.inbox(gateway, "A", 4000)) |> elem(1) == :fits
+  end
+
+  test "parameters are remembered with the step that saw them" do
+    gateway = start_gateway()
+    assert Journal.param(gateway, "A", "RTL_ALT") == :error
+    Journal.commit(gateway, "A", :s, [], %{"RTL_ALT" => 1500.0})
+    assert Journal.param(gateway, "A", "RTL_ALT") == {:ok, 1500.0}
+    assert Journal.param(gateway, "B", "RTL_ALT") == :error
+  end
+
+  test "the same transition has the same id, any other a different one" do
+    assert event(1).id == event(1).id
+    assert length(Enum.uniq_by([event(1), event(2), event(1, "B")], & &1.id)) == 3
+    assert event(1).id =~ ~r/\A[0-9a-f]{32}\z/
+    assert_raise FunctionClauseError, fn -> Event.new("A", "no such type", 1, 0, nil, %{}) end
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Aerie.GatewayCase do
+  @moduledoc """
+  Tests that need a gateway of their own: `start_gateway/1` gives its name. All are async; nothing is shared.
+  """
+  use ExUnit.CaseTemplate
+
+  using do
+    quote do
+      import Aerie.GatewayCase
+    end
+  end
+
+  @doc "Starts a gateway that ends with the test; gives its name."
+  @spec start_gateway(map() | struct(), keyword()) :: reference()
+  def start_gateway(config \\ %{}, options \\ []) do
+    name = make_ref()
+
+    ExUnit.Callbacks.start_supervised!(
+      {Aerie.Gateway, [name: name, config: config, pubsub_tick_ms: 5] ++ options}
+    )
+
+    name
+  end
+
+  @doc "Polls until `fun` gives something truthy, for facts that send no message. Flunks after two seconds."
+  @spec eventually((-> result)) :: result when result: term()
+  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 2_000) do
+    cond do
+      result = fun.() ->
+        result
+
+      System.monotonic_time(:millisecond) > deadline ->
+        ExUnit.Assertions.flunk("it did not come true within two seconds")
+
+      true ->
+        Process.sleep(2)
+        eventually(fun, deadline)
+    end
+  end
+end

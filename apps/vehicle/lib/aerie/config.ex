@@ -1,0 +1,234 @@
+defmodule Aerie.Config do
+  @moduledoc """
+  The configuration of one gateway: read once, checked completely, then passed down as this struct. No module below
+  reads the application environment.
+
+  `load/3` takes, in rising order: defaults, a YAML file, the environment (`AERIE_…`), overrides (the command line).
+  What is wrong comes back as a list of `Aerie.Config.Error`, all problems at once; nothing is started before that list
+  is empty and `Aerie.Config.Preflight.check/1` has found ports, folders and files usable.
+
+  The sections are maps with the keys of `config/gateway.example.yaml` (made from `Aerie.Config.Keys`). Derived values
+  are filled in, so that readers need no rules of their own:
+
+    * `nats.mode` is `:embedded` or `:url`; `nats.url` is a list of URLs without passwords
+    * `mavlink.system_id` is set
+    * `links` has `id`, `url`, `network`, `label`, `enabled` and `given` for each, the one of `mavlink.local_addr` included
+    * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
+    * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
+    * `warnings` are things that are allowed and probably not meant; `given` is the set of keys that somebody set
+  """
+
+  alias Aerie.Config.{Environment, Error, Keys, Resolve, Schema, Yaml}
+
+  defstruct [
+    :vehicle_id,
+    :environment,
+    :network,
+    :mavlink,
+    :links,
+    :vehicles,
+    :nats,
+    :outbox,
+    :sampling,
+    :policy,
+    :http,
+    :timeouts,
+    :limits,
+    file: nil,
+    given: MapSet.new(),
+    warnings: []
+  ]
+
+  @type link :: %{
+          id: String.t(),
+          url: String.t(),
+          network: String.t(),
+          label: String.t() | nil,
+          enabled: boolean(),
+          given: boolean()
+        }
+
+  @type vehicle :: %{id: String.t(), network: String.t(), system_id: pos_integer()}
+
+  @type group :: %{
+          strategy: :time | :change | :threshold | :aggregate,
+          hz: float(),
+          threshold: %{String.t() => float()},
+          refresh_s: float()
+        }
+
+  @type t :: %__MODULE__{
+          vehicle_id: String.t() | nil,
+          environment: String.t(),
+          network: String.t(),
+          mavlink: map(),
+          links: [link()],
+          vehicles: [vehicle()],
+          nats: map(),
+          outbox: map(),
+          sampling: %{:groups => %{atom() => group()}, optional(atom()) => term()},
+          policy: map(),
+          http: map(),
+          timeouts: map(),
+          limits: map(),
+          file: String.t() | nil,
+          given: MapSet.t(String.t()),
+          warnings: [String.t()]
+        }
+
+  @typedoc "`{\"nats.url\", value}` pairs (a string value is read as the key's type), or nested maps with string keys."
+  @type overrides :: [{String.t(), term()}] | %{optional(String.t()) => term()}
+
+  @doc """
+  Reads, merges and checks. `path` nil means no file.
+
+  Options: `:env`, the environment as a map (default: the process's own; `%{}` for none).
+  """
+  @spec load(Path.t() | nil, overrides(), keyword()) :: {:ok, t()} | {:error, [Error.t()]}
+  def load(path \\ nil, overrides \\ [], opts \\ []) do
+    env = Keyword.get_lazy(opts, :env, &System.get_env/0)
+
+    with {:ok, file} <- read(path) do
+      layers = Environment.overrides(env) ++ override_list(overrides)
+
+      case build(file, layers, path) do
+        {:ok, config} -> {:ok, %{config | warnings: Environment.warnings(env) ++ config.warnings}}
+        error -> error
+      end
+    end
+  end
+
+  @doc """
+  The defaults with overrides, without file and environment. Raises `ArgumentError` on a wrong override: for tests and
+  for callers that know what they pass.
+  """
+  @spec default(overrides()) :: t()
+  def default(overrides \\ []) do
+    case load(nil, overrides, env: %{}) do
+      {:ok, config} -> config
+      {:error, errors} -> raise ArgumentError, Enum.map_join(errors, "\n", &Error.format/1)
+    end
+  end
+
+  @doc "Whether somebody set this key (`\"http.port\"`) in the file, the environment or on the command line."
+  @spec given?(t(), String.t()) :: boolean()
+  def given?(%__MODULE__{given: given}, path), do: MapSet.member?(given, path)
+
+  @doc """
+  The public name of a vehicle: the configured one, else made of network and system id: `VID-001` on the default
+  network, `hangar-001` on network `hangar`. Always a valid word of a NATS subject.
+  """
+  @spec vehicle_name(t(), {String.t(), pos_integer()}) :: String.t()
+  def vehicle_name(%__MODULE__{} = config, {network, system_id}) do
+    case Enum.find(config.vehicles, &(&1.network == network and &1.system_id == system_id)) do
+      %{id: id} -> id
+      nil -> Resolve.derived_name(config.network, network, system_id)
+    end
+  end
+
+  @doc "Errors as lines for a person."
+  @spec format_errors([Error.t()]) :: String.t()
+  def format_errors(errors), do: Enum.map_join(errors, "\n", &Error.format/1)
+
+  defp read(nil), do: {:ok, %{}}
+
+  defp read(path) do
+    with {:ok, text} <- read_bounded(path), {:ok, map} <- Yaml.parse(text) do
+      {:ok, map}
+    else
+      {:error, %{expected: expected} = reason} ->
+        {:error, [%Error{file: path, path: "", line: reason.line, expected: expected, got: reason.got}]}
+
+      {:error, posix} ->
+        reason = posix |> :file.format_error() |> to_string()
+        {:error, [%Error{file: path, path: "", expected: "a readable file", got: reason}]}
+    end
+  end
+
+  # A device or a log given by mistake must not be read to its end: the reader refuses more than this anyway.
+  defp read_bounded(path) do
+    with {:ok, text} <- File.open(path, [:read, :binary, :raw], &:file.read(&1, 262_145)) do
+      case text do
+        {:ok, text} -> {:ok, text}
+        :eof -> {:ok, ""}
+        {:error, reason} -> {:error, reason}
+      end
+    end
+  end
+
+  defp override_list(overrides) do
+    for {path, value} <- overrides do
+      path = if is_list(path), do: path, else: String.split(to_string(path), ".")
+      value = if is_binary(value), do: {:text, value}, else: plain(value)
+      {path, value, "command line"}
+    end
+  end
+
+  # Callers in Elixir write maps with atom keys and atoms as values; the schema knows neither.
+  defp plain(map) when is_map(map), do: Map.new(map, fn {key, value} -> {to_string(key), plain(value)} end)
+  defp plain(list) when is_list(list), do: Enum.map(list, &plain/1)
+  defp plain(value) when is_boolean(value) or is_nil(value), do: value
+  defp plain(atom) when is_atom(atom), do: Atom.to_string(atom)
+  defp plain(value), do: value
+
+  defp build(file, layers, path) do
+    raw = Enum.reduce(layers, file, fn {keys, value, _source}, raw -> put(raw, keys, value) end)
+    {values, problems} = Schema.validate(Keys.fields(), raw)
+    source = &source(&1, layers, path)
+
+    case problems do
+      [] ->
+        config = struct!(%__MODULE__{file: path, given: given(raw)}, values)
+
+        case Resolve.run(config) do
+          {config, []} -> {:ok, config}
+          {_config, problems} -> {:error, Enum.map(problems, &error(&1, source))}
+        end
+
+      problems ->
+        {:error, Enum.map(problems, &error(&1, source))}
+    end
+  end
+
+  defp put(raw, [key], value) when is_map(raw), do: Map.put(raw, key, value)
+
+  defp put(raw, [key | below], value) when is_map(raw) do
+    case Map.get(raw, key) do
+      empty when empty in [nil, []] -> Map.put(raw, key, put(%{}, below, value))
+      section -> Map.put(raw, key, put(section, below, value))
+    end
+  end
+
+  # The file has something else where a section belongs; the schema will say so.
+  defp put(raw, _keys, _value), do: raw
+
+  defp given(raw) do
+    for {path, _field} <- Schema.leaves(Keys.fields()),
+        present?(raw, path),
+        into: MapSet.new(),
+        do: Error.path(path)
+  end
+
+  defp present?(raw, [key]) when is_map(raw), do: Map.get(raw, key) != nil
+  defp present?(raw, [key | below]) when is_map(raw), do: present?(Map.get(raw, key), below)
+  defp present?(_raw, _path), do: false
+
+  # The last layer that set this key, or something above or below it, is the one to blame.
+  defp source(path, layers, file) do
+    layers
+    |> Enum.reverse()
+    |> Enum.find_value(file || "defaults", fn {keys, _value, source} ->
+      if List.starts_with?(path, keys), do: source
+    end)
+  end
+
+  defp error(problem, source) do
+    %Error{
+      file: source.(problem.path),
+      path: Error.path(problem.path),
+      expected: problem.expected,
+      got: problem.got,
+      hint: problem.hint
+    }
+  end
+end

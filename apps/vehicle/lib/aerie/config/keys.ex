@@ -1,0 +1,353 @@
+defmodule Aerie.Config.Keys do
+  @moduledoc """
+  The schema: every key of the configuration, with type, limits, default and meaning. The checks, the environment
+  variables, `config/gateway.example.yaml` and `Aerie.Config.default/1` all come from here and from nowhere else.
+  """
+
+  import Aerie.Config.Field, only: [field: 3, field: 4, section: 3]
+
+  alias Aerie.Config.{Field, Types}
+
+  @groups [
+    position: {:time, 1.0, %{}, 30.0},
+    attitude: {:time, 1.0, %{}, 30.0},
+    velocity: {:time, 1.0, %{}, 30.0},
+    battery: {:threshold, 1.0, %{"remaining" => 0.01}, 30.0},
+    gps: {:change, 0.5, %{}, 30.0},
+    mode: {:change, 10.0, %{}, 30.0},
+    health: {:change, 1.0, %{}, 30.0},
+    home: {:change, 1.0, %{}, 60.0},
+    mission: {:change, 1.0, %{}, 60.0},
+    rc: {:time, 0.2, %{}, 60.0},
+    link: {:aggregate, 0.2, %{}, 60.0}
+  ]
+
+  @doc "The names of the state groups."
+  @spec groups() :: [atom()]
+  def groups, do: Keyword.keys(@groups)
+
+  @doc "All keys."
+  @spec fields() :: [Field.t()]
+  def fields do
+    [
+      field(
+        :vehicle_id,
+        Types.token(),
+        """
+        Companion: the public name of the one vehicle aboard which this gateway runs; it is the vehicle with system id
+        mavlink.system_id on the default network. Hub: leave it out and name vehicles under vehicles.
+        """,
+        example: "VID-001"
+      ),
+      field(:environment, Types.token(), "Second word of every NATS subject: fleet.{environment}.{vehicle}.…",
+        default: "dev"
+      ),
+      field(:network, Types.token(), "The network of links and vehicles that name none.", default: "main"),
+      mavlink(),
+      field(
+        :links,
+        {:list, {:section, link_fields()}},
+        """
+        The physical ways to vehicles. url is a connection string as pymavlink has them:
+          udpin:HOST:PORT   listen for UDP          udpout:HOST:PORT  send UDP to
+          tcpin:HOST:PORT   listen for TCP          tcp:HOST:PORT     connect by TCP
+          DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
+        id, network, label and enabled may be left out.
+        """,
+        default: [],
+        example:
+          ~S([{id: radio-1, url: "/dev/ttyUSB0,57600", network: main, label: "433 MHz mast", enabled: true}])
+      ),
+      field(
+        :vehicles,
+        {:list, {:section, vehicle_fields()}},
+        """
+        Public names of vehicles. One that is not listed is named after its network and system id.
+        """,
+        default: [],
+        example: "[{id: VID-007, network: main, system_id: 7}]"
+      ),
+      nats(),
+      outbox(),
+      sampling(),
+      policy(),
+      section(:http, "The console, REST, metrics and health on one port.", [
+        field(:enabled, :boolean, "Serve HTTP at all.", default: true),
+        field(:address, Types.ip(), "Address to listen on. Beyond loopback only with a password or key set.",
+          default: "127.0.0.1"
+        ),
+        field(
+          :port,
+          {:integer, 0, 65_535},
+          """
+          Port. Taken: an error if given here, the next free one if not. 0: any free one.
+          """,
+          default: 4000
+        )
+      ]),
+      timeouts(),
+      limits()
+    ]
+  end
+
+  defp mavlink do
+    section(:mavlink, "The MAVLink side.", [
+      field(
+        :local_addr,
+        Types.listen_address(),
+        """
+        UDP address on which vehicles and routers call in; off for none. Left out: ":14550", unless links are given.
+        """,
+        example: ~S(":14550")
+      ),
+      field(
+        :system_id,
+        {:integer, 1, 4_294_967_295},
+        """
+        System id of this gateway. Companion (vehicle_id given): the vehicle's own, 1 if left out.
+        Hub: one from the top, 245 if left out; never 255, which ground stations use.
+        """,
+        example: "245"
+      ),
+      field(
+        :component_id,
+        {:integer, 1, 255},
+        """
+        Component id of this gateway. 191 is the on-board computer; 1 is the autopilot's and collides with it.
+        """,
+        default: 191
+      ),
+      field(
+        :dialects,
+        {:list, {:enum, [:all, :upstream, :ardupilot, :common]}},
+        """
+        Message definitions that are understood: all, upstream (PX4), ardupilot, common.
+        """,
+        default: [:all]
+      ),
+      field(:sysid32, :boolean, "Understand frames with 32-bit system ids (a draft of the standard).",
+        default: false
+      )
+    ])
+  end
+
+  defp link_fields do
+    [
+      field(:id, Types.token(), "Name of the link; link-1, link-2, … if left out."),
+      field(:url, Types.link_url(), "Connection string.", required: true),
+      field(:network, Types.token(), "System ids are unique within a network."),
+      field(:label, :string, "Words for people."),
+      field(:enabled, :boolean, "Open it.", default: true)
+    ]
+  end
+
+  defp vehicle_fields do
+    [
+      field(:id, Types.token(), "Public name.", required: true),
+      field(:network, Types.token(), "Its network."),
+      field(:system_id, {:integer, 1, 4_294_967_295}, "Its MAVLink system id.", required: true)
+    ]
+  end
+
+  defp nats do
+    section(:nats, "The NATS side.", [
+      field(
+        :mode,
+        {:enum, [:embedded, :url]},
+        """
+        embedded: start and supervise a nats-server of our own. url: use the servers at nats.url.
+        Left out: url if nats.url is given, else embedded.
+        """,
+        example: "embedded"
+      ),
+      field(:url, {:one_or_list, Types.nats_url()}, "Server, or a list of servers that are tried in turn.",
+        default: [],
+        example: ~S("nats://localhost:4222")
+      ),
+      field(:credentials, :path, "Credentials file (user JWT and nkey seed).",
+        example: ~S("/etc/gateway/vehicle.creds")
+      ),
+      field(:nkey_seed_file, :path, "File with an nkey seed (SU…).", example: ~S("/etc/gateway/vehicle.nk")),
+      field(:user, :string, "User name, with nats.password.", example: "gateway"),
+      field(:password, :secret, "Password. Better given by the environment than in a file.",
+        example: "secret"
+      ),
+      field(:token, :secret, "Authentication token.", example: "secret"),
+      section(:tls, "TLS to the servers at nats.url.", [
+        field(:enabled, :boolean, "Use TLS; a tls:// URL means it too.", default: false),
+        field(
+          :ca_file,
+          :path,
+          "Certificates of the authorities that are trusted (PEM); the system's if left out.",
+          example: ~S("/etc/gateway/ca.pem")
+        ),
+        field(:cert_file, :path, "This gateway's certificate (PEM).",
+          example: ~S("/etc/gateway/gateway.pem")
+        ),
+        field(:key_file, :path, "The certificate's private key (PEM).",
+          example: ~S("/etc/gateway/gateway.key")
+        ),
+        field(:server_name, :string, "Name expected in the server's certificate; the URL's host if left out.",
+          example: "nats.example.org"
+        ),
+        field(:verify, :boolean, "Check the server's certificate.", default: true)
+      ]),
+      field(:address, Types.ip(), "Embedded: address to listen on.", default: "127.0.0.1"),
+      field(
+        :port,
+        {:integer, 0, 65_535},
+        """
+        Embedded: port. Taken: an error if given here, the next free one if not. 0: any free one.
+        """,
+        default: 4222
+      ),
+      field(:store_dir, :path, "Embedded: folder of the server's data, configuration and log.",
+        default: "var/nats"
+      ),
+      field(:max_memory_mb, {:integer, 1, 65_536}, "Embedded: memory that JetStream may use.", default: 64),
+      field(:max_store_mb, {:integer, 1, 1_048_576}, "Embedded: disk that JetStream may use.", default: 2048),
+      field(:binary, :path, "Embedded: the server's program.", default: "nats-server"),
+      field(:connect_timeout_s, {:number, 0.1, 60}, "How long one attempt to connect may take.",
+        default: 3.0
+      ),
+      field(
+        :retry_min_ms,
+        {:integer, 10, 60_000},
+        "Pause after the first failed attempts; doubled each time.",
+        default: 250
+      ),
+      field(:retry_max_ms, {:integer, 10, 600_000}, "The longest pause between attempts.", default: 30_000),
+      section(:streams, "The JetStream streams, made if they are not there.", [
+        field(
+          :state_max_mb,
+          {:integer, 1, 1_048_576},
+          "Size of FLEET_STATE, the last value of each state group.",
+          default: 64
+        ),
+        field(:event_max_mb, {:integer, 1, 1_048_576}, "Size of FLEET_EVENTS; the oldest events go first.",
+          default: 512
+        ),
+        field(
+          :event_max_age_days,
+          {:number, 0, 3650},
+          "Age at which events go; 0 keeps them until size decides.",
+          default: 30.0
+        ),
+        field(
+          :duplicate_window_s,
+          {:integer, 1, 86_400},
+          """
+          How long the server knows an event's id and drops a second copy. Past it, an event whose confirmation was lost
+          with the connection is in the stream twice (with the same id).
+          """,
+          default: 3600
+        ),
+        field(:replicas, {:integer, 1, 5}, "Copies in a cluster.", default: 1)
+      ])
+    ])
+  end
+
+  defp outbox do
+    section(:outbox, "Events wait here on disk while NATS is away.", [
+      field(:dir, :path, "Folder.", default: "var/outbox"),
+      field(:max_mb, {:integer, 1, 65_536}, "Size; the oldest events go first, and are counted.",
+        default: 64
+      ),
+      field(:segment_kb, {:integer, 4, 65_536}, "Size of one file in it.", default: 1024),
+      field(
+        :fsync,
+        {:enum, [:always, :interval, :never]},
+        """
+        When data is forced to the disk: always (after each write), interval, never (left to the system).
+        """,
+        default: :interval
+      ),
+      field(:fsync_interval_ms, {:integer, 10, 60_000}, "For interval.", default: 1000)
+    ])
+  end
+
+  defp sampling do
+    section(:sampling, "How often each group of a vehicle's state is published. Full rate stays inside.", [
+      field(:position_hz, {:number, 0.001, 100}, "Short for groups.position.hz.", default: 1.0),
+      field(:attitude_hz, {:number, 0.001, 100}, "Short for groups.attitude.hz.", default: 1.0),
+      field(
+        :battery_change_threshold,
+        {:number, 0, 1},
+        """
+        Battery is published when its remaining charge (0 to 1) has changed by this; short for
+        groups.battery.threshold.remaining.
+        """,
+        default: 0.01
+      ),
+      section(
+        :groups,
+        """
+        Strategies: time (mean over each period), change (when a value differs), threshold (when a value named under
+        threshold has moved by its amount), aggregate (min, max and mean over each period). hz is the rate, for change
+        and threshold the highest one. After refresh_s seconds a value is published even if nothing moved; 0: never.
+        """,
+        Enum.map(@groups, &group/1)
+      )
+    ])
+  end
+
+  defp group({name, {strategy, hz, threshold, refresh}}) do
+    section(name, "", [
+      field(:strategy, {:enum, [:time, :change, :threshold, :aggregate]}, "", default: strategy),
+      field(:hz, {:number, 0.001, 100}, "", default: hz),
+      field(:threshold, {:map, {:number, 0, 1_000_000_000}}, "", default: threshold),
+      field(:refresh_s, {:number, 0, 86_400}, "", default: refresh)
+    ])
+  end
+
+  defp policy do
+    section(:policy, "Limits on what commands may ask for.", [
+      field(
+        :max_altitude,
+        {:number, 0, 100_000},
+        "Highest altitude above home that is passed on, m. Left out: no limit.",
+        example: "120"
+      ),
+      field(:geofence_file, :path, "JSON file of the fence that goto targets must be inside.",
+        example: ~S("/etc/gateway/geofence.json")
+      )
+    ])
+  end
+
+  defp timeouts do
+    section(:timeouts, "When silence means something.", [
+      field(:vehicle_stale_s, {:number, 0.1, 3600}, "A vehicle without a heartbeat for this long is stale.",
+        default: 3.0
+      ),
+      field(:vehicle_lost_s, {:number, 0.1, 86_400}, "… and lost after this long.", default: 10.0),
+      field(:state_stale_s, {:number, 0.1, 3600}, "A state group that is older is shown as stale.",
+        default: 5.0
+      ),
+      field(:link_idle_s, {:number, 0.1, 86_400}, "A link that hears nothing for this long is idle.",
+        default: 10.0
+      ),
+      field(:shutdown_s, {:number, 0.1, 300}, "How long an orderly end may take.", default: 5.0)
+    ])
+  end
+
+  defp limits do
+    section(:limits, "What bounds memory when a radio (or somebody) makes vehicles up.", [
+      field(:max_vehicles, {:integer, 1, 100_000}, "Vehicles; further ones are counted and ignored.",
+        default: 250
+      ),
+      field(:max_systems, {:integer, 1, 1_000_000}, "System ids that the router remembers.", default: 1024),
+      field(:max_links, {:integer, 1, 10_000}, "Links.", default: 64),
+      field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 256),
+      field(
+        :max_pending_events,
+        {:integer, 1, 10_000_000},
+        "Events in memory; past it they go to the outbox or, with no
+disk, the oldest go.",
+        default: 10_000
+      ),
+      field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",
+        default: 64
+      )
+    ])
+  end
+end

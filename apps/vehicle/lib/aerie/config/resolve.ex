@@ -1,0 +1,197 @@
+defmodule Aerie.Config.Resolve do
+  @moduledoc """
+  What no single key can say: values derived from others, contradictions between keys, and warnings. Pure.
+  """
+
+  alias Aerie.Config
+  alias Aerie.Config.{Schema, Secret}
+
+  @doc "Fills in the derived values; gives the problems that remain."
+  @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
+  def run(%Config{} = config) do
+    config = config |> system_id() |> vehicles() |> links() |> sampling() |> nats_mode() |> nats_userinfo()
+    problems = Enum.flat_map([&duplicates/1, &nats/1, &ranges/1, &same_port/1], & &1.(config))
+    {%{config | warnings: config.warnings ++ warnings(config)}, problems}
+  end
+
+  @doc "The name of a vehicle that nobody named."
+  @spec derived_name(String.t(), String.t(), pos_integer()) :: String.t()
+  def derived_name(default_network, network, system_id) do
+    prefix = if network == default_network, do: "VID", else: network
+    "#{prefix}-#{system_id |> Integer.to_string() |> String.pad_leading(3, "0")}"
+  end
+
+  defp system_id(%{mavlink: %{system_id: nil}} = config) do
+    put_in(config.mavlink.system_id, if(config.vehicle_id, do: 1, else: 245))
+  end
+
+  defp system_id(config), do: config
+
+  defp vehicles(config) do
+    own =
+      if config.vehicle_id,
+        do: [%{id: config.vehicle_id, network: config.network, system_id: config.mavlink.system_id}],
+        else: []
+
+    listed = Enum.map(config.vehicles, &%{&1 | network: &1.network || config.network})
+    %{config | vehicles: own ++ (listed -- own)}
+  end
+
+  defp links(config) do
+    listed =
+      config.links
+      |> Enum.with_index(1)
+      |> Enum.map(fn {link, i} ->
+        Map.merge(link, %{id: link.id || "link-#{i}", network: link.network || config.network, given: true})
+      end)
+
+    %{config | links: listed ++ local_link(config, listed)}
+  end
+
+  # The address of the seed's gateway.yaml is one more link. Left out, it is there only when nothing else is asked for.
+  defp local_link(config, listed) do
+    case {config.mavlink.local_addr, listed} do
+      {:off, _} -> []
+      {nil, [_ | _]} -> []
+      {nil, []} -> [local(config, {"0.0.0.0", 14_550}, false)]
+      {address, _} -> [local(config, address, true)]
+    end
+  end
+
+  defp local(config, {host, port}, given) do
+    host = if String.contains?(host, ":"), do: "[#{host}]", else: host
+    url = "udpin:#{host}:#{port}"
+    %{id: "local", url: url, network: config.network, label: nil, enabled: true, given: given}
+  end
+
+  defp sampling(%{sampling: sampling} = config) do
+    groups =
+      sampling.groups
+      |> short(config, "position.hz", [:position, :hz], sampling.position_hz)
+      |> short(config, "attitude.hz", [:attitude, :hz], sampling.attitude_hz)
+      |> short(config, "battery.threshold", [:battery, :threshold], %{
+        "remaining" => sampling.battery_change_threshold
+      })
+
+    %{config | sampling: %{sampling | groups: groups}}
+  end
+
+  defp short(groups, config, key, path, value) do
+    if Config.given?(config, "sampling.groups." <> key), do: groups, else: put_in(groups, path, value)
+  end
+
+  defp nats_mode(%{nats: %{mode: nil, url: url}} = config),
+    do: put_in(config.nats.mode, if(url == [], do: :embedded, else: :url))
+
+  defp nats_mode(%{nats: %{mode: :url, url: []}} = config),
+    do: put_in(config.nats.url, ["nats://localhost:4222"])
+
+  defp nats_mode(config), do: config
+
+  # A password in a URL would be logged with it: it is moved to where secrets are.
+  defp nats_userinfo(%{nats: nats} = config) do
+    uris = Enum.map(nats.url, &URI.parse/1)
+    userinfo = Enum.find_value(uris, & &1.userinfo)
+    tls = nats.tls.enabled or Enum.any?(uris, &(&1.scheme == "tls"))
+    nats = %{nats | url: Enum.map(uris, &plain_url/1), tls: %{nats.tls | enabled: tls}}
+
+    nats =
+      case userinfo && String.split(userinfo, ":", parts: 2) do
+        nil -> nats
+        [user, password] -> %{nats | user: URI.decode(user), password: Secret.new(URI.decode(password))}
+        [token] -> %{nats | token: Secret.new(URI.decode(token))}
+      end
+
+    %{config | nats: nats}
+  end
+
+  defp plain_url(uri),
+    do: URI.to_string(%{uri | userinfo: nil, authority: nil, path: nil, port: uri.port || 4222})
+
+  defp duplicates(config) do
+    twice(config.links, & &1.id, ["links"], "link ids that differ") ++
+      twice(config.vehicles, & &1.id, ["vehicles"], "vehicle ids that differ") ++
+      twice(
+        config.vehicles,
+        &"#{&1.network}/#{&1.system_id}",
+        ["vehicles"],
+        "one name for each network and system id"
+      )
+  end
+
+  defp twice(items, key, path, expected) do
+    for {name, [_, _ | _]} <- Enum.group_by(items, key),
+        do: problem(path, expected, "\"#{name}\" more than once")
+  end
+
+  defp nats(%{nats: nats}) do
+    ways =
+      Enum.filter([:credentials, :nkey_seed_file, :token, :user], &Map.fetch!(nats, &1))
+      |> Enum.map_join(", ", &"nats.#{&1}")
+
+    [
+      {String.contains?(ways, ","), ["nats"], "one way to sign in", ways},
+      {nats.password != nil and nats.user == nil, ["nats", "user"], "a user name for nats.password",
+       "nothing"},
+      {nats.tls.cert_file == nil != (nats.tls.key_file == nil), ["nats", "tls"],
+       "cert_file and key_file together", "one of them"},
+      {nats.mode == :embedded and nats.tls.enabled, ["nats", "tls", "enabled"],
+       "false with nats.mode embedded (the connection does not leave this machine)", "true"},
+      {nats.retry_max_ms < nats.retry_min_ms, ["nats", "retry_max_ms"], "at least nats.retry_min_ms",
+       "#{nats.retry_max_ms}"}
+    ]
+    |> failed()
+  end
+
+  defp ranges(config) do
+    outbox = config.outbox
+
+    [
+      {config.timeouts.vehicle_lost_s <= config.timeouts.vehicle_stale_s, ["timeouts", "vehicle_lost_s"],
+       "more than timeouts.vehicle_stale_s (#{config.timeouts.vehicle_stale_s})",
+       "#{config.timeouts.vehicle_lost_s}"},
+      {outbox.segment_kb * 2 > outbox.max_mb * 1024, ["outbox", "segment_kb"],
+       "at most half of outbox.max_mb (#{div(outbox.max_mb * 1024, 2)})", "#{outbox.segment_kb}"},
+      {length(config.links) > config.limits.max_links, ["links"],
+       "at most limits.max_links (#{config.limits.max_links})", "#{length(config.links)}"},
+      {length(config.vehicles) > config.limits.max_vehicles, ["vehicles"],
+       "at most limits.max_vehicles (#{config.limits.max_vehicles})", "#{length(config.vehicles)}"},
+      {config.http.port == config.nats.port and config.nats.mode == :embedded and config.http.enabled and
+         config.http.port != 0, ["http", "port"], "another port than nats.port", "#{config.http.port}"}
+    ]
+    |> failed()
+  end
+
+  defp same_port(config) do
+    config.links
+    |> Enum.filter(&(&1.enabled and String.starts_with?(&1.url, ["udp:", "udpin:", "tcpin:"])))
+    |> Enum.reject(&String.ends_with?(&1.url, ":0"))
+    |> twice(&listening/1, ["links"], "addresses to listen on that differ")
+  end
+
+  defp listening(%{url: url}), do: String.replace(url, ~r/^udp:/, "udpin:")
+
+  defp failed(checks), do: for({true, path, expected, got} <- checks, do: problem(path, expected, got))
+  defp problem(path, expected, got), do: %{path: path, expected: expected, got: got, hint: nil}
+
+  defp warnings(%{mavlink: mavlink, nats: nats} = config) do
+    [
+      {mavlink.component_id == 1,
+       "mavlink.component_id is 1, which is the autopilot's own: routers and ground stations will take this gateway " <>
+         "for the flight controller. Use 191 (on-board computer)."},
+      {mavlink.system_id == 255,
+       "mavlink.system_id is 255, which ground stations use: commands and failsafes will mix the two up. Use 245."},
+      {is_nil(config.vehicle_id) and Enum.any?(config.vehicles, &(&1.system_id == mavlink.system_id)),
+       "mavlink.system_id #{mavlink.system_id} is also a vehicle's in the list: a hub needs an id of its own, " <>
+         "such as 245. Aboard that vehicle, give vehicle_id instead."},
+      {not nats.tls.verify and nats.tls.enabled,
+       "nats.tls.verify is false: anybody on the way can read and change what is sent to NATS."},
+      {not is_nil(nats.password) and nats.mode == :url and not nats.tls.enabled and not loopback?(nats.url),
+       "nats.password goes over the network without TLS."}
+    ]
+    |> then(&for {true, text} <- &1, do: text)
+  end
+
+  defp loopback?(urls),
+    do: Enum.all?(urls, &(URI.parse(&1).host in ["localhost", "127.0.0.1", "::1", "[::1]"]))
+end

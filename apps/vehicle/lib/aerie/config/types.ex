@@ -1,0 +1,92 @@
+defmodule Aerie.Config.Types do
+  @moduledoc """
+  The texts with a form of their own in the configuration: names, addresses, URLs. Each parser is total: `{:ok, value}`
+  or `:error`, and nothing becomes an atom.
+  """
+
+  alias Aerie.Config.Field
+
+  @doc "A name that can stand in a NATS subject: letters, digits, `-` and `_`, at most 64 bytes."
+  @spec token() :: Field.type()
+  def token do
+    {:parse, &parse_token/1,
+     "a name of at most 64 letters, digits, - and _ (it becomes part of NATS subjects)"}
+  end
+
+  @doc "`HOST:PORT`, `:PORT` (all addresses) or `[IPV6]:PORT`; or `off`. Gives `{host, port}` or `:off`."
+  @spec listen_address() :: Field.type()
+  def listen_address do
+    {:parse, &parse_listen/1, "HOST:PORT, :PORT for all addresses, or off"}
+  end
+
+  @doc "A numeric address to listen on, IPv4 or IPv6. Gives the text."
+  @spec ip() :: Field.type()
+  def ip, do: {:parse, &parse_ip/1, "an IP address such as 127.0.0.1 or ::1"}
+
+  @doc "`nats://[user:password@]host[:port]`, also `tls://`. Gives the text."
+  @spec nats_url() :: Field.type()
+  def nats_url, do: {:parse, &parse_nats_url/1, "a URL such as nats://host:4222 or tls://host:4222"}
+
+  @doc "A pymavlink connection string. Gives the text."
+  @spec link_url() :: Field.type()
+  def link_url do
+    {:parse, &parse_link_url/1,
+     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD or replay:FILE"}
+  end
+
+  @doc false
+  @spec parse_token(String.t()) :: {:ok, String.t()} | :error
+  def parse_token(text) do
+    if Regex.match?(~r/\A[A-Za-z0-9_-]{1,64}\z/, text), do: {:ok, text}, else: :error
+  end
+
+  @doc false
+  @spec parse_listen(String.t()) :: {:ok, {String.t(), :inet.port_number()} | :off} | :error
+  def parse_listen("off"), do: {:ok, :off}
+  # YAML 1.1 reads a bare `off` as false on some paths; it means the same here.
+  def parse_listen("false"), do: {:ok, :off}
+
+  def parse_listen(text) do
+    with [_, host, port] <- Regex.run(~r/\A(\[[0-9A-Fa-f:.]+\]|[^:\s\[\]]*):(\d{1,5})\z/, text),
+         {port, ""} when port in 0..65_535 <- Integer.parse(port) do
+      {:ok, {if(host == "", do: "0.0.0.0", else: String.trim(host, "[") |> String.trim("]")), port}}
+    else
+      _ -> :error
+    end
+  end
+
+  @doc false
+  @spec parse_ip(String.t()) :: {:ok, String.t()} | :error
+  def parse_ip(text) do
+    case :inet.parse_strict_address(String.to_charlist(text)) do
+      {:ok, _ip} -> {:ok, text}
+      {:error, _} -> :error
+    end
+  end
+
+  @doc false
+  @spec parse_nats_url(String.t()) :: {:ok, String.t()} | :error
+  def parse_nats_url(text) do
+    case URI.new(text) do
+      {:ok, %URI{scheme: scheme, host: host, port: port, path: path, query: nil, fragment: nil}}
+      when scheme in ["nats", "tls"] and is_binary(host) and host != "" and path in [nil, "", "/"] and
+             (port == nil or port in 1..65_535) ->
+        {:ok, text}
+
+      _ ->
+        :error
+    end
+  end
+
+  @doc false
+  @spec parse_link_url(String.t()) :: {:ok, String.t()} | :error
+  def parse_link_url(text) do
+    forms = [
+      ~r/\A(udp|udpin|udpout|tcp|tcpin|udpbcast):\S+:\d{1,5}\z/,
+      ~r/\Areplay:.+\z/,
+      ~r/\A(serial:)?[^\s,:][^,]*(,\d+)?\z/
+    ]
+
+    if Enum.any?(forms, &Regex.match?(&1, text)), do: {:ok, text}, else: :error
+  end
+end

@@ -1,0 +1,63 @@
+defmodule Aerie.Config.YamlTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Config.Yaml
+
+  test "gives strings, numbers, booleans, nil, lists and maps; never atoms from the text" do
+    text =
+      "a: 1\nb: -2.5\nc: true\nd: null\ne: 'true'\nf: \"12\"\ng: [x, {y: z}]\nh:\ni: ''\nno_such_atom_at_all: no_such_one\n"
+
+    assert Yaml.parse(text) ==
+             {:ok,
+              %{
+                "a" => 1,
+                "b" => -2.5,
+                "c" => true,
+                "d" => nil,
+                "e" => "true",
+                "f" => "12",
+                "g" => ["x", %{"y" => "z"}],
+                "h" => nil,
+                "i" => "",
+                "no_such_atom_at_all" => "no_such_one"
+              }}
+  end
+
+  test "an empty file is an empty mapping; another top is an error" do
+    assert Yaml.parse("") == {:ok, %{}}
+    assert Yaml.parse("# nothing\n") == {:ok, %{}}
+    assert {:error, %{expected: "keys with values" <> _}} = Yaml.parse("- 1\n")
+    assert {:error, %{expected: "keys with values" <> _}} = Yaml.parse("just words\n")
+    assert {:error, %{expected: "one YAML document"}} = Yaml.parse("a: 1\n---\nb: 2\n")
+  end
+
+  test "a key given twice is an error" do
+    assert {:error, %{expected: "each key once", got: ~s("a" twice)}} = Yaml.parse("a: 1\na: 2\n")
+  end
+
+  test "syntax errors and bytes that are no text give the line" do
+    assert {:error, %{line: 3, expected: "valid YAML"}} = Yaml.parse("a: 1\nb: [1, 2\n")
+    assert {:error, %{line: 2, expected: "UTF-8 text"}} = Yaml.parse("a: 1\nb: \xFF\xFE\n")
+  end
+
+  # Each of these ends the whole VM inside the C parser, or is silently misread, when it is let through.
+  test "size, nesting and aliases are bounded" do
+    assert {:error, %{expected: "at most" <> _}} = Yaml.parse(String.duplicate("# x\n", 100_000))
+    assert {:error, %{expected: "at most 1000 brackets"}} = Yaml.parse(String.duplicate("[", 20_000))
+    assert {:error, %{line: 1, expected: "lines of" <> _}} = Yaml.parse(String.duplicate("- ", 20_000) <> "x")
+    assert {:error, %{line: 2, expected: "a plain value" <> _}} = Yaml.parse("a: &x [1, 2]\nb: *x\n")
+    assert {:error, %{line: 2}} = Yaml.parse("a: &x {b: 1}\nc: {<<: *x, d: 1}\n")
+    assert {:ok, %{"a" => "*x", "b" => "2*3"}} = Yaml.parse("a: '*x'\nb: 2*3 # *x\n")
+  end
+
+  test "any text gives a value or an error, never a crash" do
+    chars = :proper_types.oneof([:proper_types.oneof(~c"abc:-[]{}&*!|>'\"%@`#,? \n\t"), :proper_types.byte()])
+
+    property =
+      :proper.forall(:proper_types.list(chars), fn bytes ->
+        match?({tag, _} when tag in [:ok, :error], Yaml.parse(:erlang.list_to_binary(bytes)))
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+  end
+end

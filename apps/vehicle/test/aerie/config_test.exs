@@ -1,0 +1,247 @@
+defmodule Aerie.ConfigTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Config
+  alias Aerie.Config.{Error, Secret}
+
+  @moduletag :tmp_dir
+
+  defp write(%{tmp_dir: dir}, text) do
+    path = Path.join(dir, "gateway.yaml")
+    File.write!(path, text)
+    path
+  end
+
+  defp load(context, text, overrides \\ [], env \\ %{}),
+    do: Config.load(write(context, text), overrides, env: env)
+
+  defp lines({:error, errors}, %{tmp_dir: dir}),
+    do: Enum.map(errors, &(&1 |> Error.format() |> String.replace(dir <> "/", "")))
+
+  test "the gateway.yaml of the first design keeps its keys and meaning", context do
+    assert {:ok, config} =
+             load(context, """
+             # gateway.yaml
+             vehicle_id: VID-001
+             environment: prod
+
+             mavlink:
+               local_addr: ":14550"
+               system_id: 1
+               component_id: 1
+
+             nats:
+               url: "nats://localhost:4222"
+               credentials: "/etc/gateway/vehicle.creds"
+
+             sampling:
+               position_hz: 1
+               attitude_hz: 1
+               battery_change_threshold: 0.01
+
+             policy:
+               max_altitude: 120
+               geofence_file: "/etc/gateway/geofence.json"
+             """)
+
+    assert config.vehicle_id == "VID-001"
+    assert config.environment == "prod"
+    assert [%{url: "udpin:0.0.0.0:14550", network: "main", given: true}] = config.links
+    assert config.vehicles == [%{id: "VID-001", network: "main", system_id: 1}]
+
+    assert %{mode: :url, url: ["nats://localhost:4222"], credentials: "/etc/gateway/vehicle.creds"} =
+             config.nats
+
+    assert %{strategy: :time, hz: 1.0} = config.sampling.groups.position
+    assert %{strategy: :threshold, threshold: %{"remaining" => 0.01}} = config.sampling.groups.battery
+    assert config.policy == %{max_altitude: 120.0, geofence_file: "/etc/gateway/geofence.json"}
+    assert [warning] = config.warnings
+    assert warning =~ "component_id is 1" and warning =~ "191"
+  end
+
+  test "without a file there are defaults: a hub with embedded NATS and UDP 14550 open" do
+    assert {:ok, config} = Config.load(nil, [], env: %{})
+    assert config == Config.default()
+    assert config.nats.mode == :embedded
+    assert %{system_id: 245, component_id: 191} = config.mavlink
+    assert [%{id: "local", url: "udpin:0.0.0.0:14550", given: false}] = config.links
+    assert config.warnings == []
+    refute Config.given?(config, "http.port")
+  end
+
+  test "every problem is reported at once, with file, key, expectation, value and hint", context do
+    result =
+      load(context, """
+      enviroment: prod
+      nats:
+        prot: 4222
+        max_store_mb: lots
+        url: http://localhost
+      mavlink:
+        system_id: 0
+      links:
+        - url: udpin:0.0.0.0:14551
+          netwrk: a
+        - id: b
+      sampling:
+        groups:
+          gps: {strategy: sometimes}
+          position: 3
+      """)
+
+    assert lines(result, context) == [
+             ~s|gateway.yaml: enviroment: expected a known key, got an unknown one (did you mean "environment"?)|,
+             "gateway.yaml: mavlink.system_id: expected an integer from 1 to 4294967295, got 0",
+             ~s|gateway.yaml: links[0].netwrk: expected a known key, got an unknown one (did you mean "network"?)|,
+             "gateway.yaml: links[1].url: expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, " <>
+               "DEVICE,BAUD or replay:FILE, got nothing (it is required)",
+             ~s|gateway.yaml: nats.prot: expected a known key, got an unknown one (did you mean "port"?)|,
+             ~s|gateway.yaml: nats.url[0]: expected a URL such as nats://host:4222 or tls://host:4222, | <>
+               ~s|got "http://localhost"|,
+             ~s|gateway.yaml: nats.max_store_mb: expected an integer from 1 to 1048576, got "lots"|,
+             "gateway.yaml: sampling.groups.position: expected a section with keys below it, got 3",
+             "gateway.yaml: sampling.groups.gps.strategy: expected one of time, change, threshold, aggregate, " <>
+               ~s|got "sometimes"|
+           ]
+  end
+
+  describe "a file that cannot be read" do
+    test "is named with the reason", %{tmp_dir: dir} = context do
+      assert ["none.yaml: expected a readable file, got no such file or directory"] =
+               lines(Config.load(Path.join(dir, "none.yaml"), [], env: %{}), context)
+
+      assert {:error, [%Error{expected: "a readable file"}]} = Config.load(dir, [], env: %{})
+    end
+
+    test "by its syntax gives the line", context do
+      assert ["gateway.yaml:3: expected valid YAML, got " <> _] =
+               lines(load(context, "nats:\n  port: 1\n\tx: 2\n"), context)
+    end
+  end
+
+  describe "layers" do
+    test "rise from file over environment to the command line", context do
+      file = "environment: file\nnats: {port: 1001, max_store_mb: 11}\nhttp:\n  port: 1\n"
+      env = %{"AERIE_ENVIRONMENT" => "env", "AERIE_NATS_PORT" => "1002", "AERIE_HTTP_PORT" => "2"}
+      assert {:ok, config} = load(context, file, [{"http.port", 3}], env)
+
+      assert {config.environment, config.nats.port, config.nats.max_store_mb, config.http.port} ==
+               {"env", 1002, 11, 3}
+
+      assert Config.given?(config, "nats.port")
+    end
+
+    test "a problem names the layer it came from", context do
+      env = %{"AERIE_NATS_PORT" => "many", "AERIE_LINKS" => "[{url: 'tcp:10.0.0.1:5760', colour: red}]"}
+
+      assert [
+               "environment variable AERIE_LINKS: links[0].colour: expected a known key, " <> _,
+               ~s|environment variable AERIE_NATS_PORT: nats.port: expected an integer from 0 to 65535, got "many"|,
+               ~s|command line: http.port: expected an integer from 0 to 65535, got "x"|
+             ] = lines(load(context, "environment: a", [{"http.port", "x"}], env), context)
+    end
+
+    test "lists and maps are given as YAML, JSON or words with commas", context do
+      env = %{
+        "AERIE_NATS_URL" => "nats://a:1,nats://b:2",
+        "AERIE_VEHICLES" => ~s([{"id": "X-1", "system_id": 9}]),
+        "AERIE_MAVLINK_DIALECTS" => "ardupilot, common",
+        "AERIE_SAMPLING_GROUPS_GPS_THRESHOLD" => "{hdop: 0.2}",
+        "AERIE_MAVLINK_SYSID32" => "true",
+        "AERIE_SAMPLING_POSITION_HZ" => "2"
+      }
+
+      assert {:ok, config} = load(context, "", [], env)
+      assert config.nats.url == ["nats://a:1", "nats://b:2"]
+      assert config.vehicles == [%{id: "X-1", network: "main", system_id: 9}]
+      assert config.mavlink.dialects == [:ardupilot, :common]
+      assert config.sampling.groups.gps.threshold == %{"hdop" => 0.2}
+      assert config.mavlink.sysid32
+      assert config.sampling.groups.position.hz == 2.0
+    end
+
+    test "an AERIE_ variable below a section that is no key is warned about, others are left alone",
+         context do
+      env = %{"AERIE_NATS_PROT" => "1", "AERIE_TOOLCHAIN" => "x", "PATH" => "y"}
+      assert {:ok, %{warnings: [warning]}} = load(context, "", [], env)
+      assert warning =~ ~s(AERIE_NATS_PROT) and warning =~ ~s(did you mean "AERIE_NATS_PORT"?)
+    end
+
+    test "overrides may be nested maps with atoms", context do
+      assert {:ok, config} =
+               load(context, "", %{nats: %{mode: :embedded, port: 0}, links: [%{url: "tcpin::5760"}]})
+
+      assert config.nats.mode == :embedded
+      assert [%{id: "link-1", url: "tcpin::5760"}] = config.links
+    end
+  end
+
+  describe "secrets" do
+    test "are readable only on purpose", context do
+      assert {:ok, config} = load(context, "nats:\n  url: 'nats://gw:pa%40ss@host:4333'\n")
+      assert config.nats.url == ["nats://host:4333"]
+      assert config.nats.user == "gw"
+      assert Secret.reveal(config.nats.password) == "pa@ss"
+      refute inspect(config, structs: false, limit: :infinity) =~ "pa@ss"
+      refute to_string(:io_lib.format("~p", [config])) =~ "pa@ss"
+    end
+
+    test "are not shown when they are wrong either", context do
+      assert [line] = lines(load(context, "nats: {user: a, password: [hunter2]}"), context)
+      refute line =~ "hunter2"
+    end
+  end
+
+  describe "links and names" do
+    test "mavlink.local_addr opens one more link when given, none when off", context do
+      both = "links: [{id: r, url: '/dev/ttyS0,57600'}]\nmavlink: {local_addr: '10.0.0.1:14540'}"
+      assert {:ok, %{links: [%{id: "r"}, %{id: "local", url: "udpin:10.0.0.1:14540"}]}} = load(context, both)
+      assert {:ok, %{links: [%{id: "link-1"}]}} = load(context, "links: [{url: 'udpout:1.2.3.4:5'}]")
+      assert {:ok, %{links: []}} = load(context, "mavlink: {local_addr: off}")
+      assert {:ok, %{links: [%{url: "udpin:[::]:1"}]}} = load(context, "mavlink: {local_addr: '[::]:1'}")
+    end
+
+    test "ids and listening addresses must differ", context do
+      text = """
+      links:
+        - {id: a, url: "udpin:0.0.0.0:14550"}
+        - {id: a, url: "udp:0.0.0.0:14550"}
+      vehicles:
+        - {id: V, system_id: 1}
+        - {id: W, system_id: 1}
+      """
+
+      assert lines(load(context, text), context) == [
+               ~s|gateway.yaml: links: expected link ids that differ, got "a" more than once|,
+               ~s|gateway.yaml: vehicles: expected one name for each network and system id, got "main/1" more than once|,
+               ~s|gateway.yaml: links: expected addresses to listen on that differ, | <>
+                 ~s|got "udpin:0.0.0.0:14550" more than once|
+             ]
+    end
+
+    test "a vehicle that is not listed is named after its network and system id" do
+      config = Config.default([{"vehicles", [%{id: "ALPHA", system_id: 7}]}])
+      assert Config.vehicle_name(config, {"main", 7}) == "ALPHA"
+      assert Config.vehicle_name(config, {"main", 8}) == "VID-008"
+      assert Config.vehicle_name(config, {"hangar", 7}) == "hangar-007"
+      assert Config.vehicle_name(config, {"main", 4_000_000_000}) == "VID-4000000000"
+    end
+  end
+
+  test "keys that contradict each other are refused", context do
+    text = """
+    nats: {credentials: a.creds, token: t, retry_min_ms: 500, retry_max_ms: 400}
+    timeouts: {vehicle_stale_s: 20}
+    """
+
+    assert lines(load(context, text), context) == [
+             "gateway.yaml: nats: expected one way to sign in, got nats.credentials, nats.token",
+             "gateway.yaml: nats.retry_max_ms: expected at least nats.retry_min_ms, got 400",
+             "gateway.yaml: timeouts.vehicle_lost_s: expected more than timeouts.vehicle_stale_s (20.0), got 10.0"
+           ]
+  end
+
+  test "default/1 raises on a wrong override" do
+    assert_raise ArgumentError, ~r/http.port/, fn -> Config.default([{"http.port", -1}]) end
+  end
+end

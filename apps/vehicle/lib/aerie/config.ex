@@ -12,10 +12,11 @@ defmodule Aerie.Config do
 
     * `nats.mode` is `:embedded` or `:url`; `nats.url` is a list of URLs without passwords
     * `mavlink.system_id` is set
-    * `links` has `id`, `url`, `network`, `label`, `enabled` and `given` for each, the one of `mavlink.local_addr` included
+    * `links` has `id`, `url`, `network`, `label`, `enabled` for each, the one of `mavlink.local_addr` included; `spec` is
+      the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
-    * `warnings` are things that are allowed and probably not meant; `given` is the set of keys that somebody set
+    * `warnings` are things that are allowed and probably not meant; `given` has the keys that somebody set, and where
   """
 
   alias Aerie.Config.{Environment, Error, Keys, Resolve, Schema, Yaml}
@@ -30,12 +31,13 @@ defmodule Aerie.Config do
     :nats,
     :outbox,
     :sampling,
+    :events,
     :policy,
     :http,
     :timeouts,
     :limits,
     file: nil,
-    given: MapSet.new(),
+    given: %{},
     warnings: []
   ]
 
@@ -45,7 +47,8 @@ defmodule Aerie.Config do
           network: String.t(),
           label: String.t() | nil,
           enabled: boolean(),
-          given: boolean()
+          given: boolean(),
+          spec: Aerie.Link.Spec.t()
         }
 
   @type vehicle :: %{id: String.t(), network: String.t(), system_id: pos_integer()}
@@ -67,12 +70,13 @@ defmodule Aerie.Config do
           nats: map(),
           outbox: map(),
           sampling: %{:groups => %{atom() => group()}, optional(atom()) => term()},
+          events: map(),
           policy: map(),
           http: map(),
           timeouts: map(),
           limits: map(),
           file: String.t() | nil,
-          given: MapSet.t(String.t()),
+          given: %{String.t() => String.t()},
           warnings: [String.t()]
         }
 
@@ -112,19 +116,7 @@ defmodule Aerie.Config do
 
   @doc "Whether somebody set this key (`\"http.port\"`) in the file, the environment or on the command line."
   @spec given?(t(), String.t()) :: boolean()
-  def given?(%__MODULE__{given: given}, path), do: MapSet.member?(given, path)
-
-  @doc """
-  The public name of a vehicle: the configured one, else made of network and system id: `VID-001` on the default
-  network, `hangar-001` on network `hangar`. Always a valid word of a NATS subject.
-  """
-  @spec vehicle_name(t(), {String.t(), pos_integer()}) :: String.t()
-  def vehicle_name(%__MODULE__{} = config, {network, system_id}) do
-    case Enum.find(config.vehicles, &(&1.network == network and &1.system_id == system_id)) do
-      %{id: id} -> id
-      nil -> Resolve.derived_name(config.network, network, system_id)
-    end
-  end
+  def given?(%__MODULE__{given: given}, path), do: is_map_key(given, path)
 
   @doc "Errors as lines for a person."
   @spec format_errors([Error.t()]) :: String.t()
@@ -178,7 +170,7 @@ defmodule Aerie.Config do
 
     case problems do
       [] ->
-        config = struct!(%__MODULE__{file: path, given: given(raw)}, values)
+        config = struct!(%__MODULE__{file: path, given: given(raw, source)}, values)
 
         case Resolve.run(config) do
           {config, []} -> {:ok, config}
@@ -202,11 +194,10 @@ defmodule Aerie.Config do
   # The file has something else where a section belongs; the schema will say so.
   defp put(raw, _keys, _value), do: raw
 
-  defp given(raw) do
-    for {path, _field} <- Schema.leaves(Keys.fields()),
-        present?(raw, path),
-        into: MapSet.new(),
-        do: Error.path(path)
+  defp given(raw, source) do
+    for {path, _field} <- Schema.leaves(Keys.fields()), present?(raw, path), into: %{} do
+      {Error.path(path), source.(path)}
+    end
   end
 
   defp present?(raw, [key]) when is_map(raw), do: Map.get(raw, key) != nil

@@ -64,7 +64,7 @@ defmodule Aerie.ConfigTest do
     assert config == Config.default()
     assert config.nats.mode == :embedded
     assert %{system_id: 245, component_id: 191} = config.mavlink
-    assert [%{id: "local", url: "udpin:0.0.0.0:14550", given: false}] = config.links
+    assert [%{id: "udpin:0.0.0.0:14550", url: "udpin:0.0.0.0:14550", given: false}] = config.links
     assert config.warnings == []
     refute Config.given?(config, "http.port")
   end
@@ -172,7 +172,7 @@ defmodule Aerie.ConfigTest do
                load(context, "", %{nats: %{mode: :embedded, port: 0}, links: [%{url: "tcpin::5760"}]})
 
       assert config.nats.mode == :embedded
-      assert [%{id: "link-1", url: "tcpin::5760"}] = config.links
+      assert [%{id: "tcpin::5760", spec: %{kind: :tcp_server}}] = config.links
     end
   end
 
@@ -195,10 +195,32 @@ defmodule Aerie.ConfigTest do
   describe "links and names" do
     test "mavlink.local_addr opens one more link when given, none when off", context do
       both = "links: [{id: r, url: '/dev/ttyS0,57600'}]\nmavlink: {local_addr: '10.0.0.1:14540'}"
-      assert {:ok, %{links: [%{id: "r"}, %{id: "local", url: "udpin:10.0.0.1:14540"}]}} = load(context, both)
-      assert {:ok, %{links: [%{id: "link-1"}]}} = load(context, "links: [{url: 'udpout:1.2.3.4:5'}]")
+      assert {:ok, %{links: [%{id: "r"}, %{url: "udpin:10.0.0.1:14540"}]}} = load(context, both)
+
+      assert {:ok, %{links: [%{id: "udpout:1.2.3.4:5"}]}} =
+               load(context, "links: [{url: 'udpout:1.2.3.4:5'}]")
+
       assert {:ok, %{links: []}} = load(context, "mavlink: {local_addr: off}")
       assert {:ok, %{links: [%{url: "udpin:[::]:1"}]}} = load(context, "mavlink: {local_addr: '[::]:1'}")
+    end
+
+    test "a link is of the network in its key, in its string, or the default one", context do
+      text = """
+      network: field
+      links:
+        - {url: "udpin::1?network=a&id=x", network: b}
+        - {url: "udpin::2?network=a"}
+        - {url: "udpin::3"}
+      """
+
+      assert {:ok, %{links: links}} = load(context, text)
+      assert [{"x", "b"}, {"udpin::2", "a"}, {"udpin::3", "field"}] = Enum.map(links, &{&1.id, &1.network})
+      assert Enum.map(links, & &1.network) == Enum.map(links, & &1.spec.network)
+    end
+
+    test "a connection string that is wrong says why", context do
+      assert ["gateway.yaml: links[0].url: expected tcp:HOST:PORT (the port is missing), got \"tcp:1.2.3.4\""] =
+               lines(load(context, "links: [{url: 'tcp:1.2.3.4'}]"), context)
     end
 
     test "ids and listening addresses must differ", context do
@@ -215,16 +237,8 @@ defmodule Aerie.ConfigTest do
                ~s|gateway.yaml: links: expected link ids that differ, got "a" more than once|,
                ~s|gateway.yaml: vehicles: expected one name for each network and system id, got "main/1" more than once|,
                ~s|gateway.yaml: links: expected addresses to listen on that differ, | <>
-                 ~s|got "udpin:0.0.0.0:14550" more than once|
+                 ~s|got "UDP 0.0.0.0:14550" more than once|
              ]
-    end
-
-    test "a vehicle that is not listed is named after its network and system id" do
-      config = Config.default([{"vehicles", [%{id: "ALPHA", system_id: 7}]}])
-      assert Config.vehicle_name(config, {"main", 7}) == "ALPHA"
-      assert Config.vehicle_name(config, {"main", 8}) == "VID-008"
-      assert Config.vehicle_name(config, {"hangar", 7}) == "hangar-007"
-      assert Config.vehicle_name(config, {"main", 4_000_000_000}) == "VID-4000000000"
     end
   end
 
@@ -237,7 +251,7 @@ defmodule Aerie.ConfigTest do
     assert lines(load(context, text), context) == [
              "gateway.yaml: nats: expected one way to sign in, got nats.credentials, nats.token",
              "gateway.yaml: nats.retry_max_ms: expected at least nats.retry_min_ms, got 400",
-             "gateway.yaml: timeouts.vehicle_lost_s: expected more than timeouts.vehicle_stale_s (20.0), got 10.0"
+             "gateway.yaml: timeouts.vehicle_lost_s: expected more than timeouts.vehicle_stale_s (20.0), got 5.0"
            ]
   end
 

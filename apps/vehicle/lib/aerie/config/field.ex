@@ -7,7 +7,8 @@ defmodule Aerie.Config.Field do
     * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Config.Secret`), `:path` (a file or folder)
     * `{:integer, min, max}`, `{:number, min, max}` (integers allowed, the result is a float); both ends included
     * `{:enum, atoms}` - one of a fixed set, written as its name
-    * `{:parse, fun, words}` - a string; `fun.(string)` gives `{:ok, value}` or `:error`; `words` say what is expected
+    * `{:parse, fun, words}` - a string; `fun.(string)` gives `{:ok, value}`, `:error`, or `{:error, words}` when
+      it knows better than `words` what was expected
     * `{:section, fields}` - keys below this one
     * `{:list, type}`, `{:one_or_list, type}` (a single value means a list of one), `{:map, type}` (free names)
 
@@ -25,7 +26,7 @@ defmodule Aerie.Config.Field do
           | {:integer, integer(), integer()}
           | {:number, number(), number()}
           | {:enum, [atom()]}
-          | {:parse, (String.t() -> {:ok, term()} | :error), String.t()}
+          | {:parse, (String.t() -> {:ok, term()} | :error | {:error, String.t()}), String.t()}
           | {:section, [t()]}
           | {:list, type()}
           | {:one_or_list, type()}

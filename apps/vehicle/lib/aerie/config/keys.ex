@@ -52,7 +52,7 @@ defmodule Aerie.Config.Keys do
           udpin:HOST:PORT   listen for UDP          udpout:HOST:PORT  send UDP to
           tcpin:HOST:PORT   listen for TCP          tcp:HOST:PORT     connect by TCP
           DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
-        id, network, label and enabled may be left out.
+        id (else the string), network, label and enabled may be left out.
         """,
         default: [],
         example:
@@ -70,6 +70,12 @@ defmodule Aerie.Config.Keys do
       nats(),
       outbox(),
       sampling(),
+      section(:events, "When a value is an event.", [
+        field(:battery_low, {:number, 0, 1}, "Remaining charge (0 to 1) below which battery.low is given.",
+          default: 0.25
+        ),
+        field(:battery_critical, {:number, 0, 1}, "… and battery.critical.", default: 0.1)
+      ]),
       policy(),
       section(:http, "The console, REST, metrics and health on one port.", [
         field(:enabled, :boolean, "Serve HTTP at all.", default: true),
@@ -133,7 +139,7 @@ defmodule Aerie.Config.Keys do
 
   defp link_fields do
     [
-      field(:id, Types.token(), "Name of the link; link-1, link-2, … if left out."),
+      field(:id, Types.token(), "Name of the link; its connection string if left out."),
       field(:url, Types.link_url(), "Connection string.", required: true),
       field(:network, Types.token(), "System ids are unique within a network."),
       field(:label, :string, "Words for people."),
@@ -319,7 +325,7 @@ defmodule Aerie.Config.Keys do
       field(:vehicle_stale_s, {:number, 0.1, 3600}, "A vehicle without a heartbeat for this long is stale.",
         default: 3.0
       ),
-      field(:vehicle_lost_s, {:number, 0.1, 86_400}, "… and lost after this long.", default: 10.0),
+      field(:vehicle_lost_s, {:number, 0.1, 86_400}, "… and lost after this long.", default: 5.0),
       field(:state_stale_s, {:number, 0.1, 3600}, "A state group that is older is shown as stale.",
         default: 5.0
       ),
@@ -341,8 +347,7 @@ defmodule Aerie.Config.Keys do
       field(
         :max_pending_events,
         {:integer, 1, 10_000_000},
-        "Events in memory; past it they go to the outbox or, with no
-disk, the oldest go.",
+        "Events kept in memory when the outbox cannot be written.",
         default: 10_000
       ),
       field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",

@@ -5,6 +5,7 @@ defmodule Aerie.Config.Resolve do
 
   alias Aerie.Config
   alias Aerie.Config.{Schema, Secret}
+  alias Aerie.Link.Spec
 
   @doc "Fills in the derived values; gives the problems that remain."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
@@ -12,13 +13,6 @@ defmodule Aerie.Config.Resolve do
     config = config |> system_id() |> vehicles() |> links() |> sampling() |> nats_mode() |> nats_userinfo()
     problems = Enum.flat_map([&duplicates/1, &nats/1, &ranges/1, &same_port/1], & &1.(config))
     {%{config | warnings: config.warnings ++ warnings(config)}, problems}
-  end
-
-  @doc "The name of a vehicle that nobody named."
-  @spec derived_name(String.t(), String.t(), pos_integer()) :: String.t()
-  def derived_name(default_network, network, system_id) do
-    prefix = if network == default_network, do: "VID", else: network
-    "#{prefix}-#{system_id |> Integer.to_string() |> String.pad_leading(3, "0")}"
   end
 
   defp system_id(%{mavlink: %{system_id: nil}} = config) do
@@ -38,17 +32,11 @@ defmodule Aerie.Config.Resolve do
   end
 
   defp links(config) do
-    listed =
-      config.links
-      |> Enum.with_index(1)
-      |> Enum.map(fn {link, i} ->
-        Map.merge(link, %{id: link.id || "link-#{i}", network: link.network || config.network, given: true})
-      end)
-
+    listed = Enum.map(config.links, &link(config, &1, true))
     %{config | links: listed ++ local_link(config, listed)}
   end
 
-  # The address of the seed's gateway.yaml is one more link. Left out, it is there only when nothing else is asked for.
+  # The address of the first gateway.yaml is one more link. Left out, it is there only when nothing else is asked for.
   defp local_link(config, listed) do
     case {config.mavlink.local_addr, listed} do
       {:off, _} -> []
@@ -60,8 +48,15 @@ defmodule Aerie.Config.Resolve do
 
   defp local(config, {host, port}, given) do
     host = if String.contains?(host, ":"), do: "[#{host}]", else: host
-    url = "udpin:#{host}:#{port}"
-    %{id: "local", url: url, network: config.network, label: nil, enabled: true, given: given}
+    link(config, %{id: nil, url: "udpin:#{host}:#{port}", network: nil, label: nil, enabled: true}, given)
+  end
+
+  # A connection string may name its id and network itself (`udpin::14550?network=field`); the keys of the list win.
+  defp link(config, link, given) do
+    names_network? = String.contains?(link.url, ["?network=", "&network="])
+    network = link.network || if(names_network?, do: nil, else: config.network)
+    {:ok, spec} = Spec.parse(link.url, id: link.id, network: network)
+    Map.merge(link, %{id: spec.id, network: spec.network, given: given, spec: spec})
   end
 
   defp sampling(%{sampling: sampling} = config) do
@@ -150,6 +145,8 @@ defmodule Aerie.Config.Resolve do
       {config.timeouts.vehicle_lost_s <= config.timeouts.vehicle_stale_s, ["timeouts", "vehicle_lost_s"],
        "more than timeouts.vehicle_stale_s (#{config.timeouts.vehicle_stale_s})",
        "#{config.timeouts.vehicle_lost_s}"},
+      {config.events.battery_critical > config.events.battery_low, ["events", "battery_critical"],
+       "at most events.battery_low (#{config.events.battery_low})", "#{config.events.battery_critical}"},
       {outbox.segment_kb * 2 > outbox.max_mb * 1024, ["outbox", "segment_kb"],
        "at most half of outbox.max_mb (#{div(outbox.max_mb * 1024, 2)})", "#{outbox.segment_kb}"},
       {length(config.links) > config.limits.max_links, ["links"],
@@ -164,12 +161,16 @@ defmodule Aerie.Config.Resolve do
 
   defp same_port(config) do
     config.links
-    |> Enum.filter(&(&1.enabled and String.starts_with?(&1.url, ["udp:", "udpin:", "tcpin:"])))
-    |> Enum.reject(&String.ends_with?(&1.url, ":0"))
-    |> twice(&listening/1, ["links"], "addresses to listen on that differ")
+    |> Enum.filter(&(&1.enabled and &1.spec.kind in [:udp_server, :tcp_server] and &1.spec.port != 0))
+    |> twice(
+      &"#{&1.spec.kind |> protocol()} #{Spec.place(&1.spec)}",
+      ["links"],
+      "addresses to listen on that differ"
+    )
   end
 
-  defp listening(%{url: url}), do: String.replace(url, ~r/^udp:/, "udpin:")
+  defp protocol(:udp_server), do: "UDP"
+  defp protocol(:tcp_server), do: "TCP"
 
   defp failed(checks), do: for({true, path, expected, got} <- checks, do: problem(path, expected, got))
   defp problem(path, expected, got), do: %{path: path, expected: expected, got: got, hint: nil}

@@ -144,6 +144,7 @@ defmodule Aerie.Config.Schema do
   defp value(type, raw, path) do
     case scalar(type, raw) do
       {:ok, value} -> {value, []}
+      {:error, expected} -> {nil, [problem(path, expected, raw)]}
       :error -> {nil, [problem(path, Field.expected(type), if(type == :secret, do: :hidden, else: raw))]}
     end
   end

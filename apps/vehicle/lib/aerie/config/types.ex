@@ -5,6 +5,7 @@ defmodule Aerie.Config.Types do
   """
 
   alias Aerie.Config.Field
+  alias Aerie.Link.Spec
 
   @doc "A name that can stand in a NATS subject: letters, digits, `-` and `_`, at most 64 bytes."
   @spec token() :: Field.type()
@@ -27,7 +28,7 @@ defmodule Aerie.Config.Types do
   @spec nats_url() :: Field.type()
   def nats_url, do: {:parse, &parse_nats_url/1, "a URL such as nats://host:4222 or tls://host:4222"}
 
-  @doc "A pymavlink connection string. Gives the text."
+  @doc "A connection string as `Aerie.Link.Spec.parse/2` reads it. Gives the text."
   @spec link_url() :: Field.type()
   def link_url do
     {:parse, &parse_link_url/1,
@@ -79,14 +80,14 @@ defmodule Aerie.Config.Types do
   end
 
   @doc false
-  @spec parse_link_url(String.t()) :: {:ok, String.t()} | :error
+  @spec parse_link_url(String.t()) :: {:ok, String.t()} | {:error, String.t()}
   def parse_link_url(text) do
-    forms = [
-      ~r/\A(udp|udpin|udpout|tcp|tcpin|udpbcast):\S+:\d{1,5}\z/,
-      ~r/\Areplay:.+\z/,
-      ~r/\A(serial:)?[^\s,:][^,]*(,\d+)?\z/
-    ]
+    case Spec.parse(text) do
+      {:ok, spec} ->
+        {:ok, spec.text}
 
-    if Enum.any?(forms, &Regex.match?(&1, text)), do: {:ok, text}, else: :error
+      {:error, error} ->
+        {:error, Enum.join(["#{error.expected} (#{error.reason})" | List.wrap(error.hint)], "; ")}
+    end
   end
 end

@@ -205,7 +205,9 @@ defmodule Aerie.Link.Spec do
           text,
           "it is neither a known kind of link nor a serial device",
           @any_form,
-          "udpin:0.0.0.0:14550", hint: bare_hint(device))
+          "udpin:0.0.0.0:14550",
+          hint: bare_hint(device)
+        )
 
       is_nil(baud) ->
         {:ok, %{kind: :serial, device: device}}

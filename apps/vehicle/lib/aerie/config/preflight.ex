@@ -1,0 +1,139 @@
+defmodule Aerie.Config.Preflight do
+  @moduledoc """
+  What can only be found out by trying, before anything is started: ports, folders, files, programs.
+
+  A port that somebody configured and that is taken is an error here; a default one is not looked at, because whoever
+  opens it takes the next free one. All problems come at once. Nothing stays open.
+  """
+
+  alias Aerie.Config
+  alias Aerie.Config.Error
+  alias Aerie.Link.Spec
+
+  @doc "`{:ok, warnings}` when the gateway can be started, else every reason why not."
+  @spec check(Config.t()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
+  def check(%Config{} = config) do
+    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) do
+      [] -> {:ok, outbox(config)}
+      errors -> {:error, errors}
+    end
+  end
+
+  defp ports(config) do
+    http =
+      if config.http.enabled, do: tcp(config, "http.port", config.http.address, config.http.port), else: []
+
+    nats = if embedded?(config), do: tcp(config, "nats.port", config.nats.address, config.nats.port), else: []
+    http ++ nats ++ Enum.flat_map(Enum.with_index(config.links), &link(config, &1))
+  end
+
+  defp tcp(config, key, address, port) do
+    {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))
+    if Config.given?(config, key), do: try_open(config, key, :tcp, ip, port), else: []
+  end
+
+  defp link(config, {%{enabled: true, given: true, spec: %Spec{kind: kind, host: ip} = spec}, index})
+       when kind in [:udp_server, :tcp_server] and is_tuple(ip) do
+    key = if index < listed(config), do: "links[#{index}].url", else: "mavlink.local_addr"
+    try_open(config, key, if(kind == :udp_server, do: :udp, else: :tcp), ip, spec.port)
+  end
+
+  defp link(config, {%{enabled: true, spec: %Spec{kind: :replay, file: file}}, index}),
+    do: readable(config, "links[#{index}].url", file)
+
+  defp link(_config, _link), do: []
+
+  defp listed(config),
+    do: length(config.links) - if(Config.given?(config, "mavlink.local_addr"), do: 1, else: 0)
+
+  defp try_open(_config, _key, _protocol, _ip, 0), do: []
+
+  defp try_open(config, key, protocol, ip, port) do
+    family = if tuple_size(ip) == 8, do: [:inet6], else: []
+
+    case open(protocol, port, [{:ip, ip} | family]) do
+      :ok ->
+        []
+
+      {:error, reason} ->
+        place = "#{protocol |> Atom.to_string() |> String.upcase()} port #{port} of #{:inet.ntoa(ip)}"
+        [error(config, key, "an address that is free", "#{place}: #{:inet.format_error(reason)}")]
+    end
+  end
+
+  defp open(:tcp, port, options) do
+    with {:ok, socket} <- :gen_tcp.listen(port, [{:reuseaddr, true} | options]), do: :gen_tcp.close(socket)
+  end
+
+  defp open(:udp, port, options) do
+    with {:ok, socket} <- :gen_udp.open(port, options), do: :gen_udp.close(socket)
+  end
+
+  defp programs(config) do
+    binary = config.nats.binary
+
+    if embedded?(config) and System.find_executable(binary) == nil do
+      [
+        error(
+          config,
+          "nats.binary",
+          "a program that can be run (bin/setup brings nats-server)",
+          "\"#{binary}\""
+        )
+      ]
+    else
+      []
+    end
+  end
+
+  defp folders(config) do
+    if embedded?(config), do: writable(config, "nats.store_dir", config.nats.store_dir), else: []
+  end
+
+  # The gateway runs without its outbox, only not as safely: no reason to refuse to start.
+  defp outbox(config) do
+    for %Error{} = error <- writable(config, "outbox.dir", config.outbox.dir) do
+      "#{error}; while NATS is away, events are kept in memory only"
+    end
+  end
+
+  defp writable(config, key, dir) do
+    probe = Path.join(dir, ".probe-#{System.pid()}-#{System.unique_integer([:positive])}")
+
+    with :ok <- File.mkdir_p(dir), :ok <- File.write(probe, "") do
+      File.rm(probe)
+      []
+    else
+      {:error, reason} -> [error(config, key, "a folder that can be written", "#{dir}: #{text(reason)}")]
+    end
+  end
+
+  defp files(%Config{nats: nats, policy: policy} = config) do
+    [
+      {"nats.credentials", nats.credentials},
+      {"nats.nkey_seed_file", nats.nkey_seed_file},
+      {"nats.tls.ca_file", nats.tls.ca_file},
+      {"nats.tls.cert_file", nats.tls.cert_file},
+      {"nats.tls.key_file", nats.tls.key_file},
+      {"policy.geofence_file", policy.geofence_file}
+    ]
+    |> Enum.flat_map(fn {key, file} -> if file, do: readable(config, key, file), else: [] end)
+  end
+
+  defp readable(config, key, file) do
+    case File.open(file, [:read, :raw], fn _file -> :ok end) do
+      {:ok, :ok} -> []
+      {:error, reason} -> [error(config, key, "a file that can be read", "#{file}: #{text(reason)}")]
+    end
+  end
+
+  defp embedded?(config), do: config.nats.mode == :embedded
+
+  defp text(reason), do: reason |> :file.format_error() |> to_string()
+
+  defp error(config, key, expected, got) do
+    top = key |> String.split("[") |> hd()
+    source = config.given[key] || config.given[top] || config.file || "defaults"
+    %Error{file: source, path: key, expected: expected, got: got}
+  end
+end

@@ -1,0 +1,75 @@
+defmodule Aerie.Config.PreflightTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Config
+  alias Aerie.Config.Preflight
+
+  @moduletag :tmp_dir
+
+  defp config(dir, overrides) do
+    Config.default(
+      [
+        {"nats.store_dir", Path.join(dir, "nats")},
+        {"outbox.dir", Path.join(dir, "outbox")},
+        {"nats.binary", "sh"}
+      ] ++
+        overrides
+    )
+  end
+
+  defp lines({:error, errors}), do: Enum.map(errors, &to_string/1)
+
+  test "everything that is wrong is found before anything is started", %{tmp_dir: dir} do
+    {:ok, tcp} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, udp} = :gen_udp.open(0, ip: {127, 0, 0, 1})
+    {:ok, tcp_port} = :inet.port(tcp)
+    {:ok, udp_port} = :inet.port(udp)
+    File.write!(Path.join(dir, "file"), "")
+
+    config =
+      config(dir, [
+        {"http.port", tcp_port},
+        {"links",
+         [%{url: "tcp:127.0.0.1:1"}, %{url: "udpin:127.0.0.1:#{udp_port}"}, %{url: "replay:#{dir}/no.tlog"}]},
+        {"nats.binary", "no-such-program"},
+        {"nats.store_dir", Path.join(dir, "file")},
+        {"policy.geofence_file", Path.join(dir, "fence.json")}
+      ])
+
+    assert lines(Preflight.check(config)) == [
+             "command line: http.port: expected an address that is free, " <>
+               "got TCP port #{tcp_port} of 127.0.0.1: address already in use",
+             "command line: links[1].url: expected an address that is free, " <>
+               "got UDP port #{udp_port} of 127.0.0.1: address already in use",
+             "command line: links[2].url: expected a file that can be read, " <>
+               "got #{dir}/no.tlog: no such file or directory",
+             "command line: nats.binary: expected a program that can be run (bin/setup brings nats-server), " <>
+               ~s|got "no-such-program"|,
+             "command line: nats.store_dir: expected a folder that can be written, got #{dir}/file: " <>
+               "not a directory",
+             "command line: policy.geofence_file: expected a file that can be read, " <>
+               "got #{dir}/fence.json: no such file or directory"
+           ]
+  end
+
+  test "a taken default is no error: the next free one is taken", %{tmp_dir: dir} do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    config = config(dir, [])
+    assert Preflight.check(%{config | http: %{config.http | port: port}}) == {:ok, []}
+  end
+
+  test "an outbox that cannot be written is a warning", %{tmp_dir: dir} do
+    File.write!(Path.join(dir, "file"), "")
+    assert {:ok, [warning]} = Preflight.check(config(dir, [{"outbox.dir", Path.join(dir, "file")}]))
+    assert warning =~ "outbox.dir" and warning =~ "memory only"
+  end
+
+  test "nothing stays open, and what was checked can be opened", %{tmp_dir: dir} do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    assert {:ok, []} = Preflight.check(config(dir, [{"http.port", port}]))
+    assert {:ok, _socket} = :gen_tcp.listen(port, ip: {127, 0, 0, 1})
+  end
+end

@@ -1,0 +1,13 @@
+defmodule MavCodec.DecodeError do
+  @moduledoc """
+  A frame whose message is not in the dialect. It is the only way that decoding fails: what is in a payload never is an
+  error, since every payload means something (F7, F9).
+  """
+
+  defexception [:id, :dialect]
+
+  @type t :: %__MODULE__{id: non_neg_integer(), dialect: module()}
+
+  @impl Exception
+  def message(%__MODULE__{id: id, dialect: dialect}), do: "message #{id} is not in #{inspect(dialect)}"
+end

@@ -1,0 +1,268 @@
+defmodule MavCodec.Definition.Catalog do
+  @moduledoc """
+  All sources of definitions put together: which message modules, enum modules and dialect modules there are.
+
+  A source is a folder of facts files under `priv/definitions`. Sources rank: `upstream`, `ardupilot`, then the others by
+  name. A message that several sources define becomes one module with the union of the fields; where only extensions
+  differ, it has several layouts and the dialect decides which one is on the wire.
+  """
+
+  alias MavCodec.Definition.{Document, Error, Facts, Layout, Naming, Resolver}
+  alias MavCodec.Definition.Document.{Enumeration, Message}
+
+  @ranked ["upstream", "ardupilot"]
+
+  defmodule Type do
+    @moduledoc "A message module: `fields` is the union over `layouts`, in XML order."
+    @enforce_keys [:module, :id, :name, :fields, :layouts]
+    defstruct [:module, :id, :name, :fields, :layouts, :message]
+  end
+
+  defmodule Dialect do
+    @moduledoc "A dialect module: `entries` are `{type, layout index}`, by id."
+    @enforce_keys [:module, :title, :entries]
+    defstruct [:module, :title, :entries]
+  end
+
+  @enforce_keys [:types, :enums, :dialects]
+  defstruct [:types, :enums, :dialects]
+
+  @type t :: %__MODULE__{
+          types: [%Type{}],
+          enums: [{module(), Enumeration.t()}],
+          dialects: [%Dialect{}]
+        }
+
+  @doc "All facts files under a folder of sources, sorted."
+  @spec files(Path.t()) :: [Path.t()]
+  def files(folder), do: folder |> Path.join("*/*.facts") |> Path.wildcard() |> Enum.sort()
+
+  @doc """
+  Loads the sources under `folder`. The last result is kept while the files stay as they are, since each shard of the
+  compilation asks for it.
+  """
+  @spec load!(Path.t()) :: t()
+  def load!(folder) do
+    stamp = for file <- files(folder), stat = File.stat!(file), do: {file, stat.mtime, stat.size}
+
+    case :persistent_term.get({__MODULE__, folder}, nil) do
+      {^stamp, catalog} ->
+        catalog
+
+      _other ->
+        catalog = folder |> sources!() |> build!()
+        :persistent_term.put({__MODULE__, folder}, {stamp, catalog})
+        catalog
+    end
+  end
+
+  @doc "The sources under a folder, in rank order: `{name, %{file name => document}}`."
+  @spec sources!(Path.t()) :: [{String.t(), %{String.t() => Document.t()}}]
+  def sources!(folder) do
+    folder
+    |> files()
+    |> Enum.group_by(&Path.basename(Path.dirname(&1)))
+    |> Enum.sort_by(fn {name, _files} -> {rank(name), name} end)
+    |> Enum.map(fn {name, files} -> {name, Map.new(files, &read!/1)} end)
+  end
+
+  defp rank(name), do: Enum.find_index(@ranked, &(&1 == name)) || length(@ranked)
+
+  @doc "Reads one facts file."
+  @spec read!(Path.t()) :: {String.t(), Document.t()}
+  def read!(path) do
+    case path |> File.read!() |> Facts.read(path) do
+      {:ok, document} -> {document.file, document}
+      {:error, error} -> raise error
+    end
+  end
+
+  @doc "Puts sources together; raises `MavCodec.Definition.Error` where they cannot be."
+  @spec build!([{String.t(), %{String.t() => Document.t()}}]) :: t()
+  def build!(sources) do
+    resolved =
+      for {source, documents} <- sources, file <- documents |> Map.keys() |> Enum.sort() do
+        {source, file, resolve!(documents, file)}
+      end
+
+    types = for({_source, _file, dialect} <- resolved, do: dialect.messages) |> Enum.concat() |> types()
+    by_name = Enum.group_by(types, & &1.name)
+
+    dialects =
+      for {source, file, dialect} <- resolved do
+        %Dialect{
+          module: Naming.dialect(source, file),
+          title: "#{file} of #{source}",
+          entries: Enum.map(dialect.messages, &entry(&1, by_name))
+        }
+      end
+
+    enums = for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum
+    catalog = %__MODULE__{types: types, enums: enums(enums), dialects: with_all(dialects)}
+    unique_modules!(catalog)
+    catalog
+  end
+
+  defp resolve!(documents, file) do
+    case Resolver.resolve(documents, file) do
+      {:ok, dialect} -> dialect
+      {:error, error} -> raise error
+    end
+  end
+
+  ## Messages
+
+  # In rank order, so that the names of the official messages never depend on what is added to them.
+  defp types(messages) do
+    messages
+    |> Enum.uniq_by(&signature/1)
+    |> Enum.reduce([], &add_type/2)
+    |> Enum.reverse()
+    |> name_types()
+    |> Enum.sort_by(&{&1.id, &1.name})
+  end
+
+  defp signature(%Message{} = message),
+    do: {message.id, message.name, Enum.map(message.fields, &{&1.name, &1.type, &1.length, &1.extension})}
+
+  defp add_type(message, types) do
+    layout = Layout.of(message)
+
+    case Enum.split_while(types, &(not same_type?(&1, message, layout))) do
+      {before, [type | rest]} ->
+        known = MapSet.new(type.fields, & &1.name)
+        more = Enum.reject(message.fields, &MapSet.member?(known, &1.name))
+        before ++ [%{type | fields: type.fields ++ more, layouts: type.layouts ++ [layout]} | rest]
+
+      {_all, []} ->
+        type = %Type{
+          module: nil,
+          id: message.id,
+          name: message.name,
+          fields: message.fields,
+          layouts: [layout],
+          message: message
+        }
+
+        [type | types]
+    end
+  end
+
+  # One module for both: the same base, and no extension of one name with two types.
+  defp same_type?(type, message, layout) do
+    type.id == message.id and type.name == message.name and shape(hd(type.layouts).base) == shape(layout.base) and
+      Enum.all?(message.fields, fn field ->
+        Enum.all?(
+          type.fields,
+          &(&1.name != field.name or (&1.type == field.type and &1.length == field.length))
+        )
+      end)
+  end
+
+  defp shape(fields), do: Enum.map(fields, &{&1.name, &1.type, &1.length})
+
+  # Module names are unique without regard to case (they are file names): the first keeps its name, one that comes later
+  # gets its id behind it.
+  defp name_types(types) do
+    {types, _taken} =
+      types
+      |> Enum.map_reduce(MapSet.new(), fn type, taken ->
+        plain = Naming.camel(type.name)
+        name = if MapSet.member?(taken, String.downcase(plain)), do: "#{plain}#{type.id}", else: plain
+        {%{type | module: Module.concat(MavCodec.Messages, name)}, MapSet.put(taken, String.downcase(name))}
+      end)
+
+    types
+  end
+
+  defp entry(message, by_name) do
+    layout = Layout.of(message)
+
+    Enum.find_value(by_name[message.name], fn type ->
+      if same_type?(type, message, layout) do
+        index = Enum.find_index(type.layouts, &(shape(&1.extensions) == shape(layout.extensions)))
+        index && {type, index}
+      end
+    end)
+  end
+
+  ## Enums
+
+  defp enums(enums) do
+    enums
+    |> Enum.group_by(& &1.name)
+    |> Enum.sort()
+    |> Enum.map(fn {name, pieces} ->
+      entries = pieces |> Enum.flat_map(& &1.entries) |> Enum.reduce(%{}, &add_entry(&1, &2, name))
+      # Of two names for one value the higher-ranking source's comes first.
+      entries = entries |> Map.values() |> Enum.sort_by(fn {index, entry} -> {entry.value, index} end)
+
+      {Module.concat(MavCodec.Enums, Naming.camel(name)),
+       %{hd(pieces) | bitmask: Enum.any?(pieces, & &1.bitmask), entries: Enum.map(entries, &elem(&1, 1))}}
+    end)
+  end
+
+  defp add_entry(entry, entries, enum) do
+    case Map.fetch(entries, entry.name) do
+      :error ->
+        Map.put(entries, entry.name, {map_size(entries), entry})
+
+      {:ok, {_index, %{value: value}}} when value == entry.value ->
+        entries
+
+      {:ok, {_index, first}} ->
+        raise Error,
+          file: entry.file,
+          line: entry.line,
+          reason:
+            "#{entry.name} of enum #{enum} is #{entry.value}, but #{first.value} in #{first.file} of another source"
+    end
+  end
+
+  ## Dialects
+
+  # All of upstream and what only ArduPilot has.
+  defp with_all(dialects) do
+    case Enum.filter(dialects, &(&1.module in [MavCodec.Dialects.Upstream, MavCodec.Dialects.Ardupilot])) do
+      [upstream, ardupilot] ->
+        known = MapSet.new(upstream.entries, fn {type, _layout} -> type.name end)
+        more = Enum.reject(ardupilot.entries, fn {type, _layout} -> MapSet.member?(known, type.name) end)
+        entries = Enum.sort_by(upstream.entries ++ more, fn {type, _layout} -> type.id end)
+        unique_ids!(entries)
+        title = "all.xml of upstream and the messages that only ArduPilot's all.xml has"
+        [%Dialect{module: MavCodec.Dialects.All, title: title, entries: entries} | dialects]
+
+      _other ->
+        dialects
+    end
+  end
+
+  defp unique_ids!(entries) do
+    Enum.zip_with(entries, tl(entries), fn {a, _}, {b, _} ->
+      if a.id == b.id do
+        raise Error,
+          file: "all.xml",
+          line: nil,
+          reason: "message id #{a.id} is #{a.name} in one source and #{b.name} in another"
+      end
+    end)
+  end
+
+  defp unique_modules!(catalog) do
+    modules =
+      Enum.map(catalog.types, & &1.module) ++
+        Enum.map(catalog.enums, &elem(&1, 0)) ++ Enum.map(catalog.dialects, & &1.module)
+
+    modules
+    |> Enum.frequencies_by(&(&1 |> inspect() |> String.downcase()))
+    |> Enum.each(fn {name, count} ->
+      if count > 1,
+        do:
+          raise(Error,
+            file: "priv/definitions",
+            line: nil,
+            reason: "#{count} definitions give the module #{name}"
+          )
+    end)
+  end
+end

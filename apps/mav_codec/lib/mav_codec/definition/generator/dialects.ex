@@ -1,0 +1,82 @@
+defmodule MavCodec.Definition.Generator.Dialects do
+  @moduledoc """
+  The code of dialect modules: everything is a jump on the message id.
+  """
+
+  alias MavCodec.Definition.Catalog.Dialect
+  alias MavCodec.Definition.Generator.Messages
+
+  @doc "The body of the module of a dialect."
+  @spec body(%Dialect{}) :: Macro.t()
+  def body(%Dialect{entries: entries} = dialect) do
+    quote do
+      @moduledoc unquote("The dialect #{dialect.title}: #{length(entries)} messages.")
+      @behaviour MavCodec.Dialect
+
+      @impl MavCodec.Dialect
+      def crc_extra(id), do: unquote(by_id(entries, fn _type, _index, layout -> layout.crc_extra end))
+
+      @impl MavCodec.Dialect
+      def decode(id, payload) do
+        unquote(
+          by_id(
+            entries,
+            fn type, index, _layout ->
+              quote(do: {:ok, unquote(type.module).unquote(Messages.decoder(index))(payload)})
+            end,
+            quote(do: {:error, %MavCodec.DecodeError{id: id, dialect: __MODULE__}})
+          )
+        )
+      end
+
+      @impl MavCodec.Dialect
+      def module_for(id), do: unquote(by_id(entries, fn type, _index, _layout -> type.module end))
+
+      @impl MavCodec.Dialect
+      def length(id), do: unquote(by_id(entries, fn _type, _index, layout -> {layout.min, layout.max} end))
+
+      @impl MavCodec.Dialect
+      def targets(id), do: unquote(by_id(entries, fn _type, _index, layout -> targets(layout) end))
+
+      @impl MavCodec.Dialect
+      def name(id), do: unquote(by_id(entries, fn type, _index, _layout -> type.name end))
+
+      @impl MavCodec.Dialect
+      def message_id(name) do
+        case unquote(Macro.escape(Map.new(entries, fn {type, _} -> {type.name, type.id} end))) do
+          %{^name => id} -> id
+          _unknown -> nil
+        end
+      end
+
+      @impl MavCodec.Dialect
+      def ids, do: unquote(Enum.map(entries, fn {type, _} -> type.id end))
+
+      @impl MavCodec.Dialect
+      def layout(module) do
+        case unquote(Macro.escape(Map.new(entries, &layout/1))) do
+          %{^module => {id, crc_extra, index}} ->
+            {base, extensions} = module.__wire__(index)
+            {id, crc_extra, base, extensions}
+
+          _unknown ->
+            nil
+        end
+      end
+    end
+  end
+
+  defp by_id(entries, value, otherwise \\ nil) do
+    clauses =
+      for {type, index} <- entries do
+        {:->, [], [[type.id], value.(type, index, Enum.at(type.layouts, index))]}
+      end
+
+    {:case, [], [quote(do: id), [do: clauses ++ [{:->, [], [[quote(do: _)], otherwise]}]]]}
+  end
+
+  defp targets(%{target_system: nil, target_component: nil}), do: nil
+  defp targets(%{target_system: system, target_component: component}), do: {system, component}
+
+  defp layout({type, index}), do: {type.module, {type.id, Enum.at(type.layouts, index).crc_extra, index}}
+end

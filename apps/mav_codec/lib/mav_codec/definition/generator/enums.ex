@@ -1,0 +1,71 @@
+defmodule MavCodec.Definition.Generator.Enums do
+  @moduledoc "The code of enum modules."
+
+  alias MavCodec.Definition.Document.Enumeration
+  alias MavCodec.Definition.Naming
+
+  @doc "The body of the module of an enum."
+  @spec body(Enumeration.t()) :: Macro.t()
+  def body(%Enumeration{} = enum) do
+    names = Enum.map(enum.entries, & &1.name)
+
+    entries =
+      Enum.zip_with(enum.entries, Naming.labels(enum.name, names), &{String.to_atom(&1.name), &1.value, &2})
+
+    first = Enum.uniq_by(entries, fn {_name, value, _label} -> value end)
+
+    quote do
+      @moduledoc unquote(moduledoc(enum))
+
+      @doc "The value of an entry, or `nil`."
+      @spec value(atom()) :: non_neg_integer() | nil
+      unquote_splicing(
+        for {name, value, _} <- entries, do: quote(do: def(value(unquote(name)), do: unquote(value)))
+      )
+
+      def value(name) when is_atom(name), do: nil
+
+      @doc "The name of a value, or `nil` for one that is not known."
+      @spec name(integer()) :: atom()
+      unquote_splicing(
+        for {name, value, _} <- first, do: quote(do: def(name(unquote(value)), do: unquote(name)))
+      )
+
+      def name(value) when is_integer(value), do: nil
+
+      @doc "The name of a value without what all names of the enum have in front, or `nil`."
+      @spec label(integer()) :: String.t() | nil
+      unquote_splicing(
+        for {_, value, label} <- first, do: quote(do: def(label(unquote(value)), do: unquote(label)))
+      )
+
+      def label(value) when is_integer(value), do: nil
+
+      @doc "All entries with their values, by value."
+      @spec all() :: [{atom(), non_neg_integer()}]
+      def all, do: unquote(for {name, value, _label} <- entries, do: {name, value})
+
+      unquote(if enum.bitmask, do: flags())
+    end
+  end
+
+  defp flags do
+    quote do
+      @doc "The flags that are set, and the bits that no entry has a name for."
+      @spec flags(non_neg_integer()) :: {[atom()], unknown_bits :: non_neg_integer()}
+      def flags(value), do: MavCodec.Enums.flags(value, all())
+    end
+  end
+
+  defp moduledoc(enum) do
+    kind = if enum.bitmask, do: "Flags", else: "Values"
+
+    """
+    #{kind} of #{enum.name}.
+
+    | value | name |
+    |---|---|
+    #{Enum.map_join(enum.entries, "\n", &"| #{&1.value} | `#{&1.name}` |")}
+    """
+  end
+end

@@ -1,0 +1,101 @@
+defmodule MavCodec.Definition.Layout do
+  @moduledoc """
+  How a message lies on the wire: field order (F4), CRC_EXTRA (F5), lengths, and where its target ids are.
+  """
+
+  import Bitwise
+
+  alias MavCodec.Definition.Document.{Field, Message}
+
+  @enforce_keys [:base, :extensions, :min, :max, :crc_extra]
+  defstruct [:base, :extensions, :min, :max, :crc_extra, :target_system, :target_component]
+
+  @typedoc """
+  `base` and `extensions` are the fields in wire order; `min` and `max` the payload's length without and with
+  extensions; `target_*` byte offsets in the payload, `nil` where the message has no such field.
+  """
+  @type t :: %__MODULE__{
+          base: [Field.t()],
+          extensions: [Field.t()],
+          min: 0..255,
+          max: 1..255,
+          crc_extra: 0..255,
+          target_system: 0..254 | nil,
+          target_component: 0..254 | nil
+        }
+
+  @sizes %{
+    char: 1,
+    int8: 1,
+    uint8: 1,
+    int16: 2,
+    uint16: 2,
+    int32: 4,
+    uint32: 4,
+    int64: 8,
+    uint64: 8,
+    float: 4,
+    double: 8
+  }
+
+  @doc "Size in bytes of one element of a type."
+  @spec size(Field.scalar()) :: 1 | 2 | 4 | 8
+  def size(type), do: Map.fetch!(@sizes, type)
+
+  @doc "Size of a whole field in bytes."
+  @spec bytes(Field.t()) :: pos_integer()
+  def bytes(%Field{type: type, length: length}), do: size(type) * (length || 1)
+
+  @doc "The layout of a message."
+  @spec of(Message.t()) :: t()
+  def of(%Message{fields: fields} = message) do
+    {extensions, base} = Enum.split_with(fields, & &1.extension)
+    # F4: base fields by element size, largest first, else in XML order; extensions stay in XML order.
+    base = Enum.sort_by(base, &size(&1.type), :desc)
+    min = base |> Enum.map(&bytes/1) |> Enum.sum()
+    max = extensions |> Enum.map(&bytes/1) |> Enum.sum() |> Kernel.+(min)
+    offsets = offsets(base ++ extensions)
+
+    %__MODULE__{
+      base: base,
+      extensions: extensions,
+      min: min,
+      max: max,
+      crc_extra: crc_extra(message.name, base),
+      target_system: offsets["target_system"] || manual_control_target(message, offsets),
+      target_component: offsets["target_component"]
+    }
+  end
+
+  # The one message whose target system has another name, which routers have to know all the same.
+  defp manual_control_target(%Message{name: "MANUAL_CONTROL"}, offsets), do: offsets["target"]
+  defp manual_control_target(_message, _offsets), do: nil
+
+  defp offsets(fields) do
+    {offsets, _end} = Enum.map_reduce(fields, 0, &{{&1.name, &2}, &2 + bytes(&1)})
+    Map.new(offsets)
+  end
+
+  # F5: CRC-16/MCRF4XX over the name and the base fields, folded to one byte.
+  defp crc_extra(name, base) do
+    crc =
+      Enum.reduce(base, crc(name <> " ", 0xFFFF), fn field, crc ->
+        crc = crc(type_name(field.type) <> " " <> field.name <> " ", crc)
+        if field.length, do: crc(<<field.length>>, crc), else: crc
+      end)
+
+    bxor(crc &&& 0xFF, crc >>> 8)
+  end
+
+  @doc "A type as the XML writes it."
+  @spec type_name(Field.scalar()) :: String.t()
+  def type_name(type) when type in [:char, :float, :double], do: Atom.to_string(type)
+  def type_name(type), do: Atom.to_string(type) <> "_t"
+
+  # Bit by bit: it runs at compile time only, over a few hundred bytes a message.
+  defp crc(<<byte, rest::binary>>, crc), do: crc(rest, Enum.reduce(1..8, bxor(crc, byte), &crc_bit/2))
+  defp crc(<<>>, crc), do: crc
+
+  defp crc_bit(_bit, crc) when (crc &&& 1) == 1, do: bxor(crc >>> 1, 0x8408)
+  defp crc_bit(_bit, crc), do: crc >>> 1
+end

@@ -1,0 +1,25 @@
+defmodule MavCodec.Enums do
+  @moduledoc """
+  The enums and bitmasks of all sources, one module each, such as `MavCodec.Enums.MavState`:
+
+    * `value/1` - the number of a name: `value(:MAV_STATE_ACTIVE)` is 4
+    * `name/1` - the name of a number, `nil` if it has none: `name(4)` is `:MAV_STATE_ACTIVE`
+    * `label/1` - the same without the prefix: `"ACTIVE"`
+    * `all/0` - all of them: `[{name, value}]`
+    * `flags/1` - bitmasks only: the flags set and the bits that are not known
+
+  Messages keep the numbers, so a value that this version does not know passes through unchanged.
+  """
+
+  import Bitwise
+
+  @doc false
+  @spec flags(non_neg_integer(), [{atom(), non_neg_integer()}]) :: {[atom()], non_neg_integer()}
+  def flags(value, all) do
+    Enum.reduce(Enum.reverse(all), {[], value}, fn {name, bits}, {names, unknown} ->
+      if bits != 0 and (value &&& bits) == bits,
+        do: {[name | names], unknown &&& bnot(bits)},
+        else: {names, unknown}
+    end)
+  end
+end

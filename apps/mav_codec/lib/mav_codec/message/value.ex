@@ -1,0 +1,161 @@
+defmodule MavCodec.Message.Value do
+  @moduledoc """
+  Single values on the wire, little-endian (F2): what generated decoders call for arrays, text and the floats that
+  Erlang has no number for, and the encoding of every type.
+  """
+
+  import Bitwise
+
+  @typedoc "A float, or what IEEE 754 has besides: `{:nan, bits}` is a NaN other than the usual quiet one."
+  @type extended_float :: float() | :nan | :infinity | :neg_infinity | {:nan, non_neg_integer()}
+
+  @nan32 0x7FC00000
+  @infinity32 0x7F800000
+  @nan64 0x7FF8000000000000
+  @infinity64 0x7FF0000000000000
+  # The largest float plus half of its last place: from there on rounding gives infinity.
+  @float_limit ((1 <<< 25) - 1) <<< 103
+  @double_limit ((1 <<< 53) - 1) <<< 971
+
+  ## Decoding
+
+  @doc "The float of 32 bits given as an integer."
+  @spec float32(0..0xFFFFFFFF) :: extended_float()
+  def float32(bits) do
+    case <<bits::32>> do
+      <<float::float-32>> -> float
+      _other -> special32(bits)
+    end
+  end
+
+  defp special32(@nan32), do: :nan
+  defp special32(@infinity32), do: :infinity
+  defp special32(0xFF800000), do: :neg_infinity
+  defp special32(bits), do: {:nan, bits}
+
+  @doc "The double of 64 bits given as an integer."
+  @spec float64(0..0xFFFFFFFFFFFFFFFF) :: extended_float()
+  def float64(bits) do
+    case <<bits::64>> do
+      <<float::float-64>> -> float
+      _other -> special64(bits)
+    end
+  end
+
+  defp special64(@nan64), do: :nan
+  defp special64(@infinity64), do: :infinity
+  defp special64(0xFFF0000000000000), do: :neg_infinity
+  defp special64(bits), do: {:nan, bits}
+
+  @doc "Text up to the first NUL (F14)."
+  @spec text(binary()) :: binary()
+  def text(bytes), do: text(bytes, bytes, 0)
+
+  defp text(<<0, _::binary>>, bytes, size), do: binary_part(bytes, 0, size)
+  defp text(<<_, rest::binary>>, bytes, size), do: text(rest, bytes, size + 1)
+  defp text(<<>>, bytes, _size), do: bytes
+
+  @doc "The elements of an array."
+  @spec list(binary(), MavCodec.Definition.Document.Field.scalar()) :: [integer() | extended_float()]
+  def list(bytes, :float), do: floats(bytes)
+  def list(bytes, :double), do: doubles(bytes)
+  def list(bytes, :int8), do: for(<<x::signed-8 <- bytes>>, do: x)
+  def list(bytes, :int16), do: for(<<x::little-signed-16 <- bytes>>, do: x)
+  def list(bytes, :uint16), do: for(<<x::little-16 <- bytes>>, do: x)
+  def list(bytes, :int32), do: for(<<x::little-signed-32 <- bytes>>, do: x)
+  def list(bytes, :uint32), do: for(<<x::little-32 <- bytes>>, do: x)
+  def list(bytes, :int64), do: for(<<x::little-signed-64 <- bytes>>, do: x)
+  def list(bytes, :uint64), do: for(<<x::little-64 <- bytes>>, do: x)
+
+  defp floats(<<float::float-little-32, rest::binary>>), do: [float | floats(rest)]
+  defp floats(<<bits::little-32, rest::binary>>), do: [special32(bits) | floats(rest)]
+  defp floats(<<>>), do: []
+
+  defp doubles(<<float::float-little-64, rest::binary>>), do: [float | doubles(rest)]
+  defp doubles(<<bits::little-64, rest::binary>>), do: [special64(bits) | doubles(rest)]
+  defp doubles(<<>>), do: []
+
+  ## Encoding
+
+  @doc """
+  The bytes of a field's value, or what was expected instead of it. Nothing wraps and nothing is cut; text and bytes
+  shorter than the field are filled with zeros.
+  """
+  @spec encode(term(), MavCodec.Definition.Document.Field.scalar(), 1..255 | nil) ::
+          {:ok, binary()} | {:error, expected :: String.t()}
+  def encode(value, type, nil), do: scalar(value, type)
+
+  def encode(value, type, length) when type in [:char, :uint8] do
+    cond do
+      not is_binary(value) or byte_size(value) > length ->
+        {:error, "a binary of at most #{length} bytes"}
+
+      type == :char and :binary.match(value, <<0>>) != :nomatch ->
+        {:error, "text without NUL bytes"}
+
+      true ->
+        {:ok, <<value::binary, 0::size(length - byte_size(value))-unit(8)>>}
+    end
+  end
+
+  def encode(value, type, length) when is_list(value), do: elements(value, type, length, <<>>, length)
+  def encode(_value, type, length), do: {:error, list_of(type, length)}
+
+  defp elements([], _type, _length, acc, 0), do: {:ok, acc}
+
+  defp elements([value | rest], type, length, acc, left) when left > 0 do
+    case scalar(value, type) do
+      {:ok, bytes} -> elements(rest, type, length, <<acc::binary, bytes::binary>>, left - 1)
+      {:error, expected} -> {:error, "#{list_of(type, length)}, each #{expected}"}
+    end
+  end
+
+  defp elements(_list, type, length, _acc, _left), do: {:error, list_of(type, length)}
+
+  defp list_of(type, length), do: "a list of #{length} #{type} values"
+
+  for {type, size} <- [uint8: 8, uint16: 16, uint32: 32, uint64: 64, char: 8] do
+    @max (1 <<< size) - 1
+    defp scalar(value, unquote(type)) when is_integer(value) and value >= 0 and value <= @max,
+      do: {:ok, <<value::little-size(unquote(size))>>}
+
+    defp scalar(_value, unquote(type)), do: {:error, unquote("an integer from 0 to #{@max}")}
+  end
+
+  for {type, size} <- [int8: 8, int16: 16, int32: 32, int64: 64] do
+    @max (1 <<< (size - 1)) - 1
+    defp scalar(value, unquote(type)) when is_integer(value) and value >= -@max - 1 and value <= @max,
+      do: {:ok, <<value::little-size(unquote(size))>>}
+
+    defp scalar(_value, unquote(type)), do: {:error, unquote("an integer from #{-@max - 1} to #{@max}")}
+  end
+
+  defp scalar(:nan, :float), do: {:ok, <<@nan32::little-32>>}
+  defp scalar(:infinity, :float), do: {:ok, <<@infinity32::little-32>>}
+  defp scalar(:neg_infinity, :float), do: {:ok, <<0xFF800000::little-32>>}
+
+  defp scalar({:nan, bits}, :float)
+       when is_integer(bits) and bits in 0..0xFFFFFFFF and (bits &&& 0x7FFFFFFF) > @infinity32,
+       do: {:ok, <<bits::little-32>>}
+
+  defp scalar(:nan, :double), do: {:ok, <<@nan64::little-64>>}
+  defp scalar(:infinity, :double), do: {:ok, <<@infinity64::little-64>>}
+  defp scalar(:neg_infinity, :double), do: {:ok, <<0xFFF0000000000000::little-64>>}
+
+  defp scalar({:nan, bits}, :double)
+       when is_integer(bits) and bits in 0..0xFFFFFFFFFFFFFFFF and (bits &&& 0x7FFFFFFFFFFFFFFF) > @infinity64,
+       do: {:ok, <<bits::little-64>>}
+
+  # Erlang would make an infinity of a double that is too large for 32 bits, and raises for an integer that is too large
+  # for 64.
+  defp scalar(value, :float) when is_number(value) and abs(value) < @float_limit,
+    do: {:ok, <<value::float-little-32>>}
+
+  defp scalar(value, :double) when is_float(value), do: {:ok, <<value::float-little-64>>}
+
+  defp scalar(value, :double) when is_integer(value) and abs(value) <= @double_limit,
+    do: {:ok, <<value::float-little-64>>}
+
+  defp scalar(_value, type) when type in [:float, :double],
+    do: {:error, "a number that fits a #{type}, :nan, :infinity, :neg_infinity or {:nan, bits}"}
+end

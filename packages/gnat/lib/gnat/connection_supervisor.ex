@@ -1,0 +1,179 @@
+defmodule Gnat.ConnectionSupervisor do
+  @moduledoc """
+  Keeps a connection under a name, and connects again when it is lost.
+
+      {Gnat.ConnectionSupervisor,
+       %{
+         name: MyApp.Nats,
+         connection_settings: [%{host: "10.0.0.100"}, %{host: "10.0.0.101"}],
+         backoff_min: 250,
+         backoff_max: 30_000
+       }}
+
+  It starts at once, with or without a server. The name belongs to the connection process and exists while there is a
+  connection: `Gnat.pub(MyApp.Nats, ...)` works then and returns `{:error, %Gnat.Error{reason: :not_connected}}` at
+  other times. Any name of a GenServer will do, `{:via, Registry, {registry, key}}` too.
+
+    * `name` - required
+    * `connection_settings` - required, a list of what `Gnat.start_link/1` takes; each is tried in turn, from a
+      random one on
+    * `backoff_min`, `backoff_max` - ms, default 250 and 30000. The first try is at once; after all servers failed, the
+      waits double from min to max, with jitter (`Gnat.Backoff`). A connection that lived less than a second counts as
+      a failed try, so that a server that takes and drops clients is not asked without pause
+    * `backoff_period` - the setting of the Hex package, a constant wait; here it is both limits at once
+
+  Subscriptions belong to a connection and end with it. `Gnat.ConsumerSupervisor` makes them again; a process of its
+  own monitors the connection.
+
+  Telemetry: `[:gnat, :connection, :up]` (metadata `name`, `host`, `port`), `[:gnat, :connection, :down]` (`name`,
+  `reason`), `[:gnat, :connection, :failed]` (`name`, `host`, `port`, `reason`; measurement `retry_in` in ms).
+  """
+
+  use GenServer
+
+  alias Gnat.{Backoff, Connection, Error, Handshake, Transport}
+
+  require Logger
+
+  @stable_after 1_000
+
+  @type settings :: %{
+          required(:name) => GenServer.name(),
+          required(:connection_settings) => [Gnat.connection_settings(), ...],
+          optional(:backoff_min) => pos_integer(),
+          optional(:backoff_max) => pos_integer(),
+          optional(:backoff_period) => pos_integer()
+        }
+
+  @spec start_link(settings(), GenServer.options()) :: GenServer.on_start()
+  def start_link(settings, options \\ []), do: GenServer.start_link(__MODULE__, settings, options)
+
+  @impl GenServer
+  def init(settings) do
+    Process.flag(:trap_exit, true)
+    Process.set_label({:gnat_connection_supervisor, settings.name})
+    period = settings[:backoff_period]
+    servers = Map.fetch!(settings, :connection_settings)
+
+    state = %{
+      name: Map.fetch!(settings, :name),
+      servers: rotate(servers, :rand.uniform(length(servers)) - 1),
+      untried: length(servers),
+      backoff:
+        Backoff.new(settings[:backoff_min] || period || 250, settings[:backoff_max] || period || 30_000),
+      attempt: nil,
+      gnat: nil,
+      up_since: nil,
+      quiet: false
+    }
+
+    {:ok, schedule(state)}
+  end
+
+  @impl GenServer
+  def handle_info(:attempt, %{servers: [server | _]} = state) do
+    # Connecting takes its time, and this process has to be able to shut down meanwhile.
+    owner = self()
+
+    attempt =
+      Task.async(fn ->
+        with {:ok, handshake} <- Handshake.connect(server),
+             :ok <- Transport.give(handshake.transport, owner),
+             do: {:ok, handshake}
+      end)
+
+    {:noreply, %{state | attempt: attempt}}
+  end
+
+  def handle_info({ref, result}, %{attempt: %Task{ref: ref}} = state) do
+    Process.demonitor(ref, [:flush])
+    {:noreply, attempted(result, %{state | attempt: nil})}
+  end
+
+  def handle_info({:DOWN, ref, :process, _pid, reason}, %{attempt: %Task{ref: ref}} = state) do
+    {:noreply, attempted({:error, reason}, %{state | attempt: nil})}
+  end
+
+  def handle_info({:EXIT, pid, reason}, %{gnat: pid} = state) do
+    {:noreply, lost(reason, %{state | gnat: nil})}
+  end
+
+  # The task's end, or a message nobody waits for any more.
+  def handle_info(_other, state), do: {:noreply, state}
+
+  @impl GenServer
+  def terminate(_reason, %{attempt: %Task{} = attempt}), do: Task.shutdown(attempt, :brutal_kill)
+  def terminate(_reason, %{gnat: gnat}) when is_pid(gnat), do: Gnat.stop(gnat)
+  def terminate(_reason, _state), do: :ok
+
+  defp attempted({:ok, handshake}, state) do
+    case Connection.start_link(handshake, name: state.name) do
+      {:ok, gnat} -> up(gnat, state)
+      {:error, reason} -> failed(reason, state)
+    end
+  end
+
+  defp attempted({:error, reason}, state), do: failed(reason, state)
+
+  defp up(gnat, %{servers: [server | _]} = state) do
+    :telemetry.execute([:gnat, :connection, :up], %{count: 1}, Map.merge(place(server), %{name: state.name}))
+    Logger.info("NATS: connected to #{show(server)}")
+    now = System.monotonic_time(:millisecond)
+    %{state | gnat: gnat, up_since: now, untried: length(state.servers), quiet: false}
+  end
+
+  defp lost(reason, state) do
+    reason = error(reason)
+    :telemetry.execute([:gnat, :connection, :down], %{count: 1}, %{name: state.name, reason: reason})
+    Logger.warning("NATS: connection lost, connecting again: #{describe(reason)}")
+    lived = System.monotonic_time(:millisecond) - state.up_since
+    backoff = if lived >= @stable_after, do: Backoff.reset(state.backoff), else: state.backoff
+    schedule(%{state | backoff: backoff})
+  end
+
+  defp failed(reason, %{servers: [server | rest]} = state) do
+    reason = error(reason)
+    {state, wait} = next(%{state | servers: rest ++ [server], untried: state.untried - 1})
+    metadata = Map.merge(place(server), %{name: state.name, reason: reason})
+    :telemetry.execute([:gnat, :connection, :failed], %{count: 1, retry_in: wait}, metadata)
+
+    # Once for each outage; telemetry has every try.
+    unless state.quiet, do: Logger.warning("NATS: #{show(server)}: #{describe(reason)}; trying on")
+    %{state | quiet: true}
+  end
+
+  # The other servers are tried without a wait, but not all of them again.
+  defp next(%{untried: untried} = state) when untried > 0 do
+    send(self(), :attempt)
+    {state, 0}
+  end
+
+  defp next(state) do
+    {wait, backoff} = Backoff.next(state.backoff, :rand.uniform())
+    Process.send_after(self(), :attempt, wait)
+    {%{state | backoff: backoff, untried: length(state.servers)}, wait}
+  end
+
+  defp schedule(state) do
+    {state, _wait} = next(%{state | untried: 0})
+    state
+  end
+
+  defp rotate(list, count) do
+    {front, back} = Enum.split(list, count)
+    back ++ front
+  end
+
+  defp error({:shutdown, %Error{} = error}), do: error
+  defp error(other), do: other
+
+  defp describe(%Error{} = error), do: Exception.message(error)
+  defp describe(other), do: inspect(other)
+
+  defp place(server), do: %{host: Map.get(server, :host, "localhost"), port: Map.get(server, :port, 4222)}
+
+  defp show(server) do
+    %{host: host, port: port} = place(server)
+    if is_tuple(host), do: "#{:inet.ntoa(host)}:#{port}", else: "#{host}:#{port}"
+  end
+end

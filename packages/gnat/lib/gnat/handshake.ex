@@ -1,0 +1,150 @@
+defmodule Gnat.Handshake do
+  @moduledoc """
+  From settings to a connection the server has accepted: TCP, INFO, TLS, CONNECT with the credentials, and a PING whose
+  PONG says that the server took them. All of it within `connection_timeout`, in the calling process.
+  """
+
+  alias Gnat.{Auth, Command, Error, Parsec, Settings, Transport}
+
+  @enforce_keys [:transport, :parser, :info, :settings]
+  defstruct @enforce_keys
+
+  @typedoc "An accepted connection, still passive: whoever owns it last activates it."
+  @type t :: %__MODULE__{
+          transport: Transport.t(),
+          parser: Parsec.t(),
+          info: Gnat.server_info(),
+          settings: Settings.t()
+        }
+
+  @spec connect(map()) :: {:ok, t()} | {:error, Error.t()}
+  def connect(settings) do
+    with {:ok, settings} <- Settings.new(settings),
+         deadline = Transport.deadline(settings.connection_timeout),
+         {:ok, transport} <- Transport.connect(settings, deadline) do
+      secure(transport, settings, deadline)
+    end
+  end
+
+  # A failed upgrade has closed its socket; from then on the newest transport is the one to close.
+  defp secure(transport, settings, deadline) do
+    with {:ok, transport} <- tls_first(transport, settings, deadline),
+         {:ok, info, parser} <- read_info(transport, Parsec.new(), deadline) |> or_close(transport),
+         {:ok, transport} <- tls(transport, info, parser, settings, deadline) do
+      log_in(%__MODULE__{transport: transport, parser: parser, info: info, settings: settings}, deadline)
+      |> or_close(transport)
+    end
+  end
+
+  defp tls_first(transport, %{tls_first: true} = settings, deadline) do
+    Transport.upgrade(transport, settings, deadline) |> or_close(transport)
+  end
+
+  defp tls_first(transport, _settings, _deadline), do: {:ok, transport}
+
+  defp read_info(transport, parser, deadline) do
+    with {:ok, bytes} <- Transport.recv(transport, deadline) do
+      case Parsec.parse(parser, bytes) do
+        {:ok, parser, []} -> read_info(transport, parser, deadline)
+        {:ok, parser, [{:info, info}]} -> {:ok, info, parser}
+        {_, _, [{:error, text} | _]} -> {:error, server_error(text)}
+        {:error, why, _} -> {:error, Error.new({:protocol, why})}
+        {:ok, _, _other} -> {:error, Error.new({:protocol, "the server does not begin with INFO"})}
+      end
+    end
+  end
+
+  defp tls(%{kind: :tls} = transport, _info, _parser, _settings, _deadline), do: {:ok, transport}
+
+  defp tls(transport, info, parser, settings, deadline) do
+    offered? = info[:tls_required] || info[:tls_available] || false
+
+    cond do
+      settings.tls and not offered? ->
+        {:error, Error.new(:tls_not_offered)} |> or_close(transport)
+
+      not (settings.tls or info[:tls_required] == true) ->
+        {:ok, transport}
+
+      # Bytes behind a plain INFO could come from anybody; they must not be taken for the server's, read inside TLS.
+      not Parsec.empty?(parser) ->
+        {:error, Error.new({:protocol, "bytes between INFO and TLS"})} |> or_close(transport)
+
+      true ->
+        Transport.upgrade(transport, settings, deadline) |> or_close(transport)
+    end
+  end
+
+  defp log_in(%{transport: transport, info: info, settings: settings} = connection, deadline) do
+    with {:ok, options} <- options(info, settings, transport),
+         :ok <- Transport.send(transport, [Command.connect(options), Command.ping()]) do
+      await_pong(connection, deadline)
+    end
+  end
+
+  defp options(info, settings, transport) do
+    headers? = settings.headers and info[:headers] == true
+
+    with {:ok, auth} <- Auth.options(info, settings) do
+      {:ok,
+       %{
+         verbose: false,
+         pedantic: false,
+         protocol: 1,
+         lang: "elixir",
+         version: version(),
+         tls_required: transport.kind == :tls,
+         headers: headers?,
+         no_responders: headers? and settings.no_responders
+       }
+       |> Map.merge(Map.take(settings, [:name]))
+       |> Map.merge(auth)}
+    end
+  end
+
+  defp await_pong(connection, deadline) do
+    case Transport.recv(connection.transport, deadline) do
+      {:ok, bytes} ->
+        case Parsec.parse(connection.parser, bytes) do
+          {:ok, parser, messages} -> answer(messages, %{connection | parser: parser}, deadline)
+          {:error, _why, [{:error, text} | _]} -> {:error, server_error(text)}
+          {:error, why, _messages} -> {:error, Error.new({:protocol, why})}
+        end
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+
+  # Nothing is subscribed yet, so nothing but these can come.
+  defp answer([], connection, deadline), do: await_pong(connection, deadline)
+  defp answer([:pong | _], connection, _deadline), do: {:ok, connection}
+  defp answer([{:error, text} | _], _connection, _deadline), do: {:error, server_error(text)}
+
+  defp answer([{:info, info} | rest], connection, deadline),
+    do: answer(rest, %{connection | info: info}, deadline)
+
+  defp answer([:ping | rest], connection, deadline), do: answer(rest, connection, deadline)
+  defp answer([:ok | rest], connection, deadline), do: answer(rest, connection, deadline)
+
+  defp answer([_message | _], _connection, _deadline) do
+    {:error, Error.new({:protocol, "a message before the answer to CONNECT"})}
+  end
+
+  defp server_error(text) do
+    if text =~ ~r/authori[sz]ation|authentication|credential|expired|revoked/i do
+      Error.new({:auth, text})
+    else
+      Error.new({:server, text})
+    end
+  end
+
+  defp or_close({:error, _} = error, transport) do
+    Transport.close(transport)
+    error
+  end
+
+  defp or_close(ok, _transport), do: ok
+
+  defp version, do: to_string(Application.spec(:gnat, :vsn) || "0")
+end

@@ -1,0 +1,85 @@
+defmodule Gnat.Jetstream.API.Util do
+  @moduledoc "What the modules of the JetStream API share: requests, answers as JSON, names, times."
+
+  alias Gnat.Error
+
+  @typedoc """
+  What the JetStream API says no with: `"code"` like HTTP, `"err_code"` for the exact reason, `"description"`.
+  """
+  @type api_error :: %{String.t() => term()}
+
+  @timeout 5_000
+
+  @doc "The prefix of the API of a domain; nil or \"\" for the server's own."
+  @spec api(nil | String.t()) :: String.t()
+  def api(domain) when domain in [nil, ""], do: "$JS.API"
+  def api(domain), do: "$JS.#{domain}.API"
+
+  @doc "Asks the API and reads the answer; an answer with an error in it is an error."
+  @spec request(Gnat.t(), String.t(), iodata(), keyword()) ::
+          {:ok, map()} | {:error, api_error() | :timeout | :no_responders | Error.t()}
+  def request(conn, topic, payload, opts \\ []) do
+    opts = Keyword.put_new(opts, :receive_timeout, @timeout)
+    with {:ok, %{body: body}} <- Gnat.request(conn, topic, payload, opts), do: answer(body)
+  end
+
+  @doc "Reads an answer of the API or the acknowledgement of a publish."
+  @spec answer(binary()) :: {:ok, map()} | {:error, api_error() | Error.t()}
+  def answer(body) do
+    case JSON.decode(body) do
+      {:ok, %{"error" => error}} -> {:error, error}
+      {:ok, %{} = answer} -> {:ok, answer}
+      _other -> {:error, Error.new({:protocol, "JetStream's answer is not a JSON object"})}
+    end
+  end
+
+  @doc "A struct or map as the JSON the API wants: what is nil is not sent, because the server refuses unknown fields."
+  @spec encode(map()) :: iodata()
+  def encode(map), do: map |> Map.reject(fn {_key, value} -> value == nil end) |> JSON.encode_to_iodata!()
+
+  @doc "A point in time as the server writes it (RFC 3339); nil for nil and for what is none."
+  @spec to_datetime(term()) :: DateTime.t() | nil
+  def to_datetime(text) when is_binary(text) do
+    case DateTime.from_iso8601(text) do
+      {:ok, datetime, _offset} -> datetime
+      {:error, _} -> nil
+    end
+  end
+
+  def to_datetime(_none), do: nil
+
+  @doc "One of the atoms that stand for this text, or the text itself when a newer server says something else."
+  @spec to_atom(term(), [atom()]) :: atom() | term()
+  def to_atom(text, known), do: Enum.find(known, text, &(Atom.to_string(&1) == text))
+
+  @doc "Base 64 as text; nil for nil and for what is none."
+  @spec decode_base64(term()) :: binary() | nil
+  def decode_base64(text) when is_binary(text) do
+    case Base.decode64(text) do
+      {:ok, bytes} -> bytes
+      :error -> nil
+    end
+  end
+
+  def decode_base64(_none), do: nil
+
+  @doc "Whether a stream, consumer or bucket can have this name."
+  @spec check_name(term(), String.t()) :: :ok | {:error, String.t()}
+  def check_name(name, what) do
+    cond do
+      not is_binary(name) -> {:error, "#{what} must be a string"}
+      name == "" -> {:error, "#{what} must not be empty"}
+      String.contains?(name, [".", "*", ">", "/", "\\", " ", "\t", "\r", "\n"]) -> {:error, bad_name(what)}
+      true -> :ok
+    end
+  end
+
+  defp bad_name(what), do: "invalid #{what}: cannot contain '.', '>', '*', '/', '\\' or blanks"
+
+  @doc "A subject nobody else has."
+  @spec reply_inbox(String.t() | nil) :: String.t()
+  def reply_inbox(prefix \\ nil), do: (prefix || "_INBOX.") <> unique()
+
+  @spec unique() :: String.t()
+  def unique, do: 12 |> :crypto.strong_rand_bytes() |> Base.url_encode64()
+end

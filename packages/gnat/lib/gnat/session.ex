@@ -1,0 +1,258 @@
+defmodule Gnat.Session do
+  @moduledoc """
+  What a connection knows and decides, without the connection: subscriptions, waiting requests, the pulse.
+
+  `handle/2` takes something that happened and gives the new session and a list of actions for the process around it:
+
+    * `{:write, iodata}` to the server
+    * `{:send, to, message}` to a process or an alias
+    * `{:monitor, pid}`, `{:demonitor, pid}`
+    * `{:received, subject}`, `{:server_error, text}` for telemetry
+    * `{:reply, from, term}` to a caller
+    * `{:stop, error}`: this connection is over
+  """
+
+  alias Gnat.{Command, Error}
+
+  # The subscription that all answers to requests come through.
+  @inbox_sid 0
+
+  @enforce_keys [:info, :inbox]
+  defstruct [
+    :info,
+    :inbox,
+    next_sid: 1,
+    subs: %{},
+    requests: %{},
+    owned: %{},
+    pongs: :queue.new(),
+    heard: true
+  ]
+
+  @typep sub :: %{pid: pid(), received: non_neg_integer(), max: pos_integer() | :infinity}
+  @typep request :: %{to: :erlang.alias() | reference(), pid: pid(), count: :one | :many}
+
+  @opaque t :: %__MODULE__{
+            info: Gnat.server_info(),
+            inbox: String.t(),
+            next_sid: pos_integer(),
+            subs: %{pos_integer() => sub()},
+            requests: %{String.t() => request()},
+            owned: %{pid() => MapSet.t()},
+            pongs: :queue.queue(),
+            heard: boolean()
+          }
+
+  @type action ::
+          {:write, iodata()}
+          | {:send, pid() | reference(), term()}
+          | {:monitor | :demonitor, pid()}
+          | {:received, String.t()}
+          | {:server_error, String.t()}
+          | {:reply, GenServer.from(), term()}
+          | {:stop, Error.t()}
+
+  @type event ::
+          {:message, Gnat.Parsec.message()}
+          | {:sub, GenServer.from(), pid(), String.t(), String.t() | nil}
+          | {:unsub, non_neg_integer() | String.t(), pos_integer() | nil}
+          | {:flush, GenServer.from()}
+          | {:down, pid()}
+          | :heard
+          | :tick
+
+  @doc "A session on a connection whose INFO was `info`; the write subscribes the inbox that answers come to."
+  @spec new(Gnat.server_info(), inbox_prefix :: String.t()) :: {t(), [action()]}
+  def new(info, inbox_prefix) do
+    inbox = inbox_prefix <> unique() <> "."
+    {:ok, command} = Command.sub(inbox <> "*", @inbox_sid, nil)
+    {%__MODULE__{info: info, inbox: inbox}, [{:write, command}]}
+  end
+
+  @spec info(t()) :: Gnat.server_info()
+  def info(session), do: session.info
+
+  @doc "The number of subscriptions, the inbox included."
+  @spec subscriptions(t()) :: pos_integer()
+  def subscriptions(session), do: map_size(session.subs) + 1
+
+  @doc "Whether the server takes a message of this size."
+  @spec check_size(t(), non_neg_integer()) :: :ok | {:error, Error.t()}
+  def check_size(%{info: %{max_payload: max}}, size) when size > max do
+    {:error, Error.new({:payload_too_large, size, max})}
+  end
+
+  def check_size(_session, _size), do: :ok
+
+  @doc """
+  A new inbox for the answer to one request, or for its answers. They are sent to the alias `to` as `{to, message}`
+  until `{:unsub, inbox, nil}`, the first answer (`:one`) or the end of `pid`.
+  """
+  @spec request(t(), reference(), pid(), :one | :many) :: {t(), inbox :: String.t(), [action()]}
+  def request(session, to, pid, count) do
+    inbox = session.inbox <> unique()
+    requests = Map.put(session.requests, inbox, %{to: to, pid: pid, count: count})
+    {session, actions} = own(%{session | requests: requests}, pid, inbox)
+    {session, inbox, actions}
+  end
+
+  @doc "Something happened: the new session and what to do."
+  @spec handle(t(), event()) :: {t(), [action()]}
+  def handle(session, {:message, message}), do: message(session, message)
+
+  def handle(session, {:sub, from, pid, subject, queue_group}) do
+    sid = session.next_sid
+
+    case Command.sub(subject, sid, queue_group) do
+      {:ok, command} ->
+        subs = Map.put(session.subs, sid, %{pid: pid, received: 0, max: :infinity})
+        {session, actions} = own(%{session | subs: subs, next_sid: sid + 1}, pid, sid)
+        {session, actions ++ [{:write, command}, {:reply, from, {:ok, sid}}]}
+
+      {:error, _} = error ->
+        {session, [{:reply, from, error}]}
+    end
+  end
+
+  def handle(session, {:unsub, inbox, _max}) when is_binary(inbox), do: end_request(session, inbox)
+
+  def handle(session, {:unsub, sid, max}) do
+    case session.subs do
+      %{^sid => %{received: received} = sub} when is_integer(max) and received < max ->
+        {%{session | subs: %{session.subs | sid => %{sub | max: max}}}, [{:write, Command.unsub(sid, max)}]}
+
+      %{^sid => _sub} ->
+        {session, actions} = end_sub(session, sid)
+        {session, [{:write, Command.unsub(sid, nil)} | actions]}
+
+      _unknown ->
+        {session, []}
+    end
+  end
+
+  def handle(session, {:flush, from}) do
+    {%{session | pongs: :queue.in(from, session.pongs)}, [{:write, Command.ping()}]}
+  end
+
+  # Its process is gone: what it subscribed to ends, and nobody waits for its answers.
+  def handle(session, {:down, pid}) do
+    {mine, owned} = Map.pop(session.owned, pid, MapSet.new())
+    {sids, inboxes} = mine |> MapSet.to_list() |> Enum.split_with(&is_integer/1)
+    session = %{session | owned: owned, subs: Map.drop(session.subs, sids)}
+    writes = for sid <- sids, do: {:write, Command.unsub(sid, nil)}
+    {%{session | requests: Map.drop(session.requests, inboxes)}, writes}
+  end
+
+  def handle(session, :heard), do: {%{session | heard: true}, []}
+
+  # Dead is a server of which nothing at all was heard since the last tick while it owes a PONG. A full pipe that is
+  # still moving is not dead.
+  def handle(session, :tick) do
+    cond do
+      session.heard and :queue.is_empty(session.pongs) ->
+        {%{session | heard: false, pongs: :queue.in(:tick, session.pongs)}, [{:write, Command.ping()}]}
+
+      session.heard ->
+        {%{session | heard: false}, []}
+
+      true ->
+        {session, [{:stop, Error.new(:unresponsive)}]}
+    end
+  end
+
+  defp message(session, {:msg, topic, @inbox_sid, reply_to, body}) do
+    answer(session, topic, %{topic: topic, body: body, reply_to: reply_to, gnat: self()})
+  end
+
+  defp message(session, {:msg, topic, sid, reply_to, body}) do
+    deliver(session, sid, %{topic: topic, body: body, reply_to: reply_to, sid: sid, gnat: self()})
+  end
+
+  defp message(session, {:hmsg, topic, sid, reply_to, headers, body}) do
+    message =
+      Map.merge(headers, %{topic: topic, body: body, reply_to: reply_to, gnat: self()})
+
+    if sid == @inbox_sid do
+      answer(session, topic, message)
+    else
+      deliver(session, sid, Map.put(message, :sid, sid))
+    end
+  end
+
+  defp message(session, :ping), do: {session, [{:write, Command.pong()}]}
+  defp message(session, {:info, info}), do: {%{session | info: Map.merge(session.info, info)}, []}
+  defp message(session, {:error, text}), do: {session, [{:server_error, text}]}
+  defp message(session, :ok), do: {session, []}
+
+  defp message(session, :pong) do
+    case :queue.out(session.pongs) do
+      {{:value, :tick}, pongs} -> {%{session | pongs: pongs}, []}
+      {{:value, from}, pongs} -> {%{session | pongs: pongs}, [{:reply, from, :ok}]}
+      {:empty, _pongs} -> {session, []}
+    end
+  end
+
+  # A message of a subscription that has just ended is still on its way when UNSUB is sent: not an error.
+  defp deliver(session, sid, message) do
+    case session.subs do
+      %{^sid => %{pid: pid, received: received, max: max} = sub} ->
+        actions = [{:received, message.topic}, {:send, pid, {:msg, message}}]
+
+        if received + 1 >= max do
+          {session, ended} = end_sub(session, sid)
+          {session, actions ++ ended}
+        else
+          {%{session | subs: %{session.subs | sid => %{sub | received: received + 1}}}, actions}
+        end
+
+      _ended ->
+        {session, []}
+    end
+  end
+
+  defp answer(session, inbox, message) do
+    case session.requests do
+      %{^inbox => %{to: to, count: :many}} ->
+        {session, [{:send, to, {to, message}}]}
+
+      %{^inbox => %{to: to, count: :one}} ->
+        {session, ended} = end_request(session, inbox)
+        {session, [{:send, to, {to, message}} | ended]}
+
+      _late ->
+        {session, []}
+    end
+  end
+
+  defp end_sub(session, sid) do
+    {%{pid: pid}, subs} = Map.pop!(session.subs, sid)
+    disown(%{session | subs: subs}, pid, sid)
+  end
+
+  defp end_request(session, inbox) do
+    case Map.pop(session.requests, inbox) do
+      {nil, _requests} -> {session, []}
+      {%{pid: pid}, requests} -> disown(%{session | requests: requests}, pid, inbox)
+    end
+  end
+
+  # One monitor for each process, however much it owns.
+  defp own(session, pid, thing) do
+    case session.owned do
+      %{^pid => things} -> {%{session | owned: %{session.owned | pid => MapSet.put(things, thing)}}, []}
+      owned -> {%{session | owned: Map.put(owned, pid, MapSet.new([thing]))}, [{:monitor, pid}]}
+    end
+  end
+
+  defp disown(session, pid, thing) do
+    things = MapSet.delete(Map.get(session.owned, pid, MapSet.new()), thing)
+
+    if MapSet.size(things) == 0 do
+      {%{session | owned: Map.delete(session.owned, pid)}, [{:demonitor, pid}]}
+    else
+      {%{session | owned: Map.put(session.owned, pid, things)}, []}
+    end
+  end
+
+  defp unique, do: 12 |> :crypto.strong_rand_bytes() |> Base.url_encode64()
+end

@@ -1,0 +1,172 @@
+defmodule Gnat.Jetstream.StreamTest do
+  use ExUnit.Case, async: true
+
+  import Gnat.Test
+
+  alias Gnat.{Error, Jetstream}
+  alias Gnat.Jetstream.API.Stream
+  alias Gnat.Test.NatsServer
+
+  setup_all do
+    server = start_supervised!({NatsServer, jetstream: true})
+    {:ok, server: server}
+  end
+
+  setup %{server: server} do
+    {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
+    name = unique("S")
+    {:ok, gnat: gnat, name: name, stream: %Stream{name: name, subjects: [name <> ".>"]}}
+  end
+
+  describe "streams" do
+    test "are created with what was asked and told about", %{gnat: gnat, name: name, stream: stream} do
+      stream = %{
+        stream
+        | storage: :memory,
+          discard: :new,
+          retention: :interest,
+          max_msgs_per_subject: 1,
+          max_age: 60_000_000_000,
+          duplicate_window: 5_000_000_000,
+          description: "a test"
+      }
+
+      assert {:ok, %{config: config, state: state, created: %DateTime{}}} = Stream.create(gnat, stream)
+      assert %Stream{name: ^name, storage: :memory, discard: :new, retention: :interest} = config
+      assert %{max_msgs_per_subject: 1, max_age: 60_000_000_000, duplicate_window: 5_000_000_000} = config
+      assert %{description: "a test", subjects: [_]} = config
+      assert %{messages: 0, bytes: 0, first_seq: _, last_seq: 0, consumer_count: 0} = state
+
+      assert {:ok, %{config: ^config}} = Stream.info(gnat, name)
+    end
+
+    test "can be created twice the same, not twice differently", %{gnat: gnat, stream: stream} do
+      assert {:ok, _} = Stream.create(gnat, stream)
+      assert {:ok, _} = Stream.create(gnat, stream)
+
+      assert {:error, %{"err_code" => 10_058, "description" => _}} =
+               Stream.create(gnat, %{stream | max_msgs: 7})
+
+      assert {:ok, %{config: %{max_msgs: 7}}} = Stream.update(gnat, %{stream | max_msgs: 7})
+    end
+
+    test "are listed, by subject too", %{gnat: gnat, name: name, stream: stream} do
+      {:ok, _} = Stream.create(gnat, stream)
+      assert {:ok, %{streams: streams, total: total, offset: 0, limit: _}} = Stream.list(gnat)
+      assert name in streams and total >= 1
+      assert {:ok, %{streams: [^name]}} = Stream.list(gnat, subject: name <> ".a")
+      assert {:ok, %{streams: []}} = Stream.list(gnat, subject: "nobody.keeps.this")
+    end
+
+    test "are deleted", %{gnat: gnat, name: name, stream: stream} do
+      {:ok, _} = Stream.create(gnat, stream)
+      assert :ok = Stream.delete(gnat, name)
+      assert {:error, %{"code" => 404, "description" => "stream not found"}} = Stream.info(gnat, name)
+    end
+
+    test "are purged, whole or one subject", %{gnat: gnat, name: name, stream: stream} do
+      {:ok, _} = Stream.create(gnat, stream)
+      for topic <- ~w(a b b), do: {:ok, _} = Jetstream.publish(gnat, "#{name}.#{topic}", topic)
+      assert :ok = Stream.purge(gnat, name, nil, %{filter: name <> ".b"})
+      assert {:ok, %{state: %{messages: 1}}} = Stream.info(gnat, name)
+      assert :ok = Stream.purge(gnat, name)
+      assert {:ok, %{state: %{messages: 0}}} = Stream.info(gnat, name)
+      assert {:error, text} = Stream.purge(gnat, name, nil, %{subject: "x"})
+      assert text =~ "%{filter: subject}"
+    end
+
+    test "give single messages", %{gnat: gnat, name: name, stream: stream} do
+      {:ok, _} = Stream.create(gnat, stream)
+      topic = name <> ".a"
+      {:ok, _} = Jetstream.publish(gnat, topic, "first")
+      {:ok, _} = Jetstream.publish(gnat, topic, <<0, 255>>, headers: [{"x", "1"}])
+
+      assert {:ok, %{data: "first", seq: 1, subject: ^topic, time: %DateTime{}, hdrs: nil}} =
+               Stream.get_message(gnat, name, %{seq: 1})
+
+      assert {:ok, %{data: <<0, 255>>, seq: 2, hdrs: "NATS/1.0\r\n" <> _}} =
+               Stream.get_message(gnat, name, %{last_by_subj: topic})
+
+      assert {:error, %{"code" => 404}} = Stream.get_message(gnat, name, %{seq: 9})
+
+      assert {:error, "a message is got by" <> _} =
+               Stream.get_message(gnat, name, %{seq: 1, last_by_subj: topic})
+    end
+
+    test "with names or subjects that cannot be are refused here", %{gnat: gnat, stream: stream} do
+      for name <- ["a.b", "a b", "a*", "a>", "", "a\r\nPUB x 0\r\n"] do
+        assert {:error, text} = Stream.create(gnat, %{stream | name: name})
+        assert text =~ "name"
+        assert {:error, _} = Stream.delete(gnat, name)
+      end
+
+      assert {:error, "name must be a string"} = Stream.info(gnat, nil)
+      assert {:error, ":subjects must be" <> _} = Stream.create(gnat, %{stream | subjects: "a"})
+    end
+  end
+
+  describe "publishing" do
+    setup %{gnat: gnat, name: name, stream: stream} do
+      {:ok, _} = Stream.create(gnat, %{stream | allow_msg_ttl: true})
+      {:ok, topic: name <> ".a"}
+    end
+
+    test "is acknowledged", %{gnat: gnat, name: name, topic: topic} do
+      assert {:ok, %{stream: ^name, seq: 1, duplicate: false, domain: nil}} =
+               Jetstream.publish(gnat, topic, "x")
+
+      assert {:ok, %{seq: 2}} = Jetstream.publish(gnat, topic, "x", ttl: "60s")
+    end
+
+    test "the same id twice stores once", %{gnat: gnat, name: name, topic: topic} do
+      assert {:ok, %{seq: 1, duplicate: false}} = Jetstream.publish(gnat, topic, "x", msg_id: "event-1")
+      assert {:ok, %{seq: 1, duplicate: true}} = Jetstream.publish(gnat, topic, "x", msg_id: "event-1")
+      assert {:ok, %{state: %{messages: 1}}} = Stream.info(gnat, name)
+    end
+
+    test "with an expectation is refused when it does not hold", %{gnat: gnat, name: name, topic: topic} do
+      assert {:ok, %{seq: 1}} = Jetstream.publish(gnat, topic, "x", expected_last_subject_seq: 0, msg_id: "1")
+
+      assert {:error, %{"err_code" => 10_071, "description" => "wrong last sequence" <> _}} =
+               Jetstream.publish(gnat, topic, "y", expected_last_subject_seq: 0)
+
+      assert {:ok, %{seq: 2}} = Jetstream.publish(gnat, topic, "y", expected_last_subject_seq: 1, msg_id: "2")
+
+      assert {:ok, %{seq: 3}} =
+               Jetstream.publish(gnat, topic, "z", expected_last_seq: 2, expected_stream: name)
+
+      assert {:error, %{"code" => 400}} = Jetstream.publish(gnat, topic, "z", expected_stream: "other")
+      assert {:error, %{"code" => 400}} = Jetstream.publish(gnat, topic, "z", expected_last_msg_id: "1")
+    end
+
+    test "where no stream listens is an error", %{gnat: gnat} do
+      assert {:error, :no_responders} = Jetstream.publish(gnat, "no.stream.here", "x", timeout: 1_000)
+    end
+
+    test "where somebody else answers is an error", %{gnat: gnat} do
+      topic = unique("impostor")
+
+      {:ok, _} =
+        Gnat.sub(
+          gnat,
+          spawn_link(fn -> receive(do: ({:msg, m} -> Gnat.pub(gnat, m.reply_to, "ok"))) end),
+          topic
+        )
+
+      assert {:error, %Error{reason: {:protocol, _}}} = Jetstream.publish(gnat, topic, "x")
+    end
+  end
+
+  test "a domain is part of the subject of the API" do
+    server =
+      start_supervised!({NatsServer, config: &"jetstream { domain: hub, store_dir: \"#{&1}/js\" }"}, id: :hub)
+
+    {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
+    stream = %Stream{name: "D", subjects: ["d"], domain: "hub"}
+    assert {:ok, %{config: %{name: "D"}}} = Stream.create(gnat, stream)
+    assert {:ok, %{streams: ["D"]}} = Stream.list(gnat, domain: "hub")
+    assert {:ok, %{domain: "hub"}} = Jetstream.publish(gnat, "d", "x")
+    assert {:error, :no_responders} = Stream.info(gnat, "D", "other")
+    assert :ok = Stream.delete(gnat, "D", "hub")
+  end
+end

@@ -1,0 +1,32 @@
+defmodule Gnat.Test do
+  @moduledoc "Helpers of the tests."
+
+  @doc "Polls a fact of the operating system that nobody announces, for 10 seconds at most."
+  def eventually(check, deadline \\ System.monotonic_time(:millisecond) + 10_000) do
+    cond do
+      result = check.() ->
+        result
+
+      System.monotonic_time(:millisecond) > deadline ->
+        raise ExUnit.AssertionError, message: "did not become true in 10 s"
+
+      true ->
+        receive do
+        after
+          5 -> eventually(check, deadline)
+        end
+    end
+  end
+
+  @doc "A name nothing else uses, fit for subjects, streams and buckets."
+  def unique(prefix), do: "#{prefix}_#{System.unique_integer([:positive])}"
+
+  @doc "Sends telemetry events of this name to the test as `{:telemetry, event, measurements, metadata}`."
+  def telemetry(event, test \\ self()) do
+    id = {__MODULE__, make_ref()}
+    :ok = :telemetry.attach(id, event, &__MODULE__.forward/4, test)
+    ExUnit.Callbacks.on_exit(fn -> :telemetry.detach(id) end)
+  end
+
+  def forward(event, measurements, metadata, pid), do: send(pid, {:telemetry, event, measurements, metadata})
+end

@@ -1,10 +1,24 @@
 defmodule MavCodec do
   @moduledoc """
   MAVLink wire formats as pure functions.
+
+      parser = MavCodec.Parser.new()
+      {frames, parser} = MavCodec.Parser.push(parser, bytes)
+      {:ok, %MavCodec.Messages.Heartbeat{}} = MavCodec.decode(hd(frames))
+
+      MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 245, component: 191, seq: 7)
+
+  `MavCodec.Parser` reads, `MavCodec.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
+  `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` keep recordings.
   """
 
-  alias MavCodec.DecodeError
-  alias MavCodec.Dialects
+  alias MavCodec.{DecodeError, Dialects, Message, Raw}
+
+  @typedoc """
+    * `:dialect` - the dialect that lays the message out; default `MavCodec.Dialects.All`
+    * the options of `t:MavCodec.Raw.option/0`: `:system` (required), `:component`, `:seq`, `:version`, ...
+  """
+  @type encode_option :: {:dialect, module()} | Raw.option()
 
   @doc """
   Decodes a frame to its message struct.
@@ -28,4 +42,35 @@ defmodule MavCodec do
       _length -> dialect.decode(id, payload)
     end
   end
+
+  @doc """
+  The frame of a message, unsigned. Version 2 has the extension fields and no trailing zeros (F7); version 1 has no
+  extensions and only messages with ids up to 255.
+
+  With `sysid32: true` a target system above 255 goes to the header, and the payload has 255 instead (N1).
+
+  Raises `MavCodec.EncodeError` for a value that does not fit its field, a message that is not in the dialect or not in
+  version 1, or an id out of range.
+
+      iex> MavCodec.encode(%MavCodec.Messages.Ping{seq: 1}, system: 1, seq: 9) |> Base.encode16()
+      "FD0900000901010400000000000000000000011B74"
+  """
+  @spec encode(Message.t(), [encode_option()]) :: binary()
+  def encode(message, options) do
+    version = Keyword.get(options, :version, 2)
+    {message, options} = long_target(message, options)
+
+    case Message.encode_payload(message, version, Keyword.get(options, :dialect, Dialects.All)) do
+      {:ok, id, crc_extra, payload} -> Raw.frame(id, payload, crc_extra, options)
+      {:error, error} -> raise error
+    end
+  end
+
+  defp long_target(%{target_system: system} = message, options) when is_integer(system) and system > 255 do
+    if Keyword.get(options, :sysid32, false),
+      do: {%{message | target_system: 255}, Keyword.put(options, :target_system, system)},
+      else: {message, options}
+  end
+
+  defp long_target(message, options), do: {message, options}
 end

@@ -1,0 +1,198 @@
+defmodule MavCodec.Parser do
+  @moduledoc """
+  Bytes of a link in, frames out: a pure value, any chunking, MAVLink 1 and 2 interleaved (F1-F13).
+
+      parser = MavCodec.Parser.new()
+      {frames, parser} = MavCodec.Parser.push(parser, bytes, System.os_time(:microsecond))
+
+  `push/3` is for streams (serial, TCP): the frames do not depend on how the bytes are cut into pieces. Frames of
+  unknown ids, whose CRC cannot be checked, wait for the byte after them; `flush/1` ends the waiting when the line is
+  quiet or closed. `push_datagram/3` is for UDP: it uses the datagram's boundary.
+
+  Nothing that is pushed can make it raise, and what it keeps is bounded: fewer than `max_held/0` bytes and the counters of
+  `MavCodec.Parser.Sources.limit/0` sources. The rules are those of `MavCodec.Parser.Scanner`.
+  """
+
+  alias MavCodec.Frame
+  alias MavCodec.Parser.{Candidate, Known, Scanner, Sources}
+
+  # An unknown frame of 300 bytes whose last byte may begin a known one of 300.
+  @max_held 600
+
+  @enforce_keys [:known, :accepted]
+  defstruct [
+    :known,
+    :accepted,
+    held: <<>>,
+    at: nil,
+    sources: Sources.new(),
+    bytes: 0,
+    frames: 0,
+    crc_errors: 0,
+    resync_bytes: 0,
+    unknown_ids: 0,
+    incompatible: 0,
+    signed: 0
+  ]
+
+  @type t :: %__MODULE__{
+          known: Known.t(),
+          accepted: 0..255,
+          held: binary(),
+          at: integer() | nil,
+          sources: Sources.t(),
+          bytes: non_neg_integer(),
+          frames: non_neg_integer(),
+          crc_errors: non_neg_integer(),
+          resync_bytes: non_neg_integer(),
+          unknown_ids: non_neg_integer(),
+          incompatible: non_neg_integer(),
+          signed: non_neg_integer()
+        }
+
+  @typedoc """
+    * `:dialects` - modules of the behaviour `MavCodec.Dialect` whose CRC_EXTRA values are tried; default
+      `[MavCodec.Dialects.All]`
+    * `:sysid32` - accept MAVLink 2.1's 32-bit system ids (N1-N3); default `false`, such frames are then dropped and
+      counted as incompatible
+  """
+  @type option :: {:dialects, [module()]} | {:sysid32, boolean()}
+
+  @typedoc """
+    * `frames` - given out, those of unknown ids included
+    * `bytes` - pushed
+    * `held` - kept for the next push
+    * `crc_errors` - complete frames of known ids with a wrong CRC (noise that looks like one included)
+    * `resync_bytes` - bytes outside frames
+    * `unknown_ids` - frames given out unchecked
+    * `incompatible` - intact frames dropped for their incompatibility flags (F6)
+    * `signed` - frames with a signature
+    * `lost` - by sequence numbers, over the sources whose loss can be known
+    * `sources` - by `{system, component}`, see `MavCodec.Parser.Sources.stats/1`
+  """
+  @type stats :: %{
+          frames: non_neg_integer(),
+          bytes: non_neg_integer(),
+          held: non_neg_integer(),
+          crc_errors: non_neg_integer(),
+          resync_bytes: non_neg_integer(),
+          unknown_ids: non_neg_integer(),
+          incompatible: non_neg_integer(),
+          signed: non_neg_integer(),
+          lost: non_neg_integer(),
+          sources: map()
+        }
+
+  @doc "A parser that has read nothing."
+  @spec new([option()]) :: t()
+  def new(options \\ []) do
+    options = Keyword.validate!(options, dialects: [MavCodec.Dialects.All], sysid32: false)
+
+    %__MODULE__{
+      known: Known.new(options[:dialects]),
+      accepted: Candidate.accepted_flags(options[:sysid32])
+    }
+  end
+
+  @doc "The most bytes that a parser keeps between two pushes."
+  @spec max_held() :: pos_integer()
+  def max_held, do: @max_held
+
+  @doc """
+  Reads bytes of a stream that arrived `at` (unix microseconds, or `nil`).
+
+  A frame has the time of the push that completed it.
+  """
+  @spec push(t(), binary(), integer() | nil) :: {[Frame.t()], t()}
+  def push(parser, data, at \\ nil)
+  def push(%__MODULE__{held: <<>>} = parser, data, at), do: read(parser, data, byte_size(data), at, :stream)
+
+  def push(%__MODULE__{held: held} = parser, data, at),
+    do: read(parser, held <> data, byte_size(data), at, :stream)
+
+  @doc """
+  Reads one datagram.
+
+  A frame may be split over datagrams. But when the datagram begins with an intact frame, what was kept of the one before
+  was no beginning of it: it is given up, so that a bad datagram costs nothing but itself. A frame of an unknown id may
+  end with the datagram.
+  """
+  @spec push_datagram(t(), binary(), integer() | nil) :: {[Frame.t()], t()}
+  def push_datagram(parser, data, at \\ nil)
+
+  def push_datagram(%__MODULE__{held: <<>>} = parser, data, at),
+    do: read(parser, data, byte_size(data), at, :datagram)
+
+  def push_datagram(%__MODULE__{held: held} = parser, data, at) do
+    case Candidate.judge(data, parser.known, parser.accepted) do
+      {:good, _size, _extra} ->
+        {before, parser} = flush(parser)
+        {frames, parser} = read(parser, data, byte_size(data), at, :datagram)
+        {before ++ frames, parser}
+
+      _not_a_beginning ->
+        read(parser, held <> data, byte_size(data), at, :datagram)
+    end
+  end
+
+  @doc """
+  Nothing follows, for now or for ever: frames of unknown ids that waited are given out, the rest is given up. What was
+  kept has the time of the push that brought it.
+  """
+  @spec flush(t()) :: {[Frame.t()], t()}
+  def flush(%__MODULE__{held: <<>>} = parser), do: {[], parser}
+  def flush(%__MODULE__{held: held, at: at} = parser), do: read(parser, held, 0, at, :final)
+
+  defp read(parser, data, new_bytes, at, mode) do
+    state = %Scanner{known: parser.known, accepted: parser.accepted, mode: mode, at: at}
+    {found, held, state} = Scanner.scan(data, state)
+    frames = :lists.reverse(found)
+
+    parser = %{
+      parser
+      | held: own(held),
+        at: at,
+        sources: Sources.observe(parser.sources, frames),
+        bytes: parser.bytes + new_bytes,
+        frames: parser.frames + length(frames)
+    }
+
+    {frames, count(parser, state)}
+  end
+
+  # A few kept bytes must not keep the whole read alive.
+  defp own(<<>>), do: <<>>
+  defp own(held), do: :binary.copy(held)
+
+  # Mostly there is nothing to count.
+  defp count(parser, %Scanner{crc_errors: 0, resync_bytes: 0, unknown_ids: 0, incompatible: 0, signed: 0}),
+    do: parser
+
+  defp count(parser, state) do
+    %{
+      parser
+      | crc_errors: parser.crc_errors + state.crc_errors,
+        resync_bytes: parser.resync_bytes + state.resync_bytes,
+        unknown_ids: parser.unknown_ids + state.unknown_ids,
+        incompatible: parser.incompatible + state.incompatible,
+        signed: parser.signed + state.signed
+    }
+  end
+
+  @doc "What was counted since the start."
+  @spec stats(t()) :: stats()
+  def stats(%__MODULE__{} = parser) do
+    %{
+      frames: parser.frames,
+      bytes: parser.bytes,
+      held: byte_size(parser.held),
+      crc_errors: parser.crc_errors,
+      resync_bytes: parser.resync_bytes,
+      unknown_ids: parser.unknown_ids,
+      incompatible: parser.incompatible,
+      signed: parser.signed,
+      lost: Sources.lost(parser.sources),
+      sources: Sources.stats(parser.sources)
+    }
+  end
+end

@@ -1,0 +1,221 @@
+defmodule MavCodec.Parser.Scanner do
+  @moduledoc """
+  The loop over received bytes: frames out, what is not yet complete kept, everything else counted.
+
+  `frames/7` is the fast path: a complete v2 frame without flags, of a known id, with the right CRC, at the start of the
+  bytes. It costs one match, one CRC and two references. Everything else goes to `careful/5`, which decides by the rules
+  of this module and comes back.
+
+  ## Rules
+
+    * A frame of a known id with the right CRC is taken, whatever stands inside it.
+    * After a wrong CRC the search goes on at the next byte (F13).
+    * A frame of an *unknown* id has no CRC that could be checked. It is taken only when no good frame of a known id
+      starts within its extent, and the byte after it is a magic or the data ends there. In a stream, "ends" is known
+      only by `flush`, so an unknown frame waits for the next byte; thus the result does not depend on how the bytes
+      were cut into pieces.
+    * The end of a datagram is an end of the data, except that an incomplete frame is kept for the next datagram, unless
+      a good frame stands behind its start.
+  """
+
+  alias MavCodec.{CRC, Frame}
+  alias MavCodec.Parser.{Candidate, Known}
+
+  # What the loop needs and counts. `clear` and `good` remember, as numbers of bytes before the end of the data, what the
+  # search inside unknown frames has already found, so that no byte is judged more than twice.
+  @enforce_keys [:known, :accepted, :mode, :at]
+  defstruct @enforce_keys ++
+              [
+                crc_errors: 0,
+                resync_bytes: 0,
+                unknown_ids: 0,
+                incompatible: 0,
+                signed: 0,
+                clear: nil,
+                good: nil
+              ]
+
+  @typedoc "`:stream` - more bytes may follow; `:datagram` - a boundary; `:final` - nothing follows."
+  @type mode :: :stream | :datagram | :final
+  @type t :: %__MODULE__{
+          known: Known.t(),
+          accepted: 0..255,
+          mode: mode(),
+          at: integer() | nil,
+          crc_errors: non_neg_integer(),
+          resync_bytes: non_neg_integer(),
+          unknown_ids: non_neg_integer(),
+          incompatible: non_neg_integer(),
+          signed: non_neg_integer()
+        }
+
+  @doc "All frames of `data`, the newest first, the bytes to keep, and the state with what was counted."
+  @spec scan(binary(), t()) :: {[Frame.t()], binary(), t()}
+  def scan(data, %__MODULE__{known: %Known{direct: direct}} = state),
+    do: frames(data, data, 0, direct, state.at, [], state)
+
+  # The first argument is `data` from `pos` on. It is only matched, so that the runtime goes through the whole of `data`
+  # with one match context and makes no binary for what remains.
+  defp frames(
+         <<0xFD, len, 0, compat, seq, system, component, id::24-little, payload::binary-size(len),
+           crc::16-little, rest::binary>>,
+         data,
+         pos,
+         direct,
+         at,
+         found,
+         state
+       )
+       when id < 512 and system > 0 do
+    bytes = binary_part(data, pos, len + 12)
+
+    case elem(direct, id) do
+      extra when is_integer(extra) ->
+        case CRC.frame(bytes, len + 9, extra) do
+          ^crc ->
+            frame = %Frame{
+              seq: seq,
+              system: system,
+              component: component,
+              id: id,
+              payload: payload,
+              compat: compat,
+              crc_extra: extra,
+              bytes: bytes,
+              at: at
+            }
+
+            frames(rest, data, pos + len + 12, direct, at, [frame | found], state)
+
+          _wrong ->
+            careful(from(data, pos), direct, at, found, state)
+        end
+
+      _none_or_several ->
+        careful(from(data, pos), direct, at, found, state)
+    end
+  end
+
+  defp frames(<<>>, _data, _pos, _direct, _at, found, state), do: {found, <<>>, state}
+
+  defp frames(_rest, data, pos, direct, at, found, state),
+    do: careful(from(data, pos), direct, at, found, state)
+
+  defp from(data, pos), do: binary_part(data, pos, byte_size(data) - pos)
+
+  defp careful(data, direct, at, found, state) do
+    case Candidate.judge(data, state.known, state.accepted) do
+      {:good, size, extra} ->
+        take(data, size, extra, direct, at, found, state)
+
+      {:incompatible, size} ->
+        state = %{state | incompatible: state.incompatible + 1}
+        again(from(data, size), direct, at, found, state)
+
+      {:unknown, size} ->
+        case unknown(data, size, state) do
+          {:take, state} ->
+            take(data, size, nil, direct, at, found, %{state | unknown_ids: state.unknown_ids + 1})
+
+          {:noise, state} ->
+            skip(data, direct, at, found, state)
+
+          {:more, state} ->
+            {found, data, state}
+        end
+
+      :bad_crc ->
+        skip(data, direct, at, found, %{state | crc_errors: state.crc_errors + 1})
+
+      :noise ->
+        skip(data, direct, at, found, state)
+
+      :more ->
+        case incomplete(data, state) do
+          {:keep, state} -> {found, data, state}
+          {:noise, state} -> skip(data, direct, at, found, state)
+        end
+    end
+  end
+
+  defp take(data, size, extra, direct, at, found, state) do
+    <<bytes::binary-size(^size), rest::binary>> = data
+    frame = Frame.from_bytes(bytes, extra, at)
+    state = if frame.signature, do: %{state | signed: state.signed + 1}, else: state
+    again(rest, direct, at, [frame | found], state)
+  end
+
+  defp again(data, direct, at, found, state), do: frames(data, data, 0, direct, at, found, state)
+
+  # F13: on to the next byte that could begin a frame.
+  defp skip(<<_, rest::binary>>, direct, at, found, state) do
+    skipped = next_magic(rest, 0)
+    state = %{state | resync_bytes: state.resync_bytes + skipped + 1}
+    again(from(rest, skipped), direct, at, found, state)
+  end
+
+  defp next_magic(<<magic, _::binary>>, at) when magic in [0xFD, 0xFE], do: at
+  defp next_magic(<<_, rest::binary>>, at), do: next_magic(rest, at + 1)
+  defp next_magic(<<>>, at), do: at
+
+  # An unknown frame is believed when what follows begins like a frame and no good frame begins inside it.
+  defp unknown(data, size, state) do
+    case data do
+      <<_::binary-size(^size), magic, _::binary>> when magic in [0xFD, 0xFE] -> inside(data, size, state)
+      <<_::binary-size(^size), _, _::binary>> -> {:noise, state}
+      _ when state.mode == :stream -> {:more, state}
+      _ends_here -> inside(data, size, state)
+    end
+  end
+
+  defp inside(data, size, state) do
+    case search(data, size, state) do
+      {:none, state} -> {:take, state}
+      {:good, state} -> {:noise, state}
+      {:more, state} -> if state.mode == :stream, do: {:more, state}, else: {:take, state}
+    end
+  end
+
+  # A frame that is not complete: kept, but at a datagram's end not at the cost of a good frame behind its start.
+  defp incomplete(_data, %{mode: :stream} = state), do: {:keep, state}
+  defp incomplete(_data, %{mode: :final} = state), do: {:noise, state}
+
+  defp incomplete(data, %{mode: :datagram} = state) do
+    case search(data, byte_size(data), state) do
+      {:good, state} -> {:noise, state}
+      {_none_or_more, state} -> {:keep, state}
+    end
+  end
+
+  # Whether a good frame of a known id begins at one of the bytes 1..size-1. What was found is remembered by the number
+  # of bytes that follow it, which stays true while the loop goes on through the same data.
+  defp search(data, size, state) do
+    total = byte_size(data)
+
+    cond do
+      state.good && state.good < total ->
+        {if(state.good > total - size, do: :good, else: :none), state}
+
+      state.clear && state.clear < total ->
+        search_from(data, total - state.clear + 1, size, :none, %{state | good: nil})
+
+      true ->
+        search_from(data, 1, size, :none, %{state | good: nil})
+    end
+  end
+
+  defp search_from(_data, from, size, result, state) when from >= size, do: {result, state}
+
+  defp search_from(data, from, size, result, state) do
+    left = byte_size(data) - from
+
+    case Candidate.judge(binary_part(data, from, left), state.known, state.accepted) do
+      # Only what is certain may be remembered; behind a doubtful byte the search is made again.
+      {:good, _, _} when result == :none -> {:good, %{state | good: left}}
+      {:good, _, _} -> {:good, state}
+      :more -> search_from(data, from + 1, size, :more, state)
+      _bad when result == :none -> search_from(data, from + 1, size, result, %{state | clear: left})
+      _bad -> search_from(data, from + 1, size, result, state)
+    end
+  end
+end

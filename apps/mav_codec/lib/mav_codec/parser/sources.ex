@@ -1,0 +1,101 @@
+defmodule MavCodec.Parser.Sources do
+  @moduledoc """
+  Sequence loss per source {system, component} of one parser.
+
+  Frames come in runs of one source in order, so a run is counted and handed to `MavCodec.SequenceLoss` as one. At most
+  `limit/0` sources are kept: what forges source ids costs only the statistics of those that come after.
+  """
+
+  import Bitwise
+
+  alias MavCodec.{Frame, SequenceLoss}
+
+  @limit 512
+  @heartbeat 0
+
+  # {estimator, whether anything but heartbeats was heard}
+  @type t :: %{optional(key()) => {SequenceLoss.t(), boolean()}}
+  @type key :: {system :: non_neg_integer(), component :: 0..255}
+
+  @doc "Sources that are kept at most."
+  @spec limit() :: pos_integer()
+  def limit, do: @limit
+
+  @doc "Nothing heard yet."
+  @spec new() :: t()
+  def new, do: %{}
+
+  @doc "Counts `frames`, the oldest first. Frames of unknown ids count for a source that is known, but make none."
+  @spec observe(t(), [Frame.t()]) :: t()
+  def observe(sources, []), do: sources
+
+  def observe(sources, [%Frame{system: system, component: component, seq: seq} | _] = frames),
+    do: run(frames, sources, system, component, seq, seq, 0, nil)
+
+  # `known` is nil, or the highest id of the run's frames whose CRC was checked.
+  defp run(
+         [%Frame{system: system, component: component, seq: seq} = frame | rest],
+         sources,
+         system,
+         component,
+         first,
+         seq,
+         n,
+         known
+       ),
+       do: run(rest, sources, system, component, first, seq + 1 &&& 255, n + 1, highest(frame, known))
+
+  defp run([], sources, system, component, first, _next, n, known),
+    do: add(sources, {system, component}, first, n, known)
+
+  defp run(
+         [%Frame{system: system, component: component, seq: seq} | _] = frames,
+         sources,
+         last,
+         last_component,
+         first,
+         _next,
+         n,
+         known
+       ) do
+    sources = add(sources, {last, last_component}, first, n, known)
+    run(frames, sources, system, component, seq, seq, 0, nil)
+  end
+
+  defp highest(%Frame{crc_extra: nil}, known), do: known
+  defp highest(%Frame{id: id}, nil), do: id
+  defp highest(%Frame{id: id}, known), do: max(id, known)
+
+  defp add(sources, key, first, n, known) do
+    talks? = known != nil and known > @heartbeat
+
+    case sources do
+      %{^key => {loss, talked?}} ->
+        %{sources | key => {SequenceLoss.observe_run(loss, first, n), talked? or talks?}}
+
+      _ when known == nil or map_size(sources) >= @limit ->
+        sources
+
+      _ ->
+        Map.put(sources, key, {SequenceLoss.observe_run(SequenceLoss.new(), first, n), talks?})
+    end
+  end
+
+  @doc """
+  The loss of each source, see `t:MavCodec.SequenceLoss.stats/0`.
+
+  `ratio` is `nil` for a source that sent nothing but heartbeats: these may be forwarded ones, picked out of a stream
+  whose other numbers never came this way.
+  """
+  @spec stats(t()) :: %{optional(key()) => map()}
+  def stats(sources) do
+    Map.new(sources, fn {key, {loss, talks?}} ->
+      stats = SequenceLoss.stats(loss)
+      {key, if(talks?, do: stats, else: %{stats | ratio: nil})}
+    end)
+  end
+
+  @doc "Frames lost, over all sources whose loss can be known."
+  @spec lost(t()) :: non_neg_integer()
+  def lost(sources), do: Enum.sum(for {_, {loss, true}} <- sources, do: loss.lost)
+end

@@ -1,0 +1,413 @@
+defmodule MavCodec.ParserTest do
+  use ExUnit.Case, async: true
+
+  import Bitwise
+  import MavCodec.Test.Wire
+
+  alias MavCodec.{CRC, Frame, Messages, Parser, Raw}
+  alias MavCodec.Test.TinyDialect
+
+  doctest MavCodec
+
+  defp bytes(frames), do: Enum.map(frames, & &1.bytes)
+  defp stats(parser), do: Parser.stats(parser)
+
+  # A frame with flags that no encoder of ours would set, its CRC right.
+  defp flagged(incompat, body \\ <<0, 7, 1, 1, 0::24>>) do
+    head = <<0xFD, 9, incompat>> <> body <> <<0, 0, 0, 0, 2, 3, 81, 4, 3>>
+    <<head::binary, CRC.frame(head, byte_size(head) - 1, 50)::16-little>>
+  end
+
+  describe "one frame" do
+    test "F1, F2: a v2 frame, field by field" do
+      data = heartbeat(system: 3, component: 190, seq: 200)
+      {[frame], parser} = Parser.push(Parser.new(), data, 1_795_213_318_360_000)
+
+      assert %Frame{
+               version: 2,
+               seq: 200,
+               system: 3,
+               component: 190,
+               id: 0,
+               incompat: 0,
+               compat: 0,
+               crc_extra: 50,
+               signature: nil,
+               bytes: ^data,
+               at: 1_795_213_318_360_000
+             } = frame
+
+      assert frame.payload == <<0::32, 2, 3, 81, 4, 3>>
+      assert Frame.known?(frame) and not Frame.signed?(frame)
+      assert {:ok, %Messages.Heartbeat{type: 2, base_mode: 81}} = MavCodec.decode(frame)
+      assert %{frames: 1, bytes: 21, held: 0, resync_bytes: 0, crc_errors: 0} = stats(parser)
+    end
+
+    test "F1: a v1 frame, field by field" do
+      data = heartbeat(version: 1, system: 3, component: 190, seq: 200)
+      assert <<0xFE, 9, 200, 3, 190, 0, _::binary>> = data
+      {[frame], _} = Parser.push(Parser.new(), data)
+      assert %Frame{version: 1, seq: 200, system: 3, component: 190, id: 0, bytes: ^data, at: nil} = frame
+      assert {:ok, %Messages.Heartbeat{type: 2}} = MavCodec.decode(frame)
+    end
+
+    test "F3: system 0 is never a source" do
+      <<magic, len, flags::16, seq, _system, rest::binary>> = heartbeat()
+      head = <<magic, len, flags::16, seq, 0, binary_part(rest, 0, 13)::binary>>
+      data = <<head::binary, CRC.frame(head, 18, 50)::16-little>>
+      assert {[], parser} = parse(data)
+      assert stats(parser).resync_bytes == 21
+      # ... but component 0 is what some ground stations send.
+      assert {[%Frame{component: 0}], _} = parse(heartbeat(component: 0))
+    end
+
+    test "F6: unknown compatibility flags are ignored" do
+      assert {[%Frame{compat: 0xFF}], _} = parse(heartbeat(compat_flags: 0xFF))
+    end
+
+    test "F6: unknown incompatibility flags: the frame is dropped and counted, the next one is not" do
+      for flags <- [0x08, 0x80, 0xFE] do
+        incompatible = if (flags &&& 0x06) == 0, do: flagged(flags), else: long(flags)
+        {frames, parser} = parse([incompatible, attitude()])
+        assert bytes(frames) == [attitude()]
+        assert %{incompatible: 1, resync_bytes: 0, crc_errors: 0, frames: 1} = stats(parser)
+      end
+    end
+
+    defp long(flags), do: flagged(flags, <<0, 7, 1::32-little, 1, 0::24, 9::32-little>>)
+
+    test "F7, F8: truncated or not, the frame is taken as it is" do
+      for truncate <- [true, false] do
+        data = heartbeat(truncate: truncate)
+        assert {[%Frame{bytes: ^data} = frame], _} = parse(data)
+        assert {:ok, %Messages.Heartbeat{custom_mode: 0, type: 2}} = MavCodec.decode(frame)
+      end
+    end
+
+    test "F9: surplus bytes behind the known payload do not matter" do
+      data = Raw.frame(0, <<0::32, 2, 3, 81, 4, 3, 9, 9, 9>>, 50, system: 1)
+      assert {[frame], _} = parse(data)
+      assert {:ok, %Messages.Heartbeat{mavlink_version: 3}} = MavCodec.decode(frame)
+    end
+
+    test "F10: targets that were cut off are a broadcast" do
+      long =
+        MavCodec.encode(%Messages.CommandLong{target_system: 7, target_component: 1, confirmation: 1},
+          system: 255
+        )
+
+      cut = MavCodec.encode(%Messages.CommandLong{param1: 1.0}, system: 255)
+      {[long, cut], _} = parse([long, cut])
+      assert Frame.target(long) == {7, 1}
+      assert byte_size(cut.payload) < 30
+      assert Frame.target(cut) == {0, 0}
+    end
+
+    test "targets: none, only a system, not in the dialect" do
+      {[none, system, unknown], _} =
+        parse([
+          heartbeat(),
+          MavCodec.encode(%Messages.SetMode{target_system: 9}, system: 1),
+          unknown(),
+          heartbeat()
+        ])
+        |> then(fn {frames, parser} -> {Enum.take(frames, 3), parser} end)
+
+      assert Frame.target(none) == nil
+      assert Frame.target(system) == {9, 0}
+      assert Frame.target(unknown) == nil
+    end
+  end
+
+  describe "streams" do
+    test "F12: several frames at once, both versions" do
+      all = [heartbeat(seq: 1), heartbeat(seq: 2, version: 1), attitude(seq: 3), attitude(seq: 4, version: 1)]
+      {frames, parser} = Parser.push(Parser.new(), IO.iodata_to_binary(all))
+      assert bytes(frames) == all
+      assert Enum.map(frames, & &1.seq) == [1, 2, 3, 4]
+      assert stats(parser).frames == 4
+    end
+
+    test "byte by byte; a frame has the time of its last byte" do
+      data = attitude() <> heartbeat(version: 1)
+
+      {frames, parser} =
+        data
+        |> :binary.bin_to_list()
+        |> Enum.with_index()
+        |> Enum.flat_map_reduce(Parser.new(), fn {byte, i}, parser -> Parser.push(parser, <<byte>>, i) end)
+
+      assert bytes(frames) == [attitude(), heartbeat(version: 1)]
+      assert Enum.map(frames, & &1.at) == [byte_size(attitude()) - 1, byte_size(data) - 1]
+      assert stats(parser).bytes == byte_size(data)
+    end
+
+    test "F13: after a wrong CRC the search goes on at the next byte" do
+      # The damaged length makes the first frame swallow the second.
+      <<magic, _len, rest::binary>> = heartbeat()
+      data = <<magic, 40, rest::binary>> <> attitude(seq: 1) <> attitude(seq: 2)
+      {frames, parser} = parse(data)
+      assert bytes(frames) == [attitude(seq: 1), attitude(seq: 2)]
+      assert %{crc_errors: 1, resync_bytes: 21} = stats(parser)
+    end
+
+    test "text between frames is counted and costs nothing" do
+      text = "ArduCopter V4.6.3 (92b0cd78)\r\n"
+      {frames, parser} = parse([text, heartbeat(), text, attitude()])
+      assert bytes(frames) == [heartbeat(), attitude()]
+      assert stats(parser).resync_bytes == 2 * byte_size(text)
+    end
+
+    test "a frame of a known id is taken whatever stands inside it" do
+      # FILE_TRANSFER_PROTOCOL carrying a recorded heartbeat.
+      outer = MavCodec.encode(%Messages.FileTransferProtocol{payload: heartbeat()}, system: 1)
+      {frames, parser} = parse(outer)
+      assert bytes(frames) == [outer]
+      assert stats(parser).resync_bytes == 0
+    end
+
+    test "what is kept is bounded" do
+      for data <- [
+            :binary.copy(<<0xFE>>, 5000),
+            :binary.copy(<<0xFD, 255, 0>>, 2000),
+            :binary.copy(unknown(), 50)
+          ],
+          chunk <- [1, 7, 1000] do
+        Enum.reduce(chunks(data, chunk), Parser.new(), fn bytes, parser ->
+          {_, parser} = Parser.push(parser, bytes)
+          assert stats(parser).held < Parser.max_held()
+          parser
+        end)
+      end
+    end
+
+    test "the bytes kept are not a part of what was read" do
+      {[], parser} = Parser.push(Parser.new(), :binary.copy("x", 100_000) <> <<0xFD, 9>>)
+      assert :binary.referenced_byte_size(parser.held) == 2
+    end
+  end
+
+  defp chunks(<<>>, _size), do: []
+  defp chunks(data, size) when byte_size(data) <= size, do: [data]
+
+  defp chunks(data, size) do
+    <<chunk::binary-size(^size), rest::binary>> = data
+    [chunk | chunks(rest, size)]
+  end
+
+  describe "unknown ids" do
+    test "are kept as raw frames, when the byte behind them is a magic" do
+      data = unknown(seq: 4)
+      {[], parser} = Parser.push(Parser.new(), data)
+      {frames, parser} = Parser.push(parser, heartbeat(seq: 5))
+      assert bytes(frames) == [data, heartbeat(seq: 5)]
+      assert %Frame{id: 54_321, crc_extra: nil, payload: <<1, 2, 3, 4, 5>>} = hd(frames)
+      refute Frame.known?(hd(frames))
+      assert {:error, %MavCodec.DecodeError{id: 54_321}} = MavCodec.decode(hd(frames))
+      assert %{unknown_ids: 1, frames: 2, crc_errors: 0, resync_bytes: 0} = stats(parser)
+    end
+
+    test "at the end of the data come out with a flush" do
+      data = unknown()
+      {[], parser} = Parser.push(Parser.new(), data, 5)
+      assert {[%Frame{bytes: ^data, at: 5}], parser} = Parser.flush(parser)
+      assert {[], ^parser} = Parser.flush(parser)
+    end
+
+    test "are noise when no frame can begin behind them" do
+      {frames, parser} = parse(unknown() <> "x" <> heartbeat())
+      assert bytes(frames) == [heartbeat()]
+      assert %{unknown_ids: 0, resync_bytes: size} = stats(parser)
+      assert size == byte_size(unknown()) + 1
+    end
+
+    test "are noise when a good frame begins inside them" do
+      # FE and a length that reaches over the heartbeat to the next frame's magic: v1 id 255 is in no dialect.
+      noise = <<0xFE, 21 + 16, 1, 1, 1, 255, 0, 0, 0, 0, 0, 0, 0, 0>>
+      data = noise <> heartbeat() <> <<0xFE - 1>> <> "0123456789" <> attitude()
+      {frames, _} = parse(data)
+      assert bytes(frames) == [heartbeat(), attitude()]
+    end
+
+    test "the good frame inside may end far behind them: the decision waits for it" do
+      inside = attitude(truncate: false)
+      noise = <<0xFE, 4, 1, 1, 1, 255>>
+      # The claimed extent ends in the middle of the good frame, just before a byte that looks like a magic.
+      [first | _] = for i <- 7..30, binary_part(inside, i, 1) == <<0>>, do: i
+      data = noise <> inside
+      <<_, _, rest::binary>> = noise
+      data = <<0xFE, first + 4 - 8 + 2>> <> rest <> binary_part(data, 6, byte_size(data) - 6)
+
+      for cut <- 1..(byte_size(data) - 1) do
+        {frames, _} = parse([binary_part(data, 0, cut), binary_part(data, cut, byte_size(data) - cut)])
+        assert bytes(frames) == [inside]
+      end
+    end
+
+    test "count in the sequence of a source that is known, and make no source" do
+      {_, parser} =
+        parse(
+          [attitude(seq: 0), unknown(seq: 1), attitude(seq: 2), unknown(seq: 0, system: 9), attitude(seq: 3)],
+          []
+        )
+
+      assert %{{1, 1} => %{received: 4, lost: 0, missing: 0}} = stats(parser).sources
+      assert map_size(stats(parser).sources) == 1
+    end
+  end
+
+  describe "dialects" do
+    test "what is known depends on them" do
+      gps = MavCodec.encode(%Messages.GpsRawInt{lat: 1}, system: 1)
+      {[heartbeat, gps, _], _} = parse([heartbeat(), gps, attitude()], dialects: [TinyDialect])
+      assert Frame.known?(heartbeat)
+      refute Frame.known?(gps)
+
+      assert {[_, gps, _], _} =
+               parse([heartbeat(), gps.bytes, attitude()], dialects: [TinyDialect, MavCodec.Dialects.All])
+
+      assert Frame.known?(gps)
+    end
+
+    defmodule Other do
+      # HEARTBEAT with another CRC_EXTRA, and a message above the table's end with two.
+      def crc_extra(0), do: 51
+      def crc_extra(40_000), do: [7, 8]
+      def crc_extra(_), do: nil
+    end
+
+    test "several may know one id: the frame keeps the CRC_EXTRA that matched" do
+      ours = heartbeat()
+      theirs = Raw.frame(0, <<1, 2, 3>>, 51, system: 1)
+      seventh = Raw.frame(40_000, <<1>>, 7, system: 1)
+      eighth = Raw.frame(40_000, <<1>>, 8, system: 1)
+      wrong = Raw.frame(40_000, <<1>>, 9, system: 1)
+
+      {frames, parser} =
+        parse([ours, theirs, seventh, eighth, wrong, ours], dialects: [MavCodec.Dialects.All, Other])
+
+      assert bytes(frames) == [ours, theirs, seventh, eighth, ours]
+      assert Enum.map(frames, & &1.crc_extra) == [50, 51, 7, 8, 50]
+      assert stats(parser).crc_errors == 1
+    end
+  end
+
+  describe "32-bit system ids" do
+    setup do
+      command = %Messages.CommandLong{target_system: 70_000, target_component: 1, command: 400}
+
+      %{
+        source: heartbeat(system: 100_000, sysid32: true),
+        target: MavCodec.encode(command, system: 1, sysid32: true),
+        both: MavCodec.encode(command, system: 100_000, sysid32: true)
+      }
+    end
+
+    test "N1, N2: headers of 13, 14 and 17 bytes, payload with the sentinel", context do
+      {[source, target, both], parser} = parse([context.source, context.target, context.both], sysid32: true)
+      assert %Frame{system: 100_000, incompat: 0x02, target_system: nil, payload: <<_::72>>} = source
+      assert %Frame{system: 1, incompat: 0x04, target_system: 70_000} = target
+      assert %Frame{system: 100_000, incompat: 0x06, target_system: 70_000, component: 1, id: 76} = both
+      assert Frame.target(both) == {70_000, 1}
+      assert Frame.target(source) == nil
+      assert {:ok, %Messages.CommandLong{target_system: 255, command: 400}} = MavCodec.decode(both)
+      assert byte_size(both.bytes) == byte_size(target.bytes) + 3
+      assert %{frames: 3, sources: %{{100_000, 1} => _}} = stats(parser)
+    end
+
+    test "N3: without the switch they are dropped and counted, and hide nothing", context do
+      {frames, parser} = parse([context.source, attitude(), context.target, context.both, attitude()])
+      assert bytes(frames) == [attitude(), attitude()]
+      assert %{incompatible: 3, resync_bytes: 0} = stats(parser)
+    end
+
+    test "N1: ids up to 255 need no flags, and F3 holds for the long form" do
+      assert heartbeat(system: 200, sysid32: true) == heartbeat(system: 200)
+      assert {[], parser} = parse(flagged(0x02, <<0, 7, 0::32, 1, 0::24>>), sysid32: true)
+      assert stats(parser).frames == 0
+    end
+
+    test "without the switch nobody encodes them" do
+      assert_raise MavCodec.EncodeError, ~r/system/, fn -> heartbeat(system: 256) end
+    end
+  end
+
+  describe "datagrams" do
+    test "F12: several frames in one, and a frame split over two" do
+      data = attitude(seq: 2)
+      {frames, parser} = Parser.push_datagram(Parser.new(), heartbeat(seq: 1) <> binary_part(data, 0, 20))
+      assert bytes(frames) == [heartbeat(seq: 1)]
+
+      {frames, parser} =
+        Parser.push_datagram(parser, binary_part(data, 20, byte_size(data) - 20) <> heartbeat(seq: 3))
+
+      assert bytes(frames) == [data, heartbeat(seq: 3)]
+      assert %{resync_bytes: 0, crc_errors: 0} = stats(parser)
+    end
+
+    test "a bad datagram costs nothing else" do
+      # It begins a frame of 255 bytes that never comes.
+      {[], parser} = Parser.push_datagram(Parser.new(), <<0xFD, 255, 0, 0, 0, 1, 1, 0, 0, 0, 1, 2, 3>>)
+      {frames, parser} = Parser.push_datagram(parser, heartbeat(), 7)
+      assert bytes(frames) == [heartbeat()]
+      assert %{resync_bytes: 13, held: 0} = stats(parser)
+    end
+
+    test "a good frame behind a bad beginning in the same datagram does not wait" do
+      {frames, parser} =
+        Parser.push_datagram(Parser.new(), <<0xFD, 255, 0, 0, 0, 1, 1, 0, 0, 0>> <> heartbeat())
+
+      assert bytes(frames) == [heartbeat()]
+      assert stats(parser).held == 0
+    end
+
+    test "a frame of an unknown id may end with the datagram" do
+      data = unknown()
+      assert {[%Frame{bytes: ^data}], parser} = Parser.push_datagram(Parser.new(), data)
+      assert %{held: 0, unknown_ids: 1} = stats(parser)
+    end
+
+    test "an unknown frame that a stream kept is given out before the datagram" do
+      {[], parser} = Parser.push(Parser.new(), unknown())
+      {frames, _} = Parser.push_datagram(parser, heartbeat())
+      assert bytes(frames) == [unknown(), heartbeat()]
+    end
+
+    test "boot text as a datagram of its own" do
+      {[], parser} = Parser.push_datagram(Parser.new(), "Init ArduCopter V4.6.3\n")
+      assert {[_], _} = Parser.push_datagram(parser, heartbeat())
+    end
+  end
+
+  describe "sequence loss" do
+    test "R7, R9: per source, over pushes" do
+      frames = for seq <- 0..400, rem(seq, 10) != 9, do: attitude(seq: seq)
+      others = for seq <- 0..400, do: heartbeat(seq: seq, component: 154)
+      all = Enum.zip_with([frames ++ frames, others], &Enum.to_list/1) |> List.flatten()
+      {_, parser} = parse(all)
+      assert %{{1, 1} => %{ratio: ratio}, {1, 154} => %{lost: 0}} = stats(parser).sources
+      assert_in_delta ratio, 0.1, 0.03
+      assert stats(parser).lost == stats(parser).sources[{1, 1}].lost
+    end
+
+    test "a source that only sends heartbeats may be a forwarded one: its loss is not known" do
+      forwarded = for seq <- 0..400//7, do: heartbeat(system: 254, component: 190, seq: seq)
+      {_, parser} = parse(forwarded)
+      assert %{{254, 190} => %{ratio: nil, lost: lost}} = stats(parser).sources
+      assert lost > 0
+      assert stats(parser).lost == 0
+    end
+
+    test "sources are bounded" do
+      {_, parser} =
+        parse(for system <- 1..255, component <- 1..3, do: heartbeat(system: system, component: component))
+
+      assert map_size(stats(parser).sources) == Parser.Sources.limit()
+      assert stats(parser).frames == 765
+    end
+  end
+
+  test "unknown options are refused" do
+    assert_raise ArgumentError, ~r/dialect/, fn -> Parser.new(dialect: MavCodec.Dialects.All) end
+  end
+end

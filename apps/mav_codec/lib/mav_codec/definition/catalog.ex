@@ -11,6 +11,7 @@ defmodule MavCodec.Definition.Catalog do
   alias MavCodec.Definition.Document.{Enumeration, Message}
 
   @ranked ["upstream", "ardupilot"]
+  @wholes Enum.map(@ranked, &Naming.dialect(&1, "all.xml"))
 
   defmodule Type do
     @moduledoc "A message module: `fields` is the union over `layouts`, in XML order."
@@ -223,14 +224,14 @@ defmodule MavCodec.Definition.Catalog do
 
   # All of upstream and what only ArduPilot has.
   defp with_all(dialects) do
-    case Enum.filter(dialects, &(&1.module in [MavCodec.Dialects.Upstream, MavCodec.Dialects.Ardupilot])) do
+    case Enum.filter(dialects, &(&1.module in @wholes)) do
       [upstream, ardupilot] ->
         known = MapSet.new(upstream.entries, fn {type, _layout} -> type.name end)
         more = Enum.reject(ardupilot.entries, fn {type, _layout} -> MapSet.member?(known, type.name) end)
         entries = Enum.sort_by(upstream.entries ++ more, fn {type, _layout} -> type.id end)
         unique_ids!(entries)
         title = "all.xml of upstream and the messages that only ArduPilot's all.xml has"
-        [%Dialect{module: MavCodec.Dialects.All, title: title, entries: entries} | dialects]
+        [%Dialect{module: Naming.dialect("all", "all.xml"), title: title, entries: entries} | dialects]
 
       _other ->
         dialects

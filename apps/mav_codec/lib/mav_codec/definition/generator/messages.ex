@@ -12,7 +12,7 @@ defmodule MavCodec.Definition.Generator.Messages do
   alias MavCodec.Definition.Document.Field
 
   # Arrays up to this length are matched element by element, longer ones taken as bytes and then as a list.
-  @inline 9
+  @inline 24
 
   @doc "The body of the module of a message type."
   @spec body(%Type{}) :: Macro.t()
@@ -68,7 +68,8 @@ defmodule MavCodec.Definition.Generator.Messages do
       end,
       quote do
         def unquote(name)(payload) when byte_size(payload) < unquote(layout.max) do
-          unquote(name)(<<payload::binary, 0::size(unquote(layout.max) - byte_size(payload))-unit(8)>>)
+          # The empty first segment keeps this from becoming an append, which would put the bytes off the heap.
+          unquote(name)(<<0::size(0), payload::binary, 0::size(unquote(layout.max) - byte_size(payload))-unit(8)>>)
         end
       end
     ]

@@ -5,6 +5,21 @@ defmodule MavCodec.Dialect do
   `MavCodec.Dialects.All` has all of upstream's messages and those that only ArduPilot has; `MavCodec.Dialects.Upstream`
   and `MavCodec.Dialects.Ardupilot` are the two sources, whose layouts differ in the extensions of a few messages; every
   definition file is a dialect too (`MavCodec.Dialects.Common`, `MavCodec.Dialects.Ardupilot.Common` ...).
+  `MavCodec.Dialects` lists them.
+
+  ## A dialect of one's own
+
+      defmodule MyApp.Dialect do
+        use MavCodec.Dialect, definitions: "my.xml"
+      end
+
+  compiles a definition file, and those that it includes, into a dialect. `definitions` is an XML file or a facts file
+  that `mix mav.import` made; its path is relative to the file with the `use`. `base` is the source that has the included
+  files that are not beside it: `"upstream"` (the default), `"ardupilot"`, or a folder of facts files.
+
+  A message that is exactly an official one is that one: `MyApp.Dialect` decodes a HEARTBEAT to a
+  `MavCodec.Messages.Heartbeat`. The others get modules of their own, `MyApp.Dialect.Messages.Camel`, as do new or longer
+  enums: `MyApp.Dialect.Enums.Camel`.
   """
 
   @doc "The CRC_EXTRA of a message id, `nil` for an id that is not in the dialect (F5)."
@@ -38,4 +53,10 @@ defmodule MavCodec.Dialect do
   @doc "How a struct module is encoded: fields in wire order as `{key, type, length}`, base and extensions."
   @callback layout(module()) ::
               {id :: non_neg_integer(), crc_extra :: 0..255, base :: list(), extensions :: list()} | nil
+
+  @doc false
+  defmacro __using__(options) do
+    {options, []} = Code.eval_quoted(options, [], __CALLER__)
+    MavCodec.Definition.Custom.define(options, __CALLER__)
+  end
 end

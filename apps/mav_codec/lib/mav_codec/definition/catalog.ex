@@ -14,24 +14,31 @@ defmodule MavCodec.Definition.Catalog do
   @wholes Enum.map(@ranked, &Naming.dialect(&1, "all.xml"))
 
   defmodule Type do
-    @moduledoc "A message module: `fields` is the union over `layouts`, in XML order."
+    @moduledoc """
+    A message module: `fields` is the union over `layouts`, in XML order; `message` the definition that ranks first;
+    `enums` says where an enum's module is, if not under `MavCodec.Enums`.
+    """
     @enforce_keys [:module, :id, :name, :fields, :layouts]
-    defstruct [:module, :id, :name, :fields, :layouts, :message]
+    defstruct [:module, :id, :name, :fields, :layouts, :message, enums: %{}]
+
+    @type t :: %__MODULE__{}
   end
 
   defmodule Dialect do
-    @moduledoc "A dialect module: `entries` are `{type, layout index}`, by id."
-    @enforce_keys [:module, :title, :entries]
-    defstruct [:module, :title, :entries]
+    @moduledoc "A dialect module: `name` as people write it, `entries` are `{type, layout index}`, by id."
+    @enforce_keys [:module, :name, :title, :entries]
+    defstruct [:module, :name, :title, :entries]
+
+    @type t :: %__MODULE__{}
   end
 
   @enforce_keys [:types, :enums, :dialects]
   defstruct [:types, :enums, :dialects]
 
   @type t :: %__MODULE__{
-          types: [%Type{}],
+          types: [Type.t()],
           enums: [{module(), Enumeration.t()}],
-          dialects: [%Dialect{}]
+          dialects: [Dialect.t()]
         }
 
   @doc "All facts files under a folder of sources, sorted."
@@ -86,15 +93,17 @@ defmodule MavCodec.Definition.Catalog do
         {source, file, resolve!(documents, file)}
       end
 
-    types = for({_source, _file, dialect} <- resolved, do: dialect.messages) |> Enum.concat() |> types()
+    messages = for {_source, _file, dialect} <- resolved, message <- dialect.messages, do: message
+    types = types(messages, MavCodec.Messages)
     by_name = Enum.group_by(types, & &1.name)
 
     dialects =
       for {source, file, dialect} <- resolved do
         %Dialect{
           module: Naming.dialect(source, file),
+          name: Naming.dialect_name(source, file),
           title: "#{file} of #{source}",
-          entries: Enum.map(dialect.messages, &entry(&1, by_name))
+          entries: Enum.map(dialect.messages, &find(&1, by_name[&1.name]))
         }
       end
 
@@ -113,13 +122,17 @@ defmodule MavCodec.Definition.Catalog do
 
   ## Messages
 
-  # In rank order, so that the names of the official messages never depend on what is added to them.
-  defp types(messages) do
+  @doc """
+  The message types of messages in rank order (so that the names of the official ones never depend on what is added to
+  them), with their modules under `namespace`.
+  """
+  @spec types([Message.t()], module()) :: [Type.t()]
+  def types(messages, namespace) do
     messages
     |> Enum.uniq_by(&signature/1)
     |> Enum.reduce([], &add_type/2)
     |> Enum.reverse()
-    |> name_types()
+    |> name_types(namespace)
     |> Enum.sort_by(&{&1.id, &1.name})
   end
 
@@ -164,22 +177,24 @@ defmodule MavCodec.Definition.Catalog do
 
   # Module names are unique without regard to case (they are file names): the first keeps its name, one that comes later
   # gets its id behind it.
-  defp name_types(types) do
+  defp name_types(types, namespace) do
     {types, _taken} =
       types
       |> Enum.map_reduce(MapSet.new(), fn type, taken ->
         plain = Naming.camel(type.name)
         name = if MapSet.member?(taken, String.downcase(plain)), do: "#{plain}#{type.id}", else: plain
-        {%{type | module: Module.concat(MavCodec.Messages, name)}, MapSet.put(taken, String.downcase(name))}
+        {%{type | module: Module.concat(namespace, name)}, MapSet.put(taken, String.downcase(name))}
       end)
 
     types
   end
 
-  defp entry(message, by_name) do
+  @doc "The type among `types` that a message is, with the index of its layout; `nil` if there is none."
+  @spec find(Message.t(), [Type.t()]) :: {Type.t(), non_neg_integer()} | nil
+  def find(message, types) do
     layout = Layout.of(message)
 
-    Enum.find_value(by_name[message.name], fn type ->
+    Enum.find_value(types, fn type ->
       if same_type?(type, message, layout) do
         index = Enum.find_index(type.layouts, &(shape(&1.extensions) == shape(layout.extensions)))
         index && {type, index}
@@ -198,7 +213,7 @@ defmodule MavCodec.Definition.Catalog do
       # Of two names for one value the higher-ranking source's comes first.
       entries = entries |> Map.values() |> Enum.sort_by(fn {index, entry} -> {entry.value, index} end)
 
-      {Module.concat(MavCodec.Enums, Naming.camel(name)),
+      {Naming.enum(name),
        %{hd(pieces) | bitmask: Enum.any?(pieces, & &1.bitmask), entries: Enum.map(entries, &elem(&1, 1))}}
     end)
   end
@@ -222,20 +237,32 @@ defmodule MavCodec.Definition.Catalog do
 
   ## Dialects
 
-  # All of upstream and what only ArduPilot has.
+  # The messages of both official sources together, with the layouts of the one or of the other where they differ.
   defp with_all(dialects) do
-    case Enum.filter(dialects, &(&1.module in @wholes)) do
-      [upstream, ardupilot] ->
-        known = MapSet.new(upstream.entries, fn {type, _layout} -> type.name end)
-        more = Enum.reject(ardupilot.entries, fn {type, _layout} -> MapSet.member?(known, type.name) end)
-        entries = Enum.sort_by(upstream.entries ++ more, fn {type, _layout} -> type.id end)
-        unique_ids!(entries)
-        title = "all.xml of upstream and the messages that only ArduPilot's all.xml has"
-        [%Dialect{module: Naming.dialect("all", "all.xml"), title: title, entries: entries} | dialects]
+    case Enum.map(@wholes, fn module -> Enum.find(dialects, &(&1.module == module)) end) do
+      [%Dialect{} = upstream, %Dialect{} = ardupilot] ->
+        [
+          merge("all", "All", upstream, ardupilot),
+          merge("all-ardupilot", "AllArdupilot", ardupilot, upstream) | dialects
+        ]
 
       _other ->
         dialects
     end
+  end
+
+  defp merge(name, module, first, second) do
+    known = MapSet.new(first.entries, fn {type, _layout} -> type.name end)
+    more = Enum.reject(second.entries, fn {type, _layout} -> MapSet.member?(known, type.name) end)
+    entries = Enum.sort_by(first.entries ++ more, fn {type, _layout} -> type.id end)
+    unique_ids!(entries)
+
+    %Dialect{
+      module: Naming.joined(module),
+      name: name,
+      title: "#{first.title} with the messages that only #{second.title} has",
+      entries: entries
+    }
   end
 
   defp unique_ids!(entries) do

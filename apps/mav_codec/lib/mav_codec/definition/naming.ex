@@ -5,6 +5,10 @@ defmodule MavCodec.Definition.Naming do
   These atoms come from definition files at compile time only, never from data.
   """
 
+  # By their names as text, since a module alias would make this code depend on what is compiled with it.
+  @dialects "MavCodec.Dialects"
+  @enums "MavCodec.Enums"
+
   @doc ~S|`"GLOBAL_POSITION_INT"` to `"GlobalPositionInt"`.|
   @spec camel(String.t()) :: String.t()
   def camel(name) do
@@ -14,9 +18,17 @@ defmodule MavCodec.Definition.Naming do
     |> Enum.map_join(&String.capitalize/1)
   end
 
+  @doc "The module of an official enum."
+  @spec enum(String.t()) :: module()
+  def enum(name), do: Module.concat(@enums, camel(name))
+
   @doc "The struct key of a field: its name in lower case."
   @spec key(String.t()) :: atom()
   def key(name), do: name |> String.downcase() |> String.to_atom()
+
+  @doc "The module of a dialect that is no file: those that join sources."
+  @spec joined(String.t()) :: module()
+  def joined(name), do: Module.concat(@dialects, name)
 
   @doc """
   The dialect module of a file of a source.
@@ -30,13 +42,27 @@ defmodule MavCodec.Definition.Naming do
     base = Path.basename(file, ".xml")
 
     cond do
-      base in ["all", source] -> Module.concat(MavCodec.Dialects, Macro.camelize(source))
-      source == "upstream" -> Module.concat(MavCodec.Dialects, Macro.camelize(base))
-      true -> Module.concat([MavCodec.Dialects, Macro.camelize(source), Macro.camelize(base)])
+      base in ["all", source] -> Module.concat(@dialects, Macro.camelize(source))
+      source == "upstream" -> Module.concat(@dialects, Macro.camelize(base))
+      true -> Module.concat([@dialects, Macro.camelize(source), Macro.camelize(base)])
     end
   end
 
-  @doc "The label of an enum entry: its name without what all entries of the enum have in front."
+  @doc """
+  The name of a dialect in configurations: `"common"`, `"ardupilot/common"`; a source's whole has the source's name.
+  """
+  @spec dialect_name(String.t(), String.t()) :: String.t()
+  def dialect_name(source, file) do
+    base = Path.basename(file, ".xml")
+
+    cond do
+      base in ["all", source] -> source
+      source == "upstream" -> base
+      true -> source <> "/" <> base
+    end
+  end
+
+  @doc "The labels of the entries of an enum: their names without what all entries of the enum have in front."
   @spec labels(String.t(), [String.t()]) :: [String.t()]
   def labels(enum, names) do
     prefix = enum <> "_"

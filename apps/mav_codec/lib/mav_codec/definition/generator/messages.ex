@@ -30,7 +30,7 @@ defmodule MavCodec.Definition.Generator.Messages do
       @impl MavCodec.Message
       def name, do: unquote(type.name)
       @impl MavCodec.Message
-      def fields, do: unquote(Macro.escape(Enum.map(type.fields, &field/1)))
+      def fields, do: unquote(Macro.escape(Enum.map(type.fields, &field(&1, type))))
 
       @doc false
       unquote_splicing(type.layouts |> Enum.with_index() |> Enum.map(&wire/1))
@@ -69,7 +69,9 @@ defmodule MavCodec.Definition.Generator.Messages do
       quote do
         def unquote(name)(payload) when byte_size(payload) < unquote(layout.max) do
           # The empty first segment keeps this from becoming an append, which would put the bytes off the heap.
-          unquote(name)(<<0::size(0), payload::binary, 0::size(unquote(layout.max) - byte_size(payload))-unit(8)>>)
+          unquote(name)(
+            <<0::size(0), payload::binary, 0::size(unquote(layout.max) - byte_size(payload))-unit(8)>>
+          )
         end
       end
     ]
@@ -165,14 +167,14 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp zero(type) when type in [:float, :double], do: 0.0
   defp zero(_type), do: 0
 
-  defp field(%Field{} = field) do
+  defp field(%Field{} = field, type) do
     %MavCodec.Message.Field{
       key: Naming.key(field.name),
       name: field.name,
       type: field.type,
       length: field.length,
       units: field.units,
-      enum: enum(field),
+      enum: enum(field, type),
       invalid: field.invalid,
       multiplier: field.multiplier,
       min: field.min,
@@ -185,8 +187,8 @@ defmodule MavCodec.Definition.Generator.Messages do
     }
   end
 
-  defp enum(%Field{enum: nil}), do: nil
-  defp enum(%Field{enum: enum}), do: Module.concat(MavCodec.Enums, Naming.camel(enum))
+  defp enum(%Field{enum: nil}, _type), do: nil
+  defp enum(%Field{enum: enum}, type), do: Map.get_lazy(type.enums, enum, fn -> Naming.enum(enum) end)
 
   ## Documentation
 
@@ -198,7 +200,7 @@ defmodule MavCodec.Definition.Generator.Messages do
 
     | field | type | units | values |
     |---|---|---|---|
-    #{Enum.map_join(type.fields, "\n", &row/1)}
+    #{Enum.map_join(type.fields, "\n", &row(&1, type))}
 
     On the wire: #{order(layout)}.
     #{if length(layouts) > 1, do: "\nThe extensions differ between sources: " <> Enum.map_join(layouts, "; ", &extensions/1) <> ".\n"}\
@@ -213,12 +215,12 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp status(%{wip: true}), do: " Work in progress: it may change."
   defp status(_message), do: ""
 
-  defp row(field) do
+  defp row(field, of) do
     type = Layout.type_name(field.type) <> if(field.length, do: "[#{field.length}]", else: "")
     type = if field.extension, do: type <> ", extension", else: type
 
     values =
-      [enum(field) && "`#{inspect(enum(field))}`", field.invalid && "invalid: `#{field.invalid}`"]
+      [field.enum && "`#{inspect(enum(field, of))}`", field.invalid && "invalid: `#{field.invalid}`"]
       |> Enum.filter(& &1)
       |> Enum.join(", ")
 

@@ -1,0 +1,198 @@
+defmodule Circuits.UART.Core.Receive do
+  @moduledoc false
+  # The receiving half: framing, active mode's notices, passive mode's readers.
+  #
+  # The port program sends received bytes by itself in active mode, each packet for one credit, which it gets back here
+  # when the packet was dealt with: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends
+  # the bytes of one read when asked to. At most one such request is under way; its answer serves the readers in order,
+  # and whoever of them is left over is asked for again.
+
+  alias Circuits.UART.{State, Wire}
+
+  # Credits are given back this many at once (the port program begins with 64).
+  @credit_batch 16
+  @max_readers 256
+
+  @spec read(State.t(), GenServer.from(), non_neg_integer()) :: State.t()
+  def read(state, from, timeout) do
+    cond do
+      not :queue.is_empty(state.messages) ->
+        {{:value, message}, rest} = :queue.out(state.messages)
+        State.reply(%{state | messages: rest}, from, {:ok, message})
+
+      state.phase != :open ->
+        State.reply(%{state | fault: nil}, from, {:error, state.fault || :ebadf})
+
+      state.options.active ->
+        State.reply(state, from, {:error, :einval})
+
+      :queue.len(state.readers) >= @max_readers ->
+        State.reply(state, from, {:error, :eagain})
+
+      true ->
+        reader = %{from: from, key: make_ref(), deadline: state.now + timeout}
+
+        %{state | readers: :queue.in(reader, state.readers)}
+        |> State.act({:start_timer, {:waiting, reader.key}, timeout})
+        |> pump()
+    end
+  end
+
+  @doc "Bytes of active mode, or some that were under way when it ended."
+  @spec data(State.t(), binary()) :: State.t()
+  def data(state, bytes) do
+    state = credit(state)
+    if state.phase == :open and state.discarding == 0, do: state |> take(bytes) |> serve(), else: state
+  end
+
+  @doc "The answer to the read that was under way; no bytes when its time was over."
+  @spec answered(State.t(), {:ok, binary()} | {:error, atom()}) :: State.t()
+  def answered(state, {:ok, bytes}) do
+    state = %{state | reading: nil}
+    state = if bytes == "" or state.discarding > 0, do: state, else: take(state, bytes)
+    state |> serve() |> expire_head() |> pump()
+  end
+
+  def answered(state, {:error, reason}) do
+    state = %{state | reading: nil}
+
+    case :queue.out(state.readers) do
+      {{:value, reader}, rest} -> %{state | readers: rest} |> answer(reader, {:error, reason}) |> pump()
+      {:empty, _readers} -> state
+    end
+  end
+
+  @doc "A waiting reader's time is over. The one that the port program reads for is answered by that read."
+  @spec expire(State.t(), reference()) :: State.t()
+  def expire(state, key) do
+    case {state.reading, :queue.to_list(state.readers)} do
+      {id, [%{key: ^key} | _others]} when id != nil ->
+        state
+
+      {_reading, readers} ->
+        case Enum.split_with(readers, &(&1.key == key)) do
+          {[reader], others} -> answer(%{state | readers: :queue.from_list(others)}, reader, {:ok, ""})
+          {[], _others} -> state
+        end
+    end
+  end
+
+  @doc "The rest of a frame did not come in time."
+  @spec frame_timeout(State.t()) :: State.t()
+  def frame_timeout(state) do
+    {:ok, messages, framing_state} = state.framing.frame_timeout(state.framing_state)
+    %{state | framing_state: framing_state} |> deliver(messages) |> serve()
+  end
+
+  @doc "What comes from now until the answer was received before the flush: it goes too."
+  @spec flush(State.t(), GenServer.from(), :receive | :transmit | :both, non_neg_integer()) :: State.t()
+  def flush(state, from, direction, limit) do
+    {_id, state} = State.request(state, {:flush, from, direction}, limit, &Wire.flush(&1, direction))
+    if direction == :transmit, do: state, else: %{state | discarding: state.discarding + 1}
+  end
+
+  @spec flushed(State.t(), GenServer.from(), :receive | :transmit | :both, term()) :: State.t()
+  def flushed(state, from, direction, result) do
+    state = %{state | framing_state: state.framing.flush(direction, state.framing_state)}
+    state = if direction == :transmit, do: state, else: discarded(state)
+    State.reply(state, from, simple(result))
+  end
+
+  defp discarded(state) do
+    state = %{state | discarding: state.discarding - 1, messages: :queue.new()}
+    State.act(state, {:cancel_timer, :frame})
+  end
+
+  @doc "The mode may have changed: in active mode nobody reads, and messages that nobody read are sent."
+  @spec reconfigured(State.t()) :: State.t()
+  def reconfigured(%{options: %{active: true}} = state) do
+    messages = :queue.to_list(state.messages)
+    %{state | messages: :queue.new()} |> cancel_readers({:error, :ecanceled}) |> deliver(messages)
+  end
+
+  def reconfigured(state), do: state
+
+  @doc "Ends all reading with an error."
+  @spec abandon(State.t(), atom()) :: State.t()
+  def abandon(state, reason) do
+    state = State.act(state, {:cancel_timer, :frame})
+    state = %{state | framing_state: state.framing.flush(:both, state.framing_state)}
+    {_what, state} = State.settle(state, state.reading)
+    cancel_readers(%{state | reading: nil}, {:error, reason})
+  end
+
+  @spec waiting?(State.t()) :: boolean()
+  def waiting?(state), do: not :queue.is_empty(state.readers)
+
+  defp take(state, bytes) do
+    {status, messages, framing_state} = state.framing.remove_framing(bytes, state.framing_state)
+    %{state | framing_state: framing_state} |> frame_timer(status) |> deliver(messages)
+  end
+
+  defp frame_timer(state, :ok), do: State.act(state, {:cancel_timer, :frame})
+
+  defp frame_timer(%{options: %{rx_framing_timeout: ms}} = state, :in_frame) when ms > 0,
+    do: State.act(state, {:start_timer, :frame, ms})
+
+  defp frame_timer(state, :in_frame), do: state
+
+  defp deliver(%{options: %{active: true}} = state, messages),
+    do: Enum.reduce(messages, state, &State.notify(&2, &1))
+
+  defp deliver(state, messages), do: %{state | messages: Enum.reduce(messages, state.messages, &:queue.in/2)}
+
+  # Messages to readers, in order. When that answers the reader whose read is under way, the read is called off; what
+  # it brings nevertheless is kept.
+  defp serve(state) do
+    case {:queue.out(state.messages), :queue.out(state.readers)} do
+      {{{:value, message}, messages}, {{:value, reader}, readers}} ->
+        state = %{state | messages: messages, readers: readers}
+        state = if state.reading, do: State.act(state, {:command, Wire.cancel()}), else: state
+        state |> answer(reader, {:ok, message}) |> serve()
+
+      _nothing_to_do ->
+        state
+    end
+  end
+
+  defp expire_head(state) do
+    case :queue.out(state.readers) do
+      {{:value, %{deadline: deadline} = reader}, rest} when deadline <= state.now ->
+        %{state | readers: rest} |> answer(reader, {:ok, ""}) |> expire_head()
+
+      _none ->
+        state
+    end
+  end
+
+  defp pump(%{reading: nil, phase: :open} = state) do
+    case :queue.peek(state.readers) do
+      {:value, reader} ->
+        timeout = max(reader.deadline - state.now, 0)
+        {id, state} = State.request(state, {:read}, timeout, &Wire.read(&1, timeout))
+        %{state | reading: id}
+
+      :empty ->
+        state
+    end
+  end
+
+  defp pump(state), do: state
+
+  defp cancel_readers(state, result) do
+    readers = :queue.to_list(state.readers)
+    Enum.reduce(readers, %{state | readers: :queue.new()}, &answer(&2, &1, result))
+  end
+
+  defp answer(state, reader, result) do
+    state |> State.act({:cancel_timer, {:waiting, reader.key}}) |> State.reply(reader.from, result)
+  end
+
+  defp credit(%{unacknowledged: count} = state) when count + 1 < @credit_batch,
+    do: %{state | unacknowledged: count + 1}
+
+  defp credit(state), do: State.act(%{state | unacknowledged: 0}, {:command, Wire.credit(@credit_batch)})
+
+  defp simple({:ok, _}), do: :ok
+  defp simple({:error, reason}), do: {:error, reason}
+end

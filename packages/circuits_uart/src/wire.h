@@ -1,0 +1,55 @@
+/*
+ * The packets between the port program and the BEAM: a big-endian 16-bit length, then that many bytes, both ways.
+ * The length field is the bound: no packet can be longer than the buffers here.
+ *
+ * From the BEAM:  <<command, id:32, arguments>>        CREDIT has no id, only <<CREDIT, count:16>>
+ * To the BEAM:    <<'o', id:32, result>>               the request was done
+ *                 <<'e', id:32, error name>>           the request failed; the name is a POSIX one, such as "enoent"
+ *                 <<'d', bytes>>                       received in active mode; costs one credit
+ *                 <<'g', told, error name>>            the port is gone (hung up, unplugged) and closed; told is 1 when
+ *                                                      a request that was waiting has failed with the same error
+ */
+#ifndef CIRCUITS_UART_WIRE_H
+#define CIRCUITS_UART_WIRE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define WIRE_MAX 65535
+
+enum command {
+    CMD_OPEN = 1,      /* <<settings:19 bytes, path>> */
+    CMD_CLOSE = 2,     /* <<linger in ms:32>> */
+    CMD_CONFIGURE = 3, /* <<settings:19 bytes>> */
+    CMD_WRITE = 4,     /* <<time-out in ms:32, bytes>> */
+    CMD_READ = 5,      /* <<time-out in ms:32>> */
+    CMD_CANCEL = 6,    /* the read that waits, if any, is answered with no bytes */
+    CMD_DRAIN = 7,     /* <<time-out in ms:32>> */
+    CMD_FLUSH = 8,     /* <<queues: 1 receive, 2 transmit, 3 both>> */
+    CMD_SIGNALS = 9,
+    CMD_SET = 10,      /* <<signal: 1 DTR, 2 RTS, 3 break; value: 0 or 1>> */
+    CMD_CREDIT = 11    /* <<count:16>> more packets of received bytes may be sent */
+};
+
+struct packet {
+    const uint8_t *data;
+    size_t length;
+};
+
+/* Reads what is there. False at the end of the stream: the BEAM is gone or has closed the port. */
+bool wire_fill(void);
+
+/* Takes the next whole packet, valid until the next wire_fill. False when there is none. */
+bool wire_next(struct packet *packet);
+
+void wire_ok(uint32_t id, const void *result, size_t length);
+void wire_error(uint32_t id, int error);
+void wire_data(const void *bytes, size_t length);
+void wire_gone(bool told, int error);
+
+uint32_t get_u32(const uint8_t *bytes);
+uint16_t get_u16(const uint8_t *bytes);
+void put_u32(uint8_t *bytes, uint32_t value);
+
+#endif

@@ -1,0 +1,291 @@
+defmodule Circuits.UART.FaultsTest do
+  use ExUnit.Case, async: true
+
+  import Circuits.UART.Test.Helpers
+  import ExUnit.CaptureLog
+
+  alias Circuits.UART
+  alias Circuits.UART.{Framing, PortProgram, Server}
+  alias Circuits.UART.Test.Pty
+
+  @moduletag :pty
+
+  setup do
+    {:ok, uart: start_supervised!(UART), pty: Pty.open()}
+  end
+
+  describe "hang-up" do
+    test "is told once in active mode, and the port is closed", %{uart: uart, pty: %{path: path} = pty} do
+      assert UART.open(uart, path) == :ok
+      Pty.hang_up(pty)
+      assert_receive {:circuits_uart, ^path, {:error, :eio}}, 5_000
+      assert UART.write(uart, "x") == {:error, :ebadf}
+      assert {:closed, _options} = UART.configuration(uart)
+      assert UART.close(uart) == :ok
+      refute_received {:circuits_uart, _, _}
+    end
+
+    test "is told with the pid when so asked", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, id: :pid) == :ok
+      Pty.hang_up(pty)
+      assert_receive {:circuits_uart, ^uart, {:error, :eio}}, 5_000
+    end
+
+    test "ends a read that waits", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, active: false) == :ok
+      readers = for _ <- 1..3, do: Task.async(fn -> UART.read(uart, 60_000) end)
+      eventually(fn -> waiting(uart, :readers) == 3 end)
+      Pty.hang_up(pty)
+      assert Task.await_many(readers) == List.duplicate({:error, :eio}, 3)
+      assert UART.read(uart) == {:error, :ebadf}
+      refute_received {:circuits_uart, _, _}
+    end
+
+    test "ends a write that waits", %{uart: uart, pty: %{path: path} = pty} do
+      assert UART.open(uart, path) == :ok
+      Pty.pause(pty)
+      writers = for _ <- 1..2, do: Task.async(fn -> UART.write(uart, :binary.copy("x", 500_000), 60_000) end)
+      eventually(fn -> waiting(uart, :senders) == 2 end)
+      Pty.hang_up(pty)
+
+      for result <- Task.await_many(writers), do: assert(result in [{:error, :eio}, {:error, :ebadf}])
+      assert_receive {:circuits_uart, ^path, {:error, :eio}}, 5_000
+    end
+
+    test "while nobody waits is told by the next call in passive mode, once", %{uart: uart, pty: pty} do
+      for call <- [&UART.read/1, &UART.write(&1, "x")] do
+        assert UART.open(uart, pty.path, active: false) == :ok
+        Pty.hang_up(pty)
+        eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
+        assert call.(uart) == {:error, :eio}
+        assert call.(uart) == {:error, :ebadf}
+        pty = Pty.plug_in(pty)
+        assert UART.open(uart, pty.path, active: false) == :ok
+        UART.close(uart)
+      end
+    end
+
+    test "comes after messages that were there before it", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, active: false, framing: Framing.Line) == :ok
+      Pty.write(pty, "one\ntwo\nthree\n")
+      assert UART.read(uart) == {:ok, "one"}
+      Pty.hang_up(pty)
+      eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
+      assert UART.read(uart) == {:ok, "two"}
+      assert UART.read(uart) == {:ok, "three"}
+      assert UART.read(uart) == {:error, :eio}
+    end
+
+    test "on another device node afterwards, all works", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path) == :ok
+      Pty.hang_up(pty)
+      assert_receive {:circuits_uart, _, {:error, :eio}}, 5_000
+      assert UART.open(uart, pty.path) == {:error, :enoent}
+      # Holds the old number, so that the new one differs.
+      _other = Pty.open()
+      pty = Pty.plug_in(pty)
+      assert UART.open(uart, pty.path) == :ok
+      Pty.write(pty, "back")
+      assert gather(pty.path, 4) == "back"
+    end
+  end
+
+  describe "the port program killed" do
+    @describetag :capture_log
+
+    test "is told as :epipe; the process survives and starts another one", %{
+      uart: uart,
+      pty: %{path: path} = pty
+    } do
+      assert UART.open(uart, path) == :ok
+      first = os_pid(uart)
+      kill("KILL", first)
+      assert_receive {:circuits_uart, ^path, {:error, :epipe}}, 5_000
+      assert UART.write(uart, "x") == {:error, :ebadf}
+
+      assert UART.open(uart, path) == :ok
+      assert os_pid(uart) != first
+      Pty.write(pty, "x")
+      assert_receive {:circuits_uart, ^path, "x"}, 5_000
+    end
+
+    test "ends whatever waits", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, active: false) == :ok
+      Pty.pause(pty)
+      reader = Task.async(fn -> UART.read(uart, 60_000) end)
+      writer = Task.async(fn -> UART.write(uart, :binary.copy("x", 500_000), 60_000) end)
+      eventually(fn -> waiting(uart, :readers) == 1 and waiting(uart, :senders) == 1 end)
+      kill("KILL", os_pid(uart))
+      assert Task.await(reader) == {:error, :epipe}
+      assert Task.await(writer) == {:error, :epipe}
+    end
+
+    test "in passive mode is told by the next call", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, active: false) == :ok
+      kill("KILL", os_pid(uart))
+      eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
+      assert UART.read(uart) == {:error, :epipe}
+      assert UART.read(uart) == {:error, :ebadf}
+    end
+
+    test "or stopped: it is given up, the call answered", %{uart: uart, pty: %{path: path} = pty} do
+      assert UART.open(uart, path) == :ok
+      stopped = os_pid(uart)
+      kill("STOP", stopped)
+      assert UART.write(uart, "x", 10) == {:error, :etimedout}
+      assert_receive {:circuits_uart, ^path, {:error, :etimedout}}
+      kill("CONT", stopped)
+      # It finds its stdin closed, and goes.
+      eventually(fn -> not alive?(stopped) end)
+      assert UART.open(uart, path) == :ok
+      Pty.write(pty, "back")
+      assert gather(path, 4) == "back"
+    end
+  end
+
+  describe "what is left behind" do
+    test "200 times pulled and put back under traffic: no descriptor, process, port or atom", %{
+      uart: uart,
+      pty: pty
+    } do
+      round = fn pty ->
+        path = pty.path
+        assert UART.open(uart, path, speed: 57_600) == :ok
+        Pty.write(pty, "telemetry")
+        assert UART.write(uart, "commands") == :ok
+        assert_receive {:circuits_uart, ^path, data} when is_binary(data), 5_000
+        Pty.hang_up(pty)
+        await_error(path)
+        Pty.plug_in(pty)
+      end
+
+      pty = Enum.reduce(1..10, pty, fn _, pty -> round.(pty) end)
+      os_pid = os_pid(uart)
+      before = census(uart, os_pid)
+      pty = Enum.reduce(1..200, pty, fn _, pty -> round.(pty) end)
+      assert os_pid(uart) == os_pid
+      assert census(uart, os_pid) == before
+
+      for _ <- 1..200 do
+        assert UART.open(uart, pty.path, active: false) == :ok
+        assert UART.write(uart, "x") == :ok
+        assert UART.close(uart) == :ok
+      end
+
+      assert census(uart, os_pid) == before
+    end
+
+    test "nothing of the port program when its owner stops or is killed", %{pty: pty} do
+      for stop <- [&UART.stop/1, &Process.exit(&1, :kill)] do
+        uart = start_supervised!(%{id: make_ref(), start: {UART, :start_link, []}, restart: :temporary})
+        assert UART.open(uart, pty.path) == :ok
+        program = os_pid(uart)
+        assert alive?(program)
+        ref = Process.monitor(uart)
+        stop.(uart)
+        assert_receive {:DOWN, ^ref, _, _, _}
+        eventually(fn -> not alive?(program) end)
+        refute Pty.settings(pty).exclusive
+      end
+    end
+  end
+
+  describe "without a port program" do
+    test "opening fails with words that help, said once; nothing else does", %{pty: pty} do
+      {:ok, uart} = GenServer.start_link(Server, program: "/does/not/exist")
+
+      log =
+        capture_log(fn ->
+          assert UART.open(uart, pty.path) == {:error, :port_program_missing}
+          assert UART.open(uart, pty.path) == {:error, :port_program_missing}
+        end)
+
+      assert [_before, _after] = String.split(log, "apt-get install gcc libc6-dev")
+      assert UART.configure(uart, speed: 57_600) == :ok
+      assert {:closed, _options} = UART.configuration(uart)
+      assert UART.close(uart) == :ok
+      assert is_map(UART.enumerate())
+    end
+  end
+
+  describe "the port program itself" do
+    test "ends at what is no request, and says why" do
+      for packet <- [
+            "",
+            "x",
+            <<99, 0::32>>,
+            <<4, 1::32>>,
+            <<1, 1::32, 0::32>>,
+            <<11, 1>>,
+            <<8, 1::32, 9>>,
+            <<5, 1::32, 0>>
+          ] do
+        port =
+          Port.open({:spawn_executable, sh()}, [
+            :binary,
+            :exit_status,
+            args: ["-c", "exec #{PortProgram.path()} 2>&1"]
+          ])
+
+        Port.command(port, <<byte_size(packet)::16, packet::binary>>)
+        assert_receive {^port, {:data, "circuits_uart: " <> _why}}, 5_000
+        assert_receive {^port, {:exit_status, 2}}, 5_000
+      end
+    end
+
+    test "takes packets in any pieces", %{pty: pty} do
+      port = Port.open({:spawn_executable, PortProgram.path()}, [:binary])
+      settings = Circuits.UART.Options.encode(%Circuits.UART.Options{active: false})
+
+      requests = [
+        <<1, 1::32, settings::binary, pty.path::binary>>,
+        <<4, 2::32, 1_000::32, "hello">>,
+        <<2, 3::32, 0::32>>
+      ]
+
+      bytes = for request <- requests, into: "", do: <<byte_size(request)::16, request::binary>>
+      for <<byte <- bytes>>, do: Port.command(port, <<byte>>)
+      assert Pty.read(pty, 5) == "hello"
+      answers = for id <- 1..3, into: "", do: <<5::16, ?o, id::32>>
+      assert gather_port(port, byte_size(answers), "") == answers
+    end
+
+    test "is given up when it sends what is no answer, or ends at once" do
+      # cat sends the request back.
+      for program <- ["cat", "true"] do
+        {:ok, uart} = GenServer.start_link(Server, program: System.find_executable(program))
+        log = capture_log(fn -> assert UART.open(uart, "x") == {:error, :epipe} end)
+        assert log =~ "port program"
+        assert UART.close(uart) == :ok
+      end
+    end
+  end
+
+  defp kill(signal, os_pid), do: {_, 0} = System.cmd("kill", ["-#{signal}", "#{os_pid}"])
+  defp sh, do: System.find_executable("sh")
+
+  defp gather_port(_port, count, sofar) when byte_size(sofar) >= count, do: sofar
+
+  defp gather_port(port, count, sofar) do
+    assert_receive {^port, {:data, bytes}}, 5_000
+    gather_port(port, count, sofar <> bytes)
+  end
+
+  defp await_error(path) do
+    assert_receive {:circuits_uart, ^path, data}, 5_000
+    if is_binary(data), do: await_error(path), else: assert(data == {:error, :eio})
+  end
+
+  defp census(uart, os_pid) do
+    # Timers, messages and the like are over when it has answered.
+    core = :sys.get_state(uart).core
+
+    %{
+      descriptors: length(File.ls!("/proc/#{os_pid}/fd")),
+      links: uart |> Process.info(:links) |> elem(1) |> length(),
+      timers: map_size(:sys.get_state(uart).timers),
+      pending: map_size(core.pending),
+      mailbox: Process.info(uart, :message_queue_len)
+    }
+  end
+end

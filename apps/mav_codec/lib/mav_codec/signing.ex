@@ -1,0 +1,247 @@
+defmodule MavCodec.Signing do
+  @moduledoc """
+  Signs what is sent on a link and checks what comes (S1-S7, S12). A value, one per link and key.
+
+      signing = MavCodec.Signing.new(key, link_id: 1, stored: read_from_disk, save: &write_to_disk/1)
+      {bytes, signing} = MavCodec.Signing.encode(signing, message, system: 245, component: 191)
+      {verdict, signing} = MavCodec.Signing.check(signing, frame)
+
+  ## Time stamps
+
+  Units of 10 us since 2015-01-01. One time stamp serves the whole link: it is the clock's, or one more than the last
+  when the clock has not moved (S12) or lags behind what was received with a right signature (S5). Each received stream
+  {link id, system, component} must go forward (S3); a new one may be one minute behind (S4).
+
+  The time must survive a restart even without a clock (S6). `save` is called with a time stamp that lies ahead, and
+  again before it is reached, at least once per 30 s of time stamps; starting with the saved value as `stored` never uses
+  a time stamp twice.
+
+  ## Safety
+
+  State changes only after a signature was found right (S5), so nobody without the key can fill or shift it. The key is
+  kept in a closure and never shown by `inspect/2` or in crash reports (S9).
+  """
+
+  import Bitwise
+
+  alias MavCodec.{CRC, EncodeError, Frame}
+
+  @signed 0x01
+  @signature_size 13
+  # 2015-01-01T00:00:00Z as unix time, in 10 us.
+  @epoch 142_007_040_000_000
+  @minute 6_000_000
+  @save_ahead div(@minute, 2)
+  @max_streams 1024
+  @radio_status 109
+  @max_timestamp 0xFFFF_FFFF_FFFF
+
+  @enforce_keys [:key, :link_id, :clock, :save, :accept_unsigned]
+  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}]
+
+  @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
+  @type timestamp :: 0..0xFFFF_FFFF_FFFF
+
+  @opaque t :: %__MODULE__{
+            key: (-> <<_::256>>),
+            link_id: 0..255,
+            clock: (-> integer()),
+            save: (timestamp() -> any()),
+            accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
+            timestamp: timestamp(),
+            reserved: timestamp(),
+            streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()}
+          }
+
+  @typedoc """
+    * `:link_id` - of this end of the link, 0..255; default 0
+    * `:stored` - the time stamp that `save` was last given in an earlier life; default 0
+    * `:save` - called with the time stamp to store (S6); default: nothing is stored
+    * `:accept_unsigned` - message ids that are accepted without a signature, or a function of the frame; default
+      `[#{@radio_status}]`, RADIO_STATUS, which radios make themselves (S7)
+    * `:clock` - a function that gives unix microseconds; default: the system's clock
+  """
+  @type option ::
+          {:link_id, 0..255}
+          | {:stored, timestamp()}
+          | {:save, (timestamp() -> any())}
+          | {:accept_unsigned, [non_neg_integer()] | (Frame.t() -> boolean())}
+          | {:clock, (-> integer())}
+
+  @typedoc """
+    * `:signed` - the signature is right
+    * `:unsigned` - there is none, and none is needed
+    * `{:rejected, :unsigned}` - there is none
+    * `{:rejected, :wrong_signature}` - made with another key, or damaged, or memory garbage that a firmware forwards
+    * `{:rejected, :replayed}` - the time stamp is not above the last one of its stream (S3)
+    * `{:rejected, :stale}` - the first of a stream, more than a minute old (S4)
+    * `{:rejected, :too_many_streams}` - more than #{@max_streams} streams with right signatures
+
+  Whoever accepts a rejected frame all the same must tell the operator that the link is unsafe (S11); forwarding does
+  not depend on the verdict (S10).
+  """
+  @type verdict ::
+          :signed
+          | :unsigned
+          | {:rejected, :unsigned | :wrong_signature | :replayed | :stale | :too_many_streams}
+
+  @doc "Signing with a secret `key` of 32 bytes."
+  @spec new(<<_::256>>, [option()]) :: t()
+  def new(<<key::binary-size(32)>>, options \\ []) do
+    options =
+      Keyword.validate!(options,
+        link_id: 0,
+        stored: 0,
+        save: fn _timestamp -> :ok end,
+        accept_unsigned: [@radio_status],
+        clock: fn -> System.os_time(:microsecond) end
+      )
+
+    signing = %__MODULE__{
+      key: fn -> key end,
+      link_id: options[:link_id],
+      clock: options[:clock],
+      save: options[:save],
+      accept_unsigned: options[:accept_unsigned]
+    }
+
+    reserve(%{signing | timestamp: max(now(signing), options[:stored])})
+  end
+
+  @doc "The key that ground stations derive from a passphrase: its SHA-256."
+  @spec key(String.t()) :: <<_::256>>
+  def key(passphrase), do: :crypto.hash(:sha256, passphrase)
+
+  @doc "The last time stamp used or received, for SETUP_SIGNING's `initial_timestamp`."
+  @spec timestamp(t()) :: timestamp()
+  def timestamp(%__MODULE__{timestamp: timestamp}), do: timestamp
+
+  @doc "A time stamp as unix microseconds."
+  @spec to_unix(timestamp()) :: integer()
+  def to_unix(timestamp), do: (timestamp + @epoch) * 10
+
+  ## Sending
+
+  @doc "The signed frame of a message; options and errors of `MavCodec.encode/2`, version 2 only."
+  @spec encode(t(), MavCodec.Message.t(), [MavCodec.encode_option()]) :: {binary(), t()}
+  def encode(signing, message, options) do
+    flags = Keyword.get(options, :incompat_flags, 0) ||| @signed
+    frame = MavCodec.encode(message, Keyword.put(options, :incompat_flags, flags))
+    check_version(frame)
+    append(signing, frame)
+  end
+
+  @doc """
+  Signs an unsigned v2 frame. The header says that it is signed and the CRC covers the header, so both change and
+  `crc_extra` is needed. Raises `MavCodec.EncodeError` for a v1 frame: version 1 has no signatures.
+  """
+  @spec sign(t(), binary(), 0..255) :: {binary(), t()}
+  def sign(signing, frame, crc_extra) do
+    check_version(frame)
+    append(signing, with_flags(frame, crc_extra, &(&1 ||| @signed)))
+  end
+
+  defp check_version(<<0xFD, _::binary>>), do: :ok
+
+  defp check_version(_frame),
+    do: raise(EncodeError, field: :version, got: 1, expected: "2, version 1 has no signatures")
+
+  defp append(signing, frame) do
+    timestamp = max(now(signing), signing.timestamp + 1)
+    block = <<signing.link_id, timestamp::48-little>>
+    signature = signature(signing, [frame, block])
+    {<<frame::binary, block::binary, signature::binary>>, reserve(%{signing | timestamp: timestamp})}
+  end
+
+  ## Receiving
+
+  @doc "Checks a frame that a parser found good."
+  @spec check(t(), Frame.t()) :: {verdict(), t()}
+  def check(%__MODULE__{} = signing, %Frame{signature: nil} = frame) do
+    if unsigned?(signing.accept_unsigned, frame),
+      do: {:unsigned, signing},
+      else: {{:rejected, :unsigned}, signing}
+  end
+
+  def check(%__MODULE__{} = signing, %Frame{signature: signature, bytes: bytes} = frame) do
+    covered = binary_part(bytes, 0, byte_size(bytes) - 6)
+    stream = {signature.link_id, frame.system, frame.component}
+
+    cond do
+      not :crypto.hash_equals(signature(signing, covered), signature.signature) ->
+        {{:rejected, :wrong_signature}, signing}
+
+      reason = refusal(signing, stream, signature.timestamp) ->
+        {{:rejected, reason}, signing}
+
+      true ->
+        streams = Map.put(signing.streams, stream, signature.timestamp)
+        timestamp = max(signing.timestamp, signature.timestamp)
+        {:signed, reserve(%{signing | streams: streams, timestamp: timestamp})}
+    end
+  end
+
+  defp unsigned?(ids, frame) when is_list(ids), do: frame.id in ids
+  defp unsigned?(accept?, frame), do: accept?.(frame)
+
+  defp refusal(signing, stream, timestamp) do
+    case signing.streams do
+      %{^stream => last} when timestamp <= last -> :replayed
+      %{^stream => _last} -> nil
+      _ when timestamp + @minute < signing.timestamp -> :stale
+      streams when map_size(streams) >= @max_streams -> :too_many_streams
+      _ -> if timestamp + @minute < now(signing), do: :stale
+    end
+  end
+
+  # S1: the first 48 bits of SHA-256 over the key and everything that stands before them.
+  defp signature(signing, covered) do
+    <<signature::binary-size(6), _::binary>> = :crypto.hash(:sha256, [signing.key.(), covered])
+    signature
+  end
+
+  ## Time
+
+  defp now(signing), do: (div(signing.clock.(), 10) - @epoch) |> max(0) |> min(@max_timestamp)
+
+  # S6: what is stored is always ahead of what is used.
+  defp reserve(%{timestamp: timestamp, reserved: reserved} = signing) when timestamp < reserved, do: signing
+
+  defp reserve(%{timestamp: timestamp} = signing) do
+    reserved = timestamp + @save_ahead
+    signing.save.(min(reserved, @max_timestamp))
+    %{signing | reserved: reserved}
+  end
+
+  ## Logs
+
+  @doc """
+  The frame without its signature: flag cleared, CRC made anew. A frame of an unknown id, whose CRC cannot be made, stays
+  as it is; so does an unsigned one.
+  """
+  @spec strip(Frame.t()) :: Frame.t()
+  def strip(%Frame{signature: nil} = frame), do: frame
+  def strip(%Frame{crc_extra: nil} = frame), do: frame
+
+  def strip(%Frame{bytes: bytes, crc_extra: extra, at: at}) do
+    bytes
+    |> binary_part(0, byte_size(bytes) - @signature_size)
+    |> with_flags(extra, &(&1 &&& bnot(@signed)))
+    |> Frame.from_bytes(extra, at)
+  end
+
+  defp with_flags(<<0xFD, len, incompat, rest::binary>>, crc_extra, change) do
+    body = binary_part(rest, 0, byte_size(rest) - 2)
+    frame = <<0xFD, len, change.(incompat), body::binary>>
+    <<frame::binary, CRC.frame(frame, byte_size(frame) - 1, crc_extra)::16-little>>
+  end
+
+  defimpl Inspect do
+    import Inspect.Algebra
+
+    def inspect(signing, opts) do
+      shown = [link_id: signing.link_id, timestamp: signing.timestamp, streams: map_size(signing.streams)]
+      concat(["#MavCodec.Signing<", to_doc(shown, opts), ">"])
+    end
+  end
+end

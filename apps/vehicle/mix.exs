@@ -32,5 +32,5 @@ defmodule Aerie.Vehicle.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:mav_codec, in_umbrella: true}] ++ Aerie.Packages.deps([:telemetry, :gnat])
+  defp deps, do: [{:mav_codec, in_umbrella: true}] ++ Aerie.Packages.deps([:telemetry, :gnat, :circuits_uart])
 end

@@ -135,6 +135,12 @@ defmodule Aerie.Fleet.Store do
     end
   end
 
+  @doc "What was remembered about a system; nil when it was not heard."
+  @spec system(Names.gateway(), vehicle_key()) :: map() | nil
+  def system(gateway, key) do
+    with_table(gateway, :systems, nil, fn table -> :ets.lookup_element(table, key, 2, nil) end)
+  end
+
   @doc "All systems heard, with what was remembered about them."
   @spec systems(Names.gateway()) :: %{vehicle_key() => map()}
   def systems(gateway) do

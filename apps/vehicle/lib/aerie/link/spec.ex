@@ -17,7 +17,7 @@ defmodule Aerie.Link.Spec do
   HOST is an IPv4 address, an IPv6 address in brackets (`[::1]`) or a name; a name is resolved again on every
   connection attempt. A server's empty HOST means all IPv4 addresses, and its port 0 means any free one.
 
-  Every string takes `?network=NAME` (whose system ids it shares, default `"default"`) and `&id=NAME` (the identity of
+  Every string takes `?network=NAME` (whose system ids it shares, default `"main"`) and `&id=NAME` (the identity of
   the link, default: the string without its options).
   """
 
@@ -35,7 +35,7 @@ defmodule Aerie.Link.Spec do
     :port,
     :device,
     :file,
-    network: "default",
+    network: "main",
     baud: 115_200,
     broadcast: false,
     speed: 1.0,
@@ -290,7 +290,7 @@ defmodule Aerie.Link.Spec do
   # An id from the caller may be any text that is not empty: it is shown, never parsed.
   defp named(options, overrides, body, _form, text) do
     id = Keyword.get(overrides, :id) || Map.get(options, :id, body)
-    network = Keyword.get(overrides, :network) || Map.get(options, :network, "default")
+    network = Keyword.get(overrides, :network) || Map.get(options, :network, "main")
 
     cond do
       not (is_binary(id) and id != "" and byte_size(id) <= 4096) ->

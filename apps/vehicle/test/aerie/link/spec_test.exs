@@ -9,7 +9,7 @@ defmodule Aerie.Link.SpecTest do
     test "UDP" do
       for prefix <- ["udpin:", "udp:"] do
         assert {:ok, spec} = Spec.parse(prefix <> "0.0.0.0:14550")
-        assert %{kind: :udp_server, host: {0, 0, 0, 0}, port: 14_550, network: "default"} = spec
+        assert %{kind: :udp_server, host: {0, 0, 0, 0}, port: 14_550, network: "main"} = spec
       end
 
       assert {:ok, %{kind: :udp_client, host: {10, 0, 0, 7}, port: 14_551, broadcast: false}} =
@@ -47,7 +47,7 @@ defmodule Aerie.Link.SpecTest do
   end
 
   test "identity and network" do
-    assert %{id: "udpin:0.0.0.0:14550", network: "default"} = Spec.parse!("udpin:0.0.0.0:14550")
+    assert %{id: "udpin:0.0.0.0:14550", network: "main"} = Spec.parse!("udpin:0.0.0.0:14550")
     assert %{id: "udpin::1", network: "a"} = Spec.parse!("udpin::1?network=a")
     assert %{id: "r1", network: "b"} = Spec.parse!("udpin::1?network=a&id=q", id: "r1", network: "b")
     assert %{options: %{max_peers: 3}} = Spec.parse!("udpin::1", options: [max_peers: 3])

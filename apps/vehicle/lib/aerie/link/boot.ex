@@ -1,0 +1,78 @@
+defmodule Aerie.Link.Boot do
+  @moduledoc """
+  Starts the links that there are to be: those of the configuration when the gateway starts, and after a restart of the
+  links' supervisor those that ran before it (the store remembers them), links added and removed at run time included.
+
+  It is done before anyone can ask for links, and does not wait for connections.
+  """
+  use GenServer, restart: :transient
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Link.Spec
+  alias Aerie.Link.Successor
+  alias Aerie.Names
+
+  require Logger
+
+  @booted {:links, :booted}
+
+  @spec start_link(keyword) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :link_boot))
+  end
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:link_boot, gateway})
+    Enum.each(specs(gateway, Keyword.get(options, :config)), &start(gateway, &1))
+    if Store.counter(gateway, @booted) == 0, do: Store.count(gateway, @booted)
+    :ignore
+  end
+
+  defp specs(gateway, config) do
+    if Store.counter(gateway, @booted) == 0 do
+      # Ids are unique in a checked configuration; a second one of an id would take the first one's place.
+      config |> config_specs() |> Enum.uniq_by(& &1.id)
+    else
+      Enum.map(Store.links(gateway), & &1.spec)
+    end
+  end
+
+  # The configuration was checked when it was loaded; a caller's own map is not worth a gateway that does not start.
+  defp config_specs(%{links: links} = config) when is_list(links) do
+    Enum.flat_map(links, fn link ->
+      options = [label: link[:label]] ++ limits(config)
+
+      case Spec.parse(link.url, id: link[:id], network: link[:network], options: options) do
+        _any when link.enabled == false ->
+          []
+
+        {:ok, spec} ->
+          [spec]
+
+        {:error, error} ->
+          Logger.error(Exception.message(error))
+          []
+      end
+    end)
+  end
+
+  defp config_specs(_none), do: []
+
+  @doc "The options of links that a configuration sets: `:max_peers`, `:idle_ms`."
+  @spec limits(map | nil) :: keyword
+  def limits(config) do
+    peers = with %{limits: %{max_peers: max}} <- config, do: [max_peers: max]
+    idle = with %{timeouts: %{link_idle_s: seconds}} <- config, do: [idle_ms: round(seconds * 1000)]
+    Enum.filter([peers, idle], &is_list/1) |> Enum.concat()
+  end
+
+  # Links of a supervisor that was killed may be there for a moment still.
+  defp start(gateway, spec) do
+    case Successor.start(fn -> Aerie.Link.Supervisor.start_tree(gateway, spec: spec) end) do
+      {:ok, _tree} -> :ok
+      {:error, reason} -> Logger.error("link #{spec.id} not started: #{inspect(reason)}")
+    end
+  end
+end

@@ -1,0 +1,292 @@
+defmodule Aerie.Link.Core do
+  @moduledoc """
+  What a link does, without doing it: a pure state machine. `handle/3` takes an event and gives actions, which
+  `Aerie.Link` carries out.
+
+  ```mermaid
+  stateDiagram-v2
+    idle --> connecting: start
+    connecting --> up: opened
+    connecting --> down: failed
+    up --> down: closed
+    down --> connecting: retry (after the back-off)
+    up --> ended: ended (a recording is over)
+  ```
+
+  | event | meaning |
+  |---|---|
+  | `:start` | begin |
+  | `{:opened, info}`, `{:failed, reason}` | outcome of the action `:open` |
+  | `{:read, [{peer, bytes}]}` | received |
+  | `{:records, [{at, bytes}]}` | replayed |
+  | `{:peer_up, peer, text}`, `{:peer_down, peer, reason}` | connections of a server |
+  | `{:closed, reason}`, `{:ended, text}` | the connection is over: to be made again, or for good |
+  | `:retry` | the back-off's timer |
+  | `{:count, name, n}` | something to count (`Aerie.Link.Counters`) |
+  | `:tick` | every `tick_ms/0` |
+
+  | action | meaning |
+  |---|---|
+  | `:open`, `:close` | the transport |
+  | `{:retry_in, ms}` | a timer for `:retry` |
+  | `{:deliver, peer, frames}` | to the router |
+  | `{:forget, peer}`, `{:drop, peer}` | routes by a peer are void; end a peer's connection |
+  | `{:emit, event, measurements, metadata}` | a telemetry event below `[:aerie, :link]` |
+  | `:publish` | the snapshot changed |
+  | `:settled` | the first attempt had its outcome |
+
+  Time is given with each event as `{monotonic ms, unix microseconds}`; the only randomness is a seed in the state.
+  """
+
+  alias Aerie.Link.Backoff
+  alias Aerie.Link.Counters
+  alias Aerie.Link.Peers
+  alias Aerie.Link.Rates
+  alias Aerie.Link.Reason
+  alias Aerie.Link.Snapshot
+  alias Aerie.Link.Spec
+  alias Aerie.Link.Transport
+
+  @tick_ms 250
+  # A connection that held this long was a good one: its end is tried again at once.
+  @good_ms 2_000
+  # A UDP client that hears nothing for so long looks its name up again.
+  @silent_ms 30_000
+
+  @enforce_keys [:spec, :peers]
+  defstruct [
+    :spec,
+    :peers,
+    :reason,
+    :retry_at,
+    :since,
+    :opened,
+    :last_heard,
+    phase: :idle,
+    backoff: Backoff.new(),
+    seed: nil,
+    counters: %Counters{},
+    rates: Rates.new(),
+    info: %{},
+    connected_before: false,
+    idle_ms: 10_000,
+    heard: nil,
+    sampled: nil
+  ]
+
+  @type phase :: :idle | :connecting | :up | :down | :ended
+  @type now :: {monotonic_ms :: integer, unix_us :: integer}
+  @type t :: %__MODULE__{}
+  @type event :: term
+  @type action :: term
+
+  @doc "How often `:tick` is due, in ms."
+  @spec tick_ms() :: pos_integer
+  def tick_ms, do: @tick_ms
+
+  @doc """
+  A link that has not begun. Options: `:counters` (of its former life), `:seed` (any term), `:max_peers` (256),
+  `:idle_ms` (10,000), `:parser` (options of `MavCodec.Parser.new/1`).
+  """
+  @spec new(Spec.t(), keyword) :: t
+  def new(%Spec{} = spec, options \\ []) do
+    framing = Transport.module(spec.kind).framing()
+
+    %__MODULE__{
+      spec: spec,
+      peers: Peers.new(framing, options[:max_peers] || 256, options[:parser] || []),
+      counters: options[:counters] || %Counters{},
+      seed: :rand.seed_s(:exsss, :erlang.phash2(options[:seed])),
+      idle_ms: options[:idle_ms] || 10_000
+    }
+  end
+
+  @doc "One event. Events that do not belong to the phase change nothing."
+  @spec handle(t, event, now) :: {t, [action]}
+  def handle(core, event, now)
+
+  def handle(%{phase: phase} = core, {:read, reads}, now) when phase == :up, do: read(core, reads, now)
+  def handle(%{phase: :up} = core, {:records, records}, now), do: replay(core, records, now)
+
+  def handle(%{phase: :idle} = core, :start, now), do: connect(core, now)
+  def handle(%{phase: :down} = core, :retry, now), do: connect(core, now)
+
+  def handle(%{phase: :connecting} = core, {:opened, info}, {mono, _at} = now) do
+    core =
+      if single?(core), do: add_peer(core, :remote, info[:peer] || Spec.place(core.spec), mono), else: core
+
+    reconnects = if core.connected_before, do: 1, else: 0
+
+    core =
+      %{core | info: info, opened: mono, heard: nil, connected_before: true, retry_at: nil}
+      |> count(:reconnects, reconnects)
+      |> phase(:up, nil, now)
+
+    {core,
+     [:settled, {:emit, :up, %{reconnects: core.counters.reconnects}, %{local: info[:local]}}, :publish]}
+  end
+
+  def handle(%{phase: :connecting} = core, {:failed, reason}, now) do
+    {core, actions} = down(core, reason, now)
+    {core, [:settled | actions]}
+  end
+
+  def handle(%{phase: :up} = core, {:closed, reason}, {mono, _at} = now) do
+    core = if mono - core.opened >= @good_ms, do: %{core | backoff: Backoff.reset(core.backoff)}, else: core
+    {last, core} = end_peers(core)
+    {core, actions} = down(core, reason, now)
+    {core, last ++ [:close | actions]}
+  end
+
+  def handle(%{phase: :up} = core, {:ended, text}, now) do
+    {last, core} = end_peers(core)
+    {phase(core, :ended, text, now), last ++ [:close, :publish, {:emit, :ended, %{}, %{reason: text}}]}
+  end
+
+  def handle(%{phase: :up} = core, {:peer_up, peer, text}, {mono, _at}) do
+    if Peers.room?(core.peers) do
+      {add_peer(core, peer, text, mono), [:publish, {:emit, :peer_up, %{}, %{peer: text}}]}
+    else
+      {count(core, :peers_refused, 1), [{:drop, peer}]}
+    end
+  end
+
+  def handle(%{phase: :up} = core, {:peer_down, id, reason}, _now) do
+    case Peers.remove(core.peers, id) do
+      {nil, _peers} -> {core, []}
+      {peer, peers} -> {%{core | peers: peers}, peer_down(core, peer, reason)}
+    end
+  end
+
+  def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
+
+  def handle(%{phase: :up} = core, :tick, {mono, _at} = now) do
+    {deliveries, changes, peers} = Peers.tick(core.peers, mono)
+    {core, more} = changes(%{core | peers: peers}, changes)
+    {core, publish} = sample(core, mono)
+    actions = deliver(deliveries) ++ more ++ publish
+
+    if silent?(core, mono) do
+      {core, closing} = handle(core, {:closed, "nothing heard from #{Spec.place(core.spec)} for 30 s"}, now)
+      {core, actions ++ closing}
+    else
+      {core, actions}
+    end
+  end
+
+  def handle(core, :tick, {mono, _at}), do: sample(core, mono)
+  def handle(core, _other, _now), do: {core, []}
+
+  defp connect(core, now) do
+    {phase(core, :connecting, core.reason, now), [:open, :publish]}
+  end
+
+  defp down(core, reason, {mono, _at} = now) do
+    {random, seed} = :rand.uniform_s(core.seed)
+    {wait, backoff} = Backoff.next(core.backoff, random)
+    text = Reason.format(reason, core.spec)
+    core = %{core | seed: seed, backoff: backoff, retry_at: mono + wait, info: %{}}
+
+    {phase(core, :down, text, now),
+     [
+       {:retry_in, wait},
+       {:emit, :down, %{retry_ms: wait, attempt: backoff.attempt}, %{reason: text}},
+       :publish
+     ]}
+  end
+
+  defp phase(core, phase, reason, {_mono, at}), do: %{core | phase: phase, reason: reason, since: at}
+
+  # The way of every byte. Reads of one peer within a batch become one delivery, in the order in which peers spoke.
+  defp read(core, reads, {mono, at}) do
+    {core, spoken, frames, changes} =
+      Enum.reduce(reads, {core, [], %{}, []}, fn {peer, bytes}, {core, spoken, frames, changes} ->
+        {new, change, peers} = Peers.push(core.peers, peer, bytes, mono, at)
+        core = %{core | peers: peers}
+
+        case frames do
+          _any when new == [] -> {core, spoken, frames, change ++ changes}
+          %{^peer => before} -> {core, spoken, %{frames | peer => [new | before]}, change ++ changes}
+          _first -> {core, [peer | spoken], Map.put(frames, peer, [new]), change ++ changes}
+        end
+      end)
+
+    deliveries = for peer <- Enum.reverse(spoken), do: {peer, join(frames[peer])}
+    {core, more} = changes(core, Enum.reverse(changes))
+    {heard(core, deliveries, mono, at), more ++ deliver(deliveries)}
+  end
+
+  defp join([frames]), do: frames
+  defp join(lists), do: lists |> Enum.reverse() |> Enum.concat()
+
+  # A record is as good as a datagram: what is damaged in one says nothing about the next.
+  defp replay(core, records, {mono, at}) do
+    {frames, peers} =
+      Enum.flat_map_reduce(records, core.peers, fn {recorded, bytes}, peers ->
+        {frames, _changes, peers} = Peers.push(peers, :remote, bytes, mono, recorded)
+        {frames, peers}
+      end)
+
+    deliveries = if frames == [], do: [], else: [{:remote, frames}]
+    {heard(%{core | peers: peers}, deliveries, mono, at), deliver(deliveries)}
+  end
+
+  defp heard(core, [], _mono, _at), do: core
+
+  defp heard(core, deliveries, mono, at) do
+    counters =
+      Enum.reduce(deliveries, core.counters, fn {_peer, frames}, c -> Counters.messages(c, frames) end)
+
+    %{core | counters: counters, heard: mono, last_heard: at}
+  end
+
+  defp deliver(deliveries), do: for({peer, frames} <- deliveries, do: {:deliver, peer, frames})
+
+  defp changes(core, changes) do
+    Enum.reduce(changes, {core, []}, fn
+      :refused, {core, actions} ->
+        {count(core, :peers_refused, 1), actions}
+
+      {:up, peer}, {core, actions} ->
+        {core, actions ++ [:publish, {:emit, :peer_up, %{}, %{peer: peer.text}}]}
+
+      {:down, peer}, {core, actions} ->
+        {core, actions ++ peer_down(core, peer, :idle)}
+    end)
+  end
+
+  defp peer_down(core, peer, reason) do
+    reason = if reason == :idle, do: "silent", else: Reason.format(reason, core.spec)
+    [{:forget, peer.id}, :publish, {:emit, :peer_down, %{}, %{peer: peer.text, reason: reason}}]
+  end
+
+  defp end_peers(core) do
+    ids = Map.keys(core.peers.map)
+    {deliveries, peers} = Peers.clear(core.peers)
+    {deliver(deliveries) ++ for(id <- ids, do: {:forget, id}), %{core | peers: peers}}
+  end
+
+  defp add_peer(core, id, text, mono), do: %{core | peers: Peers.add(core.peers, id, text, mono)}
+  defp count(core, _name, 0), do: core
+  defp count(core, name, n), do: %{core | counters: Counters.add(core.counters, name, n)}
+  defp single?(core), do: core.spec.kind not in [:udp_server, :tcp_server]
+
+  defp silent?(%{spec: %{kind: :udp_client}} = core, mono) do
+    mono - (core.heard || core.opened) >= @silent_ms
+  end
+
+  defp silent?(_core, _mono), do: false
+
+  # A link on which nothing happens is not published; one whose rates have yet to fall to 0 is.
+  defp sample(core, mono) do
+    counters = counters(core)
+    seen = {counters, Snapshot.text(core, mono)}
+    moving? = Enum.any?(Rates.per_second(core.rates), fn {_name, rate} -> rate != 0.0 end)
+    actions = if moving? or seen != core.sampled, do: [:publish], else: []
+    {%{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen}, actions}
+  end
+
+  @doc "All counters: what was counted here and by the parsers of all peers there ever were."
+  @spec counters(t) :: Counters.t()
+  def counters(core), do: Counters.merge(core.counters, Peers.totals(core.peers))
+end

@@ -1,0 +1,30 @@
+defmodule Aerie.Link.Opener do
+  @moduledoc """
+  Opens a connection in a process of its own, so that a slow name server, a host that does not answer or a device that
+  hangs never stops the link's process from answering, and so that it can be given up at any time.
+
+  Linked to the link's process, which traps exits: it gets `{:opener, pid, {:ok, conn} | {:error, reason}}`, or the exit
+  of an opener that crashed.
+  """
+
+  alias Aerie.Link.Spec
+  alias Aerie.Link.Transport
+
+  @doc "Starts opening; the calling process is the link."
+  @spec start(Spec.t()) :: pid
+  def start(%Spec{} = spec) do
+    link = self()
+    transport = Transport.module(spec.kind)
+
+    spawn_link(fn ->
+      Process.set_label({:opener, spec.id})
+
+      result =
+        with {:ok, conn} <- transport.open(spec),
+             :ok <- transport.give(conn, link),
+             do: {:ok, conn}
+
+      send(link, {:opener, self(), result})
+    end)
+  end
+end

@@ -1,0 +1,55 @@
+defmodule Aerie.Link.PortOwner do
+  @moduledoc """
+  Which program holds a UDP or TCP port of this machine, from Linux' /proc.
+
+  Only processes of the same user (or all, for root) can be told; otherwise, and on other systems, it is `:unknown`.
+  """
+
+  @tables %{udp: ["/proc/net/udp", "/proc/net/udp6"], tcp: ["/proc/net/tcp", "/proc/net/tcp6"]}
+  @listening "0A"
+
+  @doc "The program's name and process id."
+  @spec find(:udp | :tcp, :inet.port_number()) :: {:ok, String.t(), pos_integer} | :unknown
+  def find(protocol, port) do
+    with [_ | _] = inodes <- inodes(protocol, port),
+         {:ok, pid} <- holder(inodes),
+         {:ok, name} <- File.read("/proc/#{pid}/comm") do
+      {:ok, String.trim(name), pid}
+    else
+      _not_told -> :unknown
+    end
+  end
+
+  defp inodes(protocol, port) do
+    for file <- @tables[protocol],
+        {:ok, text} <- [File.read(file)],
+        line <- text |> String.split("\n", trim: true) |> Enum.drop(1),
+        # sl local rem st queues timer retransmits uid timeout inode …
+        [_, local, _, state, _, _, _, _, _, inode | _] <- [String.split(line)],
+        protocol == :udp or state == @listening,
+        [_, hex] <- [String.split(local, ":")],
+        {^port, ""} <- [Integer.parse(hex, 16)],
+        do: "socket:[#{inode}]"
+  end
+
+  defp holder(sockets) do
+    with {:ok, names} <- File.ls("/proc") do
+      pids = for name <- names, {pid, ""} <- [Integer.parse(name)], do: pid
+      Enum.find_value(pids, :unknown, &if(holds?(&1, sockets), do: {:ok, &1}))
+    end
+  end
+
+  defp holds?(pid, sockets) do
+    folder = "/proc/#{pid}/fd"
+
+    case File.ls(folder) do
+      {:ok, names} ->
+        Enum.any?(names, &(match?({:ok, _}, link(folder, &1)) and elem(link(folder, &1), 1) in sockets))
+
+      {:error, _gone_or_foreign} ->
+        false
+    end
+  end
+
+  defp link(folder, name), do: File.read_link(Path.join(folder, name))
+end

@@ -1,0 +1,239 @@
+defmodule Aerie.Link.Server do
+  @moduledoc """
+  The process of one link: owns the connection, feeds `Aerie.Link.Core` and carries out its actions.
+
+  It reads, checks and counts frames and delivers them to the sessions by itself (`Aerie.Router.deliver/3` runs here), so
+  links share no process, and what one does costs no other. See the README of this folder for the way of the data and for
+  what a restart costs.
+  """
+  use GenServer
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Link.Core
+  alias Aerie.Link.Counters
+  alias Aerie.Link.Opener
+  alias Aerie.Link.Restarts
+  alias Aerie.Link.Snapshot
+  alias Aerie.Link.Spec
+  alias Aerie.Link.Successor
+  alias Aerie.Link.Transport
+  alias Aerie.Names
+  alias Aerie.Router
+  alias Aerie.Router.Load
+
+  @drops [:unclaimed, :refused, :overload, :looped]
+
+  @doc """
+  Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
+  attempt), and those of `Aerie.Link.Core.new/2`.
+  """
+  @spec start_link(keyword) :: GenServer.on_start()
+  def start_link(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    %Spec{id: id} = Keyword.fetch!(options, :spec)
+    # Frames hold on to what was read, so old heaps are swept often; queued datagrams stay out of the heap.
+    spawn_options = [message_queue_data: :off_heap, fullsweep_after: 50]
+    start_options = [name: Names.via(gateway, :link, id), spawn_opt: spawn_options]
+    Successor.start(fn -> GenServer.start_link(__MODULE__, options, start_options) end)
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    gateway = Keyword.fetch!(options, :gateway)
+    spec = Keyword.fetch!(options, :spec)
+    Process.set_label({:link, spec.id})
+    Logger.metadata(link: spec.id)
+
+    former = Store.link(gateway, spec.id)
+    now = now()
+    restarts = Restarts.add(former[:restarts], elem(now, 0))
+
+    state = %{
+      gateway: gateway,
+      spec: spec,
+      transport: Transport.module(spec.kind),
+      core: Core.new(spec, core_options(options, former, now)),
+      restarts: restarts,
+      opener: nil,
+      conn: nil,
+      sessions: [],
+      notify: Keyword.get(options, :notify)
+    }
+
+    {:ok, _timer} = :timer.send_interval(Core.tick_ms(), :tick)
+
+    # Whoever remembers links (the store) knows of this one from here on, whatever becomes of its first attempt.
+    {:ok, publish(state), {:continue, {:start, Restarts.wait(restarts)}}}
+  end
+
+  defp core_options(options, former, now) do
+    counters = if former, do: Counters.add(former.counters, :restarts, 1), else: %Counters{}
+    Keyword.merge([counters: counters, seed: {self(), now}], Map.to_list(options[:spec].options) ++ options)
+  end
+
+  @impl GenServer
+  def handle_continue({:start, 0}, state), do: {:noreply, step(state, :start)}
+
+  def handle_continue({:start, wait}, state) do
+    Process.send_after(self(), :start, wait)
+    {:noreply, state}
+  end
+
+  @impl GenServer
+  def handle_call(:snapshot, _from, state), do: {:reply, snapshot(state), state}
+
+  @impl GenServer
+  def handle_cast({:send, to, bytes}, state), do: {:noreply, write(state, to, bytes)}
+
+  @impl GenServer
+  def handle_info(:tick, state), do: {:noreply, step(state, :tick)}
+  def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
+  def handle_info(:start, state), do: {:noreply, step(state, :start)}
+
+  def handle_info({:opener, opener, result}, %{opener: opener} = state) do
+    {:noreply, opened(%{state | opener: nil}, result)}
+  end
+
+  def handle_info({:EXIT, opener, reason}, %{opener: opener} = state) when is_pid(opener) do
+    {:noreply, step(%{state | opener: nil}, {:failed, reason})}
+  end
+
+  def handle_info(message, %{conn: nil} = state), do: {:noreply, unknown(state, message)}
+
+  def handle_info(message, state) do
+    case state.transport.handle(state.conn, message) do
+      {events, conn} -> {:noreply, Enum.reduce(events, %{state | conn: conn}, &event/2)}
+      :unknown -> {:noreply, unknown(state, message)}
+    end
+  end
+
+  # Late messages of connections that are closed, exits of processes that did their work.
+  defp unknown(state, _message), do: state
+
+  @impl GenServer
+  def terminate(_reason, state) do
+    if state.conn, do: state.transport.close(state.conn)
+    publish(state)
+  end
+
+  defp opened(state, {:ok, conn}) do
+    case state.transport.activate(conn) do
+      {:ok, conn, info} ->
+        step(%{state | conn: conn}, {:opened, info})
+
+      {:error, reason} ->
+        state.transport.close(conn)
+        step(state, {:failed, reason})
+    end
+  end
+
+  defp opened(state, {:error, reason}), do: step(state, {:failed, reason})
+
+  # What the transport says goes through the core, unless the connection ended with an event before it.
+  defp event(_event, %{conn: nil} = state), do: state
+  defp event({:written, {:ok, _bytes}}, state), do: state
+  defp event({:written, {:error, _reason}}, state), do: step(state, {:count, :dropped_out, 1})
+  defp event({:records, _records} = event, state), do: state |> step(event) |> delivered()
+  defp event(event, state), do: step(state, event)
+
+  defp delivered(%{conn: nil} = state), do: state
+
+  defp delivered(state) do
+    backlog = state.sessions |> Enum.map(&Load.waiting/1) |> Enum.max(fn -> 0 end)
+    %{state | conn: state.transport.delivered(state.conn, backlog)}
+  end
+
+  defp step(state, event) do
+    {core, actions} = Core.handle(state.core, event, now())
+    Enum.reduce(actions, %{state | core: core}, &act/2)
+  end
+
+  defp act(:open, state), do: %{state | opener: Opener.start(state.spec)}
+
+  defp act(:close, %{conn: nil} = state), do: state
+
+  defp act(:close, state) do
+    state.transport.close(state.conn)
+    %{state | conn: nil}
+  end
+
+  defp act({:retry_in, ms}, state) do
+    Process.send_after(self(), :retry, ms)
+    state
+  end
+
+  defp act({:deliver, peer, frames}, state) do
+    source = %{id: state.spec.id, network: state.spec.network, peer: peer}
+    outcome = Router.deliver(state.gateway, source, frames)
+    core = Enum.reduce(@drops, state.core, &count(&2, &1, outcome))
+    sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
+    %{state | core: core, sessions: sessions}
+  end
+
+  defp act({:forget, peer}, state) do
+    Router.forget(state.gateway, state.spec.id, peer)
+    state
+  end
+
+  defp act({:drop, _peer}, %{conn: nil} = state), do: state
+  defp act({:drop, peer}, state), do: %{state | conn: state.transport.drop(state.conn, peer)}
+
+  defp act({:emit, event, measurements, metadata}, state) do
+    metadata =
+      Map.merge(metadata, %{gateway: state.gateway, link: state.spec.id, network: state.spec.network})
+
+    :telemetry.execute([:aerie, :link, event], measurements, metadata)
+    state
+  end
+
+  defp act(:publish, state), do: publish(state)
+  defp act(:settled, %{notify: nil} = state), do: state
+
+  defp act(:settled, state) do
+    send(
+      state.notify,
+      {state.notify, if(state.core.phase == :up, do: :ok, else: {:error, state.core.reason})}
+    )
+
+    %{state | notify: nil}
+  end
+
+  defp count(core, name, outcome) do
+    case outcome do
+      %{^name => 0} -> core
+      %{^name => n} -> elem(Core.handle(core, {:count, name, n}, now()), 0)
+    end
+  end
+
+  defp publish(state) do
+    Store.put_link(state.gateway, state.spec.id, snapshot(state))
+    state
+  end
+
+  defp snapshot(state) do
+    state.core |> Snapshot.of(System.monotonic_time(:millisecond)) |> Map.put(:restarts, state.restarts)
+  end
+
+  defp write(%{conn: nil} = state, _to, _bytes), do: step(state, {:count, :dropped_out, 1})
+  defp write(state, {:peer, peer}, bytes), do: write_to(state, peer, bytes)
+
+  defp write(state, :all, bytes) do
+    Enum.reduce(Map.keys(state.core.peers.map), state, &write_to(&2, &1, bytes))
+  end
+
+  defp write_to(state, peer, bytes) do
+    case state.transport.write(state.conn, peer, bytes) do
+      {:ok, conn} -> sent(%{state | conn: conn}, IO.iodata_length(bytes))
+      {:busy, conn} -> step(%{state | conn: conn}, {:count, :dropped_out, 1})
+      {:error, _reason, conn} -> step(%{state | conn: conn}, {:count, :dropped_out, 1})
+    end
+  end
+
+  defp sent(state, bytes) do
+    counters = state.core.counters |> Counters.add(:bytes_out, bytes) |> Counters.add(:writes_out, 1)
+    put_in(state.core.counters, counters)
+  end
+
+  defp now, do: {System.monotonic_time(:millisecond), System.os_time(:microsecond)}
+end

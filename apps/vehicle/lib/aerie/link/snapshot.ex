@@ -1,0 +1,116 @@
+defmodule Aerie.Link.Snapshot do
+  @moduledoc """
+  What everyone may know of a link, as it stands in `Aerie.Fleet.Store` (`link/2`, `links/1`).
+
+  | key | value |
+  |---|---|
+  | `:id`, `:network`, `:kind`, `:url`, `:spec` | as in `Aerie.Link.Spec` (`:url` is its `text`) |
+  | `:status` | `:connecting`, `:up`, `:idle` (up, but no frame for a while), `:down`, `:ended` |
+  | `:text` | the same in words: `connection refused by 127.0.0.1:5760, next try in 3.2 s` |
+  | `:reason` | the last fault in words, or nil |
+  | `:since` | unix microseconds of the last change of phase |
+  | `:retry_in_ms` | while down: to the next try, at the time of writing |
+  | `:local`, `:port`, `:peer` | our end, its real port, the other end, where known |
+  | `:last_heard` | unix microseconds of the last good frame's arrival |
+  | `:counters` | `Aerie.Link.Counters` |
+  | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
+  | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 256 of them |
+  | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
+  | `:restarts` | monotonic ms of the last restarts of the link's process |
+  | `:label` | words of the configuration, or nil |
+  """
+
+  alias Aerie.Link.Core
+  alias Aerie.Link.Peers
+  alias Aerie.Link.Rates
+  alias Aerie.Link.Reason
+  alias Aerie.Link.Spec
+  alias MavCodec.Parser
+
+  @max_peers 256
+
+  @type status :: :connecting | :up | :idle | :down | :ended
+
+  @doc "The snapshot at a monotonic time in ms."
+  @spec of(Core.t(), integer) :: map
+  def of(%Core{spec: spec} = core, mono) do
+    %{
+      id: spec.id,
+      network: spec.network,
+      kind: spec.kind,
+      url: spec.text,
+      spec: spec,
+      label: spec.options[:label],
+      status: status(core, mono),
+      text: text(core, mono),
+      reason: core.reason,
+      since: core.since,
+      retry_in_ms: if(core.phase == :down, do: max(core.retry_at - mono, 0)),
+      local: core.info[:local],
+      port: core.info[:port],
+      peer: core.info[:peer],
+      last_heard: core.last_heard,
+      counters: Core.counters(core),
+      rates: Rates.per_second(core.rates),
+      peers: peers(core.peers, mono),
+      sources: Peers.sources(core.peers)
+    }
+  end
+
+  defp peers(peers, mono) do
+    for {id, peer} <- Enum.take(peers.map, @max_peers) do
+      stats = Parser.stats(peer.parser)
+
+      %{
+        peer: id,
+        text: peer.text,
+        silent_ms: mono - peer.heard,
+        frames_in: stats.frames,
+        bytes_in: stats.bytes
+      }
+    end
+  end
+
+  @doc "The status at a monotonic time in ms."
+  @spec status(Core.t(), integer) :: status
+  def status(%Core{phase: :up} = core, mono) do
+    if mono - (core.heard || core.opened) >= core.idle_ms, do: :idle, else: :up
+  end
+
+  def status(%Core{phase: :idle}, _mono), do: :connecting
+  def status(%Core{phase: phase}, _mono), do: phase
+
+  @doc "The status in words."
+  @spec text(Core.t(), integer) :: String.t()
+  def text(%Core{phase: :down} = core, mono) do
+    "#{core.reason}, next try #{Reason.wait(max(core.retry_at - mono, 0))}"
+  end
+
+  def text(%Core{phase: :ended} = core, _mono), do: core.reason
+
+  def text(%Core{phase: :up, spec: spec} = core, mono) do
+    case {status(core, mono), spec.kind} do
+      {:idle, kind} when kind in [:udp_server, :tcp_server] ->
+        "listening on #{core.info[:local]}, nothing heard"
+
+      {:idle, _kind} ->
+        "connected to #{place(core)}, nothing heard"
+
+      {:up, kind} when kind in [:udp_server, :tcp_server] ->
+        "listening on #{core.info[:local]}"
+
+      {:up, :replay} ->
+        "replaying #{Spec.place(spec)}"
+
+      {:up, _kind} ->
+        "connected to #{place(core)}"
+    end
+  end
+
+  def text(%Core{} = core, _mono) do
+    again = if core.reason, do: " again (#{core.reason})", else: ""
+    "connecting to #{Spec.place(core.spec)}#{again}"
+  end
+
+  defp place(core), do: core.info[:peer] || Spec.place(core.spec)
+end

@@ -1,0 +1,119 @@
+defmodule Aerie.Link.Transport.Net do
+  @moduledoc "What the UDP and TCP transports share: names, families, the draining of datagrams, bounded writes."
+
+  alias Aerie.Link.Spec.Address
+
+  # Messages between two requests to go on; enough that a busy socket rarely waits, few enough to bound the mailbox.
+  @active 256
+  # Datagrams taken at one wake-up.
+  @batch 128
+  @buffer 65_536
+  # As much as the kernel grants: it is the only reserve while the link's process waits for its turn.
+  @recbuf 4 * 1024 * 1024
+  @send_limit 128 * 1024
+
+  @doc "Messages that a socket delivers before it asks to go on."
+  @spec active() :: pos_integer
+  def active, do: @active
+
+  @doc "Addresses of a host, IPv4 first. A name is looked up now, every time."
+  @spec resolve(:inet.ip_address() | String.t()) :: {:ok, [:inet.ip_address()]} | {:error, term}
+  def resolve(address) when is_tuple(address), do: {:ok, [address]}
+
+  def resolve(name) do
+    name = String.to_charlist(name)
+
+    case Enum.flat_map([:inet, :inet6], &addresses(name, &1)) do
+      [] -> {:error, :nxdomain}
+      addresses -> {:ok, Enum.uniq(addresses)}
+    end
+  end
+
+  defp addresses(name, family) do
+    case :inet.getaddrs(name, family) do
+      {:ok, addresses} -> addresses
+      {:error, _reason} -> []
+    end
+  end
+
+  @doc "The option that chooses IPv4 or IPv6 for an address."
+  @spec family(:inet.ip_address()) :: :inet | :inet6
+  def family(address) when tuple_size(address) == 8, do: :inet6
+  def family(_address), do: :inet
+
+  @doc "Opens a UDP socket at a local address, quiet until activated. Never shares a port (no reuseaddr)."
+  @spec udp(:inet.ip_address(), :inet.port_number(), keyword) :: {:ok, :gen_udp.socket()} | {:error, term}
+  def udp(address, port, more \\ []) do
+    # The buffer comes after recbuf, which would else make every read allocate as much.
+    options = [:binary, family(address), ip: address, active: false, recbuf: @recbuf, buffer: @buffer]
+    :gen_udp.open(port, options ++ more)
+  end
+
+  @doc """
+  The datagrams that wait in the mailbox, in order, with their senders; at most #{@batch}. The socket is asked to go on
+  when it had stopped.
+  """
+  @spec drain(:gen_udp.socket()) :: [{{:inet.ip_address(), :inet.port_number()}, binary}]
+  def drain(socket), do: drain(socket, @batch, [])
+
+  defp drain(_socket, 0, reads), do: Enum.reverse(reads)
+
+  defp drain(socket, room, reads) do
+    receive do
+      {:udp, ^socket, address, port, bytes} -> drain(socket, room - 1, [{{address, port}, bytes} | reads])
+      {:udp_passive, ^socket} -> drain_on(socket, room, reads)
+    after
+      0 -> Enum.reverse(reads)
+    end
+  end
+
+  defp drain_on(socket, room, reads) do
+    _ = :inet.setopts(socket, active: @active)
+    drain(socket, room, reads)
+  end
+
+  @doc "Options of every TCP socket; a half-open connection is noticed within half a minute."
+  @spec tcp_options() :: keyword
+  def tcp_options do
+    [
+      :binary,
+      active: false,
+      nodelay: true,
+      buffer: @buffer,
+      keepalive: true,
+      high_watermark: 2 * @send_limit,
+      send_timeout: 1000,
+      send_timeout_close: true
+    ] ++ keepalive_options()
+  end
+
+  # In seconds, seconds, tries, and milliseconds for data that is not acknowledged.
+  defp keepalive_options do
+    case :os.type() do
+      {:unix, :linux} -> [keepidle: 10, keepintvl: 5, keepcnt: 4, user_timeout: 30_000]
+      _other -> []
+    end
+  end
+
+  @doc """
+  Writes to a TCP socket unless #{div(@send_limit, 1024)} KiB wait already: a peer that stops reading gets less, and
+  nobody waits for it.
+  """
+  @spec tcp_write(:gen_tcp.socket(), iodata) :: :ok | :busy | {:error, term}
+  def tcp_write(socket, bytes) do
+    case :inet.getstat(socket, [:send_pend]) do
+      {:ok, [send_pend: waiting]} when waiting > @send_limit -> :busy
+      {:ok, _room} -> :gen_tcp.send(socket, bytes)
+      {:error, reason} -> {:error, reason}
+    end
+  end
+
+  @doc "The address and port of our end: for people, and as a number."
+  @spec local(port) :: %{local: String.t(), port: :inet.port_number()}
+  def local(socket) do
+    case :inet.sockname(socket) do
+      {:ok, {address, port}} -> %{local: Address.format(address, port), port: port}
+      {:error, _closed} -> %{local: "closed", port: 0}
+    end
+  end
+end

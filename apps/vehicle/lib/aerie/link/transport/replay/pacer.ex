@@ -1,0 +1,43 @@
+defmodule Aerie.Link.Transport.Replay.Pacer do
+  @moduledoc """
+  When a record of a recording is due: a value, without a clock of its own.
+
+  Time begins with the first record. A record that is older than its predecessor (two recordings in one file, a clock that
+  was set) is due at once, and time goes on from there, so that a jump back stalls nothing.
+  """
+
+  @enforce_keys [:speed]
+  defstruct [:speed, :started, :first, :last]
+
+  @typedoc "`speed`: factor of real time or `:max`; times in microseconds: `started`, of the clock; `first`, `last`, recorded"
+  @type t :: %__MODULE__{
+          speed: float | :max,
+          started: integer | nil,
+          first: integer | nil,
+          last: integer | nil
+        }
+
+  @doc "A pacer that has seen no record."
+  @spec new(float | :max) :: t
+  def new(speed), do: %__MODULE__{speed: speed}
+
+  @doc """
+  Whether a record with time `at` is due when the clock shows `now` (both in microseconds): `:due`, or how many
+  milliseconds to wait, at least 1.
+  """
+  @spec judge(t, at :: integer, now :: integer) :: {:due | pos_integer, t}
+  def judge(%__MODULE__{speed: :max} = pacer, _at, _now), do: {:due, pacer}
+
+  def judge(%__MODULE__{first: nil} = pacer, at, now) do
+    {:due, %{pacer | started: now, first: at, last: at}}
+  end
+
+  def judge(%__MODULE__{last: last} = pacer, at, now) when at < last do
+    {:due, %{pacer | started: now, first: at, last: at}}
+  end
+
+  def judge(%__MODULE__{} = pacer, at, now) do
+    early = (at - pacer.first) / pacer.speed - (now - pacer.started)
+    if early <= 0, do: {:due, %{pacer | last: at}}, else: {ceil(early / 1000), pacer}
+  end
+end

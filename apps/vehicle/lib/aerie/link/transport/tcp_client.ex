@@ -1,0 +1,61 @@
+defmodule Aerie.Link.Transport.TcpClient do
+  @moduledoc "TCP, calling. All addresses of a name are tried in turn, 5 s each; the last one's fault is told."
+  @behaviour Aerie.Link.Transport
+
+  alias Aerie.Link.Spec.Address
+  alias Aerie.Link.Transport.Net
+
+  @connect_ms 5_000
+
+  @impl Aerie.Link.Transport
+  def framing, do: :stream
+
+  @impl Aerie.Link.Transport
+  def open(spec) do
+    with {:ok, addresses} <- Net.resolve(spec.host) do
+      Enum.reduce_while(addresses, {:error, :nxdomain}, fn address, _last ->
+        case :gen_tcp.connect(address, spec.port, [Net.family(address) | Net.tcp_options()], @connect_ms) do
+          {:ok, socket} -> {:halt, {:ok, socket}}
+          {:error, reason} -> {:cont, {:error, reason}}
+        end
+      end)
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def give(socket, link), do: :gen_tcp.controlling_process(socket, link)
+
+  @impl Aerie.Link.Transport
+  def activate(socket) do
+    with {:ok, {address, port}} <- :inet.peername(socket),
+         :ok <- :inet.setopts(socket, active: Net.active()) do
+      {:ok, socket, Map.put(Net.local(socket), :peer, Address.format(address, port))}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def handle(socket, {:tcp, socket, bytes}), do: {[{:read, [{:remote, bytes}]}], socket}
+
+  def handle(socket, {:tcp_passive, socket}) do
+    # A socket that closed meanwhile says so itself, in its next message.
+    _ = :inet.setopts(socket, active: Net.active())
+    {[], socket}
+  end
+
+  def handle(socket, {:tcp_closed, socket}), do: {[{:closed, :closed}], socket}
+  # The closing message follows, but the reason is here.
+  def handle(socket, {:tcp_error, socket, reason}), do: {[{:closed, reason}], socket}
+  def handle(_socket, _message), do: :unknown
+
+  @impl Aerie.Link.Transport
+  def write(socket, _peer, bytes) do
+    case Net.tcp_write(socket, bytes) do
+      :ok -> {:ok, socket}
+      :busy -> {:busy, socket}
+      {:error, reason} -> {:error, reason, socket}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def close(socket), do: :gen_tcp.close(socket)
+end

@@ -1,0 +1,138 @@
+defmodule Aerie.Link.Transport.TcpServer do
+  @moduledoc """
+  TCP, listening: every connection is a peer of its own, numbered from 1.
+
+  A process of its own waits for connections, because that blocks; it is linked to the link's process and holds nothing
+  else. Connections are read by the link's process.
+  """
+  @behaviour Aerie.Link.Transport
+
+  alias Aerie.Link.Spec.Address
+  alias Aerie.Link.Transport.Net
+
+  @enforce_keys [:listener]
+  defstruct [:listener, :acceptor, next: 1, sockets: %{}, peers: %{}]
+
+  @impl Aerie.Link.Transport
+  def framing, do: :stream
+
+  @impl Aerie.Link.Transport
+  def open(spec) do
+    with {:ok, [address | _]} <- Net.resolve(spec.host) do
+      options = [Net.family(address), ip: address, reuseaddr: true, backlog: 128] ++ Net.tcp_options()
+      with {:ok, listener} <- :gen_tcp.listen(spec.port, options), do: {:ok, %__MODULE__{listener: listener}}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def give(conn, link), do: :gen_tcp.controlling_process(conn.listener, link)
+
+  @impl Aerie.Link.Transport
+  def activate(conn) do
+    link = self()
+    listener = conn.listener
+
+    acceptor =
+      spawn_link(fn ->
+        Process.set_label({:acceptor, Net.local(listener).local})
+        accept(listener, link)
+      end)
+
+    {:ok, %{conn | acceptor: acceptor}, Net.local(listener)}
+  end
+
+  defp accept(listener, link) do
+    case :gen_tcp.accept(listener) do
+      {:ok, socket} ->
+        # A connection that is gone again already is no reason to stop.
+        if :gen_tcp.controlling_process(socket, link) == :ok, do: send(link, {:accepted, listener, socket})
+        accept(listener, link)
+
+      # The limits of the machine: waiting keeps the other links alive.
+      {:error, reason} when reason in [:emfile, :enfile, :enobufs, :enomem] ->
+        Process.sleep(200)
+        accept(listener, link)
+
+      {:error, :econnaborted} ->
+        accept(listener, link)
+
+      {:error, reason} ->
+        exit({:shutdown, reason})
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def handle(conn, {:tcp, socket, bytes}) when is_map_key(conn.sockets, socket) do
+    {[{:read, [{conn.sockets[socket], bytes}]}], conn}
+  end
+
+  def handle(conn, {:tcp_passive, socket}) when is_map_key(conn.sockets, socket) do
+    _ = :inet.setopts(socket, active: Net.active())
+    {[], conn}
+  end
+
+  def handle(conn, {:tcp_closed, socket}) when is_map_key(conn.sockets, socket),
+    do: gone(conn, socket, :closed)
+
+  def handle(conn, {:tcp_error, socket, reason}) when is_map_key(conn.sockets, socket) do
+    :gen_tcp.close(socket)
+    gone(conn, socket, reason)
+  end
+
+  def handle(%{listener: listener} = conn, {:accepted, listener, socket}) do
+    with {:ok, {address, port}} <- :inet.peername(socket),
+         :ok <- :inet.setopts(socket, active: Net.active()) do
+      peer = conn.next
+      conn = %{conn | next: peer + 1, sockets: Map.put(conn.sockets, socket, peer)}
+      {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], socket)}
+    else
+      {:error, _gone_already} ->
+        :gen_tcp.close(socket)
+        {[], conn}
+    end
+  end
+
+  def handle(%{acceptor: acceptor} = conn, {:EXIT, acceptor, reason}), do: {[{:closed, reason}], conn}
+  def handle(_conn, _message), do: :unknown
+
+  defp gone(conn, socket, reason) do
+    {peer, sockets} = Map.pop!(conn.sockets, socket)
+    {[{:peer_down, peer, reason}], %{conn | sockets: sockets, peers: Map.delete(conn.peers, peer)}}
+  end
+
+  @impl Aerie.Link.Transport
+  def write(conn, peer, bytes) do
+    with {:ok, socket} <- Map.fetch(conn.peers, peer),
+         :ok <- Net.tcp_write(socket, bytes) do
+      {:ok, conn}
+    else
+      :error -> {:error, :enotconn, conn}
+      :busy -> {:busy, conn}
+      # The peer's own closing message follows.
+      {:error, reason} -> {:error, reason, conn}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def drop(conn, peer) do
+    case Map.pop(conn.peers, peer) do
+      {nil, _peers} ->
+        conn
+
+      {socket, peers} ->
+        :gen_tcp.close(socket)
+        %{conn | peers: peers, sockets: Map.delete(conn.sockets, socket)}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def close(conn) do
+    if conn.acceptor do
+      Process.unlink(conn.acceptor)
+      Process.exit(conn.acceptor, :kill)
+    end
+
+    Enum.each(Map.values(conn.peers), &:gen_tcp.close/1)
+    :gen_tcp.close(conn.listener)
+  end
+end

@@ -1,0 +1,86 @@
+defmodule Aerie.Link.Transport.UdpClient do
+  @moduledoc """
+  UDP, calling: sends to one address and hears only that host. Replies may come from another port of the host (a server
+  behind a router answers from where it likes); from then on that port is written to.
+
+  Towards a broadcast address (`udpbcast:`) the first that answers, whoever it is, becomes the one that is written to and
+  heard. In both cases the peer's name stays `:remote`.
+
+  The name is resolved when the link connects. When nothing was heard for 30 s the link is opened again, and with it the
+  name is resolved again and the reply's port forgotten: a server that moved is found.
+  """
+  @behaviour Aerie.Link.Transport
+
+  alias Aerie.Link.Spec.Address
+  alias Aerie.Link.Transport.Net
+
+  @enforce_keys [:socket, :to, :broadcast]
+  defstruct [:socket, :to, :broadcast, latched: false]
+
+  @impl Aerie.Link.Transport
+  def framing, do: :datagram
+
+  @impl Aerie.Link.Transport
+  def open(spec) do
+    with {:ok, [address | _]} <- Net.resolve(spec.host),
+         {:ok, socket} <- Net.udp(any(address), 0, broadcast: spec.broadcast) do
+      {:ok, %__MODULE__{socket: socket, to: {address, spec.port}, broadcast: spec.broadcast}}
+    end
+  end
+
+  defp any(address) when tuple_size(address) == 8, do: {0, 0, 0, 0, 0, 0, 0, 0}
+  defp any(_address), do: {0, 0, 0, 0}
+
+  @impl Aerie.Link.Transport
+  def give(conn, link), do: :gen_udp.controlling_process(conn.socket, link)
+
+  @impl Aerie.Link.Transport
+  def activate(conn) do
+    {address, port} = conn.to
+
+    with :ok <- :inet.setopts(conn.socket, active: Net.active()) do
+      {:ok, conn, Map.put(Net.local(conn.socket), :peer, Address.format(address, port))}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
+    {reads, conn} = Enum.flat_map_reduce([{{address, port}, bytes} | Net.drain(socket)], conn, &hear/2)
+    {if(reads == [], do: [], else: [{:read, reads}]), conn}
+  end
+
+  def handle(%{socket: socket} = conn, {:udp_passive, socket}) do
+    _ = :inet.setopts(socket, active: Net.active())
+    {[], conn}
+  end
+
+  def handle(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
+  def handle(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
+  def handle(_conn, _message), do: :unknown
+
+  defp hear({from, bytes}, %{to: from} = conn), do: {[{:remote, bytes}], conn}
+
+  defp hear({{address, _} = from, bytes}, %{to: {address, _}} = conn) do
+    {[{:remote, bytes}], %{conn | to: from, latched: true}}
+  end
+
+  defp hear({from, bytes}, %{broadcast: true, latched: false} = conn) do
+    {[{:remote, bytes}], %{conn | to: from, latched: true}}
+  end
+
+  defp hear(_stranger, conn), do: {[], conn}
+
+  @impl Aerie.Link.Transport
+  def write(%{to: {address, port}} = conn, _peer, bytes) do
+    case :gen_udp.send(conn.socket, address, port, bytes) do
+      :ok -> {:ok, conn}
+      # Nobody listens there yet; whether it will is not ours to judge.
+      {:error, :econnrefused} -> {:ok, conn}
+      {:error, reason} when reason in [:eagain, :enobufs] -> {:busy, conn}
+      {:error, reason} -> {:error, reason, conn}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def close(conn), do: :gen_udp.close(conn.socket)
+end

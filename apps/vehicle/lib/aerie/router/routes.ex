@@ -1,0 +1,112 @@
+defmodule Aerie.Router.Routes do
+  @moduledoc """
+  Which way a system is reached: learned from every frame's source, by link and peer, with the time of the last one (R1).
+
+  System ids are integers of up to 32 bits (N3) and belong to a network: two fleets of id 1 on two networks never meet.
+  Times are monotonic ms. At most #{16_384} routes are kept; one that was not heard for five minutes is swept.
+
+  A component that is addressed but never talks (a vehicle's log at component 155, R9) is reached where its system was
+  heard.
+  """
+
+  alias Aerie.Router.Tables
+
+  @max_routes 16_384
+  @ttl_ms 300_000
+
+  @type way :: {link :: String.t(), peer :: term}
+  @type route :: %{
+          network: String.t(),
+          system: non_neg_integer,
+          component: 0..255,
+          link: String.t(),
+          peer: term,
+          age_ms: non_neg_integer,
+          known_ms: non_neg_integer
+        }
+
+  @doc "Notes that a component was heard. `:full` when there is no room for a new route."
+  @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, way, integer) :: :ok | :full
+  def learn(tables, network, system, component, {link, peer}, now) do
+    key = {network, system, component, link, peer}
+
+    cond do
+      :ets.update_element(tables.routes, key, {2, now}) -> :ok
+      :ets.info(tables.routes, :size) >= @max_routes -> :full
+      true -> :ets.insert(tables.routes, {key, now, now}) && :ok
+    end
+  end
+
+  @doc """
+  The way most recently heard of a system, or of one of its components where that is heard at all. `:link` in `options`
+  asks for ways by one link only.
+  """
+  @spec best(Tables.t(), {String.t(), non_neg_integer}, keyword) :: way | nil
+  def best(tables, {network, system}, options \\ []) do
+    component = Keyword.get(options, :component, 0)
+    link = Keyword.get(options, :link, :_)
+    newest(tables, network, system, component, link) || newest(tables, network, system, :_, link)
+  end
+
+  defp newest(_tables, _network, _system, 0, _link), do: nil
+
+  defp newest(tables, network, system, component, link) do
+    match = {{network, system, component, if(link == :_, do: :"$1", else: link), :"$2"}, :"$3", :_}
+
+    found =
+      :ets.select(tables.routes, [{match, [], [{{:"$3", if(link == :_, do: :"$1", else: link), :"$2"}}]}])
+
+    case found do
+      [] -> nil
+      ways -> ways |> Enum.max() |> then(fn {_heard, link, peer} -> {link, peer} end)
+    end
+  end
+
+  @doc "Every way by which a system (or one component of it) was heard, the most recent first."
+  @spec ways(Tables.t(), {String.t(), non_neg_integer}, 0..255 | :any) :: [way]
+  def ways(tables, {network, system}, component \\ :any) do
+    component = if component == :any, do: :_, else: component
+
+    tables.routes
+    |> :ets.select([{{{network, system, component, :"$1", :"$2"}, :"$3", :_}, [], [{{:"$3", :"$1", :"$2"}}]}])
+    |> Enum.sort(:desc)
+    |> Enum.map(fn {_heard, link, peer} -> {link, peer} end)
+    |> Enum.uniq()
+  end
+
+  @doc "All routes, with their ages in ms."
+  @spec list(Tables.t(), integer) :: [route]
+  def list(tables, now) do
+    for {{network, system, component, link, peer}, heard, since} <- :ets.tab2list(tables.routes) do
+      %{
+        network: network,
+        system: system,
+        component: component,
+        link: link,
+        peer: peer,
+        age_ms: now - heard,
+        known_ms: now - since
+      }
+    end
+  end
+
+  @doc "Forgets all routes of a system: it rebooted (R6) or is no more."
+  @spec clear(Tables.t(), {String.t(), non_neg_integer}) :: :ok
+  def clear(tables, {network, system}) do
+    true = :ets.match_delete(tables.routes, {{network, system, :_, :_, :_}, :_, :_})
+    :ok
+  end
+
+  @doc "Forgets all routes by a link, or by one of its peers."
+  @spec forget(Tables.t(), String.t(), term) :: :ok
+  def forget(tables, link, peer \\ :_) do
+    true = :ets.match_delete(tables.routes, {{:_, :_, :_, link, peer}, :_, :_})
+    :ok
+  end
+
+  @doc "Forgets routes that were not heard for `ttl` ms; how many."
+  @spec sweep(Tables.t(), integer, pos_integer) :: non_neg_integer
+  def sweep(tables, now, ttl \\ @ttl_ms) do
+    :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
+  end
+end

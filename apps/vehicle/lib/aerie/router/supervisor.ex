@@ -1,0 +1,36 @@
+defmodule Aerie.Router.Supervisor do
+  @moduledoc """
+  Owns the router's tables (`Aerie.Router.Tables`) and supervises what works on them; client endpoints join it.
+
+  The tables live as long as this supervisor. A restart of it costs the learned routes; they are learned again with the
+  next frame of each component.
+  """
+  use Supervisor
+
+  alias Aerie.Names
+  alias Aerie.Router.Tables
+
+  @doc "Options: `:gateway`, `:config`."
+  @spec start_link(keyword) :: Supervisor.on_start()
+  def start_link(options) do
+    Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :router))
+  end
+
+  @impl Supervisor
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:router, gateway})
+    _tables = Tables.create(gateway, own: own(Keyword.get(options, :config)))
+
+    # Sweeping is not worth more than a few tries: without it the tables are still bounded.
+    Supervisor.init([{Aerie.Router.Sweeper, gateway: gateway}],
+      strategy: :one_for_one,
+      max_restarts: 10,
+      max_seconds: 10
+    )
+  end
+
+  # Frames that carry our own ids come back through a loop.
+  defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
+  defp own(_none), do: nil
+end

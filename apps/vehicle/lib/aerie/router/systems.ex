@@ -1,0 +1,46 @@
+defmodule Aerie.Router.Systems do
+  @moduledoc """
+  Everything that sent a heartbeat: vehicles, ground stations, radios, gimbals, kept in `Aerie.Fleet.Store.systems/1`
+  under `{network, system}` as
+
+      %{last_heard: us, vehicle: boolean, components: %{component => %{role, type, autopilot, link, last_heard}}}
+
+  Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat
+  mends that.
+  """
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Names
+  alias Aerie.Router.Heartbeat
+  alias MavCodec.Frame
+
+  @max_components 64
+
+  @doc "Notes a heartbeat heard by a link."
+  @spec note(Names.gateway(), String.t(), String.t(), Frame.t(), Heartbeat.t()) :: :ok | {:error, :too_many}
+  def note(gateway, network, link, frame, heartbeat) do
+    key = {network, frame.system}
+    before = Store.system(gateway, key) || %{components: %{}, vehicle: false}
+
+    component = %{
+      role: Heartbeat.role(heartbeat),
+      type: heartbeat.type,
+      autopilot: heartbeat.autopilot,
+      link: link,
+      last_heard: frame.at
+    }
+
+    Store.see_system(gateway, key, %{
+      last_heard: frame.at,
+      vehicle: before.vehicle or Heartbeat.vehicle?(heartbeat),
+      components: put(before.components, frame.component, component)
+    })
+  end
+
+  defp put(components, id, component)
+       when is_map_key(components, id) or map_size(components) < @max_components do
+    Map.put(components, id, component)
+  end
+
+  defp put(components, _id, _component), do: components
+end

@@ -1,0 +1,254 @@
+defmodule Aerie.Link.CoreTest do
+  use ExUnit.Case, async: true
+
+  import Aerie.LinkCase, only: [attitude: 2, number: 1]
+  import :proper_types, except: [binary: 0]
+
+  alias Aerie.Link.Core
+  alias Aerie.Link.Snapshot
+  alias Aerie.Link.Spec
+
+  @at 1_700_000_000_000_000
+
+  defp now(ms), do: {ms, @at + ms * 1000}
+
+  defp core(text, options \\ []), do: Core.new(Spec.parse!(text), [seed: 1] ++ options)
+
+  # The core after events at their times, and the actions of the last one.
+  defp run(core, events) do
+    Enum.reduce(events, {core, []}, fn {ms, event}, {core, _actions} -> Core.handle(core, event, now(ms)) end)
+  end
+
+  defp up(text, options \\ []) do
+    elem(run(core(text, options), [{0, :start}, {0, {:opened, %{local: "here"}}}]), 0)
+  end
+
+  defp delivered(actions),
+    do: for({:deliver, peer, frames} <- actions, do: {peer, Enum.map(frames, &number/1)})
+
+  test "connects, fails, waits, tries again: the first time at once" do
+    {core, actions} = run(core("tcp:127.0.0.1:5760"), [{0, :start}])
+    assert :open in actions
+    assert Snapshot.text(core, 0) == "connecting to 127.0.0.1:5760"
+
+    {core, actions} = Core.handle(core, {:failed, :econnrefused}, now(1))
+    assert {:retry_in, 0} in actions
+    {core, actions} = run(core, [{1, :retry}, {2, {:failed, :econnrefused}}])
+    assert [wait] = for({:retry_in, wait} <- actions, do: wait)
+    assert wait in 250..500
+
+    seconds = :erlang.float_to_binary(wait / 1000, decimals: 1)
+    assert Snapshot.text(core, 2) == "connection refused by 127.0.0.1:5760, next try in #{seconds} s"
+
+    assert %{status: :down, reason: "connection refused by 127.0.0.1:5760", retry_in_ms: ^wait} =
+             Snapshot.of(core, 2)
+
+    {core, _} = Core.handle(core, :retry, now(1000))
+    assert Snapshot.text(core, 1000) =~ "again (connection refused"
+  end
+
+  test "a connection that held is tried again at once, one that did not is not" do
+    {_core, actions} = run(up("tcp:127.0.0.1:1"), [{5_000, {:closed, :closed}}])
+    assert {:retry_in, 0} in actions and :close in actions
+
+    flapping =
+      Enum.reduce(1..4, {up("tcp:127.0.0.1:1"), []}, fn n, {core, _} ->
+        run(core, [{n, {:closed, :closed}}, {n, :retry}, {n, {:opened, %{}}}])
+      end)
+
+    {_core, actions} = Core.handle(elem(flapping, 0), {:closed, :closed}, now(10))
+    assert [wait] = for({:retry_in, wait} <- actions, do: wait)
+    assert wait >= 1000
+  end
+
+  test "reads of one peer in a batch are one delivery, in order; each peer has its own parser" do
+    <<a::binary-size(12), b::binary>> = attitude(1, 1)
+
+    {core, actions} =
+      run(up("udpin::1"), [
+        {5,
+         {:read,
+          [{:x, attitude(1, 1)}, {:y, attitude(2, 7)}, {:x, attitude(1, 2) <> attitude(1, 3)}, {:y, a}]}}
+      ])
+
+    assert delivered(actions) == [x: [1, 2, 3], y: [7]]
+    # The rest of a frame that was split over two datagrams (F12).
+    {core, actions} = Core.handle(core, {:read, [{:y, b}]}, now(6))
+    assert delivered(actions) == [y: [1]]
+    assert %{frames_in: 5, messages: %{30 => 5}} = Core.counters(core)
+  end
+
+  test "the start of a frame that never ends delays nothing and is counted" do
+    core = up("udpin::1")
+
+    {core, actions} =
+      run(core, [{1, {:read, [{:x, attitude(1, 1)}, {:x, <<0xFD, 255, 0>>}, {:x, attitude(1, 2)}]}}])
+
+    assert delivered(actions) == [x: [1, 2]]
+    assert Core.counters(core).resync_bytes == 3
+  end
+
+  test "datagram peers are forgotten after a minute of silence, with their routes; counters stay" do
+    {core, _} = run(up("udpin::1"), [{1, {:read, [{:x, attitude(1, 1)}, {:y, attitude(1, 1)}]}}])
+    {core, actions} = run(core, [{50_000, {:read, [{:x, attitude(1, 2)}]}}, {60_001, :tick}])
+    assert {:forget, :y} in actions
+    assert Map.keys(core.peers.map) == [:x]
+    assert Core.counters(core).frames_in == 3
+  end
+
+  test "when there is no room the peer that is silent longest gives way, if it is silent at all" do
+    core = up("udpin::1", max_peers: 2)
+    {core, _} = run(core, [{0, {:read, [{:x, attitude(1, 1)}]}}, {4_000, {:read, [{:y, attitude(1, 1)}]}}])
+    {core, actions} = Core.handle(core, {:read, [{:z, attitude(1, 1)}]}, now(4_001))
+    assert delivered(actions) == []
+    assert Core.counters(core).peers_refused == 1
+    {core, actions} = Core.handle(core, {:read, [{:z, attitude(1, 1)}]}, now(5_000))
+    assert delivered(actions) == [z: [1]]
+    assert {:forget, :x} in actions
+    assert Map.keys(core.peers.map) == [:y, :z]
+  end
+
+  test "garbage from a thousand addresses makes no peer" do
+    reads = for n <- 1..1000, do: {n, <<0xFD, 9, 0, n::16, 1, 2, 3>>}
+    {core, actions} = Core.handle(up("udpin::1"), {:read, reads}, now(1))
+    assert delivered(actions) == [] and core.peers.map == %{}
+    assert Core.counters(core).bytes_in == 8000
+  end
+
+  test "connections of a server come, go, and are bounded" do
+    core = up("tcpin::1", max_peers: 1)
+    {core, _} = Core.handle(core, {:peer_up, 1, "a"}, now(1))
+    assert {core, [{:drop, 2}]} = Core.handle(core, {:peer_up, 2, "b"}, now(1))
+    {core, _} = Core.handle(core, {:read, [{1, attitude(1, 1)}]}, now(2))
+    {core, actions} = Core.handle(core, {:peer_down, 1, :closed}, now(3))
+    assert {:forget, 1} in actions
+    assert {^core, []} = Core.handle(core, {:peer_down, 2, :closed}, now(3))
+    assert %{frames_in: 1, peers_refused: 1} = Core.counters(core)
+  end
+
+  test "records keep their own times, and a damaged one costs only itself" do
+    records = [{1, attitude(1, 1)}, {2, <<0xFD, 9>>}, {3, attitude(1, 2)}]
+    {_core, actions} = Core.handle(up("replay:x.tlog"), {:records, records}, now(9))
+    assert [{:deliver, :remote, frames}] = actions
+    assert Enum.map(frames, &{&1.at, number(&1)}) == [{1, 1}, {3, 2}]
+  end
+
+  test "a link that hears nothing is idle, and says so; a UDP client then looks its name up again" do
+    core = up("udpout:127.0.0.1:1")
+    assert %{status: :up, text: "connected to 127.0.0.1:1"} = Snapshot.of(core, 9_999)
+    assert %{status: :idle, text: "connected to 127.0.0.1:1, nothing heard"} = Snapshot.of(core, 10_000)
+    {core, actions} = Core.handle(core, :tick, now(30_000))
+    assert :close in actions and {:retry_in, 0} in actions
+    assert core.reason == "nothing heard from 127.0.0.1:1 for 30 s"
+  end
+
+  test "the end of a recording is final" do
+    {core, actions} = run(up("replay:x.tlog?speed=max"), [{5, {:ended, "all done"}}])
+    assert :close in actions
+    assert %{status: :ended, text: "all done"} = Snapshot.of(core, 5)
+
+    for event <- [:retry, :start, {:opened, %{}}, {:read, []}],
+        do: assert(core == elem(run(core, [{6, event}]), 0))
+  end
+
+  test "rates come from the last second, and fall back to nothing" do
+    core = up("udpin::1")
+    read = {:read, [{:x, attitude(1, 1)}]}
+    events = for n <- 0..8, event <- [read, :tick], do: {n * 250, event}
+    {core, actions} = run(core, events)
+    assert Snapshot.of(core, 2000).rates.frames_in == 4.0
+    assert :publish in actions
+    {core, _} = run(core, for(n <- 9..14, do: {n * 250, :tick}))
+    assert Snapshot.of(core, 3500).rates.frames_in == 0.0
+    assert {_core, []} = Core.handle(core, :tick, now(3750))
+  end
+
+  test "per source loss is in the snapshot (R7)" do
+    {core, _} =
+      run(
+        up("udpin::1"),
+        for(n <- [1, 2, 4] ++ Enum.to_list(5..60), do: {n, {:read, [{:x, attitude(1, n)}]}})
+      )
+
+    assert %{{1, 1} => %{lost: 1, received: 59}} = Snapshot.of(core, 60).sources
+  end
+
+  describe "any events in any order" do
+    test "keep the promises of the state machine" do
+      links = elements(["tcp:h:1", "udpin::1", "tcpin::1", "udpout:h:1", "replay:f"])
+
+      property =
+        :proper.forall({links, list(event())}, fn {text, events} ->
+          events
+          |> Enum.with_index()
+          |> Enum.scan({core(text, max_peers: 3), :closed, true}, fn {event, n}, {core, conn, _kept?} ->
+            {next, actions} = Core.handle(core, event, now(n * 100))
+            {next, conn(conn, actions, event), kept?(core, next, actions, conn)}
+          end)
+          |> Enum.all?(&elem(&1, 2))
+        end)
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
+    end
+
+    # What a driver would know of the connection.
+    defp conn(conn, actions, event) do
+      cond do
+        :close in actions -> :closed
+        :open in actions -> :opening
+        match?({:opened, _}, event) and conn == :opening -> :open
+        match?({:failed, _}, event) and conn == :opening -> :closed
+        true -> conn
+      end
+    end
+
+    defp kept?(before, next, actions, conn) do
+      waits = for {:retry_in, wait} <- actions, do: wait
+      snapshot = Snapshot.of(next, 0)
+
+      # Opened only when there is nothing open; whoever is down has exactly one timer.
+      Enum.count(actions, &(&1 == :open)) <= 1 and
+        (:open not in actions or conn == :closed) and
+        (next.phase == :down and before.phase != :down) == (waits != []) and
+        Enum.all?(waits, &(&1 in 0..30_000)) and
+        map_size(next.peers.map) <= 3 and
+        (before.phase != :ended or next.phase == :ended) and
+        Enum.all?(
+          Aerie.Link.Counters.sums(),
+          &(Map.get(Core.counters(next), &1) >= Map.get(Core.counters(before), &1))
+        ) and
+        is_binary(snapshot.text) and
+        (before.phase == :up or for({:deliver, _, _} <- actions, do: 1) == [])
+    end
+
+    defp event do
+      peer = elements([:remote, 1, 2, 3, 4])
+
+      bytes =
+        oneof([
+          :proper_types.binary(),
+          elements([
+            attitude(1, 1),
+            attitude(2, 2),
+            binary_part(attitude(1, 3), 0, 20),
+            attitude(1, 1) <> attitude(1, 2)
+          ])
+        ])
+
+      frequency([
+        {2, :start},
+        {4, {:opened, exactly(%{local: "here"})}},
+        {2, {:failed, elements([:econnrefused, :timeout, "words", {:weird, 1}])}},
+        {1, {:closed, elements([:closed, :econnreset, {:shutdown, :x}])}},
+        {4, :retry},
+        {4, :tick},
+        {6, {:read, list({peer, bytes})}},
+        {2, {:records, list({integer(), bytes})}},
+        {3, {:peer_up, peer, "a peer"}},
+        {2, {:peer_down, peer, :closed}},
+        {1, {:ended, "over"}},
+        {1, {:count, elements([:dropped_out, :unclaimed]), range(0, 9)}}
+      ])
+    end
+  end
+end

@@ -1,0 +1,70 @@
+defmodule Aerie.Link.ReplayTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.Link
+
+  @moduletag :tmp_dir
+  @fixture Path.expand("../../../../mav_codec/test/fixtures/captures/px4_flight_start.tlog.gz", __DIR__)
+
+  setup c do
+    path = Path.join(c.tmp_dir, "flight.tlog")
+    File.write!(path, @fixture |> File.read!() |> :zlib.gunzip())
+    {:ok, path: path, gateway: start_parts(), recorded: Enum.to_list(MavCodec.Tlog.Reader.frames!(path))}
+  end
+
+  test "as fast as possible: all frames, in order, with their times, and then the end is told", c do
+    be_session(c.gateway, 1)
+    listen(c.gateway, [:ended])
+    {id, _} = add_link(c.gateway, "replay:#{c.path}?speed=max")
+    frames = frames(length(c.recorded))
+    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert Enum.map(frames, &{&1.at, &1.bytes}) == Enum.map(c.recorded, &{&1.at, &1.bytes})
+    refute_received {:frames, _, _}
+
+    assert reason == "end of #{c.path} after #{length(frames)} frames"
+    assert %{status: :ended, text: ^reason} = Link.snapshot(c.gateway, id)
+    assert Link.snapshot(c.gateway, id).counters.frames_in == length(frames)
+    # Nothing can be sent into a recording.
+    :ok = Link.send_bytes(c.gateway, id, "x", :all)
+    assert Link.snapshot(c.gateway, id).counters.dropped_out == 1
+  end
+
+  test "waits for a session that does not keep up", c do
+    be_session(c.gateway, 1)
+    listen(c.gateway, [:ended])
+    {_id, _} = add_link(c.gateway, "replay:#{c.path}?speed=max&loop=true")
+    # Nobody reads: the recording goes round and round, but no further than this.
+    eventually(fn -> waiting() > 16 end)
+    assert waiting() < 40
+    frames(3 * length(c.recorded))
+    refute_received {:ended, _, _}
+  end
+
+  defp waiting, do: self() |> Process.info(:message_queue_len) |> elem(1)
+
+  test "a damaged recording gives what is whole and says what is not", c do
+    bytes = File.read!(c.path)
+    File.write!(c.path, binary_part(bytes, 0, byte_size(bytes) - 5))
+    be_session(c.gateway, 1)
+    listen(c.gateway, [:ended])
+    add_link(c.gateway, "replay:#{c.path}?speed=max")
+    assert length(frames(length(c.recorded) - 1)) == length(c.recorded) - 1
+    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert reason =~ "the file ends in the middle of a record"
+  end
+
+  test "what cannot be replayed is an error", c do
+    assert {:error, "there is no file /nowhere/x.tlog"} = Link.start(c.gateway, "replay:/nowhere/x.tlog")
+    assert {:error, text} = Link.start(c.gateway, "replay:#{c.tmp_dir}")
+    assert text =~ "is a folder"
+    File.write!(c.path, "")
+    assert {:error, "the recording is empty"} = Link.start(c.gateway, "replay:#{c.path}")
+    File.write!(c.path, "this is no recording")
+    be_session(c.gateway, 1)
+    listen(c.gateway, [:ended])
+    add_link(c.gateway, "replay:#{c.path}?speed=max&loop=true")
+    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert reason =~ "after 0 frames"
+  end
+end

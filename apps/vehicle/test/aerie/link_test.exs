@@ -1,0 +1,321 @@
+defmodule Aerie.LinkTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.Link
+  alias Aerie.Names
+
+  setup do
+    {:ok, gateway: start_parts()}
+  end
+
+  defp socket(options \\ []) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: false] ++ options)
+    on_exit(fn -> :gen_udp.close(socket) end)
+    socket
+  end
+
+  defp say(socket, port, bytes), do: :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, bytes)
+
+  describe "UDP server" do
+    test "frames of a datagram reach the session in one message, unaltered, with their time (F12, R3)", c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      assert port > 0
+      sent = for n <- 1..5, do: attitude(1, n)
+      before = System.os_time(:microsecond)
+      say(socket(), port, sent)
+
+      assert_receive {:frames, ^id, frames}
+      assert Enum.map(frames, & &1.bytes) == sent
+      assert Enum.all?(frames, &(&1.at >= before and &1.at <= System.os_time(:microsecond)))
+    end
+
+    test "each sender is a peer of its own; garbage makes none and costs nobody a frame", c do
+      be_session(c.gateway, 1)
+      be_session(c.gateway, 2)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      [a, b, noise] = [socket(), socket(), socket()]
+
+      for n <- 1..300 do
+        say(a, port, attitude(1, n))
+        # The start of a frame that never ends, and plain noise.
+        say(noise, port, <<0xFD, 255, 0, 0, 7>>)
+        say(a, port, <<0xFD, 200, 0>>)
+        say(b, port, :binary.copy(<<0x55>>, 100) <> attitude(2, n))
+      end
+
+      frames = frames(600)
+      for system <- [1, 2], do: assert(numbers(frames, system) == Enum.to_list(1..300))
+
+      snapshot = Link.snapshot(c.gateway, id)
+      assert length(snapshot.peers) == 2
+      assert snapshot.counters.frames_in == 600
+      assert snapshot.counters.resync_bytes > 0
+      assert snapshot.counters.messages == %{30 => 600}
+    end
+
+    test "peers are bounded; a refused one is counted", c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", options: [max_peers: 2])
+      for _ <- 1..4, do: say(socket(), port, attitude(1, 1))
+      frames(2)
+      eventually(fn -> Link.snapshot(c.gateway, id).counters.peers_refused == 2 end)
+      assert length(Link.snapshot(c.gateway, id).peers) == 2
+    end
+
+    test "a system is answered where it was heard last", c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      [a, b] = [socket(), socket()]
+      say(a, port, attitude(1, 1))
+      frames(1)
+      assert Aerie.Router.send(c.gateway, {"main", 1}, "to a") == :ok
+      assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, 1000)
+
+      # Heard is counted in milliseconds.
+      eventually(fn ->
+        say(b, port, attitude(1, 2))
+        frames(1)
+        :ok = Link.send_bytes(c.gateway, id, "to b", {:system, 1})
+        match?({:ok, {_, _, "to b"}}, :gen_udp.recv(b, 0, 20))
+      end)
+
+      assert Link.send_bytes(c.gateway, id, "x", {:system, 9}) == {:error, :no_route}
+      assert Aerie.Router.send(c.gateway, {"main", 9}, "x") == {:error, :no_route}
+      assert Aerie.Router.send(c.gateway, {"other", 1}, "x") == {:error, :no_route}
+      assert Link.send_bytes(c.gateway, "nobody", "x", :all) == {:error, :no_link}
+
+      :ok = Aerie.Router.broadcast(c.gateway, "to all", "main")
+      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, 1000)
+    end
+
+    test "IPv6", c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:[::1]:0")
+      socket = socket([:inet6])
+      :ok = :gen_udp.send(socket, {0, 0, 0, 0, 0, 0, 0, 1}, port, attitude(1, 1))
+      frames(1)
+      assert [%{text: "[::1]:" <> _}] = Link.snapshot(c.gateway, id).peers
+      :ok = Aerie.Router.send(c.gateway, {"main", 1}, "six")
+      assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, 1000)
+    end
+
+    test "a taken port is an error that names the owner, and nothing is left behind", c do
+      {_id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      assert {:error, text} = Link.start(c.gateway, "udpin:127.0.0.1:#{port}")
+      assert text =~ "127.0.0.1:#{port} is in use by"
+      assert text =~ "(process #{System.pid()})"
+      assert [_one] = Link.list(c.gateway)
+      assert {:error, "cannot use " <> _} = Link.start(c.gateway, "nonsense")
+    end
+  end
+
+  describe "UDP client" do
+    test "calls, hears the host that it called, and follows the port that it answers from", c do
+      be_session(c.gateway, 1)
+      server = socket()
+      {:ok, port} = :inet.port(server)
+      {id, _} = add_link(c.gateway, "udpout:localhost:#{port}")
+      eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
+      :ok = Link.send_bytes(c.gateway, id, "hello", :all)
+      assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, 1000)
+
+      other = socket()
+      :ok = :gen_udp.send(other, address, client, attitude(1, 1))
+      frames(1)
+      :ok = Aerie.Router.send(c.gateway, {"main", 1}, "again")
+      assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, 1000)
+    end
+
+    test "a stranger is not heard", c do
+      be_session(c.gateway, 1)
+      {id, _} = add_link(c.gateway, "udpout:127.0.0.2:14550")
+      eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
+      "0.0.0.0:" <> port = Link.snapshot(c.gateway, id).local
+      say(socket(), String.to_integer(port), attitude(1, 1))
+      refute_receive {:frames, _, _}, 50
+      assert Link.snapshot(c.gateway, id).counters.frames_in == 0
+    end
+  end
+
+  describe "TCP" do
+    test "a client finds a server that was not there, loses it, and comes back by itself", c do
+      be_session(c.gateway, 1)
+      listen(c.gateway, [:up, :down])
+      {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, reuseaddr: true, ip: {127, 0, 0, 1}])
+      {:ok, port} = :inet.port(listener)
+      :gen_tcp.close(listener)
+
+      {id, _} = add_link(c.gateway, "tcp:127.0.0.1:#{port}")
+      # The first retry is at once.
+      assert_receive {:down, %{retry_ms: 0}, %{reason: "connection refused by 127.0.0.1:" <> _}}
+      assert_receive {:down, %{retry_ms: wait}, _} when wait in 250..500
+
+      assert Link.get(c.gateway, id).text =~
+               ~r/connection refused by 127.0.0.1:\d+, next try (now|in 0\.\d s)/
+
+      {:ok, listener} = :gen_tcp.listen(port, [:binary, active: false, reuseaddr: true, ip: {127, 0, 0, 1}])
+      {:ok, server} = :gen_tcp.accept(listener, 5000)
+      assert_receive {:up, _, %{link: ^id}}, 2000
+      # Bytes are cut anywhere on a stream.
+      <<a::binary-size(17), b::binary>> = attitude(1, 1) <> attitude(1, 2)
+      :ok = :gen_tcp.send(server, a)
+      :ok = :gen_tcp.send(server, b)
+      assert [1, 2] = Enum.map(frames(2), &number/1)
+
+      :ok = Aerie.Router.send(c.gateway, {"main", 1}, "hello")
+      assert {:ok, "hello"} = :gen_tcp.recv(server, 5, 1000)
+
+      :gen_tcp.close(server)
+      assert_receive {:down, _, %{reason: "connection closed by 127.0.0.1:" <> _}}
+      assert {:ok, server} = :gen_tcp.accept(listener, 5000)
+      assert_receive {:up, %{reconnects: 1}, _}, 2000
+      :ok = :gen_tcp.send(server, attitude(1, 3))
+      assert [3] = Enum.map(frames(1), &number/1)
+      assert %{reconnects: 1, frames_in: 3} = Link.snapshot(c.gateway, id).counters
+    end
+
+    test "a server takes many, each with a parser of its own; one that goes takes its routes along", c do
+      be_session(c.gateway, 1)
+      be_session(c.gateway, 2)
+      {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0", options: [max_peers: 2])
+      listen(c.gateway, [:peer_down])
+      {:ok, a} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+      {:ok, b} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+      <<half::binary-size(10), rest::binary>> = attitude(1, 1)
+      :ok = :gen_tcp.send(a, half)
+      :ok = :gen_tcp.send(b, attitude(2, 1))
+      :ok = :gen_tcp.send(a, rest)
+      assert [1, 2] = frames(2) |> Enum.map(& &1.system) |> Enum.sort()
+
+      {:ok, refused} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+      assert {:error, :closed} = :gen_tcp.recv(refused, 0, 1000)
+      assert Link.snapshot(c.gateway, id).counters.peers_refused == 1
+
+      assert :ok = Aerie.Router.send(c.gateway, {"main", 2}, "b")
+      assert {:ok, "b"} = :gen_tcp.recv(b, 0, 1000)
+      :gen_tcp.close(a)
+      assert_receive {:peer_down, _, _}
+      assert Aerie.Router.send(c.gateway, {"main", 1}, "a") == {:error, :no_route}
+      assert [%{frames_in: 1}] = Link.snapshot(c.gateway, id).peers
+    end
+
+    test "a peer that does not read costs nobody anything", c do
+      be_session(c.gateway, 1)
+      be_session(c.gateway, 2)
+      {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0")
+      {:ok, stuck} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false, recbuf: 4096])
+      {:ok, reads} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+      :ok = :gen_tcp.send(stuck, attitude(1, 1))
+      :ok = :gen_tcp.send(reads, attitude(2, 1))
+      frames(2)
+      block = :binary.copy("x", 50_000)
+      for _ <- 1..200, do: :ok = Aerie.Router.send(c.gateway, {"main", 1}, block)
+      :ok = Aerie.Router.send(c.gateway, {"main", 2}, "still here")
+      assert {:ok, "still here"} = :gen_tcp.recv(reads, 0, 2000)
+      assert Link.snapshot(c.gateway, id).counters.dropped_out > 0
+    end
+  end
+
+  describe "a killed link" do
+    test "fifty times in a row: it is back each time, and another link loses nothing", c do
+      be_session(c.gateway, 1)
+      be_session(c.gateway, 2)
+      {victim, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      {other, other_port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "other")
+      # Port 0 would be another one after a restart.
+      :ok = Link.stop(c.gateway, victim)
+      {victim, ^port} = add_link(c.gateway, "udpin:127.0.0.1:#{port}", id: "victim")
+      [a, b] = [socket(), socket()]
+      supervisor = Names.whereis(c.gateway, :links)
+      trees = Names.whereis(c.gateway, :link_trees)
+
+      for n <- 1..50 do
+        pid = eventually(fn -> Names.whereis(c.gateway, :link, victim) end)
+        say(a, port, attitude(1, n))
+        say(b, other_port, attitude(2, n))
+        Process.exit(pid, :kill)
+      end
+
+      got = for %{system: 2} = frame <- collect(50), do: number(frame)
+      assert got == Enum.to_list(1..50)
+
+      eventually(fn -> match?(%{status: :up}, Link.get(c.gateway, victim)) end)
+      say(a, port, attitude(1, 99))
+      eventually(fn -> Enum.any?(frames(1), &(number(&1) == 99)) end)
+      # One that is killed before it is quite there does not count.
+      assert Link.snapshot(c.gateway, victim).counters.restarts in 40..50
+      assert Link.snapshot(c.gateway, other).counters.restarts == 0
+      assert Names.whereis(c.gateway, :links) == supervisor
+      assert Names.whereis(c.gateway, :link_trees) == trees
+    end
+
+    test "keeps its counters", c do
+      be_session(c.gateway, 1)
+      {_, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "a")
+      :ok = Link.stop(c.gateway, "a")
+      {id, _} = add_link(c.gateway, "udpin:127.0.0.1:#{port}", id: "a")
+      socket = socket()
+      say(socket, port, attitude(1, 1))
+      frames(1)
+      # Written four times a second.
+      eventually(fn -> Link.get(c.gateway, id).counters.frames_in == 1 end)
+      pid = Names.whereis(c.gateway, :link, id)
+      Process.exit(pid, :kill)
+
+      eventually(fn ->
+        say(socket, port, attitude(1, 2))
+        match?(%{counters: %{frames_in: n, restarts: 1}} when n > 1, Link.get(c.gateway, id))
+      end)
+    end
+
+    @tag :capture_log
+    test "the links' supervisor comes back with the links it had, also those added at run time", c do
+      {id, _} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "kept")
+      {gone, _} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "gone")
+      :ok = Link.stop(c.gateway, gone)
+      trees = Names.whereis(c.gateway, :link_trees)
+      Process.exit(trees, :kill)
+
+      eventually(fn ->
+        Names.whereis(c.gateway, :link_trees) not in [nil, trees] and
+          match?(%{status: :up}, Link.snapshot(c.gateway, id))
+      end)
+
+      assert [%{id: "kept"}] = Link.list(c.gateway)
+    end
+
+    # Frames of system 2 until there are n.
+    defp collect(n, got \\ []) do
+      if Enum.count(got, &(&1.system == 2)) >= n, do: got, else: collect(n, got ++ frames(1))
+    end
+  end
+
+  test "configured links are started with the gateway" do
+    config = %{
+      links: [
+        %{id: "one", url: "udpin:127.0.0.1:0", network: "a", label: "Mast", enabled: true},
+        %{id: "two", url: "udpin:127.0.0.1:0", network: "a", label: nil, enabled: false}
+      ],
+      limits: %{max_links: 1, max_peers: 3}
+    }
+
+    gateway = start_parts(config)
+    assert [%{id: "one", network: "a", label: "Mast"}] = Link.list(gateway)
+
+    assert {:error, "there are as many links as limits.max_links allows"} =
+             Link.start(gateway, "udpin:127.0.0.1:0")
+  end
+
+  test "one id, one link", c do
+    {id, _} = add_link(c.gateway, "udpin:127.0.0.1:0")
+    assert {:error, "there is a link udpin:127.0.0.1:0 already"} = Link.start(c.gateway, "udpin:127.0.0.1:0")
+    :ok = Link.stop(c.gateway, id)
+    :ok = Link.stop(c.gateway, id)
+    assert Link.list(c.gateway) == []
+    assert Link.snapshot(c.gateway, id) == nil
+  end
+
+  defp numbers(frames, system), do: for(%{system: ^system} = frame <- frames, do: number(frame))
+end

@@ -1,0 +1,113 @@
+defmodule Aerie.LinkCase do
+  @moduledoc """
+  Tests of links and routing: the parts of a gateway that they need, frames to send, and the test process in the place
+  of a vehicle's session (`be_session/3`), which gets what the router delivers.
+  """
+  use ExUnit.CaseTemplate
+
+  alias Aerie.Link
+  alias Aerie.Names
+
+  using do
+    quote do
+      import Aerie.LinkCase
+      import Aerie.GatewayCase, only: [eventually: 1]
+    end
+  end
+
+  @doc "Starts store, notices, router, vehicles and links of a gateway that ends with the test; gives its name."
+  @spec start_parts(map) :: reference
+  def start_parts(config \\ %{}) do
+    gateway = make_ref()
+    options = [gateway: gateway, config: config]
+
+    for module <- [
+          Aerie.Fleet.Store,
+          Aerie.Fleet.PubSub,
+          Aerie.Router.Supervisor,
+          Aerie.Vehicle.Supervisor,
+          Aerie.Link.Supervisor
+        ] do
+      start_supervised!(Supervisor.child_spec({module, options}, id: {module, gateway}))
+    end
+
+    gateway
+  end
+
+  @doc "Makes the calling process the session of a vehicle."
+  @spec be_session(term, non_neg_integer, String.t()) :: :ok
+  def be_session(gateway, system, network \\ "main") do
+    {:via, Registry, {registry, name}} = Names.via(gateway, :session, {network, system})
+    {:ok, _owner} = Registry.register(registry, name, nil)
+    :ok
+  end
+
+  @doc "Frames of the calling process's sessions, in order, until there are `n`."
+  @spec frames(non_neg_integer, [MavCodec.Frame.t()]) :: [MavCodec.Frame.t()]
+  def frames(n, got \\ [])
+  def frames(n, got) when length(got) >= n, do: got
+
+  def frames(n, got) do
+    receive do
+      {:frames, _link, frames} -> frames(n, got ++ frames)
+    after
+      5_000 -> ExUnit.Assertions.flunk("#{length(got)} of #{n} frames came")
+    end
+  end
+
+  @doc "Adds a link to the gateway; gives its id and, for a server, its port."
+  @spec add_link(term, String.t(), keyword) :: {String.t(), non_neg_integer | nil}
+  def add_link(gateway, text, options \\ []) do
+    {:ok, id} = Link.start(gateway, text, options)
+    {id, Link.snapshot(gateway, id).port}
+  end
+
+  @doc "Sends the link's telemetry events to the calling process, as `{event, measurements, metadata}`."
+  @spec listen(term, [atom]) :: :ok
+  def listen(gateway, events) do
+    test = self()
+    id = {gateway, events, make_ref()}
+
+    :ok =
+      :telemetry.attach_many(
+        id,
+        for(event <- events, do: [:aerie, :link, event]),
+        fn [_, _, event], measurements, metadata, _config ->
+          if metadata.gateway == gateway, do: send(test, {event, measurements, metadata})
+        end,
+        nil
+      )
+
+    ExUnit.Callbacks.on_exit(fn -> :telemetry.detach(id) end)
+  end
+
+  @doc "Bytes of a heartbeat; an ArduPilot copter's unless `:type` and `:autopilot` say else."
+  @spec heartbeat(non_neg_integer, keyword) :: binary
+  def heartbeat(system, options \\ []) do
+    MavCodec.encode(
+      %MavCodec.Messages.Heartbeat{
+        type: Keyword.get(options, :type, 2),
+        autopilot: Keyword.get(options, :autopilot, 3),
+        system_status: 4,
+        mavlink_version: 3
+      },
+      system: system,
+      component: Keyword.get(options, :component, 1),
+      seq: Keyword.get(options, :seq, 0)
+    )
+  end
+
+  @doc "Bytes of an ATTITUDE frame that carries `n` as its time."
+  @spec attitude(non_neg_integer, non_neg_integer) :: binary
+  def attitude(system, n) do
+    MavCodec.encode(%MavCodec.Messages.Attitude{time_boot_ms: n, roll: 0.5, yaw: 1.0},
+      system: system,
+      component: 1,
+      seq: rem(n, 256)
+    )
+  end
+
+  @doc "The number that an `attitude/2` frame carries."
+  @spec number(MavCodec.Frame.t()) :: non_neg_integer
+  def number(%{payload: <<n::32-little, _::binary>>}), do: n
+end

@@ -62,7 +62,9 @@ defmodule Gnat.Nkey do
     end
   end
 
-  defp open(<<_::binary-size(34)>>), do: {:error, "it does not begin with S"}
+  defp open(<<first, _::binary>>) when (first &&& 0xF8) != @prefix_seed,
+    do: {:error, "it does not begin with S"}
+
   defp open(_other), do: {:error, "it has not the right length"}
 
   defp check_crc(bytes) when byte_size(bytes) > 2 do

@@ -140,7 +140,8 @@ defmodule Gnat.Transport do
   defp family(_address), do: []
 
   defp tls_opts(%{ssl_opts: given, host: host}) do
-    opts = Keyword.merge(name_opts(address(host)), given)
+    # A refusal is returned as an error; :ssl need not log it as well.
+    opts = Keyword.merge([{:log_level, :error} | name_opts(address(host))], given)
     trust = [:verify, :cacerts, :cacertfile]
 
     if Enum.any?(trust, &Keyword.has_key?(opts, &1)) do

@@ -1,0 +1,92 @@
+defmodule Gnat.NkeyTest do
+  use ExUnit.Case, async: true
+
+  alias Gnat.{Credentials, Error, Nkey}
+  alias Gnat.Test.Jwt
+
+  # The example of the NATS documentation on nkeys: a seed and the public key that belongs to it.
+  @seed "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY"
+  @public "UDXU4RCSJNZOIQHZNWXHXORDPRTGNJAHAHFRGZNEEJCPQTT2M7NLCNF4"
+
+  test "a seed gives the public key that the server knows it by" do
+    assert {:ok, %Nkey{purpose: :user, public: @public} = nkey} = Nkey.from_seed(@seed)
+    assert Nkey.seed(nkey) == @seed
+    assert {:ok, ^nkey} = Nkey.from_seed("\n  #{@seed} \n")
+  end
+
+  test "every purpose has its letter, and comes back from its seed" do
+    for {purpose, letter} <- [operator: "O", server: "N", cluster: "C", account: "A", user: "U"] do
+      nkey = Nkey.generate(purpose)
+      assert String.first(nkey.public) == letter
+      assert "S" <> rest = Nkey.seed(nkey)
+      assert String.first(rest) == letter
+      assert {:ok, ^nkey} = Nkey.from_seed(Nkey.seed(nkey))
+    end
+  end
+
+  test "a signature is Ed25519 of the bytes" do
+    {:ok, nkey} = Nkey.from_seed(@seed)
+    {public, _} = :crypto.generate_key(:eddsa, :ed25519, nkey.secret)
+    signature = Nkey.sign(nkey, "nonce")
+    assert byte_size(signature) == 64
+    assert :crypto.verify(:eddsa, :none, "nonce", signature, [public, :ed25519])
+  end
+
+  test "the secret is not inspected" do
+    {:ok, nkey} = Nkey.from_seed(@seed)
+    refute inspect(nkey) =~ "secret"
+  end
+
+  test "what is no seed is an error that says why, and not what it was" do
+    wrong = String.replace_suffix(@seed, "VY", "VA")
+
+    for {seed, why} <- [
+          {"", "right length"},
+          {"not base 32!", "base 32"},
+          {wrong, "checksum"},
+          {@public, "does not begin with S"},
+          {String.slice(@seed, 0, 20), "checksum"},
+          {nil, "beginning with S"}
+        ] do
+      assert {:error, %Error{reason: {:credentials, text}} = error} = Nkey.from_seed(seed)
+      assert text =~ why
+      if is_binary(seed) and seed != "", do: refute(Exception.message(error) =~ seed)
+    end
+  end
+
+  test "no text raises" do
+    property =
+      :proper.forall(:proper_types.binary(), fn text -> match?({:error, _}, Nkey.from_seed(text)) end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+  end
+
+  describe "credentials" do
+    test "are the JWT and the seed of a file" do
+      text = Jwt.creds("abc.def-g.h_i", @seed)
+      assert {:ok, %{jwt: "abc.def-g.h_i", nkey_seed: @seed}} = Credentials.parse(text)
+      assert {:ok, %{jwt: "abc.def-g.h_i"}} = text |> String.replace("\n", "\r\n") |> Credentials.parse()
+    end
+
+    test "that lack a part, or have a bad one, say so" do
+      assert {:error, %Error{reason: {:credentials, "no NATS USER JWT block"}}} = Credentials.parse("")
+      [jwt_only, _] = String.split(Jwt.creds("abc", @seed), "-----BEGIN USER")
+      assert {:error, %Error{reason: {:credentials, "no USER NKEY SEED block"}}} = Credentials.parse(jwt_only)
+      assert {:error, %Error{reason: {:credentials, text}}} = Credentials.parse(Jwt.creds("abc", "SUABC"))
+      assert text =~ "not an nkey seed"
+    end
+
+    @tag :tmp_dir
+    test "of a file name the file", %{tmp_dir: dir} do
+      path = Path.join(dir, "a.creds")
+      assert {:error, error} = Credentials.read(path)
+      assert Exception.message(error) =~ "a.creds: no such file"
+      File.write!(path, "nonsense")
+      assert {:error, error} = Credentials.read(path)
+      assert Exception.message(error) =~ "a.creds: no NATS USER JWT block"
+      File.write!(path, :binary.copy("x", 1_048_577))
+      assert {:error, error} = Credentials.read(path)
+      assert Exception.message(error) =~ "too many"
+    end
+  end
+end

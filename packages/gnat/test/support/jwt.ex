@@ -1,0 +1,74 @@
+defmodule Gnat.Test.Jwt do
+  @moduledoc """
+  An operator, an account and a user of it, as JWTs signed with nkeys: what `nsc` would make.
+  """
+
+  alias Gnat.Nkey
+
+  @unlimited %{
+    subs: -1,
+    data: -1,
+    payload: -1,
+    imports: -1,
+    exports: -1,
+    wildcards: true,
+    conn: -1,
+    leaf: -1
+  }
+
+  @doc "`%{config: server configuration, creds: text of a credentials file, seed: , jwt: }`."
+  def deployment(user_claims \\ %{}) do
+    operator = Nkey.generate(:operator)
+    account = Nkey.generate(:account)
+    user = Nkey.generate(:user)
+
+    operator_jwt = sign(operator, operator.public, "operator", %{})
+    account_jwt = sign(operator, account.public, "account", %{limits: @unlimited})
+    jwt = sign(account, user.public, "user", %{subs: -1, data: -1, payload: -1}, user_claims)
+
+    config = """
+    operator: #{operator_jwt}
+    resolver: MEMORY
+    resolver_preload: { #{account.public}: #{account_jwt} }
+    """
+
+    %{config: config, jwt: jwt, seed: Nkey.seed(user), creds: creds(jwt, Nkey.seed(user))}
+  end
+
+  def creds(jwt, seed) do
+    """
+    -----BEGIN NATS USER JWT-----
+    #{jwt}
+    ------END NATS USER JWT------
+
+    ************************* IMPORTANT *************************
+    NKEY Seed printed below can be used to sign and prove identity.
+
+    -----BEGIN USER NKEY SEED-----
+    #{seed}
+    ------END USER NKEY SEED------
+
+    *************************************************************
+    """
+  end
+
+  defp sign(signer, subject, type, nats, claims \\ %{}) do
+    claims =
+      Map.merge(
+        %{
+          jti: Base.encode32(:crypto.strong_rand_bytes(16), padding: false),
+          iat: System.os_time(:second),
+          iss: signer.public,
+          sub: subject,
+          name: type,
+          nats: Map.merge(nats, %{type: type, version: 2})
+        },
+        claims
+      )
+
+    content = part(%{typ: "JWT", alg: "ed25519-nkey"}) <> "." <> part(claims)
+    content <> "." <> Base.url_encode64(Nkey.sign(signer, content), padding: false)
+  end
+
+  defp part(map), do: map |> JSON.encode!() |> Base.url_encode64(padding: false)
+end

@@ -1,0 +1,346 @@
+defmodule Aerie.Bridge.Outbox do
+  @moduledoc """
+  Events on disk while NATS is away: append at the end, read from the front, acknowledge in any order.
+
+  A value with open files, no process. A folder of segment files, each named after the number of its first record;
+  records are numbered 1, 2, 3 … for the life of the folder. The file `head` holds the number of the first record that
+  is not acknowledged yet. Whole segments before it are deleted.
+
+  What a crash costs: `kill -9` of the VM nothing that `append/2` returned from (the system has the data); a power cut
+  what was not forced to the disk yet, see `sync/1`. A record that was cut off or damaged ends its segment: what is
+  before it is kept. A lost `head` means that records are published again, which their ids make harmless.
+
+  Full: the oldest segment goes as a whole, and its unacknowledged records are counted as dropped.
+  """
+
+  alias Aerie.Bridge.Outbox.{Record, Segment}
+
+  @enforce_keys [:dir, :max_bytes, :segment_bytes]
+  defstruct [
+    :dir,
+    :max_bytes,
+    :segment_bytes,
+    :writer,
+    :cursor,
+    segments: [],
+    head: 1,
+    next: 1,
+    acked: MapSet.new(),
+    dropped: 0,
+    damaged: 0,
+    unsynced: false
+  ]
+
+  @opaque t :: %__MODULE__{}
+  @type seq :: pos_integer()
+  @read_bytes 2 * 131_072
+
+  @doc """
+  Opens or makes an outbox. Options: `:max_bytes` (64 MiB), `:segment_bytes` (1 MiB).
+
+  Everything that is readable is there again, to be read from the first record that is not acknowledged.
+  """
+  @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, File.posix()}
+  def open(dir, opts \\ []) do
+    outbox = %__MODULE__{
+      dir: Path.expand(dir),
+      max_bytes: Keyword.get(opts, :max_bytes, 64 * 1_048_576),
+      segment_bytes: Keyword.get(opts, :segment_bytes, 1_048_576)
+    }
+
+    with :ok <- File.mkdir_p(outbox.dir), {:ok, names} <- File.ls(outbox.dir) do
+      numbers = names |> Enum.flat_map(&List.wrap(Segment.number(&1))) |> Enum.sort()
+      load(outbox, numbers, read_head(outbox))
+    end
+  end
+
+  defp load(outbox, numbers, head) do
+    Enum.reduce_while(numbers, {:ok, []}, fn number, {:ok, segments} ->
+      case Segment.load(outbox.dir, number) do
+        {:ok, segment} -> {:cont, {:ok, [segment | segments]}}
+        {:error, reason} -> {:halt, {:error, reason}}
+      end
+    end)
+    |> case do
+      {:ok, segments} ->
+        segments = Enum.reverse(segments)
+        first = if segments == [], do: head || 1, else: hd(segments).first
+        last = if segments == [], do: 0, else: Segment.next(List.last(segments)) - 1
+        head = max(head || first, first)
+        damaged = Enum.count(segments, & &1.damaged)
+        outbox = %{outbox | segments: segments, head: head, next: max(last + 1, head), damaged: damaged}
+        {:ok, outbox |> settle() |> trim() |> rewind()}
+
+      error ->
+        error
+    end
+  end
+
+  @doc """
+  Writes records at the end. All are written, or the error says why not; then none counts as written.
+
+  A record above #{div(Record.max_bytes(), 1024)} KiB is dropped and counted: it would block all others for ever.
+  """
+  @spec append(t(), [Record.t()]) :: {:ok, t()} | {:error, File.posix(), t()}
+  def append(outbox, []), do: {:ok, outbox}
+
+  def append(outbox, records) do
+    {encoded, too_large} =
+      Enum.reduce(records, {[], 0}, fn record, {encoded, too_large} ->
+        case Record.encode(record) do
+          {:ok, bytes} -> {[bytes | encoded], too_large}
+          :too_large -> {encoded, too_large + 1}
+        end
+      end)
+
+    outbox = %{outbox | dropped: outbox.dropped + too_large}
+
+    # In pieces of a segment, so that the size limit holds within one long list too.
+    encoded |> Enum.reverse() |> pieces(outbox.segment_bytes) |> write(outbox)
+  end
+
+  defp pieces(encoded, size) do
+    Enum.chunk_while(
+      encoded,
+      {[], 0},
+      fn bytes, {piece, sum} ->
+        if piece != [] and sum + byte_size(bytes) > size,
+          do: {:cont, Enum.reverse(piece), {[bytes], byte_size(bytes)}},
+          else: {:cont, {[bytes | piece], sum + byte_size(bytes)}}
+      end,
+      fn {piece, _sum} -> {:cont, Enum.reverse(piece), []} end
+    )
+  end
+
+  defp write([], outbox), do: {:ok, outbox}
+  defp write([[] | rest], outbox), do: write(rest, outbox)
+
+  defp write([piece | rest], outbox) do
+    bytes = IO.iodata_length(piece)
+
+    with {:ok, outbox} <- outbox |> make_room(bytes) |> writable(bytes),
+         segment = List.last(outbox.segments),
+         {:ok, segment} <- Segment.append(segment, outbox.writer, piece, length(piece), bytes) do
+      segments = List.replace_at(outbox.segments, -1, segment)
+      write(rest, %{outbox | segments: segments, next: outbox.next + length(piece), unsynced: true})
+    else
+      {:error, reason, outbox} -> {:error, reason, outbox}
+      # A write that was cut off half way has been taken back; the file is closed so that the next try opens it anew.
+      {:error, reason} -> {:error, reason, close_writer(outbox)}
+    end
+  end
+
+  defp make_room(%{segments: [oldest | rest]} = outbox, bytes) do
+    if bytes(outbox) + bytes > outbox.max_bytes do
+      lost = Enum.count(oldest.first..(Segment.next(oldest) - 1)//1, &pending?(outbox, &1))
+      outbox = if rest == [], do: close_writer(outbox), else: outbox
+      Segment.delete(oldest)
+      after_it = Segment.next(oldest)
+      head = max(outbox.head, after_it)
+      outbox = %{outbox | segments: rest, head: head, dropped: outbox.dropped + lost}
+      outbox = if outbox.cursor.seq < after_it, do: cursor(outbox, after_it), else: outbox
+      make_room(settle(%{outbox | acked: MapSet.filter(outbox.acked, &(&1 >= head))}), bytes)
+    else
+      outbox
+    end
+  end
+
+  defp make_room(outbox, _bytes), do: outbox
+
+  defp pending?(outbox, seq), do: seq >= outbox.head and not MapSet.member?(outbox.acked, seq)
+
+  defp writable(outbox, bytes) do
+    case List.last(outbox.segments) do
+      %Segment{damaged: false} = segment
+      when segment.bytes == 0 or segment.bytes + bytes <= outbox.segment_bytes ->
+        with_writer(outbox, segment)
+
+      _full_damaged_or_none ->
+        outbox = close_writer(outbox)
+        segment = Segment.new(outbox.dir, outbox.next)
+
+        case with_writer(%{outbox | segments: outbox.segments ++ [segment]}, segment) do
+          {:ok, outbox} -> {:ok, outbox}
+          {:error, reason, _} -> {:error, reason, outbox}
+        end
+    end
+  end
+
+  defp with_writer(%{writer: nil} = outbox, segment) do
+    case Segment.open_writer(segment) do
+      {:ok, writer} -> {:ok, %{outbox | writer: writer}}
+      {:error, reason} -> {:error, reason, outbox}
+    end
+  end
+
+  defp with_writer(outbox, _segment), do: {:ok, outbox}
+
+  defp close_writer(%{writer: nil} = outbox), do: outbox
+
+  defp close_writer(outbox) do
+    _ = :file.close(outbox.writer)
+    %{outbox | writer: nil}
+  end
+
+  @doc "The next unread records that are not acknowledged, oldest first, at most `limit`. They count as read."
+  @spec read(t(), pos_integer()) :: {[{seq(), Record.t()}], t()}
+  def read(%{cursor: %{seq: seq}, head: head} = outbox, limit) when seq < head,
+    do: outbox |> cursor(head) |> read(limit, [])
+
+  def read(outbox, limit), do: read(outbox, limit, [])
+
+  defp read(%{cursor: %{seq: seq}} = outbox, left, chunks) when left <= 0 or seq >= outbox.next,
+    do: {chunks |> Enum.reverse() |> Enum.concat(), outbox}
+
+  defp read(%{cursor: cursor} = outbox, left, chunks) do
+    segment = Enum.find(outbox.segments, &(cursor.seq < Segment.next(&1)))
+    # A gap (a segment that was damaged or dropped) is stepped over.
+    cursor = if cursor.seq < segment.first, do: %{seq: segment.first, offset: 0}, else: cursor
+    cursor = if cursor.seq == segment.first, do: %{cursor | offset: 0}, else: cursor
+
+    records =
+      case Segment.read(segment, cursor.offset, @read_bytes) do
+        {:ok, bytes} -> bytes |> Record.decode(left) |> elem(0)
+        {:error, _reason} -> []
+      end
+
+    case records do
+      [] ->
+        # What was readable when it was opened is not any more: the rest of this segment is lost.
+        lost = Segment.next(segment) - cursor.seq
+        outbox = %{outbox | damaged: outbox.damaged + 1, dropped: outbox.dropped + lost}
+        outbox = ack(outbox, Enum.to_list(cursor.seq..(Segment.next(segment) - 1)))
+        read(%{outbox | cursor: %{seq: Segment.next(segment), offset: 0}}, left, chunks)
+
+      records ->
+        numbered = Enum.with_index(records, fn {record, _size}, i -> {cursor.seq + i, record} end)
+        wanted = Enum.filter(numbered, fn {seq, _record} -> pending?(outbox, seq) end)
+        read_bytes = records |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+        cursor = %{seq: cursor.seq + length(records), offset: cursor.offset + read_bytes}
+        read(%{outbox | cursor: cursor}, left - length(wanted), [wanted | chunks])
+    end
+  end
+
+  @doc "Reading begins again at the first record that is not acknowledged."
+  @spec rewind(t()) :: t()
+  def rewind(outbox), do: cursor(outbox, outbox.head)
+
+  # The offset of a record within its segment is found by reading up to it.
+  defp cursor(outbox, seq) do
+    offset =
+      with %Segment{} = segment <- Enum.find(outbox.segments, &(seq in &1.first..(Segment.next(&1) - 1)//1)),
+           {:ok, bytes} <- Segment.read(segment, 0, segment.bytes) do
+        {records, _why} = Record.decode(bytes, seq - segment.first)
+        records |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+      else
+        _ -> 0
+      end
+
+    %{outbox | cursor: %{seq: seq, offset: offset}}
+  end
+
+  @doc "Records that are safe elsewhere. Unknown and repeated numbers are ignored."
+  @spec ack(t(), [seq()]) :: t()
+  def ack(outbox, []), do: outbox
+
+  def ack(outbox, seqs) do
+    acked = for seq <- seqs, seq >= outbox.head, seq < outbox.next, into: outbox.acked, do: seq
+    settled = settle(%{outbox | acked: acked})
+    if settled.head != outbox.head, do: write_head(settled)
+    trim(settled)
+  end
+
+  # Moves the head over what is acknowledged, and over numbers that no segment has (the end of a damaged one).
+  defp settle(outbox) do
+    {head, acked} = advance(outbox.head, outbox.acked)
+    outbox = %{outbox | head: head, acked: acked}
+
+    case Enum.find(outbox.segments, &(head < Segment.next(&1))) do
+      %Segment{first: first} when first > head -> settle(%{outbox | head: first})
+      _ -> outbox
+    end
+  end
+
+  defp advance(head, acked) do
+    if MapSet.member?(acked, head), do: advance(head + 1, MapSet.delete(acked, head)), else: {head, acked}
+  end
+
+  # Segments before the head go. The last one too once it is all acknowledged, so that an empty outbox is an empty folder.
+  defp trim(%{segments: [segment | rest]} = outbox) do
+    if Segment.next(segment) <= outbox.head and (rest != [] or segment.count > 0) do
+      outbox = if rest == [], do: close_writer(outbox), else: outbox
+      Segment.delete(segment)
+      trim(%{outbox | segments: rest})
+    else
+      outbox
+    end
+  end
+
+  defp trim(outbox), do: outbox
+
+  @doc "Forces what was written to the disk."
+  @spec sync(t()) :: t()
+  def sync(%{unsynced: true, writer: writer} = outbox) when writer != nil do
+    _ = :file.datasync(writer)
+    %{outbox | unsynced: false}
+  end
+
+  def sync(outbox), do: outbox
+
+  @doc "Closes the files."
+  @spec close(t()) :: :ok
+  def close(outbox) do
+    outbox |> sync() |> close_writer()
+    :ok
+  end
+
+  @doc """
+  `events`: not acknowledged; `bytes`, `segments`: on disk; `dropped`: for want of room or readability, since it was
+  opened; `damaged`: segments that end in something unreadable.
+  """
+  @spec stats(t()) :: %{
+          events: non_neg_integer(),
+          bytes: non_neg_integer(),
+          segments: non_neg_integer(),
+          dropped: non_neg_integer(),
+          damaged: non_neg_integer()
+        }
+  def stats(outbox) do
+    held =
+      for segment <- outbox.segments,
+          seq = max(segment.first, outbox.head),
+          do: max(Segment.next(segment) - seq, 0)
+
+    %{
+      events: max(Enum.sum(held) - MapSet.size(outbox.acked), 0),
+      bytes: bytes(outbox),
+      segments: length(outbox.segments),
+      dropped: outbox.dropped,
+      damaged: outbox.damaged
+    }
+  end
+
+  @doc "Whether every record is acknowledged."
+  @spec empty?(t()) :: boolean()
+  def empty?(outbox), do: stats(outbox).events == 0
+
+  defp bytes(outbox), do: outbox.segments |> Enum.map(& &1.bytes) |> Enum.sum()
+
+  defp read_head(outbox) do
+    case File.read(head_file(outbox)) do
+      {:ok, <<seq::64, crc::32>>} -> if :erlang.crc32(<<seq::64>>) == crc, do: seq
+      _ -> nil
+    end
+  end
+
+  # Renamed into place, so that it is the old or the new one and never half of it.
+  defp write_head(outbox) do
+    new = head_file(outbox) <> ".new"
+
+    with :ok <- File.write(new, <<outbox.head::64, :erlang.crc32(<<outbox.head::64>>)::32>>) do
+      File.rename(new, head_file(outbox))
+    end
+  end
+
+  defp head_file(outbox), do: Path.join(outbox.dir, "head")
+end

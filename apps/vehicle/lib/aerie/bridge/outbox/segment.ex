@@ -1,0 +1,95 @@
+defmodule Aerie.Bridge.Outbox.Segment do
+  @moduledoc "One file of the outbox: records `first` to `first + count - 1`, one after another."
+
+  alias Aerie.Bridge.Outbox.Record
+
+  @enforce_keys [:path, :first]
+  defstruct [:path, :first, count: 0, bytes: 0, damaged: false]
+
+  @typedoc "`bytes`: the readable part; `damaged`: something unreadable follows it, so nothing is appended."
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          first: pos_integer(),
+          count: non_neg_integer(),
+          bytes: non_neg_integer(),
+          damaged: boolean()
+        }
+
+  @doc "The number in a segment's file name, or nil for another file."
+  @spec number(String.t()) :: pos_integer() | nil
+  def number(name) do
+    with [_, digits] <- Regex.run(~r/\A(\d{16})\.log\z/, name),
+         number when number > 0 <- String.to_integer(digits) do
+      number
+    else
+      _ -> nil
+    end
+  end
+
+  @doc "A segment that has no file yet."
+  @spec new(Path.t(), pos_integer()) :: t()
+  def new(dir, first) do
+    name = first |> Integer.to_string() |> String.pad_leading(16, "0")
+    %__MODULE__{path: Path.join(dir, name <> ".log"), first: first}
+  end
+
+  @doc "A segment as it lies in its file. A record that was cut off at the end is cut away."
+  @spec load(Path.t(), pos_integer()) :: {:ok, t()} | {:error, File.posix()}
+  def load(dir, first) do
+    segment = new(dir, first)
+
+    with {:ok, bytes} <- File.read(segment.path) do
+      {records, why} = Record.decode(bytes, :all)
+      readable = records |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+      segment = %{segment | count: length(records), bytes: readable, damaged: why == :damaged}
+      if why == :cut, do: truncate(segment)
+      {:ok, segment}
+    end
+  end
+
+  @doc "The number after the last record."
+  @spec next(t()) :: pos_integer()
+  def next(segment), do: segment.first + segment.count
+
+  @doc "Opens the file for `append/5`."
+  @spec open_writer(t()) :: {:ok, :file.fd()} | {:error, File.posix()}
+  def open_writer(segment), do: :file.open(segment.path, [:append, :raw, :binary])
+
+  @doc "Writes records. A write that fails half way (a full disk) is taken back."
+  @spec append(t(), :file.fd(), iodata(), pos_integer(), pos_integer()) :: {:ok, t()} | {:error, File.posix()}
+  def append(segment, writer, iodata, count, bytes) do
+    case :file.write(writer, iodata) do
+      :ok ->
+        {:ok, %{segment | count: segment.count + count, bytes: segment.bytes + bytes}}
+
+      {:error, reason} ->
+        truncate(segment)
+        {:error, reason}
+    end
+  end
+
+  @doc "At most `length` bytes of the readable part from `offset` on."
+  @spec read(t(), non_neg_integer(), pos_integer()) :: {:ok, binary()} | {:error, term()}
+  def read(segment, offset, length) do
+    with {:ok, file} <- :file.open(segment.path, [:read, :raw, :binary]) do
+      result = :file.pread(file, offset, min(length, max(segment.bytes - offset, 0)))
+      _ = :file.close(file)
+      if result == :eof, do: {:ok, <<>>}, else: result
+    end
+  end
+
+  @doc "Deletes the file; one that is gone already is as good."
+  @spec delete(t()) :: :ok
+  def delete(segment) do
+    _ = File.rm(segment.path)
+    :ok
+  end
+
+  defp truncate(segment) do
+    with {:ok, file} <- :file.open(segment.path, [:read, :write, :raw, :binary]) do
+      _ = :file.position(file, segment.bytes)
+      _ = :file.truncate(file)
+      :file.close(file)
+    end
+  end
+end

@@ -121,7 +121,7 @@ defmodule Aerie.ConfigTest do
 
   describe "layers" do
     test "rise from file over environment to the command line", context do
-      file = "environment: file\nnats: {port: 1001, max_store_mb: 11}\nhttp:\n  port: 1\n"
+      file = "environment: file\nnats: {port: 1001, retry_min_ms: 11}\nhttp:\n  port: 1\n"
       env = %{"AERIE_ENVIRONMENT" => "env", "AERIE_NATS_PORT" => "1002", "AERIE_HTTP_PORT" => "2"}
       assert {:ok, config} = load(context, file, [{"http.port", 3}], env)
 

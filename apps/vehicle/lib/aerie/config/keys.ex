@@ -344,12 +344,6 @@ defmodule Aerie.Config.Keys do
       field(:max_systems, {:integer, 1, 1_000_000}, "System ids that the router remembers.", default: 1024),
       field(:max_links, {:integer, 1, 10_000}, "Links.", default: 64),
       field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 256),
-      field(
-        :max_pending_events,
-        {:integer, 1, 10_000_000},
-        "Events kept in memory when the outbox cannot be written.",
-        default: 10_000
-      ),
       field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",
         default: 64
       )

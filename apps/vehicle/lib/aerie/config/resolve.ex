@@ -149,6 +149,10 @@ defmodule Aerie.Config.Resolve do
        "at most events.battery_low (#{config.events.battery_low})", "#{config.events.battery_critical}"},
       {outbox.segment_kb * 2 > outbox.max_mb * 1024, ["outbox", "segment_kb"],
        "at most half of outbox.max_mb (#{div(outbox.max_mb * 1024, 2)})", "#{outbox.segment_kb}"},
+      {config.nats.mode == :embedded and
+         config.nats.streams.state_max_mb + config.nats.streams.event_max_mb > config.nats.max_store_mb,
+       ["nats", "max_store_mb"], "at least the size of both streams (nats.streams)",
+       "#{config.nats.max_store_mb}"},
       {length(config.links) > config.limits.max_links, ["links"],
        "at most limits.max_links (#{config.limits.max_links})", "#{length(config.links)}"},
       {length(config.vehicles) > config.limits.max_vehicles, ["vehicles"],

@@ -1,0 +1,171 @@
+defmodule Aerie.Bridge.Connection do
+  @moduledoc """
+  Keeps one connection to NATS: connects, makes the streams, tells the publishers, and does it all again when it is lost.
+
+  What to do is decided by `Aerie.Bridge.Connection.Machine`; this process carries it out. The publishers get
+  `{:bridge, :up, conn}` when a connection with its streams is there and `{:bridge, :down}` when it is gone; what is so
+  now is `current/1`. An attempt blocks this process only.
+  """
+  use GenServer
+
+  alias Aerie.Bridge.Connection.{Machine, Settings}
+  alias Aerie.Bridge.{Streams, Tables}
+  alias Aerie.{Config, Names}
+
+  require Logger
+
+  @streams_retry_ms 5_000
+  @publishers [:bridge_state, :bridge_events]
+
+  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_connection))
+  end
+
+  @doc "The embedded server is up at this URL."
+  @spec server_up(Names.gateway(), String.t()) :: :ok
+  def server_up(gateway, url) do
+    # Not there yet: it will read the URL from the tables when it starts.
+    if pid = Names.whereis(gateway, :bridge_connection), do: send(pid, {:server_up, url})
+    :ok
+  end
+
+  @doc "The connection that publishers may use, or nil. `streams: :ok` when JetStream is usable too."
+  @spec current(Tables.t()) :: %{conn: pid(), streams: :ok | :error} | nil
+  def current(tables) do
+    case Tables.info(tables, :connection) do
+      %{status: :up, conn: conn, streams: streams} -> %{conn: conn, streams: streams}
+      _ -> nil
+    end
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    gateway = options[:gateway]
+    config = options[:config]
+    Process.set_label({:bridge_connection, gateway})
+    Logger.metadata(gateway: inspect(gateway))
+
+    state = %{
+      gateway: gateway,
+      config: config,
+      tables: Tables.get(gateway),
+      machine: Machine.new(config.nats.retry_min_ms, config.nats.retry_max_ms),
+      conn: nil,
+      up_at: nil,
+      timer: nil
+    }
+
+    {:ok, put_info(state, :down, :error), {:continue, :start}}
+  end
+
+  @impl GenServer
+  def handle_continue(:start, state) do
+    {:noreply, event({:urls, urls(state)}, state)}
+  end
+
+  defp urls(%{config: %{nats: %{mode: :url, url: urls}}}), do: urls
+  defp urls(%{tables: tables}), do: tables |> Tables.info(:server) |> Map.get(:url) |> List.wrap()
+
+  @impl GenServer
+  def handle_info({:server_up, url}, state), do: {:noreply, event({:urls, [url]}, state)}
+  def handle_info(:retry, state), do: {:noreply, event(:retry, %{state | timer: nil})}
+
+  def handle_info({:EXIT, conn, reason}, %{conn: conn} = state) when conn != nil do
+    up_ms = System.monotonic_time(:millisecond) - state.up_at
+    tell(state, {:bridge, :down})
+
+    :telemetry.execute([:aerie, :bridge, :disconnected], %{up_ms: up_ms}, %{
+      gateway: state.gateway,
+      reason: text(reason)
+    })
+
+    Tables.count(state.tables, :disconnects)
+    state = put_info(%{state | conn: nil}, :down, :error)
+    {:noreply, event({:closed, text(reason), up_ms}, state)}
+  end
+
+  def handle_info(:check_streams, %{conn: conn} = state) when conn != nil,
+    do: {:noreply, ensure_streams(state)}
+
+  def handle_info(_message, state), do: {:noreply, state}
+
+  defp event(event, state) do
+    {machine, actions} = Machine.handle(state.machine, event)
+    Enum.reduce(actions, %{state | machine: machine}, &action/2)
+  end
+
+  defp action({:log, level, text}, state) do
+    Logger.log(level, text)
+    state
+  end
+
+  defp action({:timer, ms}, state), do: %{state | timer: Process.send_after(self(), :retry, ms)}
+  defp action(:cancel_timer, %{timer: nil} = state), do: state
+
+  defp action(:cancel_timer, state) do
+    _ = Process.cancel_timer(state.timer)
+    %{state | timer: nil}
+  end
+
+  defp action({:connect, url}, state) do
+    with {:ok, settings} <- Settings.gnat(state.config, url),
+         {:ok, conn} <- Gnat.start_link(settings) do
+      state = %{state | conn: conn, up_at: System.monotonic_time(:millisecond)}
+      :telemetry.execute([:aerie, :bridge, :connected], %{count: 1}, %{gateway: state.gateway, url: url})
+      Tables.count(state.tables, :connects)
+      ensure_streams(event(:connected, state))
+    else
+      {:error, reason} -> event({:failed, text(reason)}, state)
+    end
+  end
+
+  defp ensure_streams(state) do
+    {result, report} = Streams.ensure(state.conn, state.config)
+    old = state.tables |> Tables.info(:streams) |> Map.get(:report)
+    if report != old, do: log_streams(report)
+    if result == :error, do: Process.send_after(self(), :check_streams, @streams_retry_ms)
+    Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
+    state = put_info(state, :up, result)
+    tell(state, {:bridge, :up, state.conn})
+    state
+  catch
+    # The connection went away in the middle; its exit message follows.
+    :exit, _reason -> state
+  end
+
+  defp log_streams(report) do
+    for {name, result} <- report do
+      case result do
+        {:error, reason} ->
+          Logger.error("stream #{name} cannot be used, events wait in the outbox: #{reason}")
+
+        {:differs, list} ->
+          Logger.warning("stream #{name} is not as configured: #{Enum.join(list, "; ")}")
+
+        _ ->
+          :ok
+      end
+    end
+  end
+
+  defp tell(state, message) do
+    for role <- @publishers, pid = Names.whereis(state.gateway, role), do: send(pid, message)
+  end
+
+  defp put_info(state, status, streams) do
+    info = %{status: status, conn: state.conn, streams: streams, url: if(state.conn, do: url(state.machine))}
+    Tables.put_info(state.gateway, state.tables, :connection, info)
+    state
+  end
+
+  defp url(machine),
+    do: Enum.at(machine.urls, rem(max(machine.attempts - 1, 0), max(length(machine.urls), 1)))
+
+  defp text({:shutdown, reason}), do: text(reason)
+  defp text(reason) when is_exception(reason), do: Exception.message(reason)
+  defp text(reason) when is_binary(reason), do: reason
+  defp text(reason) when is_atom(reason), do: reason |> :inet.format_error() |> to_string()
+  defp text(_reason), do: "an unexpected error"
+end

@@ -1,0 +1,393 @@
+defmodule Aerie.Bridge.Events do
+  @moduledoc """
+  Brings events from the journal into the stream `FLEET_EVENTS`, at least once and in each vehicle's order.
+
+  * NATS is there: pending events of the journal are published with their id as `Nats-Msg-Id`, and leave the journal when
+    the stream has confirmed them. One that is not confirmed is sent again; the id makes the second copy harmless.
+  * NATS is away (or confirms nothing): pending events move from the journal to the outbox on disk at once.
+  * NATS is back: the outbox goes first, marked `Aerie-Backfill: true`, then the journal again. So the order holds.
+  * The disk cannot be written: events stay in the journal, which is bounded and counts what it drops. Said once in the
+    log, tried again every few seconds.
+
+  `Aerie.Bridge.Events.Window` decides what may be in flight.
+  """
+  use GenServer
+
+  alias Aerie.Bridge.{Connection, FolderLock, Message, Outbox, Tables}
+  alias Aerie.Bridge.Events.{Answer, Window}
+  alias Aerie.{Config, Fleet, Names}
+
+  require Logger
+
+  @tick_ms 500
+  @answer_ms 2_000
+  # Sent this often without a confirmation, events are safer on disk than in memory.
+  @patience 4
+  # More than this in the journal is moved to the disk even while NATS answers.
+  @spill_above 5_000
+  @batch 500
+  @drain_ms 1_000
+
+  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_events))
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    gateway = options[:gateway]
+    config = options[:config]
+    Process.set_label({:bridge_events, gateway})
+    Logger.metadata(gateway: inspect(gateway))
+    :ok = Fleet.PubSub.subscribe(gateway, :journal)
+
+    state = %{
+      gateway: gateway,
+      environment: config.environment,
+      tables: Tables.get(gateway),
+      settings: config.outbox,
+      window: Window.new(config.limits.max_events_in_flight),
+      outbox: nil,
+      problem: nil,
+      conn: nil,
+      inbox: nil,
+      synced_at: now()
+    }
+
+    Process.send_after(self(), :tick, @tick_ms)
+    {:ok, open_outbox(state), {:continue, :start}}
+  end
+
+  @impl GenServer
+  def handle_continue(:start, state), do: {:noreply, state |> look_for_connection() |> pump()}
+
+  @impl GenServer
+  def handle_info({:fleet, :journal, _payload}, state) do
+    flush_wakes()
+    {:noreply, pump(state)}
+  end
+
+  def handle_info({:msg, message}, state),
+    do: {:noreply, [message] |> more_answers() |> answers(state) |> pump()}
+
+  def handle_info({:bridge, :up, _conn}, state), do: {:noreply, state |> look_for_connection() |> pump()}
+  def handle_info({:bridge, :down}, state), do: {:noreply, state |> away() |> pump()}
+
+  def handle_info(:tick, state) do
+    Process.send_after(self(), :tick, @tick_ms)
+    state = if state.outbox == nil, do: open_outbox(state), else: state
+    {:noreply, state |> send_overdue() |> pump() |> sync() |> put_info()}
+  end
+
+  def handle_info(_message, state), do: {:noreply, state}
+
+  @impl GenServer
+  def terminate(_reason, state) do
+    state = drain(state, now() + @drain_ms)
+    state = spill(state)
+    if state.outbox, do: Outbox.close(state.outbox)
+  end
+
+  # What is in flight at an orderly end gets a moment to be confirmed; the rest goes to the disk.
+  defp drain(%{conn: nil} = state, _deadline), do: state
+
+  defp drain(state, deadline) do
+    state = pump(state)
+
+    if Window.size(state.window) == 0 do
+      state
+    else
+      receive do
+        {:msg, message} -> [message] |> more_answers() |> answers(state) |> drain(deadline)
+        {:bridge, :down} -> away(state)
+      after
+        max(deadline - now(), 0) -> state
+      end
+    end
+  end
+
+  defp look_for_connection(state) do
+    case Connection.current(state.tables) do
+      %{conn: conn, streams: :ok} when conn != state.conn -> subscribe(away(state), conn)
+      %{conn: conn, streams: :ok} when conn == state.conn -> state
+      _none_or_no_stream -> away(state)
+    end
+  end
+
+  defp subscribe(state, conn) do
+    inbox = "_INBOX.aerie-#{Base.encode16(:crypto.strong_rand_bytes(9), case: :lower)}"
+
+    case Gnat.sub(conn, self(), inbox <> ".*") do
+      {:ok, _sid} -> %{state | conn: conn, inbox: inbox}
+      {:error, _reason} -> state
+    end
+  catch
+    :exit, _reason -> state
+  end
+
+  # Everything unconfirmed begins again from where it is kept.
+  defp away(state), do: reset(%{state | conn: nil, inbox: nil})
+
+  defp reset(state) do
+    %{state | window: Window.reset(state.window), outbox: state.outbox && Outbox.rewind(state.outbox)}
+  end
+
+  # The one place that moves events: to the disk, or to NATS.
+  defp pump(%{conn: nil} = state), do: spill(state)
+
+  defp pump(state) do
+    if Fleet.Journal.pending_size(state.gateway) > @spill_above do
+      state |> reset() |> spill() |> fill() |> send_ready()
+    else
+      state |> fill() |> send_ready()
+    end
+  end
+
+  defp fill(state) do
+    if Window.size(state.window) >= 2 * state.window.max, do: state, else: fill_from(source(state), state)
+  end
+
+  defp source(%{outbox: nil}), do: :journal
+  defp source(%{outbox: outbox}), do: if(Outbox.empty?(outbox), do: :journal, else: :outbox)
+
+  defp fill_from(:outbox, state) do
+    {records, outbox} = Outbox.read(state.outbox, 2 * state.window.max)
+    items = for {seq, record} <- records, do: {{:outbox, seq}, record}
+    %{state | outbox: outbox, window: Window.put(state.window, items)}
+  end
+
+  defp fill_from(:journal, state) do
+    items =
+      for event <- Fleet.Journal.pending(state.gateway, 4 * state.window.max),
+          key = {:journal, event.id},
+          not Window.member?(state.window, key),
+          do: {key, record(state, event)}
+
+    %{state | window: Window.put(state.window, items)}
+  end
+
+  defp record(state, event) do
+    subject = Message.event_subject(state.environment, event)
+    %Outbox.Record{id: event.id, vehicle: event.vehicle, subject: subject, body: Message.event(event)}
+  end
+
+  defp send_ready(%{conn: nil} = state), do: state
+
+  defp send_ready(state) do
+    case Window.next(state.window, now()) do
+      {ref, item, window} -> %{state | window: window} |> publish(ref, item) |> send_ready()
+      :none -> state
+    end
+  end
+
+  defp send_overdue(%{conn: nil} = state), do: state
+
+  defp send_overdue(state) do
+    state =
+      state.window |> Window.overdue(now() - @answer_ms) |> Enum.sort() |> Enum.reduce(state, &send_again/2)
+
+    if Window.most_tries(state.window) > @patience and journal?(state),
+      do: state |> reset() |> spill(),
+      else: state
+  end
+
+  defp journal?(state), do: Fleet.Journal.pending_size(state.gateway) > 0
+
+  defp send_again(_ref, %{conn: nil} = state), do: state
+
+  defp send_again(ref, state) do
+    case Window.again(state.window, ref, now()) do
+      {ref, item, _tries, window} ->
+        Tables.count(state.tables, :event_retries)
+        publish(%{state | window: window}, ref, item)
+
+      :none ->
+        state
+    end
+  end
+
+  defp publish(state, ref, {key, record}) do
+    options = [reply_to: "#{state.inbox}.#{ref}", headers: headers(key, record)]
+
+    case Gnat.pub(state.conn, record.subject, record.body, options) do
+      :ok ->
+        state
+
+      {:error, reason} ->
+        Tables.count(state.tables, :publish_errors)
+        if Answer.hopeless?(reason), do: give_up(state, ref, record, reason), else: state
+    end
+  catch
+    :exit, _reason ->
+      Tables.count(state.tables, :publish_errors)
+      away(state)
+  end
+
+  defp headers({:outbox, _seq}, record), do: [{"Nats-Msg-Id", record.id}, {"Aerie-Backfill", "true"}]
+  defp headers({:journal, _id}, record), do: [{"Nats-Msg-Id", record.id}]
+
+  # Refused for what it is: it would be refused for ever and hold up its vehicle's others.
+  defp give_up(state, ref, record, reason) do
+    Logger.error("event #{record.id} on #{record.subject} is dropped: #{Answer.text(reason)}")
+    Tables.count(state.tables, :events_dropped)
+    {key, window} = Window.confirm(state.window, ref)
+    done(%{state | window: window}, [key])
+  end
+
+  defp answers(messages, state) do
+    {state, keys} = Enum.reduce(messages, {state, []}, &answer/2)
+    done(state, keys)
+  end
+
+  defp answer(message, {state, keys}) do
+    case Answer.parse(message, state.inbox) do
+      {:confirmed, ref, duplicate?} ->
+        if duplicate?, do: Tables.count(state.tables, :event_duplicates)
+        subject = subject(state.window, ref)
+        {key, window} = Window.confirm(state.window, ref)
+        if key, do: Tables.count(state.tables, :published, subject: subject)
+        {%{state | window: window}, List.wrap(key) ++ keys}
+
+      {:refused, ref, reason} ->
+        {refused(state, ref, reason), keys}
+
+      :other ->
+        {state, keys}
+    end
+  end
+
+  defp refused(state, ref, reason) do
+    Tables.count(state.tables, :publish_errors)
+
+    case state.window.in_flight do
+      %{^ref => {{_key, record}, _at, _tries}} ->
+        if Answer.hopeless?(reason), do: give_up(state, ref, record, reason), else: not_now(state, reason)
+
+      _late ->
+        state
+    end
+  end
+
+  # It stays in flight and is sent again when it is overdue. Without a stream, somebody has deleted it: have it made again.
+  defp not_now(state, reason) do
+    if reason == :no_stream, do: send_to_connection(state, :check_streams)
+    text = "events are not taken by NATS: #{Answer.text(reason)}"
+    if text != state.problem, do: Logger.warning(text)
+    %{state | problem: text}
+  end
+
+  defp send_to_connection(state, message) do
+    if pid = Names.whereis(state.gateway, :bridge_connection), do: send(pid, message)
+  end
+
+  defp subject(window, ref) do
+    case window.in_flight do
+      %{^ref => {{_key, record}, _at, _tries}} ->
+        "event." <> (record.subject |> String.split(".event.") |> List.last())
+
+      _late ->
+        ""
+    end
+  end
+
+  defp done(state, []), do: state
+
+  defp done(state, keys) do
+    ids = for {:journal, id} <- keys, do: id
+    seqs = for {:outbox, seq} <- keys, do: seq
+    if ids != [], do: Fleet.Journal.ack(state.gateway, ids)
+
+    :telemetry.execute([:aerie, :bridge, :events, :confirmed], %{count: length(keys)}, %{
+      gateway: state.gateway
+    })
+
+    if seqs == [], do: state, else: %{state | outbox: Outbox.ack(state.outbox, seqs)}
+  end
+
+  defp spill(%{outbox: nil} = state), do: state
+
+  defp spill(state) do
+    case Fleet.Journal.pending(state.gateway, @batch) do
+      [] -> state
+      events -> spill(state, events)
+    end
+  end
+
+  defp spill(state, events) do
+    case Outbox.append(state.outbox, Enum.map(events, &record(state, &1))) do
+      {:ok, outbox} ->
+        outbox = if state.settings.fsync == :always, do: Outbox.sync(outbox), else: outbox
+        Fleet.Journal.ack(state.gateway, Enum.map(events, & &1.id))
+        Tables.count(state.tables, :outbox_written, [], length(events))
+        spill(%{state | outbox: outbox, problem: nil})
+
+      {:error, reason, outbox} ->
+        Tables.count(state.tables, :outbox_errors)
+        outbox_problem(%{state | outbox: outbox}, :file.format_error(reason))
+    end
+  end
+
+  defp open_outbox(%{settings: settings} = state) do
+    with :ok <- FolderLock.acquire(settings.dir),
+         {:ok, outbox} <-
+           Outbox.open(settings.dir,
+             max_bytes: settings.max_mb * 1_048_576,
+             segment_bytes: settings.segment_kb * 1024
+           ) do
+      %{state | outbox: outbox, problem: nil}
+    else
+      {:error, reason} when is_binary(reason) -> outbox_problem(state, reason)
+      {:error, reason} -> outbox_problem(state, :file.format_error(reason))
+    end
+  end
+
+  defp outbox_problem(state, reason) do
+    text =
+      "events cannot be kept on disk in #{state.settings.dir}: #{reason}; they stay in memory until NATS is back"
+
+    if text != state.problem, do: Logger.error(text)
+    %{state | problem: text}
+  end
+
+  defp sync(%{outbox: outbox, settings: %{fsync: :interval}} = state) when outbox != nil do
+    if now() - state.synced_at >= state.settings.fsync_interval_ms,
+      do: %{state | outbox: Outbox.sync(outbox), synced_at: now()},
+      else: state
+  end
+
+  defp sync(state), do: state
+
+  defp put_info(state) do
+    stats =
+      if state.outbox, do: Outbox.stats(state.outbox), else: %{events: 0, bytes: 0, dropped: 0, damaged: 0}
+
+    info = Map.merge(stats, %{in_flight: Window.in_flight(state.window), problem: state.problem})
+
+    if info != Tables.info(state.tables, :outbox),
+      do: Tables.put_info(state.gateway, state.tables, :outbox, info)
+
+    state
+  end
+
+  # Answers and wakes that wait are taken together: one write of the outbox's head, one look at the journal.
+  defp more_answers(messages) when length(messages) >= 64, do: messages
+
+  defp more_answers(messages) do
+    receive do
+      {:msg, message} -> more_answers([message | messages])
+    after
+      0 -> messages
+    end
+  end
+
+  defp flush_wakes do
+    receive do
+      {:fleet, :journal, _payload} -> flush_wakes()
+    after
+      0 -> :ok
+    end
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

@@ -1,0 +1,35 @@
+defmodule Aerie.Bridge.Server.Settings do
+  @moduledoc "The configuration file of the embedded nats-server, as text. Pure."
+
+  @typedoc "`port` 0 lets the server take any free one; it then says which in its log."
+  @type t :: %{
+          name: String.t(),
+          address: String.t(),
+          port: :inet.port_number(),
+          store_dir: Path.t(),
+          max_memory_mb: pos_integer(),
+          max_store_mb: pos_integer()
+        }
+
+  @doc "The text of the file."
+  @spec render(t()) :: String.t()
+  def render(settings) do
+    port = if settings.port == 0, do: -1, else: settings.port
+
+    """
+    # Written by Aerie at each start; changes are lost.
+    server_name: #{quoted(settings.name)}
+    host: #{quoted(settings.address)}
+    port: #{port}
+    pid_file: #{quoted(Path.join(settings.store_dir, "nats-server.pid"))}
+    jetstream {
+      store_dir: #{quoted(Path.join(settings.store_dir, "data"))}
+      max_memory_store: #{settings.max_memory_mb}MB
+      max_file_store: #{settings.max_store_mb}MB
+    }
+    """
+  end
+
+  # nats-server reads escapes in quoted strings as JSON does.
+  defp quoted(text), do: JSON.encode!(text)
+end

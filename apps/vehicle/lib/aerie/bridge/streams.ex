@@ -1,0 +1,132 @@
+defmodule Aerie.Bridge.Streams do
+  @moduledoc """
+  The two JetStream streams of the gateway.
+
+  | stream | subjects | keeps |
+  |---|---|---|
+  | `FLEET_STATE` | `fleet.*.*.state.>` | the last message of each subject |
+  | `FLEET_EVENTS` | `fleet.*.*.event.>` | events, up to an age and a size, the oldest go first |
+
+  A stream that is not there is made. One that is there and differs is changed in embedded mode, where the server is
+  ours; on somebody else's server it is left as it is and the difference is reported: another gateway or an operator
+  may have meant it.
+  """
+
+  alias Aerie.Config
+  alias Gnat.Jetstream.API.Stream, as: Api
+
+  @compared [
+    :subjects,
+    :max_msgs_per_subject,
+    :max_bytes,
+    :max_age,
+    :duplicate_window,
+    :num_replicas,
+    :discard,
+    :retention,
+    :storage
+  ]
+
+  @type report :: %{String.t() => :created | :ok | :updated | {:differs, [String.t()]} | {:error, String.t()}}
+
+  @doc "The streams as the configuration wants them."
+  @spec wanted(Config.t()) :: [struct()]
+  def wanted(%Config{nats: %{streams: streams}}) do
+    common = %{retention: :limits, storage: :file, discard: :old, num_replicas: streams.replicas}
+
+    # A stream without duplicate window of its own gets the server's two minutes; state has no message ids to remember.
+    state = %{
+      name: "FLEET_STATE",
+      subjects: ["fleet.*.*.state.>"],
+      description: "Last value of each state group of each vehicle",
+      max_msgs_per_subject: 1,
+      max_bytes: streams.state_max_mb * 1_048_576,
+      allow_direct: true
+    }
+
+    max_age = round(streams.event_max_age_days * 86_400 * 1_000_000_000)
+
+    events = %{
+      name: "FLEET_EVENTS",
+      subjects: ["fleet.*.*.event.>"],
+      description: "Events of vehicles",
+      max_bytes: streams.event_max_mb * 1_048_576,
+      max_age: max_age,
+      duplicate_window: duplicate_window(streams.duplicate_window_s * 1_000_000_000, max_age)
+    }
+
+    for stream <- [state, events], do: struct!(Api, Map.merge(common, stream))
+  end
+
+  # The server refuses a window that is longer than messages live.
+  defp duplicate_window(window, 0), do: window
+  defp duplicate_window(window, max_age), do: min(window, max_age)
+
+  @doc "Makes or checks both streams. `{:error, report}` if one of them cannot be used."
+  @spec ensure(Gnat.t(), Config.t()) :: {:ok, report()} | {:error, report()}
+  def ensure(conn, %Config{} = config) do
+    report = Map.new(wanted(config), &{&1.name, ensure_one(conn, &1, config.nats.mode)})
+    failed? = Enum.any?(report, &match?({_name, {:error, _}}, &1))
+    {if(failed?, do: :error, else: :ok), report}
+  end
+
+  defp ensure_one(conn, wanted, mode) do
+    case Api.info(conn, wanted.name) do
+      {:ok, %{config: there}} -> compare(conn, wanted, there, mode)
+      {:error, %{"code" => 404}} -> create(conn, wanted)
+      {:error, reason} -> {:error, text(reason)}
+    end
+  end
+
+  defp create(conn, wanted) do
+    case Api.create(conn, wanted) do
+      {:ok, _info} -> :created
+      {:error, reason} -> {:error, text(reason)}
+    end
+  end
+
+  defp compare(conn, wanted, there, mode) do
+    case {differences(wanted, there), mode} do
+      {[], _mode} -> :ok
+      {differences, :embedded} -> update(conn, wanted, differences)
+      {differences, :url} -> {:differs, differences}
+    end
+  end
+
+  defp update(conn, wanted, differences) do
+    case Api.update(conn, wanted) do
+      {:ok, _info} -> :updated
+      # Some settings cannot be changed while a stream exists. It works as it is.
+      {:error, _reason} -> {:differs, differences}
+    end
+  end
+
+  @doc "What differs, in words: `max_bytes is 1, configured 2`."
+  @spec differences(struct(), struct()) :: [String.t()]
+  def differences(wanted, there) do
+    for key <- @compared, Map.fetch!(wanted, key) != nil, normal(wanted, key) != normal(there, key) do
+      "#{key} is #{there |> Map.get(key) |> show()}, configured #{wanted |> Map.get(key) |> show()}"
+    end
+  end
+
+  defp normal(stream, key), do: stream |> Map.get(key) |> normal()
+
+  defp normal(list) when is_list(list), do: Enum.sort(list)
+  defp normal(0), do: nil
+  defp normal(-1), do: nil
+  defp normal(atom) when is_atom(atom) and not is_nil(atom), do: Atom.to_string(atom)
+  defp normal(value), do: value
+
+  defp show(list) when is_list(list), do: Enum.join(list, " ")
+  defp show(nil), do: "not set"
+  defp show(value), do: to_string(value)
+
+  @doc "A reason of the JetStream API in words."
+  @spec text(term()) :: String.t()
+  def text(%{"description" => description}), do: description
+  def text(:no_responders), do: "the server has no JetStream"
+  def text(:timeout), do: "no answer"
+  def text(text) when is_binary(text), do: text
+  def text(exception) when is_exception(exception), do: Exception.message(exception)
+  def text(_other), do: "an answer that is not understood"
+end

@@ -1,0 +1,246 @@
+defmodule Aerie.Bridge.EventsTest do
+  use Aerie.BridgeCase, async: true
+
+  alias Aerie.Bridge.Outbox
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  # Every event of every vehicle is there once, and each vehicle's are in their order.
+  defp assert_complete(messages, vehicles, last) do
+    for vehicle <- vehicles do
+      seqs = for {^vehicle, seq, _headers} <- messages, do: seq
+      assert seqs == Enum.to_list(1..last), "#{vehicle}: #{inspect(seqs, limit: :infinity)}"
+    end
+
+    assert length(messages) == length(vehicles) * last
+  end
+
+  test "an event is published once, with its id, and leaves the journal", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    conn = client(await_up(gateway))
+    {:ok, _} = Gnat.sub(conn, self(), "fleet.test.*.event.>")
+    _ = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+
+    event =
+      Event.new("VID-001", "mode_change", 7, 1_795_213_361_702_499, 99, %{"from" => "AUTO", "to" => "RTL"})
+
+    Fleet.Journal.commit(gateway, "VID-001", :state, [event])
+
+    assert_receive {:msg, %{topic: "fleet.test.VID-001.event.mode_change", body: body, headers: headers}},
+                   5_000
+
+    assert {"nats-msg-id", event.id} in headers
+    refute List.keymember?(headers, "aerie-backfill", 0)
+
+    assert JSON.decode!(body) == %{
+             "id" => event.id,
+             "vehicle" => "VID-001",
+             "type" => "mode_change",
+             "seq" => 7,
+             "time" => "2026-11-20T22:22:41.702Z",
+             "vehicle_time_ms" => 99,
+             "data" => %{"from" => "AUTO", "to" => "RTL"}
+           }
+
+    await_empty(gateway)
+    assert [{[subject: "event.mode_change"], 1}] = samples(gateway, "gateway_nats_messages_published_total")
+  end
+
+  test "kill -9 of the server again and again while events are made: each is there once, in order", %{
+    tmp_dir: dir
+  } do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+    vehicles = for n <- 1..5, do: "V#{n}"
+    last = 400
+
+    makers =
+      for vehicle <- vehicles do
+        Task.async(fn ->
+          for seq <- 1..last do
+            commit(gateway, vehicle, [seq])
+            receive do: (:never -> :ok), after: (5 -> :ok)
+          end
+        end)
+      end
+
+    for _ <- 1..3 do
+      await(gateway, :server, &(&1[:status] == :up))
+      published = metric(gateway, "gateway_nats_messages_published_total")
+      eventually(fn -> metric(gateway, "gateway_nats_messages_published_total") > published + 20 end)
+      restarts = Bridge.info(gateway).server.restarts
+      kill9(server_pid(dir))
+      await(gateway, :server, &(&1[:restarts] > restarts))
+    end
+
+    Task.await_many(makers, 60_000)
+    await_empty(gateway)
+    messages = events(client(await_up(gateway)))
+    assert_complete(messages, vehicles, last)
+
+    assert Enum.any?(messages, fn {_, _, headers} ->
+             headers =~ "Aerie-Backfill"
+           end)
+  end
+
+  test "the bridge killed in mid-stream loses and doubles nothing", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+
+    killer =
+      Task.async(fn ->
+        kill_parts(gateway, [:bridge_events, :bridge_connection, :bridge_state, :bridge_events])
+      end)
+
+    for seq <- 1..500, do: commit(gateway, "A", [seq])
+    Task.await(killer, 30_000)
+    await_empty(gateway)
+    assert_complete(events(client(await_up(gateway))), ["A"], 500)
+  end
+
+  defp kill_parts(gateway, roles) do
+    for role <- roles do
+      pid = eventually(fn -> Aerie.Names.whereis(gateway, role) end)
+      ref = Process.monitor(pid)
+      Process.exit(pid, :kill)
+      assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+      eventually(fn -> Aerie.Names.whereis(gateway, role) not in [nil, pid] end)
+    end
+  end
+
+  test "without NATS events go to the disk, and after an orderly restart to the stream, marked", %{
+    tmp_dir: dir
+  } do
+    gateway = start_bridge(config(dir, [{"nats.binary", "not-yet"}]))
+    commit(gateway, "A", 1..100)
+    commit(gateway, "B", 1..100)
+    await(gateway, :outbox, &(&1[:events] == 200))
+    stop_bridge(gateway)
+    # What is committed while there is no bridge at all waits in the journal, behind the outbox.
+    commit(gateway, "A", 101..110)
+    start_bridge_again(gateway, config(dir))
+    conn = client(await_up(gateway))
+    await_empty(gateway)
+    messages = events(conn)
+    assert for({"A", seq, _} <- messages, do: seq) == Enum.to_list(1..110)
+    assert for({"B", seq, _} <- messages, do: seq) == Enum.to_list(1..100)
+
+    marked =
+      Enum.filter(messages, fn {_, _, headers} ->
+        headers =~ "Aerie-Backfill: true"
+      end)
+
+    assert length(marked) == 200
+    assert File.ls!(Path.join(dir, "outbox")) |> Enum.sort() == ["head", "owner"]
+  end
+
+  test "kill -9 of the whole gateway while NATS is away: all events are on disk", %{tmp_dir: dir} do
+    script = """
+    Application.ensure_all_started(:vehicle)
+    alias Aerie.{Bridge, Config, Fleet}
+    config = Config.default([{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
+    {:ok, _} = Fleet.Store.start_link(gateway: :g)
+    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
+    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
+    Fleet.PubSub.subscribe(:g, :bridge)
+    events = for seq <- 1..1000, do: Aerie.Vehicle.Event.new("A", "statustext", seq, seq, nil, %{"n" => seq})
+    Fleet.Journal.commit(:g, "A", :state, events)
+    wait = fn wait ->
+      receive do
+        {:fleet, :bridge, {:outbox, %{events: 1000}}} -> IO.puts("written \#{System.pid()}")
+        _ -> wait.(wait)
+      end
+    end
+    wait.(wait)
+    Process.sleep(:infinity)
+    """
+
+    paths = for path <- :code.get_path(), path = to_string(path), path =~ "_build", do: ["-pa", path]
+    elixir = System.find_executable("elixir")
+
+    port =
+      Port.open({:spawn_executable, elixir}, [
+        :binary,
+        :stderr_to_stdout,
+        line: 1000,
+        args: List.flatten(paths) ++ ["-e", script]
+      ])
+
+    kill9(written(port))
+
+    gateway = start_bridge(config(dir))
+    conn = client(await_up(gateway))
+    await_empty(gateway)
+    assert_complete(events(conn), ["A"], 1000)
+  end
+
+  defp written(port) do
+    receive do
+      {^port, {:data, {:eol, "written " <> pid}}} -> pid
+      {^port, {:data, _other}} -> written(port)
+    after
+      60_000 -> flunk("the other gateway wrote nothing")
+    end
+  end
+
+  test "an outbox that cannot be written is said once; events stay in memory until NATS is back", %{
+    tmp_dir: dir
+  } do
+    File.write!(Path.join(dir, "file"), "")
+    gateway = start_bridge(config(dir, [{"outbox.dir", Path.join(dir, "file")}, {"nats.binary", "not-yet"}]))
+    commit(gateway, "A", 1..10)
+    assert %{problem: text} = await(gateway, :outbox, &is_binary(&1[:problem]))
+    assert text =~ "cannot be kept on disk" and text =~ "stay in memory"
+    assert Fleet.Journal.pending_size(gateway) == 10
+    stop_bridge(gateway)
+    start_bridge_again(gateway, config(dir, [{"outbox.dir", Path.join(dir, "file")}]))
+    conn = client(await_up(gateway))
+    eventually(fn -> Fleet.Journal.pending_size(gateway) == 0 end)
+    assert_complete(events(conn), ["A"], 10)
+  end
+
+  test "a stream that somebody deletes is made again, and what it did not take is sent again", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    conn = client(await_up(gateway))
+    :ok = Gnat.Jetstream.API.Stream.delete(conn, "FLEET_EVENTS")
+    commit(gateway, "A", 1..20)
+    await_empty(gateway)
+    assert_complete(events(conn), ["A"], 20)
+    assert metric(gateway, "gateway_nats_publish_errors_total") > 0
+  end
+
+  test "an event that NATS can never take is dropped and does not hold up the others", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    conn = client(await_up(gateway))
+    huge = Event.new("A", "statustext", 2, 2, nil, %{"text" => String.duplicate("x", 1_200_000)})
+    commit(gateway, "A", [1])
+    Fleet.Journal.commit(gateway, "A", :state, [huge])
+    commit(gateway, "A", [3])
+    await_empty(gateway)
+    assert for({"A", seq, _} <- events(conn), do: seq) == [1, 3]
+    assert metric(gateway, "gateway_nats_events_dropped_total") == 1
+  end
+
+  test "events of an earlier life go before new ones", %{tmp_dir: dir} do
+    {:ok, outbox} = Outbox.open(Path.join(dir, "outbox"))
+
+    old =
+      for seq <- 1..300 do
+        body = JSON.encode!(%{"vehicle" => "A", "seq" => seq})
+        %Outbox.Record{id: "old-#{seq}", vehicle: "A", subject: "fleet.test.A.event.statustext", body: body}
+      end
+
+    {:ok, outbox} = Outbox.append(outbox, old)
+    Outbox.close(outbox)
+    gateway = start_bridge(config(dir))
+    commit(gateway, "A", 301..400)
+    await_up(gateway)
+    await_empty(gateway)
+    assert_complete(events(client(await_up(gateway))), ["A"], 400)
+  end
+
+  defp samples(gateway, name) do
+    Enum.find_value(Bridge.metrics(gateway), fn metric -> if metric.name == name, do: metric.samples end)
+  end
+end

@@ -1,0 +1,165 @@
+defmodule Aerie.BridgeCase do
+  @moduledoc """
+  Tests of the bridge against the real nats-server: a store, notices and a bridge of their own, folders of their own, any
+  free port. Nothing is shared, so all are async.
+  """
+  use ExUnit.CaseTemplate
+
+  alias Aerie.{Bridge, Config, Fleet}
+  alias Aerie.Vehicle.Event
+
+  using do
+    quote do
+      import Aerie.BridgeCase
+      alias Aerie.{Bridge, Config, Fleet}
+      alias Aerie.Vehicle.Event
+    end
+  end
+
+  @doc "A configuration whose folders are below `dir`."
+  @spec config(Path.t(), [{String.t(), term()}]) :: Config.t()
+  def config(dir, overrides \\ []) do
+    Config.default(
+      [
+        {"environment", "test"},
+        {"nats.port", 0},
+        {"nats.store_dir", Path.join(dir, "nats")},
+        {"outbox.dir", Path.join(dir, "outbox")},
+        {"nats.retry_min_ms", 20},
+        {"nats.retry_max_ms", 200}
+      ] ++ overrides
+    )
+  end
+
+  @doc "Starts store, notices and bridge; gives the gateway's name."
+  @spec start_bridge(Config.t(), keyword()) :: reference()
+  def start_bridge(config, options \\ []) do
+    gateway = Keyword.get_lazy(options, :gateway, &make_ref/0)
+    # Subscribed before there is anything to hear, so that no news is missed.
+    ExUnit.Callbacks.start_supervised!({Fleet.Store, gateway: gateway}, id: {:store, gateway})
+    ExUnit.Callbacks.start_supervised!({Fleet.PubSub, gateway: gateway}, id: {:pubsub, gateway})
+    :ok = Fleet.PubSub.subscribe(gateway, :bridge)
+    start_bridge_again(gateway, config)
+    gateway
+  end
+
+  @doc "Starts the bridge of a gateway whose store is there already."
+  @spec start_bridge_again(reference(), Config.t()) :: pid()
+  def start_bridge_again(gateway, config) do
+    ExUnit.Callbacks.start_supervised!({Bridge.Supervisor, gateway: gateway, config: config},
+      id: {:bridge, gateway}
+    )
+  end
+
+  @doc "Ends the bridge in order."
+  @spec stop_bridge(reference()) :: :ok
+  def stop_bridge(gateway), do: ExUnit.Callbacks.stop_supervised!({:bridge, gateway})
+
+  @doc "Waits for news of a part of the bridge that `fun` accepts."
+  @spec await(reference(), atom(), (map() -> as_boolean(term())), timeout()) :: map()
+  def await(gateway, part, fun, timeout \\ 15_000) do
+    deadline = System.monotonic_time(:millisecond) + timeout
+    info = gateway |> Bridge.Tables.get() |> info(part)
+    if info && fun.(info), do: info, else: await_news(part, fun, deadline)
+  end
+
+  # The tables are gone while the bridge restarts.
+  defp info(nil, _part), do: nil
+  defp info(tables, part), do: Bridge.Tables.info(tables, part)
+
+  defp await_news(part, fun, deadline) do
+    receive do
+      {:fleet, :bridge, {^part, info}} -> if fun.(info), do: info, else: await_news(part, fun, deadline)
+    after
+      max(deadline - System.monotonic_time(:millisecond), 0) ->
+        ExUnit.Assertions.flunk("no such news of #{part}")
+    end
+  end
+
+  @doc "Waits until the connection and the streams are there; gives the URL."
+  @spec await_up(reference()) :: String.t()
+  def await_up(gateway), do: await(gateway, :connection, &(&1[:status] == :up and &1[:streams] == :ok)).url
+
+  @doc "A plain client on the bridge's server."
+  @spec client(String.t()) :: pid()
+  def client(url) do
+    uri = URI.parse(url)
+    {:ok, conn} = Gnat.start_link(%{host: uri.host, port: uri.port})
+    conn
+  end
+
+  @doc "The process of the system that is the embedded server."
+  @spec server_pid(Path.t()) :: String.t()
+  def server_pid(dir), do: dir |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
+
+  @doc "`kill -9`."
+  @spec kill9(String.t()) :: :ok
+  def kill9(pid) do
+    {_, 0} = System.cmd("sh", ["-c", "kill -KILL #{pid}"])
+    :ok
+  end
+
+  @doc "Events `seqs` of a vehicle, into the journal."
+  @spec commit(reference(), String.t(), Enumerable.t()) :: [Event.t()]
+  def commit(gateway, vehicle, seqs) do
+    events =
+      for seq <- seqs,
+          do: Event.new(vehicle, "statustext", seq, 1_700_000_000_000_000 + seq, seq, %{"n" => seq})
+
+    :ok = Fleet.Journal.commit(gateway, vehicle, :some_state, events)
+    events
+  end
+
+  @doc "Waits until nothing is on its way: neither in the journal nor in the outbox."
+  @spec await_empty(reference()) :: :ok
+  def await_empty(gateway) do
+    eventually(fn ->
+      Fleet.Journal.pending_size(gateway) == 0 and match?(%{events: 0}, outbox(gateway))
+    end)
+  end
+
+  defp outbox(gateway),
+    do: with(%{} = tables <- Bridge.Tables.get(gateway), do: Bridge.Tables.info(tables, :outbox))
+
+  @doc "All messages of FLEET_EVENTS in their order, as `{vehicle, seq, headers}`."
+  @spec events(pid()) :: [{String.t(), pos_integer(), String.t()}]
+  def events(conn) do
+    {:ok, %{state: %{first_seq: first, last_seq: last}}} =
+      Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+
+    for seq <- first..last//1, message = message(conn, seq) do
+      body = JSON.decode!(message.data)
+      {body["vehicle"], body["seq"], message.hdrs || ""}
+    end
+  end
+
+  defp message(conn, seq) do
+    case Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) do
+      {:ok, message} -> message
+      {:error, %{"code" => 404}} -> nil
+    end
+  end
+
+  @doc "A counter of the bridge, summed over its labels."
+  @spec metric(reference(), String.t()) :: number()
+  def metric(gateway, name) do
+    for(%{name: ^name, samples: samples} <- Bridge.metrics(gateway), {_labels, n} <- samples, do: n)
+    |> Enum.sum()
+  end
+
+  @doc "Polls until `fun` gives something truthy, for facts that send no message."
+  @spec eventually((-> result)) :: result when result: term()
+  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 30_000) do
+    cond do
+      result = fun.() ->
+        result
+
+      System.monotonic_time(:millisecond) > deadline ->
+        ExUnit.Assertions.flunk("it did not come true")
+
+      true ->
+        Process.sleep(10)
+        eventually(fun, deadline)
+    end
+  end
+end

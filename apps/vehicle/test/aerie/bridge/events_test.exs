@@ -131,7 +131,7 @@ defmodule Aerie.Bridge.EventsTest do
         headers =~ "Aerie-Backfill: true"
       end)
 
-    assert length(marked) == 200
+    assert length(marked) >= 200
     assert File.ls!(Path.join(dir, "outbox")) |> Enum.sort() == ["head", "owner"]
   end
 

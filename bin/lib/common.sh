@@ -47,3 +47,22 @@ use_toolchain() {
   # A bare Debian root has no locale; names of files are UTF-8 all the same.
   case $LANG in *UTF-8 | *utf8) ;; *) export LC_ALL=C.UTF-8 ;; esac
 }
+
+# Compiles everything for the environment $1 and shows the output only when it fails. A terminal sees that it goes on.
+compile_quietly() {
+  local log="$AERIE_ROOT/_build/compile-$1.log" pid
+  mkdir -p "$AERIE_ROOT/_build"
+  (cd "$AERIE_ROOT" && MIX_ENV=$1 mix compile) >"$log" 2>&1 &
+  pid=$!
+  if [ -t 2 ]; then
+    while kill -0 "$pid" 2>/dev/null; do
+      printf '\r    %-76.76s' "$(tail -n 1 "$log" | tr -d '\r')" >&2
+      sleep 0.5
+    done
+    printf '\r%80s\r' '' >&2
+  fi
+  wait "$pid" || {
+    cat "$log" >&2
+    fail "Aerie did not compile" "see above" "git status shows what was changed here; otherwise report it with the lines above"
+  }
+}

@@ -177,3 +177,9 @@ toolchain_check() {
     { tail -n 5 "$work/check.log" >&2; fail "the unpacked toolchain does not run" "see above" "report it with the lines above; $work is kept"; }
   step "toolchain: $found, nats-server $("$work/bin/nats-server" --version | sed 's/.* v//')"
 }
+
+# Serial ports are driven by a small C program. Without a compiler the rest works, so this is a warning, given once.
+toolchain_compiler_note() {
+  have cc || have gcc || have clang ||
+    warn "no C compiler: serial ports (DEVICE,BAUD) will not work, all else does. To mend it: apt-get install gcc libc6-dev"
+}

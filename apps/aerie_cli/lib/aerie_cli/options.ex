@@ -1,0 +1,168 @@
+defmodule AerieCLI.Options do
+  @moduledoc """
+  The command line of `bin/run`, parsed and checked: a pure function from words to a struct or an error.
+  """
+
+  defstruct links: [],
+            replay: nil,
+            speed: 1.0,
+            sim: nil,
+            config: nil,
+            http: nil,
+            nats: nil,
+            quiet: false
+
+  @typedoc """
+  * `links` - connection strings, in the order given
+  * `replay` - path of a tlog file to play, or nil
+  * `speed` - how many times faster than it was recorded, or `:max`
+  * `sim` - number of simulated vehicles asked for, or nil when the command line does not say
+  * `config` - path of a YAML configuration, or nil
+  * `http` - port of the HTTP server, or nil for the configured one
+  * `nats` - "embedded" or a URL, or nil for the configured one
+  * `quiet` - log lines instead of the table
+  """
+  @type t :: %__MODULE__{
+          links: [String.t()],
+          replay: String.t() | nil,
+          speed: float() | :max,
+          sim: non_neg_integer() | nil,
+          config: String.t() | nil,
+          http: :inet.port_number() | nil,
+          nats: String.t() | nil,
+          quiet: boolean()
+        }
+
+  @max_sim 200
+
+  @switches [
+    link: :keep,
+    replay: :string,
+    speed: :string,
+    sim: :integer,
+    config: :string,
+    http: :integer,
+    nats: :string,
+    quiet: :boolean,
+    help: :boolean,
+    version: :boolean
+  ]
+
+  @help """
+  usage: bin/run [OPTION ...]
+
+    Starts the gateway with an embedded NATS server. Without a link, a replay or a configuration, three simulated
+    vehicles fly, and UDP port 14550 is open for real ones. Ctrl-C ends it.
+
+    --link STRING      connect to vehicles (may be repeated):
+                         udpin:HOST:PORT    wait for vehicles to call, e.g. udpin:0.0.0.0:14550
+                         udpout:HOST:PORT   call a vehicle
+                         tcp:HOST:PORT      connect, e.g. to a SITL: tcp:127.0.0.1:5760
+                         tcpin:HOST:PORT    wait for connections
+                         DEVICE,BAUD        a serial port, e.g. /dev/ttyACM0,57600
+    --replay FILE      show a recorded flight (a .tlog file) instead
+    --speed N|max      how many times faster than recorded (default 1)
+    --sim N            how many simulated vehicles fly (0 to #{@max_sim}); also beside links
+    --config FILE      a configuration; config/gateway.example.yaml documents every key
+    --http PORT        port of /metrics, /healthz, /readyz (default 4000; 0 takes a free one)
+    --nats WHERE       embedded (the default) or a URL such as nats://hub:4222
+    --quiet            log lines instead of the status table (also when the output is not a terminal)
+    --version          the version
+    --help             this text
+  """
+
+  @doc "The text of `--help`."
+  @spec help() :: String.t()
+  def help, do: @help
+
+  @doc """
+  Parses the words of the command line.
+
+  Returns `{:ok, options}`, `:help`, `:version`, or `{:error, message}` with what is wrong and what would be right.
+  """
+  @spec parse([String.t()]) :: {:ok, t()} | :help | :version | {:error, String.t()}
+  def parse(words) do
+    case OptionParser.parse(words, strict: @switches, aliases: [h: :help, q: :quiet]) do
+      {switches, [], []} -> build(switches)
+      {_switches, [word | _rest], []} -> {:error, "unexpected '#{word}': every option starts with --"}
+      {_switches, _rest, [{name, value} | _more]} -> {:error, invalid(name, value)}
+    end
+  end
+
+  defp build(switches) do
+    cond do
+      switches[:help] -> :help
+      switches[:version] -> :version
+      true -> validate(switches)
+    end
+  end
+
+  defp validate(switches) do
+    options = %__MODULE__{
+      links: Keyword.get_values(switches, :link),
+      replay: switches[:replay],
+      sim: switches[:sim],
+      config: switches[:config],
+      http: switches[:http],
+      nats: switches[:nats],
+      quiet: switches[:quiet] || false
+    }
+
+    with {:ok, speed} <- speed(switches[:speed]),
+         :ok <- range("--sim", options.sim, 0, @max_sim),
+         :ok <- range("--http", options.http, 0, 65_535),
+         :ok <- replay_alone(options, switches),
+         :ok <- nats(options.nats) do
+      {:ok, %{options | speed: speed}}
+    end
+  end
+
+  defp speed(nil), do: {:ok, 1.0}
+  defp speed("max"), do: {:ok, :max}
+
+  defp speed(text) do
+    case Float.parse(text) do
+      {speed, ""} when speed > 0 and speed <= 1000 -> {:ok, speed}
+      _other -> {:error, "--speed: expected a number above 0 and up to 1000, or max, got: #{text}"}
+    end
+  end
+
+  defp range(_name, nil, _low, _high), do: :ok
+  defp range(_name, value, low, high) when value in low..high, do: :ok
+  defp range(name, value, low, high), do: {:error, "#{name}: expected #{low} to #{high}, got: #{value}"}
+
+  defp replay_alone(%{replay: nil}, switches) do
+    if switches[:speed], do: {:error, "--speed goes with --replay FILE"}, else: :ok
+  end
+
+  defp replay_alone(%{links: [_ | _]}, _switches),
+    do: {:error, "--replay and --link exclude each other: a recording must not be mixed with a live vehicle"}
+
+  defp replay_alone(_options, _switches), do: :ok
+
+  defp nats(nil), do: :ok
+  defp nats("embedded"), do: :ok
+
+  defp nats(url) do
+    case URI.parse(url) do
+      %URI{scheme: scheme, host: host} when scheme in ["nats", "tls"] and is_binary(host) and host != "" -> :ok
+      _other -> {:error, "--nats: expected embedded or a URL such as nats://127.0.0.1:4222, got: #{url}"}
+    end
+  end
+
+  defp invalid(name, nil) do
+    case closest(name) do
+      nil -> "unknown option #{name}, or its value is missing; bin/run --help lists them"
+      ^name -> "#{name} wants a value; bin/run --help tells which"
+      other -> "unknown option #{name}; did you mean #{other}?"
+    end
+  end
+
+  defp invalid(name, value), do: "#{name}: '#{value}' is not a whole number"
+
+  defp closest(name) do
+    names = for {switch, _type} <- @switches, do: "--#{switch}"
+    best = Enum.max_by(names, &String.jaro_distance(&1, name))
+    if String.jaro_distance(best, name) > 0.8, do: best
+  end
+end

@@ -1,0 +1,93 @@
+defmodule AerieCLI.Status do
+  @moduledoc """
+  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines when the
+  output is a pipe. It reads the store and hears the events; nothing waits for it.
+  """
+
+  use GenServer
+
+  alias Aerie.Fleet
+  alias AerieCLI.Status.{Format, Lines, Table, View}
+
+  @table_period 500
+  @lines_period 5_000
+  @kept_notes 6
+
+  @doc """
+  Options: `gateway` (name of the instance), `style` (`:table` or `:lines`), `http` (address to show, or nil),
+  `device` (where to write, default standard output), `size` (`{columns, lines}`).
+  """
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options), do: GenServer.start_link(__MODULE__, Map.new(options))
+
+  @impl GenServer
+  def init(options) do
+    Process.set_label({:aerie_cli, :status})
+    Fleet.PubSub.subscribe(options.gateway, :events)
+
+    state =
+      Map.merge(
+        %{device: :stdio, size: {100, 40}, http: nil, started: System.os_time(:microsecond), notes: [], drawn: 0},
+        options
+      )
+
+    {:ok, schedule(state, 100)}
+  end
+
+  @impl GenServer
+  def handle_info(:show, %{style: :table} = state) do
+    {columns, lines} = state.size
+    drawn = Table.render(view(state), columns, lines)
+    # Home, each line cleared to its end, the rest of the screen cleared: no flicker, and what stood before is kept.
+    IO.write(state.device, [first_draw(state), "\e[H", Enum.map(drawn, &[&1, "\e[K\r\n"]), "\e[J"])
+    {:noreply, schedule(%{state | drawn: length(drawn)}, @table_period)}
+  end
+
+  def handle_info(:show, state) do
+    write_lines(state, Lines.render(view(state)))
+    {:noreply, schedule(state, @lines_period)}
+  end
+
+  def handle_info({:fleet, :events, event}, %{style: :lines} = state) do
+    write_lines(state, [Lines.event(event)])
+    {:noreply, state}
+  end
+
+  def handle_info({:fleet, :events, event}, state) do
+    note = Format.text("#{clock(event.time)}  #{String.replace_prefix(Lines.event(event), "event ", "")}")
+    {:noreply, %{state | notes: Enum.take([note | state.notes], @kept_notes)}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp view(state) do
+    %View{
+      now: System.os_time(:microsecond),
+      started: state.started,
+      vehicles: state.gateway |> Fleet.Store.vehicles() |> Enum.sort_by(& &1.id),
+      links: state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id),
+      nats: Aerie.Bridge.info(state.gateway),
+      http: state.http,
+      notes: state.notes
+    }
+  end
+
+  defp first_draw(%{drawn: 0}), do: "\e[2J"
+  defp first_draw(_state), do: ""
+
+  defp write_lines(_state, []), do: :ok
+
+  defp write_lines(state, lines) do
+    stamp = clock(System.os_time(:microsecond))
+    IO.write(state.device, Enum.map(lines, &[stamp, " ", &1, "\n"]))
+  end
+
+  defp clock(us) do
+    us |> DateTime.from_unix!(:microsecond) |> DateTime.truncate(:millisecond) |> DateTime.to_iso8601()
+  end
+
+  defp schedule(state, period) do
+    Process.send_after(self(), :show, period)
+    state
+  end
+end

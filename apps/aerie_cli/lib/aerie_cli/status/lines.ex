@@ -1,0 +1,69 @@
+defmodule AerieCLI.Status.Lines do
+  @moduledoc """
+  The status as log lines, for a pipe or `--quiet`: one line a vehicle, one a link and one for NATS, `key=value`, so that
+  `grep` and a log collector find their way.
+  """
+
+  import AerieCLI.Status.Format
+
+  alias AerieCLI.Status.View
+
+  @doc "The lines of one look at the gateway."
+  @spec render(View.t()) :: [String.t()]
+  def render(%View{} = view) do
+    Enum.map(view.vehicles, &vehicle(&1, view.now)) ++ Enum.map(view.links, &link/1) ++ nats(view.nats)
+  end
+
+  @doc "An event as a line."
+  @spec event(map()) :: String.t()
+  def event(event) do
+    data = Enum.map_join(Enum.sort(event.data), " ", fn {key, value} -> "#{key}=#{value(value)}" end)
+    String.trim_trailing("event vehicle=#{text(event.vehicle)} type=#{text(event.type)} #{data}")
+  end
+
+  defp vehicle(vehicle, now) do
+    pairs = [
+      vehicle: vehicle.id,
+      status: vehicle.status,
+      type: vehicle.vehicle_type,
+      autopilot: vehicle.autopilot,
+      mode: View.field(vehicle, :mode, :mode),
+      armed: View.armed(vehicle),
+      lat: number(View.field(vehicle, :position, :lat), 6),
+      lon: number(View.field(vehicle, :position, :lon), 6),
+      alt_rel: number(View.field(vehicle, :position, :alt_rel), 1),
+      groundspeed: number(View.field(vehicle, :velocity, :groundspeed), 1),
+      battery: percent(View.field(vehicle, :battery, :remaining)),
+      gps: View.field(vehicle, :gps, :fix_name),
+      age: vehicle.last_heard && number((now - vehicle.last_heard) / 1_000_000, 1)
+    ]
+
+    pairs(pairs)
+  end
+
+  defp link(link) do
+    pairs(
+      link: link[:id],
+      status: link[:status],
+      frames_in_per_s: number(link[:frames_in_rate], 0),
+      frames_out_per_s: number(link[:frames_out_rate], 0),
+      crc_errors: link[:crc_errors],
+      reason: link[:reason]
+    )
+  end
+
+  defp nats(nil), do: []
+
+  defp nats(nats),
+    do: [pairs(nats: nats[:status], url: nats[:url], published: nats[:published], waiting: nats[:pending])]
+
+  defp pairs(pairs), do: Enum.map_join(pairs, " ", fn {key, value} -> "#{key}=#{value(value)}" end)
+
+  defp value(value) when is_map(value) or is_list(value) or is_tuple(value),
+    do: value |> inspect(limit: 20, printable_limit: 200) |> value()
+
+  defp value(value) do
+    text = text(value)
+    if text =~ ~r/[\s"=]/, do: inspect(text), else: text
+  end
+end

@@ -1,0 +1,159 @@
+defmodule AerieCLI.Status.Table do
+  @moduledoc """
+  The status of a gateway as lines for a terminal: pure, from a view and a size to at most that many lines, none longer
+  than the width. Colour is only emphasis; every state is also a word.
+  """
+
+  import AerieCLI.Status.Format
+
+  alias AerieCLI.Status.View
+
+  @reset "\e[0m"
+  @styles %{bold: "\e[1m", dim: "\e[2m", red: "\e[31m", green: "\e[32m", yellow: "\e[33m"}
+
+  # name, width, side
+  @vehicle_columns [
+    {"VEHICLE", 14, :left},
+    {"TYPE", 18, :left},
+    {"MODE", 13, :left},
+    {"ARMED", 8, :left},
+    {"LATITUDE", 11, :right},
+    {"LONGITUDE", 12, :right},
+    {"HEIGHT", 8, :right},
+    {"SPEED", 9, :right},
+    {"BATTERY", 12, :right},
+    {"GPS", 10, :right},
+    {"HEARD", 8, :right}
+  ]
+
+  @link_columns [
+    {"LINK", 14, :left},
+    {"ADDRESS", 28, :left},
+    {"STATE", 12, :left},
+    {"IN/s", 8, :right},
+    {"OUT/s", 8, :right},
+    {"kB/s", 8, :right},
+    {"CRC ERR", 8, :right},
+    {"LOST", 8, :right}
+  ]
+
+  @doc "The lines of the table, the header first."
+  @spec render(View.t(), pos_integer(), pos_integer()) :: [String.t()]
+  def render(%View{} = view, width, height) do
+    lines =
+      [header(view), nats_line(view), ""] ++
+        section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view.now)), width, empty_vehicles()) ++
+        [""] ++
+        section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
+        notes(view)
+
+    lines |> Enum.take(max(height - 1, 3)) |> Enum.map(&line(&1, width))
+  end
+
+  defp header(view) do
+    up = duration(view.now - view.started)
+    {"Aerie  up #{up}  vehicles #{length(view.vehicles)}  http #{text(view.http)}  (Ctrl-C ends it)", :bold}
+  end
+
+  defp nats_line(%View{nats: nil}), do: {"NATS not started", :dim}
+
+  defp nats_line(%View{nats: nats}) do
+    status = Map.get(nats, :status)
+
+    {"NATS #{text(status)} at #{text(nats[:url])}  published #{text(nats[:published])}" <>
+       "  waiting #{text(nats[:pending])}  errors #{text(nats[:errors])}",
+     if(status in [:connected, "connected"], do: :green, else: :yellow)}
+  end
+
+  defp empty_vehicles do
+    [{"no vehicle heard yet: point one here, e.g. its telemetry to UDP port 14550", :dim}]
+  end
+
+  defp section(columns, rows, width, empty) do
+    columns = columns_within(columns, width)
+    title = Enum.map_join(columns, " ", fn {name, size, side} -> fit(name, size, side) end)
+    body = if rows == [], do: empty, else: Enum.map(rows, &row(&1, columns))
+    [{title, :dim} | body]
+  end
+
+  # A narrow terminal loses the last columns, not the ends of the lines.
+  defp columns_within(columns, width) do
+    {kept, _used} =
+      Enum.reduce_while(columns, {[], 0}, fn {_name, size, _side} = column, {kept, used} ->
+        if used + size <= width, do: {:cont, {[column | kept], used + size + 1}}, else: {:halt, {kept, used}}
+      end)
+
+    Enum.reverse(kept)
+  end
+
+  defp row({cells, style}, columns) do
+    text =
+      columns
+      |> Enum.zip(cells)
+      |> Enum.map_join(" ", fn {{_name, size, side}, cell} -> fit(cell, size, side) end)
+
+    {text, style}
+  end
+
+  defp vehicle(vehicle, now) do
+    cells = [
+      text(vehicle.id),
+      "#{text(vehicle.vehicle_type)} #{text(vehicle.autopilot)}",
+      text(View.field(vehicle, :mode, :mode)),
+      armed(View.armed(vehicle)),
+      number(View.field(vehicle, :position, :lat), 6),
+      number(View.field(vehicle, :position, :lon), 6),
+      number(View.field(vehicle, :position, :alt_rel), 1, " m"),
+      number(View.field(vehicle, :velocity, :groundspeed), 1, " m/s"),
+      battery(vehicle),
+      text(View.field(vehicle, :gps, :fix_name)),
+      heard(vehicle, now)
+    ]
+
+    {cells, vehicle_style(vehicle)}
+  end
+
+  defp armed(true), do: "ARMED"
+  defp armed(false), do: "disarmed"
+  defp armed(nil), do: "-"
+
+  defp battery(vehicle) do
+    percent(View.field(vehicle, :battery, :remaining)) <>
+      " " <> number(View.field(vehicle, :battery, :voltage), 1, " V")
+  end
+
+  defp heard(%{status: :lost}, _now), do: "LOST"
+  defp heard(%{last_heard: last}, now) when is_integer(last), do: age(now - last)
+  defp heard(_vehicle, _now), do: "-"
+
+  defp vehicle_style(%{status: :lost}), do: :red
+  defp vehicle_style(%{status: :stale}), do: :yellow
+  defp vehicle_style(vehicle), do: if(View.armed(vehicle), do: :green, else: nil)
+
+  defp link(link) do
+    cells = [
+      text(link[:id]),
+      text(link[:url]),
+      text(link[:status]),
+      number(link[:frames_in_rate], 0),
+      number(link[:frames_out_rate], 0),
+      number(rate_kb(link[:bytes_in_rate]), 1),
+      text(link[:crc_errors]),
+      text(link[:lost])
+    ]
+
+    {cells, if(link[:status] in [:up, "up"], do: nil, else: :yellow)}
+  end
+
+  defp rate_kb(nil), do: nil
+  defp rate_kb(bytes), do: bytes / 1000
+
+  defp notes(%View{notes: []}), do: []
+  defp notes(%View{notes: notes}), do: ["", {"LATEST EVENTS", :dim} | Enum.map(notes, &{&1, nil})]
+
+  defp line("", _width), do: ""
+  defp line({text, nil}, width), do: cut(text, width)
+  defp line({text, style}, width), do: Map.fetch!(@styles, style) <> cut(text, width) <> @reset
+
+  defp cut(text, width), do: if(String.length(text) > width, do: fit(text, width), else: text)
+end

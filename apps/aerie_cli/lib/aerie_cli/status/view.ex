@@ -1,0 +1,38 @@
+defmodule AerieCLI.Status.View do
+  @moduledoc """
+  What one look at a gateway shows: vehicles, links, NATS, HTTP. Collected from the read model, rendered by
+  `AerieCLI.Status.Table` (a terminal) and `AerieCLI.Status.Lines` (a pipe); neither asks any process of a vehicle.
+  """
+
+  defstruct [:now, :started, :nats, :http, vehicles: [], links: [], notes: []]
+
+  @typedoc """
+  * `now`, `started` - unix microseconds
+  * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`
+  * `nats` - `Aerie.Bridge.info/1`
+  * `http` - address of the HTTP server, or nil
+  * `notes` - the latest events, newest first, as text
+  """
+  @type t :: %__MODULE__{
+          now: integer(),
+          started: integer(),
+          vehicles: [map()],
+          links: [map()],
+          nats: map() | nil,
+          http: String.t() | nil,
+          notes: [String.t()]
+        }
+
+  @doc "Whether a vehicle's snapshot is armed, or nil when that is not known."
+  @spec armed(map()) :: boolean() | nil
+  def armed(vehicle), do: field(vehicle, :mode, :armed)
+
+  @doc "A field of a state group, or nil when the group or the field is not known."
+  @spec field(map(), atom(), atom()) :: term()
+  def field(vehicle, group, key) do
+    case vehicle do
+      %{groups: %{^group => %{data: %{^key => value}}}} -> value
+      _other -> nil
+    end
+  end
+end

@@ -1,0 +1,31 @@
+defmodule AerieCLI.MixProject do
+  use Mix.Project
+
+  def project do
+    [
+      app: :aerie_cli,
+      version: "0.1.0",
+      build_path: "../../_build",
+      config_path: "../../config/config.exs",
+      deps_path: "../../deps",
+      lockfile: "../../mix.lock",
+      elixir: "~> 1.20",
+      elixirc_paths: elixirc_paths(Mix.env()),
+      test_coverage: [summary: [threshold: 85]],
+      deps: deps()
+    ]
+  end
+
+  def application do
+    [mod: {AerieCLI.Application, []}, extra_applications: [:logger] ++ test_applications(Mix.env())]
+  end
+
+  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
+  defp test_applications(:test), do: [:proper]
+  defp test_applications(_env), do: []
+
+  defp elixirc_paths(:test), do: ["lib", "test/support"]
+  defp elixirc_paths(_env), do: ["lib"]
+
+  defp deps, do: [{:vehicle, in_umbrella: true}, {:fleet_web, in_umbrella: true}, {:sim_vehicle, in_umbrella: true}]
+end

@@ -1,0 +1,54 @@
+defmodule FleetWeb.HTTP.Handler do
+  @moduledoc """
+  The plain HTTP face: `/metrics` (Prometheus), `/healthz` (the process answers), `/readyz` (it can do its work), and an
+  index that names them. Each request runs in a process of its own and only reads the read model.
+  """
+
+  @behaviour :cowboy_handler
+
+  alias FleetWeb.{Health, Metrics}
+
+  @json "application/json; charset=utf-8"
+  @text "text/plain; charset=utf-8"
+
+  @impl :cowboy_handler
+  def init(request, %{page: page, gateway: gateway} = state) do
+    request =
+      case :cowboy_req.method(request) do
+        method when method in ["GET", "HEAD"] -> answer(page, gateway, request)
+        _other -> reply(request, 405, @text, "method not allowed: use GET\n", %{"allow" => "GET, HEAD"})
+      end
+
+    {:ok, request, state}
+  end
+
+  defp answer(:metrics, gateway, request),
+    do: reply(request, 200, Metrics.Text.content_type(), Metrics.Text.render(Metrics.families(gateway)))
+
+  defp answer(:healthz, _gateway, request), do: reply(request, 200, @json, JSON.encode!(%{status: "ok"}))
+
+  defp answer(:readyz, gateway, request) do
+    {ready?, report} = Health.ready(gateway)
+    reply(request, if(ready?, do: 200, else: 503), @json, JSON.encode!(report))
+  end
+
+  defp answer(:index, _gateway, request) do
+    reply(request, 200, @text, """
+    Aerie gateway
+
+    /metrics   counters and gauges in Prometheus text
+    /healthz   200 while the gateway's process answers
+    /readyz    200 when it can do its work; else 503 and why not
+    """)
+  end
+
+  defp answer(:missing, _gateway, request),
+    do: reply(request, 404, @text, "not found: there are /metrics, /healthz and /readyz\n")
+
+  defp reply(request, status, type, body, more \\ %{}) do
+    headers =
+      Map.merge(%{"content-type" => type, "cache-control" => "no-store", "x-content-type-options" => "nosniff"}, more)
+
+    :cowboy_req.reply(status, headers, body, request)
+  end
+end

@@ -1,0 +1,46 @@
+defmodule FleetWeb.Metrics.Text do
+  @moduledoc """
+  Prometheus' text exposition format 0.0.4: pure, from metric families to iodata.
+
+  A sample whose value is nil (not known) is left out, since a made-up zero would be read as a measurement.
+  """
+
+  @type labels :: [{String.t() | atom(), term()}]
+  @type sample :: {labels(), number() | boolean() | nil}
+  @type family :: {name :: String.t(), :counter | :gauge, help :: String.t(), [sample()]}
+
+  @doc "The content type that goes with it."
+  @spec content_type() :: String.t()
+  def content_type, do: "text/plain; version=0.0.4; charset=utf-8"
+
+  @doc "Renders the families that have at least one known sample."
+  @spec render([family()]) :: iodata()
+  def render(families), do: Enum.map(families, &family/1)
+
+  defp family({name, type, help, samples}) do
+    case for {labels, value} <- samples, value != nil, do: [name, labels(labels), " ", number(value), "\n"] do
+      [] -> []
+      lines -> ["# HELP ", name, " ", help, "\n# TYPE ", name, " ", Atom.to_string(type), "\n", lines]
+    end
+  end
+
+  defp labels([]), do: []
+
+  defp labels(labels) do
+    pairs = Enum.map_intersperse(labels, ",", fn {key, value} -> [to_string(key), "=\"", escape(value), "\""] end)
+    ["{", pairs, "}"]
+  end
+
+  defp escape(value) do
+    value
+    |> to_string()
+    |> String.replace("\\", "\\\\")
+    |> String.replace("\"", "\\\"")
+    |> String.replace("\n", "\\n")
+  end
+
+  defp number(true), do: "1"
+  defp number(false), do: "0"
+  defp number(value) when is_integer(value), do: Integer.to_string(value)
+  defp number(value) when is_float(value), do: Float.to_string(value)
+end

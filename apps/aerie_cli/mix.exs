@@ -27,5 +27,6 @@ defmodule AerieCLI.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:vehicle, in_umbrella: true}, {:fleet_web, in_umbrella: true}, {:sim_vehicle, in_umbrella: true}]
+  defp deps,
+    do: [{:vehicle, in_umbrella: true}, {:fleet_web, in_umbrella: true}, {:sim_vehicle, in_umbrella: true}]
 end

@@ -19,7 +19,8 @@ python_install() {
   rm -rf "$AERIE_VENV"
   if ! python3 -m venv "$AERIE_VENV" >"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
-    fail "python3 cannot make a virtual environment" "$(tail -n 1 "$log" | cut -c1-120)" "apt-get install python3-venv"
+    fail "python3 cannot make a virtual environment" "its venv or ensurepip module is missing; the whole answer is in $log" \
+      "apt-get install python3-venv"
   fi
   # shellcheck disable=SC2086 # a list of words on purpose
   if ! "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: $PYTHON_PEERS >"$log" 2>&1 &&

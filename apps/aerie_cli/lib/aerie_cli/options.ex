@@ -145,8 +145,11 @@ defmodule AerieCLI.Options do
 
   defp nats(url) do
     case URI.parse(url) do
-      %URI{scheme: scheme, host: host} when scheme in ["nats", "tls"] and is_binary(host) and host != "" -> :ok
-      _other -> {:error, "--nats: expected embedded or a URL such as nats://127.0.0.1:4222, got: #{url}"}
+      %URI{scheme: scheme, host: host} when scheme in ["nats", "tls"] and is_binary(host) and host != "" ->
+        :ok
+
+      _other ->
+        {:error, "--nats: expected embedded or a URL such as nats://127.0.0.1:4222, got: #{url}"}
     end
   end
 

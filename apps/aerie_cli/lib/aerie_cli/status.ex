@@ -27,7 +27,14 @@ defmodule AerieCLI.Status do
 
     state =
       Map.merge(
-        %{device: :stdio, size: {100, 40}, http: nil, started: System.os_time(:microsecond), notes: [], drawn: 0},
+        %{
+          device: :stdio,
+          size: {100, 40},
+          http: nil,
+          started: System.os_time(:microsecond),
+          notes: [],
+          drawn: 0
+        },
         options
       )
 
@@ -38,6 +45,7 @@ defmodule AerieCLI.Status do
   def handle_info(:show, %{style: :table} = state) do
     {columns, lines} = state.size
     drawn = Table.render(view(state), columns, lines)
+
     # Home, each line cleared to its end, the rest of the screen cleared: no flicker, and what stood before is kept.
     IO.write(state.device, [first_draw(state), "\e[H", Enum.map(drawn, &[&1, "\e[K\r\n"]), "\e[J"])
     {:noreply, schedule(%{state | drawn: length(drawn)}, @table_period)}

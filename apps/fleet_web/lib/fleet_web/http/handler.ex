@@ -47,7 +47,10 @@ defmodule FleetWeb.HTTP.Handler do
 
   defp reply(request, status, type, body, more \\ %{}) do
     headers =
-      Map.merge(%{"content-type" => type, "cache-control" => "no-store", "x-content-type-options" => "nosniff"}, more)
+      Map.merge(
+        %{"content-type" => type, "cache-control" => "no-store", "x-content-type-options" => "nosniff"},
+        more
+      )
 
     :cowboy_req.reply(status, headers, body, request)
   end

@@ -27,7 +27,9 @@ defmodule FleetWeb.Metrics.Text do
   defp labels([]), do: []
 
   defp labels(labels) do
-    pairs = Enum.map_intersperse(labels, ",", fn {key, value} -> [to_string(key), "=\"", escape(value), "\""] end)
+    pairs =
+      Enum.map_intersperse(labels, ",", fn {key, value} -> [to_string(key), "=\"", escape(value), "\""] end)
+
     ["{", pairs, "}"]
   end
 

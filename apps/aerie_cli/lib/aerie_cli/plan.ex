@@ -1,0 +1,53 @@
+defmodule AerieCLI.Plan do
+  @moduledoc """
+  What one call of `bin/run` will start, decided from its options: pure.
+
+  The rules a user can rely on: simulated vehicles fly only when nothing says what is real (no link, no replay, no
+  configuration), or when `--sim` asks for them; a command line beats the environment, the environment beats the file.
+  """
+
+  alias AerieCLI.Options
+
+  @demo_vehicles 3
+
+  @type t :: %{
+          config_file: String.t() | nil,
+          overrides: map(),
+          sim: non_neg_integer()
+        }
+
+  @doc "Plans a run. Paths are taken from `folder`, where the user stands."
+  @spec from(Options.t(), String.t()) :: t()
+  def from(%Options{} = options, folder) do
+    %{
+      config_file: options.config && Path.expand(options.config, folder),
+      overrides: %{} |> links(options, folder) |> http(options) |> nats(options),
+      sim: sim(options)
+    }
+  end
+
+  defp links(overrides, %{replay: file} = options, folder) when is_binary(file) do
+    url = "replay:#{Path.expand(file, folder)}?speed=#{options.speed}"
+    # A recording is looked at; nothing real may call in beside it and be taken for a part of it.
+    overrides
+    |> Map.put("links", [%{"id" => "replay", "url" => url}])
+    |> Map.put("mavlink", %{"local_addr" => "off"})
+  end
+
+  defp links(overrides, %{links: []}, _folder), do: overrides
+
+  defp links(overrides, %{links: links}, _folder) do
+    Map.put(overrides, "links", Enum.map(links, &%{"url" => &1}))
+  end
+
+  defp http(overrides, %{http: nil}), do: overrides
+  defp http(overrides, %{http: port}), do: Map.put(overrides, "http", %{"port" => port})
+
+  defp nats(overrides, %{nats: nil}), do: overrides
+  defp nats(overrides, %{nats: "embedded"}), do: Map.put(overrides, "nats", %{"mode" => "embedded"})
+  defp nats(overrides, %{nats: url}), do: Map.put(overrides, "nats", %{"mode" => "url", "url" => url})
+
+  defp sim(%{sim: count}) when is_integer(count), do: count
+  defp sim(%{links: [], replay: nil, config: nil}), do: @demo_vehicles
+  defp sim(_options), do: 0
+end

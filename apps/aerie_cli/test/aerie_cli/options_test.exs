@@ -1,0 +1,96 @@
+defmodule AerieCLI.OptionsTest do
+  use ExUnit.Case, async: true
+
+  alias AerieCLI.{Options, Plan}
+
+  describe "parse/1" do
+    test "no word at all is a demo with defaults" do
+      assert {:ok, %Options{links: [], sim: nil, quiet: false, speed: 1.0}} = Options.parse([])
+    end
+
+    test "links keep their order" do
+      assert {:ok, %{links: ["udpin:0.0.0.0:14550", "tcp:127.0.0.1:5760"]}} =
+               Options.parse(["--link", "udpin:0.0.0.0:14550", "--link", "tcp:127.0.0.1:5760"])
+    end
+
+    test "speed is a number or max, and goes with a replay" do
+      assert {:ok, %{speed: :max, replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--speed", "max"])
+      assert {:ok, %{speed: 2.5}} = Options.parse(["--replay", "a.tlog", "--speed", "2.5"])
+      assert {:error, "--speed" <> _} = Options.parse(["--speed", "2"])
+
+      for bad <- ["0", "-1", "fast", "1e9", ""],
+          do: assert({:error, _} = Options.parse(["--replay", "a", "--speed", bad]))
+    end
+
+    test "help and version win over everything else" do
+      assert Options.parse(["--sim", "2", "--help"]) == :help
+      assert Options.parse(["-h"]) == :help
+      assert Options.parse(["--version"]) == :version
+    end
+
+    test "each error says what is wrong and what would be right" do
+      assert {:error, message} = Options.parse(["--lnk", "x"])
+      assert message =~ "did you mean --link?"
+      assert {:error, message} = Options.parse(["--http", "99999"])
+      assert message =~ "0 to 65535"
+      assert {:error, message} = Options.parse(["--sim", "many"])
+      assert message =~ "not a whole number"
+      assert {:error, message} = Options.parse(["--sim", "-1"])
+      assert message =~ "expected 0 to"
+      assert {:error, message} = Options.parse(["udpin:0.0.0.0:14550"])
+      assert message =~ "unexpected"
+      assert {:error, message} = Options.parse(["--nats", "hub"])
+      assert message =~ "nats://"
+      assert {:error, message} = Options.parse(["--link"])
+      assert message =~ "--link wants a value"
+      assert {:error, message} = Options.parse(["--replay", "a.tlog", "--link", "tcp:h:1"])
+      assert message =~ "exclude"
+      assert {:error, message} = Options.parse(["--xyzzy"])
+      assert message =~ "unknown option --xyzzy"
+    end
+
+    test "the help names every option" do
+      for name <- ~w(--link --replay --speed --sim --config --http --nats --quiet --version --help) do
+        assert Options.help() =~ name
+      end
+    end
+  end
+
+  describe "Plan.from/2" do
+    defp plan(words) do
+      {:ok, options} = Options.parse(words)
+      Plan.from(options, "/home/me")
+    end
+
+    test "three simulated vehicles fly when nothing says what is real" do
+      assert %{sim: 3, config_file: nil, overrides: overrides} = plan([])
+      assert overrides == %{}
+      assert plan(["--http", "0", "--nats", "embedded"]).sim == 3
+    end
+
+    test "they stay on the ground beside a link, a replay or a configuration, unless asked for" do
+      assert plan(["--link", "tcp:h:1"]).sim == 0
+      assert plan(["--replay", "a.tlog"]).sim == 0
+      assert plan(["--config", "c.yaml"]).sim == 0
+      assert plan(["--config", "c.yaml", "--sim", "2"]).sim == 2
+      assert plan(["--sim", "0"]).sim == 0
+    end
+
+    test "paths are taken from where the user stands, and a replay closes the door to live vehicles" do
+      assert plan(["--config", "c.yaml"]).config_file == "/home/me/c.yaml"
+      plan = plan(["--replay", "log/a.tlog", "--speed", "max"])
+      assert [%{"url" => "replay:/home/me/log/a.tlog?speed=max"}] = plan.overrides["links"]
+      assert plan.overrides["mavlink"]["local_addr"] == "off"
+    end
+
+    test "the command line's NATS and HTTP are overrides" do
+      assert plan(["--nats", "nats://hub:4222"]).overrides["nats"] == %{
+               "mode" => "url",
+               "url" => "nats://hub:4222"
+             }
+
+      assert plan(["--nats", "embedded"]).overrides["nats"] == %{"mode" => "embedded"}
+      assert plan(["--http", "8080"]).overrides["http"] == %{"port" => 8080}
+    end
+  end
+end

@@ -1,0 +1,121 @@
+defmodule AerieCLI.StatusTest do
+  use ExUnit.Case, async: true
+
+  alias AerieCLI.Status.{Format, Lines, Table, View}
+
+  @second 1_000_000
+  @now 1_795_213_318 * @second
+
+  defp vehicle(changes \\ %{}) do
+    Map.merge(
+      %{
+        id: "VID-001",
+        vehicle_type: "copter",
+        autopilot: :ardupilot,
+        status: :online,
+        last_heard: @now - 400_000,
+        groups: %{
+          mode: %{at: @now, data: %{mode: "GUIDED", armed: true}},
+          position: %{at: @now, data: %{lat: -35.363261, lon: 149.16523, alt_rel: 20.04}},
+          velocity: %{at: @now, data: %{groundspeed: 5.0}},
+          battery: %{at: @now, data: %{remaining: 0.87, voltage: 12.4}},
+          gps: %{at: @now, data: %{fix_name: "3D"}}
+        }
+      },
+      changes
+    )
+  end
+
+  defp view(changes \\ []) do
+    struct!(
+      %View{
+        now: @now,
+        started: @now - 125 * @second,
+        vehicles: [vehicle()],
+        links: [
+          %{
+            id: "link-1",
+            url: "udpin:0.0.0.0:14550",
+            status: :up,
+            frames_in_rate: 52.0,
+            bytes_in_rate: 2100.0
+          }
+        ],
+        nats: %{status: :connected, url: "nats://127.0.0.1:4222", published: 17, pending: 0, errors: 0},
+        http: "http://127.0.0.1:4000"
+      },
+      changes
+    )
+  end
+
+  defp text(lines), do: lines |> Enum.join("\n") |> String.replace(~r/\e\[\d+m/, "")
+
+  test "the table shows what an operator asks first" do
+    table = view() |> Table.render(140, 40) |> text()
+
+    for word <- [
+          "VID-001",
+          "copter ardupilot",
+          "GUIDED",
+          "ARMED",
+          "-35.363261",
+          "20.0 m",
+          "5.0 m/s",
+          "87% 12.4 V",
+          "3D"
+        ] do
+      assert table =~ word
+    end
+
+    assert table =~ "NATS connected at nats://127.0.0.1:4222"
+    assert table =~ "udpin:0.0.0.0:14550"
+    assert table =~ "up 2 min"
+  end
+
+  test "what is not known is a dash, and a lost vehicle is called lost" do
+    table = [vehicles: [vehicle(%{groups: %{}, status: :lost})]] |> view() |> Table.render(140, 40) |> text()
+    assert table =~ "LOST"
+    refute table =~ "disarmed"
+    refute table =~ "0.000000"
+  end
+
+  test "no line is wider than the terminal and no more lines than it has, whatever its size" do
+    vehicles = for n <- 1..60, do: vehicle(%{id: "VID-#{n}"})
+
+    for width <- [20, 80, 200], height <- [5, 24, 100] do
+      lines = Table.render(view(vehicles: vehicles), width, height)
+      assert length(lines) < max(height, 4)
+      for line <- lines, do: assert(String.length(text([line])) <= width)
+    end
+  end
+
+  test "an empty gateway says what to do" do
+    assert [vehicles: [], links: []] |> view() |> Table.render(120, 30) |> text() =~ "UDP port 14550"
+  end
+
+  test "a hostile name cannot steer the terminal" do
+    assert Format.text("a\e[2Jb\r\nc") == "a[2Jbc"
+  end
+
+  test "log lines are key=value and quote what has blanks" do
+    [vehicle, link, nats] = Lines.render(view())
+    assert vehicle =~ "vehicle=VID-001 status=online type=copter"
+    assert vehicle =~ "mode=GUIDED armed=true lat=-35.363261"
+    assert link =~ "link=link-1 status=up"
+    assert nats =~ "nats=connected"
+
+    event = %{vehicle: "VID-001", type: "statustext", data: %{text: "Arming motors", severity: 6}}
+    assert Lines.event(event) == ~s(event vehicle=VID-001 type=statustext severity=6 text="Arming motors")
+  end
+
+  test "durations and ages read as people say them" do
+    assert Format.duration(119 * @second) == "119 s"
+    assert Format.duration(7199 * @second) == "119 min"
+    assert Format.duration(7500 * @second) == "2 h 5 min"
+    assert Format.age(nil) == "-"
+    assert Format.age(-5) == "0 s"
+    assert Format.age(1_500_000) == "1.5 s"
+    assert Format.fit("abcdef", 4) == "abc…"
+    assert Format.fit("ab", 4, :right) == "  ab"
+  end
+end

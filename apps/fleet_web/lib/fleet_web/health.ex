@@ -1,0 +1,33 @@
+defmodule FleetWeb.Health do
+  @moduledoc """
+  Is a gateway ready to do its work? Answered from the read model, part by part, so that a probe that fails says why.
+
+  Ready means: the gateway's parts run and NATS is connected. Links that are down do not make it unready, because a
+  gateway that waits for a radio to come back does its work; they are listed all the same.
+  """
+
+  alias Aerie.{Fleet, Names}
+
+  @parts [store: :store, vehicles: :vehicles]
+
+  @doc "`{ready?, report}`; the report is a map for JSON."
+  @spec ready(Names.gateway()) :: {boolean(), map()}
+  def ready(gateway) do
+    parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
+    nats = Aerie.Bridge.info(gateway)
+    nats_ok? = nats[:status] == :connected
+    ready? = nats_ok? and Enum.all?(parts, fn {_name, running?} -> running? end)
+
+    links =
+      for link <- Fleet.Store.links(gateway), do: %{id: link[:id], status: link[:status], reason: link[:reason]}
+
+    {ready?,
+     %{
+       status: if(ready?, do: "ready", else: "not ready"),
+       parts: parts,
+       nats: %{status: nats[:status], reason: nats[:reason]},
+       links: links,
+       vehicles: length(Fleet.Store.vehicles(gateway))
+     }}
+  end
+end

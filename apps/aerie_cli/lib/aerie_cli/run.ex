@@ -1,0 +1,160 @@
+defmodule AerieCLI.Run do
+  @moduledoc """
+  Starts what a plan says, in the order of dependence, below `AerieCLI.Supervisor`:
+
+  1. `Aerie.Gateway` with the checked configuration
+  2. `FleetWeb.Endpoint`
+  3. `SimVehicle.Fleet`, when simulated vehicles fly, on a loopback link and a network of their own (`sim`), so that
+     they can never be taken for, or collide with, a real vehicle of the same system id
+  4. `AerieCLI.Status`
+
+  If one of them does not start, those before it are stopped again and the reason comes back as lines for a person.
+  """
+
+  alias Aerie.Config
+  alias AerieCLI.{Plan, Ports, Status}
+
+  @loopback {127, 0, 0, 1}
+  @sim_port 14_650
+
+  @type run :: %{gateway: term(), config: Config.t(), http: String.t() | nil}
+
+  @doc """
+  Starts a plan.
+
+  Options: `gateway` (name of the instance, default `:default`), `style` and `size` of the status, `status: false` for
+  none, `supervisor` (default `AerieCLI.Supervisor`).
+  """
+  @spec start(Plan.t(), keyword()) :: {:ok, run()} | {:error, [String.t()]}
+  def start(plan, options \\ []) do
+    supervisor = Keyword.get(options, :supervisor, AerieCLI.Supervisor)
+    gateway = Keyword.get(options, :gateway, :default)
+
+    with {:ok, config} <- load(plan),
+         {:ok, config} <- free_ports(config),
+         {:ok, config, sim_port} <- sim_link(config, plan.sim),
+         :ok <- preflight(config) do
+      Enum.each(config.warnings, &IO.puts(:stderr, "warning: " <> &1))
+      start_parts(supervisor, gateway, config, plan, sim_port, options)
+    end
+  end
+
+  defp load(plan) do
+    case Config.load(plan.config_file, plan.overrides) do
+      {:ok, config} -> {:ok, config}
+      {:error, errors} -> {:error, [Config.format_errors(errors)]}
+    end
+  end
+
+  defp preflight(config) do
+    case Config.Preflight.check(config) do
+      :ok -> :ok
+      {:error, errors} -> {:error, [Config.format_errors(errors)]}
+    end
+  end
+
+  # Only ports that nobody chose may move; the others are the user's word, and preflight says when they are taken.
+  defp free_ports(config) do
+    with {:ok, config} <- free_http(config), do: free_mavlink(config)
+  end
+
+  defp free_http(config) do
+    if Config.given?(config, "http.port") or not config.http.enabled do
+      {:ok, config}
+    else
+      {:ok, address} = :inet.parse_address(String.to_charlist(config.http.address))
+      with_port(Ports.free_tcp(address, config.http.port), "HTTP", &put_in(config.http.port, &1))
+    end
+  end
+
+  defp free_mavlink(config) do
+    case Enum.split_with(config.links, &match?(%{given: false, url: "udpin:" <> _address}, &1)) do
+      {[], _links} ->
+        {:ok, config}
+
+      {[link], links} ->
+        [port, host] = link.url |> String.reverse() |> String.split(":", parts: 2) |> Enum.map(&String.reverse/1)
+        found = Ports.free_udp({0, 0, 0, 0}, String.to_integer(port))
+        with_port(found, "MAVLink", &%{config | links: [%{link | url: "#{host}:#{&1}"} | links]})
+    end
+  end
+
+  defp with_port({:ok, port}, _what, put), do: {:ok, put.(port)}
+  defp with_port({:error, :none_free}, what, _put), do: {:error, ["no free port for #{what}: give one"]}
+
+  defp sim_link(config, 0), do: {:ok, config, nil}
+
+  defp sim_link(config, _count) do
+    case Ports.free_udp(@loopback, @sim_port) do
+      {:ok, port} ->
+        link = %{
+          id: "sim",
+          url: "udpin:127.0.0.1:#{port}",
+          network: "sim",
+          label: "simulated vehicles",
+          enabled: true,
+          given: false
+        }
+
+        {:ok, %{config | links: config.links ++ [link]}, port}
+
+      {:error, :none_free} ->
+        {:error, ["no free UDP port for the simulated vehicles: end what uses #{@sim_port} and the ports after it"]}
+    end
+  end
+
+  defp start_parts(supervisor, gateway, config, plan, sim_port, options) do
+    http = http_url(config)
+
+    parts =
+      [{:gateway, {Aerie.Gateway, name: gateway, config: config}}] ++
+        http_part(gateway, config) ++
+        sim_part(plan.sim, sim_port) ++
+        status_part(gateway, http, options)
+
+    Enum.reduce_while(parts, {:ok, []}, fn {id, child}, {:ok, started} ->
+      case Supervisor.start_child(supervisor, Supervisor.child_spec(child, id: {id, gateway}, restart: :permanent)) do
+        {:ok, _pid} -> {:cont, {:ok, [id | started]}}
+        {:error, reason} -> {:halt, undo(supervisor, gateway, started, id, reason)}
+      end
+    end)
+    |> case do
+      {:ok, _started} -> {:ok, %{gateway: gateway, config: config, http: http}}
+      {:error, messages} -> {:error, messages}
+    end
+  end
+
+  defp undo(supervisor, gateway, started, id, reason) do
+    for part <- started do
+      _ = Supervisor.terminate_child(supervisor, {part, gateway})
+      _ = Supervisor.delete_child(supervisor, {part, gateway})
+    end
+
+    {:error, ["#{id} did not start: #{Exception.format_exit(reason)}"]}
+  end
+
+  defp http_part(_gateway, %{http: %{enabled: false}}), do: []
+
+  defp http_part(gateway, config) do
+    {:ok, address} = :inet.parse_address(String.to_charlist(config.http.address))
+    [{:http, {FleetWeb.Endpoint, gateway: gateway, address: address, port: config.http.port}}]
+  end
+
+  defp http_url(%{http: %{enabled: false}}), do: nil
+  defp http_url(%{http: %{address: address, port: port}}), do: "http://#{address}:#{port}"
+
+  defp sim_part(0, _port), do: []
+  defp sim_part(count, port), do: [{:sim, {SimVehicle.Fleet, count: count, to: "udpout:127.0.0.1:#{port}"}}]
+
+  defp status_part(gateway, http, options) do
+    if Keyword.get(options, :status, true) do
+      [
+        {:status,
+         {Status,
+          [gateway: gateway, http: http] ++ Keyword.take(options, [:style, :size, :device])}}
+      ]
+    else
+      []
+    end
+  end
+end

@@ -73,7 +73,9 @@ defmodule AerieCLI.Run do
         {:ok, config}
 
       {[link], links} ->
-        [port, host] = link.url |> String.reverse() |> String.split(":", parts: 2) |> Enum.map(&String.reverse/1)
+        [port, host] =
+          link.url |> String.reverse() |> String.split(":", parts: 2) |> Enum.map(&String.reverse/1)
+
         found = Ports.free_udp({0, 0, 0, 0}, String.to_integer(port))
         with_port(found, "MAVLink", &%{config | links: [%{link | url: "#{host}:#{&1}"} | links]})
     end
@@ -99,7 +101,8 @@ defmodule AerieCLI.Run do
         {:ok, %{config | links: config.links ++ [link]}, port}
 
       {:error, :none_free} ->
-        {:error, ["no free UDP port for the simulated vehicles: end what uses #{@sim_port} and the ports after it"]}
+        {:error,
+         ["no free UDP port for the simulated vehicles: end what uses #{@sim_port} and the ports after it"]}
     end
   end
 
@@ -113,7 +116,10 @@ defmodule AerieCLI.Run do
         status_part(gateway, http, options)
 
     Enum.reduce_while(parts, {:ok, []}, fn {id, child}, {:ok, started} ->
-      case Supervisor.start_child(supervisor, Supervisor.child_spec(child, id: {id, gateway}, restart: :permanent)) do
+      case Supervisor.start_child(
+             supervisor,
+             Supervisor.child_spec(child, id: {id, gateway}, restart: :permanent)
+           ) do
         {:ok, _pid} -> {:cont, {:ok, [id | started]}}
         {:error, reason} -> {:halt, undo(supervisor, gateway, started, id, reason)}
       end
@@ -149,9 +155,7 @@ defmodule AerieCLI.Run do
   defp status_part(gateway, http, options) do
     if Keyword.get(options, :status, true) do
       [
-        {:status,
-         {Status,
-          [gateway: gateway, http: http] ++ Keyword.take(options, [:style, :size, :device])}}
+        {:status, {Status, [gateway: gateway, http: http] ++ Keyword.take(options, [:style, :size, :device])}}
       ]
     else
       []

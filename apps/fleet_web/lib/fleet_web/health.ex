@@ -19,7 +19,8 @@ defmodule FleetWeb.Health do
     ready? = nats_ok? and Enum.all?(parts, fn {_name, running?} -> running? end)
 
     links =
-      for link <- Fleet.Store.links(gateway), do: %{id: link[:id], status: link[:status], reason: link[:reason]}
+      for link <- Fleet.Store.links(gateway),
+          do: %{id: link[:id], status: link[:status], reason: link[:reason]}
 
     {ready?,
      %{

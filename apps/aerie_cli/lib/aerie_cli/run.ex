@@ -33,8 +33,8 @@ defmodule AerieCLI.Run do
     with {:ok, config} <- load(plan),
          {:ok, config} <- free_ports(config),
          {:ok, config, sim_port} <- sim_link(config, plan.sim),
-         :ok <- preflight(config) do
-      Enum.each(config.warnings, &IO.puts(:stderr, "warning: " <> &1))
+         {:ok, warnings} <- preflight(config) do
+      Enum.each(config.warnings ++ warnings, &IO.puts(:stderr, "warning: " <> &1))
       start_parts(supervisor, gateway, config, plan, sim_port, options)
     end
   end
@@ -48,7 +48,7 @@ defmodule AerieCLI.Run do
 
   defp preflight(config) do
     case Config.Preflight.check(config) do
-      :ok -> :ok
+      {:ok, warnings} -> {:ok, warnings}
       {:error, errors} -> {:error, [Config.format_errors(errors)]}
     end
   end

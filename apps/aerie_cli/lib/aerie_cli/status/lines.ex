@@ -43,12 +43,13 @@ defmodule AerieCLI.Status.Lines do
 
   defp link(link) do
     pairs(
-      link: link[:id],
-      status: link[:status],
-      frames_in_per_s: number(link[:frames_in_rate], 0),
-      frames_out_per_s: number(link[:frames_out_rate], 0),
-      crc_errors: link[:crc_errors],
-      reason: link[:reason]
+      link: link.id,
+      status: link.status,
+      frames_in_per_s: number(link.rates.frames_in, 0),
+      writes_out_per_s: number(link.rates.writes_out, 0),
+      crc_errors: link.counters.crc_errors,
+      lost: link.counters.lost,
+      text: link.text
     )
   end
 

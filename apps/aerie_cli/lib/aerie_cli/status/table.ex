@@ -132,21 +132,18 @@ defmodule AerieCLI.Status.Table do
 
   defp link(link) do
     cells = [
-      text(link[:id]),
-      text(link[:url]),
-      text(link[:status]),
-      number(link[:frames_in_rate], 0),
-      number(link[:frames_out_rate], 0),
-      number(rate_kb(link[:bytes_in_rate]), 1),
-      text(link[:crc_errors]),
-      text(link[:lost])
+      text(link.id),
+      text(link.url),
+      text(link.status),
+      number(link.rates.frames_in, 0),
+      number(link.rates.writes_out, 0),
+      number(link.rates.bytes_in / 1000, 1),
+      text(link.counters.crc_errors),
+      text(link.counters.lost)
     ]
 
-    {cells, if(link[:status] in [:up, "up"], do: nil, else: :yellow)}
+    {cells, if(link.status == :up, do: nil, else: :yellow)}
   end
-
-  defp rate_kb(nil), do: nil
-  defp rate_kb(bytes), do: bytes / 1000
 
   defp notes(%View{notes: []}), do: []
   defp notes(%View{notes: notes}), do: ["", {"LATEST EVENTS", :dim} | Enum.map(notes, &{&1, nil})]

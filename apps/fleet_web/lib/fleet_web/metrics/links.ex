@@ -1,0 +1,69 @@
+defmodule FleetWeb.Metrics.Links do
+  @moduledoc "Metric families of links, from their snapshots (`Aerie.Link.Snapshot`)."
+
+  alias FleetWeb.Metrics.Text
+
+  @sums [
+    bytes_in: {"gateway_link_received_bytes_total", "Bytes received."},
+    frames_in: {"gateway_link_received_frames_total", "Frames received that passed their checks."},
+    bytes_out: {"gateway_link_sent_bytes_total", "Bytes given to the transport."},
+    writes_out: {"gateway_link_sent_writes_total", "Writes given to the transport."},
+    crc_errors: {"gateway_link_crc_errors_total", "Frames with a wrong CRC."},
+    resync_bytes: {"gateway_link_resync_bytes_total", "Bytes skipped in search of the next frame."},
+    unknown_ids: {"gateway_link_unknown_messages_total", "Frames whose message id no dialect knows."},
+    incompatible:
+      {"gateway_link_incompatible_frames_total", "Frames dropped for unknown incompatibility flags (F6)."},
+    lost: {"gateway_link_lost_frames_total", "Frames lost, estimated by sequence numbers (R7, R9)."},
+    reconnects: {"gateway_link_reconnects_total", "Connections made after the first."},
+    restarts: {"gateway_link_restarts_total", "Restarts of the link's process."},
+    peers_refused: {"gateway_link_refused_peers_total", "Peers beyond the limit."}
+  ]
+
+  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out]
+
+  @doc "The families of these links."
+  @spec families([map()]) :: [Text.family()]
+  def families(links) do
+    [
+      {"gateway_mavlink_messages_received_total", :counter, "Good frames received, by message.",
+       received(links)},
+      {"gateway_mavlink_parse_errors_total", :counter,
+       "Frames with a wrong CRC or unknown incompatibility flags.",
+       [{[], links |> Enum.map(&(&1.counters.crc_errors + &1.counters.incompatible)) |> Enum.sum()}]},
+      {"gateway_link_up", :gauge, "1 while the link is open, heard or not.",
+       Enum.map(links, &{labels(&1), &1.status in [:up, :idle]})},
+      {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
+    ] ++
+      for {key, {name, help}} <- @sums do
+        {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(&1.counters, key)})}
+      end ++
+      [
+        {"gateway_link_dropped_total", :counter, "Frames and writes dropped, by reason.",
+         for(
+           link <- links,
+           reason <- @drops,
+           do: {labels(link) ++ [reason: reason], Map.fetch!(link.counters, reason)}
+         )}
+      ]
+  end
+
+  @doc "The name of a message as a label: `global_position_int`, or `unknown`."
+  @spec message_name(non_neg_integer() | :other) :: String.t()
+  def message_name(:other), do: "unknown"
+
+  def message_name(id) do
+    case MavCodec.Dialects.All.name(id) do
+      nil -> "unknown"
+      name -> String.downcase(name)
+    end
+  end
+
+  defp received(links) do
+    for(link <- links, {id, n} <- link.counters.messages, do: {message_name(id), n})
+    |> Enum.reduce(%{}, fn {name, n}, sums -> Map.update(sums, name, n, &(&1 + n)) end)
+    |> Enum.sort()
+    |> Enum.map(fn {name, n} -> {[type: name], n} end)
+  end
+
+  defp labels(link), do: [link: link.id, network: link.network]
+end

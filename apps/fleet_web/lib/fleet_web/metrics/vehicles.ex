@@ -1,0 +1,40 @@
+defmodule FleetWeb.Metrics.Vehicles do
+  @moduledoc "Metric families of vehicles, from their snapshots. What a vehicle has not told is left out."
+
+  alias FleetWeb.Metrics.Text
+
+  @doc "The families of these vehicles at a unix time in microseconds."
+  @spec families([map()], integer()) :: [Text.family()]
+  def families(vehicles, now) do
+    [
+      {"gateway_vehicles", :gauge, "Vehicles known.", [{[], length(vehicles)}]},
+      gauge(vehicles, "gateway_vehicle_online", "1 online, 0 stale or lost.", &(&1.status == :online)),
+      gauge(vehicles, "gateway_vehicle_silent_seconds", "Time since it was last heard.", &silent(&1, now)),
+      gauge(vehicles, "gateway_vehicle_armed", "1 while armed.", &field(&1, :mode, :armed)),
+      gauge(vehicles, "gateway_vehicle_in_air", "1 while in the air.", &field(&1, :mode, :in_air)),
+      gauge(
+        vehicles,
+        "gateway_vehicle_battery_ratio",
+        "Remaining charge, 0 to 1.",
+        &field(&1, :battery, :remaining)
+      ),
+      gauge(vehicles, "gateway_vehicle_battery_volts", "Battery voltage.", &field(&1, :battery, :voltage)),
+      gauge(vehicles, "gateway_vehicle_satellites", "Satellites in use.", &field(&1, :gps, :satellites)),
+      gauge(vehicles, "gateway_vehicle_links", "Links it is heard on.", &length(&1.links))
+    ]
+  end
+
+  defp gauge(vehicles, name, help, value) do
+    {name, :gauge, help, Enum.map(vehicles, &{[vehicle: &1.id], value.(&1)})}
+  end
+
+  defp silent(%{last_heard: last}, now) when is_integer(last), do: max(now - last, 0) / 1_000_000
+  defp silent(_vehicle, _now), do: nil
+
+  defp field(vehicle, group, key) do
+    case vehicle.groups do
+      %{^group => %{data: %{^key => value}}} -> value
+      _unknown -> nil
+    end
+  end
+end

@@ -128,7 +128,7 @@ defmodule AerieCLI.Options do
   end
 
   defp range(_name, nil, _low, _high), do: :ok
-  defp range(_name, value, low, high) when value in low..high, do: :ok
+  defp range(_name, value, low, high) when value >= low and value <= high, do: :ok
   defp range(name, value, low, high), do: {:error, "#{name}: expected #{low} to #{high}, got: #{value}"}
 
   defp replay_alone(%{replay: nil}, switches) do

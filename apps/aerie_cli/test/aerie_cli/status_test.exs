@@ -37,8 +37,9 @@ defmodule AerieCLI.StatusTest do
             id: "link-1",
             url: "udpin:0.0.0.0:14550",
             status: :up,
-            frames_in_rate: 52.0,
-            bytes_in_rate: 2100.0
+            text: "listening",
+            rates: %{frames_in: 52.0, writes_out: 1.0, bytes_in: 2100.0},
+            counters: %{crc_errors: 3, lost: 7}
           }
         ],
         nats: %{status: :connected, url: "nats://127.0.0.1:4222", published: 17, pending: 0, errors: 0},

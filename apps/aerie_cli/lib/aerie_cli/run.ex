@@ -150,7 +150,7 @@ defmodule AerieCLI.Run do
   defp http_url(%{http: %{address: address, port: port}}), do: "http://#{address}:#{port}"
 
   defp sim_part(0, _port), do: []
-  defp sim_part(count, port), do: [{:sim, {SimVehicle.Fleet, count: count, to: "udpout:127.0.0.1:#{port}"}}]
+  defp sim_part(count, port), do: [{:sim, {SimVehicle.Fleet, count: count, link: "udpout:127.0.0.1:#{port}"}}]
 
   defp status_part(gateway, http, options) do
     if Keyword.get(options, :status, true) do

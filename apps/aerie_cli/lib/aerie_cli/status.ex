@@ -75,9 +75,18 @@ defmodule AerieCLI.Status do
       vehicles: state.gateway |> Fleet.Store.vehicles() |> Enum.sort_by(& &1.id),
       links: state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id),
       nats: Aerie.Bridge.info(state.gateway),
+      published: published(state.gateway),
+      pending: Fleet.Journal.pending_size(state.gateway),
       http: state.http,
       notes: state.notes
     }
+  end
+
+  defp published(gateway) do
+    for %{name: "gateway_nats_messages_published_total", samples: samples} <- Aerie.Bridge.metrics(gateway),
+        {_labels, n} <- samples,
+        reduce: 0,
+        do: (sum -> sum + n)
   end
 
   defp first_draw(%{drawn: 0}), do: "\e[2J"

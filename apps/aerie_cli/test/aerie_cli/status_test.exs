@@ -42,7 +42,8 @@ defmodule AerieCLI.StatusTest do
             counters: %{crc_errors: 3, lost: 7}
           }
         ],
-        nats: %{status: :connected, url: "nats://127.0.0.1:4222", published: 17, pending: 0, errors: 0},
+        nats: %{connected: true, url: "nats://127.0.0.1:4222", outbox: %{events: 0}},
+        published: 17,
         http: "http://127.0.0.1:4000"
       },
       changes
@@ -68,7 +69,7 @@ defmodule AerieCLI.StatusTest do
       assert table =~ word
     end
 
-    assert table =~ "NATS connected at nats://127.0.0.1:4222"
+    assert table =~ "NATS connected nats://127.0.0.1:4222  published 17"
     assert table =~ "udpin:0.0.0.0:14550"
     assert table =~ "up 2 min"
   end

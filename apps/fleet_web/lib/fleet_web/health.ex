@@ -15,7 +15,7 @@ defmodule FleetWeb.Health do
   def ready(gateway) do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
     nats = Aerie.Bridge.info(gateway)
-    nats_ok? = nats[:status] == :connected
+    nats_ok? = nats != nil and nats.connected
     ready? = nats_ok? and Enum.all?(parts, fn {_name, running?} -> running? end)
 
     links =
@@ -26,7 +26,12 @@ defmodule FleetWeb.Health do
      %{
        status: if(ready?, do: "ready", else: "not ready"),
        parts: parts,
-       nats: %{status: nats[:status], reason: nats[:reason]},
+       nats: %{
+         connected: nats_ok?,
+         url: nats[:url],
+         outbox: nats[:outbox][:events],
+         problem: nats[:outbox][:problem]
+       },
        links: links,
        vehicles: length(Fleet.Store.vehicles(gateway))
      }}

@@ -28,8 +28,14 @@ defmodule FleetWeb.Metrics do
 
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), System.os_time(:microsecond)) ++
-      Aerie.Bridge.metrics(gateway) ++
+      bridge(gateway) ++
       [sent(counters), others(counters)] ++ vm()
+  end
+
+  defp bridge(gateway) do
+    for %{name: name, type: type, help: help, samples: samples} <- Aerie.Bridge.metrics(gateway) do
+      {name, type, help, samples}
+    end
   end
 
   defp sent(counters) do

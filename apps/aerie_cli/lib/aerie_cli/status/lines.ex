@@ -11,7 +11,7 @@ defmodule AerieCLI.Status.Lines do
   @doc "The lines of one look at the gateway."
   @spec render(View.t()) :: [String.t()]
   def render(%View{} = view) do
-    Enum.map(view.vehicles, &vehicle(&1, view.now)) ++ Enum.map(view.links, &link/1) ++ nats(view.nats)
+    Enum.map(view.vehicles, &vehicle(&1, view.now)) ++ Enum.map(view.links, &link/1) ++ nats(view)
   end
 
   @doc "An event as a line."
@@ -53,10 +53,18 @@ defmodule AerieCLI.Status.Lines do
     )
   end
 
-  defp nats(nil), do: []
+  defp nats(%{nats: nil}), do: []
 
-  defp nats(nats),
-    do: [pairs(nats: nats[:status], url: nats[:url], published: nats[:published], waiting: nats[:pending])]
+  defp nats(%{nats: nats} = view) do
+    pairs = [
+      nats: if(nats.connected, do: "connected", else: "away"),
+      url: nats.url,
+      published: view.published,
+      events_waiting: Map.get(nats.outbox, :events, 0) + view.pending
+    ]
+
+    [pairs(pairs)]
+  end
 
   defp pairs(pairs), do: Enum.map_join(pairs, " ", fn {key, value} -> "#{key}=#{value(value)}" end)
 

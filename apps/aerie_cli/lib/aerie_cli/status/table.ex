@@ -57,12 +57,13 @@ defmodule AerieCLI.Status.Table do
 
   defp nats_line(%View{nats: nil}), do: {"NATS not started", :dim}
 
-  defp nats_line(%View{nats: nats}) do
-    status = Map.get(nats, :status)
+  defp nats_line(%View{nats: nats} = view) do
+    waiting = Map.get(nats.outbox, :events, 0) + view.pending
+    state = if nats.connected, do: "connected", else: "NOT CONNECTED, events wait on disk"
+    problem = if nats.outbox[:problem], do: "  OUTBOX: #{text(nats.outbox.problem)}", else: ""
 
-    {"NATS #{text(status)} at #{text(nats[:url])}  published #{text(nats[:published])}" <>
-       "  waiting #{text(nats[:pending])}  errors #{text(nats[:errors])}",
-     if(status in [:connected, "connected"], do: :green, else: :yellow)}
+    {"NATS #{state} #{text(nats.url)}  published #{view.published}  events waiting #{waiting}#{problem}",
+     if(nats.connected, do: :green, else: :yellow)}
   end
 
   defp empty_vehicles do

@@ -4,12 +4,13 @@ defmodule AerieCLI.Status.View do
   `AerieCLI.Status.Table` (a terminal) and `AerieCLI.Status.Lines` (a pipe); neither asks any process of a vehicle.
   """
 
-  defstruct [:now, :started, :nats, :http, vehicles: [], links: [], notes: []]
+  defstruct [:now, :started, :nats, :http, published: 0, pending: 0, vehicles: [], links: [], notes: []]
 
   @typedoc """
   * `now`, `started` - unix microseconds
   * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`
   * `nats` - `Aerie.Bridge.info/1`
+  * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
   * `notes` - the latest events, newest first, as text
   """
@@ -20,6 +21,8 @@ defmodule AerieCLI.Status.View do
           links: [map()],
           nats: map() | nil,
           http: String.t() | nil,
+          published: non_neg_integer(),
+          pending: non_neg_integer(),
           notes: [String.t()]
         }
 

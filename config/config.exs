@@ -11,3 +11,7 @@ config :fleet_web, autostart: false
 if config_env() == :test do
   config :logger, level: :warning
 end
+
+if config_env() == :prod do
+  config :logger, level: :info
+end

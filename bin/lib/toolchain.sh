@@ -6,7 +6,7 @@
 # an older system's libc does not matter, with paths relative to the wrapper, so that the folder can be moved.
 
 TOOLCHAIN_SUITE=forky
-TOOLCHAIN_REVISION=3 # change it when the steps below change: set-ups made by the older ones are made anew
+TOOLCHAIN_REVISION=4 # change it when the steps below change: set-ups made by the older ones are made anew
 
 toolchain_packages() {
   cat <<'LIST'
@@ -154,7 +154,9 @@ ERL
   for name in erl erlc escript dialyzer epmd; do
     toolchain_forward "$work" "$name" "usr/lib/erlang/bin/$name"
   done
-  for name in elixir elixirc iex mix; do toolchain_forward "$work" "$name" "usr/lib/elixir/bin/$name"; done
+  for name in elixir elixirc iex; do toolchain_forward "$work" "$name" "usr/lib/elixir/bin/$name"; done
+  # `elixir -S mix` reads it as Elixir, so it cannot be a wrapper.
+  cp "$work/usr/lib/elixir/bin/mix" "$work/bin/mix"
   toolchain_forward "$work" nats-server usr/sbin/nats-server
 }
 

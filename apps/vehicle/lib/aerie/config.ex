@@ -10,7 +10,7 @@ defmodule Aerie.Config do
   The sections are maps with the keys of `config/gateway.example.yaml` (made from `Aerie.Config.Keys`). Derived values
   are filled in, so that readers need no rules of their own:
 
-    * `nats.mode` is `:embedded` or `:url`; `nats.url` is a list of URLs without passwords
+    * `nats.mode` is `:embedded`, `:url` or `:off`; `nats.url` is a list of URLs without passwords
     * `mavlink.system_id` is set
     * `links` has `id`, `url`, `network`, `label`, `enabled` for each, the one of `mavlink.local_addr` included; `spec` is
       the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)

@@ -125,7 +125,7 @@ defmodule Aerie.ConfigTest do
       env = %{"AERIE_ENVIRONMENT" => "env", "AERIE_NATS_PORT" => "1002", "AERIE_HTTP_PORT" => "2"}
       assert {:ok, config} = load(context, file, [{"http.port", 3}], env)
 
-      assert {config.environment, config.nats.port, config.nats.max_store_mb, config.http.port} ==
+      assert {config.environment, config.nats.port, config.nats.retry_min_ms, config.http.port} ==
                {"env", 1002, 11, 3}
 
       assert Config.given?(config, "nats.port")

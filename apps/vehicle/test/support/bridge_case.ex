@@ -92,11 +92,20 @@ defmodule Aerie.BridgeCase do
   @spec server_pid(Path.t()) :: String.t()
   def server_pid(dir), do: dir |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
 
-  @doc "`kill -9`."
+  @doc "`kill -9`. News from before it are forgotten, so that `await/4` after it sees what came of it."
   @spec kill9(String.t()) :: :ok
   def kill9(pid) do
+    forget_news()
     {_, 0} = System.cmd("sh", ["-c", "kill -KILL #{pid}"])
     :ok
+  end
+
+  defp forget_news do
+    receive do
+      {:fleet, :bridge, _news} -> forget_news()
+    after
+      0 -> :ok
+    end
   end
 
   @doc "Events `seqs` of a vehicle, into the journal."

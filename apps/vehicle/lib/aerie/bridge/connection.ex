@@ -54,7 +54,8 @@ defmodule Aerie.Bridge.Connection do
       machine: Machine.new(config.nats.retry_min_ms, config.nats.retry_max_ms),
       conn: nil,
       up_at: nil,
-      timer: nil
+      timer: nil,
+      streams_timer: nil
     }
 
     {:ok, put_info(state, :down, :error), {:continue, :start}}
@@ -86,8 +87,11 @@ defmodule Aerie.Bridge.Connection do
     {:noreply, event({:closed, text(reason), up_ms}, state)}
   end
 
-  def handle_info(:check_streams, %{conn: conn} = state) when conn != nil,
-    do: {:noreply, ensure_streams(state)}
+  def handle_info(:check_streams, %{conn: conn} = state) when conn != nil do
+    # Every refused event asks for it; one check answers them all.
+    flush_checks()
+    {:noreply, ensure_streams(state)}
+  end
 
   def handle_info(_message, state), do: {:noreply, state}
 
@@ -123,16 +127,28 @@ defmodule Aerie.Bridge.Connection do
 
   defp ensure_streams(state) do
     {result, report} = Streams.ensure(state.conn, state.config)
-    old = state.tables |> Tables.info(:streams) |> Map.get(:report)
-    if report != old, do: log_streams(report)
-    if result == :error, do: Process.send_after(self(), :check_streams, @streams_retry_ms)
+    # A connection that was lost in the middle is no news about streams; its exit message is on its way.
+    if Process.alive?(state.conn), do: streams_known(state, result, report), else: state
+  catch
+    :exit, _reason -> state
+  end
+
+  defp streams_known(state, result, report) do
+    if report != state.tables |> Tables.info(:streams) |> Map.get(:report), do: log_streams(report)
+    if state.streams_timer, do: Process.cancel_timer(state.streams_timer)
+    timer = if result == :error, do: Process.send_after(self(), :check_streams, @streams_retry_ms)
     Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
-    state = put_info(state, :up, result)
+    state = put_info(%{state | streams_timer: timer}, :up, result)
     tell(state, {:bridge, :up, state.conn})
     state
-  catch
-    # The connection went away in the middle; its exit message follows.
-    :exit, _reason -> state
+  end
+
+  defp flush_checks do
+    receive do
+      :check_streams -> flush_checks()
+    after
+      0 -> :ok
+    end
   end
 
   defp log_streams(report) do

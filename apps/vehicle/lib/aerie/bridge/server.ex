@@ -45,6 +45,7 @@ defmodule Aerie.Bridge.Server do
        tables: Tables.get(gateway),
        nats: %{config.nats | store_dir: Path.expand(config.nats.store_dir)},
        port_given: Config.given?(config, "nats.port"),
+       wanted_port: config.nats.port,
        tcp_port: config.nats.port,
        port: nil,
        started_at: nil,
@@ -140,6 +141,11 @@ defmodule Aerie.Bridge.Server do
 
   # The port of the last run is kept while it is free, so that clients find the server again.
   defp free_port(%{tcp_port: 0}), do: {:ok, 0}
+
+  # Any port was asked for: it need not be the last one.
+  defp free_port(%{wanted_port: 0} = state) do
+    if try_port(state, state.tcp_port) == :ok, do: {:ok, state.tcp_port}, else: {:ok, 0}
+  end
 
   defp free_port(%{port_given: true} = state) do
     case try_port(state, state.tcp_port) do

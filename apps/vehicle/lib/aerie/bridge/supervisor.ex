@@ -15,9 +15,16 @@ defmodule Aerie.Bridge.Supervisor do
   alias Aerie.Bridge.{Connection, Events, Server, State, Tables}
   alias Aerie.{Config, Names}
 
-  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: Supervisor.on_start()
+  @doc "`:ignore` when the configuration has no NATS (`nats.mode: off`, or no such section): there is nothing to bridge to."
+  @spec start_link(gateway: Names.gateway(), config: Config.t() | map()) :: Supervisor.on_start()
   def start_link(options) do
-    Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge))
+    case options[:config] do
+      %Config{nats: %{mode: mode}} when mode in [:embedded, :url] ->
+        Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge))
+
+      _without ->
+        :ignore
+    end
   end
 
   @impl Supervisor

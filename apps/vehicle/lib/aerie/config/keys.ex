@@ -159,9 +159,10 @@ defmodule Aerie.Config.Keys do
     section(:nats, "The NATS side.", [
       field(
         :mode,
-        {:enum, [:embedded, :url]},
+        {:enum, [:embedded, :url, :off]},
         """
         embedded: start and supervise a nats-server of our own. url: use the servers at nats.url.
+        off: no NATS; events stay in memory.
         Left out: url if nats.url is given, else embedded.
         """,
         example: "embedded"

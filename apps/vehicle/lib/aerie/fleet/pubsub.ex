@@ -10,6 +10,7 @@ defmodule Aerie.Fleet.PubSub do
   | `{:link, id}`   | the link's snapshot, nil when it is gone    | coalesced, once per tick |
   | `:events`       | an `Aerie.Vehicle.Event`                    | at once                  |
   | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
+  | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
 
   A vehicle may change 200 times a second; its watchers hear of it at most once per tick (100 ms), with the state that
   holds at that moment. Nothing is queued for a slow subscriber but these messages.
@@ -19,7 +20,7 @@ defmodule Aerie.Fleet.PubSub do
   alias Aerie.{Fleet, Names}
   alias Aerie.Fleet.PubSub.Subscribers
 
-  @type topic :: :vehicles | :links | :events | :journal | {:vehicle, String.t()} | {:link, term()}
+  @type topic :: :vehicles | :links | :events | :journal | :bridge | {:vehicle, String.t()} | {:link, term()}
 
   @spec start_link(gateway: Names.gateway(), tick_ms: pos_integer()) :: GenServer.on_start()
   def start_link(options) do

@@ -108,6 +108,18 @@ defmodule Aerie.Link.Transport.Net do
     end
   end
 
+  @doc """
+  Closes a TCP socket at once. What waits for a peer that does not read is given up: closing would else wait for it.
+  """
+  @spec tcp_close(:gen_tcp.socket()) :: :ok
+  def tcp_close(socket) do
+    with {:ok, [send_pend: waiting]} when waiting > 0 <- :inet.getstat(socket, [:send_pend]) do
+      :inet.setopts(socket, linger: {true, 0})
+    end
+
+    :gen_tcp.close(socket)
+  end
+
   @doc "The address and port of our end: for people, and as a number."
   @spec local(port) :: %{local: String.t(), port: :inet.port_number()}
   def local(socket) do

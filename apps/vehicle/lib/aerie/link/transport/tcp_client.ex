@@ -57,5 +57,5 @@ defmodule Aerie.Link.Transport.TcpClient do
   end
 
   @impl Aerie.Link.Transport
-  def close(socket), do: :gen_tcp.close(socket)
+  def close(socket), do: Net.tcp_close(socket)
 end

@@ -75,7 +75,7 @@ defmodule Aerie.Link.Transport.TcpServer do
     do: gone(conn, socket, :closed)
 
   def handle(conn, {:tcp_error, socket, reason}) when is_map_key(conn.sockets, socket) do
-    :gen_tcp.close(socket)
+    Net.tcp_close(socket)
     gone(conn, socket, reason)
   end
 
@@ -87,7 +87,7 @@ defmodule Aerie.Link.Transport.TcpServer do
       {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], socket)}
     else
       {:error, _gone_already} ->
-        :gen_tcp.close(socket)
+        Net.tcp_close(socket)
         {[], conn}
     end
   end
@@ -120,7 +120,7 @@ defmodule Aerie.Link.Transport.TcpServer do
         conn
 
       {socket, peers} ->
-        :gen_tcp.close(socket)
+        Net.tcp_close(socket)
         %{conn | peers: peers, sockets: Map.delete(conn.sockets, socket)}
     end
   end
@@ -132,7 +132,7 @@ defmodule Aerie.Link.Transport.TcpServer do
       Process.exit(conn.acceptor, :kill)
     end
 
-    Enum.each(Map.values(conn.peers), &:gen_tcp.close/1)
+    Enum.each(Map.values(conn.peers), &Net.tcp_close/1)
     :gen_tcp.close(conn.listener)
   end
 end

@@ -1,0 +1,75 @@
+defmodule Aerie.Link.PymavlinkTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  import Aerie.PythonPeer
+
+  alias Aerie.Link
+  alias Aerie.Router
+
+  @moduletag :python
+  @count 300
+  # Our own heartbeat: an onboard controller at system 245, component 191.
+  @hello [type: 18, autopilot: 8, component: 191]
+
+  setup do
+    gateway = start_parts()
+    be_session(gateway, 7)
+    {:ok, gateway: gateway}
+  end
+
+  # A port that was free a moment ago, for servers that cannot tell theirs.
+  defp free_port do
+    {:ok, socket} = :gen_tcp.listen(0, [])
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    port
+  end
+
+  defp all_there(c, id, peer) do
+    frames = frames(@count + 1)
+    assert [0 | _] = Enum.map(frames, & &1.id)
+    assert frames |> Enum.drop(1) |> Enum.map(&number/1) == Enum.to_list(1..@count)
+    assert :ok = Router.send(c.gateway, {"main", 7}, heartbeat(245, @hello))
+    assert await(peer, "heard ") == "HEARTBEAT 245 191"
+    assert %{counters: %{crc_errors: 0, unknown_ids: 0}} = Link.snapshot(c.gateway, id)
+  end
+
+  test "pymavlink calls us by UDP", c do
+    {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+    all_there(c, id, start("mavlink_peer.py", ["udpout:127.0.0.1:#{port}", "7", "#{@count}"]))
+  end
+
+  test "we call pymavlink by UDP", c do
+    port = free_port()
+    peer = start("mavlink_peer.py", ["udpin:127.0.0.1:#{port}", "7", "#{@count}", "wait"])
+    await(peer, "connected")
+    {id, _} = add_link(c.gateway, "udpout:127.0.0.1:#{port}")
+    eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
+    :ok = Router.broadcast(c.gateway, heartbeat(245, @hello))
+    assert await(peer, "heard ") == "HEARTBEAT 245 191"
+    all_there(c, id, peer)
+  end
+
+  test "pymavlink calls us by TCP", c do
+    {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0")
+    all_there(c, id, start("mavlink_peer.py", ["tcp:127.0.0.1:#{port}", "7", "#{@count}"]))
+  end
+
+  test "we call pymavlink by TCP, which is there only later and goes in between", c do
+    listen(c.gateway, [:up, :down])
+    port = free_port()
+    {id, _} = add_link(c.gateway, "tcp:127.0.0.1:#{port}")
+    assert_receive {:down, _, %{reason: "connection refused" <> _}}, 5000
+
+    for _ <- 1..2 do
+      peer = start("mavlink_peer.py", ["tcpin:127.0.0.1:#{port}", "7", "#{@count}", "wait"])
+      assert_receive {:up, _, _}, 30_000
+      :ok = Router.broadcast(c.gateway, heartbeat(245, @hello))
+      assert await(peer, "heard ") == "HEARTBEAT 245 191"
+      all_there(c, id, peer)
+      stop(peer)
+      assert_receive {:down, _, _}, 10_000
+    end
+  end
+end

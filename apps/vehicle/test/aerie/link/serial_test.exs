@@ -1,0 +1,91 @@
+defmodule Aerie.Link.SerialTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.Link
+  alias Aerie.Names
+  alias Aerie.PythonPeer
+
+  @moduletag :python
+  @patience 15_000
+
+  setup do
+    gateway = start_parts()
+    be_session(gateway, 1)
+    pty = PythonPeer.start("pty_peer.py", [], packet: 2)
+    {:ok, gateway: gateway, pty: pty, device: await(pty, ?n)}
+  end
+
+  defp await(pty, letter) do
+    receive do
+      {^pty, {:data, <<^letter, rest::binary>>}} -> rest
+    after
+      @patience -> flunk("the cable's other end did not say #{<<letter>>}")
+    end
+  end
+
+  defp write(pty, bytes), do: Port.command(pty, ["w", bytes])
+  defp up(c, id), do: eventually(fn -> match?(%{status: :up}, Link.snapshot(c.gateway, id)) end)
+
+  test "frames both ways, cut anywhere, behind boot text", c do
+    {id, _} = add_link(c.gateway, "#{c.device},57600")
+    up(c, id)
+    <<a::binary-size(9), b::binary>> = attitude(1, 1) <> attitude(1, 2)
+    write(c.pty, "Init ArduCopter V4.6.3\r\n" <> a)
+    write(c.pty, b)
+    assert [1, 2] = Enum.map(frames(2), &number/1)
+    assert :ok = Aerie.Router.send(c.gateway, {"main", 1}, "to the vehicle")
+    assert await(c.pty, ?d) == "to the vehicle"
+
+    assert %{local: device, text: "connected to " <> device, counters: %{resync_bytes: 24}} =
+             Link.snapshot(c.gateway, id)
+
+    assert device == c.device
+  end
+
+  test "a cable that is pulled: told, and found again when it is back", c do
+    listen(c.gateway, [:up, :down])
+    link = Path.join(System.tmp_dir!(), "aerie-serial-#{System.unique_integer([:positive])}")
+    File.ln_s!(c.device, link)
+    on_exit(fn -> File.rm(link) end)
+    {id, _} = add_link(c.gateway, link)
+    assert_receive {:up, _, _}, @patience
+    Port.command(c.pty, "x")
+    assert_receive {:down, _, %{reason: reason}}, @patience
+    assert reason == "#{link} was unplugged"
+
+    # It comes back as another device node, which the name points to.
+    Port.command(c.pty, "o")
+    File.rm!(link)
+    File.ln_s!(await(c.pty, ?n), link)
+    assert_receive {:up, %{reconnects: 1}, _}, @patience
+    write(c.pty, attitude(1, 3))
+    assert [3] = Enum.map(frames(1), &number/1)
+    assert Link.snapshot(c.gateway, id).counters.reconnects == 1
+  end
+
+  test "a device that is not there, and one that is no serial port", c do
+    {none, _} = add_link(c.gateway, "/dev/ttyNOWHERE7")
+    {file, _} = add_link(c.gateway, "/etc/hostname")
+    eventually(fn -> Link.get(c.gateway, none).reason == "there is no /dev/ttyNOWHERE7" end)
+    eventually(fn -> (Link.get(c.gateway, file).reason || "") =~ "no serial port" end)
+  end
+
+  @tag :capture_log
+  test "a killed link frees its port and has it again", c do
+    {id, _} = add_link(c.gateway, c.device)
+    up(c, id)
+
+    for n <- 1..10 do
+      Process.exit(Names.whereis(c.gateway, :link, id), :kill)
+      eventually(fn -> match?(%{status: :up, counters: %{restarts: ^n}}, Link.snapshot(c.gateway, id)) end)
+    end
+
+    write(c.pty, attitude(1, 1))
+    frames(1)
+    # A flood cannot be written faster than the line takes it; it is bounded and counted.
+    Aerie.Router.send(c.gateway, {"main", 1}, :binary.copy("x", 9000))
+    for _ <- 1..100, do: Aerie.Router.send(c.gateway, {"main", 1}, :binary.copy("x", 9000))
+    eventually(fn -> Link.snapshot(c.gateway, id).counters.dropped_out > 0 end)
+  end
+end

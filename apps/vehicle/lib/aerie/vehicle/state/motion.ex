@@ -1,0 +1,111 @@
+defmodule Aerie.Vehicle.State.Motion do
+  @moduledoc "Where the vehicle is, how it lies and how it moves: position, attitude, velocity, gps, home."
+  @behaviour Aerie.Vehicle.State
+
+  alias Aerie.Vehicle.{State, Value}
+  alias MavCodec.Enums.GpsFixType
+  alias MavCodec.Messages, as: M
+
+  @impl State
+  def read(%M.GlobalPositionInt{} = m, _state, _at) do
+    case Value.lat_lon(m.lat, m.lon) do
+      :invalid ->
+        {:invalid, :global_position_int}
+
+      place ->
+        {lat, lon} = place || {nil, nil}
+
+        # Before it knows where it is, an autopilot sends zeros for all of it.
+        position = %{
+          lat: lat,
+          lon: lon,
+          alt_msl: place && Value.millimetres(m.alt),
+          alt_rel: place && Value.millimetres(m.relative_alt),
+          heading: heading(m.hdg)
+        }
+
+        velocity = %{
+          vn: Value.signed(m.vx, 16, 100),
+          ve: Value.signed(m.vy, 16, 100),
+          vd: Value.signed(m.vz, 16, 100)
+        }
+
+        {[], position: position, velocity: velocity}
+    end
+  end
+
+  def read(%M.LocalPositionNed{} = m, _state, _at) do
+    {[], velocity: %{vn: Value.float(m.vx), ve: Value.float(m.vy), vd: Value.float(m.vz)}}
+  end
+
+  def read(%M.VfrHud{} = m, _state, _at) do
+    {[],
+     velocity: %{
+       groundspeed: Value.float(m.groundspeed),
+       airspeed: Value.float(m.airspeed),
+       climb: Value.float(m.climb),
+       throttle: Value.unsigned(m.throttle, 16)
+     }}
+  end
+
+  def read(%M.Attitude{} = m, _state, _at) do
+    {[], attitude: attitude(Value.degrees(m.roll), Value.degrees(m.pitch), Value.degrees(m.yaw), m)}
+  end
+
+  def read(%M.AttitudeQuaternion{q1: w, q2: x, q3: y, q4: z} = m, _state, _at)
+      when is_float(w) and is_float(x) and is_float(y) and is_float(z) do
+    roll = :math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = :math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
+    yaw = :math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    {[], attitude: attitude(Value.degrees(roll), Value.degrees(pitch), Value.degrees(yaw), m)}
+  end
+
+  def read(%M.AttitudeQuaternion{}, _state, _at), do: {:invalid, :attitude_quaternion}
+
+  def read(%M.GpsRawInt{} = m, _state, _at) do
+    case Value.lat_lon(m.lat, m.lon) do
+      :invalid ->
+        {:invalid, :gps_raw_int}
+
+      place ->
+        {lat, lon} = place || {nil, nil}
+
+        {[],
+         gps: %{
+           fix: m.fix_type,
+           fix_name: GpsFixType.label(m.fix_type) || "FIX(#{m.fix_type})",
+           satellites: Value.unsigned(m.satellites_visible, 8),
+           hdop: Value.unsigned(m.eph, 16, 100),
+           vdop: Value.unsigned(m.epv, 16, 100),
+           lat: lat,
+           lon: lon,
+           alt_msl: place && Value.millimetres(m.alt),
+           h_acc: Value.or_zero(m.h_acc, 1000),
+           v_acc: Value.or_zero(m.v_acc, 1000)
+         }}
+    end
+  end
+
+  # PX4 takes a home at 95 degrees north for an order like any other and publishes it.
+  def read(%M.HomePosition{} = m, _state, _at) do
+    case Value.lat_lon(m.latitude, m.longitude) do
+      {lat, lon} -> {[], home: %{lat: lat, lon: lon, alt_msl: Value.millimetres(m.altitude)}}
+      nil -> {[], []}
+      :invalid -> {:invalid, :home_position}
+    end
+  end
+
+  defp attitude(roll, pitch, yaw, rates) do
+    %{
+      roll: roll,
+      pitch: pitch,
+      yaw: yaw,
+      rollspeed: Value.degrees(rates.rollspeed),
+      pitchspeed: Value.degrees(rates.pitchspeed),
+      yawspeed: Value.degrees(rates.yawspeed)
+    }
+  end
+
+  defp heading(hdg) when hdg in 0..36_000, do: hdg / 100
+  defp heading(_unknown), do: nil
+end

@@ -1,0 +1,33 @@
+defmodule Aerie.Vehicle.State.Plan do
+  @moduledoc "Mission progress and fence."
+  @behaviour Aerie.Vehicle.State
+
+  alias Aerie.Vehicle.{State, Value}
+  alias MavCodec.Enums.{FenceBreach, MissionState}
+  alias MavCodec.Messages, as: M
+
+  @impl State
+  def read(%M.MissionCurrent{} = m, _state, _at) do
+    {[], mission: %{seq: m.seq, total: total(m), state: mission_state(m.mission_state)}}
+  end
+
+  def read(%M.MissionItemReached{} = m, _state, _at), do: {[], mission: %{reached: m.seq}}
+
+  def read(%M.NavControllerOutput{} = m, _state, _at) do
+    {[], mission: %{wp_distance: Value.unsigned(m.wp_dist, 16)}}
+  end
+
+  def read(%M.FenceStatus{} = m, _state, _at) do
+    {[], mission: %{fence_breach: m.breach_status != 0, fence_breach_type: breach(m)}}
+  end
+
+  # The extension is all zeros when the sender does not know it (MAVLink 1, older firmware).
+  defp total(%{total: 0, mission_state: 0}), do: nil
+  defp total(%{total: total}), do: Value.unsigned(total, 16)
+
+  defp mission_state(0), do: nil
+  defp mission_state(value), do: MissionState.label(value) || "STATE(#{value})"
+
+  defp breach(%{breach_type: 0}), do: nil
+  defp breach(%{breach_type: type}), do: FenceBreach.label(type) || "BREACH(#{type})"
+end

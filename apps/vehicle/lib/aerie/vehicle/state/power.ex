@@ -1,0 +1,118 @@
+defmodule Aerie.Vehicle.State.Power do
+  @moduledoc """
+  Batteries and what SYS_STATUS says besides.
+
+  The group's own voltage, current and remaining are those of SYS_STATUS, or of the battery with the lowest id while no
+  SYS_STATUS comes; `batteries` lists each that sends BATTERY_STATUS. `charge_state` is the worst of all.
+  """
+  @behaviour Aerie.Vehicle.State
+
+  import Bitwise
+
+  alias Aerie.Vehicle.{State, Value}
+  alias MavCodec.Enums.{MavBatteryChargeState, MavSysStatusSensor}
+  alias MavCodec.Messages, as: M
+
+  @fresh_us 5_000_000
+  @prearm_check 0x10000000
+  # MAV_BATTERY_CHARGE_STATE, from harmless to bad.
+  @severity %{
+    "CHARGING" => 0,
+    "OK" => 1,
+    "UNHEALTHY" => 2,
+    "LOW" => 3,
+    "CRITICAL" => 4,
+    "EMERGENCY" => 5,
+    "FAILED" => 6
+  }
+  # Ids are 8 bits; no vehicle has more than a few and a bad one shall not fill memory.
+  @max_batteries 16
+
+  @impl State
+  def read(%M.SysStatus{} = m, state, _at) do
+    battery = %{
+      voltage: voltage(m.voltage_battery),
+      current: current(m.current_battery, state.autopilot),
+      remaining: remaining(m.battery_remaining)
+    }
+
+    {[], battery: battery, health: health(m)}
+  end
+
+  def read(%M.BatteryStatus{} = m, state, at) do
+    one = %{
+      id: m.id,
+      voltage: total_voltage(m),
+      current: current(m.current_battery, state.autopilot),
+      remaining: remaining(m.battery_remaining),
+      consumed_mah: if(m.current_consumed >= 0, do: m.current_consumed),
+      temperature: Value.signed(m.temperature, 16, 100),
+      charge_state: charge_state(m.charge_state)
+    }
+
+    others = Enum.reject(State.data(state, :battery).batteries || [], &(&1.id == m.id))
+    batteries = Enum.take(Enum.sort_by([one | others], & &1.id), @max_batteries)
+
+    {[],
+     battery: Map.merge(own(state, batteries, at), %{batteries: batteries, charge_state: worst(batteries)})}
+  end
+
+  defp own(state, [first | _], at) do
+    consumed = %{consumed_mah: first.consumed_mah}
+
+    case state.sources do
+      %{1 => sys_status} when at - sys_status <= @fresh_us -> consumed
+      _no_sys_status -> Map.merge(consumed, Map.take(first, [:voltage, :current, :remaining]))
+    end
+  end
+
+  defp health(m) do
+    enabled = m.onboard_control_sensors_enabled
+    failing = m.onboard_control_sensors_present &&& enabled &&& bnot(m.onboard_control_sensors_health)
+
+    %{
+      load: m.load / 10,
+      unhealthy: names(failing &&& bnot(@prearm_check)),
+      ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
+      drop_rate: Value.unsigned(m.drop_rate_comm, 16, 100),
+      errors: m.errors_comm
+    }
+  end
+
+  defp names(0), do: []
+
+  defp names(bits) do
+    {flags, unknown} = MavSysStatusSensor.flags(bits)
+    named = for flag <- flags, do: flag |> Atom.to_string() |> short()
+    if unknown == 0, do: named, else: named ++ ["bits 0x#{Integer.to_string(unknown, 16)}"]
+  end
+
+  defp short("MAV_SYS_STATUS_SENSOR_" <> name), do: String.downcase(name)
+  defp short("MAV_SYS_STATUS_" <> name), do: String.downcase(name)
+
+  defp voltage(0), do: nil
+  defp voltage(millivolts), do: Value.unsigned(millivolts, 16, 1000)
+
+  # A battery of up to ten cells has them in `voltages`, a pack without cell data its whole voltage in the first (and
+  # the rest above 65 V in the second ...); cells 11 to 14 are in the extension, where 0 is unknown.
+  defp total_voltage(m) do
+    case Enum.reject(m.voltages, &(&1 == 0xFFFF)) ++ Enum.reject(m.voltages_ext, &(&1 in [0, 0xFFFF])) do
+      [] -> nil
+      cells -> Enum.sum(cells) / 1000
+    end
+  end
+
+  # PX4 scales its "unknown" of -1 A like any current before it sends it.
+  defp current(-100, :px4), do: nil
+  defp current(centiamperes, _autopilot), do: Value.or_minus_one(centiamperes, 100)
+
+  defp remaining(percent) when percent in 0..100, do: percent / 100
+  defp remaining(_unknown), do: nil
+
+  defp charge_state(0), do: nil
+  defp charge_state(value), do: MavBatteryChargeState.label(value) || "STATE(#{value})"
+
+  defp worst(batteries) do
+    batteries |> Enum.map(& &1.charge_state) |> Enum.max_by(&Map.get(@severity, &1, -1))
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Aerie.Vehicle.Sampling.Aggregate do
+  @moduledoc """
+  Over each period the mean under the usual keys, with `min` and `max` of each number and the number of `samples`.
+
+  Minimum and maximum of an angle are those of its numbers, not of the circle.
+  """
+  @behaviour Aerie.Vehicle.Sampling
+
+  alias Aerie.Vehicle.Sampling
+
+  defstruct [:time, min: %{}, max: %{}, samples: 0]
+
+  @impl Sampling
+  def new(group, settings, period_us), do: %__MODULE__{time: Sampling.Time.new(group, settings, period_us)}
+
+  @impl Sampling
+  def push(sampler, at, data) do
+    {sampler, samples} = step(sampler, Sampling.Time.expire(sampler.time, at))
+    {time, []} = Sampling.Time.push(sampler.time, at, data)
+    numbers = Map.filter(data, fn {_key, value} -> is_number(value) end)
+
+    {%{
+       sampler
+       | time: time,
+         min: Map.merge(sampler.min, numbers, fn _key, a, b -> min(a, b) end),
+         max: Map.merge(sampler.max, numbers, fn _key, a, b -> max(a, b) end),
+         samples: sampler.samples + 1
+     }, samples}
+  end
+
+  @impl Sampling
+  def expire(sampler, now), do: step(sampler, Sampling.Time.expire(sampler.time, now))
+
+  defp step(sampler, {time, []}), do: {%{sampler | time: time}, []}
+
+  defp step(sampler, {time, [{at, mean}]}) do
+    data = Map.merge(mean, %{min: sampler.min, max: sampler.max, samples: sampler.samples})
+    {%__MODULE__{time: time}, [{at, data}]}
+  end
+end

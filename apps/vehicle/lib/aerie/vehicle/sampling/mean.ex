@@ -1,0 +1,71 @@
+defmodule Aerie.Vehicle.Sampling.Mean do
+  @moduledoc """
+  Means of maps: each number over those samples that have it, angles on the circle, what is no number as it was last.
+
+  A key that was nil in every sample is nil. Angles are the keys `heading`, `yaw`, `roll`, `pitch` and `lon`: the mean of
+  359° and 1° is 0°, and a vehicle at the date line is not at Greenwich. The result is in the range of the input
+  (0..360 for `heading`, -180..180 for the others).
+  """
+
+  @angles [:heading, :yaw, :roll, :pitch, :lon]
+  @radian 0.017453292519943295
+
+  defstruct sums: %{}, last: %{}, count: 0, at: nil
+
+  @opaque t :: %__MODULE__{}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "How many samples are in it."
+  @spec count(t()) :: non_neg_integer()
+  def count(mean), do: mean.count
+
+  @doc "When the last sample came; nil without any."
+  @spec at(t()) :: integer() | nil
+  def at(mean), do: mean.at
+
+  @spec add(t(), integer(), map()) :: t()
+  def add(mean, at, data) do
+    sums = Enum.reduce(data, mean.sums, fn {key, value}, sums -> sum(sums, key, value) end)
+    %{mean | sums: sums, last: data, count: mean.count + 1, at: at}
+  end
+
+  @spec result(t()) :: map()
+  def result(mean), do: Map.merge(mean.last, Map.new(mean.sums, fn {key, sum} -> {key, value(key, sum)} end))
+
+  # An angle counts from the first one of the window, which keeps the exact value when they are all the same.
+  defp sum(sums, key, value) when is_number(value) and key in @angles do
+    case sums do
+      %{^key => {first, x, y}} ->
+        turn = (value - first) * @radian
+        %{sums | key => {first, x + :math.cos(turn), y + :math.sin(turn)}}
+
+      _first ->
+        Map.put(sums, key, {value, 1.0, 0.0})
+    end
+  end
+
+  # The running mean never leaves the range of its values, which a sum divided at the end may by rounding.
+  defp sum(sums, key, value) when is_number(value) do
+    case sums do
+      %{^key => {mean, n}} -> %{sums | key => {mean + (value - mean) / (n + 1), n + 1}}
+      _first -> Map.put(sums, key, {value, 1})
+    end
+  end
+
+  defp sum(sums, _key, _value), do: sums
+
+  defp value(_key, {mean, _n}), do: mean
+
+  # Opposite directions have no mean; the first one stands for them.
+  defp value(_key, {first, x, y}) when x * x + y * y < 1.0e-12, do: first
+  defp value(key, {first, x, y}), do: wrap(key, first + :math.atan2(y, x) / @radian)
+
+  defp wrap(:heading, degrees) when degrees < 0, do: degrees + 360
+  defp wrap(:heading, degrees) when degrees >= 360, do: degrees - 360
+  defp wrap(:heading, degrees), do: degrees
+  defp wrap(_key, degrees) when degrees > 180, do: degrees - 360
+  defp wrap(_key, degrees) when degrees < -180, do: degrees + 360
+  defp wrap(_key, degrees), do: degrees
+end

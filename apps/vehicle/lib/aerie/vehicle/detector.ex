@@ -1,0 +1,266 @@
+defmodule Aerie.Vehicle.Detector do
+  @moduledoc """
+  Finds events in what is observed of a vehicle. A pure value: `observe(detector, observation, known) -> {detector,
+  events, params}`.
+
+  It compares what it is shown with what it was shown last, so being shown the same again (after a crash of the session,
+  from a second link) gives nothing. Its whole state is one small term that is committed together with the events.
+
+  Observations, each with the time `at` (us) and the vehicle's clock `boot_ms` (or nil):
+
+  | observation                              | events                                                              |
+  |------------------------------------------|---------------------------------------------------------------------|
+  | `{:state, at, boot_ms, digest}`          | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery.low, battery.critical, mission.completed |
+  | `{:text, at, boot_ms, severity, text}`   | statustext; gcs_failsafe, geofence, mission.completed when it says so |
+  | `{:reached, at, boot_ms, seq}`           | mission.reached                                                     |
+  | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
+  | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
+  | `{:reboot, at, boot_ms}`                 | reboot                                                              |
+  | `{:collision, at, boot_ms, sign}`        | collision                                                           |
+
+  A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
+  event; except for a battery that is found low.
+  """
+
+  alias Aerie.Vehicle.{Detector, Event, Options, State}
+
+  defstruct [
+    :vehicle,
+    :battery_low,
+    :battery_critical,
+    seq: 0,
+    done: 0,
+    last: %{},
+    battery: :ok,
+    failsafe: nil,
+    gcs: false,
+    fence: nil,
+    mission: nil,
+    reached: nil,
+    lost: false,
+    boot_at: nil,
+    collision: nil
+  ]
+
+  @type t :: %__MODULE__{
+          vehicle: String.t(),
+          battery_low: float(),
+          battery_critical: float(),
+          seq: non_neg_integer(),
+          done: non_neg_integer(),
+          last: map(),
+          battery: :ok | :low | :critical,
+          failsafe: {integer(), String.t(), String.t()} | nil,
+          gcs: boolean(),
+          fence: integer() | nil,
+          mission: non_neg_integer() | :unknown | nil,
+          reached: {non_neg_integer(), integer()} | nil,
+          lost: boolean(),
+          boot_at: integer() | nil,
+          collision: integer() | nil
+        }
+
+  @type observation :: tuple()
+  @type known :: (String.t() -> {:ok, term()} | :error)
+
+  # A reason that was named longer ago than this is not why a failsafe came.
+  @reason_us 5_000_000
+  # PX4 says once a second that it has reached an item.
+  @reached_again_us 5_000_000
+  @fence_again_us 10_000_000
+  @same_boot_us 10_000_000
+  @collision_again_us 60_000_000
+
+  @spec new(Options.t()) :: t()
+  def new(options) do
+    %__MODULE__{
+      vehicle: options.id,
+      battery_low: options.battery_low,
+      battery_critical: options.battery_critical
+    }
+  end
+
+  @doc "What of a vehicle's state the detector looks at. Equal digests need not be observed twice."
+  @spec digest(State.t()) :: map()
+  def digest(state) do
+    mode = State.data(state, :mode)
+    battery = State.data(state, :battery)
+    mission = State.data(state, :mission)
+
+    %{
+      mode: mode.mode,
+      armed: mode.armed,
+      in_air: mode.in_air,
+      failsafe: mode.failsafe,
+      system_status: mode.system_status,
+      remaining: battery.remaining,
+      charge_state: battery.charge_state,
+      fence_breach: mission.fence_breach,
+      fence_breach_type: mission.fence_breach_type,
+      mission_seq: mission.seq,
+      mission_total: mission.total,
+      mission_state: mission.state
+    }
+  end
+
+  @doc "One step. `known` gives the value that a parameter had; the new values are in the third element."
+  @spec observe(t(), observation(), known()) :: {t(), [Event.t()], %{String.t() => term()}}
+  def observe(detector, observation, known \\ fn _name -> :error end)
+
+  def observe(detector, {:state, at, boot_ms, digest}, _known) do
+    where = Map.get(digest, :where)
+    digest = digest |> Map.delete(:where) |> Map.reject(fn {_key, value} -> is_nil(value) end)
+    now = Map.merge(detector.last, digest)
+    steps = Detector.Changes.events(detector.last, now, detector, at)
+    {detector, events} = emit(%{detector | last: now}, steps, at, boot_ms, where)
+    {detector, events, %{}}
+  end
+
+  def observe(detector, {:text, at, boot_ms, severity, text}, _known) do
+    said = [
+      {"statustext", %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text},
+       []}
+    ]
+
+    {detector, events} = emit(detector, said ++ implied(detector, text, at), at, boot_ms, nil)
+    {noted(detector, text, at), events, %{}}
+  end
+
+  def observe(detector, {:reached, at, boot_ms, seq}, _known) do
+    again = match?({^seq, _}, detector.reached) and at - elem(detector.reached, 1) < @reached_again_us
+    steps = if again, do: [], else: [{"mission.reached", reached(detector, seq), []}]
+    detector = %{detector | reached: {seq, at}, mission: flown_again(detector.mission, seq)}
+    {detector, events} = emit(detector, steps, at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  def observe(detector, {:params, at, boot_ms, values}, known) do
+    {steps, learned} =
+      Enum.reduce(values, {[], %{}}, fn {name, value, index}, {steps, learned} ->
+        before = if is_map_key(learned, name), do: Map.fetch(learned, name), else: known.(name)
+
+        case before do
+          {:ok, ^value} -> {steps, learned}
+          :error -> {steps, Map.put(learned, name, value)}
+          {:ok, old} -> {[param_changed(name, old, value, index) | steps], Map.put(learned, name, value)}
+        end
+      end)
+
+    {detector, events} = emit(detector, Enum.reverse(steps), at, boot_ms, nil)
+    {detector, events, learned}
+  end
+
+  def observe(%{lost: false} = detector, {:lost, at, boot_ms, silent_us}, _known) do
+    steps = [{"link.lost", %{"silent_s" => Float.round(silent_us / 1_000_000, 1)}, lost: true}]
+    {detector, events} = emit(detector, steps, at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  def observe(%{lost: true} = detector, {:restored, at, boot_ms}, _known) do
+    {detector, events} = emit(detector, [{"link.restored", %{}, lost: false}], at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  # What is known already.
+  def observe(detector, {:lost, _at, _boot_ms, _silent_us}, _known), do: {detector, [], %{}}
+  def observe(detector, {:restored, _at, _boot_ms}, _known), do: {detector, [], %{}}
+
+  def observe(detector, {:reboot, at, boot_ms}, _known) do
+    boot_at = at - boot_ms * 1000
+
+    if detector.boot_at != nil and abs(detector.boot_at - boot_at) < @same_boot_us do
+      {detector, [], %{}}
+    else
+      steps = [
+        {"reboot", %{"uptime_ms" => boot_ms}, boot_at: boot_at, mission: nil, reached: nil, gcs: false}
+      ]
+
+      {detector, events} = emit(detector, steps, at, boot_ms, nil)
+      {detector, events, %{}}
+    end
+  end
+
+  def observe(detector, {:collision, at, boot_ms, sign}, _known) do
+    known = detector.collision != nil and at - detector.collision < @collision_again_us
+    steps = if known, do: [], else: [{"collision", %{"sign" => sign}, []}]
+    {detector, events} = emit(%{detector | collision: at}, steps, at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  @doc "Why a failsafe that begins `at` came, as far as texts have said: `{reason, text}`."
+  @spec reason(t(), integer()) :: {String.t(), String.t() | nil}
+  def reason(%{failsafe: {said, reason, text}}, at) when at - said <= @reason_us, do: {reason, text}
+  def reason(_detector, _at), do: {"unknown", nil}
+
+  # Steps are {type, data, changes of the detector}; each event gets the next number.
+  defp emit(detector, steps, at, boot_ms, where) do
+    Enum.reduce(steps, {detector, []}, fn
+      {nil, _data, changes}, {detector, events} ->
+        {struct!(detector, changes), events}
+
+      {type, data, changes}, {detector, events} ->
+        seq = detector.seq + 1
+        data = if where, do: Map.put(data, "position", where), else: data
+        event = Event.new(detector.vehicle, type, seq, at, boot_ms, data)
+        {struct!(detector, [seq: seq] ++ changes), [event | events]}
+    end)
+    |> then(fn {detector, events} -> {detector, Enum.reverse(events)} end)
+  end
+
+  defp implied(detector, text, at) do
+    gcs =
+      case {Detector.Texts.gcs(text), detector.gcs} do
+        {:lost, false} -> [{"gcs_failsafe", %{"text" => text}, gcs: true}]
+        {:back, true} -> [{nil, %{}, gcs: false}]
+        _nothing_new -> []
+      end
+
+    # FENCE_STATUS knows better, where it comes.
+    fence =
+      if not is_map_key(detector.last, :fence_breach) and Detector.Texts.fence?(text) and
+           fence_free?(detector, at),
+         do: [{"geofence", %{"text" => text}, fence: at}],
+         else: []
+
+    mission =
+      if detector.mission == nil and Detector.Texts.mission_completed?(text),
+        do: [{"mission.completed", %{"text" => text}, mission: detector.last[:mission_seq] || :unknown}],
+        else: []
+
+    gcs ++ fence ++ mission
+  end
+
+  defp fence_free?(%{fence: nil}, _at), do: true
+  defp fence_free?(%{fence: said}, at), do: at - said >= @fence_again_us
+
+  defp noted(detector, text, at) do
+    case Detector.Texts.failsafe(text) do
+      nil ->
+        detector
+
+      # A general "failsafe activated" does not replace the reason that was given just before it.
+      "unknown" ->
+        if elem(reason(detector, at), 0) == "unknown",
+          do: noted(detector, at, "unknown", text),
+          else: detector
+
+      reason ->
+        noted(detector, at, reason, text)
+    end
+  end
+
+  defp noted(detector, at, reason, text), do: %{detector | failsafe: {at, reason, text}}
+
+  defp reached(%{last: %{mission_total: total}}, seq), do: %{"seq" => seq, "total" => total}
+  defp reached(_detector, seq), do: %{"seq" => seq}
+
+  # An earlier item was reached after the end: the mission is flown again.
+  defp flown_again(completed, seq) when is_integer(completed) and seq < completed, do: nil
+  defp flown_again(completed, _seq), do: completed
+
+  defp param_changed(name, old, value, index) do
+    {"param_changed", %{"name" => name, "from" => old, "to" => value, "index" => index}, []}
+  end
+
+  defp severity_name(severity), do: MavCodec.Enums.MavSeverity.label(severity) || "SEVERITY(#{severity})"
+end

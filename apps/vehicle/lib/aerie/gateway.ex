@@ -38,8 +38,13 @@ defmodule Aerie.Gateway do
   * `:name` - any term, `:default` when absent
   * `:config` - an `%Aerie.Config{}`; required
   * `:pubsub_tick_ms` - how often change notices are sent at most, 100 when absent
+  * `:without` - children that are left out, as modules: for a gateway that only has vehicles, say
   """
-  @type option :: {:name, Names.gateway()} | {:config, term()} | {:pubsub_tick_ms, pos_integer()}
+  @type option ::
+          {:name, Names.gateway()}
+          | {:config, term()}
+          | {:pubsub_tick_ms, pos_integer()}
+          | {:without, [module()]}
 
   @spec start_link([option()]) :: Supervisor.on_start()
   def start_link(options) do
@@ -70,6 +75,7 @@ defmodule Aerie.Gateway do
     config = Keyword.fetch!(options, :config)
     Process.set_label({:gateway, name})
     Names.put_value(name, :gateway, config)
+    without = Keyword.get(options, :without, [])
 
     children =
       [
@@ -80,7 +86,7 @@ defmodule Aerie.Gateway do
         {Aerie.Vehicle.Supervisor, gateway: name, config: config},
         {Aerie.Link.Supervisor, gateway: name, config: config}
       ]
-      |> Enum.filter(fn {module, _options} -> Code.ensure_loaded?(module) end)
+      |> Enum.filter(fn {module, _} -> module not in without end)
 
     # Any of these dying is rare and serious: three times within a minute means that starting again does not help.
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 3, max_seconds: 60)

@@ -10,14 +10,14 @@ defmodule Aerie.GatewayCase do
     end
   end
 
-  @doc "Starts a gateway that ends with the test; gives its name."
+  @doc "Starts a gateway of vehicles, without bridge, router and links, that ends with the test; gives its name."
   @spec start_gateway(map() | struct(), keyword()) :: reference()
   def start_gateway(config \\ %{}, options \\ []) do
     name = make_ref()
 
-    ExUnit.Callbacks.start_supervised!(
-      {Aerie.Gateway, [name: name, config: config, pubsub_tick_ms: 5] ++ options}
-    )
+    without = [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor]
+    defaults = [name: name, config: config, pubsub_tick_ms: 5, without: without]
+    ExUnit.Callbacks.start_supervised!({Aerie.Gateway, Keyword.merge(defaults, options)})
 
     name
   end

@@ -23,6 +23,7 @@ defmodule Aerie.Fleet.Store do
 
   # Systems are whatever sends a heartbeat, so a noisy or hostile network could name four billion of them.
   @max_systems 4096
+  @max_claims 4096
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
@@ -119,6 +120,22 @@ defmodule Aerie.Fleet.Store do
   end
 
   @doc """
+  Lets one of many processes do what is to be done once per `interval_ms`: true for the one that is to do it.
+  """
+  @spec claim(Names.gateway(), term(), pos_integer()) :: boolean()
+  def claim(gateway, what, interval_ms) do
+    table = table!(gateway, :claims)
+    now = System.monotonic_time(:millisecond)
+    # What was claimed by peers that are gone is of no more use than what is forgotten here.
+    if :ets.info(table, :size) > @max_claims, do: :ets.delete_all_objects(table)
+
+    :ets.insert_new(table, {what, now}) or
+      :ets.select_replace(table, [
+        {{what, :"$1"}, [{:"=<", :"$1", now - interval_ms}], [{{{:const, what}, now}}]}
+      ]) == 1
+  end
+
+  @doc """
   Remembers that a system was heard, vehicle or not. At most #{@max_systems} are kept; a further one is counted as
   `{:systems, :dropped}` and not kept.
   """
@@ -180,6 +197,7 @@ defmodule Aerie.Fleet.Store do
       links: :ets.new(:links, [:set | shared]),
       counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),
       systems: :ets.new(:systems, [:set | shared]),
+      claims: :ets.new(:claims, [:set | shared]),
       journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
     }
 

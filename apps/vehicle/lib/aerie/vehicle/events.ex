@@ -1,6 +1,9 @@
 defmodule Aerie.Vehicle.Events do
   @moduledoc """
-  The event loop of one vehicle.
+  The event loop of one vehicle: reads its inbox in the journal, asks `Aerie.Vehicle.Detector`, and commits the
+  detector's new state together with the events, entry by entry.
+
+  Whoever is killed when, each inbox entry is taken account of exactly once: the committed state says which was the last.
   """
   use GenServer
 
@@ -12,10 +15,58 @@ defmodule Aerie.Vehicle.Events do
     GenServer.start_link(__MODULE__, arguments, name: name)
   end
 
+  @doc "Says that there is something in the inbox."
+  @spec wake(pid()) :: :ok
+  def wake(events) do
+    send(events, :inbox)
+    :ok
+  end
+
   @impl GenServer
   def init(gateway: gateway, options: options) do
     Process.set_label({:events, options.id})
+    detector = Fleet.Journal.state(gateway, options.id) || Vehicle.Detector.new(options)
+    # A forerunner may have been killed before it told about what it had committed.
     Fleet.Journal.wake(gateway)
-    {:ok, %{gateway: gateway, id: options.id}}
+    {:ok, %{gateway: gateway, id: options.id, detector: detector}, {:continue, :inbox}}
+  end
+
+  @impl GenServer
+  def handle_continue(:inbox, state), do: {:noreply, work(state)}
+
+  @impl GenServer
+  def handle_info(:inbox, state) do
+    drain()
+    {:noreply, work(state)}
+  end
+
+  defp work(state) do
+    entries = Fleet.Journal.inbox(state.gateway, state.id, state.detector.done)
+    detector = Enum.reduce(entries, state.detector, &step(state, &1, &2))
+    Fleet.Journal.forget(state.gateway, state.id, Enum.map(entries, &elem(&1, 0)))
+    %{state | detector: detector}
+  end
+
+  defp step(state, {n, observation}, detector) do
+    known = &Fleet.Journal.param(state.gateway, state.id, &1)
+    {detector, events, params} = Vehicle.Detector.observe(detector, observation, known)
+    detector = %{detector | done: n}
+    Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
+
+    for event <- events do
+      metadata = %{gateway: state.gateway, vehicle: state.id, type: event.type, event: event}
+      :telemetry.execute([:aerie, :vehicle, :event], %{count: 1}, metadata)
+    end
+
+    detector
+  end
+
+  # One look at the inbox answers all calls to look at it that are waiting.
+  defp drain do
+    receive do
+      :inbox -> drain()
+    after
+      0 -> :ok
+    end
   end
 end

@@ -17,8 +17,7 @@ defmodule Aerie.Fleet.StoreTest do
   end
 
   test "gateways do not see each other's vehicles" do
-    [one, other] = [start_gateway(), make_ref()]
-    start_supervised!({Aerie.Gateway, name: other, config: %{}})
+    [one, other] = [start_gateway(), start_gateway()]
     Store.put_vehicle(one, {"main", 1}, vehicle("A"))
     assert Store.vehicles(other) == []
   end
@@ -67,6 +66,19 @@ defmodule Aerie.Fleet.StoreTest do
     assert Store.counter(gateway, :frames) == 30
     assert Store.counter(gateway, :other) == 0
     assert Store.counters(gateway)[:frames] == 30
+  end
+
+  test "what many may do, one does, until the interval is over" do
+    gateway = start_gateway()
+
+    claim = fn interval ->
+      fn _ -> Task.async(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, interval) end) end
+    end
+
+    assert 1..20 |> Enum.map(claim.(60_000)) |> Task.await_many() |> Enum.count(& &1) == 1
+    assert Store.claim(gateway, {:beat, {"other", :peer}}, 60_000)
+    eventually(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, 1) end)
+    refute Store.claim(gateway, {:beat, {"link", :peer}}, 60_000)
   end
 
   test "systems are bounded, known ones can still be renewed" do

@@ -1,0 +1,363 @@
+defmodule SimVehicle.Plans do
+  @moduledoc """
+  Mission, fence and rally points on board, and the vehicle's side of the mission protocol (rules W1-W7).
+
+  A plan is replaced only when an upload is complete; an upload that stalls is asked for again and given up. What the
+  two firmwares do differently is in `style`:
+
+  - `:ardupilot`: asks with MISSION_REQUEST, item 0 of the mission is the home position, an item out of sequence and a
+    position beyond the globe are refused
+  - `:px4`: asks with MISSION_REQUEST_INT, an item out of sequence is asked for again, opaque ids
+  """
+
+  import Bitwise
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.Real32
+
+  @accepted 0
+  @error 1
+  @unsupported_frame 2
+  @unsupported 3
+  @no_space 4
+  @invalid_x 10
+  @invalid_sequence 13
+  @denied 14
+  @cancelled 15
+
+  @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6]}
+  @px4_frames %{0 => [0, 2, 3, 5, 6], 1 => [0, 2, 3, 5, 6], 2 => [0, 3, 5, 6]}
+
+  @nav [16, 17, 18, 19, 20, 21, 22, 82, 84, 85, 93]
+  @actions [
+    112,
+    114,
+    115,
+    177,
+    178,
+    179,
+    181,
+    183,
+    189,
+    195,
+    197,
+    201,
+    203,
+    205,
+    206,
+    2000,
+    2001,
+    2500,
+    2501,
+    3000
+  ]
+  @commands %{0 => @nav ++ @actions, 1 => [5000, 5001, 5002, 5003, 5004], 2 => [5100]}
+
+  @retry_us %{ardupilot: 1_000_000, px4: 250_000}
+  @give_up_us %{ardupilot: 8_000_000, px4: 5_000_000}
+
+  defstruct style: :ardupilot,
+            capacity: %{0 => 724, 1 => 70, 2 => 70},
+            items: %{0 => [], 1 => [], 2 => []},
+            opaque: %{0 => 0, 1 => 0, 2 => 0},
+            upload: nil
+
+  @typedoc "One item: the fields of MISSION_ITEM_INT."
+  @type item :: %{
+          seq: non_neg_integer,
+          frame: integer,
+          command: integer,
+          current: integer,
+          autocontinue: integer,
+          params: {term, term, term, term},
+          x: integer,
+          y: integer,
+          z: float
+        }
+  @type t :: %__MODULE__{}
+
+  @typedoc "Messages to send, and `{:stored, type}` or `{:cleared, type}` when a plan was replaced."
+  @type reply :: struct | {:stored, 0..2} | {:cleared, 0..2} | {:text, 0..7, String.t()}
+
+  @doc "No plans."
+  @spec new(:ardupilot | :px4) :: t
+  def new(style) do
+    capacity = if style == :px4, do: %{0 => 2000, 1 => 128, 2 => 64}, else: %__MODULE__{}.capacity
+    %__MODULE__{style: style, capacity: capacity}
+  end
+
+  @doc "The items of a plan by `mission_type`: 0 mission, 1 fence, 2 rally."
+  @spec items(t, 0..2) :: [item]
+  def items(plans, type), do: Map.fetch!(plans.items, type)
+
+  @doc "Replaces a plan without the protocol (a plan that was on board from the start)."
+  @spec put(t, 0..2, [item]) :: t
+  def put(plans, type, items), do: %{plans | items: Map.put(plans.items, type, items)} |> fresh_opaque(type)
+
+  @doc """
+  Handles a message of the mission protocol that is addressed to this vehicle. `home` is the item that ArduPilot shows
+  as number 0, `now` the vehicle's time in microseconds. nil: not a message of this protocol.
+  """
+  @spec handle(t, struct, {integer, integer}, map | nil, integer) :: {t, [reply]} | nil
+  def handle(plans, message, from, home, now)
+
+  def handle(plans, %M.MissionRequestList{} = m, from, home, _now) do
+    case valid_type(plans, m.mission_type) do
+      true -> {plans, [count_message(plans, m.mission_type, from, home)]}
+      false -> {plans, [ack(plans, from, @unsupported, m.mission_type)]}
+    end
+  end
+
+  def handle(plans, %M.MissionRequestInt{} = m, from, home, _now), do: read(plans, m, from, home, :int)
+  def handle(plans, %M.MissionRequest{} = m, from, home, _now), do: read(plans, m, from, home, :float)
+  def handle(plans, %M.MissionCount{} = m, from, _home, now), do: begin(plans, m, from, now)
+
+  def handle(plans, %M.MissionItemInt{} = m, from, _home, now),
+    do: take(plans, item(m, 1), m.mission_type, from, now)
+
+  def handle(plans, %M.MissionItem{} = m, from, _home, now),
+    do: take(plans, item(m, 1.0e7), m.mission_type, from, now)
+
+  def handle(plans, %M.MissionClearAll{} = m, from, _home, _now) do
+    types = if m.mission_type == 255, do: [0, 1, 2], else: [m.mission_type]
+
+    cond do
+      not Enum.all?(types, &valid_type(plans, &1)) ->
+        {plans, [ack(plans, from, @unsupported, m.mission_type)]}
+
+      plans.upload != nil ->
+        {plans, [ack(plans, from, @denied, m.mission_type)]}
+
+      true ->
+        cleared = Enum.reduce(types, plans, &put(&2, &1, []))
+        {cleared, [ack(cleared, from, @accepted, m.mission_type) | Enum.map(types, &{:cleared, &1})]}
+    end
+  end
+
+  # The partner says that it is done, or that it gives up (W6).
+  def handle(%{upload: %{from: from}} = plans, %M.MissionAck{type: type}, from, _home, _now) when type != 0,
+    do: {%{plans | upload: nil}, []}
+
+  def handle(plans, %M.MissionAck{}, _from, _home, _now), do: {plans, []}
+  def handle(_plans, _message, _from, _home, _now), do: nil
+
+  @doc "Asks again for an item that does not come, and gives up after a while (W1)."
+  @spec tick(t, integer) :: {t, [reply]}
+  def tick(%{upload: nil} = plans, _now), do: {plans, []}
+
+  def tick(%{upload: upload} = plans, now) do
+    cond do
+      now - upload.progress_at > @give_up_us[plans.style] ->
+        {%{plans | upload: nil}, [ack(plans, upload.from, @cancelled, upload.type)]}
+
+      now - upload.asked_at > @retry_us[plans.style] ->
+        {%{plans | upload: %{upload | asked_at: now}}, [request(plans, upload)]}
+
+      true ->
+        {plans, []}
+    end
+  end
+
+  # --- upload ---
+
+  defp begin(plans, m, from, now) do
+    type = m.mission_type
+
+    cond do
+      not valid_type(plans, type) ->
+        {plans, [ack(plans, from, @unsupported, type)]}
+
+      m.count > plans.capacity[type] ->
+        {plans, [ack(plans, from, @no_space, type)]}
+
+      plans.upload != nil and plans.upload.from != from ->
+        {plans, [ack(plans, from, @denied, type)]}
+
+      m.count == 0 ->
+        cleared = put(plans, type, [])
+        {cleared, [ack(cleared, from, @accepted, type), {:cleared, type}]}
+
+      true ->
+        upload = %{
+          type: type,
+          count: m.count,
+          next: 0,
+          items: [],
+          from: from,
+          progress_at: now,
+          asked_at: now
+        }
+
+        {%{plans | upload: upload}, [request(plans, upload)]}
+    end
+  end
+
+  defp take(%{upload: %{from: from} = upload} = plans, item, type, from, now) when type == upload.type do
+    cond do
+      item.seq != upload.next -> out_of_sequence(plans, upload, item)
+      (refusal = refusal(plans, type, item)) != nil -> refuse(plans, upload, refusal)
+      item.seq + 1 == upload.count -> store(plans, upload, item)
+      true -> ask_next(plans, upload, item, now)
+    end
+  end
+
+  defp take(%{style: :ardupilot} = plans, _item, type, from, _now),
+    do: {plans, [ack(plans, from, @error, type)]}
+
+  defp take(plans, _item, _type, _from, _now), do: {plans, []}
+
+  defp ask_next(plans, upload, item, now) do
+    upload = %{upload | items: [item | upload.items], next: upload.next + 1, progress_at: now, asked_at: now}
+    {%{plans | upload: upload}, [request(plans, upload)]}
+  end
+
+  defp store(plans, upload, item) do
+    stored = %{put(plans, upload.type, Enum.reverse([item | upload.items])) | upload: nil}
+    {stored, [ack(stored, upload.from, @accepted, upload.type), {:stored, upload.type}]}
+  end
+
+  defp out_of_sequence(%{style: :ardupilot} = plans, upload, _item),
+    do: {plans, [ack(plans, upload.from, @invalid_sequence, upload.type)]}
+
+  # The item before came twice: not worth an answer.
+  defp out_of_sequence(plans, upload, item) when item.seq == upload.next - 1, do: {plans, []}
+  defp out_of_sequence(plans, upload, _item), do: {plans, [request(plans, upload)]}
+
+  defp refuse(plans, upload, result) do
+    text = if plans.style == :px4, do: [{:text, 2, "IGN MISSION_ITEM: Invalid item\t"}], else: []
+    {%{plans | upload: nil}, [ack(plans, upload.from, result, upload.type) | text]}
+  end
+
+  defp refusal(plans, type, item) do
+    frames = if plans.style == :px4, do: @px4_frames, else: @frames
+
+    cond do
+      item.command not in @commands[type] -> @unsupported
+      item.frame not in frames[type] -> @unsupported_frame
+      plans.style == :ardupilot and item.frame != 2 and beyond_globe?(item) -> @invalid_x
+      true -> nil
+    end
+  end
+
+  defp beyond_globe?(item), do: abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000
+
+  defp request(%{style: :px4}, upload) do
+    {system, component} = upload.from
+
+    %M.MissionRequestInt{
+      target_system: system,
+      target_component: component,
+      seq: upload.next,
+      mission_type: upload.type
+    }
+  end
+
+  defp request(_ardupilot, upload) do
+    {system, component} = upload.from
+
+    %M.MissionRequest{
+      target_system: system,
+      target_component: component,
+      seq: upload.next,
+      mission_type: upload.type
+    }
+  end
+
+  # --- download ---
+
+  defp count_message(plans, type, {system, component}, home) do
+    %M.MissionCount{
+      target_system: system,
+      target_component: component,
+      count: length(shown(plans, type, home)),
+      mission_type: type
+    }
+  end
+
+  defp read(plans, m, from, home, coding) do
+    shown = if valid_type(plans, m.mission_type), do: shown(plans, m.mission_type, home), else: []
+
+    case Enum.at(shown, m.seq) do
+      nil when plans.style == :ardupilot -> {plans, [ack(plans, from, @invalid_sequence, m.mission_type)]}
+      nil -> {plans, []}
+      item -> {plans, [item_message(item, m.seq, m.mission_type, from, coding)]}
+    end
+  end
+
+  # ArduPilot keeps home as item 0 once a mission was loaded, whatever was uploaded there.
+  defp shown(%{style: :ardupilot} = plans, 0, home) when home != nil do
+    case items(plans, 0) do
+      [] -> []
+      [_uploaded | rest] -> [home | rest]
+    end
+  end
+
+  defp shown(plans, type, _home), do: items(plans, type)
+
+  defp item_message(item, seq, type, {system, component}, :int) do
+    {p1, p2, p3, p4} = item.params
+
+    %M.MissionItemInt{
+      target_system: system,
+      target_component: component,
+      seq: seq,
+      frame: item.frame,
+      command: item.command,
+      current: item.current,
+      autocontinue: item.autocontinue,
+      param1: p1,
+      param2: p2,
+      param3: p3,
+      param4: p4,
+      x: item.x,
+      y: item.y,
+      z: item.z,
+      mission_type: type
+    }
+  end
+
+  defp item_message(item, seq, type, from, :float) do
+    int = item_message(item, seq, type, from, :int)
+    fields = int |> Map.from_struct() |> Map.merge(%{x: item.x / 1.0e7, y: item.y / 1.0e7})
+    struct!(M.MissionItem, fields)
+  end
+
+  defp item(m, scale) do
+    %{
+      seq: m.seq,
+      frame: m.frame,
+      command: m.command,
+      current: 0,
+      autocontinue: m.autocontinue,
+      params: {m.param1, m.param2, m.param3, m.param4},
+      x: coordinate(m.x, scale),
+      y: coordinate(m.y, scale),
+      z: Real32.number(m.z) || 0.0
+    }
+  end
+
+  defp coordinate(value, 1), do: value
+  defp coordinate(value, scale) when is_number(value) and abs(value) < 200, do: round(value * scale)
+  defp coordinate(_value, _scale), do: 2_147_483_647
+
+  defp ack(plans, {system, component}, result, type) do
+    opaque = if plans.style == :px4 and result == @accepted, do: Map.get(plans.opaque, type, 0), else: 0
+
+    %M.MissionAck{
+      target_system: system,
+      target_component: component,
+      type: result,
+      mission_type: type,
+      opaque_id: opaque
+    }
+  end
+
+  # PX4 identifies a plan by a checksum of it; the value has no meaning, only that it changes (W7).
+  defp fresh_opaque(plans, type) do
+    items = items(plans, type)
+    id = if items == [], do: 0, else: :erlang.crc32(:erlang.term_to_binary(items)) ||| 1
+    %{plans | opaque: Map.put(plans.opaque, type, id)}
+  end
+
+  defp valid_type(plans, type), do: is_map_key(plans.items, type)
+end

@@ -1,0 +1,282 @@
+defmodule SimVehicle.Px4 do
+  @moduledoc """
+  PX4 1.17.0 as its recordings show it.
+
+  Two acknowledgements for a change of mode, commands that are never answered, texts with a tab beside events, texts
+  held back while no ground station is heard, its own commands leaking out, parameters as bytes in floats with
+  `_HASH_CHECK`, reached mission items told again and again.
+  """
+
+  @behaviour SimVehicle.Personality
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.{Flight, Params, Requests, Setpoints, Telemetry, Vehicle}
+  alias SimVehicle.Flight.Mission
+  alias SimVehicle.Px4.{Arming, Commands, Events, Failsafes, Missions, Modes, Reports}
+
+  @streamed [
+              0,
+              1,
+              2,
+              24,
+              29,
+              30,
+              31,
+              32,
+              33,
+              36,
+              42,
+              49,
+              65,
+              74,
+              85,
+              87,
+              105,
+              141,
+              147,
+              148,
+              230,
+              241,
+              242,
+              245
+            ] ++
+              [300, 360, 411, 435, 436, 4]
+
+  # Sent out unasked after every boot.
+  @unasked ~w(CAL_ACC0_ID CAL_BARO0_ID CAL_BARO0_OFF CAL_BARO0_PRIO CAL_GYRO0_ID CAL_MAG0_ID CAL_MAG0_PRIO
+              SENS_BOARD_X_OFF SENS_DPRES_OFF SYS_AUTOCONFIG SYS_AUTOSTART)
+
+  @impl SimVehicle.Personality
+  def params, do: Params.new(Params.Px4.definitions(), :bytewise)
+
+  @impl SimVehicle.Personality
+  def plan_style, do: :px4
+
+  @impl SimVehicle.Personality
+  def rates do
+    %{
+      0 => 1,
+      1 => 1,
+      4 => 0.1,
+      24 => 5,
+      29 => 1,
+      30 => 10,
+      31 => 10,
+      32 => 10,
+      33 => 10,
+      36 => 4,
+      42 => 1,
+      74 => 4,
+      85 => 4,
+      87 => 1,
+      141 => 1,
+      147 => 0.5,
+      230 => 0.5,
+      241 => 0.1,
+      242 => 0.5,
+      245 => 1,
+      360 => 2,
+      411 => 0.33,
+      436 => 0.5
+    }
+  end
+
+  @impl SimVehicle.Personality
+  def limits(params) do
+    %{
+      speed: positive(params, "MPC_XY_CRUISE"),
+      up: positive(params, "MPC_Z_V_AUTO_UP"),
+      down: positive(params, "MPC_Z_V_AUTO_DN"),
+      takeoff: positive(params, "MPC_TKO_SPEED"),
+      land_fast: positive(params, "MPC_Z_V_AUTO_DN"),
+      land_slow: positive(params, "MPC_LAND_SPEED"),
+      land_slow_below: Params.get(params, "MPC_LAND_ALT2"),
+      radius: positive(params, "NAV_ACC_RAD"),
+      orbit: 10.0,
+      rtl_alt: Params.get(params, "RTL_RETURN_ALT"),
+      rtl_wait: 0.0,
+      spool: 1.0
+    }
+  end
+
+  @impl SimVehicle.Personality
+  def boot(v) do
+    v = %{v | mode: "AUTO_LOITER"}
+    v = Enum.reduce(@unasked, v, &Vehicle.emit(&2, Requests.param_value(&2, &1)))
+    Events.tell(v, :log_opened, log_name(v))
+  end
+
+  @impl SimVehicle.Personality
+  def tick(v), do: v |> home() |> Arming.tick() |> Missions.tick() |> Failsafes.tick()
+
+  # A command for another component is not answered at all.
+  @impl SimVehicle.Personality
+  def addressed?(v, {system, component}), do: system in [0, v.system] and component in [0, v.component]
+
+  @impl SimVehicle.Personality
+  defdelegate command(v, command), to: Commands
+
+  @impl SimVehicle.Personality
+  defdelegate text(v, severity, text), to: Events
+
+  @impl SimVehicle.Personality
+  def gcs_heard(v, _system), do: v |> Events.release() |> Failsafes.gcs_heard()
+
+  @impl SimVehicle.Personality
+  defdelegate failsafe(v, kind, on?), to: Failsafes, as: :set
+
+  @impl SimVehicle.Personality
+  defdelegate plan_changed(v, kind, type), to: Missions
+
+  @impl SimVehicle.Personality
+  defdelegate mission_rtl(v), to: Missions, as: :rtl
+
+  @impl SimVehicle.Personality
+  def flight_event(v, :airborne) do
+    v = Vehicle.put_own(%{v | landed: :taking_off}, :landed_at, nil)
+    Events.tell(v, :takeoff, [], {6, "Takeoff detected"})
+  end
+
+  def flight_event(v, :takeoff_done) do
+    v = Vehicle.put_own(%{v | landed: :in_air}, :takeoff_alt, nil)
+    if v.mode == "AUTO_TAKEOFF", do: Modes.enter(v, "AUTO_LOITER"), else: v
+  end
+
+  def flight_event(v, {:phase, :land}) do
+    v = %{v | landed: :landing}
+    if v.mode == "AUTO_RTL", do: Events.tell(v, :return_landing, [], {6, "RTL: land at destination"}), else: v
+  end
+
+  def flight_event(v, {:touchdown, _speed}), do: v
+
+  def flight_event(v, :landed) do
+    %{v | landed: :on_ground}
+    |> Vehicle.put_own(:landed_at, if(v.armed, do: v.now))
+    |> Events.tell(:landing_detected, [], {6, "Landing detected"})
+  end
+
+  def flight_event(v, {:item, _item}), do: %{v | landed: if(v.airborne, do: :in_air, else: v.landed)}
+  def flight_event(v, {:reached, _kind, seq}), do: Missions.reached(%{v | landed: :in_air}, seq)
+  def flight_event(v, :mission_done), do: Missions.done(v)
+  def flight_event(v, _event), do: v
+
+  @impl SimVehicle.Personality
+  def message(v, %M.ParamRequestList{}, _source) do
+    # 64 in a step would be a burst that no radio takes; the firmware paces the list as well.
+    names = ["_HASH_CHECK" | Enum.map(0..(Params.count(v.params) - 1)//1, &Params.name_at(v.params, &1))]
+
+    names
+    |> Enum.chunk_every(20)
+    |> Enum.with_index()
+    |> Enum.reduce(v, fn {chunk, n}, v -> Enum.reduce(chunk, v, &list_param(&2, &1, n * 20_000)) end)
+  end
+
+  def message(v, %M.ParamRequestRead{param_index: -1, param_id: "_HASH_CHECK"}, _source),
+    do: Vehicle.emit(v, Requests.param_value(v, "_HASH_CHECK"))
+
+  # An unknown parameter is not answered by this version.
+  def message(v, %M.ParamRequestRead{} = m, _source) do
+    case Requests.wanted_param(v, m) do
+      nil -> v
+      name -> Vehicle.emit(v, Requests.param_value(v, name))
+    end
+  end
+
+  # Answered, and told to everybody once more.
+  def message(v, %M.ParamSet{} = m, _source) do
+    case Requests.set_param(v, m) do
+      {:ok, v} ->
+        value = Requests.param_value(v, m.param_id)
+        v |> Vehicle.emit(value) |> Vehicle.later(20_000, value)
+
+      {:error, _refused} ->
+        v
+    end
+  end
+
+  def message(v, %M.SetMode{custom_mode: custom}, {system, component}) do
+    # SET_MODE is taken as the command of the same meaning, without an answer of its own.
+    main = Bitwise.band(Bitwise.bsr(custom, 16), 0xFF)
+    sub = Bitwise.band(Bitwise.bsr(custom, 24), 0xFF)
+    params = {1.0, main * 1.0, sub * 1.0, 0.0, 0.0, 0.0, 0.0}
+    Commands.command(v, %SimVehicle.Command{id: 176, params: params, source: {system, component}})
+  end
+
+  def message(v, %M.MissionSetCurrent{seq: seq}, _source) do
+    {_ok?, v} = Mission.set_current(v, seq)
+    v
+  end
+
+  def message(v, %module{} = m, _source)
+      when module in [M.SetPositionTargetLocalNed, M.SetPositionTargetGlobalInt] do
+    case Setpoints.goal(v, m, 60_000_000) do
+      {:ok, goal} -> v |> setpoint_heard() |> offboard(goal)
+      :ignored -> v
+    end
+  end
+
+  def message(v, %M.Timesync{} = m, source) do
+    case Requests.timesync(v, m, source) do
+      nil -> v
+      answer -> Vehicle.emit(v, answer)
+    end
+  end
+
+  def message(v, %M.Ping{target_system: 0} = m, {system, component}) do
+    Vehicle.emit(v, %{m | target_system: system, target_component: component})
+  end
+
+  def message(v, %M.RequestEvent{} = m, source), do: Events.again(v, m, source)
+  def message(v, %M.LogRequestList{}, _source), do: Vehicle.emit(v, %M.LogEntry{})
+  def message(v, _message, _source), do: v
+
+  @doc "The ids that this firmware streams."
+  @spec streamed() :: [non_neg_integer]
+  def streamed, do: @streamed
+
+  @impl SimVehicle.Personality
+  defdelegate telemetry(v, id), to: Reports, as: :message
+
+  defp list_param(v, name, 0), do: Vehicle.emit(v, Requests.param_value(v, name))
+  defp list_param(v, name, delay), do: Vehicle.later(v, delay, Requests.param_value(v, name))
+
+  defp setpoint_heard(v) do
+    setpoints =
+      case Vehicle.own(v, :setpoints) do
+        %{last: last} = stream when v.now - last < 500_000 -> %{stream | last: v.now}
+        _none_or_stale -> %{first: v.now, last: v.now}
+      end
+
+    Vehicle.put_own(v, :setpoints, setpoints)
+  end
+
+  defp offboard(%{mode: "OFFBOARD", armed: true, airborne: true} = v, goal), do: Flight.go(v, goal)
+
+  # On the ground a setpoint that wants to go up is how an offboard controller takes off.
+  defp offboard(%{mode: "OFFBOARD", armed: true} = v, %{d: d}) when d < -1.0,
+    do:
+      if(match?(%{do: :takeoff}, v.flight),
+        do: v,
+        else: v |> Vehicle.put_own(:takeoff_alt, v.origin.alt - d) |> Modes.takeoff()
+      )
+
+  defp offboard(v, _goal), do: v
+
+  # Home is known as soon as there is a position of any quality.
+  defp home(%{home: nil} = v) do
+    if v.now * 4 >= v.ready_us,
+      do:
+        %{v | home: %{lat: v.origin.lat, lon: v.origin.lon, alt: v.origin.alt}}
+        |> then(&Vehicle.emit(&1, Telemetry.message(&1, 49))),
+      else: v
+  end
+
+  defp home(v), do: v
+
+  defp positive(params, name), do: max(Params.get(params, name), 0.1)
+
+  defp log_name(v) do
+    at = DateTime.from_unix!(max(v.epoch, 0), :microsecond)
+    [at.year, at.month, at.day, at.hour, at.minute, at.second]
+  end
+end

@@ -1,0 +1,88 @@
+defmodule SimVehicle.Px4.Arming do
+  @moduledoc """
+  PX4's arming and disarming, with its events.
+  """
+
+  alias SimVehicle.{Command, Params, Vehicle}
+  alias SimVehicle.Px4.{Events, Modes}
+
+  @accepted 0
+  @temporarily_rejected 1
+  @force 21_196
+
+  # Reasons of commander_disarmed_by.
+  @by_command 4
+  @by_landing 6
+  @by_preflight 7
+
+  @doc "COMPONENT_ARM_DISARM with 1. Forcing does not help against failing checks in this version."
+  @spec arm(Vehicle.t(), Command.t()) :: Vehicle.t()
+  def arm(%{armed: true} = v, c), do: Vehicle.ack(v, c, @accepted)
+
+  def arm(v, c) do
+    if healthy?(v) and Modes.available?(v, v.mode) do
+      v
+      |> Vehicle.ack(c, @accepted)
+      |> Events.tell(:armed, [@by_command], {6, "Armed by external command"})
+      |> Vehicle.arm()
+      |> Modes.enter(v.mode)
+    else
+      v
+      |> Vehicle.ack(c, @temporarily_rejected)
+      |> Events.tell(:arming_denied, [], {2, "Arming denied: Resolve system health failures first"})
+    end
+  end
+
+  @doc "COMPONENT_ARM_DISARM with 0."
+  @spec disarm(Vehicle.t(), Command.t(), number) :: Vehicle.t()
+  def disarm(%{armed: false} = v, c, _force), do: Vehicle.ack(v, c, @accepted)
+
+  def disarm(%{airborne: true} = v, c, force) when force != @force do
+    v
+    |> Vehicle.ack(c, @temporarily_rejected)
+    |> Events.tell(:disarming_denied, [], {2, "Disarming denied: not landed"})
+  end
+
+  def disarm(v, c, _force), do: v |> Vehicle.ack(c, @accepted) |> stop(@by_command)
+
+  @doc "True when the checks pass that do not depend on the mode."
+  @spec healthy?(Vehicle.t()) :: boolean
+  def healthy?(v), do: Vehicle.positioned?(v) and not MapSet.member?(v.failsafes, :battery_critical)
+
+  @doc "Stops the motors. Back on the ground the mode is hold again."
+  @spec stop(Vehicle.t(), integer) :: Vehicle.t()
+  def stop(v, reason) do
+    words = %{@by_landing => "Disarmed by landing", @by_preflight => "Disarmed by auto preflight disarming"}
+    text = Map.get(words, reason, "Disarmed by external command")
+    v = v |> Events.tell(:disarmed, [reason], {6, text}) |> Vehicle.disarm()
+    v = if v.airborne, do: v, else: %{v | landed: :on_ground}
+
+    if v.mode in ["AUTO_LAND", "AUTO_RTL", "AUTO_TAKEOFF"] and not v.airborne,
+      do: Modes.enter(v, "AUTO_LOITER"),
+      else: v
+  end
+
+  @doc "Disarms by itself: two seconds after a landing, ten after arming without taking off."
+  @spec tick(Vehicle.t()) :: Vehicle.t()
+  def tick(%{armed: true, airborne: false} = v) do
+    landed_at = Vehicle.own(v, :landed_at)
+    after_landing = Params.get(v.params, "COM_DISARM_LAND")
+    after_arming = Params.get(v.params, "COM_DISARM_PRFLT")
+
+    cond do
+      landed_at != nil and after_landing > 0 and v.now - landed_at >= after_landing * 1.0e6 ->
+        stop(v, @by_landing)
+
+      landed_at == nil and after_arming > 0 and idle_for(v) >= after_arming * 1.0e6 ->
+        stop(v, @by_preflight)
+
+      true ->
+        v
+    end
+  end
+
+  def tick(v), do: v
+
+  defp idle_for(%{flight: :idle} = v), do: v.now - v.armed_at
+  defp idle_for(_v), do: 0
+end

@@ -1,0 +1,223 @@
+defmodule SimVehicle.Px4.Commands do
+  @moduledoc """
+  COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: modes twice, some never, refusals with an event.
+  """
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.{Command, Flight, Geo, Params, Px4, Requests, Telemetry, Vehicle}
+  alias SimVehicle.Flight.Goal
+  alias SimVehicle.Px4.{Arming, Events, Modes}
+
+  @accepted 0
+  @temporarily_rejected 1
+  @denied 2
+  @unsupported 3
+  @failed 4
+
+  # Known to PX4 1.17 and never answered: a gimbal's control and a VTOL's transition without either.
+  @silent [205, 3000]
+  # Accepted with nothing to see.
+  @shrugged [401, 519, 195, 197, 1000, 1001, 2003, 183, 187]
+  # The breaker that keeps flight termination from working.
+  @termination_off 121_212
+
+  @doc "Carries out a command that is addressed to the vehicle."
+  @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
+  def command(v, command), do: run(v, command, command.id)
+
+  # COMPONENT_ARM_DISARM
+  defp run(v, c, 400) do
+    case {Command.p(c, 1, nil), Command.p(c, 2)} do
+      {p1, _force} when p1 == 1.0 -> Arming.arm(v, c)
+      {p1, force} when p1 == 0.0 -> Arming.disarm(v, c, force)
+      {p1, _force} -> arm_argument(v, p1 || :nan)
+    end
+  end
+
+  # DO_SET_MODE: 1.17.0 says yes at once, then what the commander really thinks; nonsense gets only the first.
+  defp run(v, c, 176) do
+    {main, sub} = {trunc(Command.p(c, 2)), trunc(Command.p(c, 3))}
+    v = Vehicle.ack(v, c, @accepted)
+
+    if Modes.main?(main) do
+      {result, changed} = Modes.request(v, main, sub)
+      # The second answer is overtaken by neither text nor event.
+      insert_ack(v, changed, c, result)
+    else
+      v
+    end
+  end
+
+  # NAV_TAKEOFF: the altitude is above the sea
+  defp run(v, c, 22) do
+    if Vehicle.positioned?(v) do
+      {_lat, _lon, alt} = Command.location(c)
+      v = Vehicle.ack(v, c, @accepted)
+      v |> Vehicle.put_own(:takeoff_alt, alt) |> Modes.enter("AUTO_TAKEOFF")
+    else
+      Vehicle.ack(v, c, @temporarily_rejected)
+    end
+  end
+
+  # NAV_LAND
+  defp run(v, c, 21) do
+    if Modes.available?(v, "AUTO_LAND") do
+      v
+      |> Events.tell(:landing_here, [], {6, "Landing at current position"})
+      |> Vehicle.ack(c, @accepted)
+      |> Modes.enter("AUTO_LAND")
+    else
+      Vehicle.ack(v, c, @temporarily_rejected)
+    end
+  end
+
+  defp run(v, c, 17), do: mode(v, c, "AUTO_LOITER")
+  defp run(v, c, 20), do: mode(v, c, "AUTO_RTL")
+
+  # DO_REPOSITION
+  defp run(v, c, 192) do
+    {lat, lon, alt} = Command.location(c)
+
+    cond do
+      not Vehicle.positioned?(v) -> Vehicle.ack(v, c, @temporarily_rejected)
+      not v.airborne -> Vehicle.ack(v, c, @accepted)
+      true -> reposition(v, c, lat, lon, alt)
+    end
+  end
+
+  # DO_ORBIT
+  defp run(%{airborne: true} = v, c, 34) do
+    {lat, lon, alt} = Command.location(c)
+    {n, e} = if lat && lon, do: Geo.to_local(v.origin, lat, lon), else: {v.kin.n, v.kin.e}
+    radius = min(max(abs(Command.p(c, 1, 10.0)), 1.0), 1000.0)
+    d = if alt, do: v.origin.alt - alt, else: v.kin.d
+    v = v |> Vehicle.ack(c, @accepted) |> Modes.enter("ORBIT")
+    goal = Goal.orbit(n, e, d, radius, min(max(abs(Command.p(c, 2, 3.0)), 0.5), 10.0))
+    v |> Flight.go(goal) |> Vehicle.put_own(:orbit, goal)
+  end
+
+  defp run(v, c, 34), do: Vehicle.ack(v, c, @temporarily_rejected)
+
+  # DO_CHANGE_SPEED
+  defp run(v, c, 178) do
+    speed = Command.p(c, 2, -1.0)
+    v = Vehicle.ack(v, c, @accepted)
+
+    if speed > 0,
+      do: %{v | limits: %{v.limits | speed: min(speed, Params.get(v.params, "MPC_XY_VEL_MAX"))}},
+      else: v
+  end
+
+  # DO_SET_HOME: any latitude is taken, and shown
+  defp run(v, c, 179) do
+    {lat, lon, alt} = if Command.p(c, 1) == 1.0, do: here(v), else: Command.location(c)
+
+    if lat && lon && alt,
+      do: %{v | home: %{lat: lat, lon: lon, alt: alt * 1.0}} |> Vehicle.ack(c, @accepted),
+      else: Vehicle.ack(v, c, @denied)
+  end
+
+  # MISSION_START
+  defp run(v, c, 300) do
+    if Modes.mission?(v),
+      do: mode(v, c, "AUTO_MISSION"),
+      else:
+        v
+        |> Vehicle.ack(c, @denied)
+        |> Events.tell(:mission_denied, [], {2, "Mission start denied! No valid mission"})
+  end
+
+  # DO_FLIGHTTERMINATION
+  defp run(v, c, 185) do
+    if Params.get(v.params, "CBRK_FLIGHTTERM") == @termination_off or Command.p(c, 1) <= 0.5,
+      do: Vehicle.ack(v, c, @denied),
+      else: v |> Vehicle.ack(c, @accepted) |> Arming.stop(1)
+  end
+
+  # PREFLIGHT_CALIBRATION, PREFLIGHT_STORAGE, PREFLIGHT_REBOOT_SHUTDOWN, DO_MOTOR_TEST (310)
+  defp run(v, c, id) when id in [241, 245],
+    do: Vehicle.ack(v, c, if(v.armed, do: @temporarily_rejected, else: @accepted))
+
+  defp run(v, c, 246) do
+    cond do
+      v.armed -> Vehicle.ack(v, c, @denied)
+      Command.p(c, 1) == 1.0 -> v |> Vehicle.ack(c, @accepted) |> Vehicle.reboot()
+      true -> Vehicle.ack(v, c, @denied)
+    end
+  end
+
+  defp run(v, c, 310), do: Vehicle.ack(v, c, @denied)
+
+  # INJECT_FAILURE: the battery's is answered to everybody, another unit's to nobody
+  defp run(v, c, 420) do
+    case {trunc(Command.p(c, 1)), trunc(Command.p(c, 2))} do
+      {100, 1} -> v |> broadcast_ack(c) |> Px4.failsafe(:battery_critical, true)
+      {100, 0} -> v |> broadcast_ack(c) |> Px4.failsafe(:battery_critical, false)
+      {4, 1} -> v |> broadcast_ack(c) |> Px4.failsafe(:gps, true)
+      {4, 0} -> v |> broadcast_ack(c) |> Px4.failsafe(:gps, false)
+      _unknown_unit -> v
+    end
+  end
+
+  defp run(v, c, 511), do: Requests.set_interval(v, c, Px4.streamed())
+
+  defp run(v, c, 510),
+    do: v |> Vehicle.emit(Requests.interval(v, c, Px4.streamed())) |> Vehicle.ack(c, @accepted)
+
+  # REQUEST_MESSAGE: the message comes before the acknowledgement
+  defp run(v, c, 512) do
+    id = trunc(Command.p(c, 1))
+
+    case requested(v, c, id) do
+      nil ->
+        Vehicle.ack(v, c, if(id in Px4.streamed(), do: @failed, else: @denied))
+
+      messages ->
+        messages |> List.wrap() |> Enum.reduce(v, &Vehicle.emit(&2, &1)) |> Vehicle.ack(c, @accepted)
+    end
+  end
+
+  # REQUEST_AUTOPILOT_CAPABILITIES
+  defp run(v, c, 520), do: v |> Vehicle.emit(Telemetry.message(v, 148)) |> Vehicle.ack(c, @accepted)
+  defp run(v, _c, id) when id in @silent, do: v
+  defp run(v, c, id) when id in @shrugged, do: Vehicle.ack(v, c, @accepted)
+  defp run(v, c, _unknown), do: Vehicle.ack(v, c, @unsupported)
+
+  defp requested(_v, c, 435), do: Modes.available(trunc(Command.p(c, 2)))
+  defp requested(v, _c, id), do: if(id in Px4.streamed() or id in [148, 300], do: Telemetry.message(v, id))
+
+  defp mode(v, c, name) do
+    {result, changed} = Modes.change(v, name)
+    insert_ack(v, changed, c, result)
+  end
+
+  # The acknowledgement goes before what the change of mode had to say.
+  defp insert_ack(before, changed, c, result) do
+    said = Enum.drop(changed.out, -length(before.out))
+    acked = Vehicle.ack(%{changed | out: before.out}, c, result)
+    %{acked | out: said ++ acked.out}
+  end
+
+  # The text and nothing else.
+  defp arm_argument(v, p1) do
+    shown = if is_number(p1), do: :erlang.float_to_binary(p1 * 1.0, decimals: 3), else: "nan"
+    Events.tell(v, :arm_argument, [p1], {2, "Unsupported ARM_DISARM param: #{shown}"})
+  end
+
+  defp reposition(v, c, lat, lon, alt) do
+    v = v |> Vehicle.ack(c, @accepted) |> Modes.enter("AUTO_LOITER")
+    {n, e} = if lat && lon, do: Geo.to_local(v.origin, lat, lon), else: {v.kin.n, v.kin.e}
+    d = if alt, do: v.origin.alt - alt - relative(v, c), else: v.kin.d
+    Flight.go(v, Goal.goto(n, e, d, yaw: Command.p(c, 4, nil)))
+  end
+
+  defp relative(v, %{int?: true, frame: frame}) when frame in [3, 6], do: (v.home || v.origin).alt
+  defp relative(_v, _c), do: 0.0
+
+  defp here(v) do
+    {lat, lon} = Vehicle.position(v)
+    {lat, lon, Vehicle.altitude(v)}
+  end
+
+  defp broadcast_ack(v, c), do: Vehicle.emit(v, %M.CommandAck{command: c.id, result: @accepted})
+end

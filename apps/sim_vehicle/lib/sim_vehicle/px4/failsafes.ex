@@ -1,0 +1,127 @@
+defmodule SimVehicle.Px4.Failsafes do
+  @moduledoc """
+  PX4's failsafes. Most first hold for five seconds (`COM_FAIL_ACT_T`), so that a pilot may take over, then return.
+  """
+
+  alias SimVehicle.{Battery, Params, Vehicle}
+  alias SimVehicle.Px4.{Arming, Events, Modes}
+
+  @hold_us 5_000_000
+  # Causes and actions as numbered in commander_failsafe_enter.
+  @battery_cause 6
+  @action_rtl 5
+  @action_land 6
+
+  @doc "A failsafe begins or ends."
+  @spec set(Vehicle.t(), atom, boolean) :: Vehicle.t()
+  def set(v, kind, true) do
+    if MapSet.member?(v.failsafes, kind) do
+      v
+    else
+      %{v | failsafes: MapSet.put(v.failsafes, kind)}
+      |> Vehicle.notify({:failsafe, kind, true})
+      |> begin(kind)
+    end
+  end
+
+  def set(v, kind, false) do
+    if MapSet.member?(v.failsafes, kind),
+      do:
+        %{v | failsafes: MapSet.delete(v.failsafes, kind)}
+        |> Vehicle.notify({:failsafe, kind, false})
+        |> recharge(kind),
+      else: v
+  end
+
+  @doc "The ground station is back."
+  @spec gcs_heard(Vehicle.t()) :: Vehicle.t()
+  def gcs_heard(v), do: set(v, :gcs, false)
+
+  @doc "Looks at charge, offboard setpoints, and whether a hold is over."
+  @spec tick(Vehicle.t()) :: Vehicle.t()
+  def tick(%{armed: false} = v),
+    do: if(Vehicle.own(v, :act_at), do: Vehicle.put_own(v, :act_at, nil), else: v)
+
+  def tick(v), do: v |> battery() |> offboard() |> act()
+
+  defp battery(v) do
+    left = Battery.remaining(v.battery)
+
+    cond do
+      left <= Params.get(v.params, "BAT_CRIT_THR") -> set(v, :battery_critical, true)
+      left <= Params.get(v.params, "BAT_LOW_THR") -> set(v, :battery, true)
+      true -> v
+    end
+  end
+
+  defp offboard(%{mode: "OFFBOARD"} = v) do
+    case Vehicle.own(v, :setpoints) do
+      %{last: last} ->
+        if v.now - last > Params.get(v.params, "COM_OF_LOSS_T") * 1.0e6 + 500_000,
+          do: hold_then_return(v),
+          else: v
+
+      nil ->
+        hold_then_return(v)
+    end
+  end
+
+  defp offboard(v), do: v
+
+  defp act(v) do
+    at = Vehicle.own(v, :act_at)
+
+    if at && v.now >= at do
+      v = Vehicle.put_own(v, :act_at, nil)
+      # Somebody who took over in the meantime keeps the vehicle.
+      if v.airborne and v.mode == "AUTO_LOITER", do: enter(v, "AUTO_RTL", @action_rtl), else: v
+    else
+      v
+    end
+  end
+
+  defp begin(v, :battery) do
+    left = min(Battery.remaining(v.battery), Params.get(v.params, "BAT_LOW_THR"))
+    v = %{v | battery: Battery.set_remaining(v.battery, left)}
+    Events.tell(v, :battery_low, [], {2, "Low battery"})
+  end
+
+  defp begin(v, :battery_critical) do
+    left = min(Battery.remaining(v.battery), Params.get(v.params, "BAT_CRIT_THR"))
+    v = %{v | battery: Battery.set_remaining(v.battery, left)}
+    v = Vehicle.text(v, 2, "Critical battery\t")
+    if v.armed, do: hold_then_return(v), else: v
+  end
+
+  defp begin(v, kind) when kind in [:gps, :ekf] do
+    v = if kind == :gps, do: Vehicle.text(v, 2, "Preflight Fail: GPS fix too low\t"), else: v
+    if v.airborne and v.armed, do: enter(v, "AUTO_LAND", @action_land), else: v
+  end
+
+  defp begin(v, :fence), do: if(v.airborne and v.armed, do: enter(v, "AUTO_LOITER", 4), else: v)
+
+  defp begin(v, kind) when kind in [:gcs, :rc],
+    do: if(v.airborne and v.armed, do: hold_then_return(v), else: v)
+
+  defp hold_then_return(%{airborne: false} = v), do: Arming.stop(v, 7)
+
+  defp hold_then_return(v) do
+    v
+    |> Events.tell(
+      :failsafe_hold,
+      [Modes.number(v.mode), @battery_cause, @action_rtl, 5],
+      {2, "Failsafe activated: entering Hold for 5 seconds"}
+    )
+    |> Modes.enter("AUTO_LOITER")
+    |> Vehicle.put_own(:act_at, v.now + @hold_us)
+  end
+
+  defp enter(v, mode, action) do
+    v
+    |> Events.tell(:failsafe, [Modes.number(v.mode), action, @battery_cause], {2, "Failsafe activated"})
+    |> Modes.enter(mode)
+  end
+
+  defp recharge(v, :battery_critical), do: %{v | battery: Battery.set_remaining(v.battery, 1.0)}
+  defp recharge(v, _kind), do: v
+end

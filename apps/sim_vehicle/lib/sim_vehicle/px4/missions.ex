@@ -1,0 +1,113 @@
+defmodule SimVehicle.Px4.Missions do
+  @moduledoc """
+  What is PX4's own about missions: the feasibility check after the upload, reached items told once a second, what
+  happens at the end.
+  """
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.{Geo, Params, Plans, Vehicle}
+  alias SimVehicle.Flight.Mission
+  alias SimVehicle.Px4.{Events, Internal, Modes}
+
+  @repeat_us 1_010_000
+  @repeat_for_us 10_200_000
+  @far_m 10_000
+
+  @doc "A plan was replaced or cleared: an accepted mission may still be rejected, which only an event tells."
+  @spec plan_changed(Vehicle.t(), :stored | :cleared, 0..2) :: Vehicle.t()
+  def plan_changed(v, _kind, 0) do
+    v = v |> Mission.reset() |> Vehicle.put_own(:reached, nil) |> Vehicle.put_own(:mission_feasible, true)
+    check(v, Plans.items(v.plans, 0))
+  end
+
+  def plan_changed(v, :stored, 1) do
+    corners =
+      for %{command: 5002} = item <- Plans.items(v.plans, 1), do: Geo.to_local(v.origin, item.x, item.y)
+
+    home = v.home && Geo.to_local(v.origin, v.home.lat, v.home.lon)
+
+    if home && length(corners) >= 3 && Geo.inside?(corners, home),
+      do: Events.tell(v, :geofence_invalid, [], {2, "Geofence invalid, doesn't contain Home position"}),
+      else: v
+  end
+
+  def plan_changed(v, _kind, _type), do: v
+
+  @doc "Item `seq` was reached, or carried out."
+  @spec reached(Vehicle.t(), non_neg_integer) :: Vehicle.t()
+  def reached(v, seq), do: Vehicle.put_own(v, :reached, %{seq: seq, since: v.now, next: v.now})
+
+  @doc "Tells the last item that was reached, again every second for ten seconds."
+  @spec tick(Vehicle.t()) :: Vehicle.t()
+  def tick(v) do
+    case Vehicle.own(v, :reached) do
+      %{since: since} when v.now - since > @repeat_for_us ->
+        Vehicle.put_own(v, :reached, nil)
+
+      %{next: next, seq: seq} = reached when v.now >= next ->
+        v
+        |> Vehicle.put_own(:reached, %{reached | next: next + @repeat_us})
+        |> Vehicle.emit(%M.MissionItemReached{seq: seq})
+
+      _nothing_due ->
+        v
+    end
+  end
+
+  @doc "The end of the mission."
+  @spec done(Vehicle.t()) :: Vehicle.t()
+  def done(v) do
+    v = Events.tell(v, :mission_finished, [], {6, "Mission finished, loitering"})
+    if v.mode == "AUTO_MISSION", do: Modes.enter(v, "AUTO_LOITER"), else: v
+  end
+
+  @doc "An RTL item ends the mission: it is a command of the navigator to the commander."
+  @spec rtl(Vehicle.t()) :: {:vehicle, Vehicle.t()}
+  def rtl(v) do
+    v = reached(v, v.mission.current)
+    v = %{v | mission: %{v.mission | state: :complete}}
+
+    {:vehicle,
+     v
+     |> Events.tell(:mission_finished, [], {6, "Mission finished, loitering"})
+     |> Internal.send(20, [])
+     |> Modes.enter("AUTO_RTL")}
+  end
+
+  defp check(v, []), do: v
+
+  defp check(v, [first | _rest] = items) do
+    cond do
+      Enum.any?(items, &(nav?(&1) and (abs(&1.x) > 900_000_000 or abs(&1.y) > 1_800_000_000))) ->
+        infeasible(Events.tell(v, :mission_item_invalid, [], {2, "IGN MISSION_ITEM: Invalid item"}))
+
+      Params.get(v.params, "MIS_TKO_LAND_REQ") == 1 and first.command != 22 ->
+        infeasible(
+          Events.tell(v, :mission_takeoff_missing, [], {2, "Mission rejected: Takeoff waypoint required"})
+        )
+
+      far(v, items) > @far_m ->
+        far = far(v, items)
+        text = "First waypoint far away from Home: #{far} m Correct mission loaded?"
+        Events.tell(v, :first_waypoint_far, [far], {4, text})
+
+      true ->
+        v
+    end
+  end
+
+  defp infeasible(v), do: Vehicle.put_own(v, :mission_feasible, false)
+
+  defp far(v, items) do
+    case Enum.find(items, &(nav?(&1) and &1.x != 0)) do
+      nil ->
+        0
+
+      item ->
+        {n, e} = Geo.to_local(v.origin, item.x, item.y)
+        round(:math.sqrt(n * n + e * e))
+    end
+  end
+
+  defp nav?(item), do: item.command in [16, 17, 18, 19, 21, 22] and item.frame != 2
+end

@@ -1,0 +1,94 @@
+defmodule SimVehicle.Px4.Reports do
+  @moduledoc """
+  The messages that are PX4's own or look different there.
+  """
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.{Plans, Telemetry, Vehicle}
+  alias SimVehicle.Px4.{Events, Modes}
+
+  # 1.17.0, release; capabilities and flags as in the recordings.
+  @version 17_891_583
+  @capabilities 59_647
+  @no_mission 65_535
+
+  @doc "See `SimVehicle.Personality`."
+  @spec message(Vehicle.t(), non_neg_integer) :: struct | nil | :common
+  def message(v, 0) do
+    %M.Heartbeat{
+      type: 2,
+      autopilot: 12,
+      base_mode: Modes.base_mode(v.mode) + if(v.armed, do: 128, else: 0),
+      custom_mode: Modes.number(v.mode),
+      system_status: system_status(v),
+      mavlink_version: 3
+    }
+  end
+
+  def message(v, 4), do: %M.Ping{time_usec: v.now, seq: div(v.now, 10_000_000)}
+
+  def message(v, 42) do
+    items = length(Plans.items(v.plans, 0))
+    base = Telemetry.mission_current(v)
+
+    %{
+      base
+      | total: if(items == 0, do: @no_mission, else: items),
+        mission_mode: if(v.flight == :mission, do: 1, else: 2)
+    }
+    |> Map.merge(%{
+      mission_id: v.plans.opaque[0],
+      fence_id: v.plans.opaque[1],
+      rally_points_id: v.plans.opaque[2]
+    })
+  end
+
+  def message(v, 148) do
+    %M.AutopilotVersion{
+      capabilities: @capabilities,
+      flight_sw_version: @version,
+      middleware_sw_version: @version,
+      os_sw_version: 101_854_463,
+      board_version: 1,
+      flight_custom_version: <<0, 0, 0, 196, 209, 42, 241, 214>>,
+      middleware_custom_version: <<0, 0, 0, 196, 209, 42, 241, 214>>,
+      uid: 5_283_920_058_631_409_000 + v.system
+    }
+  end
+
+  def message(v, 230) do
+    flags = if Vehicle.positioned?(v), do: if(v.airborne, do: 895, else: 1023), else: 0xE5
+
+    %M.EstimatorStatus{
+      time_usec: v.now,
+      flags: flags,
+      tas_ratio: :nan,
+      pos_horiz_accuracy: 0.2,
+      pos_vert_accuracy: 0.2
+    }
+  end
+
+  def message(_v, 300), do: %M.ProtocolVersion{version: 200, min_version: 100, max_version: 203}
+
+  # Only while it circles.
+  def message(%{mode: "ORBIT"} = v, 360) do
+    orbit = Vehicle.own(v, :orbit)
+    {lat, lon} = SimVehicle.Geo.to_global(v.origin, orbit.n, orbit.e)
+    %M.OrbitExecutionStatus{time_usec: v.now, radius: orbit.radius, x: lat, y: lon, z: v.origin.alt - orbit.d}
+  end
+
+  def message(_v, 360), do: nil
+  def message(v, 411), do: Events.current(v)
+  def message(v, 436), do: Modes.current(v)
+  def message(_v, _id), do: :common
+
+  # MAV_STATE: 0 until it knows itself, 3 standby, 4 active (armed), 5 in a failsafe.
+  defp system_status(v) do
+    cond do
+      v.now < v.ready_us -> 0
+      v.armed and MapSet.size(MapSet.delete(v.failsafes, :battery)) > 0 -> 5
+      v.armed -> 4
+      true -> 3
+    end
+  end
+end

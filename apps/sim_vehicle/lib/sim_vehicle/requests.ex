@@ -1,0 +1,86 @@
+defmodule SimVehicle.Requests do
+  @moduledoc """
+  The requests that both firmwares understand, apart from result codes: message intervals, single messages, parameters,
+  time. The codes are given by the personality that calls.
+  """
+
+  alias MavCodec.Messages, as: M
+  alias SimVehicle.{Command, Params, Streams, Vehicle}
+
+  @failed 4
+  @accepted 0
+
+  @doc "SET_MESSAGE_INTERVAL (511); `known` are the ids that the firmware can stream."
+  @spec set_interval(Vehicle.t(), Command.t(), [non_neg_integer]) :: Vehicle.t()
+  def set_interval(v, command, known) do
+    id = trunc(Command.p(command, 1))
+    interval = Command.p(command, 2)
+
+    if id in known and interval >= -1 do
+      streams = Streams.set(v.streams, id, if(interval < 0, do: -1, else: round(interval)))
+      Vehicle.ack(%{v | streams: streams}, command, @accepted)
+    else
+      Vehicle.ack(v, command, @failed)
+    end
+  end
+
+  @doc "MESSAGE_INTERVAL, the answer to GET_MESSAGE_INTERVAL (510); 0 for a message that the firmware does not have."
+  @spec interval(Vehicle.t(), Command.t(), [non_neg_integer]) :: struct
+  def interval(v, command, known) do
+    id = command |> Command.p(1) |> trunc() |> max(0) |> min(65_535)
+
+    %M.MessageInterval{
+      message_id: id,
+      interval_us: if(id in known, do: Streams.interval_us(v.streams, id), else: 0)
+    }
+  end
+
+  @doc "REQUEST_DATA_STREAM: sets the rate of a group of messages."
+  @spec data_stream(Vehicle.t(), struct, %{non_neg_integer => [non_neg_integer]}) :: Vehicle.t()
+  def data_stream(v, m, groups) do
+    ids =
+      if m.req_stream_id == 0,
+        do: Enum.flat_map(groups, &elem(&1, 1)),
+        else: Map.get(groups, m.req_stream_id, [])
+
+    hz = if m.start_stop == 1, do: min(m.req_message_rate, 50), else: 0
+    %{v | streams: Streams.set_rate(ids, v.streams, hz)}
+  end
+
+  @doc "PARAM_VALUE of a name; `index` as the firmware gives it in this answer."
+  @spec param_value(Vehicle.t(), String.t(), 0..65_535 | nil) :: struct
+  def param_value(v, name, index \\ nil) do
+    {value, type} = Params.wire(v.params, name)
+
+    %M.ParamValue{
+      param_id: name,
+      param_value: value,
+      param_type: type,
+      param_count: Params.count(v.params),
+      param_index: index || Params.index_of(v.params, name)
+    }
+  end
+
+  @doc "The name that a PARAM_REQUEST_READ means, nil when there is none such."
+  @spec wanted_param(Vehicle.t(), struct) :: String.t() | nil
+  def wanted_param(v, %M.ParamRequestRead{param_index: -1, param_id: name}),
+    do: if(Params.member?(v.params, name), do: name)
+
+  def wanted_param(v, %M.ParamRequestRead{param_index: index}), do: Params.name_at(v.params, index)
+
+  @doc "Stores what a PARAM_SET carries and applies it."
+  @spec set_param(Vehicle.t(), struct) :: {:ok, Vehicle.t()} | {:error, atom}
+  def set_param(v, %M.ParamSet{} = m) do
+    with {:ok, params} <- Params.set(v.params, m.param_id, m.param_value, m.param_type) do
+      v = %{v | params: params, limits: v.personality.limits(params)}
+      {:ok, Vehicle.notify(v, {:param, m.param_id, Params.get(params, m.param_id)})}
+    end
+  end
+
+  @doc "The answer to a TIMESYNC request (X5); nil for an answer."
+  @spec timesync(Vehicle.t(), struct, {integer, integer}) :: struct | nil
+  def timesync(v, %M.Timesync{tc1: 0} = m, {system, component}),
+    do: %M.Timesync{tc1: v.now * 1000, ts1: m.ts1, target_system: system, target_component: component}
+
+  def timesync(_v, _answer, _source), do: nil
+end

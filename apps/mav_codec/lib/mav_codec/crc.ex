@@ -57,36 +57,21 @@ defmodule MavCodec.CRC do
   @spec frame(binary(), non_neg_integer(), byte()) :: crc16()
   def frame(<<_magic, rest::binary>>, size, crc_extra), do: blocks(rest, size, 0xFFFF, crc_extra)
 
-  # `size` bytes of the data and then the byte `last`. The bytes that do not depend on the register come first, so that
-  # the processor need not wait for it. The end is one jump to straight code instead of a loop, whose branches would be
-  # guessed wrong. No pipe into a function here: `then/2` would cost a call and a binary per block.
-  defp blocks(<<a::16-little, b2, b3, b4, b5, b6, b7, rest::binary>>, size, crc, last) when size >= 8 do
-    crc = bxor(crc, a)
-
-    crc =
-      elem(@t5, b2)
-      |> bxor(elem(@t4, b3))
-      |> bxor(elem(@t3, b4))
-      |> bxor(elem(@t2, b5))
-      |> bxor(elem(@t1, b6))
-      |> bxor(elem(@t0, b7))
-      |> bxor(elem(@t6, crc >>> 8))
-      |> bxor(elem(@t7, crc &&& 0xFF))
-
-    blocks(rest, size - 8, crc, last)
-  end
-
-  defp blocks(rest, size, crc, last) do
+  # `size` bytes of the data and then the byte `last`. Bytes that do not depend on the register come first, so that the
+  # processor need not wait for it. The last bytes are one jump to straight code: a loop's branches would be guessed
+  # wrong. The head matches, so that one match context serves all blocks; no pipe into a function, since `then/2` would
+  # cost a call and a binary per block.
+  defp blocks(<<data::binary>>, size, crc, last) do
     case size do
       0 ->
         add(crc, last)
 
       1 ->
-        <<a, _::binary>> = rest
+        <<a, _::binary>> = data
         bxor(elem(@t1, bxor(crc &&& 0xFF, a)), elem(@t0, bxor(crc >>> 8, last)))
 
       2 ->
-        <<a::16-little, _::binary>> = rest
+        <<a::16-little, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -94,7 +79,7 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t2, crc &&& 0xFF))
 
       3 ->
-        <<a::16-little, b2, _::binary>> = rest
+        <<a::16-little, b2, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -103,7 +88,7 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t3, crc &&& 0xFF))
 
       4 ->
-        <<a::16-little, b2, b3, _::binary>> = rest
+        <<a::16-little, b2, b3, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -113,7 +98,7 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t4, crc &&& 0xFF))
 
       5 ->
-        <<a::16-little, b2, b3, b4, _::binary>> = rest
+        <<a::16-little, b2, b3, b4, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -124,7 +109,7 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t5, crc &&& 0xFF))
 
       6 ->
-        <<a::16-little, b2, b3, b4, b5, _::binary>> = rest
+        <<a::16-little, b2, b3, b4, b5, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -136,7 +121,7 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t6, crc &&& 0xFF))
 
       7 ->
-        <<a::16-little, b2, b3, b4, b5, b6, _::binary>> = rest
+        <<a::16-little, b2, b3, b4, b5, b6, _::binary>> = data
         crc = bxor(crc, a)
 
         elem(@t0, last)
@@ -147,6 +132,22 @@ defmodule MavCodec.CRC do
         |> bxor(elem(@t1, b6))
         |> bxor(elem(@t6, crc >>> 8))
         |> bxor(elem(@t7, crc &&& 0xFF))
+
+      _8_or_more ->
+        <<a::16-little, b2, b3, b4, b5, b6, b7, rest::binary>> = data
+        crc = bxor(crc, a)
+
+        crc =
+          elem(@t5, b2)
+          |> bxor(elem(@t4, b3))
+          |> bxor(elem(@t3, b4))
+          |> bxor(elem(@t2, b5))
+          |> bxor(elem(@t1, b6))
+          |> bxor(elem(@t0, b7))
+          |> bxor(elem(@t6, crc >>> 8))
+          |> bxor(elem(@t7, crc &&& 0xFF))
+
+        blocks(rest, size - 8, crc, last)
     end
   end
 

@@ -19,36 +19,17 @@ defmodule MavCodec.Parser do
   # An unknown frame of 300 bytes whose last byte may begin a known one of 300.
   @max_held 600
 
-  @enforce_keys [:known, :accepted]
-  defstruct [
-    :known,
-    :accepted,
-    held: <<>>,
-    at: nil,
-    sources: Sources.new(),
-    bytes: 0,
-    frames: 0,
-    crc_errors: 0,
-    resync_bytes: 0,
-    unknown_ids: 0,
-    incompatible: 0,
-    signed: 0
-  ]
+  @enforce_keys [:scanner]
+  defstruct [:scanner, held: <<>>, at: nil, sources: Sources.new(), bytes: 0, frames: 0]
 
-  @type t :: %__MODULE__{
-          known: Known.t(),
-          accepted: 0..255,
-          held: binary(),
-          at: integer() | nil,
-          sources: Sources.t(),
-          bytes: non_neg_integer(),
-          frames: non_neg_integer(),
-          crc_errors: non_neg_integer(),
-          resync_bytes: non_neg_integer(),
-          unknown_ids: non_neg_integer(),
-          incompatible: non_neg_integer(),
-          signed: non_neg_integer()
-        }
+  @opaque t :: %__MODULE__{
+            scanner: Scanner.t(),
+            held: binary(),
+            at: integer() | nil,
+            sources: Sources.t(),
+            bytes: non_neg_integer(),
+            frames: non_neg_integer()
+          }
 
   @typedoc """
     * `:dialects` - modules of the behaviour `MavCodec.Dialect` whose CRC_EXTRA values are tried; default
@@ -88,10 +69,8 @@ defmodule MavCodec.Parser do
   def new(options \\ []) do
     options = Keyword.validate!(options, dialects: [MavCodec.Dialects.All], sysid32: false)
 
-    %__MODULE__{
-      known: Known.new(options[:dialects]),
-      accepted: Candidate.accepted_flags(options[:sysid32])
-    }
+    known = Known.new(options[:dialects])
+    %__MODULE__{scanner: Scanner.new(known, Candidate.accepted_flags(options[:sysid32]))}
   end
 
   @doc "The most bytes that a parser keeps between two pushes."
@@ -123,8 +102,8 @@ defmodule MavCodec.Parser do
   def push_datagram(%__MODULE__{held: <<>>} = parser, data, at),
     do: read(parser, data, byte_size(data), at, :datagram)
 
-  def push_datagram(%__MODULE__{held: held} = parser, data, at) do
-    case Candidate.judge(data, parser.known, parser.accepted) do
+  def push_datagram(%__MODULE__{held: held, scanner: scanner} = parser, data, at) do
+    case Candidate.judge(data, scanner.known, scanner.accepted) do
       {:good, _size, _extra} ->
         {before, parser} = flush(parser)
         {frames, parser} = read(parser, data, byte_size(data), at, :datagram)
@@ -144,53 +123,38 @@ defmodule MavCodec.Parser do
   def flush(%__MODULE__{held: held, at: at} = parser), do: read(parser, held, 0, at, :final)
 
   defp read(parser, data, new_bytes, at, mode) do
-    state = %Scanner{known: parser.known, accepted: parser.accepted, mode: mode, at: at}
-    {found, held, state} = Scanner.scan(data, state)
+    {found, held, scanner} = Scanner.scan(parser.scanner, data, at, mode)
     frames = :lists.reverse(found)
 
     parser = %{
       parser
-      | held: own(held),
+      | scanner: scanner,
+        held: own(held),
         at: at,
         sources: Sources.observe(parser.sources, frames),
         bytes: parser.bytes + new_bytes,
         frames: parser.frames + length(frames)
     }
 
-    {frames, count(parser, state)}
+    {frames, parser}
   end
 
   # A few kept bytes must not keep the whole read alive.
   defp own(<<>>), do: <<>>
   defp own(held), do: :binary.copy(held)
 
-  # Mostly there is nothing to count.
-  defp count(parser, %Scanner{crc_errors: 0, resync_bytes: 0, unknown_ids: 0, incompatible: 0, signed: 0}),
-    do: parser
-
-  defp count(parser, state) do
-    %{
-      parser
-      | crc_errors: parser.crc_errors + state.crc_errors,
-        resync_bytes: parser.resync_bytes + state.resync_bytes,
-        unknown_ids: parser.unknown_ids + state.unknown_ids,
-        incompatible: parser.incompatible + state.incompatible,
-        signed: parser.signed + state.signed
-    }
-  end
-
   @doc "What was counted since the start."
   @spec stats(t()) :: stats()
-  def stats(%__MODULE__{} = parser) do
+  def stats(%__MODULE__{scanner: scanner} = parser) do
     %{
       frames: parser.frames,
       bytes: parser.bytes,
       held: byte_size(parser.held),
-      crc_errors: parser.crc_errors,
-      resync_bytes: parser.resync_bytes,
-      unknown_ids: parser.unknown_ids,
-      incompatible: parser.incompatible,
-      signed: parser.signed,
+      crc_errors: scanner.crc_errors,
+      resync_bytes: scanner.resync_bytes,
+      unknown_ids: scanner.unknown_ids,
+      incompatible: scanner.incompatible,
+      signed: scanner.signed,
       lost: Sources.lost(parser.sources),
       sources: Sources.stats(parser.sources)
     }

@@ -89,8 +89,13 @@ defmodule MavCodec.SequenceLoss do
   def observe_run(%__MODULE__{tracks: [{expected, 0, _} | others]} = loss, first, count)
       when expected == first do
     received = loss.received + count
-    track = {first + count &&& 255, 0, received}
-    bucket(%{loss | tracks: [track | others], received: received}, count, 0)
+    tracks = [{first + count &&& 255, 0, received} | others]
+    in_bucket = loss.bucket_received + count
+
+    # The common case, one update.
+    if in_bucket + loss.bucket_lost < @bucket,
+      do: %{loss | tracks: tracks, received: received, bucket_received: in_bucket},
+      else: bucket(%{loss | tracks: tracks, received: received}, count, 0)
   end
 
   def observe_run(loss, first, 1), do: step(loss, first)

@@ -22,6 +22,10 @@ defmodule MavCodec.Parser.Known do
     %__MODULE__{direct: List.to_tuple(direct), dialects: dialects}
   end
 
+  @doc "How many ids, from 0, are in the tuple `direct`."
+  @spec direct_size() :: pos_integer()
+  def direct_size, do: @direct
+
   @doc "The value or values of message `id`, or `nil`."
   @spec extra(t(), 0..0xFFFFFF) :: extra()
   def extra(%__MODULE__{direct: direct}, id) when id < @direct, do: elem(direct, id)

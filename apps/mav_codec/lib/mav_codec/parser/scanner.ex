@@ -2,8 +2,8 @@ defmodule MavCodec.Parser.Scanner do
   @moduledoc """
   The loop over received bytes: frames out, what is not yet complete kept, everything else counted.
 
-  `frames/7` is the fast path: a complete v2 frame without flags, of a known id, with the right CRC, at the start of the
-  bytes. It costs one match, one CRC and two references. Everything else goes to `careful/5`, which decides by the rules
+  `frames/8` is the fast path: a complete v2 frame without flags, of a known id, with the right CRC, at the start of the
+  bytes. It costs one match, one CRC and two references. Everything else goes to `careful/6`, which decides by the rules
   of this module and comes back.
 
   ## Rules
@@ -21,9 +21,12 @@ defmodule MavCodec.Parser.Scanner do
   alias MavCodec.{CRC, Frame}
   alias MavCodec.Parser.{Candidate, Known}
 
-  # What the loop needs and counts. `clear` and `good` remember, as numbers of bytes before the end of the data, what the
-  # search inside unknown frames has already found, so that no byte is judged more than twice.
-  @enforce_keys [:known, :accepted, :mode, :at]
+  # Not called `Known.extra/2` in the fast path: the id is mostly in the tuple.
+  @direct Known.direct_size()
+
+  # `clear` and `good` remember, as numbers of bytes before the end of the data, what the search inside unknown frames
+  # has already found, so that no byte is judged more than twice.
+  @enforce_keys [:known, :accepted]
   defstruct @enforce_keys ++
               [
                 crc_errors: 0,
@@ -40,19 +43,28 @@ defmodule MavCodec.Parser.Scanner do
   @type t :: %__MODULE__{
           known: Known.t(),
           accepted: 0..255,
-          mode: mode(),
-          at: integer() | nil,
           crc_errors: non_neg_integer(),
           resync_bytes: non_neg_integer(),
           unknown_ids: non_neg_integer(),
           incompatible: non_neg_integer(),
-          signed: non_neg_integer()
+          signed: non_neg_integer(),
+          clear: non_neg_integer() | nil,
+          good: non_neg_integer() | nil
         }
 
-  @doc "All frames of `data`, the newest first, the bytes to keep, and the state with what was counted."
-  @spec scan(binary(), t()) :: {[Frame.t()], binary(), t()}
-  def scan(data, %__MODULE__{known: %Known{direct: direct}} = state),
-    do: frames(data, data, 0, direct, state.at, [], state)
+  @doc "A scanner that takes frames of `known` ids and the `accepted` incompatibility flags."
+  @spec new(Known.t(), 0..255) :: t()
+  def new(known, accepted), do: %__MODULE__{known: known, accepted: accepted}
+
+  @doc """
+  All frames of `data`, the newest first, the bytes to keep, and the scanner with what was counted. Frames get `at` as
+  their time of arrival.
+  """
+  @spec scan(t(), binary(), integer() | nil, mode()) :: {[Frame.t()], binary(), t()}
+  def scan(%__MODULE__{known: %Known{direct: direct}, clear: nil, good: nil} = state, data, at, mode),
+    do: frames(data, data, 0, direct, at, mode, [], state)
+
+  def scan(state, data, at, mode), do: scan(%{state | clear: nil, good: nil}, data, at, mode)
 
   # The first argument is `data` from `pos` on. It is only matched, so that the runtime goes through the whole of `data`
   # with one match context and makes no binary for what remains.
@@ -63,13 +75,14 @@ defmodule MavCodec.Parser.Scanner do
          pos,
          direct,
          at,
+         mode,
          found,
          state
        )
-       when id < 512 and system > 0 do
+       when system > 0 do
     bytes = binary_part(data, pos, len + 12)
 
-    case elem(direct, id) do
+    case if(id < @direct, do: elem(direct, id), else: Known.extra(state.known, id)) do
       extra when is_integer(extra) ->
         case CRC.frame(bytes, len + 9, extra) do
           ^crc ->
@@ -85,73 +98,73 @@ defmodule MavCodec.Parser.Scanner do
               at: at
             }
 
-            frames(rest, data, pos + len + 12, direct, at, [frame | found], state)
+            frames(rest, data, pos + len + 12, direct, at, mode, [frame | found], state)
 
           _wrong ->
-            careful(from(data, pos), direct, at, found, state)
+            careful(from(data, pos), direct, at, mode, found, state)
         end
 
       _none_or_several ->
-        careful(from(data, pos), direct, at, found, state)
+        careful(from(data, pos), direct, at, mode, found, state)
     end
   end
 
-  defp frames(<<>>, _data, _pos, _direct, _at, found, state), do: {found, <<>>, state}
+  defp frames(<<>>, _data, _pos, _direct, _at, _mode, found, state), do: {found, <<>>, state}
 
-  defp frames(_rest, data, pos, direct, at, found, state),
-    do: careful(from(data, pos), direct, at, found, state)
+  defp frames(_rest, data, pos, direct, at, mode, found, state),
+    do: careful(from(data, pos), direct, at, mode, found, state)
 
   defp from(data, pos), do: binary_part(data, pos, byte_size(data) - pos)
 
-  defp careful(data, direct, at, found, state) do
+  defp careful(data, direct, at, mode, found, state) do
     case Candidate.judge(data, state.known, state.accepted) do
       {:good, size, extra} ->
-        take(data, size, extra, direct, at, found, state)
+        take(data, size, extra, direct, at, mode, found, state)
 
       {:incompatible, size} ->
         state = %{state | incompatible: state.incompatible + 1}
-        again(from(data, size), direct, at, found, state)
+        again(from(data, size), direct, at, mode, found, state)
 
       {:unknown, size} ->
-        case unknown(data, size, state) do
+        case unknown(data, size, mode, state) do
           {:take, state} ->
-            take(data, size, nil, direct, at, found, %{state | unknown_ids: state.unknown_ids + 1})
+            take(data, size, nil, direct, at, mode, found, %{state | unknown_ids: state.unknown_ids + 1})
 
           {:noise, state} ->
-            skip(data, direct, at, found, state)
+            skip(data, direct, at, mode, found, state)
 
           {:more, state} ->
             {found, data, state}
         end
 
       :bad_crc ->
-        skip(data, direct, at, found, %{state | crc_errors: state.crc_errors + 1})
+        skip(data, direct, at, mode, found, %{state | crc_errors: state.crc_errors + 1})
 
       :noise ->
-        skip(data, direct, at, found, state)
+        skip(data, direct, at, mode, found, state)
 
       :more ->
-        case incomplete(data, state) do
+        case incomplete(data, mode, state) do
           {:keep, state} -> {found, data, state}
-          {:noise, state} -> skip(data, direct, at, found, state)
+          {:noise, state} -> skip(data, direct, at, mode, found, state)
         end
     end
   end
 
-  defp take(data, size, extra, direct, at, found, state) do
+  defp take(data, size, extra, direct, at, mode, found, state) do
     <<bytes::binary-size(^size), rest::binary>> = data
     frame = Frame.from_bytes(bytes, extra, at)
     state = if frame.signature, do: %{state | signed: state.signed + 1}, else: state
-    again(rest, direct, at, [frame | found], state)
+    again(rest, direct, at, mode, [frame | found], state)
   end
 
-  defp again(data, direct, at, found, state), do: frames(data, data, 0, direct, at, found, state)
+  defp again(data, direct, at, mode, found, state), do: frames(data, data, 0, direct, at, mode, found, state)
 
   # F13: on to the next byte that could begin a frame.
-  defp skip(<<_, rest::binary>>, direct, at, found, state) do
+  defp skip(<<_, rest::binary>>, direct, at, mode, found, state) do
     skipped = next_magic(rest, 0)
     state = %{state | resync_bytes: state.resync_bytes + skipped + 1}
-    again(from(rest, skipped), direct, at, found, state)
+    again(from(rest, skipped), direct, at, mode, found, state)
   end
 
   defp next_magic(<<magic, _::binary>>, at) when magic in [0xFD, 0xFE], do: at
@@ -159,28 +172,35 @@ defmodule MavCodec.Parser.Scanner do
   defp next_magic(<<>>, at), do: at
 
   # An unknown frame is believed when what follows begins like a frame and no good frame begins inside it.
-  defp unknown(data, size, state) do
+  defp unknown(data, size, mode, state) do
     case data do
-      <<_::binary-size(^size), magic, _::binary>> when magic in [0xFD, 0xFE] -> inside(data, size, state)
-      <<_::binary-size(^size), _, _::binary>> -> {:noise, state}
-      _ when state.mode == :stream -> {:more, state}
-      _ends_here -> inside(data, size, state)
+      <<_::binary-size(^size), magic, _::binary>> when magic in [0xFD, 0xFE] ->
+        inside(data, size, mode, state)
+
+      <<_::binary-size(^size), _, _::binary>> ->
+        {:noise, state}
+
+      _ when mode == :stream ->
+        {:more, state}
+
+      _ends_here ->
+        inside(data, size, mode, state)
     end
   end
 
-  defp inside(data, size, state) do
+  defp inside(data, size, mode, state) do
     case search(data, size, state) do
       {:none, state} -> {:take, state}
       {:good, state} -> {:noise, state}
-      {:more, state} -> if state.mode == :stream, do: {:more, state}, else: {:take, state}
+      {:more, state} -> if mode == :stream, do: {:more, state}, else: {:take, state}
     end
   end
 
   # A frame that is not complete: kept, but at a datagram's end not at the cost of a good frame behind its start.
-  defp incomplete(_data, %{mode: :stream} = state), do: {:keep, state}
-  defp incomplete(_data, %{mode: :final} = state), do: {:noise, state}
+  defp incomplete(_data, :stream, state), do: {:keep, state}
+  defp incomplete(_data, :final, state), do: {:noise, state}
 
-  defp incomplete(data, %{mode: :datagram} = state) do
+  defp incomplete(data, :datagram, state) do
     case search(data, byte_size(data), state) do
       {:good, state} -> {:noise, state}
       {_none_or_more, state} -> {:keep, state}

@@ -13,8 +13,8 @@ defmodule MavCodec.Parser.Sources do
   @limit 512
   @heartbeat 0
 
-  # {estimator, whether anything but heartbeats was heard}
-  @type t :: %{optional(key()) => {SequenceLoss.t(), boolean()}}
+  # {estimator, whether anything but heartbeats was heard} by system * 256 + component, which is found faster than a tuple.
+  @opaque t :: %{optional(non_neg_integer()) => {SequenceLoss.t(), boolean()}}
   @type key :: {system :: non_neg_integer(), component :: 0..255}
 
   @doc "Sources that are kept at most."
@@ -46,7 +46,7 @@ defmodule MavCodec.Parser.Sources do
        do: run(rest, sources, system, component, first, seq + 1 &&& 255, n + 1, highest(frame, known))
 
   defp run([], sources, system, component, first, _next, n, known),
-    do: add(sources, {system, component}, first, n, known)
+    do: add(sources, key(system, component), first, n, known)
 
   defp run(
          [%Frame{system: system, component: component, seq: seq} | _] = frames,
@@ -58,13 +58,15 @@ defmodule MavCodec.Parser.Sources do
          n,
          known
        ) do
-    sources = add(sources, {last, last_component}, first, n, known)
+    sources = add(sources, key(last, last_component), first, n, known)
     run(frames, sources, system, component, seq, seq, 0, nil)
   end
 
   defp highest(%Frame{crc_extra: nil}, known), do: known
   defp highest(%Frame{id: id}, nil), do: id
   defp highest(%Frame{id: id}, known), do: max(id, known)
+
+  defp key(system, component), do: system <<< 8 ||| component
 
   defp add(sources, key, first, n, known) do
     talks? = known != nil and known > @heartbeat
@@ -91,7 +93,7 @@ defmodule MavCodec.Parser.Sources do
   def stats(sources) do
     Map.new(sources, fn {key, {loss, talks?}} ->
       stats = SequenceLoss.stats(loss)
-      {key, if(talks?, do: stats, else: %{stats | ratio: nil})}
+      {{key >>> 8, key &&& 255}, if(talks?, do: stats, else: %{stats | ratio: nil})}
     end)
   end
 

@@ -60,7 +60,7 @@ defmodule Gnat.AuthTest do
     server = start_supervised!({NatsServer, config: config})
     Process.flag(:trap_exit, true)
     gnat = works(server, %{jwt: jwt, nkey_seed: seed})
-    assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: {:server, text}}}}, 10_000
+    assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: {:server, text}}}}
     assert text =~ "Expired"
   end
 

@@ -21,7 +21,7 @@ defmodule Gnat.ConnectionSupervisorTest do
   end
 
   defp await(event, name) do
-    assert_receive {:telemetry, [:gnat, :connection, ^event], measurements, %{name: ^name} = metadata}, 10_000
+    assert_receive {:telemetry, [:gnat, :connection, ^event], measurements, %{name: ^name} = metadata}
     Map.merge(measurements, metadata)
   end
 

@@ -52,7 +52,7 @@ defmodule Gnat.ConsumerSupervisorTest do
     }
 
     start_supervised!({ConnectionSupervisor, settings})
-    assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}, 5_000
+    assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}
     {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
     {:ok, server: server, name: name, gnat: gnat, topic: unique("topic")}
   end
@@ -102,9 +102,9 @@ defmodule Gnat.ConsumerSupervisorTest do
     consumer(name, %{module: Echo, subscription_topics: [%{topic: topic}]})
     Process.flag(:trap_exit, true)
     :ok = NatsServer.kill(server)
-    assert_receive {:telemetry, [:gnat, :connection, :down], _, %{name: ^name}}, 5_000
+    assert_receive {:telemetry, [:gnat, :connection, :down], _, %{name: ^name}}
     :ok = NatsServer.start(server)
-    assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}, 5_000
+    assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}
     {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
     assert ask(gnat, topic, "again") == "echo again"
   end

@@ -20,7 +20,7 @@ defmodule Gnat.TlsTest do
     {:ok, _} = Gnat.sub(gnat, self(), "a")
     body = :binary.copy("x", 200_000)
     :ok = Gnat.pub(gnat, "a", body)
-    assert_receive {:msg, %{body: ^body}}, 5_000
+    assert_receive {:msg, %{body: ^body}}
     gnat
   end
 
@@ -71,7 +71,8 @@ defmodule Gnat.TlsTest do
     works(NatsServer.settings(server, %{tls: true, ssl_opts: trusted ++ certificates.client}))
     without = NatsServer.settings(server, %{tls: true, ssl_opts: trusted})
     assert {:error, %Error{reason: reason}} = Gnat.start_link(without)
-    assert match?({:tls, _}, reason) or reason == :closed
+    # The server's alert, or only its end, if that was faster.
+    assert match?({:tls, _}, reason) or match?({:transport, _}, reason) or reason == :closed
   end
 
   test "TLS that the server does not have is an error, and nothing is sent in clear" do
@@ -101,7 +102,7 @@ defmodule Gnat.TlsTest do
     Process.flag(:trap_exit, true)
     gnat = works(NatsServer.settings(server, %{tls: true, ssl_opts: [cacerts: certificates.cacerts]}))
     :ok = NatsServer.kill(server)
-    assert_receive {:EXIT, ^gnat, {:shutdown, %Error{}}}, 5_000
+    assert_receive {:EXIT, ^gnat, {:shutdown, %Error{}}}
   end
 
   test "user and password travel inside", %{certificates: certificates} do

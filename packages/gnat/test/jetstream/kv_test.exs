@@ -9,6 +9,8 @@ defmodule Gnat.Jetstream.KVTest do
   alias Gnat.Jetstream.API.KV.Entry
   alias Gnat.Test.NatsServer
 
+  @moduletag :capture_log
+
   setup_all do
     {:ok, server: start_supervised!({NatsServer, jetstream: true})}
   end
@@ -217,7 +219,7 @@ defmodule Gnat.Jetstream.KVTest do
       {:ok, %{consumers: [consumer]}} = Consumer.list(gnat, "KV_" <> bucket)
       :ok = Consumer.delete(gnat, "KV_" <> bucket, consumer)
       :ok = KV.put_value(gnat, bucket, "a", "2")
-      assert_receive {:key_added, "a", "2"}, 5_000
+      assert_receive {:key_added, "a", "2"}
       refute_received {:key_added, "a", "1"}
       KV.unwatch(watcher)
     end
@@ -231,7 +233,35 @@ defmodule Gnat.Jetstream.KVTest do
       :ok = KV.delete_bucket(gnat, bucket)
       {:ok, _} = KV.create_bucket(gnat, bucket)
       :ok = KV.put_value(gnat, bucket, "b", "new")
-      assert_receive {:key_added, "b", "new"}, 5_000
+      assert_receive {:key_added, "b", "new"}
+      KV.unwatch(watcher)
+    end
+
+    test "goes on after kill -9 of the server, without a gap and without a repetition" do
+      server = start_supervised!({NatsServer, jetstream: true}, id: :killed)
+      name = :"#{unique("gnat")}"
+      telemetry([:gnat, :connection, :up])
+
+      settings = %{
+        name: name,
+        connection_settings: [NatsServer.settings(server)],
+        backoff_min: 5,
+        backoff_max: 20
+      }
+
+      start_supervised!({Gnat.ConnectionSupervisor, settings})
+      assert_receive {:telemetry, _, _, %{name: ^name}}
+      {:ok, _} = KV.create_bucket(name, "b", history: 10)
+      {:ok, watcher} = KV.watch(name, "b", tell(self()))
+      :ok = KV.put_value(name, "b", "a", "1")
+      assert_receive {:key_added, "a", "1"}
+
+      :ok = NatsServer.kill(server)
+      :ok = NatsServer.start(server)
+      assert_receive {:telemetry, _, _, %{name: ^name}}
+      for n <- 2..4, do: :ok = KV.put_value(name, "b", "a", "#{n}")
+      assert ["2", "3", "4"] = for(_ <- 2..4, do: receive(do: ({:key_added, "a", value} -> value)))
+      refute_received {:key_added, _, _}
       KV.unwatch(watcher)
     end
 

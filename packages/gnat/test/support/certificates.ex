@@ -36,6 +36,7 @@ defmodule Gnat.Test.Certificates do
     tls {
       cert_file: "#{dir}/server-cert.pem"
       key_file: "#{dir}/server-key.pem"
+      timeout: 20
       #{more}
     }
     """

@@ -33,8 +33,10 @@ defmodule Gnat.Test.NatsServer do
 
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
-  @doc "Connection settings for it."
-  def settings(server, more \\ %{}), do: Map.merge(%{host: "127.0.0.1", port: port(server)}, more)
+  @doc "Connection settings for it, with patience for a busy machine."
+  def settings(server, more \\ %{}) do
+    Map.merge(%{host: "127.0.0.1", port: port(server), connection_timeout: 20_000}, more)
+  end
 
   def port(server), do: GenServer.call(server, :port)
   def dir(server), do: GenServer.call(server, :dir)

@@ -100,6 +100,26 @@ defmodule Aerie.BridgeCase do
     :ok
   end
 
+  @doc "Runs a script in a VM of its own; waits for the line `mark <> pid` and gives the port and the VM's pid."
+  @spec other_vm(String.t(), String.t()) :: {port(), String.t()}
+  def other_vm(script, mark) do
+    paths = for path <- :code.get_path(), path = to_string(path), path =~ "_build", do: ["-pa", path]
+    options = [:binary, :stderr_to_stdout, line: 1000, args: List.flatten(paths) ++ ["-e", script]]
+    port = Port.open({:spawn_executable, System.find_executable("elixir")}, options)
+    {port, marked_pid(port, mark)}
+  end
+
+  defp marked_pid(port, mark) do
+    receive do
+      {^port, {:data, {:eol, line}}} ->
+        if String.starts_with?(line, mark),
+          do: String.replace_prefix(line, mark, ""),
+          else: marked_pid(port, mark)
+    after
+      60_000 -> ExUnit.Assertions.flunk("the other VM did not say #{mark}")
+    end
+  end
+
   defp forget_news do
     receive do
       {:fleet, :bridge, _news} -> forget_news()

@@ -156,32 +156,13 @@ defmodule Aerie.Bridge.EventsTest do
     Process.sleep(:infinity)
     """
 
-    paths = for path <- :code.get_path(), path = to_string(path), path =~ "_build", do: ["-pa", path]
-    elixir = System.find_executable("elixir")
-
-    port =
-      Port.open({:spawn_executable, elixir}, [
-        :binary,
-        :stderr_to_stdout,
-        line: 1000,
-        args: List.flatten(paths) ++ ["-e", script]
-      ])
-
-    kill9(written(port))
+    {_port, pid} = other_vm(script, "written ")
+    kill9(pid)
 
     gateway = start_bridge(config(dir))
     conn = client(await_up(gateway))
     await_empty(gateway)
     assert_complete(events(conn), ["A"], 1000)
-  end
-
-  defp written(port) do
-    receive do
-      {^port, {:data, {:eol, "written " <> pid}}} -> pid
-      {^port, {:data, _other}} -> written(port)
-    after
-      60_000 -> flunk("the other gateway wrote nothing")
-    end
   end
 
   test "an outbox that cannot be written is said once; events stay in memory until NATS is back", %{

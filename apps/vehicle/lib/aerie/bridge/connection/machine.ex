@@ -55,6 +55,8 @@ defmodule Aerie.Bridge.Connection.Machine do
     {machine, [:cancel_timer | actions]}
   end
 
+  # While an attempt or a connection lasts, an empty list says nothing new: the server is gone, which that will notice.
+  def handle(machine, {:urls, []}), do: {machine, []}
   def handle(machine, {:urls, urls}), do: {%{machine | urls: urls}, []}
 
   def handle(%{phase: :connecting} = machine, :connected) do
@@ -70,7 +72,6 @@ defmodule Aerie.Bridge.Connection.Machine do
     wait(machine, failures, "the connection to NATS is lost: #{reason}")
   end
 
-  def handle(%{phase: :waiting, urls: []} = machine, :retry), do: {%{machine | phase: :idle}, []}
   def handle(%{phase: :waiting} = machine, :retry), do: connect(machine)
 
   # A late timer or message of a connection that is gone already.

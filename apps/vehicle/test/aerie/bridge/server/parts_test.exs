@@ -1,0 +1,132 @@
+defmodule Aerie.Bridge.Server.PartsTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Bridge.FolderLock
+  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Settings}
+
+  doctest LogLine
+
+  @moduletag :tmp_dir
+
+  test "the server understands its configuration, whatever the folder is called", %{tmp_dir: dir} do
+    for name <- ["plain", "with space", ~s(quo"te), "ünïcode", "semi;colon#hash", "back\\slash"] do
+      folder = Path.join(dir, name)
+      File.mkdir_p!(folder)
+      conf = Path.join(folder, "nats.conf")
+
+      settings = %{
+        name: "aerie-1",
+        address: "127.0.0.1",
+        port: 0,
+        store_dir: folder,
+        max_memory_mb: 1,
+        max_store_mb: 2
+      }
+
+      File.write!(conf, Settings.render(settings))
+      assert {_, 0} = System.cmd("nats-server", ["-t", "-c", conf], stderr_to_stdout: true)
+    end
+  end
+
+  test "lines of its log" do
+    time = "[7] 2026/11/20 22:22:41.702000"
+    assert LogLine.parse("#{time} [WRN] careful") == {:warning, "careful", nil}
+
+    assert {:error, _, :port_taken} =
+             LogLine.parse("#{time} [FTL] Error listening: bind: address already in use")
+
+    assert {:debug, _, {:listening, 4222}} =
+             LogLine.parse("#{time} [INF] Listening for client connections on 127.0.0.1:4222")
+
+    assert {:debug, _, {:listening, 4222}} =
+             LogLine.parse("#{time} [INF] Listening for client connections on [::1]:4222")
+
+    assert LogLine.parse("nats-server: no such flag") == {:warning, "nats-server: no such flag", nil}
+    assert {:warning, _, nil} = LogLine.parse(<<255, 0, 1>>)
+  end
+
+  test "the log on disk stays small", %{tmp_dir: dir} do
+    path = Path.join(dir, "log")
+    line = String.duplicate("x", 1_000)
+    log = Enum.reduce(1..2_000, LogFile.open(path), fn _, log -> LogFile.write(log, line) end)
+    LogFile.close(log)
+    assert File.ls!(dir) |> Enum.sort() == ["log", "log.1"]
+    assert File.stat!(path).size < 530_000
+    assert File.stat!(path <> ".1").size < 530_000
+    assert %LogFile{file: nil} = dir |> Path.join("no/log") |> LogFile.open() |> LogFile.write("x")
+  end
+
+  describe "a folder" do
+    test "belongs to the process that takes it, until it ends", %{tmp_dir: dir} do
+      parent = self()
+
+      pid =
+        spawn(fn ->
+          send(parent, FolderLock.acquire(dir))
+          receive do: (:end -> :ok)
+        end)
+
+      assert_receive :ok
+      assert {:error, text} = FolderLock.acquire(dir)
+      assert text =~ "another gateway in this program"
+      ref = Process.monitor(pid)
+      send(pid, :end)
+      assert_receive {:DOWN, ^ref, _, _, _}
+      assert FolderLock.acquire(dir) == :ok
+      assert FolderLock.acquire(dir) == :ok
+    end
+
+    test "of another program that runs is refused, of one that ended taken over", %{tmp_dir: dir} do
+      port = Port.open({:spawn_executable, "/bin/sh"}, [:binary, args: ["-c", "read -r line"]])
+      {:os_pid, pid} = Port.info(port, :os_pid)
+      owner = Path.join(dir, "owner")
+      File.write!(owner, "#{pid} #{FolderLock.start_time("#{pid}")}\n")
+      assert {:error, text} = FolderLock.acquire(dir)
+      assert text =~ "process #{pid}"
+      # The same number, another life.
+      File.write!(owner, "#{pid} 1\n")
+      assert FolderLock.acquire(dir) == :ok
+      Port.close(port)
+
+      for text <- ["", "x", "999999999 5", "1 2 3"] do
+        File.write!(owner, text)
+        assert FolderLock.acquire(dir) == :ok
+      end
+    end
+
+    test "that cannot be made or written is refused with the reason", %{tmp_dir: dir} do
+      File.write!(Path.join(dir, "file"), "")
+      assert {:error, "cannot make folder" <> _} = FolderLock.acquire(Path.join(dir, "file/x"))
+    end
+  end
+
+  describe "a program" do
+    test "ends when it is told to, and says its status" do
+      port =
+        OsProcess.start("/bin/sh", ["-c", "trap 'exit 7' TERM; echo ready; while :; do sleep 0.05; done"])
+
+      assert_receive {^port, {:data, {:eol, "ready"}}}, 5_000
+      OsProcess.stop(port)
+      assert_receive {^port, {:exit_status, 7}}, 5_000
+      assert OsProcess.stop(port) == :ok
+    end
+
+    test "that does not listen to TERM is made to end" do
+      port = OsProcess.start("/bin/sh", ["-c", "trap '' TERM; echo ready; while :; do sleep 0.05; done"])
+      assert_receive {^port, {:data, {:eol, "ready"}}}, 5_000
+      OsProcess.stop(port)
+      assert_receive {^port, {:exit_status, 137}}, 15_000
+    end
+
+    test "that has a pid which is a stranger's is left alone", %{tmp_dir: dir} do
+      pid_file = Path.join(dir, "pid")
+
+      for text <- [System.pid(), "0", "-1", "x", "1\n2"] do
+        File.write!(pid_file, text)
+        refute OsProcess.end_leftover(pid_file, "/no/such.conf")
+      end
+
+      refute OsProcess.end_leftover(Path.join(dir, "none"), "/no/such.conf")
+    end
+  end
+end

@@ -1,0 +1,144 @@
+defmodule Aerie.Bridge.ServerTest do
+  use Aerie.BridgeCase, async: true
+
+  alias Aerie.Bridge.FolderLock
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  test "killed, the server is back with its data, on its port", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    url = await_up(gateway)
+    commit(gateway, "A", 1..10)
+    await_empty(gateway)
+    pid = server_pid(dir)
+    kill9(pid)
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
+
+    eventually(fn ->
+      match?(
+        %{conn: conn, streams: :ok} when conn != nil,
+        Bridge.Connection.current(Bridge.Tables.get(gateway))
+      )
+    end)
+
+    assert await_up(gateway) == url
+    assert server_pid(dir) != pid
+    assert Enum.map(events(client(url)), &elem(&1, 1)) == Enum.to_list(1..10)
+    assert metric(gateway, "gateway_nats_server_restarts_total") == 1
+  end
+
+  test "the process that keeps it killed, the old server goes and a new one comes", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+    old = server_pid(dir)
+    keeper = Aerie.Names.whereis(gateway, :bridge_server)
+    ref = Process.monitor(keeper)
+    Process.exit(keeper, :kill)
+    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+    eventually(fn -> FolderLock.start_time(old) == "" end)
+    eventually(fn -> Bridge.info(gateway)[:connected] && server_pid(dir) != old end)
+    commit(gateway, "A", 1..3)
+    await_empty(gateway)
+  end
+
+  test "the shell in between killed, the server goes on, and is still watched", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+    server = server_pid(dir)
+    [_, fields] = "/proc/#{server}/stat" |> File.read!() |> String.split(") ", parts: 2)
+    [_state, shell | _] = String.split(fields)
+    kill9(shell)
+    eventually(fn -> FolderLock.start_time(shell) == "" end)
+    commit(gateway, "A", 1..3)
+    await_empty(gateway)
+    assert server_pid(dir) == server
+    kill9(server)
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
+  end
+
+  test "kill -9 of the whole gateway ends its server", %{tmp_dir: dir} do
+    script = """
+    Application.ensure_all_started(:vehicle)
+    alias Aerie.{Bridge, Config, Fleet}
+    config = Config.default([{"nats.port", 0}, {"nats.store_dir", #{inspect(Path.join(dir, "nats"))}},
+                             {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
+    {:ok, _} = Fleet.Store.start_link(gateway: :g)
+    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
+    Fleet.PubSub.subscribe(:g, :bridge)
+    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
+    wait = fn wait ->
+      receive do
+        {:fleet, :bridge, {:connection, %{status: :up}}} -> IO.puts("up \#{System.pid()}")
+        _ -> wait.(wait)
+      end
+    end
+    wait.(wait)
+    Process.sleep(:infinity)
+    """
+
+    {port, pid} = other_vm(script, "up ")
+    server = server_pid(dir)
+    assert FolderLock.start_time(server) != ""
+    # While it runs, its folder is not ours.
+    second = start_bridge(config(dir))
+    assert %{status: {:failed, text}} = await(second, :server, &match?(%{status: {:failed, _}}, &1))
+    assert text =~ "process #{pid}"
+    kill9(pid)
+    eventually(fn -> FolderLock.start_time(server) == "" end)
+    # And then it is.
+    await_up(second)
+    if Port.info(port), do: Port.close(port)
+  end
+
+  describe "a server that wants a login" do
+    setup %{tmp_dir: dir} do
+      conf = Path.join(dir, "auth.conf")
+      store = Path.join(dir, "store")
+
+      File.write!(conf, """
+      host: 127.0.0.1
+      port: -1
+      jetstream { store_dir: #{JSON.encode!(store)} }
+      authorization { users: [ { user: gw, password: "geheim" } ] }
+      """)
+
+      port = Bridge.Server.OsProcess.start(System.find_executable("nats-server"), ["-c", conf])
+      %{server: port, tcp_port: listening(port)}
+    end
+
+    test "gets user and password; a wrong one is said without it, and events wait on disk", context do
+      %{tmp_dir: dir, tcp_port: tcp_port, server: server} = context
+      url = {"nats.url", "nats://127.0.0.1:#{tcp_port}"}
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          gateway =
+            start_bridge(config(Path.join(dir, "a"), [url, {"nats.user", "gw"}, {"nats.password", "falsch"}]))
+
+          commit(gateway, "A", 1..5)
+          await(gateway, :outbox, &(&1[:events] == 5))
+          refute Bridge.info(gateway).connected
+        end)
+
+      assert log =~ "cannot connect to NATS at nats://127.0.0.1:#{tcp_port}"
+      refute log =~ "falsch"
+
+      gateway =
+        start_bridge(config(Path.join(dir, "b"), [{"nats.url", "nats://gw:geheim@127.0.0.1:#{tcp_port}"}]))
+
+      assert await_up(gateway) == "nats://127.0.0.1:#{tcp_port}"
+      Bridge.Server.OsProcess.stop(server)
+      assert_receive {^server, {:exit_status, _}}, 10_000
+    end
+  end
+
+  defp listening(port) do
+    assert_receive {^port, {:data, {:eol, line}}}, 10_000
+
+    case Bridge.Server.LogLine.parse(line) do
+      {_, _, {:listening, tcp_port}} -> tcp_port
+      _ -> listening(port)
+    end
+  end
+end

@@ -64,7 +64,7 @@ defmodule Mix.Tasks.Compile.CircuitsUart do
     end
   end
 
-  # gcc without libc's headers, or static libraries that are not there: told by a program that only prints.
+  # gcc without libc's headers, no static libraries, flags that exclude them: told by a program that only prints.
   defp usable?(cc, static, fresh) do
     source = fresh <> ".c"
 
@@ -73,7 +73,7 @@ defmodule Mix.Tasks.Compile.CircuitsUart do
       "#include <stdio.h>\n#include <asm/termbits.h>\nint main(void) { return puts(\"\") < 0; }\n"
     )
 
-    match?({_, 0}, System.cmd(cc, static ++ ["-o", fresh, source], stderr_to_stdout: true))
+    match?({_, 0}, System.cmd(cc, words("CFLAGS") ++ static ++ ["-o", fresh, source], stderr_to_stdout: true))
   rescue
     # CC names something that is not there.
     ErlangError -> false

@@ -148,6 +148,10 @@ static int set_rs485(int fd, const struct settings *s)
     if (s->rs485_given == 0)
         return 0;
 
+#ifndef SER_RS485_TERMINATE_BUS
+    if (s->rs485_given & RS485_TERMINATE_BUS)
+        return -EINVAL;
+#endif
     struct serial_rs485 r;
     memset(&r, 0, sizeof(r));
     if (ioctl(fd, TIOCGRS485, &r) < 0)

@@ -60,12 +60,12 @@ defmodule Circuits.UART.Server do
   end
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = server) when is_port(port) do
-    Logger.error("the port program of UART #{inspect(server.core.name)} ended with status #{status}")
-    {:noreply, server |> stop_program() |> handle({:program_down, :epipe})}
+    {:noreply, program_ended(server, "status #{status}")}
   end
 
-  def handle_info({:EXIT, port, _reason}, %{port: port} = server) when is_port(port) do
-    {:noreply, server |> stop_program() |> handle({:program_down, :epipe})}
+  # Its stdin was closed when it was written to: that may be seen before the status.
+  def handle_info({:EXIT, port, reason}, %{port: port} = server) when is_port(port) do
+    {:noreply, program_ended(server, inspect(reason))}
   end
 
   def handle_info({:timer, :outbox}, server), do: {:noreply, send_outbox(server)}
@@ -152,6 +152,11 @@ defmodule Circuits.UART.Server do
   end
 
   defp tell_missing(server, _reason), do: server
+
+  defp program_ended(server, how) do
+    Logger.error("the port program of UART #{inspect(server.core.name)} ended (#{how})")
+    server |> stop_program() |> handle({:program_down, :epipe})
+  end
 
   defp stop_program(%{port: nil} = server), do: server
 

@@ -7,22 +7,11 @@ defmodule MavCodec.Definition.Catalog do
   differ, it has several layouts and the dialect decides which one is on the wire.
   """
 
-  alias MavCodec.Definition.{Document, Error, Facts, Layout, Naming, Resolver}
-  alias MavCodec.Definition.Document.{Enumeration, Message}
+  alias MavCodec.Definition.{Document, Enumerations, Error, Facts, Naming, Resolver, Type}
+  alias MavCodec.Definition.Document.Enumeration
 
   @ranked ["upstream", "ardupilot"]
   @wholes Enum.map(@ranked, &Naming.dialect(&1, "all.xml"))
-
-  defmodule Type do
-    @moduledoc """
-    A message module: `fields` is the union over `layouts`, in XML order; `message` the definition that ranks first;
-    `enums` says where an enum's module is, if not under `MavCodec.Enums`.
-    """
-    @enforce_keys [:module, :id, :name, :fields, :layouts]
-    defstruct [:module, :id, :name, :fields, :layouts, :message, enums: %{}]
-
-    @type t :: %__MODULE__{}
-  end
 
   defmodule Dialect do
     @moduledoc "A dialect module: `name` as people write it, `entries` are `{type, layout index}`, by id."
@@ -93,9 +82,12 @@ defmodule MavCodec.Definition.Catalog do
         {source, file, resolve!(documents, file)}
       end
 
-    messages = for {_source, _file, dialect} <- resolved, message <- dialect.messages, do: message
-    types = types(messages, MavCodec.Messages)
+    messages = for {source, _documents} <- sources, message <- messages(source, resolved), do: message
+    enums = Enumerations.merge(for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum)
+    types = messages |> Type.all(MavCodec.Messages) |> Type.with_enums(enums)
     by_name = Enum.group_by(types, & &1.name)
+    # Most files include common.xml, so most messages come many times.
+    found = messages |> Enum.uniq() |> Map.new(&{&1, Type.find(&1, by_name[&1.name])})
 
     dialects =
       for {source, file, dialect} <- resolved do
@@ -103,14 +95,18 @@ defmodule MavCodec.Definition.Catalog do
           module: Naming.dialect(source, file),
           name: Naming.dialect_name(source, file),
           title: "#{file} of #{source}",
-          entries: Enum.map(dialect.messages, &find(&1, by_name[&1.name]))
+          entries: Enum.map(dialect.messages, &Map.fetch!(found, &1))
         }
       end
 
-    enums = for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum
-    catalog = %__MODULE__{types: types, enums: enums(enums), dialects: with_all(dialects)}
+    catalog = %__MODULE__{types: types, enums: enums, dialects: with_all(dialects)}
     unique_modules!(catalog)
     catalog
+  end
+
+  defp messages(source, resolved) do
+    messages = for {^source, _file, dialect} <- resolved, message <- dialect.messages, do: message
+    Enum.sort_by(messages, & &1.id)
   end
 
   defp resolve!(documents, file) do
@@ -119,123 +115,6 @@ defmodule MavCodec.Definition.Catalog do
       {:error, error} -> raise error
     end
   end
-
-  ## Messages
-
-  @doc """
-  The message types of messages in rank order (so that the names of the official ones never depend on what is added to
-  them), with their modules under `namespace`.
-  """
-  @spec types([Message.t()], module()) :: [Type.t()]
-  def types(messages, namespace) do
-    messages
-    |> Enum.uniq_by(&signature/1)
-    |> Enum.reduce([], &add_type/2)
-    |> Enum.reverse()
-    |> name_types(namespace)
-    |> Enum.sort_by(&{&1.id, &1.name})
-  end
-
-  defp signature(%Message{} = message),
-    do: {message.id, message.name, Enum.map(message.fields, &{&1.name, &1.type, &1.length, &1.extension})}
-
-  defp add_type(message, types) do
-    layout = Layout.of(message)
-
-    case Enum.split_while(types, &(not same_type?(&1, message, layout))) do
-      {before, [type | rest]} ->
-        known = MapSet.new(type.fields, & &1.name)
-        more = Enum.reject(message.fields, &MapSet.member?(known, &1.name))
-        before ++ [%{type | fields: type.fields ++ more, layouts: type.layouts ++ [layout]} | rest]
-
-      {_all, []} ->
-        type = %Type{
-          module: nil,
-          id: message.id,
-          name: message.name,
-          fields: message.fields,
-          layouts: [layout],
-          message: message
-        }
-
-        [type | types]
-    end
-  end
-
-  # One module for both: the same base, and no extension of one name with two types.
-  defp same_type?(type, message, layout) do
-    type.id == message.id and type.name == message.name and shape(hd(type.layouts).base) == shape(layout.base) and
-      Enum.all?(message.fields, fn field ->
-        Enum.all?(
-          type.fields,
-          &(&1.name != field.name or (&1.type == field.type and &1.length == field.length))
-        )
-      end)
-  end
-
-  defp shape(fields), do: Enum.map(fields, &{&1.name, &1.type, &1.length})
-
-  # Module names are unique without regard to case (they are file names): the first keeps its name, one that comes later
-  # gets its id behind it.
-  defp name_types(types, namespace) do
-    {types, _taken} =
-      types
-      |> Enum.map_reduce(MapSet.new(), fn type, taken ->
-        plain = Naming.camel(type.name)
-        name = if MapSet.member?(taken, String.downcase(plain)), do: "#{plain}#{type.id}", else: plain
-        {%{type | module: Module.concat(namespace, name)}, MapSet.put(taken, String.downcase(name))}
-      end)
-
-    types
-  end
-
-  @doc "The type among `types` that a message is, with the index of its layout; `nil` if there is none."
-  @spec find(Message.t(), [Type.t()]) :: {Type.t(), non_neg_integer()} | nil
-  def find(message, types) do
-    layout = Layout.of(message)
-
-    Enum.find_value(types, fn type ->
-      if same_type?(type, message, layout) do
-        index = Enum.find_index(type.layouts, &(shape(&1.extensions) == shape(layout.extensions)))
-        index && {type, index}
-      end
-    end)
-  end
-
-  ## Enums
-
-  defp enums(enums) do
-    enums
-    |> Enum.group_by(& &1.name)
-    |> Enum.sort()
-    |> Enum.map(fn {name, pieces} ->
-      entries = pieces |> Enum.flat_map(& &1.entries) |> Enum.reduce(%{}, &add_entry(&1, &2, name))
-      # Of two names for one value the higher-ranking source's comes first.
-      entries = entries |> Map.values() |> Enum.sort_by(fn {index, entry} -> {entry.value, index} end)
-
-      {Naming.enum(name),
-       %{hd(pieces) | bitmask: Enum.any?(pieces, & &1.bitmask), entries: Enum.map(entries, &elem(&1, 1))}}
-    end)
-  end
-
-  defp add_entry(entry, entries, enum) do
-    case Map.fetch(entries, entry.name) do
-      :error ->
-        Map.put(entries, entry.name, {map_size(entries), entry})
-
-      {:ok, {_index, %{value: value}}} when value == entry.value ->
-        entries
-
-      {:ok, {_index, first}} ->
-        raise Error,
-          file: entry.file,
-          line: entry.line,
-          reason:
-            "#{entry.name} of enum #{enum} is #{entry.value}, but #{first.value} in #{first.file} of another source"
-    end
-  end
-
-  ## Dialects
 
   # The messages of both official sources together, with the layouts of the one or of the other where they differ.
   defp with_all(dialects) do
@@ -266,7 +145,7 @@ defmodule MavCodec.Definition.Catalog do
   end
 
   defp unique_ids!(entries) do
-    Enum.zip_with(entries, tl(entries), fn {a, _}, {b, _} ->
+    Enum.zip_with(entries, Enum.drop(entries, 1), fn {a, _}, {b, _} ->
       if a.id == b.id do
         raise Error,
           file: "all.xml",

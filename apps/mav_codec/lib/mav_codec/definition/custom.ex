@@ -3,7 +3,7 @@ defmodule MavCodec.Definition.Custom do
   A dialect outside of the official sources: what `use MavCodec.Dialect` compiles.
   """
 
-  alias MavCodec.Definition.{Catalog, Generator, Importer, Naming, Resolver, Shard}
+  alias MavCodec.Definition.{Catalog, Generator, Importer, Naming, Resolver, Shard, Type}
   alias MavCodec.Definition.Catalog.Dialect
 
   @doc """
@@ -47,7 +47,7 @@ defmodule MavCodec.Definition.Custom do
   `official` does not have.
   """
   @spec build!(%{String.t() => map()}, String.t(), module(), Catalog.t()) ::
-          {Dialect.t(), [Catalog.Type.t()], [{module(), map()}]}
+          {Dialect.t(), [Type.t()], [{module(), map()}]}
   def build!(documents, root, module, official) do
     resolved =
       case Resolver.resolve(documents, root) do
@@ -60,15 +60,16 @@ defmodule MavCodec.Definition.Custom do
         {Module.concat([module, Enums, Naming.camel(enum.name)]), enum}
       end
 
-    modules = Map.new(enums, fn {module, enum} -> {enum.name, module} end)
-    new = Enum.reject(resolved.messages, &Catalog.find(&1, official.types))
-    types = new |> Catalog.types(Module.concat(module, Messages)) |> Enum.map(&%{&1 | enums: modules})
+    new = Enum.reject(resolved.messages, &Type.find(&1, official.types))
+
+    types =
+      new |> Type.all(Module.concat(module, Messages)) |> Type.with_enums(official.enums ++ enums)
 
     dialect = %Dialect{
       module: module,
       name: Path.basename(root, ".xml"),
       title: root,
-      entries: Enum.map(resolved.messages, &(Catalog.find(&1, official.types) || Catalog.find(&1, types)))
+      entries: Enum.map(resolved.messages, &(Type.find(&1, official.types) || Type.find(&1, types)))
     }
 
     {dialect, types, enums}

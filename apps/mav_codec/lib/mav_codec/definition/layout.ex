@@ -49,9 +49,7 @@ defmodule MavCodec.Definition.Layout do
   @doc "The layout of a message."
   @spec of(Message.t()) :: t()
   def of(%Message{fields: fields} = message) do
-    {extensions, base} = Enum.split_with(fields, & &1.extension)
-    # F4: base fields by element size, largest first, else in XML order; extensions stay in XML order.
-    base = Enum.sort_by(base, &size(&1.type), :desc)
+    {base, extensions} = order(fields)
     min = base |> Enum.map(&bytes/1) |> Enum.sum()
     max = extensions |> Enum.map(&bytes/1) |> Enum.sum() |> Kernel.+(min)
     offsets = offsets(base ++ extensions)
@@ -65,6 +63,13 @@ defmodule MavCodec.Definition.Layout do
       target_system: offsets["target_system"] || manual_control_target(message, offsets),
       target_component: offsets["target_component"]
     }
+  end
+
+  @doc "The wire order of fields (F4): base fields by element size, largest first, then extensions in XML order."
+  @spec order([Field.t()]) :: {base :: [Field.t()], extensions :: [Field.t()]}
+  def order(fields) do
+    {extensions, base} = Enum.split_with(fields, & &1.extension)
+    {Enum.sort_by(base, &size(&1.type), :desc), extensions}
   end
 
   # The one message whose target system has another name, which routers have to know all the same.

@@ -144,6 +144,7 @@ defmodule MavCodec.Definition.Parser do
 
   defp param(attributes, line) do
     index = attributes |> required("index", "param", line) |> integer(7, line, "index")
+    if index == 0, do: fail(line, "index is 0, expected 1 to 7")
     {index, for(key <- @param_keys, value = attribute(attributes, key), value != "", do: {key, value})}
   end
 

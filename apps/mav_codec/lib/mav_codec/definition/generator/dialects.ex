@@ -7,7 +7,7 @@ defmodule MavCodec.Definition.Generator.Dialects do
   alias MavCodec.Definition.Generator.Messages
 
   @doc "The body of the module of a dialect."
-  @spec body(%Dialect{}) :: Macro.t()
+  @spec body(Dialect.t()) :: Macro.t()
   def body(%Dialect{entries: entries} = dialect) do
     quote do
       @moduledoc unquote("The dialect #{dialect.title}: #{length(entries)} messages.")

@@ -46,6 +46,7 @@ defmodule MavCodec.Definition.Generator.Enums do
       def all, do: unquote(for {name, value, _label} <- entries, do: {name, value})
 
       unquote(if enum.bitmask, do: flags())
+      unquote(if Enum.any?(enum.entries, &(&1.params != [])), do: params(enum))
     end
   end
 
@@ -54,6 +55,47 @@ defmodule MavCodec.Definition.Generator.Enums do
       @doc "The flags that are set, and the bits that no entry has a name for."
       @spec flags(non_neg_integer()) :: {[atom()], unknown_bits :: non_neg_integer()}
       def flags(value), do: MavCodec.Enums.flags(value, all())
+    end
+  end
+
+  defp params(enum) do
+    params =
+      for entry <- enum.entries, entry.params != [], do: {entry.value, Enum.map(entry.params, &param/1)}
+
+    quote do
+      @doc "The parameters of a command that its definition tells of, by index."
+      @spec params(integer()) :: [MavCodec.Enums.Param.t()]
+      unquote_splicing(
+        for {value, list} <- params,
+            do: quote(do: def(params(unquote(value)), do: unquote(Macro.escape(list))))
+      )
+
+      def params(value) when is_integer(value), do: []
+    end
+  end
+
+  defp param({index, facts}) do
+    facts = Map.new(facts)
+
+    %MavCodec.Enums.Param{
+      index: index,
+      label: facts["label"],
+      units: facts["units"],
+      enum: facts["enum"],
+      min: number(facts["minValue"]),
+      max: number(facts["maxValue"]),
+      increment: number(facts["increment"]),
+      default: number(facts["default"]),
+      reserved: facts["reserved"] == "true"
+    }
+  end
+
+  defp number(nil), do: nil
+
+  defp number(text) do
+    case Float.parse(text) do
+      {number, ""} -> number
+      _other -> if String.downcase(text) == "nan", do: :nan
     end
   end
 

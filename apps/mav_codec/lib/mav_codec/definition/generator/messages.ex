@@ -7,15 +7,14 @@ defmodule MavCodec.Definition.Generator.Messages do
   bits.
   """
 
-  alias MavCodec.Definition.Catalog.Type
-  alias MavCodec.Definition.{Layout, Naming}
+  alias MavCodec.Definition.{Layout, Naming, Type}
   alias MavCodec.Definition.Document.Field
 
   # Arrays up to this length are matched element by element, longer ones taken as bytes and then as a list.
   @inline 24
 
   @doc "The body of the module of a message type."
-  @spec body(%Type{}) :: Macro.t()
+  @spec body(Type.t()) :: Macro.t()
   def body(%Type{} = type) do
     quote do
       @moduledoc unquote(moduledoc(type))
@@ -23,7 +22,7 @@ defmodule MavCodec.Definition.Generator.Messages do
 
       defstruct unquote(Macro.escape(Enum.map(type.fields, &{Naming.key(&1.name), default(&1)})))
 
-      @type t :: %__MODULE__{}
+      @type t :: %__MODULE__{unquote_splicing(Enum.map(type.fields, &{Naming.key(&1.name), field_type(&1)}))}
 
       @impl MavCodec.Message
       def id, do: unquote(type.id)
@@ -158,6 +157,18 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp scalar(variable, :double, :bits), do: quote(do: MavCodec.Message.Value.float64(unquote(variable)))
   defp scalar(variable, _type, _mode), do: variable
 
+  defp field_type(%Field{type: type, length: length}) when type in [:char, :uint8] and length != nil,
+    do: quote(do: binary())
+
+  defp field_type(%Field{type: type, length: nil}), do: scalar_type(type)
+  defp field_type(%Field{type: type}), do: [scalar_type(type)]
+
+  defp scalar_type(type) when type in [:float, :double],
+    do: quote(do: MavCodec.Message.Value.extended_float())
+
+  defp scalar_type(type) when type in [:int8, :int16, :int32, :int64], do: quote(do: integer())
+  defp scalar_type(_unsigned), do: quote(do: non_neg_integer())
+
   defp default(%Field{constant: constant}) when constant != nil, do: constant
   defp default(%Field{type: :char, length: length}) when length != nil, do: ""
   defp default(%Field{type: :uint8, length: length}) when length != nil, do: <<0::size(length)-unit(8)>>
@@ -167,7 +178,7 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp zero(type) when type in [:float, :double], do: 0.0
   defp zero(_type), do: 0
 
-  defp field(%Field{} = field, type) do
+  defp field(%Field{enum: enum} = field, type) do
     %MavCodec.Message.Field{
       key: Naming.key(field.name),
       name: field.name,
@@ -181,14 +192,14 @@ defmodule MavCodec.Definition.Generator.Messages do
       max: field.max,
       increment: field.increment,
       default: field.default,
-      bitmask: field.bitmask,
+      bitmask: field.bitmask or match?(%{^enum => {_module, true}}, type.enums),
       instance: field.instance,
       extension: field.extension
     }
   end
 
   defp enum(%Field{enum: nil}, _type), do: nil
-  defp enum(%Field{enum: enum}, type), do: Map.get_lazy(type.enums, enum, fn -> Naming.enum(enum) end)
+  defp enum(%Field{enum: enum}, type), do: type.enums |> Map.fetch!(enum) |> elem(0)
 
   ## Documentation
 

@@ -219,36 +219,40 @@ defmodule Aerie.LinkTest do
   end
 
   describe "a killed link" do
-    test "fifty times in a row: it is back each time, and another link loses nothing", c do
-      be_session(c.gateway, 1)
-      be_session(c.gateway, 2)
-      {victim, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
-      {other, other_port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "other")
+    test "fifty times in a row: it is back each time, and the others lose nothing", c do
+      for system <- 1..3, do: be_session(c.gateway, system)
+      {victim, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "victim")
+      {udp, udp_port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "udp")
+      {tcp, tcp_port} = add_link(c.gateway, "tcpin:127.0.0.1:0", id: "tcp")
       # Port 0 would be another one after a restart.
       :ok = Link.stop(c.gateway, victim)
       {victim, ^port} = add_link(c.gateway, "udpin:127.0.0.1:#{port}", id: "victim")
+      {:ok, stream} = :gen_tcp.connect({127, 0, 0, 1}, tcp_port, [:binary, active: false])
       [a, b] = [socket(), socket()]
-      supervisor = Names.whereis(c.gateway, :links)
-      trees = Names.whereis(c.gateway, :link_trees)
+      supervisors = for role <- [:links, :link_trees], do: Names.whereis(c.gateway, role)
 
       for n <- 1..50 do
         pid = eventually(fn -> Names.whereis(c.gateway, :link, victim) end)
         say(a, port, attitude(1, n))
-        say(b, other_port, attitude(2, n))
+
+        for m <- (n * 20 - 19)..(n * 20) do
+          say(b, udp_port, attitude(2, m))
+          :ok = :gen_tcp.send(stream, attitude(3, m))
+        end
+
         Process.exit(pid, :kill)
       end
 
-      got = for %{system: 2} = frame <- collect(50), do: number(frame)
-      assert got == Enum.to_list(1..50)
+      got = collect(%{2 => 1000, 3 => 1000})
+      for system <- [2, 3], do: assert(numbers(got, system) == Enum.to_list(1..1000))
 
       eventually(fn -> match?(%{status: :up}, Link.get(c.gateway, victim)) end)
       say(a, port, attitude(1, 99))
       eventually(fn -> Enum.any?(frames(1), &(number(&1) == 99)) end)
       # One that is killed before it is quite there does not count.
       assert Link.snapshot(c.gateway, victim).counters.restarts in 40..50
-      assert Link.snapshot(c.gateway, other).counters.restarts == 0
-      assert Names.whereis(c.gateway, :links) == supervisor
-      assert Names.whereis(c.gateway, :link_trees) == trees
+      for id <- [udp, tcp], do: assert(Link.snapshot(c.gateway, id).counters.restarts == 0)
+      assert supervisors == for(role <- [:links, :link_trees], do: Names.whereis(c.gateway, role))
     end
 
     test "keeps its counters", c do
@@ -286,9 +290,13 @@ defmodule Aerie.LinkTest do
       assert [%{id: "kept"}] = Link.list(c.gateway)
     end
 
-    # Frames of system 2 until there are n.
-    defp collect(n, got \\ []) do
-      if Enum.count(got, &(&1.system == 2)) >= n, do: got, else: collect(n, got ++ frames(1))
+    # Frames until there are so many of each system, others between them.
+    defp collect(wanted, got \\ []) do
+      if Enum.all?(wanted, fn {system, n} -> Enum.count(got, &(&1.system == system)) >= n end) do
+        got
+      else
+        collect(wanted, got ++ frames(1))
+      end
     end
   end
 

@@ -8,6 +8,8 @@ defmodule Aerie.Link.Transport.Net do
   # Datagrams taken at one wake-up.
   @batch 128
   @buffer 65_536
+  # Datagrams that the socket takes from the kernel at a time; 5, the default, costs almost twice the time per datagram.
+  @read_packets 64
   # As much as the kernel grants: it is the only reserve while the link's process waits for its turn.
   @recbuf 4 * 1024 * 1024
   @send_limit 128 * 1024
@@ -45,7 +47,16 @@ defmodule Aerie.Link.Transport.Net do
   @spec udp(:inet.ip_address(), :inet.port_number(), keyword) :: {:ok, :gen_udp.socket()} | {:error, term}
   def udp(address, port, more \\ []) do
     # The buffer comes after recbuf, which would else make every read allocate as much.
-    options = [:binary, family(address), ip: address, active: false, recbuf: @recbuf, buffer: @buffer]
+    options = [
+      :binary,
+      family(address),
+      ip: address,
+      active: false,
+      recbuf: @recbuf,
+      buffer: @buffer,
+      read_packets: @read_packets
+    ]
+
     :gen_udp.open(port, options ++ more)
   end
 

@@ -54,6 +54,16 @@ defmodule Circuits.UART.Test.Pty do
   def pause(pty), do: command(pty, "p")
   def resume(pty), do: command(pty, "r")
 
+  @doc """
+  After a port program was killed: what the kernel does by itself when nobody has a real port open any more. Without it
+  only root could open the PTY again.
+  """
+  def end_exclusive(pty) do
+    command(pty, "u")
+    false = settings(pty).exclusive
+    :ok
+  end
+
   @doc "Exactly so many bytes, as the line brings them."
   def read(pty, count, sofar \\ "")
   def read(_pty, count, sofar) when byte_size(sofar) == count, do: sofar

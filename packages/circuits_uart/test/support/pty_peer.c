@@ -6,6 +6,7 @@
  *         't'           tell the line's settings as the slave side has them
  *         'x'           close the master: the slave is hung up
  *         'o'           open another PTY
+ *         'u'           end the exclusive mode, as the last close of a real port does and that of a PTY does not
  *   out:  'n' path      of the slave, when a PTY was opened
  *         'd' bytes     received
  *         't' cflag:32 iflag:32 lflag:32 ispeed:32 ospeed:32 exclusive:8
@@ -107,6 +108,7 @@ static void dispatch(const uint8_t *packet, size_t length)
     case 't': tell_settings(); break;
     case 'x': close_pty(); break;
     case 'o': open_pty(); break;
+    case 'u': ioctl(slave, TIOCNXCL); break;
     default: exit(7);
     }
 }

@@ -100,6 +100,7 @@ defmodule Circuits.UART.FaultsTest do
       assert_receive {:circuits_uart, ^path, {:error, :epipe}}, 5_000
       assert UART.write(uart, "x") == {:error, :ebadf}
 
+      Pty.end_exclusive(pty)
       assert UART.open(uart, path) == :ok
       assert os_pid(uart) != first
       Pty.write(pty, "x")

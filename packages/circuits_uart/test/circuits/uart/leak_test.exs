@@ -65,6 +65,7 @@ defmodule Circuits.UART.LeakTest do
     assert UART.open(uart, pty.path) == :ok
     {_, 0} = System.cmd("kill", ["-KILL", "#{os_pid(uart)}"])
     await_error(path, :epipe)
+    Pty.end_exclusive(pty)
   end
 
   defp await_error(path, reason) do

@@ -57,10 +57,10 @@ defmodule MavCodec do
   """
   @spec encode(Message.t(), [encode_option()]) :: binary()
   def encode(message, options) do
-    version = Keyword.get(options, :version, 2)
     {message, options} = long_target(message, options)
+    dialect = Keyword.get(options, :dialect, Dialects.All)
 
-    case Message.encode_payload(message, version, Keyword.get(options, :dialect, Dialects.All)) do
+    case Message.encode_payload(message, Raw.version(options), dialect) do
       {:ok, id, crc_extra, payload} -> Raw.frame(id, payload, crc_extra, options)
       {:error, error} -> raise error
     end

@@ -39,11 +39,18 @@ defmodule MavCodec.Raw do
   """
   @spec frame(0..0xFFFFFF, binary(), 0..255, [option()]) :: binary()
   def frame(id, payload, crc_extra, options) do
-    case Keyword.get(options, :version, 2) do
+    case version(options) do
       2 -> v2(id, payload, crc_extra, options)
       1 -> v1(id, payload, crc_extra, options)
-      other -> raise EncodeError, field: :version, got: other, expected: "1 or 2"
     end
+  end
+
+  @doc "The version that `options` ask for. Raises `MavCodec.EncodeError` for one that does not exist."
+  @spec version([option()]) :: 1 | 2
+  def version(options) do
+    version = Keyword.get(options, :version, 2)
+    check(version in [1, 2], :version, version, "1 or 2")
+    version
   end
 
   defp v1(id, payload, extra, options) do

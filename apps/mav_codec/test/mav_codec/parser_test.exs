@@ -181,6 +181,22 @@ defmodule MavCodec.ParserTest do
       end
     end
 
+    test "hostile bytes cost a bounded amount of work" do
+      # Each byte may begin a frame of up to 300 bytes, whose CRC must be tried; unknown ids are searched inside besides.
+      magics = unknown(payload: :binary.copy(<<0xFE, 0xFD, 9, 1, 0>>, 50))
+
+      for data <- [
+            :binary.copy(<<0xFE>>, 20_000),
+            :binary.copy(<<0xFE, 255, 1, 1, 1, 255>>, 3000),
+            :binary.copy(magics, 80)
+          ] do
+        {:reductions, before} = Process.info(self(), :reductions)
+        Enum.reduce(chunks(data, 1400), Parser.new(), &elem(Parser.push(&2, &1), 1))
+        {:reductions, after_all} = Process.info(self(), :reductions)
+        assert after_all - before < 150 * byte_size(data)
+      end
+    end
+
     test "the bytes kept are not a part of what was read" do
       {[], parser} = Parser.push(Parser.new(), :binary.copy("x", 100_000) <> <<0xFD, 9>>)
       assert :binary.referenced_byte_size(parser.held) == 2

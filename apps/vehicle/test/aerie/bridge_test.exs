@@ -107,9 +107,10 @@ defmodule Aerie.BridgeTest do
       gateway = start_bridge(config(dir, [{"nats.url", url}, {"nats.mode", "url"}]))
       assert await_up(gateway) == url
       assert %{mode: :url, server: nil, streams: %{"FLEET_STATE" => :ok}} = Bridge.info(gateway)
+      old = Bridge.connection(gateway)
       kill9(server_pid(Path.join(dir, "server")))
-      await(gateway, :connection, &(&1[:status] == :down))
       commit(gateway, "A", 1..10)
+      assert await_reconnected(gateway, old) == url
       await_empty(gateway)
       assert Enum.map(events(client(Bridge.info(owner).url)), &elem(&1, 1)) == Enum.to_list(1..10)
     end
@@ -160,7 +161,7 @@ defmodule Aerie.BridgeTest do
       wait_for_last(20)
       assert {:ok, %{state: %{messages: 1}}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_STATE")
       published = metric(gateway, "gateway_nats_messages_published_total")
-      assert published + metric(gateway, "gateway_nats_state_superseded_total") == 21
+      assert (published + metric(gateway, "gateway_nats_state_superseded_total")) in 21..22
     end
 
     test "while NATS is away: the last value per subject, published when it is back", %{tmp_dir: dir} do
@@ -182,10 +183,10 @@ defmodule Aerie.BridgeTest do
       start_bridge_again(gateway, config(dir, [{"nats.url", url}, {"nats.mode", "url"}]))
       await_up(gateway)
       Process.unlink(conn)
+      old = Bridge.connection(gateway)
       kill9(pid)
-      await(gateway, :connection, &(&1[:status] == :down))
       for n <- 1..50, do: Bridge.publish_state(gateway, "V", :gps, %{n: n}, n)
-      conn = client(await_up(gateway))
+      conn = client(await_reconnected(gateway, old))
 
       last = fn ->
         case Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_STATE", %{

@@ -80,6 +80,17 @@ defmodule Aerie.BridgeCase do
   @spec await_up(reference()) :: String.t()
   def await_up(gateway), do: await(gateway, :connection, &(&1[:status] == :up and &1[:streams] == :ok)).url
 
+  @doc "Waits until there is another connection than `old`, with its streams; gives the URL."
+  @spec await_reconnected(reference(), pid()) :: String.t()
+  def await_reconnected(gateway, old) do
+    eventually(fn ->
+      current = with %{} = tables <- Bridge.Tables.get(gateway), do: Bridge.Connection.current(tables)
+      match?(%{streams: :ok}, current) and current.conn != old
+    end)
+
+    Bridge.info(gateway).url
+  end
+
   @doc "A plain client on the bridge's server."
   @spec client(String.t()) :: pid()
   def client(url) do

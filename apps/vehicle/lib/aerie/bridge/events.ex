@@ -77,7 +77,7 @@ defmodule Aerie.Bridge.Events do
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
     state = if state.outbox == nil, do: open_outbox(state), else: state
-    {:noreply, state |> send_overdue() |> pump() |> sync() |> put_info()}
+    {:noreply, state |> look_again() |> send_overdue() |> pump() |> sync() |> put_info()}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -114,6 +114,16 @@ defmodule Aerie.Bridge.Events do
       _none_or_no_stream -> away(state)
     end
   end
+
+  # A connection that did not answer, but was not lost either, sends no news.
+  defp look_again(%{conn: nil} = state) do
+    case Connection.current(state.tables) do
+      %{streams: :ok} -> look_for_connection(state)
+      _none_or_no_stream -> state
+    end
+  end
+
+  defp look_again(state), do: state
 
   defp subscribe(state, conn) do
     inbox = "_INBOX.aerie-#{Base.encode16(:crypto.strong_rand_bytes(9), case: :lower)}"

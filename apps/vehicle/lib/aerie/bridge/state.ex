@@ -5,7 +5,8 @@ defmodule Aerie.Bridge.State do
   `put/5` runs in the vehicle's process: it encodes and leaves the message in a table, one place per subject, and wakes
   this process once per place. So a slow or absent NATS costs one value per subject, never a queue: the newer value
   takes the place of the older one, which is counted as superseded. When NATS is back, the last value of each subject
-  is published.
+  is published; also one that was sent in the last #{div(30_000, 1000)} seconds, because nobody knows which of those a connection took with
+  it when it broke. Older ones are left alone: another gateway may know better by now.
   """
   use GenServer
 
@@ -13,6 +14,8 @@ defmodule Aerie.Bridge.State do
   alias Aerie.{Config, Names}
 
   @max_subjects 100_000
+  @look_again_ms 1_000
+  @doubtful_ms 30_000
 
   @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
   def start_link(options) do
@@ -53,17 +56,19 @@ defmodule Aerie.Bridge.State do
 
   defp leave(tables, values, {subject, _body, label} = message) do
     cond do
-      # Gives false when the subject has a value waiting already.
-      :ets.info(values, :size) < 2 * @max_subjects and :ets.insert_new(values, message) ->
-        true
-
-      :ets.member(values, subject) ->
-        Tables.count(tables, :state_superseded, subject: label)
-        :ets.insert(values, message)
-
-      true ->
+      :ets.info(values, :size) >= 2 * @max_subjects and not :ets.member(values, subject) ->
         Tables.count(tables, :state_dropped, subject: label)
         false
+
+      # Gives false when a value waits already.
+      :ets.insert_new(values, message) ->
+        true
+
+      # The older value may just have been taken: then it counts as superseded although it was published. Never the
+      # other way round: the newer one is there in any case.
+      true ->
+        Tables.count(tables, :state_superseded, subject: label)
+        :ets.insert(values, message)
     end
   end
 
@@ -74,7 +79,8 @@ defmodule Aerie.Bridge.State do
     tables = Tables.get(gateway)
     Names.put_value(gateway, :bridge_state, options[:config].environment)
     current = Connection.current(tables)
-    {:ok, sweep(%{tables: tables, conn: current && current.conn})}
+    conn = current && current.conn
+    {:ok, sweep(%{tables: tables, conn: conn, last_conn: conn})}
   end
 
   @impl GenServer
@@ -82,8 +88,23 @@ defmodule Aerie.Bridge.State do
   def handle_info({:publish, _subject}, %{conn: nil} = state), do: {:noreply, state}
 
   def handle_info({:publish, subject}, state), do: {:noreply, publish(subject, state)}
-  def handle_info({:bridge, :up, conn}, state), do: {:noreply, sweep(%{state | conn: conn})}
+
+  def handle_info({:bridge, :up, conn}, %{last_conn: conn} = state),
+    do: {:noreply, sweep(%{state | conn: conn})}
+
+  def handle_info({:bridge, :up, conn}, state) do
+    doubtful(state.tables)
+    {:noreply, sweep(%{state | conn: conn, last_conn: conn})}
+  end
+
   def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil}}
+
+  # A connection that did not answer, but was not lost either, sends no news.
+  def handle_info(:look_again, %{conn: nil} = state) do
+    current = Connection.current(state.tables)
+    {:noreply, sweep(%{state | conn: current && current.conn})}
+  end
+
   def handle_info(_message, state), do: {:noreply, state}
 
   defp sweep(%{conn: nil} = state), do: state
@@ -104,11 +125,16 @@ defmodule Aerie.Bridge.State do
         case pub(conn, subject, body) do
           :ok ->
             Tables.count(tables, :published, subject: label)
+
+            if :ets.info(tables.sent, :size) < @max_subjects,
+              do: :ets.insert(tables.sent, {subject, message, now()})
+
             state
 
           {:error, :gone} ->
             put_back(values, message)
             Tables.count(tables, :publish_errors)
+            Process.send_after(self(), :look_again, @look_again_ms)
             %{state | conn: nil}
 
           {:error, :refused} ->
@@ -119,6 +145,14 @@ defmodule Aerie.Bridge.State do
       [] ->
         state
     end
+  end
+
+  defp doubtful(%{sent: sent, values: values}) do
+    for {_subject, message, at} <- :ets.tab2list(sent),
+        now() - at <= @doubtful_ms,
+        do: put_back(values, message)
+
+    :ets.delete_all_objects(sent)
   end
 
   defp pub(conn, subject, body) do
@@ -136,4 +170,6 @@ defmodule Aerie.Bridge.State do
     :ets.insert_new(values, message)
     :ets.insert(values, {{:dirty, subject}})
   end
+
+  defp now, do: System.monotonic_time(:millisecond)
 end

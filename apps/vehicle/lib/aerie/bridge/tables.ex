@@ -4,6 +4,7 @@ defmodule Aerie.Bridge.Tables do
   what is known of the server and the connection. It does nothing else, so nothing can end it.
 
   * `values`: `{subject, body, label}` not published yet, and `{{:dirty, subject}}` for those that the publisher was told of
+  * `sent`: `{subject, message, ms}`, the message last sent on each subject and when (monotonic)
   * `counters`: `{{metric, labels}, n}`
   * `info`: `{:server, map}`, `{:connection, map}`, `{:streams, map}`, `{:outbox, map}`
   """
@@ -11,7 +12,7 @@ defmodule Aerie.Bridge.Tables do
 
   alias Aerie.Names
 
-  @type t :: %{values: :ets.table(), counters: :ets.table(), info: :ets.table()}
+  @type t :: %{values: :ets.table(), sent: :ets.table(), counters: :ets.table(), info: :ets.table()}
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
@@ -49,6 +50,7 @@ defmodule Aerie.Bridge.Tables do
 
     tables = %{
       values: :ets.new(:bridge_values, shared),
+      sent: :ets.new(:bridge_sent, [:set, :public]),
       counters: :ets.new(:bridge_counters, [:set, :public, write_concurrency: true]),
       info: :ets.new(:bridge_info, shared)
     }

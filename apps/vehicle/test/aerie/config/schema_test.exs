@@ -9,6 +9,21 @@ defmodule Aerie.Config.SchemaTest do
     assert File.read!(@example) == Example.yaml()
   end
 
+  @tag :tmp_dir
+  test "the task writes it", %{tmp_dir: dir} do
+    file = Path.join(dir, "example.yaml")
+    ExUnit.CaptureIO.capture_io(fn -> Mix.Tasks.Aerie.Config.Example.run([file]) end)
+    assert File.read!(file) == Example.yaml()
+  end
+
+  test "a secret shows as one" do
+    secret = Aerie.Config.Secret.new("hunter2")
+    assert inspect(secret) == "#Aerie.Config.Secret<hidden>"
+    assert Aerie.Config.Secret.reveal(secret) == "hunter2"
+    assert Aerie.Config.Secret.reveal(nil) == nil
+    assert_raise Protocol.UndefinedError, fn -> JSON.encode!(secret) end
+  end
+
   test "the example as it is means the defaults" do
     {:ok, raw} = Yaml.parse(Example.yaml())
     assert {values, []} = Schema.validate(Keys.fields(), raw)

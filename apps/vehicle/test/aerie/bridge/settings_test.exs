@@ -1,0 +1,135 @@
+defmodule Aerie.Bridge.SettingsTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Bridge.Connection.Settings
+  alias Aerie.Bridge.{Message, Metrics, Streams}
+  alias Aerie.Config
+  alias Gnat.Jetstream.API.Stream
+
+  @moduletag :tmp_dir
+
+  defp gnat(overrides, url \\ "nats://nats.example:4333"),
+    do: Settings.gnat(Config.default([{"nats.url", url} | overrides]), url)
+
+  describe "settings of the connection" do
+    test "host, port and time-out; IPv6 with its family" do
+      assert {:ok, %{host: "nats.example", port: 4333, connection_timeout: 500}} =
+               gnat([{"nats.connect_timeout_s", 0.5}])
+
+      assert {:ok, %{host: "::1", port: 4222, tcp_opts: [:binary, :inet6]}} = gnat([], "nats://[::1]")
+    end
+
+    test "one way to sign in, revealed here and nowhere before", %{tmp_dir: dir} do
+      assert {:ok, %{username: "a", password: "b", auth_required: true}} =
+               gnat([{"nats.user", "a"}, {"nats.password", "b"}])
+
+      assert {:ok, %{token: "t"}} = gnat([{"nats.token", "t"}])
+      assert {:ok, %{credentials: "/x.creds"}} = gnat([{"nats.credentials", "/x.creds"}])
+      File.write!(Path.join(dir, "seed"), "SUABC\n")
+      assert {:ok, %{nkey_seed: "SUABC"}} = gnat([{"nats.nkey_seed_file", Path.join(dir, "seed")}])
+
+      assert {:error, "cannot read nats.nkey_seed_file" <> _} =
+               gnat([{"nats.nkey_seed_file", Path.join(dir, "none")}])
+    end
+
+    test "TLS checks the server by its name, unless it is told not to" do
+      assert {:ok, settings} = gnat([{"nats.tls.ca_file", "/ca.pem"}], "tls://nats.example")
+      assert settings.tls
+      assert settings.ssl_opts[:verify] == :verify_peer
+      assert settings.ssl_opts[:cacertfile] == "/ca.pem"
+      assert settings.ssl_opts[:server_name_indication] == ~c"nats.example"
+
+      own = [
+        {"nats.tls.enabled", true},
+        {"nats.tls.verify", false},
+        {"nats.tls.cert_file", "/c.pem"},
+        {"nats.tls.key_file", "/k.pem"}
+      ]
+
+      assert {:ok, settings} = gnat(own)
+      assert settings.ssl_opts == [verify: :verify_none, certfile: "/c.pem", keyfile: "/k.pem"]
+      assert {:ok, settings} = gnat([])
+      refute Map.has_key?(settings, :tls)
+    end
+  end
+
+  describe "streams" do
+    test "what differs is said in words; what the server fills in does not differ" do
+      [state, events] = Streams.wanted(Config.default())
+      assert Streams.differences(state, %{state | duplicate_window: 120_000_000_000, max_age: 0}) == []
+
+      assert Streams.differences(events, %{events | max_bytes: -1, subjects: ["a", "b"]}) == [
+               "subjects is a b, configured fleet.*.*.event.>",
+               "max_bytes is -1, configured 536870912"
+             ]
+    end
+
+    test "a duplicate window is never longer than events live, or the server refuses the stream" do
+      config = Config.default([{"nats.streams.event_max_age_days", 0.01}])
+      assert [_, %Stream{max_age: age, duplicate_window: age}] = Streams.wanted(config)
+      config = Config.default([{"nats.streams.event_max_age_days", 0}])
+      assert [_, %Stream{max_age: 0, duplicate_window: 3_600_000_000_000}] = Streams.wanted(config)
+    end
+
+    test "reasons are words" do
+      for reason <- [
+            :no_responders,
+            :timeout,
+            %{"code" => 500, "description" => "x"},
+            %Gnat.Error{reason: :closed},
+            {:odd, 1}
+          ] do
+        assert Streams.text(reason) =~ ~r/\A[[:alnum:]][^%#]*\z/
+      end
+    end
+  end
+
+  test "numbers that JSON has no form for are null, bytes that are no text are replaced, structure stays" do
+    data = %{
+      a: :nan,
+      b: {:nan, 5},
+      c: [:infinity, %{d: :neg_infinity}],
+      e: nil,
+      f: true,
+      g: "ok",
+      h: <<255>>,
+      i: 1.5
+    }
+
+    body = "V" |> Message.state("gps", data, nil, 0) |> JSON.decode!()
+
+    assert body["data"] == %{
+             "a" => nil,
+             "b" => nil,
+             "c" => [nil, %{"d" => nil}],
+             "e" => nil,
+             "f" => true,
+             "g" => "ok",
+             "h" => "\uFFFD",
+             "i" => 1.5
+           }
+
+    assert body["time"] == "1970-01-01T00:00:00.000Z"
+  end
+
+  test "metrics have the names, types and help that Prometheus wants" do
+    gateway = make_ref()
+    start_supervised!({Aerie.Fleet.Store, gateway: gateway})
+    start_supervised!({Aerie.Bridge.Tables, gateway: gateway})
+    tables = Aerie.Bridge.Tables.get(gateway)
+    Aerie.Bridge.Tables.count(tables, :published, [subject: "state.position"], 3)
+    metrics = Metrics.all(gateway, tables)
+
+    assert Enum.find(metrics, &(&1.name == "gateway_nats_messages_published_total")).samples == [
+             {[subject: "state.position"], 3}
+           ]
+
+    assert Enum.find(metrics, &(&1.name == "gateway_nats_publish_errors_total")).samples == [{[], 0}]
+
+    for metric <- metrics do
+      assert metric.name =~ ~r/\Agateway_[a-z_]+\z/
+      assert String.ends_with?(metric.name, "_total") == (metric.type == :counter)
+      assert String.ends_with?(metric.help, ".")
+    end
+  end
+end

@@ -128,6 +128,25 @@ defmodule Aerie.LinkTest do
       assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, 1000)
     end
 
+    test "says our heartbeat until something is heard: the server knows us only so", c do
+      server = socket()
+      {:ok, port} = :inet.port(server)
+      add_link(c.gateway, "udpout:127.0.0.1:#{port}")
+      assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, 5000)
+      # An on-board computer at 245/191, never a ground station (H5).
+      assert {[%{system: 245, component: 191, id: 0} = frame], _} =
+               MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
+
+      assert {:ok, %{type: 18, autopilot: 8}} = MavCodec.decode(frame)
+
+      snapshot = %{kind: :udp_client, status: :up, last_heard: nil}
+      assert Aerie.Link.Announcer.silent?(snapshot, 10_000_000)
+      refute Aerie.Link.Announcer.silent?(%{snapshot | last_heard: 9_000_000}, 10_000_000)
+      assert Aerie.Link.Announcer.silent?(%{snapshot | last_heard: 5_000_000, status: :idle}, 10_000_000)
+      refute Aerie.Link.Announcer.silent?(%{snapshot | status: :down}, 10_000_000)
+      refute Aerie.Link.Announcer.silent?(%{snapshot | kind: :tcp_client}, 10_000_000)
+    end
+
     test "a stranger is not heard", c do
       be_session(c.gateway, 1)
       {id, _} = add_link(c.gateway, "udpout:127.0.0.2:14550")
@@ -306,8 +325,12 @@ defmodule Aerie.LinkTest do
         %{id: "one", url: "udpin:127.0.0.1:0", network: "a", label: "Mast", enabled: true},
         %{id: "two", url: "udpin:127.0.0.1:0", network: "a", label: nil, enabled: false}
       ],
-      limits: %{max_links: 1, max_peers: 3}
+      limits: %{max_links: 1, max_peers: 3},
+      mavlink: %{system_id: 245, component_id: 191, dialects: [:common], sysid32: true}
     }
+
+    assert [max_peers: 3, idle_ms: 10_000, parser: [dialects: [MavCodec.Dialects.Common], sysid32: true]] =
+             Aerie.Link.Defaults.from(config)
 
     gateway = start_parts(config)
     assert [%{id: "one", network: "a", label: "Mast"}] = Link.list(gateway)

@@ -40,11 +40,9 @@ defmodule Aerie.Link.Boot do
   end
 
   # The configuration was checked when it was loaded; a caller's own map is not worth a gateway that does not start.
-  defp config_specs(%{links: links} = config) when is_list(links) do
+  defp config_specs(%{links: links}) when is_list(links) do
     Enum.flat_map(links, fn link ->
-      options = [label: link[:label]] ++ limits(config)
-
-      case Spec.parse(link.url, id: link[:id], network: link[:network], options: options) do
+      case Spec.parse(link.url, id: link[:id], network: link[:network], options: [label: link[:label]]) do
         _any when link.enabled == false ->
           []
 
@@ -59,14 +57,6 @@ defmodule Aerie.Link.Boot do
   end
 
   defp config_specs(_none), do: []
-
-  @doc "The options of links that a configuration sets: `:max_peers`, `:idle_ms`."
-  @spec limits(map | nil) :: keyword
-  def limits(config) do
-    peers = with %{limits: %{max_peers: max}} <- config, do: [max_peers: max]
-    idle = with %{timeouts: %{link_idle_s: seconds}} <- config, do: [idle_ms: round(seconds * 1000)]
-    Enum.filter([peers, idle], &is_list/1) |> Enum.concat()
-  end
 
   # Links of a supervisor that was killed may be there for a moment still.
   defp start(gateway, spec) do

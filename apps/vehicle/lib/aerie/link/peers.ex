@@ -18,15 +18,16 @@ defmodule Aerie.Link.Peers do
   @quiet_ms 200
 
   @enforce_keys [:framing, :parser]
-  defstruct [:framing, :parser, max: 256, map: %{}, retired: %{}]
+  defstruct [:framing, :parser, max: 256, map: %{}, retired: %{}, sources: %{}]
 
-  @typedoc "`retired`: sums of the counters of peers that are gone; `parser`: a fresh one, to begin each peer with"
+  @typedoc "`retired`, `sources`: what the parsers of peers that are gone counted; `parser`: a fresh one for each new peer"
   @type t :: %__MODULE__{
           framing: :stream | :datagram,
           parser: Parser.t(),
           max: pos_integer,
           map: %{term => Peer.t()},
-          retired: %{atom => non_neg_integer}
+          retired: %{atom => non_neg_integer},
+          sources: %{{non_neg_integer, 0..255} => map}
         }
 
   @type change :: {:up, Peer.t()} | {:down, Peer.t()} | :refused
@@ -53,7 +54,7 @@ defmodule Aerie.Link.Peers do
   def remove(peers, id) do
     case Map.pop(peers.map, id) do
       {nil, _map} -> {nil, peers}
-      {peer, map} -> {peer, retire(%{peers | map: map}, peer.parser)}
+      {peer, map} -> {peer, retire(%{peers | map: map, sources: keep(peers.sources, peer)}, peer.parser)}
     end
   end
 
@@ -132,14 +133,20 @@ defmodule Aerie.Link.Peers do
 
   @doc """
   Sequence loss by `{system, component}`, as `MavCodec.Parser` keeps it: of the peer that was heard last, where several
-  carry one system.
+  carry one system, and of peers that are gone.
   """
   @spec sources(t) :: %{{non_neg_integer, 0..255} => map}
   def sources(peers) do
     peers.map
     |> Map.values()
     |> Enum.sort_by(& &1.heard)
-    |> Enum.reduce(%{}, &Map.merge(&2, Parser.stats(&1.parser).sources))
+    |> Enum.reduce(peers.sources, &Map.merge(&2, Parser.stats(&1.parser).sources))
+  end
+
+  # Bounded as one parser is: what forges ids costs the statistics of those that come after.
+  defp keep(sources, peer) do
+    merged = Map.merge(sources, Parser.stats(peer.parser).sources)
+    if map_size(merged) <= Parser.Sources.limit(), do: merged, else: sources
   end
 
   defp put(peers, peer), do: %{peers | map: Map.put(peers.map, peer.id, peer)}

@@ -11,6 +11,7 @@ defmodule Aerie.Link.Server do
   alias Aerie.Fleet.Store
   alias Aerie.Link.Core
   alias Aerie.Link.Counters
+  alias Aerie.Link.Defaults
   alias Aerie.Link.Opener
   alias Aerie.Link.Restarts
   alias Aerie.Link.Snapshot
@@ -25,7 +26,7 @@ defmodule Aerie.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt), and those of `Aerie.Link.Core.new/2`.
+  attempt). The core's options are those of `Aerie.Link.Defaults` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
@@ -53,7 +54,7 @@ defmodule Aerie.Link.Server do
       gateway: gateway,
       spec: spec,
       transport: Transport.module(spec.kind),
-      core: Core.new(spec, core_options(options, former, now)),
+      core: Core.new(spec, core_options(gateway, spec, former, now)),
       restarts: restarts,
       opener: nil,
       conn: nil,
@@ -67,9 +68,13 @@ defmodule Aerie.Link.Server do
     {:ok, publish(state), {:continue, {:start, Restarts.wait(restarts)}}}
   end
 
-  defp core_options(options, former, now) do
+  defp core_options(gateway, spec, former, now) do
     counters = if former, do: Counters.add(former.counters, :restarts, 1), else: %Counters{}
-    Keyword.merge([counters: counters, seed: {self(), now}], Map.to_list(options[:spec].options) ++ options)
+
+    gateway
+    |> Defaults.get()
+    |> Keyword.merge(Map.to_list(spec.options))
+    |> Keyword.merge(counters: counters, seed: {self(), now})
   end
 
   @impl GenServer

@@ -6,12 +6,15 @@ defmodule Aerie.Link.Supervisor do
   Aerie.Link.Supervisor     rest_for_one
   ├─ dynamic supervisor     one Aerie.Link.Tree per link
   │    └─ Aerie.Link.Tree   Aerie.Link.Server (and later its recorder)
-  └─ Aerie.Link.Boot        starts the configured links, or those that ran before; then ends
+  ├─ Aerie.Link.Boot        starts the configured links, or those that ran before; then ends
+  └─ Aerie.Link.Announcer   our heartbeat where nothing is heard yet
   ```
   """
   use Supervisor
 
+  alias Aerie.Link.Announcer
   alias Aerie.Link.Boot
+  alias Aerie.Link.Defaults
   alias Aerie.Link.Tree
   alias Aerie.Names
 
@@ -55,6 +58,7 @@ defmodule Aerie.Link.Supervisor do
     gateway = Keyword.fetch!(options, :gateway)
     config = Keyword.get(options, :config)
     Process.set_label({:links, gateway})
+    Defaults.put(gateway, Defaults.from(config))
 
     children = [
       # Its trees restart their links themselves, so that it has to restart a tree only when somebody kills that.
@@ -63,7 +67,8 @@ defmodule Aerie.Link.Supervisor do
        max_children: max_links(config),
        max_restarts: 100,
        max_seconds: 1},
-      {Boot, gateway: gateway, config: config}
+      {Boot, gateway: gateway, config: config},
+      {Announcer, gateway: gateway, config: config}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)

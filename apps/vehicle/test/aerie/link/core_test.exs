@@ -171,6 +171,9 @@ defmodule Aerie.Link.CoreTest do
       )
 
     assert %{{1, 1} => %{lost: 1, received: 59}} = Snapshot.of(core, 60).sources
+    {core, _} = run(core, [{70_000, :tick}])
+    assert core.peers.map == %{}
+    assert %{{1, 1} => %{lost: 1}} = Snapshot.of(core, 60).sources
   end
 
   describe "any events in any order" do

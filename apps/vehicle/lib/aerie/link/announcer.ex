@@ -1,0 +1,77 @@
+defmodule Aerie.Link.Announcer do
+  @moduledoc """
+  Says our heartbeat once a second on links that call others by UDP and hear nothing: a server learns only so that we are
+  there. As soon as something is heard, the vehicles' sessions keep that way alive themselves.
+
+  The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5).
+  """
+  use GenServer
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Names
+  alias MavCodec.Encoder
+  alias MavCodec.Enums
+  alias MavCodec.Messages.Heartbeat
+
+  @every_ms 1_000
+  @silence_us 3_000_000
+
+  @doc "Options: `:gateway`, `:config`."
+  @spec start_link(keyword) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options,
+      name: Names.via(Keyword.fetch!(options, :gateway), :link_announcer)
+    )
+  end
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:link_announcer, gateway})
+
+    case own(Keyword.get(options, :config)) do
+      nil ->
+        :ignore
+
+      ids ->
+        {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
+        {:ok, %{gateway: gateway, encoder: Encoder.new(ids)}}
+    end
+  end
+
+  defp own(%{mavlink: %{heartbeat: false}}), do: nil
+
+  defp own(%{mavlink: %{system_id: system, component_id: component}}),
+    do: [system: system, component: component]
+
+  defp own(_none), do: [system: 245, component: 191]
+
+  @impl GenServer
+  def handle_info(:announce, state) do
+    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat())
+    now = System.os_time(:microsecond)
+
+    for link <- Store.links(state.gateway), silent?(link, now) do
+      Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all)
+    end
+
+    {:noreply, %{state | encoder: encoder}}
+  end
+
+  @doc "Whether a link needs our heartbeat: its snapshot, and the time in unix microseconds."
+  @spec silent?(map, integer) :: boolean
+  def silent?(%{kind: :udp_client, status: status, last_heard: heard}, now) when status in [:up, :idle] do
+    is_nil(heard) or now - heard > @silence_us
+  end
+
+  def silent?(_other, _now), do: false
+
+  defp heartbeat do
+    %Heartbeat{
+      type: Enums.MavType.value(:MAV_TYPE_ONBOARD_CONTROLLER),
+      autopilot: Enums.MavAutopilot.value(:MAV_AUTOPILOT_INVALID),
+      system_status: Enums.MavState.value(:MAV_STATE_ACTIVE),
+      mavlink_version: 3
+    }
+  end
+end

@@ -1,3 +1,8 @@
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`; peers written in Python need the
 # environment that bin/setup makes.
-ExUnit.start(exclude: [:long, :soak] ++ if(Aerie.PythonPeer.python(), do: [], else: [:python]))
+#
+# A message that is awaited comes, if at all, at once; the patience is for machines that are busy with something else.
+ExUnit.start(
+  exclude: [:long, :soak] ++ if(Aerie.PythonPeer.python(), do: [], else: [:python]),
+  assert_receive_timeout: 10_000
+)

@@ -71,7 +71,7 @@ defmodule Aerie.LinkTest do
       say(a, port, attitude(1, 1))
       frames(1)
       assert Aerie.Router.send(c.gateway, {"main", 1}, "to a") == :ok
-      assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, 1000)
+      assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, 10_000)
 
       # Heard is counted in milliseconds.
       eventually(fn ->
@@ -87,7 +87,7 @@ defmodule Aerie.LinkTest do
       assert Link.send_bytes(c.gateway, "nobody", "x", :all) == {:error, :no_link}
 
       :ok = Aerie.Router.broadcast(c.gateway, "to all", "main")
-      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, 1000)
+      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, 10_000)
     end
 
     test "IPv6", c do
@@ -98,7 +98,7 @@ defmodule Aerie.LinkTest do
       frames(1)
       assert [%{text: "[::1]:" <> _}] = Link.snapshot(c.gateway, id).peers
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "six")
-      assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, 1000)
+      assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, 10_000)
     end
 
     test "a taken port is an error that names the owner, and nothing is left behind", c do
@@ -119,20 +119,20 @@ defmodule Aerie.LinkTest do
       {id, _} = add_link(c.gateway, "udpout:localhost:#{port}")
       eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
       :ok = Link.send_bytes(c.gateway, id, "hello", :all)
-      assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, 1000)
+      assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, 10_000)
 
       other = socket()
       :ok = :gen_udp.send(other, address, client, attitude(1, 1))
       frames(1)
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "again")
-      assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, 1000)
+      assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, 10_000)
     end
 
     test "says our heartbeat until something is heard: the server knows us only so", c do
       server = socket()
       {:ok, port} = :inet.port(server)
       add_link(c.gateway, "udpout:127.0.0.1:#{port}")
-      assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, 5000)
+      assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, 10_000)
       # An on-board computer at 245/191, never a ground station (H5).
       assert {[%{system: 245, component: 191, id: 0} = frame], _} =
                MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
@@ -175,8 +175,8 @@ defmodule Aerie.LinkTest do
                ~r/connection refused by 127.0.0.1:\d+, next try (now|in 0\.\d s)/
 
       {:ok, listener} = :gen_tcp.listen(port, [:binary, active: false, reuseaddr: true, ip: {127, 0, 0, 1}])
-      {:ok, server} = :gen_tcp.accept(listener, 5000)
-      assert_receive {:up, _, %{link: ^id}}, 2000
+      {:ok, server} = :gen_tcp.accept(listener, 10_000)
+      assert_receive {:up, _, %{link: ^id}}
       # Bytes are cut anywhere on a stream.
       <<a::binary-size(17), b::binary>> = attitude(1, 1) <> attitude(1, 2)
       :ok = :gen_tcp.send(server, a)
@@ -184,12 +184,12 @@ defmodule Aerie.LinkTest do
       assert [1, 2] = Enum.map(frames(2), &number/1)
 
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "hello")
-      assert {:ok, "hello"} = :gen_tcp.recv(server, 5, 1000)
+      assert {:ok, "hello"} = :gen_tcp.recv(server, 5, 10_000)
 
       :gen_tcp.close(server)
       assert_receive {:down, _, %{reason: "connection closed by 127.0.0.1:" <> _}}
-      assert {:ok, server} = :gen_tcp.accept(listener, 5000)
-      assert_receive {:up, %{reconnects: 1}, _}, 2000
+      assert {:ok, server} = :gen_tcp.accept(listener, 10_000)
+      assert_receive {:up, %{reconnects: 1}, _}
       :ok = :gen_tcp.send(server, attitude(1, 3))
       assert [3] = Enum.map(frames(1), &number/1)
       assert %{reconnects: 1, frames_in: 3} = Link.snapshot(c.gateway, id).counters
@@ -209,11 +209,11 @@ defmodule Aerie.LinkTest do
       assert [1, 2] = frames(2) |> Enum.map(& &1.system) |> Enum.sort()
 
       {:ok, refused} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
-      assert {:error, :closed} = :gen_tcp.recv(refused, 0, 1000)
+      assert {:error, :closed} = :gen_tcp.recv(refused, 0, 10_000)
       assert Link.snapshot(c.gateway, id).counters.peers_refused == 1
 
       assert :ok = Aerie.Router.send(c.gateway, {"main", 2}, "b")
-      assert {:ok, "b"} = :gen_tcp.recv(b, 0, 1000)
+      assert {:ok, "b"} = :gen_tcp.recv(b, 0, 10_000)
       :gen_tcp.close(a)
       assert_receive {:peer_down, _, _}
       assert Aerie.Router.send(c.gateway, {"main", 1}, "a") == {:error, :no_route}
@@ -232,7 +232,7 @@ defmodule Aerie.LinkTest do
       block = :binary.copy("x", 50_000)
       for _ <- 1..200, do: :ok = Aerie.Router.send(c.gateway, {"main", 1}, block)
       :ok = Aerie.Router.send(c.gateway, {"main", 2}, "still here")
-      assert {:ok, "still here"} = :gen_tcp.recv(reads, 0, 2000)
+      assert {:ok, "still here"} = :gen_tcp.recv(reads, 0, 10_000)
       assert Link.snapshot(c.gateway, id).counters.dropped_out > 0
     end
   end

@@ -16,7 +16,11 @@ master = None
 
 
 def tell(letter, data=b""):
-    os.write(1, struct.pack(">H", len(data) + 1) + letter + data)
+    try:
+        os.write(1, struct.pack(">H", len(data) + 1) + letter + data)
+    except BrokenPipeError:
+        # Who started us is gone.
+        os._exit(0)
 
 
 def plug_in():

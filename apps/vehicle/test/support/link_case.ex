@@ -8,10 +8,12 @@ defmodule Aerie.LinkCase do
   alias Aerie.Link
   alias Aerie.Names
 
+  # For machines that are busy with something else.
+  @patience 15_000
+
   using do
     quote do
       import Aerie.LinkCase
-      import Aerie.GatewayCase, only: [eventually: 1]
     end
   end
 
@@ -51,9 +53,13 @@ defmodule Aerie.LinkCase do
     receive do
       {:frames, _link, frames} -> frames(n, got ++ frames)
     after
-      5_000 -> ExUnit.Assertions.flunk("#{length(got)} of #{n} frames came")
+      @patience -> ExUnit.Assertions.flunk("#{length(got)} of #{n} frames came")
     end
   end
+
+  @doc "Polls until `fun` gives something truthy, for facts of the operating system that send no message."
+  @spec eventually((-> result)) :: result when result: term
+  def eventually(fun), do: Aerie.GatewayCase.eventually(fun, System.monotonic_time(:millisecond) + @patience)
 
   @doc "Adds a link to the gateway; gives its id and, for a server, its port."
   @spec add_link(term, String.t(), keyword) :: {String.t(), non_neg_integer | nil}

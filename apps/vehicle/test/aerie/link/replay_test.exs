@@ -18,7 +18,7 @@ defmodule Aerie.Link.ReplayTest do
     listen(c.gateway, [:ended])
     {id, _} = add_link(c.gateway, "replay:#{c.path}?speed=max")
     frames = frames(length(c.recorded))
-    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert_receive {:ended, _, %{reason: reason}}
     assert Enum.map(frames, &{&1.at, &1.bytes}) == Enum.map(c.recorded, &{&1.at, &1.bytes})
     refute_received {:frames, _, _}
 
@@ -50,7 +50,7 @@ defmodule Aerie.Link.ReplayTest do
     listen(c.gateway, [:ended])
     add_link(c.gateway, "replay:#{c.path}?speed=max")
     assert length(frames(length(c.recorded) - 1)) == length(c.recorded) - 1
-    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert_receive {:ended, _, %{reason: reason}}
     assert reason =~ "the file ends in the middle of a record"
   end
 
@@ -64,7 +64,7 @@ defmodule Aerie.Link.ReplayTest do
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])
     add_link(c.gateway, "replay:#{c.path}?speed=max&loop=true")
-    assert_receive {:ended, _, %{reason: reason}}, 5000
+    assert_receive {:ended, _, %{reason: reason}}
     assert reason =~ "after 0 frames"
   end
 end

@@ -55,8 +55,9 @@ defmodule Aerie.ConfigTest do
     assert %{strategy: :time, hz: 1.0} = config.sampling.groups.position
     assert %{strategy: :threshold, threshold: %{"remaining" => 0.01}} = config.sampling.groups.battery
     assert config.policy == %{max_altitude: 120.0, geofence_file: "/etc/gateway/geofence.json"}
-    assert [warning] = config.warnings
-    assert warning =~ "component_id is 1" and warning =~ "191"
+    assert [component, policy] = config.warnings
+    assert component =~ "component_id is 1" and component =~ "191"
+    assert policy =~ "no altitude or fence is enforced"
   end
 
   test "without a file there are defaults: a hub with embedded NATS and UDP 14550 open" do
@@ -240,6 +241,20 @@ defmodule Aerie.ConfigTest do
                  ~s|got "UDP 0.0.0.0:14550" more than once|
              ]
     end
+  end
+
+  test "what is allowed and probably not meant is a warning", context do
+    text = """
+    mavlink: {system_id: 255}
+    vehicles: [{id: V, system_id: 255}]
+    nats: {url: "nats://gw:secret@nats.example"}
+    """
+
+    assert {:ok, %{warnings: [ground_station, same_id, plain_password]}} = load(context, text)
+    assert ground_station =~ "255, which ground stations use"
+    assert same_id =~ "is also a vehicle's"
+    assert plain_password =~ "without TLS"
+    refute plain_password =~ "secret"
   end
 
   test "keys that contradict each other are refused", context do

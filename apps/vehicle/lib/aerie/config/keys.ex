@@ -308,17 +308,21 @@ defmodule Aerie.Config.Keys do
   end
 
   defp policy do
-    section(:policy, "Limits on what commands may ask for.", [
-      field(
-        :max_altitude,
-        {:number, 0, 100_000},
-        "Highest altitude above home that is passed on, m. Left out: no limit.",
-        example: "120"
-      ),
-      field(:geofence_file, :path, "JSON file of the fence that goto targets must be inside.",
-        example: ~S("/etc/gateway/geofence.json")
-      )
-    ])
+    section(
+      :policy,
+      "Limits on what commands may ask for. Read and checked; nothing in this version applies them yet.",
+      [
+        field(
+          :max_altitude,
+          {:number, 0, 100_000},
+          "Highest altitude above home that is passed on, m. Left out: no limit.",
+          example: "120"
+        ),
+        field(:geofence_file, :path, "JSON file of the fence that goto targets must be inside.",
+          example: ~S("/etc/gateway/geofence.json")
+        )
+      ]
+    )
   end
 
   defp timeouts do
@@ -327,13 +331,9 @@ defmodule Aerie.Config.Keys do
         default: 3.0
       ),
       field(:vehicle_lost_s, {:number, 0.1, 86_400}, "… and lost after this long.", default: 5.0),
-      field(:state_stale_s, {:number, 0.1, 3600}, "A state group that is older is shown as stale.",
-        default: 5.0
-      ),
       field(:link_idle_s, {:number, 0.1, 86_400}, "A link that hears nothing for this long is idle.",
         default: 10.0
-      ),
-      field(:shutdown_s, {:number, 0.1, 300}, "How long an orderly end may take.", default: 5.0)
+      )
     ])
   end
 
@@ -342,7 +342,6 @@ defmodule Aerie.Config.Keys do
       field(:max_vehicles, {:integer, 1, 100_000}, "Vehicles; further ones are counted and ignored.",
         default: 250
       ),
-      field(:max_systems, {:integer, 1, 1_000_000}, "System ids that the router remembers.", default: 1024),
       field(:max_links, {:integer, 1, 10_000}, "Links.", default: 64),
       field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 256),
       field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",

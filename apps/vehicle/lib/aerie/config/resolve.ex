@@ -189,6 +189,8 @@ defmodule Aerie.Config.Resolve do
       {is_nil(config.vehicle_id) and Enum.any?(config.vehicles, &(&1.system_id == mavlink.system_id)),
        "mavlink.system_id #{mavlink.system_id} is also a vehicle's in the list: a hub needs an id of its own, " <>
          "such as 245. Aboard that vehicle, give vehicle_id instead."},
+      {not is_nil(config.policy.max_altitude) or not is_nil(config.policy.geofence_file),
+       "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
       {not nats.tls.verify and nats.tls.enabled,
        "nats.tls.verify is false: anybody on the way can read and change what is sent to NATS."},
       {not is_nil(nats.password) and nats.mode == :url and not nats.tls.enabled and not loopback?(nats.url),

@@ -62,6 +62,10 @@ defmodule Aerie.Config.SchemaTest do
     end
   end
 
+  test "the state groups are those of a vehicle" do
+    assert Enum.sort(Keys.groups()) == Enum.sort(Aerie.Vehicle.State.groups())
+  end
+
   test "no problem is a bare inspect of something" do
     everything_wrong = Map.new(Keys.fields(), &{Field.name(&1), %{"x" => {:odd, self()}}})
     {_values, problems} = Schema.validate(Keys.fields(), everything_wrong)

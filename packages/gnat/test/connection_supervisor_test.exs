@@ -119,6 +119,14 @@ defmodule Gnat.ConnectionSupervisorTest do
     assert %{reason: %Error{reason: {:settings, _}}} = await(:failed, name)
   end
 
+  test "shows no secrets in its status", %{name: name} do
+    supervisor =
+      supervise(name, [%{host: "127.0.0.1", port: free_port(), username: "joe", password: "s3cr3t"}])
+
+    await(:failed, name)
+    refute inspect(:sys.get_status(supervisor), limit: :infinity) =~ "s3cr3t"
+  end
+
   test "can be stopped while it connects", %{name: name} do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)

@@ -35,14 +35,17 @@ defmodule Gnat.Connection do
   @impl GenServer
   def init(%Handshake{info: info, settings: settings} = handshake) do
     Process.set_label({:gnat, settings.host, settings.port})
-    {session, actions} = Session.new(info, settings.inbox_prefix)
+    {session, [{:write, subscribe}]} = Session.new(info, settings.inbox_prefix)
+
+    # Before the name is of use to anybody: a request must not overtake the subscription its answer comes by. If this
+    # fails, so does activating the socket.
+    _ = Transport.send(handshake.transport, subscribe)
 
     {:ok,
      %{
        transport: handshake.transport,
        parser: handshake.parser,
        session: session,
-       first_actions: actions,
        headers: settings.headers and info[:headers] == true,
        ping_interval: settings.ping_interval,
        monitors: %{},
@@ -52,9 +55,8 @@ defmodule Gnat.Connection do
 
   @impl GenServer
   def handle_cast(:activate, state) do
-    {actions, state} = Map.pop!(state, :first_actions)
     schedule_tick(state)
-    perform(actions, state, &activate/1)
+    activate(state)
   end
 
   def handle_cast({:unsub, sid}, state), do: session({:unsub, sid, nil}, state)

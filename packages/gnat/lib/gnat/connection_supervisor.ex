@@ -101,6 +101,12 @@ defmodule Gnat.ConnectionSupervisor do
   # The task's end, or a message nobody waits for any more.
   def handle_info(_other, state), do: {:noreply, state}
 
+  # What a crash report or :sys.get_status/1 shows: no secrets.
+  @impl GenServer
+  def format_status(status) do
+    Map.replace_lazy(status, :state, fn state -> %{state | servers: Enum.map(state.servers, &place/1)} end)
+  end
+
   @impl GenServer
   def terminate(_reason, %{attempt: %Task{} = attempt}), do: Task.shutdown(attempt, :brutal_kill)
   def terminate(_reason, %{gnat: gnat}) when is_pid(gnat), do: Gnat.stop(gnat)

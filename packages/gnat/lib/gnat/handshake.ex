@@ -124,7 +124,10 @@ defmodule Gnat.Handshake do
   defp answer([{:info, info} | rest], connection, deadline),
     do: answer(rest, %{connection | info: info}, deadline)
 
-  defp answer([:ping | rest], connection, deadline), do: answer(rest, connection, deadline)
+  defp answer([:ping | rest], connection, deadline) do
+    with :ok <- Transport.send(connection.transport, Command.pong()), do: answer(rest, connection, deadline)
+  end
+
   defp answer([:ok | rest], connection, deadline), do: answer(rest, connection, deadline)
 
   defp answer([_message | _], _connection, _deadline) do

@@ -30,18 +30,18 @@ defmodule Gnat.Session do
   ]
 
   @typep sub :: %{pid: pid(), received: non_neg_integer(), max: pos_integer() | :infinity}
-  @typep request :: %{to: :erlang.alias() | reference(), pid: pid(), count: :one | :many}
+  @typep request :: %{to: reference(), pid: pid(), count: :one | :many}
 
-  @opaque t :: %__MODULE__{
-            info: Gnat.server_info(),
-            inbox: String.t(),
-            next_sid: pos_integer(),
-            subs: %{pos_integer() => sub()},
-            requests: %{String.t() => request()},
-            owned: %{pid() => MapSet.t()},
-            pongs: :queue.queue(),
-            heard: boolean()
-          }
+  @type t :: %__MODULE__{
+          info: Gnat.server_info(),
+          inbox: String.t(),
+          next_sid: pos_integer(),
+          subs: %{pos_integer() => sub()},
+          requests: %{String.t() => request()},
+          owned: %{pid() => MapSet.t()},
+          pongs: :queue.queue(),
+          heard: boolean()
+        }
 
   @type action ::
           {:write, iodata()}
@@ -66,7 +66,7 @@ defmodule Gnat.Session do
   def new(info, inbox_prefix) do
     inbox = inbox_prefix <> unique() <> "."
     {:ok, command} = Command.sub(inbox <> "*", @inbox_sid, nil)
-    {%__MODULE__{info: info, inbox: inbox}, [{:write, command}]}
+    {%__MODULE__{info: info, inbox: inbox, pongs: :queue.new()}, [{:write, command}]}
   end
 
   @spec info(t()) :: Gnat.server_info()

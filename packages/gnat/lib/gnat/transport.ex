@@ -120,7 +120,15 @@ defmodule Gnat.Transport do
 
   defp tcp_opts(settings) do
     opts = Enum.reject(settings.tcp_opts, &(&1 in [:binary, :list] or match?({:active, _}, &1)))
-    defaults = [nodelay: true, keepalive: true, send_timeout: settings.send_timeout, send_timeout_close: true]
+
+    defaults = [
+      nodelay: true,
+      keepalive: true,
+      buffer: 65_536,
+      send_timeout: settings.send_timeout,
+      send_timeout_close: true
+    ]
+
     given = for {key, _value} <- opts, do: key
     [:binary, active: false, packet: :raw] ++ opts ++ Keyword.drop(defaults, given)
   end

@@ -63,6 +63,8 @@ defmodule SimVehicle.Ardupilot do
       orbit: cm.("CIRCLE_RADIUS"),
       rtl_alt: Params.get(params, "RTL_ALT") / 100,
       rtl_wait: Params.get(params, "RTL_LOIT_TIME") / 1000,
+      # Less than WPNAV_ACCEL: the real one builds acceleration up gently.
+      accel: 2.0,
       spool: 2.9
     }
   end

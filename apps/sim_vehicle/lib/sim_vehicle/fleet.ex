@@ -34,6 +34,9 @@ defmodule SimVehicle.Fleet do
     name: nil
   ]
 
+  # Enough for every pattern, flown by the slower of the two firmwares, to end with a quarter of the charge.
+  @capacity_mah 5500.0
+
   @doc "Starts the fleet; raises ArgumentError for an option that is unknown or wrong."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(opts \\ []) do
@@ -78,6 +81,7 @@ defmodule SimVehicle.Fleet do
         wind: opts.wind,
         ready_s: opts.ready_s,
         rates: opts.rates,
+        battery: [capacity_mah: @capacity_mah],
         script: if(opts.fly, do: Pilot.pattern(number))
       ]
 

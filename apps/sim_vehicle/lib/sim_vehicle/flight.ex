@@ -28,7 +28,7 @@ defmodule SimVehicle.Flight do
 
   @doc "Starts doing `goal`."
   @spec go(Vehicle.t(), Goal.t()) :: Vehicle.t()
-  def go(v, goal), do: %{v | flight: goal, mission: Mission.stop(v.mission)}
+  def go(v, goal), do: %{v | flight: goal, mission: Mission.stop(v)}
 
   @doc "Stays where it is; on the ground it stays there."
   @spec hold(Vehicle.t()) :: Vehicle.t()

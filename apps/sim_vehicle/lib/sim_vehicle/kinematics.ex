@@ -10,7 +10,6 @@ defmodule SimVehicle.Kinematics do
   alias SimVehicle.Geo
 
   @gravity 9.80665
-  @accel_xy 2.5
   @accel_z 2.0
   @position_gain 1.0
   @yaw_rate_max 1.05
@@ -47,7 +46,7 @@ defmodule SimVehicle.Kinematics do
   - `xy`: `{:pos, n, e}` or `{:vel, vn, ve}`
   - `z`: `{:pos, d}` or `{:vel, vd}` (down is positive)
   - `yaw`: `:keep`, `{:to, radians}` or `{:rate, rad/s}`
-  - `speed`, `up`, `down`: limits in m/s
+  - `speed`, `up`, `down`: limits in m/s; `accel`: limit of horizontal acceleration in m/s²
   """
   @type setpoint :: :off | :idle | map
 
@@ -88,7 +87,7 @@ defmodule SimVehicle.Kinematics do
 
   def step(kin, setpoint, dt, wind) do
     {want_n, want_e} = want_xy(kin, setpoint)
-    {vn, ve} = limit_change({kin.vn, kin.ve}, {want_n, want_e}, @accel_xy * dt)
+    {vn, ve} = limit_change({kin.vn, kin.ve}, {want_n, want_e}, setpoint.accel * dt)
     vd = approach(kin.vd, want_z(kin, setpoint), @accel_z * dt)
 
     %{kin | an: (vn - kin.vn) / dt, ae: (ve - kin.ve) / dt, ad: (vd - kin.vd) / dt}
@@ -107,9 +106,9 @@ defmodule SimVehicle.Kinematics do
   def distance(kin, n, e), do: :math.sqrt((n - kin.n) ** 2 + (e - kin.e) ** 2)
 
   # The square-root law is the speed from which the acceleration limit can still stop in the distance that is left.
-  defp want_xy(kin, %{xy: {:pos, n, e}, speed: limit}) do
+  defp want_xy(kin, %{xy: {:pos, n, e}, speed: limit, accel: accel}) do
     dist = distance(kin, n, e)
-    speed = Enum.min([limit, @position_gain * dist, :math.sqrt(@accel_xy * dist)])
+    speed = Enum.min([limit, @position_gain * dist, :math.sqrt(accel * dist)])
     if dist < 1.0e-6, do: {0.0, 0.0}, else: {(n - kin.n) / dist * speed, (e - kin.e) / dist * speed}
   end
 

@@ -95,6 +95,8 @@ defmodule SimVehicle.Px4 do
       orbit: 10.0,
       rtl_alt: Params.get(params, "RTL_RETURN_ALT"),
       rtl_wait: 0.0,
+      # Less than MPC_ACC_HOR, as the real one builds acceleration up gently.
+      accel: 1.25,
       spool: 1.0
     }
   end
@@ -138,7 +140,7 @@ defmodule SimVehicle.Px4 do
   end
 
   def flight_event(v, :takeoff_done) do
-    v = Vehicle.put_own(%{v | landed: :in_air}, :takeoff_alt, nil)
+    v = %{v | landed: :in_air} |> Vehicle.put_own(:takeoff_alt, nil) |> Vehicle.put_own(:task, :done)
     if v.mode == "AUTO_TAKEOFF", do: Modes.enter(v, "AUTO_LOITER"), else: v
   end
 
@@ -152,6 +154,7 @@ defmodule SimVehicle.Px4 do
   def flight_event(v, :landed) do
     %{v | landed: :on_ground}
     |> Vehicle.put_own(:landed_at, if(v.armed, do: v.now))
+    |> Vehicle.put_own(:task, :done)
     |> Events.tell(:landing_detected, [], {6, "Landing detected"})
   end
 
@@ -187,7 +190,7 @@ defmodule SimVehicle.Px4 do
     case Requests.set_param(v, m) do
       {:ok, v} ->
         value = Requests.param_value(v, m.param_id)
-        v |> Vehicle.emit(value) |> Vehicle.later(20_000, value)
+        v |> Vehicle.emit(value) |> Vehicle.later(20_000, value) |> param_changed(m.param_id)
 
       {:error, _refused} ->
         v
@@ -239,6 +242,10 @@ defmodule SimVehicle.Px4 do
 
   defp list_param(v, name, 0), do: Vehicle.emit(v, Requests.param_value(v, name))
   defp list_param(v, name, delay), do: Vehicle.later(v, delay, Requests.param_value(v, name))
+
+  # The simulated receiver sees as many satellites as this parameter says.
+  defp param_changed(v, "SIM_GPS_USED"), do: Failsafes.set(v, :gps, Params.get(v.params, "SIM_GPS_USED") < 4)
+  defp param_changed(v, _name), do: v
 
   defp setpoint_heard(v) do
     setpoints =

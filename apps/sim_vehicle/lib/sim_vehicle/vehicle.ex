@@ -230,7 +230,7 @@ defmodule SimVehicle.Vehicle do
   @doc "Stops the motors, wherever the vehicle is."
   @spec disarm(t) :: t
   def disarm(vehicle) do
-    %{vehicle | armed: false, armed_at: nil, flight: :off, mission: Flight.Mission.stop(vehicle.mission)}
+    %{vehicle | armed: false, armed_at: nil, flight: :off, mission: Flight.Mission.stop(vehicle)}
     |> notify(:disarmed)
   end
 
@@ -305,9 +305,12 @@ defmodule SimVehicle.Vehicle do
   defp on(vehicle, :reboot), do: reboot(vehicle)
 
   defp on(%{armed: false, airborne: false} = vehicle, :swap_battery),
-    do: %{vehicle | battery: Battery.new(vehicle.battery_opts)}
+    do:
+      Enum.reduce([:battery, :battery_critical], full(vehicle), &vehicle.personality.failsafe(&2, &1, false))
 
   defp on(vehicle, :swap_battery), do: vehicle
+
+  defp full(vehicle), do: %{vehicle | battery: Battery.new(vehicle.battery_opts)}
 
   @doc false
   def reboot(vehicle), do: vehicle |> notify(:rebooting) |> act(:reboot)

@@ -43,14 +43,14 @@ defmodule SimVehicle.Px4Test do
 
   describe "acknowledgements" do
     test "a mode is acknowledged twice: yes at once, then the truth" do
-      assert :px4 |> ready() |> mode([1.0, 6.0]) |> acks() == [{176, 0}, {176, 0}]
-      assert :px4 |> flying() |> mode([1.0, 6.0]) |> acks() == [{176, 0}, {176, 1}]
-      assert :px4 |> flying() |> mode([1.0, 3.0]) |> acks() == [{176, 0}, {176, 1}]
+      assert :px4 |> ready() |> mode([1.0, 6.0]) |> run(0.1) |> acks() == [{176, 0}, {176, 0}]
+      assert :px4 |> flying() |> mode([1.0, 6.0]) |> run(0.1) |> acks() == [{176, 0}, {176, 1}]
+      assert :px4 |> flying() |> mode([1.0, 3.0]) |> run(0.1) |> acks() == [{176, 0}, {176, 1}]
     end
 
-    test "a nonsense main mode gets only the first, false one; a nonsense sub mode is rejected" do
-      assert :px4 |> ready() |> mode([1.0, 99.0]) |> acks() == [{176, 0}]
-      flight = :px4 |> ready() |> mode([1.0, 4.0, 77.0])
+    test "a nonsense main mode is twice accepted and changes nothing; a nonsense sub mode is rejected" do
+      assert :px4 |> ready() |> mode([1.0, 99.0]) |> run(0.1) |> acks() == [{176, 0}, {176, 0}]
+      flight = :px4 |> ready() |> mode([1.0, 4.0, 77.0]) |> run(0.1)
       assert acks(flight) == [{176, 0}, {176, 1}]
       assert "Unsupported auto mode\t" in texts(flight)
     end
@@ -184,6 +184,23 @@ defmodule SimVehicle.Px4Test do
                ]
     end
 
+    test "a second flight is as the first" do
+      land = [0.0, 0.0, 0.0, :nan, :nan, :nan, :nan]
+
+      once = fn flight ->
+        flight
+        |> command(400, [1.0])
+        |> takeoff(12)
+        |> run(14)
+        |> command(21, land)
+        |> until(&(not &1.armed), 60)
+      end
+
+      flight = :px4 |> ready() |> once.() |> run(5) |> clear() |> once.()
+      assert acks(flight) == [{400, 0}, {22, 0}, {21, 0}]
+      assert :landed in events(flight)
+    end
+
     test "its own commands leak out four times, from itself to itself" do
       flight =
         :px4
@@ -238,7 +255,7 @@ defmodule SimVehicle.Px4Test do
         Enum.reduce(1..20, flight, fn _n, flight -> flight |> hear(target) |> run(0.05) end)
       end
 
-      flight = :px4 |> flying() |> stream.() |> mode([1.0, 6.0]) |> stream.()
+      flight = :px4 |> flying() |> stream.() |> mode([1.0, 6.0]) |> stream.() |> stream.()
       assert acks(flight) == [{176, 0}, {176, 0}]
       assert vehicle(flight).mode == "OFFBOARD"
       assert_in_delta vehicle(flight).kin.ve, 3.0, 0.8

@@ -46,10 +46,13 @@ defmodule SimVehicle.TestFlight do
 
   @doc "Lets seconds pass in steps of 50 ms."
   def run({vehicle, log}, seconds) do
-    Enum.reduce(1..max(round(seconds * 20), 1), {vehicle, log}, fn _step, {vehicle, log} ->
-      {vehicle, actions} = Vehicle.step(vehicle, 0.05)
-      {vehicle, log ++ stamp(vehicle, actions)}
-    end)
+    {vehicle, new} =
+      Enum.reduce(1..max(round(seconds * 20), 1), {vehicle, []}, fn _step, {vehicle, new} ->
+        {vehicle, actions} = Vehicle.step(vehicle, 0.05)
+        {vehicle, [stamp(vehicle, actions) | new]}
+      end)
+
+    {vehicle, log ++ (new |> Enum.reverse() |> Enum.concat())}
   end
 
   @doc "Runs until `fun` is true of the vehicle, at most `seconds`."

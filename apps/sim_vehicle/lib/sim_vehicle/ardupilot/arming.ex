@@ -36,9 +36,14 @@ defmodule SimVehicle.Ardupilot.Arming do
   def stop(v) do
     %{v | landed: if(v.airborne, do: v.landed, else: :on_ground)}
     |> Vehicle.disarm()
+    |> rewind()
     |> Vehicle.put_own(:auto_armed, false)
     |> Vehicle.text(6, "Disarming motors")
   end
+
+  # Disarming resets the mission to its beginning.
+  defp rewind(%{mission: %{state: :none}} = v), do: v
+  defp rewind(v), do: %{v | mission: %{v.mission | current: 0, state: :not_started}}
 
   @doc "The reasons against arming, in the firmware's words; empty when there are none."
   @spec reasons(Vehicle.t()) :: [String.t()]

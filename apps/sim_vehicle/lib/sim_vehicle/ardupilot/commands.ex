@@ -117,7 +117,10 @@ defmodule SimVehicle.Ardupilot.Commands do
   # DO_SET_MISSION_CURRENT
   defp run(v, c, 224) do
     {ok?, v} = Mission.set_current(v, trunc(Command.p(c, 1)))
-    Vehicle.ack(v, c, if(ok?, do: @accepted, else: @failed))
+
+    if ok?,
+      do: v |> Vehicle.emit(Telemetry.message(v, 42)) |> Vehicle.ack(c, @accepted),
+      else: Vehicle.ack(v, c, @failed)
   end
 
   # DO_FLIGHTTERMINATION

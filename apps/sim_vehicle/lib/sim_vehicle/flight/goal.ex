@@ -148,6 +148,14 @@ defmodule SimVehicle.Flight.Goal do
   defp course(g, v, _away), do: {:to, :math.atan2(g.e - v.kin.e, g.n - v.kin.n)}
 
   defp setpoint(v, xy, z, yaw) do
-    %{xy: xy, z: z, yaw: yaw, speed: v.limits.speed, up: v.limits.up, down: v.limits.down}
+    %{
+      xy: xy,
+      z: z,
+      yaw: yaw,
+      speed: v.limits.speed,
+      accel: v.limits.accel,
+      up: v.limits.up,
+      down: v.limits.down
+    }
   end
 end

@@ -18,10 +18,12 @@ defmodule SimVehicle.Flight.Mission do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "A mission that is interrupted by something else."
-  @spec stop(t) :: t
-  def stop(%{state: :active} = mission), do: %{mission | state: :paused, goal: nil}
-  def stop(mission), do: %{mission | goal: nil}
+  @doc "A mission that is interrupted by something else. ArduPilot then calls it not started."
+  @spec stop(Vehicle.t()) :: t
+  def stop(%{mission: %{state: :active} = mission} = v),
+    do: %{mission | state: if(v.plans.style == :ardupilot, do: :not_started, else: :paused), goal: nil}
+
+  def stop(%{mission: mission}), do: %{mission | goal: nil}
 
   @doc "The number of the first item that is flown: ArduPilot's item 0 is home."
   @spec first(Vehicle.t()) :: 0 | 1
@@ -121,6 +123,12 @@ defmodule SimVehicle.Flight.Mission do
 
   # --- items ---
 
+  # In the air PX4 flies to the place of the take-off item, ArduPilot only looks at its height.
+  defp goal(%{airborne: true, plans: %{style: :px4}} = v, %{command: 22} = item) do
+    {n, e} = place(v, item)
+    {:goal, goto(v, n, e, down(v, item))}
+  end
+
   defp goal(v, %{command: 22} = item) do
     from = if v.armed_at, do: max(v.now, v.armed_at + round(v.limits.spool * 1.0e6)), else: v.now
     {:goal, Goal.takeoff(v.kin, down(v, item), from)}
@@ -184,8 +192,9 @@ defmodule SimVehicle.Flight.Mission do
 
   defp goto(v, n, e, d), do: Goal.goto(n, e, d, speed: v.mission.speed || v.limits.speed)
 
-  # No position (0/0) means here.
+  # No position (0/0), or one that is none, means here.
   defp place(v, %{x: 0, y: 0}), do: {v.kin.n, v.kin.e}
+  defp place(v, %{x: x, y: y}) when abs(x) > 900_000_000 or abs(y) > 1_800_000_000, do: {v.kin.n, v.kin.e}
   defp place(v, item), do: Geo.to_local(v.origin, item.x, item.y)
 
   @doc "The height of an item as metres down of the origin; altitudes are above home or above the sea."

@@ -14,16 +14,28 @@ defmodule SimVehicle.Px4.Arming do
   @by_command 4
   @by_landing 6
   @by_preflight 7
+  @calibration_us 1_050_000
 
   @doc "COMPONENT_ARM_DISARM with 1. Forcing does not help against failing checks in this version."
   @spec arm(Vehicle.t(), Command.t()) :: Vehicle.t()
   def arm(%{armed: true} = v, c), do: Vehicle.ack(v, c, @accepted)
 
   def arm(v, c) do
+    if calibrating?(v), do: busy(v, c), else: check(v, c)
+  end
+
+  defp busy(v, c) do
+    v
+    |> Vehicle.ack(c, @temporarily_rejected)
+    |> Events.tell(:arming_denied_calibrating, [], {2, "Arming denied: calibrating"})
+  end
+
+  defp check(v, c) do
     if healthy?(v) and Modes.available?(v, v.mode) do
       v
       |> Vehicle.ack(c, @accepted)
       |> Events.tell(:armed, [@by_command], {6, "Armed by external command"})
+      |> Vehicle.put_own(:landed_at, nil)
       |> Vehicle.arm()
       |> Modes.enter(v.mode)
     else
@@ -44,6 +56,18 @@ defmodule SimVehicle.Px4.Arming do
   end
 
   def disarm(v, c, _force), do: v |> Vehicle.ack(c, @accepted) |> stop(@by_command)
+
+  @doc "Starts a calibration of the gyros."
+  @spec calibrate(Vehicle.t()) :: Vehicle.t()
+  def calibrate(v) do
+    v
+    |> Vehicle.put_own(:calibrating, v.now + @calibration_us)
+    |> Vehicle.text(6, "[cal] calibration started: 2 gyro")
+  end
+
+  @doc "True while a calibration runs."
+  @spec calibrating?(Vehicle.t()) :: boolean
+  def calibrating?(v), do: Vehicle.own(v, :calibrating) != nil
 
   @doc "True when the checks pass that do not depend on the mode."
   @spec healthy?(Vehicle.t()) :: boolean
@@ -81,7 +105,15 @@ defmodule SimVehicle.Px4.Arming do
     end
   end
 
-  def tick(v), do: v
+  def tick(v) do
+    case Vehicle.own(v, :calibrating) do
+      over when over != nil and v.now >= over ->
+        v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(6, "[cal] calibration done: gyro")
+
+      _none_or_running ->
+        v
+    end
+  end
 
   defp idle_for(%{flight: :idle} = v), do: v.now - v.armed_at
   defp idle_for(_v), do: 0

@@ -4,7 +4,7 @@ defmodule SimVehicle.Px4.Commands do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Command, Flight, Geo, Params, Px4, Requests, Telemetry, Vehicle}
+  alias SimVehicle.{Battery, Command, Flight, Geo, Params, Px4, Requests, Telemetry, Vehicle}
   alias SimVehicle.Flight.Goal
   alias SimVehicle.Px4.{Arming, Events, Modes}
 
@@ -20,6 +20,8 @@ defmodule SimVehicle.Px4.Commands do
   @shrugged [401, 519, 195, 197, 1000, 1001, 2003, 183, 187]
   # The breaker that keeps flight termination from working.
   @termination_off 121_212
+  # The commander runs in a thread of its own.
+  @commander_us 5_000
 
   @doc "Carries out a command that is addressed to the vehicle."
   @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
@@ -34,18 +36,13 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # DO_SET_MODE: 1.17.0 says yes at once, then what the commander really thinks; nonsense gets only the first.
+  # DO_SET_MODE: 1.17.0 says yes at once, and some milliseconds later what the commander really thinks. A main mode
+  # that there is not changes nothing, and so is "accepted" the second time as well.
   defp run(v, c, 176) do
     {main, sub} = {trunc(Command.p(c, 2)), trunc(Command.p(c, 3))}
     v = Vehicle.ack(v, c, @accepted)
-
-    if Modes.main?(main) do
-      {result, changed} = Modes.request(v, main, sub)
-      # The second answer is overtaken by neither text nor event.
-      insert_ack(v, changed, c, result)
-    else
-      v
-    end
+    {result, v} = if Modes.main?(main), do: Modes.request(v, main, sub), else: {@accepted, v}
+    ack_later(v, c, result)
   end
 
   # NAV_TAKEOFF: the altitude is above the sea
@@ -134,9 +131,17 @@ defmodule SimVehicle.Px4.Commands do
       else: v |> Vehicle.ack(c, @accepted) |> Arming.stop(1)
   end
 
-  # PREFLIGHT_CALIBRATION, PREFLIGHT_STORAGE, PREFLIGHT_REBOOT_SHUTDOWN, DO_MOTOR_TEST (310)
+  # PREFLIGHT_CALIBRATION of the gyros takes a second; others are over at once
+  defp run(%{armed: false} = v, c, 241) do
+    v = Vehicle.ack(v, c, @accepted)
+    if Command.p(c, 1) == 1.0, do: Arming.calibrate(v), else: v
+  end
+
+  # PREFLIGHT_STORAGE
   defp run(v, c, id) when id in [241, 245],
     do: Vehicle.ack(v, c, if(v.armed, do: @temporarily_rejected, else: @accepted))
+
+  # PREFLIGHT_REBOOT_SHUTDOWN
 
   defp run(v, c, 246) do
     cond do
@@ -146,12 +151,13 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
+  # DO_MOTOR_TEST
   defp run(v, c, 310), do: Vehicle.ack(v, c, @denied)
 
   # INJECT_FAILURE: the battery's is answered to everybody, another unit's to nobody
   defp run(v, c, 420) do
     case {trunc(Command.p(c, 1)), trunc(Command.p(c, 2))} do
-      {100, 1} -> v |> broadcast_ack(c) |> Px4.failsafe(:battery_critical, true)
+      {100, 1} -> v |> broadcast_ack(c) |> empty() |> Px4.failsafe(:battery_critical, true)
       {100, 0} -> v |> broadcast_ack(c) |> Px4.failsafe(:battery_critical, false)
       {4, 1} -> v |> broadcast_ack(c) |> Px4.failsafe(:gps, true)
       {4, 0} -> v |> broadcast_ack(c) |> Px4.failsafe(:gps, false)
@@ -184,7 +190,9 @@ defmodule SimVehicle.Px4.Commands do
   defp run(v, c, _unknown), do: Vehicle.ack(v, c, @unsupported)
 
   defp requested(_v, c, 435), do: Modes.available(trunc(Command.p(c, 2)))
-  defp requested(v, _c, id), do: if(id in Px4.streamed() or id in [148, 300], do: Telemetry.message(v, id))
+
+  defp requested(v, _c, id),
+    do: if(id in Px4.streamed() or id in [148, 300, 397], do: Telemetry.message(v, id))
 
   defp mode(v, c, name) do
     {result, changed} = Modes.change(v, name)
@@ -219,5 +227,19 @@ defmodule SimVehicle.Px4.Commands do
     {lat, lon, Vehicle.altitude(v)}
   end
 
+  defp ack_later(v, %{source: :pilot}, _result), do: v
+
+  defp ack_later(v, c, result) do
+    {system, component} = c.source
+
+    Vehicle.later(v, @commander_us, %M.CommandAck{
+      command: c.id,
+      result: result,
+      target_system: system,
+      target_component: component
+    })
+  end
+
+  defp empty(v), do: %{v | battery: Battery.set_remaining(v.battery, 0.02)}
   defp broadcast_ack(v, c), do: Vehicle.emit(v, %M.CommandAck{command: c.id, result: @accepted})
 end

@@ -32,6 +32,7 @@ defmodule SimVehicle.Px4.Events do
     mission_takeoff_missing: {22_271_714, 0x36, []},
     mission_item_invalid: {33_469_040, 0x33, []},
     first_waypoint_far: {22_091_529, 0x46, [:u32]},
+    arming_denied_calibrating: {18_843_603, 0x26, []},
     arming_denied: {16_910_493, 0x26, []},
     disarming_denied: {25_868_725, 0x26, []},
     mode_unavailable: {27_280_279, 0x26, [:u32, :u8]},

@@ -4,7 +4,7 @@ defmodule SimVehicle.Px4.Failsafes do
   """
 
   alias SimVehicle.{Battery, Params, Vehicle}
-  alias SimVehicle.Px4.{Arming, Events, Modes}
+  alias SimVehicle.Px4.{Events, Modes}
 
   @hold_us 5_000_000
   # Causes and actions as numbered in commander_failsafe_enter.
@@ -74,10 +74,17 @@ defmodule SimVehicle.Px4.Failsafes do
     if at && v.now >= at do
       v = Vehicle.put_own(v, :act_at, nil)
       # Somebody who took over in the meantime keeps the vehicle.
-      if v.airborne and v.mode == "AUTO_LOITER", do: enter(v, "AUTO_RTL", @action_rtl), else: v
+      if v.mode == "AUTO_LOITER", do: bring_down(v), else: v
     else
       v
     end
+  end
+
+  # Too little is left to fly home on.
+  defp bring_down(v) do
+    if Battery.remaining(v.battery) <= Params.get(v.params, "BAT_EMERGEN_THR"),
+      do: v |> Vehicle.text(0, "Emergency battery level\t") |> enter("AUTO_LAND", @action_land),
+      else: enter(v, "AUTO_RTL", @action_rtl)
   end
 
   defp begin(v, :battery) do
@@ -102,8 +109,6 @@ defmodule SimVehicle.Px4.Failsafes do
 
   defp begin(v, kind) when kind in [:gcs, :rc],
     do: if(v.airborne and v.armed, do: hold_then_return(v), else: v)
-
-  defp hold_then_return(%{airborne: false} = v), do: Arming.stop(v, 7)
 
   defp hold_then_return(v) do
     v

@@ -16,7 +16,13 @@ defmodule SimVehicle.Px4.Missions do
   @doc "A plan was replaced or cleared: an accepted mission may still be rejected, which only an event tells."
   @spec plan_changed(Vehicle.t(), :stored | :cleared, 0..2) :: Vehicle.t()
   def plan_changed(v, _kind, 0) do
-    v = v |> Mission.reset() |> Vehicle.put_own(:reached, nil) |> Vehicle.put_own(:mission_feasible, true)
+    v =
+      v
+      |> Mission.reset()
+      |> Vehicle.put_own(:reached, nil)
+      |> Vehicle.put_own(:mission_feasible, true)
+      |> Vehicle.put_own(:task, nil)
+
     check(v, Plans.items(v.plans, 0))
   end
 
@@ -32,6 +38,26 @@ defmodule SimVehicle.Px4.Missions do
   end
 
   def plan_changed(v, _kind, _type), do: v
+
+  @active 3
+  @complete 5
+
+  @doc """
+  The state that MISSION_CURRENT shows: that of the navigator's last task, which a take-off or a landing is as well, so
+  that a mission that was never flown can be "complete".
+  """
+  @spec shown_state(Vehicle.t(), 0..5) :: 0..5
+  def shown_state(%{mission: %{state: :none}}, state), do: state
+
+  def shown_state(v, state) do
+    task = Vehicle.own(v, :task)
+
+    cond do
+      v.armed and task == :running and v.mode in ["AUTO_TAKEOFF", "AUTO_LAND"] -> @active
+      task == :done and v.mission.state != :active -> @complete
+      true -> state
+    end
+  end
 
   @doc "Item `seq` was reached, or carried out."
   @spec reached(Vehicle.t(), non_neg_integer) :: Vehicle.t()
@@ -96,7 +122,7 @@ defmodule SimVehicle.Px4.Missions do
     end
   end
 
-  defp infeasible(v), do: Vehicle.put_own(v, :mission_feasible, false)
+  defp infeasible(v), do: %{Vehicle.put_own(v, :mission_feasible, false) | mission: Mission.new()}
 
   defp far(v, items) do
     case Enum.find(items, &(nav?(&1) and &1.x != 0)) do

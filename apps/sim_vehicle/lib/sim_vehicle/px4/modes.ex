@@ -104,9 +104,14 @@ defmodule SimVehicle.Px4.Modes do
   def enter(v, name) do
     %{v | mode: name, landed: if(v.airborne, do: :in_air, else: :on_ground)}
     |> Vehicle.notify({:mode, name})
+    |> task(name)
     |> Internal.gimbal(name)
     |> start(name)
   end
+
+  defp task(v, name) when name in ["AUTO_TAKEOFF", "AUTO_LAND"], do: Vehicle.put_own(v, :task, :running)
+  defp task(v, "AUTO_MISSION"), do: Vehicle.put_own(v, :task, nil)
+  defp task(v, _name), do: v
 
   defp start(%{armed: false} = v, _name), do: Flight.hold(v)
   defp start(v, "AUTO_TAKEOFF"), do: takeoff(v)

@@ -5,7 +5,7 @@ defmodule SimVehicle.Px4.Reports do
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Plans, Telemetry, Vehicle}
-  alias SimVehicle.Px4.{Events, Modes}
+  alias SimVehicle.Px4.{Arming, Events, Missions, Modes}
 
   # 1.17.0, release; capabilities and flags as in the recordings.
   @version 17_891_583
@@ -34,13 +34,12 @@ defmodule SimVehicle.Px4.Reports do
     %{
       base
       | total: if(items == 0, do: @no_mission, else: items),
-        mission_mode: if(v.flight == :mission, do: 1, else: 2)
+        mission_mode: if(v.flight == :mission, do: 1, else: 2),
+        mission_state: Missions.shown_state(v, base.mission_state),
+        mission_id: v.plans.opaque[0],
+        fence_id: v.plans.opaque[1],
+        rally_points_id: v.plans.opaque[2]
     }
-    |> Map.merge(%{
-      mission_id: v.plans.opaque[0],
-      fence_id: v.plans.opaque[1],
-      rally_points_id: v.plans.opaque[2]
-    })
   end
 
   def message(v, 148) do
@@ -70,6 +69,14 @@ defmodule SimVehicle.Px4.Reports do
 
   def message(_v, 300), do: %M.ProtocolVersion{version: 200, min_version: 100, max_version: 203}
 
+  def message(v, 397) do
+    %M.ComponentMetadata{
+      time_boot_ms: Telemetry.boot_ms(v),
+      file_crc: 0xC78D_DDA4,
+      uri: "mftp://etc/extras/component_general.json.xz"
+    }
+  end
+
   # Only while it circles.
   def message(%{mode: "ORBIT"} = v, 360) do
     orbit = Vehicle.own(v, :orbit)
@@ -82,13 +89,14 @@ defmodule SimVehicle.Px4.Reports do
   def message(v, 436), do: Modes.current(v)
   def message(_v, _id), do: :common
 
-  # MAV_STATE: 0 until it knows itself, 3 standby, 4 active (armed), 5 in a failsafe.
+  # MAV_STATE: 0 when it could not be armed in this mode, 2 calibrating, 3 standby, 4 active (armed), 5 in a failsafe.
   defp system_status(v) do
     cond do
-      v.now < v.ready_us -> 0
       v.armed and MapSet.size(MapSet.delete(v.failsafes, :battery)) > 0 -> 5
       v.armed -> 4
-      true -> 3
+      Arming.calibrating?(v) -> 2
+      Arming.healthy?(v) and Modes.available?(v, v.mode) -> 3
+      true -> 0
     end
   end
 end

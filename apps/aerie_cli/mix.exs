@@ -12,6 +12,8 @@ defmodule AerieCLI.MixProject do
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
       test_coverage: [summary: [threshold: 85]],
+      # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.
+      test_paths: ["test", "../../test"],
       deps: deps()
     ]
   end
@@ -24,7 +26,7 @@ defmodule AerieCLI.MixProject do
   defp test_applications(:test), do: [:proper]
   defp test_applications(_env), do: []
 
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
+  defp elixirc_paths(:test), do: ["lib", Path.expand("../../test/support", __DIR__)]
   defp elixirc_paths(_env), do: ["lib"]
 
   defp deps,

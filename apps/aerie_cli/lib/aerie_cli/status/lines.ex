@@ -17,8 +17,19 @@ defmodule AerieCLI.Status.Lines do
   @doc "An event as a line."
   @spec event(map()) :: String.t()
   def event(event) do
-    data = Enum.map_join(Enum.sort(event.data), " ", fn {key, value} -> "#{key}=#{value(value)}" end)
+    data = event.data |> flat() |> Enum.map_join(" ", fn {key, value} -> "#{key}=#{value(value)}" end)
     String.trim_trailing("event vehicle=#{text(event.vehicle)} type=#{text(event.type)} #{data}")
+  end
+
+  # `position: %{lat: 1}` reads `position.lat=1`.
+  defp flat(data) do
+    Enum.flat_map(Enum.sort(data), fn
+      {key, %{} = inner} when not is_struct(inner) ->
+        for {name, value} <- flat(inner), do: {"#{key}.#{name}", value}
+
+      {key, value} ->
+        [{key, value}]
+    end)
   end
 
   defp vehicle(vehicle, now) do

@@ -1,0 +1,118 @@
+defmodule Aerie.SystemCase do
+  @moduledoc """
+  A whole gateway for a test, started as `bin/run` starts it: embedded nats-server, HTTP, links, all on free ports and in
+  a folder of its own, found by a name of its own.
+  """
+
+  use ExUnit.CaseTemplate
+
+  alias AerieCLI.Run
+
+  using do
+    quote do
+      import Aerie.SystemCase
+      alias Aerie.Fleet.Store
+    end
+  end
+
+  @doc """
+  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration). Returns what `AerieCLI.Run.start/2`
+  does, with `link` ports by id.
+  """
+  def start_gateway(folder, options \\ []) do
+    supervisor = ExUnit.Callbacks.start_supervised!({DynamicTop, []}, id: make_ref())
+    gateway = make_ref()
+
+    overrides =
+      Map.merge(
+        %{
+          "environment" => "test",
+          "mavlink" => %{"local_addr" => "off"},
+          "links" =>
+            for(
+              {url, n} <- Enum.with_index(options[:links] || [], 1),
+              do: %{"id" => "link-#{n}", "url" => url}
+            ),
+          "http" => %{"port" => 0},
+          "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
+          "outbox" => %{"dir" => Path.join(folder, "outbox")}
+        },
+        options[:overrides] || %{}
+      )
+
+    plan = %{config_file: nil, overrides: overrides, sim: 0}
+    {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
+    eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
+    run
+  end
+
+  @doc "The port of a link, once it is open."
+  def link_port(gateway, id) do
+    eventually(
+      fn ->
+        case Aerie.Fleet.Store.link(gateway, id) do
+          %{port: port, status: status} when is_integer(port) and status in [:up, :idle] -> port
+          _not_yet -> nil
+        end
+      end,
+      "link #{id} is open"
+    )
+  end
+
+  @doc "A UDP port that is free just now, for a link that must find the same one again after a restart."
+  def free_udp_port do
+    {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    :gen_udp.close(socket)
+    port
+  end
+
+  @doc "A plain NATS client of the gateway's server, as any user would have."
+  def nats_client(gateway) do
+    %{url: url} = Aerie.Bridge.info(gateway)
+    %URI{host: host, port: port} = URI.parse(url)
+    {:ok, conn} = Gnat.start_link(%{host: host, port: port})
+    conn
+  end
+
+  @doc "All events in the stream, in its order, decoded."
+  def stream_events(conn) do
+    {:ok, %{state: %{first_seq: first, last_seq: last}}} =
+      Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+
+    # An empty stream says first 0 or 1 and last 0.
+    for seq <- max(first, 1)..last//1 do
+      {:ok, message} = Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})
+      JSON.decode!(message.data)
+    end
+  end
+
+  @doc """
+  Waits for a fact that no message tells (another process's table, the operating system), for 20 seconds at most, and
+  returns what the function returned.
+  """
+  def eventually(fun, what, deadline \\ System.monotonic_time(:millisecond) + 20_000) do
+    case fun.() do
+      value when value in [nil, false] ->
+        if System.monotonic_time(:millisecond) > deadline, do: ExUnit.Assertions.flunk("never: #{what}")
+
+        receive do
+        after
+          20 -> eventually(fun, what, deadline)
+        end
+
+      value ->
+        value
+    end
+  end
+end
+
+defmodule DynamicTop do
+  @moduledoc false
+  use Supervisor
+
+  def start_link(_options), do: Supervisor.start_link(__MODULE__, [])
+
+  @impl Supervisor
+  def init(_options), do: Supervisor.init([], strategy: :one_for_one)
+end

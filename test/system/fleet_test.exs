@@ -1,0 +1,150 @@
+defmodule Aerie.System.FleetTest do
+  @moduledoc "Three flying vehicles, a gateway and a plain NATS client: what the client sees."
+
+  use Aerie.SystemCase, async: true
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 120_000
+
+  setup %{tmp_dir: folder} do
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    port = link_port(gateway, "link-1")
+    conn = nats_client(gateway)
+    %{gateway: gateway, port: port, conn: conn}
+  end
+
+  test "a client of fleet.> sees each vehicle's state at the configured rate, and its events", context do
+    {:ok, _subscription} = Gnat.sub(context.conn, self(), "fleet.>")
+
+    start_supervised!(
+      {SimVehicle.Fleet, count: 3, link: "udpout:127.0.0.1:#{context.port}", ready_s: 1.0, speed: 2.0}
+    )
+
+    seen = collect(%{}, fn seen -> complete?(seen) end)
+
+    for name <- ["VID-001", "VID-002", "VID-003"] do
+      positions = Enum.reverse(seen[{name, "state.position"}])
+      assert length(positions) >= 5
+
+      for position <- positions do
+        assert %{"vehicle" => ^name, "group" => "position", "data" => data} = position
+        assert data["lat"] > 47.3 and data["lat"] < 47.5
+        assert is_number(data["alt_rel"])
+      end
+
+      # The rate is told by the times in the messages: one a second (the default of position_hz), mean over the window.
+      gaps = for [a, b] <- Enum.chunk_every(times(positions), 2, 1, :discard), do: b - a
+      assert_in_delta Enum.sum(gaps) / length(gaps), 1000, 200
+
+      for type <- ["armed", "takeoff"] do
+        assert [%{"vehicle" => ^name, "type" => ^type, "id" => id, "seq" => seq} | _] =
+                 seen[{name, "event." <> type}]
+
+        assert is_binary(id) and is_integer(seq)
+      end
+    end
+  end
+
+  test "the stream keeps the last value of each state group and every event once", context do
+    start_supervised!(
+      {SimVehicle.Fleet, count: 2, link: "udpout:127.0.0.1:#{context.port}", ready_s: 1.0, speed: 4.0}
+    )
+
+    eventually(
+      fn -> context.conn |> stream_events() |> Enum.count(&(&1["type"] == "takeoff")) >= 2 end,
+      "both took off"
+    )
+
+    events = stream_events(context.conn)
+    assert events |> Enum.map(& &1["id"]) |> Enum.uniq() |> length() == length(events)
+
+    for {_vehicle, events} <- Enum.group_by(events, & &1["vehicle"]) do
+      assert Enum.map(events, & &1["seq"]) == Enum.to_list(1..length(events))
+    end
+
+    {:ok, %{state: %{num_subjects: subjects, messages: messages}}} =
+      Gnat.Jetstream.API.Stream.info(context.conn, "FLEET_STATE")
+
+    assert messages == subjects
+  end
+
+  test "HTTP tells health, readiness and metrics of the same gateway", context do
+    start_supervised!(
+      {SimVehicle.Fleet, count: 1, link: "udpout:127.0.0.1:#{context.port}", ready_s: 1.0, fly: false}
+    )
+
+    port = FleetWeb.Endpoint.port(context.gateway)
+    eventually(fn -> Store.vehicle(context.gateway, "VID-001") end, "the vehicle is known")
+
+    assert {200, %{"status" => "ok"}} = get_json(port, "/healthz")
+    assert {200, %{"status" => "ready", "nats" => %{"connected" => true}}} = get_json(port, "/readyz")
+
+    metrics =
+      eventually(
+        fn ->
+          {200, text} = get(port, "/metrics")
+          if text =~ ~s(gateway_nats_messages_published_total{subject="state.position"}), do: text
+        end,
+        "positions are published"
+      )
+
+    for line <- [
+          ~s(gateway_mavlink_messages_received_total{type="heartbeat"}),
+          ~s(gateway_mavlink_parse_errors_total 0),
+          ~s(gateway_link_up{link="link-1",network="main"} 1),
+          ~s(gateway_vehicle_online{vehicle="VID-001"} 1),
+          ~s(gateway_vehicle_armed{vehicle="VID-001"} 0),
+          ~s(gateway_nats_connected 1)
+        ] do
+      assert metrics =~ line
+    end
+
+    assert {404, _text} = get(port, "/nothing")
+    assert {405, _text} = request(:post, port, "/metrics")
+  end
+
+  defp complete?(seen) do
+    Enum.all?(["VID-001", "VID-002", "VID-003"], fn name ->
+      length(seen[{name, "state.position"}] || []) >= 5 and
+        Map.has_key?(seen, {name, "event.armed"}) and Map.has_key?(seen, {name, "event.takeoff"})
+    end)
+  end
+
+  defp collect(seen, done?) do
+    if done?.(seen) do
+      seen
+    else
+      receive do
+        {:msg, %{topic: "fleet.test." <> rest, body: body}} ->
+          [vehicle, what] = String.split(rest, ".", parts: 2)
+          collect(Map.update(seen, {vehicle, what}, [JSON.decode!(body)], &[JSON.decode!(body) | &1]), done?)
+      after
+        60_000 -> flunk("never complete; seen: #{inspect(Map.keys(seen))}")
+      end
+    end
+  end
+
+  defp times(messages) do
+    for message <- messages do
+      {:ok, time, 0} = DateTime.from_iso8601(message["time"])
+      DateTime.to_unix(time, :millisecond)
+    end
+  end
+
+  defp get(port, path), do: request(:get, port, path)
+
+  defp get_json(port, path) do
+    {status, body} = get(port, path)
+    {status, JSON.decode!(body)}
+  end
+
+  defp request(method, port, path) do
+    url = ~c"http://127.0.0.1:#{port}#{path}"
+    request = if method == :get, do: {url, []}, else: {url, [], ~c"text/plain", ""}
+
+    {:ok, {{_version, status, _reason}, _headers, body}} =
+      :httpc.request(method, request, [], body_format: :binary)
+
+    {status, body}
+  end
+end

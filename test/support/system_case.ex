@@ -94,7 +94,8 @@ defmodule Aerie.SystemCase do
   def eventually(fun, what, deadline \\ System.monotonic_time(:millisecond) + 20_000) do
     case fun.() do
       value when value in [nil, false] ->
-        if System.monotonic_time(:millisecond) > deadline, do: ExUnit.Assertions.flunk("never: #{what}")
+        if System.monotonic_time(:millisecond) > deadline,
+          do: ExUnit.Assertions.flunk("never: #{if is_function(what), do: what.(), else: what}")
 
         receive do
         after

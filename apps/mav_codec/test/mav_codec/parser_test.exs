@@ -245,18 +245,24 @@ defmodule MavCodec.ParserTest do
       assert bytes(frames) == [heartbeat(), attitude()]
     end
 
-    test "the good frame inside may end far behind them: the decision waits for it" do
-      inside = attitude(truncate: false)
-      noise = <<0xFE, 4, 1, 1, 1, 255>>
-      # The claimed extent ends in the middle of the good frame, just before a byte that looks like a magic.
-      [first | _] = for i <- 7..30, binary_part(inside, i, 1) == <<0>>, do: i
-      data = noise <> inside
-      <<_, _, rest::binary>> = noise
-      data = <<0xFE, first + 4 - 8 + 2>> <> rest <> binary_part(data, 6, byte_size(data) - 6)
+    test "a good frame that begins inside them, even at their last byte, is found, however the bytes are cut" do
+      # 253 bytes of payload, nearly all of them magics: the byte behind the noise looks like a magic too.
+      data = <<7, 0, :binary.copy(<<0xFE>>, 251)::binary>>
+      inside = Raw.frame(131, data, 223, system: 1)
+      assert <<0xFD, 0xFD, _::binary>> = inside
 
-      for cut <- 1..(byte_size(data) - 1) do
-        {frames, _} = parse([binary_part(data, 0, cut), binary_part(data, cut, byte_size(data) - cut)])
-        assert bytes(frames) == [inside]
+      # The noise claims `covered` bytes of the good frame.
+      for covered <- [1, 12, 13, 50, 200], filler <- 1..3 do
+        noise = <<0xFE, 6 + filler + covered - 8, 1, 1, 1, 255, 0::size(filler)-unit(8)>>
+        data = noise <> inside <> heartbeat()
+        expected = [inside, heartbeat()]
+        assert data |> parse() |> elem(0) |> bytes() == expected
+        assert for(<<byte <- data>>, do: <<byte>>) |> parse() |> elem(0) |> bytes() == expected
+
+        for cut <- 1..(byte_size(data) - 1)//5 do
+          chunks = [binary_part(data, 0, cut), binary_part(data, cut, byte_size(data) - cut)]
+          assert chunks |> parse() |> elem(0) |> bytes() == expected
+        end
       end
     end
 

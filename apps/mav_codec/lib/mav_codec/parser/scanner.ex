@@ -24,19 +24,11 @@ defmodule MavCodec.Parser.Scanner do
   # Not called `Known.extra/2` in the fast path: the id is mostly in the tuple.
   @direct Known.direct_size()
 
-  # `clear` and `good` remember, as numbers of bytes before the end of the data, what the search inside unknown frames
-  # has already found, so that no byte is judged more than twice.
+  # `seen` is what the search for good frames inside doubtful ones has found in this data, so that no byte is judged more
+  # than once by it: see `search/3`.
   @enforce_keys [:known, :accepted]
   defstruct @enforce_keys ++
-              [
-                crc_errors: 0,
-                resync_bytes: 0,
-                unknown_ids: 0,
-                incompatible: 0,
-                signed: 0,
-                clear: nil,
-                good: nil
-              ]
+              [crc_errors: 0, resync_bytes: 0, unknown_ids: 0, incompatible: 0, signed: 0, seen: nil]
 
   @typedoc "`:stream` - more bytes may follow; `:datagram` - a boundary; `:final` - nothing follows."
   @type mode :: :stream | :datagram | :final
@@ -48,8 +40,7 @@ defmodule MavCodec.Parser.Scanner do
           unknown_ids: non_neg_integer(),
           incompatible: non_neg_integer(),
           signed: non_neg_integer(),
-          clear: non_neg_integer() | nil,
-          good: non_neg_integer() | nil
+          seen: {non_neg_integer(), non_neg_integer() | nil, [non_neg_integer()]} | nil
         }
 
   @doc "A scanner that takes frames of `known` ids and the `accepted` incompatibility flags."
@@ -61,10 +52,10 @@ defmodule MavCodec.Parser.Scanner do
   their time of arrival.
   """
   @spec scan(t(), binary(), integer() | nil, mode()) :: {[Frame.t()], binary(), t()}
-  def scan(%__MODULE__{known: %Known{direct: direct}, clear: nil, good: nil} = state, data, at, mode),
+  def scan(%__MODULE__{known: %Known{direct: direct}, seen: nil} = state, data, at, mode),
     do: frames(data, data, 0, direct, at, mode, [], state)
 
-  def scan(state, data, at, mode), do: scan(%{state | clear: nil, good: nil}, data, at, mode)
+  def scan(state, data, at, mode), do: scan(%{state | seen: nil}, data, at, mode)
 
   # The first argument is `data` from `pos` on. It is only matched, so that the runtime goes through the whole of `data`
   # with one match context and makes no binary for what remains.
@@ -207,35 +198,37 @@ defmodule MavCodec.Parser.Scanner do
     end
   end
 
-  # Whether a good frame of a known id begins at one of the bytes 1..size-1. What was found is remembered by the number
-  # of bytes that follow it, which stays true while the loop goes on through the same data.
+  # Whether a good frame of a known id begins at one of the bytes 1..size-1 of the data.
+  #
+  # Places are numbers of bytes from there to the end of the data, which stay true while the loop goes on through the same
+  # data. `seen` is {the last place judged, the place of a good frame if that was one, the doubtful places before it};
+  # all from the first candidate's place to the last one were judged.
   defp search(data, size, state) do
     total = byte_size(data)
 
-    cond do
-      state.good && state.good < total ->
-        {if(state.good > total - size, do: :good, else: :none), state}
-
-      state.clear && state.clear < total ->
-        search_from(data, total - state.clear + 1, size, :none, %{state | good: nil})
-
-      true ->
-        search_from(data, 1, size, :none, %{state | good: nil})
+    case state.seen do
+      {last, good, doubtful} when last < total -> search(data, total - size, last, good, doubtful, state)
+      _nothing_of_use -> search(data, total - size, total, nil, [], state)
     end
   end
 
-  defp search_from(_data, from, size, result, state) when from >= size, do: {result, state}
+  # `limit` is the place just behind the extent that is searched.
+  defp search(_data, limit, last, good, doubtful, state) when good != nil and good > limit,
+    do: {:good, %{state | seen: {last, good, doubtful}}}
 
-  defp search_from(data, from, size, result, state) do
-    left = byte_size(data) - from
+  defp search(data, limit, last, good, doubtful, state) when good != nil or last - 1 <= limit do
+    total = byte_size(data)
+    result = if Enum.any?(doubtful, &(&1 > limit and &1 < total)), do: :more, else: :none
+    {result, %{state | seen: {last, good, doubtful}}}
+  end
 
-    case Candidate.judge(binary_part(data, from, left), state.known, state.accepted) do
-      # Only what is certain may be remembered; behind a doubtful byte the search is made again.
-      {:good, _, _} when result == :none -> {:good, %{state | good: left}}
-      {:good, _, _} -> {:good, state}
-      :more -> search_from(data, from + 1, size, :more, state)
-      _bad when result == :none -> search_from(data, from + 1, size, result, %{state | clear: left})
-      _bad -> search_from(data, from + 1, size, result, state)
+  defp search(data, limit, last, nil, doubtful, state) do
+    place = last - 1
+
+    case Candidate.judge(from(data, byte_size(data) - place), state.known, state.accepted) do
+      {:good, _, _} -> search(data, limit, place, place, doubtful, state)
+      :more -> search(data, limit, place, nil, [place | doubtful], state)
+      _no_frame -> search(data, limit, place, nil, doubtful, state)
     end
   end
 end

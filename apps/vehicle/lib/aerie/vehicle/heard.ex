@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Heard do
   @forget_us 60_000_000
   @max_links 32
 
-  @opaque t :: %__MODULE__{}
+  @type t :: %__MODULE__{}
 
   @doc "Nothing heard yet; or, after a restart, these links at this time."
   @spec new([term()], integer() | nil) :: t()

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Outbound do
   @enforce_keys [:gateway, :options, :encoder]
   defstruct [:gateway, :options, :encoder]
 
-  @opaque t :: %__MODULE__{}
+  @type t :: %__MODULE__{}
 
   @spec new(Names.gateway(), Vehicle.Options.t()) :: t()
   def new(gateway, options) do

@@ -46,7 +46,7 @@ defmodule Aerie.Vehicle.Sampling do
     link: %{strategy: :aggregate, hz: 0.2}
   }
 
-  @opaque t :: %{State.group() => {module(), term()}}
+  @type t :: %{State.group() => {module(), term()}}
 
   @doc "The samplers of all groups."
   @spec new(%{State.group() => map()}) :: t()

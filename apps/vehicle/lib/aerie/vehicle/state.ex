@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.State do
   | `:home`     | lat, lon, alt_msl                                                                              |
   | `:mission`  | seq, total, state, reached, wp_distance, fence_breach, fence_breach_type                       |
   | `:rc`       | channels (us), rssi (0..1)                                                                     |
-  | `:link`     | made by `Aerie.Vehicle.Heard`                                                                  |
+  | `:link`     | status, frames_per_s, bytes_per_s, links (ids, the latest first)                               |
 
   Several messages may tell the same; the better one wins while it keeps coming (`wants?/3`), so that a stream of
   ATTITUDE_QUATERNION is not even decoded while ATTITUDE arrives.
@@ -36,7 +36,7 @@ defmodule Aerie.Vehicle.State do
     home: [:lat, :lon, :alt_msl],
     mission: [:seq, :total, :state, :reached, :wp_distance, :fence_breach, :fence_breach_type],
     rc: [:channels, :rssi],
-    link: [:frames_per_s, :bytes_per_s, :links]
+    link: [:status, :frames_per_s, :bytes_per_s, :links]
   ]
   @empty Map.new(@groups, fn {group, keys} -> {group, Map.new(keys, &{&1, nil})} end)
 

@@ -15,7 +15,7 @@ defmodule Aerie.Vehicle.Twin do
   @place_near_m 1_000.0
   @metres_per_degree 111_320.0
 
-  @opaque t :: %__MODULE__{}
+  @type t :: %__MODULE__{}
   @type verdict :: :one | :two
 
   @spec new() :: t()

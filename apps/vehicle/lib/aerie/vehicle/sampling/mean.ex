@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.Sampling.Mean do
 
   defstruct sums: %{}, last: %{}, count: 0, at: nil
 
-  @opaque t :: %__MODULE__{}
+  @type t :: %__MODULE__{}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}

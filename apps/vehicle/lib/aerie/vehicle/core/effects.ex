@@ -1,0 +1,122 @@
+defmodule Aerie.Vehicle.Core.Effects do
+  @moduledoc """
+  What follows from a change of the vehicle: samples, observations, snapshots. Each function takes and gives the core and
+  the actions so far, newest first.
+  """
+
+  alias Aerie.Vehicle.{Core, Detector, Sampling, State, Twin}
+  alias MavCodec.Messages.MissionItemReached
+
+  @position 33
+  @mission_item_reached 46
+  @autopilot_version 148
+  # HEARTBEAT, SYS_STATUS, GLOBAL_POSITION_INT, MISSION_CURRENT, BATTERY_STATUS, FENCE_STATUS, HIGH_LATENCY2,
+  # EXTENDED_SYS_STATE
+  @eventful [0, 1, 33, 42, 147, 162, 235, 245]
+  # The store is written at most twenty times a second.
+  @show_us 50_000
+
+  @type acc :: {Core.t(), [Core.action()]}
+
+  @doc "A group was renewed: what of it goes to the fleet."
+  @spec sample(acc(), State.group(), integer()) :: acc()
+  def sample({core, actions}, group, at) do
+    {samplers, samples} = Sampling.push(core.samplers, group, at, State.data(core.state, group))
+
+    {%{core | samplers: samplers, dirty: true},
+     Enum.reduce(samples, actions, &[publish(core, group, &1) | &2])}
+  end
+
+  @doc "A sample as an action."
+  @spec publish(Core.t(), State.group(), Sampling.sample()) :: Core.action()
+  def publish(core, group, {at, data}) do
+    {:publish, group, %{data: data, time_boot_ms: core.state.boot_ms}, at}
+  end
+
+  @doc "A message was folded in: what the detector is to look at."
+  @spec changed(Core.t(), [Core.action()], non_neg_integer(), struct(), integer()) :: acc()
+  def changed(core, actions, @mission_item_reached, %MissionItemReached{seq: seq}, at) do
+    {core, [{:observe, {:reached, at, core.state.boot_ms, seq}} | actions]}
+  end
+
+  # The others say nothing that events are about.
+  def changed(core, actions, id, _message, _at) when id not in @eventful, do: {core, actions}
+
+  def changed(core, actions, _id, _message, at) do
+    case Detector.digest(core.state) do
+      same when same == core.digest ->
+        {core, actions}
+
+      digest ->
+        observation = {:state, at, core.state.boot_ms, Map.put(digest, :where, where(core.state))}
+        # A change of mode or arming is worth showing at once.
+        shown = if shown?(core.digest, digest), do: nil, else: core.shown
+        {%{core | digest: digest, shown: shown}, [{:observe, observation} | actions]}
+    end
+  end
+
+  defp shown?(%{mode: mode, armed: armed, in_air: in_air}, %{mode: mode, armed: armed, in_air: in_air}),
+    do: false
+
+  defp shown?(_last, _now), do: true
+
+  defp where(state) do
+    case State.data(state, :position) do
+      %{lat: nil} ->
+        nil
+
+      %{lat: lat, lon: lon} = p ->
+        %{"lat" => lat, "lon" => lon, "alt_msl" => p.alt_msl, "alt_rel" => p.alt_rel}
+    end
+  end
+
+  @doc "Texts that are complete."
+  @spec observe_texts(Core.t(), [Core.action()], [map()]) :: [Core.action()]
+  def observe_texts(core, actions, texts) do
+    Enum.reduce(texts, actions, fn text, actions ->
+      [{:observe, {:text, text.at, core.state.boot_ms, text.severity, text.text}} | actions]
+    end)
+  end
+
+  @doc "What a message tells about there being two vehicles."
+  @spec twin_of(Core.t(), [Core.action()], non_neg_integer(), integer()) :: acc()
+  def twin_of(core, actions, @position, at) do
+    case State.data(core.state, :position) do
+      %{lat: nil} -> {core, actions}
+      %{lat: lat, lon: lon} -> twin(core, actions, Twin.place(core.twin, {lat, lon}, at), "position", at)
+    end
+  end
+
+  def twin_of(core, actions, @autopilot_version, at) do
+    twin(core, actions, Twin.uid(core.twin, core.state.uid), "uid", at)
+  end
+
+  def twin_of(core, actions, _id, _at), do: {core, actions}
+
+  @doc "A verdict on there being two vehicles, by the sign it goes by."
+  @spec twin(Core.t(), [Core.action()], {Twin.t(), Twin.verdict()}, String.t(), integer()) :: acc()
+  def twin(core, actions, {twin, :one}, _sign, _at), do: {%{core | twin: twin}, actions}
+
+  def twin(core, actions, {twin, :two}, sign, at) do
+    {%{core | twin: twin}, [{:observe, {:collision, at, core.state.boot_ms, sign}} | actions]}
+  end
+
+  @doc "The vehicle is heard, silent or lost from now on; that is shown at once."
+  @spec status(Core.t(), [Core.action()], Core.status()) :: acc()
+  def status(core, actions, status) do
+    show(
+      {%{core | status: status, shown: nil, dirty: true}, [{:status, core.status, status} | actions]},
+      core.now
+    )
+  end
+
+  @doc "Shows the vehicle, if it changed and was not shown just before."
+  @spec show(acc(), integer()) :: acc()
+  def show({%{dirty: true} = core, actions}, now) when core.component != nil do
+    if core.shown == nil or now - core.shown >= @show_us,
+      do: {%{core | shown: now, dirty: false}, [{:snapshot, Core.snapshot(core)} | actions]},
+      else: {core, actions}
+  end
+
+  def show({core, actions}, _now), do: {core, actions}
+end

@@ -1,0 +1,175 @@
+defmodule Aerie.Vehicle.Core.Intake do
+  @moduledoc """
+  From a frame to what it means for the vehicle: whose it is, whether it is worth decoding, which part of the core it
+  concerns.
+  """
+
+  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.Core.Effects
+
+  @heartbeat 0
+  @system_time 2
+  @param_value 22
+  @high_latency 235
+  @statustext 253
+  # For how long a second link's copy of a text may come after the first one's.
+  @copy_us 5_000_000
+  # A vehicle that comes back is asked for its streams again soon.
+  @ask_again_us 50_000
+
+  @doc "One frame of the vehicle's system. The actions come newest first."
+  @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
+  def frame(core, actions, link, frame) do
+    # Whoever it is that speaks: the way to this system works.
+    core = %{core | heard: Heard.frame(core.heard, link, byte_size(frame.bytes), frame.at)}
+
+    cond do
+      frame.id == @heartbeat ->
+        heartbeat(core, actions, link, frame)
+
+      frame.component == core.component ->
+        autopilot(core, actions, link, frame)
+
+      core.component == nil and frame.id == @high_latency ->
+        autopilot(%{core | component: frame.component}, actions, link, frame)
+
+      true ->
+        {core, actions}
+    end
+  end
+
+  defp heartbeat(core, actions, link, frame) do
+    {:ok, message} = MavCodec.decode(frame)
+    known = core.component
+
+    if Kind.vehicle?(message.type, message.autopilot) and
+         (known in [nil, frame.component] or frame.component == 1) do
+      {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
+      message(core, actions, link, frame, message)
+    else
+      {core, actions}
+    end
+  end
+
+  defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
+    {core, actions} = alive(core, actions, at)
+
+    if State.wants?(core.state, id, at) or id in [@system_time, @param_value, @statustext] do
+      case MavCodec.decode(frame) do
+        {:ok, message} -> message(core, actions, link, frame, message)
+        {:error, _unknown} -> {core, actions}
+      end
+    else
+      {core, actions}
+    end
+  end
+
+  # Something of the autopilot came.
+  defp alive(%{status: :online} = core, actions, at),
+    do: {%{core | last_heard: later(core.last_heard, at)}, actions}
+
+  defp alive(core, actions, at) do
+    observed = if core.status == :lost, do: [{:observe, {:restored, at, core.state.boot_ms}}], else: []
+    last_heard = later(core.last_heard, at)
+
+    core = %{
+      core
+      | last_heard: last_heard,
+        streams: %{core.streams | due: core.streams.due && at + @ask_again_us}
+    }
+
+    Effects.status(core, observed ++ actions, :online)
+  end
+
+  defp message(core, actions, _link, frame, %{time_boot_ms: boot_ms} = message) do
+    {clock, verdict} = BootClock.read(core.clock, boot_ms, frame.at)
+    core = %{core | clock: clock}
+
+    case verdict do
+      :ok ->
+        {core, actions} =
+          Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at), "time_boot_ms", frame.at)
+
+        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, frame, message)
+
+      # Older than what is known, or the first sign of a reboot; either way it is worth a moment's wait.
+      :behind ->
+        Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at), "time_boot_ms", frame.at)
+
+      :reboot ->
+        core = %{
+          core
+          | state: State.at_boot(core.state, boot_ms),
+            twin: Twin.rebooted(core.twin),
+            streams: Streams.rebooted(core.streams, frame.at)
+        }
+
+        apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
+    end
+  end
+
+  defp message(core, actions, link, %{id: @statustext} = frame, message) do
+    {first?, core} = first_copy(core, link, frame)
+
+    if first? do
+      {texts, done} = StatusText.push(core.texts, frame.component, message, frame.at)
+      {%{core | texts: texts}, Effects.observe_texts(core, actions, done)}
+    else
+      {core, actions}
+    end
+  end
+
+  defp message(core, actions, _link, %{id: @param_value} = frame, message) do
+    case Params.read(message, core.state.autopilot) do
+      {:ok, value} -> {core, add_param(actions, frame.at, core.state.boot_ms, value)}
+      :ignore -> {core, actions}
+    end
+  end
+
+  defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
+
+  defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
+
+  defp apply_message(core, actions, %{id: id, at: at}, message) do
+    core = %{core | streams: Streams.heard(core.streams, id, at)}
+
+    case State.apply(core.state, id, message, at) do
+      {:invalid, _field} ->
+        {core, [{:count, :invalid} | actions]}
+
+      {state, groups} ->
+        {core, actions} = Effects.twin_of(%{core | state: state}, actions, id, at)
+        {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
+        core |> Effects.changed(actions, id, message, at) |> Effects.show(at)
+    end
+  end
+
+  # A second link brings the same frame again: same number, same content, other link. (The number alone would not do, R7.)
+  defp first_copy(core, link, frame) do
+    key = {frame.component, frame.seq, frame.payload}
+
+    case core.recent do
+      %{^key => {other, at}} when other != link and frame.at - at < @copy_us ->
+        {false, core}
+
+      recent ->
+        recent =
+          if map_size(recent) < 64,
+            do: recent,
+            else: Map.filter(recent, fn {_, {_, at}} -> frame.at - at < @copy_us end)
+
+        recent = if map_size(recent) < 256, do: recent, else: %{}
+        {true, %{core | recent: Map.put(recent, key, {link, frame.at})}}
+    end
+  end
+
+  # What came in one read is one observation: a list of a thousand parameters is not a thousand steps.
+  defp add_param([{:observe, {:params, at, boot_ms, values}} | actions], at, boot_ms, value) do
+    [{:observe, {:params, at, boot_ms, values ++ [value]}} | actions]
+  end
+
+  defp add_param(actions, at, boot_ms, value), do: [{:observe, {:params, at, boot_ms, [value]}} | actions]
+
+  defp later(nil, at), do: at
+  defp later(last, at), do: max(last, at)
+end

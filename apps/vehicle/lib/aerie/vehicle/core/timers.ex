@@ -1,0 +1,99 @@
+defmodule Aerie.Vehicle.Core.Timers do
+  @moduledoc """
+  What follows from time passing: texts that stay incomplete, samples, silence, rates, requests, our heartbeat.
+  """
+
+  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Streams}
+  alias Aerie.Vehicle.Core.Effects
+
+  # Deadlines are looked at twenty times a second.
+  @period_us 50_000
+  @heartbeat_us 1_000_000
+  # HIGH_LATENCY2 comes every five seconds or less; a link of that kind is not lost after five.
+  @high_latency_us 60_000_000
+
+  @doc "Whether there may be something to do before a frame that came `at` is looked at."
+  @spec due?(Core.t(), integer()) :: boolean()
+  def due?(%{expired: nil}, _at), do: true
+  def due?(core, at), do: at - core.expired >= @period_us or overdue?(StatusText.deadline(core.texts), at)
+
+  defp overdue?(nil, _at), do: false
+  defp overdue?(deadline, at), do: at >= deadline
+
+  @doc "It is `now`. The actions come newest first."
+  @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
+  def expire(core, actions, now) do
+    {texts, done} = StatusText.expire(core.texts, now)
+    {samplers, samples} = Sampling.expire(core.samplers, now)
+    actions = Effects.observe_texts(core, actions, done)
+
+    actions =
+      Enum.reduce(samples, actions, fn {group, sample}, actions ->
+        [Effects.publish(core, group, sample) | actions]
+      end)
+
+    {%{core | texts: texts, samplers: samplers, expired: now}, actions}
+    |> silence(now)
+    |> measure(now)
+    |> ask(now)
+    |> beat(now)
+    |> Effects.show(now)
+  end
+
+  defp silence({%{last_heard: nil} = core, actions}, _now), do: {core, actions}
+
+  defp silence({core, actions}, now) do
+    silent = now - core.last_heard
+
+    lost_us =
+      if core.state.high_latency, do: max(core.options.lost_us, @high_latency_us), else: core.options.lost_us
+
+    stale_us = if core.state.high_latency, do: lost_us, else: core.options.stale_us
+
+    cond do
+      core.status != :lost and silent >= lost_us ->
+        observation = {:lost, core.last_heard + lost_us, core.state.boot_ms, lost_us}
+        Effects.status(core, [{:observe, observation} | actions], :lost)
+
+      core.status == :online and silent >= stale_us ->
+        Effects.status(core, actions, :stale)
+
+      true ->
+        {core, actions}
+    end
+  end
+
+  defp measure({core, actions}, now) do
+    case Heard.measure(core.heard, now) do
+      {heard, nil} ->
+        {%{core | heard: heard}, actions}
+
+      {heard, data} ->
+        core = %{
+          core
+          | heard: heard,
+            state: State.put(core.state, :link, Map.put(data, :status, core.status), now)
+        }
+
+        Effects.sample({core, actions}, :link, now)
+    end
+  end
+
+  defp ask({%{options: %{request_streams: true}, status: :online, component: component} = core, actions}, now)
+       when component != nil do
+    {streams, messages} = Streams.expire(core.streams, now, {core.options.system_id, component})
+    {%{core | streams: streams}, Enum.reduce(messages, actions, &[{:send, &1, core.version} | &2])}
+  end
+
+  defp ask({core, actions}, _now), do: {core, actions}
+
+  # Fed by this loop: no heartbeat from a gateway whose loops stand still (H3). A vehicle that is lost gets it too, its
+  # own receiver may be all that works.
+  defp beat({%{options: %{heartbeat: true}} = core, actions}, now) do
+    if core.heartbeat == nil or now - core.heartbeat >= @heartbeat_us,
+      do: {%{core | heartbeat: now}, [{:heartbeat, core.version} | actions]},
+      else: {core, actions}
+  end
+
+  defp beat({core, actions}, _now), do: {core, actions}
+end

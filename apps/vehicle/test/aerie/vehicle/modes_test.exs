@@ -1,0 +1,67 @@
+defmodule Aerie.Vehicle.ModesTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.{Kind, Modes}
+
+  test "names of each firmware" do
+    assert Modes.name(:ardupilot, "copter", 81, 4) == "GUIDED"
+    assert Modes.name(:ardupilot, "rover", 81, 4) == "HOLD"
+    assert Modes.name(:ardupilot, "sub", 81, 19) == "MANUAL"
+    assert Modes.name(:ardupilot, "plane", 81, 5) == "FBWA"
+    assert Modes.name(:ardupilot, "vtol", 81, 19) == "QLOITER"
+    assert Modes.name(:ardupilot, "boat", 81, 10) == "AUTO"
+    assert Modes.name(:px4, "copter", 157, 50_593_792) == "AUTO_LOITER"
+    assert Modes.name(:px4, "copter", 145, 16_973_824) == "POSCTL_ORBIT"
+    assert Modes.name(:px4, "copter", 145, 393_216) == "OFFBOARD"
+    assert Modes.name(:px4, "plane", 157, 100_925_440) == "AUTO_LAND"
+  end
+
+  test "an unknown number is shown as a number and comes back" do
+    assert Modes.name(:ardupilot, "copter", 81, 99) == "MODE(99)"
+    assert Modes.name(:ardupilot, "unknown", 81, 4) == "MODE(4)"
+    assert Modes.name(:px4, "copter", 81, 0x63040000) == "MODE(1661206528)"
+    assert Modes.name(:px4, "copter", 81, 4) == "MODE(4)"
+    assert Modes.number(:ardupilot, "copter", "mode(99)") == {:ok, 99}
+  end
+
+  test "an autopilot without modes of its own has those of the heartbeat's flags" do
+    assert Modes.name(:generic, "copter", 0x04, 7) == "AUTO"
+    assert Modes.name(:generic, "copter", 0x40, 0) == "MANUAL"
+    assert Modes.name(:generic, "copter", 0x01, 7) == "MODE(7)"
+    assert Modes.name(:generic, "copter", 0, 0) == "PREFLIGHT"
+  end
+
+  test "every name leads back to its number" do
+    for {autopilot, kind} <-
+          [px4: "copter"] ++ for(k <- ~w(copter plane vtol rover boat sub tracker blimp), do: {:ardupilot, k}),
+        name <- Modes.all(autopilot, kind) do
+      assert {:ok, number} = Modes.number(autopilot, kind, String.downcase(name))
+      assert Modes.name(autopilot, kind, 1, number) == name
+    end
+
+    assert Modes.all(:generic, "copter") == []
+  end
+
+  test "common short names of PX4's modes; unknown names are an error" do
+    assert Modes.number(:px4, "copter", "hold") == Modes.number(:px4, "copter", "AUTO_LOITER")
+    assert Modes.number(:px4, "copter", "RTL") == {:ok, 84_148_224}
+    assert Modes.number(:ardupilot, "rover", "LAND") == :error
+    assert Modes.number(:generic, "copter", "AUTO") == :error
+    assert Modes.number(:ardupilot, "copter", "MODE(-1)") == :error
+  end
+
+  test "H2, R10: a vehicle is who says that it has an autopilot and is nothing else" do
+    assert Kind.vehicle?(2, 3)
+    assert Kind.vehicle?(1, 12)
+    assert Kind.vehicle?(0, 0)
+    assert Kind.vehicle?(99, 3)
+    refute Kind.vehicle?(2, 8)
+    for not_a_vehicle <- [6, 18, 26, 30, 34], do: refute(Kind.vehicle?(not_a_vehicle, 3))
+  end
+
+  test "kinds" do
+    assert Enum.map([1, 2, 10, 11, 12, 22, 200], &Kind.name/1) == ~w(plane copter rover boat sub vtol unknown)
+    assert Kind.flies?("vtol") and Kind.flies?("unknown") and not Kind.flies?("rover")
+    assert {Kind.autopilot(3), Kind.autopilot(12), Kind.autopilot(0)} == {:ardupilot, :px4, :generic}
+  end
+end

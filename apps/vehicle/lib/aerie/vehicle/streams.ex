@@ -38,7 +38,7 @@ defmodule Aerie.Vehicle.Streams do
   @all_streams 0
   @fall_back_hz 4
 
-  defstruct [:due, round: 0, heard: %{}]
+  defstruct [:due, round: 0, asked: 0, heard: %{}]
 
   @type t :: %__MODULE__{
           due: integer() | nil,
@@ -95,16 +95,16 @@ defmodule Aerie.Vehicle.Streams do
         else: []
 
     wait = Enum.at(@retries_us, round, @quiet_us)
-    {%{streams | round: round + 1, due: now + wait}, messages ++ fall_back}
+    {%{streams | round: round + 1, asked: now, due: now + wait}, messages ++ fall_back}
   end
 
-  # Asked often enough: what is missing is not there. What stopped since may be asked for again.
-  defp ask(streams, now, _target, missing, _unknown) do
-    stopped = for {id, _interval} <- missing, is_map_key(streams.heard, id), do: id
+  # Asked often enough: what is missing is not there. Only what came since and stopped is worth asking for again.
+  defp ask(streams, now, target, missing, unknown) do
+    stopped = for {id, _interval} <- missing, Map.get(streams.heard, id, 0) > streams.asked, do: id
 
     if stopped == [],
       do: {%{streams | due: now + @stopped_us}, []},
-      else: {%{streams | round: 0, heard: Map.drop(streams.heard, stopped), due: now}, []}
+      else: ask(%{streams | round: 0}, now, target, missing, unknown)
   end
 
   defp command({system, component}, command, param1, param2) do

@@ -1,0 +1,275 @@
+defmodule Aerie.Vehicle.CoreTest do
+  use ExUnit.Case, async: true
+
+  import Aerie.Flight
+
+  alias Aerie.Vehicle.{Core, Detector}
+  alias MavCodec.Messages, as: M
+
+  @second 1_000_000
+  @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}
+
+  defp start(extra \\ []) do
+    options = options(extra)
+    %{core: Core.new(options), detector: Detector.new(options), events: [], actions: [], params: %{}}
+  end
+
+  defp frames(run, frames, link \\ "a"), do: step(run, {:frames, link, frames})
+  defp beat(run, seconds, link \\ "a"), do: frames(run, [frame(@copter, round(seconds * @second))], link)
+  defp tick(run, seconds), do: step(run, {:tick, round(seconds * @second)})
+  defp types(run), do: run.events |> Enum.reverse() |> Enum.map(& &1.type)
+  defp statuses(run), do: for({:status, _old, new} <- Enum.reverse(run.actions), do: new)
+
+  describe "silence (H1)" do
+    test "stale after three seconds, lost after five, exactly then; restored with the next frame" do
+      run = start() |> beat(10) |> tick(12.9)
+      assert statuses(run) == []
+      run = tick(run, 13)
+      assert statuses(run) == [:stale]
+      run = run |> tick(14.9) |> tick(15.3) |> tick(20)
+      assert statuses(run) == [:stale, :lost]
+      run = beat(run, 30)
+      assert statuses(run) == [:stale, :lost, :online]
+      assert [%{type: "link.restored", time: 30_000_000}, %{type: "link.lost", time: 15_000_000}] = run.events
+    end
+
+    test "a gap in a recording is found by the next frame's own time" do
+      run = start() |> beat(10) |> beat(60)
+      assert types(run) == ["link.lost", "link.restored"]
+      assert List.last(run.events).time == 15 * @second
+    end
+
+    test "a short pause is stale and no event" do
+      run = start() |> beat(10) |> tick(14) |> beat(14.5)
+      assert {statuses(run), types(run)} == {[:stale, :online], []}
+    end
+
+    test "another component's frames do not keep the vehicle alive" do
+      gimbal = frame(%M.Heartbeat{type: 26, autopilot: 8}, 16 * @second, component: 154)
+      run = start() |> beat(10) |> frames([gimbal])
+      assert types(run) == ["link.lost"]
+    end
+
+    test "a satellite link may be silent for longer (X6)" do
+      summary = &frame(%M.HighLatency2{type: 2, autopilot: 3, latitude: 1, longitude: 1}, &1 * @second)
+      run = start() |> frames([summary.(10)]) |> tick(40)
+      assert statuses(run) == []
+      assert run |> tick(71) |> statuses() == [:lost]
+    end
+  end
+
+  test "one link fails, the other goes on: nothing is lost; the latest link is first" do
+    run = start() |> beat(10, "a") |> beat(10.1, "b") |> beat(14, "b") |> tick(14.1)
+    assert types(run) == []
+    assert Core.snapshot(run.core).links == ["b", "a"]
+  end
+
+  test "a text that comes by two links is one event" do
+    text = fn seq -> frame(%M.Statustext{severity: 6, text: "ready"}, 11 * @second, seq: seq) end
+    run = start() |> beat(10) |> frames([text.(5)], "a") |> frames([text.(5)], "b")
+    assert types(run) == ["statustext"]
+    # The vehicle saying it twice is two.
+    assert run |> frames([text.(6)], "a") |> types() == ["statustext", "statustext"]
+  end
+
+  test "chunks that do not come are given up by time alone" do
+    half = frame(%M.Statustext{severity: 6, id: 3, text: String.duplicate("a", 50)}, 11 * @second)
+    run = start() |> beat(10) |> frames([half]) |> tick(12.5)
+    assert [%{type: "statustext", time: 12_000_000, data: %{"text" => text}}] = run.events
+    assert String.ends_with?(text, "[…]")
+  end
+
+  test "the first autopilot that is heard speaks; component 1 takes over, another does not" do
+    other = frame(%{@copter | custom_mode: 6}, 11 * @second, component: 2)
+    run = start() |> frames([other])
+    assert Core.snapshot(run.core).component == 2
+    run = beat(run, 12)
+    assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
+    run = frames(run, [%{other | at: 13 * @second}])
+    assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
+  end
+
+  test "R6: a reboot is an event, streams are asked for anew" do
+    attitude = fn at, boot -> frame(%M.Attitude{time_boot_ms: boot}, round(at * @second)) end
+    before = for n <- 0..10, do: attitude.(10 + n, 600_000 + n * 1000)
+    later = for n <- 0..10, do: attitude.(24 + n / 2, 500 + n * 500)
+    run = start() |> beat(10) |> frames(before) |> frames(later)
+    assert types(run) == ["reboot"]
+    assert hd(run.events).data["uptime_ms"] == 1500
+    assert Core.snapshot(run.core).time_boot_ms == 5500
+  end
+
+  test "two vehicles with one id are a collision, once" do
+    attitude = fn at, boot -> frame(%M.Attitude{time_boot_ms: boot}, round(at * @second)) end
+
+    both =
+      for n <- 0..20,
+          f <- [attitude.(10 + n / 4, 600_000 + n * 250), attitude.(10 + n / 4 + 0.1, 90_000 + n * 250)],
+          do: f
+
+    run = start() |> beat(10) |> frames(both)
+    assert types(run) == ["collision"]
+    assert hd(run.events).data["sign"] == "time_boot_ms"
+  end
+
+  test "another unique id is a collision too" do
+    version = fn at, uid -> frame(%M.AutopilotVersion{uid: uid}, at * @second) end
+    run = start() |> beat(10) |> frames([version.(11, 1), version.(12, 2), version.(13, 1)])
+    assert types(run) == ["collision"]
+  end
+
+  test "our heartbeat is due once a second, in the vehicle's own MAVLink version, whether it is heard or not" do
+    old = frame(@copter, 10 * @second, version: 1)
+    run = start() |> frames([old])
+    run = Enum.reduce(1..50, run, &tick(&2, 10 + &1 / 10))
+    beats = for {:heartbeat, version} <- run.actions, do: version
+    assert length(beats) in 5..6
+    assert Enum.frequencies(beats)[1] >= 5
+    assert for({:heartbeat, _} <- tick(beat(start(heartbeat: false), 10), 20).actions, do: 1) == []
+  end
+
+  test "asking for streams can be switched off" do
+    sent = fn run -> for {:send, _message, _version} <- run.actions, do: 1 end
+    assert start() |> beat(10) |> beat(11) |> beat(12.5) |> sent.() |> length() == 11
+    assert start(request_streams: false) |> beat(10) |> beat(11) |> beat(12.5) |> sent.() == []
+  end
+
+  test "a change of mode is shown at once, other changes at most every 50 ms" do
+    shown = fn run -> length(for {:snapshot, _} <- run.actions, do: 1) end
+    attitudes = for n <- 1..100, do: frame(%M.Attitude{time_boot_ms: 1000 + n}, 10 * @second + n * 1000)
+    run = start() |> beat(10) |> frames(attitudes)
+    assert shown.(run) <= 4
+    before = shown.(run)
+    run = frames(run, [frame(%{@copter | custom_mode: 6}, 10 * @second + 100_500)])
+    assert shown.(run) == before + 1
+
+    assert {:snapshot, %{groups: %{mode: %{data: %{mode: "RTL"}}}}} =
+             Enum.find(run.actions, &match?({:snapshot, _}, &1))
+  end
+
+  test "the link group says how much is heard" do
+    run = start() |> beat(10) |> beat(10.5) |> beat(11.0) |> tick(12.1)
+    assert %{status: :online, frames_per_s: rate, links: ["a"]} = Core.snapshot(run.core).groups.link.data
+    assert rate > 0
+  end
+
+  test "values that cannot be are counted" do
+    run = start() |> beat(10) |> frames([frame(%M.HomePosition{latitude: 950_000_000}, 11 * @second)])
+    assert {:count, :invalid} in run.actions
+  end
+
+  test "rebuilt from its snapshot it goes on without an event, and finds what happened meanwhile" do
+    armed = frame(%{@copter | base_mode: 0xD1}, 12 * @second)
+    run = start() |> beat(10) |> beat(11)
+    rebuild = fn run -> %{run | core: Core.new(options(), Core.snapshot(run.core))} end
+
+    assert run |> rebuild.() |> beat(12) |> types() == []
+    assert run |> rebuild.() |> frames([armed]) |> types() == ["armed"]
+
+    assert run |> frames([armed]) |> rebuild.() |> frames([%{armed | at: 13 * @second}]) |> types() == [
+             "armed"
+           ]
+
+    assert run |> tick(20) |> rebuild.() |> tick(21) |> beat(22) |> types() == ["link.lost", "link.restored"]
+  end
+
+  describe "properties" do
+    defp message_gen do
+      :proper_types.oneof([
+        {:heartbeat, :proper_types.oneof([1, 1, 1, 1, 154, 190]), :proper_types.oneof([0, 0x80]),
+         :proper_types.range(0, 5)},
+        {:landed, :proper_types.range(0, 4)},
+        {:status, :proper_types.range(0, 100)},
+        {:raw, :proper_types.oneof([1, 22, 24, 30, 33, 42, 46, 65, 74, 147, 148, 162, 235, 242, 245, 253]),
+         :proper_types.binary()},
+        :gap,
+        :kill
+      ])
+    end
+
+    defp message({:heartbeat, 1, armed, mode}, at) do
+      frame(
+        %M.Heartbeat{type: 2, autopilot: 3, base_mode: armed + 1, custom_mode: mode, system_status: 4},
+        at
+      )
+    end
+
+    defp message({:heartbeat, component, armed, mode}, at) do
+      frame(%M.Heartbeat{type: 26, autopilot: 8, base_mode: armed + 1, custom_mode: mode}, at,
+        component: component
+      )
+    end
+
+    defp message({:landed, state}, at), do: frame(%M.ExtendedSysState{landed_state: state}, at)
+    defp message({:status, remaining}, at), do: frame(%M.SysStatus{battery_remaining: remaining}, at)
+
+    defp message({:raw, id, payload}, at) do
+      %MavCodec.Frame{
+        version: 2,
+        system: 1,
+        component: 1,
+        id: id,
+        payload: payload,
+        bytes: payload,
+        at: at,
+        crc_extra: 0
+      }
+    end
+
+    # `kills: false` leaves the kills out: the same flight without them.
+    defp fly(messages, kills) do
+      {run, _at} =
+        Enum.reduce(messages, {start(), @second}, fn
+          :gap, {run, at} -> {run, at + 6 * @second}
+          :kill, {run, at} when kills -> {%{run | core: Core.new(options(), shown(run))}, at}
+          :kill, {run, at} -> {run, at}
+          message, {run, at} -> {frames(run, [message(message, at)]), at + 100_000}
+        end)
+
+      %{run | events: Enum.reverse(run.events)}
+    end
+
+    defp shown(run),
+      do:
+        Enum.find_value(run.actions, fn
+          {:snapshot, s} -> s
+          _ -> nil
+        end)
+
+    test "whatever comes: it never raises, pairs alternate, numbers have no gap, only the autopilot makes events" do
+      prop =
+        :proper.forall(:proper_types.list(message_gen()), fn messages ->
+          run = fly(messages, false)
+          types = Enum.map(run.events, & &1.type)
+          pairs = [{"armed", "disarmed"}, {"takeoff", "landed"}, {"link.lost", "link.restored"}]
+
+          Enum.map(run.events, & &1.seq) == Enum.to_list(1..length(types)//1) and
+            Enum.all?(pairs, fn {a, b} ->
+              types
+              |> Enum.filter(&(&1 in [a, b]))
+              |> Enum.chunk_every(2, 1, :discard)
+              |> Enum.all?(fn [x, y] -> x != y end)
+            end) and
+            (Enum.any?(messages, &(match?({:heartbeat, 1, _, _}, &1) or match?({:raw, 235, _}, &1))) or
+               run.events == [])
+        end)
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+    end
+
+    test "killed and rebuilt at any moment, armed, mode and landing events are the same" do
+      prop =
+        :proper.forall(:proper_types.list(message_gen()), fn messages ->
+          messages = Enum.reject(messages, &match?({:raw, _, _}, &1))
+
+          pick = fn run ->
+            for e <- run.events, e.type in ~w(armed disarmed mode_change), do: {e.type, e.data["to"]}
+          end
+
+          pick.(fly(messages, true)) == pick.(fly(messages, false))
+        end)
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+    end
+  end
+end

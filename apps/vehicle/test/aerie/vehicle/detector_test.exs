@@ -1,0 +1,370 @@
+defmodule Aerie.Vehicle.DetectorTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.{Detector, Event, Options, State}
+  alias Aerie.Vehicle.Detector.Texts
+
+  @second 1_000_000
+  @ground %{mode: "STABILIZE", armed: false, in_air: false, failsafe: false, remaining: 0.9}
+
+  defp new, do: Detector.new(Options.new(%{}, {"main", 1}))
+
+  # Observations with their times in seconds; the events as {type, data}.
+  defp observe(observations, detector \\ new(), known \\ %{}) do
+    {events, {detector, _known}} =
+      Enum.map_reduce(observations, {detector, known}, fn observation, {detector, known} ->
+        {detector, events, params} = Detector.observe(detector, observation, &Map.fetch(known, &1))
+        {events, {detector, Map.merge(known, params)}}
+      end)
+
+    {List.flatten(events), detector}
+  end
+
+  defp types(observations, detector \\ new()) do
+    {events, _detector} = observe(observations, detector)
+    Enum.map(events, & &1.type)
+  end
+
+  defp state(seconds, changes),
+    do: {:state, round(seconds * @second), 1000, Map.merge(@ground, Map.new(changes))}
+
+  defp text(seconds, text), do: {:text, round(seconds * @second), 1000, 4, text}
+
+  defp without_texts(observations),
+    do: types(observations) -- for({:text, _, _, _, _} <- observations, do: "statustext")
+
+  test "where a vehicle is found is no event" do
+    assert types([state(0, armed: true, in_air: true, failsafe: true, mode: "AUTO")]) == []
+  end
+
+  test "a whole flight, one event each, numbered, with the times of what showed them" do
+    {events, _} =
+      observe([
+        state(0, []),
+        state(1, mode: "GUIDED"),
+        state(2, mode: "GUIDED", armed: true),
+        state(3, mode: "GUIDED", armed: true, in_air: true),
+        state(3, mode: "GUIDED", armed: true, in_air: true),
+        state(4, mode: "GUIDED", armed: true),
+        state(5, mode: "STABILIZE")
+      ])
+
+    assert Enum.map(events, &{&1.seq, &1.type, div(&1.time, @second)}) == [
+             {1, "mode_change", 1},
+             {2, "armed", 2},
+             {3, "takeoff", 3},
+             {4, "landed", 4},
+             {5, "mode_change", 5},
+             {6, "disarmed", 5}
+           ]
+
+    assert hd(events).data == %{"from" => "STABILIZE", "to" => "GUIDED"}
+    assert hd(events).vehicle_time_ms == 1000
+    assert Enum.all?(events, &(&1.vehicle == "VID-001"))
+  end
+
+  test "what becomes known or unknown is no event" do
+    assert types([
+             state(0, armed: nil, in_air: nil),
+             state(1, armed: true, in_air: true),
+             state(2, armed: nil, in_air: nil)
+           ]) == []
+
+    assert types([state(0, armed: true), state(1, armed: nil), state(2, armed: false)]) == ["disarmed"]
+  end
+
+  test "an event says where it happened" do
+    where = %{"lat" => 47.4, "lon" => 8.5, "alt_msl" => 500.0, "alt_rel" => 0.0}
+    {[event], _} = observe([state(0, []), state(1, armed: true, where: where)])
+    assert event.data["position"] == where
+  end
+
+  describe "failsafe" do
+    test "with the reason that was given just before" do
+      {events, _} =
+        observe([
+          state(0, armed: true),
+          text(1, "Radio Failsafe - RTL"),
+          state(2, armed: true, failsafe: true)
+        ])
+
+      assert [%{type: "statustext"}, %{type: "failsafe", data: data}] = events
+      assert %{"reason" => "rc", "text" => "Radio Failsafe - RTL"} = data
+    end
+
+    test "an old reason is none; a general text does not replace a reason" do
+      {events, _} = observe([state(0, []), text(1, "Battery Failsafe"), state(9, failsafe: true)])
+      assert List.last(events).data["reason"] == "unknown"
+
+      {events, _} =
+        observe([
+          state(0, []),
+          text(1, "Low battery"),
+          text(2, "Failsafe activated"),
+          state(3, failsafe: true)
+        ])
+
+      assert List.last(events).data["reason"] == "battery"
+    end
+
+    test "each one is an event, its staying is not" do
+      assert types([
+               state(0, []),
+               state(1, failsafe: true),
+               state(2, failsafe: true, mode: "RTL"),
+               state(3, [])
+             ]) ==
+               ~w(failsafe mode_change mode_change)
+    end
+  end
+
+  describe "battery" do
+    test "low and critical by charge, with hysteresis" do
+      at = fn remaining -> state(0, remaining: remaining) end
+      assert types(Enum.map([0.3, 0.25, 0.26, 0.24, 0.29, 0.2], at)) == ["battery.low"]
+      assert types(Enum.map([0.3, 0.25, 0.31, 0.25], at)) == ["battery.low", "battery.low"]
+      assert types(Enum.map([0.3, 0.2, 0.1, 0.12, 0.09], at)) == ["battery.low", "battery.critical"]
+      assert types(Enum.map([0.3, 0.05], at)) == ["battery.low", "battery.critical"]
+      assert types(Enum.map([0.3, 0.05, 0.2, 0.05], at)) == ~w(battery.low battery.critical battery.critical)
+    end
+
+    test "by what the battery says of itself" do
+      assert types([state(0, charge_state: "OK"), state(1, charge_state: "LOW")]) == ["battery.low"]
+
+      assert types([
+               state(0, charge_state: "OK"),
+               state(1, charge_state: "EMERGENCY"),
+               state(2, charge_state: "EMERGENCY")
+             ]) ==
+               ["battery.low", "battery.critical"]
+    end
+
+    test "one that is found low is an event; one that is not measured is none" do
+      assert types([state(0, remaining: 0.2)]) == ["battery.low"]
+      assert types([state(0, remaining: nil), state(1, remaining: nil)]) == []
+    end
+
+    test "thresholds are configured" do
+      options = Options.new(%{events: %{battery_low: 0.5, battery_critical: 0.3}}, {"main", 1})
+
+      assert types([state(0, remaining: 0.45), state(1, remaining: 0.29)], Detector.new(options)) ==
+               ["battery.low", "battery.critical"]
+    end
+  end
+
+  describe "geofence" do
+    test "by FENCE_STATUS, once per breach; the text that comes with it is not a second one" do
+      breach = [fence_breach: true, fence_breach_type: "BOUNDARY"]
+
+      assert without_texts([
+               state(0, fence_breach: false),
+               state(1, breach),
+               text(1, "Fence Breached"),
+               state(2, breach),
+               state(3, fence_breach: false),
+               state(4, breach)
+             ]) == ["geofence", "geofence"]
+    end
+
+    test "by text where there is no FENCE_STATUS, not again within ten seconds" do
+      assert without_texts([state(0, []), text(1, "Geofence violation"), text(2, "Geofence violation")]) == [
+               "geofence"
+             ]
+
+      assert without_texts([text(1, "Polygon fence breached"), text(30, "Polygon fence breached")]) ==
+               ~w(geofence geofence)
+    end
+
+    test "a complaint about a fence is no breach" do
+      for complaint <- [
+            "PreArm: Polygon fence breached",
+            "Geofence invalid, doesn't contain Home position",
+            "Fence Indexed OK"
+          ] do
+        refute Texts.fence?(complaint)
+      end
+    end
+  end
+
+  test "gcs_failsafe once until the ground station is back" do
+    lost = text(1, "GCS Failsafe")
+
+    assert without_texts([state(0, []), lost, lost, text(2, "GCS Failsafe Cleared"), lost]) == [
+             "gcs_failsafe",
+             "gcs_failsafe"
+           ]
+
+    assert without_texts([lost, state(1, []), state(2, failsafe: true), state(3, []), lost]) ==
+             ["gcs_failsafe", "failsafe", "gcs_failsafe"]
+
+    assert Texts.gcs("Lost connection to GCS") == :lost
+    assert Texts.gcs("Connection to ground station lost") == :lost
+    assert Texts.gcs("Connection to ground control station regained") == :back
+    assert Texts.gcs("PreArm: GCS failsafe on") == nil
+    assert Texts.gcs("Arming motors") == nil
+  end
+
+  test "reasons that texts name" do
+    for {text, reason} <- [
+          {"Battery 1 is low 10.40V used 3100 mAh", "battery"},
+          {"EKF Failsafe: changed to LAND Mode", "ekf"},
+          {"Failsafe: Radio lost", "rc"},
+          {"Manual control lost", "rc"},
+          {"GCS Failsafe", "gcs"},
+          {"Vibration compensation ON failsafe", "vibration"},
+          {"Failsafe activated", "unknown"},
+          {"PreArm: Radio failsafe on", nil},
+          {"Arming denied: Resolve system health failures first", nil},
+          {"Arming motors", nil}
+        ] do
+      assert Texts.failsafe(text) == reason, text
+    end
+  end
+
+  describe "mission" do
+    defp mission(seconds, seq, state),
+      do: state(seconds, mission_seq: seq, mission_total: 4, mission_state: state)
+
+    defp reached(seconds, seq), do: {:reached, round(seconds * @second), 1000, seq}
+
+    test "PX4 says once a second that an item is reached: one event; later again it is another" do
+      assert types([reached(0, 2), reached(1, 2), reached(2, 2), reached(3, 3), reached(60, 3)]) ==
+               List.duplicate("mission.reached", 3)
+    end
+
+    test "completed once, at its end and not before" do
+      assert types([
+               mission(0, 0, "ACTIVE"),
+               mission(1, 0, "COMPLETE"),
+               mission(2, 0, "ACTIVE"),
+               reached(3, 3),
+               mission(4, 3, "COMPLETE"),
+               mission(5, 3, "ACTIVE"),
+               mission(6, 3, "COMPLETE")
+             ]) == ["mission.reached", "mission.completed"]
+    end
+
+    test "completed again when it is flown again" do
+      flight = fn t -> [mission(t, 1, "ACTIVE"), reached(t + 1, 3), mission(t + 2, 3, "COMPLETE")] end
+
+      assert types(flight.(0) ++ flight.(10)) ==
+               List.flatten(List.duplicate(["mission.reached", "mission.completed"], 2))
+    end
+
+    test "by text, and not a second time by state" do
+      assert without_texts([
+               mission(0, 4, "ACTIVE"),
+               reached(1, 4),
+               text(1, "Mission Complete"),
+               mission(2, 4, "COMPLETE")
+             ]) == ["mission.reached", "mission.completed"]
+
+      assert Texts.mission_completed?("Mission finished, loitering")
+      refute Texts.mission_completed?("Mission: 4 WP")
+    end
+  end
+
+  test "statustext with the name of its severity" do
+    {[event], _} = observe([{:text, 5, nil, 2, "Arming denied"}])
+    assert event.data == %{"severity" => 2, "severity_name" => "CRITICAL", "text" => "Arming denied"}
+    {[event], _} = observe([{:text, 5, nil, 99, "?"}])
+    assert event.data["severity_name"] == "SEVERITY(99)"
+  end
+
+  test "parameters: what is new is learned, what changes is an event, what is the same is nothing" do
+    params = fn values -> {:params, @second, 1, values} end
+
+    {events, _} =
+      observe([
+        params.([{"A", 1, 0}, {"B", 2.5, 1}]),
+        params.([{"A", 1, nil}]),
+        params.([{"A", 7, nil}, {"A", 8, nil}, {"A", 8, nil}])
+      ])
+
+    assert Enum.map(events, & &1.data) == [
+             %{"name" => "A", "from" => 1, "to" => 7, "index" => nil},
+             %{"name" => "A", "from" => 7, "to" => 8, "index" => nil}
+           ]
+  end
+
+  test "lost and restored alternate" do
+    lost = {:lost, 5 * @second, 1, 5 * @second}
+    restored = {:restored, 9 * @second, 2}
+    assert types([restored, lost, lost, restored, restored, lost]) == ~w(link.lost link.restored link.lost)
+    {[event | _], _} = observe([lost])
+    assert event.data == %{"silent_s" => 5.0}
+  end
+
+  test "a reboot once, though it is seen again after a crash; the next one again" do
+    reboot = fn at, boot_ms -> {:reboot, at * @second, boot_ms} end
+    assert types([reboot.(100, 2000), reboot.(103, 5000), reboot.(200, 2000)]) == ["reboot", "reboot"]
+  end
+
+  test "a collision once while it lasts" do
+    collision = fn at -> {:collision, at * @second, 1, "uid"} end
+
+    assert types([collision.(0), collision.(10), collision.(65), collision.(200)]) == [
+             "collision",
+             "collision"
+           ]
+  end
+
+  test "every type of event is one that can be published" do
+    assert length(Event.types()) == 18
+    assert Enum.all?(Event.types(), &(&1 =~ ~r/\A[a-z_]+(\.[a-z_]+)?\z/))
+  end
+
+  test "a digest has nothing in it that changes all the time" do
+    refute Enum.any?(Map.keys(Detector.digest(%State{})), &(&1 in [:lat, :lon, :voltage, :at, :time_boot_ms]))
+  end
+
+  describe "properties" do
+    defp observation_gen do
+      :proper_types.oneof([
+        {:state, :proper_types.oneof([true, false, nil]), :proper_types.oneof([true, false, nil]),
+         :proper_types.oneof(["A", "B", nil]), :proper_types.oneof([true, false])},
+        :lost,
+        :restored,
+        {:reached, :proper_types.range(0, 3)},
+        {:text, :proper_types.oneof(["hello", "GCS Failsafe", "Mission Complete"])}
+      ])
+    end
+
+    defp real({:state, armed, in_air, mode, failsafe}, n) do
+      {:state, n * 1000, n, %{armed: armed, in_air: in_air, mode: mode, failsafe: failsafe}}
+    end
+
+    defp real(:lost, n), do: {:lost, n * 1000, n, 1000}
+    defp real(:restored, n), do: {:restored, n * 1000, n}
+    defp real({:reached, seq}, n), do: {:reached, n * 1000, n, seq}
+    defp real({:text, text}, n), do: {:text, n * 1000, n, 6, text}
+
+    defp alternate?(types, a, b) do
+      types
+      |> Enum.filter(&(&1 in [a, b]))
+      |> Enum.chunk_every(2, 1, :discard)
+      |> Enum.all?(fn [x, y] -> x != y end)
+    end
+
+    test "pairs alternate, numbers have no gap, ids are unique, and seeing the same again gives nothing" do
+      prop =
+        :proper.forall(:proper_types.list(observation_gen()), fn observations ->
+          real =
+            observations |> Enum.with_index(1) |> Enum.map(fn {observation, n} -> real(observation, n) end)
+
+          {events, _} = observe(real)
+          types = Enum.map(events, & &1.type)
+          # A state that is shown twice, as after a crash of who shows it.
+          doubled = Enum.flat_map(real, fn o -> if elem(o, 0) == :state, do: [o, o], else: [o] end)
+          {same, _} = observe(doubled)
+
+          alternate?(types, "armed", "disarmed") and alternate?(types, "takeoff", "landed") and
+            alternate?(types, "link.lost", "link.restored") and
+            Enum.map(events, & &1.seq) == Enum.to_list(1..length(events)//1) and
+            length(Enum.uniq_by(events, & &1.id)) == length(events) and same == events
+        end)
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+    end
+  end
+end

@@ -1,0 +1,66 @@
+defmodule Aerie.Vehicle.TwinTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.Twin
+
+  @second 1_000_000
+
+  defp boots(readings) do
+    {verdicts, _} =
+      Enum.map_reduce(readings, Twin.new(), fn {boot_ms, at}, twin ->
+        {twin, verdict} = Twin.boot(twin, boot_ms, round(at * @second))
+        {verdict, twin}
+      end)
+
+    verdicts
+  end
+
+  defp places(readings) do
+    {verdicts, _} =
+      Enum.map_reduce(readings, Twin.new(), fn {place, at}, twin ->
+        {twin, verdict} = Twin.place(twin, place, round(at * @second))
+        {verdict, twin}
+      end)
+
+    verdicts
+  end
+
+  test "two clocks in turn are two vehicles" do
+    readings = for n <- 0..9, reading <- [{60_000 + n * 500, n / 2}, {900_000 + n * 500, n / 2}], do: reading
+    assert :two in boots(readings)
+  end
+
+  test "a reboot, and a second one, is one vehicle" do
+    readings = for(n <- 0..9, do: {60_000 + n * 1000, n}) ++ for(n <- 0..9, do: {n * 1000, 20 + n})
+    assert Enum.uniq(boots(readings ++ for(n <- 0..9, do: {n * 1000, 60 + n}))) == [:one]
+  end
+
+  test "a link that is two seconds late is one vehicle" do
+    readings = for n <- 10..40, reading <- [{n * 500, n / 2}, {n * 500 - 2000, n / 2}], do: reading
+    assert Enum.uniq(boots(readings)) == [:one]
+  end
+
+  test "two places in turn are two vehicles; a jump is not, and the date line is no jump" do
+    home = {47.4, 8.5}
+    far = {47.5, 8.5}
+    assert :two in places(for n <- 0..9, reading <- [{home, n / 2}, {far, n / 2}], do: reading)
+    assert Enum.uniq(places([{home, 0}, {far, 1}, {far, 2}, {home, 60}, {home, 61}])) == [:one]
+    crossing = for n <- 0..20, do: {{0.0, if(rem(n, 2) == 0, do: 179.9999, else: -179.9999)}, n / 10}
+    assert Enum.uniq(places(crossing)) == [:one]
+  end
+
+  test "changes of side over a long time are no twins" do
+    home = {47.4, 8.5}
+    far = {47.5, 8.5}
+    readings = for n <- 0..20, do: {if(rem(n, 2) == 0, do: home, else: far), n * 10}
+    assert Enum.uniq(places(readings)) == [:one]
+  end
+
+  test "another unique id without a reboot is another vehicle; with one it is another board" do
+    {twin, :one} = Twin.uid(Twin.new(), "A")
+    {twin, :one} = Twin.uid(twin, nil)
+    {twin, :one} = Twin.uid(twin, "A")
+    assert {_, :two} = Twin.uid(twin, "B")
+    assert {_, :one} = twin |> Twin.rebooted() |> Twin.uid("B")
+  end
+end

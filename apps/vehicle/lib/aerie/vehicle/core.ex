@@ -41,6 +41,7 @@ defmodule Aerie.Vehicle.Core do
     status: :online,
     version: 2,
     dirty: false,
+    confirm: false,
     state: %State{},
     heard: Heard.new(),
     clock: BootClock.new(),
@@ -82,13 +83,20 @@ defmodule Aerie.Vehicle.Core do
         component: snapshot[:component],
         heard: Heard.new(snapshot.links, snapshot.last_heard),
         clock: BootClock.new(Enum.max(boots, fn -> nil end)),
-        # Shown to the detector again: it was possibly not before the crash, and it knows what it has seen.
-        digest: nil
+        # Both are shown to the detector again: the crash may have been between the snapshot and that, and the
+        # detector knows what it has seen.
+        digest: nil,
+        confirm: true
     }
   end
 
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
+  def handle(%{confirm: true} = core, event) do
+    {next, actions} = handle(%{core | confirm: false}, event)
+    {next, [confirm(core) | actions]}
+  end
+
   def handle(core, {:frames, link, frames}) do
     {core, actions} =
       Enum.reduce(frames, {core, []}, fn frame, {core, actions} ->
@@ -125,7 +133,14 @@ defmodule Aerie.Vehicle.Core do
       last_heard: core.last_heard,
       time_boot_ms: state.boot_ms,
       links: Heard.links(core.heard),
-      groups: state.groups
+      groups: state.groups,
+      memory: State.memory(state)
     }
   end
+
+  # As of before this step.
+  defp confirm(%{status: :lost} = core),
+    do: {:observe, {:lost, core.last_heard + core.options.lost_us, nil, core.options.lost_us}}
+
+  defp confirm(core), do: {:observe, {:restored, core.last_heard, nil}}
 end

@@ -172,17 +172,27 @@ defmodule Aerie.Vehicle.State do
     end
   end
 
+  # What judging the next message takes besides the groups.
+  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode]
+
+  @doc "What a snapshot keeps for `restore/1` besides what it shows."
+  @spec memory(t()) :: map()
+  def memory(state), do: Map.take(state, @memory)
+
   @doc "The state that a snapshot of the vehicle shows; what is older than that comes from the wire again."
   @spec restore(map()) :: t()
   def restore(snapshot) do
-    %__MODULE__{
+    shown = %__MODULE__{
       autopilot: snapshot.autopilot,
       kind: snapshot.vehicle_type,
       firmware: snapshot.firmware,
       uid: Map.get(snapshot, :uid),
       type: Map.get(snapshot, :type),
+      capabilities: Map.get(snapshot, :capabilities),
       groups: snapshot.groups
     }
+
+    struct!(shown, Map.get(snapshot, :memory, %{}))
   end
 
   defp merge(state, {group, changes}, at) do

@@ -179,6 +179,7 @@ defmodule Aerie.Vehicle.CoreTest do
         {:heartbeat, :proper_types.oneof([1, 1, 1, 1, 154, 190]), :proper_types.oneof([0, 0x80]),
          :proper_types.range(0, 5)},
         {:landed, :proper_types.range(0, 4)},
+        {:fence, :proper_types.range(0, 1)},
         {:status, :proper_types.range(0, 100)},
         {:raw, :proper_types.oneof([1, 22, 24, 30, 33, 42, 46, 65, 74, 147, 148, 162, 235, 242, 245, 253]),
          :proper_types.binary()},
@@ -201,6 +202,7 @@ defmodule Aerie.Vehicle.CoreTest do
     end
 
     defp message({:landed, state}, at), do: frame(%M.ExtendedSysState{landed_state: state}, at)
+    defp message({:fence, breach}, at), do: frame(%M.FenceStatus{breach_status: breach}, at)
     defp message({:status, remaining}, at), do: frame(%M.SysStatus{battery_remaining: remaining}, at)
 
     defp message({:raw, id, payload}, at) do
@@ -257,7 +259,7 @@ defmodule Aerie.Vehicle.CoreTest do
       assert :proper.quickcheck(prop, [:quiet, numtests: 300])
     end
 
-    test "killed and rebuilt at any moment, armed, mode and landing events are the same" do
+    test "killed and rebuilt at any moment, the events are the same" do
       prop =
         :proper.forall(:proper_types.list(message_gen()), fn messages ->
           messages = Enum.reject(messages, &match?({:raw, _, _}, &1))

@@ -48,17 +48,13 @@ defmodule Aerie.Vehicle.Core.Effects do
         {core, actions}
 
       digest ->
+        # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
+        # before. The other way round the snapshot would bring back what is over.
         observation = {:state, at, core.state.boot_ms, Map.put(digest, :where, where(core.state))}
-        # A change of mode or arming is worth showing at once.
-        shown = if shown?(core.digest, digest), do: nil, else: core.shown
-        {%{core | digest: digest, shown: shown}, [{:observe, observation} | actions]}
+        {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, at)
+        {core, [{:observe, observation} | actions]}
     end
   end
-
-  defp shown?(%{mode: mode, armed: armed, in_air: in_air}, %{mode: mode, armed: armed, in_air: in_air}),
-    do: false
-
-  defp shown?(_last, _now), do: true
 
   defp where(state) do
     case State.data(state, :position) do

@@ -2,8 +2,9 @@ defmodule Aerie.Vehicle.Keeper do
   @moduledoc """
   Starts a vehicle's tree again when it died.
 
-  The first time at once, then after 250 ms, 500 ms … up to 30 s with up to a quarter of jitter; a tree that lived for a
-  minute counts as new. A tree that was ended on purpose (`:shutdown`) stays ended.
+  The first time at once, then after 250 ms, 500 ms … up to 30 s with up to a quarter of jitter; a tree that lived for ten
+  seconds counts as new. A tree that is to stay ended is forgotten first (`forget/2`); no reason of its end tells that,
+  because a supervisor that gives up says `:shutdown` too.
   """
   use GenServer
 
@@ -11,7 +12,7 @@ defmodule Aerie.Vehicle.Keeper do
 
   @first_delay_ms 250
   @max_delay_ms 30_000
-  @healthy_ms 60_000
+  @healthy_ms 10_000
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
@@ -52,12 +53,12 @@ defmodule Aerie.Vehicle.Keeper do
   end
 
   @impl GenServer
-  def handle_info({:DOWN, ref, :process, _tree, reason}, state) do
+  def handle_info({:DOWN, ref, :process, _tree, _reason}, state) do
     {entry, watched} = Map.pop(state.watched, ref)
     state = %{state | watched: watched}
 
     cond do
-      entry == nil or reason == :shutdown -> {:noreply, state}
+      entry == nil -> {:noreply, state}
       now() - entry.since > @healthy_ms -> {:noreply, start(state, %{entry | tries: 0})}
       entry.tries == 0 -> {:noreply, start(state, entry)}
       true -> {:noreply, later(state, entry)}

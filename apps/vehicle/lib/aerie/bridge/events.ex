@@ -13,8 +13,8 @@ defmodule Aerie.Bridge.Events do
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, FolderLock, Message, Outbox, Tables}
-  alias Aerie.Bridge.Events.{Answer, Window}
+  alias Aerie.Bridge.{Connection, Outbox, Tables}
+  alias Aerie.Bridge.Events.{Answer, Disk, Window}
   alias Aerie.{Config, Fleet, Names}
 
   require Logger
@@ -25,7 +25,6 @@ defmodule Aerie.Bridge.Events do
   @patience 4
   # More than this in the journal is moved to the disk even while NATS answers.
   @spill_above 5_000
-  @batch 500
   @drain_ms 1_000
 
   @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
@@ -50,13 +49,14 @@ defmodule Aerie.Bridge.Events do
       window: Window.new(config.limits.max_events_in_flight),
       outbox: nil,
       problem: nil,
+      refusal: nil,
       conn: nil,
       inbox: nil,
       synced_at: now()
     }
 
     Process.send_after(self(), :tick, @tick_ms)
-    {:ok, open_outbox(state), {:continue, :start}}
+    {:ok, Disk.open(state), {:continue, :start}}
   end
 
   @impl GenServer
@@ -76,8 +76,8 @@ defmodule Aerie.Bridge.Events do
 
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
-    state = if state.outbox == nil, do: open_outbox(state), else: state
-    {:noreply, state |> look_again() |> send_overdue() |> pump() |> sync() |> put_info()}
+    state = if state.outbox == nil, do: Disk.open(state), else: state
+    {:noreply, state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> put_info()}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -85,7 +85,7 @@ defmodule Aerie.Bridge.Events do
   @impl GenServer
   def terminate(_reason, state) do
     state = drain(state, now() + @drain_ms)
-    state = spill(state)
+    state = Disk.spill(state)
     if state.outbox, do: Outbox.close(state.outbox)
   end
 
@@ -144,11 +144,11 @@ defmodule Aerie.Bridge.Events do
   end
 
   # The one place that moves events: to the disk, or to NATS.
-  defp pump(%{conn: nil} = state), do: spill(state)
+  defp pump(%{conn: nil} = state), do: Disk.spill(state)
 
   defp pump(state) do
     if Fleet.Journal.pending_size(state.gateway) > @spill_above do
-      state |> reset() |> spill() |> fill() |> send_ready()
+      state |> reset() |> Disk.spill() |> fill() |> send_ready()
     else
       state |> fill() |> send_ready()
     end
@@ -172,14 +172,9 @@ defmodule Aerie.Bridge.Events do
       for event <- Fleet.Journal.pending(state.gateway, 4 * state.window.max),
           key = {:journal, event.id},
           not Window.member?(state.window, key),
-          do: {key, record(state, event)}
+          do: {key, Disk.record(state, event)}
 
     %{state | window: Window.put(state.window, items)}
-  end
-
-  defp record(state, event) do
-    subject = Message.event_subject(state.environment, event)
-    %Outbox.Record{id: event.id, vehicle: event.vehicle, subject: subject, body: Message.event(event)}
   end
 
   defp send_ready(%{conn: nil} = state), do: state
@@ -198,7 +193,7 @@ defmodule Aerie.Bridge.Events do
       state.window |> Window.overdue(now() - @answer_ms) |> Enum.sort() |> Enum.reduce(state, &send_again/2)
 
     if Window.most_tries(state.window) > @patience and journal?(state),
-      do: state |> reset() |> spill(),
+      do: state |> reset() |> Disk.spill(),
       else: state
   end
 
@@ -257,7 +252,7 @@ defmodule Aerie.Bridge.Events do
         subject = subject(state.window, ref)
         {key, window} = Window.confirm(state.window, ref)
         if key, do: Tables.count(state.tables, :published, subject: subject)
-        {%{state | window: window}, List.wrap(key) ++ keys}
+        {%{state | window: window, refusal: nil}, List.wrap(key) ++ keys}
 
       {:refused, ref, reason} ->
         {refused(state, ref, reason), keys}
@@ -283,8 +278,8 @@ defmodule Aerie.Bridge.Events do
   defp not_now(state, reason) do
     if reason == :no_stream, do: send_to_connection(state, :check_streams)
     text = "events are not taken by NATS: #{Answer.text(reason)}"
-    if text != state.problem, do: Logger.warning(text)
-    %{state | problem: text}
+    if text != state.refusal, do: Logger.warning(text)
+    %{state | refusal: text}
   end
 
   defp send_to_connection(state, message) do
@@ -315,64 +310,12 @@ defmodule Aerie.Bridge.Events do
     if seqs == [], do: state, else: %{state | outbox: Outbox.ack(state.outbox, seqs)}
   end
 
-  defp spill(%{outbox: nil} = state), do: state
-
-  defp spill(state) do
-    case Fleet.Journal.pending(state.gateway, @batch) do
-      [] -> state
-      events -> spill(state, events)
-    end
-  end
-
-  defp spill(state, events) do
-    case Outbox.append(state.outbox, Enum.map(events, &record(state, &1))) do
-      {:ok, outbox} ->
-        outbox = if state.settings.fsync == :always, do: Outbox.sync(outbox), else: outbox
-        Fleet.Journal.ack(state.gateway, Enum.map(events, & &1.id))
-        Tables.count(state.tables, :outbox_written, [], length(events))
-        spill(%{state | outbox: outbox, problem: nil})
-
-      {:error, reason, outbox} ->
-        Tables.count(state.tables, :outbox_errors)
-        outbox_problem(%{state | outbox: outbox}, :file.format_error(reason))
-    end
-  end
-
-  defp open_outbox(%{settings: settings} = state) do
-    with :ok <- FolderLock.acquire(settings.dir),
-         {:ok, outbox} <-
-           Outbox.open(settings.dir,
-             max_bytes: settings.max_mb * 1_048_576,
-             segment_bytes: settings.segment_kb * 1024
-           ) do
-      %{state | outbox: outbox, problem: nil}
-    else
-      {:error, reason} when is_binary(reason) -> outbox_problem(state, reason)
-      {:error, reason} -> outbox_problem(state, :file.format_error(reason))
-    end
-  end
-
-  defp outbox_problem(state, reason) do
-    text =
-      "events cannot be kept on disk in #{state.settings.dir}: #{reason}; they stay in memory until NATS is back"
-
-    if text != state.problem, do: Logger.error(text)
-    %{state | problem: text}
-  end
-
-  defp sync(%{outbox: outbox, settings: %{fsync: :interval}} = state) when outbox != nil do
-    if now() - state.synced_at >= state.settings.fsync_interval_ms,
-      do: %{state | outbox: Outbox.sync(outbox), synced_at: now()},
-      else: state
-  end
-
-  defp sync(state), do: state
-
   defp put_info(state) do
     stats =
       if state.outbox, do: Outbox.stats(state.outbox), else: %{events: 0, bytes: 0, dropped: 0, damaged: 0}
 
-    info = Map.merge(stats, %{in_flight: Window.in_flight(state.window), problem: state.problem})
+    info =
+      Map.merge(stats, %{in_flight: Window.in_flight(state.window), problem: state.problem || state.refusal})
 
     if info != Tables.info(state.tables, :outbox),
       do: Tables.put_info(state.gateway, state.tables, :outbox, info)

@@ -1,0 +1,81 @@
+defmodule Aerie.Bridge.Events.Disk do
+  @moduledoc """
+  The outbox of `Aerie.Bridge.Events`: opening it, moving events from the journal into it, forcing it to the disk.
+
+  Works on that process's state: `gateway`, `environment`, `settings` (the configuration's `outbox`), `outbox` (nil while it
+  cannot be used), `problem` (what is wrong with it, said once in the log) and `synced_at`.
+  """
+
+  alias Aerie.Bridge.{FolderLock, Message, Outbox, Tables}
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Event
+
+  require Logger
+
+  @batch 500
+
+  @doc "Opens the outbox; without it, events stay in the journal."
+  @spec open(map()) :: map()
+  def open(%{settings: settings} = state) do
+    sizes = [max_bytes: settings.max_mb * 1_048_576, segment_bytes: settings.segment_kb * 1024]
+
+    with :ok <- FolderLock.acquire(settings.dir), {:ok, outbox} <- Outbox.open(settings.dir, sizes) do
+      %{state | outbox: outbox, problem: nil}
+    else
+      {:error, reason} when is_binary(reason) -> problem(state, reason)
+      {:error, reason} -> problem(state, :file.format_error(reason))
+    end
+  end
+
+  @doc "Moves all pending events from the journal to the outbox: they leave the one when they are in the other."
+  @spec spill(map()) :: map()
+  def spill(%{outbox: nil} = state), do: state
+
+  def spill(state) do
+    case Fleet.Journal.pending(state.gateway, @batch) do
+      [] -> state
+      events -> spill(state, events)
+    end
+  end
+
+  defp spill(state, events) do
+    case Outbox.append(state.outbox, Enum.map(events, &record(state, &1))) do
+      {:ok, outbox} ->
+        outbox = if state.settings.fsync == :always, do: Outbox.sync(outbox), else: outbox
+        Fleet.Journal.ack(state.gateway, Enum.map(events, & &1.id))
+        Tables.count(state.tables, :outbox_written, [], length(events))
+        spill(%{state | outbox: outbox, problem: nil})
+
+      {:error, reason, outbox} ->
+        Tables.count(state.tables, :outbox_errors)
+        problem(%{state | outbox: outbox}, :file.format_error(reason))
+    end
+  end
+
+  @doc "Forces what was written to the disk, when it is time (`outbox.fsync: interval`)."
+  @spec sync(map()) :: map()
+  def sync(%{outbox: outbox, settings: %{fsync: :interval}} = state) when outbox != nil do
+    now = System.monotonic_time(:millisecond)
+
+    if now - state.synced_at >= state.settings.fsync_interval_ms,
+      do: %{state | outbox: Outbox.sync(outbox), synced_at: now},
+      else: state
+  end
+
+  def sync(state), do: state
+
+  @doc "An event as it is published, and as it lies in the outbox."
+  @spec record(map(), Event.t()) :: Outbox.Record.t()
+  def record(state, event) do
+    subject = Message.event_subject(state.environment, event)
+    %Outbox.Record{id: event.id, vehicle: event.vehicle, subject: subject, body: Message.event(event)}
+  end
+
+  defp problem(state, reason) do
+    text =
+      "events cannot be kept on disk in #{state.settings.dir}: #{reason}; they stay in memory until NATS is back"
+
+    if text != state.problem, do: Logger.error(text)
+    %{state | problem: text}
+  end
+end

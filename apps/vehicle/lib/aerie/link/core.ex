@@ -105,7 +105,7 @@ defmodule Aerie.Link.Core do
   @spec handle(t, event, now) :: {t, [action]}
   def handle(core, event, now)
 
-  def handle(%{phase: phase} = core, {:read, reads}, now) when phase == :up, do: read(core, reads, now)
+  def handle(%{phase: :up} = core, {:read, reads}, now), do: read(core, reads, now)
   def handle(%{phase: :up} = core, {:records, records}, now), do: replay(core, records, now)
 
   def handle(%{phase: :idle} = core, :start, now), do: connect(core, now)
@@ -122,13 +122,14 @@ defmodule Aerie.Link.Core do
       |> count(:reconnects, reconnects)
       |> phase(:up, nil, now)
 
-    {core,
-     [:settled, {:emit, :up, %{reconnects: core.counters.reconnects}, %{local: info[:local]}}, :publish]}
+    up = {:emit, :up, %{reconnects: core.counters.reconnects}, %{local: info[:local]}}
+    {core, [:publish, :settled, up]}
   end
 
   def handle(%{phase: :connecting} = core, {:failed, reason}, now) do
     {core, actions} = down(core, reason, now)
-    {core, [:settled | actions]}
+    # Whoever waits for the outcome finds it published.
+    {core, actions ++ [:settled]}
   end
 
   def handle(%{phase: :up} = core, {:closed, reason}, {mono, _at} = now) do
@@ -187,12 +188,8 @@ defmodule Aerie.Link.Core do
     text = Reason.format(reason, core.spec)
     core = %{core | seed: seed, backoff: backoff, retry_at: mono + wait, info: %{}}
 
-    {phase(core, :down, text, now),
-     [
-       {:retry_in, wait},
-       {:emit, :down, %{retry_ms: wait, attempt: backoff.attempt}, %{reason: text}},
-       :publish
-     ]}
+    down = {:emit, :down, %{retry_ms: wait, attempt: backoff.attempt}, %{reason: text}}
+    {phase(core, :down, text, now), [:publish, {:retry_in, wait}, down]}
   end
 
   defp phase(core, phase, reason, {_mono, at}), do: %{core | phase: phase, reason: reason, since: at}

@@ -7,6 +7,7 @@ defmodule Aerie.Link.Opener do
   of an opener that crashed.
   """
 
+  alias Aerie.Link.PortOwner
   alias Aerie.Link.Spec
   alias Aerie.Link.Transport
 
@@ -24,7 +25,19 @@ defmodule Aerie.Link.Opener do
              :ok <- transport.give(conn, link),
              do: {:ok, conn}
 
-      send(link, {:opener, self(), result})
+      send(link, {:opener, self(), explain(result, spec)})
     end)
   end
+
+  # Looking for the owner reads half of /proc: not the link's process' work.
+  defp explain({:error, :eaddrinuse}, spec) do
+    protocol = if spec.kind in [:udp_server, :udp_client], do: :udp, else: :tcp
+
+    case PortOwner.find(protocol, spec.port) do
+      {:ok, program, pid} -> {:error, {:in_use, "#{program} (process #{pid})"}}
+      :unknown -> {:error, {:in_use, "another program"}}
+    end
+  end
+
+  defp explain(result, _spec), do: result
 end

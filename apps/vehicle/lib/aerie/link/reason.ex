@@ -1,7 +1,6 @@
 defmodule Aerie.Link.Reason do
   @moduledoc "Faults of a link in words: `connection refused by 127.0.0.1:5760`."
 
-  alias Aerie.Link.PortOwner
   alias Aerie.Link.Spec
 
   @doc "Says what a reason means for a link. Every reason has words; an unheard-of one is shown as it is."
@@ -17,7 +16,7 @@ defmodule Aerie.Link.Reason do
   def format(:enetunreach, spec), do: "no way to the network of #{Spec.place(spec)}"
   def format(:enetdown, spec), do: "the network of #{Spec.place(spec)} is down"
   def format(:eaddrnotavail, spec), do: "#{Spec.place(spec)} is no address of this machine"
-  def format(:eaddrinuse, spec), do: "#{Spec.place(spec)} is in use#{owner(spec)}"
+  def format({:in_use, owner}, spec), do: "#{Spec.place(spec)} is in use by #{owner}"
   def format(:eacces, spec), do: "no permission for #{Spec.place(spec)}#{permission_hint(spec)}"
   def format(:eperm, spec), do: "no permission for #{Spec.place(spec)}#{permission_hint(spec)}"
   def format(:enoent, %{kind: :replay} = spec), do: "there is no file #{spec.file}"
@@ -46,15 +45,6 @@ defmodule Aerie.Link.Reason do
 
   defp peer(%{kind: :serial} = spec), do: Spec.place(spec)
   defp peer(spec), do: Spec.place(spec)
-
-  defp owner(%{kind: kind, port: port}) do
-    protocol = if kind in [:udp_server, :udp_client], do: :udp, else: :tcp
-
-    case PortOwner.find(protocol, port) do
-      {:ok, program, pid} -> " by #{program} (process #{pid})"
-      :unknown -> " by another program"
-    end
-  end
 
   defp permission_hint(%{kind: :serial}), do: " (is the user in the group dialout?)"
 

@@ -62,7 +62,7 @@ defmodule Aerie.Link.Server do
       notify: Keyword.get(options, :notify)
     }
 
-    {:ok, _timer} = :timer.send_interval(Core.tick_ms(), :tick)
+    Process.send_after(self(), :tick, Core.tick_ms())
 
     # Whoever remembers links (the store) knows of this one from here on, whatever becomes of its first attempt.
     {:ok, publish(state), {:continue, {:start, Restarts.wait(restarts)}}}
@@ -92,7 +92,12 @@ defmodule Aerie.Link.Server do
   def handle_cast({:send, to, bytes}, state), do: {:noreply, write(state, to, bytes)}
 
   @impl GenServer
-  def handle_info(:tick, state), do: {:noreply, step(state, :tick)}
+  def handle_info(:tick, state) do
+    # One at a time: a link that was busy for seconds owes no ticks.
+    Process.send_after(self(), :tick, Core.tick_ms())
+    {:noreply, step(state, :tick)}
+  end
+
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
   def handle_info(:start, state), do: {:noreply, step(state, :start)}
 

@@ -20,6 +20,7 @@ defmodule Aerie.Link.ReasonTest do
     assert words(:eacces, "udpin::14") == "no permission for 0.0.0.0:14 (ports below 1024 need root)"
     assert words(:eaddrnotavail, "udpin:10.9.8.7:1") == "10.9.8.7:1 is no address of this machine"
     assert words({:shutdown, :closed}, "tcp:1.2.3.4:5") == "connection closed by 1.2.3.4:5"
+    assert words({:in_use, "x (process 7)"}, "udpin::1") == "0.0.0.0:1 is in use by x (process 7)"
     assert words("as it is", "udpin::1") == "as it is"
   end
 

@@ -50,9 +50,13 @@ defmodule MavCodec.Dialect do
   @doc "All message ids, ascending."
   @callback ids() :: [non_neg_integer()]
 
-  @doc "How a struct module is encoded: fields in wire order as `{key, type, length}`, base and extensions."
+  @doc "The wire layout of a struct module: fields in wire order as `{key, type, length}`, base and extensions."
   @callback layout(module()) ::
               {id :: non_neg_integer(), crc_extra :: 0..255, base :: list(), extensions :: list()} | nil
+
+  @doc "How a struct module is encoded: id, CRC_EXTRA, length without extensions, and which of its layouts it is."
+  @callback encoder(module()) ::
+              {id :: non_neg_integer(), crc_extra :: 0..255, min :: 0..255, layout :: non_neg_integer()} | nil
 
   @doc false
   defmacro __using__(options) do

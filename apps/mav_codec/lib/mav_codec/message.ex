@@ -24,7 +24,8 @@ defmodule MavCodec.Message do
   @doc """
   Encodes a message to its payload as one dialect lays it out.
 
-  `version` 2 has the extensions and cuts trailing zeros (F7); `version` 1 has neither, and only ids up to 255.
+  `version` 2 has the extensions and cuts trailing zeros (F7); `version` 1 does neither, and has only ids up to 255. All
+  fields are checked in both.
   Returns the id and the CRC_EXTRA that the frame needs.
   """
   @spec encode_payload(t(), 1 | 2, module()) ::
@@ -32,47 +33,65 @@ defmodule MavCodec.Message do
   def encode_payload(message, version \\ 2, dialect \\ MavCodec.Dialects.All)
 
   def encode_payload(%module{} = message, version, dialect) when version in [1, 2] do
-    case dialect.layout(module) do
-      {id, _crc_extra, _base, _extensions} when version == 1 and id > 255 ->
+    case dialect.encoder(module) do
+      {id, _crc_extra, _min, _layout} when version == 1 and id > 255 ->
         {:error, %EncodeError{message: module, got: id, expected: "an id up to 255 for MAVLink 1"}}
 
-      {id, crc_extra, base, _extensions} when version == 1 ->
-        with {:ok, payload} <- put(base, message, <<>>), do: {:ok, id, crc_extra, payload}
-
-      {id, crc_extra, base, extensions} ->
-        with {:ok, payload} <- put(base, message, <<>>),
-             {:ok, payload} <- put(extensions, message, payload),
-             do: {:ok, id, crc_extra, trim(payload)}
+      {id, crc_extra, min, layout} ->
+        case module.__encode__(layout, message) || encode(module.__wire__(layout), message) do
+          {:error, error} -> {:error, error}
+          payload when version == 1 -> {:ok, id, crc_extra, binary_part(payload, 0, min)}
+          payload -> {:ok, id, crc_extra, trim(payload)}
+        end
 
       nil ->
         {:error, %EncodeError{message: module, got: module, expected: "a message of #{inspect(dialect)}"}}
     end
   end
 
-  defp put([{key, type, length} | fields], message, acc) do
+  defp encode({base, extensions}, message) do
+    case put(base ++ extensions, message) do
+      {:error, error} -> {:error, error}
+      bytes -> :erlang.iolist_to_binary(bytes)
+    end
+  end
+
+  defp put([{key, type, length} | fields], message) do
     value = :erlang.map_get(key, message)
 
     case Value.encode(value, type, length) do
       {:ok, bytes} ->
-        put(fields, message, <<acc::binary, bytes::binary>>)
+        case put(fields, message) do
+          {:error, error} -> {:error, error}
+          rest -> [bytes | rest]
+        end
 
       {:error, expected} ->
         {:error, %EncodeError{message: message.__struct__, field: key, got: value, expected: expected}}
     end
   end
 
-  defp put([], _message, acc), do: {:ok, acc}
+  defp put([], _message), do: []
 
   @doc "A payload without its trailing zeros; its first byte always stays (F7)."
   @spec trim(binary()) :: binary()
   def trim(<<payload::binary>>), do: trim(payload, byte_size(payload))
 
-  defp trim(payload, size) when size > 1 do
+  defp trim(payload, size) when size > 8 do
+    case payload do
+      <<_::binary-size(^size - 8), 0::64, _::binary>> -> trim(payload, size - 8)
+      _other -> trim_byte(payload, size)
+    end
+  end
+
+  defp trim(payload, size), do: trim_byte(payload, size)
+
+  defp trim_byte(payload, size) when size > 1 do
     case :binary.at(payload, size - 1) do
-      0 -> trim(payload, size - 1)
+      0 -> trim_byte(payload, size - 1)
       _other -> binary_part(payload, 0, size)
     end
   end
 
-  defp trim(payload, size), do: binary_part(payload, 0, size)
+  defp trim_byte(payload, size), do: binary_part(payload, 0, size)
 end

@@ -7,7 +7,7 @@ defmodule MavCodec.Definition.CustomTest do
   alias MavCodec.Test.Tiny.Messages.TinyStatus
 
   test "a dialect of one's own has its messages and those it includes" do
-    assert Tiny.ids() == [0, 50_001]
+    assert Tiny.ids() == [0, 50_001, 50_002]
     assert Tiny.module_for(50_001) == TinyStatus
     assert Tiny.length(50_001) == {8, 20}
     assert Tiny.targets(50_001) == {7, nil}
@@ -113,14 +113,14 @@ defmodule MavCodec.Definition.CustomTest do
           messages: Enum.map(document.messages, &without_enum/1)
       }
 
-      {dialect, [type], [{_, enum}]} =
+      {dialect, types, [{_, enum}]} =
         Custom.build!(%{"tiny.xml" => document}, "tiny.xml", Tiny, %Catalog{
           types: [],
           enums: [],
           dialects: []
         })
 
-      assert_snapshot("tiny_message.txt", code(Generator.Messages.body(type)))
+      assert_snapshot("tiny_messages.txt", Enum.map_join(types, "\n", &code(Generator.Messages.body(&1))))
       assert_snapshot("tiny_enum.txt", code(Generator.Enums.body(enum)))
       assert_snapshot("tiny_dialect.txt", code(Generator.Dialects.body(dialect)))
     end

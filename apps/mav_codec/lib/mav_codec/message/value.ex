@@ -77,6 +77,14 @@ defmodule MavCodec.Message.Value do
 
   ## Encoding
 
+  @doc "The largest number that 32 bits have."
+  @spec largest_float() :: float()
+  def largest_float, do: 3.4028234663852886e38
+
+  @doc "The least and the largest value of an integer type."
+  @spec range(MavCodec.Definition.Document.Field.scalar()) :: {integer(), integer()}
+  def range(type)
+
   @doc """
   The bytes of a field's value, or what was expected instead of it. Nothing wraps and nothing is cut; text and bytes
   shorter than the field are filled with zeros.
@@ -90,7 +98,7 @@ defmodule MavCodec.Message.Value do
       not is_binary(value) or byte_size(value) > length ->
         {:error, "a binary of at most #{length} bytes"}
 
-      type == :char and :binary.match(value, <<0>>) != :nomatch ->
+      type == :char and byte_size(text(value)) < byte_size(value) ->
         {:error, "text without NUL bytes"}
 
       true ->
@@ -114,20 +122,31 @@ defmodule MavCodec.Message.Value do
 
   defp list_of(type, length), do: "a list of #{length} #{type} values"
 
-  for {type, size} <- [uint8: 8, uint16: 16, uint32: 32, uint64: 64, char: 8] do
-    @max (1 <<< size) - 1
-    defp scalar(value, unquote(type)) when is_integer(value) and value >= 0 and value <= @max,
+  for {type, size} <- [
+        uint8: 8,
+        uint16: 16,
+        uint32: 32,
+        uint64: 64,
+        char: 8,
+        int8: 8,
+        int16: 16,
+        int32: 32,
+        int64: 64
+      ] do
+    {low, high} =
+      if type in [:int8, :int16, :int32, :int64],
+        do: {-(1 <<< (size - 1)), (1 <<< (size - 1)) - 1},
+        else: {0, (1 <<< size) - 1}
+
+    @low low
+    @high high
+
+    def range(unquote(type)), do: {@low, @high}
+
+    defp scalar(value, unquote(type)) when is_integer(value) and value >= @low and value <= @high,
       do: {:ok, <<value::little-size(unquote(size))>>}
 
-    defp scalar(_value, unquote(type)), do: {:error, unquote("an integer from 0 to #{@max}")}
-  end
-
-  for {type, size} <- [int8: 8, int16: 16, int32: 32, int64: 64] do
-    @max (1 <<< (size - 1)) - 1
-    defp scalar(value, unquote(type)) when is_integer(value) and value >= -@max - 1 and value <= @max,
-      do: {:ok, <<value::little-size(unquote(size))>>}
-
-    defp scalar(_value, unquote(type)), do: {:error, unquote("an integer from #{-@max - 1} to #{@max}")}
+    defp scalar(_value, unquote(type)), do: {:error, unquote("an integer from #{low} to #{high}")}
   end
 
   defp scalar(:nan, :float), do: {:ok, <<@nan32::little-32>>}

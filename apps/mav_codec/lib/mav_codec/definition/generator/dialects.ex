@@ -53,14 +53,18 @@ defmodule MavCodec.Definition.Generator.Dialects do
       def ids, do: unquote(Enum.map(entries, fn {type, _} -> type.id end))
 
       @impl MavCodec.Dialect
-      def layout(module) do
-        case unquote(Macro.escape(Map.new(entries, &layout/1))) do
-          %{^module => {id, crc_extra, index}} ->
-            {base, extensions} = module.__wire__(index)
-            {id, crc_extra, base, extensions}
+      def encoder(module) do
+        case unquote(Macro.escape(Map.new(entries, &encoder/1))) do
+          %{^module => encoder} -> encoder
+          _unknown -> nil
+        end
+      end
 
-          _unknown ->
-            nil
+      @impl MavCodec.Dialect
+      def layout(module) do
+        with {id, crc_extra, _min, layout} <- encoder(module) do
+          {base, extensions} = module.__wire__(layout)
+          {id, crc_extra, base, extensions}
         end
       end
     end
@@ -78,5 +82,8 @@ defmodule MavCodec.Definition.Generator.Dialects do
   defp targets(%{target_system: nil, target_component: nil}), do: nil
   defp targets(%{target_system: system, target_component: component}), do: {system, component}
 
-  defp layout({type, index}), do: {type.module, {type.id, Enum.at(type.layouts, index).crc_extra, index}}
+  defp encoder({type, index}) do
+    layout = Enum.at(type.layouts, index)
+    {type.module, {type.id, layout.crc_extra, layout.min, index}}
+  end
 end

@@ -5,6 +5,9 @@ defmodule MavCodec.Definition.Generator.Messages do
   Decoding is one match of the whole payload: first on its full length with finite floats, which is nearly always it.
   A shorter payload is filled with zeros and matched again; one with a NaN or an infinity is matched with its floats as
   bits.
+
+  Encoding has a function for the usual case too, whose guards are the ranges of the fields; whatever it does not take (text,
+  long lists, a NaN, a wrong value) goes the general way of `MavCodec.Message`, by the list of fields.
   """
 
   alias MavCodec.Definition.{Layout, Naming, Type}
@@ -34,6 +37,10 @@ defmodule MavCodec.Definition.Generator.Messages do
       @doc false
       unquote_splicing(type.layouts |> Enum.with_index() |> Enum.map(&wire/1))
 
+      @doc false
+      unquote_splicing(type.layouts |> Enum.with_index() |> Enum.flat_map(&encode/1))
+      def __encode__(_layout, _message), do: nil
+
       @impl MavCodec.Message
       unquote_splicing(type.layouts |> Enum.with_index() |> Enum.flat_map(&decode/1))
     end
@@ -62,9 +69,7 @@ defmodule MavCodec.Definition.Generator.Messages do
     hidden = if index > 0, do: [quote(do: @doc(false))], else: []
 
     clauses = [
-      quote do
-        def unquote(name)(unquote(pattern(fast, :finite))), do: unquote(build(fast, :finite))
-      end,
+      # First, since the other clauses would read one field after the other before they find that the last is missing.
       quote do
         def unquote(name)(payload) when byte_size(payload) < unquote(layout.max) do
           # The empty first segment keeps this from becoming an append, which would put the bytes off the heap.
@@ -72,6 +77,9 @@ defmodule MavCodec.Definition.Generator.Messages do
             <<0::size(0), payload::binary, 0::size(unquote(layout.max) - byte_size(payload))-unit(8)>>
           )
         end
+      end,
+      quote do
+        def unquote(name)(unquote(pattern(fast, :finite))), do: unquote(build(fast, :finite))
       end
     ]
 
@@ -87,6 +95,66 @@ defmodule MavCodec.Definition.Generator.Messages do
       end
 
     hidden ++ clauses ++ slow
+  end
+
+  defp encode({layout, index}) do
+    fields = layout.base ++ layout.extensions
+
+    if Enum.all?(fields, &guarded?/1) do
+      fields = for {field, i} <- Enum.with_index(fields), do: {field, i, variables(field, i)}
+      keys = for {field, _i, variables} <- fields, do: {Naming.key(field.name), variables}
+
+      guards =
+        for {field, _i, variables} <- fields, variable <- List.wrap(variables), do: guard(variable, field)
+
+      segments =
+        for {field, _i, variables} <- fields,
+            variable <- List.wrap(variables),
+            do: segment(variable, field, :finite)
+
+      [
+        quote do
+          def __encode__(unquote(index), %{unquote_splicing(keys)}) when unquote(conjunction(guards)),
+            do: unquote({:<<>>, [], segments})
+        end
+      ]
+    else
+      []
+    end
+  end
+
+  # The first segment is no binary, see decode/1.
+  defp guarded?(%Field{type: :char, length: length}) when length != nil, do: false
+  defp guarded?(%Field{type: :uint8}), do: true
+  defp guarded?(%Field{length: nil}), do: true
+  defp guarded?(field), do: inline?(field)
+
+  defp conjunction(guards),
+    do: Enum.reduce(guards, fn guard, all -> quote(do: unquote(all) and unquote(guard)) end)
+
+  defp guard(variable, %Field{type: :uint8, length: length}) when length != nil,
+    do: quote(do: is_binary(unquote(variable)) and byte_size(unquote(variable)) == unquote(length))
+
+  defp guard(variable, %Field{type: :double}), do: quote(do: is_float(unquote(variable)))
+
+  defp guard(variable, %Field{type: :float}) do
+    limit = MavCodec.Message.Value.largest_float()
+
+    quote(
+      do:
+        is_float(unquote(variable)) and unquote(variable) <= unquote(limit) and
+          unquote(variable) >= unquote(-limit)
+    )
+  end
+
+  defp guard(variable, %Field{type: type}) do
+    {low, high} = MavCodec.Message.Value.range(type)
+
+    quote(
+      do:
+        is_integer(unquote(variable)) and unquote(variable) >= unquote(low) and
+          unquote(variable) <= unquote(high)
+    )
   end
 
   defp pattern(fields, mode) do

@@ -6,9 +6,11 @@ defmodule Aerie.Vehicle.Core do
 
     * `{:frames, link, frames}` - frames of this system, in the order of their arrival, each with its time `at`
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
+    * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
 
   Time is the frames' own: a recorded flight played at any speed gives what the flight gave. Before a frame is applied,
-  every deadline that lies before its time is dealt with.
+  every deadline that lies before its time is dealt with. A frame that is more than two seconds older than the one before
+  means that a clock was set back or a recording began anew; nothing has to be waited for twice then.
 
   Actions, to be carried out in order:
 
@@ -40,6 +42,7 @@ defmodule Aerie.Vehicle.Core do
     :heartbeat,
     status: :online,
     version: 2,
+    beat: 1,
     dirty: false,
     confirm: false,
     state: %State{},
@@ -55,7 +58,7 @@ defmodule Aerie.Vehicle.Core do
   @typedoc "Only this module and those below it look into it."
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
-  @type event :: {:frames, link :: term(), [struct()]} | {:tick, integer()}
+  @type event :: {:frames, link :: term(), [struct()]} | {:tick, integer()} | {:rebase, integer()}
   @type action ::
           {:snapshot, map()}
           | {:observe, Detector.observation()}
@@ -100,9 +103,7 @@ defmodule Aerie.Vehicle.Core do
   def handle(core, {:frames, link, frames}) do
     {core, actions} =
       Enum.reduce(frames, {core, []}, fn frame, {core, actions} ->
-        {core, actions} =
-          if Timers.due?(core, frame.at), do: Timers.expire(core, actions, frame.at), else: {core, actions}
-
+        {core, actions} = Timers.before(core, actions, frame.at)
         Intake.frame(%{core | now: max(core.now || frame.at, frame.at)}, actions, link, frame)
       end)
 
@@ -111,6 +112,11 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:tick, now}) do
     {core, actions} = Timers.expire(%{core | now: max(core.now || now, now)}, [], now)
+    {core, Enum.reverse(actions)}
+  end
+
+  def handle(core, {:rebase, now}) do
+    {core, actions} = Timers.rebase(core, [], now)
     {core, Enum.reverse(actions)}
   end
 

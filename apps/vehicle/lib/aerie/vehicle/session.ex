@@ -4,15 +4,17 @@ defmodule Aerie.Vehicle.Session do
 
   Who has frames of the vehicle sends `{:frames, link_id, [frame]}`, one message per read of a link.
 
-  The time between frames is the time of the last one plus what has passed since by the monotonic clock; so a vehicle is
-  missed after the same silence whether its frames come from a radio or from a recording, and setting the machine's clock
-  loses nobody.
+  The time between frames is the time of the last one plus what has passed since by the monotonic clock, at the pace of the
+  link: a vehicle is missed after the same silence whether its frames come from a radio or from a recording played ten
+  times as fast. On a live link the monotonic clock also tells when the machine's clock was set (a companion computer
+  without a battery-backed clock starts in another year): that loses no vehicle.
   """
   use GenServer
 
   alias Aerie.{Fleet, Names, Vehicle}
 
   @tick_ms 100
+  @set_us 3_000_000
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -30,8 +32,8 @@ defmodule Aerie.Vehicle.Session do
       gateway: gateway,
       options: options,
       core: Vehicle.Core.new(options, snapshot),
-      # {a frame's time, when it was that time}
-      clock: snapshot && {snapshot.last_heard, monotonic()},
+      clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
+      paces: %{},
       outbound: Vehicle.Outbound.new(gateway, options),
       events: nil
     }
@@ -43,15 +45,45 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
 
   def handle_info({:frames, link, frames}, state) do
-    clock = {List.last(frames).at, monotonic()}
+    {pace, state} = pace(state, link)
+    state = if pace == :live, do: follow(state, hd(frames).at), else: state
+    clock = {List.last(frames).at, monotonic(), if(pace == :live, do: 1.0, else: pace)}
     {:noreply, step(%{state | clock: clock}, {:frames, link, frames})}
   end
 
-  # Nothing heard yet: there is no time to go by.
-  def handle_info(:tick, %{clock: nil} = state), do: {:noreply, state}
+  def handle_info(:tick, state) do
+    case expected(state.clock) do
+      # Nothing heard yet: there is no time to go by.
+      nil -> {:noreply, state}
+      now -> {:noreply, step(state, {:tick, now})}
+    end
+  end
 
-  def handle_info(:tick, %{clock: {at, then}} = state),
-    do: {:noreply, step(state, {:tick, at + monotonic() - then})}
+  # How fast a link's time passes: `:live`, or the factor of a recording.
+  defp pace(%{paces: paces} = state, link) when is_map_key(paces, link), do: {Map.fetch!(paces, link), state}
+
+  defp pace(state, link) do
+    pace =
+      case Fleet.Store.link(state.gateway, link) do
+        %{kind: :replay, spec: %{speed: speed}} when is_number(speed) -> speed
+        %{kind: :replay} -> 1.0
+        %{} -> :live
+        nil -> :unknown
+      end
+
+    # A link is known by the first frame that it delivers, but for its first moment.
+    if pace == :unknown, do: {1.0, state}, else: {pace, put_in(state.paces[link], pace)}
+  end
+
+  # The machine's clock was set when a live frame's time is not about the time that it is by the monotonic clock. Frames
+  # that waited in the mailbox are older, but not by seconds.
+  defp follow(state, at) do
+    expected = expected(state.clock)
+    if expected != nil and abs(at - expected) > @set_us, do: step(state, {:rebase, at}), else: state
+  end
+
+  defp expected(nil), do: nil
+  defp expected({at, then, pace}), do: at + round((monotonic() - then) * pace)
 
   defp step(state, event) do
     {core, actions} = Vehicle.Core.handle(state.core, event)

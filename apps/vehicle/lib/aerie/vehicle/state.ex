@@ -172,6 +172,13 @@ defmodule Aerie.Vehicle.State do
     end
   end
 
+  @doc "Time goes on from `now`: what the state goes by counts as heard now."
+  @spec rebased(t(), integer()) :: t()
+  def rebased(state, now) do
+    landed = with {landed_state, _at} <- state.landed, do: {landed_state, now}
+    %{state | landed: landed, sources: Map.new(state.sources, fn {id, _at} -> {id, now} end)}
+  end
+
   # What judging the next message takes besides the groups.
   @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode]
 

@@ -60,6 +60,17 @@ defmodule Aerie.Vehicle.StatusText do
     end)
   end
 
+  @doc "Gives up on all missing chunks at once."
+  @spec finish(t(), integer()) :: {t(), [text()]}
+  def finish(texts, now) do
+    texts.open
+    |> Enum.sort_by(fn {key, entry} -> {entry.at, key} end)
+    |> Enum.reduce({texts, []}, fn {key, _entry}, {texts, given} ->
+      {texts, one} = close(texts, key, now)
+      {texts, given ++ one}
+    end)
+  end
+
   @doc "When `expire/2` has something to do next; nil for never."
   @spec deadline(t()) :: integer() | nil
   def deadline(%{open: open}) when open == %{}, do: nil

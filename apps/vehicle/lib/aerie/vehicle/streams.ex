@@ -64,6 +64,13 @@ defmodule Aerie.Vehicle.Streams do
   @spec rebooted(t(), integer()) :: t()
   def rebooted(_streams, at), do: %__MODULE__{due: at + @grace_us}
 
+  @doc "Time goes on from `now`: what was heard counts as heard now."
+  @spec rebased(t(), integer()) :: t()
+  def rebased(streams, now) do
+    heard = Map.new(streams.heard, fn {id, _at} -> {id, now} end)
+    %{streams | due: streams.due && now + @grace_us, asked: min(streams.asked, now), heard: heard}
+  end
+
   @doc "What to send at `now` to a vehicle that is being heard; mostly nothing."
   @spec expire(t(), integer(), target :: {non_neg_integer(), non_neg_integer()}) :: {t(), [struct()]}
   def expire(%{due: due} = streams, now, _target) when due == nil or now < due, do: {streams, []}

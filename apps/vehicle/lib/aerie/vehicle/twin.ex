@@ -46,6 +46,10 @@ defmodule Aerie.Vehicle.Twin do
   @spec rebooted(t()) :: t()
   def rebooted(_twin), do: new()
 
+  @doc "After a change of the gateway's own time, readings before and after cannot be compared."
+  @spec rebased(t()) :: t()
+  def rebased(twin), do: %__MODULE__{uid: twin.uid}
+
   # {a, b, the side it is on, when it changed sides}
   defp side(nil, value, _at, _near?), do: {{value, nil, :a, []}, :one}
 

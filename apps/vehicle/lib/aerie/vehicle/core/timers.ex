@@ -3,22 +3,59 @@ defmodule Aerie.Vehicle.Core.Timers do
   What follows from time passing: texts that stay incomplete, samples, silence, rates, requests, our heartbeat.
   """
 
-  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Streams}
+  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Streams, Twin}
   alias Aerie.Vehicle.Core.Effects
 
   # Deadlines are looked at twenty times a second.
   @period_us 50_000
   @heartbeat_us 1_000_000
+  # Two links may deliver a little out of order; more than this is another time.
+  @back_us 2_000_000
   # HIGH_LATENCY2 comes every five seconds or less; a link of that kind is not lost after five.
   @high_latency_us 60_000_000
 
-  @doc "Whether there may be something to do before a frame that came `at` is looked at."
-  @spec due?(Core.t(), integer()) :: boolean()
-  def due?(%{expired: nil}, _at), do: true
-  def due?(core, at), do: at - core.expired >= @period_us or overdue?(StatusText.deadline(core.texts), at)
+  @doc "What there is to do before a frame that came `at` is looked at."
+  @spec before(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
+  def before(core, actions, at) do
+    cond do
+      core.now != nil and at < core.now - @back_us -> rebase(core, actions, at)
+      due?(core, at) -> expire(core, actions, at)
+      true -> {core, actions}
+    end
+  end
+
+  defp due?(%{expired: nil}, _at), do: true
+  defp due?(core, at), do: at - core.expired >= @period_us or overdue?(StatusText.deadline(core.texts), at)
 
   defp overdue?(nil, _at), do: false
   defp overdue?(deadline, at), do: at >= deadline
+
+  @doc """
+  Time goes on from `now`, whatever it was before. What was waited for begins anew, and what was heard counts as heard
+  now: how long ago it was can no longer be told.
+  """
+  @spec rebase(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
+  def rebase(core, actions, now) do
+    {texts, done} = StatusText.finish(core.texts, now)
+
+    core = %{
+      core
+      | now: now,
+        last_heard: core.last_heard && now,
+        expired: nil,
+        shown: nil,
+        heartbeat: nil,
+        recent: %{},
+        texts: texts,
+        heard: Heard.new(Heard.links(core.heard), now),
+        twin: Twin.rebased(core.twin),
+        streams: Streams.rebased(core.streams, now),
+        samplers: Sampling.new(core.options.sampling),
+        state: State.rebased(core.state, now)
+    }
+
+    {core, Effects.observe_texts(core, actions, done)}
+  end
 
   @doc "It is `now`. The actions come newest first."
   @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
@@ -88,11 +125,15 @@ defmodule Aerie.Vehicle.Core.Timers do
   defp ask({core, actions}, _now), do: {core, actions}
 
   # Fed by this loop: no heartbeat from a gateway whose loops stand still (H3). A vehicle that is lost gets it too, its
-  # own receiver may be all that works.
+  # own receiver may be all that works. One that speaks MAVLink 1 is shown every other time that we speak 2, which is
+  # how ArduPilot comes to (V2).
   defp beat({%{options: %{heartbeat: true}} = core, actions}, now) do
-    if core.heartbeat == nil or now - core.heartbeat >= @heartbeat_us,
-      do: {%{core | heartbeat: now}, [{:heartbeat, core.version} | actions]},
-      else: {core, actions}
+    if core.heartbeat == nil or now - core.heartbeat >= @heartbeat_us do
+      version = if core.version == 1, do: 3 - core.beat, else: 2
+      {%{core | heartbeat: now, beat: version}, [{:heartbeat, version} | actions]}
+    else
+      {core, actions}
+    end
   end
 
   defp beat({core, actions}, _now), do: {core, actions}

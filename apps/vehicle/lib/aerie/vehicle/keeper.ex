@@ -74,7 +74,10 @@ defmodule Aerie.Vehicle.Keeper do
   end
 
   defp start(state, entry) do
+    {network, system} = entry.key
     Fleet.Store.count(state.gateway, {:vehicles, :tree_restarts})
+    metadata = %{gateway: state.gateway, network: network, system: system}
+    :telemetry.execute([:aerie, :vehicle, :restart], %{count: 1}, metadata)
     child = {Vehicle.Tree, [gateway: state.gateway, key: entry.key] ++ entry.options}
 
     case DynamicSupervisor.start_child(Names.via(state.gateway, :vehicle_trees), child) do

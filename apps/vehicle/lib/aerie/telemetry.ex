@@ -1,0 +1,50 @@
+defmodule Aerie.Telemetry do
+  @moduledoc """
+  The telemetry events of this application: its contract with whoever measures it.
+
+  Every event has `gateway` in its metadata. An event's other metadata and its measurements are in the table of the part
+  that emits it; each row of `events/0` says which. Durations are in the unit that the key names.
+
+  Nothing here is emitted per frame: what comes thousands of times a second is counted in the read model
+  (`Aerie.Fleet.Store.counters/1`, snapshots of links and vehicles) and read from there.
+
+  ## Of vehicles
+
+  | event | measurements | metadata | when |
+  |---|---|---|---|
+  | `[:aerie, :vehicle, :status]` | `count` (1) | `vehicle`, `old`, `new` | it is heard again, silent, lost |
+  | `[:aerie, :vehicle, :event]` | `count` (1) | `vehicle`, `type`, `event` | an `Aerie.Vehicle.Event` was committed |
+  | `[:aerie, :vehicle, :restart]` | `count` (1) | `network`, `system` | a vehicle's tree died and was started again |
+
+  ## Of links, router and bridge
+
+  See `Aerie.Link`, `Aerie.Router` and `Aerie.Bridge`.
+
+      :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
+  """
+
+  @events [
+    {[:aerie, :vehicle, :status], Aerie.Telemetry},
+    {[:aerie, :vehicle, :event], Aerie.Telemetry},
+    {[:aerie, :vehicle, :restart], Aerie.Telemetry},
+    {[:aerie, :link, :up], Aerie.Link},
+    {[:aerie, :link, :down], Aerie.Link},
+    {[:aerie, :link, :ended], Aerie.Link},
+    {[:aerie, :link, :peer_up], Aerie.Link},
+    {[:aerie, :link, :peer_down], Aerie.Link},
+    {[:aerie, :link, :added], Aerie.Link},
+    {[:aerie, :link, :removed], Aerie.Link},
+    {[:aerie, :router, :vehicle_found], Aerie.Router},
+    {[:aerie, :router, :vehicle_refused], Aerie.Router},
+    {[:aerie, :router, :dropped], Aerie.Router},
+    {[:aerie, :bridge, :server, :up], Aerie.Bridge},
+    {[:aerie, :bridge, :server, :down], Aerie.Bridge},
+    {[:aerie, :bridge, :connected], Aerie.Bridge},
+    {[:aerie, :bridge, :disconnected], Aerie.Bridge},
+    {[:aerie, :bridge, :events, :confirmed], Aerie.Bridge}
+  ]
+
+  @doc "All events, each with the module that documents it. A part that adds one adds it here."
+  @spec events() :: [{:telemetry.event_name(), module()}]
+  def events, do: @events
+end

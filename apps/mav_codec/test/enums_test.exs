@@ -57,6 +57,12 @@ defmodule MavCodec.EnumsTest do
       assert length(module.all()) == length(enum.entries)
       assert function_exported?(module, :flags, 1) == enum.bitmask
 
+      if enum.bitmask do
+        bits = Enum.reduce(module.all(), 0, fn {_name, value}, bits -> Bitwise.bor(bits, value) end)
+        assert {names, 0x10000000000000000} = module.flags(bits + 0x10000000000000000)
+        assert names == for({name, value} <- module.all(), value != 0, do: name)
+      end
+
       for {name, value} <- module.all() do
         assert module.value(name) == value
         assert module.value(module.name(value)) == value

@@ -42,16 +42,17 @@ defmodule MavCodec.Signing do
   @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
   @type timestamp :: 0..0xFFFF_FFFF_FFFF
 
-  @opaque t :: %__MODULE__{
-            key: (-> <<_::256>>),
-            link_id: 0..255,
-            clock: (-> integer()),
-            save: (timestamp() -> any()),
-            accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
-            timestamp: timestamp(),
-            reserved: timestamp(),
-            streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()}
-          }
+  @typedoc "Its fields are private; `inspect/2` shows what may be shown."
+  @type t :: %__MODULE__{
+          key: (-> <<_::256>>),
+          link_id: 0..255,
+          clock: (-> integer()),
+          save: (timestamp() -> any()),
+          accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
+          timestamp: timestamp(),
+          reserved: timestamp(),
+          streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()}
+        }
 
   @typedoc """
     * `:link_id` - of this end of the link, 0..255; default 0

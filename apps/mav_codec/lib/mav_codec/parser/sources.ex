@@ -14,7 +14,7 @@ defmodule MavCodec.Parser.Sources do
   @heartbeat 0
 
   # {estimator, whether anything but heartbeats was heard} by system * 256 + component, which is found faster than a tuple.
-  @opaque t :: %{optional(non_neg_integer()) => {SequenceLoss.t(), boolean()}}
+  @type t :: %{optional(non_neg_integer()) => {SequenceLoss.t(), boolean()}}
   @type key :: {system :: non_neg_integer(), component :: 0..255}
 
   @doc "Sources that are kept at most."

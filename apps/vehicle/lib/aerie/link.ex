@@ -99,14 +99,17 @@ defmodule Aerie.Link do
   @doc "Ends a link and forgets it, its counters included. An unknown link is fine."
   @spec stop(Names.gateway(), String.t()) :: :ok
   def stop(gateway, id) do
-    with %{network: network} <- get(gateway, id) do
-      :ok = Links.stop_tree(gateway, id)
-      Store.delete_link(gateway, id)
-      Router.forget(gateway, id)
-      :telemetry.execute([:aerie, :link, :removed], %{}, %{gateway: gateway, link: id, network: network})
+    case get(gateway, id) do
+      nil -> :ok
+      %{network: network} -> remove(gateway, id, network)
     end
+  end
 
-    :ok
+  defp remove(gateway, id, network) do
+    :ok = Links.stop_tree(gateway, id)
+    :ok = Store.delete_link(gateway, id)
+    :ok = Router.forget(gateway, id)
+    :telemetry.execute([:aerie, :link, :removed], %{}, %{gateway: gateway, link: id, network: network})
   end
 
   @doc "The snapshots of all links (`Aerie.Link.Snapshot`), at most a quarter of a second old."

@@ -158,7 +158,8 @@ defmodule Aerie.Router do
   @spec broadcast(Names.gateway(), iodata, network :: String.t() | :all) :: :ok
   def broadcast(gateway, bytes, network \\ :all) do
     for link <- Store.links(gateway), network in [:all, link.network], link.status in [:up, :idle] do
-      Aerie.Link.send_bytes(gateway, link.id, bytes, :all)
+      # One that is gone meanwhile needs none.
+      _ = Aerie.Link.send_bytes(gateway, link.id, bytes, :all)
     end
 
     :ok

@@ -51,8 +51,9 @@ defmodule Aerie.Link.Announcer do
     {bytes, encoder} = Encoder.encode(state.encoder, heartbeat())
     now = System.os_time(:microsecond)
 
+    # A link that is gone meanwhile needs none.
     for link <- Store.links(state.gateway), silent?(link, now) do
-      Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all)
+      _ = Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all)
     end
 
     {:noreply, %{state | encoder: encoder}}

@@ -32,7 +32,10 @@ defmodule Aerie.Link.Supervisor do
   def start_tree(gateway, options) do
     trees = Names.via(gateway, :link_trees)
 
-    DynamicSupervisor.start_child(trees, {Tree, [gateway: gateway] ++ options})
+    case DynamicSupervisor.start_child(trees, {Tree, [gateway: gateway] ++ options}) do
+      {:ok, tree} -> {:ok, tree}
+      {:error, reason} -> {:error, reason}
+    end
   catch
     :exit, _reason -> {:error, :not_running}
   end

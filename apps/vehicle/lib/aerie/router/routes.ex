@@ -33,8 +33,13 @@ defmodule Aerie.Router.Routes do
     cond do
       :ets.update_element(tables.routes, key, {2, now}) -> :ok
       :ets.info(tables.routes, :size) >= @max_routes -> :full
-      true -> :ets.insert(tables.routes, {key, now, now}) && :ok
+      true -> add(tables, {key, now, now})
     end
+  end
+
+  defp add(tables, route) do
+    true = :ets.insert(tables.routes, route)
+    :ok
   end
 
   @doc """

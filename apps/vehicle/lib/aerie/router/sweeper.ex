@@ -24,8 +24,11 @@ defmodule Aerie.Router.Sweeper do
 
   @impl GenServer
   def handle_info(:sweep, gateway) do
-    with tables when is_map(tables) <- Tables.of(gateway),
-         do: sweep(tables, System.monotonic_time(:millisecond))
+    _swept =
+      case Tables.of(gateway) do
+        nil -> 0
+        tables -> sweep(tables, System.monotonic_time(:millisecond))
+      end
 
     {:noreply, gateway}
   end

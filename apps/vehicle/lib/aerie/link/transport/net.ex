@@ -124,9 +124,10 @@ defmodule Aerie.Link.Transport.Net do
   """
   @spec tcp_close(:gen_tcp.socket()) :: :ok
   def tcp_close(socket) do
-    with {:ok, [send_pend: waiting]} when waiting > 0 <- :inet.getstat(socket, [:send_pend]) do
-      :inet.setopts(socket, linger: {true, 0})
-    end
+    _ =
+      with {:ok, [send_pend: waiting]} when waiting > 0 <- :inet.getstat(socket, [:send_pend]) do
+        :inet.setopts(socket, linger: {true, 0})
+      end
 
     :gen_tcp.close(socket)
   end

@@ -43,7 +43,7 @@ defmodule Aerie.Link.Transport.Replay do
   def open(spec) do
     with {:ok, device} <- :file.open(spec.file, [:read, :raw, :binary]),
          {:ok, _or_eof} <- peek(device) do
-      :file.close(device)
+      :ok = :file.close(device)
       {:ok, %__MODULE__{spec: spec, pacer: Pacer.new(spec.speed), ref: make_ref()}}
     end
   end

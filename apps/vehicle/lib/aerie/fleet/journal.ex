@@ -11,14 +11,14 @@ defmodule Aerie.Fleet.Journal do
                                                                    └─▶ recent (for faces)
 
   Bounds: #{inspect(4096)} entries in a vehicle's inbox, #{inspect(20_000)} unacknowledged events (the oldest is dropped),
-  the last #{inspect(256)} events of each vehicle for faces. Drops are counted in the store's counters
-  `{:journal, :inbox_dropped}` and `{:journal, :pending_dropped}`.
+  the last #{inspect(256)} events of each vehicle for faces, #{inspect(8192)} parameters of a vehicle. Drops are counted in
+  the store's counters `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
 
   The table belongs to `Aerie.Fleet.Store`. Objects in it:
 
       {{:state, vehicle}, term}         {{:inbox, vehicle, n}, term}       {{:inbox_last, vehicle}, n}
       {{:pending, n}, event}            {{:id, event_id}, n}               {{:recent, vehicle, seq}, event}
-      {{:param, vehicle, name}, value}  {:last_pending, n}
+      {{:param, vehicle, name}, value}  {{:params, vehicle}, count}        {:last_pending, n}
   """
 
   alias Aerie.{Fleet, Names}
@@ -27,6 +27,8 @@ defmodule Aerie.Fleet.Journal do
   @max_inbox 4096
   @max_pending 20_000
   @max_recent 256
+  # No firmware has as many; the names come from outside.
+  @max_params 8192
 
   @type params :: %{String.t() => term()}
 
@@ -39,7 +41,10 @@ defmodule Aerie.Fleet.Journal do
   @spec commit(Names.gateway(), String.t(), term(), [Event.t()], params()) :: :ok
   def commit(gateway, vehicle, state, events, params \\ %{}) do
     table = Fleet.Store.table!(gateway, :journal)
-    known_params = for {name, value} <- params, do: {{:param, vehicle, name}, value}
+
+    known_params =
+      for {name, value} <- params, room?(gateway, table, vehicle, name), do: {{:param, vehicle, name}, value}
+
     new_events = Enum.flat_map(events, &objects(table, &1))
     :ets.insert(table, [{{:state, vehicle}, state} | new_events ++ known_params])
 
@@ -145,6 +150,26 @@ defmodule Aerie.Fleet.Journal do
     Enum.each(numbers, &:ets.delete(table, {:inbox, vehicle, &1}))
   end
 
+  defp room?(gateway, table, vehicle, name) do
+    cond do
+      :ets.member(table, {:param, vehicle, name}) ->
+        true
+
+      :ets.update_counter(
+        table,
+        {:params, vehicle},
+        {2, 1, @max_params, @max_params},
+        {{:params, vehicle}, -1}
+      ) <
+          @max_params ->
+        true
+
+      true ->
+        Fleet.Store.count(gateway, {:journal, :params_dropped})
+        false
+    end
+  end
+
   defp objects(table, %Event{} = event) do
     n = :ets.update_counter(table, :last_pending, 1, {:last_pending, 0})
     [{{:pending, n}, event}, {{:id, event.id}, n}, {{:recent, event.vehicle, event.seq}, event}]
@@ -155,6 +180,19 @@ defmodule Aerie.Fleet.Journal do
       {:inbox, ^vehicle, n} -> n
       _other -> default
     end
+  end
+
+  @doc """
+  Forgets what was kept to find a vehicle's events: its inbox and its parameters. Its events stay, and so does its
+  detector's state, which numbers the next ones.
+  """
+  @spec forget_vehicle(Names.gateway(), String.t()) :: :ok
+  def forget_vehicle(gateway, vehicle) do
+    table = Fleet.Store.table!(gateway, :journal)
+    :ets.match_delete(table, {{:inbox, vehicle, :_}, :_})
+    :ets.match_delete(table, {{:param, vehicle, :_}, :_})
+    :ets.delete(table, {:params, vehicle})
+    :ok
   end
 
   # The span of numbers is taken for the size: a number is used once, so there are never more events than that.

@@ -192,6 +192,11 @@ defmodule Aerie.Vehicle.Detector do
   def reason(%{failsafe: {said, reason, text}}, at) when at - said <= @reason_us, do: {reason, text}
   def reason(_detector, _at), do: {"unknown", nil}
 
+  @doc "Whether a breach was told so shortly before `at` that it is the same one."
+  @spec fence_told?(t(), integer()) :: boolean()
+  def fence_told?(%{fence: nil}, _at), do: false
+  def fence_told?(%{fence: told}, at), do: at - told < @fence_again_us
+
   # Steps are {type, data, changes of the detector}; each event gets the next number.
   defp emit(detector, steps, at, boot_ms, where) do
     Enum.reduce(steps, {detector, []}, fn
@@ -218,7 +223,7 @@ defmodule Aerie.Vehicle.Detector do
     # FENCE_STATUS knows better, where it comes.
     fence =
       if not is_map_key(detector.last, :fence_breach) and Detector.Texts.fence?(text) and
-           fence_free?(detector, at),
+           not fence_told?(detector, at),
          do: [{"geofence", %{"text" => text}, fence: at}],
          else: []
 
@@ -229,9 +234,6 @@ defmodule Aerie.Vehicle.Detector do
 
     gcs ++ fence ++ mission
   end
-
-  defp fence_free?(%{fence: nil}, _at), do: true
-  defp fence_free?(%{fence: said}, at), do: at - said >= @fence_again_us
 
   defp noted(detector, text, at) do
     case Detector.Texts.failsafe(text) do

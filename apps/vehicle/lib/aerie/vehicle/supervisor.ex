@@ -47,6 +47,7 @@ defmodule Aerie.Vehicle.Supervisor do
       DynamicSupervisor.terminate_child(Names.via(gateway, :vehicle_trees), tree)
     end
 
+    Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.Gateway.config(gateway), key))
     Fleet.Store.delete_vehicle(gateway, key)
   end
 

@@ -86,6 +86,22 @@ defmodule Aerie.Fleet.JournalTest do
     assert Journal.param(gateway, "B", "RTL_ALT") == :error
   end
 
+  test "names of parameters are bounded; known ones can still change" do
+    gateway = start_gateway()
+
+    for chunk <- Enum.chunk_every(1..8300, 50),
+        do: Journal.commit(gateway, "A", :s, [], Map.new(chunk, &{"P#{&1}", 1}))
+
+    assert Store.counter(gateway, {:journal, :params_dropped}) == 8300 - 8192
+    assert Journal.param(gateway, "A", "P8300") == :error
+    Journal.commit(gateway, "A", :s, [], %{"P1" => 2})
+    assert Journal.param(gateway, "A", "P1") == {:ok, 2}
+    Journal.forget_vehicle(gateway, "A")
+    assert Journal.param(gateway, "A", "P1") == :error
+    Journal.commit(gateway, "A", :s, [], %{"P8300" => 3})
+    assert Journal.param(gateway, "A", "P8300") == {:ok, 3}
+  end
+
   test "the same transition has the same id, any other a different one" do
     assert event(1).id == event(1).id
     assert length(Enum.uniq_by([event(1), event(2), event(1, "B")], & &1.id)) == 3

@@ -175,6 +175,14 @@ defmodule Aerie.Vehicle.DetectorTest do
                ~w(geofence geofence)
     end
 
+    test "a text just before the first FENCE_STATUS is the same breach" do
+      assert without_texts([state(0, []), text(1, "Fence Breached"), state(2, fence_breach: true)]) == [
+               "geofence"
+             ]
+
+      assert without_texts([state(0, []), state(2, fence_breach: true)]) == ["geofence"]
+    end
+
     test "a complaint about a fence is no breach" do
       for complaint <- [
             "PreArm: Polygon fence breached",

@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Detector.Changes do
       armed(last, now) ++
       takeoff(last, now) ++
       failsafe(last, now, detector, at) ++
-      geofence(last, now, at) ++
+      geofence(last, now, detector, at) ++
       battery(now, detector) ++
       mission(last, now, detector) ++
       landed(last, now) ++
@@ -57,12 +57,14 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp failsafe(%{failsafe: true}, %{failsafe: false}, _detector, _at), do: [{nil, %{}, gcs: false}]
   defp failsafe(_last, _now, _detector, _at), do: []
 
-  defp geofence(%{fence_breach: false}, %{fence_breach: true} = now, at), do: breached(now, at)
-  # Before the first FENCE_STATUS there was no telling, so a breach that it begins with is news.
-  defp geofence(last, %{fence_breach: true} = now, at) when not is_map_key(last, :fence_breach),
-    do: breached(now, at)
+  defp geofence(%{fence_breach: false}, %{fence_breach: true} = now, _detector, at), do: breached(now, at)
 
-  defp geofence(_last, _now, _at), do: []
+  # Before the first FENCE_STATUS there was no telling, so a breach that it begins with is news, unless a text told.
+  defp geofence(last, %{fence_breach: true} = now, detector, at) when not is_map_key(last, :fence_breach) do
+    if Detector.fence_told?(detector, at), do: [], else: breached(now, at)
+  end
+
+  defp geofence(_last, _now, _detector, _at), do: []
 
   defp breached(now, at), do: [{"geofence", %{"breach" => now[:fence_breach_type]}, fence: at}]
 

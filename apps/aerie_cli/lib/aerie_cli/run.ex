@@ -12,6 +12,7 @@ defmodule AerieCLI.Run do
   """
 
   alias Aerie.Config
+  alias Aerie.Link.Spec
   alias AerieCLI.{Plan, Ports, Status}
 
   @loopback {127, 0, 0, 1}
@@ -77,8 +78,13 @@ defmodule AerieCLI.Run do
           link.url |> String.reverse() |> String.split(":", parts: 2) |> Enum.map(&String.reverse/1)
 
         found = Ports.free_udp({0, 0, 0, 0}, String.to_integer(port))
-        with_port(found, "MAVLink", &%{config | links: [%{link | url: "#{host}:#{&1}"} | links]})
+        with_port(found, "MAVLink", &%{config | links: [moved(link, "#{host}:#{&1}") | links]})
     end
+  end
+
+  defp moved(link, url) do
+    {:ok, spec} = Spec.parse(url, id: link.id, network: link.network)
+    %{link | url: url, spec: spec}
   end
 
   defp with_port({:ok, port}, _what, put), do: {:ok, put.(port)}
@@ -91,13 +97,15 @@ defmodule AerieCLI.Run do
       {:ok, port} ->
         link = %{
           id: "sim",
-          url: "udpin:127.0.0.1:#{port}",
           network: "sim",
           label: "simulated vehicles",
           enabled: true,
-          given: false
+          given: false,
+          url: nil,
+          spec: nil
         }
 
+        link = moved(link, "udpin:127.0.0.1:#{port}")
         {:ok, %{config | links: config.links ++ [link]}, port}
 
       {:error, :none_free} ->

@@ -62,7 +62,7 @@ defmodule AerieCLI.Status do
   end
 
   def handle_info({:fleet, :events, event}, state) do
-    note = Format.text("#{clock(event.time)}  #{String.replace_prefix(Lines.event(event), "event ", "")}")
+    note = Format.text("#{clock(event.time)}  #{Lines.note(event)}")
     {:noreply, %{state | notes: Enum.take([note | state.notes], @kept_notes)}}
   end
 

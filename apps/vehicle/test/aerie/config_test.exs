@@ -65,7 +65,7 @@ defmodule Aerie.ConfigTest do
     assert config == Config.default()
     assert config.nats.mode == :embedded
     assert %{system_id: 245, component_id: 191} = config.mavlink
-    assert [%{id: "udpin:0.0.0.0:14550", url: "udpin:0.0.0.0:14550", given: false}] = config.links
+    assert [%{id: "udp", url: "udpin:0.0.0.0:14550", given: false}] = config.links
     assert config.warnings == []
     refute Config.given?(config, "http.port")
   end

@@ -14,11 +14,22 @@ defmodule AerieCLI.Status.Lines do
     Enum.map(view.vehicles, &vehicle(&1, view.now)) ++ Enum.map(view.links, &link/1) ++ nats(view)
   end
 
-  @doc "An event as a line."
+  @doc "An event as a line of a table: the vehicle, what happened, and what is not the vehicle's position."
+  @spec note(map()) :: String.t()
+  def note(event) do
+    "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, :position))}"
+  end
+
+  @doc "An event as a log line."
   @spec event(map()) :: String.t()
   def event(event) do
-    data = event.data |> flat() |> Enum.map_join(" ", fn {key, value} -> "#{key}=#{value(value)}" end)
-    String.trim_trailing("event vehicle=#{text(event.vehicle)} type=#{text(event.type)} #{data}")
+    String.trim_trailing("event vehicle=#{text(event.vehicle)} type=#{text(event.type)} #{data(event.data)}")
+  end
+
+  defp data(data) do
+    data
+    |> flat()
+    |> Enum.map_join(" ", fn {key, value} -> "#{key}=#{value(value)}" end)
   end
 
   # `position: %{lat: 1}` reads `position.lat=1`.

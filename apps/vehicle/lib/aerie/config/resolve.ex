@@ -48,7 +48,7 @@ defmodule Aerie.Config.Resolve do
 
   defp local(config, {host, port}, given) do
     host = if String.contains?(host, ":"), do: "[#{host}]", else: host
-    link(config, %{id: nil, url: "udpin:#{host}:#{port}", network: nil, label: nil, enabled: true}, given)
+    link(config, %{id: "udp", url: "udpin:#{host}:#{port}", network: nil, label: nil, enabled: true}, given)
   end
 
   # A connection string may name its id and network itself (`udpin::14550?network=field`); the keys of the list win.

@@ -14,6 +14,7 @@ defmodule AerieCLI.MixProject do
       test_coverage: [summary: [threshold: 85]],
       # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.
       test_paths: ["test", "../../test"],
+      test_ignore_filters: [~r"/support/"],
       deps: deps()
     ]
   end

@@ -9,6 +9,8 @@ defmodule Aerie.System.KillTest do
   alias Aerie.Names
 
   @moduletag :tmp_dir
+  # What is killed says so; that is not news here.
+  @moduletag :capture_log
   @moduletag timeout: 180_000
 
   setup %{tmp_dir: folder} do

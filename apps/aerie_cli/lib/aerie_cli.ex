@@ -12,47 +12,60 @@ defmodule AerieCLI do
   @doc "Entry point of `bin/run`. Returns once everything is started; the VM goes on until it is told to end."
   @spec main([String.t()]) :: :ok
   def main(words) do
+    case call(words, System.get_env()) do
+      :ok -> :ok
+      {:finish, text} -> halt(:stdio, text, 0)
+      {:fail, text} -> halt(:stderr, text, 2)
+    end
+  end
+
+  @doc """
+  What `main/1` does, short of ending the program: `:ok` when a gateway was started, or the text and manner of the end.
+
+  From the environment come `AERIE_CWD` (where the user stands), `AERIE_TERMINAL` (`yes`: the output is a terminal),
+  `AERIE_COLUMNS` and `AERIE_LINES` (its size): `bin/run` asks the terminal, because this program has no standard input
+  that could tell. `options` are those of `AerieCLI.Run.start/2`.
+  """
+  @spec call([String.t()], %{String.t() => String.t()}, keyword()) ::
+          :ok | {:finish, String.t()} | {:fail, String.t()}
+  def call(words, environment, options \\ []) do
     case Options.parse(words) do
-      {:ok, options} -> start(options)
-      :help -> finish(Options.help())
-      :version -> finish("aerie #{Application.spec(:aerie_cli, :vsn)}\n")
-      {:error, message} -> fail("#{message}\nbin/run --help lists the options")
+      {:ok, parsed} -> start(parsed, environment, options)
+      :help -> {:finish, Options.help()}
+      :version -> {:finish, "aerie #{Application.spec(:aerie_cli, :vsn)}\n"}
+      {:error, message} -> {:fail, "error: #{message}\nbin/run --help lists the options\n"}
     end
   end
 
-  defp start(options) do
-    folder = System.get_env("AERIE_CWD") || File.cwd!()
+  defp start(parsed, environment, options) do
+    folder = Map.get_lazy(environment, "AERIE_CWD", &File.cwd!/0)
+    defaults = [style: style(parsed, environment), size: size(environment)]
 
-    case Run.start(Plan.from(options, folder), style: style(options), size: size()) do
+    case Run.start(Plan.from(parsed, folder), Keyword.merge(defaults, options)) do
       {:ok, _run} -> :ok
-      {:error, messages} -> fail(Enum.join(messages, "\n"))
+      {:error, messages} -> {:fail, Enum.map_join(messages, &"error: #{&1}\n")}
     end
   end
 
-  # bin/run asks the terminal, because the program itself has no standard input that could tell.
-  defp style(%{quiet: true}), do: :lines
-  defp style(_options), do: if(System.get_env("AERIE_TERMINAL") == "yes", do: :table, else: :lines)
+  defp style(%{quiet: true}, _environment), do: :lines
+  defp style(_parsed, %{"AERIE_TERMINAL" => "yes"}), do: :table
+  defp style(_parsed, _environment), do: :lines
 
-  defp size, do: {whole("AERIE_COLUMNS", 120), whole("AERIE_LINES", 40)}
+  defp size(environment),
+    do: {whole(environment["AERIE_COLUMNS"], 120), whole(environment["AERIE_LINES"], 40)}
 
-  defp whole(name, default) do
-    case Integer.parse(System.get_env(name, "")) do
-      {number, ""} when number in 10..1000 -> number
+  defp whole(nil, default), do: default
+
+  defp whole(text, default) do
+    case Integer.parse(text) do
+      {number, ""} when number >= 10 and number <= 1000 -> number
       _other -> default
     end
   end
 
-  @spec finish(String.t()) :: no_return()
-  defp finish(text) do
-    IO.write(text)
-    System.stop(0)
-    Process.sleep(:infinity)
-  end
-
-  @spec fail(String.t()) :: no_return()
-  defp fail(message) do
-    IO.puts(:stderr, "error: " <> message)
-    System.stop(2)
-    Process.sleep(:infinity)
+  @spec halt(atom(), String.t(), 0 | 2) :: no_return()
+  defp halt(device, text, status) do
+    IO.write(device, text)
+    System.halt(status)
   end
 end

@@ -2,7 +2,7 @@ defmodule FleetWeb.Health do
   @moduledoc """
   Is a gateway ready to do its work? Answered from the read model, part by part, so that a probe that fails says why.
 
-  Ready means: the gateway's parts run and NATS is connected. Links that are down do not make it unready, because a
+  Ready means: the gateway's parts run and NATS is connected (or switched off by the configuration). Links that are down do not make it unready, because a
   gateway that waits for a radio to come back does its work; they are listed all the same.
   """
 
@@ -15,19 +15,19 @@ defmodule FleetWeb.Health do
   def ready(gateway) do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
     nats = Aerie.Bridge.info(gateway)
-    nats_ok? = nats != nil and nats.connected
-    ready? = nats_ok? and Enum.all?(parts, fn {_name, running?} -> running? end)
+    connected? = nats != nil and nats.connected
+    ready? = (connected? or nats_off?(gateway)) and Enum.all?(parts, fn {_name, running?} -> running? end)
 
     links =
       for link <- Fleet.Store.links(gateway),
-          do: %{id: link[:id], status: link[:status], reason: link[:reason]}
+          do: %{id: link.id, status: link.status, text: link.text}
 
     {ready?,
      %{
        status: if(ready?, do: "ready", else: "not ready"),
        parts: parts,
        nats: %{
-         connected: nats_ok?,
+         connected: connected?,
          url: nats[:url],
          outbox: nats[:outbox][:events],
          problem: nats[:outbox][:problem]
@@ -36,4 +36,6 @@ defmodule FleetWeb.Health do
        vehicles: length(Fleet.Store.vehicles(gateway))
      }}
   end
+
+  defp nats_off?(gateway), do: match?(%{nats: %{mode: :off}}, Aerie.Gateway.config(gateway))
 end

@@ -1,0 +1,130 @@
+defmodule AerieCLI.CallTest do
+  @moduledoc "`bin/run` from its words to a gateway, short of the operating system."
+
+  use Aerie.SystemCase, async: true
+
+  @moduletag :tmp_dir
+
+  setup do
+    {:ok, device} = StringIO.open("")
+    supervisor = start_supervised!({DynamicTop, []})
+    gateway = make_ref()
+    %{device: device, options: [supervisor: supervisor, gateway: gateway, device: device], gateway: gateway}
+  end
+
+  defp config(folder, text) do
+    path = Path.join(folder, "gateway.yaml")
+    File.write!(path, text)
+    path
+  end
+
+  @quiet_config """
+  nats: {mode: off}
+  http: {port: 0}
+  mavlink: {local_addr: off}
+  """
+
+  test "help, version and mistakes end the program with a text" do
+    assert {:finish, "usage: bin/run" <> _} = AerieCLI.call(["--help"], %{})
+    assert {:finish, "aerie 0." <> _} = AerieCLI.call(["--version"], %{})
+    assert {:fail, text} = AerieCLI.call(["--htpp", "1"], %{})
+    assert text =~ "did you mean --http?"
+  end
+
+  test "a wrong configuration starts nothing and says file, key and what was expected", context do
+    path = config(context.tmp_dir, "nats: {mode: off}\nmavlink:\n  sytem_id: 3\nhttp: {port: high}\n")
+    assert {:fail, text} = AerieCLI.call(["--config", path], %{}, context.options)
+    assert text =~ "gateway.yaml"
+    assert text =~ "mavlink.sytem_id"
+    assert text =~ "system_id"
+    assert text =~ "http.port"
+    assert Supervisor.which_children(context.options[:supervisor]) == []
+    assert Aerie.Names.whereis(context.gateway, :gateway) == nil
+  end
+
+  test "a configured port that is taken starts nothing", context do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    path = config(context.tmp_dir, "nats: {mode: off}\nmavlink: {local_addr: off}\nhttp: {port: #{port}}\n")
+    assert {:fail, text} = AerieCLI.call(["--config", path], %{}, context.options)
+    assert text =~ "http.port"
+    assert Supervisor.which_children(context.options[:supervisor]) == []
+  end
+
+  test "log lines: simulated vehicles on a network of their own, state and events", context do
+    config(context.tmp_dir, @quiet_config)
+
+    assert :ok =
+             AerieCLI.call(
+               ["--config", "gateway.yaml", "--sim", "1"],
+               %{"AERIE_CWD" => context.tmp_dir},
+               context.options
+             )
+
+    await_text(context.device, [
+      "event vehicle=sim-001 type=statustext",
+      "vehicle=sim-001 status=online",
+      "link=sim status=up"
+    ])
+  end
+
+  test "a terminal gets the table, sized as bin/run says", context do
+    path = config(context.tmp_dir, @quiet_config)
+    environment = %{"AERIE_TERMINAL" => "yes", "AERIE_COLUMNS" => "90", "AERIE_LINES" => "many"}
+    assert :ok = AerieCLI.call(["--config", path, "--sim", "1"], environment, context.options)
+
+    text =
+      await_text(context.device, [
+        "VEHICLE",
+        "sim-001",
+        "NATS not started",
+        "LATEST EVENTS",
+        "sim-001 statustext"
+      ])
+
+    assert text =~ "\e[H"
+  end
+
+  test "a recording is shown with its own vehicle, and nothing else may call in", context do
+    # A second of a simulated heartbeat, written as any recorder writes it.
+    path = Path.join(context.tmp_dir, "short.tlog")
+
+    heartbeat = %MavCodec.Messages.Heartbeat{
+      type: 2,
+      autopilot: 3,
+      base_mode: 81,
+      custom_mode: 4,
+      system_status: 3
+    }
+
+    at = 1_795_213_318_000_000
+
+    File.write!(
+      path,
+      for(n <- 0..3, do: [<<at + n * 250_000::64>>, MavCodec.encode(heartbeat, system: 9, seq: n)])
+    )
+
+    File.write!(Path.join(context.tmp_dir, "c.yaml"), "nats: {mode: off}\nhttp: {port: 0}\n")
+
+    assert :ok =
+             AerieCLI.call(
+               ["--replay", "short.tlog", "--speed", "max", "--config", "c.yaml"],
+               %{"AERIE_CWD" => context.tmp_dir},
+               context.options
+             )
+
+    vehicle = eventually(fn -> Store.vehicle(context.gateway, "VID-009") end, "the recorded vehicle is known")
+    assert vehicle.groups.mode.data.mode == "GUIDED"
+    assert [%{id: "replay"}] = Store.links(context.gateway)
+  end
+
+  defp await_text(device, parts) do
+    eventually(
+      fn ->
+        {_input, text} = StringIO.contents(device)
+        if Enum.all?(parts, &(text =~ &1)), do: text
+      end,
+      fn -> "output with #{inspect(parts)}; it is:\n#{elem(StringIO.contents(device), 1)}" end
+    )
+  end
+end

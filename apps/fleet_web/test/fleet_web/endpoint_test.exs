@@ -1,0 +1,132 @@
+defmodule FleetWeb.EndpointTest do
+  @moduledoc "A gateway without NATS, a vehicle that is a UDP socket, and the HTTP face as a client sees it."
+
+  use ExUnit.Case, async: true
+
+  alias Aerie.Fleet.Store
+  alias MavCodec.Messages
+
+  setup do
+    gateway = make_ref()
+
+    config =
+      Aerie.Config.default(%{
+        "nats" => %{"mode" => "off"},
+        "mavlink" => %{"local_addr" => "off"},
+        "links" => [%{"id" => "radio", "url" => "udpin:127.0.0.1:0"}]
+      })
+
+    start_supervised!({Aerie.Gateway, name: gateway, config: config})
+    start_supervised!({FleetWeb.Endpoint, gateway: gateway, port: 0})
+    %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}
+  end
+
+  test "a gateway without NATS by configuration is ready; the report lists its links", context do
+    assert {200, %{"status" => "ok"}} = json(context.port, "/healthz")
+    eventually(fn -> match?(%{status: :up}, Store.link(context.gateway, "radio")) end)
+
+    assert {200, report} = json(context.port, "/readyz")
+    assert %{"status" => "ready", "nats" => %{"connected" => false}, "vehicles" => 0} = report
+    assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
+  end
+
+  test "a gateway that is not there is unready, with the parts that are missing", context do
+    stop_supervised!({Aerie.Gateway, context.gateway})
+    assert {503, %{"status" => "not ready", "parts" => %{"store" => false}}} = json(context.port, "/readyz")
+    assert {200, text} = get(context.port, "/metrics")
+    assert text =~ "gateway_vehicles 0"
+  end
+
+  test "metrics of a vehicle that was heard, and of garbage", context do
+    heartbeat = %Messages.Heartbeat{type: 2, autopilot: 3, base_mode: 209, custom_mode: 4, system_status: 4}
+    battery = %Messages.SysStatus{voltage_battery: 12_600, current_battery: 100, battery_remaining: 87}
+    bytes = for message <- [heartbeat, battery], do: MavCodec.encode(message, system: 7)
+    <<first::binary-size(15), _byte, rest::binary>> = MavCodec.encode(heartbeat, system: 7)
+
+    %{port: radio} = eventually(fn -> link_with_port(context.gateway) end)
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}])
+
+    for datagram <- bytes ++ [first <> <<99>> <> rest],
+        do: :ok = :gen_udp.send(socket, {127, 0, 0, 1}, radio, datagram)
+
+    text =
+      eventually(fn ->
+        {200, text} = get(context.port, "/metrics")
+
+        if text =~ "gateway_mavlink_parse_errors_total 1" and text =~ "gateway_vehicle_battery_volts",
+          do: text
+      end)
+
+    for line <- [
+          ~s(gateway_mavlink_messages_received_total{type="heartbeat"} 1),
+          ~s(gateway_mavlink_messages_received_total{type="sys_status"} 1),
+          ~s(gateway_link_up{link="radio",network="main"} 1),
+          ~s(gateway_link_peers{link="radio",network="main"} 1),
+          ~s(gateway_link_crc_errors_total{link="radio",network="main"} 1),
+          ~s(gateway_link_dropped_total{link="radio",network="main",reason="overload"} 0),
+          ~s(gateway_vehicle_armed{vehicle="VID-007"} 1),
+          ~s(gateway_vehicle_battery_ratio{vehicle="VID-007"} 0.87),
+          ~s(gateway_vm_memory_bytes{kind="total"})
+        ] do
+      assert text =~ line
+    end
+
+    # Every line is a comment or name, labels and a number: what a scraper takes.
+    for line <- String.split(text, "\n", trim: true) do
+      assert line =~ ~r/^(# (HELP|TYPE) |[a-z_]+(\{([a-z_]+="[^"]*",?)+\})? -?[0-9.e+-]+$)/
+    end
+  end
+
+  test "an unknown page and a wrong method say what there is", context do
+    assert {200, index} = get(context.port, "/")
+    assert index =~ "/metrics"
+    assert {404, text} = get(context.port, "/secret/../x")
+    assert text =~ "/readyz"
+
+    {:ok, {{_, 405, _}, headers, _}} =
+      :httpc.request(:post, {url(context.port, "/metrics"), [], ~c"text/plain", "x"}, [], [])
+
+    assert {~c"allow", ~c"GET, HEAD"} in headers
+  end
+
+  test "options are checked", context do
+    assert_raise ArgumentError, fn -> FleetWeb.Endpoint.start_link(gateway: context.gateway, prot: 1) end
+  end
+
+  defp link_with_port(gateway) do
+    case Store.link(gateway, "radio") do
+      %{port: port} = link when is_integer(port) -> link
+      _not_yet -> nil
+    end
+  end
+
+  defp get(port, path) do
+    {:ok, {{_version, status, _reason}, _headers, body}} =
+      :httpc.request(:get, {url(port, path), []}, [], body_format: :binary)
+
+    {status, body}
+  end
+
+  defp json(port, path) do
+    {status, body} = get(port, path)
+    {status, JSON.decode!(body)}
+  end
+
+  defp url(port, path), do: ~c"http://127.0.0.1:#{port}#{path}"
+
+  # Other processes' tables tell nobody when they change; ten seconds is for a machine that is busy.
+  defp eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 10_000) do
+    case fun.() do
+      value when value in [nil, false] ->
+        if System.monotonic_time(:millisecond) > deadline, do: flunk("never")
+
+        receive do
+        after
+          10 -> eventually(fun, deadline)
+        end
+
+      value ->
+        value
+    end
+  end
+end

@@ -1,0 +1,109 @@
+defmodule Aerie.System.RunTest do
+  @moduledoc "`bin/run` as a user gives it: an operating system process, its output, its end, and what it leaves behind."
+
+  use Aerie.SystemCase, async: true
+
+  @moduletag :tmp_dir
+  # The first call compiles for production.
+  @moduletag timeout: 300_000
+
+  @root Path.expand("../..", __DIR__)
+
+  setup %{tmp_dir: folder} do
+    config = Path.join(folder, "gateway.yaml")
+
+    File.write!(config, """
+    nats: {port: 0, store_dir: "#{folder}/nats"}
+    outbox: {dir: "#{folder}/outbox"}
+    http: {port: 0}
+    mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
+    """)
+
+    %{config: config}
+  end
+
+  test "help and mistakes", context do
+    assert {0, text} = run(["--help"])
+    assert text =~ "usage: bin/run"
+    assert {2, text} = run(["--nonsense"])
+    assert text =~ "unknown option --nonsense"
+
+    File.write!(context.config, "mavlink: {system_id: -3}\n")
+    assert {2, text} = run(["--config", context.config])
+    assert text =~ "mavlink.system_id"
+  end
+
+  test "it flies until Ctrl-C, and then all its children are gone", %{config: config, tmp_dir: folder} do
+    port = open(["--config", config, "--sim", "2", "--quiet"])
+
+    await_output(port, "", [
+      "connected to NATS",
+      "vehicle=sim-001 status=online",
+      "vehicle=sim-002 status=online"
+    ])
+
+    nats = folder |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
+    assert File.exists?("/proc/#{nats}")
+
+    {:os_pid, os_pid} = Port.info(port, :os_pid)
+    {_output, 0} = System.cmd("kill", ["-INT", Integer.to_string(os_pid)])
+    assert await_exit(port, "") == 0
+    refute File.exists?("/proc/#{nats}")
+    # Nothing that names this run's folder is left: nats-server, its guard, the VM.
+    assert {"", 1} = System.cmd("pgrep", ["-f", folder])
+  end
+
+  test "killed with -9, it takes nats-server along, and the next start finds everything in order", context do
+    %{config: config, tmp_dir: folder} = context
+
+    for _life <- 1..2 do
+      port = open(["--config", config, "--quiet"])
+      await_output(port, "", ["connected to NATS"])
+      nats = folder |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
+      {vm, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
+      for pid <- String.split(vm), do: System.cmd("kill", ["-KILL", pid])
+      assert await_exit(port, "") != 0
+      eventually(fn -> not File.exists?("/proc/#{nats}") end, "nats-server is gone")
+    end
+  end
+
+  defp open(words) do
+    Port.open({:spawn_executable, Path.join(@root, "bin/run")}, [
+      :binary,
+      :exit_status,
+      :stderr_to_stdout,
+      args: words,
+      # As from a plain shell: nothing of this test's own Mix.
+      env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
+    ])
+  end
+
+  defp run(words) do
+    port = open(words)
+    collect(port, "")
+  end
+
+  defp collect(port, text) do
+    receive do
+      {^port, {:data, data}} -> collect(port, text <> data)
+      {^port, {:exit_status, status}} -> {status, text}
+    after
+      240_000 -> flunk("no end; output:\n#{text}")
+    end
+  end
+
+  defp await_output(port, text, parts) do
+    if Enum.all?(parts, &(text =~ &1)) do
+      text
+    else
+      receive do
+        {^port, {:data, data}} -> await_output(port, text <> data, parts)
+        {^port, {:exit_status, status}} -> flunk("ended with #{status}:\n#{text}")
+      after
+        240_000 -> flunk("never said #{inspect(parts)}; output:\n#{text}")
+      end
+    end
+  end
+
+  defp await_exit(port, text), do: port |> collect(text) |> elem(0)
+end

@@ -200,10 +200,19 @@ defmodule Aerie.Fleet.Journal do
     with {[{n, id}], _continuation} <- :ets.select(table, oldest_pending(), 1),
          true <- :ets.lookup_element(table, :last_pending, 2) - n >= @max_pending do
       :ets.delete(table, {:id, id})
-      # An acknowledgement may come in between; then nothing was dropped.
-      if :ets.take(table, {:pending, n}) != [], do: Fleet.Store.count(gateway, {:journal, :pending_dropped})
+      dropped(gateway, :ets.take(table, {:pending, n}))
       bound_pending(gateway, table)
+    else
+      _within_bounds -> :ok
     end
+  end
+
+  # An acknowledgement came in between; then nothing was dropped.
+  defp dropped(_gateway, []), do: :ok
+
+  defp dropped(gateway, [_object]) do
+    _count = Fleet.Store.count(gateway, {:journal, :pending_dropped})
+    :ok
   end
 
   defp oldest_pending, do: [{{{:pending, :"$1"}, %{id: :"$2"}}, [], [{{:"$1", :"$2"}}]}]

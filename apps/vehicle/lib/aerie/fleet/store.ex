@@ -104,7 +104,8 @@ defmodule Aerie.Fleet.Store do
   """
   @spec count(Names.gateway(), counter(), integer()) :: integer()
   def count(gateway, counter, n \\ 1) do
-    :ets.update_counter(table!(gateway, :counters), counter, n, {counter, 0})
+    [value] = :ets.update_counter(table!(gateway, :counters), counter, [{2, n}], {counter, 0})
+    value
   end
 
   @doc "A counter's value, 0 when nothing was counted."

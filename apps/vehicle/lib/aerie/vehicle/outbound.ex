@@ -30,11 +30,10 @@ defmodule Aerie.Vehicle.Outbound do
     {bytes, encoder} = Encoder.encode(outbound.encoder, message, version: version)
     outbound = %{outbound | encoder: encoder}
 
-    with {:error, :no_route} <- Aerie.Router.send(outbound.gateway, outbound.options.key, bytes) do
-      Fleet.Store.count(outbound.gateway, {:vehicle, outbound.options.id, :unsent})
+    case Aerie.Router.send(outbound.gateway, outbound.options.key, bytes) do
+      :ok -> outbound
+      {:error, :no_route} -> unsent(outbound)
     end
-
-    outbound
   end
 
   @doc "Sends our heartbeat on the vehicle's way, unless another session has done it within this second."
@@ -52,6 +51,11 @@ defmodule Aerie.Vehicle.Outbound do
   @spec publish(t(), Vehicle.State.group(), map(), integer()) :: :ok
   def publish(outbound, group, sample, at) do
     Aerie.Bridge.publish_state(outbound.gateway, outbound.options.id, group, sample, at)
+  end
+
+  defp unsent(outbound) do
+    _count = Fleet.Store.count(outbound.gateway, {:vehicle, outbound.options.id, :unsent})
+    outbound
   end
 
   defp our_heartbeat do

@@ -43,9 +43,11 @@ defmodule Aerie.Vehicle.Supervisor do
   def remove(gateway, key) do
     with keeper when is_pid(keeper) <- Names.whereis(gateway, :keeper), do: Vehicle.Keeper.forget(keeper, key)
 
-    with tree when is_pid(tree) <- Names.whereis(gateway, :tree, key) do
-      DynamicSupervisor.terminate_child(Names.via(gateway, :vehicle_trees), tree)
-    end
+    # It may have ended by itself meanwhile.
+    _ended =
+      with tree when is_pid(tree) <- Names.whereis(gateway, :tree, key) do
+        DynamicSupervisor.terminate_child(Names.via(gateway, :vehicle_trees), tree)
+      end
 
     Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.Gateway.config(gateway), key))
     Fleet.Store.delete_vehicle(gateway, key)

@@ -78,6 +78,19 @@ defmodule MavCodec.ParserPropertiesTest do
     end
   end
 
+  test "an unknown frame right before the first known one of its source counts the same, however it is cut" do
+    data = unknown(seq: 252, system: 1, component: 1) <> attitude(seq: 253, system: 1, component: 1)
+
+    [whole, bytes] =
+      for chunks <- [data, for(<<byte <- data>>, do: <<byte>>)] do
+        {_frames, parser} = parse(chunks)
+        Parser.stats(parser).sources
+      end
+
+    assert whole == bytes
+    assert %{{1, 1} => %{received: 1}} = whole
+  end
+
   test "every byte is in a frame, or counted" do
     holds(
       :proper.forall(stream(), fn data ->

@@ -17,7 +17,7 @@ defmodule AerieCLI.Status.Lines do
   @doc "An event as a line of a table: the vehicle, what happened, and what is not the vehicle's position."
   @spec note(map()) :: String.t()
   def note(event) do
-    "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, :position))}"
+    "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, "position"))}"
   end
 
   @doc "An event as a log line."

@@ -29,7 +29,15 @@ defmodule MavCodec.Parser.Sources do
   @spec observe(t(), [Frame.t()]) :: t()
   def observe(sources, []), do: sources
 
-  def observe(sources, [%Frame{system: system, component: component, seq: seq} | _] = frames),
+  # An unchecked frame does not make its source known, also when a checked one stands right behind it: what is counted
+  # must not depend on how the bytes were cut into pushes.
+  def observe(sources, [%Frame{crc_extra: nil, system: system, component: component} | rest] = frames) do
+    if is_map_key(sources, key(system, component)), do: run(frames, sources), else: observe(sources, rest)
+  end
+
+  def observe(sources, frames), do: run(frames, sources)
+
+  defp run([%Frame{system: system, component: component, seq: seq} | _] = frames, sources),
     do: run(frames, sources, system, component, seq, seq, 0, nil)
 
   # `known` is nil, or the highest id of the run's frames whose CRC was checked.
@@ -48,19 +56,8 @@ defmodule MavCodec.Parser.Sources do
   defp run([], sources, system, component, first, _next, n, known),
     do: add(sources, key(system, component), first, n, known)
 
-  defp run(
-         [%Frame{system: system, component: component, seq: seq} | _] = frames,
-         sources,
-         last,
-         last_component,
-         first,
-         _next,
-         n,
-         known
-       ) do
-    sources = add(sources, key(last, last_component), first, n, known)
-    run(frames, sources, system, component, seq, seq, 0, nil)
-  end
+  defp run(frames, sources, system, component, first, _next, n, known),
+    do: sources |> add(key(system, component), first, n, known) |> observe(frames)
 
   defp highest(%Frame{crc_extra: nil}, known), do: known
   defp highest(%Frame{id: id}, nil), do: id
@@ -75,7 +72,7 @@ defmodule MavCodec.Parser.Sources do
       %{^key => {loss, talked?}} ->
         %{sources | key => {SequenceLoss.observe_run(loss, first, n), talked? or talks?}}
 
-      _ when known == nil or map_size(sources) >= @limit ->
+      _ when map_size(sources) >= @limit ->
         sources
 
       _ ->

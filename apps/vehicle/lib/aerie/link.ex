@@ -21,6 +21,7 @@ defmodule Aerie.Link do
   | `[:aerie, :link, :ended]` | | `reason` (words): a recording is over |
   | `[:aerie, :link, :peer_up]` | | `peer` (words) |
   | `[:aerie, :link, :peer_down]` | | `peer`, `reason` (words) |
+  | `[:aerie, :link, :garbled]` | | `finding`: what a serial port says in the place of MAVLink (`Aerie.Link.Serial.Finding`) |
   | `[:aerie, :link, :added]`, `[:aerie, :link, :removed]` | | |
 
   Bytes, frames and drops are not events: they are in the snapshot's counters, written four times a second.

@@ -21,7 +21,8 @@ defmodule Aerie.Link.Core do
   | `{:records, [{at, bytes}]}` | replayed |
   | `{:peer_up, peer, text}`, `{:peer_down, peer, reason}` | connections of a server |
   | `{:closed, reason}`, `{:ended, text}` | the connection is over: to be made again, or for good |
-  | `:retry` | the back-off's timer |
+  | `:retry` | the back-off's timer, or what was missing may be there now |
+  | `{:sniffed, place, baud, sniffed}` | what bytes without frames are: the answer to `:sniff` |
   | `{:count, name, n}` | something to count (`Aerie.Link.Counters`) |
   | `:tick` | every `tick_ms/0` |
 
@@ -33,6 +34,8 @@ defmodule Aerie.Link.Core do
   | `{:forget, peer}`, `{:drop, peer}` | routes by a peer are void; end a peer's connection |
   | `{:emit, event, measurements, metadata}` | a telemetry event below `[:aerie, :link]` |
   | `:publish` | the snapshot changed |
+  | `:sniff` | bytes come but no frames: find out what they are |
+  | `:relinked` | connected again: its vehicles' streams are to be asked for |
   | `:settled` | the first attempt had its outcome |
 
   Time is given with each event as `{monotonic ms, unix microseconds}`; the only randomness is a seed in the state.
@@ -43,6 +46,7 @@ defmodule Aerie.Link.Core do
   alias Aerie.Link.Peers
   alias Aerie.Link.Rates
   alias Aerie.Link.Reason
+  alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Snapshot
   alias Aerie.Link.Spec
   alias Aerie.Link.Transport
@@ -50,7 +54,12 @@ defmodule Aerie.Link.Core do
   @tick_ms 250
   # A connection that held this long was a good one: its end is tried again at once.
   @good_ms 2_000
-  # A UDP client that hears nothing for so long looks its name up again.
+  # For so long bytes came that hold no frame: not ours any more, or the wrong baud rate.
+  @garbled_ms 5_000
+  @sniff_every_ms 10_000
+  # Searches that fail last five seconds, so that one begins every ten.
+  @search_ms 5_000
+  # A UDP client that hears nothing for so long looks its name up again, a serial port is looked for again.
   @silent_ms 30_000
 
   @enforce_keys [:spec, :peers]
@@ -62,6 +71,9 @@ defmodule Aerie.Link.Core do
     :since,
     :opened,
     :last_heard,
+    :found,
+    :sniff_at,
+    diagnosis: [],
     phase: :idle,
     backoff: Backoff.new(),
     seed: nil,
@@ -70,6 +82,8 @@ defmodule Aerie.Link.Core do
     info: %{},
     connected_before: false,
     idle_ms: 10_000,
+    silent_ms: @silent_ms,
+    garbled_ms: @garbled_ms,
     heard: nil,
     sampled: nil
   ]
@@ -86,7 +100,7 @@ defmodule Aerie.Link.Core do
 
   @doc """
   A link that has not begun. Options: `:counters` (of its former life), `:seed` (any term), `:max_peers` (256),
-  `:idle_ms` (10,000), `:parser` (options of `MavCodec.Parser.new/1`).
+  `:idle_ms` (10,000), `:silent_ms` (30,000), `:garbled_ms` (5,000), `:parser` (options of `MavCodec.Parser.new/1`).
   """
   @spec new(Spec.t(), keyword) :: t
   def new(%Spec{} = spec, options \\ []) do
@@ -97,7 +111,10 @@ defmodule Aerie.Link.Core do
       peers: Peers.new(framing, options[:max_peers] || 256, options[:parser] || []),
       counters: options[:counters] || %Counters{},
       seed: :rand.seed_s(:exsss, :erlang.phash2(options[:seed])),
-      idle_ms: options[:idle_ms] || 10_000
+      idle_ms: options[:idle_ms] || 10_000,
+      silent_ms: options[:silent_ms] || @silent_ms,
+      garbled_ms: options[:garbled_ms] || @garbled_ms,
+      backoff: if(spec.detect, do: Backoff.new(@search_ms, @search_ms), else: Backoff.new())
     }
   end
 
@@ -119,11 +136,12 @@ defmodule Aerie.Link.Core do
 
     core =
       %{core | info: info, opened: mono, heard: nil, connected_before: true, retry_at: nil}
+      |> found(info)
       |> count(:reconnects, reconnects)
       |> phase(:up, nil, now)
 
     up = {:emit, :up, %{reconnects: core.counters.reconnects}, %{local: info[:local]}}
-    {core, [:publish, :settled, up]}
+    {core, [:publish, :settled, up] ++ if(reconnects > 0, do: [:relinked], else: [])}
   end
 
   def handle(%{phase: :connecting} = core, {:failed, reason}, now) do
@@ -159,16 +177,31 @@ defmodule Aerie.Link.Core do
     end
   end
 
+  # What is not ours any more is looked for again; a port with a baud rate of the configuration is told about.
+  def handle(%{phase: :up} = core, {:sniffed, place, baud, sniffed}, {mono, _at} = now) do
+    finding = Finding.heard(place, baud, sniffed)
+    core = %{core | sniff_at: mono + @sniff_every_ms}
+
+    cond do
+      finding.condition == :vehicle or not garbled?(core, mono) -> {core, []}
+      core.spec.detect -> handle(core, {:closed, "no MAVLink any more on #{Finding.format(finding)}"}, now)
+      true -> {%{core | diagnosis: [finding]}, [{:emit, :garbled, %{}, %{finding: finding}}, :publish]}
+    end
+  end
+
   def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
 
   def handle(%{phase: :up} = core, :tick, {mono, _at} = now) do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
     {core, more} = changes(%{core | peers: peers}, changes)
+    {core, sniff} = garbled(core, mono)
     {core, publish} = sample(core, mono)
-    actions = deliver(deliveries) ++ more ++ publish
+    actions = deliver(deliveries) ++ more ++ sniff ++ publish
 
     if silent?(core, mono) do
-      {core, closing} = handle(core, {:closed, "nothing heard from #{Spec.place(core.spec)} for 30 s"}, now)
+      {core, closing} =
+        handle(core, {:closed, "nothing heard from #{place(core)} for #{div(core.silent_ms, 1000)} s"}, now)
+
       {core, actions ++ closing}
     else
       {core, actions}
@@ -186,7 +219,10 @@ defmodule Aerie.Link.Core do
     {random, seed} = :rand.uniform_s(core.seed)
     {wait, backoff} = Backoff.next(core.backoff, random)
     text = Reason.format(reason, core.spec)
+    diagnosis = with {:undetected, findings} <- reason, do: findings, else: (_fault -> [])
+
     core = %{core | seed: seed, backoff: backoff, retry_at: mono + wait, info: %{}}
+    core = %{core | diagnosis: diagnosis, sniff_at: nil}
 
     down = {:emit, :down, %{retry_ms: wait, attempt: backoff.attempt}, %{reason: text}}
     {phase(core, :down, text, now), [:publish, {:retry_in, wait}, down]}
@@ -269,10 +305,43 @@ defmodule Aerie.Link.Core do
   defp single?(core), do: core.spec.kind not in [:udp_server, :tcp_server]
 
   defp silent?(%{spec: %{kind: :udp_client}} = core, mono) do
-    mono - (core.heard || core.opened) >= @silent_ms
+    mono - (core.heard || core.opened) >= core.silent_ms
+  end
+
+  # Not one of a given baud rate: a radio may be out of range, and what we say may still be heard.
+  defp silent?(%{spec: %{detect: detect}} = core, mono) when detect != nil do
+    mono - max(core.heard || core.opened, bytes_at(core)) >= core.silent_ms
   end
 
   defp silent?(_core, _mono), do: false
+
+  defp place(core), do: core.info[:peer] || Spec.place(core.spec)
+
+  # Bytes come, and for five seconds no frame was among them.
+  defp garbled(%{spec: %{kind: :serial}} = core, mono) do
+    cond do
+      not garbled?(core, mono) -> {%{core | diagnosis: [], sniff_at: nil}, []}
+      core.sniff_at == nil or mono >= core.sniff_at -> {%{core | sniff_at: mono + @sniff_every_ms}, [:sniff]}
+      true -> {core, []}
+    end
+  end
+
+  defp garbled(core, _mono), do: {core, []}
+
+  defp garbled?(core, mono) do
+    bytes_at(core) - (core.heard || core.opened) >= core.garbled_ms and
+      mono - bytes_at(core) < core.garbled_ms
+  end
+
+  defp bytes_at(%{peers: %{map: %{remote: peer}}}), do: peer.heard
+  defp bytes_at(core), do: core.opened
+
+  # What was found, to begin with when it is lost; and what stood in the way, for people.
+  defp found(core, %{finding: finding}) when finding != nil do
+    %{core | found: %{path: finding.path, baud: finding.baud}, diagnosis: []}
+  end
+
+  defp found(core, _info), do: %{core | diagnosis: []}
 
   # A link on which nothing happens is not published; one whose rates have yet to fall to 0 is.
   defp sample(core, mono) do

@@ -1,6 +1,7 @@
 defmodule Aerie.Link.Reason do
   @moduledoc "Faults of a link in words: `connection refused by 127.0.0.1:5760`."
 
+  alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Spec
 
   @doc "Says what a reason means for a link. Every reason has words; an unheard-of one is shown as it is."
@@ -8,6 +9,7 @@ defmodule Aerie.Link.Reason do
   def format(reason, spec)
 
   def format(text, _spec) when is_binary(text), do: text
+  def format({:undetected, findings}, _spec), do: Finding.summary(findings)
   def format(:econnrefused, spec), do: "connection refused by #{Spec.place(spec)}"
   def format(:closed, spec), do: "connection closed by #{peer(spec)}"
   def format(:econnreset, spec), do: "connection reset by #{peer(spec)}"

@@ -9,6 +9,7 @@ defmodule Aerie.Link.Server do
   use GenServer
 
   alias Aerie.Fleet.Store
+  alias Aerie.Link.Again
   alias Aerie.Link.Core
   alias Aerie.Link.Counters
   alias Aerie.Link.Defaults
@@ -57,6 +58,8 @@ defmodule Aerie.Link.Server do
       core: Core.new(spec, core_options(gateway, spec, former, now)),
       restarts: restarts,
       opener: nil,
+      retry: nil,
+      watched: nil,
       conn: nil,
       sessions: [],
       notify: Keyword.get(options, :notify)
@@ -95,7 +98,7 @@ defmodule Aerie.Link.Server do
   def handle_info(:tick, state) do
     # One at a time: a link that was busy for seconds owes no ticks.
     Process.send_after(self(), :tick, Core.tick_ms())
-    {:noreply, step(state, :tick)}
+    {:noreply, state |> step(:tick) |> look()}
   end
 
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
@@ -117,6 +120,34 @@ defmodule Aerie.Link.Server do
       :unknown -> {:noreply, unknown(state, message)}
     end
   end
+
+  # What a link that is down waits for may have come: a device was plugged in.
+  defp look(%{core: %{phase: :down}, watched: watched} = state) do
+    if watch(state) == watched, do: state, else: step(state, :retry)
+  end
+
+  defp look(state), do: state
+
+  defp watch(state) do
+    if function_exported?(state.transport, :watch, 1), do: state.transport.watch(sought(state)), else: nil
+  end
+
+  # A search begins with what was found the last time, and leaves other links' ports alone.
+  defp sought(%{spec: %{detect: :port} = spec} = state) do
+    taken =
+      for %{id: id, spec: %{kind: :serial}} = link <- Store.links(state.gateway),
+          id != spec.id,
+          path = link.local || link.spec.device,
+          do: path
+
+    %{spec | options: Map.merge(spec.options, %{hint: state.core.found, taken: taken})}
+  end
+
+  defp sought(%{spec: %{detect: :baud} = spec} = state) do
+    %{spec | options: Map.put(spec.options, :hint, state.core.found)}
+  end
+
+  defp sought(%{spec: spec}), do: spec
 
   # Late messages of connections that are closed, exits of processes that did their work.
   defp unknown(state, _message), do: state
@@ -159,7 +190,20 @@ defmodule Aerie.Link.Server do
     Enum.reduce(actions, %{state | core: core}, &act/2)
   end
 
-  defp act(:open, state), do: %{state | opener: Opener.start(state.spec)}
+  defp act(:open, state) do
+    if state.retry, do: Process.cancel_timer(state.retry)
+    watched = watch(state)
+    %{state | opener: Opener.start(sought(state)), retry: nil, watched: watched}
+  end
+
+  # Its bytes hold no frames: what are they?
+  defp act(:sniff, %{conn: nil} = state), do: state
+  defp act(:sniff, state), do: %{state | conn: state.transport.sniff(state.conn)}
+
+  defp act(:relinked, state) do
+    Again.tell(state.gateway, state.spec)
+    state
+  end
 
   defp act(:close, %{conn: nil} = state), do: state
 
@@ -169,8 +213,7 @@ defmodule Aerie.Link.Server do
   end
 
   defp act({:retry_in, ms}, state) do
-    Process.send_after(self(), :retry, ms)
-    state
+    %{state | retry: Process.send_after(self(), :retry, ms)}
   end
 
   defp act({:deliver, peer, frames}, state) do

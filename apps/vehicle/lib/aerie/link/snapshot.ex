@@ -11,6 +11,9 @@ defmodule Aerie.Link.Snapshot do
   | `:since` | unix microseconds of the last change of phase |
   | `:retry_in_ms` | while down: to the next try, at the time of writing |
   | `:local`, `:port`, `:peer` | our end, its real port, the other end, where known |
+  | `:baud` | of an open serial port |
+  | `:finding` | how an open serial port was found, where it was looked for (`Aerie.Link.Serial.Finding`) |
+  | `:diagnosis` | what is in the way on serial ports: findings with evidence and advice, else empty |
   | `:last_heard` | unix microseconds of the last good frame's arrival |
   | `:counters` | `Aerie.Link.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
@@ -24,6 +27,7 @@ defmodule Aerie.Link.Snapshot do
   alias Aerie.Link.Peers
   alias Aerie.Link.Rates
   alias Aerie.Link.Reason
+  alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Spec
   alias MavCodec.Parser
 
@@ -49,6 +53,9 @@ defmodule Aerie.Link.Snapshot do
       local: core.info[:local],
       port: core.info[:port],
       peer: core.info[:peer],
+      baud: core.info[:baud],
+      finding: core.info[:finding],
+      diagnosis: core.diagnosis,
       last_heard: core.last_heard,
       counters: Core.counters(core),
       rates: Rates.per_second(core.rates),
@@ -87,6 +94,10 @@ defmodule Aerie.Link.Snapshot do
   end
 
   def text(%Core{phase: :ended} = core, _mono), do: core.reason
+
+  def text(%Core{phase: :up, diagnosis: [finding | _]}, _mono) do
+    "connected, but no MAVLink on #{Finding.format(finding)}"
+  end
 
   def text(%Core{phase: :up, spec: spec} = core, mono) do
     case {status(core, mono), spec.kind} do

@@ -12,10 +12,15 @@ defmodule Aerie.Link.Spec do
   | `tcp:HOST:PORT` | `:tcp_client` | connects, and again after every fault |
   | `tcpin:HOST:PORT` | `:tcp_server` | accepts many |
   | `DEVICE` or `DEVICE,BAUD` | `:serial` | a serial port, 115200 baud unless said |
+  | `serial:DEVICE` | `:serial` | a serial port whose baud rate is found by listening |
+  | `serial:auto` | `:serial` | the first serial port with a vehicle behind it (`Aerie.Link.Serial.Detector`) |
   | `replay:FILE` | `:replay` | a recorded tlog, `?speed=1` (real time), `?speed=10`, `?speed=max`, `&loop=true` |
 
   HOST is an IPv4 address, an IPv6 address in brackets (`[::1]`) or a name; a name is resolved again on every
   connection attempt. A server's empty HOST means all IPv4 addresses, and its port 0 means any free one.
+
+  Those that are found by listening take `?bauds=57600,921600` (candidates instead of the usual ones), and `serial:auto` takes
+  `&ports=/dev/ttyAMA0,/dev/ttyUSB3` (looked at first) and `&only=true` (no others).
 
   Every string takes `?network=NAME` (whose system ids it shares, default `"main"`) and `&id=NAME` (the identity of
   the link, default: the string without its options).
@@ -35,6 +40,10 @@ defmodule Aerie.Link.Spec do
     :port,
     :device,
     :file,
+    :detect,
+    :bauds,
+    ports: [],
+    only: false,
     network: "main",
     baud: 115_200,
     broadcast: false,
@@ -49,7 +58,8 @@ defmodule Aerie.Link.Spec do
   - `id`: identity of the link, unique in a gateway; it outlives restarts and reconnections
   - `text`: the connection string as given
   - `host`, `port`: UDP and TCP; a host that is a string is a name still to be resolved
-  - `device`, `baud`: serial
+  - `device`, `baud`: serial; `detect` is what is found by listening, nil for neither, `:baud`, or `:port` for both
+  - `bauds`, `ports`, `only`: candidates for that, nil and none unless said
   - `file`, `speed` (factor of real time, or `:max`), `loop`: replay
   - `network`: links of one network share one space of system ids
   - `options`: tuning of the link (`Aerie.Link.Options`), not part of the string
@@ -63,6 +73,10 @@ defmodule Aerie.Link.Spec do
           port: :inet.port_number() | nil,
           device: String.t() | nil,
           baud: pos_integer,
+          detect: nil | :baud | :port,
+          bauds: [pos_integer, ...] | nil,
+          ports: [String.t()],
+          only: boolean,
           broadcast: boolean,
           file: Path.t() | nil,
           speed: float | :max,
@@ -77,12 +91,15 @@ defmodule Aerie.Link.Spec do
     {"udpbcast:", :udp_broadcast, "udpbcast:ADDRESS:PORT", "udpbcast:192.168.1.255:14550"},
     {"tcp:", :tcp_client, "tcp:HOST:PORT", "tcp:127.0.0.1:5760"},
     {"tcpin:", :tcp_server, "tcpin:HOST:PORT", "tcpin:0.0.0.0:5760"},
-    {"replay:", :replay, "replay:FILE?speed=N|max", "replay:flight.tlog?speed=max"}
+    {"replay:", :replay, "replay:FILE?speed=N|max", "replay:flight.tlog?speed=max"},
+    {"serial:", :serial, "serial:auto, serial:DEVICE or serial:DEVICE,BAUD", "serial:auto"}
   ]
   @serial_form "DEVICE or DEVICE,BAUD"
   @serial_example "/dev/ttyACM0,115200"
-  @any_form "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, replay:FILE or DEVICE,BAUD"
-  @foreign ~w(udp:// udpin:// udpout:// tcp:// tcpin:// tcpout:// serial:// serial: file: http:// https:// ws://)
+  @any_form "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, replay:FILE, DEVICE,BAUD or serial:auto"
+  @foreign ~w(udp:// udpin:// udpout:// tcp:// tcpin:// tcpout:// serial:// file: http:// https:// ws://)
+  @rates 50..20_000_000
+  @max_candidates 20
   @name ~r/\A[A-Za-z0-9_-]{1,64}\z/
 
   @doc "The kinds of links there are."
@@ -113,7 +130,9 @@ defmodule Aerie.Link.Spec do
          {:ok, options} <- options(query, form, text),
          {:ok, fields} <- fields(form, body, text),
          {:ok, named} <- named(options, overrides, body, form, text) do
-      fields = fields |> Map.merge(Map.take(options, [:speed, :loop])) |> Map.merge(named)
+      fields =
+        fields |> Map.merge(Map.take(options, [:speed, :loop, :bauds, :ports, :only])) |> Map.merge(named)
+
       {:ok, struct!(__MODULE__, Map.put(fields, :text, trimmed))}
     end
   end
@@ -133,6 +152,7 @@ defmodule Aerie.Link.Spec do
 
   @doc "Where the link goes, for people: `127.0.0.1:5760`, `/dev/ttyACM0`, `flight.tlog`."
   @spec place(t) :: String.t()
+  def place(%__MODULE__{kind: :serial, detect: :port}), do: "any serial port"
   def place(%__MODULE__{kind: :serial, device: device}), do: device
   def place(%__MODULE__{kind: :replay, file: file}), do: Path.basename(file)
   def place(%__MODULE__{host: host, port: port}), do: Address.format(host, port)
@@ -175,6 +195,19 @@ defmodule Aerie.Link.Spec do
     end
   end
 
+  defp fields({"serial:", :serial, _expected, _example}, "serial:auto", _text) do
+    {:ok, %{kind: :serial, detect: :port}}
+  end
+
+  defp fields({"serial:", :serial, expected, example}, "serial:" <> device, text) do
+    with {:ok, fields} <- fields(nil, device, text) do
+      detect = if String.contains?(device, ","), do: nil, else: :baud
+      {:ok, Map.put(fields, :detect, detect)}
+    else
+      {:error, %{reason: reason}} -> error(text, reason, expected, example)
+    end
+  end
+
   defp fields({prefix, kind, expected, example}, body, text) do
     server? = kind in [:udp_server, :tcp_server]
 
@@ -214,7 +247,7 @@ defmodule Aerie.Link.Spec do
 
       true ->
         case Integer.parse(baud) do
-          {rate, ""} when rate in 50..20_000_000 -> {:ok, %{kind: :serial, device: device, baud: rate}}
+          {rate, ""} when rate in @rates -> {:ok, %{kind: :serial, device: device, baud: rate}}
           _other -> error(text, "#{inspect(baud)} is no baud rate", @serial_form, @serial_example)
         end
     end
@@ -254,6 +287,31 @@ defmodule Aerie.Link.Spec do
 
   defp option("loop", value, {_prefix, :replay, _expected, _example}) when value in ["true", "false"] do
     {:ok, :loop, value == "true"}
+  end
+
+  defp option("bauds", value, {_prefix, :serial, _expected, _example}) do
+    rates = for text <- String.split(value, ","), do: Integer.parse(text)
+
+    if length(rates) <= @max_candidates and Enum.all?(rates, &match?({rate, ""} when rate in @rates, &1)),
+      do: {:ok, :bauds, Enum.map(rates, &elem(&1, 0))},
+      else:
+        {:error, "#{inspect(value)} are no baud rates",
+         "up to #{@max_candidates} rates with commas between them", "serial:auto?bauds=57600,921600"}
+  end
+
+  defp option("ports", value, {_prefix, :serial, _expected, _example}) do
+    ports = String.split(value, ",")
+
+    if length(ports) <= @max_candidates and Enum.all?(ports, &device?/1),
+      do: {:ok, :ports, ports},
+      else:
+        {:error, "#{inspect(value)} are no serial ports",
+         "up to #{@max_candidates} ports with commas between them",
+         "serial:auto?ports=/dev/ttyAMA0,/dev/ttyUSB0"}
+  end
+
+  defp option("only", value, {_prefix, :serial, _expected, _example}) when value in ["true", "false"] do
+    {:ok, :only, value == "true"}
   end
 
   defp option("network", value, _form), do: name(:network, value)

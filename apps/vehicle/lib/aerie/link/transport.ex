@@ -30,11 +30,14 @@ defmodule Aerie.Link.Transport do
   - `:local`: where we are, for people (`0.0.0.0:14550`)
   - `:port`: the real port of a server, also when port 0 was asked for
   - `:peer`: the other end, for people, when it is one and known
+  - `:baud`: of a serial port; `:finding`: how it was found, where it was looked for
   """
   @type info :: %{
           optional(:local) => String.t(),
           optional(:port) => non_neg_integer,
-          optional(:peer) => String.t()
+          optional(:peer) => String.t(),
+          optional(:baud) => pos_integer,
+          optional(:finding) => Aerie.Link.Serial.Finding.t()
         }
 
   @typedoc """
@@ -43,6 +46,7 @@ defmodule Aerie.Link.Transport do
   - `{:peer_up, peer, text}`, `{:peer_down, peer, reason}`: connections of a server
   - `{:closed, reason}`: the connection is over, to be made again
   - `{:ended, text}`: there is nothing more to come, ever
+  - `{:sniffed, place, baud, sniffed}`: what bytes that hold no frames are (`Aerie.Link.Serial.Sniff`)
   - `{:written, result}`: the late outcome of a write, `{:ok, bytes} | {:error, reason}`
   """
   @type event ::
@@ -52,6 +56,7 @@ defmodule Aerie.Link.Transport do
           | {:peer_down, peer, term}
           | {:closed, term}
           | {:ended, String.t()}
+          | {:sniffed, String.t(), pos_integer, Aerie.Link.Serial.Sniff.t()}
           | {:written, {:ok, non_neg_integer} | {:error, term}}
 
   @doc "Whether reads are whole datagrams or pieces of a stream, and whether peers come and go unannounced."
@@ -84,7 +89,16 @@ defmodule Aerie.Link.Transport do
   """
   @callback delivered(conn, backlog :: non_neg_integer) :: conn
 
-  @optional_callbacks drop: 2, delivered: 2
+  @doc """
+  A value that changes when what a closed link waits for may be there (a device plugged in): then it is tried at once. nil
+  for what cannot be watched. Looked at four times a second while the link is down.
+  """
+  @callback watch(Spec.t()) :: term
+
+  @doc "Frames stay away though bytes come: asks for a `{:sniffed, place, baud, sniffed}` event."
+  @callback sniff(conn) :: conn
+
+  @optional_callbacks drop: 2, delivered: 2, watch: 1, sniff: 1
 
   @modules %{
     udp_server: __MODULE__.UdpServer,

@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.Core do
   Events:
 
     * `{:frames, link, frames}` - frames of this system, in the order of their arrival, each with its time `at`
+    * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
 
@@ -58,7 +59,11 @@ defmodule Aerie.Vehicle.Core do
   @typedoc "Only this module and those below it look into it."
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
-  @type event :: {:frames, link :: term(), [struct()]} | {:tick, integer()} | {:rebase, integer()}
+  @type event ::
+          {:frames, link :: term(), [struct()]}
+          | {:link_again, link :: term()}
+          | {:tick, integer()}
+          | {:rebase, integer()}
   @type action ::
           {:snapshot, map()}
           | {:observe, Detector.observation()}
@@ -109,6 +114,12 @@ defmodule Aerie.Vehicle.Core do
 
     {core, Enum.reverse(actions)}
   end
+
+  # It may have been restarted, or be on another of its ports, where it sends other streams.
+  def handle(%{now: nil} = core, {:link_again, _link}), do: {core, []}
+
+  def handle(core, {:link_again, _link}),
+    do: {%{core | streams: Streams.rebooted(core.streams, core.now)}, []}
 
   def handle(core, {:tick, now}) do
     {core, actions} = Timers.expire(%{core | now: max(core.now || now, now)}, [], now)

@@ -51,6 +51,9 @@ defmodule Aerie.Vehicle.Session do
     {:noreply, step(%{state | clock: clock}, {:frames, link, frames})}
   end
 
+  # A link on which it was heard is connected again (`Aerie.Link.Again`).
+  def handle_info({:link_again, link}, state), do: {:noreply, step(state, {:link_again, link})}
+
   def handle_info(:tick, state) do
     case expected(state.clock) do
       # Nothing heard yet: there is no time to go by.

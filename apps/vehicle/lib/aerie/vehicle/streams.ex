@@ -3,7 +3,8 @@ defmodule Aerie.Vehicle.Streams do
   Asks a vehicle for the state messages that it does not send by itself. A pure value.
 
   Rates belong to the link, not to who asked (M2), and other programs ask too; so this asks as little as can be: only for
-  messages that do not come, two seconds after the vehicle was first seen, after a reboot (R6), or when one that came has
+  messages that do not come, two seconds after the vehicle was first seen, after a reboot (R6) or an interruption of its
+  link, or when one that came has
   stopped for ten seconds while the vehicle is heard (M3). SET_MESSAGE_INTERVAL comes first; what is still missing three
   and ten seconds later is asked for again, and a vehicle that obeys neither gets one REQUEST_DATA_STREAM. Then it is left
   alone until the next reboot, or for a minute.
@@ -60,7 +61,7 @@ defmodule Aerie.Vehicle.Streams do
 
   def heard(streams, _id, _at), do: streams
 
-  @doc "The vehicle was restarted: its streams are what it begins with."
+  @doc "The vehicle was restarted, or its link was interrupted: its streams are what it begins with."
   @spec rebooted(t(), integer()) :: t()
   def rebooted(_streams, at), do: %__MODULE__{due: at + @grace_us}
 

@@ -1,25 +1,59 @@
 defmodule Aerie.Link.Transport.Serial.Holder do
   @moduledoc """
-  Holds one open serial port for a link and writes to it, one write after the other.
+  Holds one open serial port and waits for it in the place of others: opening, changing the rate, writing, and, while it
+  is not known what is at the other end, reading.
 
-  It is linked to the link's process and to the port's: when one of the three ends, so do the others.
+  It is linked to the process that started it, later to the link's process, and to the port's: when one ends, so do the
+  others.
+
+  While a port is listened to, each request is answered to the starting process with `{:serial, holder, event}`, the events
+  being those of `Aerie.Link.Serial.Probe`. After `give/2` and `go/1` what is received goes straight to the link's process
+  as `Circuits.UART`'s messages.
   """
   use GenServer
+
+  alias Circuits.UART
 
   @write_ms 2_000
   @open_ms 20_000
 
   @doc "Starts one without a port, linked to the calling process until `give/2`."
   @spec start_link() :: GenServer.on_start()
-  def start_link, do: GenServer.start_link(__MODULE__, nil)
+  def start_link, do: GenServer.start_link(__MODULE__, self())
 
-  @doc "Opens the port; gives the process whose messages will come."
-  @spec open(pid, String.t(), keyword) :: {:ok, pid} | {:error, term}
-  def open(holder, device, options), do: GenServer.call(holder, {:open, device, options}, @open_ms)
+  @doc "Opens the port and waits for that; nothing is read of it before `go/1`. Gives the process whose messages will come."
+  @spec open(pid, String.t(), pos_integer) :: {:ok, pid} | {:error, term}
+  def open(holder, device, baud), do: GenServer.call(holder, {:open, device, baud}, @open_ms)
 
-  @doc "From now on what is received goes to `link`."
+  @doc "Opens the port; the answer is `:opened` or `{:open_failed, reason}`."
+  @spec listen(pid, String.t(), pos_integer) :: :ok
+  def listen(holder, device, baud), do: GenServer.cast(holder, {:listen, device, baud})
+
+  @doc "Changes the rate and forgets what came at the old one; the answer is `:set` or `{:set_failed, reason}`."
+  @spec set(pid, pos_integer) :: :ok
+  def set(holder, baud), do: GenServer.cast(holder, {:set, baud})
+
+  @doc """
+  Reads once, for `ms` at most; the answer is `{:read, bytes}`, no bytes when there were none, or `{:read_failed, reason}`.
+  """
+  @spec read(pid, non_neg_integer) :: :ok
+  def read(holder, ms), do: GenServer.cast(holder, {:read, ms})
+
+  @doc "The process whose messages will come after `go/1`."
+  @spec uart(pid) :: pid
+  def uart(holder), do: GenServer.call(holder, :uart)
+
+  @doc "From now on it belongs to `link`."
   @spec give(pid, pid) :: :ok
   def give(holder, link), do: GenServer.call(holder, {:give, link})
+
+  @doc "What is received is sent to the link from now on, beginning with what came since the last `read/2`."
+  @spec go(pid) :: :ok
+  def go(holder), do: GenServer.cast(holder, {:active, true})
+
+  @doc "Nothing is sent to the link until `go/1`; what comes stays with the kernel."
+  @spec pause(pid) :: :ok
+  def pause(holder), do: GenServer.cast(holder, {:active, false})
 
   @doc "Writes later; the link gets `{:serial_written, holder, bytes, :ok | {:error, reason}}`."
   @spec write(pid, binary) :: :ok
@@ -34,33 +68,80 @@ defmodule Aerie.Link.Transport.Serial.Holder do
   end
 
   @impl GenServer
-  def init(nil), do: {:ok, %{uart: nil, link: nil}}
+  def init(owner), do: {:ok, %{uart: nil, owner: owner}}
 
   @impl GenServer
-  def handle_call({:open, device, options}, _from, state) do
-    Process.set_label({:serial, device})
-    {:ok, uart} = Circuits.UART.start_link()
-
-    case Circuits.UART.open(uart, device, options) do
-      :ok -> {:reply, {:ok, uart}, %{state | uart: uart}}
+  def handle_call({:open, device, baud}, _from, state) do
+    case open_port(device, baud) do
+      {:ok, uart} -> {:reply, {:ok, uart}, %{state | uart: uart}}
       {:error, reason} -> {:reply, {:error, reason}, state}
     end
   end
 
+  def handle_call(:uart, _from, state), do: {:reply, state.uart, state}
+
   def handle_call({:give, link}, _from, state) do
     Process.link(link)
-    :ok = Circuits.UART.controlling_process(state.uart, link)
-    {:reply, :ok, %{state | link: link}}
+    :ok = UART.controlling_process(state.uart, link)
+    {:reply, :ok, %{state | owner: link}}
   end
 
   @impl GenServer
+  def handle_cast({:listen, device, baud}, state) do
+    case open_port(device, baud) do
+      {:ok, uart} -> {:noreply, tell(%{state | uart: uart}, :opened)}
+      {:error, reason} -> {:noreply, tell(state, {:open_failed, reason})}
+    end
+  end
+
+  def handle_cast({:set, baud}, state) do
+    with :ok <- UART.configure(state.uart, speed: baud), :ok <- UART.flush(state.uart, :receive) do
+      {:noreply, tell(state, :set)}
+    else
+      {:error, reason} -> {:noreply, tell(state, {:set_failed, reason})}
+    end
+  end
+
+  def handle_cast({:read, ms}, state) do
+    case UART.read(state.uart, ms) do
+      {:ok, bytes} -> {:noreply, tell(state, {:read, bytes})}
+      {:error, reason} -> {:noreply, tell(state, {:read_failed, reason})}
+    end
+  end
+
+  def handle_cast({:active, active}, state) do
+    result = UART.configure(state.uart, active: active)
+
+    # The end of a port that nobody reads is told to nobody.
+    case {result, UART.configuration(state.uart)} do
+      {:ok, {name, _options}} when name != :closed -> {:noreply, state}
+      {:ok, {:closed, _options}} -> {:stop, {:shutdown, :eio}, state}
+      {{:error, reason}, _any} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
   def handle_cast({:write, bytes}, state) do
-    result = Circuits.UART.write(state.uart, bytes, @write_ms)
-    send(state.link, {:serial_written, self(), byte_size(bytes), result})
+    result = UART.write(state.uart, bytes, @write_ms)
+    send(state.owner, {:serial_written, self(), byte_size(bytes), result})
     {:noreply, state}
   end
 
-  # What was received before the link took over: the parser begins in the middle anyway.
-  @impl GenServer
-  def handle_info({:circuits_uart, _uart, _received}, state), do: {:noreply, state}
+  defp open_port(device, baud) do
+    Process.set_label({:serial, device})
+    {:ok, uart} = UART.start_link()
+
+    case UART.open(uart, device, speed: baud, active: false, id: :pid) do
+      :ok ->
+        {:ok, uart}
+
+      {:error, reason} ->
+        UART.stop(uart)
+        {:error, reason}
+    end
+  end
+
+  defp tell(state, event) do
+    send(state.owner, {:serial, self(), event})
+    state
+  end
 end

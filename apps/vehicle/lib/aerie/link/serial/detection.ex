@@ -1,0 +1,113 @@
+defmodule Aerie.Link.Serial.Detection do
+  @moduledoc """
+  Carries out what `Aerie.Link.Serial.Detector` says: one search, in the process that calls it. Each port has a process of
+  its own (`Aerie.Link.Transport.Serial.Holder`), which opens it and reads when told to, so that a port that hangs delays
+  no other and a port that floods fills nobody's mailbox.
+  """
+
+  alias Aerie.Link.Serial.Detector
+  alias Aerie.Link.Serial.Finding
+  alias Aerie.Link.Serial.Ports
+  alias Aerie.Link.Transport.Serial.Holder
+
+  @tick_ms 250
+  # Ports may come while the others are listened to.
+  @look_ms 1_000
+
+  @doc """
+  Searches; gives the holder of the port, which is open and not being read, and the bytes that it said.
+
+  Options: those of `Aerie.Link.Serial.Ports` as `:ports`, and `:bauds` and `:hint` of `Aerie.Link.Serial.Detector.new/1`.
+  """
+  @spec run(keyword) :: {:ok, pid, Finding.t(), binary} | {:error, {:undetected, [Finding.t()]}}
+  def run(options) do
+    # A holder that crashes costs its port, not the search; whoever wants the search ended ends it with its holders.
+    Process.flag(:trap_exit, true)
+    names = Keyword.fetch!(options, :ports)
+
+    state = %{
+      names: names,
+      detector: Detector.new(options),
+      holders: %{},
+      keys: %{},
+      look_at: nil,
+      result: nil
+    }
+
+    result = state |> look() |> loop()
+    Process.flag(:trap_exit, false)
+    result
+  end
+
+  defp loop(%{result: nil} = state) do
+    receive do
+      {:serial, holder, event} when is_map_key(state.keys, holder) ->
+        state |> step({state.keys[holder], event}) |> loop()
+
+      # Of a port that was closed meanwhile.
+      {:serial, _holder, _event} ->
+        loop(state)
+
+      {:EXIT, holder, reason} when is_map_key(state.keys, holder) ->
+        {key, keys} = Map.pop(state.keys, holder)
+        state = %{state | keys: keys, holders: Map.delete(state.holders, key)}
+        state |> step({key, {:failed, reason}}) |> loop()
+
+      {:EXIT, _other, :normal} ->
+        loop(state)
+
+      {:EXIT, _other, reason} ->
+        exit(reason)
+    after
+      @tick_ms -> state |> step(:tick) |> look() |> loop()
+    end
+  end
+
+  defp loop(%{result: result}), do: result
+
+  defp look(%{look_at: at} = state) do
+    if state.result == nil and (at == nil or now() >= at) do
+      step(%{state | look_at: now() + @look_ms}, {:ports, Ports.list(state.names)})
+    else
+      state
+    end
+  end
+
+  defp step(%{result: nil} = state, event) do
+    {detector, actions} = Detector.handle(state.detector, event, now())
+    Enum.reduce(actions, %{state | detector: detector}, &act/2)
+  end
+
+  defp act({:open, key, path, baud}, state) do
+    {:ok, holder} = Holder.start_link()
+    Holder.listen(holder, path, baud)
+    %{state | holders: Map.put(state.holders, key, holder), keys: Map.put(state.keys, holder, key)}
+  end
+
+  defp act({:set, key, baud}, state), do: tell(state, key, &Holder.set(&1, baud))
+  defp act({:read, key, ms}, state), do: tell(state, key, &Holder.read(&1, ms))
+
+  defp act({:close, key}, state) do
+    case Map.pop(state.holders, key) do
+      {nil, _holders} ->
+        state
+
+      {holder, holders} ->
+        Holder.stop(holder)
+        %{state | holders: holders, keys: Map.delete(state.keys, holder)}
+    end
+  end
+
+  defp act({:found, key, finding, bytes}, state) do
+    %{state | result: {:ok, Map.fetch!(state.holders, key), finding, bytes}}
+  end
+
+  defp act({:failed, findings}, state), do: %{state | result: {:error, {:undetected, findings}}}
+
+  defp tell(state, key, message) do
+    with %{^key => holder} <- state.holders, do: message.(holder)
+    state
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

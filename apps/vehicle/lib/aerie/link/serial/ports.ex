@@ -1,0 +1,101 @@
+defmodule Aerie.Link.Serial.Ports do
+  @moduledoc """
+  Which serial ports there are to look at: those of the configuration first, then `/dev/serial/by-id/*` (names that stay
+  the same wherever the cable is plugged in), `/dev/ttyACM*` and `/dev/ttyUSB*`. One that several names point to comes
+  once, by the first of them. Looks at names only, opens nothing.
+
+  Ports that belong to the machine itself (`ttyS0`, `ttyAMA0`, `ttyTHS1`) are looked at only when the configuration names
+  them: one of them is often the machine's own console.
+  """
+
+  @max_ports 16
+
+  @typedoc """
+  - `path`: the name to open it by
+  - `key`: what tells one device from another, whatever it is called; nil for one that is not there
+  - `origin`: why it is in the list
+  """
+  @type port_name :: %{path: Path.t(), key: term, origin: :configured | :by_id | :acm | :usb}
+
+  @typedoc """
+  - `ports`: names of the configuration, default none
+  - `only`: whether only these are looked at, default false
+  - `dev`: the folder of devices, default `/dev`
+  - `taken`: names that others use
+  """
+  @type options :: %{
+          optional(:ports) => [Path.t()],
+          optional(:only) => boolean,
+          optional(:dev) => Path.t(),
+          optional(:taken) => [Path.t()]
+        }
+
+  @doc "The ports, in the order in which they are preferred, #{@max_ports} at most."
+  @spec list(options) :: [port_name]
+  def list(options) do
+    dev = Map.get(options, :dev, "/dev")
+    taken = for path <- Map.get(options, :taken, []), key = key(absolute(path, dev)), do: key
+
+    (configured(options, dev) ++ if(options[:only], do: [], else: found(dev)))
+    |> Enum.reject(&(&1.key in taken))
+    |> Enum.uniq_by(&(&1.key || &1.path))
+    |> Enum.take(@max_ports)
+  end
+
+  @doc """
+  A value that is another one when ports came, went, or may be opened by other users than before.
+  """
+  @spec fingerprint(options) :: non_neg_integer
+  def fingerprint(options) do
+    :erlang.phash2(for %{path: path, key: key} <- list(options), do: {path, key, changed(path)})
+  end
+
+  defp changed(path) do
+    with {:ok, stat} <- File.stat(path, time: :posix), do: {stat.ctime, stat.inode}
+  end
+
+  defp configured(options, dev) do
+    for name <- Map.get(options, :ports, []), path = absolute(name, dev) do
+      %{path: path, key: key(path), origin: :configured}
+    end
+  end
+
+  defp found(dev) do
+    by_id = Path.join(dev, "serial/by-id")
+    names = names(dev)
+
+    for {folder, names, origin} <- [
+          {by_id, names(by_id), :by_id},
+          {dev, Enum.filter(names, &String.starts_with?(&1, "ttyACM")), :acm},
+          {dev, Enum.filter(names, &String.starts_with?(&1, "ttyUSB")), :usb}
+        ],
+        name <- Enum.sort_by(names, &natural/1),
+        path = Path.join(folder, name),
+        # A name that points nowhere: udev is behind.
+        key = key(path) do
+      %{path: path, key: key, origin: origin}
+    end
+  end
+
+  defp names(folder) do
+    case File.ls(folder) do
+      {:ok, names} -> names
+      {:error, _none} -> []
+    end
+  end
+
+  # ttyUSB10 after ttyUSB9.
+  defp natural(name), do: {String.replace(name, ~r/\d+/, ""), byte_size(name), name}
+
+  defp absolute("/" <> _rest = path, _dev), do: path
+  defp absolute(name, dev), do: Path.join(dev, name)
+
+  # A device's number, through all symbolic links; a file that is no device is told by its place.
+  defp key(path) do
+    case File.stat(path) do
+      {:ok, %File.Stat{type: :device, minor_device: number}} -> {:device, number}
+      {:ok, %File.Stat{inode: inode, major_device: disk}} -> {:file, disk, inode}
+      {:error, _none} -> nil
+    end
+  end
+end

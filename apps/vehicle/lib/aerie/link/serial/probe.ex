@@ -1,0 +1,223 @@
+defmodule Aerie.Link.Serial.Probe do
+  @moduledoc """
+  Listens to one serial port at one baud rate after the other: a pure value, part of `Aerie.Link.Serial.Detector`.
+
+  - A rate is listened to for a little more than a heartbeat's period, or until 600 bytes came that hold no frame: at the
+    right rate a whole frame would be among them.
+  - With the first good frame the rate is known; it is kept, and the heartbeat waited for.
+  - Text that can be read says the same: boot messages come before MAVLink on the same line.
+  - Another protocol with good checksums ends it: that port is not ours.
+  - A port that is silent gets five seconds in all, one that is not gets all rates.
+
+  Nothing here writes to the port.
+  """
+
+  alias Aerie.Link.Serial.Finding
+  alias Aerie.Link.Serial.Sniff
+  alias MavCodec.Parser
+
+  # Heartbeats come once a second.
+  @window_ms 1_200
+  @heartbeat_ms 5_000
+  @read_ms 250
+  @enough_bytes 600
+  @max_buffer 4_096
+  @sure 0.95
+  @text 0.6
+
+  @enforce_keys [:port, :bauds, :started]
+  defstruct [
+    :port,
+    :bauds,
+    :started,
+    :baud,
+    :deadline,
+    :opened,
+    :parser,
+    phase: :opening,
+    buffer: "",
+    count: 0,
+    # At this rate: a frame was good; text was read.
+    framed: false,
+    staying: false,
+    tried: [],
+    outcome: nil
+  ]
+
+  @type event ::
+          :opened
+          | {:open_failed, term}
+          | {:read, binary}
+          | {:read_failed, term}
+          | :set
+          | {:set_failed, term}
+          | {:failed, term}
+          | :tick
+  @type action :: {:open, pos_integer} | {:set, pos_integer} | {:read, non_neg_integer} | :close
+
+  @typedoc """
+  `outcome`: nil while listening, `{:hit, finding, bytes}` with the bytes of this rate so far, `{:over, finding}`.
+  """
+  @type t :: %__MODULE__{}
+
+  @doc "How long a silent port is listened to, in ms."
+  @spec patience_ms() :: pos_integer
+  def patience_ms, do: @heartbeat_ms
+
+  @doc "Begins with a port; `bauds` are the candidates in order."
+  @spec new(map, [pos_integer, ...], integer) :: {t, [action]}
+  def new(port, [baud | bauds], now) do
+    {%__MODULE__{port: port, bauds: bauds, started: now, baud: baud}, [{:open, baud}]}
+  end
+
+  @doc "Whether it has been listened to for a whole window, so that who speaks would have been heard."
+  @spec warmed_up?(t, integer) :: boolean
+  def warmed_up?(%{opened: nil}, _now), do: false
+  def warmed_up?(probe, now), do: now - probe.opened >= @window_ms and not probe.framed
+
+  @doc "One step. Nothing happens any more when there is an outcome."
+  @spec handle(t, event, integer) :: {t, [action]}
+  def handle(%{outcome: outcome} = probe, _event, _now) when outcome != nil, do: {probe, []}
+
+  def handle(%{phase: :opening} = probe, :opened, now) do
+    listen(%{probe | opened: now}, now)
+  end
+
+  def handle(%{phase: :opening} = probe, {:open_failed, reason}, _now), do: fail(probe, reason)
+  def handle(%{phase: :setting} = probe, :set, now), do: listen(probe, now)
+
+  # A rate that this port cannot do.
+  def handle(%{phase: :setting} = probe, {:set_failed, :einval}, now), do: next(probe, now)
+  def handle(%{phase: :setting} = probe, {:set_failed, reason}, _now), do: fail(probe, reason)
+  def handle(%{phase: :listening} = probe, {:read_failed, reason}, _now), do: fail(probe, reason)
+  def handle(probe, {:failed, reason}, _now), do: fail(probe, reason)
+  def handle(%{phase: :listening} = probe, {:read, bytes}, now), do: probe |> take(bytes, now) |> decide(now)
+  def handle(probe, _other, _now), do: {probe, []}
+
+  @doc "Time is up: what is known so far is the outcome."
+  @spec stop(t, integer) :: {t, [action]}
+  def stop(%{outcome: outcome} = probe, _now) when outcome != nil, do: {probe, []}
+  def stop(%{opened: nil} = probe, _now), do: fail(probe, "it takes too long to open")
+  def stop(probe, now), do: over(note(probe), now)
+
+  defp listen(probe, now) do
+    probe = %{probe | phase: :listening, parser: Parser.new(), deadline: now + @window_ms}
+    probe = %{probe | buffer: "", count: 0, framed: false, staying: false}
+    {probe, [read(probe, now)]}
+  end
+
+  defp read(probe, now), do: {:read, max(0, min(@read_ms, probe.deadline - now))}
+
+  defp take(probe, "", _now), do: probe
+
+  defp take(probe, bytes, now) do
+    {frames, parser} = Parser.push(probe.parser, bytes)
+
+    probe = %{
+      probe
+      | parser: parser,
+        count: probe.count + byte_size(bytes),
+        buffer: keep(probe.buffer, bytes)
+    }
+
+    good? = Enum.any?(frames, & &1.crc_extra)
+
+    cond do
+      Enum.any?(frames, &Sniff.Mavlink.heartbeat?/1) -> hit(probe)
+      good? and not probe.framed -> %{probe | framed: true, deadline: now + @heartbeat_ms}
+      true -> probe
+    end
+  end
+
+  defp keep(buffer, bytes) do
+    all = buffer <> bytes
+    if byte_size(all) <= @max_buffer, do: all, else: binary_part(all, byte_size(all), -@max_buffer)
+  end
+
+  defp hit(probe) do
+    # Of a flood the heartbeat itself may be more than the buffer ago; it was seen all the same.
+    sniffed =
+      case Sniff.classify(probe.buffer) do
+        %{heartbeat: true} = sniffed -> sniffed
+        _cut -> %{protocol: :mavlink2, confidence: 1.0, evidence: "a heartbeat", heartbeat: true}
+      end
+
+    finding = Finding.heard(probe.port.path, probe.baud, sniffed)
+    %{probe | outcome: {:hit, finding, probe.buffer}}
+  end
+
+  defp decide(%{outcome: {:hit, _finding, _bytes}} = probe, _now), do: {probe, []}
+
+  defp decide(probe, now) do
+    cond do
+      now >= probe.deadline and (probe.framed or probe.staying) -> over(note(probe), now)
+      now >= probe.deadline -> judge(probe, now)
+      probe.framed or probe.staying -> {probe, [read(probe, now)]}
+      probe.count >= @enough_bytes -> judge(probe, now)
+      true -> {probe, [read(probe, now)]}
+    end
+  end
+
+  # No frame at this rate.
+  defp judge(probe, now) do
+    case Sniff.classify(probe.buffer) do
+      %{protocol: :console, confidence: confidence} when confidence >= @text ->
+        probe = %{probe | staying: true, deadline: now + @heartbeat_ms}
+        {probe, [read(probe, now)]}
+
+      %{protocol: protocol, confidence: confidence}
+      when protocol not in [:noise, :silence, :console] and confidence >= @sure ->
+        over(note(probe), now)
+
+      _noise_or_silence ->
+        next(note(probe), now)
+    end
+  end
+
+  defp note(%{phase: :listening} = probe) do
+    %{probe | tried: [{probe.baud, probe.count, Sniff.classify(probe.buffer)} | probe.tried]}
+  end
+
+  defp note(probe), do: probe
+
+  defp next(probe, now) do
+    silent? = Enum.all?(probe.tried, fn {_baud, count, _sniffed} -> count == 0 end)
+
+    case probe.bauds do
+      _any when silent? and now - probe.started >= @heartbeat_ms -> over(probe, now)
+      [] when silent? -> again(probe)
+      [] -> over(probe, now)
+      [baud | bauds] -> {%{probe | phase: :setting, baud: baud, bauds: bauds}, [{:set, baud}]}
+    end
+  end
+
+  # A short list of rates, and time left: from the start.
+  defp again(probe) do
+    case probe.tried |> Enum.map(&elem(&1, 0)) |> Enum.reverse() do
+      [] ->
+        fail(probe, "it does none of the baud rates")
+
+      [baud | bauds] ->
+        {%{probe | phase: :setting, tried: [], baud: baud, bauds: bauds}, [{:set, baud}]}
+    end
+  end
+
+  defp over(probe, now) do
+    heard = Enum.reject(probe.tried, fn {_baud, count, _sniffed} -> count == 0 end)
+
+    finding =
+      case Enum.max_by(heard, &weight/1, fn -> nil end) do
+        nil -> Finding.silent(probe.port.path, Float.round((now - probe.started) / 1000, 1))
+        {baud, _count, sniffed} -> Finding.heard(probe.port.path, baud, sniffed)
+      end
+
+    {%{probe | outcome: {:over, finding}, phase: :closed}, [:close]}
+  end
+
+  defp weight({_baud, count, %{protocol: :noise}}), do: {0, count}
+  defp weight({_baud, _count, %{confidence: confidence}}), do: {1, confidence}
+
+  defp fail(probe, reason) do
+    {%{probe | outcome: {:over, Finding.failed(probe.port.path, reason)}, phase: :closed}, [:close]}
+  end
+end

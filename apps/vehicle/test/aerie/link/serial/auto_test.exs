@@ -1,0 +1,223 @@
+defmodule Aerie.Link.Serial.AutoTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.BaudModel
+  alias Aerie.Link
+  alias Aerie.SerialPeer
+
+  @moduletag :pty
+  @moduletag timeout: 120_000
+  @patience 40_000
+
+  setup do
+    gateway = start_parts()
+    be_session(gateway, 1)
+    dev = Path.join(System.tmp_dir!(), "aerie-dev-#{System.unique_integer([:positive])}")
+    File.mkdir_p!(dev)
+    on_exit(fn -> File.rm_rf(dev) end)
+    listen(gateway, [:up, :down, :garbled])
+    {:ok, gateway: gateway, dev: dev}
+  end
+
+  # A vehicle: an attitude ten times a second, a heartbeat every second.
+  defp vehicle(options) do
+    says = fn turn ->
+      if rem(turn, 10) == 0, do: heartbeat(1) <> attitude(1, turn), else: attitude(1, turn)
+    end
+
+    SerialPeer.start([every: 100, says: says] ++ options)
+  end
+
+  # Less patient than in life.
+  defp auto(c, text \\ "serial:auto") do
+    {id, _} = add_link(c.gateway, text, options: [serial_dev: c.dev, silent_ms: 1_000, garbled_ms: 1_000])
+    id
+  end
+
+  defp up(_c), do: assert_receive({:up, _, _}, @patience)
+
+  test "the port with a vehicle among silent, noisy and foreign ones, at its baud rate", c do
+    _silent = SerialPeer.start(name_in: {c.dev, "ttyACM0"})
+
+    _gps =
+      SerialPeer.start(
+        baud: 9_600,
+        every: 200,
+        says: fn _ -> "$GPGLL,5057.970,N,00146.110,E,142451,A*27\r\n" end,
+        name_in: {c.dev, "ttyUSB0"}
+      )
+
+    vehicle = vehicle(baud: 921_600, name_in: {c.dev, "ttyUSB1"}, to: self())
+    id = auto(c)
+    up(c)
+    port = Path.join(c.dev, "ttyUSB1")
+
+    assert %{status: :up, local: ^port, baud: 921_600, finding: finding, text: text} =
+             Link.snapshot(c.gateway, id)
+
+    assert %{condition: :vehicle, protocol: :mavlink2, evidence: "" <> _} = finding
+    assert text == "connected to #{port} at 921600 baud"
+
+    # What was heard while listening is not lost, and it goes on without a gap.
+    numbers = Enum.map(attitudes(20), &number/1)
+    assert numbers == Enum.to_list(hd(numbers)..(hd(numbers) + 19))
+    # Nothing was said to anybody until now.
+    refute_received {:heard, _, _}
+    assert :ok = Aerie.Router.send(c.gateway, {"main", 1}, "to the vehicle")
+    assert_receive {:heard, ^vehicle, "to the vehicle"}, @patience
+  end
+
+  defp attitudes(n, got \\ []) do
+    got = got ++ Enum.filter(frames(1), &(&1.id == 30))
+    if length(got) >= n, do: Enum.take(got, n), else: attitudes(n, got)
+  end
+
+  test "serial:DEVICE finds the baud rate", c do
+    vehicle = vehicle(baud: 230_400)
+    id = auto(c, "serial:#{SerialPeer.path(vehicle)}")
+    up(c)
+    assert %{baud: 230_400} = Link.snapshot(c.gateway, id)
+  end
+
+  test "no port, then one: the plug is noticed", c do
+    id = auto(c)
+    assert_receive {:down, _, %{reason: "no serial port found" <> _}}, @patience
+    assert_receive {:down, %{retry_ms: 5_000}, _}, @patience
+    vehicle(name_in: {c.dev, "ttyACM0"})
+    up(c)
+    assert %{status: :up, diagnosis: []} = Link.snapshot(c.gateway, id)
+  end
+
+  test "a port with something else: named, with what to do", c do
+    SerialPeer.start(every: 100, says: fn _ -> "$M>\x03\x01\x00\x01.-" end, name_in: {c.dev, "ttyUSB0"})
+    id = auto(c)
+    assert_receive {:down, _, %{reason: reason}}, @patience
+    assert reason =~ "MSP v1 at 57600 baud"
+    assert reason =~ "use one that is set to MAVLink telemetry"
+
+    assert [%{condition: :other_protocol, protocol: :msp1, baud: 57_600}] =
+             Link.snapshot(c.gateway, id).diagnosis
+  end
+
+  test "pulled and back as another device: found again, what was known first", c do
+    vehicle = vehicle(baud: 460_800, name_in: {c.dev, "ttyUSB0"})
+    id = auto(c)
+    up(c)
+    frames(5)
+    port = Path.join(c.dev, "ttyUSB0")
+    SerialPeer.unplug(vehicle)
+    assert_receive {:down, _, %{reason: reason}}, @patience
+    assert reason == "#{port} was unplugged"
+    other = SerialPeer.plug_in(vehicle, name_in: {c.dev, "ttyUSB1"})
+    assert File.read_link!(Path.join(c.dev, "ttyUSB1")) == other
+    assert_receive {:up, %{reconnects: 1}, _}, @patience
+    assert Link.snapshot(c.gateway, id).local == Path.join(c.dev, "ttyUSB1")
+    frames(5)
+  end
+
+  test "the baud rate changes under us: looked for again", c do
+    vehicle = vehicle(baud: 57_600, name_in: {c.dev, "ttyUSB0"})
+    id = auto(c)
+    up(c)
+    SerialPeer.change(vehicle, baud: 115_200)
+    assert_receive {:down, _, %{reason: "no MAVLink any more on " <> what}}, @patience
+    assert what =~ "no known protocol"
+    assert_receive {:up, _, _}, @patience
+    assert Link.snapshot(c.gateway, id).baud == 115_200
+  end
+
+  test "a fixed baud rate that is wrong: stays, and says so", c do
+    vehicle = vehicle(baud: 57_600)
+    {id, _} = add_link(c.gateway, "#{SerialPeer.path(vehicle)},115200", options: [garbled_ms: 1_000])
+    up(c)
+    assert_receive {:garbled, _, %{finding: %{condition: :noise, baud: 115_200}}}, @patience
+    assert [%{condition: :noise}] = Link.snapshot(c.gateway, id).diagnosis
+    assert Link.snapshot(c.gateway, id).text =~ "connected, but no MAVLink on "
+    SerialPeer.change(vehicle, baud: 115_200)
+    eventually(fn -> match?(%{diagnosis: [], status: :up}, Link.snapshot(c.gateway, id)) end)
+  end
+
+  test "garbage and good frames in turn cost only themselves", c do
+    vehicle = vehicle(baud: :any, name_in: {c.dev, "ttyACM0"})
+    id = auto(c)
+    up(c)
+
+    for n <- 1..20 do
+      SerialPeer.say(vehicle, BaudModel.receive(attitude(1, n), 57_600, 115_200))
+      SerialPeer.say(vehicle, attitude(1, 1000 + n))
+    end
+
+    wanted = Enum.map(1..20, &(1000 + &1))
+    got = 120 |> attitudes_until(1020) |> Enum.filter(&(&1 > 1000))
+    assert got == wanted
+    assert Link.snapshot(c.gateway, id).status == :up
+  end
+
+  defp attitudes_until(tries, last, got \\ []) do
+    got = got ++ for(%{id: 30} = frame <- frames(1), do: number(frame))
+    if last in got or tries == 0, do: got, else: attitudes_until(tries - 1, last, got)
+  end
+
+  test "a flood, of noise and of frames: bounded, and no frame is lost", c do
+    vehicle = vehicle(baud: :any, name_in: {c.dev, "ttyACM0"})
+    id = auto(c)
+    up(c)
+    link = Aerie.Names.whereis(c.gateway, :link, id)
+    SerialPeer.change(vehicle, every: nil)
+    pieces = for n <- 1..400, do: attitude(1, 10_000 + n)
+    noise = :binary.copy(<<1, 0xFD, 3, 4>>, 20)
+    before = Link.snapshot(c.gateway, id).counters
+    flood = for _ <- 1..20, piece <- pieces, into: "", do: noise <> piece
+    # The process that reads stands still, as on a busy machine; what comes waits in the kernel and beyond it.
+    :erlang.suspend_process(link)
+    SerialPeer.say(vehicle, flood)
+    :erlang.resume_process(link)
+
+    eventually(fn ->
+      {:message_queue_len, waiting} = Process.info(link, :message_queue_len)
+      assert waiting < 2_000
+      Link.snapshot(c.gateway, id).counters.frames_in - before.frames_in >= 8_000
+    end)
+
+    assert Link.snapshot(c.gateway, id).counters.frames_in - before.frames_in >= 8_000
+  end
+
+  test "a half-open line: a device that is there and says nothing any more", c do
+    vehicle = vehicle(name_in: {c.dev, "ttyUSB0"})
+    id = auto(c)
+    up(c)
+    SerialPeer.change(vehicle, every: nil)
+    assert_receive {:down, _, %{reason: "nothing heard from " <> _}}, @patience
+    assert_receive {:down, _, %{reason: "no vehicle heard: " <> silent}}, @patience
+    assert silent =~ "nothing in"
+    SerialPeer.change(vehicle, every: 100)
+    up(c)
+    assert Link.snapshot(c.gateway, id).status == :up
+  end
+
+  test "two links that look for ports do not take each other's", c do
+    vehicle(name_in: {c.dev, "ttyUSB0"})
+    vehicle(name_in: {c.dev, "ttyUSB1"})
+    a = auto(c, "serial:auto?id=a")
+    b = auto(c, "serial:auto?id=b&network=other")
+    up(c)
+    up(c)
+    ports = for id <- [a, b], do: Path.basename(Link.snapshot(c.gateway, id).local)
+    assert Enum.sort(ports) == ["ttyUSB0", "ttyUSB1"]
+  end
+
+  test "a link that is stopped while it looks leaves nothing behind", c do
+    before = Circuits.UART.find_pids() |> Enum.map(&elem(&1, 0))
+    silent = SerialPeer.start(name_in: {c.dev, "ttyUSB0"})
+    id = auto(c)
+    eventually(fn -> Enum.any?(Circuits.UART.find_pids(), &(elem(&1, 1) == Path.join(c.dev, "ttyUSB0"))) end)
+    Link.stop(c.gateway, id)
+
+    eventually(fn ->
+      not Enum.any?(Circuits.UART.find_pids(), &(elem(&1, 1) == Path.join(c.dev, "ttyUSB0")))
+    end)
+
+    assert SerialPeer.path(silent) && is_list(before)
+  end
+end

@@ -95,7 +95,7 @@ defmodule Aerie.Link.Serial.Finding do
   defp refused(:in_use, _reason), do: "in use by another program or link"
   defp refused(:absent, _reason), do: "not there"
   defp refused(:not_serial, _reason), do: "no serial port"
-  defp refused(:fault, :eio), do: "unplugged"
+  defp refused(:fault, reason) when reason in [:eio, :ebadf], do: "unplugged"
   defp refused(:fault, reason) when is_binary(reason), do: reason
   defp refused(:fault, reason) when is_atom(reason), do: to_string(:inet.format_error(reason))
   defp refused(:fault, reason), do: inspect(reason, limit: 10, printable_limit: 200)

@@ -196,8 +196,8 @@ defmodule Aerie.Link.Transport.Serial do
     Holder.stop(conn.holder)
   end
 
-  # The link's own name may be that of no port.
-  defp gone(conn, :eio), do: "#{conn.device} was unplugged"
+  # The link's own name may be that of no port. `:ebadf` is the same, seen a moment later.
+  defp gone(conn, reason) when reason in [:eio, :ebadf], do: "#{conn.device} was unplugged"
   defp gone(_conn, reason), do: words(reason)
 
   # What means something particular for a serial port.

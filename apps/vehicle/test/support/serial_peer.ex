@@ -117,12 +117,16 @@ defmodule Aerie.SerialPeer do
   end
 
   defp speak(%{path: nil} = state, _bytes), do: state
-  defp speak(%{baud: :any} = state, bytes), do: write(state, bytes)
 
   defp speak(%{baud: baud} = state, bytes) do
     command(state, "t")
-    <<_flags::96, speed::32, _rest::binary>> = after_heard(state, ?t)
-    write(state, if(speed == baud, do: bytes, else: BaudModel.receive(bytes, baud, speed)))
+
+    case after_heard(state, ?t) do
+      # As a line that nobody has opened yet: a PTY would echo it, a serial port does not even receive it.
+      <<_cflag::32, _iflag::32, lflag::32, _rest::binary>> when lflag != 0 -> state
+      <<_flags::96, speed::32, _rest::binary>> when baud in [:any, speed] -> write(state, bytes)
+      <<_flags::96, speed::32, _rest::binary>> -> write(state, BaudModel.receive(bytes, baud, speed))
+    end
   end
 
   defp write(state, bytes) when byte_size(bytes) > 8_000 do

@@ -34,6 +34,8 @@ defmodule Aerie.SystemCase do
               do: %{"id" => "link-#{n}", "url" => url}
             ),
           "http" => %{"port" => 0},
+          "websocket" => %{"port" => 0},
+          "sockets" => %{"dir" => short_dir()},
           "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
           "outbox" => %{"dir" => Path.join(folder, "outbox")}
         },
@@ -44,6 +46,16 @@ defmodule Aerie.SystemCase do
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
     eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
     run
+  end
+
+  @doc "A new folder with a short name (a socket's name has at most 107 bytes) that goes with the test."
+  def short_dir do
+    dir =
+      Path.join(System.tmp_dir!(), "ae-#{System.pid()}-#{:erlang.unique_integer([:positive, :monotonic])}")
+
+    File.mkdir_p!(dir)
+    ExUnit.Callbacks.on_exit(fn -> File.rm_rf!(dir) end)
+    dir
   end
 
   @doc "The port of a link, once it is open."

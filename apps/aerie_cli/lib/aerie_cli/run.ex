@@ -56,7 +56,9 @@ defmodule AerieCLI.Run do
 
   # Only ports that nobody chose may move; the others are the user's word, and preflight says when they are taken.
   defp free_ports(config) do
-    with {:ok, config} <- free_http(config), do: free_mavlink(config)
+    with {:ok, config} <- free_http(config),
+         {:ok, config} <- free_websocket(config),
+         do: free_mavlink(config)
   end
 
   defp free_http(config) do
@@ -65,6 +67,16 @@ defmodule AerieCLI.Run do
     else
       {:ok, address} = :inet.parse_address(String.to_charlist(config.http.address))
       with_port(Ports.free_tcp(address, config.http.port), "HTTP", &put_in(config.http.port, &1))
+    end
+  end
+
+  defp free_websocket(config) do
+    if Config.given?(config, "websocket.port") or not config.websocket.enabled do
+      {:ok, config}
+    else
+      {:ok, address} = :inet.parse_address(String.to_charlist(config.websocket.address))
+      found = Ports.free_tcp(address, config.websocket.port)
+      with_port(found, "WebSocket", &put_in(config.websocket.port, &1))
     end
   end
 

@@ -1,6 +1,6 @@
 defmodule FleetWeb.Endpoint do
   @moduledoc """
-  The HTTP server of one gateway instance: a Cowboy listener under a supervisor of its own.
+  The HTTP server of one gateway instance: Cowboy listeners under a supervisor of their own.
 
       FleetWeb.Endpoint.start_link(gateway: :default, address: {127, 0, 0, 1}, port: 4000)
 
@@ -8,21 +8,26 @@ defmodule FleetWeb.Endpoint do
   * `address` - IP address to listen on, default `{127, 0, 0, 1}`: what has no password is not for the network
   * `port` - TCP port, default 4000; 0 takes a free one, `port/1` tells which
   * `max_connections` - default 1000; more wait in the kernel's queue
+  * `config` - the `Aerie.Config`, or its sections `api` and `websocket`; default is the running gateway's. Without a
+    section `websocket`, none is served
 
   Bad input is Cowboy's to refuse (its limits on headers and request lines stand), and costs that connection only.
   """
 
   use Supervisor
 
+  alias Aerie.Client.Keys
+  alias FleetWeb.API
   alias FleetWeb.HTTP.Handler
 
-  @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000]
+  @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000, config: nil]
 
   @type option ::
           {:gateway, term()}
           | {:address, :inet.ip_address()}
           | {:port, :inet.port_number()}
           | {:max_connections, pos_integer()}
+          | {:config, map() | nil}
 
   @spec start_link([option()]) :: Supervisor.on_start()
   def start_link(options) do
@@ -37,7 +42,20 @@ defmodule FleetWeb.Endpoint do
   @impl Supervisor
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
+    config = options[:config] || Aerie.Gateway.config(gateway) || %{}
 
+    case policy(config) do
+      {:ok, policy} ->
+        children = [{API.Tickets, gateway: gateway}, listener(gateway, options, policy)]
+        Supervisor.init(children, strategy: :one_for_one)
+
+      {:error, text} ->
+        # Nobody would be let in who should, or everybody: neither is a way to go on.
+        raise ArgumentError, text
+    end
+  end
+
+  defp listener(gateway, options, policy) do
     transport = %{
       socket_opts: [ip: options[:address], port: options[:port]],
       num_acceptors: 4,
@@ -45,25 +63,35 @@ defmodule FleetWeb.Endpoint do
     }
 
     protocol = %{
-      env: %{dispatch: :cowboy_router.compile([{:_, routes(gateway)}])},
+      env: %{dispatch: :cowboy_router.compile([{:_, routes(gateway, policy)}])},
       idle_timeout: 30_000,
       max_keepalive: 1000
     }
 
-    children = [:ranch.child_spec(ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)]
-    Supervisor.init(children, strategy: :one_for_one)
+    :ranch.child_spec(ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)
   end
 
-  defp routes(gateway) do
-    for {path, page} <- [
-          {~c"/", :index},
-          {~c"/metrics", :metrics},
-          {~c"/healthz", :healthz},
-          {~c"/readyz", :readyz},
-          {:_, :missing}
-        ] do
-      {path, Handler, %{page: page, gateway: gateway}}
-    end
+  defp policy(config) do
+    api = Map.get(config, :api) || %{key: nil, keys_file: nil, origins: []}
+    with {:ok, keys} <- Keys.load(api), do: {:ok, %{keys: keys, origins: api.origins, ports: []}}
+  end
+
+  defp routes(gateway, policy) do
+    api =
+      for {path, resource} <- API.Resources.paths(),
+          do: {path, API.Handler, %{resource: resource, gateway: gateway, policy: policy}}
+
+    pages =
+      for {path, page} <- [
+            {"/", :index},
+            {"/metrics", :metrics},
+            {"/healthz", :healthz},
+            {"/readyz", :readyz},
+            {:_, :missing}
+          ],
+          do: {path, Handler, %{page: page, gateway: gateway}}
+
+    api ++ pages
   end
 
   defp ref(gateway), do: {__MODULE__, gateway}

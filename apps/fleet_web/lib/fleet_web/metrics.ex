@@ -7,6 +7,8 @@ defmodule FleetWeb.Metrics do
   | `gateway_mavlink_messages_received_total` | `type` | good frames received, by message name in lower case |
   | `gateway_mavlink_messages_sent_total` | `type` | messages the gateway itself sent |
   | `gateway_mavlink_parse_errors_total` | | frames with a wrong CRC or unknown incompatibility flags |
+  | `gateway_api_requests_total` | `status` | requests to `/api` |
+  | `gateway_clients_refused_total` | `face`, `reason` | clients refused or let go |
   | `gateway_nats_*` | | see `Aerie.Bridge.metrics/1` |
   | `gateway_link_*` | `link`, `network` | one link: state, bytes, frames, errors, loss, drops, reconnects |
   | `gateway_vehicle_*` | `vehicle` | one vehicle: heard, armed, in air, battery, links |
@@ -18,7 +20,7 @@ defmodule FleetWeb.Metrics do
   """
 
   alias Aerie.Fleet.Store
-  alias FleetWeb.Metrics.{Links, Text, Vehicles}
+  alias FleetWeb.Metrics.{Clients, Links, Text, Vehicles}
 
   @doc "The families of a gateway; those of parts that do not run are empty."
   @spec families(term()) :: [Text.family()]
@@ -29,7 +31,7 @@ defmodule FleetWeb.Metrics do
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), System.os_time(:microsecond)) ++
       bridge(gateway) ++
-      [sent(counters), others(counters)] ++ vm()
+      Clients.families(counters) ++ [sent(counters), others(counters)] ++ vm()
   end
 
   defp bridge(gateway) do
@@ -47,7 +49,9 @@ defmodule FleetWeb.Metrics do
 
   defp others(counters) do
     samples =
-      for {name, n} <- counters, not match?({:sent, _id}, name), do: {[name: counter_name(name)], n}
+      for {name, n} <- counters,
+          not match?({:sent, _id}, name) and not Clients.own?(name),
+          do: {[name: counter_name(name)], n}
 
     {"gateway_counter_total", :counter, "Drops and refusals, by name.", Enum.sort(samples)}
   end

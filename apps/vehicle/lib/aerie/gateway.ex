@@ -9,7 +9,8 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ Aerie.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
-  └─ Aerie.Link.Supervisor         one tree per physical link
+  ├─ Aerie.Link.Supervisor         one tree per physical link
+  └─ Aerie.Client.Supervisor       unix sockets of programs on this machine
   ```
 
   A child depends only on those before it, and a restart takes those after it along. What a restart costs:
@@ -18,6 +19,7 @@ defmodule Aerie.Gateway do
   |--------------------|-------------------------------------------------------------------|-------------------------------|
   | a vehicle's process | frames in its mailbox; state comes back from the store and wire  | every other vehicle, all links |
   | a link's process   | bytes in its socket buffer; vehicles stay, marked stale in time   | every other link, all vehicles |
+  | Client.Supervisor  | the connections of its clients                                    | everything else                |
   | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
   | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
   | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
@@ -84,7 +86,8 @@ defmodule Aerie.Gateway do
         {Aerie.Bridge.Supervisor, gateway: name, config: config},
         {Aerie.Router.Supervisor, gateway: name, config: config},
         {Aerie.Vehicle.Supervisor, gateway: name, config: config},
-        {Aerie.Link.Supervisor, gateway: name, config: config}
+        {Aerie.Link.Supervisor, gateway: name, config: config},
+        {Aerie.Client.Supervisor, gateway: name, config: config}
       ]
       |> Enum.filter(fn {module, _} -> module not in without end)
 

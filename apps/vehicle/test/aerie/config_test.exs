@@ -273,4 +273,30 @@ defmodule Aerie.ConfigTest do
   test "default/1 raises on a wrong override" do
     assert_raise ArgumentError, ~r/http.port/, fn -> Config.default([{"http.port", -1}]) end
   end
+
+  test "who may use the faces for clients: contradictions and things that are probably not meant", context do
+    assert lines(load(context, "api: {key: too-short}\n"), context) == [
+             "gateway.yaml: api.key: expected 16 characters or more, got a shorter one"
+           ]
+
+    assert [line] = lines(load(context, "websocket: {address: 0.0.0.0}\n"), context)
+    assert line =~ "websocket.address" and line =~ "no key"
+    assert [line] = lines(load(context, "websocket: {cert_file: a.pem}\n"), context)
+    assert line =~ "cert_file and key_file together"
+    assert [line] = lines(load(context, "websocket: {port: 4000}\n"), context)
+    assert line =~ "another port than http.port"
+    assert [line] = lines(load(context, "api: {origins: [gcs.example.org]}\n"), context)
+    assert line =~ "https://gcs.example.org"
+
+    assert {:ok, config} =
+             load(context, """
+             api: {key: 0123456789abcdef, origins: ["https://GCS.example.org"]}
+             websocket: {address: 0.0.0.0}
+             """)
+
+    assert config.api.origins == ["https://gcs.example.org"]
+    assert [warning] = config.warnings
+    assert warning =~ "without websocket.cert_file"
+    refute inspect(config, limit: :infinity) =~ "0123456789abcdef"
+  end
 end

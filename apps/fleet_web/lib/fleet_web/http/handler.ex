@@ -39,11 +39,12 @@ defmodule FleetWeb.HTTP.Handler do
     /metrics   counters and gauges in Prometheus text
     /healthz   200 while the gateway's process answers
     /readyz    200 when it can do its work; else 503 and why not
+    /api       JSON for programs: /api/status, /api/vehicles, /api/links
     """)
   end
 
   defp answer(:missing, _gateway, request),
-    do: reply(request, 404, @text, "not found: there are /metrics, /healthz and /readyz\n")
+    do: reply(request, 404, @text, "not found: there are /metrics, /healthz, /readyz and /api\n")
 
   defp reply(request, status, type, body, more \\ %{}) do
     headers =

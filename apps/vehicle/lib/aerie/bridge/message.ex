@@ -8,6 +8,7 @@ defmodule Aerie.Bridge.Message do
   Times are ISO 8601 in UTC with milliseconds. A number that JSON has no form for (NaN, infinity) is null.
   """
 
+  alias Aerie.Fleet.Json
   alias Aerie.Vehicle.Event
 
   @doc "Subject of a state group."
@@ -24,9 +25,9 @@ defmodule Aerie.Bridge.Message do
     JSON.encode!(%{
       "vehicle" => vehicle,
       "group" => group,
-      "time" => time(at),
+      "time" => Json.time(at),
       "time_boot_ms" => time_boot_ms,
-      "data" => plain(data)
+      "data" => Json.plain(data)
     })
   end
 
@@ -38,25 +39,9 @@ defmodule Aerie.Bridge.Message do
       "vehicle" => event.vehicle,
       "type" => event.type,
       "seq" => event.seq,
-      "time" => time(event.time),
+      "time" => Json.time(event.time),
       "vehicle_time_ms" => event.vehicle_time_ms,
-      "data" => plain(event.data)
+      "data" => Json.plain(event.data)
     })
   end
-
-  defp time(us),
-    do: us |> DateTime.from_unix!(:microsecond) |> DateTime.truncate(:millisecond) |> DateTime.to_iso8601()
-
-  defp plain(map) when is_map(map) and not is_struct(map),
-    do: Map.new(map, fn {key, value} -> {key, plain(value)} end)
-
-  defp plain(list) when is_list(list), do: Enum.map(list, &plain/1)
-  defp plain(odd) when odd in [:nan, :infinity, :neg_infinity], do: nil
-  defp plain({:nan, _bits}), do: nil
-
-  # Text of a vehicle (STATUSTEXT, a parameter's name) is whatever bytes it sent.
-  defp plain(text) when is_binary(text),
-    do: if(String.valid?(text), do: text, else: String.replace_invalid(text))
-
-  defp plain(value), do: value
 end

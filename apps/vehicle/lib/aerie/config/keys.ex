@@ -91,6 +91,9 @@ defmodule Aerie.Config.Keys do
           default: 4000
         )
       ]),
+      api(),
+      websocket(),
+      sockets(),
       timeouts(),
       limits()
     ]
@@ -320,6 +323,82 @@ defmodule Aerie.Config.Keys do
         ),
         field(:geofence_file, :path, "JSON file of the fence that goto targets must be inside.",
           example: ~S("/etc/gateway/geofence.json")
+        )
+      ]
+    )
+  end
+
+  defp api do
+    section(
+      :api,
+      """
+      Who may use /api and the WebSocket. Without a key only programs on this machine may, and pages that it serves.
+      """,
+      [
+        field(
+          :key,
+          :secret,
+          "The key that goes into the header X-Aerie-Key, 16 characters or more. Better by AERIE_API_KEY than in a file.",
+          example: "a-long-random-text"
+        ),
+        field(
+          :keys_file,
+          :path,
+          """
+          File of further keys, one a line, as KEY or NAME KEY, # for comments; only its owner may be able to read it.
+          """,
+          example: ~S("/etc/aerie/keys")
+        ),
+        field(
+          :origins,
+          {:list, Types.origin()},
+          """
+          Web pages of other servers that may use /api and the WebSocket, as SCHEME://HOST[:PORT]; they need a key all the same.
+          """,
+          default: [],
+          example: ~S(["https://gcs.example.org"])
+        )
+      ]
+    )
+  end
+
+  defp websocket do
+    section(:websocket, "MAVLink frames over WebSocket, for ground stations in a browser.", [
+      field(:enabled, :boolean, "Serve it.", default: true),
+      field(:address, Types.ip(), "Address to listen on. Beyond loopback only with a key (api) and TLS.",
+        default: "127.0.0.1"
+      ),
+      field(
+        :port,
+        {:integer, 0, 65_535},
+        "Port. Taken: an error if given here, the next free one if not. 0: any free one.",
+        default: 8765
+      ),
+      field(:max_clients, {:integer, 1, 10_000}, "Clients at a time; further ones are refused.", default: 32),
+      field(:cert_file, :path, "Certificate (PEM, with its chain); with it the server speaks wss only.",
+        example: ~S("/etc/aerie/gateway.pem")
+      ),
+      field(:key_file, :path, "The certificate's private key (PEM).", example: ~S("/etc/aerie/gateway.key"))
+    ])
+  end
+
+  defp sockets do
+    section(
+      :sockets,
+      "Unix sockets for programs on this machine: state.sock (JSON lines) and mavlink.sock (frames).",
+      [
+        field(:enabled, :boolean, "Open them.", default: true),
+        field(
+          :dir,
+          :path,
+          "Folder. Left out: $XDG_RUNTIME_DIR/aerie, or /run/aerie. Who may use them is what its permissions say.",
+          example: ~S("/run/aerie")
+        ),
+        field(:state_hz, {:number, 0.1, 50}, "How often state.sock tells every vehicle's state.",
+          default: 10.0
+        ),
+        field(:max_clients, {:integer, 1, 10_000}, "Clients of each socket; further ones are refused.",
+          default: 32
         )
       ]
     )

@@ -6,6 +6,8 @@ defmodule Aerie.Config.Preflight do
   opens it takes the next free one. All problems come at once. Nothing stays open.
   """
 
+  import Bitwise
+
   alias Aerie.Config
   alias Aerie.Config.Error
   alias Aerie.Link.Spec
@@ -23,8 +25,13 @@ defmodule Aerie.Config.Preflight do
     http =
       if config.http.enabled, do: tcp(config, "http.port", config.http.address, config.http.port), else: []
 
+    websocket =
+      if config.websocket.enabled,
+        do: tcp(config, "websocket.port", config.websocket.address, config.websocket.port),
+        else: []
+
     nats = if embedded?(config), do: tcp(config, "nats.port", config.nats.address, config.nats.port), else: []
-    http ++ nats ++ Enum.flat_map(Enum.with_index(config.links), &link(config, &1))
+    http ++ websocket ++ nats ++ Enum.flat_map(Enum.with_index(config.links), &link(config, &1))
   end
 
   defp tcp(config, key, address, port) do
@@ -87,8 +94,15 @@ defmodule Aerie.Config.Preflight do
   end
 
   defp folders(config) do
-    if embedded?(config), do: writable(config, "nats.store_dir", config.nats.store_dir), else: []
+    store = if embedded?(config), do: writable(config, "nats.store_dir", config.nats.store_dir), else: []
+    store ++ sockets(config)
   end
+
+  # A folder that nobody chose may be out of reach: the gateway runs without its sockets, and says so.
+  defp sockets(%Config{sockets: %{enabled: true, dir: dir}} = config) when is_binary(dir),
+    do: writable(config, "sockets.dir", dir)
+
+  defp sockets(_config), do: []
 
   # The gateway runs without its outbox, only not as safely: no reason to refuse to start.
   defp outbox(config) do
@@ -108,17 +122,42 @@ defmodule Aerie.Config.Preflight do
     end
   end
 
-  defp files(%Config{nats: nats, policy: policy} = config) do
+  defp files(%Config{nats: nats, policy: policy, websocket: websocket} = config) do
     [
       {"nats.credentials", nats.credentials},
       {"nats.nkey_seed_file", nats.nkey_seed_file},
       {"nats.tls.ca_file", nats.tls.ca_file},
       {"nats.tls.cert_file", nats.tls.cert_file},
       {"nats.tls.key_file", nats.tls.key_file},
-      {"policy.geofence_file", policy.geofence_file}
+      {"policy.geofence_file", policy.geofence_file},
+      {"websocket.cert_file", websocket.cert_file},
+      {"websocket.key_file", websocket.key_file}
     ]
     |> Enum.flat_map(fn {key, file} -> if file, do: readable(config, key, file), else: [] end)
+    |> Enum.concat(keys(config))
   end
+
+  defp keys(config), do: keys_file(config) ++ own_file(config)
+
+  defp keys_file(config) do
+    case Aerie.Client.Keys.load(config.api) do
+      {:ok, _keys} -> []
+      {:error, text} -> [error(config, "api.keys_file", "a file of keys that only its owner can read", text)]
+    end
+  end
+
+  # A key in the configuration itself makes that a file of keys.
+  defp own_file(%Config{file: file} = config) when is_binary(file) do
+    with ^file <- config.given["api.key"],
+         {:ok, %File.Stat{mode: mode}} when (mode &&& 0o077) != 0 <- File.stat(file) do
+      got = "one that others can read (mode #{Integer.to_string(mode &&& 0o777, 8)}): chmod 600 #{file}"
+      [error(config, "api.key", "a configuration file that only its owner can read", got)]
+    else
+      _private -> []
+    end
+  end
+
+  defp own_file(_config), do: []
 
   defp readable(config, key, file) do
     case File.open(file, [:read, :raw], fn _file -> :ok end) do

@@ -4,6 +4,7 @@ defmodule Aerie.Config.Resolve do
   """
 
   alias Aerie.Config
+  alias Aerie.Client.Keys
   alias Aerie.Config.{Schema, Secret}
   alias Aerie.Link.Spec
 
@@ -11,7 +12,7 @@ defmodule Aerie.Config.Resolve do
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
   def run(%Config{} = config) do
     config = config |> system_id() |> vehicles() |> links() |> sampling() |> nats_mode() |> nats_userinfo()
-    problems = Enum.flat_map([&duplicates/1, &nats/1, &ranges/1, &same_port/1], & &1.(config))
+    problems = Enum.flat_map([&duplicates/1, &nats/1, &clients/1, &ranges/1, &same_port/1], & &1.(config))
     {%{config | warnings: config.warnings ++ warnings(config)}, problems}
   end
 
@@ -138,6 +139,27 @@ defmodule Aerie.Config.Resolve do
     |> failed()
   end
 
+  defp clients(%{api: api, websocket: websocket} = config) do
+    short? = api.key != nil and byte_size(Secret.reveal(api.key)) < Keys.shortest()
+    keyless? = api.key == nil and api.keys_file == nil
+
+    [
+      {short?, ["api", "key"], "#{Keys.shortest()} characters or more", "a shorter one"},
+      {websocket.cert_file == nil != (websocket.key_file == nil), ["websocket"],
+       "cert_file and key_file together", "one of them"},
+      {websocket.enabled and keyless? and not local?(websocket.address), ["websocket", "address"],
+       "a loopback address as long as there is no key (api.key or api.keys_file)", websocket.address},
+      {websocket.enabled and config.http.enabled and websocket.port == config.http.port and
+         websocket.port != 0, ["websocket", "port"], "another port than http.port", "#{websocket.port}"}
+    ]
+    |> failed()
+  end
+
+  defp local?(address) do
+    {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))
+    Keys.loopback?(ip)
+  end
+
   defp ranges(config) do
     outbox = config.outbox
 
@@ -193,6 +215,8 @@ defmodule Aerie.Config.Resolve do
        "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
       {not nats.tls.verify and nats.tls.enabled,
        "nats.tls.verify is false: anybody on the way can read and change what is sent to NATS."},
+      {config.websocket.enabled and config.websocket.cert_file == nil and not local?(config.websocket.address),
+       "websocket.address is on the network without websocket.cert_file: keys and frames can be read on the way."},
       {not is_nil(nats.password) and nats.mode == :url and not nats.tls.enabled and not loopback?(nats.url),
        "nats.password goes over the network without TLS."}
     ]

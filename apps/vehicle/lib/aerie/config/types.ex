@@ -35,6 +35,24 @@ defmodule Aerie.Config.Types do
      "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD or replay:FILE"}
   end
 
+  @doc "The origin of a web page, `SCHEME://HOST[:PORT]`, as browsers send it. Gives the text in lower case."
+  @spec origin() :: Field.type()
+  def origin,
+    do: {:parse, &parse_origin/1, "an origin such as https://gcs.example.org or http://10.0.0.2:8080"}
+
+  @doc false
+  @spec parse_origin(String.t()) :: {:ok, String.t()} | :error
+  def parse_origin(text) do
+    case URI.new(text) do
+      {:ok, %URI{scheme: scheme, host: host, path: nil, query: nil, fragment: nil, userinfo: nil}}
+      when scheme in ["http", "https"] and is_binary(host) and host != "" ->
+        {:ok, String.downcase(text)}
+
+      _ ->
+        :error
+    end
+  end
+
   @doc false
   @spec parse_token(String.t()) :: {:ok, String.t()} | :error
   def parse_token(text) do

@@ -72,4 +72,48 @@ defmodule Aerie.Config.PreflightTest do
     assert {:ok, []} = Preflight.check(config(dir, [{"http.port", port}]))
     assert {:ok, _socket} = :gen_tcp.listen(port, ip: {127, 0, 0, 1})
   end
+
+  test "keys that others could read are refused, wherever they stand", %{tmp_dir: dir} do
+    keys = Path.join(dir, "keys")
+    File.write!(keys, "alice 0123456789abcdef\n")
+    File.chmod!(keys, 0o640)
+    assert [line] = lines(Preflight.check(config(dir, [{"api.keys_file", keys}])))
+    assert line =~ "api.keys_file" and line =~ "chmod 600"
+    File.chmod!(keys, 0o600)
+    assert Preflight.check(config(dir, [{"api.keys_file", keys}])) == {:ok, []}
+
+    file = Path.join(dir, "gateway.yaml")
+    File.write!(file, "api: {key: 0123456789abcdef}\n")
+    File.chmod!(file, 0o644)
+    overrides = [{"nats.mode", "off"}, {"outbox.dir", dir}]
+    {:ok, config} = Config.load(file, overrides, env: %{})
+    assert [line] = lines(Preflight.check(config))
+    assert line =~ "api.key" and line =~ "chmod 600" and not (line =~ "0123456789abcdef")
+    # From the environment, the file's mode does not matter.
+    {:ok, config} = Config.load(file, overrides, env: %{"AERIE_API_KEY" => "fedcba9876543210"})
+    assert Preflight.check(config) == {:ok, []}
+    File.chmod!(file, 0o600)
+    {:ok, config} = Config.load(file, overrides, env: %{})
+    assert Preflight.check(config) == {:ok, []}
+  end
+
+  test "what the faces for clients need is looked at before anything starts", %{tmp_dir: dir} do
+    {:ok, tcp} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(tcp)
+    file = Path.join(dir, "file")
+    File.write!(file, "")
+
+    config =
+      config(dir, [
+        {"websocket.port", port},
+        {"websocket.cert_file", Path.join(dir, "no.pem")},
+        {"websocket.key_file", file},
+        {"sockets.dir", Path.join(file, "below")}
+      ])
+
+    assert [port_line, dir_line, cert_line] = lines(Preflight.check(config))
+    assert port_line =~ "websocket.port" and port_line =~ "address already in use"
+    assert dir_line =~ "sockets.dir" and dir_line =~ "not a directory"
+    assert cert_line =~ "websocket.cert_file" and cert_line =~ "no such file"
+  end
 end

@@ -1,0 +1,57 @@
+defmodule FleetWeb.API.Error do
+  @moduledoc """
+  What a request is answered when it is refused: a status and `{"error": {"code": ..., "message": ...}}`.
+
+  The code is for programs and does not change; the message is for people and says what would be right.
+  """
+
+  @enforce_keys [:status, :code, :message]
+  defstruct [:status, :code, :message, headers: %{}]
+
+  @typedoc """
+  * `bad_request` (400) - not what HTTP or JSON should look like
+  * `unauthorized` (401) - no key, or none of ours
+  * `forbidden` (403) - a web page of somebody else; without a configured key: not from this machine
+  * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken)
+  * `too_large` (413), `unsupported_media_type` (415)
+  * `invalid` (422) - well-formed, and not possible
+  * `too_many` (429) - a limit of numbers
+  * `unavailable` (503) - the part that would have to answer does not run
+  """
+  @type code ::
+          :bad_request
+          | :unauthorized
+          | :forbidden
+          | :not_found
+          | :method_not_allowed
+          | :conflict
+          | :too_large
+          | :unsupported_media_type
+          | :invalid
+          | :too_many
+          | :unavailable
+  @type t :: %__MODULE__{status: 400..599, code: code(), message: String.t(), headers: map()}
+
+  @statuses %{
+    bad_request: 400,
+    unauthorized: 401,
+    forbidden: 403,
+    not_found: 404,
+    method_not_allowed: 405,
+    conflict: 409,
+    too_large: 413,
+    unsupported_media_type: 415,
+    invalid: 422,
+    too_many: 429,
+    unavailable: 503
+  }
+
+  @doc "An error of a kind."
+  @spec new(code(), String.t(), map()) :: t()
+  def new(code, message, headers \\ %{}),
+    do: %__MODULE__{status: Map.fetch!(@statuses, code), code: code, message: message, headers: headers}
+
+  @doc "The body."
+  @spec body(t()) :: map()
+  def body(%__MODULE__{code: code, message: message}), do: %{error: %{code: code, message: message}}
+end

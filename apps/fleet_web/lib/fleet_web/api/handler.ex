@@ -1,0 +1,85 @@
+defmodule FleetWeb.API.Handler do
+  @moduledoc """
+  `/api`: JSON in and out, for programs. See `FleetWeb.API.Access` for who may, `docs/clients.md` for the whole of it.
+
+  Each request is counted by its status (`{:api, status}`), whatever became of it.
+  """
+
+  @behaviour :cowboy_handler
+
+  alias Aerie.Fleet.Store
+  alias FleetWeb.API.{Access, Error, Request, Resources}
+
+  @json "application/json; charset=utf-8"
+
+  @impl :cowboy_handler
+  def init(request, %{resource: resource, gateway: gateway} = state) do
+    method = :cowboy_req.method(request)
+    facts = Request.facts(request)
+
+    {status, headers, body, request} =
+      case answer(method, resource, facts, state, request) do
+        {:ok, status, object, request} -> {status, %{}, object, request}
+        {:error, %Error{} = error, request} -> {error.status, error.headers, Error.body(error), request}
+      end
+
+    count(gateway, status)
+    headers = headers |> Map.merge(common()) |> Map.merge(cross_origin(state.policy, facts))
+    {:ok, reply(status, headers, body, request), state}
+  end
+
+  # A page of an allowed origin asks first what it may send.
+  defp answer("OPTIONS", _resource, %{origin: origin} = facts, state, request) when is_binary(origin) do
+    case Access.origin(state.policy, facts) do
+      :ok -> {:ok, 204, nil, request}
+      {:error, error} -> {:error, error, request}
+    end
+  end
+
+  defp answer(method, resource, facts, state, request) do
+    with {:ok, name} <- Access.decide(state.policy, facts),
+         {:ok, action} <- Resources.action(resource, method) do
+      Resources.run(action, Map.put(state, :name, name), request)
+    else
+      {:error, error} -> {:error, error, request}
+    end
+  end
+
+  defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)
+
+  defp reply(status, headers, body, request),
+    do:
+      :cowboy_req.reply(
+        status,
+        Map.put(headers, "content-type", @json),
+        [JSON.encode_to_iodata!(body), ?\n],
+        request
+      )
+
+  defp common, do: %{"cache-control" => "no-store", "x-content-type-options" => "nosniff"}
+
+  defp cross_origin(policy, %{origin: origin} = facts) when is_binary(origin) do
+    case Access.origin(policy, facts) do
+      :ok ->
+        %{
+          "access-control-allow-origin" => origin,
+          "access-control-allow-headers" => "x-aerie-key, authorization, content-type",
+          "access-control-allow-methods" => "GET, POST, DELETE",
+          "access-control-max-age" => "600",
+          "vary" => "origin"
+        }
+
+      {:error, _error} ->
+        %{"vary" => "origin"}
+    end
+  end
+
+  defp cross_origin(_policy, _facts), do: %{"vary" => "origin"}
+
+  # A gateway that is being started again counts nothing, and answers all the same.
+  defp count(gateway, status) do
+    Store.count(gateway, {:api, status})
+  rescue
+    ArgumentError -> 0
+  end
+end

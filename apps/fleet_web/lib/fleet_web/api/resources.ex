@@ -1,0 +1,66 @@
+defmodule FleetWeb.API.Resources do
+  @moduledoc "What there is below `/api`, which methods each takes, and what they do."
+
+  alias FleetWeb.API.{Error, Tickets, View}
+
+  @resources [
+    {"/api", :index, %{"GET" => :index}},
+    {"/api/status", :status, %{"GET" => :status}},
+    {"/api/vehicles", :vehicles, %{"GET" => :vehicles}},
+    {"/api/vehicles/:id", :vehicle, %{"GET" => :vehicle}},
+    {"/api/links", :links, %{"GET" => :links}},
+    {"/api/tickets", :tickets, %{"POST" => :issue_ticket}},
+    {"/api/[...]", :missing, %{}}
+  ]
+  @methods Map.new(@resources, fn {_path, resource, methods} -> {resource, methods} end)
+
+  @type result :: {:ok, 200..299, map() | nil, :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
+
+  @doc "Cowboy's paths with the names of their resources."
+  @spec paths() :: [{String.t(), atom()}]
+  def paths, do: for({path, resource, _methods} <- @resources, do: {path, resource})
+
+  @doc "What a method does to a resource. HEAD is GET without the body, which Cowboy leaves out."
+  @spec action(atom(), String.t()) :: {:ok, atom()} | {:error, Error.t()}
+  def action(:missing, _method), do: {:error, Error.new(:not_found, "there is no such resource; see /api")}
+  def action(resource, "HEAD"), do: action(resource, "GET")
+
+  def action(resource, method) do
+    methods = Map.fetch!(@methods, resource)
+
+    with :error <- Map.fetch(methods, method) do
+      allowed = Enum.join(Map.keys(methods), ", ")
+      {:error, Error.new(:method_not_allowed, "this resource takes #{allowed}", %{"allow" => allowed})}
+    end
+  end
+
+  @doc "Does it. `state` has the gateway, and the name of who asks."
+  @spec run(atom(), map(), :cowboy_req.req()) :: result()
+  def run(:index, _state, request) do
+    resources =
+      for {path, _resource, methods} <- @resources,
+          methods != %{},
+          do: %{path: path, methods: Map.keys(methods)}
+
+    {:ok, 200, %{resources: resources}, request}
+  end
+
+  def run(:status, state, request), do: {:ok, 200, View.status(state.gateway), request}
+  def run(:vehicles, state, request), do: {:ok, 200, View.vehicles(state.gateway), request}
+  def run(:links, state, request), do: {:ok, 200, View.links(state.gateway), request}
+
+  def run(:vehicle, state, request) do
+    case View.vehicle(state.gateway, :cowboy_req.binding(:id, request)) do
+      nil -> {:error, Error.new(:not_found, "no vehicle of this name was heard; see /api/vehicles"), request}
+      vehicle -> {:ok, 200, vehicle, request}
+    end
+  end
+
+  def run(:issue_ticket, state, request) do
+    case Tickets.issue(state.gateway, state.name) do
+      {:ok, ticket, seconds} -> {:ok, 201, %{ticket: ticket, expires_s: seconds}, request}
+      {:error, :too_many} -> {:error, Error.new(:too_many, "too many tickets wait to be used"), request}
+      {:error, :unavailable} -> {:error, Error.new(:unavailable, "tickets are being set up again"), request}
+    end
+  end
+end

@@ -1,0 +1,98 @@
+defmodule FleetWeb.API.View do
+  @moduledoc "The objects that `/api` answers with, from the read model. Pure but for reading it."
+
+  alias Aerie.Client.StateForm
+  alias Aerie.Fleet.{Json, Store}
+
+  @link_keys [
+    :id,
+    :network,
+    :kind,
+    :url,
+    :label,
+    :status,
+    :text,
+    :reason,
+    :retry_in_ms,
+    :local,
+    :port,
+    :peer,
+    :rates
+  ]
+
+  @doc "Everything at a glance: one object per vehicle, one per link, and NATS."
+  @spec status(term()) :: map()
+  def status(gateway) do
+    now = System.os_time(:microsecond)
+    links = Store.links(gateway)
+    by_id = Map.new(links, &{&1.id, &1})
+
+    %{
+      timestamp: Float.round(now / 1_000_000, 3),
+      vehicles: for(vehicle <- Store.vehicles(gateway), do: StateForm.of(vehicle, by_id, now)),
+      links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
+      nats: nats(Aerie.Bridge.info(gateway))
+    }
+  end
+
+  @doc "All vehicles, as in `status/1`."
+  @spec vehicles(term()) :: map()
+  def vehicles(gateway), do: Map.take(status(gateway), [:timestamp, :vehicles])
+
+  @doc "One vehicle with all groups of its state, each with its times; nil when there is none of that name."
+  @spec vehicle(term(), String.t()) :: map() | nil
+  def vehicle(gateway, id) do
+    with %{} = vehicle <- Store.vehicle(gateway, id) do
+      now = System.os_time(:microsecond)
+      links = Map.new(Store.links(gateway), &{&1.id, &1})
+
+      vehicle
+      |> StateForm.of(links, now)
+      |> Map.merge(%{
+        firmware: Json.plain(vehicle.firmware),
+        uid: Json.plain(vehicle[:uid]),
+        component: vehicle[:component],
+        last_heard: Json.time(vehicle.last_heard),
+        links: Json.plain(vehicle.links),
+        groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, now)} end)
+      })
+    end
+  end
+
+  @doc "All links with their counters and rates."
+  @spec links(term()) :: map()
+  def links(gateway), do: %{links: Enum.map(Store.links(gateway), &link/1)}
+
+  defp link(link) do
+    link
+    |> Map.take(@link_keys)
+    |> Map.merge(%{
+      since: Json.time(link[:since]),
+      last_heard: Json.time(link[:last_heard]),
+      peers: for(peer <- link[:peers] || [], do: Map.take(peer, [:text, :silent_ms, :frames_in, :bytes_in])),
+      counters: counters(link[:counters])
+    })
+    |> Json.plain()
+  end
+
+  # By message id is for the metrics.
+  defp counters(nil), do: %{}
+  defp counters(%_{} = counters), do: counters |> Map.from_struct() |> counters()
+
+  defp counters(counters),
+    do: counters |> Map.delete(:messages) |> Map.filter(fn {_name, n} -> is_number(n) end)
+
+  defp group(group, now) do
+    %{
+      time: Json.time(group.at),
+      age: Float.round(max(now - group.at, 0) / 1_000_000, 2),
+      time_boot_ms: group[:time_boot_ms],
+      data: Json.plain(group.data)
+    }
+  end
+
+  defp nats(nil), do: nil
+
+  defp nats(nats),
+    do: Json.plain(%{connected: nats.connected, url: nats[:url], waiting: nats[:outbox][:events]})
+end

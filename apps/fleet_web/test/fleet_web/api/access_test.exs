@@ -1,0 +1,87 @@
+defmodule FleetWeb.API.AccessTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Client.Keys
+  alias Aerie.Config.Secret
+  alias FleetWeb.API.Access
+
+  @local %{peer: {127, 0, 0, 1}, forwarded: false, host: "127.0.0.1:4000", origin: nil, key: nil}
+  @open %{keys: [], origins: [], ports: []}
+
+  defp keyed do
+    {:ok, keys} = Keys.load(%{key: Secret.new("the-right-key-of-all"), keys_file: nil})
+    %{@open | keys: keys}
+  end
+
+  defp decide(policy, changes), do: Access.decide(policy, Map.merge(@local, changes))
+  defp code({:error, error}), do: error.code
+
+  describe "without a key" do
+    test "this machine may, by any of its names" do
+      for host <- [nil, "localhost", "LOCALHOST:4000", "127.0.0.1", "127.1.2.3:80", "[::1]:4000", "[::1]"],
+          do: assert(decide(@open, %{host: host}) == {:ok, "local"})
+
+      assert decide(@open, %{peer: {0, 0, 0, 0, 0, 0, 0, 1}}) == {:ok, "local"}
+    end
+
+    test "nobody else may, nor a proxy for somebody else" do
+      assert code(decide(@open, %{peer: {10, 0, 0, 2}})) == :forbidden
+      assert code(decide(@open, %{forwarded: true})) == :forbidden
+    end
+
+    test "a foreign name that points here leads nowhere (DNS rebinding)" do
+      for host <- [
+            "evil.example",
+            "evil.example:4000",
+            "127.0.0.1.evil.example",
+            "localhost.evil.example",
+            "10.0.0.1",
+            "",
+            "[",
+            "::::"
+          ],
+          do: assert(code(decide(@open, %{host: host})) == :forbidden)
+    end
+  end
+
+  describe "with a key" do
+    test "the key opens, from anywhere and by any name" do
+      assert {:ok, "api.key"} =
+               decide(keyed(), %{peer: {10, 0, 0, 2}, host: "gw.example", key: "the-right-key-of-all"})
+    end
+
+    test "nothing else does, this machine included" do
+      assert code(decide(keyed(), %{})) == :unauthorized
+      assert code(decide(keyed(), %{key: "the-right-key-of-al"})) == :unauthorized
+      assert code(decide(keyed(), %{key: ""})) == :unauthorized
+    end
+  end
+
+  describe "a web page" do
+    test "of the gateway itself or of a configured origin may" do
+      assert {:ok, _name} = decide(@open, %{origin: "http://127.0.0.1:4000"})
+      console = %{@open | ports: [4000]}
+      assert {:ok, _name} = decide(console, %{host: "127.0.0.1:8765", origin: "http://127.0.0.1:4000"})
+      listed = %{keyed() | origins: ["https://gcs.example.org"]}
+      facts = %{host: "gw:4000", origin: "https://GCS.example.org", key: "the-right-key-of-all"}
+      assert {:ok, _name} = decide(listed, facts)
+    end
+
+    test "of anybody else may not, with the right key neither" do
+      for origin <- [
+            "https://evil.example",
+            "null",
+            "",
+            "file://",
+            "http://127.0.0.1:9999",
+            "http://127.0.0.1.evil.example:4000",
+            "https://127.0.0.1@evil.example",
+            "http://[",
+            "http://gcs.example.org"
+          ] do
+        policy = %{keyed() | origins: ["https://gcs.example.org"], ports: [4000]}
+        assert code(decide(policy, %{origin: origin, key: "the-right-key-of-all"})) == :forbidden
+      end
+    end
+  end
+end

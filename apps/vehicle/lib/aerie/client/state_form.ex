@@ -1,0 +1,133 @@
+defmodule Aerie.Client.StateForm do
+  @moduledoc """
+  One vehicle as one flat object: the form of `state.sock` and of `GET /api/status`. Pure.
+
+  ```json
+  {"timestamp": 1713264000.123, "vehicle": "VID-001", "network": "main", "system_id": 1,
+   "status": "online", "age": 0.08,
+   "fc_connected": true, "fc_port": "/dev/ttyS0", "fc_baud": 921600, "autopilot": "ardupilot", "type": "copter",
+   "armed": false, "in_air": false, "mode": "STABILIZE",
+   "attitude": {"roll": 0.02, "pitch": -0.01, "yaw": 178.5},
+   "position": {"lat": 12.9716, "lon": 77.5946, "alt_msl": 920.0, "alt_agl": 0.0, "heading": 178.5},
+   "speed": {"groundspeed": 0.0, "airspeed": 0.0, "climb": 0.0},
+   "battery": {"voltage": 22.8, "current": 0.5, "remaining": 98},
+   "gps": {"fix": 3, "satellites": 14, "hdop": 0.9},
+   "ages": {"attitude": 0.08, "position": 0.2, "speed": 0.2, "battery": 0.6, "gps": 0.4}}
+  ```
+
+  Units: seconds (`timestamp` is unix time), degrees, metres, m/s, volt, ampere, per cent. `alt_agl` is the height above
+  home, which is all that a vehicle without a range finder knows. What is not known is null. `fc_connected` says whether
+  the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that
+  is no longer told stays, and can be seen to be old. `fc_port` is the device or address of the link that it is heard on,
+  `fc_baud` is null for other links than serial ones.
+  """
+
+  alias Aerie.Fleet.Json
+
+  @parts [attitude: :attitude, position: :position, speed: :velocity, battery: :battery, gps: :gps]
+
+  @doc "The object of a vehicle's snapshot at a unix time in microseconds; `links` are snapshots of links by id."
+  @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
+  def of(vehicle, links, now) do
+    mode = data(vehicle, :mode)
+
+    %{
+      timestamp: Float.round(now / 1_000_000, 3),
+      vehicle: vehicle.id,
+      network: vehicle.network,
+      system_id: vehicle.system_id,
+      status: vehicle.status,
+      age: age(vehicle.last_heard, now),
+      fc_connected: vehicle.status == :online,
+      autopilot: vehicle.autopilot,
+      type: vehicle.vehicle_type,
+      armed: mode[:armed],
+      in_air: mode[:in_air],
+      mode: text(mode[:mode]),
+      attitude: attitude(data(vehicle, :attitude)),
+      position: position(data(vehicle, :position)),
+      speed: speed(data(vehicle, :velocity)),
+      battery: battery(data(vehicle, :battery)),
+      gps: gps(data(vehicle, :gps)),
+      ages: for({part, group} <- @parts, into: %{}, do: {part, age(at(vehicle, group), now)})
+    }
+    |> Map.merge(port(vehicle.links, links))
+  end
+
+  @doc "The objects of all vehicles as lines of JSON, each with its line end."
+  @spec lines([map()], [map()], integer()) :: binary()
+  def lines(vehicles, links, now) do
+    links = Map.new(links, &{&1.id, &1})
+    vehicles |> Enum.map(&[JSON.encode_to_iodata!(of(&1, links, now)), ?\n]) |> IO.iodata_to_binary()
+  end
+
+  defp attitude(data),
+    do: %{roll: round_to(data[:roll], 2), pitch: round_to(data[:pitch], 2), yaw: round_to(data[:yaw], 2)}
+
+  defp position(data) do
+    %{
+      lat: round_to(data[:lat], 7),
+      lon: round_to(data[:lon], 7),
+      alt_msl: round_to(data[:alt_msl], 2),
+      alt_agl: round_to(data[:alt_rel], 2),
+      heading: round_to(data[:heading], 1)
+    }
+  end
+
+  defp speed(data) do
+    %{
+      groundspeed: round_to(data[:groundspeed], 2),
+      airspeed: round_to(data[:airspeed], 2),
+      climb: round_to(data[:climb], 2)
+    }
+  end
+
+  defp battery(data) do
+    %{
+      voltage: round_to(data[:voltage], 2),
+      current: round_to(data[:current], 2),
+      remaining: if(is_number(data[:remaining]), do: round(data[:remaining] * 100))
+    }
+  end
+
+  defp gps(data),
+    do: %{fix: whole(data[:fix]), satellites: whole(data[:satellites]), hdop: round_to(data[:hdop], 2)}
+
+  # The latest link first.
+  defp port([id | _], links) do
+    case links do
+      %{^id => %{spec: %{kind: :serial} = spec}} -> %{fc_port: spec.device, fc_baud: spec.baud}
+      %{^id => %{url: url}} -> %{fc_port: text(url), fc_baud: nil}
+      _unknown -> %{fc_port: Json.plain(id), fc_baud: nil}
+    end
+  end
+
+  defp port([], _links), do: %{fc_port: nil, fc_baud: nil}
+
+  defp data(vehicle, group) do
+    case vehicle.groups do
+      %{^group => %{data: data}} -> data
+      _unheard -> %{}
+    end
+  end
+
+  defp at(vehicle, group) do
+    case vehicle.groups do
+      %{^group => %{at: at}} -> at
+      _unheard -> nil
+    end
+  end
+
+  defp age(nil, _now), do: nil
+  defp age(at, now), do: Float.round(max(now - at, 0) / 1_000_000, 2)
+
+  defp round_to(value, digits) when is_float(value), do: Float.round(value, digits)
+  defp round_to(value, _digits) when is_integer(value), do: value
+  defp round_to(_unknown, _digits), do: nil
+
+  defp whole(value) when is_integer(value), do: value
+  defp whole(_unknown), do: nil
+
+  defp text(value) when is_binary(value), do: Json.text(value)
+  defp text(_unknown), do: nil
+end

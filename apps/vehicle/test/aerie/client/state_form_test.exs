@@ -1,0 +1,78 @@
+defmodule Aerie.Client.StateFormTest do
+  use ExUnit.Case, async: true
+
+  import Aerie.ClientCase, only: [vehicle: 0, vehicle: 1]
+
+  alias Aerie.Client.StateForm
+
+  defp json(vehicle, links \\ %{}, now \\ System.os_time(:microsecond)),
+    do: vehicle |> StateForm.of(links, now) |> JSON.encode!() |> JSON.decode!()
+
+  test "has the fields of the documented form, in its units" do
+    vehicle = vehicle()
+
+    links = %{
+      "radio" => %{
+        id: "radio",
+        url: "/dev/ttyS0,921600",
+        spec: %{kind: :serial, device: "/dev/ttyS0", baud: 921_600}
+      }
+    }
+
+    object = json(vehicle, links, vehicle.last_heard + 250_000)
+
+    assert %{
+             "fc_connected" => true,
+             "fc_port" => "/dev/ttyS0",
+             "fc_baud" => 921_600,
+             "armed" => true,
+             "mode" => "GUIDED",
+             "attitude" => %{"roll" => 1.23, "pitch" => -0.5, "yaw" => 178.5},
+             "position" => %{"lat" => 12.9716123, "lon" => 77.5946, "alt_msl" => 920.0, "alt_agl" => 10.25},
+             "speed" => %{"groundspeed" => 3.21, "airspeed" => nil},
+             "battery" => %{"voltage" => 22.8, "current" => 0.5, "remaining" => 98},
+             "gps" => %{"fix" => 3, "satellites" => 14, "hdop" => 0.9},
+             "vehicle" => "VID-001",
+             "status" => "online",
+             "age" => 0.25
+           } = object
+
+    assert_in_delta object["timestamp"], vehicle.last_heard / 1_000_000, 1.0
+    assert object["ages"] == Map.new(~w(attitude position speed battery gps), &{&1, 0.25})
+  end
+
+  test "a vehicle of which nothing is known but that it spoke has all fields, null" do
+    object = json(vehicle(%{groups: %{}, links: [], last_heard: nil, status: :lost}))
+    assert object["fc_connected"] == false
+    assert object["fc_port"] == nil
+    assert object["age"] == nil
+
+    assert object["position"] == %{
+             "lat" => nil,
+             "lon" => nil,
+             "alt_msl" => nil,
+             "alt_agl" => nil,
+             "heading" => nil
+           }
+
+    assert Map.keys(object) -- Map.keys(json(vehicle())) == []
+  end
+
+  test "values that JSON has no form for, and text that is none, become null and valid text" do
+    odd = %{mode: <<"A", 0xFF>>, armed: nil, in_air: nil}
+    attitude = %{roll: :nan, pitch: :infinity, yaw: {:nan, 1}}
+    groups = %{mode: %{at: 1, data: odd}, attitude: %{at: 1, data: attitude}}
+    object = json(vehicle(%{groups: groups}))
+    assert object["attitude"] == %{"roll" => nil, "pitch" => nil, "yaw" => nil}
+    assert String.valid?(object["mode"])
+  end
+
+  test "lines: one for each vehicle, none for none" do
+    assert StateForm.lines([], [], 0) == ""
+    lines = StateForm.lines([vehicle(), vehicle(%{id: "VID-002"})], [], 0)
+    assert String.ends_with?(lines, "\n")
+    assert [one, two] = String.split(lines, "\n", trim: true)
+    assert %{"vehicle" => "VID-001"} = JSON.decode!(one)
+    assert %{"vehicle" => "VID-002"} = JSON.decode!(two)
+  end
+end

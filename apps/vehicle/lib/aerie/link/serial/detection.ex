@@ -78,6 +78,11 @@ defmodule Aerie.Link.Serial.Detection do
     Enum.reduce(actions, %{state | detector: detector}, &act/2)
   end
 
+  defp act({:open, key, path, baud}, %{holders: holders} = state) when is_map_key(holders, key) do
+    Holder.listen(Map.fetch!(holders, key), path, baud)
+    state
+  end
+
   defp act({:open, key, path, baud}, state) do
     {:ok, holder} = Holder.start_link()
     Holder.listen(holder, path, baud)

@@ -14,7 +14,7 @@ defmodule Aerie.Link.Serial.Detector do
 
   | action | meaning |
   |---|---|
-  | `{:open, key, path, baud}`, `{:set, key, baud}`, `{:close, key}` | a port and its baud rate |
+  | `{:open, key, path, baud}` (again while it is in use), `{:set, key, baud}`, `{:close, key}` | a port and its baud rate |
   | `{:read, key, ms}` | one read, of at most that long |
   | `{:found, key, finding, bytes}` | the port to use, and what it said; all others are closed |
   | `{:failed, [finding]}` | there is none; all are closed |
@@ -108,14 +108,26 @@ defmodule Aerie.Link.Serial.Detector do
   end
 
   def handle(%{started: nil} = detector, _event, _now), do: {detector, []}
-  def handle(detector, :tick, now), do: settle({detector, []}, now)
+
+  def handle(detector, :tick, now) do
+    detector.order
+    |> Enum.reduce({detector, []}, fn key, {detector, actions} ->
+      {detector, more} = probe(detector, key, :tick, now)
+      {detector, actions ++ more}
+    end)
+    |> settle(now)
+  end
 
   def handle(%{probes: probes} = detector, {key, event}, now) when is_map_key(probes, key) do
-    {probe, actions} = Probe.handle(probes[key], event, now)
-    settle({%{detector | probes: %{probes | key => probe}}, name(actions, key, probe)}, now)
+    detector |> probe(key, event, now) |> settle(now)
   end
 
   def handle(detector, _unknown_port, _now), do: {detector, []}
+
+  defp probe(detector, key, event, now) do
+    {probe, actions} = Probe.handle(detector.probes[key], event, now)
+    {%{detector | probes: %{detector.probes | key => probe}}, name(actions, key, probe)}
+  end
 
   # A port that is not there has no device to be told by.
   defp key(%{key: nil, path: path}), do: path

@@ -6,6 +6,7 @@ defmodule Aerie.Link.Serial.Probe do
     right rate a whole frame would be among them.
   - With the first good frame the rate is known; it is kept, and the heartbeat waited for.
   - Text that can be read says the same: boot messages come before MAVLink on the same line.
+  - A port that is in use is tried again for two seconds.
   - Another protocol with good checksums ends it: that port is not ours.
   - A port that is silent gets five seconds in all, one that is not gets all rates.
 
@@ -19,6 +20,7 @@ defmodule Aerie.Link.Serial.Probe do
   # Heartbeats come once a second.
   @window_ms 1_200
   @heartbeat_ms 5_000
+  @busy_ms 2_000
   @read_ms 250
   @enough_bytes 600
   @max_buffer 4_096
@@ -83,6 +85,12 @@ defmodule Aerie.Link.Serial.Probe do
     listen(%{probe | opened: now}, now)
   end
 
+  # Who had it, most likely this very link, may be about to let go of it.
+  def handle(%{phase: :opening} = probe, {:open_failed, reason}, now)
+      when reason in [:eagain, :ebusy] and now - probe.started < @busy_ms,
+      do: {%{probe | phase: :busy}, []}
+
+  def handle(%{phase: :busy} = probe, :tick, _now), do: {%{probe | phase: :opening}, [{:open, probe.baud}]}
   def handle(%{phase: :opening} = probe, {:open_failed, reason}, _now), do: fail(probe, reason)
   def handle(%{phase: :setting} = probe, :set, now), do: listen(probe, now)
 

@@ -227,6 +227,17 @@ defmodule Aerie.Link.Serial.DetectorTest do
     assert {:found, 2, _, _} = List.last(actions)
   end
 
+  test "a port that is in use is tried again for two seconds" do
+    {detector, actions} =
+      run([{0, {:ports, [port(1)]}}, {1, {1, {:open_failed, :eagain}}}, {250, :tick}, {251, {1, :opened}}])
+
+    assert [{:open, 1, "/dev/p1", 57_600}, {:open, 1, "/dev/p1", 57_600}, {:read, 1, _}] = actions
+    assert {_, [{:found, 1, _, _}]} = run(detector, [{300, {1, {:read, heartbeat(1)}}}])
+
+    {_, actions} = run([{0, {:ports, [port(1)]}}, {2_000, {1, {:open_failed, :ebusy}}}])
+    assert [_, {:close, 1}, {:failed, [%{condition: :in_use}]}] = actions
+  end
+
   test "a rate that a port cannot do is passed over, one that is pulled is told" do
     {_detector, actions} =
       run([
@@ -268,7 +279,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
         :set,
         {:read, bytes},
         {:read, ""},
-        {:open_failed, oneof([:enoent, :eacces, :ebusy, "words"])},
+        {:open_failed, oneof([:enoent, :eacces, :ebusy, :eagain, "words"])},
         {:set_failed, oneof([:einval, :eio])},
         {:read_failed, :eio},
         {:failed, :killed}
@@ -310,7 +321,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     opened = for {:open, key, _, _} <- actions, do: key
     closed = for {:close, key} <- actions, do: key
     kept = for {:found, key, _, _} <- actions, do: key
-    opened == Enum.uniq(opened) and Enum.sort(opened) == Enum.sort(closed ++ kept)
+    Enum.sort(Enum.uniq(opened)) == Enum.sort(closed ++ kept)
   end
 
   # Found only where a heartbeat was.

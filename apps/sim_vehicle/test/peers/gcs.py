@@ -14,6 +14,9 @@ class Gcs:
     def __init__(self, address):
         self.m = mavutil.mavlink_connection(address, source_system=255, source_component=190, dialect="ardupilotmega")
         self.beat_at = 0
+        # A vehicle that waits to be spoken to first would wait for ever.
+        if address.startswith("udpout"):
+            self.m.mav.heartbeat_send(6, 8, 0, 0, 4)
         self.heard = self.wait("HEARTBEAT", lambda h: h.get_srcSystem() != 255)
         self.system = self.heard.get_srcSystem()
         self.px4 = self.heard.autopilot == mavutil.mavlink.MAV_AUTOPILOT_PX4

@@ -76,7 +76,7 @@ defmodule SimVehicle.Ardupilot.Arming do
     position? = Modes.requires_position?(v.mode)
 
     for {true, text} <- [
-          {v.now < 3_000_000, "Gyros not calibrated"},
+          {v.now < min(3_000_000, v.ready_us), "Gyros not calibrated"},
           {position? and Telemetry.Position.gps_fix(v) < 3, "GPS 1: Bad fix"},
           {position? and not Vehicle.positioned?(v), "Need Position Estimate"}
         ],

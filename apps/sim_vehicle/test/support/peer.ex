@@ -1,0 +1,119 @@
+defmodule SimVehicle.Peer do
+  @moduledoc """
+  A ground station in the test's process: a socket, a parser, and waiting for messages instead of sleeping.
+  """
+
+  alias MavCodec.Parser
+
+  @dialect MavCodec.Dialects.Upstream
+  @patience 10_000
+
+  defstruct [:socket, :kind, :to, :parser, seq: 0, frames: [], raw: []]
+
+  @doc "A UDP socket on a free port of the loopback; `to` is where it sends (learned when it hears something)."
+  def udp(to \\ nil) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: true, ip: {127, 0, 0, 1}, recbuf: 1_000_000])
+    %__MODULE__{socket: socket, kind: :udp, to: to && {{127, 0, 0, 1}, to}, parser: parser()}
+  end
+
+  def tcp(port) do
+    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: true])
+    %__MODULE__{socket: socket, kind: :tcp, parser: parser()}
+  end
+
+  def tcp_listen do
+    {:ok, listener} = :gen_tcp.listen(0, [:binary, active: true, ip: {127, 0, 0, 1}])
+    {:ok, port} = :inet.port(listener)
+    {listener, port}
+  end
+
+  def tcp_accept(listener) do
+    {:ok, socket} = :gen_tcp.accept(listener, @patience)
+    %__MODULE__{socket: socket, kind: :tcp, parser: parser()}
+  end
+
+  def port(peer) do
+    {:ok, port} = :inet.port(peer.socket)
+    port
+  end
+
+  def close(%{kind: :udp} = peer), do: :gen_udp.close(peer.socket)
+  def close(peer), do: :gen_tcp.close(peer.socket)
+
+  def say(peer, message), do: transmit(%{peer | seq: rem(peer.seq + 1, 256)}, encode(message, peer.seq))
+
+  def transmit(%{kind: :udp, to: {ip, port}} = peer, bytes) do
+    :ok = :gen_udp.send(peer.socket, ip, port, bytes)
+    peer
+  end
+
+  def transmit(peer, bytes) do
+    :ok = :gen_tcp.send(peer.socket, bytes)
+    peer
+  end
+
+  def encode(message, seq \\ 0),
+    do: MavCodec.encode(message, system: 255, component: 190, seq: seq, dialect: @dialect)
+
+  @doc "Waits for a message of a kind of which `fun` is true; `{message, peer}`."
+  def await(peer, module, fun \\ fn _message -> true end, deadline \\ deadline()) do
+    {found, rest} = search(peer.frames, module, fun)
+
+    if found do
+      {found, %{peer | frames: rest}}
+    else
+      peer |> receive_bytes(deadline) |> await(module, fun, deadline)
+    end
+  end
+
+  @doc "Waits until bytes contain `text`."
+  def await_bytes(peer, text, deadline \\ deadline()) do
+    if peer.raw |> Enum.reverse() |> IO.iodata_to_binary() =~ text,
+      do: peer,
+      else: peer |> receive_bytes(deadline) |> await_bytes(text, deadline)
+  end
+
+  @doc "Takes what has arrived without waiting."
+  def drain(peer) do
+    socket = peer.socket
+
+    receive do
+      {:udp, ^socket, ip, port, bytes} -> peer |> took(bytes, {ip, port}) |> drain()
+      {:tcp, ^socket, bytes} -> peer |> took(bytes, nil) |> drain()
+    after
+      0 -> peer
+    end
+  end
+
+  @doc "All messages that were heard and not awaited."
+  def messages(peer), do: peer.frames
+
+  defp search(frames, module, fun) do
+    case Enum.split_while(frames, fn message -> not (message.__struct__ == module and fun.(message)) end) do
+      {all, []} -> {nil, all}
+      {_before, [found | rest]} -> {found, rest}
+    end
+  end
+
+  defp receive_bytes(peer, deadline) do
+    socket = peer.socket
+
+    receive do
+      {:udp, ^socket, ip, port, bytes} -> took(peer, bytes, {ip, port})
+      {:tcp, ^socket, bytes} -> took(peer, bytes, nil)
+      {:tcp_closed, ^socket} -> raise "the vehicle closed the connection"
+    after
+      max(deadline - System.monotonic_time(:millisecond), 0) -> raise "nothing came in time"
+    end
+  end
+
+  defp took(peer, bytes, from) do
+    push = if peer.kind == :udp, do: &Parser.push_datagram/3, else: &Parser.push/3
+    {frames, parser} = push.(peer.parser, bytes, nil)
+    messages = for frame <- frames, {:ok, message} <- [MavCodec.decode(frame, @dialect)], do: message
+    %{peer | parser: parser, to: from || peer.to, frames: peer.frames ++ messages, raw: [bytes | peer.raw]}
+  end
+
+  defp parser, do: Parser.new(dialects: [@dialect, MavCodec.Dialects.Ardupilot])
+  defp deadline, do: System.monotonic_time(:millisecond) + @patience
+end

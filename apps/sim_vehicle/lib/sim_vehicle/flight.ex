@@ -26,18 +26,19 @@ defmodule SimVehicle.Flight do
     %{v | kin: kin} |> lift_off() |> touch_down()
   end
 
-  @doc "Starts doing `goal`."
+  @doc "Starts doing `goal`; without motors there is nothing to do, in the air neither."
   @spec go(Vehicle.t(), Goal.t()) :: Vehicle.t()
+  def go(%{armed: false} = v, _goal), do: %{v | flight: :off, mission: Mission.stop(v)}
   def go(v, goal), do: %{v | flight: goal, mission: Mission.stop(v)}
 
   @doc "Stays where it is; on the ground it stays there."
   @spec hold(Vehicle.t()) :: Vehicle.t()
-  def hold(%{armed: false} = v), do: go(v, :off)
   def hold(%{airborne: false} = v), do: go(v, :idle)
   def hold(v), do: go(v, Goal.hold(v.kin))
 
   @doc "Starts or resumes the mission."
   @spec mission(Vehicle.t()) :: Vehicle.t()
+  def mission(%{armed: false} = v), do: go(v, :off)
   def mission(v), do: Mission.start(v)
 
   # A goal that ends hands over to the next; the limit guards against goals that end at once for ever.

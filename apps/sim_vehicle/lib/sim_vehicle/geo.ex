@@ -7,6 +7,9 @@ defmodule SimVehicle.Geo do
   """
 
   @metres_per_e7 0.011131884502145034
+  @pole 900_000_000
+  @turn 3_600_000_000
+  @int32 2_147_483_647
 
   @typedoc "Latitude and longitude in degrees x 1e7, altitude in metres above mean sea level."
   @type origin :: %{lat: integer, lon: integer, alt: float}
@@ -22,8 +25,12 @@ defmodule SimVehicle.Geo do
   def to_global(origin, north, east) do
     lat = origin.lat + round(north / @metres_per_e7)
     lon = origin.lon + round(east / (@metres_per_e7 * scale(origin)))
-    {lat, wrap_e7(lon)}
+    {lat |> max(-@pole) |> min(@pole), wrap_e7(lon)}
   end
+
+  @doc "Metres as the millimetres of a 32-bit field; cut off where they do not fit."
+  @spec millimetres(number) :: integer
+  def millimetres(metres), do: (metres * 1000.0) |> max(-@int32) |> min(@int32) |> round()
 
   @doc "Angle brought to -pi..pi."
   @spec wrap_pi(float) :: float
@@ -50,7 +57,6 @@ defmodule SimVehicle.Geo do
   # Never zero, so that a vehicle at a pole does not divide by it.
   defp scale(origin), do: max(:math.cos(origin.lat * 1.0e-7 * :math.pi() / 180), 0.01)
 
-  defp wrap_e7(lon) when lon > 1_800_000_000, do: lon - 3_600_000_000
-  defp wrap_e7(lon) when lon < -1_800_000_000, do: lon + 3_600_000_000
-  defp wrap_e7(lon), do: lon
+  defp wrap_e7(lon) when lon in -1_800_000_000..1_800_000_000, do: lon
+  defp wrap_e7(lon), do: Integer.mod(lon + div(@turn, 2), @turn) - div(@turn, 2)
 end

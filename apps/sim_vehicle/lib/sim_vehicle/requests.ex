@@ -8,6 +8,8 @@ defmodule SimVehicle.Requests do
   alias SimVehicle.{Command, Params, Streams, Vehicle}
 
   @failed 4
+  # What MESSAGE_INTERVAL can tell: 35 minutes.
+  @interval_max_us 2_147_483_647
   @accepted 0
 
   @doc "SET_MESSAGE_INTERVAL (511); `known` are the ids that the firmware can stream."
@@ -17,7 +19,9 @@ defmodule SimVehicle.Requests do
     interval = Command.p(command, 2)
 
     if id in known and interval >= -1 do
-      streams = Streams.set(v.streams, id, if(interval < 0, do: -1, else: round(interval)))
+      streams =
+        Streams.set(v.streams, id, if(interval < 0, do: -1, else: round(min(interval, @interval_max_us))))
+
       Vehicle.ack(%{v | streams: streams}, command, @accepted)
     else
       Vehicle.ack(v, command, @failed)

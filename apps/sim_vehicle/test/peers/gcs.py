@@ -58,6 +58,9 @@ class Gcs:
         while True:
             r = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], timeout=10)
             if r.get_type() == "MISSION_ACK":
+                # "Invalid sequence": an item came twice because it was asked for twice; the upload goes on.
+                if r.type == mavutil.mavlink.MAV_MISSION_INVALID_SEQUENCE:
+                    continue
                 return r.type
             self.m.mav.send(items[r.seq])
 

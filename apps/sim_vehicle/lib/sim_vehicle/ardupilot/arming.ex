@@ -4,7 +4,7 @@ defmodule SimVehicle.Ardupilot.Arming do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Params, Telemetry, Vehicle}
+  alias SimVehicle.{Battery, Geo, Params, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.Modes
 
   @accepted 0
@@ -96,7 +96,7 @@ defmodule SimVehicle.Ardupilot.Arming do
     |> Vehicle.emit(%M.GpsGlobalOrigin{
       latitude: v.origin.lat,
       longitude: v.origin.lon,
-      altitude: round(v.origin.alt * 1000),
+      altitude: Geo.millimetres(v.origin.alt),
       time_usec: v.now
     })
     |> Vehicle.text(6, "Arming motors")

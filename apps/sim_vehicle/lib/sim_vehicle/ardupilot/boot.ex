@@ -7,7 +7,7 @@ defmodule SimVehicle.Ardupilot.Boot do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.Vehicle
+  alias SimVehicle.{Geo, Vehicle}
 
   @version "ArduCopter V4.6.3 (92b0cd78)"
 
@@ -73,7 +73,7 @@ defmodule SimVehicle.Ardupilot.Boot do
     Vehicle.emit(v, %M.GpsGlobalOrigin{
       latitude: v.origin.lat,
       longitude: v.origin.lon,
-      altitude: round(v.origin.alt * 1000),
+      altitude: Geo.millimetres(v.origin.alt),
       time_usec: v.now
     })
   end

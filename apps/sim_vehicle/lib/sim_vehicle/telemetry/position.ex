@@ -42,7 +42,7 @@ defmodule SimVehicle.Telemetry.Position do
 
   defp gps_raw(v, fix) do
     {lat, lon} = Vehicle.position(v)
-    alt = round(Vehicle.altitude(v) * 1000)
+    alt = Geo.millimetres(Vehicle.altitude(v))
 
     %M.GpsRawInt{
       time_usec: v.now,
@@ -73,8 +73,8 @@ defmodule SimVehicle.Telemetry.Position do
       time_boot_ms: Telemetry.boot_ms(v),
       lat: lat,
       lon: lon,
-      alt: round(Vehicle.altitude(v) * 1000),
-      relative_alt: round(Vehicle.relative_altitude(v) * 1000),
+      alt: Geo.millimetres(Vehicle.altitude(v)),
+      relative_alt: Geo.millimetres(Vehicle.relative_altitude(v)),
       vx: cm(v.kin.vn),
       vy: cm(v.kin.ve),
       vz: cm(v.kin.vd),
@@ -98,7 +98,7 @@ defmodule SimVehicle.Telemetry.Position do
     %M.GpsGlobalOrigin{
       latitude: v.origin.lat,
       longitude: v.origin.lon,
-      altitude: round(v.origin.alt * 1000),
+      altitude: Geo.millimetres(v.origin.alt),
       time_usec: v.now
     }
   end
@@ -109,7 +109,7 @@ defmodule SimVehicle.Telemetry.Position do
     %M.HomePosition{
       latitude: v.home.lat,
       longitude: v.home.lon,
-      altitude: round(v.home.alt * 1000),
+      altitude: Geo.millimetres(v.home.alt),
       x: n,
       y: e,
       z: v.origin.alt - v.home.alt,

@@ -16,6 +16,7 @@ defmodule Aerie.Names do
   | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Tree`                 |
   | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
   | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
+  | `:pulse`         | nil                    | `Aerie.Vehicle.Identity.Pulse`       |
 
   Links, router and bridge add their own roles.
   """

@@ -34,6 +34,8 @@ defmodule Aerie.Telemetry do
     {[:aerie, :link, :peer_down], Aerie.Link},
     {[:aerie, :link, :added], Aerie.Link},
     {[:aerie, :link, :removed], Aerie.Link},
+    {[:aerie, :identity, :silent], Aerie.Vehicle.Identity.Pulse},
+    {[:aerie, :identity, :answering], Aerie.Vehicle.Identity.Pulse},
     {[:aerie, :router, :vehicle_found], Aerie.Router},
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},

@@ -245,16 +245,39 @@ defmodule Aerie.ConfigTest do
 
   test "what is allowed and probably not meant is a warning", context do
     text = """
-    mavlink: {system_id: 255}
-    vehicles: [{id: V, system_id: 255}]
+    mavlink: {system_id: 244}
+    vehicles: [{id: V, system_id: 244}]
     nats: {url: "nats://gw:secret@nats.example"}
     """
 
-    assert {:ok, %{warnings: [ground_station, same_id, plain_password]}} = load(context, text)
-    assert ground_station =~ "255, which ground stations use"
+    assert {:ok, %{warnings: [same_id, plain_password]}} = load(context, text)
     assert same_id =~ "is also a vehicle's"
     assert plain_password =~ "without TLS"
     refute plain_password =~ "secret"
+  end
+
+  test "H5: a ground station's identity is refused, with the reason, unless it is meant", context do
+    assert [system_id, type] = lines(load(context, "mavlink: {system_id: 255, heartbeat_type: gcs}"), context)
+
+    assert system_id =~
+             "gateway.yaml: mavlink.system_id: expected an id that no ground station uses, such as 245, got 255"
+
+    assert system_id =~ "mavlink.i_am_the_gcs: true"
+    assert type =~ "gateway.yaml: mavlink.heartbeat_type: expected onboard_controller, got gcs"
+
+    assert {:ok, %{mavlink: %{system_id: 255, heartbeat_type: :gcs}}} =
+             load(context, "mavlink: {system_id: 255, i_am_the_gcs: true}")
+
+    assert {:ok, %{mavlink: %{system_id: 245, heartbeat_type: :onboard_controller}}} = load(context, "")
+  end
+
+  test "streams are named as messages are", context do
+    assert {:ok, %{mavlink: %{streams: %{"ATTITUDE" => 10.0}}}} =
+             load(context, "mavlink: {streams: {ATTITUDE: 10}}")
+
+    assert lines(load(context, "mavlink: {streams: {ALTITUTE: 10}}"), context) == [
+             "gateway.yaml: mavlink.streams.ALTITUTE: expected the name of a message, such as ATTITUDE, got an unknown one"
+           ]
   end
 
   test "keys that contradict each other are refused", context do

@@ -52,7 +52,7 @@ defmodule Aerie.Config.Keys do
           udpin:HOST:PORT   listen for UDP          udpout:HOST:PORT  send UDP to
           tcpin:HOST:PORT   listen for TCP          tcp:HOST:PORT     connect by TCP
           DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
-        id (else the string), network, label and enabled may be left out.
+        id (else the string), network, label, high_latency and enabled may be left out.
         """,
         default: [],
         example:
@@ -114,7 +114,7 @@ defmodule Aerie.Config.Keys do
         {:integer, 1, 4_294_967_295},
         """
         System id of this gateway. Companion (vehicle_id given): the vehicle's own, 1 if left out.
-        Hub: one from the top, 245 if left out; never 255, which ground stations use.
+        Hub: one from the top, 245 if left out. 255 is the ground station's: refused without i_am_the_gcs.
         """,
         example: "245"
       ),
@@ -125,6 +125,72 @@ defmodule Aerie.Config.Keys do
         Component id of this gateway. 191 is the on-board computer; 1 is the autopilot's and collides with it.
         """,
         default: 191
+      ),
+      field(
+        :i_am_the_gcs,
+        :boolean,
+        """
+        This gateway stands for the operator's ground station: its heartbeat may keep a vehicle's ground-station failsafe
+        quiet. Only where losing this gateway means that the operator is lost too. Allows system_id 255 and heartbeat_type
+        gcs.
+        """,
+        default: false
+      ),
+      field(
+        :heartbeat,
+        :boolean,
+        """
+        Send a heartbeat once a second to each vehicle, as long as all loops of the gateway answer.
+        """,
+        default: true
+      ),
+      field(
+        :heartbeat_type,
+        {:enum, [:onboard_controller, :gcs]},
+        """
+        What the heartbeat says we are. PX4 takes any heartbeat of a gcs for its operator's. Left out: onboard_controller,
+        or gcs with i_am_the_gcs.
+        """,
+        example: "onboard_controller"
+      ),
+      field(
+        :heartbeat_deadman_s,
+        {:number, 0.5, 60},
+        """
+        No heartbeat goes out while a loop that it stands for has not answered for this long.
+        """,
+        default: 3.0
+      ),
+      field(
+        :request_streams,
+        :boolean,
+        """
+        Ask vehicles for state messages that do not come by themselves, and for what clients want.
+        """,
+        default: true
+      ),
+      field(
+        :streams,
+        {:map, {:number, 0, 400}},
+        """
+        Messages that every vehicle is to send at least this often (per second), by their names.
+        """,
+        default: %{},
+        example: "{ATTITUDE: 10, GLOBAL_POSITION_INT: 5}"
+      ),
+      field(
+        :timesync_s,
+        {:number, 0, 3600},
+        "Time between two measurements of a vehicle's clock (TIMESYNC); 0: none.",
+        default: 10.0
+      ),
+      field(
+        :read_gcs_parameters,
+        :boolean,
+        """
+        Read once from each vehicle which ground station its failsafe listens to (a handful of parameters).
+        """,
+        default: true
       ),
       field(
         :dialects,
@@ -146,6 +212,12 @@ defmodule Aerie.Config.Keys do
       field(:url, Types.link_url(), "Connection string.", required: true),
       field(:network, Types.token(), "System ids are unique within a network."),
       field(:label, :string, "Words for people."),
+      field(
+        :high_latency,
+        :boolean,
+        "A satellite link or the like: commands only, no parameters, streams or heartbeats.",
+        default: false
+      ),
       field(:enabled, :boolean, "Open it.", default: true)
     ]
   end
@@ -410,6 +482,12 @@ defmodule Aerie.Config.Keys do
         default: 3.0
       ),
       field(:vehicle_lost_s, {:number, 0.1, 86_400}, "… and lost after this long.", default: 5.0),
+      field(
+        :vehicle_lost_high_latency_s,
+        {:number, 1, 86_400},
+        "A vehicle that is heard by high-latency links only is lost after this long.",
+        default: 180.0
+      ),
       field(:link_idle_s, {:number, 0.1, 86_400}, "A link that hears nothing for this long is idle.",
         default: 10.0
       )

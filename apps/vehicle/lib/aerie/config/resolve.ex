@@ -11,8 +11,22 @@ defmodule Aerie.Config.Resolve do
   @doc "Fills in the derived values; gives the problems that remain."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
   def run(%Config{} = config) do
-    config = config |> system_id() |> vehicles() |> links() |> sampling() |> nats_mode() |> nats_userinfo()
-    problems = Enum.flat_map([&duplicates/1, &nats/1, &clients/1, &ranges/1, &same_port/1], & &1.(config))
+    config =
+      config
+      |> system_id()
+      |> heartbeat_type()
+      |> vehicles()
+      |> links()
+      |> sampling()
+      |> nats_mode()
+      |> nats_userinfo()
+
+    problems =
+      Enum.flat_map(
+        [&identity/1, &streams/1, &duplicates/1, &nats/1, &clients/1, &ranges/1, &same_port/1],
+        & &1.(config)
+      )
+
     {%{config | warnings: config.warnings ++ warnings(config)}, problems}
   end
 
@@ -21,6 +35,12 @@ defmodule Aerie.Config.Resolve do
   end
 
   defp system_id(config), do: config
+
+  defp heartbeat_type(%{mavlink: %{heartbeat_type: nil} = mavlink} = config) do
+    put_in(config.mavlink.heartbeat_type, if(mavlink.i_am_the_gcs, do: :gcs, else: :onboard_controller))
+  end
+
+  defp heartbeat_type(config), do: config
 
   defp vehicles(config) do
     own =
@@ -103,6 +123,29 @@ defmodule Aerie.Config.Resolve do
 
   defp plain_url(uri),
     do: URI.to_string(%{uri | userinfo: nil, authority: nil, path: nil, port: uri.port || 4222})
+
+  # A heartbeat that a vehicle takes for its operator's hides that the operator is gone (H5).
+  defp identity(%{mavlink: %{i_am_the_gcs: true}}), do: []
+
+  defp identity(%{mavlink: mavlink}) do
+    hint =
+      "a vehicle's failsafe would take this gateway's heartbeat for the operator's; " <>
+        "give mavlink.i_am_the_gcs: true if it is meant to stand for the ground station"
+
+    [
+      {mavlink.system_id == 255, ["mavlink", "system_id"], "an id that no ground station uses, such as 245",
+       "255"},
+      {mavlink.heartbeat_type == :gcs, ["mavlink", "heartbeat_type"], "onboard_controller", "gcs"}
+    ]
+    |> failed()
+    |> Enum.map(&%{&1 | hint: hint})
+  end
+
+  defp streams(%{mavlink: %{streams: streams}}) do
+    for {name, _hz} <- streams, MavCodec.Dialects.All.message_id(name) == nil do
+      problem(["mavlink", "streams", name], "the name of a message, such as ATTITUDE", "an unknown one")
+    end
+  end
 
   defp duplicates(config) do
     twice(config.links, & &1.id, ["links"], "link ids that differ") ++
@@ -206,8 +249,6 @@ defmodule Aerie.Config.Resolve do
       {mavlink.component_id == 1,
        "mavlink.component_id is 1, which is the autopilot's own: routers and ground stations will take this gateway " <>
          "for the flight controller. Use 191 (on-board computer)."},
-      {mavlink.system_id == 255,
-       "mavlink.system_id is 255, which ground stations use: commands and failsafes will mix the two up. Use 245."},
       {is_nil(config.vehicle_id) and Enum.any?(config.vehicles, &(&1.system_id == mavlink.system_id)),
        "mavlink.system_id #{mavlink.system_id} is also a vehicle's in the list: a hub needs an id of its own, " <>
          "such as 245. Aboard that vehicle, give vehicle_id instead."},

@@ -81,6 +81,12 @@ defmodule Aerie.Fleet.PubSub do
 
   def handle_info(:changed, state), do: {:noreply, state}
 
+  def handle_info({:pulse, pulse, tag}, state) do
+    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    send(pulse, {:alive, tag, self()})
+    {:noreply, state}
+  end
+
   def handle_info(:tick, state) do
     # Taken one by one: a change noted while this runs is either taken here or wakes the next tick.
     changed = for {what} <- :ets.tab2list(state.dirty), :ets.take(state.dirty, what) != [], do: what

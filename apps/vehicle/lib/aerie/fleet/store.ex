@@ -205,4 +205,11 @@ defmodule Aerie.Fleet.Store do
     Names.put_value(gateway, :store, tables)
     {:ok, gateway}
   end
+
+  @impl GenServer
+  def handle_info({:pulse, pulse, tag}, gateway) do
+    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    send(pulse, {:alive, tag, self()})
+    {:noreply, gateway}
+  end
 end

@@ -42,7 +42,7 @@ defmodule Aerie.Link.Boot do
   # The configuration was checked when it was loaded; a caller's own map is not worth a gateway that does not start.
   defp config_specs(%{links: links}) when is_list(links) do
     Enum.flat_map(links, fn link ->
-      case Spec.parse(link.url, id: link[:id], network: link[:network], options: [label: link[:label]]) do
+      case Spec.parse(link.url, id: link[:id], network: link[:network], options: options(link)) do
         _any when link.enabled == false ->
           []
 
@@ -57,6 +57,8 @@ defmodule Aerie.Link.Boot do
   end
 
   defp config_specs(_none), do: []
+
+  defp options(link), do: [label: link[:label], high_latency: link[:high_latency] || false]
 
   # Links of a supervisor that was killed may be there for a moment still.
   defp start(gateway, spec) do

@@ -21,6 +21,7 @@ defmodule Aerie.Link.Snapshot do
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | words of the configuration, or nil |
+  | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Vehicle.HighLatency`) |
   """
 
   alias Aerie.Link.Core
@@ -45,6 +46,7 @@ defmodule Aerie.Link.Snapshot do
       url: spec.text,
       spec: spec,
       label: spec.options[:label],
+      high_latency: spec.options[:high_latency] || false,
       status: status(core, mono),
       text: text(core, mono),
       reason: core.reason,

@@ -33,6 +33,12 @@ defmodule Aerie.Router.Sweeper do
     {:noreply, gateway}
   end
 
+  def handle_info({:pulse, pulse, tag}, gateway) do
+    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    send(pulse, {:alive, tag, self()})
+    {:noreply, gateway}
+  end
+
   @doc "One sweep at a monotonic time in ms; how many routes went."
   @spec sweep(Tables.t(), integer) :: non_neg_integer
   def sweep(tables, now) do

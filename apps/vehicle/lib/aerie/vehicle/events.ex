@@ -40,6 +40,11 @@ defmodule Aerie.Vehicle.Events do
     {:noreply, work(state)}
   end
 
+  def handle_info({:pulse, pulse, tag}, state) do
+    Vehicle.Identity.Pulse.answer(pulse, tag)
+    {:noreply, state}
+  end
+
   defp work(state) do
     entries = Fleet.Journal.inbox(state.gateway, state.id, state.detector.done)
     detector = Enum.reduce(entries, state.detector, &step(state, &1, &2))

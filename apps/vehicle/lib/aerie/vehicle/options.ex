@@ -18,7 +18,13 @@ defmodule Aerie.Vehicle.Options do
     own_system: 245,
     own_component: 191,
     heartbeat: true,
+    heartbeat_type: :onboard_controller,
+    i_am_the_gcs: false,
     request_streams: true,
+    wants: %{},
+    timesync_us: 10_000_000,
+    read_gcs_parameters: true,
+    lost_high_latency_us: 180_000_000,
     battery_low: 0.25,
     battery_critical: 0.10,
     sampling: %{}
@@ -28,8 +34,13 @@ defmodule Aerie.Vehicle.Options do
   * `:id` - public name, a NATS token
   * `:stale_us`, `:lost_us` - silence after which the vehicle counts as stale, as lost
   * `:own_system`, `:own_component` - what the gateway calls itself towards this vehicle
-  * `:heartbeat` - send it the gateway's heartbeat
-  * `:request_streams` - ask it for state messages that do not come by themselves
+  * `:heartbeat` - send it the gateway's heartbeat; `:heartbeat_type` - as what
+  * `:i_am_the_gcs` - the gateway stands for the operator's ground station
+  * `:request_streams` - ask it for state messages that do not come by themselves, and for what clients want
+  * `:wants` - messages per second by message id that the gateway itself wants in any case
+  * `:timesync_us` - time between two measurements of its clock, 0 for none
+  * `:read_gcs_parameters` - read which ground station its failsafe listens to
+  * `:lost_high_latency_us` - silence after which it counts as lost while only high-latency links hear it
   * `:battery_low`, `:battery_critical` - remaining charge (0..1) below which the events are given
   * `:sampling` - group => settings, see `Aerie.Vehicle.Sampling`
   """
@@ -43,7 +54,13 @@ defmodule Aerie.Vehicle.Options do
           own_system: pos_integer(),
           own_component: pos_integer(),
           heartbeat: boolean(),
+          heartbeat_type: :onboard_controller | :gcs,
+          i_am_the_gcs: boolean(),
           request_streams: boolean(),
+          wants: %{non_neg_integer() => number()},
+          timesync_us: non_neg_integer(),
+          read_gcs_parameters: boolean(),
+          lost_high_latency_us: pos_integer(),
           battery_low: float(),
           battery_critical: float(),
           sampling: %{atom() => map()}
@@ -66,7 +83,13 @@ defmodule Aerie.Vehicle.Options do
           own_system: get(config, [:mavlink, :system_id], nil) || if(companion, do: system_id, else: 245),
           own_component: get(config, [:mavlink, :component_id], 191),
           heartbeat: get(config, [:mavlink, :heartbeat], true),
+          heartbeat_type: get(config, [:mavlink, :heartbeat_type], :onboard_controller),
+          i_am_the_gcs: get(config, [:mavlink, :i_am_the_gcs], false),
           request_streams: get(config, [:mavlink, :request_streams], true),
+          wants: wants(get(config, [:mavlink, :streams], %{})),
+          timesync_us: us(get(config, [:mavlink, :timesync_s], 10.0)),
+          read_gcs_parameters: get(config, [:mavlink, :read_gcs_parameters], true),
+          lost_high_latency_us: us(get(config, [:timeouts, :vehicle_lost_high_latency_s], 180.0)),
           battery_low: get(config, [:events, :battery_low], defaults.battery_low),
           battery_critical: get(config, [:events, :battery_critical], defaults.battery_critical),
           sampling: get(config, [:sampling, :groups], %{})
@@ -111,6 +134,11 @@ defmodule Aerie.Vehicle.Options do
       nil -> listed
       id -> Map.put_new(listed, {default_network, get(config, [:mavlink, :system_id], nil) || 1}, id)
     end
+  end
+
+  # Names that are no messages were refused with the configuration.
+  defp wants(streams) do
+    for {name, hz} <- streams, id = MavCodec.Dialects.All.message_id(name), hz > 0, into: %{}, do: {id, hz}
   end
 
   defp us(seconds), do: round(seconds * 1_000_000)

@@ -2,14 +2,14 @@ defmodule Aerie.Vehicle.Outbound do
   @moduledoc """
   What a session sends: messages to its vehicle by the router, samples to the fleet by the bridge.
 
-  Our heartbeat goes out once a second per way (link and peer), however many vehicles are behind it: the first session
-  that is due claims the second. It says on-board computer, never ground station: a ground station's heartbeat would keep
-  a vehicle from noticing that its operator is gone (H5).
+  Our heartbeat (`Aerie.Vehicle.Identity`) goes out once a second per way (link and peer), however many vehicles are behind
+  it: the first session that is due claims the second. While a loop that it stands for does not answer it is held back,
+  counted as `{:identity, :held}`.
   """
 
   alias Aerie.{Fleet, Names, Vehicle}
-  alias MavCodec.{Encoder, Enums}
-  alias MavCodec.Messages.Heartbeat
+  alias Aerie.Vehicle.Identity
+  alias MavCodec.Encoder
 
   @heartbeat_ms 900
 
@@ -36,14 +36,24 @@ defmodule Aerie.Vehicle.Outbound do
     end
   end
 
-  @doc "Sends our heartbeat on the vehicle's way, unless another session has done it within this second."
+  @doc """
+  Sends our heartbeat on the vehicle's way, unless another session has done it within this second or a loop that it stands
+  for does not answer (H3).
+  """
   @spec heartbeat(t(), 1 | 2) :: t()
-  def heartbeat(outbound, version) do
-    with way when way != nil <- Aerie.Router.way(outbound.gateway, outbound.options.key),
-         true <- Fleet.Store.claim(outbound.gateway, {:heartbeat, way}, @heartbeat_ms) do
-      send(outbound, our_heartbeat(), version)
+  def heartbeat(%{gateway: gateway, options: options} = outbound, version) do
+    with {:alive, []} <- {:alive, Identity.Pulse.silent(gateway, options.key)},
+         way when way != nil <- Aerie.Router.way(gateway, options.key),
+         true <- Fleet.Store.claim(gateway, {:heartbeat, way}, @heartbeat_ms) do
+      state = if Identity.Pulse.any_silent?(gateway), do: :critical, else: :active
+      send(outbound, Identity.heartbeat(options, state), version)
     else
-      _nowhere_or_done -> outbound
+      {:alive, _silent} ->
+        Fleet.Store.count(gateway, {:identity, :held})
+        outbound
+
+      _nowhere_or_done ->
+        outbound
     end
   end
 
@@ -56,14 +66,5 @@ defmodule Aerie.Vehicle.Outbound do
   defp unsent(outbound) do
     _count = Fleet.Store.count(outbound.gateway, {:vehicle, outbound.options.id, :unsent})
     outbound
-  end
-
-  defp our_heartbeat do
-    %Heartbeat{
-      type: Enums.MavType.value(:MAV_TYPE_ONBOARD_CONTROLLER),
-      autopilot: Enums.MavAutopilot.value(:MAV_AUTOPILOT_INVALID),
-      system_status: Enums.MavState.value(:MAV_STATE_ACTIVE),
-      mavlink_version: 3
-    }
   end
 end

@@ -62,6 +62,11 @@ defmodule Aerie.Vehicle.Session do
     end
   end
 
+  def handle_info({:pulse, pulse, tag}, state) do
+    Vehicle.Identity.Pulse.answer(pulse, tag)
+    {:noreply, state}
+  end
+
   # How fast a link's time passes: `:live`, or the factor of a recording.
   defp pace(%{paces: paces} = state, link) when is_map_key(paces, link), do: {Map.fetch!(paces, link), state}
 

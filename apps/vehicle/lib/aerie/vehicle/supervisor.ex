@@ -5,7 +5,8 @@ defmodule Aerie.Vehicle.Supervisor do
   ```
   Aerie.Vehicle.Supervisor        rest_for_one
   ├─ dynamic supervisor           one Aerie.Vehicle.Tree (temporary) per {network, system_id}, at most `max_vehicles`
-  └─ Aerie.Vehicle.Keeper         starts a tree that died again: at once, then with a growing delay
+  ├─ Aerie.Vehicle.Keeper         starts a tree that died again: at once, then with a growing delay
+  └─ Aerie.Vehicle.Identity.Pulse asks all loops whether they still turn: what the gateway's heartbeat stands for
   ```
 
   The trees are temporary so that one vehicle whose frames crash its session over and over never uses up a restart
@@ -67,7 +68,8 @@ defmodule Aerie.Vehicle.Supervisor do
 
     children = [
       {DynamicSupervisor, name: Names.via(gateway, :vehicle_trees), max_children: max},
-      {Vehicle.Keeper, gateway: gateway}
+      {Vehicle.Keeper, gateway: gateway},
+      {Vehicle.Identity.Pulse, gateway: gateway, config: Keyword.get(options, :config)}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)

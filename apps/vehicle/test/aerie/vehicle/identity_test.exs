@@ -1,0 +1,138 @@
+defmodule Aerie.Vehicle.IdentityTest do
+  @moduledoc "The gateway's own heartbeat over a real UDP link, while its loops are suspended and come back."
+  use Aerie.LinkCase, async: true
+
+  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.Vehicle.{Identity, Options}
+  alias MavCodec.{Frame, Parser}
+
+  @loopback {127, 0, 0, 1}
+  @deadman_s 0.6
+
+  # A gateway with one vehicle on one UDP link, kept alive by the test; `vehicle` is the socket that plays it.
+  defp flying(config \\ %{}) do
+    mavlink = Map.merge(%{heartbeat_deadman_s: @deadman_s, request_streams: false}, config)
+    gateway = start_parts(%{mavlink: Map.merge(%{system_id: 245, component_id: 191}, mavlink)})
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0")
+    {gateway, port, vehicle(port, 1)}
+  end
+
+  defp vehicle(port, system) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
+    :ok = :gen_udp.send(socket, @loopback, port, heartbeat(system))
+    socket
+  end
+
+  # The next heartbeat of the gateway that comes to a vehicle's socket within `ms`, or nil.
+  defp heard(socket, ms) do
+    case :gen_udp.recv(socket, 0, ms) do
+      {:ok, {_from, _port, bytes}} ->
+        {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
+        Enum.find(frames, &(&1.id == 0)) || heard(socket, ms)
+
+      {:error, :timeout} ->
+        nil
+    end
+  end
+
+  # Everything that waits in the socket is passed over.
+  defp drain(socket) do
+    case :gen_udp.recv(socket, 0, 0) do
+      {:ok, _datagram} -> drain(socket)
+      {:error, :timeout} -> :ok
+    end
+  end
+
+  defp silent?(gateway, tag), do: eventually(fn -> tag in Identity.status(gateway).silent end)
+
+  test "H1, H2, R10: an on-board computer's heartbeat under our own ids, again and again" do
+    {_gateway, _port, socket} = flying()
+    assert %Frame{system: 245, component: 191} = frame = heard(socket, 10_000)
+    assert {:ok, %{type: 18, autopilot: 8, system_status: 4}} = MavCodec.decode(frame)
+    assert heard(socket, 10_000)
+  end
+
+  for {role, id} <- [
+        store: nil,
+        pubsub: nil,
+        router_sweeper: nil,
+        pulse: nil,
+        session: {"main", 1},
+        events: {"main", 1}
+      ] do
+    @tag loop: {role, id}
+    test "H3: no heartbeat while #{role} stands still, and again when it turns", %{loop: {role, id} = tag} do
+      {gateway, _port, socket} = flying()
+      assert heard(socket, 10_000)
+      pid = Names.whereis(gateway, role, id)
+      :ok = :sys.suspend(pid)
+      silent?(gateway, tag)
+      drain(socket)
+      refute heard(socket, 1_300)
+      :ok = :sys.resume(pid)
+      assert heard(socket, 10_000)
+      eventually(fn -> Identity.status(gateway).silent == [] end)
+    end
+  end
+
+  test "a killed loop is asked anew" do
+    {gateway, _port, socket} = flying()
+    assert heard(socket, 10_000)
+    Process.exit(Names.whereis(gateway, :pulse), :kill)
+    Process.exit(Names.whereis(gateway, :router_sweeper), :kill)
+    drain(socket)
+    assert heard(socket, 10_000)
+  end
+
+  test "another vehicle's stuck loop does not cost this one its heartbeat, which says critical" do
+    {gateway, port, one} = flying()
+    two = vehicle(port, 2)
+    assert heard(one, 10_000) && heard(two, 10_000)
+    :ok = :sys.suspend(Names.whereis(gateway, :session, {"main", 2}))
+    silent?(gateway, {:session, {"main", 2}})
+    drain(one)
+    drain(two)
+    assert {:ok, %{system_status: 5}} = MavCodec.decode(heard(one, 10_000))
+    refute heard(two, 1_300)
+    assert %{alive: true, silent: [{:session, {"main", 2}}]} = Identity.status(gateway)
+  end
+
+  test "what is held back is counted" do
+    {gateway, _port, socket} = flying()
+    assert heard(socket, 10_000)
+    :ok = :sys.suspend(Names.whereis(gateway, :store))
+    eventually(fn -> Fleet.Store.counter(gateway, {:identity, :held}) > 0 end)
+  end
+
+  test "a vehicle that is removed is asked no more" do
+    {gateway, _port, socket} = flying()
+    assert heard(socket, 10_000)
+    :ok = :sys.suspend(Names.whereis(gateway, :events, {"main", 1}))
+    silent?(gateway, {:events, {"main", 1}})
+    :sys.resume(Names.whereis(gateway, :events, {"main", 1}))
+    :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
+    eventually(fn -> Identity.status(gateway).silent == [] end)
+  end
+
+  test "without a gateway nothing is alive" do
+    assert %{alive: false, silent: [{:pulse, nil}]} = Identity.status(make_ref())
+  end
+
+  describe "who we are" do
+    test "a companion is component 191 of its vehicle, a hub system 245" do
+      companion =
+        Options.new(Aerie.Config.default([{"vehicle_id", "A"}, {"mavlink.system_id", 7}]), {"main", 7})
+
+      assert {companion.own_system, companion.own_component} == {7, 191}
+      hub = Options.new(Aerie.Config.default(), {"main", 7})
+      assert {hub.own_system, hub.own_component} == {245, 191}
+      assert Identity.own?(hub, 245, 191) and not Identity.own?(hub, 245, 1)
+    end
+
+    test "H5: only who is meant to be the ground station says so" do
+      gcs = Options.new(Aerie.Config.default([{"mavlink.i_am_the_gcs", true}]), {"main", 1})
+      assert %{type: 6, autopilot: 8} = Identity.heartbeat(gcs)
+      assert %{type: 18} = Identity.heartbeat(Options.new(%{}, {"main", 1}))
+    end
+  end
+end

@@ -14,6 +14,7 @@ defmodule AerieCLI.StatusTest do
         autopilot: :ardupilot,
         status: :online,
         last_heard: @now - 400_000,
+        links: ["link-1"],
         groups: %{
           mode: %{at: @now, data: %{mode: "GUIDED", armed: true}},
           position: %{at: @now, data: %{lat: -35.363261, lon: 149.16523, alt_rel: 20.04}},
@@ -35,6 +36,7 @@ defmodule AerieCLI.StatusTest do
         links: [
           %{
             id: "link-1",
+            kind: :udp_server,
             url: "udpin:0.0.0.0:14550",
             status: :up,
             text: "listening",
@@ -106,8 +108,18 @@ defmodule AerieCLI.StatusTest do
     assert link =~ "link=link-1 status=up"
     assert nats =~ "nats=connected"
 
-    event = %{vehicle: "VID-001", type: "statustext", data: %{text: "Arming motors", severity: 6}}
-    assert Lines.event(event) == ~s(event vehicle=VID-001 type=statustext severity=6 text="Arming motors")
+    event = %{
+      vehicle: "VID-001",
+      type: "statustext",
+      time: @now,
+      data: %{"text" => "Arming motors", "severity" => 6, "position" => %{"lat" => 1.5}}
+    }
+
+    assert Lines.event(event) ==
+             "event vehicle=VID-001 type=statustext time=2026-11-20T22:21:58.000Z position.lat=1.5 severity=6 " <>
+               ~s(text="Arming motors")
+
+    assert Lines.note(event) == ~s(VID-001 statustext  severity=6 text="Arming motors")
   end
 
   test "durations and ages read as people say them" do

@@ -29,7 +29,7 @@ defmodule FleetWeb.Metrics do
     counters = Store.counters(gateway)
 
     Links.families(links) ++
-      Vehicles.families(Store.vehicles(gateway), System.os_time(:microsecond)) ++
+      Vehicles.families(Store.vehicles(gateway), links, System.os_time(:microsecond)) ++
       bridge(gateway) ++
       Clients.families(counters) ++ [sent(counters), others(counters)] ++ vm()
   end

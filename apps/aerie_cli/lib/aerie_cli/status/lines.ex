@@ -6,12 +6,13 @@ defmodule AerieCLI.Status.Lines do
 
   import AerieCLI.Status.Format
 
+  alias Aerie.Fleet.Age
   alias AerieCLI.Status.View
 
   @doc "The lines of one look at the gateway."
   @spec render(View.t()) :: [String.t()]
   def render(%View{} = view) do
-    Enum.map(view.vehicles, &vehicle(&1, view.now)) ++ Enum.map(view.links, &link/1) ++ nats(view)
+    Enum.map(view.vehicles, &vehicle(&1, view)) ++ Enum.map(view.links, &link/1) ++ nats(view)
   end
 
   @doc "An event as a line of a table: the vehicle, what happened, and what is not the vehicle's position."
@@ -20,10 +21,16 @@ defmodule AerieCLI.Status.Lines do
     "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, "position"))}"
   end
 
-  @doc "An event as a log line."
+  @doc "An event as a log line; `time` is when it happened, which in a recording is not now."
   @spec event(map()) :: String.t()
   def event(event) do
-    String.trim_trailing("event vehicle=#{text(event.vehicle)} type=#{text(event.type)} #{data(event.data)}")
+    String.trim_trailing(
+      "event vehicle=#{text(event.vehicle)} type=#{text(event.type)} time=#{time(event.time)} #{data(event.data)}"
+    )
+  end
+
+  defp time(us) do
+    us |> DateTime.from_unix!(:microsecond) |> DateTime.truncate(:millisecond) |> DateTime.to_iso8601()
   end
 
   defp data(data) do
@@ -43,7 +50,7 @@ defmodule AerieCLI.Status.Lines do
     end)
   end
 
-  defp vehicle(vehicle, now) do
+  defp vehicle(vehicle, view) do
     pairs = [
       vehicle: vehicle.id,
       status: vehicle.status,
@@ -57,11 +64,14 @@ defmodule AerieCLI.Status.Lines do
       groundspeed: number(View.field(vehicle, :velocity, :groundspeed), 1),
       battery: percent(View.field(vehicle, :battery, :remaining)),
       gps: View.field(vehicle, :gps, :fix_name),
-      age: vehicle.last_heard && number((now - vehicle.last_heard) / 1_000_000, 1)
+      age: seconds(Age.silent_us(vehicle, view.links, view.now))
     ]
 
     pairs(pairs)
   end
+
+  defp seconds(nil), do: nil
+  defp seconds(us), do: number(us / 1_000_000, 1)
 
   defp link(link) do
     pairs(

@@ -6,6 +6,7 @@ defmodule AerieCLI.Status.Table do
 
   import AerieCLI.Status.Format
 
+  alias Aerie.Fleet.Age
   alias AerieCLI.Status.View
 
   @reset "\e[0m"
@@ -42,7 +43,7 @@ defmodule AerieCLI.Status.Table do
   def render(%View{} = view, width, height) do
     lines =
       [header(view), nats_line(view), ""] ++
-        section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view.now)), width, empty_vehicles()) ++
+        section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
         [""] ++
         section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
         notes(view)
@@ -96,7 +97,7 @@ defmodule AerieCLI.Status.Table do
     {text, style}
   end
 
-  defp vehicle(vehicle, now) do
+  defp vehicle(vehicle, view) do
     cells = [
       text(vehicle.id),
       "#{text(vehicle.vehicle_type)} #{text(vehicle.autopilot)}",
@@ -108,7 +109,7 @@ defmodule AerieCLI.Status.Table do
       number(View.field(vehicle, :velocity, :groundspeed), 1, " m/s"),
       battery(vehicle),
       text(View.field(vehicle, :gps, :fix_name)),
-      heard(vehicle, now)
+      heard(vehicle, view)
     ]
 
     {cells, vehicle_style(vehicle)}
@@ -123,9 +124,8 @@ defmodule AerieCLI.Status.Table do
       " " <> number(View.field(vehicle, :battery, :voltage), 1, " V")
   end
 
-  defp heard(%{status: :lost}, _now), do: "LOST"
-  defp heard(%{last_heard: last}, now) when is_integer(last), do: age(now - last)
-  defp heard(_vehicle, _now), do: "-"
+  defp heard(%{status: :lost}, _view), do: "LOST"
+  defp heard(vehicle, view), do: age(Age.silent_us(vehicle, view.links, view.now))
 
   defp vehicle_style(%{status: :lost}), do: :red
   defp vehicle_style(%{status: :stale}), do: :yellow

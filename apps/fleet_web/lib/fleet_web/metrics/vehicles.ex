@@ -3,13 +3,18 @@ defmodule FleetWeb.Metrics.Vehicles do
 
   alias FleetWeb.Metrics.Text
 
-  @doc "The families of these vehicles at a unix time in microseconds."
-  @spec families([map()], integer()) :: [Text.family()]
-  def families(vehicles, now) do
+  @doc "The families of these vehicles, heard on these links, at a unix time in microseconds."
+  @spec families([map()], [map()], integer()) :: [Text.family()]
+  def families(vehicles, links, now) do
     [
       {"gateway_vehicles", :gauge, "Vehicles known.", [{[], length(vehicles)}]},
       gauge(vehicles, "gateway_vehicle_online", "1 online, 0 stale or lost.", &(&1.status == :online)),
-      gauge(vehicles, "gateway_vehicle_silent_seconds", "Time since it was last heard.", &silent(&1, now)),
+      gauge(
+        vehicles,
+        "gateway_vehicle_silent_seconds",
+        "Time since it was last heard.",
+        &silent(&1, links, now)
+      ),
       gauge(vehicles, "gateway_vehicle_armed", "1 while armed.", &field(&1, :mode, :armed)),
       gauge(vehicles, "gateway_vehicle_in_air", "1 while in the air.", &field(&1, :mode, :in_air)),
       gauge(
@@ -28,8 +33,9 @@ defmodule FleetWeb.Metrics.Vehicles do
     {name, :gauge, help, Enum.map(vehicles, &{[vehicle: &1.id], value.(&1)})}
   end
 
-  defp silent(%{last_heard: last}, now) when is_integer(last), do: max(now - last, 0) / 1_000_000
-  defp silent(_vehicle, _now), do: nil
+  defp silent(vehicle, links, now) do
+    with us when is_integer(us) <- Aerie.Fleet.Age.silent_us(vehicle, links, now), do: us / 1_000_000
+  end
 
   defp field(vehicle, group, key) do
     case vehicle.groups do

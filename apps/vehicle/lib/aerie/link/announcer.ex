@@ -53,7 +53,8 @@ defmodule Aerie.Link.Announcer do
 
     # A link that is gone meanwhile needs none.
     for link <- Store.links(state.gateway), silent?(link, now) do
-      _ = Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all)
+      with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all),
+           do: Store.count(state.gateway, {:sent, Heartbeat.id()})
     end
 
     {:noreply, %{state | encoder: encoder}}

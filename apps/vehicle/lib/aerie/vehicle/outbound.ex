@@ -31,9 +31,14 @@ defmodule Aerie.Vehicle.Outbound do
     outbound = %{outbound | encoder: encoder}
 
     case Aerie.Router.send(outbound.gateway, outbound.options.key, bytes) do
-      :ok -> outbound
+      :ok -> sent(outbound, message)
       {:error, :no_route} -> unsent(outbound)
     end
+  end
+
+  defp sent(outbound, %module{}) do
+    Fleet.Store.count(outbound.gateway, {:sent, module.id()})
+    outbound
   end
 
   @doc """

@@ -38,7 +38,7 @@ defmodule SimVehicle do
   def port(sim), do: GenServer.call(sim, :port)
 
   @doc """
-  Counters: `sent` and `received` frames, `unsent` (nobody to send to), `faults` by direction and kind (`offered`,
+  Counters: `sent` and `received` frames, `refused` ones (not signed with its key), `unsent` (nobody to send to), `faults` by direction and kind (`offered`,
   `passed`, `lost`, `duplicated`, `reordered`, `corrupted`, `silenced`, `overflow`), `parser`.
   """
   @spec stats(sim) :: map

@@ -61,6 +61,8 @@ defmodule MavCodec.Signing do
     * `:accept_unsigned` - message ids that are accepted without a signature, or a function of the frame; default
       `[#{@radio_status}]`, RADIO_STATUS, which radios make themselves (S7)
     * `:clock` - a function that gives unix microseconds; default: the system's clock
+    * `:streams` - what `streams/1` gave in an earlier life, so that what was recorded before it cannot be played after
+      it (S3)
   """
   @type option ::
           {:link_id, 0..255}
@@ -68,6 +70,10 @@ defmodule MavCodec.Signing do
           | {:save, (timestamp() -> any())}
           | {:accept_unsigned, [non_neg_integer()] | (Frame.t() -> boolean())}
           | {:clock, (-> integer())}
+          | {:streams, %{optional(stream()) => timestamp()}}
+
+  @typedoc "Who signs: the link id in the signature, system, component."
+  @type stream :: {link_id :: 0..255, system :: non_neg_integer(), component :: 0..255}
 
   @typedoc """
     * `:signed` - the signature is right
@@ -95,7 +101,8 @@ defmodule MavCodec.Signing do
         stored: 0,
         save: fn _timestamp -> :ok end,
         accept_unsigned: [@radio_status],
-        clock: fn -> System.os_time(:microsecond) end
+        clock: fn -> System.os_time(:microsecond) end,
+        streams: %{}
       )
 
     signing = %__MODULE__{
@@ -103,7 +110,8 @@ defmodule MavCodec.Signing do
       link_id: options[:link_id],
       clock: options[:clock],
       save: options[:save],
-      accept_unsigned: options[:accept_unsigned]
+      accept_unsigned: options[:accept_unsigned],
+      streams: options[:streams] |> Enum.take(@max_streams) |> Map.new()
     }
 
     reserve(%{signing | timestamp: max(now(signing), options[:stored])})
@@ -116,6 +124,10 @@ defmodule MavCodec.Signing do
   @doc "The last time stamp used or received, for SETUP_SIGNING's `initial_timestamp`."
   @spec timestamp(t()) :: timestamp()
   def timestamp(%__MODULE__{timestamp: timestamp}), do: timestamp
+
+  @doc "The last time stamp that was accepted of each stream."
+  @spec streams(t()) :: %{optional(stream()) => timestamp()}
+  def streams(%__MODULE__{streams: streams}), do: streams
 
   @doc "A time stamp as unix microseconds."
   @spec to_unix(timestamp()) :: integer()

@@ -24,6 +24,10 @@ defmodule SimVehicle.Options do
     rates: {%{}, "messages a second by message id, over the firmware's own"},
     params: {%{}, "values by parameter name, over the firmware's own"},
     mavlink: {2, "protocol version that is spoken, 1 or 2"},
+    key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
+    secure:
+      {false,
+       "whether its link counts as USB does for ArduPilot: unsigned frames are taken there, key or not"},
     script: {nil, "nil, or the script that the vehicle flies by itself (`SimVehicle.Pilot`)"},
     name: {nil, "a name for the process as GenServer takes it, or nil"}
   ]
@@ -108,6 +112,8 @@ defmodule SimVehicle.Options do
       end)
   end
 
+  defp valid?(:key, value, _opts), do: value == nil or (is_binary(value) and byte_size(value) == 32)
+  defp valid?(:secure, value, _opts), do: is_boolean(value)
   defp valid?(:script, value, _opts), do: value == nil or SimVehicle.Pilot.script?(value)
   defp valid?(:name, _value, _opts), do: true
 

@@ -9,7 +9,7 @@ defmodule SimVehicle.Server do
   use GenServer, restart: :transient
 
   alias MavCodec.Parser
-  alias SimVehicle.{Faults, Link, Pilot, Vehicle, View}
+  alias SimVehicle.{Faults, Link, Pilot, Signing, Vehicle, View}
 
   # After a pause of the whole machine a vehicle does not make up for more than this.
   @catch_up_s 0.5
@@ -30,6 +30,7 @@ defmodule SimVehicle.Server do
     :dialect,
     :clock,
     :off_for,
+    :signing,
     seq: 0,
     frozen: false,
     datagrams: true,
@@ -38,7 +39,8 @@ defmodule SimVehicle.Server do
     waiters: [],
     sent: 0,
     unsent: 0,
-    received: 0
+    received: 0,
+    refused: 0
   ]
 
   @doc false
@@ -62,6 +64,7 @@ defmodule SimVehicle.Server do
           pilot: options.script && Pilot.new(options.script),
           options: options,
           dialect: dialect,
+          signing: Signing.new(options.key, options.secure),
           datagrams: String.starts_with?(options.link, "udp"),
           clock: System.monotonic_time(:microsecond)
         }
@@ -83,6 +86,7 @@ defmodule SimVehicle.Server do
       sent: state.sent,
       unsent: state.unsent,
       received: state.received,
+      refused: state.refused,
       faults: state.faults.counts,
       parser: Parser.stats(state.parser)
     }
@@ -199,7 +203,8 @@ defmodule SimVehicle.Server do
           dialect: state.dialect
         )
 
-      transmit(%{state | seq: rem(state.seq + 1, 256)}, bytes)
+      {bytes, signing} = Signing.sign(state.signing, bytes, message, state.dialect)
+      transmit(%{state | seq: rem(state.seq + 1, 256), signing: signing}, bytes)
     end
   end
 
@@ -273,7 +278,17 @@ defmodule SimVehicle.Server do
   defp frame(state, frame) do
     state = %{state | received: state.received + 1}
 
+    case Signing.check(state.signing, frame) do
+      {:ok, signing} -> accepted(%{state | signing: signing}, frame)
+      {:refused, signing} -> %{state | signing: signing, refused: state.refused + 1}
+    end
+  end
+
+  defp accepted(state, frame) do
     case MavCodec.decode(frame, state.dialect) do
+      {:ok, %MavCodec.Messages.SetupSigning{} = setup} ->
+        %{state | signing: Signing.setup(state.signing, setup, state.vehicle)}
+
       {:ok, message} ->
         source = {frame.system, frame.component}
         state = %{state | pilot: state.pilot && Pilot.overheard(state.pilot, message, state.vehicle)}

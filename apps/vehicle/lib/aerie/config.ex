@@ -12,7 +12,7 @@ defmodule Aerie.Config do
 
     * `nats.mode` is `:embedded`, `:url` or `:off`; `nats.url` is a list of URLs without passwords
     * `mavlink.system_id` is set
-    * `links` has `id`, `url`, `network`, `label`, `enabled` for each, the one of `mavlink.local_addr` included; `spec` is
+    * `links` has `id`, `url`, `network`, `label`, `enabled`, `secure` for each, the one of `mavlink.local_addr` included; `spec` is
       the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
@@ -28,6 +28,7 @@ defmodule Aerie.Config do
     :mavlink,
     :links,
     :vehicles,
+    :signing,
     :nats,
     :outbox,
     :sampling,
@@ -50,6 +51,7 @@ defmodule Aerie.Config do
           network: String.t(),
           label: String.t() | nil,
           enabled: boolean(),
+          secure: boolean(),
           given: boolean(),
           spec: Aerie.Link.Spec.t()
         }
@@ -70,6 +72,7 @@ defmodule Aerie.Config do
           mavlink: map(),
           links: [link()],
           vehicles: [vehicle()],
+          signing: map(),
           nats: map(),
           outbox: map(),
           sampling: %{:groups => %{atom() => group()}, optional(atom()) => term()},

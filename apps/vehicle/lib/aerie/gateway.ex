@@ -7,6 +7,7 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Fleet.Store             owns the ETS read model and the journal of events
   ├─ Aerie.Fleet.PubSub            change notices, coalesced
   ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
+  ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
   ├─ Aerie.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
   ├─ Aerie.Link.Supervisor         one tree per physical link
@@ -23,6 +24,7 @@ defmodule Aerie.Gateway do
   | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
   | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
   | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
+  | Signing.Supervisor | nothing: time stamps were stored; then as above                  | bridge, store                  |
   | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
   | PubSub             | notices of one tick, then as above                                | store                          |
   | Store              | the snapshots and the journal's unacknowledged events; then all   | nothing                        |
@@ -84,6 +86,7 @@ defmodule Aerie.Gateway do
         {Aerie.Fleet.Store, gateway: name},
         {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
         {Aerie.Bridge.Supervisor, gateway: name, config: config},
+        {Aerie.Signing.Supervisor, gateway: name, config: config},
         {Aerie.Router.Supervisor, gateway: name, config: config},
         {Aerie.Vehicle.Supervisor, gateway: name, config: config},
         {Aerie.Link.Supervisor, gateway: name, config: config},

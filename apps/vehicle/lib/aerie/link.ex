@@ -110,6 +110,7 @@ defmodule Aerie.Link do
     :ok = Links.stop_tree(gateway, id)
     :ok = Store.delete_link(gateway, id)
     :ok = Router.forget(gateway, id)
+    :ok = Aerie.Signing.forget(gateway, id)
     :telemetry.execute([:aerie, :link, :removed], %{}, %{gateway: gateway, link: id, network: network})
   end
 
@@ -131,15 +132,16 @@ defmodule Aerie.Link do
 
   @doc """
   Writes whole frames, without waiting: `:ok` means handed to the link's process. What cannot be written (link down,
-  peer gone, buffer full) is counted as `dropped_out`.
+  peer gone, buffer full) is counted as `dropped_out`. Bytes marked by `Aerie.Signing.mark/3` are signed on their way.
   """
-  @spec send_bytes(Names.gateway(), String.t(), iodata, to) :: :ok | {:error, :no_link | :no_route}
+  @spec send_bytes(Names.gateway(), String.t(), iodata | Aerie.Signing.marked(), to) ::
+          :ok | {:error, :no_link | :no_route}
   def send_bytes(gateway, id, bytes, to \\ :all)
 
   def send_bytes(gateway, id, bytes, {:system, system}) do
     with %{network: network} <- get(gateway, id),
          {^id, peer} <- Router.way(gateway, {network, system}, link: id) do
-      send_bytes(gateway, id, bytes, {:peer, peer})
+      send_bytes(gateway, id, Aerie.Signing.mark(gateway, {network, system}, bytes), {:peer, peer})
     else
       _none -> {:error, :no_route}
     end

@@ -27,8 +27,16 @@ defmodule Aerie.Router do
   alias Aerie.Router.Tables
   alias MavCodec.Frame
 
-  @typedoc "Where frames come from: the link's id, its network, and which of its peers sent them."
-  @type source :: %{id: String.t(), network: String.t(), peer: term}
+  @typedoc """
+  Where frames come from: the link's id, its network, which of its peers sent them, and what is thought of the link
+  (`Aerie.Signing.trust/1`).
+  """
+  @type source :: %{
+          required(:id) => String.t(),
+          required(:network) => String.t(),
+          required(:peer) => term,
+          optional(:trust) => Aerie.Signing.Guard.trust()
+        }
 
   @type vehicle_key :: {network :: String.t(), system :: non_neg_integer}
 
@@ -60,11 +68,14 @@ defmodule Aerie.Router do
     case Tables.of(gateway) do
       # The router is being restarted, and the link with it.
       nil -> %{@nothing | unclaimed: length(frames)}
-      tables -> deliver(gateway, tables, source, frames)
+      # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
+      tables -> admitted(gateway, tables, source, Aerie.Signing.admit(gateway, source, frames))
     end
   end
 
-  defp deliver(gateway, tables, source, frames) do
+  defp admitted(_gateway, _tables, _source, []), do: @nothing
+
+  defp admitted(gateway, tables, source, frames) do
     now = System.monotonic_time(:millisecond)
     own = Tables.setting(tables, :own, nil)
 
@@ -147,6 +158,7 @@ defmodule Aerie.Router do
   def send(gateway, {_network, _system} = key, bytes, options \\ []) do
     with tables when is_map(tables) <- Tables.of(gateway),
          {link, peer} <- Routes.best(tables, key, Keyword.take(options, [:component])),
+         bytes = Aerie.Signing.mark(gateway, key, bytes),
          :ok <- Aerie.Link.send_bytes(gateway, link, bytes, {:peer, peer}) do
       :ok
     else
@@ -159,7 +171,8 @@ defmodule Aerie.Router do
   def broadcast(gateway, bytes, network \\ :all) do
     for link <- Store.links(gateway), network in [:all, link.network], link.status in [:up, :idle] do
       # One that is gone meanwhile needs none.
-      _ = Aerie.Link.send_bytes(gateway, link.id, bytes, :all)
+      marked = Aerie.Signing.mark(gateway, {link.network, nil}, bytes)
+      _ = Aerie.Link.send_bytes(gateway, link.id, marked, :all)
     end
 
     :ok

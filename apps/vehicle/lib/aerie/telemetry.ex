@@ -18,7 +18,7 @@ defmodule Aerie.Telemetry do
 
   ## Of links, router and bridge
 
-  See `Aerie.Link`, `Aerie.Router` and `Aerie.Bridge`.
+  See `Aerie.Link`, `Aerie.Router`, `Aerie.Signing` and `Aerie.Bridge`.
 
       :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
   """
@@ -39,6 +39,10 @@ defmodule Aerie.Telemetry do
     {[:aerie, :router, :vehicle_found], Aerie.Router},
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},
+    {[:aerie, :signing, :alarm], Aerie.Signing},
+    {[:aerie, :signing, :enrolled], Aerie.Signing},
+    {[:aerie, :signing, :revoked], Aerie.Signing},
+    {[:aerie, :signing, :not_stored], Aerie.Signing},
     {[:aerie, :bridge, :server, :up], Aerie.Bridge},
     {[:aerie, :bridge, :server, :down], Aerie.Bridge},
     {[:aerie, :bridge, :connected], Aerie.Bridge},

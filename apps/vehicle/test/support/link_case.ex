@@ -17,20 +17,24 @@ defmodule Aerie.LinkCase do
     end
   end
 
-  @doc "Starts store, notices, router, vehicles and links of a gateway that ends with the test; gives its name."
-  @spec start_parts(map) :: reference
-  def start_parts(config \\ %{}) do
+  @doc """
+  Starts store, notices, router, vehicles and links of a gateway that ends with the test; gives its name. `:before` are
+  further parts, before the router, with further options.
+  """
+  @spec start_parts(map, before: [{module, keyword}]) :: reference
+  def start_parts(config \\ %{}, more \\ []) do
     gateway = make_ref()
     options = [gateway: gateway, config: config]
 
-    for module <- [
-          Aerie.Fleet.Store,
-          Aerie.Fleet.PubSub,
-          Aerie.Router.Supervisor,
-          Aerie.Vehicle.Supervisor,
-          Aerie.Link.Supervisor
-        ] do
-      start_supervised!(Supervisor.child_spec({module, options}, id: {module, gateway}))
+    plain = &Enum.map(&1, fn module -> {module, []} end)
+
+    parts =
+      plain.([Aerie.Fleet.Store, Aerie.Fleet.PubSub]) ++
+        Keyword.get(more, :before, []) ++
+        plain.([Aerie.Router.Supervisor, Aerie.Vehicle.Supervisor, Aerie.Link.Supervisor])
+
+    for {module, further} <- parts do
+      start_supervised!(Supervisor.child_spec({module, options ++ further}, id: {module, gateway}))
     end
 
     gateway

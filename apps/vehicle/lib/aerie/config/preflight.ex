@@ -15,7 +15,7 @@ defmodule Aerie.Config.Preflight do
   @doc "`{:ok, warnings}` when the gateway can be started, else every reason why not."
   @spec check(Config.t()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
   def check(%Config{} = config) do
-    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) do
+    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) do
       [] -> {:ok, outbox(config)}
       errors -> {:error, errors}
     end
@@ -158,6 +158,17 @@ defmodule Aerie.Config.Preflight do
   end
 
   defp own_file(_config), do: []
+
+  defp signing(%Config{signing: %{keys: keys}} = config) do
+    for {key, index} <- Enum.with_index(keys),
+        {name, source} = key_source(key),
+        {:error, reason} <- [Aerie.Signing.Key.read(source)] do
+      error(config, "signing.keys[#{index}].#{name}", "a signing key that only its owner can read", reason)
+    end
+  end
+
+  defp key_source(%{key_file: nil, key_env: name}), do: {"key_env", {:env, name}}
+  defp key_source(%{key_file: file}), do: {"key_file", {:file, file}}
 
   defp readable(config, key, file) do
     case File.open(file, [:read, :raw], fn _file -> :ok end) do

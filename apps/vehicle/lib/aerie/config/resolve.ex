@@ -16,6 +16,7 @@ defmodule Aerie.Config.Resolve do
       |> system_id()
       |> heartbeat_type()
       |> vehicles()
+      |> keys()
       |> links()
       |> sampling()
       |> nats_mode()
@@ -23,7 +24,7 @@ defmodule Aerie.Config.Resolve do
 
     problems =
       Enum.flat_map(
-        [&identity/1, &streams/1, &duplicates/1, &nats/1, &clients/1, &ranges/1, &same_port/1],
+        [&identity/1, &streams/1, &duplicates/1, &signing/1, &nats/1, &clients/1, &ranges/1, &same_port/1],
         & &1.(config)
       )
 
@@ -52,6 +53,10 @@ defmodule Aerie.Config.Resolve do
     %{config | vehicles: own ++ (listed -- own)}
   end
 
+  defp keys(config) do
+    put_in(config.signing.keys, Enum.map(config.signing.keys, &%{&1 | network: &1.network || config.network}))
+  end
+
   defp links(config) do
     listed = Enum.map(config.links, &link(config, &1, true))
     %{config | links: listed ++ local_link(config, listed)}
@@ -69,7 +74,8 @@ defmodule Aerie.Config.Resolve do
 
   defp local(config, {host, port}, given) do
     host = if String.contains?(host, ":"), do: "[#{host}]", else: host
-    link(config, %{id: "udp", url: "udpin:#{host}:#{port}", network: nil, label: nil, enabled: true}, given)
+    keys = %{id: "udp", url: "udpin:#{host}:#{port}", network: nil, label: nil, enabled: true, secure: false}
+    link(config, keys, given)
   end
 
   # A connection string may name its id and network itself (`udpin::14550?network=field`); the keys of the list win.
@@ -155,6 +161,22 @@ defmodule Aerie.Config.Resolve do
         &"#{&1.network}/#{&1.system_id}",
         ["vehicles"],
         "one name for each network and system id"
+      )
+  end
+
+  defp signing(%{signing: %{keys: keys}}) do
+    one_of =
+      for {key, index} <- Enum.with_index(keys), key.key_file == nil == (key.key_env == nil) do
+        got = if key.key_file, do: "both", else: "neither"
+        problem(["signing", "keys", index], "one of key_file and key_env", got)
+      end
+
+    one_of ++
+      twice(
+        keys,
+        &"#{&1.network}/#{&1.system_id || "*"}",
+        ["signing", "keys"],
+        "one key for each network and system id"
       )
   end
 
@@ -254,6 +276,8 @@ defmodule Aerie.Config.Resolve do
          "such as 245. Aboard that vehicle, give vehicle_id instead."},
       {not is_nil(config.policy.max_altitude) or not is_nil(config.policy.geofence_file),
        "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
+      {Enum.any?(config.signing.keys, &(&1.policy != :required)),
+       "signing.keys: a policy other than required is UNSAFE: frames that anybody could have sent are taken in."},
       {not nats.tls.verify and nats.tls.enabled,
        "nats.tls.verify is false: anybody on the way can read and change what is sent to NATS."},
       {config.websocket.enabled and config.websocket.cert_file == nil and not local?(config.websocket.address),

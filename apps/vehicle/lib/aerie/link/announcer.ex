@@ -53,7 +53,9 @@ defmodule Aerie.Link.Announcer do
 
     # A link that is gone meanwhile needs none.
     for link <- Store.links(state.gateway), silent?(link, now) do
-      with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, bytes, :all),
+      marked = Aerie.Signing.mark(state.gateway, {link.network, nil}, bytes)
+
+      with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, marked, :all),
            do: Store.count(state.gateway, {:sent, Heartbeat.id()})
     end
 

@@ -58,7 +58,13 @@ defmodule Aerie.Link.Boot do
 
   defp config_specs(_none), do: []
 
-  defp options(link), do: [label: link[:label], high_latency: link[:high_latency] || false]
+  defp options(link) do
+    [
+      label: link[:label],
+      high_latency: link[:high_latency] || false,
+      secure: link[:secure] || false
+    ]
+  end
 
   # Links of a supervisor that was killed may be there for a moment still.
   defp start(gateway, spec) do

@@ -92,7 +92,9 @@ defmodule Aerie.Link.Server do
   def handle_call(:snapshot, _from, state), do: {:reply, snapshot(state), state}
 
   @impl GenServer
-  def handle_cast({:send, to, bytes}, state), do: {:noreply, write(state, to, bytes)}
+  def handle_cast({:send, to, bytes}, state) do
+    {:noreply, write(state, to, Aerie.Signing.seal(state.gateway, state.spec.id, bytes))}
+  end
 
   @impl GenServer
   def handle_info(:tick, state) do
@@ -217,7 +219,13 @@ defmodule Aerie.Link.Server do
   end
 
   defp act({:deliver, peer, frames}, state) do
-    source = %{id: state.spec.id, network: state.spec.network, peer: peer}
+    source = %{
+      id: state.spec.id,
+      network: state.spec.network,
+      peer: peer,
+      trust: Aerie.Signing.trust(state.spec)
+    }
+
     outcome = Router.deliver(state.gateway, source, frames)
     core = Enum.reduce(@drops, state.core, &count(&2, &1, outcome))
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
@@ -265,7 +273,9 @@ defmodule Aerie.Link.Server do
   end
 
   defp snapshot(state) do
-    state.core |> Snapshot.of(System.monotonic_time(:millisecond)) |> Map.put(:restarts, state.restarts)
+    state.core
+    |> Snapshot.of(System.monotonic_time(:millisecond))
+    |> Map.merge(%{restarts: state.restarts, signing: Aerie.Signing.link(state.gateway, state.spec)})
   end
 
   defp write(%{conn: nil} = state, _to, _bytes), do: step(state, {:count, :dropped_out, 1})

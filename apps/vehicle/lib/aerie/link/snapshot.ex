@@ -19,6 +19,7 @@ defmodule Aerie.Link.Snapshot do
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 256 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
+  | `:signing` | `Aerie.Signing.link/2`, nil without a key |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | words of the configuration, or nil |
   | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Vehicle.HighLatency`) |

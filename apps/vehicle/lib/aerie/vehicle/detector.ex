@@ -17,6 +17,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
   | `{:reboot, at, boot_ms}`                 | reboot                                                              |
   | `{:collision, at, boot_ms, sign}`        | collision                                                           |
+  | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.rejected                      |
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
   event; except for a battery that is found low.
@@ -184,6 +185,11 @@ defmodule Aerie.Vehicle.Detector do
     known = detector.collision != nil and at - detector.collision < @collision_again_us
     steps = if known, do: [], else: [{"collision", %{"sign" => sign}, []}]
     {detector, events} = emit(%{detector | collision: at}, steps, at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  def observe(detector, {:alarm, at, boot_ms, type, data}, _known) do
+    {detector, events} = emit(detector, [{type, data, []}], at, boot_ms, nil)
     {detector, events, %{}}
   end
 

@@ -100,6 +100,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:snapshot, snapshot}, state) do
+    snapshot = Map.put(snapshot, :signing, Aerie.Signing.vehicle(state.gateway, state.options.key))
     Fleet.Store.put_vehicle(state.gateway, state.options.key, snapshot)
     state
   end

@@ -1,0 +1,84 @@
+defmodule Aerie.Signing.Alarm do
+  @moduledoc """
+  Tells of bursts of refused frames (`Aerie.Signing.Burst`): a telemetry event, a counter, and an event
+  `signing.rejected` of the vehicle that they claim to come from, if that is known.
+  """
+
+  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.Signing.{Burst, Tables}
+
+  @max_sources 1024
+  # However many sources somebody invents.
+  @every_ms 1_000
+
+  @doc "`n` frames of a source were refused."
+  @spec rejected(
+          Names.gateway(),
+          Tables.t(),
+          map,
+          {non_neg_integer, 0..255},
+          atom,
+          pos_integer,
+          integer | nil
+        ) :: :ok
+  def rejected(gateway, tables, %{id: link} = source, {system, component}, reason, n, at) do
+    key = {link, system, component}
+
+    burst =
+      case :ets.lookup(tables.bad, key) do
+        [{_key, burst}] -> burst
+        [] -> if :ets.info(tables.bad, :size) < @max_sources, do: Burst.new()
+      end
+
+    if burst do
+      {burst, verdict} = Burst.add(burst, reason, n, System.monotonic_time(:millisecond))
+      :ets.insert(tables.bad, {key, burst})
+      raise_alarm(verdict, gateway, source, {system, component}, at)
+    end
+
+    :ok
+  end
+
+  defp raise_alarm(:quiet, _gateway, _source, _who, _at), do: :ok
+
+  defp raise_alarm({:alarm, reasons}, gateway, source, {system, component}, at) do
+    if Fleet.Store.claim(gateway, {:signing_alarm, source.id}, @every_ms) do
+      Fleet.Store.count(gateway, {:signing, source.id, :alarms})
+      {reason, _most} = Enum.max_by(reasons, &elem(&1, 1))
+
+      metadata = %{
+        gateway: gateway,
+        link: source.id,
+        network: source.network,
+        system: system,
+        component: component,
+        reason: reason
+      }
+
+      :telemetry.execute(
+        [:aerie, :signing, :alarm],
+        %{rejected: reasons |> Map.values() |> Enum.sum()},
+        metadata
+      )
+
+      event(gateway, source, {system, component}, reasons, at)
+    end
+  end
+
+  defp event(gateway, %{id: link, network: network}, {system, component}, reasons, at) do
+    key = {network, system}
+
+    with %{id: id} <- Fleet.Store.vehicle(gateway, key),
+         events when is_pid(events) <- Names.whereis(gateway, :events, key) do
+      data = %{
+        "link" => link,
+        "component" => component,
+        "reasons" => Map.new(reasons, fn {reason, n} -> {Atom.to_string(reason), n} end)
+      }
+
+      at = at || System.os_time(:microsecond)
+      _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, "signing.rejected", data})
+      Vehicle.Events.wake(events)
+    end
+  end
+end

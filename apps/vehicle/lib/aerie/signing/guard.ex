@@ -1,0 +1,106 @@
+defmodule Aerie.Signing.Guard do
+  @moduledoc """
+  Judges frames by a scope's policy: pure, around `MavCodec.Signing`.
+
+  | verdict | meaning |
+  |---|---|
+  | `:verified` | the signature is right |
+  | `:exempt` | it needs none: RADIO_STATUS of a radio (S7), or what the configuration lists |
+  | `:secure` | unsigned, but it came by a link that is marked secure |
+  | `:unsigned` | unsigned, and the policy takes that (S11) |
+  | `:unchecked` | the policy is off |
+  | `{:rejected, reason}` | `:unsigned`, `:wrong_signature`, `:replayed`, `:stale`, `:too_many_streams`, `:no_key` |
+
+  A wrong signature is refused under every policy but `:off`, on a secure link too.
+  """
+
+  alias Aerie.Signing.Scope
+  alias MavCodec.Frame
+  alias MavCodec.Signing
+
+  @typedoc """
+  What is thought of the way by which frames come: `:radio` nothing, `:secure` it is a cable that the operator vouches for,
+  `:recording` it is a file.
+  """
+  @type trust :: :radio | :secure | :recording
+
+  @type verdict :: :verified | :exempt | :secure | :unsigned | :unchecked | {:rejected, atom}
+
+  @doc "The verdict on one frame. `signing` is nil when the scope's key could not be read."
+  @spec check(Scope.t(), Signing.t() | nil, Frame.t(), trust) :: {verdict, Signing.t() | nil}
+  def check(%Scope{policy: :off}, signing, _frame, _trust), do: {:unchecked, signing}
+
+  def check(scope, signing, %Frame{signature: nil} = frame, trust),
+    do: {unsigned(scope, frame, trust), signing}
+
+  def check(_scope, nil, _frame, _trust), do: {{:rejected, :no_key}, nil}
+
+  def check(_scope, signing, frame, _trust) do
+    case Signing.check(signing, frame) do
+      {:signed, signing} -> {:verified, signing}
+      {rejected, signing} -> {rejected, signing}
+    end
+  end
+
+  defp unsigned(scope, frame, trust) do
+    cond do
+      frame.id in scope.allow -> :exempt
+      trust == :secure -> :secure
+      scope.policy == :accept_unsigned -> :unsigned
+      true -> {:rejected, :unsigned}
+    end
+  end
+
+  @doc """
+  Signs the frames in `bytes` that are unsigned, of version 2 and from `own` (`{system, component}`); everything else stays
+  as it is (S10). Gives the bytes, how many frames were signed and how many of ours could not be.
+  """
+  @spec sign(Signing.t(), binary, {non_neg_integer, 0..255}) ::
+          {iodata, signed :: non_neg_integer, unsigned :: non_neg_integer, Signing.t()}
+  def sign(signing, bytes, own), do: sign(bytes, own, signing, [], 0, 0)
+
+  defp sign(<<>>, _own, signing, out, signed, unsigned), do: {Enum.reverse(out), signed, unsigned, signing}
+
+  defp sign(bytes, own, signing, out, signed, unsigned) do
+    case Frame.header(bytes) do
+      {:ok, _header, _payload, size, id, _system} when byte_size(bytes) >= size ->
+        <<frame::binary-size(^size), rest::binary>> = bytes
+        frame = Frame.from_bytes(frame, nil)
+
+        case one(frame, id, own, signing) do
+          {:signed, bytes, signing} -> sign(rest, own, signing, [bytes | out], signed + 1, unsigned)
+          :unsigned -> sign(rest, own, signing, [frame.bytes | out], signed, unsigned + 1)
+          :foreign -> sign(rest, own, signing, [frame.bytes | out], signed, unsigned)
+        end
+
+      _no_frame ->
+        {Enum.reverse([bytes | out]), signed, unsigned, signing}
+    end
+  end
+
+  defp one(
+         %Frame{system: system, component: component, signature: nil} = frame,
+         id,
+         {system, component},
+         signing
+       ) do
+    with %Frame{version: 2} <- frame, extra when extra != nil <- extra(frame.bytes, id) do
+      {bytes, signing} = Signing.sign(signing, frame.bytes, extra)
+      {:signed, bytes, signing}
+    else
+      _version_1_or_unknown -> :unsigned
+    end
+  end
+
+  defp one(_frame, _id, _own, _signing), do: :foreign
+
+  # The one of a message's values with which the frame was made.
+  defp extra(bytes, id) do
+    size = byte_size(bytes) - 2
+    <<_::binary-size(^size), crc::16-little>> = bytes
+
+    MavCodec.Dialects.All.crc_extra(id)
+    |> List.wrap()
+    |> Enum.find(&(MavCodec.CRC.frame(bytes, size - 1, &1) == crc))
+  end
+end

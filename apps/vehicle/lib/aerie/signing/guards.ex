@@ -1,0 +1,101 @@
+defmodule Aerie.Signing.Guards do
+  @moduledoc """
+  The `MavCodec.Signing` of each link and scope: found, made, kept in a table that outlives the link's process.
+
+  Only the link's process writes its own. A new one begins where the last life ended: with its time stamp (S6) and with
+  the last one of every stream, so that what was recorded before a restart cannot be played after it (S3).
+  """
+
+  alias Aerie.Config.Secret
+  alias Aerie.Names
+  alias Aerie.Signing.{Scope, Tables, Vault}
+  alias MavCodec.Signing
+
+  @max_stored 1024
+
+  @doc "The one of a link and a scope; nil when the scope has no key."
+  @spec get(Names.gateway(), Tables.t(), String.t(), Scope.t()) :: Signing.t() | nil
+  def get(_gateway, _tables, _link, %Scope{secret: nil}), do: nil
+
+  def get(gateway, tables, link, %Scope{id: id, generation: generation} = scope) do
+    case :ets.lookup(tables.guards, {link, id}) do
+      [{_key, ^generation, signing}] -> signing
+      # Another key: the time goes on, what was signed with the old one is not worth remembering.
+      [{_key, _old, signing}] -> make(gateway, tables, link, scope, Signing.timestamp(signing), %{})
+      [] -> restore(gateway, tables, link, scope)
+    end
+  end
+
+  defp restore(gateway, tables, link, scope) do
+    case :ets.lookup(tables.stored, {link, scope.id}) do
+      [{_key, timestamp, streams}] -> make(gateway, tables, link, scope, timestamp, streams)
+      [] -> make(gateway, tables, link, scope, 0, %{})
+    end
+  end
+
+  defp make(gateway, tables, link, scope, timestamp, streams) do
+    key = {link, scope.id}
+
+    signing =
+      Signing.new(Secret.reveal(scope.secret),
+        link_id: link_id(tables, link),
+        stored: timestamp,
+        streams: streams,
+        clock: Tables.setting(tables, :clock, &__MODULE__.now/0),
+        save: &Vault.reserve(gateway, tables, key, &1)
+      )
+
+    put(tables, link, scope, signing)
+    signing
+  end
+
+  @doc false
+  def now, do: System.os_time(:microsecond)
+
+  @doc "Keeps one; called by the link's process."
+  @spec put(Tables.t(), String.t(), Scope.t(), Signing.t()) :: :ok
+  def put(tables, link, scope, signing) do
+    :ets.insert(tables.guards, {{link, scope.id}, scope.generation, signing})
+    :ok
+  end
+
+  @doc "Our link id on a link: each has its own, because their time stamps go forward independently (S2)."
+  @spec link_id(Tables.t(), String.t()) :: 0..255
+  def link_id(tables, link) do
+    case :ets.lookup(tables.settings, {:link_id, link}) do
+      [{_key, number}] ->
+        number
+
+      [] ->
+        number = :ets.update_counter(tables.settings, :next_link_id, 1, {:next_link_id, -1})
+        :ets.insert_new(tables.settings, {{:link_id, link}, rem(number, 256)})
+        :ets.lookup_element(tables.settings, {:link_id, link}, 2)
+    end
+  end
+
+  @doc "A time stamp of now for a link and a scope, not below what it has used; does not use it up."
+  @spec timestamp(Tables.t(), String.t(), Scope.t()) :: Signing.timestamp()
+  def timestamp(tables, link, scope) do
+    clock = Tables.setting(tables, :clock, &__MODULE__.now/0)
+    now = Signing.timestamp(Signing.new(<<0::256>>, clock: clock))
+
+    case :ets.lookup(tables.guards, {link, scope.id}) do
+      [{_key, _generation, signing}] -> max(now, Signing.timestamp(signing))
+      [] -> now
+    end
+  end
+
+  @doc "A link is no more: what must not be forgotten of it is stored."
+  @spec forget(Tables.t(), String.t()) :: :ok
+  def forget(tables, link) do
+    for {{^link, id} = key, _generation, signing} <- :ets.tab2list(tables.guards) do
+      if :ets.info(tables.stored, :size) < @max_stored,
+        do: :ets.insert(tables.stored, {key, Signing.timestamp(signing), Signing.streams(signing)})
+
+      :ets.delete(tables.guards, {link, id})
+    end
+
+    true = :ets.match_delete(tables.bad, {{link, :_, :_}, :_})
+    :ok
+  end
+end

@@ -1,0 +1,79 @@
+defmodule Aerie.Signing.Scope do
+  @moduledoc """
+  Whose frames a key is for, and what is asked of them: one vehicle, or every system of a network that has no key of its
+  own.
+
+  - `:required`: what has no right signature is not the vehicle's: it is not taken in, teaches no route, makes no event.
+  - `:accept_unsigned`: a wrong signature is refused, a missing one is not. This is unsafe, and shown as such (S11).
+  - `:off`: nothing is checked and nothing signed; shown as unsafe too, as there is a key.
+
+  A scope whose key could not be read refuses everything that its policy asks a signature of: it fails closed.
+  """
+
+  alias Aerie.Config.Secret
+  alias Aerie.Signing.Key
+
+  @radio_status 109
+
+  @enforce_keys [:id]
+  defstruct [:id, :secret, :error, :source, policy: :required, allow: [@radio_status], generation: 0]
+
+  @type id :: {network :: String.t(), system :: non_neg_integer | :any}
+  @type policy :: :off | :accept_unsigned | :required
+
+  @typedoc """
+  - `id`: the network, and the system or `:any`
+  - `secret`: the key, nil when it could not be read; then `error` says why
+  - `source`: where it came from, in words
+  - `allow`: message ids that need no signature, RADIO_STATUS unless configured (S7)
+  - `generation`: changes with the key, so that links notice
+  """
+  @type t :: %__MODULE__{
+          id: id,
+          secret: Secret.t() | nil,
+          error: String.t() | nil,
+          source: String.t() | nil,
+          policy: policy,
+          allow: [non_neg_integer],
+          generation: integer
+        }
+
+  @doc "The scopes of a configuration, their keys read."
+  @spec all(map | nil) :: [t]
+  def all(%{signing: %{keys: keys}} = config), do: Enum.map(keys, &one(&1, Map.get(config, :network, "main")))
+  def all(_none), do: []
+
+  defp one(entry, network) do
+    {place, source} = source(entry)
+
+    scope = %__MODULE__{
+      id: {entry[:network] || network, entry[:system_id] || :any},
+      policy: entry[:policy] || :required,
+      allow: entry[:allow_unsigned] || [@radio_status],
+      source: place
+    }
+
+    case source && Key.read(source) do
+      {:ok, secret} -> renewed(%{scope | secret: secret})
+      {:error, reason} -> renewed(%{scope | error: reason})
+      nil -> renewed(%{scope | error: "neither key_file nor key_env is given"})
+    end
+  end
+
+  defp source(%{key_file: file}) when is_binary(file), do: {"file #{file}", {:file, file}}
+  defp source(%{key_env: name}) when is_binary(name), do: {"environment variable #{name}", {:env, name}}
+  defp source(_neither), do: {nil, nil}
+
+  @doc "The scope under a new generation."
+  @spec renewed(t) :: t
+  def renewed(scope), do: %{scope | generation: System.unique_integer()}
+
+  @doc "Whether frames are taken in without the safety that the key is for."
+  @spec unsafe?(t) :: boolean
+  def unsafe?(%__MODULE__{policy: policy}), do: policy != :required
+
+  @doc "A scope's name: `main/7`, `main/*`."
+  @spec name(id) :: String.t()
+  def name({network, :any}), do: network <> "/*"
+  def name({network, system}), do: "#{network}/#{system}"
+end

@@ -1,0 +1,121 @@
+defmodule Aerie.Signing.State do
+  @moduledoc """
+  The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new one.
+
+      {"version": 1, "link_ids": {"radio-1": 0},
+       "links": [{"link": "radio-1", "network": "main", "system": null, "timestamp": 1187..., "streams": [[0, 1, 1, 1187...]]}]}
+  """
+
+  alias Aerie.Signing.Tables
+  alias MavCodec.Signing
+
+  @max_bytes 8_000_000
+  @max_timestamp 0xFFFF_FFFF_FFFF
+
+  @type stored :: %{
+          link_ids: %{String.t() => 0..255},
+          entries: [{{String.t(), Aerie.Signing.Scope.id()}, Signing.timestamp(), map}]
+        }
+
+  @doc "What there is to store as text; nil for nothing."
+  @spec encode(Tables.t()) :: binary | nil
+  def encode(tables) do
+    live =
+      for {key, _generation, signing} <- :ets.tab2list(tables.guards), into: %{} do
+        reserved = :ets.lookup_element(tables.reserved, key, 2, 0)
+        {key, {max(reserved, Signing.timestamp(signing)), Signing.streams(signing)}}
+      end
+
+    former =
+      for {key, timestamp, streams} <- :ets.tab2list(tables.stored),
+          into: %{},
+          do: {key, {timestamp, streams}}
+
+    entries = former |> Map.merge(live) |> Enum.sort()
+
+    if entries != [] do
+      ids = for {{:link_id, link}, number} <- :ets.tab2list(tables.settings), into: %{}, do: {link, number}
+      JSON.encode!(%{"version" => 1, "link_ids" => ids, "links" => Enum.map(entries, &entry/1)})
+    end
+  end
+
+  defp entry({{link, {network, system}}, {timestamp, streams}}) do
+    %{
+      "link" => link,
+      "network" => network,
+      "system" => if(system == :any, do: nil, else: system),
+      "timestamp" => timestamp,
+      "streams" =>
+        for({{link_id, system, component}, at} <- Enum.sort(streams), do: [link_id, system, component, at])
+    }
+  end
+
+  @doc "Reads the file; a missing one is empty, a damaged one an error in words."
+  @spec read(Path.t()) :: {:ok, stored} | {:error, String.t()}
+  def read(path) do
+    case File.read(path) do
+      {:ok, text} when byte_size(text) <= @max_bytes -> decode(text, path)
+      {:ok, _long} -> {:error, "#{path} is longer than such a file can be"}
+      {:error, :enoent} -> {:ok, %{link_ids: %{}, entries: []}}
+      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+    end
+  end
+
+  defp decode(text, path) do
+    case JSON.decode(text) do
+      {:ok, %{"version" => 1, "link_ids" => %{} = ids, "links" => links}} when is_list(links) ->
+        ids = for {link, n} <- ids, n in 0..255, into: %{}, do: {link, n}
+        {:ok, %{link_ids: ids, entries: Enum.flat_map(links, &entry_of/1)}}
+
+      _other ->
+        {:error, "#{path} is damaged"}
+    end
+  end
+
+  defp entry_of(%{
+         "link" => link,
+         "network" => network,
+         "system" => system,
+         "timestamp" => at,
+         "streams" => streams
+       })
+       when is_binary(link) and is_binary(network) and (is_nil(system) or is_integer(system)) and
+              at in 0..@max_timestamp and is_list(streams) do
+    streams = for [link_id, s, c, t] <- streams, is_integer(t), into: %{}, do: {{link_id, s, c}, t}
+    [{{link, {network, system || :any}}, at, streams}]
+  end
+
+  defp entry_of(_other), do: []
+
+  @doc "Writes the file: beside it, forced to the disk, then in its place. Its folder and itself are for the owner only."
+  @spec write(Path.t(), binary) :: :ok | {:error, String.t()}
+  def write(path, bytes) do
+    dir = Path.dirname(path)
+    beside = path <> ".new"
+
+    with :ok <- make(dir),
+         {:ok, file} <- :file.open(beside, [:write, :raw, :binary]),
+         :ok <- fill(file, beside, bytes),
+         :ok <- :file.rename(beside, path) do
+      :ok
+    else
+      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+    end
+  end
+
+  defp make(dir) do
+    with false <- File.dir?(dir), :ok <- File.mkdir_p(dir) do
+      _ = File.chmod(dir, 0o700)
+      :ok
+    else
+      true -> :ok
+      error -> error
+    end
+  end
+
+  defp fill(file, path, bytes) do
+    with :ok <- File.chmod(path, 0o600), :ok <- :file.write(file, bytes), do: :file.datasync(file)
+  after
+    :file.close(file)
+  end
+end

@@ -1,0 +1,82 @@
+defmodule Aerie.Signing.Tables do
+  @moduledoc """
+  What links, sessions and faces share about signing: ETS tables owned by `Aerie.Signing.Supervisor`, found through its
+  name.
+
+  - `:scopes` `{scope id, Aerie.Signing.Scope}`
+  - `:guards` `{{link, scope id}, generation, MavCodec.Signing}`: written by the link's process only
+  - `:stored` `{{link, scope id}, link id, time stamp, streams}`: what the last life left behind
+  - `:reserved` `{{link, scope id}, time stamp}`: what the next life must not fall behind (S6)
+  - `:sources` `{vehicle key, verified_us, unsigned_us, verified, unsigned, rejected}`
+  - `:bad` `{{link, system, component}, Aerie.Signing.Burst}`
+  - `:waiters` `{vehicle key, pid, reference}`: enrolments that wait for a signed frame
+  - `:settings` `{name, value}`
+
+  `active` is 1 while there is any scope: without one, a read costs one look at it.
+  """
+
+  alias Aerie.Names
+  alias Aerie.Signing.Scope
+
+  @type t :: %{
+          scopes: :ets.table(),
+          guards: :ets.table(),
+          stored: :ets.table(),
+          reserved: :ets.table(),
+          sources: :ets.table(),
+          bad: :ets.table(),
+          waiters: :ets.table(),
+          settings: :ets.table(),
+          active: :atomics.atomics_ref()
+        }
+
+  @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :signing, nil}`."
+  @spec create(Names.gateway(), keyword) :: t
+  def create(gateway, settings) do
+    shared = [:set, :public, read_concurrency: true, write_concurrency: true]
+
+    tables =
+      [:scopes, :guards, :stored, :reserved, :sources, :bad, :waiters, :settings]
+      |> Map.new(&{&1, :ets.new(&1, shared)})
+      |> Map.put(:active, :atomics.new(1, signed: false))
+
+    :ets.insert(tables.settings, settings)
+    Names.put_value(gateway, :signing, tables)
+    tables
+  end
+
+  @doc "The tables of a gateway; nil when it does not sign."
+  @spec of(Names.gateway()) :: t | nil
+  def of(gateway), do: Names.value(gateway, :signing)
+
+  @doc "The same, nil too when there is no key."
+  @spec active(Names.gateway()) :: t | nil
+  def active(gateway) do
+    with %{active: active} = tables <- of(gateway), do: if(:atomics.get(active, 1) == 1, do: tables)
+  end
+
+  @doc "A setting."
+  @spec setting(t, atom, default) :: term | default when default: term
+  def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)
+
+  @doc "The scope that a system belongs to, nil when there is no key for it."
+  @spec scope(t, {String.t(), non_neg_integer | nil}) :: Scope.t() | nil
+  def scope(tables, {network, system}) do
+    with nil <- :ets.lookup_element(tables.scopes, {network, system}, 2, nil),
+         do: :ets.lookup_element(tables.scopes, {network, :any}, 2, nil)
+  end
+
+  @doc "Puts a scope in the place of what had its id."
+  @spec put_scope(t, Scope.t()) :: :ok
+  def put_scope(tables, scope) do
+    :ets.insert(tables.scopes, {scope.id, scope})
+    :atomics.put(tables.active, 1, 1)
+  end
+
+  @doc "Takes a scope away."
+  @spec delete_scope(t, Scope.id()) :: :ok
+  def delete_scope(tables, id) do
+    :ets.delete(tables.scopes, id)
+    :atomics.put(tables.active, 1, if(:ets.info(tables.scopes, :size) > 0, do: 1, else: 0))
+  end
+end

@@ -1,0 +1,89 @@
+defmodule Aerie.Signing.PymavlinkTest do
+  @moduledoc "The other end of the link is pymavlink, with its own implementation of signing."
+  use ExUnit.Case, async: true
+  use Aerie.SigningCase
+
+  import Aerie.PythonPeer, only: [start: 2, await: 2]
+
+  alias Aerie.Fleet.Store
+  alias Aerie.{Router, Signing}
+
+  @moduletag :python
+  @moduletag :tmp_dir
+
+  defp state(gateway), do: Signing.vehicle(gateway, {"main", 7}).state
+
+  # Sessions send heartbeats by themselves, so the line is not the first that comes.
+  defp hears(peer, line) do
+    unless await(peer, "heard ") == line, do: hears(peer, line)
+  end
+
+  test "S1, S2: each verifies what the other signs", c do
+    gateway = start_signing(c.tmp_dir)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    peer = start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3", passphrase()])
+    eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
+    assert state(gateway) == :verified
+    :ok = Router.send(gateway, {"main", 7}, heartbeat(245, type: 18, autopilot: 8, component: 191))
+    hears(peer, "HEARTBEAT 245 signed")
+  end
+
+  test "one that signs with another key is no vehicle", c do
+    gateway = start_signing(c.tmp_dir)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3", "another"])
+    eventually(fn -> state(gateway) == :rejected end)
+    assert Store.vehicle(gateway, {"main", 7}) == nil
+    assert Router.way(gateway, {"main", 7}) == nil
+  end
+
+  test "it is given its key over a secure link, signs, is heard, and is given another; then none", c do
+    gateway = start_signing(c.tmp_dir)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "usb", options: [secure: true])
+    peer = start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3"])
+    eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
+    assert state(gateway) == :unsigned
+
+    assert {:ok, %{link: "usb", key: nil}} = Signing.enrol(gateway, {"main", 7})
+    await(peer, "key taken")
+    assert state(gateway) == :verified
+    hears(peer, "HEARTBEAT 245 signed")
+
+    # Rotation: the order is signed with the old key, what follows with the new one.
+    assert {:ok, %{link: "usb", key: key}} = Signing.enrol(gateway, {"main", 7}, key: :generate)
+    assert %Aerie.Config.Secret{} = key
+    await(peer, "key taken")
+    hears(peer, "HEARTBEAT 245 signed")
+    assert Signing.vehicle(gateway, {"main", 7}).key == "main/7"
+
+    assert {:ok, %{link: "usb"}} = Signing.revoke(gateway, {"main", 7})
+    await(peer, "key given up")
+  end
+
+  test "S8: no key goes over a link that is not marked secure", c do
+    gateway = start_signing(c.tmp_dir, policy: :accept_unsigned)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    peer = start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3"])
+    eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
+    assert {:error, text} = Signing.enrol(gateway, "VID-007")
+    assert text =~ "not heard by a link that is marked secure (only by radio)"
+    assert {:error, "link radio is not marked secure" <> _} = Signing.enrol(gateway, "VID-007", link: "radio")
+    assert {:error, "there is no link usb"} = Signing.revoke(gateway, "VID-007", link: "usb")
+    assert {:error, "no vehicle VID-009" <> _} = Signing.enrol(gateway, "VID-009")
+    # Nothing of it went out: what comes next is our heartbeat.
+    assert await(peer, "heard ") =~ "HEARTBEAT"
+  end
+
+  test "a vehicle that takes no key: that is told, and the old key stays in force", c do
+    gateway = start_signing(c.tmp_dir)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "usb", options: [secure: true])
+    # It has the right key, and is asked for as another component.
+    start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3", passphrase()])
+    eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
+    :ok = Router.clear(gateway, {"main", 7})
+    silent = [link: "usb", key: :generate, timeout_ms: 300]
+    assert {:error, text} = Signing.enrol(gateway, {"main", 9}, silent)
+    assert text =~ "no frame signed with that key came by usb within 300 ms"
+    assert Signing.list(gateway).keys |> Enum.map(& &1.key) == ["main/*"]
+  end
+end

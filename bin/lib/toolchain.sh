@@ -6,7 +6,7 @@
 # an older system's libc does not matter, with paths relative to the wrapper, so that the folder can be moved.
 
 TOOLCHAIN_SUITE=forky
-TOOLCHAIN_REVISION=4 # change it when the steps below change: set-ups made by the older ones are made anew
+TOOLCHAIN_REVISION=5 # change it when the steps below change: set-ups made by the older ones are made anew
 
 toolchain_packages() {
   cat <<'LIST'
@@ -16,7 +16,7 @@ erlang-base erlang-crypto erlang-mnesia erlang-asn1 erlang-public-key erlang-run
 erlang-parsetools erlang-tools erlang-syntax-tools erlang-dialyzer erlang-os-mon erlang-eunit
 erlang-ranch erlang-cowlib erlang-cowboy erlang-p1-utils erlang-p1-yaml erlang-proper
 nats-server
-libc6 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 libssl3t64 libyaml-0-2
+libc6 libatomic1 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 libssl3t64 libyaml-0-2
 LIST
 }
 

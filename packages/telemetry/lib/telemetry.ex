@@ -152,7 +152,8 @@ defmodule :telemetry do
 
   # Detached before the event, so that a failure handler that fails as well ends this instead of going round.
   defp failed(id, config, event_name, kind, reason, stacktrace) do
-    detach(id)
+    # Another process may have detached it already.
+    _ = detach(id)
 
     execute(
       @failure_event,

@@ -51,7 +51,7 @@ defmodule Telemetry.HandlerTable do
 
   @impl GenServer
   def init(nil) do
-    :ets.new(@table, [:duplicate_bag, :protected, :named_table, read_concurrency: true])
+    _ = :ets.new(@table, [:duplicate_bag, :protected, :named_table, read_concurrency: true])
     {:ok, nil}
   end
 

@@ -129,7 +129,7 @@ defmodule Circuits.UART.Server do
         server
 
       {{_ref, timer}, timers} ->
-        Process.cancel_timer(timer)
+        _ = Process.cancel_timer(timer)
         %{server | timers: timers}
     end
   end
@@ -176,7 +176,7 @@ defmodule Circuits.UART.Server do
   end
 
   defp put_outbox(server, packet) do
-    if :queue.is_empty(server.outbox), do: Process.send_after(self(), {:timer, :outbox}, @busy_retry)
+    _ = if :queue.is_empty(server.outbox), do: Process.send_after(self(), {:timer, :outbox}, @busy_retry)
     %{server | outbox: :queue.in(packet, server.outbox)}
   end
 

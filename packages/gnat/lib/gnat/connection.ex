@@ -17,7 +17,7 @@ defmodule Gnat.Connection do
   @batch 64
 
   @doc "Starts the process on an accepted connection that the caller owns, and hands it over."
-  @spec start_link(Handshake.t(), GenServer.options()) :: GenServer.on_start()
+  @spec start_link(Handshake.t(), GenServer.options()) :: {:ok, pid()} | {:error, {:already_started, pid()}}
   def start_link(%Handshake{transport: transport} = handshake, opts) do
     case GenServer.start_link(__MODULE__, handshake, opts) do
       {:ok, pid} ->
@@ -26,9 +26,9 @@ defmodule Gnat.Connection do
         GenServer.cast(pid, :activate)
         {:ok, pid}
 
-      other ->
+      {:error, _} = error ->
         Transport.close(transport)
-        other
+        error
     end
   end
 

@@ -127,6 +127,7 @@ defmodule Gnat.ConsumerSupervisor do
 
   defp run(message, %{tasks: tasks, consume: {module, function, args}}) do
     {:ok, _pid} = Task.Supervisor.start_child(tasks, module, function, args ++ [message])
+    :ok
   end
 
   defp drain(state) do

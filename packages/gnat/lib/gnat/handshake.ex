@@ -29,18 +29,26 @@ defmodule Gnat.Handshake do
   # A failed upgrade has closed its socket; from then on the newest transport is the one to close.
   defp secure(transport, settings, deadline) do
     with {:ok, transport} <- tls_first(transport, settings, deadline),
-         {:ok, info, parser} <- read_info(transport, Parsec.new(), deadline) |> or_close(transport),
+         {:ok, info, parser} <- info(transport, deadline),
          {:ok, transport} <- tls(transport, info, parser, settings, deadline) do
-      log_in(%__MODULE__{transport: transport, parser: parser, info: info, settings: settings}, deadline)
-      |> or_close(transport)
+      connection = %__MODULE__{transport: transport, parser: parser, info: info, settings: settings}
+      with {:error, error} <- log_in(connection, deadline), do: close(transport, error)
     end
   end
 
   defp tls_first(transport, %{tls_first: true} = settings, deadline) do
-    Transport.upgrade(transport, settings, deadline) |> or_close(transport)
+    upgrade(transport, settings, deadline)
   end
 
   defp tls_first(transport, _settings, _deadline), do: {:ok, transport}
+
+  defp upgrade(transport, settings, deadline) do
+    with {:error, error} <- Transport.upgrade(transport, settings, deadline), do: close(transport, error)
+  end
+
+  defp info(transport, deadline) do
+    with {:error, error} <- read_info(transport, Parsec.new(), deadline), do: close(transport, error)
+  end
 
   defp read_info(transport, parser, deadline) do
     with {:ok, bytes} <- Transport.recv(transport, deadline) do
@@ -61,17 +69,17 @@ defmodule Gnat.Handshake do
 
     cond do
       settings.tls and not offered? ->
-        {:error, Error.new(:tls_not_offered)} |> or_close(transport)
+        close(transport, Error.new(:tls_not_offered))
 
       not (settings.tls or info[:tls_required] == true) ->
         {:ok, transport}
 
       # Bytes behind a plain INFO could come from anybody; they must not be taken for the server's, read inside TLS.
       not Parsec.empty?(parser) ->
-        {:error, Error.new({:protocol, "bytes between INFO and TLS"})} |> or_close(transport)
+        close(transport, Error.new({:protocol, "bytes between INFO and TLS"}))
 
       true ->
-        Transport.upgrade(transport, settings, deadline) |> or_close(transport)
+        upgrade(transport, settings, deadline)
     end
   end
 
@@ -142,12 +150,10 @@ defmodule Gnat.Handshake do
     end
   end
 
-  defp or_close({:error, _} = error, transport) do
+  defp close(transport, error) do
     Transport.close(transport)
-    error
+    {:error, error}
   end
-
-  defp or_close(ok, _transport), do: ok
 
   defp version, do: to_string(Application.spec(:gnat, :vsn) || "0")
 end

@@ -19,7 +19,7 @@ defmodule Gnat.Transport do
 
   @doc "A point in time `ms` from now, for the functions that take one."
   @spec deadline(non_neg_integer()) :: deadline()
-  def deadline(ms), do: System.monotonic_time(:millisecond) + ms
+  def deadline(ms) when is_integer(ms), do: System.monotonic_time(:millisecond) + ms
 
   @spec connect(Gnat.Settings.t(), deadline()) :: {:ok, t()} | {:error, Error.t()}
   def connect(settings, deadline) do
@@ -43,16 +43,23 @@ defmodule Gnat.Transport do
   end
 
   @spec send(t(), iodata()) :: :ok | {:error, Error.t()}
-  def send(%__MODULE__{kind: :tcp, socket: socket}, iodata), do: result(:gen_tcp.send(socket, iodata))
-  def send(%__MODULE__{kind: :tls, socket: socket}, iodata), do: result(:ssl.send(socket, iodata))
+  def send(%__MODULE__{kind: :tcp, socket: socket}, iodata) do
+    with {:error, reason} <- :gen_tcp.send(socket, iodata), do: failed(reason)
+  end
+
+  def send(%__MODULE__{kind: :tls, socket: socket}, iodata) do
+    with {:error, reason} <- :ssl.send(socket, iodata), do: failed(reason)
+  end
 
   @doc "What has arrived, or what arrives before the deadline."
   @spec recv(t(), deadline()) :: {:ok, binary()} | {:error, Error.t()}
-  def recv(%__MODULE__{kind: :tcp, socket: socket}, deadline),
-    do: result(:gen_tcp.recv(socket, 0, left(deadline)))
+  def recv(%__MODULE__{kind: :tcp, socket: socket}, deadline) do
+    with {:error, reason} <- :gen_tcp.recv(socket, 0, left(deadline)), do: failed(reason)
+  end
 
-  def recv(%__MODULE__{kind: :tls, socket: socket}, deadline),
-    do: result(:ssl.recv(socket, 0, left(deadline)))
+  def recv(%__MODULE__{kind: :tls, socket: socket}, deadline) do
+    with {:error, reason} <- :ssl.recv(socket, 0, left(deadline)), do: failed(reason)
+  end
 
   @spec close(t()) :: :ok
   def close(%__MODULE__{kind: :tcp, socket: socket}), do: :gen_tcp.close(socket)
@@ -64,14 +71,22 @@ defmodule Gnat.Transport do
 
   @doc "Gives the connection to another process; only while it is passive."
   @spec give(t(), pid()) :: :ok | {:error, Error.t()}
-  def give(%__MODULE__{kind: :tcp, socket: socket}, pid),
-    do: result(:gen_tcp.controlling_process(socket, pid))
+  def give(%__MODULE__{kind: :tcp, socket: socket}, pid) do
+    with {:error, reason} <- :gen_tcp.controlling_process(socket, pid), do: failed(reason)
+  end
 
-  def give(%__MODULE__{kind: :tls, socket: socket}, pid), do: result(:ssl.controlling_process(socket, pid))
+  def give(%__MODULE__{kind: :tls, socket: socket}, pid) do
+    with {:error, reason} <- :ssl.controlling_process(socket, pid), do: failed(reason)
+  end
 
   @spec activate(t()) :: :ok | {:error, Error.t()}
-  def activate(%__MODULE__{kind: :tcp, socket: socket}), do: result(:inet.setopts(socket, active: @active))
-  def activate(%__MODULE__{kind: :tls, socket: socket}), do: result(:ssl.setopts(socket, active: @active))
+  def activate(%__MODULE__{kind: :tcp, socket: socket}) do
+    with {:error, reason} <- :inet.setopts(socket, active: @active), do: failed(reason)
+  end
+
+  def activate(%__MODULE__{kind: :tls, socket: socket}) do
+    with {:error, reason} <- :ssl.setopts(socket, active: @active), do: failed(reason)
+  end
 
   @doc "Reads a message of the process as one of this connection's, if it is one."
   @spec message(t(), term()) :: {:data, binary()} | :passive | {:closed, Error.t()} | :unknown
@@ -95,11 +110,10 @@ defmodule Gnat.Transport do
     end
   end
 
-  defp result({:error, :closed}), do: {:error, Error.new(:closed)}
-  defp result({:error, :timeout}), do: {:error, Error.new(:timeout)}
-  defp result({:error, {:tls_alert, _} = alert}), do: {:error, Error.new({:tls, alert})}
-  defp result({:error, reason}), do: {:error, Error.new({:transport, reason})}
-  defp result(ok), do: ok
+  defp failed(:closed), do: {:error, Error.new(:closed)}
+  defp failed(:timeout), do: {:error, Error.new(:timeout)}
+  defp failed({:tls_alert, _} = alert), do: {:error, Error.new({:tls, alert})}
+  defp failed(reason), do: {:error, Error.new({:transport, reason})}
 
   # A name that has no IPv4 address may have an IPv6 one.
   defp tcp(address, settings, deadline) do

@@ -126,13 +126,14 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
 
   defp disconnect(state) do
     if state.monitor, do: Process.demonitor(state.monitor, [:flush])
-    if state.gnat, do: Gnat.unsub(state.gnat, state.sid)
+    # A subscription that cannot be ended is one whose connection is lost.
+    _ = if state.gnat, do: Gnat.unsub(state.gnat, state.sid)
     %{cancel(state) | gnat: nil, monitor: nil, sid: nil, wanted: 0}
   end
 
   defp handle(state, message) do
     {action, user} = state.module.handle_message(message, state.user)
-    acknowledge(action, message)
+    _ = acknowledge(action, message)
     %{state | user: user, wanted: state.wanted - 1}
   end
 
@@ -194,7 +195,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
   defp cancel(%{timer: nil} = state), do: state
 
   defp cancel(%{timer: {_id, ref}} = state) do
-    Process.cancel_timer(ref)
+    _ = Process.cancel_timer(ref)
     %{state | timer: nil}
   end
 

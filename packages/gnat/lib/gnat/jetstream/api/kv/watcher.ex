@@ -95,7 +95,8 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
 
   defp message(state, %{status: "100", headers: headers}) do
     headers = Map.new(headers)
-    if stalled = headers["nats-consumer-stalled"], do: Gnat.pub(state.gnat, stalled, "")
+    # An answer that is lost with the connection is not missed: the next one has a consumer of its own.
+    _ = if stalled = headers["nats-consumer-stalled"], do: Gnat.pub(state.gnat, stalled, "")
 
     case Integer.parse(headers["nats-last-consumer"] || "") do
       {last, ""} when last > state.consumer_seq -> restart(state)
@@ -133,10 +134,13 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
 
   defp give_up(state) do
     if state.monitor, do: Process.demonitor(state.monitor, [:flush])
-    if state.sid, do: Gnat.unsub(state.gnat, state.sid)
 
-    if state.consumer,
-      do: Consumer.delete(state.gnat, KV.stream_name(state.bucket), state.consumer, state.domain)
+    # Both end with the connection too, which may be what is given up; the server forgets an idle consumer by itself.
+    _ = if state.sid, do: Gnat.unsub(state.gnat, state.sid)
+
+    _ =
+      if state.consumer,
+        do: Consumer.delete(state.gnat, KV.stream_name(state.bucket), state.consumer, state.domain)
 
     %{cancel(state) | gnat: nil, monitor: nil, sid: nil, consumer: nil}
   end
@@ -197,7 +201,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
   defp cancel(%{timer: nil} = state), do: state
 
   defp cancel(%{timer: {_timer, ref}} = state) do
-    Process.cancel_timer(ref)
+    _ = Process.cancel_timer(ref)
     %{state | timer: nil}
   end
 end

@@ -131,7 +131,12 @@ defmodule MavCodec.SequenceLoss do
   # The four explanations of a number, the most innocent first.
   defp step(loss, seq) do
     loss = %{loss | received: loss.received + 1}
-    next(loss, seq) || late(loss, seq) || gap(loss, seq) || duplicate(loss, seq) || restart(loss, seq)
+
+    with nil <- next(loss, seq),
+         nil <- late(loss, seq),
+         nil <- gap(loss, seq),
+         nil <- duplicate(loss, seq),
+         do: restart(loss, seq)
   end
 
   defp next(loss, seq) do

@@ -131,7 +131,7 @@ defmodule MavCodec.Signing do
 
   @doc "A time stamp as unix microseconds."
   @spec to_unix(timestamp()) :: integer()
-  def to_unix(timestamp), do: (timestamp + @epoch) * 10
+  def to_unix(timestamp) when is_integer(timestamp), do: (timestamp + @epoch) * 10
 
   ## Sending
 

@@ -145,7 +145,9 @@ defmodule MavCodec.Definition.Catalog do
   end
 
   defp unique_ids!(entries) do
-    Enum.zip_with(entries, Enum.drop(entries, 1), fn {a, _}, {b, _} ->
+    entries
+    |> Enum.zip(Enum.drop(entries, 1))
+    |> Enum.each(fn {{a, _}, {b, _}} ->
       if a.id == b.id do
         raise Error,
           file: "all.xml",

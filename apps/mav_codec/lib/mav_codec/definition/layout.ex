@@ -44,7 +44,8 @@ defmodule MavCodec.Definition.Layout do
 
   @doc "Size of a whole field in bytes."
   @spec bytes(Field.t()) :: pos_integer()
-  def bytes(%Field{type: type, length: length}), do: size(type) * (length || 1)
+  def bytes(%Field{type: type, length: nil}), do: size(type)
+  def bytes(%Field{type: type, length: length}) when is_integer(length), do: size(type) * length
 
   @doc "The layout of a message."
   @spec of(Message.t()) :: t()

@@ -22,7 +22,7 @@ defmodule MavCodec.Definition.Resolver do
   @doc "Resolves the file named `root` of `documents` (a map from file name to document)."
   @spec resolve(%{String.t() => Document.t()}, String.t()) :: {:ok, t()} | {:error, Error.t()}
   def resolve(documents, root) do
-    files = documents |> files([root], MapSet.new(), []) |> Enum.reverse()
+    files = documents |> files([root], %{}, []) |> Enum.reverse()
     # Included files first, so that an error is found in the file that includes, not in the included one.
     all = files |> Enum.reverse() |> Enum.map(&Map.fetch!(documents, &1))
     messages = for document <- all, message <- document.messages, do: %{message | file: document.file}
@@ -44,7 +44,7 @@ defmodule MavCodec.Definition.Resolver do
   defp files(_documents, [], _seen, acc), do: acc
 
   defp files(documents, [file | rest], seen, acc) do
-    if MapSet.member?(seen, file) do
+    if is_map_key(seen, file) do
       files(documents, rest, seen, acc)
     else
       document = Map.fetch!(documents, file)
@@ -56,7 +56,7 @@ defmodule MavCodec.Definition.Resolver do
           name
         end
 
-      files(documents, included ++ rest, MapSet.put(seen, file), [file | acc])
+      files(documents, included ++ rest, Map.put(seen, file, true), [file | acc])
     end
   end
 

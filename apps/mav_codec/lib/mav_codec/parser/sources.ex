@@ -96,5 +96,7 @@ defmodule MavCodec.Parser.Sources do
 
   @doc "Frames lost, over all sources whose loss can be known."
   @spec lost(t()) :: non_neg_integer()
-  def lost(sources), do: Enum.sum(for {_, {loss, true}} <- sources, do: loss.lost)
+  def lost(sources) do
+    for {_, {loss, true}} <- sources, reduce: 0, do: (sum -> sum + loss.lost)
+  end
 end

@@ -14,7 +14,8 @@ defmodule SimVehicle.Link do
 
   alias SimVehicle.Link.{Tcp, Udp}
 
-  @type t :: %{__struct__: module}
+  @typedoc "The struct of the module that implements the transport."
+  @type t :: struct
 
   @typedoc "What a socket's message meant."
   @type outcome :: {:data, binary, t} | {:up, t} | {:down, t} | {:ok, t} | :unknown

@@ -208,11 +208,11 @@ defmodule SimVehicle.Vehicle do
   def position(%{kin: kin, origin: origin}), do: Geo.to_global(origin, kin.n, kin.e)
 
   @doc "Metres above mean sea level."
-  @spec altitude(t) :: float
+  @spec altitude(t) :: number
   def altitude(vehicle), do: vehicle.origin.alt - vehicle.kin.d
 
   @doc "Metres above home (above the take-off point while home is unknown)."
-  @spec relative_altitude(t) :: float
+  @spec relative_altitude(t) :: number
   def relative_altitude(vehicle), do: altitude(vehicle) - (vehicle.home || vehicle.origin).alt
 
   @doc "True while the position estimate is good."

@@ -198,7 +198,7 @@ defmodule SimVehicle.Flight.Mission do
   defp place(v, item), do: Geo.to_local(v.origin, item.x, item.y)
 
   @doc "The height of an item as metres down of the origin; altitudes are above home or above the sea."
-  @spec down(Vehicle.t(), map) :: float
+  @spec down(Vehicle.t(), map) :: number
   def down(v, %{frame: frame, z: z}) when frame in [0, 5], do: v.origin.alt - z
   def down(v, %{z: z}), do: v.origin.alt - ((v.home || v.origin).alt + z)
 end

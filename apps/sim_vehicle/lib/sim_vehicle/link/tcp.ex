@@ -29,14 +29,14 @@ defmodule SimVehicle.Link.Tcp do
   @impl SimVehicle.Link
   def handle(%{helper: helper} = link, {:connection, helper, socket}) do
     if link.socket, do: :gen_tcp.close(link.socket)
-    :inet.setopts(socket, active: @active)
+    activate(socket)
     {:up, %{link | socket: socket}}
   end
 
   def handle(%{socket: socket} = link, {:tcp, socket, bytes}), do: {:data, bytes, link}
 
   def handle(%{socket: socket} = link, {:tcp_passive, socket}) do
-    :inet.setopts(socket, active: @active)
+    activate(socket)
     {:ok, link}
   end
 
@@ -68,6 +68,12 @@ defmodule SimVehicle.Link.Tcp do
     Process.exit(link.helper, :kill)
     if link.listener, do: :gen_tcp.close(link.listener)
     if link.socket, do: :gen_tcp.close(link.socket)
+    :ok
+  end
+
+  # A connection that is over already says so itself, with `:tcp_closed`.
+  defp activate(socket) do
+    _ = :inet.setopts(socket, active: @active)
     :ok
   end
 

@@ -26,7 +26,7 @@ defmodule SimVehicle.Link.Udp do
   def handle(%{socket: socket} = link, {:udp, socket, _ip, _port, bytes}), do: {:data, bytes, link}
 
   def handle(%{socket: socket} = link, {:udp_passive, socket}) do
-    :inet.setopts(socket, active: @active)
+    :ok = :inet.setopts(socket, active: @active)
     {:ok, link}
   end
 

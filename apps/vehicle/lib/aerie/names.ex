@@ -55,4 +55,20 @@ defmodule Aerie.Names do
       [] -> nil
     end
   end
+
+  @doc """
+  What `fun` makes of the value that a process attached to its name, usually an ETS table of its own; `absent` when
+  there is none, or when it was gone before `fun` had read it (an `ArgumentError`).
+  """
+  @spec with_value(gateway(), role(), absent, (term() -> result)) :: absent | result
+        when absent: term(), result: term()
+  def with_value(gateway, role, absent, fun) do
+    case value(gateway, role) do
+      nil -> absent
+      found -> fun.(found)
+    end
+  rescue
+    # The process ended with its table in between.
+    ArgumentError -> absent
+  end
 end

@@ -134,8 +134,10 @@ defmodule Aerie.Bridge.Connection do
   end
 
   defp streams_known(state, result, report) do
-    if report != state.tables |> Tables.info(:streams) |> Map.get(:report), do: log_streams(report)
-    if state.streams_timer, do: Process.cancel_timer(state.streams_timer)
+    if report != state.tables |> Tables.info(:streams) |> Map.get(:report),
+      do: Enum.each(report, &log_stream/1)
+
+    _ = if state.streams_timer, do: Process.cancel_timer(state.streams_timer)
     timer = if result == :error, do: Process.send_after(self(), :check_streams, @streams_retry_ms)
     Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
     state = put_info(%{state | streams_timer: timer}, :up, result)
@@ -151,23 +153,17 @@ defmodule Aerie.Bridge.Connection do
     end
   end
 
-  defp log_streams(report) do
-    for {name, result} <- report do
-      case result do
-        {:error, reason} ->
-          Logger.error("stream #{name} cannot be used, events wait in the outbox: #{reason}")
+  defp log_stream({name, {:error, reason}}),
+    do: Logger.error("stream #{name} cannot be used, events wait in the outbox: #{reason}")
 
-        {:differs, list} ->
-          Logger.warning("stream #{name} is not as configured: #{Enum.join(list, "; ")}")
+  defp log_stream({name, {:differs, list}}),
+    do: Logger.warning("stream #{name} is not as configured: #{Enum.join(list, "; ")}")
 
-        _ ->
-          :ok
-      end
-    end
-  end
+  defp log_stream({_name, _usable}), do: :ok
 
   defp tell(state, message) do
     for role <- @publishers, pid = Names.whereis(state.gateway, role), do: send(pid, message)
+    :ok
   end
 
   defp put_info(state, status, streams) do

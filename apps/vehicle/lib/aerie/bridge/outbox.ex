@@ -25,7 +25,7 @@ defmodule Aerie.Bridge.Outbox do
     segments: [],
     head: 1,
     next: 1,
-    acked: MapSet.new(),
+    acked: %{},
     dropped: 0,
     damaged: 0,
     unsynced: false
@@ -139,7 +139,7 @@ defmodule Aerie.Bridge.Outbox do
       head = max(outbox.head, after_it)
       outbox = %{outbox | segments: rest, head: head, dropped: outbox.dropped + lost}
       outbox = if outbox.cursor.seq < after_it, do: cursor(outbox, after_it), else: outbox
-      make_room(settle(%{outbox | acked: MapSet.filter(outbox.acked, &(&1 >= head))}), bytes)
+      make_room(settle(%{outbox | acked: Map.filter(outbox.acked, fn {seq, true} -> seq >= head end)}), bytes)
     else
       outbox
     end
@@ -147,7 +147,7 @@ defmodule Aerie.Bridge.Outbox do
 
   defp make_room(outbox, _bytes), do: outbox
 
-  defp pending?(outbox, seq), do: seq >= outbox.head and not MapSet.member?(outbox.acked, seq)
+  defp pending?(outbox, seq), do: seq >= outbox.head and not is_map_key(outbox.acked, seq)
 
   defp writable(outbox, bytes) do
     case List.last(outbox.segments) do
@@ -244,9 +244,10 @@ defmodule Aerie.Bridge.Outbox do
   def ack(outbox, []), do: outbox
 
   def ack(outbox, seqs) do
-    acked = for seq <- seqs, seq >= outbox.head, seq < outbox.next, into: outbox.acked, do: seq
+    acked = for seq <- seqs, seq >= outbox.head, seq < outbox.next, into: outbox.acked, do: {seq, true}
     settled = settle(%{outbox | acked: acked})
-    if settled.head != outbox.head, do: write_head(settled)
+    # A head that cannot be written means that records are published again.
+    _ = if settled.head != outbox.head, do: write_head(settled)
     trim(settled)
   end
 
@@ -262,7 +263,7 @@ defmodule Aerie.Bridge.Outbox do
   end
 
   defp advance(head, acked) do
-    if MapSet.member?(acked, head), do: advance(head + 1, MapSet.delete(acked, head)), else: {head, acked}
+    if is_map_key(acked, head), do: advance(head + 1, Map.delete(acked, head)), else: {head, acked}
   end
 
   # Segments before the head go. The last one too once it is all acknowledged, so that an empty outbox is an empty folder.
@@ -290,7 +291,7 @@ defmodule Aerie.Bridge.Outbox do
   @doc "Closes the files."
   @spec close(t()) :: :ok
   def close(outbox) do
-    outbox |> sync() |> close_writer()
+    _ = outbox |> sync() |> close_writer()
     :ok
   end
 
@@ -312,7 +313,7 @@ defmodule Aerie.Bridge.Outbox do
           do: max(Segment.next(segment) - seq, 0)
 
     %{
-      events: max(Enum.sum(held) - MapSet.size(outbox.acked), 0),
+      events: max(Enum.sum(held) - map_size(outbox.acked), 0),
       bytes: bytes(outbox),
       segments: length(outbox.segments),
       dropped: outbox.dropped,

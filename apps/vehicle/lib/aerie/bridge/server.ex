@@ -75,7 +75,7 @@ defmodule Aerie.Bridge.Server do
     })
 
     Tables.count(state.tables, :server_restarts)
-    LogFile.close(state.log)
+    _ = LogFile.close(state.log)
     state = %{state | port: nil, failures: failures, restarts: state.restarts + 1}
     {:noreply, state |> put_info(:down) |> again()}
   end

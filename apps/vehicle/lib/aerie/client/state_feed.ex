@@ -70,6 +70,7 @@ defmodule Aerie.Client.StateFeed do
     lines = StateForm.lines(Store.vehicles(state.gateway), Store.links(state.gateway), now)
     :ets.insert(state.table, {:text, lines})
     for {pid, told} <- readers, :atomics.exchange(told, 1, 1) == 0, do: send(pid, @topic)
+    :ok
   end
 
   # By the clock, so that the rate is the rate; after a pause of the machine no ticks are made up for.

@@ -48,7 +48,7 @@ defmodule Aerie.Client.UnixSocket do
   @doc "Removes the socket's file, if it still is the one that `listen/1` made."
   @spec remove(Path.t(), identity()) :: :ok
   def remove(path, identity) do
-    if identity(path) == {:ok, identity}, do: _ = File.rm(path)
+    _ = if identity(path) == {:ok, identity}, do: File.rm(path)
     :ok
   end
 

@@ -115,7 +115,7 @@ defmodule Aerie.Config.Preflight do
     probe = Path.join(dir, ".probe-#{System.pid()}-#{System.unique_integer([:positive])}")
 
     with :ok <- File.mkdir_p(dir), :ok <- File.write(probe, "") do
-      File.rm(probe)
+      _ = File.rm(probe)
       []
     else
       {:error, reason} -> [error(config, key, "a folder that can be written", "#{dir}: #{text(reason)}")]

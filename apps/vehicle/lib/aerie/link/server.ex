@@ -193,7 +193,7 @@ defmodule Aerie.Link.Server do
   end
 
   defp act(:open, state) do
-    if state.retry, do: Process.cancel_timer(state.retry)
+    _ = if state.retry, do: Process.cancel_timer(state.retry)
     watched = watch(state)
     %{state | opener: Opener.start(sought(state)), retry: nil, watched: watched}
   end

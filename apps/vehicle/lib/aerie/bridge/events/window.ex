@@ -9,8 +9,8 @@ defmodule Aerie.Bridge.Events.Window do
 
   alias Aerie.Bridge.Outbox.Record
 
-  @enforce_keys [:max]
-  defstruct [:max, queues: %{}, ready: :queue.new(), in_flight: %{}, keys: MapSet.new(), next_ref: 1]
+  @enforce_keys [:max, :ready, :keys]
+  defstruct [:max, :ready, :keys, queues: %{}, in_flight: %{}, next_ref: 1]
 
   @type key :: term()
   @type item :: {key(), Record.t()}
@@ -27,11 +27,11 @@ defmodule Aerie.Bridge.Events.Window do
 
   @doc "An empty window that lets `max` events be in flight."
   @spec new(pos_integer()) :: t()
-  def new(max), do: %__MODULE__{max: max}
+  def new(max), do: %__MODULE__{max: max, ready: :queue.new(), keys: MapSet.new()}
 
   @doc "An empty window again. Answers to what was sent before are told apart by their numbers."
   @spec reset(t()) :: t()
-  def reset(window), do: %__MODULE__{max: window.max, next_ref: window.next_ref}
+  def reset(window), do: %{new(window.max) | next_ref: window.next_ref}
 
   @doc "How many events it holds, in flight or not."
   @spec size(t()) :: non_neg_integer()

@@ -42,14 +42,16 @@ defmodule Aerie.Bridge.Outbox.Segment do
       {records, why} = Record.decode(bytes, :all)
       readable = records |> Enum.map(&elem(&1, 1)) |> Enum.sum()
       segment = %{segment | count: length(records), bytes: readable, damaged: why == :damaged}
-      if why == :cut, do: truncate(segment)
+      # A file that cannot be cut cannot be written either, which is said when it is opened for that.
+      _ = if why == :cut, do: truncate(segment)
       {:ok, segment}
     end
   end
 
   @doc "The number after the last record."
   @spec next(t()) :: pos_integer()
-  def next(segment), do: segment.first + segment.count
+  def next(%__MODULE__{first: first, count: count}) when is_integer(first) and is_integer(count),
+    do: first + count
 
   @doc "Opens the file for `append/5`."
   @spec open_writer(t()) :: {:ok, :file.fd()} | {:error, File.posix()}
@@ -63,7 +65,7 @@ defmodule Aerie.Bridge.Outbox.Segment do
         {:ok, %{segment | count: segment.count + count, bytes: segment.bytes + bytes}}
 
       {:error, reason} ->
-        truncate(segment)
+        _ = truncate(segment)
         {:error, reason}
     end
   end
@@ -74,7 +76,7 @@ defmodule Aerie.Bridge.Outbox.Segment do
     with {:ok, file} <- :file.open(segment.path, [:read, :raw, :binary]) do
       result = :file.pread(file, offset, min(length, max(segment.bytes - offset, 0)))
       _ = :file.close(file)
-      if result == :eof, do: {:ok, <<>>}, else: result
+      with :eof <- result, do: {:ok, <<>>}
     end
   end
 

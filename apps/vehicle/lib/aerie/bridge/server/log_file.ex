@@ -22,7 +22,7 @@ defmodule Aerie.Bridge.Server.LogFile do
   def write(%__MODULE__{file: nil} = log, _line), do: log
 
   def write(%__MODULE__{size: size} = log, line) when size > @max_bytes do
-    close(log)
+    _ = close(log)
     _ = File.rename(log.path, log.path <> ".1")
     log.path |> open() |> Map.put(:size, 0) |> write(line)
   end

@@ -72,15 +72,18 @@ defmodule Aerie.Bridge.Server.OsProcess do
          true <- mark in String.split(arguments, <<0>>) do
       signal("TERM", pid)
       unless gone?(pid, 30), do: signal("KILL", pid)
-      gone?(pid, 20)
+      _ = gone?(pid, 20)
       true
     else
       _ -> false
     end
   end
 
-  defp signal(name, pid),
-    do: System.cmd("/bin/sh", ["-c", "kill -#{name} $1", "kill", pid], stderr_to_stdout: true)
+  # Its result is nothing to go by: what counts is whether the process is gone.
+  defp signal(name, pid) do
+    _ = System.cmd("/bin/sh", ["-c", "kill -#{name} $1", "kill", pid], stderr_to_stdout: true)
+    :ok
+  end
 
   # Not our child, so there is no message to wait for.
   defp gone?(_pid, 0), do: false

@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
   """
   @spec silent(Names.gateway(), term()) :: [tag()]
   def silent(gateway, key) do
-    with_table(gateway, [{:pulse, nil}], fn table, deadman_ms ->
+    Names.with_value(gateway, :pulse, [{:pulse, nil}], fn {table, deadman_ms} ->
       now = now()
       for tag <- [{:pulse, nil}, {:events, key} | @needed], late?(table, tag, now, deadman_ms), do: tag
     end)
@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
   def status(gateway) do
     absent = %{alive: false, silent: [{:pulse, nil}], deadman_ms: nil}
 
-    with_table(gateway, absent, fn table, deadman_ms ->
+    Names.with_value(gateway, :pulse, absent, fn {table, deadman_ms} ->
       now = now()
       needed = for tag <- [{:pulse, nil} | @needed], late?(table, tag, now, deadman_ms), do: tag
 
@@ -69,19 +69,9 @@ defmodule Aerie.Vehicle.Identity.Pulse do
   @doc "Whether any loop at all is silent."
   @spec any_silent?(Names.gateway()) :: boolean()
   def any_silent?(gateway) do
-    with_table(gateway, true, fn table, deadman_ms ->
+    Names.with_value(gateway, :pulse, true, fn {table, deadman_ms} ->
       :ets.select_count(table, [{{:_, :"$1"}, [{:<, :"$1", now() - deadman_ms}], [true]}]) > 0
     end)
-  end
-
-  defp with_table(gateway, absent, fun) do
-    case Names.value(gateway, :pulse) do
-      {table, deadman_ms} -> fun.(table, deadman_ms)
-      nil -> absent
-    end
-  rescue
-    # The process went away with its table in between.
-    ArgumentError -> absent
   end
 
   # Who has never answered is late: a heartbeat is given for what is known.
@@ -149,6 +139,8 @@ defmodule Aerie.Vehicle.Identity.Pulse do
     for {tag, _answered} <- :ets.tab2list(table), tag != {:pulse, nil}, not is_map_key(loops, tag) do
       :ets.delete(table, tag)
     end
+
+    :ok
   end
 
   defp tell(state) do
@@ -166,6 +158,8 @@ defmodule Aerie.Vehicle.Identity.Pulse do
         id: id
       })
     end
+
+    :ok
   end
 
   defp deadman_ms(%{mavlink: %{heartbeat_deadman_s: seconds}}) when is_number(seconds),

@@ -37,7 +37,12 @@ defmodule FleetWeb.Endpoint do
 
   @doc "The port that the server of `gateway` listens on."
   @spec port(term()) :: :inet.port_number()
-  def port(gateway), do: :ranch.get_port(ref(gateway))
+  def port(gateway) do
+    # Only a listener on a path of the file system has none.
+    case :ranch.get_port(ref(gateway)) do
+      port when is_integer(port) -> port
+    end
+  end
 
   @impl Supervisor
   def init(options) do

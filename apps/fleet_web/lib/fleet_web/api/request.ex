@@ -50,15 +50,18 @@ defmodule FleetWeb.API.Request do
   end
 
   defp body(request) do
-    if (:cowboy_req.body_length(request) || 0) > @max_body and
-         is_integer(:cowboy_req.body_length(request)) do
-      {:error, too_large()}
-    else
-      case :cowboy_req.read_body(request, %{length: @max_body + 1, period: 5_000}) do
-        {:ok, text, request} when byte_size(text) <= @max_body -> {:ok, text, request}
-        {_more, text, request} when byte_size(text) > @max_body -> {:error, too_large(), request}
-        {:more, _text, request} -> {:error, Error.new(:bad_request, "the body did not come in time"), request}
-      end
+    case :cowboy_req.body_length(request) do
+      length when is_integer(length) and length > @max_body -> {:error, too_large()}
+      # In chunks, so nobody knows yet, or short enough.
+      _length -> read(request)
+    end
+  end
+
+  defp read(request) do
+    case :cowboy_req.read_body(request, %{length: @max_body + 1, period: 5_000}) do
+      {:ok, text, request} when byte_size(text) <= @max_body -> {:ok, text, request}
+      {_more, text, request} when byte_size(text) > @max_body -> {:error, too_large(), request}
+      {:more, _text, request} -> {:error, Error.new(:bad_request, "the body did not come in time"), request}
     end
   end
 

@@ -24,7 +24,7 @@ defmodule FleetWeb.API.Tickets do
   @spec issue(Names.gateway(), String.t()) ::
           {:ok, String.t(), pos_integer()} | {:error, :too_many | :unavailable}
   def issue(gateway, name) do
-    with_table(gateway, {:error, :unavailable}, fn {table, now} ->
+    Names.with_value(gateway, :tickets, {:error, :unavailable}, fn {table, now} ->
       _ = sweep(table, now.())
 
       if :ets.info(table, :size) < @most do
@@ -40,7 +40,7 @@ defmodule FleetWeb.API.Tickets do
   @doc "Who the ticket was given to; it is used up by this."
   @spec redeem(Names.gateway(), String.t()) :: {:ok, String.t()} | :error
   def redeem(gateway, ticket) when byte_size(ticket) <= 100 do
-    with_table(gateway, :error, fn {table, now} ->
+    Names.with_value(gateway, :tickets, :error, fn {table, now} ->
       # Taken in one step: of two that come with the same ticket, one gets in.
       case :ets.take(table, digest(ticket)) do
         [{_digest, name, until}] -> if until > now.(), do: {:ok, name}, else: :error
@@ -62,14 +62,4 @@ defmodule FleetWeb.API.Tickets do
   defp sweep(table, now), do: :ets.select_delete(table, [{{:_, :_, :"$1"}, [{:"=<", :"$1", now}], [true]}])
 
   defp digest(ticket), do: :crypto.hash(:sha256, ticket)
-
-  defp with_table(gateway, absent, fun) do
-    case Names.value(gateway, :tickets) do
-      nil -> absent
-      found -> fun.(found)
-    end
-  rescue
-    # Its owner ended in between.
-    ArgumentError -> absent
-  end
 end

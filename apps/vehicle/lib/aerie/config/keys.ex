@@ -7,6 +7,7 @@ defmodule Aerie.Config.Keys do
   import Aerie.Config.Field, only: [field: 3, field: 4, section: 3]
 
   alias Aerie.Config.{Field, Types}
+  alias Aerie.Link.Serial.Detector
 
   @groups [
     position: {:time, 1.0, %{}, 30.0},
@@ -52,6 +53,8 @@ defmodule Aerie.Config.Keys do
           udpin:HOST:PORT   listen for UDP          udpout:HOST:PORT  send UDP to
           tcpin:HOST:PORT   listen for TCP          tcp:HOST:PORT     connect by TCP
           DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
+          serial:DEVICE     serial port whose baud rate is found by listening
+          serial:auto       the first serial port that a vehicle is heard on (see serial)
         id (else the string), network, label, high_latency and enabled may be left out. secure: true marks a cable that
         nobody else can hear: a vehicle may be given its signing key there, and is believed without one.
         """,
@@ -96,6 +99,7 @@ defmodule Aerie.Config.Keys do
       api(),
       websocket(),
       sockets(),
+      serial(),
       timeouts(),
       limits()
     ]
@@ -511,6 +515,31 @@ defmodule Aerie.Config.Keys do
         ),
         field(:max_clients, {:integer, 1, 10_000}, "Clients of each socket; further ones are refused.",
           default: 32
+        )
+      ]
+    )
+  end
+
+  defp serial do
+    section(
+      :serial,
+      "Where links with the url serial:auto and serial:DEVICE listen. Nothing is written while they do.",
+      [
+        field(
+          :ports,
+          {:list, :string},
+          """
+          Ports that are listened to before any others: names in /dev or paths. Those of the machine itself (ttyAMA0, ttyTHS1,
+          ttyS0) are only listened to when they are named here; then /dev/serial/by-id/*, ttyACM* and ttyUSB* follow.
+          """,
+          default: [],
+          example: "[/dev/ttyTHS1]"
+        ),
+        field(
+          :bauds,
+          {:list, {:integer, 50, 20_000_000}},
+          "Baud rates that are tried, in this order; 20 at most.",
+          default: Detector.bauds()
         )
       ]
     )

@@ -242,6 +242,10 @@ defmodule Aerie.Config.Resolve do
        "#{config.nats.max_store_mb}"},
       {length(config.links) > config.limits.max_links, ["links"],
        "at most limits.max_links (#{config.limits.max_links})", "#{length(config.links)}"},
+      {length(config.serial.ports) > 16, ["serial", "ports"], "16 ports at most",
+       "#{length(config.serial.ports)}"},
+      {length(config.serial.bauds) not in 1..20, ["serial", "bauds"], "1 to 20 baud rates",
+       "#{length(config.serial.bauds)}"},
       {length(config.vehicles) > config.limits.max_vehicles, ["vehicles"],
        "at most limits.max_vehicles (#{config.limits.max_vehicles})", "#{length(config.vehicles)}"},
       {config.http.port == config.nats.port and config.nats.mode == :embedded and config.http.enabled and

@@ -32,7 +32,7 @@ defmodule Aerie.Config.Types do
   @spec link_url() :: Field.type()
   def link_url do
     {:parse, &parse_link_url/1,
-     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD or replay:FILE"}
+     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD, serial:auto or replay:FILE"}
   end
 
   @doc "The origin of a web page, `SCHEME://HOST[:PORT]`, as browsers send it. Gives the text in lower case."

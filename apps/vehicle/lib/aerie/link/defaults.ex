@@ -1,7 +1,8 @@
 defmodule Aerie.Link.Defaults do
   @moduledoc """
   What the configuration says about every link, and a link's own options may change (`Aerie.Link.Spec`, `options`):
-  `:max_peers`, `:idle_ms` (no frame for so long: idle), `:parser` (options of `MavCodec.Parser.new/1`).
+  `:max_peers`, `:idle_ms` (no frame for so long: idle), `:parser` (options of `MavCodec.Parser.new/1`),
+  `:serial_ports` and `:serial_bauds` (where a search begins, `Aerie.Link.Serial.Detector`).
 
   Kept as the value of the links' supervisor's name, so that links that are added at run time have them too.
   """
@@ -19,8 +20,11 @@ defmodule Aerie.Link.Defaults do
   @spec from(map | nil) :: keyword
   def from(config) do
     config = config || %{}
-    [max_peers: max_peers(config), idle_ms: idle_ms(config), parser: parser(config)]
+    [max_peers: max_peers(config), idle_ms: idle_ms(config), parser: parser(config)] ++ serial(config)
   end
+
+  defp serial(%{serial: %{ports: ports, bauds: bauds}}), do: [serial_ports: ports, serial_bauds: bauds]
+  defp serial(_none), do: []
 
   defp max_peers(%{limits: %{max_peers: max}}), do: max
   defp max_peers(_none), do: 256

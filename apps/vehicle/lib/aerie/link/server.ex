@@ -135,21 +135,22 @@ defmodule Aerie.Link.Server do
   end
 
   # A search begins with what was found the last time, and leaves other links' ports alone.
-  defp sought(%{spec: %{detect: :port} = spec} = state) do
-    taken =
-      for %{id: id, spec: %{kind: :serial}} = link <- Store.links(state.gateway),
-          id != spec.id,
-          path = link.local || link.spec.device,
-          do: path
+  defp sought(%{spec: %{detect: nil} = spec}), do: spec
 
-    %{spec | options: Map.merge(spec.options, %{hint: state.core.found, taken: taken})}
+  defp sought(%{spec: spec} = state) do
+    configured = state.gateway |> Defaults.get() |> Keyword.take([:serial_ports, :serial_bauds]) |> Map.new()
+    own = %{hint: state.core.found, taken: taken(state)}
+    %{spec | options: configured |> Map.merge(spec.options) |> Map.merge(own)}
   end
 
-  defp sought(%{spec: %{detect: :baud} = spec} = state) do
-    %{spec | options: Map.put(spec.options, :hint, state.core.found)}
-  end
+  defp taken(%{spec: %{detect: :baud}}), do: []
 
-  defp sought(%{spec: spec}), do: spec
+  defp taken(state) do
+    for %{id: id, kind: :serial} = link <- Store.links(state.gateway),
+        id != state.spec.id,
+        path = link.local || link.spec.device,
+        do: path
+  end
 
   # Late messages of connections that are closed, exits of processes that did their work.
   defp unknown(state, _message), do: state

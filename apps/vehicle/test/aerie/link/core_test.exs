@@ -142,6 +142,76 @@ defmodule Aerie.Link.CoreTest do
     assert core.reason == "nothing heard from 127.0.0.1:1 for 30 s"
   end
 
+  describe "a serial port" do
+    alias Aerie.Link.Serial.Finding
+    alias Aerie.Link.Serial.Sniff
+
+    @sniffed %{protocol: :nmea, confidence: 0.99, evidence: "2 sentences (GPGGA)", heartbeat: false}
+
+    defp garbage(core, from, to) do
+      Enum.reduce(from..to//250, {core, []}, fn ms, {core, all} ->
+        {core, _} = Core.handle(core, {:read, [{:remote, <<0, 1, 2>>}]}, now(ms))
+        {core, actions} = Core.handle(core, :tick, now(ms))
+        {core, all ++ actions}
+      end)
+    end
+
+    test "whose bytes hold no frames for five seconds is asked what they are, every ten" do
+      {core, actions} = garbage(up("/dev/ttyX,57600"), 250, 4_750)
+      refute :sniff in actions
+      {core, actions} = garbage(core, 5_000, 14_750)
+      assert Enum.count(actions, &(&1 == :sniff)) == 1
+      {core, actions} = Core.handle(core, {:sniffed, "/dev/ttyX", 57_600, @sniffed}, now(14_800))
+      assert :publish in actions
+
+      assert [{:emit, :garbled, _, %{finding: %Finding{protocol: :nmea}}}] =
+               for({:emit, _, _, _} = e <- actions, do: e)
+
+      assert Snapshot.text(core, 14_800) ==
+               "connected, but no MAVLink on /dev/ttyX: NMEA at 57600 baud, 2 sentences (GPGGA)"
+
+      # A good frame, and it is forgotten.
+      {core, _} = run(core, [{14_900, {:read, [{:remote, attitude(1, 1)}]}}, {15_000, :tick}])
+      assert Snapshot.of(core, 15_000).diagnosis == []
+      # The answer came late: nothing is wrong any more.
+      assert {_core, []} = Core.handle(core, {:sniffed, "/dev/ttyX", 57_600, @sniffed}, now(15_100))
+    end
+
+    test "that was looked for is then looked for again" do
+      {core, actions} = garbage(up("serial:auto"), 250, 5_250)
+      assert :sniff in actions
+      {core, actions} = Core.handle(core, {:sniffed, "/dev/ttyX", 57_600, @sniffed}, now(5_300))
+      assert :close in actions and {:retry_in, 0} in actions
+      assert core.reason == "no MAVLink any more on /dev/ttyX: NMEA at 57600 baud, 2 sentences (GPGGA)"
+    end
+
+    test "that is silent stays, unless it was looked for" do
+      assert {%{phase: :up}, _} = run(up("/dev/ttyX,57600"), [{60_000, :tick}])
+      assert {%{phase: :up}, _} = run(up("serial:auto"), [{29_000, :tick}])
+
+      assert {%{phase: :down, reason: "nothing heard from any serial port for 30 s"}, _} =
+               run(up("serial:auto"), [{30_000, :tick}])
+    end
+
+    test "searches begin every ten seconds, and know what was found the last time" do
+      findings = [Finding.heard("/dev/ttyX", 9_600, @sniffed), Finding.silent("/dev/ttyY", 5.0)]
+      {core, _} = run(core("serial:auto"), [{0, :start}, {5_000, {:failed, {:undetected, findings}}}])
+      assert Snapshot.of(core, 5_000).diagnosis == findings
+      assert core.reason =~ "no vehicle heard: /dev/ttyX: NMEA at 9600 baud"
+
+      {core, actions} = run(core, [{5_000, :retry}, {10_000, {:failed, {:undetected, []}}}])
+      assert {:retry_in, 5_000} in actions
+      found = Finding.heard("/dev/ttyX", 57_600, Sniff.classify(attitude(1, 1)))
+      {core, actions} = run(core, [{15_000, :retry}, {15_100, {:opened, %{finding: found, baud: 57_600}}}])
+      refute :relinked in actions
+      assert %{found: %{path: "/dev/ttyX", baud: 57_600}, diagnosis: []} = core
+      {core, _} = Core.handle(core, {:closed, "it was unplugged"}, now(20_000))
+      assert core.found.baud == 57_600
+      {_core, actions} = run(core, [{20_000, :retry}, {20_100, {:opened, %{}}}])
+      assert :relinked in actions
+    end
+  end
+
   test "the end of a recording is final" do
     {core, actions} = run(up("replay:x.tlog?speed=max"), [{5, {:ended, "all done"}}])
     assert :close in actions

@@ -37,6 +37,46 @@ defmodule Aerie.Link.SpecTest do
       assert {:ok, %{device: "ttyS1"}} = Spec.parse("ttyS1")
     end
 
+    test "serial ports that are found by listening" do
+      assert {:ok,
+              %{
+                kind: :serial,
+                detect: :port,
+                device: nil,
+                bauds: nil,
+                ports: [],
+                only: false,
+                id: "serial:auto"
+              }} =
+               Spec.parse("serial:auto")
+
+      assert {:ok, %{detect: :port, ports: ["/dev/ttyAMA0", "ttyUSB1"], bauds: [57_600, 420_000], only: true}} =
+               Spec.parse("serial:auto?ports=/dev/ttyAMA0,ttyUSB1&bauds=57600,420000&only=true&network=a")
+
+      assert {:ok, %{detect: :baud, device: "/dev/ttyUSB0"}} = Spec.parse("serial:/dev/ttyUSB0")
+
+      assert {:ok, %{detect: nil, device: "/dev/ttyUSB0", baud: 57_600}} =
+               Spec.parse("serial:/dev/ttyUSB0,57600")
+
+      assert Spec.place(Spec.parse!("serial:auto")) == "any serial port"
+
+      for wrong <- [
+            "serial:",
+            "serial:x",
+            "serial:/dev/ttyUSB0,fast",
+            "serial:auto?bauds=",
+            "serial:auto?bauds=57600,x",
+            "serial:auto?ports=x",
+            "serial:auto?only=maybe",
+            "serial:///dev/ttyUSB0",
+            "udpin::1?bauds=57600",
+            "serial:auto?bauds=#{Enum.map_join(1..21, ",", fn _ -> "57600" end)}"
+          ] do
+        assert {:error, %Spec.Error{} = error} = Spec.parse(wrong)
+        assert Exception.message(error) =~ "cannot use"
+      end
+    end
+
     test "replay" do
       assert {:ok, %{kind: :replay, file: "a b.tlog", speed: 1.0, loop: false}} =
                Spec.parse("replay:a b.tlog")

@@ -20,6 +20,18 @@ defmodule Aerie.Vehicle.CoreTest do
   defp types(run), do: run.events |> Enum.reverse() |> Enum.map(& &1.type)
   defp statuses(run), do: for({:status, _old, new} <- Enum.reverse(run.actions), do: new)
 
+  test "M3: streams are asked for again when a link is connected again, after a moment's grace" do
+    asked = fn run -> for({:send, %M.CommandLong{command: 511}, _} <- run.actions, do: :asked) end
+    run = Enum.reduce(0..40, start(), fn second, run -> run |> beat(10 + second) |> tick(10.5 + second) end)
+    before = length(asked.(run))
+    run = run |> step({:link_again, "a"}) |> beat(51) |> tick(51.5)
+    assert length(asked.(run)) == before
+    run = run |> beat(52) |> tick(52.9)
+    assert length(asked.(run)) > before
+    # Of a vehicle that was never heard there is nothing to ask.
+    assert {_core, []} = Core.handle(Core.new(options([])), {:link_again, "a"})
+  end
+
   describe "silence (H1)" do
     test "stale after three seconds, lost after five, exactly then; restored with the next frame" do
       run = start() |> beat(10) |> tick(12.9)

@@ -1,6 +1,6 @@
 defmodule Aerie.Link.PortOwner do
   @moduledoc """
-  Which program holds a UDP or TCP port of this machine, from Linux' /proc.
+  Which program holds a UDP or TCP port or a device of this machine, from Linux' /proc.
 
   Only processes of the same user (or all, for root) can be told; otherwise, and on other systems, it is `:unknown`.
   """
@@ -11,12 +11,28 @@ defmodule Aerie.Link.PortOwner do
   @doc "The program's name and process id."
   @spec find(:udp | :tcp, :inet.port_number()) :: {:ok, String.t(), pos_integer} | :unknown
   def find(protocol, port) do
-    with [_ | _] = inodes <- inodes(protocol, port),
-         {:ok, pid} <- holder(inodes),
+    with [_ | _] = inodes <- inodes(protocol, port), do: program(inodes), else: (_none -> :unknown)
+  end
+
+  @doc "The program that has a file or device open, symbolic links followed."
+  @spec device(Path.t()) :: {:ok, String.t(), pos_integer} | :unknown
+  def device(path), do: program([real(path, 8)])
+
+  defp program(targets) do
+    with {:ok, pid} <- holder(targets),
          {:ok, name} <- File.read("/proc/#{pid}/comm") do
       {:ok, String.trim(name), pid}
     else
       _not_told -> :unknown
+    end
+  end
+
+  defp real(path, 0), do: path
+
+  defp real(path, hops) do
+    case File.read_link(path) do
+      {:ok, target} -> target |> Path.expand(Path.dirname(path)) |> real(hops - 1)
+      {:error, _no_link} -> path
     end
   end
 

@@ -88,10 +88,12 @@ defmodule Aerie.Link.Serial.Finding do
   defp refusal(reason) when reason in [:eacces, :eperm], do: :no_permission
   defp refusal(reason) when reason in [:eagain, :ebusy], do: :in_use
   defp refusal(reason) when reason in [:enoent, :enodev, :enxio], do: :absent
+  defp refusal({:in_use, _who}), do: :in_use
   defp refusal(:enotty), do: :not_serial
   defp refusal(_other), do: :fault
 
   defp refused(:no_permission, _reason), do: "no permission to open it"
+  defp refused(:in_use, {:in_use, who}), do: "in use by #{who}"
   defp refused(:in_use, _reason), do: "in use by another program or link"
   defp refused(:absent, _reason), do: "not there"
   defp refused(:not_serial, _reason), do: "no serial port"
@@ -147,7 +149,7 @@ defmodule Aerie.Link.Serial.Finding do
   defp words(:vehicle, finding), do: heard_words(finding)
   defp words(:no_heartbeat, finding), do: heard_words(finding)
   defp words(:other_protocol, finding), do: heard_words(finding)
-  defp words(:noise, finding), do: "#{finding.evidence}, at any baud rate tried"
+  defp words(:noise, finding), do: "at #{finding.baud} baud #{finding.evidence}"
   defp words(_condition, finding), do: finding.evidence
 
   defp heard_words(%{protocol: protocol, baud: baud, evidence: evidence}) do

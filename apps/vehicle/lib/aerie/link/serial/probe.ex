@@ -85,13 +85,15 @@ defmodule Aerie.Link.Serial.Probe do
     listen(%{probe | opened: now}, now)
   end
 
-  # Who had it, most likely this very link, may be about to let go of it.
-  def handle(%{phase: :opening} = probe, {:open_failed, reason}, now)
-      when reason in [:eagain, :ebusy] and now - probe.started < @busy_ms,
-      do: {%{probe | phase: :busy}, []}
-
   def handle(%{phase: :busy} = probe, :tick, _now), do: {%{probe | phase: :opening}, [{:open, probe.baud}]}
-  def handle(%{phase: :opening} = probe, {:open_failed, reason}, _now), do: fail(probe, reason)
+
+  def handle(%{phase: :opening} = probe, {:open_failed, reason}, now) do
+    # Who has it, most likely this very link, may be about to let go of it.
+    if busy?(reason) and now - probe.started < @busy_ms,
+      do: {%{probe | phase: :busy}, []},
+      else: fail(probe, reason)
+  end
+
   def handle(%{phase: :setting} = probe, :set, now), do: listen(probe, now)
 
   # A rate that this port cannot do.
@@ -107,6 +109,9 @@ defmodule Aerie.Link.Serial.Probe do
   def stop(%{outcome: outcome} = probe, _now) when outcome != nil, do: {probe, []}
   def stop(%{opened: nil} = probe, _now), do: fail(probe, "it takes too long to open")
   def stop(probe, now), do: over(note(probe), now)
+
+  defp busy?({:in_use, _who}), do: true
+  defp busy?(reason), do: reason in [:eagain, :ebusy]
 
   defp listen(probe, now) do
     probe = %{probe | phase: :listening, parser: Parser.new(), deadline: now + @window_ms}
@@ -216,11 +221,16 @@ defmodule Aerie.Link.Serial.Probe do
     finding =
       case Enum.max_by(heard, &weight/1, fn -> nil end) do
         nil -> Finding.silent(probe.port.path, Float.round((now - probe.started) / 1000, 1))
-        {baud, _count, sniffed} -> Finding.heard(probe.port.path, baud, sniffed)
+        {baud, _count, sniffed} -> Finding.heard(probe.port.path, baud, others(sniffed, length(heard) - 1))
       end
 
     {%{probe | outcome: {:over, finding}, phase: :closed}, [:close]}
   end
+
+  defp others(%{protocol: :noise, evidence: evidence} = sniffed, n) when n > 0,
+    do: %{sniffed | evidence: "#{evidence}, and no better at #{Sniff.Words.count(n, "other rate")}"}
+
+  defp others(sniffed, _n), do: sniffed
 
   defp weight({_baud, count, %{protocol: :noise}}), do: {0, count}
   defp weight({_baud, _count, %{confidence: confidence}}), do: {1, confidence}

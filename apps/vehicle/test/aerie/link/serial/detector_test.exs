@@ -155,7 +155,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
       6 => fn baud, _ms -> noise(baud) end,
       7 => at_baud(57_600, attitude(1, 1)),
       8 => {:refuses, :eacces},
-      9 => {:refuses, :eagain},
+      9 => {:refuses, {:in_use, "mavproxy.py (process 812)"}},
       10 => {:refuses, :enotty},
       11 => :hangs
     }
@@ -182,7 +182,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
              %{condition: :noise, advice: "give the baud rate" <> _},
              %{condition: :no_heartbeat, protocol: :mavlink2, baud: 57_600},
              %{condition: :no_permission, advice: "add the user to the group dialout" <> _},
-             %{condition: :in_use},
+             %{condition: :in_use, evidence: "in use by mavproxy.py (process 812)"},
              %{condition: :not_serial},
              %{condition: :fault, evidence: "it takes too long to open"}
            ] = findings

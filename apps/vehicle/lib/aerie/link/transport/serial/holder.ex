@@ -12,8 +12,13 @@ defmodule Aerie.Link.Transport.Serial.Holder do
   """
   use GenServer
 
+  import Bitwise, only: [bsr: 2]
+
+  alias Aerie.Link.PortOwner
   alias Circuits.UART
 
+  # Numbers of the devices /dev/pts/* (Linux' list of devices).
+  @pty_majors 136..143
   @write_ms 2_000
   @open_ms 20_000
 
@@ -25,7 +30,10 @@ defmodule Aerie.Link.Transport.Serial.Holder do
   @spec open(pid, String.t(), pos_integer) :: {:ok, pid} | {:error, term}
   def open(holder, device, baud), do: GenServer.call(holder, {:open, device, baud}, @open_ms)
 
-  @doc "Opens the port; the answer is `:opened` or `{:open_failed, reason}`."
+  @doc """
+  Opens the port unless another program has it open, with or without a lock: two readers would take each other's bytes.
+  The answer is `:opened` or `{:open_failed, reason}`.
+  """
   @spec listen(pid, String.t(), pos_integer) :: :ok
   def listen(holder, device, baud), do: GenServer.cast(holder, {:listen, device, baud})
 
@@ -88,8 +96,9 @@ defmodule Aerie.Link.Transport.Serial.Holder do
 
   @impl GenServer
   def handle_cast({:listen, device, baud}, state) do
-    case open_port(device, baud) do
-      {:ok, uart} -> {:noreply, tell(%{state | uart: uart}, :opened)}
+    with :ok <- free(device), {:ok, uart} <- open_port(device, baud) do
+      {:noreply, tell(%{state | uart: uart}, :opened)}
+    else
       {:error, reason} -> {:noreply, tell(state, {:open_failed, reason})}
     end
   end
@@ -124,6 +133,22 @@ defmodule Aerie.Link.Transport.Serial.Holder do
     result = UART.write(state.uart, bytes, @write_ms)
     send(state.owner, {:serial_written, self(), byte_size(bytes), result})
     {:noreply, state}
+  end
+
+  # Who makes a PTY has it open.
+  defp free(device) do
+    with false <- pty?(device), {:ok, program, pid} <- PortOwner.device(device) do
+      {:error, {:in_use, "#{program} (process #{pid})"}}
+    else
+      _pty_or_nobody -> :ok
+    end
+  end
+
+  defp pty?(device) do
+    case File.stat(device) do
+      {:ok, %File.Stat{type: :device, minor_device: number}} -> bsr(number, 8) in @pty_majors
+      _other -> false
+    end
   end
 
   defp open_port(device, baud) do

@@ -15,10 +15,12 @@ defmodule Aerie.Fleet.Age do
 
   def silent_us(%{last_heard: last_heard, links: ids}, links, now) do
     case for link <- links, link.id in ids, do: link do
-      [_ | _] = own -> max(clock(own, now) - last_heard, 0)
-      [] -> max(now - last_heard, 0)
+      [_ | _] = own -> since(last_heard, clock(own, now))
+      [] -> since(last_heard, now)
     end
   end
+
+  defp since(then, now) when is_integer(then) and is_integer(now), do: max(now - then, 0)
 
   defp clock(links, now) do
     if Enum.all?(links, &(&1.kind == :replay)) do

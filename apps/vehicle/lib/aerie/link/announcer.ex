@@ -51,12 +51,13 @@ defmodule Aerie.Link.Announcer do
     {bytes, encoder} = Encoder.encode(state.encoder, heartbeat())
     now = System.os_time(:microsecond)
 
-    # A link that is gone meanwhile needs none.
     for link <- Store.links(state.gateway), silent?(link, now) do
       marked = Aerie.Signing.mark(state.gateway, {link.network, nil}, bytes)
 
-      with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, marked, :all),
-           do: Store.count(state.gateway, {:sent, Heartbeat.id()})
+      # A link that is gone meanwhile needs none.
+      _ =
+        with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, marked, :all),
+             do: Store.count(state.gateway, {:sent, Heartbeat.id()})
     end
 
     {:noreply, %{state | encoder: encoder}}

@@ -63,11 +63,14 @@ defmodule Aerie.Signing.Alarm do
 
       event(gateway, source, {system, component}, reasons, at)
     end
+
+    :ok
   end
 
   defp event(gateway, %{id: link, network: network}, {system, component}, reasons, at) do
     key = {network, system}
 
+    # Nobody to tell for a vehicle that is not known.
     with %{id: id} <- Fleet.Store.vehicle(gateway, key),
          events when is_pid(events) <- Names.whereis(gateway, :events, key) do
       data = %{
@@ -79,6 +82,8 @@ defmodule Aerie.Signing.Alarm do
       at = at || System.os_time(:microsecond)
       _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, "signing.rejected", data})
       Vehicle.Events.wake(events)
+    else
+      _unknown -> :ok
     end
   end
 end

@@ -98,18 +98,24 @@ defmodule Aerie.Signing.Intake do
           tell(tables, key, :unsigned, source.id)
       end
     end
+
+    :ok
   end
 
   defp heard(tables, key, time, counter, n, at) do
     if :ets.member(tables.sources, key) or :ets.info(tables.sources, :size) < @max_sources do
-      :ets.update_counter(tables.sources, key, {counter, n}, {key, nil, nil, 0, 0, 0})
+      _ = :ets.update_counter(tables.sources, key, {counter, n}, {key, nil, nil, 0, 0, 0})
       if time, do: :ets.update_element(tables.sources, key, {time, at})
     end
+
+    :ok
   end
 
   defp tell(tables, key, what, link) do
     if :ets.info(tables.waiters, :size) > 0 do
-      for {^key, pid, reference} <- :ets.lookup(tables.waiters, key), do: send(pid, {reference, what, link})
+      Enum.each(:ets.lookup(tables.waiters, key), fn {_key, pid, reference} ->
+        send(pid, {reference, what, link})
+      end)
     end
   end
 
@@ -125,8 +131,8 @@ defmodule Aerie.Signing.Intake do
       own = Tables.setting(tables, :own, nil)
       {bytes, signed, unsigned, signing} = Guard.sign(signing, IO.iodata_to_binary(bytes), own)
       Guards.put(tables, link, scope, signing)
-      if signed > 0, do: Store.count(gateway, {:signing, link, :signed}, signed)
-      if unsigned > 0, do: Store.count(gateway, {:signing, link, :not_signed}, unsigned)
+      _ = if signed > 0, do: Store.count(gateway, {:signing, link, :signed}, signed)
+      _ = if unsigned > 0, do: Store.count(gateway, {:signing, link, :not_signed}, unsigned)
       bytes
     else
       _no_key -> bytes

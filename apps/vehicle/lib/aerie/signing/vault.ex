@@ -91,6 +91,7 @@ defmodule Aerie.Signing.Vault do
     highest = stored.link_ids |> Map.values() |> Enum.max(fn -> -1 end)
     :ets.insert(tables.settings, {:next_link_id, highest})
     for {key, timestamp, streams} <- stored.entries, do: :ets.insert(tables.stored, {key, timestamp, streams})
+    :ok
   end
 
   @impl GenServer

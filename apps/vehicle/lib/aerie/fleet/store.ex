@@ -198,6 +198,8 @@ defmodule Aerie.Fleet.Store do
       links: :ets.new(:links, [:set | shared]),
       counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),
       systems: :ets.new(:systems, [:set | shared]),
+      wants: :ets.new(:wants, [:ordered_set, :public, read_concurrency: true]),
+      stations: :ets.new(:stations, [:ordered_set | shared]),
       claims: :ets.new(:claims, [:set | shared]),
       journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
     }

@@ -9,6 +9,7 @@ defmodule Aerie.Router.Systems do
   mends that.
   """
 
+  alias Aerie.Fleet.Stations
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Router.Heartbeat
@@ -29,6 +30,11 @@ defmodule Aerie.Router.Systems do
       link: link,
       last_heard: frame.at
     }
+
+    if not Heartbeat.vehicle?(heartbeat) do
+      station = %{system: frame.system, component: frame.component, type: heartbeat.type}
+      Stations.hear(gateway, network, Map.merge(station, %{via: link, last_heard: frame.at}))
+    end
 
     Store.see_system(gateway, key, %{
       last_heard: frame.at,

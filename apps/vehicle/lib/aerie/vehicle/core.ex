@@ -8,6 +8,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
+    * `{:wants, wants, forwarded}` - what clients want of the vehicle has changed (`Aerie.Vehicle.Streams.Arbiter.wants/3`)
 
   Time is the frames' own: a recorded flight played at any speed gives what the flight gave. Before a frame is applied,
   every deadline that lies before its time is dealt with. A frame that is more than two seconds older than the one before
@@ -28,9 +29,10 @@ defmodule Aerie.Vehicle.Core do
   are counted as heard on the link, and change nothing else.
   """
 
-  alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, State, StatusText, Twin}
 
   alias Aerie.Vehicle.Core.{Intake, Timers}
+  alias Aerie.Vehicle.Streams.Arbiter
 
   defstruct [
     :options,
@@ -52,7 +54,7 @@ defmodule Aerie.Vehicle.Core do
     twin: Twin.new(),
     texts: StatusText.new(),
     recent: %{},
-    streams: Streams.new(),
+    streams: Arbiter.new(),
     samplers: nil
   ]
 
@@ -64,6 +66,7 @@ defmodule Aerie.Vehicle.Core do
           | {:link_again, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
+          | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
   @type action ::
           {:snapshot, map()}
           | {:observe, Detector.observation()}
@@ -76,7 +79,14 @@ defmodule Aerie.Vehicle.Core do
   @doc "The state of a vehicle of which nothing is known, or what its last snapshot tells."
   @spec new(Options.t(), map() | nil) :: t()
   def new(options, snapshot \\ nil)
-  def new(options, nil), do: %__MODULE__{options: options, samplers: Sampling.new(options.sampling)}
+
+  def new(options, nil) do
+    %__MODULE__{
+      options: options,
+      samplers: Sampling.new(options.sampling),
+      streams: Arbiter.new(options.wants)
+    }
+  end
 
   def new(options, snapshot) do
     state = State.restore(snapshot)
@@ -100,6 +110,9 @@ defmodule Aerie.Vehicle.Core do
 
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
+  def handle(core, {:wants, wants, forwarded}),
+    do: {%{core | streams: Arbiter.wants(core.streams, wants, forwarded)}, []}
+
   def handle(%{confirm: true} = core, event) do
     {next, actions} = handle(%{core | confirm: false}, event)
     {next, [confirm(core) | actions]}
@@ -119,7 +132,7 @@ defmodule Aerie.Vehicle.Core do
   def handle(%{now: nil} = core, {:link_again, _link}), do: {core, []}
 
   def handle(core, {:link_again, _link}),
-    do: {%{core | streams: Streams.rebooted(core.streams, core.now)}, []}
+    do: {%{core | streams: Arbiter.rebooted(core.streams, core.now)}, []}
 
   def handle(core, {:tick, now}) do
     {core, actions} = Timers.expire(%{core | now: max(core.now || now, now)}, [], now)
@@ -150,6 +163,7 @@ defmodule Aerie.Vehicle.Core do
       last_heard: core.last_heard,
       time_boot_ms: state.boot_ms,
       links: Heard.links(core.heard),
+      streams: Arbiter.show(core.streams),
       groups: state.groups,
       memory: State.memory(state)
     }

@@ -17,6 +17,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
   | `{:reboot, at, boot_ms}`                 | reboot                                                              |
   | `{:collision, at, boot_ms, sign}`        | collision                                                           |
+  | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
   | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.rejected                      |
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
@@ -193,6 +194,24 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
+  def observe(detector, {:streams, at, boot_ms, notices}, _known) do
+    messages =
+      for notice <- notices do
+        %{
+          "id" => notice.id,
+          "name" => MavCodec.Dialects.All.name(notice.id),
+          "asked_hz" => round_hz(notice.asked),
+          "found_hz" => round_hz(notice.measured),
+          "yielded" => notice.yielded
+        }
+      end
+
+    {detector, events} =
+      emit(detector, [{"stream.contested", %{"messages" => messages}, []}], at, boot_ms, nil)
+
+    {detector, events, %{}}
+  end
+
   @doc "Why a failsafe that begins `at` came, as far as texts have said: `{reason, text}`."
   @spec reason(t(), integer()) :: {String.t(), String.t() | nil}
   def reason(%{failsafe: {said, reason, text}}, at) when at - said <= @reason_us, do: {reason, text}
@@ -269,6 +288,9 @@ defmodule Aerie.Vehicle.Detector do
   defp param_changed(name, old, value, index) do
     {"param_changed", %{"name" => name, "from" => old, "to" => value, "index" => index}, []}
   end
+
+  defp round_hz(nil), do: nil
+  defp round_hz(hz), do: Float.round(hz * 1.0, 2)
 
   defp severity_name(severity), do: MavCodec.Enums.MavSeverity.label(severity) || "SEVERITY(#{severity})"
 end

@@ -15,6 +15,7 @@ defmodule Aerie.Vehicle.Session do
 
   @tick_ms 100
   @set_us 3_000_000
+  @look_ticks 10
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -35,11 +36,15 @@ defmodule Aerie.Vehicle.Session do
       clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
       paces: %{},
       outbound: Vehicle.Outbound.new(gateway, options),
-      events: nil
+      events: nil,
+      ticks: 0
     }
 
-    {:ok, state}
+    {:ok, state, {:continue, :wants}}
   end
+
+  @impl GenServer
+  def handle_continue(:wants, state), do: {:noreply, wants(state, nil)}
 
   @impl GenServer
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
@@ -58,13 +63,30 @@ defmodule Aerie.Vehicle.Session do
     case expected(state.clock) do
       # Nothing heard yet: there is no time to go by.
       nil -> {:noreply, state}
-      now -> {:noreply, step(state, {:tick, now})}
+      now -> {:noreply, state |> step({:tick, now}) |> look_around(now)}
     end
   end
+
+  def handle_info({:wants, forwarded}, state), do: {:noreply, wants(state, forwarded)}
 
   def handle_info({:pulse, pulse, tag}, state) do
     Vehicle.Identity.Pulse.answer(pulse, tag)
     {:noreply, state}
+  end
+
+  # What others have written down since, once a second.
+  defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_ticks) != 0,
+    do: %{state | ticks: ticks + 1}
+
+  defp look_around(state, _now) do
+    state = %{state | ticks: state.ticks + 1}
+    if Fleet.Wants.sweep(state.gateway, state.options.key), do: wants(state, nil), else: state
+  end
+
+  defp wants(state, forwarded) do
+    merged = Fleet.Wants.merged(state.gateway, state.options.key)
+    {core, []} = Vehicle.Core.handle(state.core, {:wants, merged, forwarded})
+    %{state | core: core}
   end
 
   # How fast a link's time passes: `:live`, or the factor of a recording.

@@ -1,137 +1,101 @@
 defmodule Aerie.Vehicle.Streams do
   @moduledoc """
-  Asks a vehicle for the state messages that it does not send by itself. A pure value.
+  Which messages a vehicle sends how often, arbitrated between the gateway and all its clients.
 
-  Rates belong to the link, not to who asked (M2), and other programs ask too; so this asks as little as can be: only for
-  messages that do not come, two seconds after the vehicle was first seen, after a reboot (R6) or an interruption of its
-  link, or when one that came has
-  stopped for ten seconds while the vehicle is heard (M3). SET_MESSAGE_INTERVAL comes first; what is still missing three
-  and ten seconds later is asked for again, and a vehicle that obeys neither gets one REQUEST_DATA_STREAM. Then it is left
-  alone until the next reboot, or for a minute.
+      Aerie.Vehicle.Streams.want(gateway, {"main", 1}, self(), 30, 10)
+      Aerie.Vehicle.Streams.show(gateway, {"main", 1})
 
-  What comes is not asked for, however slow or fast it is.
+  Who serves clients tells their wants (`want/5`, `forget/2`) or lets their own requests be seen (`intercept/4`). The
+  vehicle's session then asks the vehicle for the highest rate of each message (`Aerie.Vehicle.Streams.Arbiter`). Wants are
+  kept in the store (`Aerie.Fleet.Wants`) and outlive the session.
   """
 
-  alias MavCodec.Messages.{CommandLong, RequestDataStream}
+  alias Aerie.Fleet.{Store, Wants}
+  alias Aerie.Names
+  alias Aerie.Vehicle.Streams.Intercept
+  alias MavCodec.Frame
 
-  @set_message_interval 511
-  @request_message 512
-
-  # Message id => interval asked for, us.
-  @streams %{
-    245 => 500_000,
-    33 => 250_000,
-    30 => 250_000,
-    74 => 500_000,
-    1 => 1_000_000,
-    24 => 1_000_000,
-    147 => 2_000_000,
-    42 => 1_000_000,
-    65 => 1_000_000
-  }
-  # What comes once when asked for. HOME_POSITION comes by itself when it changes.
-  @once [148, 242]
-
-  @grace_us 2_000_000
-  @retries_us [3_000_000, 10_000_000]
-  @stopped_us 10_000_000
-  @quiet_us 60_000_000
-  @all_streams 0
-  @fall_back_hz 4
-
-  defstruct [:due, round: 0, asked: 0, heard: %{}]
-
-  @type t :: %__MODULE__{
-          due: integer() | nil,
-          round: non_neg_integer(),
-          heard: %{non_neg_integer() => integer()}
-        }
-
-  @doc "Nothing seen yet."
-  @spec new() :: t()
-  def new, do: %__MODULE__{}
-
-  @doc "A message of the autopilot came."
-  @spec heard(t(), non_neg_integer(), integer()) :: t()
-  def heard(%{due: nil} = streams, id, at), do: heard(%{streams | due: at + @grace_us}, id, at)
-
-  def heard(streams, id, at) when is_map_key(@streams, id) or id in @once do
-    %{streams | heard: Map.put(streams.heard, id, at)}
-  end
-
-  def heard(streams, _id, _at), do: streams
-
-  @doc "The vehicle was restarted, or its link was interrupted: its streams are what it begins with."
-  @spec rebooted(t(), integer()) :: t()
-  def rebooted(_streams, at), do: %__MODULE__{due: at + @grace_us}
-
-  @doc "Time goes on from `now`: what was heard counts as heard now."
-  @spec rebased(t(), integer()) :: t()
-  def rebased(streams, now) do
-    heard = Map.new(streams.heard, fn {id, _at} -> {id, now} end)
-    %{streams | due: streams.due && now + @grace_us, asked: min(streams.asked, now), heard: heard}
-  end
-
-  @doc "What to send at `now` to a vehicle that is being heard; mostly nothing."
-  @spec expire(t(), integer(), target :: {non_neg_integer(), non_neg_integer()}) :: {t(), [struct()]}
-  def expire(%{due: due} = streams, now, _target) when due == nil or now < due, do: {streams, []}
-
-  def expire(streams, now, target) do
-    missing = for {id, interval} <- Enum.sort(@streams), missing?(streams, id, now), do: {id, interval}
-    unknown = for id <- @once, not is_map_key(streams.heard, id), do: id
-    ask(streams, now, target, missing, unknown)
-  end
-
-  defp missing?(streams, id, now) do
-    case streams.heard do
-      %{^id => at} -> now - at > @stopped_us
-      _never -> true
+  @doc """
+  A client wants a message (by its id) so many times a second, at least; nil takes that back. A client that is a pid, or a
+  tuple with one in front, takes its wants with it when it ends.
+  """
+  @spec want(Names.gateway(), Store.vehicle_key(), Wants.client(), Wants.what(), number() | nil) ::
+          :ok | {:error, :too_many}
+  def want(gateway, key, client, what, hz) do
+    case Wants.put(gateway, key, client, what, hz) do
+      :ok -> tell(gateway, key, nil)
+      :same -> :ok
+      error -> error
     end
   end
 
-  defp ask(streams, now, _target, [], []), do: {%{streams | round: 0, due: now + @stopped_us}, []}
+  @doc "A client is gone: all that it wanted of all vehicles is taken back."
+  @spec forget(Names.gateway(), Wants.client()) :: :ok
+  def forget(gateway, client), do: gateway |> Wants.forget(client) |> Enum.each(&tell(gateway, &1, nil))
 
-  defp ask(%{round: round} = streams, now, target, missing, unknown) when round <= length(@retries_us) do
-    messages =
-      Enum.map(missing, fn {id, interval} -> command(target, @set_message_interval, id, interval) end) ++
-        Enum.map(unknown, &command(target, @request_message, &1, 0))
+  @doc """
+  To be called for a client's frame that is on its way to a vehicle, when `request?/1` says so: `:forward` it as it is, or
+  `{:absorb, answer}`, `answer` being a frame to the client in the vehicle's name, or nil. The want is noted.
 
-    # Who has obeyed none of the commands may know only the old way.
-    fall_back =
-      if round == length(@retries_us) and length(missing) > div(map_size(@streams), 2),
-        do: [all(target)],
-        else: []
+  A frame for a vehicle that is not known, for all (target 0) or for another component than the autopilot is forwarded
+  and not noted.
+  """
+  @spec intercept(Names.gateway(), network :: String.t(), Wants.client(), Frame.t()) ::
+          :forward | {:absorb, binary() | nil}
+  def intercept(gateway, network, client, frame) do
+    with {system, component} when system != 0 <- Frame.target(frame),
+         %{component: autopilot} when component in [0, autopilot] <- Store.vehicle(gateway, {network, system}),
+         {:ok, message} <- MavCodec.decode(frame) do
+      key = {network, system}
 
-    wait = Enum.at(@retries_us, round, @quiet_us)
-    {%{streams | round: round + 1, asked: now, due: now + wait}, messages ++ fall_back}
+      note(
+        gateway,
+        key,
+        client,
+        Intercept.decide(message, Wants.merged(gateway, key, {:but, client})),
+        frame,
+        autopilot
+      )
+    else
+      _not_for_a_vehicle -> :forward
+    end
   end
 
-  # Asked often enough: what is missing is not there. Only what came since and stopped is worth asking for again.
-  defp ask(streams, now, target, missing, unknown) do
-    stopped = for {id, _interval} <- missing, Map.get(streams.heard, id, 0) > streams.asked, do: id
+  @doc "Whether a frame is a request for a rate: cheap, for every frame on its way to a vehicle."
+  @spec request?(Frame.t()) :: boolean()
+  defdelegate request?(frame), to: Intercept
 
-    if stopped == [],
-      do: {%{streams | due: now + @stopped_us}, []},
-      else: ask(%{streams | round: 0}, now, target, missing, unknown)
+  defp note(_gateway, _key, _client, :pass, _frame, _autopilot), do: :forward
+
+  defp note(gateway, key, client, {:forward, id, hz}, _frame, _autopilot) do
+    _full_is_counted = Wants.put(gateway, key, client, id, hz)
+    tell(gateway, key, if(hz, do: id))
+    :forward
   end
 
-  defp command({system, component}, command, param1, param2) do
-    %CommandLong{
-      target_system: system,
-      target_component: component,
-      command: command,
-      param1: param1 * 1.0,
-      param2: param2 * 1.0
-    }
+  defp note(gateway, key, client, {:absorb, what, hz}, frame, autopilot) do
+    changes = for one <- List.wrap(what), do: Wants.put(gateway, key, client, one, hz)
+    if :ok in changes, do: tell(gateway, key, nil)
+    Store.count(gateway, {:streams, :absorbed})
+    {:absorb, Intercept.answer(frame, autopilot)}
   end
 
-  defp all({system, component}) do
-    %RequestDataStream{
-      target_system: system,
-      target_component: component,
-      req_stream_id: @all_streams,
-      req_message_rate: @fall_back_hz,
-      start_stop: 1
-    }
+  @doc """
+  What is wanted of a vehicle and how far that has come, by message id: `%{state, wanted, asked, measured}` (states in
+  `Aerie.Vehicle.Streams.Line`, rates in messages per second, nil for none). At most a second old.
+  """
+  @spec show(Names.gateway(), Store.vehicle_key()) :: %{non_neg_integer() => map()}
+  def show(gateway, key) do
+    case Store.vehicle(gateway, key) do
+      %{streams: streams} -> streams
+      _unknown -> %{}
+    end
+  end
+
+  defp tell(gateway, key, forwarded) do
+    with session when is_pid(session) <- Names.whereis(gateway, :session, key),
+         do: send(session, {:wants, forwarded})
+
+    :ok
   end
 end

@@ -1,69 +1,174 @@
 defmodule Aerie.Vehicle.StreamsTest do
-  use ExUnit.Case, async: true
+  @moduledoc "Wants of clients, and their own requests on the way to a vehicle."
+  use Aerie.GatewayCase, async: true
 
+  import Aerie.Flight, only: [frame: 2, frame: 3]
+
+  alias Aerie.{Fleet, Names, Router}
+  alias Aerie.Fleet.Wants
   alias Aerie.Vehicle.Streams
-  alias MavCodec.Messages.{CommandLong, RequestDataStream}
+  alias Aerie.Vehicle.Streams.Intercept
+  alias MavCodec.Messages, as: M
 
+  @key {"main", 1}
   @second 1_000_000
-  @all [245, 33, 30, 74, 1, 24, 147, 42, 65, 148, 242]
 
-  # Expires once a second; the messages as {second, message}. `heard` says which ids come in a second.
-  defp run(seconds, heard, streams \\ Streams.new()) do
-    Enum.flat_map_reduce(seconds, streams, fn second, streams ->
-      streams = Enum.reduce(heard.(second), streams, &Streams.heard(&2, &1, second * @second))
-      {streams, messages} = Streams.expire(streams, second * @second, {1, 1})
-      {Enum.map(messages, &{second, &1}), streams}
-    end)
+  defp gateway do
+    gateway = start_gateway(%{}, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
+    heartbeat = frame(%M.Heartbeat{type: 2, autopilot: 3}, @second)
+    Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [heartbeat])
+    eventually(fn -> Fleet.Store.vehicle(gateway, @key) end)
+    gateway
   end
 
-  test "M3: who sends everything is asked for nothing" do
-    assert {[], _} = run(0..100, fn _ -> @all end)
+  defp session(gateway), do: :sys.get_state(Names.via(gateway, :session, @key))
+  defp wanted(gateway), do: session(gateway).core.streams.wants
+
+  defp set(id, hz, target \\ 1) do
+    %M.CommandLong{
+      target_system: 1,
+      target_component: target,
+      command: 511,
+      param1: id * 1.0,
+      param2: 1_000_000.0 / hz
+    }
   end
 
-  test "nothing before the vehicle was heard" do
-    assert {[], _} = run(0..100, fn _ -> [] end)
+  defp from_client(message), do: frame(message, @second, system: 255, component: 190)
+
+  defp intercept(gateway, client, message),
+    do: Streams.intercept(gateway, "main", client, from_client(message))
+
+  test "wants of all clients are merged to the highest, and survive the session" do
+    gateway = gateway()
+    :ok = Streams.want(gateway, @key, :map, 30, 5)
+    :ok = Streams.want(gateway, @key, :chart, 30, 20)
+    :ok = Streams.want(gateway, @key, :chart, 74, 2)
+    assert wanted(gateway) == %{30 => 20, 74 => 2}
+    session = Names.whereis(gateway, :session, @key)
+    Process.exit(session, :kill)
+    eventually(fn -> Names.whereis(gateway, :session, @key) not in [nil, session] end)
+    assert wanted(gateway) == %{30 => 20, 74 => 2}
+    :ok = Streams.want(gateway, @key, :chart, 74, nil)
+    :ok = Streams.forget(gateway, :chart)
+    assert wanted(gateway) == %{30 => 5}
   end
 
-  test "M1: only what is missing, by SET_MESSAGE_INTERVAL, after a moment's grace" do
-    {sent, _} = run(0..4, fn _ -> @all -- [245, 148] end)
-
-    assert [
-             {2,
-              %CommandLong{
-                command: 511,
-                param1: 245.0,
-                param2: 500_000.0,
-                target_system: 1,
-                target_component: 1
-              }},
-             {2, %CommandLong{command: 512, param1: 148.0}}
-           ] = sent
+  test "the wants of a client whose process ends go with it" do
+    gateway = gateway()
+    client = spawn(fn -> receive do: (:stop -> :ok) end)
+    :ok = Streams.want(gateway, @key, {client, "ws"}, 30, 20)
+    refute Wants.sweep(gateway, @key)
+    ref = Process.monitor(client)
+    send(client, :stop)
+    assert_receive {:DOWN, ^ref, _, _, _}
+    assert Wants.sweep(gateway, @key)
+    assert Wants.list(gateway, @key) == []
   end
 
-  test "who obeys no command gets one REQUEST_DATA_STREAM, and then is left alone" do
-    {sent, _} = run(0..600, fn _ -> [0] end)
-
-    assert [{15, %RequestDataStream{req_stream_id: 0, start_stop: 1}}] =
-             Enum.filter(sent, &match?({_, %RequestDataStream{}}, &1))
-
-    assert sent |> Enum.map(&elem(&1, 0)) |> Enum.uniq() == [2, 5, 15]
+  test "a client cannot fill the table" do
+    gateway = gateway()
+    results = for id <- 1..2_100, do: Streams.want(gateway, @key, :flood, id, 1)
+    assert {:error, :too_many} in results
+    assert length(Wants.list(gateway, @key)) == 2_048
+    assert Fleet.Store.counter(gateway, {:wants, :refused}) > 0
+    # It takes nothing from who is there already.
+    assert Streams.want(gateway, @key, :flood, 1, 9) == :ok
   end
 
-  test "a message that never comes is asked for three times in all" do
-    {sent, _} = run(0..600, fn _ -> @all -- [65] end)
-    assert Enum.map(sent, &elem(&1, 0)) == [2, 5, 15]
+  describe "a client's own request" do
+    test "that takes nothing from anybody is forwarded and noted" do
+      gateway = gateway()
+      assert intercept(gateway, :one, set(30, 10)) == :forward
+      assert wanted(gateway) == %{30 => 10.0}
+      assert %{set: 10.0, state: :asked} = session(gateway).core.streams.lines[30]
+    end
+
+    test "M2: that would lower another's rate is answered in the vehicle's name" do
+      gateway = gateway()
+      :ok = Streams.want(gateway, @key, :other, 30, 20)
+      assert {:absorb, answer} = intercept(gateway, :one, set(30, 4))
+      {[ack], _parser} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), answer, nil)
+      assert {ack.system, ack.component} == {1, 1}
+
+      assert {:ok, %M.CommandAck{command: 511, result: 0, target_system: 255, target_component: 190}} =
+               MavCodec.decode(ack)
+
+      # Its own want is what it said last.
+      assert {:one, 30, 4.0} in Wants.list(gateway, @key)
+      assert wanted(gateway) == %{30 => 20}
+    end
+
+    test "to stop what the gateway needs is absorbed, to stop what nobody needs is forwarded" do
+      gateway = gateway()
+      stop = fn id -> %{set(id, 1) | param2: -1.0} end
+      assert {:absorb, _ack} = intercept(gateway, :one, stop.(33))
+      assert intercept(gateway, :one, stop.(36)) == :forward
+      assert wanted(gateway) == %{}
+    end
+
+    test "M1: REQUEST_DATA_STREAM is noted, not forwarded, and has no answer" do
+      gateway = gateway()
+
+      request = %M.RequestDataStream{
+        target_system: 1,
+        target_component: 1,
+        req_stream_id: 10,
+        req_message_rate: 4
+      }
+
+      assert intercept(gateway, :one, %{request | start_stop: 1}) == {:absorb, nil}
+      assert session(gateway).core.streams.groups == %{10 => 4}
+      assert intercept(gateway, :one, %{request | req_stream_id: 0, start_stop: 1}) == {:absorb, nil}
+      assert map_size(session(gateway).core.streams.groups) == 7
+      assert intercept(gateway, :one, %{request | req_stream_id: 0, start_stop: 0}) == {:absorb, nil}
+      assert session(gateway).core.streams.groups == %{}
+    end
+
+    test "is let pass when it is not for a known vehicle's autopilot, or no such request" do
+      gateway = gateway()
+      assert intercept(gateway, :one, %{set(30, 4) | target_system: 9}) == :forward
+      assert intercept(gateway, :one, %{set(30, 4) | target_system: 0}) == :forward
+      assert intercept(gateway, :one, set(30, 4, 154)) == :forward
+      assert intercept(gateway, :one, %{set(30, 4) | param1: -1.0}) == :forward
+      assert intercept(gateway, :one, %{set(30, 4) | param2: :nan}) == :forward
+      assert intercept(gateway, :one, %{set(30, 4) | command: 400}) == :forward
+      assert wanted(gateway) == %{}
+      assert intercept(gateway, :one, set(30, 4, 0)) == :forward
+      assert wanted(gateway) == %{30 => 4.0}
+    end
+
+    test "is told from all else at a glance, in both versions and both kinds of command" do
+      int = %M.CommandInt{target_system: 1, command: 511, param1: 30.0, param2: 1.0e5}
+
+      for message <- [set(30, 4), int, %M.RequestDataStream{target_system: 1}], version <- [1, 2] do
+        assert Streams.request?(frame(message, @second, version: version))
+      end
+
+      for message <- [%{set(30, 4) | command: 512}, %M.Heartbeat{}, %M.CommandLong{}, %M.ParamRequestList{}] do
+        refute Streams.request?(frame(message, @second))
+      end
+    end
   end
 
-  test "M3: what stopped is asked for again, after ten seconds and not for ever" do
-    {sent, _} = run(0..600, fn second -> if second < 100, do: @all, else: @all -- [33] end)
-    assert [{first, %CommandLong{command: 511, param1: 33.0}} | _] = sent
-    assert first in 109..125
-    assert length(sent) <= 4
-  end
+  test "whatever is asked for: nothing is forwarded that lowers what another wants" do
+    hz = :proper_types.range(1, 50)
+    wants = :proper_types.list({:proper_types.oneof([30, 33, 36, 74]), hz})
 
-  test "R6: after a reboot it begins anew" do
-    {_, streams} = run(0..100, fn _ -> @all end)
-    {sent, _} = run(101..110, fn _ -> [0] end, Streams.rebooted(streams, 101 * @second))
-    assert [{103, %CommandLong{}} | _] = sent
+    prop =
+      :proper.forall(
+        {wants, :proper_types.oneof([30, 33, 36, 74]), hz, :proper_types.oneof([1, 0, -1])},
+        fn {others, id, hz, sign} ->
+          others = %{messages: Map.new(others), groups: %{}}
+          request = if sign == 1, do: set(id, hz), else: %{set(id, 1) | param2: sign * 1.0}
+
+          case Intercept.decide(request, others) do
+            {:forward, ^id, wanted} -> (wanted || 0) >= Map.get(others.messages, id, 0)
+            {:absorb, ^id, wanted} -> (wanted || 0) < max(Map.get(others.messages, id, 0), 0.5)
+          end
+        end
+      )
+
+    assert :proper.quickcheck(prop, [:quiet, numtests: 500])
   end
 end

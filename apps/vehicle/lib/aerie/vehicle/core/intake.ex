@@ -4,18 +4,21 @@ defmodule Aerie.Vehicle.Core.Intake do
   concerns.
   """
 
-  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Twin}
   alias Aerie.Vehicle.Core.Effects
+  alias Aerie.Vehicle.Streams.Arbiter
 
   @heartbeat 0
   @system_time 2
   @param_value 22
+  @command_ack 77
   @high_latency 235
+  @message_interval 244
   @statustext 253
   # For how long a second link's copy of a text may come after the first one's.
   @copy_us 5_000_000
-  # A vehicle that comes back is asked for its streams again soon.
-  @ask_again_us 50_000
+  # Messages about our dealings with the vehicle, not about its state.
+  @dealings [@command_ack, @message_interval]
 
   @doc "One frame of the vehicle's system. The actions come newest first."
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
@@ -45,6 +48,7 @@ defmodule Aerie.Vehicle.Core.Intake do
     if Kind.vehicle?(message.type, message.autopilot) and
          (known in [nil, frame.component] or frame.component == 1) do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
+      core = %{core | streams: Arbiter.heard(core.streams, link, frame.id, frame.at)}
       message(core, actions, link, frame, message)
     else
       {core, actions}
@@ -53,8 +57,9 @@ defmodule Aerie.Vehicle.Core.Intake do
 
   defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
     {core, actions} = alive(core, actions, at)
+    core = %{core | streams: Arbiter.heard(core.streams, link, id, at)}
 
-    if State.wants?(core.state, id, at) or id in [@system_time, @param_value, @statustext] do
+    if State.wants?(core.state, id, at) or id in [@system_time, @param_value, @statustext | @dealings] do
       case MavCodec.decode(frame) do
         {:ok, message} -> message(core, actions, link, frame, message)
         {:error, _unknown} -> {core, actions}
@@ -72,11 +77,7 @@ defmodule Aerie.Vehicle.Core.Intake do
     observed = if core.status == :lost, do: [{:observe, {:restored, at, core.state.boot_ms}}], else: []
     last_heard = later(core.last_heard, at)
 
-    core = %{
-      core
-      | last_heard: last_heard,
-        streams: %{core.streams | due: core.streams.due && at + @ask_again_us}
-    }
+    core = %{core | last_heard: last_heard, streams: Arbiter.back(core.streams, at)}
 
     Effects.status(core, observed ++ actions, :online)
   end
@@ -101,7 +102,7 @@ defmodule Aerie.Vehicle.Core.Intake do
           core
           | state: State.at_boot(core.state, boot_ms),
             twin: Twin.rebooted(core.twin),
-            streams: Streams.rebooted(core.streams, frame.at)
+            streams: Arbiter.rebooted(core.streams, frame.at)
         }
 
         apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
@@ -126,13 +127,24 @@ defmodule Aerie.Vehicle.Core.Intake do
     end
   end
 
+  # An answer to somebody else is none to us (C7). MAVLink 1 does not say to whom it is.
+  defp message(core, actions, _link, %{id: @command_ack}, message) do
+    if message.target_system in [0, core.options.own_system] and
+         message.target_component in [0, core.options.own_component],
+       do: {%{core | streams: Arbiter.ack(core.streams, message.command, message.result)}, actions},
+       else: {core, actions}
+  end
+
+  defp message(core, actions, _link, %{id: @message_interval} = frame, message) do
+    {%{core | streams: Arbiter.interval(core.streams, message.message_id, message.interval_us, frame.at)},
+     actions}
+  end
+
   defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
 
   defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
 
   defp apply_message(core, actions, %{id: id, at: at}, message) do
-    core = %{core | streams: Streams.heard(core.streams, id, at)}
-
     case State.apply(core.state, id, message, at) do
       {:invalid, _field} ->
         {core, [{:count, :invalid} | actions]}

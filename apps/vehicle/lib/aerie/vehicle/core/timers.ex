@@ -3,8 +3,9 @@ defmodule Aerie.Vehicle.Core.Timers do
   What follows from time passing: texts that stay incomplete, samples, silence, rates, requests, our heartbeat.
   """
 
-  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Twin}
   alias Aerie.Vehicle.Core.Effects
+  alias Aerie.Vehicle.Streams.Arbiter
 
   # Deadlines are looked at twenty times a second.
   @period_us 50_000
@@ -49,7 +50,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         texts: texts,
         heard: Heard.new(Heard.links(core.heard), now),
         twin: Twin.rebased(core.twin),
-        streams: Streams.rebased(core.streams, now),
+        streams: Arbiter.rebased(core.streams, now),
         samplers: Sampling.new(core.options.sampling),
         state: State.rebased(core.state, now)
     }
@@ -118,11 +119,14 @@ defmodule Aerie.Vehicle.Core.Timers do
 
   defp ask({%{options: %{request_streams: true}, status: :online, component: component} = core, actions}, now)
        when component != nil do
-    {streams, messages} = Streams.expire(core.streams, now, {core.options.system_id, component})
+    {streams, messages, notices} = Arbiter.expire(core.streams, now, {core.options.system_id, component})
+    actions = if notices == [], do: actions, else: [{:observe, contested(core, notices, now)} | actions]
     {%{core | streams: streams}, Enum.reduce(messages, actions, &[{:send, &1, core.version} | &2])}
   end
 
   defp ask({core, actions}, _now), do: {core, actions}
+
+  defp contested(core, notices, now), do: {:streams, now, core.state.boot_ms, notices}
 
   # Fed by this loop: no heartbeat from a gateway whose loops stand still (H3). A vehicle that is lost gets it too, its
   # own receiver may be all that works. One that speaks MAVLink 1 is shown every other time that we speak 2, which is

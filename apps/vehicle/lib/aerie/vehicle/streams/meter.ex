@@ -1,0 +1,77 @@
+defmodule Aerie.Vehicle.Streams.Meter do
+  @moduledoc """
+  How often messages come, measured. A pure value.
+
+  Counted per link, and the best link's count is the rate: two redundant links that bring the same frames do not make it
+  twice as much. Only messages that are watched are counted.
+  """
+
+  @links 8
+
+  defstruct watched: %{}
+
+  @typedoc "By message id: since when it is counted, and how many came by which link."
+  @type t :: %__MODULE__{
+          watched: %{
+            non_neg_integer() => {since :: integer(), %{term() => pos_integer()}, last :: integer() | nil}
+          }
+        }
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "Begins to count a message, from 0, whether or not it was counted before."
+  @spec watch(t(), non_neg_integer(), integer()) :: t()
+  def watch(meter, id, now) do
+    last = with {_since, _counts, last} <- meter.watched[id], do: last
+    %{meter | watched: Map.put(meter.watched, id, {now, %{}, last})}
+  end
+
+  @doc "As `watch/3`, unless it is counted already."
+  @spec ensure(t(), non_neg_integer(), integer()) :: t()
+  def ensure(%{watched: watched} = meter, id, _now) when is_map_key(watched, id), do: meter
+  def ensure(meter, id, now), do: watch(meter, id, now)
+
+  @doc "Counts a message no more."
+  @spec ignore(t(), non_neg_integer()) :: t()
+  def ignore(meter, id), do: %{meter | watched: Map.delete(meter.watched, id)}
+
+  @doc "A message came by a link."
+  @spec heard(t(), term(), non_neg_integer(), integer()) :: t()
+  def heard(%{watched: watched} = meter, link, id, at) do
+    case watched do
+      %{^id => {since, counts, _last}} ->
+        counts =
+          if is_map_key(counts, link) or map_size(counts) < @links, do: bump(counts, link), else: counts
+
+        %{meter | watched: %{watched | id => {since, counts, at}}}
+
+      _unwatched ->
+        meter
+    end
+  end
+
+  defp bump(counts, link), do: Map.update(counts, link, 1, &(&1 + 1))
+
+  @doc "Messages per second over the time that was counted, once that is long enough (us); nil before."
+  @spec rate(t(), non_neg_integer(), integer(), pos_integer()) :: float() | nil
+  def rate(meter, id, now, long_enough) do
+    case meter.watched do
+      %{^id => {since, counts, _last}} when now - since >= long_enough ->
+        (counts |> Map.values() |> Enum.max(fn -> 0 end)) * 1_000_000 / (now - since)
+
+      _too_short ->
+        nil
+    end
+  end
+
+  @doc "When a watched message came last; nil for never."
+  @spec last(t(), non_neg_integer()) :: integer() | nil
+  def last(meter, id), do: with({_since, _counts, last} <- meter.watched[id], do: last)
+
+  @doc "Everything is counted anew from `now`, as after a silence or a change of the clock."
+  @spec restart(t(), integer()) :: t()
+  def restart(meter, now) do
+    %{meter | watched: Map.new(meter.watched, fn {id, {_, _, last}} -> {id, {now, %{}, last && now}} end)}
+  end
+end

@@ -1,0 +1,280 @@
+defmodule Aerie.Vehicle.Streams.ArbiterTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.StreamVehicle, as: Sim
+  alias Aerie.Vehicle.Streams.Arbiter
+
+  @floor Arbiter.floor()
+  @default Map.new(@floor, fn {id, _hz} -> {id, 2} end)
+
+  defp requests(vehicle), do: for({at, what} <- Sim.sent(vehicle), elem(what, 0) != :once, do: {at, what})
+  defp sets(vehicle, id), do: for({at, {:set, ^id, us}} <- Sim.sent(vehicle), do: {at, us})
+  defp state(vehicle, id), do: Arbiter.show(vehicle.arbiter)[id].state
+  defp after_s(list, seconds), do: for({at, what} <- list, at > seconds, do: {at, what})
+
+  describe "what the gateway needs" do
+    test "M3: who sends it is asked for nothing, but for what comes only once" do
+      vehicle = Sim.run(Sim.new(rates: @default), 600)
+      assert requests(vehicle) == []
+      assert for({_, what} <- Sim.sent(vehicle), do: what) == [{:once, 148}, {:once, 242}]
+      assert Enum.all?(Arbiter.show(vehicle.arbiter), fn {_id, line} -> line.state == :ok end)
+    end
+
+    test "nothing is asked of a vehicle before it is heard" do
+      assert {arbiter, [], []} = Arbiter.expire(Arbiter.new(), 1_000_000_000, {1, 1})
+      assert arbiter == Arbiter.new()
+    end
+
+    test "M1: what is missing is asked for after a moment's grace, one command at a time" do
+      vehicle = Sim.run(Sim.new(rates: Map.drop(@default, [245, 30])), 10)
+      assert [{first, {:set, 30, 250_000.0}}, {second, {:set, 245, 500_000.0}}] = requests(vehicle)
+      assert first >= 2 and second > first
+      assert %{30 => %{state: :ok, asked: 4, wanted: nil}} = Arbiter.show(vehicle.arbiter)
+    end
+
+    test "M2: an acknowledgement is not needed, what is measured counts" do
+      vehicle = Sim.run(Sim.new(acks: false), 30)
+      assert vehicle |> requests() |> length() == map_size(@floor)
+      assert Enum.all?(Arbiter.show(vehicle.arbiter), fn {_id, line} -> line.state == :ok end)
+    end
+
+    test "what never comes is tried three times, then left alone" do
+      vehicle = Sim.run(Sim.new(rates: Map.delete(@default, 65), command: :ignored), 600)
+      assert [a, b, c] = vehicle |> sets(65) |> Enum.map(&elem(&1, 0))
+      assert b - a >= 3 and c - b >= 10 and c < 20
+      assert state(vehicle, 65) == :missing
+    end
+
+    test "what the vehicle does not have is tried once" do
+      vehicle = Sim.run(Sim.new(rates: Map.delete(@default, 65), knows: [30]), 600)
+      assert [_one] = sets(vehicle, 65)
+      assert state(vehicle, 65) == :missing
+    end
+
+    test "M3: what stopped is asked for again, once, and what stops again is left" do
+      vehicle = Sim.run(Sim.new(rates: @default), 60)
+      vehicle = vehicle |> Sim.set(33, 0) |> Sim.run(60)
+      assert [{at, 250_000.0}] = sets(vehicle, 33)
+      assert at >= 70 and at <= 76
+      vehicle = vehicle |> Sim.set(33, 0) |> Sim.run(30) |> Sim.set(33, 0) |> Sim.run(600)
+      assert length(sets(vehicle, 33)) == 2
+      assert state(vehicle, 33) == :yielded
+      assert [%{id: 33, how: :slower, yielded: true}] = vehicle.notices
+    end
+  end
+
+  describe "REQUEST_DATA_STREAM" do
+    test "M1: in place of a command that the vehicle does not know" do
+      vehicle = Sim.run(Sim.new(command: :unsupported), 60)
+      assert [_once] = for({_, {:set, _, _}} = one <- requests(vehicle), do: one)
+      assert %{state: :ok} = Arbiter.show(vehicle.arbiter)[30]
+      groups = for {_, {:group, id, hz}} <- requests(vehicle), do: {id, hz}
+      assert Enum.sort(groups) == [{2, 1}, {3, 1}, {6, 4}, {10, 4}, {11, 2}, {12, 1}]
+    end
+
+    test "M1: when commands are neither heeded nor acknowledged; then it is left alone" do
+      vehicle = Sim.run(Sim.new(command: :ignored), 600)
+      assert %{state: :ok} = Arbiter.show(vehicle.arbiter)[30]
+      assert vehicle |> requests() |> after_s(60) == []
+    end
+
+    test "and a vehicle that heeds nothing at all is left alone too" do
+      vehicle = Sim.run(Sim.new(command: :ignored, old: false), 600)
+      assert vehicle |> requests() |> after_s(90) == []
+      assert length(requests(vehicle)) < 60
+    end
+  end
+
+  describe "what clients want" do
+    test "the highest rate of each message counts, and what comes by itself is not asked for" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
+      assert [{_, {:set, 30, 100_000.0}}] = requests(vehicle)
+      vehicle = vehicle |> Sim.want(%{30 => 5, 33 => 2, 74 => 8}) |> Sim.run(30)
+      assert [_, {_, {:set, 74, 125_000.0}}] = requests(vehicle)
+      assert %{wanted: 10, asked: 10, state: :ok, measured: rate} = Arbiter.show(vehicle.arbiter)[30]
+      assert_in_delta rate, 10, 1
+    end
+
+    test "a message that nobody else needs, and its end: the vehicle's default again, after a while" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(10) |> Sim.want(%{36 => 5}) |> Sim.run(10)
+      assert [{_, {:set, 36, 200_000.0}}] = requests(vehicle)
+      vehicle = vehicle |> Sim.want(%{}) |> Sim.run(5)
+      assert length(requests(vehicle)) == 1
+      vehicle = Sim.run(vehicle, 60)
+      assert [_, {_, {:set, 36, +0.0}}] = requests(vehicle)
+      refute is_map_key(Arbiter.show(vehicle.arbiter), 36)
+    end
+
+    test "who wants less again gets less, but never less than somebody else wants" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(10) |> Sim.want(%{30 => 20}) |> Sim.run(10)
+      vehicle = vehicle |> Sim.want(%{30 => 6}) |> Sim.run(60)
+      assert [50_000.0, 166_666.0] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
+      vehicle = vehicle |> Sim.want(%{}) |> Sim.run(60)
+      # The gateway asks for attitude at four a second, when it has to.
+      assert [_, _, 250_000.0] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
+    end
+
+    test "a client's own request that was forwarded is judged before it is repeated" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(10)
+      obeyed = vehicle |> Sim.set(30, 10) |> Sim.want(%{30 => 10}, forwarded: 30) |> Sim.run(30)
+      assert requests(obeyed) == []
+      lost = vehicle |> Sim.want(%{30 => 10}, forwarded: 30) |> Sim.run(30)
+      assert [{_, {:set, 30, 100_000.0}}] = requests(lost)
+    end
+
+    test "groups are asked for once, and those that are to come more often get their rate back" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(5) |> Sim.want(%{30 => 20}) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{30 => 20}, groups: %{10 => 4, 11 => 4}) |> Sim.run(120)
+      assert vehicle.rates[30] == 20 and vehicle.rates[178] == 4 and vehicle.rates[74] == 4
+      assert length(for({_, {:group, _, _}} = one <- requests(vehicle), do: one)) == 2
+      assert vehicle.notices == []
+    end
+
+    test "R6: after a reboot all is asked for again that does not come" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(5)
+      vehicle = vehicle |> Sim.want(%{30 => 20}, groups: %{11 => 4}) |> Sim.run(30)
+      vehicle = vehicle |> Sim.reboot(Map.delete(@default, 245)) |> Sim.run(30)
+      later = vehicle |> requests() |> after_s(36) |> Enum.map(&elem(&1, 1)) |> Enum.sort()
+      assert later == [{:group, 11, 4}, {:set, 30, 50_000.0}, {:set, 245, 500_000.0}]
+    end
+
+    test "more than the vehicle can do is asked for three times" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 50}, cap: 20) |> Sim.run(300)
+      assert length(sets(vehicle, 30)) <= 3
+      assert state(vehicle, 30) == :short
+    end
+  end
+
+  describe "others" do
+    test "a slow link is told from another requester: nothing is asked for, nothing told" do
+      vehicle = Sim.new(gateway: %{30 => 10, 33 => 5, 74 => 5}) |> Sim.run(60)
+      asked = length(requests(vehicle))
+      vehicle = Sim.run(%{vehicle | carried: 0.4}, 300)
+      assert vehicle |> requests() |> Enum.drop(asked) |> Enum.all?(&match?({_, {:query, _}}, &1))
+      assert state(vehicle, 30) == :short
+      assert vehicle.notices == []
+      assert Sim.run(%{vehicle | carried: 1.0}, 60) |> state(30) == :ok
+    end
+
+    test "M2: who lowers a rate once is corrected once; who does it again is given way, and told once" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
+      vehicle = vehicle |> Sim.set(30, 2) |> Sim.run(30)
+      assert length(sets(vehicle, 30)) == 2
+      assert {vehicle.notices, state(vehicle, 30)} == {[], :ok}
+      vehicle = Sim.run(vehicle, 600, &Sim.set(&1, 30, 2))
+      assert length(sets(vehicle, 30)) == 2
+      assert state(vehicle, 30) == :yielded
+      assert [%{id: 30, asked: 10, how: :slower, yielded: true}] = vehicle.notices
+    end
+
+    test "also when the vehicle does not say what is set" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}, tells: false) |> Sim.run(30)
+      vehicle = Sim.run(vehicle, 600, &Sim.set(&1, 30, 2))
+      assert length(sets(vehicle, 30)) == 2
+      assert state(vehicle, 30) == :yielded
+    end
+
+    test "a rate that somebody raised is told and left" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
+      vehicle = vehicle |> Sim.set(30, 20) |> Sim.run(120)
+      assert length(sets(vehicle, 30)) == 1
+      assert [%{id: 30, how: :faster, asked: 10, measured: 20.0}] = vehicle.notices
+    end
+
+    test "two links that bring the same are not twice the rate" do
+      arbiter = Arbiter.new(%{30 => 10}) |> Arbiter.heard("a", 30, 0)
+      # Five a second by each of two links.
+      arbiter =
+        Enum.reduce(1..200, arbiter, fn n, arbiter ->
+          arbiter = Arbiter.heard(arbiter, "a", 30, n * 200_000)
+          arbiter = Arbiter.heard(arbiter, "b", 30, n * 200_000)
+          {arbiter, _messages, _notices} = Arbiter.expire(arbiter, n * 200_000, {1, 1})
+          arbiter
+        end)
+
+      assert_in_delta Arbiter.show(arbiter)[30].measured, 5, 0.7
+    end
+
+    test "a silence is no deficit" do
+      vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
+      before = requests(vehicle)
+      vehicle = Sim.run(%{vehicle | up: false}, 300)
+      vehicle = %{vehicle | up: true, arbiter: Arbiter.back(vehicle.arbiter, vehicle.now)} |> Sim.run(60)
+      assert requests(vehicle) == before
+    end
+  end
+
+  describe "properties" do
+    defp id, do: :proper_types.oneof([30, 33, 74, 1, 36, 241])
+
+    defp step do
+      :proper_types.frequency([
+        {3, {:want, :proper_types.list({id(), :proper_types.range(1, 40)})}},
+        {2, {:other, id(), :proper_types.range(0, 50)}},
+        {1, :reboot},
+        {1, {:link, :proper_types.oneof([0.3, 0.8, 1.0])}},
+        {4, {:wait, :proper_types.range(1, 40)}}
+      ])
+    end
+
+    defp apply_step({:want, wants}, vehicle), do: Sim.want(vehicle, Map.new(wants))
+    defp apply_step({:other, id, hz}, vehicle), do: Sim.set(vehicle, id, hz)
+    defp apply_step(:reboot, vehicle), do: Sim.reboot(vehicle, @default)
+    defp apply_step({:link, share}, vehicle), do: %{vehicle | carried: share}
+    defp apply_step({:wait, seconds}, vehicle), do: Sim.run(vehicle, seconds)
+
+    defp behaviour do
+      :proper_types.oneof([
+        [],
+        [acks: false],
+        [tells: false],
+        [command: :ignored],
+        [command: :unsupported],
+        [command: :failed]
+      ])
+    end
+
+    test "whatever happened: with nothing more happening it falls silent, and before that it was never a flood" do
+      prop =
+        :proper.forall({behaviour(), :proper_types.list(step())}, fn {behaviour, steps} ->
+          vehicle = Enum.reduce(steps, Sim.new([rates: @default] ++ behaviour), &apply_step/2)
+          vehicle = Sim.run(vehicle, 200)
+          quiet = Sim.run(vehicle, 120)
+          # Never two commands at once.
+          gaps = for [{a, _}, {b, _}] <- Enum.chunk_every(Sim.sent(quiet), 2, 1, :discard), do: b - a
+          length(Sim.sent(quiet)) == length(Sim.sent(vehicle)) and Enum.all?(gaps, &(&1 > 0))
+        end)
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+    end
+
+    test "a vehicle that obeys, with nobody else about, sends what is wanted in the end" do
+      prop =
+        :proper.forall(
+          {:proper_types.list({id(), :proper_types.range(1, 19)}),
+           :proper_types.list({id(), :proper_types.range(1, 19)})},
+          fn {first, second} ->
+            vehicle = Sim.new(rates: @default) |> Sim.run(10) |> Sim.want(Map.new(first)) |> Sim.run(30)
+            vehicle = vehicle |> Sim.want(Map.new(second)) |> Sim.run(120)
+
+            Enum.all?(Map.new(second), fn {id, hz} ->
+              vehicle.rates[id] >= hz * 0.7 and state(vehicle, id) == :ok
+            end) and vehicle.notices == []
+          end
+        )
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+    end
+
+    test "somebody who sets a rate again and again is fought no more than once" do
+      prop =
+        :proper.forall({id(), :proper_types.range(10, 40), :proper_types.range(1, 5)}, fn {id, wanted, theirs} ->
+          vehicle = Sim.new(rates: @default, gateway: %{id => wanted}) |> Sim.run(30)
+          vehicle = Sim.run(vehicle, 300, &Sim.set(&1, id, theirs))
+          length(sets(vehicle, id)) <= 3 and state(vehicle, id) == :yielded
+        end)
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 30])
+    end
+  end
+end

@@ -1,0 +1,93 @@
+defmodule Aerie.System.SerialTest do
+  @moduledoc "A simulated vehicle behind a serial cable that is pulled, and clients that see no more of it than a gap."
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.SerialPeer
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 120_000
+
+  defmodule Shovel do
+    @moduledoc "Between the vehicle's UDP link and the end of the cable."
+    use GenServer
+
+    def start_link(peer_options), do: GenServer.start_link(__MODULE__, peer_options)
+    def port(shovel), do: GenServer.call(shovel, :port)
+    def peer(shovel), do: GenServer.call(shovel, :peer)
+
+    @impl GenServer
+    def init(peer_options) do
+      {:ok, socket} = :gen_udp.open(0, [:binary, active: true, ip: {127, 0, 0, 1}])
+      {:ok, peer} = GenServer.start_link(SerialPeer, [to: self()] ++ peer_options)
+      {:ok, %{socket: socket, peer: peer, vehicle: nil}}
+    end
+
+    @impl GenServer
+    def handle_call(:port, _from, state), do: {:reply, elem(:inet.port(state.socket), 1), state}
+    def handle_call(:peer, _from, state), do: {:reply, state.peer, state}
+
+    @impl GenServer
+    def handle_info({:udp, _socket, ip, port, bytes}, state) do
+      :ok = SerialPeer.say(state.peer, bytes)
+      {:noreply, %{state | vehicle: {ip, port}}}
+    end
+
+    def handle_info({:heard, _peer, bytes}, state) do
+      if state.vehicle, do: :gen_udp.send(state.socket, state.vehicle, bytes)
+      {:noreply, state}
+    end
+  end
+
+  test "found at its port and rate; the cable pulled and put back as another device", %{tmp_dir: folder} do
+    if SerialPeer.build(), do: cable(folder), else: IO.puts(:stderr, "no C compiler: no serial cable to pull")
+  end
+
+  defp cable(folder) do
+    dev = short_dir()
+    shovel = start_supervised!({Shovel, baud: 115_200, name_in: {dev, "ttyUSB0"}})
+    sockets = short_dir()
+
+    %{gateway: gateway} =
+      start_gateway(folder,
+        links: ["serial:auto?ports=#{dev}/ttyACM0,#{dev}/ttyUSB0&only=true"],
+        overrides: %{"sockets" => %{"dir" => sockets}}
+      )
+
+    start_supervised!(
+      {SimVehicle.Fleet, count: 1, link: "udpout:127.0.0.1:#{Shovel.port(shovel)}", ready_s: 1.0, fly: false}
+    )
+
+    # Found, and asked for its streams through the cable.
+    eventually(
+      fn -> get_in(Store.vehicle(gateway, "VID-001") || %{}, [:groups, :attitude]) end,
+      "attitude comes"
+    )
+
+    assert %{baud: 115_200, local: local} = Aerie.Link.get(gateway, "link-1")
+    assert Path.basename(local) == "ttyUSB0"
+
+    {:ok, client} =
+      :gen_tcp.connect({:local, Path.join(sockets, "state.sock")}, 0, [
+        :binary,
+        packet: :line,
+        buffer: 65_536,
+        active: false
+      ])
+
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+
+    peer = Shovel.peer(shovel)
+    session = Aerie.Names.whereis(gateway, :session, {"main", 1})
+    :ok = SerialPeer.unplug(peer)
+    eventually(fn -> match?(%{status: :stale}, Store.vehicle(gateway, "VID-001")) end, "it is stale")
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+
+    SerialPeer.plug_in(peer, name_in: {dev, "ttyACM0"})
+    eventually(fn -> match?(%{status: :online}, Store.vehicle(gateway, "VID-001")) end, "it is back")
+    assert %{counters: %{reconnects: 1}, local: back} = Aerie.Link.snapshot(gateway, "link-1")
+    assert Path.basename(back) == "ttyACM0"
+    assert Aerie.Names.whereis(gateway, :session, {"main", 1}) == session
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+  end
+end

@@ -20,11 +20,18 @@ defmodule Aerie.Router do
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Router.Admission
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Router.Classify
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Forward
+  alias Aerie.Router.Intake
   alias Aerie.Router.Load
+  alias Aerie.Router.Local
+  alias Aerie.Router.Out
+  alias Aerie.Router.Plan
   alias Aerie.Router.Routes
-  alias Aerie.Router.Systems
   alias Aerie.Router.Tables
+  alias Aerie.Router.Talker
+  alias Aerie.Router.Tally
   alias MavCodec.Frame
 
   @typedoc """
@@ -68,65 +75,98 @@ defmodule Aerie.Router do
     case Tables.of(gateway) do
       # The router is being restarted, and the link with it.
       nil -> %{@nothing | unclaimed: length(frames)}
-      # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
-      tables -> admitted(gateway, tables, source, Aerie.Signing.admit(gateway, source, frames))
+      tables -> forward(gateway, tables, source, frames)
     end
   end
 
-  defp admitted(_gateway, _tables, _source, []), do: @nothing
-
-  defp admitted(gateway, tables, source, frames) do
+  defp forward(gateway, tables, source, frames) do
     now = System.monotonic_time(:millisecond)
-    own = Tables.setting(tables, :own, nil)
+    local = Local.fetch(gateway, tables)
+    way = way_of(local, source)
+    Tally.add(way.tally, :frames_in, length(frames))
+    # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
+    trusted = Aerie.Signing.admit(gateway, %{source | network: hd(way.networks)}, frames)
 
-    frames
-    |> by_system()
-    |> Enum.reduce(@nothing, fn {system, frames}, outcome ->
-      {looped, frames} = Enum.split_with(frames, &({&1.system, &1.component} == own))
-      outcome = %{outcome | looped: outcome.looped + length(looped)}
-      if frames == [], do: outcome, else: system(gateway, tables, source, system, frames, now, outcome)
-    end)
-  end
+    {looped, talkers} = frames |> by_talker() |> Enum.split_with(fn {ids, _} -> ids == local.plan.own end)
 
-  # Nearly always a read is of one system.
-  defp by_system([%Frame{system: system} | rest] = frames) do
-    if Enum.all?(rest, &(&1.system == system)),
-      do: [{system, frames}],
-      else: Enum.group_by(frames, & &1.system)
-  end
+    outcome =
+      Enum.reduce(looped, @nothing, fn {_ids, frames}, sum -> %{sum | looped: sum.looped + length(frames)} end)
 
-  defp system(gateway, tables, %{network: network} = source, system, frames, now, outcome) do
-    learn(tables, source, system, frames, now)
-    autopilot? = heartbeats(gateway, source, frames)
-    key = {network, system}
+    {way, vehicles} =
+      Enum.reduce(talkers, {way, []}, fn {{system, _} = ids, frames}, {way, vehicles} ->
+        {way, autopilot?} = talker(gateway, tables, way, ids, {frames, heard(frames, trusted, ids)}, now)
+        {way, if(autopilot?, do: [system | vehicles], else: vehicles)}
+      end)
 
-    case Names.whereis(gateway, :session, key) do
-      nil when autopilot? -> admit(gateway, tables, source, key, frames, now, outcome)
-      nil -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
-      session -> pass(gateway, tables, source, key, session, frames, now, outcome)
+    cond do
+      talkers == [] or trusted == [] ->
+        outcome
+
+      way.side == :vehicle ->
+        to_sessions(gateway, tables, way, by_system(trusted, talkers, local.plan.own), vehicles, now, outcome)
+
+      true ->
+        n = Enum.count(trusted, &({&1.system, &1.component} != local.plan.own))
+        %{outcome | unclaimed: outcome.unclaimed + n}
     end
   end
+
+  defp heard(frames, trusted, ids) do
+    # Nearly always all.
+    if trusted == frames, do: frames, else: Enum.filter(trusted, &({&1.system, &1.component} == ids))
+  end
+
+  defp way_of(%{plan: plan}, %{id: id, peer: peer} = source) do
+    case plan.ways do
+      %{{^id, ^peer} => way} -> way
+      _unknown -> Plan.stranger(id, peer, source.network)
+    end
+  end
+
+  # Nearly always a read is of one component.
+  defp by_talker([%Frame{system: system, component: component} | rest] = frames) do
+    if Enum.all?(rest, &(&1.system == system and &1.component == component)),
+      do: [{{system, component}, frames}],
+      else: frames |> Enum.group_by(&{&1.system, &1.component}) |> Enum.to_list()
+  end
+
+  # A vehicle's frames in their order, whichever of its components sent them.
+  defp by_system(frames, [{{system, _component}, frames}], _own), do: [{system, frames}]
+
+  defp by_system(frames, _talkers, own),
+    do:
+      frames
+      |> Enum.reject(&({&1.system, &1.component} == own))
+      |> Enum.group_by(& &1.system)
+      |> Enum.to_list()
 
   # Frames of an unknown message id come from who knows whom: they are passed on, but teach nothing (R4).
-  defp learn(tables, source, system, frames, now) do
-    frames
-    |> Enum.reduce([], fn
-      %Frame{crc_extra: nil}, known -> known
-      %Frame{component: component}, known -> if component in known, do: known, else: [component | known]
-    end)
-    |> Enum.each(&Routes.learn(tables, source.network, system, &1, {source.id, source.peer}, now))
+  defp talker(gateway, tables, way, {system, component}, {frames, heard}, now) do
+    local = Local.fetch(gateway, tables)
+    before = Local.talker(local, way.key, system, component)
+    known? = Enum.any?(heard, &(&1.crc_extra != nil))
+    talker = Talker.refresh(before, tables, local.plan, way, known?, now)
+    {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
+    if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
+    Forward.frames(tables, local.plan, way, talker, frames, now)
+    {way, autopilot?}
   end
 
-  # Whether one of the frames is the heartbeat of a vehicle's autopilot; all senders of heartbeats are remembered.
-  defp heartbeats(gateway, source, frames) do
-    Enum.reduce(frames, false, fn
-      %Frame{id: 0, crc_extra: extra} = frame, vehicle? when extra != nil ->
-        heartbeat = Heartbeat.read(frame)
-        _ = Systems.note(gateway, source.network, source.id, frame, heartbeat)
-        vehicle? or Heartbeat.vehicle?(heartbeat)
+  defp to_sessions(gateway, tables, way, systems, vehicles, now, outcome) do
+    source = %{id: way.owner}
 
-      _other, vehicle? ->
-        vehicle?
+    Enum.reduce(systems, outcome, fn {system, frames}, outcome ->
+      key = {hd(way.networks), system}
+
+      case Names.whereis(gateway, :session, key) do
+        nil ->
+          if system in vehicles,
+            do: admit(gateway, tables, source, key, frames, now, outcome),
+            else: %{outcome | unclaimed: outcome.unclaimed + length(frames)}
+
+        session ->
+          pass(gateway, tables, source, key, session, frames, now, outcome)
+      end
     end)
   end
 
@@ -157,25 +197,48 @@ defmodule Aerie.Router do
   @spec send(Names.gateway(), vehicle_key, iodata, keyword) :: :ok | {:error, :no_route}
   def send(gateway, {_network, _system} = key, bytes, options \\ []) do
     with tables when is_map(tables) <- Tables.of(gateway),
-         {link, peer} <- Routes.best(tables, key, Keyword.take(options, [:component])),
-         bytes = Aerie.Signing.mark(gateway, key, bytes),
-         :ok <- Aerie.Link.send_bytes(gateway, link, bytes, {:peer, peer}) do
+         {_link, _peer} = way <- Routes.best(tables, key, Keyword.take(options, [:component])),
+         :ok <- send_by(gateway, tables, way, key, bytes) do
       :ok
     else
       _none -> {:error, :no_route}
     end
   end
 
-  @doc "Sends bytes by every link of a network (`:all` networks by default) to every peer: for our own heartbeat."
+  # What is to be signed passes by the link's process, where the order of time stamps is that of sending.
+  defp send_by(gateway, tables, {link, peer} = way, key, bytes) do
+    case {Aerie.Signing.mark(gateway, key, bytes), Endpoints.get(tables, way)} do
+      {{:sign, _, _} = marked, %{key: {_, peer}}} when peer != :self ->
+        Aerie.Link.send_bytes(gateway, link, marked, {:peer, peer})
+
+      {marked, nil} ->
+        Aerie.Link.send_bytes(gateway, link, marked, {:peer, peer})
+
+      {_plain, endpoint} ->
+        Out.bytes(endpoint, bytes, class(bytes), 1)
+    end
+  end
+
+  # Ours is what flies or asks, unless its first frame says something else.
+  defp class(bytes) do
+    case bytes |> IO.iodata_to_binary() |> MavCodec.Frame.header() do
+      {:ok, _header, _payload, _total, id, _system} -> Classify.of(id)
+      _no_frame -> :control
+    end
+  end
+
+  @doc "Sends bytes to every endpoint of a network (`:all` networks by default), clients too: for our own heartbeat."
   @spec broadcast(Names.gateway(), iodata, network :: String.t() | :all) :: :ok
   def broadcast(gateway, bytes, network \\ :all) do
-    for link <- Store.links(gateway), network in [:all, link.network], link.status in [:up, :idle] do
-      # One that is gone meanwhile needs none.
-      marked = Aerie.Signing.mark(gateway, {link.network, nil}, bytes)
-      _ = Aerie.Link.send_bytes(gateway, link.id, marked, :all)
-    end
+    with_tables(gateway, fn tables ->
+      bytes = IO.iodata_to_binary(bytes)
 
-    :ok
+      for {key, way} <- Plan.read(tables).ways, way.broadcasts, network == :all or network in way.networks do
+        send_by(gateway, tables, key, {hd(way.networks), nil}, bytes)
+      end
+
+      :ok
+    end)
   end
 
   @doc "The way by which a system was heard last: `{link, peer}`, or nil. `link:` and `component:` narrow it."

@@ -13,6 +13,7 @@ defmodule Aerie.Link.Server do
   alias Aerie.Link.Core
   alias Aerie.Link.Counters
   alias Aerie.Link.Defaults
+  alias Aerie.Link.Egress
   alias Aerie.Link.Opener
   alias Aerie.Link.Restarts
   alias Aerie.Link.Snapshot
@@ -62,7 +63,8 @@ defmodule Aerie.Link.Server do
       watched: nil,
       conn: nil,
       sessions: [],
-      notify: Keyword.get(options, :notify)
+      notify: Keyword.get(options, :notify),
+      egress: Egress.open(gateway, spec)
     }
 
     Process.send_after(self(), :tick, Core.tick_ms())
@@ -114,11 +116,25 @@ defmodule Aerie.Link.Server do
     {:noreply, step(%{state | opener: nil}, {:failed, reason})}
   end
 
+  def handle_info({:forward, peer, frames, class}, state) do
+    {egress, state} = Egress.forward(state.egress, peer, class, frames, mono(), &out(&1, peer, &2), state)
+    {:noreply, %{state | egress: egress}}
+  end
+
+  def handle_info({:pump, peer}, state) do
+    {egress, state} = Egress.pump(state.egress, peer, mono(), &out(&1, peer, &2), state)
+    {:noreply, %{state | egress: egress}}
+  end
+
+  def handle_info({:rules, owner}, state) do
+    {:noreply, sync(%{state | egress: Egress.rules(state.egress, owner, mono())})}
+  end
+
   def handle_info(message, %{conn: nil} = state), do: {:noreply, unknown(state, message)}
 
   def handle_info(message, state) do
     case state.transport.handle(state.conn, message) do
-      {events, conn} -> {:noreply, Enum.reduce(events, %{state | conn: conn}, &event/2)}
+      {events, conn} -> {:noreply, events |> Enum.reduce(%{state | conn: conn}, &event/2) |> latched(state)}
       :unknown -> {:noreply, unknown(state, message)}
     end
   end
@@ -152,11 +168,18 @@ defmodule Aerie.Link.Server do
         do: path
   end
 
+  # A UDP client may answer from elsewhere, and is written to there from now on.
+  defp latched(%{spec: %{kind: :udp_client}, conn: conn} = state, before) when conn != before.conn,
+    do: sync(state)
+
+  defp latched(state, _before), do: state
+
   # Late messages of connections that are closed, exits of processes that did their work.
   defp unknown(state, _message), do: state
 
   @impl GenServer
   def terminate(_reason, state) do
+    Egress.close(state.egress)
     if state.conn, do: state.transport.close(state.conn)
     publish(state)
   end
@@ -212,7 +235,7 @@ defmodule Aerie.Link.Server do
 
   defp act(:close, state) do
     state.transport.close(state.conn)
-    %{state | conn: nil}
+    sync(%{state | conn: nil})
   end
 
   defp act({:retry_in, ms}, state) do
@@ -228,6 +251,7 @@ defmodule Aerie.Link.Server do
     }
 
     outcome = Router.deliver(state.gateway, source, frames)
+    state = %{state | egress: Egress.radio(state.egress, peer, frames)}
     core = Enum.reduce(@drops, state.core, &count(&2, &1, outcome))
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
     %{state | core: core, sessions: sessions}
@@ -235,7 +259,7 @@ defmodule Aerie.Link.Server do
 
   defp act({:forget, peer}, state) do
     Router.forget(state.gateway, state.spec.id, peer)
-    state
+    %{state | egress: Egress.remove(state.egress, peer)}
   end
 
   defp act({:drop, _peer}, %{conn: nil} = state), do: state
@@ -249,7 +273,7 @@ defmodule Aerie.Link.Server do
     state
   end
 
-  defp act(:publish, state), do: publish(state)
+  defp act(:publish, state), do: state |> sync() |> publish()
   defp act(:settled, %{notify: nil} = state), do: state
 
   defp act(:settled, state) do
@@ -279,6 +303,34 @@ defmodule Aerie.Link.Server do
     |> Map.merge(%{restarts: state.restarts, signing: Aerie.Signing.link(state.gateway, state.spec)})
   end
 
+  # The peers there are now become endpoints of the router; what was written past this process is counted.
+  defp sync(%{conn: nil} = state),
+    do: %{state | egress: Egress.sync(state.egress, %{}, fn _peer -> nil end, mono())}
+
+  defp sync(state) do
+    peers = Map.new(state.core.peers.map, fn {id, peer} -> {id, peer.text} end)
+
+    {bytes, writes, egress} =
+      state.egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.written()
+
+    counters = state.core.counters |> Counters.add(:bytes_out, bytes) |> Counters.add(:writes_out, writes)
+    %{state | egress: egress, core: %{state.core | counters: counters}}
+  end
+
+  defp direct(%{transport: transport, conn: conn}, peer) do
+    if function_exported?(transport, :direct, 2), do: transport.direct(conn, peer)
+  end
+
+  defp out(%{conn: nil} = state, _peer, _bytes), do: {:error, step(state, {:count, :dropped_out, 1})}
+
+  defp out(state, peer, bytes) do
+    case state.transport.write(state.conn, peer, bytes) do
+      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, IO.iodata_length(bytes))}
+      {:busy, conn} -> {:busy, %{state | conn: conn}}
+      {:error, _reason, conn} -> {:error, step(%{state | conn: conn}, {:count, :dropped_out, 1})}
+    end
+  end
+
   defp write(%{conn: nil} = state, _to, _bytes), do: step(state, {:count, :dropped_out, 1})
   defp write(state, {:peer, peer}, bytes), do: write_to(state, peer, bytes)
 
@@ -299,5 +351,6 @@ defmodule Aerie.Link.Server do
     put_in(state.core.counters, counters)
   end
 
-  defp now, do: {System.monotonic_time(:millisecond), System.os_time(:microsecond)}
+  defp now, do: {mono(), System.os_time(:microsecond)}
+  defp mono, do: System.monotonic_time(:millisecond)
 end

@@ -98,7 +98,13 @@ defmodule Aerie.Link.Transport do
   @doc "Frames stay away though bytes come: asks for a `{:sniffed, place, baud, sniffed}` event."
   @callback sniff(conn) :: conn
 
-  @optional_callbacks drop: 2, delivered: 2, watch: 1, sniff: 1
+  @doc """
+  The socket and address by which any process may write to a peer without asking the link's, or nil. Only where one write
+  is one datagram: writes of a stream would mix.
+  """
+  @callback direct(conn, peer) :: {:udp, :socket.socket(), map} | nil
+
+  @optional_callbacks drop: 2, delivered: 2, watch: 1, sniff: 1, direct: 2
 
   @modules %{
     udp_server: __MODULE__.UdpServer,

@@ -25,8 +25,8 @@ defmodule Aerie.Router.Routes do
           known_ms: non_neg_integer
         }
 
-  @doc "Notes that a component was heard. `:full` when there is no room for a new route."
-  @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, way, integer) :: :ok | :full
+  @doc "Notes that a component was heard. `:new` the first time, `:full` when there is no room for a new route."
+  @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, way, integer) :: :ok | :new | :full
   def learn(tables, network, system, component, {link, peer}, now) do
     key = {network, system, component, link, peer}
 
@@ -39,7 +39,7 @@ defmodule Aerie.Router.Routes do
 
   defp add(tables, route) do
     true = :ets.insert(tables.routes, route)
-    :ok
+    :new
   end
 
   @doc """
@@ -78,6 +78,24 @@ defmodule Aerie.Router.Routes do
     |> Enum.map(fn {_heard, link, peer} -> {link, peer} end)
     |> Enum.uniq()
   end
+
+  @doc "Whether a system is heard at all."
+  @spec known?(Tables.t(), {String.t(), non_neg_integer}) :: boolean
+  def known?(tables, {network, system}) do
+    # The first key after all that are smaller.
+    match?({^network, ^system, _, _, _}, :ets.next(tables.routes, {network, system, -1, "", nil}))
+  end
+
+  @doc "Whether a system is heard by an endpoint."
+  @spec heard?(Tables.t(), {String.t(), non_neg_integer}, way) :: boolean
+  def heard?(tables, {network, system}, {link, peer}) do
+    :ets.select_count(tables.routes, [{{{network, system, :_, link, peer}, :_, :_}, [], [true]}]) > 0
+  end
+
+  @doc "Whether a component is heard by an endpoint."
+  @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, way) :: boolean
+  def talks?(tables, {network, system, component}, {link, peer}),
+    do: :ets.member(tables.routes, {network, system, component, link, peer})
 
   @doc "All routes, with their ages in ms."
   @spec list(Tables.t(), integer) :: [route]

@@ -23,7 +23,7 @@ defmodule Aerie.Router.Supervisor do
     _tables = Tables.create(gateway, own: own(Keyword.get(options, :config)))
 
     # Sweeping is not worth more than a few tries: without it the tables are still bounded.
-    Supervisor.init([{Aerie.Router.Sweeper, gateway: gateway}],
+    Supervisor.init([{Aerie.Router.Watch, gateway: gateway}, {Aerie.Router.Sweeper, gateway: gateway}],
       strategy: :one_for_one,
       max_restarts: 10,
       max_seconds: 10

@@ -83,6 +83,51 @@ defmodule Aerie.Link.Transport.Net do
     drain(socket, room, reads)
   end
 
+  @doc """
+  A second handle of a UDP socket for writing, which any process may use without the port's queue in between, and at a
+  third of the cost. It ends with the calling process, or with `:socket.close/1`; nil where the system does not give one.
+  """
+  @spec sender(:gen_udp.socket()) :: :socket.socket() | nil
+  def sender(socket) do
+    with {:ok, fd} <- :inet.getfd(socket),
+         {:ok, {address, _port}} <- :inet.sockname(socket),
+         options = %{dup: true, domain: family(address), type: :dgram, protocol: :udp},
+         {:ok, sender} <- :socket.open(fd, options) do
+      sender
+    else
+      {:error, _reason} -> nil
+    end
+  end
+
+  @doc "An address as `:socket` wants it."
+  @spec sockaddr(:inet.ip_address(), :inet.port_number()) :: map
+  def sockaddr(address, port) when tuple_size(address) == 8,
+    do: %{family: :inet6, addr: address, port: port, flowinfo: 0, scope_id: 0}
+
+  def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
+
+  @doc "Writes one datagram, by the second handle where there is one. Nobody listening there is no fault of ours."
+  @spec udp_write(:gen_udp.socket(), :socket.socket() | nil, :inet.ip_address(), :inet.port_number(), iodata) ::
+          :ok | :busy | {:error, term}
+  def udp_write(socket, nil, address, port, bytes),
+    do: socket |> :gen_udp.send(address, port, bytes) |> written()
+
+  def udp_write(_socket, sender, address, port, bytes) do
+    written(:socket.sendto(sender, IO.iodata_to_binary(bytes), sockaddr(address, port), [], 0))
+  end
+
+  defp written(:ok), do: :ok
+  defp written({:error, :econnrefused}), do: :ok
+  defp written({:error, reason}) when reason in [:eagain, :enobufs, :timeout], do: :busy
+  defp written({:error, reason}), do: {:error, reason}
+
+  @doc "Closes a UDP socket and its second handle."
+  @spec udp_close(:gen_udp.socket(), :socket.socket() | nil) :: :ok
+  def udp_close(socket, sender) do
+    if sender, do: :socket.close(sender)
+    :gen_udp.close(socket)
+  end
+
   @doc "Options of every TCP socket; a half-open connection is noticed within half a minute."
   @spec tcp_options() :: keyword
   def tcp_options do

@@ -15,7 +15,7 @@ defmodule Aerie.Link.Transport.UdpClient do
   alias Aerie.Link.Transport.Net
 
   @enforce_keys [:socket, :to, :broadcast]
-  defstruct [:socket, :to, :broadcast, latched: false]
+  defstruct [:socket, :to, :broadcast, :sender, latched: false]
 
   @impl Aerie.Link.Transport
   def framing, do: :datagram
@@ -39,6 +39,7 @@ defmodule Aerie.Link.Transport.UdpClient do
     {address, port} = conn.to
 
     with :ok <- :inet.setopts(conn.socket, active: Net.active()) do
+      conn = %{conn | sender: Net.sender(conn.socket)}
       {:ok, conn, Map.put(Net.local(conn.socket), :peer, Address.format(address, port))}
     end
   end
@@ -72,15 +73,17 @@ defmodule Aerie.Link.Transport.UdpClient do
 
   @impl Aerie.Link.Transport
   def write(%{to: {address, port}} = conn, _peer, bytes) do
-    case :gen_udp.send(conn.socket, address, port, bytes) do
+    case Net.udp_write(conn.socket, conn.sender, address, port, bytes) do
       :ok -> {:ok, conn}
-      # Nobody listens there yet; whether it will is not ours to judge.
-      {:error, :econnrefused} -> {:ok, conn}
-      {:error, reason} when reason in [:eagain, :enobufs] -> {:busy, conn}
+      :busy -> {:busy, conn}
       {:error, reason} -> {:error, reason, conn}
     end
   end
 
   @impl Aerie.Link.Transport
-  def close(conn), do: :gen_udp.close(conn.socket)
+  def direct(%{sender: nil}, _peer), do: nil
+  def direct(%{sender: sender, to: {address, port}}, :remote), do: {:udp, sender, Net.sockaddr(address, port)}
+
+  @impl Aerie.Link.Transport
+  def close(conn), do: Net.udp_close(conn.socket, conn.sender)
 end

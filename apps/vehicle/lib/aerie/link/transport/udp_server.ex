@@ -7,51 +7,61 @@ defmodule Aerie.Link.Transport.UdpServer do
 
   alias Aerie.Link.Transport.Net
 
+  @enforce_keys [:socket]
+  defstruct [:socket, :sender]
+
   @impl Aerie.Link.Transport
   def framing, do: :datagram
 
   @impl Aerie.Link.Transport
   def open(spec) do
-    with {:ok, [address | _]} <- Net.resolve(spec.host), do: Net.udp(address, spec.port)
+    with {:ok, [address | _]} <- Net.resolve(spec.host),
+         {:ok, socket} <- Net.udp(address, spec.port),
+         do: {:ok, %__MODULE__{socket: socket}}
   end
 
   @impl Aerie.Link.Transport
-  def give(socket, link), do: :gen_udp.controlling_process(socket, link)
+  def give(conn, link), do: :gen_udp.controlling_process(conn.socket, link)
 
   @impl Aerie.Link.Transport
-  def activate(socket) do
-    with :ok <- :inet.setopts(socket, active: Net.active()), do: {:ok, socket, Net.local(socket)}
+  def activate(%{socket: socket} = conn) do
+    with :ok <- :inet.setopts(socket, active: Net.active()),
+         do: {:ok, %{conn | sender: Net.sender(socket)}, Net.local(socket)}
   end
 
   @impl Aerie.Link.Transport
-  def handle(socket, {:udp, socket, address, port, bytes}) do
-    {[{:read, [{{address, port}, bytes} | Net.drain(socket)]}], socket}
+  def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
+    {[{:read, [{{address, port}, bytes} | Net.drain(socket)]}], conn}
   end
 
-  def handle(socket, {:udp_passive, socket}) do
+  def handle(%{socket: socket} = conn, {:udp_passive, socket}) do
     _ = :inet.setopts(socket, active: Net.active())
-    {[], socket}
+    {[], conn}
   end
 
   # An answer of the network to something sent before (no such port there): says nothing about the other peers.
-  def handle(socket, {:udp_error, socket, _reason}), do: {[], socket}
-  def handle(socket, {:udp_closed, socket}), do: {[{:closed, :closed}], socket}
-  def handle(_socket, _message), do: :unknown
+  def handle(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
+  def handle(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
+  def handle(_conn, _message), do: :unknown
 
   @impl Aerie.Link.Transport
-  def write(socket, {address, port}, bytes) do
-    case :gen_udp.send(socket, address, port, bytes) do
-      :ok -> {:ok, socket}
-      {:error, reason} when reason in [:eagain, :enobufs] -> {:busy, socket}
-      {:error, reason} -> {:error, reason, socket}
+  def write(conn, {address, port}, bytes) do
+    case Net.udp_write(conn.socket, conn.sender, address, port, bytes) do
+      :ok -> {:ok, conn}
+      :busy -> {:busy, conn}
+      {:error, reason} -> {:error, reason, conn}
     end
   end
 
-  def write(socket, _peer, _bytes), do: {:error, :enotconn, socket}
+  def write(conn, _peer, _bytes), do: {:error, :enotconn, conn}
 
   @impl Aerie.Link.Transport
-  def drop(socket, _peer), do: socket
+  def direct(%{sender: nil}, _peer), do: nil
+  def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.sockaddr(address, port)}
 
   @impl Aerie.Link.Transport
-  def close(socket), do: :gen_udp.close(socket)
+  def drop(conn, _peer), do: conn
+
+  @impl Aerie.Link.Transport
+  def close(conn), do: Net.udp_close(conn.socket, conn.sender)
 end

@@ -1,0 +1,253 @@
+defmodule Aerie.Link.Egress do
+  @moduledoc """
+  A link's side of the router: makes each of its peers an endpoint, and writes what the router sends to them.
+
+  A UDP peer without a budget is written to by the sender itself, past this process. Everything else comes here as
+  `{:forward, peer, bytes, class}`, is written at once where that is possible, and waits in the peer's
+  `Aerie.Router.Outlet` where it is not: a peer that does not read costs the other peers nothing.
+  """
+
+  alias Aerie.Link.Spec
+  alias Aerie.Names
+  alias Aerie.Router.Budget
+  alias Aerie.Router.Endpoint
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Outlet
+  alias Aerie.Router.Owner
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Tally
+
+  require Logger
+
+  # A socket without room is tried again after so long.
+  @again_ms 10
+
+  @enforce_keys [:gateway, :owner]
+  defstruct [:gateway, :owner, :baud, :chunk, peers: %{}]
+
+  @type t :: %__MODULE__{gateway: Names.gateway(), owner: Owner.t(), peers: %{term => map}}
+  @type write :: (term, iodata -> {:ok | :busy | :error, term})
+
+  @doc "The rules of a link, without peers yet. What a former process of the link left is removed."
+  @spec open(Names.gateway(), Spec.t()) :: t
+  def open(gateway, %Spec{} = spec) do
+    options = Keyword.merge([networks: [spec.network]], spec.options[:router] || [])
+    tables = Tables.of(gateway)
+    owner = (tables && Endpoints.owner(tables, spec.id)) || owner(spec.id, options)
+
+    if tables do
+      for endpoint <- Endpoints.of(tables, spec.id), do: Endpoints.remove(tables, endpoint.key)
+      Endpoints.put_owner(tables, owner)
+    end
+
+    %__MODULE__{
+      gateway: gateway,
+      owner: owner,
+      baud: if(spec.kind == :serial, do: spec.baud),
+      chunk: if(spec.kind in [:udp_server, :udp_client], do: 1_200)
+    }
+  end
+
+  # Checked where it was configured; a rule that is none is better left out than a link.
+  defp owner(id, options) do
+    case Owner.new(id, options) do
+      {:ok, owner} ->
+        owner
+
+      {:error, words} ->
+        Logger.error("link #{id}: #{words}")
+        {:ok, owner} = Owner.new(id, Keyword.take(options, [:networks, :side]))
+        owner
+    end
+  end
+
+  @doc """
+  Makes endpoints of exactly these peers (`%{peer => text}`). `direct` gives for a peer the socket and address that may be
+  written to from any process, or nil.
+  """
+  @spec sync(t, %{term => String.t()}, (term -> {:udp, term, map} | nil), integer) :: t
+  def sync(egress, peers, direct, now) do
+    case Tables.of(egress.gateway) do
+      nil -> egress
+      tables -> sync(egress, tables, peers, direct, now)
+    end
+  end
+
+  defp sync(egress, tables, peers, direct, now) do
+    gone = for {id, _peer} <- egress.peers, not is_map_key(peers, id), do: id
+    egress = Enum.reduce(gone, egress, &remove(&2, tables, &1))
+
+    Enum.reduce(peers, egress, fn {id, text}, egress ->
+      out = out(egress, id, direct)
+
+      case egress.peers do
+        %{^id => %{endpoint: %{out: ^out}}} -> egress
+        %{^id => peer} -> put(egress, tables, id, %{peer | endpoint: %{peer.endpoint | out: out}})
+        _new -> put(egress, tables, id, peer(egress, id, text, out, now))
+      end
+    end)
+  end
+
+  defp peer(egress, id, text, out, now) do
+    %{
+      endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, text: text, kind: :link, out: out),
+      outlet: Outlet.new(rules(egress), now),
+      timer: nil,
+      seen: {0, 0}
+    }
+  end
+
+  defp out(egress, id, direct) do
+    if(rules(egress)[:bytes_per_s] == nil, do: direct.(id)) || {:pid, self(), id}
+  end
+
+  defp rules(%{owner: owner} = egress) do
+    rate = owner.bytes_per_s || (egress.baud && Budget.of_baud(egress.baud))
+    [queue: owner.queue, bytes_per_s: rate, chunk: egress.chunk]
+  end
+
+  defp put(egress, tables, id, peer) do
+    # The table has what others noted about it meanwhile.
+    kept = Endpoints.get(tables, peer.endpoint.key)
+    endpoint = if kept, do: %{kept | out: peer.endpoint.out}, else: peer.endpoint
+    Endpoints.put(egress.gateway, tables, endpoint)
+    %{egress | peers: Map.put(egress.peers, id, %{peer | endpoint: endpoint})}
+  end
+
+  @doc "Ends a peer's endpoint; what waits for it is forgotten."
+  @spec remove(t, term) :: t
+  def remove(egress, id) do
+    case Tables.of(egress.gateway) do
+      nil -> %{egress | peers: Map.delete(egress.peers, id)}
+      tables -> remove(egress, tables, id)
+    end
+  end
+
+  defp remove(egress, tables, id) do
+    Endpoints.remove(tables, {egress.owner.id, id})
+    %{egress | peers: Map.delete(egress.peers, id)}
+  end
+
+  @doc "Other rules for the link, while it runs."
+  @spec rules(t, Owner.t(), integer) :: t
+  def rules(egress, owner, now) do
+    egress = %{egress | owner: owner}
+
+    peers =
+      Map.new(egress.peers, fn {id, peer} ->
+        {outlet, dropped} = Outlet.rules(peer.outlet, rules(egress), now)
+        Endpoint.dropped(peer.endpoint, dropped)
+        {id, %{peer | outlet: outlet}}
+      end)
+
+    %{egress | peers: peers}
+  end
+
+  @doc "Frames for a peer. `write` writes to the peer and is given, and gives, the link's state."
+  @spec forward(t, term, Aerie.Router.Classify.class(), [binary], integer, write, state) :: {t, state}
+        when state: term
+  def forward(egress, id, class, frames, now, write, state) do
+    case egress.peers do
+      %{^id => peer} ->
+        Endpoint.taken(peer.endpoint, length(frames))
+        {peer, state} = take(peer, class, frames, now, write, state, id)
+        {%{egress | peers: %{egress.peers | id => peer}}, state}
+
+      _gone ->
+        {egress, state}
+    end
+  end
+
+  defp take(peer, class, frames, now, write, state, id) do
+    with true <- Outlet.free?(peer.outlet),
+         {:busy, state} <- write.(state, frames) do
+      wait(queue(peer, class, frames, now), @again_ms, id, state)
+    else
+      {_written_or_lost, state} -> {peer, state}
+      false -> drain(queue(peer, class, frames, now), id, now, write, state)
+    end
+  end
+
+  defp queue(peer, class, frames, now) do
+    {outlet, dropped} = Outlet.push(peer.outlet, class, frames, now)
+    Endpoint.dropped(peer.endpoint, dropped)
+    %{peer | outlet: outlet}
+  end
+
+  @doc "It is time to try again: the message `{:pump, peer}` came."
+  @spec pump(t, term, integer, write, state) :: {t, state} when state: term
+  def pump(egress, id, now, write, state) do
+    case egress.peers do
+      %{^id => peer} ->
+        {peer, state} = drain(%{peer | timer: nil}, id, now, write, state)
+        {%{egress | peers: %{egress.peers | id => peer}}, state}
+
+      _gone ->
+        {egress, state}
+    end
+  end
+
+  defp drain(%{timer: timer} = peer, _id, _now, _write, state) when timer != nil, do: {peer, state}
+
+  defp drain(%{outlet: outlet} = peer, id, now, write, state) do
+    case Outlet.next(outlet, now) do
+      :empty ->
+        {peer, state}
+
+      {:wait, ms} ->
+        wait(peer, ms, id, state)
+
+      {:send, bytes, rest} ->
+        case write.(state, bytes) do
+          {:busy, state} -> wait(peer, @again_ms, id, state)
+          {_written_or_lost, state} -> drain(%{peer | outlet: rest}, id, now, write, state)
+        end
+    end
+  end
+
+  defp wait(%{timer: nil} = peer, ms, id, state),
+    do: {%{peer | timer: Process.send_after(self(), {:pump, id}, ms)}, state}
+
+  defp wait(peer, _ms, _id, state), do: {peer, state}
+
+  @doc "Looks for RADIO_STATUS (and ArduPilot's RADIO) among frames that a peer sent, where there is a budget to correct."
+  @spec radio(t, term, [MavCodec.Frame.t()]) :: t
+  def radio(egress, id, frames) do
+    with %{^id => %{outlet: %{budget: %{}}} = peer} <- egress.peers,
+         txbuf when txbuf != nil <- Enum.reduce(frames, nil, &txbuf/2) do
+      %{egress | peers: %{egress.peers | id => %{peer | outlet: Outlet.radio(peer.outlet, txbuf)}}}
+    else
+      _nothing -> egress
+    end
+  end
+
+  defp txbuf(%{id: id, crc_extra: extra, payload: <<_::6-binary, txbuf, _::binary>>}, _last)
+       when id in [109, 166] and extra != nil,
+       do: txbuf
+
+  defp txbuf(_other, last), do: last
+
+  @doc "Bytes and frames that others wrote to the peers' sockets since the last time."
+  @spec written(t) :: {bytes :: non_neg_integer, frames :: non_neg_integer, t}
+  def written(egress) do
+    Enum.reduce(egress.peers, {0, 0, egress}, fn
+      {id, %{endpoint: %{out: {:udp, _, _}, tally: tally}, seen: {bytes, frames}} = peer}, {b, f, egress} ->
+        counts = Tally.read(tally)
+        peer = %{peer | seen: {counts.bytes_out, counts.frames_out}}
+        egress = put_in(egress.peers[id], peer)
+        {b + counts.bytes_out - bytes, f + counts.frames_out - frames, egress}
+
+      _through_here, sums ->
+        sums
+    end)
+  end
+
+  @doc "The link ends: its endpoints go, its rules stay for the next process of the link."
+  @spec close(t) :: :ok
+  def close(egress) do
+    with tables when is_map(tables) <- Tables.of(egress.gateway),
+         do: for({id, _peer} <- egress.peers, do: Endpoints.remove(tables, {egress.owner.id, id}))
+
+    :ok
+  end
+end

@@ -1,0 +1,56 @@
+defmodule Aerie.Router.Dedupe do
+  @moduledoc """
+  Whether the very same frame came from another endpoint a moment ago: redundant links deliver everything twice, and a
+  loop between two routers delivers it for ever. Sequence numbers cannot tell that (R7); the bytes can.
+
+  A frame is remembered by a 64-bit hash of its bytes for 0.5 to 1 s and in at most twice #{8192} entries: two tables, of which the
+  older is emptied and becomes the newer one when the time or the room is over. Only a frame that came from *another*
+  endpoint is a duplicate; a sender that says the same twice is heard twice.
+  """
+
+  alias Aerie.Router.Tables
+
+  @max 8_192
+  @window_ms 500
+
+  @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."
+  @spec duplicate?(Tables.t(), binary, term, integer) :: boolean
+  def duplicate?(tables, bytes, from, now) do
+    {newer, older} = pair(tables, now)
+    hash = hash(bytes)
+
+    case known(newer, hash) || known(older, hash) do
+      nil -> not :ets.insert_new(newer, {hash, from}) and known(newer, hash) not in [nil, from]
+      ^from -> false
+      _other -> true
+    end
+  end
+
+  defp known(table, hash), do: :ets.lookup_element(table, hash, 2, nil)
+
+  @doc "The hash by which bytes are remembered: two of 32 bits that have nothing in common."
+  @spec hash(binary) :: non_neg_integer
+  def hash(bytes),
+    do: Bitwise.bor(Bitwise.bsl(:erlang.crc32(bytes), 32), :erlang.phash2(bytes, 4_294_967_296))
+
+  # Which of the two is the newer one follows from the clock, and from how often it had to change before its time.
+  defp pair(%{seen: {a, b}, settings: settings} = tables, now) do
+    {turn, until} = :ets.lookup_element(settings, :seen_turn, 2)
+    {newer, older} = if rem(turn, 2) == 0, do: {a, b}, else: {b, a}
+
+    if now >= until or :ets.info(newer, :size) >= @max do
+      turn(tables, turn, until, older, now)
+      {older, newer}
+    else
+      {newer, older}
+    end
+  end
+
+  # The first one to see that it is time does it.
+  defp turn(%{settings: settings}, turn, until, older, now) do
+    next = {turn + 1, now + @window_ms}
+    match = [{{:seen_turn, {turn, until}}, [], [{{:seen_turn, {:const, next}}}]}]
+
+    if :ets.select_replace(settings, match) == 1, do: :ets.delete_all_objects(older)
+  end
+end

@@ -1,0 +1,105 @@
+defmodule Aerie.Router.Endpoints do
+  @moduledoc """
+  The endpoints there are and the rules of their owners, in the router's tables. Every change moves the generation, so
+  that whoever forwards sees it with the next frame.
+  """
+
+  alias Aerie.Names
+  alias Aerie.Router.Endpoint
+  alias Aerie.Router.Owner
+  alias Aerie.Router.Routes
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Watch
+
+  @doc "Puts an owner's rules in place of what there were."
+  @spec put_owner(Tables.t(), Owner.t()) :: :ok
+  def put_owner(tables, %Owner{id: id} = owner) do
+    :ets.insert(tables.owners, {id, owner})
+    Tables.changed(tables)
+  end
+
+  @doc "An owner's rules, nil for an unknown one."
+  @spec owner(Tables.t(), String.t()) :: Owner.t() | nil
+  def owner(tables, id), do: :ets.lookup_element(tables.owners, id, 2, nil)
+
+  @doc "An owner with its one endpoint; refused when the id is taken by a process that lives."
+  @spec attach(Names.gateway(), Tables.t(), Owner.t(), Endpoint.t()) :: :ok | {:error, String.t()}
+  def attach(gateway, tables, %Owner{id: id} = owner, endpoint) do
+    taken? = Enum.any?(of(tables, id), &(&1.pid != endpoint.pid and Process.alive?(&1.pid)))
+
+    if taken? or Names.whereis(gateway, :link, id) not in [nil, endpoint.pid] do
+      {:error, "there is an endpoint #{id} already"}
+    else
+      :ets.insert(tables.owners, {id, owner})
+      put(gateway, tables, endpoint)
+    end
+  end
+
+  @doc "Adds an endpoint, or puts it in the place of the one with its key."
+  @spec put(Names.gateway(), Tables.t(), Endpoint.t()) :: :ok
+  def put(gateway, tables, %Endpoint{key: key} = endpoint) do
+    :ets.insert(tables.endpoints, {key, endpoint})
+    Watch.process(gateway, endpoint.pid)
+    Tables.changed(tables)
+  end
+
+  @doc "An endpoint, nil for an unknown one."
+  @spec get(Tables.t(), Endpoint.key()) :: Endpoint.t() | nil
+  def get(tables, key), do: :ets.lookup_element(tables.endpoints, key, 2, nil)
+
+  @doc "All endpoints."
+  @spec list(Tables.t()) :: [Endpoint.t()]
+  def list(tables), do: :ets.select(tables.endpoints, [{{:_, :"$1"}, [], [:"$1"]}])
+
+  @doc "The endpoints of one owner."
+  @spec of(Tables.t(), String.t()) :: [Endpoint.t()]
+  def of(tables, owner), do: :ets.select(tables.endpoints, [{{{owner, :_}, :"$1"}, [], [:"$1"]}])
+
+  @doc "Removes an endpoint and what was learned by it."
+  @spec remove(Tables.t(), Endpoint.key()) :: :ok
+  def remove(tables, {owner, peer} = key) do
+    if :ets.member(tables.endpoints, key) do
+      :ets.delete(tables.endpoints, key)
+      limits_of(tables, key)
+      Tables.changed(tables)
+    end
+
+    Routes.forget(tables, owner, peer)
+  end
+
+  @doc "Removes an owner with all its endpoints and routes."
+  @spec close(Names.gateway(), Tables.t(), String.t()) :: :ok
+  def close(_gateway, tables, owner) do
+    for endpoint <- of(tables, owner), do: remove(tables, endpoint.key)
+    :ets.delete(tables.owners, owner)
+    Routes.forget(tables, owner)
+    Tables.changed(tables)
+  end
+
+  @doc "Removes what belonged to a process that ended."
+  @spec down(Tables.t(), pid) :: :ok
+  def down(tables, pid) do
+    for endpoint <- list(tables), endpoint.pid == pid do
+      remove(tables, endpoint.key)
+      {owner, peer} = endpoint.key
+      if peer == :self, do: :ets.delete(tables.owners, owner)
+    end
+
+    :ok
+  end
+
+  @doc "Says which side an endpoint is on, as its heartbeats show."
+  @spec side(Tables.t(), Endpoint.key(), :vehicle | :client, keyword) :: :ok
+  def side(tables, key, side, fields \\ []) do
+    case get(tables, key) do
+      nil ->
+        :ok
+
+      endpoint ->
+        :ets.insert(tables.endpoints, {key, struct!(endpoint, [side: side] ++ fields)})
+        Tables.changed(tables)
+    end
+  end
+
+  defp limits_of(tables, key), do: :ets.match_delete(tables.limits, {{key, :_, :_, :_}, :_})
+end

@@ -1,0 +1,242 @@
+defmodule Aerie.Router.Forward do
+  @moduledoc """
+  From one endpoint to the others: what becomes of each frame of a read.
+
+  | rule | |
+  |---|---|
+  | R1 | addressed to nobody or to all: to every other endpoint of the network; else where the addressee was heard |
+  | R2 | never back to where it came from; an unknown addressee's frame goes nowhere |
+  | R3, S10 | the bytes that go out are the bytes that came in, signature and all |
+  | R4 | an unknown message goes to everyone |
+  | R6 | a boot time that began anew clears the system's routes |
+  | R9 | a component that never spoke is reached where its system is |
+  | S8 | SETUP_SIGNING goes nowhere |
+  | F10 | an addressee that was cut off is all |
+
+  Runs in the process that received the frames. Order is kept for each receiver.
+  """
+
+  alias Aerie.Router.Batch
+  alias Aerie.Router.Classify
+  alias Aerie.Router.Dedupe
+  alias Aerie.Router.Filter
+  alias Aerie.Router.Out
+  alias Aerie.Router.Plan
+  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.RateLimit
+  alias Aerie.Router.Routes
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Talker
+  alias Aerie.Router.Tally
+  alias MavCodec.Frame
+
+  @setup_signing 256
+  # What an autopilot says to itself: PX4 sends its own internal commands to 1/0 and 0/0.
+  @orders [75, 76, 223, 224]
+
+  @doc "Forwards frames of one talker, in order. `now` is monotonic ms."
+  @spec frames(Tables.t(), Plan.t(), Way.t(), Talker.t(), [Frame.t()], integer) :: :ok
+  def frames(_tables, _plan, %{role: :read_only} = way, _talker, frames, _now) do
+    Tally.add(way.tally, :read_only, length(frames))
+  end
+
+  def frames(tables, plan, way, talker, frames, now) do
+    case admitted(frames, tables, way, talker, now) do
+      [] -> :ok
+      frames -> run(frames, [], {tables, plan, way, talker, now})
+    end
+  end
+
+  # Nearly always there is nothing to look at.
+  defp admitted(frames, tables, %{in: nil} = way, %{twice: false}, _now) do
+    _ = tables
+    if Enum.any?(frames, &(&1.id == @setup_signing)), do: Enum.reject(frames, &secret?(&1, way)), else: frames
+  end
+
+  defp admitted(frames, tables, way, talker, now) do
+    Enum.reject(frames, fn frame ->
+      secret?(frame, way) or filtered_in?(frame, way) or duplicate?(frame, tables, way, talker, now)
+    end)
+  end
+
+  defp secret?(%{id: @setup_signing}, way), do: Tally.add(way.tally, :secret, 1) == :ok
+  defp secret?(_frame, _way), do: false
+
+  defp filtered_in?(frame, way),
+    do: not Filter.pass?(way.in, frame, way.owner) and Tally.add(way.tally, :filtered_in, 1) == :ok
+
+  defp duplicate?(_frame, _tables, _way, %{twice: false}, _now), do: false
+
+  defp duplicate?(frame, tables, way, _talker, now),
+    do: Dedupe.duplicate?(tables, frame.bytes, way.key, now) and Tally.add(way.tally, :duplicates, 1) == :ok
+
+  # Broadcasts are gathered until somebody is addressed, so that each receiver gets everything in its order.
+  defp run([], gathered, context), do: flush(gathered, context)
+
+  defp run([frame | rest], gathered, context) do
+    case target(frame, context) do
+      :all ->
+        run(rest, [frame | gathered], context)
+
+      target ->
+        flush(gathered, context)
+        send_to(target, frame, context)
+        run(rest, [], context)
+    end
+  end
+
+  defp target(frame, {_tables, _plan, way, talker, _now}) do
+    case Frame.target(frame) do
+      nil ->
+        :all
+
+      {0, _component} when frame.id in @orders and talker.autopilot and way.side == :vehicle ->
+        {frame.system, 0}
+
+      {0, _component} ->
+        :all
+
+      target ->
+        target
+    end
+  end
+
+  defp flush([], _context), do: :ok
+
+  defp flush(gathered, {tables, _plan, way, talker, now}) do
+    frames = Enum.reverse(gathered)
+    batch = Batch.new(frames)
+    batch = Enum.reduce(talker.everyone, batch, &emit(&1, &2, tables, way, now))
+
+    for {group, ways} <- talker.groups,
+        {class, frames} <- classes(batch.frames),
+        to <- pick(tables, group, ways, class) do
+      emit(to, Batch.new(frames), tables, way, now)
+    end
+
+    if talker.heartbeats != [] do
+      case Enum.filter(batch.frames, &(&1.id == 0)) do
+        [] -> :ok
+        beats -> Enum.reduce(talker.heartbeats, Batch.new(beats), &emit(&1, &2, tables, way, now))
+      end
+    end
+
+    :ok
+  end
+
+  defp classes(frames) do
+    frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
+  end
+
+  defp send_to(target, frame, {tables, plan, way, talker, now}) do
+    keys = addressed(target, tables, plan, way)
+    batch = Batch.new([frame])
+
+    heard =
+      for key <- keys, key != way.key, to = plan.ways[key], reach?(to, way, frame, talker, tables), do: to
+
+    sniffers =
+      for {key, %{sniffer: true} = to} <- plan.ways, key != way.key, key not in keys, shares?(way, to), do: to
+
+    case heard do
+      [] -> Tally.add(way.tally, :no_route, 1)
+      heard -> heard |> one_of_each_group(frame, tables) |> Enum.each(&emit(&1, batch, tables, way, now))
+    end
+
+    Enum.each(sniffers, &emit(&1, batch, tables, way, now))
+  end
+
+  # Not within a group of redundant links, and not to the sender itself by another way: a vehicle would take its own words
+  # for orders.
+  defp reach?(to, way, frame, talker, tables) do
+    (to.group == nil or to.group != way.group) and
+      not (talker.twice and to.side == :vehicle and
+             Enum.any?(way.networks, &Routes.talks?(tables, {&1, frame.system, frame.component}, to.key)))
+  end
+
+  # The first of the networks that the sender sees in which the addressee is known decides.
+  defp addressed({system, component}, tables, plan, way) do
+    Enum.find_value(way.networks, [], fn network ->
+      key = {network, system}
+
+      case component != 0 && Routes.ways(tables, key, component) do
+        none when none in [false, []] ->
+          if({system, component} != plan.own, do: some(Routes.ways(tables, key)))
+
+        ways ->
+          ways
+      end
+    end)
+  end
+
+  defp some([]), do: nil
+  defp some(ways), do: ways
+
+  defp shares?(way, to), do: Enum.any?(way.networks, &(&1 in to.networks))
+
+  defp one_of_each_group(ways, frame, tables) do
+    {grouped, single} = Enum.split_with(ways, &(&1.group != nil and &1.side == :vehicle))
+    class = Classify.of(frame.id)
+
+    single ++
+      Enum.flat_map(Enum.group_by(grouped, & &1.group), fn {group, ways} ->
+        pick(tables, group, ways, class)
+      end)
+  end
+
+  # What is configured for the class, else the best, else the one that comes first by name: always the same one.
+  defp pick(_tables, _group, [way], _class), do: [way]
+
+  defp pick(tables, group, ways, class) do
+    carry = Enum.find_value(ways, & &1.carry[class])
+
+    with true <- carry != :all,
+         [] <- Enum.filter(ways, &(&1.owner == carry)),
+         best = :ets.lookup_element(tables.scores, {:pick, group}, 2, nil),
+         [] <- Enum.filter(ways, &(&1.owner == best)) do
+      first = ways |> Enum.map(& &1.owner) |> Enum.min()
+      Enum.filter(ways, &(&1.owner == first))
+    else
+      false -> ways
+      chosen -> chosen
+    end
+  end
+
+  defp emit(%{plain: true} = to, batch, _tables, _way, _now), do: Out.emit(to, batch)
+
+  defp emit(to, batch, tables, way, _now) do
+    case Enum.filter(batch.frames, &passes?(&1, to, tables, way)) do
+      [] -> :ok
+      frames -> Out.emit(to, Batch.new(frames))
+    end
+
+    batch
+  end
+
+  defp passes?(frame, to, tables, way) do
+    cond do
+      not Filter.pass?(to.filter, frame, way.owner) -> Tally.add(to.tally, :filtered_out, 1) != :ok
+      limited?(frame, to, tables) -> Tally.add(to.tally, :limited, 1) != :ok
+      true -> true
+    end
+  end
+
+  defp limited?(_frame, %{limits: nil}, _tables), do: false
+
+  defp limited?(%{id: id} = frame, to, tables) do
+    case to.limits do
+      %{^id => interval} -> limited?(frame, to, interval, tables)
+      _free -> false
+    end
+  end
+
+  defp limited?(frame, to, interval, tables) do
+    key = {to.key, frame.id, frame.system, frame.component}
+    due = :ets.lookup_element(tables.limits, key, 2, nil)
+
+    case RateLimit.pass(due, interval, System.monotonic_time(:microsecond)) do
+      {:pass, due} -> not :ets.insert(tables.limits, {key, due})
+      :drop -> true
+    end
+  end
+end

@@ -1,0 +1,83 @@
+defmodule Aerie.Router.Intake do
+  @moduledoc """
+  The few messages that the router itself looks at: heartbeats, for who somebody is, and SYSTEM_TIME, for reboots (R6).
+  """
+
+  alias Aerie.Names
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Heartbeat
+  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.Routes
+  alias Aerie.Router.Systems
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Talker
+  alias Aerie.Vehicle.BootClock
+  alias MavCodec.Frame
+
+  @system_time 2
+
+  @doc """
+  Looks at frames of one talker: what is known of it and of its endpoint afterwards, and whether one of the frames was the
+  heartbeat of a vehicle's autopilot (H2, H4).
+  """
+  @spec look(Names.gateway(), Tables.t(), Way.t(), Talker.t(), [Frame.t()]) :: {Talker.t(), Way.t(), boolean}
+  def look(gateway, tables, way, talker, frames) do
+    Enum.reduce(frames, {talker, way, false}, fn
+      %Frame{id: 0, crc_extra: extra} = frame, {talker, way, vehicle?} when extra != nil ->
+        heartbeat = Heartbeat.read(frame)
+        for network <- way.networks, do: Systems.note(gateway, network, way.owner, frame, heartbeat)
+        now_vehicle? = Heartbeat.vehicle?(heartbeat)
+        way = side(tables, way, heartbeat, now_vehicle?)
+        {%{talker | autopilot: now_vehicle?}, way, vehicle? or now_vehicle?}
+
+      %Frame{id: @system_time, crc_extra: extra} = frame, {talker, way, vehicle?} when extra != nil ->
+        {time(gateway, tables, way, talker, frame), way, vehicle?}
+
+      _other, seen ->
+        seen
+    end)
+  end
+
+  # On a link to vehicles a ground station without a vehicle is a client, for as long as no autopilot is heard from there.
+  defp side(tables, %{side: :client, heard_vehicle: false, role: :full, auto: true} = way, _heartbeat, true),
+    do: turn(tables, way, :vehicle, true)
+
+  defp side(tables, %{side: :vehicle, heard_vehicle: false} = way, _heartbeat, true),
+    do: turn(tables, way, nil, true)
+
+  defp side(tables, %{side: :vehicle, heard_vehicle: false} = way, heartbeat, false) do
+    if Heartbeat.role(heartbeat) == "gcs", do: turn(tables, way, :client, false), else: way
+  end
+
+  defp side(_tables, way, _heartbeat, _vehicle?), do: way
+
+  defp turn(tables, way, side, heard?) do
+    Endpoints.side(tables, way.key, side, heard_vehicle: heard?)
+    %{way | side: side || way.side, heard_vehicle: heard?}
+  end
+
+  defp time(gateway, tables, way, talker, %Frame{payload: <<_unix::64, boot::32-little, _::binary>>, at: at})
+       when is_integer(at) do
+    case BootClock.read(talker.clock || BootClock.new(), boot, at) do
+      {clock, :reboot} ->
+        reboot(gateway, tables, way, talker)
+        %{talker | clock: clock, learned: nil}
+
+      {clock, _going_on} ->
+        %{talker | clock: clock}
+    end
+  end
+
+  # A boot time whose upper bytes are zeros was cut (F7); it is too short to tell a reboot by, the next one is not.
+  defp time(_gateway, _tables, _way, talker, _frame), do: talker
+
+  defp reboot(gateway, tables, way, talker) do
+    for network <- way.networks do
+      Routes.clear(tables, {network, talker.system})
+      metadata = %{gateway: gateway, network: network, system: talker.system}
+      :telemetry.execute([:aerie, :router, :reboot], %{}, metadata)
+    end
+
+    Tables.rerouted(tables)
+  end
+end

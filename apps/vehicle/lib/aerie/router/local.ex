@@ -1,0 +1,62 @@
+defmodule Aerie.Router.Local do
+  @moduledoc """
+  What one forwarding process keeps for itself between two reads: the plan, and the talkers that it hears.
+
+  It stands in the process dictionary, because frames are delivered by a plain function in processes that know nothing of
+  the router (links, WebSockets). It is a cache and nothing else: everything in it comes from the router's tables, and it
+  is thrown away with them.
+  """
+
+  alias Aerie.Names
+  alias Aerie.Router.Plan
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Talker
+
+  # Invented ids must not fill the memory.
+  @max_talkers 2_048
+
+  @enforce_keys [:tables, :plan]
+  defstruct [:tables, :plan, talkers: %{}]
+
+  @type t :: %__MODULE__{tables: reference, plan: Plan.t(), talkers: %{term => Talker.t()}}
+
+  @doc "The cache of the calling process, with a plan that holds now."
+  @spec fetch(Names.gateway(), Tables.t()) :: t
+  def fetch(gateway, tables) do
+    generation = Tables.generation(tables)
+
+    case Process.get({__MODULE__, gateway}) do
+      %__MODULE__{tables: ref, plan: %{generation: ^generation}} = local when ref == tables.generation ->
+        local
+
+      %__MODULE__{tables: ref} = local when ref == tables.generation ->
+        put(gateway, %{local | plan: Plan.read(tables)})
+
+      _none ->
+        put(gateway, %__MODULE__{tables: tables.generation, plan: Plan.read(tables)})
+    end
+  end
+
+  @doc "Keeps it."
+  @spec put(Names.gateway(), t) :: t
+  def put(gateway, local) do
+    Process.put({__MODULE__, gateway}, local)
+    local
+  end
+
+  @doc "A talker by its endpoint's key and ids."
+  @spec talker(t, term, non_neg_integer, 0..255) :: Talker.t()
+  def talker(local, key, system, component) do
+    case local.talkers do
+      %{{^key, ^system, ^component} => talker} -> talker
+      _new -> Talker.new(system, component)
+    end
+  end
+
+  @doc "Keeps a talker."
+  @spec put_talker(t, term, Talker.t()) :: t
+  def put_talker(local, key, talker) do
+    talkers = if map_size(local.talkers) >= @max_talkers, do: %{}, else: local.talkers
+    %{local | talkers: Map.put(talkers, {key, talker.system, talker.component}, talker)}
+  end
+end

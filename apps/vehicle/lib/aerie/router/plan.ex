@@ -1,0 +1,135 @@
+defmodule Aerie.Router.Plan do
+  @moduledoc """
+  All endpoints with their owners' rules, as one value that each forwarding process keeps for itself for as long as
+  nothing changes: forwarding looks no endpoint up.
+  """
+
+  alias Aerie.Router.Endpoint
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Filter
+  alias Aerie.Router.Owner
+  alias Aerie.Router.RateLimit
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Tally
+
+  defmodule Way do
+    @moduledoc "One endpoint with the rules of its owner. `plain`: every frame passes."
+
+    @enforce_keys [:key, :owner, :side, :networks]
+    defstruct [
+                :key,
+                :owner,
+                :side,
+                :networks,
+                :out,
+                :tally,
+                :waiting,
+                :group,
+                :in,
+                :filter,
+                :limits,
+                :heard_vehicle
+              ] ++
+                [
+                  plain: true,
+                  auto: false,
+                  carry: %{},
+                  role: :full,
+                  sniffer: false,
+                  coalesce: true,
+                  broadcasts: true
+                ]
+
+    @type t :: %__MODULE__{
+            key: Endpoint.key(),
+            owner: String.t(),
+            side: :vehicle | :client,
+            networks: [String.t()],
+            out: Endpoint.out(),
+            tally: Tally.t(),
+            waiting: :atomics.atomics_ref() | nil,
+            group: String.t() | nil,
+            in: Filter.t(),
+            filter: Filter.t(),
+            limits: RateLimit.t(),
+            heard_vehicle: boolean | nil,
+            plain: boolean,
+            auto: boolean,
+            carry: map,
+            role: :full | :read_only,
+            sniffer: boolean,
+            coalesce: boolean,
+            broadcasts: boolean
+          }
+  end
+
+  @enforce_keys [:generation, :ways]
+  defstruct [:generation, :ways, :own, between: :auto]
+
+  @typedoc "`own`: our own ids; `between`: what vehicles hear of each other, as `router.between_vehicles` says"
+  @type t :: %__MODULE__{
+          generation: non_neg_integer,
+          ways: %{Endpoint.key() => Way.t()},
+          own: {non_neg_integer, 0..255} | nil,
+          between: :all | :auto | :heartbeats | :none
+        }
+
+  @doc "Reads the tables."
+  @spec read(Tables.t()) :: t
+  def read(tables) do
+    # First the number, so that what changes meanwhile is read again.
+    generation = Tables.generation(tables)
+    owners = Map.new(:ets.tab2list(tables.owners))
+
+    ways =
+      for endpoint <- Endpoints.list(tables), owner = owners[elem(endpoint.key, 0)], into: %{} do
+        {endpoint.key, way(endpoint, owner)}
+      end
+
+    %__MODULE__{
+      generation: generation,
+      ways: ways,
+      own: Tables.setting(tables, :own, nil),
+      between: Tables.setting(tables, :between_vehicles, :auto)
+    }
+  end
+
+  @doc "An endpoint with its owner's rules."
+  @spec way(Endpoint.t(), Owner.t()) :: Way.t()
+  def way(%Endpoint{} = endpoint, %Owner{} = owner) do
+    %Way{
+      key: endpoint.key,
+      owner: owner.id,
+      side: endpoint.side || owner.side,
+      networks: owner.networks,
+      out: endpoint.out,
+      tally: endpoint.tally,
+      waiting: endpoint.waiting,
+      group: owner.group,
+      in: owner.in,
+      filter: owner.out,
+      limits: owner.limits,
+      heard_vehicle: endpoint.heard_vehicle,
+      auto: endpoint.side != nil and owner.side == :vehicle,
+      plain: owner.out == nil and owner.limits == nil,
+      carry: owner.carry,
+      role: owner.role,
+      sniffer: owner.sniffer,
+      coalesce: owner.coalesce,
+      broadcasts: owner.broadcasts
+    }
+  end
+
+  @doc "The way of a source that has no endpoint: who delivers frames without being one."
+  @spec stranger(String.t(), term, String.t()) :: Way.t()
+  def stranger(owner, peer, network) do
+    %Way{
+      key: {owner, peer},
+      owner: owner,
+      side: :vehicle,
+      networks: [network],
+      tally: Tally.new(),
+      heard_vehicle: false
+    }
+  end
+end

@@ -1,0 +1,138 @@
+defmodule Aerie.Router.Talker do
+  @moduledoc """
+  A component that speaks through an endpoint, and where what it says goes: worked out once, kept by the process that
+  hears it for a second at most, so that a frame of telemetry costs no look-up at all.
+
+  - `everyone`: endpoints that get its broadcasts (R1); `groups`: the same for groups of redundant links, of which one
+    carries; `heartbeats`: endpoints that get only its heartbeats
+  - `twice`: whether it is heard by other endpoints too: then frames are looked at for duplicates
+  - `clock`: its boot time, for reboots (R6)
+  """
+
+  alias Aerie.Router.Plan
+  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.Routes
+  alias Aerie.Router.Tables
+
+  # How long it may take until what was learned elsewhere is seen here; what changes rules is seen at once.
+  @fresh_ms 1_000
+  @learn_ms 250
+  @team 8
+
+  @enforce_keys [:system, :component]
+  defstruct [
+    :system,
+    :component,
+    :learned,
+    :looked,
+    :marks,
+    :clock,
+    everyone: [],
+    groups: [],
+    heartbeats: [],
+    twice: false,
+    autopilot: false
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Who it is, not yet learned of."
+  @spec new(non_neg_integer, 0..255) :: t
+  def new(system, component), do: %__MODULE__{system: system, component: component}
+
+  @doc """
+  Brings it up to `now` (monotonic ms): notes the route by which it is heard if `known?` (one of its frames passed its
+  check, R4), and works out where its frames go when that is old or something changed.
+  """
+  @spec refresh(t, Tables.t(), Plan.t(), Way.t(), boolean, integer) :: t
+  def refresh(talker, tables, plan, way, known?, now) do
+    talker = if known?, do: learn(talker, tables, way, now), else: talker
+    marks = {plan.generation, Tables.routed(tables)}
+
+    if talker.marks == marks and now - talker.looked < @fresh_ms,
+      do: talker,
+      else: look(%{talker | marks: marks, looked: now}, tables, plan, way)
+  end
+
+  defp learn(%{learned: learned} = talker, _tables, _way, now)
+       when is_integer(learned) and now - learned < @learn_ms,
+       do: talker
+
+  defp learn(talker, tables, way, now) do
+    for network <- way.networks do
+      result = Routes.learn(tables, network, talker.system, talker.component, way.key, now)
+      # Others who hear it have to look for duplicates from now on.
+      if result == :new and elsewhere(tables, way, talker, network) != [], do: Tables.rerouted(tables)
+    end
+
+    %{talker | learned: now}
+  end
+
+  defp elsewhere(tables, way, talker, network),
+    do: Routes.ways(tables, {network, talker.system}, talker.component) -- [way.key]
+
+  defp look(talker, tables, plan, way) do
+    others = way.networks |> Enum.flat_map(&elsewhere(tables, way, talker, &1)) |> Enum.uniq()
+    audience = for {_key, to} <- plan.ways, broadcast?(way, to, talker, tables), do: to
+
+    # A vehicle's own frames do not come back to it by its second radio; a client may have a vehicle of its own as well.
+    audience = Enum.reject(audience, &(&1.side == :vehicle and &1.key in others))
+    {vehicles, clients} = Enum.split_with(audience, &(&1.side == :vehicle))
+
+    {full, less} =
+      if way.heard_vehicle,
+        do: Enum.split_with(vehicles, &team?(plan, tables, &1, talker, way)),
+        else: {vehicles, []}
+
+    less = if plan.between == :none, do: [], else: less
+    {grouped, single} = Enum.split_with(full, & &1.group)
+
+    %{
+      talker
+      | everyone: clients ++ single,
+        groups: Enum.group_by(grouped, & &1.group) |> Map.to_list(),
+        heartbeats: less,
+        twice: others != []
+    }
+  end
+
+  defp broadcast?(way, to, talker, tables) do
+    to.key != way.key and (to.group == nil or to.group != way.group) and (to.broadcasts or to.sniffer) and
+      sees?(way, to, talker.system, tables)
+  end
+
+  @doc """
+  Whether an endpoint sees what a system says by another one: they share a network, and if the endpoint sees several, no
+  earlier one of them has a system of that id.
+  """
+  @spec sees?(Way.t(), Way.t(), non_neg_integer, Tables.t()) :: boolean
+  def sees?(%{networks: [network]}, %{networks: [network]}, _system, _tables), do: true
+
+  def sees?(way, to, system, tables) do
+    case Enum.split_while(to.networks, &(&1 not in way.networks)) do
+      {_all, []} ->
+        false
+
+      {[], _shared} ->
+        true
+
+      {earlier, _shared} ->
+        way.side == :client or not Enum.any?(earlier, &Routes.known?(tables, {&1, system}))
+    end
+  end
+
+  # Another vehicle's telemetry is for small teams; the vehicle's own other parts, and who is no vehicle, get everything.
+  defp team?(%{between: :all}, _tables, _to, _talker, _way), do: true
+
+  defp team?(plan, tables, to, talker, way) do
+    not to.heard_vehicle or (plan.between == :auto and small?(plan, way)) or
+      Enum.any?(way.networks, &Routes.heard?(tables, {&1, talker.system}, to.key))
+  end
+
+  defp small?(plan, way) do
+    Enum.count_until(plan.ways, fn {_key, to} -> to.heard_vehicle and shares?(way, to) end, @team + 1) <=
+      @team
+  end
+
+  defp shares?(way, to), do: Enum.any?(way.networks, &(&1 in to.networks))
+end

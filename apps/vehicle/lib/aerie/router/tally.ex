@@ -1,0 +1,47 @@
+defmodule Aerie.Router.Tally do
+  @moduledoc """
+  What is counted for one endpoint: an array of counters that every process adds to without a lock, and that grows only.
+
+  | counter | |
+  |---|---|
+  | `frames_in`, `bytes_in` | came from it |
+  | `frames_out`, `bytes_out` | handed to it: to its socket, or to its process |
+  | `no_route` | from it, addressed to somebody who is not known (R2) |
+  | `duplicates` | from it, and from another endpoint before |
+  | `read_only` | from it, and it may not speak |
+  | `secret` | from it, SETUP_SIGNING (S8) |
+  | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
+  | `hidden` | not shown to it: another of its networks has a system of that id |
+  | `failed` | its socket did not take them |
+  | `dropped_control` ... `dropped_bulk` | dropped for want of room, by class |
+  """
+
+  alias Aerie.Router.Classify
+
+  @names [:frames_in, :bytes_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
+           [:filtered_in, :filtered_out, :limited, :hidden, :failed] ++
+           Enum.map(Classify.classes(), &:"dropped_#{&1}")
+
+  @type t :: :counters.counters_ref()
+
+  @doc "All zero."
+  @spec new() :: t
+  def new, do: :counters.new(unquote(length(@names)), [:write_concurrency])
+
+  @doc "Adds to a counter."
+  @spec add(t, atom, non_neg_integer) :: :ok
+  for {name, index} <- Enum.with_index(@names, 1) do
+    def add(tally, unquote(name), n), do: :counters.add(tally, unquote(index), n)
+  end
+
+  @doc "Counts frames of a class that were dropped."
+  @spec dropped(t, Classify.class(), non_neg_integer) :: :ok
+  for class <- Classify.classes() do
+    def dropped(tally, unquote(class), n), do: add(tally, unquote(:"dropped_#{class}"), n)
+  end
+
+  @doc "All counters by name."
+  @spec read(t) :: %{atom => non_neg_integer}
+  def read(tally),
+    do: for({name, i} <- Enum.with_index(@names, 1), into: %{}, do: {name, :counters.get(tally, i)})
+end

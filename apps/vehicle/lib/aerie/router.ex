@@ -32,6 +32,7 @@ defmodule Aerie.Router do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
+  alias Aerie.Router.View
   alias MavCodec.Frame
 
   @typedoc """
@@ -253,6 +254,27 @@ defmodule Aerie.Router do
     case Tables.of(gateway) do
       nil -> []
       tables -> Routes.list(tables, System.monotonic_time(:millisecond))
+    end
+  end
+
+  @doc """
+  All endpoints, links' peers and clients, in the order of their ids:
+
+  | key | |
+  |---|---|
+  | `:id` | `{owner, peer}`: the link or client, and which of its peers |
+  | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`, `:link`, `:websocket` ..., words |
+  | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`Aerie.Router.Owner`) |
+  | `:since` | unix microseconds |
+  | `:waiting` | frames on their way to its process |
+  | `:counters` | `Aerie.Router.Tally` |
+  | `:rates` | of the last seconds, per second: `frames_in`, `frames_out`, `bytes_out` |
+  """
+  @spec endpoints(Names.gateway()) :: [map]
+  def endpoints(gateway) do
+    case Tables.of(gateway) do
+      nil -> []
+      tables -> View.endpoints(tables)
     end
   end
 

@@ -93,7 +93,7 @@ defmodule Aerie.Link.Egress do
       endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, text: text, kind: :link, out: out),
       outlet: Outlet.new(rules(egress), now),
       timer: nil,
-      seen: {0, 0}
+      seen: %{}
     }
   end
 
@@ -227,19 +227,28 @@ defmodule Aerie.Link.Egress do
 
   defp txbuf(_other, last), do: last
 
-  @doc "Bytes and frames that others wrote to the peers' sockets since the last time."
-  @spec written(t) :: {bytes :: non_neg_integer, frames :: non_neg_integer, t}
-  def written(egress) do
-    Enum.reduce(egress.peers, {0, 0, egress}, fn
-      {id, %{endpoint: %{out: {:udp, _, _}, tally: tally}, seen: {bytes, frames}} = peer}, {b, f, egress} ->
-        counts = Tally.read(tally)
-        peer = %{peer | seen: {counts.bytes_out, counts.frames_out}}
-        egress = put_in(egress.peers[id], peer)
-        {b + counts.bytes_out - bytes, f + counts.frames_out - frames, egress}
-
-      _through_here, sums ->
-        sums
+  @doc "What others did since the last time: bytes and frames written to the peers' sockets, frames dropped."
+  @spec others(t) ::
+          {%{bytes_out: non_neg_integer, writes_out: non_neg_integer, dropped_out: non_neg_integer}, t}
+  def others(egress) do
+    Enum.reduce(egress.peers, {%{bytes_out: 0, writes_out: 0, dropped_out: 0}, egress}, fn {id, peer},
+                                                                                           {sums, egress} ->
+      counts = counts(peer.endpoint)
+      since = Map.merge(counts, peer.seen, fn _name, now, before -> now - before end)
+      {Map.merge(sums, since, fn _name, a, b -> a + b end), put_in(egress.peers[id].seen, counts)}
     end)
+  end
+
+  defp counts(%{out: out, tally: tally}) do
+    counts = Tally.read(tally)
+    # What goes through the link's process is counted there.
+    direct? = match?({:udp, _, _}, out)
+
+    %{
+      bytes_out: if(direct?, do: counts.bytes_out, else: 0),
+      writes_out: if(direct?, do: counts.frames_out, else: 0),
+      dropped_out: counts.failed + Tally.dropped(counts)
+    }
   end
 
   @doc "The link ends: its endpoints go, its rules stay for the next process of the link."

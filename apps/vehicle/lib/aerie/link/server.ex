@@ -91,7 +91,10 @@ defmodule Aerie.Link.Server do
   end
 
   @impl GenServer
-  def handle_call(:snapshot, _from, state), do: {:reply, snapshot(state), state}
+  def handle_call(:snapshot, _from, state) do
+    state = sync(state)
+    {:reply, snapshot(state), state}
+  end
 
   @impl GenServer
   def handle_cast({:send, to, bytes}, state) do
@@ -310,10 +313,8 @@ defmodule Aerie.Link.Server do
   defp sync(state) do
     peers = Map.new(state.core.peers.map, fn {id, peer} -> {id, peer.text} end)
 
-    {bytes, writes, egress} =
-      state.egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.written()
-
-    counters = state.core.counters |> Counters.add(:bytes_out, bytes) |> Counters.add(:writes_out, writes)
+    {others, egress} = state.egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.others()
+    counters = Counters.merge(state.core.counters, others)
     %{state | egress: egress, core: %{state.core | counters: counters}}
   end
 

@@ -45,7 +45,6 @@ defmodule Aerie.Router.Endpoint do
     :waiting,
     :pid,
     :since,
-    :role,
     heard_vehicle: false
   ]
 

@@ -56,8 +56,10 @@ defmodule Aerie.Router.Intake do
     %{way | side: side || way.side, heard_vehicle: heard?}
   end
 
-  defp time(gateway, tables, way, talker, %Frame{payload: <<_unix::64, boot::32-little, _::binary>>, at: at})
-       when is_integer(at) do
+  defp time(gateway, tables, way, talker, %Frame{payload: payload, at: at}) when is_integer(at) do
+    # Zeros at its end were cut off (F7), as they are in every boot time of less than half a year.
+    <<_unix::64, boot::32-little, _::binary>> = <<payload::binary, 0::96>>
+
     case BootClock.read(talker.clock || BootClock.new(), boot, at) do
       {clock, :reboot} ->
         reboot(gateway, tables, way, talker)
@@ -68,7 +70,6 @@ defmodule Aerie.Router.Intake do
     end
   end
 
-  # A boot time whose upper bytes are zeros was cut (F7); it is too short to tell a reboot by, the next one is not.
   defp time(_gateway, _tables, _way, talker, _frame), do: talker
 
   defp reboot(gateway, tables, way, talker) do

@@ -18,9 +18,10 @@ defmodule Aerie.Router.Tally do
 
   alias Aerie.Router.Classify
 
+  @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
   @names [:frames_in, :bytes_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
            [:filtered_in, :filtered_out, :limited, :hidden, :failed] ++
-           Enum.map(Classify.classes(), &:"dropped_#{&1}")
+           @dropped
 
   @type t :: :counters.counters_ref()
 
@@ -39,6 +40,10 @@ defmodule Aerie.Router.Tally do
   for class <- Classify.classes() do
     def dropped(tally, unquote(class), n), do: add(tally, unquote(:"dropped_#{class}"), n)
   end
+
+  @doc "How many were dropped in all classes, of counters that were read."
+  @spec dropped(%{atom => non_neg_integer}) :: non_neg_integer
+  def dropped(counts), do: counts |> Map.take(@dropped) |> Map.values() |> Enum.sum()
 
   @doc "All counters by name."
   @spec read(t) :: %{atom => non_neg_integer}

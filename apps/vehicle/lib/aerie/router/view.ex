@@ -1,0 +1,37 @@
+defmodule Aerie.Router.View do
+  @moduledoc "What people and programs may know of the endpoints: plain maps (`Aerie.Router.endpoints/1`)."
+
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Plan
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Tally
+
+  @doc "All endpoints, in the order of their ids."
+  @spec endpoints(Tables.t()) :: [map]
+  def endpoints(tables) do
+    ways = Plan.read(tables).ways
+
+    for endpoint <- Enum.sort_by(Endpoints.list(tables), & &1.key), way = ways[endpoint.key] do
+      %{
+        id: endpoint.key,
+        owner: way.owner,
+        side: way.side,
+        kind: endpoint.kind,
+        peer: endpoint.text,
+        networks: way.networks,
+        group: way.group,
+        role: way.role,
+        sniffer: way.sniffer,
+        since: endpoint.since,
+        waiting: max(:atomics.get(endpoint.waiting, 1), 0),
+        counters: Tally.read(endpoint.tally),
+        rates:
+          :ets.lookup_element(tables.scores, {:rates, endpoint.key}, 2, %{
+            frames_in: 0.0,
+            frames_out: 0.0,
+            bytes_out: 0.0
+          })
+      }
+    end
+  end
+end

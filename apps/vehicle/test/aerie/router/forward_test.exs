@@ -1,0 +1,255 @@
+defmodule Aerie.Router.ForwardTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.Router
+  alias Aerie.Router.Endpoint
+  alias MavCodec.Messages
+
+  setup do
+    {:ok, gateway: start_parts(%{mavlink: %{system_id: 245, component_id: 191}})}
+  end
+
+  # A process that is an endpoint and tells the test what comes: `{name, bytes, class}`.
+  defp endpoint(gateway, name, options) do
+    test = self()
+
+    pid =
+      start_supervised!(
+        {Task,
+         fn ->
+           {:ok, endpoint} = Endpoint.attach(gateway, [id: name] ++ options)
+           send(test, {:attached, name, endpoint})
+           relay(test, name, endpoint)
+         end},
+        id: name
+      )
+
+    assert_receive {:attached, ^name, endpoint}
+    %{pid: pid, name: name, endpoint: endpoint}
+  end
+
+  defp relay(test, name, endpoint) do
+    receive do
+      {:forward, bytes, class} ->
+        Endpoint.taken(endpoint, length(bytes))
+        for one <- bytes, do: send(test, {name, one, class})
+        relay(test, name, endpoint)
+
+      {:ingress, bytes} ->
+        {frames, _} =
+          MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond))
+
+        outcome = Endpoint.ingress(endpoint, frames)
+        send(test, {:done, name, outcome})
+        relay(test, name, endpoint)
+    end
+  end
+
+  # Says bytes by an endpoint; afterwards everything that goes anywhere is on its way.
+  defp say(endpoint, bytes) do
+    name = endpoint.name
+    send(endpoint.pid, {:ingress, IO.iodata_to_binary(bytes)})
+    assert_receive {:done, ^name, outcome}, 5_000
+    outcome
+  end
+
+  defp message(struct, system, component, options \\ []),
+    do: MavCodec.encode(struct, [system: system, component: component] ++ options)
+
+  # What has come to the endpoints, each asked in turn so that nothing is on its way any more.
+  defp got(endpoints) do
+    Map.new(List.wrap(endpoints), fn %{name: name} = endpoint ->
+      say(endpoint, [])
+      {name, drain(name)}
+    end)
+  end
+
+  defp drain(name) do
+    receive do
+      {^name, bytes, _class} -> [bytes | drain(name)]
+    after
+      0 -> []
+    end
+  end
+
+  defp vehicle(gateway, name, system, options \\ []) do
+    endpoint = endpoint(gateway, name, [side: :vehicle] ++ options)
+    say(endpoint, heartbeat(system))
+    endpoint
+  end
+
+  defp client(gateway, name, system, options \\ []) do
+    endpoint = endpoint(gateway, name, options)
+    say(endpoint, gcs(system))
+    endpoint
+  end
+
+  defp gcs(system), do: heartbeat(system, type: 6, autopilot: 8, component: 190)
+
+  defp command(target, component \\ 1, id \\ 400),
+    do: %Messages.CommandLong{target_system: target, target_component: component, command: id}
+
+  defp counted(gateway, name), do: Enum.find(Router.endpoints(gateway), &(&1.id == {name, :self}))
+
+  describe "rules" do
+    setup c do
+      v1 = vehicle(c.gateway, "v1", 1)
+      v2 = vehicle(c.gateway, "v2", 2)
+      g1 = client(c.gateway, "g1", 255)
+      g2 = client(c.gateway, "g2", 254)
+      all = [v1, v2, g1, g2]
+      got(all)
+      {:ok, v1: v1, v2: v2, g1: g1, g2: g2, all: all}
+    end
+
+    test "R1, R2: nobody addressed, or all: to everyone but the sender, as the bytes it was (R3)", c do
+      bytes = attitude(1, 7)
+      say(c.v1, bytes)
+      assert got(c.all) == %{"v1" => [], "v2" => [bytes], "g1" => [bytes], "g2" => [bytes]}
+      to_all = message(command(0, 0), 255, 190)
+      say(c.g1, to_all)
+      assert got(c.all) == %{"v1" => [to_all], "v2" => [to_all], "g1" => [], "g2" => [to_all]}
+    end
+
+    test "R1: a system that is addressed gets it, and nobody else", c do
+      order = message(command(2), 255, 190)
+      say(c.g1, order)
+      assert got(c.all) == %{"v1" => [], "v2" => [order], "g1" => [], "g2" => []}
+      answer = message(%Messages.CommandAck{command: 400, target_system: 255, target_component: 190}, 2, 1)
+      say(c.v2, answer)
+      assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [answer], "g2" => []}
+    end
+
+    test "R2: an unknown addressee's frame goes nowhere, and is counted", c do
+      say(c.g1, message(command(77), 255, 190))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+      assert counted(c.gateway, "g1").counters.no_route == 1
+    end
+
+    test "R2: the addressee behind the sender itself is no way either", c do
+      say(c.v1, heartbeat(1, type: 26, autopilot: 8, component: 154))
+      got(c.all)
+      say(c.v1, message(command(1, 154), 1, 1))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+    end
+
+    test "R1: a component that is addressed gets it where it is; R9: one that never talks, where its system is",
+         c do
+      camera = endpoint(c.gateway, "camera", side: :vehicle)
+      say(camera, heartbeat(1, type: 30, autopilot: 8, component: 100))
+      got([camera | c.all])
+      shoot = message(command(1, 100), 255, 190)
+      say(c.g1, shoot)
+      assert %{"camera" => [^shoot], "v1" => []} = got([camera | c.all])
+      log = message(command(1, 155), 255, 190)
+      say(c.g1, log)
+      assert %{"camera" => [^log], "v1" => [^log]} = got([camera | c.all])
+    end
+
+    test "R4: an unknown message goes to everyone", c do
+      unknown = <<0xFD, 3, 0, 0, 1, 1, 1, 0xABCDEF::24-little, 1, 1, 5, 9, 9>>
+      say(c.v1, unknown)
+      assert got(c.all) == %{"v1" => [], "v2" => [unknown], "g1" => [unknown], "g2" => [unknown]}
+    end
+
+    test "F10: an addressee that was cut off is all", c do
+      # Every byte of it is zero, so that only one is sent.
+      cut = message(%Messages.ParamRequestList{}, 255, 190)
+      assert <<0xFD, 1, _::binary>> = cut
+      say(c.g1, cut)
+      assert %{"v1" => [^cut], "v2" => [^cut], "g2" => [^cut]} = got(c.all)
+    end
+
+    test "S8: SETUP_SIGNING goes nowhere, not even to a sniffer", c do
+      sniffer = endpoint(c.gateway, "sniffer", sniffer: true)
+      say(c.g1, message(%Messages.SetupSigning{target_system: 1, target_component: 1}, 255, 190))
+      assert got([sniffer | c.all]) |> Map.values() |> Enum.concat() == []
+      assert counted(c.gateway, "g1").counters.secret == 1
+    end
+
+    test "S10: a signed frame is forwarded as it is, right or wrong", c do
+      signing = MavCodec.Signing.new(:binary.copy(<<7>>, 32), link_id: 3)
+
+      {signed, _signing} =
+        MavCodec.Signing.encode(signing, %Messages.Attitude{roll: 0.5}, system: 1, component: 1)
+
+      forged = binary_part(signed, 0, byte_size(signed) - 1) <> <<0>>
+
+      for bytes <- [signed, forged] do
+        say(c.v1, bytes)
+        assert %{"g1" => [^bytes]} = got(c.all)
+      end
+    end
+
+    test "a sniffer gets what is addressed to others as well", c do
+      sniffer = endpoint(c.gateway, "sniffer", sniffer: true)
+      order = message(command(2), 255, 190)
+      say(c.g1, order)
+      assert %{"sniffer" => [^order], "v1" => [], "v2" => [^order]} = got([sniffer | c.all])
+    end
+
+    test "our own frames that come back go nowhere", c do
+      assert %{looped: 1} = say(c.g1, heartbeat(245, component: 191, type: 18, autopilot: 8))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+    end
+
+    test "what an autopilot orders itself is no order for others (PX4: to 1/0 and 0/0, four times)", c do
+      for _ <- 1..4, target <- [0, 1], do: say(c.v1, message(command(target, 0, 20), 1, 1))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+      # Its own camera elsewhere gets it.
+      camera = endpoint(c.gateway, "camera", side: :vehicle)
+      say(camera, heartbeat(1, type: 30, autopilot: 8, component: 100))
+      got([camera | c.all])
+      own = message(command(0, 0, 1000), 1, 1)
+      say(c.v1, own)
+      assert %{"camera" => [^own], "v2" => [], "g1" => []} = got([camera | c.all])
+    end
+
+    test "who may only read is not heard", c do
+      reader = client(c.gateway, "reader", 200, role: :read_only)
+      say(reader, message(command(1), 200, 190))
+      assert %{"v1" => [], "g1" => []} = got(c.all)
+      assert counted(c.gateway, "reader").counters.read_only == 2
+      bytes = attitude(1, 1)
+      say(c.v1, bytes)
+      assert %{"reader" => [^bytes]} = got(reader)
+    end
+
+    test "an endpoint that is gone is forgotten with its routes", c do
+      Process.exit(c.g1.pid, :kill)
+      eventually(fn -> counted(c.gateway, "g1") == nil end)
+      assert Router.way(c.gateway, {"main", 255}) == nil
+      say(c.v1, attitude(1, 1))
+      assert %{"g2" => [_]} = got(c.g2)
+    end
+
+    test "order is kept between what is for all and what is for one", c do
+      ack = message(%Messages.CommandAck{command: 400, target_system: 255, target_component: 190}, 1, 1)
+      all = [attitude(1, 1), attitude(1, 2), ack, attitude(1, 3)]
+      say(c.v1, all)
+      assert %{"g1" => ^all} = got(c.all)
+    end
+
+    test "R6: a boot time that began anew clears the system's routes", c do
+      time = fn ms ->
+        message(%Messages.SystemTime{time_boot_ms: ms, time_unix_usec: 1_000_000_000_000_000}, 1, 1)
+      end
+
+      other = endpoint(c.gateway, "old", side: :vehicle)
+      say(other, heartbeat(1, component: 77, type: 30, autopilot: 8))
+
+      # The clock is sure after three readings over a second; all of them by one process, as those of a link are.
+      at = fn ms, us -> Enum.map(parse(time.(ms)), &%{&1 | at: us}) end
+      deliver(c.gateway, "v1", at.(500_000, 0))
+      assert Enum.any?(Router.routes(c.gateway), &(&1.link == "old"))
+      for n <- 0..4, do: deliver(c.gateway, "v1", at.(1_000 + n * 500, n * 500_000))
+      refute Enum.any?(Router.routes(c.gateway), &(&1.link == "old"))
+    end
+  end
+
+  defp parse(bytes), do: elem(MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 5), 0)
+
+  defp deliver(gateway, id, frames),
+    do: Router.deliver(gateway, %{id: id, network: "main", peer: :self}, frames)
+end

@@ -14,6 +14,7 @@ defmodule Aerie.Router do
   |---|---|---|
   | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
   | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
+  | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time began anew (R6) |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload` |
   """
 
@@ -104,7 +105,7 @@ defmodule Aerie.Router do
         outcome
 
       way.side == :vehicle ->
-        to_sessions(gateway, tables, way, by_system(trusted, talkers, local.plan.own), vehicles, now, outcome)
+        to_sessions(gateway, tables, way, by_system(trusted, looped ++ talkers, local.plan.own), vehicles, now, outcome)
 
       true ->
         n = Enum.count(trusted, &({&1.system, &1.component} != local.plan.own))

@@ -34,11 +34,11 @@ defmodule Aerie.Fleet.Stations do
 
     if :ets.member(table, key) or room?(table, station.last_heard) do
       true = :ets.insert(table, {key, station.last_heard, station})
+      :ok
     else
       Store.count(gateway, {:stations, :dropped})
+      :ok
     end
-
-    :ok
   end
 
   defp room?(table, now) do

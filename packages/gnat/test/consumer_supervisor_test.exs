@@ -114,6 +114,8 @@ defmodule Gnat.ConsumerSupervisorTest do
       consumer(name, %{consuming_function: {__MODULE__, :consume}, subscription_topics: [%{topic: topic}]})
 
     eventually(fn -> :sys.get_state(consumer).gnat end)
+    # The messages come by another connection: they must not overtake the subscription.
+    :ok = Gnat.flush(name)
     me = self() |> :erlang.pid_to_list() |> to_string()
     for n <- 1..3, do: :ok = Gnat.pub(gnat, topic, "#{me} #{n}")
     workers = for _ <- 1..3, do: receive(do: ({:consuming, _, pid, ^topic} -> pid))

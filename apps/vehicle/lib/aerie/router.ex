@@ -105,7 +105,15 @@ defmodule Aerie.Router do
         outcome
 
       way.side == :vehicle ->
-        to_sessions(gateway, tables, way, by_system(trusted, looped ++ talkers, local.plan.own), vehicles, now, outcome)
+        to_sessions(
+          gateway,
+          tables,
+          way,
+          by_system(trusted, looped ++ talkers, local.plan.own),
+          vehicles,
+          now,
+          outcome
+        )
 
       true ->
         n = Enum.count(trusted, &({&1.system, &1.component} != local.plan.own))

@@ -8,8 +8,6 @@ defmodule Aerie.Router.Out do
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Tally
 
-  @max_waiting Endpoint.max_waiting()
-
   @typedoc "What is needed of an endpoint: `Aerie.Router.Plan.Way` or `Endpoint` with `coalesce`."
   @type way :: %{
           :out => Endpoint.out(),
@@ -87,7 +85,7 @@ defmodule Aerie.Router.Out do
   end
 
   defp message(way, pid, tag, class, bytes, n) do
-    if :atomics.add_get(way.waiting, 1, n) > @max_waiting do
+    if :atomics.add_get(way.waiting, 1, n) > Endpoint.max_waiting() do
       :atomics.sub(way.waiting, 1, n)
       Tally.dropped(way.tally, class, n)
     else

@@ -14,6 +14,8 @@ defmodule Aerie.Config do
     * `mavlink.system_id` is set
     * `links` has `id`, `url`, `network`, `label`, `enabled`, `secure` for each, the one of `mavlink.local_addr` included; `spec` is
       the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
+    * `clients` is `:default` when nobody said anything about them, else a list of maps with `id`, `url`, `networks` and
+      their rules (`Aerie.Router.Settings`)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
     * `warnings` are things that are allowed and probably not meant; `given` has the keys that somebody set, and where
@@ -27,6 +29,8 @@ defmodule Aerie.Config do
     :network,
     :mavlink,
     :links,
+    :clients,
+    :router,
     :vehicles,
     :signing,
     :nats,
@@ -72,6 +76,8 @@ defmodule Aerie.Config do
           network: String.t(),
           mavlink: map(),
           links: [link()],
+          clients: :default | [map()],
+          router: map(),
           vehicles: [vehicle()],
           signing: map(),
           nats: map(),

@@ -15,6 +15,7 @@ defmodule Aerie.Router do
   | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
   | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time began anew (R6) |
+  | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of a group carries |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload` |
   """
 
@@ -22,14 +23,17 @@ defmodule Aerie.Router do
   alias Aerie.Names
   alias Aerie.Router.Admission
   alias Aerie.Router.Classify
+  alias Aerie.Router.Clients
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Forward
   alias Aerie.Router.Intake
   alias Aerie.Router.Load
   alias Aerie.Router.Local
   alias Aerie.Router.Out
+  alias Aerie.Router.Owner
   alias Aerie.Router.Plan
   alias Aerie.Router.Routes
+  alias Aerie.Router.Settings
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
@@ -100,20 +104,14 @@ defmodule Aerie.Router do
         {way, if(autopilot?, do: [system | vehicles], else: vehicles)}
       end)
 
+    systems = by_system(trusted, looped ++ talkers, local.plan.own)
+
     cond do
       talkers == [] or trusted == [] ->
         outcome
 
       way.side == :vehicle ->
-        to_sessions(
-          gateway,
-          tables,
-          way,
-          by_system(trusted, looped ++ talkers, local.plan.own),
-          vehicles,
-          now,
-          outcome
-        )
+        to_sessions(gateway, tables, way, systems, vehicles, now, outcome)
 
       true ->
         n = Enum.count(trusted, &({&1.system, &1.component} != local.plan.own))
@@ -207,11 +205,23 @@ defmodule Aerie.Router do
   @spec send(Names.gateway(), vehicle_key, iodata, keyword) :: :ok | {:error, :no_route}
   def send(gateway, {_network, _system} = key, bytes, options \\ []) do
     with tables when is_map(tables) <- Tables.of(gateway),
-         {_link, _peer} = way <- Routes.best(tables, key, Keyword.take(options, [:component])),
+         {_link, _peer} = way <- carrier(tables, key, Keyword.take(options, [:component])),
          :ok <- send_by(gateway, tables, way, key, bytes) do
       :ok
     else
       _none -> {:error, :no_route}
+    end
+  end
+
+  # Of redundant links the one that carries, where the system is heard by it.
+  defp carrier(tables, key, options) do
+    with {link, _peer} = best <- Routes.best(tables, key, options),
+         %{group: group} when group != nil <- Endpoints.owner(tables, link),
+         pick when pick not in [nil, link] <- :ets.lookup_element(tables.scores, {:pick, group}, 2, nil) do
+      Routes.best(tables, key, [link: pick] ++ options) || best
+    else
+      nil -> nil
+      _no_group -> Routes.best(tables, key, options)
     end
   end
 
@@ -284,6 +294,39 @@ defmodule Aerie.Router do
     case Tables.of(gateway) do
       nil -> []
       tables -> View.endpoints(tables)
+    end
+  end
+
+  @doc "Adds a client endpoint at run time: a connection string or a map of keys (`Aerie.Router.Clients.add/2`)."
+  @spec add_client(Names.gateway(), String.t() | map) :: {:ok, String.t()} | {:error, String.t()}
+  defdelegate add_client(gateway, client), to: Clients, as: :add
+
+  @doc "Ends a client endpoint. An unknown one is fine."
+  @spec remove_client(Names.gateway(), String.t()) :: :ok
+  defdelegate remove_client(gateway, id), to: Clients, as: :remove
+
+  @doc "The client endpoints, as links' snapshots; their peers with what each got are in `endpoints/1`."
+  @spec clients(Names.gateway()) :: [map]
+  defdelegate clients(gateway), to: Clients, as: :list
+
+  @doc """
+  Changes rules of a link, a client or any other owner of endpoints while it runs: the keys of the configuration
+  (`Aerie.Router.Settings`), those that are not given stay. Holds with the next frame, for this owner only, and until the
+  router is restarted.
+  """
+  @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, String.t()}
+  def configure(gateway, id, changes) do
+    with tables when is_map(tables) <- Tables.of(gateway),
+         %Owner{} = owner <- Endpoints.owner(tables, id),
+         {:ok, options} <- Settings.owner_options(Map.new(changes)),
+         gone = for({key, empty} when empty in [nil, [], %{}] <- changes, do: Settings.option(key)),
+         {:ok, owner} <- Owner.new(id, owner.options |> Keyword.drop(gone) |> Keyword.merge(options)) do
+      Endpoints.put_owner(tables, owner)
+      with pid when is_pid(pid) <- Names.whereis(gateway, :link, id), do: Kernel.send(pid, {:rules, owner})
+      :ok
+    else
+      nil -> {:error, "there is no link and no client #{id}"}
+      {:error, words} -> {:error, words}
     end
   end
 

@@ -40,6 +40,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},
     {[:aerie, :router, :reboot], Aerie.Router},
+    {[:aerie, :router, :carrier], Aerie.Router},
     {[:aerie, :signing, :alarm], Aerie.Signing},
     {[:aerie, :signing, :enrolled], Aerie.Signing},
     {[:aerie, :signing, :revoked], Aerie.Signing},

@@ -63,6 +63,19 @@ defmodule Aerie.Config.Keys do
           ~S([{id: radio-1, url: "/dev/ttyUSB0,57600", network: main, label: "433 MHz mast", enabled: true}])
       ),
       field(
+        :clients,
+        {:list, {:section, client_fields()}},
+        """
+        Where ground stations and other programs come in: udpin, udpout, udpbcast:ADDRESS:PORT, tcpin, tcp, or a DEVICE.
+        Left out: TCP on 127.0.0.1, port 5790 or the next free one. [] for none. A ground station that calls a link (UDP
+        14550) is taken for a client by itself, for as long as no autopilot is heard from there.
+        """,
+        default: nil,
+        example:
+          ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, filter_out: {block_messages: [RAW_IMU]}}])
+      ),
+      router(),
+      field(
         :vehicles,
         {:list, {:section, vehicle_fields()}},
         """
@@ -227,8 +240,96 @@ defmodule Aerie.Config.Keys do
       field(:enabled, :boolean, "Open it.", default: true),
       field(:secure, :boolean, "A cable that nobody else can hear: signing keys may go over it.",
         default: false
+      ),
+      field(
+        :group,
+        Types.token(),
+        "Redundant links to the same vehicles share a group: the best one carries."
+      ),
+      field(
+        :carry,
+        {:map, :string},
+        "For a group: the link that carries a class (control, ack, state, transfer, bulk), or all."
+      )
+    ] ++ rule_fields()
+  end
+
+  @doc "The keys of one of `clients`."
+  @spec client_fields() :: [Field.t()]
+  def client_fields do
+    [
+      field(:id, Types.token(), "Name of the client; its connection string if left out."),
+      field(:url, Types.link_url(), "Connection string.", required: true),
+      field(
+        :networks,
+        {:one_or_list, Types.token()},
+        "Networks that it sees. Where two have the same system id, it sees the one that is named first.",
+        default: []
+      ),
+      field(:label, :string, "Words for people."),
+      field(:enabled, :boolean, "Open it.", default: true),
+      field(:role, {:enum, [:full, :read_only]}, "read_only: nothing that it says goes to anyone.",
+        default: :full
+      ),
+      field(:sniffer, :boolean, "It gets what is addressed to others, too.", default: false),
+      field(:coalesce, :boolean, "Several frames that are there at once may share a datagram.",
+        default: true
+      ),
+      field(:queue_frames, {:integer, 1, 100_000}, "Frames that wait for one that does not keep up.",
+        default: 1000
+      ),
+      field(:queue_kb, {:integer, 1, 65_536}, "… and kilobytes.", default: 256)
+    ] ++ rule_fields()
+  end
+
+  # What holds for links and clients alike.
+  defp rule_fields do
+    [
+      section(:filter_in, "What may come from it: by message name, system, component.", filter_fields()),
+      section(
+        :filter_out,
+        "What may go to it; sources are the links and clients that it comes from.",
+        filter_fields() ++ sources()
+      ),
+      field(
+        :rate_limits,
+        {:map, {:number, 0, 10_000}},
+        "Messages by name, and how often a second each goes to it.", default: %{}),
+      field(
+        :bytes_per_s,
+        {:integer, 50, 1_000_000_000},
+        """
+        Bytes a second that may go to each of its peers; what is important goes first. A serial line's own if left out.
+        """
       )
     ]
+  end
+
+  defp filter_fields do
+    for {name, type} <- [
+          messages: :string,
+          systems: {:integer, 0, 4_294_967_295},
+          components: {:integer, 0, 255}
+        ],
+        kind <- ["allow", "block"],
+        do: field(:"#{kind}_#{name}", {:one_or_list, type}, "", default: [])
+  end
+
+  defp sources,
+    do: for(key <- [:allow_sources, :block_sources], do: field(key, {:one_or_list, :string}, "", default: []))
+
+  defp router do
+    section(:router, "How frames go from one to the other.", [
+      field(
+        :between_vehicles,
+        {:enum, [:auto, :all, :heartbeats, :none]},
+        """
+        What vehicles hear of what other vehicles say to everybody: all, heartbeats, none; auto: all where at most 8
+        vehicles' ways are in a network, else heartbeats. What is addressed to a vehicle always goes there.
+        """,
+        default: :auto
+      )
+    ])
   end
 
   defp signing do
@@ -569,6 +670,7 @@ defmodule Aerie.Config.Keys do
         default: 250
       ),
       field(:max_links, {:integer, 1, 10_000}, "Links.", default: 64),
+      field(:max_clients, {:integer, 1, 10_000}, "Client endpoints.", default: 64),
       field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 256),
       field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",
         default: 64

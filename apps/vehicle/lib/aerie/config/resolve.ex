@@ -7,6 +7,7 @@ defmodule Aerie.Config.Resolve do
   alias Aerie.Client.Keys
   alias Aerie.Config.{Schema, Secret}
   alias Aerie.Link.Spec
+  alias Aerie.Router.Settings
 
   @doc "Fills in the derived values; gives the problems that remain."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
@@ -18,13 +19,24 @@ defmodule Aerie.Config.Resolve do
       |> vehicles()
       |> keys()
       |> links()
+      |> endpoints()
       |> sampling()
       |> nats_mode()
       |> nats_userinfo()
 
     problems =
       Enum.flat_map(
-        [&identity/1, &streams/1, &duplicates/1, &signing/1, &nats/1, &clients/1, &ranges/1, &same_port/1],
+        [
+          &identity/1,
+          &streams/1,
+          &duplicates/1,
+          &signing/1,
+          &nats/1,
+          &clients/1,
+          &rules/1,
+          &ranges/1,
+          &same_port/1
+        ],
         & &1.(config)
       )
 
@@ -84,6 +96,35 @@ defmodule Aerie.Config.Resolve do
     network = link.network || if(names_network?, do: nil, else: config.network)
     {:ok, spec} = Spec.parse(link.url, id: link.id, network: network)
     Map.merge(link, %{id: spec.id, network: spec.network, given: given, spec: spec})
+  end
+
+  defp endpoints(%{clients: nil} = config), do: %{config | clients: :default}
+
+  defp endpoints(config) do
+    clients =
+      for client <- config.clients do
+        networks = if client.networks == [], do: [config.network], else: client.networks
+        {:ok, spec} = Spec.parse(client.url, id: client.id)
+        %{client | id: spec.id, networks: networks}
+      end
+
+    %{config | clients: clients}
+  end
+
+  defp listed(%{clients: :default}), do: []
+  defp listed(%{clients: clients}), do: clients
+
+  # What the types of single keys cannot tell: names of messages and classes, and what cannot be a client.
+  defp rules(config) do
+    links =
+      for {link, i} <- Enum.with_index(config.links), words = Settings.wrong(link), do: {["links", i], words}
+
+    clients =
+      for {client, i} <- Enum.with_index(listed(config)),
+          {:error, words} <- [Settings.client(client)],
+          do: {["clients", i], words}
+
+    for {path, words} <- links ++ clients, do: problem(path, "rules that make sense", words)
   end
 
   defp sampling(%{sampling: sampling} = config) do
@@ -155,6 +196,12 @@ defmodule Aerie.Config.Resolve do
 
   defp duplicates(config) do
     twice(config.links, & &1.id, ["links"], "link ids that differ") ++
+      twice(
+        Enum.uniq_by(config.links, & &1.id) ++ listed(config),
+        & &1.id,
+        ["clients"],
+        "ids that differ, of links and of clients"
+      ) ++
       twice(config.vehicles, & &1.id, ["vehicles"], "vehicle ids that differ") ++
       twice(
         config.vehicles,
@@ -246,6 +293,8 @@ defmodule Aerie.Config.Resolve do
        "#{length(config.serial.ports)}"},
       {length(config.serial.bauds) not in 1..20, ["serial", "bauds"], "1 to 20 baud rates",
        "#{length(config.serial.bauds)}"},
+      {length(listed(config)) > config.limits.max_clients, ["clients"],
+       "at most limits.max_clients (#{config.limits.max_clients})", "#{length(listed(config))}"},
       {length(config.vehicles) > config.limits.max_vehicles, ["vehicles"],
        "at most limits.max_vehicles (#{config.limits.max_vehicles})", "#{length(config.vehicles)}"},
       {config.http.port == config.nats.port and config.nats.mode == :embedded and config.http.enabled and

@@ -165,6 +165,24 @@ defmodule Aerie.Fleet.Store do
     with_table(gateway, :systems, %{}, fn table -> Map.new(:ets.tab2list(table)) end)
   end
 
+  @doc "Keeps a value for a part of the gateway that has to know it after its own restart."
+  @spec remember(Names.gateway(), term(), term()) :: :ok
+  def remember(gateway, key, value) do
+    :ets.insert(table!(gateway, :notes), {key, value})
+    :ok
+  end
+
+  @doc "Keeps it no longer."
+  @spec forget(Names.gateway(), term()) :: :ok
+  def forget(gateway, key) do
+    :ets.delete(table!(gateway, :notes), key)
+    :ok
+  end
+
+  @doc "All that is kept, in the order of the keys."
+  @spec remembered(Names.gateway()) :: [{term(), term()}]
+  def remembered(gateway), do: with_table(gateway, :notes, [], &Enum.sort(:ets.tab2list(&1)))
+
   @doc false
   # The tables are named by what they hold; only the modules of this folder ask for one.
   @spec table!(Names.gateway(), atom()) :: :ets.table()
@@ -201,6 +219,7 @@ defmodule Aerie.Fleet.Store do
       wants: :ets.new(:wants, [:ordered_set, :public, read_concurrency: true]),
       stations: :ets.new(:stations, [:ordered_set | shared]),
       claims: :ets.new(:claims, [:set | shared]),
+      notes: :ets.new(:notes, [:set | shared]),
       journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
     }
 

@@ -62,8 +62,20 @@ defmodule Aerie.Link.Boot do
     [
       label: link[:label],
       high_latency: link[:high_latency] || false,
-      secure: link[:secure] || false
+      secure: link[:secure] || false,
+      router: router(link)
     ]
+  end
+
+  defp router(link) do
+    case Aerie.Router.Settings.owner_options(Map.new(link)) do
+      {:ok, options} ->
+        options
+
+      {:error, words} ->
+        Logger.error("link #{link[:id]}: #{words}")
+        []
+    end
   end
 
   # Links of a supervisor that was killed may be there for a moment still.

@@ -28,7 +28,8 @@ defmodule Aerie.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt). The core's options are those of `Aerie.Link.Defaults` and of the spec.
+  attempt), `:home` (where its snapshot is kept: `Aerie.Fleet.Store`, or a module with its `link/2` and `put_link/3`).
+  The core's options are those of `Aerie.Link.Defaults` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
@@ -48,13 +49,15 @@ defmodule Aerie.Link.Server do
     Process.set_label({:link, spec.id})
     Logger.metadata(link: spec.id)
 
-    former = Store.link(gateway, spec.id)
+    home = Keyword.get(options, :home, Store)
+    former = home.link(gateway, spec.id)
     now = now()
     restarts = Restarts.add(former[:restarts], elem(now, 0))
 
     state = %{
       gateway: gateway,
       spec: spec,
+      home: home,
       transport: Transport.module(spec.kind),
       core: Core.new(spec, core_options(gateway, spec, former, now)),
       restarts: restarts,
@@ -296,7 +299,7 @@ defmodule Aerie.Link.Server do
   end
 
   defp publish(state) do
-    Store.put_link(state.gateway, state.spec.id, snapshot(state))
+    :ok = state.home.put_link(state.gateway, state.spec.id, snapshot(state))
     state
   end
 

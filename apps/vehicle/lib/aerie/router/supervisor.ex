@@ -20,17 +20,24 @@ defmodule Aerie.Router.Supervisor do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:router, gateway})
-    _tables = Tables.create(gateway, own: own(Keyword.get(options, :config)))
+    config = Keyword.get(options, :config)
+    _tables = Tables.create(gateway, own: own(config), between_vehicles: between(config))
+
+    children = [
+      {Aerie.Router.Watch, gateway: gateway},
+      {Aerie.Router.Sweeper, gateway: gateway},
+      {Aerie.Router.Meter, gateway: gateway},
+      {Aerie.Router.Clients.Supervisor, gateway: gateway, config: Keyword.get(options, :config)}
+    ]
 
     # Sweeping is not worth more than a few tries: without it the tables are still bounded.
-    Supervisor.init([{Aerie.Router.Watch, gateway: gateway}, {Aerie.Router.Sweeper, gateway: gateway}],
-      strategy: :one_for_one,
-      max_restarts: 10,
-      max_seconds: 10
-    )
+    Supervisor.init(children, strategy: :one_for_one, max_restarts: 10, max_seconds: 10)
   end
 
   # Frames that carry our own ids come back through a loop.
   defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
   defp own(_none), do: nil
+
+  defp between(%{router: %{between_vehicles: between}}), do: between
+  defp between(_none), do: :auto
 end

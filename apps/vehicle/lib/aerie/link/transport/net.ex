@@ -137,6 +137,8 @@ defmodule Aerie.Link.Transport.Net do
       nodelay: true,
       buffer: @buffer,
       keepalive: true,
+      # Not as much as the kernel would take by itself: for a slow reader that is minutes of old telemetry.
+      sndbuf: @send_limit,
       high_watermark: 2 * @send_limit,
       send_timeout: 1000,
       send_timeout_close: true

@@ -1,0 +1,151 @@
+defmodule Aerie.Router.Meter do
+  @moduledoc """
+  Once a second: rates of the endpoints, scores of redundant links, and which link of each group carries.
+
+  | in `:scores` | |
+  |---|---|
+  | `{:rates, endpoint}` | per second, of the last one |
+  | `{:score, link}` | 0 to 100 (`Aerie.Router.Score`) |
+  | `{:pick, group}` | the link that carries |
+
+  Loss is by sequence numbers of the group's vehicles on that link, over the last seconds; a round trip is what
+  `note_rtt/3` was told (by whoever measures it), for half a minute.
+  """
+  use GenServer
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Names
+  alias Aerie.Router.Endpoints
+  alias Aerie.Router.Score
+  alias Aerie.Router.Tables
+  alias Aerie.Router.Tally
+
+  @every_ms 1_000
+  @rtt_ms 30_000
+  # How much of the former loss stays in the mean, a second later.
+  @keep 0.8
+
+  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  def start_link(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_meter))
+  end
+
+  @doc "Tells a measured round trip over a link, in ms."
+  @spec note_rtt(Names.gateway(), String.t(), number) :: :ok
+  def note_rtt(gateway, link, ms) when is_number(ms) and ms >= 0 do
+    with tables when is_map(tables) <- Tables.of(gateway),
+         do: :ets.insert(tables.scores, {{:rtt, link}, ms, System.monotonic_time(:millisecond)})
+
+    :ok
+  end
+
+  @impl GenServer
+  def init(gateway) do
+    Process.set_label({:router_meter, gateway})
+    Process.send_after(self(), :measure, @every_ms)
+    {:ok, %{gateway: gateway, at: nil, tallies: %{}, sequences: %{}, losses: %{}, choices: %{}}}
+  end
+
+  @impl GenServer
+  def handle_info(:measure, state) do
+    Process.send_after(self(), :measure, @every_ms)
+
+    case Tables.of(state.gateway) do
+      nil -> {:noreply, state}
+      tables -> {:noreply, measure(state, tables, System.monotonic_time(:millisecond))}
+    end
+  end
+
+  @doc "One measurement at a monotonic time in ms."
+  @spec measure(map, Tables.t(), integer) :: map
+  def measure(state, tables, now), do: state |> rates(tables, now) |> groups(tables, now)
+
+  defp rates(state, tables, now) do
+    tallies = Map.new(Endpoints.list(tables), &{&1.key, Tally.read(&1.tally)})
+    seconds = if state.at, do: max(now - state.at, 1) / 1000
+
+    for {key, tally} <- tallies, before = state.tallies[key], seconds do
+      per_second = fn name -> Float.round((tally[name] - before[name]) / seconds, 1) end
+      rates = Map.new([:frames_in, :frames_out, :bytes_out], &{&1, per_second.(&1)})
+      :ets.insert(tables.scores, {{:rates, key}, rates})
+    end
+
+    for {key, _tally} <- state.tallies,
+        not is_map_key(tallies, key),
+        do: :ets.delete(tables.scores, {:rates, key})
+
+    %{state | at: now, tallies: tallies}
+  end
+
+  defp groups(state, tables, now) do
+    owners =
+      for {_id, %{group: group, side: :vehicle} = owner} <- :ets.tab2list(tables.owners), group, do: owner
+
+    Enum.reduce(Enum.group_by(owners, & &1.group, & &1.id), state, &group(&2, tables, &1, now))
+  end
+
+  defp group(state, tables, {group, links}, now) do
+    {scores, state} = Enum.map_reduce(links, state, &score(&2, tables, &1, now))
+    scores = for {link, score} <- scores, score, into: %{}, do: {link, score}
+    choice = Score.choose(state.choices[group] || Score.none(), scores)
+
+    if choice.link != (state.choices[group] || Score.none()).link do
+      :ets.insert(tables.scores, {{:pick, group}, choice.link})
+      metadata = %{gateway: state.gateway, group: group, link: choice.link}
+      :telemetry.execute([:aerie, :router, :carrier], %{score: scores[choice.link]}, metadata)
+    end
+
+    put_in(state.choices[group], choice)
+  end
+
+  defp score(state, tables, link, now) do
+    case Store.link(state.gateway, link) do
+      %{status: status} = snapshot when status in [:up, :idle] ->
+        state = loss(state, link, snapshot.sources)
+        score = Score.of(%{loss: state.losses[link], rtt_ms: rtt(tables, link, now), age_ms: age(snapshot)})
+        :ets.insert(tables.scores, {{:score, link}, score})
+        {{link, score}, state}
+
+      _down_or_gone ->
+        :ets.insert(tables.scores, {{:score, link}, 0.0})
+        {{link, nil}, state}
+    end
+  end
+
+  # Counted since the last time, so that what was lost an hour ago does not count for ever.
+  defp loss(state, link, sources) do
+    sums =
+      Enum.reduce(sources, {0, 0}, fn {_ids, source}, {received, lost} ->
+        {received + Map.get(source, :received, 0), lost + (Map.get(source, :lost) || 0)}
+      end)
+
+    {received, lost} = sums
+    {received_before, lost_before} = Map.get(state.sequences, link, sums)
+    {new, gone} = {max(received - received_before, 0), max(lost - lost_before, 0)}
+    before = state.losses[link]
+
+    mean =
+      cond do
+        new + gone == 0 -> before
+        before == nil -> gone / (new + gone)
+        true -> @keep * before + (1 - @keep) * gone / (new + gone)
+      end
+
+    %{
+      state
+      | sequences: Map.put(state.sequences, link, sums),
+        losses: if(mean, do: Map.put(state.losses, link, mean), else: state.losses)
+    }
+  end
+
+  defp rtt(tables, link, now) do
+    case :ets.lookup(tables.scores, {:rtt, link}) do
+      [{_key, ms, at}] when now - at < @rtt_ms -> ms
+      _unknown -> nil
+    end
+  end
+
+  defp age(%{last_heard: nil}), do: nil
+  defp age(%{last_heard: at}), do: max(div(System.os_time(:microsecond) - at, 1000), 0)
+end

@@ -1,0 +1,90 @@
+defmodule Aerie.Router.Settings do
+  @moduledoc """
+  From the keys of the configuration (`links` and `clients`, see `config/gateway.example.yaml`) to the rules of an owner.
+  Everything is checked here: whoever adds a client at run time hears the same words as whoever wrote a file.
+  """
+
+  alias Aerie.Link.Spec
+  alias Aerie.Router.Classify
+  alias Aerie.Router.Owner
+
+  @plain [:side, :group, :role, :sniffer, :rate_limits, :bytes_per_s, :broadcasts, :coalesce]
+
+  @doc "The options of `Owner.new/2` that a map of configuration keys has; keys that are left out or nil have none."
+  @spec owner_options(map) :: {:ok, keyword} | {:error, String.t()}
+  def owner_options(map) do
+    with {:ok, carry} <- carry(map[:carry]) do
+      more = [
+        networks: map[:networks],
+        carry: carry,
+        in: filter(map[:filter_in]),
+        out: filter(map[:filter_out]),
+        queue: queue(map)
+      ]
+
+      plain = for key <- @plain, do: {key, map[key]}
+      {:ok, Enum.reject(plain ++ more, fn {_key, value} -> value in [nil, [], %{}] end)}
+    end
+  end
+
+  @doc "The rule that a key of the configuration is about."
+  @spec option(atom) :: atom
+  def option(:filter_in), do: :in
+  def option(:filter_out), do: :out
+  def option(key) when key in [:queue_frames, :queue_kb], do: :queue
+  def option(key), do: key
+
+  defp filter(nil), do: nil
+  defp filter(lists), do: lists |> Enum.reject(fn {_key, list} -> list in [nil, []] end) |> Map.new()
+
+  defp queue(map) do
+    frames = if map[:queue_frames], do: [max_frames: map[:queue_frames]], else: []
+    if map[:queue_kb], do: [max_bytes: map[:queue_kb] * 1024] ++ frames, else: frames
+  end
+
+  defp carry(empty) when empty in [nil, %{}], do: {:ok, nil}
+
+  defp carry(map) do
+    Enum.reduce_while(map, {:ok, %{}}, fn {name, link}, {:ok, carry} ->
+      case Classify.parse(to_string(name)) do
+        nil -> {:halt, {:error, "carry: #{inspect(name)} is none of #{Enum.join(Classify.classes(), ", ")}"}}
+        class -> {:cont, {:ok, Map.put(carry, class, if(link in ["all", :all], do: :all, else: link))}}
+      end
+    end)
+  end
+
+  @doc "What is wrong with the rules of a link or client, in words; nil when nothing is."
+  @spec wrong(map) :: String.t() | nil
+  def wrong(map) do
+    with {:ok, options} <- owner_options(map), {:ok, _owner} <- Owner.new("any", options) do
+      nil
+    else
+      {:error, words} -> words
+    end
+  end
+
+  @doc """
+  A client's connection: its keys are `:url` (required), `:id`, `:label`, `:networks` and those of the rules. The error is
+  words.
+  """
+  @spec client(map) :: {:ok, Spec.t()} | {:error, String.t()}
+  def client(%{url: url} = map) do
+    networks = List.wrap(map[:networks] || "main")
+
+    with {:ok, options} <- owner_options(map |> Map.put(:networks, networks) |> Map.put(:side, :client)),
+         {:ok, spec} <- spec(url, map, networks, options),
+         {:ok, _owner} <- Owner.new(spec.id, options) do
+      {:ok, spec}
+    end
+  end
+
+  def client(_other), do: {:error, "a client needs a url"}
+
+  defp spec(url, map, networks, options) do
+    case Spec.parse(url, id: map[:id], network: hd(networks), options: [label: map[:label], router: options]) do
+      {:ok, %{kind: :replay}} -> {:error, "a recording is no client: it is a link"}
+      {:ok, spec} -> {:ok, spec}
+      {:error, error} -> {:error, Exception.message(error)}
+    end
+  end
+end

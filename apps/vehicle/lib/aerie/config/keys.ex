@@ -294,7 +294,9 @@ defmodule Aerie.Config.Keys do
       field(
         :rate_limits,
         {:map, {:number, 0, 10_000}},
-        "Messages by name, and how often a second each goes to it.", default: %{}),
+        "Messages by name, and how often a second each goes to it.",
+        default: %{}
+      ),
       field(
         :bytes_per_s,
         {:integer, 50, 1_000_000_000},

@@ -184,6 +184,21 @@ defmodule SimVehicle.Px4Test do
                ]
     end
 
+    test "a height below the clearance (10 m above the sea, as MAVProxy asks) is raised to it, and that is said" do
+      flight =
+        :px4
+        |> ready()
+        |> command(400, [1.0])
+        |> clear()
+        |> command(22, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10.0])
+        |> run(14)
+
+      assert acks(flight) == [{22, 0}]
+      assert ["Using minimum takeoff altitude: 2.50 m\t" | _rest] = texts(flight)
+      {vehicle, _log} = flight
+      assert_in_delta -vehicle.kin.d, 2.5, 0.3
+    end
+
     test "a second flight is as the first" do
       land = [0.0, 0.0, 0.0, :nan, :nan, :nan, :nan]
 

@@ -125,13 +125,21 @@ defmodule SimVehicle.Px4.Modes do
   defp start(v, "ORBIT"), do: v
   defp start(v, _hold), do: Flight.hold(v)
 
-  @doc "Takes off to the height that the last NAV_TAKEOFF asked for."
+  @doc "Takes off to the height that the last NAV_TAKEOFF asked for, but never lower than MIS_TAKEOFF_ALT above home."
   @spec takeoff(Vehicle.t()) :: Vehicle.t()
   def takeoff(v) do
-    base = (v.home || v.origin).alt
-    alt = Vehicle.own(v, :takeoff_alt) || base + Params.get(v.params, "MIS_TAKEOFF_ALT")
+    clearance = Params.get(v.params, "MIS_TAKEOFF_ALT")
+    lowest = (v.home || v.origin).alt + clearance
+    asked = Vehicle.own(v, :takeoff_alt) || lowest
+    alt = max(asked, lowest)
+    v = if asked < lowest, do: minimum(v, clearance), else: v
     from = if v.airborne, do: v.now, else: max(v.now + 900_000, v.armed_at + round(v.limits.spool * 1.0e6))
     Flight.go(v, Goal.takeoff(v.kin, v.origin.alt - alt, from))
+  end
+
+  defp minimum(v, clearance) do
+    metres = :erlang.float_to_binary(clearance * 1.0, decimals: 2)
+    Vehicle.text(v, 2, "Using minimum takeoff altitude: #{metres} m\t")
   end
 
   defp land(v) do

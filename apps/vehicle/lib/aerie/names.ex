@@ -18,6 +18,9 @@ defmodule Aerie.Names do
   | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
   | `:pulse`         | nil                    | `Aerie.Vehicle.Identity.Pulse`       |
 
+  | `:clients`       | nil                    | `Aerie.Client.Supervisor`            |
+  | `:websocket_client`, `:unix_client` | the endpoint's id | of one client     |
+
   Links, router and bridge add their own roles.
   """
 
@@ -36,6 +39,23 @@ defmodule Aerie.Names do
       :undefined -> nil
       pid -> pid
     end
+  end
+
+  @doc "Registers the calling process, which somebody else started (Cowboy, say)."
+  @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
+  def register(gateway, role, id) do
+    case Registry.register(Aerie.Registry, {gateway, role, id}, nil) do
+      {:ok, _owner} -> :ok
+      {:error, {:already_registered, _pid}} -> {:error, :taken}
+    end
+  end
+
+  @doc "How many processes have a role. Looks at all names: not for every frame."
+  @spec count(gateway(), role()) :: non_neg_integer()
+  def count(gateway, role) do
+    Registry.count_select(Aerie.Registry, [
+      {{{:"$1", role, :_}, :_, :_}, [{:"=:=", :"$1", {:const, gateway}}], [true]}
+    ])
   end
 
   @doc """

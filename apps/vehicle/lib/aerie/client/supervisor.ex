@@ -5,7 +5,7 @@ defmodule Aerie.Client.Supervisor do
   """
   use Supervisor
 
-  alias Aerie.Client.{StateClient, StateFeed, UnixListener, UnixSocket}
+  alias Aerie.Client.{MavlinkClient, StateClient, StateFeed, UnixListener, UnixSocket}
   alias Aerie.Names
 
   @doc "Options: `:gateway`, `:config`."
@@ -26,7 +26,8 @@ defmodule Aerie.Client.Supervisor do
     dir = Path.expand(settings.dir || UnixSocket.default_dir(System.get_env()))
 
     [{StateFeed, gateway: gateway, hz: settings.state_hz}] ++
-      socket(gateway, :state, StateClient, dir, settings)
+      socket(gateway, :state, StateClient, dir, settings) ++
+      socket(gateway, :mavlink, MavlinkClient, dir, settings)
   end
 
   defp sockets(_gateway, _off), do: []

@@ -31,8 +31,30 @@ defmodule Aerie.Config.Preflight do
         else: []
 
     nats = if embedded?(config), do: tcp(config, "nats.port", config.nats.address, config.nats.port), else: []
-    http ++ websocket ++ nats ++ Enum.flat_map(Enum.with_index(config.links), &link(config, &1))
+
+    http ++
+      websocket ++
+      nats ++
+      Enum.flat_map(Enum.with_index(config.links), &link(config, &1)) ++
+      Enum.flat_map(Enum.with_index(clients(config)), &client(config, &1))
   end
+
+  # Left out, there is one at the first port that is free.
+  defp clients(%{clients: :default}), do: []
+  defp clients(%{clients: clients}), do: clients
+
+  defp client(config, {%{enabled: true, url: url}, index}) do
+    case Spec.parse(url) do
+      {:ok, %Spec{kind: kind, host: ip, port: port}} when kind in [:udp_server, :tcp_server] and is_tuple(ip) ->
+        protocol = if kind == :udp_server, do: :udp, else: :tcp
+        try_open(config, "clients[#{index}].url", protocol, ip, port)
+
+      _it_calls ->
+        []
+    end
+  end
+
+  defp client(_config, _not_opened), do: []
 
   defp tcp(config, key, address, port) do
     {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))

@@ -1,0 +1,86 @@
+defmodule Aerie.Client.Pipe do
+  @moduledoc """
+  One client's connection to the router: what it says goes in as frames, what is for it waits here until it can be
+  written. A value, for the process that has the client's socket and is the endpoint.
+
+      {:ok, pipe} = Pipe.open(gateway, id: "ws-1", kind: :websocket, text: "10.0.0.9:51234")
+      pipe = Pipe.read(pipe, bytes)
+      receive do: ({:forward, frames, class} -> pipe = Pipe.queue(pipe, frames, class))
+      {frames, pipe} = Pipe.take(pipe)
+
+  When the client does not read, the oldest frames of the least important class give way (`Aerie.Router.Queue`); nothing
+  of an earlier connection waits for a later one, because each is a pipe of its own.
+  """
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Names
+  alias Aerie.Router.{Endpoint, Queue}
+  alias MavCodec.Parser
+
+  # Bytes of frames that are written at a time.
+  @chunk 16_384
+
+  @enforce_keys [:endpoint, :parser, :queue]
+  defstruct [:endpoint, :parser, :queue]
+
+  @type t :: %__MODULE__{endpoint: Endpoint.t(), parser: Parser.t(), queue: Queue.t()}
+
+  @doc """
+  Makes the calling process a client endpoint. Options are those of `Aerie.Router.Endpoint.attach/2`; without `:networks`
+  it is of all that the gateway has links of, its own network first.
+  """
+  @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}
+  def open(gateway, options) do
+    options = Keyword.put_new_lazy(options, :networks, fn -> networks(gateway) end)
+
+    with {:ok, endpoint} <- Endpoint.attach(gateway, options) do
+      {:ok, %__MODULE__{endpoint: endpoint, parser: Parser.new(), queue: Queue.new()}}
+    end
+  end
+
+  @doc "The networks of a gateway: the one that links and vehicles have when they name none, then the others."
+  @spec networks(Names.gateway()) :: [String.t()]
+  def networks(gateway) do
+    own =
+      case Aerie.Gateway.config(gateway) do
+        %{network: network} when is_binary(network) -> network
+        _none -> "main"
+      end
+
+    Enum.uniq([own | gateway |> Store.links() |> Enum.map(& &1.network) |> Enum.sort()])
+  end
+
+  @doc "Bytes that the client said at this moment: whole frames, one or several."
+  @spec read(t(), binary()) :: t()
+  def read(pipe, bytes) do
+    {frames, parser} = Parser.push_datagram(pipe.parser, bytes, System.os_time(:microsecond))
+    if frames != [], do: Endpoint.ingress(pipe.endpoint, frames)
+    %{pipe | parser: parser}
+  end
+
+  @doc "Frames for the client; call it for every `{:forward, frames, class}` message."
+  @spec queue(t(), [binary()], Aerie.Router.Classify.class()) :: t()
+  def queue(pipe, frames, class) do
+    Endpoint.taken(pipe.endpoint, length(frames))
+    {queue, dropped} = Queue.push(pipe.queue, class, frames, System.monotonic_time(:millisecond))
+    Endpoint.dropped(pipe.endpoint, dropped)
+    %{pipe | queue: queue}
+  end
+
+  @doc "The frames to be written next, the most important first, at most #{div(@chunk, 1024)} KiB; `[]` when none wait."
+  @spec take(t()) :: {[binary()], t()}
+  def take(pipe), do: take(pipe, System.monotonic_time(:millisecond), [], 0)
+
+  defp take(pipe, now, frames, size) when size < @chunk do
+    case Queue.pop(pipe.queue, now) do
+      nil -> {Enum.reverse(frames), pipe}
+      {{_class, frame}, queue} -> take(%{pipe | queue: queue}, now, [frame | frames], size + byte_size(frame))
+    end
+  end
+
+  defp take(pipe, _now, frames, _size), do: {Enum.reverse(frames), pipe}
+
+  @doc "Whether frames wait."
+  @spec waiting?(t()) :: boolean()
+  def waiting?(%__MODULE__{queue: %Queue{frames: n}}), do: n > 0
+end

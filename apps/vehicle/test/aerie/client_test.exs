@@ -1,0 +1,52 @@
+defmodule Aerie.ClientTest do
+  use ExUnit.Case, async: true
+
+  import Aerie.LinkCase, only: [start_parts: 0, eventually: 1]
+
+  alias Aerie.Client
+  alias Aerie.Router.Endpoint
+
+  test "an endpoint for clients is a link of the clients' side, with its networks and access" do
+    gateway = start_parts()
+    {:ok, "field"} = Client.add(gateway, "udpin:127.0.0.1:0", id: "field", networks: ["field"], access: :read)
+    assert [%{id: "field", kind: :udp_server}] = Client.endpoints(gateway)
+    port = fn -> gateway |> Client.endpoints() |> hd() |> Map.get(:port) end
+    {:ok, gcs} = :gen_udp.open(0, [:binary, active: false])
+
+    :ok =
+      :gen_udp.send(
+        gcs,
+        {127, 0, 0, 1},
+        port.(),
+        Aerie.LinkCase.heartbeat(255, type: 6, autopilot: 8)
+      )
+
+    assert [client] = eventually(fn -> with [] <- Client.list(gateway), do: nil end)
+    assert %{owner: "field", side: :client, networks: ["field"], role: :read_only} = client
+    assert :ok = Client.remove(gateway, "field")
+    assert Client.endpoints(gateway) == []
+    assert {:error, :unknown} = Client.remove(gateway, "field")
+  end
+
+  test "what is no endpoint for clients is refused in words" do
+    gateway = start_parts()
+    assert {:error, words} = Client.add(gateway, "replay:/tmp/x.tlog")
+    assert words =~ "no client"
+    assert {:error, words} = Client.add(gateway, "tcp:nowhere")
+    assert words =~ "port"
+    {:ok, _id} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
+    assert {:error, words} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
+    assert words =~ "already"
+    {:ok, _id} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
+    assert {:error, :for_vehicles} = Client.remove(gateway, "radio")
+  end
+
+  test "a client's process is ended by its id" do
+    gateway = start_parts()
+    :ok = Aerie.Names.register(gateway, :websocket_client, "ws-1")
+    {:ok, _endpoint} = Endpoint.attach(gateway, id: "ws-1", kind: :websocket)
+    assert Aerie.Names.count(gateway, :websocket_client) == 1
+    assert :ok = Client.remove(gateway, "ws-1")
+    assert_receive :disconnect
+  end
+end

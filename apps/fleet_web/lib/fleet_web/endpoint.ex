@@ -19,6 +19,7 @@ defmodule FleetWeb.Endpoint do
   alias Aerie.Client.Keys
   alias FleetWeb.API
   alias FleetWeb.HTTP.Handler
+  alias FleetWeb.WebSocket
 
   @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000, config: nil]
 
@@ -51,7 +52,10 @@ defmodule FleetWeb.Endpoint do
 
     case policy(config) do
       {:ok, policy} ->
-        children = [{API.Tickets, gateway: gateway}, listener(gateway, options, policy)]
+        children =
+          [{API.Tickets, gateway: gateway}, listener(gateway, options, policy)] ++
+            WebSocket.listener(gateway, Map.get(config, :websocket), policy)
+
         Supervisor.init(children, strategy: :one_for_one)
 
       {:error, text} ->

@@ -7,6 +7,7 @@ defmodule FleetWeb.Metrics do
   | `gateway_mavlink_messages_received_total` | `type` | good frames received, by message name in lower case |
   | `gateway_mavlink_messages_sent_total` | `type` | messages the gateway itself sent |
   | `gateway_mavlink_parse_errors_total` | | frames with a wrong CRC or unknown incompatibility flags |
+  | `gateway_clients`, `gateway_client_*` | `kind` | clients that are connected, and their frames |
   | `gateway_api_requests_total` | `status` | requests to `/api` |
   | `gateway_clients_refused_total` | `face`, `reason` | clients refused or let go |
   | `gateway_nats_*` | | see `Aerie.Bridge.metrics/1` |
@@ -31,7 +32,7 @@ defmodule FleetWeb.Metrics do
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), links, System.os_time(:microsecond)) ++
       bridge(gateway) ++
-      Clients.families(counters) ++ [sent(counters), others(counters)] ++ vm()
+      Clients.families(Aerie.Client.list(gateway), counters) ++ [sent(counters), others(counters)] ++ vm()
   end
 
   defp bridge(gateway) do

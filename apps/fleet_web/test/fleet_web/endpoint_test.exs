@@ -13,6 +13,8 @@ defmodule FleetWeb.EndpointTest do
       Aerie.Config.default(%{
         "nats" => %{"mode" => "off"},
         "mavlink" => %{"local_addr" => "off"},
+        "sockets" => %{"enabled" => false},
+        "websocket" => %{"port" => 0},
         "links" => [%{"id" => "radio", "url" => "udpin:127.0.0.1:0"}]
       })
 

@@ -16,11 +16,12 @@ defmodule FleetWeb.APICase do
   @spec key() :: String.t()
   def key, do: @key
 
-  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `websocket: %{}`."
+  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `websocket: %{}`,
+  `links: true`."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
     gateway = make_ref()
-    without = [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor]
+    without = [Aerie.Bridge.Supervisor] ++ if(options[:links], do: [], else: [Aerie.Link.Supervisor])
 
     config = %{
       api: %{key: if(options[:key], do: Secret.new(@key)), keys_file: nil, origins: options[:origins] || []},
@@ -81,5 +82,23 @@ defmodule FleetWeb.APICase do
       links: ["radio"],
       groups: %{position: %{at: now, time_boot_ms: 5, data: %{lat: 47.1, lon: :nan, alt_rel: 3.5}}}
     })
+  end
+
+  @doc "Polls until `fun` gives something truthy, for facts that send no message. Flunks after fifteen seconds."
+  @spec eventually((-> result)) :: result when result: term()
+  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 15_000) do
+    cond do
+      result = fun.() ->
+        result
+
+      System.monotonic_time(:millisecond) > deadline ->
+        ExUnit.Assertions.flunk("it did not come true within fifteen seconds")
+
+      true ->
+        receive do
+        after
+          5 -> eventually(fun, deadline)
+        end
+    end
   end
 end

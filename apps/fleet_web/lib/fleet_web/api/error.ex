@@ -14,6 +14,7 @@ defmodule FleetWeb.API.Error do
   * `forbidden` (403) - a web page of somebody else; without a configured key: not from this machine
   * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken)
   * `too_large` (413), `unsupported_media_type` (415)
+  * `upgrade_required` (426) - plain HTTP where a WebSocket is served
   * `invalid` (422) - well-formed, and not possible
   * `too_many` (429) - a limit of numbers
   * `unavailable` (503) - the part that would have to answer does not run
@@ -28,6 +29,7 @@ defmodule FleetWeb.API.Error do
           | :too_large
           | :unsupported_media_type
           | :invalid
+          | :upgrade_required
           | :too_many
           | :unavailable
   @type t :: %__MODULE__{status: 400..599, code: code(), message: String.t(), headers: map()}
@@ -42,6 +44,7 @@ defmodule FleetWeb.API.Error do
     too_large: 413,
     unsupported_media_type: 415,
     invalid: 422,
+    upgrade_required: 426,
     too_many: 429,
     unavailable: 503
   }

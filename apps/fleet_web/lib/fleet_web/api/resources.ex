@@ -1,7 +1,8 @@
 defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
-  alias FleetWeb.API.{Error, Tickets, View}
+  alias Aerie.Client
+  alias FleetWeb.API.{Error, NewClient, Request, Tickets, View}
 
   @resources [
     {"/api", :index, %{"GET" => :index}},
@@ -9,6 +10,8 @@ defmodule FleetWeb.API.Resources do
     {"/api/vehicles", :vehicles, %{"GET" => :vehicles}},
     {"/api/vehicles/:id", :vehicle, %{"GET" => :vehicle}},
     {"/api/links", :links, %{"GET" => :links}},
+    {"/api/clients", :clients, %{"GET" => :clients, "POST" => :add_client}},
+    {"/api/clients/:id", :client, %{"DELETE" => :remove_client}},
     {"/api/tickets", :tickets, %{"POST" => :issue_ticket}},
     {"/api/[...]", :missing, %{}}
   ]
@@ -63,4 +66,37 @@ defmodule FleetWeb.API.Resources do
       {:error, :unavailable} -> {:error, Error.new(:unavailable, "tickets are being set up again"), request}
     end
   end
+
+  def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
+
+  def run(:add_client, state, request) do
+    with {:ok, object, request} <- Request.object(request),
+         {:ok, url, options} <- also(NewClient.parse(object), request),
+         {:ok, id} <- also(add(state.gateway, url, options), request) do
+      {:ok, 201, %{id: id, url: url}, request}
+    end
+  end
+
+  def run(:remove_client, state, request) do
+    case Client.remove(state.gateway, :cowboy_req.binding(:id, request)) do
+      :ok ->
+        {:ok, 204, nil, request}
+
+      {:error, :unknown} ->
+        {:error, Error.new(:not_found, "no client has this id; see /api/clients"), request}
+
+      {:error, :for_vehicles} ->
+        {:error, Error.new(:conflict, "this is a link to vehicles"), request}
+    end
+  end
+
+  defp add(gateway, url, options) do
+    case Client.add(gateway, url, options) do
+      {:ok, id} -> {:ok, id}
+      {:error, words} -> {:error, Error.new(if(words =~ "already", do: :conflict, else: :invalid), words)}
+    end
+  end
+
+  defp also({:error, error}, request), do: {:error, error, request}
+  defp also(good, _request), do: good
 end

@@ -1,8 +1,10 @@
 defmodule FleetWeb.API.View do
   @moduledoc "The objects that `/api` answers with, from the read model. Pure but for reading it."
 
+  alias Aerie.Client
   alias Aerie.Client.StateForm
   alias Aerie.Fleet.{Json, Store}
+  alias Aerie.Router.Tally
 
   @link_keys [
     :id,
@@ -62,6 +64,34 @@ defmodule FleetWeb.API.View do
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
   def links(gateway), do: %{links: Enum.map(Store.links(gateway), &link/1)}
+
+  @doc "The endpoints for clients, and all clients, with what went to and from each."
+  @spec clients(term()) :: map()
+  def clients(gateway) do
+    %{
+      endpoints:
+        for(
+          link <- Client.endpoints(gateway),
+          do: Json.plain(Map.take(link, [:id, :url, :status, :text, :port]))
+        ),
+      clients: Enum.map(Client.list(gateway), &client/1)
+    }
+  end
+
+  defp client(endpoint) do
+    Json.plain(%{
+      id: endpoint.owner,
+      kind: endpoint.kind,
+      peer: endpoint.peer,
+      networks: endpoint.networks,
+      access: if(endpoint.role == :read_only, do: :read, else: :full),
+      since: Json.time(endpoint.since),
+      waiting: endpoint.waiting,
+      frames_in: endpoint.counters.frames_in,
+      frames_out: endpoint.counters.frames_out,
+      dropped: Tally.dropped(endpoint.counters)
+    })
+  end
 
   defp link(link) do
     link

@@ -1,15 +1,32 @@
 defmodule FleetWeb.Metrics.Clients do
-  @moduledoc "Metric families of what serves clients: requests to `/api`, and who was refused."
+  @moduledoc """
+  Metric families of what serves clients: who is connected and what went to and from them, requests to `/api`, and who was
+  refused. Clients come and go, so they are summed by kind: their ids are no labels.
+  """
 
+  alias Aerie.Router.Tally
   alias FleetWeb.Metrics.Text
 
-  @doc "The families, from the read model's counters."
-  @spec families(map()) :: [Text.family()]
-  def families(counters) do
+  @doc "The families, from the clients (`Aerie.Client.list/1`) and the read model's counters."
+  @spec families([map()], map()) :: [Text.family()]
+  def families(clients, counters) do
+    kinds = Enum.group_by(clients, & &1.kind)
+
+    sums = fn count ->
+      for {kind, clients} <- Enum.sort(kinds), do: {[kind: kind], clients |> Enum.map(count) |> Enum.sum()}
+    end
+
     requests = for {{:api, status}, n} <- counters, is_integer(status), do: {[status: status], n}
     refused = for {{:clients, face, why}, n} <- counters, do: {[face: face, reason: why], n}
 
     [
+      {"gateway_clients", :gauge, "Clients connected or heard, by kind.", sums.(fn _client -> 1 end)},
+      {"gateway_client_received_frames", :gauge, "Frames from the clients that are connected now.",
+       sums.(& &1.counters.frames_in)},
+      {"gateway_client_sent_frames", :gauge, "Frames to the clients that are connected now.",
+       sums.(& &1.counters.frames_out)},
+      {"gateway_client_dropped_frames", :gauge, "Frames that clients connected now were too slow for.",
+       sums.(&Tally.dropped(&1.counters))},
       {"gateway_api_requests_total", :counter, "Requests to /api, by status of the answer.",
        Enum.sort(requests)},
       {"gateway_clients_refused_total", :counter, "Clients refused or let go, by face and reason.",

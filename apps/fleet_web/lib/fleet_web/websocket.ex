@@ -1,0 +1,55 @@
+defmodule FleetWeb.WebSocket do
+  @moduledoc """
+  The listener for MAVLink over WebSocket: a port of its own (8765), `ws` or, with a certificate, `wss` only.
+
+  A connection has five seconds for its handshake, headers of at most 4 KiB each, and a place among
+  `websocket.max_clients`.
+  """
+
+  alias FleetWeb.API.Access
+  alias FleetWeb.WebSocket.Handler
+
+  # Connections that are about to be told that there is no room.
+  @spare 16
+
+  @doc "The child specification of a gateway's listener, in a list; `[]` when the section `websocket` asks for none."
+  @spec listener(term(), map() | nil, Access.policy()) :: [:supervisor.child_spec()]
+  def listener(gateway, %{enabled: true} = settings, policy) do
+    ref = ref(gateway)
+    handler = %{gateway: gateway, policy: policy, max_clients: settings.max_clients}
+    paths = for path <- [~c"/", ~c"/mavlink"], do: {path, Handler, handler}
+
+    protocol = %{
+      env: %{dispatch: :cowboy_router.compile([{:_, paths}])},
+      request_timeout: 5_000,
+      idle_timeout: 10_000,
+      max_keepalive: 10
+    }
+
+    {:ok, address} = :inet.parse_strict_address(String.to_charlist(settings.address))
+
+    # A kernel that keeps megabytes for a client that does not read would give it the past when it reads again; what a
+    # client does not take in ten seconds it does not want.
+    socket =
+      [ip: address, port: settings.port, nodelay: true, sndbuf: 65_536] ++
+        [send_timeout: 10_000, send_timeout_close: true]
+
+    {transport, connection, socket} = secure(settings, socket)
+    limits = %{socket_opts: socket, num_acceptors: 2, max_connections: settings.max_clients + @spare}
+    [:ranch.child_spec(ref, transport, limits, connection, protocol)]
+  end
+
+  def listener(_gateway, _off, _policy), do: []
+
+  @doc "The port that the listener of a gateway has."
+  @spec port(term()) :: :inet.port_number()
+  def port(gateway), do: :ranch.get_port(ref(gateway))
+
+  defp secure(%{cert_file: cert, key_file: key}, socket) when is_binary(cert),
+    do:
+      {:ranch_ssl, :cowboy_tls, socket ++ [certfile: cert, keyfile: key, versions: [:"tlsv1.3", :"tlsv1.2"]]}
+
+  defp secure(_plain, socket), do: {:ranch_tcp, :cowboy_clear, socket}
+
+  defp ref(gateway), do: {__MODULE__, gateway}
+end

@@ -1,0 +1,213 @@
+defmodule FleetWeb.WebSocket.Handler do
+  @moduledoc """
+  One WebSocket client: MAVLink frames as binary messages. Out goes one frame a message, as it was received; in may come
+  several. Nothing is wrapped, so a page decodes with the same tables as any ground station.
+
+  Who may, is decided before the upgrade (`FleetWeb.API.Access`): a page by its origin, everybody by a key in the header
+  `X-Aerie-Key`, or by a ticket (`POST /api/tickets`) as `?ticket=TICKET` or as a second subprotocol `ticket.TICKET`
+  beside `mavlink`, which is the one that is chosen.
+
+  Further parameters: `network=NAME` (several: with commas; default all), `access=read` (what the client says goes to
+  nobody).
+
+  A client that does not answer a ping for a minute is let go, one whose connection takes nothing for ten seconds too;
+  until then the oldest frames of the least important class give way (`Aerie.Client.Pipe`).
+  """
+
+  @behaviour :cowboy_websocket
+
+  alias Aerie.Client.Pipe
+  alias Aerie.Fleet.Store
+  alias Aerie.Link.Spec.Address
+  alias Aerie.Names
+  alias FleetWeb.API.{Access, Error, Request, Tickets}
+
+  @ping_ms 20_000
+  @idle_ms 60_000
+  @max_message 65_536
+  @max_networks 16
+
+  @impl :cowboy_websocket
+  def init(request, %{gateway: gateway} = settings) do
+    with :ok <- upgrade(request),
+         {:ok, name} <- admit(request, settings),
+         {:ok, options} <- options(request),
+         :ok <- room(settings) do
+      {address, port} = :cowboy_req.peer(request)
+      text = "#{name}@#{Address.format(address, port)}"
+      state = %{gateway: gateway, options: [text: text, kind: :websocket] ++ options, pipe: nil}
+
+      {:cowboy_websocket, chosen(request), state,
+       %{idle_timeout: @idle_ms, max_frame_size: @max_message, compress: false}}
+    else
+      {:error, %Error{} = error} -> {:ok, refuse(request, gateway, error), settings}
+    end
+  end
+
+  defp upgrade(request) do
+    case Request.header(request, "upgrade") do
+      text when is_binary(text) and byte_size(text) < 100 ->
+        if String.downcase(text) =~ "websocket", do: :ok, else: no_upgrade()
+
+      _absent ->
+        no_upgrade()
+    end
+  end
+
+  defp no_upgrade,
+    do: {:error, Error.new(:upgrade_required, "this is a WebSocket", %{"upgrade" => "websocket"})}
+
+  defp admit(request, %{gateway: gateway} = settings) do
+    policy = %{settings.policy | ports: [FleetWeb.Endpoint.port(gateway)]}
+    facts = Request.facts(request)
+
+    case ticket(request) do
+      nil ->
+        Access.decide(policy, facts)
+
+      ticket ->
+        with :ok <- Access.origin(policy, facts), :error <- Tickets.redeem(gateway, ticket) do
+          {:error, Error.new(:unauthorized, "this ticket is used up, too old, or none of ours")}
+        end
+    end
+  end
+
+  defp ticket(request) do
+    parameters(request)["ticket"] ||
+      Enum.find_value(protocols(request), fn
+        "ticket." <> ticket -> ticket
+        _other -> nil
+      end)
+  end
+
+  defp options(request) do
+    parameters = parameters(request)
+
+    with {:ok, networks} <- networks(parameters["network"]), {:ok, role} <- role(parameters["access"]) do
+      {:ok, networks ++ role}
+    end
+  end
+
+  defp networks(nil), do: {:ok, []}
+
+  defp networks(text) do
+    names = String.split(text, ",", trim: true)
+
+    if names != [] and length(names) <= @max_networks and
+         Enum.all?(names, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/)),
+       do: {:ok, [networks: names]},
+       else: {:error, Error.new(:bad_request, "network is a name, or names with commas between them")}
+  end
+
+  defp role(nil), do: {:ok, []}
+  defp role("full"), do: {:ok, []}
+  defp role("read"), do: {:ok, [role: :read_only]}
+  defp role(_other), do: {:error, Error.new(:bad_request, "access is read or full")}
+
+  # By the processes that there are, so that nothing has to be given back.
+  defp room(%{gateway: gateway, max_clients: most}) do
+    if Names.count(gateway, :websocket_client) >= most,
+      do: {:error, Error.new(:unavailable, "there are as many clients as websocket.max_clients allows")},
+      else: :ok
+  end
+
+  defp parameters(request) do
+    Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
+  catch
+    # What is no query is no ticket either.
+    :exit, {:request_error, :qs, _reason} -> %{}
+  end
+
+  defp protocols(request) do
+    case Request.header(request, "sec-websocket-protocol") do
+      nil -> []
+      text -> text |> String.split(",") |> Enum.map(&String.trim/1)
+    end
+  end
+
+  defp chosen(request) do
+    if "mavlink" in protocols(request),
+      do: :cowboy_req.set_resp_header("sec-websocket-protocol", "mavlink", request),
+      else: request
+  end
+
+  defp refuse(request, gateway, error) do
+    count(gateway, error.code)
+
+    # Whoever was refused holds no place meanwhile.
+    common = %{
+      "content-type" => "application/json; charset=utf-8",
+      "cache-control" => "no-store",
+      "connection" => "close"
+    }
+
+    headers = Map.merge(common, error.headers)
+    :cowboy_req.reply(error.status, headers, [JSON.encode_to_iodata!(Error.body(error)), ?\n], request)
+  end
+
+  @impl :cowboy_websocket
+  def websocket_init(state) do
+    Process.set_label({:websocket_client, state.options[:text]})
+    id = "ws-#{System.unique_integer([:positive])}"
+
+    :ok = Names.register(state.gateway, :websocket_client, id)
+
+    case Pipe.open(state.gateway, [id: id] ++ state.options) do
+      {:ok, pipe} ->
+        ping()
+        {[], %{state | pipe: pipe}}
+
+      {:error, _not_running} ->
+        {[{:close, 1013, "the gateway is starting"}], state}
+    end
+  end
+
+  @impl :cowboy_websocket
+  def websocket_handle({:binary, bytes}, state), do: {[], %{state | pipe: Pipe.read(state.pipe, bytes)}}
+
+  def websocket_handle({:text, _text}, state) do
+    count(state.gateway, :text)
+    {[{:close, 1003, "frames are binary messages"}], state}
+  end
+
+  def websocket_handle(_ping_or_pong, state), do: {[], state}
+
+  @impl :cowboy_websocket
+  def websocket_info({:forward, frames, class}, state) do
+    # While a write waits, messages gather here: all are sorted by what matters before the next is written.
+    state.pipe |> Pipe.queue(frames, class) |> gather() |> write(state)
+  end
+
+  def websocket_info(:write, state), do: write(state.pipe, state)
+
+  def websocket_info(:ping, state) do
+    ping()
+    {[:ping], state}
+  end
+
+  def websocket_info(:disconnect, state), do: {[{:close, 1001, "removed by the operator"}], state}
+  def websocket_info(_stray, state), do: {[], state}
+
+  defp gather(pipe) do
+    receive do
+      {:forward, frames, class} -> pipe |> Pipe.queue(frames, class) |> gather()
+    after
+      0 -> pipe
+    end
+  end
+
+  defp write(pipe, state) do
+    {frames, pipe} = Pipe.take(pipe)
+    if Pipe.waiting?(pipe), do: send(self(), :write)
+    {Enum.map(frames, &{:binary, &1}), %{state | pipe: pipe}}
+  end
+
+  defp ping, do: Process.send_after(self(), :ping, @ping_ms)
+
+  defp count(gateway, why) do
+    Store.count(gateway, {:clients, :websocket, why})
+  rescue
+    # A gateway that is being started again counts nothing.
+    ArgumentError -> 0
+  end
+end

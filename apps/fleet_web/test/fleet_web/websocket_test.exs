@@ -1,0 +1,233 @@
+defmodule FleetWeb.WebSocketTest do
+  use FleetWeb.APICase, async: true
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Router
+  alias Aerie.Router.Endpoint
+  alias FleetWeb.WSClient
+
+  @settings %{enabled: true, address: "127.0.0.1", port: 0, max_clients: 8, cert_file: nil, key_file: nil}
+
+  # The test process in the place of a link to vehicles.
+  defp start(options \\ []) do
+    c =
+      start_server(
+        [websocket: Map.merge(@settings, options[:websocket] || %{})] ++ Keyword.delete(options, :websocket)
+      )
+
+    {:ok, link} = Endpoint.attach(c.gateway, id: "radio", side: :vehicle)
+    Map.merge(c, %{ws: FleetWeb.WebSocket.port(c.gateway), link: link})
+  end
+
+  defp open(c, path \\ "/", options \\ [], n \\ 1) do
+    with %WSClient{} = client <- WSClient.open(c.ws, path, options) do
+      eventually(fn -> length(clients(c.gateway)) == n end)
+      client
+    end
+  end
+
+  defp clients(gateway), do: Enum.filter(Router.endpoints(gateway), &(&1.kind == :websocket))
+
+  defp heartbeat(system, type \\ 2, autopilot \\ 3) do
+    message = %MavCodec.Messages.Heartbeat{
+      type: type,
+      autopilot: autopilot,
+      system_status: 4,
+      mavlink_version: 3
+    }
+
+    MavCodec.encode(message, system: system, component: 1, seq: 0)
+  end
+
+  defp attitude(n),
+    do:
+      MavCodec.encode(%MavCodec.Messages.Attitude{time_boot_ms: n}, system: 1, component: 1, seq: rem(n, 256))
+
+  defp say(link, bytes) do
+    {frames, _parser} = MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 1)
+    Endpoint.ingress(link, frames)
+  end
+
+  describe "frames" do
+    test "go out one a message, as they were received, and come in one or several a message" do
+      c = start()
+      client = open(c)
+      say(c.link, heartbeat(1) <> attitude(7))
+      {first, client} = WSClient.recv(client)
+      {second, client} = WSClient.recv(client)
+      assert [first, second] == [{2, heartbeat(1)}, {2, attitude(7)}]
+
+      ours = heartbeat(255, 6, 8)
+      :ok = WSClient.send(client, ours)
+      assert_receive {:forward, [^ours], :control}, 10_000
+      :ok = WSClient.send(client, ours <> "rubbish" <> ours)
+      assert_receive {:forward, [^ours, ^ours], :control}, 10_000
+
+      assert [%{side: :client, counters: %{frames_in: 3}, peer: "local@127.0.0.1:" <> _port}] =
+               clients(c.gateway)
+    end
+
+    test "a client that may only read hears everything, and what it says goes to nobody" do
+      c = start()
+      client = open(c, "/mavlink?access=read")
+      :ok = WSClient.send(client, heartbeat(255, 6, 8))
+      eventually(fn -> match?([%{counters: %{read_only: 1}}], clients(c.gateway)) end)
+      refute_received {:forward, _frames, _class}
+      say(c.link, heartbeat(1))
+      assert {{2, _frame}, _client} = WSClient.recv(client)
+    end
+
+    test "a client of another network hears nothing of this one" do
+      c = start()
+      client = open(c, "/?network=field,lab")
+      assert [%{networks: ["field", "lab"]}] = clients(c.gateway)
+      say(c.link, heartbeat(1))
+      assert {{:closed, :timeout}, _client} = WSClient.recv(client, 100)
+    end
+
+    test "a text message, and one that is too large, end the connection in words" do
+      c = start()
+      client = open(c)
+      :ok = WSClient.send(client, "hello", 1)
+      assert {{8, <<1003::16, words::binary>>}, _client} = WSClient.recv(client)
+      assert words =~ "binary"
+      eventually(fn -> clients(c.gateway) == [] end)
+
+      client = open(c)
+      :ok = WSClient.send(client, :binary.copy(<<0>>, 70_000))
+      assert {{8, <<1009::16, _words::binary>>}, _client} = WSClient.recv(client)
+      assert Store.counter(c.gateway, {:clients, :websocket, :text}) == 1
+    end
+
+    test "a client that does not read loses the oldest of the least important, and holds nobody up" do
+      c = start()
+      _deaf = open(c, "/", socket: [recbuf: 2048])
+      [%{id: id}] = clients(c.gateway)
+      reader = open(c, "/", [], 2)
+
+      Enum.reduce(1..400, reader, fn n, reader ->
+        for m <- 1..50, do: say(c.link, attitude(50 * n + m))
+        Enum.reduce(1..50, reader, fn _m, reader -> reader |> WSClient.recv() |> elem(1) end)
+      end)
+
+      deaf = fn -> Enum.find(Router.endpoints(c.gateway), &(&1.id == id)) end
+      assert eventually(fn -> deaf.().counters.dropped_state > 0 or deaf.() == nil end)
+      assert deaf.().waiting <= Endpoint.max_waiting()
+    end
+
+    test "a client that vanishes leaves nothing" do
+      c = start()
+      client = open(c)
+      WSClient.close(client)
+      eventually(fn -> clients(c.gateway) == [] end)
+    end
+  end
+
+  describe "who may" do
+    test "with a key: the header, a ticket in the address, a ticket as subprotocol; each ticket once" do
+      c = start(key: true)
+      assert {401, %{"error" => %{"code" => "unauthorized"}}} = open(c)
+      assert {401, _body} = open(c, "/", headers: [{"x-aerie-key", "not-the-key-of-tests"}])
+      assert %WSClient{} = open(c, "/", headers: [{"x-aerie-key", key()}])
+
+      {201, _headers, %{"ticket" => ticket}} =
+        request(c.port, "POST", "/api/tickets", [{"x-aerie-key", key()}])
+
+      assert %WSClient{protocol: nil} = open(c, "/?ticket=" <> ticket, [], 2)
+      assert {401, %{"error" => %{"message" => message}}} = open(c, "/?ticket=" <> ticket)
+      assert message =~ "used up"
+
+      {201, _headers, %{"ticket" => ticket}} =
+        request(c.port, "POST", "/api/tickets", [{"x-aerie-key", key()}])
+
+      protocols = [{"sec-websocket-protocol", "mavlink, ticket." <> ticket}]
+      assert %WSClient{protocol: "mavlink"} = open(c, "/", [headers: protocols], 3)
+      assert {401, _body} = open(c, "/", headers: protocols)
+      assert "api.key@" <> _address = hd(clients(c.gateway)).peer
+      assert Store.counter(c.gateway, {:clients, :websocket, :unauthorized}) == 4
+    end
+
+    test "pages: the gateway's own and the configured ones; no others, with a good ticket neither" do
+      c = start(key: true, origins: ["https://gcs.example.org"])
+      key = {"x-aerie-key", key()}
+      assert %WSClient{} = open(c, "/", headers: [key, {"origin", "http://127.0.0.1:#{c.port}"}])
+      assert %WSClient{} = open(c, "/", [headers: [key, {"origin", "https://gcs.example.org"}]], 2)
+
+      {201, _headers, %{"ticket" => ticket}} = request(c.port, "POST", "/api/tickets", [key])
+
+      for origin <- ["https://evil.example", "null", "http://127.0.0.1:1"] do
+        assert {403, %{"error" => %{"code" => "forbidden"}}} =
+                 open(c, "/?ticket=" <> ticket, headers: [{"origin", origin}])
+      end
+
+      # It was not used up by that.
+      assert %WSClient{} = open(c, "/?ticket=" <> ticket, [], 3)
+    end
+
+    test "without a key: this machine, but no foreign page, name or proxy" do
+      c = start()
+      assert {403, _body} = open(c, "/", headers: [{"origin", "https://evil.example"}])
+      assert {403, _body} = open(c, "/", headers: [{"host", "evil.example"}])
+      assert {403, _body} = open(c, "/", headers: [{"x-forwarded-for", "10.0.0.1"}])
+      assert %WSClient{} = open(c)
+    end
+
+    test "there is a limit to how many" do
+      c = start(websocket: %{max_clients: 2})
+      first = open(c)
+      _second = open(c, "/", [], 2)
+      assert {503, %{"error" => %{"message" => message}}} = open(c)
+      assert message =~ "max_clients"
+      WSClient.close(first)
+      # Its place is free when its process has ended.
+      assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
+    end
+
+    test "what asks for something else is told so" do
+      c = start()
+      assert {426, %{"error" => %{"code" => "upgrade_required"}}} = open(c, "/", headers: [{"upgrade", nil}])
+      assert {404, nil} = open(c, "/elsewhere")
+
+      for query <- ["network=", "network=a/b", "access=all", "network=" <> String.duplicate("x", 100)],
+          do: assert({400, %{"error" => %{"code" => "bad_request"}}} = open(c, "/?" <> query))
+    end
+  end
+
+  @tag :tmp_dir
+  test "with a certificate it speaks wss, and only that", %{tmp_dir: dir} do
+    %{cert: cert, key: key, ca: ca} = certificate(dir)
+    c = start(websocket: %{cert_file: cert, key_file: key})
+    client = open(c, "/", tls: ca)
+    say(c.link, heartbeat(1))
+    assert {{2, frame}, _client} = WSClient.recv(client)
+    assert frame == heartbeat(1)
+    refute raw(c.ws, "GET / HTTP/1.1\r\nhost: localhost\r\n\r\n") =~ "HTTP/1.1"
+  end
+
+  # A certificate of localhost, of an authority made for it.
+  defp certificate(dir) do
+    chain = [key: {:namedCurve, :secp256r1}, digest: :sha256]
+
+    %{server_config: server, client_config: client} =
+      :public_key.pkix_test_data(%{
+        server_chain: %{root: chain, intermediates: [], peer: chain ++ [extensions: [san()]]},
+        client_chain: %{root: chain, intermediates: [], peer: chain}
+      })
+
+    {type, der} = server[:key]
+
+    write = fn name, entries ->
+      dir |> Path.join(name) |> tap(&File.write!(&1, :public_key.pem_encode(entries)))
+    end
+
+    %{
+      cert: write.("cert.pem", [{:Certificate, server[:cert], :not_encrypted}]),
+      key: write.("key.pem", [{type, der, :not_encrypted}]),
+      ca: write.("ca.pem", for(der <- client[:cacerts], do: {:Certificate, der, :not_encrypted}))
+    }
+  end
+
+  defp san do
+    {:Extension, {2, 5, 29, 17}, false, [dNSName: ~c"localhost"]}
+  end
+end

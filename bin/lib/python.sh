@@ -1,12 +1,24 @@
-# A private Python environment with the peers that the tests talk to (pymavlink). Sourced by bin/setup and bin/test.
+# A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy). Sourced by bin/setup
+# and bin/test.
 # Only tests and the benchmark's comparison need it; the gateway itself has no Python.
 
 AERIE_VENV=${AERIE_VENV:-$AERIE_ROOT/.venv}
 export AERIE_VENV
 
-PYTHON_PEERS="pymavlink==2.4.50"
+# wsproto is what pymavlink opens WebSockets with; pyserial and defusedxml are what MAVProxy starts with.
+PYTHON_PEERS="pymavlink==2.4.50 wsproto==1.3.2 pyserial==3.5 defusedxml==0.7.1"
 
-python_stamp() { printf '%s %s' "$PYTHON_PEERS" "$(python3 -c 'import sys; print(sys.version_info[:2])' 2>/dev/null)"; }
+# Taken without what they name as needed: for MAVProxy that is half a gigabyte of windows, maps and video.
+PYTHON_PEERS_ALONE="MAVProxy==1.8.75"
+
+# MAVSDK comes with its library for these machines only; elsewhere its tests are left out.
+case "$(uname -s) $(uname -m)" in
+  "Linux x86_64" | "Linux aarch64") PYTHON_PEERS_ALONE="$PYTHON_PEERS_ALONE mavsdk==4.1.0" ;;
+esac
+
+python_stamp() { printf '%s %s %s' "$PYTHON_PEERS" "$PYTHON_PEERS_ALONE" "$(python3 -c 'import sys; print(sys.version_info[:2])' 2>/dev/null)"; }
+
+python_pip() { "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check "$@"; }
 
 python_install() {
   [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && [ -x "$AERIE_VENV/bin/python" ] && return 0
@@ -15,19 +27,20 @@ python_install() {
   lock "$AERIE_VENV.lock"
   [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && return 0
   local log="$AERIE_VENV.log"
-  step "python: a private environment with $PYTHON_PEERS (for the tests only)"
+  step "python: a private environment with $PYTHON_PEERS $PYTHON_PEERS_ALONE (for the tests only)"
   rm -rf "$AERIE_VENV"
   if ! python3 -m venv "$AERIE_VENV" >"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
     fail "python3 cannot make a virtual environment" "its venv or ensurepip module is missing; the whole answer is in $log" \
       "apt-get install python3-venv"
   fi
-  # shellcheck disable=SC2086 # a list of words on purpose
-  if ! "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: $PYTHON_PEERS >"$log" 2>&1 &&
-    ! "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check $PYTHON_PEERS >"$log" 2>&1; then
+  # shellcheck disable=SC2086 # lists of words on purpose
+  if ! { python_pip --only-binary :all: $PYTHON_PEERS || python_pip $PYTHON_PEERS; } >"$log" 2>&1 ||
+    ! python_pip --no-deps --only-binary :all: $PYTHON_PEERS_ALONE >>"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
     tail -n 3 "$log" >&2
-    fail "pip could not install $PYTHON_PEERS" "no network, or PyPI does not answer" "check the network and run this again"
+    fail "pip could not install $PYTHON_PEERS $PYTHON_PEERS_ALONE" "no network, or PyPI does not answer" \
+      "check the network and run this again"
   fi
   rm -f "$log"
   python_stamp >"$AERIE_VENV/.complete"

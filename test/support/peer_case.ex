@@ -1,0 +1,68 @@
+defmodule Aerie.PeerCase do
+  @moduledoc """
+  Ground stations that are not ours, as peers of a whole gateway: the scripts of `test/peers`, run in the private Python
+  environment (`AERIE_VENV`, else `.venv` of the checkout), each in an operating-system process of its own.
+  """
+
+  use ExUnit.CaseTemplate
+
+  @root Path.expand("../..", __DIR__)
+  @peers Path.join(@root, "test/peers")
+
+  # A whole flight at five times real time takes half a minute; the rest is for machines that are busy.
+  @patience 240_000
+
+  using do
+    quote do
+      import Aerie.PeerCase
+    end
+  end
+
+  @doc "Tags of tests whose peers are not installed."
+  @spec missing() :: [atom()]
+  def missing do
+    for {tag, file} <- [
+          python: "bin/python",
+          mavproxy: "bin/mavproxy.py",
+          mavsdk: "lib/python*/site-packages/mavsdk"
+        ],
+        Path.wildcard(Path.join(venv(), file)) == [],
+        do: tag
+  end
+
+  defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))
+
+  @doc "Starts a script; it ends with the test."
+  @spec start_peer(String.t(), [term()]) :: port()
+  def start_peer(script, arguments) do
+    python = Path.join(venv(), "bin/python")
+    arguments = ["-u", Path.join(@peers, script) | Enum.map(arguments, &to_string/1)]
+    options = [:binary, :exit_status, :stderr_to_stdout, args: arguments]
+    peer = Port.open({:spawn_executable, python}, options)
+    {:os_pid, pid} = Port.info(peer, :os_pid)
+    ExUnit.Callbacks.on_exit(fn -> System.cmd("kill", ["-9", "#{pid}"], stderr_to_stdout: true) end)
+    peer
+  end
+
+  @doc "Waits for the end of a script: what it found, by name. A script that ended badly fails the test with its words."
+  @spec findings(port()) :: %{String.t() => String.t()}
+  def findings(peer), do: collect(peer, "")
+
+  defp collect(peer, output) do
+    receive do
+      {^peer, {:data, bytes}} ->
+        collect(peer, output <> bytes)
+
+      {^peer, {:exit_status, 0}} ->
+        for line <- String.split(output, "\n", trim: true),
+            [name, value] <- [String.split(line, " ", parts: 2)],
+            into: %{},
+            do: {name, value}
+
+      {^peer, {:exit_status, status}} ->
+        ExUnit.Assertions.flunk("the peer ended with status #{status}:\n#{output}")
+    after
+      @patience -> ExUnit.Assertions.flunk("the peer does not end; it said:\n#{output}")
+    end
+  end
+end

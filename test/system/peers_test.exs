@@ -1,0 +1,107 @@
+defmodule Aerie.System.PeersTest do
+  @moduledoc """
+  MAVSDK, MAVProxy and pymavlink as ground stations of a gateway with an ArduCopter and a PX4 behind it. Each connects,
+  reads telemetry and all parameters, sets one, loads a mission up and down, arms, takes off, lands; always two at once,
+  by two ways in, and neither disturbs the other.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
+
+  alias Aerie.Client
+
+  @moduletag :tmp_dir
+  @moduletag :python
+  @moduletag timeout: 300_000
+
+  # What each script prints of a flight that went well; the parameters that it changes are of kind float.
+  @copter ["ardupilot", 1, "PILOT_TKOFF_ALT"]
+  @px4 ["px4", 2, "MIS_TAKEOFF_ALT"]
+
+  setup %{tmp_dir: folder} = context do
+    options = [links: ["udpin:127.0.0.1:0"], overrides: context[:config] || %{}]
+    %{gateway: gateway} = run = start_gateway(folder, options)
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+    common = [link: link, ready_s: 1.0, speed: 5.0]
+    copter = start_supervised!({SimVehicle, [firmware: :ardupilot, system: 1] ++ common}, id: :copter)
+    px4 = start_supervised!({SimVehicle, [firmware: :px4, system: 2] ++ common}, id: :px4)
+    eventually(fn -> length(Store.vehicles(gateway)) == 2 end, "both vehicles are known")
+    %{gateway: gateway, config: run.config, copter: copter, px4: px4}
+  end
+
+  defp endpoint(gateway, url) do
+    {:ok, id} = Client.add(gateway, url)
+    link_port(gateway, id)
+  end
+
+  defp assert_flown(findings, mission) do
+    assert %{"battery" => "True", "set" => "True", "same" => "True", "arm" => "armed", "land" => "disarmed"} =
+             findings
+
+    assert %{"lat" => "-35.3633", "mission" => ^mission, "takeoff" => _climbed} = findings
+    assert String.to_integer(findings["params"]) > 150
+  end
+
+  defp assert_landed(sims) do
+    for sim <- sims, do: assert(%{armed: false} = SimVehicle.state(sim))
+  end
+
+  @tag :mavsdk
+  @tag :mavproxy
+  test "MAVSDK by UDP with PX4, MAVProxy by TCP with ArduPilot", c do
+    udp = endpoint(c.gateway, "udpin:127.0.0.1:0")
+    tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
+    mavsdk = start_peer("mavsdk_gcs.py", ["udpout://127.0.0.1:#{udp}" | @px4])
+    mavproxy = start_peer("mavproxy_gcs.py", ["tcp:127.0.0.1:#{tcp}" | @copter])
+    assert_flown(findings(mavsdk), "[22, 16, 21]")
+    assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
+    assert_landed([c.copter, c.px4])
+  end
+
+  @tag :mavsdk
+  @tag :mavproxy
+  test "MAVSDK by TCP with ArduPilot, MAVProxy by UDP, where the gateway calls, with PX4", c do
+    tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
+    port = free_udp_port()
+    mavproxy = start_peer("mavproxy_gcs.py", ["udpin:127.0.0.1:#{port}" | @px4])
+    {:ok, _id} = Client.add(c.gateway, "udpout:127.0.0.1:#{port}")
+    mavsdk = start_peer("mavsdk_gcs.py", ["tcpout://127.0.0.1:#{tcp}" | @copter])
+    assert_flown(findings(mavsdk), "[16, 22, 16, 21]")
+    assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
+    assert_landed([c.copter, c.px4])
+  end
+
+  @key "a-key-for-the-tests-0123"
+  @tag config: %{"api" => %{"key" => @key}}
+  test "pymavlink by WebSocket, with a ticket, with ArduPilot; pymavlink by mavlink.sock with PX4", c do
+    websocket = FleetWeb.WebSocket.port(c.gateway)
+    socket = Path.join(c.config.sockets.dir, "mavlink.sock")
+
+    one =
+      start_peer("pymavlink_gcs.py", ["ws:127.0.0.1:#{websocket}:/?ticket=#{ticket(c.gateway)}" | @copter])
+
+    two = start_peer("pymavlink_gcs.py", ["unix:#{socket}" | @px4] ++ [254])
+    assert_flown(findings(one), "[16, 22, 16, 21]")
+    assert_flown(findings(two), "[22, 16, 21]")
+    assert_landed([c.copter, c.px4])
+  end
+
+  defp ticket(gateway) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/tickets"
+    request = {url, [{~c"x-aerie-key", String.to_charlist(@key)}], ~c"application/json", "{}"}
+
+    {:ok, {{_version, 201, _reason}, _headers, body}} =
+      :httpc.request(:post, request, [], body_format: :binary)
+
+    JSON.decode!(body)["ticket"]
+  end
+
+  test "a script reads state.sock: both vehicles, ten times a second", c do
+    peer = start_peer("state_reader.py", [Path.join(c.config.sockets.dir, "state.sock"), 30])
+    findings = findings(peer)
+    assert findings["vehicles"] == "VID-001 VID-002"
+    assert findings["modes"] =~ "STABILIZE"
+    assert_in_delta String.to_float(findings["hz"]), 10.0, 1.0
+  end
+end

@@ -32,7 +32,7 @@ defmodule Aerie.System.PeersTest do
 
   defp endpoint(gateway, url) do
     {:ok, id} = Client.add(gateway, url)
-    link_port(gateway, id)
+    Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
   end
 
   defp assert_flown(findings, mission) do

@@ -4,10 +4,13 @@ defmodule FleetWeb.API.NewClient do
 
       {"url": "udpout:192.168.1.20:14550", "id": "field", "networks": ["main"], "access": "read"}
 
-  Only `url` is needed. See `Aerie.Client.add/3`.
+  Only `url` is needed. See `Aerie.Client.add/3`. Devices and files of this machine are not for who comes by HTTP.
   """
 
+  alias Aerie.Link.Spec
   alias FleetWeb.API.Error
+
+  @kinds [:udp_server, :udp_client, :tcp_server, :tcp_client]
 
   @known ["url", "id", "networks", "access"]
   @name ~r/\A[A-Za-z0-9_.-]{1,64}\z/
@@ -30,7 +33,14 @@ defmodule FleetWeb.API.NewClient do
   defp known([key | _]),
     do: invalid("#{inspect(String.slice(key, 0, 64))} is no key: #{Enum.join(@known, ", ")}")
 
-  defp url(url) when is_binary(url) and byte_size(url) <= 512, do: {:ok, url}
+  defp url(url) when is_binary(url) and byte_size(url) <= 512 do
+    case Spec.parse(url) do
+      {:ok, %Spec{kind: kind}} when kind in @kinds -> {:ok, url}
+      {:ok, _other} -> invalid("an endpoint for clients is one of udpin, udpout, udpbcast, tcpin and tcp")
+      {:error, error} -> invalid(Exception.message(error))
+    end
+  end
+
   defp url(_other), do: invalid("url must be a connection string such as udpout:192.168.1.20:14550")
 
   defp id(nil), do: {:ok, []}

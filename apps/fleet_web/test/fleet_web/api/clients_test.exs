@@ -92,7 +92,7 @@ defmodule FleetWeb.API.ClientsTest do
     large = ["{\"url\": \"", String.duplicate("x", 20_000), "\"}"]
     assert {413, _headers, %{"error" => %{"code" => "too_large"}}} = post(port, IO.iodata_to_binary(large))
 
-    assert Store.links(gateway) == []
+    assert Aerie.Client.endpoints(gateway) == []
     assert Store.counter(gateway, {:api, 422}) == 12
   end
 

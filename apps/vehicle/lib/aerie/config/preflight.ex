@@ -45,7 +45,8 @@ defmodule Aerie.Config.Preflight do
 
   defp client(config, {%{enabled: true, url: url}, index}) do
     case Spec.parse(url) do
-      {:ok, %Spec{kind: kind, host: ip, port: port}} when kind in [:udp_server, :tcp_server] and is_tuple(ip) ->
+      {:ok, %Spec{kind: kind, host: ip, port: port}}
+      when kind in [:udp_server, :tcp_server] and is_tuple(ip) ->
         protocol = if kind == :udp_server, do: :udp, else: :tcp
         try_open(config, "clients[#{index}].url", protocol, ip, port)
 

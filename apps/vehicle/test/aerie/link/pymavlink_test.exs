@@ -70,7 +70,9 @@ defmodule Aerie.Link.PymavlinkTest do
       all_there(c, id, peer)
       stop(peer)
       # Not one of the refusals before it was there: its port must be free for the next.
-      assert_receive {:down, _, %{reason: "connection " <> reason}} when binary_part(reason, 0, 7) != "refused", 10_000
+      assert_receive {:down, _, %{reason: "connection " <> reason}}
+                     when binary_part(reason, 0, 7) != "refused",
+                     10_000
     end
   end
 end

@@ -71,9 +71,13 @@ defmodule Aerie.Router.Clients.Boot do
         []
 
       port ->
-        [%{id: "gcs-tcp", url: "tcpin:127.0.0.1:#{port}", networks: [Map.get(config, :network, "main")]}]
+        [%{id: "gcs-tcp", url: "tcpin:127.0.0.1:#{port}", networks: networks(config)}]
     end
   end
+
+  # Of what there are links of, simulated vehicles too.
+  defp networks(config),
+    do: Enum.uniq([Map.get(config, :network, "main") | Enum.map(Map.get(config, :links, []), & &1.network)])
 
   defp free?(port) do
     case :gen_tcp.listen(port, ip: {127, 0, 0, 1}, reuseaddr: true) do

@@ -35,8 +35,11 @@ defmodule Aerie.ClientTest do
     assert {:error, words} = Client.add(gateway, "tcp:nowhere")
     assert words =~ "port"
     {:ok, _id} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
+    process = Aerie.Names.whereis(gateway, :link, "a")
     assert {:error, words} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
     assert words =~ "already"
+    # The one that was there is not disturbed.
+    assert process == Aerie.Names.whereis(gateway, :link, "a")
     {:ok, _id} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
     assert {:error, :for_vehicles} = Client.remove(gateway, "radio")
   end

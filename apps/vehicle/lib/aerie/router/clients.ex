@@ -40,7 +40,7 @@ defmodule Aerie.Router.Clients do
   def add(gateway, url) when is_binary(url), do: add(gateway, %{url: url})
 
   def add(gateway, client) when is_map(client) do
-    with {:ok, spec} <- Settings.client(client) do
+    with {:ok, spec} <- Settings.client(client), :ok <- vacant(gateway, spec.id) do
       notify = :erlang.alias()
 
       try do
@@ -52,6 +52,11 @@ defmodule Aerie.Router.Clients do
         :erlang.unalias(notify)
       end
     end
+  end
+
+  # `start/3` takes the place of one that is on its way out; one that runs is nobody's to replace.
+  defp vacant(gateway, id) do
+    if link(gateway, id), do: {:error, "there is a client #{id} already"}, else: :ok
   end
 
   defp first(gateway, %Spec{kind: kind} = spec, notify) when kind in @waited_for do

@@ -136,6 +136,13 @@ defmodule Aerie.Fleet.Store do
       ]) == 1
   end
 
+  @doc "Whether something was claimed within the last `within_ms`."
+  @spec claimed?(Names.gateway(), term(), pos_integer()) :: boolean()
+  def claimed?(gateway, what, within_ms) do
+    at = with_table(gateway, :claims, nil, &:ets.lookup_element(&1, what, 2, nil))
+    at != nil and System.monotonic_time(:millisecond) - at < within_ms
+  end
+
   @doc """
   Remembers that a system was heard, vehicle or not. At most #{@max_systems} are kept; a further one is counted as
   `{:systems, :dropped}` and not kept.

@@ -8,6 +8,8 @@ defmodule Aerie.Vehicle.Core do
     * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
+    * `{:link, link, %{high_latency: boolean}}` - what is configured about a link
+    * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Fleet.Stations`)
     * `{:wants, wants, forwarded}` - what clients want of the vehicle has changed (`Aerie.Vehicle.Streams.Arbiter.wants/3`)
 
   Time is the frames' own: a recorded flight played at any speed gives what the flight gave. Before a frame is applied,
@@ -21,6 +23,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sampled state group for the fleet
     * `{:send, message, version}` - a message for the vehicle, in the MAVLink version that it speaks
     * `{:heartbeat, version}` - our heartbeat is due on the vehicle's way
+    * `:withhold` - it is due and must not go there, not from other vehicles' sessions either
     * `{:count, counter}` - something to be counted
     * `{:status, old, new}` - the vehicle is heard again, is silent, is lost
 
@@ -31,7 +34,8 @@ defmodule Aerie.Vehicle.Core do
 
   alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, State, StatusText, Twin}
 
-  alias Aerie.Vehicle.Core.{Intake, Timers}
+  alias Aerie.Vehicle.Core.{Dealings, Intake, Timers}
+  alias Aerie.Vehicle.{Gcs, HighLatency, Timesync}
   alias Aerie.Vehicle.Streams.Arbiter
 
   defstruct [
@@ -55,6 +59,9 @@ defmodule Aerie.Vehicle.Core do
     texts: StatusText.new(),
     recent: %{},
     streams: Arbiter.new(),
+    timesync: Timesync.new(0),
+    gcs: Gcs.new(),
+    high_latency: HighLatency.new(),
     samplers: nil
   ]
 
@@ -66,6 +73,8 @@ defmodule Aerie.Vehicle.Core do
           | {:link_again, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
+          | {:link, link :: term(), %{high_latency: boolean()}}
+          | {:stations, [Aerie.Fleet.Stations.station()]}
           | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
   @type action ::
           {:snapshot, map()}
@@ -73,6 +82,7 @@ defmodule Aerie.Vehicle.Core do
           | {:publish, State.group(), map(), integer()}
           | {:send, struct(), 1 | 2}
           | {:heartbeat, 1 | 2}
+          | :withhold
           | {:count, atom()}
           | {:status, atom(), atom()}
 
@@ -84,7 +94,8 @@ defmodule Aerie.Vehicle.Core do
     %__MODULE__{
       options: options,
       samplers: Sampling.new(options.sampling),
-      streams: Arbiter.new(options.wants)
+      streams: Arbiter.new(options.wants),
+      timesync: Timesync.new(options.timesync_us)
     }
   end
 
@@ -101,6 +112,8 @@ defmodule Aerie.Vehicle.Core do
         component: snapshot[:component],
         heard: Heard.new(snapshot.links, snapshot.last_heard),
         clock: BootClock.new(Enum.max(boots, fn -> nil end)),
+        gcs: Gcs.new(snapshot[:gcs]),
+        high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),
         # Both are shown to the detector again: the crash may have been between the snapshot and that, and the
         # detector knows what it has seen.
         digest: nil,
@@ -110,6 +123,12 @@ defmodule Aerie.Vehicle.Core do
 
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
+  def handle(core, {:link, link, %{high_latency: marked?}}),
+    do: {%{core | high_latency: HighLatency.marked(core.high_latency, link, marked?)}, []}
+
+  def handle(core, {:stations, stations}),
+    do: {%{core | gcs: Gcs.stations(core.gcs, stations, core.options.own_system)}, []}
+
   def handle(core, {:wants, wants, forwarded}),
     do: {%{core | streams: Arbiter.wants(core.streams, wants, forwarded)}, []}
 
@@ -163,10 +182,10 @@ defmodule Aerie.Vehicle.Core do
       last_heard: core.last_heard,
       time_boot_ms: state.boot_ms,
       links: Heard.links(core.heard),
-      streams: Arbiter.show(core.streams),
       groups: state.groups,
       memory: State.memory(state)
     }
+    |> Map.merge(Dealings.show(core))
   end
 
   # As of before this step.

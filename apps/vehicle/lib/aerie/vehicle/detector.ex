@@ -18,6 +18,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:reboot, at, boot_ms}`                 | reboot                                                              |
   | `{:collision, at, boot_ms, sign}`        | collision                                                           |
   | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
+  | `{:gcs, at, boot_ms, what, facts}`       | gcs.lost, gcs.restored                                              |
   | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.rejected                      |
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
@@ -36,6 +37,7 @@ defmodule Aerie.Vehicle.Detector do
     battery: :ok,
     failsafe: nil,
     gcs: false,
+    gcs_gone: false,
     fence: nil,
     mission: nil,
     reached: nil,
@@ -54,6 +56,7 @@ defmodule Aerie.Vehicle.Detector do
           battery: :ok | :low | :critical,
           failsafe: {integer(), String.t(), String.t()} | nil,
           gcs: boolean(),
+          gcs_gone: boolean(),
           fence: integer() | nil,
           mission: non_neg_integer() | :unknown | nil,
           reached: {non_neg_integer(), integer()} | nil,
@@ -209,6 +212,24 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events} =
       emit(detector, [{"stream.contested", %{"messages" => messages}, []}], at, boot_ms, nil)
 
+    {detector, events, %{}}
+  end
+
+  def observe(detector, {:gcs, at, boot_ms, what, facts}, _known) do
+    data = %{
+      "system" => facts.system,
+      "timeout_s" => facts.timeout_s,
+      "failsafe_enabled" => facts.enabled
+    }
+
+    steps =
+      case {what, detector.gcs_gone} do
+        {:lost, false} -> [{"gcs.lost", data, gcs_gone: true}]
+        {:back, true} -> [{"gcs.restored", %{"system" => facts.system}, gcs_gone: false}]
+        _told -> []
+      end
+
+    {detector, events} = emit(detector, steps, at, boot_ms, nil)
     {detector, events, %{}}
   end
 

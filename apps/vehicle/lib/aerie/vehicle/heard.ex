@@ -33,6 +33,10 @@ defmodule Aerie.Vehicle.Heard do
     heard.links |> Enum.sort_by(fn {link, at} -> {-(at || 0), link} end) |> Enum.map(&elem(&1, 0))
   end
 
+  @doc "When the vehicle was heard last by each link."
+  @spec times(t()) :: [{term(), integer() | nil}]
+  def times(heard), do: Map.to_list(heard.links)
+
   @doc "The data of the `:link` group, once a second; nil in between."
   @spec measure(t(), integer()) :: {t(), map() | nil}
   def measure(%{since: nil} = heard, _now), do: {heard, nil}

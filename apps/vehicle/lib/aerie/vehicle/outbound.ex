@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Outbound do
   alias MavCodec.Encoder
 
   @heartbeat_ms 900
+  @withheld_ms 3_000
 
   @enforce_keys [:gateway, :options, :encoder]
   defstruct [:gateway, :options, :encoder]
@@ -24,17 +25,25 @@ defmodule Aerie.Vehicle.Outbound do
     %__MODULE__{gateway: gateway, options: options, encoder: encoder}
   end
 
-  @doc "Sends a message to the vehicle in the MAVLink version that it speaks. No way to it: counted, not kept."
-  @spec send(t(), struct(), 1 | 2) :: t()
-  def send(outbound, message, version) do
+  @doc """
+  Sends a message to the vehicle in the MAVLink version that it speaks: by the way that it was heard last, or by the link
+  `by`. No way to it: counted, not kept.
+  """
+  @spec send(t(), struct(), 1 | 2, by :: term()) :: t()
+  def send(outbound, message, version, by \\ nil) do
     {bytes, encoder} = Encoder.encode(outbound.encoder, message, version: version)
     outbound = %{outbound | encoder: encoder}
 
-    case Aerie.Router.send(outbound.gateway, outbound.options.key, bytes) do
+    case transmit(outbound, bytes, by) do
       :ok -> sent(outbound, message)
-      {:error, :no_route} -> unsent(outbound)
+      {:error, _no_way} -> unsent(outbound)
     end
   end
+
+  defp transmit(outbound, bytes, nil), do: Aerie.Router.send(outbound.gateway, outbound.options.key, bytes)
+
+  defp transmit(outbound, bytes, link),
+    do: Aerie.Link.send_bytes(outbound.gateway, link, bytes, {:system, outbound.options.system_id})
 
   defp sent(outbound, %module{}) do
     Fleet.Store.count(outbound.gateway, {:sent, module.id()})
@@ -45,13 +54,14 @@ defmodule Aerie.Vehicle.Outbound do
   Sends our heartbeat on the vehicle's way, unless another session has done it within this second or a loop that it stands
   for does not answer (H3).
   """
-  @spec heartbeat(t(), 1 | 2) :: t()
-  def heartbeat(%{gateway: gateway, options: options} = outbound, version) do
+  @spec heartbeat(t(), 1 | 2, by :: term()) :: t()
+  def heartbeat(%{gateway: gateway, options: options} = outbound, version, by \\ nil) do
     with {:alive, []} <- {:alive, Identity.Pulse.silent(gateway, options.key)},
-         way when way != nil <- Aerie.Router.way(gateway, options.key),
+         way when way != nil <- Aerie.Router.way(gateway, options.key, if(by, do: [link: by], else: [])),
+         false <- Fleet.Store.claimed?(gateway, {:withheld, way}, @withheld_ms),
          true <- Fleet.Store.claim(gateway, {:heartbeat, way}, @heartbeat_ms) do
       state = if Identity.Pulse.any_silent?(gateway), do: :critical, else: :active
-      send(outbound, Identity.heartbeat(options, state), version)
+      send(outbound, Identity.heartbeat(options, state), version, by)
     else
       {:alive, _silent} ->
         Fleet.Store.count(gateway, {:identity, :held})
@@ -60,6 +70,20 @@ defmodule Aerie.Vehicle.Outbound do
       _nowhere_or_done ->
         outbound
     end
+  end
+
+  @doc """
+  Keeps our heartbeat from the vehicle's way for the next seconds: the vehicle would take it for its operator's. Others on
+  the same way do without it too, for a way is heard by all.
+  """
+  @spec withhold(t()) :: :ok
+  def withhold(%{gateway: gateway} = outbound) do
+    with way when way != nil <- Aerie.Router.way(gateway, outbound.options.key) do
+      Fleet.Store.claim(gateway, {:withheld, way}, 1)
+      Fleet.Store.count(gateway, {:identity, :withheld})
+    end
+
+    :ok
   end
 
   @doc "Publishes a sample of a state group: `%{data: map, time_boot_ms: the vehicle's clock or nil}`."

@@ -69,6 +69,12 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:wants, forwarded}, state), do: {:noreply, wants(state, forwarded)}
 
+  def handle_info({:high_latency, on?}, state) do
+    target = {state.options.system_id, state.core.component || 1}
+    message = Vehicle.HighLatency.control(target, on?)
+    {:noreply, %{state | outbound: Vehicle.Outbound.send(state.outbound, message, state.core.version)}}
+  end
+
   def handle_info({:pulse, pulse, tag}, state) do
     Vehicle.Identity.Pulse.answer(pulse, tag)
     {:noreply, state}
@@ -79,7 +85,9 @@ defmodule Aerie.Vehicle.Session do
     do: %{state | ticks: ticks + 1}
 
   defp look_around(state, _now) do
-    state = %{state | ticks: state.ticks + 1}
+    stations = Fleet.Stations.list(state.gateway, state.options.network)
+    {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
+    state = %{state | ticks: state.ticks + 1, core: core}
     if Fleet.Wants.sweep(state.gateway, state.options.key), do: wants(state, nil), else: state
   end
 
@@ -102,7 +110,13 @@ defmodule Aerie.Vehicle.Session do
       end
 
     # A link is known by the first frame that it delivers, but for its first moment.
-    if pace == :unknown, do: {1.0, state}, else: {pace, put_in(state.paces[link], pace)}
+    if pace == :unknown, do: {1.0, state}, else: {pace, state |> put_in([:paces, link], pace) |> marked(link)}
+  end
+
+  defp marked(state, link) do
+    what = %{high_latency: Vehicle.HighLatency.link?(state.gateway, link)}
+    {core, []} = Vehicle.Core.handle(state.core, {:link, link, what})
+    %{state | core: core}
   end
 
   # The machine's clock was set when a live frame's time is not about the time that it is by the monotonic clock. Frames
@@ -138,11 +152,19 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:send, message, version}, state) do
-    %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version)}
+    %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version, by(state.core))}
+  end
+
+  defp act(:withhold, state) do
+    Vehicle.Outbound.withhold(state.outbound)
+    state
   end
 
   defp act({:heartbeat, version}, state) do
-    %{state | outbound: Vehicle.Outbound.heartbeat(state.outbound, version)}
+    %{
+      state
+      | outbound: Vehicle.Outbound.heartbeat(state.outbound, version, by(state.core))
+    }
   end
 
   defp act({:count, counter}, state) do
@@ -164,6 +186,13 @@ defmodule Aerie.Vehicle.Session do
       %{state | events: events}
     else
       state
+    end
+  end
+
+  defp by(core) do
+    case Vehicle.Core.Dealings.way(core) do
+      {:link, link} -> link
+      _whichever -> nil
     end
   end
 

@@ -64,9 +64,12 @@ defmodule Aerie.Vehicle.CoreTest do
 
     test "a satellite link may be silent for longer (X6)" do
       summary = &frame(%M.HighLatency2{type: 2, autopilot: 3, latitude: 1, longitude: 1}, &1 * @second)
-      run = start() |> frames([summary.(10)]) |> tick(40)
+      run = start() |> frames([summary.(10)]) |> tick(170)
       assert statuses(run) == []
-      assert run |> tick(71) |> statuses() == [:lost]
+      assert run |> tick(191) |> statuses() == [:lost]
+
+      assert start(lost_high_latency_us: 60 * @second) |> frames([summary.(10)]) |> tick(71) |> statuses() ==
+               [:lost]
     end
   end
 
@@ -146,7 +149,8 @@ defmodule Aerie.Vehicle.CoreTest do
     sent = fn run -> for {:send, _message, _version} <- run.actions, do: 1 end
     long = fn run -> Enum.reduce(1..200, run, &beat(&2, 10 + &1 / 10)) end
     assert start() |> long.() |> sent.() |> length() > 10
-    assert start(request_streams: false) |> long.() |> sent.() == []
+    off = [request_streams: false, timesync_us: 0, read_gcs_parameters: false]
+    assert start(off) |> long.() |> sent.() == []
   end
 
   describe "another time" do

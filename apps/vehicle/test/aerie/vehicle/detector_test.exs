@@ -318,7 +318,7 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   test "every type of event is one that can be published" do
-    assert length(Event.types()) == 20
+    assert length(Event.types()) == 22
     assert Enum.all?(Event.types(), &(&1 =~ ~r/\A[a-z_]+(\.[a-z_]+)?\z/))
   end
 

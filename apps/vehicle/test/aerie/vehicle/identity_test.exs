@@ -75,6 +75,20 @@ defmodule Aerie.Vehicle.IdentityTest do
     end
   end
 
+  test "X6: a link that is configured as one of high latency gets nothing, until the command asks for it" do
+    mavlink = %{heartbeat_deadman_s: @deadman_s, system_id: 245, component_id: 191}
+    gateway = start_parts(%{mavlink: mavlink})
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", options: [high_latency: true])
+    socket = vehicle(port, 1)
+    eventually(fn -> match?(%{high_latency: %{only?: true}}, Fleet.Store.vehicle(gateway, {"main", 1})) end)
+    :ok = Vehicle.HighLatency.request(gateway, {"main", 1}, true)
+    # It is the first thing that comes.
+    assert {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, 10_000)
+    {[frame], _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
+    assert {:ok, %{command: 2600, param1: 1.0}} = MavCodec.decode(frame)
+    assert {:error, :timeout} = :gen_udp.recv(socket, 0, 1_300)
+  end
+
   test "a killed loop is asked anew" do
     {gateway, _port, socket} = flying()
     assert heard(socket, 10_000)

@@ -4,21 +4,17 @@ defmodule Aerie.Vehicle.Core.Intake do
   concerns.
   """
 
-  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Twin}
-  alias Aerie.Vehicle.Core.Effects
-  alias Aerie.Vehicle.Streams.Arbiter
+  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.Core.{Dealings, Effects}
 
   @heartbeat 0
   @system_time 2
   @param_value 22
-  @command_ack 77
   @high_latency 235
-  @message_interval 244
   @statustext 253
   # For how long a second link's copy of a text may come after the first one's.
   @copy_us 5_000_000
-  # Messages about our dealings with the vehicle, not about its state.
-  @dealings [@command_ack, @message_interval]
+  @dealings Dealings.ids()
 
   @doc "One frame of the vehicle's system. The actions come newest first."
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
@@ -48,7 +44,7 @@ defmodule Aerie.Vehicle.Core.Intake do
     if Kind.vehicle?(message.type, message.autopilot) and
          (known in [nil, frame.component] or frame.component == 1) do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
-      core = %{core | streams: Arbiter.heard(core.streams, link, frame.id, frame.at)}
+      core = core |> Dealings.beat_heard(link, frame.at) |> Dealings.heard(link, frame.id, frame.at)
       message(core, actions, link, frame, message)
     else
       {core, actions}
@@ -57,7 +53,8 @@ defmodule Aerie.Vehicle.Core.Intake do
 
   defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
     {core, actions} = alive(core, actions, at)
-    core = %{core | streams: Arbiter.heard(core.streams, link, id, at)}
+    core = Dealings.heard(core, link, id, at)
+    core = if id == @high_latency, do: Dealings.summary_heard(core, link, at), else: core
 
     if State.wants?(core.state, id, at) or id in [@system_time, @param_value, @statustext | @dealings] do
       case MavCodec.decode(frame) do
@@ -77,7 +74,7 @@ defmodule Aerie.Vehicle.Core.Intake do
     observed = if core.status == :lost, do: [{:observe, {:restored, at, core.state.boot_ms}}], else: []
     last_heard = later(core.last_heard, at)
 
-    core = %{core | last_heard: last_heard, streams: Arbiter.back(core.streams, at)}
+    core = %{core | last_heard: last_heard, streams: Streams.Arbiter.back(core.streams, at)}
 
     Effects.status(core, observed ++ actions, :online)
   end
@@ -98,12 +95,8 @@ defmodule Aerie.Vehicle.Core.Intake do
         Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at), "time_boot_ms", frame.at)
 
       :reboot ->
-        core = %{
-          core
-          | state: State.at_boot(core.state, boot_ms),
-            twin: Twin.rebooted(core.twin),
-            streams: Arbiter.rebooted(core.streams, frame.at)
-        }
+        core = Dealings.rebooted(core, frame.at)
+        core = %{core | state: State.at_boot(core.state, boot_ms), twin: Twin.rebooted(core.twin)}
 
         apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
     end
@@ -122,23 +115,13 @@ defmodule Aerie.Vehicle.Core.Intake do
 
   defp message(core, actions, _link, %{id: @param_value} = frame, message) do
     case Params.read(message, core.state.autopilot) do
-      {:ok, value} -> {core, add_param(actions, frame.at, core.state.boot_ms, value)}
+      {:ok, value} -> {Dealings.param(core, value), add_param(actions, frame.at, core.state.boot_ms, value)}
       :ignore -> {core, actions}
     end
   end
 
-  # An answer to somebody else is none to us (C7). MAVLink 1 does not say to whom it is.
-  defp message(core, actions, _link, %{id: @command_ack}, message) do
-    if message.target_system in [0, core.options.own_system] and
-         message.target_component in [0, core.options.own_component],
-       do: {%{core | streams: Arbiter.ack(core.streams, message.command, message.result)}, actions},
-       else: {core, actions}
-  end
-
-  defp message(core, actions, _link, %{id: @message_interval} = frame, message) do
-    {%{core | streams: Arbiter.interval(core.streams, message.message_id, message.interval_us, frame.at)},
-     actions}
-  end
+  defp message(core, actions, link, %{id: id} = frame, message) when id in @dealings,
+    do: Dealings.message(core, actions, link, frame, message)
 
   defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
 

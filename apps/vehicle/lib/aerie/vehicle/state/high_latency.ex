@@ -2,14 +2,18 @@ defmodule Aerie.Vehicle.State.HighLatency do
   @moduledoc """
   HIGH_LATENCY2, which is all that comes over a satellite link (X6): a summary without a heartbeat.
 
-  It does not say whether the vehicle is armed.
+  Only ArduPilot says whether the vehicle is armed: it puts the base mode into `custom0`.
   """
   @behaviour Aerie.Vehicle.State
 
   import Bitwise
 
   alias Aerie.Vehicle.{Kind, Modes, State, Value}
+  alias MavCodec.Enums.HlFailureFlag
   alias MavCodec.Messages, as: M
+
+  @safety_armed 0x80
+  @geofence 0x800
 
   @impl State
   def read(%M.HighLatency2{} = m, _state, _at) do
@@ -21,13 +25,47 @@ defmodule Aerie.Vehicle.State.HighLatency do
 
       {[autopilot: autopilot, type: m.type, kind: kind, high_latency: true],
        [
-         mode: %{mode: Modes.name(autopilot, kind, 1, mode), custom_mode: mode},
+         mode: armed(%{mode: Modes.name(autopilot, kind, 1, mode), custom_mode: mode}, autopilot, m),
          position: %{lat: lat, lon: lon, alt_msl: m.altitude * 1.0, heading: m.heading * 2.0},
-         velocity: %{groundspeed: m.groundspeed / 5, airspeed: m.airspeed / 5, climb: m.climb_rate / 10},
-         battery: %{remaining: if(m.battery in 0..100, do: m.battery / 100)}
+         velocity: %{
+           groundspeed: m.groundspeed / 5,
+           airspeed: m.airspeed / 5,
+           climb: m.climb_rate / 10,
+           throttle: if(m.throttle <= 100, do: m.throttle)
+         },
+         battery: %{remaining: if(m.battery in 0..100, do: m.battery / 100)},
+         gps: %{
+           lat: lat,
+           lon: lon,
+           alt_msl: m.altitude * 1.0,
+           h_acc: decimetres(m.eph),
+           v_acc: decimetres(m.epv)
+         },
+         mission: mission(m),
+         health: %{unhealthy: failures(m.failure_flags)}
        ]}
     else
       :invalid -> {:invalid, :high_latency2}
     end
   end
+
+  defp armed(mode, :ardupilot, m), do: Map.put(mode, :armed, (m.custom0 &&& @safety_armed) != 0)
+  defp armed(mode, _autopilot, _m), do: mode
+
+  # The fence is the only failure that has a place of its own.
+  defp mission(m) do
+    %{
+      seq: Value.unsigned(m.wp_num, 16),
+      wp_distance: Value.unsigned(m.target_distance, 16, 0.1),
+      fence_breach: (m.failure_flags &&& @geofence) != 0
+    }
+  end
+
+  defp failures(flags) do
+    {names, unknown} = HlFailureFlag.flags(flags)
+    named = for name <- names, do: name |> Atom.to_string() |> String.replace_prefix("HL_FAILURE_FLAG_", "")
+    named ++ if(unknown == 0, do: [], else: ["FLAGS(#{unknown})"])
+  end
+
+  defp decimetres(value), do: Value.unsigned(value, 8, 10)
 end

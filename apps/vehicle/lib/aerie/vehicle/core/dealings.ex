@@ -1,0 +1,201 @@
+defmodule Aerie.Vehicle.Core.Dealings do
+  @moduledoc """
+  What the gateway and a vehicle have to do with each other, apart from its state: streams, clocks, whose heartbeats it
+  waits for, ours, and what must not be sent over a link of high latency.
+  """
+
+  alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Timesync}
+  alias Aerie.Vehicle.Streams.Arbiter
+
+  @ping 4
+  @command_ack 77
+  @timesync 111
+  @message_interval 244
+  @heartbeat_us 1_000_000
+
+  @type acc :: {Core.t(), [Core.action()]}
+
+  @doc "The ids of the messages that `message/5` is for."
+  @spec ids() :: [non_neg_integer()]
+  def ids, do: [@ping, @command_ack, @timesync, @message_interval]
+
+  @doc "A message of the autopilot about such matters. The actions come newest first."
+  @spec message(Core.t(), [Core.action()], term(), struct(), struct()) :: acc()
+  # An answer to somebody else is none to us (C7). MAVLink 1 does not say to whom it is.
+  def message(core, actions, _link, %{id: @command_ack}, message) do
+    if message.target_system in [0, core.options.own_system] and
+         message.target_component in [0, core.options.own_component],
+       do: {%{core | streams: Arbiter.ack(core.streams, message.command, message.result)}, actions},
+       else: {core, actions}
+  end
+
+  def message(core, actions, _link, %{id: @message_interval, at: at}, message) do
+    {%{core | streams: Arbiter.interval(core.streams, message.message_id, message.interval_us, at)}, actions}
+  end
+
+  def message(core, actions, _link, %{id: @timesync, at: at}, %{tc1: tc1} = answer) when tc1 != 0 do
+    if Timesync.to?(answer, own(core)),
+      do: {%{core | timesync: Timesync.reply(core.timesync, answer, at)}, actions},
+      else: {core, actions}
+  end
+
+  def message(core, actions, link, frame, request) do
+    from = {frame.system, frame.component}
+
+    with answer when answer != nil <- Timesync.answer(request, from, own(core), frame.at),
+         false <- HighLatency.high?(core.high_latency, link),
+         {true, timesync} <- Timesync.answer?(core.timesync, frame.at) do
+      {%{core | timesync: timesync}, [{:send, answer, core.version} | actions]}
+    else
+      _none -> {core, actions}
+    end
+  end
+
+  defp own(core), do: {core.options.own_system, core.options.own_component}
+
+  @doc "A parameter's value came."
+  @spec param(Core.t(), Params.value()) :: Core.t()
+  def param(core, {name, value, _index}), do: %{core | gcs: Gcs.param(core.gcs, name, value)}
+
+  @doc "A frame came by a link, of which only its id matters."
+  @spec heard(Core.t(), term(), non_neg_integer(), integer()) :: Core.t()
+  def heard(core, link, id, at), do: %{core | streams: Arbiter.heard(core.streams, link, id, at)}
+
+  @doc "The autopilot's heartbeat came by a link."
+  @spec beat_heard(Core.t(), term(), integer()) :: Core.t()
+  def beat_heard(core, link, at), do: %{core | high_latency: HighLatency.beat(core.high_latency, link, at)}
+
+  @doc "HIGH_LATENCY2 came by a link."
+  @spec summary_heard(Core.t(), term(), integer()) :: Core.t()
+  def summary_heard(core, link, at),
+    do: %{core | high_latency: HighLatency.summary(core.high_latency, link, at)}
+
+  @doc "The vehicle was restarted."
+  @spec rebooted(Core.t(), integer()) :: Core.t()
+  def rebooted(core, at) do
+    %{
+      core
+      | streams: Arbiter.rebooted(core.streams, at),
+        timesync: Timesync.restarted(core.timesync),
+        gcs: Gcs.rebooted(core.gcs, at)
+    }
+  end
+
+  @doc "Time goes on from `now`, whatever it was before."
+  @spec rebased(Core.t(), integer()) :: Core.t()
+  def rebased(core, now) do
+    %{
+      core
+      | heartbeat: nil,
+        streams: Arbiter.rebased(core.streams, now),
+        timesync: Timesync.restarted(core.timesync),
+        gcs: Gcs.rebased(core.gcs, now),
+        high_latency: HighLatency.rebased(core.high_latency, now)
+    }
+  end
+
+  @doc "Silence after which the vehicle is stale, and lost (us)."
+  @spec patience(Core.t(), integer()) :: {stale_us :: pos_integer(), lost_us :: pos_integer()}
+  def patience(%{options: options} = core, now) do
+    lost_us = max(options.lost_us, options.lost_high_latency_us)
+    last = HighLatency.last(core.high_latency)
+
+    if last != nil and now - last <= lost_us and only_high?(core, now) do
+      {lost_us, lost_us}
+    else
+      {options.stale_us, options.lost_us}
+    end
+  end
+
+  @doc "Whether the vehicle can be reached by links of high latency only."
+  @spec only_high?(Core.t(), integer()) :: boolean()
+  def only_high?(core, now),
+    do: HighLatency.only?(core.high_latency, Heard.times(core.heard), now, core.options.lost_us)
+
+  @doc "By which link to send what is not for links of high latency (`Aerie.Vehicle.HighLatency.way/2`)."
+  @spec way(Core.t()) :: :any | {:link, term()} | :none
+  def way(core), do: HighLatency.way(core.high_latency, Heard.times(core.heard))
+
+  @doc "What is due at `now`."
+  @spec expire(acc(), integer()) :: acc()
+  def expire({%{component: nil} = core, actions}, _now), do: {core, actions}
+
+  def expire({core, actions}, now) do
+    # Nothing of this is for a link of high latency (X6), and only who is heard is asked for anything.
+    open = way(core) != :none
+    ask = open and core.status == :online and not only_high?(core, now)
+    {core, actions} |> streams(now, ask) |> clock(now, ask) |> gcs(now, ask) |> beat(now, open)
+  end
+
+  defp streams({%{options: %{request_streams: true}} = core, actions}, now, true) do
+    {streams, messages, notices} = Arbiter.expire(core.streams, now, target(core))
+    notices = if notices == [], do: [], else: [{:observe, {:streams, now, core.state.boot_ms, notices}}]
+    {%{core | streams: streams}, sent(core, messages) ++ notices ++ actions}
+  end
+
+  defp streams(acc, _now, _ask), do: acc
+
+  defp clock({core, actions}, now, true) do
+    {timesync, messages} = Timesync.expire(core.timesync, now)
+    {%{core | timesync: timesync}, sent(core, messages) ++ actions}
+  end
+
+  defp clock(acc, _now, _ask), do: acc
+
+  defp gcs({core, actions}, now, ask) do
+    known = Gcs.vehicle(core.gcs, core.state.autopilot, core.state.kind)
+    {gcs, messages, notices} = Gcs.expire(known, now, target(core), ask and core.options.read_gcs_parameters)
+    told = for {what, at, facts} <- notices, do: {:observe, {:gcs, at, core.state.boot_ms, what, facts}}
+    {%{core | gcs: gcs}, sent(core, messages) ++ Enum.reverse(told) ++ actions}
+  end
+
+  # Fed by this loop: no heartbeat from a gateway whose loops stand still (H3). A vehicle that is lost gets it too, its
+  # own receiver may be all that works. One that speaks MAVLink 1 is shown every other time that we speak 2, which is
+  # how ArduPilot comes to (V2).
+  defp beat({%{options: %{heartbeat: true}} = core, actions}, now, true) do
+    cond do
+      core.heartbeat != nil and now - core.heartbeat < @heartbeat_us ->
+        {core, actions}
+
+      mistaken?(core) ->
+        {%{core | heartbeat: now}, [:withhold | actions]}
+
+      true ->
+        version = if core.version == 1, do: 3 - core.beat, else: 2
+        {%{core | heartbeat: now, beat: version}, [{:heartbeat, version} | actions]}
+    end
+  end
+
+  defp beat(acc, _now, _open), do: acc
+
+  @doc """
+  Whether the vehicle would take our heartbeat for its operator's, though we are not: its failsafe listens to our id (H5).
+  """
+  @spec mistaken?(Core.t()) :: boolean()
+  def mistaken?(%{options: %{i_am_the_gcs: true}}), do: false
+  def mistaken?(core), do: ours?(core)
+
+  @doc "Whether our heartbeat keeps, or would keep, the vehicle's failsafe quiet."
+  @spec ours?(Core.t()) :: boolean()
+  def ours?(%{options: options, gcs: gcs}) do
+    type = if options.heartbeat_type == :gcs, do: 6, else: 18
+    Gcs.keeps?(gcs, %{system: options.own_system, type: type})
+  end
+
+  @doc "What the snapshot shows of all this."
+  @spec show(Core.t()) :: map()
+  def show(%{now: now} = core) do
+    now = now || 0
+
+    %{
+      streams: Arbiter.show(core.streams),
+      clock: Timesync.show(core.timesync, now),
+      gcs: Map.merge(Gcs.show(core.gcs, now), %{by_us?: ours?(core), withheld?: mistaken?(core)}),
+      high_latency: %{only?: only_high?(core, now), links: HighLatency.links(core.high_latency)}
+    }
+  end
+
+  defp target(core), do: {core.options.system_id, core.component}
+
+  defp sent(core, messages), do: messages |> Enum.map(&{:send, &1, core.version}) |> Enum.reverse()
+end

@@ -1,0 +1,178 @@
+defmodule Aerie.Vehicle.Timesync do
+  @moduledoc """
+  How far a vehicle's clock is from ours, by TIMESYNC. A pure value.
+
+  A request carries our time (`ts1`), the answer the same and the vehicle's time when it was given (`tc1`), so the answer's
+  way there and back is known, and half of it is the best guess at its age. Of the last samples the one with the shortest
+  way counts, for it has the smallest error; that error is `rtt_us / 2`. Older samples lose by drift, 50 µs a second.
+
+  Only answers to our own requests are taken, recognised by their `ts1` (X5): many programs ask, and firmware answers to all.
+  A vehicle that does not answer is asked ever more seldom.
+  """
+
+  alias MavCodec.Messages.{Ping, Timesync}
+
+  @first_us 1_000_000
+  @burst 3
+  @burst_us 1_000_000
+  @max_rtt_us 10_000_000
+  @max_pending 4
+  @max_samples 8
+  @drift_per_s 50
+  # More than its own error off: the clock was set, or something is wrong. Twice in a row it was set.
+  @jump_us 50_000
+  @patience 5
+  @slow 6
+  @answers_us 100_000
+
+  @enforce_keys [:period]
+  defstruct [
+    :period,
+    :next,
+    :answered,
+    pending: %{},
+    samples: [],
+    sent: 0,
+    unanswered: 0,
+    odd: nil,
+    foreign: 0
+  ]
+
+  @typedoc """
+  - `period`: time between two requests (us), 0 for none
+  - `pending`: `ts1` of requests without an answer, with the time that they were sent
+  - `odd`: a sample that contradicts the others
+  - `foreign`: how many answers were not ours
+  """
+  @type t :: %__MODULE__{}
+  @type sample :: {at :: integer(), rtt_us :: non_neg_integer(), offset_us :: integer()}
+
+  @spec new(non_neg_integer()) :: t()
+  def new(period), do: %__MODULE__{period: period}
+
+  @doc "The request that is due at `now`, if any."
+  @spec expire(t(), integer()) :: {t(), [Timesync.t()]}
+  def expire(%{period: 0} = sync, _now), do: {sync, []}
+  def expire(%{next: nil} = sync, now), do: {%{sync | next: now + @first_us}, []}
+  def expire(%{next: next} = sync, now) when now < next, do: {sync, []}
+
+  def expire(sync, now) do
+    # Nanoseconds; what is below our microsecond tells our requests from those of others at the same moment.
+    ts1 = now * 1000 + rem(sync.sent * 37 + 191, 1000)
+    waiting = sync.pending |> Enum.sort(:desc) |> Enum.take(@max_pending - 1) |> Map.new()
+    sync = %{sync | pending: Map.put(waiting, ts1, now), sent: sync.sent + 1, unanswered: sync.unanswered + 1}
+    {%{sync | next: now + pause(sync)}, [%Timesync{tc1: 0, ts1: ts1}]}
+  end
+
+  defp pause(%{unanswered: unanswered} = sync) when unanswered > @patience, do: sync.period * @slow
+  defp pause(%{sent: sent} = sync) when sent < @burst, do: min(@burst_us, sync.period)
+  defp pause(sync), do: sync.period
+
+  @doc "An answer that came `at`. One that is not to a request of ours changes nothing but `foreign`."
+  @spec reply(t(), Timesync.t(), integer()) :: t()
+  def reply(sync, %Timesync{tc1: tc1, ts1: ts1}, at) do
+    case Map.pop(sync.pending, ts1) do
+      {nil, _pending} ->
+        %{sync | foreign: sync.foreign + 1}
+
+      {sent, pending} when at >= sent and at - sent <= @max_rtt_us ->
+        rtt = at - sent
+        sample = {at, rtt, div(tc1, 1000) - (sent + div(rtt, 2))}
+        add(%{sync | pending: pending, unanswered: 0}, sample)
+
+      {_sent, pending} ->
+        %{sync | pending: pending}
+    end
+  end
+
+  defp add(%{samples: []} = sync, sample), do: %{sync | samples: [sample], odd: nil}
+
+  defp add(sync, {at, rtt, offset} = sample) do
+    {_best_at, best_rtt, best_offset} = best(sync, at)
+    odd? = abs(offset - best_offset) > div(rtt + best_rtt, 2) + @jump_us
+
+    cond do
+      not odd? -> %{sync | samples: Enum.take([sample | sync.samples], @max_samples), odd: nil}
+      sync.odd == nil -> %{sync | odd: sample}
+      true -> %{sync | samples: [sample], odd: nil}
+    end
+  end
+
+  defp best(sync, now) do
+    Enum.min_by(sync.samples, fn {at, rtt, _offset} ->
+      div(rtt, 2) + div((now - at) * @drift_per_s, 1_000_000)
+    end)
+  end
+
+  @doc "After a reboot the vehicle's clock begins anew, after a change of ours (`rebased`) nothing measured holds."
+  @spec restarted(t()) :: t()
+  def restarted(sync), do: %{new(sync.period) | foreign: sync.foreign}
+
+  @doc "What is known at `now`: the vehicle's clock less ours (us), how far off that may be; nil before the first answer."
+  @spec offset(t(), integer()) :: {offset_us :: integer(), error_us :: non_neg_integer()} | nil
+  def offset(%{samples: []}, _now), do: nil
+
+  def offset(sync, now) do
+    {at, rtt, offset} = best(sync, now)
+    {offset, div(rtt, 2) + div(max(now - at, 0) * @drift_per_s, 1_000_000)}
+  end
+
+  @doc "When, by our clock (unix us), the vehicle's clock showed `boot_ms`; nil while its offset is unknown."
+  @spec to_unix(t(), non_neg_integer(), integer()) :: integer() | nil
+  def to_unix(sync, boot_ms, now) do
+    with {offset, _error} <- offset(sync, now), do: boot_ms * 1000 - offset
+  end
+
+  @doc """
+  What faces see: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at which the
+  vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. All nil before the first answer.
+  """
+  @spec show(t(), integer()) :: map()
+  def show(%{samples: []} = sync, _now) do
+    %{offset_us: nil, error_us: nil, rtt_us: nil, boot_at: nil, at: nil, samples: 0, foreign: sync.foreign}
+  end
+
+  def show(%{samples: [{last, _, _} | _] = samples} = sync, now) do
+    {offset, error} = offset(sync, now)
+    {_at, rtt, _offset} = best(sync, now)
+
+    %{
+      offset_us: offset,
+      error_us: error,
+      rtt_us: rtt,
+      boot_at: -offset,
+      at: last,
+      samples: length(samples),
+      foreign: sync.foreign
+    }
+  end
+
+  @doc """
+  Our answer to somebody's request at `now` (unix us): TIMESYNC with `tc1` 0, PING to nobody in particular (X5). nil for what
+  is no request, or is one to somebody else than `own`.
+  """
+  @spec answer(struct(), from :: {integer(), integer()}, own :: {integer(), integer()}, integer()) ::
+          struct() | nil
+  def answer(%Timesync{tc1: 0} = request, {system, component}, own, now) do
+    if to?(request, own),
+      do: %Timesync{tc1: now * 1000, ts1: request.ts1, target_system: system, target_component: component}
+  end
+
+  def answer(%Ping{target_system: 0, target_component: 0} = request, {system, component}, _own, _now) do
+    %{request | target_system: system, target_component: component}
+  end
+
+  def answer(_no_request, _from, _own, _now), do: nil
+
+  @doc "Whether an answer of TIMESYNC can be for us at all: newer firmware says for whom it is."
+  @spec to?(Timesync.t(), own :: {integer(), integer()}) :: boolean()
+  def to?(%Timesync{target_system: system, target_component: component}, {own_system, own_component}),
+    do: system in [0, own_system] and component in [0, own_component]
+
+  @doc "Whether a request that came `at` is to be answered: a vehicle that floods us with them gets ten answers a second."
+  @spec answer?(t(), integer()) :: {boolean(), t()}
+  def answer?(%{answered: last} = sync, at) when last != nil and at - last < @answers_us and at >= last,
+    do: {false, sync}
+
+  def answer?(sync, at), do: {true, %{sync | answered: at}}
+end

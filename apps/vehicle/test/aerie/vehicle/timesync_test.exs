@@ -1,0 +1,133 @@
+defmodule Aerie.Vehicle.TimesyncTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.Timesync
+  alias MavCodec.Messages, as: M
+
+  @second 1_000_000
+  @start 1_700_000_000_000_000
+
+  # Asks for `seconds`; the vehicle's clock is ours plus `offset`, the ways there and back take what `way` says of a second.
+  defp run(sync \\ Timesync.new(10 * @second), seconds, offset, way) do
+    Enum.reduce(seconds, sync, fn second, sync ->
+      now = @start + second * @second
+      {sync, requests} = Timesync.expire(sync, now)
+
+      Enum.reduce(requests, sync, fn %M.Timesync{tc1: 0, ts1: ts1}, sync ->
+        {there, back} = way.(second)
+        Timesync.reply(sync, %M.Timesync{tc1: (now + there + offset) * 1000, ts1: ts1}, now + there + back)
+      end)
+    end)
+  end
+
+  defp now(second), do: @start + second * @second
+
+  test "nothing is known before the first answer" do
+    sync = Timesync.new(10 * @second)
+    assert Timesync.offset(sync, @start) == nil
+    assert Timesync.to_unix(sync, 5, @start) == nil
+    assert %{offset_us: nil, samples: 0} = Timesync.show(sync, @start)
+  end
+
+  test "the offset is that of the sample with the shortest way" do
+    offset = 60 * @second - @start
+    # The way back is slow, but for one.
+    sync = run(0..100, offset, &if(&1 == 23, do: {500, 500}, else: {1_000, 41_000}))
+    assert {^offset, error} = Timesync.offset(sync, now(25))
+    assert error in 500..1_000
+    assert %{offset_us: ^offset, rtt_us: 1_000, boot_at: boot_at} = Timesync.show(sync, now(25))
+    assert boot_at == @start - 60 * @second
+    assert Timesync.to_unix(sync, 1_000, now(25)) == boot_at + @second
+  end
+
+  test "asked three times at first, then once per period; ever more seldom when there is no answer" do
+    times = fn seconds, fun ->
+      {sent, _sync} =
+        Enum.flat_map_reduce(seconds, Timesync.new(10 * @second), fn second, sync ->
+          {sync, requests} = Timesync.expire(sync, now(second))
+          {Enum.map(requests, fn _ -> second end), Enum.reduce(requests, sync, fun)}
+        end)
+
+      sent
+    end
+
+    answered = times.(0..100, &Timesync.reply(&2, %M.Timesync{tc1: 5, ts1: &1.ts1}, div(&1.ts1, 1000)))
+    assert [1, 2, 3, 13, 23 | _] = answered
+    silent = times.(0..600, fn _request, sync -> sync end)
+    assert [1, 2, 3, 13, 23, 33, 93, 153 | _] = silent
+    assert Timesync.expire(Timesync.new(0), @start) == {Timesync.new(0), []}
+  end
+
+  test "X5: an answer that is not ours changes nothing" do
+    sync = run(0..5, 1_000, fn _ -> {10, 10} end)
+    {sync, _} = Timesync.expire(sync, now(13))
+    foreign = Timesync.reply(sync, %M.Timesync{tc1: 999, ts1: 12_345}, now(13))
+    assert foreign.samples == sync.samples
+    assert Timesync.show(foreign, now(13)).foreign == 1
+    # Nor does the second copy of one that is, which a second link brings.
+    {sync, [%{ts1: ts1}]} = Timesync.expire(sync, now(23))
+    once = Timesync.reply(sync, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 10)
+    twice = Timesync.reply(once, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 5_000)
+    assert twice.samples == once.samples
+    refute Timesync.to?(%M.Timesync{target_system: 255, target_component: 190}, {245, 191})
+    assert Timesync.to?(%M.Timesync{target_system: 0}, {245, 191})
+  end
+
+  test "an answer that took too long is none" do
+    sync = run(0..5, 0, fn _ -> {1, 11 * @second} end)
+    assert sync.samples == []
+  end
+
+  test "one odd answer is passed over, a second one in a row is another time" do
+    sync = run(0..30, 0, fn _ -> {100, 100} end)
+    one = run(sync, 31..40, 5 * @second, fn _ -> {100, 100} end)
+    assert {0, _} = Timesync.offset(one, now(40))
+    two = run(one, 41..50, 5 * @second, fn _ -> {100, 100} end)
+    assert {5_000_000, _} = Timesync.offset(two, now(50))
+  end
+
+  test "after a reboot it is measured anew" do
+    sync = run(0..30, 0, fn _ -> {100, 100} end) |> Timesync.restarted()
+    assert Timesync.offset(sync, now(31)) == nil
+    assert {7, _} = sync |> run(31..35, 7, fn _ -> {100, 100} end) |> Timesync.offset(now(35))
+  end
+
+  test "X5: requests are answered, answers and what is for others are not" do
+    assert %M.Timesync{tc1: 5_000, ts1: 77, target_system: 1, target_component: 1} =
+             Timesync.answer(%M.Timesync{tc1: 0, ts1: 77}, {1, 1}, {245, 191}, 5)
+
+    refute Timesync.answer(%M.Timesync{tc1: 9, ts1: 77}, {1, 1}, {245, 191}, 5)
+    refute Timesync.answer(%M.Timesync{tc1: 0, ts1: 7, target_system: 255}, {1, 1}, {245, 191}, 5)
+    ping = %M.Ping{time_usec: 9, seq: 4}
+
+    assert %M.Ping{time_usec: 9, seq: 4, target_system: 1, target_component: 1} =
+             Timesync.answer(ping, {1, 1}, {245, 191}, 5)
+
+    refute Timesync.answer(%{ping | target_system: 245, target_component: 191}, {1, 1}, {245, 191}, 5)
+  end
+
+  test "a flood of requests gets ten answers a second" do
+    {answers, _sync} =
+      Enum.map_reduce(0..999, Timesync.new(0), fn ms, sync -> Timesync.answer?(sync, @start + ms * 1000) end)
+
+    assert Enum.count(answers, & &1) == 10
+  end
+
+  test "the error that is told is never too small, whatever the ways" do
+    way = {:proper_types.range(0, 400_000), :proper_types.range(0, 400_000)}
+
+    prop =
+      :proper.forall(
+        {:proper_types.range(-1_000_000_000, 1_000_000_000),
+         :proper_types.non_empty(:proper_types.list(way))},
+        fn {offset, ways} ->
+          ways = List.to_tuple(ways)
+          sync = run(0..60, offset, &elem(ways, rem(&1, tuple_size(ways))))
+          {estimate, error} = Timesync.offset(sync, now(61))
+          abs(estimate - offset) <= error + 1
+        end
+      )
+
+    assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+  end
+end

@@ -28,7 +28,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     case :gen_udp.recv(socket, 0, ms) do
       {:ok, {_from, _port, bytes}} ->
         {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
-        Enum.find(frames, &(&1.id == 0)) || heard(socket, ms)
+        Enum.find(frames, &(&1.id == 0 and &1.system == 245)) || heard(socket, ms)
 
       {:error, :timeout} ->
         nil

@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   """
 
   alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Timesync}
+  alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
 
   @ping 4
@@ -129,8 +130,8 @@ defmodule Aerie.Vehicle.Core.Dealings do
 
   defp streams({%{options: %{request_streams: true}} = core, actions}, now, true) do
     {streams, messages, notices} = Arbiter.expire(core.streams, now, target(core))
-    notices = if notices == [], do: [], else: [{:observe, {:streams, now, core.state.boot_ms, notices}}]
-    {%{core | streams: streams}, sent(core, messages) ++ notices ++ actions}
+    told = if notices == [], do: [], else: [{:observe, {:streams, now, core.state.boot_ms, notices}}]
+    tell({%{core | streams: streams}, sent(core, messages) ++ actions}, told, now)
   end
 
   defp streams(acc, _now, _ask), do: acc
@@ -146,7 +147,15 @@ defmodule Aerie.Vehicle.Core.Dealings do
     known = Gcs.vehicle(core.gcs, core.state.autopilot, core.state.kind)
     {gcs, messages, notices} = Gcs.expire(known, now, target(core), ask and core.options.read_gcs_parameters)
     told = for {what, at, facts} <- notices, do: {:observe, {:gcs, at, core.state.boot_ms, what, facts}}
-    {%{core | gcs: gcs}, sent(core, messages) ++ Enum.reverse(told) ++ actions}
+    tell({%{core | gcs: gcs}, sent(core, messages) ++ actions}, told, now)
+  end
+
+  # Shown before it is told: who hears of it looks.
+  defp tell(acc, [], _now), do: acc
+
+  defp tell({core, actions}, told, now) do
+    {core, actions} = Effects.show({%{core | dirty: true, shown: nil}, actions}, now)
+    {core, Enum.reverse(told) ++ actions}
   end
 
   # Fed by this loop: no heartbeat from a gateway whose loops stand still (H3). A vehicle that is lost gets it too, its

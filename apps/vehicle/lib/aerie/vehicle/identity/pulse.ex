@@ -59,8 +59,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
       now = now()
       needed = for tag <- [{:pulse, nil} | @needed], late?(table, tag, now, deadman_ms), do: tag
 
-      late =
-        for {tag, answered} <- :ets.tab2list(table), tag not in needed, now - answered > deadman_ms, do: tag
+      late = for {tag, at, _} <- :ets.tab2list(table), tag not in needed, now - at > deadman_ms, do: tag
 
       %{alive: needed == [], silent: Enum.sort(needed ++ late), deadman_ms: deadman_ms}
     end)
@@ -70,13 +69,17 @@ defmodule Aerie.Vehicle.Identity.Pulse do
   @spec any_silent?(Names.gateway()) :: boolean()
   def any_silent?(gateway) do
     Names.with_value(gateway, :pulse, true, fn {table, deadman_ms} ->
-      :ets.select_count(table, [{{:_, :"$1"}, [{:<, :"$1", now() - deadman_ms}], [true]}]) > 0
+      :ets.select_count(table, [{{:_, :"$1", :_}, [{:<, :"$1", now() - deadman_ms}], [true]}]) > 0
     end)
   end
 
   # Who has never answered is late: a heartbeat is given for what is known.
-  defp late?(table, tag, now, deadman_ms),
-    do: now - :ets.lookup_element(table, tag, 2, now - deadman_ms - 1) > deadman_ms
+  defp late?(table, tag, now, deadman_ms) do
+    case :ets.lookup(table, tag) do
+      [{_tag, at, true}] -> now - at > deadman_ms
+      _never -> true
+    end
+  end
 
   @impl GenServer
   def init(options) do
@@ -101,7 +104,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
     # An answer of a process that was replaced meanwhile says nothing about its successor.
     case state.owing do
       %{^tag => ^pid} ->
-        :ets.insert(state.table, {tag, now()})
+        :ets.insert(state.table, {tag, now(), true})
         {:noreply, %{state | owing: Map.delete(state.owing, tag)}}
 
       _other ->
@@ -110,13 +113,15 @@ defmodule Aerie.Vehicle.Identity.Pulse do
   end
 
   defp ask(state) do
-    :ets.insert(state.table, {{:pulse, nil}, now()})
+    :ets.insert(state.table, {{:pulse, nil}, now(), true})
     loops = loops(state.gateway)
     forget(state.table, loops)
 
     owing =
       for {tag, pid} <- loops, pid != nil, into: %{} do
         if state.owing[tag] != pid, do: send(pid, {:pulse, self(), tag})
+        # From here on it has had its time to answer.
+        :ets.insert_new(state.table, {tag, now(), false})
         {tag, pid}
       end
 
@@ -136,7 +141,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
 
   # Vehicles that are no more. The needed ones stay, dead or alive.
   defp forget(table, loops) do
-    for {tag, _answered} <- :ets.tab2list(table), tag != {:pulse, nil}, not is_map_key(loops, tag) do
+    for {tag, _at, _answered} <- :ets.tab2list(table), tag != {:pulse, nil}, not is_map_key(loops, tag) do
       :ets.delete(table, tag)
     end
 

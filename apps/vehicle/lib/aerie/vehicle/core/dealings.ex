@@ -8,7 +8,6 @@ defmodule Aerie.Vehicle.Core.Dealings do
   alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
 
-  @ping 4
   @command_ack 77
   @timesync 111
   @message_interval 244
@@ -16,11 +15,10 @@ defmodule Aerie.Vehicle.Core.Dealings do
 
   @type acc :: {Core.t(), [Core.action()]}
 
-  @doc "The ids of the messages that `message/5` is for."
-  @spec ids() :: [non_neg_integer()]
-  def ids, do: [@ping, @command_ack, @timesync, @message_interval]
-
-  @doc "A message of the autopilot about such matters. The actions come newest first."
+  @doc """
+  A message of the autopilot about such matters: COMMAND_ACK, MESSAGE_INTERVAL, TIMESYNC, PING. The actions come newest
+  first.
+  """
   @spec message(Core.t(), [Core.action()], term(), struct(), struct()) :: acc()
   # An answer to somebody else is none to us (C7). MAVLink 1 does not say to whom it is.
   def message(core, actions, _link, %{id: @command_ack}, message) do

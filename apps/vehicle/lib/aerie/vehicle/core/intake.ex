@@ -14,7 +14,8 @@ defmodule Aerie.Vehicle.Core.Intake do
   @statustext 253
   # For how long a second link's copy of a text may come after the first one's.
   @copy_us 5_000_000
-  @dealings Dealings.ids()
+  # PING, COMMAND_ACK, TIMESYNC, MESSAGE_INTERVAL: what `Dealings.message/5` is for.
+  @dealings [4, 77, 111, 244]
 
   @doc "One frame of the vehicle's system. The actions come newest first."
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}

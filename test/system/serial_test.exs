@@ -77,6 +77,9 @@ defmodule Aerie.System.SerialTest do
 
     assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
 
+    {:ok, gcs} = :gen_tcp.connect({:local, Path.join(sockets, "mavlink.sock")}, 0, [:binary, active: false])
+    assert frame(gcs, 30)
+
     peer = Shovel.peer(shovel)
     session = Aerie.Names.whereis(gateway, :session, {"main", 1})
     :ok = SerialPeer.unplug(peer)
@@ -88,6 +91,21 @@ defmodule Aerie.System.SerialTest do
     assert %{counters: %{reconnects: 1}, local: back} = Aerie.Link.snapshot(gateway, "link-1")
     assert Path.basename(back) == "ttyACM0"
     assert Aerie.Names.whereis(gateway, :session, {"main", 1}) == session
+    # Neither client was sent away: what came before the gap has been read, what comes now is new.
     assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+    boot = Store.vehicle(gateway, "VID-001").groups.attitude.time_boot_ms
+    assert eventually(fn -> frame(gcs, 30).time_boot_ms > boot end, "the ground station hears it again")
+  end
+
+  # The next message of an id that the ground station gets: four bytes of length, then the frame.
+  defp frame(gcs, id) do
+    {:ok, <<size::32-little>>} = :gen_tcp.recv(gcs, 4, 20_000)
+    {:ok, bytes} = :gen_tcp.recv(gcs, size, 20_000)
+    {frames, _parser} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
+
+    case frames do
+      [%{id: ^id} = frame] -> frame |> MavCodec.decode() |> elem(1)
+      _another -> frame(gcs, id)
+    end
   end
 end

@@ -46,6 +46,7 @@ defmodule Aerie.Client.Supervisor do
        gateway: gateway,
        socket: socket,
        path: Path.join(dir, "#{socket}.sock"),
+       chosen: settings.dir != nil,
        start: fn -> DynamicSupervisor.start_child(clients, child) end}
     ]
   end

@@ -19,7 +19,8 @@ defmodule Aerie.Client.UnixListener do
   @retry_ms 5_000
 
   @doc """
-  Options: `:gateway`, `:socket` (`:state` or `:mavlink`), `:path`, and `:start`, a function that starts the process of
+  Options: `:gateway`, `:socket` (`:state` or `:mavlink`), `:path`, `:chosen` (whether
+  somebody asked for that place; true), and `:start`, a function that starts the process of
   one client below the right supervisor (`{:error, :max_children}` when there are enough). That process gets the
   connection as the message `{:socket, socket}` when it owns it.
   """
@@ -144,7 +145,9 @@ defmodule Aerie.Client.UnixListener do
 
   defp failed(state, reason) do
     if reason != state.reason do
-      Logger.warning("unix socket #{state.socket}.sock is not served: #{reason}")
+      # A place that nobody chose may well be out of reach (no /run for an ordinary user): that is no alarm.
+      level = if Map.get(state, :chosen, true), do: :warning, else: :info
+      Logger.log(level, "unix socket #{state.socket}.sock is not served: #{reason}")
       told(%{state | reason: reason}, :unavailable)
     end
 

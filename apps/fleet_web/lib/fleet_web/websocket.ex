@@ -43,7 +43,11 @@ defmodule FleetWeb.WebSocket do
 
   @doc "The port that the listener of a gateway has."
   @spec port(term()) :: :inet.port_number()
-  def port(gateway), do: :ranch.get_port(ref(gateway))
+  def port(gateway) do
+    case :ranch.get_port(ref(gateway)) do
+      port when is_integer(port) -> port
+    end
+  end
 
   defp secure(%{cert_file: cert, key_file: key}, socket) when is_binary(cert),
     do:

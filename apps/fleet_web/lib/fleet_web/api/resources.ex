@@ -70,10 +70,11 @@ defmodule FleetWeb.API.Resources do
   def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
 
   def run(:add_client, state, request) do
-    with {:ok, object, request} <- Request.object(request),
-         {:ok, url, options} <- also(NewClient.parse(object), request),
-         {:ok, id} <- also(add(state.gateway, url, options), request) do
-      {:ok, 201, %{id: id, url: url}, request}
+    with {:ok, object, request} <- Request.object(request) do
+      case add(state.gateway, object) do
+        {:ok, created} -> {:ok, 201, created, request}
+        {:error, error} -> {:error, error, request}
+      end
     end
   end
 
@@ -90,13 +91,12 @@ defmodule FleetWeb.API.Resources do
     end
   end
 
-  defp add(gateway, url, options) do
-    case Client.add(gateway, url, options) do
-      {:ok, id} -> {:ok, id}
-      {:error, words} -> {:error, Error.new(if(words =~ "already", do: :conflict, else: :invalid), words)}
+  defp add(gateway, object) do
+    with {:ok, url, options} <- NewClient.parse(object) do
+      case Client.add(gateway, url, options) do
+        {:ok, id} -> {:ok, %{id: id, url: url}}
+        {:error, words} -> {:error, Error.new(if(words =~ "already", do: :conflict, else: :invalid), words)}
+      end
     end
   end
-
-  defp also({:error, error}, request), do: {:error, error, request}
-  defp also(good, _request), do: good
 end

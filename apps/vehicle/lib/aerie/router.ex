@@ -37,6 +37,7 @@ defmodule Aerie.Router do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
+  alias Aerie.Router.Wishes
   alias Aerie.Router.View
   alias MavCodec.Frame
 
@@ -156,7 +157,7 @@ defmodule Aerie.Router do
     talker = Talker.refresh(before, tables, local.plan, way, known?, now)
     {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
     if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
-    Forward.frames(tables, local.plan, way, talker, frames, now)
+    Forward.frames(tables, local.plan, way, talker, Wishes.pass(gateway, way, frames, heard), now)
     {way, autopilot?}
   end
 

@@ -85,7 +85,10 @@ defmodule Aerie.Fleet.Wants do
   @doc "Takes back all wants of a client; the vehicles that it concerns."
   @spec forget(Names.gateway(), client()) :: [Store.vehicle_key()]
   def forget(gateway, client) do
-    table = table(gateway)
+    Store.with_table(gateway, :wants, [], &forget_in(&1, client))
+  end
+
+  defp forget_in(table, client) do
     keys = :ets.select(table, [{{{:"$1", :"$2", :_}, :_}, [{:"=:=", :"$2", {:const, client}}], [:"$1"]}])
     :ets.select_delete(table, [{{{:_, :"$1", :_}, :_}, [{:"=:=", :"$1", {:const, client}}], [true]}])
     Enum.uniq(keys)

@@ -31,7 +31,7 @@ defmodule Aerie.Link.Egress do
   @doc "The rules of a link, without peers yet. What a former process of the link left is removed."
   @spec open(Names.gateway(), Spec.t()) :: t
   def open(gateway, %Spec{} = spec) do
-    options = Keyword.merge([networks: [spec.network]], spec.options[:router] || [])
+    options = Keyword.merge([networks: [spec.network]], spec.options[:router] || []) |> sparing(spec.options)
     tables = Tables.of(gateway)
     owner = (tables && Endpoints.owner(tables, spec.id)) || owner(spec.id, options)
 
@@ -47,6 +47,20 @@ defmodule Aerie.Link.Egress do
       chunk: if(spec.kind in [:udp_server, :udp_client], do: 1_200)
     }
   end
+
+  # A link of high latency carries commands and their answers, whatever else there is for it (X6).
+  defp sparing(options, %{high_latency: true}) do
+    carried = Aerie.Vehicle.HighLatency.carried()
+
+    Keyword.update(
+      options,
+      :out,
+      %{allow_messages: carried},
+      &Map.put_new(&1 || %{}, :allow_messages, carried)
+    )
+  end
+
+  defp sparing(options, _ordinary), do: options
 
   # Checked where it was configured; a rule that is none is better left out than a link.
   defp owner(id, options) do

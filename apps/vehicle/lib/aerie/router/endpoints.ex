@@ -10,6 +10,7 @@ defmodule Aerie.Router.Endpoints do
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
   alias Aerie.Router.Watch
+  alias Aerie.Router.Wishes
 
   @doc "Puts an owner's rules in place of what there were."
   @spec put_owner(Tables.t(), Owner.t()) :: :ok
@@ -58,10 +59,10 @@ defmodule Aerie.Router.Endpoints do
   @doc "Removes an endpoint and what was learned by it."
   @spec remove(Tables.t(), Endpoint.key()) :: :ok
   def remove(tables, {owner, peer} = key) do
-    if :ets.member(tables.endpoints, key) do
-      :ets.delete(tables.endpoints, key)
+    with [{_key, endpoint}] <- :ets.take(tables.endpoints, key) do
       limits_of(tables, key)
       Tables.changed(tables)
+      Wishes.forget(endpoint)
     end
 
     Routes.forget(tables, owner, peer)

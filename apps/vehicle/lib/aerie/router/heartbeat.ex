@@ -9,6 +9,7 @@ defmodule Aerie.Router.Heartbeat do
   alias MavCodec.Frame
 
   @id 0
+  @high_latency2 235
   @autopilot_invalid 8
 
   # MAV_TYPE of everything that is a part of a vehicle or no vehicle at all.
@@ -41,13 +42,17 @@ defmodule Aerie.Router.Heartbeat do
   @spec id() :: 0
   def id, do: @id
 
-  @doc "Reads a frame; nil when it is no heartbeat. Bytes that were cut off are zeros (F7)."
+  @doc "Reads a frame, HIGH_LATENCY2 as well; nil when it is neither. Bytes that were cut off are zeros (F7)."
   @spec read(Frame.t()) :: t | nil
   def read(%Frame{id: @id, payload: <<_custom_mode::32, type, autopilot, _::binary>>}) do
     %__MODULE__{type: type, autopilot: autopilot}
   end
 
   def read(%Frame{id: @id, payload: <<_custom_mode::32, type>>}), do: %__MODULE__{type: type, autopilot: 0}
+
+  def read(%Frame{id: @high_latency2, payload: <<_values::24-binary, type, autopilot, _::binary>>}),
+    do: %__MODULE__{type: type, autopilot: autopilot}
+
   def read(%Frame{id: @id}), do: %__MODULE__{type: 0, autopilot: 0}
   def read(%Frame{}), do: nil
 

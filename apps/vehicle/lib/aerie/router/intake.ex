@@ -15,6 +15,8 @@ defmodule Aerie.Router.Intake do
   alias MavCodec.Frame
 
   @system_time 2
+  # HEARTBEAT, and HIGH_LATENCY2, which stands in its place on a link of high latency (X6).
+  @says_who [0, 235]
 
   @doc """
   Looks at frames of one talker: what is known of it and of its endpoint afterwards, and whether one of the frames was the
@@ -23,7 +25,8 @@ defmodule Aerie.Router.Intake do
   @spec look(Names.gateway(), Tables.t(), Way.t(), Talker.t(), [Frame.t()]) :: {Talker.t(), Way.t(), boolean}
   def look(gateway, tables, way, talker, frames) do
     Enum.reduce(frames, {talker, way, false}, fn
-      %Frame{id: 0, crc_extra: extra} = frame, {talker, way, vehicle?} when extra != nil ->
+      %Frame{id: id, crc_extra: extra} = frame, {talker, way, vehicle?}
+      when id in @says_who and extra != nil ->
         heartbeat = Heartbeat.read(frame)
         for network <- way.networks, do: Systems.note(gateway, network, way.owner, frame, heartbeat)
         now_vehicle? = Heartbeat.vehicle?(heartbeat)

@@ -123,6 +123,10 @@ defmodule Aerie.Vehicle.HighLatency do
     end
   end
 
+  @doc "The ids of the messages that a link of high latency carries."
+  @spec carried() :: [non_neg_integer()]
+  def carried, do: @carried
+
   @doc "Whether a frame may go over a link of high latency: for routers, which ask for each frame."
   @spec carries?(Frame.t()) :: boolean()
   def carries?(%Frame{id: id, payload: <<_params::28-binary, command::16-little, _::binary>>})

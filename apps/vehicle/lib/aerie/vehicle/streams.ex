@@ -15,6 +15,9 @@ defmodule Aerie.Vehicle.Streams do
   alias Aerie.Vehicle.Streams.Intercept
   alias MavCodec.Frame
 
+  @accepted 0
+  @temporarily_rejected 1
+
   @doc """
   A client wants a message (by its id) so many times a second, at least; nil takes that back. A client that is a pid, or a
   tuple with one in front, takes its wants with it when it ends.
@@ -38,13 +41,16 @@ defmodule Aerie.Vehicle.Streams do
   `{:absorb, answer}`, `answer` being a frame to the client in the vehicle's name, or nil. The want is noted.
 
   A frame for a vehicle that is not known, for all (target 0) or for another component than the autopilot is forwarded
-  and not noted.
+  and not noted. While a vehicle is reached by links of high latency only, the answer is that it cannot be done now. With `mavlink.request_streams` off
+  everything is forwarded.
   """
   @spec intercept(Names.gateway(), network :: String.t(), Wants.client(), Frame.t()) ::
           :forward | {:absorb, binary() | nil}
   def intercept(gateway, network, client, frame) do
     with {system, component} when system != 0 <- Frame.target(frame),
-         %{component: autopilot} when component in [0, autopilot] <- Store.vehicle(gateway, {network, system}),
+         %{component: autopilot, streams: streams} = vehicle
+         when component in [0, autopilot] and streams != %{} <- Store.vehicle(gateway, {network, system}),
+         {:spared, false} <- {:spared, match?(%{high_latency: %{only?: true}}, vehicle)},
          {:ok, message} <- MavCodec.decode(frame) do
       key = {network, system}
 
@@ -57,8 +63,18 @@ defmodule Aerie.Vehicle.Streams do
         autopilot
       )
     else
-      _not_for_a_vehicle -> :forward
+      # Nobody can have a rate of it now.
+      {:spared, true} ->
+        {:absorb, Intercept.answer(frame, autopilot(gateway, network, frame), @temporarily_rejected)}
+
+      _not_for_a_vehicle ->
+        :forward
     end
+  end
+
+  defp autopilot(gateway, network, frame) do
+    {system, _component} = Frame.target(frame)
+    Store.vehicle(gateway, {network, system}).component
   end
 
   @doc "Whether a frame is a request for a rate: cheap, for every frame on its way to a vehicle."
@@ -77,7 +93,7 @@ defmodule Aerie.Vehicle.Streams do
     changes = for one <- List.wrap(what), do: Wants.put(gateway, key, client, one, hz)
     if :ok in changes, do: tell(gateway, key, nil)
     Store.count(gateway, {:streams, :absorbed})
-    {:absorb, Intercept.answer(frame, autopilot)}
+    {:absorb, Intercept.answer(frame, autopilot, @accepted)}
   end
 
   @doc """

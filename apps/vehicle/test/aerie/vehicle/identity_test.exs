@@ -12,7 +12,8 @@ defmodule Aerie.Vehicle.IdentityTest do
   # A gateway with one vehicle on one UDP link, kept alive by the test; `vehicle` is the socket that plays it.
   defp flying(config \\ %{}) do
     mavlink = Map.merge(%{heartbeat_deadman_s: @deadman_s, request_streams: false}, config)
-    gateway = start_parts(%{mavlink: Map.merge(%{system_id: 245, component_id: 191}, mavlink)})
+    config = %{mavlink: Map.merge(%{system_id: 245, component_id: 191}, mavlink)}
+    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {gateway, port, vehicle(port, 1)}
   end

@@ -195,7 +195,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
     now = now || 0
 
     %{
-      streams: Arbiter.show(core.streams),
+      streams: if(core.options.request_streams, do: Arbiter.show(core.streams), else: %{}),
       clock: Timesync.show(core.timesync, now),
       gcs: Map.merge(Gcs.show(core.gcs, now), %{by_us?: ours?(core), withheld?: mistaken?(core)}),
       high_latency: %{only?: only_high?(core, now), links: HighLatency.links(core.high_latency)}

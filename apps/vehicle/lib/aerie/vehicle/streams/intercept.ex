@@ -59,12 +59,14 @@ defmodule Aerie.Vehicle.Streams.Intercept do
   end
 
   @doc "The vehicle's answer to a request that was absorbed, for who sent it; nil when there is none."
-  @spec answer(Frame.t(), component :: 0..255) :: binary() | nil
-  def answer(%Frame{id: id, version: version} = frame, component) when id in [@command_long, @command_int] do
+  @spec answer(Frame.t(), component :: 0..255, result :: 0..255) :: binary() | nil
+  def answer(%Frame{id: id, version: version} = frame, component, result)
+      when id in [@command_long, @command_int] do
     {system, _target} = MavCodec.Frame.target(frame)
 
     ack = %CommandAck{
       command: @set_message_interval,
+      result: result,
       target_system: frame.system,
       target_component: frame.component
     }
@@ -72,5 +74,5 @@ defmodule Aerie.Vehicle.Streams.Intercept do
     MavCodec.encode(ack, system: system, component: component, seq: frame.seq, version: version)
   end
 
-  def answer(_frame, _component), do: nil
+  def answer(_frame, _component, _result), do: nil
 end

@@ -48,24 +48,25 @@ defmodule Aerie.Link.PortOwner do
         do: "socket:[#{inode}]"
   end
 
-  defp holder(sockets) do
+  defp holder(targets) do
     with {:ok, names} <- File.ls("/proc") do
       pids = for name <- names, {pid, ""} <- [Integer.parse(name)], do: pid
-      Enum.find_value(pids, :unknown, &if(holds?(&1, sockets), do: {:ok, &1}))
+      Enum.find_value(pids, :unknown, &if(holds?(&1, targets), do: {:ok, &1}))
     end
   end
 
-  defp holds?(pid, sockets) do
+  defp holds?(pid, targets) do
     folder = "/proc/#{pid}/fd"
 
     case File.ls(folder) do
-      {:ok, names} ->
-        Enum.any?(names, &(match?({:ok, _}, link(folder, &1)) and elem(link(folder, &1), 1) in sockets))
-
-      {:error, _gone_or_foreign} ->
-        false
+      {:ok, names} -> Enum.any?(names, &(target(folder, &1) in targets))
+      {:error, _gone_or_foreign} -> false
     end
   end
 
-  defp link(folder, name), do: File.read_link(Path.join(folder, name))
+  defp target(folder, name) do
+    with {:ok, target} <- File.read_link(Path.join(folder, name)),
+         do: target,
+         else: (_closed_meanwhile -> nil)
+  end
 end

@@ -15,15 +15,18 @@ defmodule Aerie.Client.UnixSocket do
   @type identity :: {device :: integer(), inode :: integer()}
 
   @doc """
-  Where the sockets are when nobody says: `$XDG_RUNTIME_DIR/aerie`, else `/run/aerie`.
+  Where the sockets are when nobody says: `$XDG_RUNTIME_DIR/aerie`, else `/run/aerie` where that can be written (root, or
+  a service whose unit makes it), else `var/run` beside the gateway's other files. `writable?` answers for a folder.
   """
-  @spec default_dir(%{optional(String.t()) => String.t()}) :: Path.t()
-  def default_dir(env) do
+  @spec default_dir(%{optional(String.t()) => String.t()}, (Path.t() -> boolean())) :: Path.t()
+  def default_dir(env, writable? \\ &writable?/1) do
     case env do
       %{"XDG_RUNTIME_DIR" => "/" <> _ = dir} -> Path.join(dir, "aerie")
-      _other -> "/run/aerie"
+      _other -> if writable?.("/run/aerie") or writable?.("/run"), do: "/run/aerie", else: "var/run"
     end
   end
+
+  defp writable?(dir), do: match?({:ok, %File.Stat{access: :read_write}}, File.stat(dir))
 
   @doc """
   Listens at a path, whose folder is made (for its owner only) when it is not there. The error is words for a person.

@@ -610,7 +610,7 @@ defmodule Aerie.Config.Keys do
         field(
           :dir,
           :path,
-          "Folder. Left out: $XDG_RUNTIME_DIR/aerie, or /run/aerie. Who may use them is what its permissions say.",
+          "Folder. Left out: $XDG_RUNTIME_DIR/aerie, /run/aerie, or var/run. Who may use them is what its permissions say.",
           example: ~S("/run/aerie")
         ),
         field(:state_hz, {:number, 0.1, 50}, "How often state.sock tells every vehicle's state.",

@@ -78,8 +78,10 @@ defmodule Aerie.Client.StateSocketTest do
 
   test "the default folder is the user's own, else the system's" do
     assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "/run/user/7"}) == "/run/user/7/aerie"
-    assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "odd"}) == "/run/aerie"
-    assert UnixSocket.default_dir(%{}) == "/run/aerie"
+    assert UnixSocket.default_dir(%{"XDG_RUNTIME_DIR" => "odd"}, &(&1 == "/run")) == "/run/aerie"
+    assert UnixSocket.default_dir(%{}, &(&1 == "/run/aerie")) == "/run/aerie"
+    # An ordinary user's gateway, without a session of its own: a container, `su`.
+    assert UnixSocket.default_dir(%{}, fn _folder -> false end) == "var/run"
   end
 
   test "clients beyond the limit are refused and counted, and have room when others leave" do

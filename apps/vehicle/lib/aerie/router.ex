@@ -285,6 +285,7 @@ defmodule Aerie.Router do
   | `:id` | `{owner, peer}`: the link or client, and which of its peers |
   | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`, `:link`, `:websocket` ..., words |
   | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`Aerie.Router.Owner`) |
+  | `:hidden` | `[{network, system}]` that it does not see, because an earlier one of its networks has that system id |
   | `:since` | unix microseconds |
   | `:waiting` | frames on their way to its process |
   | `:counters` | `Aerie.Router.Tally` |

@@ -43,7 +43,6 @@ defmodule Aerie.Link.Egress do
     %__MODULE__{
       gateway: gateway,
       owner: owner,
-      baud: if(spec.kind == :serial, do: spec.baud),
       chunk: if(spec.kind in [:udp_server, :udp_client], do: 1_200)
     }
   end
@@ -126,6 +125,29 @@ defmodule Aerie.Link.Egress do
     endpoint = if kept, do: %{kept | out: peer.endpoint.out}, else: peer.endpoint
     Endpoints.put(egress.gateway, tables, endpoint)
     %{egress | peers: Map.put(egress.peers, id, %{peer | endpoint: endpoint})}
+  end
+
+  @doc """
+  The serial line that the link has now, if any: its rate is the budget of those that have none of their own. A USB port
+  (ttyACM) has a baud rate in name only.
+  """
+  @spec line(t, {Path.t() | nil, pos_integer} | nil, integer) :: t
+  def line(egress, line, now) do
+    case rate(line) do
+      baud when baud == egress.baud -> egress
+      baud -> rules(%{egress | baud: baud}, egress.owner, now)
+    end
+  end
+
+  defp rate(nil), do: nil
+  defp rate({device, baud}), do: if(usb?(device), do: nil, else: baud)
+
+  defp usb?(nil), do: false
+
+  defp usb?(device) do
+    # Names of /dev/serial/by-id are links.
+    target = with {:ok, target} <- File.read_link(device), do: target, else: (_ -> device)
+    target |> Path.basename() |> String.starts_with?("ttyACM")
   end
 
   @doc "Ends a peer's endpoint; what waits for it is forgotten."

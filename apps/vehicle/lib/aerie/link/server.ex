@@ -316,10 +316,16 @@ defmodule Aerie.Link.Server do
   defp sync(state) do
     peers = Map.new(state.core.peers.map, fn {id, peer} -> {id, peer.text} end)
 
-    {others, egress} = state.egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.others()
+    egress = Egress.line(state.egress, line(state), mono())
+    {others, egress} = egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.others()
     counters = Counters.merge(state.core.counters, others)
     %{state | egress: egress, core: %{state.core | counters: counters}}
   end
+
+  defp line(%{spec: %{kind: :serial} = spec, core: %{found: found}}),
+    do: {(found && found.path) || spec.device, (found && found.baud) || spec.baud}
+
+  defp line(_state), do: nil
 
   defp direct(%{transport: transport, conn: conn}, peer) do
     if function_exported?(transport, :direct, 2), do: transport.direct(conn, peer)

@@ -97,6 +97,17 @@ defmodule Aerie.Router.Routes do
   def talks?(tables, {network, system, component}, {link, peer}),
     do: :ets.member(tables.routes, {network, system, component, link, peer})
 
+  @doc "The systems that are heard, and by whom, by network."
+  @spec systems(Tables.t()) :: %{String.t() => [{system :: non_neg_integer, way}]}
+  def systems(tables) do
+    tables.routes
+    |> :ets.select([
+      {{{:"$1", :"$2", :_, :"$3", :"$4"}, :_, :_}, [], [{{:"$1", {{:"$2", {{:"$3", :"$4"}}}}}}]}
+    ])
+    |> Enum.uniq()
+    |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+  end
+
   @doc "All routes, with their ages in ms."
   @spec list(Tables.t(), integer) :: [route]
   def list(tables, now) do

@@ -1,5 +1,5 @@
 defmodule Aerie.Router.Sweeper do
-  @moduledoc "Sweeps old routes, refusals and load notes out of the router's tables, every ten seconds."
+  @moduledoc "Sweeps old routes, refusals, rate limits' and load notes out of the router's tables, every ten seconds."
   use GenServer
 
   alias Aerie.Names
@@ -8,6 +8,8 @@ defmodule Aerie.Router.Sweeper do
 
   @every_ms 10_000
   @load_ttl_ms 60_000
+  @limit_ttl_us 60_000_000
+  @max_limits 65_536
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
@@ -44,6 +46,13 @@ defmodule Aerie.Router.Sweeper do
   def sweep(tables, now) do
     :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
     :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
+    limits(tables.limits, now * 1000 - @limit_ttl_us)
     Routes.sweep(tables, now)
+  end
+
+  # Streams that ended; and all, should somebody invent sources faster than they end.
+  defp limits(table, before) do
+    :ets.select_delete(table, [{{:_, :"$1"}, [{:<, :"$1", before}], [true]}])
+    if :ets.info(table, :size) > @max_limits, do: :ets.delete_all_objects(table)
   end
 end

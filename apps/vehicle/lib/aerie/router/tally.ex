@@ -4,14 +4,13 @@ defmodule Aerie.Router.Tally do
 
   | counter | |
   |---|---|
-  | `frames_in`, `bytes_in` | came from it |
+  | `frames_in` | came from it |
   | `frames_out`, `bytes_out` | handed to it: to its socket, or to its process |
   | `no_route` | from it, addressed to somebody who is not known (R2) |
   | `duplicates` | from it, and from another endpoint before |
   | `read_only` | from it, and it may not speak |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
-  | `hidden` | not shown to it: another of its networks has a system of that id |
   | `failed` | its socket did not take them |
   | `dropped_control` ... `dropped_bulk` | dropped for want of room, by class |
   """
@@ -19,8 +18,8 @@ defmodule Aerie.Router.Tally do
   alias Aerie.Router.Classify
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
-  @names [:frames_in, :bytes_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
-           [:filtered_in, :filtered_out, :limited, :hidden, :failed] ++
+  @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
+           [:filtered_in, :filtered_out, :limited, :failed] ++
            @dropped
 
   @type t :: :counters.counters_ref()

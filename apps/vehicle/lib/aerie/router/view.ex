@@ -3,6 +3,7 @@ defmodule Aerie.Router.View do
 
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Plan
+  alias Aerie.Router.Routes
   alias Aerie.Router.Tables
   alias Aerie.Router.Tally
 
@@ -10,6 +11,7 @@ defmodule Aerie.Router.View do
   @spec endpoints(Tables.t()) :: [map]
   def endpoints(tables) do
     ways = Plan.read(tables).ways
+    heard = Routes.systems(tables)
 
     for endpoint <- Enum.sort_by(Endpoints.list(tables), & &1.key), way = ways[endpoint.key] do
       %{
@@ -22,6 +24,7 @@ defmodule Aerie.Router.View do
         group: way.group,
         role: way.role,
         sniffer: way.sniffer,
+        hidden: hidden(heard, way),
         since: endpoint.since,
         waiting: max(:atomics.get(endpoint.waiting, 1), 0),
         counters: Tally.read(endpoint.tally),
@@ -33,5 +36,20 @@ defmodule Aerie.Router.View do
           })
       }
     end
+  end
+
+  # Of two networks that have a system of the same id, the one that is named first is seen.
+  defp hidden(_heard, %{networks: [_one]}), do: []
+
+  defp hidden(heard, way) do
+    systems = fn network ->
+      for {system, key} <- Map.get(heard, network, []), key != way.key, uniq: true, do: system
+    end
+
+    for {network, i} <- Enum.with_index(way.networks),
+        earlier = way.networks |> Enum.take(i) |> Enum.flat_map(systems),
+        system <- systems.(network),
+        system in earlier,
+        do: {network, system}
   end
 end

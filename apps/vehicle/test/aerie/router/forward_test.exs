@@ -248,6 +248,236 @@ defmodule Aerie.Router.ForwardTest do
     end
   end
 
+  describe "between vehicles" do
+    test "a large network's vehicles hear heartbeats of each other, and all that is for them", c do
+      all = for n <- 1..10, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      [v1 | others] = all
+      beat = heartbeat(1, seq: 9)
+      say(v1, [attitude(1, 1), beat, attitude(1, 2)])
+      first = attitude(1, 1)
+      last = attitude(1, 2)
+      got = got([g | all])
+      assert got["g"] == [first, beat, last]
+      for %{name: name} <- others, do: assert(got[name] == [beat])
+      order = message(command(7), 1, 1)
+      say(v1, order)
+      assert %{"v7" => [^order], "v6" => []} = got(all)
+      # A part of the vehicle itself that is reached by another way gets everything.
+      camera = endpoint(c.gateway, "camera", side: :vehicle)
+      say(camera, heartbeat(1, type: 30, autopilot: 8, component: 100))
+      got([camera | all])
+      say(v1, first)
+      assert %{"camera" => [^first]} = got(camera)
+    end
+
+    test "as configured" do
+      for {between, expected} <- [all: 2, heartbeats: 1, none: 0] do
+        gateway = start_parts(%{router: %{between_vehicles: between}})
+        v1 = vehicle(gateway, "#{between} 1", 1)
+        v2 = vehicle(gateway, "#{between} 2", 2)
+        got([v1, v2])
+        say(v1, [attitude(1, 1), heartbeat(1, seq: 9)])
+        assert length(got(v2)[v2.name]) == expected
+      end
+    end
+  end
+
+  describe "redundant links" do
+    setup c do
+      a = endpoint(c.gateway, "a", side: :vehicle, group: "mast")
+      b = endpoint(c.gateway, "b", side: :vehicle, group: "mast")
+      g = client(c.gateway, "g", 255)
+      for e <- [a, b], do: say(e, heartbeat(1))
+      got([a, b, g])
+      {:ok, a: a, b: b, g: g, all: [a, b, g]}
+    end
+
+    test "what both bring goes on once, whichever was first, and never from one to the other", c do
+      for n <- 1..20 do
+        {first, second} = if rem(n, 2) == 0, do: {c.a, c.b}, else: {c.b, c.a}
+        for e <- [first, second], do: say(e, attitude(1, n))
+      end
+
+      expected = for n <- 1..20, do: attitude(1, n)
+      assert got(c.all) == %{"a" => [], "b" => [], "g" => expected}
+      counts = for name <- ["a", "b"], do: counted(c.gateway, name).counters.duplicates
+      assert Enum.sum(counts) >= 20
+    end
+
+    test "what goes to their vehicle goes by one of them; the better one; by class where that is said", c do
+      order = message(command(1), 255, 190)
+      say(c.g, order)
+      assert %{"a" => [^order], "b" => []} = got(c.all)
+      tables = Router.Tables.of(c.gateway)
+      :ets.insert(tables.scores, {{:pick, "mast"}, "b"})
+      say(c.g, order)
+      assert %{"a" => [], "b" => [^order]} = got(c.all)
+      beat = gcs(255)
+      say(c.g, beat)
+      assert %{"a" => [], "b" => [^beat]} = got(c.all)
+
+      # Commands twice (R8: receivers live with that), files by the other one.
+      for name <- ["a", "b"],
+          do: :ok = Router.configure(c.gateway, name, carry: %{"control" => "all", "bulk" => "a"})
+
+      file = message(%Messages.LogRequestData{target_system: 1, target_component: 1, count: 5}, 255, 190)
+      say(c.g, [order, file])
+      assert %{"a" => [^order, ^file], "b" => [^order]} = got(c.all)
+    end
+
+    test "links that are not said to be redundant are found out: nothing twice, nothing back to its vehicle",
+         c do
+      x = endpoint(c.gateway, "x", side: :vehicle)
+      y = endpoint(c.gateway, "y", side: :vehicle)
+      for e <- [x, y], do: say(e, heartbeat(5))
+      got([x, y | c.all])
+
+      for n <- 1..5, e <- [x, y], do: say(e, attitude(5, n))
+      expected = for n <- 1..5, do: attitude(5, n)
+      assert %{"g" => ^expected, "x" => [], "y" => []} = got([x, y | c.all])
+      # A frame that it addresses to itself does not reach it by its other radio.
+      say(x, message(command(5, 1, 20), 5, 1))
+      assert %{"x" => [], "y" => [], "g" => []} = got([x, y | c.all])
+    end
+
+    test "the meter takes the link that is heard better, and says so", c do
+      ref = make_ref()
+      test = self()
+      gateway = c.gateway
+
+      :telemetry.attach(
+        ref,
+        [:aerie, :router, :carrier],
+        fn _, _, m, _ -> m.gateway == gateway && send(test, {:carrier, m.link}) end,
+        nil
+      )
+
+      on_exit(fn -> :telemetry.detach(ref) end)
+      tables = Router.Tables.of(gateway)
+      state = %{gateway: gateway, at: nil, tallies: %{}, sequences: %{}, losses: %{}, choices: %{}}
+
+      put = fn id, received, lost ->
+        sources = %{{1, 1} => %{received: received, lost: lost}}
+
+        Aerie.Fleet.Store.put_link(gateway, id, %{
+          id: id,
+          status: :up,
+          sources: sources,
+          last_heard: System.os_time(:microsecond)
+        })
+      end
+
+      for id <- ["a", "b"], do: put.(id, 100, 0)
+      state = Router.Meter.measure(state, tables, 0)
+      assert_received {:carrier, "a"}
+      put.("a", 150, 50)
+      put.("b", 200, 0)
+      state = Router.Meter.measure(state, tables, 1_000)
+      assert_received {:carrier, "b"}
+      :ok = Router.Meter.note_rtt(gateway, "a", 20)
+      put.("a", 250, 50)
+      Router.Meter.measure(state, tables, 2_000)
+      refute_received {:carrier, _}
+      assert Router.way(gateway, {"main", 1}) != nil
+    end
+  end
+
+  describe "networks" do
+    setup c do
+      red = vehicle(c.gateway, "red", 1, networks: ["red"])
+      blue = vehicle(c.gateway, "blue", 1, networks: ["blue"])
+      two = vehicle(c.gateway, "two", 2, networks: ["blue"])
+      {:ok, red: red, blue: blue, two: two, all: [red, blue, two]}
+    end
+
+    test "do not meet: same ids, other vehicles", c do
+      r = client(c.gateway, "r", 255, networks: ["red"])
+      b = client(c.gateway, "b", 255, networks: ["blue"])
+      all = [r, b | c.all]
+      got(all)
+      say(c.red, attitude(1, 1))
+      first = attitude(1, 1)
+      assert %{"r" => [^first], "b" => [], "blue" => [], "two" => []} = got(all)
+      order = message(command(1), 255, 190)
+      say(b, order)
+      assert %{"blue" => [^order], "red" => [], "r" => []} = got(all)
+    end
+
+    test "who sees several sees one system of an id, of the network that is named first, and is told which not",
+         c do
+      g = client(c.gateway, "g", 255, networks: ["red", "blue"])
+      all = [g | c.all]
+      got(all)
+      first = attitude(1, 1)
+      other = attitude(2, 1)
+      say(c.red, first)
+      say(c.blue, attitude(1, 2))
+      say(c.two, other)
+      assert %{"g" => [^first, ^other]} = got(all)
+      assert %{hidden: [{"blue", 1}]} = counted(c.gateway, "g")
+      orders = for id <- [1, 2], do: message(command(id), 255, 190)
+      say(g, orders)
+      [one, two] = orders
+      assert %{"red" => [^one], "blue" => [], "two" => [^two]} = got(all)
+      answer = message(%Messages.CommandAck{command: 400, target_system: 255, target_component: 190}, 2, 1)
+      say(c.two, answer)
+      assert %{"g" => [^answer]} = got(g)
+    end
+  end
+
+  describe "rules of an endpoint" do
+    setup c, do: {:ok, v: vehicle(c.gateway, "v", 1), w: vehicle(c.gateway, "w", 2)}
+
+    test "filters in and out, by message, system, component and source", c do
+      out = client(c.gateway, "out", 254, out: %{block_messages: ["ATTITUDE"], block_sources: ["w"]})
+      into = client(c.gateway, "in", 253, in: %{allow_messages: ["HEARTBEAT"]})
+      got([c.v, c.w, out, into])
+      beat = heartbeat(1, seq: 1)
+      say(c.v, [attitude(1, 1), beat])
+      say(c.w, heartbeat(2, seq: 1))
+      say(into, message(command(1), 253, 190))
+
+      assert %{"out" => [^beat], "v" => []} =
+               Map.update!(got([out, c.v]), "v", &(&1 -- [heartbeat(2, seq: 1)]))
+
+      assert %{filtered_out: 2} = counted(c.gateway, "out").counters
+      assert %{filtered_in: 1} = counted(c.gateway, "in").counters
+    end
+
+    test "rate limits count each message and each component for itself", c do
+      slow = client(c.gateway, "slow", 254, rate_limits: %{"ATTITUDE" => 0.001})
+      got(slow)
+      for n <- 1..5, do: say(c.v, attitude(1, n))
+      for n <- 1..5, do: say(c.w, attitude(2, n))
+      say(c.v, heartbeat(1, seq: 3))
+      expected = [attitude(1, 1), attitude(2, 1), heartbeat(1, seq: 3)]
+      assert %{"slow" => ^expected} = got(slow)
+      assert counted(c.gateway, "slow").counters.limited == 8
+    end
+
+    test "an endpoint that takes nothing any more is told less, and it is counted by class", c do
+      lazy = self()
+      {:ok, endpoint} = Endpoint.attach(c.gateway, id: "lazy")
+      for n <- 1..5_000, do: deliver(c.gateway, "v", parse(attitude(1, n)))
+
+      assert %{counters: %{dropped_state: 904, frames_out: 4_096}, waiting: 4_096} =
+               counted(c.gateway, "lazy")
+
+      assert Process.info(lazy, :message_queue_len) |> elem(1) >= 4_096
+      :ok = Endpoint.taken(endpoint, 4_096)
+      deliver(c.gateway, "v", parse(attitude(1, 1)))
+      assert %{counters: %{frames_out: 4_097}} = counted(c.gateway, "lazy")
+
+      assert {:error, "there is an endpoint lazy already"} =
+               Task.async(fn -> Endpoint.attach(c.gateway, id: "lazy") end) |> Task.await()
+
+      :ok = Endpoint.detach(endpoint)
+      assert counted(c.gateway, "lazy") == nil
+    end
+  end
+
   defp parse(bytes), do: elem(MavCodec.Parser.push(MavCodec.Parser.new(), bytes, 5), 0)
 
   defp deliver(gateway, id, frames),

@@ -1,0 +1,329 @@
+# The router beside others on the same machine in the same run: one source of frames and 1, 5 and 20 clients over UDP, one
+# frame a datagram; then 100 links of 100 frames/s. Each router is one OS process on one core (two for the 100 links), the
+# load another one on the other core, a small C program in bench/support.
+#
+#     mix run bench/router.exs [--seconds N] [--quick]          or  bin/bench router
+#
+# Columns: frames/s that were sent for three seconds and arrived at every client without loss; p50 and p99 of the added
+# latency at 1,000 and 10,000 frames/s, in microseconds; CPU seconds per 100,000 frames that came in, at 10,000 frames/s;
+# memory for each further client.
+#
+# Beside it run, where they are there: mavp2p (built with `go install` into a folder that goes with this run) and MAVProxy
+# (mavproxy.py in the Python environment or on the path). What is not there is said and left out.
+
+defmodule RouterBench do
+  @clients [1, 5, 20]
+  @rates [20_000, 40_000, 60_000, 80_000, 100_000, 125_000, 150_000, 200_000]
+  # Off: threads that look for work while there is none, which only shows as CPU time here.
+  @emulator "+fnu +S 1:1 +sbwt none +sbwtdcpu none +sbwtdio none"
+
+  def main(argv) do
+    {options, [], []} = OptionParser.parse(argv, strict: [seconds: :integer, quick: :boolean])
+    seconds = options[:seconds] || if(options[:quick], do: 1, else: 4)
+    dir = Path.join(System.tmp_dir!(), "router-bench-#{System.pid()}")
+    File.mkdir_p!(dir)
+
+    try do
+      load = compile(dir)
+      routers = [aerie() | Enum.flat_map([mavp2p(dir), mavproxy()], &found/1)]
+
+      context = %{
+        load: load,
+        seconds: seconds,
+        rates: if(options[:quick], do: [20_000, 80_000], else: @rates)
+      }
+
+      IO.puts(
+        "\n" <>
+          row([
+            "",
+            "clients",
+            "frames/s, no loss",
+            "p50/p99 at 1,000",
+            "p50/p99 at 10,000",
+            "CPU s/100,000",
+            "KiB/client"
+          ])
+      )
+
+      for router <- routers, do: table(router, context)
+      hundred(context)
+    after
+      File.rm_rf!(dir)
+    end
+  end
+
+  defp found({:ok, router}), do: [router]
+
+  defp found({:missing, text}) do
+    IO.puts(text)
+    []
+  end
+
+  defp compile(dir) do
+    out = Path.join(dir, "router_load")
+    source = Path.join(__DIR__, "support/router_load.c")
+
+    cc =
+      System.find_executable("cc") || System.find_executable("gcc") ||
+        raise "the load generator needs a C compiler (cc)"
+
+    {_, 0} = System.cmd(cc, ["-O2", "-pthread", "-o", out, source], into: IO.stream())
+    out
+  end
+
+  ## Routers: how each is started, and on which ports its clients come in
+
+  defp aerie do
+    %{
+      name: "Aerie",
+      step: 0,
+      ready: "ready",
+      command: fn source, client, _n ->
+        {System.find_executable("mix"),
+         [
+           "run",
+           "--no-compile",
+           Path.join(__DIR__, "support/router_node.exs"),
+           "udpin:127.0.0.1:#{client}",
+           "udpin:127.0.0.1:#{source}"
+         ]}
+      end
+    }
+  end
+
+  defp mavp2p(dir) do
+    with nil <- System.find_executable("mavp2p"),
+         go when is_binary(go) <-
+           System.find_executable("go") || {:missing, "mavp2p: neither it nor go is here: left out"},
+         env = [{"GOBIN", dir}, {"GOPATH", Path.join(dir, "go")}, {"GOFLAGS", "-modcacherw"}],
+         {text, status} =
+           System.cmd(go, ["install", "github.com/bluenviron/mavp2p@latest"],
+             env: env,
+             stderr_to_stdout: true
+           ) do
+      if status == 0,
+        do: {:ok, mavp2p_at(Path.join(dir, "mavp2p"))},
+        else: {:missing, "mavp2p: left out, go install says: #{text |> String.split("\n") |> hd()}"}
+    else
+      path when is_binary(path) -> {:ok, mavp2p_at(path)}
+      missing -> missing
+    end
+  end
+
+  defp mavp2p_at(path) do
+    %{
+      name: "mavp2p",
+      step: 0,
+      ready: nil,
+      command: fn source, client, _n ->
+        {path,
+         ["udps:127.0.0.1:#{source}", "udps:127.0.0.1:#{client}", "--hb-disable", "--streamreq-disable"]}
+      end
+    }
+  end
+
+  # Each of its outputs talks to one peer, so that each client has a port of its own.
+  defp mavproxy do
+    case Enum.find(
+           [
+             Path.join(System.get_env("AERIE_VENV", ""), "bin/mavproxy.py"),
+             System.find_executable("mavproxy.py")
+           ],
+           &(&1 && File.exists?(&1))
+         ) do
+      nil ->
+        {:missing, "MAVProxy: mavproxy.py is not here: left out (pip install MAVProxy brings it)"}
+
+      path ->
+        {:ok,
+         %{
+           name: "MAVProxy",
+           step: 1,
+           ready: nil,
+           command: fn source, client, n ->
+             outs = for i <- 0..(n - 1), do: "--out=udpin:127.0.0.1:#{client + i}"
+
+             {path,
+              [
+                "--master=udpin:127.0.0.1:#{source}",
+                "--daemon",
+                "--non-interactive",
+                "--state-basedir=#{System.tmp_dir!()}"
+              ] ++ outs}
+           end
+         }}
+    end
+  end
+
+  ## Measuring
+
+  defp table(router, context) do
+    lines = for n <- @clients, do: {n, measure(router, n, context)}
+    [{1, %{rss: one}} | _] = lines
+    {_, %{rss: many}} = List.last(lines)
+    each = if one && many, do: max(round((many - one) / (List.last(@clients) - 1)), 0)
+
+    for {n, m} <- lines do
+      memory = if n == 1, do: "", else: "#{each}"
+      IO.puts(row([router.name, n, m.best, latency(m.slow), latency(m.fast), m.cpu, memory]))
+    end
+  end
+
+  defp measure(router, n, context) do
+    with_router(
+      router,
+      n,
+      "0",
+      fn run ->
+        slow = run.(1_000)
+        fast = run.(10_000)
+        rss = run.(:rss)
+        best = context.rates |> Enum.take_while(&lossless?(run, &1)) |> List.last()
+
+        cpu =
+          if fast["lost"] == 0,
+            do: Float.round(fast["cpu"] * 100_000 / fast["sent"], 2),
+            else: "#{Float.round(fast["cpu"] * 100_000 / fast["sent"], 2)} (loses)"
+
+        %{slow: slow, fast: fast, rss: rss, best: best || "< #{hd(context.rates)}", cpu: cpu}
+      end,
+      context
+    )
+  end
+
+  # A machine that does something else for a moment is no router's fault: three tries.
+  defp lossless?(run, rate), do: Enum.any?(1..3, fn _ -> run.({rate, 3})["lost"] == 0 end)
+
+  defp latency(%{"lost" => 0} = r), do: "#{r["p50"]} / #{r["p99"]}"
+  defp latency(r), do: "#{r["p50"]} / #{r["p99"]}, loses #{Float.round(100 * r["lost"] / r["sent"], 1)} %"
+
+  defp with_router(router, n, cores, fun, context, env \\ []) do
+    base = base_port()
+    {command, args} = router.command.(base, base + 200, n)
+    {command, args} = pinned(cores, command, args)
+
+    env =
+      for {k, v} <- [{"ELIXIR_ERL_OPTIONS", @emulator}, {"MIX_ENV", "prod"}] ++ env,
+          do: {to_charlist(k), to_charlist(v)}
+
+    port =
+      Port.open({:spawn_executable, command}, [:binary, :exit_status, :stderr_to_stdout, args: args, env: env])
+
+    {:os_pid, pid} = Port.info(port, :os_pid)
+
+    try do
+      ready(port, router.ready)
+      pid = busiest(pid)
+
+      fun.(fn
+        :rss -> rss(pid)
+        :hundred -> load(context, router, base, n, 10_000, 2 * context.seconds, pid, cores, 100, 1)
+        {rate, seconds} -> load(context, router, base, n, rate, seconds, pid, cores)
+        rate -> load(context, router, base, n, rate, context.seconds, pid, cores)
+      end)
+    after
+      System.cmd("kill", ["#{pid}"], stderr_to_stdout: true)
+      if Port.info(port), do: Port.close(port)
+      Process.sleep(300)
+    end
+  end
+
+  defp ready(_port, nil), do: Process.sleep(3_000)
+
+  defp ready(port, word) do
+    receive do
+      {^port, {:data, text}} -> if String.contains?(text, word), do: :ok, else: ready(port, word)
+      {^port, {:exit_status, status}} -> raise "it ended with #{status}"
+    after
+      60_000 -> raise "it does not start"
+    end
+  end
+
+  # A wrapper's child does the work.
+  defp busiest(pid) do
+    case System.cmd("pgrep", ["-P", "#{pid}"], stderr_to_stdout: true) do
+      {children, 0} ->
+        [pid | children |> String.split() |> Enum.map(&busiest(String.to_integer(&1)))]
+        |> Enum.max_by(&(rss(&1) || 0))
+
+      _none ->
+        pid
+    end
+  end
+
+  defp load(context, router, base, n, rate, seconds, pid, cores, sources \\ 1, step \\ 0) do
+    before = cpu(pid)
+    args = Enum.map([base, base + 200, router.step, n, rate, seconds, sources, step], &to_string/1)
+    {command, args} = pinned(if(cores == "0", do: "1", else: cores), context.load, args)
+    {text, 0} = System.cmd(command, args)
+    result = JSON.decode!(text)
+    Map.merge(result, %{"lost" => max(result["sent"] - result["worst"], 0), "cpu" => cpu(pid) - before})
+  end
+
+  defp pinned(cores, command, args) do
+    taskset = System.find_executable("taskset")
+    if taskset && System.schedulers() > 1, do: {taskset, ["-c", cores, command | args]}, else: {command, args}
+  end
+
+  # User and system time, in hundredths of a second.
+  defp cpu(pid) do
+    [_, rest] = "/proc/#{pid}/stat" |> File.read!() |> String.split(") ", parts: 2)
+    fields = String.split(rest)
+    (String.to_integer(Enum.at(fields, 11)) + String.to_integer(Enum.at(fields, 12))) / 100
+  end
+
+  defp rss(pid) do
+    with {:ok, text} <- File.read("/proc/#{pid}/status"),
+         [_, kib] <- Regex.run(~r/VmRSS:\s+(\d+)/, text),
+         do: String.to_integer(kib),
+         else: (_ -> nil)
+  end
+
+  defp base_port do
+    {:ok, socket} = :gen_udp.open(0)
+    {:ok, port} = :inet.port(socket)
+    :gen_udp.close(socket)
+    if port < 60_000, do: port, else: base_port()
+  end
+
+  ## Many links
+
+  defp hundred(context) do
+    router = %{
+      aerie()
+      | command: fn source, client, _n ->
+          links = for i <- 0..99, do: "udpin:127.0.0.1:#{source + i}"
+
+          {System.find_executable("mix"),
+           [
+             "run",
+             "--no-compile",
+             Path.join(__DIR__, "support/router_node.exs"),
+             "udpin:127.0.0.1:#{client}" | links
+           ]}
+        end
+    }
+
+    System.put_env("ROUTER_LOAD_VEHICLE", "1")
+    two = [{"ELIXIR_ERL_OPTIONS", String.replace(@emulator, "+S 1:1", "+S 2:2")}]
+
+    for {name, vehicles} <- [{"routing alone", "1"}, {"with the vehicles' sessions", "250"}] do
+      env = [{"ROUTER_BENCH_VEHICLES", vehicles} | two]
+      with_router(router, 1, "0,1", &IO.puts(sentence(name, &1.(:hundred))), context, env)
+    end
+  end
+
+  defp sentence(name, r) do
+    "100 links of 100 frames/s on two cores, #{name}: sent #{r["sent"]}, lost #{r["lost"]}, p50 #{r["p50"]} us, " <>
+      "p99 #{r["p99"]} us, CPU #{Float.round(r["cpu"] * 100_000 / r["sent"], 2)} s per 100,000 frames"
+  end
+
+  defp row(cells) do
+    [9, 8, 18, 22, 24, 20, 10]
+    |> Enum.zip(cells)
+    |> Enum.map_join(" ", fn {width, cell} -> String.pad_trailing(to_string(cell), width) end)
+  end
+end
+
+RouterBench.main(System.argv())

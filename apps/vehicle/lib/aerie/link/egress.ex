@@ -290,9 +290,9 @@ defmodule Aerie.Link.Egress do
   @doc "The link ends: its endpoints go, its rules stay for the next process of the link."
   @spec close(t) :: :ok
   def close(egress) do
-    with tables when is_map(tables) <- Tables.of(egress.gateway),
-         do: for({id, _peer} <- egress.peers, do: Endpoints.remove(tables, {egress.owner.id, id}))
-
-    :ok
+    case Tables.of(egress.gateway) do
+      nil -> :ok
+      tables -> Enum.each(egress.peers, fn {id, _peer} -> Endpoints.remove(tables, {egress.owner.id, id}) end)
+    end
   end
 end

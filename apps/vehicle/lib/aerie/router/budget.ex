@@ -75,5 +75,5 @@ defmodule Aerie.Router.Budget do
 
   @doc "The rate that holds now, in bytes a second."
   @spec rate(t) :: float
-  def rate(budget), do: budget.rate * budget.factor
+  def rate(%__MODULE__{rate: rate, factor: factor}) when is_float(factor), do: rate * factor
 end

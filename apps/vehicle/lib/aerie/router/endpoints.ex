@@ -89,8 +89,8 @@ defmodule Aerie.Router.Endpoints do
     :ok
   end
 
-  @doc "Says which side an endpoint is on, as its heartbeats show."
-  @spec side(Tables.t(), Endpoint.key(), :vehicle | :client, keyword) :: :ok
+  @doc "Says which side an endpoint is on, as its heartbeats show; nil: its owner's."
+  @spec side(Tables.t(), Endpoint.key(), :vehicle | :client | nil, keyword) :: :ok
   def side(tables, key, side, fields \\ []) do
     case get(tables, key) do
       nil ->

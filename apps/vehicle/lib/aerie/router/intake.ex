@@ -28,7 +28,8 @@ defmodule Aerie.Router.Intake do
       %Frame{id: id, crc_extra: extra} = frame, {talker, way, vehicle?}
       when id in @says_who and extra != nil ->
         heartbeat = Heartbeat.read(frame)
-        for network <- way.networks, do: Systems.note(gateway, network, way.owner, frame, heartbeat)
+        # That there are too many systems is no reason not to forward.
+        for network <- way.networks, do: _ = Systems.note(gateway, network, way.owner, frame, heartbeat)
         now_vehicle? = Heartbeat.vehicle?(heartbeat)
         way = side(tables, way, heartbeat, now_vehicle?)
         {%{talker | autopilot: now_vehicle?}, way, vehicle? or now_vehicle?}

@@ -18,6 +18,7 @@ defmodule Aerie.Router.Local do
   @enforce_keys [:tables, :plan]
   defstruct [:tables, :plan, talkers: %{}]
 
+  @typedoc "`tables`: the `id` of the tables that it comes from"
   @type t :: %__MODULE__{tables: reference, plan: Plan.t(), talkers: %{term => Talker.t()}}
 
   @doc "The cache of the calling process, with a plan that holds now."
@@ -26,14 +27,14 @@ defmodule Aerie.Router.Local do
     generation = Tables.generation(tables)
 
     case Process.get({__MODULE__, gateway}) do
-      %__MODULE__{tables: ref, plan: %{generation: ^generation}} = local when ref == tables.generation ->
+      %__MODULE__{tables: ref, plan: %{generation: ^generation}} = local when ref == tables.id ->
         local
 
-      %__MODULE__{tables: ref} = local when ref == tables.generation ->
+      %__MODULE__{tables: ref} = local when ref == tables.id ->
         put(gateway, %{local | plan: Plan.read(tables)})
 
       _none ->
-        put(gateway, %__MODULE__{tables: tables.generation, plan: Plan.read(tables)})
+        put(gateway, %__MODULE__{tables: tables.id, plan: Plan.read(tables)})
     end
   end
 

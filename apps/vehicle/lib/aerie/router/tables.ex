@@ -12,7 +12,8 @@ defmodule Aerie.Router.Tables do
   - `:settings` `{name, value}`
 
   `generation` is a counter that moves whenever an endpoint, an owner or the set of ways to a system changes. Processes
-  that forward keep what they worked out from these tables for as long as it stands still.
+  that forward keep what they worked out from these tables for as long as it stands still. `id` tells them from the tables
+  of an earlier life.
   """
 
   alias Aerie.Names
@@ -28,7 +29,8 @@ defmodule Aerie.Router.Tables do
           load: :ets.table(),
           refused: :ets.table(),
           settings: :ets.table(),
-          generation: :atomics.atomics_ref()
+          generation: :atomics.atomics_ref(),
+          id: reference
         }
 
   @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`."
@@ -48,7 +50,8 @@ defmodule Aerie.Router.Tables do
       load: :ets.new(:load, [:set | shared]),
       refused: :ets.new(:refused, [:set | shared]),
       settings: :ets.new(:settings, [:set, :public, read_concurrency: true]),
-      generation: :atomics.new(2, signed: false)
+      generation: :atomics.new(2, signed: false),
+      id: make_ref()
     }
 
     :ets.insert(tables.settings, [{:seen_turn, {0, System.monotonic_time(:millisecond)}} | settings])

@@ -42,12 +42,12 @@ defmodule Aerie.Router do
   alias MavCodec.Frame
 
   @typedoc """
-  Where frames come from: the link's id, its network, which of its peers sent them, and what is thought of the link
-  (`Aerie.Signing.trust/1`).
+  Where frames come from: the link's id, its network (nil: what its endpoint says), which of its peers sent them, and what
+  is thought of the link (`Aerie.Signing.trust/1`).
   """
   @type source :: %{
           required(:id) => String.t(),
-          required(:network) => String.t(),
+          required(:network) => String.t() | nil,
           required(:peer) => term,
           optional(:trust) => Aerie.Signing.Guard.trust()
         }
@@ -87,9 +87,17 @@ defmodule Aerie.Router do
   end
 
   defp forward(gateway, tables, source, frames) do
-    now = System.monotonic_time(:millisecond)
     local = Local.fetch(gateway, tables)
-    way = way_of(local, source)
+
+    case way_of(local, source) do
+      # A client whose endpoint is gone, as after a restart of the router: whatever it says is no vehicle's.
+      nil -> %{@nothing | unclaimed: length(frames)}
+      way -> forward(gateway, tables, local, way, source, frames)
+    end
+  end
+
+  defp forward(gateway, tables, local, way, source, frames) do
+    now = System.monotonic_time(:millisecond)
     Tally.add(way.tally, :frames_in, length(frames))
     # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
     trusted = Aerie.Signing.admit(gateway, %{source | network: hd(way.networks)}, frames)
@@ -125,10 +133,11 @@ defmodule Aerie.Router do
     if trusted == frames, do: frames, else: Enum.filter(trusted, &({&1.system, &1.component} == ids))
   end
 
-  defp way_of(%{plan: plan}, %{id: id, peer: peer} = source) do
+  defp way_of(%{plan: plan}, %{id: id, peer: peer, network: network}) do
     case plan.ways do
       %{{^id, ^peer} => way} -> way
-      _unknown -> Plan.stranger(id, peer, source.network)
+      _unknown when network == nil -> nil
+      _unknown -> Plan.stranger(id, peer, network)
     end
   end
 
@@ -156,7 +165,7 @@ defmodule Aerie.Router do
     known? = Enum.any?(heard, &(&1.crc_extra != nil))
     talker = Talker.refresh(before, tables, local.plan, way, known?, now)
     {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
-    if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
+    _ = if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
     Forward.frames(tables, local.plan, way, talker, Wishes.pass(gateway, way, frames, heard), now)
     {way, autopilot?}
   end
@@ -255,7 +264,8 @@ defmodule Aerie.Router do
       bytes = IO.iodata_to_binary(bytes)
 
       for {key, way} <- Plan.read(tables).ways, way.broadcasts, network == :all or network in way.networks do
-        send_by(gateway, tables, key, {hd(way.networks), nil}, bytes)
+        # An endpoint that went meanwhile needs none.
+        _ = send_by(gateway, tables, key, {hd(way.networks), nil}, bytes)
       end
 
       :ok

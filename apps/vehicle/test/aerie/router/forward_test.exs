@@ -2,6 +2,7 @@ defmodule Aerie.Router.ForwardTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
+  alias Aerie.Fleet.Store
   alias Aerie.Router
   alias Aerie.Router.Endpoint
   alias MavCodec.Messages
@@ -91,6 +92,15 @@ defmodule Aerie.Router.ForwardTest do
     do: %Messages.CommandLong{target_system: target, target_component: component, command: id}
 
   defp counted(gateway, name), do: Enum.find(Router.endpoints(gateway), &(&1.id == {name, :self}))
+
+  test "what an endpoint says after its end goes nowhere and makes no vehicle", c do
+    gone = endpoint(c.gateway, "gone", [])
+    :ok = Endpoint.detach(gone.endpoint)
+    # Like a vehicle's heartbeat, which a client may well send (a simulator behind it).
+    assert %{unclaimed: 1, delivered: 0} = say(gone, heartbeat(9))
+    assert Router.systems(c.gateway) == %{}
+    assert Store.vehicles(c.gateway) == []
+  end
 
   describe "rules" do
     setup c do

@@ -124,7 +124,7 @@ defmodule Aerie.Link.Transport.Net do
   @doc "Closes a UDP socket and its second handle."
   @spec udp_close(:gen_udp.socket(), :socket.socket() | nil) :: :ok
   def udp_close(socket, sender) do
-    if sender, do: :socket.close(sender)
+    _ = if sender, do: :socket.close(sender)
     :gen_udp.close(socket)
   end
 

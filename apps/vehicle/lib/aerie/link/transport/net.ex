@@ -85,7 +85,7 @@ defmodule Aerie.Link.Transport.Net do
 
   @doc """
   A second handle of a UDP socket for writing, which any process may use without the port's queue in between, and at a
-  third of the cost. It ends with the calling process, or with `:socket.close/1`; nil where the system does not give one.
+  third of the cost. It ends with the calling process, or by `udp_close/2` and no other way; nil where the system does not give one.
   """
   @spec sender(:gen_udp.socket()) :: :socket.socket() | nil
   def sender(socket) do
@@ -124,8 +124,11 @@ defmodule Aerie.Link.Transport.Net do
   @doc "Closes a UDP socket and its second handle."
   @spec udp_close(:gen_udp.socket(), :socket.socket() | nil) :: :ok
   def udp_close(socket, sender) do
+    # In this order only: `:socket.close/1` makes the descriptor that both share a blocking one, and the driver of the
+    # socket, if it was still reading, would stop a scheduler, and with it the whole VM, until the next datagram.
+    :ok = :gen_udp.close(socket)
     _ = if sender, do: :socket.close(sender)
-    :gen_udp.close(socket)
+    :ok
   end
 
   @doc "Options of every TCP socket; a half-open connection is noticed within half a minute."

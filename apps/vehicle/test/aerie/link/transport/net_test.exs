@@ -1,0 +1,46 @@
+defmodule Aerie.Link.Transport.NetTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Link.Transport.Net
+
+  @loopback {127, 0, 0, 1}
+
+  test "a UDP socket with a second handle is closed in the middle of its traffic" do
+    {:ok, out} = :gen_udp.open(0)
+
+    # Whoever closes the second handle first has a VM that stands still after some of these.
+    for _ <- 1..300 do
+      {:ok, socket} = Net.udp(@loopback, 0)
+      {:ok, port} = :inet.port(socket)
+      :ok = :inet.setopts(socket, active: Net.active())
+      sender = Net.sender(socket)
+      assert :ok = Net.udp_write(socket, sender, @loopback, port, "hello")
+      feeder = Task.async(fn -> feed(out, port) end)
+      assert_receive {:udp, ^socket, @loopback, ^port, "hello"}
+      assert :ok = Net.udp_close(socket, sender)
+      send(feeder.pid, :enough)
+      assert :ok = Task.await(feeder)
+      assert {:error, _closed} = Net.udp_write(socket, sender, @loopback, port, "hello")
+      forget()
+    end
+  end
+
+  defp feed(out, port) do
+    _ = :gen_udp.send(out, @loopback, port, "x")
+
+    receive do
+      :enough -> :ok
+    after
+      0 -> feed(out, port)
+    end
+  end
+
+  defp forget do
+    receive do
+      {:udp, _socket, _address, _port, _bytes} -> forget()
+      {:udp_passive, _socket} -> forget()
+    after
+      0 -> :ok
+    end
+  end
+end

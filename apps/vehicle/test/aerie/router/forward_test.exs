@@ -485,6 +485,9 @@ defmodule Aerie.Router.ForwardTest do
 
       :ok = Endpoint.detach(endpoint)
       assert counted(c.gateway, "lazy") == nil
+      # What it says now is heard by nobody.
+      assert %{delivered: 0, unclaimed: 1} = Endpoint.ingress(endpoint, parse(heartbeat(44)))
+      assert Router.way(c.gateway, {"main", 44}) == nil
     end
   end
 

@@ -54,7 +54,7 @@ defmodule Aerie.Client.Pipe do
   @spec read(t(), binary()) :: t()
   def read(pipe, bytes) do
     {frames, parser} = Parser.push_datagram(pipe.parser, bytes, System.os_time(:microsecond))
-    if frames != [], do: Endpoint.ingress(pipe.endpoint, frames)
+    _outcome = if frames != [], do: Endpoint.ingress(pipe.endpoint, frames)
     %{pipe | parser: parser}
   end
 

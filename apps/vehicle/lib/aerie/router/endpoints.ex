@@ -59,10 +59,14 @@ defmodule Aerie.Router.Endpoints do
   @doc "Removes an endpoint and what was learned by it."
   @spec remove(Tables.t(), Endpoint.key()) :: :ok
   def remove(tables, {owner, peer} = key) do
-    with [{_key, endpoint}] <- :ets.take(tables.endpoints, key) do
-      limits_of(tables, key)
-      Tables.changed(tables)
-      Wishes.forget(endpoint)
+    case :ets.take(tables.endpoints, key) do
+      [{_key, endpoint}] ->
+        limits_of(tables, key)
+        Tables.changed(tables)
+        Wishes.forget(endpoint)
+
+      [] ->
+        :ok
     end
 
     Routes.forget(tables, owner, peer)

@@ -81,9 +81,10 @@ defmodule Aerie.Vehicle.Outbound do
     with way when way != nil <- Aerie.Router.way(gateway, outbound.options.key) do
       Fleet.Store.claim(gateway, {:withheld, way}, 1)
       Fleet.Store.count(gateway, {:identity, :withheld})
+      :ok
+    else
+      nil -> :ok
     end
-
-    :ok
   end
 
   @doc "Publishes a sample of a state group: `%{data: map, time_boot_ms: the vehicle's clock or nil}`."

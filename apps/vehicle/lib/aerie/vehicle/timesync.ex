@@ -119,7 +119,7 @@ defmodule Aerie.Vehicle.Timesync do
 
   @doc "When, by our clock (unix us), the vehicle's clock showed `boot_ms`; nil while its offset is unknown."
   @spec to_unix(t(), non_neg_integer(), integer()) :: integer() | nil
-  def to_unix(sync, boot_ms, now) do
+  def to_unix(sync, boot_ms, now) when is_integer(boot_ms) do
     with {offset, _error} <- offset(sync, now), do: boot_ms * 1000 - offset
   end
 

@@ -35,7 +35,7 @@ defmodule Aerie.Router.Clients.Boot do
       with {:error, words} <- Clients.start(gateway, spec), do: Logger.error("client #{spec.id}: #{words}")
     end
 
-    if Store.counter(gateway, @booted) == 0, do: Store.count(gateway, @booted)
+    _times = if Store.counter(gateway, @booted) == 0, do: Store.count(gateway, @booted)
     :ignore
   end
 

@@ -25,6 +25,41 @@ defmodule Aerie.Link.Transport.NetTest do
     end
   end
 
+  test "so is one whose process is killed" do
+    {:ok, out} = :gen_udp.open(0)
+    test = self()
+
+    for _ <- 1..200 do
+      owner = spawn(fn -> own(test) end)
+      assert_receive {:port, port}
+      feeder = Task.async(fn -> feed(out, port) end)
+      assert_receive :heard
+      Process.exit(owner, :kill)
+      send(feeder.pid, :enough)
+      assert :ok = Task.await(feeder)
+    end
+  end
+
+  # The process of a socket that is read and written.
+  defp own(test) do
+    {:ok, socket} = Net.udp(@loopback, 0)
+    {:ok, port} = :inet.port(socket)
+    :ok = :inet.setopts(socket, active: Net.active())
+    sender = Net.sender(socket)
+    send(test, {:port, port})
+    hear(test, socket, sender, port)
+  end
+
+  defp hear(test, socket, sender, port) do
+    receive do
+      {:udp, ^socket, _address, _port, "x"} -> Net.udp_write(socket, sender, @loopback, port, "back")
+      {:udp, ^socket, _address, _port, "back"} -> send(test, :heard)
+      {:udp_passive, ^socket} -> :inet.setopts(socket, active: Net.active())
+    end
+
+    hear(test, socket, sender, port)
+  end
+
   defp feed(out, port) do
     _ = :gen_udp.send(out, @loopback, port, "x")
 

@@ -47,6 +47,7 @@ defmodule Aerie.Vehicle.Core do
     :shown,
     :digest,
     :heartbeat,
+    :collision,
     status: :online,
     version: 2,
     beat: 1,
@@ -64,6 +65,8 @@ defmodule Aerie.Vehicle.Core do
     high_latency: HighLatency.new(),
     samplers: nil
   ]
+
+  @collision_us 60_000_000
 
   @typedoc "Only this module and those below it look into it."
   @type t :: %__MODULE__{}
@@ -183,10 +186,15 @@ defmodule Aerie.Vehicle.Core do
       time_boot_ms: state.boot_ms,
       links: Heard.links(core.heard),
       groups: state.groups,
+      collision: collision(core),
       memory: State.memory(state)
     }
     |> Map.merge(Dealings.show(core))
   end
+
+  # For as long as there may be two.
+  defp collision(%{collision: %{at: at} = collision, now: now}) when now - at < @collision_us, do: collision
+  defp collision(_core), do: nil
 
   # As of before this step.
   defp confirm(%{status: :lost} = core),

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
   | `{:reboot, at, boot_ms}`                 | reboot                                                              |
-  | `{:collision, at, boot_ms, sign}`        | collision                                                           |
+  | `{:collision, at, boot_ms, sign, links}` | collision                                                           |
   | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
   | `{:gcs, at, boot_ms, what, facts}`       | gcs.lost, gcs.restored                                              |
   | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.rejected                      |
@@ -185,9 +185,10 @@ defmodule Aerie.Vehicle.Detector do
     end
   end
 
-  def observe(detector, {:collision, at, boot_ms, sign}, _known) do
+  def observe(detector, {:collision, at, boot_ms, sign, links}, _known) do
     known = detector.collision != nil and at - detector.collision < @collision_again_us
-    steps = if known, do: [], else: [{"collision", %{"sign" => sign}, []}]
+    links = for side <- links, do: Enum.map(side, &to_string/1)
+    steps = if known, do: [], else: [{"collision", %{"sign" => sign, "links" => links}, []}]
     {detector, events} = emit(%{detector | collision: at}, steps, at, boot_ms, nil)
     {detector, events, %{}}
   end

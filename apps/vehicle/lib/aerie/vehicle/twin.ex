@@ -2,45 +2,78 @@ defmodule Aerie.Vehicle.Twin do
   @moduledoc """
   Notices that two vehicles use one system id. A pure value.
 
-  Two vehicles show as one that jumps to and fro: the moment of its boot (arrival less `time_boot_ms`) or its place takes
-  turns between two values. One jump is a reboot, a delayed link or a GPS that woke up; six changes of side within ten
-  seconds are two vehicles. A unique id that changes without a reboot is proof at once.
+  Two vehicles show as one that jumps to and fro: the moment of its boot (arrival less `time_boot_ms`), its place or its
+  kind takes turns between two values. One jump is a reboot, a delayed link or a GPS that woke up; six changes of side
+  within ten seconds are two vehicles. A unique id that changes without a reboot is proof at once.
+
+  Each reading comes with its link. Which links brought which value (`links/2`) tells an operator where to look, and a
+  router that such links do not carry the same vehicle twice. A second link that is late by half a minute or less shows the
+  same boot earlier and by itself: links apart and moments near is a delay, no twin.
   """
 
-  defstruct boot: nil, place: nil, uid: nil
+  defstruct boot: nil, place: nil, kind: nil, uid: nil
 
   @window_us 10_000_000
   @flips 6
   @boot_near_us 5_000_000
+  @delay_us 30_000_000
   @place_near_m 1_000.0
   @metres_per_degree 111_320.0
+  @max_links 8
 
   @type t :: %__MODULE__{}
   @type verdict :: :one | :two
+  @type sign :: :boot | :place | :kind | :uid
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
   @doc "A reading of the vehicle's clock."
-  @spec boot(t(), non_neg_integer(), integer()) :: {t(), verdict()}
-  def boot(twin, boot_ms, at) do
-    {sides, verdict} = side(twin.boot, at - boot_ms * 1000, at, &(abs(&1 - &2) < @boot_near_us))
-    {%{twin | boot: sides}, verdict}
+  @spec boot(t(), non_neg_integer(), integer(), link :: term()) :: {t(), verdict()}
+  def boot(twin, boot_ms, at, link \\ nil) do
+    {side, verdict} = side(twin.boot, at - boot_ms * 1000, at, link, &(abs(&1 - &2) < @boot_near_us))
+    {%{twin | boot: side}, if(verdict == :two and delay?(side), do: :one, else: verdict)}
+  end
+
+  defp delay?(%{a: a, b: b, links: {of_a, of_b}}) do
+    abs(a - b) < @delay_us and of_a != of_b and not Enum.any?(of_a, &(&1 in of_b))
   end
 
   @doc "A position in degrees."
-  @spec place(t(), {float(), float()}, integer()) :: {t(), verdict()}
-  def place(twin, place, at) do
-    {sides, verdict} = side(twin.place, place, at, &near?/2)
-    {%{twin | place: sides}, verdict}
+  @spec place(t(), {float(), float()}, integer(), link :: term()) :: {t(), verdict()}
+  def place(twin, place, at, link \\ nil) do
+    {side, verdict} = side(twin.place, place, at, link, &near?/2)
+    {%{twin | place: side}, verdict}
+  end
+
+  @doc "What its heartbeat says that it is: MAV_TYPE and MAV_AUTOPILOT."
+  @spec kind(t(), {integer(), integer()}, integer(), link :: term()) :: {t(), verdict()}
+  def kind(twin, kind, at, link \\ nil) do
+    {side, verdict} = side(twin.kind, kind, at, link, &==/2)
+    {%{twin | kind: side}, verdict}
   end
 
   @doc "The autopilot's unique id, nil when it has none."
-  @spec uid(t(), String.t() | nil) :: {t(), verdict()}
-  def uid(twin, nil), do: {twin, :one}
-  def uid(%{uid: nil} = twin, uid), do: {%{twin | uid: uid}, :one}
-  def uid(%{uid: uid} = twin, uid), do: {twin, :one}
-  def uid(twin, other), do: {%{twin | uid: other}, :two}
+  @spec uid(t(), String.t() | nil, link :: term()) :: {t(), verdict()}
+  def uid(twin, uid, link \\ nil)
+  def uid(twin, nil, _link), do: {twin, :one}
+  def uid(%{uid: nil} = twin, uid, link), do: {%{twin | uid: {uid, [link], []}}, :one}
+
+  def uid(%{uid: {uid, links, others}} = twin, uid, link),
+    do: {%{twin | uid: {uid, with_link(links, link), others}}, :one}
+
+  def uid(%{uid: {_other, links, _others}} = twin, uid, link), do: {%{twin | uid: {uid, [link], links}}, :two}
+
+  @doc "By which links the one and the other value of a sign came; empty lists while there is one value only."
+  @spec links(t(), sign()) :: {[term()], [term()]}
+  def links(%{uid: {_uid, links, others}}, :uid), do: {Enum.sort(links), Enum.sort(others)}
+
+  def links(twin, sign) do
+    case Map.fetch!(twin, sign) do
+      %{links: {of_a, of_b}} -> {Enum.sort(of_a), Enum.sort(of_b)}
+      _nothing -> {[], []}
+    end
+  end
 
   @doc "After a reboot everything may be different, the hardware included."
   @spec rebooted(t()) :: t()
@@ -50,23 +83,33 @@ defmodule Aerie.Vehicle.Twin do
   @spec rebased(t()) :: t()
   def rebased(twin), do: %__MODULE__{uid: twin.uid}
 
-  # {a, b, the side it is on, when it changed sides}
-  defp side(nil, value, _at, _near?), do: {{value, nil, :a, []}, :one}
+  # Two values, which of them was last, when that changed, and by which links each came.
+  defp side(nil, value, _at, link, _near?),
+    do: {%{a: value, b: nil, on: :a, flips: [], links: {[link], []}}, :one}
 
-  defp side({a, b, on, flips}, value, at, near?) do
-    {a, b, now_on} =
+  defp side(%{a: a, b: b, on: on, links: {of_a, of_b}} = side, value, at, link, near?) do
+    side =
       cond do
-        near?.(a, value) -> {value, b, :a}
-        b != nil and near?.(b, value) -> {a, value, :b}
+        near?.(a, value) -> %{side | a: value, on: :a, links: {with_link(of_a, link), of_b}}
+        b != nil and near?.(b, value) -> %{side | b: value, on: :b, links: {of_a, with_link(of_b, link)}}
         # A third value: what it is not on just now is forgotten.
-        on == :a -> {a, value, :b}
-        true -> {value, b, :a}
+        on == :a -> %{side | b: value, on: :b, links: {of_a, [link]}}
+        true -> %{side | a: value, on: :a, links: {[link], of_b}}
       end
 
-    flips = if now_on == on, do: flips, else: Enum.take([at | flips], @flips)
-    twins = length(flips) == @flips and at - List.last(flips) <= @window_us
-    {{a, b, now_on, flips}, if(twins and now_on != on, do: :two, else: :one)}
+    if side.on == on do
+      {side, :one}
+    else
+      flips = Enum.take([at | side.flips], @flips)
+      twins = length(flips) == @flips and at - List.last(flips) <= @window_us
+      {%{side | flips: flips}, if(twins, do: :two, else: :one)}
+    end
   end
+
+  defp with_link([link | _] = links, link), do: links
+
+  defp with_link(links, link),
+    do: if(link in links, do: links, else: Enum.take([link | links], @max_links))
 
   defp near?({lat_a, lon_a}, {lat_b, lon_b}) do
     north = (lat_a - lat_b) * @metres_per_degree

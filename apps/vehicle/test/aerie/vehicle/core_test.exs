@@ -127,6 +127,35 @@ defmodule Aerie.Vehicle.CoreTest do
     assert hd(run.events).data["sign"] == "time_boot_ms"
   end
 
+  test "two vehicles on two links: the links are told apart, for a minute after the last sign" do
+    place = fn at, lat ->
+      frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat, lon: 85_000_000}, round(at * @second))
+    end
+
+    run =
+      Enum.reduce(0..20, start() |> beat(10, "a"), fn n, run ->
+        run
+        |> frames([%{place.(10 + n / 4, 473_000_000) | seq: n}], "a")
+        |> frames([%{place.(10.1 + n / 4, 474_000_000) | seq: n}], "b")
+      end)
+
+    assert "collision" in types(run)
+
+    assert %{data: %{"sign" => "position", "links" => [["a"], ["b"]]}} =
+             Enum.find(run.events, &(&1.type == "collision"))
+
+    assert %{sign: "position", links: [["a"], ["b"]]} = Core.snapshot(run.core).collision
+    assert Core.snapshot(tick(run, 80).core).collision == nil
+  end
+
+  test "heartbeats of two kinds of vehicle in turn are a collision; a change of mind is none" do
+    plane = fn at -> frame(%{@copter | type: 1}, round(at * @second)) end
+    run = Enum.reduce(1..5, start(), fn n, run -> run |> beat(10 + n) |> frames([plane.(10.5 + n)]) end)
+    assert Enum.count(types(run), &(&1 == "collision")) == 1
+    changed = start() |> beat(10) |> beat(11) |> frames(for n <- 12..20, do: plane.(n))
+    refute "collision" in types(changed)
+  end
+
   test "another unique id is a collision too" do
     version = fn at, uid -> frame(%M.AutopilotVersion{uid: uid}, at * @second) end
     run = start() |> beat(10) |> frames([version.(11, 1), version.(12, 2), version.(13, 1)])

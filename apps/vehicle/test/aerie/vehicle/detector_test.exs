@@ -309,7 +309,7 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   test "a collision once while it lasts" do
-    collision = fn at -> {:collision, at * @second, 1, "uid"} end
+    collision = fn at -> {:collision, at * @second, 1, "uid", [["a"], ["b"]]} end
 
     assert types([collision.(0), collision.(10), collision.(65), collision.(200)]) == [
              "collision",

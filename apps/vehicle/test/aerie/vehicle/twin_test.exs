@@ -40,6 +40,33 @@ defmodule Aerie.Vehicle.TwinTest do
     assert Enum.uniq(boots(readings)) == [:one]
   end
 
+  test "a second link that is half a minute late is one vehicle, a vehicle on each link are two" do
+    verdicts = fn late_ms ->
+      readings =
+        for n <- 100..130, {link, late} <- [{"a", 0}, {"b", late_ms}], do: {n * 500 - late, n / 2, link}
+
+      Enum.map_reduce(readings, Twin.new(), fn {boot_ms, at, link}, twin ->
+        {twin, verdict} = Twin.boot(twin, boot_ms, round(at * @second), link)
+        {verdict, twin}
+      end)
+    end
+
+    assert {late, _twin} = verdicts.(20_000)
+    assert Enum.uniq(late) == [:one]
+    assert {two, twin} = verdicts.(45_000)
+    assert :two in two
+    assert Twin.links(twin, :boot) == {["a"], ["b"]}
+  end
+
+  test "links stay bounded, and a uid tells by which it came" do
+    twin = Enum.reduce(1..100, Twin.new(), fn n, twin -> twin |> Twin.kind({2, 3}, n, n) |> elem(0) end)
+    assert {links, []} = Twin.links(twin, :kind)
+    assert length(links) == 8
+    {twin, :one} = Twin.uid(Twin.new(), "A", "a")
+    {twin, :two} = Twin.uid(twin, "B", "b")
+    assert Twin.links(twin, :uid) == {["b"], ["a"]}
+  end
+
   test "two places in turn are two vehicles; a jump is not, and the date line is no jump" do
     home = {47.4, 8.5}
     far = {47.5, 8.5}

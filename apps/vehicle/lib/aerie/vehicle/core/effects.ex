@@ -7,6 +7,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   alias Aerie.Vehicle.{Core, Detector, Sampling, State, Twin}
   alias MavCodec.Messages.MissionItemReached
 
+  @heartbeat 0
   @position 33
   @mission_item_reached 46
   @autopilot_version 148
@@ -75,26 +76,35 @@ defmodule Aerie.Vehicle.Core.Effects do
   end
 
   @doc "What a message tells about there being two vehicles."
-  @spec twin_of(Core.t(), [Core.action()], non_neg_integer(), integer()) :: acc()
-  def twin_of(core, actions, @position, at) do
+  @spec twin_of(Core.t(), [Core.action()], term(), {non_neg_integer(), struct()}, integer()) :: acc()
+  def twin_of(core, actions, link, {@position, _message}, at) do
     case State.data(core.state, :position) do
       %{lat: nil} -> {core, actions}
-      %{lat: lat, lon: lon} -> twin(core, actions, Twin.place(core.twin, {lat, lon}, at), "position", at)
+      %{lat: lat, lon: lon} -> twin(core, actions, Twin.place(core.twin, {lat, lon}, at, link), :place, at)
     end
   end
 
-  def twin_of(core, actions, @autopilot_version, at) do
-    twin(core, actions, Twin.uid(core.twin, core.state.uid), "uid", at)
+  def twin_of(core, actions, link, {@heartbeat, message}, at) do
+    twin(core, actions, Twin.kind(core.twin, {message.type, message.autopilot}, at, link), :kind, at)
   end
 
-  def twin_of(core, actions, _id, _at), do: {core, actions}
+  def twin_of(core, actions, link, {@autopilot_version, _message}, at) do
+    twin(core, actions, Twin.uid(core.twin, core.state.uid, link), :uid, at)
+  end
+
+  def twin_of(core, actions, _link, _other, _at), do: {core, actions}
+
+  @signs %{boot: "time_boot_ms", place: "position", kind: "type", uid: "uid"}
 
   @doc "A verdict on there being two vehicles, by the sign it goes by."
-  @spec twin(Core.t(), [Core.action()], {Twin.t(), Twin.verdict()}, String.t(), integer()) :: acc()
+  @spec twin(Core.t(), [Core.action()], {Twin.t(), Twin.verdict()}, Twin.sign(), integer()) :: acc()
   def twin(core, actions, {twin, :one}, _sign, _at), do: {%{core | twin: twin}, actions}
 
   def twin(core, actions, {twin, :two}, sign, at) do
-    {%{core | twin: twin}, [{:observe, {:collision, at, core.state.boot_ms, sign}} | actions]}
+    {one, other} = Twin.links(twin, sign)
+    collision = %{at: at, sign: @signs[sign], links: [one, other]}
+    observation = {:collision, at, core.state.boot_ms, collision.sign, collision.links}
+    {%{core | twin: twin, collision: collision}, [{:observe, observation} | actions]}
   end
 
   @doc "The vehicle is heard, silent or lost from now on; that is shown at once."

@@ -80,26 +80,26 @@ defmodule Aerie.Vehicle.Core.Intake do
     Effects.status(core, observed ++ actions, :online)
   end
 
-  defp message(core, actions, _link, frame, %{time_boot_ms: boot_ms} = message) do
+  defp message(core, actions, link, frame, %{time_boot_ms: boot_ms} = message) do
     {clock, verdict} = BootClock.read(core.clock, boot_ms, frame.at)
     core = %{core | clock: clock}
 
     case verdict do
       :ok ->
         {core, actions} =
-          Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at), "time_boot_ms", frame.at)
+          Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at, link), :boot, frame.at)
 
-        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, frame, message)
+        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, link, frame, message)
 
       # Older than what is known, or the first sign of a reboot; either way it is worth a moment's wait.
       :behind ->
-        Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at), "time_boot_ms", frame.at)
+        Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at, link), :boot, frame.at)
 
       :reboot ->
         core = Dealings.rebooted(core, frame.at)
         core = %{core | state: State.at_boot(core.state, boot_ms), twin: Twin.rebooted(core.twin)}
 
-        apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
+        apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], link, frame, message)
     end
   end
 
@@ -124,17 +124,17 @@ defmodule Aerie.Vehicle.Core.Intake do
   defp message(core, actions, link, %{id: id} = frame, message) when id in @dealings,
     do: Dealings.message(core, actions, link, frame, message)
 
-  defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
+  defp message(core, actions, link, frame, message), do: apply_message(core, actions, link, frame, message)
 
-  defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
+  defp apply_message(core, actions, _link, %{id: @system_time}, _message), do: {core, actions}
 
-  defp apply_message(core, actions, %{id: id, at: at}, message) do
+  defp apply_message(core, actions, link, %{id: id, at: at}, message) do
     case State.apply(core.state, id, message, at) do
       {:invalid, _field} ->
         {core, [{:count, :invalid} | actions]}
 
       {state, groups} ->
-        {core, actions} = Effects.twin_of(%{core | state: state}, actions, id, at)
+        {core, actions} = Effects.twin_of(%{core | state: state}, actions, link, {id, message}, at)
         {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
         core |> Effects.changed(actions, id, message, at) |> Effects.show(at)
     end

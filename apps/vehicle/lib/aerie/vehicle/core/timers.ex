@@ -40,6 +40,7 @@ defmodule Aerie.Vehicle.Core.Timers do
       | now: now,
         last_heard: core.last_heard && now,
         expired: nil,
+        collision: nil,
         shown: nil,
         recent: %{},
         texts: texts,

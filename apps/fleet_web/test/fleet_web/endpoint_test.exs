@@ -67,6 +67,9 @@ defmodule FleetWeb.EndpointTest do
           ~s(gateway_link_crc_errors_total{link="radio",network="main"} 1),
           ~s(gateway_link_dropped_total{link="radio",network="main",reason="overload"} 0),
           ~s(gateway_vehicle_armed{vehicle="VID-007"} 1),
+          ~s(gateway_vehicle_high_latency{vehicle="VID-007"} 0),
+          ~s(gateway_vehicle_collision{vehicle="VID-007"} 0),
+          ~s(gateway_vehicle_streams_wanting{vehicle="VID-007"} 0),
           ~s(gateway_vehicle_battery_ratio{vehicle="VID-007"} 0.87),
           ~s(gateway_vm_memory_bytes{kind="total"})
         ] do

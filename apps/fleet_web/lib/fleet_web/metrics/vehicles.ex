@@ -25,9 +25,54 @@ defmodule FleetWeb.Metrics.Vehicles do
       ),
       gauge(vehicles, "gateway_vehicle_battery_volts", "Battery voltage.", &field(&1, :battery, :voltage)),
       gauge(vehicles, "gateway_vehicle_satellites", "Satellites in use.", &field(&1, :gps, :satellites)),
-      gauge(vehicles, "gateway_vehicle_links", "Links it is heard on.", &length(&1.links))
+      gauge(vehicles, "gateway_vehicle_links", "Links it is heard on.", &length(&1.links)),
+      gauge(
+        vehicles,
+        "gateway_vehicle_gcs_failsafe_quiet",
+        "1 while the ground station that its failsafe listens to is heard, 0 when it is gone.",
+        &part(&1, :gcs, :quiet?)
+      ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_clock_error_seconds",
+        "How far off its clock's known offset may be.",
+        &seconds(part(&1, :clock, :error_us))
+      ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_round_trip_seconds",
+        "Shortest way there and back of the last measurements of its clock.",
+        &seconds(part(&1, :clock, :rtt_us))
+      ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_streams_wanting",
+        "Messages that come less often than wanted and are not asked for any more.",
+        &wanting/1
+      ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_high_latency",
+        "1 while it is reached by links of high latency only.",
+        &part(&1, :high_latency, :only?)
+      ),
+      gauge(vehicles, "gateway_vehicle_collision", "1 while two vehicles use its id.", fn vehicle ->
+        vehicle[:collision] != nil
+      end)
     ]
   end
+
+  defp part(vehicle, part, key) do
+    with %{^key => value} <- vehicle[part], do: value
+  end
+
+  defp seconds(us) when is_integer(us), do: us / 1_000_000
+  defp seconds(_unknown), do: nil
+
+  defp wanting(%{streams: streams}),
+    do: Enum.count(streams, fn {_id, line} -> line.state in [:short, :yielded] end)
+
+  defp wanting(_unknown), do: nil
 
   defp gauge(vehicles, name, help, value) do
     {name, :gauge, help, Enum.map(vehicles, &{[vehicle: &1.id], value.(&1)})}

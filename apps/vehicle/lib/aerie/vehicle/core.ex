@@ -48,6 +48,8 @@ defmodule Aerie.Vehicle.Core do
     :digest,
     :heartbeat,
     :collision,
+    :view,
+    :viewed,
     status: :online,
     version: 2,
     beat: 1,
@@ -168,7 +170,11 @@ defmodule Aerie.Vehicle.Core do
 
   @doc "The vehicle as faces see it."
   @spec snapshot(t()) :: map()
-  def snapshot(%__MODULE__{options: options, state: state} = core) do
+  def snapshot(core), do: snapshot(core, Dealings.show(core))
+
+  @doc false
+  @spec snapshot(t(), view :: map()) :: map()
+  def snapshot(%__MODULE__{options: options, state: state} = core, view) do
     %{
       id: options.id,
       key: options.key,
@@ -189,7 +195,7 @@ defmodule Aerie.Vehicle.Core do
       collision: collision(core),
       memory: State.memory(state)
     }
-    |> Map.merge(Dealings.show(core))
+    |> Map.merge(view)
   end
 
   # For as long as there may be two.

@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   @timesync 111
   @message_interval 244
   @heartbeat_us 1_000_000
+  @view_us 400_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -189,7 +190,18 @@ defmodule Aerie.Vehicle.Core.Dealings do
     Gcs.keeps?(gcs, %{system: options.own_system, type: type})
   end
 
-  @doc "What the snapshot shows of all this."
+  @doc """
+  Renews `view`, what snapshots show of all this, at most a few times a second: it changes seldom and is as much as the
+  rest of a snapshot. At once when something was told or the vehicle's status changed (`shown: nil`).
+  """
+  @spec view(Core.t(), integer()) :: Core.t()
+  def view(%{view: view, viewed: at, shown: shown} = core, now)
+      when view != nil and shown != nil and now >= at and now - at < @view_us,
+      do: core
+
+  def view(core, now), do: %{core | view: show(core), viewed: now}
+
+  @doc "What the snapshot shows of all this, as of now."
   @spec show(Core.t()) :: map()
   def show(%{now: now} = core) do
     now = now || 0

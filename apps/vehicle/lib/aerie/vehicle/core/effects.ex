@@ -5,6 +5,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   """
 
   alias Aerie.Vehicle.{Core, Detector, Sampling, State, Twin}
+  alias Aerie.Vehicle.Core.Dealings
   alias MavCodec.Messages.MissionItemReached
 
   @heartbeat 0
@@ -119,9 +120,12 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "Shows the vehicle, if it changed and was not shown just before."
   @spec show(acc(), integer()) :: acc()
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
-    if core.shown == nil or now - core.shown >= @show_us,
-      do: {%{core | shown: now, dirty: false}, [{:snapshot, Core.snapshot(core)} | actions]},
-      else: {core, actions}
+    if core.shown == nil or now - core.shown >= @show_us do
+      core = Dealings.view(core, now)
+      {%{core | shown: now, dirty: false}, [{:snapshot, Core.snapshot(core, core.view)} | actions]}
+    else
+      {core, actions}
+    end
   end
 
   def show({core, actions}, _now), do: {core, actions}

@@ -37,7 +37,8 @@ defmodule Aerie.SystemCase do
           "websocket" => %{"port" => 0},
           "sockets" => %{"dir" => short_dir()},
           "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
-          "outbox" => %{"dir" => Path.join(folder, "outbox")}
+          "outbox" => %{"dir" => Path.join(folder, "outbox")},
+          "recorder" => %{"dir" => Path.join(folder, "recordings")}
         },
         options[:overrides] || %{}
       )

@@ -11,6 +11,7 @@ defmodule FleetWeb.Metrics do
   | `gateway_api_requests_total` | `status` | requests to `/api` |
   | `gateway_clients_refused_total` | `face`, `reason` | clients refused or let go |
   | `gateway_nats_*` | | see `Aerie.Bridge.metrics/1` |
+  | `gateway_recorder_*` | `recording` | see `Aerie.Recorder.metrics/1` |
   | `gateway_link_*` | `link`, `network` | one link: state, bytes, frames, errors, loss, drops, reconnects |
   | `gateway_vehicle_*` | `vehicle` | one vehicle: heard, armed, in air, battery, links |
   | `gateway_counter_total` | `name` | the read model's other counters: drops and refusals |
@@ -36,7 +37,8 @@ defmodule FleetWeb.Metrics do
   end
 
   defp bridge(gateway) do
-    for %{name: name, type: type, help: help, samples: samples} <- Aerie.Bridge.metrics(gateway) do
+    for %{name: name, type: type, help: help, samples: samples} <-
+          Aerie.Bridge.metrics(gateway) ++ Aerie.Recorder.metrics(gateway) do
       {name, type, help, samples}
     end
   end

@@ -8,6 +8,7 @@ defmodule Aerie.Gateway do
   ├─ Aerie.Fleet.PubSub            change notices, coalesced
   ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
+  ├─ Aerie.Recorder.Supervisor     recordings of vehicles, the last moments of each
   ├─ Aerie.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
   ├─ Aerie.Link.Supervisor         one tree per physical link
@@ -24,6 +25,7 @@ defmodule Aerie.Gateway do
   | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
   | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
   | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
+  | Recorder.Supervisor | rings, what was not written; then as above                      | signing, bridge, store         |
   | Signing.Supervisor | nothing: time stamps were stored; then as above                  | bridge, store                  |
   | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
   | PubSub             | notices of one tick, then as above                                | store                          |
@@ -87,6 +89,7 @@ defmodule Aerie.Gateway do
         {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
         {Aerie.Bridge.Supervisor, gateway: name, config: config},
         {Aerie.Signing.Supervisor, gateway: name, config: config},
+        {Aerie.Recorder.Supervisor, gateway: name, config: config},
         {Aerie.Router.Supervisor, gateway: name, config: config},
         {Aerie.Vehicle.Supervisor, gateway: name, config: config},
         {Aerie.Link.Supervisor, gateway: name, config: config},

@@ -245,6 +245,8 @@ defmodule Aerie.Router do
         Aerie.Link.send_bytes(gateway, link, marked, {:peer, peer})
 
       {_plain, endpoint} ->
+        # Other endpoints' processes tell it themselves.
+        if match?({:udp, _, _}, endpoint.out), do: Aerie.Recorder.sent(gateway, link, elem(key, 0), bytes)
         Out.bytes(endpoint, bytes, class(bytes), 1)
     end
   end

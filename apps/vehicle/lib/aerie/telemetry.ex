@@ -18,7 +18,7 @@ defmodule Aerie.Telemetry do
 
   ## Of links, router and bridge
 
-  See `Aerie.Link`, `Aerie.Router`, `Aerie.Signing` and `Aerie.Bridge`.
+  See `Aerie.Link`, `Aerie.Router`, `Aerie.Signing`, `Aerie.Recorder` and `Aerie.Bridge`.
 
       :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
   """
@@ -45,6 +45,10 @@ defmodule Aerie.Telemetry do
     {[:aerie, :signing, :enrolled], Aerie.Signing},
     {[:aerie, :signing, :revoked], Aerie.Signing},
     {[:aerie, :signing, :not_stored], Aerie.Signing},
+    {[:aerie, :recorder, :opened], Aerie.Recorder},
+    {[:aerie, :recorder, :closed], Aerie.Recorder},
+    {[:aerie, :recorder, :paused], Aerie.Recorder},
+    {[:aerie, :recorder, :removed], Aerie.Recorder},
     {[:aerie, :bridge, :server, :up], Aerie.Bridge},
     {[:aerie, :bridge, :server, :down], Aerie.Bridge},
     {[:aerie, :bridge, :connected], Aerie.Bridge},

@@ -297,6 +297,8 @@ defmodule Aerie.Config.Resolve do
        "at most limits.max_clients (#{config.limits.max_clients})", "#{length(listed(config))}"},
       {length(config.vehicles) > config.limits.max_vehicles, ["vehicles"],
        "at most limits.max_vehicles (#{config.limits.max_vehicles})", "#{length(config.vehicles)}"},
+      {config.recorder.max_file_mb > config.recorder.max_mb, ["recorder", "max_file_mb"],
+       "at most recorder.max_mb (#{config.recorder.max_mb})", "#{config.recorder.max_file_mb}"},
       {config.http.port == config.nats.port and config.nats.mode == :embedded and config.http.enabled and
          config.http.port != 0, ["http", "port"], "another port than nats.port", "#{config.http.port}"}
     ]

@@ -256,6 +256,7 @@ defmodule Aerie.Link.Server do
       trust: Aerie.Signing.trust(state.spec)
     }
 
+    if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, state.spec.id, frames)
     outcome = Router.deliver(state.gateway, source, frames)
     state = %{state | egress: Egress.radio(state.egress, peer, frames)}
     core = Enum.reduce(@drops, state.core, &count(&2, &1, outcome))
@@ -335,7 +336,7 @@ defmodule Aerie.Link.Server do
 
   defp out(state, peer, bytes) do
     case state.transport.write(state.conn, peer, bytes) do
-      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, IO.iodata_length(bytes))}
+      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, bytes)}
       {:busy, conn} -> {:busy, %{state | conn: conn}}
       {:error, _reason, conn} -> {:error, step(%{state | conn: conn}, {:count, :dropped_out, 1})}
     end
@@ -350,14 +351,23 @@ defmodule Aerie.Link.Server do
 
   defp write_to(state, peer, bytes) do
     case state.transport.write(state.conn, peer, bytes) do
-      {:ok, conn} -> sent(%{state | conn: conn}, IO.iodata_length(bytes))
-      {:busy, conn} -> step(%{state | conn: conn}, {:count, :dropped_out, 1})
-      {:error, _reason, conn} -> step(%{state | conn: conn}, {:count, :dropped_out, 1})
+      {:ok, conn} ->
+        sent(%{state | conn: conn}, bytes)
+
+      {:busy, conn} ->
+        step(%{state | conn: conn}, {:count, :dropped_out, 1})
+
+      {:error, _reason, conn} ->
+        step(%{state | conn: conn}, {:count, :dropped_out, 1})
     end
   end
 
   defp sent(state, bytes) do
-    counters = state.core.counters |> Counters.add(:bytes_out, bytes) |> Counters.add(:writes_out, 1)
+    if state.home == Store, do: Aerie.Recorder.sent(state.gateway, state.spec.id, state.spec.network, bytes)
+
+    counters =
+      state.core.counters |> Counters.add(:bytes_out, IO.iodata_length(bytes)) |> Counters.add(:writes_out, 1)
+
     put_in(state.core.counters, counters)
   end
 

@@ -5,7 +5,7 @@ defmodule Aerie.Link.Supervisor do
   ```
   Aerie.Link.Supervisor     rest_for_one
   ├─ dynamic supervisor     one Aerie.Link.Tree per link
-  │    └─ Aerie.Link.Tree   Aerie.Link.Server (and later its recorder)
+  │    └─ Aerie.Link.Tree   Aerie.Recorder.Recording, Aerie.Link.Server
   ├─ Aerie.Link.Boot        starts the configured links, or those that ran before; then ends
   └─ Aerie.Link.Announcer   our heartbeat where nothing is heard yet
   ```

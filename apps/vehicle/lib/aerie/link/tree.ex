@@ -1,6 +1,6 @@
 defmodule Aerie.Link.Tree do
   @moduledoc """
-  One link's processes: the link itself, and later its recorder, so that a full disk never stops a link.
+  One link's processes: its recording, apart so that a full disk never stops a link, and the link itself.
 
   It restarts its link up to 100 times a second, which only a deliberate killing reaches: a link that crashes by itself
   waits before it connects (`Aerie.Link.Restarts`).
@@ -19,7 +19,16 @@ defmodule Aerie.Link.Tree do
 
   @impl Supervisor
   def init(options) do
-    Process.set_label({:link_tree, Keyword.fetch!(options, :spec).id})
-    Supervisor.init([{Server, options}], strategy: :one_for_one, max_restarts: 100, max_seconds: 1)
+    %{id: id, network: network} = Keyword.fetch!(options, :spec)
+    Process.set_label({:link_tree, id})
+    recording = [gateway: options[:gateway], target: {:link, id}, label: "#{network}-#{id}"]
+    # What clients hear is what vehicles said.
+    recorders = if options[:home] == nil, do: [{Aerie.Recorder.Recording, recording}], else: []
+
+    Supervisor.init(recorders ++ [{Server, options}],
+      strategy: :one_for_one,
+      max_restarts: 100,
+      max_seconds: 1
+    )
   end
 end

@@ -18,12 +18,19 @@ defmodule Aerie.Router.Out do
 
   @doc "Sends a batch; gives it back with the forms that were made for it."
   @spec emit(way, Batch.t()) :: Batch.t()
-  def emit(%{out: {:udp, socket, to}} = way, %Batch{n: 1, datagrams: [bytes]} = batch) do
+  def emit(%{recorded: gateway, owner: owner, networks: [network | _]} = way, batch) when gateway != nil do
+    Aerie.Recorder.sent_frames(gateway, owner, network, batch.frames)
+    write_out(way, batch)
+  end
+
+  def emit(way, batch), do: write_out(way, batch)
+
+  defp write_out(%{out: {:udp, socket, to}} = way, %Batch{n: 1, datagrams: [bytes]} = batch) do
     datagram(socket, to, bytes, 1, way.tally)
     batch
   end
 
-  def emit(%{out: {:udp, socket, to}, coalesce: true} = way, batch) do
+  defp write_out(%{out: {:udp, socket, to}, coalesce: true} = way, batch) do
     batch = Batch.packed(batch)
 
     {good, bytes} =
@@ -42,18 +49,18 @@ defmodule Aerie.Router.Out do
     batch
   end
 
-  def emit(%{out: {:udp, socket, to}} = way, batch) do
+  defp write_out(%{out: {:udp, socket, to}} = way, batch) do
     Enum.each(batch.frames, &datagram(socket, to, &1.bytes, 1, way.tally))
     batch
   end
 
-  def emit(%{out: {:pid, pid, tag}} = way, batch) do
+  defp write_out(%{out: {:pid, pid, tag}} = way, batch) do
     batch = Batch.classed(batch)
     Enum.each(batch.runs, fn {class, bytes, n} -> message(way, pid, tag, class, bytes, n) end)
     batch
   end
 
-  def emit(_nowhere, batch), do: batch
+  defp write_out(_nowhere, batch), do: batch
 
   @doc "Sends bytes of so many whole frames and of one class."
   @spec bytes(way, iodata, Aerie.Router.Classify.class(), pos_integer) :: :ok

@@ -13,7 +13,10 @@ defmodule Aerie.Router.Plan do
   alias Aerie.Router.Tally
 
   defmodule Way do
-    @moduledoc "One endpoint with the rules of its owner. `plain`: every frame passes."
+    @moduledoc """
+    One endpoint with the rules of its owner. `plain`: every frame passes. `recorded`: the gateway, for a way to vehicles
+    that is written to past its link's process.
+    """
 
     @enforce_keys [:key, :owner, :side, :networks]
     defstruct [
@@ -28,7 +31,8 @@ defmodule Aerie.Router.Plan do
                 :in,
                 :filter,
                 :limits,
-                :heard_vehicle
+                :heard_vehicle,
+                :recorded
               ] ++
                 [
                   plain: true,
@@ -53,6 +57,7 @@ defmodule Aerie.Router.Plan do
             filter: Filter.t(),
             limits: RateLimit.t(),
             heard_vehicle: boolean | nil,
+            recorded: Aerie.Names.gateway() | nil,
             plain: boolean,
             auto: boolean,
             carry: map,
@@ -110,6 +115,7 @@ defmodule Aerie.Router.Plan do
       filter: owner.out,
       limits: owner.limits,
       heard_vehicle: endpoint.heard_vehicle,
+      recorded: if(owner.side == :vehicle and match?({:udp, _, _}, endpoint.out), do: endpoint.gateway),
       auto: endpoint.side != nil and owner.side == :vehicle,
       plain: owner.out == nil and owner.limits == nil,
       carry: owner.carry,

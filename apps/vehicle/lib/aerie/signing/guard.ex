@@ -15,6 +15,7 @@ defmodule Aerie.Signing.Guard do
   """
 
   alias Aerie.Signing.Scope
+  alias Aerie.Wire
   alias MavCodec.Frame
   alias MavCodec.Signing
 
@@ -57,50 +58,31 @@ defmodule Aerie.Signing.Guard do
   """
   @spec sign(Signing.t(), binary, {non_neg_integer, 0..255}) ::
           {iodata, signed :: non_neg_integer, unsigned :: non_neg_integer, Signing.t()}
-  def sign(signing, bytes, own), do: sign(bytes, own, signing, [], 0, 0)
+  def sign(signing, bytes, own) do
+    {frames, rest} = Wire.frames(bytes)
 
-  defp sign(<<>>, _own, signing, out, signed, unsigned), do: {Enum.reverse(out), signed, unsigned, signing}
-
-  defp sign(bytes, own, signing, out, signed, unsigned) do
-    case Frame.header(bytes) do
-      {:ok, _header, _payload, size, id, _system} when byte_size(bytes) >= size ->
-        <<frame::binary-size(^size), rest::binary>> = bytes
-        frame = Frame.from_bytes(frame, nil)
-
-        case one(frame, id, own, signing) do
-          {:signed, bytes, signing} -> sign(rest, own, signing, [bytes | out], signed + 1, unsigned)
-          :unsigned -> sign(rest, own, signing, [frame.bytes | out], signed, unsigned + 1)
-          :foreign -> sign(rest, own, signing, [frame.bytes | out], signed, unsigned)
+    {out, {signed, unsigned, signing}} =
+      Enum.map_reduce(frames, {0, 0, signing}, fn frame, {signed, unsigned, signing} ->
+        case one(Wire.checked(frame), own, signing) do
+          {:signed, bytes, signing} -> {bytes, {signed + 1, unsigned, signing}}
+          :unsigned -> {frame.bytes, {signed, unsigned + 1, signing}}
+          :foreign -> {frame.bytes, {signed, unsigned, signing}}
         end
+      end)
 
-      _no_frame ->
-        {Enum.reverse([bytes | out]), signed, unsigned, signing}
+    {[out, rest], signed, unsigned, signing}
+  end
+
+  defp one(%Frame{system: system, component: component, signature: nil} = frame, {system, component}, signing) do
+    case frame do
+      %Frame{version: 2, crc_extra: extra} when extra != nil ->
+        {bytes, signing} = Signing.sign(signing, frame.bytes, extra)
+        {:signed, bytes, signing}
+
+      _version_1_or_unknown ->
+        :unsigned
     end
   end
 
-  defp one(
-         %Frame{system: system, component: component, signature: nil} = frame,
-         id,
-         {system, component},
-         signing
-       ) do
-    with %Frame{version: 2} <- frame, extra when extra != nil <- extra(frame.bytes, id) do
-      {bytes, signing} = Signing.sign(signing, frame.bytes, extra)
-      {:signed, bytes, signing}
-    else
-      _version_1_or_unknown -> :unsigned
-    end
-  end
-
-  defp one(_frame, _id, _own, _signing), do: :foreign
-
-  # The one of a message's values with which the frame was made.
-  defp extra(bytes, id) do
-    size = byte_size(bytes) - 2
-    <<_::binary-size(^size), crc::16-little>> = bytes
-
-    MavCodec.Dialects.All.crc_extra(id)
-    |> List.wrap()
-    |> Enum.find(&(MavCodec.CRC.frame(bytes, size - 1, &1) == crc))
-  end
+  defp one(_frame, _own, _signing), do: :foreign
 end

@@ -50,6 +50,7 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
 
   def handle_info({:frames, link, frames}, state) do
+    Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
     {pace, state} = pace(state, link)
     state = if pace == :live, do: follow(state, hd(frames).at), else: state
     clock = {List.last(frames).at, monotonic(), if(pace == :live, do: 1.0, else: pace)}

@@ -1,0 +1,298 @@
+defmodule Aerie.Recorder do
+  @moduledoc """
+  Records what links and vehicles say, as tlog files that every ground station reads, and keeps the last moments of each
+  vehicle in memory, to be saved when something happened.
+
+      Aerie.Recorder.start(:default, {:vehicle, "VID-001"}, :armed)
+      Aerie.Recorder.status(:default, {:vehicle, "VID-001"})
+      Aerie.Recorder.save(:default, "VID-001", "near-miss")
+      Aerie.Recorder.list(:default)
+
+  A recording never costs a frame: it is written by a process of its own over a bounded queue, and what the disk does not
+  take is dropped and counted (`dropped`). Keys and signatures are not in it (S9). How it works is in the README of this
+  module's folder.
+
+  ## Telemetry
+
+  | event | measurements | metadata besides `gateway` |
+  |---|---|---|
+  | `[:aerie, :recorder, :opened]`, `[:aerie, :recorder, :closed]` | `count`, or `bytes` of the file | `target`, `file` |
+  | `[:aerie, :recorder, :paused]` | `count` | `target`, `file`, `reason` (words): the disk is full, … |
+  | `[:aerie, :recorder, :removed]` | `bytes` | `file`: an old recording made room |
+  """
+
+  alias Aerie.Fleet.Store
+  alias Aerie.Names
+  alias Aerie.Recorder.{Archive, Recording, Ring, Tables, Tap}
+  alias Aerie.Wire
+  alias MavCodec.Frame
+
+  @save_ms 10_000
+
+  @typedoc "What is recorded: a link, or a vehicle by its public name or its key."
+  @type what :: {:link, String.t()} | {:vehicle, String.t() | {String.t(), non_neg_integer}}
+
+  ## For links and sessions
+
+  @doc "A link received frames."
+  @spec link_frames(Names.gateway(), String.t(), [Frame.t()]) :: :ok
+  def link_frames(gateway, link, frames) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: Tap.offer(tables, {:link, link}, frames)
+    :ok
+  end
+
+  @doc "A vehicle's session got frames."
+  @spec vehicle_frames(Names.gateway(), {String.t(), non_neg_integer}, [Frame.t()]) :: :ok
+  def vehicle_frames(gateway, key, frames) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: keep(tables, key, frames)
+    :ok
+  end
+
+  defp keep(tables, key, frames) do
+    settings = Tables.settings(tables)
+    n = if settings.ring, do: Ring.push(tables, settings, key, frames, now())
+    Tap.offer(tables, {:vehicle, key}, frames, n)
+  end
+
+  @doc "A link sent the bytes of whole frames: they are recorded for it, and for the vehicles that they are addressed to."
+  @spec sent(Names.gateway(), String.t(), String.t(), iodata) :: :ok
+  def sent(gateway, link, network, bytes) do
+    with tables when is_map(tables) <- Tables.of(gateway) do
+      {frames, _rest} = bytes |> IO.iodata_to_binary() |> Wire.frames(System.os_time(:microsecond))
+      sent_by(tables, link, network, frames)
+    end
+
+    :ok
+  end
+
+  @doc "The same for frames that were forwarded."
+  @spec sent_frames(Names.gateway(), String.t(), String.t(), [Frame.t()]) :: :ok
+  def sent_frames(gateway, link, network, frames) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: sent_by(tables, link, network, frames)
+    :ok
+  end
+
+  # Most of it is for everyone, and of links that are not recorded: that costs a look at a table.
+  defp sent_by(tables, link, network, frames) do
+    if Tables.settings(tables).sent do
+      if Tap.open?(tables, {:link, link}),
+        do: Tap.offer(tables, {:link, link}, Enum.map(frames, &Wire.checked/1))
+
+      for frame <- frames,
+          {system, _component} when system > 0 <- [Frame.target(frame)],
+          key = {network, system},
+          Ring.known?(tables, key) or Tap.open?(tables, {:vehicle, key}),
+          do: keep(tables, key, [Wire.checked(frame)])
+    end
+  end
+
+  ## For faces
+
+  @doc """
+  Records a link or a vehicle from now on, `:always` or while it is `:armed`, whatever the configuration says, until `stop/2`
+  or the end of the gateway.
+  """
+  @spec start(Names.gateway(), what, :always | :armed) :: :ok | {:error, String.t()}
+  def start(gateway, what, mode \\ :always) when mode in [:always, :armed], do: want(gateway, what, mode)
+
+  @doc "Records a link or a vehicle no longer; its file is complete when this returns."
+  @spec stop(Names.gateway(), what) :: :ok | {:error, String.t()}
+  def stop(gateway, what), do: want(gateway, what, :off)
+
+  defp want(gateway, what, mode) do
+    with {:ok, tables} <- tables(gateway), {:ok, target} <- target(gateway, what) do
+      :ets.insert(tables.wanted, {target, mode})
+
+      case Names.whereis(gateway, :recording, target) do
+        nil when mode == :off -> :ok
+        nil -> begin(gateway, target)
+        pid -> Recording.changed(pid)
+      end
+    end
+  catch
+    :exit, _reason -> {:error, "the recording does not answer"}
+  end
+
+  @doc false
+  # Begins the recording of a target that has none.
+  @spec begin(Names.gateway(), Tables.target(), keyword) :: :ok | {:error, String.t()}
+  def begin(gateway, target, options \\ []) do
+    options = Keyword.merge([gateway: gateway, target: target, label: label(gateway, target)], options)
+
+    case DynamicSupervisor.start_child(Names.via(gateway, :recordings), {Recording, options}) do
+      {:ok, _pid} -> :ok
+      {:error, {:already_started, _pid}} -> :ok
+      {:error, :max_children} -> {:error, "there are as many recordings as there may be"}
+      other -> {:error, "the recording does not start: #{inspect(other)}"}
+    end
+  catch
+    :exit, _reason -> {:error, "the recorder is not running"}
+  end
+
+  @doc "The name that files of a target begin with: its network and its link or vehicle."
+  @spec label(Names.gateway(), Tables.target()) :: String.t()
+  def label(gateway, {:link, id}) do
+    case Store.link(gateway, id) do
+      %{network: network} -> "#{network}-#{id}"
+      nil -> id
+    end
+  end
+
+  def label(gateway, {_kind, {network, system} = key}) do
+    case Store.vehicle(gateway, key) do
+      %{id: id} -> "#{network}-#{id}"
+      nil -> "#{network}-#{system}"
+    end
+  end
+
+  @doc """
+  Saves the last moments of a vehicle, and what comes within `after_s`, to a file, whose name has the `reason`; gives the file
+  as soon as the past is in it. A saving that is under way goes on for longer instead.
+  """
+  @spec save(Names.gateway(), String.t() | {String.t(), non_neg_integer}, String.t()) ::
+          {:ok, Path.t()} | {:error, String.t()}
+  def save(gateway, vehicle, reason \\ "request") do
+    reference = :erlang.alias([:reply])
+
+    with :ok <- save_at(gateway, vehicle, reason, nil, reference) do
+      receive do
+        {^reference, result} -> result
+      after
+        @save_ms ->
+          :erlang.unalias(reference)
+          {:error, "the disk does not answer"}
+      end
+    end
+  end
+
+  @doc false
+  @spec save_at(Names.gateway(), String.t() | tuple, String.t(), integer | nil, reference | nil) ::
+          :ok | {:error, String.t()}
+  def save_at(gateway, vehicle, reason, at, notify) do
+    with {:ok, tables} <- tables(gateway),
+         {:ok, {:vehicle, key}} <- target(gateway, {:vehicle, vehicle}),
+         :ok <- has_ring(tables, key) do
+      heard = with %{last_heard: heard} <- Store.vehicle(gateway, key), do: heard
+      until = (at || heard || System.os_time(:microsecond)) + Tables.settings(tables).after_ms * 1000
+      target = {:saved, key}
+
+      case Names.whereis(gateway, :recording, target) do
+        nil ->
+          begin(gateway, target, label: label(gateway, target) <> "-" <> reason, until: until, notify: notify)
+
+        pid ->
+          longer(pid, until, notify)
+      end
+    end
+  end
+
+  defp has_ring(tables, key) do
+    cond do
+      Ring.known?(tables, key) -> :ok
+      Tables.settings(tables).ring -> {:error, "nothing was heard of that vehicle"}
+      true -> {:error, "no ring is kept (recorder.ring.enabled)"}
+    end
+  end
+
+  defp longer(pid, until, notify) do
+    Recording.extend(pid, until)
+    if notify, do: send(notify, {notify, {:ok, Recording.flush(pid)}})
+    :ok
+  catch
+    :exit, _reason -> {:error, "the recording does not answer"}
+  end
+
+  @doc "What is known of the recording of a link or a vehicle (`Aerie.Recorder.Recording`); nil when there is none."
+  @spec status(Names.gateway(), what) :: Recording.status() | nil
+  def status(gateway, what) do
+    with {:ok, tables} <- tables(gateway), {:ok, target} <- target(gateway, what) do
+      :ets.lookup_element(tables.status, target, 2, nil)
+    else
+      {:error, _reason} -> nil
+    end
+  end
+
+  @doc """
+  Everything: `recordings` (statuses of what is or was recorded), `rings` (`%{vehicle key => %{bytes, entries}}`), `space`
+  (`%{free: bytes or :unknown, low: boolean}`, nil before the first recording), `dir`.
+  """
+  @spec status(Names.gateway()) :: map | nil
+  def status(gateway) do
+    with tables when is_map(tables) <- Tables.of(gateway) do
+      %{
+        dir: Tables.settings(tables).dir,
+        recordings: for({_target, status} <- Enum.sort(:ets.tab2list(tables.status)), do: status),
+        rings:
+          for({key, _n, _bytes} <- :ets.tab2list(tables.rings), into: %{}, do: {key, Ring.size(tables, key)}),
+        space: :ets.lookup_element(tables.settings, :space, 2, nil)
+      }
+    end
+  end
+
+  @doc "Our files, oldest first: `%{file, bytes, at (unix seconds), open}`."
+  @spec list(Names.gateway()) :: [map]
+  def list(gateway), do: Archive.list(gateway)
+
+  @doc "Metrics, for `/metrics`: `%{name, type, help, samples: [{labels, value}]}`."
+  @spec metrics(Names.gateway()) :: [map]
+  def metrics(gateway) do
+    case status(gateway) do
+      nil ->
+        []
+
+      status ->
+        totals =
+          for {key, help} <- [
+                frames: "Frames written to recordings.",
+                bytes: "Bytes written to recordings.",
+                files: "Recordings begun.",
+                dropped: "Frames that were to be recorded and were not: disk full or slow."
+              ] do
+            samples = for recording <- status.recordings, do: {[recording: recording.label], recording[key]}
+            %{name: "gateway_recorder_#{key}_total", type: :counter, help: help, samples: samples}
+          end
+
+        active = Enum.count(status.recordings, &(&1.state == :recording))
+        ring = status.rings |> Map.values() |> Enum.map(& &1.bytes) |> Enum.sum()
+
+        totals ++
+          [
+            %{
+              name: "gateway_recorder_active",
+              type: :gauge,
+              help: "Recordings that are being written.",
+              samples: [{[], active}]
+            },
+            %{
+              name: "gateway_recorder_ring_bytes",
+              type: :gauge,
+              help: "Memory of the last moments of all vehicles.",
+              samples: [{[], ring}]
+            }
+          ]
+    end
+  end
+
+  defp tables(gateway) do
+    case Tables.of(gateway) do
+      nil -> {:error, "the recorder is not running"}
+      tables -> {:ok, tables}
+    end
+  end
+
+  defp target(gateway, {:link, id}) when is_binary(id) do
+    if Store.link(gateway, id), do: {:ok, {:link, id}}, else: {:error, "there is no link #{id}"}
+  end
+
+  defp target(_gateway, {:vehicle, {network, system} = key}) when is_binary(network) and is_integer(system),
+    do: {:ok, {:vehicle, key}}
+
+  defp target(gateway, {:vehicle, id}) when is_binary(id) do
+    case Store.vehicle(gateway, id) do
+      %{key: key} -> {:ok, {:vehicle, key}}
+      nil -> {:error, "no vehicle #{id} is known"}
+    end
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

@@ -1,0 +1,207 @@
+defmodule Aerie.Recorder.Archive do
+  @moduledoc """
+  The folder of the recordings: gives names, keeps the index of what is ours, makes room.
+
+  Ours is what is in `recordings.index`, one name a line, written before the file is used. Nothing else in the folder is
+  ever removed, whatever its name; a recording that somebody renames or takes out of the index is theirs from then on.
+
+  Room is made by removing our oldest recordings, never one that is being written: when ours together are more than
+  `max_total`, and when less than `min_free` is free. When that does not help, nothing is recorded (`{:space, …}` in the
+  settings' table) until something is free again. The folder is made when the first recording begins.
+  """
+  use GenServer
+
+  alias Aerie.Names
+  alias Aerie.Recorder.{Archive, Tables}
+
+  @index "recordings.index"
+  @max_index 4_000_000
+  @call_ms 10_000
+
+  @spec start_link(keyword) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options,
+      name: Names.via(Keyword.fetch!(options, :gateway), :recorder_archive)
+    )
+  end
+
+  @doc """
+  A new file for the calling process, empty, named `{label}-{UTC}.tlog`. It is kept from removal until `closed/2` or the
+  end of the process. The error is in words.
+  """
+  @spec new_file(Names.gateway(), String.t()) :: {:ok, Path.t()} | {:error, String.t()}
+  def new_file(gateway, label) do
+    GenServer.call(Names.via(gateway, :recorder_archive), {:new_file, label}, @call_ms)
+  catch
+    :exit, _reason -> {:error, "the folder of recordings does not answer"}
+  end
+
+  @doc "The file is complete."
+  @spec closed(Names.gateway(), Path.t()) :: :ok
+  def closed(gateway, path), do: GenServer.cast(Names.via(gateway, :recorder_archive), {:closed, path})
+
+  @doc "Looks at the free space, and makes room, soon."
+  @spec look(Names.gateway()) :: :ok
+  def look(gateway), do: GenServer.cast(Names.via(gateway, :recorder_archive), :look)
+
+  @doc "Our recordings, oldest first: `%{file, bytes, at (unix seconds of the last write), open}`."
+  @spec list(Names.gateway()) :: [map]
+  def list(gateway) do
+    GenServer.call(Names.via(gateway, :recorder_archive), :list, @call_ms)
+  catch
+    :exit, _reason -> []
+  end
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:recorder_archive, gateway})
+    tables = Tables.of(gateway)
+    settings = Tables.settings(tables)
+    Process.send_after(self(), :space, settings.space_ms)
+
+    {:ok, %{gateway: gateway, tables: tables, settings: settings, open: %{}}}
+  end
+
+  @impl GenServer
+  def handle_call({:new_file, label}, {pid, _tag}, state) do
+    case create(state, Archive.Name.new(label, System.os_time(:second)), 1) do
+      {:ok, name} ->
+        path = Path.join(state.settings.dir, name)
+        state = put_in(state.open[Process.monitor(pid)], path)
+        {:reply, {:ok, path}, make_room(state)}
+
+      {:error, reason} ->
+        {:reply, {:error, "#{state.settings.dir}: #{words(reason)}"}, make_room(state)}
+    end
+  end
+
+  def handle_call(:list, _from, state) do
+    open = Map.values(state.open)
+
+    files =
+      for name <- ours(state), path = Path.join(state.settings.dir, name), {:ok, stat} <- [stat(path)] do
+        %{file: path, bytes: stat.size, at: stat.mtime, open: path in open}
+      end
+
+    {:reply, files, state}
+  end
+
+  @impl GenServer
+  def handle_cast({:closed, path}, state) do
+    {closed, open} = Map.split_with(state.open, fn {_monitor, file} -> file == path end)
+    Enum.each(Map.keys(closed), &Process.demonitor(&1, [:flush]))
+    {:noreply, %{state | open: open}}
+  end
+
+  def handle_cast(:look, state), do: {:noreply, make_room(state)}
+
+  @impl GenServer
+  def handle_info({:DOWN, monitor, :process, _pid, _reason}, state) do
+    {:noreply, %{state | open: Map.delete(state.open, monitor)}}
+  end
+
+  def handle_info(:space, state) do
+    Process.send_after(self(), :space, state.settings.space_ms)
+    # Nothing to look after before something was recorded here, now or in an earlier life.
+    if File.exists?(index(state)), do: {:noreply, make_room(state)}, else: {:noreply, state}
+  end
+
+  defp stat(path), do: File.stat(path, time: :posix)
+
+  # The index knows of a file before it can grow.
+  defp create(_state, _name, attempt) when attempt > 100, do: {:error, :eexist}
+
+  defp create(state, name, attempt) do
+    file = Archive.Name.attempt(name, attempt)
+    path = Path.join(state.settings.dir, file)
+
+    with :ok <- File.mkdir_p(state.settings.dir),
+         :ok <- state.settings.files.create(path),
+         :ok <- noted(state, path, file) do
+      {:ok, file}
+    else
+      {:error, :eexist} -> create(state, name, attempt + 1)
+      error -> error
+    end
+  end
+
+  defp noted(state, path, file) do
+    with {:error, reason} <- File.write(index(state), file <> "\n", [:append]) do
+      # A file that the index does not know would never be removed.
+      _ = File.rm(path)
+      {:error, reason}
+    end
+  end
+
+  defp index(state), do: Path.join(state.settings.dir, @index)
+
+  # Names only, of files beside the index: whatever was done to the index, nothing elsewhere is ours.
+  defp ours(state) do
+    with {:ok, %{size: size}} when size <= @max_index <- stat(index(state)),
+         {:ok, text} <- File.read(index(state)) do
+      text |> String.split("\n", trim: true) |> Enum.filter(&Archive.Name.ours?/1) |> Enum.uniq()
+    else
+      _none -> []
+    end
+  end
+
+  defp make_room(state) do
+    %{dir: dir, max_total: max_total, min_free: min_free, files: files} = state.settings
+    open = MapSet.new(Map.values(state.open))
+    names = ours(state)
+
+    found =
+      for name <- names,
+          path = Path.join(dir, name),
+          {:ok, %{type: :regular, size: size}} <- [File.lstat(path)] do
+        {path, size, path in open}
+      end
+
+    free = files.free(dir)
+    total = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+    removed = remove(found, total - max_total, missing(free, min_free), state.gateway)
+
+    if length(found) < length(names) or removed != [],
+      do: rewrite(state, Enum.map(found, &elem(&1, 0)) -- removed)
+
+    told(state, if(removed == [], do: free, else: files.free(dir)), min_free)
+  end
+
+  defp missing(:unknown, _min_free), do: 0
+  defp missing({:ok, free}, min_free), do: min_free - free
+
+  defp remove([], _too_many, _too_full, _gateway), do: []
+  defp remove(_found, too_many, too_full, _gateway) when too_many <= 0 and too_full <= 0, do: []
+
+  defp remove([{_path, _size, true} | rest], too_many, too_full, gateway),
+    do: remove(rest, too_many, too_full, gateway)
+
+  defp remove([{path, size, false} | rest], too_many, too_full, gateway) do
+    case File.rm(path) do
+      :ok ->
+        :telemetry.execute([:aerie, :recorder, :removed], %{bytes: size}, %{gateway: gateway, file: path})
+        [path | remove(rest, too_many - size, too_full - size, gateway)]
+
+      {:error, _reason} ->
+        remove(rest, too_many, too_full, gateway)
+    end
+  end
+
+  defp rewrite(state, paths) do
+    beside = index(state) <> ".new"
+    text = Enum.map(paths, &[Path.basename(&1), "\n"])
+    # Not written, the index names files that are gone: no harm.
+    with :ok <- File.write(beside, text), do: File.rename(beside, index(state))
+  end
+
+  defp told(state, free, min_free) do
+    low = match?({:ok, bytes} when bytes < min_free, free)
+    bytes = with {:ok, bytes} <- free, do: bytes
+    :ets.insert(state.tables.settings, {:space, %{free: bytes, low: low}})
+    state
+  end
+
+  defp words(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
+  defp words(reason), do: inspect(reason)
+end

@@ -1,0 +1,53 @@
+defmodule Aerie.Recorder.Files do
+  @moduledoc """
+  What the recorder does with files and disks: the one place where it touches them, so that a test can put a disk that
+  fails in its place.
+  """
+
+  @type device :: :file.io_device()
+
+  @doc "Makes a file that is not there yet."
+  @callback create(Path.t()) :: :ok | {:error, term}
+  @doc "Opens a file that `create/1` made, for the calling process."
+  @callback open(Path.t()) :: {:ok, device} | {:error, term}
+  @doc "Writes everything, or says why not; part of it may be written then."
+  @callback write(device, iodata) :: :ok | {:error, term}
+  @doc "Forces what was written to the disk."
+  @callback sync(device) :: :ok | {:error, term}
+  @callback close(device) :: :ok | {:error, term}
+  @doc "Bytes that are free on the disk of a folder; `:unknown` when that cannot be found out."
+  @callback free(Path.t()) :: {:ok, non_neg_integer} | :unknown
+
+  @behaviour __MODULE__
+
+  @impl __MODULE__
+  def create(path) do
+    with {:ok, file} <- :file.open(path, [:write, :exclusive, :raw]), do: :file.close(file)
+  end
+
+  @impl __MODULE__
+  def open(path), do: :file.open(path, [:append, :raw, :binary])
+
+  @impl __MODULE__
+  def write(device, bytes), do: :file.write(device, bytes)
+
+  @impl __MODULE__
+  def sync(device), do: :file.datasync(device)
+
+  @impl __MODULE__
+  def close(device), do: :file.close(device)
+
+  # POSIX output: one line for the file system, its fourth column is what is available, in KiB.
+  @impl __MODULE__
+  def free(dir) do
+    with program when is_binary(program) <- System.find_executable("df"),
+         {text, 0} <- System.cmd(program, ["-Pk", dir], stderr_to_stdout: true, env: [{"LC_ALL", "C"}]),
+         [_head, line | _] <- String.split(text, "\n", trim: true),
+         [_device, _size, _used, available | _] <- String.split(line),
+         {kilobytes, ""} <- Integer.parse(available) do
+      {:ok, kilobytes * 1024}
+    else
+      _anything -> :unknown
+    end
+  end
+end

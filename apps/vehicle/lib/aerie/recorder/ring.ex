@@ -1,0 +1,84 @@
+defmodule Aerie.Recorder.Ring do
+  @moduledoc """
+  The last moments of each vehicle, in memory: what it sent and what was sent to it, as records of a tlog, without
+  signatures and keys (S9).
+
+  Written by the vehicle's session and by links directly, without a process in between, so that it is there whatever dies.
+  Bounded by age and by bytes per vehicle, and by bytes together: each vehicle's part gets smaller when there are many.
+  An entry counts for its bytes and #{200} more, which is about what it takes.
+  """
+
+  alias Aerie.Recorder.{Settings, Tables}
+  alias MavCodec.{Frame, Tlog}
+
+  @overhead 200
+
+  @type key :: {String.t(), non_neg_integer}
+
+  @doc "Adds frames, in order, at a monotonic time in ms; gives the number of their entry."
+  @spec push(Tables.t(), Settings.t(), key, [Frame.t(), ...], integer) :: pos_integer
+  def push(tables, settings, key, frames, now) do
+    # Copied: what was read by the link need not stay for the sake of a few frames.
+    records = frames |> Tlog.Writer.records(signatures: false) |> IO.iodata_to_binary()
+    size = byte_size(records) + @overhead
+    [n, bytes] = :ets.update_counter(tables.rings, key, [{2, 1}, {3, size}], {key, 0, 0})
+    :ets.insert(tables.ring, {{key, n}, now, size, records, length(frames)})
+    trim(tables, key, bytes, limit(tables, settings), now - settings.ring_ms)
+    n
+  end
+
+  @doc "Whether there is a ring for a vehicle."
+  @spec known?(Tables.t(), key) :: boolean
+  def known?(tables, key), do: :ets.member(tables.rings, key)
+
+  defp limit(tables, settings) do
+    vehicles = max(:ets.info(tables.rings, :size), 1)
+    min(settings.ring_bytes, div(settings.ring_total, vehicles))
+  end
+
+  # Whoever takes an entry subtracts it, so that two who trim at once do no harm.
+  defp trim(tables, key, bytes, limit, oldest) do
+    with {^key, _n} = first <- :ets.next(tables.ring, {key, 0}),
+         [{_first, at, _size, _records, _frames}] when bytes > limit or at < oldest <-
+           :ets.lookup(tables.ring, first) do
+      case :ets.take(tables.ring, first) do
+        [{_first, _at, size, _records, _frames}] ->
+          trim(tables, key, :ets.update_counter(tables.rings, key, {3, -size}), limit, oldest)
+
+        [] ->
+          trim(tables, key, :ets.lookup_element(tables.rings, key, 3, 0), limit, oldest)
+      end
+    else
+      _young_or_empty -> :ok
+    end
+  end
+
+  @doc "All entries of a vehicle, oldest first: `{n, records, how many}`."
+  @spec entries(Tables.t(), key) :: [{pos_integer, binary, pos_integer}]
+  def entries(tables, key) do
+    :ets.select(tables.ring, [{{{key, :"$1"}, :_, :_, :"$2", :"$3"}, [], [{{:"$1", :"$2", :"$3"}}]}])
+  end
+
+  @doc "How much there is of a vehicle: `%{bytes, entries}`; nil for an unknown one."
+  @spec size(Tables.t(), key) :: %{bytes: non_neg_integer, entries: non_neg_integer} | nil
+  def size(tables, key) do
+    with [{_key, _n, bytes}] <- :ets.lookup(tables.rings, key) do
+      entries = :ets.select_count(tables.ring, [{{{key, :_}, :_, :_, :_, :_}, [], [true]}])
+      %{bytes: bytes, entries: entries}
+    else
+      [] -> nil
+    end
+  end
+
+  @doc "Bytes of all rings together."
+  @spec total(Tables.t()) :: non_neg_integer
+  def total(tables), do: :ets.foldl(fn {_key, _n, bytes}, sum -> sum + bytes end, 0, tables.rings)
+
+  @doc "Forgets a vehicle."
+  @spec forget(Tables.t(), key) :: :ok
+  def forget(tables, key) do
+    :ets.delete(tables.rings, key)
+    true = :ets.match_delete(tables.ring, {{key, :_}, :_, :_, :_, :_})
+    :ok
+  end
+end

@@ -1,0 +1,65 @@
+defmodule Aerie.Recorder.Tables do
+  @moduledoc """
+  What the recorder's parts share: ETS tables owned by `Aerie.Recorder.Supervisor`, found through its name.
+
+  - `:taps` (a bag) `{target, pid, counters, limit}`: who gets a target's frames
+  - `:ring` (ordered) `{{vehicle key, n}, monotonic ms, bytes, records, frames}` and `:rings` `{vehicle key, last n, bytes}`
+  - `:wanted` `{target, mode}`: what was asked for at run time, over the configuration
+  - `:status` `{target, status}`
+  - `:settings` `{name, value}`
+
+  A target is `{:link, id}`, `{:vehicle, {network, system}}` or, while a ring is being saved, `{:saved, {network, system}}`.
+  """
+
+  alias Aerie.Names
+  alias Aerie.Recorder.Settings
+
+  @type target ::
+          {:link, String.t()}
+          | {:vehicle | :saved, {String.t(), non_neg_integer}}
+  @type mode :: :off | :armed | :always
+  @type t :: %{
+          taps: :ets.table(),
+          ring: :ets.table(),
+          rings: :ets.table(),
+          wanted: :ets.table(),
+          status: :ets.table(),
+          settings: :ets.table()
+        }
+
+  @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :recorder, nil}`."
+  @spec create(Names.gateway(), Settings.t()) :: t
+  def create(gateway, settings) do
+    shared = [:public, read_concurrency: true]
+
+    tables = %{
+      taps: :ets.new(:taps, [:bag | shared]),
+      ring: :ets.new(:ring, [:ordered_set, :public, write_concurrency: true]),
+      rings: :ets.new(:rings, [:set, :public, write_concurrency: true]),
+      wanted: :ets.new(:wanted, [:set | shared]),
+      status: :ets.new(:status, [:set | shared]),
+      settings: :ets.new(:settings, [:set | shared])
+    }
+
+    :ets.insert(tables.settings, {:settings, settings})
+    Names.put_value(gateway, :recorder, tables)
+    tables
+  end
+
+  @doc "The tables of a gateway; nil when it has no recorder."
+  @spec of(Names.gateway()) :: t | nil
+  def of(gateway), do: Names.value(gateway, :recorder)
+
+  @doc "The settings."
+  @spec settings(t) :: Settings.t()
+  def settings(tables), do: :ets.lookup_element(tables.settings, :settings, 2)
+
+  @doc "What is to be recorded of a target."
+  @spec mode(t, target) :: mode
+  def mode(tables, {kind, _id} = target) do
+    case :ets.lookup(tables.wanted, target) do
+      [{_target, mode}] -> mode
+      [] -> tables |> settings() |> Map.fetch!(if(kind == :link, do: :links, else: :vehicles))
+    end
+  end
+end

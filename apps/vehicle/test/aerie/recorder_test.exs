@@ -1,0 +1,467 @@
+defmodule Aerie.RecorderTest do
+  use ExUnit.Case, async: true
+  use Aerie.RecorderCase
+
+  alias Aerie.Fleet.Store
+  alias Aerie.{Names, Recorder, Router}
+  alias Aerie.Recorder.{Recording, Tap}
+  alias Aerie.RecorderCase.{FaultyDisk, FullDisk}
+  alias MavCodec.Messages
+
+  @moduletag :tmp_dir
+  @key {"main", 1}
+
+  # A vehicle that is recorded without a link: frames go to the recorder as its session would give them.
+  defp vehicle(gateway, mode \\ :always) do
+    :ok = Recorder.start(gateway, {:vehicle, @key}, mode)
+    Names.whereis(gateway, :recording, {:vehicle, @key})
+  end
+
+  defp give(gateway, frames), do: Recorder.vehicle_frames(gateway, @key, frames)
+  defp status(gateway), do: Recorder.status(gateway, {:vehicle, @key})
+  defp numbers(path), do: path |> recorded() |> Enum.map(&number/1)
+
+  describe "a link" do
+    test "is recorded as it is heard and spoken to, and its file has its name", c do
+      gateway = start_recorder(c.tmp_dir, %{links: :always})
+      be_session(gateway, 7)
+      {id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio 1", network: "main")
+      {:ok, socket} = :gen_udp.open(0, [:binary])
+      for n <- 1..5, do: :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, n))
+      heard = frames(5)
+      :ok = Router.send(gateway, {"main", 7}, heartbeat(245, type: 18, autopilot: 8, component: 191))
+      assert_receive {:udp, ^socket, _address, _port, _bytes}
+
+      file = eventually(fn -> Recorder.status(gateway, {:link, id}).file end)
+      assert Path.basename(file) =~ ~r/\Amain-radio_1-\d{8}T\d{6}Z\.tlog\z/
+      :ok = Recorder.stop(gateway, {:link, id})
+      assert [a, b, cc, d, e, ours] = recorded(file)
+      assert Enum.map([a, b, cc, d, e], &{&1.at, &1.bytes}) == Enum.map(heard, &{&1.at, &1.bytes})
+      assert {ours.system, ours.component, ours.id} == {245, 191, 0}
+      assert %{state: :off, dropped: 0, frames: 6, files: 1} = Recorder.status(gateway, {:link, id})
+      assert [%{file: ^file, open: false, bytes: bytes}] = Recorder.list(gateway)
+      assert bytes == File.stat!(file).size
+    end
+
+    test "what is forwarded to its vehicle is recorded, and in the vehicle's ring", c do
+      gateway = start_recorder(c.tmp_dir, %{links: :always})
+      be_session(gateway, 7)
+      {radio, radio_port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+      {_ground, ground_port} = add_link(gateway, "udpin:127.0.0.1:0", id: "ground")
+      {:ok, vehicle} = :gen_udp.open(0, [:binary])
+      {:ok, station} = :gen_udp.open(0, [:binary])
+      :ok = :gen_udp.send(vehicle, {127, 0, 0, 1}, radio_port, heartbeat(7))
+      [beat] = frames(1)
+      :ok = Recorder.vehicle_frames(gateway, {"main", 7}, [beat])
+      :ok = :gen_udp.send(station, {127, 0, 0, 1}, ground_port, heartbeat(255, type: 6, autopilot: 8))
+      eventually(fn -> Router.way(gateway, {"main", 255}) end)
+
+      order =
+        MavCodec.encode(%Messages.CommandLong{target_system: 7, command: 400}, system: 255, component: 190)
+
+      assert_order(vehicle, station, ground_port, order)
+      file = eventually(fn -> Recording.flush(Names.whereis(gateway, :recording, {:link, radio})) end)
+      assert order in Enum.map(recorded(file), & &1.bytes)
+      {:ok, saved} = Recorder.save(gateway, {"main", 7})
+      assert [_heartbeat, %{bytes: ^order} | _] = recorded(saved)
+    end
+
+    defp assert_order(vehicle, station, port, order) do
+      :ok = :gen_udp.send(station, {127, 0, 0, 1}, port, order)
+
+      receive do
+        {:udp, ^vehicle, _, _, ^order} -> :ok
+        {:udp, ^vehicle, _, _, _other} -> assert_order(vehicle, station, port, order)
+      after
+        10_000 -> flunk("the order was not forwarded")
+      end
+    end
+
+    test "killed, its recording is back with a new file, and the link has not noticed", c do
+      gateway = start_recorder(c.tmp_dir, %{links: :always})
+      be_session(gateway, 7)
+      {id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+      {:ok, socket} = :gen_udp.open(0, [:binary])
+      link = Names.whereis(gateway, :link, id)
+      recording = Names.whereis(gateway, :recording, {:link, id})
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, 1))
+      frames(1)
+      first = eventually(fn -> Recording.flush(recording) end)
+      Process.exit(recording, :kill)
+
+      again =
+        eventually(fn ->
+          pid = Names.whereis(gateway, :recording, {:link, id})
+          pid != recording && pid
+        end)
+
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, 2))
+      frames(1)
+      second = eventually(fn -> Recording.flush(again) end)
+      assert second != first
+      # What is already with the file system is not lost with its writer.
+      assert numbers(first) == [1]
+      assert numbers(second) == [2]
+      assert Names.whereis(gateway, :link, id) == link
+    end
+  end
+
+  describe "a vehicle" do
+    test "armed: from arming to disarming, each flight a file", c do
+      gateway = start_recorder(c.tmp_dir, %{after_s: 0})
+      recording = vehicle(gateway, :armed)
+      assert status(gateway).state == :waiting
+
+      for flight <- 0..1 do
+        at = flight * 1_000_000
+        give(gateway, [beat(1, false, at + 1), beat(1, true, at + 2)] ++ attitudes(1, 1..3, at))
+        give(gateway, [beat(1, false, at + 9000), beat(1, false, at + 9001)])
+        nil = Recording.flush(recording)
+      end
+
+      assert [first, second] = tlogs(c.tmp_dir)
+      # The one that says disarmed is the last.
+      assert length(recorded(first)) == 5
+      assert length(recorded(second)) == 5
+      assert %{files: 2, frames: 10, state: :waiting} = status(gateway)
+    end
+
+    test "begins by itself when the configuration asks for it, and again when it was killed", c do
+      gateway = start_recorder(c.tmp_dir, %{vehicles: :always})
+      Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 5})
+      first = eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) end)
+      assert status(gateway).label == "main-VID-001"
+      Process.exit(first, :kill)
+      eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) not in [nil, first] end)
+      assert Recorder.status(gateway, {:vehicle, "VID-001"}).state == :waiting
+      assert :ok = Recorder.stop(gateway, {:vehicle, "VID-001"})
+      assert Recorder.status(gateway, {:vehicle, "VID-001"}).state == :off
+    end
+
+    test "a file is followed by the next when it is long enough", c do
+      gateway = start_recorder(c.tmp_dir, %{max_file_mb: 0.02})
+      recording = vehicle(gateway)
+
+      for part <- Enum.chunk_every(attitudes(1, 1..2000), 50) do
+        give(gateway, part)
+        Recording.flush(recording)
+      end
+
+      :ok = Recorder.stop(gateway, {:vehicle, @key})
+      files = tlogs(c.tmp_dir)
+      assert length(files) > 3
+      assert files |> Enum.flat_map(&numbers/1) |> Enum.sort() == Enum.to_list(1..2000)
+      for file <- files, do: assert(File.stat!(file).size < 25_000)
+    end
+
+    test "S9: neither keys nor signatures get into a file", c do
+      gateway = start_recorder(c.tmp_dir)
+      recording = vehicle(gateway)
+      key = :crypto.hash(:sha256, "secret")
+      setup = MavCodec.encode(%Messages.SetupSigning{secret_key: key, target_system: 1}, system: 255)
+      {signed, signer} = MavCodec.Signing.sign(MavCodec.Signing.new(key), attitude(1, 7), 39)
+      {signed_setup, _} = MavCodec.Signing.sign(signer, setup, 71)
+      give(gateway, [frame(setup, 1), frame(signed, 2)])
+      # Sent ones too, for the vehicle that they are for.
+      :ok = Recorder.sent(gateway, "radio", "main", [setup, signed_setup, signed])
+      file = Recording.flush(recording)
+      assert File.read!(file) |> :binary.match(key) == :nomatch
+      assert [a, b, cc, d] = recorded(file)
+      assert Enum.all?([a, b, cc, d], &(&1.signature == nil))
+      assert b.bytes == attitude(1, 7)
+      assert {:ok, %{secret_key: hidden}} = MavCodec.decode(cc)
+      assert hidden == :binary.copy(<<0xFF>>, 32)
+    end
+  end
+
+  describe "a disk that fails" do
+    test "full (the system says so): records are lost and counted, nothing else", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FullDisk})
+      listen_paused(gateway)
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      assert Recording.flush(recording) == nil
+      assert_received {:paused, "no space left on device"}
+      assert %{state: :paused, dropped: 10, frames: 0, reason: "no space left on device"} = status(gateway)
+      give(gateway, attitudes(1, 11..20))
+      Recording.flush(recording)
+      assert status(gateway).dropped == 20
+      assert Process.alive?(recording)
+    end
+
+    test "full in the middle of a record, then free again: what was written before can be read", c do
+      FaultyDisk.new(c.tmp_dir)
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, pause_ms: 0})
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      first = Recording.flush(recording)
+      FaultyDisk.set(c.tmp_dir, :full, true)
+      give(gateway, attitudes(1, 11..15))
+      assert Recording.flush(recording) == nil
+      give(gateway, attitudes(1, 16..20))
+      assert Recording.flush(recording) == nil
+      FaultyDisk.set(c.tmp_dir, :full, false)
+      give(gateway, attitudes(1, 21..30))
+      second = Recording.flush(recording)
+      assert second != first
+
+      # The first file ends in the middle of a record; whole ones before that count, and are only told as dropped.
+      assert Enum.take(numbers(first), 10) == Enum.to_list(1..10)
+
+      assert [%MavCodec.Tlog.Damage{kind: :cut_off}] =
+               first |> MavCodec.Tlog.Reader.stream!() |> Enum.reject(&is_struct(&1, MavCodec.Frame))
+
+      assert numbers(second) == Enum.to_list(21..30)
+      assert %{dropped: 10, frames: 20, state: :recording, reason: nil} = status(gateway)
+    end
+
+    test "that hangs: its queue is bounded, and whoever gives frames never waits", c do
+      FaultyDisk.new(c.tmp_dir)
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, queue_kb: 64})
+      FaultyDisk.set(c.tmp_dir, :gate, self())
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      assert_receive {:at_the_gate, ^recording}
+
+      for part <- Enum.chunk_every(attitudes(1, 11..5000), 10), do: give(gateway, part)
+      assert {:message_queue_len, waiting} = Process.info(recording, :message_queue_len)
+      assert waiting < 40
+
+      assert [{{:vehicle, @key}, ^recording, counters, 65_536}] =
+               :ets.tab2list(Recorder.Tables.of(gateway).taps)
+
+      assert Tap.waiting(counters) <= 65_536
+      dropped = Tap.dropped(counters)
+      assert dropped > 4500
+
+      FaultyDisk.set(c.tmp_dir, :gate, nil)
+      send(recording, :pass)
+      file = Recording.flush(recording)
+      kept = numbers(file)
+      # The oldest of them: a queue does not forget what it has.
+      assert kept == Enum.to_list(1..(5000 - dropped))
+      assert %{frames: frames, dropped: ^dropped} = status(gateway)
+      assert frames + dropped == 5000
+      assert Tap.waiting(counters) == 0
+    end
+
+    test "a folder that cannot be made", c do
+      File.write!(Path.join(c.tmp_dir, "recordings"), "in the way")
+      gateway = start_recorder(c.tmp_dir)
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      assert Recording.flush(recording) == nil
+      assert %{state: :paused, dropped: 10, reason: reason} = status(gateway)
+      assert reason =~ "recordings: "
+      assert {:error, ^reason} = Recorder.save(gateway, @key)
+    end
+
+    defp listen_paused(gateway) do
+      test = self()
+
+      :telemetry.attach(
+        {gateway, :paused},
+        [:aerie, :recorder, :paused],
+        fn _event, _measurements, metadata, _ ->
+          if metadata.gateway == gateway, do: send(test, {:paused, metadata.reason})
+        end,
+        nil
+      )
+
+      on_exit(fn -> :telemetry.detach({gateway, :paused}) end)
+    end
+  end
+
+  describe "room" do
+    setup c do
+      FaultyDisk.new(c.tmp_dir)
+      {:ok, dir: Path.join(c.tmp_dir, "recordings")}
+    end
+
+    # Complete recordings, about 10 kB each.
+    defp record(gateway, recording, files) do
+      for _ <- 1..files do
+        give(gateway, attitudes(1, 1..230))
+        file = Recording.flush(recording)
+        :ok = Recorder.stop(gateway, {:vehicle, @key})
+        :ok = Recorder.start(gateway, {:vehicle, @key})
+        file
+      end
+    end
+
+    test "our oldest go when ours are too many; what is not ours stays, whatever its name", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, max_mb: 0.03})
+      File.mkdir_p!(c.dir)
+      foreign = Path.join(c.dir, "main-1-20200101T000000Z.tlog")
+      File.write!(foreign, String.duplicate("x", 100_000))
+      files = record(gateway, vehicle(gateway), 6)
+      :ok = Recorder.Archive.look(gateway)
+      left = Enum.map(Recorder.list(gateway), & &1.file)
+      assert left == Enum.take(files, -length(left))
+      assert length(left) in 2..3
+      assert File.exists?(foreign)
+      assert Enum.sort(tlogs(c.tmp_dir)) == Enum.sort([foreign | left])
+    end
+
+    test "our oldest go when the disk gets full, and nothing is recorded when that does not help", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, min_free_mb: 1, pause_ms: 0})
+      recording = vehicle(gateway)
+      [oldest | newer] = record(gateway, recording, 3)
+      FaultyDisk.set(c.tmp_dir, :free, 1_048_576 - 5_000)
+      :ok = Recorder.Archive.look(gateway)
+      assert Enum.map(Recorder.list(gateway), & &1.file) == newer
+      refute File.exists?(oldest)
+
+      give(gateway, attitudes(1, 1..10))
+      assert Recording.flush(recording) == nil
+      assert %{state: :paused, reason: "less than 1 MB are free", dropped: 10} = status(gateway)
+      assert %{space: %{low: true, free: _}} = Recorder.status(gateway)
+
+      FaultyDisk.set(c.tmp_dir, :free, 10_000_000)
+      :ok = Recorder.Archive.look(gateway)
+      _ = Recorder.list(gateway)
+      give(gateway, attitudes(1, 11..20))
+      assert numbers(Recording.flush(recording)) == Enum.to_list(11..20)
+    end
+
+    test "a recording that is being written is never removed", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, min_free_mb: 1})
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      file = Recording.flush(recording)
+      FaultyDisk.set(c.tmp_dir, :free, 0)
+      :ok = Recorder.Archive.look(gateway)
+      assert [%{file: ^file, open: true}] = Recorder.list(gateway)
+    end
+
+    test "what somebody took out of the index, or wrote into it, is left alone", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, max_mb: 0.001})
+      recording = vehicle(gateway)
+      [first] = record(gateway, recording, 1)
+      index = Path.join(c.dir, "recordings.index")
+      elsewhere = Path.join(c.tmp_dir, "precious-20200101T000000Z.tlog")
+      File.write!(elsewhere, "precious")
+      File.write!(index, "../precious-20200101T000000Z.tlog\n/etc/passwd\n\n")
+      :ok = Recorder.Archive.look(gateway)
+      assert Recorder.list(gateway) == []
+      assert File.exists?(first)
+      assert File.exists?(elsewhere)
+    end
+
+    test "the free space of a real disk is found out" do
+      assert {:ok, bytes} = Aerie.Recorder.Files.free("/")
+      assert bytes > 0
+      assert Aerie.Recorder.Files.free("/nowhere") == :unknown
+    end
+  end
+
+  describe "the ring" do
+    test "has the last moments, and is saved on request with what comes after, nothing twice and nothing missing",
+         c do
+      gateway = start_recorder(c.tmp_dir, %{after_s: 0.05})
+      frames = attitudes(1, 1..200)
+      Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: Enum.at(frames, 99).at})
+      for part <- frames |> Enum.take(100) |> Enum.chunk_every(7), do: give(gateway, part)
+      assert %{rings: %{@key => %{entries: 15}}} = Recorder.status(gateway)
+
+      assert {:ok, file} = Recorder.save(gateway, "VID-001", "near miss")
+      assert Path.basename(file) =~ ~r/\Amain-VID-001-near_miss-/
+      # The past is in it already.
+      assert Enum.take(numbers(file), 100) == Enum.to_list(1..100)
+      saving = Names.whereis(gateway, :recording, {:saved, @key})
+      monitor = Process.monitor(saving)
+      for part <- frames |> Enum.drop(100) |> Enum.chunk_every(7), do: give(gateway, part)
+      assert_receive {:DOWN, ^monitor, :process, _, :normal}
+      assert numbers(file) == Enum.to_list(1..150)
+      assert [%{open: false}] = Recorder.list(gateway)
+    end
+
+    test "frames that come while it is saved are in the file once", c do
+      gateway = start_recorder(c.tmp_dir, %{after_s: 60})
+      test = self()
+
+      giver =
+        spawn_link(fn ->
+          for n <- 1..3000 do
+            give(gateway, attitudes(1, n..n))
+            if n == 1000, do: send(test, :go)
+          end
+
+          send(test, :done)
+        end)
+
+      assert is_pid(giver)
+      assert_receive :go
+      assert {:ok, file} = Recorder.save(gateway, @key)
+      assert_receive :done
+      assert ^file = Recording.flush(Names.whereis(gateway, :recording, {:saved, @key}))
+      assert numbers(file) == Enum.to_list(1..3000)
+    end
+
+    test "a second request while it is saved goes on with the same file", c do
+      gateway = start_recorder(c.tmp_dir, %{after_s: 60})
+      give(gateway, attitudes(1, 1..10))
+      assert {:ok, file} = Recorder.save(gateway, @key)
+      give(gateway, attitudes(1, 11..20))
+      assert {:ok, ^file} = Recorder.save(gateway, @key, "again")
+      assert numbers(file) == Enum.to_list(1..20)
+      assert [_one] = tlogs(c.tmp_dir)
+    end
+
+    test "is saved when an event calls for it", c do
+      gateway = start_recorder(c.tmp_dir, %{ring: %{save_on: [:failsafe]}})
+      give(gateway, attitudes(1, 1..10))
+      Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 1})
+      event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1, nil, %{})
+      :ok = Aerie.Fleet.PubSub.publish(gateway, :events, event)
+      :ok = Aerie.Fleet.PubSub.publish(gateway, :events, %{event | type: "failsafe"})
+      assert [file] = eventually(fn -> match?([_], tlogs(c.tmp_dir)) && tlogs(c.tmp_dir) end)
+      assert Path.basename(file) =~ "main-VID-001-failsafe-"
+      eventually(fn -> numbers(file) == Enum.to_list(1..10) end)
+    end
+
+    test "what is sent to a vehicle is in its ring, what is sent to all is not", c do
+      gateway = start_recorder(c.tmp_dir)
+      give(gateway, attitudes(1, 1..1))
+
+      order =
+        MavCodec.encode(%Messages.CommandLong{target_system: 1, command: 400}, system: 245, component: 191)
+
+      :ok = Recorder.sent(gateway, "radio", "main", [order, heartbeat(245), order])
+      :ok = Recorder.sent(gateway, "radio", "other", order)
+      {:ok, file} = Recorder.save(gateway, @key)
+      assert [30, 76, 76] = Enum.map(recorded(file), & &1.id)
+    end
+
+    test "who cannot be saved is told why", c do
+      gateway = start_recorder(c.tmp_dir, %{ring: %{enabled: false}})
+      give(gateway, attitudes(1, 1..10))
+      assert {:error, "no ring is kept" <> _} = Recorder.save(gateway, @key)
+      assert {:error, "no vehicle VID-009 is known"} = Recorder.save(gateway, "VID-009")
+      other = start_recorder(Path.join(c.tmp_dir, "other"))
+      assert {:error, "nothing was heard" <> _} = Recorder.save(other, @key)
+      assert {:error, "the recorder is not running"} = Recorder.save(make_ref(), @key)
+    end
+  end
+
+  test "without a recorder, links and sessions do not notice" do
+    gateway = make_ref()
+    assert Recorder.link_frames(gateway, "radio", attitudes(1, 1..1)) == :ok
+    assert Recorder.vehicle_frames(gateway, @key, attitudes(1, 1..1)) == :ok
+    assert Recorder.sent(gateway, "radio", "main", "x") == :ok
+    assert Recorder.status(gateway) == nil
+    assert Recorder.metrics(gateway) == []
+    assert {:error, _} = Recorder.start(gateway, {:link, "radio"})
+  end
+
+  test "metrics tell what was written and what was lost", c do
+    gateway = start_recorder(c.tmp_dir)
+    recording = vehicle(gateway)
+    give(gateway, attitudes(1, 1..10))
+    Recording.flush(recording)
+    metrics = Map.new(Recorder.metrics(gateway), &{&1.name, &1.samples})
+    assert metrics["gateway_recorder_frames_total"] == [{[recording: "main-1"], 10}]
+    assert metrics["gateway_recorder_dropped_total"] == [{[recording: "main-1"], 0}]
+    assert metrics["gateway_recorder_active"] == [{[], 1}]
+  end
+end

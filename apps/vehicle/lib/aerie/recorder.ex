@@ -57,10 +57,12 @@ defmodule Aerie.Recorder do
   @doc "A link sent the bytes of whole frames: they are recorded for it, and for the vehicles that they are addressed to."
   @spec sent(Names.gateway(), String.t(), String.t(), iodata) :: :ok
   def sent(gateway, link, network, bytes) do
-    with tables when is_map(tables) <- Tables.of(gateway) do
-      {frames, _rest} = bytes |> IO.iodata_to_binary() |> Wire.frames(System.os_time(:microsecond))
-      sent_by(tables, link, network, frames)
-    end
+    # No tables: no recorder, nothing to record.
+    _ =
+      with tables when is_map(tables) <- Tables.of(gateway) do
+        {frames, _rest} = bytes |> IO.iodata_to_binary() |> Wire.frames(System.os_time(:microsecond))
+        sent_by(tables, link, network, frames)
+      end
 
     :ok
   end
@@ -68,7 +70,7 @@ defmodule Aerie.Recorder do
   @doc "The same for frames that were forwarded."
   @spec sent_frames(Names.gateway(), String.t(), String.t(), [Frame.t()]) :: :ok
   def sent_frames(gateway, link, network, frames) do
-    with tables when is_map(tables) <- Tables.of(gateway), do: sent_by(tables, link, network, frames)
+    _ = with tables when is_map(tables) <- Tables.of(gateway), do: sent_by(tables, link, network, frames)
     :ok
   end
 
@@ -170,7 +172,7 @@ defmodule Aerie.Recorder do
           :ok | {:error, String.t()}
   def save_at(gateway, vehicle, reason, at, notify) do
     with {:ok, tables} <- tables(gateway),
-         {:ok, {:vehicle, key}} <- target(gateway, {:vehicle, vehicle}),
+         {:ok, {_kind, key}} <- target(gateway, {:vehicle, vehicle}),
          :ok <- has_ring(tables, key) do
       heard = with %{last_heard: heard} <- Store.vehicle(gateway, key), do: heard
       until = (at || heard || System.os_time(:microsecond)) + Tables.settings(tables).after_ms * 1000

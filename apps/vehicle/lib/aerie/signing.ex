@@ -1,7 +1,7 @@
 defmodule Aerie.Signing do
   @moduledoc """
   Signed MAVLink links: keys per network or per vehicle, what is checked of what comes, what is signed of what we send, and
-  the enrolment of a flight controller's key. How to use it is in docs/signing.md, how it works in the README of this
+  the enrolment of a flight controller's key. How to use it is said by the comments of the configuration's section `signing`; how it works, by the modules of this
   module's folder.
 
       Aerie.Signing.list(:default)

@@ -339,7 +339,7 @@ defmodule Aerie.Config.Keys do
   end
 
   defp signing do
-    section(:signing, "Signed MAVLink links. See docs/signing.md.", [
+    section(:signing, "Signed MAVLink links.", [
       field(
         :keys,
         {:list, {:section, key_fields()}},

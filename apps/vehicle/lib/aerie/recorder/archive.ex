@@ -162,8 +162,10 @@ defmodule Aerie.Recorder.Archive do
     total = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     removed = remove(found, total - max_total, missing(free, min_free), state.gateway)
 
-    if length(found) < length(names) or removed != [],
-      do: rewrite(state, Enum.map(found, &elem(&1, 0)) -- removed)
+    # An index that cannot be rewritten names files that are gone; they are passed over the next time.
+    _ =
+      if length(found) < length(names) or removed != [],
+        do: rewrite(state, Enum.map(found, &elem(&1, 0)) -- removed)
 
     told(state, if(removed == [], do: free, else: files.free(dir)), min_free)
   end

@@ -39,16 +39,17 @@ defmodule Aerie.Recorder.Watch do
 
   @impl GenServer
   def handle_info({:fleet, :vehicles, ids}, state) do
-    for id <- ids, %{key: key} <- [Store.vehicle(state.gateway, id)], do: ensure(state, key)
+    Enum.each(ids, fn id -> with %{key: key} <- Store.vehicle(state.gateway, id), do: ensure(state, key) end)
     {:noreply, state}
   end
 
   def handle_info({:fleet, :events, event}, state) do
-    if event.type in state.settings.save_on do
-      # Not worth more than being counted: the ring's saving tells by itself what is in its way.
-      with {:error, _reason} <- Recorder.save_at(state.gateway, event.vehicle, event.type, event.time, nil),
-           do: Store.count(state.gateway, {:recorder, :not_saved})
-    end
+    # Not worth more than being counted: the ring's saving tells by itself what is in its way.
+    _ =
+      if event.type in state.settings.save_on do
+        with {:error, _reason} <- Recorder.save_at(state.gateway, event.vehicle, event.type, event.time, nil),
+             do: Store.count(state.gateway, {:recorder, :not_saved})
+      end
 
     {:noreply, state}
   end
@@ -63,7 +64,7 @@ defmodule Aerie.Recorder.Watch do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp all(state), do: for(%{key: key} <- Store.vehicles(state.gateway), do: ensure(state, key))
+  defp all(state), do: Enum.each(Store.vehicles(state.gateway), &ensure(state, &1.key))
 
   defp ensure(state, key) do
     target = {:vehicle, key}

@@ -2,34 +2,38 @@
 # frame a datagram; then 100 links of 100 frames/s. Each router is one OS process on one core (two for the 100 links), the
 # load another one on the other core, a small C program in bench/support.
 #
-#     mix run bench/router.exs [--seconds N] [--quick]          or  bin/bench router
+#     mix run bench/router.exs [--seconds N] [--clients 1,5,20] [--quick]          or  bin/bench router
 #
 # Columns: frames/s that were sent for three seconds and arrived at every client without loss; p50 and p99 of the added
 # latency at 1,000 and 10,000 frames/s, in microseconds; CPU seconds per 100,000 frames that came in, at 10,000 frames/s;
 # memory for each further client.
 #
-# Beside it run, where they are there: mavp2p (built with `go install` into a folder that goes with this run) and MAVProxy
-# (mavproxy.py in the Python environment or on the path). What is not there is said and left out.
+# Beside it run, where they are there: mavp2p (on the path, or built with `go install` into a folder that goes with this
+# run), mavlink-router (mavlink-routerd on the path) and MAVProxy (mavproxy.py in the Python environment or on the path).
+# What is not there is said and left out.
 
 defmodule RouterBench do
-  @clients [1, 5, 20]
+  @clients "1,5,20"
   @rates [20_000, 40_000, 60_000, 80_000, 100_000, 125_000, 150_000, 200_000]
   # Off: threads that look for work while there is none, which only shows as CPU time here.
   @emulator "+fnu +S 1:1 +sbwt none +sbwtdcpu none +sbwtdio none"
 
   def main(argv) do
-    {options, [], []} = OptionParser.parse(argv, strict: [seconds: :integer, quick: :boolean])
+    {options, [], []} =
+      OptionParser.parse(argv, strict: [seconds: :integer, clients: :string, quick: :boolean])
+
     seconds = options[:seconds] || if(options[:quick], do: 1, else: 4)
     dir = Path.join(System.tmp_dir!(), "router-bench-#{System.pid()}")
     File.mkdir_p!(dir)
 
     try do
       load = compile(dir)
-      routers = [aerie() | Enum.flat_map([mavp2p(dir), mavproxy()], &found/1)]
+      routers = [aerie() | Enum.flat_map([mavp2p(dir), mavlink_router(dir), mavproxy()], &found/1)]
 
       context = %{
         load: load,
         seconds: seconds,
+        clients: numbers(options[:clients]),
         rates: if(options[:quick], do: [20_000, 80_000], else: @rates)
       }
 
@@ -52,6 +56,8 @@ defmodule RouterBench do
       File.rm_rf!(dir)
     end
   end
+
+  defp numbers(text), do: for(n <- String.split(text || @clients, ","), do: String.to_integer(n))
 
   defp found({:ok, router}), do: [router]
 
@@ -123,6 +129,31 @@ defmodule RouterBench do
     }
   end
 
+  # A server endpoint of its answers the peer it heard last, so that each client has a port of its own.
+  defp mavlink_router(dir) do
+    case System.find_executable("mavlink-routerd") do
+      nil ->
+        {:missing, "mavlink-router: mavlink-routerd is not on the path: left out"}
+
+      path ->
+        {:ok,
+         %{
+           name: "mavlink-router",
+           step: 1,
+           ready: nil,
+           command: fn source, client, n ->
+             file = Path.join(dir, "mavlink-router.conf")
+             ports = [{"source", source} | for(i <- 0..(n - 1), do: {"client#{i}", client + i})]
+             File.write!(file, ["[General]\nTcpServerPort=0\n" | Enum.map(ports, &udp_server/1)])
+             {path, ["--conf-file", file]}
+           end
+         }}
+    end
+  end
+
+  defp udp_server({name, port}),
+    do: "[UdpEndpoint #{name}]\nMode=Server\nAddress=127.0.0.1\nPort=#{port}\n"
+
   # Each of its outputs talks to one peer, so that each client has a port of its own.
   defp mavproxy do
     case Enum.find(
@@ -159,15 +190,14 @@ defmodule RouterBench do
   ## Measuring
 
   defp table(router, context) do
-    lines = for n <- @clients, do: {n, measure(router, n, context)}
-    [{1, %{rss: one}} | _] = lines
-    {_, %{rss: many}} = List.last(lines)
-    each = if one && many, do: max(round((many - one) / (List.last(@clients) - 1)), 0)
+    [first | _] = context.clients
 
-    for {n, m} <- lines do
-      memory = if n == 1, do: "", else: "#{each}"
-      IO.puts(row([router.name, n, m.best, latency(m.slow), latency(m.fast), m.cpu, memory]))
-    end
+    Enum.reduce(context.clients, nil, fn n, alone ->
+      m = measure(router, n, context)
+      each = if alone && m.rss && n > first, do: max(round((m.rss - alone) / (n - first)), 0), else: ""
+      IO.puts(row([router.name, n, m.best, latency(m.slow), latency(m.fast), m.cpu, each]))
+      alone || m.rss
+    end)
   end
 
   defp measure(router, n, context) do
@@ -320,7 +350,7 @@ defmodule RouterBench do
   end
 
   defp row(cells) do
-    [9, 8, 18, 22, 24, 20, 10]
+    [14, 8, 18, 22, 24, 20, 10]
     |> Enum.zip(cells)
     |> Enum.map_join(" ", fn {width, cell} -> String.pad_trailing(to_string(cell), width) end)
   end

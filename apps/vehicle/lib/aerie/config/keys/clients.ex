@@ -1,0 +1,51 @@
+defmodule Aerie.Config.Keys.Clients do
+  @moduledoc "Where ground stations and other programs come in."
+
+  import Aerie.Config.Field, only: [field: 3, field: 4]
+
+  alias Aerie.Config.{Field, Types}
+  alias Aerie.Config.Keys.Rules
+
+  @doc "The key `clients`."
+  @spec field() :: Field.t()
+  def field do
+    field(
+      :clients,
+      {:list, {:section, fields()}},
+      """
+      Where ground stations and other programs come in: udpin, udpout, udpbcast:ADDRESS:PORT, tcpin, tcp, or a DEVICE.
+      Left out: TCP on 127.0.0.1, port 5790 or the next free one. [] for none. A ground station that calls a link (UDP
+      14550) is taken for a client by itself, for as long as no autopilot is heard from there.
+      """,
+      default: nil,
+      example:
+        ~S([{id: field-laptop, url: "udpout:192.168.1.20:14550", rate_limits: {ATTITUDE: 4}, filter_out: {block_messages: [RAW_IMU]}}])
+    )
+  end
+
+  defp fields do
+    [
+      field(:id, Types.token(), "Name of the client; its connection string if left out."),
+      field(:url, Types.link_url(), "Connection string.", required: true),
+      field(
+        :networks,
+        {:one_or_list, Types.token()},
+        "Networks that it sees. Where two have the same system id, it sees the one that is named first.",
+        default: []
+      ),
+      field(:label, :string, "Words for people."),
+      field(:enabled, :boolean, "Open it.", default: true),
+      field(:role, {:enum, [:full, :read_only]}, "read_only: nothing that it says goes to anyone.",
+        default: :full
+      ),
+      field(:sniffer, :boolean, "It gets what is addressed to others, too.", default: false),
+      field(:coalesce, :boolean, "Several frames that are there at once may share a datagram.",
+        default: true
+      ),
+      field(:queue_frames, {:integer, 1, 100_000}, "Frames that wait for one that does not keep up.",
+        default: 1000
+      ),
+      field(:queue_kb, {:integer, 1, 65_536}, "… and kilobytes.", default: 256)
+    ] ++ Rules.fields()
+  end
+end

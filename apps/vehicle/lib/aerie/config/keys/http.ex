@@ -1,0 +1,26 @@
+defmodule Aerie.Config.Keys.Http do
+  @moduledoc "The console, REST, metrics and health."
+
+  import Aerie.Config.Field, only: [field: 4, section: 3]
+
+  alias Aerie.Config.{Field, Types}
+
+  @doc "The section `http`."
+  @spec section() :: Field.t()
+  def section do
+    section(:http, "The console, REST, metrics and health on one port.", [
+      field(:enabled, :boolean, "Serve HTTP at all.", default: true),
+      field(:address, Types.ip(), "Address to listen on. Beyond loopback only with a password or key set.",
+        default: "127.0.0.1"
+      ),
+      field(
+        :port,
+        {:integer, 0, 65_535},
+        """
+        Port. Taken: an error if given here, the next free one if not. 0: any free one.
+        """,
+        default: 4000
+      )
+    ])
+  end
+end

@@ -10,6 +10,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
     * `{:link, link, %{high_latency: boolean}}` - what is configured about a link
     * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Fleet.Stations`)
+    * `{:asked, request, at}` - a TIMESYNC request of ours that a recording has, for its answers
     * `{:wants, wants, forwarded}` - what clients want of the vehicle has changed (`Aerie.Vehicle.Streams.Arbiter.wants/3`)
 
   Time is the frames' own: a recorded flight played at any speed gives what the flight gave. Before a frame is applied,
@@ -81,6 +82,7 @@ defmodule Aerie.Vehicle.Core do
           | {:link, link :: term(), %{high_latency: boolean()}}
           | {:stations, [Aerie.Fleet.Stations.station()]}
           | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
+          | {:asked, struct(), integer()}
   @type action ::
           {:snapshot, map()}
           | {:observe, Detector.observation()}
@@ -136,6 +138,9 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:wants, wants, forwarded}),
     do: {%{core | streams: Arbiter.wants(core.streams, wants, forwarded)}, []}
+
+  def handle(core, {:asked, request, at}),
+    do: {%{core | timesync: Timesync.asked(core.timesync, request, at)}, []}
 
   def handle(%{confirm: true} = core, event) do
     {next, actions} = handle(%{core | confirm: false}, event)

@@ -68,6 +68,23 @@ defmodule Aerie.Vehicle.Timesync do
   defp pause(%{sent: sent} = sync) when sent < @burst, do: min(@burst_us, sync.period)
   defp pause(sync), do: sync.period
 
+  @doc "Whether a message asks for the time, as ours do."
+  @spec request?(struct()) :: boolean()
+  def request?(message), do: match?(%Timesync{tc1: 0}, message)
+
+  @doc "A request of ours that is not from `expire/2`: a recording says when it was sent."
+  @spec asked(t(), Timesync.t(), integer()) :: t()
+  def asked(sync, %Timesync{tc1: 0, ts1: ts1}, at),
+    do: %{
+      sync
+      | pending:
+          sync.pending
+          |> Enum.sort_by(&elem(&1, 1), :desc)
+          |> Enum.take(@max_pending - 1)
+          |> Map.new()
+          |> Map.put(ts1, at)
+    }
+
   @doc "An answer that came `at`. One that is not to a request of ours changes nothing but `foreign`."
   @spec reply(t(), Timesync.t(), integer()) :: t()
   def reply(sync, %Timesync{tc1: tc1, ts1: ts1}, at) do

@@ -1,0 +1,56 @@
+defmodule Aerie.Replay.Clock do
+  @moduledoc """
+  The time of a replay: what a recording's own times say, and the ticks that a live gateway would have had in between. A
+  pure value.
+
+  A tick is due every 100 ms, as in `Aerie.Vehicle.Session`. A silence is gone through more coarsely: after ten seconds of
+  it once a second, and after ten minutes, when everything that waits for something has given up, not at all until the next
+  frame. So a gap of a month costs seven hundred ticks.
+
+  A frame that is more than two seconds older than the one before means that a clock was set back or that another recording
+  begins: time goes on from there.
+  """
+
+  @tick_us 100_000
+  @slow_us 1_000_000
+  @patience_us 10_000_000
+  @silence_us 600_000_000
+  @back_us 2_000_000
+
+  defstruct [:now, :next]
+
+  @typedoc "`now`: the newest time of a frame; `next`: the tick after it (unix microseconds), nil before the first frame"
+  @type t :: %__MODULE__{now: integer | nil, next: integer | nil}
+
+  @doc "A clock that has seen no frame."
+  @spec new() :: t
+  def new, do: %__MODULE__{}
+
+  @doc """
+  A frame came `at`: the ticks that lie before it, oldest first, or `:back` when time begins anew. Time between two frames
+  that overtook each other by less stands still.
+  """
+  @spec advance(t, integer) :: {[integer] | :back, t}
+  def advance(%__MODULE__{now: nil}, at), do: {[], begin(at)}
+  def advance(%__MODULE__{now: now}, at) when at < now - @back_us, do: {:back, begin(at)}
+
+  def advance(%__MODULE__{next: next} = clock, at) when at < next,
+    do: {[], %{clock | now: max(clock.now, at)}}
+
+  def advance(%__MODULE__{now: now, next: next}, at) do
+    {ticks, next} = ticks(next, at, now, [])
+    {Enum.reverse(ticks), %__MODULE__{now: at, next: next}}
+  end
+
+  defp begin(at), do: %__MODULE__{now: at, next: at + @tick_us}
+
+  defp ticks(next, at, _heard, ticks) when next > at, do: {ticks, next}
+
+  defp ticks(next, at, heard, ticks) when next - heard <= @patience_us,
+    do: ticks(next + @tick_us, at, heard, [next | ticks])
+
+  defp ticks(next, at, heard, ticks) when next - heard <= @silence_us,
+    do: ticks(next + @slow_us, at, heard, [next | ticks])
+
+  defp ticks(_next, at, _heard, ticks), do: {ticks, at + @tick_us}
+end

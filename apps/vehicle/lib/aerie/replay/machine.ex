@@ -1,0 +1,252 @@
+defmodule Aerie.Replay.Machine do
+  @moduledoc """
+  The pipeline of a gateway without its processes: frames of a recording in, outputs out. A pure value, driven by the
+  recording's own times (`Aerie.Replay.Clock`), so that the same frames give the same outputs, however often and wherever.
+
+      record ─ parser ─ router's rules ─ vehicle core ─ detector ─▶ {:event, …}
+                                                └─ samplers ──────▶ {:sample, …}
+
+  Of the router's rules those count that decide what a vehicle's session gets: our own frames are not a vehicle's (but its
+  answers to our TIMESYNC requests are read by them), an autopilot's heartbeat lets a vehicle in (H2, H4), what is no
+  vehicle is noted as a station, frames of systems without a vehicle are counted. Who forwards what to whom is nothing
+  that a vehicle's events depend on.
+
+  A recording does not say by which link a frame came. What two links brought twice is passed on twice, as a live gateway
+  does; only a text that is the copy of one within five seconds is left out, which there the link's name would tell.
+  """
+
+  alias Aerie.Replay.{Clock, Stations, Vehicle}
+  alias Aerie.Router.Heartbeat
+  alias Aerie.Vehicle.{Core, Options, Timesync}
+  alias MavCodec.{Frame, Parser, Tlog}
+
+  @statustext 253
+  @timesync 111
+  @says_who [0, 235]
+  @default_max_vehicles 256
+  # As the core does it for two links.
+  @copy_us 5_000_000
+  @copies 64
+  @stations_every 10
+  @max_damage 100
+
+  @enforce_keys [:config, :network, :link, :own, :max, :parser]
+  defstruct @enforce_keys ++
+              [
+                high_latency: false,
+                clock: Clock.new(),
+                ticks: 0,
+                vehicles: %{},
+                stations: %{},
+                texts: %{},
+                first: nil,
+                last: nil,
+                damage: [],
+                counts: %{
+                  frames: 0,
+                  bytes: 0,
+                  own: 0,
+                  copies: 0,
+                  unclaimed: 0,
+                  refused: 0,
+                  jumps_back: 0,
+                  damaged_parts: 0,
+                  damaged_bytes: 0
+                }
+              ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "A machine that has heard nothing; options as `Aerie.Replay.run/2`."
+  @spec new(map, keyword) :: t
+  def new(config, options) do
+    %__MODULE__{
+      config: config,
+      network: options[:network] || Map.get(config, :network) || "main",
+      link: options[:link] || "replay",
+      high_latency: options[:high_latency] || false,
+      own: own(config),
+      max: Options.max_vehicles(config) || @default_max_vehicles,
+      parser: Parser.new(parser(config))
+    }
+  end
+
+  @doc "Options of the parser that a configuration asks for."
+  @spec parser(map) :: [Parser.option()]
+  def parser(config), do: Aerie.Link.Defaults.from(config)[:parser]
+
+  defp own(config) do
+    options = Options.new(config, {"any", 0})
+    mavlink = Map.get(config, :mavlink, %{})
+    {Map.get(mavlink, :system_id) || options.own_system, options.own_component}
+  end
+
+  @doc "The next frame or damage of a recording; outputs in their order."
+  @spec push(t, Frame.t() | Tlog.Damage.t()) :: {t, [Aerie.Replay.output()]}
+  def push(machine, %Tlog.Damage{} = damage) do
+    kept = if length(machine.damage) < @max_damage, do: [damage | machine.damage], else: machine.damage
+
+    {count(%{machine | damage: kept}, :damaged_parts, 1) |> count(:damaged_bytes, damage.bytes), []}
+  end
+
+  def push(machine, %Frame{} = record) do
+    {frames, parser} = Parser.push_datagram(machine.parser, record.bytes, record.at)
+    machine = count(%{machine | parser: parser}, :bytes, 8 + byte_size(record.bytes))
+
+    {machine, outputs} = Enum.reduce(frames, {machine, []}, &frame/2)
+    {machine, Enum.reverse(outputs)}
+  end
+
+  defp frame(frame, {machine, outputs}) do
+    {machine, outputs} = time(machine, frame.at, outputs)
+    machine = %{machine | first: machine.first || frame.at, last: frame.at}
+    route(count(machine, :frames, 1), frame, outputs)
+  end
+
+  ## Time
+
+  defp time(machine, at, outputs) do
+    case Clock.advance(machine.clock, at) do
+      {:back, clock} ->
+        machine = count(%{machine | clock: clock}, :jumps_back, 1)
+        each(machine, {:rebase, at}, at, outputs)
+
+      {ticks, clock} ->
+        Enum.reduce(ticks, {%{machine | clock: clock}, outputs}, &tick/2)
+    end
+  end
+
+  defp tick(now, {machine, outputs}) do
+    {machine, outputs} = each(machine, {:tick, now}, now, outputs)
+    machine = %{machine | ticks: machine.ticks + 1}
+
+    if rem(machine.ticks, @stations_every) == 0,
+      do: each(machine, {:stations, Stations.list(machine.stations)}, now, outputs),
+      else: {machine, outputs}
+  end
+
+  # In the order of their ids: nothing depends on how a map is kept.
+  defp each(machine, event, at, outputs) do
+    machine.vehicles
+    |> Map.keys()
+    |> Enum.sort()
+    |> Enum.reduce({machine, outputs}, fn system, {machine, outputs} ->
+      give(machine, system, event, at, outputs)
+    end)
+  end
+
+  defp give(machine, system, event, at, outputs) do
+    {vehicle, outputs} = Vehicle.step(Map.fetch!(machine.vehicles, system), event, at, outputs)
+    {%{machine | vehicles: %{machine.vehicles | system => vehicle}}, outputs}
+  end
+
+  ## Frames
+
+  defp route(%{own: {system, component}} = machine, %{system: system, component: component} = frame, outputs),
+    do: ours(count(machine, :own, 1), frame, outputs)
+
+  defp route(machine, frame, outputs) do
+    {copy?, machine} = copy(machine, frame)
+    machine = if copy?, do: count(machine, :copies, 1), else: machine |> hear(frame) |> admit(frame)
+
+    cond do
+      copy? -> {machine, outputs}
+      is_map_key(machine.vehicles, frame.system) -> deliver(machine, frame, outputs)
+      true -> {count(machine, :unclaimed, 1), outputs}
+    end
+  end
+
+  defp deliver(machine, frame, outputs),
+    do: give(machine, frame.system, {:frames, machine.link, [frame]}, frame.at, outputs)
+
+  # What the gateway that made the recording asked: without it the answers would be somebody else's.
+  defp ours(machine, %Frame{id: @timesync, crc_extra: extra} = frame, outputs) when extra != nil do
+    with {:ok, request} <- MavCodec.decode(frame), true <- Timesync.request?(request) do
+      each(machine, {:asked, request, frame.at}, frame.at, outputs)
+    else
+      _no_request -> {machine, outputs}
+    end
+  end
+
+  defp ours(machine, _frame, outputs), do: {machine, outputs}
+
+  defp hear(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @says_who and extra != nil do
+    heartbeat = Heartbeat.read(frame)
+
+    if Heartbeat.vehicle?(heartbeat),
+      do: machine,
+      else: %{machine | stations: Stations.hear(machine.stations, frame, heartbeat, machine.link)}
+  end
+
+  defp hear(machine, _frame), do: machine
+
+  defp admit(%{vehicles: vehicles} = machine, %{system: system}) when is_map_key(vehicles, system),
+    do: machine
+
+  defp admit(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @says_who and extra != nil do
+    cond do
+      not Heartbeat.vehicle?(Heartbeat.read(frame)) -> machine
+      map_size(machine.vehicles) >= machine.max -> count(machine, :refused, 1)
+      true -> put_in(machine.vehicles[frame.system], vehicle(machine, frame.system))
+    end
+  end
+
+  defp admit(machine, _frame), do: machine
+
+  defp vehicle(machine, system) do
+    options = Options.new(machine.config, {machine.network, system})
+    Vehicle.new(options, machine.link, machine.high_latency)
+  end
+
+  defp copy(machine, %Frame{id: @statustext} = frame) do
+    key = {frame.system, frame.component, frame.seq, frame.payload}
+
+    case machine.texts do
+      %{^key => at} when abs(frame.at - at) < @copy_us ->
+        {true, machine}
+
+      texts when map_size(texts) < @copies ->
+        {false, %{machine | texts: Map.put(texts, key, frame.at)}}
+
+      texts ->
+        young = Map.filter(texts, fn {_key, at} -> abs(frame.at - at) < @copy_us end)
+        {false, %{machine | texts: young |> bounded() |> Map.put(key, frame.at)}}
+    end
+  end
+
+  defp copy(machine, _frame), do: {false, machine}
+
+  # A flood of texts: what is forgotten may be told twice.
+  defp bounded(texts), do: if(map_size(texts) < 4 * @copies, do: texts, else: %{})
+
+  defp count(machine, what, n), do: %{machine | counts: Map.update!(machine.counts, what, &(&1 + n))}
+
+  ## What there is in the end
+
+  @doc "The vehicles as faces would see them now, by name."
+  @spec snapshots(t) :: %{String.t() => map}
+  def snapshots(machine) do
+    for {_system, %{core: %{component: component} = core}} <- machine.vehicles,
+        component != nil,
+        snapshot = Core.snapshot(core),
+        into: %{},
+        do: {snapshot.id, snapshot}
+  end
+
+  @doc "See `t:Aerie.Replay.summary/0`."
+  @spec summary(t) :: Aerie.Replay.summary()
+  def summary(machine) do
+    parser = Parser.stats(machine.parser)
+
+    Map.merge(machine.counts, %{
+      vehicles: for({_system, vehicle} <- Enum.sort(machine.vehicles), do: vehicle.options.id),
+      stations: Stations.list(machine.stations),
+      from: machine.first,
+      to: machine.last,
+      unknown_ids: parser.unknown_ids,
+      lost: parser.lost,
+      sources: parser.sources,
+      damage: Enum.reverse(machine.damage)
+    })
+  end
+end

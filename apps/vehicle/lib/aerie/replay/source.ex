@@ -1,0 +1,69 @@
+defmodule Aerie.Replay.Source do
+  @moduledoc """
+  Where the bytes of a recording come from: a tlog file, gzipped or not, several that follow each other, or pieces of bytes
+  in any size. Read a piece at a time, so that a file's size costs no memory.
+  """
+
+  alias MavCodec.{Frame, Tlog}
+
+  @chunk 65_536
+
+  @typedoc "A path, paths in the order in which they were written, or pieces of a tlog's bytes."
+  @type t :: Path.t() | [Path.t()] | {:chunks, Enumerable.t(binary)}
+
+  @doc "Folds over what the recording holds. The error is in words and names the file."
+  @spec reduce(t, [MavCodec.Parser.option()], acc, (Frame.t() | Tlog.Damage.t(), acc -> acc)) ::
+          {:ok, acc} | {:error, String.t()}
+        when acc: term
+  def reduce({:chunks, chunks}, options, acc, fun) do
+    {acc, decoder} = Enum.reduce(chunks, {acc, Tlog.Decoder.new(options)}, &push(&1, &2, fun))
+    {:ok, Enum.reduce(Tlog.Decoder.finish(decoder), acc, fun)}
+  end
+
+  def reduce([_ | _] = paths, options, acc, fun) do
+    Enum.reduce_while(paths, {:ok, acc}, fn path, {:ok, acc} ->
+      case reduce(path, options, acc, fun) do
+        {:ok, acc} -> {:cont, {:ok, acc}}
+        {:error, reason} -> {:halt, {:error, reason}}
+      end
+    end)
+  end
+
+  def reduce([], _options, _acc, _fun), do: {:error, "no recording was named"}
+
+  # `:compressed` reads what is not gzipped as it is.
+  def reduce(path, options, acc, fun) do
+    case :file.open(path, [:read, :raw, :binary, :compressed]) do
+      {:ok, device} ->
+        result = read(device, {acc, Tlog.Decoder.new(options)}, 0, fun)
+        :ok = :file.close(device)
+        named(result, path)
+
+      {:error, reason} ->
+        named({:error, reason}, path)
+    end
+  end
+
+  defp read(device, {acc, decoder} = state, size, fun) do
+    case :file.read(device, @chunk) do
+      {:ok, bytes} -> read(device, push(bytes, state, fun), size + byte_size(bytes), fun)
+      :eof when size == 0 -> {:error, "is empty"}
+      :eof -> {:ok, Enum.reduce(Tlog.Decoder.finish(decoder), acc, fun)}
+      {:error, reason} -> {:error, reason}
+    end
+  end
+
+  defp push(bytes, {acc, decoder}, fun) do
+    {items, decoder} = Tlog.Decoder.push(decoder, bytes)
+    {Enum.reduce(items, acc, fun), decoder}
+  end
+
+  # Inflating says that too.
+  defp named({:error, :eio}, path), do: {:error, "#{path}: damaged gzip data, or a disk that fails"}
+
+  defp named({:error, reason}, path) when is_atom(reason),
+    do: {:error, "#{path}: #{:file.format_error(reason)}"}
+
+  defp named({:error, words}, path), do: {:error, "#{path}: #{words}"}
+  defp named({:ok, acc}, _path), do: {:ok, acc}
+end

@@ -12,7 +12,6 @@ defmodule Aerie.Client do
   `Aerie.Router`, with its rules; this module is what they have in common for who adds, lists and removes them.
   """
 
-  alias Aerie.Client.Pipe
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Router
@@ -22,7 +21,7 @@ defmodule Aerie.Client do
 
   @typedoc """
   - `id`: its name, the connection string when absent
-  - `networks`: whose vehicles it sees, of first importance first; all when absent
+  - `networks`: whose vehicles it sees, of first importance first; all when absent, those that are added later too
   - `access`: `:full`, or `:read` for one that nothing is taken from
   """
   @type option :: {:id, String.t()} | {:networks, [String.t()]} | {:access, :full | :read}
@@ -38,9 +37,14 @@ defmodule Aerie.Client do
     Router.add_client(gateway, %{
       url: url,
       id: options[:id],
-      networks: options[:networks] || Pipe.networks(gateway),
+      networks: options[:networks],
+      network: own_network(gateway),
       role: if(options[:access] == :read, do: :read_only, else: :full)
     })
+  end
+
+  defp own_network(gateway) do
+    with %{network: network} <- Aerie.Gateway.config(gateway), do: network, else: (_none -> nil)
   end
 
   @doc """

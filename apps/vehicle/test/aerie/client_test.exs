@@ -28,6 +28,23 @@ defmodule Aerie.ClientTest do
     assert {:error, :unknown} = Client.remove(gateway, "field")
   end
 
+  test "a client that names no networks sees a link of a network that is added later" do
+    gateway = start_parts()
+    {:ok, _id} = Client.add(gateway, "udpin:127.0.0.1:0", id: "gcs")
+    {:ok, gcs} = :gen_udp.open(0, [:binary, active: true])
+    [%{port: port}] = Client.endpoints(gateway)
+    :ok = :gen_udp.send(gcs, {127, 0, 0, 1}, port, Aerie.LinkCase.heartbeat(255, type: 6, autopilot: 8))
+    eventually(fn -> match?([%{networks: ["main"]}], Client.list(gateway)) end)
+
+    {:ok, _id} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0?network=late", id: "radio")
+    {:ok, vehicle} = :gen_udp.open(0, [:binary, active: false])
+    %{port: port} = eventually(fn -> with %{port: nil} <- Aerie.Link.snapshot(gateway, "radio"), do: nil end)
+    beat = Aerie.LinkCase.heartbeat(7)
+    :ok = :gen_udp.send(vehicle, {127, 0, 0, 1}, port, beat)
+    assert_receive {:udp, ^gcs, _address, _port, ^beat}
+    assert [%{networks: ["main", "late"]}] = Client.list(gateway)
+  end
+
   test "what is no endpoint for clients is refused in words" do
     gateway = start_parts()
     assert {:error, words} = Client.add(gateway, "replay:/tmp/x.tlog")

@@ -12,7 +12,6 @@ defmodule Aerie.Client.Pipe do
   of an earlier connection waits for a later one, because each is a pipe of its own.
   """
 
-  alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Router.{Endpoint, Queue}
   alias MavCodec.Parser
@@ -27,27 +26,13 @@ defmodule Aerie.Client.Pipe do
 
   @doc """
   Makes the calling process a client endpoint. Options are those of `Aerie.Router.Endpoint.attach/2`; without `:networks`
-  it is of all that the gateway has links of, its own network first.
+  it sees all, the gateway's own first.
   """
   @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}
   def open(gateway, options) do
-    options = Keyword.put_new_lazy(options, :networks, fn -> networks(gateway) end)
-
     with {:ok, endpoint} <- Endpoint.attach(gateway, options) do
       {:ok, %__MODULE__{endpoint: endpoint, parser: Parser.new(), queue: Queue.new()}}
     end
-  end
-
-  @doc "The networks of a gateway: the one that links and vehicles have when they name none, then the others."
-  @spec networks(Names.gateway()) :: [String.t()]
-  def networks(gateway) do
-    own =
-      case Aerie.Gateway.config(gateway) do
-        %{network: network} when is_binary(network) -> network
-        _none -> "main"
-      end
-
-    Enum.uniq([own | gateway |> Store.links() |> Enum.map(& &1.network) |> Enum.sort()])
   end
 
   @doc "Bytes that the client said at this moment: whole frames, one or several."

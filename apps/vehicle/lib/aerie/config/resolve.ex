@@ -103,9 +103,8 @@ defmodule Aerie.Config.Resolve do
   defp endpoints(config) do
     clients =
       for client <- config.clients do
-        networks = if client.networks == [], do: [config.network], else: client.networks
         {:ok, spec} = Spec.parse(client.url, id: client.id)
-        %{client | id: spec.id, networks: networks}
+        %{client | id: spec.id}
       end
 
     %{config | clients: clients}

@@ -31,7 +31,10 @@ defmodule Aerie.Link.Egress do
   @doc "The rules of a link, without peers yet. What a former process of the link left is removed."
   @spec open(Names.gateway(), Spec.t()) :: t
   def open(gateway, %Spec{} = spec) do
-    options = Keyword.merge([networks: [spec.network]], spec.options[:router] || []) |> sparing(spec.options)
+    rules = spec.options[:router] || []
+    # A client that names none sees all.
+    own = if rules[:side] == :client, do: [], else: [networks: [spec.network]]
+    options = own |> Keyword.merge(rules) |> sparing(spec.options)
     tables = Tables.of(gateway)
     owner = (tables && Endpoints.owner(tables, spec.id)) || owner(spec.id, options)
 

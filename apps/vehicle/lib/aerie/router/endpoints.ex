@@ -14,9 +14,35 @@ defmodule Aerie.Router.Endpoints do
 
   @doc "Puts an owner's rules in place of what there were."
   @spec put_owner(Tables.t(), Owner.t()) :: :ok
-  def put_owner(tables, %Owner{id: id} = owner) do
-    :ets.insert(tables.owners, {id, owner})
+  def put_owner(tables, %Owner{} = owner) do
+    insert_owner(tables, owner)
     Tables.changed(tables)
+  end
+
+  # The order in which networks came is the order in which who sees all of them sees them.
+  defp insert_owner(tables, %Owner{id: id} = owner) do
+    if owner.side == :vehicle and is_list(owner.networks) do
+      for name <- owner.networks,
+          do: :ets.insert_new(tables.settings, {{:network, name}, :erlang.unique_integer([:monotonic])})
+    end
+
+    :ets.insert(tables.owners, {id, owner})
+  end
+
+  defp delete_owner(tables, id) do
+    case :ets.take(tables.owners, id) do
+      [{^id, %Owner{networks: names}}] when is_list(names) ->
+        kept =
+          for {_id, %Owner{networks: kept}} <- :ets.tab2list(tables.owners),
+              is_list(kept),
+              name <- kept,
+              do: name
+
+        Enum.each(names -- kept, &:ets.delete(tables.settings, {:network, &1}))
+
+      _none ->
+        :ok
+    end
   end
 
   @doc "An owner's rules, nil for an unknown one."
@@ -31,7 +57,7 @@ defmodule Aerie.Router.Endpoints do
     if taken? or Names.whereis(gateway, :link, id) not in [nil, endpoint.pid] do
       {:error, "there is an endpoint #{id} already"}
     else
-      :ets.insert(tables.owners, {id, owner})
+      insert_owner(tables, owner)
       put(gateway, tables, endpoint)
     end
   end
@@ -76,7 +102,7 @@ defmodule Aerie.Router.Endpoints do
   @spec close(Names.gateway(), Tables.t(), String.t()) :: :ok
   def close(_gateway, tables, owner) do
     for endpoint <- of(tables, owner), do: remove(tables, endpoint.key)
-    :ets.delete(tables.owners, owner)
+    delete_owner(tables, owner)
     Routes.forget(tables, owner)
     Tables.changed(tables)
   end
@@ -87,7 +113,7 @@ defmodule Aerie.Router.Endpoints do
     for endpoint <- list(tables), endpoint.pid == pid do
       remove(tables, endpoint.key)
       {owner, peer} = endpoint.key
-      if peer == :self, do: :ets.delete(tables.owners, owner)
+      if peer == :self, do: delete_owner(tables, owner)
     end
 
     :ok

@@ -5,7 +5,7 @@ defmodule Aerie.Router.Owner do
   | option | |
   |---|---|
   | `:side` | `:vehicle` (a link to vehicles; default) or `:client` |
-  | `:networks` | names, in order of precedence; default `["main"]` |
+  | `:networks` | names, in order of precedence, or `:all`, those too that are added later; a link's is `["main"]` unless said, a client sees all |
   | `:group` | redundant ways to the same vehicles share a group: nothing goes from one to another of it, and what goes to a vehicle goes by one of them (`Aerie.Router.Score`) |
   | `:carry` | which one of the group: `%{class => link id | :all}`; else the best one |
   | `:role` | `:full` or `:read_only`: nothing that it says goes to anyone |
@@ -50,7 +50,7 @@ defmodule Aerie.Router.Owner do
           limits: RateLimit.t(),
           bytes_per_s: pos_integer | nil,
           side: :vehicle | :client,
-          networks: [String.t()],
+          networks: [String.t()] | :all,
           carry: %{Classify.class() => String.t() | :all},
           role: :full | :read_only,
           sniffer: boolean,
@@ -71,8 +71,12 @@ defmodule Aerie.Router.Owner do
   @spec new(String.t(), keyword | map) :: {:ok, t} | {:error, String.t()}
   def new(id, options) do
     options = Enum.reject(options, fn {_key, value} -> is_nil(value) end)
+    networks = if options[:side] == :client, do: :all, else: ["main"]
 
-    Enum.reduce_while(options, {:ok, %__MODULE__{id: id, options: options}}, fn {key, value}, {:ok, owner} ->
+    Enum.reduce_while(options, {:ok, %__MODULE__{id: id, networks: networks, options: options}}, fn {key,
+                                                                                                     value},
+                                                                                                    {:ok,
+                                                                                                     owner} ->
       case option(key, value) do
         {:ok, fields} -> {:cont, {:ok, struct!(owner, fields)}}
         {:error, words} -> {:halt, {:error, "#{key}: #{words}"}}
@@ -93,6 +97,8 @@ defmodule Aerie.Router.Owner do
 
   defp option(:rate_limits, rates),
     do: with({:ok, limits} <- RateLimit.compile(rates), do: {:ok, limits: limits})
+
+  defp option(:networks, :all), do: {:ok, networks: :all}
 
   defp option(:networks, [_ | _] = names) do
     if Enum.all?(names, &is_binary/1),

@@ -79,16 +79,17 @@ defmodule Aerie.Router.Plan do
           between: :all | :auto | :heartbeats | :none
         }
 
-  @doc "Reads the tables."
+  @doc "Reads the tables. Who sees all networks sees those that there are now; a new one moves the generation."
   @spec read(Tables.t()) :: t
   def read(tables) do
     # First the number, so that what changes meanwhile is read again.
     generation = Tables.generation(tables)
     owners = Map.new(:ets.tab2list(tables.owners))
+    networks = networks(tables, owners)
 
     ways =
       for endpoint <- Endpoints.list(tables), owner = owners[elem(endpoint.key, 0)], into: %{} do
-        {endpoint.key, way(endpoint, owner)}
+        {endpoint.key, way(endpoint, owner, networks)}
       end
 
     %__MODULE__{
@@ -99,14 +100,30 @@ defmodule Aerie.Router.Plan do
     }
   end
 
-  @doc "An endpoint with its owner's rules."
-  @spec way(Endpoint.t(), Owner.t()) :: Way.t()
-  def way(%Endpoint{} = endpoint, %Owner{} = owner) do
+  # The gateway's own first, then in the order in which links to them came: one that comes later hides nothing of an
+  # earlier one.
+  defp networks(tables, owners) do
+    own = Tables.setting(tables, :network, "main")
+
+    theirs =
+      for {_id, %Owner{side: :vehicle, networks: names}} <- owners,
+          is_list(names),
+          name <- names,
+          name != own,
+          uniq: true,
+          do: name
+
+    [own | Enum.sort_by(theirs, &{Tables.setting(tables, {:network, &1}, :last), &1})]
+  end
+
+  @doc "An endpoint with its owner's rules; `networks` are all that there are."
+  @spec way(Endpoint.t(), Owner.t(), [String.t()]) :: Way.t()
+  def way(%Endpoint{} = endpoint, %Owner{} = owner, networks) do
     %Way{
       key: endpoint.key,
       owner: owner.id,
       side: endpoint.side || owner.side,
-      networks: owner.networks,
+      networks: if(owner.networks == :all, do: networks, else: owner.networks),
       out: endpoint.out,
       tally: endpoint.tally,
       waiting: endpoint.waiting,

@@ -21,7 +21,7 @@ defmodule Aerie.Router.Supervisor do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:router, gateway})
     config = Keyword.get(options, :config)
-    _tables = Tables.create(gateway, own: own(config), between_vehicles: between(config))
+    _tables = Tables.create(gateway, settings(config))
 
     children = [
       {Aerie.Router.Watch, gateway: gateway},
@@ -34,10 +34,15 @@ defmodule Aerie.Router.Supervisor do
     Supervisor.init(children, strategy: :one_for_one, max_restarts: 10, max_seconds: 10)
   end
 
+  defp settings(config), do: [own: own(config), between_vehicles: between(config), network: network(config)]
+
   # Frames that carry our own ids come back through a loop.
   defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
   defp own(_none), do: nil
 
   defp between(%{router: %{between_vehicles: between}}), do: between
   defp between(_none), do: :auto
+
+  defp network(%{network: network}) when is_binary(network), do: network
+  defp network(_none), do: "main"
 end

@@ -9,7 +9,7 @@ defmodule Aerie.Router.Tables do
   - `:clients` `{id, snapshot}` of client endpoints, `:scores` `{link, Score}`, `{{:pick, group}, link}`
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`
-  - `:settings` `{name, value}`
+  - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
 
   `generation` is a counter that moves whenever an endpoint, an owner or the set of ways to a system changes. Processes
   that forward keep what they worked out from these tables for as long as it stands still. `id` tells them from the tables

@@ -46,6 +46,8 @@ defmodule Aerie.Router.Talker do
   """
   @spec refresh(t, Tables.t(), Plan.t(), Way.t(), boolean, integer) :: t
   def refresh(talker, tables, plan, way, known?, now) do
+    # Its endpoint may see another network from now on, where it is to be found too.
+    talker = if changed?(talker, plan), do: %{talker | learned: nil}, else: talker
     talker = if known?, do: learn(talker, tables, way, now), else: talker
     marks = {plan.generation, Tables.routed(tables)}
 
@@ -53,6 +55,9 @@ defmodule Aerie.Router.Talker do
       do: talker,
       else: look(%{talker | marks: marks, looked: now}, tables, plan, way)
   end
+
+  defp changed?(%{marks: {generation, _routed}}, plan), do: generation != plan.generation
+  defp changed?(_new, _plan), do: false
 
   defp learn(%{learned: learned} = talker, _tables, _way, now)
        when is_integer(learned) and now - learned < @learn_ms,

@@ -435,6 +435,36 @@ defmodule Aerie.Router.ForwardTest do
       say(c.two, answer)
       assert %{"g" => [^answer]} = got(g)
     end
+
+    test "who names none sees all, those too that come later; a later one hides nothing", c do
+      g = client(c.gateway, "g", 255)
+      assert %{networks: ["main", "red", "blue"]} = counted(c.gateway, "g")
+      # By name it would come before the others.
+      late = [
+        vehicle(c.gateway, "late", 1, networks: ["amber"]),
+        vehicle(c.gateway, "three", 3, networks: ["amber"])
+      ]
+
+      all = [g | late] ++ c.all
+      assert %{networks: ["main", "red", "blue", "amber"], hidden: hidden} = counted(c.gateway, "g")
+      assert Enum.sort(hidden) == [{"amber", 1}, {"blue", 1}]
+      got(all)
+      [red, three] = for id <- [1, 3], do: attitude(id, 1)
+      say(c.red, red)
+      say(hd(late), attitude(1, 2))
+      say(List.last(late), three)
+      assert %{"g" => [^red, ^three]} = got(all)
+
+      # Both ways, although it said nothing since.
+      order = message(command(3), 255, 190)
+      say(g, order)
+      answer = message(%Messages.CommandAck{command: 400, target_system: 255, target_component: 190}, 3, 1)
+      say(List.last(late), answer)
+      assert %{"g" => [^answer], "three" => [^order], "late" => []} = got(all)
+
+      for endpoint <- late, do: stop_supervised!(endpoint.name)
+      eventually(fn -> counted(c.gateway, "g").networks == ["main", "red", "blue"] end)
+    end
   end
 
   describe "rules of an endpoint" do

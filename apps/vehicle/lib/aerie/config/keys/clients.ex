@@ -30,7 +30,7 @@ defmodule Aerie.Config.Keys.Clients do
       field(
         :networks,
         {:one_or_list, Types.token()},
-        "Networks that it sees. Where two have the same system id, it sees the one that is named first.",
+        "Networks that it sees, all if left out. Where two have the same system id, it sees the one that is named first.",
         default: []
       ),
       field(:label, :string, "Words for people."),

@@ -41,7 +41,7 @@ defmodule Aerie.Router.Clients.Boot do
 
   defp specs(gateway, config) do
     if Store.counter(gateway, @booted) == 0,
-      do: config |> configured() |> Enum.flat_map(&spec/1),
+      do: config |> configured() |> Enum.flat_map(&spec(Map.put(&1, :network, Map.get(config, :network)))),
       else: for({{:client, _id}, spec} <- Store.remembered(gateway), do: spec)
   end
 
@@ -71,13 +71,9 @@ defmodule Aerie.Router.Clients.Boot do
         []
 
       port ->
-        [%{id: "gcs-tcp", url: "tcpin:127.0.0.1:#{port}", networks: networks(config)}]
+        [%{id: "gcs-tcp", url: "tcpin:127.0.0.1:#{port}"}]
     end
   end
-
-  # Of what there are links of, simulated vehicles too.
-  defp networks(config),
-    do: Enum.uniq([Map.get(config, :network, "main") | Enum.map(Map.get(config, :links, []), & &1.network)])
 
   defp free?(port) do
     case :gen_tcp.listen(port, ip: {127, 0, 0, 1}, reuseaddr: true) do

@@ -32,18 +32,19 @@ class Proxy:
                 return
             self.output += got
 
-    def type(self, line):
-        self.at = len(self.output)
+    def type(self, line, again=False):
+        if not again:
+            self.at = len(self.output)
         self.process.stdin.write(line + "\n")
 
     def saw(self, pattern, seconds):
         end = time.time() + seconds
-        while time.time() < end:
+        while True:
+            late = time.time() >= end or self.process.poll() is not None
+            # What came while we slept counts, too.
             found = re.search(pattern, self.output[self.at :])
-            if found:
+            if found or late:
                 return found
-            if self.process.poll() is not None:
-                break
             time.sleep(0.05)
 
     def see(self, pattern, seconds=60):
@@ -53,9 +54,10 @@ class Proxy:
         return found
 
     def until(self, line, pattern, tries=60, each=1.0):
-        """Types a line until the answer has come."""
-        for _ in range(tries):
-            self.type(line)
+        """Types a line until the answer has come. A change is told once, and may be told between two tries: all is looked
+        through that was said since the first one."""
+        for n in range(tries):
+            self.type(line, again=n > 0)
             found = self.saw(pattern, each)
             if found:
                 return found

@@ -7,16 +7,18 @@ defmodule FleetWeb.WebSocket do
   """
 
   alias FleetWeb.API.Access
-  alias FleetWeb.WebSocket.Handler
+  alias FleetWeb.WebSocket.{Handler, Places}
 
   # Connections that are about to be told that there is no room.
   @spare 16
 
-  @doc "The child specification of a gateway's listener, in a list; `[]` when the section `websocket` asks for none."
-  @spec listener(term(), map() | nil, Access.policy()) :: [:supervisor.child_spec()]
+  @doc "The processes of a gateway's listener, to be supervised; `[]` when the section `websocket` asks for none."
+  @spec listener(term(), map() | nil, Access.policy()) :: [
+          Supervisor.child_spec() | :supervisor.child_spec() | {module(), keyword()}
+        ]
   def listener(gateway, %{enabled: true} = settings, policy) do
     ref = ref(gateway)
-    handler = %{gateway: gateway, policy: policy, max_clients: settings.max_clients}
+    handler = %{gateway: gateway, policy: policy}
     paths = for path <- [~c"/", ~c"/mavlink"], do: {path, Handler, handler}
 
     protocol = %{
@@ -36,7 +38,11 @@ defmodule FleetWeb.WebSocket do
 
     {transport, connection, socket} = secure(settings, socket)
     limits = %{socket_opts: socket, num_acceptors: 2, max_connections: settings.max_clients + @spare}
-    [:ranch.child_spec(ref, transport, limits, connection, protocol)]
+
+    [
+      {Places, gateway: gateway, most: settings.max_clients},
+      :ranch.child_spec(ref, transport, limits, connection, protocol)
+    ]
   end
 
   def listener(_gateway, _off, _policy), do: []

@@ -183,6 +183,40 @@ defmodule FleetWeb.WebSocketTest do
       assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
     end
 
+    test "handshakes in the same moment do not pass the limit together" do
+      c = start(websocket: %{max_clients: 4})
+      test = self()
+
+      for _ <- 1..16 do
+        # A connection ends with the process that opened it.
+        spawn_link(fn ->
+          send(test, {:answer, WSClient.open(c.ws, "/")})
+          receive(do: (:never -> :ok))
+        end)
+      end
+
+      answers =
+        for _ <- 1..16 do
+          assert_receive {:answer, answer}, 30_000
+          answer
+        end
+
+      assert Enum.count(answers, &is_struct(&1, WSClient)) == 4
+      assert Enum.count(answers, &match?({503, %{"error" => %{"code" => "unavailable"}}}, &1)) == 12
+    end
+
+    test "places outlive the process that gives them out" do
+      c = start(websocket: %{max_clients: 1})
+      client = open(c)
+      places = Aerie.Names.whereis(c.gateway, :websocket_places)
+      Process.exit(places, :kill)
+      eventually(fn -> Aerie.Names.whereis(c.gateway, :websocket_places) not in [nil, places] end)
+      assert {503, %{"error" => %{"message" => message}}} = open(c)
+      assert message =~ "max_clients"
+      WSClient.close(client)
+      assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
+    end
+
     test "what asks for something else is told so" do
       c = start()
       assert {426, %{"error" => %{"code" => "upgrade_required"}}} = open(c, "/", headers: [{"upgrade", nil}])

@@ -58,6 +58,14 @@ defmodule Aerie.Names do
     ])
   end
 
+  @doc "The processes that have a role. Looks at all names, as `count/2`."
+  @spec processes(gateway(), role()) :: [pid()]
+  def processes(gateway, role) do
+    Registry.select(Aerie.Registry, [
+      {{{:"$1", role, :_}, :"$2", :_}, [{:"=:=", :"$1", {:const, gateway}}], [:"$2"]}
+    ])
+  end
+
   @doc """
   Attaches a value to the name that the calling process has, for others to read with `value/3` without a call.
   """

@@ -21,6 +21,7 @@ defmodule FleetWeb.WebSocket.Handler do
   alias Aerie.Link.Spec.Address
   alias Aerie.Names
   alias FleetWeb.API.{Access, Error, Request, Tickets}
+  alias FleetWeb.WebSocket.Places
 
   @ping_ms 20_000
   @idle_ms 60_000
@@ -32,7 +33,7 @@ defmodule FleetWeb.WebSocket.Handler do
     with :ok <- upgrade(request),
          {:ok, name} <- admit(request, settings),
          {:ok, options} <- options(request),
-         :ok <- room(settings) do
+         :ok <- room(request, gateway) do
       {address, port} = :cowboy_req.peer(request)
       text = "#{name}@#{Address.format(address, port)}"
       state = %{gateway: gateway, options: [text: text, kind: :websocket] ++ options, pipe: nil}
@@ -104,11 +105,13 @@ defmodule FleetWeb.WebSocket.Handler do
   defp role("read"), do: {:ok, [role: :read_only]}
   defp role(_other), do: {:error, Error.new(:bad_request, "access is read or full")}
 
-  # By the processes that there are, so that nothing has to be given back.
-  defp room(%{gateway: gateway, max_clients: most}) do
-    if Names.count(gateway, :websocket_client) >= most,
-      do: {:error, Error.new(:unavailable, "there are as many clients as websocket.max_clients allows")},
-      else: :ok
+  # The connection's own process, which the WebSocket will be, holds the place; this one ends with the handshake.
+  defp room(%{pid: connection}, gateway) do
+    case Places.take(gateway, connection) do
+      :ok -> :ok
+      :full -> {:error, Error.new(:unavailable, "there are as many clients as websocket.max_clients allows")}
+      :unavailable -> {:error, Error.new(:unavailable, "the gateway is starting; try again")}
+    end
   end
 
   defp parameters(request) do

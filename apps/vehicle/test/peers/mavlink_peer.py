@@ -2,9 +2,10 @@
 """A pymavlink peer: sends a heartbeat and COUNT numbered ATTITUDE frames as system SYSTEM over CONNECTION, tells on
 standard output what it hears, one line each, and ends with its standard input.
 
-    mavlink_peer.py CONNECTION SYSTEM COUNT [wait]
+    mavlink_peer.py CONNECTION SYSTEM COUNT [wait] [hold]
 
-With `wait` it sends when it has heard something: a server knows its client only then.
+With `wait` it sends when it has heard something: a server knows its client only then. With `hold` it opens its connection
+when a line comes on its standard input.
 """
 import os
 import select
@@ -14,7 +15,7 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil  # noqa: E402
 
 connection, system, count = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-wait = sys.argv[4:] == ["wait"]
+wait, hold = "wait" in sys.argv[4:], "hold" in sys.argv[4:]
 
 
 def tell(*words):
@@ -31,6 +32,8 @@ def send(link):
 
 def run():
     tell("starting")
+    if hold and not os.read(0, 100):
+        return
     link = mavutil.mavlink_connection(connection, source_system=system, source_component=1, autoreconnect=True)
     tell("connected")
     waiting = wait

@@ -34,6 +34,10 @@ defmodule Aerie.Link.Backoff do
     {low + round((max(top, low) - low) * random), %{backoff | attempt: attempt + 1}}
   end
 
+  @doc "After a connection that brought something and was short: the next try comes after the shortest wait but none."
+  @spec soon(t) :: t
+  def soon(%__MODULE__{} = backoff), do: %{backoff | attempt: min(backoff.attempt, 1)}
+
   @doc "After a connection that proved good: the next fault is tried again at once."
   @spec reset(t) :: t
   def reset(%__MODULE__{} = backoff), do: %{backoff | attempt: 0}

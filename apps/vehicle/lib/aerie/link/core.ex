@@ -151,7 +151,7 @@ defmodule Aerie.Link.Core do
   end
 
   def handle(%{phase: :up} = core, {:closed, reason}, {mono, _at} = now) do
-    core = if mono - core.opened >= @good_ms, do: %{core | backoff: Backoff.reset(core.backoff)}, else: core
+    core = %{core | backoff: ended(core, mono - core.opened)}
     {last, core} = end_peers(core)
     {core, actions} = down(core, reason, now)
     {core, last ++ [:close | actions]}
@@ -210,6 +210,15 @@ defmodule Aerie.Link.Core do
 
   def handle(core, :tick, {mono, _at}), do: sample(core, mono)
   def handle(core, _other, _now), do: {core, []}
+
+  defp ended(core, lasted) do
+    cond do
+      lasted >= @good_ms -> Backoff.reset(core.backoff)
+      # Somebody is there who talks to us: soon again, but not so soon that one who ends each connection at once keeps us busy.
+      core.heard -> Backoff.soon(core.backoff)
+      true -> core.backoff
+    end
+  end
 
   defp connect(core, now) do
     {phase(core, :connecting, core.reason, now), [:open, :publish]}

@@ -13,6 +13,14 @@ defmodule Aerie.Link.BackoffTest do
     assert {1000, _} = Backoff.next(backoff, 1.0)
   end
 
+  test "after something short that was good it is soon, never at once" do
+    {_wait, first} = Backoff.next(Backoff.new(), 0.5)
+    long = Enum.reduce(1..8, first, fn _n, backoff -> elem(Backoff.next(backoff, 0.5), 1) end)
+    assert {wait, _} = Backoff.next(Backoff.soon(long), 0.5)
+    assert wait in 250..500
+    assert {0, _} = Backoff.next(Backoff.soon(Backoff.new()), 0.5)
+  end
+
   test "a reset begins anew" do
     {_, backoff} = Backoff.next(Backoff.new(), 0.5)
     {_, backoff} = Backoff.next(backoff, 0.5)

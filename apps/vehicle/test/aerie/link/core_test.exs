@@ -47,6 +47,19 @@ defmodule Aerie.Link.CoreTest do
     assert Snapshot.text(core, 1000) =~ "again (connection refused"
   end
 
+  test "a connection that was short is tried again soon when frames came by it" do
+    {core, actions} =
+      Enum.reduce(1..9, {up("tcp:127.0.0.1:1"), []}, fn n, {core, _} ->
+        ms = 100 * n
+        run(core, [{ms, {:closed, :closed}}, {ms, :retry}, {ms, {:opened, %{}}}])
+      end)
+
+    assert actions != []
+    {_core, actions} = run(core, [{1_000, {:read, [{:remote, attitude(1, 1)}]}}, {1_001, {:closed, :closed}}])
+    assert [wait] = for({:retry_in, wait} <- actions, do: wait)
+    assert wait in 250..500
+  end
+
   test "a connection that held is tried again at once, one that did not is not" do
     {_core, actions} = run(up("tcp:127.0.0.1:1"), [{5_000, {:closed, :closed}}])
     assert {:retry_in, 0} in actions and :close in actions

@@ -59,11 +59,19 @@ defmodule Aerie.Link.PymavlinkTest do
   test "we call pymavlink by TCP, which is there only later and goes in between", c do
     listen(c.gateway, [:up, :down])
     port = free_port()
+
+    # Both are started, which takes a while, before we call: it is their listening that we wait for, not Python, whose
+    # seconds the back-off would double.
+    peers =
+      for _ <- 1..2,
+          do: start("mavlink_peer.py", ["tcpin:127.0.0.1:#{port}", "7", "#{@count}", "wait", "hold"])
+
+    for peer <- peers, do: await(peer, "starting")
     {id, _} = add_link(c.gateway, "tcp:127.0.0.1:#{port}")
     assert_receive {:down, _, %{reason: "connection refused" <> _}}, 5000
 
-    for _ <- 1..2 do
-      peer = start("mavlink_peer.py", ["tcpin:127.0.0.1:#{port}", "7", "#{@count}", "wait"])
+    for peer <- peers do
+      Port.command(peer, "go\n")
       assert_receive {:up, _, _}, 30_000
       :ok = Router.broadcast(c.gateway, heartbeat(245, @hello))
       assert await(peer, "heard ") == "HEARTBEAT 245 191"

@@ -7,7 +7,7 @@ defmodule AerieCLI do
   with status 2 and a line that says where and what to do.
   """
 
-  alias AerieCLI.{Options, Plan, Run}
+  alias AerieCLI.{Options, Plan, Run, Vector}
 
   @doc "Entry point of `bin/run`. Returns once everything is started; the VM goes on until it is told to end."
   @spec main([String.t()]) :: :ok
@@ -37,8 +37,18 @@ defmodule AerieCLI do
     end
   end
 
+  defp start(%{print: [_ | _]} = parsed, environment, options) do
+    # Nothing is started whose log would be of interest; that nobody reads any more is no news.
+    if options == [], do: Logger.configure(level: :none)
+
+    case Vector.print(parsed, folder(environment), options) do
+      :ok -> {:finish, ""}
+      {:error, message} -> {:fail, "error: #{message}\n"}
+    end
+  end
+
   defp start(parsed, environment, options) do
-    folder = Map.get_lazy(environment, "AERIE_CWD", &File.cwd!/0)
+    folder = folder(environment)
     defaults = [style: style(parsed, environment), size: size(environment)]
 
     case Run.start(Plan.from(parsed, folder), Keyword.merge(defaults, options)) do
@@ -46,6 +56,8 @@ defmodule AerieCLI do
       {:error, messages} -> {:fail, Enum.map_join(messages, &"error: #{&1}\n")}
     end
   end
+
+  defp folder(environment), do: Map.get_lazy(environment, "AERIE_CWD", &File.cwd!/0)
 
   defp style(%{quiet: true}, _environment), do: :lines
   defp style(_parsed, %{"AERIE_TERMINAL" => "yes"}), do: :table
@@ -65,7 +77,7 @@ defmodule AerieCLI do
 
   @spec halt(atom(), String.t(), 0 | 2) :: no_return()
   defp halt(device, text, status) do
-    IO.write(device, text)
+    if text != "", do: IO.write(device, text)
     System.halt(status)
   end
 end

@@ -6,6 +6,7 @@ defmodule AerieCLI.Options do
   defstruct links: [],
             replay: nil,
             speed: 1.0,
+            print: [],
             sim: nil,
             config: nil,
             http: nil,
@@ -16,6 +17,7 @@ defmodule AerieCLI.Options do
   * `links` - connection strings, in the order given
   * `replay` - path of a tlog file to play, or nil
   * `speed` - how many times faster than it was recorded, or `:max`
+  * `print` - what of the recording to print instead of playing it: `:events`, `:samples`
   * `sim` - number of simulated vehicles asked for, or nil when the command line does not say
   * `config` - path of a YAML configuration, or nil
   * `http` - port of the HTTP server, or nil for the configured one
@@ -26,6 +28,7 @@ defmodule AerieCLI.Options do
           links: [String.t()],
           replay: String.t() | nil,
           speed: float() | :max,
+          print: [:events | :samples],
           sim: non_neg_integer() | nil,
           config: String.t() | nil,
           http: :inet.port_number() | nil,
@@ -39,6 +42,8 @@ defmodule AerieCLI.Options do
     link: :keep,
     replay: :string,
     speed: :string,
+    events: :boolean,
+    samples: :boolean,
     sim: :integer,
     config: :string,
     http: :integer,
@@ -62,6 +67,8 @@ defmodule AerieCLI.Options do
                          DEVICE,BAUD        a serial port, e.g. /dev/ttyACM0,57600
     --replay FILE      show a recorded flight (a .tlog file) instead
     --speed N|max      how many times faster than recorded (default 1)
+    --events           with --replay: print what happened in it as JSON lines, at once, and end
+    --samples          with --replay: print the state samples too, or only them
     --sim N            how many simulated vehicles fly (0 to #{@max_sim}); also beside links
     --config FILE      a configuration; config/gateway.example.yaml documents every key
     --http PORT        port of /metrics, /healthz, /readyz (default 4000; 0 takes a free one)
@@ -101,6 +108,7 @@ defmodule AerieCLI.Options do
     options = %__MODULE__{
       links: Keyword.get_values(switches, :link),
       replay: switches[:replay],
+      print: for(what <- [:events, :samples], switches[what], do: what),
       sim: switches[:sim],
       config: switches[:config],
       http: switches[:http],
@@ -112,6 +120,7 @@ defmodule AerieCLI.Options do
          :ok <- range("--sim", options.sim, 0, @max_sim),
          :ok <- range("--http", options.http, 0, 65_535),
          :ok <- replay_alone(options, switches),
+         :ok <- print_alone(options, switches),
          :ok <- nats(options.nats) do
       {:ok, %{options | speed: speed}}
     end
@@ -139,6 +148,18 @@ defmodule AerieCLI.Options do
     do: {:error, "--replay and --link exclude each other: a recording must not be mixed with a live vehicle"}
 
   defp replay_alone(_options, _switches), do: :ok
+
+  defp print_alone(%{print: []}, _switches), do: :ok
+
+  defp print_alone(%{replay: nil, print: [what | _]}, _switches),
+    do: {:error, "--#{what} goes with --replay FILE"}
+
+  defp print_alone(%{print: [what | _]}, switches) do
+    case Enum.find([:speed, :sim, :http, :nats, :quiet], &(switches[&1] != nil)) do
+      nil -> :ok
+      other -> {:error, "--#{what} prints and ends, nothing is started: --#{other} does not go with it"}
+    end
+  end
 
   defp nats(nil), do: :ok
   defp nats("embedded"), do: :ok

@@ -13,6 +13,17 @@ defmodule AerieCLI.OptionsTest do
                Options.parse(["--link", "udpin:0.0.0.0:14550", "--link", "tcp:127.0.0.1:5760"])
     end
 
+    test "a recording can be printed, and then nothing is started that an option could be about" do
+      assert {:ok, %{print: [:events], replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--events"])
+      assert {:ok, %{print: [:events, :samples]}} = Options.parse(~w(--samples --events --replay a.tlog))
+      assert {:error, "--samples goes with --replay FILE"} = Options.parse(["--samples"])
+
+      for extra <- [~w(--speed 2), ~w(--sim 0), ~w(--http 1), ~w(--nats embedded), ~w(--quiet)] do
+        assert {:error, message} = Options.parse(~w(--replay a.tlog --events) ++ extra)
+        assert message =~ hd(extra)
+      end
+    end
+
     test "speed is a number or max, and goes with a replay" do
       assert {:ok, %{speed: :max, replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--speed", "max"])
       assert {:ok, %{speed: 2.5}} = Options.parse(["--replay", "a.tlog", "--speed", "2.5"])
@@ -50,7 +61,8 @@ defmodule AerieCLI.OptionsTest do
     end
 
     test "the help names every option" do
-      for name <- ~w(--link --replay --speed --sim --config --http --nats --quiet --version --help) do
+      for name <-
+            ~w(--link --replay --speed --events --samples --sim --config --http --nats --quiet --version --help) do
         assert Options.help() =~ name
       end
     end

@@ -1,0 +1,78 @@
+defmodule AerieCLI.Vector do
+  @moduledoc """
+  `bin/run --replay FILE --events`: what happened in a recording as JSON lines, without starting anything. The lines have
+  the form in which events (and, with `--samples`, state samples) are published, so that what reads the one reads the other,
+  with their keys in order: the same recording gives the same bytes, in every VM.
+  """
+
+  alias Aerie.Bridge.Message
+  alias Aerie.{Config, Replay}
+  alias AerieCLI.{Options, Plan}
+  alias MavCodec.Tlog.Damage
+
+  @doc """
+  Prints to `:device` (standard output), and what there is to say about the recording to `:notes` (standard error).
+
+  `folder` is where the user stands. The error is in words.
+  """
+  @spec print(Options.t(), String.t(), keyword) :: :ok | {:error, String.t()}
+  def print(%Options{print: what} = options, folder, devices \\ []) do
+    device = Keyword.get(devices, :device, :stdio)
+    plan = Plan.from(options, folder)
+
+    with {:ok, config} <- load(plan),
+         file = Path.expand(options.replay, folder),
+         {:ok, :ok, summary} <- play(file, config, what, device) do
+      IO.puts(Keyword.get(devices, :notes, :stderr), note(summary))
+    end
+  end
+
+  # Who reads may have seen enough (`| head`): that is an end as good as any.
+  defp play(file, config, what, device) do
+    Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device))
+  catch
+    :closed -> :ok
+  end
+
+  defp load(plan) do
+    with {:error, errors} <- Config.load(plan.config_file, plan.overrides),
+         do: {:error, Config.format_errors(errors)}
+  end
+
+  defp line({:event, event}, :ok, what, device),
+    do: if(:events in what, do: put(device, Message.event(event)), else: :ok)
+
+  defp line({:sample, s}, :ok, what, device) do
+    if :samples in what,
+      do: put(device, Message.state(s.vehicle, Atom.to_string(s.group), s.data, s.time_boot_ms, s.at)),
+      else: :ok
+  end
+
+  defp line(_other, :ok, _what, _device), do: :ok
+
+  defp put(device, json) do
+    IO.puts(device, json |> JSON.decode!() |> JSON.encode!(&in_order/2))
+  rescue
+    ErlangError -> throw(:closed)
+  end
+
+  defp in_order(map, encoder) when is_map(map) do
+    members = for {key, value} <- Enum.sort(map), do: [JSON.encode!(key), ?:, encoder.(value, encoder)]
+    [?{, Enum.intersperse(members, ?,), ?}]
+  end
+
+  defp in_order(other, encoder), do: JSON.protocol_encode(other, encoder)
+
+  defp note(%{vehicles: []} = summary), do: "no vehicle in #{summary.frames} frames#{damage(summary)}"
+
+  defp note(summary) do
+    seconds = div(summary.to - summary.from, 1_000_000)
+    "#{Enum.join(summary.vehicles, ", ")}: #{summary.frames} frames in #{seconds} s#{damage(summary)}"
+  end
+
+  defp damage(%{damage: []}), do: ""
+
+  defp damage(%{damage: [first | _]} = summary) do
+    "; #{summary.damaged_bytes} bytes are no record, the first of #{summary.damaged_parts} parts: #{Damage.format(first)}"
+  end
+end

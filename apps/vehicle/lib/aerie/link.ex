@@ -109,7 +109,7 @@ defmodule Aerie.Link do
   defp remove(gateway, id, network) do
     :ok = Links.stop_tree(gateway, id)
     :ok = Store.delete_link(gateway, id)
-    :ok = Router.forget(gateway, id)
+    :ok = Router.close(gateway, id)
     :ok = Aerie.Signing.forget(gateway, id)
     :telemetry.execute([:aerie, :link, :removed], %{}, %{gateway: gateway, link: id, network: network})
   end

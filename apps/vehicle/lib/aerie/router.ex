@@ -30,10 +30,9 @@ defmodule Aerie.Router do
   alias Aerie.Router.Load
   alias Aerie.Router.Local
   alias Aerie.Router.Out
-  alias Aerie.Router.Owner
   alias Aerie.Router.Plan
   alias Aerie.Router.Routes
-  alias Aerie.Router.Settings
+  alias Aerie.Router.Rules
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
@@ -297,6 +296,7 @@ defmodule Aerie.Router do
   | `:id` | `{owner, peer}`: the link or client, and which of its peers |
   | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`, `:link`, `:websocket` ..., words |
   | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`Aerie.Router.Owner`) |
+  | `:high_latency` | whether it is spared what links of high latency do not carry (X6): configured, or found out |
   | `:hidden` | `[{network, system}]` that it does not see, because an earlier one of its networks has that system id |
   | `:since` | unix microseconds |
   | `:waiting` | frames on their way to its process |
@@ -325,24 +325,20 @@ defmodule Aerie.Router do
 
   @doc """
   Changes rules of a link, a client or any other owner of endpoints while it runs: the keys of the configuration
-  (`Aerie.Router.Settings`), those that are not given stay. Holds with the next frame, for this owner only, and until the
-  router is restarted.
+  (`Aerie.Router.Settings.changeable/0`), nil for none, those that are not given stay. Holds with the next frame and for
+  this owner only, until `reset/3`, until the owner is removed or the gateway ends; a restart of its process or of the router
+  changes nothing of it.
   """
   @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, String.t()}
-  def configure(gateway, id, changes) do
-    with tables when is_map(tables) <- Tables.of(gateway),
-         %Owner{} = owner <- Endpoints.owner(tables, id),
-         {:ok, options} <- Settings.owner_options(Map.new(changes)),
-         gone = for({key, empty} when empty in [nil, [], %{}] <- changes, do: Settings.option(key)),
-         {:ok, owner} <- Owner.new(id, owner.options |> Keyword.drop(gone) |> Keyword.merge(options)) do
-      Endpoints.put_owner(tables, owner)
-      with pid when is_pid(pid) <- Names.whereis(gateway, :link, id), do: Kernel.send(pid, {:rules, owner})
-      :ok
-    else
-      nil -> {:error, "there is no link and no client #{id}"}
-      {:error, words} -> {:error, words}
-    end
-  end
+  defdelegate configure(gateway, id, changes), to: Rules, as: :change
+
+  @doc "Undoes what `configure/3` changed of an owner: these keys (all), which are as configured then."
+  @spec reset(Names.gateway(), String.t(), [atom] | :all) :: :ok | {:error, String.t()}
+  defdelegate reset(gateway, id, keys \\ :all), to: Rules
+
+  @doc "What differs from the configuration, by owner and key: `%{now: value, configured: value}`."
+  @spec changes(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
+  defdelegate changes(gateway), to: Rules, as: :list
 
   @doc "All systems that sent a heartbeat, vehicles or not (`Aerie.Router.Systems`)."
   @spec systems(Names.gateway()) :: %{vehicle_key => map}
@@ -355,6 +351,10 @@ defmodule Aerie.Router do
   @doc "Forgets the routes by a link."
   @spec forget(Names.gateway(), String.t()) :: :ok
   def forget(gateway, link), do: with_tables(gateway, &Routes.forget(&1, link))
+
+  @doc "Forgets a link that is no more: its endpoints, routes, rules and what was changed of them."
+  @spec close(Names.gateway(), String.t()) :: :ok
+  def close(gateway, link), do: with_tables(gateway, &Endpoints.close(gateway, &1, link))
 
   @doc "Forgets the routes by one peer of a link."
   @spec forget(Names.gateway(), String.t(), term) :: :ok

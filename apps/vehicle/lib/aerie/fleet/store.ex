@@ -186,6 +186,11 @@ defmodule Aerie.Fleet.Store do
     :ok
   end
 
+  @doc "What is kept under a key, or `absent`."
+  @spec recall(Names.gateway(), term(), absent) :: term() | absent when absent: term()
+  def recall(gateway, key, absent),
+    do: with_table(gateway, :notes, absent, &:ets.lookup_element(&1, key, 2, absent))
+
   @doc "All that is kept, in the order of the keys."
   @spec remembered(Names.gateway()) :: [{term(), term()}]
   def remembered(gateway), do: with_table(gateway, :notes, [], &Enum.sort(:ets.tab2list(&1)))

@@ -14,6 +14,7 @@ defmodule Aerie.Link.Egress do
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Outlet
   alias Aerie.Router.Owner
+  alias Aerie.Router.Rules
   alias Aerie.Router.Tables
   alias Aerie.Router.Tally
 
@@ -36,7 +37,7 @@ defmodule Aerie.Link.Egress do
     own = if rules[:side] == :client, do: [], else: [networks: [spec.network]]
     options = own |> Keyword.merge(rules) |> sparing(spec.options)
     tables = Tables.of(gateway)
-    owner = (tables && Endpoints.owner(tables, spec.id)) || owner(spec.id, options)
+    owner = Rules.restore(gateway, owner(spec.id, options))
 
     if tables do
       for endpoint <- Endpoints.of(tables, spec.id), do: Endpoints.remove(tables, endpoint.key)
@@ -50,18 +51,8 @@ defmodule Aerie.Link.Egress do
     }
   end
 
-  # A link of high latency carries commands and their answers, whatever else there is for it (X6).
-  defp sparing(options, %{high_latency: true}) do
-    carried = Aerie.Vehicle.HighLatency.carried()
-
-    Keyword.update(
-      options,
-      :out,
-      %{allow_messages: carried},
-      &Map.put_new(&1 || %{}, :allow_messages, carried)
-    )
-  end
-
+  # A link of high latency carries commands and their answers (X6).
+  defp sparing(options, %{high_latency: true}), do: Keyword.put(options, :high_latency, true)
   defp sparing(options, _ordinary), do: options
 
   # Checked where it was configured; a rule that is none is better left out than a link.

@@ -140,7 +140,7 @@ defmodule Aerie.Link.Server do
 
   def handle_info(message, state) do
     case state.transport.handle(state.conn, message) do
-      {events, conn} -> {:noreply, events |> Enum.reduce(%{state | conn: conn}, &event/2) |> latched(state)}
+      {events, conn} -> {:noreply, Enum.reduce(events, latched(%{state | conn: conn}, state), &event/2)}
       :unknown -> {:noreply, unknown(state, message)}
     end
   end
@@ -174,7 +174,8 @@ defmodule Aerie.Link.Server do
         do: path
   end
 
-  # A UDP client may answer from elsewhere, and is written to there from now on.
+  # A UDP client may answer from elsewhere, and is written to there from now on: before what it said goes anywhere, so that
+  # an answer to it finds it.
   defp latched(%{spec: %{kind: :udp_client}, conn: conn} = state, before) when conn != before.conn,
     do: sync(state)
 

@@ -28,6 +28,7 @@ defmodule Aerie.Router.Endpoint do
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Owner
+  alias Aerie.Router.Rules
   alias Aerie.Router.Tables
   alias Aerie.Router.Tally
 
@@ -45,7 +46,8 @@ defmodule Aerie.Router.Endpoint do
     :waiting,
     :pid,
     :since,
-    heard_vehicle: false
+    heard_vehicle: false,
+    high_latency: false
   ]
 
   @typedoc """
@@ -54,6 +56,7 @@ defmodule Aerie.Router.Endpoint do
     `{:forward, bytes, class}`, or `{:forward, tag, bytes, class}` when the tag is not nil
   - `waiting`: frames in the mailbox of that process
   - `since`: unix microseconds
+  - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
   """
   @type t :: %__MODULE__{
           key: key,
@@ -66,7 +69,8 @@ defmodule Aerie.Router.Endpoint do
           waiting: :atomics.atomics_ref(),
           pid: pid | nil,
           since: integer,
-          heard_vehicle: boolean
+          heard_vehicle: boolean,
+          high_latency: boolean
         }
   @type key :: {owner :: String.t(), peer :: term}
   @type out :: {:udp, :socket.socket(), map} | {:pid, pid, term} | nil
@@ -95,6 +99,7 @@ defmodule Aerie.Router.Endpoint do
 
     with tables when is_map(tables) <- Tables.of(gateway),
          {:ok, owner} <- Owner.new(id, Keyword.put_new(rules, :side, :client)),
+         owner = Rules.restore(gateway, owner),
          endpoint = new(gateway, {id, :self}, [out: {:pid, self(), nil}] ++ Keyword.delete(own, :id)),
          :ok <- Endpoints.attach(gateway, tables, owner, endpoint) do
       {:ok, endpoint}

@@ -8,6 +8,7 @@ defmodule Aerie.Router.Endpoints do
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Owner
   alias Aerie.Router.Routes
+  alias Aerie.Router.Rules
   alias Aerie.Router.Tables
   alias Aerie.Router.Watch
   alias Aerie.Router.Wishes
@@ -88,6 +89,7 @@ defmodule Aerie.Router.Endpoints do
     case :ets.take(tables.endpoints, key) do
       [{_key, endpoint}] ->
         limits_of(tables, key)
+        :ets.delete(tables.scores, {:beat, key})
         Tables.changed(tables)
         Wishes.forget(endpoint)
 
@@ -100,7 +102,8 @@ defmodule Aerie.Router.Endpoints do
 
   @doc "Removes an owner with all its endpoints and routes."
   @spec close(Names.gateway(), Tables.t(), String.t()) :: :ok
-  def close(_gateway, tables, owner) do
+  def close(gateway, tables, owner) do
+    Rules.forget(gateway, owner)
     for endpoint <- of(tables, owner), do: remove(tables, endpoint.key)
     delete_owner(tables, owner)
     Routes.forget(tables, owner)
@@ -113,22 +116,28 @@ defmodule Aerie.Router.Endpoints do
     for endpoint <- list(tables), endpoint.pid == pid do
       remove(tables, endpoint.key)
       {owner, peer} = endpoint.key
-      if peer == :self, do: delete_owner(tables, owner)
+
+      if peer == :self do
+        delete_owner(tables, owner)
+        Rules.forget(endpoint.gateway, owner)
+      end
     end
 
     :ok
   end
 
-  @doc "Says which side an endpoint is on, as its heartbeats show; nil: its owner's."
-  @spec side(Tables.t(), Endpoint.key(), :vehicle | :client | nil, keyword) :: :ok
-  def side(tables, key, side, fields \\ []) do
-    case get(tables, key) do
-      nil ->
-        :ok
-
-      endpoint ->
-        :ets.insert(tables.endpoints, {key, struct!(endpoint, [side: side] ++ fields)})
-        Tables.changed(tables)
+  @doc """
+  Notes what was found out about an endpoint: `side:` (nil: its owner's), `heard_vehicle:`, `high_latency:`. What is known
+  already moves nothing.
+  """
+  @spec note(Tables.t(), Endpoint.key(), keyword) :: :ok
+  def note(tables, key, fields) do
+    with %Endpoint{} = endpoint <- get(tables, key),
+         noted when noted != endpoint <- struct!(endpoint, fields) do
+      :ets.insert(tables.endpoints, {key, noted})
+      Tables.changed(tables)
+    else
+      _gone_or_known -> :ok
     end
   end
 

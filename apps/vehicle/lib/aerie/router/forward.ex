@@ -28,6 +28,7 @@ defmodule Aerie.Router.Forward do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
+  alias Aerie.Vehicle.HighLatency
   alias MavCodec.Frame
 
   @setup_signing 256
@@ -217,6 +218,7 @@ defmodule Aerie.Router.Forward do
 
   defp passes?(frame, to, tables, way) do
     cond do
+      to.high_latency and not HighLatency.carries?(frame) -> Tally.add(to.tally, :spared, 1) != :ok
       not Filter.pass?(to.filter, frame, way.owner) -> Tally.add(to.tally, :filtered_out, 1) != :ok
       limited?(frame, to, tables) -> Tally.add(to.tally, :limited, 1) != :ok
       true -> true

@@ -12,6 +12,7 @@ defmodule Aerie.Router.Intake do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Vehicle.BootClock
+  alias Aerie.Vehicle.HighLatency
   alias MavCodec.Frame
 
   @system_time 2
@@ -31,7 +32,7 @@ defmodule Aerie.Router.Intake do
         # That there are too many systems is no reason not to forward.
         for network <- way.networks, do: _ = Systems.note(gateway, network, way.owner, frame, heartbeat)
         now_vehicle? = Heartbeat.vehicle?(heartbeat)
-        way = side(tables, way, heartbeat, now_vehicle?)
+        way = tables |> side(way, heartbeat, now_vehicle?) |> latency(tables, frame, now_vehicle?)
         {%{talker | autopilot: now_vehicle?}, way, vehicle? or now_vehicle?}
 
       %Frame{id: @system_time, crc_extra: extra} = frame, {talker, way, vehicle?} when extra != nil ->
@@ -55,8 +56,29 @@ defmodule Aerie.Router.Intake do
 
   defp side(_tables, way, _heartbeat, _vehicle?), do: way
 
+  # Summaries of a vehicle and no heartbeat for a while: a link of high latency, whoever set it up (X6). A heartbeat ends
+  # that at once.
+  defp latency(way, _tables, _frame, false), do: way
+
+  defp latency(way, tables, %{id: 0, at: at}, true) do
+    :ets.insert(tables.scores, {{:beat, way.key}, at})
+    if way.high_latency, do: Endpoints.note(tables, way.key, high_latency: false)
+    way
+  end
+
+  defp latency(%{high_latency: true} = way, _tables, _summary, true), do: way
+
+  defp latency(way, tables, %{at: at}, true) do
+    beat = :ets.lookup_element(tables.scores, {:beat, way.key}, 2, nil)
+
+    if beat == nil or (at != nil and at - beat > HighLatency.silent_us()),
+      do: Endpoints.note(tables, way.key, high_latency: true)
+
+    way
+  end
+
   defp turn(tables, way, side, heard?) do
-    Endpoints.side(tables, way.key, side, heard_vehicle: heard?)
+    Endpoints.note(tables, way.key, side: side, heard_vehicle: heard?)
     %{way | side: side || way.side, heard_vehicle: heard?}
   end
 

@@ -16,6 +16,7 @@ defmodule Aerie.Router.Owner do
   | `:queue` | `[max_frames:, max_bytes:]` of what waits for one peer (`Aerie.Router.Queue`) |
   | `:coalesce` | several frames that are there at the same time may share a datagram; default true |
   | `:broadcasts` | false: only what is addressed to it; default true |
+  | `:high_latency` | true: only what a link of high latency carries goes to it (X6), unless `:out` says itself which messages may |
   """
 
   alias Aerie.Router.Classify
@@ -38,10 +39,12 @@ defmodule Aerie.Router.Owner do
     queue: [],
     coalesce: true,
     broadcasts: true,
-    options: []
+    high_latency: false,
+    options: [],
+    configured: []
   ]
 
-  @typedoc "`in`, `out`, `limits` are compiled; `options` is what it was made of."
+  @typedoc "`in`, `out`, `limits` are compiled; `options` is what it was made of, `configured` what it was made of first."
   @type t :: %__MODULE__{
           id: String.t(),
           group: String.t() | nil,
@@ -57,11 +60,13 @@ defmodule Aerie.Router.Owner do
           queue: keyword,
           coalesce: boolean,
           broadcasts: boolean,
-          options: keyword
+          high_latency: boolean,
+          options: keyword,
+          configured: keyword
         }
 
   @keys [:side, :networks, :group, :carry, :role, :sniffer, :in, :out, :rate_limits, :bytes_per_s, :queue] ++
-          [:coalesce, :broadcasts]
+          [:coalesce, :broadcasts, :high_latency]
 
   @doc "The keys of options."
   @spec keys() :: [atom]
@@ -73,10 +78,9 @@ defmodule Aerie.Router.Owner do
     options = Enum.reject(options, fn {_key, value} -> is_nil(value) end)
     networks = if options[:side] == :client, do: :all, else: ["main"]
 
-    Enum.reduce_while(options, {:ok, %__MODULE__{id: id, networks: networks, options: options}}, fn {key,
-                                                                                                     value},
-                                                                                                    {:ok,
-                                                                                                     owner} ->
+    owner = %__MODULE__{id: id, networks: networks, options: options, configured: options}
+
+    Enum.reduce_while(options, {:ok, owner}, fn {key, value}, {:ok, owner} ->
       case option(key, value) do
         {:ok, fields} -> {:cont, {:ok, struct!(owner, fields)}}
         {:error, words} -> {:halt, {:error, "#{key}: #{words}"}}
@@ -89,7 +93,7 @@ defmodule Aerie.Router.Owner do
   defp option(:group, group) when is_binary(group), do: {:ok, group: group}
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 
-  defp option(key, flag) when key in [:sniffer, :coalesce, :broadcasts] and is_boolean(flag),
+  defp option(key, flag) when key in [:sniffer, :coalesce, :broadcasts, :high_latency] and is_boolean(flag),
     do: {:ok, [{key, flag}]}
 
   defp option(key, spec) when key in [:in, :out],

@@ -41,7 +41,8 @@ defmodule Aerie.Router.Plan do
                   role: :full,
                   sniffer: false,
                   coalesce: true,
-                  broadcasts: true
+                  broadcasts: true,
+                  high_latency: false
                 ]
 
     @type t :: %__MODULE__{
@@ -64,7 +65,8 @@ defmodule Aerie.Router.Plan do
             role: :full | :read_only,
             sniffer: boolean,
             coalesce: boolean,
-            broadcasts: boolean
+            broadcasts: boolean,
+            high_latency: boolean
           }
   end
 
@@ -119,6 +121,8 @@ defmodule Aerie.Router.Plan do
   @doc "An endpoint with its owner's rules; `networks` are all that there are."
   @spec way(Endpoint.t(), Owner.t(), [String.t()]) :: Way.t()
   def way(%Endpoint{} = endpoint, %Owner{} = owner, networks) do
+    high_latency = high_latency?(endpoint, owner)
+
     %Way{
       key: endpoint.key,
       owner: owner.id,
@@ -134,13 +138,20 @@ defmodule Aerie.Router.Plan do
       heard_vehicle: endpoint.heard_vehicle,
       recorded: if(owner.side == :vehicle and match?({:udp, _, _}, endpoint.out), do: endpoint.gateway),
       auto: endpoint.side != nil and owner.side == :vehicle,
-      plain: owner.out == nil and owner.limits == nil,
+      plain: owner.out == nil and owner.limits == nil and not high_latency,
+      high_latency: high_latency,
       carry: owner.carry,
       role: owner.role,
       sniffer: owner.sniffer,
       coalesce: owner.coalesce,
       broadcasts: owner.broadcasts
     }
+  end
+
+  # Who lists the messages that may go there has thought of it.
+  defp high_latency?(endpoint, owner) do
+    (endpoint.high_latency or owner.high_latency) and
+      Map.get(owner.options[:out] || %{}, :allow_messages, []) in [nil, []]
   end
 
   @doc "The way of a source that has no endpoint: who delivers frames without being one."

@@ -27,6 +27,29 @@ defmodule Aerie.Router.Settings do
     end
   end
 
+  @doc "The keys that can be changed while a link or client runs (`Aerie.Router.configure/3`)."
+  @spec changeable() :: [atom]
+  def changeable,
+    do: (@plain -- [:side]) ++ [:networks, :carry, :filter_in, :filter_out, :queue_frames, :queue_kb]
+
+  @doc "Whether a value means that there is no such rule."
+  @spec empty?(term) :: boolean
+  def empty?(value), do: value in [nil, [], %{}]
+
+  @doc "What options say about a key of the configuration, in the form of the configuration; nil for nothing."
+  @spec key(atom, keyword) :: term
+  def key(:queue_frames, options), do: options[:queue][:max_frames]
+
+  def key(:queue_kb, options),
+    do: with(bytes when bytes != nil <- options[:queue][:max_bytes], do: div(bytes, 1024))
+
+  def key(:carry, options) do
+    with %{} = carry <- options[:carry],
+         do: Map.new(carry, fn {class, link} -> {to_string(class), to_string(link)} end)
+  end
+
+  def key(key, options), do: options[option(key)]
+
   @doc "The rule that a key of the configuration is about."
   @spec option(atom) :: atom
   def option(:filter_in), do: :in

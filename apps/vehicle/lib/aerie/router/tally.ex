@@ -11,6 +11,7 @@ defmodule Aerie.Router.Tally do
   | `read_only` | from it, and it may not speak |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
+  | `spared` | not for a link of high latency (X6) |
   | `failed` | its socket did not take them |
   | `dropped_control` ... `dropped_bulk` | dropped for want of room, by class |
   """
@@ -19,7 +20,7 @@ defmodule Aerie.Router.Tally do
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
   @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
-           [:filtered_in, :filtered_out, :limited, :failed] ++
+           [:filtered_in, :filtered_out, :limited, :spared, :failed] ++
            @dropped
 
   @type t :: :counters.counters_ref()

@@ -24,6 +24,7 @@ defmodule Aerie.Router.View do
         group: way.group,
         role: way.role,
         sniffer: way.sniffer,
+        high_latency: way.high_latency,
         hidden: hidden(heard, way),
         since: endpoint.since,
         waiting: max(:atomics.get(endpoint.waiting, 1), 0),

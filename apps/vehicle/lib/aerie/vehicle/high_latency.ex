@@ -123,9 +123,9 @@ defmodule Aerie.Vehicle.HighLatency do
     end
   end
 
-  @doc "The ids of the messages that a link of high latency carries."
-  @spec carried() :: [non_neg_integer()]
-  def carried, do: @carried
+  @doc "How long after the last heartbeat a summary means that no more heartbeats come (us)."
+  @spec silent_us() :: pos_integer()
+  def silent_us, do: @silent_us
 
   @doc "Whether a frame may go over a link of high latency: for routers, which ask for each frame."
   @spec carries?(Frame.t()) :: boolean()

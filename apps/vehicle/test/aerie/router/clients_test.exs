@@ -35,6 +35,13 @@ defmodule Aerie.Router.ClientsTest do
     {id, Aerie.Link.snapshot(gateway, id).port}
   end
 
+  # One that calls is added before it has called: it gets what comes once it is an endpoint.
+  defp caller(gateway, url) do
+    {id, _our_port} = client(gateway, url)
+    eventually(fn -> Enum.any?(Router.endpoints(gateway), &(&1.owner == id)) end)
+    id
+  end
+
   # Datagrams until one of them holds these bytes.
   defp until(socket, bytes) do
     {:ok, {_address, _port, got}} = :gen_udp.recv(socket, 0, @patience)
@@ -72,7 +79,7 @@ defmodule Aerie.Router.ClientsTest do
   test "a UDP client latches on where the answer comes from", c do
     {:ok, first} = udp()
     {:ok, from} = :inet.port(first)
-    {_id, _} = client(c.gateway, "udpout:127.0.0.1:#{from}")
+    caller(c.gateway, "udpout:127.0.0.1:#{from}")
     say(c.vehicle, c.port, attitude(1, 1))
     {:ok, {_, ours, _}} = :gen_udp.recv(first, 0, @patience)
     {:ok, second} = udp()
@@ -85,7 +92,7 @@ defmodule Aerie.Router.ClientsTest do
   test "IPv6", c do
     {:ok, socket} = udp({0, 0, 0, 0, 0, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
-    client(c.gateway, "udpout:[::1]:#{port}")
+    caller(c.gateway, "udpout:[::1]:#{port}")
     say(c.vehicle, c.port, attitude(1, 1))
     until(socket, attitude(1, 1))
   end
@@ -222,6 +229,67 @@ defmodule Aerie.Router.ClientsTest do
     :ok = Router.configure(c.gateway, "a", bytes_per_s: nil)
     say(c.vehicle, c.port, attitude(1, 4))
     until(a, attitude(1, 4))
+  end
+
+  @tag :capture_log
+  test "what was changed of the rules survives the process and the router, is listed, and can be undone" do
+    without = [Aerie.Bridge.Supervisor]
+    gateway = Aerie.GatewayCase.start_gateway(%{}, without: without)
+    add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    limits = %{"ATTITUDE" => 4}
+    {id, _} = client(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: limits, queue_kb: 64})
+    assert Router.changes(gateway) == %{}
+    filter = %{block_messages: ["RAW_IMU"]}
+    :ok = Router.configure(gateway, id, filter_out: filter, queue_frames: 5)
+    :ok = Router.configure(gateway, id, rate_limits: nil)
+    :ok = Router.configure(gateway, "radio", bytes_per_s: 1_000)
+
+    changed = %{
+      "gcs" => %{
+        filter_out: %{now: filter, configured: nil},
+        queue_frames: %{now: 5, configured: nil},
+        rate_limits: %{now: nil, configured: limits}
+      },
+      "radio" => %{bytes_per_s: %{now: 1_000, configured: nil}}
+    }
+
+    assert Router.changes(gateway) == changed
+
+    holds = fn ->
+      tables = Router.Tables.of(gateway)
+      owner = &(tables && Router.Endpoints.owner(tables, &1))
+
+      match?(
+        %{limits: nil, out: [_], queue: [max_bytes: 65_536, max_frames: 5]},
+        owner.(id)
+      ) and match?(%{bytes_per_s: 1_000}, owner.("radio"))
+    end
+
+    assert holds.()
+
+    for {role, which} <- [{:link, id}, {:link, "radio"}, {:router, nil}] do
+      pid = Names.whereis(gateway, role, which)
+      Process.exit(pid, :kill)
+      eventually(fn -> Names.whereis(gateway, role, which) not in [nil, pid] end)
+      eventually(holds)
+      eventually(fn -> Names.whereis(gateway, :link, "radio") end)
+    end
+
+    assert Router.changes(gateway) == changed
+    :ok = Router.reset(gateway, id, [:rate_limits])
+    assert %{limits: %{30 => 250_000}, out: [_]} = Router.Endpoints.owner(Router.Tables.of(gateway), id)
+    :ok = Router.reset(gateway, id)
+    assert Map.keys(Router.changes(gateway)) == ["radio"]
+    assert %{out: nil, queue: [max_bytes: 65_536]} = Router.Endpoints.owner(Router.Tables.of(gateway), id)
+    assert {:error, words} = Router.configure(gateway, id, filter: filter)
+    assert words =~ ":filter"
+    assert {:error, _} = Router.reset(gateway, "nobody")
+
+    # What is removed and added again is as it is configured.
+    :ok = Aerie.Link.stop(gateway, "radio")
+    assert Router.changes(gateway) == %{}
+    add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    assert %{bytes_per_s: nil} = Router.Endpoints.owner(Router.Tables.of(gateway), "radio")
   end
 
   @tag :capture_log

@@ -116,7 +116,54 @@ defmodule Aerie.Router.WishesTest do
     assert Wants.list(gateway, @key) == []
   end
 
+  test "X6: who lists the messages that may go to such a link has thought of it" do
+    router = [out: %{allow_messages: ["PARAM_REQUEST_LIST"]}]
+    {gateway, vehicle} = flying(options: [high_latency: true, router: router])
+    one = client(gateway, "one")
+    says(one, %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0})
+    bytes = says(one, %M.ParamRequestList{target_system: 1, target_component: 1})
+    assert heard(vehicle) == bytes
+  end
+
   test "X6: a vehicle that only sends summaries is a vehicle" do
+    {gateway, _socket} = flying([], summary())
+    assert %{vehicle_type: "copter", high_latency: %{only?: true}} = Store.vehicle(gateway, @key)
+  end
+
+  test "X6: a link that brings nothing but summaries is found out, and ordinary again with the first heartbeat" do
+    {gateway, vehicle} = flying([], summary())
+    one = client(gateway, "one")
+    link = fn -> Enum.find(Aerie.Router.endpoints(gateway), &(&1.side == :vehicle)) end
+    assert link.().high_latency
+    # Frame by frame: a command that only asks for more to be sent is none that such a link carries.
+    says(one, %M.ParamRequestList{target_system: 1, target_component: 1})
+    says(one, %M.CommandLong{target_system: 1, target_component: 1, command: 512, param1: 148.0})
+    says(one, %M.Heartbeat{type: 6, autopilot: 8})
+    bytes = says(one, %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0})
+    assert heard(vehicle) == bytes
+    assert link.().counters.spared == 3
+
+    {:ok, {_address, port}} = :inet.sockname(vehicle)
+    {frames, _} = Parser.push_datagram(Parser.new(), heartbeat(1), System.os_time(:microsecond))
+    %{id: {id, peer}} = link.()
+    assert {_address, ^port} = peer
+    Aerie.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
+    refute link.().high_latency
+    bytes = says(one, %M.ParamRequestList{target_system: 1, target_component: 1})
+    assert heard(vehicle) == bytes
+
+    # One summary among heartbeats changes nothing; one that comes long after the last of them does.
+    again = fn us ->
+      {frames, _} = Parser.push_datagram(Parser.new(), summary(), System.os_time(:microsecond) + us)
+      Aerie.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
+      link.().high_latency
+    end
+
+    refute again.(5_000_000)
+    assert again.(12_000_000)
+  end
+
+  defp summary do
     summary = %M.HighLatency2{
       type: 2,
       autopilot: 3,
@@ -125,7 +172,6 @@ defmodule Aerie.Router.WishesTest do
       battery: 80
     }
 
-    {gateway, _socket} = flying([], MavCodec.encode(summary, system: 1, component: 1))
-    assert %{vehicle_type: "copter", high_latency: %{only?: true}} = Store.vehicle(gateway, @key)
+    MavCodec.encode(summary, system: 1, component: 1)
   end
 end

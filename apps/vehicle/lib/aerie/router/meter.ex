@@ -14,6 +14,7 @@ defmodule Aerie.Router.Meter do
   use GenServer
 
   alias Aerie.Fleet.Store
+  alias Aerie.Link.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Score
@@ -28,7 +29,8 @@ defmodule Aerie.Router.Meter do
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_meter))
+    name = Names.via(gateway, :router_meter)
+    Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
   end
 
   @doc "Tells a measured round trip over a link, in ms."

@@ -2,6 +2,7 @@ defmodule Aerie.Router.Sweeper do
   @moduledoc "Sweeps old routes, refusals, rate limits' and load notes out of the router's tables, every ten seconds."
   use GenServer
 
+  alias Aerie.Link.Successor
   alias Aerie.Names
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
@@ -14,7 +15,8 @@ defmodule Aerie.Router.Sweeper do
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_sweeper))
+    name = Names.via(gateway, :router_sweeper)
+    Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
   end
 
   @impl GenServer

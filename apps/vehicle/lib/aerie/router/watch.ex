@@ -5,6 +5,7 @@ defmodule Aerie.Router.Watch do
   """
   use GenServer
 
+  alias Aerie.Link.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Tables
@@ -12,7 +13,8 @@ defmodule Aerie.Router.Watch do
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_watch))
+    name = Names.via(gateway, :router_watch)
+    Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
   end
 
   @doc "Watches a process from now on."

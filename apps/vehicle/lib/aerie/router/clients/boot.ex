@@ -10,6 +10,7 @@ defmodule Aerie.Router.Clients.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Fleet.Store
+  alias Aerie.Link.Successor
   alias Aerie.Names
   alias Aerie.Router.Clients
   alias Aerie.Router.Settings
@@ -21,9 +22,8 @@ defmodule Aerie.Router.Clients.Boot do
 
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
-    GenServer.start_link(__MODULE__, options,
-      name: Names.via(Keyword.fetch!(options, :gateway), :client_boot)
-    )
+    name = Names.via(Keyword.fetch!(options, :gateway), :client_boot)
+    Successor.start(fn -> GenServer.start_link(__MODULE__, options, name: name) end)
   end
 
   @impl GenServer

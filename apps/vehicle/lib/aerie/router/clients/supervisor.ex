@@ -2,6 +2,7 @@ defmodule Aerie.Router.Clients.Supervisor do
   @moduledoc "The client endpoints of a gateway: their trees, and what starts those that there are to be."
   use Supervisor
 
+  alias Aerie.Link.Successor
   alias Aerie.Names
   alias Aerie.Router.Clients.Boot
 
@@ -18,12 +19,19 @@ defmodule Aerie.Router.Clients.Supervisor do
     Process.set_label({:client_endpoints, gateway})
 
     children = [
-      {DynamicSupervisor,
-       name: Names.via(gateway, :client_trees), max_children: max(config), max_restarts: 100, max_seconds: 1},
+      %{id: DynamicSupervisor, start: {__MODULE__, :start_trees, [gateway, max(config)]}, type: :supervisor},
       {Boot, gateway: gateway, config: config}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)
+  end
+
+  @doc false
+  @spec start_trees(Names.gateway(), pos_integer) :: Supervisor.on_start()
+  def start_trees(gateway, max) do
+    options = [name: Names.via(gateway, :client_trees), strategy: :one_for_one]
+    limits = [max_children: max, max_restarts: 100, max_seconds: 1]
+    Successor.start(fn -> DynamicSupervisor.start_link(options ++ limits) end)
   end
 
   defp max(%{limits: %{max_clients: max}}), do: max

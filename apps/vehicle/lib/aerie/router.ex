@@ -99,7 +99,7 @@ defmodule Aerie.Router do
     now = System.monotonic_time(:millisecond)
     Tally.add(way.tally, :frames_in, length(frames))
     # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
-    trusted = Aerie.Signing.admit(gateway, %{source | network: hd(way.networks)}, frames)
+    trusted = Aerie.Signing.admit(gateway, believed(%{source | network: hd(way.networks)}, way), frames)
 
     {looped, talkers} = frames |> by_talker() |> Enum.split_with(fn {ids, _} -> ids == local.plan.own end)
 
@@ -126,6 +126,10 @@ defmodule Aerie.Router do
         %{outcome | unclaimed: outcome.unclaimed + n}
     end
   end
+
+  # A client that is signed for needs no signature of its own.
+  defp believed(source, %{sign: true}), do: Map.put(source, :trust, :secure)
+  defp believed(source, _way), do: source
 
   defp heard(frames, trusted, ids) do
     # Nearly always all.

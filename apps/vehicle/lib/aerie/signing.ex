@@ -1,7 +1,7 @@
 defmodule Aerie.Signing do
   @moduledoc """
   Signed MAVLink links: keys per network or per vehicle, what is checked of what comes, what is signed of what we send, and
-  the enrolment of a flight controller's key. How to use it is said by the comments of the configuration's section `signing`; how it works, by the modules of this
+  the enrolment of a flight controller's key. How to use it is said by docs/signing.md; how it works, by the README of this
   module's folder.
 
       Aerie.Signing.list(:default)
@@ -13,7 +13,8 @@ defmodule Aerie.Signing do
   | event | measurements | metadata besides `gateway` |
   |---|---|---|
   | `[:aerie, :signing, :alarm]` | `rejected` (frames within 10 s) | `link`, `network`, `system`, `component`, `reason` (the most frequent) |
-  | `[:aerie, :signing, :enrolled]`, `[:aerie, :signing, :revoked]` | `count` | `network`, `system`, `link` |
+  | `[:aerie, :signing, :enrolled]`, `[:aerie, :signing, :revoked]` | `count` | `network`, `system`, `link`, `by` |
+  | `[:aerie, :signing, :failed]` | `count` | and `what` (`:enrolled` or `:revoked`), `reason` |
   | `[:aerie, :signing, :not_stored]` | `count` | `reason`: the time stamps cannot be written (S6) |
 
   ## Counters
@@ -24,7 +25,8 @@ defmodule Aerie.Signing do
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
-  alias Aerie.Signing.{Enrolment, Intake, Scope, Tables, Vault}
+  alias Aerie.Config.Secret
+  alias Aerie.Signing.{Enrolment, Intake, Scope, Seal, Tables, Vault}
   alias MavCodec.Frame
 
   @setup_signing 256
@@ -32,8 +34,11 @@ defmodule Aerie.Signing do
   @typedoc "A vehicle's public name, or its key."
   @type vehicle :: String.t() | {network :: String.t(), system :: non_neg_integer}
 
-  @typedoc "Bytes that the link's process is to sign: for the system of a network (nil: for all), or for that very key."
-  @type marked :: {:sign, {String.t(), non_neg_integer | nil} | Scope.t(), iodata}
+  @typedoc """
+  Bytes that the link's process is to sign: for the system of a network (nil: for all), or with that very key (nil: with
+  none). A secret is not shown on its way.
+  """
+  @type marked :: {:sign, {String.t(), non_neg_integer | nil} | Scope.t() | nil, iodata | Secret.t()}
 
   @typedoc """
   - `policy`, `key`: of the scope that the vehicle belongs to (`main/7`, `main/*`)
@@ -87,10 +92,35 @@ defmodule Aerie.Signing do
     if Tables.active(gateway), do: {:sign, key, bytes}, else: bytes
   end
 
-  @doc "The bytes to write for what a link was given; called in the link's process."
-  @spec seal(Names.gateway(), String.t(), iodata | marked) :: iodata
-  def seal(gateway, link, {:sign, key, bytes}), do: Intake.seal(gateway, link, key, bytes)
-  def seal(_gateway, _link, bytes), do: bytes
+  @doc "The bytes to write to a peer for what a link was given; called in the link's process."
+  @spec seal(Names.gateway(), String.t(), term, iodata | marked) :: iodata
+  def seal(gateway, link, peer, {:sign, key, %Secret{} = bytes}),
+    do: seal(gateway, link, peer, {:sign, key, Secret.reveal(bytes)})
+
+  def seal(_gateway, _link, _peer, {:sign, nil, bytes}), do: bytes
+  def seal(gateway, link, peer, {:sign, key, bytes}), do: Seal.own(gateway, link, peer, key, bytes)
+  def seal(_gateway, _link, _peer, bytes), do: bytes
+
+  @doc "What may be recorded of bytes that went out for what a link was given: nothing of a key (S9)."
+  @spec shown(iodata | marked, iodata) :: iodata
+  def shown({:sign, _key, %Secret{}}, bytes) do
+    {frames, _rest} = bytes |> IO.iodata_to_binary() |> Aerie.Wire.frames()
+    Enum.map(frames, &MavCodec.Redact.frame(Aerie.Wire.checked(&1)).bytes)
+  end
+
+  def shown(_given, bytes), do: bytes
+
+  @doc """
+  A client's unsigned frame that is to be signed where a link needs it (`sign: true`, see docs/signing.md); what is signed
+  already stays as it is (S10). `fill/4` makes the frame of it.
+  """
+  @spec placeholder(binary) :: binary
+  defdelegate placeholder(bytes), to: Seal
+
+  @doc "Frames as a link writes them to a peer; called in the link's process."
+  @spec fill(Names.gateway(), Aerie.Link.Spec.t(), term, iodata) :: iodata
+  def fill(gateway, %{id: id, network: network}, peer, frames),
+    do: Seal.fill(gateway, id, network, peer, frames)
 
   @doc "Whether a frame may be forwarded: everything but SETUP_SIGNING, which carries a key (S8)."
   @spec forwardable?(Frame.t()) :: boolean
@@ -130,14 +160,15 @@ defmodule Aerie.Signing do
   end
 
   @doc """
-  All keys: `%{key: "main/7", network, system (or :any), policy, source, error, unsafe}`, without the keys themselves; and
-  whether the time stamps could be stored.
+  All keys: `%{key: "main/7", network, system (or :any), policy, source, error, unsafe}`, without the keys themselves;
+  `pending`: the vehicles that were sent another key and have not proven to have it; and whether the time stamps could be
+  stored.
   """
-  @spec list(Names.gateway()) :: %{keys: [map], not_stored: String.t() | nil}
+  @spec list(Names.gateway()) :: %{keys: [map], pending: [String.t()], not_stored: String.t() | nil}
   def list(gateway) do
     case Tables.of(gateway) do
       nil ->
-        %{keys: [], not_stored: nil}
+        %{keys: [], pending: [], not_stored: nil}
 
       tables ->
         keys =
@@ -153,7 +184,8 @@ defmodule Aerie.Signing do
             }
           end
 
-        %{keys: keys, not_stored: Tables.setting(tables, :not_stored, nil)}
+        pending = for {id, _scope} <- Enum.sort(:ets.tab2list(tables.candidates)), do: Scope.name(id)
+        %{keys: keys, pending: pending, not_stored: Tables.setting(tables, :not_stored, nil)}
     end
   end
 
@@ -210,26 +242,32 @@ defmodule Aerie.Signing do
   @doc """
   Gives a flight controller its key by SETUP_SIGNING, and waits until it signs with it.
 
-  Only by a link that is marked `secure: true` in the configuration (USB, Ethernet), because the key goes over it as it is;
-  anything else is refused with the reason (S8). Options:
+  Only by a link that is marked secure in the configuration or its connection string (USB, Ethernet), because the key goes
+  over it as it is; anything else is refused with the reason (S8). Options:
 
     * `:link` - the secure link to take; needed when the vehicle is not heard there (its frames may be refused)
-    * `:key` - `{:file, path}`, `{:env, name}` or `:generate`: another key than the configured one. It is used from then on
-      until the gateway ends; put it into the configuration too. A generated one is in the result, as a
-      `Aerie.Config.Secret`.
+    * `:key` - another key than the one in force: `{:file, path}`, `{:env, name}`, `:generate` (random), or `:previous` (go
+      back to the one before). It is kept in `signing.dir/keys` from before it is sent, and is in force as soon as the
+      vehicle proves to have it (`Aerie.Signing.Enrolment`). A generated one is in the result, as a `Aerie.Config.Secret`.
     * `:component` - of the autopilot, default 1
     * `:timeout_ms` - default 10,000
+    * `:by` - who asks, for the audit event; default `"local"`
   """
   @spec enrol(Names.gateway(), vehicle, keyword) ::
-          {:ok, %{link: String.t(), key: Aerie.Config.Secret.t() | nil}} | {:error, String.t()}
+          {:ok, %{link: String.t(), key: Secret.t() | nil}} | {:error, String.t()}
   def enrol(gateway, vehicle, options \\ []), do: Enrolment.enrol(gateway, vehicle, options)
 
   @doc """
   Takes the key from a flight controller (SETUP_SIGNING with zeros), and waits until it sends unsigned frames. By a secure
-  link only, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`. The configured policy stays.
+  link only, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`, `:by`. A key that it was given by `enrol/3` is
+  retired (kept as the previous one); what the configuration says of the vehicle stays.
   """
   @spec revoke(Names.gateway(), vehicle, keyword) :: {:ok, %{link: String.t()}} | {:error, String.t()}
   def revoke(gateway, vehicle, options \\ []), do: Enrolment.revoke(gateway, vehicle, options)
+
+  @doc "Forgets a key that was sent to a vehicle and never proven: only when it is certain that the vehicle has not got it."
+  @spec discard(Names.gateway(), vehicle) :: :ok | {:error, String.t()}
+  def discard(gateway, vehicle), do: Enrolment.discard(gateway, vehicle)
 
   @doc "Reads the configured keys again, after a file was replaced. What cannot be read leaves the old key in place."
   @spec reload(Names.gateway()) :: [{String.t(), :same | :changed | {:error, String.t()}}]

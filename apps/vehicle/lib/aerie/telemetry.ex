@@ -44,6 +44,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :signing, :alarm], Aerie.Signing},
     {[:aerie, :signing, :enrolled], Aerie.Signing},
     {[:aerie, :signing, :revoked], Aerie.Signing},
+    {[:aerie, :signing, :failed], Aerie.Signing},
     {[:aerie, :signing, :not_stored], Aerie.Signing},
     {[:aerie, :recorder, :opened], Aerie.Recorder},
     {[:aerie, :recorder, :closed], Aerie.Recorder},

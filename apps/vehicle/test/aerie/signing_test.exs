@@ -7,6 +7,7 @@ defmodule Aerie.SigningTest do
   alias MavCodec.Frame
 
   @moduletag :tmp_dir
+  @moduletag :capture_log
   # When the signed link was recorded.
   @then 1_795_213_682_000_000
 
@@ -74,6 +75,7 @@ defmodule Aerie.SigningTest do
       assert Signing.seal(
                gateway,
                "radio",
+               :peer,
                Signing.mark(gateway, {"main", 1}, heartbeat(245, component: 191))
              ) ==
                heartbeat(245, component: 191)
@@ -101,7 +103,7 @@ defmodule Aerie.SigningTest do
     assert Signing.admit(gateway, source(), frames) == frames
     assert Signing.mark(gateway, {"main", 1}, "bytes") == "bytes"
     assert Signing.vehicle(gateway, {"main", 1}) == nil
-    assert Signing.list(gateway) == %{keys: [], not_stored: nil}
+    assert Signing.list(gateway) == %{keys: [], pending: [], not_stored: nil}
     assert {:error, "no signing key is configured" <> _} = Signing.enrol(gateway, {"main", 1})
     refute File.exists?(Path.join(c.tmp_dir, "signing"))
     # A gateway without that part is none that signs.
@@ -136,7 +138,7 @@ defmodule Aerie.SigningTest do
     assert Signing.admit(gateway, source(trust: :secure), [frame(bytes)]) == []
     assert Signing.admit(gateway, source(trust: :recording), [plain, frame(bytes)]) == [plain, frame(bytes)]
     assert Signing.trust(Link.Spec.parse!("replay:x.tlog")) == :recording
-    assert Signing.trust(Link.Spec.parse!("udpin::0", options: [secure: true])) == :secure
+    assert Signing.trust(Link.Spec.parse!("udpin:127.0.0.1:0", options: [secure: true])) == :secure
     assert Signing.trust(Link.Spec.parse!("udpin::0")) == :radio
   end
 
@@ -203,7 +205,7 @@ defmodule Aerie.SigningTest do
       stamps =
         for _ <- 1..50 do
           marked = Signing.mark(c.gateway, {"main", 1}, own)
-          frame = c.gateway |> Signing.seal("radio", marked) |> IO.iodata_to_binary() |> frame()
+          frame = c.gateway |> Signing.seal("radio", :peer, marked) |> IO.iodata_to_binary() |> frame()
           assert {:signed, _} = MavCodec.Signing.check(signer(), frame)
           frame.signature
         end
@@ -212,7 +214,7 @@ defmodule Aerie.SigningTest do
       times = Enum.map(stamps, & &1.timestamp)
       assert times == Enum.sort(times) and times == Enum.uniq(times)
 
-      other = Signing.seal(c.gateway, "other", Signing.mark(c.gateway, {"main", nil}, own))
+      other = Signing.seal(c.gateway, "other", :peer, Signing.mark(c.gateway, {"main", nil}, own))
       assert frame(IO.iodata_to_binary(other)).signature.link_id == 1
       assert count(c.gateway, :signed) == 50
     end
@@ -223,13 +225,15 @@ defmodule Aerie.SigningTest do
       foreign = heartbeat(255, type: 6, autopilot: 8)
       old = MavCodec.encode(%MavCodec.Messages.Heartbeat{}, system: 245, component: 191, version: 1)
       marked = Signing.mark(c.gateway, {"main", 1}, [own, foreign, old, own])
-      bytes = IO.iodata_to_binary(Signing.seal(c.gateway, "radio", marked))
+      bytes = IO.iodata_to_binary(Signing.seal(c.gateway, "radio", :peer, marked))
       {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
       assert [true, false, false, true] = Enum.map(frames, &Frame.signed?/1)
       assert [_, ^foreign, ^old, _] = Enum.map(frames, & &1.bytes)
       assert count(c.gateway, :not_signed) == 1
       # What is no frame goes out as it came.
-      assert IO.iodata_to_binary(Signing.seal(c.gateway, "radio", Signing.mark(c.gateway, {"main", 1}, "?!"))) ==
+      assert IO.iodata_to_binary(
+               Signing.seal(c.gateway, "radio", :peer, Signing.mark(c.gateway, {"main", 1}, "?!"))
+             ) ==
                "?!"
     end
   end
@@ -245,7 +249,10 @@ defmodule Aerie.SigningTest do
       {first, stop} = restart(c, clock: fn -> 0 end, key_file: key)
       {bytes, _} = signed(signer(), 1)
       assert [_] = Signing.admit(first, source(), [frame(bytes)])
-      own = Signing.seal(first, "radio", Signing.mark(first, {"main", 1}, heartbeat(245, component: 191)))
+
+      own =
+        Signing.seal(first, "radio", :peer, Signing.mark(first, {"main", 1}, heartbeat(245, component: 191)))
+
       used = frame(IO.iodata_to_binary(own)).signature.timestamp
       assert used > 0
       :ok = Signing.Vault.save(first)
@@ -257,7 +264,15 @@ defmodule Aerie.SigningTest do
       refute File.read!(file) =~ passphrase()
 
       {second, _} = restart(c, clock: fn -> 0 end, key_file: key)
-      own = Signing.seal(second, "radio", Signing.mark(second, {"main", 1}, heartbeat(245, component: 191)))
+
+      own =
+        Signing.seal(
+          second,
+          "radio",
+          :peer,
+          Signing.mark(second, {"main", 1}, heartbeat(245, component: 191))
+        )
+
       assert frame(IO.iodata_to_binary(own)).signature.timestamp > used
       # S3: what was received before is not received again.
       assert Signing.admit(second, source(), [frame(bytes)]) == []
@@ -278,7 +293,15 @@ defmodule Aerie.SigningTest do
       File.mkdir_p!(Path.join(copy, "signing"))
       File.cp!(file, Path.join([copy, "signing", "timestamps.json"]))
       second = start_signing(copy, clock: fn -> 0 end, key_file: key)
-      own = Signing.seal(second, "radio", Signing.mark(second, {"main", 1}, heartbeat(245, component: 191)))
+
+      own =
+        Signing.seal(
+          second,
+          "radio",
+          :peer,
+          Signing.mark(second, {"main", 1}, heartbeat(245, component: 191))
+        )
+
       assert frame(IO.iodata_to_binary(own)).signature.timestamp > frame(bytes).signature.timestamp
     end
 

@@ -30,8 +30,18 @@ defmodule Aerie.Client.Pipe do
   """
   @spec open(Names.gateway(), keyword()) :: {:ok, t()} | {:error, String.t() | :not_running}
   def open(gateway, options) do
+    options = Keyword.put_new_lazy(options, :sign, fn -> sign?(gateway, options[:kind]) end)
+
     with {:ok, endpoint} <- Endpoint.attach(gateway, options) do
       {:ok, %__MODULE__{endpoint: endpoint, parser: Parser.new(), queue: Queue.new()}}
+    end
+  end
+
+  defp sign?(gateway, kind) do
+    case {Aerie.Gateway.config(gateway), kind} do
+      {%{websocket: %{sign: sign}}, :websocket} -> sign
+      {%{sockets: %{sign: sign}}, :unix} -> sign
+      _other -> false
     end
   end
 

@@ -123,7 +123,27 @@ defmodule Aerie.Config.Resolve do
           {:error, words} <- [Settings.client(client)],
           do: {["clients", i], words}
 
-    for {path, words} <- links ++ clients, do: problem(path, "rules that make sense", words)
+    exposed =
+      for {link, i} <- Enum.with_index(config.links),
+          link[:secure],
+          spec = %{link.spec | options: %{secure: true}},
+          {:error, words} <- [Spec.secure(spec)],
+          do:
+            problem(
+              ["links", i, "secure"],
+              "true for a cable of its own (serial, loopback, one interface)",
+              words
+            )
+
+    exposed ++ for {path, words} <- links ++ clients, do: problem(path, "rules that make sense", words)
+  end
+
+  # Servers that others than this machine reach.
+  defp open_to_all(clients) do
+    for %{sign: true, url: url, id: id} <- clients,
+        {:ok, %{kind: kind, host: host}} when kind in [:udp_server, :tcp_server] <- [Spec.parse(url)],
+        not is_tuple(host) or not Keys.loopback?(host),
+        do: id
   end
 
   defp sampling(%{sampling: sampling} = config) do
@@ -332,6 +352,9 @@ defmodule Aerie.Config.Resolve do
        "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
       {Enum.any?(config.signing.keys, &(&1.policy != :required)),
        "signing.keys: a policy other than required is UNSAFE: frames that anybody could have sent are taken in."},
+      {open_to_all(listed(config)) != [],
+       "clients #{Enum.join(open_to_all(listed(config)), ", ")}: sign: true for a server that is not on loopback is UNSAFE: " <>
+         "whoever reaches it has his commands signed."},
       {not nats.tls.verify and nats.tls.enabled,
        "nats.tls.verify is false: anybody on the way can read and change what is sent to NATS."},
       {config.websocket.enabled and config.websocket.cert_file == nil and not local?(config.websocket.address),

@@ -204,6 +204,10 @@ defmodule Aerie.Link.Egress do
     %{peer | outlet: outlet}
   end
 
+  @doc "Whether a peer is written to by senders themselves, past the link's process."
+  @spec direct?(t, term) :: boolean
+  def direct?(egress, id), do: match?(%{^id => %{endpoint: %{out: {:udp, _, _}}}}, egress.peers)
+
   @doc "It is time to try again: the message `{:pump, peer}` came."
   @spec pump(t, term, integer, write, state) :: {t, state} when state: term
   def pump(egress, id, now, write, state) do

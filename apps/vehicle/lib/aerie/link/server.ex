@@ -101,7 +101,7 @@ defmodule Aerie.Link.Server do
 
   @impl GenServer
   def handle_cast({:send, to, bytes}, state) do
-    {:noreply, write(state, to, Aerie.Signing.seal(state.gateway, state.spec.id, bytes))}
+    {:noreply, write(state, to, bytes)}
   end
 
   @impl GenServer
@@ -336,8 +336,11 @@ defmodule Aerie.Link.Server do
   defp out(%{conn: nil} = state, _peer, _bytes), do: {:error, step(state, {:count, :dropped_out, 1})}
 
   defp out(state, peer, bytes) do
+    bytes = Aerie.Signing.fill(state.gateway, state.spec, peer, bytes)
+
     case state.transport.write(state.conn, peer, bytes) do
-      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, bytes)}
+      # What is for a peer that others write to directly was counted by them.
+      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, bytes, not Egress.direct?(state.egress, peer))}
       {:busy, conn} -> {:busy, %{state | conn: conn}}
       {:error, _reason, conn} -> {:error, step(%{state | conn: conn}, {:count, :dropped_out, 1})}
     end
@@ -350,10 +353,12 @@ defmodule Aerie.Link.Server do
     Enum.reduce(Map.keys(state.core.peers.map), state, &write_to(&2, &1, bytes))
   end
 
-  defp write_to(state, peer, bytes) do
+  defp write_to(state, peer, given) do
+    bytes = Aerie.Signing.seal(state.gateway, state.spec.id, peer, given)
+
     case state.transport.write(state.conn, peer, bytes) do
       {:ok, conn} ->
-        sent(%{state | conn: conn}, bytes)
+        sent(%{state | conn: conn}, Aerie.Signing.shown(given, bytes), true)
 
       {:busy, conn} ->
         step(%{state | conn: conn}, {:count, :dropped_out, 1})
@@ -363,12 +368,13 @@ defmodule Aerie.Link.Server do
     end
   end
 
-  defp sent(state, bytes) do
+  defp sent(state, bytes, count?) do
     if state.home == Store, do: Aerie.Recorder.sent(state.gateway, state.spec.id, state.spec.network, bytes)
+    if count?, do: counted(state, IO.iodata_length(bytes)), else: state
+  end
 
-    counters =
-      state.core.counters |> Counters.add(:bytes_out, IO.iodata_length(bytes)) |> Counters.add(:writes_out, 1)
-
+  defp counted(state, size) do
+    counters = state.core.counters |> Counters.add(:bytes_out, size) |> Counters.add(:writes_out, 1)
     put_in(state.core.counters, counters)
   end
 

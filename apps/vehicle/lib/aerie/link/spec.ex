@@ -23,7 +23,9 @@ defmodule Aerie.Link.Spec do
   `&ports=/dev/ttyAMA0,/dev/ttyUSB3` (looked at first) and `&only=true` (no others).
 
   Every string takes `?network=NAME` (whose system ids it shares, default `"main"`) and `&id=NAME` (the identity of
-  the link, default: the string without its options).
+  the link, default: the string without its options). `&secure=true` says that nobody but the two ends can hear or
+  reach it (USB, a cable of its own, loopback): a vehicle may be given its signing key there and is believed unsigned. It
+  is refused for what cannot be such a cable: a broadcast, a recording, a server on all addresses.
   """
 
   alias Aerie.Link.Spec.Address
@@ -133,13 +135,43 @@ defmodule Aerie.Link.Spec do
       fields =
         fields |> Map.merge(Map.take(options, [:speed, :loop, :bauds, :ports, :only])) |> Map.merge(named)
 
-      {:ok, struct!(__MODULE__, Map.put(fields, :text, trimmed))}
+      spec = struct!(__MODULE__, Map.put(fields, :text, trimmed))
+
+      case secure(spec) do
+        :ok ->
+          {:ok, spec}
+
+        {:error, reason} ->
+          error(text, reason, "secure for a cable of its own", "udpin:192.168.144.10:14550?secure=true",
+            hint: "take serial, loopback, or the address of the cable's own interface"
+          )
+      end
     end
   end
 
   def parse(other, _overrides) do
     error(other, "it is not a string", @any_form, "udpin:0.0.0.0:14550")
   end
+
+  @doc "Whether a link that is marked secure can be (the option `:secure`); the error is words."
+  @spec secure(t) :: :ok | {:error, String.t()}
+  def secure(%__MODULE__{options: %{secure: true}} = spec) do
+    cond do
+      spec.kind == :replay ->
+        {:error, "a recording is not secure: anybody could have made it"}
+
+      spec.broadcast ->
+        {:error, "a broadcast is not secure: everybody hears it"}
+
+      spec.kind in [:udp_server, :tcp_server] and spec.host in [nil, {0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] ->
+        {:error, "a server on all addresses is not secure: anybody reaches it"}
+
+      true ->
+        :ok
+    end
+  end
+
+  def secure(_spec), do: :ok
 
   @doc "As `parse/2`, raising the error."
   @spec parse!(String.t(), keyword) :: t
@@ -314,6 +346,7 @@ defmodule Aerie.Link.Spec do
     {:ok, :only, value == "true"}
   end
 
+  defp option("secure", value, _form) when value in ["true", "false"], do: {:ok, :secure, value == "true"}
   defp option("network", value, _form), do: name(:network, value)
   defp option("id", value, _form), do: name(:id, value)
 
@@ -323,7 +356,7 @@ defmodule Aerie.Link.Spec do
   end
 
   defp option(key, _value, _form) do
-    {:error, "#{inspect(key)} is no option", "the options network and id",
+    {:error, "#{inspect(key)} is no option", "the options network, id and secure",
      "udpin:0.0.0.0:14550?network=radio-a"}
   end
 
@@ -358,7 +391,9 @@ defmodule Aerie.Link.Spec do
         error(text, "#{inspect(network)} is no network", "up to 64 letters, digits, - or _", "radio-a")
 
       true ->
-        {:ok, %{id: id, network: network, options: Map.new(Keyword.get(overrides, :options, %{}))}}
+        given = Map.new(Keyword.get(overrides, :options, %{}))
+        given = if options[:secure], do: Map.put(given, :secure, true), else: given
+        {:ok, %{id: id, network: network, options: given}}
     end
   end
 

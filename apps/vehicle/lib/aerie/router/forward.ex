@@ -6,7 +6,7 @@ defmodule Aerie.Router.Forward do
   |---|---|
   | R1 | addressed to nobody or to all: to every other endpoint of the network; else where the addressee was heard |
   | R2 | never back to where it came from; an unknown addressee's frame goes nowhere |
-  | R3, S10 | the bytes that go out are the bytes that came in, signature and all |
+  | R3, S10 | the bytes that go out are the bytes that came in, signature and all; only what a client with `sign` sends unsigned is signed by a link that needs it |
   | R4 | an unknown message goes to everyone |
   | R6 | a boot time that began anew clears the system's routes |
   | R9 | a component that never spoke is reached where its system is |
@@ -203,18 +203,21 @@ defmodule Aerie.Router.Forward do
     end
   end
 
-  defp emit(%{plain: true} = to, batch, _tables, _way, _now), do: Out.emit(to, batch)
+  defp emit(%{plain: true} = to, batch, _tables, way, _now), do: out(to, batch, way)
 
   defp emit(to, batch, tables, way, _now) do
     # What passes here is a batch of its own, whose bytes no other way can use.
     _ =
       case Enum.filter(batch.frames, &passes?(&1, to, tables, way)) do
         [] -> :ok
-        frames -> Out.emit(to, Batch.new(frames))
+        frames -> out(to, Batch.new(frames), way)
       end
 
     batch
   end
+
+  defp out(%{side: :vehicle} = to, batch, %{sign: true}), do: Out.to_be_signed(to, batch)
+  defp out(to, batch, _way), do: Out.emit(to, batch)
 
   defp passes?(frame, to, tables, way) do
     cond do

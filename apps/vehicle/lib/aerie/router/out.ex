@@ -62,6 +62,24 @@ defmodule Aerie.Router.Out do
 
   defp write_out(_nowhere, batch), do: batch
 
+  @doc """
+  Sends a batch by the link's process, which signs what is unsigned (`Aerie.Signing.Seal.placeholder/1`) when it writes it,
+  because time stamps must go out in their order.
+  """
+  @spec to_be_signed(way, Batch.t()) :: Batch.t()
+  def to_be_signed(%{out: out, pid: pid, key: {_owner, peer}} = way, batch)
+      when is_pid(pid) and peer != :self and out != nil do
+    batch = Batch.classed(batch)
+
+    Enum.each(batch.runs, fn {class, frames, n} ->
+      message(way, pid, peer, class, Enum.map(frames, &Aerie.Signing.placeholder/1), n)
+    end)
+
+    batch
+  end
+
+  def to_be_signed(way, batch), do: emit(way, batch)
+
   @doc "Sends bytes of so many whole frames and of one class."
   @spec bytes(way, iodata, Aerie.Router.Classify.class(), pos_integer) :: :ok
   def bytes(%{out: {:udp, socket, to}} = way, bytes, _class, n),

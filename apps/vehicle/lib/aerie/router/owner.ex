@@ -15,6 +15,7 @@ defmodule Aerie.Router.Owner do
   | `:bytes_per_s` | budget of what goes out to each of its peers; default none, a serial line's own |
   | `:queue` | `[max_frames:, max_bytes:]` of what waits for one peer (`Aerie.Router.Queue`) |
   | `:coalesce` | several frames that are there at the same time may share a datagram; default true |
+  | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
   | `:broadcasts` | false: only what is addressed to it; default true |
   | `:high_latency` | true: only what a link of high latency carries goes to it (X6), unless `:out` says itself which messages may |
   """
@@ -36,6 +37,7 @@ defmodule Aerie.Router.Owner do
     carry: %{},
     role: :full,
     sniffer: false,
+    sign: false,
     queue: [],
     coalesce: true,
     broadcasts: true,
@@ -57,6 +59,7 @@ defmodule Aerie.Router.Owner do
           carry: %{Classify.class() => String.t() | :all},
           role: :full | :read_only,
           sniffer: boolean,
+          sign: boolean,
           queue: keyword,
           coalesce: boolean,
           broadcasts: boolean,
@@ -66,7 +69,7 @@ defmodule Aerie.Router.Owner do
         }
 
   @keys [:side, :networks, :group, :carry, :role, :sniffer, :in, :out, :rate_limits, :bytes_per_s, :queue] ++
-          [:coalesce, :broadcasts, :high_latency]
+          [:coalesce, :broadcasts, :high_latency, :sign]
 
   @doc "The keys of options."
   @spec keys() :: [atom]
@@ -86,14 +89,19 @@ defmodule Aerie.Router.Owner do
         {:error, words} -> {:halt, {:error, "#{key}: #{words}"}}
       end
     end)
+    |> whole()
   end
+
+  # Who comes by a radio must sign for himself.
+  defp whole({:ok, %{sign: true, side: :vehicle}}), do: {:error, "sign: only a client can be signed for"}
+  defp whole(result), do: result
 
   defp option(:side, side) when side in [:vehicle, :client], do: {:ok, side: side}
   defp option(:role, role) when role in [:full, :read_only], do: {:ok, role: role}
   defp option(:group, group) when is_binary(group), do: {:ok, group: group}
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 
-  defp option(key, flag) when key in [:sniffer, :coalesce, :broadcasts, :high_latency] and is_boolean(flag),
+  defp option(key, flag) when key in [:sniffer, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
     do: {:ok, [{key, flag}]}
 
   defp option(key, spec) when key in [:in, :out],

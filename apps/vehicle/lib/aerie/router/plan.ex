@@ -15,7 +15,7 @@ defmodule Aerie.Router.Plan do
   defmodule Way do
     @moduledoc """
     One endpoint with the rules of its owner. `plain`: every frame passes. `recorded`: the gateway, for a way to vehicles
-    that is written to past its link's process.
+    that is written to past its link's process. `pid`: the process of the link or client. `sign`: `Aerie.Router.Owner`.
     """
 
     @enforce_keys [:key, :owner, :side, :networks]
@@ -32,7 +32,8 @@ defmodule Aerie.Router.Plan do
                 :filter,
                 :limits,
                 :heard_vehicle,
-                :recorded
+                :recorded,
+                :pid
               ] ++
                 [
                   plain: true,
@@ -40,6 +41,7 @@ defmodule Aerie.Router.Plan do
                   carry: %{},
                   role: :full,
                   sniffer: false,
+                  sign: false,
                   coalesce: true,
                   broadcasts: true,
                   high_latency: false
@@ -64,6 +66,8 @@ defmodule Aerie.Router.Plan do
             carry: map,
             role: :full | :read_only,
             sniffer: boolean,
+            sign: boolean,
+            pid: pid | nil,
             coalesce: boolean,
             broadcasts: boolean,
             high_latency: boolean
@@ -143,6 +147,8 @@ defmodule Aerie.Router.Plan do
       carry: owner.carry,
       role: owner.role,
       sniffer: owner.sniffer,
+      sign: owner.sign,
+      pid: endpoint.pid,
       coalesce: owner.coalesce,
       broadcasts: owner.broadcasts
     }

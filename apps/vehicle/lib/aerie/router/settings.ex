@@ -8,7 +8,7 @@ defmodule Aerie.Router.Settings do
   alias Aerie.Router.Classify
   alias Aerie.Router.Owner
 
-  @plain [:side, :group, :role, :sniffer, :rate_limits, :bytes_per_s, :broadcasts, :coalesce]
+  @plain [:side, :group, :role, :sniffer, :rate_limits, :bytes_per_s, :broadcasts, :coalesce, :sign]
 
   @doc "The options of `Owner.new/2` that a map of configuration keys has; keys that are left out or nil have none."
   @spec owner_options(map) :: {:ok, keyword} | {:error, String.t()}

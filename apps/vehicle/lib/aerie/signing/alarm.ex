@@ -4,8 +4,10 @@ defmodule Aerie.Signing.Alarm do
   `signing.rejected` of the vehicle that they claim to come from, if that is known.
   """
 
-  alias Aerie.{Fleet, Names, Vehicle}
-  alias Aerie.Signing.{Burst, Tables}
+  alias Aerie.{Fleet, Names}
+  alias Aerie.Signing.{Audit, Burst, Tables}
+
+  require Logger
 
   @max_sources 1024
   # However many sources somebody invents.
@@ -61,29 +63,26 @@ defmodule Aerie.Signing.Alarm do
         metadata
       )
 
+      Logger.warning(
+        "link #{source.id}: frames that claim to be of #{system}/#{component} are refused: " <>
+          Enum.map_join(reasons, ", ", fn {reason, n} -> "#{n} #{reason}" end)
+      )
+
       event(gateway, source, {system, component}, reasons, at)
     end
 
     :ok
   end
 
+  # Nobody to tell for a vehicle that is not known: then there is the telemetry, the log, and the link's snapshot.
   defp event(gateway, %{id: link, network: network}, {system, component}, reasons, at) do
-    key = {network, system}
+    data = %{
+      "link" => link,
+      "component" => component,
+      "reasons" => Map.new(reasons, fn {reason, n} -> {Atom.to_string(reason), n} end)
+    }
 
-    # Nobody to tell for a vehicle that is not known.
-    with %{id: id} <- Fleet.Store.vehicle(gateway, key),
-         events when is_pid(events) <- Names.whereis(gateway, :events, key) do
-      data = %{
-        "link" => link,
-        "component" => component,
-        "reasons" => Map.new(reasons, fn {reason, n} -> {Atom.to_string(reason), n} end)
-      }
-
-      at = at || System.os_time(:microsecond)
-      _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, "signing.rejected", data})
-      Vehicle.Events.wake(events)
-    else
-      _unknown -> :ok
-    end
+    at = at || System.os_time(:microsecond)
+    Audit.event(gateway, {network, system}, "signing.rejected", data, at)
   end
 end

@@ -53,10 +53,10 @@ defmodule Aerie.Signing.Guard do
   end
 
   @doc """
-  Signs the frames in `bytes` that are unsigned, of version 2 and from `own` (`{system, component}`); everything else stays
-  as it is (S10). Gives the bytes, how many frames were signed and how many of ours could not be.
+  Signs the frames in `bytes` that are unsigned, of version 2 and from `own` (`{system, component}`, or `:any`); everything
+  else stays as it is (S10). Gives the bytes, how many frames were signed and how many of those could not be.
   """
-  @spec sign(Signing.t(), binary, {non_neg_integer, 0..255}) ::
+  @spec sign(Signing.t(), binary, {non_neg_integer, 0..255} | :any) ::
           {iodata, signed :: non_neg_integer, unsigned :: non_neg_integer, Signing.t()}
   def sign(signing, bytes, own) do
     {frames, rest} = Wire.frames(bytes)
@@ -73,7 +73,18 @@ defmodule Aerie.Signing.Guard do
     {[out, rest], signed, unsigned, signing}
   end
 
-  defp one(%Frame{system: system, component: component, signature: nil} = frame, {system, component}, signing) do
+  defp one(%Frame{signature: nil} = frame, :any, signing), do: one(frame, signing)
+
+  defp one(
+         %Frame{system: system, component: component, signature: nil} = frame,
+         {system, component},
+         signing
+       ),
+       do: one(frame, signing)
+
+  defp one(_frame, _own, _signing), do: :foreign
+
+  defp one(frame, signing) do
     case frame do
       %Frame{version: 2, crc_extra: extra} when extra != nil ->
         {bytes, signing} = Signing.sign(signing, frame.bytes, extra)
@@ -83,6 +94,4 @@ defmodule Aerie.Signing.Guard do
         :unsigned
     end
   end
-
-  defp one(_frame, _own, _signing), do: :foreign
 end

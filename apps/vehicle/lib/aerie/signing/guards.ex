@@ -29,8 +29,25 @@ defmodule Aerie.Signing.Guards do
   defp restore(gateway, tables, link, scope) do
     case :ets.lookup(tables.stored, {link, scope.id}) do
       [{_key, timestamp, streams}] -> make(gateway, tables, link, scope, timestamp, streams)
-      [] -> make(gateway, tables, link, scope, 0, %{})
+      [] -> make(gateway, tables, link, scope, latest(tables, link), %{})
     end
+  end
+
+  # A vehicle that gets a key of its own has heard time stamps under another one: ours go on from there.
+  defp latest(tables, link) do
+    tables.guards
+    |> :ets.select([{{{link, :_}, :_, :"$1"}, [], [:"$1"]}])
+    |> Enum.reduce(0, &max(Signing.timestamp(&1), &2))
+  end
+
+  @doc "Whether a frame's signature is right by a key that is not in force; nothing is kept of it."
+  @spec proves?(Tables.t(), String.t(), Scope.t(), MavCodec.Frame.t()) :: boolean
+  def proves?(_tables, _link, %Scope{secret: nil}, _frame), do: false
+
+  def proves?(tables, link, scope, frame) do
+    clock = Tables.setting(tables, :clock, &__MODULE__.now/0)
+    signing = Signing.new(Secret.reveal(scope.secret), clock: clock, stored: latest(tables, link))
+    match?({:signed, _signing}, Signing.check(signing, frame))
   end
 
   defp make(gateway, tables, link, scope, timestamp, streams) do
@@ -74,14 +91,14 @@ defmodule Aerie.Signing.Guards do
   end
 
   @doc "A time stamp of now for a link and a scope, not below what it has used; does not use it up."
-  @spec timestamp(Tables.t(), String.t(), Scope.t()) :: Signing.timestamp()
+  @spec timestamp(Tables.t(), String.t(), Scope.t() | nil) :: Signing.timestamp()
   def timestamp(tables, link, scope) do
     clock = Tables.setting(tables, :clock, &__MODULE__.now/0)
     now = Signing.timestamp(Signing.new(<<0::256>>, clock: clock))
 
-    case :ets.lookup(tables.guards, {link, scope.id}) do
+    case scope && :ets.lookup(tables.guards, {link, scope.id}) do
       [{_key, _generation, signing}] -> max(now, Signing.timestamp(signing))
-      [] -> now
+      _none -> max(now, latest(tables, link))
     end
   end
 
@@ -96,6 +113,7 @@ defmodule Aerie.Signing.Guards do
     end
 
     true = :ets.match_delete(tables.bad, {{link, :_, :_}, :_})
+    true = :ets.match_delete(tables.proven, {{link, :_}, :_})
     :ok
   end
 end

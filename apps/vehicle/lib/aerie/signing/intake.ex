@@ -1,64 +1,117 @@
 defmodule Aerie.Signing.Intake do
   @moduledoc """
-  What links do with what they receive, and with what they send: runs in the link's process.
+  What links do with what they receive: runs in the link's process.
 
   A read is judged frame by frame (`Aerie.Signing.Guard`), then counted once: who was verified, who came unsigned, what
   was refused and whether that is an alarm. Nothing is kept for the sender of a refused frame but a bounded count.
+
+  Two things are judged beyond a link's own memory. A frame that another link of the network heard of the same stream ten
+  seconds ago or longer is a replay, however new it is here (S3; the ten seconds are for redundant radios, of which one is
+  slower). And a signature that is wrong by the key in force may be right by the one that the vehicle is just being given
+  (`Aerie.Signing.Enrolment`): that proves that the vehicle has it.
   """
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
-  alias Aerie.Signing.{Alarm, Guard, Guards, Scope, Tables}
+  alias Aerie.Signing.{Alarm, Guard, Guards, Scope, Seal, Tables, Vault}
   alias MavCodec.Frame
 
   @max_sources 4096
+  # 10 s in units of 10 us.
+  @other_link 1_000_000
 
   @doc "The frames that are taken in, of those that a link received."
   @spec admit(Names.gateway(), Tables.t(), map, [Frame.t()]) :: [Frame.t()]
   def admit(gateway, tables, %{id: link, network: network} = source, frames) do
-    trust = Map.get(source, :trust, :radio)
-    start = %{kept: [], guards: %{}, tally: %{}}
+    acc = %{
+      gateway: gateway,
+      tables: tables,
+      link: link,
+      network: network,
+      trust: Map.get(source, :trust, :radio),
+      waited_for: :ets.info(tables.waiters, :size) > 0,
+      kept: [],
+      guards: %{},
+      tally: %{}
+    }
 
-    %{kept: kept, guards: guards, tally: tally} =
-      Enum.reduce(frames, start, fn frame, acc ->
-        judge(acc, gateway, tables, link, network, frame, trust)
-      end)
+    acc = Enum.reduce(frames, acc, &judge/2)
 
-    for {_system, {scope, signing, old}} <- guards,
-        signing != nil,
-        signing != old,
-        do: Guards.put(tables, link, scope, signing)
+    # Only right signatures change anything (S5).
+    for {_slot, {scope, signing, true}} <- acc.guards do
+      Guards.put(tables, link, scope, signing)
+      Seal.proved(tables, link, source[:peer], scope.id)
+    end
 
-    if tally != %{}, do: count(gateway, tables, source, tally, List.last(frames).at)
-    Enum.reverse(kept)
+    if acc.tally != %{}, do: count(gateway, tables, source, acc.tally, List.last(frames).at)
+    Enum.reverse(acc.kept)
   end
 
-  defp judge(acc, gateway, tables, link, network, frame, trust) do
-    {entry, acc} = guard(acc, gateway, tables, link, {network, frame.system})
+  defp judge(frame, acc) do
+    case guard(acc, frame.system) do
+      {nil, acc} ->
+        {verdict, _scope} = candidate({:no_scope, nil}, acc, frame)
+        if verdict == :no_scope, do: %{acc | kept: [frame | acc.kept]}, else: told(acc, frame, verdict, nil)
 
-    case entry do
-      nil ->
-        %{acc | kept: [frame | acc.kept]}
-
-      {scope, signing, old} ->
-        {verdict, signing} = Guard.check(scope, signing, frame, trust)
-        acc = put_in(acc.guards[slot(scope)], {scope, signing, old})
-        kept = if match?({:rejected, _}, verdict), do: acc.kept, else: [frame | acc.kept]
-        %{acc | kept: kept, tally: note(acc.tally, frame, verdict)}
+      {{scope, signing, moved?}, acc} ->
+        {verdict, signing} = Guard.check(scope, signing, frame, acc.trust)
+        acc = put_in(acc.guards[slot(scope)], {scope, signing, moved? or verdict == :verified})
+        {verdict, scope} = {elsewhere(verdict, acc, frame), scope} |> candidate(acc, frame)
+        told(acc, frame, verdict, scope)
     end
   end
 
+  defp told(acc, frame, verdict, scope) do
+    if acc.waited_for, do: tell(acc, frame, verdict, scope)
+    kept = if match?({:rejected, _}, verdict), do: acc.kept, else: [frame | acc.kept]
+    %{acc | kept: kept, tally: note(acc.tally, frame, verdict)}
+  end
+
+  defp elsewhere(:verified, acc, %{signature: signature} = frame) do
+    %{tables: %{newest: newest}} = acc
+    stream = {acc.network, signature.link_id, frame.system, frame.component}
+    last = :ets.lookup_element(newest, stream, 2, 0)
+
+    cond do
+      signature.timestamp > last ->
+        :ets.insert(newest, {stream, signature.timestamp})
+        :verified
+
+      last - signature.timestamp > @other_link ->
+        {:rejected, :replayed}
+
+      true ->
+        :verified
+    end
+  end
+
+  defp elsewhere(verdict, _acc, _frame), do: verdict
+
+  # Only where the key in force does not fit, so this costs nothing as long as all is well.
+  defp candidate({verdict, scope}, acc, %Frame{signature: signature} = frame)
+       when signature != nil and verdict in [:no_scope, {:rejected, :wrong_signature}, {:rejected, :no_key}] do
+    with %Scope{} = candidate <- Tables.candidate(acc.tables, {acc.network, frame.system}),
+         true <- Guards.proves?(acc.tables, acc.link, candidate, frame) do
+      Vault.proven(acc.gateway, candidate)
+      {:verified, candidate}
+    else
+      _other -> {verdict, scope}
+    end
+  end
+
+  defp candidate(judged, _acc, _frame), do: judged
+
   # One look at the tables for each scope in a read. Slots are scopes, and systems that have none.
-  defp guard(acc, gateway, tables, link, {_network, system} = key) do
+  defp guard(acc, system) do
     with :error <- Map.fetch(acc.guards, {:of, system}) do
-      scope = Tables.scope(tables, key)
+      scope = Tables.scope(acc.tables, {acc.network, system})
       acc = put_in(acc.guards[{:of, system}], scope && slot(scope))
 
       if scope == nil or is_map_key(acc.guards, slot(scope)) do
-        guard(acc, gateway, tables, link, key)
+        guard(acc, system)
       else
-        signing = Guards.get(gateway, tables, link, scope)
-        guard(put_in(acc.guards[slot(scope)], {scope, signing, signing}), gateway, tables, link, key)
+        signing = Guards.get(acc.gateway, acc.tables, acc.link, scope)
+        guard(put_in(acc.guards[slot(scope)], {scope, signing, false}), system)
       end
     else
       {:ok, nil} -> {nil, acc}
@@ -90,12 +143,10 @@ defmodule Aerie.Signing.Intake do
         :verified ->
           heard(tables, key, 2, 4, n, at)
           Store.count(gateway, {:signing, source.id, :verified}, n)
-          tell(tables, key, :verified, source.id)
 
         :unsigned ->
           heard(tables, key, 3, 5, n, at)
           Store.count(gateway, {:signing, source.id, :unsigned}, n)
-          tell(tables, key, :unsigned, source.id)
       end
     end
 
@@ -111,34 +162,19 @@ defmodule Aerie.Signing.Intake do
     :ok
   end
 
-  defp tell(tables, key, what, link) do
-    if :ets.info(tables.waiters, :size) > 0 do
-      Enum.each(:ets.lookup(tables.waiters, key), fn {_key, pid, reference} ->
-        send(pid, {reference, what, link})
-      end)
+  # Enrolments are told by which key it was verified, so that the last frames under the old one prove nothing.
+  defp tell(acc, frame, verdict, scope) do
+    what =
+      case verdict do
+        :verified -> {:verified, scope.generation}
+        verdict when verdict in [:unsigned, :secure, {:rejected, :unsigned}] -> :unsigned
+        _other -> nil
+      end
+
+    if what do
+      for {_key, pid, reference} <- :ets.lookup(acc.tables.waiters, {acc.network, frame.system}) do
+        send(pid, {reference, what, acc.link, frame.component})
+      end
     end
   end
-
-  @doc """
-  The bytes that go out in place of `bytes`, which are for a system of a network (nil: for all of them), or to be signed
-  for that very scope.
-  """
-  @spec seal(Names.gateway(), String.t(), {String.t(), non_neg_integer | nil} | Scope.t(), iodata) :: iodata
-  def seal(gateway, link, key, bytes) do
-    with tables when is_map(tables) <- Tables.active(gateway),
-         %Scope{policy: policy} = scope when policy != :off <- scope(tables, key),
-         signing when signing != nil <- Guards.get(gateway, tables, link, scope) do
-      own = Tables.setting(tables, :own, nil)
-      {bytes, signed, unsigned, signing} = Guard.sign(signing, IO.iodata_to_binary(bytes), own)
-      Guards.put(tables, link, scope, signing)
-      _ = if signed > 0, do: Store.count(gateway, {:signing, link, :signed}, signed)
-      _ = if unsigned > 0, do: Store.count(gateway, {:signing, link, :not_signed}, unsigned)
-      bytes
-    else
-      _no_key -> bytes
-    end
-  end
-
-  defp scope(_tables, %Scope{} = scope), do: scope
-  defp scope(tables, key), do: Tables.scope(tables, key)
 end

@@ -11,7 +11,7 @@ defmodule Aerie.Signing.Scope do
   """
 
   alias Aerie.Config.Secret
-  alias Aerie.Signing.Key
+  alias Aerie.Signing.{Key, KeyFiles}
 
   @radio_status 109
 
@@ -38,10 +38,50 @@ defmodule Aerie.Signing.Scope do
           generation: integer
         }
 
-  @doc "The scopes of a configuration, their keys read."
-  @spec all(map | nil) :: [t]
-  def all(%{signing: %{keys: keys}} = config), do: Enum.map(keys, &one(&1, Map.get(config, :network, "main")))
-  def all(_none), do: []
+  @doc """
+  The scopes of a configuration, their keys read, and those of the keys that vehicles were given (`Aerie.Signing.KeyFiles`
+  in `dir`), which win: the vehicle has that key, whatever the configuration says. The third are keys that vehicles may
+  have been given.
+  """
+  @spec all(map | nil, Path.t() | nil) :: {configured :: [t], given :: [t], candidates :: [t]}
+  def all(config, dir) do
+    configured = configured(config)
+
+    given =
+      for key <- KeyFiles.list(dir, :current), do: given(key, KeyFiles.read(dir, key, :current), configured)
+
+    candidates =
+      for key <- KeyFiles.list(dir, :next), do: given(key, KeyFiles.read(dir, key, :next), configured)
+
+    {configured, given, candidates}
+  end
+
+  @doc "Those that are in force: what vehicles were given wins."
+  @spec in_force([t], [t]) :: [t]
+  def in_force(configured, given) do
+    ids = Enum.map(given, & &1.id)
+    given ++ Enum.reject(configured, &(&1.id in ids))
+  end
+
+  defp configured(%{signing: %{keys: keys}} = config),
+    do: Enum.map(keys, &one(&1, Map.get(config, :network, "main")))
+
+  defp configured(_none), do: []
+
+  @doc "The scope of a key that a vehicle was given: policy and exceptions are those that held for the vehicle before."
+  @spec given(id, {:ok, Secret.t()} | {:error, String.t()}, [t]) :: t
+  def given({network, _system} = id, read, scopes) do
+    base =
+      Enum.find(scopes, &(&1.id == id)) || Enum.find(scopes, &(&1.id == {network, :any})) ||
+        %__MODULE__{id: id}
+
+    base = %{base | id: id, secret: nil, error: nil, source: "enrolment"}
+
+    case read do
+      {:ok, secret} -> renewed(%{base | secret: secret})
+      {:error, reason} -> renewed(%{base | error: reason})
+    end
+  end
 
   defp one(entry, network) do
     {place, source} = source(entry)

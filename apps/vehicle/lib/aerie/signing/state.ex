@@ -2,7 +2,7 @@ defmodule Aerie.Signing.State do
   @moduledoc """
   The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new one.
 
-      {"version": 1, "link_ids": {"radio-1": 0},
+      {"version": 1, "at": 1795..., "link_ids": {"radio-1": 0},
        "links": [{"link": "radio-1", "network": "main", "system": null, "timestamp": 1187..., "streams": [[0, 1, 1, 1187...]]}]}
   """
 
@@ -14,12 +14,13 @@ defmodule Aerie.Signing.State do
 
   @type stored :: %{
           link_ids: %{String.t() => 0..255},
+          at: integer | nil,
           entries: [{{String.t(), Aerie.Signing.Scope.id()}, Signing.timestamp(), map}]
         }
 
-  @doc "What there is to store as text; nil for nothing."
-  @spec encode(Tables.t()) :: binary | nil
-  def encode(tables) do
+  @doc "What there is to store; nil for nothing."
+  @spec collect(Tables.t()) :: term | nil
+  def collect(tables) do
     live =
       for {key, _generation, signing} <- :ets.tab2list(tables.guards), into: %{} do
         reserved = :ets.lookup_element(tables.reserved, key, 2, 0)
@@ -35,8 +36,14 @@ defmodule Aerie.Signing.State do
 
     if entries != [] do
       ids = for {{:link_id, link}, number} <- :ets.tab2list(tables.settings), into: %{}, do: {link, number}
-      JSON.encode!(%{"version" => 1, "link_ids" => ids, "links" => Enum.map(entries, &entry/1)})
+      {ids, entries}
     end
+  end
+
+  @doc "The same as text, written at a unix time in microseconds."
+  @spec encode(term, integer) :: binary
+  def encode({ids, entries}, at) do
+    JSON.encode!(%{"version" => 1, "at" => at, "link_ids" => ids, "links" => Enum.map(entries, &entry/1)})
   end
 
   defp entry({{link, {network, system}}, {timestamp, streams}}) do
@@ -56,16 +63,17 @@ defmodule Aerie.Signing.State do
     case File.read(path) do
       {:ok, text} when byte_size(text) <= @max_bytes -> decode(text, path)
       {:ok, _long} -> {:error, "#{path} is longer than such a file can be"}
-      {:error, :enoent} -> {:ok, %{link_ids: %{}, entries: []}}
+      {:error, :enoent} -> {:ok, %{at: nil, link_ids: %{}, entries: []}}
       {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
     end
   end
 
   defp decode(text, path) do
     case JSON.decode(text) do
-      {:ok, %{"version" => 1, "link_ids" => %{} = ids, "links" => links}} when is_list(links) ->
+      {:ok, %{"version" => 1, "link_ids" => %{} = ids, "links" => links} = stored} when is_list(links) ->
         ids = for {link, n} <- ids, n in 0..255, into: %{}, do: {link, n}
-        {:ok, %{link_ids: ids, entries: Enum.flat_map(links, &entry_of/1)}}
+        at = if is_integer(stored["at"]), do: stored["at"]
+        {:ok, %{at: at, link_ids: ids, entries: Enum.flat_map(links, &entry_of/1)}}
 
       _other ->
         {:error, "#{path} is damaged"}
@@ -93,23 +101,36 @@ defmodule Aerie.Signing.State do
     dir = Path.dirname(path)
     beside = path <> ".new"
 
-    with :ok <- make(dir),
+    with :ok <- folder(dir),
          {:ok, file} <- :file.open(beside, [:write, :raw, :binary]),
          :ok <- fill(file, beside, bytes),
          :ok <- :file.rename(beside, path) do
-      :ok
+      sync(dir)
     else
-      {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
+      {:error, reason} when is_atom(reason) -> {:error, "#{path}: #{:file.format_error(reason)}"}
+      {:error, words} -> {:error, words}
     end
   end
 
-  defp make(dir) do
+  # That the new name is in the folder must be on the disk, too. Where folders cannot be opened it has to be good enough.
+  defp sync(dir) do
+    with {:ok, folder} <- :file.open(dir, [:read, :raw, :directory]) do
+      _ = :file.sync(folder)
+      :file.close(folder)
+    end
+
+    :ok
+  end
+
+  @doc "Makes a folder for its owner only; one that is there stays as it is."
+  @spec folder(Path.t()) :: :ok | {:error, String.t()}
+  def folder(dir) do
     with false <- File.dir?(dir), :ok <- File.mkdir_p(dir) do
       _ = File.chmod(dir, 0o700)
       :ok
     else
       true -> :ok
-      error -> error
+      {:error, reason} -> {:error, "#{dir}: #{:file.format_error(reason)}"}
     end
   end
 

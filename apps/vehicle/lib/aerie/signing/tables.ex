@@ -10,9 +10,12 @@ defmodule Aerie.Signing.Tables do
   - `:sources` `{vehicle key, verified_us, unsigned_us, verified, unsigned, rejected}`
   - `:bad` `{{link, system, component}, Aerie.Signing.Burst}`
   - `:waiters` `{vehicle key, pid, reference}`: enrolments that wait for a signed frame
+  - `:candidates` `{vehicle key, Aerie.Signing.Scope}`: keys that vehicles may have been given, not yet proven
+  - `:proven` `{{link, peer}, [{scope id, monotonic s}]}`: which keys a peer has (`Aerie.Signing.Seal`)
+  - `:newest` `{{network, link id, system, component}, time stamp}`: the last one of a stream by any link
   - `:settings` `{name, value}`
 
-  `active` is 1 while there is any scope: without one, a read costs one look at it.
+  `active` is 1 while there is any scope or candidate: without one, a read costs one look at it.
   """
 
   alias Aerie.Names
@@ -26,6 +29,9 @@ defmodule Aerie.Signing.Tables do
           sources: :ets.table(),
           bad: :ets.table(),
           waiters: :ets.table(),
+          candidates: :ets.table(),
+          proven: :ets.table(),
+          newest: :ets.table(),
           settings: :ets.table(),
           active: :atomics.atomics_ref()
         }
@@ -36,7 +42,8 @@ defmodule Aerie.Signing.Tables do
     shared = [:set, :public, read_concurrency: true, write_concurrency: true]
 
     tables =
-      [:scopes, :guards, :stored, :reserved, :sources, :bad, :waiters, :settings]
+      ([:scopes, :guards, :stored, :reserved, :sources, :bad, :waiters, :settings] ++
+         [:candidates, :proven, :newest])
       |> Map.new(&{&1, :ets.new(&1, shared)})
       |> Map.put(:active, :atomics.new(1, signed: false))
 
@@ -66,17 +73,40 @@ defmodule Aerie.Signing.Tables do
          do: :ets.lookup_element(tables.scopes, {network, :any}, 2, nil)
   end
 
+  @doc "The key that a vehicle may have been given and has not proven yet."
+  @spec candidate(t, {String.t(), non_neg_integer}) :: Scope.t() | nil
+  def candidate(tables, key) do
+    if :ets.info(tables.candidates, :size) > 0, do: :ets.lookup_element(tables.candidates, key, 2, nil)
+  end
+
   @doc "Puts a scope in the place of what had its id."
   @spec put_scope(t, Scope.t()) :: :ok
   def put_scope(tables, scope) do
     :ets.insert(tables.scopes, {scope.id, scope})
-    :atomics.put(tables.active, 1, 1)
+    activate(tables)
   end
 
   @doc "Takes a scope away."
   @spec delete_scope(t, Scope.id()) :: :ok
   def delete_scope(tables, id) do
     :ets.delete(tables.scopes, id)
-    :atomics.put(tables.active, 1, if(:ets.info(tables.scopes, :size) > 0, do: 1, else: 0))
+    activate(tables)
+  end
+
+  @doc "Puts a candidate in the place of the one that the vehicle had, or takes it away (nil)."
+  @spec put_candidate(t, Scope.id(), Scope.t() | nil) :: :ok
+  def put_candidate(tables, id, nil) do
+    :ets.delete(tables.candidates, id)
+    activate(tables)
+  end
+
+  def put_candidate(tables, id, scope) do
+    :ets.insert(tables.candidates, {id, scope})
+    activate(tables)
+  end
+
+  defp activate(tables) do
+    any = :ets.info(tables.scopes, :size) + :ets.info(tables.candidates, :size)
+    :atomics.put(tables.active, 1, min(any, 1))
   end
 end

@@ -1,22 +1,31 @@
 defmodule Aerie.Signing.Vault do
   @moduledoc """
-  Reads the keys when the gateway starts, and keeps the time stamps in a file: twice a minute and whenever a link reaches
-  what it had reserved, so that no time stamp is used twice and nothing that was received is accepted again after a restart
-  or `kill -9`, with or without a clock (S6).
+  Reads the keys when the gateway starts, keeps those that vehicles were given (`Aerie.Signing.KeyFiles`), and keeps the
+  time stamps in a file: twice a minute and whenever a link reaches what it had reserved, so that no time stamp is used twice
+  after a restart or `kill -9`, with or without a clock (S6).
+
+  Nothing that was received is accepted again after an orderly end (S3). After `kill -9` the file may lack the last half
+  minute: a stream then goes on where it must have been by now, as far as the clock tells, less two seconds. So at most the
+  last two seconds before the kill could be played again, and a vehicle whose clock stood still meanwhile is refused for
+  half a minute at most.
 
   The file (`signing.dir/timestamps.json`, mode 0600) has no keys in it: link ids, time stamps, streams. Nothing waits for
-  the disk: links reserve half a minute ahead and go on. When it cannot be written, that is told (`status/1`, telemetry
-  `[:aerie, :signing, :not_stored]`) and tried again.
+  the disk: links reserve half a minute ahead and go on. When it cannot be written, that is told (`Aerie.Signing.list/1`,
+  telemetry `[:aerie, :signing, :not_stored]`) and tried again.
   """
   use GenServer
 
+  alias Aerie.Config.Secret
   alias Aerie.Names
-  alias Aerie.Signing.{Key, Scope, State, Tables}
+  alias Aerie.Signing.{Guards, Key, KeyFiles, Scope, State, Tables}
 
   require Logger
 
   @every_ms 25_000
   @soon_ms 50
+  # Units of 10 us: how much may be missing from the file, and how exactly streams keep time.
+  @missing 3_000_000
+  @slack 200_000
 
   @doc "Options: `:gateway`, `:config`, `:dir`."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -34,13 +43,35 @@ defmodule Aerie.Signing.Vault do
     :ok
   end
 
-  @doc "Puts a scope in the place of the one with its id."
-  @spec adopt(Names.gateway(), Scope.t()) :: :ok
-  def adopt(gateway, scope), do: GenServer.call(Names.via(gateway, :signing_vault), {:adopt, scope})
+  @doc """
+  Keeps a key that a vehicle is about to be given: on the disk first, so that it is known whatever happens. `:generate`
+  makes one, or takes the one that was made before and never proven; `:previous` takes the one before the present one.
+  """
+  @spec stage(Names.gateway(), Scope.id(), Secret.t() | :generate | :previous) ::
+          {:ok, Scope.t()} | {:error, String.t()}
+  def stage(gateway, id, key), do: call(gateway, {:stage, id, key})
 
-  @doc "Takes a scope away that was put there by `adopt/2`."
-  @spec drop(Names.gateway(), Scope.id()) :: :ok
-  def drop(gateway, id), do: GenServer.call(Names.via(gateway, :signing_vault), {:drop, id})
+  @doc "A frame was signed with a candidate's key: it is in force from now on. Returns at once."
+  @spec proven(Names.gateway(), Scope.t()) :: :ok
+  def proven(gateway, candidate), do: GenServer.cast(Names.via(gateway, :signing_vault), {:proven, candidate})
+
+  @doc "Waits until what was said by `proven/2` is done."
+  @spec settle(Names.gateway()) :: :ok | {:error, String.t()}
+  def settle(gateway), do: call(gateway, :settle)
+
+  @doc "Forgets a candidate: the vehicle has not got it for sure."
+  @spec discard(Names.gateway(), Scope.id()) :: :ok | {:error, String.t()}
+  def discard(gateway, id), do: call(gateway, {:discard, id})
+
+  @doc "Forgets the key that a vehicle was given; what the configuration says holds again."
+  @spec retire(Names.gateway(), Scope.id()) :: :ok | {:error, String.t()}
+  def retire(gateway, id), do: call(gateway, {:retire, id})
+
+  defp call(gateway, request) do
+    GenServer.call(Names.via(gateway, :signing_vault), request)
+  catch
+    :exit, _reason -> {:error, "the keeper of keys does not answer; try again"}
+  end
 
   @doc "Reads all keys again. A key that cannot be read now does not replace one that could."
   @spec reload(Names.gateway()) :: [{Scope.id(), :same | :changed | {:error, String.t()}}]
@@ -60,7 +91,7 @@ defmodule Aerie.Signing.Vault do
     state = %{gateway: gateway, tables: tables, config: config, dir: dir(config), saved: nil, soon: false}
 
     # After a crash of this process the tables are still there.
-    if :ets.insert_new(tables.settings, {:read, true}), do: begin(state, Scope.all(config))
+    if :ets.insert_new(tables.settings, {:read, true}), do: begin(state, Scope.all(config, state.dir))
     Process.send_after(self(), :save, @every_ms)
     {:ok, state}
   end
@@ -68,12 +99,14 @@ defmodule Aerie.Signing.Vault do
   defp dir(%{signing: %{dir: dir}}) when is_binary(dir), do: dir
   defp dir(_none), do: "var/signing"
 
-  defp begin(_state, []), do: :ok
+  defp begin(_state, {[], [], []}), do: :ok
 
-  defp begin(state, scopes) do
-    for %Scope{error: error} = scope when error != nil <- scopes,
+  defp begin(state, {configured, given, candidates}) do
+    for %Scope{error: error} = scope when error != nil <- Scope.in_force(configured, given),
         do:
           Logger.error("signing of #{Scope.name(scope.id)}: #{error}; nothing signed is accepted from there")
+
+    warn(configured, given, state.dir)
 
     case State.read(file(state)) do
       {:ok, stored} ->
@@ -83,20 +116,76 @@ defmodule Aerie.Signing.Vault do
         Logger.error("time stamps of signed links are lost, the clock has to do: #{reason}")
     end
 
-    Enum.each(scopes, &Tables.put_scope(state.tables, &1))
+    Enum.each(Scope.in_force(configured, given), &Tables.put_scope(state.tables, &1))
+
+    for %Scope{secret: %Secret{}} = scope <- candidates,
+        do: Tables.put_candidate(state.tables, scope.id, scope)
+
+    :ok
+  end
+
+  defp warn(configured, given, dir) do
+    for %Scope{id: id, secret: secret} <- given,
+        other = Enum.find(configured, &(&1.id == id)),
+        not Key.same?(secret, other.secret) do
+      Logger.warning(
+        "signing of #{Scope.name(id)}: the key of the configuration (#{other.source}) is not used, because the vehicle was " <>
+          "given another one. Remove #{KeyFiles.path(dir, id, :current)} to use it."
+      )
+    end
   end
 
   defp restore(tables, stored) do
     for {link, number} <- stored.link_ids, do: :ets.insert(tables.settings, {{:link_id, link}, number})
     highest = stored.link_ids |> Map.values() |> Enum.max(fn -> -1 end)
     :ets.insert(tables.settings, {:next_link_id, highest})
-    for {key, timestamp, streams} <- stored.entries, do: :ets.insert(tables.stored, {key, timestamp, streams})
+    passed = passed(tables, stored.at)
+
+    for {key, timestamp, streams} <- stored.entries do
+      streams = Map.new(streams, fn {stream, last} -> {stream, last + passed} end)
+      :ets.insert(tables.stored, {key, timestamp, streams})
+    end
+
     :ok
   end
 
+  # What streams must have gone on since the file was written, in units of 10 us.
+  defp passed(_tables, nil), do: 0
+
+  defp passed(tables, at),
+    do: (clock(tables) - at) |> div(10) |> max(0) |> min(@missing) |> Kernel.-(@slack) |> max(0)
+
+  defp clock(tables), do: Tables.setting(tables, :clock, &Guards.now/0).()
+
   @impl GenServer
-  def handle_call({:adopt, scope}, _from, state), do: {:reply, Tables.put_scope(state.tables, scope), state}
-  def handle_call({:drop, id}, _from, state), do: {:reply, Tables.delete_scope(state.tables, id), state}
+  def handle_call({:stage, id, key}, _from, state) do
+    with {:ok, secret} <- secret(state, id, key),
+         :ok <- KeyFiles.write(state.dir, id, :next, secret) do
+      scope = Scope.given(id, {:ok, secret}, scopes(state))
+      Tables.put_candidate(state.tables, id, scope)
+      {:reply, {:ok, scope}, state}
+    else
+      {:error, reason} -> {:reply, {:error, reason}, state}
+    end
+  end
+
+  def handle_call(:settle, _from, state), do: {:reply, :ok, state}
+
+  def handle_call({:discard, id}, _from, state) do
+    Tables.put_candidate(state.tables, id, nil)
+    {:reply, KeyFiles.remove(state.dir, id, :next), state}
+  end
+
+  def handle_call({:retire, id}, _from, state) do
+    {configured, _given, _candidates} = Scope.all(state.config, nil)
+
+    case Enum.find(configured, &(&1.id == id)) do
+      nil -> Tables.delete_scope(state.tables, id)
+      scope -> Tables.put_scope(state.tables, scope)
+    end
+
+    {:reply, KeyFiles.retire(state.dir, id), state}
+  end
 
   def handle_call(:save, _from, state) do
     {result, state} = write(state)
@@ -104,8 +193,49 @@ defmodule Aerie.Signing.Vault do
   end
 
   def handle_call(:reload, _from, state) do
-    {:reply, Enum.map(Scope.all(state.config), &{&1.id, reload(&1, state)}), state}
+    {configured, given, _candidates} = Scope.all(state.config, state.dir)
+    {:reply, configured |> Scope.in_force(given) |> Enum.map(&{&1.id, reload(&1, state)}), state}
   end
+
+  @impl GenServer
+  def handle_cast({:proven, %Scope{id: id, generation: generation} = candidate}, state) do
+    case Tables.candidate(state.tables, id) do
+      %Scope{generation: ^generation} -> {:noreply, promote(state, candidate)}
+      # Many frames prove it; one is enough.
+      _done -> {:noreply, state}
+    end
+  end
+
+  defp promote(state, %Scope{id: id} = candidate) do
+    former = Tables.scope(state.tables, id)
+
+    # In force whatever the disk says: the vehicle has this key and no other.
+    case KeyFiles.promote(state.dir, id, candidate.secret, former && former.secret) do
+      :ok -> :ok
+      {:error, reason} -> Logger.error("signing of #{Scope.name(id)}: its key cannot be kept: #{reason}")
+    end
+
+    Tables.put_scope(state.tables, candidate)
+    Tables.put_candidate(state.tables, id, nil)
+    Logger.notice("signing of #{Scope.name(id)}: the vehicle signs with the key that it was given")
+    state
+  end
+
+  defp secret(_state, _id, %Secret{} = secret), do: {:ok, secret}
+
+  defp secret(state, id, :generate) do
+    case Tables.candidate(state.tables, id) do
+      %Scope{secret: %Secret{} = secret} -> {:ok, secret}
+      nil -> {:ok, Key.generate()}
+    end
+  end
+
+  defp secret(state, id, :previous) do
+    with {:error, reason} <- KeyFiles.read(state.dir, id, :previous),
+         do: {:error, "there is no key from before: #{reason}"}
+  end
+
+  defp scopes(state), do: for({_id, scope} <- :ets.tab2list(state.tables.scopes), do: scope)
 
   defp reload(%Scope{error: error}, _state) when error != nil, do: {:error, error}
 
@@ -145,18 +275,23 @@ defmodule Aerie.Signing.Vault do
   def terminate(_reason, state), do: write(state)
 
   defp write(state) do
-    bytes = State.encode(state.tables)
+    found = State.collect(state.tables)
 
     cond do
-      bytes == nil or bytes == state.saved ->
+      found == nil or found == state.saved ->
         {:ok, state}
 
       true ->
-        case State.write(file(state), bytes) do
-          :ok -> {:ok, %{state | saved: bytes}}
+        case State.write(file(state), State.encode(found, clock(state.tables))) do
+          :ok -> {stored(state), %{state | saved: found}}
           {:error, reason} -> {not_stored(state, reason), state}
         end
     end
+  end
+
+  defp stored(state) do
+    :ets.delete(state.tables.settings, :not_stored)
+    :ok
   end
 
   defp not_stored(state, reason) do

@@ -31,7 +31,8 @@ defmodule Aerie.Vehicle.Event do
 
   @types ~w(armed disarmed mode_change takeoff landed failsafe geofence battery.low battery.critical
             link.lost link.restored reboot statustext param_changed mission.reached mission.completed
-            collision gcs_failsafe signing.rejected stream.contested gcs.lost gcs.restored)
+            collision gcs_failsafe signing.rejected signing.enrolled signing.revoked signing.failed
+            stream.contested gcs.lost gcs.restored)
 
   @doc "All event types."
   @spec types() :: [String.t()]

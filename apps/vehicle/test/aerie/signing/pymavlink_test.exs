@@ -10,6 +10,7 @@ defmodule Aerie.Signing.PymavlinkTest do
 
   @moduletag :python
   @moduletag :tmp_dir
+  @moduletag :capture_log
 
   defp state(gateway), do: Signing.vehicle(gateway, {"main", 7}).state
 

@@ -39,6 +39,12 @@ defmodule Aerie.Config.Keys.Clients do
         default: :full
       ),
       field(:sniffer, :boolean, "It gets what is addressed to others, too.", default: false),
+      field(
+        :sign,
+        :boolean,
+        "What it sends unsigned is believed, and signed for vehicles that ask for it (UNSAFE unless only you reach it).",
+        default: false
+      ),
       field(:coalesce, :boolean, "Several frames that are there at once may share a datagram.",
         default: true
       ),

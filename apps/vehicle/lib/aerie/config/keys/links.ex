@@ -19,8 +19,9 @@ defmodule Aerie.Config.Keys.Links do
         DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
         serial:DEVICE     serial port whose baud rate is found by listening
         serial:auto       the first serial port that a vehicle is heard on (see serial)
-      id (else the string), network, label, high_latency and enabled may be left out. secure: true marks a cable that
-      nobody else can hear: a vehicle may be given its signing key there, and is believed without one.
+      id (else the string), network, label, high_latency and enabled may be left out. secure: true (or
+      ?secure=true in the url) marks a cable that nobody else can hear: a vehicle may be given its signing key there, and
+      is believed without one.
       """,
       default: [],
       example:

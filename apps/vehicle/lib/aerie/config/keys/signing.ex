@@ -23,7 +23,10 @@ defmodule Aerie.Config.Keys.Signing do
         example:
           ~S([{network: main, system_id: 7, key_file: "/etc/aerie/keys/vid-007.key", policy: required}])
       ),
-      field(:dir, :path, "Folder of the time stamps of signed links; no keys are in it.",
+      field(
+        :dir,
+        :path,
+        "Folder of the time stamps of signed links, and of keys that vehicles were given (keys/, for its owner only).",
         default: "var/signing"
       )
     ])

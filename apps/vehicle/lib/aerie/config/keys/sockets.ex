@@ -22,6 +22,12 @@ defmodule Aerie.Config.Keys.Sockets do
         field(:state_hz, {:number, 0.1, 50}, "How often state.sock tells every vehicle's state.",
           default: 10.0
         ),
+        field(
+          :sign,
+          :boolean,
+          "What comes by mavlink.sock unsigned is believed, and signed for vehicles that ask for it.",
+          default: false
+        ),
         field(:max_clients, {:integer, 1, 10_000}, "Clients of each socket; further ones are refused.",
           default: 32
         )

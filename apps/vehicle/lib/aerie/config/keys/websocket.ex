@@ -19,6 +19,12 @@ defmodule Aerie.Config.Keys.Websocket do
         "Port. Taken: an error if given here, the next free one if not. 0: any free one.",
         default: 8765
       ),
+      field(
+        :sign,
+        :boolean,
+        "What clients with a key that may send do send unsigned is believed, and signed for vehicles that ask for it.",
+        default: false
+      ),
       field(:max_clients, {:integer, 1, 10_000}, "Clients at a time; further ones are refused.", default: 32),
       field(:cert_file, :path, "Certificate (PEM, with its chain); with it the server speaks wss only.",
         example: ~S("/etc/aerie/gateway.pem")

@@ -1,0 +1,49 @@
+defmodule Aerie.Signing.Audit do
+  @moduledoc """
+  Who gave which vehicle a key or took it away, by which link, and whether that was seen to work: an event of the vehicle
+  (`signing.enrolled`, `signing.revoked`, `signing.failed`; to NATS as any event), telemetry, and a line in the log. Nothing
+  of a key is in them (S9).
+  """
+
+  alias Aerie.{Fleet, Names, Vehicle}
+
+  require Logger
+
+  @doc "Tells of a result, and gives it back."
+  @spec told(result, map, :enrolled | :revoked) :: result when result: {:ok, map} | {:error, String.t()}
+  def told(result, %{key: {network, system}} = job, what) do
+    metadata = %{gateway: job.gateway, network: network, system: system, link: job.link, by: job.by}
+
+    case result do
+      {:ok, _map} ->
+        :telemetry.execute([:aerie, :signing, what], %{count: 1}, metadata)
+        Logger.notice("signing of #{network}/#{system}: #{what} by link #{job.link}, asked for by #{job.by}")
+        event(job, "signing.#{what}", %{})
+
+      {:error, reason} ->
+        metadata = Map.merge(metadata, %{what: what, reason: reason})
+        :telemetry.execute([:aerie, :signing, :failed], %{count: 1}, metadata)
+        Logger.warning("signing of #{network}/#{system}: not #{what} by link #{job.link}: #{reason}")
+        event(job, "signing.failed", %{"what" => Atom.to_string(what), "reason" => reason})
+    end
+
+    result
+  end
+
+  defp event(job, type, data) do
+    data = Map.merge(data, %{"link" => job.link, "component" => job.component, "by" => job.by})
+    event(job.gateway, job.key, type, data, System.os_time(:microsecond))
+  end
+
+  @doc "An event of a vehicle, if it is known."
+  @spec event(Names.gateway(), {String.t(), non_neg_integer}, String.t(), map, integer) :: :ok
+  def event(gateway, key, type, data, at) do
+    with %{id: id} <- Fleet.Store.vehicle(gateway, key),
+         events when is_pid(events) <- Names.whereis(gateway, :events, key) do
+      _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, type, data})
+      Vehicle.Events.wake(events)
+    end
+
+    :ok
+  end
+end

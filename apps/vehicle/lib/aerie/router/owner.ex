@@ -101,8 +101,9 @@ defmodule Aerie.Router.Owner do
   defp option(:group, group) when is_binary(group), do: {:ok, group: group}
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 
-  defp option(key, flag) when key in [:sniffer, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
-    do: {:ok, [{key, flag}]}
+  defp option(key, flag)
+       when key in [:sniffer, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
+       do: {:ok, [{key, flag}]}
 
   defp option(key, spec) when key in [:in, :out],
     do: with({:ok, f} <- Filter.compile(spec), do: {:ok, [{key, f}]})

@@ -22,6 +22,7 @@ defmodule Aerie.Router do
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Router.Admission
+  alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
   alias Aerie.Router.Clients
   alias Aerie.Router.Endpoints
@@ -210,32 +211,50 @@ defmodule Aerie.Router do
   end
 
   @doc """
-  Sends bytes (one or more whole frames) to a vehicle or any other system, by the way that was heard last.
+  Sends bytes (one or more whole frames) to a vehicle or any other system: by the way that was heard last, of redundant
+  links by the one that carries their class (`Aerie.Router.Carrier`).
 
-  `component:` prefers ways by which that component was heard. `{:error, :no_route}` for who was never heard, or not for
-  a long time. `:ok` means handed to the link; what the link cannot send it counts.
+  `component:` prefers ways by which that component was heard, `link:` is the only link that will do.
+  `{:error, :no_route}` for who was never heard, or not for a long time. `:ok` means handed to the link; what the link
+  cannot send it counts.
   """
   @spec send(Names.gateway(), vehicle_key, iodata, keyword) :: :ok | {:error, :no_route}
   def send(gateway, {_network, _system} = key, bytes, options \\ []) do
     with tables when is_map(tables) <- Tables.of(gateway),
-         {_link, _peer} = way <- carrier(tables, key, Keyword.take(options, [:component])),
-         :ok <- send_by(gateway, tables, way, key, bytes) do
-      :ok
+         [_ | _] = ways <- carriers(tables, key, bytes, Keyword.take(options, [:component, :link])) do
+      results = for way <- ways, do: send_by(gateway, tables, way, key, bytes)
+      if :ok in results, do: :ok, else: {:error, :no_route}
     else
       _none -> {:error, :no_route}
     end
   end
 
-  # Of redundant links the one that carries, where the system is heard by it.
-  defp carrier(tables, key, options) do
-    with {link, _peer} = best <- Routes.best(tables, key, options),
-         %{group: group} when group != nil <- Endpoints.owner(tables, link),
-         pick when pick not in [nil, link] <- :ets.lookup_element(tables.scores, {:pick, group}, 2, nil) do
-      Routes.best(tables, key, [link: pick] ++ options) || best
-    else
-      nil -> nil
-      _no_group -> Routes.best(tables, key, options)
+  defp carriers(tables, key, bytes, options) do
+    with {link, _peer} = best <- Routes.best(tables, key, options) do
+      case Endpoints.owner(tables, link) do
+        %{group: group} when group != nil ->
+          if options[:link], do: [best], else: of_group(tables, key, bytes, group, best)
+
+        _no_group ->
+          [best]
+      end
     end
+  end
+
+  # Each link of the group by which the system is heard, with the peer of it that was heard last.
+  defp of_group(tables, key, bytes, group, best) do
+    ways = tables |> Routes.ways(key) |> Enum.uniq_by(&elem(&1, 0))
+
+    owners =
+      for {link, _} = way <- Carrier.within_reach(tables, key, [best | List.delete(ways, best)]),
+          %{group: ^group} = owner <- [Endpoints.owner(tables, link)],
+          into: %{},
+          do: {link, {owner, way}}
+
+    carry = owners |> Enum.map(fn {_link, {owner, _way}} -> owner end) |> Carrier.configured(class(bytes))
+
+    for link <- Carrier.links(tables, group, Map.keys(owners), carry),
+        do: owners |> Map.fetch!(link) |> elem(1)
   end
 
   # What is to be signed passes by the link's process, where the order of time stamps is that of sending.

@@ -308,7 +308,11 @@ defmodule Aerie.Link.Server do
   defp snapshot(state) do
     state.core
     |> Snapshot.of(System.monotonic_time(:millisecond))
-    |> Map.merge(%{restarts: state.restarts, signing: Aerie.Signing.link(state.gateway, state.spec)})
+    |> Map.merge(%{
+      restarts: state.restarts,
+      signing: Aerie.Signing.link(state.gateway, state.spec),
+      quality: Aerie.Router.Meter.quality(state.gateway, state.spec.id)
+    })
   end
 
   # The peers there are now become endpoints of the router; what was written past this process is counted.

@@ -20,6 +20,7 @@ defmodule Aerie.Link.Snapshot do
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 256 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
+  | `:quality` | score, loss, round trip and age, and whether it carries its group (`t:Aerie.Router.Meter.quality/0`), or nil |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | words of the configuration, or nil |
   | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Vehicle.HighLatency`) |

@@ -55,6 +55,8 @@ defmodule Aerie.Replay.Vehicle do
     {vehicle, [{:send, %{vehicle: vehicle.options.id, at: at, message: message, version: version}} | outputs]}
   end
 
+  defp act({:send, message, version, _link}, acc, at), do: act({:send, message, version}, acc, at)
+
   defp act({:status, old, new}, {vehicle, outputs}, at) do
     {vehicle, [{:status, %{vehicle: vehicle.options.id, at: at, from: old, to: new}} | outputs]}
   end

@@ -107,6 +107,7 @@ defmodule Aerie.Router.Endpoints do
     for endpoint <- of(tables, owner), do: remove(tables, endpoint.key)
     delete_owner(tables, owner)
     Routes.forget(tables, owner)
+    for name <- [:score, :rtt], do: :ets.delete(tables.scores, {name, owner})
     Tables.changed(tables)
   end
 

@@ -17,6 +17,7 @@ defmodule Aerie.Router.Forward do
   """
 
   alias Aerie.Router.Batch
+  alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
   alias Aerie.Router.Dedupe
   alias Aerie.Router.Filter
@@ -130,7 +131,7 @@ defmodule Aerie.Router.Forward do
   end
 
   defp send_to(target, frame, {tables, plan, way, talker, now}) do
-    keys = addressed(target, tables, plan, way)
+    {system, keys} = addressed(target, tables, plan, way)
     batch = Batch.new([frame])
 
     heard =
@@ -140,8 +141,11 @@ defmodule Aerie.Router.Forward do
       for {key, %{sniffer: true} = to} <- plan.ways, key != way.key, key not in keys, shares?(way, to), do: to
 
     case heard do
-      [] -> Tally.add(way.tally, :no_route, 1)
-      heard -> heard |> one_of_each_group(frame, tables) |> Enum.each(&emit(&1, batch, tables, way, now))
+      [] ->
+        Tally.add(way.tally, :no_route, 1)
+
+      heard ->
+        heard |> one_of_each_group(system, frame, tables) |> Enum.each(&emit(&1, batch, tables, way, now))
     end
 
     Enum.each(sniffers, &emit(&1, batch, tables, way, now))
@@ -157,50 +161,42 @@ defmodule Aerie.Router.Forward do
 
   # The first of the networks that the sender sees in which the addressee is known decides.
   defp addressed({system, component}, tables, plan, way) do
-    Enum.find_value(way.networks, [], fn network ->
+    Enum.find_value(way.networks, {nil, []}, fn network ->
       key = {network, system}
 
       case component != 0 && Routes.ways(tables, key, component) do
         none when none in [false, []] ->
-          if({system, component} != plan.own, do: some(Routes.ways(tables, key)))
+          if({system, component} != plan.own, do: some(key, Routes.ways(tables, key)))
 
         ways ->
-          ways
+          {key, ways}
       end
     end)
   end
 
-  defp some([]), do: nil
-  defp some(ways), do: ways
+  defp some(_key, []), do: nil
+  defp some(key, ways), do: {key, ways}
 
   defp shares?(way, to), do: Enum.any?(way.networks, &(&1 in to.networks))
 
-  defp one_of_each_group(ways, frame, tables) do
+  defp one_of_each_group([_one] = ways, _system, _frame, _tables), do: ways
+
+  defp one_of_each_group(ways, system, frame, tables) do
     {grouped, single} = Enum.split_with(ways, &(&1.group != nil and &1.side == :vehicle))
     class = Classify.of(frame.id)
 
     single ++
       Enum.flat_map(Enum.group_by(grouped, & &1.group), fn {group, ways} ->
-        pick(tables, group, ways, class)
+        near = Carrier.within_reach(tables, system, Enum.map(ways, & &1.key))
+        pick(tables, group, Enum.filter(ways, &(&1.key in near)), class)
       end)
   end
 
-  # What is configured for the class, else the best, else the one that comes first by name: always the same one.
   defp pick(_tables, _group, [way], _class), do: [way]
 
   defp pick(tables, group, ways, class) do
-    carry = Enum.find_value(ways, & &1.carry[class])
-
-    with true <- carry != :all,
-         [] <- Enum.filter(ways, &(&1.owner == carry)),
-         best = :ets.lookup_element(tables.scores, {:pick, group}, 2, nil),
-         [] <- Enum.filter(ways, &(&1.owner == best)) do
-      first = ways |> Enum.map(& &1.owner) |> Enum.min()
-      Enum.filter(ways, &(&1.owner == first))
-    else
-      false -> ways
-      chosen -> chosen
-    end
+    links = Carrier.links(tables, group, Enum.map(ways, & &1.owner), Carrier.configured(ways, class))
+    Enum.filter(ways, &(&1.owner in links))
   end
 
   defp emit(%{plain: true} = to, batch, _tables, way, _now), do: out(to, batch, way)

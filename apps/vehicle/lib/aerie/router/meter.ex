@@ -1,15 +1,15 @@
 defmodule Aerie.Router.Meter do
   @moduledoc """
-  Once a second: rates of the endpoints, scores of redundant links, and which link of each group carries.
+  Once a second: rates of the endpoints, scores of links to vehicles, and which link of each group carries.
 
   | in `:scores` | |
   |---|---|
   | `{:rates, endpoint}` | per second, of the last one |
-  | `{:score, link}` | 0 to 100 (`Aerie.Router.Score`) |
+  | `{:score, link}` | `%{score, loss, rtt_ms, age_ms}`: 0 to 100 (`Aerie.Router.Score`), and what it was made of |
   | `{:pick, group}` | the link that carries |
 
-  Loss is by sequence numbers of the group's vehicles on that link, over the last seconds; a round trip is what
-  `note_rtt/3` was told (by whoever measures it), for half a minute.
+  Loss is by sequence numbers of what is heard on that link, over the last seconds. Round trips are told by the vehicles'
+  sessions, which measure them with TIMESYNC and PING (`note_rtt/3`, `Aerie.Vehicle.Timesync`), and hold for half a minute.
   """
   use GenServer
 
@@ -33,13 +33,45 @@ defmodule Aerie.Router.Meter do
     Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
   end
 
-  @doc "Tells a measured round trip over a link, in ms."
+  @doc "Tells a measured round trip over a link, in ms. The mean of it and what was known before holds."
   @spec note_rtt(Names.gateway(), String.t(), number) :: :ok
   def note_rtt(gateway, link, ms) when is_number(ms) and ms >= 0 do
-    with tables when is_map(tables) <- Tables.of(gateway),
-         do: :ets.insert(tables.scores, {{:rtt, link}, ms, System.monotonic_time(:millisecond)})
+    with tables when is_map(tables) <- Tables.of(gateway) do
+      now = System.monotonic_time(:millisecond)
+      mean = if before = rtt(tables, link, now), do: (before + ms) / 2, else: ms
+      :ets.insert(tables.scores, {{:rtt, link}, mean, now})
+    end
 
     :ok
+  end
+
+  @typedoc """
+  `score` (0 to 100), `loss` (0.0 to 1.0), `rtt_ms` and `age_ms` (since the last frame), nil where nothing is known; `group`
+  and whether the link `carries` it, nil without a group.
+  """
+  @type quality :: %{
+          score: float,
+          loss: float | nil,
+          rtt_ms: number | nil,
+          age_ms: non_neg_integer | nil,
+          group: String.t() | nil,
+          carries: boolean | nil
+        }
+
+  @doc "How good a link is just now; nil before its first measurement."
+  @spec quality(Names.gateway(), String.t()) :: quality | nil
+  def quality(gateway, link) do
+    with tables when is_map(tables) <- Tables.of(gateway),
+         %{} = reading <- :ets.lookup_element(tables.scores, {:score, link}, 2, nil) do
+      case Endpoints.owner(tables, link) do
+        %{group: group} when group != nil ->
+          pick = :ets.lookup_element(tables.scores, {:pick, group}, 2, nil)
+          Map.merge(reading, %{group: group, carries: pick == link})
+
+        _none ->
+          Map.merge(reading, %{group: nil, carries: nil})
+      end
+    end
   end
 
   @impl GenServer
@@ -81,15 +113,20 @@ defmodule Aerie.Router.Meter do
   end
 
   defp groups(state, tables, now) do
-    owners =
-      for {_id, %{group: group, side: :vehicle} = owner} <- :ets.tab2list(tables.owners), group, do: owner
-
-    Enum.reduce(Enum.group_by(owners, & &1.group, & &1.id), state, &group(&2, tables, &1, now))
+    owners = for {_id, %{side: :vehicle} = owner} <- :ets.tab2list(tables.owners), do: owner
+    {scores, state} = Enum.flat_map_reduce(owners, state, &score(&2, tables, &1.id, now))
+    scores = Map.new(scores)
+    groups = owners |> Enum.filter(& &1.group) |> Enum.group_by(& &1.group, & &1.id)
+    Enum.reduce(groups, forget(state, owners), &group(&2, tables, &1, scores))
   end
 
-  defp group(state, tables, {group, links}, now) do
-    {scores, state} = Enum.map_reduce(links, state, &score(&2, tables, &1, now))
-    scores = for {link, score} <- scores, score, into: %{}, do: {link, score}
+  defp forget(state, owners) do
+    ids = Enum.map(owners, & &1.id)
+    %{state | losses: Map.take(state.losses, ids), sequences: Map.take(state.sequences, ids)}
+  end
+
+  defp group(state, tables, {group, links}, scores) do
+    scores = Map.take(scores, links)
     choice = Score.choose(state.choices[group] || Score.none(), scores)
 
     if choice.link != (state.choices[group] || Score.none()).link do
@@ -101,17 +138,24 @@ defmodule Aerie.Router.Meter do
     put_in(state.choices[group], choice)
   end
 
+  # A link that is down has no place among those to choose from.
   defp score(state, tables, link, now) do
     case Store.link(state.gateway, link) do
       %{status: status} = snapshot when status in [:up, :idle] ->
         state = loss(state, link, snapshot.sources)
-        score = Score.of(%{loss: state.losses[link], rtt_ms: rtt(tables, link, now), age_ms: age(snapshot)})
-        :ets.insert(tables.scores, {{:score, link}, score})
-        {{link, score}, state}
+        reading = %{loss: state.losses[link], rtt_ms: rtt(tables, link, now), age_ms: age(snapshot)}
+        score = Score.of(reading)
+        :ets.insert(tables.scores, {{:score, link}, Map.put(reading, :score, score)})
+        {[{link, score}], state}
 
-      _down_or_gone ->
-        :ets.insert(tables.scores, {{:score, link}, 0.0})
-        {{link, nil}, state}
+      %{} = snapshot ->
+        down = %{score: 0.0, loss: state.losses[link], rtt_ms: nil, age_ms: age(snapshot)}
+        :ets.insert(tables.scores, {{:score, link}, down})
+        {[], state}
+
+      # An endpoint that is no link: nobody measures it.
+      nil ->
+        {[], state}
     end
   end
 

@@ -92,6 +92,15 @@ defmodule Aerie.Router.Routes do
     :ets.select_count(tables.routes, [{{{network, system, :_, link, peer}, :_, :_}, [], [true]}]) > 0
   end
 
+  @doc "When a system was heard last by an endpoint (monotonic ms, a quarter of a second exact), nil for never."
+  @spec heard(Tables.t(), {String.t(), non_neg_integer}, way) :: integer | nil
+  def heard(tables, {network, system}, {link, peer}) do
+    case :ets.select(tables.routes, [{{{network, system, :_, link, peer}, :"$1", :_}, [], [:"$1"]}]) do
+      [] -> nil
+      times -> Enum.max(times)
+    end
+  end
+
   @doc "Whether a component is heard by an endpoint."
   @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, way) :: boolean
   def talks?(tables, {network, system, component}, {link, peer}),

@@ -37,6 +37,10 @@ defmodule Aerie.Router.Score do
   defp silence(nil), do: 90
   defp silence(ms), do: max(ms - 2_000, 0) / 100
 
+  @doc "The score at which a way is worth nothing any more."
+  @spec useless() :: number
+  def useless, do: @useless
+
   @doc "No choice made yet."
   @spec none() :: choice
   def none, do: %{link: nil, rival: nil, readings: 0}

@@ -6,7 +6,7 @@ defmodule Aerie.Router.Tables do
   - `:routes` `{{network, system, component, owner, peer}, heard_ms, since_ms}`
   - `:endpoints` `{{owner, peer}, Endpoint}` and `:owners` `{owner, Owner}`: where frames can go, and by which rules
   - `:seen` what `Dedupe` remembers, `:limits` what `RateLimit` does
-  - `:clients` `{id, snapshot}` of client endpoints, `:scores` `{link, Score}`, `{{:pick, group}, link}`
+  - `:clients` `{id, snapshot}` of client endpoints, `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`

@@ -23,6 +23,8 @@ defmodule Aerie.Vehicle.Core do
     * `{:observe, observation}` - something for the detector (`Aerie.Vehicle.Detector`)
     * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sampled state group for the fleet
     * `{:send, message, version}` - a message for the vehicle, in the MAVLink version that it speaks
+    * `{:send, message, version, link}` - by this link
+    * `{:round_trip, link, us}` - how long the way there and back by a link took
     * `{:heartbeat, version}` - our heartbeat is due on the vehicle's way
     * `:withhold` - it is due and must not go there, not from other vehicles' sessions either
     * `{:count, counter}` - something to be counted
@@ -88,6 +90,8 @@ defmodule Aerie.Vehicle.Core do
           | {:observe, Detector.observation()}
           | {:publish, State.group(), map(), integer()}
           | {:send, struct(), 1 | 2}
+          | {:send, struct(), 1 | 2, link :: term()}
+          | {:round_trip, link :: term(), us :: non_neg_integer()}
           | {:heartbeat, 1 | 2}
           | :withhold
           | {:count, atom()}

@@ -43,7 +43,7 @@ defmodule Aerie.Vehicle.Outbound do
   defp transmit(outbound, bytes, nil), do: Aerie.Router.send(outbound.gateway, outbound.options.key, bytes)
 
   defp transmit(outbound, bytes, link),
-    do: Aerie.Link.send_bytes(outbound.gateway, link, bytes, {:system, outbound.options.system_id})
+    do: Aerie.Router.send(outbound.gateway, outbound.options.key, bytes, link: link)
 
   defp sent(outbound, %module{}) do
     Fleet.Store.count(outbound.gateway, {:sent, module.id()})

@@ -156,6 +156,15 @@ defmodule Aerie.Vehicle.Session do
     %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version, by(state.core))}
   end
 
+  defp act({:send, message, version, link}, state) do
+    %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version, link)}
+  end
+
+  defp act({:round_trip, link, us}, state) do
+    Aerie.Router.Meter.note_rtt(state.gateway, link, us / 1000)
+    state
+  end
+
   defp act(:withhold, state) do
     Vehicle.Outbound.withhold(state.outbound)
     state

@@ -1,13 +1,18 @@
 defmodule Aerie.Vehicle.Timesync do
   @moduledoc """
-  How far a vehicle's clock is from ours, by TIMESYNC. A pure value.
+  How far a vehicle's clock is from ours, by TIMESYNC, and how long the way there and back by each of its links takes. A
+  pure value.
 
   A request carries our time (`ts1`), the answer the same and the vehicle's time when it was given (`tc1`), so the answer's
   way there and back is known, and half of it is the best guess at its age. Of the last samples the one with the shortest
   way counts, for it has the smallest error; that error is `rtt_us / 2`. Older samples lose by drift, 50 µs a second.
 
+  A vehicle with several links is asked by each of them. The first copy of an answer is a sample of its clock, whichever way
+  it came; the round trip of a link is that of the copy which came by the link that was asked.
+
   Only answers to our own requests are taken, recognised by their `ts1` (X5): many programs ask, and firmware answers to all.
-  A vehicle that does not answer is asked ever more seldom.
+  A vehicle that does not answer is asked by PING as well, which tells nothing of its clock but the round trip; who answers
+  neither is asked ever more seldom.
   """
 
   alias MavCodec.Messages.{Ping, Timesync}
@@ -16,12 +21,14 @@ defmodule Aerie.Vehicle.Timesync do
   @burst 3
   @burst_us 1_000_000
   @max_rtt_us 10_000_000
-  @max_pending 4
+  @max_pending 32
+  @max_links 8
   @max_samples 8
   @drift_per_s 50
   # More than its own error off: the clock was set, or something is wrong. Twice in a row it was set.
   @jump_us 50_000
   @patience 5
+  @ping_after 2
   @slow 6
   @answers_us 100_000
 
@@ -33,74 +40,129 @@ defmodule Aerie.Vehicle.Timesync do
     pending: %{},
     samples: [],
     sent: 0,
+    rounds: 0,
     unanswered: 0,
+    unpinged: 0,
     odd: nil,
     foreign: 0
   ]
 
   @typedoc """
   - `period`: time between two requests (us), 0 for none
-  - `pending`: `ts1` of requests without an answer, with the time that they were sent
+  - `pending`: `ts1`, or `{:ping, seq}`, of requests without an answer by the link that was asked: when they were sent, by
+    which link (nil: whichever), and whether another link brought a copy of the answer
+  - `unanswered`, `unpinged`: rounds since the last answer of the one and the other kind
   - `odd`: a sample that contradicts the others
   - `foreign`: how many answers were not ours
   """
   @type t :: %__MODULE__{}
   @type sample :: {at :: integer(), rtt_us :: non_neg_integer(), offset_us :: integer()}
+  @typedoc "By which link to send it (nil: the one that is best)."
+  @type request :: {link :: term() | nil, Timesync.t() | Ping.t()}
+  @type round_trip :: {link :: term(), us :: non_neg_integer()}
 
   @spec new(non_neg_integer()) :: t()
   def new(period), do: %__MODULE__{period: period}
 
-  @doc "The request that is due at `now`, if any."
-  @spec expire(t(), integer()) :: {t(), [Timesync.t()]}
-  def expire(%{period: 0} = sync, _now), do: {sync, []}
-  def expire(%{next: nil} = sync, now), do: {%{sync | next: now + @first_us}, []}
-  def expire(%{next: next} = sync, now) when now < next, do: {sync, []}
+  @doc "The requests that are due at `now`, if any, for a vehicle that is heard by these links; the first eight are asked."
+  @spec expire(t(), integer(), [term()]) :: {t(), [request()]}
+  def expire(sync, now, links \\ [])
+  def expire(%{period: 0} = sync, _now, _links), do: {sync, []}
+  def expire(%{next: nil} = sync, now, _links), do: {%{sync | next: now + @first_us}, []}
+  def expire(%{next: next} = sync, now, _links) when now < next, do: {sync, []}
 
-  def expire(sync, now) do
-    # Nanoseconds; what is below our microsecond tells our requests from those of others at the same moment.
-    ts1 = now * 1000 + rem(sync.sent * 37 + 191, 1000)
-    waiting = sync.pending |> Enum.sort(:desc) |> Enum.take(@max_pending - 1) |> Map.new()
-    sync = %{sync | pending: Map.put(waiting, ts1, now), sent: sync.sent + 1, unanswered: sync.unanswered + 1}
-    {%{sync | next: now + pause(sync)}, [%Timesync{tc1: 0, ts1: ts1}]}
+  def expire(sync, now, links) do
+    sync = %{sync | rounds: sync.rounds + 1, unanswered: sync.unanswered + 1}
+    ping? = sync.unanswered > @ping_after
+    sync = if ping?, do: %{sync | unpinged: sync.unpinged + 1}, else: sync
+
+    {requests, sync} =
+      Enum.flat_map_reduce(Enum.take(ways(links), @max_links), sync, &request(&2, &1, now, ping?))
+
+    {%{sync | next: now + pause(sync)}, requests}
   end
 
-  defp pause(%{unanswered: unanswered} = sync) when unanswered > @patience, do: sync.period * @slow
-  defp pause(%{sent: sent} = sync) when sent < @burst, do: min(@burst_us, sync.period)
+  # With one link there is no choice of ways, only somebody whose round trip it is.
+  defp ways([]), do: [{nil, nil}]
+  defp ways([only]), do: [{nil, only}]
+  defp ways(links), do: Enum.map(links, &{&1, &1})
+
+  defp request(sync, {way, link}, now, ping?) do
+    # Nanoseconds; what is below our microsecond tells our requests from those of others at the same moment.
+    ts1 = now * 1000 + rem(sync.sent * 37 + 191, 1000)
+    sync = wait(%{sync | sent: sync.sent + 1}, ts1, {now, link, false})
+    timesync = {way, %Timesync{tc1: 0, ts1: ts1}}
+
+    if ping? do
+      seq = rem(sync.sent, 0x1_0000_0000)
+      ping = {way, %Ping{time_usec: now, seq: seq, target_system: 0, target_component: 0}}
+      {[timesync, ping], wait(sync, {:ping, seq}, {now, link, false})}
+    else
+      {[timesync], sync}
+    end
+  end
+
+  # The oldest makes room.
+  defp wait(%{pending: pending} = sync, key, entry) do
+    pending =
+      if map_size(pending) < @max_pending,
+        do: pending,
+        else: Map.delete(pending, elem(Enum.min_by(pending, fn {_key, {sent, _, _}} -> sent end), 0))
+
+    %{sync | pending: Map.put(pending, key, entry)}
+  end
+
+  defp pause(%{unanswered: unanswered, unpinged: unpinged} = sync)
+       when unanswered > @patience and unpinged > @ping_after,
+       do: sync.period * @slow
+
+  defp pause(%{rounds: rounds} = sync) when rounds < @burst, do: min(@burst_us, sync.period)
   defp pause(sync), do: sync.period
 
   @doc "Whether a message asks for the time, as ours do."
   @spec request?(struct()) :: boolean()
   def request?(message), do: match?(%Timesync{tc1: 0}, message)
 
-  @doc "A request of ours that is not from `expire/2`: a recording says when it was sent."
+  @doc "A request of ours that is not from `expire/3`: a recording says when it was sent."
   @spec asked(t(), Timesync.t(), integer()) :: t()
-  def asked(sync, %Timesync{tc1: 0, ts1: ts1}, at),
-    do: %{
-      sync
-      | pending:
-          sync.pending
-          |> Enum.sort_by(&elem(&1, 1), :desc)
-          |> Enum.take(@max_pending - 1)
-          |> Map.new()
-          |> Map.put(ts1, at)
-    }
+  def asked(sync, %Timesync{tc1: 0, ts1: ts1}, at), do: wait(sync, ts1, {at, nil, false})
 
-  @doc "An answer that came `at`. One that is not to a request of ours changes nothing but `foreign`."
-  @spec reply(t(), Timesync.t(), integer()) :: t()
-  def reply(sync, %Timesync{tc1: tc1, ts1: ts1}, at) do
-    case Map.pop(sync.pending, ts1) do
-      {nil, _pending} ->
-        %{sync | foreign: sync.foreign + 1}
+  @doc """
+  An answer that came `at` by a link, and the round trip if it is that of a link. One that is not to a request of ours
+  changes nothing but `foreign`.
+  """
+  @spec reply(t(), Timesync.t() | Ping.t(), integer(), term() | nil) :: {t(), round_trip() | nil}
+  def reply(sync, answer, at, link \\ nil) do
+    key = key(answer)
 
-      {sent, pending} when at >= sent and at - sent <= @max_rtt_us ->
+    case sync.pending do
+      %{^key => {sent, asked, known?}} when at >= sent and at - sent <= @max_rtt_us ->
         rtt = at - sent
-        sample = {at, rtt, div(tc1, 1000) - (sent + div(rtt, 2))}
-        add(%{sync | pending: pending, unanswered: 0}, sample)
+        sync = if known?, do: sync, else: answered(sync, answer, at, sent, rtt)
+        here? = asked in [nil, link]
 
-      {_sent, pending} ->
-        %{sync | pending: pending}
+        pending =
+          if here?,
+            do: Map.delete(sync.pending, key),
+            else: Map.put(sync.pending, key, {sent, asked, true})
+
+        {%{sync | pending: pending}, if(here? and asked != nil, do: {asked, rtt})}
+
+      %{^key => _late} ->
+        {%{sync | pending: Map.delete(sync.pending, key)}, nil}
+
+      _none ->
+        {%{sync | foreign: sync.foreign + 1}, nil}
     end
   end
+
+  defp key(%Timesync{ts1: ts1}), do: ts1
+  defp key(%Ping{seq: seq}), do: {:ping, seq}
+
+  defp answered(sync, %Timesync{tc1: tc1}, at, sent, rtt),
+    do: add(%{sync | unanswered: 0}, {at, rtt, div(tc1, 1000) - (sent + div(rtt, 2))})
+
+  defp answered(sync, %Ping{}, _at, _sent, _rtt), do: %{sync | unpinged: 0}
 
   defp add(%{samples: []} = sync, sample), do: %{sync | samples: [sample], odd: nil}
 

@@ -366,6 +366,7 @@ defmodule Aerie.Router.ForwardTest do
       )
 
       on_exit(fn -> :telemetry.detach(ref) end)
+      :ok = :sys.suspend(Aerie.Names.whereis(gateway, :router_meter))
       tables = Router.Tables.of(gateway)
       state = %{gateway: gateway, at: nil, tallies: %{}, sequences: %{}, losses: %{}, choices: %{}}
 

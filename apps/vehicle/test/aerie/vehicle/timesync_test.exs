@@ -13,13 +13,16 @@ defmodule Aerie.Vehicle.TimesyncTest do
       now = @start + second * @second
       {sync, requests} = Timesync.expire(sync, now)
 
-      Enum.reduce(requests, sync, fn %M.Timesync{tc1: 0, ts1: ts1}, sync ->
+      requests = for {nil, %M.Timesync{} = request} <- requests, do: request
+
+      Enum.reduce(requests, sync, fn %{tc1: 0, ts1: ts1}, sync ->
         {there, back} = way.(second)
-        Timesync.reply(sync, %M.Timesync{tc1: (now + there + offset) * 1000, ts1: ts1}, now + there + back)
+        reply(sync, %M.Timesync{tc1: (now + there + offset) * 1000, ts1: ts1}, now + there + back)
       end)
     end)
   end
 
+  defp reply(sync, answer, at), do: sync |> Timesync.reply(answer, at) |> elem(0)
   defp now(second), do: @start + second * @second
 
   test "nothing is known before the first answer" do
@@ -45,13 +48,14 @@ defmodule Aerie.Vehicle.TimesyncTest do
       {sent, _sync} =
         Enum.flat_map_reduce(seconds, Timesync.new(10 * @second), fn second, sync ->
           {sync, requests} = Timesync.expire(sync, now(second))
+          requests = for {nil, %M.Timesync{} = request} <- requests, do: request
           {Enum.map(requests, fn _ -> second end), Enum.reduce(requests, sync, fun)}
         end)
 
       sent
     end
 
-    answered = times.(0..100, &Timesync.reply(&2, %M.Timesync{tc1: 5, ts1: &1.ts1}, div(&1.ts1, 1000)))
+    answered = times.(0..100, &reply(&2, %M.Timesync{tc1: 5, ts1: &1.ts1}, div(&1.ts1, 1000)))
     assert [1, 2, 3, 13, 23 | _] = answered
     silent = times.(0..600, fn _request, sync -> sync end)
     assert [1, 2, 3, 13, 23, 33, 93, 153 | _] = silent
@@ -61,13 +65,13 @@ defmodule Aerie.Vehicle.TimesyncTest do
   test "X5: an answer that is not ours changes nothing" do
     sync = run(0..5, 1_000, fn _ -> {10, 10} end)
     {sync, _} = Timesync.expire(sync, now(13))
-    foreign = Timesync.reply(sync, %M.Timesync{tc1: 999, ts1: 12_345}, now(13))
+    foreign = reply(sync, %M.Timesync{tc1: 999, ts1: 12_345}, now(13))
     assert foreign.samples == sync.samples
     assert Timesync.show(foreign, now(13)).foreign == 1
     # Nor does the second copy of one that is, which a second link brings.
-    {sync, [%{ts1: ts1}]} = Timesync.expire(sync, now(23))
-    once = Timesync.reply(sync, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 10)
-    twice = Timesync.reply(once, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 5_000)
+    {sync, [{nil, %{ts1: ts1}}]} = Timesync.expire(sync, now(23))
+    once = reply(sync, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 10)
+    twice = reply(once, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 5_000)
     assert twice.samples == once.samples
     refute Timesync.to?(%M.Timesync{target_system: 255, target_component: 190}, {245, 191})
     assert Timesync.to?(%M.Timesync{target_system: 0}, {245, 191})
@@ -84,6 +88,67 @@ defmodule Aerie.Vehicle.TimesyncTest do
     assert {0, _} = Timesync.offset(one, now(40))
     two = run(one, 41..50, 5 * @second, fn _ -> {100, 100} end)
     assert {5_000_000, _} = Timesync.offset(two, now(50))
+  end
+
+  describe "a vehicle with several links" do
+    test "is asked by each; a link's round trip is that of the copy which came by it, the clock's sample the first copy" do
+      {sync, []} = Timesync.expire(Timesync.new(10 * @second), @start, ["a", "b"])
+      {sync, requests} = Timesync.expire(sync, now(1), ["a", "b"])
+      assert [{"a", %M.Timesync{ts1: of_a}}, {"b", %M.Timesync{ts1: of_b}}] = requests
+      assert of_a != of_b
+      answer = &%M.Timesync{tc1: now(1) * 1000, ts1: &1}
+
+      # The answer to what went by the slow link comes by the fast one first, as when a vehicle answers on all of its links.
+      {sync, nil} = Timesync.reply(sync, answer.(of_a), now(1) + 200_000, "b")
+      assert [{_at, 200_000, _offset}] = sync.samples
+      {sync, {"a", 400_000}} = Timesync.reply(sync, answer.(of_a), now(1) + 400_000, "a")
+      assert length(sync.samples) == 1
+      {sync, {"b", 30_000}} = Timesync.reply(sync, answer.(of_b), now(1) + 30_000, "b")
+      assert length(sync.samples) == 2
+      # And once more is nothing of ours.
+      assert {%{foreign: 1}, nil} = Timesync.reply(sync, answer.(of_b), now(1) + 50_000, "a")
+    end
+
+    test "with one link it is that one's, by whichever way it is sent" do
+      {sync, []} = Timesync.expire(Timesync.new(@second), @start, ["a"])
+      {sync, [{nil, %{ts1: ts1}}]} = Timesync.expire(sync, now(1), ["a"])
+
+      assert {_sync, {"a", 70_000}} =
+               Timesync.reply(sync, %M.Timesync{tc1: 1, ts1: ts1}, now(1) + 70_000, "a")
+    end
+
+    test "who does not answer TIMESYNC is asked by PING, which tells the round trip and nothing of the clock" do
+      sync =
+        Enum.reduce(0..30, Timesync.new(10 * @second), fn second, sync ->
+          {sync, requests} = Timesync.expire(sync, now(second), ["a", "b"])
+
+          for({link, %M.Ping{} = ping} <- requests, do: {link, ping})
+          |> Enum.reduce(sync, fn {link, %{target_system: 0, target_component: 0} = ping}, sync ->
+            answer = %{ping | target_system: 245, target_component: 191}
+            {sync, {^link, 5_000}} = Timesync.reply(sync, answer, now(second) + 5_000, link)
+            sync
+          end)
+        end)
+
+      assert sync.unanswered == 5 and sync.unpinged == 0 and sync.samples == []
+      # It answers, so it is not asked more seldom.
+      {sync, _requests} = Timesync.expire(sync, now(33), ["a", "b"])
+      assert sync.next == now(43)
+      assert map_size(sync.pending) <= 32
+    end
+
+    test "eight links are asked at most, and what is waited for is bounded" do
+      links = Enum.map(1..20, &"radio-#{&1}")
+
+      sync =
+        Enum.reduce(0..300, Timesync.new(@second), fn second, sync ->
+          {sync, requests} = Timesync.expire(sync, now(second), links)
+          assert length(requests) <= 16
+          sync
+        end)
+
+      assert map_size(sync.pending) == 32
+    end
   end
 
   test "after a reboot it is measured anew" do

@@ -8,6 +8,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
 
+  @ping 4
   @command_ack 77
   @timesync 111
   @message_interval 244
@@ -33,11 +34,19 @@ defmodule Aerie.Vehicle.Core.Dealings do
     {%{core | streams: Arbiter.interval(core.streams, message.message_id, message.interval_us, at)}, actions}
   end
 
-  def message(core, actions, _link, %{id: @timesync, at: at}, %{tc1: tc1} = answer) when tc1 != 0 do
-    if Timesync.to?(answer, own(core)),
-      do: {%{core | timesync: Timesync.reply(core.timesync, answer, at)}, actions},
-      else: {core, actions}
+  def message(core, actions, link, %{id: @timesync, at: at}, %{tc1: tc1} = answer) when tc1 != 0 do
+    if Timesync.to?(answer, own(core)), do: round_trip(core, actions, link, answer, at), else: {core, actions}
   end
+
+  # A PING to us is the answer to one of ours (X5).
+  def message(
+        %{options: %{own_system: system, own_component: component}} = core,
+        actions,
+        link,
+        %{id: @ping, at: at},
+        %{target_system: system, target_component: component} = answer
+      ),
+      do: round_trip(core, actions, link, answer, at)
 
   def message(core, actions, link, frame, request) do
     from = {frame.system, frame.component}
@@ -48,6 +57,13 @@ defmodule Aerie.Vehicle.Core.Dealings do
       {%{core | timesync: timesync}, [{:send, answer, core.version} | actions]}
     else
       _none -> {core, actions}
+    end
+  end
+
+  defp round_trip(core, actions, link, answer, at) do
+    case Timesync.reply(core.timesync, answer, at, link) do
+      {timesync, nil} -> {%{core | timesync: timesync}, actions}
+      {timesync, {link, us}} -> {%{core | timesync: timesync}, [{:round_trip, link, us} | actions]}
     end
   end
 
@@ -136,11 +152,26 @@ defmodule Aerie.Vehicle.Core.Dealings do
   defp streams(acc, _now, _ask), do: acc
 
   defp clock({core, actions}, now, true) do
-    {timesync, messages} = Timesync.expire(core.timesync, now)
-    {%{core | timesync: timesync}, sent(core, messages) ++ actions}
+    {timesync, requests} = Timesync.expire(core.timesync, now, asked(core, now))
+
+    actions =
+      Enum.reduce(requests, actions, fn
+        {nil, message}, actions -> [{:send, message, core.version} | actions]
+        {link, message}, actions -> [{:send, message, core.version, link} | actions]
+      end)
+
+    {%{core | timesync: timesync}, actions}
   end
 
   defp clock(acc, _now, _ask), do: acc
+
+  # The links that it can be asked by: it was heard there just now, and a byte costs nothing (X6).
+  defp asked(core, now) do
+    for {link, at} <- Heard.times(core.heard),
+        at != nil and now - at < core.options.lost_us,
+        not HighLatency.high?(core.high_latency, link),
+        do: link
+  end
 
   defp gcs({core, actions}, now, ask) do
     known = Gcs.vehicle(core.gcs, core.state.autopilot, core.state.kind)

@@ -77,64 +77,94 @@ defmodule Aerie.Bridge.Outbox do
   end
 
   @doc """
-  Writes records at the end. All are written, or the error says why not; then none counts as written.
+  Writes records at the end. An error says how many of them, from the first on, are done with all the same.
 
   A record above #{div(Record.max_bytes(), 1024)} KiB is dropped and counted: it would block all others for ever.
   """
-  @spec append(t(), [Record.t()]) :: {:ok, t()} | {:error, File.posix(), t()}
+  @spec append(t(), [Record.t()]) :: {:ok, t()} | {:error, File.posix(), t(), written :: non_neg_integer()}
   def append(outbox, []), do: {:ok, outbox}
 
   def append(outbox, records) do
     {encoded, too_large} =
-      Enum.reduce(records, {[], 0}, fn record, {encoded, too_large} ->
+      records
+      |> Enum.with_index(1)
+      |> Enum.reduce({[], []}, fn {record, place}, {encoded, too_large} ->
         case Record.encode(record) do
-          {:ok, bytes} -> {[bytes | encoded], too_large}
-          :too_large -> {encoded, too_large + 1}
+          {:ok, bytes} -> {[{bytes, place} | encoded], too_large}
+          :too_large -> {encoded, [place | too_large]}
         end
       end)
 
-    outbox = %{outbox | dropped: outbox.dropped + too_large}
-
     # In pieces of a segment, so that the size limit holds within one long list too.
-    encoded |> Enum.reverse() |> pieces(outbox.segment_bytes) |> write(outbox)
+    case encoded |> Enum.reverse() |> pieces(outbox.segment_bytes) |> write(outbox, 0) do
+      {:ok, outbox} ->
+        {:ok, dropped(outbox, length(too_large))}
+
+      {:error, reason, outbox, written} ->
+        {:error, reason, dropped(outbox, Enum.count(too_large, &(&1 <= written))), written}
+    end
   end
 
+  defp dropped(outbox, n), do: %{outbox | dropped: outbox.dropped + n}
+
+  # Each piece as its bytes, how many records there are in it, and the place of the last one among all.
   defp pieces(encoded, size) do
     Enum.chunk_while(
       encoded,
-      {[], 0},
-      fn bytes, {piece, sum} ->
+      {[], 0, 0, 0},
+      fn {bytes, place}, {piece, sum, n, last} ->
         if piece != [] and sum + byte_size(bytes) > size,
-          do: {:cont, Enum.reverse(piece), {[bytes], byte_size(bytes)}},
-          else: {:cont, {[bytes | piece], sum + byte_size(bytes)}}
+          do: {:cont, {Enum.reverse(piece), sum, n, last}, {[bytes], byte_size(bytes), 1, place}},
+          else: {:cont, {[bytes | piece], sum + byte_size(bytes), n + 1, place}}
       end,
-      fn {piece, _sum} -> {:cont, Enum.reverse(piece), []} end
+      fn
+        {[], _sum, _n, _last} -> {:cont, []}
+        {piece, sum, n, last} -> {:cont, {Enum.reverse(piece), sum, n, last}, []}
+      end
     )
   end
 
-  defp write([], outbox), do: {:ok, outbox}
-  defp write([[] | rest], outbox), do: write(rest, outbox)
+  defp write([], outbox, _written), do: {:ok, outbox}
 
-  defp write([piece | rest], outbox) do
-    bytes = IO.iodata_length(piece)
-
-    with {:ok, outbox} <- outbox |> make_room(bytes) |> writable(bytes),
-         segment = List.last(outbox.segments),
-         {:ok, segment} <- Segment.append(segment, outbox.writer, piece, length(piece), bytes) do
-      segments = List.replace_at(outbox.segments, -1, segment)
-      write(rest, %{outbox | segments: segments, next: outbox.next + length(piece), unsynced: true})
+  defp write([{_bytes, size, _n, last} = piece | rest], outbox, written) do
+    with {:ok, outbox} <- outbox |> make_room(size) |> writable(size),
+         {:ok, outbox} <- put(outbox, piece) do
+      write(rest, outbox, last)
     else
-      {:error, reason, outbox} -> {:error, reason, outbox}
-      # A write that was cut off half way has been taken back; the file is closed so that the next try opens it anew.
-      {:error, reason} -> {:error, reason, close_writer(outbox)}
+      {:error, reason, outbox} -> {:error, reason, outbox, written}
     end
   end
+
+  defp put(outbox, {bytes, size, n, _last}) do
+    case Segment.append(List.last(outbox.segments), outbox.writer, bytes, n, size) do
+      {:ok, segment} ->
+        outbox = put_last(outbox, segment)
+        {:ok, %{outbox | next: outbox.next + n, unsynced: true}}
+
+      # Closed, so that the next try opens it anew, or the next one where half a record could not be taken back.
+      {:error, reason, segment} ->
+        {:error, reason, outbox |> close_writer() |> put_last(segment) |> without_ruin(segment)}
+    end
+  end
+
+  defp put_last(outbox, segment), do: %{outbox | segments: List.replace_at(outbox.segments, -1, segment)}
+
+  # A file that has nothing but what cannot be read is of no use, and the next one is to have its number.
+  defp without_ruin(outbox, %Segment{damaged: true, count: 0} = ruin) do
+    case Segment.delete(ruin) do
+      :ok -> %{outbox | segments: List.delete_at(outbox.segments, -1)}
+      {:error, _reason} -> %{outbox | damaged: outbox.damaged + 1}
+    end
+  end
+
+  defp without_ruin(outbox, %Segment{damaged: true}), do: %{outbox | damaged: outbox.damaged + 1}
+  defp without_ruin(outbox, _sound), do: outbox
 
   defp make_room(%{segments: [oldest | rest]} = outbox, bytes) do
     if bytes(outbox) + bytes > outbox.max_bytes do
       lost = Enum.count(oldest.first..(Segment.next(oldest) - 1)//1, &pending?(outbox, &1))
       outbox = if rest == [], do: close_writer(outbox), else: outbox
-      Segment.delete(oldest)
+      _ = Segment.delete(oldest)
       after_it = Segment.next(oldest)
       head = max(outbox.head, after_it)
       outbox = %{outbox | segments: rest, head: head, dropped: outbox.dropped + lost}
@@ -157,12 +187,21 @@ defmodule Aerie.Bridge.Outbox do
 
       _full_damaged_or_none ->
         outbox = close_writer(outbox)
-        segment = Segment.new(outbox.dir, outbox.next)
+        first = first_of_next(outbox)
+        segment = Segment.new(outbox.dir, first)
 
-        case with_writer(%{outbox | segments: outbox.segments ++ [segment]}, segment) do
+        case with_writer(%{outbox | segments: outbox.segments ++ [segment], next: first}, segment) do
           {:ok, outbox} -> {:ok, outbox}
           {:error, reason, _} -> {:error, reason, outbox}
         end
+    end
+  end
+
+  # A damaged file without a readable record has that number already: it is skipped, as `settle/1` and `read/2` know.
+  defp first_of_next(outbox) do
+    case List.last(outbox.segments) do
+      %Segment{first: first} when first >= outbox.next -> first + 1
+      _before_it -> outbox.next
     end
   end
 
@@ -270,7 +309,7 @@ defmodule Aerie.Bridge.Outbox do
   defp trim(%{segments: [segment | rest]} = outbox) do
     if Segment.next(segment) <= outbox.head and (rest != [] or segment.count > 0) do
       outbox = if rest == [], do: close_writer(outbox), else: outbox
-      Segment.delete(segment)
+      _ = Segment.delete(segment)
       trim(%{outbox | segments: rest})
     else
       outbox
@@ -325,7 +364,7 @@ defmodule Aerie.Bridge.Outbox do
   @spec empty?(t()) :: boolean()
   def empty?(outbox), do: stats(outbox).events == 0
 
-  defp bytes(outbox), do: outbox.segments |> Enum.map(& &1.bytes) |> Enum.sum()
+  defp bytes(outbox), do: outbox.segments |> Enum.map(&(&1.bytes + &1.waste)) |> Enum.sum()
 
   defp read_head(outbox) do
     case File.read(head_file(outbox)) do

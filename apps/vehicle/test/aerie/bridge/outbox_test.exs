@@ -3,6 +3,7 @@ defmodule Aerie.Bridge.OutboxTest do
 
   alias Aerie.Bridge.Outbox
   alias Aerie.Bridge.Outbox.Record
+  alias Aerie.PythonPeer
 
   @moduletag :tmp_dir
 
@@ -121,12 +122,79 @@ defmodule Aerie.Bridge.OutboxTest do
     outbox = dir |> open!() |> append!([1])
     File.ln_s!("/dev/full", Path.join(dir, "0000000000000002.log"))
     full = %{outbox | segment_bytes: 1}
-    assert {:error, :enospc, outbox} = Outbox.append(full, [record(2)])
+    assert {:error, :enospc, outbox, 0} = Outbox.append(full, [record(2)])
     assert %{events: 1} = Outbox.stats(outbox)
-    File.rm!(Path.join(dir, "0000000000000002.log"))
+    # It cannot be cut to its old size either, and has nothing else in it: it is gone.
+    refute File.exists?(Path.join(dir, "0000000000000002.log"))
     assert {:ok, outbox} = Outbox.append(outbox, [record(2)])
     assert {[{1, _}, {2, _}], _} = Outbox.read(outbox, 9)
     File.rm_rf!(dir)
+  end
+
+  test "full in the middle of a list: it says how many are written, and those are not written twice", %{
+    tmp_dir: dir
+  } do
+    File.ln_s!("/dev/full", Path.join(dir, "0000000000000003.log"))
+    # Without the full one among what is read at the start.
+    outbox = %{(dir |> Path.join("x") |> open!(segment_bytes: 100)) | dir: dir}
+    large = record(9, 200_000)
+    records = [record(1), large, record(2), record(3), large, record(4)]
+    assert {:error, :enospc, outbox, 3} = Outbox.append(outbox, records)
+    assert %{events: 2, dropped: 1} = Outbox.stats(outbox)
+    assert {:ok, outbox} = Outbox.append(outbox, Enum.drop(records, 3))
+    assert %{events: 4, dropped: 2} = Outbox.stats(outbox)
+    assert {[{1, _}, {2, _}, {3, _}, {4, %{id: "id-4"}}], _} = Outbox.read(outbox, 9)
+  end
+
+  test "half a record that cannot be taken back ends its file; what follows goes into another", %{
+    tmp_dir: dir
+  } do
+    dir |> open!() |> append!([1])
+    outbox = open!(dir)
+    [file] = Path.wildcard(dir <> "/*.log")
+    whole = File.read!(file)
+    File.rm!(file)
+    # Neither written nor cut (no regular file is).
+    File.ln_s!("/dev/full", file)
+    assert {:error, :enospc, outbox, 0} = Outbox.append(outbox, [record(2)])
+    assert %{events: 1, damaged: 1} = stats = Outbox.stats(outbox)
+    File.rm!(file)
+    File.write!(file, whole <> binary_part(whole, 0, 30))
+    # The half record counts as room that is taken.
+    assert stats.bytes > byte_size(whole)
+    outbox = append!(outbox, [2])
+    assert {[{1, _}, {2, %{id: "id-2"}}], _} = Outbox.read(outbox, 9)
+    assert {[{1, _}, {2, %{id: "id-2"}}], outbox} = dir |> open!() |> Outbox.read(9)
+    assert Outbox.empty?(Outbox.ack(outbox, [1, 2]))
+    assert Path.wildcard(dir <> "/*.log") == []
+  end
+
+  @tag :python
+  test "a torn tail that cannot be cut away takes nothing after it", %{tmp_dir: dir} do
+    dir |> open!() |> append!(1..2)
+    [file] = Path.wildcard(dir <> "/*.log")
+    whole = File.read!(file)
+    peer = PythonPeer.start("sealed_file.py", [Base.encode16(binary_part(whole, 0, byte_size(whole) - 5))])
+    sealed = PythonPeer.await(peer, "file ")
+    File.rm!(file)
+    File.ln_s!(sealed, file)
+    outbox = dir |> open!() |> append!([3])
+    assert length(Path.wildcard(dir <> "/*.log")) == 2
+    assert {records, _} = Outbox.read(outbox, 9)
+    assert ids(records) == ["id-1", "id-3"]
+    assert {records, _} = dir |> open!() |> Outbox.read(9)
+    assert ids(records) == ["id-1", "id-3"]
+  end
+
+  test "a file that is damaged from its first record on keeps its number, and hides nothing", %{tmp_dir: dir} do
+    dir |> open!() |> append!([1])
+    [file] = Path.wildcard(dir <> "/*.log")
+    File.write!(file, :binary.copy(<<255>>, 100))
+    outbox = dir |> open!() |> append!([2])
+    assert {[{_, %{id: "id-2"}}], _} = Outbox.read(outbox, 9)
+    assert {[{seq, %{id: "id-2"}}], outbox} = dir |> open!() |> Outbox.read(9)
+    assert Outbox.empty?(Outbox.ack(outbox, [seq]))
+    assert Path.wildcard(dir <> "/*.log") == []
   end
 
   # The model: the list of all records ever appended, and the set of acknowledged ones.

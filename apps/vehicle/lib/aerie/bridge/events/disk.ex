@@ -42,14 +42,21 @@ defmodule Aerie.Bridge.Events.Disk do
     case Outbox.append(state.outbox, Enum.map(events, &record(state, &1))) do
       {:ok, outbox} ->
         outbox = if state.settings.fsync == :always, do: Outbox.sync(outbox), else: outbox
-        Fleet.Journal.ack(state.gateway, Enum.map(events, & &1.id))
-        Tables.count(state.tables, :outbox_written, [], length(events))
+        written(state, events)
         spill(%{state | outbox: outbox, problem: nil})
 
-      {:error, reason, outbox} ->
+      {:error, reason, outbox, written} ->
+        written(state, Enum.take(events, written))
         Tables.count(state.tables, :outbox_errors)
         problem(%{state | outbox: outbox}, :file.format_error(reason))
     end
+  end
+
+  defp written(_state, []), do: :ok
+
+  defp written(state, events) do
+    Fleet.Journal.ack(state.gateway, Enum.map(events, & &1.id))
+    Tables.count(state.tables, :outbox_written, [], length(events))
   end
 
   @doc "Forces what was written to the disk, when it is time (`outbox.fsync: interval`)."

@@ -4,14 +4,18 @@ defmodule Aerie.Bridge.Outbox.Segment do
   alias Aerie.Bridge.Outbox.Record
 
   @enforce_keys [:path, :first]
-  defstruct [:path, :first, count: 0, bytes: 0, damaged: false]
+  defstruct [:path, :first, count: 0, bytes: 0, waste: 0, damaged: false]
 
-  @typedoc "`bytes`: the readable part; `damaged`: something unreadable follows it, so nothing is appended."
+  @typedoc """
+  `bytes`: the readable part; `damaged`: something unreadable follows it, so nothing is appended; `waste`: how much of
+  that there is on the disk.
+  """
   @type t :: %__MODULE__{
           path: Path.t(),
           first: pos_integer(),
           count: non_neg_integer(),
           bytes: non_neg_integer(),
+          waste: non_neg_integer(),
           damaged: boolean()
         }
 
@@ -41,10 +45,13 @@ defmodule Aerie.Bridge.Outbox.Segment do
     with {:ok, bytes} <- File.read(segment.path) do
       {records, why} = Record.decode(bytes, :all)
       readable = records |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-      segment = %{segment | count: length(records), bytes: readable, damaged: why == :damaged}
-      # A file that cannot be cut cannot be written either, which is said when it is opened for that.
-      _ = if why == :cut, do: truncate(segment)
-      {:ok, segment}
+      segment = %{segment | count: length(records), bytes: readable}
+
+      case why do
+        :end -> {:ok, segment}
+        :cut -> {:ok, cut(segment, byte_size(bytes))}
+        :damaged -> {:ok, %{segment | damaged: true, waste: byte_size(bytes) - readable}}
+      end
     end
   end
 
@@ -57,16 +64,19 @@ defmodule Aerie.Bridge.Outbox.Segment do
   @spec open_writer(t()) :: {:ok, :file.fd()} | {:error, File.posix()}
   def open_writer(segment), do: :file.open(segment.path, [:append, :raw, :binary])
 
-  @doc "Writes records. A write that fails half way (a full disk) is taken back."
-  @spec append(t(), :file.fd(), iodata(), pos_integer(), pos_integer()) :: {:ok, t()} | {:error, File.posix()}
+  @doc """
+  Writes records. A write that fails half way (a full disk) is taken back; where that fails too, the segment given with the
+  error takes no more.
+  """
+  @spec append(t(), :file.fd(), iodata(), pos_integer(), pos_integer()) ::
+          {:ok, t()} | {:error, File.posix(), t()}
   def append(segment, writer, iodata, count, bytes) do
     case :file.write(writer, iodata) do
       :ok ->
         {:ok, %{segment | count: segment.count + count, bytes: segment.bytes + bytes}}
 
       {:error, reason} ->
-        _ = truncate(segment)
-        {:error, reason}
+        {:error, reason, cut(segment, segment.bytes + bytes)}
     end
   end
 
@@ -81,17 +91,24 @@ defmodule Aerie.Bridge.Outbox.Segment do
   end
 
   @doc "Deletes the file; one that is gone already is as good."
-  @spec delete(t()) :: :ok
+  @spec delete(t()) :: :ok | {:error, File.posix()}
   def delete(segment) do
-    _ = File.rm(segment.path)
-    :ok
+    with {:error, :enoent} <- File.rm(segment.path), do: :ok
+  end
+
+  # Without its unreadable end, which makes the file `size` bytes long at most; with it, nothing may follow.
+  defp cut(segment, size) do
+    case truncate(segment) do
+      :ok -> segment
+      {:error, _reason} -> %{segment | damaged: true, waste: size - segment.bytes}
+    end
   end
 
   defp truncate(segment) do
     with {:ok, file} <- :file.open(segment.path, [:read, :write, :raw, :binary]) do
-      _ = :file.position(file, segment.bytes)
-      _ = :file.truncate(file)
-      :file.close(file)
+      result = with {:ok, _position} <- :file.position(file, segment.bytes), do: :file.truncate(file)
+      closed = :file.close(file)
+      with :ok <- result, do: closed
     end
   end
 end

@@ -85,7 +85,7 @@ defmodule Aerie.Gateway do
 
     children =
       [
-        {Aerie.Fleet.Store, gateway: name},
+        {Aerie.Fleet.Store, gateway: name, config: config},
         {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
         {Aerie.Bridge.Supervisor, gateway: name, config: config},
         {Aerie.Signing.Supervisor, gateway: name, config: config},

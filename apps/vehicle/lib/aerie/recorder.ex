@@ -54,6 +54,13 @@ defmodule Aerie.Recorder do
     Tap.offer(tables, {:vehicle, key}, frames, n)
   end
 
+  @doc "A vehicle is gone: its last moments are kept no longer. Recordings of it go on as they would."
+  @spec forget(Names.gateway(), {String.t(), non_neg_integer}) :: :ok
+  def forget(gateway, key) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: Ring.forget(tables, key)
+    :ok
+  end
+
   @doc "A link sent the bytes of whole frames: they are recorded for it, and for the vehicles that they are addressed to."
   @spec sent(Names.gateway(), String.t(), String.t(), iodata) :: :ok
   def sent(gateway, link, network, bytes) do

@@ -14,6 +14,7 @@ defmodule Aerie.Telemetry do
   |---|---|---|---|
   | `[:aerie, :vehicle, :status]` | `count` (1) | `vehicle`, `old`, `new` | it is heard again, silent, lost |
   | `[:aerie, :vehicle, :event]` | `count` (1) | `vehicle`, `type`, `event` | an `Aerie.Vehicle.Event` was committed |
+  | `[:aerie, :vehicle, :displaced]` | `lost_ms` | `vehicle`, `network`, `system`, `by` | it was lost, and another has its place now |
   | `[:aerie, :vehicle, :restart]` | `count` (1) | `network`, `system` | a vehicle's tree died and was started again |
 
   ## Of links, router and bridge
@@ -26,6 +27,7 @@ defmodule Aerie.Telemetry do
   @events [
     {[:aerie, :vehicle, :status], Aerie.Telemetry},
     {[:aerie, :vehicle, :event], Aerie.Telemetry},
+    {[:aerie, :vehicle, :displaced], Aerie.Telemetry},
     {[:aerie, :vehicle, :restart], Aerie.Telemetry},
     {[:aerie, :link, :up], Aerie.Link},
     {[:aerie, :link, :down], Aerie.Link},

@@ -23,7 +23,7 @@ defmodule Aerie.Bridge.Events do
   @answer_ms 2_000
   # Sent this often without a confirmation, events are safer on disk than in memory.
   @patience 4
-  # More than this in the journal is moved to the disk even while NATS answers.
+  # More than this in the journal, or a quarter of what it holds, is moved to the disk even while NATS answers.
   @spill_above 5_000
   @drain_ms 1_000
 
@@ -46,6 +46,7 @@ defmodule Aerie.Bridge.Events do
       environment: config.environment,
       tables: Tables.get(gateway),
       settings: config.outbox,
+      spill_above: min(@spill_above, div(Fleet.Journal.max_pending(config), 4)),
       window: Window.new(config.limits.max_events_in_flight),
       outbox: nil,
       problem: nil,
@@ -147,7 +148,7 @@ defmodule Aerie.Bridge.Events do
   defp pump(%{conn: nil} = state), do: Disk.spill(state)
 
   defp pump(state) do
-    if Fleet.Journal.pending_size(state.gateway) > @spill_above do
+    if Fleet.Journal.pending_size(state.gateway) > state.spill_above do
       state |> reset() |> Disk.spill() |> fill() |> send_ready()
     else
       state |> fill() |> send_ready()

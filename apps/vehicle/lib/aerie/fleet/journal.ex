@@ -10,8 +10,10 @@ defmodule Aerie.Fleet.Journal do
       session ─ offer/3 ─▶ inbox ─▶ Aerie.Vehicle.Events ─ commit/4 ─▶ pending ─▶ bridge ─ ack/2
                                                                    └─▶ recent (for faces)
 
-  Bounds: #{inspect(4096)} entries in a vehicle's inbox, #{inspect(20_000)} unacknowledged events (the oldest is dropped),
-  the last #{inspect(256)} events of each vehicle for faces, #{inspect(8192)} parameters of a vehicle. Drops are counted in
+  Bounds: #{inspect(4096)} entries in a vehicle's inbox, `limits.max_pending_events`
+  unacknowledged events (the oldest is dropped),
+  the last #{inspect(256)} events of each vehicle for faces, #{inspect(8192)} parameters of a vehicle, the detectors' states of
+  #{inspect(1024)} vehicles that are gone. Drops are counted in
   the store's counters `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
 
   The table belongs to `Aerie.Fleet.Store`. Objects in it:
@@ -19,6 +21,7 @@ defmodule Aerie.Fleet.Journal do
       {{:state, vehicle}, term}         {{:inbox, vehicle, n}, term}       {{:inbox_last, vehicle}, n}
       {{:pending, n}, event}            {{:id, event_id}, n}               {{:recent, vehicle, seq}, event}
       {{:param, vehicle, name}, value}  {{:params, vehicle}, count}        {:last_pending, n}
+      {{:gone, n}, vehicle}             {:max_pending, n}
   """
 
   alias Aerie.{Fleet, Names}
@@ -26,6 +29,7 @@ defmodule Aerie.Fleet.Journal do
 
   @max_inbox 4096
   @max_pending 20_000
+  @max_gone 1024
   @max_recent 256
   # No firmware has as many; the names come from outside.
   @max_params 8192
@@ -85,15 +89,32 @@ defmodule Aerie.Fleet.Journal do
   def wake(gateway), do: Fleet.PubSub.publish(gateway, :journal, :pending)
 
   @doc "Unacknowledged events, oldest first; at most `limit`."
-  @spec pending(Names.gateway(), pos_integer()) :: [Event.t()]
-  def pending(gateway, limit \\ @max_pending) do
+  @spec pending(Names.gateway(), pos_integer() | :all) :: [Event.t()]
+  def pending(gateway, limit \\ :all)
+
+  def pending(gateway, :all),
+    do: Fleet.Store.with_table(gateway, :journal, [], &:ets.select(&1, all_pending()))
+
+  def pending(gateway, limit) do
     Fleet.Store.with_table(gateway, :journal, [], fn table ->
-      case :ets.select(table, [{{{:pending, :_}, :"$1"}, [], [:"$1"]}], limit) do
+      case :ets.select(table, all_pending(), limit) do
         {events, _continuation} -> events
         :"$end_of_table" -> []
       end
     end)
   end
+
+  defp all_pending, do: [{{{:pending, :_}, :"$1"}, [], [:"$1"]}]
+
+  @doc "How many unacknowledged events a configuration allows."
+  @spec max_pending(term()) :: pos_integer()
+  def max_pending(%{limits: %{max_pending_events: max}}), do: max
+  def max_pending(_config), do: @max_pending
+
+  @doc false
+  # Said by the store when it makes the table.
+  @spec bound(:ets.table(), pos_integer()) :: true
+  def bound(table, max_pending), do: :ets.insert(table, {:max_pending, max_pending})
 
   @doc "How many events wait for their acknowledgement."
   @spec pending_size(Names.gateway()) :: non_neg_integer()
@@ -184,21 +205,45 @@ defmodule Aerie.Fleet.Journal do
 
   @doc """
   Forgets what was kept to find a vehicle's events: its inbox and its parameters. Its events stay, and so does its
-  detector's state, which numbers the next ones.
+  detector's state, which numbers the next ones; until #{@max_gone} others have gone after it.
   """
   @spec forget_vehicle(Names.gateway(), String.t()) :: :ok
   def forget_vehicle(gateway, vehicle) do
     table = Fleet.Store.table!(gateway, :journal)
+    :ok = here(table, vehicle)
+    :ets.insert(table, {{:gone, :erlang.unique_integer([:monotonic])}, vehicle})
+    gone = :ets.select_count(table, [{{{:gone, :_}, :_}, [], [true]}])
+    if gone > @max_gone, do: forget_longest_gone(gateway, table)
     :ets.match_delete(table, {{:inbox, vehicle, :_}, :_})
     :ets.match_delete(table, {{:param, vehicle, :_}, :_})
     :ets.delete(table, {:params, vehicle})
     :ok
   end
 
+  @doc "A vehicle that may have been forgotten is here again."
+  @spec welcome(Names.gateway(), String.t()) :: :ok
+  def welcome(gateway, vehicle), do: gateway |> Fleet.Store.table!(:journal) |> here(vehicle)
+
+  defp here(table, vehicle) do
+    true = :ets.match_delete(table, {{:gone, :_}, vehicle})
+    :ok
+  end
+
+  # All that is left of it but the events that wait, which are the bridge's.
+  defp forget_longest_gone(gateway, table) do
+    {[{key, vehicle}], _continuation} = :ets.select(table, [{{{:gone, :_}, :_}, [], [:"$_"]}], 1)
+    :ets.delete(table, key)
+    :ets.delete(table, {:state, vehicle})
+    :ets.delete(table, {:inbox_last, vehicle})
+    :ets.match_delete(table, {{:recent, vehicle, :_}, :_})
+    Fleet.Store.forget_counters(gateway, vehicle)
+  end
+
   # The span of numbers is taken for the size: a number is used once, so there are never more events than that.
   defp bound_pending(gateway, table) do
     with {[{n, id}], _continuation} <- :ets.select(table, oldest_pending(), 1),
-         true <- :ets.lookup_element(table, :last_pending, 2) - n >= @max_pending do
+         true <-
+           :ets.lookup_element(table, :last_pending, 2) - n >= :ets.lookup_element(table, :max_pending, 2) do
       :ets.delete(table, {:id, id})
       dropped(gateway, :ets.take(table, {:pending, n}))
       bound_pending(gateway, table)

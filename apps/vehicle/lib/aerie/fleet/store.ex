@@ -25,10 +25,11 @@ defmodule Aerie.Fleet.Store do
   @max_systems 4096
   @max_claims 4096
 
-  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  @doc "Options: `:gateway`, and `:config` for `limits.max_pending_events`."
+  @spec start_link(gateway: Names.gateway(), config: term()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :store))
+    GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :store))
   end
 
   @doc "Writes a vehicle's snapshot and tells subscribers of `:vehicles` and `{:vehicle, id}` at the next tick."
@@ -114,6 +115,13 @@ defmodule Aerie.Fleet.Store do
     with_table(gateway, :counters, 0, fn table -> :ets.lookup_element(table, counter, 2, 0) end)
   end
 
+  @doc "Counts for a vehicle no longer: the counters `{:vehicle, id, _}`."
+  @spec forget_counters(Names.gateway(), vehicle_id :: String.t()) :: :ok
+  def forget_counters(gateway, id) do
+    true = :ets.match_delete(table!(gateway, :counters), {{:vehicle, id, :_}, :_})
+    :ok
+  end
+
   @doc "All counters."
   @spec counters(Names.gateway()) :: %{counter() => integer()}
   def counters(gateway) do
@@ -195,6 +203,12 @@ defmodule Aerie.Fleet.Store do
   @spec remembered(Names.gateway()) :: [{term(), term()}]
   def remembered(gateway), do: with_table(gateway, :notes, [], &Enum.sort(:ets.tab2list(&1)))
 
+  @doc "A value that is kept, or nil."
+  @spec recall(Names.gateway(), term()) :: term()
+  def recall(gateway, key) do
+    with_table(gateway, :notes, nil, fn table -> :ets.lookup_element(table, key, 2, nil) end)
+  end
+
   @doc false
   # The tables are named by what they hold; only the modules of this folder ask for one.
   @spec table!(Names.gateway(), atom()) :: :ets.table()
@@ -219,7 +233,8 @@ defmodule Aerie.Fleet.Store do
   end
 
   @impl GenServer
-  def init(gateway) do
+  def init(options) do
+    gateway = options[:gateway]
     Process.set_label({:store, gateway})
     shared = [:public, read_concurrency: true, write_concurrency: true]
 
@@ -235,6 +250,7 @@ defmodule Aerie.Fleet.Store do
       journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
     }
 
+    Fleet.Journal.bound(tables.journal, Fleet.Journal.max_pending(options[:config]))
     Names.put_value(gateway, :store, tables)
     {:ok, gateway}
   end

@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:collision, at, boot_ms, sign, links}` | collision                                                           |
   | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
   | `{:gcs, at, boot_ms, what, facts}`       | gcs.lost, gcs.restored                                              |
-  | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.*                             |
+  | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.*, displaced                  |
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
   event; except for a battery that is found low.

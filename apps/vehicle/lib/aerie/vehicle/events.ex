@@ -25,6 +25,7 @@ defmodule Aerie.Vehicle.Events do
   @impl GenServer
   def init(gateway: gateway, options: options) do
     Process.set_label({:events, options.id})
+    Fleet.Journal.welcome(gateway, options.id)
     detector = Fleet.Journal.state(gateway, options.id) || Vehicle.Detector.new(options)
     # A forerunner may have been killed before it told about what it had committed.
     Fleet.Journal.wake(gateway)
@@ -58,12 +59,15 @@ defmodule Aerie.Vehicle.Events do
     detector = %{detector | done: n}
     Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
 
-    for event <- events do
-      metadata = %{gateway: state.gateway, vehicle: state.id, type: event.type, event: event}
-      :telemetry.execute([:aerie, :vehicle, :event], %{count: 1}, metadata)
-    end
-
+    Enum.each(events, &told(state.gateway, state.id, &1))
     detector
+  end
+
+  @doc "Tells who measures that an event was committed."
+  @spec told(Names.gateway(), String.t(), Vehicle.Event.t()) :: :ok
+  def told(gateway, id, event) do
+    metadata = %{gateway: gateway, vehicle: id, type: event.type, event: event}
+    :telemetry.execute([:aerie, :vehicle, :event], %{count: 1}, metadata)
   end
 
   # One look at the inbox answers all calls to look at it that are waiting.

@@ -5,6 +5,8 @@ defmodule Aerie.Vehicle.Keeper do
   The first time at once, then after 250 ms, 500 ms … up to 30 s with up to a quarter of jitter; a tree that lived for ten
   seconds counts as new. A tree that is to stay ended is forgotten first (`forget/2`); no reason of its end tells that,
   because a supervisor that gives up says `:shutdown` too.
+
+  It also ends a lost vehicle's tree when another one needs its place (`Aerie.Vehicle.Places`).
   """
   use GenServer
 
@@ -28,6 +30,13 @@ defmodule Aerie.Vehicle.Keeper do
   @spec forget(pid(), Fleet.Store.vehicle_key()) :: :ok
   def forget(keeper, key), do: GenServer.call(keeper, {:forget, key})
 
+  @doc """
+  Ends a lost vehicle for the sake of one that finds no place (`Aerie.Vehicle.Places`); which, or that there is none. One
+  at a time, so that two newcomers displace two.
+  """
+  @spec make_room(pid(), Fleet.Store.vehicle_key()) :: {:ok, Fleet.Store.vehicle_key()} | :none
+  def make_room(keeper, newcomer), do: GenServer.call(keeper, {:make_room, newcomer})
+
   @impl GenServer
   def init(gateway) do
     Process.set_label({:keeper, gateway})
@@ -46,10 +55,25 @@ defmodule Aerie.Vehicle.Keeper do
   end
 
   @impl GenServer
-  def handle_call({:forget, key}, _from, state) do
+  def handle_call({:forget, key}, _from, state), do: {:reply, :ok, unwatch(state, key)}
+
+  def handle_call({:make_room, newcomer}, _from, state) do
+    case Vehicle.Places.taken_by(state.gateway, newcomer) do
+      nil ->
+        {:reply, :none, state}
+
+      {key, lost_ms} ->
+        state = unwatch(state, key)
+        Vehicle.Supervisor.end_tree(state.gateway, key)
+        Vehicle.Places.tell(state.gateway, key, newcomer, lost_ms)
+        {:reply, {:ok, key}, state}
+    end
+  end
+
+  defp unwatch(state, key) do
     {gone, kept} = Map.split_with(state.watched, fn {_ref, entry} -> entry.key == key end)
     Enum.each(Map.keys(gone), &Process.demonitor(&1, [:flush]))
-    {:reply, :ok, %{state | watched: kept}}
+    %{state | watched: kept}
   end
 
   @impl GenServer

@@ -102,6 +102,14 @@ defmodule Aerie.Vehicle.Options do
   @spec max_vehicles(term()) :: pos_integer() | nil
   def max_vehicles(config), do: get(config, [:limits, :max_vehicles], nil)
 
+  @doc "How long a vehicle must be lost before a new one takes its place (`Aerie.Vehicle.Places`)."
+  @spec displace_lost_s(term(), number()) :: number()
+  def displace_lost_s(config, default), do: get(config, [:limits, :displace_lost_s], default)
+
+  @doc "Whether a vehicle has its name from the configuration."
+  @spec named?(term(), Fleet.Store.vehicle_key()) :: boolean()
+  def named?(config, key), do: is_map_key(configured_ids(config), key)
+
   @doc """
   A vehicle's public name: the configured one, else `VID-` and the system id with three digits on the default network,
   `{network}-` and the same on others.

@@ -27,8 +27,8 @@ defmodule Aerie.Vehicle.Supervisor do
   Makes sure that a vehicle has its tree; gives its session.
 
   May be called by any number of processes at once; all get the same session. `options` refine what the configuration
-  says about the vehicle (see `Aerie.Vehicle.Options`). Errors: `:too_many` when `max_vehicles` are there (counted as
-  `{:vehicles, :refused}`), `:not_running` when the gateway is going down or its vehicles are being restarted.
+  says about the vehicle (see `Aerie.Vehicle.Options`). Errors: `:too_many` when `max_vehicles` are there and none of
+  them makes room (`Aerie.Vehicle.Places`; counted as `{:vehicles, :refused}`), `:not_running` when the gateway is going down or its vehicles are being restarted.
   """
   @spec ensure(Names.gateway(), Fleet.Store.vehicle_key(), keyword()) ::
           {:ok, pid()} | {:error, :too_many | :not_running}
@@ -43,7 +43,13 @@ defmodule Aerie.Vehicle.Supervisor do
   @spec remove(Names.gateway(), Fleet.Store.vehicle_key()) :: :ok
   def remove(gateway, key) do
     with keeper when is_pid(keeper) <- Names.whereis(gateway, :keeper), do: Vehicle.Keeper.forget(keeper, key)
+    end_tree(gateway, key)
+  end
 
+  @doc false
+  # For the keeper, which must not watch the tree any more.
+  @spec end_tree(Names.gateway(), Fleet.Store.vehicle_key()) :: :ok
+  def end_tree(gateway, key) do
     # It may have ended by itself meanwhile.
     _ended =
       with tree when is_pid(tree) <- Names.whereis(gateway, :tree, key) do
@@ -51,6 +57,8 @@ defmodule Aerie.Vehicle.Supervisor do
       end
 
     Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.Gateway.config(gateway), key))
+    Fleet.Store.forget(gateway, {:lost, key})
+    Aerie.Recorder.forget(gateway, key)
     Fleet.Store.delete_vehicle(gateway, key)
   end
 
@@ -76,6 +84,30 @@ defmodule Aerie.Vehicle.Supervisor do
   end
 
   defp start(gateway, key, options) do
+    with {:error, :too_many} <- try_start(gateway, key, options),
+         true <- room?(gateway, key),
+         {:error, :too_many} <- try_start(gateway, key, options) do
+      refused(gateway)
+    else
+      false -> refused(gateway)
+      started -> started
+    end
+  catch
+    # The dynamic supervisor is being restarted or the gateway goes down.
+    :exit, _reason -> {:error, :not_running}
+  end
+
+  defp room?(gateway, key) do
+    keeper = Names.whereis(gateway, :keeper)
+    keeper != nil and Vehicle.Keeper.make_room(keeper, key) != :none
+  end
+
+  defp refused(gateway) do
+    Fleet.Store.count(gateway, {:vehicles, :refused})
+    {:error, :too_many}
+  end
+
+  defp try_start(gateway, key, options) do
     child = {Vehicle.Tree, [gateway: gateway, key: key] ++ options}
 
     case DynamicSupervisor.start_child(Names.via(gateway, :vehicle_trees), child) do
@@ -91,15 +123,11 @@ defmodule Aerie.Vehicle.Supervisor do
         session(gateway, key)
 
       {:error, :max_children} ->
-        Fleet.Store.count(gateway, {:vehicles, :refused})
         {:error, :too_many}
 
       {:error, _reason} ->
         {:error, :not_running}
     end
-  catch
-    # The dynamic supervisor is being restarted or the gateway goes down.
-    :exit, _reason -> {:error, :not_running}
   end
 
   defp session(gateway, key) do

@@ -67,7 +67,10 @@ defmodule Aerie.Vehicle.Core.Intake do
     end
   end
 
-  # Something of the autopilot came.
+  # Something of the autopilot came. The first time, what is kept of an earlier life of the vehicle may say that it is lost.
+  defp alive(%{status: :online, last_heard: nil} = core, actions, at),
+    do: {%{core | last_heard: at}, [{:observe, {:restored, at, core.state.boot_ms}} | actions]}
+
   defp alive(%{status: :online} = core, actions, at),
     do: {%{core | last_heard: later(core.last_heard, at)}, actions}
 

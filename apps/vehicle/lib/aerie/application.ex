@@ -4,6 +4,8 @@ defmodule Aerie.Application do
 
   @impl Application
   def start(_type, _args) do
+    :ok = Aerie.Names.prepare()
+
     children = [
       # Names of all processes of all gateways (Aerie.Names).
       {Registry, keys: :unique, name: Aerie.Registry},

@@ -72,7 +72,8 @@ defmodule Aerie.Names do
   @spec put_value(gateway(), role(), term(), term()) :: :ok
   def put_value(gateway, role, id \\ nil, value) do
     {_new, _old} = Registry.update_value(Aerie.Registry, {gateway, role, id}, fn _old -> value end)
-    :ok
+    # After it is there, so that nobody remembers the old one under the new number.
+    :atomics.add(:persistent_term.get(__MODULE__), 1, 1)
   end
 
   @doc "The value a process attached to its name, or nil."
@@ -83,6 +84,40 @@ defmodule Aerie.Names do
       [] -> nil
     end
   end
+
+  @doc """
+  The same as `value/2` for who asks with every frame: the calling process remembers it (in its dictionary) for as long as
+  its owner lives and nobody attached a value to any name, so that asking costs neither a look at a table nor a copy.
+  """
+  @spec held(gateway(), role()) :: term() | nil
+  def held(gateway, role) do
+    epoch = :atomics.get(:persistent_term.get(__MODULE__), 1)
+    key = {__MODULE__, role, gateway}
+
+    case Process.get(key) do
+      {^epoch, nil, nil} -> nil
+      {^epoch, owner, value} -> if Process.alive?(owner), do: value, else: hold(gateway, role, key, epoch)
+      _old_or_none -> hold(gateway, role, key, epoch)
+    end
+  end
+
+  defp hold(gateway, role, key, epoch) do
+    {owner, value} =
+      case Registry.lookup(Aerie.Registry, {gateway, role, nil}) do
+        # A name without a value yet: its owner is just starting.
+        [{_owner, nil}] -> {nil, nil}
+        [found] -> found
+        [] -> {nil, nil}
+      end
+
+    Process.put(key, {epoch, owner, value})
+    value
+  end
+
+  @doc false
+  # What `held/2` compares with; made once, before there is any name.
+  @spec prepare() :: :ok
+  def prepare, do: :persistent_term.put(__MODULE__, :atomics.new(1, signed: false))
 
   @doc """
   What `fun` makes of the value that a process attached to its name, usually an ETS table of its own; `absent` when

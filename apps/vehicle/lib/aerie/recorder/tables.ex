@@ -48,7 +48,7 @@ defmodule Aerie.Recorder.Tables do
 
   @doc "The tables of a gateway; nil when it has no recorder."
   @spec of(Names.gateway()) :: t | nil
-  def of(gateway), do: Names.value(gateway, :recorder)
+  def of(gateway), do: Names.held(gateway, :recorder)
 
   @doc "The settings."
   @spec settings(t) :: Settings.t()

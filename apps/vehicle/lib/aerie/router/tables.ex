@@ -61,7 +61,7 @@ defmodule Aerie.Router.Tables do
 
   @doc "The tables of a gateway, nil when its router is not running."
   @spec of(Names.gateway()) :: t | nil
-  def of(gateway), do: Names.value(gateway, :router)
+  def of(gateway), do: Names.held(gateway, :router)
 
   @doc "A setting."
   @spec setting(t, atom, default) :: term | default when default: term

@@ -54,7 +54,7 @@ defmodule Aerie.Signing.Tables do
 
   @doc "The tables of a gateway; nil when it does not sign."
   @spec of(Names.gateway()) :: t | nil
-  def of(gateway), do: Names.value(gateway, :signing)
+  def of(gateway), do: Names.held(gateway, :signing)
 
   @doc "The same, nil too when there is no key."
   @spec active(Names.gateway()) :: t | nil

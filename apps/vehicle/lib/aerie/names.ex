@@ -45,7 +45,7 @@ defmodule Aerie.Names do
   @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
   def register(gateway, role, id) do
     case Registry.register(Aerie.Registry, {gateway, role, id}, nil) do
-      {:ok, _owner} -> :ok
+      {:ok, _owner} -> changed()
       {:error, {:already_registered, _pid}} -> {:error, :taken}
     end
   end
@@ -73,8 +73,16 @@ defmodule Aerie.Names do
   def put_value(gateway, role, id \\ nil, value) do
     {_new, _old} = Registry.update_value(Aerie.Registry, {gateway, role, id}, fn _old -> value end)
     # After it is there, so that nobody remembers the old one under the new number.
-    :atomics.add(:persistent_term.get(__MODULE__), 1, 1)
+    changed()
   end
+
+  @doc "A number that has moved whenever a value was attached to a name, or a process told that it took a name."
+  @spec epoch() :: non_neg_integer()
+  def epoch, do: :atomics.get(:persistent_term.get(__MODULE__), 1)
+
+  @doc "Tells that the calling process took a name by `via/3` that others may remember to be nobody's."
+  @spec changed() :: :ok
+  def changed, do: :atomics.add(:persistent_term.get(__MODULE__), 1, 1)
 
   @doc "The value a process attached to its name, or nil."
   @spec value(gateway(), role(), term()) :: term() | nil
@@ -91,10 +99,10 @@ defmodule Aerie.Names do
   """
   @spec held(gateway(), role()) :: term() | nil
   def held(gateway, role) do
-    epoch = :atomics.get(:persistent_term.get(__MODULE__), 1)
+    epoch = epoch()
     key = {__MODULE__, role, gateway}
 
-    case Process.get(key) do
+    case :erlang.get(key) do
       {^epoch, nil, nil} -> nil
       {^epoch, owner, value} -> if Process.alive?(owner), do: value, else: hold(gateway, role, key, epoch)
       _old_or_none -> hold(gateway, role, key, epoch)

@@ -97,34 +97,52 @@ defmodule Aerie.Router do
   end
 
   defp forward(gateway, tables, local, way, source, frames) do
-    now = System.monotonic_time(:millisecond)
+    now = :erlang.monotonic_time(:millisecond)
     Tally.add(way.tally, :frames_in, length(frames))
     # What has no right signature where one is needed is not for us, whoever else it is forwarded to (S10).
     trusted = Aerie.Signing.admit(gateway, believed(%{source | network: hd(way.networks)}, way), frames)
 
-    {looped, talkers} = frames |> by_talker() |> Enum.split_with(fn {ids, _} -> ids == local.plan.own end)
+    case by_talker(frames, local.plan.own) do
+      :own -> %{@nothing | looped: length(frames)}
+      {:one, ids} -> one(gateway, tables, local, way, ids, {frames, trusted}, now)
+      {:several, looped, talkers} -> several(gateway, tables, local, way, {looped, talkers}, trusted, now)
+    end
+  end
 
-    outcome =
-      Enum.reduce(looped, @nothing, fn {_ids, frames}, sum -> %{sum | looped: sum.looped + length(frames)} end)
+  # Nearly always a read is of one component: the short way.
+  defp one(gateway, tables, local, way, {system, _component} = ids, {_frames, trusted} = both, now) do
+    {talker, way, autopilot?} = talker(gateway, tables, local, way, ids, both, now)
+
+    cond do
+      trusted == [] -> @nothing
+      way.side != :vehicle -> %{@nothing | unclaimed: length(trusted)}
+      true -> to_session(gateway, tables, way, talker, {system, trusted, autopilot?}, now, @nothing)
+    end
+  end
+
+  defp several(gateway, tables, local, way, {looped, talkers}, trusted, now) do
+    outcome = %{@nothing | looped: length(looped)}
 
     {way, vehicles} =
       Enum.reduce(talkers, {way, []}, fn {{system, _} = ids, frames}, {way, vehicles} ->
-        {way, autopilot?} = talker(gateway, tables, way, ids, {frames, heard(frames, trusted, ids)}, now)
+        # The one before may have changed it.
+        local = Local.fetch(gateway, tables)
+        both = {frames, heard(frames, trusted, ids)}
+        {_talker, way, autopilot?} = talker(gateway, tables, local, way, ids, both, now)
         {way, if(autopilot?, do: [system | vehicles], else: vehicles)}
       end)
 
-    systems = by_system(trusted, looped ++ talkers, local.plan.own)
+    not_own = Enum.reject(trusted, &({&1.system, &1.component} == local.plan.own))
 
-    cond do
-      talkers == [] or trusted == [] ->
-        outcome
-
-      way.side == :vehicle ->
-        to_sessions(gateway, tables, way, systems, vehicles, now, outcome)
-
-      true ->
-        n = Enum.count(trusted, &({&1.system, &1.component} != local.plan.own))
-        %{outcome | unclaimed: outcome.unclaimed + n}
+    if way.side == :vehicle do
+      # A vehicle's frames in their order, whichever of its components sent them.
+      not_own
+      |> Enum.group_by(& &1.system)
+      |> Enum.reduce(outcome, fn {system, frames}, outcome ->
+        to_session(gateway, tables, way, nil, {system, frames, system in vehicles}, now, outcome)
+      end)
+    else
+      %{outcome | unclaimed: length(not_own)}
     end
   end
 
@@ -145,67 +163,81 @@ defmodule Aerie.Router do
     end
   end
 
-  # Nearly always a read is of one component.
-  defp by_talker([%Frame{system: system, component: component} | rest] = frames) do
-    if Enum.all?(rest, &(&1.system == system and &1.component == component)),
-      do: [{{system, component}, frames}],
-      else: frames |> Enum.group_by(&{&1.system, &1.component}) |> Enum.to_list()
+  defp by_talker([%Frame{system: system, component: component} | rest] = frames, own) do
+    if same?(rest, system, component) do
+      ids = {system, component}
+      if ids == own, do: :own, else: {:one, ids}
+    else
+      {looped, others} = Enum.split_with(frames, &({&1.system, &1.component} == own))
+      {:several, looped, others |> Enum.group_by(&{&1.system, &1.component}) |> Enum.to_list()}
+    end
   end
 
-  # A vehicle's frames in their order, whichever of its components sent them.
-  defp by_system(frames, [{{system, _component}, frames}], _own), do: [{system, frames}]
-
-  defp by_system(frames, _talkers, own),
-    do:
-      frames
-      |> Enum.reject(&({&1.system, &1.component} == own))
-      |> Enum.group_by(& &1.system)
-      |> Enum.to_list()
+  defp same?([], _system, _component), do: true
+  defp same?([%Frame{system: s, component: c} | rest], s, c), do: same?(rest, s, c)
+  defp same?(_rest, _system, _component), do: false
 
   # Frames of an unknown message id come from who knows whom: they are passed on, but teach nothing (R4).
-  defp talker(gateway, tables, way, {system, component}, {frames, heard}, now) do
-    local = Local.fetch(gateway, tables)
+  defp talker(gateway, tables, local, way, {system, component}, {frames, heard}, now) do
     before = Local.talker(local, way.key, system, component)
-    known? = Enum.any?(heard, &(&1.crc_extra != nil))
-    talker = Talker.refresh(before, tables, local.plan, way, known?, now)
+    talker = Talker.refresh(before, tables, local.plan, way, known?(heard), now)
     {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
     _ = if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
     Forward.frames(tables, local.plan, way, talker, Wishes.pass(gateway, way, frames, heard), now)
-    {way, autopilot?}
+    {talker, way, autopilot?}
   end
 
-  defp to_sessions(gateway, tables, way, systems, vehicles, now, outcome) do
-    source = %{id: way.owner}
+  defp known?([]), do: false
+  defp known?([%Frame{crc_extra: nil} | rest]), do: known?(rest)
+  defp known?([_checked | _rest]), do: true
 
-    Enum.reduce(systems, outcome, fn {system, frames}, outcome ->
-      key = {hd(way.networks), system}
+  defp to_session(gateway, tables, way, talker, {system, frames, autopilot?}, now, outcome) do
+    key = {hd(way.networks), system}
 
-      case Names.whereis(gateway, :session, key) do
-        nil ->
-          if system in vehicles,
-            do: admit(gateway, tables, source, key, frames, now, outcome),
-            else: %{outcome | unclaimed: outcome.unclaimed + length(frames)}
-
-        session ->
-          pass(gateway, tables, source, key, session, frames, now, outcome)
-      end
-    end)
+    case session(gateway, key, way, talker) do
+      nil when autopilot? -> admit(gateway, tables, way.owner, key, frames, now, outcome)
+      nil -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
+      session -> pass(gateway, tables, way.owner, key, session, frames, now, outcome)
+    end
   end
 
-  defp admit(gateway, tables, source, key, frames, now, outcome) do
+  # Remembered with the talker while it lives; that there is none, until some process takes a name.
+  defp session(gateway, key, way, talker) do
+    case talker do
+      %{session: {^key, session}} when is_pid(session) ->
+        if Process.alive?(session), do: session, else: find_session(gateway, key, way, talker)
+
+      %{session: {^key, epoch}} when is_integer(epoch) ->
+        if epoch == Names.epoch(), do: nil, else: find_session(gateway, key, way, talker)
+
+      _new_or_none ->
+        find_session(gateway, key, way, talker)
+    end
+  end
+
+  defp find_session(gateway, key, _way, nil), do: Names.whereis(gateway, :session, key)
+
+  defp find_session(gateway, key, way, talker) do
+    epoch = Names.epoch()
+    found = Names.whereis(gateway, :session, key)
+    Local.update_talker(gateway, way.key, %{talker | session: {key, found || epoch}})
+    found
+  end
+
+  defp admit(gateway, tables, owner, key, frames, now, outcome) do
     case Admission.session(gateway, tables, key, now) do
-      {:ok, session} -> pass(gateway, tables, source, key, session, frames, now, outcome)
+      {:ok, session} -> pass(gateway, tables, owner, key, session, frames, now, outcome)
       :refused -> %{outcome | refused: outcome.refused + length(frames)}
     end
   end
 
-  defp pass(gateway, tables, source, {network, system} = key, session, frames, now, outcome) do
+  defp pass(gateway, tables, owner, {network, system} = key, session, frames, now, outcome) do
     if Load.over?(tables, key, session, now) do
       metadata = %{gateway: gateway, network: network, system: system, reason: :overload}
       :telemetry.execute([:aerie, :router, :dropped], %{frames: length(frames)}, metadata)
       %{outcome | overload: outcome.overload + length(frames)}
     else
-      Kernel.send(session, {:frames, source.id, frames})
+      Kernel.send(session, {:frames, owner, frames})
       %{outcome | delivered: outcome.delivered + length(frames), sessions: [session | outcome.sessions]}
     end
   end

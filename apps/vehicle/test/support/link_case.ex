@@ -43,9 +43,7 @@ defmodule Aerie.LinkCase do
   @doc "Makes the calling process the session of a vehicle."
   @spec be_session(term, non_neg_integer, String.t()) :: :ok
   def be_session(gateway, system, network \\ "main") do
-    {:via, Registry, {registry, name}} = Names.via(gateway, :session, {network, system})
-    {:ok, _owner} = Registry.register(registry, name, nil)
-    :ok
+    :ok = Names.register(gateway, :session, {network, system})
   end
 
   @doc "Frames of the calling process's sessions, in order, until there are `n`."

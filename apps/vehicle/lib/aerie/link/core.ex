@@ -239,22 +239,41 @@ defmodule Aerie.Link.Core do
 
   defp phase(core, phase, reason, {_mono, at}), do: %{core | phase: phase, reason: reason, since: at}
 
-  # The way of every byte. Reads of one peer within a batch become one delivery, in the order in which peers spoke.
-  defp read(core, reads, {mono, at}) do
-    {core, spoken, frames, changes} =
-      Enum.reduce(reads, {core, [], %{}, []}, fn {peer, bytes}, {core, spoken, frames, changes} ->
-        {new, change, peers} = Peers.push(core.peers, peer, bytes, mono, at)
-        core = %{core | peers: peers}
+  # The way of every byte. Nearly always one datagram of a peer that is known.
+  defp read(core, [{id, bytes}], {mono, at}) do
+    case Peers.push(core.peers, id, bytes, mono, at) do
+      {[], [], peers} ->
+        {%{core | peers: peers}, []}
+
+      {frames, [], peers} ->
+        counters = Counters.messages(core.counters, frames)
+        core = %{core | peers: peers, counters: counters, heard: mono, last_heard: at}
+        {core, [{:deliver, id, frames}]}
+
+      {frames, changes, peers} ->
+        {core, more} = changes(%{core | peers: peers}, changes)
+        deliveries = if frames == [], do: [], else: [{id, frames}]
+        {heard(core, deliveries, mono, at), more ++ deliver(deliveries)}
+    end
+  end
+
+  defp read(core, reads, now), do: batch(core, reads, now)
+
+  # Reads of one peer within a batch become one delivery, in the order in which peers spoke.
+  defp batch(core, reads, {mono, at}) do
+    {peers, spoken, frames, changes} =
+      Enum.reduce(reads, {core.peers, [], %{}, []}, fn {peer, bytes}, {peers, spoken, frames, changes} ->
+        {new, change, peers} = Peers.push(peers, peer, bytes, mono, at)
 
         case frames do
-          _any when new == [] -> {core, spoken, frames, change ++ changes}
-          %{^peer => before} -> {core, spoken, %{frames | peer => [new | before]}, change ++ changes}
-          _first -> {core, [peer | spoken], Map.put(frames, peer, [new]), change ++ changes}
+          _any when new == [] -> {peers, spoken, frames, change ++ changes}
+          %{^peer => before} -> {peers, spoken, %{frames | peer => [new | before]}, change ++ changes}
+          _first -> {peers, [peer | spoken], Map.put(frames, peer, [new]), change ++ changes}
         end
       end)
 
     deliveries = for peer <- Enum.reverse(spoken), do: {peer, join(frames[peer])}
-    {core, more} = changes(core, Enum.reverse(changes))
+    {core, more} = changes(%{core | peers: peers}, Enum.reverse(changes))
     {heard(core, deliveries, mono, at), more ++ deliver(deliveries)}
   end
 

@@ -62,14 +62,16 @@ defmodule Aerie.Link.Counters do
   @doc "Counts frames by message id."
   @spec messages(t, [%{id: non_neg_integer}]) :: t
   def messages(%__MODULE__{} = counters, frames) do
-    %{counters | messages: Enum.reduce(frames, counters.messages, &message/2)}
+    %{counters | messages: count(frames, counters.messages)}
   end
 
-  defp message(%{id: id}, messages) do
+  defp count([], messages), do: messages
+
+  defp count([%{id: id} | rest], messages) do
     case messages do
-      %{^id => n} -> %{messages | id => n + 1}
-      _new when map_size(messages) < @max_ids -> Map.put(messages, id, 1)
-      _full -> Map.update(messages, :other, 1, &(&1 + 1))
+      %{^id => n} -> count(rest, %{messages | id => n + 1})
+      _new when map_size(messages) < @max_ids -> count(rest, Map.put(messages, id, 1))
+      _full -> count(rest, Map.update(messages, :other, 1, &(&1 + 1)))
     end
   end
 end

@@ -220,8 +220,11 @@ defmodule Aerie.Link.Server do
 
   defp step(state, event) do
     {core, actions} = Core.handle(state.core, event, now())
-    Enum.reduce(actions, %{state | core: core}, &act/2)
+    run(actions, %{state | core: core})
   end
+
+  defp run([], state), do: state
+  defp run([action | rest], state), do: run(rest, act(action, state))
 
   defp act(:open, state) do
     _ = if state.retry, do: Process.cancel_timer(state.retry)
@@ -250,19 +253,13 @@ defmodule Aerie.Link.Server do
   end
 
   defp act({:deliver, peer, frames}, state) do
-    source = %{
-      id: state.spec.id,
-      network: state.spec.network,
-      peer: peer,
-      trust: Aerie.Signing.trust(state.spec)
-    }
-
-    if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, state.spec.id, frames)
+    spec = state.spec
+    source = %{id: spec.id, network: spec.network, peer: peer, trust: Aerie.Signing.trust(spec)}
+    if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, spec.id, frames)
     outcome = Router.deliver(state.gateway, source, frames)
-    state = %{state | egress: Egress.radio(state.egress, peer, frames)}
-    core = Enum.reduce(@drops, state.core, &count(&2, &1, outcome))
+    egress = Egress.radio(state.egress, peer, frames)
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
-    %{state | core: core, sessions: sessions}
+    %{state | core: dropped(state.core, outcome), egress: egress, sessions: sessions}
   end
 
   defp act({:forget, peer}, state) do
@@ -293,10 +290,13 @@ defmodule Aerie.Link.Server do
     %{state | notify: nil}
   end
 
-  defp count(core, name, outcome) do
-    case outcome do
-      %{^name => 0} -> core
-      %{^name => n} -> elem(Core.handle(core, {:count, name, n}, now()), 0)
+  defp dropped(core, %{unclaimed: 0, refused: 0, overload: 0, looped: 0}), do: core
+
+  defp dropped(core, outcome) do
+    now = now()
+
+    for name <- @drops, n = Map.fetch!(outcome, name), n > 0, reduce: core do
+      core -> elem(Core.handle(core, {:count, name, n}, now), 0)
     end
   end
 
@@ -382,6 +382,6 @@ defmodule Aerie.Link.Server do
     put_in(state.core.counters, counters)
   end
 
-  defp now, do: {mono(), System.os_time(:microsecond)}
-  defp mono, do: System.monotonic_time(:millisecond)
+  defp now, do: {mono(), :os.system_time(:microsecond)}
+  defp mono, do: :erlang.monotonic_time(:millisecond)
 end

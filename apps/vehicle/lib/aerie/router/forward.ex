@@ -50,9 +50,8 @@ defmodule Aerie.Router.Forward do
   end
 
   # Nearly always there is nothing to look at.
-  defp admitted(frames, tables, %{in: nil} = way, %{twice: false}, _now) do
-    _ = tables
-    if Enum.any?(frames, &(&1.id == @setup_signing)), do: Enum.reject(frames, &secret?(&1, way)), else: frames
+  defp admitted(frames, _tables, %{in: nil} = way, %{twice: false}, _now) do
+    if secrets?(frames), do: Enum.reject(frames, &secret?(&1, way)), else: frames
   end
 
   defp admitted(frames, tables, way, talker, now) do
@@ -60,6 +59,10 @@ defmodule Aerie.Router.Forward do
       secret?(frame, way) or filtered_in?(frame, way) or duplicate?(frame, tables, way, talker, now)
     end)
   end
+
+  defp secrets?([]), do: false
+  defp secrets?([%{id: @setup_signing} | _rest]), do: true
+  defp secrets?([_other | rest]), do: secrets?(rest)
 
   defp secret?(%{id: @setup_signing}, way), do: Tally.add(way.tally, :secret, 1) == :ok
   defp secret?(_frame, _way), do: false
@@ -106,24 +109,30 @@ defmodule Aerie.Router.Forward do
   defp flush([], _context), do: :ok
 
   defp flush(gathered, {tables, _plan, way, talker, now}) do
-    frames = Enum.reverse(gathered)
-    batch = Batch.new(frames)
-    batch = Enum.reduce(talker.everyone, batch, &emit(&1, &2, tables, way, now))
+    batch = to_everyone(talker.everyone, gathered |> :lists.reverse() |> Batch.new(), tables, way, now)
+    if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
+    if talker.heartbeats != [], do: only_heartbeats(talker.heartbeats, batch, tables, way, now)
+    :ok
+  end
 
-    for {group, ways} <- talker.groups,
+  defp to_everyone([], batch, _tables, _way, _now), do: batch
+
+  defp to_everyone([to | rest], batch, tables, way, now),
+    do: to_everyone(rest, emit(to, batch, tables, way, now), tables, way, now)
+
+  defp to_groups(groups, batch, tables, way, now) do
+    for {group, ways} <- groups,
         {class, frames} <- classes(batch.frames),
         to <- pick(tables, group, ways, class) do
       emit(to, Batch.new(frames), tables, way, now)
     end
+  end
 
-    if talker.heartbeats != [] do
-      case Enum.filter(batch.frames, &(&1.id == 0)) do
-        [] -> :ok
-        beats -> Enum.reduce(talker.heartbeats, Batch.new(beats), &emit(&1, &2, tables, way, now))
-      end
+  defp only_heartbeats(ways, batch, tables, way, now) do
+    case Enum.filter(batch.frames, &(&1.id == 0)) do
+      [] -> :ok
+      beats -> to_everyone(ways, Batch.new(beats), tables, way, now)
     end
-
-    :ok
   end
 
   defp classes(frames) do

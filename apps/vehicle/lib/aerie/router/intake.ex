@@ -24,24 +24,33 @@ defmodule Aerie.Router.Intake do
   heartbeat of a vehicle's autopilot (H2, H4).
   """
   @spec look(Names.gateway(), Tables.t(), Way.t(), Talker.t(), [Frame.t()]) :: {Talker.t(), Way.t(), boolean}
-  def look(gateway, tables, way, talker, frames) do
-    Enum.reduce(frames, {talker, way, false}, fn
-      %Frame{id: id, crc_extra: extra} = frame, {talker, way, vehicle?}
-      when id in @says_who and extra != nil ->
-        heartbeat = Heartbeat.read(frame)
-        # That there are too many systems is no reason not to forward.
-        for network <- way.networks, do: _ = Systems.note(gateway, network, way.owner, frame, heartbeat)
-        now_vehicle? = Heartbeat.vehicle?(heartbeat)
-        way = tables |> side(way, heartbeat, now_vehicle?) |> latency(tables, frame, now_vehicle?)
-        {%{talker | autopilot: now_vehicle?}, way, vehicle? or now_vehicle?}
+  def look(gateway, tables, way, talker, frames), do: look(frames, gateway, tables, way, talker, false)
 
-      %Frame{id: @system_time, crc_extra: extra} = frame, {talker, way, vehicle?} when extra != nil ->
-        {time(gateway, tables, way, talker, frame), way, vehicle?}
+  defp look([], _gateway, _tables, way, talker, vehicle?), do: {talker, way, vehicle?}
 
-      _other, seen ->
-        seen
-    end)
+  defp look([%Frame{id: id, crc_extra: extra} = frame | rest], gateway, tables, way, talker, vehicle?)
+       when id in @says_who and extra != nil do
+    heartbeat = Heartbeat.read(frame)
+    # That there are too many systems is no reason not to forward.
+    for network <- way.networks, do: _ = Systems.note(gateway, network, way.owner, frame, heartbeat)
+    now_vehicle? = Heartbeat.vehicle?(heartbeat)
+    way = tables |> side(way, heartbeat, now_vehicle?) |> latency(tables, frame, now_vehicle?)
+    look(rest, gateway, tables, way, %{talker | autopilot: now_vehicle?}, vehicle? or now_vehicle?)
   end
+
+  defp look(
+         [%Frame{id: @system_time, crc_extra: extra} = frame | rest],
+         gateway,
+         tables,
+         way,
+         talker,
+         vehicle?
+       )
+       when extra != nil,
+       do: look(rest, gateway, tables, way, time(gateway, tables, way, talker, frame), vehicle?)
+
+  defp look([_other | rest], gateway, tables, way, talker, vehicle?),
+    do: look(rest, gateway, tables, way, talker, vehicle?)
 
   # On a link to vehicles a ground station without a vehicle is a client, for as long as no autopilot is heard from there.
   defp side(tables, %{side: :client, heard_vehicle: false, role: :full, auto: true} = way, _heartbeat, true),

@@ -26,7 +26,7 @@ defmodule Aerie.Router.Local do
   def fetch(gateway, tables) do
     generation = Tables.generation(tables)
 
-    case Process.get({__MODULE__, gateway}) do
+    case :erlang.get({__MODULE__, gateway}) do
       %__MODULE__{tables: ref, plan: %{generation: ^generation}} = local when ref == tables.id ->
         local
 
@@ -59,5 +59,15 @@ defmodule Aerie.Router.Local do
   def put_talker(local, key, talker) do
     talkers = if map_size(local.talkers) >= @max_talkers, do: %{}, else: local.talkers
     %{local | talkers: Map.put(talkers, {key, talker.system, talker.component}, talker)}
+  end
+
+  @doc "Keeps a talker of which something was found out after `put_talker/3`."
+  @spec update_talker(Names.gateway(), term, Talker.t()) :: :ok
+  def update_talker(gateway, key, talker) do
+    # Not there: thrown away meanwhile, with its tables.
+    with %__MODULE__{} = local <- Process.get({__MODULE__, gateway}),
+         do: put(gateway, put_talker(local, key, talker))
+
+    :ok
   end
 end

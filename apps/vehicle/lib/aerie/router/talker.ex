@@ -7,6 +7,7 @@ defmodule Aerie.Router.Talker do
     carries; `heartbeats`: endpoints that get only its heartbeats
   - `twice`: whether it is heard by other endpoints too: then frames are looked at for duplicates
   - `clock`: its boot time, for reboots (R6)
+  - `session`: `{vehicle key, pid}` of its vehicle; a number in the place of the pid (`Aerie.Names.epoch/0`): there was none
   """
 
   alias Aerie.Router.Plan
@@ -27,6 +28,7 @@ defmodule Aerie.Router.Talker do
     :looked,
     :marks,
     :clock,
+    :session,
     everyone: [],
     groups: [],
     heartbeats: [],

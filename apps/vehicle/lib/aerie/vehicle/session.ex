@@ -26,6 +26,8 @@ defmodule Aerie.Vehicle.Session do
   @impl GenServer
   def init(gateway: gateway, options: options) do
     Process.set_label({:session, options.id})
+    # Whoever has frames of the vehicle may remember that there is no session.
+    Names.changed()
     snapshot = Fleet.Store.vehicle(gateway, options.key)
     {:ok, _timer} = :timer.send_interval(@tick_ms, :tick)
 

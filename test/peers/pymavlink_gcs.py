@@ -1,8 +1,12 @@
 """pymavlink as a ground station: pymavlink_gcs.py CONNECTION FIRMWARE SYSTEM PARAMETER [SOURCE]
 
+With SIGNING_KEY (64 hexadecimal digits) in the environment it signs, and hears only what is signed with that key; that
+needs MAVLINK20=1, as MAVLink 1 has no signatures.
+
 Prints one line per finding ("name value"); exits 0 when the whole flight was gone through. SOURCE is its own system id.
 CONNECTION is pymavlink's, or unix:PATH for the gateway's mavlink.sock (see length_prefixed.py).
 """
+import os
 import sys
 import time
 
@@ -19,6 +23,9 @@ class Gcs:
             self.m = LengthPrefixed(address[5:], source)
         else:
             self.m = mavutil.mavlink_connection(address, source_system=source, source_component=190, dialect="ardupilotmega")
+        key = os.environ.get("SIGNING_KEY")
+        if key:
+            self.m.setup_signing(bytes.fromhex(key), sign_outgoing=True, allow_unsigned_callback=lambda *_: False, link_id=7)
         self.system = system
         self.beat_at = 0
         heard = self.wait("HEARTBEAT")

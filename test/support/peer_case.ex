@@ -32,12 +32,13 @@ defmodule Aerie.PeerCase do
 
   defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))
 
-  @doc "Starts a script; it ends with the test."
-  @spec start_peer(String.t(), [term()]) :: port()
-  def start_peer(script, arguments) do
+  @doc "Starts a script, with further variables of the environment; it ends with the test."
+  @spec start_peer(String.t(), [term()], %{String.t() => String.t()}) :: port()
+  def start_peer(script, arguments, environment \\ %{}) do
     python = Path.join(venv(), "bin/python")
     arguments = ["-u", Path.join(@peers, script) | Enum.map(arguments, &to_string/1)]
-    options = [:binary, :exit_status, :stderr_to_stdout, args: arguments]
+    environment = for {name, value} <- environment, do: {String.to_charlist(name), String.to_charlist(value)}
+    options = [:binary, :exit_status, :stderr_to_stdout, args: arguments, env: environment]
     peer = Port.open({:spawn_executable, python}, options)
     {:os_pid, pid} = Port.info(peer, :os_pid)
     ExUnit.Callbacks.on_exit(fn -> System.cmd("kill", ["-9", "#{pid}"], stderr_to_stdout: true) end)

@@ -64,7 +64,7 @@ defmodule SimVehicle.Server do
           pilot: options.script && Pilot.new(options.script),
           options: options,
           dialect: dialect,
-          signing: Signing.new(options.key, options.secure),
+          signing: Signing.new(options.key, options.secure, options.firmware),
           datagrams: String.starts_with?(options.link, "udp"),
           clock: System.monotonic_time(:microsecond)
         }

@@ -1,22 +1,38 @@
 defmodule SimVehicle.Signing do
   @moduledoc """
-  Signed links as ArduPilot has them: it takes SETUP_SIGNING from whoever may speak to it, from then on signs everything and
-  asks for signatures, RADIO_STATUS excepted; a key and a time stamp of zeros end that. On a link that counts as USB it
-  hears unsigned and wrongly signed frames too. The key survives a reboot.
+  Signed links as ArduPilot has them: it takes SETUP_SIGNING from whoever may speak to it, unless it is armed, from then on
+  signs everything and asks for signatures, RADIO_STATUS and RADIO excepted; a key and a time stamp of zeros end that. On a
+  link that counts as USB it hears unsigned and wrongly signed frames too. The key survives a reboot.
+
+  PX4 (1.18) is like it, but takes unsigned heartbeats from everybody.
   """
 
   alias MavCodec.Frame
   alias MavCodec.Messages.SetupSigning
 
-  @enforce_keys [:secure]
-  defstruct [:secure, :state]
+  # Message ids that need no signature (S7).
+  @unsigned %{ardupilot: [109, 166], px4: [0, 109]}
 
-  @type t :: %__MODULE__{secure: boolean, state: MavCodec.Signing.t() | nil}
+  @enforce_keys [:secure]
+  defstruct [:secure, :state, firmware: :ardupilot]
+
+  @type t :: %__MODULE__{
+          secure: boolean,
+          state: MavCodec.Signing.t() | nil,
+          firmware: :ardupilot | :px4
+        }
 
   @doc "With a key from the start, or none; `secure` as USB is."
-  @spec new(binary | nil, boolean) :: t
-  def new(nil, secure), do: %__MODULE__{secure: secure}
-  def new(key, secure), do: %__MODULE__{secure: secure, state: MavCodec.Signing.new(key)}
+  @spec new(binary | nil, boolean, :ardupilot | :px4) :: t
+  def new(key, secure, firmware \\ :ardupilot) do
+    signing = %__MODULE__{secure: secure, firmware: firmware}
+    if key, do: with_key(signing, key, 0), else: signing
+  end
+
+  defp with_key(signing, key, at) do
+    options = [stored: at, accept_unsigned: Map.fetch!(@unsigned, signing.firmware)]
+    %{signing | state: MavCodec.Signing.new(key, options)}
+  end
 
   @doc "The frame of a message as it goes out."
   @spec sign(t, binary, struct, module) :: {binary, t}
@@ -41,11 +57,13 @@ defmodule SimVehicle.Signing do
   end
 
   @doc "SETUP_SIGNING came, for whomever."
-  @spec setup(t, SetupSigning.t(), %{system: 0..255, component: 0..255}) :: t
+  @spec setup(t, SetupSigning.t(), map) :: t
+  def setup(%{firmware: :ardupilot} = signing, _setup, %{armed: true}), do: signing
+
   def setup(signing, %{target_system: system} = setup, %{system: system}) do
     case setup do
       %{secret_key: <<0::256>>, initial_timestamp: 0} -> %{signing | state: nil}
-      %{secret_key: key, initial_timestamp: at} -> %{signing | state: MavCodec.Signing.new(key, stored: at)}
+      %{secret_key: key, initial_timestamp: at} -> with_key(signing, key, at)
     end
   end
 

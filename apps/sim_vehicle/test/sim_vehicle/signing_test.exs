@@ -35,6 +35,14 @@ defmodule SimVehicle.SigningTest do
     assert {:ok, _} = Signing.check(signing, plain)
   end
 
+  test "an armed ArduPilot takes no key; PX4 takes unsigned heartbeats though it has one" do
+    armed = Map.put(@me, :armed, true)
+    assert %{state: nil} = Signing.setup(Signing.new(nil, false), order(@key), armed)
+    assert %{state: %{}} = px4 = Signing.setup(Signing.new(nil, false, :px4), order(@key), armed)
+    {plain, _} = heartbeat(Signing.new(nil, false))
+    assert {:ok, _} = Signing.check(px4, plain)
+  end
+
   test "what is signed with its key is heard, once; another vehicle's key is not its own" do
     {other, _} = heartbeat(Signing.new(@key, false))
     signing = Signing.new(@key, false)

@@ -19,7 +19,8 @@ defmodule FleetWeb.API.View do
     :local,
     :port,
     :peer,
-    :rates
+    :rates,
+    :signing
   ]
 
   @doc "Everything at a glance: one object per vehicle, one per link, and NATS."
@@ -56,9 +57,17 @@ defmodule FleetWeb.API.View do
         component: vehicle[:component],
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
+        signing: signing(vehicle[:signing]),
         groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, now)} end)
       })
     end
+  end
+
+  defp signing(nil), do: nil
+
+  defp signing(signing) do
+    times = Map.new([:verified_at, :unsigned_at], &{&1, Json.time(signing[&1])})
+    Json.plain(Map.merge(signing, times))
   end
 
   @doc "All links with their counters and rates."

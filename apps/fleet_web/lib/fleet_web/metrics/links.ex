@@ -21,6 +21,18 @@ defmodule FleetWeb.Metrics.Links do
 
   @drops [:unclaimed, :overload, :refused, :looped, :dropped_out]
 
+  @signing [
+    verified: {"gateway_link_signing_verified_frames_total", "Frames received with a right signature."},
+    unsigned: {"gateway_link_signing_unsigned_frames_total", "Frames taken in without a signature."},
+    rejected:
+      {"gateway_link_signing_rejected_frames_total", "Frames refused for their signature, or its lack."},
+    signed: {"gateway_link_signing_signed_frames_total", "Frames that the gateway signed."},
+    not_signed:
+      {"gateway_link_signing_not_signed_frames_total",
+       "Frames that could not be signed: MAVLink 1, or unknown."},
+    alarms: {"gateway_link_signing_alarms_total", "Bursts of refused frames."}
+  ]
+
   @doc "The families of these links."
   @spec families([map()]) :: [Text.family()]
   def families(links) do
@@ -44,7 +56,21 @@ defmodule FleetWeb.Metrics.Links do
            reason <- @drops,
            do: {labels(link) ++ [reason: reason], Map.fetch!(link.counters, reason)}
          )}
-      ]
+      ] ++ signing(for(%{signing: %{}} = link <- links, do: link))
+  end
+
+  # Only where there is a key.
+  defp signing(links) do
+    unsafe =
+      {"gateway_link_signing_unsafe", :gauge,
+       "1 while frames are taken in that anybody could have sent (S11).",
+       Enum.map(links, &{labels(&1), &1.signing.unsafe})}
+
+    sums =
+      for {key, {name, help}} <- @signing,
+          do: {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(&1.signing, key)})}
+
+    [unsafe | sums]
   end
 
   @doc "The name of a message as a label: `global_position_int`, or `unknown`."

@@ -56,6 +56,12 @@ defmodule FleetWeb.Metrics.Vehicles do
         "1 while it is reached by links of high latency only.",
         &part(&1, :high_latency, :only?)
       ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_signed",
+        "1 while it is heard with right signatures, 0 where there is a key and it is not.",
+        fn vehicle -> part(vehicle, :signing, :state) && vehicle.signing.state == :verified end
+      ),
       gauge(vehicles, "gateway_vehicle_collision", "1 while two vehicles use its id.", fn vehicle ->
         vehicle[:collision] != nil
       end)

@@ -18,6 +18,7 @@ defmodule Aerie.Signing.Enrolment do
   """
 
   alias Aerie.Config.Secret
+  alias Aerie.Fleet.Store
   alias Aerie.Link
   alias Aerie.Names
   alias Aerie.Signing
@@ -70,6 +71,7 @@ defmodule Aerie.Signing.Enrolment do
     with {:ok, tables} <- tables(gateway),
          {:ok, key} <- Way.key(gateway, vehicle),
          :ok <- usable(Tables.scope(tables, key), key, options[:key]),
+         :ok <- disarmed(gateway, key),
          {:ok, link, to} <- Way.secure(gateway, key, options[:link]) do
       {:ok,
        %{
@@ -91,6 +93,17 @@ defmodule Aerie.Signing.Enrolment do
     case Tables.of(gateway) do
       nil -> {:error, "the gateway #{inspect(gateway)} is not running"}
       tables -> {:ok, tables}
+    end
+  end
+
+  # ArduPilot takes none while armed; and nothing that may lock a vehicle out is for the air.
+  defp disarmed(gateway, {network, system} = key) do
+    case Store.vehicle(gateway, key) do
+      %{groups: %{mode: %{data: %{armed: true}}}} ->
+        {:error, "system #{system} of network #{network} is armed; keys are changed on the ground, disarmed"}
+
+      _disarmed_or_unknown ->
+        :ok
     end
   end
 

@@ -50,8 +50,8 @@ defmodule Aerie.Signing.Intake do
   defp judge(frame, acc) do
     case guard(acc, frame.system) do
       {nil, acc} ->
-        {verdict, _scope} = candidate({:no_scope, nil}, acc, frame)
-        if verdict == :no_scope, do: %{acc | kept: [frame | acc.kept]}, else: told(acc, frame, verdict, nil)
+        {verdict, scope} = candidate({:no_scope, nil}, acc, frame)
+        told(acc, frame, verdict, scope)
 
       {{scope, signing, moved?}, acc} ->
         {verdict, signing} = Guard.check(scope, signing, frame, acc.trust)
@@ -121,7 +121,7 @@ defmodule Aerie.Signing.Intake do
 
   defp slot(%Scope{id: {_network, system}}), do: {:scope, system}
 
-  defp note(tally, _frame, verdict) when verdict in [:unchecked, :exempt], do: tally
+  defp note(tally, _frame, verdict) when verdict in [:unchecked, :exempt, :no_scope], do: tally
 
   defp note(tally, frame, {:rejected, reason}),
     do: add(tally, {frame.system, {:rejected, frame.component, reason}})
@@ -168,6 +168,7 @@ defmodule Aerie.Signing.Intake do
       case verdict do
         :verified -> {:verified, scope.generation}
         verdict when verdict in [:unsigned, :secure, {:rejected, :unsigned}] -> :unsigned
+        :no_scope when frame.signature == nil -> :unsigned
         _other -> nil
       end
 

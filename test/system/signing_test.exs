@@ -1,0 +1,218 @@
+defmodule Aerie.System.SigningTest do
+  @moduledoc """
+  Vehicles that ask for signatures, as real autopilots do, behind a whole gateway: ground stations that sign, that do not
+  and are signed for, that do not and are not; keys given, changed and taken away; somebody who floods.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 3]
+
+  alias Aerie.{Client, Router, Signing}
+  alias MavCodec.{Frame, Parser}
+  alias MavCodec.Messages, as: M
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @moduletag timeout: 300_000
+
+  @passphrase "a passphrase of the system tests"
+  @key MavCodec.Signing.key(@passphrase)
+  @vehicle {"main", 1}
+
+  setup %{tmp_dir: folder} = context do
+    file = Path.join(folder, "network.key")
+    File.write!(file, @passphrase)
+    File.chmod!(file, 0o600)
+
+    keys = if context[:keys] == [], do: [], else: [%{"key_file" => file}]
+    overrides = %{"signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys}}
+    run = start_gateway(folder, links: [context[:link] || "udpin:127.0.0.1:0"], overrides: overrides)
+    gateway = run.gateway
+    Aerie.Fleet.PubSub.subscribe(gateway, :events)
+
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+
+    sim =
+      Keyword.merge(
+        [firmware: :ardupilot, link: link, ready_s: 1.0, speed: 5.0, key: @key],
+        context[:sim] || []
+      )
+
+    {:ok, sim} = SimVehicle.start_link(sim)
+    eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
+    %{gateway: gateway, sim: sim, folder: folder}
+  end
+
+  defp client(gateway, options) do
+    {:ok, id} = Router.add_client(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
+    Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
+  end
+
+  defp flown(findings) do
+    assert %{"set" => "True", "same" => "True", "arm" => "armed", "land" => "disarmed"} = findings
+    assert %{"upload" => "0", "takeoff" => "ten metres"} = findings
+  end
+
+  defp state(gateway), do: Signing.vehicle(gateway, @vehicle).state
+  defp flight(port), do: ["tcp:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
+
+  @tag :python
+  test "pymavlink without a key flies it through a client that is signed for", c do
+    port = client(c.gateway, id: "gcs", sign: true)
+    refused = SimVehicle.stats(c.sim).refused
+    flown(findings(start_peer("pymavlink_gcs.py", flight(port), %{"MAVLINK20" => "1"})))
+    assert state(c.gateway) == :verified
+    # Not one frame without a signature came to the vehicle.
+    assert SimVehicle.stats(c.sim).refused == refused
+    assert Store.counter(c.gateway, {:signing, "link-1", :signed}) > 20
+    assert Store.counter(c.gateway, {:signing, "link-1", :rejected}) == 0
+  end
+
+  @tag :python
+  test "pymavlink that signs itself: verified here, forwarded unchanged (S10)", c do
+    port = client(c.gateway, id: "gcs")
+
+    flown(
+      findings(
+        start_peer("pymavlink_gcs.py", flight(port), %{
+          "MAVLINK20" => "1",
+          "SIGNING_KEY" => Base.encode16(@key)
+        })
+      )
+    )
+
+    # The gateway knows it by its signatures.
+    assert %{state: :verified, rejected: 0} = Signing.vehicle(c.gateway, {"main", 255})
+    assert SimVehicle.stats(c.sim).refused == 0
+  end
+
+  test "without sign what a client says goes out as it came, and the vehicle refuses it; sign can be set while it runs",
+       c do
+    port = client(c.gateway, id: "gcs")
+    {:ok, socket} = :gen_tcp.connect(~c"127.0.0.1", port, [:binary, active: false])
+    request = %M.ParamRequestRead{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_index: -1}
+    bytes = MavCodec.encode(request, system: 255, component: 190)
+    refused = SimVehicle.stats(c.sim).refused
+    # The first one is for a vehicle of which this client has not heard yet: the gateway has.
+    :ok = :gen_tcp.send(socket, bytes)
+    eventually(fn -> SimVehicle.stats(c.sim).refused > refused end, "the vehicle refuses it")
+    assert Store.counter(c.gateway, {:signing, "gcs", :rejected}) > 0
+
+    :ok = Router.configure(c.gateway, "gcs", sign: true)
+    :ok = :gen_tcp.send(socket, bytes)
+    assert value(socket, Parser.new()) == "RTL_ALT"
+    # Nobody who comes by a link is signed for.
+    assert {:error, text} = Router.configure(c.gateway, "link-1", sign: true)
+    assert text =~ "only a client"
+  end
+
+  defp value(socket, parser) do
+    {:ok, bytes} = :gen_tcp.recv(socket, 0, 20_000)
+    {frames, parser} = Parser.push(parser, bytes)
+
+    case Enum.find(frames, &(&1.id == M.ParamValue.id())) do
+      nil ->
+        value(socket, parser)
+
+      frame ->
+        assert Frame.signed?(frame)
+        {:ok, %{param_id: id}} = MavCodec.decode(frame)
+        id
+    end
+  end
+
+  @tag keys: [], link: "udpin:127.0.0.1:0?secure=true", sim: [key: nil]
+  test "a key is given, changed, given back and taken away; each is an event, and no key is in any of them",
+       c do
+    conn = nats_client(c.gateway)
+    assert {:error, text} = Signing.enrol(c.gateway, "VID-001")
+    assert text =~ "key: :generate"
+
+    assert {:ok, %{key: first}} = Signing.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
+    assert state(c.gateway) == :verified
+    assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}, 20_000
+
+    # The vehicle answers what we ask, so it takes what we sign.
+    eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
+
+    assert {:ok, %{key: second}} = Signing.enrol(c.gateway, "VID-001", key: :generate)
+    refute Aerie.Signing.Key.same?(first, second)
+    assert {:ok, %{key: nil}} = Signing.enrol(c.gateway, "VID-001", key: :previous)
+    assert state(c.gateway) == :verified
+    assert {:ok, _} = Signing.revoke(c.gateway, "VID-001")
+    assert Signing.list(c.gateway).keys == []
+
+    events =
+      eventually(
+        fn ->
+          events = for %{"type" => "signing." <> _} = event <- stream_events(conn), do: event
+          length(events) == 4 && events
+        end,
+        "all are in NATS"
+      )
+
+    assert Enum.map(events, & &1["type"]) ==
+             ~w(signing.enrolled signing.enrolled signing.enrolled signing.revoked)
+
+    for secret <- [first, second] do
+      key = Aerie.Config.Secret.reveal(secret)
+      refute inspect(events) =~ Base.encode16(key, case: :lower)
+      refute inspect(events, limit: :infinity) =~ inspect(key)
+    end
+  end
+
+  test "S8: by a link that is not secure nothing is sent, and the error says what to do", c do
+    assert {:error, text} = Signing.enrol(c.gateway, {"main", 1})
+    assert text =~ "secure"
+    assert {:error, text} = Signing.enrol(c.gateway, {"main", 1}, link: "link-1")
+    assert text =~ "secure=true"
+    assert {:error, "no vehicle VID-077 is known" <> _} = Signing.enrol(c.gateway, "VID-077")
+  end
+
+  test "one event for a flood of wrong signatures, in the snapshot, the metrics and NATS; the vehicle is not disturbed",
+       c do
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}])
+    port = link_port(c.gateway, "link-1")
+    forger = MavCodec.Signing.new(MavCodec.Signing.key("another"))
+
+    Enum.reduce(1..2_000, forger, fn n, forger ->
+      heartbeat =
+        MavCodec.encode(%M.Heartbeat{type: 2, autopilot: 3, base_mode: 209}, system: 1, seq: rem(n, 256))
+
+      {bytes, forger} = MavCodec.Signing.sign(forger, heartbeat, 50)
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, bytes)
+      forger
+    end)
+
+    assert_receive {:fleet, :events, %{type: "signing.rejected", data: data}}, 20_000
+    assert %{"link" => "link-1", "reasons" => %{"wrong_signature" => n}} = data
+    assert n >= 20
+
+    eventually(
+      fn -> Store.counter(c.gateway, {:signing, "link-1", :rejected}) > 1_000 end,
+      "they are counted"
+    )
+
+    refute_received {:fleet, :events, %{type: "signing.rejected"}}
+
+    eventually(
+      fn -> Aerie.Link.get(c.gateway, "link-1").signing.alarms == 1 end,
+      "it is in the link's snapshot"
+    )
+
+    assert %{state: :verified, rejected: rejected} = Store.vehicle(c.gateway, @vehicle).signing
+    assert rejected >= 0
+    assert Store.vehicle(c.gateway, @vehicle).groups.mode.data.armed == false
+
+    metrics = FleetWeb.Metrics.families(c.gateway) |> FleetWeb.Metrics.Text.render() |> IO.iodata_to_binary()
+    assert metrics =~ ~s(gateway_link_signing_alarms_total{link="link-1",network="main"} 1)
+    assert metrics =~ ~s(gateway_vehicle_signed{vehicle="VID-001"} 1)
+
+    conn = nats_client(c.gateway)
+    rejected = fn -> Enum.filter(stream_events(conn), &(&1["type"] == "signing.rejected")) end
+
+    assert [%{"data" => %{"component" => 1}}] =
+             eventually(fn -> (e = rejected.()) != [] && e end, "it is in NATS")
+  end
+end

@@ -1,0 +1,161 @@
+defmodule MavCodec.SigningModelTest do
+  @moduledoc """
+  Time stamps and streams as a state machine (S2 to S6): whatever is received, sent and forged, wherever the clock jumps and
+  however often the process is killed, `MavCodec.Signing` does as the rules say, in the few lines of a model.
+  """
+  use ExUnit.Case, async: true
+
+  import :proper_types, only: [list: 1, oneof: 1, frequency: 1, integer: 2, exactly: 1]
+
+  alias MavCodec.{Messages, Parser, Signing}
+
+  @key :crypto.hash(:sha256, "model")
+  @wrong :crypto.hash(:sha256, "wrong")
+  @start 1_000_000_000
+  @minute 6_000_000
+
+  # What may happen. Times are in units of 10 us; those of frames are relative to our clock.
+  defp step do
+    frequency([
+      {5, {:receive, stream(), offset()}},
+      {1, {:forged, stream(), offset()}},
+      {2, {:again, integer(0, 40)}},
+      {3, :send},
+      {2, {:clock, oneof([integer(0, 3_000), integer(-20_000_000, 20_000_000)])}},
+      {1, :kill}
+    ])
+  end
+
+  defp stream, do: {integer(0, 1), integer(1, 2), integer(1, 2)}
+  defp offset, do: oneof([integer(-500, 500), integer(-2 * @minute, 2 * @minute), exactly(-@minute)])
+
+  test "S2, S3, S4, S5, S6: verdicts are the model's, time stamps only go up, nothing passes twice in a life" do
+    property = :proper.forall(list(step()), &holds?/1)
+    assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 80]) == true
+  end
+
+  defp holds?(steps) do
+    clock = :atomics.new(1, signed: true)
+    :atomics.put(clock, 1, @start)
+    disk = :atomics.new(1, signed: true)
+
+    state = %{
+      clock: clock,
+      disk: disk,
+      signing: life(clock, disk, %{}),
+      # The model: what is remembered of streams, the local time, and what may not be used again.
+      streams: %{},
+      local: @start,
+      sent: 0,
+      passed: MapSet.new(),
+      frames: []
+    }
+
+    Enum.reduce_while(steps, state, fn step, state ->
+      case act(step, state) do
+        {:ok, state} -> {:cont, state}
+        :wrong -> {:halt, nil}
+      end
+    end) != nil
+  end
+
+  defp life(clock, disk, streams) do
+    Signing.new(@key,
+      clock: fn -> Signing.to_unix(:atomics.get(clock, 1)) end,
+      stored: :atomics.get(disk, 1),
+      save: &:atomics.put(disk, 1, &1),
+      streams: streams
+    )
+  end
+
+  defp act({:clock, by}, state) do
+    :atomics.put(state.clock, 1, max(:atomics.get(state.clock, 1) + by, 0))
+    {:ok, state}
+  end
+
+  # The streams are stored by the gateway; what matters here is that the time survives without them too.
+  defp act(:kill, state) do
+    stored = :atomics.get(state.disk, 1)
+    signing = life(state.clock, state.disk, state.streams)
+    local = max(:atomics.get(state.clock, 1), stored)
+    ok(stored > state.sent and Signing.timestamp(signing) == local, %{state | signing: signing, local: local})
+  end
+
+  defp act(:send, state) do
+    {bytes, signing} = Signing.encode(state.signing, %Messages.Heartbeat{}, system: 245)
+    stamp = parse(bytes).signature.timestamp
+    right = stamp == max(:atomics.get(state.clock, 1), state.local + 1)
+    # Above everything that was ever sent, and below what the next life begins with.
+    ok(right and stamp > state.sent and stamp < :atomics.get(state.disk, 1), %{
+      state
+      | signing: signing,
+        local: stamp,
+        sent: stamp
+    })
+  end
+
+  defp act({:receive, stream, offset}, state), do: check(frame(@key, stream, stamp(state, offset)), state)
+
+  defp act({:forged, stream, offset}, state) do
+    {verdict, signing} = Signing.check(state.signing, frame(@wrong, stream, stamp(state, offset)))
+    # S5: nothing of it is kept.
+    ok(verdict == {:rejected, :wrong_signature} and signing == state.signing, state)
+  end
+
+  defp act({:again, n}, state) do
+    case Enum.at(state.frames, n) do
+      nil -> {:ok, state}
+      frame -> check(frame, state)
+    end
+  end
+
+  defp check(frame, state) do
+    %{link_id: link, timestamp: stamp} = frame.signature
+    stream = {link, frame.system, frame.component}
+    expected = verdict(state, stream, stamp)
+    {found, signing} = Signing.check(state.signing, frame)
+    twice = found == :signed and {stream, stamp} in state.passed
+
+    state =
+      if expected == :signed,
+        do: %{
+          state
+          | streams: Map.put(state.streams, stream, stamp),
+            local: max(state.local, stamp),
+            passed: MapSet.put(state.passed, {stream, stamp})
+        },
+        else: state
+
+    ok(found == expected and not twice, %{
+      state
+      | signing: signing,
+        frames: Enum.take([frame | state.frames], 40)
+    })
+  end
+
+  defp verdict(%{streams: streams} = state, stream, stamp) when is_map_key(streams, stream),
+    do: if(stamp > state.streams[stream], do: :signed, else: {:rejected, :replayed})
+
+  defp verdict(state, _new, stamp) do
+    if stamp + @minute < max(state.local, :atomics.get(state.clock, 1)),
+      do: {:rejected, :stale},
+      else: :signed
+  end
+
+  defp stamp(state, offset), do: max(:atomics.get(state.clock, 1) + offset, 1)
+
+  defp frame(key, {link, system, component}, stamp) do
+    # A signer's first time stamp is one above its clock's.
+    signer = Signing.new(key, link_id: link, clock: fn -> Signing.to_unix(stamp - 1) end)
+    {bytes, _} = Signing.encode(signer, %Messages.Heartbeat{}, system: system, component: component)
+    parse(bytes)
+  end
+
+  defp parse(bytes) do
+    {[frame], _parser} = Parser.push_datagram(Parser.new(), bytes)
+    frame
+  end
+
+  defp ok(true, state), do: {:ok, state}
+  defp ok(false, _state), do: :wrong
+end

@@ -15,6 +15,7 @@ defmodule Aerie.Router do
   | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
   | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time began anew (R6) |
+  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`: by these another vehicle with that id is heard (`Aerie.Router.Apart`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of a group carries |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload` |
   """
@@ -70,7 +71,8 @@ defmodule Aerie.Router do
   @nothing %{delivered: 0, unclaimed: 0, refused: 0, overload: 0, looped: 0, sessions: []}
 
   @doc """
-  Delivers the frames of one read of one peer, in order: one message `{:frames, link_id, [frame]}` for each vehicle in it.
+  Delivers the frames of one read of one peer, in order: one message `{:frames, link_id, [frame]}` for each vehicle in it,
+  or `{:frames, {link_id, peer}, [frame]}` while several endpoints bring a system that is in it.
 
   An autopilot's heartbeat of an unknown vehicle starts that vehicle, and the frames of the read are its first ones (H2,
   H4). Never raises for what is in the frames.
@@ -114,22 +116,36 @@ defmodule Aerie.Router do
     {talker, way, autopilot?} = talker(gateway, tables, local, way, ids, both, now)
 
     cond do
-      trusted == [] -> @nothing
-      way.side != :vehicle -> %{@nothing | unclaimed: length(trusted)}
-      true -> to_session(gateway, tables, way, talker, {system, trusted, autopilot?}, now, @nothing)
+      trusted == [] ->
+        @nothing
+
+      way.side != :vehicle ->
+        %{@nothing | unclaimed: length(trusted)}
+
+      true ->
+        to_session(
+          gateway,
+          tables,
+          way,
+          talker,
+          {system, from(way, talker), trusted, autopilot?},
+          now,
+          @nothing
+        )
     end
   end
 
   defp several(gateway, tables, local, way, {looped, talkers}, trusted, now) do
     outcome = %{@nothing | looped: length(looped)}
 
-    {way, vehicles} =
-      Enum.reduce(talkers, {way, []}, fn {{system, _} = ids, frames}, {way, vehicles} ->
+    {way, vehicles, from} =
+      Enum.reduce(talkers, {way, [], way.owner}, fn {{system, _} = ids, frames}, {way, vehicles, from} ->
         # The one before may have changed it.
         local = Local.fetch(gateway, tables)
         both = {frames, heard(frames, trusted, ids)}
-        {_talker, way, autopilot?} = talker(gateway, tables, local, way, ids, both, now)
-        {way, if(autopilot?, do: [system | vehicles], else: vehicles)}
+        {talker, way, autopilot?} = talker(gateway, tables, local, way, ids, both, now)
+        from = if from == way.owner, do: from(way, talker), else: from
+        {way, if(autopilot?, do: [system | vehicles], else: vehicles), from}
       end)
 
     not_own = Enum.reject(trusted, &({&1.system, &1.component} == local.plan.own))
@@ -139,7 +155,7 @@ defmodule Aerie.Router do
       not_own
       |> Enum.group_by(& &1.system)
       |> Enum.reduce(outcome, fn {system, frames}, outcome ->
-        to_session(gateway, tables, way, nil, {system, frames, system in vehicles}, now, outcome)
+        to_session(gateway, tables, way, nil, {system, from, frames, system in vehicles}, now, outcome)
       end)
     else
       %{outcome | unclaimed: length(not_own)}
@@ -191,13 +207,17 @@ defmodule Aerie.Router do
   defp known?([%Frame{crc_extra: nil} | rest]), do: known?(rest)
   defp known?([_checked | _rest]), do: true
 
-  defp to_session(gateway, tables, way, talker, {system, frames, autopilot?}, now, outcome) do
+  # Where several endpoints bring a system its session is told which one it was.
+  defp from(way, %{twice: false, other: false}), do: way.owner
+  defp from(way, _talker), do: way.key
+
+  defp to_session(gateway, tables, way, talker, {system, from, frames, autopilot?}, now, outcome) do
     key = {hd(way.networks), system}
 
     case session(gateway, key, way, talker) do
-      nil when autopilot? -> admit(gateway, tables, way.owner, key, frames, now, outcome)
+      nil when autopilot? -> admit(gateway, tables, from, key, frames, now, outcome)
       nil -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
-      session -> pass(gateway, tables, way.owner, key, session, frames, now, outcome)
+      session -> pass(gateway, tables, from, key, session, frames, now, outcome)
     end
   end
 
@@ -224,20 +244,20 @@ defmodule Aerie.Router do
     found
   end
 
-  defp admit(gateway, tables, owner, key, frames, now, outcome) do
+  defp admit(gateway, tables, from, key, frames, now, outcome) do
     case Admission.session(gateway, tables, key, now) do
-      {:ok, session} -> pass(gateway, tables, owner, key, session, frames, now, outcome)
+      {:ok, session} -> pass(gateway, tables, from, key, session, frames, now, outcome)
       :refused -> %{outcome | refused: outcome.refused + length(frames)}
     end
   end
 
-  defp pass(gateway, tables, owner, {network, system} = key, session, frames, now, outcome) do
+  defp pass(gateway, tables, from, {network, system} = key, session, frames, now, outcome) do
     if Load.over?(tables, key, session, now) do
       metadata = %{gateway: gateway, network: network, system: system, reason: :overload}
       :telemetry.execute([:aerie, :router, :dropped], %{frames: length(frames)}, metadata)
       %{outcome | overload: outcome.overload + length(frames)}
     else
-      Kernel.send(session, {:frames, owner, frames})
+      Kernel.send(session, {:frames, from, frames})
       %{outcome | delivered: outcome.delivered + length(frames), sessions: [session | outcome.sessions]}
     end
   end

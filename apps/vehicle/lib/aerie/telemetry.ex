@@ -43,6 +43,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :router, :dropped], Aerie.Router},
     {[:aerie, :router, :reboot], Aerie.Router},
     {[:aerie, :router, :carrier], Aerie.Router},
+    {[:aerie, :router, :collision], Aerie.Router},
     {[:aerie, :signing, :alarm], Aerie.Signing},
     {[:aerie, :signing, :enrolled], Aerie.Signing},
     {[:aerie, :signing, :revoked], Aerie.Signing},

@@ -43,6 +43,8 @@ defmodule Aerie.Router.Forward do
   end
 
   def frames(tables, plan, way, talker, frames, now) do
+    if talker.other, do: Tally.add(way.tally, :collided, length(frames))
+
     case admitted(frames, tables, way, talker, now) do
       [] -> :ok
       frames -> run(frames, [], {tables, plan, way, talker, now})
@@ -89,6 +91,9 @@ defmodule Aerie.Router.Forward do
         run(rest, [], context)
     end
   end
+
+  # Another vehicle's: to sniffers, whoever is addressed.
+  defp target(_frame, {_tables, _plan, _way, %{other: true}, _now}), do: :all
 
   defp target(frame, {_tables, _plan, way, talker, _now}) do
     case Frame.target(frame) do

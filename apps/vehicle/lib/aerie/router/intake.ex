@@ -107,6 +107,9 @@ defmodule Aerie.Router.Intake do
 
   defp time(_gateway, _tables, _way, talker, _frame), do: talker
 
+  # Another vehicle with that id may do what it likes.
+  defp reboot(_gateway, _tables, _way, %{other: true}), do: :ok
+
   defp reboot(gateway, tables, way, talker) do
     for network <- way.networks do
       Routes.clear(tables, {network, talker.system})

@@ -140,6 +140,20 @@ defmodule Aerie.Router.Routes do
     :ok
   end
 
+  @doc "Forgets the routes of a system by a link, or by one of its peers."
+  @spec forget_system(Tables.t(), {String.t(), non_neg_integer}, String.t(), term) :: :ok
+  def forget_system(tables, {network, system}, link, peer) do
+    true = :ets.match_delete(tables.routes, {{network, system, :_, link, peer}, :_, :_})
+    :ok
+  end
+
+  @doc "Forgets one route."
+  @spec drop(Tables.t(), {String.t(), non_neg_integer, 0..255}, way) :: :ok
+  def drop(tables, {network, system, component}, {link, peer}) do
+    true = :ets.delete(tables.routes, {network, system, component, link, peer})
+    :ok
+  end
+
   @doc "Forgets all routes by a link, or by one of its peers."
   @spec forget(Tables.t(), String.t(), term) :: :ok
   def forget(tables, link, peer \\ :_) do

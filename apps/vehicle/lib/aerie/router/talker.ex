@@ -6,10 +6,12 @@ defmodule Aerie.Router.Talker do
   - `everyone`: endpoints that get its broadcasts (R1); `groups`: the same for groups of redundant links, of which one
     carries; `heartbeats`: endpoints that get only its heartbeats
   - `twice`: whether it is heard by other endpoints too: then frames are looked at for duplicates
+  - `other`: it is another vehicle with the id of one that was there before (`Aerie.Router.Apart`)
   - `clock`: its boot time, for reboots (R6)
   - `session`: `{vehicle key, pid}` of its vehicle; a number in the place of the pid (`Aerie.Names.epoch/0`): there was none
   """
 
+  alias Aerie.Router.Apart
   alias Aerie.Router.Plan
   alias Aerie.Router.Plan.Way
   alias Aerie.Router.Routes
@@ -33,6 +35,7 @@ defmodule Aerie.Router.Talker do
     groups: [],
     heartbeats: [],
     twice: false,
+    other: false,
     autopilot: false
   ]
 
@@ -50,12 +53,14 @@ defmodule Aerie.Router.Talker do
   def refresh(talker, tables, plan, way, known?, now) do
     # Its endpoint may see another network from now on, where it is to be found too.
     talker = if changed?(talker, plan), do: %{talker | learned: nil}, else: talker
-    talker = if known?, do: learn(talker, tables, way, now), else: talker
     marks = {plan.generation, Tables.routed(tables)}
 
-    if talker.marks == marks and now - talker.looked < @fresh_ms,
-      do: talker,
-      else: look(%{talker | marks: marks, looked: now}, tables, plan, way)
+    talker =
+      if talker.marks == marks and now - talker.looked < @fresh_ms,
+        do: talker,
+        else: look(%{talker | marks: marks, looked: now}, tables, plan, way)
+
+    if known? and not talker.other, do: learn(talker, tables, way, now), else: talker
   end
 
   defp changed?(%{marks: {generation, _routed}}, plan), do: generation != plan.generation
@@ -79,11 +84,32 @@ defmodule Aerie.Router.Talker do
     do: Routes.ways(tables, {network, talker.system}, talker.component) -- [way.key]
 
   defp look(talker, tables, plan, way) do
+    if way.side == :vehicle and apart?(tables, way, talker, way),
+      do: unknown(talker, tables, plan, way),
+      else: known(%{talker | other: false}, tables, plan, way)
+  end
+
+  defp apart?(tables, way, talker, to),
+    do: Enum.any?(way.networks, &Apart.other?(tables, {&1, talker.system}, to.key))
+
+  # Another vehicle with that id: no way to it, and nobody's business but that of who wants to see everything.
+  defp unknown(talker, tables, plan, way) do
+    for network <- way.networks,
+        do: Routes.drop(tables, {network, talker.system, talker.component}, way.key)
+
+    sniffers = for {_key, %{sniffer: true} = to} <- plan.ways, broadcast?(way, to, talker, tables), do: to
+    %{talker | other: true, learned: nil, everyone: sniffers, groups: [], heartbeats: [], twice: false}
+  end
+
+  defp known(talker, tables, plan, way) do
     others = way.networks |> Enum.flat_map(&elsewhere(tables, way, talker, &1)) |> Enum.uniq()
     audience = for {_key, to} <- plan.ways, broadcast?(way, to, talker, tables), do: to
 
-    # A vehicle's own frames do not come back to it by its second radio; a client may have a vehicle of its own as well.
-    audience = Enum.reject(audience, &(&1.side == :vehicle and &1.key in others))
+    # A vehicle's own frames do not come back to it by its second radio, nor go to another one that takes them for its own; a
+    # client may have a vehicle of its own as well.
+    audience =
+      Enum.reject(audience, &(&1.side == :vehicle and (&1.key in others or apart?(tables, way, talker, &1))))
+
     {vehicles, clients} = Enum.split_with(audience, &(&1.side == :vehicle))
 
     {full, less} =

@@ -8,6 +8,7 @@ defmodule Aerie.Router.Tally do
   | `frames_out`, `bytes_out` | handed to it: to its socket, or to its process |
   | `no_route` | from it, addressed to somebody who is not known (R2) |
   | `duplicates` | from it, and from another endpoint before |
+  | `collided` | from it, by another vehicle with the id of one that was there before (`Aerie.Router.Apart`) |
   | `read_only` | from it, and it may not speak |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
@@ -19,7 +20,7 @@ defmodule Aerie.Router.Tally do
   alias Aerie.Router.Classify
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
-  @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :read_only, :secret] ++
+  @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :collided, :read_only, :secret] ++
            [:filtered_in, :filtered_out, :limited, :spared, :failed] ++
            @dropped
 

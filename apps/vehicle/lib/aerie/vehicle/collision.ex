@@ -1,13 +1,15 @@
 defmodule Aerie.Vehicle.Collision do
   @moduledoc """
-  Two vehicles with one id on one network, as others ask about it. `Aerie.Vehicle.Twin` finds them; the snapshot shows
-  `collision: %{at, sign, links}` for a minute after the last sign.
+  Two vehicles with one id on one network, as others ask about it. `Aerie.Vehicle.Twin` finds them; `Aerie.Vehicle.Rivals`
+  says which of them keeps the id where each has links, or peers of links, of its own; the router keeps them apart
+  (`Aerie.Router.Apart`). The snapshot shows `collision: %{at, sign, links, ways}` for a minute after the last sign: those
+  of the one that keeps the id first, `links` in words.
   """
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
 
-  @type t :: %{at: integer(), sign: String.t(), links: [[term()]]}
+  @type t :: %{at: integer(), sign: String.t(), links: [[String.t()]], ways: [[Aerie.Vehicle.Rivals.way()]]}
 
   @doc "The collision that there is just now on a vehicle's id: its sign, and the links of the one and of the other; or nil."
   @spec of(Names.gateway(), Store.vehicle_key()) :: t() | nil
@@ -25,8 +27,12 @@ defmodule Aerie.Vehicle.Collision do
   @spec apart?(Names.gateway(), Store.vehicle_key(), term(), term()) :: boolean()
   def apart?(gateway, key, link, other) do
     case of(gateway, key) do
-      %{links: [ones, others]} -> split?(ones, others, link, other) or split?(ones, others, other, link)
-      nil -> false
+      %{ways: ways} ->
+        [ones, others] = for side <- ways, do: Enum.map(side, &Aerie.Vehicle.Rivals.link/1)
+        split?(ones, others, link, other) or split?(ones, others, other, link)
+
+      nil ->
+        false
     end
   end
 

@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.Core do
 
   Events:
 
-    * `{:frames, link, frames}` - frames of this system, in the order of their arrival, each with its time `at`
+    * `{:frames, way, frames}` - frames of this system, in the order of their arrival, each with its time `at`; `way` is a
+      link's id, or `{link, peer}` where several endpoints bring the system
     * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
@@ -27,6 +28,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:round_trip, link, us}` - how long the way there and back by a link took
     * `{:heartbeat, version}` - our heartbeat is due on the vehicle's way
     * `:withhold` - it is due and must not go there, not from other vehicles' sessions either
+    * `{:apart, ways}` - by these ways another vehicle with this id is heard, or by none any more (`Aerie.Vehicle.Rivals`)
     * `{:count, counter}` - something to be counted
     * `{:status, old, new}` - the vehicle is heard again, is silent, is lost
 
@@ -35,7 +37,7 @@ defmodule Aerie.Vehicle.Core do
   are counted as heard on the link, and change nothing else.
   """
 
-  alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, State, StatusText, Twin}
+  alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, Rivals, State, StatusText, Twin}
 
   alias Aerie.Vehicle.Core.{Dealings, Intake, Timers}
   alias Aerie.Vehicle.{Gcs, HighLatency, Timesync}
@@ -53,6 +55,7 @@ defmodule Aerie.Vehicle.Core do
     :collision,
     :view,
     :viewed,
+    :way,
     status: :online,
     version: 2,
     beat: 1,
@@ -62,6 +65,8 @@ defmodule Aerie.Vehicle.Core do
     heard: Heard.new(),
     clock: BootClock.new(),
     twin: Twin.new(),
+    rivals: Rivals.new(),
+    apart: [],
     texts: StatusText.new(),
     recent: %{},
     streams: Arbiter.new(),
@@ -77,7 +82,7 @@ defmodule Aerie.Vehicle.Core do
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
   @type event ::
-          {:frames, link :: term(), [struct()]}
+          {:frames, Rivals.way(), [struct()]}
           | {:link_again, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
@@ -94,6 +99,7 @@ defmodule Aerie.Vehicle.Core do
           | {:round_trip, link :: term(), us :: non_neg_integer()}
           | {:heartbeat, 1 | 2}
           | :withhold
+          | {:apart, [Rivals.way()]}
           | {:count, atom()}
           | {:status, atom(), atom()}
 
@@ -151,11 +157,22 @@ defmodule Aerie.Vehicle.Core do
     {next, [confirm(core) | actions]}
   end
 
-  def handle(core, {:frames, link, frames}) do
+  def handle(core, {:frames, way, frames}) do
+    link = Rivals.link(way)
+
     {core, actions} =
-      Enum.reduce(frames, {core, []}, fn frame, {core, actions} ->
+      Enum.reduce(frames, {%{core | way: way}, []}, fn frame, {core, actions} ->
         {core, actions} = Timers.before(core, actions, frame.at)
-        Intake.frame(%{core | now: max(core.now || frame.at, frame.at)}, actions, link, frame)
+
+        core = %{
+          core
+          | now: max(core.now || frame.at, frame.at),
+            rivals: Rivals.heard(core.rivals, way, frame.at)
+        }
+
+        if Rivals.other?(core.rivals, way, frame.at),
+          do: Intake.rival(core, actions, frame),
+          else: Intake.frame(core, actions, link, frame)
       end)
 
     {core, Enum.reverse(actions)}

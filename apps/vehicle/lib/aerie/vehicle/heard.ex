@@ -27,6 +27,10 @@ defmodule Aerie.Vehicle.Heard do
     %{heard | links: links, frames: heard.frames + 1, bytes: heard.bytes + bytes, since: heard.since || at}
   end
 
+  @doc "Forgets links by which it was not this vehicle that was heard."
+  @spec without(t(), [term()]) :: t()
+  def without(heard, links), do: %{heard | links: Map.drop(heard.links, links)}
+
   @doc "Links that the vehicle is heard on, the latest first."
   @spec links(t()) :: [term()]
   def links(heard) do

@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.Session do
   @moduledoc """
   The process of one vehicle: takes its frames and carries out what `Aerie.Vehicle.Core` says.
 
-  Who has frames of the vehicle sends `{:frames, link_id, [frame]}`, one message per read of a link.
+  Who has frames of the vehicle sends `{:frames, link_id, [frame]}`, one message per read of a link, or
+  `{:frames, {link_id, peer}, [frame]}` while the system is heard by several endpoints.
 
   The time between frames is the time of the last one plus what has passed since by the monotonic clock, at the pace of the
   link: a vehicle is missed after the same silence whether its frames come from a radio or from a recording played ten
@@ -42,6 +43,8 @@ defmodule Aerie.Vehicle.Session do
       ticks: 0
     }
 
+    # What a forerunner found out is to be found out again.
+    Aerie.Router.Apart.put(gateway, options.key, [])
     {:ok, state, {:continue, :wants}}
   end
 
@@ -51,12 +54,13 @@ defmodule Aerie.Vehicle.Session do
   @impl GenServer
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
 
-  def handle_info({:frames, link, frames}, state) do
+  def handle_info({:frames, way, frames}, state) do
+    link = if is_tuple(way), do: elem(way, 0), else: way
     Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
     {pace, state} = pace(state, link)
     state = if pace == :live, do: follow(state, hd(frames).at), else: state
     clock = {List.last(frames).at, monotonic(), if(pace == :live, do: 1.0, else: pace)}
-    {:noreply, step(%{state | clock: clock}, {:frames, link, frames})}
+    {:noreply, step(%{state | clock: clock}, {:frames, way, frames})}
   end
 
   # A link on which it was heard is connected again (`Aerie.Link.Again`).
@@ -177,6 +181,11 @@ defmodule Aerie.Vehicle.Session do
       state
       | outbound: Vehicle.Outbound.heartbeat(state.outbound, version, by(state.core))
     }
+  end
+
+  defp act({:apart, ways}, state) do
+    Aerie.Router.Apart.put(state.gateway, state.options.key, ways)
+    state
   end
 
   defp act({:count, counter}, state) do

@@ -10,7 +10,8 @@ defmodule Aerie.Vehicle.CollisionTest do
     gateway = start_gateway()
     assert Collision.of(gateway, @key) == nil
     refute Collision.apart?(gateway, @key, "a", "b")
-    collision = %{at: 1, sign: "position", links: [["a", "both"], ["b", "both"]]}
+    links = [["a", "both"], ["b", "both"]]
+    collision = %{at: 1, sign: "position", links: links, ways: [["a", {"both", 1}], ["b", {"both", 2}]]}
     Store.put_vehicle(gateway, @key, %{id: "VID-001", collision: collision})
     assert Collision.of(gateway, @key) == collision
     assert Collision.apart?(gateway, @key, "a", "b") and Collision.apart?(gateway, @key, "b", "a")

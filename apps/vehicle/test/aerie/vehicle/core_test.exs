@@ -148,6 +148,76 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(tick(run, 80).core).collision == nil
   end
 
+  describe "two vehicles by a way each" do
+    defp fly(run, at, way, lat) do
+      place = frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat * 10_000_000, lon: 0}, round(at * @second))
+      frames(run, [place], way)
+    end
+
+    # Both in turn, until there are two.
+    defp both(one, other) do
+      Enum.reduce(0..20, start() |> beat(9, one) |> beat(10, one), fn n, run ->
+        run |> fly(10 + n / 4, one, 47) |> fly(10.1 + n / 4, other, 48)
+      end)
+    end
+
+    defp lat(run), do: Core.snapshot(run.core).groups.position.data.lat
+    defp apart(run), do: for({:apart, ways} <- Enum.reverse(run.actions), do: ways)
+
+    test "the one that was there first keeps the id, and nothing of the other is its state" do
+      run = both("a", "b")
+      assert apart(run) == [["b"]]
+      assert lat(run) == 47.0
+      # Its heartbeats say nothing either: armed, in another mode.
+      armed = frame(%{@copter | base_mode: 0xFF, custom_mode: 9}, 16 * @second)
+      time = frame(%M.SystemTime{time_boot_ms: 5}, 16 * @second)
+      uid = frame(%M.AutopilotVersion{uid: 5}, 16 * @second)
+      run = frames(run, [armed, time, uid], "b")
+      assert %{uid: nil} = Core.snapshot(run.core)
+      assert %{groups: %{mode: %{data: %{armed: false}}}} = Core.snapshot(run.core)
+      assert Core.snapshot(run.core).links == ["a"]
+      # Both go on for minutes: told once, apart all the time.
+      run = Enum.reduce(20..200, run, fn n, run -> run |> fly(n, "a", 47) |> fly(n + 0.1, "b", 48) end)
+      assert apart(run) == [["b"]] and lat(run) == 47.0
+      assert Enum.count(types(run), &(&1 == "collision")) == 1
+    end
+
+    test "of one link the peers are told apart" do
+      [p, q] = for port <- [1, 2], do: {"udp", {{10, 0, 0, 1}, port}}
+      run = both(p, q)
+      assert apart(run) == [[q]]
+      assert lat(run) == 47.0
+      assert %{links: [["udp (10.0.0.1:1)"], ["udp (10.0.0.1:2)"]]} = Core.snapshot(run.core).collision
+      assert Core.snapshot(run.core).links == ["udp"]
+    end
+
+    test "when the first one falls silent the id is the other's, and stays so when the first one comes back" do
+      run = both("a", "b")
+      run = Enum.reduce(16..30, run, &fly(&2, &1, "b", 48))
+      assert apart(run) == [["b"], []]
+      assert lat(run) == 48.0
+
+      run =
+        Enum.reduce(1..20, run, fn n, run -> run |> fly(30 + n / 4, "a", 47) |> fly(30.1 + n / 4, "b", 48) end)
+
+      assert List.last(apart(run)) == ["a"]
+      assert lat(run) == 48.0
+    end
+
+    test "a minute after the last sign of two there is one" do
+      run = both("a", "b")
+      run = Enum.reduce(16..80, run, &fly(&2, &1, "a", 47))
+      assert apart(run) == [["b"], []]
+    end
+
+    test "a restart of its processes finds it out again" do
+      run = both("a", "b")
+      core = Core.new(run.core.options, Core.snapshot(run.core))
+      {core, _actions} = Core.handle(core, {:tick, 16 * @second})
+      assert core.apart == []
+    end
+  end
+
   test "heartbeats of two kinds of vehicle in turn are a collision; a change of mind is none" do
     plane = fn at -> frame(%{@copter | type: 1}, round(at * @second)) end
     run = Enum.reduce(1..5, start(), fn n, run -> run |> beat(10 + n) |> frames([plane.(10.5 + n)]) end)

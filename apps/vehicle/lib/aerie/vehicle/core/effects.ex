@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   the actions so far, newest first.
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Sampling, State, Twin}
+  alias Aerie.Vehicle.{Core, Detector, Heard, Rivals, Sampling, State, Twin}
   alias Aerie.Vehicle.Core.Dealings
   alias MavCodec.Messages.MissionItemReached
 
@@ -76,24 +76,32 @@ defmodule Aerie.Vehicle.Core.Effects do
     end)
   end
 
-  @doc "What a message tells about there being two vehicles."
-  @spec twin_of(Core.t(), [Core.action()], term(), {non_neg_integer(), struct()}, integer()) :: acc()
-  def twin_of(core, actions, link, {@position, _message}, at) do
+  @doc "What a message of the vehicle tells about there being two."
+  @spec twin_of(Core.t(), [Core.action()], {non_neg_integer(), struct()}, integer()) :: acc()
+  def twin_of(core, actions, {@position, _message}, at) do
     case State.data(core.state, :position) do
-      %{lat: nil} -> {core, actions}
-      %{lat: lat, lon: lon} -> twin(core, actions, Twin.place(core.twin, {lat, lon}, at, link), :place, at)
+      %{lat: nil} ->
+        {core, actions}
+
+      %{lat: lat, lon: lon} ->
+        twin(core, actions, Twin.place(core.twin, {lat, lon}, at, core.way), :place, at)
     end
   end
 
-  def twin_of(core, actions, link, {@heartbeat, message}, at) do
-    twin(core, actions, Twin.kind(core.twin, {message.type, message.autopilot}, at, link), :kind, at)
+  def twin_of(core, actions, {@heartbeat, message}, at) do
+    twin(core, actions, Twin.kind(core.twin, {message.type, message.autopilot}, at, core.way), :kind, at)
   end
 
-  def twin_of(core, actions, link, {@autopilot_version, _message}, at) do
-    twin(core, actions, Twin.uid(core.twin, core.state.uid, link), :uid, at)
+  def twin_of(core, actions, {@autopilot_version, _message}, at) do
+    twin(core, actions, Twin.uid(core.twin, core.state.uid, core.way), :uid, at)
   end
 
-  def twin_of(core, actions, _link, _other, _at), do: {core, actions}
+  def twin_of(core, actions, _other, _at), do: {core, actions}
+
+  @doc "A reading of the vehicle's clock, which is another one's perhaps."
+  @spec boot(Core.t(), [Core.action()], non_neg_integer(), integer()) :: acc()
+  def boot(core, actions, boot_ms, at),
+    do: twin(core, actions, Twin.boot(core.twin, boot_ms, at, core.way), :boot, at)
 
   @signs %{boot: "time_boot_ms", place: "position", kind: "type", uid: "uid"}
 
@@ -102,10 +110,30 @@ defmodule Aerie.Vehicle.Core.Effects do
   def twin(core, actions, {twin, :one}, _sign, _at), do: {%{core | twin: twin}, actions}
 
   def twin(core, actions, {twin, :two}, sign, at) do
-    {one, other} = Twin.links(twin, sign)
-    collision = %{at: at, sign: @signs[sign], links: [one, other]}
+    {ones, others} = Twin.links(twin, sign)
+    {rivals, kept, other} = Rivals.found(core.rivals, ones, others, at)
+    links = Rivals.words(kept, other)
+    collision = %{at: at, sign: @signs[sign], links: links, ways: [kept, other]}
     observation = {:collision, at, core.state.boot_ms, collision.sign, collision.links}
-    {%{core | twin: twin, collision: collision}, [{:observe, observation} | actions]}
+
+    apart(
+      {%{core | twin: twin, rivals: rivals, collision: collision, dirty: true},
+       [{:observe, observation} | actions]},
+      at
+    )
+  end
+
+  @doc "Tells by which ways another vehicle is heard, when that has changed."
+  @spec apart(acc(), integer()) :: acc()
+  def apart({%{apart: apart} = core, actions} = acc, now) do
+    case Rivals.others(core.rivals, now) do
+      ^apart ->
+        acc
+
+      others ->
+        links = Enum.map(others, &Rivals.link/1) -- Enum.map(core.rivals.kept, &Rivals.link/1)
+        {%{core | apart: others, heard: Heard.without(core.heard, links)}, [{:apart, others} | actions]}
+    end
   end
 
   @doc "The vehicle is heard, silent or lost from now on; that is shown at once."

@@ -16,6 +16,10 @@ defmodule Aerie.Vehicle.Core.Intake do
   @copy_us 5_000_000
   # PING, COMMAND_ACK, TIMESYNC, MESSAGE_INTERVAL: what `Dealings.message/5` is for.
   @dealings [4, 77, 111, 244]
+  # HEARTBEAT, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT, AUTOPILOT_VERSION: by which two vehicles are told apart.
+  @telling [0, 2, 30, 33, 148]
+  # ... of which these say more than for how long they have run.
+  @signs [0, 33, 148]
 
   @doc "One frame of the vehicle's system. The actions come newest first."
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
@@ -35,6 +39,39 @@ defmodule Aerie.Vehicle.Core.Intake do
 
       true ->
         {core, actions}
+    end
+  end
+
+  @doc """
+  One frame of another vehicle that uses this one's system id (`Aerie.Vehicle.Rivals`): nothing of it is state, but whether
+  there still are two is seen by it.
+  """
+  @spec rival(Core.t(), [Core.action()], struct()) :: {Core.t(), [Core.action()]}
+  def rival(core, actions, %{id: id, at: at} = frame) when id in @telling do
+    with true <- frame.component == core.component, {:ok, message} <- MavCodec.decode(frame) do
+      {core, actions} = rival_clock(core, actions, message, at)
+      rival_sign(core, actions, id, message, at)
+    else
+      _nothing -> {core, actions}
+    end
+  end
+
+  def rival(core, actions, _frame), do: {core, actions}
+
+  defp rival_clock(core, actions, %{time_boot_ms: boot_ms}, at), do: Effects.boot(core, actions, boot_ms, at)
+  defp rival_clock(core, actions, _message, _at), do: {core, actions}
+
+  defp rival_sign(core, actions, id, _message, _at) when id not in @signs, do: {core, actions}
+
+  defp rival_sign(core, actions, id, message, at) do
+    # As this vehicle's state would read it, which is not touched.
+    case State.apply(%State{}, id, message, at) do
+      {:invalid, _field} ->
+        {core, actions}
+
+      {state, _groups} ->
+        {seen, actions} = Effects.twin_of(%{core | state: state}, actions, {id, message}, at)
+        {%{seen | state: core.state}, actions}
     end
   end
 
@@ -83,26 +120,26 @@ defmodule Aerie.Vehicle.Core.Intake do
     Effects.status(core, observed ++ actions, :online)
   end
 
-  defp message(core, actions, link, frame, %{time_boot_ms: boot_ms} = message) do
+  defp message(core, actions, _link, frame, %{time_boot_ms: boot_ms} = message) do
     {clock, verdict} = BootClock.read(core.clock, boot_ms, frame.at)
     core = %{core | clock: clock}
 
     case verdict do
       :ok ->
         {core, actions} =
-          Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at, link), :boot, frame.at)
+          Effects.boot(core, actions, boot_ms, frame.at)
 
-        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, link, frame, message)
+        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, frame, message)
 
       # Older than what is known, or the first sign of a reboot; either way it is worth a moment's wait.
       :behind ->
-        Effects.twin(core, actions, Twin.boot(core.twin, boot_ms, frame.at, link), :boot, frame.at)
+        Effects.boot(core, actions, boot_ms, frame.at)
 
       :reboot ->
         core = Dealings.rebooted(core, frame.at)
         core = %{core | state: State.at_boot(core.state, boot_ms), twin: Twin.rebooted(core.twin)}
 
-        apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], link, frame, message)
+        apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
     end
   end
 
@@ -127,17 +164,17 @@ defmodule Aerie.Vehicle.Core.Intake do
   defp message(core, actions, link, %{id: id} = frame, message) when id in @dealings,
     do: Dealings.message(core, actions, link, frame, message)
 
-  defp message(core, actions, link, frame, message), do: apply_message(core, actions, link, frame, message)
+  defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
 
-  defp apply_message(core, actions, _link, %{id: @system_time}, _message), do: {core, actions}
+  defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
 
-  defp apply_message(core, actions, link, %{id: id, at: at}, message) do
+  defp apply_message(core, actions, %{id: id, at: at}, message) do
     case State.apply(core.state, id, message, at) do
       {:invalid, _field} ->
         {core, [{:count, :invalid} | actions]}
 
       {state, groups} ->
-        {core, actions} = Effects.twin_of(%{core | state: state}, actions, link, {id, message}, at)
+        {core, actions} = Effects.twin_of(%{core | state: state}, actions, {id, message}, at)
         {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
         core |> Effects.changed(actions, id, message, at) |> Effects.show(at)
     end

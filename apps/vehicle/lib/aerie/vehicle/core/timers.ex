@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   What follows from time passing: texts that stay incomplete, samples, silence, rates, and what `Dealings` has to do.
   """
 
-  alias Aerie.Vehicle.{Core, Heard, Sampling, State, StatusText, Twin}
+  alias Aerie.Vehicle.{Core, Heard, Sampling, Rivals, State, StatusText, Twin}
   alias Aerie.Vehicle.Core.{Dealings, Effects}
 
   # Deadlines are looked at twenty times a second.
@@ -46,6 +46,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         texts: texts,
         heard: Heard.new(Heard.links(core.heard), now),
         twin: Twin.rebased(core.twin),
+        rivals: Rivals.rebased(core.rivals),
         samplers: Sampling.new(core.options.sampling),
         state: State.rebased(core.state, now)
     }
@@ -66,6 +67,7 @@ defmodule Aerie.Vehicle.Core.Timers do
       end)
 
     {%{core | texts: texts, samplers: samplers, expired: now}, actions}
+    |> Effects.apart(now)
     |> silence(now)
     |> measure(now)
     |> Dealings.expire(now)

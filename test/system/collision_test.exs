@@ -1,0 +1,116 @@
+defmodule Aerie.System.CollisionTest do
+  @moduledoc "Two simulated vehicles with one system id on one network: told, and never taken for one."
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.Router
+  alias Aerie.Router.Endpoint
+  alias MavCodec.Messages, as: M
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 180_000
+
+  @key {"main", 1}
+  @first {-35.363261, 149.165230, 584.0}
+  @second {-35.400000, 149.165230, 584.0}
+
+  defp sim(gateway, link, home) do
+    options = [firmware: :ardupilot, ready_s: 1.0, system: 1, home: home]
+    url = "udpout:127.0.0.1:#{link_port(gateway, link)}"
+    {:ok, sim} = SimVehicle.start_link(options ++ [link: url])
+    sim
+  end
+
+  defp lat(gateway) do
+    with %{groups: %{position: %{data: %{lat: lat}}}} when is_number(lat) <- Store.vehicle(gateway, @key),
+         do: Float.round(lat, 3)
+  end
+
+  defp home({lat, _lon, _alt}), do: Float.round(lat, 3)
+
+  defp says(client, message) do
+    bytes = MavCodec.encode(message, system: 255, component: 190)
+    {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond))
+    Endpoint.ingress(client, frames)
+  end
+
+  defp metric(gateway) do
+    {_name, :gauge, _help, [{[vehicle: "VID-001"], value}]} =
+      gateway |> FleetWeb.Metrics.families() |> Enum.find(&(elem(&1, 0) == "gateway_vehicle_collision"))
+
+    value in [1, true]
+  end
+
+  # Latitudes of all positions that came to the client so far.
+  defp seen(client) do
+    receive do
+      {:forward, bytes, _class} ->
+        Endpoint.taken(client, length(bytes))
+        {frames, _} = MavCodec.Parser.push(MavCodec.Parser.new(), IO.iodata_to_binary(bytes))
+
+        for(
+          %{id: 33} = frame <- frames,
+          {:ok, %{lat: lat}} = MavCodec.decode(frame),
+          do: Float.round(lat / 1.0e7, 3)
+        ) ++
+          seen(client)
+    after
+      0 -> []
+    end
+  end
+
+  for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
+    test "#{where}: told as event, in the snapshot and as metric; the first keeps the id, its state and its orders",
+         %{
+           tmp_dir: folder
+         } do
+      %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
+      Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      first = sim(gateway, "link-1", @first)
+      eventually(fn -> lat(gateway) == home(@first) end, "the first is there")
+
+      other = sim(gateway, unquote(link), @second)
+      collision = eventually(fn -> Store.vehicle(gateway, @key)[:collision] end, "the collision is seen")
+      assert [["link-1" <> _], [unquote(link) <> _]] = collision.links
+      links = collision.links
+      assert_receive {:fleet, :events, %{type: "collision", data: %{"links" => ^links}}}, 20_000
+      eventually(fn -> metric(gateway) end, "the metric")
+
+      eventually(
+        fn -> Enum.any?(Router.endpoints(gateway), &(&1.counters.collided > 10)) end,
+        "they are apart"
+      )
+
+      # From here on whoever looks sees one vehicle.
+      {:ok, client} = Endpoint.attach(gateway, id: "gcs", side: :client)
+      says(client, %M.Heartbeat{type: 6, autopilot: 8})
+      before = Enum.find(Router.endpoints(gateway), &(&1.counters.collided > 0)).counters.collided
+
+      eventually(
+        fn ->
+          Enum.any?(Router.endpoints(gateway), &(&1.counters.collided > before + 50)) and lat(gateway)
+        end,
+        "the other one goes on"
+      )
+
+      assert lat(gateway) == home(@first)
+      assert Enum.uniq(seen(client)) == [home(@first)]
+
+      # And one obeys.
+      SimVehicle.await(first, & &1.ready)
+
+      for command <- [
+            %M.CommandLong{command: 176, param1: 1.0, param2: 4.0},
+            %M.CommandLong{command: 400, param1: 1.0}
+          ],
+          do: says(client, %{command | target_system: 1, target_component: 1})
+
+      SimVehicle.await(first, & &1.armed)
+      refute SimVehicle.state(other).armed
+
+      # When it is no more, the other one is the vehicle.
+      GenServer.stop(first)
+      eventually(fn -> lat(gateway) == home(@second) end, "the other one has the id")
+    end
+  end
+end

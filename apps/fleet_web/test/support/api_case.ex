@@ -17,7 +17,7 @@ defmodule FleetWeb.APICase do
   def key, do: @key
 
   @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `websocket: %{}`,
-  `links: true`."
+  `links: true`, `recorder: %{}` (keys of that section)."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
     gateway = make_ref()
@@ -25,7 +25,8 @@ defmodule FleetWeb.APICase do
 
     config = %{
       api: %{key: if(options[:key], do: Secret.new(@key)), keys_file: nil, origins: options[:origins] || []},
-      websocket: Keyword.get(options, :websocket)
+      websocket: Keyword.get(options, :websocket),
+      recorder: Keyword.get(options, :recorder)
     }
 
     ExUnit.Callbacks.start_supervised!({Aerie.Gateway, name: gateway, config: config, without: without})

@@ -23,7 +23,7 @@ defmodule Aerie.Recorder do
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
-  alias Aerie.Recorder.{Archive, Recording, Ring, Tables, Tap}
+  alias Aerie.Recorder.{Archive, Recording, Ring, Status, Tables, Tap}
   alias Aerie.Wire
   alias MavCodec.Frame
 
@@ -211,14 +211,20 @@ defmodule Aerie.Recorder do
     :exit, _reason -> {:error, "the recording does not answer"}
   end
 
-  @doc "What is known of the recording of a link or a vehicle (`Aerie.Recorder.Recording`); nil when there is none."
-  @spec status(Names.gateway(), what) :: Recording.status() | nil
+  @doc "What is known of the recording of a link or a vehicle; nil when there never was one."
+  @spec status(Names.gateway(), what) :: Status.t() | nil
   def status(gateway, what) do
     with {:ok, tables} <- tables(gateway), {:ok, target} <- target(gateway, what) do
-      :ets.lookup_element(tables.status, target, 2, nil)
+      Status.of(tables, target)
     else
       {:error, _reason} -> nil
     end
+  end
+
+  @doc "What a link's or vehicle's snapshot shows of its recording: its status, without its names; nil for none."
+  @spec shown(Names.gateway(), Tables.target()) :: map | nil
+  def shown(gateway, target) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: Status.shown(tables, target)
   end
 
   @doc """
@@ -230,7 +236,7 @@ defmodule Aerie.Recorder do
     with tables when is_map(tables) <- Tables.of(gateway) do
       %{
         dir: Tables.settings(tables).dir,
-        recordings: for({_target, status} <- Enum.sort(:ets.tab2list(tables.status)), do: status),
+        recordings: Status.all(tables),
         rings:
           for({key, _n, _bytes} <- :ets.tab2list(tables.rings), into: %{}, do: {key, Ring.size(tables, key)}),
         space: :ets.lookup_element(tables.settings, :space, 2, nil)
@@ -255,13 +261,15 @@ defmodule Aerie.Recorder do
                 frames: "Frames written to recordings.",
                 bytes: "Bytes written to recordings.",
                 files: "Recordings begun.",
-                dropped: "Frames that were to be recorded and were not: disk full or slow."
+                dropped: "Frames that were to be recorded and were not: disk full or slow.",
+                errors: "Faults of the disk; recording goes on after a pause."
               ] do
             samples = for recording <- status.recordings, do: {[recording: recording.label], recording[key]}
             %{name: "gateway_recorder_#{key}_total", type: :counter, help: help, samples: samples}
           end
 
         active = Enum.count(status.recordings, &(&1.state == :recording))
+        paused = Enum.count(status.recordings, &(&1.state == :paused))
         ring = status.rings |> Map.values() |> Enum.map(& &1.bytes) |> Enum.sum()
 
         totals ++
@@ -273,6 +281,18 @@ defmodule Aerie.Recorder do
               samples: [{[], active}]
             },
             %{
+              name: "gateway_recorder_paused",
+              type: :gauge,
+              help: "Recordings that would be written and are not: the disk is full or does not work.",
+              samples: [{[], paused}]
+            },
+            %{
+              name: "gateway_recorder_free_bytes",
+              type: :gauge,
+              help: "What is free where recordings are written.",
+              samples: free(status.space)
+            },
+            %{
               name: "gateway_recorder_ring_bytes",
               type: :gauge,
               help: "Memory of the last moments of all vehicles.",
@@ -281,6 +301,9 @@ defmodule Aerie.Recorder do
           ]
     end
   end
+
+  defp free(%{free: bytes}) when is_integer(bytes), do: [{[], bytes}]
+  defp free(_unknown), do: []
 
   defp tables(gateway) do
     case Tables.of(gateway) do

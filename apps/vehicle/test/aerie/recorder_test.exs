@@ -43,6 +43,26 @@ defmodule Aerie.RecorderTest do
       assert bytes == File.stat!(file).size
     end
 
+    test "its snapshot shows the recording", c do
+      gateway = start_recorder(c.tmp_dir, %{links: :always})
+      be_session(gateway, 7)
+      {id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+
+      assert %{state: :waiting, mode: :always, file: nil, error: nil} =
+               Aerie.Link.snapshot(gateway, id).recording
+
+      {:ok, socket} = :gen_udp.open(0, [:binary])
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, 1))
+      frames(1)
+      file = eventually(fn -> Recording.flush(Names.whereis(gateway, :recording, {:link, id})) end)
+
+      assert %{state: :recording, file: ^file, size: size, since: since, dropped: 0, frames: 1} =
+               Aerie.Link.snapshot(gateway, id).recording
+
+      assert size == File.stat!(file).size
+      assert_in_delta since, System.os_time(:second), 60
+    end
+
     test "what is forwarded to its vehicle is recorded, and in the vehicle's ring", c do
       gateway = start_recorder(c.tmp_dir, %{links: :always})
       be_session(gateway, 7)
@@ -138,6 +158,35 @@ defmodule Aerie.RecorderTest do
       assert Recorder.status(gateway, {:vehicle, "VID-001"}).state == :off
     end
 
+    test "always: begins with what was heard before there was anything to record, nothing twice", c do
+      gateway = start_recorder(c.tmp_dir)
+      test = self()
+
+      giver =
+        spawn_link(fn ->
+          for n <- 1..2000 do
+            give(gateway, attitudes(1, n..n))
+            if n == 500, do: send(test, :go)
+          end
+
+          send(test, :done)
+        end)
+
+      assert is_pid(giver)
+      assert_receive :go
+      recording = vehicle(gateway)
+      assert_receive :done
+      file = Recording.flush(recording)
+      assert numbers(file) == Enum.to_list(1..2000)
+
+      # A second one goes on, with what came since.
+      :ok = Recorder.stop(gateway, {:vehicle, @key})
+      give(gateway, attitudes(1, 2001..2001))
+      :ok = Recorder.start(gateway, {:vehicle, @key})
+      give(gateway, attitudes(1, 2002..2002))
+      assert numbers(Recording.flush(recording)) == [2002]
+    end
+
     test "a file is followed by the next when it is long enough", c do
       gateway = start_recorder(c.tmp_dir, %{max_file_mb: 0.02})
       recording = vehicle(gateway)
@@ -183,6 +232,8 @@ defmodule Aerie.RecorderTest do
       assert Recording.flush(recording) == nil
       assert_received {:paused, "no space left on device"}
       assert %{state: :paused, dropped: 10, frames: 0, reason: "no space left on device"} = status(gateway)
+      assert %{errors: 1, error: %{reason: "no space left on device", at: at}} = status(gateway)
+      assert_in_delta at, System.os_time(:second), 60
       give(gateway, attitudes(1, 11..20))
       Recording.flush(recording)
       assert status(gateway).dropped == 20
@@ -213,6 +264,9 @@ defmodule Aerie.RecorderTest do
 
       assert numbers(second) == Enum.to_list(21..30)
       assert %{dropped: 10, frames: 20, state: :recording, reason: nil} = status(gateway)
+      # What was is not forgotten.
+      assert %{errors: 2, error: %{reason: reason}} = status(gateway)
+      assert reason =~ "no space left on device"
     end
 
     test "that hangs: its queue is bounded, and whoever gives frames never waits", c do

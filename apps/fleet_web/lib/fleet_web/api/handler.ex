@@ -11,6 +11,7 @@ defmodule FleetWeb.API.Handler do
   alias FleetWeb.API.{Access, Error, Request, Resources}
 
   @json "application/json; charset=utf-8"
+  @binary "application/octet-stream"
 
   @impl :cowboy_handler
   def init(request, %{resource: resource, gateway: gateway} = state) do
@@ -46,6 +47,13 @@ defmodule FleetWeb.API.Handler do
   end
 
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)
+
+  # As long as it was when it was looked at: one that is being written only grows.
+  defp reply(status, headers, {:file, path, bytes}, request) do
+    name = Path.basename(path)
+    type = %{"content-type" => @binary, "content-disposition" => ~s(attachment; filename="#{name}")}
+    :cowboy_req.reply(status, Map.merge(headers, type), {:sendfile, 0, bytes, path}, request)
+  end
 
   defp reply(status, headers, body, request),
     do:

@@ -2,14 +2,19 @@ defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
   alias Aerie.Client
-  alias FleetWeb.API.{Error, NewClient, Request, Tickets, View}
+  alias FleetWeb.API.{Error, NewClient, Recordings, Request, Tickets, View}
 
   @resources [
     {"/api", :index, %{"GET" => :index}},
     {"/api/status", :status, %{"GET" => :status}},
     {"/api/vehicles", :vehicles, %{"GET" => :vehicles}},
     {"/api/vehicles/:id", :vehicle, %{"GET" => :vehicle}},
+    {"/api/vehicles/:id/save", :save, %{"POST" => :save}},
+    {"/api/vehicles/:id/recording", :vehicle_recording, %{"PUT" => :record_vehicle}},
     {"/api/links", :links, %{"GET" => :links}},
+    {"/api/links/:id/recording", :link_recording, %{"PUT" => :record_link}},
+    {"/api/recorder", :recorder, %{"GET" => :recorder}},
+    {"/api/recordings/:name", :recording, %{"GET" => :download}},
     {"/api/clients", :clients, %{"GET" => :clients, "POST" => :add_client}},
     {"/api/clients/:id", :client, %{"DELETE" => :remove_client}},
     {"/api/tickets", :tickets, %{"POST" => :issue_ticket}},
@@ -17,7 +22,10 @@ defmodule FleetWeb.API.Resources do
   ]
   @methods Map.new(@resources, fn {_path, resource, methods} -> {resource, methods} end)
 
-  @type result :: {:ok, 200..299, map() | nil, :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
+  @typedoc "A body is an object, a file as `{:file, path, bytes}`, or nothing."
+  @type result ::
+          {:ok, 200..299, map() | {:file, Path.t(), non_neg_integer()} | nil, :cowboy_req.req()}
+          | {:error, Error.t(), :cowboy_req.req()}
 
   @doc "Cowboy's paths with the names of their resources."
   @spec paths() :: [{String.t(), atom()}]
@@ -67,6 +75,25 @@ defmodule FleetWeb.API.Resources do
     end
   end
 
+  def run(:recorder, state, request), do: found(Recordings.all(state.gateway), "no recorder runs", request)
+
+  def run(:download, state, request) do
+    name = :cowboy_req.binding(:name, request)
+    found(Recordings.download(state.gateway, name), "no recording has this name; see /api/recorder", request)
+  end
+
+  def run(:save, state, request) do
+    with {:ok, object, request} <- Request.object(request),
+         do: done(Recordings.save(state.gateway, :cowboy_req.binding(:id, request), object), 201, request)
+  end
+
+  def run(what, state, request) when what in [:record_vehicle, :record_link] do
+    target = {if(what == :record_link, do: :link, else: :vehicle), :cowboy_req.binding(:id, request)}
+
+    with {:ok, object, request} <- Request.object(request),
+         do: done(Recordings.record(state.gateway, target, object), 200, request)
+  end
+
   def run(:clients, state, request), do: {:ok, 200, View.clients(state.gateway), request}
 
   def run(:add_client, state, request) do
@@ -99,4 +126,10 @@ defmodule FleetWeb.API.Resources do
       end
     end
   end
+
+  defp found(nil, words, request), do: {:error, Error.new(:not_found, words), request}
+  defp found(object, _words, request), do: {:ok, 200, object, request}
+
+  defp done({:ok, object}, status, request), do: {:ok, status, object, request}
+  defp done({:error, error}, _status, request), do: {:error, error, request}
 end

@@ -5,6 +5,7 @@ defmodule FleetWeb.API.View do
   alias Aerie.Client.StateForm
   alias Aerie.Fleet.{Json, Store}
   alias Aerie.Router.Tally
+  alias FleetWeb.API.Recordings
 
   @link_keys [
     :id,
@@ -32,10 +33,15 @@ defmodule FleetWeb.API.View do
 
     %{
       timestamp: Float.round(now / 1_000_000, 3),
-      vehicles: for(vehicle <- Store.vehicles(gateway), do: StateForm.of(vehicle, by_id, now)),
+      vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle(vehicle, by_id, now)),
       links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
-      nats: nats(Aerie.Bridge.info(gateway))
+      nats: nats(Aerie.Bridge.info(gateway)),
+      recorder: Recordings.status(gateway)
     }
+  end
+
+  defp vehicle(vehicle, links, now) do
+    vehicle |> StateForm.of(links, now) |> Map.put(:recording, Recordings.one(vehicle[:recording]))
   end
 
   @doc "All vehicles, as in `status/1`."
@@ -50,7 +56,7 @@ defmodule FleetWeb.API.View do
       links = Map.new(Store.links(gateway), &{&1.id, &1})
 
       vehicle
-      |> StateForm.of(links, now)
+      |> vehicle(links, now)
       |> Map.merge(%{
         firmware: Json.plain(vehicle.firmware),
         uid: Json.plain(vehicle[:uid]),
@@ -108,6 +114,7 @@ defmodule FleetWeb.API.View do
     |> Map.merge(%{
       since: Json.time(link[:since]),
       last_heard: Json.time(link[:last_heard]),
+      recording: Recordings.one(link[:recording]),
       peers: for(peer <- link[:peers] || [], do: Map.take(peer, [:text, :silent_ms, :frames_in, :bytes_in])),
       counters: counters(link[:counters])
     })

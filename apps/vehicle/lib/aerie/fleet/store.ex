@@ -11,7 +11,8 @@ defmodule Aerie.Fleet.Store do
 
   A vehicle's snapshot is a map with `:id` (public name), `:key` (`{network, system_id}`), `:network`, `:system_id`,
   `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
-  `:groups` (see `Aerie.Vehicle.State`). A link's snapshot belongs to `Aerie.Link`.
+  `:groups` (see `Aerie.Vehicle.State`), `:signing` (`Aerie.Signing.vehicle/2`), `:recording`
+  (`Aerie.Recorder.shown/2`). A link's snapshot belongs to `Aerie.Link`.
   """
   use GenServer
 

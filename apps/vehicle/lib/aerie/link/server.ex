@@ -311,7 +311,8 @@ defmodule Aerie.Link.Server do
     |> Map.merge(%{
       restarts: state.restarts,
       signing: Aerie.Signing.link(state.gateway, state.spec),
-      quality: Aerie.Router.Meter.quality(state.gateway, state.spec.id)
+      quality: Aerie.Router.Meter.quality(state.gateway, state.spec.id),
+      recording: Aerie.Recorder.shown(state.gateway, {:link, state.spec.id})
     })
   end
 

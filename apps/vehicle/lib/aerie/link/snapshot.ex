@@ -21,6 +21,7 @@ defmodule Aerie.Link.Snapshot do
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
   | `:quality` | score, loss, round trip and age, and whether it carries its group (`t:Aerie.Router.Meter.quality/0`), or nil |
+  | `:recording` | `t:Aerie.Recorder.Status.t/0` without its names, nil when it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | words of the configuration, or nil |
   | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Vehicle.HighLatency`) |

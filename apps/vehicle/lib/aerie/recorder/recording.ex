@@ -3,9 +3,11 @@ defmodule Aerie.Recorder.Recording do
   The process that writes the frames of one link or vehicle, or saves a ring. Nobody waits for it: frames come over a
   bounded queue (`Aerie.Recorder.Tap`), and what it cannot write it drops and counts.
 
-  Records are collected for half a second or 64 KiB and written at once, whole; so after `kill -9`, or when the disk is
-  full, at most the last record is cut off, and everything before it can be read. A fault of the disk (full, read-only, gone,
-  less free than `min_free`) ends the file; it is tried again after `pause_ms`, in a new file.
+  Which frames, `Aerie.Recorder.Core` says; records are collected (`Buffer`) for half a second or 64 KiB and written at once,
+  whole (`Output`). So after `kill -9`, or when the disk is full, at most the last record of a file is cut off, and
+  everything before it can be read.
+
+  A vehicle that is always recorded begins with what its ring has: it was heard before there was anything to record.
 
   It registers as `{gateway, :recording, target}`. A link's belongs to the link's tree, a vehicle's and a ring's to
   `Aerie.Recorder.Supervisor`.
@@ -14,33 +16,13 @@ defmodule Aerie.Recorder.Recording do
 
   alias Aerie.Link.Successor
   alias Aerie.Names
-  alias Aerie.Recorder.{Archive, Core, Ring, Tables, Tap}
+  alias Aerie.Recorder.{Core, Ring, Status, Tables, Tap}
+  alias Aerie.Recorder.Recording.{Buffer, Output, Past}
   alias MavCodec.Tlog
 
-  @buffer 65_536
   @second_ms 1_000
   # What is recorded up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
-  @remembered 256
-
-  @typedoc """
-  - `state`: `:off`, `:waiting` (for arming, or for a first frame), `:recording`, `:paused` (`reason` says why)
-  - `file`, `since` (unix seconds): what is being written
-  - `frames`, `bytes`, `files`: written; `dropped`: frames that were to be written and were not
-  """
-  @type status :: %{
-          target: Tables.target(),
-          label: String.t(),
-          mode: Core.mode(),
-          state: :off | :waiting | :recording | :paused,
-          reason: String.t() | nil,
-          file: Path.t() | nil,
-          since: integer | nil,
-          frames: non_neg_integer,
-          bytes: non_neg_integer,
-          files: non_neg_integer,
-          dropped: non_neg_integer
-        }
 
   @doc """
   Options: `:gateway`, `:target`, `:label`; for a ring that is saved `:until` (unix microseconds of frames) and `:notify` (an
@@ -89,33 +71,21 @@ defmodule Aerie.Recorder.Recording do
     target = Keyword.fetch!(options, :target)
     Process.set_label({:recording, target})
     settings = Tables.settings(tables)
+    former = Status.of(tables, target)
 
     state = %{
-      gateway: gateway,
       tables: tables,
       settings: settings,
-      files: settings.files,
       target: target,
-      label: Keyword.fetch!(options, :label),
       core: Core.new(:off, settings.after_ms * 1000),
       tap: nil,
+      # Of the queue's drops, how many are in the output's.
       counted: 0,
-      device: nil,
-      file: nil,
-      since: nil,
-      size: 0,
-      opened: nil,
-      buffer: [],
-      buffered: 0,
-      waiting: 0,
+      buffer: %Buffer{},
       flush: nil,
-      synced: true,
-      paused_until: nil,
-      totals: former(tables, target),
-      reason: nil,
-      # Of a ring that is saved: the numbers of the entries that were in it, and when it is over.
-      taken: MapSet.new(),
-      first: 0,
+      past: Past.none(),
+      output: Output.new(gateway, tables, target, Keyword.fetch!(options, :label), former),
+      # When the saving of a ring is over if nothing more comes.
       over_at: nil
     }
 
@@ -127,36 +97,30 @@ defmodule Aerie.Recorder.Recording do
         {:ok, listen(%{state | core: Core.new({:until, until}, 0)}), {:continue, {:save, options[:notify]}}}
 
       :error ->
-        {:ok, state |> adopt_mode() |> publish()}
-    end
-  end
-
-  defp former(tables, target) do
-    case :ets.lookup(tables.status, target) do
-      [{_target, status}] -> Map.take(status, [:frames, :bytes, :files, :dropped])
-      [] -> %{frames: 0, bytes: 0, files: 0, dropped: 0}
+        {:ok, state |> adopt_mode() |> publish(), {:continue, {:begin, former}}}
     end
   end
 
   @impl GenServer
-  def handle_continue({:save, notify}, state), do: {:noreply, save(state, notify)}
-
-  # What the ring has, then what comes: listened for already, so that nothing is missing between the two; what is in both
-  # is told by its number.
-  defp save(%{target: {:saved, key}} = state, notify) do
-    entries = Ring.entries(state.tables, key)
-    taken = entries |> Enum.take(-@remembered) |> MapSet.new(&elem(&1, 0))
-    state = %{state | core: %{state.core | on: true}, taken: taken, first: Enum.min(taken, fn -> 0 end)}
-
-    state =
-      Enum.reduce(entries, state, fn {_n, records, frames}, state ->
-        collect(state, records, byte_size(records), frames)
-      end)
-
-    state = ends_by(flush_now(state))
-    result = if state.file, do: {:ok, state.file}, else: {:error, state.reason || "there is nothing to save"}
+  def handle_continue({:save, notify}, state) do
+    state = %{state | core: %{state.core | on: true}} |> past() |> flush_now() |> ends_by()
+    reason = state.output.reason || "there is nothing to save"
+    result = if state.output.file, do: {:ok, state.output.file}, else: {:error, reason}
     if notify, do: send(notify, {notify, result})
-    publish(state)
+    {:noreply, publish(state)}
+  end
+
+  # One that had a life before has what the ring has.
+  def handle_continue({:begin, nil}, %{target: {:vehicle, _key}, core: %{mode: :always}} = state),
+    do: {:noreply, past(%{state | core: %{state.core | on: true}})}
+
+  def handle_continue({:begin, _former}, state), do: {:noreply, state}
+
+  # What the ring has, then what comes: listened for already, so that nothing is missing between the two.
+  defp past(%{target: {_kind, key}} = state) do
+    entries = Ring.entries(state.tables, key)
+    state = %{state | past: Past.new(entries)}
+    Enum.reduce(entries, state, fn {_n, records, frames}, state -> collect(state, records, frames) end)
   end
 
   defp ends_by(state) do
@@ -170,7 +134,7 @@ defmodule Aerie.Recorder.Recording do
 
   def handle_call(:flush, _from, state) do
     state = state |> flush_now() |> publish()
-    {:reply, state.file, state}
+    {:reply, state.output.file, state}
   end
 
   @impl GenServer
@@ -180,15 +144,11 @@ defmodule Aerie.Recorder.Recording do
   end
 
   @impl GenServer
-  def handle_info({:record, size, _frames, n}, %{first: first} = state) when is_integer(n) and n < first,
-    do: {:noreply, done(state, size)}
-
   def handle_info({:record, size, frames, n}, state) do
-    frames = if MapSet.member?(state.taken, n), do: [], else: frames
+    frames = if Past.has?(state.past, n), do: [], else: frames
     {core, parts} = Core.frames(state.core, frames)
     state = Enum.reduce(parts, %{state | core: core}, &part/2)
-    # Not before it is written, or dropped: what waits in the buffer still takes memory.
-    state = if state.buffered == 0, do: done(state, size), else: %{state | waiting: state.waiting + size}
+    state = if Buffer.empty?(state.buffer), do: done(state, size), else: wait(state, size)
     if over?(state), do: {:stop, :normal, finish(state)}, else: {:noreply, state}
   end
 
@@ -196,7 +156,9 @@ defmodule Aerie.Recorder.Recording do
 
   def handle_info(:second, state) do
     Process.send_after(self(), :second, @second_ms)
-    {:noreply, state |> sync_due() |> rotate_due() |> publish()}
+    state = %{state | output: Output.second(state.output)}
+    state = if Output.old?(state.output), do: close(state), else: state
+    {:noreply, publish(state)}
   end
 
   def handle_info(:over, state) do
@@ -208,7 +170,7 @@ defmodule Aerie.Recorder.Recording do
   @impl GenServer
   def terminate(_reason, state), do: finish(state)
 
-  defp finish(state), do: state |> flush_now() |> close_file() |> deaf() |> publish()
+  defp finish(state), do: state |> close() |> deaf() |> publish()
   defp over?(%{core: %{mode: {:until, _at}, on: on}}), do: not on
   defp over?(_state), do: false
 
@@ -240,28 +202,22 @@ defmodule Aerie.Recorder.Recording do
   defp tap_of({:saved, key}), do: {:vehicle, key}
   defp tap_of(target), do: target
 
-  defp part(:close, state), do: state |> flush_now() |> close_file()
+  defp part(:close, state), do: close(state)
 
-  defp part(frames, state) do
-    records = Tlog.Writer.records(frames, signatures: false)
-    collect(state, records, IO.iodata_length(records), length(frames))
-  end
+  defp part(frames, state),
+    do: collect(state, Tlog.Writer.records(frames, signatures: false), length(frames))
 
-  ## The buffer
+  ## From the queue to the file
 
-  defp collect(state, _records, 0, _frames), do: state
+  defp collect(state, _records, 0), do: state
 
-  defp collect(%{paused_until: until} = state, records, size, frames) when until != nil do
-    if now() >= until,
-      do: collect(%{state | paused_until: nil}, records, size, frames),
-      else: dropped(state, frames)
-  end
-
-  defp collect(state, records, size, frames) do
-    # Copied, so that nothing of the link's reads stays in memory for it.
-    entry = {IO.iodata_to_binary(records), frames}
-    state = %{state | buffer: [entry | state.buffer], buffered: state.buffered + size}
-    if state.buffered >= @buffer, do: flush_now(state), else: flush_later(state)
+  defp collect(state, records, frames) do
+    if Output.paused?(state.output) do
+      %{state | output: Output.dropped(state.output, frames)}
+    else
+      state = %{state | buffer: Buffer.add(state.buffer, records, frames)}
+      if Buffer.full?(state.buffer), do: flush_now(state), else: flush_later(state)
+    end
   end
 
   defp flush_later(%{flush: nil} = state),
@@ -269,19 +225,13 @@ defmodule Aerie.Recorder.Recording do
 
   defp flush_later(state), do: state
 
-  defp flush_now(%{buffer: []} = state), do: state
-
   defp flush_now(state) do
-    state = drop_timer(state)
-    frames = Enum.reduce(state.buffer, 0, fn {_bytes, n}, sum -> sum + n end)
-    bytes = state.buffer |> Enum.reverse() |> Enum.map(&elem(&1, 0))
+    if Buffer.empty?(state.buffer), do: state, else: write(drop_timer(state))
+  end
 
-    state
-    |> open_file()
-    |> write(bytes, frames)
-    |> Map.merge(%{buffer: [], buffered: 0})
-    |> answered()
-    |> sync_now(:always)
+  defp write(%{buffer: buffer} = state) do
+    output = Output.write(state.output, Buffer.records(buffer), buffer.frames)
+    done(%{state | output: output, buffer: %Buffer{}}, buffer.waiting)
   end
 
   defp drop_timer(%{flush: nil} = state), do: state
@@ -291,7 +241,13 @@ defmodule Aerie.Recorder.Recording do
     %{state | flush: nil}
   end
 
-  defp answered(state), do: done(%{state | waiting: 0}, state.waiting)
+  defp close(state) do
+    state = flush_now(state)
+    %{state | output: Output.close(state.output)}
+  end
+
+  # Not before it is written, or dropped.
+  defp wait(state, size), do: %{state | buffer: Buffer.wait(state.buffer, size)}
 
   defp done(%{tap: nil} = state, _size), do: state
 
@@ -300,138 +256,20 @@ defmodule Aerie.Recorder.Recording do
     state
   end
 
-  ## The file
-
-  defp open_file(state) do
-    cond do
-      low?(state) -> state |> close_file() |> pause("less than #{mega(state.settings.min_free)} MB are free")
-      state.device != nil and state.size >= state.settings.max_file -> state |> close_file() |> new_file()
-      state.device != nil -> state
-      true -> new_file(state)
-    end
-  end
-
-  defp low?(state), do: match?([{:space, %{low: true}}], :ets.lookup(state.tables.settings, :space))
-
-  defp new_file(state) do
-    with {:ok, path} <- Archive.new_file(state.gateway, state.label),
-         false <- low?(state) && :low,
-         {:ok, device} <- state.files.open(path) do
-      state = %{
-        state
-        | device: device,
-          file: path,
-          size: 0,
-          since: System.os_time(:second),
-          opened: now(),
-          reason: nil
-      }
-
-      tell(state, :opened, %{count: 1}, %{})
-      count(state, :files, 1)
-    else
-      :low -> pause(state, "less than #{mega(state.settings.min_free)} MB are free")
-      {:error, reason} -> pause(state, words(reason))
-    end
-  end
-
-  defp write(%{device: nil} = state, _bytes, frames), do: dropped(state, frames)
-
-  defp write(state, bytes, frames) do
-    size = IO.iodata_length(bytes)
-
-    case state.files.write(state.device, bytes) do
-      :ok ->
-        %{state | size: state.size + size, synced: false} |> count(:frames, frames) |> count(:bytes, size)
-
-      {:error, reason} ->
-        state |> dropped(frames) |> close_file() |> pause(words(reason))
-    end
-  end
-
-  defp close_file(%{device: nil} = state), do: state
-
-  defp close_file(state) do
-    if state.settings.fsync != :never, do: state.files.sync(state.device)
-    _ = state.files.close(state.device)
-    Archive.closed(state.gateway, state.file)
-    tell(state, :closed, %{bytes: state.size}, %{})
-    %{state | device: nil, file: nil, since: nil, synced: true}
-  end
-
-  defp pause(%{paused_until: nil} = state, reason) do
-    Archive.look(state.gateway)
-    tell(state, :paused, %{count: 1}, %{reason: reason})
-    %{state | paused_until: now() + state.settings.pause_ms, reason: reason}
-  end
-
-  defp pause(state, _reason), do: state
-
-  defp sync_due(%{settings: %{fsync: :interval}} = state), do: sync_now(state, :interval)
-  defp sync_due(state), do: state
-
-  defp sync_now(%{device: device, synced: false, settings: %{fsync: policy}} = state, policy)
-       when device != nil do
-    case state.files.sync(device) do
-      :ok -> %{state | synced: true}
-      {:error, reason} -> state |> close_file() |> pause(words(reason))
-    end
-  end
-
-  defp sync_now(state, _policy), do: state
-
-  defp rotate_due(%{device: device} = state) when device != nil do
-    if now() - state.opened >= state.settings.max_file_ms,
-      do: state |> flush_now() |> close_file(),
-      else: state
-  end
-
-  defp rotate_due(state), do: state
-
   ## What is told
-
-  defp dropped(state, frames), do: count(state, :dropped, frames)
-  defp count(state, what, n), do: %{state | totals: Map.update!(state.totals, what, &(&1 + n))}
 
   defp drops(%{tap: nil} = state), do: state
 
   defp drops(state) do
     dropped = Tap.dropped(state.tap)
-    count(%{state | counted: dropped}, :dropped, dropped - state.counted)
+    %{state | counted: dropped, output: Output.dropped(state.output, dropped - state.counted)}
   end
 
   defp publish(state) do
     state = drops(state)
-    :ets.insert(state.tables.status, {state.target, status(state)})
+    Status.put(state.tables, state.target, Status.new(state.core.mode, state.output))
     state
   end
 
-  defp status(state) do
-    Map.merge(state.totals, %{
-      target: state.target,
-      label: state.label,
-      mode: state.core.mode,
-      state: state_of(state),
-      reason: state.reason,
-      file: state.file,
-      since: state.since
-    })
-  end
-
-  defp state_of(%{core: %{mode: :off}}), do: :off
-  defp state_of(%{device: device}) when device != nil, do: :recording
-  defp state_of(%{paused_until: until}) when until != nil, do: :paused
-  defp state_of(_state), do: :waiting
-
-  defp tell(state, event, measurements, metadata) do
-    metadata = Map.merge(%{gateway: state.gateway, target: state.target, file: state.file}, metadata)
-    :telemetry.execute([:aerie, :recorder, event], measurements, metadata)
-  end
-
-  defp words(text) when is_binary(text), do: text
-  defp words(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
-  defp words(reason), do: inspect(reason)
-
-  defp mega(bytes), do: div(bytes, 1024 * 1024)
   defp now, do: System.monotonic_time(:millisecond)
 end

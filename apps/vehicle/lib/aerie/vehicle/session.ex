@@ -143,8 +143,15 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:snapshot, snapshot}, state) do
-    snapshot = Map.put(snapshot, :signing, Aerie.Signing.vehicle(state.gateway, state.options.key))
-    Fleet.Store.put_vehicle(state.gateway, state.options.key, snapshot)
+    key = state.options.key
+
+    snapshot =
+      Map.merge(snapshot, %{
+        signing: Aerie.Signing.vehicle(state.gateway, key),
+        recording: Aerie.Recorder.shown(state.gateway, {:vehicle, key})
+      })
+
+    Fleet.Store.put_vehicle(state.gateway, key, snapshot)
     state
   end
 

@@ -1,0 +1,130 @@
+defmodule FleetWeb.API.Recordings do
+  @moduledoc "What `/api` says about recordings, and what it lets do with them."
+
+  alias Aerie.Fleet.Json
+  alias Aerie.Recorder
+  alias FleetWeb.API.Error
+
+  @modes %{"always" => :always, "armed" => :armed, "off" => :off}
+  @max_reason 40
+
+  @doc "The recorder at a glance; nil without one."
+  @spec status(term()) :: map() | nil
+  def status(gateway) do
+    with %{recordings: recordings, space: space} = status <- Recorder.status(gateway) do
+      last =
+        recordings |> Enum.map(& &1.error) |> Enum.reject(&is_nil/1) |> Enum.max_by(& &1.at, fn -> nil end)
+
+      %{
+        dir: status.dir,
+        free_bytes: if(is_map(space) and is_integer(space.free), do: space.free),
+        low: if(space, do: space.low, else: false),
+        recording: Enum.count(recordings, &(&1.state == :recording)),
+        paused: Enum.count(recordings, &(&1.state == :paused)),
+        dropped: recordings |> Enum.map(& &1.dropped) |> Enum.sum(),
+        error: error(last)
+      }
+    end
+  end
+
+  @doc "What a link's or vehicle's snapshot has of its recording, for people; nil for none."
+  @spec one(map() | nil) :: map() | nil
+  def one(nil), do: nil
+
+  def one(recording) do
+    %{
+      state: recording.state,
+      mode: mode(recording.mode),
+      reason: recording.reason,
+      file: recording.file && Path.basename(recording.file),
+      size: recording.size,
+      since: recording.since && Json.time(recording.since * 1_000_000),
+      frames: recording.frames,
+      bytes: recording.bytes,
+      dropped: recording.dropped,
+      error: error(recording.error)
+    }
+  end
+
+  @doc "Everything: what is recorded, what the rings have, the files."
+  @spec all(term()) :: map() | nil
+  def all(gateway) do
+    with %{recordings: recordings, rings: rings} <- Recorder.status(gateway) do
+      Map.merge(status(gateway), %{
+        recordings: for(recording <- recordings, do: Map.merge(one(recording), named(recording))),
+        rings:
+          for(
+            {{network, system}, ring} <- Enum.sort(rings),
+            do: %{network: network, system: system, bytes: ring.bytes, entries: ring.entries}
+          ),
+        files: Enum.map(Recorder.list(gateway), &file/1)
+      })
+    end
+  end
+
+  @doc "A file as `all/1` lists it."
+  @spec file(map()) :: map()
+  def file(file) do
+    %{
+      name: Path.basename(file.file),
+      bytes: file.bytes,
+      time: Json.time(file.at * 1_000_000),
+      open: file.open
+    }
+  end
+
+  @doc "One of our files by its name, as `{:file, path, bytes}`; nil for anything else."
+  @spec download(term(), String.t()) :: {:file, Path.t(), non_neg_integer()} | nil
+  def download(gateway, name) do
+    with %{file: path, bytes: bytes} <- Enum.find(Recorder.list(gateway), &(Path.basename(&1.file) == name)),
+         do: {:file, path, bytes}
+  end
+
+  @doc "Saves the last moments of a vehicle; `%{\"reason\" => words}` gets into the file's name."
+  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t()}
+  def save(gateway, vehicle, %{"reason" => reason})
+      when not is_binary(reason) or byte_size(reason) > @max_reason,
+      do: save(gateway, vehicle, :invalid)
+
+  def save(_gateway, _vehicle, :invalid),
+    do: {:error, Error.new(:invalid, "reason: words of at most #{@max_reason} bytes")}
+
+  def save(gateway, vehicle, object) do
+    with {:ok, file} <- Recorder.save(gateway, vehicle, Map.get(object, "reason", "request")) do
+      name = Path.basename(file)
+      {:ok, %{name: name, url: "/api/recordings/#{name}"}}
+    else
+      {:error, words} -> {:error, refusal(words)}
+    end
+  end
+
+  @doc "Begins or ends the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
+  @spec record(term(), {:vehicle | :link, String.t()}, map()) :: {:ok, map()} | {:error, Error.t()}
+  def record(gateway, target, object) do
+    with {:ok, mode} <- wanted(object["mode"]), :ok <- change(gateway, target, mode) do
+      {:ok, %{recording: one(Recorder.status(gateway, target))}}
+    else
+      {:error, %Error{} = error} -> {:error, error}
+      {:error, words} -> {:error, refusal(words)}
+    end
+  end
+
+  defp wanted(mode) when is_map_key(@modes, mode), do: {:ok, @modes[mode]}
+  defp wanted(_other), do: {:error, Error.new(:invalid, "mode: always, armed or off")}
+
+  defp change(gateway, target, :off), do: Recorder.stop(gateway, target)
+  defp change(gateway, target, mode), do: Recorder.start(gateway, target, mode)
+
+  # Who is not known is not there; the rest is in the way of what was asked.
+  defp refusal("no vehicle" <> _ = words), do: Error.new(:not_found, words)
+  defp refusal("there is no link" <> _ = words), do: Error.new(:not_found, words)
+  defp refusal(words), do: Error.new(:unavailable, words)
+
+  defp named(%{target: {kind, _id}, label: label}), do: %{kind: kind, label: label}
+
+  defp mode({:until, _at}), do: :saving
+  defp mode(mode), do: mode
+
+  defp error(nil), do: nil
+  defp error(error), do: %{time: Json.time(error.at * 1_000_000), reason: error.reason}
+end

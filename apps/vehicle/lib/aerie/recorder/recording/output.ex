@@ -1,0 +1,169 @@
+defmodule Aerie.Recorder.Recording.Output do
+  @moduledoc """
+  Where a recording's records go: one file after the other, and what becomes of them when the disk does not take them.
+
+  A file is begun with the first records and followed by the next when it is long or old enough. A fault of the disk (full,
+  read-only, gone, less free than `min_free`) ends the file; what comes then is dropped and counted, and after `pause_ms` it
+  is tried again, in a new file. A file only ever grows by whole records, but for the last one before a fault.
+
+  Belongs to the process that made it, as its files do.
+  """
+
+  alias Aerie.Names
+  alias Aerie.Recorder.{Archive, Settings, Tables}
+
+  @enforce_keys [:gateway, :target, :label, :settings, :tables]
+  defstruct @enforce_keys ++
+              [
+                :device,
+                :file,
+                :since,
+                :opened,
+                :paused_until,
+                :reason,
+                :error,
+                size: 0,
+                synced: true,
+                totals: %{frames: 0, bytes: 0, files: 0, dropped: 0, errors: 0}
+              ]
+
+  @typedoc """
+  - `file`, `size`, `since` (unix seconds), `opened` (monotonic ms): of the file that is being written
+  - `paused_until` (monotonic ms), `reason`: while nothing is written
+  - `error`: the last fault, `%{at: unix seconds, reason: words}`
+  - `totals`: frames and bytes written, files begun, frames `dropped`, `errors` of the disk
+  """
+  @type t :: %__MODULE__{}
+
+  @doc "Nothing written yet; `former` has the totals and the last error of a former life."
+  @spec new(Names.gateway(), Tables.t(), Tables.target(), String.t(), map | nil) :: t
+  def new(gateway, tables, target, label, former) do
+    output = %__MODULE__{
+      gateway: gateway,
+      tables: tables,
+      target: target,
+      label: label,
+      settings: Tables.settings(tables)
+    }
+
+    case former do
+      nil -> output
+      former -> %{output | error: former.error, totals: Map.take(former, Map.keys(output.totals))}
+    end
+  end
+
+  @doc "Whether records that come now are dropped without a try."
+  @spec paused?(t) :: boolean
+  def paused?(%{paused_until: nil}), do: false
+  def paused?(%{paused_until: until}), do: now() < until
+
+  @doc "Writes the records of some frames, in a file that is there or a new one; or drops them."
+  @spec write(t, iodata, pos_integer) :: t
+  def write(output, records, frames) do
+    if paused?(output) do
+      dropped(output, frames)
+    else
+      %{output | paused_until: nil} |> ready() |> append(records, frames) |> sync_now(:always)
+    end
+  end
+
+  @doc "Frames that were to be written and were not."
+  @spec dropped(t, non_neg_integer) :: t
+  def dropped(output, frames), do: count(output, :dropped, frames)
+
+  @doc "The file is complete."
+  @spec close(t) :: t
+  def close(%{device: nil} = output), do: output
+
+  def close(%{settings: settings} = output) do
+    if settings.fsync != :never, do: settings.files.sync(output.device)
+    _ = settings.files.close(output.device)
+    Archive.closed(output.gateway, output.file)
+    tell(output, :closed, %{bytes: output.size}, %{})
+    %{output | device: nil, file: nil, since: nil, size: 0, synced: true}
+  end
+
+  @doc "What is due once a second: forces to the disk what was written since."
+  @spec second(t) :: t
+  def second(output), do: sync_now(output, :interval)
+
+  @doc "Whether the file is old enough to be followed by the next."
+  @spec old?(t) :: boolean
+  def old?(%{device: nil}), do: false
+  def old?(output), do: now() - output.opened >= output.settings.max_file_ms
+
+  ## The file
+
+  defp ready(%{settings: settings} = output) do
+    cond do
+      low?(output) -> output |> close() |> pause(low(settings))
+      output.device != nil and output.size >= settings.max_file -> output |> close() |> open()
+      output.device != nil -> output
+      true -> open(output)
+    end
+  end
+
+  defp open(%{settings: settings} = output) do
+    with {:ok, path} <- Archive.new_file(output.gateway, output.label),
+         false <- low?(output) && {:error, low(settings)},
+         {:ok, device} <- settings.files.open(path) do
+      output = %{output | device: device, file: path, size: 0, reason: nil}
+      output = %{output | since: System.os_time(:second), opened: now()}
+      tell(output, :opened, %{count: 1}, %{})
+      count(output, :files, 1)
+    else
+      {:error, reason} -> pause(output, words(reason))
+    end
+  end
+
+  defp append(%{device: nil} = output, _records, frames), do: dropped(output, frames)
+
+  defp append(output, records, frames) do
+    size = IO.iodata_length(records)
+
+    case output.settings.files.write(output.device, records) do
+      :ok ->
+        %{output | size: output.size + size, synced: false} |> count(:frames, frames) |> count(:bytes, size)
+
+      {:error, reason} ->
+        output |> dropped(frames) |> close() |> pause(words(reason))
+    end
+  end
+
+  defp sync_now(%{device: device, synced: false, settings: %{fsync: policy} = settings} = output, policy)
+       when device != nil do
+    case settings.files.sync(device) do
+      :ok -> %{output | synced: true}
+      {:error, reason} -> output |> close() |> pause(words(reason))
+    end
+  end
+
+  defp sync_now(output, _policy), do: output
+
+  ## Faults
+
+  defp low?(output), do: match?([{:space, %{low: true}}], :ets.lookup(output.tables.settings, :space))
+  defp low(%Settings{min_free: min_free}), do: "less than #{div(min_free, 1024 * 1024)} MB are free"
+
+  defp pause(output, reason) do
+    Archive.look(output.gateway)
+    tell(output, :paused, %{count: 1}, %{reason: reason})
+    error = %{at: System.os_time(:second), reason: reason}
+
+    %{output | paused_until: now() + output.settings.pause_ms, reason: reason, error: error}
+    |> count(:errors, 1)
+  end
+
+  defp count(output, what, n), do: %{output | totals: Map.update!(output.totals, what, &(&1 + n))}
+
+  defp tell(output, event, measurements, metadata) do
+    metadata = Map.merge(%{gateway: output.gateway, target: output.target, file: output.file}, metadata)
+    :telemetry.execute([:aerie, :recorder, event], measurements, metadata)
+  end
+
+  defp words(text) when is_binary(text), do: text
+  defp words(reason) when is_atom(reason), do: reason |> :file.format_error() |> to_string()
+  defp words(reason), do: inspect(reason)
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

@@ -2,12 +2,11 @@ defmodule Aerie.System.RunTest do
   @moduledoc "`bin/run` as a user gives it: an operating system process, its output, its end, and what it leaves behind."
 
   use Aerie.SystemCase, async: true
+  use Aerie.RunCase
 
   @moduletag :tmp_dir
   # The first call compiles for production.
   @moduletag timeout: 300_000
-
-  @root Path.expand("../..", __DIR__)
 
   setup %{tmp_dir: folder} do
     config = Path.join(folder, "gateway.yaml")
@@ -62,50 +61,9 @@ defmodule Aerie.System.RunTest do
       port = open(["--config", config, "--quiet"])
       await_output(port, "", ["connected to NATS"])
       nats = folder |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
-      {vm, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
-      for pid <- String.split(vm), do: System.cmd("kill", ["-KILL", pid])
+      kill_9(config)
       assert await_exit(port, "") != 0
       eventually(fn -> not File.exists?("/proc/#{nats}") end, "nats-server is gone")
     end
   end
-
-  defp open(words) do
-    Port.open({:spawn_executable, Path.join(@root, "bin/run")}, [
-      :binary,
-      :exit_status,
-      :stderr_to_stdout,
-      args: words,
-      # As from a plain shell: nothing of this test's own Mix.
-      env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
-    ])
-  end
-
-  defp run(words) do
-    port = open(words)
-    collect(port, "")
-  end
-
-  defp collect(port, text) do
-    receive do
-      {^port, {:data, data}} -> collect(port, text <> data)
-      {^port, {:exit_status, status}} -> {status, text}
-    after
-      240_000 -> flunk("no end; output:\n#{text}")
-    end
-  end
-
-  defp await_output(port, text, parts) do
-    if Enum.all?(parts, &(text =~ &1)) do
-      text
-    else
-      receive do
-        {^port, {:data, data}} -> await_output(port, text <> data, parts)
-        {^port, {:exit_status, status}} -> flunk("ended with #{status}:\n#{text}")
-      after
-        240_000 -> flunk("never said #{inspect(parts)}; output:\n#{text}")
-      end
-    end
-  end
-
-  defp await_exit(port, text), do: port |> collect(text) |> elem(0)
 end

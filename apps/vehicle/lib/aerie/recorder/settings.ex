@@ -22,7 +22,7 @@ defmodule Aerie.Recorder.Settings do
             space_ms: 10_000,
             ring: true,
             ring_ms: 120_000,
-            ring_bytes: 2 * @mega,
+            ring_bytes: 8 * @mega,
             ring_total: 128 * @mega,
             save_on: [],
             files: Aerie.Recorder.Files

@@ -69,7 +69,7 @@ defmodule Aerie.Config.Keys.Recorder do
         [
           field(:enabled, :boolean, "Keep them.", default: true),
           field(:seconds, {:number, 1, 3600}, "How far back, if max_kb is enough for it.", default: 120.0),
-          field(:max_kb, {:integer, 16, 1_048_576}, "Memory for one vehicle.", default: 2048),
+          field(:max_kb, {:integer, 16, 1_048_576}, "Memory for one vehicle.", default: 8192),
           field(
             :total_mb,
             {:number, 0.1, 65_536},

@@ -1,0 +1,108 @@
+defmodule Aerie.RunCase do
+  @moduledoc "`bin/run` as a user gives it: a process of the operating system, its output and its end."
+
+  use ExUnit.CaseTemplate
+
+  import ExUnit.Assertions
+
+  @root Path.expand("../..", __DIR__)
+  # The first call compiles for production.
+  @patience 240_000
+
+  using do
+    quote do
+      import Aerie.RunCase
+    end
+  end
+
+  @doc "Starts it. `before` are words of a command that starts it in turn (`unshare`, say)."
+  @spec open([String.t()], [String.t()]) :: port
+  def open(words, before \\ []) do
+    [program | words] = before ++ [Path.join(@root, "bin/run") | words]
+
+    Port.open({:spawn_executable, System.find_executable(program) || program}, [
+      :binary,
+      :exit_status,
+      :stderr_to_stdout,
+      args: words,
+      # As from a plain shell: nothing of this test's own Mix.
+      env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
+    ])
+  end
+
+  @doc "Runs it to its end; gives its status and its output."
+  @spec run([String.t()]) :: {non_neg_integer, String.t()}
+  def run(words), do: words |> open() |> collect("")
+
+  @doc "Waits until it has said all of some texts; gives its output so far."
+  @spec await_output(port, String.t(), [String.t()]) :: String.t()
+  def await_output(port, text, parts) do
+    if Enum.all?(parts, &(text =~ &1)) do
+      text
+    else
+      receive do
+        {^port, {:data, data}} -> await_output(port, text <> data, parts)
+        {^port, {:exit_status, status}} -> flunk("ended with #{status}:\n#{text}")
+      after
+        @patience -> flunk("never said #{inspect(parts)}; output:\n#{text}")
+      end
+    end
+  end
+
+  @doc "Waits for its end; gives its status."
+  @spec await_exit(port, String.t()) :: non_neg_integer
+  def await_exit(port, text \\ ""), do: port |> collect(text) |> elem(0)
+
+  @doc "The process of its VM, told by the configuration that it was given."
+  @spec vm_pid(Path.t()) :: String.t()
+  def vm_pid(config) do
+    {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
+    pids |> String.split() |> hd()
+  end
+
+  @doc "Kills its VM, as no program can catch it."
+  @spec kill_9(Path.t()) :: :ok
+  def kill_9(config) do
+    {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
+    for pid <- String.split(pids), do: System.cmd("kill", ["-KILL", pid])
+    :ok
+  end
+
+  @doc "An object of its `/api`, nil while it does not answer."
+  @spec api(:inet.port_number(), String.t()) :: map | nil
+  def api(port, path) do
+    with {:ok, socket} <- :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false], 1_000),
+         :ok <- :gen_tcp.send(socket, "GET #{path} HTTP/1.0\r\nhost: 127.0.0.1:#{port}\r\n\r\n"),
+         [_head, body] <- socket |> all("") |> String.split("\r\n\r\n", parts: 2),
+         {:ok, object} <- JSON.decode(body) do
+      object
+    else
+      _not_yet -> nil
+    end
+  end
+
+  defp all(socket, got) do
+    case :gen_tcp.recv(socket, 0, 5_000) do
+      {:ok, bytes} -> all(socket, got <> bytes)
+      {:error, _closed} -> got
+    end
+  end
+
+  @doc "A TCP port that is free just now."
+  @spec free_tcp_port() :: :inet.port_number()
+  def free_tcp_port do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    port
+  end
+
+  defp collect(port, text) do
+    receive do
+      {^port, {:data, data}} -> collect(port, text <> data)
+      {^port, {:exit_status, status}} -> {status, text}
+    after
+      @patience -> flunk("no end; output:\n#{text}")
+    end
+  end
+end

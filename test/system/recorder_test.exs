@@ -1,0 +1,157 @@
+defmodule Aerie.System.RecorderTest do
+  @moduledoc """
+  What is left of a recording when the gateway is killed with -9, and what becomes of one whose disk is full.
+  """
+
+  use Aerie.SystemCase, async: true
+  use Aerie.RunCase
+
+  alias Aerie.Replay
+  alias MavCodec.{Frame, Tlog}
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 300_000
+
+  describe "a gateway of its own process" do
+    setup %{tmp_dir: folder} do
+      recordings = Path.join(folder, "recordings")
+      File.mkdir_p!(recordings)
+      {link, http} = {free_udp_port(), free_tcp_port()}
+
+      configure = fn more ->
+        path = Path.join(folder, "gateway.yaml")
+
+        File.write!(path, """
+        nats: {mode: off}
+        outbox: {dir: "#{folder}/outbox"}
+        sockets: {enabled: false}
+        websocket: {enabled: false}
+        http: {port: #{http}}
+        mavlink: {local_addr: off}
+        links: [{id: radio, url: "udpin:127.0.0.1:#{link}"}]
+        recorder: {dir: "#{recordings}", links: always, #{more}}
+        """)
+
+        path
+      end
+
+      fly = fn ->
+        options = [firmware: :px4, ready_s: 1.0, link: "udpout:127.0.0.1:#{link}", rates: %{30 => 200}]
+        start_supervised!({SimVehicle, options}, id: :sim)
+      end
+
+      %{recordings: recordings, http: http, configure: configure, fly: fly}
+    end
+
+    test "killed with -9: its recordings can be read, at most the last buffer is missing, and the next life goes on beside them",
+         c do
+      config = c.configure.("min_free_mb: 0")
+      port = open(["--config", config, "--quiet"])
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      sim = c.fly.()
+      written = fn -> api(c.http, "/api/recorder")["recordings"] |> hd() |> Map.fetch!("bytes") end
+      eventually(fn -> written.() > 30_000 end, "something is recorded")
+
+      told = written.()
+      kill_9(config)
+      assert await_exit(port) != 0
+      sent = SimVehicle.stats(sim).sent
+      stop_supervised!(:sim)
+
+      assert [file] = Path.wildcard(c.recordings <> "/*.tlog")
+      items = file |> Tlog.Reader.stream!() |> Enum.to_list()
+      {frames, damage} = Enum.split_with(items, &is_struct(&1, Frame))
+      assert length(damage) <= 1
+      assert Enum.all?(damage, &match?(%Tlog.Damage{kind: :cut_off}, &1))
+      # Whoever was told that something is written was told the truth.
+      assert File.stat!(file).size >= told
+
+      heard = Enum.filter(frames, &(&1.system == 1))
+      assert consecutive?(heard)
+      # The buffer is 64 KiB; as much again may have been on its way.
+      lost = sent - length(heard)
+      assert lost * div(File.stat!(file).size, length(frames)) <= 2 * 65_536
+      assert {:ok, %{summary: %{vehicles: ["VID-001"]}}} = Replay.run(file)
+
+      port = open(["--config", config, "--quiet"])
+      eventually(fn -> api(c.http, "/api/recorder") end, "the next life answers")
+      c.fly.()
+
+      eventually(
+        fn -> match?([_, _], Path.wildcard(c.recordings <> "/*.tlog")) end,
+        "it has a file of its own"
+      )
+
+      assert items == file |> Tlog.Reader.stream!() |> Enum.to_list()
+      %{"files" => files} = api(c.http, "/api/recorder")
+      assert Path.basename(file) in Enum.map(files, & &1["name"])
+      kill_9(config)
+      await_exit(port)
+    end
+
+    @tag skip:
+           System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
+             "no namespaces here"
+    test "a disk that is really full costs records and not a frame, and is told", c do
+      config = c.configure.("min_free_mb: 0")
+      port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      sim = c.fly.()
+
+      recorder =
+        eventually(
+          fn -> with %{"paused" => 1} = told <- api(c.http, "/api/recorder"), do: told, else: (_ -> nil) end,
+          "the disk is full"
+        )
+
+      assert recorder["error"]["reason"] =~ "no space left on device"
+      eventually(fn -> api(c.http, "/api/recorder")["dropped"] > 100 end, "records are dropped")
+      assert %{"recorder" => %{"paused" => 1}} = api(c.http, "/api/status")
+
+      SimVehicle.fault(sim, :freeze, true)
+      %{sent: sent} = SimVehicle.stats(sim)
+      counters = fn -> with %{"links" => [link]} <- api(c.http, "/api/links"), do: link["counters"] end
+      eventually(fn -> counters.()["frames_in"] == sent end, "all of #{sent} frames came through")
+      assert %{"lost" => 0, "overload" => 0} = counters.()
+
+      # What was written before the disk was full can be read.
+      [file | _] = Path.wildcard("/proc/#{vm_pid(config)}/root#{c.recordings}/*.tlog")
+      assert {:ok, %{summary: %{frames: frames, damaged_parts: parts}}} = Replay.run(file)
+      assert frames > 100 and parts <= 1
+      kill_9(config)
+      await_exit(port)
+    end
+
+    @tag skip:
+           System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
+             "no namespaces here"
+    test "a small disk is kept free by removing the oldest recordings", c do
+      config = c.configure.("min_free_mb: 0.02, max_file_mb: 0.01")
+      port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      c.fly.()
+
+      eventually(
+        fn ->
+          with [%{"bytes" => bytes}] <- api(c.http, "/api/recorder")["recordings"], do: bytes > 80_000
+        end,
+        "more is recorded than the disk has"
+      )
+
+      recorder = api(c.http, "/api/recorder")
+      assert recorder["files"] |> Enum.map(& &1["bytes"]) |> Enum.sum() < 64_000
+      kill_9(config)
+      await_exit(port)
+    end
+  end
+
+  defp on_disk_of(dir, size),
+    do: ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=#{size} tmpfs '#{dir}' && exec \"$@\"", "sh"]
+
+  defp consecutive?(frames) do
+    frames
+    |> Enum.map(& &1.seq)
+    |> Enum.chunk_every(2, 1, :discard)
+    |> Enum.all?(fn [a, b] -> b == rem(a + 1, 256) end)
+  end
+end

@@ -1,0 +1,125 @@
+defmodule Aerie.System.ReplayTest do
+  @moduledoc "A flight behind a live gateway, and its recordings: replayed, they give the events that the gateway gave."
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.{Recorder, Replay}
+  alias MavCodec.Messages
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 300_000
+  # An id of its own: what another program sends to this port by mistake is another vehicle.
+  @key {"main", 77}
+  @vehicle "VID-077"
+  @flight [:ready, {:wait, 1}, :arm, {:takeoff, 6}, {:wait, 1}, :land, :landed, {:wait, 60}]
+
+  for firmware <- [:ardupilot, :px4] do
+    test "#{firmware}: the same events", %{tmp_dir: folder} do
+      %{gateway: gateway} =
+        start_gateway(folder,
+          links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"],
+          overrides: %{
+            "recorder" => %{
+              "dir" => Path.join(folder, "recordings"),
+              "links" => "always",
+              "vehicles" => "always",
+              "min_free_mb" => 0
+            }
+          }
+        )
+
+      :ok = Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+      station = station(gateway)
+
+      sim =
+        start_supervised!(
+          {SimVehicle, firmware: unquote(firmware), system: 77, ready_s: 2.0, link: link, script: @flight}
+        )
+
+      {before, _takeoff} = await_event([], "takeoff")
+      # Its operator goes while it flies.
+      stop_supervised!(station)
+      {events, _disarmed} = await_event(before, "disarmed")
+
+      {events, _lost} =
+        if Enum.any?(events, &(&1.type == "gcs.lost")),
+          do: {events, nil},
+          else: await_event(events, "gcs.lost")
+
+      SimVehicle.fault(sim, :freeze, true)
+      files = for what <- [{:link, "link-1"}, {:vehicle, @key}], do: complete(gateway, what)
+      events = events ++ waiting()
+
+      [link_file, vehicle_file] = files
+      assert_same(events, link_file, [])
+      # What is sent to all is in no vehicle's recording: whether a station is there is not known from it.
+      assert_same(events, vehicle_file, ["gcs.lost", "gcs.restored"])
+    end
+  end
+
+  defp assert_same(events, file, without) do
+    assert {:ok, %{summary: %{to: to, damaged_bytes: 0}} = flight} = Replay.run(file)
+    told = fn events -> for e <- events, e.vehicle == @vehicle, e.type not in without, e.time <= to, do: e end
+    {live, replayed} = {told.(events), told.(flight.events)}
+    for type <- ~w(armed takeoff landed disarmed), do: assert(Enum.any?(replayed, &(&1.type == type)))
+
+    # What follows from somebody's silence is told when that is looked at, which is up to a second later.
+    exact = fn events ->
+      for e <- events,
+          e.type not in ["gcs.lost", "gcs.restored"],
+          do: {e.type, e.data, e.time, e.vehicle_time_ms}
+    end
+
+    assert exact.(replayed) == exact.(live)
+    gcs = fn events -> for e <- events, e.type in ["gcs.lost", "gcs.restored"], do: {e.type, e.data} end
+    assert gcs.(replayed) == gcs.(live)
+  end
+
+  defp await_event(events, type) do
+    receive do
+      {:fleet, :events, %{type: ^type, vehicle: @vehicle} = event} -> {events ++ [event], event}
+      {:fleet, :events, event} -> await_event(events ++ [event], type)
+    after
+      120_000 -> flunk("no #{type} after #{inspect(Enum.map(events, & &1.type))}")
+    end
+  end
+
+  defp waiting do
+    receive do
+      {:fleet, :events, event} -> [event | waiting()]
+    after
+      0 -> []
+    end
+  end
+
+  defp complete(gateway, what) do
+    %{file: file} = Recorder.status(gateway, what)
+    :ok = Recorder.stop(gateway, what)
+    file
+  end
+
+  # A ground station on the second link.
+  defp station(gateway) do
+    port = link_port(gateway, "link-2")
+
+    bytes =
+      MavCodec.encode(%Messages.Heartbeat{type: 6, autopilot: 8, system_status: 4, mavlink_version: 3},
+        system: 255,
+        component: 190
+      )
+
+    start_supervised!({Task, fn -> talk(bytes, port) end}, id: :station)
+    :station
+  end
+
+  defp talk(bytes, port) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}])
+
+    Stream.repeatedly(fn ->
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, bytes)
+      receive do: (:stop -> :ok), after: (200 -> :ok)
+    end)
+    |> Stream.run()
+  end
+end

@@ -14,18 +14,47 @@ defmodule Aerie.Link.PortOwner do
     with [_ | _] = inodes <- inodes(protocol, port), do: program(inodes), else: (_none -> :unknown)
   end
 
-  @doc "The program that has a file or device open, symbolic links followed."
-  @spec device(Path.t()) :: {:ok, String.t(), pos_integer} | :unknown
-  def device(path), do: program([real(path, 8)])
+  @doc "The programs that have a file or device open, symbolic links followed."
+  @spec holders(Path.t()) :: [{String.t(), pos_integer}]
+  def holders(path) do
+    targets = [real(path, 8)]
+    for pid <- pids(), holds?(pid, targets), {:ok, name} <- [name(pid)], do: {name, pid}
+  end
+
+  @doc "Whether a process was started by this program, itself or by one that it started."
+  @spec ours?(pos_integer) :: boolean
+  def ours?(pid), do: ours?("#{pid}", System.pid(), 8)
+
+  defp ours?(pid, pid, _generations), do: true
+  defp ours?(_pid, _own, 0), do: false
+
+  defp ours?(pid, own, generations) do
+    # Behind the program's name, which stands in brackets and may hold anything, come its state and its parent.
+    with {:ok, stat} <- File.read("/proc/#{pid}/stat"),
+         [_state, parent | _] <- stat |> String.split(")") |> List.last() |> String.split() do
+      ours?(parent, own, generations - 1)
+    else
+      _gone -> false
+    end
+  end
 
   defp program(targets) do
-    with {:ok, pid} <- holder(targets),
-         {:ok, name} <- File.read("/proc/#{pid}/comm") do
-      {:ok, String.trim(name), pid}
+    with pid when pid != nil <- Enum.find(pids(), &holds?(&1, targets)),
+         {:ok, name} <- name(pid) do
+      {:ok, name, pid}
     else
       _not_told -> :unknown
     end
   end
+
+  defp pids do
+    case File.ls("/proc") do
+      {:ok, names} -> for name <- names, {pid, ""} <- [Integer.parse(name)], do: pid
+      {:error, _no_proc} -> []
+    end
+  end
+
+  defp name(pid), do: with({:ok, name} <- File.read("/proc/#{pid}/comm"), do: {:ok, String.trim(name)})
 
   defp real(path, 0), do: path
 
@@ -46,13 +75,6 @@ defmodule Aerie.Link.PortOwner do
         [_, hex] <- [String.split(local, ":")],
         {^port, ""} <- [Integer.parse(hex, 16)],
         do: "socket:[#{inode}]"
-  end
-
-  defp holder(targets) do
-    with {:ok, names} <- File.ls("/proc") do
-      pids = for name <- names, {pid, ""} <- [Integer.parse(name)], do: pid
-      Enum.find_value(pids, :unknown, &if(holds?(&1, targets), do: {:ok, &1}))
-    end
   end
 
   defp holds?(pid, targets) do

@@ -8,7 +8,7 @@ defmodule Aerie.Link.PortOwnerTest do
     file = Path.join(dir, "device")
     File.write!(file, "")
     File.ln_s!("device", Path.join(dir, "by-id"))
-    assert PortOwner.device(file) == :unknown
+    assert PortOwner.holders(file) == []
 
     port =
       Port.open({:spawn_executable, System.find_executable("sh")}, [
@@ -19,10 +19,12 @@ defmodule Aerie.Link.PortOwnerTest do
     {:os_pid, pid} = Port.info(port, :os_pid)
 
     Aerie.GatewayCase.eventually(fn ->
-      match?({:ok, "cat", ^pid}, PortOwner.device(Path.join(dir, "by-id")))
+      PortOwner.holders(Path.join(dir, "by-id")) == [{"cat", pid}]
     end)
 
+    assert PortOwner.ours?(pid)
+    refute PortOwner.ours?(1)
     Port.close(port)
-    assert PortOwner.device("/nowhere") == :unknown
+    assert PortOwner.holders("/nowhere") == []
   end
 end

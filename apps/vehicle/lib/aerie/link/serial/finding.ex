@@ -17,6 +17,9 @@ defmodule Aerie.Link.Serial.Finding do
   @enforce_keys [:path, :condition]
   defstruct [:path, :condition, :protocol, :baud, :evidence, :advice]
 
+  # Nothing to be ended for it: it is as it was configured.
+  @other_link {:in_use, "another link"}
+
   @type condition ::
           :vehicle
           | :no_heartbeat
@@ -75,9 +78,14 @@ defmodule Aerie.Link.Serial.Finding do
       path: path,
       condition: condition,
       evidence: refused(condition, reason),
-      advice: advice(condition, nil, path)
+      advice: if(reason != @other_link, do: advice(condition, nil, path))
     }
   end
+
+  @doc "A port that another link of this gateway has, or waits for: it is left alone."
+  @spec of_another_link(Path.t()) :: t
+  def of_another_link(path),
+    do: %__MODULE__{path: path, condition: :in_use, evidence: "belongs to another link"}
 
   defp condition(%{protocol: protocol, heartbeat: true}) when protocol in [:mavlink1, :mavlink2], do: :vehicle
   defp condition(%{protocol: protocol}) when protocol in [:mavlink1, :mavlink2], do: :no_heartbeat

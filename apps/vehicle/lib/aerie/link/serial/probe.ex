@@ -87,6 +87,14 @@ defmodule Aerie.Link.Serial.Probe do
 
   def handle(%{phase: :busy} = probe, :tick, _now), do: {%{probe | phase: :opening}, [{:open, probe.baud}]}
 
+  # A rate that this port cannot do.
+  def handle(%{phase: :opening, bauds: bauds} = probe, {:open_failed, :einval}, _now) do
+    case bauds do
+      [baud | bauds] -> {%{probe | baud: baud, bauds: bauds}, [{:open, baud}]}
+      [] -> fail(probe, "it does none of the baud rates")
+    end
+  end
+
   def handle(%{phase: :opening} = probe, {:open_failed, reason}, now) do
     # Who has it, most likely this very link, may be about to let go of it.
     if busy?(reason) and now - probe.started < @busy_ms,
@@ -96,7 +104,6 @@ defmodule Aerie.Link.Serial.Probe do
 
   def handle(%{phase: :setting} = probe, :set, now), do: listen(probe, now)
 
-  # A rate that this port cannot do.
   def handle(%{phase: :setting} = probe, {:set_failed, :einval}, now), do: next(probe, now)
   def handle(%{phase: :setting} = probe, {:set_failed, reason}, _now), do: fail(probe, reason)
   def handle(%{phase: :listening} = probe, {:read_failed, reason}, _now), do: fail(probe, reason)

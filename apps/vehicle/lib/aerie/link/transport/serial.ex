@@ -14,6 +14,7 @@ defmodule Aerie.Link.Transport.Serial do
   @behaviour Aerie.Link.Transport
 
   alias Aerie.Link.Serial.Detection
+  alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Serial.Ports
   alias Aerie.Link.Serial.Sniff
   alias Aerie.Link.Spec
@@ -51,7 +52,7 @@ defmodule Aerie.Link.Transport.Serial do
       hint: spec.options[:hint]
     ]
 
-    with {:ok, holder, finding, bytes} <- Detection.run(options) do
+    with {:ok, holder, finding, bytes} <- Detection.run(options) |> others(options[:ports]) do
       {:ok,
        %__MODULE__{
          holder: holder,
@@ -63,6 +64,14 @@ defmodule Aerie.Link.Transport.Serial do
        }}
     end
   end
+
+  # There are ports, but other links have them.
+  defp others({:error, {:undetected, []}}, %{taken: [_ | _]} = ports) do
+    {:error,
+     {:undetected, for(%{path: path} <- Ports.list(%{ports | taken: []}), do: Finding.of_another_link(path))}}
+  end
+
+  defp others(result, _ports), do: result
 
   defp ports(%Spec{detect: :port, options: options} = spec) do
     ports = if spec.ports == [], do: options[:serial_ports] || [], else: spec.ports

@@ -207,6 +207,55 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert Enum.sort(ports) == ["ttyUSB0", "ttyUSB1"]
   end
 
+  @locker "import fcntl, os, sys; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); " <>
+            "fcntl.flock(fd, fcntl.LOCK_EX); print('locked', flush=True); sys.stdin.read()"
+
+  @tag :python
+  test "a port that another program has locked: named, with a fixed rate and with a search", c do
+    vehicle = vehicle(name_in: {c.dev, "ttyACM0"})
+    device = SerialPeer.path(vehicle)
+
+    program =
+      Port.open({:spawn_executable, Aerie.PythonPeer.python()}, [:binary, args: ["-c", @locker, device]])
+
+    assert_receive {^program, {:data, "locked" <> _}}, @patience
+    {:os_pid, pid} = Port.info(program, :os_pid)
+    {fixed, _} = add_link(c.gateway, "#{device},57600")
+    assert_receive {:down, _, %{link: ^fixed, reason: reason}}, @patience
+    assert reason =~ ~r/^#{device} is in use by .*python\S* \(process #{pid}\)/
+    Link.stop(c.gateway, fixed)
+    id = auto(c)
+    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
+    assert reason =~ ~r/ttyACM0: in use by .*python\S* \(process #{pid}\).* \(end what has it open/
+    Port.close(program)
+    up(c)
+  end
+
+  test "a device that another program has open without a lock is left alone, with a fixed rate as well", c do
+    # No PTY, for who makes one has it open; and no serial port either, which is not even found out.
+    file = Path.join(c.dev, "device")
+    File.write!(file, "")
+    shell = System.find_executable("sh")
+    program = Port.open({:spawn_executable, shell}, [:binary, args: ["-c", "exec cat 3<\"$1\"", "sh", file]])
+    {:os_pid, pid} = Port.info(program, :os_pid)
+    eventually(fn -> Aerie.Link.PortOwner.holders(file) == [{"cat", pid}] end)
+    {fixed, _} = add_link(c.gateway, "#{file},57600")
+    eventually(fn -> Link.get(c.gateway, fixed).reason == "#{file} is in use by cat (process #{pid})" end)
+  end
+
+  test "a port of another link is said to be one", c do
+    vehicle = vehicle(name_in: {c.dev, "ttyACM0"})
+    {_first, _} = add_link(c.gateway, "#{SerialPeer.path(vehicle)},57600")
+    up(c)
+    {again, _} = add_link(c.gateway, "#{c.dev}/ttyACM0,57600")
+    assert_receive {:down, _, %{link: ^again, reason: reason}}, @patience
+    assert reason == "#{c.dev}/ttyACM0 is in use by another link"
+    Link.stop(c.gateway, again)
+    id = auto(c)
+    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
+    assert reason == "no vehicle heard: #{c.dev}/ttyACM0: belongs to another link"
+  end
+
   test "a link that is stopped while it looks leaves nothing behind", c do
     before = Circuits.UART.find_pids() |> Enum.map(&elem(&1, 0))
     silent = SerialPeer.start(name_in: {c.dev, "ttyUSB0"})

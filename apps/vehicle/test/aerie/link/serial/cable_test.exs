@@ -66,12 +66,20 @@ defmodule Aerie.Link.Serial.CableTest do
     }
   end
 
-  # The port programs of all serial ports, as the operating system sees them.
-  defp programs do
-    for task <- File.ls!("/proc/#{System.pid()}/task"),
-        {:ok, children} <- [File.read("/proc/#{System.pid()}/task/#{task}/children")],
-        child <- String.split(children),
-        do: child
+  # The port programs of all serial ports, as the operating system sees them: the BEAM starts programs by a child of its
+  # own, whose children they are.
+  defp programs, do: descendants(System.pid())
+
+  defp descendants(pid) do
+    with {:ok, tasks} <- File.ls("/proc/#{pid}/task") do
+      for task <- tasks,
+          {:ok, children} <- [File.read("/proc/#{pid}/task/#{task}/children")],
+          child <- String.split(children),
+          program <- [child | descendants(child)],
+          do: program
+    else
+      _ended_meanwhile -> []
+    end
   end
 
   # A module that is loaded when it is needed brings its atoms.

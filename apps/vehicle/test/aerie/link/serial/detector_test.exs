@@ -238,6 +238,18 @@ defmodule Aerie.Link.Serial.DetectorTest do
     assert [_, {:close, 1}, {:failed, [%{condition: :in_use}]}] = actions
   end
 
+  test "a port that cannot do the first rate is opened at the next, one that can do none is told" do
+    {detector, actions} =
+      run([{0, {:ports, [port(1)]}}, {1, {1, {:open_failed, :einval}}}, {2, {1, :opened}}])
+
+    assert [{:open, 1, path, 57_600}, {:open, 1, path, 115_200}, {:read, 1, _}] = actions
+    assert {_, [{:found, 1, %{baud: 115_200}, _}]} = run(detector, [{300, {1, {:read, heartbeat(1)}}}])
+
+    none = for n <- 1..length(Detector.bauds()), do: {n, {1, {:open_failed, :einval}}}
+    {_, actions} = run([{0, {:ports, [port(1)]}} | none])
+    assert {:failed, [%{condition: :fault, evidence: "it does none of the baud rates"}]} = List.last(actions)
+  end
+
   test "a rate that a port cannot do is passed over, one that is pulled is told" do
     {_detector, actions} =
       run([

@@ -26,14 +26,16 @@ defmodule Aerie.Link.Transport.Serial.Holder do
   @spec start_link() :: GenServer.on_start()
   def start_link, do: GenServer.start_link(__MODULE__, self())
 
-  @doc "Opens the port and waits for that; nothing is read of it before `go/1`. Gives the process whose messages will come."
+  @doc """
+  Opens the port and waits for that; nothing is read of it before `go/1`. Gives the process whose messages will come.
+
+  A port that another program has open, with or without a lock, is refused with `{:in_use, who}`: two readers would take
+  each other's bytes.
+  """
   @spec open(pid, String.t(), pos_integer) :: {:ok, pid} | {:error, term}
   def open(holder, device, baud), do: GenServer.call(holder, {:open, device, baud}, @open_ms)
 
-  @doc """
-  Opens the port unless another program has it open, with or without a lock: two readers would take each other's bytes.
-  The answer is `:opened` or `{:open_failed, reason}`.
-  """
+  @doc "The same without waiting; the answer is `:opened` or `{:open_failed, reason}`."
   @spec listen(pid, String.t(), pos_integer) :: :ok
   def listen(holder, device, baud), do: GenServer.cast(holder, {:listen, device, baud})
 
@@ -96,9 +98,8 @@ defmodule Aerie.Link.Transport.Serial.Holder do
 
   @impl GenServer
   def handle_cast({:listen, device, baud}, state) do
-    with :ok <- free(device), {:ok, uart} <- open_port(device, baud) do
-      {:noreply, tell(%{state | uart: uart}, :opened)}
-    else
+    case open_port(device, baud) do
+      {:ok, uart} -> {:noreply, tell(%{state | uart: uart}, :opened)}
       {:error, reason} -> {:noreply, tell(state, {:open_failed, reason})}
     end
   end
@@ -135,24 +136,23 @@ defmodule Aerie.Link.Transport.Serial.Holder do
     {:noreply, state}
   end
 
-  # Who makes a PTY has it open.
+  defp open_port(device, baud) do
+    Process.set_label({:serial, device})
+    with :ok <- free(device), do: open_free(device, baud)
+  end
+
+  # Who makes a PTY has it open, without reading from it.
   defp free(device) do
-    with false <- pty?(device), {:ok, program, pid} <- PortOwner.device(device) do
-      {:error, {:in_use, "#{program} (process #{pid})"}}
+    with {:ok, %File.Stat{type: type, minor_device: number}} <- File.stat(device),
+         false <- type == :device and bsr(number, 8) in @pty_majors,
+         {:in_use, _who} = reason <- owner(device) do
+      {:error, reason}
     else
       _pty_or_nobody -> :ok
     end
   end
 
-  defp pty?(device) do
-    case File.stat(device) do
-      {:ok, %File.Stat{type: :device, minor_device: number}} -> bsr(number, 8) in @pty_majors
-      _other -> false
-    end
-  end
-
-  defp open_port(device, baud) do
-    Process.set_label({:serial, device})
+  defp open_free(device, baud) do
     {:ok, uart} = UART.start_link()
 
     case UART.open(uart, device, speed: baud, active: false, id: :pid) do
@@ -161,8 +161,22 @@ defmodule Aerie.Link.Transport.Serial.Holder do
 
       {:error, reason} ->
         UART.stop(uart)
-        {:error, reason}
+        {:error, if(reason in [:eagain, :ebusy], do: owner(device) || reason, else: reason)}
     end
+  end
+
+  # Only who may look at others' processes learns who it is.
+  defp owner(device) do
+    case PortOwner.holders(device) do
+      [] -> nil
+      holders -> {:in_use, if(Enum.any?(holders, &link?/1), do: "another link", else: names(holders))}
+    end
+  end
+
+  defp link?({program, pid}), do: program == "circuits_uart" and PortOwner.ours?(pid)
+
+  defp names(holders) do
+    holders |> Enum.take(3) |> Enum.map_join(", ", fn {program, pid} -> "#{program} (process #{pid})" end)
   end
 
   defp tell(state, event) do

@@ -1,0 +1,321 @@
+defmodule Aerie.System.SoakTest do
+  @moduledoc """
+  A gateway for a long time: ten simulated vehicles fly, recorded flights of real firmware are played beside them, and
+  meanwhile links, clients, cables and vehicles come and go, in rounds. After each round what the node holds is counted;
+  when the first rounds are over nothing of it grows any more.
+
+  `AERIE_SOAK_MINUTES` says how long (60 unless set); `AERIE_SOAK_PRINT=1` prints every round.
+  """
+
+  # Counts what the whole node has, so nothing else may run meanwhile.
+  use Aerie.SystemCase, async: false
+
+  alias Aerie.{Census, Client, Link, Names, SerialPeer}
+  alias Aerie.Vehicle.Streams
+
+  @moduletag :soak
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @moduletag timeout: :infinity
+
+  @vehicles 10
+  @warm_up 4
+  @fixtures Path.expand("../../apps/vehicle/test/fixtures", __DIR__)
+
+  test "nothing grows, whatever comes and goes", %{tmp_dir: folder} do
+    Census.load([
+      :vehicle,
+      :mav_codec,
+      :sim_vehicle,
+      :fleet_web,
+      :circuits_uart,
+      :gnat,
+      :telemetry,
+      :aerie_cli
+    ])
+
+    Census.load([:cowboy, :cowlib, :ranch, :crypto, :ssl, :public_key, :inets, :ex_unit, :kernel, :stdlib])
+    dev = short_dir()
+    sockets = short_dir()
+    cable? = SerialPeer.build()
+
+    %{gateway: gateway} =
+      start_gateway(folder,
+        links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"],
+        overrides: %{
+          "mavlink" => %{"local_addr" => "off"},
+          "sockets" => %{"dir" => sockets},
+          "recorder" => %{
+            "dir" => Path.join(folder, "recordings"),
+            "links" => "armed",
+            "vehicles" => "always",
+            "max_file_mb" => 4,
+            "max_mb" => 20
+          }
+        }
+      )
+
+    ports = {link_port(gateway, "link-1"), link_port(gateway, "link-2")}
+
+    fleet =
+      start_supervised!(
+        {SimVehicle.Fleet,
+         count: @vehicles,
+         link: fn n -> "udpout:127.0.0.1:#{elem(ports, rem(n, 2))}" end,
+         ready_s: 1.0,
+         speed: 2.0}
+      )
+
+    eventually(fn -> length(Store.vehicles(gateway)) == @vehicles end, "all vehicles are known")
+    plug = if cable?, do: SerialPeer.start(cable(dev))
+
+    if cable?,
+      do:
+        {:ok, "cable"} =
+          Link.start(gateway, "serial:auto?only=true&ports=#{dev}/ttyACM0", id: "cable", network: "cable")
+
+    soak = %{
+      gateway: gateway,
+      fleet: fleet,
+      sockets: sockets,
+      plug: plug,
+      dev: dev,
+      endpoints: length(Client.endpoints(gateway)),
+      recordings: recordings(folder),
+      until: System.monotonic_time(:second) + minutes() * 60
+    }
+
+    {first, last, rounds} = rounds(soak, 1, nil)
+    print("#{rounds} rounds")
+    assert rounds > @warm_up, "too short for a comparison"
+    compare(first, last)
+
+    for n <- 1..@vehicles do
+      vehicle = eventually(fn -> Store.vehicle(gateway, {"main", n}) end, "vehicle #{n} is known")
+      assert vehicle.status == :online
+    end
+  end
+
+  defp minutes, do: System.get_env("AERIE_SOAK_MINUTES", "60") |> String.to_integer()
+  defp print(words), do: if(System.get_env("AERIE_SOAK_PRINT") == "1", do: IO.puts(:stderr, words))
+
+  defp rounds(soak, n, first) do
+    round(soak, n)
+    census = settled(soak, first)
+    print("round #{n}: #{Census.format(census)}")
+    first = if n == @warm_up, do: census, else: first
+
+    if System.monotonic_time(:second) >= soak.until and n > @warm_up,
+      do: {first, census, n},
+      else: rounds(soak, n + 1, first)
+  end
+
+  # What ends takes a moment to be gone: counted when it is no more than it was, or after half a minute.
+  defp settled(soak, first, deadline \\ System.monotonic_time(:millisecond) + 30_000) do
+    census = Census.take()
+
+    same? =
+      first == nil or
+        Enum.all?([:processes, :ports, :files, :programs], &(Map.fetch!(census, &1) <= Map.fetch!(first, &1)))
+
+    if (same? and quiet?(soak)) or System.monotonic_time(:millisecond) > deadline do
+      census
+    else
+      Process.sleep(500)
+      settled(soak, first, deadline)
+    end
+  end
+
+  defp quiet?(%{gateway: gateway, plug: plug} = soak) do
+    (plug == nil or match?(%{status: :up}, Store.link(gateway, "cable"))) and
+      length(Client.endpoints(gateway)) <= soak.endpoints
+  end
+
+  defp compare(first, last) do
+    for what <- [:processes, :ports, :files, :programs, :atoms] do
+      assert Map.fetch!(last, what) <= Map.fetch!(first, what),
+             "#{what}: #{Map.fetch!(first, what)} at first, #{Map.fetch!(last, what)} at the end; #{inspect(Census.who())}"
+    end
+
+    # Ten vehicles in the middle of their flights: how much they keep just now differs by a little.
+    for what <- [:memory, :ets] do
+      {before, now} = {Map.fetch!(first, what), Map.fetch!(last, what)}
+      assert now < before * 1.15 + 4_000_000, "#{what}: #{before} bytes at first, #{now} at the end"
+    end
+
+    grown =
+      for {name, rows} <- last.tables,
+          before = Map.get(first.tables, name, 0),
+          rows > before * 1.25 + 64,
+          do: {name, before, rows}
+
+    assert grown == [], "tables that grew: #{inspect(grown)}"
+    assert last.waiting < 1_000
+  end
+
+  ## One round: each thing comes and goes once or more
+
+  defp round(soak, n) do
+    tasks =
+      for churn <- [&replays/2, &links/2, &clients/2, &endpoints/2, &cables/2, &vehicles/2] do
+        Task.async(fn -> churn.(soak, n) end)
+      end
+
+    Task.await_many(tasks, 180_000)
+  end
+
+  # Two recordings at a time, faster than they were, each in a network of its own; gone before they end, or after.
+  defp replays(%{gateway: gateway, recordings: recordings}, n) do
+    for {file, k} <- Enum.with_index(recordings), rem(k, 2) == rem(n, 2) do
+      {:ok, id} =
+        Link.start(gateway, "replay:#{file}?speed=#{if rem(n, 3) == 0, do: "max", else: 20}",
+          id: "replay-#{k}",
+          network: "replay-#{k}"
+        )
+
+      id
+    end
+    |> tap(fn _ids -> Process.sleep(5_000) end)
+    |> Enum.each(&Link.stop(gateway, &1))
+  end
+
+  # A link that nobody calls, one that calls nobody, one whose other end hangs up again and again.
+  defp links(%{gateway: gateway}, n) do
+    {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    {:ok, port} = :inet.port(listener)
+    {:ok, tcp} = Link.start(gateway, "tcp:127.0.0.1:#{port}", id: "tcp-#{n}", network: "churn")
+
+    {:ok, calls} =
+      Link.start(gateway, "udpout:127.0.0.1:#{free_udp_port()}", id: "calls-#{n}", network: "churn")
+
+    {:ok, waits} = Link.start(gateway, "udpin:127.0.0.1:0", id: "waits-#{n}", network: "churn")
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}])
+
+    for k <- 1..5 do
+      with {:ok, connection} <- :gen_tcp.accept(listener, 2_000) do
+        :gen_tcp.send(connection, heartbeat(200) <> :crypto.strong_rand_bytes(500))
+        :gen_tcp.close(connection)
+      end
+
+      :gen_udp.send(socket, {127, 0, 0, 1}, link_port(gateway, waits), heartbeat(200 + k) <> <<0xFD, 1, 2>>)
+    end
+
+    :gen_udp.close(socket)
+    Process.exit(Names.whereis(gateway, :link, calls), :kill)
+    Enum.each([tcp, calls, waits], &Link.stop(gateway, &1))
+    :gen_tcp.close(listener)
+    for k <- 0..5, do: Aerie.Vehicle.Supervisor.remove(gateway, {"churn", 200 + k})
+  end
+
+  # Ground stations at the sockets: who reads, who does not, who goes in the middle of a word; and wants of rates.
+  defp clients(%{gateway: gateway, sockets: sockets}, n) do
+    for k <- 1..10 do
+      {:ok, gcs} = :gen_tcp.connect({:local, Path.join(sockets, "mavlink.sock")}, 0, [:binary, active: false])
+      {:ok, state} = :gen_tcp.connect({:local, Path.join(sockets, "state.sock")}, 0, [:binary, active: false])
+      bytes = heartbeat(250, 6)
+      :gen_tcp.send(gcs, <<byte_size(bytes)::32-little, bytes::binary>>)
+      if rem(k, 2) == 0, do: :gen_tcp.recv(gcs, 2_000, 5_000)
+      if rem(k, 3) == 0, do: :gen_tcp.recv(state, 0, 5_000)
+
+      wanter =
+        spawn(fn -> Streams.want(gateway, {"main", rem(k, @vehicles) + 1}, self(), 30, 5 + rem(n, 5)) end)
+
+      reference = Process.monitor(wanter)
+      assert_receive {:DOWN, ^reference, :process, ^wanter, _}, 5_000
+      :gen_tcp.send(gcs, <<500::32-little, "cut">>)
+      :gen_tcp.close(gcs)
+      :gen_tcp.close(state)
+    end
+
+    {:ok, {{_, 200, _}, _, _}} =
+      :httpc.request(~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics")
+  end
+
+  # Client endpoints that are added and removed, with somebody who talks to them.
+  defp endpoints(%{gateway: gateway}, _n) do
+    {:ok, udp} = Client.add(gateway, "udpin:127.0.0.1:0")
+    {:ok, tcp} = Client.add(gateway, "tcpin:127.0.0.1:0")
+    at = Map.new(Client.endpoints(gateway), &{&1.id, &1.port})
+
+    for k <- 1..20 do
+      {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+      :gen_udp.send(socket, {127, 0, 0, 1}, at[udp], heartbeat(230 + k, 6))
+      :gen_udp.recv(socket, 0, 2_000)
+      :gen_udp.close(socket)
+      {:ok, connection} = :gen_tcp.connect({127, 0, 0, 1}, at[tcp], [:binary, active: false])
+      :gen_tcp.send(connection, heartbeat(230 + k, 6))
+      :gen_tcp.recv(connection, 1_000, 2_000)
+      :gen_tcp.close(connection)
+    end
+
+    Client.remove(gateway, udp)
+    Client.remove(gateway, tcp)
+  end
+
+  defp cables(%{plug: nil}, _n), do: :ok
+
+  defp cables(%{gateway: gateway, plug: plug, dev: dev}, _n) do
+    for _ <- 1..3 do
+      eventually(
+        fn -> match?(%{status: :up}, Store.link(gateway, "cable")) end,
+        "the cable's vehicle is found"
+      )
+
+      SerialPeer.unplug(plug)
+
+      eventually(
+        fn -> match?(%{status: status} when status != :up, Store.link(gateway, "cable")) end,
+        "the cable is missed"
+      )
+
+      SerialPeer.plug_in(plug, name_in: {dev, "ttyACM0"})
+    end
+  end
+
+  # One is restarted, one's processes are killed, one forgets who it is and is another for a while.
+  defp vehicles(%{gateway: gateway, fleet: fleet}, n) do
+    sims = SimVehicle.Fleet.sims(fleet)
+    :ok = SimVehicle.reboot(sims[rem(n, @vehicles) + 1])
+    victim = {"main", rem(n + 3, @vehicles) + 1}
+
+    for role <- [:session, :events, :tree] do
+      if pid = Names.whereis(gateway, role, victim), do: Process.exit(pid, :kill)
+    end
+
+    eventually(fn -> Names.whereis(gateway, :session, victim) end, "its session is back")
+  end
+
+  defp cable(dev) do
+    says = fn turn -> heartbeat(1, 2, 3) <> attitude(turn) end
+    [baud: :any, every: 50, says: says, name_in: {dev, "ttyACM0"}]
+  end
+
+  defp heartbeat(system, type \\ 2, autopilot \\ nil) do
+    autopilot = autopilot || if(type == 6, do: 8, else: 3)
+
+    message = %MavCodec.Messages.Heartbeat{
+      type: type,
+      autopilot: autopilot,
+      system_status: 4,
+      mavlink_version: 3
+    }
+
+    MavCodec.encode(message, system: rem(system, 256), component: if(type == 6, do: 190, else: 1))
+  end
+
+  defp attitude(turn) do
+    MavCodec.encode(%MavCodec.Messages.Attitude{time_boot_ms: turn * 50},
+      system: 1,
+      component: 1,
+      seq: rem(turn, 256)
+    )
+  end
+
+  defp recordings(folder) do
+    for file <- Path.wildcard(Path.join(@fixtures, "*.tlog.gz")) do
+      plain = Path.join(folder, Path.basename(file, ".gz"))
+      File.write!(plain, file |> File.read!() |> :zlib.gunzip())
+      plain
+    end
+  end
+end

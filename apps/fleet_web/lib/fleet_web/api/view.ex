@@ -3,7 +3,7 @@ defmodule FleetWeb.API.View do
 
   alias Aerie.Client
   alias Aerie.Client.StateForm
-  alias Aerie.Fleet.{Json, Store}
+  alias Aerie.Fleet.{Age, Json, Store}
   alias Aerie.Router.Tally
   alias FleetWeb.API.Recordings
 
@@ -53,7 +53,9 @@ defmodule FleetWeb.API.View do
   def vehicle(gateway, id) do
     with %{} = vehicle <- Store.vehicle(gateway, id) do
       now = System.os_time(:microsecond)
-      links = Map.new(Store.links(gateway), &{&1.id, &1})
+      all = Store.links(gateway)
+      links = Map.new(all, &{&1.id, &1})
+      clock = Age.now(vehicle, all, now)
 
       vehicle
       |> vehicle(links, now)
@@ -64,7 +66,7 @@ defmodule FleetWeb.API.View do
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
         signing: signing(vehicle[:signing]),
-        groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, now)} end)
+        groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, clock)} end)
       })
     end
   end

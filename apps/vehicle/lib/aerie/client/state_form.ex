@@ -19,10 +19,11 @@ defmodule Aerie.Client.StateForm do
   home, which is all that a vehicle without a range finder knows. What is not known is null. `fc_connected` says whether
   the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that
   is no longer told stays, and can be seen to be old. `fc_port` is the device or address of the link that it is heard on,
-  `fc_baud` is null for other links than serial ones.
+  `fc_baud` is null for other links than serial ones. The ages of a vehicle that is heard from a recording are those in the
+  recording.
   """
 
-  alias Aerie.Fleet.Json
+  alias Aerie.Fleet.{Age, Json}
 
   @parts [attitude: :attitude, position: :position, speed: :velocity, battery: :battery, gps: :gps]
 
@@ -30,6 +31,8 @@ defmodule Aerie.Client.StateForm do
   @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
   def of(vehicle, links, now) do
     mode = data(vehicle, :mode)
+    heard_by = for id <- vehicle.links, link = links[id], do: link
+    clock = Age.now(vehicle, heard_by, now)
 
     %{
       timestamp: Float.round(now / 1_000_000, 3),
@@ -37,7 +40,7 @@ defmodule Aerie.Client.StateForm do
       network: vehicle.network,
       system_id: vehicle.system_id,
       status: vehicle.status,
-      age: age(vehicle.last_heard, now),
+      age: age(vehicle.last_heard, clock),
       fc_connected: vehicle.status == :online,
       autopilot: vehicle.autopilot,
       type: vehicle.vehicle_type,
@@ -49,7 +52,7 @@ defmodule Aerie.Client.StateForm do
       speed: speed(data(vehicle, :velocity)),
       battery: battery(data(vehicle, :battery)),
       gps: gps(data(vehicle, :gps)),
-      ages: for({part, group} <- @parts, into: %{}, do: {part, age(at(vehicle, group), now)})
+      ages: for({part, group} <- @parts, into: %{}, do: {part, age(at(vehicle, group), clock)})
     }
     |> Map.merge(port(vehicle.links, links))
   end
@@ -96,9 +99,15 @@ defmodule Aerie.Client.StateForm do
   # The latest link first.
   defp port([id | _], links) do
     case links do
-      %{^id => %{spec: %{kind: :serial} = spec}} -> %{fc_port: spec.device, fc_baud: spec.baud}
-      %{^id => %{url: url}} -> %{fc_port: text(url), fc_baud: nil}
-      _unknown -> %{fc_port: Json.plain(id), fc_baud: nil}
+      # A port that was looked for has its name and rate from what was found.
+      %{^id => %{spec: %{kind: :serial} = spec} = link} ->
+        %{fc_port: link[:local] || spec.device, fc_baud: link[:baud] || spec.baud}
+
+      %{^id => %{url: url}} ->
+        %{fc_port: text(url), fc_baud: nil}
+
+      _unknown ->
+        %{fc_port: Json.plain(id), fc_baud: nil}
     end
   end
 

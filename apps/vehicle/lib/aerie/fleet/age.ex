@@ -13,20 +13,19 @@ defmodule Aerie.Fleet.Age do
   @spec silent_us(vehicle :: map(), links :: [map()], now :: integer()) :: non_neg_integer() | nil
   def silent_us(%{last_heard: nil}, _links, _now), do: nil
 
-  def silent_us(%{last_heard: last_heard, links: ids}, links, now) do
-    case for link <- links, link.id in ids, do: link do
-      [_ | _] = own -> since(last_heard, clock(own, now))
-      [] -> since(last_heard, now)
-    end
-  end
+  def silent_us(%{last_heard: last_heard} = vehicle, links, now),
+    do: max(now(vehicle, links, now) - last_heard, 0)
 
-  defp since(then, now) when is_integer(then) and is_integer(now), do: max(now - then, 0)
+  @doc """
+  The time (unix microseconds) to measure the ages of a vehicle's state against: `now`, or the recording's own for a vehicle
+  that is heard from recordings only.
+  """
+  @spec now(vehicle :: map(), links :: [map()], now :: integer()) :: integer()
+  def now(%{links: ids}, links, now) do
+    own = for link <- links, link.id in ids, do: link
 
-  defp clock(links, now) do
-    if Enum.all?(links, &(&1.kind == :replay)) do
-      links |> Enum.map(&(&1.last_heard || 0)) |> Enum.max()
-    else
-      now
-    end
+    if own != [] and Enum.all?(own, &(&1[:kind] == :replay)),
+      do: own |> Enum.map(&(&1.last_heard || 0)) |> Enum.max(),
+      else: now
   end
 end

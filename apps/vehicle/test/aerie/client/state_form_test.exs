@@ -41,6 +41,29 @@ defmodule Aerie.Client.StateFormTest do
     assert object["ages"] == Map.new(~w(attitude position speed battery gps), &{&1, 0.25})
   end
 
+  test "a port that was found by listening is named with the rate at which it was" do
+    spec = %{kind: :serial, detect: :port, device: nil, baud: 115_200}
+    found = %{id: "radio", kind: :serial, url: "serial:auto", local: "/dev/ttyACM1", baud: 57_600, spec: spec}
+    object = json(vehicle(), %{"radio" => found})
+    assert %{"fc_port" => "/dev/ttyACM1", "fc_baud" => 57_600} = object
+  end
+
+  test "a recorded vehicle's ages are those in the recording" do
+    vehicle = vehicle()
+
+    replay = %{
+      id: "radio",
+      kind: :replay,
+      url: "replay:x",
+      last_heard: vehicle.last_heard + 500_000,
+      spec: %{kind: :replay}
+    }
+
+    object = json(vehicle, %{"radio" => replay}, vehicle.last_heard + 86_400_000_000)
+    assert object["age"] == 0.5
+    assert object["ages"]["attitude"] == 0.5
+  end
+
   test "a vehicle of which nothing is known but that it spoke has all fields, null" do
     object = json(vehicle(%{groups: %{}, links: [], last_heard: nil, status: :lost}))
     assert object["fc_connected"] == false

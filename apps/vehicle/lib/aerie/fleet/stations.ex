@@ -4,14 +4,18 @@ defmodule Aerie.Fleet.Stations do
   the store, written by the router (`hear/3`) for heartbeats of links and of clients alike, read once a second by the
   vehicles' sessions: a vehicle hears what is on its network, so these are the ones that may keep its failsafe quiet (H5).
 
-  At most #{1_024} are kept; one that was not heard for ten minutes makes room for a new one.
+  At most #{1_024} are kept; one that was not heard for ten minutes makes room for a new one. When the machine's clock is
+  set, what was heard live was heard as long ago as before (`Aerie.HostClock`).
   """
 
   alias Aerie.Fleet.Store
+  alias Aerie.HostClock
   alias Aerie.Names
 
   @max_stations 1_024
   @forget_us 600_000_000
+  # A frame that came by a live link has a time that is about now.
+  @live_us 10_000_000
 
   @typedoc """
   - `type`: MAV_TYPE of its heartbeat (6: a ground station)
@@ -33,7 +37,7 @@ defmodule Aerie.Fleet.Stations do
     key = {network, system, component}
 
     if :ets.member(table, key) or room?(table, station.last_heard) do
-      true = :ets.insert(table, {key, station.last_heard, station})
+      true = :ets.insert(table, {key, station.last_heard, live(station.last_heard), station})
       :ok
     else
       Store.count(gateway, {:stations, :dropped})
@@ -41,16 +45,35 @@ defmodule Aerie.Fleet.Stations do
     end
   end
 
+  # The offset of the clocks under which it was heard; nil for a time that is not this machine's.
+  defp live(at) do
+    now = System.os_time(:microsecond)
+    if abs(now - at) < @live_us, do: now - System.monotonic_time(:microsecond)
+  end
+
+  # One from long after is from before the clock was set back.
   defp room?(table, now) do
     :ets.info(table, :size) < @max_stations or
-      :ets.select_delete(table, [{{:_, :"$1", :_}, [{:<, :"$1", now - @forget_us}], [true]}]) > 0
+      :ets.select_delete(table, [
+        {{:_, :"$1", :_, :_}, [{:<, :"$1", now - @forget_us}], [true]},
+        {{:_, :"$1", :_, :_}, [{:>, :"$1", now + @forget_us}], [true]}
+      ]) > 0
   end
 
   @doc "The stations of a network."
   @spec list(Names.gateway(), network :: String.t()) :: [station()]
   def list(gateway, network) do
+    offset = HostClock.offset()
+
     Store.with_table(gateway, :stations, [], fn table ->
-      :ets.select(table, [{{{network, :_, :_}, :_, :"$1"}, [], [:"$1"]}])
+      for {live, station} <-
+            :ets.select(table, [{{{network, :_, :_}, :_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}]),
+          do: moved(station, live, offset)
     end)
   end
+
+  defp moved(station, nil, _offset), do: station
+
+  defp moved(station, live, offset),
+    do: %{station | last_heard: station.last_heard + HostClock.step(live, offset)}
 end

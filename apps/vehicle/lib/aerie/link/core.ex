@@ -41,6 +41,7 @@ defmodule Aerie.Link.Core do
   Time is given with each event as `{monotonic ms, unix microseconds}`; the only randomness is a seed in the state.
   """
 
+  alias Aerie.HostClock
   alias Aerie.Link.Backoff
   alias Aerie.Link.Counters
   alias Aerie.Link.Peers
@@ -71,6 +72,7 @@ defmodule Aerie.Link.Core do
     :since,
     :opened,
     :last_heard,
+    :offset,
     :found,
     :sniff_at,
     diagnosis: [],
@@ -191,7 +193,24 @@ defmodule Aerie.Link.Core do
 
   def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
 
-  def handle(%{phase: :up} = core, :tick, {mono, _at} = now) do
+  def handle(core, :tick, now), do: core |> set(now) |> tick(now)
+  def handle(core, _other, _now), do: {core, []}
+
+  # When the machine's clock was set, the times that are shown move with it. Those of a recording are its own.
+  defp set(core, {mono, at}) do
+    offset = at - mono * 1000
+    step = HostClock.step(core.offset || offset, offset)
+    core = %{core | offset: offset}
+
+    if step == 0,
+      do: core,
+      else: %{core | since: core.since && core.since + step, last_heard: moved(core, step), sampled: nil}
+  end
+
+  defp moved(%{spec: %{kind: :replay}} = core, _step), do: core.last_heard
+  defp moved(core, step), do: core.last_heard && core.last_heard + step
+
+  defp tick(%{phase: :up} = core, {mono, _at} = now) do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
     {core, more} = changes(%{core | peers: peers}, changes)
     {core, sniff} = garbled(core, mono)
@@ -208,8 +227,7 @@ defmodule Aerie.Link.Core do
     end
   end
 
-  def handle(core, :tick, {mono, _at}), do: sample(core, mono)
-  def handle(core, _other, _now), do: {core, []}
+  defp tick(core, {mono, _at}), do: sample(core, mono)
 
   defp ended(core, lasted) do
     cond do

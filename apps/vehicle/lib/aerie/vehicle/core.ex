@@ -9,6 +9,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
+    * `{:shift, step}` - the clock was set by so much (microseconds): all that was heard was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured about a link
     * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Fleet.Stations`)
     * `{:asked, request, at}` - a TIMESYNC request of ours that a recording has, for its answers
@@ -86,6 +87,7 @@ defmodule Aerie.Vehicle.Core do
           | {:link_again, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
+          | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
           | {:stations, [Aerie.Fleet.Stations.station()]}
           | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
@@ -191,6 +193,13 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:rebase, now}) do
     {core, actions} = Timers.rebase(core, [], now)
+    {core, Enum.reverse(actions)}
+  end
+
+  def handle(%{now: nil} = core, {:shift, _step}), do: {core, []}
+
+  def handle(core, {:shift, step}) do
+    {core, actions} = Timers.shift(core, [], step)
     {core, Enum.reverse(actions)}
   end
 

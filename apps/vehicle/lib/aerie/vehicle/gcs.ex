@@ -68,6 +68,14 @@ defmodule Aerie.Vehicle.Gcs do
   @spec rebased(t(), integer()) :: t()
   def rebased(gcs, now), do: %{gcs | next: gcs.next && now + @pause_us, heard: nil, quiet: nil, stations: []}
 
+  @doc "The clock was set by `step`: a station was heard as long ago as before."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(gcs, step) do
+    heard = with {at, system} <- gcs.heard, do: {at + step, system}
+    stations = Enum.map(gcs.stations, &%{&1 | last_heard: &1.last_heard + step})
+    %{gcs | next: gcs.next && gcs.next + step, heard: heard, stations: stations}
+  end
+
   @doc "The stations that are heard on the vehicle's network (`Aerie.Fleet.Stations`), ourselves excluded."
   @spec stations(t(), [Stations.station()], own_system :: integer()) :: t()
   def stations(gcs, stations, own_system) do

@@ -16,6 +16,13 @@ defmodule Aerie.Vehicle.Heard do
   @spec new([term()], integer() | nil) :: t()
   def new(links \\ [], at \\ nil), do: %__MODULE__{links: Map.new(links, &{&1, at})}
 
+  @doc "The clock was set by `step`."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(heard, step) do
+    links = Map.new(heard.links, fn {link, at} -> {link, at && at + step} end)
+    %{heard | links: links, since: heard.since && heard.since + step}
+  end
+
   @doc "A frame from a link."
   @spec frame(t(), term(), non_neg_integer(), integer()) :: t()
   def frame(heard, link, bytes, at) do

@@ -70,6 +70,18 @@ defmodule Aerie.Vehicle.HighLatency do
     %{high | links: links}
   end
 
+  @doc "The clock was set by `step`."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(high, step) do
+    links =
+      Map.new(high.links, fn {link, entry} ->
+        {link,
+         %{entry | summary: entry.summary && entry.summary + step, beat: entry.beat && entry.beat + step}}
+      end)
+
+    %{high | links: links}
+  end
+
   defp update(%{links: links} = high, link, fun) do
     if is_map_key(links, link) or map_size(links) < @max_links,
       do: %{high | links: Map.put(links, link, fun.(Map.get(links, link, entry())))},

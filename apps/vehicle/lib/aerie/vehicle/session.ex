@@ -7,12 +7,13 @@ defmodule Aerie.Vehicle.Session do
 
   The time between frames is the time of the last one plus what has passed since by the monotonic clock, at the pace of the
   link: a vehicle is missed after the same silence whether its frames come from a radio or from a recording played ten
-  times as fast. On a live link the monotonic clock also tells when the machine's clock was set (a companion computer
-  without a battery-backed clock starts in another year): that loses no vehicle.
+  times as fast. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock
+  starts in another year), all that the session knows of a live vehicle moves with it: nothing becomes older or newer by
+  that, and no vehicle is lost or kept.
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Fleet, HostClock, Names, Vehicle}
 
   @tick_ms 100
   @set_us 3_000_000
@@ -37,6 +38,8 @@ defmodule Aerie.Vehicle.Session do
       options: options,
       core: Vehicle.Core.new(options, snapshot),
       clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
+      host: HostClock.offset(),
+      live?: snapshot != nil and Enum.any?(snapshot.links, &(speed(gateway, &1) == :live)),
       paces: %{},
       outbound: Vehicle.Outbound.new(gateway, options),
       events: nil,
@@ -58,6 +61,7 @@ defmodule Aerie.Vehicle.Session do
     link = if is_tuple(way), do: elem(way, 0), else: way
     Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
     {pace, state} = pace(state, link)
+    state = set(%{state | live?: pace == :live})
     state = if pace == :live, do: follow(state, hd(frames).at), else: state
     clock = {List.last(frames).at, monotonic(), if(pace == :live, do: 1.0, else: pace)}
     {:noreply, step(%{state | clock: clock}, {:frames, way, frames})}
@@ -67,6 +71,8 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:link_again, link}, state), do: {:noreply, step(state, {:link_again, link})}
 
   def handle_info(:tick, state) do
+    state = set(state)
+
     case expected(state.clock) do
       # Nothing heard yet: there is no time to go by.
       nil -> {:noreply, state}
@@ -108,16 +114,18 @@ defmodule Aerie.Vehicle.Session do
   defp pace(%{paces: paces} = state, link) when is_map_key(paces, link), do: {Map.fetch!(paces, link), state}
 
   defp pace(state, link) do
-    pace =
-      case Fleet.Store.link(state.gateway, link) do
-        %{kind: :replay, spec: %{speed: speed}} when is_number(speed) -> speed
-        %{kind: :replay} -> 1.0
-        %{} -> :live
-        nil -> :unknown
-      end
-
+    pace = speed(state.gateway, link)
     # A link is known by the first frame that it delivers, but for its first moment.
     if pace == :unknown, do: {1.0, state}, else: {pace, state |> put_in([:paces, link], pace) |> marked(link)}
+  end
+
+  defp speed(gateway, link) do
+    case Fleet.Store.link(gateway, link) do
+      %{kind: :replay, spec: %{speed: speed}} when is_number(speed) -> speed
+      %{kind: :replay} -> 1.0
+      %{} -> :live
+      nil -> :unknown
+    end
   end
 
   defp marked(state, link) do
@@ -126,8 +134,19 @@ defmodule Aerie.Vehicle.Session do
     %{state | core: core}
   end
 
-  # The machine's clock was set when a live frame's time is not about the time that it is by the monotonic clock. Frames
-  # that waited in the mailbox are older, but not by seconds.
+  # Whether the machine's clock was set since the last look.
+  defp set(state) do
+    offset = HostClock.offset()
+    moved(%{state | host: offset}, HostClock.step(state.host, offset))
+  end
+
+  defp moved(%{clock: {at, then, pace}, live?: true} = state, step) when step != 0,
+    do: step(%{state | clock: {at + step, then, pace}}, {:shift, step})
+
+  defp moved(state, _step), do: state
+
+  # A live frame's time is not about the time that it is: two links disagree, or the process slept. Frames that waited in
+  # the mailbox are older, but not by seconds.
   defp follow(state, at) do
     expected = expected(state.clock)
     if expected != nil and abs(at - expected) > @set_us, do: step(state, {:rebase, at}), else: state

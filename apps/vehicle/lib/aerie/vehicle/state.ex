@@ -179,6 +179,15 @@ defmodule Aerie.Vehicle.State do
     %{state | landed: landed, sources: Map.new(state.sources, fn {id, _at} -> {id, now} end)}
   end
 
+  @doc "The clock was set by `step`: all that was heard was heard as long ago as before."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(state, step) do
+    landed = with {landed_state, at} <- state.landed, do: {landed_state, at + step}
+    sources = Map.new(state.sources, fn {id, at} -> {id, at + step} end)
+    groups = Map.new(state.groups, fn {name, group} -> {name, %{group | at: group.at + step}} end)
+    %{state | landed: landed, sources: sources, groups: groups}
+  end
+
   # What judging the next message takes besides the groups.
   @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode]
 

@@ -187,6 +187,21 @@ defmodule Aerie.Vehicle.Timesync do
   @spec restarted(t()) :: t()
   def restarted(sync), do: %{new(sync.period) | foreign: sync.foreign}
 
+  @doc "Our clock was set by `step`: what was measured holds, with the difference that this makes."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(sync, step) do
+    move = fn {at, rtt, offset} -> {at + step, rtt, offset - step} end
+
+    %{
+      sync
+      | pending: %{},
+        next: sync.next && sync.next + step,
+        answered: nil,
+        samples: Enum.map(sync.samples, move),
+        odd: sync.odd && move.(sync.odd)
+    }
+  end
+
   @doc "What is known at `now`: the vehicle's clock less ours (us), how far off that may be; nil before the first answer."
   @spec offset(t(), integer()) :: {offset_us :: integer(), error_us :: non_neg_integer()} | nil
   def offset(%{samples: []}, _now), do: nil

@@ -74,6 +74,21 @@ defmodule Aerie.Link.CoreTest do
     assert wait >= 1000
   end
 
+  for step <- [-3_600, 3_600] do
+    test "the machine's clock is set by #{step} s: what was heard was heard as long ago as before" do
+      step = unquote(step) * 1_000_000
+      {core, _} = run(up("udpin:127.0.0.1:0"), [{1_000, {:read, [{:a, attitude(1, 1)}]}}, {2_000, :tick}])
+      assert %{last_heard: heard, since: since} = Snapshot.of(core, 2_000)
+      {core, actions} = Core.handle(core, :tick, {2_250, @at + 2_250_000 + step})
+      assert :publish in actions
+      assert %{last_heard: heard_now, since: since_now, status: :up} = Snapshot.of(core, 2_250)
+      assert {heard_now, since_now} == {heard + step, since + step}
+      # Once, not with each tick.
+      {core, _} = Core.handle(core, :tick, {2_500, @at + 2_500_000 + step})
+      assert Snapshot.of(core, 2_500).last_heard == heard_now
+    end
+  end
+
   test "reads of one peer in a batch are one delivery, in order; each peer has its own parser" do
     <<a::binary-size(12), b::binary>> = attitude(1, 1)
 

@@ -268,6 +268,45 @@ defmodule Aerie.Vehicle.CoreTest do
       assert {types(run), statuses(run)} == {[], []}
     end
 
+    for {name, step} <- [back: -3600, forward: 3600, "a little": 2.5] do
+      test "set #{name} while it is heard: nothing becomes older or newer by it" do
+        step = round(unquote(step) * @second)
+        place = frame(%M.GlobalPositionInt{lat: 1, lon: 1, time_boot_ms: 1_000}, 11 * @second)
+        run = start() |> beat(10) |> frames([place]) |> tick(12)
+        run = step(%{run | actions: []}, {:shift, step})
+        assert {types(run), statuses(run)} == {[], []}
+        now = 12 * @second + step
+
+        assert [{:snapshot, %{last_heard: heard, groups: groups}}] =
+                 for({:snapshot, _} = s <- run.actions, do: s)
+
+        assert now - heard == 1 * @second
+        assert now - groups.position.at == 1 * @second
+        # Silence goes on from where it was: stale three, lost five seconds after the last frame.
+        run = step(run, {:tick, now + round(1.9 * @second)})
+        assert statuses(run) == []
+        run = step(run, {:tick, now + 2 * @second})
+        assert statuses(run) == [:stale]
+        run = step(run, {:tick, now + 4 * @second})
+        assert statuses(run) == [:stale, :lost]
+        assert [%{type: "link.lost", time: time}] = run.events
+        assert time == 16 * @second + step
+      end
+    end
+
+    test "set back after a vehicle was lost: it was heard as long ago as before" do
+      run = start() |> beat(10) |> tick(40) |> step({:shift, -3600 * @second})
+      assert types(run) == ["link.lost"]
+      snapshot = Core.snapshot(run.core)
+      assert {snapshot.status, snapshot.last_heard} == {:lost, 10 * @second - 3600 * @second}
+      run = beat(run, 41 - 3600)
+      assert types(run) == ["link.lost", "link.restored"]
+    end
+
+    test "of a vehicle that was never heard nothing is set" do
+      assert {_core, []} = Core.handle(Core.new(options([])), {:shift, @second})
+    end
+
     test "a landed vehicle does not take off by it, an open text is given" do
       on_ground = frame(%M.ExtendedSysState{landed_state: 1}, 11 * @second)
       half = frame(%M.Statustext{severity: 6, id: 3, text: String.duplicate("a", 50)}, 11 * @second)

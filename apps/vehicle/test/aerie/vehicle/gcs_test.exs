@@ -35,6 +35,26 @@ defmodule Aerie.Vehicle.GcsTest do
   defp told(log), do: for({:told, at, what} <- log, do: {what, at})
   defp copter, do: Gcs.vehicle(Gcs.new(), :ardupilot, "copter")
 
+  test "H5: a clock that is set neither brings a station back nor loses one" do
+    hour = 3_600
+    gcs = Gcs.param(copter(), "SYSID_MYGCS", 255)
+
+    {[], gcs} =
+      run(Map.put(gcs, :asked, %{}) |> Map.put(:next, nil), 0..3, fn at -> [station(255, at)] end) |> quiet()
+
+    for step <- [-hour, hour] do
+      # Gone in the moment in which the clock is set: missed five seconds after it was heard last, as without that.
+      shifted = Gcs.shifted(gcs, step * @second)
+      {log, _gcs} = run(shifted, (4 + step)..(20 + step), fn _ -> [station(255, 3 + step)] end)
+      assert told(log) == [lost: 8 + step]
+      # There all the time: nothing is told.
+      {log, _gcs} = run(shifted, (4 + step)..(20 + step), &[station(255, &1)])
+      assert told(log) == []
+    end
+  end
+
+  defp quiet({log, gcs}), do: {told(log), gcs}
+
   describe "which it listens to" do
     test "is read once, one by one, and only as far as it is needed" do
       answers = %{"SYSID_MYGCS" => 255, "FS_GCS_ENABLE" => 1, "FS_GCS_TIMEOUT" => 5.0}

@@ -63,6 +63,53 @@ defmodule Aerie.Vehicle.SessionTest do
     assert_receive {:fleet, :events, %{type: "link.restored", time: 100_000_000}}, 2000
   end
 
+  describe "the machine's clock is set" do
+    # As the session sees it: between two looks the offset of the clocks has changed. Frames come by a live link.
+    defp set_clock(gateway, step) do
+      :sys.replace_state(Names.via(gateway, :session, {"main", 1}), &%{&1 | host: &1.host - step})
+    end
+
+    defp live(gateway, frames) do
+      Fleet.Store.put_link(gateway, "radio", %{id: "radio", kind: :udp_server, network: "main"})
+      deliver(gateway, frames)
+      settle(gateway, {"main", 1})
+    end
+
+    for step <- [-3_600, 3_600] do
+      test "by #{step} s: a silent vehicle is lost when it would have been, its age is what it was" do
+        step = at(unquote(step))
+        gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.5, vehicle_lost_s: 1.0}})
+        Fleet.PubSub.subscribe(gateway, :events)
+        heard = System.os_time(:microsecond)
+        # The second read is known to be live.
+        live(gateway, [frame(@copter, heard - 1_000)])
+        live(gateway, [frame(@copter, heard)])
+        set_clock(gateway, step)
+        # Two clocks are not read in the same microsecond.
+        near? = &(abs(&1 - &2) < 20_000)
+        eventually(fn -> near?.(Fleet.Store.vehicle(gateway, "VID-001").last_heard, heard + step) end)
+        assert_receive {:fleet, :events, %{type: "link.lost", time: lost}}, 5_000
+        assert near?.(lost, heard + step + @second)
+        # What comes next comes by the new time.
+        live(gateway, [frame(@copter, heard + step + at(2))])
+        assert_receive {:fleet, :events, %{type: "link.restored"}}, 5_000
+      end
+    end
+
+    test "a recording's time is its own" do
+      gateway = gateway()
+      link = %{id: "radio", kind: :replay, network: "main", spec: %{speed: 1.0}}
+      Fleet.Store.put_link(gateway, "radio", link)
+      deliver(gateway, [frame(@copter, at(1))])
+      deliver(gateway, [frame(@copter, at(2))])
+      settle(gateway, {"main", 1})
+      set_clock(gateway, at(3_600))
+      send(Names.whereis(gateway, :session, {"main", 1}), :tick)
+      settle(gateway, {"main", 1})
+      assert :sys.get_state(Names.via(gateway, :session, {"main", 1})).core.last_heard == at(2)
+    end
+  end
+
   test "who is killed while the vehicle is silent still notices that it is lost" do
     gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.3}})
     Fleet.PubSub.subscribe(gateway, :events)

@@ -43,6 +43,23 @@ defmodule Aerie.Vehicle.TimesyncTest do
     assert Timesync.to_unix(sync, 1_000, now(25)) == boot_at + @second
   end
 
+  test "our own clock is set: what was measured holds, with the difference" do
+    offset = 60 * @second - @start
+    sync = run(0..25, offset, fn _ -> {500, 500} end)
+
+    for step <- [-3_600 * @second, 3_600 * @second] do
+      shifted = Timesync.shifted(sync, step)
+      at = now(25) + step
+      assert {Timesync.offset(sync, now(25)), step} == {back(Timesync.offset(shifted, at), step), step}
+      # The moment at which the vehicle was started is another one by our clock, as long ago as before.
+      assert at - Timesync.show(shifted, at).boot_at == now(25) - Timesync.show(sync, now(25)).boot_at
+      # No answer to a question of before the step is taken, and the next question comes when it would have.
+      assert shifted.pending == %{} and shifted.next - at == sync.next - now(25)
+    end
+  end
+
+  defp back({offset, error}, step), do: {offset + step, error}
+
   test "asked three times at first, then once per period; ever more seldom when there is no answer" do
     times = fn seconds, fun ->
       {sent, _sync} =

@@ -110,6 +110,17 @@ defmodule Aerie.Vehicle.Core.Dealings do
     }
   end
 
+  @doc "The clock was set by `step`: `core` is as it was, `rebased` as `rebased/2` left it."
+  @spec shifted(Core.t(), Core.t(), integer()) :: Core.t()
+  def shifted(core, rebased, step) do
+    %{
+      rebased
+      | timesync: Timesync.shifted(core.timesync, step),
+        gcs: Gcs.shifted(core.gcs, step),
+        high_latency: HighLatency.shifted(core.high_latency, step)
+    }
+  end
+
   @doc "Silence after which the vehicle is stale, and lost (us)."
   @spec patience(Core.t(), integer()) :: {stale_us :: pos_integer(), lost_us :: pos_integer()}
   def patience(%{options: options} = core, now) do

@@ -54,6 +54,27 @@ defmodule Aerie.Vehicle.Core.Timers do
     {Dealings.rebased(core, now), Effects.observe_texts(core, actions, done)}
   end
 
+  @doc """
+  The clock was set by `step`: what is waited for begins anew as in `rebase/3`, and all that was heard was heard as long ago
+  as before. Shown at once, for who looks goes by the new time already.
+  """
+  @spec shift(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
+  def shift(core, actions, step) do
+    now = core.now + step
+    {rebased, actions} = rebase(core, actions, now)
+
+    shifted = %{
+      rebased
+      | last_heard: core.last_heard && core.last_heard + step,
+        collision: core.collision && %{core.collision | at: core.collision.at + step},
+        heard: Heard.shifted(core.heard, step),
+        state: State.shifted(core.state, step),
+        dirty: true
+    }
+
+    Effects.show({Dealings.shifted(core, shifted, step), actions}, now)
+  end
+
   @doc "It is `now`. The actions come newest first."
   @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def expire(core, actions, now) do

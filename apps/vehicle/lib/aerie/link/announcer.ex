@@ -3,18 +3,23 @@ defmodule Aerie.Link.Announcer do
   Says our heartbeat once a second on links that call others by UDP and hear nothing: a server learns only so that we are
   there. As soon as something is heard, the vehicles' sessions keep that way alive themselves.
 
-  The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5).
+  The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5), and a dead-man's
+  like any other of ours: none goes out while the gateway's loops do not answer (H3, `Aerie.Vehicle.Identity`), which is
+  counted as `{:identity, :held}`.
   """
   use GenServer
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
+  alias Aerie.Vehicle.Identity
   alias MavCodec.Encoder
   alias MavCodec.Enums
   alias MavCodec.Messages.Heartbeat
 
   @every_ms 1_000
   @silence_us 3_000_000
+  @active Enums.MavState.value(:MAV_STATE_ACTIVE)
+  @critical Enums.MavState.value(:MAV_STATE_CRITICAL)
 
   @doc "Options: `:gateway`, `:config`."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -48,10 +53,23 @@ defmodule Aerie.Link.Announcer do
 
   @impl GenServer
   def handle_info(:announce, state) do
-    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat())
     now = System.os_time(:microsecond)
 
-    for link <- Store.links(state.gateway), silent?(link, now) do
+    case for(link <- Store.links(state.gateway), silent?(link, now), do: link) do
+      [] -> {:noreply, state}
+      links -> {:noreply, announce(state, links, Identity.status(state.gateway))}
+    end
+  end
+
+  defp announce(state, _links, %{alive: false}) do
+    Store.count(state.gateway, {:identity, :held})
+    state
+  end
+
+  defp announce(state, links, %{silent: silent}) do
+    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat(if silent == [], do: @active, else: @critical))
+
+    for link <- links do
       marked = Aerie.Signing.mark(state.gateway, {link.network, nil}, bytes)
 
       # A link that is gone meanwhile needs none.
@@ -60,7 +78,7 @@ defmodule Aerie.Link.Announcer do
              do: Store.count(state.gateway, {:sent, Heartbeat.id()})
     end
 
-    {:noreply, %{state | encoder: encoder}}
+    %{state | encoder: encoder}
   end
 
   @doc "Whether a link needs our heartbeat: its snapshot, and the time in unix microseconds."
@@ -71,11 +89,11 @@ defmodule Aerie.Link.Announcer do
 
   def silent?(_other, _now), do: false
 
-  defp heartbeat do
+  defp heartbeat(status) do
     %Heartbeat{
       type: Enums.MavType.value(:MAV_TYPE_ONBOARD_CONTROLLER),
       autopilot: Enums.MavAutopilot.value(:MAV_AUTOPILOT_INVALID),
-      system_status: Enums.MavState.value(:MAV_STATE_ACTIVE),
+      system_status: status,
       mavlink_version: 3
     }
   end

@@ -76,6 +76,25 @@ defmodule Aerie.Vehicle.IdentityTest do
     end
   end
 
+  for role <- [:store, :router_sweeper, :pulse] do
+    test "H3: nor does one that calls and hears nothing get any while #{role} stands still" do
+      mavlink = %{heartbeat_deadman_s: @deadman_s, system_id: 245, component_id: 191}
+      gateway = Aerie.GatewayCase.start_gateway(%{mavlink: mavlink}, without: [Aerie.Bridge.Supervisor])
+      {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
+      {:ok, port} = :inet.port(socket)
+      add_link(gateway, "udpout:127.0.0.1:#{port}")
+      assert %Frame{component: 191} = heard(socket, 10_000)
+      pid = Names.whereis(gateway, unquote(role))
+      :ok = :sys.suspend(pid)
+      silent?(gateway, {unquote(role), nil})
+      drain(socket)
+      refute heard(socket, 2_500)
+      assert Fleet.Store.counter(gateway, {:identity, :held}) > 0
+      :ok = :sys.resume(pid)
+      assert {:ok, %{system_status: 4}} = socket |> heard(10_000) |> MavCodec.decode()
+    end
+  end
+
   test "X6: a link that is configured as one of high latency gets nothing, until the command asks for it" do
     mavlink = %{heartbeat_deadman_s: @deadman_s, system_id: 245, component_id: 191}
     gateway = start_parts(%{mavlink: mavlink})

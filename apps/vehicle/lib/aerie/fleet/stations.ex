@@ -30,8 +30,11 @@ defmodule Aerie.Fleet.Stations do
           last_heard: integer()
         }
 
-  @doc "Notes a heartbeat. `:ok` also when it could not be kept; that is counted as `{:stations, :dropped}`."
+  @doc "Notes a heartbeat; one without a time came now. `:ok` also when it could not be kept; that is counted as `{:stations, :dropped}`."
   @spec hear(Names.gateway(), network :: String.t(), station()) :: :ok
+  def hear(gateway, network, %{last_heard: nil} = station),
+    do: hear(gateway, network, %{station | last_heard: System.os_time(:microsecond)})
+
   def hear(gateway, network, %{system: system, component: component} = station) do
     table = Store.table!(gateway, :stations)
     key = {network, system, component}

@@ -29,6 +29,9 @@ defmodule Aerie.Fleet.StationsTest do
     :ok = Stations.hear(gateway, "main", station(255, at))
     :ok = Stations.hear(gateway, "other", station(254, at))
     assert Stations.list(gateway, "main") == [station(255, at)]
+    :ok = Stations.hear(gateway, "none", station(253, nil))
+    assert [%{last_heard: heard}] = Stations.list(gateway, "none")
+    assert heard >= at
   end
 
   test "H5: after the clock was set, a station was heard as long ago as before", %{gateway: gateway} do

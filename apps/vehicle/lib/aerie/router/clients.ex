@@ -118,6 +118,9 @@ defmodule Aerie.Router.Clients do
       nil -> []
       tables -> tables.clients |> :ets.tab2list() |> Enum.sort() |> Enum.map(&elem(&1, 1))
     end
+  rescue
+    # The tables go with the router's process; its successor has others.
+    ArgumentError -> []
   end
 
   ## For the client's process, as `Aerie.Fleet.Store` for a link's

@@ -38,7 +38,18 @@ defmodule Aerie.Vehicle.Core do
   are counted as heard on the link, and change nothing else.
   """
 
-  alias Aerie.Vehicle.{BootClock, Detector, Heard, Options, Sampling, Rivals, State, StatusText, Twin}
+  alias Aerie.Vehicle.{
+    BootClock,
+    Detector,
+    Heard,
+    Options,
+    Reports,
+    Rivals,
+    Sampling,
+    State,
+    StatusText,
+    Twin
+  }
 
   alias Aerie.Vehicle.Core.{Dealings, Intake, Timers}
   alias Aerie.Vehicle.{Gcs, HighLatency, Timesync}
@@ -69,6 +80,7 @@ defmodule Aerie.Vehicle.Core do
     rivals: Rivals.new(),
     apart: [],
     texts: StatusText.new(),
+    reports: Reports.new(),
     recent: %{},
     streams: Arbiter.new(),
     timesync: Timesync.new(0),

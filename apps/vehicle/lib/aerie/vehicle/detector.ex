@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Detector do
   |------------------------------------------|---------------------------------------------------------------------|
   | `{:state, at, boot_ms, digest}`          | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery.low, battery.critical, mission.completed |
   | `{:text, at, boot_ms, severity, text}`   | statustext; gcs_failsafe, geofence, mission.completed when it says so |
+  | `{:report, at, boot_ms, data}`           | report                                                              |
   | `{:reached, at, boot_ms, seq}`           | mission.reached                                                     |
   | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
@@ -190,6 +191,12 @@ defmodule Aerie.Vehicle.Detector do
     links = for side <- links, do: Enum.map(side, &to_string/1)
     steps = if known, do: [], else: [{"collision", %{"sign" => sign, "links" => links}, []}]
     {detector, events} = emit(%{detector | collision: at}, steps, at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
+  def observe(detector, {:report, at, boot_ms, data}, _known) do
+    data = Map.put(data, "severity_name", severity_name(data["severity"]))
+    {detector, events} = emit(detector, [{"report", data, []}], at, boot_ms, nil)
     {detector, events, %{}}
   end
 

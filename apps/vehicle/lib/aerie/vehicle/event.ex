@@ -32,7 +32,7 @@ defmodule Aerie.Vehicle.Event do
   @types ~w(armed disarmed mode_change takeoff landed failsafe geofence battery.low battery.critical
             link.lost link.restored reboot statustext param_changed mission.reached mission.completed
             collision gcs_failsafe signing.rejected signing.enrolled signing.revoked signing.failed
-            stream.contested gcs.lost gcs.restored displaced)
+            stream.contested gcs.lost gcs.restored report displaced)
 
   @doc "All event types."
   @spec types() :: [String.t()]

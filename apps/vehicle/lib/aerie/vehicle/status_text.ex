@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.StatusText do
   out of order; a chunk shorter than 50 bytes is the last one, and it may be as short as a tab. What is still missing a
   second after the last chunk came is given up: the text is given with `[…]` where the gap is.
 
-  PX4 ends a text that it also sends as an EVENT with a tab, which is cut off.
+  PX4 ends a text that it also sends as an EVENT with a tab, which is cut off and told as `doubled`.
 
   At most #{16} texts are open at once and a text has at most #{16} chunks; past that the oldest is given as it is.
   """
@@ -20,14 +20,15 @@ defmodule Aerie.Vehicle.StatusText do
   @gap "[…]"
 
   @type t :: %__MODULE__{open: %{term() => map()}}
-  @type text :: %{severity: 0..255, text: String.t(), at: integer()}
+  @type text :: %{severity: 0..255, text: String.t(), at: integer(), source: term(), doubled: boolean()}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
   @doc "Takes one STATUSTEXT of a source; gives the texts that are complete now, in order."
   @spec push(t(), source :: term(), struct(), integer()) :: {t(), [text()]}
-  def push(texts, _source, %{id: 0} = message, at), do: {texts, [done(message.severity, message.text, at)]}
+  def push(texts, source, %{id: 0} = message, at),
+    do: {texts, [done(source, message.severity, message.text, at)]}
 
   def push(texts, source, %{id: id, chunk_seq: chunk} = message, at) do
     key = {source, id}
@@ -100,7 +101,8 @@ defmodule Aerie.Vehicle.StatusText do
 
   defp close(texts, key, at) do
     {entry, open} = Map.pop!(texts.open, key)
-    {%{texts | open: open}, [done(entry.severity, join(entry), at)]}
+    {source, _id} = key
+    {%{texts | open: open}, [done(source, entry.severity, join(entry), at)]}
   end
 
   defp join(%{chunks: chunks, last: last}) do
@@ -115,7 +117,13 @@ defmodule Aerie.Vehicle.StatusText do
     IO.iodata_to_binary([parts, if(last == nil or last >= expected, do: @gap, else: "")])
   end
 
-  defp done(severity, text, at) do
-    %{severity: severity, text: text |> String.replace_invalid() |> String.trim_trailing("\t"), at: at}
+  defp done(source, severity, text, at) do
+    %{
+      severity: severity,
+      text: text |> String.replace_invalid() |> String.trim_trailing("\t"),
+      at: at,
+      source: source,
+      doubled: String.ends_with?(text, "\t")
+    }
   end
 end

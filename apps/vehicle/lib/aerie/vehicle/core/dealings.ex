@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   waits for, ours, and what must not be sent over a link of high latency.
   """
 
-  alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Timesync}
+  alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Reports, Timesync}
   alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
 
@@ -106,6 +106,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
         streams: Arbiter.rebased(core.streams, now),
         timesync: Timesync.restarted(core.timesync),
         gcs: Gcs.rebased(core.gcs, now),
+        reports: Reports.rebased(core.reports, now),
         high_latency: HighLatency.rebased(core.high_latency, now)
     }
   end
@@ -139,6 +140,10 @@ defmodule Aerie.Vehicle.Core.Dealings do
   def only_high?(core, now),
     do: HighLatency.only?(core.high_latency, Heard.times(core.heard), now, core.options.lost_us)
 
+  @doc "Whether it can be asked for something: not by links of high latency only."
+  @spec open?(Core.t(), integer()) :: boolean()
+  def open?(core, now), do: way(core) != :none and not only_high?(core, now)
+
   @doc "By which link to send what is not for links of high latency (`Aerie.Vehicle.HighLatency.way/2`)."
   @spec way(Core.t()) :: :any | {:link, term()} | :none
   def way(core), do: HighLatency.way(core.high_latency, Heard.times(core.heard))
@@ -150,7 +155,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   def expire({core, actions}, now) do
     # Nothing of this is for a link of high latency (X6), and only who is heard is asked for anything.
     open = way(core) != :none
-    ask = open and core.status == :online and not only_high?(core, now)
+    ask = core.status == :online and open?(core, now)
     {core, actions} |> streams(now, ask) |> clock(now, ask) |> gcs(now, ask) |> beat(now, open)
   end
 
@@ -252,6 +257,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
       streams: if(core.options.request_streams, do: Arbiter.show(core.streams), else: %{}),
       clock: Timesync.show(core.timesync, now),
       gcs: Map.merge(Gcs.show(core.gcs, now), %{by_us?: ours?(core), withheld?: mistaken?(core)}),
+      reports: Reports.show(core.reports),
       high_latency: %{only?: only_high?(core, now), links: HighLatency.links(core.high_latency)}
     }
   end

@@ -68,14 +68,6 @@ defmodule Aerie.Vehicle.Core.Effects do
     end
   end
 
-  @doc "Texts that are complete."
-  @spec observe_texts(Core.t(), [Core.action()], [map()]) :: [Core.action()]
-  def observe_texts(core, actions, texts) do
-    Enum.reduce(texts, actions, fn text, actions ->
-      [{:observe, {:text, text.at, core.state.boot_ms, text.severity, text.text}} | actions]
-    end)
-  end
-
   @doc "What a message of the vehicle tells about there being two."
   @spec twin_of(Core.t(), [Core.action()], {non_neg_integer(), struct()}, integer()) :: acc()
   def twin_of(core, actions, {@position, _message}, at) do

@@ -5,13 +5,15 @@ defmodule Aerie.Vehicle.Core.Intake do
   """
 
   alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Streams, Twin}
-  alias Aerie.Vehicle.Core.{Dealings, Effects}
+  alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
   @heartbeat 0
   @system_time 2
   @param_value 22
   @high_latency 235
   @statustext 253
+  # EVENT, CURRENT_EVENT_SEQUENCE, RESPONSE_EVENT_ERROR
+  @reports [410, 411, 413]
   # For how long a second link's copy of a text may come after the first one's.
   @copy_us 5_000_000
   # PING, COMMAND_ACK, TIMESYNC, MESSAGE_INTERVAL: what `Dealings.message/5` is for.
@@ -36,6 +38,10 @@ defmodule Aerie.Vehicle.Core.Intake do
 
       core.component == nil and frame.id == @high_latency ->
         autopilot(%{core | component: frame.component}, actions, link, frame)
+
+      # Not the autopilot's, but the vehicle's all the same.
+      core.component != nil and frame.id in @reports ->
+        report(core, actions, frame)
 
       true ->
         {core, actions}
@@ -75,6 +81,13 @@ defmodule Aerie.Vehicle.Core.Intake do
     end
   end
 
+  defp report(core, actions, frame) do
+    case MavCodec.decode(frame) do
+      {:ok, message} -> Reporting.message(core, actions, frame, message)
+      {:error, _unknown} -> {core, actions}
+    end
+  end
+
   defp heartbeat(core, actions, link, frame) do
     {:ok, message} = MavCodec.decode(frame)
     known = core.component
@@ -94,6 +107,10 @@ defmodule Aerie.Vehicle.Core.Intake do
     core = Dealings.heard(core, link, id, at)
     core = if id == @high_latency, do: Dealings.summary_heard(core, link, at), else: core
 
+    if id in @reports, do: report(core, actions, frame), else: autopilot_message(core, actions, link, frame)
+  end
+
+  defp autopilot_message(core, actions, link, %{id: id, at: at} = frame) do
     if State.wants?(core.state, id, at) or id in [@system_time, @param_value, @statustext | @dealings] do
       case MavCodec.decode(frame) do
         {:ok, message} -> message(core, actions, link, frame, message)
@@ -148,7 +165,7 @@ defmodule Aerie.Vehicle.Core.Intake do
 
     if first? do
       {texts, done} = StatusText.push(core.texts, frame.component, message, frame.at)
-      {%{core | texts: texts}, Effects.observe_texts(core, actions, done)}
+      Reporting.texts({%{core | texts: texts}, actions}, done)
     else
       {core, actions}
     end

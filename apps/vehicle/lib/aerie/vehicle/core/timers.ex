@@ -3,8 +3,8 @@ defmodule Aerie.Vehicle.Core.Timers do
   What follows from time passing: texts that stay incomplete, samples, silence, rates, and what `Dealings` has to do.
   """
 
-  alias Aerie.Vehicle.{Core, Heard, Sampling, Rivals, State, StatusText, Twin}
-  alias Aerie.Vehicle.Core.{Dealings, Effects}
+  alias Aerie.Vehicle.{Core, Heard, Rivals, Sampling, State, StatusText, Twin}
+  alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
   # Deadlines are looked at twenty times a second.
   @period_us 50_000
@@ -51,7 +51,8 @@ defmodule Aerie.Vehicle.Core.Timers do
         state: State.rebased(core.state, now)
     }
 
-    {Dealings.rebased(core, now), Effects.observe_texts(core, actions, done)}
+    {core, actions} = Reporting.texts({core, actions}, done)
+    {Dealings.rebased(core, now), actions}
   end
 
   @doc """
@@ -80,7 +81,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   def expire(core, actions, now) do
     {texts, done} = StatusText.expire(core.texts, now)
     {samplers, samples} = Sampling.expire(core.samplers, now)
-    actions = Effects.observe_texts(core, actions, done)
+    {core, actions} = Reporting.texts({core, actions}, done)
 
     actions =
       Enum.reduce(samples, actions, fn {group, sample}, actions ->
@@ -92,6 +93,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     |> silence(now)
     |> measure(now)
     |> Dealings.expire(now)
+    |> Reporting.expire(now)
     |> Effects.show(now)
   end
 

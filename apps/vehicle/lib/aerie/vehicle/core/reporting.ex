@@ -1,0 +1,70 @@
+defmodule Aerie.Vehicle.Core.Reporting do
+  @moduledoc """
+  What the vehicle has to say in words: STATUSTEXT, and the EVENT messages that are often the same (`Aerie.Vehicle.Reports`).
+  """
+
+  alias Aerie.Vehicle.{Core, Reports, State, StatusText}
+  alias Aerie.Vehicle.Core.{Dealings, Effects}
+
+  @type acc :: {Core.t(), [Core.action()]}
+
+  @doc "An EVENT or what belongs to it, of any component of the vehicle. The actions come newest first."
+  @spec message(Core.t(), [Core.action()], struct(), struct()) :: acc()
+  def message(core, actions, %{component: component, at: at}, message) do
+    own = {core.options.own_system, core.options.own_component}
+    {reports, given} = Reports.message(core.reports, component, message, own, at)
+    give({%{core | reports: reports}, actions}, given, at)
+  end
+
+  @doc "Texts that are complete."
+  @spec texts(acc(), [StatusText.text()]) :: acc()
+  def texts(acc, texts) do
+    Enum.reduce(texts, acc, fn text, {core, actions} ->
+      observation = {:text, text.at, core.state.boot_ms, text.severity, text.text}
+      {%{core | reports: Reports.text(core.reports, text)}, [{:observe, observation} | actions]}
+    end)
+  end
+
+  @doc "What is due at `now`."
+  @spec expire(acc(), integer()) :: acc()
+  def expire({core, actions}, now) do
+    {reports, given} = Reports.expire(core.reports, now)
+    {core, actions} = give({%{core | reports: reports}, actions}, given, now)
+    if ask?(core, now), do: ask(core, actions, now), else: {core, actions}
+  end
+
+  defp ask?(%{options: options, status: status} = core, now),
+    do: options.request_streams and status == :online and Dealings.open?(core, now)
+
+  defp ask(core, actions, now) do
+    {reports, requests} = Reports.requests(core.reports, core.options.system_id, now)
+    sent = for request <- Enum.reverse(requests), do: {:send, request, core.version}
+    {%{core | reports: reports}, sent ++ actions}
+  end
+
+  defp give(acc, given, at), do: Enum.reduce(given, acc, &give_one(&1, &2, at))
+
+  defp give_one({:report, report}, {core, actions}, _at) do
+    words = Reports.words(report)
+
+    data = %{
+      "id" => words.id,
+      "name" => report.name,
+      "severity" => report.severity,
+      "internal_severity" => report.internal,
+      "arguments" => words.arguments,
+      "component" => report.component,
+      "sequence" => report.sequence
+    }
+
+    {%{core | dirty: true}, [{:observe, {:report, report.at, report.boot_ms, data}} | actions]}
+  end
+
+  defp give_one({:checks, list}, {core, actions}, at) do
+    checks =
+      for report <- list, do: %{id: Reports.words(report).id, name: report.name, severity: report.severity}
+
+    core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, at)}
+    Effects.sample({core, actions}, :health, at)
+  end
+end

@@ -1,0 +1,143 @@
+defmodule Aerie.Vehicle.Reports.Sequence do
+  @moduledoc """
+  Which EVENT messages of one component have come, and which are missing (X3). A pure value.
+
+  Numbers have 16 bits and come round. EVENT and CURRENT_EVENT_SEQUENCE both tell how far the component is; what lies
+  between is asked for with REQUEST_EVENT: after #{300} ms (another link may bring it), then twice more, and is given up
+  after that, or when RESPONSE_EVENT_ERROR says that it is not kept any more. What is late is taken when it comes; what
+  comes twice, on two links or because somebody else asked for it, counts once.
+
+  A component that was restarted begins anew: it says so in CURRENT_EVENT_SEQUENCE, or its clock went back.
+  """
+
+  import Bitwise
+
+  @first_us 300_000
+  @again_us 1_000_000
+  @tries 3
+  @max_missing 64
+  @clock_ms 10_000
+
+  defstruct [:latest, :boot_ms, missing: %{}, lost: 0]
+
+  @typedoc "`lost`: numbers that will not come, so far; `missing`: when each is to be asked for, and how often it was."
+  @type t :: %__MODULE__{
+          latest: 0..65_535 | nil,
+          boot_ms: non_neg_integer() | nil,
+          missing: %{(0..65_535) => {due :: integer(), tries :: non_neg_integer()}},
+          lost: non_neg_integer()
+        }
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "An EVENT with this number came `at` (us). `boot_ms` is the time that it gives."
+  @spec event(t(), 0..65_535, non_neg_integer(), integer()) :: {:new | :old, t()}
+  def event(%{boot_ms: last} = sequence, number, boot_ms, at) when last != nil and boot_ms + @clock_ms < last,
+    do: event(%{new() | lost: sequence.lost}, number, boot_ms, at)
+
+  def event(%{latest: nil} = sequence, number, boot_ms, _at),
+    do: {:new, %{sequence | latest: number, boot_ms: boot_ms}}
+
+  def event(sequence, number, boot_ms, at) do
+    sequence = %{sequence | boot_ms: max(sequence.boot_ms || 0, boot_ms)}
+
+    cond do
+      is_map_key(sequence.missing, number) ->
+        {:new, %{sequence | missing: Map.delete(sequence.missing, number)}}
+
+      ahead(sequence, number) > 0 ->
+        sequence = expect(sequence, ahead(sequence, number) - 1, at)
+        {:new, %{sequence | latest: number}}
+
+      true ->
+        {:old, sequence}
+    end
+  end
+
+  @doc "CURRENT_EVENT_SEQUENCE came `at`: this is the last one that was sent. `reset?`: numbers before it mean nothing."
+  @spec current(t(), 0..65_535, boolean(), integer()) :: t()
+  def current(%{latest: same} = sequence, same, _reset?, _at), do: sequence
+
+  def current(%{latest: latest} = sequence, number, reset?, _at) when reset? or latest == nil,
+    do: %{new() | latest: number, lost: sequence.lost}
+
+  def current(sequence, number, false, at) do
+    case ahead(sequence, number) do
+      0 -> sequence
+      n -> %{expect(sequence, n, at) | latest: number}
+    end
+  end
+
+  @doc "RESPONSE_EVENT_ERROR: what is older than `oldest` is not kept any more."
+  @spec gone(t(), 0..65_535) :: t()
+  def gone(%{latest: nil} = sequence, _oldest), do: sequence
+
+  def gone(sequence, oldest) do
+    {gone, missing} = Map.split_with(sequence.missing, fn {number, _} -> before?(number, oldest) end)
+    %{sequence | missing: missing, lost: sequence.lost + map_size(gone)}
+  end
+
+  @doc "What to ask for at `now`, as first and last numbers."
+  @spec expire(t(), integer()) :: {t(), [{0..65_535, 0..65_535}]}
+  def expire(%{missing: missing} = sequence, _now) when missing == %{}, do: {sequence, []}
+
+  def expire(sequence, now) do
+    {due, later} = Map.split_with(sequence.missing, fn {_number, {due, _tries}} -> due <= now end)
+    {given_up, due} = Map.split_with(due, fn {_number, {_due, tries}} -> tries >= @tries end)
+    asked = Map.new(due, fn {number, {_due, tries}} -> {number, {now + @again_us, tries + 1}} end)
+
+    {%{sequence | missing: Map.merge(later, asked), lost: sequence.lost + map_size(given_up)},
+     asked |> Map.keys() |> ranges(sequence.latest)}
+  end
+
+  @doc "Time goes on from `now`, whatever it was before."
+  @spec rebased(t(), integer()) :: t()
+  def rebased(sequence, now) do
+    %{sequence | missing: Map.new(sequence.missing, fn {number, {_due, tries}} -> {number, {now, tries}} end)}
+  end
+
+  @doc "Whether something may still come."
+  @spec waiting?(t()) :: boolean()
+  def waiting?(%{missing: missing}), do: missing != %{}
+
+  # How far a number is ahead of the latest one; 0 for one that is not.
+  defp ahead(%{latest: latest}, number) do
+    distance = number - latest &&& 0xFFFF
+    if distance < 0x8000, do: distance, else: 0
+  end
+
+  defp before?(number, other), do: (other - number &&& 0xFFFF) in 1..0x7FFF
+
+  # The n numbers after the latest one. So many at once are a component that was away; the last ones matter.
+  defp expect(sequence, n, at) do
+    first = max(n - @max_missing, 0) + 1
+    numbers = for i <- first..n//1, into: %{}, do: {sequence.latest + i &&& 0xFFFF, {at + @first_us, 0}}
+    sequence = %{sequence | missing: Map.merge(sequence.missing, numbers), lost: sequence.lost + first - 1}
+    bound(sequence, sequence.latest + n &&& 0xFFFF)
+  end
+
+  defp bound(%{missing: missing} = sequence, _latest) when map_size(missing) <= @max_missing, do: sequence
+
+  defp bound(%{missing: missing} = sequence, latest) do
+    oldest = missing |> Map.keys() |> Enum.max_by(&(latest - &1 &&& 0xFFFF))
+    bound(%{sequence | missing: Map.delete(missing, oldest), lost: sequence.lost + 1}, latest)
+  end
+
+  defp ranges(numbers, latest) do
+    numbers
+    |> Enum.sort_by(&(latest - &1 &&& 0xFFFF), :desc)
+    |> Enum.chunk_while(
+      nil,
+      fn
+        number, nil -> {:cont, {number, number}}
+        number, {first, last} when (number - last &&& 0xFFFF) == 1 -> {:cont, {first, number}}
+        number, range -> {:cont, range, {number, number}}
+      end,
+      fn
+        nil -> {:cont, nil}
+        range -> {:cont, range, nil}
+      end
+    )
+  end
+end

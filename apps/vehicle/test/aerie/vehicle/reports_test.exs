@@ -1,0 +1,264 @@
+defmodule Aerie.Vehicle.ReportsTest do
+  @moduledoc """
+  EVENT messages (X3), with what PX4 1.17 sent in two recordings: `px4_refusals_reports` (what it refuses) and
+  `px4_flight_reports`, the heartbeats, EVENTs and STATUSTEXTs of those recordings.
+  """
+  use ExUnit.Case, async: true
+
+  import Aerie.Flight, only: [frame: 3, frames: 1, options: 1, pick: 2, run: 1, run: 2, step: 2]
+
+  alias Aerie.Vehicle.{Core, Detector, Reports, State}
+  alias Aerie.Vehicle.Reports.{Checks, Names}
+  alias MavCodec.Messages, as: M
+
+  @px4 %M.Heartbeat{type: 2, autopilot: 12, base_mode: 81, system_status: 3}
+  @second 1_000_000
+
+  describe "names" do
+    test "an id is the name space and the hash of the name" do
+      # As PX4 1.17 sent them.
+      assert Names.name(0x0102089D) == "commander_arm_denied_resolve_failures"
+      assert Names.name(0x01414569) == "commander_takeoff_detected"
+      assert Names.name(1103) == "cal_done"
+      assert Names.name(0x02414569) == nil
+      assert Names.name(0x01000001) == nil
+    end
+
+    test "no two names have the same id" do
+      names = Map.values(Names.all())
+      assert Enum.uniq(names) == names
+    end
+  end
+
+  describe "recordings" do
+    test "every event of PX4's flight came as a text too, and is shown once, as that" do
+      run = frames("px4_flight_reports") |> run()
+      assert pick(run, ["report"]) == []
+      texts = for {_, _, %{"text" => text}} <- pick(run, ["statustext"]), do: text
+      assert "Armed by external command" in texts and "Disarmed by landing" in texts
+      shown = run.core |> Core.snapshot() |> get_in([:reports])
+      assert shown.lost == 0
+
+      assert %{
+               id: "0x01F46777",
+               name: "commander_disarmed_by",
+               text: "Disarmed by landing",
+               arguments: "06",
+               severity: 6,
+               sequence: 27
+             } = hd(shown.recent)
+
+      # Its text is in two pieces, and comes after it.
+      assert Enum.any?(
+               shown.recent,
+               &match?(
+                 %{name: "vrtl_return_at", text: "RTL: start return at 515 m (25 m above destination)"},
+                 &1
+               )
+             )
+    end
+
+    test "what has no text is an event, with both levels and its arguments" do
+      run = frames("px4_refusals_reports") |> run()
+
+      assert [{_, _, no_takeoff}, {_, _, far}] = pick(run, ["report"])
+
+      assert no_takeoff == %{
+               "id" => "0x0153D6E2",
+               "name" => "navigator_mis_takeoff_missing",
+               "severity" => 3,
+               "severity_name" => "ERROR",
+               "internal_severity" => 6,
+               "arguments" => "",
+               "component" => 1,
+               "sequence" => 17
+             }
+
+      assert %{"name" => "navigator_mis_first_wp_far", "arguments" => "0e75", "severity" => 4} = far
+    end
+
+    test "texts are held back while no ground station is there; events are not" do
+      run = frames("px4_refusals_reports") |> Enum.reject(&(&1.id == 253)) |> run()
+      names = for {_, _, data} <- pick(run, ["report"]), do: data["name"]
+      assert "commander_arm_denied_resolve_failures" in names
+      assert "commander_failsafe_enter_hold" in names
+      assert Enum.count(names, &(&1 == "commander_armed_by")) == 2
+    end
+
+    test "however the frames are cut into reads, and with all of them twice on two links, it is the same" do
+      frames = frames("px4_refusals_reports")
+      once = frames |> run() |> pick(["report"])
+      assert frames |> run(batch: 1) |> pick(["report"]) == once
+      assert frames |> run(batch: 100) |> pick(["report"]) == once
+
+      both = fn frames, run -> Enum.reduce(["a", "b"], run, &step(&2, {:frames, &1, frames})) end
+
+      start = %{
+        core: Core.new(options([])),
+        detector: Detector.new(options([])),
+        events: [],
+        actions: [],
+        params: %{}
+      }
+
+      twice = frames |> Enum.chunk_every(3) |> Enum.reduce(start, both)
+      assert twice.events |> Enum.reverse() |> pick(["report"]) == once
+    end
+
+    test "what keeps the vehicle from being armed is one list, renewed as it changes" do
+      run = frames("px4_refusals_reports") |> run()
+
+      lists =
+        for {:publish, :health, %{data: %{arming_checks: [_ | _] = checks}}, _at} <- run.actions,
+            do: Enum.map(checks, & &1.name)
+
+      assert ["check_modes_local_pos", "check_modes_global_pos", "check_modes_mission" | _] = hd(lists)
+      assert Enum.any?(lists, &("check_battery_critical" in &1))
+
+      assert State.data(run.core.state, :health).arming_checks == [
+               %{id: "0x0105C2D9", name: "check_modes_mission", severity: 6},
+               %{id: "0x012F1DC7", name: "check_modes_offboard_signal", severity: 3},
+               %{id: "0x0106ED29", name: "check_modes_manual_control", severity: 4}
+             ]
+    end
+
+    test "events that get lost are asked for, and shown when they come after all (X3)" do
+      frames = frames("px4_refusals_reports")
+      lost? = &match?(%{id: 410, payload: <<_::64, s::little-16, _::binary>>} when s in [17, 19], &1)
+      {lost, heard} = Enum.split_with(frames, lost?)
+      assert length(lost) == 2
+      run = run(heard)
+      requests = for {:send, %M.RequestEvent{} = request, 2} <- run.actions, do: request
+
+      assert %M.RequestEvent{target_system: 1, target_component: 1, first_sequence: 17, last_sequence: 17} in requests
+      assert length(requests) == 6
+      assert Core.snapshot(run.core).reports.lost == 2
+      assert pick(run, ["report"]) == []
+
+      # The vehicle answers half a second after it was asked.
+      answered =
+        Enum.sort_by(heard ++ Enum.map(lost, &%{&1 | at: &1.at + 800_000}), & &1.at)
+
+      assert for({_, _, data} <- answered |> run() |> pick(["report"]), do: data["sequence"]) == [17, 19]
+    end
+
+    test "who may ask for nothing asks for nothing, and nothing is asked for by links of high latency (X6)" do
+      heard = Enum.reject(frames("px4_refusals_reports"), &match?(%{id: 410}, &1))
+      asked = fn run -> for {:send, %M.RequestEvent{}, _} <- run.actions, do: :asked end
+      assert asked.(run(heard)) != []
+      assert asked.(run(heard, request_streams: false)) == []
+
+      start = %{
+        core: Core.new(options([])),
+        detector: Detector.new(options([])),
+        events: [],
+        actions: [],
+        params: %{}
+      }
+
+      start = step(start, {:link, "link", %{high_latency: true}})
+      high = heard |> Enum.chunk_every(7) |> Enum.reduce(start, &step(&2, {:frames, "link", &1}))
+      assert asked.(high) == []
+    end
+  end
+
+  describe "what it is about" do
+    defp event(sequence, fields \\ []) do
+      struct!(
+        %M.Event{id: 0x01000007, sequence: sequence, event_time_boot_ms: 5000, log_levels: 0x66},
+        fields
+      )
+    end
+
+    defp at(seconds), do: round(seconds * @second)
+
+    # Heartbeats go on, so that time does.
+    defp said(messages) do
+      beats = for s <- 0..20, do: frame(@px4, at(s), seq: s)
+
+      said =
+        for {seconds, message, component} <- messages, do: frame(message, at(seconds), component: component)
+
+      (beats ++ said) |> Enum.sort_by(& &1.at) |> run()
+    end
+
+    test "an event of a camera is the vehicle's, too; numbers are each component's own (X3)" do
+      run =
+        said([{1.1, event(5), 1}, {1.2, event(5), 100}, {1.3, event(6), 1}, {1.4, event(6), 100}])
+
+      assert for({_, _, data} <- pick(run, ["report"]), do: {data["component"], data["sequence"]}) ==
+               [{1, 5}, {100, 5}, {1, 6}, {100, 6}]
+
+      assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
+    end
+
+    test "what is not for display, or for somebody else, is not shown, and not missing either" do
+      run =
+        said([
+          {1.1, event(1), 1},
+          {1.2, event(2, log_levels: 0x88), 1},
+          {1.3, event(3, destination_system: 77), 1},
+          {1.4, event(4, destination_system: 245, destination_component: 191), 1},
+          {1.5, event(5, log_levels: 0x29), 1}
+        ])
+
+      assert for({_, _, data} <- pick(run, ["report"]), do: data["sequence"]) == [1, 4]
+      assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
+    end
+
+    test "a text without a tab, and one of somebody who sends no events, doubles none" do
+      run =
+        said([
+          {1.1, %M.Statustext{severity: 6, text: "tab without events\t"}, 1},
+          {2.1, event(1), 1},
+          {2.2, %M.Statustext{severity: 6, text: "no tab"}, 1}
+        ])
+
+      assert [{"report", _, %{"name" => nil, "id" => "0x01000007"}}] = pick(run, ["report"])
+    end
+
+    test "an unknown component more than eight is not followed" do
+      reports =
+        Enum.reduce(1..20, Reports.new(), fn component, reports ->
+          {reports, []} = Reports.message(reports, component, event(1), {245, 191}, 0)
+          reports
+        end)
+
+      assert map_size(reports.components) == 8
+    end
+  end
+
+  test "a batch of checks: in any order, with foreign events in between, and without its end" do
+    [first, last] = for name <- ~w(commander_arming_check_summary commander_health_summary), do: id(name)
+    reason = id("check_battery_low")
+    feed = fn checks, events -> Enum.map_reduce(events, checks, &feed/2) end
+
+    {said, nil} =
+      feed.(nil, [
+        {65_534, first, 0},
+        {65_535, reason, :a},
+        {0, id("commander_armed_by"), 0},
+        {1, 0x01FFFFFF, :b},
+        {2, last, 0}
+      ])
+
+    assert said == [{:taken, nil}, {:taken, nil}, {:other, nil}, {:taken, nil}, {:taken, [:a, :b]}]
+
+    {said, nil} = feed.(nil, [{7, first, 0}, {10, last, 0}, {9, reason, :b}, {8, reason, :a}])
+    assert List.last(said) == {:taken, [:a, :b]}
+
+    {_, open} = feed.(nil, [{7, first, 0}, {8, reason, :a}])
+    assert Checks.expire(open, 4 * @second) == {open, nil}
+    assert Checks.expire(open, 5 * @second) == {nil, nil}
+    {_, open} = feed.(open, [{10, last, 0}])
+    assert Checks.expire(open, 5 * @second) == {nil, [:a]}
+    assert {[{:other, nil}], nil} = feed.(nil, [{3, reason, :a}])
+  end
+
+  defp feed({number, id, what}, checks) do
+    {verdict, checks, list} = Checks.event(checks, number, id, what, 0)
+    {{verdict, list}, checks}
+  end
+
+  defp id(name), do: Enum.find_value(Names.all(), fn {id, known} -> if known == name, do: id end)
+end

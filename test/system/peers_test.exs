@@ -105,3 +105,53 @@ defmodule Aerie.System.PeersTest do
     assert_in_delta String.to_float(findings["hz"]), 10.0, 1.0
   end
 end
+
+defmodule Aerie.System.OneIdTest do
+  @moduledoc "A hub with two radios, on each of them a vehicle with system id 1, and one ground station that flies both."
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
+
+  @moduletag :tmp_dir
+  @moduletag :python
+  @moduletag timeout: 300_000
+
+  test "pymavlink flies both through one endpoint, under the ids that the endpoint gives them (id_offsets)", %{
+    tmp_dir: folder
+  } do
+    url = "tcpin:127.0.0.1:0"
+    clients = [%{"id" => "both", "url" => url, "id_offsets" => %{"north" => 10}}]
+
+    links =
+      for network <- ["main", "north"],
+          do: %{"id" => network, "url" => "udpin:127.0.0.1:0", "network" => network}
+
+    %{gateway: gateway} = start_gateway(folder, overrides: %{"links" => links, "clients" => clients})
+
+    sims =
+      for {firmware, network} <- [ardupilot: "main", px4: "north"] do
+        link = "udpout:127.0.0.1:#{link_port(gateway, network)}"
+        options = [firmware: firmware, system: 1, link: link, ready_s: 1.0, speed: 5.0]
+        start_supervised!({SimVehicle, options}, id: firmware)
+      end
+
+    eventually(fn -> length(Store.vehicles(gateway)) == 2 end, "both vehicles are known")
+    port = Aerie.Link.snapshot(gateway, "both").port
+
+    peers =
+      for arguments <- [["ardupilot", 1, "PILOT_TKOFF_ALT"], ["px4", 11, "MIS_TAKEOFF_ALT", 254]],
+          do: start_peer("pymavlink_gcs.py", ["tcp:127.0.0.1:#{port}" | arguments])
+
+    for peer <- peers do
+      assert %{"set" => "True", "same" => "True", "arm" => "armed", "land" => "disarmed", "params" => params} =
+               findings(peer)
+
+      assert String.to_integer(params) > 150
+    end
+
+    for sim <- sims, do: assert(%{armed: false} = SimVehicle.state(sim))
+    # Each under its own id here, and no collision.
+    assert [%{key: {"main", 1}, collision: nil}, %{key: {"north", 1}, collision: nil}] = Store.vehicles(gateway)
+  end
+end

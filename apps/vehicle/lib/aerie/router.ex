@@ -372,7 +372,8 @@ defmodule Aerie.Router do
   | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`, `:link`, `:websocket` ..., words |
   | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`Aerie.Router.Owner`) |
   | `:high_latency` | whether it is spared what links of high latency do not carry (X6): configured, or found out |
-  | `:hidden` | `[{network, system}]` that it does not see, because an earlier one of its networks has that system id |
+  | `:id_offsets` | what is added to the ids of a network for it (`Aerie.Router.Renumber`) |
+  | `:hidden` | `[{network, system}]` that it does not see, because an earlier one of its networks has a system that it sees under that id |
   | `:since` | unix microseconds |
   | `:waiting` | frames on their way to its process |
   | `:counters` | `Aerie.Router.Tally` |

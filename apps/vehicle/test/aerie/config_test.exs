@@ -322,4 +322,17 @@ defmodule Aerie.ConfigTest do
     assert warning =~ "without websocket.cert_file"
     refute inspect(config, limit: :infinity) =~ "0123456789abcdef"
   end
+
+  test "ids of a network with signing keys are not renumbered: a signature covers them", context do
+    file = """
+    clients: [{id: gcs, url: "tcpin:127.0.0.1:0", id_offsets: {north: 10, south: 20}}]
+    """
+
+    assert {:ok, %{clients: [%{id_offsets: %{"north" => 10, "south" => 20}}]}} = load(context, file)
+    signing = "signing: {keys: [{network: south, key_env: SOUTH}]}\n"
+    env = %{"SOUTH" => String.duplicate("ab", 32)}
+    assert [line] = context |> load(file <> signing, [], env) |> lines(context)
+    assert line =~ "id_offsets" and line =~ "south" and line =~ "without signing keys"
+    assert {:error, _} = load(context, String.replace(file, "10", "300"))
+  end
 end

@@ -34,6 +34,7 @@ defmodule Aerie.Config.Resolve do
           &nats/1,
           &clients/1,
           &rules/1,
+          &id_offsets/1,
           &ranges/1,
           &same_port/1
         ],
@@ -244,6 +245,16 @@ defmodule Aerie.Config.Resolve do
         ["signing", "keys"],
         "one key for each network and system id"
       )
+  end
+
+  # A signature covers the ids.
+  defp id_offsets(config) do
+    signed = for %{network: network} <- config.signing.keys, uniq: true, do: network
+
+    for {client, index} <- Enum.with_index(listed(config)),
+        {network, offset} <- client.id_offsets,
+        offset != 0 and network in signed,
+        do: problem(["clients", index, "id_offsets"], "networks without signing keys", "\"#{network}\"")
   end
 
   defp twice(items, key, path, expected) do

@@ -25,6 +25,7 @@ defmodule Aerie.Router.Forward do
   alias Aerie.Router.Plan
   alias Aerie.Router.Plan.Way
   alias Aerie.Router.RateLimit
+  alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
@@ -144,8 +145,24 @@ defmodule Aerie.Router.Forward do
     frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
   end
 
-  defp send_to(target, frame, {tables, plan, way, talker, now}) do
+  defp send_to(target, frame, {tables, plan, way, _talker, _now} = context) do
     {system, keys} = addressed(target, tables, plan, way)
+
+    case meant(frame, system, way) do
+      {:ok, frame} -> send_to(frame, system, keys, context)
+      :refused -> refused(way)
+    end
+  end
+
+  # A client that sees other ids says other ids.
+  defp meant(frame, nil, _way), do: {:ok, frame}
+
+  defp meant(frame, {_network, system}, %{renumber: offsets}) when offsets != nil,
+    do: Renumber.inward(frame, system)
+
+  defp meant(frame, _system, _way), do: {:ok, frame}
+
+  defp send_to(frame, system, keys, {tables, plan, way, talker, now}) do
     batch = Batch.new([frame])
 
     heard =
@@ -174,13 +191,13 @@ defmodule Aerie.Router.Forward do
   end
 
   # The first of the networks that the sender sees in which the addressee is known decides.
-  defp addressed({system, component}, tables, plan, way) do
+  defp addressed({id, component}, tables, plan, way) do
     Enum.find_value(way.networks, {nil, []}, fn network ->
-      key = {network, system}
+      key = {network, Renumber.meant(way.renumber, network, id)}
 
       case component != 0 && Routes.ways(tables, key, component) do
         none when none in [false, []] ->
-          if({system, component} != plan.own, do: some(key, Routes.ways(tables, key)))
+          if({id, component} != plan.own, do: some(key, Routes.ways(tables, key)))
 
         ways ->
           {key, ways}
@@ -218,12 +235,30 @@ defmodule Aerie.Router.Forward do
   defp emit(to, batch, tables, way, _now) do
     # What passes here is a batch of its own, whose bytes no other way can use.
     _ =
-      case Enum.filter(batch.frames, &passes?(&1, to, tables, way)) do
+      case batch.frames |> renumbered(to, way, tables) |> Enum.filter(&passes?(&1, to, tables, way)) do
         [] -> :ok
         frames -> out(to, Batch.new(frames), way)
       end
 
     batch
+  end
+
+  defp renumbered(frames, %{renumber: offsets} = to, %{side: :vehicle} = way, tables) when offsets != nil do
+    theirs? = fn system -> Enum.any?(way.networks, &Routes.heard?(tables, {&1, system}, to.key)) end
+
+    Enum.flat_map(frames, fn frame ->
+      case Renumber.outward(offsets, way, frame, theirs?) do
+        {:ok, frame} -> [frame]
+        :refused -> refused(to)
+      end
+    end)
+  end
+
+  defp renumbered(frames, _to, _way, _tables), do: frames
+
+  defp refused(way) do
+    Tally.add(way.tally, :refused, 1)
+    []
   end
 
   defp out(%{side: :vehicle} = to, batch, %{sign: true}), do: Out.to_be_signed(to, batch)

@@ -17,12 +17,14 @@ defmodule Aerie.Router.Owner do
   | `:coalesce` | several frames that are there at the same time may share a datagram; default true |
   | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
   | `:broadcasts` | false: only what is addressed to it; default true |
+  | `:id_offsets` | system ids of a network plus a number, for a client: `%{network => n}` (`Aerie.Router.Renumber`) |
   | `:high_latency` | true: only what a link of high latency carries goes to it (X6), unless `:out` says itself which messages may |
   """
 
   alias Aerie.Router.Classify
   alias Aerie.Router.Filter
   alias Aerie.Router.RateLimit
+  alias Aerie.Router.Renumber
 
   @enforce_keys [:id]
   defstruct [
@@ -31,6 +33,7 @@ defmodule Aerie.Router.Owner do
     :in,
     :out,
     :limits,
+    :renumber,
     :bytes_per_s,
     side: :vehicle,
     networks: ["main"],
@@ -46,13 +49,14 @@ defmodule Aerie.Router.Owner do
     configured: []
   ]
 
-  @typedoc "`in`, `out`, `limits` are compiled; `options` is what it was made of, `configured` what it was made of first."
+  @typedoc "`in`, `out`, `limits`, `renumber` are compiled; `options` is what it was made of, `configured` what it was made of first."
   @type t :: %__MODULE__{
           id: String.t(),
           group: String.t() | nil,
           in: Filter.t(),
           out: Filter.t(),
           limits: RateLimit.t(),
+          renumber: Renumber.t(),
           bytes_per_s: pos_integer | nil,
           side: :vehicle | :client,
           networks: [String.t()] | :all,
@@ -69,7 +73,7 @@ defmodule Aerie.Router.Owner do
         }
 
   @keys [:side, :networks, :group, :carry, :role, :sniffer, :in, :out, :rate_limits, :bytes_per_s, :queue] ++
-          [:coalesce, :broadcasts, :high_latency, :sign]
+          [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets]
 
   @doc "The keys of options."
   @spec keys() :: [atom]
@@ -110,6 +114,9 @@ defmodule Aerie.Router.Owner do
 
   defp option(:rate_limits, rates),
     do: with({:ok, limits} <- RateLimit.compile(rates), do: {:ok, limits: limits})
+
+  defp option(:id_offsets, offsets),
+    do: with({:ok, renumber} <- Renumber.compile(offsets), do: {:ok, renumber: renumber})
 
   defp option(:networks, :all), do: {:ok, networks: :all}
 

@@ -9,6 +9,7 @@ defmodule Aerie.Router.Plan do
   alias Aerie.Router.Filter
   alias Aerie.Router.Owner
   alias Aerie.Router.RateLimit
+  alias Aerie.Router.Renumber
   alias Aerie.Router.Tables
   alias Aerie.Router.Tally
 
@@ -31,6 +32,7 @@ defmodule Aerie.Router.Plan do
                 :in,
                 :filter,
                 :limits,
+                :renumber,
                 :heard_vehicle,
                 :recorded,
                 :pid
@@ -59,6 +61,7 @@ defmodule Aerie.Router.Plan do
             in: Filter.t(),
             filter: Filter.t(),
             limits: RateLimit.t(),
+            renumber: Renumber.t(),
             heard_vehicle: boolean | nil,
             recorded: Aerie.Names.gateway() | nil,
             plain: boolean,
@@ -139,10 +142,11 @@ defmodule Aerie.Router.Plan do
       in: owner.in,
       filter: owner.out,
       limits: owner.limits,
+      renumber: owner.renumber,
       heard_vehicle: endpoint.heard_vehicle,
       recorded: if(owner.side == :vehicle and match?({:udp, _, _}, endpoint.out), do: endpoint.gateway),
       auto: endpoint.side != nil and owner.side == :vehicle,
-      plain: owner.out == nil and owner.limits == nil and not high_latency,
+      plain: owner.out == nil and owner.limits == nil and owner.renumber == nil and not high_latency,
       high_latency: high_latency,
       carry: owner.carry,
       role: owner.role,

@@ -8,7 +8,18 @@ defmodule Aerie.Router.Settings do
   alias Aerie.Router.Classify
   alias Aerie.Router.Owner
 
-  @plain [:side, :group, :role, :sniffer, :rate_limits, :bytes_per_s, :broadcasts, :coalesce, :sign]
+  @plain [
+    :side,
+    :group,
+    :role,
+    :sniffer,
+    :rate_limits,
+    :bytes_per_s,
+    :broadcasts,
+    :coalesce,
+    :id_offsets,
+    :sign
+  ]
 
   @doc "The options of `Owner.new/2` that a map of configuration keys has; keys that are left out or nil have none."
   @spec owner_options(map) :: {:ok, keyword} | {:error, String.t()}

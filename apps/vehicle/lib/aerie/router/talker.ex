@@ -14,6 +14,7 @@ defmodule Aerie.Router.Talker do
   alias Aerie.Router.Apart
   alias Aerie.Router.Plan
   alias Aerie.Router.Plan.Way
+  alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
 
@@ -136,22 +137,24 @@ defmodule Aerie.Router.Talker do
 
   @doc """
   Whether an endpoint sees what a system says by another one: they share a network, and if the endpoint sees several, no
-  earlier one of them has a system of that id.
+  earlier one of them has a system that it sees under that id.
   """
   @spec sees?(Way.t(), Way.t(), non_neg_integer, Tables.t()) :: boolean
   def sees?(%{networks: [network]}, %{networks: [network]}, _system, _tables), do: true
 
   def sees?(way, to, system, tables) do
     case Enum.split_while(to.networks, &(&1 not in way.networks)) do
-      {_all, []} ->
-        false
-
-      {[], _shared} ->
-        true
-
-      {earlier, _shared} ->
-        way.side == :client or not Enum.any?(earlier, &Routes.known?(tables, {&1, system}))
+      {_all, []} -> false
+      {[], _shared} -> true
+      {earlier, [shared | _]} -> way.side == :client or not hidden?(to, {shared, system}, earlier, tables)
     end
+  end
+
+  @doc "Whether one of these networks has a system that the endpoint sees under the id of that one."
+  @spec hidden?(Way.t(), {String.t(), non_neg_integer}, [String.t()], Tables.t()) :: boolean
+  def hidden?(%{renumber: offsets}, {network, system}, earlier, tables) do
+    id = Renumber.seen(offsets, network, system)
+    Enum.any?(earlier, &Routes.known?(tables, {&1, Renumber.meant(offsets, &1, id)}))
   end
 
   # Another vehicle's telemetry is for small teams; the vehicle's own other parts, and who is no vehicle, get everything.

@@ -13,6 +13,7 @@ defmodule Aerie.Router.Tally do
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
   | `spared` | not for a link of high latency (X6) |
+  | `refused` | to or from it, with an id that cannot be renumbered (`Aerie.Router.Renumber`) |
   | `failed` | its socket did not take them |
   | `dropped_control` ... `dropped_bulk` | dropped for want of room, by class |
   """
@@ -21,7 +22,7 @@ defmodule Aerie.Router.Tally do
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
   @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :collided, :read_only, :secret] ++
-           [:filtered_in, :filtered_out, :limited, :spared, :failed] ++
+           [:filtered_in, :filtered_out, :limited, :spared, :refused, :failed] ++
            @dropped
 
   @type t :: :counters.counters_ref()

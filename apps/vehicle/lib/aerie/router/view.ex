@@ -3,6 +3,7 @@ defmodule Aerie.Router.View do
 
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Plan
+  alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
   alias Aerie.Router.Tally
@@ -25,6 +26,7 @@ defmodule Aerie.Router.View do
         role: way.role,
         sniffer: way.sniffer,
         high_latency: way.high_latency,
+        id_offsets: way.renumber || %{},
         hidden: hidden(heard, way),
         since: endpoint.since,
         waiting: max(:atomics.get(endpoint.waiting, 1), 0),
@@ -47,10 +49,12 @@ defmodule Aerie.Router.View do
       for {system, key} <- Map.get(heard, network, []), key != way.key, uniq: true, do: system
     end
 
+    seen = fn network -> Enum.map(systems.(network), &Renumber.seen(way.renumber, network, &1)) end
+
     for {network, i} <- Enum.with_index(way.networks),
-        earlier = way.networks |> Enum.take(i) |> Enum.flat_map(systems),
+        earlier = way.networks |> Enum.take(i) |> Enum.flat_map(seen),
         system <- systems.(network),
-        system in earlier,
+        Renumber.seen(way.renumber, network, system) in earlier,
         do: {network, system}
   end
 end

@@ -11,6 +11,7 @@ defmodule Aerie.Router.Wishes do
   alias Aerie.Router.Filter
   alias Aerie.Router.Out
   alias Aerie.Router.Plan.Way
+  alias Aerie.Router.Renumber
   alias Aerie.Vehicle.Streams
   alias MavCodec.Frame
 
@@ -27,13 +28,34 @@ defmodule Aerie.Router.Wishes do
 
   defp absorbed?(gateway, way, frame) do
     with true <- way.in == nil or Filter.pass?(way.in, frame, way.owner),
-         {system, _component} <- Frame.target(frame),
-         network when network != nil <- Enum.find(way.networks, &Store.vehicle(gateway, {&1, system})),
+         {id, _component} <- Frame.target(frame),
+         {network, system} <- vehicle(gateway, way, id),
+         {:ok, frame} <- Renumber.inward(frame, system),
          {:absorb, answer} <- Streams.intercept(gateway, network, client(way.key), frame) do
-      if answer, do: Out.bytes(way, answer, :ack, 1)
+      if answer, do: answer(way, network, IO.iodata_to_binary(answer))
       true
     else
       _goes_on -> false
+    end
+  end
+
+  # Under the id that the client means: it may see others (`Aerie.Router.Renumber`).
+  defp vehicle(gateway, way, id) do
+    Enum.find_value(way.networks, fn network ->
+      system = Renumber.meant(way.renumber, network, id)
+      if system != nil and Store.vehicle(gateway, {network, system}), do: {network, system}
+    end)
+  end
+
+  defp answer(%{renumber: nil} = way, _network, bytes), do: Out.bytes(way, bytes, :ack, 1)
+
+  # In the vehicle's name, as the client knows it; it is addressed to the client.
+  defp answer(way, network, bytes) do
+    frame = Frame.from_bytes(bytes, nil)
+
+    case Renumber.outward(way.renumber, %{way | networks: [network]}, frame, fn _system -> true end) do
+      {:ok, frame} -> Out.bytes(way, frame.bytes, :ack, 1)
+      :refused -> :ok
     end
   end
 

@@ -469,6 +469,98 @@ defmodule Aerie.Router.ForwardTest do
     end
   end
 
+  describe "a client that sees the ids of a network with a number added" do
+    setup c do
+      red = vehicle(c.gateway, "red", 1, networks: ["red"])
+      blue = vehicle(c.gateway, "blue", 1, networks: ["blue"])
+      offsets = %{"blue" => 10}
+      g = client(c.gateway, "g", 255, networks: ["red", "blue"], id_offsets: offsets)
+      plain = client(c.gateway, "plain", 254, networks: ["blue"])
+      all = [red, blue, g, plain]
+      got(all)
+      {:ok, red: red, blue: blue, g: g, plain: plain, all: all}
+    end
+
+    test "sees both vehicles of one id; others see what was said (R3)", c do
+      mine = attitude(1, 1)
+      theirs = attitude(1, 2)
+      say(c.red, mine)
+      say(c.blue, theirs)
+
+      shown =
+        MavCodec.encode(%Messages.Attitude{time_boot_ms: 2, roll: 0.5, yaw: 1.0},
+          system: 11,
+          component: 1,
+          seq: 2
+        )
+
+      assert %{"g" => [^mine, ^shown], "plain" => [^theirs], "red" => [], "blue" => []} = got(c.all)
+      assert %{hidden: [], id_offsets: %{"blue" => 10}} = counted(c.gateway, "g")
+    end
+
+    test "reaches the one that it means, by that one's own id, and its answer comes under the other", c do
+      say(c.g, message(command(11), 255, 190))
+      order = message(command(1), 255, 190)
+      assert %{"blue" => [^order], "red" => []} = got(c.all)
+      say(c.g, order)
+      assert %{"blue" => [], "red" => [^order]} = got(c.all)
+      ack = %Messages.CommandAck{command: 400, target_system: 255, target_component: 190}
+      say(c.blue, message(ack, 1, 1))
+      shown = message(ack, 11, 1)
+      assert %{"g" => [^shown], "plain" => []} = got(c.all)
+      # Nobody is meant by it.
+      say(c.g, message(command(12), 255, 190))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+      assert counted(c.gateway, "g").counters.no_route == 1
+      # What is for all is for all.
+      everyone = message(command(0, 0), 255, 190)
+      say(c.g, everyone)
+      assert %{"blue" => [^everyone], "red" => [^everyone]} = got(c.all)
+    end
+
+    test "what is signed is not changed but refused, and counted; of another network it passes (S10)", c do
+      signing = MavCodec.Signing.new(:binary.copy(<<7>>, 32), link_id: 3)
+      {signed, _} = MavCodec.Signing.encode(signing, %Messages.Attitude{roll: 0.5}, system: 1, component: 1)
+      say(c.blue, signed)
+      assert %{"g" => [], "plain" => [^signed]} = got(c.all)
+      assert counted(c.gateway, "g").counters.refused == 1
+      say(c.red, signed)
+      assert %{"g" => [^signed]} = got(c.all)
+      {order, _} = MavCodec.Signing.encode(signing, command(11), system: 255, component: 190)
+      say(c.g, order)
+      assert %{"blue" => [], "red" => []} = got(c.all)
+      assert counted(c.gateway, "g").counters.refused == 2
+    end
+
+    test "filters and rate limits go by the ids that it sees; two of one id have their rates each", c do
+      :ok =
+        Router.configure(c.gateway, "g",
+          rate_limits: %{"ATTITUDE" => 0.001},
+          filter_out: %{block_systems: [12]}
+        )
+
+      for n <- 1..3, e <- [c.red, c.blue], do: say(e, attitude(1, n))
+      assert %{"g" => [_, _]} = got(c.g)
+      two = vehicle(c.gateway, "two", 2, networks: ["blue"])
+      say(two, attitude(2, 1))
+      assert %{"g" => []} = got(c.g)
+    end
+
+    test "can be changed while it runs; an id that two networks have is hidden still", c do
+      :ok = Router.configure(c.gateway, "g", id_offsets: nil)
+      assert %{hidden: [{"blue", 1}], id_offsets: %{}} = counted(c.gateway, "g")
+      say(c.blue, attitude(1, 1))
+      assert %{"g" => []} = got(c.g)
+      eleven = vehicle(c.gateway, "eleven", 11, networks: ["red"])
+      :ok = Router.configure(c.gateway, "g", id_offsets: %{"blue" => 10})
+      assert %{hidden: [{"blue", 1}]} = counted(c.gateway, "g")
+      got([eleven | c.all])
+      say(c.blue, attitude(1, 2))
+      assert %{"g" => []} = got(c.g)
+      assert {:error, _} = Router.configure(c.gateway, "g", id_offsets: %{"blue" => 300})
+    end
+  end
+
   describe "another vehicle with the id of one that was there before" do
     setup c do
       first = vehicle(c.gateway, "first", 1)

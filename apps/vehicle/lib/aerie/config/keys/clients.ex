@@ -33,6 +33,16 @@ defmodule Aerie.Config.Keys.Clients do
         "Networks that it sees, all if left out. Where two have the same system id, it sees the one that is named first.",
         default: []
       ),
+      field(
+        :id_offsets,
+        {:map, {:integer, 0, 238}},
+        """
+        System ids of a network are shown to this client with so much added, so that it sees vehicles of the same id on
+        several networks at once. Frames are changed for that; not for networks with signing keys.
+        """,
+        default: %{},
+        example: "{north: 10, south: 20}"
+      ),
       field(:label, :string, "Words for people."),
       field(:enabled, :boolean, "Open it.", default: true),
       field(:role, {:enum, [:full, :read_only]}, "read_only: nothing that it says goes to anyone.",

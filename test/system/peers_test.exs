@@ -117,9 +117,10 @@ defmodule Aerie.System.OneIdTest do
   @moduletag :python
   @moduletag timeout: 300_000
 
-  test "pymavlink flies both through one endpoint, under the ids that the endpoint gives them (id_offsets)", %{
-    tmp_dir: folder
-  } do
+  test "pymavlink flies both through one endpoint, under the ids that the endpoint gives them (id_offsets)",
+       %{
+         tmp_dir: folder
+       } do
     url = "tcpin:127.0.0.1:0"
     clients = [%{"id" => "both", "url" => url, "id_offsets" => %{"north" => 10}}]
 
@@ -152,6 +153,7 @@ defmodule Aerie.System.OneIdTest do
 
     for sim <- sims, do: assert(%{armed: false} = SimVehicle.state(sim))
     # Each under its own id here, and no collision.
-    assert [%{key: {"main", 1}, collision: nil}, %{key: {"north", 1}, collision: nil}] = Store.vehicles(gateway)
+    assert [%{key: {"main", 1}, collision: nil}, %{key: {"north", 1}, collision: nil}] =
+             Store.vehicles(gateway)
   end
 end

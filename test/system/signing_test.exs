@@ -140,6 +140,14 @@ defmodule Aerie.System.SigningTest do
     refute Aerie.Signing.Key.same?(first, second)
     assert {:ok, %{key: nil}} = Signing.enrol(c.gateway, "VID-001", key: :previous)
     assert state(c.gateway) == :verified
+    # By HTTP the same, without ever a key.
+    assert {200, %{"result" => "enrolled", "link" => "link-1"}} =
+             post(c.gateway, %{"action" => "enrol", "key" => "generate"})
+
+    assert {422, %{"error" => %{"message" => text}}} =
+             post(c.gateway, %{"action" => "enrol", "key" => "0123"})
+
+    assert text =~ "configured, generate, previous"
     assert {:ok, _} = Signing.revoke(c.gateway, "VID-001")
     assert Signing.list(c.gateway).keys == []
 
@@ -147,19 +155,29 @@ defmodule Aerie.System.SigningTest do
       eventually(
         fn ->
           events = for %{"type" => "signing." <> _} = event <- stream_events(conn), do: event
-          length(events) == 4 && events
+          length(events) == 5 && events
         end,
         "all are in NATS"
       )
 
-    assert Enum.map(events, & &1["type"]) ==
-             ~w(signing.enrolled signing.enrolled signing.enrolled signing.revoked)
+    assert Enum.map(events, & &1["type"]) == List.duplicate("signing.enrolled", 4) ++ ["signing.revoked"]
+    assert Enum.at(events, 3)["data"]["by"] == "http:local"
 
     for secret <- [first, second] do
       key = Aerie.Config.Secret.reveal(secret)
       refute inspect(events) =~ Base.encode16(key, case: :lower)
       refute inspect(events, limit: :infinity) =~ inspect(key)
     end
+  end
+
+  defp post(gateway, body) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/signing"
+    request = {url, [], ~c"application/json", JSON.encode!(body)}
+
+    {:ok, {{_version, status, _reason}, _headers, body}} =
+      :httpc.request(:post, request, [], body_format: :binary)
+
+    {status, JSON.decode!(body)}
   end
 
   test "S8: by a link that is not secure nothing is sent, and the error says what to do", c do

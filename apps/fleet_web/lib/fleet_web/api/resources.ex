@@ -1,8 +1,8 @@
 defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
-  alias Aerie.Client
-  alias FleetWeb.API.{Error, NewClient, Recordings, Request, Tickets, View}
+  alias Aerie.{Client, Signing}
+  alias FleetWeb.API.{Error, NewClient, Recordings, Request, SigningOrder, Tickets, View}
 
   @resources [
     {"/api", :index, %{"GET" => :index}},
@@ -11,6 +11,8 @@ defmodule FleetWeb.API.Resources do
     {"/api/vehicles/:id", :vehicle, %{"GET" => :vehicle}},
     {"/api/vehicles/:id/save", :save, %{"POST" => :save}},
     {"/api/vehicles/:id/recording", :vehicle_recording, %{"PUT" => :record_vehicle}},
+    {"/api/vehicles/:id/signing", :vehicle_signing, %{"GET" => :vehicle_signing, "POST" => :sign_vehicle}},
+    {"/api/signing", :signing, %{"GET" => :signing}},
     {"/api/links", :links, %{"GET" => :links}},
     {"/api/links/:id/recording", :link_recording, %{"PUT" => :record_link}},
     {"/api/recorder", :recorder, %{"GET" => :recorder}},
@@ -62,8 +64,31 @@ defmodule FleetWeb.API.Resources do
 
   def run(:vehicle, state, request) do
     case View.vehicle(state.gateway, :cowboy_req.binding(:id, request)) do
-      nil -> {:error, Error.new(:not_found, "no vehicle of this name was heard; see /api/vehicles"), request}
+      nil -> {:error, unheard(), request}
       vehicle -> {:ok, 200, vehicle, request}
+    end
+  end
+
+  def run(:signing, state, request), do: {:ok, 200, View.signing(state.gateway), request}
+
+  def run(:vehicle_signing, state, request) do
+    case View.vehicle(state.gateway, :cowboy_req.binding(:id, request)) do
+      nil -> {:error, unheard(), request}
+      %{signing: nil} -> {:error, Error.new(:not_found, "there is no key for this vehicle"), request}
+      %{signing: signing} -> {:ok, 200, signing, request}
+    end
+  end
+
+  # Waits until the vehicle was seen to have the key, ten seconds at most.
+  def run(:sign_vehicle, state, request) do
+    id = :cowboy_req.binding(:id, request)
+
+    with {:ok, object, request} <- Request.object(request) do
+      case sign(state, id, SigningOrder.parse(object)) do
+        {:ok, answer} -> {:ok, 200, answer, request}
+        {:error, %Error{} = error} -> {:error, error, request}
+        {:error, words} -> {:error, Error.new(:invalid, words), request}
+      end
     end
   end
 
@@ -117,6 +142,25 @@ defmodule FleetWeb.API.Resources do
         {:error, Error.new(:conflict, "this is a link to vehicles"), request}
     end
   end
+
+  defp unheard, do: Error.new(:not_found, "no vehicle of this name was heard; see /api/vehicles")
+
+  # A new key stays in this gateway's folder of keys.
+  defp sign(%{gateway: gateway, name: name}, id, {:ok, action, options}) do
+    options = [by: "http:#{name}"] ++ options
+
+    case {View.vehicle(gateway, id), action} do
+      {nil, _action} -> {:error, unheard()}
+      {_known, :enrol} -> done(Signing.enrol(gateway, id, options), "enrolled")
+      {_known, :revoke} -> done(Signing.revoke(gateway, id, options), "revoked")
+      {_known, :discard} -> with(:ok <- Signing.discard(gateway, id), do: {:ok, %{result: "discarded"}})
+    end
+  end
+
+  defp sign(_state, _id, {:error, error}), do: {:error, error}
+
+  defp done({:ok, %{link: link}}, result), do: {:ok, %{result: result, link: link}}
+  defp done({:error, words}, _result), do: {:error, words}
 
   defp add(gateway, object) do
     with {:ok, url, options} <- NewClient.parse(object) do

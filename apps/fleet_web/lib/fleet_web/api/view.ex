@@ -65,15 +65,19 @@ defmodule FleetWeb.API.View do
         component: vehicle[:component],
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
-        signing: signing(vehicle[:signing]),
+        signing: signed(vehicle[:signing]),
         groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, clock)} end)
       })
     end
   end
 
-  defp signing(nil), do: nil
+  @doc "All keys by their names, without the keys; which vehicles have one that is not proven."
+  @spec signing(term()) :: map()
+  def signing(gateway), do: Json.plain(Aerie.Signing.list(gateway))
 
-  defp signing(signing) do
+  defp signed(nil), do: nil
+
+  defp signed(signing) do
     times = Map.new([:verified_at, :unsigned_at], &{&1, Json.time(signing[&1])})
     Json.plain(Map.merge(signing, times))
   end

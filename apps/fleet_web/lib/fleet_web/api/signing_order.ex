@@ -1,0 +1,52 @@
+defmodule FleetWeb.API.SigningOrder do
+  @moduledoc """
+  The body of `POST /api/vehicles/ID/signing`, checked. Pure.
+
+      {"action": "enrol", "key": "generate", "link": "usb"}
+
+  `action` is `enrol`, `revoke` or `discard`; `key` of `enrol` is `configured` (default), `generate` or `previous`. A key itself,
+  or a file of this machine, is not for who comes by HTTP, and no answer has one in it (S9). See `Aerie.Signing.enrol/3`.
+  """
+
+  alias FleetWeb.API.Error
+
+  @known ["action", "key", "link", "component"]
+  @actions %{"enrol" => :enrol, "revoke" => :revoke, "discard" => :discard}
+  @keys %{"configured" => [], "generate" => [key: :generate], "previous" => [key: :previous]}
+
+  @doc "The action and the options of `Aerie.Signing`."
+  @spec parse(map()) :: {:ok, :enrol | :revoke | :discard, keyword()} | {:error, Error.t()}
+  def parse(object) do
+    with :ok <- known(Map.keys(object) -- @known),
+         {:ok, action} <- one_of("action", object["action"], @actions),
+         {:ok, key} <- one_of("key", Map.get(object, "key", "configured"), @keys),
+         :ok <- only(key == [] or action == :enrol, "key is for the action enrol"),
+         {:ok, link} <- link(object["link"]),
+         {:ok, component} <- component(object["component"]) do
+      {:ok, action, key ++ link ++ component}
+    end
+  end
+
+  defp known([]), do: :ok
+
+  defp known([key | _]),
+    do: invalid("#{inspect(String.slice(key, 0, 64))} is no key: #{Enum.join(@known, ", ")}")
+
+  defp one_of(name, value, values) do
+    with :error <- Map.fetch(values, value),
+         do: invalid("#{name} is one of #{Enum.join(Map.keys(values), ", ")}")
+  end
+
+  defp only(true, _words), do: :ok
+  defp only(false, words), do: invalid(words)
+
+  defp link(nil), do: {:ok, []}
+  defp link(link) when is_binary(link) and byte_size(link) <= 512, do: {:ok, [link: link]}
+  defp link(_other), do: invalid("link is the id of a link")
+
+  defp component(nil), do: {:ok, []}
+  defp component(n) when is_integer(n) and n in 1..255, do: {:ok, [component: n]}
+  defp component(_other), do: invalid("component is a number from 1 to 255")
+
+  defp invalid(words), do: {:error, Error.new(:invalid, words)}
+end

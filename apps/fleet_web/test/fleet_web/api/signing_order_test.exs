@@ -1,0 +1,52 @@
+defmodule FleetWeb.API.SigningOrderTest do
+  use ExUnit.Case, async: true
+  use FleetWeb.APICase
+
+  alias FleetWeb.API.SigningOrder
+
+  defp words(object) do
+    assert {:error, %{status: 422, message: words}} = SigningOrder.parse(object)
+    words
+  end
+
+  test "what may be asked" do
+    assert SigningOrder.parse(%{"action" => "enrol"}) == {:ok, :enrol, []}
+
+    assert SigningOrder.parse(%{"action" => "enrol", "key" => "generate", "link" => "usb", "component" => 2}) ==
+             {:ok, :enrol, [key: :generate, link: "usb", component: 2]}
+
+    assert SigningOrder.parse(%{"action" => "revoke", "link" => "usb"}) == {:ok, :revoke, [link: "usb"]}
+  end
+
+  test "S9: no key and no file comes by HTTP; everything else that is wrong is told" do
+    assert words(%{"action" => "enrol", "key" => "a passphrase"}) =~
+             "key is one of configured, generate, previous"
+
+    assert words(%{"action" => "enrol", "key_file" => "/etc/shadow"}) =~ "is no key"
+    assert words(%{"action" => "enrol", "key" => %{"file" => "x"}}) =~ "key is one of"
+    assert words(%{}) =~ "action is one of discard, enrol, revoke"
+    assert words(%{"action" => "revoke", "key" => "generate"}) =~ "for the action enrol"
+    assert words(%{"action" => "enrol", "link" => 5}) =~ "id of a link"
+    assert words(%{"action" => "enrol", "component" => 0}) =~ "1 to 255"
+  end
+
+  test "the resources: keys by name, nobody unheard is given one, a vehicle without a key says so" do
+    %{gateway: gateway, port: port} = start_server(links: true)
+    assert {200, _, %{"keys" => [], "pending" => []}} = request(port, "GET", "/api/signing")
+    json = [{"content-type", "application/json"}]
+    body = JSON.encode!(%{"action" => "enrol"})
+    assert {404, _, _} = request(port, "POST", "/api/vehicles/VID-001/signing", json, body)
+    put_vehicle(gateway, "VID-001", 1)
+
+    assert {404, _, %{"error" => %{"message" => text}}} =
+             request(port, "GET", "/api/vehicles/VID-001/signing")
+
+    assert text =~ "no key"
+
+    assert {422, _, %{"error" => %{"message" => text}}} =
+             request(port, "POST", "/api/vehicles/VID-001/signing", json, body)
+
+    assert text =~ "no signing key is configured"
+    assert {405, %{"allow" => "GET"}, _} = request(port, "POST", "/api/signing", json, body)
+  end
+end

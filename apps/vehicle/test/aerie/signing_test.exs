@@ -120,6 +120,21 @@ defmodule Aerie.SigningTest do
     assert Signing.vehicle(gateway, {"main", 51}).state == :unknown
   end
 
+  test "S7: in the name of the autopilot, or of anybody who signs, it is a forgery and teaches no route", c do
+    gateway = start_signing(c.tmp_dir)
+    {bytes, _} = MavCodec.Signing.sign(signer(), heartbeat(1, component: 68), 50)
+
+    status = fn component ->
+      frame(MavCodec.encode(%MavCodec.Messages.RadioStatus{}, system: 1, component: component))
+    end
+
+    assert [_] = Signing.admit(gateway, source(), [status.(68)])
+    assert [_] = Signing.admit(gateway, source(), [frame(bytes)])
+    assert [] = Signing.admit(gateway, source(), [status.(68), status.(1)])
+    Router.deliver(gateway, source(peer: :forger), [status.(1)])
+    assert Router.way(gateway, {"main", 1}) == nil
+  end
+
   test "a key of one vehicle is for that one; other networks and systems are not concerned", c do
     gateway = start_signing(c.tmp_dir, system_id: 7)
     others = [frame(heartbeat(8)), frame(heartbeat(255, type: 6, autopilot: 8))]

@@ -5,7 +5,7 @@ defmodule Aerie.Signing.Guard do
   | verdict | meaning |
   |---|---|
   | `:verified` | the signature is right |
-  | `:exempt` | it needs none: RADIO_STATUS of a radio (S7), or what the configuration lists |
+  | `:exempt` | it needs none: RADIO_STATUS of a radio (S7), or what the configuration lists, from who does not sign otherwise |
   | `:secure` | unsigned, but it came by a link that is marked secure |
   | `:unsigned` | unsigned, and the policy takes that (S11) |
   | `:unchecked` | the policy is off |
@@ -32,7 +32,7 @@ defmodule Aerie.Signing.Guard do
   def check(%Scope{policy: :off}, signing, _frame, _trust), do: {:unchecked, signing}
 
   def check(scope, signing, %Frame{signature: nil} = frame, trust),
-    do: {unsigned(scope, frame, trust), signing}
+    do: {unsigned(scope, signing, frame, trust), signing}
 
   def check(_scope, nil, _frame, _trust), do: {{:rejected, :no_key}, nil}
 
@@ -43,14 +43,21 @@ defmodule Aerie.Signing.Guard do
     end
   end
 
-  defp unsigned(scope, frame, trust) do
+  # Who can sign must, and an autopilot is no radio: else anybody could have what is for the vehicle sent to himself, by a
+  # RADIO_STATUS in its name.
+  defp unsigned(scope, signing, frame, trust) do
     cond do
-      frame.id in scope.allow -> :exempt
+      frame.id in scope.allow and frame.component != 1 and not signs?(signing, frame) -> :exempt
       trust == :secure -> :secure
       scope.policy == :accept_unsigned -> :unsigned
       true -> {:rejected, :unsigned}
     end
   end
+
+  defp signs?(nil, _frame), do: false
+
+  defp signs?(signing, %Frame{system: system, component: component}),
+    do: Enum.any?(Signing.streams(signing), &match?({{_link_id, ^system, ^component}, _last}, &1))
 
   @doc """
   Signs the frames in `bytes` that are unsigned, of version 2 and from `own` (`{system, component}`, or `:any`); everything

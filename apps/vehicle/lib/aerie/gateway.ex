@@ -39,6 +39,7 @@ defmodule Aerie.Gateway do
   use Supervisor
 
   alias Aerie.Names
+  alias Aerie.Vehicle.Identity.Latch
 
   @typedoc """
   * `:name` - any term, `:default` when absent
@@ -67,9 +68,12 @@ defmodule Aerie.Gateway do
     }
   end
 
-  @doc "The configuration a running gateway was started with, or nil when there is no such gateway."
+  @doc """
+  The configuration a running gateway was started with, or nil when there is no such gateway. A `mavlink.system_id` that was
+  to be found out is the one that was.
+  """
   @spec config(Names.gateway()) :: term() | nil
-  def config(gateway), do: Names.value(gateway, :gateway)
+  def config(gateway), do: gateway |> Names.value(:gateway) |> Latch.resolve(gateway)
 
   @doc "Ends a gateway: links first, then vehicles, router, bridge and store."
   @spec stop(Names.gateway()) :: :ok

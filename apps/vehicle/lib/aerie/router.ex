@@ -248,6 +248,7 @@ defmodule Aerie.Router do
     case Admission.session(gateway, tables, key, now) do
       {:ok, session} -> pass(gateway, tables, from, key, session, frames, now, outcome)
       :refused -> %{outcome | refused: outcome.refused + length(frames)}
+      :not_yet -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
     end
   end
 

@@ -269,6 +269,13 @@ defmodule Aerie.Signing do
   @spec discard(Names.gateway(), vehicle) :: :ok | {:error, String.t()}
   def discard(gateway, vehicle), do: Enrolment.discard(gateway, vehicle)
 
+  @doc "Who we are, when that is found out (`Aerie.Vehicle.Identity.Latch`): what has these ids is ours to sign."
+  @spec identify(Names.gateway(), {pos_integer, 0..255}) :: :ok
+  def identify(gateway, ids) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: :ets.insert(tables.settings, {:own, ids})
+    :ok
+  end
+
   @doc "Reads the configured keys again, after a file was replaced. What cannot be read leaves the old key in place."
   @spec reload(Names.gateway()) :: [{String.t(), :same | :changed | {:error, String.t()}}]
   def reload(gateway), do: for({id, result} <- Vault.reload(gateway), do: {Scope.name(id), result})

@@ -36,6 +36,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :link, :peer_down], Aerie.Link},
     {[:aerie, :link, :added], Aerie.Link},
     {[:aerie, :link, :removed], Aerie.Link},
+    {[:aerie, :identity, :latched], Aerie.Vehicle.Identity.Latch},
     {[:aerie, :identity, :silent], Aerie.Vehicle.Identity.Pulse},
     {[:aerie, :identity, :answering], Aerie.Vehicle.Identity.Pulse},
     {[:aerie, :router, :vehicle_found], Aerie.Router},

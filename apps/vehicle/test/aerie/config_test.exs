@@ -92,7 +92,7 @@ defmodule Aerie.ConfigTest do
 
     assert lines(result, context) == [
              ~s|gateway.yaml: enviroment: expected a known key, got an unknown one (did you mean "environment"?)|,
-             "gateway.yaml: mavlink.system_id: expected an integer from 1 to 4294967295, got 0",
+             "gateway.yaml: mavlink.system_id: expected an integer from 1 to 4294967295, or auto, got 0",
              ~s|gateway.yaml: links[0].netwrk: expected a known key, got an unknown one (did you mean "network"?)|,
              "gateway.yaml: links[1].url: expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, " <>
                "DEVICE,BAUD, serial:auto or replay:FILE, got nothing (it is required)",
@@ -334,5 +334,20 @@ defmodule Aerie.ConfigTest do
     assert [line] = context |> load(file <> signing, [], env) |> lines(context)
     assert line =~ "id_offsets" and line =~ "south" and line =~ "without signing keys"
     assert {:error, _} = load(context, String.replace(file, "10", "300"))
+  end
+
+  test "R11: auto takes the vehicle's id; a hub has one of its own", context do
+    assert {:ok, %{mavlink: %{system_id: :auto}, vehicles: []}} =
+             load(context, "vehicle_id: VID-007\nmavlink: {system_id: auto}\n")
+
+    assert {:ok, %{mavlink: %{system_id: 7}}} =
+             load(context, "vehicle_id: VID-007\nmavlink: {system_id: 7}\n")
+
+    assert [line] = context |> load("mavlink: {system_id: auto}\n") |> lines(context)
+    assert line =~ "mavlink.system_id" and line =~ "vehicle_id"
+    assert [line] = context |> load("mavlink: {system_id: 0}\n") |> lines(context)
+    assert line =~ "from 1 to"
+    env = %{"AERIE_MAVLINK_SYSTEM_ID" => "auto", "AERIE_VEHICLE_ID" => "VID-007"}
+    assert {:ok, %{mavlink: %{system_id: :auto}}} = load(context, "", [], env)
   end
 end

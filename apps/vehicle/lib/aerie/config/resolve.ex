@@ -58,7 +58,7 @@ defmodule Aerie.Config.Resolve do
 
   defp vehicles(config) do
     own =
-      if config.vehicle_id,
+      if config.vehicle_id != nil and config.mavlink.system_id != :auto,
         do: [%{id: config.vehicle_id, network: config.network, system_id: config.mavlink.system_id}],
         else: []
 
@@ -190,6 +190,12 @@ defmodule Aerie.Config.Resolve do
 
   defp plain_url(uri),
     do: URI.to_string(%{uri | userinfo: nil, authority: nil, path: nil, port: uri.port || 4222})
+
+  # A hub has nobody's id to take.
+  defp identity(%{vehicle_id: nil, mavlink: %{system_id: :auto}}) do
+    hint = "auto takes the id of the vehicle that this gateway is aboard of; a hub has one of its own"
+    [%{problem(["mavlink", "system_id"], "a number, or vehicle_id beside it", "auto") | hint: hint}]
+  end
 
   # A heartbeat that a vehicle takes for its operator's hides that the operator is gone (H5).
   defp identity(%{mavlink: %{i_am_the_gcs: true}}), do: []

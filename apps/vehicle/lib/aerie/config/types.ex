@@ -14,6 +14,10 @@ defmodule Aerie.Config.Types do
      "a name of at most 64 letters, digits, - and _ (it becomes part of NATS subjects)"}
   end
 
+  @doc "A system id, or `auto`. Gives a number or `:auto`."
+  @spec system_id() :: Field.type()
+  def system_id, do: {:parse, &parse_system_id/1, "an integer from 1 to 4294967295, or auto"}
+
   @doc "`HOST:PORT`, `:PORT` (all addresses) or `[IPV6]:PORT`; or `off`. Gives `{host, port}` or `:off`."
   @spec listen_address() :: Field.type()
   def listen_address do
@@ -57,6 +61,14 @@ defmodule Aerie.Config.Types do
   @spec parse_token(String.t()) :: {:ok, String.t()} | :error
   def parse_token(text) do
     if Regex.match?(~r/\A[A-Za-z0-9_-]{1,64}\z/, text), do: {:ok, text}, else: :error
+  end
+
+  @doc false
+  @spec parse_system_id(String.t()) :: {:ok, pos_integer | :auto} | :error
+  def parse_system_id("auto"), do: {:ok, :auto}
+
+  def parse_system_id(text) do
+    with {n, ""} when n in 1..4_294_967_295 <- Integer.parse(text), do: {:ok, n}, else: (_ -> :error)
   end
 
   @doc false

@@ -12,6 +12,7 @@ defmodule Aerie.Link.Announcer do
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Vehicle.Identity
+  alias Aerie.Vehicle.Identity.Latch
   alias MavCodec.Encoder
   alias MavCodec.Enums
   alias MavCodec.Messages.Heartbeat
@@ -34,13 +35,13 @@ defmodule Aerie.Link.Announcer do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:link_announcer, gateway})
 
-    case own(Keyword.get(options, :config)) do
-      nil ->
-        :ignore
+    config = Keyword.get(options, :config)
 
-      ids ->
-        {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
-        {:ok, %{gateway: gateway, encoder: Encoder.new(ids)}}
+    if own(config) == nil do
+      :ignore
+    else
+      {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
+      {:ok, %{gateway: gateway, config: config, encoder: nil}}
     end
   end
 
@@ -52,6 +53,14 @@ defmodule Aerie.Link.Announcer do
   defp own(_none), do: [system: 245, component: 191]
 
   @impl GenServer
+  def handle_info(:announce, %{encoder: nil} = state) do
+    # Nobody speaks who does not know yet who he is (`Aerie.Vehicle.Identity.Latch`).
+    case state.config |> Latch.resolve(state.gateway) |> own() do
+      [system: :auto, component: _component] -> {:noreply, state}
+      ids -> handle_info(:announce, %{state | encoder: Encoder.new(ids)})
+    end
+  end
+
   def handle_info(:announce, state) do
     now = System.os_time(:microsecond)
 

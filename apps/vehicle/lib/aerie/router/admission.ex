@@ -7,13 +7,19 @@ defmodule Aerie.Router.Admission do
 
   alias Aerie.Names
   alias Aerie.Router.Tables
+  alias Aerie.Vehicle.Identity.Latch
 
   @again_ms 5_000
   @max_refused 4_096
 
-  @doc "The vehicle's session, started if need be."
-  @spec session(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) :: {:ok, pid} | :refused
+  @doc "The vehicle's session, started if need be. `:not_yet`: the gateway does not know who it is."
+  @spec session(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) ::
+          {:ok, pid} | :refused | :not_yet
   def session(gateway, tables, key, now) do
+    if Latch.open?(gateway, tables, key, now), do: admit(gateway, tables, key, now), else: :not_yet
+  end
+
+  defp admit(gateway, tables, key, now) do
     case :ets.lookup(tables.refused, key) do
       [{_key, until}] when now < until -> :refused
       _free -> ensure(gateway, tables, key, now)

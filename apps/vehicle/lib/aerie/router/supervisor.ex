@@ -9,6 +9,7 @@ defmodule Aerie.Router.Supervisor do
 
   alias Aerie.Names
   alias Aerie.Router.Tables
+  alias Aerie.Vehicle.Identity.Latch
 
   @doc "Options: `:gateway`, `:config`."
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -21,7 +22,7 @@ defmodule Aerie.Router.Supervisor do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:router, gateway})
     config = Keyword.get(options, :config)
-    _tables = Tables.create(gateway, settings(config))
+    _tables = Tables.create(gateway, settings(config, gateway))
 
     children = [
       {Aerie.Router.Watch, gateway: gateway},
@@ -34,11 +35,9 @@ defmodule Aerie.Router.Supervisor do
     Supervisor.init(children, strategy: :one_for_one, max_restarts: 10, max_seconds: 10)
   end
 
-  defp settings(config), do: [own: own(config), between_vehicles: between(config), network: network(config)]
-
   # Frames that carry our own ids come back through a loop.
-  defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
-  defp own(_none), do: nil
+  defp settings(config, gateway),
+    do: Latch.settings(config, gateway) ++ [between_vehicles: between(config), network: network(config)]
 
   defp between(%{router: %{between_vehicles: between}}), do: between
   defp between(_none), do: :auto

@@ -7,6 +7,7 @@ defmodule Aerie.Signing.Supervisor do
 
   alias Aerie.Names
   alias Aerie.Signing.{Tables, Vault}
+  alias Aerie.Vehicle.Identity.Latch
 
   @doc "Options: `:gateway`, `:config`, `:clock` (unix microseconds; for tests)."
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -19,7 +20,12 @@ defmodule Aerie.Signing.Supervisor do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:signing, gateway})
     clock = if options[:clock], do: [clock: options[:clock]], else: []
-    _tables = Tables.create(gateway, [own: own(Keyword.get(options, :config))] ++ clock)
+
+    _tables =
+      Tables.create(
+        gateway,
+        [own: options |> Keyword.get(:config) |> Latch.resolve(gateway) |> own()] ++ clock
+      )
 
     # Without the vault links go on with what they have: it is worth many tries and no other part of the gateway.
     Supervisor.init([{Vault, options}], strategy: :one_for_one, max_restarts: 100, max_seconds: 1)

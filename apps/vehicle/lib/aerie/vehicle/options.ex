@@ -80,7 +80,7 @@ defmodule Aerie.Vehicle.Options do
         defaults
         | stale_us: us(get(config, [:timeouts, :vehicle_stale_s], 3.0)),
           lost_us: us(get(config, [:timeouts, :vehicle_lost_s], 5.0)),
-          own_system: get(config, [:mavlink, :system_id], nil) || if(companion, do: system_id, else: 245),
+          own_system: own_system(config) || if(companion, do: system_id, else: 245),
           own_component: get(config, [:mavlink, :component_id], 191),
           heartbeat: get(config, [:mavlink, :heartbeat], true),
           heartbeat_type: get(config, [:mavlink, :heartbeat_type], :onboard_controller),
@@ -140,8 +140,13 @@ defmodule Aerie.Vehicle.Options do
 
     case get(config, [:vehicle_id], nil) do
       nil -> listed
-      id -> Map.put_new(listed, {default_network, get(config, [:mavlink, :system_id], nil) || 1}, id)
+      id -> Map.put_new(listed, {default_network, own_system(config) || 1}, id)
     end
+  end
+
+  # What is to be found out is the vehicle's own, whichever it is.
+  defp own_system(config) do
+    with :auto <- get(config, [:mavlink, :system_id], nil), do: nil
   end
 
   # Names that are no messages were refused with the configuration.

@@ -19,10 +19,11 @@ defmodule Aerie.Config.Keys.Mavlink do
       ),
       field(
         :system_id,
-        {:integer, 1, 4_294_967_295},
+        Types.system_id(),
         """
-        System id of this gateway. Companion (vehicle_id given): the vehicle's own, 1 if left out.
-        Hub: one from the top, 245 if left out. 255 is the ground station's: refused without i_am_the_gcs.
+        System id of this gateway. Companion (vehicle_id given): the vehicle's own, 1 if left out; auto: that of the one
+        autopilot that is heard within three seconds of the first heartbeat. Hub: one from the top, 245 if left out. 255 is
+        the ground station's: refused without i_am_the_gcs.
         """,
         example: "245"
       ),

@@ -12,6 +12,43 @@ defmodule Aerie.System.RecorderTest do
   @moduletag :tmp_dir
   @moduletag timeout: 300_000
 
+  test "a failsafe saves the vehicle's last moments by itself: the file has what led to it, and its replay tells of it",
+       c do
+    %{gateway: gateway} =
+      start_gateway(c.tmp_dir,
+        links: ["udpin:127.0.0.1:0"],
+        overrides: %{
+          "recorder" => %{"dir" => Path.join(c.tmp_dir, "recordings"), "min_free_mb" => 0, "after_s" => 1}
+        }
+      )
+
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+    script = [:ready, :arm, {:takeoff, 5}, {:wait, 300}]
+
+    sim =
+      start_supervised!({SimVehicle, firmware: :px4, system: 78, ready_s: 1.0, link: link, script: script})
+
+    mode = fn -> get_in(Store.vehicle(gateway, "VID-078"), [:groups, :mode, :data, :in_air]) end
+    eventually(fn -> Store.vehicle(gateway, "VID-078") && mode.() end, "it flies")
+    assert Path.wildcard(Path.join(c.tmp_dir, "recordings/*")) == []
+
+    :ok = SimVehicle.failsafe(sim, :battery_critical)
+
+    [file] =
+      eventually(
+        fn ->
+          files = for %{open: false, file: file} <- Aerie.Recorder.list(gateway), do: file
+          files != [] and Enum.take(files, 1)
+        end,
+        "its last moments are saved"
+      )
+
+    assert Path.basename(file) =~ ~r/\Amain-VID-078-(failsafe|battery\.critical)-/
+    assert {:ok, flight} = Replay.run(file)
+    types = for event <- flight.events, event.vehicle == "VID-078", do: event.type
+    assert ["armed", "takeoff", "failsafe"] -- types == []
+  end
+
   describe "a gateway of its own process" do
     setup %{tmp_dir: folder} do
       recordings = Path.join(folder, "recordings")

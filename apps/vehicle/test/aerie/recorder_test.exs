@@ -203,6 +203,20 @@ defmodule Aerie.RecorderTest do
       for file <- files, do: assert(File.stat!(file).size < 25_000)
     end
 
+    test "or old enough", c do
+      gateway = start_recorder(c.tmp_dir, %{max_file_minutes: 0.001})
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      first = Recording.flush(recording)
+      assert %{state: :recording} = status(gateway)
+      # Looked at once a second.
+      eventually(fn -> status(gateway).file == nil end)
+      give(gateway, attitudes(1, 11..20))
+      second = Recording.flush(recording)
+      assert second != first
+      assert {numbers(first), numbers(second)} == {Enum.to_list(1..10), Enum.to_list(11..20)}
+    end
+
     test "S9: neither keys nor signatures get into a file", c do
       gateway = start_recorder(c.tmp_dir)
       recording = vehicle(gateway)
@@ -224,19 +238,30 @@ defmodule Aerie.RecorderTest do
   end
 
   describe "a disk that fails" do
-    test "full (the system says so): records are lost and counted, nothing else", c do
-      gateway = start_recorder(c.tmp_dir, %{files: FullDisk})
+    @describetag :capture_log
+
+    test "full (the system says so): records are lost and counted, nothing else, and the log says so once",
+         c do
+      gateway = start_recorder(c.tmp_dir, %{files: FullDisk, pause_ms: 0})
       listen_paused(gateway)
       recording = vehicle(gateway)
       give(gateway, attitudes(1, 1..10))
-      assert Recording.flush(recording) == nil
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          assert Recording.flush(recording) == nil
+          give(gateway, attitudes(1, 1..1))
+          assert Recording.flush(recording) == nil
+        end)
+
+      assert length(String.split(log, "main-1 is not recorded: no space left on device")) == 2
       assert_received {:paused, "no space left on device"}
-      assert %{state: :paused, dropped: 10, frames: 0, reason: "no space left on device"} = status(gateway)
-      assert %{errors: 1, error: %{reason: "no space left on device", at: at}} = status(gateway)
+      assert %{state: :paused, dropped: 11, frames: 0, reason: "no space left on device"} = status(gateway)
+      assert %{errors: 2, error: %{reason: "no space left on device", at: at}} = status(gateway)
       assert_in_delta at, System.os_time(:second), 60
       give(gateway, attitudes(1, 11..20))
       Recording.flush(recording)
-      assert status(gateway).dropped == 20
+      assert status(gateway).dropped == 21
       assert Process.alive?(recording)
     end
 
@@ -299,6 +324,20 @@ defmodule Aerie.RecorderTest do
       assert Tap.waiting(counters) == 0
     end
 
+    test "a file that somebody removes while it is written: told, and a new one is begun", c do
+      gateway = start_recorder(c.tmp_dir)
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      file = Recording.flush(recording)
+      File.rm!(file)
+      eventually(fn -> status(gateway).errors == 1 end)
+      assert %{file: nil, error: %{reason: reason}} = status(gateway)
+      assert reason == "#{file} was removed while it was written"
+      give(gateway, attitudes(1, 11..20))
+      assert numbers(Recording.flush(recording)) == Enum.to_list(11..20)
+      assert status(gateway).state == :recording
+    end
+
     test "a folder that cannot be made", c do
       File.write!(Path.join(c.tmp_dir, "recordings"), "in the way")
       gateway = start_recorder(c.tmp_dir)
@@ -327,6 +366,8 @@ defmodule Aerie.RecorderTest do
   end
 
   describe "room" do
+    @describetag :capture_log
+
     setup c do
       FaultyDisk.new(c.tmp_dir)
       {:ok, dir: Path.join(c.tmp_dir, "recordings")}

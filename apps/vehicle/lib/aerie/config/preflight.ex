@@ -16,7 +16,7 @@ defmodule Aerie.Config.Preflight do
   @spec check(Config.t()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
   def check(%Config{} = config) do
     case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) do
-      [] -> {:ok, outbox(config)}
+      [] -> {:ok, outbox(config) ++ recorder(config)}
       errors -> {:error, errors}
     end
   end
@@ -132,6 +132,14 @@ defmodule Aerie.Config.Preflight do
     for %Error{} = error <- writable(config, "outbox.dir", config.outbox.dir) do
       "#{error}; while NATS is away, events are kept in memory only"
     end
+  end
+
+  # Nor without its recordings. The folder is made by the first one, so only who is to record is told.
+  defp recorder(%Config{recorder: %{links: :off, vehicles: :off}}), do: []
+
+  defp recorder(config) do
+    for %Error{} = error <- writable(config, "recorder.dir", config.recorder.dir),
+        do: "#{error}; nothing is recorded"
   end
 
   defp writable(config, key, dir) do

@@ -59,6 +59,16 @@ defmodule Aerie.Config.PreflightTest do
     assert Preflight.check(%{config | http: %{config.http | port: port}}) == {:ok, []}
   end
 
+  test "a folder of recordings that cannot be written is a warning, if something is to be recorded", %{
+    tmp_dir: dir
+  } do
+    File.write!(Path.join(dir, "file"), "")
+    there = {"recorder.dir", Path.join(dir, "file")}
+    assert {:ok, []} = Preflight.check(config(dir, [there]))
+    assert {:ok, [warning]} = Preflight.check(config(dir, [there, {"recorder.vehicles", "armed"}]))
+    assert warning =~ "recorder.dir" and warning =~ "nothing is recorded"
+  end
+
   test "an outbox that cannot be written is a warning", %{tmp_dir: dir} do
     File.write!(Path.join(dir, "file"), "")
     assert {:ok, [warning]} = Preflight.check(config(dir, [{"outbox.dir", Path.join(dir, "file")}]))

@@ -9,6 +9,8 @@ defmodule Aerie.Recorder.Recording.Output do
   Belongs to the process that made it, as its files do.
   """
 
+  require Logger
+
   alias Aerie.Names
   alias Aerie.Recorder.{Archive, Settings, Tables}
 
@@ -22,6 +24,7 @@ defmodule Aerie.Recorder.Recording.Output do
                 :paused_until,
                 :reason,
                 :error,
+                :told,
                 size: 0,
                 synced: true,
                 totals: %{frames: 0, bytes: 0, files: 0, dropped: 0, errors: 0}
@@ -31,6 +34,7 @@ defmodule Aerie.Recorder.Recording.Output do
   - `file`, `size`, `since` (unix seconds), `opened` (monotonic ms): of the file that is being written
   - `paused_until` (monotonic ms), `reason`: while nothing is written
   - `error`: the last fault, `%{at: unix seconds, reason: words}`
+  - `told`: the fault that the log has, until something is written again
   - `totals`: frames and bytes written, files begun, frames `dropped`, `errors` of the disk
   """
   @type t :: %__MODULE__{}
@@ -83,9 +87,18 @@ defmodule Aerie.Recorder.Recording.Output do
     %{output | device: nil, file: nil, since: nil, size: 0, synced: true}
   end
 
-  @doc "What is due once a second: forces to the disk what was written since."
+  @doc "What is due once a second: forces to the disk what was written since, and sees whether the file is still there."
   @spec second(t) :: t
-  def second(output), do: sync_now(output, :interval)
+  def second(output), do: output |> sync_now(:interval) |> there()
+
+  # Somebody removed it, or its disk: what is written goes nowhere.
+  defp there(%{file: file} = output) when file != nil do
+    if match?({:error, _reason}, :file.read_file_info(file, [:raw])),
+      do: output |> close() |> fault("#{file} was removed while it was written"),
+      else: output
+  end
+
+  defp there(output), do: output
 
   @doc "Whether the file is old enough to be followed by the next."
   @spec old?(t) :: boolean
@@ -123,7 +136,9 @@ defmodule Aerie.Recorder.Recording.Output do
 
     case output.settings.files.write(output.device, records) do
       :ok ->
-        %{output | size: output.size + size, synced: false} |> count(:frames, frames) |> count(:bytes, size)
+        %{output | size: output.size + size, synced: false, told: nil}
+        |> count(:frames, frames)
+        |> count(:bytes, size)
 
       {:error, reason} ->
         output |> dropped(frames) |> close() |> pause(words(reason))
@@ -148,11 +163,13 @@ defmodule Aerie.Recorder.Recording.Output do
   defp pause(output, reason) do
     Archive.look(output.gateway)
     tell(output, :paused, %{count: 1}, %{reason: reason})
-    error = %{at: System.os_time(:second), reason: reason}
-
-    %{output | paused_until: now() + output.settings.pause_ms, reason: reason, error: error}
-    |> count(:errors, 1)
+    # Once, not with each try.
+    if reason != output.told, do: Logger.warning("#{output.label} is not recorded: #{reason}")
+    fault(%{output | paused_until: now() + output.settings.pause_ms, reason: reason, told: reason}, reason)
   end
+
+  defp fault(output, reason),
+    do: count(%{output | error: %{at: System.os_time(:second), reason: reason}}, :errors, 1)
 
   defp count(output, what, n), do: %{output | totals: Map.update!(output.totals, what, &(&1 + n))}
 

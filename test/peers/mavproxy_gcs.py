@@ -1,5 +1,8 @@
 """MAVProxy as a ground station: mavproxy_gcs.py MASTER FIRMWARE SYSTEM PARAMETER [SOURCE]
 
+With SIGNING_PASSPHRASE in the environment it signs with that passphrase, and at the end it tells the vehicle to take another
+key.
+
 Types what an operator would, reads what MAVProxy prints, and prints one line per finding ("name value"); exits 0 when the
 whole flight was gone through.
 """
@@ -82,6 +85,9 @@ def main(master, firmware, system, parameter, source=255):
 
 
 def flight(p, firmware, system, parameter, folder):
+    passphrase = os.environ.get("SIGNING_PASSPHRASE")
+    if passphrase:
+        p.type("signing key %s" % passphrase)
     p.see(r"(?i)received (\d+) parameters|Detected vehicle %d:1" % system)
     p.type("vehicle %d" % system)
     say("system", system)
@@ -136,6 +142,9 @@ def flight(p, firmware, system, parameter, folder):
     else:
         raise SystemExit("it is still armed:\n%s" % p.output[-2000:])
     say("land", "disarmed")
+    if passphrase:
+        p.type("signing setup another")
+        p.see("Sent secret_key")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,8 @@ defmodule Aerie.System.SigningTest do
   @moduletag :capture_log
   @moduletag timeout: 300_000
 
-  @passphrase "a passphrase of the system tests"
+  # Of one word, as MAVProxy takes it.
+  @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)
   @vehicle {"main", 1}
 
@@ -26,7 +27,13 @@ defmodule Aerie.System.SigningTest do
     File.chmod!(file, 0o600)
 
     keys = if context[:keys] == [], do: [], else: [%{"key_file" => file}]
-    overrides = %{"signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys}}
+    sockets = short_dir()
+
+    overrides = %{
+      "signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys},
+      "sockets" => %{"dir" => sockets, "sign" => true}
+    }
+
     run = start_gateway(folder, links: [context[:link] || "udpin:127.0.0.1:0"], overrides: overrides)
     gateway = run.gateway
     Aerie.Fleet.PubSub.subscribe(gateway, :events)
@@ -41,7 +48,7 @@ defmodule Aerie.System.SigningTest do
 
     {:ok, sim} = SimVehicle.start_link(sim)
     eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
-    %{gateway: gateway, sim: sim, folder: folder}
+    %{gateway: gateway, sim: sim, socket: Path.join(sockets, "mavlink.sock")}
   end
 
   defp client(gateway, options) do
@@ -85,6 +92,34 @@ defmodule Aerie.System.SigningTest do
     # The gateway knows it by its signatures.
     assert %{state: :verified, rejected: 0} = Signing.vehicle(c.gateway, {"main", 255})
     assert SimVehicle.stats(c.sim).refused == 0
+  end
+
+  @tag :mavproxy
+  test "MAVProxy with the key, by UDP; its order to the vehicle to take another one goes nowhere (S8)", c do
+    {:ok, "gcs"} = Router.add_client(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+    port = Enum.find(Client.endpoints(c.gateway), &(&1.id == "gcs")).port
+    # It takes a key from the operator, who types it at the prompt.
+    arguments = ["udpout:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
+    findings = findings(start_peer("mavproxy_gcs.py", arguments, %{"SIGNING_PASSPHRASE" => @passphrase}))
+    assert %{"arm" => "armed", "land" => "disarmed", "set" => "True"} = findings
+    assert %{state: :verified} = Signing.vehicle(c.gateway, {"main", 255})
+
+    secret = fn ->
+      for(%{owner: "gcs"} = e <- Router.endpoints(c.gateway), do: e.counters.secret) |> Enum.sum()
+    end
+
+    eventually(fn -> secret.() > 0 end, "the order was kept back")
+    verified = Signing.vehicle(c.gateway, @vehicle).verified
+    eventually(fn -> Signing.vehicle(c.gateway, @vehicle).verified > verified end, "the vehicle has its key")
+  end
+
+  test "a program at mavlink.sock that cannot sign is signed for where the configuration says so", c do
+    {:ok, socket} = :gen_tcp.connect({:local, c.socket}, 0, [:binary, active: false, packet: 0])
+    request = %M.ParamRequestRead{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_index: -1}
+    bytes = MavCodec.encode(request, system: 254, component: 190)
+    :ok = :gen_tcp.send(socket, [<<byte_size(bytes)::32-little>>, bytes])
+    # The parser finds the frames between the lengths.
+    assert value(socket, Parser.new()) == "RTL_ALT"
   end
 
   test "without sign what a client says goes out as it came, and the vehicle refuses it; sign can be set while it runs",

@@ -7,7 +7,7 @@ defmodule Aerie.Signing.Intake do
 
   Two things are judged beyond a link's own memory. A frame that another link of the network heard of the same stream ten
   seconds ago or longer is a replay, however new it is here (S3; the ten seconds are for redundant radios, of which one is
-  slower). And a signature that is wrong by the key in force may be right by the one that the vehicle is just being given
+  slower; a link of high latency may be a minute behind). And a signature that is wrong by the key in force may be right by the one that the vehicle is just being given
   (`Aerie.Signing.Enrolment`): that proves that the vehicle has it.
   """
 
@@ -17,8 +17,9 @@ defmodule Aerie.Signing.Intake do
   alias MavCodec.Frame
 
   @max_sources 4096
-  # 10 s in units of 10 us.
+  # 10 s in units of 10 us, and for links of high latency the minute of S4.
   @other_link 1_000_000
+  @slow_link 6_000_000
 
   @doc "The frames that are taken in, of those that a link received."
   @spec admit(Names.gateway(), Tables.t(), map, [Frame.t()]) :: [Frame.t()]
@@ -29,6 +30,7 @@ defmodule Aerie.Signing.Intake do
       link: link,
       network: network,
       trust: Map.get(source, :trust, :radio),
+      lag: if(source[:high_latency], do: @slow_link, else: @other_link),
       waited_for: :ets.info(tables.waiters, :size) > 0,
       kept: [],
       guards: %{},
@@ -77,7 +79,7 @@ defmodule Aerie.Signing.Intake do
         :ets.insert(newest, {stream, signature.timestamp})
         :verified
 
-      last - signature.timestamp > @other_link ->
+      last - signature.timestamp > acc.lag ->
         {:rejected, :replayed}
 
       true ->

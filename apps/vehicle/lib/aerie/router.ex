@@ -50,7 +50,8 @@ defmodule Aerie.Router do
           required(:id) => String.t(),
           required(:network) => String.t() | nil,
           required(:peer) => term,
-          optional(:trust) => Aerie.Signing.Guard.trust()
+          optional(:trust) => Aerie.Signing.Guard.trust(),
+          optional(:high_latency) => boolean
         }
 
   @type vehicle_key :: {network :: String.t(), system :: non_neg_integer}

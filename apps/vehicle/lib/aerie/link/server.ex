@@ -254,7 +254,7 @@ defmodule Aerie.Link.Server do
 
   defp act({:deliver, peer, frames}, state) do
     spec = state.spec
-    source = %{id: spec.id, network: spec.network, peer: peer, trust: Aerie.Signing.trust(spec)}
+    source = source(spec, peer)
     if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, spec.id, frames)
     outcome = Router.deliver(state.gateway, source, frames)
     egress = Egress.radio(state.egress, peer, frames)
@@ -298,6 +298,18 @@ defmodule Aerie.Link.Server do
     for name <- @drops, n = Map.fetch!(outcome, name), n > 0, reduce: core do
       core -> elem(Core.handle(core, {:count, name, n}, now), 0)
     end
+  end
+
+  defp source(spec, peer) do
+    slow? = Map.get(spec.options, :high_latency, false)
+
+    %{
+      id: spec.id,
+      network: spec.network,
+      peer: peer,
+      trust: Aerie.Signing.trust(spec),
+      high_latency: slow?
+    }
   end
 
   defp publish(state) do

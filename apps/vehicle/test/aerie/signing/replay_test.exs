@@ -54,6 +54,9 @@ defmodule Aerie.Signing.ReplayTest do
     # Nor does it help to begin with a fresh one and then to dawdle.
     assert heard(gateway, [List.last(frames)], "forger") == 1
     assert heard(gateway, Enum.slice(frames, 250, 100), "forger") == 0
+    # By a link of high latency half a minute is no wonder.
+    slow = fn frame -> Signing.admit(gateway, source(id: "satellite", high_latency: true), [frame]) != [] end
+    assert slow.(Enum.at(frames, 298))
     # The vehicle itself is not hindered by any of this.
     signer = signer(passphrase(), clock: fn -> @now + 61_000_000 end)
     {bytes, _} = signed(signer, 1)

@@ -1,7 +1,8 @@
 defmodule Aerie.PeerCase do
   @moduledoc """
-  Ground stations that are not ours, as peers of a whole gateway: the scripts of `test/peers`, run in the private Python
-  environment (`AERIE_VENV`, else `.venv` of the checkout), each in an operating-system process of its own.
+  Ground stations and routers that are not ours, as peers of a whole gateway: the scripts of `test/peers`, run in the
+  private Python environment (`AERIE_VENV`, else `.venv` of the checkout), and programs that are on the PATH of who has
+  them, each in an operating-system process of its own.
   """
 
   use ExUnit.CaseTemplate
@@ -18,28 +19,42 @@ defmodule Aerie.PeerCase do
     end
   end
 
-  @doc "Tags of tests whose peers are not installed."
+  @files [python: "bin/python", mavproxy: "bin/mavproxy.py", mavsdk: "lib/python*/site-packages/mavsdk"]
+  @programs [mavlink_router: "mavlink-routerd", mavp2p: "mavp2p"]
+
+  @doc "Tags of tests whose peers are not installed; which, is said when the tests have run."
   @spec missing() :: [atom()]
   def missing do
-    for {tag, file} <- [
-          python: "bin/python",
-          mavproxy: "bin/mavproxy.py",
-          mavsdk: "lib/python*/site-packages/mavsdk"
-        ],
-        Path.wildcard(Path.join(venv(), file)) == [],
-        do: tag
+    files =
+      for {tag, file} <- @files,
+          Path.wildcard(Path.join(venv(), file)) == [],
+          do: {tag, Path.join(venv(), file)}
+
+    programs =
+      for {tag, name} <- @programs, System.find_executable(name) == nil, do: {tag, "#{name} on the PATH"}
+
+    for {tag, place} <- files ++ programs do
+      ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: there is no #{place}.") end)
+      tag
+    end
   end
 
   defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))
 
   @doc "Starts a script, with further variables of the environment; it ends with the test."
   @spec start_peer(String.t(), [term()], %{String.t() => String.t()}) :: port()
-  def start_peer(script, arguments, environment \\ %{}) do
-    python = Path.join(venv(), "bin/python")
-    arguments = ["-u", Path.join(@peers, script) | Enum.map(arguments, &to_string/1)]
+  def start_peer(script, arguments, environment \\ %{}),
+    do: start(Path.join(venv(), "bin/python"), ["-u", Path.join(@peers, script) | arguments], environment)
+
+  @doc "Starts a program of the PATH; it ends with the test. What it prints comes to the calling process."
+  @spec start_program(String.t(), [term()]) :: port()
+  def start_program(name, arguments), do: start(System.find_executable(name), arguments, %{})
+
+  defp start(program, arguments, environment) do
     environment = for {name, value} <- environment, do: {String.to_charlist(name), String.to_charlist(value)}
+    arguments = Enum.map(arguments, &to_string/1)
     options = [:binary, :exit_status, :stderr_to_stdout, args: arguments, env: environment]
-    peer = Port.open({:spawn_executable, python}, options)
+    peer = Port.open({:spawn_executable, program}, options)
     {:os_pid, pid} = Port.info(peer, :os_pid)
     ExUnit.Callbacks.on_exit(fn -> System.cmd("kill", ["-9", "#{pid}"], stderr_to_stdout: true) end)
     peer

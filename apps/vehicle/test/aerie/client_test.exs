@@ -45,6 +45,49 @@ defmodule Aerie.ClientTest do
     assert [%{networks: ["main", "late"]}] = Client.list(gateway)
   end
 
+  describe "frames that a vehicle packs in one datagram" do
+    setup do
+      gateway = start_parts()
+      {:ok, _id} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
+      {:ok, gcs} = :gen_udp.open(0, [:binary, active: true])
+      {:ok, gateway: gateway, gcs: gcs, radio: Aerie.Link.snapshot(gateway, "radio").port}
+    end
+
+    # 20 frames in one datagram, and what comes of them: [datagram].
+    defp packed(c, rules) do
+      {:ok, port} = :inet.port(c.gcs)
+      {:ok, id} = Aerie.Router.add_client(c.gateway, Map.put(rules, :url, "udpout:127.0.0.1:#{port}"))
+      eventually(fn -> match?([_there], Aerie.Router.endpoints(c.gateway)) end)
+      frames = for n <- 1..20, do: Aerie.LinkCase.attitude(7, n)
+      {:ok, vehicle} = :gen_udp.open(0, [:binary, active: false])
+      :ok = :gen_udp.send(vehicle, {127, 0, 0, 1}, c.radio, frames)
+      {frames, collect(c.gcs, IO.iodata_length(frames), []), id}
+    end
+
+    defp collect(_gcs, left, got) when left <= 0, do: Enum.reverse(got)
+
+    defp collect(gcs, left, got) do
+      assert_receive {:udp, ^gcs, _address, _port, bytes}
+      collect(gcs, left - byte_size(bytes), [bytes | got])
+    end
+
+    test "go out one each: there are routers that read the first one only", c do
+      {frames, got, _id} = packed(c, %{})
+      assert got == frames
+    end
+
+    test "so too with a budget, where `coalesce` is off", c do
+      {frames, got, _id} = packed(c, %{bytes_per_s: 100_000, coalesce: false})
+      assert got == frames
+    end
+
+    test "and with a budget share one when they have to wait, no larger than what mavlink-router reads", c do
+      {frames, got, _id} = packed(c, %{bytes_per_s: 100_000})
+      assert IO.iodata_to_binary(got) == IO.iodata_to_binary(frames)
+      assert length(got) < 20 and Enum.all?(got, &(byte_size(&1) <= 1_024))
+    end
+  end
+
   test "what is no endpoint for clients is refused in words" do
     gateway = start_parts()
     assert {:error, words} = Client.add(gateway, "replay:/tmp/x.tlog")

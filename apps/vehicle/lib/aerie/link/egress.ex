@@ -9,6 +9,7 @@ defmodule Aerie.Link.Egress do
 
   alias Aerie.Link.Spec
   alias Aerie.Names
+  alias Aerie.Router.Batch
   alias Aerie.Router.Budget
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Endpoints
@@ -24,7 +25,7 @@ defmodule Aerie.Link.Egress do
   @again_ms 10
 
   @enforce_keys [:gateway, :owner]
-  defstruct [:gateway, :owner, :baud, :chunk, peers: %{}]
+  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}]
 
   @type t :: %__MODULE__{gateway: Names.gateway(), owner: Owner.t(), peers: %{term => map}}
   @type write :: (term, iodata -> {:ok | :busy | :error, term})
@@ -47,7 +48,7 @@ defmodule Aerie.Link.Egress do
     %__MODULE__{
       gateway: gateway,
       owner: owner,
-      chunk: if(spec.kind in [:udp_server, :udp_client], do: 1_200)
+      datagrams?: spec.kind in [:udp_server, :udp_client]
     }
   end
 
@@ -110,8 +111,13 @@ defmodule Aerie.Link.Egress do
 
   defp rules(%{owner: owner} = egress) do
     rate = owner.bytes_per_s || (egress.baud && Budget.of_baud(egress.baud))
-    [queue: owner.queue, bytes_per_s: rate, chunk: egress.chunk]
+    [queue: owner.queue, bytes_per_s: rate, chunk: chunk(egress)]
   end
+
+  # Bytes of one write; at least one frame.
+  defp chunk(%{datagrams?: false}), do: nil
+  defp chunk(%{owner: %{coalesce: true}}), do: Batch.datagram()
+  defp chunk(_one_each), do: 1
 
   defp put(egress, tables, id, peer) do
     # The table has what others noted about it meanwhile.

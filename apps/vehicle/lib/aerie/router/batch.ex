@@ -6,8 +6,8 @@ defmodule Aerie.Router.Batch do
   alias Aerie.Router.Classify
   alias MavCodec.Frame
 
-  # What fits into one Ethernet frame with IPv6 and a tunnel or two around it.
-  @datagram 1_200
+  # What fits into one Ethernet frame with IPv6 and a tunnel or two around it, and into mavlink-router's buffer (1,120).
+  @datagram 1_024
 
   @enforce_keys [:frames, :n]
   defstruct [:frames, :n, :bytes, :datagrams, :runs]
@@ -33,6 +33,10 @@ defmodule Aerie.Router.Batch do
     do: %{batch | bytes: Enum.reduce(batch.frames, 0, &(byte_size(&1.bytes) + &2))}
 
   def sized(batch), do: batch
+
+  @doc "The most bytes of several frames in one datagram."
+  @spec datagram() :: pos_integer
+  def datagram, do: @datagram
 
   @doc "Fills in datagrams: as many whole frames in each as fit."
   @spec packed(t) :: t

@@ -8,6 +8,11 @@ defmodule Aerie.Router.Out do
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Tally
 
+  # So many frames of one component at once means that we are behind: then a write for each is what there is no time for.
+  # Below that every frame has a datagram of its own, because there are routers (gomavlib's, XMAVLink) that read no further
+  # than the first; and a vehicle that packs its own datagrams (PX4) says fewer in one.
+  @many 64
+
   @typedoc "What is needed of an endpoint: `Aerie.Router.Plan.Way` or `Endpoint` with `coalesce`."
   @type way :: %{
           :out => Endpoint.out(),
@@ -30,7 +35,8 @@ defmodule Aerie.Router.Out do
     batch
   end
 
-  defp write_out(%{out: {:udp, socket, to}, coalesce: true} = way, batch) do
+  defp write_out(%{out: {:udp, socket, to}, coalesce: true} = way, %{n: n} = batch)
+       when n > @many do
     batch = Batch.packed(batch)
 
     {good, bytes} =

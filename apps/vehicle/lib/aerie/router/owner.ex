@@ -14,7 +14,7 @@ defmodule Aerie.Router.Owner do
   | `:rate_limits` | `%{message => Hz}` (`Aerie.Router.RateLimit`) |
   | `:bytes_per_s` | budget of what goes out to each of its peers; default none, a serial line's own |
   | `:queue` | `[max_frames:, max_bytes:]` of what waits for one peer (`Aerie.Router.Queue`) |
-  | `:coalesce` | several frames that are there at the same time may share a datagram; default true |
+  | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Out`); default true |
   | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
   | `:broadcasts` | false: only what is addressed to it; default true |
   | `:id_offsets` | system ids of a network plus a number, for a client: `%{network => n}` (`Aerie.Router.Renumber`) |

@@ -55,7 +55,7 @@ defmodule Aerie.Router.PureTest do
         cuts = datagrams |> Enum.map(&byte_size/1) |> Enum.scan(&(&1 + &2))
 
         IO.iodata_to_binary(datagrams) == joined and Enum.all?(cuts, &(&1 in ends)) and
-          Enum.all?(datagrams, &(byte_size(&1) <= 1200)) and
+          Enum.all?(datagrams, &(byte_size(&1) <= Batch.datagram())) and
           Enum.chunk_every(datagrams, 2, 1, :discard)
           |> Enum.all?(fn [a, b] -> byte_size(a) + byte_size(b) > 920 end)
       end)

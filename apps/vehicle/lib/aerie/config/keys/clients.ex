@@ -55,7 +55,10 @@ defmodule Aerie.Config.Keys.Clients do
         "What it sends unsigned is believed, and signed for vehicles that ask for it (UNSAFE unless only you reach it).",
         default: false
       ),
-      field(:coalesce, :boolean, "Several frames that are there at once may share a datagram.",
+      field(
+        :coalesce,
+        :boolean,
+        "Frames may share a datagram when many wait; false for a peer that reads only the first of each (mavp2p).",
         default: true
       ),
       field(:queue_frames, {:integer, 1, 100_000}, "Frames that wait for one that does not keep up.",

@@ -58,13 +58,14 @@ class Gcs:
         self.m.mav.param_request_list_send(self.system, 1)
         values, count, index = {}, None, set()
         while count is None or len(index) < count:
-            p = self.wait("PARAM_VALUE", timeout=3, wanted=False)
+            p = self.wait("PARAM_VALUE", timeout=1, wanted=False)
             if p is None:
-                # What was lost on the way is asked for one by one.
+                # What was lost on the way is asked for again, a few at a time: mavp2p keeps 64 frames of a burst.
                 if count is None:
                     self.m.mav.param_request_list_send(self.system, 1)
                 else:
-                    self.m.mav.param_request_read_send(self.system, 1, b"", min(set(range(count)) - index))
+                    for missing in sorted(set(range(count)) - index)[:20]:
+                        self.m.mav.param_request_read_send(self.system, 1, b"", missing)
                 continue
             values[p.param_id] = p
             if p.param_index < 65535:

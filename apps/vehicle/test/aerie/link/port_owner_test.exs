@@ -27,4 +27,22 @@ defmodule Aerie.Link.PortOwnerTest do
     Port.close(port)
     assert PortOwner.holders("/nowhere") == []
   end
+
+  test "a port's owner is found although sockets come and go meanwhile" do
+    {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    # More than a page of the kernel's table.
+    for _ <- 1..200, do: {:ok, _} = :gen_udp.open(0)
+
+    churn = fn ->
+      sockets = for _ <- 1..20, {:ok, socket} <- [:gen_udp.open(0)], do: socket
+      Enum.each(sockets, &:gen_udp.close/1)
+    end
+
+    for n <- 1..3,
+        do: start_supervised!({Task, fn -> churn |> Stream.repeatedly() |> Stream.run() end}, id: n)
+
+    own = String.to_integer(System.pid())
+    for _ <- 1..10, do: assert({:ok, _name, ^own} = PortOwner.find(:udp, port))
+  end
 end

@@ -424,7 +424,12 @@ defmodule Aerie.Router do
 
   @doc "Forgets the routes of a system, as after its reboot (R6)."
   @spec clear(Names.gateway(), vehicle_key) :: :ok
-  def clear(gateway, key), do: with_tables(gateway, &Routes.clear(&1, key))
+  def clear(gateway, key) do
+    with_tables(gateway, fn tables ->
+      Routes.clear(tables, key)
+      Tables.rerouted(tables)
+    end)
+  end
 
   @doc "Forgets the routes by a link."
   @spec forget(Names.gateway(), String.t()) :: :ok

@@ -4,14 +4,17 @@ defmodule Aerie.Router.Dedupe do
   loop between two routers delivers it for ever. Sequence numbers cannot tell that (R7); the bytes can.
 
   A frame is remembered by a 64-bit hash of its bytes for 0.5 to 1 s and in at most twice #{8192} entries: two tables, of which the
-  older is emptied and becomes the newer one when the time or the room is over. Only a frame that came from *another*
-  endpoint is a duplicate; a sender that says the same twice is heard twice.
+  older is emptied and becomes the newer one when the time or the room is over. A frame that came from *another* endpoint is
+  a duplicate; a sender that says the same twice is heard twice. More than #{16} times it is not: that is a frame which goes
+  round in a loop since before anybody looked for duplicates.
   """
 
   alias Aerie.Router.Tables
 
   @max 8_192
   @window_ms 500
+  # How often the same bytes from the same endpoint may pass.
+  @repeats 16
 
   @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."
   @spec duplicate?(Tables.t(), binary, term, integer) :: boolean
@@ -20,13 +23,25 @@ defmodule Aerie.Router.Dedupe do
     hash = hash(bytes)
 
     case known(newer, hash) || known(older, hash) do
-      nil -> not :ets.insert_new(newer, {hash, from}) and known(newer, hash) not in [nil, from]
-      ^from -> false
+      nil -> not :ets.insert_new(newer, {hash, from, 1}) and known(newer, hash) not in [nil, from]
+      ^from -> :ets.update_counter(newer, hash, {3, 1}, {hash, from, before(older, hash)}) > @repeats
       _other -> true
     end
   end
 
+  @doc """
+  Notes a frame of a component that is heard by one endpoint only, should it come back by another: an order is not to be
+  given twice because nobody knew of a loop.
+  """
+  @spec note(Tables.t(), binary, term, integer) :: :ok
+  def note(tables, bytes, from, now) do
+    {newer, _older} = pair(tables, now)
+    _ = :ets.insert_new(newer, {hash(bytes), from, 1})
+    :ok
+  end
+
   defp known(table, hash), do: :ets.lookup_element(table, hash, 2, nil)
+  defp before(table, hash), do: :ets.lookup_element(table, hash, 3, 1)
 
   @doc "The hash by which bytes are remembered: two of 32 bits that have nothing in common."
   @spec hash(binary) :: non_neg_integer

@@ -145,8 +145,9 @@ defmodule Aerie.Router.Forward do
     frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
   end
 
-  defp send_to(target, frame, {tables, plan, way, _talker, _now} = context) do
+  defp send_to(target, frame, {tables, plan, way, talker, now} = context) do
     {system, keys} = addressed(target, tables, plan, way)
+    if not talker.twice, do: Dedupe.note(tables, frame.bytes, way.key, now)
 
     case meant(frame, system, way) do
       {:ok, frame} -> send_to(frame, system, keys, context)
@@ -172,8 +173,9 @@ defmodule Aerie.Router.Forward do
       for {key, %{sniffer: true} = to} <- plan.ways, key != way.key, key not in keys, shares?(way, to), do: to
 
     case heard do
+      # What is for us goes no further and has arrived.
       [] ->
-        Tally.add(way.tally, :no_route, 1)
+        if Frame.target(frame) != plan.own, do: Tally.add(way.tally, :no_route, 1)
 
       heard ->
         heard |> one_of_each_group(system, frame, tables) |> Enum.each(&emit(&1, batch, tables, way, now))

@@ -52,20 +52,23 @@ defmodule Aerie.Router.Talker do
   """
   @spec refresh(t, Tables.t(), Plan.t(), Way.t(), boolean, integer) :: t
   def refresh(talker, tables, plan, way, known?, now) do
-    # Its endpoint may see another network from now on, where it is to be found too.
-    talker = if changed?(talker, plan), do: %{talker | learned: nil}, else: talker
     marks = {plan.generation, Tables.routed(tables)}
 
     talker =
-      if talker.marks == marks and now - talker.looked < @fresh_ms,
-        do: talker,
-        else: look(%{talker | marks: marks, looked: now}, tables, plan, way)
+      cond do
+        # What it was heard by may be forgotten, or be to be found in another network as well.
+        talker.marks != marks ->
+          look(%{talker | marks: marks, looked: now, learned: nil}, tables, plan, way)
+
+        now - talker.looked >= @fresh_ms ->
+          look(%{talker | looked: now}, tables, plan, way)
+
+        true ->
+          talker
+      end
 
     if known? and not talker.other, do: learn(talker, tables, way, now), else: talker
   end
-
-  defp changed?(%{marks: {generation, _routed}}, plan), do: generation != plan.generation
-  defp changed?(_new, _plan), do: false
 
   defp learn(%{learned: learned} = talker, _tables, _way, now)
        when is_integer(learned) and now - learned < @learn_ms,

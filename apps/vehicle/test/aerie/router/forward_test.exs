@@ -204,6 +204,15 @@ defmodule Aerie.Router.ForwardTest do
       assert got(c.all) |> Map.values() |> Enum.concat() == []
     end
 
+    test "R5: what is for us has arrived: it goes no further, and nobody is missing", c do
+      say(c.g1, message(command(245, 191), 255, 190))
+      assert got(c.all) |> Map.values() |> Enum.concat() == []
+      assert counted(c.gateway, "g1").counters.no_route == 0
+      # Another part of our system is somebody else.
+      say(c.g1, message(command(245, 7), 255, 190))
+      assert counted(c.gateway, "g1").counters.no_route == 1
+    end
+
     test "what an autopilot orders itself is no order for others (PX4: to 1/0 and 0/0, four times)", c do
       for _ <- 1..4, target <- [0, 1], do: say(c.v1, message(command(target, 0, 20), 1, 1))
       assert got(c.all) |> Map.values() |> Enum.concat() == []
@@ -292,6 +301,52 @@ defmodule Aerie.Router.ForwardTest do
         say(v1, [attitude(1, 1), heartbeat(1, seq: 9)])
         assert length(got(v2)[v2.name]) == expected
       end
+    end
+  end
+
+  describe "another router that hears us twice" do
+    setup c do
+      v = vehicle(c.gateway, "v", 1)
+      x = endpoint(c.gateway, "x", [])
+      y = endpoint(c.gateway, "y", [])
+      g = client(c.gateway, "g", 255)
+      got([v, x, y, g])
+      {:ok, v: v, x: x, y: y, g: g}
+    end
+
+    # What goes out by the one comes in by the other, until nothing does any more; how often.
+    defp around(c, n \\ 0) do
+      case got([c.x, c.y]) do
+        %{"x" => [], "y" => []} ->
+          n
+
+        %{"x" => by_x, "y" => by_y} when n < 100 ->
+          say(c.y, by_x)
+          say(c.x, by_y)
+          around(c, n + 1)
+
+        _forever ->
+          :forever
+      end
+    end
+
+    test "a frame that goes round since before that was found out dies, later ones do not go round", c do
+      say(c.v, attitude(1, 1))
+      assert around(c) in 1..20
+      got(c.g)
+      say(c.v, [attitude(1, 2), attitude(1, 3)])
+      assert around(c) == 1
+      expected = [attitude(1, 2), attitude(1, 3)]
+      assert %{"g" => ^expected} = got(c.g)
+      # What is for the vehicle reaches it once.
+      order = message(command(1), 255, 190)
+      say(c.g, order)
+      around(c)
+      assert %{"v" => [^order]} = got(c.v)
+      say(c.g, gcs(255))
+      assert around(c) in 1..20
+      say(c.g, heartbeat(255, type: 6, autopilot: 8, component: 190, seq: 9))
+      assert around(c) == 1
     end
   end
 

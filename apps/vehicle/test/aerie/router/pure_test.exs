@@ -342,6 +342,23 @@ defmodule Aerie.Router.PureTest do
       refute Dedupe.duplicate?(c.tables, "other", :b, c.now + 100)
     end
 
+    test "from the same one again and again it goes round in a loop", c do
+      passed = for n <- 0..40, do: not Dedupe.duplicate?(c.tables, "frame", :a, c.now + n * 100)
+      # Also after what is remembered was turned over.
+      assert passed == List.duplicate(true, 16) ++ List.duplicate(false, 25)
+      # Not for ever: an hour later it is news.
+      refute Dedupe.duplicate?(c.tables, "tick", :a, c.now + 10_000)
+      refute Dedupe.duplicate?(c.tables, "tick", :a, c.now + 20_000)
+      refute Dedupe.duplicate?(c.tables, "frame", :a, c.now + 30_000)
+    end
+
+    test "what was only noted is a duplicate from elsewhere, and none from where it came", c do
+      :ok = Dedupe.note(c.tables, "order", :a, c.now)
+      :ok = Dedupe.note(c.tables, "order", :a, c.now)
+      refute Dedupe.duplicate?(c.tables, "order", :a, c.now)
+      assert Dedupe.duplicate?(c.tables, "order", :b, c.now)
+    end
+
     test "is forgotten after a second, remembered for half of one", c do
       refute Dedupe.duplicate?(c.tables, "frame", :a, c.now)
       assert Dedupe.duplicate?(c.tables, "frame", :b, c.now + 499)

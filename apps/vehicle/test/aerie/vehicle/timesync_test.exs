@@ -94,6 +94,17 @@ defmodule Aerie.Vehicle.TimesyncTest do
     assert Timesync.to?(%M.Timesync{target_system: 0}, {245, 191})
   end
 
+  test "R5: to everyone, to our system, to us; and nothing else" do
+    own = {245, 191}
+
+    to? = fn system, component ->
+      Timesync.to?(%M.Timesync{target_system: system, target_component: component}, own)
+    end
+
+    assert to?.(0, 0) and to?.(245, 0) and to?.(245, 191)
+    refute to?.(245, 190) or to?.(1, 191) or to?.(1, 0) or to?.(0, 190)
+  end
+
   test "an answer that took too long is none" do
     sync = run(0..5, 0, fn _ -> {1, 11 * @second} end)
     assert sync.samples == []

@@ -53,6 +53,17 @@ defmodule Aerie.RunCase do
   @spec await_exit(port, String.t()) :: non_neg_integer
   def await_exit(port, text \\ ""), do: port |> collect(text) |> elem(0)
 
+  @doc "The same, with all its output."
+  @spec collect(port, String.t()) :: {non_neg_integer, String.t()}
+  def collect(port, text) do
+    receive do
+      {^port, {:data, data}} -> collect(port, text <> data)
+      {^port, {:exit_status, status}} -> {status, text}
+    after
+      @patience -> flunk("no end; output:\n#{text}")
+    end
+  end
+
   @doc "The process of its VM, told by the configuration that it was given."
   @spec vm_pid(Path.t()) :: String.t()
   def vm_pid(config) do
@@ -95,14 +106,5 @@ defmodule Aerie.RunCase do
     {:ok, port} = :inet.port(socket)
     :gen_tcp.close(socket)
     port
-  end
-
-  defp collect(port, text) do
-    receive do
-      {^port, {:data, data}} -> collect(port, text <> data)
-      {^port, {:exit_status, status}} -> {status, text}
-    after
-      @patience -> flunk("no end; output:\n#{text}")
-    end
   end
 end

@@ -234,6 +234,13 @@ defmodule Aerie.RecorderTest do
       assert b.bytes == attitude(1, 7)
       assert {:ok, %{secret_key: hidden}} = MavCodec.decode(cc)
       assert hidden == :binary.copy(<<0xFF>>, 32)
+      # Nor into a ring, or a message that a crash report would show.
+      assert [_ | _] = entries = Recorder.Ring.entries(Recorder.Tables.of(gateway), @key)
+      for {_n, records, _frames} <- entries, do: assert(:binary.match(records, key) == :nomatch)
+      _counters = Tap.open(Recorder.Tables.of(gateway), {:link, "radio"}, 10_000)
+      :ok = Recorder.link_frames(gateway, "radio", [frame(setup, 1), frame(signed_setup, 2)])
+      assert_received {:record, _bytes, [%{id: 256} = one, %{id: 256} = other], nil}
+      for term <- [one, other], do: assert(:binary.match(:erlang.term_to_binary(term), key) == :nomatch)
     end
   end
 

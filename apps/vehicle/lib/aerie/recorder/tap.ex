@@ -8,10 +8,11 @@ defmodule Aerie.Recorder.Tap do
   """
 
   alias Aerie.Recorder.Tables
-  alias MavCodec.Frame
+  alias MavCodec.{Frame, Redact}
 
   @waiting 1
   @dropped 2
+  @setup_signing 256
   # A frame's part of the message that carries it, and of the list that it is in.
   @overhead 200
 
@@ -50,8 +51,13 @@ defmodule Aerie.Recorder.Tap do
   def offer(tables, target, frames, n \\ nil) do
     case :ets.lookup(tables.taps, target) do
       [] -> :ok
-      taps -> offer_to(taps, frames, bytes(frames), n)
+      taps -> offer_to(taps, without_keys(frames), bytes(frames), n)
     end
+  end
+
+  # The writer takes them out too. But a process that crashes shows its last message, and there they must not be either (S9).
+  defp without_keys(frames) do
+    if Enum.any?(frames, &(&1.id == @setup_signing)), do: Enum.map(frames, &Redact.frame/1), else: frames
   end
 
   @doc "Ends the taps of processes that are gone without having said so."

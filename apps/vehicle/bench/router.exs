@@ -310,11 +310,15 @@ defmodule RouterBench do
          else: (_ -> nil)
   end
 
+  # Below the ports that systems give to whoever asks for any: a hundred for links, then those of the clients, then those
+  # that the load sends from.
   defp base_port do
-    {:ok, socket} = :gen_udp.open(0)
-    {:ok, port} = :inet.port(socket)
-    :gen_udp.close(socket)
-    if port < 60_000, do: port, else: base_port()
+    base = 10_000 + 1_000 * :rand.uniform(20)
+    if Enum.all?(base..(base + 700), &(free?(&1) == true)), do: base, else: base_port()
+  end
+
+  defp free?(port) do
+    with {:ok, socket} <- :gen_udp.open(port, ip: {127, 0, 0, 1}), do: :gen_udp.close(socket) == :ok
   end
 
   ## Many links

@@ -6,6 +6,9 @@
  * SOURCE_STEP): RATE a second in all, evenly spaced. CLIENTS sockets say a ground station's heartbeat to 127.0.0.1:(CLIENT_PORT + i * CLIENT_STEP) and count
  * what comes; a frame carries the time at which it was sent. Systems whose frames are to be told apart are known by it.
  *
+ * All sockets have ports of their own that are the same in every run. Routers remember a peer of UDP for a minute and more:
+ * peers of other ports in each run would be more and more clients, and one source that is heard by several ways.
+ *
  * Prints one line: sent, received by the worst and by all clients, and of the added latency p50, p99 and max in
  * microseconds (from before the send to after the receive, of all clients).
  */
@@ -28,6 +31,7 @@
 #define MAX_SOURCES 128
 #define BUCKETS 200000 /* of one microsecond */
 #define BATCH 64
+#define OWN_PORTS 400 /* from the port that is sent to, to the one that it is sent from */
 
 static int clients, sources, source_fd[MAX_SOURCES], client_fd[MAX_CLIENTS];
 static struct sockaddr_in source_to[MAX_SOURCES], client_to[MAX_CLIENTS];
@@ -75,11 +79,16 @@ static int attitude(uint8_t *out, uint8_t seq, uint8_t system, uint32_t us) {
   return frame(out, seq, system, 1, 30, payload, 28, 39);
 }
 
-static int udp(void) {
+/* At the wanted port, so that a further run is the same peers and not more of them, or at any when that is taken. */
+static int udp(int port) {
   int fd = socket(AF_INET, SOCK_DGRAM, 0), size = 8 << 20;
-  struct sockaddr_in any = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+  struct sockaddr_in any = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK), .sin_port = htons(port)};
   setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &size, sizeof size);
-  if (fd < 0 || bind(fd, (struct sockaddr *)&any, sizeof any)) exit(2);
+  if (fd < 0) exit(2);
+  if (bind(fd, (struct sockaddr *)&any, sizeof any)) {
+    any.sin_port = 0;
+    if (bind(fd, (struct sockaddr *)&any, sizeof any)) exit(2);
+  }
   return fd;
 }
 
@@ -197,12 +206,12 @@ int main(int argc, char **argv) {
   if (clients < 1 || clients > MAX_CLIENTS || sources < 1 || sources > MAX_SOURCES || rate <= 0) return 64;
   struct sockaddr_in to = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
   for (int i = 0; i < sources; i++) {
-    source_fd[i] = udp();
+    source_fd[i] = udp(source_port + OWN_PORTS + i);
     source_to[i] = to;
     source_to[i].sin_port = htons(source_port + i * source_step);
   }
   for (int i = 0; i < clients; i++) {
-    client_fd[i] = udp();
+    client_fd[i] = udp(client_port + OWN_PORTS + i);
     client_to[i] = to;
     client_to[i].sin_port = htons(client_port + i * step);
     say(i);

@@ -64,6 +64,7 @@ defmodule FleetWeb.EndpointTest do
           ~s(gateway_mavlink_messages_received_total{type="sys_status"} 1),
           ~s(gateway_link_up{link="radio",network="main"} 1),
           ~s(gateway_link_peers{link="radio",network="main"} 1),
+          ~s(# TYPE gateway_link_score gauge),
           ~s(gateway_link_crc_errors_total{link="radio",network="main"} 1),
           ~s(gateway_link_dropped_total{link="radio",network="main",reason="overload"} 0),
           ~s(gateway_vehicle_armed{vehicle="VID-007"} 1),

@@ -1,8 +1,8 @@
 defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
-  alias Aerie.{Client, Signing}
-  alias FleetWeb.API.{Error, NewClient, Recordings, Request, SigningOrder, Tickets, View}
+  alias Aerie.{Client, Router, Signing}
+  alias FleetWeb.API.{Error, NewClient, Recordings, Request, RuleChanges, SigningOrder, Tickets, View}
 
   @resources [
     {"/api", :index, %{"GET" => :index}},
@@ -19,6 +19,8 @@ defmodule FleetWeb.API.Resources do
     {"/api/recordings/:name", :recording, %{"GET" => :download}},
     {"/api/clients", :clients, %{"GET" => :clients, "POST" => :add_client}},
     {"/api/clients/:id", :client, %{"DELETE" => :remove_client}},
+    {"/api/rules", :rules, %{"GET" => :rules}},
+    {"/api/rules/:id", :rule, %{"PATCH" => :change_rules, "DELETE" => :reset_rules}},
     {"/api/tickets", :tickets, %{"POST" => :issue_ticket}},
     {"/api/[...]", :missing, %{}}
   ]
@@ -142,6 +144,31 @@ defmodule FleetWeb.API.Resources do
         {:error, Error.new(:conflict, "this is a link to vehicles"), request}
     end
   end
+
+  def run(:rules, state, request), do: {:ok, 200, View.rules(state.gateway), request}
+
+  def run(:change_rules, state, request) do
+    id = :cowboy_req.binding(:id, request)
+
+    with {:ok, object, request} <- Request.object(request) do
+      with {:ok, changes} <- RuleChanges.parse(object), :ok <- Router.configure(state.gateway, id, changes) do
+        {:ok, 200, View.rules(state.gateway), request}
+      else
+        {:error, %Error{} = error} -> {:error, error, request}
+        {:error, words} -> {:error, rules(words), request}
+      end
+    end
+  end
+
+  def run(:reset_rules, state, request) do
+    case Router.reset(state.gateway, :cowboy_req.binding(:id, request)) do
+      :ok -> {:ok, 204, nil, request}
+      {:error, words} -> {:error, rules(words), request}
+    end
+  end
+
+  defp rules("there is no link" <> _ = words), do: Error.new(:not_found, words)
+  defp rules(words), do: Error.new(:invalid, words)
 
   defp unheard, do: Error.new(:not_found, "no vehicle of this name was heard; see /api/vehicles")
 

@@ -14,6 +14,7 @@ defmodule FleetWeb.API.View do
     :url,
     :label,
     :status,
+    :quality,
     :text,
     :reason,
     :retry_in_ms,
@@ -62,6 +63,7 @@ defmodule FleetWeb.API.View do
       |> Map.merge(%{
         firmware: Json.plain(vehicle.firmware),
         uid: Json.plain(vehicle[:uid]),
+        collision: collision(vehicle[:collision]),
         component: vehicle[:component],
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
@@ -70,6 +72,11 @@ defmodule FleetWeb.API.View do
       })
     end
   end
+
+  defp collision(nil), do: nil
+
+  defp collision(%{at: at} = collision),
+    do: %{time: Json.time(at), sign: collision.sign, links: collision.links}
 
   @doc "All keys by their names, without the keys; which vehicles have one that is not proven."
   @spec signing(term()) :: map()
@@ -98,6 +105,10 @@ defmodule FleetWeb.API.View do
       clients: Enum.map(Client.list(gateway), &client/1)
     }
   end
+
+  @doc "Rules of links and clients that were changed while they run, with what is configured."
+  @spec rules(term()) :: map()
+  def rules(gateway), do: %{changed: Json.plain(Aerie.Router.changes(gateway))}
 
   defp client(endpoint) do
     Json.plain(%{

@@ -46,6 +46,7 @@ defmodule FleetWeb.Metrics.Links do
        Enum.map(links, &{labels(&1), &1.status in [:up, :idle]})},
       {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
     ] ++
+      quality(for %{quality: %{}} = link <- links, do: link) ++
       for {key, {name, help}} <- @sums do
         {name, :counter, help, Enum.map(links, &{labels(&1), Map.fetch!(&1.counters, key)})}
       end ++
@@ -57,6 +58,33 @@ defmodule FleetWeb.Metrics.Links do
            do: {labels(link) ++ [reason: reason], Map.fetch!(link.counters, reason)}
          )}
       ] ++ signing(for(%{signing: %{}} = link <- links, do: link))
+  end
+
+  # Only where it was measured.
+  defp quality(links) do
+    gauge = fn name, help, value ->
+      {name, :gauge, help, for(link <- links, x = value.(link.quality), x != nil, do: {labels(link), x})}
+    end
+
+    [
+      gauge.("gateway_link_score", "How good the link is, from 0 to 100.", & &1.score),
+      gauge.(
+        "gateway_link_loss_ratio",
+        "Share of the frames that were lost on it in the last seconds.",
+        & &1.loss
+      ),
+      gauge.(
+        "gateway_link_round_trip_seconds",
+        "The way there and back by it.",
+        &(&1.rtt_ms && &1.rtt_ms / 1000)
+      ),
+      {"gateway_link_carries", :gauge, "1 while it is the link of its group that carries.",
+       for(
+         %{quality: %{group: group} = quality} = link <- links,
+         group != nil,
+         do: {labels(link), quality.carries}
+       )}
+    ]
   end
 
   # Only where there is a key.

@@ -1,0 +1,68 @@
+defmodule FleetWeb.API.RulesTest do
+  use FleetWeb.APICase, async: true
+
+  alias FleetWeb.API.RuleChanges
+
+  test "rules are changed, listed with what is configured, and undone" do
+    %{gateway: gateway, port: port} = start_server()
+    client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
+    {:ok, "gcs"} = Aerie.Router.add_client(gateway, client)
+    assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules")
+
+    change = %{
+      "rate_limits" => nil,
+      "filter_out" => %{"block_messages" => ["RAW_IMU"]},
+      "role" => "read_only"
+    }
+
+    expected = %{
+      "gcs" => %{
+        "rate_limits" => %{"now" => nil, "configured" => %{"ATTITUDE" => 4}},
+        "filter_out" => %{"now" => %{"block_messages" => ["RAW_IMU"]}, "configured" => nil},
+        "role" => %{"now" => "read_only", "configured" => nil}
+      }
+    }
+
+    assert {200, _, %{"changed" => ^expected}} = patch(port, "/api/rules/gcs", change)
+    assert {200, _, %{"changed" => ^expected}} = request(port, "GET", "/api/rules")
+    assert {204, _, nil} = request(port, "DELETE", "/api/rules/gcs")
+    assert {200, _, %{"changed" => changed}} = request(port, "GET", "/api/rules")
+    assert changed == %{}
+    assert {404, _, _} = request(port, "DELETE", "/api/rules/nobody")
+    assert {404, _, _} = patch(port, "/api/rules/nobody", change)
+
+    assert {422, _, %{"error" => %{"message" => words}}} =
+             patch(port, "/api/rules/gcs", %{"rate_limits" => %{"ATITUDE" => 1}})
+
+    assert words =~ "ATITUDE"
+  end
+
+  test "whatever comes, it is a rule or an error in words, and nothing becomes an atom" do
+    for wrong <- [
+          %{},
+          %{"side" => "client"},
+          %{"unheard of" => 1},
+          %{"role" => "admin"},
+          %{"role" => 7},
+          %{"filter_out" => "RAW_IMU"},
+          %{"filter_out" => %{"block_messages" => "RAW_IMU"}},
+          %{"filter_in" => %{"block_everything" => []}},
+          %{"queue_kb" => "much"},
+          %{"queue_frames" => 0},
+          %{"carry" => "all"},
+          %{"networks" => "main"},
+          %{"networks" => []},
+          %{"sniffer" => "yes"},
+          %{"bytes_per_s" => 1.5},
+          %{"id_offsets" => [1]}
+        ] do
+      assert {:error, %{code: :invalid}} = RuleChanges.parse(wrong)
+    end
+
+    assert {:ok, %{bytes_per_s: nil, networks: ["a"]}} =
+             RuleChanges.parse(%{"bytes_per_s" => nil, "networks" => ["a"]})
+  end
+
+  defp patch(port, path, object),
+    do: request(port, "PATCH", path, [{"content-type", "application/json"}], JSON.encode!(object))
+end

@@ -35,7 +35,7 @@ def run():
     if hold and not os.read(0, 100):
         return
     link = mavutil.mavlink_connection(connection, source_system=system, source_component=1, autoreconnect=True)
-    tell("connected")
+    tell("connected", *([link.port.getsockname()[1]] if connection.startswith("udpin:") else []))
     waiting = wait
     if not waiting:
         send(link)

@@ -51,9 +51,12 @@ defmodule Aerie.BridgeCase do
     )
   end
 
-  @doc "Ends the bridge in order."
+  @doc "Ends the bridge in order. News from before are forgotten: `await/4` is to see those of the next one."
   @spec stop_bridge(reference()) :: :ok
-  def stop_bridge(gateway), do: ExUnit.Callbacks.stop_supervised!({:bridge, gateway})
+  def stop_bridge(gateway) do
+    ExUnit.Callbacks.stop_supervised!({:bridge, gateway})
+    forget_news()
+  end
 
   @doc "Waits for news of a part of the bridge that `fun` accepts."
   @spec await(reference(), atom(), (map() -> as_boolean(term())), timeout()) :: map()

@@ -10,6 +10,8 @@ defmodule Aerie.Link.PortOwner do
 
   # The kernel gives its tables a page at a time: a socket of which one is opened or closed in between can be passed over.
   @looks 5
+  # On a busy machine with many processes the answer is not worth waiting for: that the port is taken is known already.
+  @patience_ms 2_000
 
   @doc "The program's name and process id."
   @spec find(:udp | :tcp, :inet.port_number()) :: {:ok, String.t(), pos_integer} | :unknown
@@ -52,7 +54,11 @@ defmodule Aerie.Link.PortOwner do
   end
 
   defp program(targets) do
-    with pid when pid != nil <- Enum.find(own_first(pids()), &holds?(&1, targets)),
+    deadline = System.monotonic_time(:millisecond) + @patience_ms
+    in_time? = fn _pid -> System.monotonic_time(:millisecond) < deadline end
+
+    with pid when pid != nil <-
+           pids() |> own_first() |> Stream.take_while(in_time?) |> Enum.find(&holds?(&1, targets)),
          {:ok, name} <- name(pid) do
       {:ok, name, pid}
     else

@@ -18,11 +18,13 @@ defmodule Aerie.Link.PymavlinkTest do
     {:ok, gateway: gateway}
   end
 
-  # A port that was free a moment ago, for servers that cannot tell theirs.
-  defp free_port do
-    {:ok, socket} = :gen_tcp.listen(0, [])
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
+  # A port that nobody listens on and that nobody is given by chance: it is bound, and may be bound again.
+  defp reserved_port do
+    {:ok, socket} = :socket.open(:inet, :stream, :tcp)
+    :ok = :socket.setopt(socket, {:socket, :reuseaddr}, true)
+    :ok = :socket.bind(socket, %{family: :inet, addr: {127, 0, 0, 1}, port: 0})
+    on_exit(fn -> :socket.close(socket) end)
+    {:ok, %{port: port}} = :socket.sockname(socket)
     port
   end
 
@@ -41,9 +43,8 @@ defmodule Aerie.Link.PymavlinkTest do
   end
 
   test "we call pymavlink by UDP", c do
-    port = free_port()
-    peer = start("mavlink_peer.py", ["udpin:127.0.0.1:#{port}", "7", "#{@count}", "wait"])
-    await(peer, "connected")
+    peer = start("mavlink_peer.py", ["udpin:127.0.0.1:0", "7", "#{@count}", "wait"])
+    port = await(peer, "connected ")
     {id, _} = add_link(c.gateway, "udpout:127.0.0.1:#{port}")
     eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
     :ok = Router.broadcast(c.gateway, heartbeat(245, @hello))
@@ -58,7 +59,7 @@ defmodule Aerie.Link.PymavlinkTest do
 
   test "we call pymavlink by TCP, which is there only later and goes in between", c do
     listen(c.gateway, [:up, :down])
-    port = free_port()
+    port = reserved_port()
 
     # Both are started, which takes a while, before we call: it is their listening that we wait for, not Python, whose
     # seconds the back-off would double.

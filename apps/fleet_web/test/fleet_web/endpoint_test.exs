@@ -55,8 +55,10 @@ defmodule FleetWeb.EndpointTest do
       eventually(fn ->
         {200, text} = get(context.port, "/metrics")
 
-        if text =~ "gateway_mavlink_parse_errors_total 1" and text =~ "gateway_vehicle_battery_volts",
-          do: text
+        # The link is measured once a second.
+        if text =~ "gateway_mavlink_parse_errors_total 1" and text =~ "gateway_vehicle_battery_volts" and
+             text =~ "gateway_link_score",
+           do: text
       end)
 
     for line <- [
@@ -64,7 +66,7 @@ defmodule FleetWeb.EndpointTest do
           ~s(gateway_mavlink_messages_received_total{type="sys_status"} 1),
           ~s(gateway_link_up{link="radio",network="main"} 1),
           ~s(gateway_link_peers{link="radio",network="main"} 1),
-          ~s(# TYPE gateway_link_score gauge),
+          ~s(gateway_link_score{link="radio",network="main"}),
           ~s(gateway_link_crc_errors_total{link="radio",network="main"} 1),
           ~s(gateway_link_dropped_total{link="radio",network="main",reason="overload"} 0),
           ~s(gateway_vehicle_armed{vehicle="VID-007"} 1),

@@ -22,6 +22,7 @@ defmodule Aerie.Link.Server do
   alias Aerie.Link.Transport
   alias Aerie.Names
   alias Aerie.Router
+  alias Aerie.Router.Meter
   alias Aerie.Router.Load
 
   @drops [:unclaimed, :refused, :overload, :looped]
@@ -66,6 +67,7 @@ defmodule Aerie.Link.Server do
       watched: nil,
       conn: nil,
       sessions: [],
+      judged: nil,
       notify: Keyword.get(options, :notify),
       egress: Egress.open(gateway, spec)
     }
@@ -108,7 +110,7 @@ defmodule Aerie.Link.Server do
   def handle_info(:tick, state) do
     # One at a time: a link that was busy for seconds owes no ticks.
     Process.send_after(self(), :tick, Core.tick_ms())
-    {:noreply, state |> step(:tick) |> look()}
+    {:noreply, state |> step(:tick) |> look() |> measured()}
   end
 
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
@@ -151,6 +153,17 @@ defmodule Aerie.Link.Server do
   end
 
   defp look(state), do: state
+
+  # Silence is no event of the link, but what it is worth falls by it.
+  defp measured(state) do
+    case judged(Meter.quality(state.gateway, state.spec.id)) do
+      same when same == state.judged -> state
+      judged -> publish(%{state | judged: judged})
+    end
+  end
+
+  defp judged(nil), do: nil
+  defp judged(quality), do: {round(quality.score), quality.loss, quality.rtt_ms, quality.carries}
 
   defp watch(state) do
     if function_exported?(state.transport, :watch, 1), do: state.transport.watch(sought(state)), else: nil
@@ -323,7 +336,7 @@ defmodule Aerie.Link.Server do
     |> Map.merge(%{
       restarts: state.restarts,
       signing: Aerie.Signing.link(state.gateway, state.spec),
-      quality: Aerie.Router.Meter.quality(state.gateway, state.spec.id),
+      quality: Meter.quality(state.gateway, state.spec.id),
       recording: Aerie.Recorder.shown(state.gateway, {:link, state.spec.id})
     })
   end

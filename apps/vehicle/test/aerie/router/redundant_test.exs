@@ -107,6 +107,22 @@ defmodule Aerie.Router.RedundantTest do
     for port <- [slow, fast], do: assert_receive({:by, ^port, %M.CommandLong{command: 400}}, 10_000)
   end
 
+  test "a link that falls silent is worth less and less in its snapshot, too" do
+    gateway = start_parts()
+    {id, port} = add_link(gateway, "udpin:127.0.0.1:0")
+    {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback])
+    :ok = :gen_udp.send(socket, @loopback, port, heartbeat(1))
+
+    before =
+      eventually(fn ->
+        match?(%{quality: %{score: s}} when s > 90, Aerie.Link.get(gateway, id)) &&
+          Aerie.Link.get(gateway, id)
+      end)
+
+    assert %{quality: %{group: nil, carries: nil}} = before
+    eventually(fn -> Aerie.Link.get(gateway, id).quality.score < 70 end)
+  end
+
   describe "the choice" do
     setup do
       gateway = start_parts()

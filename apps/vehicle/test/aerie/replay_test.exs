@@ -114,6 +114,78 @@ defmodule Aerie.ReplayTest do
     end
   end
 
+  describe "frames of any message with any content" do
+    test "are taken as what they are: nothing raises, and what comes of them can be published" do
+      property =
+        :proper.forall(:proper_types.list(any_frame()), fn frames ->
+          frames = for {frame, n} <- Enum.with_index(frames, 1), do: made(frame, at(n / 10))
+          {:ok, flight} = play([beat(0) | frames])
+          for event <- flight.events, do: Aerie.Bridge.Message.event(event)
+
+          for s <- flight.samples,
+              do: Aerie.Bridge.Message.state(s.vehicle, "#{s.group}", s.data, s.time_boot_ms, s.at)
+
+          flight.summary.frames == length(frames) + 1
+        end)
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 60])
+    end
+
+    # Those that the cores look at, more often than the others.
+    defp any_frame do
+      looked_at = [
+        0,
+        1,
+        2,
+        4,
+        22,
+        24,
+        30,
+        33,
+        42,
+        65,
+        74,
+        77,
+        111,
+        147,
+        148,
+        162,
+        235,
+        242,
+        244,
+        245,
+        253,
+        410
+      ]
+
+      id =
+        :proper_types.frequency([
+          {3, :proper_types.elements(looked_at)},
+          {1, :proper_types.elements(MavCodec.Dialects.All.ids())}
+        ])
+
+      byte =
+        :proper_types.frequency([
+          {2, :proper_types.elements([0, 1, 127, 128, 192, 255])},
+          {1, :proper_types.byte()}
+        ])
+
+      payload = :proper_types.oneof([:proper_types.list(byte), :proper_types.vector(255, byte)])
+      {id, payload, :proper_types.range(1, 3), :proper_types.elements([1, 1, 1, 2, 190])}
+    end
+
+    defp made({id, payload, system, component}, at) do
+      [extra | _] = id |> MavCodec.Dialects.All.crc_extra() |> List.wrap()
+      payload = payload |> Enum.take(255) |> :erlang.list_to_binary()
+      bytes = MavCodec.Raw.frame(id, payload, extra, system: system, component: component)
+      MavCodec.Frame.from_bytes(bytes, extra, at)
+    end
+
+    test "F7: a HIGH_LATENCY2 whose end was cut off, because it is zeros, is one all the same" do
+      assert {:ok, %{summary: %{vehicles: ["VID-002"]}}} = play([made({235, [7], 2, 1}, at(0))])
+    end
+  end
+
   describe "a file" do
     @describetag :tmp_dir
 

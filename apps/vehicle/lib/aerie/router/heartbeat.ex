@@ -48,12 +48,12 @@ defmodule Aerie.Router.Heartbeat do
     %__MODULE__{type: type, autopilot: autopilot}
   end
 
-  def read(%Frame{id: @id, payload: <<_custom_mode::32, type>>}), do: %__MODULE__{type: type, autopilot: 0}
-
   def read(%Frame{id: @high_latency2, payload: <<_values::24-binary, type, autopilot, _::binary>>}),
     do: %__MODULE__{type: type, autopilot: autopilot}
 
-  def read(%Frame{id: @id}), do: %__MODULE__{type: 0, autopilot: 0}
+  def read(%Frame{id: id, payload: payload} = frame) when id in [@id, @high_latency2],
+    do: read(%{frame | payload: payload <> <<0::size(26 - byte_size(payload))-unit(8)>>})
+
   def read(%Frame{}), do: nil
 
   @doc "Whether the sender is the autopilot of a vehicle."

@@ -87,7 +87,8 @@ defmodule Aerie.Vehicle.Identity.LatchTest do
     ref = Process.monitor(pid)
     Supervisor.stop(pid)
     assert_receive {:DOWN, ^ref, :process, ^pid, _reason}
-    eventually(fn -> Tables.of(c.gateway) && Tables.setting(Tables.of(c.gateway), :own, nil) == {7, 191} end)
+    eventually(fn -> Names.whereis(c.gateway, :router) not in [nil, pid] and Tables.of(c.gateway) end)
+    assert own(c) == {7, 191}
   end
 
   test "the vehicle's name and our ids follow" do

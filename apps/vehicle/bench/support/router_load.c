@@ -71,11 +71,16 @@ static int heartbeat(uint8_t *out, uint8_t seq, uint8_t system, uint8_t componen
   return frame(out, seq, system, component, 0, payload, 9, 50);
 }
 
-/* Time in the first four bytes (microseconds) and a last byte that is no zero, so that all frames are of one length. */
-static int attitude(uint8_t *out, uint8_t seq, uint8_t system, uint32_t us) {
+/* A vehicle's clock in the first four bytes (milliseconds) and when it is sent in the next: the microseconds' low 23 bits as
+ * the fraction of a number from 1 to 2, which is an angle like any other. The last byte is no zero, so that all frames are
+ * of one length. */
+#define STAMP 0x7fffff
+static int attitude(uint8_t *out, uint8_t seq, uint8_t system, uint64_t us) {
   uint8_t payload[28];
+  uint32_t ms = us / 1000, roll = 0x3f800000 | (us & STAMP);
   memset(payload, 0x3f, sizeof payload);
-  memcpy(payload, &us, 4);
+  memcpy(payload, &ms, 4);
+  memcpy(payload + 4, &roll, 4);
   return frame(out, seq, system, 1, 30, payload, 28, 39);
 }
 
@@ -112,8 +117,8 @@ static void take(int client, const uint8_t *bytes, int size, uint32_t us) {
     if (n > size) break;
     if (bytes[7] == 30 && bytes[1] == 28) {
       uint32_t at;
-      memcpy(&at, bytes + 10, 4);
-      uint32_t took = us - at;
+      memcpy(&at, bytes + 14, 4);
+      uint32_t took = (us - at) & STAMP;
       got[client]++;
       if (took > max_us) max_us = took;
       if (took < BUCKETS) __atomic_fetch_add(&histogram[took], 1, __ATOMIC_RELAXED);

@@ -30,6 +30,14 @@ defmodule Aerie.Link.ReplayTest do
     assert Link.snapshot(c.gateway, id).counters.dropped_out == 1
   end
 
+  test "a gzipped recording is one too, round and round", c do
+    be_session(c.gateway, 1)
+    add_link(c.gateway, "replay:#{@fixture}?speed=max&loop=true")
+    n = length(c.recorded)
+    frames = Enum.take(frames(2 * n), 2 * n)
+    assert Enum.map(frames, & &1.bytes) == Enum.map(c.recorded ++ c.recorded, & &1.bytes)
+  end
+
   test "waits for a session that does not keep up", c do
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])

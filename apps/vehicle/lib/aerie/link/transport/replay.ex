@@ -1,6 +1,6 @@
 defmodule Aerie.Link.Transport.Replay do
   @moduledoc """
-  A recorded tlog in place of a live link, in real time, scaled, or as fast as it is taken.
+  A recorded tlog, gzipped or not, in place of a live link, in real time, scaled, or as fast as it is taken.
 
   The frames carry the times of their records. As fast as possible means: a batch is read when the vehicles' sessions have
   dealt with what they had before, so that neither the file's size nor a slow reader of it costs memory. At the end the
@@ -14,6 +14,8 @@ defmodule Aerie.Link.Transport.Replay do
   alias MavCodec.Tlog.Decoder
 
   @chunk 65_536
+  # What is not gzipped is read as it is.
+  @modes [:read, :raw, :binary, :compressed]
   @batch 256
   # Reads that may wait at a session before the next batch is read, and how soon that is looked at again.
   @backlog 16
@@ -41,7 +43,7 @@ defmodule Aerie.Link.Transport.Replay do
   # Opened once to see that it can be; the link's process opens it again, because a file belongs to its process.
   @impl Aerie.Link.Transport
   def open(spec) do
-    with {:ok, device} <- :file.open(spec.file, [:read, :raw, :binary]),
+    with {:ok, device} <- :file.open(spec.file, @modes),
          {:ok, _or_eof} <- peek(device) do
       :ok = :file.close(device)
       {:ok, %__MODULE__{spec: spec, pacer: Pacer.new(spec.speed), ref: make_ref()}}
@@ -61,7 +63,7 @@ defmodule Aerie.Link.Transport.Replay do
 
   @impl Aerie.Link.Transport
   def activate(conn) do
-    with {:ok, device} <- :file.open(conn.spec.file, [:read, :raw, :binary]) do
+    with {:ok, device} <- :file.open(conn.spec.file, @modes) do
       remind(conn, :read, 0)
       {:ok, begin(%{conn | device: device}), %{local: conn.spec.file}}
     end

@@ -39,7 +39,7 @@ defmodule AerieCLI do
 
   defp start(%{print: [_ | _]} = parsed, environment, options) do
     # Nothing is started whose log would be of interest; that nobody reads any more is no news.
-    if options == [], do: Logger.configure(level: :none)
+    if options == [], do: :ok = :logger.set_primary_config(:level, :none)
 
     case Vector.print(parsed, folder(environment), options) do
       :ok -> {:finish, ""}

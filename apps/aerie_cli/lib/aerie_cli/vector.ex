@@ -21,17 +21,16 @@ defmodule AerieCLI.Vector do
     plan = Plan.from(options, folder)
 
     with {:ok, config} <- load(plan),
-         file = Path.expand(options.replay, folder),
-         {:ok, :ok, summary} <- play(file, config, what, device) do
-      IO.puts(Keyword.get(devices, :notes, :stderr), note(summary))
-    end
+         {:ok, note} <- play(Path.expand(options.replay, folder), config, what, device),
+         do: IO.write(Keyword.get(devices, :notes, :stderr), note)
   end
 
   # Who reads may have seen enough (`| head`): that is an end as good as any.
   defp play(file, config, what, device) do
-    Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device))
+    with {:ok, :ok, summary} <- Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device)),
+         do: {:ok, note(summary) <> "\n"}
   catch
-    :closed -> :ok
+    :closed -> {:ok, ""}
   end
 
   defp load(plan) do

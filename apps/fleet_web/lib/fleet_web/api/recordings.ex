@@ -82,21 +82,19 @@ defmodule FleetWeb.API.Recordings do
 
   @doc "Saves the last moments of a vehicle; `%{\"reason\" => words}` gets into the file's name."
   @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t()}
-  def save(gateway, vehicle, %{"reason" => reason})
-      when not is_binary(reason) or byte_size(reason) > @max_reason,
-      do: save(gateway, vehicle, :invalid)
-
-  def save(_gateway, _vehicle, :invalid),
-    do: {:error, Error.new(:invalid, "reason: words of at most #{@max_reason} bytes")}
-
   def save(gateway, vehicle, object) do
-    with {:ok, file} <- Recorder.save(gateway, vehicle, Map.get(object, "reason", "request")) do
+    with {:ok, reason} <- reason(Map.get(object, "reason", "request")),
+         {:ok, file} <- Recorder.save(gateway, vehicle, reason) do
       name = Path.basename(file)
       {:ok, %{name: name, url: "/api/recordings/#{name}"}}
     else
+      {:error, %Error{} = error} -> {:error, error}
       {:error, words} -> {:error, refusal(words)}
     end
   end
+
+  defp reason(text) when is_binary(text) and byte_size(text) <= @max_reason, do: {:ok, text}
+  defp reason(_other), do: {:error, Error.new(:invalid, "reason: words of at most #{@max_reason} bytes")}
 
   @doc "Begins or ends the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
   @spec record(term(), {:vehicle | :link, String.t()}, map()) :: {:ok, map()} | {:error, Error.t()}

@@ -65,6 +65,7 @@ defmodule AerieCLI.Options do
                          tcp:HOST:PORT      connect, e.g. to a SITL: tcp:127.0.0.1:5760
                          tcpin:HOST:PORT    wait for connections
                          DEVICE,BAUD        a serial port, e.g. /dev/ttyACM0,57600
+                       serial:auto        the serial port that a vehicle is heard on
     --replay FILE      show a recorded flight (a .tlog file) instead
     --speed N|max      how many times faster than recorded (default 1)
     --events           with --replay: print what happened in it as JSON lines, at once, and end

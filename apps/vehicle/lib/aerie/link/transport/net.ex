@@ -60,6 +60,19 @@ defmodule Aerie.Link.Transport.Net do
     :gen_udp.open(port, options ++ more)
   end
 
+  @doc "What a UDP socket says besides datagrams, as `c:Aerie.Link.Transport.handle/2` has it."
+  @spec udp_message(conn, term) :: {[{:closed, :closed}], conn} | :unknown
+        when conn: %{socket: :gen_udp.socket()}
+  def udp_message(%{socket: socket} = conn, {:udp_passive, socket}) do
+    _ = :inet.setopts(socket, active: active())
+    {[], conn}
+  end
+
+  # An answer of the network to something sent before (no such port there): says nothing about the other peers.
+  def udp_message(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
+  def udp_message(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
+  def udp_message(_conn, _message), do: :unknown
+
   @doc """
   The datagrams that wait in the mailbox, in order, with their senders; at most #{@batch}. The socket is asked to go on
   when it had stopped.

@@ -50,14 +50,7 @@ defmodule Aerie.Link.Transport.UdpClient do
     {if(reads == [], do: [], else: [{:read, reads}]), conn}
   end
 
-  def handle(%{socket: socket} = conn, {:udp_passive, socket}) do
-    _ = :inet.setopts(socket, active: Net.active())
-    {[], conn}
-  end
-
-  def handle(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
-  def handle(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
-  def handle(_conn, _message), do: :unknown
+  def handle(conn, message), do: Net.udp_message(conn, message)
 
   defp hear({from, bytes}, %{to: from} = conn), do: {[{:remote, bytes}], conn}
 

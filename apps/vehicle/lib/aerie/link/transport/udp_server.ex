@@ -34,15 +34,7 @@ defmodule Aerie.Link.Transport.UdpServer do
     {[{:read, [{{address, port}, bytes} | Net.drain(socket)]}], conn}
   end
 
-  def handle(%{socket: socket} = conn, {:udp_passive, socket}) do
-    _ = :inet.setopts(socket, active: Net.active())
-    {[], conn}
-  end
-
-  # An answer of the network to something sent before (no such port there): says nothing about the other peers.
-  def handle(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
-  def handle(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
-  def handle(_conn, _message), do: :unknown
+  def handle(conn, message), do: Net.udp_message(conn, message)
 
   @impl Aerie.Link.Transport
   def write(conn, {address, port}, bytes) do

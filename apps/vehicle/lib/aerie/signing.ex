@@ -36,9 +36,11 @@ defmodule Aerie.Signing do
 
   @typedoc """
   Bytes that the link's process is to sign: for the system of a network (nil: for all), or with that very key (nil: with
-  none). A secret is not shown on its way.
+  none). Those of a secret are not shown on their way.
   """
-  @type marked :: {:sign, {String.t(), non_neg_integer | nil} | Scope.t() | nil, iodata | Secret.t()}
+  @type marked ::
+          {:sign, {String.t(), non_neg_integer | nil} | Scope.t(), iodata}
+          | {:secret, Scope.t() | nil, Secret.t()}
 
   @typedoc """
   - `policy`, `key`: of the scope that the vehicle belongs to (`main/7`, `main/*`)
@@ -94,16 +96,17 @@ defmodule Aerie.Signing do
 
   @doc "The bytes to write to a peer for what a link was given; called in the link's process."
   @spec seal(Names.gateway(), String.t(), term, iodata | marked) :: iodata
-  def seal(gateway, link, peer, {:sign, key, %Secret{} = bytes}),
-    do: seal(gateway, link, peer, {:sign, key, Secret.reveal(bytes)})
+  def seal(_gateway, _link, _peer, {:secret, nil, bytes}), do: Secret.reveal(bytes)
 
-  def seal(_gateway, _link, _peer, {:sign, nil, bytes}), do: bytes
+  def seal(gateway, link, peer, {:secret, scope, bytes}),
+    do: Seal.own(gateway, link, peer, scope, Secret.reveal(bytes))
+
   def seal(gateway, link, peer, {:sign, key, bytes}), do: Seal.own(gateway, link, peer, key, bytes)
   def seal(_gateway, _link, _peer, bytes), do: bytes
 
   @doc "What may be recorded of bytes that went out for what a link was given: nothing of a key (S9)."
   @spec shown(iodata | marked, iodata) :: iodata
-  def shown({:sign, _key, %Secret{}}, bytes) do
+  def shown({:secret, _key, _secret}, bytes) do
     {frames, _rest} = bytes |> IO.iodata_to_binary() |> Aerie.Wire.frames()
     Enum.map(frames, &MavCodec.Redact.frame(Aerie.Wire.checked(&1)).bytes)
   end

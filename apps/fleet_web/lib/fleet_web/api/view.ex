@@ -80,7 +80,8 @@ defmodule FleetWeb.API.View do
 
   @doc "All keys by their names, without the keys; which vehicles have one that is not proven."
   @spec signing(term()) :: map()
-  def signing(gateway), do: Json.plain(Aerie.Signing.list(gateway))
+  def signing(gateway),
+    do: Map.new(Aerie.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
 
   defp signed(nil), do: nil
 

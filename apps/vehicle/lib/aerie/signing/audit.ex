@@ -42,8 +42,9 @@ defmodule Aerie.Signing.Audit do
          events when is_pid(events) <- Names.whereis(gateway, :events, key) do
       _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, type, data})
       Vehicle.Events.wake(events)
+      :ok
+    else
+      _unknown -> :ok
     end
-
-    :ok
   end
 end

@@ -132,7 +132,7 @@ defmodule Aerie.Signing.Enrolment do
   defp stage(job, nil), do: {:ok, job.scope}
 
   defp stage(job, given) do
-    if match?(%Secret{}, given) and job.scope != nil and Key.same?(given, job.scope.secret),
+    if given not in [:generate, :previous] and job.scope != nil and Key.same?(given, job.scope.secret),
       do: {:ok, job.scope},
       else: Vault.stage(job.gateway, job.key, given)
   end
@@ -232,7 +232,7 @@ defmodule Aerie.Signing.Enrolment do
 
   # Signed with the key that was in force when this began, whatever is by the time it goes out.
   defp send_setup(job, bytes) do
-    with {:error, reason} <- Link.send_bytes(job.gateway, job.link, {:sign, job.scope, bytes}, job.to),
+    with {:error, reason} <- Link.send_bytes(job.gateway, job.link, {:secret, job.scope, bytes}, job.to),
          do: {:error, "link #{job.link} cannot be written to: #{reason}"}
   end
 

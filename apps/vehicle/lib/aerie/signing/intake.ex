@@ -64,7 +64,7 @@ defmodule Aerie.Signing.Intake do
   end
 
   defp told(acc, frame, verdict, scope) do
-    if acc.waited_for, do: tell(acc, frame, verdict, scope)
+    _ = if acc.waited_for, do: tell(acc, frame, verdict, scope)
     kept = if match?({:rejected, _}, verdict), do: acc.kept, else: [frame | acc.kept]
     %{acc | kept: kept, tally: note(acc.tally, frame, verdict)}
   end
@@ -133,32 +133,30 @@ defmodule Aerie.Signing.Intake do
   defp add(tally, key), do: Map.update(tally, key, 1, &(&1 + 1))
 
   defp count(gateway, tables, source, tally, at) do
-    for {{system, what}, n} <- tally do
+    Enum.each(tally, fn {{system, what}, n} ->
       key = {source.network, system}
 
       case what do
         {:rejected, component, reason} ->
           heard(tables, key, nil, 6, n, at)
-          Store.count(gateway, {:signing, source.id, :rejected}, n)
+          _ = Store.count(gateway, {:signing, source.id, :rejected}, n)
           Alarm.rejected(gateway, tables, source, {system, component}, reason, n, at)
 
         :verified ->
           heard(tables, key, 2, 4, n, at)
-          Store.count(gateway, {:signing, source.id, :verified}, n)
+          _ = Store.count(gateway, {:signing, source.id, :verified}, n)
 
         :unsigned ->
           heard(tables, key, 3, 5, n, at)
-          Store.count(gateway, {:signing, source.id, :unsigned}, n)
+          _ = Store.count(gateway, {:signing, source.id, :unsigned}, n)
       end
-    end
-
-    :ok
+    end)
   end
 
   defp heard(tables, key, time, counter, n, at) do
     if :ets.member(tables.sources, key) or :ets.info(tables.sources, :size) < @max_sources do
       _ = :ets.update_counter(tables.sources, key, {counter, n}, {key, nil, nil, 0, 0, 0})
-      if time, do: :ets.update_element(tables.sources, key, {time, at})
+      _ = if time, do: :ets.update_element(tables.sources, key, {time, at})
     end
 
     :ok

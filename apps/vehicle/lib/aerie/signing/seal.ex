@@ -8,7 +8,6 @@ defmodule Aerie.Signing.Seal do
   vehicles share a key. Before anything was heard of a peer, the network's key is taken, if there is one.
   """
 
-  alias Aerie.Config.Secret
   alias Aerie.Fleet.Store
   alias Aerie.Names
   alias Aerie.Signing.{Guard, Guards, Scope, Tables}
@@ -87,7 +86,7 @@ defmodule Aerie.Signing.Seal do
   defp scopes(tables, _link, _peer, key), do: signing([Tables.scope(tables, key)])
 
   defp signing(scopes),
-    do: for(%Scope{policy: policy, secret: %Secret{}} = s <- scopes, policy != :off, do: s)
+    do: for(%Scope{policy: policy, error: nil} = s <- scopes, policy != :off, do: s)
 
   defp sign(gateway, tables, link, scope, bytes, own) do
     signing = Guards.get(gateway, tables, link, scope)

@@ -114,12 +114,15 @@ defmodule Aerie.Signing.State do
 
   # That the new name is in the folder must be on the disk, too. Where folders cannot be opened it has to be good enough.
   defp sync(dir) do
-    with {:ok, folder} <- :file.open(dir, [:read, :raw, :directory]) do
-      _ = :file.sync(folder)
-      :file.close(folder)
-    end
+    case :file.open(dir, [:read, :raw, :directory]) do
+      {:ok, folder} ->
+        _ = :file.sync(folder)
+        _ = :file.close(folder)
+        :ok
 
-    :ok
+      {:error, _cannot} ->
+        :ok
+    end
   end
 
   @doc "Makes a folder for its owner only; one that is there stays as it is."

@@ -118,7 +118,7 @@ defmodule Aerie.Signing.Vault do
 
     Enum.each(Scope.in_force(configured, given), &Tables.put_scope(state.tables, &1))
 
-    for %Scope{secret: %Secret{}} = scope <- candidates,
+    for %Scope{error: nil} = scope <- candidates,
         do: Tables.put_candidate(state.tables, scope.id, scope)
 
     :ok
@@ -133,6 +133,8 @@ defmodule Aerie.Signing.Vault do
           "given another one. Remove #{KeyFiles.path(dir, id, :current)} to use it."
       )
     end
+
+    :ok
   end
 
   defp restore(tables, stored) do
@@ -221,12 +223,10 @@ defmodule Aerie.Signing.Vault do
     state
   end
 
-  defp secret(_state, _id, %Secret{} = secret), do: {:ok, secret}
-
   defp secret(state, id, :generate) do
     case Tables.candidate(state.tables, id) do
-      %Scope{secret: %Secret{} = secret} -> {:ok, secret}
-      nil -> {:ok, Key.generate()}
+      %Scope{secret: secret} when secret != nil -> {:ok, secret}
+      _none -> {:ok, Key.generate()}
     end
   end
 
@@ -234,6 +234,8 @@ defmodule Aerie.Signing.Vault do
     with {:error, reason} <- KeyFiles.read(state.dir, id, :previous),
          do: {:error, "there is no key from before: #{reason}"}
   end
+
+  defp secret(_state, _id, secret), do: {:ok, secret}
 
   defp scopes(state), do: for({_id, scope} <- :ets.tab2list(state.tables.scopes), do: scope)
 

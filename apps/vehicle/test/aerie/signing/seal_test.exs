@@ -149,7 +149,7 @@ defmodule Aerie.Signing.SealTest do
 
       key = :binary.copy(<<0xAB>>, 32)
       setup = MavCodec.encode(%M.SetupSigning{target_system: 1, secret_key: key}, system: 245, component: 191)
-      marked = {:sign, nil, Aerie.Config.Secret.new(setup)}
+      marked = {:secret, nil, Aerie.Config.Secret.new(setup)}
       refute inspect(marked) =~ "AB"
       assert Signing.seal(c.gateway, "radio", :a, marked) == setup
       refute IO.iodata_to_binary(Signing.shown(marked, setup)) =~ key

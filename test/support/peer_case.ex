@@ -22,9 +22,21 @@ defmodule Aerie.PeerCase do
   @files [python: "bin/python", mavproxy: "bin/mavproxy.py", mavsdk: "lib/python*/site-packages/mavsdk"]
   @programs [mavlink_router: "mavlink-routerd", mavp2p: "mavp2p"]
 
-  @doc "Tags of tests whose peers are not installed; which, is said when the tests have run."
+  @doc "Tags of tests whose peers are not installed."
   @spec missing() :: [atom()]
-  def missing do
+  def missing, do: Keyword.keys(absent())
+
+  @doc "Lets the end of the run say which peers were not there, and where they were looked for."
+  @spec say_missing() :: :ok
+  def say_missing do
+    for {tag, place} <- absent(),
+        do:
+          ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: there is no #{place}.") end)
+
+    :ok
+  end
+
+  defp absent do
     files =
       for {tag, file} <- @files,
           Path.wildcard(Path.join(venv(), file)) == [],
@@ -33,10 +45,7 @@ defmodule Aerie.PeerCase do
     programs =
       for {tag, name} <- @programs, System.find_executable(name) == nil, do: {tag, "#{name} on the PATH"}
 
-    for {tag, place} <- files ++ programs do
-      ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: there is no #{place}.") end)
-      tag
-    end
+    files ++ programs
   end
 
   defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))

@@ -1,0 +1,108 @@
+defmodule Aerie.System.QGCTest do
+  @moduledoc """
+  The conversation of QGroundControl with several vehicles at once (`test/peers/qgc_gcs.py`; the program itself needs a
+  screen), by each way that it has: a UDP port that waits for whoever speaks, called or reached by broadcast, and TCP.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
+
+  alias Aerie.Client
+
+  @moduletag :tmp_dir
+  @moduletag :python
+  @moduletag timeout: 300_000
+
+  setup %{tmp_dir: folder} do
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+
+    for {firmware, system} <- [ardupilot: 1, px4: 2, ardupilot: 3] do
+      options = [firmware: firmware, system: system, link: link, ready_s: 1.0]
+      start_supervised!({SimVehicle, options}, id: system)
+    end
+
+    eventually(fn -> length(Store.vehicles(gateway)) == 3 end, "all vehicles are known")
+    {:ok, gateway: gateway}
+  end
+
+  # What every conversation comes to: what the vehicles know is answered, what they do not know is refused by them.
+  defp assert_talked(findings, more \\ fn _found -> %{} end) do
+    for system <- 1..3 do
+      found = for {name, value} <- findings, [^system, key] <- [key(name)], into: %{}, do: {key, value}
+      firmware = if system == 2, do: :px4, else: :ardupilot
+
+      assert found == firmware |> expected(found) |> Map.merge(more.(found)),
+             "system #{system}: #{inspect(found)}"
+
+      # Ten a second, as asked, or more where another client wants more.
+      assert String.to_integer(found["attitude_ms"]) in 10..120
+    end
+
+    assert findings["strangers"] == "0"
+  end
+
+  defp key(name) do
+    case String.split(name, ".", parts: 2) do
+      [system, key] -> [String.to_integer(system), key]
+      _other -> nil
+    end
+  end
+
+  defp expected(firmware, found) do
+    common = %{
+      "version" => "came",
+      "attitude_ms" => found["attitude_ms"],
+      "ftp" => "silent",
+      "params" => "True",
+      "gaps" => "True",
+      "mission" => "same",
+      "fence" => "same",
+      "rally" => "same",
+      "logs" => "0"
+    }
+
+    Map.merge(common, answers(firmware))
+  end
+
+  defp answers(:ardupilot), do: %{"protocol" => "failed", "modes" => "failed", "metadata" => "failed"}
+
+  defp answers(:px4),
+    # PX4 accepts every request for a message, and sends those that it has.
+    do: %{
+      "protocol" => "accepted",
+      "modes" => "accepted",
+      "metadata" => "accepted",
+      "interval" => "accepted"
+    }
+
+  test "a port that waits, called by the gateway", c do
+    port = free_udp_port()
+    qgc = start_peer("qgc_gcs.py", ["udpin:127.0.0.1:#{port}", "1,2,3"])
+    {:ok, _id} = Client.add(c.gateway, "udpout:127.0.0.1:#{port}")
+    assert_talked(findings(qgc))
+  end
+
+  test "a port that waits, found by broadcast, and from then on the only one that is written to", c do
+    port = free_udp_port()
+    qgc = start_peer("qgc_gcs.py", ["udpin:0.0.0.0:#{port}", "1,2,3"])
+    {:ok, id} = Client.add(c.gateway, "udpbcast:127.255.255.255:#{port}")
+    assert_talked(findings(qgc))
+    assert [%{peers: [%{text: _address}]}] = Enum.filter(Client.endpoints(c.gateway), &(&1.id == id))
+  end
+
+  # What the second one asks for again may have come by the first one's asking; it changes no plan.
+  defp looked(found),
+    do: %{"gaps" => found["gaps"], "mission" => "came", "fence" => "came", "rally" => "came"}
+
+  test "two at once, by TCP and by UDP, where they call", c do
+    {:ok, tcp} = Client.add(c.gateway, "tcpin:127.0.0.1:0")
+    {:ok, udp} = Client.add(c.gateway, "udpin:127.0.0.1:0", id: "second")
+    port = fn id -> Enum.find(Client.endpoints(c.gateway), &(&1.id == id)).port end
+    one = start_peer("qgc_gcs.py", ["tcp:127.0.0.1:#{port.(tcp)}", "1,2,3"])
+    two = start_peer("qgc_gcs.py", ["udpout:127.0.0.1:#{port.(udp)}", "1,2,3", 254, "look"])
+    assert_talked(findings(one), &Map.take(&1, ["gaps"]))
+    assert_talked(findings(two), &looked/1)
+  end
+end

@@ -60,7 +60,7 @@ defmodule Aerie.Client.UnixSocket do
   def present?(path, identity), do: identity(path) == {:ok, identity}
 
   defp bind(from, to) do
-    options = [:binary, ifaddr: {:local, from}, active: false, backlog: 64]
+    options = [:binary, ifaddr: {:local, from}, active: false, backlog: 1024]
 
     with {:ok, socket} <- listening(options, to) do
       with :ok <- said(File.chmod(from, @mode), to),

@@ -33,7 +33,10 @@ defmodule Aerie.Link.Opener do
   defp explain({:error, :eaddrinuse}, spec) do
     protocol = if spec.kind in [:udp_server, :udp_client], do: :udp, else: :tcp
 
+    own = String.to_integer(System.pid())
+
     case PortOwner.find(protocol, spec.port) do
+      {:ok, _program, ^own} -> {:error, {:in_use, "this gateway (process #{own})"}}
       {:ok, program, pid} -> {:error, {:in_use, "#{program} (process #{pid})"}}
       :unknown -> {:error, {:in_use, "another program"}}
     end

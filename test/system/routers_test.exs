@@ -3,7 +3,7 @@ defmodule Aerie.System.RoutersTest do
   mavlink-router and mavp2p between the gateway and a ground station, and between a vehicle and the gateway, each by UDP
   and TCP and calling or called. The whole flight goes through them (telemetry, parameters, a mission up and down, arming,
   take-off, landing), so that whatever a router asks of its neighbours (heartbeats, one address for each system, nothing
-  sent back) is kept.
+  sent back: R1, R2, R3) is kept.
   """
 
   use Aerie.SystemCase, async: true

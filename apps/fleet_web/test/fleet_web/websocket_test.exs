@@ -264,4 +264,13 @@ defmodule FleetWeb.WebSocketTest do
   defp san do
     {:Extension, {2, 5, 29, 17}, false, [dNSName: ~c"localhost"]}
   end
+
+  for sign <- [true, false] do
+    test "websocket.sign: #{sign} is a rule of its clients" do
+      c = start(websocket: %{sign: unquote(sign)})
+      open(c)
+      [%{owner: id}] = clients(c.gateway)
+      assert %{sign: unquote(sign)} = c.gateway |> Router.Tables.of() |> Router.Endpoints.owner(id)
+    end
+  end
 end

@@ -31,7 +31,7 @@ defmodule Aerie.Vehicle.Session do
     # Whoever has frames of the vehicle may remember that there is no session.
     Names.changed()
     snapshot = Fleet.Store.vehicle(gateway, options.key)
-    {:ok, _timer} = :timer.send_interval(@tick_ms, :tick)
+    again()
 
     state = %{
       gateway: gateway,
@@ -70,6 +70,11 @@ defmodule Aerie.Vehicle.Session do
   # A link on which it was heard is connected again (`Aerie.Link.Again`).
   def handle_info({:link_again, link}, state), do: {:noreply, step(state, {:link_again, link})}
 
+  def handle_info({:timeout, _timer, :tick}, state) do
+    again()
+    handle_info(:tick, state)
+  end
+
   def handle_info(:tick, state) do
     state = set(state)
 
@@ -92,6 +97,10 @@ defmodule Aerie.Vehicle.Session do
     Vehicle.Identity.Pulse.answer(pulse, tag)
     {:noreply, state}
   end
+
+  # A timer of its own each time: an interval's ticks would all pass by one process, a thousand a second for a hundred
+  # vehicles.
+  defp again, do: :erlang.start_timer(@tick_ms, self(), :tick)
 
   # What others have written down since, once a second.
   defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_ticks) != 0,

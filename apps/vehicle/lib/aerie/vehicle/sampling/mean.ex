@@ -27,9 +27,12 @@ defmodule Aerie.Vehicle.Sampling.Mean do
 
   @spec add(t(), integer(), map()) :: t()
   def add(mean, at, data) do
-    sums = Enum.reduce(data, mean.sums, fn {key, value}, sums -> sum(sums, key, value) end)
-    %{mean | sums: sums, last: data, count: mean.count + 1, at: at}
+    # Comes for each message at the full rate.
+    %{mean | sums: sums(:maps.to_list(data), mean.sums), last: data, count: mean.count + 1, at: at}
   end
+
+  defp sums([], sums), do: sums
+  defp sums([{key, value} | rest], sums), do: sums(rest, sum(sums, key, value))
 
   @spec result(t()) :: map()
   def result(mean), do: Map.merge(mean.last, Map.new(mean.sums, fn {key, sum} -> {key, value(key, sum)} end))

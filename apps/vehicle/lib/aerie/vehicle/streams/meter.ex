@@ -41,17 +41,20 @@ defmodule Aerie.Vehicle.Streams.Meter do
   def heard(%{watched: watched} = meter, link, id, at) do
     case watched do
       %{^id => {since, counts, _last}} ->
-        counts =
-          if is_map_key(counts, link) or map_size(counts) < @links, do: bump(counts, link), else: counts
-
-        %{meter | watched: %{watched | id => {since, counts, at}}}
+        %{meter | watched: %{watched | id => {since, bump(counts, link), at}}}
 
       _unwatched ->
         meter
     end
   end
 
-  defp bump(counts, link), do: Map.update(counts, link, 1, &(&1 + 1))
+  defp bump(counts, link) do
+    case counts do
+      %{^link => n} -> %{counts | link => n + 1}
+      _new when map_size(counts) < @links -> Map.put(counts, link, 1)
+      _full -> counts
+    end
+  end
 
   @doc "Messages per second over the time that was counted, once that is long enough (us); nil before."
   @spec rate(t(), non_neg_integer(), integer(), pos_integer()) :: float() | nil

@@ -119,6 +119,8 @@ defmodule SimVehicle.Px4Test do
     test "before there is a position, and in modes that cannot be flown" do
       flight = :px4 |> boot() |> heartbeat() |> run(1) |> command(400, [1.0])
       assert {400, 1} in acks(flight)
+      # Critical to people, information to the log: as 1.17.0 sends it.
+      assert %{id: 16_910_493, log_levels: 0x62} = List.last(sent(flight, M.Event))
       assert ["Arming denied: Resolve system health failures firs", "t\t"] = Enum.take(texts(flight), -2)
 
       assert [{0, 0}, {0, 1}] =

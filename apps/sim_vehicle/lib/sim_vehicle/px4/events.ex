@@ -15,7 +15,7 @@ defmodule SimVehicle.Px4.Events do
   @gcs_silent_us 5_000_000
   @arguments 40
 
-  # name => {id, log levels (external << 4 | internal), argument types}
+  # name => {id, log levels (internal << 4 | external), argument types}
   @known %{
     log_opened: {17_980_399, 0x66, [:u16, :u8, :u8, :u8, :u8, :u8]},
     armed: {26_266_355, 0x66, [:u8]},
@@ -28,20 +28,20 @@ defmodule SimVehicle.Px4.Events do
     return_landing: {16_962_474, 0x66, []},
     mission_executing: {32_375_217, 0x66, []},
     mission_finished: {21_455_606, 0x66, []},
-    mission_denied: {23_844_490, 0x26, []},
-    mission_takeoff_missing: {22_271_714, 0x36, []},
+    mission_denied: {23_844_490, 0x62, []},
+    mission_takeoff_missing: {22_271_714, 0x63, []},
     mission_item_invalid: {33_469_040, 0x33, []},
-    first_waypoint_far: {22_091_529, 0x46, [:u32]},
-    arming_denied_calibrating: {18_843_603, 0x26, []},
-    arming_denied: {16_910_493, 0x26, []},
-    disarming_denied: {25_868_725, 0x26, []},
-    mode_unavailable: {27_280_279, 0x26, [:u32, :u8]},
+    first_waypoint_far: {22_091_529, 0x64, [:u32]},
+    arming_denied_calibrating: {18_843_603, 0x62, []},
+    arming_denied: {16_910_493, 0x62, []},
+    disarming_denied: {25_868_725, 0x62, []},
+    mode_unavailable: {27_280_279, 0x62, [:u32, :u8]},
     mode_unsupported: {19_869_445, 0x33, []},
     arm_argument: {19_217_309, 0x33, [:f32]},
-    battery_low: {28_993_875, 0x46, []},
-    failsafe_hold: {30_481_910, 0x24, [:u32, :u8, :u8, :u16]},
-    failsafe: {26_528_394, 0x24, [:u32, :u8, :u8]},
-    geofence_invalid: {27_750_677, 0x24, []}
+    battery_low: {28_993_875, 0x64, []},
+    failsafe_hold: {30_481_910, 0x42, [:u32, :u8, :u8, :u16]},
+    failsafe: {26_528_394, 0x42, [:u32, :u8, :u8]},
+    geofence_invalid: {27_750_677, 0x42, []}
   }
 
   @doc "An event, with the text that doubles it (nil for none)."

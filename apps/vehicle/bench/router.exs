@@ -4,9 +4,9 @@
 #
 #     mix run bench/router.exs [--seconds N] [--clients 1,5,20] [--quick]          or  bin/bench router
 #
-# Columns: frames/s that were sent for three seconds and arrived at every client without loss; p50 and p99 of the added
-# latency at 1,000 and 10,000 frames/s, in microseconds; CPU seconds per 100,000 frames that came in, at 10,000 frames/s;
-# memory for each further client.
+# Prints a table in Markdown, as the README of the router has one. Columns: frames/s that were sent for three seconds and
+# arrived at every client without loss; p50 and p99 of the added latency at 1,000 and 10,000 frames/s, in microseconds; CPU
+# seconds per 100,000 frames that came in, at 10,000 frames/s; memory for each further client.
 #
 # Beside it run, where they are there: mavp2p (on the path, or built with `go install` into a folder that goes with this
 # run), mavlink-router (mavlink-routerd on the path) and MAVProxy (mavproxy.py in the Python environment or on the path).
@@ -39,15 +39,11 @@ defmodule RouterBench do
 
       IO.puts(
         "\n" <>
-          row([
-            "",
-            "clients",
-            "frames/s, no loss",
-            "p50/p99 at 1,000",
-            "p50/p99 at 10,000",
-            "CPU s/100,000",
-            "KiB/client"
-          ])
+          row(
+            ["", "clients", "frames/s, no loss", "p50 / p99 at 1,000"] ++
+              ["p50 / p99 at 10,000", "CPU s/100,000", "KiB/client"]
+          ) <>
+          "\n|" <> String.duplicate("---|", 7)
       )
 
       for router <- routers, do: table(router, context)
@@ -353,10 +349,12 @@ defmodule RouterBench do
       "p99 #{r["p99"]} us, CPU #{Float.round(r["cpu"] * 100_000 / r["sent"], 2)} s per 100,000 frames"
   end
 
+  # As the README of the router has it.
   defp row(cells) do
-    [14, 8, 18, 22, 24, 20, 10]
-    |> Enum.zip(cells)
-    |> Enum.map_join(" ", fn {width, cell} -> String.pad_trailing(to_string(cell), width) end)
+    "| " <>
+      ([14, 7, 17, 19, 24, 13, 10]
+       |> Enum.zip(cells)
+       |> Enum.map_join(" | ", fn {width, cell} -> String.pad_trailing(to_string(cell), width) end)) <> " |"
   end
 end
 

@@ -20,14 +20,26 @@ defmodule Aerie.RunCase do
   def open(words, before \\ []) do
     [program | words] = before ++ [Path.join(@root, "bin/run") | words]
 
-    Port.open({:spawn_executable, System.find_executable(program) || program}, [
-      :binary,
-      :exit_status,
-      :stderr_to_stdout,
-      args: words,
-      # As from a plain shell: nothing of this test's own Mix.
-      env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
-    ])
+    port =
+      Port.open({:spawn_executable, System.find_executable(program) || program}, [
+        :binary,
+        :exit_status,
+        :stderr_to_stdout,
+        args: words,
+        # As from a plain shell: nothing of this test's own Mix.
+        env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
+      ])
+
+    {:os_pid, os_pid} = Port.info(port, :os_pid)
+    ExUnit.Callbacks.on_exit(fn -> stop("#{os_pid}") end)
+    port
+  end
+
+  # What a test that failed left running; asked to end, it ends its VM.
+  defp stop(os_pid) do
+    with {:ok, words} <- File.read("/proc/#{os_pid}/cmdline"),
+         true <- words =~ "bin/run",
+         do: System.cmd("kill", ["-TERM", os_pid])
   end
 
   @doc "Runs it to its end; gives its status and its output."

@@ -22,10 +22,12 @@ defmodule Aerie.Router.Endpoints do
 
   # The order in which networks came is the order in which who sees all of them sees them.
   defp insert_owner(tables, %Owner{id: id} = owner) do
-    if owner.side == :vehicle and is_list(owner.networks) do
-      for name <- owner.networks,
-          do: :ets.insert_new(tables.settings, {{:network, name}, :erlang.unique_integer([:monotonic])})
-    end
+    names = if owner.side == :vehicle and is_list(owner.networks), do: owner.networks, else: []
+
+    Enum.each(
+      names,
+      &:ets.insert_new(tables.settings, {{:network, &1}, :erlang.unique_integer([:monotonic])})
+    )
 
     :ets.insert(tables.owners, {id, owner})
   end

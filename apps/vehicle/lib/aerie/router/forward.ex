@@ -116,8 +116,8 @@ defmodule Aerie.Router.Forward do
 
   defp flush(gathered, {tables, _plan, way, talker, now}) do
     batch = to_everyone(talker.everyone, gathered |> :lists.reverse() |> Batch.new(), tables, way, now)
-    if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
-    if talker.heartbeats != [], do: only_heartbeats(talker.heartbeats, batch, tables, way, now)
+    _ = if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
+    _ = if talker.heartbeats != [], do: only_heartbeats(talker.heartbeats, batch, tables, way, now)
     :ok
   end
 
@@ -151,7 +151,7 @@ defmodule Aerie.Router.Forward do
 
     case meant(frame, system, way) do
       {:ok, frame} -> send_to(frame, system, keys, context)
-      :refused -> refused(way)
+      :refused -> Tally.add(way.tally, :refused, 1)
     end
   end
 

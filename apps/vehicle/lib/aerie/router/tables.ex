@@ -64,7 +64,7 @@ defmodule Aerie.Router.Tables do
   def of(gateway), do: Names.held(gateway, :router)
 
   @doc "A setting."
-  @spec setting(t, atom, default) :: term | default when default: term
+  @spec setting(t, term, default) :: term | default when default: term
   def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)
 
   @doc "Tells every process that forwards to look again."

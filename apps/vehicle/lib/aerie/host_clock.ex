@@ -20,6 +20,7 @@ defmodule Aerie.HostClock do
 
   @doc "By how much the clock was set between two looks at it (microseconds, forward is positive); 0 when it was not."
   @spec step(offset(), offset()) :: integer()
-  def step(before, now) when abs(now - before) >= @least_us, do: now - before
-  def step(_before, _now), do: 0
+  def step(before, now) when is_integer(before) and is_integer(now) do
+    if abs(now - before) >= @least_us, do: now - before, else: 0
+  end
 end

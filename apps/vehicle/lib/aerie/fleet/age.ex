@@ -14,7 +14,9 @@ defmodule Aerie.Fleet.Age do
   def silent_us(%{last_heard: nil}, _links, _now), do: nil
 
   def silent_us(%{last_heard: last_heard} = vehicle, links, now),
-    do: max(now(vehicle, links, now) - last_heard, 0)
+    do: since(now(vehicle, links, now), last_heard)
+
+  defp since(now, at) when is_integer(now) and is_integer(at), do: max(now - at, 0)
 
   @doc """
   The time (unix microseconds) to measure the ages of a vehicle's state against: `now`, or the recording's own for a vehicle

@@ -75,13 +75,24 @@ defmodule SimVehicle.Peer do
 
   @doc "Takes what has arrived without waiting."
   def drain(peer) do
-    socket = peer.socket
+    # First out of the mailbox and then read: a vehicle whose time goes fast sends more than is read on a busy machine.
+    {frames, last} =
+      peer.socket
+      |> arrived([])
+      |> Enum.map_reduce(peer, fn {bytes, from}, peer ->
+        peer = took(%{peer | frames: []}, bytes, from)
+        {peer.frames, peer}
+      end)
 
+    %{last | frames: Enum.concat([peer.frames | frames])}
+  end
+
+  defp arrived(socket, reads) do
     receive do
-      {:udp, ^socket, ip, port, bytes} -> peer |> took(bytes, {ip, port}) |> drain()
-      {:tcp, ^socket, bytes} -> peer |> took(bytes, nil) |> drain()
+      {:udp, ^socket, ip, port, bytes} -> arrived(socket, [{bytes, {ip, port}} | reads])
+      {:tcp, ^socket, bytes} -> arrived(socket, [{bytes, nil} | reads])
     after
-      0 -> peer
+      0 -> Enum.reverse(reads)
     end
   end
 

@@ -39,6 +39,7 @@ defmodule Aerie.Gateway do
   use Supervisor
 
   alias Aerie.Names
+  alias Aerie.Successor
   alias Aerie.Vehicle.Identity.Latch
 
   @typedoc """
@@ -100,6 +101,7 @@ defmodule Aerie.Gateway do
         {Aerie.Client.Supervisor, gateway: name, config: config}
       ]
       |> Enum.filter(fn {module, _} -> module not in without end)
+      |> Enum.map(&Successor.child_spec/1)
 
     # Any of these dying is rare and serious: three times within a minute means that starting again does not help.
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 3, max_seconds: 60)

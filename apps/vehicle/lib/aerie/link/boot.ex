@@ -9,7 +9,7 @@ defmodule Aerie.Link.Boot do
 
   alias Aerie.Fleet.Store
   alias Aerie.Link.Spec
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
 
   require Logger

@@ -18,7 +18,7 @@ defmodule Aerie.Link.Server do
   alias Aerie.Link.Restarts
   alias Aerie.Link.Snapshot
   alias Aerie.Link.Spec
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Link.Transport
   alias Aerie.Names
   alias Aerie.Router

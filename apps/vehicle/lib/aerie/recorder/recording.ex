@@ -14,7 +14,7 @@ defmodule Aerie.Recorder.Recording do
   """
   use GenServer
 
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Recorder.{Core, Ring, Status, Tables, Tap}
   alias Aerie.Recorder.Recording.{Buffer, Output, Past}

@@ -21,7 +21,7 @@ defmodule Aerie.Router.Clients do
 
   alias Aerie.Fleet.Store
   alias Aerie.Link.Spec
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Link.Tree
   alias Aerie.Names
   alias Aerie.Router.Endpoints

@@ -14,7 +14,7 @@ defmodule Aerie.Router.Meter do
   use GenServer
 
   alias Aerie.Fleet.Store
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Score

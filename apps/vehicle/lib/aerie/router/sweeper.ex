@@ -2,7 +2,7 @@ defmodule Aerie.Router.Sweeper do
   @moduledoc "Sweeps old routes, refusals, rate limits' and load notes out of the router's tables, every ten seconds."
   use GenServer
 
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables

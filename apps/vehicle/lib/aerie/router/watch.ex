@@ -5,7 +5,7 @@ defmodule Aerie.Router.Watch do
   """
   use GenServer
 
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Tables

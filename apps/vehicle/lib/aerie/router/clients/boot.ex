@@ -10,7 +10,7 @@ defmodule Aerie.Router.Clients.Boot do
   use GenServer, restart: :transient
 
   alias Aerie.Fleet.Store
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Clients
   alias Aerie.Router.Settings

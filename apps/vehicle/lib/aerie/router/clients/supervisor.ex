@@ -2,7 +2,7 @@ defmodule Aerie.Router.Clients.Supervisor do
   @moduledoc "The client endpoints of a gateway: their trees, and what starts those that there are to be."
   use Supervisor
 
-  alias Aerie.Link.Successor
+  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Clients.Boot
 

@@ -225,7 +225,8 @@ defmodule Aerie.Signing.Enrolment do
           initial_timestamp: timestamp
         },
         system: own_system,
-        component: own_component
+        component: own_component,
+        sysid32: system > 255
       )
     )
   end

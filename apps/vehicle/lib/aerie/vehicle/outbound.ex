@@ -21,7 +21,9 @@ defmodule Aerie.Vehicle.Outbound do
 
   @spec new(Names.gateway(), Vehicle.Options.t()) :: t()
   def new(gateway, options) do
-    encoder = Encoder.new(system: options.own_system, component: options.own_component)
+    # A vehicle with an id of more than a byte was heard, so such ids are understood here (N1).
+    long? = options.system_id > 255
+    encoder = Encoder.new(system: options.own_system, component: options.own_component, sysid32: long?)
     %__MODULE__{gateway: gateway, options: options, encoder: encoder}
   end
 

@@ -106,6 +106,13 @@ defmodule Aerie.Vehicle.Rivals do
   @spec rebased(t()) :: t()
   def rebased(_rivals), do: new()
 
+  @doc "The clock was set by `step`: who was heard was heard as long ago as before."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(rivals, step) do
+    ways = Map.new(rivals.ways, fn {way, {first, last}} -> {way, {first + step, last + step}} end)
+    %{rivals | ways: ways, until: rivals.until && rivals.until + step}
+  end
+
   @doc "The link of a way."
   @spec link(way()) :: term()
   def link({link, _peer}), do: link

@@ -62,6 +62,44 @@ defmodule Aerie.Vehicle.CoreTest do
       assert types(run) == ["link.lost"]
     end
 
+    test "H4: what a camera, a gimbal and an on-board computer say of themselves is nothing of the vehicle" do
+      place = &%M.GlobalPositionInt{lat: &1, lon: 10, relative_alt: 5_000, time_boot_ms: &2}
+
+      # An on-board computer with an estimate of its own and another clock, a gimbal, and a camera that says it is armed.
+      others = fn second ->
+        at = second * @second
+
+        [
+          frame(%M.Heartbeat{type: 18, autopilot: 8, base_mode: 0x80, system_status: 4}, at, component: 191),
+          frame(place.(900_000_000, second), at + 1, component: 191),
+          frame(%M.Statustext{severity: 3, text: "estimator diverged"}, at + 2, component: 191),
+          frame(%M.Heartbeat{type: 26, autopilot: 8}, at + 3, component: 154),
+          frame(%M.Attitude{roll: 1.0, time_boot_ms: 5}, at + 4, component: 154),
+          frame(%M.Heartbeat{type: 30, autopilot: 8, base_mode: 0x80}, at + 5, component: 100),
+          frame(%M.SystemTime{time_boot_ms: 77}, at + 6, component: 100)
+        ]
+      end
+
+      run =
+        Enum.reduce(10..30, start(), fn second, run ->
+          run
+          |> beat(second)
+          |> frames([frame(place.(473_977_415, second * 1000), second * @second)])
+          |> frames(others.(second))
+        end)
+
+      assert types(run) == []
+      snapshot = Core.snapshot(run.core)
+      assert %{status: :online, component: 1, collision: nil, time_boot_ms: 30_000} = snapshot
+      assert %{lat: lat} = snapshot.groups.position.data
+      assert_in_delta lat, 47.3977415, 1.0e-6
+      assert %{armed: false} = snapshot.groups.mode.data
+      refute is_map_key(snapshot.groups, :attitude)
+      # They do not keep it alive either.
+      run = Enum.reduce(31..40, run, fn second, run -> frames(run, others.(second)) end)
+      assert types(run) == ["link.lost"]
+    end
+
     test "a satellite link may be silent for longer (X6)" do
       summary = &frame(%M.HighLatency2{type: 2, autopilot: 3, latitude: 1, longitude: 1}, &1 * @second)
       run = start() |> frames([summary.(10)]) |> tick(170)

@@ -61,4 +61,16 @@ defmodule Aerie.Vehicle.RivalsTest do
     assert Rivals.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
     assert Rivals.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
   end
+
+  test "a clock that is set ends no minute and begins none" do
+    rivals = Rivals.new() |> heard(["a"], 0..10) |> heard(["a", "b"], 11..12)
+    {rivals, ["a"], ["b"]} = Rivals.found(rivals, ["a"], ["b"], 12 * @second)
+
+    for hours <- [-1, 1] do
+      step = hours * 3_600
+      shifted = Rivals.shifted(rivals, step * @second) |> heard(["a", "b"], (13 + step)..(60 + step))
+      assert Rivals.other?(shifted, "b", (60 + step) * @second)
+      refute Rivals.other?(heard(shifted, ["a", "b"], (61 + step)..(73 + step)), "b", (73 + step) * @second)
+    end
+  end
 end

@@ -7,6 +7,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Reports, Timesync}
   alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
+  alias MavCodec.Messages, as: M
 
   @ping 4
   @command_ack 77
@@ -172,14 +173,22 @@ defmodule Aerie.Vehicle.Core.Dealings do
 
     actions =
       Enum.reduce(requests, actions, fn
-        {nil, message}, actions -> [{:send, message, core.version} | actions]
-        {link, message}, actions -> [{:send, message, core.version, link} | actions]
+        {nil, message}, actions -> [{:send, addressed(message, core), core.version} | actions]
+        {link, message}, actions -> [{:send, addressed(message, core), core.version, link} | actions]
       end)
 
     {%{core | timesync: timesync}, actions}
   end
 
   defp clock(acc, _now, _ask), do: acc
+
+  # To nobody in particular it would be answered by every vehicle on a radio's network. (A PING to somebody is an answer.)
+  defp addressed(%M.Timesync{} = request, core) do
+    {system, component} = target(core)
+    %{request | target_system: system, target_component: component}
+  end
+
+  defp addressed(request, _core), do: request
 
   # The links that it can be asked by: it was heard there just now, and a byte costs nothing (X6).
   defp asked(core, now) do

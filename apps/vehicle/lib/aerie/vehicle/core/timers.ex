@@ -69,6 +69,7 @@ defmodule Aerie.Vehicle.Core.Timers do
       | last_heard: core.last_heard && core.last_heard + step,
         collision: core.collision && %{core.collision | at: core.collision.at + step},
         heard: Heard.shifted(core.heard, step),
+        rivals: Rivals.shifted(core.rivals, step),
         state: State.shifted(core.state, step),
         dirty: true
     }

@@ -71,7 +71,10 @@ defmodule Aerie.Vehicle.Streams.Intercept do
       target_component: frame.component
     }
 
-    MavCodec.encode(ack, system: system, component: component, seq: frame.seq, version: version)
+    # Of whoever has an id of more than a byte was heard, so such ids are understood (N1).
+    long? = max(system, frame.system) > 255
+    options = [system: system, component: component, seq: frame.seq, version: version, sysid32: long?]
+    MavCodec.encode(ack, options)
   end
 
   def answer(_frame, _component, _result), do: nil

@@ -61,6 +61,10 @@ defmodule Aerie.RunCase do
     end
   end
 
+  @doc "The time by which it runs at the latest, for `Aerie.SystemCase.eventually/3`: the first call of all compiles."
+  @spec started_by() :: integer
+  def started_by, do: System.monotonic_time(:millisecond) + @patience
+
   @doc "Waits for its end; gives its status."
   @spec await_exit(port, String.t()) :: non_neg_integer
   def await_exit(port, text \\ ""), do: port |> collect(text) |> elem(0)

@@ -84,7 +84,7 @@ defmodule Aerie.System.RecorderTest do
          c do
       config = c.configure.("min_free_mb: 0")
       port = open(["--config", config, "--quiet"])
-      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       sim = c.fly.()
       written = fn -> api(c.http, "/api/recorder")["recordings"] |> hd() |> Map.fetch!("bytes") end
       eventually(fn -> written.() > 30_000 end, "something is recorded")
@@ -132,7 +132,7 @@ defmodule Aerie.System.RecorderTest do
     test "a disk that is really full costs records and not a frame, and is told", c do
       config = c.configure.("min_free_mb: 0")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
-      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       sim = c.fly.()
 
       recorder =
@@ -165,7 +165,7 @@ defmodule Aerie.System.RecorderTest do
     test "a small disk is kept free by removing the oldest recordings", c do
       config = c.configure.("min_free_mb: 0.02, max_file_mb: 0.01")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
-      eventually(fn -> api(c.http, "/api/recorder") end, "it answers")
+      eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
       c.fly.()
 
       eventually(

@@ -12,6 +12,7 @@ defmodule Aerie.StreamVehicle do
   defstruct arbiter: nil,
             now: 0,
             rates: %{},
+            defaults: %{},
             due: %{},
             knows: :all,
             command: :obeyed,
@@ -31,7 +32,8 @@ defmodule Aerie.StreamVehicle do
   """
   def new(options \\ []) do
     {gateway, options} = Keyword.pop(options, :gateway, %{})
-    struct!(%__MODULE__{arbiter: Arbiter.new(gateway)}, options)
+    defaults = Keyword.get(options, :rates, %{})
+    struct!(%__MODULE__{arbiter: Arbiter.new(gateway), defaults: defaults}, options)
   end
 
   @doc "Lets time pass; `each` is called with the vehicle once a second."
@@ -53,7 +55,13 @@ defmodule Aerie.StreamVehicle do
 
   @doc "It begins anew, with these rates."
   def reboot(vehicle, rates),
-    do: %{vehicle | rates: rates, due: %{}, arbiter: Arbiter.rebooted(vehicle.arbiter, vehicle.now)}
+    do: %{
+      vehicle
+      | rates: rates,
+        defaults: rates,
+        due: %{},
+        arbiter: Arbiter.rebooted(vehicle.arbiter, vehicle.now)
+    }
 
   @doc "What was sent to it, as `{second, what}`, the oldest first."
   def sent(vehicle) do
@@ -105,7 +113,7 @@ defmodule Aerie.StreamVehicle do
       vehicle.command == :unsupported -> ack(vehicle, 511, 3)
       vehicle.command == :ignored -> vehicle
       vehicle.command == :failed or not knows?(vehicle, id) -> ack(vehicle, 511, 4)
-      us == 0.0 -> vehicle |> set(id, 0) |> ack(511, 0)
+      us == 0.0 -> vehicle |> set(id, Map.get(vehicle.defaults, id, 0)) |> ack(511, 0)
       true -> vehicle |> set(id, 1_000_000 / us) |> ack(511, 0)
     end
   end

@@ -11,6 +11,9 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
   command, or heeds none, gets REQUEST_DATA_STREAM. After that it is left alone until it reboots (R6) or the wants change
   (M3).
 
+  What nobody wants any more is given back: what came by itself before anybody asked comes as often as then, all else at the
+  vehicle's default.
+
   What came as asked for and then comes too seldom was changed by somebody, or does not get through. The vehicle is asked
   which (MESSAGE_INTERVAL). Set as we set it: the link is too slow, asking again would make it no faster. Set otherwise: it
   is asked for once more; changed again within two minutes, it is left to whoever changes it, and told.
@@ -100,7 +103,8 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
   defp forwarded(arbiter, id) when is_map_key(arbiter.lines, id) do
     line = arbiter.lines[id]
     queue = List.delete(arbiter.queue, {:set, id})
-    put_line(%{arbiter | queue: queue}, %{line | state: :asked, tries: 1, set: line.ask, next: nil})
+    line = Line.asked(line, line.hz || line.ask, Meter.last(arbiter.meter, id))
+    put_line(%{arbiter | queue: queue}, %{line | state: :asked, tries: 1, next: nil})
   end
 
   defp forwarded(arbiter, _id), do: arbiter
@@ -192,7 +196,7 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
     ask = max(hz || 0, Map.get(@floor, id, 0))
 
     case arbiter.lines do
-      %{^id => %{hz: ^hz, ask: ^ask}} ->
+      %{^id => %{hz: ^hz}} ->
         arbiter
 
       %{^id => line} when hz != nil and (line.hz == nil or hz > line.hz) ->
@@ -200,7 +204,7 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
 
       %{^id => line} ->
         arbiter = put_line(arbiter, %{line | hz: hz, ask: ask})
-        if line.set != nil and line.set > ask, do: release(arbiter, id), else: arbiter
+        if line.set, do: release(arbiter, id), else: arbiter
 
       _no_line ->
         put_line(%{arbiter | releases: Map.delete(arbiter.releases, id)}, %Line{id: id, hz: hz, ask: ask})

@@ -52,8 +52,10 @@ defmodule Aerie.Vehicle.Streams.Check do
 
   # Somebody may have raised it further than we did: then it is theirs.
   defp release(arbiter, id, line) do
-    if line.set != nil and line.set > line.ask and not line.faster,
-      do: ask(arbiter, %{line | tries: 0}, id),
+    due = max(line.hz || 0, line.own || line.ask)
+
+    if line.set not in [nil, due] and (line.set > due or line.own != nil) and not line.faster,
+      do: ask(arbiter, %{line | ask: due, tries: 0}, id),
       else: arbiter
   end
 
@@ -87,7 +89,7 @@ defmodule Aerie.Vehicle.Streams.Check do
   defp judge(arbiter, line, now) do
     rate = Meter.rate(arbiter.meter, line.id, now, long(line))
     verdict = Line.judge(line, rate, Meter.last(arbiter.meter, line.id), now)
-    line = %{line | rate: rate || line.rate}
+    line = %{line | rate: rate || line.rate, own: own(line, rate)}
 
     arbiter =
       if rate, do: %{arbiter | meter: Meter.watch(arbiter.meter, line.id, now)}, else: arbiter
@@ -95,6 +97,9 @@ defmodule Aerie.Vehicle.Streams.Check do
     next = if verdict == :wait, do: @again_us, else: Line.window(line)
     verdict(arbiter, %{line | next: now + next}, verdict, now)
   end
+
+  defp own(%{set: nil}, rate) when rate != nil and rate > 0, do: rate
+  defp own(%{own: own}, _rate), do: own
 
   defp verdict(arbiter, line, :wait, _now), do: Arbiter.put_line(arbiter, line)
 

@@ -30,6 +30,7 @@ defmodule Aerie.Vehicle.Streams.Line do
     :ask,
     :hz,
     :set,
+    :own,
     :rate,
     :next,
     :sent,
@@ -44,6 +45,7 @@ defmodule Aerie.Vehicle.Streams.Line do
   - `hz`: what is wanted at least; nil when any rate will do
   - `ask`: what to ask for when there is too little
   - `set`: what was last asked for since the vehicle's boot, by us or through us; nil for nothing
+  - `own`: what came by itself, measured before anybody asked; 0 when it came but nobody had measured it yet
   - `rate`: measured last
   - `next`: when it is looked at again; `tries` how often it was asked for in a row
   - `resets`: when it was changed under us; `queries`: when the vehicle was asked what is set
@@ -53,6 +55,7 @@ defmodule Aerie.Vehicle.Streams.Line do
           ask: number(),
           hz: number() | nil,
           set: number() | nil,
+          own: number() | nil,
           rate: float() | nil,
           next: integer() | nil,
           sent: integer() | nil,
@@ -99,6 +102,13 @@ defmodule Aerie.Vehicle.Streams.Line do
   # Only what came as it was asked for before can have been changed by somebody.
   defp faster?(%{set: set, state: :ok}, rate) when set != nil, do: rate > set * @faster and rate > set + 1
   defp faster?(_line, _rate), do: false
+
+  @doc "It was asked for, `hz` times a second (0: at the vehicle's default); `last` is when it came last."
+  @spec asked(t(), number(), integer() | nil) :: t()
+  # Not measured yet, so its default is all that can be given back.
+  def asked(%{set: nil, own: nil} = line, hz, last) when last != nil, do: asked(%{line | own: 0}, hz, nil)
+  def asked(line, hz, _last) when hz == 0, do: %{line | set: nil}
+  def asked(line, hz, _last), do: %{line | set: hz}
 
   @doc "Whether an interval that the vehicle has set (us; -1: none, 0: unknown message) is what was asked for."
   @spec as_set?(t(), integer()) :: boolean()

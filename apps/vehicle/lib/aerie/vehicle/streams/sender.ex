@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   say which of several it is for (C8), the next one when it came or after a moment without.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Check, Meter, Request}
+  alias Aerie.Vehicle.Streams.{Arbiter, Check, Line, Meter, Request}
 
   @set_message_interval 511
   @request_message 512
@@ -105,7 +105,8 @@ defmodule Aerie.Vehicle.Streams.Sender do
   defp sent(arbiter, line, hz, now) do
     state = if line.state == :ok, do: :ok, else: :asked
     tries = max(line.tries, 1)
-    line = %{line | set: hz, sent: now, state: state, tries: tries, faster: false}
+    line = Line.asked(line, hz, Meter.last(arbiter.meter, line.id))
+    line = %{line | sent: now, state: state, tries: tries, faster: false}
 
     Arbiter.put_line(
       %{arbiter | meter: Meter.watch(arbiter.meter, line.id, now)},

@@ -110,8 +110,45 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       vehicle = vehicle |> Sim.want(%{30 => 6}) |> Sim.run(60)
       assert [50_000.0, 166_666.0] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
       vehicle = vehicle |> Sim.want(%{}) |> Sim.run(60)
-      # The gateway asks for attitude at four a second, when it has to.
-      assert [_, _, 250_000.0] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
+      assert [_, _, interval] = vehicle |> sets(30) |> Enum.map(&elem(&1, 1))
+      assert_in_delta interval, 500_000, 50_000
+    end
+
+    test "M2: what came by itself before anybody asked comes so often again when nobody asks any more" do
+      vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(20)
+      # The client's own request, which goes to the vehicle as it is; lower than before, too.
+      for hz <- [100, 20, 2] do
+        asked = vehicle |> Sim.set(30, hz) |> Sim.want(%{30 => hz}, forwarded: 30) |> Sim.run(30)
+        assert asked.rates[30] == hz
+        left = asked |> Sim.want(%{}) |> Sim.run(60)
+        assert_in_delta left.rates[30], 50, 2
+        assert [_once] = sets(left, 30)
+        # It stays so, and is not told as somebody's doing.
+        again = Sim.run(left, 120)
+        assert {length(sets(again, 30)), again.notices, state(again, 30)} == {1, [], :ok}
+      end
+    end
+
+    test "another client's want holds it no lower than it came by itself" do
+      vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{30 => 100}) |> Sim.run(20) |> Sim.want(%{30 => 6}) |> Sim.run(60)
+      assert_in_delta vehicle.rates[30], 50, 2
+    end
+
+    test "what came but was not measured before the first wish gets the vehicle's default" do
+      vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(0.5)
+      vehicle = vehicle |> Sim.want(%{30 => 100}, forwarded: 30) |> Sim.set(30, 100) |> Sim.run(10)
+      vehicle = vehicle |> Sim.want(%{}) |> Sim.run(60)
+      assert [{_, +0.0}] = sets(vehicle, 30)
+      assert {vehicle.rates[30], vehicle.notices} == {50, []}
+    end
+
+    test "what the gateway had to ask for stays as the gateway asks for it" do
+      vehicle =
+        Sim.new(rates: Map.delete(@default, 30)) |> Sim.run(20) |> Sim.want(%{30 => 20}) |> Sim.run(20)
+
+      vehicle = vehicle |> Sim.want(%{}) |> Sim.run(60)
+      assert {vehicle.rates[30], state(vehicle, 30)} == {4.0, :ok}
     end
 
     test "a client's own request that was forwarded is judged before it is repeated" do

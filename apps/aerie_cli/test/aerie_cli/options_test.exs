@@ -105,4 +105,55 @@ defmodule AerieCLI.OptionsTest do
       assert plan(["--http", "8080"]).overrides["http"] == %{"port" => 8080}
     end
   end
+
+  describe "an option over a configuration" do
+    @describetag :tmp_dir
+
+    # Every section that an option touches, with keys that have other values than their defaults.
+    @file_text """
+    environment: prod
+    mavlink: {local_addr: ":14999", system_id: 244, component_id: 192, streams: {ATTITUDE: 5}}
+    links: [{id: field, url: "udpin:127.0.0.1:14888"}]
+    nats:
+      url: "tls://hub.example:4222"
+      credentials: vehicle.creds
+      tls: {enabled: true, ca_file: ca.pem, cert_file: own.pem, key_file: own.key, server_name: hub, verify: true}
+      port: 4999
+      streams: {event_max_mb: 77}
+      retry_max_ms: 5000
+    http: {enabled: true, address: "127.0.0.2", port: 4001}
+    websocket: {enabled: false}
+    outbox: {max_mb: 33}
+    """
+
+    # What was configured, key by key, with what an option changes of it.
+    defp changed(%{tmp_dir: dir}, words, text \\ @file_text) do
+      path = Path.join(dir, "gateway.yaml")
+      File.write!(path, text)
+      {:ok, options} = Options.parse(words)
+      {:ok, before} = Aerie.Config.load(path, %{}, env: %{})
+      {:ok, config} = Aerie.Config.load(path, Plan.from(options, dir).overrides, env: %{})
+
+      for {keys, _field} <- Aerie.Config.Schema.leaves(Aerie.Config.Keys.fields()),
+          keys = Enum.map(keys, &String.to_existing_atom/1),
+          value(before, keys) != value(config, keys),
+          do: Enum.join(keys, ".")
+    end
+
+    defp value(config, [section | below]),
+      do: Enum.reduce(below, Map.fetch!(config, section), &Map.fetch!(&2, &1))
+
+    test "changes its own key and leaves the others of the section alone", context do
+      assert changed(context, ~w(--nats nats://other:4222)) == ["nats.url"]
+      assert changed(context, ~w(--http 8080)) == ["http.port"]
+      assert changed(context, ~w(--link tcp:127.0.0.1:5760)) == ["links"]
+      assert changed(context, ~w(--replay a.tlog --speed 2)) == ["mavlink.local_addr", "links"]
+      assert changed(context, ~w(--sim 2 --quiet)) == []
+    end
+
+    test "embedded over servers of a configuration keeps what is not about how to reach them", context do
+      text = String.replace(@file_text, ~r/ +tls: .*\n/, "")
+      assert changed(context, ~w(--nats embedded), text) == ["nats.mode", "nats.tls.enabled"]
+    end
+  end
 end

@@ -21,7 +21,7 @@ defmodule Aerie.Config do
     * `warnings` are things that are allowed and probably not meant; `given` has the keys that somebody set, and where
   """
 
-  alias Aerie.Config.{Environment, Error, Keys, Resolve, Schema, Yaml}
+  alias Aerie.Config.{Environment, Error, Field, Keys, Resolve, Schema, Yaml}
 
   defstruct [
     :vehicle_id,
@@ -99,7 +99,10 @@ defmodule Aerie.Config do
           warnings: [String.t()]
         }
 
-  @typedoc "`{\"nats.url\", value}` pairs (a string value is read as the key's type), or nested maps with string keys."
+  @typedoc """
+  `{"nats.url", value}` pairs (a string value is read as the key's type), or nested maps. A map for a section sets the
+  keys that it names and leaves the section's others alone; lists and maps of names are keys, and replaced.
+  """
   @type overrides :: [{String.t(), term()}] | %{optional(String.t()) => term()}
 
   @doc """
@@ -168,10 +171,25 @@ defmodule Aerie.Config do
   end
 
   defp override_list(overrides) do
-    for {path, value} <- overrides do
-      path = if is_list(path), do: path, else: String.split(to_string(path), ".")
-      value = if is_binary(value), do: {:text, value}, else: plain(value)
-      {path, value, "command line"}
+    for {path, value} <- overrides,
+        path = if(is_list(path), do: path, else: String.split(to_string(path), ".")),
+        {path, value} <- leaves(path, plain(value), at(Keys.fields(), path)) do
+      {path, if(is_binary(value), do: {:text, value}, else: value), "command line"}
+    end
+  end
+
+  # A section is not a value: only its keys are overridden, or TLS would be off because somebody gave another URL.
+  defp leaves(path, section, %Field{type: {:section, fields}}) when is_map(section) do
+    for {key, value} <- section, leaf <- leaves(path ++ [key], value, at(fields, [key])), do: leaf
+  end
+
+  defp leaves(path, value, _key_or_unknown), do: [{path, value}]
+
+  defp at(fields, [name | below]) do
+    case {Enum.find(fields, &(Field.name(&1) == name)), below} do
+      {field, []} -> field
+      {%Field{type: {:section, fields}}, below} -> at(fields, below)
+      _unknown -> nil
     end
   end
 

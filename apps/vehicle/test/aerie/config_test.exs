@@ -177,6 +177,37 @@ defmodule Aerie.ConfigTest do
     end
   end
 
+  test "an override of one key leaves every other key as the layers below have it, in whatever form it comes" do
+    leaves = for {path, field} <- Aerie.Config.Schema.leaves(Aerie.Config.Keys.fields()), do: {path, field}
+    sections = for {[section, _key | _], _field} <- leaves, uniq: true, do: section
+
+    key = fn config, path ->
+      get_in(Map.from_struct(config), Enum.map(path, &Access.key!(String.to_atom(&1))))
+    end
+
+    base = [{"nats.url", "tls://hub:1"}, {"nats.tls.server_name", "hub"}, {"nats.tls.ca_file", "ca.pem"}]
+    base = base ++ [{"http.port", 4001}, {"outbox.max_mb", 33}, {"mavlink.component_id", 192}]
+    before = Config.default(base)
+
+    for over <- [
+          %{nats: %{url: "tls://other:2"}},
+          %{"nats" => %{"url" => ["tls://other:2"]}},
+          [{"nats", %{"url" => "tls://other:2"}}],
+          [{"nats.url", "tls://other:2"}]
+        ] do
+      config = Config.default(base ++ Enum.to_list(over))
+      assert config.nats.url == ["tls://other:2"]
+
+      assert for({path, _field} <- leaves, key.(config, path) != key.(before, path), do: path) == [
+               ["nats", "url"]
+             ]
+    end
+
+    # A section of which nothing is said is as it was.
+    for section <- sections,
+        do: assert(%{Config.default(base ++ [{section, %{}}]) | given: before.given} == before)
+  end
+
   describe "secrets" do
     test "are readable only on purpose", context do
       assert {:ok, config} = load(context, "nats:\n  url: 'nats://gw:pa%40ss@host:4333'\n")

@@ -175,7 +175,8 @@ defmodule Aerie.Config.Resolve do
   defp nats_userinfo(%{nats: nats} = config) do
     uris = Enum.map(nats.url, &URI.parse/1)
     userinfo = Enum.find_value(uris, & &1.userinfo)
-    tls = nats.tls.enabled or Enum.any?(uris, &(&1.scheme == "tls"))
+    # What the URLs say is about the servers there, which embedded does not use.
+    tls = nats.tls.enabled or (nats.mode == :url and Enum.any?(uris, &(&1.scheme == "tls")))
     nats = %{nats | url: Enum.map(uris, &plain_url/1), tls: %{nats.tls | enabled: tls}}
 
     nats =

@@ -4,8 +4,8 @@ defmodule Aerie.Vehicle.Reports do
   ground station is there to whom it would send texts. A pure value.
 
   An event has an id, arguments and two log levels; its words are in a file of the firmware. Shown is what is known without
-  it: the id in hexadecimal, its name if `Reports.Names` has it, the level meant for people (external), the one meant for
-  the log (internal), the arguments as they came.
+  it: the id in hexadecimal, its name and the values of its arguments if `Reports.Names` has them, the level meant for people
+  (external), the one meant for the log (internal), the arguments as they came.
 
   Most events come as a STATUSTEXT, too, which then ends with a tab (`doubled`), a moment before or after. Those are shown
   once, as the text: an event waits #{1.5} s for its text and is given when none came. Either way it is in `show/1`. Events
@@ -28,7 +28,10 @@ defmodule Aerie.Vehicle.Reports do
 
   defstruct components: %{}, open: [], texts: [], recent: []
 
-  @typedoc "`severity`, `internal`: 0 emergency to 7 debug; `arguments`: as sent, without the zeros at their end."
+  @typedoc """
+  `severity`, `internal`: 0 emergency to 7 debug; `arguments`: as sent, without the zeros at their end; `values`: what they
+  mean, nil where that is not known.
+  """
   @type report :: %{
           component: 0..255,
           sequence: 0..65_535,
@@ -37,6 +40,7 @@ defmodule Aerie.Vehicle.Reports do
           severity: 0..15,
           internal: 0..15,
           arguments: binary(),
+          values: [Names.value()] | nil,
           text: String.t() | nil,
           at: integer(),
           boot_ms: non_neg_integer()
@@ -189,6 +193,7 @@ defmodule Aerie.Vehicle.Reports do
       severity: message.log_levels &&& 15,
       internal: message.log_levels >>> 4,
       arguments: String.trim_trailing(message.arguments, <<0>>),
+      values: Names.values(message.id, message.arguments),
       text: nil,
       at: at,
       boot_ms: message.event_time_boot_ms

@@ -24,6 +24,43 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert Names.name(0x01000001) == nil
     end
 
+    test "all of PX4 1.18 and those that only 1.17 has are known" do
+      assert map_size(Names.all()) == 375
+      assert Names.name(0x01A4B458) == "commander_gcs_lost"
+      assert Names.name(id("commander_transition_denied")) == "commander_transition_denied"
+    end
+
+    test "arguments are read by their types: enums and bit fields by their labels" do
+      hold = id("commander_failsafe_enter_hold")
+      assert Names.values(hold, <<0, 0, 4, 3, 6, 2, 0, 2>>) == [50_593_792, "rtl", 2, "gcs_connection_loss"]
+      # A value without a label stays a number; zeros at the end may be missing, and more may be there.
+      assert Names.values(hold, <<0, 0, 4, 3, 77>>) == [50_593_792, 77, 0, "generic"]
+      assert Names.values(hold, <<0::320>>) == [0, "none", 0, "generic"]
+
+      assert Names.values(id("check_modes_global_pos"), <<0x38, 0, 0, 0, 24>>) ==
+               [["mission", "loiter", "rtl"], 24]
+
+      assert Names.values(id("check_battery_low"), <<255, 255, 255, 255, 11>>) == [["all"], 11]
+      assert Names.values(id("commander_rc_regained"), <<0, 0, 0xC0, 0x3F>>) == [1.5]
+      assert Names.values(id("commander_rc_regained"), <<0, 0, 0xC0, 0x7F>>) == [nil]
+      assert Names.values(id("vrtl_return_at"), <<0xF9, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF>>) == [505, -1]
+    end
+
+    test "an event without arguments has none; one whose layout is not known has its bytes only" do
+      assert Names.values(id("commander_gcs_lost"), <<0::320>>) == []
+      assert Names.values(id("commander_transition_denied"), <<1, 2>>) == nil
+      assert Names.values(0x02000001, <<1, 2>>) == nil
+    end
+
+    test "any bytes are some values" do
+      property =
+        :proper.forall({:proper_types.elements(Map.keys(Names.all())), :proper_types.binary()}, fn {id, bytes} ->
+          is_list(Names.values(id, bytes)) or Names.values(id, "") == nil
+        end)
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    end
+
     test "no two names have the same id" do
       names = Map.values(Names.all())
       assert Enum.uniq(names) == names
@@ -70,11 +107,17 @@ defmodule Aerie.Vehicle.ReportsTest do
                "severity_name" => "ERROR",
                "internal_severity" => 6,
                "arguments" => "",
+               "values" => [],
                "component" => 1,
                "sequence" => 17
              }
 
-      assert %{"name" => "navigator_mis_first_wp_far", "arguments" => "0e75", "severity" => 4} = far
+      assert %{
+               "name" => "navigator_mis_first_wp_far",
+               "arguments" => "0e75",
+               "values" => [29_966],
+               "severity" => 4
+             } = far
     end
 
     test "texts are held back while no ground station is there; events are not" do

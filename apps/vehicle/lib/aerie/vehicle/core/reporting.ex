@@ -53,6 +53,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
       "severity" => report.severity,
       "internal_severity" => report.internal,
       "arguments" => words.arguments,
+      "values" => report.values,
       "component" => report.component,
       "sequence" => report.sequence
     }

@@ -1,60 +1,110 @@
 defmodule Aerie.Vehicle.Reports.Names do
   @moduledoc """
-  Names of EVENT ids.
+  Names and arguments of EVENT ids, from `priv/px4_events.json` (facts of PX4's own metadata: names, ids, types of arguments,
+  values of enums; see the README beside it).
 
   The upper 8 bits of an id are a name space (the component that defines it; 0 for those in common), the lower 24 bits are,
-  in PX4, the 32-bit FNV-1a hash of the event's name without its upper 8 bits. So a name that is known gives the id of the
-  event in every version of the firmware that has it. An event of another name keeps its number.
+  in PX4, the 32-bit FNV-1a hash of the event's name without its upper 8 bits. So a name that is known is right for every
+  version of the firmware that has it. Arguments follow each other as packed little-endian values; they have no names here.
+  An event that is not in the file keeps its number and its bytes.
   """
 
   import Bitwise
 
-  @px4 ~w(
-    check_battery_critical check_battery_disconnected check_battery_emergency check_battery_low check_battery_missing
-    check_estimator_gps_fix_too_low check_estimator_missing_data check_failure_detector_arm_esc
-    check_failure_detector_roll check_mag_missing check_modes_angular_velocity check_modes_attitude
-    check_modes_cannot_takeoff check_modes_global_pos check_modes_home_position check_modes_local_alt
-    check_modes_local_pos check_modes_manual_control check_modes_mission check_modes_not_supported
-    check_modes_offboard_signal check_rc_dl_no_dllink check_rc_dl_no_rc check_system_arm_auth_failed
-    check_system_avoidance_not_ready check_system_flight_term_active check_system_no_global_pos
-    check_system_no_home_pos check_system_safety_button check_system_usb_connected check_system_vtol_in_fw_mode
-    check_system_vtol_in_transition commander_arm_denied_calibrating commander_arm_denied_resolve_failures
-    commander_arm_denied_throttle_center commander_armed_by commander_arming_check_summary
-    commander_disarm_denied_not_landed commander_disarmed_by commander_failsafe_enter
-    commander_failsafe_enter_generic_hold commander_failsafe_enter_hold commander_failsafe_enter_low_bat
-    commander_health_summary commander_landing_current_pos commander_landing_detected commander_load_param_failed
-    commander_low_bat_shutdown_failed commander_mission_start_denied_no_mission commander_modeswitch_not_avail
-    commander_rtl commander_takeoff_detected commander_transition_denied commander_unsupported_arm_disarm_param
-    commander_unsupported_auto_mode logger_open_file_time mavlink_mission_mis_item_invalid mission_climb_before_start
-    mission_execute mission_finished_loiter navigator_course_gps_lost navigator_geofence_invalid_against_home
-    navigator_geofence_max_dist_from_home navigator_mis_first_wp_far navigator_mis_no_pos_lock
-    navigator_mis_takeoff_missing navigator_reposition_outside_geofence navigator_takeoff_default_alt
-    navigator_traffic_expired navigator_traffic_ignore rtl_climb_to rtl_completed_loiter rtl_failed_to_read_land_item
-    rtl_land_at_destination rtl_mission_land_climb vrtl_return_at
-  )
+  @file_name Path.expand("../../../../priv/px4_events.json", __DIR__)
+  @external_resource @file_name
 
-  # Numbered, not hashed.
-  @common %{
-    1100 => "cal_progress",
-    1101 => "cal_orientation_detected",
-    1102 => "cal_orientation_done",
-    1103 => "cal_done"
+  @sizes %{
+    "int8_t" => {:signed, 8},
+    "uint8_t" => {:unsigned, 8},
+    "int16_t" => {:signed, 16},
+    "uint16_t" => {:unsigned, 16},
+    "int32_t" => {:signed, 32},
+    "uint32_t" => {:unsigned, 32},
+    "int64_t" => {:signed, 64},
+    "uint64_t" => {:unsigned, 64},
+    "float" => {:float, 32}
   }
 
-  @space 1 <<< 24
-  hash = fn name ->
-    for <<byte <- name>>, reduce: 0x811C9DC5 do
-      hash -> rem(bxor(hash, byte) * 0x01000193, 1 <<< 32)
-    end
-  end
+  components = @file_name |> File.read!() |> JSON.decode!() |> Map.fetch!("components")
 
-  @names Map.merge(@common, Map.new(@px4, &{@space + (hash.(&1) &&& 0xFFFFFF), &1}))
+  # Types are written with and without their name space.
+  enums =
+    for {_space, component} <- components,
+        {name, enum} <- component["enums"],
+        key <- [name, component["namespace"] <> "::" <> name],
+        into: %{} do
+      {:unsigned, bits} = Map.fetch!(@sizes, enum["type"])
+      values = Map.new(enum["values"], fn {value, label} -> {String.to_integer(value), label} end)
+      {key, {if(enum["bitfield"], do: :flags, else: :enum), bits, values}}
+    end
+
+  type = fn name -> if is_map_key(@sizes, name), do: @sizes[name], else: Map.fetch!(enums, name) end
+
+  events =
+    for {space, component} <- components, {id, event} <- component["events"], into: %{} do
+      layout = if event["arguments"], do: Enum.map(event["arguments"], type)
+      {(String.to_integer(space) <<< 24) + String.to_integer(id), {event["name"], layout}}
+    end
+
+  @names Map.new(events, fn {id, {name, _layout}} -> {id, name} end)
+  @layouts for {id, {_name, layout}} <- events, layout not in [nil, []], into: %{}, do: {id, layout}
+  @empty for({id, {_name, []}} <- events, do: id) |> MapSet.new()
+
+  @typedoc "A number, the label of an enum's value (its number where it has none), or the labels of a bit field."
+  @type value :: integer() | float() | String.t() | [String.t()] | nil
 
   @doc "The name of an event, nil when it is not known."
   @spec name(non_neg_integer()) :: String.t() | nil
   def name(id), do: Map.get(@names, id)
 
-  @doc "All names that are known, by id."
+  @doc "All known events."
   @spec all() :: %{non_neg_integer() => String.t()}
   def all, do: @names
+
+  @doc "An event's arguments, read from its bytes (zeros at their end may be missing); nil when its layout is not known."
+  @spec values(non_neg_integer(), binary()) :: [value()] | nil
+  def values(id, bytes) do
+    case @layouts do
+      %{^id => layout} -> read(layout, bytes)
+      _none -> if id in @empty, do: []
+    end
+  end
+
+  defp read([], _bytes), do: []
+
+  defp read([type | layout], bytes) do
+    size = type |> elem(1) |> div(8)
+    missing = max(size - byte_size(bytes), 0)
+    <<value::binary-size(^size), rest::binary>> = bytes <> <<0::size(missing)-unit(8)>>
+    [value(type, value) | read(layout, rest)]
+  end
+
+  defp value({:unsigned, bits}, bytes) do
+    <<number::little-size(^bits)>> = bytes
+    number
+  end
+
+  defp value({:signed, bits}, bytes) do
+    <<number::little-signed-size(^bits)>> = bytes
+    number
+  end
+
+  defp value({:float, 32}, <<number::little-float-32>>), do: number
+  # Not a number.
+  defp value({:float, 32}, _bytes), do: nil
+
+  defp value({:enum, bits, labels}, bytes) do
+    number = value({:unsigned, bits}, bytes)
+    Map.get(labels, number, number)
+  end
+
+  defp value({:flags, bits, labels}, bytes) do
+    number = value({:unsigned, bits}, bytes)
+
+    if number == (1 <<< bits) - 1,
+      do: ["all"],
+      else:
+        for(bit <- 0..(bits - 1), (number >>> bit &&& 1) == 1, do: Map.get(labels, 1 <<< bit, "bit #{bit}"))
+  end
 end

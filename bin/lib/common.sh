@@ -26,43 +26,38 @@ fail() {
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
-# Takes an exclusive lock for the rest of the script, so that two set-ups at once do not mix their files.
+# lock FILE WAITING: an exclusive lock until `unlock`, or until the script and what it started are gone. Who waits for
+# longer than a moment is told so. (Without flock there are no locks: Linux has it.)
 lock() {
   mkdir -p "$(dirname "$1")"
   if have flock; then
     exec 9>"$1"
-    flock -n 9 || { step "another set-up is running here; waiting for it"; flock 9; }
+    flock -w 2 9 || { step "$2"; flock 9; }
   fi
 }
+unlock() { exec 9>&-; }
+
+# hold FOLDER: keeps others from replacing or removing it while this script or anything that it started lives.
+hold() {
+  local held
+  have flock || return 0
+  exec {held}<"$1"
+  flock -s "$held"
+}
+
+# True when nobody holds the folder. Where that cannot be known it may be in use.
+unused() { have flock && flock -n -x "$1" true; }
 
 # Puts the private toolchain, if there is one, first on PATH.
 use_toolchain() {
   if [ -x "$AERIE_TOOLCHAIN/bin/elixir" ]; then
     PATH=$AERIE_TOOLCHAIN/bin:$PATH
     export PATH
+    hold "$AERIE_TOOLCHAIN"
   fi
   export MIX_HOME="$AERIE_ROOT/.mix"
   export ELIXIR_ERL_OPTIONS="${ELIXIR_ERL_OPTIONS:-} +fnu"
   export LANG=${LANG:-C.UTF-8}
   # A bare Debian root has no locale; names of files are UTF-8 all the same.
   case $LANG in *UTF-8 | *utf8) ;; *) export LC_ALL=C.UTF-8 ;; esac
-}
-
-# Compiles everything for the environment $1 and shows the output only when it fails. A terminal sees that it goes on.
-compile_quietly() {
-  local log="$AERIE_ROOT/_build/compile-$1.log" pid
-  mkdir -p "$AERIE_ROOT/_build"
-  (cd "$AERIE_ROOT" && MIX_ENV=$1 mix compile) >"$log" 2>&1 &
-  pid=$!
-  if [ -t 2 ]; then
-    while kill -0 "$pid" 2>/dev/null; do
-      printf '\r    %-76.76s' "$(tail -n 1 "$log" | tr -d '\r')" >&2
-      sleep 0.5
-    done
-    printf '\r%80s\r' '' >&2
-  fi
-  wait "$pid" || {
-    cat "$log" >&2
-    fail "Aerie did not compile" "see above" "git status shows what was changed here; otherwise report it with the lines above"
-  }
 }

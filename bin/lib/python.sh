@@ -24,8 +24,11 @@ python_install() {
   [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && [ -x "$AERIE_VENV/bin/python" ] && return 0
   have python3 || fail "no python3" "the tests talk to pymavlink, a MAVLink implementation that is not ours" \
     "apt-get install python3 python3-venv"
-  lock "$AERIE_VENV.lock"
-  [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && return 0
+  lock "$AERIE_VENV.lock" "another set-up is running here; waiting for it"
+  if [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ]; then
+    unlock
+    return 0
+  fi
   local log="$AERIE_VENV.log"
   step "python: a private environment with $PYTHON_PEERS $PYTHON_PEERS_ALONE (for the tests only)"
   rm -rf "$AERIE_VENV"
@@ -44,4 +47,5 @@ python_install() {
   fi
   rm -f "$log"
   python_stamp >"$AERIE_VENV/.complete"
+  unlock
 }

@@ -46,8 +46,14 @@ toolchain_install() {
     amd64 | arm64) ;;
     *) fail "no toolchain for $(dpkg --print-architecture)" "only amd64 and arm64 are supported" "install $versions" ;;
   esac
-  lock "$AERIE_TOOLCHAIN.lock"
-  [ "$(cat "$AERIE_TOOLCHAIN/.complete" 2>/dev/null)" = "$(toolchain_stamp)" ] && return 0
+  lock "$AERIE_TOOLCHAIN.lock" "another set-up is running here; waiting for it"
+  if [ "$(cat "$AERIE_TOOLCHAIN/.complete" 2>/dev/null)" = "$(toolchain_stamp)" ]; then
+    unlock
+    return 0
+  fi
+  # A running gateway reads modules from there whenever it first needs them.
+  [ ! -d "$AERIE_TOOLCHAIN" ] || unused "$AERIE_TOOLCHAIN" || fail "the toolchain in $AERIE_TOOLCHAIN is an older one" \
+    "it cannot be replaced while a gateway or a test runs with it" "end those, then run this again"
 
   # All work happens beside the final folder; an interrupted set-up leaves only this, and the next one removes it.
   local work="$AERIE_TOOLCHAIN.new"
@@ -60,6 +66,7 @@ toolchain_install() {
   toolchain_stamp >"$work/.complete"
   rm -rf "$AERIE_TOOLCHAIN"
   mv "$work" "$AERIE_TOOLCHAIN"
+  unlock
 }
 
 # The mirror that this machine's own apt uses for Debian proper, or Debian's own name for it.

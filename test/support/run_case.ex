@@ -15,10 +15,10 @@ defmodule Aerie.RunCase do
     end
   end
 
-  @doc "Starts it. `before` are words of a command that starts it in turn (`unshare`, say)."
-  @spec open([String.t()], [String.t()]) :: port
-  def open(words, before \\ []) do
-    [program | words] = before ++ [Path.join(@root, "bin/run") | words]
+  @doc "Starts it. `before` are words of a command that starts it in turn (`unshare`, say), `root` another checkout."
+  @spec open([String.t()], [String.t()], Path.t()) :: port
+  def open(words, before \\ [], root \\ @root) do
+    [program | words] = before ++ [Path.join(root, "bin/run") | words]
 
     port =
       Port.open({:spawn_executable, System.find_executable(program) || program}, [
@@ -26,13 +26,24 @@ defmodule Aerie.RunCase do
         :exit_status,
         :stderr_to_stdout,
         args: words,
-        # As from a plain shell: nothing of this test's own Mix.
-        env: [{~c"MIX_ENV", false}, {~c"MIX_BUILD_PATH", false}, {~c"AERIE_TERMINAL", false}]
+        env: for({name, value} <- environment(), do: {to_charlist(name), value != nil && to_charlist(value)})
       ])
 
     {:os_pid, os_pid} = Port.info(port, :os_pid)
     ExUnit.Callbacks.on_exit(fn -> stop("#{os_pid}") end)
     port
+  end
+
+  @doc "As from a plain shell: nothing of this test's own Mix; the toolchain of this checkout serves another one, too."
+  @spec environment() :: [{String.t(), String.t() | nil}]
+  def environment do
+    toolchain = Path.join(@root, ".toolchain")
+
+    [{"MIX_ENV", nil}, {"MIX_BUILD_PATH", nil}, {"AERIE_TERMINAL", nil}] ++
+      if(File.dir?(toolchain) and System.get_env("AERIE_TOOLCHAIN") == nil,
+        do: [{"AERIE_TOOLCHAIN", toolchain}],
+        else: []
+      )
   end
 
   # What a test that failed left running; asked to end, it ends its VM.
@@ -43,8 +54,8 @@ defmodule Aerie.RunCase do
   end
 
   @doc "Runs it to its end; gives its status and its output."
-  @spec run([String.t()]) :: {non_neg_integer, String.t()}
-  def run(words), do: words |> open() |> collect("")
+  @spec run([String.t()], Path.t()) :: {non_neg_integer, String.t()}
+  def run(words, root \\ @root), do: words |> open([], root) |> collect("")
 
   @doc "Waits until it has said all of some texts; gives its output so far."
   @spec await_output(port, String.t(), [String.t()]) :: String.t()

@@ -1,0 +1,128 @@
+defmodule Aerie.System.StartsTest do
+  @moduledoc "Starts beside each other, and what is compiled beneath a gateway that runs."
+
+  use Aerie.SystemCase, async: true
+  use Aerie.RunCase
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 900_000
+
+  test "three calls at once", _context do
+    ports = for _n <- 1..3, do: open(["--version"])
+
+    for port <- ports do
+      assert {0, text} = collect(port, "")
+      assert text =~ "aerie "
+    end
+  end
+
+  @tag :long
+  test "three starts at once of an uncompiled checkout; then it is compiled anew beneath them", context do
+    checkout = checkout(context.tmp_dir)
+    cli = Path.join(checkout, "apps/aerie_cli/lib/aerie_cli")
+    write_late(cli, "first")
+    File.write!(Path.join(cli, "application.ex"), asking_when_told())
+
+    ports = for n <- 1..3, do: open(["--config", config(context.tmp_dir, n), "--quiet"], [], checkout)
+    for port <- ports, do: await_output(port, "", ["connected to NATS"])
+
+    # A module that none of them has loaded yet changes.
+    write_late(cli, "second")
+
+    assert {_words, 0} =
+             System.cmd(Path.join(checkout, "bin/setup"), [], env: environment(), stderr_to_stdout: true)
+
+    File.write!(Path.join(checkout, "ask"), "")
+
+    answers =
+      eventually(
+        fn ->
+          answers = checkout |> Path.join("answer-*") |> Path.wildcard() |> Enum.map(&File.read!/1)
+          length(answers) == 3 and answers
+        end,
+        "all three answered"
+      )
+
+    assert answers == ["first", "first", "first"]
+
+    # The next start runs what is new, and as long as any of them runs, what is theirs stays.
+    assert {0, _version} = run(["--version"], checkout)
+    assert [_first, _second] = File.ls!(Path.join(checkout, "_build/run"))
+
+    for port <- ports do
+      {:os_pid, os_pid} = Port.info(port, :os_pid)
+      {_output, 0} = System.cmd("kill", ["-INT", "#{os_pid}"])
+    end
+
+    for port <- ports, do: assert(await_exit(port) == 0)
+    assert {0, _version} = run(["--version"], checkout)
+    assert [_second] = File.ls!(Path.join(checkout, "_build/run"))
+  end
+
+  # What `bin/run` needs of a checkout, without what was compiled in this one.
+  defp checkout(folder) do
+    root = Path.expand("../..", __DIR__)
+    checkout = Path.join(folder, "checkout")
+
+    for part <-
+          ~w(bin config mix.exs packages/packages.exs) ++
+            parts(root, "{apps,packages}/*/{lib,priv,src,mix.exs}") do
+      File.mkdir_p!(Path.dirname(Path.join(checkout, part)))
+      File.cp_r!(Path.join(root, part), Path.join(checkout, part))
+    end
+
+    checkout
+  end
+
+  defp parts(root, pattern),
+    do: root |> Path.join(pattern) |> Path.wildcard() |> Enum.map(&Path.relative_to(&1, root))
+
+  defp config(folder, n) do
+    folder = Path.join(folder, "#{n}")
+    File.mkdir_p!(folder)
+    file = Path.join(folder, "gateway.yaml")
+
+    File.write!(file, """
+    nats: {port: 0, store_dir: "#{folder}/nats"}
+    outbox: {dir: "#{folder}/outbox"}
+    recorder: {dir: "#{folder}/recordings"}
+    sockets: {dir: "#{short_dir()}"}
+    http: {port: 0}
+    websocket: {port: 0}
+    mavlink: {local_addr: "off"}
+    """)
+
+    file
+  end
+
+  defp write_late(folder, word) do
+    File.write!(Path.join(folder, "late.ex"), """
+    defmodule AerieCLI.Late do
+      def word, do: #{inspect(word)}
+    end
+    """)
+  end
+
+  # In the place of the application's own module: the same, and a process that calls a module late.
+  defp asking_when_told do
+    """
+    defmodule AerieCLI.Application do
+      use Application
+
+      def start(_type, _args) do
+        spawn(fn -> answer(File.exists?("ask")) end)
+        Supervisor.start_link([], strategy: :one_for_one, name: AerieCLI.Supervisor)
+      end
+
+      defp answer(true), do: File.write!("answer-\#{System.pid()}", AerieCLI.Late.word())
+
+      defp answer(false) do
+        receive do
+        after
+          50 -> answer(File.exists?("ask"))
+        end
+      end
+    end
+    """
+  end
+end

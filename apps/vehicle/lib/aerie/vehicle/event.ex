@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Event do
   * `:seq` - 1, 2, 3 … per vehicle for as long as the gateway's store lives
   * `:time` - unix microseconds at which the gateway received what shows the event
   * `:vehicle_time_ms` - the vehicle's own clock (milliseconds since its boot) as last heard, or nil
-  * `:data` - what there is to say; string keys, JSON values
+  * `:data` - what there is to say, by `Aerie.Vehicle.EventTypes`; string keys, JSON values
   """
   @type t :: %__MODULE__{
           id: String.t(),
@@ -29,12 +29,9 @@ defmodule Aerie.Vehicle.Event do
           data: %{String.t() => term()}
         }
 
-  @types ~w(armed disarmed mode_change takeoff landed failsafe geofence battery.low battery.critical
-            link.lost link.restored reboot statustext param_changed mission.reached mission.completed
-            collision gcs_failsafe signing.rejected signing.enrolled signing.revoked signing.failed
-            stream.contested gcs.lost gcs.restored report displaced)
+  @types Aerie.Vehicle.EventTypes.names()
 
-  @doc "All event types."
+  @doc "All event types; `Aerie.Vehicle.EventTypes` says what they mean."
   @spec types() :: [String.t()]
   def types, do: @types
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.DetectorTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.{Detector, Event, Options, State}
+  alias Aerie.Vehicle.{Detector, Event, EventTypes, Options, State}
   alias Aerie.Vehicle.Detector.Texts
 
   @second 1_000_000
@@ -317,11 +317,17 @@ defmodule Aerie.Vehicle.DetectorTest do
            ]
   end
 
-  test "every type of event is one that can be published, and is in the README" do
+  test "every type of event is one that can be published, is in the README, and says what its fields mean" do
     readme = File.read!(Path.expand("../../../../../README.md", __DIR__))
     assert Event.types() -- Enum.filter(Event.types(), &String.contains?(readme, "`#{&1}`")) == []
     assert Enum.uniq(Event.types()) == Event.types()
     assert Enum.all?(Event.types(), &(&1 =~ ~r/\A[a-z_]+(\.[a-z_]+)?\z/))
+    fields = for type <- EventTypes.all(), field <- type.fields, do: field
+
+    assert Enum.all?(
+             fields,
+             &(&1.meaning != "" and &1.type in ~w(string number integer boolean list object any)a)
+           )
   end
 
   test "a digest has nothing in it that changes all the time" do

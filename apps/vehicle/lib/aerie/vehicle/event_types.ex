@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.EventTypes do
   @text {"text", :string, nil, "what the vehicle said"}
   @failsafe_types "`rc`, `gcs`, `battery`, `fence`, `gps`, `position`, `ekf`, `offboard`, `terrain`, `vibration`, `leak`, `crash`, `unknown`"
 
-  @table [
+  table = [
     {"armed", "the vehicle is armed", "HEARTBEAT; PX4: the report commander_armed_by for the reason",
      [
        @mode,
@@ -206,14 +206,16 @@ defmodule Aerie.Vehicle.EventTypes do
      ]}
   ]
 
-  @all for {type, moment, source, fields} <- @table do
-    fields =
-      for {name, kind, unit, meaning} <- fields, do: %{name: name, type: kind, unit: unit, meaning: meaning}
+  all =
+    for {type, moment, source, fields} <- table do
+      fields =
+        for {name, kind, unit, meaning} <- fields, do: %{name: name, type: kind, unit: unit, meaning: meaning}
 
-    %{type: type, when: moment, source: source, fields: fields}
-  end
+      %{type: type, when: moment, source: source, fields: fields}
+    end
 
-  @names Enum.map(@all, & &1.type)
+  @all all
+  @names Enum.map(all, & &1.type)
 
   @doc "All types, in an order for people."
   @spec all() :: [t()]

@@ -95,7 +95,7 @@ defmodule Aerie.Router.Intake do
     # Zeros at its end were cut off (F7), as they are in every boot time of less than half a year.
     <<_unix::64, boot::32-little, _::binary>> = <<payload::binary, 0::96>>
 
-    case BootClock.read(talker.clock || BootClock.new(), boot, at) do
+    case BootClock.read(talker.clock || BootClock.new(), @system_time, boot, at) do
       {clock, :reboot} ->
         reboot(gateway, tables, way, talker)
         %{talker | clock: clock, learned: nil}

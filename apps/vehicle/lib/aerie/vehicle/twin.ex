@@ -7,11 +7,13 @@ defmodule Aerie.Vehicle.Twin do
   within ten seconds are two vehicles. A unique id that changes without a reboot is proof at once.
 
   Each reading comes with its link. Which links brought which value (`links/2`) tells an operator where to look, and a
-  router that such links do not carry the same vehicle twice. A second link that is late by half a minute or less shows the
+  router that such links do not carry the same vehicle twice. The moment of the boot is compared within one kind of message
+  (`Aerie.Vehicle.BootClock` says why), and only jumps to and fro count: a clock that counts something else than
+  milliseconds runs away in one direction. A second link that is late by half a minute or less shows the
   same boot earlier and by itself: links apart and moments near is a delay, no twin.
   """
 
-  defstruct boot: nil, place: nil, kind: nil, uid: nil
+  defstruct boot: %{}, place: nil, kind: nil, uid: nil
 
   @window_us 10_000_000
   @flips 6
@@ -20,20 +22,28 @@ defmodule Aerie.Vehicle.Twin do
   @place_near_m 1_000.0
   @metres_per_degree 111_320.0
   @max_links 8
+  @max_clocks 16
 
   @type t :: %__MODULE__{}
   @type verdict :: :one | :two
-  @type sign :: :boot | :place | :kind | :uid
+  @type sign :: {:boot, id :: non_neg_integer()} | :place | :kind | :uid
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "A reading of the vehicle's clock."
-  @spec boot(t(), non_neg_integer(), integer(), link :: term()) :: {t(), verdict()}
-  def boot(twin, boot_ms, at, link \\ nil) do
-    {side, verdict} = side(twin.boot, at - boot_ms * 1000, at, link, &(abs(&1 - &2) < @boot_near_us))
-    {%{twin | boot: side}, if(verdict == :two and delay?(side), do: :one, else: verdict)}
+  @doc "A reading of the vehicle's clock by a kind of message (its id)."
+  @spec boot(t(), id :: non_neg_integer(), non_neg_integer(), integer(), link :: term()) :: {t(), verdict()}
+  def boot(twin, id, boot_ms, at, link \\ nil)
+
+  def boot(%{boot: boot} = twin, id, boot_ms, at, link)
+      when is_map_key(boot, id) or map_size(boot) < @max_clocks do
+    {side, verdict} =
+      side(boot[id], at - boot_ms * 1000, at, link, &(abs(&1 - &2) < @boot_near_us), &(&2 > &1))
+
+    {%{twin | boot: Map.put(boot, id, side)}, if(verdict == :two and delay?(side), do: :one, else: verdict)}
   end
+
+  def boot(twin, _id, _boot_ms, _at, _link), do: {twin, :one}
 
   defp delay?(%{a: a, b: b, links: {of_a, of_b}}) do
     abs(a - b) < @delay_us and of_a != of_b and not Enum.any?(of_a, &(&1 in of_b))
@@ -68,12 +78,11 @@ defmodule Aerie.Vehicle.Twin do
   @spec links(t(), sign()) :: {[term()], [term()]}
   def links(%{uid: {_uid, links, others}}, :uid), do: {Enum.sort(links), Enum.sort(others)}
 
-  def links(twin, sign) do
-    case Map.fetch!(twin, sign) do
-      %{links: {of_a, of_b}} -> {Enum.sort(of_a), Enum.sort(of_b)}
-      _nothing -> {[], []}
-    end
-  end
+  def links(twin, {:boot, id}), do: sorted(twin.boot[id])
+  def links(twin, sign), do: sorted(Map.fetch!(twin, sign))
+
+  defp sorted(%{links: {of_a, of_b}}), do: {Enum.sort(of_a), Enum.sort(of_b)}
+  defp sorted(_nothing), do: {[], []}
 
   @doc "After a reboot everything may be different, the hardware included."
   @spec rebooted(t()) :: t()
@@ -83,11 +92,16 @@ defmodule Aerie.Vehicle.Twin do
   @spec rebased(t()) :: t()
   def rebased(twin), do: %__MODULE__{uid: twin.uid}
 
-  # Two values, which of them was last, when that changed, and by which links each came.
-  defp side(nil, value, _at, link, _near?),
-    do: {%{a: value, b: nil, on: :a, flips: [], links: {[link], []}}, :one}
+  # Two values, which of them was last, when that changed, and by which links each came. With an order of values, a change
+  # in the direction of the one before is none to and fro.
+  defp side(side, value, at, link, near?, up? \\ fn _, _ -> nil end)
 
-  defp side(%{a: a, b: b, on: on, links: {of_a, of_b}} = side, value, at, link, near?) do
+  defp side(nil, value, _at, link, _near?, _up?),
+    do: {%{a: value, b: nil, on: :a, up: nil, flips: [], links: {[link], []}}, :one}
+
+  defp side(%{a: a, b: b, on: on, links: {of_a, of_b}} = side, value, at, link, near?, up?) do
+    last = Map.fetch!(side, on)
+
     side =
       cond do
         near?.(a, value) -> %{side | a: value, on: :a, links: {with_link(of_a, link), of_b}}
@@ -97,13 +111,15 @@ defmodule Aerie.Vehicle.Twin do
         true -> %{side | a: value, on: :a, links: {[link], of_b}}
       end
 
-    if side.on == on do
-      {side, :one}
-    else
-      flips = Enum.take([at | side.flips], @flips)
-      twins = length(flips) == @flips and at - List.last(flips) <= @window_us
-      {%{side | flips: flips}, if(twins, do: :two, else: :one)}
-    end
+    if side.on == on, do: {side, :one}, else: flip(side, up?.(last, value), at)
+  end
+
+  defp flip(%{up: up} = side, up, _at) when up != nil, do: {side, :one}
+
+  defp flip(side, up, at) do
+    flips = Enum.take([at | side.flips], @flips)
+    twins = length(flips) == @flips and at - List.last(flips) <= @window_us
+    {%{side | flips: flips, up: up}, if(twins, do: :two, else: :one)}
   end
 
   defp with_link([link | _] = links, link), do: links

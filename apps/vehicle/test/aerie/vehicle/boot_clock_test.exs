@@ -5,11 +5,12 @@ defmodule Aerie.Vehicle.BootClockTest do
 
   @second 1_000_000
 
-  # Readings as {boot_ms, at in s}; the verdicts in order.
+  # Readings as {boot_ms, at in s}, or with the message's id behind; the verdicts in order.
   defp verdicts(readings, clock \\ BootClock.new()) do
     {verdicts, _clock} =
-      Enum.map_reduce(readings, clock, fn {boot_ms, at}, clock ->
-        {clock, verdict} = BootClock.read(clock, boot_ms, round(at * @second))
+      Enum.map_reduce(readings, clock, fn reading, clock ->
+        {boot_ms, at, id} = if tuple_size(reading) == 2, do: Tuple.insert_at(reading, 2, 30), else: reading
+        {clock, verdict} = BootClock.read(clock, id, boot_ms, round(at * @second))
         {verdict, clock}
       end)
 
@@ -38,5 +39,43 @@ defmodule Aerie.Vehicle.BootClockTest do
 
   test "a reboot that happened while nobody looked is found" do
     assert :reboot in verdicts([{100, 0}, {1100, 1}, {2100, 2}], BootClock.new(600_000))
+  end
+
+  describe "a clock per message" do
+    # Betaflight: ATTITUDE (30) in milliseconds, GLOBAL_POSITION_INT (33) in microseconds, which wrap after 71 minutes.
+    defp betaflight(from_s, seconds, at \\ 0) do
+      for n <- 0..(seconds * 10), id <- if(rem(n, 2) == 0, do: [33, 30], else: [30]) do
+        boot = from_s + n / 10
+        us = Integer.mod(round(boot * 1_000_000), 0x100000000)
+        {if(id == 33, do: us, else: round(boot * 1000)), at + n / 10, id}
+      end
+    end
+
+    test "microseconds beside milliseconds are no reboot, and no time once that is seen" do
+      readings = betaflight(4_280, 60)
+      verdicts = Enum.zip(readings, verdicts(readings))
+      assert verdicts |> Enum.map(&elem(&1, 1)) |> Enum.uniq() |> Enum.sort() == [:none, :ok]
+      assert for({{_, at, 33}, :ok} <- verdicts, do: at) |> Enum.max() < 1
+      assert for({{_, at, 30}, :none} <- verdicts, do: at) == []
+    end
+
+    test "R6: it is restarted, and that is seen once" do
+      readings = betaflight(600, 20) ++ betaflight(2, 20, 25)
+      assert readings |> verdicts() |> Enum.count(&(&1 == :reboot)) == 1
+    end
+
+    test "R6: all clocks of a vehicle begin anew, and that is one reboot" do
+      all = fn from_s, at ->
+        for n <- 0..50, id <- [30, 33, 2], do: {round(from_s * 1000) + n * 200, at + n / 5, id}
+      end
+
+      verdicts = verdicts(all.(600, 0) ++ all.(1, 15))
+      assert Enum.count(verdicts, &(&1 == :reboot)) == 1
+      assert verdicts |> Enum.take(-50) |> Enum.uniq() == [:ok]
+    end
+
+    test "a simulator that runs faster than time keeps its clock" do
+      assert Enum.uniq(verdicts(for n <- 0..50, do: {n * 20_000, n / 5})) == [:ok]
+    end
   end
 end

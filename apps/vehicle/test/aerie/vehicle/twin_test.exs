@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.TwinTest do
   defp boots(readings) do
     {verdicts, _} =
       Enum.map_reduce(readings, Twin.new(), fn {boot_ms, at}, twin ->
-        {twin, verdict} = Twin.boot(twin, boot_ms, round(at * @second))
+        {twin, verdict} = Twin.boot(twin, 30, boot_ms, round(at * @second))
         {verdict, twin}
       end)
 
@@ -30,6 +30,26 @@ defmodule Aerie.Vehicle.TwinTest do
     assert :two in boots(readings)
   end
 
+  test "three clocks in turn are more than one vehicle" do
+    readings = for n <- 0..9, reading <- [{60_000, n}, {900_000, n + 0.3}, {5_000_000, n + 0.6}], do: reading
+    assert :two in boots(readings)
+  end
+
+  test "a clock that counts microseconds is one vehicle, over its wrap too" do
+    readings = for n <- 0..100, do: {Integer.mod(4_290_000_000 + n * 200_000, 0x100000000), n / 5}
+    assert Enum.uniq(boots(readings)) == [:one]
+  end
+
+  test "clocks are compared within one kind of message, of which there are a few" do
+    twin =
+      for n <- 1..100, {id, boot_ms} <- [{30, n * 100}, {33, n * 100_000}], reduce: Twin.new() do
+        twin -> with {twin, :one} <- Twin.boot(twin, id, boot_ms, n * 100_000), do: twin
+      end
+
+    twin = Enum.reduce(100..200, twin, fn id, twin -> twin |> Twin.boot(id, 0, 0) |> elem(0) end)
+    assert map_size(twin.boot) == 16
+  end
+
   test "a reboot, and a second one, is one vehicle" do
     readings = for(n <- 0..9, do: {60_000 + n * 1000, n}) ++ for(n <- 0..9, do: {n * 1000, 20 + n})
     assert Enum.uniq(boots(readings ++ for(n <- 0..9, do: {n * 1000, 60 + n}))) == [:one]
@@ -46,7 +66,7 @@ defmodule Aerie.Vehicle.TwinTest do
         for n <- 100..130, {link, late} <- [{"a", 0}, {"b", late_ms}], do: {n * 500 - late, n / 2, link}
 
       Enum.map_reduce(readings, Twin.new(), fn {boot_ms, at, link}, twin ->
-        {twin, verdict} = Twin.boot(twin, boot_ms, round(at * @second), link)
+        {twin, verdict} = Twin.boot(twin, 30, boot_ms, round(at * @second), link)
         {verdict, twin}
       end)
     end
@@ -55,7 +75,7 @@ defmodule Aerie.Vehicle.TwinTest do
     assert Enum.uniq(late) == [:one]
     assert {two, twin} = verdicts.(45_000)
     assert :two in two
-    assert Twin.links(twin, :boot) == {["a"], ["b"]}
+    assert Twin.links(twin, {:boot, 30}) == {["a"], ["b"]}
   end
 
   test "links stay bounded, and a uid tells by which it came" do

@@ -90,12 +90,12 @@ defmodule Aerie.Vehicle.Core.Effects do
 
   def twin_of(core, actions, _other, _at), do: {core, actions}
 
-  @doc "A reading of the vehicle's clock, which is another one's perhaps."
-  @spec boot(Core.t(), [Core.action()], non_neg_integer(), integer()) :: acc()
-  def boot(core, actions, boot_ms, at),
-    do: twin(core, actions, Twin.boot(core.twin, boot_ms, at, core.way), :boot, at)
+  @doc "A reading of the vehicle's clock by a kind of message, which is another one's perhaps."
+  @spec boot(Core.t(), [Core.action()], id :: non_neg_integer(), non_neg_integer(), integer()) :: acc()
+  def boot(core, actions, id, boot_ms, at),
+    do: twin(core, actions, Twin.boot(core.twin, id, boot_ms, at, core.way), {:boot, id}, at)
 
-  @signs %{boot: "time_boot_ms", place: "position", kind: "type", uid: "uid"}
+  @signs %{place: "position", kind: "type", uid: "uid"}
 
   @doc "A verdict on there being two vehicles, by the sign it goes by."
   @spec twin(Core.t(), [Core.action()], {Twin.t(), Twin.verdict()}, Twin.sign(), integer()) :: acc()
@@ -105,7 +105,7 @@ defmodule Aerie.Vehicle.Core.Effects do
     {ones, others} = Twin.links(twin, sign)
     {rivals, kept, other} = Rivals.found(core.rivals, ones, others, at)
     links = Rivals.words(kept, other)
-    collision = %{at: at, sign: @signs[sign], links: links, ways: [kept, other]}
+    collision = %{at: at, sign: sign(sign), links: links, ways: [kept, other]}
     observation = {:collision, at, core.state.boot_ms, collision.sign, collision.links}
 
     apart(
@@ -114,6 +114,9 @@ defmodule Aerie.Vehicle.Core.Effects do
       at
     )
   end
+
+  defp sign({:boot, _id}), do: "time_boot_ms"
+  defp sign(sign), do: Map.fetch!(@signs, sign)
 
   @doc "Tells by which ways another vehicle is heard, when that has changed."
   @spec apart(acc(), integer()) :: acc()

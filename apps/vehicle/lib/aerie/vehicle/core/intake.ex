@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.Core.Intake do
   @spec rival(Core.t(), [Core.action()], struct()) :: {Core.t(), [Core.action()]}
   def rival(core, actions, %{id: id, at: at} = frame) when id in @telling do
     with true <- frame.component == core.component, {:ok, message} <- MavCodec.decode(frame) do
-      {core, actions} = rival_clock(core, actions, message, at)
+      {core, actions} = rival_clock(core, actions, id, message, at)
       rival_sign(core, actions, id, message, at)
     else
       _nothing -> {core, actions}
@@ -64,8 +64,10 @@ defmodule Aerie.Vehicle.Core.Intake do
 
   def rival(core, actions, _frame), do: {core, actions}
 
-  defp rival_clock(core, actions, %{time_boot_ms: boot_ms}, at), do: Effects.boot(core, actions, boot_ms, at)
-  defp rival_clock(core, actions, _message, _at), do: {core, actions}
+  defp rival_clock(core, actions, id, %{time_boot_ms: boot_ms}, at),
+    do: Effects.boot(core, actions, id, boot_ms, at)
+
+  defp rival_clock(core, actions, _id, _message, _at), do: {core, actions}
 
   defp rival_sign(core, actions, id, _message, _at) when id not in @signs, do: {core, actions}
 
@@ -138,19 +140,21 @@ defmodule Aerie.Vehicle.Core.Intake do
   end
 
   defp message(core, actions, _link, frame, %{time_boot_ms: boot_ms} = message) do
-    {clock, verdict} = BootClock.read(core.clock, boot_ms, frame.at)
+    {clock, verdict} = BootClock.read(core.clock, frame.id, boot_ms, frame.at)
     core = %{core | clock: clock}
 
     case verdict do
       :ok ->
-        {core, actions} =
-          Effects.boot(core, actions, boot_ms, frame.at)
-
+        {core, actions} = Effects.boot(core, actions, frame.id, boot_ms, frame.at)
         apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, frame, message)
 
       # Older than what is known, or the first sign of a reboot; either way it is worth a moment's wait.
       :behind ->
-        Effects.boot(core, actions, boot_ms, frame.at)
+        Effects.boot(core, actions, frame.id, boot_ms, frame.at)
+
+      :none ->
+        {core, actions} = Effects.boot(core, actions, frame.id, boot_ms, frame.at)
+        apply_message(core, actions, frame, message)
 
       :reboot ->
         core = Dealings.rebooted(core, frame.at)

@@ -133,7 +133,7 @@ defmodule AerieCLI.Run do
       [{:gateway, {Aerie.Gateway, name: gateway, config: config}}] ++
         http_part(gateway, config) ++
         sim_part(plan.sim, sim_port) ++
-        status_part(gateway, http, options)
+        status_part(gateway, http, config, options)
 
     Enum.reduce_while(parts, {:ok, []}, fn {id, child}, {:ok, started} ->
       case Supervisor.start_child(
@@ -172,10 +172,12 @@ defmodule AerieCLI.Run do
   defp sim_part(0, _port), do: []
   defp sim_part(count, port), do: [{:sim, {SimVehicle.Fleet, count: count, link: "udpout:127.0.0.1:#{port}"}}]
 
-  defp status_part(gateway, http, options) do
+  defp status_part(gateway, http, config, options) do
     if Keyword.get(options, :status, true) do
       [
-        {:status, {Status, [gateway: gateway, http: http] ++ Keyword.take(options, [:style, :size, :device])}}
+        {:status,
+         {Status,
+          [gateway: gateway, http: http, config: config] ++ Keyword.take(options, [:style, :size, :device])}}
       ]
     else
       []

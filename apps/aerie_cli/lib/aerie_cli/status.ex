@@ -7,7 +7,7 @@ defmodule AerieCLI.Status do
   use GenServer
 
   alias Aerie.Fleet
-  alias AerieCLI.Status.{Format, Lines, Table, View}
+  alias AerieCLI.Status.{Faces, Format, Lines, Table, View}
 
   @table_period 500
   @lines_period 5_000
@@ -15,6 +15,7 @@ defmodule AerieCLI.Status do
 
   @doc """
   Options: `gateway` (name of the instance), `style` (`:table` or `:lines`), `http` (address to show, or nil),
+  `config` (for what is open to whom),
   `device` (where to write, default standard output), `size` (`{columns, lines}`).
   """
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -31,6 +32,8 @@ defmodule AerieCLI.Status do
           device: :stdio,
           size: {100, 40},
           http: nil,
+          config: nil,
+          faces: nil,
           started: System.os_time(:microsecond),
           notes: [],
           drawn: 0
@@ -52,8 +55,11 @@ defmodule AerieCLI.Status do
   end
 
   def handle_info(:show, state) do
-    write_lines(state, Lines.render(view(state)))
-    {:noreply, schedule(state, @lines_period)}
+    view = view(state)
+    # What is open is told when it changes: at the start, mostly.
+    faces = if view.faces == state.faces, do: [], else: Enum.map(view.faces, &Lines.face/1)
+    write_lines(state, faces ++ Lines.render(view))
+    {:noreply, schedule(%{state | faces: view.faces}, @lines_period)}
   end
 
   def handle_info({:fleet, :events, event}, %{style: :lines} = state) do
@@ -69,11 +75,15 @@ defmodule AerieCLI.Status do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp view(state) do
+    links = state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id)
+    commands = Map.new(links, &{&1.id, Aerie.Router.gcs(state.gateway, &1.id)})
+
     %View{
       now: System.os_time(:microsecond),
       started: state.started,
       vehicles: state.gateway |> Fleet.Store.vehicles() |> Enum.sort_by(& &1.id),
-      links: state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id),
+      links: links,
+      faces: Faces.list(links, commands, Aerie.Router.clients(state.gateway), state.config),
       nats: Aerie.Bridge.info(state.gateway),
       published: published(state.gateway),
       pending: Fleet.Journal.pending_size(state.gateway),

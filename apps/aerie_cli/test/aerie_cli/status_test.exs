@@ -41,7 +41,7 @@ defmodule AerieCLI.StatusTest do
             status: :up,
             text: "listening",
             rates: %{frames_in: 52.0, writes_out: 1.0, bytes_in: 2100.0},
-            counters: %{crc_errors: 3, lost: 7}
+            counters: %{crc_errors: 3, lost: 7, denied: 0, dropped_out: 0}
           }
         ],
         nats: %{connected: true, url: "nats://127.0.0.1:4222", outbox: %{events: 0}},
@@ -74,6 +74,17 @@ defmodule AerieCLI.StatusTest do
     assert table =~ "NATS connected nats://127.0.0.1:4222  published 17"
     assert table =~ "udpin:0.0.0.0:14550"
     assert table =~ "up 2 min"
+  end
+
+  test "what is open to whom, and orders that were refused, are told" do
+    face = %{address: "udpin:0.0.0.0:14550 (udp)", who: "whoever reaches it: vehicles", wide: false}
+    [link] = view().links
+    view = view(faces: [face], links: [put_in(link.counters.denied, 20)])
+    table = view |> Table.render(140, 40) |> text()
+    assert table =~ "udpin:0.0.0.0:14550 (udp)  whoever reaches it: vehicles"
+    assert table =~ "link link-1: 20 orders to vehicles were REFUSED"
+    assert Lines.face(face) == ~s|open="udpin:0.0.0.0:14550 (udp)" to="whoever reaches it: vehicles"|
+    assert Enum.any?(Lines.render(view), &(&1 =~ "denied=20"))
   end
 
   test "what is not known is a dash, and a lost vehicle is called lost" do

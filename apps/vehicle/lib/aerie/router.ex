@@ -17,6 +17,7 @@ defmodule Aerie.Router do
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time began anew (R6) |
   | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`: by these another vehicle with that id is heard (`Aerie.Router.Apart`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of a group carries |
+  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order that may not be given (`Aerie.Router.Gate`); at most one a minute for each link |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload` |
   """
 
@@ -344,6 +345,16 @@ defmodule Aerie.Router do
   @doc "What differs from the configuration, by owner and key: `%{now: value, configured: value}`."
   @spec changes(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
   defdelegate changes(gateway), to: Rules, as: :list
+
+  @doc "Whose commands go from a link's ends to vehicles just now (`Aerie.Router.Gate`)."
+  @spec gcs(Names.gateway(), String.t()) :: :auto | :allow | :deny
+  def gcs(gateway, link) do
+    with tables when is_map(tables) <- Tables.of(gateway), %{gcs: gcs} <- Endpoints.owner(tables, link) do
+      gcs
+    else
+      _unknown -> :auto
+    end
+  end
 
   @doc "All systems that sent a heartbeat, vehicles or not (`Aerie.Router.Systems`)."
   @spec systems(Names.gateway()) :: %{vehicle_key => map}

@@ -42,6 +42,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :router, :vehicle_found], Aerie.Router},
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},
+    {[:aerie, :router, :denied], Aerie.Router},
     {[:aerie, :router, :reboot], Aerie.Router},
     {[:aerie, :router, :carrier], Aerie.Router},
     {[:aerie, :router, :collision], Aerie.Router},

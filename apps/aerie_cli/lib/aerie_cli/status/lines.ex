@@ -15,6 +15,10 @@ defmodule AerieCLI.Status.Lines do
     Enum.map(view.vehicles, &vehicle(&1, view)) ++ Enum.map(view.links, &link/1) ++ nats(view)
   end
 
+  @doc "What is open to whom, as a log line."
+  @spec face(AerieCLI.Status.Faces.face()) :: String.t()
+  def face(face), do: pairs(open: face.address, to: face.who)
+
   @doc "An event as a line of a table: the vehicle, what happened, and what is not the vehicle's position."
   @spec note(map()) :: String.t()
   def note(event) do
@@ -81,6 +85,8 @@ defmodule AerieCLI.Status.Lines do
       writes_out_per_s: number(link.rates.writes_out, 0),
       crc_errors: link.counters.crc_errors,
       lost: link.counters.lost,
+      denied: link.counters.denied,
+      dropped_out: link.counters.dropped_out,
       text: link.text
     )
   end

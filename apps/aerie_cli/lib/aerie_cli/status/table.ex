@@ -46,6 +46,8 @@ defmodule AerieCLI.Status.Table do
         section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
         [""] ++
         section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
+        denied(view.links) ++
+        faces(view.faces) ++
         notes(view)
 
     lines |> Enum.take(max(height - 1, 3)) |> Enum.map(&line(&1, width))
@@ -144,6 +146,25 @@ defmodule AerieCLI.Status.Table do
     ]
 
     {cells, if(link.status == :up, do: nil, else: :yellow)}
+  end
+
+  defp denied(links) do
+    for %{counters: %{denied: n}} = link when n > 0 <- links do
+      {"link #{text(link.id)}: #{n} orders to vehicles were REFUSED, because who gave them may not command by it (gcs)",
+       :yellow}
+    end
+  end
+
+  defp faces([]), do: []
+
+  defp faces(faces) do
+    width = faces |> Enum.map(&String.length(&1.address)) |> Enum.max() |> min(48)
+
+    [
+      "",
+      {"OPEN TO", :dim}
+      | Enum.map(faces, &{"#{fit(text(&1.address), width)}  #{text(&1.who)}", if(&1.wide, do: :yellow)})
+    ]
   end
 
   defp notes(%View{notes: []}), do: []

@@ -4,7 +4,18 @@ defmodule AerieCLI.Status.View do
   `AerieCLI.Status.Table` (a terminal) and `AerieCLI.Status.Lines` (a pipe); neither asks any process of a vehicle.
   """
 
-  defstruct [:now, :started, :nats, :http, published: 0, pending: 0, vehicles: [], links: [], notes: []]
+  defstruct [
+    :now,
+    :started,
+    :nats,
+    :http,
+    published: 0,
+    pending: 0,
+    vehicles: [],
+    links: [],
+    faces: [],
+    notes: []
+  ]
 
   @typedoc """
   * `now`, `started` - unix microseconds
@@ -12,6 +23,7 @@ defmodule AerieCLI.Status.View do
   * `nats` - `Aerie.Bridge.info/1`
   * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
+  * `faces` - what is open to whom
   * `notes` - the latest events, newest first, as text
   """
   @type t :: %__MODULE__{
@@ -23,6 +35,7 @@ defmodule AerieCLI.Status.View do
           http: String.t() | nil,
           published: non_neg_integer(),
           pending: non_neg_integer(),
+          faces: [AerieCLI.Status.Faces.face()],
           notes: [String.t()]
         }
 

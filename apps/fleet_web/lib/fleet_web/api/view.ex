@@ -122,7 +122,8 @@ defmodule FleetWeb.API.View do
       waiting: endpoint.waiting,
       frames_in: endpoint.counters.frames_in,
       frames_out: endpoint.counters.frames_out,
-      dropped: Tally.dropped(endpoint.counters)
+      dropped: Tally.dropped(endpoint.counters),
+      denied: endpoint.counters.denied
     })
   end
 

@@ -19,7 +19,7 @@ defmodule FleetWeb.Metrics.Links do
     peers_refused: {"gateway_link_refused_peers_total", "Peers beyond the limit."}
   ]
 
-  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out]
+  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :denied, :withheld]
 
   @signing [
     verified: {"gateway_link_signing_verified_frames_total", "Frames received with a right signature."},

@@ -11,6 +11,8 @@ defmodule Aerie.Link.Counters do
   - drops, each counted in frames or writes: `unclaimed` (of a system whose vehicle is not known), `overload` (the vehicle
     could not keep up), `refused` (the limit of vehicles is reached), `looped` (our own frames come back), `dropped_out`
     (writes with no way out: link down, peer gone, buffer full)
+  - `denied`: orders to vehicles that came from an end which may not give them; `withheld`: heartbeats and measurements that
+    were kept from vehicles (`Aerie.Router.Gate`)
   - `messages`: frames by message id; ids beyond the first #{1024} different ones are counted under `:other`
   """
 
@@ -33,7 +35,9 @@ defmodule Aerie.Link.Counters do
     :overload,
     :refused,
     :looped,
-    :dropped_out
+    :dropped_out,
+    :denied,
+    :withheld
   ]
 
   defstruct Enum.map(@sums, &{&1, 0}) ++ [messages: %{}]

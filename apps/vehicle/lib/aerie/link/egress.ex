@@ -25,7 +25,10 @@ defmodule Aerie.Link.Egress do
   @again_ms 10
 
   @enforce_keys [:gateway, :owner]
-  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}]
+  # What was counted for each peer and is added up for the link.
+  @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0}
+
+  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, left: @sums]
 
   @type t :: %__MODULE__{gateway: Names.gateway(), owner: Owner.t(), peers: %{term => map}}
   @type write :: (term, iodata -> {:ok | :busy | :error, term})
@@ -36,7 +39,7 @@ defmodule Aerie.Link.Egress do
     rules = spec.options[:router] || []
     # A client that names none sees all.
     own = if rules[:side] == :client, do: [], else: [networks: [spec.network]]
-    options = own |> Keyword.merge(rules) |> sparing(spec.options)
+    options = own |> Keyword.merge(rules) |> sparing(spec.options) |> commanding(spec.options)
     tables = Tables.of(gateway)
     owner = Rules.restore(gateway, owner(spec.id, options))
 
@@ -55,6 +58,10 @@ defmodule Aerie.Link.Egress do
   # A link of high latency carries commands and their answers (X6).
   defp sparing(options, %{high_latency: true}), do: Keyword.put(options, :high_latency, true)
   defp sparing(options, _ordinary), do: options
+
+  # What the connection string says (`?gcs=allow`).
+  defp commanding(options, %{gcs: gcs}), do: Keyword.put(options, :gcs, gcs)
+  defp commanding(options, _unsaid), do: options
 
   # Checked where it was configured; a rule that is none is better left out than a link.
   defp owner(id, options) do
@@ -154,15 +161,26 @@ defmodule Aerie.Link.Egress do
   @spec remove(t, term) :: t
   def remove(egress, id) do
     case Tables.of(egress.gateway) do
-      nil -> %{egress | peers: Map.delete(egress.peers, id)}
+      nil -> left(egress, id)
       tables -> remove(egress, tables, id)
     end
   end
 
   defp remove(egress, tables, id) do
     Endpoints.remove(tables, {egress.owner.id, id})
-    %{egress | peers: Map.delete(egress.peers, id)}
+    left(egress, id)
   end
+
+  # What was counted for it since the last time is not lost with it.
+  defp left(egress, id) do
+    case Map.pop(egress.peers, id) do
+      {nil, _peers} -> egress
+      {peer, peers} -> %{egress | peers: peers, left: sum(egress.left, since(peer, counts(peer.endpoint)))}
+    end
+  end
+
+  defp since(peer, counts), do: Map.merge(counts, peer.seen, fn _name, now, before -> now - before end)
+  defp sum(sums, more), do: Map.merge(sums, more, fn _name, a, b -> a + b end)
 
   @doc "Other rules for the link, while it runs."
   @spec rules(t, Owner.t(), integer) :: t
@@ -267,15 +285,15 @@ defmodule Aerie.Link.Egress do
 
   defp txbuf(_other, last), do: last
 
-  @doc "What others did since the last time: bytes and frames written to the peers' sockets, frames dropped."
-  @spec others(t) ::
-          {%{bytes_out: non_neg_integer, writes_out: non_neg_integer, dropped_out: non_neg_integer}, t}
+  @doc """
+  What was counted for the peers since the last time, by the names of `Aerie.Link.Counters`: written to their sockets by
+  others, dropped, refused.
+  """
+  @spec others(t) :: {%{atom => non_neg_integer}, t}
   def others(egress) do
-    Enum.reduce(egress.peers, {%{bytes_out: 0, writes_out: 0, dropped_out: 0}, egress}, fn {id, peer},
-                                                                                           {sums, egress} ->
+    Enum.reduce(egress.peers, {egress.left, %{egress | left: @sums}}, fn {id, peer}, {sums, egress} ->
       counts = counts(peer.endpoint)
-      since = Map.merge(counts, peer.seen, fn _name, now, before -> now - before end)
-      {Map.merge(sums, since, fn _name, a, b -> a + b end), put_in(egress.peers[id].seen, counts)}
+      {sum(sums, since(peer, counts)), put_in(egress.peers[id].seen, counts)}
     end)
   end
 
@@ -287,7 +305,9 @@ defmodule Aerie.Link.Egress do
     %{
       bytes_out: if(direct?, do: counts.bytes_out, else: 0),
       writes_out: if(direct?, do: counts.frames_out, else: 0),
-      dropped_out: counts.failed + Tally.dropped(counts)
+      dropped_out: counts.failed + Tally.dropped(counts),
+      denied: counts.denied,
+      withheld: counts.withheld
     }
   end
 

@@ -25,7 +25,8 @@ defmodule Aerie.Link.Spec do
   Every string takes `?network=NAME` (whose system ids it shares, default `"main"`) and `&id=NAME` (the identity of
   the link, default: the string without its options). `&secure=true` says that nobody but the two ends can hear or
   reach it (USB, a cable of its own, loopback): a vehicle may be given its signing key there and is believed unsigned. It
-  is refused for what cannot be such a cable: a broadcast, a recording, a server on all addresses.
+  is refused for what cannot be such a cable: a broadcast, a recording, a server on all addresses. `&gcs=allow` lets
+  whoever reaches the link command vehicles, `&gcs=deny` nobody, this machine neither (`Aerie.Router.Gate`).
   """
 
   alias Aerie.Link.Spec.Address
@@ -347,6 +348,10 @@ defmodule Aerie.Link.Spec do
   end
 
   defp option("secure", value, _form) when value in ["true", "false"], do: {:ok, :secure, value == "true"}
+
+  defp option("gcs", value, _form) when value in ["auto", "allow", "deny"],
+    do: {:ok, :gcs, String.to_existing_atom(value)}
+
   defp option("network", value, _form), do: name(:network, value)
   defp option("id", value, _form), do: name(:id, value)
 
@@ -356,7 +361,7 @@ defmodule Aerie.Link.Spec do
   end
 
   defp option(key, _value, _form) do
-    {:error, "#{inspect(key)} is no option", "the options network, id and secure",
+    {:error, "#{inspect(key)} is no option", "the options network, id, secure and gcs",
      "udpin:0.0.0.0:14550?network=radio-a"}
   end
 
@@ -392,10 +397,14 @@ defmodule Aerie.Link.Spec do
 
       true ->
         given = Map.new(Keyword.get(overrides, :options, %{}))
-        given = if options[:secure], do: Map.put(given, :secure, true), else: given
-        {:ok, %{id: id, network: network, options: given}}
+
+        {:ok,
+         %{id: id, network: network, options: Map.merge(given, Map.take(options, [:gcs]) |> secured(options))}}
     end
   end
+
+  defp secured(given, %{secure: true}), do: Map.put(given, :secure, true)
+  defp secured(given, _unsaid), do: given
 
   defp error(input, reason, expected, example, more \\ []) do
     {:error, struct!(Error, [input: input, reason: reason, expected: expected, example: example] ++ more)}

@@ -21,6 +21,7 @@ defmodule Aerie.Router.Forward do
   alias Aerie.Router.Classify
   alias Aerie.Router.Dedupe
   alias Aerie.Router.Filter
+  alias Aerie.Router.Gate
   alias Aerie.Router.Out
   alias Aerie.Router.Plan
   alias Aerie.Router.Plan.Way
@@ -48,7 +49,23 @@ defmodule Aerie.Router.Forward do
 
     case admitted(frames, tables, way, talker, now) do
       [] -> :ok
-      frames -> run(frames, [], {tables, plan, way, talker, now})
+      frames -> guarded(frames, way, {tables, plan, way, talker, now})
+    end
+  end
+
+  # Who may not command vehicles reaches them with what is no order only.
+  defp guarded(frames, way, context) do
+    if way.commands or Gate.free?(frames),
+      do: run(frames, [], context),
+      else: Enum.each(frames, &one(&1, context))
+  end
+
+  defp one(frame, {tables, plan, way, talker, now} = context) do
+    if Gate.free?([frame]) do
+      run([frame], [], context)
+    else
+      way = %{way | guarded: true}
+      run([frame], [], {tables, plan, way, talker, now})
     end
   end
 
@@ -114,6 +131,9 @@ defmodule Aerie.Router.Forward do
 
   defp flush([], _context), do: :ok
 
+  defp flush([frame], {tables, plan, %{guarded: true} = way, talker, now}),
+    do: flush([frame], {tables, plan, %{way | guarded: false}, Gate.narrow(talker, way, frame, tables), now})
+
   defp flush(gathered, {tables, _plan, way, talker, now}) do
     batch = to_everyone(talker.everyone, gathered |> :lists.reverse() |> Batch.new(), tables, way, now)
     _ = if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
@@ -145,12 +165,20 @@ defmodule Aerie.Router.Forward do
     frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
   end
 
-  defp send_to(target, frame, {tables, plan, way, talker, now} = context) do
+  defp send_to(target, frame, {tables, plan, way, _talker, _now} = context) do
     {system, keys} = addressed(target, tables, plan, way)
+
+    case Gate.open(keys, plan.ways, way, frame, tables) do
+      :shut -> :ok
+      keys -> send_by(frame, system, keys, context)
+    end
+  end
+
+  defp send_by(frame, system, keys, {tables, _plan, way, talker, now} = context) do
     if not talker.twice, do: Dedupe.note(tables, frame.bytes, way.key, now)
 
     case meant(frame, system, way) do
-      {:ok, frame} -> send_to(frame, system, keys, context)
+      {:ok, frame} -> reach(frame, system, keys, context)
       :refused -> Tally.add(way.tally, :refused, 1)
     end
   end
@@ -163,7 +191,7 @@ defmodule Aerie.Router.Forward do
 
   defp meant(frame, _system, _way), do: {:ok, frame}
 
-  defp send_to(frame, system, keys, {tables, plan, way, talker, now}) do
+  defp reach(frame, system, keys, {tables, plan, way, talker, now}) do
     batch = Batch.new([frame])
 
     heard =

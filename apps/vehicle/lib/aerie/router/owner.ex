@@ -16,6 +16,7 @@ defmodule Aerie.Router.Owner do
   | `:queue` | `[max_frames:, max_bytes:]` of what waits for one peer (`Aerie.Router.Queue`) |
   | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Out`); default true |
   | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
+  | `:gcs` | of a link: which of its ends may command vehicles, `:auto`, `:allow` or `:deny` (`Aerie.Router.Gate`) |
   | `:broadcasts` | false: only what is addressed to it; default true |
   | `:id_offsets` | system ids of a network plus a number, for a client: `%{network => n}` (`Aerie.Router.Renumber`) |
   | `:high_latency` | true: only what a link of high latency carries goes to it (X6), unless `:out` says itself which messages may |
@@ -36,6 +37,7 @@ defmodule Aerie.Router.Owner do
     :renumber,
     :bytes_per_s,
     side: :vehicle,
+    gcs: :auto,
     networks: ["main"],
     carry: %{},
     role: :full,
@@ -59,6 +61,7 @@ defmodule Aerie.Router.Owner do
           renumber: Renumber.t(),
           bytes_per_s: pos_integer | nil,
           side: :vehicle | :client,
+          gcs: :auto | :allow | :deny,
           networks: [String.t()] | :all,
           carry: %{Classify.class() => String.t() | :all},
           role: :full | :read_only,
@@ -73,7 +76,7 @@ defmodule Aerie.Router.Owner do
         }
 
   @keys [:side, :networks, :group, :carry, :role, :sniffer, :in, :out, :rate_limits, :bytes_per_s, :queue] ++
-          [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets]
+          [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets, :gcs]
 
   @doc "The keys of options."
   @spec keys() :: [atom]
@@ -102,6 +105,7 @@ defmodule Aerie.Router.Owner do
 
   defp option(:side, side) when side in [:vehicle, :client], do: {:ok, side: side}
   defp option(:role, role) when role in [:full, :read_only], do: {:ok, role: role}
+  defp option(:gcs, gcs) when gcs in [:auto, :allow, :deny], do: {:ok, gcs: gcs}
   defp option(:group, group) when is_binary(group), do: {:ok, group: group}
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 

@@ -7,6 +7,7 @@ defmodule Aerie.Router.Plan do
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Filter
+  alias Aerie.Router.Gate
   alias Aerie.Router.Owner
   alias Aerie.Router.RateLimit
   alias Aerie.Router.Renumber
@@ -17,6 +18,7 @@ defmodule Aerie.Router.Plan do
     @moduledoc """
     One endpoint with the rules of its owner. `plain`: every frame passes. `recorded`: the gateway, for a way to vehicles
     that is written to past its link's process. `pid`: the process of the link or client. `sign`: `Aerie.Router.Owner`.
+    `commands`: what comes from it may command vehicles (`Aerie.Router.Gate`); `guarded`: what is just being forwarded may not.
     """
 
     @enforce_keys [:key, :owner, :side, :networks]
@@ -35,10 +37,14 @@ defmodule Aerie.Router.Plan do
                 :renumber,
                 :heard_vehicle,
                 :recorded,
-                :pid
+                :pid,
+                :gateway,
+                :text
               ] ++
                 [
                   plain: true,
+                  commands: false,
+                  guarded: false,
                   auto: false,
                   carry: %{},
                   role: :full,
@@ -64,7 +70,11 @@ defmodule Aerie.Router.Plan do
             renumber: Renumber.t(),
             heard_vehicle: boolean | nil,
             recorded: Aerie.Names.gateway() | nil,
+            gateway: Aerie.Names.gateway() | nil,
+            text: String.t() | nil,
             plain: boolean,
+            commands: boolean,
+            guarded: boolean,
             auto: boolean,
             carry: map,
             role: :full | :read_only,
@@ -153,6 +163,9 @@ defmodule Aerie.Router.Plan do
       sniffer: owner.sniffer,
       sign: owner.sign,
       pid: endpoint.pid,
+      gateway: endpoint.gateway,
+      text: endpoint.text,
+      commands: Gate.open?(endpoint, owner),
       coalesce: owner.coalesce,
       broadcasts: owner.broadcasts
     }

@@ -18,7 +18,8 @@ defmodule Aerie.Router.Settings do
     :broadcasts,
     :coalesce,
     :id_offsets,
-    :sign
+    :sign,
+    :gcs
   ]
 
   @doc "The options of `Owner.new/2` that a map of configuration keys has; keys that are left out or nil have none."

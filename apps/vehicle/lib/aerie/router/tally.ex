@@ -10,6 +10,8 @@ defmodule Aerie.Router.Tally do
   | `duplicates` | from it, and from another endpoint before |
   | `collided` | from it, by another vehicle with the id of one that was there before (`Aerie.Router.Apart`) |
   | `read_only` | from it, and it may not speak |
+  | `denied` | from it, orders to vehicles that it may not give (`Aerie.Router.Gate`) |
+  | `withheld` | from it, kept from vehicles: an operator's heartbeats and what estimators believe |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
   | `spared` | not for a link of high latency (X6) |
@@ -22,7 +24,7 @@ defmodule Aerie.Router.Tally do
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
   @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :collided, :read_only, :secret] ++
-           [:filtered_in, :filtered_out, :limited, :spared, :refused, :failed] ++
+           [:denied, :withheld, :filtered_in, :filtered_out, :limited, :spared, :refused, :failed] ++
            @dropped
 
   @type t :: :counters.counters_ref()

@@ -17,7 +17,7 @@ defmodule Aerie.Router.Wishes do
 
   @doc "The frames that go on. `heard` are those whose signature was right, or that need none: only they are noted."
   @spec pass(Names.gateway(), Way.t(), [Frame.t()], heard :: [Frame.t()]) :: [Frame.t()]
-  def pass(gateway, %{side: :client, role: :full} = way, frames, heard) do
+  def pass(gateway, %{side: :client, role: :full, commands: true} = way, frames, heard) do
     # Nearly always there is none.
     if Enum.any?(frames, &Streams.request?/1),
       do: Enum.reject(frames, &(Streams.request?(&1) and &1 in heard and absorbed?(gateway, way, &1))),

@@ -19,7 +19,8 @@ defmodule Aerie.Config.Keys.Links do
         DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
         serial:DEVICE     serial port whose baud rate is found by listening
         serial:auto       the first serial port that a vehicle is heard on (see serial)
-      id (else the string), network, label, high_latency and enabled may be left out. secure: true (or
+      id (else the string), network, label, high_latency, gcs and enabled may be left out. gcs: allow lets whoever reaches
+      the link command vehicles; else only programs of this machine may, and ground stations belong to clients. secure: true (or
       ?secure=true in the url) marks a cable that nobody else can hear: a vehicle may be given its signing key there, and
       is believed without one.
       """,
@@ -44,6 +45,15 @@ defmodule Aerie.Config.Keys.Links do
       field(:enabled, :boolean, "Open it.", default: true),
       field(:secure, :boolean, "A cable that nobody else can hear: signing keys may go over it.",
         default: false
+      ),
+      field(
+        :gcs,
+        {:enum, [:auto, :allow, :deny]},
+        """
+        Whose commands go from this link's ends to vehicles: auto, only those of programs of this machine (loopback);
+        allow, those of whoever reaches the link; deny, nobody's. Ground stations belong to clients.
+        """,
+        default: :auto
       ),
       field(
         :group,

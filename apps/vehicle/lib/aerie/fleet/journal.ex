@@ -10,7 +10,7 @@ defmodule Aerie.Fleet.Journal do
       session ─ offer/3 ─▶ inbox ─▶ Aerie.Vehicle.Events ─ commit/4 ─▶ pending ─▶ bridge ─ ack/2
                                                                    └─▶ recent (for faces)
 
-  Bounds: #{inspect(4096)} entries in a vehicle's inbox, `limits.max_pending_events`
+  Bounds: #{inspect(4096)} entries in a vehicle's inbox (half of them for texts, reports, parameters and the like, three quarters for urgent texts), `limits.max_pending_events`
   unacknowledged events (the oldest is dropped),
   the last #{inspect(256)} events of each vehicle for faces, #{inspect(8192)} parameters of a vehicle, the detectors' states of
   #{inspect(1024)} vehicles that are gone. Drops are counted in
@@ -28,6 +28,11 @@ defmodule Aerie.Fleet.Journal do
   alias Aerie.Vehicle.Event
 
   @max_inbox 4096
+  # What a vehicle can say as often as it likes gets no more than half of that, urgent texts (critical and above) three
+  # quarters: the rest is for what happens to it.
+  @max_chatter 2048
+  @max_urgent 3072
+  @chatter [:text, :report, :params, :reached]
   @max_pending 20_000
   @max_gone 1024
   @max_recent 256
@@ -142,9 +147,11 @@ defmodule Aerie.Fleet.Journal do
   @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}
   def offer(gateway, vehicle, observation) do
     table = Fleet.Store.table!(gateway, :journal)
-    n = :ets.update_counter(table, {:inbox_last, vehicle}, 1, {{:inbox_last, vehicle}, 0})
+    next = :ets.lookup_element(table, {:inbox_last, vehicle}, 2, 0) + 1
 
-    if n - oldest(table, vehicle, n) < @max_inbox do
+    # What is refused takes no number: the span of numbers is the size.
+    if next - oldest(table, vehicle, next) < room(observation) do
+      n = :ets.update_counter(table, {:inbox_last, vehicle}, 1, {{:inbox_last, vehicle}, 0})
       :ets.insert(table, {{:inbox, vehicle, n}, observation})
       :ok
     else
@@ -152,6 +159,10 @@ defmodule Aerie.Fleet.Journal do
       {:error, :full}
     end
   end
+
+  defp room({:text, _at, _boot_ms, severity, _text}) when severity <= 2, do: @max_urgent
+  defp room(observation) when is_tuple(observation) and elem(observation, 0) in @chatter, do: @max_chatter
+  defp room(_observation), do: @max_inbox
 
   @doc """
   What a detector has not looked at yet, in order: the entries after the `done`-th as `{n, observation}`, at most

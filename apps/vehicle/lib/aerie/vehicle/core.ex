@@ -72,6 +72,7 @@ defmodule Aerie.Vehicle.Core do
     version: 2,
     beat: 1,
     dirty: false,
+    observed: nil,
     confirm: false,
     state: %State{},
     heard: Heard.new(),
@@ -189,7 +190,7 @@ defmodule Aerie.Vehicle.Core do
           else: Intake.frame(core, actions, link, frame)
       end)
 
-    {core, Enum.reverse(actions)}
+    {Timers.observed(core, actions), Enum.reverse(actions)}
   end
 
   # It may have been restarted, or be on another of its ports, where it sends other streams.
@@ -200,7 +201,7 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:tick, now}) do
     {core, actions} = Timers.expire(%{core | now: max(core.now || now, now)}, [], now)
-    {core, Enum.reverse(actions)}
+    {Timers.observed(core, actions), Enum.reverse(actions)}
   end
 
   def handle(core, {:rebase, now}) do

@@ -21,6 +21,9 @@ defmodule Aerie.Vehicle.Detector do
   | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
   | `{:gcs, at, boot_ms, what, facts}`       | gcs.lost, gcs.restored                                              |
   | `{:alarm, at, boot_ms, type, data}`      | what somebody else has found: signing.*, displaced                  |
+  | `{:quiet, at, boot_ms}`                  | none of its own: nothing was observed for a while                   |
+
+  With any of them may come `events.suppressed`: there is a budget for each type (`Detector.Budget`).
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
   event; except for a battery that is found low.
@@ -44,7 +47,8 @@ defmodule Aerie.Vehicle.Detector do
     reached: nil,
     lost: false,
     boot_at: nil,
-    collision: nil
+    collision: nil,
+    budget: Detector.Budget.new()
   ]
 
   @type t :: %__MODULE__{
@@ -63,7 +67,8 @@ defmodule Aerie.Vehicle.Detector do
           reached: {non_neg_integer(), integer()} | nil,
           lost: boolean(),
           boot_at: integer() | nil,
-          collision: integer() | nil
+          collision: integer() | nil,
+          budget: Detector.Budget.t()
         }
 
   @type observation :: tuple()
@@ -200,6 +205,11 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
+  def observe(detector, {:quiet, at, boot_ms}, _known) do
+    {detector, events} = emit(detector, [], at, boot_ms, nil)
+    {detector, events, %{}}
+  end
+
   def observe(detector, {:alarm, at, boot_ms, type, data}, _known) do
     {detector, events} = emit(detector, [{type, data, []}], at, boot_ms, nil)
     {detector, events, %{}}
@@ -251,19 +261,37 @@ defmodule Aerie.Vehicle.Detector do
   def fence_told?(%{fence: nil}, _at), do: false
   def fence_told?(%{fence: told}, at), do: at - told < @fence_again_us
 
-  # Steps are {type, data, changes of the detector}; each event gets the next number.
+  # Steps are {type, data, changes of the detector}; each event that is within the budget gets the next number. A change
+  # is made in any case.
   defp emit(detector, steps, at, boot_ms, where) do
-    Enum.reduce(steps, {detector, []}, fn
+    {budget, suppressed} = Detector.Budget.tell(detector.budget, at)
+    told = for data <- suppressed, do: {"events.suppressed", data, []}
+    start = number(told, {%{detector | budget: budget}, []}, at, boot_ms)
+
+    {detector, events} =
+      Enum.reduce(steps, start, fn {type, data, changes}, {detector, events} ->
+        data = if where, do: Map.put(data, "position", where), else: data
+        {verdict, budget} = spend(detector.budget, type, data, at)
+        step = {if(verdict == :ok, do: type), data, changes}
+        number([step], {%{detector | budget: budget}, events}, at, boot_ms)
+      end)
+
+    {detector, Enum.reverse(events)}
+  end
+
+  defp spend(budget, nil, _data, _at), do: {:ok, budget}
+  defp spend(budget, type, data, at), do: Detector.Budget.take(budget, type, data, at)
+
+  defp number(steps, acc, at, boot_ms) do
+    Enum.reduce(steps, acc, fn
       {nil, _data, changes}, {detector, events} ->
         {struct!(detector, changes), events}
 
       {type, data, changes}, {detector, events} ->
         seq = detector.seq + 1
-        data = if where, do: Map.put(data, "position", where), else: data
         event = Event.new(detector.vehicle, type, seq, at, boot_ms, data)
         {struct!(detector, [seq: seq] ++ changes), [event | events]}
     end)
-    |> then(fn {detector, events} -> {detector, Enum.reverse(events)} end)
   end
 
   defp implied(detector, text, at) do

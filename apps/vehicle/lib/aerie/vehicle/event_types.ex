@@ -136,6 +136,16 @@ defmodule Aerie.Vehicle.EventTypes do
        {"component", :integer, nil, "who sent it"},
        {"sequence", :integer, nil, "its number there"}
      ]},
+    {"events.suppressed", "more events of a type came than its budget allows",
+     "`Aerie.Vehicle.Detector.Budget`: 60 at once and two a second of a type, texts by how urgent they are",
+     [
+       {"of", :string, nil, "the type"},
+       {"count", :integer, nil, "how many were not told"},
+       {"first", :string, nil, "when the first of them happened"},
+       {"last", :string, nil, "when the last one did"},
+       {"last_data", :object, nil, "the data of the last one: what is true now"},
+       {"text", :string, nil, "how many, in words"}
+     ]},
     {"param_changed", "a parameter has another value than before", "PARAM_VALUE",
      [
        {"name", :string, nil, "the parameter"},

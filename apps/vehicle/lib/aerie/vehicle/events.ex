@@ -54,10 +54,14 @@ defmodule Aerie.Vehicle.Events do
   end
 
   defp step(state, {n, observation}, detector) do
+    before = detector.budget.suppressed
     known = &Fleet.Journal.param(state.gateway, state.id, &1)
     {detector, events, params} = Vehicle.Detector.observe(detector, observation, known)
     detector = %{detector | done: n}
     Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
+
+    if (n = detector.budget.suppressed - before) > 0,
+      do: Fleet.Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, n)
 
     Enum.each(events, &told(state.gateway, state.id, &1))
     detector

@@ -117,6 +117,21 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(run.core).links == ["b", "a"]
   end
 
+  test "more texts than the budget allows are told as one, when they are over, in a recording too" do
+    flood = for n <- 1..500, do: frame(%M.Statustext{severity: 6, text: "#{n}"}, 11 * @second + n * 1000)
+    live = start() |> beat(10) |> frames(flood) |> tick(14) |> tick(15)
+    assert Enum.frequencies(types(live)) == %{"statustext" => 60, "events.suppressed" => 1}
+    assert %{type: "events.suppressed", time: 14_500_000, data: data} = hd(live.events)
+    assert %{"of" => "statustext", "count" => 440, "text" => "440 more texts"} = data
+    assert %{"first" => "1970-01-01T00:00:11.061Z", "last" => "1970-01-01T00:00:11.500Z"} = data
+
+    # All in one read, with what comes much later.
+    all = [frame(@copter, 10 * @second)] ++ flood ++ [frame(@copter, 60 * @second)]
+    recorded = frames(start(), all)
+    told = Enum.filter(recorded.events, &(&1.type == "events.suppressed"))
+    assert Enum.map(told, &{&1.time, &1.data}) == [{14_500_000, data}]
+  end
+
   test "a text that comes by two links is one event" do
     text = fn seq -> frame(%M.Statustext{severity: 6, text: "ready"}, 11 * @second, seq: seq) end
     run = start() |> beat(10) |> frames([text.(5)], "a") |> frames([text.(5)], "b")

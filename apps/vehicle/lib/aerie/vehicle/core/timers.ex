@@ -8,6 +8,8 @@ defmodule Aerie.Vehicle.Core.Timers do
 
   # Deadlines are looked at twenty times a second.
   @period_us 50_000
+  # So long after the last observation the detector is told that there was none since.
+  @quiet_us 3_000_000
   # Two links may deliver a little out of order; more than this is another time.
   @back_us 2_000_000
 
@@ -41,6 +43,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         last_heard: core.last_heard && now,
         expired: nil,
         collision: nil,
+        observed: core.observed && now,
         shown: nil,
         recent: %{},
         texts: texts,
@@ -90,12 +93,34 @@ defmodule Aerie.Vehicle.Core.Timers do
       end)
 
     {%{core | texts: texts, samplers: samplers, expired: now}, actions}
+    |> quiet(now)
     |> Effects.apart(now)
     |> silence(now)
     |> measure(now)
     |> Dealings.expire(now)
     |> Reporting.expire(now)
     |> Effects.show(now)
+  end
+
+  @doc "Remembers when the detector was last shown something by these actions, which come newest first."
+  @spec observed(Core.t(), [Core.action()]) :: Core.t()
+  def observed(core, actions) do
+    case Enum.find(actions, &match?({:observe, _observation}, &1)) do
+      nil -> core
+      {:observe, {:quiet, _at, _boot_ms}} -> %{core | observed: nil}
+      {:observe, observation} -> %{core | observed: elem(observation, 1)}
+    end
+  end
+
+  # What it did not tell for want of budget it tells then.
+  defp quiet({core, actions}, now) do
+    case observed(core, actions) do
+      %{observed: at} = core when at != nil and now - at >= @quiet_us ->
+        {%{core | observed: nil}, [{:observe, {:quiet, at + @quiet_us, core.state.boot_ms}} | actions]}
+
+      core ->
+        {core, actions}
+    end
   end
 
   defp silence({%{last_heard: nil} = core, actions}, _now), do: {core, actions}

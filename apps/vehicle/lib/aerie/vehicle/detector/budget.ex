@@ -1,0 +1,100 @@
+defmodule Aerie.Vehicle.Detector.Budget do
+  @moduledoc """
+  How many events of each kind a vehicle may have, so that a script or an attacker that says something three thousand times
+  a second does not drive out of the stream what matters. A pure value.
+
+  Each kind has a bucket of its own: no text keeps a vehicle from being told as armed, and chatter none of the urgent texts.
+
+  | kind                                             | at once | a second |
+  |--------------------------------------------------|---------|----------|
+  | texts of severity 0 to 2 (emergency to critical) | 60      | 2        |
+  | texts of severity 3 and 4 (error, warning)       | 60      | 2        |
+  | all other texts                                  | 60      | 2        |
+  | `param_changed` (a file of them may be loaded)   | 2000    | 20       |
+  | every other type                                 | 60      | 2        |
+
+  What is over the budget is counted and told as one `events.suppressed`: #{2} s after the last one of them, or every
+  #{10} s while they go on.
+  """
+
+  # Two texts a second for ever is more than any healthy vehicle says, 60 at once more than any says when it boots.
+  @usual %{burst: 60, interval_us: 500_000}
+  @params %{burst: 2_000, interval_us: 50_000}
+  @over_us 2_000_000
+  @told_us 10_000_000
+  # Frames of two links may be a little out of order; a bucket that is emptier than this was filled by another clock.
+  @slack_us 60_000_000
+
+  defstruct due: %{}, over: %{}, suppressed: 0
+
+  @typedoc """
+  `due`: when each kind's bucket is full again (unix us); `over`: what was not told yet; `suppressed`: how many in all.
+  """
+  @type t :: %__MODULE__{due: %{kind() => integer()}, over: %{kind() => map()}, suppressed: non_neg_integer()}
+  @typedoc "A type of event, texts by how urgent they are. There are as many as types: the table is bounded."
+  @type kind :: String.t() | {String.t(), :urgent | :warning | :other}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "Whether an event that happened `at` may be told; if not, it is counted."
+  @spec take(t(), type :: String.t(), data :: map(), at :: integer()) :: {:ok | :over, t()}
+  def take(budget, type, data, at) do
+    kind = kind(type, data)
+    %{burst: burst, interval_us: interval} = rate(type)
+    capacity = burst * interval
+
+    due =
+      case budget.due do
+        %{^kind => due} when due - at <= capacity + @slack_us -> max(due, at)
+        _never_or_another_clock -> at
+      end
+
+    if due + interval - at <= capacity,
+      do: {:ok, %{budget | due: Map.put(budget.due, kind, due + interval)}},
+      else: {:over, count(budget, kind, type, data, at)}
+  end
+
+  defp count(budget, kind, type, data, at) do
+    one = %{type: type, count: 0, first: at}
+    over = Map.get(budget.over, kind, one)
+    over = Map.merge(over, %{count: over.count + 1, last: at, data: data})
+    %{budget | over: Map.put(budget.over, kind, over), suppressed: budget.suppressed + 1}
+  end
+
+  @doc "The data of `events.suppressed` for the kinds of which it is time to tell `at`."
+  @spec tell(t(), at :: integer()) :: {t(), [map()]}
+  def tell(%{over: over} = budget, _at) when over == %{}, do: {budget, []}
+
+  def tell(budget, at) do
+    {ready, over} = Enum.split_with(budget.over, fn {_kind, one} -> ready?(one, at) end)
+    {%{budget | over: Map.new(over)}, for({_kind, one} <- Enum.sort(ready), do: words(one))}
+  end
+
+  # Also when a clock was set back.
+  defp ready?(one, at),
+    do: at - one.last >= @over_us or at - one.first >= @told_us or at < one.first - @slack_us
+
+  defp words(one) do
+    %{
+      "of" => one.type,
+      "count" => one.count,
+      "first" => Aerie.Fleet.Json.time(one.first),
+      "last" => Aerie.Fleet.Json.time(one.last),
+      "last_data" => one.data,
+      "text" => "#{one.count} more #{noun(one.type, one.count)}"
+    }
+  end
+
+  defp noun("statustext", 1), do: "text"
+  defp noun("statustext", _count), do: "texts"
+  defp noun(type, _count), do: type
+
+  defp kind("statustext", %{"severity" => severity}) when severity <= 2, do: {"statustext", :urgent}
+  defp kind("statustext", %{"severity" => severity}) when severity <= 4, do: {"statustext", :warning}
+  defp kind("statustext", _data), do: {"statustext", :other}
+  defp kind(type, _data), do: type
+
+  defp rate("param_changed"), do: @params
+  defp rate(_type), do: @usual
+end

@@ -1,0 +1,68 @@
+defmodule Aerie.System.FloodTest do
+  @moduledoc "A vehicle that says something thousands of times a second: what happens to it reaches NATS all the same."
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.Fleet.Store
+  alias MavCodec.Messages, as: M
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 180_000
+
+  @texts 9_000
+
+  test "texts without end evict nothing, and are told as a number", %{tmp_dir: folder} do
+    %{gateway: gateway} = start_gateway(folder, links: ["tcpin:127.0.0.1:0"])
+    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, link_port(gateway, "link-1"), [:binary, active: true])
+    send = &(:ok = :gen_tcp.send(socket, MavCodec.encode(&1, system: 1, component: 1)))
+
+    send.(heartbeat(81))
+    eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
+
+    # As fast as it goes; among them it is armed and disarmed, and cries for help.
+    for n <- 1..@texts do
+      send.(%M.Statustext{severity: 6, text: "flood #{n}"})
+      if rem(n, 300) == 0, do: send.(heartbeat(if(rem(n, 600) == 0, do: 81, else: 81 + 128)))
+      if rem(n, 1000) == 0, do: send.(%M.Statustext{severity: 0, text: "help #{n}"})
+    end
+
+    conn = nats_client(gateway)
+    id = Store.vehicle(gateway, {"main", 1}).id
+
+    events =
+      eventually(
+        fn ->
+          events = stream_events(conn)
+          dropped = Store.counter(gateway, {:journal, :inbox_dropped})
+
+          texts =
+            Enum.count(events, &match?(%{"type" => "statustext", "data" => %{"text" => "flood" <> _}}, &1))
+
+          texts + told(events) + dropped == @texts and events
+        end,
+        "all texts are accounted for"
+      )
+
+    assert told(events) == Store.counter(gateway, {:vehicle, id, :events_suppressed})
+    assert told(events) > @texts / 2
+    types = Enum.frequencies_by(events, & &1["type"])
+    assert %{"armed" => 15, "disarmed" => 15} = types
+    assert for(%{"data" => %{"text" => "help " <> n}} <- events, do: n) == for(n <- 1..9, do: "#{n}000")
+    # The sequence has no holes: nothing was dropped on its way.
+    assert events |> Enum.filter(&(&1["vehicle"] == id)) |> Enum.map(& &1["seq"]) ==
+             Enum.to_list(1..length(events))
+  end
+
+  defp told(events),
+    do: Enum.sum(for %{"type" => "events.suppressed", "data" => %{"count" => n}} <- events, do: n)
+
+  defp heartbeat(base_mode),
+    do: %M.Heartbeat{
+      type: 2,
+      autopilot: 3,
+      base_mode: base_mode,
+      custom_mode: 0,
+      system_status: 4,
+      mavlink_version: 3
+    }
+end

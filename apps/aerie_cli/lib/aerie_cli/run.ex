@@ -13,7 +13,7 @@ defmodule AerieCLI.Run do
 
   alias Aerie.Config
   alias Aerie.Link.Spec
-  alias AerieCLI.{Plan, Ports, Status}
+  alias AerieCLI.{Modules, Plan, Ports, Status}
 
   @loopback {127, 0, 0, 1}
   @sim_port 14_650
@@ -145,8 +145,12 @@ defmodule AerieCLI.Run do
       end
     end)
     |> case do
-      {:ok, _started} -> {:ok, %{gateway: gateway, config: config, http: http}}
-      {:error, messages} -> {:error, messages}
+      {:ok, _started} ->
+        _pid = Modules.load()
+        {:ok, %{gateway: gateway, config: config, http: http}}
+
+      {:error, messages} ->
+        {:error, messages}
     end
   end
 

@@ -27,7 +27,8 @@ defmodule AerieCLI.Vector do
 
   # Who reads may have seen enough (`| head`): that is an end as good as any.
   defp play(file, config, what, device) do
-    with {:ok, _acc, summary} <- Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device)),
+    with :ok <- Replay.Source.recording(file),
+         {:ok, _acc, summary} <- Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device)),
          do: {:ok, note(summary) <> "\n"}
   catch
     :closed -> {:ok, ""}

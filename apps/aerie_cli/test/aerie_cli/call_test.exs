@@ -51,6 +51,27 @@ defmodule AerieCLI.CallTest do
     assert Supervisor.which_children(context.options[:supervisor]) == []
   end
 
+  test "all code of a gateway that runs is loaded: none is looked for on the disk when descriptors have run out",
+       context do
+    path = config(context.tmp_dir, @quiet_config)
+    assert :ok = AerieCLI.call(["--config", path], %{}, context.options)
+    all = AerieCLI.Modules.all()
+
+    for known <- [
+          Aerie.Bridge,
+          MavCodec.Messages.Attitude,
+          FleetWeb.Endpoint,
+          SimVehicle,
+          :cowboy_req,
+          :inet,
+          JSON,
+          Gnat
+        ],
+        do: assert(known in all)
+
+    eventually(fn -> Enum.all?(all, &:erlang.module_loaded/1) end, "all code is loaded")
+  end
+
   test "log lines: simulated vehicles on a network of their own, state and events", context do
     config(context.tmp_dir, @quiet_config)
 

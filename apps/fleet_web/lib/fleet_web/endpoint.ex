@@ -8,17 +8,18 @@ defmodule FleetWeb.Endpoint do
   * `address` - IP address to listen on, default `{127, 0, 0, 1}`: what has no password is not for the network
   * `port` - TCP port, default 4000; 0 takes a free one, `port/1` tells which
   * `max_connections` - default 1000; more wait in the kernel's queue
-  * `config` - the `Aerie.Config`, or its sections `api` and `websocket`; default is the running gateway's. Without a
-    section `websocket`, none is served
+  * `config` - the `Aerie.Config`, or its sections `http`, `api` and `websocket`; default is the running gateway's. Without
+    a section `websocket`, none is served
 
-  Bad input is Cowboy's to refuse (its limits on headers and request lines stand), and costs that connection only.
+  Bad input is refused by Cowboy (its limits on headers and request lines stand) and `FleetWeb.HTTP.Guard`, and costs that
+  connection only. HTTP/1.1 is spoken, nothing else: no client of a gateway needs more, and it has limits of its own.
   """
 
   use Supervisor
 
   alias Aerie.Client.Keys
   alias FleetWeb.API
-  alias FleetWeb.HTTP.Handler
+  alias FleetWeb.HTTP.{Guard, Handler}
   alias FleetWeb.WebSocket
 
   @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000, config: nil]
@@ -68,12 +69,18 @@ defmodule FleetWeb.Endpoint do
     transport = %{
       socket_opts: [ip: options[:address], port: options[:port]],
       num_acceptors: 4,
+      # The limit is one for each of these.
+      num_conns_sups: 1,
       max_connections: options[:max_connections]
     }
 
     protocol = %{
-      env: %{dispatch: :cowboy_router.compile([{:_, routes(gateway, policy)}])},
+      env: %{dispatch: :cowboy_router.compile([{:_, routes(gateway, policy)}]), gateway: gateway},
+      middlewares: Guard.middlewares(),
+      protocols: [:http],
       idle_timeout: 30_000,
+      # A body that nobody reads is not waited for: one that trickles would hold its connection for ever.
+      max_skip_body_length: 0,
       max_keepalive: 1000
     }
 
@@ -82,7 +89,10 @@ defmodule FleetWeb.Endpoint do
 
   defp policy(config) do
     api = Map.get(config, :api) || %{key: nil, keys_file: nil, origins: []}
-    with {:ok, keys} <- Keys.load(api), do: {:ok, %{keys: keys, origins: api.origins, ports: []}}
+    hosts = Map.get(Map.get(config, :http) || %{}, :hosts, [])
+
+    with {:ok, keys} <- Keys.load(api),
+         do: {:ok, %{keys: keys, origins: api.origins, ports: [], hosts: hosts}}
   end
 
   defp routes(gateway, policy) do
@@ -98,7 +108,7 @@ defmodule FleetWeb.Endpoint do
             {"/readyz", :readyz},
             {:_, :missing}
           ],
-          do: {path, Handler, %{page: page, gateway: gateway}}
+          do: {path, Handler, %{page: page, gateway: gateway, policy: policy}}
 
     api ++ pages
   end

@@ -7,6 +7,7 @@ defmodule FleetWeb.WebSocket do
   """
 
   alias FleetWeb.API.Access
+  alias FleetWeb.HTTP.Guard
   alias FleetWeb.WebSocket.{Handler, Places}
 
   # Connections that are about to be told that there is no room.
@@ -22,9 +23,12 @@ defmodule FleetWeb.WebSocket do
     paths = for path <- [~c"/", ~c"/mavlink"], do: {path, Handler, handler}
 
     protocol = %{
-      env: %{dispatch: :cowboy_router.compile([{:_, paths}])},
+      env: %{dispatch: :cowboy_router.compile([{:_, paths}]), gateway: gateway},
+      middlewares: Guard.middlewares(),
+      protocols: [:http],
       request_timeout: 5_000,
       idle_timeout: 10_000,
+      max_skip_body_length: 0,
       max_keepalive: 10
     }
 
@@ -37,7 +41,14 @@ defmodule FleetWeb.WebSocket do
         [send_timeout: 10_000, send_timeout_close: true]
 
     {transport, connection, socket} = secure(settings, socket)
-    limits = %{socket_opts: socket, num_acceptors: 2, max_connections: settings.max_clients + @spare}
+
+    # The limit is one for each supervisor of connections.
+    limits = %{
+      socket_opts: socket,
+      num_acceptors: 2,
+      num_conns_sups: 1,
+      max_connections: settings.max_clients + @spare
+    }
 
     [
       {Places, gateway: gateway, most: settings.max_clients},

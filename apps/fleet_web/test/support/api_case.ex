@@ -16,7 +16,7 @@ defmodule FleetWeb.APICase do
   @spec key() :: String.t()
   def key, do: @key
 
-  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `websocket: %{}`,
+  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `hosts: [...]`, `websocket: %{}`,
   `links: true`, `recorder: %{}` (keys of that section)."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
@@ -25,6 +25,7 @@ defmodule FleetWeb.APICase do
 
     config = %{
       api: %{key: if(options[:key], do: Secret.new(@key)), keys_file: nil, origins: options[:origins] || []},
+      http: %{hosts: options[:hosts] || []},
       websocket: Keyword.get(options, :websocket),
       recorder: Keyword.get(options, :recorder)
     }

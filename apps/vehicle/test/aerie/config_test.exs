@@ -333,8 +333,18 @@ defmodule Aerie.ConfigTest do
              "gateway.yaml: api.key: expected 16 characters or more, got a shorter one"
            ]
 
-    assert [line] = lines(load(context, "websocket: {address: 0.0.0.0}\n"), context)
-    assert line =~ "websocket.address" and line =~ "no key"
+    for section <- ["websocket", "http"], address <- ["0.0.0.0", "10.0.0.1", "'::'"] do
+      assert [line] = lines(load(context, "#{section}: {address: #{address}}\n"), context)
+      assert line =~ "#{section}.address" and line =~ "no key"
+
+      assert {:ok, _} =
+               load(context, "#{section}: {address: #{address}}\n", [], %{
+                 "AERIE_API_KEY" => "0123456789abcdef"
+               })
+
+      assert {:ok, _} = load(context, "#{section}: {address: #{address}, enabled: false}\n")
+    end
+
     assert [line] = lines(load(context, "websocket: {cert_file: a.pem}\n"), context)
     assert line =~ "cert_file and key_file together"
     assert [line] = lines(load(context, "websocket: {port: 4000}\n"), context)

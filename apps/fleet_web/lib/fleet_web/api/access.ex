@@ -7,6 +7,8 @@ defmodule FleetWeb.API.Access do
   2. With keys configured, a request needs one of them, in `X-Aerie-Key` or as `Authorization: Bearer`.
   3. Without, only this machine may: the peer is on loopback, is no proxy that speaks for somebody else, and the `Host`
      is a name of this machine, so that a foreign name that was made to point here (DNS rebinding) leads nowhere.
+
+  Metrics and health want no key, but a `Host` that is the gateway's (`host/2`), for the same reason.
   """
 
   alias Aerie.Client.Keys
@@ -26,10 +28,16 @@ defmodule FleetWeb.API.Access do
         }
 
   @typedoc """
-  What is checked against: the keys, the origins of other servers' pages that are allowed, and the ports whose pages are
-  the gateway's own (HTTP serves the console, which opens a WebSocket at another port of the same host).
+  What is checked against: the keys, the origins of other servers' pages that are allowed, the ports whose pages are
+  the gateway's own (HTTP serves the console, which opens a WebSocket at another port of the same host), and further names
+  that the gateway is called by.
   """
-  @type policy :: %{keys: [Keys.key()], origins: [String.t()], ports: [:inet.port_number()]}
+  @type policy :: %{
+          keys: [Keys.key()],
+          origins: [String.t()],
+          ports: [:inet.port_number()],
+          hosts: [String.t()]
+        }
 
   @doc "The name of who asks (a key's name, or `\"local\"`), or why not."
   @spec decide(policy(), facts()) :: {:ok, String.t()} | {:error, Error.t()}
@@ -45,6 +53,29 @@ defmodule FleetWeb.API.Access do
     if own?(URI.new(origin), host, policy.ports) or String.downcase(origin) in policy.origins,
       do: :ok,
       else: {:error, Error.new(:forbidden, "pages of this origin may not use the gateway; see api.origins")}
+  end
+
+  @doc """
+  Whether a request that needs no key may be answered: its `Host` is an address, `localhost`, this machine's name or one of
+  `http.hosts`, or it brings a key. A page that had its own name pointed here (DNS rebinding) has none of these.
+  """
+  @spec host(policy(), facts()) :: :ok | {:error, Error.t()}
+  def host(_policy, %{host: nil}), do: :ok
+
+  def host(policy, %{host: host} = facts) do
+    {name, _port} = split(host)
+
+    if address(name) != nil or name in own_names() or name in policy.hosts or
+         Keys.check(policy.keys, facts.key) != :error,
+       do: :ok,
+       else:
+         {:error, Error.new(:forbidden, "this is not the gateway's name; use its address, or see http.hosts")}
+  end
+
+  defp own_names do
+    {:ok, own} = :inet.gethostname()
+    own = own |> to_string() |> String.downcase()
+    ["localhost", own, own <> ".local"]
   end
 
   # "null" (a sandboxed page, a file) is nobody's own.
@@ -73,13 +104,14 @@ defmodule FleetWeb.API.Access do
 
   defp local_name?(host) do
     {name, _port} = split(host)
+    ip = address(name)
+    name == "localhost" or (ip != nil and Keys.loopback?(ip))
+  end
 
-    with false <- name == "localhost",
-         {:ok, ip} <- :inet.parse_strict_address(String.to_charlist(name)) do
-      Keys.loopback?(ip)
-    else
-      true -> true
-      {:error, _reason} -> false
+  defp address(name) do
+    case :inet.parse_strict_address(String.to_charlist(name)) do
+      {:ok, ip} -> ip
+      {:error, _reason} -> nil
     end
   end
 

@@ -25,14 +25,22 @@ defmodule FleetWeb.API.Handler do
       end
 
     count(gateway, status)
-    headers = headers |> Map.merge(common()) |> Map.merge(cross_origin(state.policy, facts))
+    headers = headers |> Map.merge(common()) |> Map.merge(cross_origin(resource, state.policy, facts))
     {:ok, reply(status, headers, body, request), state}
   end
 
-  # A page of an allowed origin asks first what it may send.
-  defp answer("OPTIONS", _resource, %{origin: origin} = facts, state, request) when is_binary(origin) do
+  # A page of an allowed origin asks first what it may send, without its key.
+  defp answer("OPTIONS", resource, %{origin: origin} = facts, state, request)
+       when is_binary(origin) and resource != :missing do
     case Access.origin(state.policy, facts) do
       :ok -> {:ok, 204, nil, request}
+      {:error, error} -> {:error, error, request}
+    end
+  end
+
+  defp answer("OPTIONS", resource, facts, state, request) when resource != :missing do
+    case Access.decide(state.policy, facts) do
+      {:ok, _name} -> {:ok, 204, nil, :cowboy_req.set_resp_header("allow", methods(resource), request)}
       {:error, error} -> {:error, error, request}
     end
   end
@@ -66,13 +74,15 @@ defmodule FleetWeb.API.Handler do
 
   defp common, do: %{"cache-control" => "no-store", "x-content-type-options" => "nosniff"}
 
-  defp cross_origin(policy, %{origin: origin} = facts) when is_binary(origin) do
+  defp methods(resource), do: Enum.join(Resources.methods(resource), ", ")
+
+  defp cross_origin(resource, policy, %{origin: origin} = facts) when is_binary(origin) do
     case Access.origin(policy, facts) do
       :ok ->
         %{
           "access-control-allow-origin" => origin,
           "access-control-allow-headers" => "x-aerie-key, authorization, content-type",
-          "access-control-allow-methods" => "GET, POST, DELETE",
+          "access-control-allow-methods" => methods(resource),
           "access-control-max-age" => "600",
           "vary" => "origin"
         }
@@ -82,7 +92,7 @@ defmodule FleetWeb.API.Handler do
     end
   end
 
-  defp cross_origin(_policy, _facts), do: %{"vary" => "origin"}
+  defp cross_origin(_resource, _policy, _facts), do: %{"vary" => "origin"}
 
   # A gateway that is being started again counts nothing, and answers all the same.
   defp count(gateway, status) do

@@ -35,6 +35,13 @@ defmodule FleetWeb.API.Resources do
   @spec paths() :: [{String.t(), atom()}]
   def paths, do: for({path, resource, _methods} <- @resources, do: {path, resource})
 
+  @doc "The methods that a resource takes, HEAD with GET."
+  @spec methods(atom()) :: [String.t()]
+  def methods(resource) do
+    methods = Map.keys(Map.fetch!(@methods, resource))
+    if "GET" in methods, do: methods ++ ["HEAD"], else: methods
+  end
+
   @doc "What a method does to a resource. HEAD is GET without the body, which Cowboy leaves out."
   @spec action(atom(), String.t()) :: {:ok, atom()} | {:error, Error.t()}
   def action(:missing, _method), do: {:error, Error.new(:not_found, "there is no such resource; see /api")}

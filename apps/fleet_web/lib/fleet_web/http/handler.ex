@@ -6,21 +6,31 @@ defmodule FleetWeb.HTTP.Handler do
 
   @behaviour :cowboy_handler
 
+  alias FleetWeb.API.{Access, Request}
   alias FleetWeb.{Health, Metrics}
 
   @json "application/json; charset=utf-8"
   @text "text/plain; charset=utf-8"
+  @allow %{"allow" => "GET, HEAD"}
 
   @impl :cowboy_handler
-  def init(request, %{page: page, gateway: gateway} = state) do
+  def init(request, %{page: page, gateway: gateway, policy: policy} = state) do
     request =
-      case :cowboy_req.method(request) do
-        method when method in ["GET", "HEAD"] -> answer(page, gateway, request)
-        _other -> reply(request, 405, @text, "method not allowed: use GET\n", %{"allow" => "GET, HEAD"})
+      case Access.host(policy, Request.facts(request)) do
+        :ok -> asked(:cowboy_req.method(request), page, gateway, request)
+        {:error, error} -> reply(request, error.status, @text, error.message <> "\n")
       end
 
     {:ok, request, state}
   end
+
+  defp asked(method, page, gateway, request) when method in ["GET", "HEAD"],
+    do: answer(page, gateway, request)
+
+  defp asked("OPTIONS", _page, _gateway, request), do: reply(request, 204, @text, "", @allow)
+
+  defp asked(_other, _page, _gateway, request),
+    do: reply(request, 405, @text, "method not allowed: use GET\n", @allow)
 
   defp answer(:metrics, gateway, request),
     do: reply(request, 200, Metrics.Text.content_type(), Metrics.Text.render(Metrics.families(gateway)))

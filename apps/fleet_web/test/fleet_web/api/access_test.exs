@@ -6,7 +6,7 @@ defmodule FleetWeb.API.AccessTest do
   alias FleetWeb.API.Access
 
   @local %{peer: {127, 0, 0, 1}, forwarded: false, host: "127.0.0.1:4000", origin: nil, key: nil}
-  @open %{keys: [], origins: [], ports: []}
+  @open %{keys: [], origins: [], ports: [], hosts: []}
 
   defp keyed do
     {:ok, keys} = Keys.load(%{key: Secret.new("the-right-key-of-all"), keys_file: nil})

@@ -30,7 +30,7 @@ defmodule FleetWeb.API.HTTPTest do
 
     assert {:ok, _time, 0} = DateTime.from_iso8601(time)
 
-    for name <- ["VID-009", "%00", "%FF%FE", String.duplicate("x", 3000)] do
+    for name <- ["VID-009", "%00", String.duplicate("x", 3000)] do
       assert {404, _headers, %{"error" => %{"code" => "not_found", "message" => message}}} =
                request(port, "GET", "/api/vehicles/" <> name)
 

@@ -11,12 +11,15 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Config
   alias Aerie.Config.Error
   alias Aerie.Link.Spec
+  alias Aerie.Replay.Source
 
   @doc "`{:ok, warnings}` when the gateway can be started, else every reason why not."
   @spec check(Config.t()) :: {:ok, [String.t()]} | {:error, [Error.t()]}
   def check(%Config{} = config) do
-    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) do
-      [] -> {:ok, outbox(config) ++ recorder(config)}
+    {foreign, elsewhere} = networks(config)
+
+    case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) ++ foreign do
+      [] -> {:ok, outbox(config) ++ recorder(config) ++ elsewhere}
       errors -> {:error, errors}
     end
   end
@@ -69,7 +72,7 @@ defmodule Aerie.Config.Preflight do
   end
 
   defp link(config, {%{enabled: true, spec: %Spec{kind: :replay, file: file}}, index}),
-    do: readable(config, "links[#{index}].url", file)
+    do: recording(config, "links[#{index}].url", file)
 
   defp link(_config, _link), do: []
 
@@ -206,6 +209,48 @@ defmodule Aerie.Config.Preflight do
       {:ok, :ok} -> []
       {:error, reason} -> [error(config, key, "a file that can be read", "#{file}: #{text(reason)}")]
     end
+  end
+
+  defp recording(config, key, file) do
+    with [] <- readable(config, key, file), {:error, words} <- Source.recording(file) do
+      [error(config, key, "a recording (.tlog)", words)]
+    else
+      :ok -> []
+      errors -> errors
+    end
+  end
+
+  # A misspelt network would see nothing, silently, for ever. The default one is always there: links may come later. With
+  # links from the command line the file's names are for another day.
+  defp networks(config) do
+    there = Enum.uniq([config.network | Enum.map(config.links, & &1.network)])
+
+    strays =
+      for {key, network} <- named(config), network not in there do
+        error(
+          config,
+          key,
+          "a network that a link has (#{Enum.join(Enum.sort(there), ", ")})",
+          "\"#{network}\""
+        )
+      end
+
+    if config.given["links"] == "command line",
+      do: {[], Enum.map(strays, &to_string/1)},
+      else: {strays, []}
+  end
+
+  defp named(config) do
+    vehicles = for {v, i} <- Enum.with_index(config.vehicles), do: {"vehicles[#{i}].network", v.network}
+    keys = for {k, i} <- Enum.with_index(config.signing.keys), do: {"signing.keys[#{i}].network", k.network}
+
+    clients =
+      for {client, i} <- Enum.with_index(clients(config)),
+          {key, names} <- [networks: client.networks, id_offsets: Map.keys(client.id_offsets)],
+          name <- names,
+          do: {"clients[#{i}].#{key}", name}
+
+    vehicles ++ clients ++ keys
   end
 
   defp embedded?(config), do: config.nats.mode == :embedded

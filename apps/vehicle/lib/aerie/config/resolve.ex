@@ -288,7 +288,7 @@ defmodule Aerie.Config.Resolve do
     |> failed()
   end
 
-  defp clients(%{api: api, websocket: websocket} = config) do
+  defp clients(%{api: api, http: http, websocket: websocket} = config) do
     short? = api.key != nil and byte_size(Secret.reveal(api.key)) < Keys.shortest()
     keyless? = api.key == nil and api.keys_file == nil
 
@@ -296,6 +296,8 @@ defmodule Aerie.Config.Resolve do
       {short?, ["api", "key"], "#{Keys.shortest()} characters or more", "a shorter one"},
       {websocket.cert_file == nil != (websocket.key_file == nil), ["websocket"],
        "cert_file and key_file together", "one of them"},
+      {http.enabled and keyless? and not local?(http.address), ["http", "address"],
+       "a loopback address as long as there is no key (api.key or api.keys_file)", http.address},
       {websocket.enabled and keyless? and not local?(websocket.address), ["websocket", "address"],
        "a loopback address as long as there is no key (api.key or api.keys_file)", websocket.address},
       {websocket.enabled and config.http.enabled and websocket.port == config.http.port and

@@ -39,6 +39,18 @@ defmodule Aerie.Config.Types do
      "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD, serial:auto or replay:FILE"}
   end
 
+  @doc "The name of a host, without a port. Gives the text in lower case."
+  @spec host() :: Field.type()
+  def host, do: {:parse, &parse_host/1, "the name of a host such as gateway.example.org"}
+
+  @doc false
+  @spec parse_host(String.t()) :: {:ok, String.t()} | :error
+  def parse_host(text) do
+    if byte_size(text) <= 253 and text =~ ~r/\A[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\z/,
+      do: {:ok, String.downcase(text)},
+      else: :error
+  end
+
   @doc "The origin of a web page, `SCHEME://HOST[:PORT]`, as browsers send it. Gives the text in lower case."
   @spec origin() :: Field.type()
   def origin,

@@ -7,6 +7,7 @@ defmodule Aerie.Replay.Source do
   alias MavCodec.{Frame, Tlog}
 
   @chunk 65_536
+  @looked_at 16
 
   @typedoc "A path, paths in the order in which they were written, or pieces of a tlog's bytes."
   @type t :: Path.t() | [Path.t()] | {:chunks, Enumerable.t(binary)}
@@ -31,17 +32,43 @@ defmodule Aerie.Replay.Source do
 
   def reduce([], _options, _acc, _fun), do: {:error, "no recording was named"}
 
-  # `:compressed` reads what is not gzipped as it is.
   def reduce(path, options, acc, fun) do
-    case :file.open(path, [:read, :raw, :binary, :compressed]) do
-      {:ok, device} ->
-        result = read(device, {acc, Tlog.Decoder.new(options)}, 0, fun)
-        :ok = :file.close(device)
-        named(result, path)
+    opened(path, &read(&1, {acc, Tlog.Decoder.new(options)}, 0, fun))
+  end
+
+  @doc "Whether a file has a MAVLink frame in its first mebibyte, as every recording has. The error is in words and names the file."
+  @spec recording(Path.t()) :: :ok | {:error, String.t()}
+  def recording(path),
+    do: with({:ok, _found} <- opened(path, &first(&1, Tlog.Decoder.new([]), @looked_at)), do: :ok)
+
+  defp first(_device, _decoder, 0), do: {:error, "is no recording: there is no MAVLink frame in it"}
+
+  defp first(device, decoder, left) do
+    case :file.read(device, @chunk) do
+      {:ok, bytes} ->
+        {items, decoder} = Tlog.Decoder.push(decoder, bytes)
+        if frame?(items), do: {:ok, :found}, else: first(device, decoder, left - 1)
+
+      :eof ->
+        if frame?(Tlog.Decoder.finish(decoder)), do: {:ok, :found}, else: first(device, decoder, 0)
 
       {:error, reason} ->
-        named({:error, reason}, path)
+        {:error, reason}
     end
+  end
+
+  defp frame?(items), do: Enum.any?(items, &is_struct(&1, Frame))
+
+  # `:compressed` reads what is not gzipped as it is.
+  defp opened(path, fun) do
+    with {:ok, device} <- :file.open(path, [:read, :raw, :binary, :compressed]) do
+      try do
+        fun.(device)
+      after
+        :file.close(device)
+      end
+    end
+    |> named(path)
   end
 
   defp read(device, {acc, decoder} = state, size, fun) do

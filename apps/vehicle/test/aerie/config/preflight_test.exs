@@ -126,4 +126,63 @@ defmodule Aerie.Config.PreflightTest do
     assert dir_line =~ "sockets.dir" and dir_line =~ "not a directory"
     assert cert_line =~ "websocket.cert_file" and cert_line =~ "no such file"
   end
+
+  test "a network that no link has is refused, with the key and the networks that there are", %{tmp_dir: dir} do
+    links = [%{url: "tcp:127.0.0.1:1", network: "north"}, %{url: "tcp:127.0.0.1:2", network: "south"}]
+    vehicles = [%{id: "V-1", network: "nroth", system_id: 1}, %{id: "V-2", network: "south", system_id: 2}]
+
+    clients = [
+      %{id: "c", url: "tcpin:127.0.0.1:0", networks: ["north", "main", "East"], id_offsets: %{west: 5}}
+    ]
+
+    text = JSON.encode!(%{links: links, vehicles: vehicles, clients: clients, nats: %{mode: "off"}})
+    file = Path.join(dir, "gateway.yaml")
+    File.write!(file, text)
+    {:ok, config} = Config.load(file, [{"outbox.dir", Path.join(dir, "outbox")}], env: %{})
+
+    assert lines(Preflight.check(config)) ==
+             for(
+               {key, name} <- [
+                 {"vehicles[0].network", "nroth"},
+                 {"clients[0].networks", "East"},
+                 {"clients[0].id_offsets", "west"}
+               ],
+               do: ~s|#{file}: #{key}: expected a network that a link has (main, north, south), got "#{name}"|
+             )
+
+    # A recording or a link of the command line takes the place of the file's links: their names wait for another day.
+    overrides = [{"outbox.dir", Path.join(dir, "outbox")}, {"links", [%{url: "tcp:127.0.0.1:1"}]}]
+    {:ok, config} = Config.load(file, overrides, env: %{})
+    assert {:ok, [_nroth, _south, _north, _east, _west] = warnings} = Preflight.check(config)
+    assert Enum.all?(warnings, &(&1 =~ "expected a network that a link has (main)"))
+  end
+
+  test "a replay file that is no recording is refused", %{tmp_dir: dir} do
+    heartbeat = MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 2, autopilot: 3}, system: 1)
+    record = <<1_700_000_000_000_000::64, heartbeat::binary>>
+
+    files = [
+      {"text.tlog", String.duplicate("not a flight\n", 10_000), "is no recording"},
+      {"empty.tlog", "", "is no recording"},
+      {"zip.tlog", :zlib.gzip("not a flight either"), "is no recording"},
+      {"flight.tlog", record, nil},
+      {"torn.tlog", "torn" <> record, nil},
+      {"flight.tlog.gz", :zlib.gzip(record), nil}
+    ]
+
+    for {name, bytes, reason} <- files do
+      file = Path.join(dir, name)
+      File.write!(file, bytes)
+
+      result =
+        Preflight.check(config(dir, [{"links", [%{url: "replay:#{file}"}]}, {"mavlink.local_addr", "off"}]))
+
+      if reason do
+        assert [line] = lines(result)
+        assert line =~ "links[0].url: expected a recording (.tlog), got #{file}: is no recording"
+      else
+        assert {name, result} == {name, {:ok, []}}
+      end
+    end
+  end
 end

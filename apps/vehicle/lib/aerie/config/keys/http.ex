@@ -10,8 +10,21 @@ defmodule Aerie.Config.Keys.Http do
   def section do
     section(:http, "The console, REST, metrics and health on one port.", [
       field(:enabled, :boolean, "Serve HTTP at all.", default: true),
-      field(:address, Types.ip(), "Address to listen on. Beyond loopback only with a password or key set.",
+      field(
+        :address,
+        Types.ip(),
+        "Address to listen on. Beyond loopback only with a key (api.key or api.keys_file).",
         default: "127.0.0.1"
+      ),
+      field(
+        :hosts,
+        {:list, Types.host()},
+        """
+        Further names by which metrics and health may be asked for. Addresses, localhost and this machine's name are known;
+        a request by any other name is refused, because it may be a web page that has its name pointed here.
+        """,
+        default: [],
+        example: ~S(["gateway.example.org"])
       ),
       field(
         :port,

@@ -1,0 +1,275 @@
+defmodule FleetWeb.AttackTest do
+  @moduledoc "What somebody sends who means no good: each is refused by its kind, none makes an error of ours."
+  use FleetWeb.APICase, async: true
+
+  alias FleetWeb.API.Resources
+
+  @pages ["/", "/metrics", "/healthz", "/readyz", "/nothing"]
+  @methods ~w(GET HEAD OPTIONS POST PUT PATCH DELETE BREW)
+  @json {"content-type", "application/json"}
+
+  defp paths(segment) do
+    api =
+      for {path, _resource} <- Resources.paths(), do: String.replace(path, ~r/:id|:name|\[\.\.\.\]/, segment)
+
+    @pages ++ api
+  end
+
+  # The status of an answer; nothing in it is about our code.
+  defp status(answer) do
+    assert ["HTTP/1.1 " <> <<status::binary-3>> <> _reason, body] = String.split(answer, "\r\n\r\n", parts: 2)
+    refute body =~ ~r/\.erl|\.ex\b|Elixir\.|\*\* \(|stacktrace|function_clause|#PID/
+    String.to_integer(status)
+  end
+
+  defp ask(port, method, path, headers \\ [], body \\ "") do
+    length = {"content-length", "#{byte_size(body)}"}
+
+    lines =
+      for {name, value} <- [{"connection", "close"}, length | headers], do: [name, ": ", value, "\r\n"]
+
+    host = if List.keymember?(headers, "host", 0), do: "", else: "host: 127.0.0.1\r\n"
+    status(raw(port, [method, " ", path, " HTTP/1.1\r\n", host, lines, "\r\n", body]))
+  end
+
+  test "a path, a query or a header that is no text is refused with 400, on every route, by every method" do
+    %{port: port} = start_server()
+
+    for bad <- ["%FF", "a%FFb", "%C0%AF", "%ED%A0%80", "%", "%zz", <<255>>],
+        path <- paths(bad),
+        String.contains?(path, bad),
+        method <- @methods do
+      assert {method, path, ask(port, method, path, [@json], "{}")} == {method, path, 400}
+    end
+
+    for path <- @pages ++ ["/api/status"],
+        query <- ["%FF", "a=%C0%AF", <<255>>],
+        do: assert(ask(port, "GET", path <> "?" <> query) == 400)
+
+    for name <- ~w(host origin content-type authorization x-aerie-key),
+        path <- ["/api/status", "/metrics"],
+        method <- ["GET", "OPTIONS", "POST"],
+        do: assert(ask(port, method, path, [{name, <<"http://", 255>>}]) == 400)
+
+    assert ask(port, "GET", "/healthz") == 200
+  end
+
+  test "every method on every route has an answer of its kind; HEAD is GET without a body, OPTIONS says what there is" do
+    %{port: port} = start_server()
+
+    for path <- paths("x"), method <- @methods do
+      status = ask(port, method, path, [@json], "{}")
+
+      assert {method, path,
+              status in [200, 204, 404, 405, 422, 503] or (path == "/api/tickets" and status == 201)} ==
+               {method, path, true}
+    end
+
+    for path <- paths("x") do
+      get = raw(port, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+      head = raw(port, ["HEAD ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+      assert {path, status(head)} == {path, status(get)}
+      assert [_head, ""] = String.split(head, "\r\n\r\n", parts: 2)
+    end
+
+    assert {204, %{"allow" => "GET, HEAD"}, nil} = request(port, "OPTIONS", "/metrics")
+    assert {204, %{"allow" => allow}, nil} = request(port, "OPTIONS", "/api/rules/x")
+    assert allow =~ "PATCH" and allow =~ "DELETE"
+  end
+
+  test "a page that is allowed may use every method that a route has" do
+    %{port: port} = start_server(key: true, origins: ["https://gcs.example.org"])
+
+    for {path, resource} <- Resources.paths(), resource != :missing do
+      path = String.replace(path, ~r/:id|:name/, "x")
+      assert {204, headers, nil} = request(port, "OPTIONS", path, [{"origin", "https://gcs.example.org"}])
+      allowed = String.split(headers["access-control-allow-methods"], ", ")
+      assert Enum.sort(allowed) == Enum.sort(Resources.methods(resource))
+
+      for method <- ~w(PUT PATCH),
+          match?({:ok, _}, Resources.action(resource, method)),
+          do: assert(method in allowed)
+    end
+  end
+
+  test "metrics and health are not for a foreign name that was made to point here (DNS rebinding)" do
+    %{port: port} = start_server(key: true, hosts: ["gateway.example.org"])
+    {:ok, own} = :inet.gethostname()
+
+    for path <- @pages -- ["/nothing"] do
+      for host <- [
+            "evil.example",
+            "evil.example:80",
+            "127.0.0.1.evil.example",
+            "localhost.evil.example"
+          ],
+          do: assert({path, host, ask(port, "GET", path, [{"host", host}])} == {path, host, 403})
+
+      for host <- [
+            "localhost",
+            "127.0.0.1:1",
+            "[::1]:4000",
+            "10.1.2.3:4000",
+            "GATEWAY.example.org:4000",
+            "#{own}"
+          ],
+          do:
+            assert({path, host, ask(port, "GET", path, [{"host", host}]) in [200, 503]} == {path, host, true})
+
+      # A scraper that is configured with the key may call the gateway what it likes.
+      key = {"authorization", "Bearer " <> key()}
+      assert ask(port, "GET", path, [{"host", "gw.lan"}, key]) in [200, 503]
+    end
+  end
+
+  @tag :tmp_dir
+  test "no name leads out of the folder of recordings", %{tmp_dir: dir} do
+    folder = Path.join(dir, "recordings")
+    File.mkdir_p!(folder)
+    File.write!(Path.join(dir, "secret.tlog"), "secret")
+    %{port: port} = start_server(links: true, recorder: %{dir: folder, min_free_mb: 0})
+
+    for name <-
+          [
+            "../secret.tlog",
+            "..%2Fsecret.tlog",
+            "%2e%2e%2fsecret.tlog",
+            "..%5Csecret.tlog",
+            "....//secret.tlog"
+          ] ++
+            [
+              "%2Fetc%2Fpasswd",
+              "//etc/passwd",
+              Path.join(dir, "secret.tlog") |> URI.encode_www_form()
+            ] do
+      answer =
+        raw(port, ["GET /api/recordings/", name, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+
+      assert {name, status(answer)} == {name, 404}
+      refute answer =~ "secret" and not (answer =~ "error")
+    end
+  end
+
+  test "a body that is too long, no JSON, or of another type is refused by its kind" do
+    %{port: port} = start_server()
+    post = &ask(port, "POST", "/api/clients", &1, &2)
+
+    for type <- [
+          "text/plain",
+          "application/x-www-form-urlencoded",
+          "multipart/form-data; boundary=x",
+          "",
+          "json"
+        ],
+        do: assert(post.([{"content-type", type}], "{}") == 415)
+
+    for body <- [
+          "",
+          "{",
+          "nul",
+          "[]",
+          "1",
+          "\"x\"",
+          <<"{\"", 255, "\":1}">>,
+          ~s({"id":"\\ud800"}),
+          String.duplicate("[", 16_000)
+        ],
+        do: assert({body, post.([@json], body)} == {body, 400})
+
+    for body <- [~s({"\\u0000":1}), ~s({"url":{"a":[1e308]}}), ~s({"url":"udpout:h:1","id":"\\u0000"}), "{}"],
+        do: assert({body, post.([@json], body)} == {body, 422})
+
+    assert post.([@json], String.duplicate("x", 16_385)) == 413
+    chunk = ["4000\r\n", String.duplicate("a", 0x4000), "\r\n"]
+
+    head =
+      "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ntransfer-encoding: chunked\r\n\r\n"
+
+    assert status(raw(port, [head, List.duplicate(chunk, 100)])) == 413
+  end
+
+  test "headers and request lines have an end; only HTTP/1.1 is spoken" do
+    %{port: port} = start_server()
+    long = String.duplicate("x", 100_000)
+
+    for {line, headers, expected} <- [
+          {"GET /#{long} HTTP/1.1", "", 414},
+          {"#{long} / HTTP/1.1", "", 414},
+          {"GET / HTTP/1.1", "x: #{long}\r\n", 431},
+          {"GET / HTTP/1.1", "#{long}: x\r\n", 431},
+          {"GET / HTTP/1.1", String.duplicate("x: y\r\n", 1000), 431},
+          {"GET / HTTP/1.1", "content-length: -1\r\n", 400},
+          {"GET / HTTP/1.1", "content-length: 5\r\ntransfer-encoding: chunked\r\n", 400},
+          {"GET / HTTP/1.1", "host: evil.example\r\n", 400},
+          {"GET http://evil.example/metrics HTTP/1.1", "", 400},
+          {"TRACE / HTTP/1.1", "", 501},
+          {"PRI * HTTP/2.0", "", 501}
+        ] do
+      answer = raw(port, [line, "\r\nhost: 127.0.0.1\r\n", headers, "\r\n"])
+
+      assert {String.slice(line, 0, 40), String.slice(headers, 0, 40), status(answer)} ==
+               {String.slice(line, 0, 40), String.slice(headers, 0, 40), expected}
+    end
+
+    assert ask(port, "GET", "/healthz") == 200
+  end
+
+  test "who sends slowly, or a body that nobody wants, is let go" do
+    %{port: port} = start_server()
+    post = "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\n"
+
+    # Not asked to close, the server does: nothing of such a connection can be trusted to end.
+    for {head, drop} <- [
+          {"GET /api/status HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: 900000\r\n\r\n{", "x"},
+          {"GET /metrics HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: 9\r\n\r\n", "x"},
+          {"GET /metrics HTTP/1.1\r\nhost: 127.0.0.1\r\nx: ", "a"},
+          {post <> "content-length: 10000\r\n\r\n{", "1"},
+          {post <> "transfer-encoding: chunked\r\n\r\n", "1\r\na\r\n"}
+        ] do
+      Task.async(fn -> assert trickle(port, head, drop) =~ "HTTP/1.1 " end)
+    end
+    |> Task.await_many(60_000)
+  end
+
+  test "connections have a limit; who waits gets his turn when one ends" do
+    gateway = make_ref()
+    start_supervised!({FleetWeb.Endpoint, gateway: gateway, port: 0, max_connections: 2, config: %{}})
+    port = FleetWeb.Endpoint.port(gateway)
+    keep = "GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n"
+
+    open =
+      for _n <- 1..12 do
+        {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: true])
+        :ok = :gen_tcp.send(socket, keep)
+        socket
+      end
+
+    for _two <- 1..2, do: assert_receive({:tcp, _socket, "HTTP/1.1 200" <> _}, 15_000)
+    connections = length(:ranch.procs({FleetWeb.Endpoint, gateway}, :connections))
+    # Ranch's acceptors notice the limit when they have one more connection in hand each.
+    assert connections <= 2 + 4
+    Enum.each(open, &:gen_tcp.close/1)
+    eventually(fn -> :ranch.procs({FleetWeb.Endpoint, gateway}, :connections) == [] end)
+    assert ask(port, "GET", "/healthz") == 200
+  end
+
+  # A piece every now and then until the server closes; gives what it said.
+  defp trickle(port, head, drop) do
+    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: true])
+    :ok = :gen_tcp.send(socket, head)
+    trickle(socket, drop, "", 1000)
+  end
+
+  defp trickle(_socket, _drop, _said, 0), do: flunk("a connection that trickles is kept")
+
+  defp trickle(socket, drop, said, left) do
+    receive do
+      {:tcp, ^socket, bytes} -> trickle(socket, drop, said <> bytes, left)
+      {:tcp_closed, ^socket} -> said
+    after
+      50 ->
+        _ = :gen_tcp.send(socket, drop)
+        trickle(socket, drop, said, left - 1)
+    end
+  end
+end

@@ -31,7 +31,8 @@ defmodule Aerie.Link.Core do
   | `:open`, `:close` | the transport |
   | `{:retry_in, ms}` | a timer for `:retry` |
   | `{:deliver, peer, frames}` | to the router |
-  | `{:forget, peer}`, `{:drop, peer}` | routes by a peer are void; end a peer's connection |
+  | `{:join, peer, text}` | a peer is new, and may be written to |
+  | `{:forget, peer}`, `{:drop, peer}` | a peer is gone, and routes by it are void; end a peer's connection |
   | `{:emit, event, measurements, metadata}` | a telemetry event below `[:aerie, :link]` |
   | `:publish` | the snapshot changed |
   | `:sniff` | bytes come but no frames: find out what they are |
@@ -166,7 +167,7 @@ defmodule Aerie.Link.Core do
 
   def handle(%{phase: :up} = core, {:peer_up, peer, text}, {mono, _at}) do
     if Peers.room?(core.peers) do
-      {add_peer(core, peer, text, mono), [:publish, {:emit, :peer_up, %{}, %{peer: text}}]}
+      {add_peer(core, peer, text, mono), [{:join, peer, text}, {:emit, :peer_up, %{}, %{peer: text}}]}
     else
       {count(core, :peers_refused, 1), [{:drop, peer}]}
     end
@@ -212,6 +213,7 @@ defmodule Aerie.Link.Core do
 
   defp tick(%{phase: :up} = core, {mono, _at} = now) do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
+    peers = Peers.measure(peers)
     {core, more} = changes(%{core | peers: peers}, changes)
     {core, sniff} = garbled(core, mono)
     {core, publish} = sample(core, mono)
@@ -323,11 +325,8 @@ defmodule Aerie.Link.Core do
 
   defp changes(core, changes) do
     Enum.reduce(changes, {core, []}, fn
-      :refused, {core, actions} ->
-        {count(core, :peers_refused, 1), actions}
-
       {:up, peer}, {core, actions} ->
-        {core, actions ++ [:publish, {:emit, :peer_up, %{}, %{peer: peer.text}}]}
+        {core, actions ++ [{:join, peer.id, peer.text}, {:emit, :peer_up, %{}, %{peer: peer.text}}]}
 
       {:down, peer}, {core, actions} ->
         {core, actions ++ peer_down(core, peer, :idle)}
@@ -336,7 +335,7 @@ defmodule Aerie.Link.Core do
 
   defp peer_down(core, peer, reason) do
     reason = if reason == :idle, do: "silent", else: Reason.format(reason, core.spec)
-    [{:forget, peer.id}, :publish, {:emit, :peer_down, %{}, %{peer: peer.text, reason: reason}}]
+    [{:forget, peer.id}, {:emit, :peer_down, %{}, %{peer: peer.text, reason: reason}}]
   end
 
   defp end_peers(core) do
@@ -392,7 +391,7 @@ defmodule Aerie.Link.Core do
   # A link on which nothing happens is not published; one whose rates have yet to fall to 0 is.
   defp sample(core, mono) do
     counters = counters(core)
-    seen = {counters, Snapshot.text(core, mono)}
+    seen = {counters, map_size(core.peers.map), Snapshot.text(core, mono)}
     moving? = Enum.any?(Rates.per_second(core.rates), fn {_name, rate} -> rate != 0.0 end)
     actions = if moving? or seen != core.sampled, do: [:publish], else: []
     {%{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen}, actions}

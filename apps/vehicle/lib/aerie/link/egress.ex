@@ -92,20 +92,39 @@ defmodule Aerie.Link.Egress do
     gone = for {id, _peer} <- egress.peers, not is_map_key(peers, id), do: id
     egress = Enum.reduce(gone, egress, &remove(&2, tables, &1))
 
-    Enum.reduce(peers, egress, fn {id, text}, egress ->
-      out = out(egress, id, direct)
-
-      case egress.peers do
-        %{^id => %{endpoint: %{out: ^out}}} -> egress
-        %{^id => peer} -> put(egress, tables, id, %{peer | endpoint: %{peer.endpoint | out: out}})
-        _new -> put(egress, tables, id, peer(egress, id, text, out, now))
-      end
-    end)
+    Enum.reduce(peers, egress, fn {id, text}, egress -> join(egress, tables, id, text, direct, now) end)
   end
 
-  defp peer(egress, id, text, out, now) do
+  @doc "Makes one more peer an endpoint, at a cost that does not depend on how many there are."
+  @spec join(t, term, String.t(), (term -> {:udp, term, map} | nil), integer) :: t
+  def join(egress, id, text, direct, now) do
+    case Tables.of(egress.gateway) do
+      nil -> egress
+      tables -> join(egress, tables, id, text, direct, now)
+    end
+  end
+
+  defp join(egress, tables, id, text, direct, now) do
+    out = out(egress, id, direct)
+
+    case egress.peers do
+      %{^id => %{endpoint: %{out: ^out}}} -> egress
+      %{^id => peer} -> put(told(egress, peer), tables, id, otherwise(peer, out))
+      _new -> put(egress, tables, id, peer(egress, tables, id, text, out, now))
+    end
+  end
+
+  # From now on another process counts what goes there.
+  defp otherwise(%{endpoint: endpoint} = peer, out) do
+    endpoint = %{endpoint | out: out}
+    %{peer | endpoint: endpoint, seen: counts(endpoint)}
+  end
+
+  defp peer(egress, tables, id, text, out, now) do
+    fields = [text: text, kind: :link, out: out, listens: Endpoints.listens?(tables, egress.owner)]
+
     %{
-      endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, text: text, kind: :link, out: out),
+      endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, fields),
       outlet: Outlet.new(rules(egress), now),
       timer: nil,
       seen: %{}
@@ -175,9 +194,11 @@ defmodule Aerie.Link.Egress do
   defp left(egress, id) do
     case Map.pop(egress.peers, id) do
       {nil, _peers} -> egress
-      {peer, peers} -> %{egress | peers: peers, left: sum(egress.left, since(peer, counts(peer.endpoint)))}
+      {peer, peers} -> told(%{egress | peers: peers}, peer)
     end
   end
+
+  defp told(egress, peer), do: %{egress | left: sum(egress.left, since(peer, counts(peer.endpoint)))}
 
   defp since(peer, counts), do: Map.merge(counts, peer.seen, fn _name, now, before -> now - before end)
   defp sum(sums, more), do: Map.merge(sums, more, fn _name, a, b -> a + b end)
@@ -292,22 +313,23 @@ defmodule Aerie.Link.Egress do
   @spec others(t) :: {%{atom => non_neg_integer}, t}
   def others(egress) do
     Enum.reduce(egress.peers, {egress.left, %{egress | left: @sums}}, fn {id, peer}, {sums, egress} ->
-      counts = counts(peer.endpoint)
-      {sum(sums, since(peer, counts)), put_in(egress.peers[id].seen, counts)}
+      case counts(peer.endpoint) do
+        same when same == peer.seen -> {sums, egress}
+        counts -> {sum(sums, since(peer, counts)), put_in(egress.peers[id].seen, counts)}
+      end
     end)
   end
 
   defp counts(%{out: out, tally: tally}) do
-    counts = Tally.read(tally)
     # What goes through the link's process is counted there.
     direct? = match?({:udp, _, _}, out)
 
     %{
-      bytes_out: if(direct?, do: counts.bytes_out, else: 0),
-      writes_out: if(direct?, do: counts.frames_out, else: 0),
-      dropped_out: counts.failed + Tally.dropped(counts),
-      denied: counts.denied,
-      withheld: counts.withheld
+      bytes_out: if(direct?, do: Tally.get(tally, :bytes_out), else: 0),
+      writes_out: if(direct?, do: Tally.get(tally, :frames_out), else: 0),
+      dropped_out: Tally.lost(tally),
+      denied: Tally.get(tally, :denied),
+      withheld: Tally.get(tally, :withheld)
     }
   end
 

@@ -7,12 +7,18 @@ defmodule Aerie.Link.Peer do
   alias MavCodec.Parser
 
   @enforce_keys [:id, :text, :parser, :since, :heard]
-  defstruct [:id, :text, :parser, :since, :heard, :framed, flushed: true]
+  defstruct [:id, :text, :parser, :since, :heard, :framed, :stats, :counted, flushed: true, known: false]
+
+  # Who says a second good frame so long after the first is somebody; made-up senders mostly say one.
+  @known_ms 500
 
   @typedoc """
   - `text`: for people (`10.0.0.7:14551`)
   - `since`, `heard`: monotonic ms of the first and the last bytes; `framed`: of the last good frame, nil before it
   - `flushed`: whether the parser holds nothing that only silence can decide
+  - `known`: it has said good frames for at least #{500} ms
+  - `stats`: the parser's, nil when something was read since they were last looked at (`measure/1`); `counted`: what the
+    sum of all peers (`Aerie.Link.Peers`) has of it, nil for nothing
   """
   @type t :: %__MODULE__{
           id: term,
@@ -21,7 +27,10 @@ defmodule Aerie.Link.Peer do
           since: integer,
           heard: integer,
           framed: integer | nil,
-          flushed: boolean
+          flushed: boolean,
+          known: boolean,
+          stats: Parser.stats() | nil,
+          counted: %{atom => non_neg_integer} | nil
         }
 
   @doc "A peer that has said nothing yet."
@@ -38,8 +47,17 @@ defmodule Aerie.Link.Peer do
       end
 
     framed = if frames == [], do: peer.framed, else: now
-    {frames, %{peer | parser: parser, heard: now, framed: framed, flushed: false}}
+    {frames, %{peer | parser: parser, heard: now, framed: framed, flushed: false, stats: nil}}
   end
+
+  @doc "Whether it has become known by what it said last."
+  @spec proven?(t) :: boolean
+  def proven?(%__MODULE__{since: since, framed: framed}), do: framed != nil and framed - since >= @known_ms
+
+  @doc "Fills in what its parser counted."
+  @spec measure(t) :: t
+  def measure(%__MODULE__{stats: nil} = peer), do: %{peer | stats: Parser.stats(peer.parser)}
+  def measure(peer), do: peer
 
   @doc "Nothing more came for a while, or ever: what only waited for more is decided."
   @spec flush(t) :: {[MavCodec.Frame.t()], t}
@@ -47,6 +65,6 @@ defmodule Aerie.Link.Peer do
 
   def flush(%__MODULE__{} = peer) do
     {frames, parser} = Parser.flush(peer.parser)
-    {frames, %{peer | parser: parser, flushed: true}}
+    {frames, %{peer | parser: parser, flushed: true, stats: nil}}
   end
 end

@@ -275,6 +275,10 @@ defmodule Aerie.Link.Server do
     %{state | core: dropped(state.core, outcome), egress: egress, sessions: sessions}
   end
 
+  defp act({:join, peer, text}, state) do
+    %{state | egress: Egress.join(state.egress, peer, text, &direct(state, &1), mono())}
+  end
+
   defp act({:forget, peer}, state) do
     Router.forget(state.gateway, state.spec.id, peer)
     %{state | egress: Egress.remove(state.egress, peer)}

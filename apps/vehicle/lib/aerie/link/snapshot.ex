@@ -28,12 +28,12 @@ defmodule Aerie.Link.Snapshot do
   """
 
   alias Aerie.Link.Core
+  alias Aerie.Link.Peer
   alias Aerie.Link.Peers
   alias Aerie.Link.Rates
   alias Aerie.Link.Reason
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Spec
-  alias MavCodec.Parser
 
   @max_peers 256
 
@@ -71,7 +71,7 @@ defmodule Aerie.Link.Snapshot do
 
   defp peers(peers, mono) do
     for {id, peer} <- Enum.take(peers.map, @max_peers) do
-      stats = Parser.stats(peer.parser)
+      stats = Peer.measure(peer).stats
 
       %{
         peer: id,

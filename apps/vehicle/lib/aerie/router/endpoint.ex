@@ -47,6 +47,7 @@ defmodule Aerie.Router.Endpoint do
     :pid,
     :since,
     heard_vehicle: false,
+    listens: true,
     high_latency: false
   ]
 
@@ -56,6 +57,7 @@ defmodule Aerie.Router.Endpoint do
     `{:forward, bytes, class}`, or `{:forward, tag, bytes, class}` when the tag is not nil
   - `waiting`: frames in the mailbox of that process
   - `since`: unix microseconds
+  - `listens`: whether it gets broadcasts though it is no vehicle's (`Aerie.Router.Endpoints.listens?/2`)
   - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
   """
   @type t :: %__MODULE__{
@@ -70,6 +72,7 @@ defmodule Aerie.Router.Endpoint do
           pid: pid | nil,
           since: integer,
           heard_vehicle: boolean,
+          listens: boolean,
           high_latency: boolean
         }
   @type key :: {owner :: String.t(), peer :: term}

@@ -13,6 +13,8 @@ defmodule Aerie.Router.Endpoints do
   alias Aerie.Router.Watch
   alias Aerie.Router.Wishes
 
+  @max_listeners 32
+
   @doc "Puts an owner's rules in place of what there were."
   @spec put_owner(Tables.t(), Owner.t()) :: :ok
   def put_owner(tables, %Owner{} = owner) do
@@ -60,8 +62,8 @@ defmodule Aerie.Router.Endpoints do
     if taken? or Names.whereis(gateway, :link, id) not in [nil, endpoint.pid] do
       {:error, "there is an endpoint #{id} already"}
     else
-      insert_owner(tables, owner)
       put(gateway, tables, endpoint)
+      put_owner(tables, owner)
     end
   end
 
@@ -70,12 +72,25 @@ defmodule Aerie.Router.Endpoints do
   def put(gateway, tables, %Endpoint{key: key} = endpoint) do
     :ets.insert(tables.endpoints, {key, endpoint})
     Watch.process(gateway, endpoint.pid)
-    Tables.changed(tables)
+    Tables.changed(tables, key)
   end
 
   @doc "An endpoint, nil for an unknown one."
   @spec get(Tables.t(), Endpoint.key()) :: Endpoint.t() | nil
   def get(tables, key), do: :ets.lookup_element(tables.endpoints, key, 2, nil)
+
+  @doc """
+  Whether one more endpoint of a link to vehicles, that is no vehicle's (a ground station's, a camera's, nobody's yet), may
+  get what others broadcast: #{@max_listeners} of a link at most, so that a thousand made-up ones do not multiply what
+  the link has to say. What is addressed to them reaches all; a client endpoint's peers are as many as its rules allow.
+  """
+  @spec listens?(Tables.t(), Owner.t()) :: boolean
+  def listens?(_tables, %Owner{side: :client}), do: true
+
+  def listens?(tables, %Owner{id: id}) do
+    one = {{{id, :_}, %{heard_vehicle: false, listens: true}}, [], [true]}
+    :ets.select_count(tables.endpoints, [one]) < @max_listeners
+  end
 
   @doc "All endpoints."
   @spec list(Tables.t()) :: [Endpoint.t()]
@@ -92,7 +107,7 @@ defmodule Aerie.Router.Endpoints do
       [{_key, endpoint}] ->
         limits_of(tables, key)
         :ets.delete(tables.scores, {:beat, key})
-        Tables.changed(tables)
+        Tables.changed(tables, key)
         Wishes.forget(endpoint)
 
       [] ->
@@ -122,6 +137,7 @@ defmodule Aerie.Router.Endpoints do
 
       if peer == :self do
         delete_owner(tables, owner)
+        Tables.changed(tables)
         Rules.forget(endpoint.gateway, owner)
       end
     end
@@ -130,7 +146,7 @@ defmodule Aerie.Router.Endpoints do
   end
 
   @doc """
-  Notes what was found out about an endpoint: `side:` (nil: its owner's), `heard_vehicle:`, `high_latency:`. What is known
+  Notes what was found out about an endpoint: `side:` (nil: its owner's), `heard_vehicle:`, `listens:`, `high_latency:`. What is known
   already moves nothing.
   """
   @spec note(Tables.t(), Endpoint.key(), keyword) :: :ok
@@ -138,7 +154,7 @@ defmodule Aerie.Router.Endpoints do
     with %Endpoint{} = endpoint <- get(tables, key),
          noted when noted != endpoint <- struct!(endpoint, fields) do
       :ets.insert(tables.endpoints, {key, noted})
-      Tables.changed(tables)
+      Tables.changed(tables, key)
     else
       _gone_or_known -> :ok
     end

@@ -16,6 +16,7 @@ defmodule Aerie.Router.Forward do
   Runs in the process that received the frames. Order is kept for each receiver.
   """
 
+  alias Aerie.Allowance
   alias Aerie.Router.Batch
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
@@ -35,6 +36,9 @@ defmodule Aerie.Router.Forward do
   alias MavCodec.Frame
 
   @setup_signing 256
+  # Heartbeats of one component that other vehicles hear: two a second, four at once.
+  @beat_us 500_000
+  @beats 4
   # What an autopilot says to itself: PX4 sends its own internal commands to 1/0 and 0/0.
   @orders [75, 76, 223, 224]
 
@@ -137,7 +141,7 @@ defmodule Aerie.Router.Forward do
   defp flush(gathered, {tables, _plan, way, talker, now}) do
     batch = to_everyone(talker.everyone, gathered |> :lists.reverse() |> Batch.new(), tables, way, now)
     _ = if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
-    _ = if talker.heartbeats != [], do: only_heartbeats(talker.heartbeats, batch, tables, way, now)
+    _ = if talker.heartbeats != [], do: only_heartbeats(talker, batch, tables, way, now)
     :ok
   end
 
@@ -154,10 +158,21 @@ defmodule Aerie.Router.Forward do
     end
   end
 
-  defp only_heartbeats(ways, batch, tables, way, now) do
-    case Enum.filter(batch.frames, &(&1.id == 0)) do
+  defp only_heartbeats(talker, batch, tables, way, now) do
+    case Enum.filter(batch.frames, &(&1.id == 0 and beats?(talker, tables, way))) do
       [] -> :ok
-      beats -> to_everyone(ways, Batch.new(beats), tables, way, now)
+      beats -> to_everyone(talker.heartbeats, Batch.new(beats), tables, way, now)
+    end
+  end
+
+  # Each goes out as often as there are vehicles, so a sender has only so many.
+  defp beats?(talker, tables, way) do
+    key = {way.key, :beat, talker.system, talker.component}
+    full = :ets.lookup_element(tables.limits, key, 2, nil)
+
+    case Allowance.take(full, System.monotonic_time(:microsecond), @beat_us, @beats) do
+      {:ok, full} -> :ets.insert(tables.limits, {key, full})
+      :none -> false
     end
   end
 
@@ -198,7 +213,11 @@ defmodule Aerie.Router.Forward do
       for key <- keys, key != way.key, to = plan.ways[key], reach?(to, way, frame, talker, tables), do: to
 
     sniffers =
-      for {key, %{sniffer: true} = to} <- plan.ways, key != way.key, key not in keys, shares?(way, to), do: to
+      for {key, %{sniffer: true} = to} <- plan.listeners,
+          key != way.key,
+          key not in keys,
+          shares?(way, to),
+          do: to
 
     case heard do
       # What is for us goes no further and has arrived.

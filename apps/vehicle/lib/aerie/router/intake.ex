@@ -60,10 +60,25 @@ defmodule Aerie.Router.Intake do
     do: turn(tables, way, nil, true)
 
   defp side(tables, %{side: :vehicle, heard_vehicle: false} = way, heartbeat, false) do
+    way = listens(tables, way)
     if Heartbeat.role(heartbeat) == "gcs", do: turn(tables, way, :client, false), else: way
   end
 
+  defp side(tables, %{auto: true, heard_vehicle: false} = way, _heartbeat, false), do: listens(tables, way)
+
   defp side(_tables, way, _heartbeat, _vehicle?), do: way
+
+  # There was no room for one more that is no vehicle when it came; there may be now.
+  defp listens(_tables, %{listens: true} = way), do: way
+
+  defp listens(tables, way) do
+    with %{} = owner <- Endpoints.owner(tables, way.owner), true <- Endpoints.listens?(tables, owner) do
+      Endpoints.note(tables, way.key, listens: true)
+      %{way | listens: true}
+    else
+      _full -> way
+    end
+  end
 
   # Summaries of a vehicle and no heartbeat for a while: a link of high latency, whoever set it up (X6). A heartbeat ends
   # that at once.

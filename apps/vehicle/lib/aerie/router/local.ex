@@ -31,7 +31,7 @@ defmodule Aerie.Router.Local do
         local
 
       %__MODULE__{tables: ref} = local when ref == tables.id ->
-        put(gateway, %{local | plan: Plan.read(tables)})
+        put(gateway, %{local | plan: Plan.refresh(local.plan, tables)})
 
       _none ->
         put(gateway, %__MODULE__{tables: tables.id, plan: Plan.read(tables)})

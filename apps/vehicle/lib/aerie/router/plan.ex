@@ -1,7 +1,8 @@
 defmodule Aerie.Router.Plan do
   @moduledoc """
-  All endpoints with their owners' rules, as one value that each forwarding process keeps for itself for as long as
-  nothing changes: forwarding looks no endpoint up.
+  All endpoints with their owners' rules, as one value that each forwarding process keeps for itself: forwarding looks no
+  endpoint up. When endpoints change only those are read again (`refresh/2`), so that what one costs does not grow with
+  the number of the others.
   """
 
   alias Aerie.Router.Endpoint
@@ -51,6 +52,7 @@ defmodule Aerie.Router.Plan do
                   sniffer: false,
                   sign: false,
                   coalesce: true,
+                  listens: true,
                   broadcasts: true,
                   high_latency: false
                 ]
@@ -82,21 +84,37 @@ defmodule Aerie.Router.Plan do
             sign: boolean,
             pid: pid | nil,
             coalesce: boolean,
+            listens: boolean,
             broadcasts: boolean,
             high_latency: boolean
           }
   end
 
-  @enforce_keys [:generation, :ways]
-  defstruct [:generation, :ways, :own, between: :auto]
+  @enforce_keys [:generation, :own, :between, :networks]
+  defstruct [:generation, :own, :between, :networks, audience: 0, ways: %{}, listeners: %{}, vehicles: %{}]
 
-  @typedoc "`own`: our own ids; `between`: what vehicles hear of each other, as `router.between_vehicles` says"
+  # So many vehicles' ways of a network hear each other's heartbeats, see `Aerie.Router.Talker`.
+  @choir 32
+
+  @typedoc """
+  - `own`: our own ids; `between`: what vehicles hear of each other, as `router.between_vehicles` says; `networks`: all
+  - `listeners`: the ways that are no vehicle's: clients, sniffers, vehicles' other parts; `vehicles`: the others, by network
+  - `audience`: moves when vehicles' frames may go to others than before; that one more vehicle of many came does not count
+  """
   @type t :: %__MODULE__{
           generation: non_neg_integer,
-          ways: %{Endpoint.key() => Way.t()},
           own: {non_neg_integer, 0..255} | nil,
-          between: :all | :auto | :heartbeats | :none
+          between: :all | :auto | :heartbeats | :none,
+          networks: [String.t()],
+          audience: non_neg_integer,
+          ways: %{Endpoint.key() => Way.t()},
+          listeners: %{Endpoint.key() => Way.t()},
+          vehicles: %{String.t() => %{Endpoint.key() => Way.t()}}
         }
+
+  @doc "How many vehicles' ways of one network hear each other's heartbeats at most."
+  @spec choir() :: pos_integer
+  def choir, do: @choir
 
   @doc "Reads the tables. Who sees all networks sees those that there are now; a new one moves the generation."
   @spec read(Tables.t()) :: t
@@ -104,19 +122,93 @@ defmodule Aerie.Router.Plan do
     # First the number, so that what changes meanwhile is read again.
     generation = Tables.generation(tables)
     owners = Map.new(:ets.tab2list(tables.owners))
-    networks = networks(tables, owners)
 
-    ways =
-      for endpoint <- Endpoints.list(tables), owner = owners[elem(endpoint.key, 0)], into: %{} do
-        {endpoint.key, way(endpoint, owner, networks)}
-      end
-
-    %__MODULE__{
+    plan = %__MODULE__{
       generation: generation,
-      ways: ways,
       own: Tables.setting(tables, :own, nil),
-      between: Tables.setting(tables, :between_vehicles, :auto)
+      between: Tables.setting(tables, :between_vehicles, :auto),
+      networks: networks(tables, owners)
     }
+
+    for endpoint <- Endpoints.list(tables), owner = owners[elem(endpoint.key, 0)], reduce: plan do
+      plan -> add(plan, way(endpoint, owner, plan.networks))
+    end
+  end
+
+  @doc "The plan as of now: as it is, with the endpoints that changed, or read anew."
+  @spec refresh(t, Tables.t()) :: t
+  def refresh(%__MODULE__{generation: before} = plan, tables) do
+    case Tables.generation(tables) do
+      ^before -> plan
+      now -> refresh(plan, tables, Tables.changes(tables, before, now), now)
+    end
+  end
+
+  defp refresh(plan, tables, :all, _now), do: %{read(tables) | audience: plan.audience + 1}
+
+  defp refresh(plan, tables, keys, now) do
+    keys |> Enum.reduce(plan, &endpoint(&2, tables, &1)) |> Map.put(:generation, now)
+  end
+
+  defp endpoint(plan, tables, {owner, _peer} = key) do
+    before = plan.ways[key]
+
+    with %Endpoint{} = endpoint <- Endpoints.get(tables, key),
+         %Owner{} = owner <- Endpoints.owner(tables, owner) do
+      way = way(endpoint, owner, plan.networks)
+      plan |> remove(before) |> add(way) |> heard(before, way)
+    else
+      nil -> plan |> remove(before) |> heard(before, nil)
+    end
+  end
+
+  defp add(plan, %Way{key: key} = way) do
+    plan = put_in(plan.ways[key], way)
+
+    cond do
+      vehicle?(way) -> %{plan | vehicles: Enum.reduce(way.networks, plan.vehicles, &put_vehicle(&2, &1, way))}
+      way.broadcasts or way.sniffer -> put_in(plan.listeners[key], way)
+      true -> plan
+    end
+  end
+
+  defp put_vehicle(vehicles, network, way),
+    do: Map.update(vehicles, network, %{way.key => way}, &Map.put(&1, way.key, way))
+
+  defp remove(plan, nil), do: plan
+
+  defp remove(plan, %Way{key: key} = way) do
+    vehicles =
+      if vehicle?(way),
+        do: Enum.reduce(way.networks, plan.vehicles, &delete(&2, &1, key)),
+        else: plan.vehicles
+
+    %{plan | ways: Map.delete(plan.ways, key), listeners: Map.delete(plan.listeners, key), vehicles: vehicles}
+  end
+
+  defp delete(vehicles, network, key) do
+    case Map.delete(vehicles[network], key) do
+      none when none == %{} -> Map.delete(vehicles, network)
+      others -> %{vehicles | network => others}
+    end
+  end
+
+  @doc "Whether a way is a vehicle's, of which others of its kind hear little."
+  @spec vehicle?(Way.t()) :: boolean
+  def vehicle?(way), do: way.side == :vehicle and way.heard_vehicle == true and not way.sniffer
+
+  # One vehicle of so many that they do not hear each other anyway.
+  defp heard(%{between: between} = plan, before, way) do
+    same? =
+      between in [:auto, :none] and Enum.all?([before, way], &(&1 == nil or deaf?(&1) or crowd?(plan, &1)))
+
+    if same?, do: plan, else: %{plan | audience: plan.audience + 1}
+  end
+
+  defp deaf?(way), do: not way.broadcasts and not way.sniffer
+
+  defp crowd?(plan, way) do
+    vehicle?(way) and Enum.all?(way.networks, &(map_size(Map.get(plan.vehicles, &1, %{})) > @choir))
   end
 
   # The gateway's own first, then in the order in which links to them came: one that comes later hides nothing of an
@@ -167,7 +259,8 @@ defmodule Aerie.Router.Plan do
       text: endpoint.text,
       commands: Gate.open?(endpoint, owner),
       coalesce: owner.coalesce,
-      broadcasts: owner.broadcasts
+      listens: endpoint.listens,
+      broadcasts: owner.broadcasts and (endpoint.listens or endpoint.heard_vehicle == true)
     }
   end
 

@@ -37,7 +37,8 @@ defmodule Aerie.Router.Routes do
     end
   end
 
-  defp add(tables, route) do
+  defp add(tables, {{network, system, component, link, peer}, _now, _since} = route) do
+    true = :ets.insert(tables.heard_by, {{link, peer, network, system, component}})
     true = :ets.insert(tables.routes, route)
     :new
   end
@@ -157,13 +158,28 @@ defmodule Aerie.Router.Routes do
   @doc "Forgets all routes by a link, or by one of its peers."
   @spec forget(Tables.t(), String.t(), term) :: :ok
   def forget(tables, link, peer \\ :_) do
-    true = :ets.match_delete(tables.routes, {{:_, :_, :_, link, peer}, :_, :_})
+    # Peers come and go while others are heard: what is theirs is found without a look at everybody else's.
+    for {{link, peer, network, system, component}} = entry <-
+          :ets.match_object(tables.heard_by, {{link, peer, :_, :_, :_}}) do
+      :ets.delete(tables.routes, {network, system, component, link, peer})
+      :ets.delete_object(tables.heard_by, entry)
+    end
+
     :ok
   end
 
   @doc "Forgets routes that were not heard for `ttl` ms; how many."
   @spec sweep(Tables.t(), integer, pos_integer) :: non_neg_integer
   def sweep(tables, now, ttl \\ @ttl_ms) do
-    :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
+    swept = :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
+    if :ets.info(tables.heard_by, :size) > :ets.info(tables.routes, :size), do: tidy(tables)
+    swept
+  end
+
+  # Routes that were forgotten by their system's name are still among those of who brought them.
+  defp tidy(tables) do
+    for {{link, peer, network, system, component}} = entry <- :ets.tab2list(tables.heard_by),
+        not :ets.member(tables.routes, {network, system, component, link, peer}),
+        do: :ets.delete_object(tables.heard_by, entry)
   end
 end

@@ -10,6 +10,8 @@ defmodule Aerie.Router.Tables do
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
+  - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, of the last #{1_024} times
+  - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by who brings them
 
   `generation` is a counter that moves whenever an endpoint, an owner or the set of ways to a system changes. Processes
   that forward keep what they worked out from these tables for as long as it stands still. `id` tells them from the tables
@@ -18,8 +20,12 @@ defmodule Aerie.Router.Tables do
 
   alias Aerie.Names
 
+  @max_changes 1_024
+
   @type t :: %{
           routes: :ets.table(),
+          heard_by: :ets.table(),
+          changes: :ets.table(),
           endpoints: :ets.table(),
           owners: :ets.table(),
           seen: {:ets.table(), :ets.table()},
@@ -41,10 +47,13 @@ defmodule Aerie.Router.Tables do
     tables = %{
       # Ordered, so that all routes of a system or a component are one range.
       routes: :ets.new(:routes, [:ordered_set | shared]),
+      heard_by: :ets.new(:heard_by, [:ordered_set | shared]),
+      changes: :ets.new(:changes, [:set | shared]),
       endpoints: :ets.new(:endpoints, [:set | shared]),
       owners: :ets.new(:owners, [:set | shared]),
       seen: {:ets.new(:seen, [:set | shared]), :ets.new(:seen, [:set | shared])},
-      limits: :ets.new(:limits, [:set | shared]),
+      # Ordered, so that all limits of an endpoint are one range.
+      limits: :ets.new(:limits, [:ordered_set | shared]),
       clients: :ets.new(:clients, [:set | shared]),
       scores: :ets.new(:scores, [:set | shared]),
       load: :ets.new(:load, [:set | shared]),
@@ -67,9 +76,31 @@ defmodule Aerie.Router.Tables do
   @spec setting(t, term, default) :: term | default when default: term
   def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)
 
-  @doc "Tells every process that forwards to look again."
-  @spec changed(t) :: :ok
-  def changed(tables), do: :atomics.add(tables.generation, 1, 1)
+  @doc """
+  Tells every process that forwards to look again: at one endpoint, or at all of them and their owners' rules. Told after
+  the change is in the tables.
+  """
+  @spec changed(t, Aerie.Router.Endpoint.key() | :all) :: :ok
+  def changed(tables, what \\ :all) do
+    generation = :atomics.add_get(tables.generation, 1, 1)
+    true = :ets.insert(tables.changes, {generation, what})
+    true = :ets.delete(tables.changes, generation - @max_changes)
+    :ok
+  end
+
+  @doc """
+  The endpoints that changed after one generation and up to another; `:all` when it was more than endpoints, or too long
+  ago, or when one that made a change has not yet said which.
+  """
+  @spec changes(t, non_neg_integer, non_neg_integer) :: [Aerie.Router.Endpoint.key()] | :all
+  def changes(_tables, from, to) when to - from > div(@max_changes, 4), do: :all
+
+  def changes(tables, from, to) do
+    changes =
+      for generation <- (from + 1)..to//1, do: :ets.lookup_element(tables.changes, generation, 2, :all)
+
+    if :all in changes, do: :all, else: Enum.uniq(changes)
+  end
 
   @doc "The generation just now."
   @spec generation(t) :: non_neg_integer

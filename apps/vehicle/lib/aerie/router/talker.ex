@@ -21,6 +21,7 @@ defmodule Aerie.Router.Talker do
   # How long it may take until what was learned elsewhere is seen here; what changes rules is seen at once.
   @fresh_ms 1_000
   @learn_ms 250
+  # Vehicles' ways of a network that hear everything of each other.
   @team 8
 
   @enforce_keys [:system, :component]
@@ -52,7 +53,9 @@ defmodule Aerie.Router.Talker do
   """
   @spec refresh(t, Tables.t(), Plan.t(), Way.t(), boolean, integer) :: t
   def refresh(talker, tables, plan, way, known?, now) do
-    marks = {plan.generation, Tables.routed(tables)}
+    # A vehicle need not look again for each of many others that comes; an endpoint that is new under its old name must.
+    generation = if way.side == :vehicle, do: {plan.audience, way.tally}, else: plan.generation
+    marks = {generation, Tables.routed(tables)}
 
     talker =
       cond do
@@ -101,36 +104,56 @@ defmodule Aerie.Router.Talker do
     for network <- way.networks,
         do: Routes.drop(tables, {network, talker.system, talker.component}, way.key)
 
-    sniffers = for {_key, %{sniffer: true} = to} <- plan.ways, broadcast?(way, to, talker, tables), do: to
+    sniffers =
+      for {_key, %{sniffer: true} = to} <- plan.listeners, broadcast?(way, to, talker, tables), do: to
+
     %{talker | other: true, learned: nil, everyone: sniffers, groups: [], heartbeats: [], twice: false}
   end
 
   defp known(talker, tables, plan, way) do
     others = way.networks |> Enum.flat_map(&elsewhere(tables, way, talker, &1)) |> Enum.uniq()
-    audience = for {_key, to} <- plan.ways, broadcast?(way, to, talker, tables), do: to
+    {full, less} = if way.side == :vehicle, do: of_vehicle(plan, tables, way, talker), else: {plan.ways, %{}}
 
     # A vehicle's own frames do not come back to it by its second radio, nor go to another one that takes them for its own; a
     # client may have a vehicle of its own as well.
-    audience =
-      Enum.reject(audience, &(&1.side == :vehicle and (&1.key in others or apart?(tables, way, talker, &1))))
+    hears? = fn to ->
+      broadcast?(way, to, talker, tables) and
+        not (to.side == :vehicle and (to.key in others or apart?(tables, way, talker, to)))
+    end
 
-    {vehicles, clients} = Enum.split_with(audience, &(&1.side == :vehicle))
-
-    {full, less} =
-      if way.heard_vehicle,
-        do: Enum.split_with(vehicles, &team?(plan, tables, &1, talker, way)),
-        else: {vehicles, []}
-
-    less = if plan.between == :none, do: [], else: less
-    {grouped, single} = Enum.split_with(full, & &1.group)
+    full = for {_key, to} <- full, hears?.(to), do: to
+    less = for {_key, to} <- less, hears?.(to), do: to
+    {grouped, single} = Enum.split_with(full, &(&1.side == :vehicle and &1.group != nil))
 
     %{
       talker
-      | everyone: clients ++ single,
+      | everyone: single,
         groups: Enum.group_by(grouped, & &1.group) |> Map.to_list(),
         heartbeats: less,
         twice: others != []
     }
+  end
+
+  # Of another vehicle, or who may be one, a vehicle hears everything in a small team, heartbeats in a larger one, nothing in a crowd: each of
+  # these costs every receiver's radio, and us, in proportion to the number of senders. Its own other parts, and who is no
+  # vehicle, get everything.
+  defp of_vehicle(plan, tables, way, talker) do
+    others = Enum.reduce(way.networks, %{}, &Map.merge(&2, Map.get(plan.vehicles, &1, %{})))
+    count = map_size(others)
+
+    case plan.between do
+      :all -> {Map.merge(others, plan.listeners), %{}}
+      :auto when count <= @team -> {Map.merge(others, plan.listeners), %{}}
+      :auto -> parts(plan, tables, way, talker, if(count <= Plan.choir(), do: others, else: %{}))
+      :heartbeats -> parts(plan, tables, way, talker, others)
+      :none -> parts(plan, tables, way, talker, %{})
+    end
+  end
+
+  defp parts(plan, tables, way, talker, others) do
+    keys = Enum.flat_map(way.networks, &Routes.ways(tables, {&1, talker.system}))
+    parts = Map.take(plan.ways, keys)
+    {Map.merge(plan.listeners, parts), Map.drop(others, keys)}
   end
 
   defp broadcast?(way, to, talker, tables) do
@@ -159,19 +182,4 @@ defmodule Aerie.Router.Talker do
     id = Renumber.seen(offsets, network, system)
     Enum.any?(earlier, &Routes.known?(tables, {&1, Renumber.meant(offsets, &1, id)}))
   end
-
-  # Another vehicle's telemetry is for small teams; the vehicle's own other parts, and who is no vehicle, get everything.
-  defp team?(%{between: :all}, _tables, _to, _talker, _way), do: true
-
-  defp team?(plan, tables, to, talker, way) do
-    not to.heard_vehicle or (plan.between == :auto and small?(plan, way)) or
-      Enum.any?(way.networks, &Routes.heard?(tables, {&1, talker.system}, to.key))
-  end
-
-  defp small?(plan, way) do
-    Enum.count_until(plan.ways, fn {_key, to} -> to.heard_vehicle and shares?(way, to) end, @team + 1) <=
-      @team
-  end
-
-  defp shares?(way, to), do: Enum.any?(way.networks, &(&1 in to.networks))
 end

@@ -45,6 +45,16 @@ defmodule Aerie.Router.Tally do
     def dropped(tally, unquote(class), n), do: add(tally, unquote(:"dropped_#{class}"), n)
   end
 
+  @doc "One counter."
+  @spec get(t, atom) :: non_neg_integer
+  for {name, index} <- Enum.with_index(@names, 1) do
+    def get(tally, unquote(name)), do: :counters.get(tally, unquote(index))
+  end
+
+  @doc "How many did not go out: dropped in all classes, or not taken by the socket."
+  @spec lost(t) :: non_neg_integer
+  def lost(tally), do: Enum.reduce([:failed | @dropped], 0, &(get(tally, &1) + &2))
+
   @doc "How many were dropped in all classes, of counters that were read."
   @spec dropped(%{atom => non_neg_integer}) :: non_neg_integer
   def dropped(counts), do: Enum.reduce(@dropped, 0, &(Map.get(counts, &1, 0) + &2))

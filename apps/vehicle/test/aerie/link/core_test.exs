@@ -136,6 +136,65 @@ defmodule Aerie.Link.CoreTest do
     assert Map.keys(core.peers.map) == [:y, :z]
   end
 
+  test "who has said more than its first words gives way to nobody" do
+    core = up("udpin::1", max_peers: 2)
+    {core, _} = run(core, [{0, {:read, [{:x, attitude(1, 1)}]}}, {600, {:read, [{:x, attitude(1, 2)}]}}])
+    {core, _} = run(core, [{700, {:read, [{:y, attitude(1, 1)}]}}, {30_000, {:read, [{:z, attitude(1, 1)}]}}])
+    assert Map.keys(core.peers.map) == [:x, :z]
+    {core, actions} = Core.handle(core, {:read, [{:y, attitude(1, 1)}]}, now(30_001))
+    assert actions == []
+    assert Map.keys(core.peers.map) == [:x, :z]
+    assert Core.counters(core).peers_refused == 1
+  end
+
+  test "of ten thousand made-up senders a second few are listened to; a known peer loses nothing" do
+    core = up("udpin::1", max_peers: 1024)
+
+    {core, _} =
+      run(core, [{0, {:read, [{:known, attitude(1, 0)}]}}, {600, {:read, [{:known, attitude(1, 1)}]}}])
+
+    # Ten seconds: a hundred of them, and what the peer says, in each read.
+    {core, joined, heard} =
+      Enum.reduce(1..1000, {core, 0, []}, fn n, {core, joined, heard} ->
+        reads = for k <- 1..100, do: {{n, k}, attitude(rem(k, 250) + 2, 1)}
+        {core, actions} = Core.handle(core, {:read, reads ++ [{:known, attitude(1, n)}]}, now(600 + n * 10))
+        assert :publish not in actions
+        new = Enum.count(actions, &match?({:join, _peer, _text}, &1))
+        {core, joined + new, heard ++ for({:deliver, :known, frames} <- actions, f <- frames, do: number(f))}
+      end)
+
+    assert heard == Enum.to_list(1..1000)
+    # Those that are there at once, and a hundred a second.
+    assert joined in 1_500..1_513
+    assert map_size(core.peers.map) <= 1024
+    counters = Core.counters(core)
+    assert counters.peers_refused == 100_000 - joined
+    assert counters.frames_in == joined + 1_002
+    assert counters.bytes_in == 101_002 * byte_size(attitude(1, 1))
+  end
+
+  test "what a made-up sender costs does not depend on how many peers there are" do
+    work = fn peers ->
+      core = up("udpin::1", max_peers: 2_000)
+
+      core =
+        Enum.reduce(1..peers, core, fn n, core ->
+          elem(Core.handle(core, {:read, [{n, attitude(1, 1)}]}, now(n * 11)), 0)
+        end)
+
+      at = now(peers * 11 + 1)
+      {core, _} = Core.handle(core, {:read, for(n <- 1..600, do: {{:filler, n}, attitude(1, 1)})}, at)
+      reads = for n <- 1..1_000, do: {{:made_up, n}, attitude(1, 1)}
+      {:reductions, before} = Process.info(self(), :reductions)
+      {_core, []} = Core.handle(core, {:read, reads}, at)
+      {:reductions, later} = Process.info(self(), :reductions)
+      div(later - before, 1_000)
+    end
+
+    assert work.(10) <= 60
+    assert work.(1_000) <= 60
+  end
+
   test "garbage from a thousand addresses makes no peer" do
     reads = for n <- 1..1000, do: {n, <<0xFD, 9, 0, n::16, 1, 2, 3>>}
     {core, actions} = Core.handle(up("udpin::1"), {:read, reads}, now(1))

@@ -292,6 +292,34 @@ defmodule Aerie.Router.ForwardTest do
       assert %{"camera" => [^first]} = got(camera)
     end
 
+    test "a crowd hears nothing of each other, and a vehicle that comes to it costs the others no look", c do
+      all = for n <- 1..40, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      [v1 | others] = all
+      beat = heartbeat(1, seq: 9)
+      say(v1, [attitude(1, 1), beat])
+      got = got([g | all])
+      assert got["g"] == [attitude(1, 1), beat]
+      for %{name: name} <- others, do: assert(got[name] == [])
+      # Its own other parts hear it, by whichever way they are reached.
+      part = endpoint(c.gateway, "part", side: :vehicle)
+      say(part, heartbeat(1, component: 2))
+      got([part | all])
+      say(v1, attitude(1, 2))
+      assert %{"part" => [_]} = got(part)
+    end
+
+    test "heartbeats that come faster than anybody needs them reach other vehicles at a bounded rate", c do
+      all = for n <- 1..10, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      say(hd(all), for(n <- 1..100, do: heartbeat(1, seq: n)))
+      got = got([g | all])
+      assert length(got["g"]) == 100
+      for %{name: name} <- tl(all), do: assert(length(got[name]) in 1..4)
+    end
+
     test "as configured" do
       for {between, expected} <- [all: 2, heartbeats: 1, none: 0] do
         gateway = start_parts(%{router: %{between_vehicles: between}})
@@ -301,6 +329,55 @@ defmodule Aerie.Router.ForwardTest do
         say(v1, [attitude(1, 1), heartbeat(1, seq: 9)])
         assert length(got(v2)[v2.name]) == expected
       end
+    end
+  end
+
+  describe "senders on a link to vehicles that are none" do
+    # Peers of one link, all written to by one process.
+    defp peers(gateway, names) do
+      tables = Router.Tables.of(gateway)
+      {:ok, owner} = Router.Owner.new("port", side: :vehicle, networks: ["main"])
+      Router.Endpoints.put_owner(tables, owner)
+
+      for name <- names do
+        fields = [out: {:pid, self(), name}, kind: :link, listens: Router.Endpoints.listens?(tables, owner)]
+        Router.Endpoints.put(gateway, tables, Endpoint.new(gateway, {"port", name}, fields))
+      end
+    end
+
+    defp heard_by do
+      receive do
+        {:forward, name, bytes, _class} -> [{name, length(bytes)} | heard_by()]
+      after
+        0 -> []
+      end
+    end
+
+    defp by_port(gateway, peer, bytes) do
+      Router.deliver(gateway, %{id: "port", network: "main", peer: peer}, parse(bytes))
+    end
+
+    test "32 of a link hear what others broadcast; a place that gets free is another's", c do
+      peers(c.gateway, 1..100)
+      v = vehicle(c.gateway, "v", 1)
+      heard_by()
+      say(v, attitude(1, 1))
+      assert length(heard_by()) == 32
+
+      # A vehicle needs no place, and those that were too many get theirs when they say that they are there.
+      for n <- 1..10, do: by_port(c.gateway, n, heartbeat(100 + n))
+      for n <- 40..100, do: by_port(c.gateway, n, heartbeat(255, type: 6, autopilot: 8))
+      heard_by()
+      say(v, attitude(1, 2))
+      assert length(heard_by()) == 32
+    end
+
+    test "what they say is not multiplied by the number of vehicles", c do
+      peers(c.gateway, 1..100)
+      for n <- 1..50, do: by_port(c.gateway, n, heartbeat(100 + n))
+      heard_by()
+      by_port(c.gateway, 100, attitude(9, 1))
+      assert Enum.all?(heard_by(), fn {peer, 1} -> peer > 50 end)
     end
   end
 

@@ -19,6 +19,78 @@ defmodule Aerie.Router.PureTest do
 
   defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]))
 
+  describe "Plan" do
+    alias Aerie.Router.{Endpoint, Endpoints, Plan, Routes}
+
+    defp tables do
+      # Where endpoints tell that they are there is not needed here.
+      name = {__MODULE__, make_ref()}
+      {:ok, _} = Registry.register(Aerie.Registry, {name, :router, nil}, nil)
+      {name, Tables.create(name, [])}
+    end
+
+    test "brought up to date it is what reading it anew gives, whatever changed" do
+      :proper.forall(list({range(1, 5), elements([:put, :remove, :vehicle, :client, :owner])}), fn steps ->
+        {gateway, tables} = tables()
+        {:ok, owner} = Owner.new("l", side: :vehicle, networks: ["main"])
+        Endpoints.put_owner(tables, owner)
+
+        {plan, _} =
+          Enum.reduce(steps, {Plan.read(tables), 0}, fn {n, what}, {plan, skipped} ->
+            key = {"l", n}
+
+            case what do
+              :put -> Endpoints.put(gateway, tables, Endpoint.new(gateway, key, out: {:pid, self(), n}))
+              :remove -> Endpoints.remove(tables, key)
+              :vehicle -> Endpoints.note(tables, key, side: nil, heard_vehicle: true)
+              :client -> Endpoints.note(tables, key, side: :client, heard_vehicle: false)
+              :owner -> Endpoints.put_owner(tables, owner)
+            end
+
+            # Several changes are taken in at once as well.
+            if rem(skipped + n, 3) == 0, do: {plan, skipped + 1}, else: {Plan.refresh(plan, tables), skipped}
+          end)
+
+        plan = Plan.refresh(plan, tables)
+        Map.delete(plan, :audience) == Map.delete(Plan.read(tables), :audience)
+      end)
+      |> check()
+    end
+
+    test "one more endpoint costs as much among a thousand as among ten" do
+      work = fn others ->
+        {gateway, tables} = tables()
+        {:ok, owner} = Owner.new("l", side: :vehicle, networks: ["main"])
+        Endpoints.put_owner(tables, owner)
+        put = &Endpoints.put(gateway, tables, Endpoint.new(gateway, {"l", &1}, heard_vehicle: true))
+        for n <- 1..others, do: put.(n)
+        plan = Plan.read(tables)
+        put.(:new)
+        {:reductions, before} = Process.info(self(), :reductions)
+        plan = Plan.refresh(plan, tables)
+        {:reductions, later} = Process.info(self(), :reductions)
+        assert map_size(plan.ways) == others + 1
+        later - before
+      end
+
+      assert work.(1_000) < 3 * work.(10) + 500
+    end
+
+    test "the routes of one peer are forgotten without a look at the others'" do
+      {_gateway, tables} = tables()
+      for n <- 1..5_000, do: Routes.learn(tables, "main", n, 1, {"l", n}, 0)
+      {:reductions, before} = Process.info(self(), :reductions)
+      Routes.forget(tables, "l", 17)
+      {:reductions, later} = Process.info(self(), :reductions)
+      assert later - before < 500
+      refute Routes.known?(tables, {"main", 17})
+      assert length(Routes.list(tables, 0)) == 4_999
+      Routes.clear(tables, {"main", 18})
+      Routes.sweep(tables, 1)
+      assert :ets.info(tables.heard_by, :size) == :ets.info(tables.routes, :size)
+    end
+  end
+
   describe "Classify" do
     test "every message has a class, and what flies comes before what can wait" do
       for id <- MavCodec.Dialects.All.ids(), do: assert(Classify.of(id) in Classify.classes())

@@ -15,7 +15,7 @@ defmodule Aerie.Config.Keys.Limits do
         """
         Vehicles. A further one takes the place of the one that is lost for the longest time, or is counted and ignored.
         """,
-        default: 250
+        default: 600
       ),
       field(
         :displace_lost_s,
@@ -28,7 +28,7 @@ defmodule Aerie.Config.Keys.Limits do
       ),
       field(:max_links, {:integer, 1, 10_000}, "Links.", default: 64),
       field(:max_clients, {:integer, 1, 10_000}, "Client endpoints.", default: 64),
-      field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 256),
+      field(:max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 1024),
       field(:max_events_in_flight, {:integer, 1, 10_000}, "Events sent to NATS and not yet confirmed.",
         default: 64
       ),

@@ -14,7 +14,7 @@ defmodule Aerie.Config.Keys.Router do
         {:enum, [:auto, :all, :heartbeats, :none]},
         """
         What vehicles hear of what other vehicles say to everybody: all, heartbeats, none; auto: all where at most 8
-        vehicles' ways are in a network, else heartbeats. What is addressed to a vehicle always goes there.
+        vehicles' ways are in a network, heartbeats up to 32, else none. What is addressed to a vehicle always goes there.
         """,
         default: :auto
       )

@@ -72,6 +72,17 @@ defmodule Aerie.System.PeersTest do
     assert_landed([c.copter, c.px4])
   end
 
+  test "two ground stations upload missions to one PX4 at once, time and again: all are accepted", c do
+    [one, two] =
+      for {scheme, source} <- [{"udpin", 255}, {"tcpin", 254}] do
+        port = endpoint(c.gateway, "#{scheme}:127.0.0.1:0")
+        address = if scheme == "udpin", do: "udpout:127.0.0.1:#{port}", else: "tcp:127.0.0.1:#{port}"
+        start_peer("pymavlink_uploads.py", [address, 2, 60, 8, source])
+      end
+
+    for peer <- [one, two], do: assert(%{"results" => "[0, 0, 0, 0, 0, 0, 0, 0]"} = findings(peer))
+  end
+
   @key "a-key-for-the-tests-0123"
   @tag config: %{"api" => %{"key" => @key}}
   test "pymavlink by WebSocket, with a ticket, with ArduPilot; pymavlink by mavlink.sock with PX4", c do

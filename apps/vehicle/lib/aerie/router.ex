@@ -37,6 +37,7 @@ defmodule Aerie.Router do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
+  alias Aerie.Router.Turns
   alias Aerie.Router.Wishes
   alias Aerie.Router.View
   alias MavCodec.Frame
@@ -199,7 +200,9 @@ defmodule Aerie.Router do
     talker = Talker.refresh(before, tables, local.plan, way, known?(heard), now)
     {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
     _ = if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
-    Forward.frames(tables, local.plan, way, talker, Wishes.pass(gateway, way, frames, heard), now)
+    frames = Wishes.pass(gateway, way, frames, heard)
+    frames = Turns.pass(gateway, tables, local.plan, way, talker, frames)
+    Forward.frames(tables, local.plan, way, talker, frames, now)
     {talker, way, autopilot?}
   end
 

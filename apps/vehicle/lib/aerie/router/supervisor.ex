@@ -28,6 +28,7 @@ defmodule Aerie.Router.Supervisor do
       {Aerie.Router.Watch, gateway: gateway},
       {Aerie.Router.Sweeper, gateway: gateway},
       {Aerie.Router.Meter, gateway: gateway},
+      {Aerie.Router.Turns, gateway: gateway},
       {Aerie.Router.Clients.Supervisor, gateway: gateway, config: Keyword.get(options, :config)}
     ]
 

@@ -12,6 +12,8 @@ defmodule Aerie.Router.Tally do
   | `read_only` | from it, and it may not speak |
   | `denied` | from it, orders to vehicles that it may not give (`Aerie.Router.Gate`) |
   | `withheld` | from it, kept from vehicles: an operator's heartbeats and what estimators believe |
+  | `held` | from it, waited until another's transfer with the vehicle was over (`Aerie.Router.Turns`) |
+  | `out_of_turn` | from it, parts of a transfer while another had the turn |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
   | `spared` | not for a link of high latency (X6) |
@@ -24,7 +26,18 @@ defmodule Aerie.Router.Tally do
 
   @dropped Enum.map(Classify.classes(), &:"dropped_#{&1}")
   @names [:frames_in, :frames_out, :bytes_out, :no_route, :duplicates, :collided, :read_only, :secret] ++
-           [:denied, :withheld, :filtered_in, :filtered_out, :limited, :spared, :refused, :failed] ++
+           [
+             :denied,
+             :withheld,
+             :held,
+             :out_of_turn,
+             :filtered_in,
+             :filtered_out,
+             :limited,
+             :spared,
+             :refused,
+             :failed
+           ] ++
            @dropped
 
   @type t :: :counters.counters_ref()

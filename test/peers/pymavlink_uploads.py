@@ -1,0 +1,35 @@
+"""pymavlink uploads missions again and again: pymavlink_uploads.py CONNECTION SYSTEM ITEMS ROUNDS SOURCE
+
+Repeats a MISSION_COUNT that is not answered within 1.5 s, five times, as ground stations do. Prints "results", those of
+all uploads (0: accepted, None: no answer).
+"""
+import sys
+
+from pymavlink_gcs import Gcs, say
+
+
+def upload(g, items):
+    for _ in range(5):
+        g.m.mav.mission_count_send(g.system, 1, len(items), 0)
+        answer = g.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], for_us(g), timeout=1.5, wanted=False)
+        if answer is not None:
+            break
+    while answer is not None and answer.get_type() != "MISSION_ACK":
+        g.m.mav.send(items[answer.seq])
+        answer = g.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], for_us(g), timeout=20, wanted=False)
+    return None if answer is None else answer.type
+
+
+def for_us(g):
+    return lambda m: m.target_system in (0, g.m.mav.srcSystem)
+
+
+def main(address, system, count, rounds, source):
+    g = Gcs(address, system, source)
+    items = [g.item(0, 22, 473977420, 85455940, 12)]
+    items += [g.item(n, 16, 473977420 + n, 85455940, 12) for n in range(1, count)]
+    say("results", [upload(g, items) for _ in range(rounds)])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], *map(int, sys.argv[2:]))

@@ -38,7 +38,7 @@ defmodule Aerie.Vehicle.Detector do
     seq: 0,
     done: 0,
     last: %{},
-    battery: :ok,
+    battery: %{},
     failsafe: nil,
     gcs: false,
     gcs_gone: false,
@@ -58,7 +58,7 @@ defmodule Aerie.Vehicle.Detector do
           seq: non_neg_integer(),
           done: non_neg_integer(),
           last: map(),
-          battery: :ok | :low | :critical,
+          battery: %{(0..255 | :own) => Detector.Batteries.level()},
           failsafe: {integer(), String.t(), String.t()} | nil,
           gcs: boolean(),
           gcs_gone: boolean(),
@@ -95,7 +95,6 @@ defmodule Aerie.Vehicle.Detector do
   @spec digest(State.t()) :: map()
   def digest(state) do
     mode = State.data(state, :mode)
-    battery = State.data(state, :battery)
     mission = State.data(state, :mission)
 
     %{
@@ -104,25 +103,34 @@ defmodule Aerie.Vehicle.Detector do
       in_air: mode.in_air,
       failsafe: mode.failsafe,
       system_status: mode.system_status,
-      remaining: battery.remaining,
-      charge_state: battery.charge_state,
       fence_breach: mission.fence_breach,
       fence_breach_type: mission.fence_breach_type,
       mission_seq: mission.seq,
       mission_total: mission.total,
       mission_state: mission.state
     }
+    |> Map.merge(Detector.Batteries.digest(state))
   end
+
+  @doc "What is shown beside a digest for the data of events, however often it changes."
+  @spec beside(State.t()) :: map()
+  def beside(state),
+    do: %{where: where(State.data(state, :position)), voltages: Detector.Batteries.voltages(state)}
+
+  defp where(%{lat: nil}), do: nil
+
+  defp where(%{lat: lat, lon: lon} = p),
+    do: %{"lat" => lat, "lon" => lon, "alt_msl" => p.alt_msl, "alt_rel" => p.alt_rel}
 
   @doc "One step. `known` gives the value that a parameter had; the new values are in the third element."
   @spec observe(t(), observation(), known()) :: {t(), [Event.t()], %{String.t() => term()}}
   def observe(detector, observation, known \\ fn _name -> :error end)
 
   def observe(detector, {:state, at, boot_ms, digest}, _known) do
-    where = Map.get(digest, :where)
-    digest = digest |> Map.delete(:where) |> Map.reject(fn {_key, value} -> is_nil(value) end)
-    now = Map.merge(detector.last, digest)
-    steps = Detector.Changes.events(detector.last, now, detector, at)
+    {beside, digest} = Map.split(digest, [:where, :voltages])
+    where = beside[:where]
+    now = Map.merge(detector.last, Map.reject(digest, fn {_key, value} -> is_nil(value) end))
+    steps = Detector.Changes.events(detector.last, Map.merge(now, beside), detector, at)
     {detector, events} = emit(%{detector | last: now}, steps, at, boot_ms, where)
     {detector, events, %{}}
   end

@@ -71,14 +71,18 @@ defmodule Aerie.Vehicle.EventTypes do
        {"duration", :number, "s", "how long it was outside"}
      ]},
     {"battery.low", "a battery is low",
-     "BATTERY_STATUS, SYS_STATUS, with the thresholds of the configuration",
+     "BATTERY_STATUS of each battery, SYS_STATUS and HIGH_LATENCY2 where none comes, with the thresholds of the configuration",
      [
-       {"remaining", :number, "0..1", "what is left"},
+       {"battery", :integer, nil, "its id; null where the message does not say"},
+       {"remaining", :number, "0..1", "what is left, by the same message"},
+       {"voltage", :number, "V", "its voltage, by the same message"},
        {"charge_state", :string, nil, "MAV_BATTERY_CHARGE_STATE"}
      ]},
     {"battery.critical", "a battery is nearly empty", "as battery.low",
      [
-       {"remaining", :number, "0..1", "what is left"},
+       {"battery", :integer, nil, "its id; null where the message does not say"},
+       {"remaining", :number, "0..1", "what is left, by the same message"},
+       {"voltage", :number, "V", "its voltage, by the same message"},
        {"charge_state", :string, nil, "MAV_BATTERY_CHARGE_STATE"}
      ]},
     {"rc.lost", "the pilot's remote control is lost",

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.State do
   | `:position` | lat, lon, alt_msl, alt_rel (above home), heading                                               |
   | `:attitude` | roll, pitch, yaw, rollspeed, pitchspeed, yawspeed (°/s)                                        |
   | `:velocity` | vn, ve, vd, groundspeed, airspeed, climb, throttle (%)                                         |
-  | `:battery`  | voltage, current, remaining (0..1), consumed_mah, charge_state, batteries                      |
+  | `:battery`  | id (whose the values are, nil: not said), voltage, current, remaining (0..1), consumed_mah, charge_state, batteries |
   | `:gps`      | fix, fix_name, satellites, hdop, vdop, lat, lon, alt_msl, h_acc, v_acc                         |
   | `:mode`     | mode, custom_mode, armed, in_air, landed_state, vtol_state, system_status, failsafe            |
   | `:health`   | load (%), unhealthy (names), ready_to_arm, arming_checks (PX4: what keeps it from arming), drop_rate (%), errors, ekf, vibration, clipping |
@@ -29,7 +29,7 @@ defmodule Aerie.Vehicle.State do
     position: [:lat, :lon, :alt_msl, :alt_rel, :heading],
     attitude: [:roll, :pitch, :yaw, :rollspeed, :pitchspeed, :yawspeed],
     velocity: [:vn, :ve, :vd, :groundspeed, :airspeed, :climb, :throttle],
-    battery: [:voltage, :current, :remaining, :consumed_mah, :charge_state, :batteries],
+    battery: [:id, :voltage, :current, :remaining, :consumed_mah, :charge_state, :batteries],
     gps: [:fix, :fix_name, :satellites, :hdop, :vdop, :lat, :lon, :alt_msl, :h_acc, :v_acc],
     mode: [:mode, :custom_mode, :armed, :in_air, :landed_state, :vtol_state, :system_status, :failsafe],
     health: [

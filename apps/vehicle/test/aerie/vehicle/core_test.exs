@@ -117,6 +117,38 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(run.core).links == ["b", "a"]
   end
 
+  test "battery events have one battery's values of one message, and its source may change" do
+    pack = [11_000 | List.duplicate(0xFFFF, 9)]
+
+    battery = fn id, percent, state ->
+      %M.BatteryStatus{id: id, voltages: pack, battery_remaining: percent, charge_state: state}
+    end
+
+    status = %M.SysStatus{voltage_battery: 12_000, battery_remaining: 36}
+
+    run =
+      for {message, n} <- Enum.with_index([status, battery.(0, 80, 1), status, battery.(1, 13, 3), status]),
+          reduce: beat(start(), 10) do
+        run -> frames(run, [frame(message, 10 * @second + n * 100_000)])
+      end
+
+    assert [%{type: "battery.critical", data: data}, %{type: "battery.low", data: data}] = run.events
+
+    assert Map.delete(data, "position") ==
+             %{"battery" => 1, "remaining" => 0.13, "voltage" => 11.0, "charge_state" => "CRITICAL"}
+
+    # SYS_STATUS says that it is low, then BATTERY_STATUS says it with its id: told once.
+    low = fn message, at -> frame(message, round(at * @second)) end
+
+    run =
+      start()
+      |> beat(10)
+      |> frames([low.(%{status | battery_remaining: 20}, 10.1), low.(battery.(0, 19, 2), 10.2)])
+
+    assert [%{type: "battery.low", data: %{"battery" => nil, "remaining" => 0.2, "voltage" => 12.0}}] =
+             run.events
+  end
+
   test "more texts than the budget allows are told as one, when they are over, in a recording too" do
     flood = for n <- 1..500, do: frame(%M.Statustext{severity: 6, text: "#{n}"}, 11 * @second + n * 1000)
     live = start() |> beat(10) |> frames(flood) |> tick(14) |> tick(15)

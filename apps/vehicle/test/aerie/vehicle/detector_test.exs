@@ -139,6 +139,18 @@ defmodule Aerie.Vehicle.DetectorTest do
                ["battery.low", "battery.critical"]
     end
 
+    test "each battery has its own events" do
+      other = fn remaining ->
+        [batteries: [%{id: 1, remaining: remaining, charge_state: "OK"}], battery: 0]
+      end
+
+      {events, _} =
+        observe([state(0, other.(0.3)), state(1, other.(0.2)), state(2, [remaining: 0.2] ++ other.(0.2))])
+
+      assert [{"battery.low", %{"battery" => 1}}, {"battery.low", %{"battery" => 0}}] =
+               Enum.map(events, &{&1.type, &1.data})
+    end
+
     test "one that is found low is an event; one that is not measured is none" do
       assert types([state(0, remaining: 0.2)]) == ["battery.low"]
       assert types([state(0, remaining: nil), state(1, remaining: nil)]) == []

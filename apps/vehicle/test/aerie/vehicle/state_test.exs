@@ -122,18 +122,29 @@ defmodule Aerie.Vehicle.StateTest do
     assert State.data(fold([@copter, %M.SysStatus{current_battery: -100}]), :battery).current == -1.0
   end
 
-  test "several batteries: each is listed, the worst state counts, the first one speaks for all without SYS_STATUS" do
+  test "several batteries: each is listed, the worst state counts, the first one that knows speaks for all" do
     cells = fn voltage -> [voltage | List.duplicate(0xFFFF, 9)] end
-    one = %M.BatteryStatus{id: 0, voltages: cells.(16_200), battery_remaining: 50, charge_state: 1}
-    two = %M.BatteryStatus{id: 1, voltages: cells.(15_100), battery_remaining: 20, charge_state: 3}
-    battery = State.data(fold([@copter, two, one]), :battery)
-    assert %{voltage: 16.2, remaining: 0.5, charge_state: "CRITICAL"} = battery
-    assert [%{id: 0, voltage: 16.2}, %{id: 1, voltage: 15.1, remaining: 0.2}] = battery.batteries
+    blind = %M.BatteryStatus{id: 0, voltages: cells.(0xFFFF), battery_remaining: -1}
+    one = %M.BatteryStatus{id: 1, voltages: cells.(16_200), battery_remaining: 50, charge_state: 1}
+    two = %M.BatteryStatus{id: 2, voltages: cells.(15_100), battery_remaining: 20, charge_state: 3}
+    battery = State.data(fold([@copter, two, one, blind]), :battery)
+    assert %{id: 1, voltage: 16.2, remaining: 0.5, charge_state: "CRITICAL"} = battery
+    assert [%{id: 0}, %{id: 1, voltage: 16.2}, %{id: 2, voltage: 15.1, remaining: 0.2}] = battery.batteries
+  end
 
-    with_status =
-      State.data(fold([@copter, %M.SysStatus{voltage_battery: 12_000, battery_remaining: 44}, one]), :battery)
+  test "SYS_STATUS, which does not say of which battery, counts only where no battery speaks for itself" do
+    status = %M.SysStatus{voltage_battery: 12_000, battery_remaining: 36}
+    one = %M.BatteryStatus{id: 0, voltages: [11_000 | List.duplicate(0xFFFF, 9)], battery_remaining: 13}
+    assert %{id: nil, voltage: 12.0, remaining: 0.36} = State.data(fold([@copter, status]), :battery)
 
-    assert %{voltage: 12.0, remaining: 0.44} = with_status
+    assert %{id: 0, voltage: 11.0, remaining: 0.13} =
+             State.data(fold([@copter, status, one, status]), :battery)
+
+    {state, _groups} = State.apply(fold([@copter, one]), 1, status, 60_000_000)
+    assert %{id: nil, voltage: 12.0, remaining: 0.36} = State.data(state, :battery)
+
+    unknown = %{one | voltages: List.duplicate(0xFFFF, 10), battery_remaining: -1}
+    assert %{id: nil, remaining: 0.36} = State.data(fold([@copter, status, unknown, status]), :battery)
   end
 
   test "cells add up, those of the extension too" do

@@ -52,19 +52,9 @@ defmodule Aerie.Vehicle.Core.Effects do
       digest ->
         # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
         # before. The other way round the snapshot would bring back what is over.
-        observation = {:state, at, core.state.boot_ms, Map.put(digest, :where, where(core.state))}
+        observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.beside(core.state))}
         {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, at)
         {core, [{:observe, observation} | actions]}
-    end
-  end
-
-  defp where(state) do
-    case State.data(state, :position) do
-      %{lat: nil} ->
-        nil
-
-      %{lat: lat, lon: lon} = p ->
-        %{"lat" => lat, "lon" => lon, "alt_msl" => p.alt_msl, "alt_rel" => p.alt_rel}
     end
   end
 

@@ -8,9 +8,6 @@ defmodule Aerie.Vehicle.Detector.Changes do
 
   alias Aerie.Vehicle.Detector
 
-  # A battery has to recover by this much before it can be low again.
-  @recovered 0.05
-
   @type step :: {String.t() | nil, map(), keyword()}
 
   @spec events(map(), map(), Detector.t(), integer()) :: [step()]
@@ -20,7 +17,7 @@ defmodule Aerie.Vehicle.Detector.Changes do
       takeoff(last, now) ++
       failsafe(last, now, detector, at) ++
       geofence(last, now, detector, at) ++
-      battery(now, detector) ++
+      Detector.Batteries.events(now, detector) ++
       mission(last, now, detector) ++
       landed(last, now) ++
       disarmed(last, now)
@@ -67,36 +64,6 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp geofence(_last, _now, _detector, _at), do: []
 
   defp breached(now, at), do: [{"geofence", %{"breach" => now[:fence_breach_type]}, fence: at}]
-
-  defp battery(now, detector) do
-    level = level(now, detector)
-    data = %{"remaining" => now[:remaining], "charge_state" => now[:charge_state]}
-    low = {"battery.low", data, battery: :low}
-    critical = {"battery.critical", data, battery: :critical}
-
-    case {detector.battery, level} do
-      {:ok, :low} -> [low]
-      {:ok, :critical} -> [low, critical]
-      {:low, :critical} -> [critical]
-      {:critical, :low} -> [{nil, %{}, battery: :low}]
-      {was, :ok} when was != :ok -> [{nil, %{}, battery: :ok}]
-      _same -> []
-    end
-  end
-
-  # The level with hysteresis: a level that was reached is left only well above its threshold.
-  defp level(now, detector) do
-    charge = now[:charge_state]
-    remaining = now[:remaining] || 1.0
-    critical = detector.battery_critical + if(detector.battery == :critical, do: @recovered, else: 0)
-    low = detector.battery_low + if(detector.battery == :ok, do: 0, else: @recovered)
-
-    cond do
-      charge in ["CRITICAL", "EMERGENCY", "FAILED"] or remaining <= critical -> :critical
-      charge == "LOW" or remaining <= low -> :low
-      true -> :ok
-    end
-  end
 
   # PX4 calls a mission complete before it began and again when it lands later: it is over when it was active, the last
   # item is the current one, and it was not over already.

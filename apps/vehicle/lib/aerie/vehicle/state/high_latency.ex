@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
   @geofence 0x800
 
   @impl State
-  def read(%M.HighLatency2{} = m, _state, _at) do
+  def read(%M.HighLatency2{} = m, state, at) do
     with {lat, lon} <- Value.lat_lon(m.latitude, m.longitude) || {nil, nil} do
       autopilot = Kind.autopilot(m.autopilot)
       kind = Kind.name(m.type)
@@ -33,7 +33,6 @@ defmodule Aerie.Vehicle.State.HighLatency do
            climb: m.climb_rate / 10,
            throttle: if(m.throttle <= 100, do: m.throttle)
          },
-         battery: %{remaining: if(m.battery in 0..100, do: m.battery / 100)},
          gps: %{
            lat: lat,
            lon: lon,
@@ -43,7 +42,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
          },
          mission: mission(m),
          health: %{unhealthy: failures(m.failure_flags)}
-       ]}
+       ] ++ State.Power.summary(%{remaining: if(m.battery in 0..100, do: m.battery / 100)}, state, at)}
     else
       :invalid -> {:invalid, :high_latency2}
     end

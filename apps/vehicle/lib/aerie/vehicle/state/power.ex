@@ -2,8 +2,9 @@ defmodule Aerie.Vehicle.State.Power do
   @moduledoc """
   Batteries and what SYS_STATUS says besides.
 
-  The group's own voltage, current and remaining are those of SYS_STATUS, or of the battery with the lowest id while no
-  SYS_STATUS comes; `batteries` lists each that sends BATTERY_STATUS. `charge_state` is the worst of all.
+  `batteries` lists each battery that sends BATTERY_STATUS. The group's own `voltage`, `current` and `remaining` are of one
+  message: that of the battery with the lowest id (`id`) of those that know either; of SYS_STATUS or HIGH_LATENCY2, which
+  do not say whose values they have (`id` is nil), only while no BATTERY_STATUS comes. `charge_state` is the worst of all.
   """
   @behaviour Aerie.Vehicle.State
 
@@ -13,7 +14,8 @@ defmodule Aerie.Vehicle.State.Power do
   alias MavCodec.Enums.{MavBatteryChargeState, MavSysStatusSensor}
   alias MavCodec.Messages, as: M
 
-  @fresh_us 5_000_000
+  # PX4 sends BATTERY_STATUS every two seconds, slow links less often.
+  @fresh_us 10_000_000
   @prearm_check 0x10000000
   # MAV_BATTERY_CHARGE_STATE, from harmless to bad.
   @severity %{
@@ -29,17 +31,17 @@ defmodule Aerie.Vehicle.State.Power do
   @max_batteries 16
 
   @impl State
-  def read(%M.SysStatus{} = m, state, _at) do
+  def read(%M.SysStatus{} = m, state, at) do
     battery = %{
       voltage: voltage(m.voltage_battery),
       current: current(m.current_battery, state.autopilot),
       remaining: remaining(m.battery_remaining)
     }
 
-    {[], battery: battery, health: health(m)}
+    {[], summary(battery, state, at) ++ [health: health(m)]}
   end
 
-  def read(%M.BatteryStatus{} = m, state, at) do
+  def read(%M.BatteryStatus{} = m, state, _at) do
     one = %{
       id: m.id,
       voltage: total_voltage(m),
@@ -53,16 +55,25 @@ defmodule Aerie.Vehicle.State.Power do
     others = Enum.reject(State.data(state, :battery).batteries || [], &(&1.id == m.id))
     batteries = Enum.take(Enum.sort_by([one | others], & &1.id), @max_batteries)
 
-    {[],
-     battery: Map.merge(own(state, batteries, at), %{batteries: batteries, charge_state: worst(batteries)})}
+    {[], battery: Map.merge(own(batteries), %{batteries: batteries, charge_state: worst(batteries)})}
   end
 
-  defp own(state, [first | _], at) do
-    consumed = %{consumed_mah: first.consumed_mah}
+  defp own(batteries),
+    do: Map.take(first(batteries) || %{}, [:id, :voltage, :current, :remaining, :consumed_mah])
 
-    case state.sources do
-      %{1 => sys_status} when at - sys_status <= @fresh_us -> consumed
-      _no_sys_status -> Map.merge(consumed, Map.take(first, [:voltage, :current, :remaining]))
+  @doc "The battery whose values are the group's own: the one with the lowest id of those that know theirs; nil if none does."
+  @spec first([map()]) :: map() | nil
+  def first(batteries), do: Enum.find(batteries, &(&1.voltage != nil or &1.remaining != nil))
+
+  @doc """
+  What a message says of the vehicle's power without saying of which battery, as a change of the group; none while a battery
+  speaks for itself.
+  """
+  @spec summary(map(), State.t(), at :: integer()) :: [{:battery, map()}]
+  def summary(values, state, at) do
+    case {State.data(state, :battery), state.sources} do
+      {%{id: id}, %{147 => heard}} when id != nil and at - heard <= @fresh_us -> []
+      _no_battery -> [battery: Map.merge(%{id: nil, voltage: nil, current: nil, consumed_mah: nil}, values)]
     end
   end
 

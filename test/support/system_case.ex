@@ -82,9 +82,8 @@ defmodule Aerie.SystemCase do
 
   @doc "A plain NATS client of the gateway's server, as any user would have."
   def nats_client(gateway) do
-    %{url: url} = Aerie.Bridge.info(gateway)
-    %URI{host: host, port: port} = URI.parse(url)
-    {:ok, conn} = Gnat.start_link(%{host: host, port: port})
+    %URI{host: host, port: port, userinfo: token} = URI.parse(Aerie.Bridge.login_url(gateway))
+    {:ok, conn} = Gnat.start_link(%{host: host, port: port, token: token})
     conn
   end
 

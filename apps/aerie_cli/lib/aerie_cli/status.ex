@@ -85,6 +85,7 @@ defmodule AerieCLI.Status do
       links: links,
       faces: Faces.list(links, commands, Aerie.Router.clients(state.gateway), state.config),
       nats: Aerie.Bridge.info(state.gateway),
+      nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),
       published: published(state.gateway),
       pending: Fleet.Journal.pending_size(state.gateway),
       http: state.http,

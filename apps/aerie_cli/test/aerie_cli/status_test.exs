@@ -44,7 +44,7 @@ defmodule AerieCLI.StatusTest do
             counters: %{crc_errors: 3, lost: 7, denied: 0, dropped_out: 0}
           }
         ],
-        nats: %{connected: true, url: "nats://127.0.0.1:4222", outbox: %{events: 0}},
+        nats: %{connected: true, url: "nats://127.0.0.1:4222", problem: nil, outbox: %{events: 0}},
         published: 17,
         http: "http://127.0.0.1:4000"
       },
@@ -85,6 +85,19 @@ defmodule AerieCLI.StatusTest do
     assert table =~ "link link-1: 20 orders to vehicles were REFUSED"
     assert Lines.face(face) == ~s|open="udpin:0.0.0.0:14550 (udp)" to="whoever reaches it: vehicles"|
     assert Enum.any?(Lines.render(view), &(&1 =~ "denied=20"))
+  end
+
+  test "the address comes with its login in a terminal, and without it in a log" do
+    view = view(nats_login: "nats://token@127.0.0.1:4222")
+    assert view |> Table.render(140, 40) |> text() =~ "NATS connected nats://token@127.0.0.1:4222  published"
+    refute view |> Lines.render() |> text() =~ "token"
+  end
+
+  test "events that are not confirmed are told although there is a connection" do
+    nats = %{connected: true, url: "nats://h:1", problem: "no space left on device", outbox: %{events: 9}}
+    table = [nats: nats] |> view() |> Table.render(140, 40) |> text()
+    assert table =~ "events waiting 9\nNATS PROBLEM: no space left on device\n"
+    assert [nats: nats] |> view() |> Lines.render() |> text() =~ ~s(problem="no space left on device")
   end
 
   test "what is not known is a dash, and a lost vehicle is called lost" do

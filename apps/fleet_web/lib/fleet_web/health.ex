@@ -2,8 +2,8 @@ defmodule FleetWeb.Health do
   @moduledoc """
   Is a gateway ready to do its work? Answered from the read model, part by part, so that a probe that fails says why.
 
-  Ready means: the gateway's parts run and NATS is connected (or switched off by the configuration). Links that are down do not make it unready, because a
-  gateway that waits for a radio to come back does its work; they are listed all the same.
+  Ready means: the gateway's parts run and NATS stores events (or is switched off by the configuration). Links that are down
+  do not make it unready, because a gateway that waits for a radio to come back does its work; they are listed all the same.
   """
 
   alias Aerie.{Fleet, Names}
@@ -15,8 +15,8 @@ defmodule FleetWeb.Health do
   def ready(gateway) do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
     nats = Aerie.Bridge.info(gateway)
-    connected? = nats != nil and nats.connected
-    ready? = (connected? or nats_off?(gateway)) and Enum.all?(parts, fn {_name, running?} -> running? end)
+    problem = nats_problem(gateway, nats)
+    ready? = problem == nil and Enum.all?(parts, fn {_name, running?} -> running? end)
 
     links =
       for link <- Fleet.Store.links(gateway),
@@ -27,15 +27,20 @@ defmodule FleetWeb.Health do
        status: if(ready?, do: "ready", else: "not ready"),
        parts: parts,
        nats: %{
-         connected: connected?,
+         connected: nats != nil and nats.connected,
          url: nats[:url],
          outbox: nats[:outbox][:events],
-         problem: nats[:outbox][:problem]
+         stalled_s: nats[:outbox][:stalled_s],
+         problem: problem || nats[:outbox][:problem]
        },
        links: links,
        vehicles: length(Fleet.Store.vehicles(gateway))
      }}
   end
+
+  # What keeps events from being stored, or nil. The outbox's own trouble is shown, but does not.
+  defp nats_problem(gateway, nil), do: if(not nats_off?(gateway), do: "the bridge to NATS does not run")
+  defp nats_problem(_gateway, nats), do: nats.problem
 
   defp nats_off?(gateway), do: match?(%{nats: %{mode: :off}}, Aerie.Gateway.config(gateway))
 end

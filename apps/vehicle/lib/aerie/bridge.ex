@@ -17,18 +17,23 @@ defmodule Aerie.Bridge do
   """
 
   alias Aerie.Bridge.{Metrics, State, Tables}
+  alias Aerie.Bridge.Server.Token
   alias Aerie.Names
 
   @typedoc """
   * `mode` - `:embedded` or `:url`
   * `connected` - whether there is a connection; `url` - to which server, or the embedded server's
-  * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`
+  * `problem` - what keeps events from being stored by NATS, in words, or nil: whether the bridge does its work
+  * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`, `fault`
+    (why it stores nothing, or nil)
   * `streams` - what became of each stream, see `Aerie.Bridge.Streams`
-  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (text or nil)
+  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (for how long
+    events have waited and none was confirmed) and `stalled` (that this is a problem: text or nil)
   """
   @type info :: %{
           mode: :embedded | :url,
           connected: boolean(),
+          problem: String.t() | nil,
           url: String.t() | nil,
           server: map() | nil,
           streams: map(),
@@ -54,11 +59,25 @@ defmodule Aerie.Bridge do
       %{
         mode: if(server == %{}, do: :url, else: :embedded),
         connected: connection[:status] == :up,
+        problem: Tables.problem(tables),
         url: connection[:url] || server[:url],
         server: if(server != %{}, do: server),
         streams: tables |> Tables.info(:streams) |> Map.get(:report, %{}),
         outbox: Tables.info(tables, :outbox)
       }
+    end
+  end
+
+  @doc """
+  The address for people and programs on this machine: of the embedded server with its login, which is for the terminal of
+  whoever started it and for nothing that others can read. Nil when there is none to name.
+  """
+  @spec login_url(Names.gateway()) :: String.t() | nil
+  def login_url(gateway) do
+    case info(gateway) do
+      %{mode: :embedded, server: %{status: :up} = server} -> Token.url(server)
+      %{mode: :url, url: url} -> url
+      _not_up -> nil
     end
   end
 

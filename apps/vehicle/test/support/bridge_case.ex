@@ -79,11 +79,14 @@ defmodule Aerie.BridgeCase do
     end
   end
 
-  @doc "Waits until the connection and the streams are there; gives the URL."
+  @doc "Waits until the connection and the streams are there; gives the URL, with the embedded server's login."
   @spec await_up(reference()) :: String.t()
-  def await_up(gateway), do: await(gateway, :connection, &(&1[:status] == :up and &1[:streams] == :ok)).url
+  def await_up(gateway) do
+    await(gateway, :connection, &(&1[:status] == :up and &1[:streams] == :ok))
+    Bridge.login_url(gateway)
+  end
 
-  @doc "Waits until there is another connection than `old`, with its streams; gives the URL."
+  @doc "Waits until there is another connection than `old`, with its streams; gives the URL, as `await_up/1`."
   @spec await_reconnected(reference(), pid()) :: String.t()
   def await_reconnected(gateway, old) do
     eventually(fn ->
@@ -91,16 +94,21 @@ defmodule Aerie.BridgeCase do
       match?(%{streams: :ok}, current) and current.conn != old
     end)
 
-    Bridge.info(gateway).url
+    Bridge.login_url(gateway)
   end
 
   @doc "A plain client on the bridge's server."
   @spec client(String.t()) :: pid()
   def client(url) do
     uri = URI.parse(url)
-    {:ok, conn} = Gnat.start_link(%{host: uri.host, port: uri.port})
+    login = if uri.userinfo, do: %{token: uri.userinfo}, else: %{}
+    {:ok, conn} = Gnat.start_link(Map.merge(login, %{host: uri.host, port: uri.port}))
     conn
   end
+
+  @doc "A URL without its login, as the gateway shows it to everybody."
+  @spec bare(String.t()) :: String.t()
+  def bare(url), do: String.replace(url, ~r|//.*@|, "//")
 
   @doc "The process of the system that is the embedded server."
   @spec server_pid(Path.t()) :: String.t()
@@ -114,12 +122,16 @@ defmodule Aerie.BridgeCase do
     :ok
   end
 
-  @doc "Runs a script in a VM of its own; waits for the line `mark <> pid` and gives the port and the VM's pid."
-  @spec other_vm(String.t(), String.t()) :: {port(), String.t()}
-  def other_vm(script, mark) do
+  @doc """
+  Runs a script in a VM of its own; waits for the line `mark <> pid` and gives the port and the VM's pid. `before` are words
+  of a command that starts it in turn.
+  """
+  @spec other_vm(String.t(), String.t(), [String.t()]) :: {port(), String.t()}
+  def other_vm(script, mark, before \\ []) do
     paths = for path <- :code.get_path(), path = to_string(path), path =~ "_build", do: ["-pa", path]
-    options = [:binary, :stderr_to_stdout, line: 1000, args: List.flatten(paths) ++ ["-e", script]]
-    port = Port.open({:spawn_executable, System.find_executable("elixir")}, options)
+    [program | words] = before ++ ["elixir"] ++ List.flatten(paths) ++ ["-e", script]
+    options = [:binary, :stderr_to_stdout, line: 1000, args: words]
+    port = Port.open({:spawn_executable, System.find_executable(program)}, options)
     {port, marked_pid(port, mark)}
   end
 

@@ -98,7 +98,8 @@ defmodule AerieCLI.Status.Lines do
       nats: if(nats.connected, do: "connected", else: "away"),
       url: nats.url,
       published: view.published,
-      events_waiting: Map.get(nats.outbox, :events, 0) + view.pending
+      events_waiting: Map.get(nats.outbox, :events, 0) + view.pending,
+      problem: nats.problem || nats.outbox[:problem]
     ]
 
     [pairs(pairs)]

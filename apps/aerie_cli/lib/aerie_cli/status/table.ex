@@ -42,7 +42,8 @@ defmodule AerieCLI.Status.Table do
   @spec render(View.t(), pos_integer(), pos_integer()) :: [String.t()]
   def render(%View{} = view, width, height) do
     lines =
-      [header(view), nats_line(view), ""] ++
+      [header(view) | nats_lines(view)] ++
+        [""] ++
         section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
         [""] ++
         section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
@@ -58,15 +59,22 @@ defmodule AerieCLI.Status.Table do
     {"Aerie  up #{up}  vehicles #{length(view.vehicles)}  http #{text(view.http)}  (Ctrl-C ends it)", :bold}
   end
 
-  defp nats_line(%View{nats: nil}), do: {"NATS not started", :dim}
+  defp nats_lines(%View{nats: nil}), do: [{"NATS not started", :dim}]
 
-  defp nats_line(%View{nats: nats} = view) do
+  defp nats_lines(%View{nats: nats} = view) do
     waiting = Map.get(nats.outbox, :events, 0) + view.pending
     state = if nats.connected, do: "connected", else: "NOT CONNECTED, events wait on disk"
-    problem = if nats.outbox[:problem], do: "  OUTBOX: #{text(nats.outbox.problem)}", else: ""
+    url = text(view.nats_login || nats.url)
 
-    {"NATS #{state} #{text(nats.url)}  published #{view.published}  events waiting #{waiting}#{problem}",
-     if(nats.connected, do: :green, else: :yellow)}
+    [
+      {"NATS #{state} #{url}  published #{view.published}  events waiting #{waiting}",
+       if(nats.problem, do: :yellow, else: :green)}
+      | for(
+          problem <- [nats.connected && nats.problem, nats.outbox[:problem]],
+          problem,
+          do: {"NATS PROBLEM: #{text(problem)}", :red}
+        )
+    ]
   end
 
   defp empty_vehicles do

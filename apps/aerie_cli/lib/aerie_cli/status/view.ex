@@ -8,6 +8,7 @@ defmodule AerieCLI.Status.View do
     :now,
     :started,
     :nats,
+    :nats_login,
     :http,
     published: 0,
     pending: 0,
@@ -20,7 +21,7 @@ defmodule AerieCLI.Status.View do
   @typedoc """
   * `now`, `started` - unix microseconds
   * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`
-  * `nats` - `Aerie.Bridge.info/1`
+  * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal and not for a log
   * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
   * `faces` - what is open to whom
@@ -32,6 +33,7 @@ defmodule AerieCLI.Status.View do
           vehicles: [map()],
           links: [map()],
           nats: map() | nil,
+          nats_login: String.t() | nil,
           http: String.t() | nil,
           published: non_neg_integer(),
           pending: non_neg_integer(),

@@ -158,6 +158,12 @@ defmodule FleetWeb.API.View do
 
   defp nats(nil), do: nil
 
-  defp nats(nats),
-    do: Json.plain(%{connected: nats.connected, url: nats[:url], waiting: nats[:outbox][:events]})
+  defp nats(nats) do
+    Json.plain(%{
+      connected: nats.connected,
+      url: nats[:url],
+      waiting: nats[:outbox][:events],
+      problem: nats.problem
+    })
+  end
 end

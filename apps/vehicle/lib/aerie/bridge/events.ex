@@ -13,8 +13,8 @@ defmodule Aerie.Bridge.Events do
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, Outbox, Tables}
-  alias Aerie.Bridge.Events.{Answer, Disk, Window}
+  alias Aerie.Bridge.{Connection, Outbox, Server, Tables}
+  alias Aerie.Bridge.Events.{Answer, Disk, Stall, Window}
   alias Aerie.{Config, Fleet, Names}
 
   require Logger
@@ -53,6 +53,7 @@ defmodule Aerie.Bridge.Events do
       refusal: nil,
       conn: nil,
       inbox: nil,
+      stall: Stall.new(),
       synced_at: now()
     }
 
@@ -78,7 +79,7 @@ defmodule Aerie.Bridge.Events do
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
     state = if state.outbox == nil, do: Disk.open(state), else: state
-    {:noreply, state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> put_info()}
+    {:noreply, state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info()}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -138,7 +139,7 @@ defmodule Aerie.Bridge.Events do
   end
 
   # Everything unconfirmed begins again from where it is kept.
-  defp away(state), do: reset(%{state | conn: nil, inbox: nil})
+  defp away(state), do: reset(%{state | conn: nil, inbox: nil, refusal: nil})
 
   defp reset(state) do
     %{state | window: Window.reset(state.window), outbox: state.outbox && Outbox.rewind(state.outbox)}
@@ -308,15 +309,35 @@ defmodule Aerie.Bridge.Events do
       gateway: state.gateway
     })
 
+    state = %{state | stall: Stall.confirmed(state.stall, now())}
     if seqs == [], do: state, else: %{state | outbox: Outbox.ack(state.outbox, seqs)}
   end
+
+  defp stalled(state) do
+    waiting? = journal?(state) or source(state) == :outbox
+    stall = Stall.look(state.stall, now(), waiting?)
+    # A refusal has its reason, which a new start does not take away; silence has none.
+    if stall.problem? and state.conn != nil and state.refusal == nil,
+      do: Server.stalled(state.gateway, "it answers to no event")
+
+    %{state | stall: stall}
+  end
+
+  defp stall_text(%{stall: %{problem?: false}}), do: nil
+  defp stall_text(%{refusal: nil}), do: "events are not confirmed by NATS"
+  defp stall_text(%{refusal: text}), do: text
 
   defp put_info(state) do
     stats =
       if state.outbox, do: Outbox.stats(state.outbox), else: %{events: 0, bytes: 0, dropped: 0, damaged: 0}
 
     info =
-      Map.merge(stats, %{in_flight: Window.in_flight(state.window), problem: state.problem || state.refusal})
+      Map.merge(stats, %{
+        in_flight: Window.in_flight(state.window),
+        problem: state.problem,
+        stalled: stall_text(state),
+        stalled_s: div(Stall.ms(state.stall, now()), 1000)
+      })
 
     if info != Tables.info(state.tables, :outbox),
       do: Tables.put_info(state.gateway, state.tables, :outbox, info)

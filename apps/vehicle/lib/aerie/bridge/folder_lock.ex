@@ -7,6 +7,8 @@ defmodule Aerie.Bridge.FolderLock do
   and a pid that somebody else has got since must not count as alive.
   """
 
+  alias Aerie.PrivateFile
+
   @doc """
   Makes the calling process the owner. `{:error, text}` says who has the folder, or why it cannot be written.
   """
@@ -20,7 +22,7 @@ defmodule Aerie.Bridge.FolderLock do
   end
 
   defp make(dir) do
-    case File.mkdir_p(dir) do
+    case PrivateFile.folder(dir) do
       :ok -> :ok
       {:error, reason} -> {:error, "cannot make folder #{dir}: #{:file.format_error(reason)}"}
     end
@@ -52,7 +54,7 @@ defmodule Aerie.Bridge.FolderLock do
   end
 
   defp write(dir) do
-    case File.write(owner_file(dir), "#{System.pid()} #{start_time(System.pid())}\n") do
+    case PrivateFile.write(owner_file(dir), "#{System.pid()} #{start_time(System.pid())}\n") do
       :ok -> :ok
       {:error, reason} -> {:error, "cannot write into folder #{dir}: #{:file.format_error(reason)}"}
     end

@@ -58,6 +58,10 @@ defmodule Aerie.Bridge.Metrics do
 
     [
       {"gateway_nats_connected", :gauge, "1 while there is a connection to NATS.", connected},
+      {"gateway_nats_ready", :gauge, "1 while nothing is known that keeps events from being stored by NATS.",
+       if(Tables.problem(tables), do: 0, else: 1)},
+      {"gateway_events_stalled_seconds", :gauge, "For how long events have waited and none was confirmed.",
+       Map.get(outbox, :stalled_s, 0)},
       {"gateway_events_pending", :gauge, "Events in memory, not yet confirmed or on disk.",
        Fleet.Journal.pending_size(gateway)},
       {"gateway_events_in_flight", :gauge, "Events sent and not yet confirmed.",

@@ -3,9 +3,11 @@ defmodule Aerie.Bridge.Server do
   Embedded mode: runs nats-server and keeps it running.
 
   The folder `nats.store_dir` has its configuration (`nats.conf`, written at each start), its JetStream data (`data/`),
-  its log (`nats-server.log`, bounded) and its process id. When it ends, it is started again: at once the first time,
+  its log (`nats-server.log`, bounded), its process id, its login (`token`) and its address with that (`url`), all for
+  their owner alone. When it ends, it is started again: at once the first time,
   then with growing pauses. What an earlier life left behind is ended before. A missing program, a folder that cannot
-  be used or a taken port is one line in the log, and is tried again: the gateway runs without NATS meanwhile.
+  be used or a taken port is one line in the log, and is tried again: the gateway runs without NATS meanwhile. One that runs
+  but stores nothing, as after a full disk, is started again when the disk has room (`Aerie.Bridge.Server.Revival`).
 
   Where it listens and how it is, is in `Aerie.Bridge.info/1`; changes also go to subscribers of `:bridge` and to
   telemetry (`[:aerie, :bridge, :server, :up | :down]`).
@@ -13,8 +15,8 @@ defmodule Aerie.Bridge.Server do
   use GenServer
 
   alias Aerie.Bridge.{Backoff, Connection, FolderLock, Tables}
-  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Settings}
-  alias Aerie.{Config, Names}
+  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Revival, Settings, Token}
+  alias Aerie.{Config, Disk, Names, PrivateFile}
 
   require Logger
 
@@ -22,6 +24,8 @@ defmodule Aerie.Bridge.Server do
   @healthy_ms 5_000
   @stop_ms 5_000
   @max_port_tries 100
+  # How often the disk is looked at while the server stores nothing.
+  @look_ms 2_000
 
   @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
   def start_link(options) do
@@ -30,6 +34,14 @@ defmodule Aerie.Bridge.Server do
 
   def child_spec(options),
     do: %{id: __MODULE__, start: {__MODULE__, :start_link, [options]}, shutdown: @stop_ms + 3_000}
+
+  @doc "Events that were given to the server are not answered; `text` says since when, for the log."
+  @spec stalled(Names.gateway(), String.t()) :: :ok
+  def stalled(gateway, text) do
+    # A configured server is nobody's to start again.
+    if pid = Names.whereis(gateway, :bridge_server), do: send(pid, {:stalled, text})
+    :ok
+  end
 
   @impl GenServer
   def init(options) do
@@ -48,10 +60,12 @@ defmodule Aerie.Bridge.Server do
        wanted_port: config.nats.port,
        tcp_port: config.nats.port,
        port: nil,
+       status: :starting,
        started_at: nil,
        log: %LogFile{},
        failures: 0,
        restarts: 0,
+       revival: Revival.new(),
        last_problem: nil
      }, {:continue, :start}}
   end
@@ -80,6 +94,21 @@ defmodule Aerie.Bridge.Server do
     {:noreply, state |> put_info(:down) |> again()}
   end
 
+  def handle_info({:stalled, text}, state), do: {:noreply, fault(text, state)}
+
+  def handle_info(:look, %{port: port, revival: %{fault: text}} = state) when port != nil and text != nil do
+    case Revival.look(state.revival, System.monotonic_time(:millisecond), Disk.free(state.nats.store_dir)) do
+      {:restart, revival} ->
+        Logger.error("nats-server stores nothing (#{text}); starting it again")
+        OsProcess.stop(port)
+        {:noreply, %{state | revival: revival}}
+
+      {:wait, revival} ->
+        Process.send_after(self(), :look, @look_ms)
+        {:noreply, %{state | revival: revival}}
+    end
+  end
+
   # A late line or end of a server that was given up.
   def handle_info(_message, state), do: {:noreply, state}
 
@@ -104,11 +133,13 @@ defmodule Aerie.Bridge.Server do
          conf = Path.join(state.nats.store_dir, "nats.conf"),
          _ = end_leftover(state, conf),
          {:ok, tcp_port} <- free_port(state),
-         :ok <- write(conf, settings(state, tcp_port)) do
+         {:ok, token} <- Token.fetch(state.nats),
+         :ok <- write(conf, settings(state, tcp_port, token)) do
       port = OsProcess.start(program, ["-c", conf])
       log = LogFile.open(Path.join(state.nats.store_dir, "nats-server.log"))
       started_at = System.monotonic_time(:millisecond)
-      put_info(%{state | port: port, tcp_port: tcp_port, log: log, started_at: started_at}, :starting)
+      state = %{state | port: port, tcp_port: tcp_port, log: log, started_at: started_at}
+      put_info(%{state | revival: Revival.started(state.revival)}, :starting)
     else
       {:error, problem} -> problem(state, problem)
     end
@@ -127,13 +158,14 @@ defmodule Aerie.Bridge.Server do
     end
   end
 
-  defp settings(state, tcp_port) do
+  defp settings(state, tcp_port, token) do
     nats = Map.take(state.nats, [:address, :store_dir, :max_memory_mb, :max_store_mb])
-    Map.merge(nats, %{name: "aerie-#{:erlang.phash2(state.nats.store_dir)}", port: tcp_port})
+    name = "aerie-#{:erlang.phash2(state.nats.store_dir)}"
+    Map.merge(nats, %{name: name, port: tcp_port, token: token})
   end
 
   defp write(conf, settings) do
-    case File.write(conf, Settings.render(settings)) do
+    case PrivateFile.write(conf, Settings.render(settings)) do
       :ok -> :ok
       {:error, reason} -> {:error, "cannot write #{conf}: #{:file.format_error(reason)}"}
     end
@@ -202,8 +234,14 @@ defmodule Aerie.Bridge.Server do
   defp fact({:listening, tcp_port}, state), do: %{state | tcp_port: tcp_port}
 
   defp fact(:ready, state) do
-    if state.restarts == 0, do: Logger.info("NATS server on #{url(state)}")
+    if state.restarts == 0,
+      do:
+        Logger.info(
+          "NATS server on #{url(state)}; its address with the login is in #{Token.url_file(state.nats)}"
+        )
+
     state = put_info(%{state | last_problem: nil}, :up)
+    leave_url(state)
 
     :telemetry.execute([:aerie, :bridge, :server, :up], %{restarts: state.restarts}, %{
       gateway: state.gateway,
@@ -214,9 +252,28 @@ defmodule Aerie.Bridge.Server do
     state
   end
 
+  defp fact({:write_error, text}, state), do: fault(text, state)
+
   # Somebody took the port between our looking and the server's opening; the next start looks again.
   defp fact(:port_taken, state), do: state
   defp fact(nil, state), do: state
+
+  defp fault(_text, %{port: nil} = state), do: state
+  defp fault(_text, %{revival: %{fault: known}} = state) when known != nil, do: state
+
+  defp fault(text, state) do
+    Logger.error("nats-server stores nothing: #{text}; it is started again when its disk has room")
+    Process.send_after(self(), :look, @look_ms)
+    put_info(%{state | revival: Revival.fault(state.revival, text)}, state.status)
+  end
+
+  defp leave_url(state) do
+    with {:ok, token} <- Token.read(state.nats), :ok <- Token.put_url(state.nats, url(state), token) do
+      :ok
+    else
+      {:error, text} -> Logger.error("the address of the NATS server is not told: #{text}")
+    end
+  end
 
   defp put_info(state, status) do
     info = %{
@@ -224,11 +281,12 @@ defmodule Aerie.Bridge.Server do
       url: if(status == :up, do: url(state)),
       port: if(status == :up, do: state.tcp_port),
       store_dir: state.nats.store_dir,
-      restarts: state.restarts
+      restarts: state.restarts,
+      fault: state.revival.fault
     }
 
     Tables.put_info(state.gateway, state.tables, :server, info)
-    state
+    %{state | status: status}
   end
 
   defp url(state) do

@@ -27,6 +27,9 @@ defmodule Aerie.Bridge.Streams do
     :storage
   ]
 
+  # insufficient storage resources available, insufficient memory, no resources of the account
+  @no_room [10_047, 10_028, 10_023]
+
   @type report :: %{String.t() => :created | :ok | :updated | {:differs, [String.t()]} | {:error, String.t()}}
 
   @doc "The streams as the configuration wants them."
@@ -81,9 +84,17 @@ defmodule Aerie.Bridge.Streams do
   defp create(conn, wanted) do
     case Api.create(conn, wanted) do
       {:ok, _info} -> :created
-      {:error, reason} -> {:error, text(reason)}
+      {:error, reason} -> {:error, not_made(reason, wanted)}
     end
   end
+
+  # The server reserves a stream's size when it makes it.
+  defp not_made(%{"err_code" => code} = reason, wanted) when code in @no_room do
+    key = if wanted.name == "FLEET_STATE", do: "state_max_mb", else: "event_max_mb"
+    "#{text(reason)} for #{div(wanted.max_bytes, 1_048_576)} MB (nats.streams.#{key})"
+  end
+
+  defp not_made(reason, _wanted), do: text(reason)
 
   defp compare(conn, wanted, there, mode) do
     case {differences(wanted, there), mode} do

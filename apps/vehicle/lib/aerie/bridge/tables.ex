@@ -10,6 +10,7 @@ defmodule Aerie.Bridge.Tables do
   """
   use GenServer
 
+  alias Aerie.Bridge.Problem
   alias Aerie.Names
 
   @type t :: %{values: :ets.table(), sent: :ets.table(), counters: :ets.table(), info: :ets.table()}
@@ -35,6 +36,11 @@ defmodule Aerie.Bridge.Tables do
   @doc "What is known of a part."
   @spec info(t(), :server | :connection | :streams | :outbox) :: map()
   def info(tables, part), do: :ets.lookup_element(tables.info, part, 2, %{})
+
+  @doc "What keeps events from being stored by NATS, or nil."
+  @spec problem(t()) :: String.t() | nil
+  def problem(tables),
+    do: Problem.text(Map.new([:server, :connection, :streams, :outbox], &{&1, info(tables, &1)}))
 
   @doc "Writes what is known of a part, and tells subscribers of `:bridge` what it is now."
   @spec put_info(Names.gateway(), t(), :server | :connection | :streams | :outbox, map()) :: :ok

@@ -10,6 +10,7 @@ defmodule Aerie.Config.Preflight do
 
   alias Aerie.Config
   alias Aerie.Config.Error
+  alias Aerie.Config.Preflight.Contents
   alias Aerie.Link.Spec
   alias Aerie.Replay.Source
 
@@ -19,7 +20,7 @@ defmodule Aerie.Config.Preflight do
     {foreign, elsewhere} = networks(config)
 
     case ports(config) ++ programs(config) ++ folders(config) ++ files(config) ++ signing(config) ++ foreign do
-      [] -> {:ok, outbox(config) ++ recorder(config) ++ elsewhere}
+      [] -> {:ok, recorder(config) ++ elsewhere}
       errors -> {:error, errors}
     end
   end
@@ -121,8 +122,12 @@ defmodule Aerie.Config.Preflight do
 
   defp folders(config) do
     store = if embedded?(config), do: writable(config, "nats.store_dir", config.nats.store_dir), else: []
-    store ++ sockets(config)
+    store ++ outbox(config) ++ sockets(config)
   end
+
+  # Without NATS nothing is ever written there.
+  defp outbox(%Config{nats: %{mode: :off}}), do: []
+  defp outbox(config), do: writable(config, "outbox.dir", config.outbox.dir)
 
   # A folder that nobody chose may be out of reach: the gateway runs without its sockets, and says so.
   defp sockets(%Config{sockets: %{enabled: true, dir: dir}} = config) when is_binary(dir),
@@ -130,14 +135,7 @@ defmodule Aerie.Config.Preflight do
 
   defp sockets(_config), do: []
 
-  # The gateway runs without its outbox, only not as safely: no reason to refuse to start.
-  defp outbox(config) do
-    for %Error{} = error <- writable(config, "outbox.dir", config.outbox.dir) do
-      "#{error}; while NATS is away, events are kept in memory only"
-    end
-  end
-
-  # Nor without its recordings. The folder is made by the first one, so only who is to record is told.
+  # The gateway runs without its recordings. The folder is made by the first one, so only who is to record is told.
   defp recorder(%Config{recorder: %{links: :off, vehicles: :off}}), do: []
 
   defp recorder(config) do
@@ -157,18 +155,23 @@ defmodule Aerie.Config.Preflight do
   end
 
   defp files(%Config{nats: nats, policy: policy, websocket: websocket} = config) do
-    [
-      {"nats.credentials", nats.credentials},
-      {"nats.nkey_seed_file", nats.nkey_seed_file},
-      {"nats.tls.ca_file", nats.tls.ca_file},
-      {"nats.tls.cert_file", nats.tls.cert_file},
-      {"nats.tls.key_file", nats.tls.key_file},
-      {"policy.geofence_file", policy.geofence_file},
-      {"websocket.cert_file", websocket.cert_file},
-      {"websocket.key_file", websocket.key_file}
-    ]
-    |> Enum.flat_map(fn {key, file} -> if file, do: readable(config, key, file), else: [] end)
-    |> Enum.concat(keys(config))
+    contents =
+      for {key, kind, file} when file != nil <- [
+            {"nats.credentials", :credentials, nats.credentials},
+            {"nats.nkey_seed_file", :nkey_seed, nats.nkey_seed_file},
+            {"nats.tls.ca_file", :certificates, nats.tls.ca_file},
+            {"nats.tls.cert_file", :certificates, nats.tls.cert_file},
+            {"nats.tls.key_file", :private_key, nats.tls.key_file},
+            {"websocket.cert_file", :certificates, websocket.cert_file},
+            {"websocket.key_file", :private_key, websocket.key_file}
+          ],
+          {:error, expected, got} <- [Contents.check(kind, file)],
+          do: error(config, key, expected, got)
+
+    geofence =
+      if policy.geofence_file, do: readable(config, "policy.geofence_file", policy.geofence_file), else: []
+
+    contents ++ geofence ++ keys(config)
   end
 
   defp keys(config), do: keys_file(config) ++ own_file(config)

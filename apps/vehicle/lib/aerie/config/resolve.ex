@@ -274,6 +274,8 @@ defmodule Aerie.Config.Resolve do
       Enum.filter([:credentials, :nkey_seed_file, :token, :user], &Map.fetch!(nats, &1))
       |> Enum.map_join(", ", &"nats.#{&1}")
 
+    streams_mb = nats.streams.state_max_mb + nats.streams.event_max_mb
+
     [
       {String.contains?(ways, ","), ["nats"], "one way to sign in", ways},
       {nats.password != nil and nats.user == nil, ["nats", "user"], "a user name for nats.password",
@@ -282,6 +284,9 @@ defmodule Aerie.Config.Resolve do
        "cert_file and key_file together", "one of them"},
       {nats.mode == :embedded and nats.tls.enabled, ["nats", "tls", "enabled"],
        "false with nats.mode embedded (the connection does not leave this machine)", "true"},
+      {nats.mode == :embedded and nats.max_store_mb < streams_mb, ["nats", "max_store_mb"],
+       "at least #{streams_mb}: nats.streams.state_max_mb (#{nats.streams.state_max_mb}) and event_max_mb " <>
+         "(#{nats.streams.event_max_mb}), which the server reserves", "#{nats.max_store_mb}"},
       {nats.retry_max_ms < nats.retry_min_ms, ["nats", "retry_max_ms"], "at least nats.retry_min_ms",
        "#{nats.retry_max_ms}"}
     ]

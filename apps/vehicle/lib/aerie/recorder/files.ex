@@ -37,17 +37,6 @@ defmodule Aerie.Recorder.Files do
   @impl __MODULE__
   def close(device), do: :file.close(device)
 
-  # POSIX output: one line for the file system, its fourth column is what is available, in KiB.
   @impl __MODULE__
-  def free(dir) do
-    with program when is_binary(program) <- System.find_executable("df"),
-         {text, 0} <- System.cmd(program, ["-Pk", dir], stderr_to_stdout: true, env: [{"LC_ALL", "C"}]),
-         [_head, line | _] <- String.split(text, "\n", trim: true),
-         [_device, _size, _used, available | _] <- String.split(line),
-         {kilobytes, ""} <- Integer.parse(available) do
-      {:ok, kilobytes * 1024}
-    else
-      _anything -> :unknown
-    end
-  end
+  def free(dir), do: Aerie.Disk.free(dir)
 end

@@ -91,6 +91,65 @@ defmodule Aerie.Bridge.ServerTest do
     if Port.info(port), do: Port.close(port)
   end
 
+  describe "its login" do
+    test "whoever does not know it is refused; it is in files for their owner alone, and nowhere else",
+         context do
+      %{tmp_dir: dir} = context
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          gateway = start_bridge(config(dir))
+          %URI{userinfo: token, host: host, port: port} = URI.parse(await_up(gateway))
+          send(self(), {:login, gateway, token, host, port})
+          commit(gateway, "A", 1..3)
+          await_empty(gateway)
+          kill9(server_pid(dir))
+          await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
+        end)
+
+      assert_received {:login, gateway, token, host, port}
+      assert byte_size(token) == 32
+      Process.flag(:trap_exit, true)
+      assert {:error, %Gnat.Error{}} = Gnat.start_link(%{host: host, port: port})
+
+      assert {:error, %Gnat.Error{}} =
+               Gnat.start_link(%{host: host, port: port, token: String.reverse(token)})
+
+      assert {:ok, _conn} = Gnat.start_link(%{host: host, port: port, token: token})
+
+      nats = Path.join(dir, "nats")
+      assert File.read!(Path.join(nats, "url")) == "nats://#{token}@#{host}:#{port}\n"
+      for file <- ~w(url token nats.conf), do: assert(mode(Path.join(nats, file)) == 0o600)
+      # Whatever else is in them, nobody gets into the folders.
+      for folder <- ["nats", "outbox"], do: assert(mode(Path.join(dir, folder)) == 0o700)
+
+      refute log =~ token
+      refute inspect({Bridge.info(gateway), Bridge.metrics(gateway)}, limit: :infinity) =~ token
+      refute File.read!("/proc/#{server_pid(dir)}/cmdline") =~ token
+      refute File.read!("/proc/#{server_pid(dir)}/environ") =~ token
+      refute File.read!(Path.join(nats, "nats-server.log")) =~ token
+    end
+
+    test "stays the same over starts; a folder that was open before is closed", %{tmp_dir: dir} do
+      File.mkdir_p!(Path.join(dir, "nats"))
+      File.chmod!(Path.join(dir, "nats"), 0o755)
+      gateway = start_bridge(config(dir))
+      %URI{userinfo: token} = URI.parse(await_up(gateway))
+      assert mode(Path.join(dir, "nats")) == 0o700
+      stop_bridge(gateway)
+      start_bridge_again(gateway, config(dir))
+      assert %URI{userinfo: ^token} = URI.parse(await_up(gateway))
+    end
+
+    test "may be chosen", %{tmp_dir: dir} do
+      gateway = start_bridge(config(dir, [{"nats.token", "a b/c"}]))
+      await_up(gateway)
+      assert File.read!(Path.join(dir, "nats/url")) =~ "nats://a%20b%2Fc@127.0.0.1:"
+    end
+
+    defp mode(path), do: Bitwise.band(File.stat!(path).mode, 0o777)
+  end
+
   describe "a server that wants a login" do
     setup %{tmp_dir: dir} do
       conf = Path.join(dir, "auth.conf")

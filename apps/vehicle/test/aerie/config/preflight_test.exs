@@ -69,10 +69,67 @@ defmodule Aerie.Config.PreflightTest do
     assert warning =~ "recorder.dir" and warning =~ "nothing is recorded"
   end
 
-  test "an outbox that cannot be written is a warning", %{tmp_dir: dir} do
+  test "an outbox that cannot be written is refused, where anything would be written to it", %{tmp_dir: dir} do
     File.write!(Path.join(dir, "file"), "")
-    assert {:ok, [warning]} = Preflight.check(config(dir, [{"outbox.dir", Path.join(dir, "file")}]))
-    assert warning =~ "outbox.dir" and warning =~ "memory only"
+    there = {"outbox.dir", Path.join(dir, "file")}
+    assert [line] = lines(Preflight.check(config(dir, [there])))
+    assert line =~ "outbox.dir: expected a folder that can be written" and line =~ Path.join(dir, "file")
+    assert Preflight.check(config(dir, [there, {"nats.mode", "off"}])) == {:ok, []}
+  end
+
+  describe "a file that holds something else" do
+    setup %{tmp_dir: dir} do
+      file = Path.join(dir, "file")
+      refused = fn key, content -> refused(dir, file, key, content) end
+      %{path: file, refused: refused}
+    end
+
+    test "an nkey seed", %{refused: refused, tmp_dir: dir, path: file} do
+      line = refused.("nats.nkey_seed_file", "hello\n")
+      assert line =~ "nats.nkey_seed_file: expected a file with the nkey seed of a user (SU…)"
+      assert line =~ file <> ": not an nkey seed"
+      refute line =~ "hello"
+      account = Gnat.Nkey.seed(Gnat.Nkey.generate(:account))
+      assert refused.("nats.nkey_seed_file", account) =~ "for account, not for a user"
+      File.write!(file, Gnat.Nkey.seed(Gnat.Nkey.generate(:user)) <> "\n")
+      assert Preflight.check(url(dir, [{"nats.nkey_seed_file", file}])) == {:ok, []}
+    end
+
+    test "credentials", %{refused: refused} do
+      assert refused.("nats.credentials", "SUXXXX") =~ "no NATS USER JWT block"
+    end
+
+    test "certificates and keys", %{refused: refused, tmp_dir: dir, path: file} do
+      assert refused.("nats.tls.ca_file", "hello") =~
+               "expected a PEM file with certificates, got #{file}: it is not PEM"
+
+      key = :public_key.generate_key({:namedCurve, :secp256r1})
+      pem = :public_key.pem_encode([:public_key.pem_entry_encode(:ECPrivateKey, key)])
+      assert refused.("nats.tls.ca_file", pem) =~ "no certificate in it"
+
+      broken = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"
+      assert refused.("nats.tls.ca_file", broken) =~ "cannot be decoded"
+
+      %{cert: der} = :public_key.pkix_test_root_cert(~c"test", [])
+      certificate = :public_key.pem_encode([{:Certificate, der, :not_encrypted}])
+      File.write!(file, certificate)
+      assert Preflight.check(url(dir, [{"nats.tls.ca_file", file}])) == {:ok, []}
+
+      File.write!(Path.join(dir, "key.pem"), pem)
+      pair = [{"nats.tls.cert_file", file}, {"nats.tls.key_file", Path.join(dir, "key.pem")}]
+      assert Preflight.check(url(dir, pair)) == {:ok, []}
+      pair = [{"nats.tls.cert_file", file}, {"nats.tls.key_file", file}]
+      assert [line] = lines(Preflight.check(url(dir, pair)))
+      assert line =~ "nats.tls.key_file: expected a PEM file with a private key"
+    end
+
+    defp refused(dir, file, key, content) do
+      File.write!(file, content)
+      assert [line] = lines(Preflight.check(url(dir, [{key, file}])))
+      line
+    end
+
+    defp url(dir, overrides), do: config(dir, [{"nats.url", "nats://127.0.0.1:4222"} | overrides])
   end
 
   test "nothing stays open, and what was checked can be opened", %{tmp_dir: dir} do
@@ -121,10 +178,11 @@ defmodule Aerie.Config.PreflightTest do
         {"sockets.dir", Path.join(file, "below")}
       ])
 
-    assert [port_line, dir_line, cert_line] = lines(Preflight.check(config))
+    assert [port_line, dir_line, cert_line, key_line] = lines(Preflight.check(config))
     assert port_line =~ "websocket.port" and port_line =~ "address already in use"
     assert dir_line =~ "sockets.dir" and dir_line =~ "not a directory"
     assert cert_line =~ "websocket.cert_file" and cert_line =~ "no such file"
+    assert key_line =~ "websocket.key_file" and key_line =~ "it is not PEM"
   end
 
   test "a network that no link has is refused, with the key and the networks that there are", %{tmp_dir: dir} do

@@ -1,6 +1,7 @@
 defmodule Aerie.Bridge.Connection.Settings do
   @moduledoc "The settings of a `Gnat` connection from the configuration. The one place where secrets are revealed."
 
+  alias Aerie.Bridge.Server.Token
   alias Aerie.Config
   alias Aerie.Config.Secret
 
@@ -10,7 +11,7 @@ defmodule Aerie.Bridge.Connection.Settings do
     uri = URI.parse(url)
     host = uri.host |> String.trim("[") |> String.trim("]")
 
-    with {:ok, nkey_seed} <- seed(nats.nkey_seed_file) do
+    with {:ok, auth} <- auth(nats) do
       settings =
         %{
           host: host,
@@ -19,7 +20,7 @@ defmodule Aerie.Bridge.Connection.Settings do
           no_responders: true,
           tcp_opts: [:binary | family(host)]
         }
-        |> Map.merge(auth(nats, nkey_seed))
+        |> Map.merge(auth)
         |> Map.merge(tls(nats, uri.scheme, host))
 
       {:ok, settings}
@@ -28,27 +29,26 @@ defmodule Aerie.Bridge.Connection.Settings do
 
   defp family(host), do: if(String.contains?(host, ":"), do: [:inet6], else: [])
 
-  defp seed(nil), do: {:ok, nil}
+  # The server is started by whoever has the same folder, and its token lies there.
+  defp auth(%{mode: :embedded} = nats),
+    do: with({:ok, token} <- Token.read(nats), do: {:ok, %{token: token, auth_required: true}})
 
-  defp seed(file) do
+  defp auth(%{credentials: file}) when file != nil, do: {:ok, %{credentials: file, auth_required: true}}
+
+  defp auth(%{nkey_seed_file: file}) when file != nil do
     case File.read(file) do
-      {:ok, text} -> {:ok, String.trim(text)}
+      {:ok, text} -> {:ok, %{nkey_seed: String.trim(text), auth_required: true}}
       {:error, reason} -> {:error, "cannot read nats.nkey_seed_file #{file}: #{:file.format_error(reason)}"}
     end
   end
 
-  defp auth(%{mode: :embedded}, _seed), do: %{}
+  defp auth(%{token: token}) when token != nil,
+    do: {:ok, %{token: Secret.reveal(token), auth_required: true}}
 
-  defp auth(nats, seed) do
-    cond do
-      nats.credentials -> %{credentials: nats.credentials}
-      seed -> %{nkey_seed: seed}
-      nats.token -> %{token: Secret.reveal(nats.token)}
-      nats.user -> %{username: nats.user, password: Secret.reveal(nats.password) || ""}
-      true -> %{}
-    end
-    |> then(&if &1 == %{}, do: &1, else: Map.put(&1, :auth_required, true))
-  end
+  defp auth(%{user: user, password: password}) when user != nil,
+    do: {:ok, %{username: user, password: Secret.reveal(password) || "", auth_required: true}}
+
+  defp auth(_anonymous), do: {:ok, %{}}
 
   defp tls(%{tls: %{enabled: false}}, scheme, _host) when scheme != "tls", do: %{}
 

@@ -5,8 +5,12 @@ defmodule Aerie.Bridge.Server.LogLine do
   * `{:listening, port}` - it takes connections on this port
   * `:ready` - it is up, JetStream included
   * `:port_taken` - somebody else has the port
+  * `{:write_error, text}` - a stream could not be written; from then on the server stores nothing in it
   """
-  @type fact :: {:listening, :inet.port_number()} | :ready | :port_taken | nil
+  @type fact ::
+          {:listening, :inet.port_number()} | :ready | :port_taken | {:write_error, String.t()} | nil
+
+  @write_error ~r/critical write error: |failed to store a msg on stream .*?: |out of .* resources, will be DISABLED/i
 
   @doc """
   Level for the logger, text without process id and time, and what the gateway needs to know.
@@ -19,6 +23,8 @@ defmodule Aerie.Bridge.Server.LogLine do
     line = String.replace_invalid(line)
 
     case Regex.run(~r/\A\[\d+\] \S+ \S+ \[([A-Z]{3})\] (.*)\z/s, line) do
+      # Its configuration is readable by its owner alone.
+      [_, "WRN", "Plaintext passwords detected" <> _ = text] -> {:debug, text, nil}
       [_, level, text] -> {level(level), text, fact(text)}
       # What it writes before it has a log: mistakes in its configuration or arguments.
       nil -> {:warning, line, fact(line)}
@@ -37,5 +43,14 @@ defmodule Aerie.Bridge.Server.LogLine do
          do: {:listening, String.to_integer(port)}
   end
 
-  defp fact(text), do: if(String.contains?(text, "address already in use"), do: :port_taken)
+  defp fact(text) do
+    cond do
+      text =~ "address already in use" -> :port_taken
+      text =~ @write_error -> {:write_error, cause(text)}
+      true -> nil
+    end
+  end
+
+  # `write /a/long/path: no space left on device`: what is wrong stands at the end.
+  defp cause(text), do: text |> String.split(": ") |> List.last()
 end

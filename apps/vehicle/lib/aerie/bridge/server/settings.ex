@@ -8,7 +8,8 @@ defmodule Aerie.Bridge.Server.Settings do
           port: :inet.port_number(),
           store_dir: Path.t(),
           max_memory_mb: pos_integer(),
-          max_store_mb: pos_integer()
+          max_store_mb: pos_integer(),
+          token: String.t()
         }
 
   @doc "The text of the file."
@@ -22,6 +23,7 @@ defmodule Aerie.Bridge.Server.Settings do
     host: #{quoted(settings.address)}
     port: #{port}
     pid_file: #{quoted(Path.join(settings.store_dir, "nats-server.pid"))}
+    authorization { token: #{quoted(settings.token)} }
     jetstream {
       store_dir: #{quoted(Path.join(settings.store_dir, "data"))}
       max_memory_store: #{settings.max_memory_mb}MB

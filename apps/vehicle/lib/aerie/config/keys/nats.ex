@@ -31,7 +31,12 @@ defmodule Aerie.Config.Keys.Nats do
       field(:password, :secret, "Password. Better given by the environment than in a file.",
         example: "secret"
       ),
-      field(:token, :secret, "Authentication token.", example: "secret"),
+      field(
+        :token,
+        :secret,
+        "Authentication token. Embedded: the one that clients need; a random one if left out (`url` in nats.store_dir).",
+        example: "secret"
+      ),
       section(:tls, "TLS to the servers at nats.url.", [
         field(:enabled, :boolean, "Use TLS; a tls:// URL means it too.", default: false),
         field(
@@ -60,7 +65,10 @@ defmodule Aerie.Config.Keys.Nats do
         """,
         default: 4222
       ),
-      field(:store_dir, :path, "Embedded: folder of the server's data, configuration and log.",
+      field(
+        :store_dir,
+        :path,
+        "Embedded: folder of the server's data, configuration, log, login and address (`url`).",
         default: "var/nats"
       ),
       field(:max_memory_mb, {:integer, 1, 65_536}, "Embedded: memory that JetStream may use.", default: 64),

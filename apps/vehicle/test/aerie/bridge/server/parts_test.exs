@@ -20,7 +20,8 @@ defmodule Aerie.Bridge.Server.PartsTest do
         port: 0,
         store_dir: folder,
         max_memory_mb: 1,
-        max_store_mb: 2
+        max_store_mb: 2,
+        token: "t"
       }
 
       File.write!(conf, Settings.render(settings))
@@ -31,6 +32,16 @@ defmodule Aerie.Bridge.Server.PartsTest do
   test "lines of its log" do
     time = "[7] 2026/11/20 22:22:41.702000"
     assert LogLine.parse("#{time} [WRN] careful") == {:warning, "careful", nil}
+
+    for text <- [
+          "Filestore [FLEET_EVENTS] Critical write error: write /var/1.blk: no space left on device",
+          "JetStream failed to store a msg on stream '$G > FLEET_EVENTS': write /var/1.blk: no space left on device"
+        ],
+        do:
+          assert(
+            {:error, ^text, {:write_error, "no space left on device"}} =
+              LogLine.parse("#{time} [ERR] #{text}")
+          )
 
     assert {:error, _, :port_taken} =
              LogLine.parse("#{time} [FTL] Error listening: bind: address already in use")
@@ -127,6 +138,41 @@ defmodule Aerie.Bridge.Server.PartsTest do
       end
 
       refute OsProcess.end_leftover(Path.join(dir, "none"), "/no/such.conf")
+    end
+  end
+
+  describe "a server that stores nothing is started again" do
+    alias Aerie.Bridge.Server.Revival
+
+    test "when its disk has room" do
+      revival = Revival.fault(Revival.new(), "no space left on device")
+      assert {:wait, ^revival} = Revival.look(revival, 0, {:ok, 100_000})
+      assert {:restart, _} = Revival.look(revival, 0, {:ok, 2_000_000})
+      assert {:restart, _} = Revival.look(revival, 0, :unknown)
+      assert {:wait, _} = Revival.look(Revival.new(), 0, {:ok, 2_000_000})
+    end
+
+    test "with growing pauses where that does not help, and at once after a long time" do
+      {times, revival} =
+        Enum.flat_map_reduce(0..3_000//1, Revival.new(), fn second, revival ->
+          case Revival.look(Revival.fault(revival, "no answer"), second * 1000, :unknown) do
+            {:restart, revival} -> {[second], Revival.started(revival)}
+            {:wait, revival} -> {[], revival}
+          end
+        end)
+
+      assert times == [0, 10, 30, 70, 150, 310, 630, 1230, 1830, 2430]
+      later = 100_000_000
+
+      assert {:restart, %{tries: 1, not_before: at}} =
+               Revival.look(Revival.fault(revival, "again"), later, :unknown)
+
+      assert at == later + 10_000
+    end
+
+    test "for the reason that came first" do
+      assert %{fault: "full"} = Revival.new() |> Revival.fault("full") |> Revival.fault("no answer")
+      assert %{fault: nil} = Revival.new() |> Revival.fault("full") |> Revival.started()
     end
   end
 end

@@ -1,0 +1,37 @@
+defmodule FleetWeb.HealthTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Bridge.Tables
+  alias FleetWeb.Health
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  test "ready follows from whether events are stored, not from whether there is a connection", %{tmp_dir: dir} do
+    gateway = make_ref()
+    # Nobody listens there.
+    overrides = [{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", dir}, {"sockets.enabled", false}]
+
+    config =
+      Aerie.Config.default([
+        {"mavlink.local_addr", "off"},
+        {"nats.retry_min_ms", 60_000},
+        {"nats.retry_max_ms", 60_000} | overrides
+      ])
+
+    without = [Aerie.Link.Supervisor, Aerie.Client.Supervisor]
+    start_supervised!({Aerie.Gateway, name: gateway, config: config, without: without})
+    assert {false, %{nats: %{problem: "not connected to NATS"}}} = Health.ready(gateway)
+
+    tables = Tables.get(gateway)
+    put = &Tables.put_info(gateway, tables, &1, &2)
+    put.(:connection, %{status: :up, conn: nil, streams: :ok, url: "nats://127.0.0.1:1"})
+    assert {true, %{status: "ready", nats: %{connected: true, problem: nil}}} = Health.ready(gateway)
+
+    put.(:connection, %{status: :up, conn: nil, streams: :error, url: "nats://127.0.0.1:1"})
+    put.(:streams, %{result: :error, report: %{"FLEET_EVENTS" => {:error, "no room"}}})
+
+    assert {false, %{nats: %{connected: true, problem: "stream FLEET_EVENTS: no room"}}} =
+             Health.ready(gateway)
+  end
+end

@@ -1,0 +1,44 @@
+defmodule Aerie.Bridge.Events.Stall do
+  @moduledoc """
+  Whether events get through: they do while the stream confirms one now and then, or none waits. Pure; times in
+  milliseconds.
+
+  It is a problem when events have waited for ten seconds and none was confirmed, whatever the connection says of itself; and
+  over when that was not so for five seconds, so that a server that takes one event in ten seconds does not look healthy
+  every ten seconds.
+  """
+
+  @after_ms 10_000
+  @calm_ms 5_000
+
+  defstruct since: nil, calm_since: nil, problem?: false
+
+  @typedoc "`since`: when the last event was confirmed, or when they began to wait; nil while none waits."
+  @type t :: %__MODULE__{since: integer() | nil, calm_since: integer() | nil, problem?: boolean()}
+
+  @doc "Nothing waits."
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "An event was confirmed."
+  @spec confirmed(t(), integer()) :: t()
+  def confirmed(stall, now), do: %{stall | since: now}
+
+  @doc "A look from time to time: whether events wait now."
+  @spec look(t(), integer(), boolean()) :: t()
+  def look(stall, now, waiting?) do
+    since = if waiting?, do: stall.since || now
+    judge(%{stall | since: since}, now, since != nil and now - since >= @after_ms)
+  end
+
+  defp judge(stall, _now, true), do: %{stall | problem?: true, calm_since: nil}
+  defp judge(%{problem?: false} = stall, _now, false), do: stall
+  defp judge(%{calm_since: nil} = stall, now, false), do: %{stall | calm_since: now}
+  defp judge(stall, now, false) when now - stall.calm_since < @calm_ms, do: stall
+  defp judge(stall, _now, false), do: %{stall | problem?: false, calm_since: nil}
+
+  @doc "For how long none of the events that wait was confirmed."
+  @spec ms(t(), integer()) :: non_neg_integer()
+  def ms(%{since: nil}, _now), do: 0
+  def ms(%{since: since}, now), do: now - since
+end

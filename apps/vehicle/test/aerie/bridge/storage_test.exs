@@ -1,0 +1,149 @@
+defmodule Aerie.Bridge.StorageTest do
+  @moduledoc "Servers that are there and connected, and store nothing: a full disk, a quota that is too small."
+  use Aerie.BridgeCase, async: true
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  @tag skip:
+         System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
+           "no namespaces here"
+  test "after a full disk the server stores again as soon as there is room, and nothing is lost", %{
+    tmp_dir: dir
+  } do
+    disk = Path.join(dir, "disk")
+    File.mkdir_p!(disk)
+
+    script = """
+    Application.ensure_all_started(:vehicle)
+    alias Aerie.{Bridge, Config, Fleet}
+    alias Aerie.Vehicle.Event
+    disk = #{inspect(disk)}
+    config = Config.default([{"nats.port", 0}, {"nats.store_dir", Path.join(disk, "nats")},
+                             {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
+    {:ok, _} = Fleet.Store.start_link(gateway: :g)
+    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
+    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
+    await = fn await, fun -> fun.() || (Process.sleep(20); await.(await, fun)) end
+    problem = fn -> Bridge.info(:g).problem end
+    stored = fn -> Fleet.Journal.pending_size(:g) == 0 and Bridge.info(:g).outbox[:events] == 0 end
+    commit = fn seqs ->
+      for seq <- seqs do
+        event = Event.new("A", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 4000)})
+        Fleet.Journal.commit(:g, "A", :state, [event])
+      end
+    end
+
+    await.(await, fn -> problem.() == nil end)
+    commit.(1..10)
+    await.(await, stored)
+    fill = fn fill, file -> case :file.write(file, :binary.copy("x", 4096)) do
+      :ok -> fill.(fill, file)
+      {:error, :enospc} -> :ok
+    end end
+    {:ok, file} = :file.open(Path.join(disk, "filler"), [:write, :raw])
+    fill.(fill, file)
+    commit.(11..40)
+    IO.puts("told " <> await.(await, problem))
+    File.rm!(Path.join(disk, "filler"))
+    :file.close(file)
+    await.(await, fn -> problem.() == nil end)
+    url = URI.parse(Bridge.login_url(:g))
+    {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo})
+    await.(await, fn ->
+      {:ok, %{state: state}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+      state.messages == 40 and stored.()
+    end)
+    IO.puts("restarts \#{Bridge.info(:g).server.restarts} \#{System.pid()}")
+    Process.sleep(:infinity)
+    """
+
+    small = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=8m tmpfs '#{disk}' && exec \"$@\"", "sh"]
+    {port, problem} = other_vm(script, "told ", small)
+    assert problem == "the NATS server cannot store: no space left on device"
+    # All 40 are in the stream.
+    assert ["1", pid] = String.split(marked(port, "restarts "))
+    kill9(pid)
+  end
+
+  test "a quota that has no room for a stream: not ready, with the key that wants it; events wait and then go",
+       %{
+         tmp_dir: dir
+       } do
+    {server, url} = start_server(dir, "max_file_store: 100MB")
+    gateway = start_bridge(config(dir, [{"nats.url", url}]))
+    commit(gateway, "A", 1..5)
+    await(gateway, :streams, &match?(%{"FLEET_EVENTS" => {:error, _}}, &1[:report]))
+    await(gateway, :outbox, &(&1[:events] == 5))
+    assert %{connected: true, problem: problem} = Bridge.info(gateway)
+
+    assert problem ==
+             "stream FLEET_EVENTS: insufficient storage resources available for 512 MB (nats.streams.event_max_mb)"
+
+    assert metric(gateway, "gateway_nats_ready") == 0
+    stop_bridge(gateway)
+    start_bridge_again(gateway, config(dir, [{"nats.url", url}, {"nats.streams.event_max_mb", 20}]))
+    await_up(gateway)
+    await_empty(gateway)
+    assert Bridge.info(gateway).problem == nil
+    assert metric(gateway, "gateway_nats_ready") == 1
+    Bridge.Server.OsProcess.stop(server)
+    assert_receive {^server, {:exit_status, _}}, 10_000
+  end
+
+  test "an own quota that is smaller than the streams is refused before anything starts", %{tmp_dir: dir} do
+    file = Path.join(dir, "gateway.yaml")
+    File.write!(file, "nats: {max_store_mb: 100}\n")
+    assert {:error, errors} = Config.load(file, %{}, env: %{})
+
+    assert Config.format_errors(errors) =~
+             "nats.max_store_mb: expected at least 576: nats.streams.state_max_mb (64) and event_max_mb (512)"
+
+    File.write!(file, "nats: {max_store_mb: 100, streams: {event_max_mb: 30}}\n")
+    assert {:ok, _config} = Config.load(file, %{}, env: %{})
+  end
+
+  # Silence as after a full disk, from a server that was up: it is stopped, and its connections stay.
+  test "a server that answers to no event is found out although the connection stands", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+    pid = server_pid(dir)
+    {_, 0} = System.cmd("kill", ["-STOP", pid])
+    commit(gateway, "A", 1..3)
+    assert %{stalled: "events are not confirmed by NATS"} = await(gateway, :outbox, & &1[:stalled], 60_000)
+    assert metric(gateway, "gateway_events_stalled_seconds") >= 10
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up), 60_000)
+    await_empty(gateway)
+    eventually(fn -> Bridge.info(gateway).problem == nil end)
+    assert server_pid(dir) != pid
+  end
+
+  defp start_server(dir, limits) do
+    conf = Path.join(dir, "server.conf")
+
+    File.write!(
+      conf,
+      "host: 127.0.0.1\nport: -1\njetstream { store_dir: #{inspect(Path.join(dir, "data"))}, #{limits} }"
+    )
+
+    port = Bridge.Server.OsProcess.start(System.find_executable("nats-server"), ["-c", conf])
+    {port, "nats://127.0.0.1:#{listening(port)}"}
+  end
+
+  defp listening(port) do
+    assert_receive {^port, {:data, {:eol, line}}}, 10_000
+
+    case Bridge.Server.LogLine.parse(line) do
+      {_, _, {:listening, tcp_port}} -> tcp_port
+      _ -> listening(port)
+    end
+  end
+
+  defp marked(port, mark) do
+    assert_receive {^port, {:data, {:eol, line}}}, 60_000
+
+    if String.starts_with?(line, mark),
+      do: String.replace_prefix(line, mark, ""),
+      else: marked(port, mark)
+  end
+end

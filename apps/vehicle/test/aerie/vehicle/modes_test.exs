@@ -10,6 +10,11 @@ defmodule Aerie.Vehicle.ModesTest do
     assert Modes.name(:ardupilot, "plane", 81, 5) == "FBWA"
     assert Modes.name(:ardupilot, "vtol", 81, 19) == "QLOITER"
     assert Modes.name(:ardupilot, "boat", 81, 10) == "AUTO"
+    assert Modes.name(:ardupilot, "copter", 81, 29) == "RATE_ACRO"
+    assert Enum.map([5, 6], &Modes.name(:ardupilot, "blimp", 81, &1)) == ["AUTO", "HOLD"]
+    assert Modes.name(:ardupilot, "rover", 81, 2) == "LEARNING"
+    assert Modes.name(:ardupilot, "plane", 81, 25) == "LOITER_ALT_QLAND"
+    assert Enum.map([5, 6, 16], &Modes.name(:ardupilot, "plane", 81, &1)) == ~w(FBWA FBWB INITIALISING)
     assert Modes.name(:px4, "copter", 157, 50_593_792) == "AUTO_LOITER"
     assert Modes.name(:px4, "copter", 145, 16_973_824) == "POSCTL_ORBIT"
     assert Modes.name(:px4, "copter", 145, 393_216) == "OFFBOARD"

@@ -10,7 +10,8 @@ defmodule Aerie.ReplayTest do
   alias MavCodec.Tlog
 
   @fixtures Path.expand("../fixtures", __DIR__)
-  @recordings ~w(arducopter_flight arducopter_mavlink1 ardurover_drive px4_flight px4_refusals)
+  @recordings ~w(arducopter_flight arducopter_mavlink1 ardurover_drive px4_flight px4_refusals
+                 px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes)
   @second 1_000_000
   @start 1_795_000_000 * @second
 
@@ -40,6 +41,7 @@ defmodule Aerie.ReplayTest do
       test "#{recording} gives what it gave" do
         assert {:ok, flight} = Replay.run(file(unquote(recording)))
         assert_golden(flight, Path.join(@fixtures, unquote(recording) <> ".events.txt"))
+        for event <- flight.events, do: declared!(event)
       end
 
       test "#{recording} gives the same to the byte, in one piece or in pieces of any size" do
@@ -121,6 +123,7 @@ defmodule Aerie.ReplayTest do
           frames = for {frame, n} <- Enum.with_index(frames, 1), do: made(frame, at(n / 10))
           {:ok, flight} = play([beat(0) | frames])
           for event <- flight.events, do: Aerie.Bridge.Message.event(event)
+          for event <- flight.events, do: declared!(event)
 
           for s <- flight.samples,
               do: Aerie.Bridge.Message.state(s.vehicle, "#{s.group}", s.data, s.time_boot_ms, s.at)
@@ -130,6 +133,9 @@ defmodule Aerie.ReplayTest do
 
       assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 60])
     end
+
+    @declared Map.new(Aerie.Vehicle.EventTypes.all(), &{&1.type, Enum.map(&1.fields, fn f -> f.name end)})
+    defp declared!(event), do: [] = Map.keys(event.data) -- ["position" | @declared[event.type]]
 
     # Those that the cores look at, more often than the others.
     defp any_frame do

@@ -68,6 +68,7 @@ defmodule Aerie.Vehicle.Core do
     :view,
     :viewed,
     :way,
+    :settle,
     status: :online,
     version: 2,
     beat: 1,

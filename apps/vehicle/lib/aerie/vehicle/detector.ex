@@ -10,9 +10,11 @@ defmodule Aerie.Vehicle.Detector do
 
   | observation                              | events                                                              |
   |------------------------------------------|---------------------------------------------------------------------|
-  | `{:state, at, boot_ms, digest}`          | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery.low, battery.critical, mission.completed |
-  | `{:text, at, boot_ms, severity, text}`   | statustext; gcs_failsafe, geofence, mission.completed when it says so |
+  | `{:state, at, boot_ms, digest}`          | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery, rc, gps, position, mission.completed |
+  | `{:text, at, boot_ms, severity, text}`   | statustext; failsafe, gcs_failsafe, geofence, rc, kill_switch, mission.completed when it says so |
   | `{:report, at, boot_ms, data}`           | report                                                              |
+  | `{:said, at, boot_ms, name, values}`     | failsafe, gcs_failsafe, rc, kill_switch: reports at once (`Detector.Reported`) |
+  | `{:settle, at, boot_ms}`                 | failsafe, when it has waited long enough for its cause              |
   | `{:reached, at, boot_ms, seq}`           | mission.reached                                                     |
   | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
@@ -26,10 +28,13 @@ defmodule Aerie.Vehicle.Detector do
   With any of them may come `events.suppressed`: there is a budget for each type (`Detector.Budget`).
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
-  event; except for a battery that is found low.
+  event; except for a battery that is found low, and a failsafe, which is marked as found.
   """
 
+  import Bitwise
+
   alias Aerie.Vehicle.{Detector, Event, Options, State}
+  alias Aerie.Vehicle.Detector.{Failsafe, Losses, Reported, Texts}
 
   defstruct [
     :vehicle,
@@ -39,10 +44,17 @@ defmodule Aerie.Vehicle.Detector do
     done: 0,
     last: %{},
     battery: %{},
-    failsafe: nil,
+    failsafe: %Failsafe{},
     gcs: false,
     gcs_gone: false,
+    gcs_reported: nil,
+    armed_by: nil,
+    rc_lost: nil,
+    gps_lost: nil,
+    position_lost: nil,
+    killed: false,
     fence: nil,
+    fence_open: nil,
     mission: nil,
     reached: nil,
     lost: false,
@@ -59,10 +71,17 @@ defmodule Aerie.Vehicle.Detector do
           done: non_neg_integer(),
           last: map(),
           battery: %{(0..255 | :own) => Detector.Batteries.level()},
-          failsafe: {integer(), String.t(), String.t()} | nil,
+          failsafe: Failsafe.t(),
           gcs: boolean(),
           gcs_gone: boolean(),
+          gcs_reported: integer() | nil,
+          armed_by: {integer(), armed :: boolean(), reason :: term()} | nil,
+          rc_lost: integer() | nil,
+          gps_lost: integer() | nil,
+          position_lost: integer() | nil,
+          killed: boolean(),
           fence: integer() | nil,
+          fence_open: {integer(), String.t() | nil} | nil,
           mission: non_neg_integer() | :unknown | nil,
           reached: {non_neg_integer(), integer()} | nil,
           lost: boolean(),
@@ -73,14 +92,26 @@ defmodule Aerie.Vehicle.Detector do
 
   @type observation :: tuple()
   @type known :: (String.t() -> {:ok, term()} | :error)
+  @typedoc "When and where something happened: unix us, the vehicle's clock, its position."
+  @type moment :: {integer(), non_neg_integer() | nil, map() | nil}
+  @typedoc """
+  An event to be: its type (nil for a change of the detector alone), data, changes of the detector, and its own moment where
+  that is an earlier one.
+  """
+  @type step :: {String.t() | nil, map(), keyword()} | {String.t() | nil, map(), keyword(), moment()}
 
-  # A reason that was named longer ago than this is not why a failsafe came.
-  @reason_us 5_000_000
+  # A text about the ground station that comes this much later than the report was held back until one was there again.
+  @late_us 1_500_000
+  @held_back_us 600_000_000
   # PX4 says once a second that it has reached an item.
   @reached_again_us 5_000_000
   @fence_again_us 10_000_000
   @same_boot_us 10_000_000
   @collision_again_us 60_000_000
+  # GPS_FIX_TYPE
+  @fix_3d 3
+  # Both firmwares' estimators: horizontal position relative, absolute.
+  @somewhere 0x18
 
   @spec new(Options.t()) :: t()
   def new(options) do
@@ -96,6 +127,8 @@ defmodule Aerie.Vehicle.Detector do
   def digest(state) do
     mode = State.data(state, :mode)
     mission = State.data(state, :mission)
+    health = State.data(state, :health)
+    gps = State.data(state, :gps)
 
     %{
       mode: mode.mode,
@@ -107,10 +140,18 @@ defmodule Aerie.Vehicle.Detector do
       fence_breach_type: mission.fence_breach_type,
       mission_seq: mission.seq,
       mission_total: mission.total,
-      mission_state: mission.state
+      mission_state: mission.state,
+      gps: if(gps.fix, do: if(gps.fix >= @fix_3d, do: "OK", else: gps.fix_name)),
+      position: if(health.ekf, do: (health.ekf.flags &&& @somewhere) != 0),
+      rc_receiver: health.rc_receiver,
+      fence_check: if(health.arming_checks, do: fence_check(health.arming_checks))
     }
     |> Map.merge(Detector.Batteries.digest(state))
   end
+
+  defp fence_check(checks), do: Enum.find_value(checks, false, &violation(&1.name))
+  defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
+  defp violation(_other), do: nil
 
   @doc "What is shown beside a digest for the data of events, however often it changes."
   @spec beside(State.t()) :: map()
@@ -126,26 +167,53 @@ defmodule Aerie.Vehicle.Detector do
   @spec observe(t(), observation(), known()) :: {t(), [Event.t()], %{String.t() => term()}}
   def observe(detector, observation, known \\ fn _name -> :error end)
 
-  def observe(detector, {:state, at, boot_ms, digest}, _known) do
+  def observe(%{failsafe: %{pending: %{}}} = detector, observation, known) do
+    {failsafe, steps} = Failsafe.due(detector.failsafe, elem(observation, 1), facts(detector))
+    {detector, before} = emit(%{detector | failsafe: failsafe}, steps, elem(observation, 1), nil, nil)
+    {detector, events, params} = step(detector, observation, known)
+    {detector, before ++ events, params}
+  end
+
+  def observe(detector, observation, known), do: step(detector, observation, known)
+
+  # Looked at above.
+  defp step(detector, {:settle, _at, _boot_ms}, _known), do: {detector, [], %{}}
+
+  defp step(detector, {:state, at, boot_ms, digest}, _known) do
     {beside, digest} = Map.split(digest, [:where, :voltages])
     where = beside[:where]
-    now = Map.merge(detector.last, Map.reject(digest, fn {_key, value} -> is_nil(value) end))
-    steps = Detector.Changes.events(detector.last, Map.merge(now, beside), detector, at)
+    last = detector.last
+    now = Map.merge(last, Map.reject(digest, fn {_key, value} -> is_nil(value) end))
+    steps = Detector.Changes.events(last, Map.merge(now, beside), detector, at)
     {detector, events} = emit(%{detector | last: now}, steps, at, boot_ms, where)
+    {detector, losses} = Losses.changed(detector, last, now, at)
+    {detector, lost} = emit(detector, losses, at, boot_ms, where)
+
+    {failsafe, steps} = Failsafe.changed(detector.failsafe, last, facts(detector), {at, boot_ms, where})
+    detector = %{detector | failsafe: failsafe, gcs: detector.gcs and not over?(last, now)}
+    {detector, failsafes} = emit(detector, steps, at, boot_ms, where)
+    {detector, events ++ lost ++ failsafes, %{}}
+  end
+
+  defp step(detector, {:text, at, boot_ms, severity, text}, _known) do
+    if late?(detector, text, at) do
+      {detector, [], %{}}
+    else
+      data = %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text}
+      {detector, said} = emit(detector, [{"statustext", data, []}], at, boot_ms, nil)
+      {detector, events} = Detector.Implied.events(detector, text, {at, boot_ms, nil}) |> told(at, boot_ms)
+      {detector, said ++ events, %{}}
+    end
+  end
+
+  defp step(detector, {:said, at, boot_ms, name, values}, _known) do
+    {detector, events} =
+      Reported.observe(detector, name, values, {at, boot_ms, nil}) |> told(at, boot_ms)
+
     {detector, events, %{}}
   end
 
-  def observe(detector, {:text, at, boot_ms, severity, text}, _known) do
-    said = [
-      {"statustext", %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text},
-       []}
-    ]
-
-    {detector, events} = emit(detector, said ++ implied(detector, text, at), at, boot_ms, nil)
-    {noted(detector, text, at), events, %{}}
-  end
-
-  def observe(detector, {:reached, at, boot_ms, seq}, _known) do
+  defp step(detector, {:reached, at, boot_ms, seq}, _known) do
     again = match?({^seq, _}, detector.reached) and at - elem(detector.reached, 1) < @reached_again_us
     steps = if again, do: [], else: [{"mission.reached", reached(detector, seq), []}]
     detector = %{detector | reached: {seq, at}, mission: flown_again(detector.mission, seq)}
@@ -153,7 +221,7 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
-  def observe(detector, {:params, at, boot_ms, values}, known) do
+  defp step(detector, {:params, at, boot_ms, values}, known) do
     {steps, learned} =
       Enum.reduce(values, {[], %{}}, fn {name, value, index}, {steps, learned} ->
         before = if is_map_key(learned, name), do: Map.fetch(learned, name), else: known.(name)
@@ -166,40 +234,46 @@ defmodule Aerie.Vehicle.Detector do
       end)
 
     {detector, events} = emit(detector, Enum.reverse(steps), at, boot_ms, nil)
-    {detector, events, learned}
+    {detector, ended} = detector |> Losses.params(learned, at) |> told(at, boot_ms)
+    {detector, events ++ ended, learned}
   end
 
-  def observe(%{lost: false} = detector, {:lost, at, boot_ms, silent_us}, _known) do
+  defp step(%{lost: false} = detector, {:lost, at, boot_ms, silent_us}, _known) do
     steps = [{"link.lost", %{"silent_s" => Float.round(silent_us / 1_000_000, 1)}, lost: true}]
     {detector, events} = emit(detector, steps, at, boot_ms, nil)
     {detector, events, %{}}
   end
 
-  def observe(%{lost: true} = detector, {:restored, at, boot_ms}, _known) do
+  defp step(%{lost: true} = detector, {:restored, at, boot_ms}, _known) do
     {detector, events} = emit(detector, [{"link.restored", %{}, lost: false}], at, boot_ms, nil)
     {detector, events, %{}}
   end
 
   # What is known already.
-  def observe(detector, {:lost, _at, _boot_ms, _silent_us}, _known), do: {detector, [], %{}}
-  def observe(detector, {:restored, _at, _boot_ms}, _known), do: {detector, [], %{}}
+  defp step(detector, {:lost, _at, _boot_ms, _silent_us}, _known), do: {detector, [], %{}}
+  defp step(detector, {:restored, _at, _boot_ms}, _known), do: {detector, [], %{}}
 
-  def observe(detector, {:reboot, at, boot_ms}, _known) do
+  defp step(detector, {:reboot, at, boot_ms}, _known) do
     boot_at = at - boot_ms * 1000
 
     if detector.boot_at != nil and abs(detector.boot_at - boot_at) < @same_boot_us do
       {detector, [], %{}}
     else
       steps = [
-        {"reboot", %{"uptime_ms" => boot_ms}, boot_at: boot_at, mission: nil, reached: nil, gcs: false}
+        {"reboot", %{"uptime_ms" => boot_ms},
+         boot_at: boot_at, mission: nil, reached: nil, gcs: false, gcs_reported: nil}
       ]
 
-      {detector, events} = emit(detector, steps, at, boot_ms, nil)
+      {failsafe, ended} =
+        Failsafe.cleared(detector.failsafe, :all, "reboot", facts(detector), {at, boot_ms, nil})
+
+      detector = Losses.forgotten(%{detector | failsafe: failsafe})
+      {detector, events} = emit(detector, ended ++ steps, at, boot_ms, nil)
       {detector, events, %{}}
     end
   end
 
-  def observe(detector, {:collision, at, boot_ms, sign, links}, _known) do
+  defp step(detector, {:collision, at, boot_ms, sign, links}, _known) do
     known = detector.collision != nil and at - detector.collision < @collision_again_us
     links = for side <- links, do: Enum.map(side, &to_string/1)
     steps = if known, do: [], else: [{"collision", %{"sign" => sign, "links" => links}, []}]
@@ -207,23 +281,23 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
-  def observe(detector, {:report, at, boot_ms, data}, _known) do
+  defp step(detector, {:report, at, boot_ms, data}, _known) do
     data = Map.put(data, "severity_name", severity_name(data["severity"]))
     {detector, events} = emit(detector, [{"report", data, []}], at, boot_ms, nil)
     {detector, events, %{}}
   end
 
-  def observe(detector, {:quiet, at, boot_ms}, _known) do
+  defp step(detector, {:quiet, at, boot_ms}, _known) do
     {detector, events} = emit(detector, [], at, boot_ms, nil)
     {detector, events, %{}}
   end
 
-  def observe(detector, {:alarm, at, boot_ms, type, data}, _known) do
+  defp step(detector, {:alarm, at, boot_ms, type, data}, _known) do
     {detector, events} = emit(detector, [{type, data, []}], at, boot_ms, nil)
     {detector, events, %{}}
   end
 
-  def observe(detector, {:streams, at, boot_ms, notices}, _known) do
+  defp step(detector, {:streams, at, boot_ms, notices}, _known) do
     messages =
       for notice <- notices do
         %{
@@ -241,7 +315,7 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
-  def observe(detector, {:gcs, at, boot_ms, what, facts}, _known) do
+  defp step(detector, {:gcs, at, boot_ms, what, facts}, _known) do
     data = %{
       "system" => facts.system,
       "timeout_s" => facts.timeout_s,
@@ -259,89 +333,58 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
-  @doc "Why a failsafe that begins `at` came, as far as texts have said: `{reason, text}`."
-  @spec reason(t(), integer()) :: {String.t(), String.t() | nil}
-  def reason(%{failsafe: {said, reason, text}}, at) when at - said <= @reason_us, do: {reason, text}
-  def reason(_detector, _at), do: {"unknown", nil}
-
   @doc "Whether a breach was told so shortly before `at` that it is the same one."
   @spec fence_told?(t(), integer()) :: boolean()
   def fence_told?(%{fence: nil}, _at), do: false
   def fence_told?(%{fence: told}, at), do: at - told < @fence_again_us
 
-  # Steps are {type, data, changes of the detector}; each event that is within the budget gets the next number. A change
-  # is made in any case.
+  @doc "What the detector knows of the vehicle: the last digest, and what is wrong with it."
+  @spec facts(t()) :: map()
+  def facts(detector), do: Map.put(detector.last, :troubles, Losses.troubles(detector))
+
+  # Out of all failsafes, the ground station can be lost anew even if nobody said that it came back.
+  defp over?(%{failsafe: true}, %{failsafe: false}), do: true
+  defp over?(_last, _now), do: false
+
+  # PX4 holds its texts back until a ground station is there to hear them; what the report told is not told again then.
+  defp late?(%{gcs_reported: nil}, _text, _at), do: false
+
+  defp late?(%{gcs_reported: reported}, text, at),
+    do: (at - reported) in @late_us..@held_back_us and Texts.gcs(text) == :lost
+
+  defp told({detector, steps}, at, boot_ms), do: emit(detector, steps, at, boot_ms, nil)
+
+  # Each event that is within the budget gets the next number. A change of the detector is made in any case.
   defp emit(detector, steps, at, boot_ms, where) do
     {budget, suppressed} = Detector.Budget.tell(detector.budget, at)
-    told = for data <- suppressed, do: {"events.suppressed", data, []}
-    start = number(told, {%{detector | budget: budget}, []}, at, boot_ms)
+    told = for data <- suppressed, do: {"events.suppressed", data, [], {at, boot_ms, nil}}
+    start = Enum.reduce(told, {%{detector | budget: budget}, []}, &number/2)
 
     {detector, events} =
-      Enum.reduce(steps, start, fn {type, data, changes}, {detector, events} ->
+      Enum.reduce(steps, start, fn step, {detector, events} ->
+        {type, data, changes, {at, _, where} = moment} = with_moment(step, {at, boot_ms, where})
         data = if where, do: Map.put(data, "position", where), else: data
         {verdict, budget} = spend(detector.budget, type, data, at)
-        step = {if(verdict == :ok, do: type), data, changes}
-        number([step], {%{detector | budget: budget}, events}, at, boot_ms)
+        step = {if(verdict == :ok, do: type), data, changes, moment}
+        number(step, {%{detector | budget: budget}, events})
       end)
 
     {detector, Enum.reverse(events)}
   end
 
+  defp with_moment({type, data, changes}, moment), do: {type, data, changes, moment}
+  defp with_moment(step, _moment), do: step
+
   defp spend(budget, nil, _data, _at), do: {:ok, budget}
   defp spend(budget, type, data, at), do: Detector.Budget.take(budget, type, data, at)
 
-  defp number(steps, acc, at, boot_ms) do
-    Enum.reduce(steps, acc, fn
-      {nil, _data, changes}, {detector, events} ->
-        {struct!(detector, changes), events}
+  defp number({nil, _data, changes, _moment}, {detector, events}), do: {struct!(detector, changes), events}
 
-      {type, data, changes}, {detector, events} ->
-        seq = detector.seq + 1
-        event = Event.new(detector.vehicle, type, seq, at, boot_ms, data)
-        {struct!(detector, [seq: seq] ++ changes), [event | events]}
-    end)
+  defp number({type, data, changes, {at, boot_ms, _where}}, {detector, events}) do
+    seq = detector.seq + 1
+    event = Event.new(detector.vehicle, type, seq, at, boot_ms, data)
+    {struct!(detector, [seq: seq] ++ changes), [event | events]}
   end
-
-  defp implied(detector, text, at) do
-    gcs =
-      case {Detector.Texts.gcs(text), detector.gcs} do
-        {:lost, false} -> [{"gcs_failsafe", %{"text" => text}, gcs: true}]
-        {:back, true} -> [{nil, %{}, gcs: false}]
-        _nothing_new -> []
-      end
-
-    # FENCE_STATUS knows better, where it comes.
-    fence =
-      if not is_map_key(detector.last, :fence_breach) and Detector.Texts.fence?(text) and
-           not fence_told?(detector, at),
-         do: [{"geofence", %{"text" => text}, fence: at}],
-         else: []
-
-    mission =
-      if detector.mission == nil and Detector.Texts.mission_completed?(text),
-        do: [{"mission.completed", %{"text" => text}, mission: detector.last[:mission_seq] || :unknown}],
-        else: []
-
-    gcs ++ fence ++ mission
-  end
-
-  defp noted(detector, text, at) do
-    case Detector.Texts.failsafe(text) do
-      nil ->
-        detector
-
-      # A general "failsafe activated" does not replace the reason that was given just before it.
-      "unknown" ->
-        if elem(reason(detector, at), 0) == "unknown",
-          do: noted(detector, at, "unknown", text),
-          else: detector
-
-      reason ->
-        noted(detector, at, reason, text)
-    end
-  end
-
-  defp noted(detector, at, reason, text), do: %{detector | failsafe: {at, reason, text}}
 
   defp reached(%{last: %{mission_total: total}}, seq), do: %{"seq" => seq, "total" => total}
   defp reached(_detector, seq), do: %{"seq" => seq}

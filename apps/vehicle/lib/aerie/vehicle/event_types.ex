@@ -62,10 +62,11 @@ defmodule Aerie.Vehicle.EventTypes do
      ]},
     {"geofence", "a fence is broken", "FENCE_STATUS, PX4's checks (EVENT); a text where neither comes",
      [
-       {"breach", :string, nil, "FENCE_BREACH, or PX4's: MAX_HOR_DIST, MAX_ALT, CUSTOM_GF"},
+       {"breach", :string, nil, "FENCE_BREACH, or of PX4 MAX_HOR_DIST, MAX_ALT, CUSTOM_GF"},
        @text
      ]},
-    {"geofence.cleared", "it is back within its fence", "as geofence, but never a text",
+    {"geofence.cleared", "it is back within its fence, or the fence is switched off",
+     "as geofence, but never a text; the parameter FENCE_ENABLE",
      [
        {"breach", :string, nil, "that of the geofence event"},
        {"duration", :number, "s", "how long it was outside"}
@@ -92,21 +93,16 @@ defmodule Aerie.Vehicle.EventTypes do
     {"gps.lost", "an armed vehicle has no position by GNSS any more",
      "GPS_RAW_INT: a fix of 3 or more becomes less",
      [
-       {"fix", :string, nil, "GPS_FIX_TYPE now"},
-       {"satellites", :integer, nil, "how many are seen"}
+       {"fix", :string, nil, "GPS_FIX_TYPE now"}
      ]},
     {"gps.restored", "it has one again", "GPS_RAW_INT",
      [
-       {"fix", :string, nil, "GPS_FIX_TYPE now"},
-       {"satellites", :integer, nil, "how many are seen"},
        {"duration", :number, "s", "for how long it was gone"}
      ]},
     {"position.lost", "an armed vehicle's estimator does not know where it is any more",
-     "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position",
-     [{"flags", :integer, nil, "the estimator's flags"}]},
+     "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", []},
     {"position.restored", "it knows again", "as position.lost",
      [
-       {"flags", :integer, nil, "the estimator's flags"},
        {"duration", :number, "s", "for how long it did not know"}
      ]},
     {"kill_switch.engaged", "its motors are stopped by the kill switch", "PX4's reports, texts of both",
@@ -238,4 +234,17 @@ defmodule Aerie.Vehicle.EventTypes do
   @doc "Their names."
   @spec names() :: [String.t()]
   def names, do: @names
+
+  @doc "The table as Markdown: what the README of the vehicles shows."
+  @spec markdown() :: String.t()
+  def markdown do
+    rows =
+      for t <- @all,
+          do: "| `#{t.type}` | #{t.when} | #{Enum.map_join(t.fields, "; ", &field/1)} | #{t.source} |\n"
+
+    IO.iodata_to_binary(["| event | when | data | shown by |\n|---|---|---|---|\n", rows])
+  end
+
+  defp field(%{unit: nil} = field), do: "`#{field.name}`: #{field.meaning}"
+  defp field(field), do: "`#{field.name}` (#{field.unit}): #{field.meaning}"
 end

@@ -46,8 +46,8 @@ defmodule Aerie.Vehicle.Reports do
           boot_ms: non_neg_integer()
         }
   @type t :: %__MODULE__{}
-  @typedoc "A report that no text doubles, or all that keeps the vehicle from being armed."
-  @type given :: {:report, report()} | {:checks, [report()]}
+  @typedoc "A report at once; one that no text doubles; all that keeps the vehicle from being armed."
+  @type given :: {:said, report()} | {:report, report()} | {:checks, [report()]}
   @type own :: {system :: non_neg_integer(), component :: non_neg_integer()}
 
   @spec new() :: t()
@@ -82,7 +82,7 @@ defmodule Aerie.Vehicle.Reports do
     state = component(reports, component)
     {what, checks, list} = Checks.event(state.checks, report.sequence, report.id, report, report.at)
     reports = put_component(reports, component, %{state | checks: checks})
-    given = if list, do: [{:checks, list}], else: []
+    given = [{:said, report}] ++ if(list, do: [{:checks, list}], else: [])
     if what == :other and report.severity <= 7, do: {pair(reports, report), given}, else: {reports, given}
   end
 

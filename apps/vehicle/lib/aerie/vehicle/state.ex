@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.State do
   | `:battery`  | id (whose the values are, nil: not said), voltage, current, remaining (0..1), consumed_mah, charge_state, batteries |
   | `:gps`      | fix, fix_name, satellites, hdop, vdop, lat, lon, alt_msl, h_acc, v_acc                         |
   | `:mode`     | mode, custom_mode, armed, in_air, landed_state, vtol_state, system_status, failsafe            |
-  | `:health`   | load (%), unhealthy (names), ready_to_arm, arming_checks (PX4: what keeps it from arming), drop_rate (%), errors, ekf, vibration, clipping |
+  | `:health`   | load (%), unhealthy (names), ready_to_arm, arming_checks (PX4: what keeps it from arming), rc_receiver (heard?), drop_rate (%), errors, ekf, vibration, clipping |
   | `:home`     | lat, lon, alt_msl                                                                              |
   | `:mission`  | seq, total, state, reached, wp_distance, fence_breach, fence_breach_type                       |
   | `:rc`       | channels (us), rssi (0..1)                                                                     |
@@ -37,6 +37,7 @@ defmodule Aerie.Vehicle.State do
       :unhealthy,
       :ready_to_arm,
       :arming_checks,
+      :rc_receiver,
       :drop_rate,
       :errors,
       :ekf,

@@ -29,12 +29,13 @@ defmodule Aerie.Vehicle.DetectorTest do
     do: {:state, round(seconds * @second), 1000, Map.merge(@ground, Map.new(changes))}
 
   defp text(seconds, text), do: {:text, round(seconds * @second), 1000, 4, text}
+  defp settle(seconds), do: {:settle, round(seconds * @second), 1000}
 
   defp without_texts(observations),
     do: types(observations) -- for({:text, _, _, _, _} <- observations, do: "statustext")
 
   test "where a vehicle is found is no event" do
-    assert types([state(0, armed: true, in_air: true, failsafe: true, mode: "AUTO")]) == []
+    assert types([state(0, armed: true, in_air: true, mode: "AUTO")]) == []
   end
 
   test "a whole flight, one event each, numbered, with the times of what showed them" do
@@ -88,12 +89,12 @@ defmodule Aerie.Vehicle.DetectorTest do
           state(2, armed: true, failsafe: true)
         ])
 
-      assert [%{type: "statustext"}, %{type: "failsafe", data: data}] = events
-      assert %{"reason" => "rc", "text" => "Radio Failsafe - RTL"} = data
+      assert [%{type: "statustext"}, %{type: "rc.lost"}, %{type: "failsafe", data: data}] = events
+      assert %{"type" => "rc", "reason" => "rc", "text" => "Radio Failsafe - RTL"} = data
     end
 
     test "an old reason is none; a general text does not replace a reason" do
-      {events, _} = observe([state(0, []), text(1, "Battery Failsafe"), state(9, failsafe: true)])
+      {events, _} = observe([state(0, []), text(1, "Battery low"), state(9, failsafe: true), settle(10)])
       assert List.last(events).data["reason"] == "unknown"
 
       {events, _} =
@@ -101,10 +102,11 @@ defmodule Aerie.Vehicle.DetectorTest do
           state(0, []),
           text(1, "Low battery"),
           text(2, "Failsafe activated"),
-          state(3, failsafe: true)
+          state(3, failsafe: true),
+          settle(4)
         ])
 
-      assert List.last(events).data["reason"] == "battery"
+      assert %{"type" => "battery", "reason" => "low_battery_level"} = List.last(events).data
     end
 
     test "each one is an event, its staying is not" do
@@ -114,7 +116,7 @@ defmodule Aerie.Vehicle.DetectorTest do
                state(2, failsafe: true, mode: "RTL"),
                state(3, [])
              ]) ==
-               ~w(failsafe mode_change mode_change)
+               ~w(failsafe mode_change mode_change failsafe.cleared)
     end
   end
 
@@ -175,7 +177,7 @@ defmodule Aerie.Vehicle.DetectorTest do
                state(2, breach),
                state(3, fence_breach: false),
                state(4, breach)
-             ]) == ["geofence", "geofence"]
+             ]) == ["geofence", "geofence.cleared", "geofence"]
     end
 
     test "by text where there is no FENCE_STATUS, not again within ten seconds" do
@@ -211,11 +213,13 @@ defmodule Aerie.Vehicle.DetectorTest do
 
     assert without_texts([state(0, []), lost, lost, text(2, "GCS Failsafe Cleared"), lost]) == [
              "gcs_failsafe",
+             "failsafe",
+             "failsafe.cleared",
              "gcs_failsafe"
            ]
 
     assert without_texts([lost, state(1, []), state(2, failsafe: true), state(3, []), lost]) ==
-             ["gcs_failsafe", "failsafe", "gcs_failsafe"]
+             ["gcs_failsafe", "failsafe", "failsafe.cleared", "gcs_failsafe"]
 
     assert Texts.gcs("Lost connection to GCS") == :lost
     assert Texts.gcs("Connection to ground station lost") == :lost

@@ -155,10 +155,15 @@ defmodule Aerie.Vehicle.FlightTest do
       run = frames("px4_refusals") |> run()
       events = pick(run, ~w(failsafe battery.low battery.critical))
 
-      assert [{"failsafe", 1_795_216_855_433, %{"reason" => "battery", "mode" => "AUTO_LOITER"}}] =
-               failsafes(events)
+      # By its texts: critical, then an emergency, each with what it does.
+      assert [
+               {"failsafe", 1_795_216_855_344, %{"type" => "battery", "action" => "hold", "delay" => 5}},
+               {"failsafe", 1_795_216_860_382, %{"type" => "battery", "action" => "land"}}
+             ] = failsafes(events)
 
-      assert Enum.map(events, &elem(&1, 0)) |> Enum.sort() == ~w(battery.critical battery.low failsafe)
+      assert Enum.map(events, &elem(&1, 0)) |> Enum.sort() ==
+               ~w(battery.critical battery.low failsafe failsafe)
+
       texts = for {_, _, %{"text" => text}} <- pick(run, ["statustext"]), do: text
       assert "Arming denied: Resolve system health failures first" in texts
     end

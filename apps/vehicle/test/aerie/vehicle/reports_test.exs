@@ -263,7 +263,7 @@ defmodule Aerie.Vehicle.ReportsTest do
     test "an unknown component more than eight is not followed" do
       reports =
         Enum.reduce(1..20, Reports.new(), fn component, reports ->
-          {reports, []} = Reports.message(reports, component, event(1), {245, 191}, 0)
+          {reports, _said} = Reports.message(reports, component, event(1), {245, 191}, 0)
           reports
         end)
 

@@ -70,11 +70,19 @@ defmodule Aerie.Vehicle.SimulatedFlightTest do
              {10, "gcs_failsafe"},
              {10, "mode_change"},
              {10, "failsafe"},
+             {20, "failsafe.cleared"},
              {30, "gcs_failsafe"},
              {30, "failsafe"}
            ]
 
-    assert %{"reason" => "gcs", "text" => "GCS Failsafe - RTL", "mode" => "RTL"} = data(run, "failsafe")
+    assert %{
+             "type" => "gcs",
+             "reason" => "gcs",
+             "action" => "rtl",
+             "text" => "GCS Failsafe - RTL",
+             "mode" => "RTL"
+           } =
+             data(run, "failsafe")
   end
 
   test "ArduPilot leaves its fence: FENCE_STATUS says so, and the text is no second event" do

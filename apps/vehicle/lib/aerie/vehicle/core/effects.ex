@@ -12,9 +12,9 @@ defmodule Aerie.Vehicle.Core.Effects do
   @position 33
   @mission_item_reached 46
   @autopilot_version 148
-  # HEARTBEAT, SYS_STATUS, GLOBAL_POSITION_INT, MISSION_CURRENT, BATTERY_STATUS, FENCE_STATUS, HIGH_LATENCY2,
-  # EXTENDED_SYS_STATE
-  @eventful [0, 1, 33, 42, 147, 162, 235, 245]
+  # HEARTBEAT, SYS_STATUS, GPS_RAW_INT, GLOBAL_POSITION_INT, MISSION_CURRENT, BATTERY_STATUS, FENCE_STATUS,
+  # EKF_STATUS_REPORT, ESTIMATOR_STATUS, HIGH_LATENCY2, EXTENDED_SYS_STATE
+  @eventful [0, 1, 24, 33, 42, 147, 162, 193, 230, 235, 245]
   # The store is written at most twenty times a second.
   @show_us 50_000
 
@@ -44,7 +44,11 @@ defmodule Aerie.Vehicle.Core.Effects do
   # The others say nothing that events are about.
   def changed(core, actions, id, _message, _at) when id not in @eventful, do: {core, actions}
 
-  def changed(core, actions, _id, _message, at) do
+  def changed(core, actions, _id, _message, at), do: looked_at(core, actions, at)
+
+  @doc "What the detector is to look at may have changed."
+  @spec looked_at(Core.t(), [Core.action()], integer()) :: acc()
+  def looked_at(core, actions, at) do
     case Detector.digest(core.state) do
       same when same == core.digest ->
         {core, actions}
@@ -53,10 +57,26 @@ defmodule Aerie.Vehicle.Core.Effects do
         # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
         # before. The other way round the snapshot would bring back what is over.
         observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.beside(core.state))}
+        core = if begins?(core.digest, digest), do: settle(core, at), else: core
         {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, at)
         {core, [{:observe, observation} | actions]}
     end
   end
+
+  # What may begin a failsafe, whose cause is perhaps only said a moment later.
+  defp begins?(nil, _digest), do: true
+  defp begins?(last, now), do: last.failsafe != now.failsafe or last.mode != now.mode
+
+  @doc "The detector is to look again when what has begun `at` had time to be explained."
+  @spec settle(Core.t(), integer()) :: Core.t()
+  def settle(core, at), do: %{core | settle: at + Detector.Failsafe.settle_us()}
+
+  @doc "That time is over."
+  @spec settled(acc(), integer()) :: acc()
+  def settled({%{settle: due} = core, actions}, now) when due != nil and now >= due,
+    do: {%{core | settle: nil}, [{:observe, {:settle, now, core.state.boot_ms}} | actions]}
+
+  def settled(acc, _now), do: acc
 
   @doc "What a message of the vehicle tells about there being two."
   @spec twin_of(Core.t(), [Core.action()], {non_neg_integer(), struct()}, integer()) :: acc()

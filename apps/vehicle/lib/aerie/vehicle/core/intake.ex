@@ -16,6 +16,8 @@ defmodule Aerie.Vehicle.Core.Intake do
   @reports [410, 411, 413]
   # For how long a second link's copy of a text may come after the first one's.
   @copy_us 5_000_000
+  # For how long the same text by the same link, with the same number, is one that came twice.
+  @again_us 1_000_000
   # PING, COMMAND_ACK, TIMESYNC, MESSAGE_INTERVAL: what `Dealings.message/5` is for.
   @dealings [4, 77, 111, 244]
   # HEARTBEAT, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT, AUTOPILOT_VERSION: by which two vehicles are told apart.
@@ -201,12 +203,16 @@ defmodule Aerie.Vehicle.Core.Intake do
     end
   end
 
-  # A second link brings the same frame again: same number, same content, other link. (The number alone would not do, R7.)
+  # A second link brings the same frame again, or the network the same datagram: same number, same content. (The number alone
+  # would not do, R7; by one link it comes round after 256 frames.)
   defp first_copy(core, link, frame) do
     key = {frame.component, frame.seq, frame.payload}
 
     case core.recent do
       %{^key => {other, at}} when other != link and frame.at - at < @copy_us ->
+        {false, core}
+
+      %{^key => {_same, at}} when frame.at - at < @again_us ->
         {false, core}
 
       recent ->

@@ -5,6 +5,9 @@ defmodule Aerie.Vehicle.Core.Reporting do
 
   alias Aerie.Vehicle.{Core, Reports, State, StatusText}
   alias Aerie.Vehicle.Core.{Dealings, Effects}
+  alias Aerie.Vehicle.Detector.{Reported, Texts}
+
+  @fresh_ms 10_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -21,6 +24,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   def texts(acc, texts) do
     Enum.reduce(texts, acc, fn text, {core, actions} ->
       observation = {:text, text.at, core.state.boot_ms, text.severity, text.text}
+      core = if Texts.activation(text.text), do: Effects.settle(core, text.at), else: core
       {%{core | reports: Reports.text(core.reports, text)}, [{:observe, observation} | actions]}
     end)
   end
@@ -44,6 +48,15 @@ defmodule Aerie.Vehicle.Core.Reporting do
 
   defp give(acc, given, at), do: Enum.reduce(given, acc, &give_one(&1, &2, at))
 
+  defp give_one({:said, report}, {core, actions}, at) do
+    if Reported.about?(report.name) and fresh?(core, report) do
+      observation = {:said, at, report.boot_ms, report.name, report.values}
+      {Effects.settle(core, at), [{:observe, observation} | actions]}
+    else
+      {core, actions}
+    end
+  end
+
   defp give_one({:report, report}, {core, actions}, _at) do
     words = Reports.words(report)
 
@@ -66,6 +79,11 @@ defmodule Aerie.Vehicle.Core.Reporting do
       for report <- list, do: %{id: Reports.words(report).id, name: report.name, severity: report.severity}
 
     core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, at)}
-    Effects.sample({core, actions}, :health, at)
+    {core, actions} = Effects.sample({core, actions}, :health, at)
+    Effects.looked_at(core, actions, at)
   end
+
+  # What was asked for again after a gap of some length tells what was, not what is.
+  defp fresh?(%{state: %{boot_ms: now}}, %{boot_ms: then}) when is_integer(now), do: now - then <= @fresh_ms
+  defp fresh?(_core, _report), do: true
 end

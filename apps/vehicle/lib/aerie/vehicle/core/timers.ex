@@ -44,6 +44,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         expired: nil,
         collision: nil,
         observed: core.observed && now,
+        settle: core.settle && now,
         shown: nil,
         recent: %{},
         texts: texts,
@@ -95,6 +96,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     {%{core | texts: texts, samplers: samplers, expired: now}, actions}
     |> quiet(now)
     |> Effects.apart(now)
+    |> Effects.settled(now)
     |> silence(now)
     |> measure(now)
     |> Dealings.expire(now)

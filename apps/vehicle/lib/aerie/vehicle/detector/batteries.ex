@@ -44,8 +44,8 @@ defmodule Aerie.Vehicle.Detector.Batteries do
     |> Map.put(group.id || :unknown, group.voltage)
   end
 
-  @doc "Steps of the detector (`t:Aerie.Vehicle.Detector.Changes.step/0`)."
-  @spec events(digest :: map(), Detector.t()) :: [Detector.Changes.step()]
+  @doc "Steps of the detector (`t:Aerie.Vehicle.Detector.step/0`)."
+  @spec events(digest :: map(), Detector.t()) :: [Detector.step()]
   def events(now, detector) do
     own = %{id: now[:battery] || :unknown, remaining: now[:remaining], charge_state: now[:charge_state]}
 

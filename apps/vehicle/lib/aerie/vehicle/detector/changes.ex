@@ -7,20 +7,22 @@ defmodule Aerie.Vehicle.Detector.Changes do
   """
 
   alias Aerie.Vehicle.Detector
+  alias Aerie.Vehicle.Detector.Failsafe
 
-  @type step :: {String.t() | nil, map(), keyword()}
+  # A report says who armed or disarmed up to this long before the heartbeat shows it.
+  @by_us 5_000_000
 
-  @spec events(map(), map(), Detector.t(), integer()) :: [step()]
+  @spec events(map(), map(), Detector.t(), integer()) :: [Detector.step()]
   def events(last, now, detector, at) do
     mode(last, now) ++
-      armed(last, now) ++
+      armed(last, now, detector, at) ++
       takeoff(last, now) ++
-      failsafe(last, now, detector, at) ++
       geofence(last, now, detector, at) ++
       Detector.Batteries.events(now, detector) ++
       mission(last, now, detector) ++
       landed(last, now) ++
-      disarmed(last, now)
+      landed_mission(last, now, detector) ++
+      disarmed(last, now, detector, at)
   end
 
   defp mode(%{mode: from}, %{mode: to}) when from != to,
@@ -29,14 +31,20 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp mode(_last, _now), do: []
 
   # A new flight: its mission is one that has not been completed.
-  defp armed(%{armed: false}, %{armed: true} = now) do
-    [{"armed", %{"mode" => now[:mode]}, mission: nil, reached: nil}]
+  defp armed(%{armed: false}, %{armed: true} = now, detector, at) do
+    [{"armed", %{"mode" => now[:mode], "reason" => by(detector, true, at)}, mission: nil, reached: nil}]
   end
 
-  defp armed(_last, _now), do: []
+  defp armed(_last, _now, _detector, _at), do: []
 
-  defp disarmed(%{armed: true}, %{armed: false} = now), do: [{"disarmed", %{"mode" => now[:mode]}, []}]
-  defp disarmed(_last, _now), do: []
+  defp disarmed(%{armed: true}, %{armed: false} = now, detector, at),
+    do: [{"disarmed", %{"mode" => now[:mode], "reason" => by(detector, false, at)}, []}]
+
+  defp disarmed(_last, _now, _detector, _at), do: []
+
+  # PX4 says it up to a second before its heartbeat shows it.
+  defp by(%{armed_by: {said, armed, reason}}, armed, at) when at - said <= @by_us, do: reason
+  defp by(_detector, _armed, _at), do: nil
 
   defp takeoff(%{in_air: false}, %{in_air: true} = now), do: [{"takeoff", %{"mode" => now[:mode]}, []}]
   defp takeoff(_last, _now), do: []
@@ -44,26 +52,32 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp landed(%{in_air: true}, %{in_air: false} = now), do: [{"landed", %{"mode" => now[:mode]}, []}]
   defp landed(_last, _now), do: []
 
-  defp failsafe(%{failsafe: false}, %{failsafe: true} = now, detector, at) do
-    {reason, text} = Detector.reason(detector, at)
-    data = %{"reason" => reason, "text" => text, "mode" => now[:mode], "system_status" => now[:system_status]}
-    [{"failsafe", data, []}]
-  end
-
-  # Out of the failsafe, the ground station can be lost anew even if nobody said that it came back.
-  defp failsafe(%{failsafe: true}, %{failsafe: false}, _detector, _at), do: [{nil, %{}, gcs: false}]
-  defp failsafe(_last, _now, _detector, _at), do: []
-
   defp geofence(%{fence_breach: false}, %{fence_breach: true} = now, _detector, at), do: breached(now, at)
 
   # Before the first FENCE_STATUS there was no telling, so a breach that it begins with is news, unless a text told.
   defp geofence(last, %{fence_breach: true} = now, detector, at) when not is_map_key(last, :fence_breach) do
-    if Detector.fence_told?(detector, at), do: [], else: breached(now, at)
+    if Detector.fence_told?(detector, at),
+      do: [{nil, %{}, fence_open: {at, now[:fence_breach_type]}}],
+      else: breached(now, at)
+  end
+
+  # PX4 has no FENCE_STATUS, but a check that fails.
+  defp geofence(_last, %{fence_check: {breach, name}, armed: true} = now, %{fence_open: nil} = detector, at)
+       when not is_map_key(now, :fence_breach) do
+    failsafe = Failsafe.said(detector.failsafe, at, "fence", name)
+    told = [fence: at, fence_open: {at, breach}, failsafe: failsafe]
+
+    if Detector.fence_told?(detector, at),
+      do: [{nil, %{}, told}],
+      else: [{"geofence", %{"breach" => breach}, told}]
   end
 
   defp geofence(_last, _now, _detector, _at), do: []
 
-  defp breached(now, at), do: [{"geofence", %{"breach" => now[:fence_breach_type]}, fence: at}]
+  defp breached(now, at) do
+    breach = now[:fence_breach_type]
+    [{"geofence", %{"breach" => breach}, fence: at, fence_open: {at, breach}}]
+  end
 
   # PX4 calls a mission complete before it began and again when it lands later: it is over when it was active, the last
   # item is the current one, and it was not over already.
@@ -88,6 +102,19 @@ defmodule Aerie.Vehicle.Detector.Changes do
   end
 
   defp mission(_last, _now, _detector), do: []
+
+  # ArduPilot says nothing of a mission that ends with its landing.
+  defp landed_mission(%{armed: true}, %{armed: false, mode: "AUTO"} = now, %{mission: nil} = detector) do
+    with {reached, _at} <- detector.reached,
+         true <- now[:in_air] != true and at_end?(now) and reached >= now.mission_seq - 1 do
+      data = %{"seq" => now.mission_seq, "total" => now.mission_total, "inferred" => true}
+      [{"mission.completed", data, mission: now.mission_seq}]
+    else
+      _not_at_its_end -> []
+    end
+  end
+
+  defp landed_mission(_last, _now, _detector), do: []
 
   defp at_end?(%{mission_seq: seq, mission_total: total}), do: seq >= total - 1
   defp at_end?(_unknown), do: false

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Detector.Texts do
     {"gcs", ~r/\bgcs\b|ground (control )?station|data ?link/i},
     {"rc", ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)/i},
     {"battery",
-     ~r/batter(y|ies)\b.*(fail-?safe|low|critical|emergency|is )|(low|critical|dangerously low) battery/i},
+     ~r/batter(y|ies)\b.*(fail-?safe|low|critical|emergency|is )|(low|critical|emergency) battery/i},
     {"ekf", ~r/\b(ekf|dead ?reckoning|position estimate|velocity estimate|attitude estimate)\b/i},
     {"fence", ~r/fence/i},
     {"terrain", ~r/terrain/i},
@@ -20,11 +20,30 @@ defmodule Aerie.Vehicle.Detector.Texts do
     {"offboard", ~r/offboard/i}
   ]
 
-  @about_failsafe ~r/fail-?safe|lost|loss|batter|emergency|critical|breach|violat|leak|crash|terminat/i
-  @not_a_failsafe ~r/\A(pre-?arm|arm|preflight)\b|denied|cleared|regained|restored|recovered/i
+  @about_failsafe ~r/fail-?safe|lost|loss|batter|emergency|critical|breach|violat|exceed|leak|crash|terminat/i
+  # Complaints about a plan ("Geofence violation for waypoint 19") are none either.
+  @not_a_failsafe ~r/\A(pre-?arm|arm|preflight|mission|plan)\b|denied|cleared|regained|restored|recovered|reject|waypoint|\bwp\b|disabled|\boff\b/i
+  @failsafe ~r/fail-?safe/i
+  @over ~r/cleared|recovered|restored|\boff\b|ended/i
   @gcs ~r/\bgcs\b.*(fail-?safe|lost|loss)|lost connection to gcs|(ground (control )?station|data ?link).*(lost|loss)|failsafe.*\bgcs\b/i
   @gcs_back ~r/\bgcs\b.*(cleared|regained|restored|recovered)|(ground (control )?station|data ?link).*(regained|restored|recovered)/i
   @fence ~r/fence.*(breach|violat|exceed)|(breach|violat).*fence/i
+  @rc ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)/i
+  @rc_back ~r/\b(radio|rc|manual control|throttle)\b.*(cleared|regained|restored|recovered|fail-?safe off)/i
+  @kill ~r/\bkill(-| )?(switch)?\b.*\b(engaged|on)\b|motor ?e-?stop high/i
+  @kill_off ~r/\bkill(-| )?(switch)?\b.*\b(disengaged|off)\b|motor ?e-?stop low/i
+  @armed_by ~r/\A(armed|disarmed) by (?:an? |the )?([\w ]{1,40})\z/i
+  # Words of PX4's texts for which its reports have others.
+  @reported %{
+    "external_command" => "command_external",
+    "internal_command" => "command_internal",
+    "auto_preflight_disarming" => "preflight_inaction"
+  }
+  @levels [
+    {"emergency_battery_level", ~r/emergency/i},
+    {"critical_battery_level", ~r/critical/i},
+    {"low_battery_level", ~r/\blow\b/i}
+  ]
   @mission ~r/\Amission:? (complete|finished)/i
 
   @typedoc "The reason of a failsafe as a short word."
@@ -34,7 +53,69 @@ defmodule Aerie.Vehicle.Detector.Texts do
   @spec failsafe(String.t()) :: reason() | nil
   def failsafe(text) do
     if text =~ @about_failsafe and not (text =~ @not_a_failsafe) do
-      Enum.find_value(@reasons, "unknown", fn {reason, pattern} -> if text =~ pattern, do: reason end)
+      Enum.find_value(@reasons, "unknown", &named(&1, text))
+    end
+  end
+
+  @doc "Whether a text says that a failsafe of some type begins or is over; nil for other texts."
+  @spec activation(String.t()) :: {:begins | :over, reason()} | nil
+  def activation(text) do
+    cond do
+      not (text =~ @failsafe) or text =~ ~r/\A(pre-?arm|arm|preflight)\b/i -> nil
+      text =~ @over -> {:over, Enum.find_value(@reasons, "unknown", &named(&1, text))}
+      reason = failsafe(text) -> {:begins, reason}
+      true -> nil
+    end
+  end
+
+  @doc "What a text says more precisely than the reason by itself: how low a battery is, in PX4's words. Else the reason."
+  @spec precisely(reason(), String.t()) :: String.t()
+  def precisely("battery", text), do: Enum.find_value(@levels, "battery", &named(&1, text))
+  def precisely(reason, _text), do: reason
+
+  @doc "PX4 waits before it acts: `%{action: \"hold\", delay: seconds}`, where a text says so."
+  @spec hold(String.t()) :: %{optional(:action) => String.t(), optional(:delay) => pos_integer()}
+  def hold(text) do
+    case Regex.run(~r/entering hold for (\d{1,4}) seconds/i, text) do
+      [_all, seconds] -> %{action: "hold", delay: String.to_integer(seconds)}
+      nil -> %{}
+    end
+  end
+
+  defp named({reason, pattern}, text), do: if(text =~ pattern, do: reason)
+
+  @doc "Whether the vehicle says that its remote control is lost, or there again."
+  @spec rc(String.t()) :: :lost | :back | nil
+  def rc(text) do
+    cond do
+      text =~ ~r/\A(pre-?arm|arm|preflight)\b|denied/i -> nil
+      text =~ @rc_back -> :back
+      text =~ @rc -> :lost
+      true -> nil
+    end
+  end
+
+  @doc "Whether the vehicle says that its kill switch is engaged (true) or not any more; nil for other texts."
+  @spec kill(String.t()) :: boolean() | nil
+  def kill(text) do
+    cond do
+      text =~ ~r/\A(pre-?arm|arm|preflight)\b|denied/i -> nil
+      text =~ @kill_off -> false
+      text =~ @kill -> true
+      true -> nil
+    end
+  end
+
+  @doc "Who armed or disarmed, where a text says so: `{armed?, reason}`."
+  @spec armed_by(String.t()) :: {boolean(), String.t()} | nil
+  def armed_by(text) do
+    case Regex.run(@armed_by, text) do
+      [_all, what, who] ->
+        word = who |> String.downcase() |> String.replace(" ", "_")
+        {String.downcase(what) == "armed", Map.get(@reported, word, word)}
+
+      nil ->
+        nil
     end
   end
 

@@ -22,6 +22,8 @@ defmodule Aerie.Vehicle.Modes.Px4 do
     {{4, 8}, "AUTO_FOLLOW_TARGET"},
     {{4, 9}, "AUTO_PRECLAND"},
     {{4, 10}, "AUTO_VTOL_TAKEOFF"},
+    {{4, 19}, "GUIDED_COURSE"},
+    {{4, 20}, "AUTO_DESCEND"},
     {{5, 0}, "ACRO"},
     {{6, 0}, "OFFBOARD"},
     {{7, 0}, "STABILIZED"},

@@ -17,6 +17,7 @@ defmodule Aerie.Vehicle.State.Power do
   # PX4 sends BATTERY_STATUS every two seconds, slow links less often.
   @fresh_us 10_000_000
   @prearm_check 0x10000000
+  @rc_receiver 0x10000
   # MAV_BATTERY_CHARGE_STATE, from harmless to bad.
   @severity %{
     "CHARGING" => 0,
@@ -84,10 +85,17 @@ defmodule Aerie.Vehicle.State.Power do
     %{
       load: m.load / 10,
       unhealthy: names(failing &&& bnot(@prearm_check)),
+      rc_receiver: rc_receiver(m),
       ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
       drop_rate: Value.unsigned(m.drop_rate_comm, 16, 100),
       errors: m.errors_comm
     }
+  end
+
+  # PX4 shows a receiver that is lost as one that is not there.
+  defp rc_receiver(m) do
+    if (m.onboard_control_sensors_enabled &&& @rc_receiver) != 0,
+      do: (m.onboard_control_sensors_present &&& m.onboard_control_sensors_health &&& @rc_receiver) != 0
   end
 
   defp names(0), do: []

@@ -1,0 +1,295 @@
+defmodule Aerie.Vehicle.FailsafeTest do
+  @moduledoc "Failsafes, losses and who armed, as the detector finds them in what it is shown."
+  use ExUnit.Case, async: true
+
+  import Aerie.Flight, only: [frame: 2, frame: 3, run: 1]
+
+  alias Aerie.Vehicle.{Detector, Options}
+  alias Aerie.Vehicle.Detector.Texts
+  alias MavCodec.Messages, as: M
+
+  @second 1_000_000
+  @flying %{mode: "GUIDED", armed: true, in_air: true, failsafe: false, system_status: "ACTIVE"}
+
+  # {seconds, what}: a list is a change of the state, a text a status text, a tuple a report, :settle a look at the time.
+  defp events(story) do
+    story = [{0, []} | story]
+
+    {events, _} =
+      Enum.flat_map_reduce(story, Detector.new(Options.new(%{}, {"main", 1})), fn {seconds, what}, detector ->
+        {detector, events, _params} = Detector.observe(detector, observation(round(seconds * @second), what))
+        {events, detector}
+      end)
+
+    for event <- events, event.type not in ~w(statustext mode_change), do: {event.time / @second, event}
+  end
+
+  defp observation(at, changes) when is_list(changes),
+    do: {:state, at, nil, Map.merge(@flying, Map.new(changes))}
+
+  defp observation(at, text) when is_binary(text), do: {:text, at, nil, 4, text}
+  defp observation(at, :settle), do: {:settle, at, nil}
+  defp observation(at, {:param, name, value}), do: {:params, at, nil, [{name, value, nil}]}
+  defp observation(at, {:reached, seq}), do: {:reached, at, nil, seq}
+  defp observation(at, :reboot), do: {:reboot, at, 1000}
+  defp observation(at, {name, values}), do: {:said, at, nil, name, values}
+
+  defp types(story), do: for({_at, event} <- events(story), do: event.type)
+  defp failsafes(story), do: for({at, %{type: "failsafe", data: data}} <- events(story), do: {at, data})
+
+  describe "a failsafe" do
+    test "that the vehicle is found in says so" do
+      detector = Detector.new(Options.new(%{}, {"main", 1}))
+      {detector, [], _} = Detector.observe(detector, observation(0, failsafe: true, mode: "RTL"))
+      {_detector, [event], _} = Detector.observe(detector, observation(@second, :settle))
+      assert %{type: "failsafe", time: 0, data: data} = event
+      assert %{"found" => true, "type" => "unknown", "action" => nil, "mode" => "RTL"} = data
+    end
+
+    test "by the heartbeat alone waits a second for its cause and then says that it has none" do
+      assert failsafes([{1, [failsafe: true]}]) == []
+
+      assert [{1.0, %{"type" => "unknown", "action" => "none"} = data}] =
+               failsafes([{1, [failsafe: true]}, {2, :settle}])
+
+      refute is_map_key(data, "found")
+    end
+
+    test "of a heartbeat is explained by the text that comes after it, at the time of the heartbeat" do
+      assert [{1.0, %{"type" => "rc", "action" => "land", "text" => "Radio Failsafe"}}] =
+               failsafes([{1, [failsafe: true, mode: "LAND"]}, {1.01, "Radio Failsafe"}])
+    end
+
+    test "while another is on shows by its text, and by what mode it forces" do
+      latched = [failsafe: true, system_status: "CRITICAL"]
+
+      assert [{1.0, %{"type" => "battery", "action" => "none"}}, {5.5, %{"type" => "rc", "action" => "rtl"}}] =
+               failsafes([
+                 {1, "Battery Failsafe"},
+                 {1.1, latched},
+                 {2.2, :settle},
+                 {5, [mode: "RTL"] ++ latched},
+                 {5.5, "Radio Failsafe"}
+               ])
+    end
+
+    test "is over for each by itself, or for all when the status is well" do
+      story = [
+        {1, "Battery Failsafe"},
+        {1.1, [failsafe: true, mode: "RTL"]},
+        {3, "Radio Failsafe"},
+        {4.1, :settle},
+        {6, "Radio Failsafe Cleared"},
+        {9, []}
+      ]
+
+      cleared = for {at, %{type: "failsafe.cleared", data: data}} <- events(story), do: {at, data}
+
+      assert [
+               {6.0, %{"type" => "rc", "duration" => 3.0, "by" => "text"}},
+               {9.0, %{"type" => "battery", "duration" => 8.0, "by" => "status"}}
+             ] = cleared
+    end
+
+    test "that the status never showed is over with disarming, and any with a reboot" do
+      assert types([{1, "Radio Failsafe"}, {2, :settle}, {8, [armed: false, in_air: false]}]) ==
+               ~w(rc.lost failsafe landed disarmed failsafe.cleared)
+
+      assert types([{1, "Radio Failsafe"}, {1.1, [failsafe: true]}, {3, :reboot}]) ==
+               ~w(rc.lost failsafe failsafe.cleared reboot)
+    end
+
+    test "PX4 acts after its delay: the same one; another cause is another one" do
+      hold = {"commander_failsafe_enter_hold", [0, "rtl", 5, "gcs_connection_loss"]}
+      enter = {"commander_failsafe_enter", [0, "rtl", "gcs_connection_loss"]}
+      land = {"commander_failsafe_enter", [0, "land", "emergency_battery_level"]}
+
+      assert [{1.0, %{"type" => "gcs", "action" => "rtl", "delay" => 5}}, {9.0, %{"type" => "battery"}}] =
+               failsafes([{1, hold}, {1.5, [failsafe: true]}, {6, enter}, {6.5, [failsafe: true]}, {9, land}])
+    end
+
+    test "a warning is none" do
+      assert types([{1, {"commander_failsafe_enter", [0, "warn", "low_battery_level"]}}]) == []
+      assert types([{1, {"commander_failsafe_enter_low_bat", []}}, {2, :settle}]) == []
+    end
+
+    test "is a mode that only the vehicle chooses" do
+      assert [{1.0, %{"type" => "unknown", "action" => "descend"}}] =
+               failsafes([{1, [mode: "AUTO_DESCEND"]}, {2, :settle}])
+
+      assert [{1.0, %{"type" => "position", "action" => "descend"}}] =
+               failsafes([
+                 {0.5, [position: true]},
+                 {1, [mode: "AUTO_DESCEND", position: false]},
+                 {2, :settle}
+               ])
+    end
+
+    test "what somebody flies by himself is none" do
+      assert types([{1, [mode: "RTL"]}, {2, [mode: "LAND"]}, {4, :settle}]) == []
+    end
+  end
+
+  test "PX4's report of the lost ground station counts; the text that it held back does not come again" do
+    story = [
+      {1, {"commander_gcs_lost", []}},
+      {8, {"commander_dl_regained", []}},
+      {8.1, "Connection to ground control station lost"},
+      {20, {"commander_gcs_lost", []}}
+    ]
+
+    assert for({at, event} <- events(story), do: {at, event.type}) == [
+             {1.0, "gcs_failsafe"},
+             {20.0, "gcs_failsafe"}
+           ]
+
+    {_detector, [], _} = observe_late()
+  end
+
+  defp observe_late do
+    detector = Detector.new(Options.new(%{}, {"main", 1}))
+    {detector, [_], _} = Detector.observe(detector, observation(0, {"commander_gcs_lost", []}))
+    Detector.observe(detector, observation(8 * @second, "Connection to ground control station lost"))
+  end
+
+  describe "losses" do
+    test "remote control, by report, text or the receiver's state: once, and how long" do
+      for {lost, back} <- [
+            {{"commander_rc_lost", []}, {"commander_rc_regained", [3.0]}},
+            {"Manual control lost", "Manual control regained"},
+            {[rc_receiver: false], [rc_receiver: true]}
+          ] do
+        story = [
+          {1, [rc_receiver: true]},
+          {2, lost},
+          {2.1, [rc_receiver: false]},
+          {5, back},
+          {5.1, [rc_receiver: true]}
+        ]
+
+        assert [{2.0, %{type: "rc.lost"}}, {5.0, %{type: "rc.restored", data: data}}] = events(story)
+        assert data["duration"] == 3.0
+      end
+
+      # A receiver that was never there is not lost.
+      assert types([{1, [rc_receiver: false]}]) == []
+      assert types([{1, "PreArm: Radio failsafe on"}, {3, :settle}]) == []
+    end
+
+    test "GNSS and position of an armed vehicle" do
+      story = [
+        {1, [gps: "OK", position: true]},
+        {2, [gps: "NO_FIX"]},
+        {3, [position: false]},
+        {6, [position: true, gps: "2D_FIX"]},
+        {7, [gps: "OK"]}
+      ]
+
+      assert for({at, e} <- events(story), do: {at, e.type, e.data["duration"]}) == [
+               {2.0, "gps.lost", nil},
+               {3.0, "position.lost", nil},
+               {6.0, "position.restored", 3.0},
+               {7.0, "gps.restored", 5.0}
+             ]
+
+      assert types([
+               {1, [gps: "OK", armed: false, in_air: false]},
+               {2, [gps: "NO_FIX", armed: false, in_air: false]}
+             ]) ==
+               ~w(landed disarmed)
+    end
+
+    test "the kill switch" do
+      assert types([
+               {1, {"commander_kill_sw_engaged", []}},
+               {1.1, "Kill switch engaged"},
+               {2, {"commander_kill_sw_disengaged", []}}
+             ]) ==
+               ~w(kill_switch.engaged kill_switch.released)
+
+      assert types([{1, "RC7: MotorEStop HIGH"}, {2, "RC7: MotorEStop LOW"}]) ==
+               ~w(kill_switch.engaged kill_switch.released)
+    end
+
+    test "the inside of a fence: PX4's check, and a fence of ArduPilot's that is switched off" do
+      check = {"MAX_ALT", "check_gf_violation_max_alt"}
+
+      assert [{1.0, %{type: "geofence"}}, {4.0, %{type: "geofence.cleared", data: data}}] =
+               events([{1, [fence_check: check]}, {4, [fence_check: false]}])
+
+      assert data == %{"breach" => "MAX_ALT", "duration" => 3.0}
+
+      assert types([
+               {0.1, {:param, "FENCE_ENABLE", 1}},
+               {1, [fence_breach: true, fence_breach_type: "MAXALT"]},
+               {3, {:param, "FENCE_ENABLE", 0}}
+             ]) == ~w(geofence geofence.cleared)
+    end
+  end
+
+  test "a plan that is rejected is no broken fence, and what PX4 1.18 says of one is" do
+    for complaint <- ["Geofence violation for waypoint 19", "Mission rejected: Geofence violation"] do
+      assert types([{1, complaint}]) == []
+      assert Texts.failsafe(complaint) == nil
+    end
+
+    assert types([{1, "Geofence: exceeding maximum distance to Home"}]) == ["geofence"]
+    assert Texts.failsafe("Geofence: exceeding maximum distance to Home") == "fence"
+  end
+
+  test "who armed and disarmed, where the vehicle says it" do
+    reasons = fn story ->
+      for {_at, e} <- events([{0.1, [armed: false, in_air: false]} | story]), do: e.data["reason"]
+    end
+
+    assert reasons.([{1, {"commander_armed_by", ["rc_switch"]}}, {2, [in_air: false]}]) |> List.last() ==
+             "rc_switch"
+
+    assert reasons.([{1, "Armed by external command"}, {2, [in_air: false]}]) |> List.last() ==
+             "command_external"
+
+    # Said long ago, or of the other.
+    assert reasons.([{1, {"commander_armed_by", ["rc_switch"]}}, {9, [in_air: false]}]) |> List.last() == nil
+    assert reasons.([{1, {"commander_disarmed_by", ["landing"]}}, {2, [in_air: false]}]) |> List.last() == nil
+  end
+
+  describe "a mission that ends with its landing" do
+    @auto [mode: "AUTO", mission_seq: 4, mission_total: 4, mission_state: "ACTIVE"]
+
+    test "is completed when the vehicle has landed and disarmed at its last item, which is inferred" do
+      story = [
+        {1, @auto},
+        {2, {:reached, 3}},
+        {9, @auto ++ [in_air: false]},
+        {11, @auto ++ [in_air: false, armed: false]}
+      ]
+
+      assert types(story) == ~w(mission.reached landed mission.completed disarmed)
+
+      assert [%{"seq" => 4, "total" => 4, "inferred" => true}] =
+               for({_at, %{type: "mission.completed", data: data}} <- events(story), do: data)
+    end
+
+    test "is not when it was disarmed before, in another mode, or when it said so itself" do
+      ends = fn changes -> {11, Keyword.merge(@auto, [in_air: false, armed: false] ++ changes)} end
+      refute "mission.completed" in types([{1, @auto}, {2, {:reached, 1}}, ends.(mission_seq: 2)])
+      refute "mission.completed" in types([{1, @auto}, {2, {:reached, 3}}, ends.(mode: "LAND")])
+      refute "mission.completed" in types([{1, @auto}, ends.([])])
+      said = [{1, @auto}, {2, {:reached, 3}}, {3, "Mission Complete"}, ends.([])]
+      assert Enum.count(types(said), &(&1 == "mission.completed")) == 1
+    end
+  end
+
+  test "a datagram that comes twice gives one text; the same text with another number is another one" do
+    beat = frame(%M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4}, 0)
+    text = fn at, seq -> frame(%M.Statustext{severity: 4, text: "twice"}, round(at * @second), seq: seq) end
+
+    texts = fn frames ->
+      for %{type: "statustext"} = event <- run([beat | frames]).events, do: event.time / @second
+    end
+
+    assert texts.([text.(1, 7), text.(1.01, 7), text.(1.5, 8)]) == [1.0, 1.5]
+    # The number came round.
+    assert texts.([text.(1, 7), text.(6, 7)]) == [1.0, 6.0]
+  end
+end

@@ -8,7 +8,7 @@ defmodule Aerie.Client.Pipe do
       receive do: ({:forward, frames, class} -> pipe = Pipe.queue(pipe, frames, class))
       {frames, pipe} = Pipe.take(pipe)
 
-  When the client does not read, the oldest frames of the least important class give way (`Aerie.Router.Queue`); nothing
+  What the client asked for has room of its own (`Aerie.Router.Asked`). When it does not read, the oldest other frames of the least important class give way (`Aerie.Router.Queue`); nothing
   of an earlier connection waits for a later one, because each is a pipe of its own.
   """
 
@@ -49,22 +49,25 @@ defmodule Aerie.Client.Pipe do
   @spec read(t(), binary()) :: t()
   def read(pipe, bytes) do
     {frames, parser} = Parser.push_datagram(pipe.parser, bytes, System.os_time(:microsecond))
+    {asked?, queue} = Queue.asked(pipe.queue, frames, now())
+    _room = if asked?, do: Endpoint.asked(pipe.endpoint, now())
     _outcome = if frames != [], do: Endpoint.ingress(pipe.endpoint, frames)
-    %{pipe | parser: parser}
+    %{pipe | parser: parser, queue: queue}
   end
 
   @doc "Frames for the client; call it for every `{:forward, frames, class}` message."
   @spec queue(t(), [binary()], Aerie.Router.Classify.class()) :: t()
   def queue(pipe, frames, class) do
     Endpoint.taken(pipe.endpoint, length(frames))
-    {queue, dropped} = Queue.push(pipe.queue, class, frames, System.monotonic_time(:millisecond))
+    {queue, dropped} = Queue.push(pipe.queue, class, frames, now())
     Endpoint.dropped(pipe.endpoint, dropped)
+    if queue.asked.frames > 0, do: Endpoint.asked(pipe.endpoint, now())
     %{pipe | queue: queue}
   end
 
   @doc "The frames to be written next, the most important first, at most #{div(@chunk, 1024)} KiB; `[]` when none wait."
   @spec take(t()) :: {[binary()], t()}
-  def take(pipe), do: take(pipe, System.monotonic_time(:millisecond), [], 0)
+  def take(pipe), do: take(pipe, now(), [], 0)
 
   defp take(pipe, now, frames, size) when size < @chunk do
     case Queue.pop(pipe.queue, now) do
@@ -74,6 +77,8 @@ defmodule Aerie.Client.Pipe do
   end
 
   defp take(pipe, _now, frames, _size), do: {Enum.reverse(frames), pipe}
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   @doc "Whether frames wait."
   @spec waiting?(t()) :: boolean()

@@ -238,7 +238,7 @@ defmodule Aerie.Link.Egress do
          {:busy, state} <- write.(state, frames) do
       wait(queue(peer, class, frames, now), @again_ms, id, state)
     else
-      {_written_or_lost, state} -> {peer, state}
+      {_written_or_lost, state} -> {%{peer | outlet: Outlet.passed(peer.outlet, class, frames, now)}, state}
       false -> drain(queue(peer, class, frames, now), id, now, write, state)
     end
   end
@@ -246,6 +246,7 @@ defmodule Aerie.Link.Egress do
   defp queue(peer, class, frames, now) do
     {outlet, dropped} = Outlet.push(peer.outlet, class, frames, now)
     Endpoint.dropped(peer.endpoint, dropped)
+    if outlet.queue.asked.frames > 0, do: Endpoint.asked(peer.endpoint, now)
     %{peer | outlet: outlet}
   end
 
@@ -288,6 +289,17 @@ defmodule Aerie.Link.Egress do
     do: {%{peer | timer: Process.send_after(self(), {:pump, id}, ms)}, state}
 
   defp wait(peer, _ms, _id, state), do: {peer, state}
+
+  @doc "Notes what a peer asks for among frames that it sent: the answers have room of their own (`Aerie.Router.Asked`)."
+  @spec asked(t, term, [MavCodec.Frame.t()], integer) :: t
+  def asked(egress, id, frames, now) do
+    with %{^id => peer} <- egress.peers, {true, outlet} <- Outlet.asked(peer.outlet, frames, now) do
+      Endpoint.asked(peer.endpoint, now)
+      %{egress | peers: %{egress.peers | id => %{peer | outlet: outlet}}}
+    else
+      _nothing -> egress
+    end
+  end
 
   @doc "Looks for RADIO_STATUS (and ArduPilot's RADIO) among frames that a peer sent, where there is a budget to correct."
   @spec radio(t, term, [MavCodec.Frame.t()]) :: t

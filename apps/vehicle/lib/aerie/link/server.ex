@@ -270,7 +270,7 @@ defmodule Aerie.Link.Server do
     source = source(spec, peer)
     if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, spec.id, frames)
     outcome = Router.deliver(state.gateway, source, frames)
-    egress = Egress.radio(state.egress, peer, frames)
+    egress = state.egress |> Egress.radio(peer, frames) |> Egress.asked(peer, frames, mono())
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
     %{state | core: dropped(state.core, outcome), egress: egress, sessions: sessions}
   end

@@ -26,6 +26,7 @@ defmodule Aerie.Router.Endpoint do
   """
 
   alias Aerie.Names
+  alias Aerie.Router.Asked
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Owner
   alias Aerie.Router.Rules
@@ -33,6 +34,8 @@ defmodule Aerie.Router.Endpoint do
   alias Aerie.Router.Tally
 
   @max_waiting 4_096
+  # As much of a transfer as `Aerie.Router.Asked` has room for, in small frames.
+  @max_asked 65_536
 
   @enforce_keys [:key, :gateway]
   defstruct [
@@ -55,7 +58,7 @@ defmodule Aerie.Router.Endpoint do
   - `side`: nil where it is its owner's; a ground station on a link to vehicles is a `:client`
   - `out`: `{:udp, socket, address}` (written to directly by whoever forwards) or `{:pid, pid, tag}`, which gets
     `{:forward, bytes, class}`, or `{:forward, tag, bytes, class}` when the tag is not nil
-  - `waiting`: frames in the mailbox of that process
+  - `waiting`: frames in the mailbox of that process, and until when (monotonic ms) it is in a transfer that it asked for
   - `since`: unix microseconds
   - `listens`: whether it gets broadcasts though it is no vehicle's (`Aerie.Router.Endpoints.listens?/2`)
   - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
@@ -82,11 +85,31 @@ defmodule Aerie.Router.Endpoint do
   @spec max_waiting() :: pos_integer
   def max_waiting, do: @max_waiting
 
+  @doc """
+  Whether a frame of a class has room in the mailbox of an endpoint's process when so many wait: an answer to what the
+  endpoint asked for (`asked/2`) when others have none any more.
+  """
+  @spec room?(:atomics.atomics_ref(), Aerie.Router.Classify.class(), integer) :: boolean
+  def room?(_waiting, _class, n) when n <= @max_waiting, do: true
+
+  def room?(waiting, class, n) when class in [:transfer, :bulk] and n <= @max_asked,
+    do: :atomics.get(waiting, 2) > clock(System.monotonic_time(:millisecond))
+
+  def room?(_waiting, _class, _n), do: false
+
+  @doc "The endpoint asked a vehicle for something, or gets what it asked for: at monotonic ms."
+  @spec asked(t, integer) :: :ok
+  def asked(%__MODULE__{waiting: waiting}, now), do: :atomics.put(waiting, 2, clock(now) + Asked.lasts_ms())
+
+  # Above 0, which is never.
+  defp clock(now),
+    do: now - :erlang.convert_time_unit(:erlang.system_info(:start_time), :native, :millisecond)
+
   @doc "An endpoint of the calling process that is not known to anyone yet."
   @spec new(Names.gateway(), key, keyword) :: t
   def new(gateway, key, fields) do
     fields = [gateway: gateway, key: key, pid: self(), since: System.os_time(:microsecond)] ++ fields
-    struct!(%__MODULE__{key: key, gateway: gateway, tally: Tally.new(), waiting: :atomics.new(1, [])}, fields)
+    struct!(%__MODULE__{key: key, gateway: gateway, tally: Tally.new(), waiting: :atomics.new(2, [])}, fields)
   end
 
   @doc """

@@ -116,7 +116,7 @@ defmodule Aerie.Router.Out do
   end
 
   defp message(way, pid, tag, class, bytes, n) do
-    if :atomics.add_get(way.waiting, 1, n) > Endpoint.max_waiting() do
+    if not Endpoint.room?(way.waiting, class, :atomics.add_get(way.waiting, 1, n)) do
       :atomics.sub(way.waiting, 1, n)
       Tally.dropped(way.tally, class, n)
     else

@@ -50,6 +50,18 @@ defmodule Aerie.Router.Outlet do
   def free?(%__MODULE__{budget: nil, queue: %{frames: 0}}), do: true
   def free?(_outlet), do: false
 
+  @doc "Notes what of these frames, which the other end said, asks for something (`Aerie.Router.Asked`); whether any does."
+  @spec asked(t, [MavCodec.Frame.t()], integer) :: {boolean, t}
+  def asked(outlet, frames, now) do
+    {any?, queue} = Queue.asked(outlet.queue, frames, now)
+    {any?, if(any?, do: %{outlet | queue: queue}, else: outlet)}
+  end
+
+  @doc "Frames of a class were written at once."
+  @spec passed(t, Classify.class(), [binary], integer) :: t
+  def passed(outlet, class, frames, now),
+    do: %{outlet | queue: Queue.passed(outlet.queue, class, frames, now)}
+
   @doc "Adds frames; what had to go, by class."
   @spec push(t, Classify.class(), [binary], integer) :: {t, Queue.dropped()}
   def push(outlet, class, frames, now) do

@@ -13,7 +13,7 @@ defmodule Aerie.Router.Owner do
   | `:in`, `:out` | filters (`Aerie.Router.Filter`) |
   | `:rate_limits` | `%{message => Hz}` (`Aerie.Router.RateLimit`) |
   | `:bytes_per_s` | budget of what goes out to each of its peers; default none, a serial line's own |
-  | `:queue` | `[max_frames:, max_bytes:]` of what waits for one peer (`Aerie.Router.Queue`) |
+  | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`Aerie.Router.Queue`) |
   | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Out`); default true |
   | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
   | `:gcs` | of a link: which of its ends may command vehicles, `:auto`, `:allow` or `:deny` (`Aerie.Router.Gate`) |
@@ -141,10 +141,10 @@ defmodule Aerie.Router.Owner do
   defp option(:queue, queue) when is_list(queue) do
     if Enum.all?(
          queue,
-         &match?({key, n} when key in [:max_frames, :max_bytes] and is_integer(n) and n > 0, &1)
+         &match?({key, n} when key in [:max_frames, :max_bytes, :max_asked] and is_integer(n) and n > 0, &1)
        ),
        do: {:ok, queue: queue},
-       else: {:error, "max_frames and max_bytes above 0"}
+       else: {:error, "max_frames, max_bytes and max_asked above 0"}
   end
 
   defp option(key, value) when key in @keys, do: {:error, "#{inspect(value, limit: 5)} is not allowed"}

@@ -42,7 +42,9 @@ defmodule Aerie.Router.Settings do
   @doc "The keys that can be changed while a link or client runs (`Aerie.Router.configure/3`)."
   @spec changeable() :: [atom]
   def changeable,
-    do: (@plain -- [:side]) ++ [:networks, :carry, :filter_in, :filter_out, :queue_frames, :queue_kb]
+    do:
+      (@plain -- [:side]) ++
+        [:networks, :carry, :filter_in, :filter_out, :queue_frames, :queue_kb, :transfer_kb]
 
   @doc "Whether a value means that there is no such rule."
   @spec empty?(term) :: boolean
@@ -55,6 +57,9 @@ defmodule Aerie.Router.Settings do
   def key(:queue_kb, options),
     do: with(bytes when bytes != nil <- options[:queue][:max_bytes], do: div(bytes, 1024))
 
+  def key(:transfer_kb, options),
+    do: with(bytes when bytes != nil <- options[:queue][:max_asked], do: div(bytes, 1024))
+
   def key(:carry, options) do
     with %{} = carry <- options[:carry],
          do: Map.new(carry, fn {class, link} -> {to_string(class), to_string(link)} end)
@@ -66,7 +71,7 @@ defmodule Aerie.Router.Settings do
   @spec option(atom) :: atom
   def option(:filter_in), do: :in
   def option(:filter_out), do: :out
-  def option(key) when key in [:queue_frames, :queue_kb], do: :queue
+  def option(key) when key in [:queue_frames, :queue_kb, :transfer_kb], do: :queue
   def option(key), do: key
 
   defp filter(nil), do: nil
@@ -74,7 +79,9 @@ defmodule Aerie.Router.Settings do
 
   defp queue(map) do
     frames = if map[:queue_frames], do: [max_frames: map[:queue_frames]], else: []
-    if map[:queue_kb], do: [max_bytes: map[:queue_kb] * 1024] ++ frames, else: frames
+    bytes = if map[:queue_kb], do: [max_bytes: map[:queue_kb] * 1024], else: []
+    asked = if map[:transfer_kb], do: [max_asked: map[:transfer_kb] * 1024], else: []
+    asked ++ bytes ++ frames
   end
 
   defp carry(empty) when empty in [nil, %{}], do: {:ok, nil}

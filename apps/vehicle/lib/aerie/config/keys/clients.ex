@@ -64,7 +64,13 @@ defmodule Aerie.Config.Keys.Clients do
       field(:queue_frames, {:integer, 1, 100_000}, "Frames that wait for one that does not keep up.",
         default: 1000
       ),
-      field(:queue_kb, {:integer, 1, 65_536}, "… and kilobytes.", default: 256)
+      field(:queue_kb, {:integer, 1, 65_536}, "… and kilobytes.", default: 256),
+      field(
+        :transfer_kb,
+        {:integer, 64, 1_048_576},
+        "Kilobytes of what it asked for (logs, files, parameters, missions) that wait beside that, for each of its peers.",
+        default: 8192
+      )
     ] ++ Rules.fields()
   end
 end

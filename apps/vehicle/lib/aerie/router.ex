@@ -219,9 +219,14 @@ defmodule Aerie.Router do
 
     case session(gateway, key, way, talker) do
       nil when autopilot? -> admit(gateway, tables, from, key, frames, now, outcome)
-      nil -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
+      nil -> unclaimed(gateway, key, frames, outcome)
       session -> pass(gateway, tables, from, key, session, frames, now, outcome)
     end
+  end
+
+  defp unclaimed(gateway, key, frames, outcome) do
+    Local.hold(gateway, key, frames)
+    %{outcome | unclaimed: outcome.unclaimed + length(frames)}
   end
 
   # Remembered with the talker while it lives; that there is none, until some process takes a name.
@@ -249,9 +254,15 @@ defmodule Aerie.Router do
 
   defp admit(gateway, tables, from, key, frames, now, outcome) do
     case Admission.session(gateway, tables, key, now) do
-      {:ok, session} -> pass(gateway, tables, from, key, session, frames, now, outcome)
-      :refused -> %{outcome | refused: outcome.refused + length(frames)}
-      :not_yet -> %{outcome | unclaimed: outcome.unclaimed + length(frames)}
+      {:ok, session} ->
+        early = Local.held(gateway, key, hd(frames))
+        pass(gateway, tables, from, key, session, early ++ frames, now, outcome)
+
+      :refused ->
+        %{outcome | refused: outcome.refused + length(frames)}
+
+      :not_yet ->
+        unclaimed(gateway, key, frames, outcome)
     end
   end
 

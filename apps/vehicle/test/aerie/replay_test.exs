@@ -36,6 +36,14 @@ defmodule Aerie.ReplayTest do
   defp text(second, text, source \\ []), do: frame(%M.Statustext{severity: 6, text: text}, at(second), source)
   defp at(second), do: @start + round(second * @second)
 
+  test "what an autopilot says before its first heartbeat is an event of it, at its own time" do
+    early = [text(0, "ArduCopter V4.6"), text(1, "of a gimbal", component: 154), text(2.5, "Frame: QUAD")]
+    {:ok, flight} = play(early ++ [beat(4), text(5, "Ready")])
+
+    assert Enum.map(flight.events, &{&1.data["text"], &1.time}) ==
+             [{"ArduCopter V4.6", at(0)}, {"Frame: QUAD", at(2.5)}, {"Ready", at(5)}]
+  end
+
   describe "flights of real firmware" do
     for recording <- @recordings do
       test "#{recording} gives what it gave" do
@@ -284,13 +292,13 @@ defmodule Aerie.ReplayTest do
         beat(0, [type: 6, autopilot: 8], system: 255, component: 190),
         beat(0, [type: 26, autopilot: 8], system: 9, component: 154),
         text(0, "who are you", system: 7),
-        text(0, "too early")
+        text(0, "I boot")
       ]
 
       assert {:ok, flight} = play(others ++ [beat(1), text(1, "here I am")])
       assert flight.summary.vehicles == ["VID-001"]
       assert flight.summary.unclaimed == 4
-      assert Enum.map(flight.events, & &1.data["text"]) == ["here I am"]
+      assert Enum.map(flight.events, & &1.data["text"]) == ["I boot", "here I am"]
       assert [{9, 154}, {255, 190}] = Enum.map(flight.summary.stations, &{&1.system, &1.component})
     end
 

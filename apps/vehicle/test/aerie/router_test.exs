@@ -46,6 +46,19 @@ defmodule Aerie.RouterTest do
       assert %{delivered: 1, sessions: [^session]} = deliver(c.gateway, heartbeat(1))
     end
 
+    test "texts that came before its first heartbeat are its own; not those of others, not without end", c do
+      text = fn system, n ->
+        MavCodec.encode(%MavCodec.Messages.Statustext{severity: 6, text: "boot #{n}"},
+          system: system,
+          component: 1
+        )
+      end
+
+      for n <- 1..20, do: assert(%{unclaimed: 2} = deliver(c.gateway, [text.(1, n), text.(2, n)]))
+      assert %{delivered: 17, sessions: [_session]} = deliver(c.gateway, heartbeat(1))
+      assert %{delivered: 1} = deliver(c.gateway, heartbeat(1))
+    end
+
     test "an autopilot may have any component id (R10)", c do
       assert %{delivered: 1} = deliver(c.gateway, heartbeat(1, component: 42))
     end

@@ -16,7 +16,7 @@ defmodule Aerie.Replay.Machine do
   """
 
   alias Aerie.Replay.{Clock, Stations, Vehicle}
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Router.{Early, Heartbeat}
   alias Aerie.Vehicle.{Core, Options, Timesync}
   alias MavCodec.{Frame, Parser, Tlog}
 
@@ -39,6 +39,7 @@ defmodule Aerie.Replay.Machine do
                 vehicles: %{},
                 stations: %{},
                 texts: %{},
+                early: Early.new(),
                 first: nil,
                 last: nil,
                 damage: [],
@@ -152,12 +153,23 @@ defmodule Aerie.Replay.Machine do
     cond do
       copy? -> {machine, outputs}
       is_map_key(machine.vehicles, frame.system) -> deliver(machine, frame, outputs)
-      true -> {count(machine, :unclaimed, 1), outputs}
+      true -> {machine |> count(:unclaimed, 1) |> hold(frame), outputs}
     end
   end
 
-  defp deliver(machine, frame, outputs),
-    do: give(machine, frame.system, {:frames, machine.link, [frame]}, frame.at, outputs)
+  defp hold(machine, frame), do: %{machine | early: Early.hold(machine.early, frame.system, [frame])}
+
+  defp deliver(machine, frame, outputs) do
+    {texts, early} = Early.take(machine.early, frame.system, frame.at)
+
+    give(
+      %{machine | early: early},
+      frame.system,
+      {:frames, machine.link, texts ++ [frame]},
+      frame.at,
+      outputs
+    )
+  end
 
   # What the gateway that made the recording asked: without it the answers would be somebody else's.
   defp ours(machine, %Frame{id: @timesync, crc_extra: extra} = frame, outputs) when extra != nil do

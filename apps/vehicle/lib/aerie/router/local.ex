@@ -8,6 +8,7 @@ defmodule Aerie.Router.Local do
   """
 
   alias Aerie.Names
+  alias Aerie.Router.Early
   alias Aerie.Router.Plan
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
@@ -16,10 +17,10 @@ defmodule Aerie.Router.Local do
   @max_talkers 2_048
 
   @enforce_keys [:tables, :plan]
-  defstruct [:tables, :plan, talkers: %{}]
+  defstruct [:tables, :plan, talkers: %{}, early: Early.new()]
 
-  @typedoc "`tables`: the `id` of the tables that it comes from"
-  @type t :: %__MODULE__{tables: reference, plan: Plan.t(), talkers: %{term => Talker.t()}}
+  @typedoc "`tables`: the `id` of the tables that it comes from; `early`: texts of who is no vehicle yet"
+  @type t :: %__MODULE__{tables: reference, plan: Plan.t(), talkers: %{term => Talker.t()}, early: Early.t()}
 
   @doc "The cache of the calling process, with a plan that holds now."
   @spec fetch(Names.gateway(), Tables.t()) :: t
@@ -59,6 +60,31 @@ defmodule Aerie.Router.Local do
   def put_talker(local, key, talker) do
     talkers = if map_size(local.talkers) >= @max_talkers, do: %{}, else: local.talkers
     %{local | talkers: Map.put(talkers, {key, talker.system, talker.component}, talker)}
+  end
+
+  @doc "Holds the texts among frames of a system that has no session."
+  @spec hold(Names.gateway(), term, [MavCodec.Frame.t()]) :: :ok
+  def hold(gateway, key, frames) do
+    with %__MODULE__{early: early} = local <- Process.get({__MODULE__, gateway}) do
+      case Early.hold(early, key, frames) do
+        ^early -> :ok
+        more -> put(gateway, %{local | early: more})
+      end
+    end
+
+    :ok
+  end
+
+  @doc "Takes what is held of a system whose session is there now, given the frame that called it in."
+  @spec held(Names.gateway(), term, MavCodec.Frame.t()) :: [MavCodec.Frame.t()]
+  def held(gateway, key, %{at: now}) do
+    with %__MODULE__{early: early} = local when is_map_key(early, key) <- Process.get({__MODULE__, gateway}) do
+      {frames, early} = Early.take(early, key, now)
+      put(gateway, %{local | early: early})
+      frames
+    else
+      _nothing -> []
+    end
   end
 
   @doc "Keeps a talker of which something was found out after `put_talker/3`."

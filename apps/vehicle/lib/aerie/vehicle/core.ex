@@ -82,6 +82,7 @@ defmodule Aerie.Vehicle.Core do
     rivals: Rivals.new(),
     apart: [],
     texts: StatusText.new(),
+    early: [],
     reports: Reports.new(),
     recent: %{},
     streams: Arbiter.new(),

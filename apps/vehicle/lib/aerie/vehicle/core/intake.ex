@@ -25,6 +25,9 @@ defmodule Aerie.Vehicle.Core.Intake do
   # ... of which these say more than for how long they have run.
   @signs [0, 33, 148]
 
+  # Texts that came before the first heartbeat (`Aerie.Router.Early` holds as many).
+  @max_early 16
+
   @doc "One frame of the vehicle's system. The actions come newest first."
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
   def frame(core, actions, link, frame) do
@@ -37,6 +40,9 @@ defmodule Aerie.Vehicle.Core.Intake do
 
       frame.component == core.component ->
         autopilot(core, actions, link, frame)
+
+      core.component == nil and frame.id == @statustext ->
+        {%{core | early: Enum.take(core.early ++ [{link, frame}], @max_early)}, actions}
 
       core.component == nil and frame.id == @high_latency ->
         autopilot(%{core | component: frame.component}, actions, link, frame)
@@ -100,9 +106,19 @@ defmodule Aerie.Vehicle.Core.Intake do
          (known in [nil, frame.component] or frame.component == 1) do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
       core = core |> Dealings.beat_heard(link, frame.at) |> Dealings.heard(link, frame.id, frame.at)
+      {core, actions} = early({core, actions})
       message(core, actions, link, frame, message)
     else
       {core, actions}
+    end
+  end
+
+  defp early({%{early: []}, _actions} = acc), do: acc
+
+  # What the autopilot said before anybody knew that it is one.
+  defp early({%{early: early, component: component} = core, actions}) do
+    for {link, %{component: ^component} = frame} <- early, reduce: {%{core | early: []}, actions} do
+      {core, actions} -> autopilot_message(core, actions, link, frame)
     end
   end
 

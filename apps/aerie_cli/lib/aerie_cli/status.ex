@@ -78,12 +78,15 @@ defmodule AerieCLI.Status do
     links = state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id)
     commands = Map.new(links, &{&1.id, Aerie.Router.gcs(state.gateway, &1.id)})
 
+    clients = Aerie.Router.clients(state.gateway)
+
     %View{
       now: System.os_time(:microsecond),
       started: state.started,
       vehicles: state.gateway |> Fleet.Store.vehicles() |> Enum.sort_by(& &1.id),
       links: links,
-      faces: Faces.list(links, commands, Aerie.Router.clients(state.gateway), state.config),
+      faces: Faces.list(links, commands, clients, state.config),
+      clients: clients,
       nats: Aerie.Bridge.info(state.gateway),
       nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),
       published: published(state.gateway),

@@ -85,6 +85,9 @@ defmodule AerieCLI.StatusTest do
     assert table =~ "link link-1: 20 orders to vehicles were REFUSED"
     assert Lines.face(face) == ~s|open="udpin:0.0.0.0:14550 (udp)" to="whoever reaches it: vehicles"|
     assert Enum.any?(Lines.render(view), &(&1 =~ "denied=20"))
+    view = view(clients: [%{id: "gcs", text: "listening", counters: %{dropped_out: 7}}])
+    assert view |> Table.render(140, 40) |> text() =~ "client gcs: 7 frames DROPPED"
+    assert "client=gcs dropped_out=7 text=listening" in Lines.render(view)
   end
 
   test "the address comes with its login in a terminal, and without it in a log" do

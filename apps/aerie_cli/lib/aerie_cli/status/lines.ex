@@ -12,7 +12,8 @@ defmodule AerieCLI.Status.Lines do
   @doc "The lines of one look at the gateway."
   @spec render(View.t()) :: [String.t()]
   def render(%View{} = view) do
-    Enum.map(view.vehicles, &vehicle(&1, view)) ++ Enum.map(view.links, &link/1) ++ nats(view)
+    Enum.map(view.vehicles, &vehicle(&1, view)) ++
+      Enum.map(view.links, &link/1) ++ Enum.flat_map(view.clients, &client/1) ++ nats(view)
   end
 
   @doc "What is open to whom, as a log line."
@@ -90,6 +91,12 @@ defmodule AerieCLI.Status.Lines do
       text: link.text
     )
   end
+
+  # Only what it lost: the rest of it is in `/api/clients`.
+  defp client(%{counters: %{dropped_out: 0}}), do: []
+
+  defp client(client),
+    do: [pairs(client: client.id, dropped_out: client.counters.dropped_out, text: client.text)]
 
   defp nats(%{nats: nil}), do: []
 

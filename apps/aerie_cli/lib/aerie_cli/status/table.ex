@@ -48,6 +48,7 @@ defmodule AerieCLI.Status.Table do
         [""] ++
         section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
         denied(view.links) ++
+        dropped(view.clients) ++
         faces(view.faces) ++
         notes(view)
 
@@ -160,6 +161,12 @@ defmodule AerieCLI.Status.Table do
     for %{counters: %{denied: n}} = link when n > 0 <- links do
       {"link #{text(link.id)}: #{n} orders to vehicles were REFUSED, because who gave them may not command by it (gcs)",
        :yellow}
+    end
+  end
+
+  defp dropped(clients) do
+    for %{counters: %{dropped_out: n}} = client when n > 0 <- clients do
+      {"client #{text(client.id)}: #{n} frames DROPPED for peers that read too slowly", :yellow}
     end
   end
 

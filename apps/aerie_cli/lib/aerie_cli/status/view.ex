@@ -14,13 +14,14 @@ defmodule AerieCLI.Status.View do
     pending: 0,
     vehicles: [],
     links: [],
+    clients: [],
     faces: [],
     notes: []
   ]
 
   @typedoc """
   * `now`, `started` - unix microseconds
-  * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`
+  * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`; `clients` - `Aerie.Router.clients/1`
   * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal and not for a log
   * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
@@ -32,6 +33,7 @@ defmodule AerieCLI.Status.View do
           started: integer(),
           vehicles: [map()],
           links: [map()],
+          clients: [map()],
           nats: map() | nil,
           nats_login: String.t() | nil,
           http: String.t() | nil,

@@ -41,6 +41,7 @@ defmodule Aerie.Vehicle.Core do
   alias Aerie.Vehicle.{
     BootClock,
     Detector,
+    Doubt,
     Heard,
     Options,
     Reports,
@@ -81,6 +82,7 @@ defmodule Aerie.Vehicle.Core do
     twin: Twin.new(),
     rivals: Rivals.new(),
     apart: [],
+    doubt: Doubt.new(),
     texts: StatusText.new(),
     early: [],
     reports: Reports.new(),

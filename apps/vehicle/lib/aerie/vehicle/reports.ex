@@ -53,22 +53,38 @@ defmodule Aerie.Vehicle.Reports do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "An EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component that came `at`. `own`: who we are."
-  @spec message(t(), 0..255, struct(), own(), integer()) :: {t(), [given()]}
-  def message(%{components: known} = reports, component, _message, _own, _at)
+  @doc """
+  An EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component that came `at`. `own`: who we are. `sure?`: it is
+  no other vehicle with the same id; else a number far from ours says nothing of what is missing.
+  """
+  @spec message(t(), 0..255, struct(), own(), integer(), sure? :: boolean()) :: {t(), [given()]}
+  def message(reports, component, message, own, at, sure? \\ true)
+
+  def message(%{components: known} = reports, component, _message, _own, _at, _sure?)
       when not is_map_key(known, component) and map_size(known) >= @max_components,
       do: {reports, []}
 
-  def message(reports, component, %CurrentEventSequence{} = message, _own, at) do
+  def message(reports, component, %Event{} = message, own, at, false) do
+    if Sequence.near?(component(reports, component).sequence, message.sequence) do
+      message(reports, component, message, own, at, true)
+    else
+      report = read(component, message, at)
+      {if(for_us?(message, own) and report.severity <= 7, do: pair(reports, report), else: reports), []}
+    end
+  end
+
+  def message(reports, _component, _message, _own, _at, false), do: {reports, []}
+
+  def message(reports, component, %CurrentEventSequence{} = message, _own, at, true) do
     reset? = (message.flags &&& @reset) != 0
     {sequence(reports, component, &Sequence.current(&1, message.sequence, reset?, at)), []}
   end
 
   # An answer to somebody else's request is true for all.
-  def message(reports, component, %ResponseEventError{} = message, _own, _at),
+  def message(reports, component, %ResponseEventError{} = message, _own, _at, true),
     do: {sequence(reports, component, &Sequence.gone(&1, message.sequence_oldest_available)), []}
 
-  def message(reports, component, %Event{} = message, own, at) do
+  def message(reports, component, %Event{} = message, own, at, true) do
     state = component(reports, component)
     {verdict, sequence} = Sequence.event(state.sequence, message.sequence, message.event_time_boot_ms, at)
     reports = put_component(reports, component, %{state | sequence: sequence})

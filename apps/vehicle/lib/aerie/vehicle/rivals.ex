@@ -51,6 +51,15 @@ defmodule Aerie.Vehicle.Rivals do
     end
   end
 
+  @doc "Whether a way was heard first within the last `us`, while another one is heard for longer."
+  @spec new?(t(), integer(), pos_integer()) :: boolean()
+  def new?(%{ways: ways}, _now, _us) when map_size(ways) < 2, do: false
+
+  def new?(%{ways: ways}, now, us) do
+    firsts = for {_way, {first, last}} <- ways, now - last <= us, do: first
+    firsts != [] and now - Enum.max(firsts) <= us and Enum.max(firsts) != Enum.min(firsts)
+  end
+
   defp over(rivals), do: %{rivals | kept: [], others: [], until: nil}
 
   @doc """

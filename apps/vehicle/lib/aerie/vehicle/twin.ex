@@ -74,6 +74,16 @@ defmodule Aerie.Vehicle.Twin do
 
   def uid(%{uid: {_other, links, _others}} = twin, uid, link), do: {%{twin | uid: {uid, [link], links}}, :two}
 
+  @doc "When a value last took turns, but for those of a link that is late; nil for never."
+  @spec flipped_at(t()) :: integer() | nil
+  def flipped_at(twin) do
+    boots = for {_id, %{b: b} = side} <- twin.boot, b != nil, not delay?(side), do: side
+
+    [twin.place, twin.kind | boots]
+    |> Enum.flat_map(fn side -> Enum.take((side && side.flips) || [], 1) end)
+    |> Enum.max(fn -> nil end)
+  end
+
   @doc "By which links the one and the other value of a sign came; empty lists while there is one value only."
   @spec links(t(), sign()) :: {[term()], [term()]}
   def links(%{uid: {_uid, links, others}}, :uid), do: {Enum.sort(links), Enum.sort(others)}

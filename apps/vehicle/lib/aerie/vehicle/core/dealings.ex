@@ -162,7 +162,12 @@ defmodule Aerie.Vehicle.Core.Dealings do
 
   defp streams({%{options: %{request_streams: true}} = core, actions}, now, true) do
     {streams, messages, notices} = Arbiter.expire(core.streams, now, target(core))
-    told = if notices == [], do: [], else: [{:observe, {:streams, now, core.state.boot_ms, notices}}]
+    # Another vehicle's streams come at rates of their own.
+    told =
+      if notices == [] or Effects.doubtful?(core, now),
+        do: [],
+        else: [{:observe, {:streams, now, core.state.boot_ms, notices}}]
+
     tell({%{core | streams: streams}, sent(core, messages) ++ actions}, told, now)
   end
 

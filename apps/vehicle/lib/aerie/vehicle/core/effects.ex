@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   the actions so far, newest first.
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Heard, Rivals, Sampling, State, Twin}
+  alias Aerie.Vehicle.{Core, Detector, Doubt, Heard, Rivals, Sampling, State, Twin}
   alias Aerie.Vehicle.Core.Dealings
   alias MavCodec.Messages.MissionItemReached
 
@@ -49,19 +49,36 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "What the detector is to look at may have changed."
   @spec looked_at(Core.t(), [Core.action()], integer()) :: acc()
   def looked_at(core, actions, at) do
-    case Detector.digest(core.state) do
-      same when same == core.digest ->
-        {core, actions}
+    digest = Detector.digest(core.state)
 
-      digest ->
-        # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
-        # before. The other way round the snapshot would bring back what is over.
-        observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.beside(core.state))}
-        core = if begins?(core.digest, digest), do: settle(core, at), else: core
-        {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, at)
-        {core, [{:observe, observation} | actions]}
+    if digest == core.digest do
+      {%{core | doubt: Doubt.same(core.doubt)}, actions}
+    else
+      # What is shown for the first time, or once more after a crash, has nothing to be compared with.
+      case Doubt.change(core.doubt, digest, core.digest != nil and doubtful?(core, at), at) do
+        {:wait, doubt} -> {%{core | doubt: doubt}, actions}
+        {:go, since, doubt} -> observe(%{core | doubt: doubt}, actions, digest, since)
+      end
     end
   end
+
+  defp observe(core, actions, digest, at) do
+    # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
+    # before. The other way round the snapshot would bring back what is over.
+    observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.beside(core.state))}
+    core = if begins?(core.digest, digest), do: settle(core, at), else: core
+    {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, core.now)
+    {core, [{:observe, observation} | actions]}
+  end
+
+  @doc "Whether what comes may be of two vehicles."
+  @spec doubtful?(Core.t(), integer()) :: boolean()
+  def doubtful?(core, at), do: Doubt.two?(core.doubt, core.twin, core.rivals, at)
+
+  @doc "A change that had to stay for a while, for the doubt that it is another vehicle's, may count now."
+  @spec held(acc(), integer()) :: acc()
+  def held({%{doubt: %{held: nil}}, _actions} = acc, _now), do: acc
+  def held({core, actions}, now), do: looked_at(core, actions, now)
 
   # What may begin a failsafe, whose cause is perhaps only said a moment later.
   defp begins?(nil, _digest), do: true

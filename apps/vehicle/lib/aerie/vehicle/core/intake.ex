@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Intake do
   concerns.
   """
 
-  alias Aerie.Vehicle.{BootClock, Core, Heard, Kind, Params, State, StatusText, Streams, Twin}
+  alias Aerie.Vehicle.{BootClock, Core, Doubt, Heard, Kind, Params, State, StatusText, Streams, Twin}
   alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
   @heartbeat 0
@@ -107,6 +107,8 @@ defmodule Aerie.Vehicle.Core.Intake do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
       core = core |> Dealings.beat_heard(link, frame.at) |> Dealings.heard(link, frame.id, frame.at)
       {core, actions} = early({core, actions})
+      said = {message.base_mode, message.custom_mode, message.system_status}
+      core = %{core | doubt: Doubt.beat(core.doubt, core.way, said, frame.at)}
       message(core, actions, link, frame, message)
     else
       {core, actions}

@@ -15,7 +15,8 @@ defmodule Aerie.Vehicle.Core.Reporting do
   @spec message(Core.t(), [Core.action()], struct(), struct()) :: acc()
   def message(core, actions, %{component: component, at: at}, message) do
     own = {core.options.own_system, core.options.own_component}
-    {reports, given} = Reports.message(core.reports, component, message, own, at)
+    sure? = not Effects.doubtful?(core, at)
+    {reports, given} = Reports.message(core.reports, component, message, own, at, sure?)
     give({%{core | reports: reports}, actions}, given, at)
   end
 
@@ -38,7 +39,9 @@ defmodule Aerie.Vehicle.Core.Reporting do
   end
 
   defp ask?(%{options: options, status: status} = core, now),
-    do: options.request_streams and status == :online and Dealings.open?(core, now)
+    do:
+      options.request_streams and status == :online and Dealings.open?(core, now) and
+        not Effects.doubtful?(core, now)
 
   defp ask(core, actions, now) do
     {reports, requests} = Reports.requests(core.reports, core.options.system_id, now)

@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Core.Timers do
   What follows from time passing: texts that stay incomplete, samples, silence, rates, and what `Dealings` has to do.
   """
 
-  alias Aerie.Vehicle.{Core, Heard, Rivals, Sampling, State, StatusText, Twin}
+  alias Aerie.Vehicle.{Core, Doubt, Heard, Rivals, Sampling, State, StatusText, Twin}
   alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
   # Deadlines are looked at twenty times a second.
@@ -51,6 +51,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         heard: Heard.new(Heard.links(core.heard), now),
         twin: Twin.rebased(core.twin),
         rivals: Rivals.rebased(core.rivals),
+        doubt: Doubt.new(),
         samplers: Sampling.new(core.options.sampling),
         state: State.rebased(core.state, now)
     }
@@ -96,6 +97,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     {%{core | texts: texts, samplers: samplers, expired: now}, actions}
     |> quiet(now)
     |> Effects.apart(now)
+    |> Effects.held(now)
     |> Effects.settled(now)
     |> silence(now)
     |> measure(now)

@@ -55,6 +55,11 @@ defmodule Aerie.Vehicle.Reports.Sequence do
     end
   end
 
+  @doc "Whether a number is so near to the latest one that it is of the same sequence."
+  @spec near?(t(), 0..65_535) :: boolean()
+  def near?(%{latest: nil}, _number), do: true
+  def near?(%{latest: latest}, number), do: (number - latest + @max_missing &&& 0xFFFF) <= 2 * @max_missing
+
   @doc "CURRENT_EVENT_SEQUENCE came `at`: this is the last one that was sent. `reset?`: numbers before it mean nothing."
   @spec current(t(), 0..65_535, boolean(), integer()) :: t()
   def current(%{latest: same} = sequence, same, _reset?, _at), do: sequence

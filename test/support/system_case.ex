@@ -16,7 +16,7 @@ defmodule Aerie.SystemCase do
   end
 
   @doc """
-  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration). Returns what `AerieCLI.Run.start/2`
+  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`. Returns what `AerieCLI.Run.start/2`
   does, with `link` ports by id.
   """
   def start_gateway(folder, options \\ []) do
@@ -43,7 +43,7 @@ defmodule Aerie.SystemCase do
         options[:overrides] || %{}
       )
 
-    plan = %{config_file: nil, overrides: overrides, sim: 0}
+    plan = %{config_file: options[:config_file], overrides: overrides, sim: 0}
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
     eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
     run

@@ -147,7 +147,7 @@ defmodule Aerie.System.DealingsTest do
     assert_receive {:fleet, :events, %{type: "gcs.restored"}}, 30_000
   end
 
-  @tag sim: [params: %{"SYSID_MYGCS" => 245}]
+  @tag sim: [params: %{"SYSID_MYGCS" => 237}]
   test "H5: a vehicle whose failsafe listens to our id gets no heartbeat of ours", %{gateway: gateway} do
     eventually(fn -> match?(%{withheld?: true, by_us?: true}, vehicle(gateway).gcs) end, "it is noticed")
     eventually(fn -> Store.counter(gateway, {:identity, :withheld}) > 2 end, "the heartbeat is withheld")
@@ -157,7 +157,7 @@ defmodule Aerie.System.DealingsTest do
     assert Store.counter(gateway, {:sent, 0}) == sent
   end
 
-  @tag sim: [params: %{"SYSID_MYGCS" => 245}], mavlink: %{"i_am_the_gcs" => true}
+  @tag sim: [params: %{"SYSID_MYGCS" => 237}], mavlink: %{"i_am_the_gcs" => true}
   test "H5: … unless it is the ground station", %{gateway: gateway} do
     eventually(fn -> match?(%{withheld?: false, by_us?: true}, vehicle(gateway).gcs) end, "it is known")
     sent = Store.counter(gateway, {:sent, 0})

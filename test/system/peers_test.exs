@@ -24,7 +24,8 @@ defmodule Aerie.System.PeersTest do
     %{gateway: gateway} = run = start_gateway(folder, options)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     common = [link: link, ready_s: 1.0, speed: 5.0]
-    copter = start_supervised!({SimVehicle, [firmware: :ardupilot, system: 1] ++ common}, id: :copter)
+    options = [firmware: :ardupilot, system: 1, params: context[:params] || %{}] ++ common
+    copter = start_supervised!({SimVehicle, options}, id: :copter)
     px4 = start_supervised!({SimVehicle, [firmware: :px4, system: 2] ++ common}, id: :px4)
     eventually(fn -> length(Store.vehicles(gateway)) == 2 end, "both vehicles are known")
     %{gateway: gateway, config: run.config, copter: copter, px4: px4}
@@ -59,15 +60,26 @@ defmodule Aerie.System.PeersTest do
     assert_landed([c.copter, c.px4])
   end
 
+  # MAVSDK is system 245, component 190.
   @tag :mavsdk
   @tag :mavproxy
-  test "MAVSDK by TCP with ArduPilot, MAVProxy by UDP, where the gateway calls, with PX4", c do
+  @tag config: %{"mavlink" => %{"local_addr" => "off", "system_id" => 245}}, params: %{"SYSID_MYGCS" => 245}
+  test "MAVSDK by TCP with ArduPilot, MAVProxy by UDP, where the gateway calls, with PX4; MAVSDK's system id is not its own",
+       c do
+    Aerie.Fleet.PubSub.subscribe(c.gateway, :events)
     tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
     port = free_udp_port()
     mavproxy = start_peer("mavproxy_gcs.py", ["udpin:127.0.0.1:#{port}" | @px4])
     {:ok, _id} = Client.add(c.gateway, "udpout:127.0.0.1:#{port}")
     mavsdk = start_peer("mavsdk_gcs.py", ["tcpout://127.0.0.1:#{tcp}" | @copter])
+
+    eventually(
+      fn -> match?(%{gcs: %{quiet?: true, heard_gcs: 245}}, Store.vehicle(c.gateway, {"main", 1})) end,
+      "it is the ground station that the failsafe listens to"
+    )
+
     assert_flown(findings(mavsdk), "[16, 22, 16, 21]")
+    assert_receive {:fleet, :events, %{type: "gcs.lost", data: %{"system" => 245}}}, 60_000
     assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
     assert_landed([c.copter, c.px4])
   end

@@ -6,7 +6,7 @@ defmodule MavCodec do
       {frames, parser} = MavCodec.Parser.push(parser, bytes)
       {:ok, %MavCodec.Messages.Heartbeat{}} = MavCodec.decode(hd(frames))
 
-      MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 245, component: 191, seq: 7)
+      MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 237, component: 191, seq: 7)
 
   `MavCodec.Parser` reads, `MavCodec.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
   `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` keep recordings.

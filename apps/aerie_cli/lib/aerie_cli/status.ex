@@ -91,6 +91,7 @@ defmodule AerieCLI.Status do
       nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),
       published: published(state.gateway),
       pending: Fleet.Journal.pending_size(state.gateway),
+      identity: Aerie.Router.identity(state.gateway),
       http: state.http,
       notes: state.notes
     }

@@ -2,8 +2,9 @@ defmodule FleetWeb.Health do
   @moduledoc """
   Is a gateway ready to do its work? Answered from the read model, part by part, so that a probe that fails says why.
 
-  Ready means: the gateway's parts run and NATS stores events (or is switched off by the configuration). Links that are down
-  do not make it unready, because a gateway that waits for a radio to come back does its work; they are listed all the same.
+  Ready means: the gateway's parts run, NATS stores events (or is switched off by the configuration), and no autopilot has the
+  gateway's own ids, which would make its vehicle unseen. Links that are down do not make it unready, because a
+  gateway that waits for a radio to come back does its work; they are listed all the same.
   """
 
   alias Aerie.{Fleet, Names}
@@ -16,7 +17,10 @@ defmodule FleetWeb.Health do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
     nats = Aerie.Bridge.info(gateway)
     problem = nats_problem(gateway, nats)
-    ready? = problem == nil and Enum.all?(parts, fn {_name, running?} -> running? end)
+    identity = Aerie.Router.identity(gateway)
+
+    ready? =
+      problem == nil and identity.alarm == nil and Enum.all?(parts, fn {_name, running?} -> running? end)
 
     links =
       for link <- Fleet.Store.links(gateway),
@@ -26,6 +30,7 @@ defmodule FleetWeb.Health do
      %{
        status: if(ready?, do: "ready", else: "not ready"),
        parts: parts,
+       identity: identity,
        nats: %{
          connected: nats != nil and nats.connected,
          url: nats[:url],

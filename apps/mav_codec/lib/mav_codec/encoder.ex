@@ -3,7 +3,7 @@ defmodule MavCodec.Encoder do
   Sequence numbers for what is sent on one link: one count per source {system, component}, from 0, wrapping after 255
   (R7). A value: each encoded frame gives the next encoder.
 
-      encoder = MavCodec.Encoder.new(system: 245, component: 191)
+      encoder = MavCodec.Encoder.new(system: 237, component: 191)
       {bytes, encoder} = MavCodec.Encoder.encode(encoder, %MavCodec.Messages.Heartbeat{type: 18})
 
   A count is kept for every source that was ever named, so name only sources of your own.

@@ -3,7 +3,7 @@ defmodule MavCodec.Signing do
   Signs what is sent on a link and checks what comes (S1-S7, S12). A value, one per link and key.
 
       signing = MavCodec.Signing.new(key, link_id: 1, stored: read_from_disk, save: &write_to_disk/1)
-      {bytes, signing} = MavCodec.Signing.encode(signing, message, system: 245, component: 191)
+      {bytes, signing} = MavCodec.Signing.encode(signing, message, system: 237, component: 191)
       {verdict, signing} = MavCodec.Signing.check(signing, frame)
 
   ## Time stamps

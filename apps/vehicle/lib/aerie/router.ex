@@ -26,6 +26,7 @@ defmodule Aerie.Router do
   alias Aerie.Router.Admission
   alias Aerie.Router.Clients
   alias Aerie.Router.Dispatch
+  alias Aerie.Router.Echo
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Forward
   alias Aerie.Router.Intake
@@ -106,10 +107,15 @@ defmodule Aerie.Router do
     trusted = Aerie.Signing.admit(gateway, believed(%{source | network: hd(way.networks)}, way), frames)
 
     case by_talker(frames, local.plan.own) do
-      :own -> %{@nothing | looped: length(frames)}
+      :own -> echo(tables, way, frames, now)
       {:one, ids} -> one(gateway, tables, local, way, ids, {frames, trusted}, now)
       {:several, looped, talkers} -> several(gateway, tables, local, way, {looped, talkers}, trusted, now)
     end
+  end
+
+  defp echo(tables, way, frames, now) do
+    Echo.look(tables, way, frames, now)
+    %{@nothing | looped: length(frames)}
   end
 
   # Nearly always a read is of one component: the short way.
@@ -149,6 +155,7 @@ defmodule Aerie.Router do
         {way, if(autopilot?, do: [system | vehicles], else: vehicles), from}
       end)
 
+    if looped != [], do: Echo.look(tables, way, looped, now)
     not_own = Enum.reject(trusted, &({&1.system, &1.component} == local.plan.own))
 
     if way.side == :vehicle do
@@ -368,6 +375,21 @@ defmodule Aerie.Router do
     else
       _unknown -> :auto
     end
+  end
+
+  @doc """
+  What the gateway calls itself: `%{system, component, alarm}`, with nil for ids that are still to be found out; `alarm` says
+  in words that an autopilot is heard that has the same ones, which is then not seen as a vehicle.
+  """
+  @spec identity(Names.gateway()) :: %{
+          system: non_neg_integer | nil,
+          component: 0..255 | nil,
+          alarm: String.t() | nil
+        }
+  def identity(gateway) do
+    tables = Tables.of(gateway)
+    {system, component} = (tables && Tables.setting(tables, :own, nil)) || {nil, nil}
+    %{system: system, component: component, alarm: Echo.alarm(gateway)}
   end
 
   @doc "All systems that sent a heartbeat, vehicles or not (`Aerie.Router.Systems`)."

@@ -64,7 +64,7 @@ defmodule Aerie.ConfigTest do
     assert {:ok, config} = Config.load(nil, [], env: %{})
     assert config == Config.default()
     assert config.nats.mode == :embedded
-    assert %{system_id: 245, component_id: 191} = config.mavlink
+    assert %{system_id: 237, component_id: 191} = config.mavlink
     assert [%{id: "udp", url: "udpin:0.0.0.0:14550", given: false}] = config.links
     assert config.warnings == []
     refute Config.given?(config, "http.port")
@@ -291,7 +291,7 @@ defmodule Aerie.ConfigTest do
     assert [system_id, type] = lines(load(context, "mavlink: {system_id: 255, heartbeat_type: gcs}"), context)
 
     assert system_id =~
-             "gateway.yaml: mavlink.system_id: expected an id that no ground station uses, such as 245, got 255"
+             "gateway.yaml: mavlink.system_id: expected an id that no ground station uses, such as 237, got 255"
 
     assert system_id =~ "mavlink.i_am_the_gcs: true"
     assert type =~ "gateway.yaml: mavlink.heartbeat_type: expected onboard_controller, got gcs"
@@ -299,7 +299,7 @@ defmodule Aerie.ConfigTest do
     assert {:ok, %{mavlink: %{system_id: 255, heartbeat_type: :gcs}}} =
              load(context, "mavlink: {system_id: 255, i_am_the_gcs: true}")
 
-    assert {:ok, %{mavlink: %{system_id: 245, heartbeat_type: :onboard_controller}}} = load(context, "")
+    assert {:ok, %{mavlink: %{system_id: 237, heartbeat_type: :onboard_controller}}} = load(context, "")
   end
 
   test "streams are named as messages are", context do

@@ -133,8 +133,8 @@ defmodule Aerie.LinkTest do
       {:ok, port} = :inet.port(server)
       add_link(c.gateway, "udpout:127.0.0.1:#{port}")
       assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, 10_000)
-      # An on-board computer at 245/191, never a ground station (H5).
-      assert {[%{system: 245, component: 191, id: 0} = frame], _} =
+      # An on-board computer at 237/191, never a ground station (H5).
+      assert {[%{system: 237, component: 191, id: 0} = frame], _} =
                MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
 
       assert {:ok, %{type: 18, autopilot: 8}} = MavCodec.decode(frame)

@@ -29,7 +29,7 @@ defmodule Aerie.RecorderTest do
       {:ok, socket} = :gen_udp.open(0, [:binary])
       for n <- 1..5, do: :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, n))
       heard = frames(5)
-      :ok = Router.send(gateway, {"main", 7}, heartbeat(245, type: 18, autopilot: 8, component: 191))
+      :ok = Router.send(gateway, {"main", 7}, heartbeat(237, type: 18, autopilot: 8, component: 191))
       assert_receive {:udp, ^socket, _address, _port, _bytes}
 
       file = eventually(fn -> Recorder.status(gateway, {:link, id}).file end)
@@ -37,7 +37,7 @@ defmodule Aerie.RecorderTest do
       :ok = Recorder.stop(gateway, {:link, id})
       assert [a, b, cc, d, e, ours] = recorded(file)
       assert Enum.map([a, b, cc, d, e], &{&1.at, &1.bytes}) == Enum.map(heard, &{&1.at, &1.bytes})
-      assert {ours.system, ours.component, ours.id} == {245, 191, 0}
+      assert {ours.system, ours.component, ours.id} == {237, 191, 0}
       assert %{state: :off, dropped: 0, frames: 6, files: 1} = Recorder.status(gateway, {:link, id})
       assert [%{file: ^file, open: false, bytes: bytes}] = Recorder.list(gateway)
       assert bytes == File.stat!(file).size
@@ -527,9 +527,9 @@ defmodule Aerie.RecorderTest do
       give(gateway, attitudes(1, 1..1))
 
       order =
-        MavCodec.encode(%Messages.CommandLong{target_system: 1, command: 400}, system: 245, component: 191)
+        MavCodec.encode(%Messages.CommandLong{target_system: 1, command: 400}, system: 237, component: 191)
 
-      :ok = Recorder.sent(gateway, "radio", "main", [order, heartbeat(245), order])
+      :ok = Recorder.sent(gateway, "radio", "main", [order, heartbeat(237), order])
       :ok = Recorder.sent(gateway, "radio", "other", order)
       {:ok, file} = Recorder.save(gateway, @key)
       assert [30, 76, 76] = Enum.map(recorded(file), & &1.id)

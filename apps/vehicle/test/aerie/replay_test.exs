@@ -308,7 +308,7 @@ defmodule Aerie.ReplayTest do
     end
 
     test "our own frames are no vehicle's, but its answers to what we asked are read: its clock is known" do
-      own = [system: 245, component: 191]
+      own = [system: 237, component: 191]
       request = frame(%M.Timesync{tc1: 0, ts1: 555}, at(2), own)
       answer = frame(%M.Timesync{tc1: 7_000_000_000, ts1: 555}, at(2.02))
       assert {:ok, flight} = play([beat(0), beat(1, [type: 18, autopilot: 8], own), request, answer, beat(3)])

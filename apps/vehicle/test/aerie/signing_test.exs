@@ -76,9 +76,9 @@ defmodule Aerie.SigningTest do
                gateway,
                "radio",
                :peer,
-               Signing.mark(gateway, {"main", 1}, heartbeat(245, component: 191))
+               Signing.mark(gateway, {"main", 1}, heartbeat(237, component: 191))
              ) ==
-               heartbeat(245, component: 191)
+               heartbeat(237, component: 191)
     end
   end
 
@@ -215,7 +215,7 @@ defmodule Aerie.SigningTest do
     setup c, do: {:ok, gateway: start_signing(c.tmp_dir)}
 
     test "is signed, with one link id for each link and ever higher time stamps", c do
-      own = heartbeat(245, component: 191)
+      own = heartbeat(237, component: 191)
 
       stamps =
         for _ <- 1..50 do
@@ -236,9 +236,9 @@ defmodule Aerie.SigningTest do
 
     test "several frames at once are all signed; those of others and of version 1 stay as they are (S10)",
          c do
-      own = heartbeat(245, component: 191)
+      own = heartbeat(237, component: 191)
       foreign = heartbeat(255, type: 6, autopilot: 8)
-      old = MavCodec.encode(%MavCodec.Messages.Heartbeat{}, system: 245, component: 191, version: 1)
+      old = MavCodec.encode(%MavCodec.Messages.Heartbeat{}, system: 237, component: 191, version: 1)
       marked = Signing.mark(c.gateway, {"main", 1}, [own, foreign, old, own])
       bytes = IO.iodata_to_binary(Signing.seal(c.gateway, "radio", :peer, marked))
       {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
@@ -266,7 +266,7 @@ defmodule Aerie.SigningTest do
       assert [_] = Signing.admit(first, source(), [frame(bytes)])
 
       own =
-        Signing.seal(first, "radio", :peer, Signing.mark(first, {"main", 1}, heartbeat(245, component: 191)))
+        Signing.seal(first, "radio", :peer, Signing.mark(first, {"main", 1}, heartbeat(237, component: 191)))
 
       used = frame(IO.iodata_to_binary(own)).signature.timestamp
       assert used > 0
@@ -285,7 +285,7 @@ defmodule Aerie.SigningTest do
           second,
           "radio",
           :peer,
-          Signing.mark(second, {"main", 1}, heartbeat(245, component: 191))
+          Signing.mark(second, {"main", 1}, heartbeat(237, component: 191))
         )
 
       assert frame(IO.iodata_to_binary(own)).signature.timestamp > used
@@ -314,7 +314,7 @@ defmodule Aerie.SigningTest do
           second,
           "radio",
           :peer,
-          Signing.mark(second, {"main", 1}, heartbeat(245, component: 191))
+          Signing.mark(second, {"main", 1}, heartbeat(237, component: 191))
         )
 
       assert frame(IO.iodata_to_binary(own)).signature.timestamp > frame(bytes).signature.timestamp

@@ -13,7 +13,8 @@ defmodule AerieCLI.Status.Lines do
   @spec render(View.t()) :: [String.t()]
   def render(%View{} = view) do
     Enum.map(view.vehicles, &vehicle(&1, view)) ++
-      Enum.map(view.links, &link/1) ++ Enum.flat_map(view.clients, &client/1) ++ nats(view)
+      Enum.map(view.links, &link/1) ++
+      Enum.flat_map(view.clients, &client/1) ++ nats(view) ++ identity(view.identity)
   end
 
   @doc "What is open to whom, as a log line."
@@ -110,6 +111,13 @@ defmodule AerieCLI.Status.Lines do
     ]
 
     [pairs(pairs)]
+  end
+
+  defp identity(nil), do: []
+
+  defp identity(%{alarm: alarm} = own) do
+    shown = [system: own.system, component: own.component]
+    [pairs(if(alarm, do: shown ++ [ALARM: alarm], else: shown))]
   end
 
   defp pairs(pairs), do: Enum.map_join(pairs, " ", fn {key, value} -> "#{key}=#{value(value)}" end)

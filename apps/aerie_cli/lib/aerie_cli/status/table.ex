@@ -43,6 +43,7 @@ defmodule AerieCLI.Status.Table do
   def render(%View{} = view, width, height) do
     lines =
       [header(view) | nats_lines(view)] ++
+        alarm(view.identity) ++
         [""] ++
         section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
         [""] ++
@@ -57,8 +58,16 @@ defmodule AerieCLI.Status.Table do
 
   defp header(view) do
     up = duration(view.now - view.started)
-    {"Aerie  up #{up}  vehicles #{length(view.vehicles)}  http #{text(view.http)}  (Ctrl-C ends it)", :bold}
+
+    {"Aerie #{ids(view.identity)}  up #{up}  vehicles #{length(view.vehicles)}  http #{text(view.http)}  (Ctrl-C ends it)",
+     :bold}
   end
+
+  defp ids(%{system: system, component: component}) when system != nil, do: "#{system}/#{component}"
+  defp ids(_unknown), do: "-/-"
+
+  defp alarm(%{alarm: alarm}) when alarm != nil, do: [{"ALARM: #{text(alarm)}", :red}]
+  defp alarm(_none), do: []
 
   defp nats_lines(%View{nats: nil}), do: [{"NATS not started", :dim}]
 

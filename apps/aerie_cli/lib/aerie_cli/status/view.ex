@@ -9,6 +9,7 @@ defmodule AerieCLI.Status.View do
     :started,
     :nats,
     :nats_login,
+    :identity,
     :http,
     published: 0,
     pending: 0,
@@ -23,6 +24,7 @@ defmodule AerieCLI.Status.View do
   * `now`, `started` - unix microseconds
   * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`; `clients` - `Aerie.Router.clients/1`
   * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal and not for a log
+  * `identity` - `Aerie.Router.identity/1`
   * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
   * `faces` - what is open to whom
@@ -36,6 +38,7 @@ defmodule AerieCLI.Status.View do
           clients: [map()],
           nats: map() | nil,
           nats_login: String.t() | nil,
+          identity: map() | nil,
           http: String.t() | nil,
           published: non_neg_integer(),
           pending: non_neg_integer(),

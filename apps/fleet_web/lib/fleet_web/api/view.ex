@@ -25,7 +25,7 @@ defmodule FleetWeb.API.View do
     :signing
   ]
 
-  @doc "Everything at a glance: one object per vehicle, one per link, and NATS."
+  @doc "Everything at a glance: one object per vehicle, one per link, NATS, and who the gateway is."
   @spec status(term()) :: map()
   def status(gateway) do
     now = System.os_time(:microsecond)
@@ -37,6 +37,7 @@ defmodule FleetWeb.API.View do
       vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle(vehicle, by_id, now)),
       links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
       nats: nats(Aerie.Bridge.info(gateway)),
+      identity: Aerie.Router.identity(gateway),
       recorder: Recordings.status(gateway)
     }
   end

@@ -4,10 +4,13 @@ defmodule Aerie.Config.Resolve do
   """
 
   alias Aerie.Config
-  alias Aerie.Client.Keys
-  alias Aerie.Config.{Schema, Secret}
+  alias Aerie.Client.Keys, as: ClientKeys
+  alias Aerie.Config.{Keys, Schema, Secret}
   alias Aerie.Link.Spec
   alias Aerie.Router.Settings
+
+  @hub elem(Keys.Mavlink.own_ids(), 0)
+  @component elem(Keys.Mavlink.own_ids(), 1)
 
   @doc "Fills in the derived values; gives the problems that remain."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
@@ -15,6 +18,7 @@ defmodule Aerie.Config.Resolve do
     config =
       config
       |> system_id()
+      |> component_id()
       |> heartbeat_type()
       |> vehicles()
       |> keys()
@@ -45,10 +49,20 @@ defmodule Aerie.Config.Resolve do
   end
 
   defp system_id(%{mavlink: %{system_id: nil}} = config) do
-    put_in(config.mavlink.system_id, if(config.vehicle_id, do: 1, else: 245))
+    put_in(config.mavlink.system_id, if(config.vehicle_id, do: 1, else: @hub))
   end
 
   defp system_id(config), do: config
+
+  # Frames of an autopilot with our own ids would be taken for echoes of ours.
+  defp component_id(%{mavlink: %{component_id: 1}} = config) do
+    warning =
+      "mavlink.component_id is 1, which is the autopilot's own: this gateway is component #{@component} (on-board computer)."
+
+    %{put_in(config.mavlink.component_id, @component) | warnings: config.warnings ++ [warning]}
+  end
+
+  defp component_id(config), do: config
 
   defp heartbeat_type(%{mavlink: %{heartbeat_type: nil} = mavlink} = config) do
     put_in(config.mavlink.heartbeat_type, if(mavlink.i_am_the_gcs, do: :gcs, else: :onboard_controller))
@@ -143,7 +157,7 @@ defmodule Aerie.Config.Resolve do
   defp open_to_all(clients) do
     for %{sign: true, url: url, id: id} <- clients,
         {:ok, %{kind: kind, host: host}} when kind in [:udp_server, :tcp_server] <- [Spec.parse(url)],
-        not is_tuple(host) or not Keys.loopback?(host),
+        not is_tuple(host) or not ClientKeys.loopback?(host),
         do: id
   end
 
@@ -207,8 +221,8 @@ defmodule Aerie.Config.Resolve do
         "give mavlink.i_am_the_gcs: true if it is meant to stand for the ground station"
 
     [
-      {mavlink.system_id == 255, ["mavlink", "system_id"], "an id that no ground station uses, such as 245",
-       "255"},
+      {mavlink.system_id == 255, ["mavlink", "system_id"],
+       "an id that no ground station uses, such as #{@hub}", "255"},
       {mavlink.heartbeat_type == :gcs, ["mavlink", "heartbeat_type"], "onboard_controller", "gcs"}
     ]
     |> failed()
@@ -294,11 +308,11 @@ defmodule Aerie.Config.Resolve do
   end
 
   defp clients(%{api: api, http: http, websocket: websocket} = config) do
-    short? = api.key != nil and byte_size(Secret.reveal(api.key)) < Keys.shortest()
+    short? = api.key != nil and byte_size(Secret.reveal(api.key)) < ClientKeys.shortest()
     keyless? = api.key == nil and api.keys_file == nil
 
     [
-      {short?, ["api", "key"], "#{Keys.shortest()} characters or more", "a shorter one"},
+      {short?, ["api", "key"], "#{ClientKeys.shortest()} characters or more", "a shorter one"},
       {websocket.cert_file == nil != (websocket.key_file == nil), ["websocket"],
        "cert_file and key_file together", "one of them"},
       {http.enabled and keyless? and not local?(http.address), ["http", "address"],
@@ -313,7 +327,7 @@ defmodule Aerie.Config.Resolve do
 
   defp local?(address) do
     {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))
-    Keys.loopback?(ip)
+    ClientKeys.loopback?(ip)
   end
 
   defp ranges(config) do
@@ -367,12 +381,9 @@ defmodule Aerie.Config.Resolve do
 
   defp warnings(%{mavlink: mavlink, nats: nats} = config) do
     [
-      {mavlink.component_id == 1,
-       "mavlink.component_id is 1, which is the autopilot's own: routers and ground stations will take this gateway " <>
-         "for the flight controller. Use 191 (on-board computer)."},
       {is_nil(config.vehicle_id) and Enum.any?(config.vehicles, &(&1.system_id == mavlink.system_id)),
        "mavlink.system_id #{mavlink.system_id} is also a vehicle's in the list: a hub needs an id of its own, " <>
-         "such as 245. Aboard that vehicle, give vehicle_id instead."},
+         "such as #{@hub}. Aboard that vehicle, give vehicle_id instead."},
       {not is_nil(config.policy.max_altitude) or not is_nil(config.policy.geofence_file),
        "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
       {Enum.any?(config.signing.keys, &(&1.policy != :required)),

@@ -50,7 +50,10 @@ defmodule Aerie.Link.Announcer do
   defp own(%{mavlink: %{system_id: system, component_id: component}}),
     do: [system: system, component: component]
 
-  defp own(_none), do: [system: 245, component: 191]
+  defp own(_none) do
+    {system, component} = Aerie.Config.Keys.Mavlink.own_ids()
+    [system: system, component: component]
+  end
 
   @impl GenServer
   def handle_info(:announce, %{encoder: nil} = state) do

@@ -17,6 +17,7 @@ defmodule Aerie.Signing.Enrolment do
   the staged one again; `discard/2` forgets it; `key: :previous` goes back to the one before.
   """
 
+  alias Aerie.Config.Keys.Mavlink
   alias Aerie.Config.Secret
   alias Aerie.Fleet.Store
   alias Aerie.Link
@@ -211,7 +212,7 @@ defmodule Aerie.Signing.Enrolment do
   # Kept as a secret on its way: mailboxes and reports of crashes show messages (S9).
   defp setup(job, secret) do
     {_network, system} = job.key
-    {own_system, own_component} = Tables.setting(job.tables, :own, {245, 191})
+    {own_system, own_component} = Tables.setting(job.tables, :own, Mavlink.own_ids())
 
     # Taking the key away is asked for with zeros throughout.
     timestamp = if secret == <<0::256>>, do: 0, else: Guards.timestamp(job.tables, job.link, job.scope)

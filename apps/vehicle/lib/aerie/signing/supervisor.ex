@@ -33,5 +33,5 @@ defmodule Aerie.Signing.Supervisor do
 
   # Only what we send ourselves is signed.
   defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
-  defp own(_none), do: {245, 191}
+  defp own(_none), do: Aerie.Config.Keys.Mavlink.own_ids()
 end

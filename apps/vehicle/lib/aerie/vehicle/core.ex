@@ -163,7 +163,7 @@ defmodule Aerie.Vehicle.Core do
     do: {%{core | high_latency: HighLatency.marked(core.high_latency, link, marked?)}, []}
 
   def handle(core, {:stations, stations}),
-    do: {%{core | gcs: Gcs.stations(core.gcs, stations, core.options.own_system)}, []}
+    do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}
 
   def handle(core, {:wants, wants, forwarded}),
     do: {%{core | streams: Arbiter.wants(core.streams, wants, forwarded)}, []}
@@ -219,6 +219,8 @@ defmodule Aerie.Vehicle.Core do
     {core, actions} = Timers.shift(core, [], step)
     {core, Enum.reverse(actions)}
   end
+
+  defp own(options), do: {options.own_system, options.own_component}
 
   @doc "The vehicle as faces see it."
   @spec snapshot(t()) :: map()

@@ -76,10 +76,13 @@ defmodule Aerie.Vehicle.Gcs do
     %{gcs | next: gcs.next && gcs.next + step, heard: heard, stations: stations}
   end
 
-  @doc "The stations that are heard on the vehicle's network (`Aerie.Fleet.Stations`), ourselves excluded."
-  @spec stations(t(), [Stations.station()], own_system :: integer()) :: t()
-  def stations(gcs, stations, own_system) do
-    stations = Enum.reject(stations, &(&1.system == own_system))
+  @doc """
+  The stations that are heard on the vehicle's network (`Aerie.Fleet.Stations`), ourselves excluded; what has our system id
+  and another component is somebody else.
+  """
+  @spec stations(t(), [Stations.station()], own :: {system :: integer(), component :: integer()}) :: t()
+  def stations(gcs, stations, own) do
+    stations = Enum.reject(stations, &({&1.system, &1.component} == own))
     keepers = for station <- stations, keeps?(gcs, station), do: {station.last_heard, station.system}
     %{gcs | stations: stations, heard: Enum.max([gcs.heard || {0, nil} | keepers]) |> some()}
   end

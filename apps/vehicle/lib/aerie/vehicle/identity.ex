@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Identity do
   Who the gateway says it is, and when it says so.
 
   - Aboard a vehicle it is component 191 (on-board computer) of the vehicle's own system; at a hub a system of its own,
-    245 unless configured. 255 belongs to the operator's ground station: the configuration refuses it without
+    237 unless configured. 255 belongs to the operator's ground station: the configuration refuses it without
     `mavlink.i_am_the_gcs` (H5, R10).
   - Its heartbeat says MAV_AUTOPILOT_INVALID (H2) and, unless it stands for the ground station, MAV_TYPE_ONBOARD_CONTROLLER,
     which no firmware takes for an operator's.

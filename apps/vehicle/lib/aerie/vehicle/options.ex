@@ -7,6 +7,9 @@ defmodule Aerie.Vehicle.Options do
 
   alias Aerie.Fleet
 
+  @hub elem(Aerie.Config.Keys.Mavlink.own_ids(), 0)
+  @component elem(Aerie.Config.Keys.Mavlink.own_ids(), 1)
+
   @enforce_keys [:id, :key, :network, :system_id]
   defstruct [
     :id,
@@ -15,8 +18,8 @@ defmodule Aerie.Vehicle.Options do
     :system_id,
     stale_us: 3_000_000,
     lost_us: 5_000_000,
-    own_system: 245,
-    own_component: 191,
+    own_system: @hub,
+    own_component: @component,
     heartbeat: true,
     heartbeat_type: :onboard_controller,
     i_am_the_gcs: false,
@@ -80,8 +83,8 @@ defmodule Aerie.Vehicle.Options do
         defaults
         | stale_us: us(get(config, [:timeouts, :vehicle_stale_s], 3.0)),
           lost_us: us(get(config, [:timeouts, :vehicle_lost_s], 5.0)),
-          own_system: own_system(config) || if(companion, do: system_id, else: 245),
-          own_component: get(config, [:mavlink, :component_id], 191),
+          own_system: own_system(config) || if(companion, do: system_id, else: @hub),
+          own_component: get(config, [:mavlink, :component_id], @component),
           heartbeat: get(config, [:mavlink, :heartbeat], true),
           heartbeat_type: get(config, [:mavlink, :heartbeat_type], :onboard_controller),
           i_am_the_gcs: get(config, [:mavlink, :i_am_the_gcs], false),

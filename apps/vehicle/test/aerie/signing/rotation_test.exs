@@ -129,7 +129,7 @@ defmodule Aerie.Signing.RotationTest do
   end
 
   defp stamp(gateway) do
-    marked = Signing.mark(gateway, {"main", 1}, heartbeat(245, component: 191))
+    marked = Signing.mark(gateway, {"main", 1}, heartbeat(237, component: 191))
     frame(IO.iodata_to_binary(Signing.seal(gateway, "radio", :peer, marked))).signature.timestamp
   end
 

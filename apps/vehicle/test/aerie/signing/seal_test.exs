@@ -33,7 +33,7 @@ defmodule Aerie.Signing.SealTest do
   describe "what is for everybody" do
     test "is signed with the key of whoever is at the other end, each peer's own", c do
       gateway = start(c.tmp_dir, [{1, "one"}, {2, "two"}])
-      ours = Signing.mark(gateway, {"main", nil}, heartbeat(245, component: 191))
+      ours = Signing.mark(gateway, {"main", nil}, heartbeat(237, component: 191))
       # Nobody was heard: there is no key for all.
       assert [%{signature: nil}] = parsed(Signing.seal(gateway, "radio", :a, ours))
 
@@ -47,7 +47,7 @@ defmodule Aerie.Signing.SealTest do
 
     test "goes once for each key where several vehicles share a radio; once where they share the key", c do
       gateway = start(c.tmp_dir, [{nil, "all"}, {2, "two"}])
-      ours = Signing.mark(gateway, {"main", nil}, heartbeat(245, component: 191))
+      ours = Signing.mark(gateway, {"main", nil}, heartbeat(237, component: 191))
       # Before anything was heard the network's key is taken.
       assert [frame] = parsed(Signing.seal(gateway, "radio", :a, ours))
       assert by?(frame, "all")
@@ -67,7 +67,7 @@ defmodule Aerie.Signing.SealTest do
       gateway = start(c.tmp_dir, [{1, "one"}])
       {bytes, _} = signed(signer("another"), 1)
       assert [] = Signing.admit(gateway, source(peer: :a), [frame(bytes), frame(heartbeat(1))])
-      ours = Signing.mark(gateway, {"main", nil}, heartbeat(245, component: 191))
+      ours = Signing.mark(gateway, {"main", nil}, heartbeat(237, component: 191))
       assert [%{signature: nil}] = parsed(Signing.seal(gateway, "radio", :a, ours))
     end
   end
@@ -148,7 +148,7 @@ defmodule Aerie.Signing.SealTest do
       assert byte_size(signed.bytes) == byte_size(read("A")) + 13
 
       key = :binary.copy(<<0xAB>>, 32)
-      setup = MavCodec.encode(%M.SetupSigning{target_system: 1, secret_key: key}, system: 245, component: 191)
+      setup = MavCodec.encode(%M.SetupSigning{target_system: 1, secret_key: key}, system: 237, component: 191)
       marked = {:secret, nil, Aerie.Config.Secret.new(setup)}
       refute inspect(marked) =~ "AB"
       assert Signing.seal(c.gateway, "radio", :a, marked) == setup

@@ -56,7 +56,7 @@ defmodule Aerie.Signing.SecretsTest do
 
   test "the report of a link that crashes with the order for a vehicle in its hands", c do
     setup = %MavCodec.Messages.SetupSigning{target_system: 1, secret_key: @key}
-    order = {:secret, nil, Secret.new(MavCodec.encode(setup, system: 245))}
+    order = {:secret, nil, Secret.new(MavCodec.encode(setup, system: 237))}
     monitor = Process.monitor(c.link)
 
     log =

@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.GcsTest do
   defp run(gcs, seconds, heard, answers \\ %{}) do
     {log, gcs} =
       Enum.flat_map_reduce(seconds, gcs, fn second, gcs ->
-        gcs = Gcs.stations(gcs, heard.(second), 245)
+        gcs = Gcs.stations(gcs, heard.(second), {245, 191})
         {gcs, asked, told} = Gcs.expire(gcs, second * @second, {1, 1}, true)
         names = Enum.map(asked, & &1.param_id)
 
@@ -145,8 +145,11 @@ defmodule Aerie.Vehicle.GcsTest do
       {_log, gcs} = run(known(), 0..10, fn at -> [station(255, at, type: 18)] end)
       assert Gcs.show(gcs, 10 * @second).quiet?
       own = copter() |> Gcs.param("SYSID_MYGCS", 245)
-      {_log, gcs} = run(own, 0..10, fn at -> [station(245, at)] end)
+      {_log, gcs} = run(own, 0..10, fn at -> [station(245, at, component: 191)] end)
       assert %{quiet?: nil, stations: []} = Gcs.show(gcs, 10 * @second)
+      # Whose system id is ours and whose component is not, as MAVSDK's may be.
+      {_log, gcs} = run(own, 0..10, fn at -> [station(245, at)] end)
+      assert %{quiet?: true, known_by: [245]} = Gcs.show(gcs, 10 * @second)
     end
 
     test "a clock that was set loses nobody" do
@@ -165,7 +168,7 @@ defmodule Aerie.Vehicle.GcsTest do
           |> Enum.flat_map_reduce({known(), nil}, fn {who, n}, {gcs, last} ->
             last = if who == 255, do: n * 3, else: last
             stations = for {system, at} <- [{255, last}, {253, n * 3}], at != nil, do: station(system, at)
-            gcs = Gcs.stations(gcs, stations, 245)
+            gcs = Gcs.stations(gcs, stations, {245, 191})
             {gcs, _asked, told} = Gcs.expire(gcs, n * 3 * @second, {1, 1}, false)
             {Enum.map(told, &elem(&1, 0)), {gcs, last}}
           end)

@@ -153,14 +153,14 @@ defmodule Aerie.Vehicle.IdentityTest do
   end
 
   describe "who we are" do
-    test "a companion is component 191 of its vehicle, a hub system 245" do
+    test "a companion is component 191 of its vehicle, a hub system 237" do
       companion =
         Options.new(Aerie.Config.default([{"vehicle_id", "A"}, {"mavlink.system_id", 7}]), {"main", 7})
 
       assert {companion.own_system, companion.own_component} == {7, 191}
       hub = Options.new(Aerie.Config.default(), {"main", 7})
-      assert {hub.own_system, hub.own_component} == {245, 191}
-      assert Identity.own?(hub, 245, 191) and not Identity.own?(hub, 245, 1)
+      assert {hub.own_system, hub.own_component} == {237, 191}
+      assert Identity.own?(hub, 237, 191) and not Identity.own?(hub, 237, 1)
     end
 
     test "H5: only who is meant to be the ground station says so" do

@@ -5,6 +5,16 @@ defmodule Aerie.Config.Keys.Mavlink do
 
   alias Aerie.Config.{Field, Types}
 
+  # A hub's: from the top, where ground stations are (R10), and not one that a common one has: 255 QGroundControl, Mission
+  # Planner, MAVProxy, pymavlink, DroneKit; 254 node-mavlink, Skybrush; 252 APM Planner; 245 MAVSDK and what was made after
+  # its example.
+  @hub 237
+  @component 191
+
+  @doc "The gateway's own ids where the configuration gives none: `{system, component}`."
+  @spec own_ids() :: {pos_integer, 1..255}
+  def own_ids, do: {@hub, @component}
+
   @doc "The section `mavlink`."
   @spec section() :: Field.t()
   def section do
@@ -22,18 +32,18 @@ defmodule Aerie.Config.Keys.Mavlink do
         Types.system_id(),
         """
         System id of this gateway. Companion (vehicle_id given): the vehicle's own, 1 if left out; auto: that of the one
-        autopilot that is heard within three seconds of the first heartbeat. Hub: one from the top, 245 if left out. 255 is
+        autopilot that is heard within three seconds of the first heartbeat. Hub: one from the top, #{@hub} if left out. 255 is
         the ground station's: refused without i_am_the_gcs.
         """,
-        example: "245"
+        example: "#{@hub}"
       ),
       field(
         :component_id,
         {:integer, 1, 255},
         """
-        Component id of this gateway. 191 is the on-board computer; 1 is the autopilot's and collides with it.
+        Component id of this gateway. 191 is the on-board computer. 1 is the autopilot's: 191 is taken in its place.
         """,
-        default: 191
+        default: @component
       ),
       field(
         :i_am_the_gcs,

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Identity.Latch do
   exactly one is heard within three seconds of its first heartbeat.
 
   Until then nobody knows who we are: no vehicle is let in and nothing of ours is sent, while clients and vehicles hear each
-  other as always. Two autopilots, and the gateway is none's: it takes the hub's id, 245, and says so in the log and as
+  other as always. Two autopilots, and the gateway is none's: it takes the hub's id and says so in the log and as
   telemetry. What was decided holds until the gateway ends, whatever of it is restarted (`Aerie.Fleet.Store` keeps it).
 
   Telemetry: `[:aerie, :identity, :latched]` with `gateway`, `system`, `heard` (the keys of the autopilots).
@@ -19,7 +19,7 @@ defmodule Aerie.Vehicle.Identity.Latch do
 
   @window_ms 3_000
   @max_heard 16
-  @hub 245
+  @hub elem(Aerie.Config.Keys.Mavlink.own_ids(), 0)
   @note {:identity, :system}
 
   @doc "A configuration with the id that was taken, where it says `auto`; `:auto` as long as none was."

@@ -1,0 +1,104 @@
+defmodule Aerie.System.FirstDesignTest do
+  @moduledoc """
+  The gateway.yaml of the first design as it stands: it gives the gateway the ids of the vehicle's own autopilot (1/1). Only
+  where its files, its port and its NATS server are is of this test.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 120_000
+
+  defp gateway_yaml(dir) do
+    """
+    # gateway.yaml
+    vehicle_id: VID-001
+    environment: prod
+
+    mavlink:
+      local_addr: ":14550"
+      system_id: 1
+      component_id: 1
+
+    nats:
+      url: "nats://localhost:4222"
+      credentials: "#{dir}/vehicle.creds"
+
+    sampling:
+      position_hz: 1
+      attitude_hz: 1
+      battery_change_threshold: 0.01
+
+    policy:
+      max_altitude: 120
+      geofence_file: "#{dir}/geofence.json"
+    """
+  end
+
+  defp credentials do
+    """
+    -----BEGIN NATS USER JWT-----
+    eyJ0eXAi
+    ------END NATS USER JWT------
+    -----BEGIN USER NKEY SEED-----
+    #{Gnat.Nkey.seed(Gnat.Nkey.generate(:user))}
+    ------END USER NKEY SEED------
+    """
+  end
+
+  setup %{tmp_dir: dir} = context do
+    file = Path.join(dir, "gateway.yaml")
+    File.write!(file, gateway_yaml(dir))
+    File.write!(Path.join(dir, "geofence.json"), "{}")
+    File.write!(Path.join(dir, "vehicle.creds"), credentials())
+    mavlink = Map.merge(%{"local_addr" => "127.0.0.1:0"}, context[:mavlink] || %{})
+    nats = %{"mode" => "embedded", "port" => 0, "store_dir" => Path.join(dir, "nats")}
+    run = start_gateway(dir, config_file: file, overrides: %{"mavlink" => mavlink, "nats" => nats})
+    %{gateway: run.gateway, config: run.config}
+  end
+
+  defp fly(gateway, options \\ []) do
+    url = "udpout:127.0.0.1:#{link_port(gateway, "udp")}"
+    start_supervised!({SimVehicle, [firmware: :ardupilot, system: 1, ready_s: 1.0, link: url] ++ options})
+  end
+
+  defp ready(gateway) do
+    {ready?, report} = FleetWeb.Health.ready(gateway)
+    {ready?, JSON.decode!(JSON.encode!(report))["identity"]}
+  end
+
+  test "sees the vehicle, as component 191 of it, and says so", %{gateway: gateway, config: config} do
+    assert Enum.any?(config.warnings, &(&1 =~ "this gateway is component 191"))
+    sim = fly(gateway)
+
+    eventually(
+      fn -> match?(%{id: "VID-001", status: :online}, Store.vehicle(gateway, "VID-001")) end,
+      "it is there"
+    )
+
+    eventually(fn -> Store.vehicle(gateway, "VID-001").groups[:position] end, "with a position")
+
+    eventually(fn -> SimVehicle.stats(sim).received > 0 end, "and hears us")
+
+    assert {true, %{"system" => 1, "component" => 191, "alarm" => nil}} = ready(gateway)
+    assert %{identity: %{system: 1, component: 191}} = FleetWeb.API.View.status(gateway)
+  end
+
+  @tag mavlink: %{"component_id" => 190}
+  test "an autopilot with our own ids is an alarm", %{gateway: gateway} do
+    fly(gateway, component: 190)
+    eventually(fn -> Aerie.Router.identity(gateway).alarm end, "it is noticed")
+    assert {false, %{"alarm" => alarm}} = ready(gateway)
+    assert alarm =~ "system 1, component 190"
+
+    assert AerieCLI.Status.Lines.render(view(gateway))
+           |> Enum.any?(&(&1 =~ "ALARM=" and &1 =~ "component 190"))
+
+    assert AerieCLI.Status.Table.render(view(gateway), 200, 40) |> Enum.any?(&(&1 =~ "ALARM: an autopilot"))
+  end
+
+  defp view(gateway) do
+    now = System.os_time(:microsecond)
+    struct!(%AerieCLI.Status.View{now: now, started: now}, identity: Aerie.Router.identity(gateway))
+  end
+end

@@ -20,6 +20,8 @@ defmodule Aerie.Link do
   | `[:aerie, :link, :down]` | `retry_ms`, `attempt` | `reason` (words) |
   | `[:aerie, :link, :ended]` | | `reason` (words): a recording is over |
   | `[:aerie, :link, :peer_up]` | | `peer` (words) |
+  | `[:aerie, :link, :overload]` | `datagrams` | datagrams come faster than they are read; those were dropped |
+  | `[:aerie, :link, :relieved]` | `datagrams` | none was dropped for 10 s; so many were |
   | `[:aerie, :link, :peer_down]` | | `peer`, `reason` (words) |
   | `[:aerie, :link, :garbled]` | | `finding`: what a serial port says in the place of MAVLink (`Aerie.Link.Serial.Finding`) |
   | `[:aerie, :link, :added]`, `[:aerie, :link, :removed]` | | |

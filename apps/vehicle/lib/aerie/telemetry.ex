@@ -34,6 +34,8 @@ defmodule Aerie.Telemetry do
     {[:aerie, :link, :ended], Aerie.Link},
     {[:aerie, :link, :peer_up], Aerie.Link},
     {[:aerie, :link, :peer_down], Aerie.Link},
+    {[:aerie, :link, :overload], Aerie.Link},
+    {[:aerie, :link, :relieved], Aerie.Link},
     {[:aerie, :link, :added], Aerie.Link},
     {[:aerie, :link, :removed], Aerie.Link},
     {[:aerie, :identity, :latched], Aerie.Vehicle.Identity.Latch},

@@ -64,6 +64,32 @@ defmodule Aerie.LinkTest do
       assert length(Link.snapshot(c.gateway, id).peers) == 2
     end
 
+    @tag :capture_log
+    test "nothing is lost in silence: what a link that stands still cannot take is counted", c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      socket = socket()
+      say(socket, port, attitude(1, 0))
+      frames(1)
+      link = Aerie.Names.whereis(c.gateway, :link, id)
+
+      :sys.suspend(link)
+      frame = attitude(1, 1)
+      for _ <- 1..20_000, do: say(socket, port, frame)
+      :sys.resume(link)
+
+      eventually(fn ->
+        counters = Link.snapshot(c.gateway, id).counters
+        counters.frames_in + counters.kernel_dropped + counters.shed == 20_001
+      end)
+
+      snapshot = Link.snapshot(c.gateway, id)
+      assert snapshot.counters.kernel_dropped > 0
+      assert %{datagrams: dropped} = snapshot.overload
+      assert dropped == snapshot.counters.kernel_dropped + snapshot.counters.shed
+      assert snapshot.text =~ "overloaded"
+    end
+
     test "a system is answered where it was heard last", c do
       be_session(c.gateway, 1)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")

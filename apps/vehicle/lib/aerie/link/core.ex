@@ -34,7 +34,8 @@ defmodule Aerie.Link.Core do
   | `{:join, peer, text}` | a peer is new, and may be written to |
   | `{:forget, peer}`, `{:drop, peer}` | a peer is gone, and routes by it are void; end a peer's connection |
   | `{:emit, event, measurements, metadata}` | a telemetry event below `[:aerie, :link]` |
-  | `:publish` | the snapshot changed |
+  | `:publish` | the snapshot changed, and by whom the link can be written to may have |
+  | `:show` | only what the snapshot shows changed |
   | `:sniff` | bytes come but no frames: find out what they are |
   | `:relinked` | connected again: its vehicles' streams are to be asked for |
   | `:settled` | the first attempt had its outcome |
@@ -63,6 +64,8 @@ defmodule Aerie.Link.Core do
   @search_ms 5_000
   # A UDP client that hears nothing for so long looks its name up again, a serial port is looked for again.
   @silent_ms 30_000
+  # So long after the last datagram that was dropped a link counts as overloaded.
+  @overload_ms 10_000
 
   @enforce_keys [:spec, :peers]
   defstruct [
@@ -76,6 +79,7 @@ defmodule Aerie.Link.Core do
     :offset,
     :found,
     :sniff_at,
+    :overload,
     diagnosis: [],
     phase: :idle,
     backoff: Backoff.new(),
@@ -192,6 +196,9 @@ defmodule Aerie.Link.Core do
     end
   end
 
+  def handle(core, {:count, name, n}, now) when name in [:shed, :kernel_dropped],
+    do: core |> count(name, n) |> overloaded(n, now)
+
   def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
 
   def handle(core, :tick, now), do: core |> set(now) |> tick(now)
@@ -211,13 +218,28 @@ defmodule Aerie.Link.Core do
   defp moved(%{spec: %{kind: :replay}} = core, _step), do: core.last_heard
   defp moved(core, step), do: core.last_heard && core.last_heard + step
 
+  # Datagrams came faster than they were read.
+  defp overloaded(%{overload: nil} = core, n, {mono, at}) do
+    overload = %{since: at, datagrams: n, last: mono}
+    {%{core | overload: overload}, [{:emit, :overload, %{datagrams: n}, %{}}]}
+  end
+
+  defp overloaded(%{overload: overload} = core, n, {mono, _at}),
+    do: {%{core | overload: %{overload | datagrams: overload.datagrams + n, last: mono}}, []}
+
+  defp relieved(%{overload: %{last: last} = overload} = core, mono) when mono - last >= @overload_ms,
+    do: {%{core | overload: nil}, [{:emit, :relieved, %{datagrams: overload.datagrams}, %{}}]}
+
+  defp relieved(core, _mono), do: {core, []}
+
   defp tick(%{phase: :up} = core, {mono, _at} = now) do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
     peers = Peers.measure(peers)
     {core, more} = changes(%{core | peers: peers}, changes)
     {core, sniff} = garbled(core, mono)
+    {core, relieved} = relieved(core, mono)
     {core, publish} = sample(core, mono)
-    actions = deliver(deliveries) ++ more ++ sniff ++ publish
+    actions = deliver(deliveries) ++ more ++ sniff ++ relieved ++ publish
 
     if silent?(core, mono) do
       {core, closing} =
@@ -229,7 +251,11 @@ defmodule Aerie.Link.Core do
     end
   end
 
-  defp tick(core, {mono, _at}), do: sample(core, mono)
+  defp tick(core, {mono, _at}) do
+    {core, relieved} = relieved(core, mono)
+    {core, publish} = sample(core, mono)
+    {core, relieved ++ publish}
+  end
 
   defp ended(core, lasted) do
     cond do
@@ -393,9 +419,13 @@ defmodule Aerie.Link.Core do
     counters = counters(core)
     seen = {counters, map_size(core.peers.map), Snapshot.text(core, mono)}
     moving? = Enum.any?(Rates.per_second(core.rates), fn {_name, rate} -> rate != 0.0 end)
-    actions = if moving? or seen != core.sampled, do: [:publish], else: []
+    actions = if moving? or seen != core.sampled, do: [:show], else: []
     {%{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen}, actions}
   end
+
+  @doc "Something that the snapshot shows, and that is not known here, changed: it is shown at the next tick."
+  @spec changed(t) :: t
+  def changed(core), do: %{core | sampled: nil}
 
   @doc "All counters: what was counted here and by the parsers of all peers there ever were."
   @spec counters(t) :: Counters.t()

@@ -13,6 +13,8 @@ defmodule Aerie.Link.Counters do
     (writes with no way out: link down, peer gone, buffer full)
   - `denied`: orders to vehicles that came from an end which may not give them; `withheld`: heartbeats and measurements that
     were kept from vehicles (`Aerie.Router.Gate`)
+  - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room for them; Linux tells), `shed`
+    (they had waited so long that newer ones were read instead, `Aerie.Link.Backlog`)
   - `messages`: frames by message id; ids beyond the first #{1024} different ones are counted under `:other`
   """
 
@@ -36,6 +38,8 @@ defmodule Aerie.Link.Counters do
     :refused,
     :looped,
     :dropped_out,
+    :kernel_dropped,
+    :shed,
     :denied,
     :withheld
   ]

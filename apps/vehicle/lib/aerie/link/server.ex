@@ -8,6 +8,8 @@ defmodule Aerie.Link.Server do
   """
   use GenServer
 
+  require Logger
+
   alias Aerie.Fleet.Store
   alias Aerie.Link.Again
   alias Aerie.Link.Core
@@ -68,6 +70,7 @@ defmodule Aerie.Link.Server do
       conn: nil,
       sessions: [],
       judged: nil,
+      kernel_dropped: 0,
       notify: Keyword.get(options, :notify),
       egress: Egress.open(gateway, spec)
     }
@@ -110,7 +113,7 @@ defmodule Aerie.Link.Server do
   def handle_info(:tick, state) do
     # One at a time: a link that was busy for seconds owes no ticks.
     Process.send_after(self(), :tick, Core.tick_ms())
-    {:noreply, state |> step(:tick) |> look() |> measured()}
+    {:noreply, state |> overrun() |> step(:tick) |> look() |> measured()}
   end
 
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
@@ -147,6 +150,17 @@ defmodule Aerie.Link.Server do
     end
   end
 
+  # What the kernel dropped, because nobody else tells.
+  defp overrun(%{conn: nil} = state), do: %{state | kernel_dropped: 0}
+
+  defp overrun(%{transport: transport, kernel_dropped: before} = state) do
+    now =
+      if function_exported?(transport, :kernel_dropped, 1), do: transport.kernel_dropped(state.conn), else: 0
+
+    state = %{state | kernel_dropped: now}
+    if now > before, do: step(state, {:count, :kernel_dropped, now - before}), else: state
+  end
+
   # What a link that is down waits for may have come: a device was plugged in.
   defp look(%{core: %{phase: :down}, watched: watched} = state) do
     if watch(state) == watched, do: state, else: step(state, :retry)
@@ -158,7 +172,8 @@ defmodule Aerie.Link.Server do
   defp measured(state) do
     case judged(Meter.quality(state.gateway, state.spec.id)) do
       same when same == state.judged -> state
-      judged -> publish(%{state | judged: judged})
+      # Shown with the next tick, which is soon.
+      judged -> %{state | judged: judged, core: Core.changed(state.core)}
     end
   end
 
@@ -288,6 +303,13 @@ defmodule Aerie.Link.Server do
   defp act({:drop, peer}, state), do: %{state | conn: state.transport.drop(state.conn, peer)}
 
   defp act({:emit, event, measurements, metadata}, state) do
+    if event == :overload do
+      Logger.warning(
+        "#{state.spec.id} gets more than it can read: #{measurements.datagrams} datagrams dropped so far. " <>
+          "Give the gateway more CPU, or spread the vehicles over more links"
+      )
+    end
+
     metadata =
       Map.merge(metadata, %{gateway: state.gateway, link: state.spec.id, network: state.spec.network})
 
@@ -296,6 +318,7 @@ defmodule Aerie.Link.Server do
   end
 
   defp act(:publish, state), do: state |> sync() |> publish()
+  defp act(:show, state), do: state |> others() |> publish()
   defp act(:settled, %{notify: nil} = state), do: state
 
   defp act(:settled, state) do
@@ -345,7 +368,7 @@ defmodule Aerie.Link.Server do
     })
   end
 
-  # The peers there are now become endpoints of the router; what was written past this process is counted.
+  # The peers there are now become endpoints of the router.
   defp sync(%{conn: nil} = state),
     do: %{state | egress: Egress.sync(state.egress, %{}, fn _peer -> nil end, mono())}
 
@@ -353,9 +376,13 @@ defmodule Aerie.Link.Server do
     peers = Map.new(state.core.peers.map, fn {id, peer} -> {id, peer.text} end)
 
     egress = Egress.line(state.egress, line(state), mono())
-    {others, egress} = egress |> Egress.sync(peers, &direct(state, &1), mono()) |> Egress.others()
-    counters = Counters.merge(state.core.counters, others)
-    %{state | egress: egress, core: %{state.core | counters: counters}}
+    others(%{state | egress: Egress.sync(egress, peers, &direct(state, &1), mono())})
+  end
+
+  # What others wrote to the peers' sockets.
+  defp others(state) do
+    {others, egress} = Egress.others(state.egress)
+    %{state | egress: egress, core: %{state.core | counters: Counters.merge(state.core.counters, others)}}
   end
 
   defp line(%{spec: %{kind: :serial} = spec, core: %{found: found}}),

@@ -17,6 +17,7 @@ defmodule Aerie.Link.Snapshot do
   | `:last_heard` | unix microseconds of the last good frame's arrival |
   | `:counters` | `Aerie.Link.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
+  | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, else nil; `datagrams` were dropped |
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 256 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
@@ -62,6 +63,7 @@ defmodule Aerie.Link.Snapshot do
       finding: core.info[:finding],
       diagnosis: core.diagnosis,
       last_heard: core.last_heard,
+      overload: core.overload && Map.take(core.overload, [:since, :datagrams]),
       counters: Core.counters(core),
       rates: Rates.per_second(core.rates),
       peers: peers(core.peers, mono),
@@ -102,6 +104,11 @@ defmodule Aerie.Link.Snapshot do
 
   def text(%Core{phase: :up, diagnosis: [finding | _]}, _mono) do
     "connected, but no MAVLink on #{Finding.format(finding)}"
+  end
+
+  def text(%Core{phase: :up, overload: %{datagrams: n}} = core, mono) do
+    text(%{core | overload: nil}, mono) <>
+      ", overloaded: #{n} datagrams came faster than they could be read and were dropped"
   end
 
   def text(%Core{phase: :up, spec: spec} = core, mono) do

@@ -15,7 +15,8 @@ defmodule Aerie.Link.Transport do
   ## Back-pressure
 
   Sockets deliver a limited number of messages (`{:active, n}`), then wait to be asked again; a link that does not keep up
-  leaves the rest in the kernel. A write never blocks: what does not fit a bounded buffer is refused with `:busy`.
+  leaves the rest in the kernel. Datagrams that waited there too long are thrown away and counted (`Aerie.Link.Backlog`), as
+  are those that the kernel had no room for. A write never blocks: what does not fit a bounded buffer is refused with `:busy`.
   """
 
   alias Aerie.Link.Spec
@@ -47,6 +48,7 @@ defmodule Aerie.Link.Transport do
   - `{:closed, reason}`: the connection is over, to be made again
   - `{:ended, text}`: there is nothing more to come, ever
   - `{:sniffed, place, baud, sniffed}`: what bytes that hold no frames are (`Aerie.Link.Serial.Sniff`)
+  - `{:count, name, n}`: something to count (`Aerie.Link.Counters`)
   - `{:written, result}`: the late outcome of a write, `{:ok, bytes} | {:error, reason}`
   """
   @type event ::
@@ -57,6 +59,7 @@ defmodule Aerie.Link.Transport do
           | {:closed, term}
           | {:ended, String.t()}
           | {:sniffed, String.t(), pos_integer, Aerie.Link.Serial.Sniff.t()}
+          | {:count, atom, pos_integer}
           | {:written, {:ok, non_neg_integer} | {:error, term}}
 
   @doc "Whether reads are whole datagrams or pieces of a stream, and whether peers come and go unannounced."
@@ -104,7 +107,10 @@ defmodule Aerie.Link.Transport do
   """
   @callback direct(conn, peer) :: {:udp, :socket.socket(), map} | nil
 
-  @optional_callbacks drop: 2, delivered: 2, watch: 1, sniff: 1, direct: 2
+  @doc "How many datagrams the kernel has dropped since the connection was opened. Asked four times a second."
+  @callback kernel_dropped(conn) :: non_neg_integer
+
+  @optional_callbacks kernel_dropped: 1, drop: 2, delivered: 2, watch: 1, sniff: 1, direct: 2
 
   @modules %{
     udp_server: __MODULE__.UdpServer,

@@ -80,7 +80,7 @@ defmodule Aerie.Link.CoreTest do
       {core, _} = run(up("udpin:127.0.0.1:0"), [{1_000, {:read, [{:a, attitude(1, 1)}]}}, {2_000, :tick}])
       assert %{last_heard: heard, since: since} = Snapshot.of(core, 2_000)
       {core, actions} = Core.handle(core, :tick, {2_250, @at + 2_250_000 + step})
-      assert :publish in actions
+      assert :show in actions
       assert %{last_heard: heard_now, since: since_now, status: :up} = Snapshot.of(core, 2_250)
       assert {heard_now, since_now} == {heard + step, since + step}
       # Once, not with each tick.
@@ -193,6 +193,25 @@ defmodule Aerie.Link.CoreTest do
 
     assert work.(10) <= 60
     assert work.(1_000) <= 60
+  end
+
+  test "datagrams that were dropped before they were read are counted, and shown for as long as that lasts" do
+    core = up("udpin::1")
+    assert Snapshot.of(core, 0).overload == nil
+    {core, actions} = run(core, [{1_000, {:count, :kernel_dropped, 5}}])
+    assert actions == [{:emit, :overload, %{datagrams: 5}, %{}}]
+    {core, actions} = run(core, [{1_001, {:count, :shed, 7}}, {1_250, :tick}])
+    assert :show in actions
+    assert %{overload: %{since: since, datagrams: 12}, text: text} = Snapshot.of(core, 1_250)
+    assert since == @at + 1_000_000
+    assert text =~ "12 datagrams came faster than they could be read"
+    assert %{kernel_dropped: 5, shed: 7} = Core.counters(core)
+
+    {core, _} = run(core, [{11_000, :tick}])
+    assert %{overload: %{}} = Snapshot.of(core, 11_000)
+    {core, actions} = run(core, [{11_001, :tick}])
+    assert {:emit, :relieved, %{datagrams: 12}, %{}} in actions
+    assert Snapshot.of(core, 11_001).overload == nil
   end
 
   test "garbage from a thousand addresses makes no peer" do
@@ -314,7 +333,7 @@ defmodule Aerie.Link.CoreTest do
     events = for n <- 0..8, event <- [read, :tick], do: {n * 250, event}
     {core, actions} = run(core, events)
     assert Snapshot.of(core, 2000).rates.frames_in == 4.0
-    assert :publish in actions
+    assert :show in actions
     {core, _} = run(core, for(n <- 9..14, do: {n * 250, :tick}))
     assert Snapshot.of(core, 3500).rates.frames_in == 0.0
     assert {_core, []} = Core.handle(core, :tick, now(3750))

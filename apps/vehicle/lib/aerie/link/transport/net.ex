@@ -1,6 +1,7 @@
 defmodule Aerie.Link.Transport.Net do
   @moduledoc "What the UDP and TCP transports share: names, families, the draining of datagrams, bounded writes."
 
+  alias Aerie.Link.Backlog
   alias Aerie.Link.Spec.Address
 
   # Messages between two requests to go on; enough that a busy socket rarely waits, few enough to bound the mailbox.
@@ -10,8 +11,12 @@ defmodule Aerie.Link.Transport.Net do
   @buffer 65_536
   # Datagrams that the socket takes from the kernel at a time; 5, the default, costs almost twice the time per datagram.
   @read_packets 64
-  # As much as the kernel grants: it is the only reserve while the link's process waits for its turn.
-  @recbuf 4 * 1024 * 1024
+  # The reserve while the link's process waits for its turn: about 5,000 small datagrams (Linux counts 832 bytes for one, and
+  # doubles what is asked for), half a second of 10,000 a second. More would only be older.
+  @recbuf 2 * 1024 * 1024
+  @datagram_bytes 832
+  # SO_MEMINFO of Linux: nine numbers, of which the first is what waits in bytes and the last what was dropped.
+  @meminfo {:raw, 1, 55, 36}
   @send_limit 128 * 1024
 
   @doc "Messages that a socket delivers before it asks to go on."
@@ -94,6 +99,46 @@ defmodule Aerie.Link.Transport.Net do
   defp drain_on(socket, room, reads) do
     _ = :inet.setopts(socket, active: @active)
     drain(socket, room, reads)
+  end
+
+  @doc """
+  A datagram of the mailbox and those that wait behind it, less what has waited too long (`Aerie.Link.Backlog`), and how
+  many went for that.
+  """
+  @spec take(:gen_udp.socket(), Backlog.t(), datagram) :: {[datagram], non_neg_integer, Backlog.t()}
+        when datagram: {{:inet.ip_address(), :inet.port_number()}, binary}
+  def take(socket, backlog, first) do
+    datagrams = [first | drain(socket)]
+    now = :erlang.monotonic_time(:millisecond)
+
+    backlog = if Backlog.due?(backlog, now), do: Backlog.look(backlog, waiting(socket), now), else: backlog
+    Backlog.take(backlog, datagrams)
+  end
+
+  @doc "Datagrams and how many were thrown away, as events of a transport."
+  @spec events([{term, binary}], non_neg_integer) :: [Aerie.Link.Transport.event()]
+  def events([], 0), do: []
+  def events(reads, 0), do: [{:read, reads}]
+  def events(reads, shed), do: [{:count, :shed, shed} | events(reads, 0)]
+
+  defp waiting(socket) do
+    {:message_queue_len, messages} = Process.info(self(), :message_queue_len)
+    {bytes, _dropped} = kernel(socket)
+    messages + div(bytes, @datagram_bytes)
+  end
+
+  @doc "How many datagrams the kernel has dropped of a socket because its buffer was full; 0 where it does not tell."
+  @spec kernel_dropped(:gen_udp.socket()) :: non_neg_integer
+  def kernel_dropped(socket), do: socket |> kernel() |> elem(1)
+
+  defp kernel(socket) do
+    with {:unix, :linux} <- :os.type(),
+         {:ok, [{:raw, _level, _option, <<bytes::32-native, _::28-binary, dropped::32-native>>}]} <-
+           :inet.getopts(socket, [@meminfo]) do
+      {bytes, dropped}
+    else
+      _unknown -> {0, 0}
+    end
   end
 
   @doc """

@@ -11,11 +11,12 @@ defmodule Aerie.Link.Transport.UdpClient do
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Backlog
   alias Aerie.Link.Spec.Address
   alias Aerie.Link.Transport.Net
 
   @enforce_keys [:socket, :to, :broadcast]
-  defstruct [:socket, :to, :broadcast, :sender, latched: false]
+  defstruct [:socket, :to, :broadcast, :sender, latched: false, backlog: Backlog.new()]
 
   @impl Aerie.Link.Transport
   def framing, do: :datagram
@@ -46,8 +47,9 @@ defmodule Aerie.Link.Transport.UdpClient do
 
   @impl Aerie.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    {reads, conn} = Enum.flat_map_reduce([{{address, port}, bytes} | Net.drain(socket)], conn, &hear/2)
-    {if(reads == [], do: [], else: [{:read, reads}]), conn}
+    {datagrams, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
+    {reads, conn} = Enum.flat_map_reduce(datagrams, %{conn | backlog: backlog}, &hear/2)
+    {Net.events(reads, shed), conn}
   end
 
   def handle(conn, message), do: Net.udp_message(conn, message)
@@ -76,6 +78,9 @@ defmodule Aerie.Link.Transport.UdpClient do
   @impl Aerie.Link.Transport
   def direct(%{sender: nil}, _peer), do: nil
   def direct(%{sender: sender, to: {address, port}}, :remote), do: {:udp, sender, Net.sockaddr(address, port)}
+
+  @impl Aerie.Link.Transport
+  def kernel_dropped(conn), do: Net.kernel_dropped(conn.socket)
 
   @impl Aerie.Link.Transport
   def close(conn), do: Net.udp_close(conn.socket, conn.sender)

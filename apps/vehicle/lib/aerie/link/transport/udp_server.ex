@@ -5,10 +5,11 @@ defmodule Aerie.Link.Transport.UdpServer do
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Backlog
   alias Aerie.Link.Transport.Net
 
   @enforce_keys [:socket]
-  defstruct [:socket, :sender]
+  defstruct [:socket, :sender, backlog: Backlog.new()]
 
   @impl Aerie.Link.Transport
   def framing, do: :datagram
@@ -31,7 +32,8 @@ defmodule Aerie.Link.Transport.UdpServer do
 
   @impl Aerie.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
-    {[{:read, [{{address, port}, bytes} | Net.drain(socket)]}], conn}
+    {reads, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
+    {Net.events(reads, shed), %{conn | backlog: backlog}}
   end
 
   def handle(conn, message), do: Net.udp_message(conn, message)
@@ -50,6 +52,9 @@ defmodule Aerie.Link.Transport.UdpServer do
   @impl Aerie.Link.Transport
   def direct(%{sender: nil}, _peer), do: nil
   def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.sockaddr(address, port)}
+
+  @impl Aerie.Link.Transport
+  def kernel_dropped(conn), do: Net.kernel_dropped(conn.socket)
 
   @impl Aerie.Link.Transport
   def drop(conn, _peer), do: conn

@@ -41,7 +41,7 @@ defmodule AerieCLI.StatusTest do
             status: :up,
             text: "listening",
             rates: %{frames_in: 52.0, writes_out: 1.0, bytes_in: 2100.0},
-            counters: %{crc_errors: 3, lost: 7, denied: 0, dropped_out: 0}
+            counters: %{crc_errors: 3, lost: 7, denied: 0, dropped_out: 0, kernel_dropped: 5, shed: 7}
           }
         ],
         nats: %{connected: true, url: "nats://127.0.0.1:4222", problem: nil, outbox: %{events: 0}},

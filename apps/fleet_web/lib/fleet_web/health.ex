@@ -5,6 +5,7 @@ defmodule FleetWeb.Health do
   Ready means: the gateway's parts run, NATS stores events (or is switched off by the configuration), and no autopilot has the
   gateway's own ids, which would make its vehicle unseen. Links that are down do not make it unready, because a
   gateway that waits for a radio to come back does its work; they are listed all the same.
+  One that drops datagrams, because they come faster than it reads them, does: what the gateway shows is not all there was.
   """
 
   alias Aerie.{Fleet, Names}
@@ -18,13 +19,12 @@ defmodule FleetWeb.Health do
     nats = Aerie.Bridge.info(gateway)
     problem = nats_problem(gateway, nats)
     identity = Aerie.Router.identity(gateway)
+    links = for link <- Fleet.Store.links(gateway), do: link(link)
+    overloaded = for %{overload: %{}} = link <- links, do: overloaded(link)
 
     ready? =
-      problem == nil and identity.alarm == nil and Enum.all?(parts, fn {_name, running?} -> running? end)
-
-    links =
-      for link <- Fleet.Store.links(gateway),
-          do: %{id: link.id, status: link.status, text: link.text}
+      problem == nil and identity.alarm == nil and overloaded == [] and
+        Enum.all?(parts, fn {_name, running?} -> running? end)
 
     {ready?,
      %{
@@ -39,8 +39,22 @@ defmodule FleetWeb.Health do
          problem: problem || nats[:outbox][:problem]
        },
        links: links,
+       problems: overloaded,
        vehicles: length(Fleet.Store.vehicles(gateway))
      }}
+  end
+
+  defp link(link),
+    do: %{id: link.id, status: link.status, text: link.text, overload: dropped(link[:overload])}
+
+  defp dropped(nil), do: nil
+
+  defp dropped(%{since: since, datagrams: n}),
+    do: %{since: since |> DateTime.from_unix!(:microsecond) |> DateTime.to_iso8601(), datagrams: n}
+
+  defp overloaded(%{id: id, overload: %{datagrams: n, since: since}}) do
+    "link #{id} dropped #{n} datagrams since #{since}, because they come faster than it reads them: " <>
+      "give the gateway more CPU, or spread the vehicles over more links"
   end
 
   # What keeps events from being stored, or nil. The outbox's own trouble is shown, but does not.

@@ -32,6 +32,27 @@ defmodule FleetWeb.EndpointTest do
     assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
   end
 
+  test "a link that drops what it cannot read in time is told: unready, with its name and what to do",
+       context do
+    link = eventually(fn -> link_with_port(context.gateway) end)
+    overload = %{since: 1_700_000_000_000_000, datagrams: 12}
+    counters = %{link.counters | kernel_dropped: 5, shed: 7}
+    busy = %{link | id: "busy", overload: overload, counters: counters}
+    Store.put_link(context.gateway, "busy", busy)
+
+    assert {503, %{"status" => "not ready", "problems" => [problem]}} = json(context.port, "/readyz")
+    assert problem =~ "link busy dropped 12 datagrams since 2023-11-14T22:13:20"
+    assert problem =~ "more CPU"
+    {200, text} = get(context.port, "/metrics")
+    assert text =~ ~r/gateway_link_overloaded\{link="busy".*\} 1\n/
+    assert text =~ ~r/gateway_link_overloaded\{link="radio".*\} 0\n/
+    assert text =~ ~r/gateway_link_dropped_total\{link="busy".*reason="kernel_dropped"\} 5\n/
+    assert text =~ ~r/gateway_link_dropped_total\{link="busy".*reason="shed"\} 7\n/
+
+    Store.put_link(context.gateway, "busy", %{busy | overload: nil})
+    assert {200, %{"status" => "ready", "problems" => []}} = json(context.port, "/readyz")
+  end
+
   test "a gateway that is not there is unready, with the parts that are missing", context do
     stop_supervised!({Aerie.Gateway, context.gateway})
     assert {503, %{"status" => "not ready", "parts" => %{"store" => false}}} = json(context.port, "/readyz")

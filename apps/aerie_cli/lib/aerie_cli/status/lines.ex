@@ -89,6 +89,7 @@ defmodule AerieCLI.Status.Lines do
       lost: link.counters.lost,
       denied: link.counters.denied,
       dropped_out: link.counters.dropped_out,
+      dropped_in: link.counters.kernel_dropped + link.counters.shed,
       text: link.text
     )
   end

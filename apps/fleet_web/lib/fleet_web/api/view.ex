@@ -135,6 +135,7 @@ defmodule FleetWeb.API.View do
       since: Json.time(link[:since]),
       last_heard: Json.time(link[:last_heard]),
       recording: Recordings.one(link[:recording]),
+      overload: with(%{} = overload <- link[:overload], do: %{overload | since: Json.time(overload.since)}),
       peers: for(peer <- link[:peers] || [], do: Map.take(peer, [:text, :silent_ms, :frames_in, :bytes_in])),
       counters: counters(link[:counters])
     })

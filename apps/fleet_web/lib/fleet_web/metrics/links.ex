@@ -16,10 +16,12 @@ defmodule FleetWeb.Metrics.Links do
     lost: {"gateway_link_lost_frames_total", "Frames lost, estimated by sequence numbers (R7, R9)."},
     reconnects: {"gateway_link_reconnects_total", "Connections made after the first."},
     restarts: {"gateway_link_restarts_total", "Restarts of the link's process."},
-    peers_refused: {"gateway_link_refused_peers_total", "Peers beyond the limit."}
+    peers_refused:
+      {"gateway_link_refused_peers_total",
+       "Connections and datagrams of senders beyond the limit, or of too many new ones at once."}
   ]
 
-  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :denied, :withheld]
+  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :kernel_dropped, :shed, :denied, :withheld]
 
   @signing [
     verified: {"gateway_link_signing_verified_frames_total", "Frames received with a right signature."},
@@ -44,6 +46,9 @@ defmodule FleetWeb.Metrics.Links do
        [{[], links |> Enum.map(&(&1.counters.crc_errors + &1.counters.incompatible)) |> Enum.sum()}]},
       {"gateway_link_up", :gauge, "1 while the link is open, heard or not.",
        Enum.map(links, &{labels(&1), &1.status in [:up, :idle]})},
+      {"gateway_link_overloaded", :gauge,
+       "1 while datagrams come faster than they are read, and for 10 s after the last that was dropped.",
+       Enum.map(links, &{labels(&1), &1[:overload] != nil})},
       {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
     ] ++
       quality(for %{quality: %{}} = link <- links, do: link) ++

@@ -132,6 +132,7 @@ defmodule Aerie.Vehicle.Detector do
 
     %{
       mode: mode.mode,
+      custom_mode: mode.custom_mode,
       armed: mode.armed,
       in_air: mode.in_air,
       failsafe: mode.failsafe,

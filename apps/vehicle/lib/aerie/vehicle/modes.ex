@@ -69,5 +69,11 @@ defmodule Aerie.Vehicle.Modes do
   defp by_name(:px4, _kind, name), do: Modes.Px4.number(name)
   defp by_name(:generic, _kind, _name), do: :error
 
+  @doc "Whether a name is one that the vehicle itself may have a better one for: an external mode, or one that is not known."
+  @spec unnamed?(String.t() | nil) :: boolean()
+  def unnamed?("EXTERNAL" <> _number), do: true
+  def unnamed?("MODE(" <> _number), do: true
+  def unnamed?(_name), do: false
+
   defp unknown(mode), do: "MODE(#{mode})"
 end

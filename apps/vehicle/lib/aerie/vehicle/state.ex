@@ -55,6 +55,7 @@ defmodule Aerie.Vehicle.State do
   @handlers %{
     0 => State.Mode,
     245 => State.Mode,
+    435 => State.Mode,
     24 => State.Motion,
     30 => State.Motion,
     31 => State.Motion,
@@ -89,6 +90,7 @@ defmodule Aerie.Vehicle.State do
             capabilities: nil,
             boot_ms: nil,
             base_mode: nil,
+            mode_names: %{},
             landed: nil,
             high_latency: false,
             groups: %{},
@@ -105,6 +107,7 @@ defmodule Aerie.Vehicle.State do
           capabilities: non_neg_integer() | nil,
           boot_ms: non_neg_integer() | nil,
           base_mode: integer() | nil,
+          mode_names: %{non_neg_integer() => String.t()},
           landed: {integer(), at :: integer()} | nil,
           high_latency: boolean(),
           groups: %{group() => entry()},
@@ -200,7 +203,7 @@ defmodule Aerie.Vehicle.State do
   end
 
   # What judging the next message takes besides the groups.
-  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode]
+  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode, :mode_names]
 
   @doc "What a snapshot keeps for `restore/1` besides what it shows."
   @spec memory(t()) :: map()

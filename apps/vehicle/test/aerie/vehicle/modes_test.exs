@@ -69,4 +69,76 @@ defmodule Aerie.Vehicle.ModesTest do
     assert Kind.flies?("vtol") and Kind.flies?("unknown") and not Kind.flies?("rover")
     assert {Kind.autopilot(3), Kind.autopilot(12), Kind.autopilot(0)} == {:ardupilot, :px4, :generic}
   end
+
+  describe "modes that an application brings along" do
+    import Aerie.Flight, only: [frame: 2, options: 1, step: 2]
+
+    alias Aerie.Vehicle.{Core, Detector}
+    alias MavCodec.Messages, as: M
+
+    @external 4 * 0x10000 + 12 * 0x1000000
+
+    defp beat(at, mode),
+      do:
+        frame(
+          %M.Heartbeat{type: 2, autopilot: 12, base_mode: 81, custom_mode: mode, system_status: 3},
+          at * 1_000_000
+        )
+
+    defp named(at, mode, name),
+      do:
+        frame(
+          %M.AvailableModes{number_modes: 9, mode_index: 1, custom_mode: mode, mode_name: name},
+          at * 1_000_000
+        )
+
+    defp fly(frames) do
+      options = options([])
+
+      start = %{
+        core: Core.new(options),
+        detector: Detector.new(options),
+        events: [],
+        actions: [],
+        params: %{}
+      }
+
+      Enum.reduce(frames, start, &step(&2, {:frames, "link", [&1]}))
+    end
+
+    defp asked(run),
+      do: for({:send, %M.CommandLong{command: 512, param1: 435.0}, _} <- run.actions, do: :asked)
+
+    test "are asked for when one is flown, and shown by the name that they have" do
+      loiter = 4 * 0x10000 + 3 * 0x1000000
+      before = for s <- 1..10, do: beat(s, loiter)
+      assert asked(fly(before)) == []
+      unnamed = fly(before ++ for(s <- 11..80, do: beat(s, @external)))
+      assert asked(unnamed) != []
+
+      run =
+        Enum.reduce(
+          [
+            named(81, loiter, "Hold"),
+            named(81, @external, "Search\xFF pattern"),
+            beat(82, @external),
+            beat(83, loiter)
+          ],
+          unnamed,
+          &step(&2, {:frames, "link", [&1]})
+        )
+
+      # The name that comes later is no change of the mode.
+      assert for(
+               %{type: "mode_change", data: data} <- Enum.reverse(run.events),
+               do: {data["from"], data["to"]}
+             ) ==
+               [{"AUTO_LOITER", "EXTERNAL2"}, {"Search\uFFFD pattern", "AUTO_LOITER"}]
+    end
+
+    test "are a few" do
+      run = fly([beat(1, 0) | for(n <- 1..500, do: named(2, n, "mode \#{n}"))])
+      assert map_size(run.core.state.mode_names) == 64
+    end
+  end
 end

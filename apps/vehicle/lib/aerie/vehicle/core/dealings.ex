@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   waits for, ours, and what must not be sent over a link of high latency.
   """
 
-  alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Params, Reports, Timesync}
+  alias Aerie.Vehicle.{Core, Gcs, Heard, HighLatency, Modes, Params, Reports, State, Timesync}
   alias Aerie.Vehicle.Core.Effects
   alias Aerie.Vehicle.Streams.Arbiter
   alias MavCodec.Messages, as: M
@@ -13,6 +13,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   @command_ack 77
   @timesync 111
   @message_interval 244
+  @available_modes 435
   @heartbeat_us 1_000_000
   @view_us 400_000
 
@@ -161,6 +162,7 @@ defmodule Aerie.Vehicle.Core.Dealings do
   end
 
   defp streams({%{options: %{request_streams: true}} = core, actions}, now, true) do
+    core = named(core)
     {streams, messages, notices} = Arbiter.expire(core.streams, now, target(core))
     # Another vehicle's streams come at rates of their own.
     told =
@@ -172,6 +174,15 @@ defmodule Aerie.Vehicle.Core.Dealings do
   end
 
   defp streams(acc, _now, _ask), do: acc
+
+  # It is in a mode whose name only it knows.
+  defp named(%{state: %{autopilot: :generic}} = core), do: core
+
+  defp named(core) do
+    if Modes.unnamed?(State.data(core.state, :mode).mode),
+      do: %{core | streams: Arbiter.once(core.streams, @available_modes)},
+      else: core
+  end
 
   defp clock({core, actions}, now, true) do
     {timesync, requests} = Timesync.expire(core.timesync, now, asked(core, now))

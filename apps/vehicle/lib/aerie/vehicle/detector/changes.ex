@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Detector.Changes do
   A step whose type is nil changes the detector without an event.
   """
 
-  alias Aerie.Vehicle.Detector
+  alias Aerie.Vehicle.{Detector, Modes}
   alias Aerie.Vehicle.Detector.Failsafe
 
   # A report says who armed or disarmed up to this long before the heartbeat shows it.
@@ -25,8 +25,12 @@ defmodule Aerie.Vehicle.Detector.Changes do
       disarmed(last, now, detector, at)
   end
 
-  defp mode(%{mode: from}, %{mode: to}) when from != to,
-    do: [{"mode_change", %{"from" => from, "to" => to}, []}]
+  # The same mode, whose name is known only now, is no change.
+  defp mode(%{mode: from} = last, %{mode: to} = now) when from != to do
+    if last[:custom_mode] != nil and last[:custom_mode] == now[:custom_mode] and Modes.unnamed?(from),
+      do: [],
+      else: [{"mode_change", %{"from" => from, "to" => to}, []}]
+  end
 
   defp mode(_last, _now), do: []
 

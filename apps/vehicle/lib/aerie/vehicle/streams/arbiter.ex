@@ -75,12 +75,16 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
 
   defp once, do: Map.new(@once, &{&1, {0, nil}})
 
+  @doc "A message is to come once, if it did not do so already."
+  @spec once(t(), non_neg_integer()) :: t()
+  def once(arbiter, id), do: %{arbiter | once: Map.put_new(arbiter.once, id, {0, nil})}
+
   @doc "A message of the autopilot came by a link."
   @spec heard(t(), term(), non_neg_integer(), integer()) :: t()
   def heard(%{begun: nil} = arbiter, link, id, at),
     do: heard(%{arbiter | begun: at + @grace_us}, link, id, at)
 
-  def heard(arbiter, _link, id, _at) when id in @once,
+  def heard(%{once: once} = arbiter, _link, id, _at) when is_map_key(once, id),
     do: %{arbiter | once: Map.put(arbiter.once, id, :known)}
 
   def heard(%{lines: lines} = arbiter, link, id, at) when is_map_key(lines, id) do

@@ -11,6 +11,8 @@ sock.connect(sys.argv[1])
 times, modes = {}, set()
 for line in sock.makefile():
     state = json.loads(line)
+    if state["vehicle"] is None:  # none is there yet
+        continue
     times.setdefault(state["vehicle"], []).append(state["timestamp"])
     modes.add(str(state["mode"]))
     if all(len(t) > int(sys.argv[2]) for t in times.values()):

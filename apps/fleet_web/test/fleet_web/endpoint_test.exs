@@ -106,6 +106,21 @@ defmodule FleetWeb.EndpointTest do
     end
   end
 
+  test "whether a lost vehicle is armed is not known: its metric goes with it", context do
+    mode = %{at: 1, time_boot_ms: nil, data: %{armed: true, in_air: true}}
+    vehicle = %{id: "V", links: [], last_heard: nil, groups: %{mode: mode}, status: :online}
+    Store.put_vehicle(context.gateway, {"main", 9}, vehicle)
+    {200, text} = get(context.port, "/metrics")
+
+    assert text =~ ~s(gateway_vehicle_armed{vehicle="V"} 1) and
+             text =~ ~s(gateway_vehicle_in_air{vehicle="V"} 1)
+
+    Store.put_vehicle(context.gateway, {"main", 9}, %{vehicle | status: :lost})
+    {200, text} = get(context.port, "/metrics")
+    refute text =~ ~s(gateway_vehicle_armed{) or text =~ ~s(gateway_vehicle_in_air{)
+    assert text =~ ~s(gateway_vehicle_online{vehicle="V"} 0)
+  end
+
   test "an unknown page and a wrong method say what there is", context do
     assert {200, index} = get(context.port, "/")
     assert index =~ "/metrics"

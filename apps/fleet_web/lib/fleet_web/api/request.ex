@@ -28,6 +28,14 @@ defmodule FleetWeb.API.Request do
     end
   end
 
+  @doc "The query's parameters; of one that is given twice the last, and none of what is no query."
+  @spec parameters(:cowboy_req.req()) :: %{String.t() => String.t() | nil}
+  def parameters(request) do
+    Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
+  catch
+    :exit, {:request_error, :qs, _reason} -> %{}
+  end
+
   @doc "The body as a JSON object of at most #{@max_body} bytes."
   @spec object(:cowboy_req.req()) :: {:ok, map(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
   def object(request) do

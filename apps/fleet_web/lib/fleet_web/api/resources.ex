@@ -2,13 +2,26 @@ defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
   alias Aerie.{Client, Router, Signing}
-  alias FleetWeb.API.{Error, NewClient, Recordings, Request, RuleChanges, SigningOrder, Tickets, View}
+
+  alias FleetWeb.API.{
+    Error,
+    EventsQuery,
+    NewClient,
+    Recordings,
+    Request,
+    RuleChanges,
+    SigningOrder,
+    Tickets,
+    View
+  }
 
   @resources [
     {"/api", :index, %{"GET" => :index}},
     {"/api/status", :status, %{"GET" => :status}},
     {"/api/vehicles", :vehicles, %{"GET" => :vehicles}},
     {"/api/vehicles/:id", :vehicle, %{"GET" => :vehicle}},
+    {"/api/vehicles/:id/events", :vehicle_events, %{"GET" => :vehicle_events}},
+    {"/api/events", :events, %{"GET" => :events}},
     {"/api/vehicles/:id/save", :save, %{"POST" => :save}},
     {"/api/vehicles/:id/recording", :vehicle_recording, %{"PUT" => :record_vehicle}},
     {"/api/vehicles/:id/signing", :vehicle_signing, %{"GET" => :vehicle_signing, "POST" => :sign_vehicle}},
@@ -75,6 +88,18 @@ defmodule FleetWeb.API.Resources do
     case View.vehicle(state.gateway, :cowboy_req.binding(:id, request)) do
       nil -> {:error, unheard(), request}
       vehicle -> {:ok, 200, vehicle, request}
+    end
+  end
+
+  def run(what, state, request) when what in [:events, :vehicle_events] do
+    vehicle = if what == :events, do: :all, else: :cowboy_req.binding(:id, request)
+
+    with {:ok, options} <- EventsQuery.parse(Request.parameters(request)),
+         events when is_map(events) <- View.events(state.gateway, vehicle, options) do
+      {:ok, 200, events, request}
+    else
+      nil -> {:error, unheard(), request}
+      {:error, error} -> {:error, error, request}
     end
   end
 

@@ -3,9 +3,11 @@ defmodule FleetWeb.API.View do
 
   alias Aerie.Client
   alias Aerie.Client.StateForm
-  alias Aerie.Fleet.{Age, Json, Store}
+  alias Aerie.Bridge.Message
+  alias Aerie.Fleet.{Age, Journal, Json, Store}
   alias Aerie.Router.Tally
-  alias FleetWeb.API.Recordings
+  alias Aerie.Vehicle.Fields
+  alias FleetWeb.API.{Dealings, EventsQuery, Recordings}
 
   @link_keys [
     :id,
@@ -50,7 +52,7 @@ defmodule FleetWeb.API.View do
   @spec vehicles(term()) :: map()
   def vehicles(gateway), do: Map.take(status(gateway), [:timestamp, :vehicles])
 
-  @doc "One vehicle with all groups of its state, each with its times; nil when there is none of that name."
+  @doc "One vehicle with all groups of its state, each with its times, and our dealings with it; nil when there is none of that name."
   @spec vehicle(term(), String.t()) :: map() | nil
   def vehicle(gateway, id) do
     with %{} = vehicle <- Store.vehicle(gateway, id) do
@@ -63,15 +65,32 @@ defmodule FleetWeb.API.View do
       |> vehicle(links, now)
       |> Map.merge(%{
         firmware: Json.plain(vehicle.firmware),
+        capabilities: vehicle[:capabilities],
+        time_boot_ms: vehicle[:time_boot_ms],
         uid: Json.plain(vehicle[:uid]),
         collision: collision(vehicle[:collision]),
         component: vehicle[:component],
         last_heard: Json.time(vehicle.last_heard),
         links: Json.plain(vehicle.links),
         signing: signed(vehicle[:signing]),
-        groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(group, clock)} end)
+        groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(name, group, clock)} end)
       })
+      |> Map.merge(Dealings.of(vehicle))
     end
+  end
+
+  @doc """
+  The last events of a vehicle, or of `:all`, in the form of NATS, oldest first; nil when there is no such vehicle. `more`:
+  there are others, after these if `:since` is given, else before. Options as `Aerie.Fleet.Journal.recent/3` has them.
+  """
+  @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
+  def events(gateway, vehicle, options) do
+    limit = options[:limit]
+    found = Journal.recent(gateway, vehicle, Keyword.put(options, :limit, limit + 1))
+    shown = if options[:since], do: Enum.take(found, limit), else: Enum.take(found, -limit)
+
+    if found != [] or vehicle == :all or Store.vehicle(gateway, vehicle) != nil,
+      do: %{events: Enum.map(shown, &Message.event_object/1), more: length(found) > limit}
   end
 
   defp collision(nil), do: nil
@@ -149,12 +168,12 @@ defmodule FleetWeb.API.View do
   defp counters(counters),
     do: counters |> Map.delete(:messages) |> Map.filter(fn {_name, n} -> is_number(n) end)
 
-  defp group(group, now) do
+  defp group(name, group, now) do
     %{
       time: Json.time(group.at),
       age: Float.round(max(now - group.at, 0) / 1_000_000, 2),
       time_boot_ms: group[:time_boot_ms],
-      data: Json.plain(group.data)
+      data: Json.plain(Fields.rounded(name, group.data))
     }
   end
 

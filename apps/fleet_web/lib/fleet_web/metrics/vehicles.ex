@@ -15,8 +15,18 @@ defmodule FleetWeb.Metrics.Vehicles do
         "Time since it was last heard.",
         &silent(&1, links, now)
       ),
-      gauge(vehicles, "gateway_vehicle_armed", "1 while armed.", &field(&1, :mode, :armed)),
-      gauge(vehicles, "gateway_vehicle_in_air", "1 while in the air.", &field(&1, :mode, :in_air)),
+      gauge(
+        vehicles,
+        "gateway_vehicle_armed",
+        "1 while armed, 0 while not; nothing when lost.",
+        &now(&1, :armed)
+      ),
+      gauge(
+        vehicles,
+        "gateway_vehicle_in_air",
+        "1 while in the air, 0 while not; nothing when lost.",
+        &now(&1, :in_air)
+      ),
       gauge(
         vehicles,
         "gateway_vehicle_battery_ratio",
@@ -87,6 +97,10 @@ defmodule FleetWeb.Metrics.Vehicles do
   defp silent(vehicle, links, now) do
     with us when is_integer(us) <- Aerie.Fleet.Age.silent_us(vehicle, links, now), do: us / 1_000_000
   end
+
+  # What was true when it was last heard is not what is true now.
+  defp now(%{status: :lost}, _key), do: nil
+  defp now(vehicle, key), do: field(vehicle, :mode, key)
 
   defp field(vehicle, group, key) do
     case vehicle.groups do

@@ -74,7 +74,7 @@ defmodule FleetWeb.WebSocket.Handler do
   end
 
   defp ticket(request) do
-    parameters(request)["ticket"] ||
+    Request.parameters(request)["ticket"] ||
       Enum.find_value(protocols(request), fn
         "ticket." <> ticket -> ticket
         _other -> nil
@@ -82,7 +82,7 @@ defmodule FleetWeb.WebSocket.Handler do
   end
 
   defp options(request) do
-    parameters = parameters(request)
+    parameters = Request.parameters(request)
 
     with {:ok, networks} <- networks(parameters["network"]), {:ok, role} <- role(parameters["access"]) do
       {:ok, networks ++ role}
@@ -112,13 +112,6 @@ defmodule FleetWeb.WebSocket.Handler do
       :full -> {:error, Error.new(:unavailable, "there are as many clients as websocket.max_clients allows")}
       :unavailable -> {:error, Error.new(:unavailable, "the gateway is starting; try again")}
     end
-  end
-
-  defp parameters(request) do
-    Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
-  catch
-    # What is no query is no ticket either.
-    :exit, {:request_error, :qs, _reason} -> %{}
   end
 
   defp protocols(request) do

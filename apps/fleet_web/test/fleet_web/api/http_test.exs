@@ -14,7 +14,7 @@ defmodule FleetWeb.API.HTTPTest do
     {200, _headers, %{"vehicles" => vehicles}} = request(port, "GET", "/api/status")
 
     assert [%{"vehicle" => "VID-001", "fc_connected" => true}, %{"vehicle" => "VID-002"}] = vehicles
-    assert [%{"position" => %{"lat" => 47.1, "lon" => nil, "alt_agl" => 3.5}}, _second] = vehicles
+    assert [%{"position" => %{"lat" => 47.1, "lon" => nil, "alt_rel" => 3.5}}, _second] = vehicles
   end
 
   test "GET /api/vehicles/:id has all groups with their times; an unknown name is an error" do

@@ -3,13 +3,13 @@ defmodule Aerie.Bridge.Message do
   Subjects and bodies of the NATS contract. Pure.
 
       fleet.{environment}.{vehicle}.state.{group}   {"vehicle","group","time","time_boot_ms","data"}
-      fleet.{environment}.{vehicle}.event.{type}    {"id","vehicle","type","seq","time","vehicle_time_ms","data"}
+      fleet.{environment}.{vehicle}.event.{type}    {"id","vehicle","type","seq","time","time_boot_ms","data"}
 
   Times are ISO 8601 in UTC with milliseconds. A number that JSON has no form for (NaN, infinity) is null.
   """
 
   alias Aerie.Fleet.Json
-  alias Aerie.Vehicle.Event
+  alias Aerie.Vehicle.{Event, Fields}
 
   @doc "Subject of a state group."
   @spec state_subject(String.t(), String.t(), String.t()) :: String.t()
@@ -27,21 +27,25 @@ defmodule Aerie.Bridge.Message do
       "group" => group,
       "time" => Json.time(at),
       "time_boot_ms" => time_boot_ms,
-      "data" => Json.plain(data)
+      "data" => Json.plain(Fields.rounded(group, data))
     })
   end
 
   @doc "Body of an event."
   @spec event(Event.t()) :: String.t()
-  def event(%Event{} = event) do
-    JSON.encode!(%{
+  def event(%Event{} = event), do: JSON.encode!(event_object(event))
+
+  @doc "What the body of an event says: REST has the same."
+  @spec event_object(Event.t()) :: map()
+  def event_object(%Event{} = event) do
+    %{
       "id" => event.id,
       "vehicle" => event.vehicle,
       "type" => event.type,
       "seq" => event.seq,
       "time" => Json.time(event.time),
-      "vehicle_time_ms" => event.vehicle_time_ms,
-      "data" => Json.plain(event.data)
-    })
+      "time_boot_ms" => event.vehicle_time_ms,
+      "data" => Json.plain(Fields.event(event.data))
+    }
   end
 end

@@ -8,24 +8,41 @@ defmodule Aerie.Client.StateForm do
    "fc_connected": true, "fc_port": "/dev/ttyS0", "fc_baud": 921600, "autopilot": "ardupilot", "type": "copter",
    "armed": false, "in_air": false, "mode": "STABILIZE",
    "attitude": {"roll": 0.02, "pitch": -0.01, "yaw": 178.5},
-   "position": {"lat": 12.9716, "lon": 77.5946, "alt_msl": 920.0, "alt_agl": 0.0, "heading": 178.5},
-   "speed": {"groundspeed": 0.0, "airspeed": 0.0, "climb": 0.0},
-   "battery": {"voltage": 22.8, "current": 0.5, "remaining": 98},
+   "position": {"lat": 12.9716, "lon": 77.5946, "alt_msl": 920.0, "alt_rel": 0.0, "heading": 178.5},
+   "velocity": {"groundspeed": 0.0, "airspeed": 0.0, "climb": 0.0},
+   "battery": {"voltage": 22.8, "current": 0.5, "remaining": 0.98},
    "gps": {"fix": 3, "satellites": 14, "hdop": 0.9},
-   "ages": {"attitude": 0.08, "position": 0.2, "speed": 0.2, "battery": 0.6, "gps": 0.4}}
+   "ages": {"attitude": 0.08, "position": 0.2, "velocity": 0.2, "battery": 0.6, "gps": 0.4}}
   ```
 
-  Units: seconds (`timestamp` is unix time), degrees, metres, m/s, volt, ampere, per cent. `alt_agl` is the height above
-  home, which is all that a vehicle without a range finder knows. What is not known is null. `fc_connected` says whether
-  the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that
-  is no longer told stays, and can be seen to be old. `fc_port` is the device or address of the link that it is heard on,
-  `fc_baud` is null for other links than serial ones. The ages of a vehicle that is heard from a recording are those in the
-  recording.
+  Names, units and decimals are those of `Aerie.Vehicle.Fields`; `timestamp` is unix time in seconds. What is not known is
+  null. `fc_connected` says whether the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part
+  of the state was: a value that is no longer told stays, and can be seen to be old. `fc_port` is the device or address of
+  the link that it is heard on, `fc_baud` is null for other links than serial ones. The ages of a vehicle that is heard from
+  a recording are those in the recording.
   """
 
   alias Aerie.Fleet.{Age, Json}
+  alias Aerie.Vehicle.Fields
 
-  @parts [attitude: :attitude, position: :position, speed: :velocity, battery: :battery, gps: :gps]
+  @parts [
+    attitude: [:roll, :pitch, :yaw],
+    position: [:lat, :lon, :alt_msl, :alt_rel, :heading],
+    velocity: [:groundspeed, :airspeed, :climb],
+    battery: [:voltage, :current, :remaining],
+    gps: [:fix, :satellites, :hdop]
+  ]
+  @nobody %{
+    id: nil,
+    network: nil,
+    system_id: nil,
+    status: nil,
+    last_heard: nil,
+    autopilot: nil,
+    vehicle_type: nil,
+    links: [],
+    groups: %{}
+  }
 
   @doc "The object of a vehicle's snapshot at a unix time in microseconds; `links` are snapshots of links by id."
   @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
@@ -47,54 +64,28 @@ defmodule Aerie.Client.StateForm do
       armed: mode[:armed],
       in_air: mode[:in_air],
       mode: text(mode[:mode]),
-      attitude: attitude(data(vehicle, :attitude)),
-      position: position(data(vehicle, :position)),
-      speed: speed(data(vehicle, :velocity)),
-      battery: battery(data(vehicle, :battery)),
-      gps: gps(data(vehicle, :gps)),
-      ages: for({part, group} <- @parts, into: %{}, do: {part, age(at(vehicle, group), clock)})
+      ages: for({part, _keys} <- @parts, into: %{}, do: {part, age(at(vehicle, part), clock)})
     }
     |> Map.merge(port(vehicle.links, links))
+    |> Map.merge(Map.new(@parts, fn {part, keys} -> {part, part(part, keys, data(vehicle, part))} end))
   end
 
-  @doc "The objects of all vehicles as lines of JSON, each with its line end."
+  @doc """
+  The objects of all vehicles as lines of JSON, each with its line end. While there is no vehicle, one line says so: nothing
+  is connected, and the rest is null.
+  """
   @spec lines([map()], [map()], integer()) :: binary()
+  def lines([], links, now), do: lines([@nobody], links, now)
+
   def lines(vehicles, links, now) do
     links = Map.new(links, &{&1.id, &1})
     vehicles |> Enum.map(&[JSON.encode_to_iodata!(of(&1, links, now)), ?\n]) |> IO.iodata_to_binary()
   end
 
-  defp attitude(data),
-    do: %{roll: round_to(data[:roll], 2), pitch: round_to(data[:pitch], 2), yaw: round_to(data[:yaw], 2)}
-
-  defp position(data) do
-    %{
-      lat: round_to(data[:lat], 7),
-      lon: round_to(data[:lon], 7),
-      alt_msl: round_to(data[:alt_msl], 2),
-      alt_agl: round_to(data[:alt_rel], 2),
-      heading: round_to(data[:heading], 1)
-    }
+  defp part(group, keys, data) do
+    shown = Fields.rounded(group, Map.take(data, keys))
+    Map.new(keys, &{&1, number(shown[&1])})
   end
-
-  defp speed(data) do
-    %{
-      groundspeed: round_to(data[:groundspeed], 2),
-      airspeed: round_to(data[:airspeed], 2),
-      climb: round_to(data[:climb], 2)
-    }
-  end
-
-  defp battery(data) do
-    %{
-      voltage: round_to(data[:voltage], 2),
-      current: round_to(data[:current], 2),
-      remaining: if(is_number(data[:remaining]), do: round(data[:remaining] * 100))
-    }
-  end
-
-  defp gps(data),
-    do: %{fix: whole(data[:fix]), satellites: whole(data[:satellites]), hdop: round_to(data[:hdop], 2)}
 
   # The latest link first.
   defp port([id | _], links) do
@@ -130,12 +121,8 @@ defmodule Aerie.Client.StateForm do
   defp age(nil, _now), do: nil
   defp age(at, now), do: Float.round(max(now - at, 0) / 1_000_000, 2)
 
-  defp round_to(value, digits) when is_float(value), do: Float.round(value, digits)
-  defp round_to(value, _digits) when is_integer(value), do: value
-  defp round_to(_unknown, _digits), do: nil
-
-  defp whole(value) when is_integer(value), do: value
-  defp whole(_unknown), do: nil
+  defp number(value) when is_number(value), do: value
+  defp number(_unknown), do: nil
 
   defp text(value) when is_binary(value), do: Json.text(value)
   defp text(_unknown), do: nil

@@ -36,6 +36,7 @@ defmodule Aerie.Fleet.Journal do
   @max_pending 20_000
   @max_gone 1024
   @max_recent 256
+  @page 512
   # No firmware has as many; the names come from outside.
   @max_params 8192
 
@@ -135,13 +136,35 @@ defmodule Aerie.Fleet.Journal do
     :ok
   end
 
-  @doc "The last events of a vehicle, oldest first, acknowledged or not; at most #{@max_recent}."
-  @spec recent(Names.gateway(), String.t()) :: [Event.t()]
-  def recent(gateway, vehicle) do
+  @doc """
+  The last events of a vehicle in their order, or of `:all` by their time, oldest first, acknowledged or not; at most
+  #{@max_recent} of each vehicle, so that one that says much does not drive out what the others said.
+
+  Options: `:since` (unix us) leaves out what happened before; `:limit` is how many at most: with `:since` the first ones,
+  so that one can go on from there, else the last ones.
+  """
+  @spec recent(Names.gateway(), String.t() | :all, since: integer() | nil, limit: pos_integer()) :: [
+          Event.t()
+        ]
+  def recent(gateway, vehicle, options \\ []) do
+    since = options[:since]
+    limit = Keyword.get(options, :limit, @max_recent)
+    {whose, order} = if vehicle == :all, do: {:_, {{:"$1", :"$3", :"$2"}}}, else: {vehicle, :"$2"}
+    within = if since, do: [{:>=, :"$1", since}], else: []
+    event = %{time: :"$1", seq: :"$2", vehicle: :"$3"}
+    spec = [{{{:recent, whose, :_}, event}, within, [{{order, {:element, 2, :"$_"}}}]}]
+    keep = if since, do: &Enum.take(&1, limit), else: &Enum.take(&1, -limit)
+
     Fleet.Store.with_table(gateway, :journal, [], fn table ->
-      :ets.select(table, [{{{:recent, vehicle, :_}, :"$1"}, [], [:"$1"]}])
+      table |> :ets.select(spec, @page) |> gather([], keep) |> Enum.map(fn {_order, event} -> event end)
     end)
   end
+
+  # A page at a time, so that no more than what is asked for is ever in hand.
+  defp gather(:"$end_of_table", kept, _keep), do: kept
+
+  defp gather({found, continuation}, kept, keep),
+    do: gather(:ets.select(continuation), keep.(Enum.sort_by(kept ++ found, &elem(&1, 0))), keep)
 
   @doc "Puts something for a vehicle's detector to look at into its inbox. Full: it is dropped and counted."
   @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}

@@ -4,51 +4,15 @@ defmodule Aerie.Vehicle.State do
 
   State comes in groups, each with the time `at` which its last message arrived (unix us), the vehicle's own clock then
   (`time_boot_ms`, nil when unknown) and `data`. All keys of a group are always there; what is unknown is nil.
-
-  | group       | data (SI units and degrees unless said)                                                        |
-  |-------------|------------------------------------------------------------------------------------------------|
-  | `:position` | lat, lon, alt_msl, alt_rel (above home), heading                                               |
-  | `:attitude` | roll, pitch, yaw, rollspeed, pitchspeed, yawspeed (°/s)                                        |
-  | `:velocity` | vn, ve, vd, groundspeed, airspeed, climb, throttle (%)                                         |
-  | `:battery`  | id (whose the values are, nil: not said), voltage, current, remaining (0..1), consumed_mah, charge_state, batteries |
-  | `:gps`      | fix, fix_name, satellites, hdop, vdop, lat, lon, alt_msl, h_acc, v_acc                         |
-  | `:mode`     | mode, custom_mode, armed, in_air, landed_state, vtol_state, system_status, failsafe            |
-  | `:health`   | load (%), unhealthy (names), ready_to_arm, arming_checks (PX4: what keeps it from arming), rc_receiver (heard?), drop_rate (%), errors, ekf, vibration, clipping |
-  | `:home`     | lat, lon, alt_msl                                                                              |
-  | `:mission`  | seq, total, state, reached, wp_distance, fence_breach, fence_breach_type                       |
-  | `:rc`       | channels (us), rssi (0..1)                                                                     |
-  | `:link`     | status, frames_per_s, bytes_per_s, links (ids, the latest first)                               |
+  `Aerie.Vehicle.Fields` lists the groups and what is in them.
 
   Several messages may tell the same; the better one wins while it keeps coming (`wants?/3`), so that a stream of
   ATTITUDE_QUATERNION is not even decoded while ATTITUDE arrives.
   """
 
-  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.{Fields, Kind, State}
 
-  @groups [
-    position: [:lat, :lon, :alt_msl, :alt_rel, :heading],
-    attitude: [:roll, :pitch, :yaw, :rollspeed, :pitchspeed, :yawspeed],
-    velocity: [:vn, :ve, :vd, :groundspeed, :airspeed, :climb, :throttle],
-    battery: [:id, :voltage, :current, :remaining, :consumed_mah, :charge_state, :batteries],
-    gps: [:fix, :fix_name, :satellites, :hdop, :vdop, :lat, :lon, :alt_msl, :h_acc, :v_acc],
-    mode: [:mode, :custom_mode, :armed, :in_air, :landed_state, :vtol_state, :system_status, :failsafe],
-    health: [
-      :load,
-      :unhealthy,
-      :ready_to_arm,
-      :arming_checks,
-      :rc_receiver,
-      :drop_rate,
-      :errors,
-      :ekf,
-      :vibration,
-      :clipping
-    ],
-    home: [:lat, :lon, :alt_msl],
-    mission: [:seq, :total, :state, :reached, :wp_distance, :fence_breach, :fence_breach_type],
-    rc: [:channels, :rssi],
-    link: [:status, :frames_per_s, :bytes_per_s, :links]
-  ]
+  @groups Fields.keys()
   @empty Map.new(@groups, fn {group, keys} -> {group, Map.new(keys, &{&1, nil})} end)
 
   # Message id => the module that knows what it says.

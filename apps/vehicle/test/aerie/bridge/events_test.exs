@@ -39,7 +39,7 @@ defmodule Aerie.Bridge.EventsTest do
              "type" => "mode_change",
              "seq" => 7,
              "time" => "2026-11-20T22:22:41.702Z",
-             "vehicle_time_ms" => 99,
+             "time_boot_ms" => 99,
              "data" => %{"from" => "AUTO", "to" => "RTL"}
            }
 

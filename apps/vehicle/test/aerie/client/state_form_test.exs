@@ -28,9 +28,9 @@ defmodule Aerie.Client.StateFormTest do
              "armed" => true,
              "mode" => "GUIDED",
              "attitude" => %{"roll" => 1.23, "pitch" => -0.5, "yaw" => 178.5},
-             "position" => %{"lat" => 12.9716123, "lon" => 77.5946, "alt_msl" => 920.0, "alt_agl" => 10.25},
-             "speed" => %{"groundspeed" => 3.21, "airspeed" => nil},
-             "battery" => %{"voltage" => 22.8, "current" => 0.5, "remaining" => 98},
+             "position" => %{"lat" => 12.9716123, "lon" => 77.5946, "alt_msl" => 920.0, "alt_rel" => 10.25},
+             "velocity" => %{"groundspeed" => 3.21, "airspeed" => nil},
+             "battery" => %{"voltage" => 22.8, "current" => 0.5, "remaining" => 0.98},
              "gps" => %{"fix" => 3, "satellites" => 14, "hdop" => 0.9},
              "vehicle" => "VID-001",
              "status" => "online",
@@ -38,7 +38,7 @@ defmodule Aerie.Client.StateFormTest do
            } = object
 
     assert_in_delta object["timestamp"], vehicle.last_heard / 1_000_000, 1.0
-    assert object["ages"] == Map.new(~w(attitude position speed battery gps), &{&1, 0.25})
+    assert object["ages"] == Map.new(~w(attitude position velocity battery gps), &{&1, 0.25})
   end
 
   test "a port that was found by listening is named with the rate at which it was" do
@@ -74,7 +74,7 @@ defmodule Aerie.Client.StateFormTest do
              "lat" => nil,
              "lon" => nil,
              "alt_msl" => nil,
-             "alt_agl" => nil,
+             "alt_rel" => nil,
              "heading" => nil
            }
 
@@ -90,8 +90,18 @@ defmodule Aerie.Client.StateFormTest do
     assert String.valid?(object["mode"])
   end
 
-  test "lines: one for each vehicle, none for none" do
-    assert StateForm.lines([], [], 0) == ""
+  test "while there is no vehicle, one line says that nothing is connected" do
+    line = StateForm.lines([], [%{id: "radio", url: "udpin::14550", kind: :udp_server}], 1_500_000)
+    assert String.ends_with?(line, "\n")
+    object = JSON.decode!(line)
+
+    assert %{"fc_connected" => false, "vehicle" => nil, "timestamp" => 1.5, "status" => nil, "armed" => nil} =
+             object
+
+    assert Map.keys(object) == Map.keys(json(vehicle()))
+  end
+
+  test "lines: one for each vehicle" do
     lines = StateForm.lines([vehicle(), vehicle(%{id: "VID-002"})], [], 0)
     assert String.ends_with?(lines, "\n")
     assert [one, two] = String.split(lines, "\n", trim: true)

@@ -44,6 +44,27 @@ defmodule Aerie.Fleet.JournalTest do
     assert length(Journal.recent(gateway, "B")) == 20
   end
 
+  test "recent events of all vehicles are in the order of time; since gives the first, none the last ones" do
+    gateway = start_gateway()
+    for vehicle <- ["B", "A"], seq <- 1..300, do: Journal.commit(gateway, vehicle, seq, [event(seq, vehicle)])
+    of = fn events -> Enum.map(events, &{&1.seq, &1.vehicle}) end
+    all = for seq <- 45..300, vehicle <- ["A", "B"], do: {seq, vehicle}
+
+    assert of.(Journal.recent(gateway, :all, limit: 10_000)) == all
+    assert of.(Journal.recent(gateway, :all, limit: 3)) == Enum.take(all, -3)
+
+    assert of.(Journal.recent(gateway, :all, since: 100_000, limit: 3)) == [
+             {100, "A"},
+             {100, "B"},
+             {101, "A"}
+           ]
+
+    assert of.(Journal.recent(gateway, "A", since: 299_000)) == [{299, "A"}, {300, "A"}]
+    assert of.(Journal.recent(gateway, "A", limit: 1)) == [{300, "A"}]
+    assert Journal.recent(gateway, :all, since: 300_001) == []
+    assert Journal.recent(gateway, "nobody") == []
+  end
+
   test "both lists are bounded, and what is dropped is the oldest and counted" do
     gateway = start_gateway(%{limits: %{max_pending_events: 1_000}})
 

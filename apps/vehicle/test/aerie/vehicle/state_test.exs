@@ -97,7 +97,7 @@ defmodule Aerie.Vehicle.StateTest do
 
     assert %{vn: 1.5, ve: -2.5, vd: -0.5} = State.data(state, :velocity)
     assert %{voltage: 12.6, current: 12.34, remaining: 0.74} = State.data(state, :battery)
-    assert %{load: 60.4} = State.data(state, :health)
+    assert %{load: 0.604} = State.data(state, :health)
     assert %{hdop: 1.21, h_acc: 0.3, fix: 3, fix_name: "3D_FIX"} = State.data(state, :gps)
     assert state.groups.position.at == @second
   end

@@ -31,7 +31,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
            groundspeed: m.groundspeed / 5,
            airspeed: m.airspeed / 5,
            climb: m.climb_rate / 10,
-           throttle: if(m.throttle <= 100, do: m.throttle)
+           throttle: if(m.throttle <= 100, do: m.throttle / 100)
          },
          gps: %{
            lat: lat,

@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.State.Motion do
        groundspeed: Value.float(m.groundspeed),
        airspeed: Value.float(m.airspeed),
        climb: Value.float(m.climb),
-       throttle: Value.unsigned(m.throttle, 16)
+       throttle: Value.unsigned(m.throttle, 16, 100)
      }}
   end
 

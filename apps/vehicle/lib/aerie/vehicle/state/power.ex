@@ -83,11 +83,11 @@ defmodule Aerie.Vehicle.State.Power do
     failing = m.onboard_control_sensors_present &&& enabled &&& bnot(m.onboard_control_sensors_health)
 
     %{
-      load: m.load / 10,
+      load: m.load / 1000,
       unhealthy: names(failing &&& bnot(@prearm_check)),
       rc_receiver: rc_receiver(m),
       ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
-      drop_rate: Value.unsigned(m.drop_rate_comm, 16, 100),
+      drop_rate: Value.unsigned(m.drop_rate_comm, 16, 10_000),
       errors: m.errors_comm
     }
   end

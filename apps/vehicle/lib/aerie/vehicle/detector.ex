@@ -214,6 +214,13 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
+  # ArduPilot says so too of what it was guided to, which is no item of a mission, and of a mission that it has not.
+  defp step(%{last: %{mode: "GUIDED"}} = detector, {:reached, _at, _boot_ms, _seq}, _known),
+    do: {detector, [], %{}}
+
+  defp step(%{last: %{mission_total: 0}} = detector, {:reached, _at, _boot_ms, _seq}, _known),
+    do: {detector, [], %{}}
+
   defp step(detector, {:reached, at, boot_ms, seq}, _known) do
     again = match?({^seq, _}, detector.reached) and at - elem(detector.reached, 1) < @reached_again_us
     steps = if again, do: [], else: [{"mission.reached", reached(detector, seq), []}]

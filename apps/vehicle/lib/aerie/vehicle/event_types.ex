@@ -134,7 +134,9 @@ defmodule Aerie.Vehicle.EventTypes do
        {"values", :list, nil,
         "what they mean, where that is known: numbers, labels of enums, lists of labels"},
        {"component", :integer, nil, "who sent it"},
-       {"sequence", :integer, nil, "its number there"}
+       {"sequence", :integer, nil, "its number there: a component's reports are told in their order"},
+       {"late_s", :number, "s",
+        "how long after it happened (the event's time) it was received, where that is more than moments"}
      ]},
     {"events.suppressed", "more events of a type came than its budget allows",
      "`Aerie.Vehicle.Detector.Budget`: 60 at once and two a second of a type, texts by how urgent they are",

@@ -128,12 +128,15 @@ defmodule Aerie.Vehicle.Reports do
 
   defp keep(reports, report), do: %{reports | recent: Enum.take([report | reports.recent], @recent)}
 
-  @doc "It is `now`: reports whose texts did not come are given."
+  @doc """
+  It is `now`: reports whose texts did not come are given, those of a component in the order in which it made them. Missing
+  ones that were asked for are waited for, #{@late_us / 1_000_000} s at most.
+  """
   @spec expire(t(), integer()) :: {t(), [given()]}
   def expire(%{components: components} = reports, _now) when components == %{}, do: {reports, []}
 
   def expire(reports, now) do
-    {ready, open} = Enum.split_with(reports.open, &(&1.at + @text_us <= now))
+    {ready, open} = ready(reports, now)
     texts = Enum.reject(reports.texts, &(&1.at + patience(reports, &1.source) <= now))
     reports = Enum.reduce(ready, %{reports | open: open, texts: texts}, &keep(&2, &1))
 
@@ -144,6 +147,31 @@ defmodule Aerie.Vehicle.Reports do
       end)
 
     {%{reports | components: Map.new(components)}, Enum.map(ready, &{:report, &1}) ++ lists}
+  end
+
+  # None before an earlier one of its component.
+  defp ready(reports, now) do
+    {judged, _waiting} =
+      reports.open
+      |> ordered()
+      |> Enum.map_reduce([], fn %{component: component} = report, waiting ->
+        if component not in waiting and report.at + patience(reports, component) <= now,
+          do: {{:ready, report}, waiting},
+          else: {{:open, report}, [component | waiting]}
+      end)
+
+    {for({:ready, report} <- judged, do: report), for({:open, report} <- judged, do: report)}
+  end
+
+  defp ordered(open) do
+    queues = open |> Enum.sort_by(&{&1.boot_ms, &1.sequence}) |> Enum.group_by(& &1.component)
+
+    {ordered, _empty} =
+      Enum.map_reduce(open, queues, fn %{component: component}, queues ->
+        Map.get_and_update!(queues, component, &{hd(&1), tl(&1)})
+      end)
+
+    ordered
   end
 
   defp patience(reports, component) do

@@ -251,6 +251,12 @@ defmodule Aerie.Vehicle.DetectorTest do
 
     defp reached(seconds, seq), do: {:reached, round(seconds * @second), 1000, seq}
 
+    test "what was reached without a mission is no item of one" do
+      assert types([state(0, mode: "GUIDED"), reached(1, 0)]) == []
+      assert types([state(0, mode: "HOLD", mission_total: 0), reached(1, 0)]) == []
+      assert types([state(0, mode: "AUTO_MISSION", mission_total: 3), reached(1, 0)]) == ["mission.reached"]
+    end
+
     test "PX4 says once a second that an item is reached: one event; later again it is another" do
       assert types([reached(0, 2), reached(1, 2), reached(2, 2), reached(3, 3), reached(60, 3)]) ==
                List.duplicate("mission.reached", 3)

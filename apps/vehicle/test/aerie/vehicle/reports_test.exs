@@ -235,6 +235,34 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
     end
 
+    test "reports are told in their order, each at the time when it happened; how late they came is told" do
+      clock = fn second -> {second, %M.SystemTime{time_boot_ms: round(second * 1000)}, 1} end
+
+      run =
+        said(
+          [
+            {1.1, event(5, event_time_boot_ms: 1100), 1},
+            {4.1, event(8, event_time_boot_ms: 4100), 1},
+            # Those between were lost, and come when they are asked for.
+            {4.6, event(7, event_time_boot_ms: 3300), 1},
+            {5.2, event(6, event_time_boot_ms: 1300), 1}
+          ] ++ for(s <- 0..10, do: clock.(s + 0.05))
+        )
+
+      assert [
+               {_, 1100, %{"sequence" => 5} = five},
+               {_, then, %{"sequence" => 6, "late_s" => late}},
+               seven,
+               eight
+             ] =
+               pick(run, ["report"])
+
+      refute is_map_key(five, "late_s")
+      assert_in_delta then, 1300, 1000
+      assert_in_delta late, 3.9, 1.0
+      assert {{_, 4600, %{"sequence" => 7}}, {_, 4100, %{"sequence" => 8}}} = {seven, eight}
+    end
+
     test "what is not for display, or for somebody else, is not shown, and not missing either" do
       run =
         said([

@@ -8,6 +8,9 @@ defmodule Aerie.Vehicle.Core.Reporting do
   alias Aerie.Vehicle.Detector.{Reported, Texts}
 
   @fresh_ms 10_000
+  # A clock that was read a second ago says no better; an event of hours ago is one of another clock.
+  @late_us 2_000_000
+  @believed_us 3_600_000_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -60,8 +63,9 @@ defmodule Aerie.Vehicle.Core.Reporting do
     end
   end
 
-  defp give_one({:report, report}, {core, actions}, _at) do
+  defp give_one({:report, report}, {core, actions}, at) do
     words = Reports.words(report)
+    late_us = late(core, report, at)
 
     data = %{
       "id" => words.id,
@@ -74,7 +78,8 @@ defmodule Aerie.Vehicle.Core.Reporting do
       "sequence" => report.sequence
     }
 
-    {%{core | dirty: true}, [{:observe, {:report, report.at, report.boot_ms, data}} | actions]}
+    data = if late_us > 0, do: Map.put(data, "late_s", Float.round(late_us / 1_000_000, 1)), else: data
+    {%{core | dirty: true}, [{:observe, {:report, report.at - late_us, report.boot_ms, data}} | actions]}
   end
 
   defp give_one({:checks, list}, {core, actions}, at) do
@@ -85,6 +90,15 @@ defmodule Aerie.Vehicle.Core.Reporting do
     {core, actions} = Effects.sample({core, actions}, :health, at)
     Effects.looked_at(core, actions, at)
   end
+
+  # By how much it came after it happened, by the vehicle's clock: that of the autopilot.
+  defp late(%{component: component, state: %{boot_ms: boot_ms}}, %{component: component} = report, now)
+       when is_integer(boot_ms) do
+    late_us = report.at - (now - (boot_ms - report.boot_ms) * 1000)
+    if late_us in @late_us..@believed_us, do: late_us, else: 0
+  end
+
+  defp late(_core, _report, _now), do: 0
 
   # What was asked for again after a gap of some length tells what was, not what is.
   defp fresh?(%{state: %{boot_ms: now}}, %{boot_ms: then}) when is_integer(now), do: now - then <= @fresh_ms

@@ -269,7 +269,8 @@ defmodule Aerie.Vehicle.ReportsTest do
           {1.1, event(1), 1},
           {1.2, event(2, log_levels: 0x88), 1},
           {1.3, event(3, destination_system: 77), 1},
-          {1.4, event(4, destination_system: options().own_system, destination_component: 191), 1},
+          {1.4, event(4, destination_system: Aerie.Flight.options().own_system, destination_component: 191),
+           1},
           {1.5, event(5, log_levels: 0x29), 1}
         ])
 

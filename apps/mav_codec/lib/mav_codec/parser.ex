@@ -20,7 +20,7 @@ defmodule MavCodec.Parser do
   @max_held 600
 
   @enforce_keys [:scanner]
-  defstruct [:scanner, held: <<>>, at: nil, sources: Sources.new(), bytes: 0, frames: 0]
+  defstruct [:scanner, held: <<>>, at: nil, sources: Sources.new(), bytes: 0, frames: 0, signed: 0]
 
   @opaque t :: %__MODULE__{
             scanner: Scanner.t(),
@@ -28,7 +28,8 @@ defmodule MavCodec.Parser do
             at: integer() | nil,
             sources: Sources.t(),
             bytes: non_neg_integer(),
-            frames: non_neg_integer()
+            frames: non_neg_integer(),
+            signed: non_neg_integer()
           }
 
   @typedoc """
@@ -99,8 +100,8 @@ defmodule MavCodec.Parser do
   @spec push_datagram(t(), binary(), integer() | nil) :: {[Frame.t()], t()}
   def push_datagram(parser, data, at \\ nil)
 
-  def push_datagram(%__MODULE__{held: <<>>} = parser, data, at),
-    do: read(parser, data, byte_size(data), at, :datagram)
+  def push_datagram(%__MODULE__{held: <<>>, scanner: scanner} = parser, data, at),
+    do: read(%{parser | scanner: Scanner.boundary(scanner)}, data, byte_size(data), at, :datagram)
 
   def push_datagram(%__MODULE__{held: held, scanner: scanner} = parser, data, at) do
     case Candidate.judge(data, scanner.known, scanner.accepted) do
@@ -124,7 +125,7 @@ defmodule MavCodec.Parser do
 
   defp read(parser, data, new_bytes, at, mode) do
     {found, held, scanner} = Scanner.scan(parser.scanner, data, at, mode)
-    frames = :lists.reverse(found)
+    {frames, count, signed} = in_order(found, [], 0, 0)
 
     parser = %{
       parser
@@ -133,11 +134,20 @@ defmodule MavCodec.Parser do
         at: at,
         sources: Sources.observe(parser.sources, frames),
         bytes: parser.bytes + new_bytes,
-        frames: parser.frames + length(frames)
+        frames: parser.frames + count,
+        signed: parser.signed + signed
     }
 
     {frames, parser}
   end
+
+  defp in_order([%Frame{signature: nil} = frame | found], frames, count, signed),
+    do: in_order(found, [frame | frames], count + 1, signed)
+
+  defp in_order([frame | found], frames, count, signed),
+    do: in_order(found, [frame | frames], count + 1, signed + 1)
+
+  defp in_order([], frames, count, signed), do: {frames, count, signed}
 
   # A few kept bytes must not keep the whole read alive.
   defp own(<<>>), do: <<>>
@@ -154,7 +164,7 @@ defmodule MavCodec.Parser do
       resync_bytes: scanner.resync_bytes,
       unknown_ids: scanner.unknown_ids,
       incompatible: scanner.incompatible,
-      signed: scanner.signed,
+      signed: parser.signed,
       lost: Sources.lost(parser.sources),
       sources: Sources.stats(parser.sources)
     }

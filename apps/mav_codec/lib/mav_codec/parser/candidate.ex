@@ -1,6 +1,6 @@
 defmodule MavCodec.Parser.Candidate do
   @moduledoc """
-  What stands at the start of some bytes: the careful judgement, used wherever the parser's fast path does not apply.
+  What stands at the start of some bytes: the careful judgement, used where the parser's fast path does not apply.
   """
 
   import Bitwise
@@ -15,7 +15,7 @@ defmodule MavCodec.Parser.Candidate do
     * `{:good, size, extra}` - a frame of a known id with the right CRC
     * `{:incompatible, size}` - the same, with incompatibility flags that this parser must not accept (F6)
     * `{:unknown, size}` - could be a frame of an unknown id; nothing more can be said from its own bytes
-    * `:bad_crc` - a known id, a complete frame, a wrong CRC
+    * `{:bad_crc, size}` - a known id, a complete frame, a wrong CRC
     * `:noise` - cannot be the start of a frame
     * `:more` - too few bytes to tell
   """
@@ -23,7 +23,7 @@ defmodule MavCodec.Parser.Candidate do
           {:good, pos_integer(), 0..255}
           | {:incompatible, pos_integer()}
           | {:unknown, pos_integer()}
-          | :bad_crc
+          | {:bad_crc, pos_integer()}
           | :noise
           | :more
 
@@ -51,7 +51,7 @@ defmodule MavCodec.Parser.Candidate do
       byte_size(data) < size -> :more
       extra == nil -> unknown(data, size, accepted)
       matched = match(data, covered, extra) -> good(data, size, matched, accepted)
-      true -> :bad_crc
+      true -> {:bad_crc, size}
     end
   end
 

@@ -1,35 +1,66 @@
 defmodule MavCodec.Parser.Known do
   @moduledoc """
-  CRC_EXTRA by message id for the dialects of one parser.
+  What the dialects of one parser know of message ids: CRC_EXTRA, and the payload's length in MAVLink 1.
 
-  Ids below 512, which is nearly all traffic, are looked up in a tuple made once; the others are asked of the dialects.
-  An id has a list of values when dialects disagree about the message (the frame keeps the one that matched), and `nil`
-  when no dialect knows it.
+  Ids below 65,536, which is all of the official ones, are looked up in pages of 256 made once for a choice of dialects;
+  the others are asked of the dialects. An id has a list of values when dialects disagree about the message (the frame
+  keeps the one that matched), and `nil` when no dialect knows it.
   """
 
-  @direct 512
+  import Bitwise
 
-  @enforce_keys [:direct, :dialects]
+  @direct 0x10000
+
+  @enforce_keys [:pages, :lengths, :others]
   defstruct @enforce_keys
 
   @type extra :: 0..255 | [0..255] | nil
-  @type t :: %__MODULE__{direct: tuple(), dialects: [module()]}
+
+  @typedoc """
+    * `pages` - by the id's upper byte, then its lower one
+    * `lengths` - of the payload without extensions, by id below 256; `nil` when it is not known or dialects disagree
+    * `others` - the dialects that may have ids above the pages
+  """
+  @type t :: %__MODULE__{pages: tuple(), lengths: tuple(), others: [module()]}
 
   @doc "The table of `dialects`: modules with `crc_extra/1` (behaviour `MavCodec.Dialect`)."
   @spec new([module()]) :: t()
   def new(dialects) do
-    direct = for id <- 0..(@direct - 1), do: ask(dialects, id)
-    %__MODULE__{direct: List.to_tuple(direct), dialects: dialects}
+    # A link has a parser for each peer, so the table is made once. The checksum is that of the compiled module.
+    key = {__MODULE__, for(dialect <- dialects, do: {dialect, dialect.module_info(:md5)})}
+
+    with nil <- :persistent_term.get(key, nil) do
+      known = make(dialects)
+      :persistent_term.put(key, known)
+      known
+    end
   end
 
-  @doc "How many ids, from 0, are in the tuple `direct`."
+  @doc "How many ids, from 0, are in `pages`."
   @spec direct_size() :: pos_integer()
   def direct_size, do: @direct
 
   @doc "The value or values of message `id`, or `nil`."
   @spec extra(t(), 0..0xFFFFFF) :: extra()
-  def extra(%__MODULE__{direct: direct}, id) when id < @direct, do: elem(direct, id)
-  def extra(%__MODULE__{dialects: dialects}, id), do: ask(dialects, id)
+  def extra(%__MODULE__{pages: pages}, id) when id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF)
+  def extra(%__MODULE__{others: []}, _id), do: nil
+  def extra(%__MODULE__{others: others}, id), do: ask(others, id)
+
+  defp make(dialects) do
+    empty = Tuple.duplicate(nil, 256)
+
+    pages =
+      for page <- 0..(div(@direct, 256) - 1) do
+        extras = List.to_tuple(for low <- 0..255, do: ask(dialects, page <<< 8 ||| low))
+        if extras == empty, do: empty, else: extras
+      end
+
+    %__MODULE__{
+      pages: List.to_tuple(pages),
+      lengths: List.to_tuple(for id <- 0..255, do: base_length(dialects, id)),
+      others: Enum.filter(dialects, &above_the_pages?/1)
+    }
+  end
 
   defp ask(dialects, id) do
     case dialects |> Enum.flat_map(&List.wrap(&1.crc_extra(id))) |> Enum.uniq() do
@@ -38,4 +69,18 @@ defmodule MavCodec.Parser.Known do
       extras -> extras
     end
   end
+
+  defp base_length(dialects, id) do
+    lengths =
+      for dialect <- dialects, dialect.crc_extra(id) != nil, uniq: true, do: base_length_in(dialect, id)
+
+    if match?([_], lengths), do: hd(lengths)
+  end
+
+  defp base_length_in(dialect, id) do
+    if function_exported?(dialect, :length, 1), do: elem(dialect.length(id), 0)
+  end
+
+  defp above_the_pages?(dialect),
+    do: not function_exported?(dialect, :ids, 0) or Enum.any?(dialect.ids(), &(&1 >= @direct))
 end

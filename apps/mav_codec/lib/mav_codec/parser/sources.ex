@@ -2,7 +2,7 @@ defmodule MavCodec.Parser.Sources do
   @moduledoc """
   Sequence loss per source {system, component} of one parser.
 
-  Frames come in runs of one source in order, so a run is counted and handed to `MavCodec.SequenceLoss` as one. At most
+  The frames of a source come in order, so runs of them are counted and handed to `MavCodec.SequenceLoss` as one. At most
   `limit/0` sources are kept: what forges source ids costs only the statistics of those that come after.
   """
 
@@ -13,8 +13,14 @@ defmodule MavCodec.Parser.Sources do
   @limit 512
   @heartbeat 0
 
-  # {estimator, whether anything but heartbeats was heard} by system * 256 + component, which is found faster than a tuple.
-  @type t :: %{optional(non_neg_integer()) => {SequenceLoss.t(), boolean()}}
+  # By system * 256 + component, which is found faster than a tuple: the estimator, whether anything but heartbeats was
+  # heard, and the run that goes on: the first number that the estimator has not seen, the next one, and how many those are.
+  # Sources alternate with nearly every frame, so a run is handed over when it is interrupted or this long.
+  @run 64
+
+  @type source ::
+          {SequenceLoss.t(), talks? :: boolean(), first :: 0..255, next :: 0..255, count :: 0..64}
+  @type t :: %{optional(non_neg_integer()) => source()}
   @type key :: {system :: non_neg_integer(), component :: 0..255}
 
   @doc "Sources that are kept at most."
@@ -29,56 +35,38 @@ defmodule MavCodec.Parser.Sources do
   @spec observe(t(), [Frame.t()]) :: t()
   def observe(sources, []), do: sources
 
-  # An unchecked frame does not make its source known, also when a checked one stands right behind it: what is counted
-  # must not depend on how the bytes were cut into pushes.
-  def observe(sources, [%Frame{crc_extra: nil, system: system, component: component} | rest] = frames) do
-    if is_map_key(sources, key(system, component)), do: run(frames, sources), else: observe(sources, rest)
-  end
-
-  def observe(sources, frames), do: run(frames, sources)
-
-  defp run([%Frame{system: system, component: component, seq: seq} | _] = frames, sources),
-    do: run(frames, sources, system, component, seq, seq, 0, nil)
-
-  # `known` is nil, or the highest id of the run's frames whose CRC was checked.
-  defp run(
-         [%Frame{system: system, component: component, seq: seq} = frame | rest],
-         sources,
-         system,
-         component,
-         first,
-         seq,
-         n,
-         known
-       ),
-       do: run(rest, sources, system, component, first, seq + 1 &&& 255, n + 1, highest(frame, known))
-
-  defp run([], sources, system, component, first, _next, n, known),
-    do: add(sources, key(system, component), first, n, known)
-
-  defp run(frames, sources, system, component, first, _next, n, known),
-    do: sources |> add(key(system, component), first, n, known) |> observe(frames)
-
-  defp highest(%Frame{crc_extra: nil}, known), do: known
-  defp highest(%Frame{id: id}, nil), do: id
-  defp highest(%Frame{id: id}, known), do: max(id, known)
-
-  defp key(system, component), do: system <<< 8 ||| component
-
-  defp add(sources, key, first, n, known) do
-    talks? = known != nil and known > @heartbeat
+  def observe(sources, [
+        %Frame{system: system, component: component, seq: seq, id: id, crc_extra: extra} | rest
+      ]) do
+    key = system <<< 8 ||| component
 
     case sources do
-      %{^key => {loss, talked?}} ->
-        %{sources | key => {SequenceLoss.observe_run(loss, first, n), talked? or talks?}}
+      %{^key => {loss, talks?, first, ^seq, count}} when count < @run ->
+        observe(
+          %{sources | key => {loss, talks?(talks?, id, extra), first, seq + 1 &&& 255, count + 1}},
+          rest
+        )
 
-      _ when map_size(sources) >= @limit ->
-        sources
+      %{^key => {loss, talks?, first, _next, count}} ->
+        loss = hand_over(loss, first, count)
+        observe(%{sources | key => {loss, talks?(talks?, id, extra), seq, seq + 1 &&& 255, 1}}, rest)
+
+      # An unchecked frame does not make its source known, also when a checked one stands right behind it: what is counted
+      # must not depend on how the bytes were cut into pushes.
+      _ when extra == nil or map_size(sources) >= @limit ->
+        observe(sources, rest)
 
       _ ->
-        Map.put(sources, key, {SequenceLoss.observe_run(SequenceLoss.new(), first, n), talks?})
+        source = {SequenceLoss.new(), talks?(false, id, extra), seq, seq + 1 &&& 255, 1}
+        observe(Map.put(sources, key, source), rest)
     end
   end
+
+  defp talks?(true, _id, _extra), do: true
+  defp talks?(false, id, extra), do: id != @heartbeat and extra != nil
+
+  defp hand_over(loss, _first, 0), do: loss
+  defp hand_over(loss, first, count), do: SequenceLoss.observe_run(loss, first, count)
 
   @doc """
   The loss of each source, see `t:MavCodec.SequenceLoss.stats/0`.
@@ -88,8 +76,8 @@ defmodule MavCodec.Parser.Sources do
   """
   @spec stats(t()) :: %{optional(key()) => map()}
   def stats(sources) do
-    Map.new(sources, fn {key, {loss, talks?}} ->
-      stats = SequenceLoss.stats(loss)
+    Map.new(sources, fn {key, {loss, talks?, first, _next, count}} ->
+      stats = loss |> hand_over(first, count) |> SequenceLoss.stats()
       {{key >>> 8, key &&& 255}, if(talks?, do: stats, else: %{stats | ratio: nil})}
     end)
   end
@@ -97,6 +85,8 @@ defmodule MavCodec.Parser.Sources do
   @doc "Frames lost, over all sources whose loss can be known."
   @spec lost(t()) :: non_neg_integer()
   def lost(sources) do
-    for {_, {loss, true}} <- sources, reduce: 0, do: (sum -> sum + loss.lost)
+    for {_, {loss, true, first, _next, count}} <- sources, reduce: 0 do
+      sum -> sum + hand_over(loss, first, count).lost
+    end
   end
 end

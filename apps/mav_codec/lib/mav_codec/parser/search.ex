@@ -1,0 +1,291 @@
+defmodule MavCodec.Parser.Search do
+  @moduledoc """
+  What stands in bytes that no good frame begins: the places of frames, found by going over the bytes once.
+
+  `good/6` looks ahead for the next frame of a known id with the right CRC; `open/7` for what may be a frame of an unknown id
+  or the beginning of one that is not complete. Both do a bounded amount of work for each byte, whatever the bytes are
+  (`MavCodec.Parser.Checksums`), and neither makes anything for a byte that is none of it.
+
+  MAVLink 1 has no extensions and cuts nothing, so here, behind damage, a header of version 1 counts only when its length is
+  the message's own (F9). Where a frame is due, the scanner does not ask for that.
+  """
+
+  import Bitwise
+
+  alias MavCodec.CRC
+  alias MavCodec.Parser.{Checksums, Known}
+
+  @direct Known.direct_size()
+  @signed 0x01
+  @source32 0x02
+  @target32 0x04
+
+  @typedoc """
+    * `{:good, place}` - a frame of a known id with the right CRC
+    * `{:doubt, place}` - in a stream, the beginning of a frame of a known id: nothing behind it was looked at
+    * `:none` - neither, up to the end of the data
+  """
+  @type ahead :: {:good | :doubt, non_neg_integer()} | :none
+
+  @doc """
+  The next good frame of `data` from `pos` on; how many wrong CRCs were before it, or before the first place that `open/7`
+  should look at; and that place, or `nil`.
+  """
+  @spec good(binary(), non_neg_integer(), Known.t(), 0..255, boolean(), Checksums.t()) ::
+          {ahead(), errors :: non_neg_integer(), open :: non_neg_integer() | nil, Checksums.t()}
+  def good(data, pos, known, accepted, stream?, sums) do
+    <<_::binary-size(^pos), rest::binary>> = data
+    fixed = {known, accepted, stream?, byte_size(data), data}
+    look(rest, pos, known.pages, known.lengths, fixed, 0, nil, sums)
+  end
+
+  # This and its helpers begin with a match, so that the runtime makes no binary for what remains.
+  defp look(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
+    case rest do
+      <<len, _seq, system, _component, id, _::binary>> when system > 0 ->
+        case elem(lengths, id) do
+          ^len -> candidate(rest, pos, 5 + len, 0, id, pages, lengths, fixed, errors, open, sums)
+          other when is_integer(other) -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+          nil -> uncertain(rest, pos, 5, len, 0, id, pages, lengths, fixed, errors, open, sums)
+        end
+
+      <<_::5-binary, _::binary>> ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+
+      _incomplete ->
+        incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
+    end
+  end
+
+  defp look(<<0xFD, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
+    case rest do
+      <<len, flags, _::2-binary, system, _component, id::24-little, _::binary>>
+      when (flags &&& @source32) == 0 ->
+        if system == 0,
+          do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
+          else: uncertain(rest, pos, 9, len, flags, id, pages, lengths, fixed, errors, open, sums)
+
+      <<len, flags, _::2-binary, system::32, _component, id::24-little, _::binary>>
+      when (flags &&& @source32) != 0 ->
+        if system == 0,
+          do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
+          else: uncertain(rest, pos, 12, len, flags, id, pages, lengths, fixed, errors, open, sums)
+
+      _incomplete ->
+        incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
+    end
+  end
+
+  defp look(<<_, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
+    do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+
+  defp look(<<>>, _pos, _pages, _lengths, _fixed, errors, open, sums), do: {:none, errors, open, sums}
+
+  # A header whose id is known or not. With long ids it is longer.
+  defp uncertain(<<rest::binary>>, pos, header, len, flags, id, pages, lengths, fixed, errors, open, sums) do
+    header = if (flags &&& @target32) == 0, do: header, else: header + 4
+
+    cond do
+      known?(id, pages, fixed) ->
+        covered = header + len
+        candidate(rest, pos, covered, flags &&& @signed, id, pages, lengths, fixed, errors, open, sums)
+
+      open == nil and (flags &&& bnot(elem(fixed, 1))) == 0 and
+          unknown(pos, header, len, flags, fixed) != :noise ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
+
+      true ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+    end
+  end
+
+  @compile {:inline, known?: 3}
+  defp known?(id, pages, _fixed) when id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF) != nil
+  defp known?(id, _pages, fixed), do: elem(fixed, 0).others != [] and Known.extra(elem(fixed, 0), id) != nil
+
+  # `covered` bytes of header and payload.
+  defp candidate(<<rest::binary>>, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums) do
+    if pos + 3 + covered + 13 * signed > elem(fixed, 3) do
+      incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
+    else
+      {_spent, from, to, registers} = sums
+
+      if pos >= from and pos + covered <= to do
+        <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
+        behind = Checksums.behind(elem(registers, pos - from), elem(registers, pos - from + covered), covered)
+
+        if Checksums.ends?(behind, Known.extra(elem(fixed, 0), id), crc),
+          do: {{:good, pos}, errors, open, sums},
+          else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
+      else
+        outside(rest, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums)
+      end
+    end
+  end
+
+  # No window, or it ends here.
+  defp outside(<<rest::binary>>, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums) do
+    case Checksums.reach(sums, elem(fixed, 4), pos, covered) do
+      {:direct, sums} ->
+        <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
+        bytes = binary_part(elem(fixed, 4), pos + 1, covered)
+
+        if bytes |> CRC.x25() |> Checksums.ends?(Known.extra(elem(fixed, 0), id), crc),
+          do: {{:good, pos}, errors, open, sums},
+          else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
+
+      {:window, sums} ->
+        candidate(rest, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums)
+    end
+  end
+
+  defp wrong(<<rest::binary>>, pos, pages, lengths, fixed, errors, nil, sums),
+    do: look(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
+
+  defp wrong(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
+    do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+
+  # The header, or the frame of a known id, ends behind the data.
+  defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, true, _, _}, errors, open, sums),
+    do: {{:doubt, pos}, errors, open, sums}
+
+  defp incomplete(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
+    do: look(rest, pos + 1, pages, lengths, fixed, errors, open || pos, sums)
+
+  @doc """
+  The next place of `data` from `pos` on that is a frame of an unknown id, `{:take, place, size}`, or
+  the beginning of a frame that must be waited for, `{:hold, place}`; and how many wrong CRCs were before it.
+
+  `ahead` is what `good/6` found, so none of the known ids before it is good. A frame of an unknown id has no CRC that
+  could be checked. It is believed when the byte behind it is a magic, or the data ends there, and no good frame begins
+  inside it.
+  """
+  @spec open(
+          binary(),
+          non_neg_integer(),
+          ahead(),
+          Known.t(),
+          0..255,
+          :stream | :datagram | :final,
+          non_neg_integer()
+        ) ::
+          {{:take, non_neg_integer(), pos_integer()} | {:hold, non_neg_integer()} | :none,
+           errors :: non_neg_integer()}
+  def open(data, pos, ahead, known, accepted, mode, errors) do
+    <<_::binary-size(^pos), rest::binary>> = data
+    limit = limit(ahead, data)
+    sift(rest, pos, limit, ahead, {known, accepted, mode == :stream, byte_size(data), data}, mode, errors)
+  end
+
+  # The last place to look at.
+  defp limit({:good, place}, _data), do: place - 1
+  defp limit({:doubt, place}, _data), do: place
+  defp limit(:none, data), do: byte_size(data)
+
+  # This and its helpers begin with a match, so that the runtime makes no binary for what remains.
+  defp sift(<<magic, _::binary>>, pos, limit, _ahead, _fixed, _mode, errors)
+       when magic in [0xFD, 0xFE] and pos > limit,
+       do: {:none, errors}
+
+  defp sift(<<0xFE, rest::binary>>, pos, limit, ahead, {known, _, _, size, _} = fixed, mode, errors) do
+    case rest do
+      <<_len, _seq, 0, _component, _id, _::binary>> ->
+        sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+
+      <<len, _seq, _system, _component, id, _::binary>> ->
+        cond do
+          elem(elem(known.pages, 0), id) == nil ->
+            claim(rest, pos, unknown(pos, 5, len, 0, fixed), limit, ahead, fixed, mode, errors)
+
+          other_length?(elem(known.lengths, id), len) ->
+            sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+
+          pos + 8 + len > size ->
+            claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+
+          true ->
+            sift(rest, pos + 1, limit, ahead, fixed, mode, errors + 1)
+        end
+
+      _incomplete ->
+        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+    end
+  end
+
+  defp sift(<<0xFD, rest::binary>>, pos, limit, ahead, fixed, mode, errors) do
+    case rest do
+      <<len, flags, _::2-binary, system, _component, id::24-little, _::binary>>
+      when (flags &&& @source32) == 0 ->
+        sift2(rest, pos, 9, len, flags, system, id, limit, ahead, fixed, mode, errors)
+
+      <<len, flags, _::2-binary, system::32, _component, id::24-little, _::binary>>
+      when (flags &&& @source32) != 0 ->
+        sift2(rest, pos, 12, len, flags, system, id, limit, ahead, fixed, mode, errors)
+
+      _incomplete ->
+        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+    end
+  end
+
+  defp sift(<<_, rest::binary>>, pos, limit, ahead, fixed, mode, errors),
+    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+
+  defp sift(<<>>, _pos, _limit, _ahead, _fixed, _mode, errors), do: {:none, errors}
+
+  defp other_length?(length, len), do: length != nil and length != len
+
+  defp sift2(<<rest::binary>>, pos, _header, _len, _flags, 0, _id, limit, ahead, fixed, mode, errors),
+    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+
+  defp sift2(<<rest::binary>>, pos, header, len, flags, _system, id, limit, ahead, fixed, mode, errors) do
+    header = if (flags &&& @target32) == 0, do: header, else: header + 4
+
+    cond do
+      Known.extra(elem(fixed, 0), id) == nil ->
+        claim(rest, pos, unknown(pos, header, len, flags, fixed), limit, ahead, fixed, mode, errors)
+
+      pos + 3 + header + len + 13 * (flags &&& @signed) > elem(fixed, 3) ->
+        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+
+      true ->
+        sift(rest, pos + 1, limit, ahead, fixed, mode, errors + 1)
+    end
+  end
+
+  # A good frame begins within what is claimed, or behind it.
+  defp claim(<<rest::binary>>, pos, what, limit, {:good, good} = ahead, fixed, mode, errors) do
+    case what do
+      {:ends, stop} when stop <= good -> {{:take, pos, stop - pos}, errors}
+      _noise -> sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+    end
+  end
+
+  # A stream: what is inside must be known, and one byte that follows.
+  defp claim(<<_::binary>>, pos, {:ends, stop}, limit, _ahead, {_, _, true, size, _}, _mode, errors) do
+    if stop <= limit and stop < size,
+      do: {{:take, pos, stop - pos}, errors},
+      else: {{:hold, pos}, errors}
+  end
+
+  defp claim(<<_::binary>>, pos, {:ends, stop}, _limit, _ahead, _fixed, _mode, errors),
+    do: {{:take, pos, stop - pos}, errors}
+
+  defp claim(<<_::binary>>, pos, :more, _limit, _ahead, _fixed, mode, errors) when mode != :final,
+    do: {{:hold, pos}, errors}
+
+  defp claim(<<rest::binary>>, pos, _noise, limit, ahead, fixed, mode, errors),
+    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+
+  # Where a frame of an unknown id would end, if it may be one by its flags (F6) and the byte behind it.
+  defp unknown(pos, header, len, flags, {_known, accepted, _stream?, size, data}) do
+    stop = pos + 3 + header + len + 13 * (flags &&& @signed)
+
+    cond do
+      (flags &&& bnot(accepted)) != 0 -> :noise
+      stop > size -> :more
+      stop == size -> {:ends, stop}
+      :binary.at(data, stop) in [0xFD, 0xFE] -> {:ends, stop}
+      true -> :noise
+    end
+  end
+end

@@ -14,8 +14,6 @@ defmodule MavCodec.Parser.Checksums do
 
   import Bitwise
 
-  alias MavCodec.CRC
-
   # The bytes that CRCs one by one may cost: this many, and twice what was read.
   @allowance 1024
   # The places of a window, and the longest stretch that begins at one (17 bytes of header, 255 of payload).
@@ -40,8 +38,8 @@ defmodule MavCodec.Parser.Checksums do
   @step List.to_tuple(for byte <- 0..255, do: bits.(byte))
 
   @typedoc """
-  `spent` - bytes that CRCs one by one have cost; `registers` - of the run that begins behind the byte `from`, the first is
-  that behind `from`, the last that behind `to`.
+  `spent` - bytes that CRCs one by one have cost; `registers` - of the run that begins behind the byte `from`, backwards:
+  the first is that behind the byte `to`, the last that behind `from`.
   """
   @type t :: {spent :: non_neg_integer(), from :: non_neg_integer(), to :: integer(), registers :: tuple()}
 
@@ -54,41 +52,59 @@ defmodule MavCodec.Parser.Checksums do
   def spent({spent, from, to, registers}, size), do: {spent + size, from, to, registers}
 
   @doc """
-  For the `size` bytes behind the byte `from`, which do not lie in the window: whether their CRC may be computed by itself,
-  or else a new window.
+  For the `size` bytes behind the byte `from`: whether their CRC may be computed by itself, or else a window in which they
+  lie.
   """
   @spec reach(t(), binary(), non_neg_integer(), non_neg_integer()) :: {:direct | :window, t()}
   def reach({spent, first, last, registers}, _data, from, size) when spent + size <= @allowance + 2 * from,
     do: {:direct, {spent + size, first, last, registers}}
 
+  def reach({_spent, first, last, _registers} = sums, _data, from, size)
+      when from >= first and from + size <= last,
+      do: {:window, sums}
+
   def reach({spent, _first, _last, _registers}, data, from, _size) do
     count = min(byte_size(data) - from - 1, @window + @longest)
     <<_::binary-size(^from), _magic, bytes::binary-size(^count), _::binary>> = data
-    {:window, {spent, from, from + count, List.to_tuple(run(bytes, 0))}}
+    {:window, {spent, from, from + count, List.to_tuple(run(bytes, 0, [0]))}}
   end
 
-  defp run(<<byte, rest::binary>>, register),
-    do: [register | run(rest, bxor(register >>> 8, elem(@step, bxor(register &&& 0xFF, byte))))]
-
-  defp run(<<>>, register), do: [register]
-
-  @doc "The CRC of the `size` bytes between the registers `before` and `behind` of a window."
-  @spec behind(CRC.crc16(), CRC.crc16(), 0..272) :: CRC.crc16()
-  def behind(before, behind, size) do
-    zeros = elem(@advance, size)
-    from = bxor(before, 0xFFFF)
-
-    behind
-    |> bxor(elem(zeros, from &&& 0xF))
-    |> bxor(elem(zeros, 16 + (from >>> 4 &&& 0xF)))
-    |> bxor(elem(zeros, 32 + (from >>> 8 &&& 0xF)))
-    |> bxor(elem(zeros, 48 + (from >>> 12)))
+  defp run(<<a, b, c, d, rest::binary>>, register, registers) do
+    first = bxor(register >>> 8, elem(@step, bxor(register &&& 0xFF, a)))
+    second = bxor(first >>> 8, elem(@step, bxor(first &&& 0xFF, b)))
+    third = bxor(second >>> 8, elem(@step, bxor(second &&& 0xFF, c)))
+    fourth = bxor(third >>> 8, elem(@step, bxor(third &&& 0xFF, d)))
+    run(rest, fourth, [fourth, third, second, first | registers])
   end
 
-  @doc "Whether `crc` is that of a frame whose bytes have the CRC `behind`, with this CRC_EXTRA or one of these."
-  @spec ends?(CRC.crc16(), byte() | [byte()], CRC.crc16()) :: boolean()
-  def ends?(behind, extra, crc) when is_integer(extra),
-    do: bxor(behind >>> 8, elem(@step, bxor(behind &&& 0xFF, extra))) == crc
+  defp run(<<byte, rest::binary>>, register, registers) do
+    register = bxor(register >>> 8, elem(@step, bxor(register &&& 0xFF, byte)))
+    run(rest, register, [register | registers])
+  end
 
-  def ends?(behind, extras, crc), do: Enum.any?(extras, &ends?(behind, &1, crc))
+  defp run(<<>>, _register, registers), do: registers
+
+  @doc """
+  The CRC of a frame whose `size` bytes of header and payload stand between the registers `before` and `behind` of a window.
+
+  A macro: a call would make the search, which calls this for each byte of some data, put aside all that it holds.
+  """
+  defmacro frame(before, behind, size, crc_extra) do
+    quote do
+      zeros = elem(unquote(Macro.escape(@advance)), unquote(size))
+      from = Bitwise.bxor(unquote(before), 0xFFFF)
+
+      crc =
+        unquote(behind)
+        |> Bitwise.bxor(elem(zeros, Bitwise.band(from, 0xF)))
+        |> Bitwise.bxor(elem(zeros, 16 + Bitwise.band(Bitwise.bsr(from, 4), 0xF)))
+        |> Bitwise.bxor(elem(zeros, 32 + Bitwise.band(Bitwise.bsr(from, 8), 0xF)))
+        |> Bitwise.bxor(elem(zeros, 48 + Bitwise.bsr(from, 12)))
+
+      Bitwise.bxor(
+        Bitwise.bsr(crc, 8),
+        elem(unquote(Macro.escape(@step)), Bitwise.bxor(Bitwise.band(crc, 0xFF), unquote(crc_extra)))
+      )
+    end
+  end
 end

@@ -12,6 +12,8 @@ defmodule MavCodec.Parser.Search do
 
   import Bitwise
 
+  require MavCodec.Parser.Checksums
+
   alias MavCodec.CRC
   alias MavCodec.Parser.{Checksums, Known}
 
@@ -44,9 +46,15 @@ defmodule MavCodec.Parser.Search do
     case rest do
       <<len, _seq, system, _component, id, _::binary>> when system > 0 ->
         case elem(lengths, id) do
-          ^len -> candidate(rest, pos, 5 + len, 0, id, pages, lengths, fixed, errors, open, sums)
-          other when is_integer(other) -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
-          nil -> uncertain(rest, pos, 5, len, 0, id, pages, lengths, fixed, errors, open, sums)
+          ^len ->
+            extra = elem(elem(pages, 0), id)
+            candidate(rest, pos, 5 + len, 0, extra, pages, lengths, fixed, errors, open, sums)
+
+          other when is_integer(other) ->
+            look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+
+          nil ->
+            uncertain(rest, pos, 5, len, 0, id, pages, lengths, fixed, errors, open, sums)
         end
 
       <<_::5-binary, _::binary>> ->
@@ -85,57 +93,67 @@ defmodule MavCodec.Parser.Search do
   defp uncertain(<<rest::binary>>, pos, header, len, flags, id, pages, lengths, fixed, errors, open, sums) do
     header = if (flags &&& @target32) == 0, do: header, else: header + 4
 
-    cond do
-      known?(id, pages, fixed) ->
-        covered = header + len
-        candidate(rest, pos, covered, flags &&& @signed, id, pages, lengths, fixed, errors, open, sums)
+    case if(id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF), else: above(id, fixed)) do
+      nil ->
+        if open == nil and (flags &&& bnot(elem(fixed, 1))) == 0 and
+             unknown(pos, header, len, flags, fixed) != :noise,
+           do: look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums),
+           else: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
-      open == nil and (flags &&& bnot(elem(fixed, 1))) == 0 and
-          unknown(pos, header, len, flags, fixed) != :noise ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
-
-      true ->
-        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+      extra ->
+        signed = flags &&& @signed
+        candidate(rest, pos, header + len, signed, extra, pages, lengths, fixed, errors, open, sums)
     end
   end
 
-  @compile {:inline, known?: 3}
-  defp known?(id, pages, _fixed) when id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF) != nil
-  defp known?(id, _pages, fixed), do: elem(fixed, 0).others != [] and Known.extra(elem(fixed, 0), id) != nil
+  # Inlined, since a call puts aside all that the loop holds.
+  @compile {:inline, above: 2}
+  defp above(_id, {%Known{others: []}, _, _, _, _}), do: nil
+  defp above(id, fixed), do: Known.extra(elem(fixed, 0), id)
 
   # `covered` bytes of header and payload.
-  defp candidate(<<rest::binary>>, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums) do
-    if pos + 3 + covered + 13 * signed > elem(fixed, 3) do
-      incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
-    else
-      {_spent, from, to, registers} = sums
+  defp candidate(<<rest::binary>>, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums) do
+    {_spent, from, to, registers} = sums
 
-      if pos >= from and pos + covered <= to do
+    cond do
+      pos + 3 + covered + 13 * signed > elem(fixed, 3) ->
+        incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
+
+      pos >= from and pos + covered <= to and is_integer(extra) ->
         <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
-        behind = Checksums.behind(elem(registers, pos - from), elem(registers, pos - from + covered), covered)
+        before = elem(registers, to - pos)
 
-        if Checksums.ends?(behind, Known.extra(elem(fixed, 0), id), crc),
+        if Checksums.frame(before, elem(registers, to - pos - covered), covered, extra) == crc,
           do: {{:good, pos}, errors, open, sums},
           else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
-      else
-        outside(rest, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums)
-      end
+
+      true ->
+        outside(rest, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums)
     end
   end
 
-  # No window, or it ends here.
-  defp outside(<<rest::binary>>, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums) do
+  # No window, or it ends here; or several CRC_EXTRAs, each of which is as good as a header of its own.
+  defp outside(<<rest::binary>>, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums) do
+    <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
+
     case Checksums.reach(sums, elem(fixed, 4), pos, covered) do
       {:direct, sums} ->
-        <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
-        bytes = binary_part(elem(fixed, 4), pos + 1, covered)
+        bytes = binary_part(elem(fixed, 4), pos, covered + 1)
 
-        if bytes |> CRC.x25() |> Checksums.ends?(Known.extra(elem(fixed, 0), id), crc),
+        if extra |> List.wrap() |> Enum.any?(&(CRC.frame(bytes, covered, &1) == crc)),
           do: {{:good, pos}, errors, open, sums},
           else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
 
-      {:window, sums} ->
-        candidate(rest, pos, covered, signed, id, pages, lengths, fixed, errors, open, sums)
+      {:window, sums} when is_integer(extra) ->
+        candidate(rest, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums)
+
+      {:window, {_spent, _from, to, registers} = sums} ->
+        before = elem(registers, to - pos)
+        behind = elem(registers, to - pos - covered)
+
+        if Enum.any?(extra, &(Checksums.frame(before, behind, covered, &1) == crc)),
+          do: {{:good, pos}, errors, open, sums},
+          else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
     end
   end
 

@@ -260,10 +260,15 @@ defmodule Aerie.Router do
   end
 
   defp admit(gateway, tables, from, key, frames, now, outcome) do
-    case Admission.session(gateway, tables, key, now) do
+    first = fn -> Local.held(gateway, key, hd(frames)) ++ frames end
+
+    case Admission.session(gateway, tables, key, from, first, now) do
+      # It gets them when it is there.
+      :coming ->
+        %{outcome | delivered: outcome.delivered + length(frames)}
+
       {:ok, session} ->
-        early = Local.held(gateway, key, hd(frames))
-        pass(gateway, tables, from, key, session, early ++ frames, now, outcome)
+        pass(gateway, tables, from, key, session, first.(), now, outcome)
 
       :refused ->
         %{outcome | refused: outcome.refused + length(frames)}

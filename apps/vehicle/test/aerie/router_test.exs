@@ -114,6 +114,47 @@ defmodule Aerie.RouterTest do
       assert Aerie.Fleet.Store.counter(gateway, {:vehicles, :refused}) == 2
     end
 
+    test "of many that come at once a few are made at once, the others beside the frames' way; all get their first frames" do
+      gateway = start_parts(%{limits: %{max_vehicles: 400}})
+      # A link's own frames, of which it loses none meanwhile.
+      be_session(gateway, 250)
+
+      outcomes =
+        for n <- 0..299 do
+          source = %{@source | network: "net #{div(n, 200)}"}
+          outcome = deliver(gateway, heartbeat(rem(n, 200) + 1), source)
+          assert %{delivered: 1} = deliver(gateway, attitude(250, n))
+          outcome
+        end
+
+      assert Enum.all?(outcomes, &match?(%{delivered: 1, refused: 0, unclaimed: 0}, &1))
+      # Twenty more for each second that this takes.
+      assert Enum.count(outcomes, &(&1.sessions != [])) in 32..200
+      keys = for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
+
+      eventually(fn ->
+        Enum.all?(keys, &match?(%{status: :online}, Aerie.Fleet.Store.vehicle(gateway, &1)))
+      end)
+
+      eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)
+      assert Enum.map(frames(300), &number/1) == Enum.to_list(0..299)
+    end
+
+    test "who is being made is asked for once, and its further frames wait for it no longer than its heartbeat" do
+      gateway = start_parts(%{limits: %{max_vehicles: 400}})
+      nursery = Names.whereis(gateway, :router_nursery)
+      :sys.suspend(nursery)
+      for n <- 1..100, do: deliver(gateway, heartbeat(n))
+      late = Enum.find(1..100, &(Names.whereis(gateway, :session, {"main", &1}) == nil))
+      assert %{unclaimed: 1, delivered: 0} = deliver(gateway, heartbeat(late))
+      assert %{unclaimed: 1, delivered: 0} = deliver(gateway, attitude(late, 1))
+      {:message_queue_len, waiting} = Process.info(nursery, :message_queue_len)
+      assert waiting <= 68
+      :sys.resume(nursery)
+      eventually(fn -> Names.whereis(gateway, :session, {"main", late}) end)
+      assert %{delivered: 1} = deliver(gateway, attitude(late, 2))
+    end
+
     test "a session that does not keep up gets no more until it has", c do
       be_session(c.gateway, 1)
       frames = parse(attitude(1, 1))

@@ -26,6 +26,7 @@ defmodule Aerie.Router.Supervisor do
 
     children = [
       {Aerie.Router.Watch, gateway: gateway},
+      {Aerie.Router.Nursery, gateway: gateway},
       {Aerie.Router.Sweeper, gateway: gateway},
       {Aerie.Router.Meter, gateway: gateway},
       {Aerie.Router.Turns, gateway: gateway},

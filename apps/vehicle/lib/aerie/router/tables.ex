@@ -8,7 +8,7 @@ defmodule Aerie.Router.Tables do
   - `:seen` what `Dedupe` remembers, `:limits` what `RateLimit` does
   - `:clients` `{id, snapshot}` of client endpoints, `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
-  - `:refused` `{vehicle_key, until_ms}`
+  - `:refused`, `:waiting` `{vehicle_key, until_ms}`: vehicles that found no place; those that are being made
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, of the last #{1_024} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by who brings them
@@ -34,6 +34,7 @@ defmodule Aerie.Router.Tables do
           scores: :ets.table(),
           load: :ets.table(),
           refused: :ets.table(),
+          waiting: :ets.table(),
           settings: :ets.table(),
           generation: :atomics.atomics_ref(),
           id: reference
@@ -58,6 +59,7 @@ defmodule Aerie.Router.Tables do
       scores: :ets.new(:scores, [:set | shared]),
       load: :ets.new(:load, [:set | shared]),
       refused: :ets.new(:refused, [:set | shared]),
+      waiting: :ets.new(:waiting, [:set | shared]),
       settings: :ets.new(:settings, [:set, :public, read_concurrency: true]),
       generation: :atomics.new(2, signed: false),
       id: make_ref()

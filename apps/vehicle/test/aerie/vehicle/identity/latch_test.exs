@@ -29,7 +29,7 @@ defmodule Aerie.Vehicle.Identity.LatchTest do
   # Whether the gateway lets the vehicle in, so many ms after the beginning.
   defp heard(c, system, ms, network \\ "main") do
     tables = Tables.of(c.gateway)
-    match?({:ok, _pid}, Admission.session(c.gateway, tables, {network, system}, ms))
+    match?({:ok, _pid}, Admission.session(c.gateway, tables, {network, system}, "a", fn -> [] end, ms))
   end
 
   defp own(c), do: Tables.setting(Tables.of(c.gateway), :own, nil)

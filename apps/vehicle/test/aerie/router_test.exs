@@ -133,10 +133,11 @@ defmodule Aerie.RouterTest do
       keys = for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
 
       eventually(fn ->
-        Enum.all?(keys, &match?(%{status: :online}, Aerie.Fleet.Store.vehicle(gateway, &1)))
+        Enum.all?(keys, &match?(%{component: 1}, Aerie.Fleet.Store.vehicle(gateway, &1)))
       end)
 
       eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)
+
       assert Enum.map(frames(300), &number/1) == Enum.to_list(0..299)
     end
 

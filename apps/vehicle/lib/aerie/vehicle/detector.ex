@@ -268,7 +268,7 @@ defmodule Aerie.Vehicle.Detector do
       {detector, [], %{}}
     else
       steps = [
-        {"reboot", %{"uptime_ms" => boot_ms},
+        {"reboot", %{"time_boot_ms" => boot_ms},
          boot_at: boot_at, mission: nil, reached: nil, gcs: false, gcs_reported: nil}
       ]
 

@@ -93,7 +93,7 @@ defmodule Aerie.Vehicle.EventTypes do
     {"gps.lost", "an armed vehicle has no position by GNSS any more",
      "GPS_RAW_INT: a fix of 3 or more becomes less",
      [
-       {"fix", :string, nil, "GPS_FIX_TYPE now"}
+       {"fix_name", :string, nil, "GPS_FIX_TYPE now"}
      ]},
     {"gps.restored", "it has one again", "GPS_RAW_INT",
      [
@@ -111,7 +111,7 @@ defmodule Aerie.Vehicle.EventTypes do
     {"link.lost", "nothing of the vehicle was heard for timeouts.vehicle_lost_s", "silence",
      [{"silent_s", :number, "s", "for how long"}]},
     {"link.restored", "it is heard again", "any frame of its autopilot", []},
-    {"reboot", "its clock began anew", "time_boot_ms", [{"uptime_ms", :integer, "ms", "its clock"}]},
+    {"reboot", "its clock began anew", "time_boot_ms", [{"time_boot_ms", :integer, "ms", "its clock"}]},
     {"collision", "two vehicles use one id", "boot times, places, types or unique ids that take turns",
      [
        {"sign", :string, nil, "by what it was found out: time_boot_ms, position, type, uid"},

@@ -195,7 +195,7 @@ defmodule Aerie.Vehicle.CoreTest do
     later = for n <- 0..10, do: attitude.(24 + n / 2, 500 + n * 500)
     run = start() |> beat(10) |> frames(before) |> frames(later)
     assert types(run) == ["reboot"]
-    assert hd(run.events).data["uptime_ms"] == 1500
+    assert hd(run.events).data["time_boot_ms"] == 1500
     assert Core.snapshot(run.core).time_boot_ms == 5500
   end
 

@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.FailsafeFlightsTest do
   defp told(at, "geofence.cleared", d), do: [{at, "inside", d["breach"], d["duration"]}]
 
   defp told(at, type, d) when type in ~w(rc.lost gps.lost position.lost gcs_failsafe),
-    do: [{at, type, d["report"] || d["text"] || d["fix"]}]
+    do: [{at, type, d["report"] || d["text"] || d["fix_name"]}]
 
   defp told(at, type, d) when type in ~w(rc.restored gps.restored position.restored),
     do: [{at, type, d["duration"]}]

@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
   end
 
   defp gps(%{gps_lost: nil} = detector, %{gps: "OK"}, %{gps: fix, armed: true}, at) when fix != "OK",
-    do: {%{said(detector, at, "gps") | gps_lost: at}, [{"gps.lost", %{"fix" => fix}, []}]}
+    do: {%{said(detector, at, "gps") | gps_lost: at}, [{"gps.lost", %{"fix_name" => fix}, []}]}
 
   defp gps(%{gps_lost: since} = detector, _last, %{gps: "OK"}, at) when since != nil,
     do: {%{detector | gps_lost: nil}, [{"gps.restored", %{"duration" => lasted(since, at)}, []}]}

@@ -75,6 +75,7 @@ defmodule Aerie.Vehicle.Core do
     beat: 1,
     dirty: false,
     observed: nil,
+    back: nil,
     confirm: false,
     state: %State{},
     heard: Heard.new(),

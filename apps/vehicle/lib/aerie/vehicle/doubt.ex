@@ -6,6 +6,9 @@ defmodule Aerie.Vehicle.Doubt do
   because another one was switched on: while boot times, places or kinds take turns, while a way to the vehicle is new, or
   while two ways bring heartbeats that differ, a change of the state has to stay for a second and a half before it counts.
   Two links to one vehicle agree again with the second one's next heartbeat, and then it counts at once.
+
+  A change after a silence waits as well, until the vehicle's clock has shown whether it was restarted: that it is disarmed
+  since follows from the reboot, and is told after it.
   """
 
   alias Aerie.Vehicle.{Rivals, Twin}
@@ -54,13 +57,21 @@ defmodule Aerie.Vehicle.Doubt do
   The state is another one than was shown last. `{:wait, doubt}`: it has to stay first; `{:go, since, doubt}`: it counts,
   and is as it is since then.
   """
-  @spec change(t(), state :: term(), two? :: boolean(), integer()) :: {:wait, t()} | {:go, integer(), t()}
-  def change(%{held: {state, since}} = doubt, state, two?, at) do
-    if two? and at - since < @stays_us, do: {:wait, doubt}, else: {:go, since, %{doubt | held: nil}}
+  @spec change(t(), state :: term(), why :: :two | :restart | nil, integer()) ::
+          {:wait, t()} | {:go, integer(), t()}
+  def change(%{held: {state, since}} = doubt, state, why, at) do
+    if why == :restart or (why == :two and at - since < @stays_us),
+      do: {:wait, doubt},
+      else: {:go, since, %{doubt | held: nil}}
   end
 
-  def change(doubt, state, true, at), do: {:wait, %{doubt | held: {state, at}}}
-  def change(doubt, _state, false, at), do: {:go, at, %{doubt | held: nil}}
+  def change(doubt, _state, nil, at), do: {:go, at, %{doubt | held: nil}}
+  def change(doubt, state, _why, at), do: {:wait, %{doubt | held: {state, at}}}
+
+  @doc "It was restarted, as is known `at`: what is held follows from that."
+  @spec rebooted(t(), integer()) :: t()
+  def rebooted(%{held: {state, _since}} = doubt, at), do: %{doubt | held: {state, at}}
+  def rebooted(doubt, _at), do: doubt
 
   @doc "It is as it was."
   @spec same(t()) :: t()

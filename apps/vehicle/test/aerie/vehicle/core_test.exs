@@ -117,6 +117,32 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(run.core).links == ["b", "a"]
   end
 
+  describe "a restart in flight (R6)" do
+    defp flying(n, boot_s), do: [frame(%{@copter | base_mode: 81 + 128}, n * @second), clock(n, boot_s)]
+
+    defp clock(n, boot_s),
+      do: frame(%M.SystemTime{time_boot_ms: round(boot_s * 1000)}, round(n * @second) + 1)
+
+    defp down(n), do: frame(@copter, round(n * @second))
+    defp flown, do: for(n <- 10..20, reduce: start(), do: (run -> frames(run, flying(n, 100 + n))))
+    defp told(run), do: run.events |> Enum.reverse() |> Enum.map(&{&1.type, div(&1.time, 1_000_000)})
+
+    test "is told before what follows from it" do
+      run = frames(flown(), [down(23), down(24), clock(24.5, 3), clock(25, 3.5), clock(25.6, 4.1), down(26)])
+      assert told(run) == [{"reboot", 25}, {"disarmed", 25}]
+    end
+
+    test "that was none holds back nothing: a gap, and disarmed meanwhile" do
+      run = frames(flown(), [down(23), clock(23.5, 123.5), down(24)])
+      assert told(run) == [{"disarmed", 23}]
+    end
+
+    test "of a vehicle that shows no clock any more holds back nothing for ever" do
+      run = frames(flown(), [down(23), down(24), down(25), down(26), down(27), down(28), down(29)])
+      assert told(run) == [{"disarmed", 23}]
+    end
+  end
+
   test "battery events have one battery's values of one message, and its source may change" do
     pack = [11_000 | List.duplicate(0xFFFF, 9)]
 

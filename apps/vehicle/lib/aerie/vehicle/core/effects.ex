@@ -15,6 +15,8 @@ defmodule Aerie.Vehicle.Core.Effects do
   # HEARTBEAT, SYS_STATUS, GPS_RAW_INT, GLOBAL_POSITION_INT, MISSION_CURRENT, BATTERY_STATUS, FENCE_STATUS,
   # EKF_STATUS_REPORT, ESTIMATOR_STATUS, HIGH_LATENCY2, EXTENDED_SYS_STATE
   @eventful [0, 1, 24, 33, 42, 147, 162, 193, 230, 235, 245]
+  # For so long a vehicle that was silent may take to show its clock.
+  @restarted_us 5_000_000
   # The store is written at most twenty times a second.
   @show_us 50_000
 
@@ -55,7 +57,7 @@ defmodule Aerie.Vehicle.Core.Effects do
       {%{core | doubt: Doubt.same(core.doubt)}, actions}
     else
       # What is shown for the first time, or once more after a crash, has nothing to be compared with.
-      case Doubt.change(core.doubt, digest, core.digest != nil and doubtful?(core, at), at) do
+      case Doubt.change(core.doubt, digest, core.digest && why_wait(core, at), at) do
         {:wait, doubt} -> {%{core | doubt: doubt}, actions}
         {:go, since, doubt} -> observe(%{core | doubt: doubt}, actions, digest, since)
       end
@@ -69,6 +71,14 @@ defmodule Aerie.Vehicle.Core.Effects do
     core = if begins?(core.digest, digest), do: settle(core, at), else: core
     {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, core.now)
     {core, [{:observe, observation} | actions]}
+  end
+
+  defp why_wait(core, at) do
+    cond do
+      core.back != nil and at - core.back < @restarted_us -> :restart
+      doubtful?(core, at) -> :two
+      true -> nil
+    end
   end
 
   @doc "Whether what comes may be of two vehicles."

@@ -25,6 +25,8 @@ defmodule Aerie.Vehicle.Core.Intake do
   # ... of which these say more than for how long they have run.
   @signs [0, 33, 148]
 
+  # A vehicle that restarts says nothing for longer than this.
+  @silence_us 2_000_000
   # Texts that came before the first heartbeat (`Aerie.Router.Early` holds as many).
   @max_early 16
 
@@ -148,9 +150,10 @@ defmodule Aerie.Vehicle.Core.Intake do
     do: {%{core | last_heard: at}, [{:observe, {:restored, at, core.state.boot_ms}} | actions]}
 
   defp alive(%{status: :online} = core, actions, at),
-    do: {%{core | last_heard: later(core.last_heard, at)}, actions}
+    do: {%{silent(core, at) | last_heard: later(core.last_heard, at)}, actions}
 
   defp alive(core, actions, at) do
+    core = silent(core, at)
     observed = if core.status == :lost, do: [{:observe, {:restored, at, core.state.boot_ms}}], else: []
     last_heard = later(core.last_heard, at)
 
@@ -159,9 +162,16 @@ defmodule Aerie.Vehicle.Core.Intake do
     Effects.status(core, observed ++ actions, :online)
   end
 
+  # It may have been restarted meanwhile; its clock will tell.
+  defp silent(%{last_heard: last, state: %{boot_ms: boot_ms}} = core, at)
+       when is_integer(last) and is_integer(boot_ms) and at - last >= @silence_us,
+       do: %{core | back: at}
+
+  defp silent(core, _at), do: core
+
   defp message(core, actions, _link, frame, %{time_boot_ms: boot_ms} = message) do
     {clock, verdict} = BootClock.read(core.clock, frame.id, boot_ms, frame.at)
-    core = %{core | clock: clock}
+    core = %{core | clock: clock, back: if(verdict == :behind, do: core.back)}
 
     case verdict do
       :ok ->
@@ -178,7 +188,13 @@ defmodule Aerie.Vehicle.Core.Intake do
 
       :reboot ->
         core = Dealings.rebooted(core, frame.at)
-        core = %{core | state: State.at_boot(core.state, boot_ms), twin: Twin.rebooted(core.twin)}
+
+        core = %{
+          core
+          | state: State.at_boot(core.state, boot_ms),
+            twin: Twin.rebooted(core.twin),
+            doubt: Doubt.rebooted(core.doubt, frame.at)
+        }
 
         apply_message(core, [{:observe, {:reboot, frame.at, boot_ms}} | actions], frame, message)
     end

@@ -44,6 +44,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         expired: nil,
         collision: nil,
         observed: core.observed && now,
+        back: nil,
         settle: core.settle && now,
         shown: nil,
         recent: %{},

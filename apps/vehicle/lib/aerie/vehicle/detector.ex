@@ -13,8 +13,8 @@ defmodule Aerie.Vehicle.Detector do
   | `{:state, at, boot_ms, digest}`          | mode_change, armed, disarmed, takeoff, landed, failsafe, geofence, battery, rc, gps, position, mission.completed |
   | `{:text, at, boot_ms, severity, text}`   | statustext; failsafe, gcs_failsafe, geofence, rc, kill_switch, mission.completed when it says so |
   | `{:report, at, boot_ms, data}`           | report                                                              |
-  | `{:said, at, boot_ms, name, values}`     | failsafe, gcs_failsafe, rc, kill_switch: reports at once (`Detector.Reported`) |
-  | `{:settle, at, boot_ms}`                 | failsafe, when it has waited long enough for its cause              |
+  | `{:said, at, boot_ms, name, values, where}` | failsafe, gcs_failsafe, rc, kill_switch: reports at once (`Detector.Reported`) |
+  | `{:settle, at, boot_ms, where}`          | failsafe, when it has waited long enough for its cause              |
   | `{:reached, at, boot_ms, seq}`           | mission.reached                                                     |
   | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
@@ -154,14 +154,18 @@ defmodule Aerie.Vehicle.Detector do
   defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
   defp violation(_other), do: nil
 
+  @doc "Where the vehicle is, for the data of events; nil when it does not know."
+  @spec position(State.t()) :: map() | nil
+  def position(state), do: place(State.data(state, :position))
+
   @doc "What is shown beside a digest for the data of events, however often it changes."
   @spec beside(State.t()) :: map()
   def beside(state),
-    do: %{where: where(State.data(state, :position)), voltages: Detector.Batteries.voltages(state)}
+    do: %{where: position(state), voltages: Detector.Batteries.voltages(state)}
 
-  defp where(%{lat: nil}), do: nil
+  defp place(%{lat: nil}), do: nil
 
-  defp where(%{lat: lat, lon: lon} = p),
+  defp place(%{lat: lat, lon: lon} = p),
     do: %{"lat" => lat, "lon" => lon, "alt_msl" => p.alt_msl, "alt_rel" => p.alt_rel}
 
   @doc "One step. `known` gives the value that a parameter had; the new values are in the third element."
@@ -169,7 +173,8 @@ defmodule Aerie.Vehicle.Detector do
   def observe(detector, observation, known \\ fn _name -> :error end)
 
   def observe(%{failsafe: %{pending: %{}}} = detector, observation, known) do
-    {failsafe, steps} = Failsafe.due(detector.failsafe, elem(observation, 1), facts(detector))
+    facts = Map.put(facts(detector), :where, where(observation))
+    {failsafe, steps} = Failsafe.due(detector.failsafe, elem(observation, 1), facts)
     {detector, before} = emit(%{detector | failsafe: failsafe}, steps, elem(observation, 1), nil, nil)
     {detector, events, params} = step(detector, observation, known)
     {detector, before ++ events, params}
@@ -177,8 +182,12 @@ defmodule Aerie.Vehicle.Detector do
 
   def observe(detector, observation, known), do: step(detector, observation, known)
 
+  defp where({:state, _at, _boot_ms, digest}), do: digest[:where]
+  defp where({:settle, _at, _boot_ms, where}), do: where
+  defp where(_other), do: nil
+
   # Looked at above.
-  defp step(detector, {:settle, _at, _boot_ms}, _known), do: {detector, [], %{}}
+  defp step(detector, {:settle, _at, _boot_ms, _where}, _known), do: {detector, [], %{}}
 
   defp step(detector, {:state, at, boot_ms, digest}, _known) do
     {beside, digest} = Map.split(digest, [:where, :voltages])
@@ -190,7 +199,9 @@ defmodule Aerie.Vehicle.Detector do
     {detector, losses} = Losses.changed(detector, last, now, at)
     {detector, lost} = emit(detector, losses, at, boot_ms, where)
 
-    {failsafe, steps} = Failsafe.changed(detector.failsafe, last, facts(detector), {at, boot_ms, where})
+    {failsafe, steps} =
+      Failsafe.changed(detector.failsafe, last, Map.put(facts(detector), :where, where), {at, boot_ms, where})
+
     detector = %{detector | failsafe: failsafe, gcs: detector.gcs and not over?(last, now)}
     {detector, failsafes} = emit(detector, steps, at, boot_ms, where)
     {detector, events ++ lost ++ failsafes, %{}}
@@ -202,14 +213,15 @@ defmodule Aerie.Vehicle.Detector do
     else
       data = %{"severity" => severity, "severity_name" => severity_name(severity), "text" => text}
       {detector, said} = emit(detector, [{"statustext", data, []}], at, boot_ms, nil)
-      {detector, events} = Detector.Implied.events(detector, text, {at, boot_ms, nil}) |> told(at, boot_ms)
+      moment = {at, boot_ms, nil}
+      {detector, events} = detector |> Detector.Implied.events(text, moment) |> told(moment)
       {detector, said ++ events, %{}}
     end
   end
 
-  defp step(detector, {:said, at, boot_ms, name, values}, _known) do
-    {detector, events} =
-      Reported.observe(detector, name, values, {at, boot_ms, nil}) |> told(at, boot_ms)
+  defp step(detector, {:said, at, boot_ms, name, values, where}, _known) do
+    moment = {at, boot_ms, where}
+    {detector, events} = detector |> Reported.observe(name, values, moment) |> told(moment)
 
     {detector, events, %{}}
   end
@@ -242,7 +254,7 @@ defmodule Aerie.Vehicle.Detector do
       end)
 
     {detector, events} = emit(detector, Enum.reverse(steps), at, boot_ms, nil)
-    {detector, ended} = detector |> Losses.params(learned, at) |> told(at, boot_ms)
+    {detector, ended} = detector |> Losses.params(learned, at) |> told({at, boot_ms, nil})
     {detector, events ++ ended, learned}
   end
 
@@ -360,7 +372,7 @@ defmodule Aerie.Vehicle.Detector do
   defp late?(%{gcs_reported: reported}, text, at),
     do: (at - reported) in @late_us..@held_back_us and Texts.gcs(text) == :lost
 
-  defp told({detector, steps}, at, boot_ms), do: emit(detector, steps, at, boot_ms, nil)
+  defp told({detector, steps}, {at, boot_ms, where}), do: emit(detector, steps, at, boot_ms, where)
 
   # Each event that is within the budget gets the next number. A change of the detector is made in any case.
   defp emit(detector, steps, at, boot_ms, where) do

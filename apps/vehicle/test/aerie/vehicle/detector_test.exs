@@ -29,7 +29,7 @@ defmodule Aerie.Vehicle.DetectorTest do
     do: {:state, round(seconds * @second), 1000, Map.merge(@ground, Map.new(changes))}
 
   defp text(seconds, text), do: {:text, round(seconds * @second), 1000, 4, text}
-  defp settle(seconds), do: {:settle, round(seconds * @second), 1000}
+  defp settle(seconds), do: {:settle, round(seconds * @second), 1000, nil}
 
   defp without_texts(observations),
     do: types(observations) -- for({:text, _, _, _, _} <- observations, do: "statustext")

@@ -59,6 +59,12 @@ defmodule Aerie.Vehicle.FailsafeFlightsTest do
     assert "AUTO_DESCEND" in modes
   end
 
+  test "each says where it began" do
+    for recording <- ~w(px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes),
+        {_at, %{type: "failsafe", data: data}} <- events(recording),
+        do: assert(%{"lat" => _, "alt_rel" => _} = data["position"])
+  end
+
   test "PX4 says who armed" do
     assert [%{data: %{"reason" => "command_external"}}] =
              for({_at, %{type: "armed"} = event} <- events("px4_118_failsafes_a"), do: event)

@@ -28,11 +28,11 @@ defmodule Aerie.Vehicle.FailsafeTest do
     do: {:state, at, nil, Map.merge(@flying, Map.new(changes))}
 
   defp observation(at, text) when is_binary(text), do: {:text, at, nil, 4, text}
-  defp observation(at, :settle), do: {:settle, at, nil}
+  defp observation(at, :settle), do: {:settle, at, nil, nil}
   defp observation(at, {:param, name, value}), do: {:params, at, nil, [{name, value, nil}]}
   defp observation(at, {:reached, seq}), do: {:reached, at, nil, seq}
   defp observation(at, :reboot), do: {:reboot, at, 1000}
-  defp observation(at, {name, values}), do: {:said, at, nil, name, values}
+  defp observation(at, {name, values}), do: {:said, at, nil, name, values, nil}
 
   defp types(story), do: for({_at, event} <- events(story), do: event.type)
   defp failsafes(story), do: for({at, %{type: "failsafe", data: data}} <- events(story), do: {at, data})

@@ -101,7 +101,9 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "That time is over."
   @spec settled(acc(), integer()) :: acc()
   def settled({%{settle: due} = core, actions}, now) when due != nil and now >= due,
-    do: {%{core | settle: nil}, [{:observe, {:settle, now, core.state.boot_ms}} | actions]}
+    do:
+      {%{core | settle: nil},
+       [{:observe, {:settle, now, core.state.boot_ms, Detector.position(core.state)}} | actions]}
 
   def settled(acc, _now), do: acc
 

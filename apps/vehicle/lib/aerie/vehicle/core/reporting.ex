@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   What the vehicle has to say in words: STATUSTEXT, and the EVENT messages that are often the same (`Aerie.Vehicle.Reports`).
   """
 
-  alias Aerie.Vehicle.{Core, Reports, State, StatusText}
+  alias Aerie.Vehicle.{Core, Detector, Reports, State, StatusText}
   alias Aerie.Vehicle.Core.{Dealings, Effects}
   alias Aerie.Vehicle.Detector.{Reported, Texts}
 
@@ -56,7 +56,8 @@ defmodule Aerie.Vehicle.Core.Reporting do
 
   defp give_one({:said, report}, {core, actions}, at) do
     if Reported.about?(report.name) and fresh?(core, report) do
-      observation = {:said, at, report.boot_ms, report.name, report.values}
+      where = Detector.position(core.state)
+      observation = {:said, at, report.boot_ms, report.name, report.values, where}
       {Effects.settle(core, at), [{:observe, observation} | actions]}
     else
       {core, actions}

@@ -34,7 +34,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
           pending: map() | nil,
           active: %{key() => %{since: integer(), last: integer(), shown: boolean(), action: term()}},
           said: [{integer(), String.t(), String.t(), String.t() | nil}],
-          moved: {integer(), String.t()} | nil
+          moved: {integer(), mode :: String.t(), where :: map() | nil} | nil
         }
   @type step :: Detector.step()
 
@@ -64,7 +64,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
   end
 
   defp moved(failsafe, %{mode: from}, %{mode: to} = now, {at, _, _} = moment) when from != to do
-    failsafe = %{failsafe | moved: {at, to}}
+    failsafe = %{failsafe | moved: {at, to, elem(moment, 2)}}
 
     case @forced do
       %{^to => action} -> begins(failsafe, %{by: :mode, action: action}, now, moment)
@@ -170,8 +170,19 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
     data = if pending[:found], do: Map.put(data, "found", true), else: data
     active = if map_size(failsafe.active) < @max_active, do: failsafe.active, else: %{}
 
-    {%{failsafe | pending: nil, active: Map.put(active, key, one)}, [{"failsafe", data, [], pending.moment}]}
+    {%{failsafe | pending: nil, active: Map.put(active, key, one)},
+     [{"failsafe", data, [], moment(failsafe, pending.moment, now)}]}
   end
+
+  # A text does not say where; what was seen within the second does.
+  defp moment(failsafe, {at, boot_ms, nil}, now) do
+    moved =
+      if match?({moved, _, _} when abs(moved - at) <= @settle_us, failsafe.moved), do: elem(failsafe.moved, 2)
+
+    {at, boot_ms, now[:where] || moved}
+  end
+
+  defp moment(_failsafe, moment, _now), do: moment
 
   defp cause(failsafe, pending, now) do
     case pending do
@@ -232,7 +243,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
   defp action(%{pending: %{action: action}}) when action != nil, do: action
   defp action(%{pending: %{found: true}}), do: nil
 
-  defp action(%{pending: %{at: at}, moved: {moved, mode}}) when abs(moved - at) <= @settle_us,
+  defp action(%{pending: %{at: at}, moved: {moved, mode, _where}}) when abs(moved - at) <= @settle_us,
     do: mode |> String.downcase() |> String.replace_prefix("auto_", "")
 
   # The mode stayed as it was.

@@ -105,7 +105,7 @@ defmodule Aerie.Vehicle.PlacesTest do
       assert log =~ "VID-001, lost for" and log =~ "makes room for VID-003"
       assert Fleet.Store.counter(gateway, {:vehicles, :displaced}) == 1
       assert Fleet.Store.counter(gateway, {:vehicles, :refused}) == 0
-      assert Enum.sort(Vehicle.Supervisor.keys(gateway)) == [{"main", 2}, {"main", 3}]
+      eventually(fn -> Enum.sort(Vehicle.Supervisor.keys(gateway)) == [{"main", 2}, {"main", 3}] end)
       eventually(fn -> names(gateway) == ["VID-002", "VID-003"] end)
     end
 

@@ -48,6 +48,7 @@ defmodule Aerie.Vehicle.Detector do
     gcs: false,
     gcs_gone: false,
     gcs_reported: nil,
+    reports: false,
     armed_by: nil,
     rc_lost: nil,
     gps_lost: nil,
@@ -56,6 +57,7 @@ defmodule Aerie.Vehicle.Detector do
     fence: nil,
     fence_open: nil,
     mission: nil,
+    at_last: nil,
     reached: nil,
     lost: false,
     boot_at: nil,
@@ -75,6 +77,7 @@ defmodule Aerie.Vehicle.Detector do
           gcs: boolean(),
           gcs_gone: boolean(),
           gcs_reported: integer() | nil,
+          reports: boolean(),
           armed_by: {integer(), armed :: boolean(), reason :: term()} | nil,
           rc_lost: integer() | nil,
           gps_lost: integer() | nil,
@@ -83,6 +86,7 @@ defmodule Aerie.Vehicle.Detector do
           fence: integer() | nil,
           fence_open: {integer(), String.t() | nil} | nil,
           mission: non_neg_integer() | :unknown | nil,
+          at_last: {seq :: non_neg_integer(), total :: non_neg_integer()} | nil,
           reached: {non_neg_integer(), integer()} | nil,
           lost: boolean(),
           boot_at: integer() | nil,
@@ -202,7 +206,16 @@ defmodule Aerie.Vehicle.Detector do
     {failsafe, steps} =
       Failsafe.changed(detector.failsafe, last, Map.put(facts(detector), :where, where), {at, boot_ms, where})
 
-    detector = %{detector | failsafe: failsafe, gcs: detector.gcs and not over?(last, now)}
+    # PX4's arming checks come as reports.
+    reports = detector.reports or is_map_key(now, :fence_check)
+
+    detector = %{
+      detector
+      | failsafe: failsafe,
+        gcs: detector.gcs and not over?(last, now),
+        reports: reports
+    }
+
     {detector, failsafes} = emit(detector, steps, at, boot_ms, where)
     {detector, events ++ lost ++ failsafes, %{}}
   end
@@ -221,7 +234,7 @@ defmodule Aerie.Vehicle.Detector do
 
   defp step(detector, {:said, at, boot_ms, name, values, where}, _known) do
     moment = {at, boot_ms, where}
-    {detector, events} = detector |> Reported.observe(name, values, moment) |> told(moment)
+    {detector, events} = %{detector | reports: true} |> Reported.observe(name, values, moment) |> told(moment)
 
     {detector, events, %{}}
   end
@@ -281,7 +294,7 @@ defmodule Aerie.Vehicle.Detector do
     else
       steps = [
         {"reboot", %{"time_boot_ms" => boot_ms},
-         boot_at: boot_at, mission: nil, reached: nil, gcs: false, gcs_reported: nil}
+         boot_at: boot_at, mission: nil, reached: nil, gcs: false, gcs_reported: nil, reports: false}
       ]
 
       {failsafe, ended} =

@@ -99,7 +99,7 @@ defmodule Aerie.Vehicle.EventTypes do
      [
        {"duration", :number, "s", "for how long it was gone"}
      ]},
-    {"position.lost", "an armed vehicle's estimator does not know where it is any more",
+    {"position.lost", "in the air, its estimator does not know where it is any more",
      "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", []},
     {"position.restored", "it knows again", "as position.lost",
      [

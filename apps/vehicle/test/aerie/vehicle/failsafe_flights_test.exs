@@ -59,6 +59,14 @@ defmodule Aerie.Vehicle.FailsafeFlightsTest do
     assert "AUTO_DESCEND" in modes
   end
 
+  test "PX4 1.17, texts and reports: each failsafe once" do
+    assert for({_, "failsafe", _, _, _, _} = one <- story(events("px4_refusals_reports")), do: one)
+           |> Enum.map(&Tuple.delete_at(&1, 0)) == [
+             {"failsafe", "battery", "critical_battery_level", "rtl", 5},
+             {"failsafe", "battery", "emergency_battery_level", "land", nil}
+           ]
+  end
+
   test "each says where it began" do
     for recording <- ~w(px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes),
         {_at, %{type: "failsafe", data: data}} <- events(recording),

@@ -113,6 +113,22 @@ defmodule Aerie.Vehicle.FailsafeTest do
       assert types([{1, {"commander_failsafe_enter_low_bat", []}}, {2, :settle}]) == []
     end
 
+    test "of a vehicle that reports is the report; the text of it is no second one, whichever comes first" do
+      hold = {"commander_failsafe_enter_hold", [0, "rtl", 5, "critical_battery_level"]}
+
+      story = [
+        {0.1, [fence_check: false]},
+        {0.5, "Low battery"},
+        {1, "Failsafe activated: entering Hold for 5 seconds"},
+        {1.1, hold},
+        {2, "Failsafe activated"},
+        {4, :settle}
+      ]
+
+      assert [{1.1, %{"reason" => "critical_battery_level", "action" => "rtl", "delay" => 5}}] =
+               failsafes(story)
+    end
+
     test "is a mode that only the vehicle chooses" do
       assert [{1.0, %{"type" => "unknown", "action" => "descend"}}] =
                failsafes([{1, [mode: "AUTO_DESCEND"]}, {2, :settle}])
@@ -268,6 +284,30 @@ defmodule Aerie.Vehicle.FailsafeTest do
 
       assert [%{"seq" => 4, "total" => 4, "inferred" => true}] =
                for({_at, %{type: "mission.completed", data: data}} <- events(story), do: data)
+    end
+
+    test "also when ArduPilot begins it anew before its heartbeat shows that it is disarmed" do
+      over = Keyword.merge(@auto, in_air: false, mission_seq: 0)
+
+      story = [
+        {1, @auto},
+        {2, {:reached, 4}},
+        {9, @auto ++ [in_air: false]},
+        {10, over},
+        {11, over ++ [armed: false]}
+      ]
+
+      assert "mission.completed" in types(story)
+      # It was flown from its last item to an earlier one.
+      back = [
+        {1, @auto},
+        {2, {:reached, 3}},
+        {3, Keyword.put(@auto, :mission_seq, 1)},
+        {10, over},
+        {11, over ++ [armed: false]}
+      ]
+
+      refute "mission.completed" in types(back)
     end
 
     test "is not when it was disarmed before, in another mode, or when it said so itself" do

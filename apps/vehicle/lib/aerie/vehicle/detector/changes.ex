@@ -36,7 +36,10 @@ defmodule Aerie.Vehicle.Detector.Changes do
 
   # A new flight: its mission is one that has not been completed.
   defp armed(%{armed: false}, %{armed: true} = now, detector, at) do
-    [{"armed", %{"mode" => now[:mode], "reason" => by(detector, true, at)}, mission: nil, reached: nil}]
+    [
+      {"armed", %{"mode" => now[:mode], "reason" => by(detector, true, at)},
+       mission: nil, at_last: nil, reached: nil}
+    ]
   end
 
   defp armed(_last, _now, _detector, _at), do: []
@@ -107,14 +110,28 @@ defmodule Aerie.Vehicle.Detector.Changes do
 
   defp mission(_last, _now, _detector), do: []
 
-  # ArduPilot says nothing of a mission that ends with its landing.
-  defp landed_mission(%{armed: true}, %{armed: false, mode: "AUTO"} = now, %{mission: nil} = detector) do
-    with {reached, _at} <- detector.reached,
-         true <- now[:in_air] != true and at_end?(now) and reached >= now.mission_seq - 1 do
-      data = %{"seq" => now.mission_seq, "total" => now.mission_total, "inferred" => true}
-      [{"mission.completed", data, mission: now.mission_seq}]
+  # ArduPilot says nothing of a mission that ends with its landing. It begins anew with the disarming, a moment before the
+  # heartbeat shows that.
+  defp landed_mission(
+         _last,
+         %{mode: "AUTO", armed: true, mission_seq: seq, mission_total: total} = now,
+         detector
+       )
+       when seq > 0 do
+    last = if at_end?(now), do: {seq, total}
+    if last == detector.at_last, do: [], else: [{nil, %{}, at_last: last}]
+  end
+
+  defp landed_mission(
+         %{armed: true},
+         %{armed: false, mode: "AUTO"} = now,
+         %{mission: nil, at_last: {seq, total}} = d
+       ) do
+    if now[:in_air] != true and d.reached != nil and elem(d.reached, 0) >= seq - 1 do
+      data = %{"seq" => seq, "total" => total, "inferred" => true}
+      [{"mission.completed", data, mission: seq, at_last: nil}]
     else
-      _not_at_its_end -> []
+      []
     end
   end
 

@@ -57,13 +57,14 @@ defmodule Aerie.Vehicle.Detector.Implied do
 
     {failsafe, steps} =
       case Texts.activation(text) do
+        # Who reports it says more with that (`Detector.Reported`); the text is the same once more.
+        {:begins, _type} when detector.reports ->
+          {detector.failsafe, []}
+
         {:begins, type} ->
           said = %{by: :text, type: type, reason: Texts.precisely(type, text), text: text}
           said = said |> Map.merge(Texts.hold(text)) |> named(detector, elem(moment, 0))
           Failsafe.begins(detector.failsafe, said, facts, moment)
-
-        {:over, "unknown"} ->
-          {detector.failsafe, []}
 
         {:over, type} ->
           Failsafe.cleared(detector.failsafe, {:type, type}, "text", facts, moment)

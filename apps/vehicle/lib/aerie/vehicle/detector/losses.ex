@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
   What a vehicle loses and gets back: remote control, GNSS, its position, the inside of its fence; and its kill switch. A part
   of the detector. Several sources may say the same; each loss is told once, and its end with the time that it lasted.
 
-  GNSS and position are missed of an armed vehicle only; on the ground they come and go.
+  GNSS is missed of an armed vehicle only, the position of one in the air: on the ground they come and go.
   """
 
   alias Aerie.Vehicle.Detector
@@ -27,7 +27,7 @@ defmodule Aerie.Vehicle.Detector.Losses do
 
   defp gps(detector, _last, _now, _at), do: {detector, []}
 
-  defp position(%{position_lost: nil} = detector, %{position: true}, %{position: false, armed: true}, at),
+  defp position(%{position_lost: nil} = detector, %{position: true}, %{position: false, in_air: true}, at),
     do: {%{said(detector, at, "position") | position_lost: at}, [{"position.lost", %{}, []}]}
 
   defp position(%{position_lost: since} = detector, _last, %{position: true}, at) when since != nil,

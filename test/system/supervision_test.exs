@@ -18,7 +18,7 @@ defmodule Aerie.System.SupervisionTest do
 
   test "whatever dies, supervisors too, comes back and costs no gateway", %{tmp_dir: folder} do
     top = fly(folder, "survey").gateway |> top() |> children([]) |> Enum.uniq()
-    assert length(top) == 9
+    assert length(top) == 10
 
     for {paths, n} <- top |> Enum.chunk_every(@per_gateway) |> Enum.with_index() do
       run = fly(folder, "top-#{n}")

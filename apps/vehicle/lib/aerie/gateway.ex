@@ -6,6 +6,7 @@ defmodule Aerie.Gateway do
   Aerie.Gateway                    rest_for_one
   ├─ Aerie.Fleet.Store             owns the ETS read model and the journal of events
   ├─ Aerie.Fleet.PubSub            change notices, coalesced
+  ├─ Aerie.Bridge.Memory           what the fleet was told last, over restarts
   ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
   ├─ Aerie.Recorder.Supervisor     recordings of vehicles, the last moments of each
@@ -28,6 +29,7 @@ defmodule Aerie.Gateway do
   | Recorder.Supervisor | rings, what was not written; then as above                      | signing, bridge, store         |
   | Signing.Supervisor | nothing: time stamps were stored; then as above                  | bridge, store                  |
   | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
+  | Bridge.Memory      | nothing: what it keeps is on the disk; then as above             | store                          |
   | PubSub             | notices of one tick, then as above                                | store                          |
   | Store              | the snapshots and the journal's unacknowledged events; then all   | nothing                        |
 
@@ -92,6 +94,7 @@ defmodule Aerie.Gateway do
       [
         {Aerie.Fleet.Store, gateway: name, config: config},
         {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
+        {Aerie.Bridge.Memory, gateway: name, config: config},
         {Aerie.Bridge.Supervisor, gateway: name, config: config},
         {Aerie.Signing.Supervisor, gateway: name, config: config},
         {Aerie.Recorder.Supervisor, gateway: name, config: config},

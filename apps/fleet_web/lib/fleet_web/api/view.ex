@@ -36,6 +36,7 @@ defmodule FleetWeb.API.View do
 
     %{
       timestamp: Float.round(now / 1_000_000, 3),
+      epoch: Journal.epoch(gateway),
       vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle(vehicle, by_id, now)),
       links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
       nats: nats(Aerie.Bridge.info(gateway)),
@@ -90,7 +91,10 @@ defmodule FleetWeb.API.View do
     shown = if options[:since], do: Enum.take(found, limit), else: Enum.take(found, -limit)
 
     if found != [] or vehicle == :all or Store.vehicle(gateway, vehicle) != nil,
-      do: %{events: Enum.map(shown, &Message.event_object/1), more: length(found) > limit}
+      do: %{
+        events: Enum.map(shown, &Message.event_object(&1, Journal.epoch(gateway))),
+        more: length(found) > limit
+      }
   end
 
   defp collision(nil), do: nil

@@ -44,6 +44,7 @@ defmodule Aerie.Bridge.Events do
     state = %{
       gateway: gateway,
       environment: config.environment,
+      epoch: Fleet.Journal.epoch(gateway),
       tables: Tables.get(gateway),
       settings: config.outbox,
       spill_above: min(@spill_above, div(Fleet.Journal.max_pending(config), 4)),

@@ -11,7 +11,7 @@ defmodule Aerie.Bridge.State do
   use GenServer
 
   alias Aerie.Bridge.{Connection, Message, Tables}
-  alias Aerie.{Config, Names}
+  alias Aerie.{Config, Fleet, Names}
 
   @max_subjects 100_000
   @look_again_ms 1_000
@@ -25,11 +25,12 @@ defmodule Aerie.Bridge.State do
   @doc "Leaves a message to be published. Never waits for NATS."
   @spec put(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   def put(gateway, vehicle, group, map, at) do
-    with %{values: values} = tables <- Tables.get(gateway), {pid, environment} <- publisher(gateway) do
+    with %{values: values} = tables <- Tables.get(gateway),
+         {pid, {environment, epoch}} <- publisher(gateway) do
       {data, time_boot_ms} = parts(map)
       group = Atom.to_string(group)
       subject = Message.state_subject(environment, vehicle, group)
-      body = Message.state(vehicle, group, data, time_boot_ms, at)
+      body = Message.state(vehicle, group, data, time_boot_ms, at, epoch)
 
       if leave(tables, values, {subject, body, "state." <> group}) and
            :ets.insert_new(values, {{:dirty, subject}}) do
@@ -45,7 +46,7 @@ defmodule Aerie.Bridge.State do
 
   defp publisher(gateway) do
     case Registry.lookup(Aerie.Registry, {gateway, :bridge_state, nil}) do
-      [{pid, environment}] when is_binary(environment) -> {pid, environment}
+      [{pid, {_environment, _epoch} = value}] -> {pid, value}
       _ -> nil
     end
   end
@@ -77,7 +78,7 @@ defmodule Aerie.Bridge.State do
     gateway = options[:gateway]
     Process.set_label({:bridge_state, gateway})
     tables = Tables.get(gateway)
-    Names.put_value(gateway, :bridge_state, options[:config].environment)
+    Names.put_value(gateway, :bridge_state, {options[:config].environment, Fleet.Journal.epoch(gateway)})
     current = Connection.current(tables)
     conn = current && current.conn
     {:ok, sweep(%{tables: tables, conn: conn, last_conn: conn})}

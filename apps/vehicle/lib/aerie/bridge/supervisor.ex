@@ -33,7 +33,8 @@ defmodule Aerie.Bridge.Supervisor do
     children = if options[:config].nats.mode == :embedded, do: [{Server, options}], else: []
 
     children =
-      [{Tables, gateway: options[:gateway]} | children] ++
+      [{Tables, gateway: options[:gateway]}] ++
+        children ++
         [{Connection, options}, {State, options}, {Events, options}]
 
     # A client or server that misbehaves is met with pauses of its own; this bounds what nobody thought of.

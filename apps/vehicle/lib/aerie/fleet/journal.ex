@@ -21,7 +21,7 @@ defmodule Aerie.Fleet.Journal do
       {{:state, vehicle}, term}         {{:inbox, vehicle, n}, term}       {{:inbox_last, vehicle}, n}
       {{:pending, n}, event}            {{:id, event_id}, n}               {{:recent, vehicle, seq}, event}
       {{:param, vehicle, name}, value}  {{:params, vehicle}, count}        {:last_pending, n}
-      {{:gone, n}, vehicle}             {:max_pending, n}
+      {{:gone, n}, vehicle}             {:max_pending, n}                  {:epoch, n}
   """
 
   alias Aerie.{Fleet, Names}
@@ -72,6 +72,38 @@ defmodule Aerie.Fleet.Journal do
   @spec state(Names.gateway(), String.t()) :: term() | nil
   def state(gateway, vehicle) do
     Fleet.Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, {:state, vehicle}, 2, nil))
+  end
+
+  @doc "Parts of all committed states: `[vehicle | parts]` of each that matches an ETS pattern, whose variables begin with `$2`."
+  @spec states(Names.gateway(), term()) :: [[term()]]
+  def states(gateway, pattern) do
+    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+      :ets.select(table, [{{{:state, :"$1"}, pattern}, [], [:"$$"]}])
+    end)
+  end
+
+  @doc "The vehicles that have unacknowledged events."
+  @spec waiting(Names.gateway()) :: MapSet.t(String.t())
+  def waiting(gateway) do
+    pattern = {{:pending, :_}, %{vehicle: :"$1"}}
+
+    gateway
+    |> Fleet.Store.with_table(:journal, [], &:ets.select(&1, [{pattern, [], [:"$1"]}]))
+    |> MapSet.new()
+  end
+
+  @doc "The number of this life of the journal, in which events are numbered from 1; nil as long as nobody gave it one."
+  @spec epoch(Names.gateway()) :: pos_integer() | nil
+  def epoch(gateway) do
+    Fleet.Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, :epoch, 2, nil))
+  end
+
+  @doc "Gives this life its number, unless it has one, and gives the one that it has."
+  @spec epoch(Names.gateway(), pos_integer()) :: pos_integer()
+  def epoch(gateway, new) do
+    table = Fleet.Store.table!(gateway, :journal)
+    _ = :ets.insert_new(table, {:epoch, new})
+    :ets.lookup_element(table, :epoch, 2)
   end
 
   @doc "The value remembered for a vehicle's parameter: `{:ok, value}` or `:error`."

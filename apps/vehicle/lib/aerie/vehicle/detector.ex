@@ -28,7 +28,8 @@ defmodule Aerie.Vehicle.Detector do
   With any of them may come `events.suppressed`: there is a budget for each type (`Detector.Budget`).
 
   A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
-  event; except for a battery that is found low, and a failsafe, which is marked as found.
+  event; except for a battery that is found low, a failsafe, which is marked as found, and what changed while the gateway was
+  not there (`Detector.Found`).
   """
 
   import Bitwise
@@ -62,6 +63,7 @@ defmodule Aerie.Vehicle.Detector do
     lost: false,
     boot_at: nil,
     collision: nil,
+    found: nil,
     budget: Detector.Budget.new()
   ]
 
@@ -91,6 +93,7 @@ defmodule Aerie.Vehicle.Detector do
           lost: boolean(),
           boot_at: integer() | nil,
           collision: integer() | nil,
+          found: Detector.Found.t(),
           budget: Detector.Budget.t()
         }
 
@@ -125,6 +128,10 @@ defmodule Aerie.Vehicle.Detector do
       battery_critical: options.battery_critical
     }
   end
+
+  @doc "What was told of the vehicle before the gateway was started, to be compared with what is found (`Detector.Found`)."
+  @spec remember(t(), Detector.Found.t()) :: t()
+  def remember(detector, found), do: %{detector | found: found}
 
   @doc "What of a vehicle's state the detector looks at. Equal digests need not be observed twice."
   @spec digest(State.t()) :: map()
@@ -198,8 +205,9 @@ defmodule Aerie.Vehicle.Detector do
     where = beside[:where]
     last = detector.last
     now = Map.merge(last, Map.reject(digest, fn {_key, value} -> is_nil(value) end))
-    steps = Detector.Changes.events(last, Map.merge(now, beside), detector, at)
-    {detector, events} = emit(%{detector | last: now}, steps, at, boot_ms, where)
+    {found, missed} = Detector.Found.steps(detector.found, now, at)
+    steps = missed ++ Detector.Changes.events(last, Map.merge(now, beside), detector, at)
+    {detector, events} = emit(%{detector | last: now, found: found}, steps, at, boot_ms, where)
     {detector, losses} = Losses.changed(detector, last, now, at)
     {detector, lost} = emit(detector, losses, at, boot_ms, where)
 

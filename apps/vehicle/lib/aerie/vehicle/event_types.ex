@@ -18,6 +18,11 @@ defmodule Aerie.Vehicle.EventTypes do
 
   @mode {"mode", :string, nil, "its mode then"}
   @text {"text", :string, nil, "what the vehicle said"}
+  @found [
+    {"found", :boolean, nil,
+     "true: it happened while the gateway was not there, and was found when it came back"},
+    {"since", :string, nil, "of what was found: when the former value still held"}
+  ]
   @failsafe_types "`rc`, `gcs`, `battery`, `fence`, `gps`, `position`, `ekf`, `offboard`, `terrain`, `vibration`, `leak`, `crash`, `unknown`"
 
   table = [
@@ -26,17 +31,19 @@ defmodule Aerie.Vehicle.EventTypes do
        @mode,
        {"reason", :string, nil,
         "who or what armed it, where the vehicle says so: command_external, rc_switch …"}
+       | @found
      ]},
     {"disarmed", "it is disarmed", "as armed",
      [
        @mode,
        {"reason", :string, nil, "as of armed: landing, kill_switch, command_external …"}
+       | @found
      ]},
     {"mode_change", "its mode changes, by whomever", "HEARTBEAT, HIGH_LATENCY2",
-     [{"from", :string, nil, "the mode before"}, {"to", :string, nil, "the mode now"}]},
+     [{"from", :string, nil, "the mode before"}, {"to", :string, nil, "the mode now"} | @found]},
     {"takeoff", "it leaves the ground",
-     "EXTENDED_SYS_STATE; without it ArduPilot's system status, or its height", [@mode]},
-    {"landed", "it is back on the ground", "as takeoff", [@mode]},
+     "EXTENDED_SYS_STATE; without it ArduPilot's system status, or its height", [@mode | @found]},
+    {"landed", "it is back on the ground", "as takeoff", [@mode | @found]},
     {"failsafe", "the vehicle takes measures of its own, or is found doing so",
      "whichever is first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle chooses",
      [
@@ -189,6 +196,15 @@ defmodule Aerie.Vehicle.EventTypes do
      [
        {"by", :string, nil, "the vehicle that has its place"},
        {"lost_s", :number, "s", "for how long it was lost"}
+     ]},
+    {"gateway.started", "a gateway begins; `vehicle` is the gateway's name",
+     "its start; what its last life left on the disk",
+     [
+       {"version", :string, nil, "of the gateway"},
+       {"previous_epoch", :integer, nil, "the epoch of its last life, null where none is known"},
+       {"ended", :string, nil, "how that one ended: orderly, killed"},
+       {"vehicles", :list, nil,
+        "those whose state was kept: what changed of them is told when they are heard"}
      ]},
     {"signing.rejected", "frames of it are refused", "signatures",
      [

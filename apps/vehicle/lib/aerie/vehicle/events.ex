@@ -26,10 +26,17 @@ defmodule Aerie.Vehicle.Events do
   def init(gateway: gateway, options: options) do
     Process.set_label({:events, options.id})
     Fleet.Journal.welcome(gateway, options.id)
-    detector = Fleet.Journal.state(gateway, options.id) || Vehicle.Detector.new(options)
+    detector = Fleet.Journal.state(gateway, options.id) || first(gateway, options)
     # A forerunner may have been killed before it told about what it had committed.
     Fleet.Journal.wake(gateway)
     {:ok, %{gateway: gateway, id: options.id, detector: detector}, {:continue, :inbox}}
+  end
+
+  # The first of this life: what the last one told is compared with what is found.
+  defp first(gateway, options) do
+    options
+    |> Vehicle.Detector.new()
+    |> Vehicle.Detector.remember(Aerie.Bridge.Memory.of(gateway, options.id))
   end
 
   @impl GenServer

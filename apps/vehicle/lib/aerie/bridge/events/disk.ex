@@ -2,7 +2,7 @@ defmodule Aerie.Bridge.Events.Disk do
   @moduledoc """
   The outbox of `Aerie.Bridge.Events`: opening it, moving events from the journal into it, forcing it to the disk.
 
-  Works on that process's state: `gateway`, `environment`, `settings` (the configuration's `outbox`), `outbox` (nil while it
+  Works on that process's state: `gateway`, `environment`, `epoch`, `settings` (the configuration's `outbox`), `outbox` (nil while it
   cannot be used), `problem` (what is wrong with it, said once in the log) and `synced_at`.
   """
 
@@ -75,7 +75,13 @@ defmodule Aerie.Bridge.Events.Disk do
   @spec record(map(), Event.t()) :: Outbox.Record.t()
   def record(state, event) do
     subject = Message.event_subject(state.environment, event)
-    %Outbox.Record{id: event.id, vehicle: event.vehicle, subject: subject, body: Message.event(event)}
+
+    %Outbox.Record{
+      id: event.id,
+      vehicle: event.vehicle,
+      subject: subject,
+      body: Message.event(event, state.epoch)
+    }
   end
 
   defp problem(state, reason) do

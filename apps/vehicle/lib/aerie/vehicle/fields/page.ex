@@ -38,12 +38,14 @@ defmodule Aerie.Vehicle.Fields.Page do
     - null is "not known"; a value that is not told any more stays and has an age.
     - `time` is ISO 8601 in UTC with milliseconds, by the gateway's clock; `time_boot_ms` the vehicle's own clock, milliseconds
       since its boot; `timestamp` unix time in seconds, of the answer itself; `age` seconds.
+    - `epoch` is the number of the gateway's life, greater with each start: another one means that it was started anew. An event's
+      `seq` begins at 1 in each epoch.
     - Numbers are rounded to the decimals that mean something when they are told, not before.
 
     | where | what |
     |---|---|
-    | NATS `fleet.{environment}.{vehicle}.state.{group}` | `vehicle`, `group`, `time`, `time_boot_ms`, `data`: a group below |
-    | NATS `fleet.{environment}.{vehicle}.event.{type}` | `id`, `vehicle`, `type`, `seq`, `time`, `time_boot_ms`, `data`: an event below |
+    | NATS `fleet.{environment}.{vehicle}.state.{group}` | `vehicle`, `group`, `epoch`, `time`, `time_boot_ms`, `data`: a group below |
+    | NATS `fleet.{environment}.{vehicle}.event.{type}` | `id`, `vehicle`, `type`, `epoch`, `seq`, `time`, `time_boot_ms`, `data`: an event below |
     | `GET /api/vehicles/ID` | `groups`: each with `time`, `age`, `time_boot_ms`, `data`; and the vehicle itself |
     | `GET /api/vehicles/ID/events`, `GET /api/events` | the latest events, each as in NATS |
     | `state.sock`, `GET /api/status` | of some groups the fields that most want, with `ages` |

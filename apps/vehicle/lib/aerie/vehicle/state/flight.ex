@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.State.Flight do
   2. EXTENDED_SYS_STATE says it, if it came within the last five seconds and knows.
   3. ArduPilot's heartbeat says it: ACTIVE is flying, STANDBY is not (and in a failsafe neither is said).
   4. Else by height: above 1.5 m it flies; below 0.5 m with less than 0.3 m/s it does not; in between it is what it was.
-     A vehicle that is not armed does not fly.
+     A vehicle that is not armed does not fly. Without a height it is not known.
   """
 
   alias Aerie.Vehicle.{Kind, State}
@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.State.Flight do
   @on_ground 1
   @airborne [2, 3, 4]
 
-  @doc "Whether it flies as of now, `:same` when that is what the state says already. Nil before the first heartbeat."
+  @doc "Whether it flies as of now, `:same` when that is what the state says already. Nil as long as it is not known."
   @spec in_air(State.t(), integer()) :: boolean() | nil | :same
   def in_air(state, at) do
     mode = State.data(state, :mode)
@@ -51,7 +51,7 @@ defmodule Aerie.Vehicle.State.Flight do
     sinking = State.data(state, :velocity).vd
 
     cond do
-      height == nil -> mode.in_air || false
+      height == nil -> mode.in_air
       height > @up_m -> true
       height < @down_m and abs(sinking || 0.0) < @still_m_s -> false
       true -> mode.in_air || false

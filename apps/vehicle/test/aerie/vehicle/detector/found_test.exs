@@ -1,0 +1,67 @@
+defmodule Aerie.Vehicle.Detector.FoundTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.Detector
+
+  @minute 60_000_000
+  @since 1_795_213_361_000_000
+
+  defp detector(found),
+    do: %{id: "V", battery_low: 0.2, battery_critical: 0.1} |> Detector.new() |> Detector.remember(found)
+
+  defp run(found, digests, after_us \\ @minute) do
+    {_detector, events} =
+      Enum.reduce(digests, {detector(found), []}, fn digest, {detector, events} ->
+        {detector, new, %{}} = Detector.observe(detector, {:state, @since + after_us, nil, digest})
+        {detector, events ++ new}
+      end)
+
+    for event <- events, do: {event.type, Map.drop(event.data, ["since", "mode"])}
+  end
+
+  defp flying, do: %{mode: "AUTO", armed: true, in_air: true, since: @since}
+
+  test "what changed while nobody looked is told once, as found, in the order of things" do
+    here = %{mode: "LAND", armed: false, in_air: false}
+
+    assert run(flying(), [here, here]) == [
+             {"mode_change", %{"from" => "AUTO", "to" => "LAND", "found" => true}},
+             {"landed", %{"found" => true}},
+             {"disarmed", %{"found" => true}}
+           ]
+
+    assert run(Map.put(here, :since, @since), [%{mode: "LAND", armed: true, in_air: true}]) == [
+             {"armed", %{"found" => true}},
+             {"takeoff", %{"found" => true}}
+           ]
+  end
+
+  test "when the former value still held stands with it" do
+    observation = {:state, @since + @minute, nil, %{armed: false}}
+    {_, [event], _} = %{armed: true, since: @since} |> detector() |> Detector.observe(observation)
+    assert event.data["since"] == "2026-11-20T22:22:41.000Z"
+    assert event.seq == 1
+  end
+
+  test "the same as before is nothing, and what changes from then on was seen" do
+    here = %{mode: "AUTO", armed: true, in_air: true}
+
+    assert run(flying(), [here, %{here | mode: "RTL"}]) == [
+             {"mode_change", %{"from" => "AUTO", "to" => "RTL"}}
+           ]
+  end
+
+  test "a part is compared when it is first known, not taken for false before that" do
+    here = %{mode: "AUTO", armed: true, in_air: nil}
+    assert run(flying(), [here, %{in_air: true}]) == []
+    assert run(flying(), [here, %{in_air: false}]) == [{"landed", %{"found" => true}}]
+    assert run(%{armed: true, since: @since}, [%{mode: "AUTO", armed: true, in_air: false}]) == []
+  end
+
+  test "nothing is found from nothing, from what is too old, or from a later time" do
+    here = %{mode: "LAND", armed: false, in_air: false}
+    assert run(nil, [here]) == []
+    assert run(flying(), [here], 61 * @minute) == []
+    assert run(flying(), [here], -@minute) == []
+  end
+end

@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.MixProject do
   def application do
     [
       mod: {Aerie.Application, []},
-      extra_applications: [:logger, :crypto, :ssl, :fast_yaml] ++ test_applications(Mix.env())
+      extra_applications: [:logger, :crypto, :ssl, :fast_yaml, :cowlib] ++ test_applications(Mix.env())
     ]
   end
 

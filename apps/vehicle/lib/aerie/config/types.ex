@@ -36,7 +36,7 @@ defmodule Aerie.Config.Types do
   @spec link_url() :: Field.type()
   def link_url do
     {:parse, &parse_link_url/1,
-     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, DEVICE,BAUD, serial:auto or replay:FILE"}
+     "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, ws://HOST/PATH, DEVICE,BAUD, serial:auto or replay:FILE"}
   end
 
   @doc "The name of a host, without a port. Gives the text in lower case."
@@ -125,8 +125,9 @@ defmodule Aerie.Config.Types do
   @spec parse_link_url(String.t()) :: {:ok, String.t()} | {:error, String.t()}
   def parse_link_url(text) do
     case Spec.parse(text) do
-      {:ok, spec} ->
-        {:ok, spec.text}
+      # As it was given: its text leaves out what only a server should see.
+      {:ok, _spec} ->
+        {:ok, String.trim(text)}
 
       {:error, error} ->
         {:error, Enum.join(["#{error.expected} (#{error.reason})" | List.wrap(error.hint)], "; ")}

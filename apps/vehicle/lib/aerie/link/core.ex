@@ -36,6 +36,7 @@ defmodule Aerie.Link.Core do
   | `{:emit, event, measurements, metadata}` | a telemetry event below `[:aerie, :link]` |
   | `:publish` | the snapshot changed, and by whom the link can be written to may have |
   | `:show` | only what the snapshot shows changed |
+  | `{:warn, text}` | a line for the log |
   | `:sniff` | bytes come but no frames: find out what they are |
   | `:relinked` | connected again: its vehicles' streams are to be asked for |
   | `:settled` | the first attempt had its outcome |
@@ -46,6 +47,7 @@ defmodule Aerie.Link.Core do
   alias Aerie.HostClock
   alias Aerie.Link.Backoff
   alias Aerie.Link.Counters
+  alias Aerie.Link.Damage
   alias Aerie.Link.Peers
   alias Aerie.Link.Rates
   alias Aerie.Link.Reason
@@ -80,6 +82,7 @@ defmodule Aerie.Link.Core do
     :found,
     :sniff_at,
     :overload,
+    :damage,
     diagnosis: [],
     phase: :idle,
     backoff: Backoff.new(),
@@ -117,6 +120,7 @@ defmodule Aerie.Link.Core do
       spec: spec,
       peers: Peers.new(framing, options[:max_peers] || 256, options[:parser] || []),
       counters: options[:counters] || %Counters{},
+      damage: Damage.new(options[:counters] || %Counters{}),
       seed: :rand.seed_s(:exsss, :erlang.phash2(options[:seed])),
       idle_ms: options[:idle_ms] || 10_000,
       silent_ms: options[:silent_ms] || @silent_ms,
@@ -420,7 +424,9 @@ defmodule Aerie.Link.Core do
     seen = {counters, map_size(core.peers.map), Snapshot.text(core, mono)}
     moving? = Enum.any?(Rates.per_second(core.rates), fn {_name, rate} -> rate != 0.0 end)
     actions = if moving? or seen != core.sampled, do: [:show], else: []
-    {%{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen}, actions}
+    {words, damage} = Damage.look(core.damage, counters, mono)
+    core = %{core | rates: Rates.sample(core.rates, counters, mono), sampled: seen, damage: damage}
+    {core, if(words, do: [{:warn, words} | actions], else: actions)}
   end
 
   @doc "Something that the snapshot shows, and that is not known here, changed: it is shown at the next tick."

@@ -302,6 +302,11 @@ defmodule Aerie.Link.Server do
   defp act({:drop, _peer}, %{conn: nil} = state), do: state
   defp act({:drop, peer}, state), do: %{state | conn: state.transport.drop(state.conn, peer)}
 
+  defp act({:warn, text}, state) do
+    Logger.warning("link #{state.spec.id}: #{text}")
+    state
+  end
+
   defp act({:emit, event, measurements, metadata}, state) do
     if event == :overload do
       Logger.warning(

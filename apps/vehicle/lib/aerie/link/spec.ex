@@ -11,6 +11,7 @@ defmodule Aerie.Link.Spec do
   | `udpbcast:ADDRESS:PORT` | `:udp_client` | sends to a broadcast address until one answers, then to that one |
   | `tcp:HOST:PORT` | `:tcp_client` | connects, and again after every fault |
   | `tcpin:HOST:PORT` | `:tcp_server` | accepts many |
+  | `ws://HOST/PATH`, `wss://HOST:PORT/PATH` | `:websocket` | calls a WebSocket server that sends raw MAVLink in binary messages; port 80 and 443 unless said |
   | `DEVICE` or `DEVICE,BAUD` | `:serial` | a serial port, 115200 baud unless said |
   | `serial:DEVICE` | `:serial` | a serial port whose baud rate is found by listening |
   | `serial:auto` | `:serial` | the first serial port with a vehicle behind it (`Aerie.Link.Serial.Detector`) |
@@ -22,6 +23,9 @@ defmodule Aerie.Link.Spec do
   Those that are found by listening take `?bauds=57600,921600` (candidates instead of the usual ones), and `serial:auto` takes
   `&ports=/dev/ttyAMA0,/dev/ttyUSB3` (looked at first) and `&only=true` (no others).
 
+  A WebSocket's URL may have a query of its own; what is not listed here is left to the server, and shown to nobody. `wss` takes
+  `&ca=FILE`, certificate authorities (PEM) instead of the system's.
+
   Every string takes `?network=NAME` (whose system ids it shares, default `"main"`) and `&id=NAME` (the identity of
   the link, default: the string without its options). `&secure=true` says that nobody but the two ends can hear or
   reach it (USB, a cable of its own, loopback): a vehicle may be given its signing key there and is believed unsigned. It
@@ -32,7 +36,7 @@ defmodule Aerie.Link.Spec do
   alias Aerie.Link.Spec.Address
   alias Aerie.Link.Spec.Error
 
-  @kinds [:udp_server, :udp_client, :tcp_client, :tcp_server, :serial, :replay]
+  @kinds [:udp_server, :udp_client, :tcp_client, :tcp_server, :websocket, :serial, :replay]
 
   @enforce_keys [:id, :kind, :text]
   defstruct [
@@ -45,6 +49,9 @@ defmodule Aerie.Link.Spec do
     :file,
     :detect,
     :bauds,
+    :ca,
+    path: "/",
+    tls: false,
     ports: [],
     only: false,
     network: "main",
@@ -55,12 +62,13 @@ defmodule Aerie.Link.Spec do
     options: %{}
   ]
 
-  @type kind :: :udp_server | :udp_client | :tcp_client | :tcp_server | :serial | :replay
+  @type kind :: :udp_server | :udp_client | :tcp_client | :tcp_server | :websocket | :serial | :replay
 
   @typedoc """
   - `id`: identity of the link, unique in a gateway; it outlives restarts and reconnections
   - `text`: the connection string as given
   - `host`, `port`: UDP and TCP; a host that is a string is a name still to be resolved
+  - `path` (with the query), `tls`, `ca`: WebSocket
   - `device`, `baud`: serial; `detect` is what is found by listening, nil for neither, `:baud`, or `:port` for both
   - `bauds`, `ports`, `only`: candidates for that, nil and none unless said
   - `file`, `speed` (factor of real time, or `:max`), `loop`: replay
@@ -74,6 +82,9 @@ defmodule Aerie.Link.Spec do
           network: String.t(),
           host: :inet.ip_address() | String.t() | nil,
           port: :inet.port_number() | nil,
+          path: String.t(),
+          tls: boolean,
+          ca: Path.t() | nil,
           device: String.t() | nil,
           baud: pos_integer,
           detect: nil | :baud | :port,
@@ -94,15 +105,19 @@ defmodule Aerie.Link.Spec do
     {"udpbcast:", :udp_broadcast, "udpbcast:ADDRESS:PORT", "udpbcast:192.168.1.255:14550"},
     {"tcp:", :tcp_client, "tcp:HOST:PORT", "tcp:127.0.0.1:5760"},
     {"tcpin:", :tcp_server, "tcpin:HOST:PORT", "tcpin:0.0.0.0:5760"},
+    {"ws://", :websocket, "ws://HOST[:PORT][/PATH]", "ws://192.168.1.20:8765/"},
+    {"wss://", :websocket, "wss://HOST[:PORT][/PATH]", "wss://agent.example.org/mavlink"},
     {"replay:", :replay, "replay:FILE?speed=N|max", "replay:flight.tlog?speed=max"},
     {"serial:", :serial, "serial:auto, serial:DEVICE or serial:DEVICE,BAUD", "serial:auto"}
   ]
   @serial_form "DEVICE or DEVICE,BAUD"
   @serial_example "/dev/ttyACM0,115200"
-  @any_form "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, replay:FILE, DEVICE,BAUD or serial:auto"
-  @foreign ~w(udp:// udpin:// udpout:// tcp:// tcpin:// tcpout:// serial:// file: http:// https:// ws://)
+  @any_form "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, ws://HOST/PATH, replay:FILE, DEVICE,BAUD or serial:auto"
+  @foreign ~w(udp:// udpin:// udpout:// tcp:// tcpin:// tcpout:// serial:// file: http:// https://)
   @rates 50..20_000_000
   @max_candidates 20
+  # Options of every string.
+  @common ~w(network id secure gcs)
   @name ~r/\A[A-Za-z0-9_-]{1,64}\z/
 
   @doc "The kinds of links there are."
@@ -130,13 +145,16 @@ defmodule Aerie.Link.Spec do
          :ok <- not_foreign(trimmed),
          {body, query} = split_query(trimmed),
          form = form(body),
+         {query, foreign} = foreign(query, form),
          {:ok, options} <- options(query, form, text),
-         {:ok, fields} <- fields(form, body, text),
+         {:ok, fields} <- fields(form, body <> foreign, text),
          {:ok, named} <- named(options, overrides, body, form, text) do
       fields =
-        fields |> Map.merge(Map.take(options, [:speed, :loop, :bauds, :ports, :only])) |> Map.merge(named)
+        fields
+        |> Map.merge(Map.take(options, [:speed, :loop, :bauds, :ports, :only, :ca]))
+        |> Map.merge(named)
 
-      spec = struct!(__MODULE__, Map.put(fields, :text, trimmed))
+      spec = struct!(__MODULE__, Map.put(fields, :text, shown(trimmed, body, query, foreign)))
 
       case secure(spec) do
         :ok ->
@@ -217,6 +235,23 @@ defmodule Aerie.Link.Spec do
     end
   end
 
+  # Of a WebSocket's query what is not ours is the server's.
+  defp foreign(query, {_prefix, :websocket, _form, _example}) do
+    {ours, theirs} =
+      query
+      |> String.split("&", trim: true)
+      |> Enum.split_with(&(hd(String.split(&1, "=")) in (@common ++ ["ca"])))
+
+    {Enum.join(ours, "&"), if(theirs == [], do: "", else: "?" <> Enum.join(theirs, "&"))}
+  end
+
+  defp foreign(query, _form), do: {query, ""}
+
+  # What a server wants to be told may be a password.
+  defp shown(text, _body, _query, ""), do: text
+  defp shown(_text, body, "", _foreign), do: body <> "?…"
+  defp shown(_text, body, query, _foreign), do: body <> "?…&" <> query
+
   defp form(body) do
     Enum.find(@forms, fn {prefix, _kind, _form, _example} -> String.starts_with?(body, prefix) end)
   end
@@ -241,6 +276,18 @@ defmodule Aerie.Link.Spec do
     end
   end
 
+  defp fields({prefix, :websocket, expected, example}, body, text) do
+    {authority, path} = body |> String.replace_prefix(prefix, "") |> authority()
+
+    with :ok <- nobody(authority),
+         :ok <- path(path),
+         {:ok, host, port} <- Address.parse(with_port(authority, prefix), false) do
+      {:ok, %{kind: :websocket, host: host, port: port, path: path, tls: prefix == "wss://"}}
+    else
+      {:error, reason} -> error(text, reason, expected, example)
+    end
+  end
+
   defp fields({prefix, kind, expected, example}, body, text) do
     server? = kind in [:udp_server, :tcp_server]
 
@@ -256,6 +303,32 @@ defmodule Aerie.Link.Spec do
       [device, baud] -> serial_fields(device, baud, text)
       _more -> error(text, "there are too many commas", @serial_form, @serial_example)
     end
+  end
+
+  defp authority(rest) do
+    case String.split(rest, ~r{(?=[/?])}, parts: 2) do
+      [authority] -> {authority, "/"}
+      [authority, "?" <> _ = query] -> {authority, "/" <> query}
+      [authority, path] -> {authority, path}
+    end
+  end
+
+  defp nobody(authority) do
+    if authority =~ "@", do: {:error, "a login is not possible in it"}, else: :ok
+  end
+
+  defp path(path) do
+    cond do
+      path =~ "#" -> {:error, "a WebSocket's URL has no fragment (#)"}
+      path =~ ~r/\A[!-~]*\z/ -> :ok
+      true -> {:error, "its path has characters that are written with % in a URL"}
+    end
+  end
+
+  defp with_port(authority, prefix) do
+    if authority == "" or authority =~ ~r/:[^\]]*\z/,
+      do: authority,
+      else: authority <> if(prefix == "wss://", do: ":443", else: ":80")
   end
 
   defp address_fields(:udp_broadcast, host, port) do
@@ -346,6 +419,8 @@ defmodule Aerie.Link.Spec do
   defp option("only", value, {_prefix, :serial, _expected, _example}) when value in ["true", "false"] do
     {:ok, :only, value == "true"}
   end
+
+  defp option("ca", file, {"wss://", _kind, _expected, _example}) when file != "", do: {:ok, :ca, file}
 
   defp option("secure", value, _form) when value in ["true", "false"], do: {:ok, :secure, value == "true"}
 

@@ -117,6 +117,7 @@ defmodule Aerie.Link.Transport do
     udp_client: __MODULE__.UdpClient,
     tcp_client: __MODULE__.TcpClient,
     tcp_server: __MODULE__.TcpServer,
+    websocket: __MODULE__.WebSocket,
     serial: __MODULE__.Serial,
     replay: __MODULE__.Replay
   }

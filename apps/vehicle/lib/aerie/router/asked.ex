@@ -114,9 +114,12 @@ defmodule Aerie.Router.Asked do
     end
   end
 
-  defp id(<<0xFD, _length_to_component::6-binary, id::24-little, _::binary>>), do: id
-  defp id(<<0xFE, _length_to_component::4-binary, id, _::binary>>), do: id
-  defp id(_to_be_signed), do: nil
+  defp id(frame) do
+    case Frame.header(frame) do
+      {:ok, _header, _payload, _total, id, _system} -> id
+      _to_be_signed -> nil
+    end
+  end
 
   @doc "The next frame."
   @spec peek(t) :: binary

@@ -52,6 +52,17 @@ defmodule Aerie.Link.PymavlinkTest do
     all_there(c, id, peer)
   end
 
+  test "we call pymavlink by WebSocket", c do
+    port = reserved_port()
+    peer = start("mavlink_peer.py", ["wsserver:127.0.0.1:#{port}", "7", "#{@count}", "wait"])
+    await(peer, "connected")
+    {id, _} = add_link(c.gateway, "ws://127.0.0.1:#{port}")
+    eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
+    :ok = Router.broadcast(c.gateway, heartbeat(245, @hello))
+    assert await(peer, "heard ") == "HEARTBEAT 245 191"
+    all_there(c, id, peer)
+  end
+
   test "pymavlink calls us by TCP", c do
     {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0")
     all_there(c, id, start("mavlink_peer.py", ["tcp:127.0.0.1:#{port}", "7", "#{@count}"]))

@@ -24,6 +24,38 @@ defmodule Aerie.Link.SpecTest do
       assert {:ok, %{kind: :tcp_server, host: {0, 0, 0, 0, 0, 0, 0, 0}}} = Spec.parse("tcpin:[::]:0")
     end
 
+    test "WebSocket: a URL, with its own query and ours" do
+      assert {:ok, %{kind: :websocket, host: {10, 0, 0, 7}, port: 80, path: "/", tls: false}} =
+               Spec.parse("ws://10.0.0.7")
+
+      assert {:ok, spec} =
+               Spec.parse("wss://agent.example.org:8443/mavlink?token=a&network=north&x=1&ca=/etc/ca.pem")
+
+      assert %{kind: :websocket, host: "agent.example.org", port: 8443, tls: true, network: "north"} = spec
+
+      assert %{path: "/mavlink?token=a&x=1", ca: "/etc/ca.pem", id: "wss://agent.example.org:8443/mavlink"} =
+               spec
+
+      # The server's part may be a password.
+      assert spec.text == "wss://agent.example.org:8443/mavlink?…&network=north&ca=/etc/ca.pem"
+      assert {:ok, %{host: {0, 0, 0, 0, 0, 0, 0, 1}, port: 443, path: "/?a"}} = Spec.parse("wss://[::1]?a")
+
+      for {wrong, why} <- [
+            {"ws://", "host and port are missing"},
+            {"ws://:8765/", "host is missing"},
+            {"ws://me:secret@host/", "a login is not possible"},
+            {"ws://host:0/", "is no port"},
+            {"ws://host/a b", "its path has characters"},
+            {"ws://host/#top", "no fragment"},
+            {"ws://host/?ca=/etc/ca.pem", "is no option"},
+            {"ws://host/?network=a b", "is no network"},
+            {"http://host/", "another program's form"}
+          ] do
+        assert {:error, %Spec.Error{} = error} = Spec.parse(wrong)
+        assert Exception.message(error) =~ why
+      end
+    end
+
     test "a server's empty host is every IPv4 address, its port 0 any free one" do
       assert {:ok, %{host: {0, 0, 0, 0}, port: 0}} = Spec.parse("udpin::0")
       assert {:error, _} = Spec.parse("udpout::14550")

@@ -16,6 +16,7 @@ defmodule Aerie.Config.Keys.Links do
       The physical ways to vehicles. url is a connection string as pymavlink has them:
         udpin:HOST:PORT   listen for UDP          udpout:HOST:PORT  send UDP to
         tcpin:HOST:PORT   listen for TCP          tcp:HOST:PORT     connect by TCP
+        ws://HOST/PATH    call a WebSocket server, wss:// over TLS (?ca=FILE: its authority)
         DEVICE,BAUD       serial port             replay:FILE.tlog  a recording
         serial:DEVICE     serial port whose baud rate is found by listening
         serial:auto       the first serial port that a vehicle is heard on (see serial)

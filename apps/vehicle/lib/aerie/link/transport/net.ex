@@ -221,11 +221,14 @@ defmodule Aerie.Link.Transport.Net do
   @spec tcp_write(:gen_tcp.socket(), iodata) :: :ok | :busy | {:error, term}
   def tcp_write(socket, bytes) do
     case :inet.getstat(socket, [:send_pend]) do
-      {:ok, [send_pend: waiting]} when waiting > @send_limit -> :busy
-      {:ok, _room} -> :gen_tcp.send(socket, bytes)
+      {:ok, [send_pend: waiting]} -> if room?(waiting), do: :gen_tcp.send(socket, bytes), else: :busy
       {:error, reason} -> {:error, reason}
     end
   end
+
+  @doc "Whether a connection in which so many bytes wait takes more."
+  @spec room?(non_neg_integer) :: boolean
+  def room?(waiting), do: waiting <= @send_limit
 
   @doc """
   Closes a TCP socket at once. What waits for a peer that does not read is given up: closing would else wait for it.

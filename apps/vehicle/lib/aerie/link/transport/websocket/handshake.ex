@@ -1,0 +1,70 @@
+defmodule Aerie.Link.Transport.WebSocket.Handshake do
+  @moduledoc "The request that makes a WebSocket of a connection, and whether the answer agrees (RFC 6455, section 4.1): pure."
+
+  alias Aerie.Link.Spec
+  alias Aerie.Link.Spec.Address
+
+  # Of a status line with its headers.
+  @max_bytes 16_384
+  @ports %{false => 80, true => 443}
+
+  @doc "The request for what a link's URL names; `key` is `:cow_ws.key/0`'s."
+  @spec request(Spec.t(), binary) :: iodata
+  def request(%Spec{} = spec, key) do
+    [
+      ["GET ", spec.path, " HTTP/1.1\r\nHost: ", host(spec), "\r\n"],
+      "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nUser-Agent: aerie\r\n",
+      ["Sec-WebSocket-Key: ", key, "\r\n\r\n"]
+    ]
+  end
+
+  defp host(%{host: host, port: port, tls: tls}) do
+    if port == @ports[tls],
+      do: String.replace_suffix(Address.format(host, port), ":#{port}", ""),
+      else: Address.format(host, port)
+  end
+
+  @doc "What has come of the answer: `{:ok, rest}` when it agrees, with what the server said after it; words for why not."
+  @spec answer(binary, key :: binary) :: {:ok, rest :: binary} | :more | {:error, String.t()}
+  def answer(bytes, key) do
+    case :binary.split(bytes, "\r\n\r\n") do
+      [head, rest] -> agrees(head <> "\r\n\r\n", rest, key)
+      [_all] when byte_size(bytes) > @max_bytes -> {:error, "the answer has no end"}
+      [_all] -> :more
+    end
+  end
+
+  defp agrees(head, rest, key) do
+    with {:ok, {:http_response, _version, status, words}, headers} <-
+           :erlang.decode_packet(:http_bin, head, []),
+         {:ok, headers} <- headers(headers, %{}) do
+      cond do
+        status != 101 -> {:error, "it answered #{status} #{printable(words)}#{elsewhere(headers)}"}
+        headers["sec-websocket-accept"] != :cow_ws.encode_key(key) -> {:error, "it is no WebSocket server"}
+        headers["sec-websocket-extensions"] != nil -> {:error, "it chose extensions that nobody offered"}
+        true -> {:ok, rest}
+      end
+    else
+      _no_http -> {:error, "it is no HTTP server"}
+    end
+  end
+
+  defp elsewhere(%{"location" => place}), do: " (#{printable(place)})"
+  defp elsewhere(_here), do: ""
+
+  defp headers(bytes, headers) do
+    case :erlang.decode_packet(:httph_bin, bytes, []) do
+      {:ok, {:http_header, _n, name, _raw, value}, rest} ->
+        headers(rest, Map.put(headers, name |> to_string() |> String.downcase(), value))
+
+      {:ok, :http_eoh, _rest} ->
+        {:ok, headers}
+
+      _broken ->
+        :error
+    end
+  end
+
+  # It goes into the log and onto a terminal.
+  defp printable(text), do: text |> String.slice(0, 200) |> String.replace(~r/[^ -~]/, "?")
+end

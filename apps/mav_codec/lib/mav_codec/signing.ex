@@ -14,7 +14,8 @@ defmodule MavCodec.Signing do
 
   The time must survive a restart even without a clock (S6). `save` is called with a time stamp that lies ahead, and
   again before it is reached, at least once per 30 s of time stamps; starting with the saved value as `stored` never uses
-  a time stamp twice.
+  a time stamp twice. It is called, too, when a stream is new or runs further ahead of the clock than it did: with `streams/1`
+  and `ahead/1` as they are then, `resumed/3` tells what may have been received before an end without notice.
 
   ## Safety
 
@@ -32,12 +33,16 @@ defmodule MavCodec.Signing do
   @epoch 142_007_040_000_000
   @minute 6_000_000
   @save_ahead div(@minute, 2)
+  # So much before it is reached it is stored anew: a disk takes its time.
+  @save_early 100_000
+  # How much further ahead a stream may run before that is stored.
+  @slack 20_000
   @max_streams 1024
   @radio_status 109
   @max_timestamp 0xFFFF_FFFF_FFFF
 
   @enforce_keys [:key, :link_id, :clock, :save, :accept_unsigned]
-  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}]
+  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}, ahead: %{}]
 
   @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
   @type timestamp :: 0..0xFFFF_FFFF_FFFF
@@ -51,7 +56,8 @@ defmodule MavCodec.Signing do
           accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
           timestamp: timestamp(),
           reserved: timestamp(),
-          streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()}
+          streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()},
+          ahead: %{optional({0..255, non_neg_integer(), 0..255}) => integer()}
         }
 
   @typedoc """
@@ -129,6 +135,31 @@ defmodule MavCodec.Signing do
   @spec streams(t()) :: %{optional(stream()) => timestamp()}
   def streams(%__MODULE__{streams: streams}), do: streams
 
+  @doc "How far each stream was ahead of the clock at most, in this life (10 us; negative: behind), and a little more."
+  @spec ahead(t()) :: %{optional(stream()) => integer()}
+  def ahead(%__MODULE__{ahead: ahead}), do: ahead
+
+  @doc """
+  The `:streams` to begin with after a life that ended without notice: time stamps that nothing received in it was above.
+
+  `streams` has the last time stamp and what `ahead/1` said of each (nil: unknown), `stored` is what `save` was given, all at
+  `at`. `now` is the clock (`at` and `now` in unix microseconds): a stream got no further than it was ahead of that, nor than
+  what was stored. With a clock that was set back meanwhile, the latter counts alone.
+  """
+  @spec resumed(%{optional(stream()) => {timestamp(), integer() | nil}}, timestamp(), {
+          at :: integer() | nil,
+          now :: integer()
+        }) :: %{optional(stream()) => timestamp()}
+  def resumed(streams, stored, {at, now}) do
+    Map.new(streams, fn
+      {stream, {last, ahead}} when ahead != nil and at != nil and now >= at ->
+        {stream, max(last, min(stored, units(now) + ahead))}
+
+      {stream, {last, _unknown}} ->
+        {stream, max(last, stored)}
+    end)
+  end
+
   @doc "A time stamp as unix microseconds."
   @spec to_unix(timestamp()) :: integer()
   def to_unix(timestamp) when is_integer(timestamp), do: (timestamp + @epoch) * 10
@@ -190,7 +221,19 @@ defmodule MavCodec.Signing do
       true ->
         streams = Map.put(signing.streams, stream, signature.timestamp)
         timestamp = max(signing.timestamp, signature.timestamp)
-        {:signed, reserve(%{signing | streams: streams, timestamp: timestamp})}
+        signing = reserve(%{signing | streams: streams, timestamp: timestamp})
+        {:signed, ahead(signing, stream, signature.timestamp - now(signing))}
+    end
+  end
+
+  defp ahead(%{ahead: ahead} = signing, stream, by) do
+    case ahead do
+      %{^stream => most} when by <= most ->
+        signing
+
+      _further ->
+        signing.save.(min(signing.reserved, @max_timestamp))
+        %{signing | ahead: Map.put(ahead, stream, by + @slack)}
     end
   end
 
@@ -215,10 +258,13 @@ defmodule MavCodec.Signing do
 
   ## Time
 
-  defp now(signing), do: (div(signing.clock.(), 10) - @epoch) |> max(0) |> min(@max_timestamp)
+  defp now(signing), do: units(signing.clock.())
+  defp units(unix_us), do: (div(unix_us, 10) - @epoch) |> max(0) |> min(@max_timestamp)
 
   # S6: what is stored is always ahead of what is used.
-  defp reserve(%{timestamp: timestamp, reserved: reserved} = signing) when timestamp < reserved, do: signing
+  defp reserve(%{timestamp: timestamp, reserved: reserved} = signing)
+       when timestamp < reserved - @save_early,
+       do: signing
 
   defp reserve(%{timestamp: timestamp} = signing) do
     reserved = timestamp + @save_ahead

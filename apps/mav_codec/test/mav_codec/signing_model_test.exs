@@ -1,7 +1,8 @@
 defmodule MavCodec.SigningModelTest do
   @moduledoc """
   Time stamps and streams as a state machine (S2 to S6): whatever is received, sent and forged, wherever the clock jumps and
-  however often the process is killed, `MavCodec.Signing` does as the rules say, in the few lines of a model.
+  however often the process is killed, `MavCodec.Signing` does as the rules say, in the few lines of a model. What passed once
+  passes never again, in later lives neither, with nothing kept but a file that was written whenever `save` was called.
   """
   use ExUnit.Case, async: true
 
@@ -30,7 +31,7 @@ defmodule MavCodec.SigningModelTest do
   defp offset, do: oneof([integer(-500, 500), near(2 * @minute), near(-2 * @minute), exactly(-@minute)])
   defp near(n), do: integer(n - 2, n + 2)
 
-  test "S2, S3, S4, S5, S6: verdicts are the model's, time stamps only go up, nothing passes twice in a life" do
+  test "S2, S3, S4, S5, S6: verdicts are the model's, time stamps only go up, nothing passes twice in any life" do
     property = :proper.forall(vector(60, step()), &holds?/1)
     assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
   end
@@ -44,6 +45,9 @@ defmodule MavCodec.SigningModelTest do
       clock: clock,
       disk: disk,
       signing: life(clock, disk, %{}),
+      # What is on the disk besides the time stamp, and whether the clock was set back since.
+      file: %{at: nil, streams: %{}},
+      back: false,
       # The model: what is remembered of streams, the local time, and what may not be used again.
       streams: %{},
       local: @start,
@@ -54,7 +58,7 @@ defmodule MavCodec.SigningModelTest do
 
     Enum.reduce_while(steps, state, fn step, state ->
       case act(step, state) do
-        {:ok, state} -> {:cont, state}
+        {:ok, state} -> {:cont, stored(state)}
         :wrong -> {:halt, nil}
       end
     end) != nil
@@ -62,28 +66,55 @@ defmodule MavCodec.SigningModelTest do
 
   defp life(clock, disk, streams) do
     Signing.new(@key,
-      clock: fn -> Signing.to_unix(:atomics.get(clock, 1)) end,
+      clock: fn -> unix(clock) end,
       stored: :atomics.get(disk, 1),
-      save: &:atomics.put(disk, 1, &1),
+      save: &save(disk, &1),
       streams: streams
     )
   end
 
-  defp act({:clock, by}, state) do
-    :atomics.put(state.clock, 1, max(:atomics.get(state.clock, 1) + by, 0))
-    {:ok, state}
+  defp save(disk, stamp) do
+    Process.put(:saved, true)
+    :atomics.put(disk, 1, stamp)
   end
 
-  # The streams are stored by the gateway; what matters here is that the time survives without them too.
+  defp unix(clock), do: Signing.to_unix(:atomics.get(clock, 1))
+
+  # As the gateway writes its file: after the read in which that was asked for.
+  defp stored(state) do
+    if Process.delete(:saved) do
+      ahead = Signing.ahead(state.signing)
+
+      streams =
+        Map.new(Signing.streams(state.signing), fn {stream, last} -> {stream, {last, ahead[stream]}} end)
+
+      %{state | file: %{at: unix(state.clock), streams: streams}, back: false}
+    else
+      state
+    end
+  end
+
+  defp act({:clock, by}, state) do
+    :atomics.put(state.clock, 1, max(:atomics.get(state.clock, 1) + by, 0))
+    {:ok, %{state | back: state.back or by < 0}}
+  end
+
   defp act(:kill, state) do
     stored = :atomics.get(state.disk, 1)
-    signing = life(state.clock, state.disk, state.streams)
+
+    # A clock that was set back by less than has passed since the file was written cannot be told from one that was not.
+    at = if not state.back, do: state.file.at
+    streams = Signing.resumed(state.file.streams, stored, {at, unix(state.clock)})
+    signing = life(state.clock, state.disk, streams)
     local = max(:atomics.get(state.clock, 1), stored)
-    ok(stored > state.sent and Signing.timestamp(signing) == local, %{state | signing: signing, local: local})
+    # S5: whoever hears the first frame of the new life, and goes on from there, is not refused.
+    heard = Enum.all?(streams, fn {_stream, least} -> least <= local end)
+    right = stored > state.sent and Signing.timestamp(signing) == local and heard
+    ok(right, %{state | signing: signing, local: local, streams: streams})
   end
 
   defp act(:send, state) do
-    {bytes, signing} = Signing.encode(state.signing, %Messages.Heartbeat{}, system: 245)
+    {bytes, signing} = Signing.encode(state.signing, %Messages.Heartbeat{}, system: 237)
     stamp = parse(bytes).signature.timestamp
     right = stamp == max(:atomics.get(state.clock, 1), state.local + 1)
     # Above everything that was ever sent, and below what the next life begins with.

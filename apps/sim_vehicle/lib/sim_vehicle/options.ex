@@ -25,6 +25,7 @@ defmodule SimVehicle.Options do
     params: {%{}, "values by parameter name, over the firmware's own"},
     mavlink: {2, "protocol version that is spoken, 1 or 2"},
     key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
+    signed_at: {nil, "nil (GPS time), or the time stamp that the clock of its signatures begins with"},
     secure:
       {false,
        "whether its link counts as USB does for ArduPilot: unsigned frames are taken there, key or not"},
@@ -113,6 +114,7 @@ defmodule SimVehicle.Options do
   end
 
   defp valid?(:key, value, _opts), do: value == nil or (is_binary(value) and byte_size(value) == 32)
+  defp valid?(:signed_at, value, _opts), do: value == nil or (is_integer(value) and value >= 0)
   defp valid?(:secure, value, _opts), do: is_boolean(value)
   defp valid?(:script, value, _opts), do: value == nil or SimVehicle.Pilot.script?(value)
   defp valid?(:name, _value, _opts), do: true

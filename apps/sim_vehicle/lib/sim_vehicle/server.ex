@@ -64,7 +64,7 @@ defmodule SimVehicle.Server do
           pilot: options.script && Pilot.new(options.script),
           options: options,
           dialect: dialect,
-          signing: Signing.new(options.key, options.secure, options.firmware),
+          signing: Signing.new(options.key, options.secure, options.firmware, options.signed_at),
           datagrams: String.starts_with?(options.link, "udp"),
           clock: System.monotonic_time(:microsecond)
         }
@@ -164,7 +164,8 @@ defmodule SimVehicle.Server do
 
   defp advance(state, elapsed) do
     {vehicle, actions} = Vehicle.step(state.vehicle, elapsed)
-    %{state | vehicle: vehicle} |> interpret(actions) |> fly_script()
+    signing = Signing.tick(state.signing, vehicle.now)
+    %{state | vehicle: vehicle, signing: signing} |> interpret(actions) |> fly_script()
   end
 
   defp fly_script(%{pilot: nil} = state), do: state
@@ -224,7 +225,13 @@ defmodule SimVehicle.Server do
   end
 
   defp do_action(state, :reboot),
-    do: %{state | link: Link.drop(state.link), parser: fresh_parser(state), off_for: @reboot_us}
+    do: %{
+      state
+      | link: Link.drop(state.link),
+        parser: fresh_parser(state),
+        signing: Signing.rebooted(state.signing),
+        off_for: @reboot_us
+    }
 
   defp version_1?(state, %module{}),
     do: match?({id, _crc, _base, _ext} when id < 256, state.dialect.layout(module))

@@ -19,6 +19,8 @@ defmodule SimVehicle.SigningTest do
     {frame(bytes), signing}
   end
 
+  defp now, do: MavCodec.Signing.timestamp(MavCodec.Signing.new(@key))
+
   defp order(key, at \\ 1),
     do: %SetupSigning{target_system: 1, target_component: 1, secret_key: key, initial_timestamp: at}
 
@@ -27,7 +29,7 @@ defmodule SimVehicle.SigningTest do
     refute Frame.signed?(plain)
     assert {:ok, ^signing} = Signing.check(signing, plain)
 
-    {signed, signing} = signing |> Signing.setup(order(@key), @me) |> heartbeat()
+    {signed, signing} = signing |> Signing.setup(order(@key, now()), @me) |> heartbeat()
     assert {:signed, _} = MavCodec.Signing.check(MavCodec.Signing.new(@key), signed)
     assert {:refused, signing} = Signing.check(signing, plain)
 
@@ -49,6 +51,24 @@ defmodule SimVehicle.SigningTest do
     assert {:ok, signing} = Signing.check(signing, other)
     assert {:refused, signing} = Signing.check(signing, other)
     assert Signing.setup(signing, %{order(<<1::256>>) | target_system: 2}, @me) == signing
+  end
+
+  test "ArduPilot's clock stands still but for what it sends and hears; a reboot begins a minute after what was stored" do
+    stamp = fn signing ->
+      with {frame, signing} <- heartbeat(signing), do: {frame.signature.timestamp, signing}
+    end
+
+    {first, signing} = stamp.(Signing.new(@key, false, :ardupilot, 1_000_000))
+    assert first == 1_000_001
+    assert {1_000_002, signing} = stamp.(signing)
+
+    {later, _} = heartbeat(Signing.new(@key, false, :ardupilot, 5_000_000))
+    {:ok, signing} = Signing.check(signing, later)
+    assert {5_000_002, signing} = stamp.(signing)
+    {rebooted, _} = signing |> Signing.rebooted() |> stamp.()
+    assert rebooted == 7_000_001
+    {rebooted, _} = signing |> Signing.tick(30_000_000) |> Signing.rebooted() |> stamp.()
+    assert rebooted == 11_000_003
   end
 
   test "on a link that counts as USB everything is heard, and RADIO_STATUS on any (S7)" do

@@ -45,6 +45,19 @@ defmodule Aerie.SigningCase do
     frames ++ last
   end
 
+  @doc "The folder of a running gateway's keys and time stamps as a kill leaves it; a file that is being written is none."
+  @spec copy_dir(Path.t(), Path.t()) :: :ok
+  def copy_dir(from, to) do
+    for file <- Path.wildcard(Path.join(from, "**"), match_dot: true),
+        File.regular?(file) and Path.extname(file) != ".new" do
+      copy = Path.join(to, Path.relative_to(file, from))
+      File.mkdir_p!(Path.dirname(copy))
+      File.cp!(file, copy)
+    end
+
+    :ok
+  end
+
   @doc "The frame of bytes."
   @spec frame(binary, integer | nil) :: Frame.t()
   def frame(bytes, at \\ nil) do

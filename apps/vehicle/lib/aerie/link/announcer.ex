@@ -1,7 +1,8 @@
 defmodule Aerie.Link.Announcer do
   @moduledoc """
   Says our heartbeat once a second on links that call others by UDP and hear nothing: a server learns only so that we are
-  there. As soon as something is heard, the vehicles' sessions keep that way alive themselves.
+  there. As soon as something is heard, the vehicles' sessions keep that way alive themselves. Says it, with a TIMESYNC
+  request, to a peer that is heard and refused for its signing clock too (`speak/5`): it has no session.
 
   The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5), and a dead-man's
   like any other of ours: none goes out while the gateway's loops do not answer (H3, `Aerie.Vehicle.Identity`), which is
@@ -15,7 +16,7 @@ defmodule Aerie.Link.Announcer do
   alias Aerie.Vehicle.Identity.Latch
   alias MavCodec.Encoder
   alias MavCodec.Enums
-  alias MavCodec.Messages.Heartbeat
+  alias MavCodec.Messages.{Heartbeat, Timesync}
 
   @every_ms 1_000
   @silence_us 3_000_000
@@ -30,22 +31,23 @@ defmodule Aerie.Link.Announcer do
     )
   end
 
+  @doc """
+  Has a heartbeat, if there are any of ours, and a TIMESYNC request said to a peer of a link, signed with the key of a scope;
+  `system` is what is heard there, for a gateway that does not know its own yet. Returns at once.
+  """
+  @spec speak(Names.gateway(), String.t(), peer :: term, Aerie.Signing.Scope.t(), non_neg_integer) :: :ok
+  def speak(gateway, link, peer, scope, system),
+    do: GenServer.cast(Names.via(gateway, :link_announcer), {:speak, link, peer, scope, system})
+
   @impl GenServer
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:link_announcer, gateway})
-
     config = Keyword.get(options, :config)
-
-    if own(config) == nil do
-      :ignore
-    else
-      {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
-      {:ok, %{gateway: gateway, config: config, encoder: nil}}
-    end
+    heartbeat = not match?(%{mavlink: %{heartbeat: false}}, config)
+    if heartbeat, do: {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
+    {:ok, %{gateway: gateway, config: config, heartbeat: heartbeat, encoder: nil}}
   end
-
-  defp own(%{mavlink: %{heartbeat: false}}), do: nil
 
   defp own(%{mavlink: %{system_id: system, component_id: component}}),
     do: [system: system, component: component]
@@ -56,11 +58,40 @@ defmodule Aerie.Link.Announcer do
   end
 
   @impl GenServer
+  def handle_cast({:speak, link, peer, scope, system}, state) do
+    # Whoever is to be a part of that system would be so by now, were it not refused.
+    {encoder, state} =
+      case known(state) do
+        %{encoder: nil} = state ->
+          [system: :auto, component: component] = own(state.config)
+          {Encoder.new(system: system, component: component), state}
+
+        state ->
+          {state.encoder, state}
+      end
+
+    {request, encoder} =
+      Encoder.encode(encoder, %Timesync{tc1: 0, ts1: System.monotonic_time(:nanosecond)})
+
+    {bytes, encoder} =
+      with true <- state.heartbeat,
+           %{alive: true, silent: silent} <- Identity.status(state.gateway) do
+        {beat, encoder} = Encoder.encode(encoder, heartbeat(if silent == [], do: @active, else: @critical))
+        {beat <> request, encoder}
+      else
+        _no_heartbeat -> {request, encoder}
+      end
+
+    _ = Aerie.Link.send_bytes(state.gateway, link, {:sign, scope, bytes}, {:peer, peer})
+    {:noreply, if(state.encoder, do: %{state | encoder: encoder}, else: state)}
+  end
+
+  @impl GenServer
   def handle_info(:announce, %{encoder: nil} = state) do
     # Nobody speaks who does not know yet who he is (`Aerie.Vehicle.Identity.Latch`).
-    case state.config |> Latch.resolve(state.gateway) |> own() do
-      [system: :auto, component: _component] -> {:noreply, state}
-      ids -> handle_info(:announce, %{state | encoder: Encoder.new(ids)})
+    case known(state) do
+      %{encoder: nil} = state -> {:noreply, state}
+      state -> handle_info(:announce, state)
     end
   end
 
@@ -72,6 +103,15 @@ defmodule Aerie.Link.Announcer do
       links -> {:noreply, announce(state, links, Identity.status(state.gateway))}
     end
   end
+
+  defp known(%{encoder: nil} = state) do
+    case state.config |> Latch.resolve(state.gateway) |> own() do
+      [system: :auto, component: _component] -> state
+      ids -> %{state | encoder: Encoder.new(ids)}
+    end
+  end
+
+  defp known(state), do: state
 
   defp announce(state, _links, %{alive: false}) do
     Store.count(state.gateway, {:identity, :held})

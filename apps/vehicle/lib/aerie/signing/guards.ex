@@ -113,6 +113,7 @@ defmodule Aerie.Signing.Guards do
     end
 
     true = :ets.match_delete(tables.bad, {{link, :_, :_}, :_})
+    true = :ets.match_delete(tables.woken, {{link, :_, :_}, :_})
     true = :ets.match_delete(tables.proven, {{link, :_}, :_})
     :ok
   end

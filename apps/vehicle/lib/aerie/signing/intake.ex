@@ -13,7 +13,7 @@ defmodule Aerie.Signing.Intake do
 
   alias Aerie.Fleet.Store
   alias Aerie.Names
-  alias Aerie.Signing.{Alarm, Guard, Guards, Scope, Seal, Tables, Vault}
+  alias Aerie.Signing.{Alarm, Guard, Guards, Scope, Seal, Tables, Vault, Wake}
   alias MavCodec.Frame
 
   @max_sources 4096
@@ -33,6 +33,7 @@ defmodule Aerie.Signing.Intake do
       lag: if(source[:high_latency], do: @slow_link, else: @other_link),
       waited_for: :ets.info(tables.waiters, :size) > 0,
       kept: [],
+      behind: %{},
       guards: %{},
       tally: %{}
     }
@@ -45,6 +46,7 @@ defmodule Aerie.Signing.Intake do
       Seal.proved(tables, link, source[:peer], scope.id)
     end
 
+    for {_id, {scope, system}} <- acc.behind, do: Wake.refused(gateway, tables, source, scope, system)
     if acc.tally != %{}, do: count(gateway, tables, source, acc.tally, List.last(frames).at)
     Enum.reverse(acc.kept)
   end
@@ -59,9 +61,15 @@ defmodule Aerie.Signing.Intake do
         {verdict, signing} = Guard.check(scope, signing, frame, acc.trust)
         acc = put_in(acc.guards[slot(scope)], {scope, signing, moved? or verdict == :verified})
         {verdict, scope} = {elsewhere(verdict, acc, frame), scope} |> candidate(acc, frame)
-        told(acc, frame, verdict, scope)
+        acc |> behind(verdict, scope, frame) |> told(frame, verdict, scope)
     end
   end
+
+  # Its signature was looked at first: it has the key.
+  defp behind(acc, {:rejected, reason}, scope, frame) when reason in [:replayed, :stale],
+    do: %{acc | behind: Map.put(acc.behind, scope.id, {scope, frame.system})}
+
+  defp behind(acc, _verdict, _scope, _frame), do: acc
 
   defp told(acc, frame, verdict, scope) do
     _ = if acc.waited_for, do: tell(acc, frame, verdict, scope)

@@ -5,7 +5,8 @@ defmodule Aerie.Signing.Seal do
 
   What is for one system is signed with the key of that system. What is for everybody is signed with each key that was
   proven by the peer that it goes to within the last minute, a copy for each: mostly that is one vehicle, or a radio whose
-  vehicles share a key. Before anything was heard of a peer, the network's key is taken, if there is one.
+  vehicles share a key. Before a peer has proven any, the network's key is taken, or if there is none, its vehicles' keys:
+  what goes to a link with keys is signed from the first frame on.
   """
 
   alias Aerie.Fleet.Store
@@ -27,7 +28,8 @@ defmodule Aerie.Signing.Seal do
   def own(gateway, link, peer, key, bytes) do
     with tables when is_map(tables) <- Tables.of(gateway),
          [_ | _] = scopes <- scopes(tables, link, peer, key) do
-      own = Tables.setting(tables, :own, nil)
+      # What is to be signed with one key and no other is ours, whoever we are yet.
+      own = if is_struct(key, Scope), do: :any, else: Tables.setting(tables, :own, nil)
       bytes = IO.iodata_to_binary(bytes)
       Enum.map(scopes, &sign(gateway, tables, link, &1, bytes, own))
     else
@@ -78,12 +80,19 @@ defmodule Aerie.Signing.Seal do
 
   defp scopes(tables, link, peer, {network, nil}) do
     case proven(tables, link, peer) do
-      [] -> signing([:ets.lookup_element(tables.scopes, {network, :any}, 2, nil)])
+      [] -> signing(unproven(tables, network))
       ids -> signing(Enum.map(ids, &:ets.lookup_element(tables.scopes, &1, 2, nil)))
     end
   end
 
   defp scopes(tables, _link, _peer, key), do: signing([Tables.scope(tables, key)])
+
+  defp unproven(tables, network) do
+    case :ets.lookup(tables.scopes, {network, :any}) do
+      [{_id, scope}] -> [scope]
+      [] -> Enum.take(:ets.select(tables.scopes, [{{{network, :_}, :"$1"}, [], [:"$1"]}]), @max_keys)
+    end
+  end
 
   defp signing(scopes),
     do: for(%Scope{policy: policy, error: nil} = s <- scopes, policy != :off, do: s)

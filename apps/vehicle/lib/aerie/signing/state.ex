@@ -3,7 +3,11 @@ defmodule Aerie.Signing.State do
   The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new one.
 
       {"version": 1, "at": 1795..., "link_ids": {"radio-1": 0},
-       "links": [{"link": "radio-1", "network": "main", "system": null, "timestamp": 1187..., "streams": [[0, 1, 1, 1187...]]}]}
+       "links": [{"link": "radio-1", "network": "main", "system": null, "timestamp": 1187..., "streams": [[0, 1, 1, 1187..., 0]]}],
+       "ended": true}
+
+  A stream: link id, system, component, last time stamp, how far it was ahead of the clock at most (null: unknown).
+  `ended`: it was written in an orderly end, nothing was received after it.
   """
 
   alias Aerie.Signing.Tables
@@ -15,7 +19,11 @@ defmodule Aerie.Signing.State do
   @type stored :: %{
           link_ids: %{String.t() => 0..255},
           at: integer | nil,
-          entries: [{{String.t(), Aerie.Signing.Scope.id()}, Signing.timestamp(), map}]
+          ended: boolean,
+          entries: [
+            {{String.t(), Aerie.Signing.Scope.id()}, Signing.timestamp(),
+             %{Signing.stream() => {Signing.timestamp(), integer | nil}}}
+          ]
         }
 
   @doc "What there is to store; nil for nothing."
@@ -24,13 +32,13 @@ defmodule Aerie.Signing.State do
     live =
       for {key, _generation, signing} <- :ets.tab2list(tables.guards), into: %{} do
         reserved = :ets.lookup_element(tables.reserved, key, 2, 0)
-        {key, {max(reserved, Signing.timestamp(signing)), Signing.streams(signing)}}
+        {key, {max(reserved, Signing.timestamp(signing)), streams(signing)}}
       end
 
     former =
       for {key, timestamp, streams} <- :ets.tab2list(tables.stored),
           into: %{},
-          do: {key, {timestamp, streams}}
+          do: {key, {timestamp, Map.new(streams, fn {stream, last} -> {stream, {last, nil}} end)}}
 
     entries = former |> Map.merge(live) |> Enum.sort()
 
@@ -40,10 +48,16 @@ defmodule Aerie.Signing.State do
     end
   end
 
-  @doc "The same as text, written at a unix time in microseconds."
-  @spec encode(term, integer) :: binary
-  def encode({ids, entries}, at) do
-    JSON.encode!(%{"version" => 1, "at" => at, "link_ids" => ids, "links" => Enum.map(entries, &entry/1)})
+  defp streams(signing) do
+    ahead = Signing.ahead(signing)
+    Map.new(Signing.streams(signing), fn {stream, last} -> {stream, {last, ahead[stream]}} end)
+  end
+
+  @doc "The same as text, written at a unix time in microseconds, in an orderly end or not."
+  @spec encode(term, integer, boolean) :: binary
+  def encode({ids, entries}, at, ended) do
+    links = Enum.map(entries, &entry/1)
+    JSON.encode!(%{"version" => 1, "at" => at, "ended" => ended, "link_ids" => ids, "links" => links})
   end
 
   defp entry({{link, {network, system}}, {timestamp, streams}}) do
@@ -53,7 +67,9 @@ defmodule Aerie.Signing.State do
       "system" => if(system == :any, do: nil, else: system),
       "timestamp" => timestamp,
       "streams" =>
-        for({{link_id, system, component}, at} <- Enum.sort(streams), do: [link_id, system, component, at])
+        for {{link_id, system, component}, {last, ahead}} <- Enum.sort(streams) do
+          [link_id, system, component, last, ahead]
+        end
     }
   end
 
@@ -63,7 +79,7 @@ defmodule Aerie.Signing.State do
     case File.read(path) do
       {:ok, text} when byte_size(text) <= @max_bytes -> decode(text, path)
       {:ok, _long} -> {:error, "#{path} is longer than such a file can be"}
-      {:error, :enoent} -> {:ok, %{at: nil, link_ids: %{}, entries: []}}
+      {:error, :enoent} -> {:ok, %{at: nil, ended: true, link_ids: %{}, entries: []}}
       {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
     end
   end
@@ -73,7 +89,8 @@ defmodule Aerie.Signing.State do
       {:ok, %{"version" => 1, "link_ids" => %{} = ids, "links" => links} = stored} when is_list(links) ->
         ids = for {link, n} <- ids, n in 0..255, into: %{}, do: {link, n}
         at = if is_integer(stored["at"]), do: stored["at"]
-        {:ok, %{at: at, link_ids: ids, entries: Enum.flat_map(links, &entry_of/1)}}
+        ended = stored["ended"] == true
+        {:ok, %{at: at, ended: ended, link_ids: ids, entries: Enum.flat_map(links, &entry_of/1)}}
 
       _other ->
         {:error, "#{path} is damaged"}
@@ -89,11 +106,19 @@ defmodule Aerie.Signing.State do
        })
        when is_binary(link) and is_binary(network) and (is_nil(system) or is_integer(system)) and
               at in 0..@max_timestamp and is_list(streams) do
-    streams = for [link_id, s, c, t] <- streams, is_integer(t), into: %{}, do: {{link_id, s, c}, t}
+    streams =
+      for [link_id, s, c, t | ahead] when is_integer(t) <- streams,
+          into: %{},
+          do: {{link_id, s, c}, {t, known(ahead)}}
+
     [{{link, {network, system || :any}}, at, streams}]
   end
 
   defp entry_of(_other), do: []
+
+  # Older files do not have it.
+  defp known([ahead]) when is_integer(ahead), do: ahead
+  defp known(_unknown), do: nil
 
   @doc "Writes the file: beside it, forced to the disk, then in its place. Its folder and itself are for the owner only."
   @spec write(Path.t(), binary) :: :ok | {:error, String.t()}

@@ -9,6 +9,7 @@ defmodule Aerie.Signing.Tables do
   - `:reserved` `{{link, scope id}, time stamp}`: what the next life must not fall behind (S6)
   - `:sources` `{vehicle key, verified_us, unsigned_us, verified, unsigned, rejected}`
   - `:bad` `{{link, system, component}, Aerie.Signing.Burst}`
+  - `:woken` `{{link, peer, scope id}, monotonic ms}` (`Aerie.Signing.Wake`)
   - `:waiters` `{vehicle key, pid, reference}`: enrolments that wait for a signed frame
   - `:candidates` `{vehicle key, Aerie.Signing.Scope}`: keys that vehicles may have been given, not yet proven
   - `:proven` `{{link, peer}, [{scope id, monotonic s}]}`: which keys a peer has (`Aerie.Signing.Seal`)
@@ -28,6 +29,7 @@ defmodule Aerie.Signing.Tables do
           reserved: :ets.table(),
           sources: :ets.table(),
           bad: :ets.table(),
+          woken: :ets.table(),
           waiters: :ets.table(),
           candidates: :ets.table(),
           proven: :ets.table(),
@@ -42,7 +44,7 @@ defmodule Aerie.Signing.Tables do
     shared = [:set, :public, read_concurrency: true, write_concurrency: true]
 
     tables =
-      ([:scopes, :guards, :stored, :reserved, :sources, :bad, :waiters, :settings] ++
+      ([:scopes, :guards, :stored, :reserved, :sources, :bad, :woken, :waiters, :settings] ++
          [:candidates, :proven, :newest])
       |> Map.new(&{&1, :ets.new(&1, shared)})
       |> Map.put(:active, :atomics.new(1, signed: false))

@@ -4,10 +4,9 @@ defmodule Aerie.Signing.Vault do
   time stamps in a file: twice a minute and whenever a link reaches what it had reserved, so that no time stamp is used twice
   after a restart or `kill -9`, with or without a clock (S6).
 
-  Nothing that was received is accepted again after an orderly end (S3). After `kill -9` the file may lack the last half
-  minute: a stream then goes on where it must have been by now, as far as the clock tells, less two seconds. So at most the
-  last two seconds before the kill could be played again, and a vehicle whose clock stood still meanwhile is refused for
-  half a minute at most.
+  Nothing that was received is accepted again (S3). After an orderly end the file is exact. After `kill -9` it may lack the
+  last half minute: then a stream has to be above what it can have got to by now (`MavCodec.Signing.resumed/3`). A vehicle whose
+  clock stood still meanwhile is refused at first; it goes on as soon as it hears us (`Aerie.Signing.Wake`).
 
   The file (`signing.dir/timestamps.json`, mode 0600) has no keys in it: link ids, time stamps, streams. Nothing waits for
   the disk: links reserve half a minute ahead and go on. When it cannot be written, that is told (`Aerie.Signing.list/1`,
@@ -23,9 +22,6 @@ defmodule Aerie.Signing.Vault do
 
   @every_ms 25_000
   @soon_ms 50
-  # Units of 10 us: how much may be missing from the file, and how exactly streams keep time.
-  @missing 3_000_000
-  @slack 200_000
 
   @doc "Options: `:gateway`, `:config`, `:dir`."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -141,21 +137,24 @@ defmodule Aerie.Signing.Vault do
     for {link, number} <- stored.link_ids, do: :ets.insert(tables.settings, {{:link_id, link}, number})
     highest = stored.link_ids |> Map.values() |> Enum.max(fn -> -1 end)
     :ets.insert(tables.settings, {:next_link_id, highest})
-    passed = passed(tables, stored.at)
 
-    for {key, timestamp, streams} <- stored.entries do
-      streams = Map.new(streams, fn {stream, last} -> {stream, last + passed} end)
+    for {{_link, {network, _system}} = key, timestamp, streams} <- stored.entries do
+      streams =
+        if stored.ended,
+          do: Map.new(streams, fn {stream, {last, _ahead}} -> {stream, last} end),
+          else: MavCodec.Signing.resumed(streams, timestamp, {stored.at, clock(tables)})
+
       :ets.insert(tables.stored, {key, timestamp, streams})
+      Enum.each(streams, &newest(tables, network, &1))
     end
 
     :ok
   end
 
-  # What streams must have gone on since the file was written, in units of 10 us.
-  defp passed(_tables, nil), do: 0
-
-  defp passed(tables, at),
-    do: (clock(tables) - at) |> div(10) |> max(0) |> min(@missing) |> Kernel.-(@slack) |> max(0)
+  defp newest(tables, network, {{link_id, system, component}, last}) do
+    stream = {network, link_id, system, component}
+    if last > :ets.lookup_element(tables.newest, stream, 2, 0), do: :ets.insert(tables.newest, {stream, last})
+  end
 
   defp clock(tables), do: Tables.setting(tables, :clock, &Guards.now/0).()
 
@@ -274,9 +273,10 @@ defmodule Aerie.Signing.Vault do
   def handle_info(_exit, state), do: {:noreply, state}
 
   @impl GenServer
-  def terminate(_reason, state), do: write(state)
+  def terminate(reason, state),
+    do: write(%{state | saved: nil}, reason in [:normal, :shutdown] or match?({:shutdown, _why}, reason))
 
-  defp write(state) do
+  defp write(state, ended \\ false) do
     found = State.collect(state.tables)
 
     cond do
@@ -284,7 +284,7 @@ defmodule Aerie.Signing.Vault do
         {:ok, state}
 
       true ->
-        case State.write(file(state), State.encode(found, clock(state.tables))) do
+        case State.write(file(state), State.encode(found, clock(state.tables), ended)) do
           :ok -> {stored(state), %{state | saved: found}}
           {:error, reason} -> {not_stored(state, reason), state}
         end

@@ -54,7 +54,7 @@ defmodule Aerie.Signing.RotationTest do
     # Another gateway on a copy of the files, as after a kill.
     copy = Path.join(c.tmp_dir, "later")
     File.mkdir_p!(copy)
-    File.cp_r!(c.dir, Path.join(copy, "signing"))
+    copy_dir(c.dir, Path.join(copy, "signing"))
     later = start_signing(copy, key_file: c.key)
     assert Signing.list(later).pending == ["main/1"]
     assert heard?(later, passphrase())
@@ -65,7 +65,7 @@ defmodule Aerie.Signing.RotationTest do
     # And once more: what was proven is what the vehicle has, whatever the configuration says.
     again = Path.join(c.tmp_dir, "again")
     File.mkdir_p!(again)
-    File.cp_r!(Path.join(copy, "signing"), Path.join(again, "signing"))
+    copy_dir(Path.join(copy, "signing"), Path.join(again, "signing"))
     again = start_signing(again, key_file: c.key)
     assert heard?(again, "new")
     refute heard?(again, passphrase())

@@ -1,0 +1,81 @@
+defmodule Aerie.System.SigningKillTest do
+  @moduledoc """
+  A signed ArduPilot in flight, whose clock stands still but for what it hears: `kill -9` of the gateway, and of the vehicle.
+  Each is heard again at once, by what the gateway says itself, and not when somebody who signs happens to come by.
+  """
+
+  use Aerie.RunCase, async: true
+
+  import Aerie.SystemCase, only: [eventually: 2, eventually: 3, free_udp_port: 0, short_dir: 0]
+
+  @moduletag :tmp_dir
+  @moduletag timeout: 300_000
+
+  @passphrase "a-passphrase-of-the-system-tests"
+  @key MavCodec.Signing.key(@passphrase)
+  # Of two seconds; the rest of the half minute that is not in the file would be more than a thousand.
+  @few 150
+
+  setup %{tmp_dir: folder} do
+    File.write!(Path.join(folder, "main.key"), @passphrase)
+    File.chmod!(Path.join(folder, "main.key"), 0o600)
+    [http, websocket, udp] = [free_tcp_port(), free_tcp_port(), free_udp_port()]
+    config = Path.join(folder, "gateway.yaml")
+
+    File.write!(config, """
+    environment: test
+    mavlink: {local_addr: off}
+    links: [{id: radio, url: "udpin:127.0.0.1:#{udp}"}]
+    signing: {dir: "#{folder}/signing", keys: [{key_file: "#{folder}/main.key"}]}
+    http: {port: #{http}}
+    websocket: {port: #{websocket}}
+    sockets: {dir: "#{short_dir()}"}
+    nats: {mode: off}
+    outbox: {dir: "#{folder}/outbox"}
+    recorder: {dir: "#{folder}/recordings"}
+    """)
+
+    %{config: config, http: http, link: "udpout:127.0.0.1:#{udp}"}
+  end
+
+  defp fly(link, options \\ []) do
+    options = [firmware: :ardupilot, link: link, ready_s: 1.0, key: @key, rates: %{30 => 50}] ++ options
+    start_supervised!({SimVehicle, options}, id: make_ref())
+  end
+
+  defp signing(http),
+    do: with(%{"links" => [%{"signing" => signing}]} <- api(http, "/api/links"), do: signing)
+
+  defp verified?(http, at_least \\ 0) do
+    with %{"verified" => verified} = signing when verified > at_least <- signing(http), do: signing
+  end
+
+  test "both are heard again", c do
+    run = open(["--config", c.config, "--quiet"])
+    eventually(fn -> signing(c.http) end, "it runs", started_by())
+    fly(c.link)
+    # So much that time stamps in memory are ahead of the file.
+    eventually(fn -> verified?(c.http, 300) end, "it is heard")
+
+    kill_9(c.config)
+    await_exit(run)
+    open(["--config", c.config, "--quiet"])
+    signing = eventually(fn -> verified?(c.http) end, "it is heard by the next gateway", started_by())
+    assert signing["rejected"] < @few
+
+    stop_supervised!(sim_id())
+    %{"rejected" => before, "verified" => verified} = signing(c.http)
+    # From another port, with the clock that was stored 40 s ago.
+    stored = MavCodec.Signing.timestamp(MavCodec.Signing.new(@key)) - 4_000_000
+    fly(c.link, signed_at: stored)
+    signing = eventually(fn -> verified?(c.http, verified + 50) end, "it is heard after its own kill")
+    assert signing["rejected"] - before < @few
+  end
+
+  # The only child that is a vehicle.
+  defp sim_id do
+    {:ok, supervisor} = ExUnit.fetch_test_supervisor()
+    [{id, _pid, _type, [SimVehicle]}] = Supervisor.which_children(supervisor)
+    id
+  end
+end

@@ -106,6 +106,20 @@ defmodule FleetWeb.EndpointTest do
     end
   end
 
+  test "a link tells what docs/telemetry.md says, no more and no less, rounded", context do
+    eventually(fn ->
+      {200, %{"links" => [link]}} = json(context.port, "/api/links")
+
+      if is_map(link["quality"]) do
+        below = for part <- ~w(rates quality counters), {name, _value} <- link[part], do: "#{part}.#{name}"
+        names = (Map.keys(link) -- ~w(rates quality counters)) ++ below
+        assert Enum.sort(names) == Enum.sort(Enum.map(Aerie.Vehicle.Fields.Object.link(), & &1.name))
+        score = link["quality"]["score"]
+        assert score == Float.round(score, 1)
+      end
+    end)
+  end
+
   test "whether a lost vehicle is armed is not known: its metric goes with it", context do
     mode = %{at: 1, time_boot_ms: nil, data: %{armed: true, in_air: true}}
     vehicle = %{id: "V", links: [], last_heard: nil, groups: %{mode: mode}, status: :online}

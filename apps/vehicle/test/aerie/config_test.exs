@@ -166,6 +166,9 @@ defmodule Aerie.ConfigTest do
       env = %{"AERIE_NATS_PROT" => "1", "AERIE_TOOLCHAIN" => "x", "PATH" => "y"}
       assert {:ok, %{warnings: [warning]}} = load(context, "", [], env)
       assert warning =~ ~s(AERIE_NATS_PROT) and warning =~ ~s(did you mean "AERIE_NATS_PORT"?)
+      # A section is no key: its keys are given one by one, and leave each other alone.
+      assert {:ok, %{warnings: [warning]}} = load(context, "", [], %{"AERIE_NATS" => "{url: 'nats://a'}"})
+      assert warning =~ "AERIE_NATS is no key"
     end
 
     test "overrides may be nested maps with atoms", context do

@@ -162,6 +162,7 @@ defmodule FleetWeb.API.View do
       peers: for(peer <- link[:peers] || [], do: Map.take(peer, [:text, :silent_ms, :frames_in, :bytes_in])),
       counters: counters(link[:counters])
     })
+    |> Fields.Object.rounded_link()
     |> Json.plain()
   end
 

@@ -22,7 +22,7 @@ defmodule Aerie.Config.Environment do
     end
   end
 
-  @doc "Warnings for variables that begin like a section of ours (`AERIE_NATS_…`) and are no key."
+  @doc "Warnings for variables that begin like a section of ours (`AERIE_NATS_…`), or are one, and are no key."
   @spec warnings(%{String.t() => String.t()}) :: [String.t()]
   def warnings(env) do
     paths = Enum.map(Schema.leaves(Keys.fields()), &elem(&1, 0))
@@ -30,7 +30,7 @@ defmodule Aerie.Config.Environment do
     sections = for([section, _ | _] <- paths, do: name([section]) <> "_") |> Enum.uniq()
 
     for {variable, _text} <- Enum.sort(env),
-        String.starts_with?(variable, sections),
+        String.starts_with?(variable <> "_", sections),
         not MapSet.member?(known, variable) do
       hint = Schema.did_you_mean(variable, Enum.to_list(known))
 

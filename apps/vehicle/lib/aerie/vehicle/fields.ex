@@ -8,6 +8,7 @@ defmodule Aerie.Vehicle.Fields do
   """
 
   alias Aerie.Vehicle.EventTypes
+  alias Aerie.Vehicle.Fields.Round
 
   @typedoc """
   A field. `path` is its name, or the names down to it. `decimals` is for numbers, of which 0 are whole; nil for what is no
@@ -195,22 +196,12 @@ defmodule Aerie.Vehicle.Fields do
 
   @doc "A group's data as it is shown: numbers to the decimals that mean something. The group by either kind of name."
   @spec rounded(group() | String.t(), map()) :: map()
-  def rounded(group, data), do: object(data, Map.get(@decimals, group, %{}), nil)
+  def rounded(group, data), do: Round.object(data, Map.get(@decimals, group, %{}))
 
   @doc "An event's data as it is shown."
   @spec event(map()) :: map()
   def event(%{"position" => %{} = position} = data),
-    do: %{object(data, @event, nil) | "position" => rounded(:position, position)}
+    do: %{Round.object(data, @event) | "position" => rounded(:position, position)}
 
-  def event(data), do: object(data, @event, nil)
-
-  defp object(map, decimals, inherited),
-    do:
-      Map.new(map, fn {name, value} -> {name, value(value, decimals, Map.get(decimals, name, inherited))} end)
-
-  defp value(float, _decimals, 0) when is_float(float), do: round(float)
-  defp value(float, _decimals, n) when is_float(float) and is_integer(n), do: Float.round(float, n)
-  defp value(map, decimals, n) when is_map(map) and not is_struct(map), do: object(map, decimals, n)
-  defp value(list, decimals, n) when is_list(list), do: Enum.map(list, &value(&1, decimals, n))
-  defp value(other, _decimals, _n), do: other
+  def event(data), do: Round.object(data, @event)
 end

@@ -19,6 +19,8 @@ defmodule Aerie.Vehicle.Fields.Page do
       object(Object.short()),
       "\n`GET /api/vehicles/ID` has these besides:\n\n",
       object(Object.long()),
+      "\n## A link\n\nThe objects of `GET /api/links`:\n\n",
+      object(Object.link()),
       "\n## Events\n\n",
       events(),
       for(type <- EventTypes.all(), do: event(type))
@@ -48,6 +50,7 @@ defmodule Aerie.Vehicle.Fields.Page do
     | NATS `fleet.{environment}.{vehicle}.event.{type}` | `id`, `vehicle`, `type`, `epoch`, `seq`, `time`, `time_boot_ms`, `data`: an event below |
     | `GET /api/vehicles/ID` | `groups`: each with `time`, `age`, `time_boot_ms`, `data`; and the vehicle itself |
     | `GET /api/vehicles/ID/events`, `GET /api/events` | the latest events, each as in NATS |
+    | `GET /api/links` | a link below |
     | `state.sock`, `GET /api/status` | of some groups the fields that most want, with `ages` |
 
     How often a group is published is said by `sampling` in the configuration. A group with the strategy `aggregate` has, beside

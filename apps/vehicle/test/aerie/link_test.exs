@@ -90,6 +90,40 @@ defmodule Aerie.LinkTest do
       assert snapshot.text =~ "overloaded"
     end
 
+    test "a known vehicle loses nothing beside two thousand made-up senders, which are few peers and few vehicles",
+         c do
+      be_session(c.gateway, 1)
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      known = socket()
+      say(known, port, attitude(1, 0))
+      frames(1)
+
+      for n <- 1..2_000 do
+        # Another address each time, and all ids that there are, the vehicle's own among them.
+        {:ok, other} = :gen_udp.open(0, [:binary, ip: {127, rem(n, 250) + 1, div(n, 250) + 1, 2}])
+        {type, autopilot} = if rem(n, 2) == 0, do: {2, 3}, else: {6, 8}
+        beat = heartbeat(rem(n, 250) + 2, type: type, autopilot: autopilot)
+        :ok = :gen_udp.send(other, {127, 0, 0, 1}, port, beat)
+        :gen_udp.close(other)
+        if rem(n, 10) == 0, do: say(known, port, attitude(1, div(n, 10)))
+      end
+
+      assert Enum.map(frames(200), &number/1) == Enum.to_list(1..200)
+
+      eventually(fn ->
+        counters = Link.snapshot(c.gateway, id).counters
+        assert counters.kernel_dropped + counters.shed == 0
+        counters.frames_in + counters.peers_refused == 2_201
+      end)
+
+      snapshot = Link.snapshot(c.gateway, id)
+      assert snapshot.counters.peers_refused > 0
+      assert Enum.count(Aerie.Router.endpoints(c.gateway)) < 1_024
+      # Of those that are no vehicle's few hear what the vehicle says.
+      tables = Aerie.Router.Tables.of(c.gateway)
+      assert map_size(Aerie.Router.Plan.read(tables).listeners) <= 32
+    end
+
     test "a system is answered where it was heard last", c do
       be_session(c.gateway, 1)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")

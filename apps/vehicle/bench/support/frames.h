@@ -1,0 +1,34 @@
+/* MAVLink 2 frames for the load generators. */
+#include <stdint.h>
+#include <string.h>
+#include <time.h>
+
+static uint64_t now_ns(void) {
+  struct timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return (uint64_t)t.tv_sec * 1000000000u + t.tv_nsec;
+}
+
+static uint16_t crc_byte(uint16_t crc, uint8_t byte) {
+  uint8_t t = byte ^ (crc & 0xff);
+  t ^= t << 4;
+  return (crc >> 8) ^ ((uint16_t)t << 8) ^ ((uint16_t)t << 3) ^ (t >> 4);
+}
+
+static int frame(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, uint8_t id, const uint8_t *payload, int n,
+                 uint8_t extra) {
+  uint8_t head[10] = {0xFD, n, 0, 0, seq, system, component, id, 0, 0};
+  memcpy(out, head, 10);
+  memcpy(out + 10, payload, n);
+  uint16_t crc = 0xffff;
+  for (int i = 1; i < 10 + n; i++) crc = crc_byte(crc, out[i]);
+  crc = crc_byte(crc, extra);
+  out[10 + n] = crc & 0xff;
+  out[11 + n] = crc >> 8;
+  return 12 + n;
+}
+
+static int heartbeat(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, uint8_t type, uint8_t autopilot) {
+  uint8_t payload[9] = {0, 0, 0, 0, type, autopilot, 0, 4, 3};
+  return frame(out, seq, system, component, 0, payload, 9, 50);
+}

@@ -183,7 +183,7 @@ defmodule Aerie.Router.Forward do
   defp send_to(target, frame, {tables, plan, way, _talker, _now} = context) do
     {system, keys} = addressed(target, tables, plan, way)
 
-    case Gate.open(keys, plan.ways, way, frame, tables) do
+    case Gate.open(keys, plan.ways, way, frame, target, tables) do
       :shut -> :ok
       keys -> send_by(frame, system, keys, context)
     end

@@ -38,6 +38,9 @@ defmodule Aerie.Router.Gate do
 
   @told_ms 60_000
   @answered_ms 1_000
+  @autopilot 1
+  # Ids from here on are ground stations' by convention.
+  @ground_stations 240
   @denied MavResult.value(:MAV_RESULT_DENIED)
 
   @doc "Whether what comes from an endpoint of an owner may command vehicles."
@@ -78,12 +81,13 @@ defmodule Aerie.Router.Gate do
   @doc "Where a broadcast that is guarded goes: the talker without the vehicles that are closed to it."
   @spec narrow(Talker.t(), Way.t(), Frame.t(), Tables.t()) :: Talker.t()
   def narrow(talker, way, frame, tables) do
-    {shut, everyone} = Enum.split_with(talker.everyone, &shut?(way, &1))
-    grouped = for {_group, ways} <- talker.groups, to <- ways, shut?(way, to), do: to
+    shut? = &shut?(way, &1, frame, nil)
+    {shut, everyone} = Enum.split_with(talker.everyone, shut?)
+    grouped = for {_group, ways} <- talker.groups, to <- ways, shut?.(to), do: to
 
     groups =
       for {group, ways} <- talker.groups,
-          open = Enum.reject(ways, &shut?(way, &1)),
+          open = Enum.reject(ways, shut?),
           open != [],
           do: {group, open}
 
@@ -96,12 +100,15 @@ defmodule Aerie.Router.Gate do
   The ways by which the addressee of a frame is reached that are open to it, all of them where the frame is not guarded;
   `:shut` when there were some and none is left.
   """
-  @spec open([Endpoint.key()], %{Endpoint.key() => Way.t()}, Way.t(), Frame.t(), Tables.t()) ::
+  @spec open([Endpoint.key()], %{Endpoint.key() => Way.t()}, Way.t(), Frame.t(), target, Tables.t()) ::
           [Endpoint.key()] | :shut
-  def open(keys, _ways, %{guarded: false}, _frame, _tables), do: keys
+        when target: {non_neg_integer, 0..255}
+  def open(keys, _ways, %{guarded: false}, _frame, _target, _tables), do: keys
 
-  def open(keys, ways, way, frame, tables) do
-    case Enum.split_with(keys, &(&1 != way.key and is_map_key(ways, &1) and shut?(way, ways[&1]))) do
+  def open(keys, ways, way, frame, target, tables) do
+    shut? = &(&1 != way.key and is_map_key(ways, &1) and shut?(way, ways[&1], frame, target))
+
+    case Enum.split_with(keys, shut?) do
       {[], keys} ->
         keys
 
@@ -111,8 +118,21 @@ defmodule Aerie.Router.Gate do
     end
   end
 
-  # A vehicle may speak to who only seems to be none: a part of it, or a ground station that says no heartbeat.
-  defp shut?(from, to), do: to.side == :vehicle and (to.heard_vehicle or not from.heard_vehicle)
+  # An end of which no autopilot is known is a part of a vehicle, a ground station that says no heartbeat, or a vehicle that
+  # has just come: orders go there from vehicles only, and only those that are for the first two.
+  defp shut?(_from, %{side: :client}, _frame, _target), do: false
+
+  defp shut?(%{heard_vehicle: true}, %{heard_vehicle: false}, frame, to),
+    do: not fits?(Orders.kind(frame), frame, to)
+
+  defp shut?(_from, _to, _frame, _target), do: true
+
+  defp fits?(:order, _frame, nil), do: false
+  defp fits?(:order, _frame, {system, _component}) when system >= @ground_stations, do: true
+  defp fits?(:order, %{system: system, component: from}, {system, 0}), do: from == @autopilot
+  defp fits?(:order, %{system: system}, {system, component}), do: component != @autopilot
+  defp fits?(:order, _frame, _another_vehicle), do: false
+  defp fits?(_input_or_presence, _frame, _target), do: true
 
   defp refused(way, frame, target, tables) do
     case Orders.kind(frame) do

@@ -144,12 +144,6 @@ defmodule Aerie.Router.Turns do
     {:noreply, Enum.reduce(Map.keys(state.turns), %{state | timer: nil}, &let_go(&2, &1)) |> timed()}
   end
 
-  def handle_info({:pulse, pulse, tag}, state) do
-    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
-    send(pulse, {:alive, tag, self()})
-    {:noreply, state}
-  end
-
   # After every change: who is next, if it is anybody's turn now.
   defp let_go(state, key) do
     case state.turns do

@@ -115,6 +115,36 @@ defmodule Aerie.Router.GateTest do
     counted(c, :withheld, 1)
   end
 
+  test "nor does who says that it is a vehicle reach one that has just come, before its first heartbeat", c do
+    liar = udp(c.port)
+    say(liar, heartbeat(77))
+    eventually(fn -> Router.way(c.gateway, {"main", 77}) end)
+    fresh = udp(c.port)
+    say(fresh, attitude(3, 1))
+    eventually(fn -> Router.way(c.gateway, {"main", 3}) end)
+    for target <- [3, 0], do: say(liar, disarm(target, 77))
+    say(liar, mark(77))
+    got = until(fresh, mark(77))
+    refute disarm(3, 77) in got or disarm(0, 77) in got
+    counted(c, :denied, 2)
+  end
+
+  test "an autopilot gives orders to parts of it that call by a way of their own", c do
+    gimbal = udp(c.port)
+    say(gimbal, heartbeat(1, type: 26, autopilot: 8, component: 154))
+    eventually(fn -> Router.way(c.gateway, {"main", 1}, component: 154) end)
+
+    order =
+      MavCodec.encode(%Messages.CommandLong{target_system: 1, target_component: 154, command: 1_000},
+        system: 1,
+        component: 1
+      )
+
+    say(c.one, order)
+    until(gimbal, order)
+    assert counters(c).denied == 0
+  end
+
   test "questions and their answers pass: who may not command may still look on", c do
     stranger = udp(c.port)
     say(stranger, gcs(255))

@@ -3,13 +3,11 @@ defmodule AerieCLI.Modules do
   Loads the code of the gateway and of all it uses, once it runs. Code that is loaded when it is first called is loaded
   from a file, and that fails just when it is needed: with all descriptors used up, or with the files gone.
 
-  In the background, because a vehicle that flies waits for its gateway and not for this (two seconds), and in small
-  portions, so that code which is called meanwhile is not queued behind all of it.
+  In the background, because a vehicle that flies waits for its gateway and not for this (some seconds), and one after the
+  other by a process of low priority, which prepares the code itself: many at once would go before what is needed now.
   """
 
   require Logger
-
-  @portion 25
 
   @doc "Begins to load. Gives the process that does, which ends when all is loaded."
   @spec load() :: pid()
@@ -18,7 +16,8 @@ defmodule AerieCLI.Modules do
       Task.start(fn ->
         Process.set_label(:module_loader)
         Process.flag(:priority, :low)
-        all() |> Enum.reject(&:erlang.module_loaded/1) |> Enum.chunk_every(@portion) |> Enum.each(&portion/1)
+        failed = for module <- all(), {:error, reason} <- [:code.ensure_loaded(module)], do: {module, reason}
+        if failed != [], do: Logger.warning("code that cannot be loaded: #{inspect(failed)}")
       end)
 
     pid
@@ -36,12 +35,5 @@ defmodule AerieCLI.Modules do
     if app in known,
       do: applications(rest, known),
       else: applications(rest ++ (Application.spec(app, :applications) || []), [app | known])
-  end
-
-  defp portion(modules) do
-    with {:error, failed} <- :code.ensure_modules_loaded(modules) do
-      # Debian leaves parts of some packages out; what is ours must be there.
-      Logger.warning("code that cannot be loaded, and is not there when it is called: #{inspect(failed)}")
-    end
   end
 end

@@ -217,6 +217,26 @@ defmodule FleetWeb.WebSocketTest do
       assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
     end
 
+    test "what is no text is refused before anything is looked at, and costs no place" do
+      c = start(websocket: %{max_clients: 1})
+
+      upgrade =
+        "connection: upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\nsec-websocket-key: AA==\r\n"
+
+      for {path, header} <- [
+            {"/?ticket=%FF", ""},
+            {"/%FF", ""},
+            {"/", <<"sec-websocket-protocol: mavlink, ticket.", 255, "\r\n">>},
+            {"/", <<"origin: http://", 255, "\r\n">>}
+          ] do
+        answer = raw(c.ws, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\n", upgrade, header, "\r\n"])
+        assert answer =~ ~r/\AHTTP\/1.1 400 /
+        refute answer =~ ~r/\.erl|\.ex\b|Elixir\./
+      end
+
+      open(c)
+    end
+
     test "what asks for something else is told so" do
       c = start()
       assert {426, %{"error" => %{"code" => "upgrade_required"}}} = open(c, "/", headers: [{"upgrade", nil}])

@@ -23,7 +23,13 @@ defmodule FleetWeb.HTTP.Guard do
 
       {:error, error} ->
         count(env, error.status)
-        headers = %{"content-type" => "application/json; charset=utf-8", "cache-control" => "no-store"}
+
+        headers = %{
+          "content-type" => "application/json; charset=utf-8",
+          "cache-control" => "no-store",
+          "connection" => "close"
+        }
+
         body = [JSON.encode_to_iodata!(Error.body(error)), ?\n]
         {:stop, :cowboy_req.reply(error.status, headers, body, request)}
     end

@@ -113,4 +113,43 @@ defmodule Aerie.System.CollisionTest do
       eventually(fn -> lat(gateway) == home(@second) end, "the other one has the id")
     end
   end
+
+  for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
+    test "#{where}: of one that flies nothing is told that happened to the other", %{tmp_dir: folder} do
+      %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
+      Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      first = sim(gateway, "link-1", @first)
+      SimVehicle.await(first, & &1.ready)
+
+      for {command, values} <- [
+            {176, %{param1: 1.0, param2: 4.0}},
+            {400, %{param1: 1.0}},
+            {22, %{param7: 20.0}}
+          ] do
+        command = struct!(%M.CommandLong{target_system: 1, target_component: 1, command: command}, values)
+        SimVehicle.happen(first, {:message, command, {254, 190}})
+      end
+
+      assert_receive {:fleet, :events, %{type: "takeoff"}}, 60_000
+      _other = sim(gateway, unquote(link), @second)
+      assert_receive {:fleet, :events, %{type: "collision"}}, 60_000
+
+      eventually(
+        fn -> Enum.any?(Router.endpoints(gateway), &(&1.counters.collided > 100)) end,
+        "they are apart for a while"
+      )
+
+      assert told() -- ["armed", "mode_change", "statustext", "param_changed"] == []
+      assert %{armed: true, in_air: true} = Store.vehicle(gateway, @key).groups.mode.data
+    end
+  end
+
+  # Texts and parameters may be either's: nothing says whose.
+  defp told do
+    receive do
+      {:fleet, :events, %{type: type}} -> Enum.uniq([type | told()])
+    after
+      0 -> []
+    end
+  end
 end

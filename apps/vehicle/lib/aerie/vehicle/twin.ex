@@ -10,7 +10,8 @@ defmodule Aerie.Vehicle.Twin do
   router that such links do not carry the same vehicle twice. The moment of the boot is compared within one kind of message
   (`Aerie.Vehicle.BootClock` says why), and only jumps to and fro count: a clock that counts something else than
   milliseconds runs away in one direction. A second link that is late by half a minute or less shows the
-  same boot earlier and by itself: links apart and moments near is a delay, no twin.
+  same boot earlier and by itself: links apart and moments near is a delay, no twin, unless its places are where the vehicle
+  cannot have been (`Aerie.Vehicle.Core.Intake`).
   """
 
   defstruct boot: %{}, place: nil, kind: nil, uid: nil
@@ -137,11 +138,15 @@ defmodule Aerie.Vehicle.Twin do
   defp with_link(links, link),
     do: if(link in links, do: links, else: Enum.take([link | links], @max_links))
 
-  defp near?({lat_a, lon_a}, {lat_b, lon_b}) do
+  defp near?(one, other), do: distance_m(one, other) < @place_near_m
+
+  @doc "How far two places (degrees) are from each other, in metres."
+  @spec distance_m({float(), float()}, {float(), float()}) :: float()
+  def distance_m({lat_a, lon_a}, {lat_b, lon_b}) do
     north = (lat_a - lat_b) * @metres_per_degree
     # Across the date line the way is the short one.
     turn = abs(lon_a - lon_b)
     east = min(turn, 360 - turn) * @metres_per_degree * :math.cos(lat_a * 0.017453292519943295)
-    north * north + east * east < @place_near_m * @place_near_m
+    :math.sqrt(north * north + east * east)
   end
 end

@@ -238,6 +238,26 @@ defmodule Aerie.Vehicle.CoreTest do
     assert hd(run.events).data["sign"] == "time_boot_ms"
   end
 
+  test "two on two links that were switched on within half a minute are told apart by their places; a late link is none" do
+    place = fn at, boot, lat ->
+      frame(%M.GlobalPositionInt{time_boot_ms: boot, lat: lat, lon: 85_000_000}, round(at * @second))
+    end
+
+    fly = fn late_s, lat ->
+      Enum.reduce(0..20, start() |> beat(10, "a"), fn n, run ->
+        boot = 60_000 + n * 250
+
+        run
+        |> frames([%{place.(10 + n / 4, boot, 473_000_000) | seq: n}], "a")
+        |> frames([%{place.(10.1 + n / 4, boot - late_s * 1000, lat) | seq: n}], "b")
+      end)
+    end
+
+    assert types(fly.(10, 473_400_000)) == ["collision"]
+    # It flies 50 m/s.
+    assert types(fly.(25, 473_000_000 + round(25 * 50 / 111_320 * 1.0e7))) == []
+  end
+
   test "two vehicles on two links: the links are told apart, for a minute after the last sign" do
     place = fn at, lat ->
       frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat, lon: 85_000_000}, round(at * @second))

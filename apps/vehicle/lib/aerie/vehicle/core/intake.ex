@@ -24,6 +24,9 @@ defmodule Aerie.Vehicle.Core.Intake do
   @telling [0, 2, 30, 33, 148]
   # ... of which these say more than for how long they have run.
   @signs [0, 33, 148]
+  @position 33
+  # No vehicle here is faster.
+  @fast_m_s 100
 
   # A vehicle that restarts says nothing for longer than this.
   @silence_us 2_000_000
@@ -92,6 +95,22 @@ defmodule Aerie.Vehicle.Core.Intake do
         {%{seen | state: core.state}, actions}
     end
   end
+
+  # A frame of a late link says where the vehicle was. Where it cannot have been so shortly before is another one: two that
+  # were switched on within half a minute look like a late link otherwise.
+  defp elsewhere(core, actions, %{id: @position, at: at}, message) do
+    with %{lat: lat, lon: lon} when lat != nil <- State.data(core.state, :position),
+         known when is_integer(known) <- core.state.boot_ms,
+         late_s = abs(known - message.time_boot_ms) / 1000,
+         true <-
+           Twin.distance_m({lat, lon}, {message.lat / 1.0e7, message.lon / 1.0e7}) > 1000 + late_s * @fast_m_s do
+      rival_sign(core, actions, @position, message, at)
+    else
+      _on_its_way -> {core, actions}
+    end
+  end
+
+  defp elsewhere(core, actions, _frame, _message), do: {core, actions}
 
   defp report(core, actions, frame) do
     case MavCodec.decode(frame) do
@@ -180,7 +199,8 @@ defmodule Aerie.Vehicle.Core.Intake do
 
       # Older than what is known, or the first sign of a reboot; either way it is worth a moment's wait.
       :behind ->
-        Effects.boot(core, actions, frame.id, boot_ms, frame.at)
+        {core, actions} = Effects.boot(core, actions, frame.id, boot_ms, frame.at)
+        elsewhere(core, actions, frame, message)
 
       :none ->
         {core, actions} = Effects.boot(core, actions, frame.id, boot_ms, frame.at)

@@ -10,6 +10,10 @@ config :fleet_web, autostart: false
 
 if config_env() == :test do
   config :logger, level: :warning
+
+  # What a test waits for comes at once on an idle machine. This is for busy ones, and guards against hanging: nothing is
+  # measured by it, and it costs nothing when what is awaited comes (Aerie.Patience).
+  config :ex_unit, assert_receive_timeout: 60_000, timeout: 1_200_000
 end
 
 if config_env() == :prod do

@@ -50,13 +50,13 @@ class Proxy:
                 return found
             time.sleep(0.05)
 
-    def see(self, pattern, seconds=60):
+    def see(self, pattern, seconds=300):
         found = self.saw(pattern, seconds)
         if not found:
             raise SystemExit("never saw %s; MAVProxy said:\n%s" % (pattern, self.output[-4000:]))
         return found
 
-    def until(self, line, pattern, tries=60, each=1.0):
+    def until(self, line, pattern, tries=300, each=1.0):
         """Types a line until the answer has come. A change is told once, and may be told between two tries: all is looked
         through that was said since the first one."""
         for n in range(tries):
@@ -96,7 +96,7 @@ def flight(p, firmware, system, parameter, folder):
     say("lat", "%.4f" % lat)
     say("battery", int(p.until("status SYS_STATUS", r"voltage_battery : (\d+)").group(1)) > 5000)
 
-    count = p.until("param status", r"Have ([1-9]\d*)/\1 params", 60).group(1)
+    count = p.until("param status", r"Have ([1-9]\d*)/\1 params").group(1)
     say("params", count)
     value = float(p.until("param show %s" % parameter, parameter + r"\s+(-?\d[\d.]*)").group(1))
     p.type("param set %s %f" % (parameter, value + 1.5))

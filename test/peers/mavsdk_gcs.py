@@ -19,7 +19,7 @@ def say(name, value):
     print("%s %s" % (name, value), flush=True)
 
 
-def until(what, fun, seconds=60):
+def until(what, fun, seconds=300):
     end = time.time() + seconds
     while time.time() < end:
         value = fun()

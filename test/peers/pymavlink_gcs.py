@@ -31,7 +31,7 @@ class Gcs:
         heard = self.wait("HEARTBEAT")
         self.px4 = heard.autopilot == mavutil.mavlink.MAV_AUTOPILOT_PX4
 
-    def wait(self, kinds, test=lambda _m: True, timeout=60, wanted=True):
+    def wait(self, kinds, test=lambda _m: True, timeout=300, wanted=True):
         kinds = [kinds] if isinstance(kinds, str) else kinds
         end = time.time() + timeout
         while time.time() < end:

@@ -7,7 +7,7 @@ defmodule Aerie.RunCase do
 
   @root Path.expand("../..", __DIR__)
   # The first call compiles for production.
-  @patience 240_000
+  @patience 600_000
 
   using do
     quote do
@@ -120,7 +120,7 @@ defmodule Aerie.RunCase do
   end
 
   defp all(socket, got) do
-    case :gen_tcp.recv(socket, 0, 5_000) do
+    case :gen_tcp.recv(socket, 0, Aerie.Patience.ms()) do
       {:ok, bytes} -> all(socket, got <> bytes)
       {:error, _closed} -> got
     end

@@ -99,25 +99,10 @@ defmodule Aerie.SystemCase do
     end
   end
 
-  @doc """
-  Waits for a fact that no message tells (another process's table, the operating system), for 20 seconds at most, and
-  returns what the function returned.
-  """
-  def eventually(fun, what, deadline \\ System.monotonic_time(:millisecond) + 20_000) do
-    case fun.() do
-      value when value in [nil, false] ->
-        if System.monotonic_time(:millisecond) > deadline,
-          do: ExUnit.Assertions.flunk("never: #{if is_function(what), do: what.(), else: what}")
-
-        receive do
-        after
-          20 -> eventually(fun, what, deadline)
-        end
-
-      value ->
-        value
-    end
-  end
+  @doc "See `Aerie.Patience.eventually/3`."
+  @spec eventually((-> result), String.t() | (-> String.t()), integer()) :: result when result: term()
+  def eventually(fun, what, deadline \\ Aerie.Patience.deadline()),
+    do: Aerie.Patience.eventually(fun, what, deadline)
 end
 
 defmodule DynamicTop do

@@ -8,7 +8,6 @@ defmodule Aerie.System.CollisionTest do
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
-  @moduletag timeout: 180_000
 
   @key {"main", 1}
   @first {-35.363261, 149.165230, 584.0}
@@ -73,7 +72,7 @@ defmodule Aerie.System.CollisionTest do
       collision = eventually(fn -> Store.vehicle(gateway, @key)[:collision] end, "the collision is seen")
       assert [["link-1" <> _], [unquote(link) <> _]] = collision.links
       links = collision.links
-      assert_receive {:fleet, :events, %{type: "collision", data: %{"links" => ^links}}}, 20_000
+      assert_receive {:fleet, :events, %{type: "collision", data: %{"links" => ^links}}}
       eventually(fn -> metric(gateway) end, "the metric")
 
       eventually(

@@ -7,7 +7,6 @@ defmodule Aerie.System.DealingsTest do
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
-  @moduletag timeout: 180_000
 
   @attitude 30
   @key {"main", 1}
@@ -106,7 +105,7 @@ defmodule Aerie.System.DealingsTest do
     eventually(fn -> match?(%{state: :asked}, line(gateway, @attitude)) end, "noticed")
     eventually(fn -> match?(%{state: :ok}, line(gateway, @attitude)) end, "corrected")
     other(sim, @attitude, 2)
-    assert_receive {:fleet, :events, %{type: "stream.contested", data: %{"messages" => [message]}}}, 60_000
+    assert_receive {:fleet, :events, %{type: "stream.contested", data: %{"messages" => [message]}}}
     assert %{"name" => "ATTITUDE", "asked_hz" => 20.0, "found_hz" => found, "yielded" => true} = message
     assert_in_delta found, 2, 0.5
     assert %{state: :yielded} = line(gateway, @attitude)
@@ -116,7 +115,7 @@ defmodule Aerie.System.DealingsTest do
     :ok = Streams.want(gateway, @key, self(), @attitude, 20)
     eventually(fn -> match?(%{state: :ok, asked: 20}, line(gateway, @attitude)) end, "20 a second")
     :ok = SimVehicle.reboot(sim)
-    assert_receive {:fleet, :events, %{type: "reboot"}}, 30_000
+    assert_receive {:fleet, :events, %{type: "reboot"}}
     eventually(fn -> match?(%{state: :ok, asked: 20}, line(gateway, @attitude)) end, "20 a second again")
   end
 
@@ -138,13 +137,12 @@ defmodule Aerie.System.DealingsTest do
     stop_supervised!({:station, 255})
 
     assert_receive {:fleet, :events,
-                    %{type: "gcs.lost", data: %{"system" => 255, "failsafe_enabled" => true}}},
-                   30_000
+                    %{type: "gcs.lost", data: %{"system" => 255, "failsafe_enabled" => true}}}
 
     assert %{quiet?: false, known_by: known} = vehicle(gateway).gcs
     assert 253 in known
     station(gateway, 255)
-    assert_receive {:fleet, :events, %{type: "gcs.restored"}}, 30_000
+    assert_receive {:fleet, :events, %{type: "gcs.restored"}}
   end
 
   @tag sim: [params: %{"SYSID_MYGCS" => 237}]

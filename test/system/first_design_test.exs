@@ -7,7 +7,6 @@ defmodule Aerie.System.FirstDesignTest do
   use Aerie.SystemCase, async: true
 
   @moduletag :tmp_dir
-  @moduletag timeout: 120_000
 
   defp gateway_yaml(dir) do
     """

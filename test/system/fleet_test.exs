@@ -4,7 +4,6 @@ defmodule Aerie.System.FleetTest do
   use Aerie.SystemCase, async: true
 
   @moduletag :tmp_dir
-  @moduletag timeout: 120_000
 
   setup %{tmp_dir: folder} do
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])

@@ -7,7 +7,6 @@ defmodule Aerie.System.FloodTest do
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
-  @moduletag timeout: 180_000
 
   @texts 9_000
 

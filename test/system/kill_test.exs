@@ -11,7 +11,6 @@ defmodule Aerie.System.KillTest do
   @moduletag :tmp_dir
   # What is killed says so; that is not news here.
   @moduletag :capture_log
-  @moduletag timeout: 180_000
 
   setup %{tmp_dir: folder} do
     %{gateway: gateway} =

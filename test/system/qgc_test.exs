@@ -12,7 +12,6 @@ defmodule Aerie.System.QGCTest do
 
   @moduletag :tmp_dir
   @moduletag :python
-  @moduletag timeout: 300_000
 
   setup %{tmp_dir: folder} do
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])

@@ -10,7 +10,6 @@ defmodule Aerie.System.RecorderTest do
   alias MavCodec.{Frame, Tlog}
 
   @moduletag :tmp_dir
-  @moduletag timeout: 300_000
 
   test "a failsafe saves the vehicle's last moments by itself: the file has what led to it, and its replay tells of it",
        c do

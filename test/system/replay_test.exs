@@ -7,7 +7,6 @@ defmodule Aerie.System.ReplayTest do
   alias MavCodec.Messages
 
   @moduletag :tmp_dir
-  @moduletag timeout: 300_000
   # An id of its own: what another program sends to this port by mistake is another vehicle.
   @key {"main", 77}
   @vehicle "VID-077"

@@ -14,7 +14,6 @@ defmodule Aerie.System.RoutersTest do
 
   @moduletag :tmp_dir
   @moduletag :python
-  @moduletag timeout: 300_000
 
   @copter ["ardupilot", 1, "PILOT_TKOFF_ALT"]
   @px4 ["px4", 2, "MIS_TAKEOFF_ALT"]

@@ -5,8 +5,6 @@ defmodule Aerie.System.RunTest do
   use Aerie.RunCase
 
   @moduletag :tmp_dir
-  # The first call compiles for production.
-  @moduletag timeout: 300_000
 
   setup %{tmp_dir: folder} do
     config = Path.join(folder, "gateway.yaml")

@@ -6,7 +6,6 @@ defmodule Aerie.System.SerialTest do
   alias Aerie.SerialPeer
 
   @moduletag :tmp_dir
-  @moduletag timeout: 120_000
 
   defmodule Shovel do
     @moduledoc "Between the vehicle's UDP link and the end of the cable."
@@ -75,7 +74,7 @@ defmodule Aerie.System.SerialTest do
         active: false
       ])
 
-    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
 
     {:ok, gcs} = :gen_tcp.connect({:local, Path.join(sockets, "mavlink.sock")}, 0, [:binary, active: false])
     assert frame(gcs, 30)
@@ -84,7 +83,7 @@ defmodule Aerie.System.SerialTest do
     session = Aerie.Names.whereis(gateway, :session, {"main", 1})
     :ok = SerialPeer.unplug(peer)
     eventually(fn -> match?(%{status: :stale}, Store.vehicle(gateway, "VID-001")) end, "it is stale")
-    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
 
     SerialPeer.plug_in(peer, name_in: {dev, "ttyACM0"})
     eventually(fn -> match?(%{status: :online}, Store.vehicle(gateway, "VID-001")) end, "it is back")
@@ -92,15 +91,15 @@ defmodule Aerie.System.SerialTest do
     assert Path.basename(back) == "ttyACM0"
     assert Aerie.Names.whereis(gateway, :session, {"main", 1}) == session
     # Neither client was sent away: what came before the gap has been read, what comes now is new.
-    assert {:ok, _line} = :gen_tcp.recv(client, 0, 20_000)
+    assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
     boot = Store.vehicle(gateway, "VID-001").groups.attitude.time_boot_ms
     assert eventually(fn -> frame(gcs, 30).time_boot_ms > boot end, "the ground station hears it again")
   end
 
   # The next message of an id that the ground station gets: four bytes of length, then the frame.
   defp frame(gcs, id) do
-    {:ok, <<size::32-little>>} = :gen_tcp.recv(gcs, 4, 20_000)
-    {:ok, bytes} = :gen_tcp.recv(gcs, size, 20_000)
+    {:ok, <<size::32-little>>} = :gen_tcp.recv(gcs, 4, Aerie.Patience.ms())
+    {:ok, bytes} = :gen_tcp.recv(gcs, size, Aerie.Patience.ms())
     {frames, _parser} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
 
     case frames do

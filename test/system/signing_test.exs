@@ -14,7 +14,6 @@ defmodule Aerie.System.SigningTest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  @moduletag timeout: 300_000
 
   # Of one word, as MAVProxy takes it.
   @passphrase "a-passphrase-of-the-system-tests"
@@ -143,7 +142,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   defp value(socket, parser) do
-    {:ok, bytes} = :gen_tcp.recv(socket, 0, 20_000)
+    {:ok, bytes} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
     {frames, parser} = Parser.push(parser, bytes)
 
     case Enum.find(frames, &(&1.id == M.ParamValue.id())) do
@@ -166,7 +165,7 @@ defmodule Aerie.System.SigningTest do
 
     assert {:ok, %{key: first}} = Signing.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
     assert state(c.gateway) == :verified
-    assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}, 20_000
+    assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}
 
     # The vehicle answers what we ask, so it takes what we sign.
     eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
@@ -238,7 +237,7 @@ defmodule Aerie.System.SigningTest do
       forger
     end)
 
-    assert_receive {:fleet, :events, %{type: "signing.rejected", data: data}}, 20_000
+    assert_receive {:fleet, :events, %{type: "signing.rejected", data: data}}
     assert %{"link" => "link-1", "reasons" => %{"wrong_signature" => n}} = data
     assert n >= 20
 

@@ -229,7 +229,7 @@ defmodule Aerie.System.SoakTest do
         spawn(fn -> Streams.want(gateway, {"main", rem(k, @vehicles) + 1}, self(), 30, 5 + rem(n, 5)) end)
 
       reference = Process.monitor(wanter)
-      assert_receive {:DOWN, ^reference, :process, ^wanter, _}, 5_000
+      assert_receive {:DOWN, ^reference, :process, ^wanter, _}
       :gen_tcp.send(gcs, <<500::32-little, "cut">>)
       :gen_tcp.close(gcs)
       :gen_tcp.close(state)

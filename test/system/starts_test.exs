@@ -5,7 +5,6 @@ defmodule Aerie.System.StartsTest do
   use Aerie.RunCase
 
   @moduletag :tmp_dir
-  @moduletag timeout: 900_000
 
   test "three calls at once", _context do
     ports = for _n <- 1..3, do: open(["--version"])

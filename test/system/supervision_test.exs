@@ -11,7 +11,6 @@ defmodule Aerie.System.SupervisionTest do
   @moduletag :tmp_dir
   # What is killed says so; that is not news here.
   @moduletag :capture_log
-  @moduletag timeout: 600_000
 
   # The gateway ends when its own children die more often than three times a minute, on purpose: each gateway loses two.
   @per_gateway 2

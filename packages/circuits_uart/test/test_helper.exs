@@ -1,8 +1,8 @@
 # The tests over PTYs need the port program and their own peer, hence a C compiler.
 if File.exists?(Circuits.UART.PortProgram.path()) do
   Circuits.UART.Test.Pty.build!()
-  ExUnit.start()
+  ExUnit.start(assert_receive_timeout: 60_000)
 else
   IO.puts(:stderr, "no port program: the tests that open a port are left out")
-  ExUnit.start(exclude: [:pty])
+  ExUnit.start(exclude: [:pty], assert_receive_timeout: 60_000)
 end

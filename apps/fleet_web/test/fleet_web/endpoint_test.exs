@@ -3,6 +3,8 @@ defmodule FleetWeb.EndpointTest do
 
   use ExUnit.Case, async: true
 
+  import Aerie.Patience, only: [eventually: 1]
+
   alias Aerie.Fleet.Store
   alias MavCodec.Messages
 
@@ -171,20 +173,4 @@ defmodule FleetWeb.EndpointTest do
   end
 
   defp url(port, path), do: ~c"http://127.0.0.1:#{port}#{path}"
-
-  # Other processes' tables tell nobody when they change; ten seconds is for a machine that is busy.
-  defp eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 10_000) do
-    case fun.() do
-      value when value in [nil, false] ->
-        if System.monotonic_time(:millisecond) > deadline, do: flunk("never")
-
-        receive do
-        after
-          10 -> eventually(fun, deadline)
-        end
-
-      value ->
-        value
-    end
-  end
 end

@@ -60,7 +60,7 @@ defmodule FleetWeb.APICase do
   end
 
   defp all(socket, got) do
-    case :gen_tcp.recv(socket, 0, 15_000) do
+    case :gen_tcp.recv(socket, 0, Aerie.Patience.ms()) do
       {:ok, bytes} -> all(socket, got <> bytes)
       {:error, _closed} -> got
     end
@@ -86,21 +86,7 @@ defmodule FleetWeb.APICase do
     })
   end
 
-  @doc "Polls until `fun` gives something truthy, for facts that send no message. Flunks after fifteen seconds."
+  @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()
-  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 15_000) do
-    cond do
-      result = fun.() ->
-        result
-
-      System.monotonic_time(:millisecond) > deadline ->
-        ExUnit.Assertions.flunk("it did not come true within fifteen seconds")
-
-      true ->
-        receive do
-        after
-          5 -> eventually(fun, deadline)
-        end
-    end
-  end
+  defdelegate eventually(fun), to: Aerie.Patience
 end

@@ -49,7 +49,7 @@ defmodule FleetWeb.WSClient do
         {head, rest}
 
       [_more] ->
-        {:ok, bytes} = module.recv(socket, 0, 15_000)
+        {:ok, bytes} = module.recv(socket, 0, Aerie.Patience.ms())
         head(module, socket, got <> bytes)
     end
   end
@@ -58,7 +58,7 @@ defmodule FleetWeb.WSClient do
     do: if(length > 0, do: JSON.decode!(binary_part(got, 0, length)))
 
   defp body(module, socket, got, length) do
-    {:ok, bytes} = module.recv(socket, 0, 15_000)
+    {:ok, bytes} = module.recv(socket, 0, Aerie.Patience.ms())
     body(module, socket, got <> bytes, length)
   end
 

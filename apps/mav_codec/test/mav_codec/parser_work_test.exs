@@ -15,7 +15,7 @@ defmodule MavCodec.ParserWorkTest do
     test = self()
     run = fn -> send(test, {:work, reductions(fun)}) end
     {_pid, monitor} = :erlang.spawn_opt(run, [:monitor, min_heap_size: 12_000_000])
-    assert_receive {:DOWN, ^monitor, _, _, :normal}, 60_000
+    assert_receive {:DOWN, ^monitor, _, _, :normal}
     assert_receive {:work, work}
     work
   end

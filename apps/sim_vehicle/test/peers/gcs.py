@@ -26,7 +26,7 @@ class Gcs:
             self.m.mav.heartbeat_send(6, 8, 0, 0, 4)
             self.beat_at = time.time()
 
-    def wait(self, kinds, test=lambda _m: True, timeout=60):
+    def wait(self, kinds, test=lambda _m: True, timeout=300):
         kinds = [kinds] if isinstance(kinds, str) else kinds
         end = time.time() + timeout
         while time.time() < end:

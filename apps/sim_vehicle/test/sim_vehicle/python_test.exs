@@ -8,7 +8,6 @@ defmodule SimVehicle.PythonTest do
   alias SimVehicle.{Peer, PythonPeer}
 
   @moduletag :python
-  @moduletag timeout: 120_000
 
   # A port that was free a moment ago: pymavlink wants to open it itself.
   defp free_port do

@@ -169,7 +169,7 @@ defmodule SimVehicle.ServerTest do
       peer = Peer.tcp(SimVehicle.port(sim)) |> Peer.await_bytes("Init ArduCopter")
       :ok = SimVehicle.reboot(sim)
       socket = peer.socket
-      assert_receive {:tcp_closed, ^socket}, 5000
+      assert_receive {:tcp_closed, ^socket}
       SimVehicle.await(sim, &(&1.boots == 2))
       SimVehicle.port(sim) |> Peer.tcp() |> Peer.await_bytes("Init ArduCopter")
     end
@@ -196,7 +196,7 @@ defmodule SimVehicle.ServerTest do
       SimVehicle.subscribe(sim)
       SimVehicle.await(sim, & &1.ready)
       _peer = arm(peer)
-      assert_receive {:sim, ^sim, :armed}, 5000
+      assert_receive {:sim, ^sim, :armed}
       :ok = SimVehicle.failsafe(sim, :rc)
       assert_receive {:sim, ^sim, {:failsafe, :rc, true}}
       assert_receive {:sim, ^sim, :disarmed}

@@ -6,7 +6,6 @@ defmodule SimVehicle.Peer do
   alias MavCodec.Parser
 
   @dialect MavCodec.Dialects.Upstream
-  @patience 10_000
 
   defstruct [:socket, :kind, :to, :parser, seq: 0, frames: [], raw: []]
 
@@ -28,7 +27,7 @@ defmodule SimVehicle.Peer do
   end
 
   def tcp_accept(listener) do
-    {:ok, socket} = :gen_tcp.accept(listener, @patience)
+    {:ok, socket} = :gen_tcp.accept(listener, patience())
     %__MODULE__{socket: socket, kind: :tcp, parser: parser()}
   end
 
@@ -126,5 +125,6 @@ defmodule SimVehicle.Peer do
   end
 
   defp parser, do: Parser.new(dialects: [@dialect, MavCodec.Dialects.Ardupilot])
-  defp deadline, do: System.monotonic_time(:millisecond) + @patience
+  defp patience, do: Application.fetch_env!(:ex_unit, :assert_receive_timeout)
+  defp deadline, do: System.monotonic_time(:millisecond) + patience()
 end

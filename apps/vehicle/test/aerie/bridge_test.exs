@@ -147,7 +147,7 @@ defmodule Aerie.BridgeTest do
 
       group = %{at: 0, time_boot_ms: 123, data: %{lat: 1.5, alt_rel: :nan, name: "a\xFF"}}
       :ok = Bridge.publish_state(gateway, "VID-001", :position, group, 1_795_213_361_702_499)
-      assert_receive {:msg, %{topic: "fleet.test.VID-001.state.position", body: body}}, 5_000
+      assert_receive {:msg, %{topic: "fleet.test.VID-001.state.position", body: body}}
 
       assert JSON.decode!(body) == %{
                "vehicle" => "VID-001",
@@ -209,7 +209,7 @@ defmodule Aerie.BridgeTest do
   end
 
   defp wait_for_last(n) do
-    assert_receive {:msg, %{body: body}}, 5_000
+    assert_receive {:msg, %{body: body}}
     unless JSON.decode!(body)["data"]["n"] == n, do: wait_for_last(n)
   end
 end

@@ -131,7 +131,7 @@ defmodule Aerie.LinkTest do
       say(a, port, attitude(1, 1))
       frames(1)
       assert Aerie.Router.send(c.gateway, {"main", 1}, "to a") == :ok
-      assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, 10_000)
+      assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, Aerie.Patience.ms())
 
       # Heard is counted in milliseconds.
       eventually(fn ->
@@ -147,7 +147,7 @@ defmodule Aerie.LinkTest do
       assert Link.send_bytes(c.gateway, "nobody", "x", :all) == {:error, :no_link}
 
       :ok = Aerie.Router.broadcast(c.gateway, "to all", "main")
-      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, 10_000)
+      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, Aerie.Patience.ms())
     end
 
     test "IPv6", c do
@@ -158,7 +158,7 @@ defmodule Aerie.LinkTest do
       frames(1)
       assert [%{text: "[::1]:" <> _}] = Link.snapshot(c.gateway, id).peers
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "six")
-      assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, 10_000)
+      assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
     end
 
     test "a taken port is an error that names the owner, and nothing is left behind", c do
@@ -179,20 +179,20 @@ defmodule Aerie.LinkTest do
       {id, _} = add_link(c.gateway, "udpout:localhost:#{port}")
       eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
       :ok = Link.send_bytes(c.gateway, id, "hello", :all)
-      assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, 10_000)
+      assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, Aerie.Patience.ms())
 
       other = socket()
       :ok = :gen_udp.send(other, address, client, attitude(1, 1))
       frames(1)
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "again")
-      assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, 10_000)
+      assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, Aerie.Patience.ms())
     end
 
     test "says our heartbeat until something is heard: the server knows us only so", c do
       server = socket()
       {:ok, port} = :inet.port(server)
       add_link(c.gateway, "udpout:127.0.0.1:#{port}")
-      assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, 10_000)
+      assert {:ok, {_, _, bytes}} = :gen_udp.recv(server, 0, Aerie.Patience.ms())
       # An on-board computer at 237/191, never a ground station (H5).
       assert {[%{system: 237, component: 191, id: 0} = frame], _} =
                MavCodec.Parser.push(MavCodec.Parser.new(), bytes)
@@ -244,7 +244,7 @@ defmodule Aerie.LinkTest do
       assert [1, 2] = Enum.map(frames(2), &number/1)
 
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "hello")
-      assert {:ok, "hello"} = :gen_tcp.recv(server, 5, 10_000)
+      assert {:ok, "hello"} = :gen_tcp.recv(server, 5, Aerie.Patience.ms())
 
       :gen_tcp.close(server)
       assert_receive {:down, _, %{reason: "connection closed by 127.0.0.1:" <> _}}
@@ -269,7 +269,7 @@ defmodule Aerie.LinkTest do
       assert [1, 2] = frames(2) |> Enum.map(& &1.system) |> Enum.sort()
 
       {:ok, refused} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
-      assert {:error, :closed} = :gen_tcp.recv(refused, 0, 10_000)
+      assert {:error, :closed} = :gen_tcp.recv(refused, 0, Aerie.Patience.ms())
       assert Link.snapshot(c.gateway, id).counters.peers_refused == 1
 
       assert :ok = Aerie.Router.send(c.gateway, {"main", 2}, "b")
@@ -299,7 +299,7 @@ defmodule Aerie.LinkTest do
 
   # Frames of others come to a peer as well (R1).
   defp read_until(socket, text, before \\ "") do
-    {:ok, bytes} = :gen_tcp.recv(socket, 0, 10_000)
+    {:ok, bytes} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
     String.ends_with?(before <> bytes, text) or read_until(socket, text, before <> bytes)
   end
 

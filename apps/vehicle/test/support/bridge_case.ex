@@ -60,7 +60,7 @@ defmodule Aerie.BridgeCase do
 
   @doc "Waits for news of a part of the bridge that `fun` accepts."
   @spec await(reference(), atom(), (map() -> as_boolean(term())), timeout()) :: map()
-  def await(gateway, part, fun, timeout \\ 15_000) do
+  def await(gateway, part, fun, timeout \\ Aerie.Patience.ms()) do
     deadline = System.monotonic_time(:millisecond) + timeout
     info = gateway |> Bridge.Tables.get() |> info(part)
     if info && fun.(info), do: info, else: await_news(part, fun, deadline)
@@ -209,19 +209,7 @@ defmodule Aerie.BridgeCase do
     |> Enum.sum()
   end
 
-  @doc "Polls until `fun` gives something truthy, for facts that send no message."
+  @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()
-  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 30_000) do
-    cond do
-      result = fun.() ->
-        result
-
-      System.monotonic_time(:millisecond) > deadline ->
-        ExUnit.Assertions.flunk("it did not come true")
-
-      true ->
-        Process.sleep(10)
-        eventually(fun, deadline)
-    end
-  end
+  defdelegate eventually(fun), to: Aerie.Patience
 end

@@ -22,19 +22,7 @@ defmodule Aerie.GatewayCase do
     name
   end
 
-  @doc "Polls until `fun` gives something truthy, for facts that send no message. Flunks after two seconds."
+  @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()
-  def eventually(fun, deadline \\ System.monotonic_time(:millisecond) + 2_000) do
-    cond do
-      result = fun.() ->
-        result
-
-      System.monotonic_time(:millisecond) > deadline ->
-        ExUnit.Assertions.flunk("it did not come true within two seconds")
-
-      true ->
-        Process.sleep(2)
-        eventually(fun, deadline)
-    end
-  end
+  defdelegate eventually(fun), to: Aerie.Patience
 end

@@ -9,7 +9,6 @@ defmodule Aerie.LinkCase do
   alias Aerie.Names
 
   # For machines that are busy with something else.
-  @patience 15_000
 
   using do
     quote do
@@ -55,13 +54,13 @@ defmodule Aerie.LinkCase do
     receive do
       {:frames, _link, frames} -> frames(n, got ++ frames)
     after
-      @patience -> ExUnit.Assertions.flunk("#{length(got)} of #{n} frames came")
+      Aerie.Patience.ms() -> ExUnit.Assertions.flunk("#{length(got)} of #{n} frames came")
     end
   end
 
-  @doc "Polls until `fun` gives something truthy, for facts of the operating system that send no message."
+  @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term
-  def eventually(fun), do: Aerie.GatewayCase.eventually(fun, System.monotonic_time(:millisecond) + @patience)
+  defdelegate eventually(fun), to: Aerie.Patience
 
   @doc "Adds a link to the gateway; gives its id and, for a server, its port."
   @spec add_link(term, String.t(), keyword) :: {String.t(), non_neg_integer | nil}
@@ -109,6 +108,16 @@ defmodule Aerie.LinkCase do
   @spec attitude(non_neg_integer, non_neg_integer) :: binary
   def attitude(system, n) do
     MavCodec.encode(%MavCodec.Messages.Attitude{time_boot_ms: n, roll: 0.5, yaw: 1.0},
+      system: system,
+      component: 1,
+      seq: rem(n, 256)
+    )
+  end
+
+  @doc "Telemetry of a large kind, of which few frames fill what buffers there are."
+  @spec odometry(non_neg_integer, non_neg_integer) :: binary
+  def odometry(system, n) do
+    MavCodec.encode(%MavCodec.Messages.Odometry{time_usec: n, quality: 1},
       system: system,
       component: 1,
       seq: rem(n, 256)

@@ -7,7 +7,6 @@ defmodule Aerie.PythonPeer do
   @peers Path.expand("../peers", __DIR__)
   @venv Path.expand("../../../../.venv", __DIR__)
   # For what is only slow on a busy machine.
-  @patience 20_000
 
   @doc "The interpreter, nil when there is none."
   @spec python() :: Path.t() | nil
@@ -40,7 +39,7 @@ defmodule Aerie.PythonPeer do
       {^port, {:data, {:eol, ^prefix <> rest}}} -> rest
       {^port, {:exit_status, status}} -> ExUnit.Assertions.flunk("the peer ended with status #{status}")
     after
-      @patience -> ExUnit.Assertions.flunk("the peer did not say #{inspect(prefix)}")
+      Aerie.Patience.ms() -> ExUnit.Assertions.flunk("the peer did not say #{inspect(prefix)}")
     end
   end
 end

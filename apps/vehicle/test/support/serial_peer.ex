@@ -12,7 +12,6 @@ defmodule Aerie.SerialPeer do
   alias Aerie.BaudModel
 
   @source Path.expand("../../../../packages/circuits_uart/test/support/pty_peer.c", __DIR__)
-  @patience 20_000
 
   @doc "Builds the program; false without a C compiler."
   @spec build() :: boolean
@@ -39,27 +38,27 @@ defmodule Aerie.SerialPeer do
 
   @doc "The device that it is now."
   @spec path(pid) :: String.t()
-  def path(peer), do: GenServer.call(peer, :path, @patience)
+  def path(peer), do: GenServer.call(peer, :path, Aerie.Patience.ms())
 
   @doc "Pulls the cable."
   @spec unplug(pid) :: :ok
-  def unplug(peer), do: GenServer.call(peer, :unplug, @patience)
+  def unplug(peer), do: GenServer.call(peer, :unplug, Aerie.Patience.ms())
 
   @doc "Plugs it in again, as another device; gives its path."
   @spec plug_in(pid, keyword) :: String.t()
-  def plug_in(peer, options \\ []), do: GenServer.call(peer, {:plug_in, options}, @patience)
+  def plug_in(peer, options \\ []), do: GenServer.call(peer, {:plug_in, options}, Aerie.Patience.ms())
 
   @doc "Changes what it does: `:baud`, `:every`, `:says`."
   @spec change(pid, keyword) :: :ok
-  def change(peer, options), do: GenServer.call(peer, {:change, options}, @patience)
+  def change(peer, options), do: GenServer.call(peer, {:change, options}, Aerie.Patience.ms())
 
   @doc "Says something now."
   @spec say(pid, binary) :: :ok
-  def say(peer, bytes), do: GenServer.call(peer, {:say, bytes}, @patience)
+  def say(peer, bytes), do: GenServer.call(peer, {:say, bytes}, Aerie.Patience.ms())
 
   @doc "How often it has spoken."
   @spec turns(pid) :: non_neg_integer
-  def turns(peer), do: GenServer.call(peer, :turns, @patience)
+  def turns(peer), do: GenServer.call(peer, :turns, Aerie.Patience.ms())
 
   @impl GenServer
   def init(options) do
@@ -153,7 +152,7 @@ defmodule Aerie.SerialPeer do
         heard(state, bytes)
         after_heard(state, letter)
     after
-      @patience -> raise "the cable's other end did not answer #{<<letter>>}"
+      Aerie.Patience.ms() -> raise "the cable's other end did not answer #{<<letter>>}"
     end
   end
 
@@ -161,7 +160,7 @@ defmodule Aerie.SerialPeer do
     receive do
       {^port, {:data, <<^letter, rest::binary>>}} -> rest
     after
-      @patience -> raise "the cable's other end did not start"
+      Aerie.Patience.ms() -> raise "the cable's other end did not start"
     end
   end
 

@@ -30,7 +30,7 @@ defmodule Circuits.UARTTest do
     test "by a name in /dev", %{uart: uart, pty: %{path: "/dev/" <> name} = pty} do
       assert UART.open(uart, name) == :ok
       Pty.write(pty, "x")
-      assert_receive {:circuits_uart, ^name, "x"}, 5_000
+      assert_receive {:circuits_uart, ^name, "x"}
     end
 
     @tag :tmp_dir
@@ -39,7 +39,7 @@ defmodule Circuits.UARTTest do
       File.ln_s!(pty.path, link)
       assert UART.open(uart, link) == :ok
       Pty.write(pty, "x")
-      assert_receive {:circuits_uart, ^link, "x"}, 5_000
+      assert_receive {:circuits_uart, ^link, "x"}
     end
 
     test "of what is not there, not a port, not a name", %{uart: uart} do
@@ -171,7 +171,7 @@ defmodule Circuits.UARTTest do
       other = spawn_link(fn -> receive do: (message -> send(test, {:other, message})) end)
       assert UART.controlling_process(uart, other) == :ok
       Pty.write(pty, "x")
-      assert_receive {:other, {:circuits_uart, ^path, "x"}}, 5_000
+      assert_receive {:other, {:circuits_uart, ^path, "x"}}
     end
 
     test "and passive mode take turns without losing a byte", %{uart: uart, pty: %{path: path} = pty} do
@@ -180,14 +180,14 @@ defmodule Circuits.UARTTest do
       assert UART.read(uart) == {:ok, "a"}
       assert UART.configure(uart, active: true) == :ok
       Pty.write(pty, "b")
-      assert_receive {:circuits_uart, ^path, "b"}, 5_000
+      assert_receive {:circuits_uart, ^path, "b"}
       assert UART.configure(uart, active: false) == :ok
       Pty.write(pty, "c")
       assert UART.read(uart) == {:ok, "c"}
       refute_received {:circuits_uart, _, _}
       Pty.write(pty, "d")
       assert UART.configure(uart, active: true) == :ok
-      assert_receive {:circuits_uart, ^path, "d"}, 5_000
+      assert_receive {:circuits_uart, ^path, "d"}
     end
   end
 
@@ -350,15 +350,15 @@ defmodule Circuits.UARTTest do
       Pty.write(pty, "O")
       Pty.write(pty, "K\r")
       Pty.write(pty, "\n\r\nend\r\n")
-      assert_receive {:circuits_uart, ^path, "OK"}, 5_000
-      assert_receive {:circuits_uart, ^path, ""}, 5_000
-      assert_receive {:circuits_uart, ^path, "end"}, 5_000
+      assert_receive {:circuits_uart, ^path, "OK"}
+      assert_receive {:circuits_uart, ^path, ""}
+      assert_receive {:circuits_uart, ^path, "end"}
     end
 
     test "a frame that does not go on is told after its time", %{uart: uart, pty: %{path: path} = pty} do
       assert UART.open(uart, path, framing: Framing.Line, rx_framing_timeout: 20) == :ok
       Pty.write(pty, "par")
-      assert_receive {:circuits_uart, ^path, {:partial, "par"}}, 5_000
+      assert_receive {:circuits_uart, ^path, {:partial, "par"}}
 
       assert UART.configure(uart, active: false, framing: Framing.FourByte) == :ok
       Pty.write(pty, "123456")
@@ -371,9 +371,9 @@ defmodule Circuits.UARTTest do
       Pty.write(pty, "first\nsecond\n")
       assert UART.read(uart) == {:ok, {:partial, "firs"}}
       assert UART.configure(uart, active: true, framing: Framing.None) == :ok
-      assert_receive {:circuits_uart, ^path, "t"}, 5_000
-      assert_receive {:circuits_uart, ^path, {:partial, "seco"}}, 5_000
-      assert_receive {:circuits_uart, ^path, "nd"}, 5_000
+      assert_receive {:circuits_uart, ^path, "t"}
+      assert_receive {:circuits_uart, ^path, {:partial, "seco"}}
+      assert_receive {:circuits_uart, ^path, "nd"}
       Pty.write(pty, "raw")
       assert gather(path, 3) == "raw"
     end

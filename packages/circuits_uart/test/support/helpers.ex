@@ -6,7 +6,7 @@ defmodule Circuits.UART.Test.Helpers do
   alias Circuits.UART
 
   # For what is only slow on a busy machine.
-  @patience 15_000
+  @patience 60_000
 
   @doc "So many bytes of active mode's messages."
   def gather(id, count, sofar \\ "")

@@ -9,7 +9,7 @@ defmodule Circuits.UART.Test.Pty do
   defstruct [:port, :path]
 
   # For what is only slow on a busy machine.
-  @patience 15_000
+  @patience 60_000
 
   @doc "Where the test helper builds the program."
   def program, do: Path.join(Mix.Project.app_path(), "pty_peer")

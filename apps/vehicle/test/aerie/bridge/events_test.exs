@@ -27,8 +27,7 @@ defmodule Aerie.Bridge.EventsTest do
 
     Fleet.Journal.commit(gateway, "VID-001", :state, [event])
 
-    assert_receive {:msg, %{topic: "fleet.test.VID-001.event.mode_change", body: body, headers: headers}},
-                   5_000
+    assert_receive {:msg, %{topic: "fleet.test.VID-001.event.mode_change", body: body, headers: headers}}
 
     assert {"nats-msg-id", event.id} in headers
     refute List.keymember?(headers, "aerie-backfill", 0)
@@ -104,7 +103,7 @@ defmodule Aerie.Bridge.EventsTest do
       pid = eventually(fn -> Aerie.Names.whereis(gateway, role) end)
       ref = Process.monitor(pid)
       Process.exit(pid, :kill)
-      assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+      assert_receive {:DOWN, ^ref, _, _, _}
       eventually(fn -> Aerie.Names.whereis(gateway, role) not in [nil, pid] end)
     end
   end

@@ -35,7 +35,7 @@ defmodule Aerie.Bridge.ServerTest do
     keeper = Aerie.Names.whereis(gateway, :bridge_server)
     ref = Process.monitor(keeper)
     Process.exit(keeper, :kill)
-    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+    assert_receive {:DOWN, ^ref, _, _, _}
     eventually(fn -> FolderLock.start_time(old) == "" end)
     eventually(fn -> Bridge.info(gateway)[:connected] && server_pid(dir) != old end)
     commit(gateway, "A", 1..3)
@@ -188,12 +188,12 @@ defmodule Aerie.Bridge.ServerTest do
 
       assert await_up(gateway) == "nats://127.0.0.1:#{tcp_port}"
       Bridge.Server.OsProcess.stop(server)
-      assert_receive {^server, {:exit_status, _}}, 10_000
+      assert_receive {^server, {:exit_status, _}}
     end
   end
 
   defp listening(port) do
-    assert_receive {^port, {:data, {:eol, line}}}, 10_000
+    assert_receive {^port, {:data, {:eol, line}}}
 
     case Bridge.Server.LogLine.parse(line) do
       {_, _, {:listening, tcp_port}} -> tcp_port

@@ -88,7 +88,7 @@ defmodule Aerie.Bridge.StorageTest do
     assert Bridge.info(gateway).problem == nil
     assert metric(gateway, "gateway_nats_ready") == 1
     Bridge.Server.OsProcess.stop(server)
-    assert_receive {^server, {:exit_status, _}}, 10_000
+    assert_receive {^server, {:exit_status, _}}
   end
 
   test "an own quota that is smaller than the streams is refused before anything starts", %{tmp_dir: dir} do
@@ -131,7 +131,7 @@ defmodule Aerie.Bridge.StorageTest do
   end
 
   defp listening(port) do
-    assert_receive {^port, {:data, {:eol, line}}}, 10_000
+    assert_receive {^port, {:data, {:eol, line}}}
 
     case Bridge.Server.LogLine.parse(line) do
       {_, _, {:listening, tcp_port}} -> tcp_port
@@ -140,7 +140,7 @@ defmodule Aerie.Bridge.StorageTest do
   end
 
   defp marked(port, mark) do
-    assert_receive {^port, {:data, {:eol, line}}}, 60_000
+    assert_receive {^port, {:data, {:eol, line}}}
 
     if String.starts_with?(line, mark),
       do: String.replace_prefix(line, mark, ""),

@@ -2,7 +2,7 @@ defmodule Aerie.Client.MavlinkSocketTest do
   use ExUnit.Case, async: true
 
   import Aerie.ClientCase
-  import Aerie.LinkCase, only: [eventually: 1, heartbeat: 1, heartbeat: 2, attitude: 2]
+  import Aerie.LinkCase, only: [eventually: 1, heartbeat: 1, heartbeat: 2, attitude: 2, odometry: 2]
 
   alias Aerie.Client.LengthPrefix
   alias Aerie.Fleet.Store
@@ -32,8 +32,8 @@ defmodule Aerie.Client.MavlinkSocketTest do
   end
 
   defp frame(socket) do
-    {:ok, <<length::32-little>>} = :gen_tcp.recv(socket, 4, 10_000)
-    {:ok, frame} = :gen_tcp.recv(socket, length, 10_000)
+    {:ok, <<length::32-little>>} = :gen_tcp.recv(socket, 4, Aerie.Patience.ms())
+    {:ok, frame} = :gen_tcp.recv(socket, length, Aerie.Patience.ms())
     frame
   end
 
@@ -46,7 +46,7 @@ defmodule Aerie.Client.MavlinkSocketTest do
 
     ours = heartbeat(255, type: 6, autopilot: 8, component: 190)
     :ok = :gen_tcp.send(socket, LengthPrefix.wrap(ours))
-    assert_receive {:forward, [^ours], :control}, 10_000
+    assert_receive {:forward, [^ours], :control}
   end
 
   test "two programs hear each other, and each is an endpoint of its own" do
@@ -63,10 +63,10 @@ defmodule Aerie.Client.MavlinkSocketTest do
     socket = join(c)
     ours = heartbeat(255, type: 6, autopilot: 8, component: 190)
     :ok = :gen_tcp.send(socket, [LengthPrefix.wrap(:binary.copy(<<0xFD>>, 40)), LengthPrefix.wrap(ours)])
-    assert_receive {:forward, [^ours], :control}, 10_000
+    assert_receive {:forward, [^ours], :control}
 
     :ok = :gen_tcp.send(socket, "GET / HTTP/1.1\r\n\r\n")
-    assert {:error, :closed} = :gen_tcp.recv(socket, 0, 10_000)
+    assert {:error, :closed} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
     assert Store.counter(c.gateway, {:clients, :mavlink, :malformed}) == 1
     eventually(fn -> clients(c.gateway) == [] end)
   end
@@ -83,18 +83,22 @@ defmodule Aerie.Client.MavlinkSocketTest do
     [{_, pid, _, _}] = process.()
     reader = join(c, 2)
 
-    for n <- 1..20_000 do
-      say(c.link, attitude(1, n))
-      if rem(n, 50) == 0, do: for(_ <- 1..50, do: frame(reader))
-    end
+    dropped = fn -> Enum.find(Router.endpoints(c.gateway), &(&1.id == id)).counters.dropped_state end
 
+    # No more than it takes: who takes nothing at all for half a minute is let go.
+    last =
+      Enum.find(50..50_000//50, fn n ->
+        for m <- (n - 49)..n, do: say(c.link, odometry(1, m))
+        for _ <- 1..50, do: frame(reader)
+        dropped.() > 1000
+      end)
+
+    assert last
     assert {:message_queue_len, waiting} = Process.info(pid, :message_queue_len)
     assert waiting <= Endpoint.max_waiting()
-    dropped = fn -> Enum.find(Router.endpoints(c.gateway), &(&1.id == id)).counters.dropped_state end
-    assert eventually(fn -> dropped.() > 1000 end)
 
     # It reads again: what it gets are whole frames, and the newest are among them.
-    assert Enum.find(Stream.repeatedly(fn -> frame(deaf) end), &(&1 == attitude(1, 20_000)))
+    assert Enum.find(Stream.repeatedly(fn -> frame(deaf) end), &(&1 == odometry(1, last)))
   end
 
   test "the process of one program may be killed; the socket and the others go on" do
@@ -106,7 +110,7 @@ defmodule Aerie.Client.MavlinkSocketTest do
 
     two = join(c, 2)
     Process.exit(pid, :kill)
-    assert {:error, :closed} = :gen_tcp.recv(one, 0, 10_000)
+    assert {:error, :closed} = :gen_tcp.recv(one, 0, Aerie.Patience.ms())
     eventually(fn -> length(clients(c.gateway)) == 1 end)
     say(c.link, heartbeat(1))
     assert frame(two) == heartbeat(1)

@@ -12,7 +12,7 @@ defmodule Aerie.Client.StateSocketTest do
   defp lines(socket), do: receive_line(socket)
 
   defp receive_line(socket) do
-    {:ok, line} = :gen_tcp.recv(socket, 0, 10_000)
+    {:ok, line} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
     JSON.decode!(line)
   end
 
@@ -123,7 +123,7 @@ defmodule Aerie.Client.StateSocketTest do
     socket = connect(Path.join(dir, "state.sock"))
     :ok = :gen_tcp.send(socket, String.duplicate("x", 1000))
     _ = :gen_tcp.send(socket, String.duplicate("x", 100_000))
-    assert {:error, reason} = :gen_tcp.recv(socket, 0, 10_000)
+    assert {:error, reason} = :gen_tcp.recv(socket, 0, Aerie.Patience.ms())
     assert reason in [:closed, :econnreset]
     assert Store.counter(gateway, {:clients, :state, :chatter}) == 1
   end

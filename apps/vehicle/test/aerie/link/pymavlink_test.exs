@@ -91,7 +91,7 @@ defmodule Aerie.Link.PymavlinkTest do
       Port.command(peer, "end\n")
 
       # Only then is the port free for the next, and nobody there: before, a call may still be taken and dropped.
-      assert_receive {^peer, {:exit_status, 0}}, 20_000
+      assert_receive {^peer, {:exit_status, 0}}
       until_down("connection refused")
     end
   end
@@ -101,7 +101,7 @@ defmodule Aerie.Link.PymavlinkTest do
   defp until_down(words), do: until(&(match?({:down, _reason}, &1) and elem(&1, 1) =~ words))
 
   defp until(wanted?) do
-    assert_receive {event, _measurements, metadata} when event in [:up, :down], 30_000
+    assert_receive {event, _measurements, metadata} when event in [:up, :down]
     if wanted?.({event, metadata[:reason]}), do: :ok, else: until(wanted?)
   end
 end

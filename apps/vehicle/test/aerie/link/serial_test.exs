@@ -7,7 +7,7 @@ defmodule Aerie.Link.SerialTest do
   alias Aerie.PythonPeer
 
   @moduletag :python
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   setup do
     gateway = start_parts()

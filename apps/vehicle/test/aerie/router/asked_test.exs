@@ -11,7 +11,7 @@ defmodule Aerie.Router.AskedTest do
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
-  @patience 60_000
+  @patience Aerie.Patience.ms()
   # 3 MB.
   @pieces 33_334
 

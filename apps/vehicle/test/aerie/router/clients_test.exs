@@ -6,7 +6,7 @@ defmodule Aerie.Router.ClientsTest do
   alias Aerie.Router
   alias MavCodec.Messages
 
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   setup do
     gateway = start_parts(%{mavlink: %{system_id: 245, component_id: 191}})

@@ -51,7 +51,7 @@ defmodule Aerie.Router.ForwardTest do
   defp say(endpoint, bytes) do
     name = endpoint.name
     send(endpoint.pid, {:ingress, IO.iodata_to_binary(bytes)})
-    assert_receive {:done, ^name, outcome}, 5_000
+    assert_receive {:done, ^name, outcome}
     outcome
   end
 

@@ -10,7 +10,7 @@ defmodule Aerie.Router.GateTest do
   alias Aerie.Router.Orders
   alias MavCodec.Messages
 
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   # Two vehicles that call the same link, which nobody may command by, and a client that may.
   @moduletag capture_log: true

@@ -8,7 +8,7 @@ defmodule Aerie.Router.TurnsTest do
   alias Aerie.Router.Turns.Turn
   alias MavCodec.Messages, as: M
 
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   describe "a turn" do
     @a {:a, 255, 190}

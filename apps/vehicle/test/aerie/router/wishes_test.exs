@@ -43,7 +43,7 @@ defmodule Aerie.Router.WishesTest do
 
   # What comes next to the vehicle from a client.
   defp heard(socket) do
-    {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, 10_000)
+    {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
     {[frame], _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
     if frame.system == 255, do: bytes, else: heard(socket)
   end
@@ -74,7 +74,7 @@ defmodule Aerie.Router.WishesTest do
       receive do: (:stop -> :ok)
     end)
 
-    assert_receive {:answer, answer, :ack}, 10_000
+    assert_receive {:answer, answer, :ack}
     assert {[%Frame{system: 1, component: 1} = ack], _} = Parser.push_datagram(Parser.new(), answer, nil)
     assert {:ok, %M.CommandAck{command: 511, result: 0, target_system: 255}} = MavCodec.decode(ack)
     # What comes to the vehicle next is something else.
@@ -109,7 +109,7 @@ defmodule Aerie.Router.WishesTest do
     says(one, set(30, 10))
     bytes = says(one, %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0})
     assert heard(vehicle) == bytes
-    assert_receive {:forward, [answer], :ack}, 10_000
+    assert_receive {:forward, [answer], :ack}
     assert {[ack], _} = Parser.push_datagram(Parser.new(), answer, nil)
     # Not now.
     assert {:ok, %M.CommandAck{command: 511, result: 1}} = MavCodec.decode(ack)

@@ -159,7 +159,7 @@ defmodule Aerie.Signing.RotationTest do
 
     # The order to take a key, as the vehicle gets it; other frames for it come in between.
     defp order(c) do
-      assert_receive {:udp, _socket, _from, _port, bytes}, 5_000
+      assert_receive {:udp, _socket, _from, _port, bytes}
       {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
       Enum.find(frames, &(&1.id == 256)) || order(c)
     end

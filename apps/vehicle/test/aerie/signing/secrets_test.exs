@@ -63,7 +63,7 @@ defmodule Aerie.Signing.SecretsTest do
       capture_log(fn ->
         # A place that is none: the process fails, and says what its last message was.
         GenServer.cast(c.link, {:send, :nowhere, order})
-        assert_receive {:DOWN, ^monitor, :process, _pid, _reason}, 5_000
+        assert_receive {:DOWN, ^monitor, :process, _pid, _reason}
       end)
 
     assert log =~ "nowhere"
@@ -77,7 +77,7 @@ defmodule Aerie.Signing.SecretsTest do
     log =
       capture_log(fn ->
         catch_exit(GenServer.call(vault, {:stage, :no_id, Secret.new(@key)}))
-        assert_receive {:DOWN, ^monitor, :process, _pid, _reason}, 5_000
+        assert_receive {:DOWN, ^monitor, :process, _pid, _reason}
       end)
 
     assert log =~ "stage"

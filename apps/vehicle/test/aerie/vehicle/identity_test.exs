@@ -103,7 +103,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     eventually(fn -> match?(%{high_latency: %{only?: true}}, Fleet.Store.vehicle(gateway, {"main", 1})) end)
     :ok = Vehicle.HighLatency.request(gateway, {"main", 1}, true)
     # It is the first thing that comes.
-    assert {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, 10_000)
+    assert {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
     {[frame], _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
     assert {:ok, %{command: 2600, param1: 1.0}} = MavCodec.decode(frame)
     assert {:error, :timeout} = :gen_udp.recv(socket, 0, 1_300)

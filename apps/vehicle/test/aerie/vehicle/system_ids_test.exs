@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.SystemIdsTest do
   alias MavCodec.Messages, as: M
 
   @loopback {127, 0, 0, 1}
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   # A gateway with one vehicle on one UDP link, which the test plays.
   defp flying(system, mavlink \\ %{}) do

@@ -18,7 +18,7 @@ defmodule Circuits.UART.FaultsTest do
     test "is told once in active mode, and the port is closed", %{uart: uart, pty: %{path: path} = pty} do
       assert UART.open(uart, path) == :ok
       Pty.hang_up(pty)
-      assert_receive {:circuits_uart, ^path, {:error, :eio}}, 5_000
+      assert_receive {:circuits_uart, ^path, {:error, :eio}}
       assert UART.write(uart, "x") == {:error, :ebadf}
       assert {:closed, _options} = UART.configuration(uart)
       assert UART.close(uart) == :ok
@@ -28,7 +28,7 @@ defmodule Circuits.UART.FaultsTest do
     test "is told with the pid when so asked", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, id: :pid) == :ok
       Pty.hang_up(pty)
-      assert_receive {:circuits_uart, ^uart, {:error, :eio}}, 5_000
+      assert_receive {:circuits_uart, ^uart, {:error, :eio}}
     end
 
     test "ends a read that waits", %{uart: uart, pty: pty} do
@@ -49,7 +49,7 @@ defmodule Circuits.UART.FaultsTest do
       Pty.hang_up(pty)
 
       for result <- Task.await_many(writers), do: assert(result in [{:error, :eio}, {:error, :ebadf}])
-      assert_receive {:circuits_uart, ^path, {:error, :eio}}, 5_000
+      assert_receive {:circuits_uart, ^path, {:error, :eio}}
     end
 
     test "while nobody waits is told by the next call in passive mode, once", %{uart: uart, pty: pty} do
@@ -77,7 +77,7 @@ defmodule Circuits.UART.FaultsTest do
     test "on another device node afterwards, all works", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path) == :ok
       Pty.hang_up(pty)
-      assert_receive {:circuits_uart, _, {:error, :eio}}, 5_000
+      assert_receive {:circuits_uart, _, {:error, :eio}}
       # Holds the old number, so that the new one differs.
       _other = Pty.open()
       pty = Pty.plug_in(pty)
@@ -97,14 +97,14 @@ defmodule Circuits.UART.FaultsTest do
       assert UART.open(uart, path) == :ok
       first = os_pid(uart)
       kill("KILL", first)
-      assert_receive {:circuits_uart, ^path, {:error, :epipe}}, 5_000
+      assert_receive {:circuits_uart, ^path, {:error, :epipe}}
       assert UART.write(uart, "x") == {:error, :ebadf}
 
       Pty.end_exclusive(pty)
       assert UART.open(uart, path) == :ok
       assert os_pid(uart) != first
       Pty.write(pty, "x")
-      assert_receive {:circuits_uart, ^path, "x"}, 5_000
+      assert_receive {:circuits_uart, ^path, "x"}
     end
 
     test "ends whatever waits", %{uart: uart, pty: pty} do

@@ -47,7 +47,7 @@ defmodule Circuits.UART.LeakTest do
     assert UART.open(uart, path, speed: 57_600) == :ok
     Pty.write(pty, "telemetry")
     assert UART.write(uart, "commands") == :ok
-    assert_receive {:circuits_uart, ^path, data} when is_binary(data), 5_000
+    assert_receive {:circuits_uart, ^path, data} when is_binary(data)
     Pty.hang_up(pty)
     await_error(path, :eio)
     forget(pty)
@@ -69,7 +69,7 @@ defmodule Circuits.UART.LeakTest do
   end
 
   defp await_error(path, reason) do
-    assert_receive {:circuits_uart, ^path, data}, 5_000
+    assert_receive {:circuits_uart, ^path, data}
     if is_binary(data), do: await_error(path, reason), else: assert(data == {:error, reason})
   end
 

@@ -25,8 +25,8 @@ defmodule Circuits.UART.PortProgramTest do
         Port.open({:spawn_executable, System.find_executable("sh")}, [:binary, :exit_status, args: command])
 
       Port.command(port, framed(packet))
-      assert_receive {^port, {:data, "circuits_uart: " <> _why}}, 5_000
-      assert_receive {^port, {:exit_status, 2}}, 5_000
+      assert_receive {^port, {:data, "circuits_uart: " <> _why}}
+      assert_receive {^port, {:exit_status, 2}}
     end
   end
 
@@ -118,7 +118,7 @@ defmodule Circuits.UART.PortProgramTest do
   defp gather(_port, count, sofar) when byte_size(sofar) >= count, do: sofar
 
   defp gather(port, count, sofar) do
-    assert_receive {^port, {:data, bytes}}, 5_000
+    assert_receive {^port, {:data, bytes}}
     gather(port, count, sofar <> bytes)
   end
 end

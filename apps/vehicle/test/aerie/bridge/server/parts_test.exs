@@ -116,17 +116,17 @@ defmodule Aerie.Bridge.Server.PartsTest do
       port =
         OsProcess.start("/bin/sh", ["-c", "trap 'exit 7' TERM; echo ready; while :; do sleep 0.05; done"])
 
-      assert_receive {^port, {:data, {:eol, "ready"}}}, 5_000
+      assert_receive {^port, {:data, {:eol, "ready"}}}
       OsProcess.stop(port)
-      assert_receive {^port, {:exit_status, 7}}, 5_000
+      assert_receive {^port, {:exit_status, 7}}
       assert OsProcess.stop(port) == :ok
     end
 
     test "that does not listen to TERM is made to end" do
       port = OsProcess.start("/bin/sh", ["-c", "trap '' TERM; echo ready; while :; do sleep 0.05; done"])
-      assert_receive {^port, {:data, {:eol, "ready"}}}, 5_000
+      assert_receive {^port, {:data, {:eol, "ready"}}}
       OsProcess.stop(port)
-      assert_receive {^port, {:exit_status, 137}}, 15_000
+      assert_receive {^port, {:exit_status, 137}}
     end
 
     test "that has a pid which is a stranger's is left alone", %{tmp_dir: dir} do

@@ -7,8 +7,7 @@ defmodule Aerie.Link.Serial.AutoTest do
   alias Aerie.SerialPeer
 
   @moduletag :pty
-  @moduletag timeout: 120_000
-  @patience 40_000
+  @patience Aerie.Patience.ms()
 
   setup do
     gateway = start_parts()

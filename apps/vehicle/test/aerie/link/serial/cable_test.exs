@@ -9,8 +9,7 @@ defmodule Aerie.Link.Serial.CableTest do
   alias Aerie.SerialPeer
 
   @moduletag :pty
-  @moduletag timeout: 600_000
-  @patience 40_000
+  @patience Aerie.Patience.ms()
 
   setup do
     gateway = start_parts()
@@ -19,20 +18,6 @@ defmodule Aerie.Link.Serial.CableTest do
     on_exit(fn -> File.rm_rf(dev) end)
     listen(gateway, [:up, :down])
     {:ok, gateway: gateway, dev: dev}
-  end
-
-  defp soon(fun, deadline \\ System.monotonic_time(:millisecond) + @patience) do
-    cond do
-      result = fun.() ->
-        result
-
-      System.monotonic_time(:millisecond) > deadline ->
-        flunk("it did not come true")
-
-      true ->
-        Process.sleep(20)
-        soon(fun, deadline)
-    end
   end
 
   # A vehicle that sends all the time, by USB, and is another device every other time.
@@ -95,7 +80,7 @@ defmodule Aerie.Link.Serial.CableTest do
     vehicle = vehicle(c)
     {id, _} = add_link(c.gateway, "serial:auto", options: [serial_dev: c.dev])
     assert_receive {:up, _, _}, @patience
-    session = soon(fn -> Names.whereis(c.gateway, :session, {"main", 1}) end)
+    session = Aerie.Patience.eventually(fn -> Names.whereis(c.gateway, :session, {"main", 1}) end)
     # Until everything has happened once.
     for n <- 1..3, do: pull_and_put_back(c, vehicle, n)
     heard = fn -> Link.snapshot(c.gateway, id).counters.messages[30] end
@@ -107,19 +92,19 @@ defmodule Aerie.Link.Serial.CableTest do
     for n <- 1..times do
       count = heard.()
       pull_and_put_back(c, vehicle, n + 3)
-      soon(fn -> heard.() > count end)
+      Aerie.Patience.eventually(fn -> heard.() > count end)
       # To the vehicle as well: what is under way when the cable goes is lost, and nothing else.
       :ok = Link.send_bytes(c.gateway, id, attitude(1, n))
     end
 
     assert :erlang.system_info(:atom_count) == atoms
-    soon(fn -> Enum.all?(usage(), fn {what, n} -> n <= before[what] end) end)
+    Aerie.Patience.eventually(fn -> Enum.all?(usage(), fn {what, n} -> n <= before[what] end) end)
     assert memory(link) < memory + 2_000_000
     # The link and the vehicle are who they were; who watches the vehicle saw a gap and no more.
     assert Names.whereis(c.gateway, :link, id) == link
     assert Names.whereis(c.gateway, :session, {"main", 1}) == session
     assert Link.snapshot(c.gateway, id).counters.reconnects == times + 3
-    assert %{status: :online} = soon(fn -> online(c.gateway) end)
+    assert %{status: :online} = Aerie.Patience.eventually(fn -> online(c.gateway) end)
   end
 
   defp online(gateway), do: Enum.find(Store.vehicles(gateway), &(&1.status == :online))

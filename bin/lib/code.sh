@@ -29,7 +29,36 @@ compile_quietly() {
 }
 
 # Compiles for the environment $1 and sets AERIE_CODE to a copy of the result, which this process and its children hold.
-code_install() { compile_quietly "$1" code_copy; }
+# When nothing was changed since, the copy of the last time is taken as it is: a gateway that was killed in flight is started
+# again, and asking Mix takes longer than all the rest.
+code_install() {
+  local stamp="$AERIE_ROOT/_build/code-$1" begun
+  lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
+  if AERIE_CODE=$(code_known "$stamp"); then
+    export AERIE_CODE
+    hold "$AERIE_CODE"
+    unlock
+    return 0
+  fi
+  unlock
+  # What changes from here on is newer.
+  begun=$(date +%s.%N)
+  compile_quietly "$1" code_copy
+  printf '%s\n%s\n' "$(command -v elixir)" "$AERIE_CODE" >"$stamp.$$"
+  touch -d "@$begun" "$stamp.$$"
+  mv "$stamp.$$" "$stamp"
+}
+
+# The copy that the file $1 names, when no source, folder of sources or toolchain is newer than the file.
+code_known() {
+  local elixir code newer
+  { read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
+  [ "$elixir" = "$(command -v elixir)" ] && [ -d "$code" ] || return 1
+  # A toolchain of the system's has no such mark.
+  newer=$(cd "$AERIE_ROOT" && find -L apps packages mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
+    \( -name test -o -name tmp \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
+  [ -z "$newer" ] && printf '%s\n' "$code"
+}
 
 code_copy() {
   local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key other

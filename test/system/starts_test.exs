@@ -15,6 +15,49 @@ defmodule Aerie.System.StartsTest do
     end
   end
 
+  test "nothing is compiled when nothing was changed, and whatever was changed is seen", %{tmp_dir: folder} do
+    root = Path.join(folder, "root")
+    stamp = Path.join(folder, "stamp")
+
+    for path <- ~w(apps/one/lib apps/one/test packages config bin/lib code),
+        do: File.mkdir_p!(Path.join(root, path))
+
+    for path <- ~w(mix.exs apps/one/lib/a.ex apps/one/lib/b.ex), do: File.write!(Path.join(root, path), "")
+    code = Path.join(root, "code")
+
+    script = """
+    . bin/lib/common.sh; . bin/lib/code.sh; AERIE_ROOT=$1 AERIE_TOOLCHAIN=$1
+    case $2 in known) code_known "$3" ;; *) printf '%s\\n%s\\n' "$(command -v elixir)" "$1/code" >"$3" ;; esac
+    """
+
+    bash = fn what ->
+      options = [cd: Path.expand("../..", __DIR__), stderr_to_stdout: true]
+      {text, _status} = System.cmd("bash", ["-c", script, "bash", root, what, stamp], options)
+      String.trim(text)
+    end
+
+    assert bash.("known") == ""
+
+    changes = [
+      fn -> File.write!(Path.join(root, "apps/one/lib/a.ex"), "changed") end,
+      fn -> File.rm!(Path.join(root, "apps/one/lib/b.ex")) end,
+      fn -> File.write!(Path.join(root, "packages/new.ex"), "") end,
+      # With the time of another machine.
+      fn -> File.touch!(Path.join(root, "mix.exs"), {{2020, 1, 1}, {0, 0, 0}}) end,
+      fn -> File.rmdir!(code) end
+    ]
+
+    for change <- changes do
+      bash.("write")
+      assert bash.("known") == code
+      # A test is none of it.
+      File.write!(Path.join(root, "apps/one/test/a_test.exs"), "")
+      assert bash.("known") == code
+      change.()
+      assert bash.("known") == ""
+    end
+  end
+
   @tag :long
   test "three starts at once of an uncompiled checkout; then it is compiled anew beneath them", context do
     checkout = checkout(context.tmp_dir)

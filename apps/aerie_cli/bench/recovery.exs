@@ -1,8 +1,10 @@
 # How long the gateway is without a part that was killed: each process of a vehicle's and a link's tree, and nats-server,
 # while three simulated vehicles fly. "Back" is: the process is registered again and has heard its vehicle; for nats-server:
-# connected again.
+# connected again. Then the whole gateway, killed in flight and started again by `bin/run`: from the start on.
 #
 #     bin/bench recovery [ROUNDS]
+
+Code.require_file("support/restart.ex", __DIR__)
 
 alias Aerie.Fleet.Store
 alias Aerie.Names
@@ -134,6 +136,18 @@ rows = [
   {"link: whole tree", process.(:link_tree, "link-1")},
   {"nats-server, connected again", nats}
 ]
+
+whole = AerieCLI.Bench.Restart.run(folder, rounds)
+
+rows =
+  rows ++
+    for {key, name} <- [
+          http: "gateway: it answers",
+          store: "gateway: vehicle in the store",
+          nats: "gateway: state in NATS",
+          position: "gateway: position in NATS"
+        ],
+        do: {name, Enum.map(whole, & &1[key])}
 
 IO.puts(
   "killed #{rounds} times each, three vehicles flying; ms until it is back and its vehicle is heard again\n"

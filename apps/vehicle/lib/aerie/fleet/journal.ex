@@ -36,7 +36,7 @@ defmodule Aerie.Fleet.Journal do
   @max_pending 20_000
   @max_gone 1024
   @max_recent 256
-  @page 512
+  @page 2048
   # No firmware has as many; the names come from outside.
   @max_params 8192
 
@@ -181,22 +181,27 @@ defmodule Aerie.Fleet.Journal do
   def recent(gateway, vehicle, options \\ []) do
     since = options[:since]
     limit = Keyword.get(options, :limit, @max_recent)
-    {whose, order} = if vehicle == :all, do: {:_, {{:"$1", :"$3", :"$2"}}}, else: {vehicle, :"$2"}
+    {whose, order} = if vehicle == :all, do: {:_, {{:"$1", :"$3", :"$2"}}}, else: {vehicle, {{:"$2", :"$3"}}}
     within = if since, do: [{:>=, :"$1", since}], else: []
-    event = %{time: :"$1", seq: :"$2", vehicle: :"$3"}
-    spec = [{{{:recent, whose, :_}, event}, within, [{{order, {:element, 2, :"$_"}}}]}]
+    spec = [{{{:recent, whose, :_}, %{time: :"$1", seq: :"$2", vehicle: :"$3"}}, within, [order]}]
     keep = if since, do: &Enum.take(&1, limit), else: &Enum.take(&1, -limit)
 
     Fleet.Store.with_table(gateway, :journal, [], fn table ->
-      table |> :ets.select(spec, @page) |> gather([], keep) |> Enum.map(fn {_order, event} -> event end)
+      for key <- table |> :ets.select(spec, @page) |> gather([], keep),
+          # One may have gone meanwhile.
+          {_key, event} <- :ets.lookup(table, recent_key(key)),
+          do: event
     end)
   end
 
-  # A page at a time, so that no more than what is asked for is ever in hand.
+  # Places in the order that is asked for, a page at a time: the events themselves are copied only where they are wanted.
   defp gather(:"$end_of_table", kept, _keep), do: kept
 
   defp gather({found, continuation}, kept, keep),
-    do: gather(:ets.select(continuation), keep.(Enum.sort_by(kept ++ found, &elem(&1, 0))), keep)
+    do: gather(:ets.select(continuation), keep.(Enum.sort(kept ++ found)), keep)
+
+  defp recent_key({_time, vehicle, seq}), do: {:recent, vehicle, seq}
+  defp recent_key({seq, vehicle}), do: {:recent, vehicle, seq}
 
   @doc "Puts something for a vehicle's detector to look at into its inbox. Full: it is dropped and counted."
   @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}

@@ -57,7 +57,8 @@ defmodule AerieCLI.FacesTest do
              %{who: "whoever reaches it: look on", wide: false},
              %{address: "http://127.0.0.1:4000", who: "programs of this machine: " <> _, wide: false},
              %{address: "ws://127.0.0.1:8765", wide: false},
-             %{address: "mavlink.sock"}
+             %{address: "mavlink.sock"},
+             %{address: "nats (embedded)", who: "who has its login: " <> _}
            ] = Faces.list([], %{}, [own, wide, looks], config)
 
     keyed = put_in(config.api.key, "a-long-random-text")

@@ -90,7 +90,12 @@ defmodule AerieCLI.Status.Faces do
         ],
         else: []
 
-    http ++ ws ++ sockets
+    nats =
+      if config.nats.mode == :embedded,
+        do: [face("nats (embedded)", "who has its login: read, and change what is stored there", false)],
+        else: []
+
+    http ++ ws ++ sockets ++ nats
   end
 
   defp server(scheme, %{address: address, port: port}, api, may) do

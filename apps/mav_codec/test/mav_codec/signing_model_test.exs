@@ -109,7 +109,9 @@ defmodule MavCodec.SigningModelTest do
     local = max(:atomics.get(state.clock, 1), stored)
     # S5: whoever hears the first frame of the new life, and goes on from there, is not refused.
     heard = Enum.all?(streams, fn {_stream, least} -> least <= local end)
-    right = stored > state.sent and Signing.timestamp(signing) == local and heard
+    # S3: nothing of what was accepted in any life is above what its stream has to be above now.
+    once = Enum.all?(state.passed, fn {stream, stamp} -> stamp <= Map.get(streams, stream, 0) end)
+    right = stored > state.sent and Signing.timestamp(signing) == local and heard and once
     ok(right, %{state | signing: signing, local: local, streams: streams})
   end
 

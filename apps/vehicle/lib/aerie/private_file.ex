@@ -10,6 +10,10 @@ defmodule Aerie.PrivateFile do
     end
   end
 
+  @doc "The same, but one that is there stays as it is: somebody may have opened it to others on purpose."
+  @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}
+  def new_folder(dir), do: if(File.dir?(dir), do: :ok, else: folder(dir))
+
   @doc "Writes a whole file. Whoever reads it finds the old or the new text, never part of it, and never an open mode."
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, text) do

@@ -12,9 +12,9 @@ defmodule Aerie.RecorderTest do
   @key {"main", 1}
 
   # A vehicle that is recorded without a link: frames go to the recorder as its session would give them.
-  defp vehicle(gateway, mode \\ :always) do
-    :ok = Recorder.start(gateway, {:vehicle, @key}, mode)
-    Names.whereis(gateway, :recording, {:vehicle, @key})
+  defp vehicle(gateway, mode \\ :always, key \\ @key) do
+    :ok = Recorder.start(gateway, {:vehicle, key}, mode)
+    Names.whereis(gateway, :recording, {:vehicle, key})
   end
 
   defp give(gateway, frames), do: Recorder.vehicle_frames(gateway, @key, frames)
@@ -270,6 +270,66 @@ defmodule Aerie.RecorderTest do
       Recording.flush(recording)
       assert status(gateway).dropped == 21
       assert Process.alive?(recording)
+    end
+
+    test "full: nothing is left of files that could not be written, and it is told once for all", c do
+      gateway = start_recorder(c.tmp_dir, %{files: FullDisk, pause_ms: 0})
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          for system <- 1..3 do
+            recording = vehicle(gateway, :always, {"main", system})
+            for _try <- 1..3, do: assert(try_again(gateway, recording, system) == nil)
+          end
+        end)
+
+      # The answer comes after what was said before it.
+      assert Recorder.list(gateway) == []
+      assert tlogs(c.tmp_dir) == []
+      assert length(String.split(log, "is not recorded: no space left on device")) == 2
+    end
+
+    test "not one block free: no file is begun", c do
+      FaultyDisk.new(c.tmp_dir)
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, pause_ms: 0})
+      FaultyDisk.set(c.tmp_dir, :free, 1000)
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      assert Recording.flush(recording) == nil
+      assert %{state: :paused, reason: reason, files: 0} = status(gateway)
+      assert reason =~ "no space left on device"
+      assert tlogs(c.tmp_dir) == []
+    end
+
+    test "it is tried again after growing pauses, of a minute at most" do
+      tables = %{settings: :ets.new(:settings, [:public])}
+      :ets.insert(tables.settings, {:settings, %Recorder.Settings{}})
+      output = Recorder.Recording.Output.new(make_ref(), tables, {:link, "l"}, "l", nil)
+
+      {pauses, _output} =
+        Enum.map_reduce(1..7, output, fn _try, output ->
+          before = System.monotonic_time(:millisecond)
+          output = Recorder.Recording.Output.write(%{output | paused_until: nil}, "x", 1)
+          {round((output.paused_until - before) / 1000), output}
+        end)
+
+      assert pauses == [5, 10, 20, 40, 60, 60, 60]
+    end
+
+    test "recordings are for their owner alone", c do
+      gateway = start_recorder(c.tmp_dir, %{})
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      file = Recording.flush(recording)
+      mode = &Bitwise.band(File.stat!(&1).mode, 0o777)
+      assert mode.(file) == 0o600
+      assert mode.(Path.dirname(file)) == 0o700
+      assert mode.(Path.join(Path.dirname(file), "recordings.index")) == 0o600
+    end
+
+    defp try_again(gateway, recording, system) do
+      Recorder.vehicle_frames(gateway, {"main", system}, attitudes(system, 1..3))
+      Recording.flush(recording)
     end
 
     test "full in the middle of a record, then free again: what was written before can be read", c do

@@ -12,6 +12,7 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.Config.Error
   alias Aerie.Config.Preflight.Contents
   alias Aerie.Link.Spec
+  alias Aerie.PrivateFile
   alias Aerie.Replay.Source
 
   @doc "`{:ok, warnings}` when the gateway can be started, else every reason why not."
@@ -146,7 +147,7 @@ defmodule Aerie.Config.Preflight do
   defp writable(config, key, dir) do
     probe = Path.join(dir, ".probe-#{System.pid()}-#{System.unique_integer([:positive])}")
 
-    with :ok <- File.mkdir_p(dir), :ok <- File.write(probe, "") do
+    with :ok <- PrivateFile.new_folder(dir), :ok <- File.write(probe, "") do
       _ = File.rm(probe)
       []
     else

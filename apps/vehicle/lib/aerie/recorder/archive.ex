@@ -7,16 +7,18 @@ defmodule Aerie.Recorder.Archive do
 
   Room is made by removing our oldest recordings, never one that is being written: when ours together are more than
   `max_total`, and when less than `min_free` is free. When that does not help, nothing is recorded (`{:space, …}` in the
-  settings' table) until something is free again. The folder is made when the first recording begins.
+  settings' table) until something is free again. The folder is made when the first recording begins; it and what is in it
+  are for their owner alone. A file that nothing could be written to goes again.
   """
   use GenServer
 
-  alias Aerie.Names
+  alias Aerie.{Names, PrivateFile}
   alias Aerie.Recorder.{Archive, Tables}
 
   @index "recordings.index"
   @max_index 4_000_000
   @call_ms 10_000
+  @block 4096
 
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
@@ -27,16 +29,16 @@ defmodule Aerie.Recorder.Archive do
 
   @doc """
   A new file for the calling process, empty, named `{label}-{UTC}.tlog`. It is kept from removal until `closed/2` or the
-  end of the process. The error is in words.
+  end of the process. None is made where less than `min_free` is free (`:low`), or nothing at all; else the error is in words.
   """
-  @spec new_file(Names.gateway(), String.t()) :: {:ok, Path.t()} | {:error, String.t()}
+  @spec new_file(Names.gateway(), String.t()) :: {:ok, Path.t()} | {:error, String.t() | :low}
   def new_file(gateway, label) do
     GenServer.call(Names.via(gateway, :recorder_archive), {:new_file, label}, @call_ms)
   catch
     :exit, _reason -> {:error, "the folder of recordings does not answer"}
   end
 
-  @doc "The file is complete."
+  @doc "The file is complete. An empty one is removed."
   @spec closed(Names.gateway(), Path.t()) :: :ok
   def closed(gateway, path), do: GenServer.cast(Names.via(gateway, :recorder_archive), {:closed, path})
 
@@ -65,14 +67,15 @@ defmodule Aerie.Recorder.Archive do
 
   @impl GenServer
   def handle_call({:new_file, label}, {pid, _tag}, state) do
-    case create(state, Archive.Name.new(label, System.os_time(:second)), 1) do
-      {:ok, name} ->
-        path = Path.join(state.settings.dir, name)
-        state = put_in(state.open[Process.monitor(pid)], path)
-        {:reply, {:ok, path}, make_room(state)}
-
-      {:error, reason} ->
-        {:reply, {:error, "#{state.settings.dir}: #{words(reason)}"}, make_room(state)}
+    with :ok <- PrivateFile.new_folder(state.settings.dir),
+         _ = make_room(state),
+         :ok <- room(state),
+         {:ok, name} <- create(state, Archive.Name.new(label, System.os_time(:second)), 1) do
+      path = Path.join(state.settings.dir, name)
+      {:reply, {:ok, path}, put_in(state.open[Process.monitor(pid)], path)}
+    else
+      {:error, :low} -> {:reply, {:error, :low}, state}
+      {:error, reason} -> {:reply, {:error, "#{state.settings.dir}: #{words(reason)}"}, state}
     end
   end
 
@@ -91,6 +94,7 @@ defmodule Aerie.Recorder.Archive do
   def handle_cast({:closed, path}, state) do
     {closed, open} = Map.split_with(state.open, fn {_monitor, file} -> file == path end)
     Enum.each(Map.keys(closed), &Process.demonitor(&1, [:flush]))
+    Enum.each(Map.values(closed), &without_empty/1)
     {:noreply, %{state | open: open}}
   end
 
@@ -98,7 +102,9 @@ defmodule Aerie.Recorder.Archive do
 
   @impl GenServer
   def handle_info({:DOWN, monitor, :process, _pid, _reason}, state) do
-    {:noreply, %{state | open: Map.delete(state.open, monitor)}}
+    {path, open} = Map.pop(state.open, monitor)
+    without_empty(path)
+    {:noreply, %{state | open: open}}
   end
 
   def handle_info(:space, state) do
@@ -109,6 +115,18 @@ defmodule Aerie.Recorder.Archive do
 
   defp stat(path), do: File.stat(path, time: :posix)
 
+  # A file could be made and not one record be written. The index is put right when room is made.
+  defp without_empty(path), do: with({:ok, %{size: 0}} <- stat(path), do: File.rm(path))
+
+  # Not even a block: the system makes a file all the same, and writes nothing to it.
+  defp room(state) do
+    case :ets.lookup(state.tables.settings, :space) do
+      [{:space, %{low: true}}] -> {:error, :low}
+      [{:space, %{free: free}}] when is_integer(free) and free < @block -> {:error, :enospc}
+      _enough_or_unknown -> :ok
+    end
+  end
+
   # The index knows of a file before it can grow.
   defp create(_state, _name, attempt) when attempt > 100, do: {:error, :eexist}
 
@@ -116,8 +134,7 @@ defmodule Aerie.Recorder.Archive do
     file = Archive.Name.attempt(name, attempt)
     path = Path.join(state.settings.dir, file)
 
-    with :ok <- File.mkdir_p(state.settings.dir),
-         :ok <- state.settings.files.create(path),
+    with :ok <- state.settings.files.create(path),
          :ok <- noted(state, path, file) do
       {:ok, file}
     else
@@ -127,10 +144,14 @@ defmodule Aerie.Recorder.Archive do
   end
 
   defp noted(state, path, file) do
-    with {:error, reason} <- File.write(index(state), file <> "\n", [:append]) do
-      # A file that the index does not know would never be removed.
-      _ = File.rm(path)
-      {:error, reason}
+    with :ok <- File.write(index(state), file <> "\n", [:append]),
+         :ok <- File.chmod(index(state), 0o600) do
+      :ok
+    else
+      {:error, reason} ->
+        # A file that the index does not know would never be removed.
+        _ = File.rm(path)
+        {:error, reason}
     end
   end
 
@@ -191,10 +212,9 @@ defmodule Aerie.Recorder.Archive do
   end
 
   defp rewrite(state, paths) do
-    beside = index(state) <> ".new"
     text = Enum.map(paths, &[Path.basename(&1), "\n"])
     # Not written, the index names files that are gone: no harm.
-    with :ok <- File.write(beside, text), do: File.rename(beside, index(state))
+    PrivateFile.write(index(state), text)
   end
 
   defp told(state, free, min_free) do

@@ -6,7 +6,7 @@ defmodule Aerie.Recorder.Files do
 
   @type device :: :file.io_device()
 
-  @doc "Makes a file that is not there yet."
+  @doc "Makes a file that is not there yet, for its owner alone."
   @callback create(Path.t()) :: :ok | {:error, term}
   @doc "Opens a file that `create/1` made, for the calling process."
   @callback open(Path.t()) :: {:ok, device} | {:error, term}
@@ -22,7 +22,9 @@ defmodule Aerie.Recorder.Files do
 
   @impl __MODULE__
   def create(path) do
-    with {:ok, file} <- :file.open(path, [:write, :exclusive, :raw]), do: :file.close(file)
+    with {:ok, file} <- :file.open(path, [:write, :exclusive, :raw]),
+         :ok <- :file.close(file),
+         do: File.chmod(path, 0o600)
   end
 
   @impl __MODULE__

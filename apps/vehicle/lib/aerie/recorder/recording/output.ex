@@ -3,8 +3,9 @@ defmodule Aerie.Recorder.Recording.Output do
   Where a recording's records go: one file after the other, and what becomes of them when the disk does not take them.
 
   A file is begun with the first records and followed by the next when it is long or old enough. A fault of the disk (full,
-  read-only, gone, less free than `min_free`) ends the file; what comes then is dropped and counted, and after `pause_ms` it
-  is tried again, in a new file. A file only ever grows by whole records, but for the last one before a fault.
+  read-only, gone, less free than `min_free`) ends the file; what comes then is dropped and counted, and after `pause_ms`, then
+  twice that, up to twelve times that, it is tried again, in a new file. What is wrong is in the log once for all recordings, until one
+  writes again. A file only ever grows by whole records, but for the last one before a fault.
 
   Belongs to the process that made it, as its files do.
   """
@@ -13,6 +14,9 @@ defmodule Aerie.Recorder.Recording.Output do
 
   alias Aerie.Names
   alias Aerie.Recorder.{Archive, Settings, Tables}
+
+  # Times `pause_ms`.
+  @longest 12
 
   @enforce_keys [:gateway, :target, :label, :settings, :tables]
   defstruct @enforce_keys ++
@@ -25,6 +29,7 @@ defmodule Aerie.Recorder.Recording.Output do
                 :reason,
                 :error,
                 :told,
+                pauses: 0,
                 size: 0,
                 synced: true,
                 totals: %{frames: 0, bytes: 0, files: 0, dropped: 0, errors: 0}
@@ -34,7 +39,7 @@ defmodule Aerie.Recorder.Recording.Output do
   - `file`, `size`, `since` (unix seconds), `opened` (monotonic ms): of the file that is being written
   - `paused_until` (monotonic ms), `reason`: while nothing is written
   - `error`: the last fault, `%{at: unix seconds, reason: words}`
-  - `told`: the fault that the log has, until something is written again
+  - `told`: the fault, until something is written again; `pauses`: how often it was tried since
   - `totals`: frames and bytes written, files begun, frames `dropped`, `errors` of the disk
   """
   @type t :: %__MODULE__{}
@@ -118,13 +123,13 @@ defmodule Aerie.Recorder.Recording.Output do
 
   defp open(%{settings: settings} = output) do
     with {:ok, path} <- Archive.new_file(output.gateway, output.label),
-         false <- low?(output) && {:error, low(settings)},
          {:ok, device} <- settings.files.open(path) do
       output = %{output | device: device, file: path, size: 0, reason: nil}
       output = %{output | since: System.os_time(:second), opened: now()}
       tell(output, :opened, %{count: 1}, %{})
       count(output, :files, 1)
     else
+      {:error, :low} -> pause(output, low(settings))
       {:error, reason} -> pause(output, words(reason))
     end
   end
@@ -136,7 +141,7 @@ defmodule Aerie.Recorder.Recording.Output do
 
     case output.settings.files.write(output.device, records) do
       :ok ->
-        %{output | size: output.size + size, synced: false, told: nil}
+        %{well(output) | size: output.size + size, synced: false}
         |> count(:frames, frames)
         |> count(:bytes, size)
 
@@ -163,9 +168,23 @@ defmodule Aerie.Recorder.Recording.Output do
   defp pause(output, reason) do
     Archive.look(output.gateway)
     tell(output, :paused, %{count: 1}, %{reason: reason})
-    # Once, not with each try.
-    if reason != output.told, do: Logger.warning("#{output.label} is not recorded: #{reason}")
-    fault(%{output | paused_until: now() + output.settings.pause_ms, reason: reason, told: reason}, reason)
+    # Once, not with each try of each recording.
+    if reason != output.told and :ets.insert_new(output.tables.settings, {{:told, reason}, output.label}),
+      do: Logger.warning("#{output.label} is not recorded: #{reason}")
+
+    until = now() + output.settings.pause_ms * min(Integer.pow(2, min(output.pauses, 4)), @longest)
+
+    fault(
+      %{output | paused_until: until, pauses: output.pauses + 1, reason: reason, told: reason},
+      reason
+    )
+  end
+
+  defp well(%{told: nil} = output), do: output
+
+  defp well(output) do
+    :ets.match_delete(output.tables.settings, {{:told, :_}, :_})
+    %{output | told: nil, pauses: 0}
   end
 
   defp fault(output, reason),

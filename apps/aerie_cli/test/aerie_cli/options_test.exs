@@ -127,9 +127,9 @@ defmodule AerieCLI.OptionsTest do
     """
 
     # What was configured, key by key, with what an option changes of it.
-    defp changed(%{tmp_dir: dir}, words, text \\ @file_text) do
+    defp changed(%{tmp_dir: dir}, words) do
       path = Path.join(dir, "gateway.yaml")
-      File.write!(path, text)
+      File.write!(path, @file_text)
       {:ok, options} = Options.parse(words)
       {:ok, before} = Aerie.Config.load(path, %{}, env: %{})
       {:ok, config} = Aerie.Config.load(path, Plan.from(options, dir).overrides, env: %{})
@@ -152,8 +152,7 @@ defmodule AerieCLI.OptionsTest do
     end
 
     test "embedded over servers of a configuration keeps what is not about how to reach them", context do
-      text = String.replace(@file_text, ~r/ +tls: .*\n/, "")
-      assert changed(context, ~w(--nats embedded), text) == ["nats.mode", "nats.tls.enabled"]
+      assert changed(context, ~w(--nats embedded)) == ["nats.mode", "nats.tls.enabled"]
     end
   end
 end

@@ -315,6 +315,9 @@ defmodule Aerie.ConfigTest do
   end
 
   test "keys that contradict each other are refused", context do
+    assert [line] = lines(load(context, "nats: {mode: embedded, tls: {enabled: true}}"), context)
+    assert line =~ "nats.tls.enabled: expected false with nats.mode embedded"
+
     text = """
     nats: {credentials: a.creds, token: t, retry_min_ms: 500, retry_max_ms: 400}
     timeouts: {vehicle_stale_s: 20}

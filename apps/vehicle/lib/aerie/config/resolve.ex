@@ -189,8 +189,7 @@ defmodule Aerie.Config.Resolve do
   defp nats_userinfo(%{nats: nats} = config) do
     uris = Enum.map(nats.url, &URI.parse/1)
     userinfo = Enum.find_value(uris, & &1.userinfo)
-    # What the URLs say is about the servers there, which embedded does not use.
-    tls = nats.tls.enabled or (nats.mode == :url and Enum.any?(uris, &(&1.scheme == "tls")))
+    tls = tls?(config, uris)
     nats = %{nats | url: Enum.map(uris, &plain_url/1), tls: %{nats.tls | enabled: tls}}
 
     nats =
@@ -202,6 +201,13 @@ defmodule Aerie.Config.Resolve do
 
     %{config | nats: nats}
   end
+
+  # TLS is for the servers at nats.url. In one file with mode embedded it is a contradiction, which is told; who asks for
+  # `--nats embedded` with the configuration of a real gateway means the one server without the other.
+  defp tls?(%{nats: %{mode: :embedded, tls: tls}} = config, _uris),
+    do: tls.enabled and config.given["nats.mode"] != "command line"
+
+  defp tls?(%{nats: nats}, uris), do: nats.tls.enabled or Enum.any?(uris, &(&1.scheme == "tls"))
 
   defp plain_url(uri),
     do: URI.to_string(%{uri | userinfo: nil, authority: nil, path: nil, port: uri.port || 4222})

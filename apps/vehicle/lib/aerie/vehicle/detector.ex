@@ -27,14 +27,12 @@ defmodule Aerie.Vehicle.Detector do
 
   With any of them may come `events.suppressed`: there is a budget for each type (`Detector.Budget`).
 
-  A digest (`digest/1`) is the part of the state that events are about. The first one is where a vehicle is found, not an
+  A digest (`Detector.Digest`) is the part of the state that events are about. The first one is where a vehicle is found, not an
   event; except for a battery that is found low, a failsafe, which is marked as found, and what changed while the gateway was
   not there (`Detector.Found`).
   """
 
-  import Bitwise
-
-  alias Aerie.Vehicle.{Detector, Event, Options, State}
+  alias Aerie.Vehicle.{Detector, Event, Options}
   alias Aerie.Vehicle.Detector.{Failsafe, Losses, Reported, Texts}
 
   defstruct [
@@ -115,10 +113,6 @@ defmodule Aerie.Vehicle.Detector do
   @fence_again_us 10_000_000
   @same_boot_us 10_000_000
   @collision_again_us 60_000_000
-  # GPS_FIX_TYPE
-  @fix_3d 3
-  # Both firmwares' estimators: horizontal position relative, absolute.
-  @somewhere 0x18
 
   @spec new(Options.t()) :: t()
   def new(options) do
@@ -132,52 +126,6 @@ defmodule Aerie.Vehicle.Detector do
   @doc "What was told of the vehicle before the gateway was started, to be compared with what is found (`Detector.Found`)."
   @spec remember(t(), Detector.Found.t()) :: t()
   def remember(detector, found), do: %{detector | found: found}
-
-  @doc "What of a vehicle's state the detector looks at. Equal digests need not be observed twice."
-  @spec digest(State.t()) :: map()
-  def digest(state) do
-    mode = State.data(state, :mode)
-    mission = State.data(state, :mission)
-    health = State.data(state, :health)
-    gps = State.data(state, :gps)
-
-    %{
-      mode: mode.mode,
-      custom_mode: mode.custom_mode,
-      armed: mode.armed,
-      in_air: mode.in_air,
-      failsafe: mode.failsafe,
-      system_status: mode.system_status,
-      fence_breach: mission.fence_breach,
-      fence_breach_type: mission.fence_breach_type,
-      mission_seq: mission.seq,
-      mission_total: mission.total,
-      mission_state: mission.state,
-      gps: if(gps.fix, do: if(gps.fix >= @fix_3d, do: "OK", else: gps.fix_name)),
-      position: if(health.ekf, do: (health.ekf.flags &&& @somewhere) != 0),
-      rc_receiver: health.rc_receiver,
-      fence_check: if(health.arming_checks, do: fence_check(health.arming_checks))
-    }
-    |> Map.merge(Detector.Batteries.digest(state))
-  end
-
-  defp fence_check(checks), do: Enum.find_value(checks, false, &violation(&1.name))
-  defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
-  defp violation(_other), do: nil
-
-  @doc "Where the vehicle is, for the data of events; nil when it does not know."
-  @spec position(State.t()) :: map() | nil
-  def position(state), do: place(State.data(state, :position))
-
-  @doc "What is shown beside a digest for the data of events, however often it changes."
-  @spec beside(State.t()) :: map()
-  def beside(state),
-    do: %{where: position(state), voltages: Detector.Batteries.voltages(state)}
-
-  defp place(%{lat: nil}), do: nil
-
-  defp place(%{lat: lat, lon: lon} = p),
-    do: %{"lat" => lat, "lon" => lon, "alt_msl" => p.alt_msl, "alt_rel" => p.alt_rel}
 
   @doc "One step. `known` gives the value that a parameter had; the new values are in the third element."
   @spec observe(t(), observation(), known()) :: {t(), [Event.t()], %{String.t() => term()}}

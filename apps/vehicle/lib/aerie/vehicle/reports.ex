@@ -178,6 +178,12 @@ defmodule Aerie.Vehicle.Reports do
     if Sequence.waiting?(component(reports, component).sequence), do: @late_us, else: @text_us
   end
 
+  @doc "Whether anything is missing."
+  @spec missing?(t()) :: boolean()
+  def missing?(reports),
+    do:
+      Enum.any?(reports.components, fn {_component, %{sequence: sequence}} -> Sequence.waiting?(sequence) end)
+
   @doc "What to ask a vehicle's components for at `now`."
   @spec requests(t(), system :: non_neg_integer(), integer()) :: {t(), [struct()]}
   def requests(reports, system, now) do

@@ -353,7 +353,10 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   test "a digest has nothing in it that changes all the time" do
-    refute Enum.any?(Map.keys(Detector.digest(%State{})), &(&1 in [:lat, :lon, :voltage, :at, :time_boot_ms]))
+    refute Enum.any?(
+             Map.keys(Detector.Digest.of(%State{})),
+             &(&1 in [:lat, :lon, :voltage, :at, :time_boot_ms])
+           )
   end
 
   describe "properties" do

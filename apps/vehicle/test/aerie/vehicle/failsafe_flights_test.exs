@@ -67,6 +67,16 @@ defmodule Aerie.Vehicle.FailsafeFlightsTest do
            ]
   end
 
+  test "all that PX4 1.18 reports has a name and its arguments" do
+    for recording <- ~w(px4_118_failsafes_a px4_118_failsafes_b) do
+      {:ok, flight} = Aerie.Replay.run(Path.join(@fixtures, recording <> ".tlog.gz"))
+      reports = for %{type: "report", data: data} <- flight.events, do: data
+      assert reports != [] and Enum.all?(reports, &(is_binary(&1["name"]) and is_list(&1["values"])))
+      [checks] = for {_id, %{groups: %{health: %{data: data}}}} <- flight.snapshots, do: data.arming_checks
+      assert checks != [] and Enum.all?(checks, &is_binary(&1.name))
+    end
+  end
+
   test "each says where it began" do
     for recording <- ~w(px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes),
         {_at, %{type: "failsafe", data: data}} <- events(recording),

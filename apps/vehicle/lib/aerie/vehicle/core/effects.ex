@@ -51,7 +51,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "What the detector is to look at may have changed."
   @spec looked_at(Core.t(), [Core.action()], integer()) :: acc()
   def looked_at(core, actions, at) do
-    digest = Detector.digest(core.state)
+    digest = Detector.Digest.of(core.state)
 
     if digest == core.digest do
       {%{core | doubt: Doubt.same(core.doubt)}, actions}
@@ -67,7 +67,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   defp observe(core, actions, digest, at) do
     # Shown first: who is killed between the two shows the detector from the snapshot what it did not show it
     # before. The other way round the snapshot would bring back what is over.
-    observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.beside(core.state))}
+    observation = {:state, at, core.state.boot_ms, Map.merge(digest, Detector.Digest.beside(core.state))}
     core = if begins?(core.digest, digest), do: settle(core, at), else: core
     {core, actions} = show({%{core | digest: digest, shown: nil, dirty: true}, actions}, core.now)
     {core, [{:observe, observation} | actions]}
@@ -103,7 +103,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   def settled({%{settle: due} = core, actions}, now) when due != nil and now >= due,
     do:
       {%{core | settle: nil},
-       [{:observe, {:settle, now, core.state.boot_ms, Detector.position(core.state)}} | actions]}
+       [{:observe, {:settle, now, core.state.boot_ms, Detector.Digest.position(core.state)}} | actions]}
 
   def settled(acc, _now), do: acc
 

@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   defp ask?(%{options: options, status: status} = core, now),
     do:
       options.request_streams and status == :online and Dealings.open?(core, now) and
-        not Effects.doubtful?(core, now)
+        Reports.missing?(core.reports) and not Effects.doubtful?(core, now)
 
   defp ask(core, actions, now) do
     {reports, requests} = Reports.requests(core.reports, core.options.system_id, now)
@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
 
   defp give_one({:said, report}, {core, actions}, at) do
     if Reported.about?(report.name) and fresh?(core, report) do
-      where = Detector.position(core.state)
+      where = Detector.Digest.position(core.state)
       observation = {:said, at, report.boot_ms, report.name, report.values, where}
       {Effects.settle(core, at), [{:observe, observation} | actions]}
     else

@@ -50,6 +50,17 @@ defmodule Gnat.HandshakeTest do
     Gnat.Test.eventually(fn -> match?(%{ldm: true}, Gnat.server_info(gnat)) end)
   end
 
+  test "what comes in one piece with the PONG is read, too", context do
+    assert {:ok, gnat} =
+             connect(context, [
+               "INFO {\"headers\":true}\r\n",
+               :recv,
+               "PONG\r\nINFO {\"ldm\":true}\r\nPING\r\n"
+             ])
+
+    assert %{ldm: true} = Gnat.server_info(gnat)
+  end
+
   test "a server without headers refuses only messages with headers", context do
     assert {:ok, gnat} = connect(context, ["INFO {}\r\n", :recv, "PONG\r\n"])
     assert :ok = Gnat.pub(gnat, "a", "b")

@@ -124,9 +124,10 @@ defmodule Gnat.Handshake do
     end
   end
 
-  # Nothing is subscribed yet, so nothing but these can come.
+  # Nothing is subscribed yet, so nothing but these can come. `:done`: the PONG was read; what came with it counts.
+  defp answer([], connection, :done), do: {:ok, connection}
   defp answer([], connection, deadline), do: await_pong(connection, deadline)
-  defp answer([:pong | _], connection, _deadline), do: {:ok, connection}
+  defp answer([:pong | rest], connection, _deadline), do: answer(rest, connection, :done)
   defp answer([{:error, text} | _], _connection, _deadline), do: {:error, server_error(text)}
 
   defp answer([{:info, info} | rest], connection, deadline),

@@ -42,7 +42,7 @@ defmodule Aerie.Fleet.PubSub do
   @doc "Notes that a vehicle or a link changed; its watchers are told at the next tick."
   @spec changed(Names.gateway(), {:vehicle | :link, term()}) :: :ok
   def changed(gateway, {_kind, _id} = what) do
-    case Names.value(gateway, :pubsub) do
+    case Names.held(gateway, :pubsub) do
       {pid, dirty} ->
         # Only the first change since the last tick wakes the process; all others cost one failed insert.
         if :ets.insert_new(dirty, {what}), do: send(pid, :changed)

@@ -214,7 +214,7 @@ defmodule Aerie.Fleet.Store do
   # The tables are named by what they hold; only the modules of this folder ask for one.
   @spec table!(Names.gateway(), atom()) :: :ets.table()
   def table!(gateway, name) do
-    case Names.value(gateway, :store) do
+    case Names.held(gateway, :store) do
       %{^name => table} -> table
       nil -> raise ArgumentError, "gateway #{inspect(gateway)} is not running"
     end
@@ -223,7 +223,7 @@ defmodule Aerie.Fleet.Store do
   @doc false
   @spec with_table(Names.gateway(), atom(), result, (:ets.table() -> result)) :: result when result: term()
   def with_table(gateway, name, absent, fun) do
-    case Names.value(gateway, :store) do
+    case Names.held(gateway, :store) do
       %{^name => table} -> fun.(table)
       nil -> absent
     end

@@ -205,7 +205,7 @@ defmodule Aerie.Vehicle.Core do
     do: {%{core | streams: Arbiter.rebooted(core.streams, core.now)}, []}
 
   def handle(core, {:tick, now}) do
-    {core, actions} = Timers.expire(%{core | now: max(core.now || now, now)}, [], now)
+    {core, actions} = Timers.tick(%{core | now: max(core.now || now, now)}, now)
     {Timers.observed(core, actions), Enum.reverse(actions)}
   end
 

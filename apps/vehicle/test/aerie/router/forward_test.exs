@@ -372,6 +372,29 @@ defmodule Aerie.Router.ForwardTest do
       assert length(heard_by()) == 32
     end
 
+    test "a frame costs the same beside five hundred vehicles as beside forty, a heartbeat too" do
+      work = fn count ->
+        gateway = start_parts()
+        peers(gateway, 1..count)
+        tables = Router.Tables.of(gateway)
+        for n <- 1..count, do: Router.Endpoints.note(tables, {"port", n}, heard_vehicle: true)
+
+        frames =
+          for n <- 1..50, bytes <- [attitude(1, n), heartbeat(1, type: 2, autopilot: 3)], do: parse(bytes)
+
+        source = %{id: "port", network: "main", peer: 1}
+        for one <- frames, do: Router.deliver(gateway, source, one)
+        {:reductions, before} = Process.info(self(), :reductions)
+        for one <- frames, do: Router.deliver(gateway, source, one)
+        {:reductions, later} = Process.info(self(), :reductions)
+        div(later - before, length(frames))
+      end
+
+      few = work.(40)
+      assert few < 2_000
+      assert work.(500) < 1.5 * few + 50
+    end
+
     test "what they say is not multiplied by the number of vehicles", c do
       peers(c.gateway, 1..100)
       for n <- 1..50, do: by_port(c.gateway, n, heartbeat(100 + n))

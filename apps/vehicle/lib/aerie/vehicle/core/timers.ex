@@ -23,6 +23,11 @@ defmodule Aerie.Vehicle.Core.Timers do
     end
   end
 
+  @doc "What there is to do when it is `now` and no frame came: nothing, where one has done it just before."
+  @spec tick(Core.t(), integer()) :: {Core.t(), [Core.action()]}
+  def tick(core, now),
+    do: if(due?(core, now) or now < core.expired, do: expire(core, [], now), else: {core, []})
+
   defp due?(%{expired: nil}, _at), do: true
   defp due?(core, at), do: at - core.expired >= @period_us or overdue?(StatusText.deadline(core.texts), at)
 

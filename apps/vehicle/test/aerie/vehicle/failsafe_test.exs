@@ -320,6 +320,88 @@ defmodule Aerie.Vehicle.FailsafeTest do
     end
   end
 
+  describe "whatever comes" do
+    @texts [
+      "Radio Failsafe",
+      "Radio Failsafe Cleared",
+      "Battery Failsafe",
+      "Failsafe activated",
+      "Failsafe off",
+      "Kill switch engaged",
+      "Kill switch disengaged",
+      "Manual control lost",
+      "Manual control regained",
+      "hello"
+    ]
+    @reports for enter <- ["commander_failsafe_enter"],
+                 action <- ~w(warn rtl land),
+                 cause <- ["generic", "manual_control_loss", 77],
+                 do: {enter, [0, action, cause]}
+    @others [
+      {"commander_failsafe_enter_hold", [0, 99, 2, "generic"]},
+      {"commander_failsafe_enter_autopilot_disengaged", [0, "descend"]},
+      {"commander_failsafe_enter", nil},
+      {"commander_gcs_lost", []},
+      {"commander_dl_regained", []},
+      {"commander_rc_lost", []},
+      {"commander_rc_regained", [1.0]},
+      {"commander_kill_sw_engaged", []},
+      {"failsafe_rc_override", []},
+      {"commander_armed_by", ["rc_switch"]},
+      {"commander_armed_by", []},
+      :settle,
+      :reboot,
+      {:param, "FENCE_ENABLE", 0},
+      {:reached, 3}
+    ]
+
+    defp any_state do
+      value = fn values -> :proper_types.elements(values) end
+
+      :proper_types.list(
+        :proper_types.oneof([
+          {:failsafe, value.([true, false, nil])},
+          {:armed, value.([true, false])},
+          {:in_air, value.([true, false])},
+          {:mode, value.(["AUTO", "RTL", "AUTO_DESCEND", nil])},
+          {:gps, value.(["OK", "NO_FIX"])},
+          {:position, value.([true, false])},
+          {:rc_receiver, value.([true, false])},
+          {:fence_breach, value.([true, false])},
+          {:fence_check, value.([false, {"MAX_ALT", "check_gf_violation_max_alt"}])},
+          {:mission_seq, value.([0, 3])},
+          {:mission_total, value.([3])}
+        ])
+      )
+    end
+
+    defp alternate?(types, a, b) do
+      types
+      |> Enum.filter(&(&1 in [a, b]))
+      |> Enum.chunk_every(2, 1, :discard)
+      |> Enum.all?(fn [x, y] -> x != y end)
+    end
+
+    test "losses and their ends alternate, no failsafe ends that did not begin, and all can be published" do
+      what = :proper_types.oneof([any_state(), :proper_types.elements(@texts ++ @reports ++ @others)])
+
+      property =
+        :proper.forall(:proper_types.list(what), fn story ->
+          events = story |> Enum.with_index(1) |> Enum.map(fn {what, n} -> {n * 0.4, what} end) |> events()
+          types = for {_at, event} <- events, do: event.type
+          for {_at, event} <- events, do: Aerie.Bridge.Message.event(event)
+          begun = Enum.count(types, &(&1 == "failsafe"))
+
+          Enum.count(types, &(&1 == "failsafe.cleared")) <= begun and
+            (:reboot in story or
+               (Enum.all?(~w(rc gps position), &alternate?(types, "#{&1}.lost", "#{&1}.restored")) and
+                  alternate?(types, "kill_switch.engaged", "kill_switch.released")))
+        end)
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 400])
+    end
+  end
+
   test "a datagram that comes twice gives one text; the same text with another number is another one" do
     beat = frame(%M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4}, 0)
     text = fn at, seq -> frame(%M.Statustext{severity: 4, text: "twice"}, round(at * @second), seq: seq) end

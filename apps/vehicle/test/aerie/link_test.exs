@@ -105,10 +105,13 @@ defmodule Aerie.LinkTest do
         beat = heartbeat(rem(n, 250) + 2, type: type, autopilot: autopilot)
         :ok = :gen_udp.send(other, {127, 0, 0, 1}, port, beat)
         :gen_udp.close(other)
-        if rem(n, 10) == 0, do: say(known, port, attitude(1, div(n, 10)))
-      end
 
-      assert Enum.map(frames(200), &number/1) == Enum.to_list(1..200)
+        # Awaited, for nothing holds back who sends datagrams to a link that a busy machine keeps from reading.
+        if rem(n, 10) == 0 do
+          say(known, port, attitude(1, div(n, 10)))
+          assert Enum.map(frames(1), &number/1) == [div(n, 10)]
+        end
+      end
 
       eventually(fn ->
         counters = Link.snapshot(c.gateway, id).counters

@@ -17,6 +17,24 @@ defmodule MavCodec.MessageTest do
     assert {:ok, 30, 39, <<0::28-unit(8)>>} = Message.encode_payload(%Attitude{}, 1)
   end
 
+  test "a single char is a character" do
+    payload = MavCodec.Messages.TestTypes.decode(<<>>)
+    assert payload.c == ""
+    message = %{payload | c: "A"}
+    frame = MavCodec.encode(message, system: 1, dialect: MavCodec.Dialects.Test)
+
+    {[frame], _} =
+      MavCodec.Parser.push_datagram(MavCodec.Parser.new(dialects: [MavCodec.Dialects.Test]), frame)
+
+    assert {:ok, %{c: "A"}} = MavCodec.decode(frame, MavCodec.Dialects.Test)
+
+    for wrong <- ["AB", <<0>>, 65] do
+      assert_raise MavCodec.EncodeError, ~r/\bc\b/, fn ->
+        MavCodec.encode(%{message | c: wrong}, system: 1, dialect: MavCodec.Dialects.Test)
+      end
+    end
+  end
+
   test "F9: version 1 has no extensions, surplus bytes are ignored, the dialect decides the layout" do
     ack = %MissionAck{target_system: 1, type: 2, mission_type: 3, opaque_id: 4}
     assert {:ok, 47, 153, <<1, 0, 2>>} = Message.encode_payload(ack, 1)

@@ -19,6 +19,13 @@ defmodule MavCodec.Parser do
   # An unknown frame of 300 bytes whose last byte may begin a known one of 300.
   @max_held 600
 
+  # The frames of a file that is pushed at once all stay alive. On a heap that grows with them each would be copied again and
+  # again, which costs four times what reading it does, and takes four times the memory; so the heap gets its size first:
+  # about what a byte of telemetry becomes.
+  @large 256 * 1024
+  @words 2
+  @most_words 32 * 1024 * 1024
+
   @enforce_keys [:scanner]
   defstruct [:scanner, held: <<>>, at: nil, sources: Sources.new(), bytes: 0, frames: 0, signed: 0]
 
@@ -123,7 +130,20 @@ defmodule MavCodec.Parser do
   def flush(%__MODULE__{held: <<>>} = parser), do: {[], parser}
   def flush(%__MODULE__{held: held, at: at} = parser), do: read(parser, held, 0, at, :final)
 
-  defp read(parser, data, new_bytes, at, mode) do
+  defp read(parser, data, new_bytes, at, mode) when byte_size(data) >= @large do
+    before = Process.flag(:min_heap_size, min(byte_size(data) * @words, @most_words))
+    _ = :erlang.garbage_collect()
+
+    try do
+      all(parser, data, new_bytes, at, mode)
+    after
+      Process.flag(:min_heap_size, before)
+    end
+  end
+
+  defp read(parser, data, new_bytes, at, mode), do: all(parser, data, new_bytes, at, mode)
+
+  defp all(parser, data, new_bytes, at, mode) do
     {found, held, scanner} = Scanner.scan(parser.scanner, data, at, mode)
     {frames, count, signed} = in_order(found, [], 0, 0)
 

@@ -26,6 +26,8 @@ defmodule MavCodec.SequenceLoss do
   @late 32
   @late_mask (1 <<< @late) - 1
   @restart 64
+  # So many at a time, or the bits would not fit a machine's word.
+  @late_step 16
   # Tracks at most, and how many frames of the source a track may be silent.
   @max_tracks 4
   @track_silence 256
@@ -96,6 +98,18 @@ defmodule MavCodec.SequenceLoss do
     if in_bucket + loss.bucket_lost < @bucket,
       do: %{loss | tracks: tracks, received: received, bucket_received: in_bucket},
       else: bucket(%{loss | tracks: tracks, received: received}, count, 0)
+  end
+
+  # The same while numbers are missing: they grow older by the run's length.
+  def observe_run(%__MODULE__{tracks: [{expected, missing, _} | others]} = loss, first, count)
+      when expected == first do
+    part = min(count, @late_step)
+    bits = missing <<< part
+    lost = ones(bits >>> @late)
+    received = loss.received + part
+    track = {first + part &&& 255, bits &&& @late_mask, received}
+    loss = bucket(%{loss | tracks: [track | others], received: received, lost: loss.lost + lost}, part, lost)
+    if part == count, do: loss, else: observe_run(loss, first + part &&& 255, count - part)
   end
 
   def observe_run(loss, first, 1), do: step(loss, first)

@@ -35,7 +35,7 @@ defmodule MavCodec.IdentityTest do
   defp value(type, length) when is_integer(length), do: :proper_types.vector(length, value(type, nil))
   defp value(:float, nil), do: let(integer(32), &Value.float32/1)
   defp value(:double, nil), do: let(integer(64), &Value.float64/1)
-  defp value(:char, nil), do: integer(8)
+  defp value(:char, nil), do: value(:char, 1)
 
   defp value(type, nil) do
     case Atom.to_string(type) do

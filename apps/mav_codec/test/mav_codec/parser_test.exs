@@ -197,6 +197,21 @@ defmodule MavCodec.ParserTest do
       end
     end
 
+    test "a file pushed at once: its frames are not copied again and again as the heap grows, and the heap is given back" do
+      data = :binary.copy(attitude(), 30_000)
+      test = self()
+
+      spawn_link(fn ->
+        before = Process.info(self(), :garbage_collection) |> elem(1)
+        {frames, _} = Parser.push(Parser.new(), data)
+        after_all = Process.info(self(), :garbage_collection) |> elem(1)
+        send(test, {length(frames), before[:min_heap_size], after_all[:min_heap_size], after_all[:minor_gcs]})
+      end)
+
+      assert_receive {30_000, size, size, collections}, 60_000
+      assert collections <= 1
+    end
+
     test "the bytes kept are not a part of what was read" do
       {[], parser} = Parser.push(Parser.new(), :binary.copy("x", 100_000) <> <<0xFD, 9>>)
       assert :binary.referenced_byte_size(parser.held) == 2

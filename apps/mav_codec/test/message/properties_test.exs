@@ -147,7 +147,9 @@ defmodule MavCodec.Message.PropertiesTest do
   defp bits(type, nil), do: :proper_types.integer(0, (1 <<< (8 * size(type))) - 1)
   defp bits(type, length), do: :proper_types.vector(length, bits(type, nil))
 
-  defp value(bytes, :char, length) when length != nil,
+  defp value(byte, :char, nil), do: value([byte], :char, 1)
+
+  defp value(bytes, :char, _length),
     do: bytes |> Enum.take_while(&(&1 != 0)) |> :binary.list_to_bin()
 
   defp value(bytes, :uint8, length) when length != nil, do: :binary.list_to_bin(bytes)

@@ -55,6 +55,10 @@ defmodule MavCodec.Golden do
   defp bytes(nil), do: nil
   defp bytes(hex), do: Base.decode16!(hex, case: :lower)
 
+  # pymavlink has single characters as numbers.
+  defp value(%{type: :char, length: nil}, number) when is_integer(number),
+    do: MavCodec.Message.Value.text(<<number>>)
+
   defp value(_field, %{"hex" => hex}), do: bytes(hex)
   defp value(field, list) when is_list(list), do: Enum.map(list, &value(field, &1))
   defp value(_field, "nan"), do: :nan

@@ -91,7 +91,10 @@ defmodule MavCodec.Message.Value do
   """
   @spec encode(term(), MavCodec.Definition.Document.Field.scalar(), 1..255 | nil) ::
           {:ok, binary()} | {:error, expected :: String.t()}
-  def encode(value, type, nil), do: scalar(value, type)
+  def encode(value, type, nil) when type != :char, do: scalar(value, type)
+  def encode("", :char, nil), do: {:ok, <<0>>}
+  def encode(<<character>>, :char, nil) when character != 0, do: {:ok, <<character>>}
+  def encode(_value, :char, nil), do: {:error, "text of one character or none"}
 
   def encode(value, type, length) when type in [:char, :uint8] do
     cond do
@@ -127,7 +130,6 @@ defmodule MavCodec.Message.Value do
         uint16: 16,
         uint32: 32,
         uint64: 64,
-        char: 8,
         int8: 8,
         int16: 16,
         int32: 32,

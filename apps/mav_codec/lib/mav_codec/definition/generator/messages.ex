@@ -124,7 +124,7 @@ defmodule MavCodec.Definition.Generator.Messages do
   end
 
   # The first segment is no binary, see decode/1.
-  defp guarded?(%Field{type: :char, length: length}) when length != nil, do: false
+  defp guarded?(%Field{type: :char}), do: false
   defp guarded?(%Field{type: :uint8}), do: true
   defp guarded?(%Field{length: nil}), do: true
   defp guarded?(field), do: inline?(field)
@@ -187,7 +187,7 @@ defmodule MavCodec.Definition.Generator.Messages do
 
   defp segment(variable, field, mode) do
     specifier =
-      if field.length != nil and not inline?(field) do
+      if field.type == :char or (field.length != nil and not inline?(field)) do
         quote(do: binary - size(unquote(Layout.bytes(field))))
       else
         specifier(field.type, mode)
@@ -196,7 +196,7 @@ defmodule MavCodec.Definition.Generator.Messages do
     {:"::", [], [variable, specifier]}
   end
 
-  defp specifier(type, _mode) when type in [:uint8, :char], do: quote(do: 8)
+  defp specifier(:uint8, _mode), do: quote(do: 8)
   defp specifier(:int8, _mode), do: quote(do: signed - 8)
   defp specifier(:uint16, _mode), do: quote(do: little - 16)
   defp specifier(:int16, _mode), do: quote(do: little - signed - 16)
@@ -212,11 +212,11 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp value(variables, field, mode) when is_list(variables),
     do: Enum.map(variables, &scalar(&1, field.type, mode))
 
-  defp value(variable, %Field{length: nil, type: type}, mode), do: scalar(variable, type, mode)
-  defp value(variable, %Field{type: :uint8}, _mode), do: variable
-
   defp value(variable, %Field{type: :char}, _mode),
     do: quote(do: MavCodec.Message.Value.text(unquote(variable)))
+
+  defp value(variable, %Field{length: nil, type: type}, mode), do: scalar(variable, type, mode)
+  defp value(variable, %Field{type: :uint8}, _mode), do: variable
 
   defp value(variable, %Field{type: type}, _mode),
     do: quote(do: MavCodec.Message.Value.list(unquote(variable), unquote(type)))
@@ -225,8 +225,8 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp scalar(variable, :double, :bits), do: quote(do: MavCodec.Message.Value.float64(unquote(variable)))
   defp scalar(variable, _type, _mode), do: variable
 
-  defp field_type(%Field{type: type, length: length}) when type in [:char, :uint8] and length != nil,
-    do: quote(do: binary())
+  defp field_type(%Field{type: :char}), do: quote(do: binary())
+  defp field_type(%Field{type: :uint8, length: length}) when length != nil, do: quote(do: binary())
 
   defp field_type(%Field{type: type, length: nil}), do: scalar_type(type)
   defp field_type(%Field{type: type}), do: [scalar_type(type)]
@@ -238,7 +238,7 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp scalar_type(_unsigned), do: quote(do: non_neg_integer())
 
   defp default(%Field{constant: constant}) when constant != nil, do: constant
-  defp default(%Field{type: :char, length: length}) when length != nil, do: ""
+  defp default(%Field{type: :char}), do: ""
   defp default(%Field{type: :uint8, length: length}) when length != nil, do: <<0::size(length)-unit(8)>>
   defp default(%Field{type: type, length: nil}), do: zero(type)
   defp default(%Field{type: type, length: length}), do: List.duplicate(zero(type), length)

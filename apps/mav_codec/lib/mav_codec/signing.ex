@@ -218,47 +218,35 @@ defmodule MavCodec.Signing do
       case streams do
         # The common case, one update.
         %{^stream => last} when timestamp > last ->
-          {:signed, accept(signing, %{streams | stream => timestamp}, timestamp)}
+          {:signed, accept(signing, %{streams | stream => timestamp}, stream, timestamp)}
 
         %{^stream => _last} ->
           {{:rejected, :replayed}, signing}
 
-<<<<<<< HEAD
-      true ->
-        streams = Map.put(signing.streams, stream, signature.timestamp)
-        timestamp = max(signing.timestamp, signature.timestamp)
-        signing = reserve(%{signing | streams: streams, timestamp: timestamp})
-        {:signed, ahead(signing, stream, signature.timestamp - now(signing))}
-    end
-  end
-
-  defp ahead(%{ahead: ahead} = signing, stream, by) do
-    case ahead do
-      %{^stream => most} when by <= most ->
-        signing
-
-      _further ->
-        signing.save.(min(signing.reserved, @max_timestamp))
-        %{signing | ahead: Map.put(ahead, stream, by + @slack)}
-=======
         _ ->
           case refusal(signing, timestamp) do
-            nil -> {:signed, accept(signing, Map.put(streams, stream, timestamp), timestamp)}
+            nil -> {:signed, accept(signing, Map.put(streams, stream, timestamp), stream, timestamp)}
             reason -> {{:rejected, reason}, signing}
           end
       end
     else
       {{:rejected, :wrong_signature}, signing}
->>>>>>> b72fc33 (Codec: signatures, losses and whole files at less cost; a single char is a character)
     end
   end
 
-  defp accept(%{timestamp: last, reserved: reserved} = signing, streams, timestamp)
-       when timestamp > last and timestamp < reserved,
-       do: %{signing | streams: streams, timestamp: timestamp}
+  defp accept(signing, streams, stream, timestamp) do
+    signing = reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
+    by = timestamp - now(signing)
 
-  defp accept(signing, streams, timestamp),
-    do: reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
+    case signing.ahead do
+      %{^stream => most} when by <= most ->
+        signing
+
+      ahead ->
+        signing.save.(min(signing.reserved, @max_timestamp))
+        %{signing | ahead: Map.put(ahead, stream, by + @slack)}
+    end
+  end
 
   # As numbers of 48 bits, which are compared in the same time whether they are nearly equal or not at all.
   defp right?(key, bytes, <<given::48>>) do

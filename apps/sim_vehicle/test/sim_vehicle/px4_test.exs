@@ -471,10 +471,24 @@ defmodule SimVehicle.Px4Test do
       flight = :px4 |> flying() |> heartbeat() |> handle({:failsafe, :battery_critical, true}) |> run(2)
       assert vehicle(flight).mode == "AUTO_LOITER"
       assert flight |> sent(M.Heartbeat) |> List.last() |> Map.fetch!(:system_status) == 5
+      # Action RTL after five seconds, because the battery is critical.
+      assert Enum.any?(
+               sent(flight, M.Event),
+               &match?(%{id: 30_481_910, arguments: <<_mode::32, 6, 5, 0, 4, _::binary>>}, &1)
+             )
+
       flight = run(flight, 4)
       assert vehicle(flight).mode == "AUTO_RTL"
       flight = flight |> until(&(not &1.armed), 120) |> command(400, [1.0])
       assert {400, 1} in acks(flight)
+    end
+
+    test "who is lost is reported, and who is back" do
+      ids = fn flight -> for event <- sent(flight, M.Event), do: event.id end
+      flight = :px4 |> flying() |> handle({:failsafe, :gcs, true}) |> handle({:failsafe, :rc, true})
+      assert [27_571_288, 22_400_324] -- ids.(flight) == []
+      flight = flight |> handle({:failsafe, :gcs, false}) |> handle({:failsafe, :rc, false})
+      assert [31_011_876, 17_490_621] -- ids.(flight) == []
     end
 
     test "no position lands" do

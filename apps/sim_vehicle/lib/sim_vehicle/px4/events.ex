@@ -39,7 +39,11 @@ defmodule SimVehicle.Px4.Events do
     mode_unsupported: {19_869_445, 0x33, []},
     arm_argument: {19_217_309, 0x33, [:f32]},
     battery_low: {28_993_875, 0x64, []},
-    failsafe_hold: {30_481_910, 0x42, [:u32, :u8, :u8, :u16]},
+    gcs_lost: {27_571_288, 0x64, []},
+    gcs_regained: {31_011_876, 0x66, []},
+    rc_lost: {22_400_324, 0x66, []},
+    rc_regained: {17_490_621, 0x66, [:f32]},
+    failsafe_hold: {30_481_910, 0x42, [:u32, :u8, :u16, :u8]},
     failsafe: {26_528_394, 0x42, [:u32, :u8, :u8]},
     geofence_invalid: {27_750_677, 0x42, []}
   }

@@ -8,9 +8,12 @@ defmodule SimVehicle.Px4.Failsafes do
 
   @hold_us 5_000_000
   # Causes and actions as numbered in commander_failsafe_enter.
-  @battery_cause 6
-  @action_rtl 5
-  @action_land 6
+  @generic 0
+  @emergency 5
+  @causes %{rc: 1, gcs: 2, battery_critical: 4}
+  @action_hold 5
+  @action_rtl 6
+  @action_land 7
 
   @doc "A failsafe begins or ends."
   @spec set(Vehicle.t(), atom, boolean) :: Vehicle.t()
@@ -29,7 +32,7 @@ defmodule SimVehicle.Px4.Failsafes do
       do:
         %{v | failsafes: MapSet.delete(v.failsafes, kind)}
         |> Vehicle.notify({:failsafe, kind, false})
-        |> recharge(kind),
+        |> over(kind),
       else: v
   end
 
@@ -58,11 +61,11 @@ defmodule SimVehicle.Px4.Failsafes do
     case Vehicle.own(v, :setpoints) do
       %{last: last} ->
         if v.now - last > Params.get(v.params, "COM_OF_LOSS_T") * 1.0e6 + 500_000,
-          do: hold_then_return(v),
+          do: hold_then_return(v, @generic),
           else: v
 
       nil ->
-        hold_then_return(v)
+        hold_then_return(v, @generic)
     end
   end
 
@@ -83,8 +86,8 @@ defmodule SimVehicle.Px4.Failsafes do
   # Too little is left to fly home on.
   defp bring_down(v) do
     if Battery.remaining(v.battery) <= Params.get(v.params, "BAT_EMERGEN_THR"),
-      do: v |> Vehicle.text(0, "Emergency battery level\t") |> enter("AUTO_LAND", @action_land),
-      else: enter(v, "AUTO_RTL", @action_rtl)
+      do: v |> Vehicle.text(0, "Emergency battery level\t") |> enter("AUTO_LAND", @action_land, @emergency),
+      else: enter(v, "AUTO_RTL", @action_rtl, Vehicle.own(v, :cause, @generic))
   end
 
   defp begin(v, :battery) do
@@ -97,36 +100,48 @@ defmodule SimVehicle.Px4.Failsafes do
     left = min(Battery.remaining(v.battery), Params.get(v.params, "BAT_CRIT_THR"))
     v = %{v | battery: Battery.set_remaining(v.battery, left)}
     v = Vehicle.text(v, 2, "Critical battery\t")
-    if v.armed, do: hold_then_return(v), else: v
+    if v.armed, do: hold_then_return(v, @causes.battery_critical), else: v
   end
 
   defp begin(v, kind) when kind in [:gps, :ekf] do
     v = if kind == :gps, do: Vehicle.text(v, 2, "Preflight Fail: GPS fix too low\t"), else: v
-    if v.airborne and v.armed, do: enter(v, "AUTO_LAND", @action_land), else: v
+    if v.airborne and v.armed, do: enter(v, "AUTO_LAND", @action_land, @generic), else: v
   end
 
-  defp begin(v, :fence), do: if(v.airborne and v.armed, do: enter(v, "AUTO_LOITER", 4), else: v)
+  defp begin(v, :fence),
+    do: if(v.airborne and v.armed, do: enter(v, "AUTO_LOITER", @action_hold, @generic), else: v)
 
-  defp begin(v, kind) when kind in [:gcs, :rc],
-    do: if(v.airborne and v.armed, do: hold_then_return(v), else: v)
+  defp begin(v, kind) when kind in [:gcs, :rc] do
+    v = lost(v, kind)
+    if v.airborne and v.armed, do: hold_then_return(v, @causes[kind]), else: v
+  end
 
-  defp hold_then_return(v) do
+  defp lost(v, :gcs), do: Events.tell(v, :gcs_lost, [], {4, "Connection to ground control station lost"})
+  defp lost(v, :rc), do: Events.tell(v, :rc_lost, [], {6, "Manual control lost"})
+
+  defp hold_then_return(v, cause) do
     v
     |> Events.tell(
       :failsafe_hold,
-      [Modes.number(v.mode), @battery_cause, @action_rtl, 5],
+      [Modes.number(v.mode), @action_rtl, div(@hold_us, 1_000_000), cause],
       {2, "Failsafe activated: entering Hold for 5 seconds"}
     )
     |> Modes.enter("AUTO_LOITER")
+    |> Vehicle.put_own(:cause, cause)
     |> Vehicle.put_own(:act_at, v.now + @hold_us)
   end
 
-  defp enter(v, mode, action) do
+  defp enter(v, mode, action, cause) do
     v
-    |> Events.tell(:failsafe, [Modes.number(v.mode), action, @battery_cause], {2, "Failsafe activated"})
+    |> Events.tell(:failsafe, [Modes.number(v.mode), action, cause], {2, "Failsafe activated"})
     |> Modes.enter(mode)
   end
 
-  defp recharge(v, :battery_critical), do: %{v | battery: Battery.set_remaining(v.battery, 1.0)}
-  defp recharge(v, _kind), do: v
+  defp over(v, :battery_critical), do: %{v | battery: Battery.set_remaining(v.battery, 1.0)}
+
+  defp over(v, :gcs),
+    do: Events.tell(v, :gcs_regained, [], {6, "Connection to ground control station regained"})
+
+  defp over(v, :rc), do: Events.tell(v, :rc_regained, [0.0], {6, "Manual control regained"})
+  defp over(v, _kind), do: v
 end

@@ -48,8 +48,8 @@ defmodule Aerie.System.FloodTest do
     assert %{"armed" => 15, "disarmed" => 15} = types
     assert for(%{"data" => %{"text" => "help " <> n}} <- events, do: n) == for(n <- 1..9, do: "#{n}000")
     # The sequence has no holes: nothing was dropped on its way.
-    assert events |> Enum.filter(&(&1["vehicle"] == id)) |> Enum.map(& &1["seq"]) ==
-             Enum.to_list(1..length(events))
+    seqs = for %{"vehicle" => ^id, "seq" => seq} <- events, do: seq
+    assert seqs == Enum.to_list(1..length(seqs))
   end
 
   defp told(events),

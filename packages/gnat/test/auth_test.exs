@@ -82,7 +82,7 @@ defmodule Gnat.AuthTest do
       {:ok, "CONNECT " <> connect} = :gen_tcp.recv(socket, 0)
       assert connect =~ "secret" == sent?
       :gen_tcp.close(socket)
-      assert {:error, %Error{}} = Task.await(client)
+      assert {:error, %Error{}} = Task.await(client, 60_000)
     end
   end
 
@@ -93,7 +93,9 @@ defmodule Gnat.AuthTest do
     client = Task.async(fn -> Gnat.start_link(settings) end)
     {:ok, socket} = :gen_tcp.accept(listener)
     :ok = :gen_tcp.send(socket, "INFO {\"headers\":true,\"auth_required\":true}\r\n")
-    assert {:error, %Error{reason: {:credentials, "the server gives no nonce" <> _}}} = Task.await(client)
+
+    assert {:error, %Error{reason: {:credentials, "the server gives no nonce" <> _}}} =
+             Task.await(client, 60_000)
   end
 
   test "a refused permission is reported, and the connection lives" do

@@ -128,7 +128,7 @@ defmodule Gnat.ConsumerSupervisorTest do
       end)
 
     assert :ok = stop_supervised(ConsumerSupervisor)
-    assert :ok = Task.await(releasing)
+    assert :ok = Task.await(releasing, 60_000)
     for _ <- 1..3, do: assert_received({:consumed, _})
   end
 

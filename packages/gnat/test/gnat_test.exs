@@ -364,7 +364,7 @@ defmodule GnatTest do
       task = Task.async(fn -> Gnat.request(gnat, topic, "x") end)
       assert_receive {:msg, _}
       :ok = Gnat.stop(gnat)
-      assert Task.await(task) == {:error, Error.new(:not_connected)}
+      assert Task.await(task, 60_000) == {:error, Error.new(:not_connected)}
     end
   end
 

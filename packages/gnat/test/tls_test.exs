@@ -87,7 +87,7 @@ defmodule Gnat.TlsTest do
     client = Task.async(fn -> Gnat.start_link(%{host: "127.0.0.1", port: port}) end)
     {:ok, socket} = :gen_tcp.accept(listener)
     :ok = :gen_tcp.send(socket, "INFO {\"tls_required\":true}\r\nMSG a 1 5")
-    assert {:error, %Error{reason: {:protocol, "bytes between" <> _}}} = Task.await(client)
+    assert {:error, %Error{reason: {:protocol, "bytes between" <> _}}} = Task.await(client, 60_000)
   end
 
   test "options that TLS does not know are an error", %{certificates: certificates} do

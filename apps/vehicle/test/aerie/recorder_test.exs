@@ -93,7 +93,7 @@ defmodule Aerie.RecorderTest do
         {:udp, ^vehicle, _, _, ^order} -> :ok
         {:udp, ^vehicle, _, _, _other} -> assert_order(vehicle, station, port, order)
       after
-        10_000 -> flunk("the order was not forwarded")
+        Aerie.Patience.ms() -> flunk("the order was not forwarded")
       end
     end
 

@@ -210,7 +210,7 @@ defmodule Circuits.UARTTest do
       assert UART.drain(uart) == :ok
       assert Pty.read(pty, 8) == "question"
       Pty.write(pty, "answer")
-      assert Task.await(reader) == {:ok, "answer"}
+      assert Task.await(reader, 60_000) == {:ok, "answer"}
     end
 
     test "readers are served in order, each with its own time", %{uart: uart, pty: pty} do
@@ -221,9 +221,9 @@ defmodule Circuits.UARTTest do
       eventually(fn -> waiting(uart, :readers) == 2 end)
 
       Pty.write(pty, "1")
-      assert Task.await(first) == {:ok, "1"}
+      assert Task.await(first, 60_000) == {:ok, "1"}
       Pty.write(pty, "3")
-      assert Task.await(third) == {:ok, "3"}
+      assert Task.await(third, 60_000) == {:ok, "3"}
     end
 
     test "what is not read stays with the kernel, which holds the sender back", %{uart: uart, pty: pty} do
@@ -246,7 +246,7 @@ defmodule Circuits.UARTTest do
       reader = Task.async(fn -> UART.read(uart, 60_000) end)
       eventually(fn -> waiting(uart, :readers) == 1 end)
       assert UART.close(uart) == :ok
-      assert Task.await(reader) == {:error, :ecanceled}
+      assert Task.await(reader, 60_000) == {:error, :ecanceled}
       assert UART.read(uart) == {:error, :ebadf}
     end
 
@@ -254,7 +254,7 @@ defmodule Circuits.UARTTest do
       reader = Task.async(fn -> UART.read(uart, 60_000) end)
       eventually(fn -> waiting(uart, :readers) == 1 end)
       assert UART.configure(uart, active: true) == :ok
-      assert Task.await(reader) == {:error, :ecanceled}
+      assert Task.await(reader, 60_000) == {:error, :ecanceled}
     end
   end
 
@@ -291,7 +291,7 @@ defmodule Circuits.UARTTest do
 
       Pty.resume(pty)
       assert Pty.read(pty, 500_000) == data
-      assert Task.await(writer) == :ok
+      assert Task.await(writer, 60_000) == :ok
     end
 
     test "when nothing is open", %{uart: uart} do
@@ -408,7 +408,7 @@ defmodule Circuits.UARTTest do
     Pty.write(pty, down)
     assert gather(path, 2_000_000) == down
     assert Pty.read(pty, 2_000_000) == up
-    assert Task.await(writer) == :ok
+    assert Task.await(writer, 60_000) == :ok
   end
 
   test "the names that the namesake has are there" do

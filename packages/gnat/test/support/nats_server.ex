@@ -84,7 +84,7 @@ defmodule Gnat.Test.NatsServer do
     receive do
       {^wrapper, {:exit_status, _status}} -> {:reply, :ok, %{state | wrapper: nil}}
     after
-      10_000 -> raise "nats-server was not killed"
+      60_000 -> raise "nats-server was not killed"
     end
   end
 
@@ -133,7 +133,7 @@ defmodule Gnat.Test.NatsServer do
       {^wrapper, {:exit_status, status}} ->
         raise "nats-server ended with #{status}:\n#{log}"
     after
-      20_000 -> raise "nats-server is not ready:\n#{log}"
+      60_000 -> raise "nats-server is not ready:\n#{log}"
     end
   end
 end

@@ -62,7 +62,11 @@ defmodule Aerie.Fleet.StoreTest do
 
   test "counters start at nothing and add up over processes" do
     gateway = start_gateway()
-    1..10 |> Enum.map(fn _ -> Task.async(fn -> Store.count(gateway, :frames, 3) end) end) |> Task.await_many()
+
+    1..10
+    |> Enum.map(fn _ -> Task.async(fn -> Store.count(gateway, :frames, 3) end) end)
+    |> Task.await_many(Aerie.Patience.ms())
+
     assert Store.counter(gateway, :frames) == 30
     assert Store.counter(gateway, :other) == 0
     assert Store.counters(gateway)[:frames] == 30
@@ -75,7 +79,7 @@ defmodule Aerie.Fleet.StoreTest do
       fn _ -> Task.async(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, interval) end) end
     end
 
-    assert 1..20 |> Enum.map(claim.(60_000)) |> Task.await_many() |> Enum.count(& &1) == 1
+    assert 1..20 |> Enum.map(claim.(60_000)) |> Task.await_many(Aerie.Patience.ms()) |> Enum.count(& &1) == 1
     assert Store.claim(gateway, {:beat, {"other", :peer}}, 60_000)
     eventually(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, 1) end)
     refute Store.claim(gateway, {:beat, {"link", :peer}}, 60_000)

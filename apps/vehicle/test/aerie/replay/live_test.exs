@@ -35,7 +35,7 @@ defmodule Aerie.Replay.LiveTest do
     receive do
       {:fleet, :events, event} -> [event | live(n - 1)]
     after
-      20_000 -> flunk("#{n} events more were expected")
+      Aerie.Patience.ms() -> flunk("#{n} events more were expected")
     end
   end
 end

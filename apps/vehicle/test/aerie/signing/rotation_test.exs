@@ -185,7 +185,7 @@ defmodule Aerie.Signing.RotationTest do
         )
       end)
 
-      assert {:error, text} = Task.await(task)
+      assert {:error, text} = Task.await(task, Aerie.Patience.ms())
       assert text =~ "it goes on signing with the key that it had"
       assert Signing.list(c.gateway).pending == ["main/1"]
 
@@ -207,7 +207,7 @@ defmodule Aerie.Signing.RotationTest do
       for n <- 1..5, do: say(c, heartbeat(1, component: 100, autopilot: 8, seq: n))
       {bytes, _} = signed(signer, 1)
       say(c, bytes)
-      assert {:error, "no unsigned frame came by usb" <> _} = Task.await(task)
+      assert {:error, "no unsigned frame came by usb" <> _} = Task.await(task, Aerie.Patience.ms())
     end
 
     test "a second one who asks is told; an armed vehicle is left alone; a key itself is no argument", c do
@@ -217,7 +217,7 @@ defmodule Aerie.Signing.RotationTest do
       task = Task.async(fn -> Signing.enrol(c.gateway, @key, key: :generate, timeout_ms: 1_000) end)
       order(c)
       assert {:error, "somebody is just giving that vehicle a key"} = Signing.enrol(c.gateway, @key)
-      assert {:error, _} = Task.await(task)
+      assert {:error, _} = Task.await(task, Aerie.Patience.ms())
 
       assert {:error, "key is {:file, " <> _} = Signing.enrol(c.gateway, @key, key: "a passphrase")
       assert {:error, text} = Signing.enrol(c.gateway, :vid_007)

@@ -94,7 +94,7 @@ defmodule Aerie.Signing.SealTest do
           found = Enum.filter(parsed(bytes), &(&1.system == from))
           if length(found) >= n, do: found, else: found ++ heard(from, n - length(found))
       after
-        5_000 -> flunk("nothing comes")
+        Aerie.Patience.ms() -> flunk("nothing comes")
       end
     end
 

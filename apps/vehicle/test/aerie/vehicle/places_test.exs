@@ -164,7 +164,7 @@ defmodule Aerie.Vehicle.PlacesTest do
       answers =
         3..5
         |> Enum.map(&Task.async(fn -> Vehicle.Supervisor.ensure(gateway, {"main", &1}) end))
-        |> Task.await_many()
+        |> Task.await_many(Aerie.Patience.ms())
 
       assert [{:error, :too_many}, {:ok, _}, {:ok, _}] = Enum.sort(answers)
       assert Fleet.Store.counter(gateway, {:vehicles, :displaced}) == 2

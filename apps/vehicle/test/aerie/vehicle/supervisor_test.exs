@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.SupervisorTest do
   test "however many ask at once, a vehicle has one session" do
     gateway = start_gateway()
     ask = fn _ -> Task.async(fn -> Vehicle.Supervisor.ensure(gateway, {"main", 1}) end) end
-    answers = 1..50 |> Enum.map(ask) |> Task.await_many() |> Enum.uniq()
+    answers = 1..50 |> Enum.map(ask) |> Task.await_many(Aerie.Patience.ms()) |> Enum.uniq()
     assert [{:ok, session}] = answers
     assert Names.whereis(gateway, :session, {"main", 1}) == session
     assert Vehicle.Supervisor.keys(gateway) == [{"main", 1}]

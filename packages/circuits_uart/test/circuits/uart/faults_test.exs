@@ -36,7 +36,7 @@ defmodule Circuits.UART.FaultsTest do
       readers = for _ <- 1..3, do: Task.async(fn -> UART.read(uart, 60_000) end)
       eventually(fn -> waiting(uart, :readers) == 3 end)
       Pty.hang_up(pty)
-      assert Task.await_many(readers) == List.duplicate({:error, :eio}, 3)
+      assert Task.await_many(readers, 60_000) == List.duplicate({:error, :eio}, 3)
       assert UART.read(uart) == {:error, :ebadf}
       refute_received {:circuits_uart, _, _}
     end
@@ -48,7 +48,7 @@ defmodule Circuits.UART.FaultsTest do
       eventually(fn -> waiting(uart, :senders) == 2 end)
       Pty.hang_up(pty)
 
-      for result <- Task.await_many(writers), do: assert(result in [{:error, :eio}, {:error, :ebadf}])
+      for result <- Task.await_many(writers, 60_000), do: assert(result in [{:error, :eio}, {:error, :ebadf}])
       assert_receive {:circuits_uart, ^path, {:error, :eio}}
     end
 
@@ -114,8 +114,8 @@ defmodule Circuits.UART.FaultsTest do
       writer = Task.async(fn -> UART.write(uart, :binary.copy("x", 500_000), 60_000) end)
       eventually(fn -> waiting(uart, :readers) == 1 and waiting(uart, :senders) == 1 end)
       kill("KILL", os_pid(uart))
-      assert Task.await(reader) == {:error, :epipe}
-      assert Task.await(writer) == {:error, :epipe}
+      assert Task.await(reader, 60_000) == {:error, :epipe}
+      assert Task.await(writer, 60_000) == {:error, :epipe}
     end
 
     test "in passive mode is told by the next call", %{uart: uart, pty: pty} do

@@ -104,7 +104,7 @@ defmodule Circuits.UART.PortProgramTest do
       {^port, {:exit_status, status}} ->
         {status, answered}
     after
-      10_000 -> {:stuck, answered}
+      60_000 -> {:stuck, answered}
     end
   end
 

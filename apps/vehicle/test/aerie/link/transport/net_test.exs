@@ -19,7 +19,7 @@ defmodule Aerie.Link.Transport.NetTest do
       assert_receive {:udp, ^socket, @loopback, ^port, "hello"}
       assert :ok = Net.udp_close(socket, sender)
       send(feeder.pid, :enough)
-      assert :ok = Task.await(feeder)
+      assert :ok = Task.await(feeder, Aerie.Patience.ms())
       assert {:error, _closed} = Net.udp_write(socket, sender, @loopback, port, "hello")
       forget()
     end
@@ -36,7 +36,7 @@ defmodule Aerie.Link.Transport.NetTest do
       assert_receive :heard
       Process.exit(owner, :kill)
       send(feeder.pid, :enough)
-      assert :ok = Task.await(feeder)
+      assert :ok = Task.await(feeder, Aerie.Patience.ms())
     end
   end
 

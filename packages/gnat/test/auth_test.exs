@@ -106,10 +106,18 @@ defmodule Gnat.AuthTest do
     server = start_supervised!({NatsServer, config: config})
     gnat = works(server, %{username: "joe", password: "secret"})
     Gnat.Test.telemetry([:gnat, :server_error])
-    {:ok, _} = Gnat.sub(gnat, self(), "forbidden.things")
-    :ok = Gnat.pub(gnat, "forbidden.too", "x")
-    assert_receive {:telemetry, _, %{count: 1}, %{message: "Permissions Violation for Subscription" <> _}}
-    assert_receive {:telemetry, _, %{count: 1}, %{message: "Permissions Violation for Publish" <> _}}
+
+    log =
+      ExUnit.CaptureLog.capture_log([level: :error], fn ->
+        {:ok, _} = Gnat.sub(gnat, self(), "forbidden.things")
+        :ok = Gnat.pub(gnat, "forbidden.too", "x")
+        assert_receive {:telemetry, _, %{count: 1}, %{message: "Permissions Violation for Subscription" <> _}}
+        assert_receive {:telemetry, _, %{count: 1}, %{message: "Permissions Violation for Publish" <> _}}
+        # Answered when all of that is done.
+        _ = Gnat.server_info(gnat)
+      end)
+
+    assert log =~ "NATS server reports: Permissions Violation for Publish"
     {:ok, _} = Gnat.sub(gnat, self(), "ok.>")
     :ok = Gnat.pub(gnat, "ok.a", "x")
     assert_receive {:msg, %{topic: "ok.a"}}

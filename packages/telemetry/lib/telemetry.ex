@@ -46,19 +46,27 @@ defmodule :telemetry do
   Attaches `function` to one event, under an id that no other handler has.
 
   Anything but an external capture (`&Mod.fun/4`) is called slower and survives no code change, and is reported
-  once, at level info. Raises `ArgumentError` when the name is not a non-empty list of atoms or the function has not
-  four arguments.
+  once, at level info. The error is `badarg` (`ArgumentError` in Elixir) when the name is not a non-empty list of atoms or the
+  function has not four arguments.
   """
   @spec attach(handler_id(), event_name(), handler_function(), handler_config()) ::
           :ok | {:error, :already_exists}
-  def attach(id, event_name, function, config), do: attach_many(id, [event_name], function, config)
+  def attach(id, event_name, function, config) do
+    faults = event_fault(event_name) || function_fault(function)
+    if faults, do: :erlang.error(:badarg, [id, event_name, function, config], said(faults))
+    insert(id, [event_name], function, config)
+  end
 
   @doc "Attaches one handler to several events. Detaching it, or its failure on any of them, removes it from all."
   @spec attach_many(handler_id(), [event_name()], handler_function(), handler_config()) ::
           :ok | {:error, :already_exists}
   def attach_many(id, event_names, function, config) do
-    check_events!(event_names)
-    check_function!(function)
+    faults = events_fault(event_names) || function_fault(function)
+    if faults, do: :erlang.error(:badarg, [id, event_names, function, config], said(faults))
+    insert(id, event_names, function, config)
+  end
+
+  defp insert(id, event_names, function, config) do
     warn_if_local(id, function)
     HandlerTable.insert(id, Enum.uniq(event_names), function, config)
   end
@@ -134,7 +142,9 @@ defmodule :telemetry do
   """
   @spec list_handlers(event_prefix()) :: [handler()]
   def list_handlers(prefix) do
-    check_atoms!(prefix, "an event prefix must be a list of atoms")
+    unless atoms?(prefix),
+      do: :erlang.error(:badarg, [prefix], said(%{1 => "an event prefix must be a list of atoms"}))
+
     HandlerTable.by_prefix(prefix)
   end
 
@@ -184,32 +194,33 @@ defmodule :telemetry do
 
   defp warn_if_local(id, function) do
     if Function.info(function, :type) == {:type, :local} do
-      Logger.info(
-        "telemetry: handler #{inspect(id)} is a local function, which is called slower than a capture like &Mod.fun/4"
-      )
+      # A report, so that programs find the handler in it.
+      Logger.info(%{
+        handler_id: id,
+        message:
+          "telemetry: this handler is a local function, which is called slower than a capture like &Mod.fun/4"
+      })
     end
   end
 
-  defp check_function!(function) when is_function(function, 4), do: :ok
+  # What is wrong with an argument, by its number: Erlang and Elixir say it with the `badarg`.
+  defp said(faults), do: [error_info: %{module: __MODULE__, cause: faults}]
 
-  defp check_function!(other) do
-    raise ArgumentError, "a handler must be a function of four arguments, got: #{inspect(other)}"
+  @doc false
+  @spec format_error(term(), list()) :: %{pos_integer() => String.t()}
+  def format_error(_reason, [{_module, _function, _arguments, info} | _]), do: info[:error_info].cause
+
+  defp function_fault(function) when is_function(function, 4), do: nil
+  defp function_fault(_other), do: %{3 => "a handler must be a function of four arguments"}
+
+  defp events_fault(names) when is_list(names), do: Enum.find_value(names, &event_fault/1)
+  defp events_fault(_other), do: %{2 => "the event names must be a list"}
+
+  defp event_fault([]), do: %{2 => "an event name must not be empty"}
+
+  defp event_fault(name) do
+    unless atoms?(name), do: %{2 => "an event name must be a list of atoms"}
   end
 
-  defp check_events!(names) when is_list(names) do
-    Enum.each(names, fn name ->
-      if name == [], do: raise(ArgumentError, "an event name must not be empty")
-      check_atoms!(name, "an event name must be a list of atoms")
-    end)
-  end
-
-  defp check_events!(other) do
-    raise ArgumentError, "the event names must be a list, got: #{inspect(other)}"
-  end
-
-  defp check_atoms!(list, message) do
-    unless is_list(list) and Enum.all?(list, &is_atom/1) do
-      raise ArgumentError, "#{message}, got: #{inspect(list)}"
-    end
-  end
+  defp atoms?(list), do: is_list(list) and Enum.all?(list, &is_atom/1)
 end

@@ -88,6 +88,27 @@ defmodule TelemetryTest do
       assert_raise ArgumentError, ~r/four arguments/, fn -> :telemetry.attach(context.id, [:a], & &1, nil) end
       assert_raise ArgumentError, ~r/list of atoms/, fn -> :telemetry.list_handlers(["a"]) end
     end
+
+    test "what is refused is badarg, as Erlang code expects it", context do
+      capture = &__MODULE__.forward/4
+
+      for fun <- [
+            fn -> :telemetry.attach(context.id, ["a"], capture, nil) end,
+            fn -> :telemetry.attach(context.id, [], capture, nil) end,
+            fn -> :telemetry.attach_many(context.id, [[:a], [1]], capture, nil) end,
+            fn -> :telemetry.attach(context.id, [:a], & &1, nil) end,
+            fn -> :telemetry.list_handlers(["a"]) end
+          ] do
+        assert {:error, :badarg} = {:error, reason_of(fun)}
+      end
+    end
+
+    # As Erlang sees it: `rescue` would make an exception of it.
+    defp reason_of(fun) do
+      fun.()
+    catch
+      :error, reason -> reason
+    end
   end
 
   describe "attach_many and detach" do

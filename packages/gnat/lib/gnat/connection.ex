@@ -194,7 +194,7 @@ defmodule Gnat.Connection do
   # A permission refused at ten messages a second must not fill the log: the same text is logged once.
   defp action({:server_error, text}, state) do
     :telemetry.execute([:gnat, :server_error], %{count: 1}, %{message: text})
-    if text != state.last_server_error, do: Logger.warning("NATS server reports: #{text}")
+    if text != state.last_server_error, do: Logger.error("NATS server reports: #{text}")
     {:ok, %{state | last_server_error: text}}
   end
 

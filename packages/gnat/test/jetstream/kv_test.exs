@@ -53,6 +53,8 @@ defmodule Gnat.Jetstream.KVTest do
       assert bucket in buckets
       refute Enum.any?(buckets, &String.starts_with?(&1, "plain"))
       assert KV.kv_bucket_stream?("KV_a") and not KV.kv_bucket_stream?("a")
+      # Its former name, which the compiler warns of.
+      assert apply(KV, :is_kv_bucket_stream?, ["KV_a"]) and not apply(KV, :is_kv_bucket_stream?, ["a"])
       assert :ok = KV.delete_bucket(gnat, bucket)
       assert {:error, %{"code" => 404}} = KV.info(gnat, bucket)
     end

@@ -171,7 +171,41 @@ defmodule Gnat.Jetstream.PullConsumerTest do
     assert_receive {:plain, "x"}
     ref = Process.monitor(pid)
     assert :ok = PullConsumer.close(pid)
-    assert_receive {:DOWN, ^ref, _, _, :normal}
+    assert_receive {:DOWN, ^ref, _, _, :shutdown}
+  end
+
+  test "an acknowledgement asks for the next message, and idling after it costs nothing but a new request",
+       c do
+    %{name: name, stream: stream, options: options} = c
+    telemetry([:gnat, :jetstream, :pull_consumer, :heartbeat_expired])
+    {:ok, _} = Gnat.sub(name, self(), "$JS.ACK.#{stream}.d.>")
+    start_supervised!({Forward, {self(), options ++ [request_expires: 200_000_000]}})
+    assert_receive {:connected, "d"}
+
+    for body <- ["a", "b"] do
+      publish(name, stream, body)
+      assert_receive {:message, ^body, _, _}
+      assert_receive {:msg, %{body: "+NXT", reply_to: inbox}} when is_binary(inbox)
+      # Heartbeats again: the silence after `+NXT` was not taken for a fault.
+      assert_receive {:status, "100"}
+    end
+
+    settled(name, stream)
+    assert {:ok, %{num_waiting: waiting}} = Consumer.info(name, stream, "d")
+    # The request of `+NXT` is not kept beside the new one.
+    assert waiting <= 1
+    refute_received {:connected, _}
+    refute_received {:telemetry, [:gnat, :jetstream, :pull_consumer, :heartbeat_expired], _, _}
+  end
+
+  test "a consumer that acknowledges nothing is pulled from message to message", %{name: name, stream: stream} do
+    consumer = %Consumer{stream_name: stream, ack_policy: :none}
+    {:ok, _pid} = PullConsumer.start_link(Plain, {self(), connection_name: name, consumer: consumer})
+
+    for body <- ["a", "b", "c"] do
+      publish(name, stream, body)
+      assert_receive {:plain, ^body}
+    end
   end
 
   test "notices that the server has forgotten it", %{server: server, name: name, options: options} do

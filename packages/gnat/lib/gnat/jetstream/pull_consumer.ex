@@ -19,6 +19,8 @@ defmodule Gnat.Jetstream.PullConsumer do
         end
       end
 
+  With a `batch_size` of 1 a message is acknowledged with `+NXT`, which asks for the next one in the same breath.
+
   It waits for the connection, pulls again when the server has nothing, and starts over (with the same durable
   consumer, or a new ephemeral one) when the connection is lost, the consumer is gone, or nothing is heard any more.
 
@@ -98,7 +100,7 @@ defmodule Gnat.Jetstream.PullConsumer do
   @spec start(module(), term(), GenServer.options()) :: GenServer.on_start()
   def start(module, arg, options \\ []), do: GenServer.start(Server, {module, arg}, options)
 
-  @doc "Ends it, after the message it is at. The consumer stays with the server."
+  @doc "Ends it with `:shutdown`, after the message it is at. The consumer stays with the server."
   @spec close(consumer()) :: :ok
   def close(consumer), do: GenServer.call(consumer, :close, :infinity)
 end

@@ -188,6 +188,11 @@ defmodule Gnat.Jetstream.API.KV do
   @spec kv_bucket_stream?(String.t()) :: boolean()
   def kv_bucket_stream?(name), do: String.starts_with?(name, "KV_")
 
+  @doc "The former name of `kv_bucket_stream?/1`."
+  @deprecated "Use Gnat.Jetstream.API.KV.kv_bucket_stream?/1 instead"
+  @spec is_kv_bucket_stream?(String.t()) :: boolean()
+  def is_kv_bucket_stream?(name), do: kv_bucket_stream?(name)
+
   @doc "The names of the buckets; the first page of streams, up to 1024."
   @spec list_buckets(Gnat.t()) :: {:ok, [String.t()]} | error()
   def list_buckets(conn) do

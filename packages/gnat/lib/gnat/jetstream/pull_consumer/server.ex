@@ -30,6 +30,9 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
           sid: nil,
           inbox: nil,
           consumer: nil,
+          # Whether acknowledging a message asks for the next one (`+NXT`), and whether it is what we wait for.
+          next?: false,
+          bare: false,
           wanted: 0,
           timer: nil
         }
@@ -45,7 +48,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
   def handle_continue(:connect, state), do: connect(state)
 
   @impl GenServer
-  def handle_call(:close, _from, state), do: {:stop, :normal, :ok, disconnect(state)}
+  def handle_call(:close, _from, state), do: {:stop, :shutdown, :ok, disconnect(state)}
 
   @impl GenServer
   def handle_info({:msg, %{gnat: gnat, sid: sid} = message}, %{gnat: gnat, sid: sid} = state) do
@@ -65,6 +68,18 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
 
   def handle_info({:DOWN, ref, :process, _pid, _reason}, %{monitor: ref} = state) do
     connect(disconnect(%{state | gnat: nil}))
+  end
+
+  # `+NXT` asks for no heartbeats, so silence after it says nothing: ask as at the beginning. With a new inbox, because the
+  # server drops a request whose inbox nobody hears, and would keep this one for ever.
+  def handle_info({:silent, id}, %{timer: {id, _ref}, bare: true} = state) do
+    _ = Gnat.unsub(state.gnat, state.sid)
+    inbox = Util.reply_inbox(state.options.inbox_prefix)
+
+    case Gnat.sub(state.gnat, self(), inbox) do
+      {:ok, sid} -> {:noreply, pull(%{state | sid: sid, inbox: inbox})}
+      {:error, reason} -> state |> disconnect() |> failed(reason)
+    end
   end
 
   def handle_info({:silent, id}, %{timer: {id, _ref}, options: options} = state) do
@@ -95,7 +110,8 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
           monitor: Process.monitor(gnat),
           sid: sid,
           inbox: inbox,
-          consumer: info.name
+          consumer: info.name,
+          next?: options.batch_size == 1 and info.config.ack_policy != :none
       }
 
       {:noreply, %{state | failures: 0} |> connected(info) |> pull()}
@@ -132,9 +148,15 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
   end
 
   defp handle(state, message) do
-    {action, user} = state.module.handle_message(message, state.user)
-    _ = acknowledge(action, message)
-    %{state | user: user, wanted: state.wanted - 1}
+    case state.module.handle_message(message, state.user) do
+      {:ack, user} when state.next? ->
+        _ = Jetstream.ack_next(message, state.inbox)
+        heard(%{state | user: user, wanted: 1, bare: true})
+
+      {action, user} ->
+        _ = acknowledge(action, message)
+        %{state | user: user, wanted: state.wanted - 1}
+    end
   end
 
   # If the acknowledgement is lost with the connection, the server delivers the message again.
@@ -164,7 +186,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
         request
       )
 
-    heard(%{state | wanted: options.batch_size})
+    heard(%{state | wanted: options.batch_size, bare: false})
   end
 
   defp flow_control(state, %{reply_to: reply_to}) when is_binary(reply_to) do

@@ -137,7 +137,7 @@ rows = [
   {"nats-server, connected again", nats}
 ]
 
-whole = AerieCLI.Bench.Restart.run(folder, rounds)
+whole = AerieCLI.Bench.Restart.run(Path.join(folder, "whole"), rounds)
 
 rows =
   rows ++

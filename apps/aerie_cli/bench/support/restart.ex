@@ -13,6 +13,7 @@ defmodule AerieCLI.Bench.Restart do
   """
   @spec run(Path.t(), pos_integer) :: [map]
   def run(folder, rounds) do
+    File.mkdir_p!(folder)
     {config, http, udp} = configure(folder)
     {:ok, _sim} = SimVehicle.start_link(firmware: :ardupilot, link: "udpout:127.0.0.1:#{udp}", ready_s: 1.0)
     url = Path.join(folder, "nats/url")
@@ -55,7 +56,9 @@ defmodule AerieCLI.Bench.Restart do
       Port.open({:spawn_executable, Path.join(@root, "bin/run")}, [
         :binary,
         :stderr_to_stdout,
-        args: ["--config", config, "--quiet"]
+        args: ["--config", config, "--quiet"],
+        # As from a plain shell.
+        env: for(name <- [~c"MIX_ENV", ~c"MIX_BUILD_PATH", ~c"AERIE_CODE"], do: {name, false})
       ])
 
     nats = Task.async(fn -> first_states(url, start) end)

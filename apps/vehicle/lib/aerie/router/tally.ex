@@ -13,7 +13,7 @@ defmodule Aerie.Router.Tally do
   | `denied` | from it, orders to vehicles that it may not give (`Aerie.Router.Gate`) |
   | `withheld` | from it, kept from vehicles: an operator's heartbeats and what estimators believe |
   | `held` | from it, waited until another's transfer with the vehicle was over (`Aerie.Router.Turns`) |
-  | `out_of_turn` | from it, parts of a transfer while another had the turn |
+  | `out_of_turn` | from it, parts of a transfer while another had the turn, and beginnings that waited in vain |
   | `secret` | from it, SETUP_SIGNING (S8) |
   | `filtered_in`, `filtered_out`, `limited` | stopped by a filter or a rate limit |
   | `spared` | not for a link of high latency (X6) |

@@ -148,7 +148,8 @@ defmodule Aerie.Router.Turns do
   defp let_go(state, key) do
     case state.turns do
       %{^key => turn} ->
-        {items, _gave_up, turn} = Turn.next(turn, now())
+        {items, gave_up, turn} = Turn.next(turn, now())
+        Enum.each(gave_up, &count(state.gateway, &1))
         Enum.each(items, &forward(state.gateway, &1))
         keep(state, key, turn)
 
@@ -175,6 +176,13 @@ defmodule Aerie.Router.Turns do
     do: %{state | timer: Process.send_after(self(), :tick, @tick_ms)}
 
   defp timed(state), do: state
+
+  # It waited in vain: who said it has stopped asking.
+  defp count(gateway, {{key, _system, _component}, _frame}) do
+    with tables when tables != nil <- Tables.of(gateway),
+         %{plan: %{ways: %{^key => way}}} <- Local.fetch(gateway, tables),
+         do: Tally.add(way.tally, :out_of_turn, 1)
+  end
 
   # As if it came now. Who is gone meanwhile waits for nothing.
   defp forward(gateway, {{key, _system, _component}, frame}) do

@@ -200,6 +200,16 @@ defmodule Aerie.Router.GateTest do
     say(stranger, disarm(9))
     until(vehicle, disarm(9))
 
+    {:ok, owner} = Router.Owner.new("radio", [])
+
+    from = fn text ->
+      Gate.open?(Router.Endpoint.new(c.gateway, {"radio", 1}, kind: :link, text: text), owner)
+    end
+
+    assert from.("127.0.0.1:40000")
+    refute from.("192.168.1.66:40000")
+    refute from.("/dev/ttyUSB0")
+
     assert Gate.loopback?("127.0.0.1:14550")
     assert Gate.loopback?("127.9.9.9:14550")
     assert Gate.loopback?("[::1]:14550")

@@ -23,9 +23,9 @@ defmodule Aerie.Router.TurnsTest do
     test "is of the first who begins, until the vehicle ends what was begun; then of the next" do
       {:hold, turn} = Turn.ask(begun(), @b, :begin, 0, :b, 100)
       {:hold, turn} = Turn.ask(turn, @c, :begin, 0, :c, 110)
-      assert {[], 0, ^turn} = Turn.next(turn, 120)
+      assert {[], [], ^turn} = Turn.next(turn, 120)
       turn = turn |> Turn.heard({255, 190}, :more, 0, 130) |> Turn.heard({255, 190}, :end, 0, 140)
-      assert {[:b], 0, turn} = Turn.next(turn, 140)
+      assert {[:b], [], turn} = Turn.next(turn, 140)
       assert {:refuse, turn} = Turn.ask(turn, @a, :more, 0, :late, 150)
       assert {:go, _turn} = Turn.ask(turn, @b, :more, 0, :item, 150)
     end
@@ -34,8 +34,8 @@ defmodule Aerie.Router.TurnsTest do
       {:go, turn} = Turn.ask(begun(), @a, :begin, 1, :fence, 10)
       {:hold, turn} = Turn.ask(turn, @b, :begin, 0, :b, 20)
       turn = Turn.heard(turn, {255, 190}, :end, 0, 30)
-      assert {[], 0, turn} = Turn.next(turn, 30)
-      assert {[:b], 0, _turn} = turn |> Turn.heard({255, 190}, :end, 1, 40) |> Turn.next(40)
+      assert {[], [], turn} = Turn.next(turn, 30)
+      assert {[:b], [], _turn} = turn |> Turn.heard({255, 190}, :end, 1, 40) |> Turn.next(40)
     end
 
     test "is not ended by an answer to somebody else" do
@@ -45,8 +45,8 @@ defmodule Aerie.Router.TurnsTest do
 
     test "is over after a silence" do
       {:hold, turn} = Turn.ask(begun(), @b, :begin, 0, :b, 100)
-      assert {[], 0, turn} = Turn.next(turn, 4_999)
-      assert {[:b], 0, %{who: @b}} = Turn.next(turn, 5_000)
+      assert {[], [], turn} = Turn.next(turn, 4_999)
+      assert {[:b], [], %{who: @b}} = Turn.next(turn, 5_000)
     end
 
     test "goes to nobody who has given up: one who repeated itself and stopped, one who asked once long ago" do
@@ -54,14 +54,14 @@ defmodule Aerie.Router.TurnsTest do
       {:hold, turn} = Turn.ask(turn, @b, :begin, 0, :b2, 500)
       {:hold, turn} = Turn.ask(turn, @c, :begin, 0, :c, 600)
       turn = Turn.heard(turn, {255, 190}, :end, 0, 1_501)
-      assert {[:c], 1, _turn} = Turn.next(turn, 1_501)
+      assert {[:c], [:b2], _turn} = Turn.next(turn, 1_501)
       # A repetition takes the place of what it repeats.
       {:hold, turn} = Turn.ask(begun(), @b, :begin, 0, :b1, 0)
       {:hold, turn} = Turn.ask(turn, @b, :begin, 0, :b2, 1_500)
-      assert {[:b2], 0, _turn} = turn |> Turn.heard({0, 0}, :end, 0, 1_600) |> Turn.next(1_600)
+      assert {[:b2], [], _turn} = turn |> Turn.heard({0, 0}, :end, 0, 1_600) |> Turn.next(1_600)
       {:hold, turn} = Turn.ask(begun(), @b, :begin, 0, :b, 0)
       turn = Enum.reduce(1..3, turn, &Turn.heard(&2, {255, 190}, :more, 0, &1 * 3_000))
-      assert {[], 1, %{waiting: []}} = Turn.next(turn, 10_000)
+      assert {[], [:b], %{waiting: []}} = Turn.next(turn, 10_000)
     end
 
     test "whatever happens: what goes is of who has the turn, waiting is bounded, and everything ends" do

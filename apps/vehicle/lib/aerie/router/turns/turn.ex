@@ -87,12 +87,12 @@ defmodule Aerie.Router.Turns.Turn do
 
   @doc """
   Ends a turn of silence, forgets who gave up, and gives the turn to who waits longest: what is to be let go now (one item at
-  most), how many gave up, and the turn.
+  most), what of those who gave up, and the turn.
   """
-  @spec next(t, integer) :: {[item], gave_up :: non_neg_integer, t}
+  @spec next(t, integer) :: {[item], gave_up :: [item], t}
   def next(turn, now) do
-    waiting = Enum.filter(turn.waiting, &stands?(&1, now))
-    gave_up = length(turn.waiting) - length(waiting)
+    {waiting, gone} = Enum.split_with(turn.waiting, &stands?(&1, now))
+    gave_up = Enum.map(gone, & &1.item)
     turn = turn |> silent(now) |> Map.put(:waiting, waiting)
 
     case turn do

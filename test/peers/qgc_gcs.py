@@ -164,10 +164,12 @@ class Vehicle:
         tries = 0
         while True:
             x = yield Wait(lambda m: m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") and m.mission_type == kind, 5)
-            if x is None:
+            # Nothing, or an item that was asked for twice and came twice (MAV_MISSION_INVALID_SEQUENCE): on a busy machine
+            # the vehicle asks again while the first answer is under way. All of it is sent anew.
+            if x is None or (x.get_type() == "MISSION_ACK" and x.type == 13):
                 tries += 1
                 if tries > 5:
-                    return self.say(name, "no answer")
+                    return self.say(name, "no answer" if x is None else "refused 13")
                 self.mav.mission_count_send(self.system, 1, len(rows), kind)
             elif x.get_type() == "MISSION_ACK":
                 if x.type != 0:
@@ -210,7 +212,7 @@ class Vehicle:
 
 def main(address, systems, source=255, look=False):
     link = mavutil.mavlink_connection(address, source_system=source, source_component=190, dialect="ardupilotmega")
-    vehicles, beat_at, strangers, end = {}, 0, 0, time.time() + 200
+    vehicles, beat_at, strangers, end = {}, 0, 0, time.time() + 500
     print("listening", flush=True)
     while time.time() < end:
         if time.time() - beat_at >= 1:

@@ -150,10 +150,12 @@ defmodule Aerie.RecorderTest do
       gateway = start_recorder(c.tmp_dir, %{vehicles: :always})
       Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 5})
       first = eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) end)
-      assert status(gateway).label == "main-VID-001"
+      # It has its name before it says how it is.
+      waits? = fn -> match?(%{label: "main-VID-001", state: :waiting}, status(gateway)) end
+      eventually(waits?)
       Process.exit(first, :kill)
       eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) not in [nil, first] end)
-      assert Recorder.status(gateway, {:vehicle, "VID-001"}).state == :waiting
+      eventually(waits?)
       assert :ok = Recorder.stop(gateway, {:vehicle, "VID-001"})
       assert Recorder.status(gateway, {:vehicle, "VID-001"}).state == :off
     end

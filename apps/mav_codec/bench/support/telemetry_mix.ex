@@ -1,68 +1,127 @@
 defmodule MavCodec.Bench.TelemetryMix do
   @moduledoc """
-  The telemetry of a flying copter as the benchmarks use it: the messages of the usual streams at their usual rates
-  relative to each other, with values that look like a flight. The same messages each time.
+  The telemetry of three flying vehicles as the benchmarks use it: 33 messages of common and ardupilotmega at their usual rates,
+  43 bytes a frame on average, with values that look like a flight. The same messages each time.
   """
 
   alias MavCodec.Messages, as: M
+  alias MavCodec.Signing
 
-  # Message and its share. Together about 43 bytes a frame, as in recorded flights.
-  @shares [
-    attitude: 10,
-    global_position_int: 4,
-    vfr_hud: 4,
-    gps_raw_int: 4,
-    sys_status: 4,
-    battery_status: 3,
-    heartbeat: 1,
-    rc_channels: 4,
-    servo_output_raw: 4,
-    local_position_ned: 4,
-    raw_imu: 4,
-    nav_controller_output: 2,
-    system_time: 1,
-    scaled_pressure: 1,
+  # Messages per second and vehicle.
+  @rates [
+    attitude: 25,
+    highres_imu: 20,
+    global_position_int: 10,
+    local_position_ned: 10,
+    vfr_hud: 10,
+    raw_imu: 10,
+    gps_raw_int: 5,
+    rc_channels: 5,
+    servo_output_raw: 5,
+    scaled_pressure: 5,
+    ahrs2: 5,
+    nav_controller_output: 5,
+    esc_telemetry: 5,
+    distance_sensor: 5,
+    param_value: 4,
+    sys_status: 2,
+    battery_status: 2,
     vibration: 2,
-    ekf_status_report: 2
+    ekf_status_report: 2,
+    wind: 2,
+    heartbeat: 1,
+    power_status: 1,
+    meminfo: 1,
+    system_time: 1,
+    timesync: 1,
+    terrain_report: 1,
+    extended_sys_state: 1,
+    mission_current: 1,
+    statustext: 0.5,
+    home_position: 0.2,
+    mission_item_int: 0.2,
+    command_ack: 0.2,
+    autopilot_version: 0.1
   ]
 
-  @doc "`count` messages."
+  @doc "`count` messages with the system that sends each: `{1..3, message}`."
   def messages(count) do
     :rand.seed(:exsss, {2026, 11, 20})
-    kinds = for {kind, share} <- @shares, _ <- 1..share, do: kind
+    kinds = for {kind, rate} <- @rates, _ <- 1..round(rate * 10), do: kind
     kinds = List.to_tuple(Enum.shuffle(kinds))
-    for i <- 0..(count - 1), do: message(elem(kinds, rem(i, tuple_size(kinds))), i * 5)
+
+    for i <- 0..(count - 1),
+        do: {:rand.uniform(3), message(elem(kinds, rem(i, tuple_size(kinds))), div(i, 3) * 7)}
   end
 
-  @doc "The frames of `messages`, in order, of system 1."
-  def frames(messages) do
-    {frames, _} = Enum.map_reduce(messages, MavCodec.Encoder.new(system: 1), &MavCodec.Encoder.encode(&2, &1))
+  @doc "The frames of `messages`, in order; in version 1 without those that it does not have."
+  def frames(messages, version \\ 2) do
+    messages =
+      if version == 1, do: Enum.reject(messages, fn {_, %module{}} -> module.id() > 255 end), else: messages
+
+    {frames, _} =
+      Enum.map_reduce(messages, %{}, fn {system, message}, seqs ->
+        seq = Map.get(seqs, system, 0)
+        frame = MavCodec.encode(message, system: system, component: 1, seq: rem(seq, 256), version: version)
+        {frame, Map.put(seqs, system, seq + 1)}
+      end)
+
     frames
   end
 
-  @doc "Frames put together to reads of about `bytes` bytes, as TCP or a serial port gives them."
-  def reads(frames, bytes) do
+  @doc "The frames of `messages`, signed with `key`."
+  def signed(messages, key) do
+    {frames, _} =
+      Enum.map_reduce(messages, {%{}, Signing.new(key, link_id: 7)}, fn {system, message}, {seqs, signing} ->
+        seq = Map.get(seqs, system, 0)
+        {frame, signing} = Signing.encode(signing, message, system: system, component: 1, seq: rem(seq, 256))
+        {frame, {Map.put(seqs, system, seq + 1), signing}}
+      end)
+
     frames
-    |> Enum.chunk_while(
-      {[], 0},
-      fn frame, {held, size} ->
-        if size + byte_size(frame) > bytes,
-          do: {:cont, join(held), {[frame], byte_size(frame)}},
-          else: {:cont, {[frame | held], size + byte_size(frame)}}
-      end,
-      fn {held, _} -> {:cont, join(held), {[], 0}} end
-    )
   end
 
-  defp join(held), do: held |> Enum.reverse() |> IO.iodata_to_binary()
+  @doc "Bytes in reads of `size`, as TCP or a serial port gives them."
+  def cut(data, size) when byte_size(data) <= size, do: [data]
 
-  @doc "`data` with one byte in `n` replaced by another."
-  def damage(frames, n) do
+  def cut(data, size) do
+    <<read::binary-size(^size), rest::binary>> = data
+    [read | cut(rest, size)]
+  end
+
+  @doc """
+  The frames with 1 % of their bytes damaged, as a line does it: half overwritten in bursts of 1 to 16 bytes, half garbage put
+  in between, 1 to 40 bytes each; and the frames that stayed whole.
+  """
+  def damage(frames) do
     :rand.seed(:exsss, {1, 2, 3})
-    Enum.map(frames, &for(<<byte <- &1>>, into: <<>>, do: <<maybe(byte, n)>>))
+
+    {parts, whole} =
+      Enum.map_reduce(frames, [], fn frame, whole ->
+        # A burst of 8.5 bytes and garbage of 20.5 bytes on average, half a per cent each.
+        burst? = :rand.uniform() < byte_size(frame) / 200 / 8.5
+        garbage? = :rand.uniform() < byte_size(frame) / 200 / 20.5
+        damaged = if burst?, do: overwrite(frame), else: frame
+        damaged = if garbage?, do: insert(damaged), else: damaged
+        {damaged, if(damaged == frame, do: [frame | whole], else: whole)}
+      end)
+
+    {IO.iodata_to_binary(parts), Enum.reverse(whole)}
   end
 
-  defp maybe(byte, n), do: if(:rand.uniform(n) == 1, do: Bitwise.bxor(byte, :rand.uniform(255)), else: byte)
+  defp overwrite(frame) do
+    at = :rand.uniform(byte_size(frame)) - 1
+    size = min(:rand.uniform(16), byte_size(frame) - at)
+    <<before::binary-size(^at), burst::binary-size(^size), rest::binary>> = frame
+    burst = for <<byte <- burst>>, into: <<>>, do: <<Bitwise.bxor(byte, :rand.uniform(255))>>
+    <<before::binary, burst::binary, rest::binary>>
+  end
+
+  defp insert(frame) do
+    at = :rand.uniform(byte_size(frame)) - 1
+    <<before::binary-size(^at), rest::binary>> = frame
+    <<before::binary, :rand.bytes(:rand.uniform(40))::binary, rest::binary>>
+  end
 
   defp near(value, spread), do: value + :rand.uniform(2 * spread) - spread
   defp float(value, spread), do: value + spread * (:rand.uniform() - 0.5)
@@ -260,6 +319,141 @@ defmodule MavCodec.Bench.TelemetryMix do
       pos_horiz_variance: float(0.1, 0.1),
       pos_vert_variance: float(0.1, 0.1),
       compass_variance: float(0.1, 0.1)
+    }
+  end
+
+  defp message(:highres_imu, ms) do
+    %M.HighresImu{
+      time_usec: ms * 1000,
+      xacc: float(0.0, 0.6),
+      yacc: float(0.0, 0.6),
+      zacc: float(-9.81, 0.6),
+      xgyro: float(0.0, 0.04),
+      ygyro: float(0.0, 0.04),
+      zgyro: float(0.1, 0.04),
+      xmag: float(0.21, 0.01),
+      ymag: float(0.03, 0.01),
+      zmag: float(0.42, 0.01),
+      abs_pressure: float(955.2, 0.2),
+      diff_pressure: float(0.3, 0.1),
+      pressure_alt: float(548.0, 5.0),
+      temperature: float(41.2, 0.2),
+      fields_updated: 8191,
+      id: 1
+    }
+  end
+
+  defp message(:ahrs2, _ms) do
+    %M.Ahrs2{
+      roll: float(0.2, 0.1),
+      pitch: float(0.0, 0.1),
+      yaw: float(1.0, 2.0),
+      altitude: float(548.0, 5.0),
+      lat: near(473_977_420, 9000),
+      lng: near(85_455_940, 9000)
+    }
+  end
+
+  defp message(:esc_telemetry, ms) do
+    %M.EscTelemetry1To4{
+      temperature: for(_ <- 1..4, into: <<>>, do: <<near(45, 2)>>),
+      voltage: List.duplicate(1550, 4),
+      current: for(_ <- 1..4, do: near(550, 10)),
+      totalcurrent: List.duplicate(div(ms, 100), 4) |> Enum.map(&rem(&1, 60_000)),
+      rpm: for(_ <- 1..4, do: near(5200, 80)),
+      count: List.duplicate(rem(ms, 65_536), 4)
+    }
+  end
+
+  defp message(:distance_sensor, ms) do
+    %M.DistanceSensor{
+      time_boot_ms: ms,
+      min_distance: 20,
+      max_distance: 5000,
+      current_distance: near(3000, 300),
+      id: 1,
+      orientation: 25,
+      horizontal_fov: 0.05,
+      vertical_fov: 0.05,
+      signal_quality: 93
+    }
+  end
+
+  defp message(:param_value, ms) do
+    %M.ParamValue{
+      param_id: Enum.at(~w(ATC_RAT_RLL_P INS_GYR_FILTER WPNAV_SPEED BATT_LOW_VOLT RTL_ALT), rem(ms, 5)),
+      param_value: float(1000.0, 2000.0),
+      param_type: 9,
+      param_count: 900,
+      param_index: rem(ms, 900)
+    }
+  end
+
+  defp message(:wind, _ms),
+    do: %M.Wind{direction: float(120.0, 20.0), speed: float(4.0, 2.0), speed_z: float(0.0, 0.4)}
+
+  defp message(:power_status, _ms), do: %M.PowerStatus{vcc: near(5000, 50), vservo: near(5100, 50), flags: 3}
+  defp message(:meminfo, _ms), do: %M.Meminfo{freemem: 65_535, freemem32: near(160_000, 500)}
+  defp message(:timesync, ms), do: %M.Timesync{tc1: 0, ts1: ms * 1_000_000 + 1}
+  defp message(:extended_sys_state, _ms), do: %M.ExtendedSysState{landed_state: 2}
+
+  defp message(:mission_current, _ms),
+    do: %M.MissionCurrent{seq: 3, total: 12, mission_state: 3, mission_mode: 1}
+
+  defp message(:terrain_report, _ms) do
+    %M.TerrainReport{
+      lat: near(473_977_420, 9000),
+      lon: near(85_455_940, 9000),
+      spacing: 100,
+      terrain_height: float(488.0, 2.0),
+      current_height: float(60.0, 5.0),
+      loaded: 504
+    }
+  end
+
+  defp message(:statustext, ms) do
+    texts = ["EKF3 IMU0 is using GPS", "Mission: 4 WP", "Field Elevation Set: 488m", "Reached command #5"]
+    %M.Statustext{severity: 6, text: Enum.at(texts, rem(ms, 4))}
+  end
+
+  defp message(:home_position, ms) do
+    %M.HomePosition{
+      latitude: 473_977_420,
+      longitude: 85_455_940,
+      altitude: 488_000,
+      q: [1.0, 0.0, 0.0, 0.0],
+      time_usec: ms * 1000
+    }
+  end
+
+  defp message(:mission_item_int, _ms) do
+    %M.MissionItemInt{
+      target_system: 255,
+      target_component: 190,
+      seq: 3,
+      frame: 6,
+      command: 16,
+      autocontinue: 1,
+      param2: 2.0,
+      x: near(473_977_420, 9000),
+      y: near(85_455_940, 9000),
+      z: 50.0
+    }
+  end
+
+  defp message(:command_ack, _ms), do: %M.CommandAck{command: 512, target_system: 255, target_component: 190}
+
+  defp message(:autopilot_version, _ms) do
+    %M.AutopilotVersion{
+      capabilities: 0xF1EF,
+      flight_sw_version: 0x0405_03FF,
+      board_version: 0x328,
+      flight_custom_version: "a4f7c0de",
+      os_custom_version: "38022f4f",
+      vendor_id: 4617,
+      product_id: 22_336,
+      uid: 0x1122_3344_5566_7788,
+      uid2: for(byte <- 1..18, into: <<>>, do: <<byte>>)
     }
   end
 end

@@ -9,6 +9,7 @@ defmodule Aerie.Vehicle.Detector.Found do
   """
 
   alias Aerie.Fleet.Json
+  alias Aerie.Vehicle.Modes
 
   @keys [:mode, :armed, :in_air]
   # After an hour it is another flight, not a gap in this one.
@@ -40,12 +41,16 @@ defmodule Aerie.Vehicle.Detector.Found do
   def steps(found, now, _at) do
     known = Enum.filter(@keys, &(is_map_key(found, &1) and is_map_key(now, &1)))
     marks = %{"found" => true, "since" => Json.time(found.since)}
-    events = for key <- known, found[key] != now[key], do: event(key, found, now)
+    events = for key <- known, differs?(key, found[key], now[key]), do: event(key, found, now)
     left = Map.drop(found, known)
 
     {if(map_size(left) > 1, do: left),
      events |> Enum.sort() |> Enum.map(fn {_place, type, data} -> {type, Map.merge(data, marks), []} end)}
   end
+
+  # A mode that only the vehicle has a name for is told by its number until that name is known: it may be the same.
+  defp differs?(:mode, former, mode), do: former != mode and not Modes.unnamed?(mode)
+  defp differs?(_key, former, value), do: former != value
 
   defp event(:mode, found, now), do: {1, "mode_change", %{"from" => found.mode, "to" => now.mode}}
   defp event(:armed, _found, %{armed: true} = now), do: {2, "armed", mode(now)}

@@ -58,6 +58,12 @@ defmodule Aerie.Vehicle.Detector.FoundTest do
     assert run(%{armed: true, since: @since}, [%{mode: "AUTO", armed: true, in_air: false}]) == []
   end
 
+  test "a mode that has no name yet may be the same one" do
+    assert run(%{mode: "Orbit", since: @since}, [%{mode: "EXTERNAL1"}]) == []
+    assert run(%{mode: "Orbit", since: @since}, [%{mode: "MODE(42)"}]) == []
+    assert [{"mode_change", _}] = run(%{mode: "Orbit", since: @since}, [%{mode: "AUTO"}])
+  end
+
   test "nothing is found from nothing, from what is too old, or from a later time" do
     here = %{mode: "LAND", armed: false, in_air: false}
     assert run(nil, [here]) == []

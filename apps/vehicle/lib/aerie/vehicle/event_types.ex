@@ -65,7 +65,7 @@ defmodule Aerie.Vehicle.EventTypes do
        {"type", :string, nil, "that of the failsafe"},
        {"reason", :string, nil, "that of the failsafe"},
        {"duration", :number, "s", "how long it lasted"},
-       {"by", :string, nil, "what shows the end: status, text, report, disarmed"}
+       {"by", :string, nil, "what shows the end: status, text, report, disarmed, reboot"}
      ]},
     {"geofence", "a fence is broken", "FENCE_STATUS, PX4's checks (EVENT); a text where neither comes",
      [

@@ -174,6 +174,32 @@ defmodule Aerie.Bridge.MemoryTest do
     assert kept(dir)["vehicles"]["A"]["armed"] == false
   end
 
+  test "a vehicle of a recording is not kept: it is not out there", %{tmp_dir: dir} do
+    gateway = start_memory(dir)
+    Fleet.Store.put_link(gateway, "file", %{id: "file", kind: :replay})
+    Fleet.Store.put_vehicle(gateway, {"main", 1}, %{id: "A", links: ["file"]})
+
+    for id <- ["A", "B"],
+        do: Fleet.Journal.commit(gateway, id, %{detector() | vehicle: id, last: %{armed: true}}, [])
+
+    look(Aerie.Names.whereis(gateway, :bridge_memory))
+    assert %{"B" => %{"armed" => true}} = vehicles = kept(dir)["vehicles"]
+    refute is_map_key(vehicles, "A")
+  end
+
+  test "of a vehicle that is lost, what is known holds since it was heard", %{tmp_dir: dir} do
+    gateway = start_memory(dir)
+    memory = Aerie.Names.whereis(gateway, :bridge_memory)
+    lost = %{detector() | last: %{armed: true}}
+    :ok = Fleet.Journal.commit(gateway, "A", lost, [])
+    look(memory)
+    since = kept(dir)["vehicles"]["A"]["since"]
+    :ok = Fleet.Journal.commit(gateway, "A", %{lost | lost: true}, [])
+    look(memory)
+    stop_supervised!(gateway)
+    assert %{"vehicles" => %{"A" => %{"since" => ^since}}, "ended" => true} = kept(dir)
+  end
+
   test "what is kept of a vehicle that is not heard again stays, and damage costs no start", %{tmp_dir: dir} do
     file = Path.join(dir, "outbox/last/vehicles.json")
     File.mkdir_p!(Path.dirname(file))

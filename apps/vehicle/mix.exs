@@ -14,6 +14,7 @@ defmodule Aerie.Vehicle.MixProject do
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
       test_coverage: [summary: [threshold: 85]],
+      test_ignore_filters: [~r"/support/", ~r"/fixtures/"],
       deps: deps()
     ]
   end

@@ -4,23 +4,31 @@ defmodule Aerie.Link.Backlog do
 
   A socket keeps the oldest and drops the newest, so a link that does not keep up shows what was, seconds ago, for as long
   as that lasts. Instead, when what waits would take half a second to read at the pace of the last #{50} ms, the oldest go
-  until a tenth of a second is left.
+  until a tenth of a second is left. A burst, or a machine that was busy for a moment, is no overload: only when it is so for
+  a second does that begin, and it ends when it was not so for five.
   """
 
   @every_ms 50
   @late_ms 500
   @keep_ms 100
+  @patience_ms 1_000
+  @relief_ms 5_000
   # Fewer are no backlog.
   @some 64
 
-  defstruct looked: nil, waiting: 0, done: 0, shed: 0
+  defstruct looked: nil, waiting: 0, done: 0, shed: 0, late: nil, strained: nil
 
-  @typedoc "`shed`: how many of the next datagrams are to be thrown away; `done`: read since it was `looked` (monotonic ms)"
+  @typedoc """
+  `shed`: how many of the next datagrams are to be thrown away; `done`: read since it was `looked` (monotonic ms); `late`:
+  since when too much has been waiting; `strained`: when that was so last, of an overload that has begun
+  """
   @type t :: %__MODULE__{
           looked: integer | nil,
           waiting: non_neg_integer,
           done: non_neg_integer,
-          shed: non_neg_integer
+          shed: non_neg_integer,
+          late: integer | nil,
+          strained: integer | nil
         }
 
   @doc "Nothing waits."
@@ -43,8 +51,21 @@ defmodule Aerie.Link.Backlog do
   # Only while something waited all the time does what was read tell the pace.
   def look(%__MODULE__{looked: looked, waiting: before} = backlog, waiting, now) do
     busy? = looked != nil and before > @some and waiting > @some
-    shed = if busy?, do: excess(waiting, backlog.done / max(now - looked, 1)), else: 0
-    %{backlog | looked: now, waiting: waiting, done: 0, shed: shed}
+    excess = if busy?, do: excess(waiting, backlog.done / max(now - looked, 1)), else: 0
+    judge(%{backlog | looked: now, waiting: waiting, done: 0}, excess, now)
+  end
+
+  defp judge(%{strained: strained} = backlog, 0, now) do
+    over? = strained != nil and now - strained >= @relief_ms
+    %{backlog | late: nil, strained: if(over?, do: nil, else: strained)}
+  end
+
+  defp judge(%{late: late, strained: strained} = backlog, excess, now) do
+    late = late || now
+
+    if strained != nil or now - late >= @patience_ms,
+      do: %{backlog | late: late, strained: now, shed: excess},
+      else: %{backlog | late: late}
   end
 
   defp excess(waiting, per_ms) when waiting > per_ms * @late_ms, do: round(waiting - per_ms * @keep_ms)

@@ -121,7 +121,7 @@ defmodule Aerie.Link.Egress do
   end
 
   defp peer(egress, tables, id, text, out, now) do
-    fields = [text: text, kind: :link, out: out, listens: Endpoints.listens?(tables, egress.owner)]
+    fields = [text: text, kind: :link, out: out, listens: Endpoints.listens?(tables, egress.owner, :unknown)]
 
     %{
       endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, fields),

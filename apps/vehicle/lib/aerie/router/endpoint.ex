@@ -60,7 +60,7 @@ defmodule Aerie.Router.Endpoint do
     `{:forward, bytes, class}`, or `{:forward, tag, bytes, class}` when the tag is not nil
   - `waiting`: frames in the mailbox of that process, and until when (monotonic ms) it is in a transfer that it asked for
   - `since`: unix microseconds
-  - `listens`: whether it gets broadcasts though it is no vehicle's (`Aerie.Router.Endpoints.listens?/2`)
+  - `listens`: whether it gets broadcasts though it is no vehicle's (`Aerie.Router.Endpoints.listens?/3`)
   - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
   """
   @type t :: %__MODULE__{

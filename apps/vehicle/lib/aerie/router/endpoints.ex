@@ -14,6 +14,7 @@ defmodule Aerie.Router.Endpoints do
   alias Aerie.Router.Wishes
 
   @max_listeners 32
+  @max_unknown 8
 
   @doc "Puts an owner's rules in place of what there were."
   @spec put_owner(Tables.t(), Owner.t()) :: :ok
@@ -80,16 +81,17 @@ defmodule Aerie.Router.Endpoints do
   def get(tables, key), do: :ets.lookup_element(tables.endpoints, key, 2, nil)
 
   @doc """
-  Whether one more endpoint of a link to vehicles, that is no vehicle's (a ground station's, a camera's, nobody's yet), may
-  get what others broadcast: #{@max_listeners} of a link at most, so that a thousand made-up ones do not multiply what
-  the link has to say. What is addressed to them reaches all; a client endpoint's peers are as many as its rules allow.
+  Whether one more endpoint of a link to vehicles, that is no vehicle's, may get what others broadcast: #{@max_listeners} of a
+  link that said so by a heartbeat (`:said`: ground stations, cameras), #{@max_unknown} of which nothing is known yet
+  (`:unknown`), so that vehicles whose heartbeat has not come, and a thousand made-up senders, do not multiply what the link
+  has to say. What is addressed to them reaches all; a client endpoint's peers are as many as its rules allow.
   """
-  @spec listens?(Tables.t(), Owner.t()) :: boolean
-  def listens?(_tables, %Owner{side: :client}), do: true
+  @spec listens?(Tables.t(), Owner.t(), :said | :unknown) :: boolean
+  def listens?(_tables, %Owner{side: :client}, _what), do: true
 
-  def listens?(tables, %Owner{id: id}) do
+  def listens?(tables, %Owner{id: id}, what) do
     one = {{{id, :_}, %{heard_vehicle: false, listens: true}}, [], [true]}
-    :ets.select_count(tables.endpoints, [one]) < @max_listeners
+    :ets.select_count(tables.endpoints, [one]) < if(what == :said, do: @max_listeners, else: @max_unknown)
   end
 
   @doc "All endpoints."

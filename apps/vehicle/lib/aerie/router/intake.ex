@@ -72,7 +72,8 @@ defmodule Aerie.Router.Intake do
   defp listens(_tables, %{listens: true} = way), do: way
 
   defp listens(tables, way) do
-    with %{} = owner <- Endpoints.owner(tables, way.owner), true <- Endpoints.listens?(tables, owner) do
+    with %{} = owner <- Endpoints.owner(tables, way.owner),
+         true <- Endpoints.listens?(tables, owner, :said) do
       Endpoints.note(tables, way.key, listens: true)
       %{way | listens: true}
     else

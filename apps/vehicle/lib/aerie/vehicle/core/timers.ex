@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Core.Timers do
   alias Aerie.Vehicle.{Core, Doubt, Heard, Rivals, Sampling, State, StatusText, Twin}
   alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
-  # Deadlines are looked at twenty times a second.
-  @period_us 50_000
+  # Deadlines are looked at ten times a second.
+  @period_us 100_000
   # So long after the last observation the detector is told that there was none since.
   @quiet_us 3_000_000
   # Two links may deliver a little out of order; more than this is another time.

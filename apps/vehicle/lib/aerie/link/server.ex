@@ -113,7 +113,7 @@ defmodule Aerie.Link.Server do
   def handle_info(:tick, state) do
     # One at a time: a link that was busy for seconds owes no ticks.
     Process.send_after(self(), :tick, Core.tick_ms())
-    {:noreply, state |> overrun() |> step(:tick) |> look() |> measured()}
+    {:noreply, state |> overrun() |> measured() |> step(:tick) |> look()}
   end
 
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
@@ -172,7 +172,7 @@ defmodule Aerie.Link.Server do
   defp measured(state) do
     case judged(Meter.quality(state.gateway, state.spec.id)) do
       same when same == state.judged -> state
-      # Shown with the next tick, which is soon.
+      # Shown with this tick.
       judged -> %{state | judged: judged, core: Core.changed(state.core)}
     end
   end

@@ -132,7 +132,16 @@ defmodule Aerie.BridgeCase do
     [program | words] = before ++ ["elixir"] ++ List.flatten(paths) ++ ["-e", script]
     options = [:binary, :stderr_to_stdout, line: 1000, args: words]
     port = Port.open({:spawn_executable, System.find_executable(program)}, options)
+    {:os_pid, os_pid} = Port.info(port, :os_pid)
+    ExUnit.Callbacks.on_exit(fn -> end_vm("#{os_pid}", script) end)
     {port, marked_pid(port, mark)}
+  end
+
+  # What a test that failed left running, unless somebody else has its number by now.
+  defp end_vm(os_pid, script) do
+    with {:ok, words} <- File.read("/proc/#{os_pid}/cmdline"),
+         true <- String.contains?(words, script),
+         do: System.cmd("kill", ["-KILL", os_pid])
   end
 
   defp marked_pid(port, mark) do

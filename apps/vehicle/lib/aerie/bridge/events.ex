@@ -26,6 +26,8 @@ defmodule Aerie.Bridge.Events do
   # More than this in the journal, or a quarter of what it holds, is moved to the disk even while NATS answers.
   @spill_above 5_000
   @drain_ms 1_000
+  # A server that has answered to nothing for so long is started again.
+  @silence_ms 10_000
 
   @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
   def start_link(options) do
@@ -53,6 +55,7 @@ defmodule Aerie.Bridge.Events do
       problem: nil,
       refusal: nil,
       conn: nil,
+      conn_at: nil,
       inbox: nil,
       stall: Stall.new(),
       synced_at: now()
@@ -132,7 +135,7 @@ defmodule Aerie.Bridge.Events do
     inbox = "_INBOX.aerie-#{Base.encode16(:crypto.strong_rand_bytes(9), case: :lower)}"
 
     case Gnat.sub(conn, self(), inbox <> ".*") do
-      {:ok, _sid} -> %{state | conn: conn, inbox: inbox}
+      {:ok, _sid} -> %{state | conn: conn, conn_at: now(), inbox: inbox}
       {:error, _reason} -> state
     end
   catch
@@ -317,8 +320,9 @@ defmodule Aerie.Bridge.Events do
   defp stalled(state) do
     waiting? = journal?(state) or source(state) == :outbox
     stall = Stall.look(state.stall, now(), waiting?)
-    # A refusal has its reason, which a new start does not take away; silence has none.
-    if stall.problem? and state.conn != nil and state.refusal == nil,
+
+    # A refusal has its reason, which a new start does not take away; silence has none. A server that has just come gets its time.
+    if stall.problem? and state.conn != nil and now() - state.conn_at >= @silence_ms and state.refusal == nil,
       do: Server.stalled(state.gateway, "it answers to no event")
 
     %{state | stall: stall}

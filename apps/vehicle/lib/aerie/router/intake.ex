@@ -18,6 +18,8 @@ defmodule Aerie.Router.Intake do
   @system_time 2
   # HEARTBEAT, and HIGH_LATENCY2, which stands in its place on a link of high latency (X6).
   @says_who [0, 235]
+  # Who is there for so long and says a heartbeat has said one before.
+  @said_again_us 500_000
 
   @doc """
   Looks at frames of one talker: what is known of it and of its endpoint afterwards, and whether one of the frames was the
@@ -72,7 +74,10 @@ defmodule Aerie.Router.Intake do
   defp listens(_tables, %{listens: true} = way), do: way
 
   defp listens(tables, way) do
-    with %{} = owner <- Endpoints.owner(tables, way.owner),
+    # Made-up senders say one heartbeat.
+    with %{since: since} <- Endpoints.get(tables, way.key),
+         true <- System.os_time(:microsecond) - since >= @said_again_us,
+         %{} = owner <- Endpoints.owner(tables, way.owner),
          true <- Endpoints.listens?(tables, owner, :said) do
       Endpoints.note(tables, way.key, listens: true)
       %{way | listens: true}

@@ -112,7 +112,14 @@ defmodule Aerie.Router.Talker do
 
   defp known(talker, tables, plan, way) do
     others = way.networks |> Enum.flat_map(&elsewhere(tables, way, talker, &1)) |> Enum.uniq()
-    {full, less} = if way.side == :vehicle, do: of_vehicle(plan, tables, way, talker), else: {plan.ways, %{}}
+
+    {full, less} =
+      cond do
+        way.side == :vehicle -> of_vehicle(plan, tables, way, talker)
+        # A sender on a link to vehicles of which too many came: vehicles need not hear each of them.
+        way.auto and not way.listens -> {plan.listeners, %{}}
+        true -> {plan.ways, %{}}
+      end
 
     # A vehicle's own frames do not come back to it by its second radio, nor go to another one that takes them for its own; a
     # client may have a vehicle of its own as well.

@@ -334,13 +334,14 @@ defmodule Aerie.Router.ForwardTest do
 
   describe "senders on a link to vehicles that are none" do
     # Peers of one link, all written to by one process.
-    defp peers(gateway, names) do
+    defp peers(gateway, names, since \\ 0) do
       tables = Router.Tables.of(gateway)
       {:ok, owner} = Router.Owner.new("port", side: :vehicle, networks: ["main"])
       Router.Endpoints.put_owner(tables, owner)
 
       for name <- names do
         fields = [
+          since: since,
           out: {:pid, self(), name},
           kind: :link,
           listens: Router.Endpoints.listens?(tables, owner, :unknown)
@@ -398,6 +399,19 @@ defmodule Aerie.Router.ForwardTest do
       few = work.(40)
       assert few < 2_000
       assert work.(500) < 1.5 * few + 50
+    end
+
+    test "who has just come gets a place among the first 8 only, and its heartbeat goes to no vehicle", c do
+      peers(c.gateway, 1..100, System.os_time(:microsecond) + 60_000_000)
+      for n <- 1..40, do: by_port(c.gateway, n, heartbeat(100 + n))
+      for n <- 41..100, do: by_port(c.gateway, n, heartbeat(255, type: 6, autopilot: 8))
+      heard_by()
+      for n <- 61..100, do: by_port(c.gateway, n, heartbeat(254, type: 6, autopilot: 8))
+      assert length(heard_by()) <= 40 * 8
+      v = vehicle(c.gateway, "v", 1)
+      heard_by()
+      say(v, attitude(1, 1))
+      assert length(heard_by()) <= 8
     end
 
     test "what they say is not multiplied by the number of vehicles", c do

@@ -173,6 +173,21 @@ defmodule Aerie.Link.CoreTest do
     assert counters.bytes_in == 101_002 * byte_size(attitude(1, 1))
   end
 
+  test "two hundred honest vehicles that come at once are peers with their first frame, and lose none" do
+    core = up("udpin::1", max_peers: 1024)
+
+    {core, joined} =
+      Enum.reduce(0..4, {core, 0}, fn second, {core, joined} ->
+        reads = for n <- 1..200, do: {{:vehicle, n}, attitude(n, second)}
+        {core, actions} = Core.handle(core, {:read, reads}, now(second * 1_000))
+        assert Enum.count(actions, &match?({:deliver, _, [_]}, &1)) == 200
+        {core, joined + Enum.count(actions, &match?({:join, _, _}, &1))}
+      end)
+
+    assert joined == 200
+    assert %{peers_refused: 0, frames_in: 1_000} = Core.counters(core)
+  end
+
   test "what a made-up sender costs does not depend on how many peers there are" do
     work = fn peers ->
       core = up("udpin::1", max_peers: 2_000)

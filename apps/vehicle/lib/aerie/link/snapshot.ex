@@ -18,7 +18,7 @@ defmodule Aerie.Link.Snapshot do
   | `:counters` | `Aerie.Link.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
   | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, else nil; `datagrams` were dropped |
-  | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 256 of them |
+  | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 1,024 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
   | `:quality` | score, loss, round trip and age, and whether it carries its group (`t:Aerie.Router.Meter.quality/0`), or nil |
@@ -36,7 +36,7 @@ defmodule Aerie.Link.Snapshot do
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Spec
 
-  @max_peers 256
+  @max_peers 1_024
 
   @type status :: :connecting | :up | :idle | :down | :ended
 

@@ -1,6 +1,7 @@
-# How long the gateway is without a part that was killed: each process of a vehicle's and a link's tree, and nats-server,
-# while three simulated vehicles fly. "Back" is: the process is registered again and has heard its vehicle; for nats-server:
-# connected again. Then the whole gateway, killed in flight and started again by `bin/run`: from the start on.
+# Measures how long the gateway lacks a part that was killed while three simulated vehicles fly: each process of a
+# vehicle's and a link's tree, and nats-server. A process is back when it is registered again and has heard its vehicle,
+# nats-server when it is connected again. Then the whole gateway is killed in flight and started again by `bin/run`, timed
+# from the start.
 #
 #     bin/bench recovery [ROUNDS]
 
@@ -116,7 +117,7 @@ process = fn role, id ->
   )
 end
 
-# A server that keeps dying is started again after growing pauses, so it is killed a few times only.
+# Restarts of nats-server back off, so it is killed only a few times.
 nats =
   measure.(
     min(rounds, 3),
@@ -150,7 +151,7 @@ rows =
         do: {name, Enum.map(whole, & &1[key])}
 
 IO.puts(
-  "killed #{rounds} times each, three vehicles flying; ms until it is back and its vehicle is heard again\n"
+  "killed #{rounds} times each while three vehicles fly; ms until it is back and has heard its vehicle\n"
 )
 
 IO.puts(String.pad_trailing("part", 32) <> "    median       max")

@@ -1,15 +1,15 @@
 defmodule AerieCLI do
   @moduledoc """
-  The command line of Aerie: what `bin/run` starts.
+  The command line of Aerie, which `bin/run` starts.
 
-  `main/1` reads the options (`AerieCLI.Options`), plans the run (`AerieCLI.Plan`), checks the configuration as a whole,
-  and starts everything below `AerieCLI.Supervisor` (`AerieCLI.Run`). Nothing is half started: an error ends the program
-  with status 2 and a line that says where and what to do.
+  `main/1` parses the options (`AerieCLI.Options`), plans the run (`AerieCLI.Plan`), checks the whole configuration,
+  and starts everything below `AerieCLI.Supervisor` (`AerieCLI.Run`). Nothing is left half started: an error ends the
+  program with status 2 and a message that says where the error is and how to correct it.
   """
 
   alias AerieCLI.{Options, Plan, Run, Vector}
 
-  @doc "Entry point of `bin/run`. Returns once everything is started; the VM goes on until it is told to end."
+  @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is told to end."
   @spec main([String.t()]) :: :ok
   def main(words) do
     case call(words, System.get_env()) do
@@ -20,11 +20,12 @@ defmodule AerieCLI do
   end
 
   @doc """
-  What `main/1` does, short of ending the program: `:ok` when a gateway was started, or the text and manner of the end.
+  Does what `main/1` does, but does not end the program. Returns `:ok` if a gateway was started, `{:finish, text}` to
+  print and end with status 0, or `{:fail, text}` to end with status 2.
 
-  From the environment come `AERIE_CWD` (where the user stands), `AERIE_TERMINAL` (`yes`: the output is a terminal),
-  `AERIE_COLUMNS` and `AERIE_LINES` (its size): `bin/run` asks the terminal, because this program has no standard input
-  that could tell. `options` are those of `AerieCLI.Run.start/2`.
+  The environment gives `AERIE_CWD` (the user's current directory), `AERIE_TERMINAL` (`yes`: the output is a terminal),
+  `AERIE_COLUMNS` and `AERIE_LINES` (its size). `bin/run` sets them, because this program has no standard input that it
+  could ask. `options` are those of `AerieCLI.Run.start/2`.
   """
   @spec call([String.t()], %{String.t() => String.t()}, keyword()) ::
           :ok | {:finish, String.t()} | {:fail, String.t()}
@@ -38,7 +39,7 @@ defmodule AerieCLI do
   end
 
   defp start(%{print: [_ | _]} = parsed, environment, options) do
-    # Nothing is started whose log would be of interest; that nobody reads any more is no news.
+    # No gateway runs, so there is nothing to log; a closed pipe would only log an error.
     if options == [], do: :ok = :logger.set_primary_config(:level, :none)
 
     case Vector.print(parsed, folder(environment), options) do

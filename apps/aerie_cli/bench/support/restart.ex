@@ -1,15 +1,15 @@
 defmodule AerieCLI.Bench.Restart do
   @moduledoc """
-  The whole gateway as a user starts it, killed with `kill -9` in flight and started again: how long until state of its vehicle
-  is in the store (what `/api` answers) and in NATS. Of the program only what everybody may use is used.
+  Kills the whole gateway with `kill -9` in flight and starts it again as a user does. Measures how long it takes until
+  state of its vehicle is in the store (which `/api` shows) and in NATS. Uses only public interfaces.
   """
 
   @root Path.expand("../../../..", __DIR__)
   @poll_ms 5
 
   @doc """
-  Rounds of `%{http: ms, store: ms, nats: ms, position: ms}` (the last: the first position in NATS) from the start of `bin/run`; the
-  first one is not counted.
+  One `%{http: ms, store: ms, nats: ms, position: ms}` per round, from the start of `bin/run`; `position` is the first
+  position in NATS. The first round is a warm-up and is not counted.
   """
   @spec run(Path.t(), pos_integer) :: [map]
   def run(folder, rounds) do
@@ -70,7 +70,7 @@ defmodule AerieCLI.Bench.Restart do
     times
   end
 
-  # The VM of that configuration, at once and for good; then its script ends.
+  # Kills the VM that runs with that configuration; its script then ends.
   defp kill(port, config) do
     {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
     for pid <- String.split(pids), do: System.cmd("kill", ["-KILL", pid])

@@ -1,15 +1,15 @@
 defmodule AerieCLI.Modules do
   @moduledoc """
-  Loads the code of the gateway and of all it uses, once it runs. Code that is loaded when it is first called is loaded
-  from a file, and that fails just when it is needed: with all descriptors used up, or with the files gone.
+  Loads all modules of the gateway and its dependencies after the start. The BEAM otherwise reads a module's file at the
+  first call, which fails when file descriptors have run out or the files are gone.
 
-  In the background, because a vehicle that flies waits for its gateway and not for this (some seconds), and one after the
-  other by a process of low priority, which prepares the code itself: many at once would go before what is needed now.
+  Loading takes some seconds, so it runs in the background: a flying vehicle must not wait for it. One process of low
+  priority loads one module after the other; a batch would delay modules that are needed at once.
   """
 
   require Logger
 
-  @doc "Begins to load. Gives the process that does, which ends when all is loaded."
+  @doc "Starts loading. Returns the pid of the loading process, which ends when all modules are loaded."
   @spec load() :: pid()
   def load do
     {:ok, pid} =
@@ -17,13 +17,13 @@ defmodule AerieCLI.Modules do
         Process.set_label(:module_loader)
         Process.flag(:priority, :low)
         failed = for module <- all(), {:error, reason} <- [:code.ensure_loaded(module)], do: {module, reason}
-        if failed != [], do: Logger.warning("code that cannot be loaded: #{inspect(failed)}")
+        if failed != [], do: Logger.warning("some modules cannot be loaded: #{inspect(failed)}")
       end)
 
     pid
   end
 
-  @doc "The modules of the gateway's applications, ours first, and of those that they depend on."
+  @doc "The modules of the gateway's applications and of their dependencies; Aerie's own come first."
   @spec all() :: [module()]
   def all,
     do:

@@ -1,6 +1,6 @@
 defmodule AerieCLI.Options do
   @moduledoc """
-  The command line of `bin/run`, parsed and checked: a pure function from words to a struct or an error.
+  Parses and checks the command line of `bin/run`. Pure: from words to a struct or an error.
   """
 
   defstruct links: [],
@@ -16,12 +16,12 @@ defmodule AerieCLI.Options do
   @typedoc """
   * `links` - connection strings, in the order given
   * `replay` - path of a tlog file to play, or nil
-  * `speed` - how many times faster than it was recorded, or `:max`
-  * `print` - what of the recording to print instead of playing it: `:events`, `:samples`
-  * `sim` - number of simulated vehicles asked for, or nil when the command line does not say
+  * `speed` - playback speed as a multiple of real time, or `:max`
+  * `print` - what to print of the recording instead of playing it: `:events`, `:samples`
+  * `sim` - number of simulated vehicles, or nil if the command line does not say
   * `config` - path of a YAML configuration, or nil
   * `http` - port of the HTTP server, or nil for the configured one
-  * `nats` - "embedded" or a URL, or nil for the configured one
+  * `nats` - "embedded" or a URL, or nil for the configured server
   * `quiet` - log lines instead of the table
   """
   @type t :: %__MODULE__{
@@ -56,27 +56,28 @@ defmodule AerieCLI.Options do
   @help """
   usage: bin/run [OPTION ...]
 
-    Starts the gateway with an embedded NATS server. Without a link, a replay or a configuration, three simulated
-    vehicles fly, and UDP port 14550 is open for real ones. Ctrl-C ends it.
+    Starts the gateway with an embedded NATS server. Without --link, --replay and --config, three simulated vehicles
+    fly, and UDP port 14550 is open for real ones. Press Ctrl-C to stop it.
 
     --link STRING      connect to vehicles (may be repeated):
-                         udpin:HOST:PORT    wait for vehicles to call, e.g. udpin:0.0.0.0:14550
-                         udpout:HOST:PORT   call a vehicle
+                         udpin:HOST:PORT    listen for UDP, e.g. udpin:0.0.0.0:14550
+                         udpout:HOST:PORT   send UDP to a vehicle, radio or router
                          tcp:HOST:PORT      connect, e.g. to a SITL: tcp:127.0.0.1:5760
-                         tcpin:HOST:PORT    wait for connections
+                         tcpin:HOST:PORT    listen for TCP connections
+                         ws://HOST:PORT/    connect by WebSocket (or wss://)
                          DEVICE,BAUD        a serial port, e.g. /dev/ttyACM0,57600
-                       serial:auto        the serial port that a vehicle is heard on
-    --replay FILE      show a recorded flight (a .tlog file) instead
-    --speed N|max      how many times faster than recorded (default 1)
-    --events           with --replay: print what happened in it as JSON lines, at once, and end
-    --samples          with --replay: print the state samples too, or only them
-    --sim N            how many simulated vehicles fly (0 to #{@max_sim}); also beside links
-    --config FILE      a configuration; config/gateway.example.yaml documents every key
-    --http PORT        port of /metrics, /healthz, /readyz (default 4000; 0 takes a free one)
+                         serial:auto        find the serial port and baud rate of a vehicle
+    --replay FILE      play a recorded flight (a .tlog file) instead of connecting to vehicles
+    --speed N|max      with --replay: playback speed, up to 1000 times real time (default 1)
+    --events           with --replay: print the events of the flight as JSON lines and exit
+    --samples          with --replay: print the state samples and exit; with --events, print both
+    --sim N            number of simulated vehicles (0 to #{@max_sim}); also beside links
+    --config FILE      configuration file; config/gateway.example.yaml documents every key
+    --http PORT        port of the HTTP server: /api, /metrics, /healthz, /readyz (default 4000; 0 takes a free one)
     --nats WHERE       embedded (the default) or a URL such as nats://hub:4222
-    --quiet            log lines instead of the status table (also when the output is not a terminal)
-    --version          the version
-    --help             this text
+    --quiet            log lines instead of the status table (the default if the output is not a terminal)
+    --version          print the version
+    --help             print this text
   """
 
   @doc "The text of `--help`."
@@ -86,7 +87,7 @@ defmodule AerieCLI.Options do
   @doc """
   Parses the words of the command line.
 
-  Returns `{:ok, options}`, `:help`, `:version`, or `{:error, message}` with what is wrong and what would be right.
+  Returns `{:ok, options}`, `:help`, `:version`, or `{:error, message}`, which says what is wrong and what is expected.
   """
   @spec parse([String.t()]) :: {:ok, t()} | :help | :version | {:error, String.t()}
   def parse(words) do
@@ -142,23 +143,23 @@ defmodule AerieCLI.Options do
   defp range(name, value, low, high), do: {:error, "#{name}: expected #{low} to #{high}, got: #{value}"}
 
   defp replay_alone(%{replay: nil}, switches) do
-    if switches[:speed], do: {:error, "--speed goes with --replay FILE"}, else: :ok
+    if switches[:speed], do: {:error, "--speed needs --replay FILE"}, else: :ok
   end
 
   defp replay_alone(%{links: [_ | _]}, _switches),
-    do: {:error, "--replay and --link exclude each other: a recording must not be mixed with a live vehicle"}
+    do: {:error, "--replay and --link exclude each other: a recording must not mix with live vehicles"}
 
   defp replay_alone(_options, _switches), do: :ok
 
   defp print_alone(%{print: []}, _switches), do: :ok
 
   defp print_alone(%{replay: nil, print: [what | _]}, _switches),
-    do: {:error, "--#{what} goes with --replay FILE"}
+    do: {:error, "--#{what} needs --replay FILE"}
 
   defp print_alone(%{print: [what | _]}, switches) do
     case Enum.find([:speed, :sim, :http, :nats, :quiet], &(switches[&1] != nil)) do
       nil -> :ok
-      other -> {:error, "--#{what} prints and ends, nothing is started: --#{other} does not go with it"}
+      other -> {:error, "--#{what} only prints and starts no gateway: leave out --#{other}"}
     end
   end
 
@@ -177,8 +178,8 @@ defmodule AerieCLI.Options do
 
   defp invalid(name, nil) do
     case closest(name) do
-      nil -> "unknown option #{name}, or its value is missing; bin/run --help lists them"
-      ^name -> "#{name} wants a value; bin/run --help tells which"
+      nil -> "unknown option #{name}, or its value is missing; bin/run --help lists the options"
+      ^name -> "#{name} needs a value; see bin/run --help"
       other -> "unknown option #{name}; did you mean #{other}?"
     end
   end

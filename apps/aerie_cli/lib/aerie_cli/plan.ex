@@ -1,9 +1,9 @@
 defmodule AerieCLI.Plan do
   @moduledoc """
-  What one call of `bin/run` will start, decided from its options: pure.
+  Decides from the options what one call of `bin/run` starts. Pure.
 
-  The rules a user can rely on: simulated vehicles fly only when nothing says what is real (no link, no replay, no
-  configuration), or when `--sim` asks for them; a command line beats the environment, the environment beats the file.
+  Two rules hold for users. Simulated vehicles fly only without `--link`, `--replay` and `--config`, or if `--sim` asks
+  for them. The command line overrides the environment, and the environment overrides the file.
   """
 
   alias AerieCLI.Options
@@ -16,7 +16,7 @@ defmodule AerieCLI.Plan do
           sim: non_neg_integer()
         }
 
-  @doc "Plans a run. Paths are taken from `folder`, where the user stands."
+  @doc "Plans a run. Relative paths are relative to `folder`, the user's current directory."
   @spec from(Options.t(), String.t()) :: t()
   def from(%Options{} = options, folder) do
     %{
@@ -28,7 +28,7 @@ defmodule AerieCLI.Plan do
 
   defp links(overrides, %{replay: file} = options, folder) when is_binary(file) do
     url = "replay:#{Path.expand(file, folder)}?speed=#{options.speed}"
-    # A recording is looked at; nothing real may call in beside it and be taken for a part of it.
+    # No live vehicle may connect during a replay: it could be taken for part of the recording.
     overrides
     |> Map.put("links", [%{"id" => "replay", "url" => url}])
     |> Map.put("mavlink", %{"local_addr" => "off"})

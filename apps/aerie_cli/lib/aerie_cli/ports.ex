@@ -1,16 +1,16 @@
 defmodule AerieCLI.Ports do
   @moduledoc """
-  Finds a free port for the parts whose port nobody configured: a demo must start beside whatever else runs on the
-  machine, while a configured port that is taken is an error (`Aerie.Config.Preflight` tells it).
+  Finds free ports for parts that use their default port, so that a demo starts beside other programs. A configured
+  port that is taken is an error, which `Aerie.Config.Preflight` reports.
   """
 
   @tries 50
 
-  @doc "The first free TCP port at `address`, from `port` upwards."
+  @doc "The first free TCP port at `address`, from `port` upwards; 50 ports are tried."
   @spec free_tcp(:inet.ip_address(), :inet.port_number()) :: {:ok, :inet.port_number()} | {:error, :none_free}
   def free_tcp(address, port), do: first(port, &tcp_free?(address, &1))
 
-  @doc "The first free UDP port at `address`, from `port` upwards."
+  @doc "The first free UDP port at `address`, from `port` upwards; 50 ports are tried."
   @spec free_udp(:inet.ip_address(), :inet.port_number()) :: {:ok, :inet.port_number()} | {:error, :none_free}
   def free_udp(address, port), do: first(port, &udp_free?(address, &1))
 

@@ -1,14 +1,14 @@
 defmodule AerieCLI.Run do
   @moduledoc """
-  Starts what a plan says, in the order of dependence, below `AerieCLI.Supervisor`:
+  Starts the parts of a plan below `AerieCLI.Supervisor`, each after the ones that it depends on:
 
   1. `Aerie.Gateway` with the checked configuration
   2. `FleetWeb.Endpoint`
-  3. `SimVehicle.Fleet`, when simulated vehicles fly, on a loopback link and a network of their own (`sim`), so that
-     they can never be taken for, or collide with, a real vehicle of the same system id
+  3. `SimVehicle.Fleet`, if simulated vehicles were asked for. They use a loopback link and a network of their own
+     (`sim`), so that they cannot collide with a real vehicle of the same system id.
   4. `AerieCLI.Status`
 
-  If one of them does not start, those before it are stopped again and the reason comes back as lines for a person.
+  If a part fails to start, the parts before it are stopped and the error messages are returned.
   """
 
   alias Aerie.Config
@@ -23,8 +23,8 @@ defmodule AerieCLI.Run do
   @doc """
   Starts a plan.
 
-  Options: `gateway` (name of the instance, default `:default`), `style` and `size` of the status, `status: false` for
-  none, `supervisor` (default `AerieCLI.Supervisor`).
+  Options: `gateway` (name of the instance, default `:default`), `style` and `size` of the status display,
+  `status: false` for no display, `supervisor` (default `AerieCLI.Supervisor`).
   """
   @spec start(Plan.t(), keyword()) :: {:ok, run()} | {:error, [String.t()]}
   def start(plan, options \\ []) do
@@ -35,7 +35,9 @@ defmodule AerieCLI.Run do
          {:ok, config} <- free_ports(config),
          {:ok, config, sim_port} <- sim_link(config, plan.sim),
          {:ok, warnings} <- preflight(config) do
-      Enum.each(config.warnings ++ warnings, &IO.puts(:stderr, "warning: " <> &1))
+      # The terminal's table clears the screen, so it repeats them.
+      config = %{config | warnings: config.warnings ++ warnings}
+      Enum.each(config.warnings, &IO.puts(:stderr, "warning: " <> &1))
       start_parts(supervisor, gateway, config, plan, sim_port, options)
     end
   end
@@ -54,7 +56,7 @@ defmodule AerieCLI.Run do
     end
   end
 
-  # Only ports that nobody chose may move; the others are the user's word, and preflight says when they are taken.
+  # Only default ports may move to the next free one. A configured port stays; preflight reports it if it is taken.
   defp free_ports(config) do
     with {:ok, config} <- free_http(config),
          {:ok, config} <- free_websocket(config),
@@ -100,7 +102,9 @@ defmodule AerieCLI.Run do
   end
 
   defp with_port({:ok, port}, _what, put), do: {:ok, put.(port)}
-  defp with_port({:error, :none_free}, what, _put), do: {:error, ["no free port for #{what}: give one"]}
+
+  defp with_port({:error, :none_free}, what, _put),
+    do: {:error, ["no free port for #{what}: configure one"]}
 
   defp sim_link(config, 0), do: {:ok, config, nil}
 
@@ -122,7 +126,9 @@ defmodule AerieCLI.Run do
 
       {:error, :none_free} ->
         {:error,
-         ["no free UDP port for the simulated vehicles: end what uses #{@sim_port} and the ports after it"]}
+         [
+           "no free UDP port for the simulated vehicles: end the programs that use port #{@sim_port} and the ones after it"
+         ]}
     end
   end
 

@@ -1,7 +1,7 @@
 defmodule AerieCLI.Status do
   @moduledoc """
-  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines when the
-  output is a pipe. It reads the store and hears the events; nothing waits for it.
+  Shows a running gateway in the terminal that started it: a table that is redrawn twice a second, or log lines if the
+  output is a pipe. It reads the store and subscribes to the events. No other process waits for it.
   """
 
   use GenServer
@@ -15,8 +15,8 @@ defmodule AerieCLI.Status do
 
   @doc """
   Options: `gateway` (name of the instance), `style` (`:table` or `:lines`), `http` (address to show, or nil),
-  `config` (for what is open to whom),
-  `device` (where to write, default standard output), `size` (`{columns, lines}`).
+  `config` (for its warnings, and for which ways in are open to whom), `device` (where to write, default standard
+  output), `size` (`{columns, lines}`).
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options), do: GenServer.start_link(__MODULE__, Map.new(options))
@@ -49,14 +49,14 @@ defmodule AerieCLI.Status do
     {columns, lines} = state.size
     drawn = Table.render(view(state), columns, lines)
 
-    # Home, each line cleared to its end, the rest of the screen cleared: no flicker, and what stood before is kept.
+    # Redraws in place without flicker: cursor home, each line cleared to its end, then the rest of the screen.
     IO.write(state.device, [first_draw(state), "\e[H", Enum.map(drawn, &[&1, "\e[K\r\n"]), "\e[J"])
     {:noreply, schedule(%{state | drawn: length(drawn)}, @table_period)}
   end
 
   def handle_info(:show, state) do
     view = view(state)
-    # What is open is told when it changes: at the start, mostly.
+    # The list of open ways in is printed only when it has changed.
     faces = if view.faces == state.faces, do: [], else: Enum.map(view.faces, &Lines.face/1)
     write_lines(state, faces ++ Lines.render(view))
     {:noreply, schedule(%{state | faces: view.faces}, @lines_period)}
@@ -92,6 +92,7 @@ defmodule AerieCLI.Status do
       published: published(state.gateway),
       pending: Fleet.Journal.pending_size(state.gateway),
       identity: Aerie.Router.identity(state.gateway),
+      warnings: if(state.config, do: state.config.warnings, else: []),
       http: state.http,
       notes: state.notes
     }

@@ -1,8 +1,9 @@
 defmodule AerieCLI.Vector do
   @moduledoc """
-  `bin/run --replay FILE --events`: what happened in a recording as JSON lines, without starting anything. The lines have
-  the form in which events (and, with `--samples`, state samples) are published, so that what reads the one reads the other,
-  with their keys in order: the same recording gives the same bytes, in every VM.
+  `bin/run --replay FILE --events`: prints the events of a recording as JSON lines, without starting a gateway.
+
+  The lines have the form in which events (and, with `--samples`, state samples) are published to NATS, so that one
+  consumer reads both. Keys are sorted: the same recording gives the same bytes in every VM.
   """
 
   alias Aerie.Bridge.Message
@@ -11,9 +12,10 @@ defmodule AerieCLI.Vector do
   alias MavCodec.Tlog.Damage
 
   @doc """
-  Prints to `:device` (standard output), and what there is to say about the recording to `:notes` (standard error).
+  Prints the lines to `:device` (default standard output) and a summary of the recording to `:notes` (default standard
+  error).
 
-  `folder` is where the user stands. The error is in words.
+  `folder` is the user's current directory. An error is a message for the user.
   """
   @spec print(Options.t(), String.t(), keyword) :: :ok | {:error, String.t()}
   def print(%Options{print: what} = options, folder, devices \\ []) do
@@ -25,7 +27,7 @@ defmodule AerieCLI.Vector do
          do: IO.write(Keyword.get(devices, :notes, :stderr), note)
   end
 
-  # Who reads may have seen enough (`| head`): that is an end as good as any.
+  # A reader that closes the pipe (`| head`) ends the program without an error.
   defp play(file, config, what, device) do
     with :ok <- Replay.Source.recording(file),
          {:ok, _acc, summary} <- Replay.reduce(file, [config: config], :ok, &line(&1, &2, what, device)),
@@ -73,6 +75,6 @@ defmodule AerieCLI.Vector do
   defp damage(%{damage: []}), do: ""
 
   defp damage(%{damage: [first | _]} = summary) do
-    "; #{summary.damaged_bytes} bytes are no record, the first of #{summary.damaged_parts} parts: #{Damage.format(first)}"
+    "; #{summary.damaged_bytes} bytes in #{summary.damaged_parts} damaged parts were skipped, the first: #{Damage.format(first)}"
   end
 end

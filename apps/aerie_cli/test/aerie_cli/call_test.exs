@@ -1,5 +1,5 @@
 defmodule AerieCLI.CallTest do
-  @moduledoc "`bin/run` from its words to a gateway, short of the operating system."
+  @moduledoc "`bin/run` from its command line to a running gateway, without the shell script."
 
   use Aerie.SystemCase, async: true
 
@@ -24,7 +24,7 @@ defmodule AerieCLI.CallTest do
   mavlink: {local_addr: off}
   """
 
-  test "help, version and mistakes end the program with a text" do
+  test "help, version and errors end the program with a text" do
     assert {:finish, "usage: bin/run" <> _} = AerieCLI.call(["--help"], %{})
     assert {:finish, "aerie 0." <> _} = AerieCLI.call(["--version"], %{})
     assert {:fail, text} = AerieCLI.call(["--htpp", "1"], %{})
@@ -51,7 +51,7 @@ defmodule AerieCLI.CallTest do
     assert Supervisor.which_children(context.options[:supervisor]) == []
   end
 
-  test "all code of a gateway that runs is loaded: none is looked for on the disk when descriptors have run out",
+  test "all modules of a running gateway are loaded, so that none is read when descriptors have run out",
        context do
     path = config(context.tmp_dir, @quiet_config)
     assert :ok = AerieCLI.call(["--config", path], %{}, context.options)
@@ -69,7 +69,7 @@ defmodule AerieCLI.CallTest do
         ],
         do: assert(known in all)
 
-    # It waits for whatever else there is to do on this machine.
+    # The loader has low priority, so a busy machine delays it.
     patient = System.monotonic_time(:millisecond) + 60_000
     eventually(fn -> Enum.all?(all, &:erlang.module_loaded/1) end, "all code is loaded", patient)
   end
@@ -91,8 +91,9 @@ defmodule AerieCLI.CallTest do
     ])
   end
 
-  test "a terminal gets the table, sized as bin/run says", context do
-    path = config(context.tmp_dir, @quiet_config)
+  test "a terminal gets the table, sized as bin/run says; it clears the screen, so it repeats warnings",
+       context do
+    path = config(context.tmp_dir, @quiet_config <> "\npolicy: {max_altitude: 120}\n")
     environment = %{"AERIE_TERMINAL" => "yes", "AERIE_COLUMNS" => "90", "AERIE_LINES" => "many"}
     assert :ok = AerieCLI.call(["--config", path, "--sim", "1"], environment, context.options)
 
@@ -101,6 +102,7 @@ defmodule AerieCLI.CallTest do
         "VEHICLE",
         "sim-001",
         "NATS not started",
+        "WARNING: policy is NOT ENFORCED",
         "LATEST EVENTS",
         "sim-001 statustext"
       ])
@@ -108,7 +110,7 @@ defmodule AerieCLI.CallTest do
     assert text =~ "\e[H"
   end
 
-  test "a recording is shown with its own vehicle, and nothing else may call in", context do
+  test "a replay shows the recording's vehicle, and no other vehicle can connect", context do
     # A second of a simulated heartbeat, written as any recorder writes it.
     path = Path.join(context.tmp_dir, "short.tlog")
 
@@ -197,7 +199,7 @@ defmodule AerieCLI.CallTest do
       assert length(lines(context.device)) == length(samples) + 38
     end
 
-    test "says what is wrong with a file, and what is not whole in it", context do
+    test "says what is wrong with a file, and which parts of it are damaged", context do
       assert {:fail, "error: /nowhere.tlog: no such file or directory\n"} =
                AerieCLI.call(["--replay", "/nowhere.tlog", "--events"], %{}, context.options)
 

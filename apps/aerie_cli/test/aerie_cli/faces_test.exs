@@ -15,13 +15,13 @@ defmodule AerieCLI.FacesTest do
     wide = link("udpin:0.0.0.0:14550", local: "0.0.0.0:14550")
 
     assert who(wide, :auto) == %{
-             who: "whoever reaches it: vehicles; commands from this machine only",
+             who: "anyone who reaches it: vehicles; commands from this machine only",
              wide: false
            }
 
-    assert who(wide, :deny) == %{who: "whoever reaches it: vehicles; no commands", wide: false}
+    assert who(wide, :deny) == %{who: "anyone who reaches it: vehicles; no commands", wide: false}
 
-    assert %{who: "whoever reaches it: vehicles, and commands to vehicles" <> _, wide: true} =
+    assert %{who: "anyone who reaches it: vehicles, and commands to vehicles" <> _, wide: true} =
              who(wide, :allow)
 
     own = link("udpin:127.0.0.1:14650", local: "127.0.0.1:14650")
@@ -32,7 +32,7 @@ defmodule AerieCLI.FacesTest do
            }
 
     assert who(link("/dev/ttyUSB0"), :auto) == %{
-             who: "who is at its other end: vehicles; no commands",
+             who: "the other end: vehicles; no commands",
              wide: false
            }
 
@@ -40,7 +40,7 @@ defmodule AerieCLI.FacesTest do
     assert who(link("replay:flight.tlog"), :allow).who =~ "no commands"
   end
 
-  test "clients and servers say whom they are open to" do
+  test "clients and servers say who may use them" do
     client = fn text, local, router -> link(text, local: local, options: %{router: router}) end
     own = client.("tcpin:127.0.0.1:0", "127.0.0.1:5790", [])
     wide = client.("tcpin:0.0.0.0:5790", "0.0.0.0:5790", [])
@@ -53,15 +53,15 @@ defmodule AerieCLI.FacesTest do
                who: "programs of this machine: look on and command vehicles",
                wide: false
              },
-             %{who: "whoever reaches it: look on and command vehicles", wide: true},
-             %{who: "whoever reaches it: look on", wide: false},
+             %{who: "anyone who reaches it: look on and command vehicles", wide: true},
+             %{who: "anyone who reaches it: look on", wide: false},
              %{address: "http://127.0.0.1:4000", who: "programs of this machine: " <> _, wide: false},
              %{address: "ws://127.0.0.1:8765", wide: false},
              %{address: "mavlink.sock"},
-             %{address: "nats (embedded)", who: "who has its login: " <> _}
+             %{address: "nats (embedded)", who: "anyone with its login: " <> _}
            ] = Faces.list([], %{}, [own, wide, looks], config)
 
     keyed = put_in(config.api.key, "a-long-random-text")
-    assert Enum.any?(Faces.list([], %{}, [], keyed), &(&1.who =~ "who has a key"))
+    assert Enum.any?(Faces.list([], %{}, [], keyed), &(&1.who =~ "anyone with a key"))
   end
 end

@@ -4,7 +4,7 @@ defmodule AerieCLI.OptionsTest do
   alias AerieCLI.{Options, Plan}
 
   describe "parse/1" do
-    test "no word at all is a demo with defaults" do
+    test "no argument starts a demo with defaults" do
       assert {:ok, %Options{links: [], sim: nil, quiet: false, speed: 1.0}} = Options.parse([])
     end
 
@@ -13,10 +13,10 @@ defmodule AerieCLI.OptionsTest do
                Options.parse(["--link", "udpin:0.0.0.0:14550", "--link", "tcp:127.0.0.1:5760"])
     end
 
-    test "a recording can be printed, and then nothing is started that an option could be about" do
+    test "printing a recording excludes the options of a running gateway" do
       assert {:ok, %{print: [:events], replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--events"])
       assert {:ok, %{print: [:events, :samples]}} = Options.parse(~w(--samples --events --replay a.tlog))
-      assert {:error, "--samples goes with --replay FILE"} = Options.parse(["--samples"])
+      assert {:error, "--samples needs --replay FILE"} = Options.parse(["--samples"])
 
       for extra <- [~w(--speed 2), ~w(--sim 0), ~w(--http 1), ~w(--nats embedded), ~w(--quiet)] do
         assert {:error, message} = Options.parse(~w(--replay a.tlog --events) ++ extra)
@@ -24,7 +24,7 @@ defmodule AerieCLI.OptionsTest do
       end
     end
 
-    test "speed is a number or max, and goes with a replay" do
+    test "speed is a number or max, and needs a replay" do
       assert {:ok, %{speed: :max, replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--speed", "max"])
       assert {:ok, %{speed: 2.5}} = Options.parse(["--replay", "a.tlog", "--speed", "2.5"])
       assert {:error, "--speed" <> _} = Options.parse(["--speed", "2"])
@@ -39,7 +39,7 @@ defmodule AerieCLI.OptionsTest do
       assert Options.parse(["--version"]) == :version
     end
 
-    test "each error says what is wrong and what would be right" do
+    test "each error says what is wrong and what is expected" do
       assert {:error, message} = Options.parse(["--lnk", "x"])
       assert message =~ "did you mean --link?"
       assert {:error, message} = Options.parse(["--http", "99999"])
@@ -53,7 +53,7 @@ defmodule AerieCLI.OptionsTest do
       assert {:error, message} = Options.parse(["--nats", "hub"])
       assert message =~ "nats://"
       assert {:error, message} = Options.parse(["--link"])
-      assert message =~ "--link wants a value"
+      assert message =~ "--link needs a value"
       assert {:error, message} = Options.parse(["--replay", "a.tlog", "--link", "tcp:h:1"])
       assert message =~ "exclude"
       assert {:error, message} = Options.parse(["--xyzzy"])
@@ -74,13 +74,13 @@ defmodule AerieCLI.OptionsTest do
       Plan.from(options, "/home/me")
     end
 
-    test "three simulated vehicles fly when nothing says what is real" do
+    test "three simulated vehicles fly without a link, a replay or a configuration" do
       assert %{sim: 3, config_file: nil, overrides: overrides} = plan([])
       assert overrides == %{}
       assert plan(["--http", "0", "--nats", "embedded"]).sim == 3
     end
 
-    test "they stay on the ground beside a link, a replay or a configuration, unless asked for" do
+    test "with one of them, none fly unless --sim asks for them" do
       assert plan(["--link", "tcp:h:1"]).sim == 0
       assert plan(["--replay", "a.tlog"]).sim == 0
       assert plan(["--config", "c.yaml"]).sim == 0
@@ -88,7 +88,7 @@ defmodule AerieCLI.OptionsTest do
       assert plan(["--sim", "0"]).sim == 0
     end
 
-    test "paths are taken from where the user stands, and a replay closes the door to live vehicles" do
+    test "paths are relative to the user's directory, and a replay excludes live vehicles" do
       assert plan(["--config", "c.yaml"]).config_file == "/home/me/c.yaml"
       plan = plan(["--replay", "log/a.tlog", "--speed", "max"])
       assert [%{"url" => "replay:/home/me/log/a.tlog?speed=max"}] = plan.overrides["links"]
@@ -143,7 +143,7 @@ defmodule AerieCLI.OptionsTest do
     defp value(config, [section | below]),
       do: Enum.reduce(below, Map.fetch!(config, section), &Map.fetch!(&2, &1))
 
-    test "changes its own key and leaves the others of the section alone", context do
+    test "changes its own key and keeps the others of the section", context do
       assert changed(context, ~w(--nats nats://other:4222)) == ["nats.url"]
       assert changed(context, ~w(--http 8080)) == ["http.port"]
       assert changed(context, ~w(--link tcp:127.0.0.1:5760)) == ["links"]
@@ -151,7 +151,7 @@ defmodule AerieCLI.OptionsTest do
       assert changed(context, ~w(--sim 2 --quiet)) == []
     end
 
-    test "embedded over servers of a configuration keeps what is not about how to reach them", context do
+    test "--nats embedded over configured servers keeps the keys that are not about reaching them", context do
       assert changed(context, ~w(--nats embedded)) == ["nats.mode", "nats.tls.enabled"]
     end
   end

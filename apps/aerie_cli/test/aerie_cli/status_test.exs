@@ -76,41 +76,41 @@ defmodule AerieCLI.StatusTest do
     assert table =~ "up 2 min"
   end
 
-  test "what is open to whom, and orders that were refused, are told" do
-    face = %{address: "udpin:0.0.0.0:14550 (udp)", who: "whoever reaches it: vehicles", wide: false}
+  test "the table and the lines show who may use each way in, refused commands and dropped frames" do
+    face = %{address: "udpin:0.0.0.0:14550 (udp)", who: "anyone who reaches it: vehicles", wide: false}
     [link] = view().links
     view = view(faces: [face], links: [put_in(link.counters.denied, 20)])
     table = view |> Table.render(140, 40) |> text()
-    assert table =~ "udpin:0.0.0.0:14550 (udp)  whoever reaches it: vehicles"
-    assert table =~ "link link-1: 20 orders to vehicles were REFUSED"
-    assert Lines.face(face) == ~s|open="udpin:0.0.0.0:14550 (udp)" to="whoever reaches it: vehicles"|
+    assert table =~ "udpin:0.0.0.0:14550 (udp)  anyone who reaches it: vehicles"
+    assert table =~ "link link-1: 20 commands REFUSED"
+    assert Lines.face(face) == ~s|open="udpin:0.0.0.0:14550 (udp)" to="anyone who reaches it: vehicles"|
     assert Enum.any?(Lines.render(view), &(&1 =~ "denied=20"))
     view = view(clients: [%{id: "gcs", text: "listening", counters: %{dropped_out: 7}}])
     assert view |> Table.render(140, 40) |> text() =~ "client gcs: 7 frames DROPPED"
     assert "client=gcs dropped_out=7 text=listening" in Lines.render(view)
   end
 
-  test "the address comes with its login in a terminal, and without it in a log" do
+  test "the NATS address has its login in a terminal but not in a log" do
     view = view(nats_login: "nats://token@127.0.0.1:4222")
     assert view |> Table.render(140, 40) |> text() =~ "NATS connected nats://token@127.0.0.1:4222  published"
     refute view |> Lines.render() |> text() =~ "token"
   end
 
-  test "events that are not confirmed are told although there is a connection" do
+  test "events that NATS does not store are shown although it is connected" do
     nats = %{connected: true, url: "nats://h:1", problem: "no space left on device", outbox: %{events: 9}}
     table = [nats: nats] |> view() |> Table.render(140, 40) |> text()
     assert table =~ "events waiting 9\nNATS PROBLEM: no space left on device\n"
     assert [nats: nats] |> view() |> Lines.render() |> text() =~ ~s(problem="no space left on device")
   end
 
-  test "what is not known is a dash, and a lost vehicle is called lost" do
+  test "an unknown value is a dash, and a lost vehicle is called lost" do
     table = [vehicles: [vehicle(%{groups: %{}, status: :lost})]] |> view() |> Table.render(140, 40) |> text()
     assert table =~ "LOST"
     refute table =~ "disarmed"
     refute table =~ "0.000000"
   end
 
-  test "no line is wider than the terminal and no more lines than it has, whatever its size" do
+  test "the table never exceeds the terminal's width and height" do
     vehicles = for n <- 1..60, do: vehicle(%{id: "VID-#{n}"})
 
     for width <- [20, 80, 200], height <- [5, 24, 100] do
@@ -128,7 +128,7 @@ defmodule AerieCLI.StatusTest do
     assert Format.text("a\e[2Jb\r\nc") == "a[2Jbc"
   end
 
-  test "log lines are key=value and quote what has blanks" do
+  test "log lines are key=value pairs; values with blanks are quoted" do
     [vehicle, link, nats] = Lines.render(view())
     assert vehicle =~ "vehicle=VID-001 status=online type=copter"
     assert vehicle =~ "mode=GUIDED armed=true lat=-35.363261"
@@ -149,7 +149,7 @@ defmodule AerieCLI.StatusTest do
     assert Lines.note(event) == ~s(VID-001 statustext  severity=6 text="Arming motors")
   end
 
-  test "durations and ages read as people say them" do
+  test "durations and ages have readable units" do
     assert Format.duration(119 * @second) == "119 s"
     assert Format.duration(7199 * @second) == "119 min"
     assert Format.duration(7500 * @second) == "2 h 5 min"

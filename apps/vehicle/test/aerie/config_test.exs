@@ -57,7 +57,7 @@ defmodule Aerie.ConfigTest do
     assert config.policy == %{max_altitude: 120.0, geofence_file: "/etc/gateway/geofence.json"}
     assert [component, policy] = config.warnings
     assert component =~ "component_id is 1" and component =~ "191"
-    assert policy =~ "no altitude or fence is enforced"
+    assert policy =~ "policy is NOT ENFORCED"
   end
 
   test "without a file there are defaults: a hub with embedded NATS and UDP 14550 open" do

@@ -1,6 +1,6 @@
 defmodule AerieCLI.Status.Faces do
   @moduledoc """
-  What is open, to whom, and what they may do there: a line for each way into a gateway. Pure: from snapshots of links and
+  The ways into a gateway: for each one, who can reach it and what they may do there. Pure: from snapshots of links and
   clients and from the configuration.
   """
 
@@ -9,12 +9,12 @@ defmodule AerieCLI.Status.Faces do
 
   @listening [:udp_server, :tcp_server]
 
-  @typedoc "`wide`: whether other machines get further than looking on"
+  @typedoc "`wide`: other machines may do more here than look on"
   @type face :: %{address: String.t(), who: String.t(), wide: boolean}
 
   @doc """
-  The faces: of links (`commands` gives `gcs` of each, by id), of clients, and of the servers in the configuration; nil
-  for none of these.
+  Lists the ways in: links (`commands` maps a link's id to its `gcs` setting), clients, and the servers of the
+  configuration (`config` nil: no servers).
   """
   @spec list([map], %{String.t() => :auto | :allow | :deny}, [map], Aerie.Config.t() | nil) :: [face]
   def list(links, commands, clients, config) do
@@ -49,7 +49,7 @@ defmodule AerieCLI.Status.Faces do
     face(address(client), "#{who(client)}: #{may}", router[:role] != :read_only and not local?(client))
   end
 
-  # Of a server the port that it got.
+  # A server shows the port that it really got.
   defp address(%{kind: kind, local: local} = link) when kind in @listening and is_binary(local),
     do: "#{link.url |> String.split(":") |> hd()}:#{local} (#{link.id})"
 
@@ -58,8 +58,8 @@ defmodule AerieCLI.Status.Faces do
   defp who(%{kind: kind} = link) do
     cond do
       local?(link) -> "programs of this machine"
-      kind in @listening -> "whoever reaches it"
-      true -> "who is at its other end"
+      kind in @listening -> "anyone who reaches it"
+      true -> "the other end"
     end
   end
 
@@ -84,7 +84,7 @@ defmodule AerieCLI.Status.Faces do
         do: [
           face(
             "mavlink.sock",
-            "whom the permissions of its folder let in: look on and command vehicles",
+            "whoever its file permissions let in: look on and command vehicles",
             false
           )
         ],
@@ -92,7 +92,7 @@ defmodule AerieCLI.Status.Faces do
 
     nats =
       if config.nats.mode == :embedded,
-        do: [face("nats (embedded)", "who has its login: read, and change what is stored there", false)],
+        do: [face("nats (embedded)", "anyone with its login: read, and change what is stored", false)],
         else: []
 
     http ++ ws ++ sockets ++ nats
@@ -104,9 +104,9 @@ defmodule AerieCLI.Status.Faces do
 
     who =
       cond do
-        keys? -> "who has a key"
+        keys? -> "anyone with a key"
         Gate.loopback?(address) -> "programs of this machine"
-        true -> "whoever reaches it"
+        true -> "anyone who reaches it"
       end
 
     face("#{scheme}://#{address}", "#{who}: #{may}", not keys? and not Gate.loopback?(address))

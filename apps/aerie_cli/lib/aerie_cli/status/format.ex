@@ -1,5 +1,5 @@
 defmodule AerieCLI.Status.Format do
-  @moduledoc "Numbers as an operator reads them; what is not known is a dash, never a zero."
+  @moduledoc "Formats values for an operator. An unknown value is a dash, never a zero."
 
   @unknown "-"
 
@@ -18,19 +18,19 @@ defmodule AerieCLI.Status.Format do
   def percent(share) when is_number(share), do: "#{round(share * 100)}%"
   def percent(_unknown), do: @unknown
 
-  @doc "A text, or a dash when there is none. Control characters, which could take over a terminal, are dropped."
+  @doc "A text, or a dash if there is none. Control characters are dropped, because they could steer the terminal."
   @spec text(term()) :: String.t()
   def text(nil), do: @unknown
   def text(value), do: value |> to_string() |> String.replace(~r/[[:cntrl:]]/u, "")
 
-  @doc "How long ago, from microseconds."
+  @doc "An age in microseconds, as text; a dash if it is not known."
   @spec age(integer() | nil) :: String.t()
   def age(nil), do: @unknown
   def age(us) when us < 0, do: "0 s"
   def age(us) when us < 10_000_000, do: number(us / 1_000_000, 1, " s")
   def age(us), do: duration(us)
 
-  @doc "A long duration from microseconds: `42 s`, `3 min`, `2 h 5 min`."
+  @doc "A duration in microseconds, as text: `42 s`, `3 min`, `2 h 5 min`."
   @spec duration(integer()) :: String.t()
   def duration(us) do
     seconds = div(us, 1_000_000)
@@ -42,7 +42,7 @@ defmodule AerieCLI.Status.Format do
     end
   end
 
-  @doc "A text cut or filled to exactly `width` columns; a cut one ends with `…`."
+  @doc "A text cut or padded to exactly `width` columns; a cut text ends with `…`."
   @spec fit(String.t(), pos_integer(), :left | :right) :: String.t()
   def fit(text, width, side \\ :left) do
     length = String.length(text)

@@ -1,7 +1,7 @@
 defmodule AerieCLI.Status.Lines do
   @moduledoc """
-  The status as log lines, for a pipe or `--quiet`: one line a vehicle, one a link and one for NATS, `key=value`, so that
-  `grep` and a log collector find their way.
+  The status as log lines, for a pipe or `--quiet`: one line per vehicle, one per link and one for NATS, as `key=value`
+  pairs that `grep` and log collectors can read.
   """
 
   import AerieCLI.Status.Format
@@ -9,7 +9,7 @@ defmodule AerieCLI.Status.Lines do
   alias Aerie.Fleet.Age
   alias AerieCLI.Status.View
 
-  @doc "The lines of one look at the gateway."
+  @doc "The lines of one snapshot."
   @spec render(View.t()) :: [String.t()]
   def render(%View{} = view) do
     Enum.map(view.vehicles, &vehicle(&1, view)) ++
@@ -17,17 +17,17 @@ defmodule AerieCLI.Status.Lines do
       Enum.flat_map(view.clients, &client/1) ++ nats(view) ++ identity(view.identity)
   end
 
-  @doc "What is open to whom, as a log line."
+  @doc "One way into the gateway, and who may use it, as a log line."
   @spec face(AerieCLI.Status.Faces.face()) :: String.t()
   def face(face), do: pairs(open: face.address, to: face.who)
 
-  @doc "An event as a line of a table: the vehicle, what happened, and what is not the vehicle's position."
+  @doc "An event as a line of the table: vehicle, type and data, without the position."
   @spec note(map()) :: String.t()
   def note(event) do
     "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, "position"))}"
   end
 
-  @doc "An event as a log line; `time` is when it happened, which in a recording is not now."
+  @doc "An event as a log line; `time` is when it happened, which is in the past for a recording."
   @spec event(map()) :: String.t()
   def event(event) do
     String.trim_trailing(
@@ -45,7 +45,7 @@ defmodule AerieCLI.Status.Lines do
     |> Enum.map_join(" ", fn {key, value} -> "#{key}=#{value(value)}" end)
   end
 
-  # `position: %{lat: 1}` reads `position.lat=1`.
+  # `position: %{lat: 1}` becomes `position.lat=1`.
   defp flat(data) do
     Enum.flat_map(Enum.sort(data), fn
       {key, %{} = inner} when not is_struct(inner) ->
@@ -94,7 +94,7 @@ defmodule AerieCLI.Status.Lines do
     )
   end
 
-  # Only what it lost: the rest of it is in `/api/clients`.
+  # Only clients that lost frames; `/api/clients` has the rest.
   defp client(%{counters: %{dropped_out: 0}}), do: []
 
   defp client(client),

@@ -1,7 +1,7 @@
 defmodule AerieCLI.Status.Table do
   @moduledoc """
-  The status of a gateway as lines for a terminal: pure, from a view and a size to at most that many lines, none longer
-  than the width. Colour is only emphasis; every state is also a word.
+  The status of a gateway as lines for a terminal. Pure: from a view and a size to at most `height` lines, none wider
+  than the terminal. Colour only emphasises; every state is also a word.
   """
 
   import AerieCLI.Status.Format
@@ -44,6 +44,7 @@ defmodule AerieCLI.Status.Table do
     lines =
       [header(view) | nats_lines(view)] ++
         alarm(view.identity) ++
+        Enum.map(view.warnings, &{"WARNING: #{text(&1)}", :yellow}) ++
         [""] ++
         section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
         [""] ++
@@ -88,7 +89,10 @@ defmodule AerieCLI.Status.Table do
   end
 
   defp empty_vehicles do
-    [{"no vehicle heard yet: point one here, e.g. its telemetry to UDP port 14550", :dim}]
+    [
+      {"no vehicle heard yet: send a vehicle's telemetry to this machine, for example to UDP port 14550",
+       :dim}
+    ]
   end
 
   defp section(columns, rows, width, empty) do
@@ -98,7 +102,7 @@ defmodule AerieCLI.Status.Table do
     [{title, :dim} | body]
   end
 
-  # A narrow terminal loses the last columns, not the ends of the lines.
+  # A narrow terminal drops whole columns from the right instead of cutting lines.
   defp columns_within(columns, width) do
     {kept, _used} =
       Enum.reduce_while(columns, {[], 0}, fn {_name, size, _side} = column, {kept, used} ->
@@ -168,14 +172,14 @@ defmodule AerieCLI.Status.Table do
 
   defp denied(links) do
     for %{counters: %{denied: n}} = link when n > 0 <- links do
-      {"link #{text(link.id)}: #{n} orders to vehicles were REFUSED, because who gave them may not command by it (gcs)",
+      {"link #{text(link.id)}: #{n} commands REFUSED: their senders may not command vehicles by this link (see gcs)",
        :yellow}
     end
   end
 
   defp dropped(clients) do
     for %{counters: %{dropped_out: n}} = client when n > 0 <- clients do
-      {"client #{text(client.id)}: #{n} frames DROPPED for peers that read too slowly", :yellow}
+      {"client #{text(client.id)}: #{n} frames DROPPED because a peer reads too slowly", :yellow}
     end
   end
 

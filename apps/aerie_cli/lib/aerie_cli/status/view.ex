@@ -1,7 +1,7 @@
 defmodule AerieCLI.Status.View do
   @moduledoc """
-  What one look at a gateway shows: vehicles, links, NATS, HTTP. Collected from the read model, rendered by
-  `AerieCLI.Status.Table` (a terminal) and `AerieCLI.Status.Lines` (a pipe); neither asks any process of a vehicle.
+  One snapshot of a gateway for display: vehicles, links, NATS, HTTP. It is collected from the read model, and rendered
+  by `AerieCLI.Status.Table` (a terminal) or `AerieCLI.Status.Lines` (a pipe). No vehicle's process is called for it.
   """
 
   defstruct [
@@ -17,17 +17,19 @@ defmodule AerieCLI.Status.View do
     links: [],
     clients: [],
     faces: [],
+    warnings: [],
     notes: []
   ]
 
   @typedoc """
   * `now`, `started` - unix microseconds
   * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`; `clients` - `Aerie.Router.clients/1`
-  * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal and not for a log
+  * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal but never for a log
   * `identity` - `Aerie.Router.identity/1`
-  * `published` - messages given to NATS so far; `pending` - events in memory that NATS has not confirmed
+  * `published` - messages handed to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
-  * `faces` - what is open to whom
+  * `faces` - the ways into the gateway, and who may use each
+  * `warnings` - the configuration's warnings
   * `notes` - the latest events, newest first, as text
   """
   @type t :: %__MODULE__{
@@ -43,14 +45,15 @@ defmodule AerieCLI.Status.View do
           published: non_neg_integer(),
           pending: non_neg_integer(),
           faces: [AerieCLI.Status.Faces.face()],
+          warnings: [String.t()],
           notes: [String.t()]
         }
 
-  @doc "Whether a vehicle's snapshot is armed, or nil when that is not known."
+  @doc "Whether the vehicle of a snapshot is armed, or nil if that is not known."
   @spec armed(map()) :: boolean() | nil
   def armed(vehicle), do: field(vehicle, :mode, :armed)
 
-  @doc "A field of a state group, or nil when the group or the field is not known."
+  @doc "A field of a state group, or nil if the group or the field is not known."
   @spec field(map(), atom(), atom()) :: term()
   def field(vehicle, group, key) do
     case vehicle do

@@ -391,7 +391,8 @@ defmodule Aerie.Config.Resolve do
        "mavlink.system_id #{mavlink.system_id} is also a vehicle's in the list: a hub needs an id of its own, " <>
          "such as #{@hub}. Aboard that vehicle, give vehicle_id instead."},
       {not is_nil(config.policy.max_altitude) or not is_nil(config.policy.geofence_file),
-       "policy is checked, but nothing in this version applies it: no altitude or fence is enforced by the gateway."},
+       "policy is NOT ENFORCED: this version reads and checks the section, but applies no altitude limit and no fence " <>
+         "to any command. Set the limits on the vehicles themselves."},
       {Enum.any?(config.signing.keys, &(&1.policy != :required)),
        "signing.keys: a policy other than required is UNSAFE: frames that anybody could have sent are taken in."},
       {open_to_all(listed(config)) != [],

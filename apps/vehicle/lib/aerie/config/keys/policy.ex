@@ -1,5 +1,5 @@
 defmodule Aerie.Config.Keys.Policy do
-  @moduledoc "Limits on what commands may ask for."
+  @moduledoc "Limits on commands. Read and checked, but not enforced yet."
 
   import Aerie.Config.Field, only: [field: 4, section: 3]
 
@@ -10,15 +10,16 @@ defmodule Aerie.Config.Keys.Policy do
   def section do
     section(
       :policy,
-      "Limits on what commands may ask for. Read and checked; nothing in this version applies them yet.",
+      "NOT ENFORCED in this version: limits on commands. The section is read and checked, and a start that has one warns; " <>
+        "no command is refused because of it. Set the limits on the vehicles themselves.",
       [
         field(
           :max_altitude,
           {:number, 0, 100_000},
-          "Highest altitude above home that is passed on, m. Left out: no limit.",
+          "Highest altitude above home that a command may ask for, m. Left out: no limit.",
           example: "120"
         ),
-        field(:geofence_file, :path, "JSON file of the fence that goto targets must be inside.",
+        field(:geofence_file, :path, "JSON file of the fence that the targets of commands must lie inside.",
           example: ~S("/etc/gateway/geofence.json")
         )
       ]

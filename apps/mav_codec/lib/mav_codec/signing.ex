@@ -42,7 +42,7 @@ defmodule MavCodec.Signing do
   @max_timestamp 0xFFFF_FFFF_FFFF
 
   @enforce_keys [:key, :link_id, :clock, :save, :accept_unsigned]
-  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}, ahead: %{}]
+  defstruct @enforce_keys ++ [timestamp: 0, reserved: 0, streams: %{}]
 
   @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
   @type timestamp :: 0..0xFFFF_FFFF_FFFF
@@ -56,8 +56,9 @@ defmodule MavCodec.Signing do
           accept_unsigned: [non_neg_integer()] | (Frame.t() -> boolean()),
           timestamp: timestamp(),
           reserved: timestamp(),
-          streams: %{optional({0..255, non_neg_integer(), 0..255}) => timestamp()},
-          ahead: %{optional({0..255, non_neg_integer(), 0..255}) => integer()}
+          streams: %{
+            optional({0..255, non_neg_integer(), 0..255}) => {timestamp(), integer(), integer() | nil}
+          }
         }
 
   @typedoc """
@@ -117,7 +118,12 @@ defmodule MavCodec.Signing do
       clock: options[:clock],
       save: options[:save],
       accept_unsigned: options[:accept_unsigned],
-      streams: options[:streams] |> Enum.take(@max_streams) |> Map.new()
+      streams:
+        for(
+          {stream, last} <- Enum.take(options[:streams], @max_streams),
+          into: %{},
+          do: {stream, {last, -1, nil}}
+        )
     }
 
     reserve(%{signing | timestamp: max(now(signing), options[:stored])})
@@ -133,11 +139,13 @@ defmodule MavCodec.Signing do
 
   @doc "The last time stamp that was accepted of each stream."
   @spec streams(t()) :: %{optional(stream()) => timestamp()}
-  def streams(%__MODULE__{streams: streams}), do: streams
+  def streams(%__MODULE__{streams: streams}),
+    do: Map.new(streams, fn {stream, {last, _until, _ahead}} -> {stream, last} end)
 
   @doc "How far each stream was ahead of the clock at most, in this life (10 us; negative: behind), and a little more."
   @spec ahead(t()) :: %{optional(stream()) => integer()}
-  def ahead(%__MODULE__{ahead: ahead}), do: ahead
+  def ahead(%__MODULE__{streams: streams}),
+    do: for({stream, {_last, _until, ahead}} when ahead != nil <- streams, into: %{}, do: {stream, ahead})
 
   @doc """
   The `:streams` to begin with after a life that ended without notice: time stamps that nothing received in it was above.
@@ -216,16 +224,19 @@ defmodule MavCodec.Signing do
 
     if right?(signing.key.(), bytes, given) do
       case streams do
-        # The common case, one update.
-        %{^stream => last} when timestamp > last ->
-          {:signed, accept(signing, %{streams | stream => timestamp}, stream, timestamp)}
+        # The common case: no look at the clock.
+        %{^stream => {last, until, ahead}} when timestamp > last and timestamp <= until ->
+          {:signed, accept(signing, %{streams | stream => {timestamp, until, ahead}}, timestamp)}
 
-        %{^stream => _last} ->
+        %{^stream => {last, _until, ahead}} when timestamp > last ->
+          {:signed, leading(signing, stream, timestamp, ahead)}
+
+        %{^stream => _not_before} ->
           {{:rejected, :replayed}, signing}
 
         _ ->
           case refusal(signing, timestamp) do
-            nil -> {:signed, accept(signing, Map.put(streams, stream, timestamp), stream, timestamp)}
+            nil -> {:signed, leading(signing, stream, timestamp, nil)}
             reason -> {{:rejected, reason}, signing}
           end
       end
@@ -234,18 +245,18 @@ defmodule MavCodec.Signing do
     end
   end
 
-  defp accept(signing, streams, stream, timestamp) do
-    signing = reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
-    by = timestamp - now(signing)
+  defp accept(signing, streams, timestamp),
+    do: reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
 
-    case signing.ahead do
-      %{^stream => most} when by <= most ->
-        signing
-
-      ahead ->
-        signing.save.(min(signing.reserved, @max_timestamp))
-        %{signing | ahead: Map.put(ahead, stream, by + @slack)}
-    end
+  # The first of a stream, or one that may be further ahead of the clock than any before. Time goes on, so with each stream
+  # stands the time stamp up to which that needs no look at the clock: it is read five times a second.
+  defp leading(signing, stream, timestamp, ahead) do
+    now = now(signing)
+    by = timestamp - now
+    most = if ahead == nil or by > ahead, do: by + @slack, else: ahead
+    signing = accept(signing, Map.put(signing.streams, stream, {timestamp, now + most, most}), timestamp)
+    if most != ahead, do: signing.save.(min(signing.reserved, @max_timestamp))
+    signing
   end
 
   # As numbers of 48 bits, which are compared in the same time whether they are nearly equal or not at all.

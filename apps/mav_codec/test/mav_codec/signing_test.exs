@@ -203,6 +203,24 @@ defmodule MavCodec.SigningTest do
       assert frame(bytes).signature.timestamp > base + 500_000
     end
 
+    test "a stream that keeps its distance to the clock has it read five times a second, not for each frame" do
+      reads = :counters.new(1, [])
+      base = div(@now, 10) - 142_007_040_000_000
+
+      # A frame each millisecond, for two seconds.
+      for n <- 1..2000, reduce: new() do
+        signing ->
+          clock = fn ->
+            :counters.add(reads, 1, 1)
+            @now + n * 1000
+          end
+
+          accept(%{signing | clock: clock}, received(timestamp: base + n * 100))
+      end
+
+      assert :counters.get(reads, 1) in 10..25
+    end
+
     test "S7: RADIO_STATUS needs no signature; a list or a function says what else" do
       radio = frame(MavCodec.encode(%Messages.RadioStatus{rssi: 100}, system: 51, component: 68))
 

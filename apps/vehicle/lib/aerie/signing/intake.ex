@@ -34,8 +34,10 @@ defmodule Aerie.Signing.Intake do
       waited_for: :ets.info(tables.waiters, :size) > 0,
       kept: [],
       behind: %{},
+      slots: %{},
       guards: %{},
-      tally: %{}
+      newest: %{},
+      tally: []
     }
 
     acc = Enum.reduce(frames, acc, &judge/2)
@@ -46,22 +48,28 @@ defmodule Aerie.Signing.Intake do
       Seal.proved(tables, link, source[:peer], scope.id)
     end
 
+    for {stream, {last, true}} <- acc.newest, do: :ets.insert(tables.newest, {stream, last})
     for {_id, {scope, system}} <- acc.behind, do: Wake.refused(gateway, tables, source, scope, system)
-    if acc.tally != %{}, do: count(gateway, tables, source, acc.tally, List.last(frames).at)
+    if acc.tally != [], do: count(gateway, tables, source, acc.tally, List.last(frames).at)
     Enum.reverse(acc.kept)
   end
 
   defp judge(frame, acc) do
-    case guard(acc, frame.system) do
+    case slot(acc, frame.system) do
       {nil, acc} ->
         {verdict, scope} = candidate({:no_scope, nil}, acc, frame)
         told(acc, frame, verdict, scope)
 
-      {{scope, signing, moved?}, acc} ->
+      {slot, %{guards: guards} = acc} ->
+        %{^slot => {scope, signing, moved?}} = guards
         {verdict, signing} = Guard.check(scope, signing, frame, acc.trust)
-        acc = put_in(acc.guards[slot(scope)], {scope, signing, moved? or verdict == :verified})
-        {verdict, scope} = {elsewhere(verdict, acc, frame), scope} |> candidate(acc, frame)
-        acc |> behind(verdict, scope, frame) |> told(frame, verdict, scope)
+        guards = %{guards | slot => {scope, signing, moved? or verdict == :verified}}
+        {verdict, newest} = elsewhere(verdict, acc, frame)
+        {verdict, scope} = candidate({verdict, scope}, acc, frame)
+
+        %{acc | guards: guards, newest: newest}
+        |> behind(verdict, scope, frame)
+        |> told(frame, verdict, scope)
     end
   end
 
@@ -77,25 +85,28 @@ defmodule Aerie.Signing.Intake do
     %{acc | kept: kept, tally: note(acc.tally, frame, verdict)}
   end
 
-  defp elsewhere(:verified, acc, %{signature: signature} = frame) do
-    %{tables: %{newest: newest}} = acc
+  # What other links heard is looked up once a read for each stream, and what this one heard is told once.
+  defp elsewhere(
+         :verified,
+         %{newest: newest} = acc,
+         %{signature: %{timestamp: timestamp} = signature} = frame
+       ) do
     stream = {acc.network, signature.link_id, frame.system, frame.component}
-    last = :ets.lookup_element(newest, stream, 2, 0)
+
+    {last, moved?} =
+      case newest do
+        %{^stream => known} -> known
+        _first -> {:ets.lookup_element(acc.tables.newest, stream, 2, 0), false}
+      end
 
     cond do
-      signature.timestamp > last ->
-        :ets.insert(newest, {stream, signature.timestamp})
-        :verified
-
-      last - signature.timestamp > acc.lag ->
-        {:rejected, :replayed}
-
-      true ->
-        :verified
+      timestamp > last -> {:verified, Map.put(newest, stream, {timestamp, true})}
+      last - timestamp > acc.lag -> {{:rejected, :replayed}, Map.put(newest, stream, {last, moved?})}
+      true -> {:verified, Map.put(newest, stream, {last, moved?})}
     end
   end
 
-  defp elsewhere(verdict, _acc, _frame), do: verdict
+  defp elsewhere(verdict, acc, _frame), do: {verdict, acc.newest}
 
   # Only where the key in force does not fit, so this costs nothing as long as all is well.
   defp candidate({verdict, scope}, acc, %Frame{signature: signature} = frame)
@@ -111,37 +122,41 @@ defmodule Aerie.Signing.Intake do
 
   defp candidate(judged, _acc, _frame), do: judged
 
-  # One look at the tables for each scope in a read. Slots are scopes, and systems that have none.
-  defp guard(acc, system) do
-    with :error <- Map.fetch(acc.guards, {:of, system}) do
-      scope = Tables.scope(acc.tables, {acc.network, system})
-      acc = put_in(acc.guards[{:of, system}], scope && slot(scope))
+  # Where in `guards` the one of a system's scope is, nil when it has none: one look at the tables for each in a read.
+  defp slot(%{slots: slots} = acc, system) do
+    case slots do
+      %{^system => slot} ->
+        {slot, acc}
 
-      if scope == nil or is_map_key(acc.guards, slot(scope)) do
-        guard(acc, system)
-      else
-        signing = Guards.get(acc.gateway, acc.tables, acc.link, scope)
-        guard(put_in(acc.guards[slot(scope)], {scope, signing, false}), system)
-      end
-    else
-      {:ok, nil} -> {nil, acc}
-      {:ok, slot} -> {Map.fetch!(acc.guards, slot), acc}
+      _first ->
+        scope = Tables.scope(acc.tables, {acc.network, system})
+        slot = if scope, do: scope.id
+        {slot, %{acc | slots: Map.put(slots, system, slot), guards: guard(acc, slot, scope)}}
     end
   end
 
-  defp slot(%Scope{id: {_network, system}}), do: {:scope, system}
+  defp guard(%{guards: guards}, slot, scope) when scope == nil or is_map_key(guards, slot), do: guards
 
+  defp guard(acc, slot, scope),
+    do: Map.put(acc.guards, slot, {scope, Guards.get(acc.gateway, acc.tables, acc.link, scope), false})
+
+  # Frames of one vehicle that follow each other are counted together.
   defp note(tally, _frame, verdict) when verdict in [:unchecked, :exempt, :no_scope], do: tally
 
   defp note(tally, frame, {:rejected, reason}),
-    do: add(tally, {frame.system, {:rejected, frame.component, reason}})
+    do: add(tally, frame.system, {:rejected, frame.component, reason})
 
-  defp note(tally, frame, :secure), do: add(tally, {frame.system, :unsigned})
-  defp note(tally, frame, verdict), do: add(tally, {frame.system, verdict})
-  defp add(tally, key), do: Map.update(tally, key, 1, &(&1 + 1))
+  defp note(tally, frame, :secure), do: add(tally, frame.system, :unsigned)
+  defp note(tally, frame, verdict), do: add(tally, frame.system, verdict)
+
+  defp add([{system, what, n} | tally], system, what), do: [{system, what, n + 1} | tally]
+  defp add(tally, system, what), do: [{system, what, 1} | tally]
 
   defp count(gateway, tables, source, tally, at) do
-    Enum.each(tally, fn {{system, what}, n} ->
+    sums =
+      Enum.reduce(tally, %{}, fn {system, what, n}, sums -> Map.update(sums, {system, what}, n, &(&1 + n)) end)
+
+    Enum.each(sums, fn {{system, what}, n} ->
       key = {source.network, system}
 
       case what do

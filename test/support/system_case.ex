@@ -11,7 +11,7 @@ defmodule Aerie.SystemCase do
   using do
     quote do
       import Aerie.SystemCase
-      alias Aerie.Fleet.Store
+      alias Aerie.Store
     end
   end
 
@@ -63,7 +63,7 @@ defmodule Aerie.SystemCase do
   def link_port(gateway, id) do
     eventually(
       fn ->
-        case Aerie.Fleet.Store.link(gateway, id) do
+        case Aerie.Store.link(gateway, id) do
           %{port: port, status: status} when is_integer(port) and status in [:up, :idle] -> port
           _not_yet -> nil
         end

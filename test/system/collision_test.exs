@@ -64,7 +64,7 @@ defmodule Aerie.System.CollisionTest do
            tmp_dir: folder
          } do
       %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
-      Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      Aerie.Store.PubSub.subscribe(gateway, :events)
       first = sim(gateway, "link-1", @first)
       eventually(fn -> lat(gateway) == home(@first) end, "the first is there")
 
@@ -116,7 +116,7 @@ defmodule Aerie.System.CollisionTest do
   for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
     test "#{where}: of one that flies nothing is told that happened to the other", %{tmp_dir: folder} do
       %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
-      Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      Aerie.Store.PubSub.subscribe(gateway, :events)
       first = sim(gateway, "link-1", @first)
       SimVehicle.await(first, & &1.ready)
 

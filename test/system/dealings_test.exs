@@ -17,7 +17,7 @@ defmodule Aerie.System.DealingsTest do
     %{gateway: gateway} =
       start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"], overrides: overrides)
 
-    Aerie.Fleet.PubSub.subscribe(gateway, :events)
+    Aerie.Store.PubSub.subscribe(gateway, :events)
 
     options = [firmware: :ardupilot, ready_s: 1.0, link: "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"]
     {:ok, sim} = SimVehicle.start_link(Keyword.merge(options, context[:sim] || []))

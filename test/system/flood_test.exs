@@ -3,7 +3,7 @@ defmodule Aerie.System.FloodTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir

@@ -65,7 +65,7 @@ defmodule Aerie.System.PeersTest do
   @tag config: %{"mavlink" => %{"local_addr" => "off", "system_id" => 245}}, params: %{"SYSID_MYGCS" => 245}
   test "MAVSDK by TCP with ArduPilot, MAVProxy by UDP, where the gateway calls, with PX4; MAVSDK's system id is not its own",
        c do
-    Aerie.Fleet.PubSub.subscribe(c.gateway, :events)
+    Aerie.Store.PubSub.subscribe(c.gateway, :events)
     tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
     port = free_udp_port()
     mavproxy = start_peer("mavproxy_gcs.py", ["udpin:127.0.0.1:#{port}" | @px4])

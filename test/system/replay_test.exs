@@ -27,7 +27,7 @@ defmodule Aerie.System.ReplayTest do
           }
         )
 
-      :ok = Aerie.Fleet.PubSub.subscribe(gateway, :events)
+      :ok = Aerie.Store.PubSub.subscribe(gateway, :events)
       link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
       station = station(gateway)
 

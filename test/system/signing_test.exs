@@ -35,7 +35,7 @@ defmodule Aerie.System.SigningTest do
 
     run = start_gateway(folder, links: [context[:link] || "udpin:127.0.0.1:0"], overrides: overrides)
     gateway = run.gateway
-    Aerie.Fleet.PubSub.subscribe(gateway, :events)
+    Aerie.Store.PubSub.subscribe(gateway, :events)
 
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
@@ -51,7 +51,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   defp client(gateway, options) do
-    {:ok, id} = Router.add_client(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
+    {:ok, id} = Aerie.Link.Clients.add(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
     Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
   end
 
@@ -95,7 +95,7 @@ defmodule Aerie.System.SigningTest do
 
   @tag :mavproxy
   test "MAVProxy with the key, by UDP; its order to the vehicle to take another one goes nowhere (S8)", c do
-    {:ok, "gcs"} = Router.add_client(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+    {:ok, "gcs"} = Aerie.Link.Clients.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
     port = Enum.find(Client.endpoints(c.gateway), &(&1.id == "gcs")).port
     # It takes a key from the operator, who types it at the prompt.
     arguments = ["udpout:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
@@ -160,19 +160,19 @@ defmodule Aerie.System.SigningTest do
   test "a key is given, changed, given back and taken away; each is an event, and no key is in any of them",
        c do
     conn = nats_client(c.gateway)
-    assert {:error, text} = Signing.enrol(c.gateway, "VID-001")
+    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
     assert text =~ "key: :generate"
 
-    assert {:ok, %{key: first}} = Signing.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
+    assert {:ok, %{key: first}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
     assert state(c.gateway) == :verified
     assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}
 
     # The vehicle answers what we ask, so it takes what we sign.
     eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
 
-    assert {:ok, %{key: second}} = Signing.enrol(c.gateway, "VID-001", key: :generate)
+    assert {:ok, %{key: second}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate)
     refute Aerie.Signing.Key.same?(first, second)
-    assert {:ok, %{key: nil}} = Signing.enrol(c.gateway, "VID-001", key: :previous)
+    assert {:ok, %{key: nil}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :previous)
     assert state(c.gateway) == :verified
     # By HTTP the same, without ever a key.
     assert {200, %{"result" => "enrolled", "link" => "link-1"}} =
@@ -182,7 +182,7 @@ defmodule Aerie.System.SigningTest do
              post(c.gateway, %{"action" => "enrol", "key" => "0123"})
 
     assert text =~ "configured, generate, previous"
-    assert {:ok, _} = Signing.revoke(c.gateway, "VID-001")
+    assert {:ok, _} = Aerie.Enrolment.revoke(c.gateway, "VID-001")
     assert Signing.list(c.gateway).keys == []
 
     events =
@@ -198,7 +198,7 @@ defmodule Aerie.System.SigningTest do
     assert Enum.at(events, 3)["data"]["by"] == "http:local"
 
     for secret <- [first, second] do
-      key = Aerie.Config.Secret.reveal(secret)
+      key = Aerie.Secret.reveal(secret)
       refute inspect(events) =~ Base.encode16(key, case: :lower)
       refute inspect(events, limit: :infinity) =~ inspect(key)
     end
@@ -215,11 +215,11 @@ defmodule Aerie.System.SigningTest do
   end
 
   test "S8: by a link that is not secure nothing is sent, and the error says what to do", c do
-    assert {:error, text} = Signing.enrol(c.gateway, {"main", 1})
+    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1})
     assert text =~ "secure"
-    assert {:error, text} = Signing.enrol(c.gateway, {"main", 1}, link: "link-1")
+    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")
     assert text =~ "secure=true"
-    assert {:error, "no vehicle VID-077 is known" <> _} = Signing.enrol(c.gateway, "VID-077")
+    assert {:error, "no vehicle VID-077 is known" <> _} = Aerie.Enrolment.enrol(c.gateway, "VID-077")
   end
 
   test "one event for a flood of wrong signatures, in the snapshot, the metrics and NATS; the vehicle is not disturbed",

@@ -7,7 +7,7 @@
 
 Code.require_file("support/restart.ex", __DIR__)
 
-alias Aerie.Fleet.Store
+alias Aerie.Store
 alias Aerie.Names
 alias AerieCLI.Run
 

@@ -182,9 +182,9 @@ defmodule ClientsBench do
     }
 
     for module <-
-          [Aerie.Fleet.Store, Aerie.Fleet.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] ++
+          [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] ++
             [Aerie.Client.Supervisor],
-        do: {:ok, _pid} = module.start_link(gateway: gateway, config: config)
+        do: {:ok, _pid} = module.start_link([gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config))
 
     {:ok, _server} = FleetWeb.Endpoint.start_link(gateway: gateway, port: 0, config: config)
 

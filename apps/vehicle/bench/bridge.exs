@@ -1,7 +1,8 @@
 # How much the bridge carries against the real nats-server on this machine, and how long a killed server is missed.
 #
 #     mix run bench/bridge.exs
-alias Aerie.{Bridge, Config, Fleet}
+alias Aerie.{Bridge, Config, Fleet, Store}
+alias Aerie.Store.PubSub
 alias Aerie.Vehicle.Event
 
 Logger.configure(level: :none)
@@ -15,9 +16,9 @@ config =
     {"outbox.dir", Path.join(dir, "outbox")}
   ])
 
-{:ok, _} = Fleet.Store.start_link(gateway: gateway)
-{:ok, _} = Fleet.PubSub.start_link(gateway: gateway)
-Fleet.PubSub.subscribe(gateway, :bridge)
+{:ok, _} = Store.start_link([gateway: gateway] ++ Aerie.Gateway.plugs(%{}))
+{:ok, _} = PubSub.start_link(gateway: gateway)
+PubSub.subscribe(gateway, :bridge)
 
 wait = fn part, fun ->
   loop = fn loop ->

@@ -11,9 +11,9 @@ defmodule Bench do
 
   def gateway do
     gateway = make_ref()
-    options = [gateway: gateway, config: %{}]
+    options = [gateway: gateway, config: %{}] ++ Aerie.Gateway.plugs(%{})
 
-    for module <- [Aerie.Fleet.Store, Aerie.Fleet.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] do
+    for module <- [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] do
       {:ok, _} = module.start_link(options)
     end
 

@@ -8,7 +8,8 @@
 # a file in the temporary folder without dropping any.
 
 defmodule Bench do
-  alias Aerie.{Fleet, Names, Recorder}
+  alias Aerie.{Names, Recorder, Store}
+  alias Aerie.Store.PubSub
   alias Aerie.Recorder.{Ring, Tables}
 
   @key {"main", 1}
@@ -17,8 +18,8 @@ defmodule Bench do
     gateway = make_ref()
     config = %{recorder: Map.merge(%{dir: dir(), min_free_mb: 0, space_ms: 600_000}, section)}
 
-    for module <- [Fleet.Store, Fleet.PubSub, Recorder.Supervisor] do
-      {:ok, _} = module.start_link(gateway: gateway, config: config)
+    for module <- [Store, PubSub, Recorder.Supervisor] do
+      {:ok, _} = module.start_link([gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config))
     end
 
     gateway
@@ -89,7 +90,7 @@ defmodule Bench do
 
   def linked(section) do
     gateway = gateway(section)
-    Fleet.Store.put_link(gateway, "radio", %{id: "radio", network: "main"})
+    Store.put_link(gateway, "radio", %{id: "radio", network: "main"})
     gateway
   end
 

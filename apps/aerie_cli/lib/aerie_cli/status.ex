@@ -7,6 +7,8 @@ defmodule AerieCLI.Status do
   use GenServer
 
   alias Aerie.Fleet
+  alias Aerie.Store.PubSub
+  alias Aerie.Store
   alias AerieCLI.Status.{Faces, Format, Lines, Table, View}
 
   @table_period 500
@@ -24,7 +26,7 @@ defmodule AerieCLI.Status do
   @impl GenServer
   def init(options) do
     Process.set_label({:aerie_cli, :status})
-    Fleet.PubSub.subscribe(options.gateway, :events)
+    PubSub.subscribe(options.gateway, :events)
 
     state =
       Map.merge(
@@ -75,15 +77,15 @@ defmodule AerieCLI.Status do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp view(state) do
-    links = state.gateway |> Fleet.Store.links() |> Enum.sort_by(& &1.id)
+    links = state.gateway |> Store.links() |> Enum.sort_by(& &1.id)
     commands = Map.new(links, &{&1.id, Aerie.Router.gcs(state.gateway, &1.id)})
 
-    clients = Aerie.Router.clients(state.gateway)
+    clients = Aerie.Link.Clients.list(state.gateway)
 
     %View{
       now: System.os_time(:microsecond),
       started: state.started,
-      vehicles: state.gateway |> Fleet.Store.vehicles() |> Enum.sort_by(& &1.id),
+      vehicles: state.gateway |> Store.vehicles() |> Enum.sort_by(& &1.id),
       links: links,
       faces: Faces.list(links, commands, clients, state.config),
       clients: clients,

@@ -8,7 +8,7 @@ defmodule FleetWeb.Health do
   One that drops datagrams, because they come faster than it reads them, does: what the gateway shows is not all there was.
   """
 
-  alias Aerie.{Fleet, Names}
+  alias Aerie.{Names, Store}
 
   @parts [store: :store, vehicles: :vehicles]
 
@@ -19,7 +19,7 @@ defmodule FleetWeb.Health do
     nats = Aerie.Bridge.info(gateway)
     problem = nats_problem(gateway, nats)
     identity = Aerie.Router.identity(gateway)
-    links = for link <- Fleet.Store.links(gateway), do: link(link)
+    links = for link <- Store.links(gateway), do: link(link)
     overloaded = for %{overload: %{}} = link <- links, do: overloaded(link)
 
     ready? =
@@ -40,7 +40,7 @@ defmodule FleetWeb.Health do
        },
        links: links,
        problems: overloaded,
-       vehicles: length(Fleet.Store.vehicles(gateway))
+       vehicles: length(Store.vehicles(gateway))
      }}
   end
 

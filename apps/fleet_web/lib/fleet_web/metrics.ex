@@ -21,7 +21,7 @@ defmodule FleetWeb.Metrics do
   does not grow with what a link receives.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias FleetWeb.Metrics.{Clients, Links, Text, Vehicles}
 
   @doc "The families of a gateway; those of parts that do not run are empty."

@@ -5,7 +5,7 @@ defmodule FleetWeb.EndpointTest do
 
   import Aerie.Patience, only: [eventually: 1]
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias MavCodec.Messages
 
   setup do

@@ -1,7 +1,7 @@
 defmodule FleetWeb.WebSocketTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Router
   alias Aerie.Router.Endpoint
   alias FleetWeb.WSClient

@@ -2,7 +2,7 @@ defmodule FleetWeb.APICase do
   @moduledoc "A gateway without links and NATS, its HTTP server on a free port, and a client that sends what it is told to."
   use ExUnit.CaseTemplate
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
 
   using do
     quote do
@@ -71,7 +71,7 @@ defmodule FleetWeb.APICase do
   def put_vehicle(gateway, id, system) do
     now = System.os_time(:microsecond)
 
-    Aerie.Fleet.Store.put_vehicle(gateway, {"main", system}, %{
+    Aerie.Store.put_vehicle(gateway, {"main", system}, %{
       id: id,
       key: {"main", system},
       network: "main",

@@ -5,7 +5,7 @@
 # Says "ready" when it listens; at each line of its standard input what was counted since the last one, as JSON; ends with
 # it. The age of a frame when its state is shown is measured by looking, every millisecond, at a few of the vehicles.
 defmodule HubNode do
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
 
   @gateway :bench
   # Vehicles that are looked at.
@@ -19,12 +19,12 @@ defmodule HubNode do
 
     for module <- [
           Store,
-          Aerie.Fleet.PubSub,
+          Aerie.Store.PubSub,
           Aerie.Router.Supervisor,
           Aerie.Vehicle.Supervisor,
           Aerie.Link.Supervisor
         ] do
-      {:ok, _pid} = module.start_link(gateway: @gateway, config: config)
+      {:ok, _pid} = module.start_link([gateway: @gateway, config: config] ++ Aerie.Gateway.plugs(config))
     end
 
     for n <- 0..(links - 1),

@@ -19,16 +19,16 @@ config = %{
 }
 
 for module <- [
-      Aerie.Fleet.Store,
-      Aerie.Fleet.PubSub,
+      Aerie.Store,
+      Aerie.Store.PubSub,
       Aerie.Router.Supervisor,
       Aerie.Vehicle.Supervisor,
       Aerie.Link.Supervisor
     ] do
-  {:ok, _pid} = module.start_link(gateway: gateway, config: config)
+  {:ok, _pid} = module.start_link([gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config))
 end
 
 for url <- links, do: {:ok, _id} = Aerie.Link.start(gateway, url)
-{:ok, _id} = Aerie.Router.add_client(gateway, client)
+{:ok, _id} = Aerie.Link.Clients.add(gateway, client)
 IO.puts("ready")
 IO.read(:stdio, :line)

@@ -9,8 +9,8 @@ defmodule Aerie.Application do
     children = [
       # Names of all processes of all gateways (Aerie.Names).
       {Registry, keys: :unique, name: Aerie.Registry},
-      # Who listens to which change notices (Aerie.Fleet.PubSub).
-      {Registry, keys: :duplicate, name: Aerie.Fleet.PubSub.Subscribers}
+      # Who listens to which change notices (Aerie.Store.PubSub).
+      {Registry, keys: :duplicate, name: Aerie.Store.PubSub.Subscribers}
     ]
 
     # A gateway's names are worth nothing without the registries, but gateways are not children of this supervisor:

@@ -7,12 +7,12 @@ defmodule Aerie.Client do
       Aerie.Client.list(:default)
       :ok = Aerie.Client.remove(:default, "field")
 
-  Endpoints for clients over UDP, TCP and serial lines are `Aerie.Router.Clients`. Unix sockets
+  Endpoints for clients over UDP, TCP and serial lines are `Aerie.Link.Clients`. Unix sockets
   (`Aerie.Client.Supervisor`) and WebSockets (`FleetWeb.WebSocket`) are further ways in. All of them are endpoints of
   `Aerie.Router`, with its rules; this module is what they have in common for who adds, lists and removes them.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router
 
@@ -27,14 +27,14 @@ defmodule Aerie.Client do
   @type option :: {:id, String.t()} | {:networks, [String.t()]} | {:access, :full | :read}
 
   @doc """
-  Adds an endpoint for clients, as `Aerie.Router.Clients.add/2`. It lives until `remove/2` or the end of the gateway. The
+  Adds an endpoint for clients, as `Aerie.Link.Clients.add/2`. It lives until `remove/2` or the end of the gateway. The
   error is words.
   """
   @spec add(Names.gateway(), String.t(), [option()]) :: {:ok, String.t()} | {:error, String.t()}
   def add(gateway, url, options \\ []) do
     options = Keyword.validate!(options, @options)
 
-    Router.add_client(gateway, %{
+    Aerie.Link.Clients.add(gateway, %{
       url: url,
       id: options[:id],
       networks: options[:networks],
@@ -55,7 +55,7 @@ defmodule Aerie.Client do
     pid = Enum.find_value(@processes, &Names.whereis(gateway, &1, id))
 
     cond do
-      Enum.any?(endpoints(gateway), &(&1.id == id)) -> Router.remove_client(gateway, id)
+      Enum.any?(endpoints(gateway), &(&1.id == id)) -> Aerie.Link.Clients.remove(gateway, id)
       pid != nil -> disconnect(pid)
       Store.link(gateway, id) != nil -> {:error, :for_vehicles}
       true -> {:error, :unknown}
@@ -69,7 +69,7 @@ defmodule Aerie.Client do
 
   @doc "The endpoints for clients, as snapshots of their links."
   @spec endpoints(Names.gateway()) :: [map()]
-  def endpoints(gateway), do: Router.clients(gateway)
+  def endpoints(gateway), do: Aerie.Link.Clients.list(gateway)
 
   @doc "All clients that are connected or were heard, on whichever way, as `Aerie.Router.endpoints/1` has them."
   @spec list(Names.gateway()) :: [map()]

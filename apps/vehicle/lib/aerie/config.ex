@@ -11,7 +11,7 @@ defmodule Aerie.Config do
   are filled in, so that readers need no rules of their own:
 
     * `nats.mode` is `:embedded`, `:url` or `:off`; `nats.url` is a list of URLs without passwords
-    * `mavlink.system_id` is set, a number or `:auto` (`Aerie.Vehicle.Identity.Latch`)
+    * `mavlink.system_id` is set, a number or `:auto` (`Aerie.Router.AutoSystemId`)
     * `links` has `id`, `url`, `network`, `label`, `enabled`, `secure` for each, the one of `mavlink.local_addr` included; `spec` is
       the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
     * `clients` is `:default` when nobody said anything about them, else a list of maps with `id`, `url`, `networks` and

@@ -4,8 +4,8 @@ defmodule Aerie.Gateway do
 
   ```
   Aerie.Gateway                    rest_for_one
-  ├─ Aerie.Fleet.Store             owns the ETS read model and the journal of events
-  ├─ Aerie.Fleet.PubSub            change notices, coalesced
+  ├─ Aerie.Store             owns the ETS read model and the journal of events
+  ├─ Aerie.Store.PubSub            change notices, coalesced
   ├─ Aerie.Bridge.Memory           what the fleet was told last, over restarts
   ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
   ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
@@ -35,14 +35,14 @@ defmodule Aerie.Gateway do
 
   The store therefore does nothing but own tables: it has no code that could fail on input.
 
-  A gateway is addressed by its name everywhere: `Aerie.Fleet.Store.vehicles(name)`. Tests give each their own
+  A gateway is addressed by its name everywhere: `Aerie.Store.vehicles(name)`. Tests give each their own
   (`make_ref()`), a node that runs only one uses `:default`.
   """
   use Supervisor
 
   alias Aerie.Names
   alias Aerie.Successor
-  alias Aerie.Vehicle.Identity.Latch
+  alias Aerie.Identity
 
   @typedoc """
   * `:name` - any term, `:default` when absent
@@ -76,32 +76,49 @@ defmodule Aerie.Gateway do
   to be found out is the one that was.
   """
   @spec config(Names.gateway()) :: term() | nil
-  def config(gateway), do: gateway |> Names.value(:gateway) |> Latch.resolve(gateway)
+  def config(gateway), do: gateway |> Names.value(:gateway) |> Identity.resolve(gateway)
+
+  @doc """
+  What the parts below are given of those above them, as options of all of them: each takes its own. The store keeps the
+  `:tables` of the fleet, the router knows its `:vehicles`, the `:requests` for rates and the client endpoints (`:children`),
+  signing who keeps `:events`.
+  """
+  @spec plugs(term()) :: keyword()
+  def plugs(config) do
+    [
+      tables: [Aerie.Fleet.Journal.table(config), Aerie.Fleet.Wants.table()],
+      vehicles: Aerie.Vehicle.Supervisor,
+      requests: Aerie.Vehicle.Streams,
+      events: Aerie.Vehicle.Alarms,
+      children: [Aerie.Link.Clients.Supervisor]
+    ]
+  end
 
   @doc "Ends a gateway: links first, then vehicles, router, bridge and store."
   @spec stop(Names.gateway()) :: :ok
   def stop(gateway), do: Supervisor.stop(Names.via(gateway, :gateway))
 
   @impl Supervisor
-  def init(options) do
-    name = Keyword.fetch!(options, :name)
-    config = Keyword.fetch!(options, :config)
+  def init(given) do
+    name = Keyword.fetch!(given, :name)
+    config = Keyword.fetch!(given, :config)
+    options = [gateway: name, config: config] ++ plugs(config)
     Process.set_label({:gateway, name})
     Names.put_value(name, :gateway, config)
-    without = Keyword.get(options, :without, [])
+    without = Keyword.get(given, :without, [])
 
     children =
       [
-        {Aerie.Fleet.Store, gateway: name, config: config},
-        {Aerie.Fleet.PubSub, [gateway: name] ++ tick(options)},
-        {Aerie.Bridge.Memory, gateway: name, config: config},
-        {Aerie.Bridge.Supervisor, gateway: name, config: config},
-        {Aerie.Signing.Supervisor, gateway: name, config: config},
-        {Aerie.Recorder.Supervisor, gateway: name, config: config},
-        {Aerie.Router.Supervisor, gateway: name, config: config},
-        {Aerie.Vehicle.Supervisor, gateway: name, config: config},
-        {Aerie.Link.Supervisor, gateway: name, config: config},
-        {Aerie.Client.Supervisor, gateway: name, config: config}
+        {Aerie.Store, options},
+        {Aerie.Store.PubSub, options ++ tick(given)},
+        {Aerie.Bridge.Memory, options},
+        {Aerie.Bridge.Supervisor, options},
+        {Aerie.Signing.Supervisor, options},
+        {Aerie.Recorder.Supervisor, options},
+        {Aerie.Router.Supervisor, options},
+        {Aerie.Vehicle.Supervisor, options},
+        {Aerie.Link.Supervisor, options},
+        {Aerie.Client.Supervisor, options}
       ]
       |> Enum.filter(fn {module, _} -> module not in without end)
       |> Enum.map(&Successor.child_spec/1)

@@ -29,9 +29,10 @@ defmodule Aerie.Link do
   Bytes, frames and drops are not events: they are in the snapshot's counters, written four times a second.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Spec
   alias Aerie.Link.Supervisor, as: Links
+  alias Aerie.LinkProcess
   alias Aerie.Names
   alias Aerie.Router
 
@@ -149,10 +150,5 @@ defmodule Aerie.Link do
     end
   end
 
-  def send_bytes(gateway, id, bytes, to) do
-    case Names.whereis(gateway, :link, id) do
-      nil -> {:error, :no_link}
-      pid -> GenServer.cast(pid, {:send, to, bytes})
-    end
-  end
+  def send_bytes(gateway, id, bytes, to), do: LinkProcess.write(gateway, id, bytes, to)
 end

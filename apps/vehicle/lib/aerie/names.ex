@@ -9,14 +9,14 @@ defmodule Aerie.Names do
   | role             | id                     | process                              |
   |------------------|------------------------|--------------------------------------|
   | `:gateway`       | nil                    | `Aerie.Gateway` supervisor           |
-  | `:store`         | nil                    | `Aerie.Fleet.Store`                  |
-  | `:pubsub`        | nil                    | `Aerie.Fleet.PubSub`                 |
+  | `:store`         | nil                    | `Aerie.Store`                  |
+  | `:pubsub`        | nil                    | `Aerie.Store.PubSub`                 |
   | `:vehicles`      | nil                    | `Aerie.Vehicle.Supervisor`           |
   | `:vehicle_trees` | nil                    | its dynamic supervisor               |
   | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Tree`                 |
   | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
   | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
-  | `:pulse`         | nil                    | `Aerie.Vehicle.Identity.Pulse`       |
+  | `:pulse`         | nil                    | `Aerie.Identity.Pulse`       |
 
   | `:clients`       | nil                    | `Aerie.Client.Supervisor`            |
   | `:websocket_client`, `:unix_client` | the endpoint's id | of one client     |

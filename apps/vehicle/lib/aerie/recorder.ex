@@ -21,7 +21,7 @@ defmodule Aerie.Recorder do
   | `[:aerie, :recorder, :removed]` | `bytes` | `file`: an old recording made room |
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Recorder.{Archive, Recording, Ring, Status, Tables, Tap}
   alias Aerie.Wire

@@ -30,7 +30,7 @@ defmodule Aerie.Replay do
 
   @typedoc """
   - `from`, `to`: times of the first and the last frame (unix microseconds)
-  - `vehicles`: their names; `stations`: who else sent heartbeats (`t:Aerie.Fleet.Stations.station/0`)
+  - `vehicles`: their names; `stations`: who else sent heartbeats (`t:Aerie.Router.Stations.station/0`)
   - `frames`, `bytes`: taken from the recording
   - `own`: frames of our own ids; `copies`: texts that two links brought; `unclaimed`: of systems without a vehicle;
     `refused`: heartbeats of vehicles beyond `limits.max_vehicles`
@@ -42,7 +42,7 @@ defmodule Aerie.Replay do
           from: integer,
           to: integer,
           vehicles: [String.t()],
-          stations: [Aerie.Fleet.Stations.station()],
+          stations: [Aerie.Router.Stations.station()],
           frames: pos_integer,
           bytes: pos_integer,
           own: non_neg_integer,

@@ -21,10 +21,9 @@ defmodule Aerie.Router do
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload` |
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router.Admission
-  alias Aerie.Router.Clients
   alias Aerie.Router.Dispatch
   alias Aerie.Router.Echo
   alias Aerie.Router.Endpoints
@@ -207,7 +206,7 @@ defmodule Aerie.Router do
     talker = Talker.refresh(before, tables, local.plan, way, known?(heard), now)
     {talker, way, autopilot?} = Intake.look(gateway, tables, way, talker, heard)
     _ = if talker !== before, do: Local.put(gateway, Local.put_talker(local, way.key, talker))
-    frames = Wishes.pass(gateway, way, frames, heard)
+    frames = Wishes.pass(gateway, tables, way, frames, heard)
     frames = Turns.pass(gateway, tables, local.plan, way, talker, frames)
     Forward.frames(tables, local.plan, way, talker, frames, now)
     {talker, way, autopilot?}
@@ -342,18 +341,6 @@ defmodule Aerie.Router do
       tables -> View.endpoints(tables)
     end
   end
-
-  @doc "Adds a client endpoint at run time: a connection string or a map of keys (`Aerie.Router.Clients.add/2`)."
-  @spec add_client(Names.gateway(), String.t() | map) :: {:ok, String.t()} | {:error, String.t()}
-  defdelegate add_client(gateway, client), to: Clients, as: :add
-
-  @doc "Ends a client endpoint. An unknown one is fine."
-  @spec remove_client(Names.gateway(), String.t()) :: :ok
-  defdelegate remove_client(gateway, id), to: Clients, as: :remove
-
-  @doc "The client endpoints, as links' snapshots; their peers with what each got are in `endpoints/1`."
-  @spec clients(Names.gateway()) :: [map]
-  defdelegate clients(gateway), to: Clients, as: :list
 
   @doc """
   Changes rules of a link, a client or any other owner of endpoints while it runs: the keys of the configuration

@@ -1,11 +1,11 @@
 defmodule Aerie.Signing do
   @moduledoc """
   Signed MAVLink links: keys per network or per vehicle, what is checked of what comes, what is signed of what we send, and
-  the enrolment of a flight controller's key. How to use it is said by docs/signing.md; how it works, by the README of this
+  (`Aerie.Enrolment`) how a flight controller gets its key. How to use it is said by docs/signing.md; how it works, by the README of this
   module's folder.
 
       Aerie.Signing.list(:default)
-      Aerie.Signing.enrol(:default, "VID-007")
+      Aerie.Enrolment.enrol(:default, "VID-007")
       Aerie.Signing.vehicle(:default, {"main", 7})
 
   ## Telemetry
@@ -19,14 +19,14 @@ defmodule Aerie.Signing do
 
   ## Counters
 
-  `{:signing, link, what}` in `Aerie.Fleet.Store`, in frames: `:verified`, `:unsigned` (taken in without a signature),
+  `{:signing, link, what}` in `Aerie.Store`, in frames: `:verified`, `:unsigned` (taken in without a signature),
   `:rejected`, `:signed` (of ours), `:not_signed` (of ours, MAVLink 1), and `:alarms`.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
-  alias Aerie.Config.Secret
-  alias Aerie.Signing.{Enrolment, Intake, Scope, Seal, Tables, Vault}
+  alias Aerie.Secret
+  alias Aerie.Signing.{Intake, Scope, Seal, Tables, Vault}
   alias MavCodec.Frame
 
   @setup_signing 256
@@ -242,37 +242,7 @@ defmodule Aerie.Signing do
 
   ## Keys
 
-  @doc """
-  Gives a flight controller its key by SETUP_SIGNING, and waits until it signs with it.
-
-  Only by a link that is marked secure in the configuration or its connection string (USB, Ethernet), because the key goes
-  over it as it is; anything else is refused with the reason (S8). Options:
-
-    * `:link` - the secure link to take; needed when the vehicle is not heard there (its frames may be refused)
-    * `:key` - another key than the one in force: `{:file, path}`, `{:env, name}`, `:generate` (random), or `:previous` (go
-      back to the one before). It is kept in `signing.dir/keys` from before it is sent, and is in force as soon as the
-      vehicle proves to have it (`Aerie.Signing.Enrolment`). A generated one is in the result, as a `Aerie.Config.Secret`.
-    * `:component` - of the autopilot, default 1
-    * `:timeout_ms` - default 10,000
-    * `:by` - who asks, for the audit event; default `"local"`
-  """
-  @spec enrol(Names.gateway(), vehicle, keyword) ::
-          {:ok, %{link: String.t(), key: Secret.t() | nil}} | {:error, String.t()}
-  def enrol(gateway, vehicle, options \\ []), do: Enrolment.enrol(gateway, vehicle, options)
-
-  @doc """
-  Takes the key from a flight controller (SETUP_SIGNING with zeros), and waits until it sends unsigned frames. By a secure
-  link only, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`, `:by`. A key that it was given by `enrol/3` is
-  retired (kept as the previous one); what the configuration says of the vehicle stays.
-  """
-  @spec revoke(Names.gateway(), vehicle, keyword) :: {:ok, %{link: String.t()}} | {:error, String.t()}
-  def revoke(gateway, vehicle, options \\ []), do: Enrolment.revoke(gateway, vehicle, options)
-
-  @doc "Forgets a key that was sent to a vehicle and never proven: only when it is certain that the vehicle has not got it."
-  @spec discard(Names.gateway(), vehicle) :: :ok | {:error, String.t()}
-  def discard(gateway, vehicle), do: Enrolment.discard(gateway, vehicle)
-
-  @doc "Who we are, when that is found out (`Aerie.Vehicle.Identity.Latch`): what has these ids is ours to sign."
+  @doc "Who we are, when that is found out (`Aerie.Router.AutoSystemId`): what has these ids is ours to sign."
   @spec identify(Names.gateway(), {pos_integer, 0..255}) :: :ok
   def identify(gateway, ids) do
     with tables when is_map(tables) <- Tables.of(gateway), do: :ets.insert(tables.settings, {:own, ids})

@@ -6,7 +6,7 @@ defmodule Aerie.Telemetry do
   that emits it; each row of `events/0` says which. Durations are in the unit that the key names.
 
   Nothing here is emitted per frame: what comes thousands of times a second is counted in the read model
-  (`Aerie.Fleet.Store.counters/1`, snapshots of links and vehicles) and read from there.
+  (`Aerie.Store.counters/1`, snapshots of links and vehicles) and read from there.
 
   ## Of vehicles
 
@@ -38,9 +38,9 @@ defmodule Aerie.Telemetry do
     {[:aerie, :link, :relieved], Aerie.Link},
     {[:aerie, :link, :added], Aerie.Link},
     {[:aerie, :link, :removed], Aerie.Link},
-    {[:aerie, :identity, :latched], Aerie.Vehicle.Identity.Latch},
-    {[:aerie, :identity, :silent], Aerie.Vehicle.Identity.Pulse},
-    {[:aerie, :identity, :answering], Aerie.Vehicle.Identity.Pulse},
+    {[:aerie, :identity, :latched], Aerie.Router.AutoSystemId},
+    {[:aerie, :identity, :silent], Aerie.Identity.Pulse},
+    {[:aerie, :identity, :answering], Aerie.Identity.Pulse},
     {[:aerie, :router, :vehicle_found], Aerie.Router},
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},

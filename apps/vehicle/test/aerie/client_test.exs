@@ -56,7 +56,7 @@ defmodule Aerie.ClientTest do
     # 20 frames in one datagram, and what comes of them: [datagram].
     defp packed(c, rules) do
       {:ok, port} = :inet.port(c.gcs)
-      {:ok, id} = Aerie.Router.add_client(c.gateway, Map.put(rules, :url, "udpout:127.0.0.1:#{port}"))
+      {:ok, id} = Aerie.Link.Clients.add(c.gateway, Map.put(rules, :url, "udpout:127.0.0.1:#{port}"))
       eventually(fn -> match?([_there], Aerie.Router.endpoints(c.gateway)) end)
       frames = for n <- 1..20, do: Aerie.LinkCase.attitude(7, n)
       {:ok, vehicle} = :gen_udp.open(0, [:binary, active: false])

@@ -2,7 +2,8 @@ defmodule Aerie.ConfigTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Config
-  alias Aerie.Config.{Error, Secret}
+  alias Aerie.Config.Error
+  alias Aerie.Secret
 
   @moduletag :tmp_dir
 

@@ -2,7 +2,7 @@ defmodule Aerie.RecorderTest do
   use ExUnit.Case, async: true
   use Aerie.RecorderCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.{Names, Recorder, Router}
   alias Aerie.Recorder.{Recording, Tap}
   alias Aerie.RecorderCase.{FaultyDisk, FullDisk}
@@ -577,8 +577,8 @@ defmodule Aerie.RecorderTest do
       give(gateway, attitudes(1, 1..10))
       Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 1})
       event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1, nil, %{})
-      :ok = Aerie.Fleet.PubSub.publish(gateway, :events, event)
-      :ok = Aerie.Fleet.PubSub.publish(gateway, :events, %{event | type: "failsafe"})
+      :ok = Aerie.Store.PubSub.publish(gateway, :events, event)
+      :ok = Aerie.Store.PubSub.publish(gateway, :events, %{event | type: "failsafe"})
       assert [file] = eventually(fn -> match?([_], tlogs(c.tmp_dir)) && tlogs(c.tmp_dir) end)
       assert Path.basename(file) =~ "main-VID-001-failsafe-"
       eventually(fn -> numbers(file) == Enum.to_list(1..10) end)

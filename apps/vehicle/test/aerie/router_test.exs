@@ -6,7 +6,7 @@ defmodule Aerie.RouterTest do
 
   alias Aerie.Names
   alias Aerie.Router
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Mavlink.Heartbeat
   alias Aerie.Router.Routes
   alias Aerie.Router.Sweeper
   alias Aerie.Router.Tables
@@ -111,7 +111,7 @@ defmodule Aerie.RouterTest do
                deliver(gateway, [heartbeat(3), attitude(3, 1), heartbeat(4), heartbeat(2)])
 
       assert %{refused: 1} = deliver(gateway, heartbeat(3))
-      assert Aerie.Fleet.Store.counter(gateway, {:vehicles, :refused}) == 2
+      assert Aerie.Store.counter(gateway, {:vehicles, :refused}) == 2
     end
 
     test "of many that come at once a few are made at once, the others beside the frames' way; all get their first frames" do
@@ -133,7 +133,7 @@ defmodule Aerie.RouterTest do
       keys = for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
 
       eventually(fn ->
-        Enum.all?(keys, &match?(%{component: 1}, Aerie.Fleet.Store.vehicle(gateway, &1)))
+        Enum.all?(keys, &match?(%{component: 1}, Aerie.Store.vehicle(gateway, &1)))
       end)
 
       eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)

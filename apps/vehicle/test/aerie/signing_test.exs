@@ -2,7 +2,7 @@ defmodule Aerie.SigningTest do
   use ExUnit.Case, async: true
   use Aerie.SigningCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.{Link, Router, Signing}
   alias MavCodec.Frame
 
@@ -104,7 +104,7 @@ defmodule Aerie.SigningTest do
     assert Signing.mark(gateway, {"main", 1}, "bytes") == "bytes"
     assert Signing.vehicle(gateway, {"main", 1}) == nil
     assert Signing.list(gateway) == %{keys: [], pending: [], not_stored: nil}
-    assert {:error, "no signing key is configured" <> _} = Signing.enrol(gateway, {"main", 1})
+    assert {:error, "no signing key is configured" <> _} = Aerie.Enrolment.enrol(gateway, {"main", 1})
     refute File.exists?(Path.join(c.tmp_dir, "signing"))
     # A gateway without that part is none that signs.
     assert Signing.admit(make_ref(), source(), frames) == frames
@@ -168,7 +168,7 @@ defmodule Aerie.SigningTest do
         assert Signing.admit(gateway, source(), [frame(bytes), frame(heartbeat(1))]) == []
         assert %{text: "no signature can be checked: " <> text} = Signing.vehicle(gateway, {"main", 1})
         assert text =~ "chmod 600"
-        assert {:error, ^text} = Signing.enrol(gateway, {"main", 1})
+        assert {:error, ^text} = Aerie.Enrolment.enrol(gateway, {"main", 1})
         # Repaired.
         File.chmod!(path, 0o600)
         assert Signing.reload(gateway) == [{"main/*", :changed}]
@@ -194,7 +194,12 @@ defmodule Aerie.SigningTest do
     {bytes, _} = signed(signer(), 1)
     assert [_] = Signing.admit(gateway, source(), [frame(bytes)])
     vault = Aerie.Names.whereis(gateway, :signing_vault)
-    tables = for {name, table} <- Signing.Tables.of(gateway), name != :active, do: :ets.tab2list(table)
+
+    tables =
+      for {name, table} <- Signing.Tables.of(gateway),
+          name not in [:active, :events],
+          do: :ets.tab2list(table)
+
     shown = inspect([:sys.get_state(vault), tables], limit: :infinity, printable_limit: :infinity)
     erlang = :io_lib.format("~p", [[:sys.get_state(vault), tables]]) |> IO.iodata_to_binary()
     key = MavCodec.Signing.key(passphrase())
@@ -352,7 +357,7 @@ defmodule Aerie.SigningTest do
     assert %{delivered: 1} = Router.deliver(gateway, source(), [frame(first, @then)])
     {second, _} = signed(signer, 1)
     assert %{delivered: 1} = Router.deliver(gateway, source(), [frame(second, @then + 1)])
-    :ok = Aerie.Fleet.PubSub.subscribe(gateway, :events)
+    :ok = Aerie.Store.PubSub.subscribe(gateway, :events)
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end)
     assert Store.vehicle(gateway, {"main", 1}).signing.state == :verified
 

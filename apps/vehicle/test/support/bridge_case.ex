@@ -5,13 +5,15 @@ defmodule Aerie.BridgeCase do
   """
   use ExUnit.CaseTemplate
 
-  alias Aerie.{Bridge, Config, Fleet}
+  alias Aerie.{Bridge, Config, Fleet, Store}
+  alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Event
 
   using do
     quote do
       import Aerie.BridgeCase
-      alias Aerie.{Bridge, Config, Fleet}
+      alias Aerie.{Bridge, Config, Fleet, Store}
+      alias Aerie.Store.PubSub
       alias Aerie.Vehicle.Event
     end
   end
@@ -36,9 +38,12 @@ defmodule Aerie.BridgeCase do
   def start_bridge(config, options \\ []) do
     gateway = Keyword.get_lazy(options, :gateway, &make_ref/0)
     # Subscribed before there is anything to hear, so that no news is missed.
-    ExUnit.Callbacks.start_supervised!({Fleet.Store, gateway: gateway}, id: {:store, gateway})
-    ExUnit.Callbacks.start_supervised!({Fleet.PubSub, gateway: gateway}, id: {:pubsub, gateway})
-    :ok = Fleet.PubSub.subscribe(gateway, :bridge)
+    ExUnit.Callbacks.start_supervised!({Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})},
+      id: {:store, gateway}
+    )
+
+    ExUnit.Callbacks.start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
+    :ok = PubSub.subscribe(gateway, :bridge)
     start_bridge_again(gateway, config)
     gateway
   end

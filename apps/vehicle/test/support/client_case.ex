@@ -5,7 +5,7 @@ defmodule Aerie.ClientCase do
   """
   use ExUnit.CaseTemplate
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
 
   using do
     quote do
@@ -32,9 +32,10 @@ defmodule Aerie.ClientCase do
     sockets =
       Map.merge(%{enabled: true, dir: dir, state_hz: 50.0, max_clients: 4}, sockets)
 
-    options = [gateway: gateway, config: %{sockets: sockets}]
+    config = %{sockets: sockets}
+    options = [gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config)
 
-    for module <- [Aerie.Fleet.Store, Aerie.Fleet.PubSub, Aerie.Router.Supervisor, Aerie.Client.Supervisor] do
+    for module <- [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Client.Supervisor] do
       ExUnit.Callbacks.start_supervised!(Supervisor.child_spec({module, options}, id: {module, gateway}))
     end
 

@@ -23,12 +23,12 @@ defmodule Aerie.LinkCase do
   @spec start_parts(map, before: [{module, keyword}]) :: reference
   def start_parts(config \\ %{}, more \\ []) do
     gateway = make_ref()
-    options = [gateway: gateway, config: config]
+    options = [gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config)
 
     plain = &Enum.map(&1, fn module -> {module, []} end)
 
     parts =
-      plain.([Aerie.Fleet.Store, Aerie.Fleet.PubSub]) ++
+      plain.([Aerie.Store, Aerie.Store.PubSub]) ++
         Keyword.get(more, :before, []) ++
         plain.([Aerie.Router.Supervisor, Aerie.Vehicle.Supervisor, Aerie.Link.Supervisor])
 

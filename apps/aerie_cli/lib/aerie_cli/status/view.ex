@@ -23,7 +23,7 @@ defmodule AerieCLI.Status.View do
 
   @typedoc """
   * `now`, `started` - unix microseconds
-  * `vehicles`, `links` - snapshots of `Aerie.Fleet.Store`; `clients` - `Aerie.Router.clients/1`
+  * `vehicles`, `links` - snapshots of `Aerie.Store`; `clients` - `Aerie.Link.Clients.list/1`
   * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal but never for a log
   * `identity` - `Aerie.Router.identity/1`
   * `published` - messages handed to NATS so far; `pending` - events in memory that NATS has not confirmed

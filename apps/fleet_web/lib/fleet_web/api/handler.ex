@@ -7,7 +7,7 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias FleetWeb.API.{Access, Error, Request, Resources}
 
   @json "application/json; charset=utf-8"

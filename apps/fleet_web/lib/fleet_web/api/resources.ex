@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.Resources do
   @moduledoc "What there is below `/api`, which methods each takes, and what they do."
 
-  alias Aerie.{Client, Router, Signing}
+  alias Aerie.{Client, Enrolment, Router}
 
   alias FleetWeb.API.{
     Error,
@@ -209,10 +209,17 @@ defmodule FleetWeb.API.Resources do
     options = [by: "http:#{name}"] ++ options
 
     case {View.vehicle(gateway, id), action} do
-      {nil, _action} -> {:error, unheard()}
-      {_known, :enrol} -> done(Signing.enrol(gateway, id, options), "enrolled")
-      {_known, :revoke} -> done(Signing.revoke(gateway, id, options), "revoked")
-      {_known, :discard} -> with(:ok <- Signing.discard(gateway, id), do: {:ok, %{result: "discarded"}})
+      {nil, _action} ->
+        {:error, unheard()}
+
+      {_known, :enrol} ->
+        done(Enrolment.enrol(gateway, id, options), "enrolled")
+
+      {_known, :revoke} ->
+        done(Enrolment.revoke(gateway, id, options), "revoked")
+
+      {_known, :discard} ->
+        with(:ok <- Enrolment.discard(gateway, id), do: {:ok, %{result: "discarded"}})
     end
   end
 

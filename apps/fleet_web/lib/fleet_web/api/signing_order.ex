@@ -5,7 +5,7 @@ defmodule FleetWeb.API.SigningOrder do
       {"action": "enrol", "key": "generate", "link": "usb"}
 
   `action` is `enrol`, `revoke` or `discard`; `key` of `enrol` is `configured` (default), `generate` or `previous`. A key itself,
-  or a file of this machine, is not for who comes by HTTP, and no answer has one in it (S9). See `Aerie.Signing.enrol/3`.
+  or a file of this machine, is not for who comes by HTTP, and no answer has one in it (S9). See `Aerie.Enrolment.enrol/3`.
   """
 
   alias FleetWeb.API.Error

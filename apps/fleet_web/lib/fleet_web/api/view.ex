@@ -4,7 +4,8 @@ defmodule FleetWeb.API.View do
   alias Aerie.Client
   alias Aerie.Client.StateForm
   alias Aerie.Bridge.Message
-  alias Aerie.Fleet.{Age, Journal, Json, Store}
+  alias Aerie.Fleet.{Age, Journal, Json}
+  alias Aerie.Store
   alias Aerie.Router.Tally
   alias Aerie.Vehicle.Fields
   alias FleetWeb.API.{Dealings, EventsQuery, Recordings}

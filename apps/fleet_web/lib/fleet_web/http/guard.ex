@@ -6,7 +6,7 @@ defmodule FleetWeb.HTTP.Guard do
 
   @behaviour :cowboy_middleware
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias FleetWeb.API.Error
 
   @read ~w(host origin x-aerie-key authorization content-type upgrade sec-websocket-protocol)

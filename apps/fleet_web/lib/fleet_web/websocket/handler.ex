@@ -17,8 +17,8 @@ defmodule FleetWeb.WebSocket.Handler do
   @behaviour :cowboy_websocket
 
   alias Aerie.Client.Pipe
-  alias Aerie.Fleet.Store
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Store
+  alias Aerie.Address
   alias Aerie.Names
   alias FleetWeb.API.{Access, Error, Request, Tickets}
   alias FleetWeb.WebSocket.Places

@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.ClientsTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Router.Endpoint
 
   @json {"content-type", "application/json"}

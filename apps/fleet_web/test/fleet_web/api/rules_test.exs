@@ -6,7 +6,7 @@ defmodule FleetWeb.API.RulesTest do
   test "rules are changed, listed with what is configured, and undone" do
     %{gateway: gateway, port: port} = start_server()
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
-    {:ok, "gcs"} = Aerie.Router.add_client(gateway, client)
+    {:ok, "gcs"} = Aerie.Link.Clients.add(gateway, client)
     assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules")
 
     change = %{

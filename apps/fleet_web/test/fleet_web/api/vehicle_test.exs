@@ -2,7 +2,8 @@ defmodule FleetWeb.API.VehicleTest do
   @moduledoc "What `/api` tells of a vehicle: all that its snapshot knows, and its latest events."
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Fleet.{Journal, Store}
+  alias Aerie.Fleet.Journal
+  alias Aerie.Store
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.Fields.Object
 

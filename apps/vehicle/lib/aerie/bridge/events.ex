@@ -16,6 +16,7 @@ defmodule Aerie.Bridge.Events do
   alias Aerie.Bridge.{Connection, Outbox, Server, Tables}
   alias Aerie.Bridge.Events.{Answer, Disk, Stall, Window}
   alias Aerie.{Config, Fleet, Names}
+  alias Aerie.Store.PubSub
 
   require Logger
 
@@ -41,7 +42,7 @@ defmodule Aerie.Bridge.Events do
     config = options[:config]
     Process.set_label({:bridge_events, gateway})
     Logger.metadata(gateway: inspect(gateway))
-    :ok = Fleet.PubSub.subscribe(gateway, :journal)
+    :ok = PubSub.subscribe(gateway, :journal)
 
     state = %{
       gateway: gateway,

@@ -16,7 +16,7 @@ defmodule Aerie.Bridge.Memory do
 
   alias Aerie.Bridge.FolderLock
   alias Aerie.Bridge.Memory.File, as: Kept
-  alias Aerie.{Config, Fleet, Names}
+  alias Aerie.{Config, Fleet, Names, Store}
   alias Aerie.Vehicle.{Detector, Event}
 
   require Logger
@@ -148,13 +148,13 @@ defmodule Aerie.Bridge.Memory do
 
   # A vehicle in a recording is not out there.
   defp recorded(gateway) do
-    replayed = for %{kind: :replay, id: id} <- Fleet.Store.links(gateway), do: id
+    replayed = for %{kind: :replay, id: id} <- Store.links(gateway), do: id
 
     if replayed == [],
       do: [],
       else:
         for(
-          %{links: [_ | _] = links, id: id} <- Fleet.Store.vehicles(gateway),
+          %{links: [_ | _] = links, id: id} <- Store.vehicles(gateway),
           links -- replayed == [],
           do: id
         )

@@ -46,7 +46,7 @@ defmodule Aerie.Bridge.Tables do
   @spec put_info(Names.gateway(), t(), :server | :connection | :streams | :outbox, map()) :: :ok
   def put_info(gateway, tables, part, info) do
     :ets.insert(tables.info, {part, info})
-    Aerie.Fleet.PubSub.publish(gateway, :bridge, {part, info})
+    Aerie.Store.PubSub.publish(gateway, :bridge, {part, info})
   end
 
   @impl GenServer

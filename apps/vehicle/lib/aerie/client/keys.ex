@@ -10,7 +10,7 @@ defmodule Aerie.Client.Keys do
 
   import Bitwise
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
 
   @shortest 16
   @longest 512

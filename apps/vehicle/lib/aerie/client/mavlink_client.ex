@@ -9,7 +9,7 @@ defmodule Aerie.Client.MavlinkClient do
   use GenServer, restart: :temporary
 
   alias Aerie.Client.{LengthPrefix, Pipe}
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Transport.Net
   alias Aerie.Names
 

@@ -6,7 +6,7 @@ defmodule Aerie.Client.StateClient do
   use GenServer, restart: :temporary
 
   alias Aerie.Client.StateFeed
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
 
   @patience_ms 30_000
   @chatter 65_536

@@ -8,7 +8,8 @@ defmodule Aerie.Client.StateFeed do
   use GenServer
 
   alias Aerie.Client.StateForm
-  alias Aerie.Fleet.{PubSub, Store}
+  alias Aerie.Store.PubSub
+  alias Aerie.Store
   alias Aerie.Names
 
   @topic :state_lines

@@ -11,7 +11,7 @@ defmodule Aerie.Client.UnixListener do
   use GenServer
 
   alias Aerie.Client.UnixSocket
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
 
   require Logger

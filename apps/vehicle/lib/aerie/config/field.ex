@@ -4,7 +4,7 @@ defmodule Aerie.Config.Field do
 
   Types:
 
-    * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Config.Secret`), `:path` (a file or folder)
+    * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Secret`), `:path` (a file or folder)
     * `{:integer, min, max}`, `{:number, min, max}` (integers allowed, the result is a float); both ends included
     * `{:enum, atoms}` - one of a fixed set, written as its name
     * `{:parse, fun, words}` - a string; `fun.(string)` gives `{:ok, value}`, `:error`, or `{:error, words}` when

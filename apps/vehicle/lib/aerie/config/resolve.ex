@@ -5,12 +5,14 @@ defmodule Aerie.Config.Resolve do
 
   alias Aerie.Config
   alias Aerie.Client.Keys, as: ClientKeys
-  alias Aerie.Config.{Keys, Schema, Secret}
+  alias Aerie.Config.Schema
+  alias Aerie.Secret
+  alias Aerie.Link.Clients
   alias Aerie.Link.Spec
   alias Aerie.Router.Settings
 
-  @hub elem(Keys.Mavlink.own_ids(), 0)
-  @component elem(Keys.Mavlink.own_ids(), 1)
+  @hub elem(Aerie.Identity.default_ids(), 0)
+  @component elem(Aerie.Identity.default_ids(), 1)
 
   @doc "Fills in the derived values; gives the problems that remain."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
@@ -135,7 +137,7 @@ defmodule Aerie.Config.Resolve do
 
     clients =
       for {client, i} <- Enum.with_index(listed(config)),
-          {:error, words} <- [Settings.client(client)],
+          {:error, words} <- [Clients.Settings.client(client)],
           do: {["clients", i], words}
 
     exposed =

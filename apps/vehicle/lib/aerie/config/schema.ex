@@ -6,7 +6,8 @@ defmodule Aerie.Config.Schema do
   which is a value from the environment or the command line and is read as the type of its key.
   """
 
-  alias Aerie.Config.{Error, Field, Secret, Yaml}
+  alias Aerie.Config.{Error, Field, Yaml}
+  alias Aerie.Secret
 
   @type path :: [String.t() | non_neg_integer()]
   @typedoc "A problem without its file: the caller knows which source a path came from."

@@ -16,7 +16,7 @@ defmodule Aerie.Fleet.Journal do
   #{inspect(1024)} vehicles that are gone. Drops are counted in
   the store's counters `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
 
-  The table belongs to `Aerie.Fleet.Store`. Objects in it:
+  The table belongs to `Aerie.Store`. Objects in it:
 
       {{:state, vehicle}, term}         {{:inbox, vehicle, n}, term}       {{:inbox_last, vehicle}, n}
       {{:pending, n}, event}            {{:id, event_id}, n}               {{:recent, vehicle, seq}, event}
@@ -24,7 +24,8 @@ defmodule Aerie.Fleet.Journal do
       {{:gone, n}, vehicle}             {:max_pending, n}                  {:epoch, n}
   """
 
-  alias Aerie.{Fleet, Names}
+  alias Aerie.{Names, Store}
+  alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Event
 
   @max_inbox 4096
@@ -50,7 +51,7 @@ defmodule Aerie.Fleet.Journal do
   """
   @spec commit(Names.gateway(), String.t(), term(), [Event.t()], params()) :: :ok
   def commit(gateway, vehicle, state, events, params \\ %{}) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
 
     known_params =
       for {name, value} <- params, room?(gateway, table, vehicle, name), do: {{:param, vehicle, name}, value}
@@ -61,7 +62,7 @@ defmodule Aerie.Fleet.Journal do
     if events != [] do
       bound_pending(gateway, table)
       Enum.each(events, &:ets.delete(table, {:recent, vehicle, &1.seq - @max_recent}))
-      Enum.each(events, &Fleet.PubSub.publish(gateway, :events, &1))
+      Enum.each(events, &PubSub.publish(gateway, :events, &1))
       wake(gateway)
     end
 
@@ -71,13 +72,13 @@ defmodule Aerie.Fleet.Journal do
   @doc "The state last committed for a vehicle, or nil."
   @spec state(Names.gateway(), String.t()) :: term() | nil
   def state(gateway, vehicle) do
-    Fleet.Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, {:state, vehicle}, 2, nil))
+    Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, {:state, vehicle}, 2, nil))
   end
 
   @doc "Parts of all committed states: `[vehicle | parts]` of each that matches an ETS pattern, whose variables begin with `$2`."
   @spec states(Names.gateway(), term()) :: [[term()]]
   def states(gateway, pattern) do
-    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+    Store.with_table(gateway, :journal, [], fn table ->
       :ets.select(table, [{{{:state, :"$1"}, pattern}, [], [:"$$"]}])
     end)
   end
@@ -88,20 +89,20 @@ defmodule Aerie.Fleet.Journal do
     pattern = {{:pending, :_}, %{vehicle: :"$1"}}
 
     gateway
-    |> Fleet.Store.with_table(:journal, [], &:ets.select(&1, [{pattern, [], [:"$1"]}]))
+    |> Store.with_table(:journal, [], &:ets.select(&1, [{pattern, [], [:"$1"]}]))
     |> MapSet.new()
   end
 
   @doc "The number of this life of the journal, in which events are numbered from 1; nil as long as nobody gave it one."
   @spec epoch(Names.gateway()) :: pos_integer() | nil
   def epoch(gateway) do
-    Fleet.Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, :epoch, 2, nil))
+    Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, :epoch, 2, nil))
   end
 
   @doc "Gives this life its number, unless it has one, and gives the one that it has."
   @spec epoch(Names.gateway(), pos_integer()) :: pos_integer()
   def epoch(gateway, new) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
     _ = :ets.insert_new(table, {:epoch, new})
     :ets.lookup_element(table, :epoch, 2)
   end
@@ -109,7 +110,7 @@ defmodule Aerie.Fleet.Journal do
   @doc "The value remembered for a vehicle's parameter: `{:ok, value}` or `:error`."
   @spec param(Names.gateway(), String.t(), String.t()) :: {:ok, term()} | :error
   def param(gateway, vehicle, name) do
-    Fleet.Store.with_table(gateway, :journal, :error, fn table ->
+    Store.with_table(gateway, :journal, :error, fn table ->
       case :ets.lookup(table, {:param, vehicle, name}) do
         [{_key, value}] -> {:ok, value}
         [] -> :error
@@ -124,17 +125,17 @@ defmodule Aerie.Fleet.Journal do
   write and the notice.
   """
   @spec wake(Names.gateway()) :: :ok
-  def wake(gateway), do: Fleet.PubSub.publish(gateway, :journal, :pending)
+  def wake(gateway), do: PubSub.publish(gateway, :journal, :pending)
 
   @doc "Unacknowledged events, oldest first; at most `limit`."
   @spec pending(Names.gateway(), pos_integer() | :all) :: [Event.t()]
   def pending(gateway, limit \\ :all)
 
   def pending(gateway, :all),
-    do: Fleet.Store.with_table(gateway, :journal, [], &:ets.select(&1, all_pending()))
+    do: Store.with_table(gateway, :journal, [], &:ets.select(&1, all_pending()))
 
   def pending(gateway, limit) do
-    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+    Store.with_table(gateway, :journal, [], fn table ->
       case :ets.select(table, all_pending(), limit) do
         {events, _continuation} -> events
         :"$end_of_table" -> []
@@ -149,21 +150,21 @@ defmodule Aerie.Fleet.Journal do
   def max_pending(%{limits: %{max_pending_events: max}}), do: max
   def max_pending(_config), do: @max_pending
 
-  @doc false
-  # Said by the store when it makes the table.
-  @spec bound(:ets.table(), pos_integer()) :: true
-  def bound(table, max_pending), do: :ets.insert(table, {:max_pending, max_pending})
+  @doc "The table that the store keeps for the journal."
+  @spec table(term()) :: Store.table()
+  def table(config),
+    do: {:journal, [:ordered_set, write_concurrency: true], [{:max_pending, max_pending(config)}]}
 
   @doc "How many events wait for their acknowledgement."
   @spec pending_size(Names.gateway()) :: non_neg_integer()
   def pending_size(gateway) do
-    Fleet.Store.with_table(gateway, :journal, 0, &:ets.select_count(&1, [{{{:pending, :_}, :_}, [], [true]}]))
+    Store.with_table(gateway, :journal, 0, &:ets.select_count(&1, [{{{:pending, :_}, :_}, [], [true]}]))
   end
 
   @doc "Forgets events that are safe elsewhere. Ids that are unknown or acknowledged before are ignored."
   @spec ack(Names.gateway(), [String.t()]) :: :ok
   def ack(gateway, ids) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
     for id <- ids, {_key, n} <- :ets.take(table, {:id, id}), do: :ets.delete(table, {:pending, n})
     :ok
   end
@@ -186,7 +187,7 @@ defmodule Aerie.Fleet.Journal do
     spec = [{{{:recent, whose, :_}, %{time: :"$1", seq: :"$2", vehicle: :"$3"}}, within, [order]}]
     keep = if since, do: &Enum.take(&1, limit), else: &Enum.take(&1, -limit)
 
-    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+    Store.with_table(gateway, :journal, [], fn table ->
       for key <- table |> :ets.select(spec, @page) |> gather([], keep),
           # One may have gone meanwhile.
           {_key, event} <- :ets.lookup(table, recent_key(key)),
@@ -206,7 +207,7 @@ defmodule Aerie.Fleet.Journal do
   @doc "Puts something for a vehicle's detector to look at into its inbox. Full: it is dropped and counted."
   @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}
   def offer(gateway, vehicle, observation) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
     next = :ets.lookup_element(table, {:inbox_last, vehicle}, 2, 0) + 1
 
     # What is refused takes no number: the span of numbers is the size.
@@ -215,7 +216,7 @@ defmodule Aerie.Fleet.Journal do
       :ets.insert(table, {{:inbox, vehicle, n}, observation})
       :ok
     else
-      Fleet.Store.count(gateway, {:journal, :inbox_dropped})
+      Store.count(gateway, {:journal, :inbox_dropped})
       {:error, :full}
     end
   end
@@ -230,7 +231,7 @@ defmodule Aerie.Fleet.Journal do
   """
   @spec inbox(Names.gateway(), String.t(), non_neg_integer()) :: [{pos_integer(), term()}]
   def inbox(gateway, vehicle, done) do
-    Fleet.Store.with_table(gateway, :journal, [], fn table ->
+    Store.with_table(gateway, :journal, [], fn table ->
       :ets.select(table, [{{{:inbox, vehicle, :"$1"}, :"$2"}, [{:>, :"$1", done}], [{{:"$1", :"$2"}}]}])
     end)
   end
@@ -238,7 +239,7 @@ defmodule Aerie.Fleet.Journal do
   @doc "Removes inbox entries that a committed state has taken account of."
   @spec forget(Names.gateway(), String.t(), [pos_integer()]) :: :ok
   def forget(gateway, vehicle, numbers) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
     Enum.each(numbers, &:ets.delete(table, {:inbox, vehicle, &1}))
   end
 
@@ -257,7 +258,7 @@ defmodule Aerie.Fleet.Journal do
         true
 
       true ->
-        Fleet.Store.count(gateway, {:journal, :params_dropped})
+        Store.count(gateway, {:journal, :params_dropped})
         false
     end
   end
@@ -280,7 +281,7 @@ defmodule Aerie.Fleet.Journal do
   """
   @spec forget_vehicle(Names.gateway(), String.t()) :: :ok
   def forget_vehicle(gateway, vehicle) do
-    table = Fleet.Store.table!(gateway, :journal)
+    table = Store.table!(gateway, :journal)
     :ok = here(table, vehicle)
     :ets.insert(table, {{:gone, :erlang.unique_integer([:monotonic])}, vehicle})
     gone = :ets.select_count(table, [{{{:gone, :_}, :_}, [], [true]}])
@@ -293,7 +294,7 @@ defmodule Aerie.Fleet.Journal do
 
   @doc "A vehicle that may have been forgotten is here again."
   @spec welcome(Names.gateway(), String.t()) :: :ok
-  def welcome(gateway, vehicle), do: gateway |> Fleet.Store.table!(:journal) |> here(vehicle)
+  def welcome(gateway, vehicle), do: gateway |> Store.table!(:journal) |> here(vehicle)
 
   defp here(table, vehicle) do
     true = :ets.match_delete(table, {{:gone, :_}, vehicle})
@@ -307,7 +308,7 @@ defmodule Aerie.Fleet.Journal do
     :ets.delete(table, {:state, vehicle})
     :ets.delete(table, {:inbox_last, vehicle})
     :ets.match_delete(table, {{:recent, vehicle, :_}, :_})
-    Fleet.Store.forget_counters(gateway, vehicle)
+    Store.forget_counters(gateway, vehicle)
   end
 
   # The span of numbers is taken for the size: a number is used once, so there are never more events than that.
@@ -327,7 +328,7 @@ defmodule Aerie.Fleet.Journal do
   defp dropped(_gateway, []), do: :ok
 
   defp dropped(gateway, [_object]) do
-    _count = Fleet.Store.count(gateway, {:journal, :pending_dropped})
+    _count = Store.count(gateway, {:journal, :pending_dropped})
     :ok
   end
 

@@ -7,7 +7,7 @@ defmodule Aerie.Fleet.Wants do
   (`sweep/2`). At most #{2_048} wants of a vehicle are kept.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
 
   @max_wants 2_048
@@ -108,6 +108,10 @@ defmodule Aerie.Fleet.Wants do
     do: is_pid(elem(client, 0)) and gone?(elem(client, 0))
 
   defp gone?(_name), do: false
+
+  @doc "The table that the store keeps for them."
+  @spec table() :: Store.table()
+  def table, do: {:wants, [:ordered_set, read_concurrency: true], []}
 
   defp table(gateway), do: Store.table!(gateway, :wants)
 end

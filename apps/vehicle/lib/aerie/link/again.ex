@@ -4,7 +4,7 @@ defmodule Aerie.Link.Again do
   vehicle may have been restarted meanwhile, or be on another of its ports, where other rates are set.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Spec
   alias Aerie.Names
 

@@ -2,18 +2,17 @@ defmodule Aerie.Link.Announcer do
   @moduledoc """
   Says our heartbeat once a second on links that call others by UDP and hear nothing: a server learns only so that we are
   there. As soon as something is heard, the vehicles' sessions keep that way alive themselves. Says it, with a TIMESYNC
-  request, to a peer that is heard and refused for its signing clock too (`speak/5`): it has no session.
+  request, to a peer that is heard and refused for its signing clock too (`Aerie.LinkProcess.announce/5`): it has no session.
 
   The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5), and a dead-man's
-  like any other of ours: none goes out while the gateway's loops do not answer (H3, `Aerie.Vehicle.Identity`), which is
+  like any other of ours: none goes out while the gateway's loops do not answer (H3, `Aerie.Identity`), which is
   counted as `{:identity, :held}`.
   """
   use GenServer
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
-  alias Aerie.Vehicle.Identity
-  alias Aerie.Vehicle.Identity.Latch
+  alias Aerie.Identity
   alias MavCodec.Encoder
   alias MavCodec.Enums
   alias MavCodec.Messages.{Heartbeat, Timesync}
@@ -31,14 +30,6 @@ defmodule Aerie.Link.Announcer do
     )
   end
 
-  @doc """
-  Has a heartbeat, if there are any of ours, and a TIMESYNC request said to a peer of a link, signed with the key of a scope;
-  `system` is what is heard there, for a gateway that does not know its own yet. Returns at once.
-  """
-  @spec speak(Names.gateway(), String.t(), peer :: term, Aerie.Signing.Scope.t(), non_neg_integer) :: :ok
-  def speak(gateway, link, peer, scope, system),
-    do: GenServer.cast(Names.via(gateway, :link_announcer), {:speak, link, peer, scope, system})
-
   @impl GenServer
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
@@ -49,21 +40,13 @@ defmodule Aerie.Link.Announcer do
     {:ok, %{gateway: gateway, config: config, heartbeat: heartbeat, encoder: nil}}
   end
 
-  defp own(%{mavlink: %{system_id: system, component_id: component}}),
-    do: [system: system, component: component]
-
-  defp own(_none) do
-    {system, component} = Aerie.Config.Keys.Mavlink.own_ids()
-    [system: system, component: component]
-  end
-
   @impl GenServer
   def handle_cast({:speak, link, peer, scope, system}, state) do
     # Whoever is to be a part of that system would be so by now, were it not refused.
     {encoder, state} =
       case known(state) do
         %{encoder: nil} = state ->
-          [system: :auto, component: component] = own(state.config)
+          {:auto, component} = Identity.ids(state.config)
           {Encoder.new(system: system, component: component), state}
 
         state ->
@@ -88,7 +71,7 @@ defmodule Aerie.Link.Announcer do
 
   @impl GenServer
   def handle_info(:announce, %{encoder: nil} = state) do
-    # Nobody speaks who does not know yet who he is (`Aerie.Vehicle.Identity.Latch`).
+    # Nobody speaks who does not know yet who he is (`Aerie.Router.AutoSystemId`).
     case known(state) do
       %{encoder: nil} = state -> {:noreply, state}
       state -> handle_info(:announce, state)
@@ -105,9 +88,9 @@ defmodule Aerie.Link.Announcer do
   end
 
   defp known(%{encoder: nil} = state) do
-    case state.config |> Latch.resolve(state.gateway) |> own() do
-      [system: :auto, component: _component] -> state
-      ids -> %{state | encoder: Encoder.new(ids)}
+    case state.config |> Identity.resolve(state.gateway) |> Identity.ids() do
+      {:auto, _component} -> state
+      {system, component} -> %{state | encoder: Encoder.new(system: system, component: component)}
     end
   end
 

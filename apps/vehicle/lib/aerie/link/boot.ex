@@ -7,7 +7,7 @@ defmodule Aerie.Link.Boot do
   """
   use GenServer, restart: :transient
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Spec
   alias Aerie.Successor
   alias Aerie.Names

@@ -14,7 +14,7 @@ defmodule Aerie.Link.Peers do
 
   alias Aerie.Allowance
   alias Aerie.Link.Peer
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias MavCodec.Parser
 
   @idle_ms 60_000

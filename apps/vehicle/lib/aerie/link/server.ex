@@ -10,7 +10,7 @@ defmodule Aerie.Link.Server do
 
   require Logger
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Again
   alias Aerie.Link.Core
   alias Aerie.Link.Counters
@@ -31,7 +31,7 @@ defmodule Aerie.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt), `:home` (where its snapshot is kept: `Aerie.Fleet.Store`, or a module with its `link/2` and `put_link/3`).
+  attempt), `:home` (where its snapshot is kept: `Aerie.Store`, or a module with its `link/2` and `put_link/3`).
   The core's options are those of `Aerie.Link.Defaults` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()

@@ -1,6 +1,6 @@
 defmodule Aerie.Link.Snapshot do
   @moduledoc """
-  What everyone may know of a link, as it stands in `Aerie.Fleet.Store` (`link/2`, `links/1`).
+  What everyone may know of a link, as it stands in `Aerie.Store` (`link/2`, `links/1`).
 
   | key | value |
   |---|---|

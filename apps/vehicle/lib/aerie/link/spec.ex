@@ -33,7 +33,7 @@ defmodule Aerie.Link.Spec do
   whoever reaches the link command vehicles, `&gcs=deny` nobody, this machine neither (`Aerie.Router.Gate`).
   """
 
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias Aerie.Link.Spec.Error
 
   @kinds [:udp_server, :udp_client, :tcp_client, :tcp_server, :websocket, :serial, :replay]

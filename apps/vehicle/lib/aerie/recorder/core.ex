@@ -6,7 +6,7 @@ defmodule Aerie.Recorder.Core do
   `after_us` after the last one that says it is not. Time is the frames' own. `{:until, at}` records up to a time.
   """
 
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Mavlink.Heartbeat
   alias MavCodec.Frame
 
   @heartbeat 0

@@ -5,7 +5,8 @@ defmodule Aerie.Recorder.Watch do
   """
   use GenServer
 
-  alias Aerie.Fleet.{PubSub, Store}
+  alias Aerie.Store.PubSub
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Recorder
   alias Aerie.Recorder.{Tables, Tap}

@@ -16,7 +16,8 @@ defmodule Aerie.Replay.Machine do
   """
 
   alias Aerie.Replay.{Clock, Stations, Vehicle}
-  alias Aerie.Router.{Early, Heartbeat}
+  alias Aerie.Mavlink.Heartbeat
+  alias Aerie.Router.Early
   alias Aerie.Vehicle.{Core, Options, Timesync}
   alias MavCodec.{Frame, Parser, Tlog}
 

@@ -1,11 +1,11 @@
 defmodule Aerie.Replay.Stations do
   @moduledoc """
-  Who else sends heartbeats in a recording: what `Aerie.Fleet.Stations` is to a live gateway, as a value. At most 1,024;
+  Who else sends heartbeats in a recording: what `Aerie.Router.Stations` is to a live gateway, as a value. At most 1,024;
   one that was not heard for ten minutes makes room for a new one.
   """
 
-  alias Aerie.Fleet.Stations
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Router.Stations
+  alias Aerie.Mavlink.Heartbeat
   alias MavCodec.Frame
 
   @max 1_024

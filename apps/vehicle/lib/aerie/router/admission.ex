@@ -1,7 +1,7 @@
 defmodule Aerie.Router.Admission do
   @moduledoc """
   Lets a vehicle in when its autopilot is heard: starts its processes, at most as many vehicles as
-  `Aerie.Vehicle.Supervisor` allows. A vehicle that was refused is not tried again for 5 s, so that a flood of invented
+  those who have them allow (`Aerie.Router.Vehicles`). A vehicle that was refused is not tried again for 5 s, so that a flood of invented
   system ids does not keep the supervisor busy.
 
   A vehicle is made at once, by the process that has its frames, as long as few come: #{20} a second, #{32} at once. Further
@@ -12,7 +12,7 @@ defmodule Aerie.Router.Admission do
   alias Aerie.Names
   alias Aerie.Router.Nursery
   alias Aerie.Router.Tables
-  alias Aerie.Vehicle.Identity.Latch
+  alias Aerie.Router.AutoSystemId
 
   @again_ms 5_000
   @max_refused 4_096
@@ -31,10 +31,12 @@ defmodule Aerie.Router.Admission do
           {:ok, pid} | :refused | :coming | :not_yet
         when from: term
   def session(gateway, tables, key, from, first, now) do
-    if Latch.open?(gateway, tables, key, now),
+    if AutoSystemId.open?(gateway, tables, key, now),
       do: admit(gateway, tables, key, from, first, now),
       else: :not_yet
   end
+
+  defp admit(_gateway, %{vehicles: nil}, _key, _from, _first, _now), do: :not_yet
 
   defp admit(gateway, tables, key, from, first, now) do
     case :ets.lookup(tables.refused, key) do
@@ -74,7 +76,7 @@ defmodule Aerie.Router.Admission do
   def make(gateway, tables, key, now) do
     :ets.delete(tables.waiting, key)
 
-    case Aerie.Vehicle.Supervisor.ensure(gateway, key, []) do
+    case tables.vehicles.ensure(gateway, key) do
       {:ok, session} ->
         {network, system} = key
 

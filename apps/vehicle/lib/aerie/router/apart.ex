@@ -13,10 +13,12 @@ defmodule Aerie.Router.Apart do
   alias Aerie.Names
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
-  alias Aerie.Vehicle.Rivals
+
+  @typedoc "A link's id, or that with one of its peers where several bring the system."
+  @type way :: term
 
   @doc "These ways are another vehicle's; a link's id stands for all of its endpoints. None: there is one vehicle."
-  @spec put(Names.gateway(), {String.t(), non_neg_integer}, [Rivals.way()]) :: :ok
+  @spec put(Names.gateway(), {String.t(), non_neg_integer}, [way]) :: :ok
   def put(gateway, {network, system} = key, ways) do
     with tables when is_map(tables) <- Tables.of(gateway),
          before when before != ways <- ways(tables, key) do
@@ -26,7 +28,7 @@ defmodule Aerie.Router.Apart do
 
       for way <- ways, do: forget(tables, key, way)
       Tables.rerouted(tables)
-      metadata = %{gateway: gateway, network: network, system: system, links: Enum.map(ways, &Rivals.text/1)}
+      metadata = %{gateway: gateway, network: network, system: system, links: Enum.map(ways, &text/1)}
       :telemetry.execute([:aerie, :router, :collision], %{}, metadata)
     end
 
@@ -44,6 +46,14 @@ defmodule Aerie.Router.Apart do
       ways -> way in ways or link in ways
     end
   end
+
+  @doc "A way in words: its link, with the peer where that is an address."
+  @spec text(way) :: String.t()
+  def text({link, {address, port}}) when is_tuple(address) and is_integer(port),
+    do: "#{link} (#{Aerie.Address.format(address, port)})"
+
+  def text({link, _peer}), do: to_string(link)
+  def text(link), do: to_string(link)
 
   defp ways(tables, key), do: :ets.lookup_element(tables.settings, {:apart, key}, 2, [])
 end

@@ -4,6 +4,7 @@ defmodule Aerie.Router.Dispatch do
   `Aerie.Router.Forward`.
   """
 
+  alias Aerie.LinkProcess
   alias Aerie.Names
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
@@ -58,10 +59,10 @@ defmodule Aerie.Router.Dispatch do
   defp send_by(gateway, tables, {link, peer} = way, key, bytes) do
     case {Aerie.Signing.mark(gateway, key, bytes), Endpoints.get(tables, way)} do
       {{:sign, _, _} = marked, %{key: {_, peer}}} when peer != :self ->
-        Aerie.Link.send_bytes(gateway, link, marked, {:peer, peer})
+        LinkProcess.write(gateway, link, marked, {:peer, peer})
 
       {marked, nil} ->
-        Aerie.Link.send_bytes(gateway, link, marked, {:peer, peer})
+        LinkProcess.write(gateway, link, marked, {:peer, peer})
 
       {_plain, endpoint} ->
         # Other endpoints' processes tell it themselves.

@@ -6,7 +6,7 @@ defmodule Aerie.Router.Echo do
   """
 
   alias Aerie.Names
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Mavlink.Heartbeat
   alias Aerie.Router.Plan.Way
   alias Aerie.Router.Tables
   alias MavCodec.Frame

@@ -110,7 +110,7 @@ defmodule Aerie.Router.Endpoints do
         limits_of(tables, key)
         :ets.delete(tables.scores, {:beat, key})
         Tables.changed(tables, key)
-        Wishes.forget(endpoint)
+        Wishes.forget(tables, endpoint)
 
       [] ->
         :ok

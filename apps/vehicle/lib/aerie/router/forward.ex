@@ -17,6 +17,7 @@ defmodule Aerie.Router.Forward do
   """
 
   alias Aerie.Allowance
+  alias Aerie.Mavlink.HighLatency
   alias Aerie.Router.Batch
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
@@ -32,7 +33,6 @@ defmodule Aerie.Router.Forward do
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
   alias Aerie.Router.Tally
-  alias Aerie.Vehicle.HighLatency
   alias MavCodec.Frame
 
   @setup_signing 256

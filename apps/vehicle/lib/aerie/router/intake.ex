@@ -3,16 +3,16 @@ defmodule Aerie.Router.Intake do
   The few messages that the router itself looks at: heartbeats, for who somebody is, and SYSTEM_TIME, for reboots (R6).
   """
 
+  alias Aerie.Mavlink.BootClock
+  alias Aerie.Mavlink.Heartbeat
+  alias Aerie.Mavlink.HighLatency
   alias Aerie.Names
   alias Aerie.Router.Endpoints
-  alias Aerie.Router.Heartbeat
   alias Aerie.Router.Plan.Way
   alias Aerie.Router.Routes
   alias Aerie.Router.Systems
   alias Aerie.Router.Tables
   alias Aerie.Router.Talker
-  alias Aerie.Vehicle.BootClock
-  alias Aerie.Vehicle.HighLatency
   alias MavCodec.Frame
 
   @system_time 2

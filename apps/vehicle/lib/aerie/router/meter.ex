@@ -13,7 +13,7 @@ defmodule Aerie.Router.Meter do
   """
   use GenServer
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints

@@ -14,7 +14,7 @@ defmodule Aerie.Router.Orders do
   it depends on the addressee what an order is, which is for who uses this table (`Aerie.Router.Gate`).
   """
 
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Mavlink.Heartbeat
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame

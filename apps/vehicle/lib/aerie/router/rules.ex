@@ -1,14 +1,14 @@
 defmodule Aerie.Router.Rules do
   @moduledoc """
   Rules of links and clients that were changed while they run (`Aerie.Router.configure/3`): checked, remembered by
-  `Aerie.Fleet.Store`, listed and undone.
+  `Aerie.Store`, listed and undone.
 
   What is remembered are the changes, not their result: a process of the link that is started again, or a restart of the
   router, begins with what the configuration says (`configured` of an owner) and applies them once more. They are
   forgotten with the link or client, by `reset/3`, and with the gateway.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Owner

@@ -38,7 +38,7 @@ defmodule Aerie.Router.Sweeper do
   end
 
   def handle_info({:pulse, pulse, tag}, gateway) do
-    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    # A loop that turns says so (`Aerie.Identity.Pulse`).
     send(pulse, {:alive, tag, self()})
     {:noreply, gateway}
   end

@@ -1,6 +1,6 @@
 defmodule Aerie.Router.Systems do
   @moduledoc """
-  Everything that sent a heartbeat: vehicles, ground stations, radios, gimbals, kept in `Aerie.Fleet.Store.systems/1`
+  Everything that sent a heartbeat: vehicles, ground stations, radios, gimbals, kept in `Aerie.Store.systems/1`
   under `{network, system}` as
 
       %{last_heard: us, vehicle: boolean, components: %{component => %{role, type, autopilot, link, last_heard}}}
@@ -9,10 +9,10 @@ defmodule Aerie.Router.Systems do
   mends that.
   """
 
-  alias Aerie.Fleet.Stations
-  alias Aerie.Fleet.Store
+  alias Aerie.Router.Stations
+  alias Aerie.Store
   alias Aerie.Names
-  alias Aerie.Router.Heartbeat
+  alias Aerie.Mavlink.Heartbeat
   alias MavCodec.Frame
 
   @max_components 64

@@ -36,13 +36,18 @@ defmodule Aerie.Router.Tables do
           refused: :ets.table(),
           waiting: :ets.table(),
           settings: :ets.table(),
+          vehicles: module | nil,
+          requests: module | nil,
           generation: :atomics.atomics_ref(),
           id: reference
         }
 
-  @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`."
-  @spec create(Names.gateway(), keyword) :: t
-  def create(gateway, settings) do
+  @doc """
+  Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`. `:vehicles` and `:requests` are the
+  modules of `Aerie.Router.Vehicles` and `Aerie.Router.Requests`.
+  """
+  @spec create(Names.gateway(), keyword, keyword) :: t
+  def create(gateway, settings, modules \\ []) do
     shared = [:public, write_concurrency: true, read_concurrency: true]
 
     tables = %{
@@ -61,6 +66,8 @@ defmodule Aerie.Router.Tables do
       refused: :ets.new(:refused, [:set | shared]),
       waiting: :ets.new(:waiting, [:set | shared]),
       settings: :ets.new(:settings, [:set, :public, read_concurrency: true]),
+      vehicles: modules[:vehicles],
+      requests: modules[:requests],
       generation: :atomics.new(2, signed: false),
       id: make_ref()
     }

@@ -1,37 +1,48 @@
 defmodule Aerie.Router.Wishes do
   @moduledoc """
   Clients' own requests for rates on their way to a vehicle (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM): noted as the
-  client's wants, and forwarded only where they take nothing from another client (`Aerie.Vehicle.Streams`). What is not
+  client's wants, and forwarded only where they take nothing from another client (`Aerie.Router.Requests`). What is not
   forwarded is answered here, in the vehicle's name.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Filter
   alias Aerie.Router.Out
   alias Aerie.Router.Plan.Way
   alias Aerie.Router.Renumber
-  alias Aerie.Vehicle.Streams
+  alias Aerie.Router.Tables
   alias MavCodec.Frame
 
   @doc "The frames that go on. `heard` are those whose signature was right, or that need none: only they are noted."
-  @spec pass(Names.gateway(), Way.t(), [Frame.t()], heard :: [Frame.t()]) :: [Frame.t()]
-  def pass(gateway, %{side: :client, role: :full, commands: true} = way, frames, heard) do
+  @spec pass(Names.gateway(), Tables.t(), Way.t(), [Frame.t()], heard :: [Frame.t()]) :: [Frame.t()]
+  def pass(
+        gateway,
+        %{requests: requests},
+        %{side: :client, role: :full, commands: true} = way,
+        frames,
+        heard
+      )
+      when requests != nil do
     # Nearly always there is none.
-    if Enum.any?(frames, &Streams.request?/1),
-      do: Enum.reject(frames, &(Streams.request?(&1) and &1 in heard and absorbed?(gateway, way, &1))),
+    if Enum.any?(frames, &requests.request?/1),
+      do:
+        Enum.reject(
+          frames,
+          &(requests.request?(&1) and &1 in heard and absorbed?(gateway, requests, way, &1))
+        ),
       else: frames
   end
 
-  def pass(_gateway, _way, frames, _heard), do: frames
+  def pass(_gateway, _tables, _way, frames, _heard), do: frames
 
-  defp absorbed?(gateway, way, frame) do
+  defp absorbed?(gateway, requests, way, frame) do
     with true <- way.in == nil or Filter.pass?(way.in, frame, way.owner),
          {id, _component} <- Frame.target(frame),
          {network, system} <- vehicle(gateway, way, id),
          {:ok, frame} <- Renumber.inward(frame, system),
-         {:absorb, answer} <- Streams.intercept(gateway, network, client(way.key), frame) do
+         {:absorb, answer} <- requests.intercept(gateway, network, client(way.key), frame) do
       if answer, do: answer(way, network, IO.iodata_to_binary(answer))
       true
     else
@@ -60,8 +71,11 @@ defmodule Aerie.Router.Wishes do
   end
 
   @doc "An endpoint is gone, and what was wanted by it with it."
-  @spec forget(Endpoint.t()) :: :ok
-  def forget(%Endpoint{gateway: gateway, key: key}), do: Streams.forget(gateway, client(key))
+  @spec forget(Tables.t(), Endpoint.t()) :: :ok
+  def forget(%{requests: nil}, _endpoint), do: :ok
+
+  def forget(%{requests: requests}, %Endpoint{gateway: gateway, key: key}),
+    do: requests.forget(gateway, client(key))
 
   defp client(key), do: {:endpoint, key}
 end

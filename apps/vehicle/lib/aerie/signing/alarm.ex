@@ -4,7 +4,7 @@ defmodule Aerie.Signing.Alarm do
   `signing.rejected` of the vehicle that they claim to come from, if that is known.
   """
 
-  alias Aerie.{Fleet, Names}
+  alias Aerie.{Names, Store}
   alias Aerie.Signing.{Audit, Burst, Tables}
 
   require Logger
@@ -44,8 +44,8 @@ defmodule Aerie.Signing.Alarm do
   defp raise_alarm(:quiet, _gateway, _source, _who, _at), do: :ok
 
   defp raise_alarm({:alarm, reasons}, gateway, source, {system, component}, at) do
-    if Fleet.Store.claim(gateway, {:signing_alarm, source.id}, @every_ms) do
-      Fleet.Store.count(gateway, {:signing, source.id, :alarms})
+    if Store.claim(gateway, {:signing_alarm, source.id}, @every_ms) do
+      Store.count(gateway, {:signing, source.id, :alarms})
       {reason, _most} = Enum.max_by(reasons, &elem(&1, 1))
 
       metadata = %{

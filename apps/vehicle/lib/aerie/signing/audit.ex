@@ -5,7 +5,8 @@ defmodule Aerie.Signing.Audit do
   of a key is in them (S9).
   """
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.Names
+  alias Aerie.Signing.Tables
 
   require Logger
 
@@ -35,16 +36,12 @@ defmodule Aerie.Signing.Audit do
     event(job.gateway, job.key, type, data, System.os_time(:microsecond))
   end
 
-  @doc "An event of a vehicle, if it is known."
+  @doc "An event of a vehicle, if somebody keeps events (`Aerie.Signing.Events`)."
   @spec event(Names.gateway(), {String.t(), non_neg_integer}, String.t(), map, integer) :: :ok
   def event(gateway, key, type, data, at) do
-    with %{id: id} <- Fleet.Store.vehicle(gateway, key),
-         events when is_pid(events) <- Names.whereis(gateway, :events, key) do
-      _full = Fleet.Journal.offer(gateway, id, {:alarm, at, nil, type, data})
-      Vehicle.Events.wake(events)
-      :ok
-    else
-      _unknown -> :ok
+    case Tables.of(gateway) do
+      %{events: events} when events != nil -> events.event(gateway, key, type, data, at)
+      _nobody -> :ok
     end
   end
 end

@@ -6,7 +6,7 @@ defmodule Aerie.Signing.Guards do
   the last one of every stream, so that what was recorded before a restart cannot be played after it (S3).
   """
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.Names
   alias Aerie.Signing.{Scope, Tables, Vault}
   alias MavCodec.Signing

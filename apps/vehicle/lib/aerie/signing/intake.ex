@@ -8,10 +8,10 @@ defmodule Aerie.Signing.Intake do
   Two things are judged beyond a link's own memory. A frame that another link of the network heard of the same stream ten
   seconds ago or longer is a replay, however new it is here (S3; the ten seconds are for redundant radios, of which one is
   slower; a link of high latency may be a minute behind). And a signature that is wrong by the key in force may be right by the one that the vehicle is just being given
-  (`Aerie.Signing.Enrolment`): that proves that the vehicle has it.
+  (`Aerie.Enrolment`): that proves that the vehicle has it.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Signing.{Alarm, Guard, Guards, Scope, Seal, Tables, Vault, Wake}
   alias MavCodec.Frame

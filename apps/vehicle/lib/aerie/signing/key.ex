@@ -13,12 +13,12 @@ defmodule Aerie.Signing.Key do
   `hex:`, `base64:` and `passphrase:` before it say which, for a passphrase that looks like a key. Space around the text
   and the end of the line do not belong to it. A file of exactly 32 bytes that are no text is the key itself.
 
-  A key is only ever held as `Aerie.Config.Secret`; no error of this module repeats any of it.
+  A key is only ever held as `Aerie.Secret`; no error of this module repeats any of it.
   """
 
   import Bitwise
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
 
   @max_bytes 4096
   @size 32

@@ -12,7 +12,7 @@ defmodule Aerie.Signing.KeyFiles do
   vehicle's. A file that others can read is refused, as any other key file (`Aerie.Signing.Key`).
   """
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.Signing.{Key, State}
 
   @max_files 4096

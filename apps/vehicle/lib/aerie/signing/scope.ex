@@ -10,7 +10,7 @@ defmodule Aerie.Signing.Scope do
   A scope whose key could not be read refuses everything that its policy asks a signature of: it fails closed.
   """
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.Signing.{Key, KeyFiles}
 
   @radio_status 109

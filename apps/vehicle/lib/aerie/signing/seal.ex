@@ -9,7 +9,7 @@ defmodule Aerie.Signing.Seal do
   what goes to a link with keys is signed from the first frame on.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Signing.{Guard, Guards, Scope, Tables}
   alias Aerie.Wire

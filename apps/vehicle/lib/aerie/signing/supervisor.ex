@@ -7,9 +7,9 @@ defmodule Aerie.Signing.Supervisor do
 
   alias Aerie.Names
   alias Aerie.Signing.{Tables, Vault}
-  alias Aerie.Vehicle.Identity.Latch
+  alias Aerie.Identity
 
-  @doc "Options: `:gateway`, `:config`, `:clock` (unix microseconds; for tests)."
+  @doc "Options: `:gateway`, `:config`, `:events` (`Aerie.Signing.Events`), `:clock` (unix microseconds; for tests)."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :signing))
@@ -21,17 +21,15 @@ defmodule Aerie.Signing.Supervisor do
     Process.set_label({:signing, gateway})
     clock = if options[:clock], do: [clock: options[:clock]], else: []
 
+    # Only what we send ourselves is signed.
     _tables =
       Tables.create(
         gateway,
-        [own: options |> Keyword.get(:config) |> Latch.resolve(gateway) |> own()] ++ clock
+        [own: options |> Keyword.get(:config) |> Identity.resolve(gateway) |> Identity.ids()] ++ clock,
+        options[:events]
       )
 
     # Without the vault links go on with what they have: it is worth many tries and no other part of the gateway.
     Supervisor.init([{Vault, options}], strategy: :one_for_one, max_restarts: 100, max_seconds: 1)
   end
-
-  # Only what we send ourselves is signed.
-  defp own(%{mavlink: %{system_id: system, component_id: component}}), do: {system, component}
-  defp own(_none), do: Aerie.Config.Keys.Mavlink.own_ids()
 end

@@ -35,18 +35,23 @@ defmodule Aerie.Signing.Tables do
           proven: :ets.table(),
           newest: :ets.table(),
           settings: :ets.table(),
+          events: module | nil,
           active: :atomics.atomics_ref()
         }
 
-  @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :signing, nil}`."
-  @spec create(Names.gateway(), keyword) :: t
-  def create(gateway, settings) do
+  @doc """
+  Makes the tables, owned by the calling process, whose name is `{gateway, :signing, nil}`. `events` is the module of
+  `Aerie.Signing.Events`.
+  """
+  @spec create(Names.gateway(), keyword, module | nil) :: t
+  def create(gateway, settings, events \\ nil) do
     shared = [:set, :public, read_concurrency: true, write_concurrency: true]
 
     tables =
       ([:scopes, :guards, :stored, :reserved, :sources, :bad, :woken, :waiters, :settings] ++
          [:candidates, :proven, :newest])
       |> Map.new(&{&1, :ets.new(&1, shared)})
+      |> Map.put(:events, events)
       |> Map.put(:active, :atomics.new(1, signed: false))
 
     :ets.insert(tables.settings, settings)

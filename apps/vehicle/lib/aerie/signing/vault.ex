@@ -14,7 +14,7 @@ defmodule Aerie.Signing.Vault do
   """
   use GenServer
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.Names
   alias Aerie.Signing.{Guards, Key, KeyFiles, Scope, State, Tables}
 

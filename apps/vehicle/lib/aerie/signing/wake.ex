@@ -8,7 +8,7 @@ defmodule Aerie.Signing.Wake do
   by them.
   """
 
-  alias Aerie.Link.Announcer
+  alias Aerie.LinkProcess
   alias Aerie.Names
   alias Aerie.Signing.{Scope, Tables}
 
@@ -23,7 +23,7 @@ defmodule Aerie.Signing.Wake do
 
     if due?(tables, key, now) do
       :ets.insert(tables.woken, {key, now})
-      Announcer.speak(gateway, link, source[:peer], scope, system)
+      LinkProcess.announce(gateway, link, source[:peer], scope, system)
     end
 
     :ok

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Collision do
   of the one that keeps the id first, `links` in words.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
 
   @type t :: %{at: integer(), sign: String.t(), links: [[String.t()]], ways: [[Aerie.Vehicle.Rivals.way()]]}

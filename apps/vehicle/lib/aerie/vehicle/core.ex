@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
     * `{:shift, step}` - the clock was set by so much (microseconds): all that was heard was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured about a link
-    * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Fleet.Stations`)
+    * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
     * `{:asked, request, at}` - a TIMESYNC request of ours that a recording has, for its answers
     * `{:wants, wants, forwarded}` - what clients want of the vehicle has changed (`Aerie.Vehicle.Streams.Arbiter.wants/3`)
 
@@ -38,8 +38,9 @@ defmodule Aerie.Vehicle.Core do
   are counted as heard on the link, and change nothing else.
   """
 
+  alias Aerie.Mavlink.BootClock
+
   alias Aerie.Vehicle.{
-    BootClock,
     Detector,
     Doubt,
     Heard,
@@ -107,7 +108,7 @@ defmodule Aerie.Vehicle.Core do
           | {:rebase, integer()}
           | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
-          | {:stations, [Aerie.Fleet.Stations.station()]}
+          | {:stations, [Aerie.Router.Stations.station()]}
           | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}
   @type action ::

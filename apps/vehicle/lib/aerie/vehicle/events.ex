@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Events do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Fleet, Identity, Names, Store, Vehicle}
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Events do
   end
 
   def handle_info({:pulse, pulse, tag}, state) do
-    Vehicle.Identity.Pulse.answer(pulse, tag)
+    Identity.Pulse.answer(pulse, tag)
     {:noreply, state}
   end
 
@@ -68,7 +68,7 @@ defmodule Aerie.Vehicle.Events do
     Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
 
     if (n = detector.budget.suppressed - before) > 0,
-      do: Fleet.Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, n)
+      do: Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, n)
 
     Enum.each(events, &told(state.gateway, state.id, &1))
     detector

@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Gcs do
   itself is taken as well. What is not known is nil.
   """
 
-  alias Aerie.Fleet.Stations
+  alias Aerie.Router.Stations
   alias MavCodec.Messages.ParamRequestRead
 
   @ardupilot ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI FS_GCS_ENABLE FS_GCS_ENABL FS_GCS_TIMEOUT FS_LONG_TIMEOUT)
@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.Gcs do
   end
 
   @doc """
-  The stations that are heard on the vehicle's network (`Aerie.Fleet.Stations`), ourselves excluded; what has our system id
+  The stations that are heard on the vehicle's network (`Aerie.Router.Stations`), ourselves excluded; what has our system id
   and another component is somebody else.
   """
   @spec stations(t(), [Stations.station()], own :: {system :: integer(), component :: integer()}) :: t()

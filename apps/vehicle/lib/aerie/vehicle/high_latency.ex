@@ -4,23 +4,17 @@ defmodule Aerie.Vehicle.HighLatency do
   vehicle.
 
   A link is one when it is configured so (`links[].high_latency`), or when HIGH_LATENCY2 comes by it and no heartbeat does.
-  Over it go commands and their answers, no heartbeats, streams, parameters, missions or clock measurements (`carries?/1`).
+  Over it go commands and their answers, no heartbeats, streams, parameters, missions or clock measurements (`Aerie.Mavlink.HighLatency`).
   While a vehicle is heard by such links only it is asked for nothing, and is lost after
   `timeouts.vehicle_lost_high_latency_s` instead of seconds.
   """
 
+  alias Aerie.Mavlink.HighLatency, as: Rules
   alias Aerie.Names
-  alias MavCodec.Frame
   alias MavCodec.Messages.CommandLong
 
   @control_high_latency 2600
-  # HIGH_LATENCY2 without a heartbeat for this long: that is all that comes by this link.
-  @silent_us 10_000_000
   @max_links 32
-  # SET_MODE, MISSION_SET_CURRENT, COMMAND_INT, COMMAND_LONG, COMMAND_ACK, COMMAND_CANCEL, HIGH_LATENCY, HIGH_LATENCY2
-  @carried [11, 41, 75, 76, 77, 80, 234, 235]
-  # … except those commands that only ask for more to be sent.
-  @asking [510, 511, 512]
 
   defstruct links: %{}
 
@@ -95,7 +89,7 @@ defmodule Aerie.Vehicle.HighLatency do
       %{^link => %{marked: true}} -> true
       %{^link => %{summary: nil}} -> false
       %{^link => %{beat: nil}} -> true
-      %{^link => %{summary: summary, beat: beat}} -> summary - beat > @silent_us
+      %{^link => %{summary: summary, beat: beat}} -> summary - beat > Rules.silent_us()
       _ordinary -> false
     end
   end
@@ -135,22 +129,10 @@ defmodule Aerie.Vehicle.HighLatency do
     end
   end
 
-  @doc "How long after the last heartbeat a summary means that no more heartbeats come (us)."
-  @spec silent_us() :: pos_integer()
-  def silent_us, do: @silent_us
-
-  @doc "Whether a frame may go over a link of high latency: for routers, which ask for each frame."
-  @spec carries?(Frame.t()) :: boolean()
-  def carries?(%Frame{id: id, payload: <<_params::28-binary, command::16-little, _::binary>>})
-      when id in [75, 76],
-      do: command not in @asking
-
-  def carries?(%Frame{id: id}), do: id in @carried
-
   @doc "Whether a vehicle says that a link of its is one of high latency, or the configuration does."
   @spec link?(Names.gateway(), link :: term()) :: boolean()
   def link?(gateway, link) do
-    match?(%{high_latency: true}, Aerie.Fleet.Store.link(gateway, link))
+    match?(%{high_latency: true}, Aerie.Store.link(gateway, link))
   end
 
   @doc "MAV_CMD_CONTROL_HIGH_LATENCY: the vehicle begins, or ceases, to send HIGH_LATENCY2."
@@ -168,7 +150,7 @@ defmodule Aerie.Vehicle.HighLatency do
   Sends that command to a vehicle by the way that it was heard last, once and without waiting for its answer.
   `{:error, :unknown}` for a vehicle that has no session.
   """
-  @spec request(Names.gateway(), Aerie.Fleet.Store.vehicle_key(), boolean()) :: :ok | {:error, :unknown}
+  @spec request(Names.gateway(), Aerie.Store.vehicle_key(), boolean()) :: :ok | {:error, :unknown}
   def request(gateway, key, on?) do
     case Names.whereis(gateway, :session, key) do
       nil ->

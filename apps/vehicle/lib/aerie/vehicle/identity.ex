@@ -7,12 +7,10 @@ defmodule Aerie.Vehicle.Identity do
     `mavlink.i_am_the_gcs` (H5, R10).
   - Its heartbeat says MAV_AUTOPILOT_INVALID (H2) and, unless it stands for the ground station, MAV_TYPE_ONBOARD_CONTROLLER,
     which no firmware takes for an operator's.
-  - The heartbeat is a dead-man's: it goes out only while the loops that it stands for answer (`Aerie.Vehicle.Identity.Pulse`,
+  - The heartbeat is a dead-man's: it goes out only while the loops that it stands for answer (`Aerie.Identity.Pulse`,
     H3).
   """
 
-  alias Aerie.Names
-  alias Aerie.Vehicle.Identity.Pulse
   alias Aerie.Vehicle.Options
   alias MavCodec.Messages.Heartbeat
 
@@ -39,15 +37,4 @@ defmodule Aerie.Vehicle.Identity do
   @spec own?(Options.t(), non_neg_integer(), 0..255) :: boolean()
   def own?(options, system, component),
     do: system == options.own_system and component == options.own_component
-
-  @doc """
-  Whether the gateway's loops answer: `%{alive: boolean, silent: [{role, id}], deadman_ms: ms}`, `silent` being those that
-  have not answered in time. Without the process that asks them nothing is alive.
-  """
-  @spec status(Names.gateway()) :: %{
-          alive: boolean(),
-          silent: [{atom(), term()}],
-          deadman_ms: pos_integer() | nil
-        }
-  defdelegate status(gateway), to: Pulse
 end

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Keeper do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Names, Store, Vehicle}
 
   @first_delay_ms 250
   @max_delay_ms 30_000
@@ -23,18 +23,18 @@ defmodule Aerie.Vehicle.Keeper do
   end
 
   @doc "Watches a tree that was started with these options."
-  @spec watch(pid(), Fleet.Store.vehicle_key(), pid(), keyword()) :: :ok
+  @spec watch(pid(), Store.vehicle_key(), pid(), keyword()) :: :ok
   def watch(keeper, key, tree, options), do: GenServer.cast(keeper, {:watch, key, tree, options})
 
   @doc "Stops watching a vehicle; when this returns its tree may be ended."
-  @spec forget(pid(), Fleet.Store.vehicle_key()) :: :ok
+  @spec forget(pid(), Store.vehicle_key()) :: :ok
   def forget(keeper, key), do: GenServer.call(keeper, {:forget, key})
 
   @doc """
   Ends a lost vehicle for the sake of one that finds no place (`Aerie.Vehicle.Places`); which, or that there is none. One
   at a time, so that two newcomers displace two.
   """
-  @spec make_room(pid(), Fleet.Store.vehicle_key()) :: {:ok, Fleet.Store.vehicle_key()} | :none
+  @spec make_room(pid(), Store.vehicle_key()) :: {:ok, Store.vehicle_key()} | :none
   def make_room(keeper, newcomer), do: GenServer.call(keeper, {:make_room, newcomer})
 
   @impl GenServer
@@ -99,7 +99,7 @@ defmodule Aerie.Vehicle.Keeper do
 
   defp start(state, entry) do
     {network, system} = entry.key
-    Fleet.Store.count(state.gateway, {:vehicles, :tree_restarts})
+    Store.count(state.gateway, {:vehicles, :tree_restarts})
     metadata = %{gateway: state.gateway, network: network, system: system}
     :telemetry.execute([:aerie, :vehicle, :restart], %{count: 1}, metadata)
     child = {Vehicle.Tree, [gateway: state.gateway, key: entry.key] ++ entry.options}

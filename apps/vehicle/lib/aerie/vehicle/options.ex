@@ -5,10 +5,10 @@ defmodule Aerie.Vehicle.Options do
   Missing keys have defaults, so that a test can start a vehicle from a plain map with the few keys it is about.
   """
 
-  alias Aerie.Fleet
+  alias Aerie.Store
 
-  @hub elem(Aerie.Config.Keys.Mavlink.own_ids(), 0)
-  @component elem(Aerie.Config.Keys.Mavlink.own_ids(), 1)
+  @hub elem(Aerie.Identity.default_ids(), 0)
+  @component elem(Aerie.Identity.default_ids(), 1)
 
   @enforce_keys [:id, :key, :network, :system_id]
   defstruct [
@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Options do
   """
   @type t :: %__MODULE__{
           id: String.t(),
-          key: Fleet.Store.vehicle_key(),
+          key: Store.vehicle_key(),
           network: String.t(),
           system_id: non_neg_integer(),
           stale_us: pos_integer(),
@@ -73,7 +73,7 @@ defmodule Aerie.Vehicle.Options do
   The options of a vehicle. `extra` overrides single fields of the result, as `Aerie.Vehicle.Supervisor.ensure/3` was
   given them; unknown fields raise.
   """
-  @spec new(term(), Fleet.Store.vehicle_key(), keyword()) :: t()
+  @spec new(term(), Store.vehicle_key(), keyword()) :: t()
   def new(config, {network, system_id} = key, extra \\ []) do
     defaults = %__MODULE__{id: id(config, key), key: key, network: network, system_id: system_id}
     companion = get(config, [:vehicle_id], nil) != nil
@@ -110,14 +110,14 @@ defmodule Aerie.Vehicle.Options do
   def displace_lost_s(config, default), do: get(config, [:limits, :displace_lost_s], default)
 
   @doc "Whether a vehicle has its name from the configuration."
-  @spec named?(term(), Fleet.Store.vehicle_key()) :: boolean()
+  @spec named?(term(), Store.vehicle_key()) :: boolean()
   def named?(config, key), do: is_map_key(configured_ids(config), key)
 
   @doc """
   A vehicle's public name: the configured one, else `VID-` and the system id with three digits on the default network,
   `{network}-` and the same on others.
   """
-  @spec id(term(), Fleet.Store.vehicle_key()) :: String.t()
+  @spec id(term(), Store.vehicle_key()) :: String.t()
   def id(config, {network, system_id} = key) do
     configured = configured_ids(config)
     default_network = get(config, [:network], "main")

@@ -7,7 +7,8 @@ defmodule Aerie.Vehicle.Outbound do
   counted as `{:identity, :held}`.
   """
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Names, Store, Vehicle}
+  alias Aerie.Identity.Pulse
   alias Aerie.Vehicle.Identity
   alias MavCodec.Encoder
 
@@ -48,7 +49,7 @@ defmodule Aerie.Vehicle.Outbound do
     do: Aerie.Router.send(outbound.gateway, outbound.options.key, bytes, link: link)
 
   defp sent(outbound, %module{}) do
-    Fleet.Store.count(outbound.gateway, {:sent, module.id()})
+    Store.count(outbound.gateway, {:sent, module.id()})
     outbound
   end
 
@@ -58,15 +59,15 @@ defmodule Aerie.Vehicle.Outbound do
   """
   @spec heartbeat(t(), 1 | 2, by :: term()) :: t()
   def heartbeat(%{gateway: gateway, options: options} = outbound, version, by \\ nil) do
-    with {:alive, []} <- {:alive, Identity.Pulse.silent(gateway, options.key)},
+    with {:alive, []} <- {:alive, Pulse.silent(gateway, options.key)},
          way when way != nil <- Aerie.Router.way(gateway, options.key, if(by, do: [link: by], else: [])),
-         false <- Fleet.Store.claimed?(gateway, {:withheld, way}, @withheld_ms),
-         true <- Fleet.Store.claim(gateway, {:heartbeat, way}, @heartbeat_ms) do
-      state = if Identity.Pulse.any_silent?(gateway), do: :critical, else: :active
+         false <- Store.claimed?(gateway, {:withheld, way}, @withheld_ms),
+         true <- Store.claim(gateway, {:heartbeat, way}, @heartbeat_ms) do
+      state = if Pulse.any_silent?(gateway), do: :critical, else: :active
       send(outbound, Identity.heartbeat(options, state), version, by)
     else
       {:alive, _silent} ->
-        Fleet.Store.count(gateway, {:identity, :held})
+        Store.count(gateway, {:identity, :held})
         outbound
 
       _nowhere_or_done ->
@@ -81,8 +82,8 @@ defmodule Aerie.Vehicle.Outbound do
   @spec withhold(t()) :: :ok
   def withhold(%{gateway: gateway} = outbound) do
     with way when way != nil <- Aerie.Router.way(gateway, outbound.options.key) do
-      Fleet.Store.claim(gateway, {:withheld, way}, 1)
-      Fleet.Store.count(gateway, {:identity, :withheld})
+      Store.claim(gateway, {:withheld, way}, 1)
+      Store.count(gateway, {:identity, :withheld})
       :ok
     else
       nil -> :ok
@@ -96,7 +97,7 @@ defmodule Aerie.Vehicle.Outbound do
   end
 
   defp unsent(outbound) do
-    _count = Fleet.Store.count(outbound.gateway, {:vehicle, outbound.options.id, :unsent})
+    _count = Store.count(outbound.gateway, {:vehicle, outbound.options.id, :unsent})
     outbound
   end
 end

@@ -14,17 +14,17 @@ defmodule Aerie.Vehicle.Places do
   follows from its network and system id, so it is the same when it comes back.
   """
 
-  alias Aerie.{Fleet, Gateway, Names, Vehicle}
+  alias Aerie.{Fleet, Gateway, Names, Store, Vehicle}
 
   require Logger
 
   @default_wait_s 60.0
 
   @typedoc "`since`: when it was lost, in ms of any clock; `armed`: when last heard; `named`: in the configuration."
-  @type lost :: %{key: Fleet.Store.vehicle_key(), since: integer(), armed: boolean(), named: boolean()}
+  @type lost :: %{key: Store.vehicle_key(), since: integer(), armed: boolean(), named: boolean()}
 
   @doc "The one whose place is taken `now` by one that has been waiting for `wait_ms` of their being lost, or nil."
-  @spec pick([lost()], wait_ms :: number(), now :: integer()) :: Fleet.Store.vehicle_key() | nil
+  @spec pick([lost()], wait_ms :: number(), now :: integer()) :: Store.vehicle_key() | nil
   def pick(lost, wait_ms, now) do
     lost
     |> Enum.filter(&(not &1.named and now - &1.since >= wait_ms))
@@ -33,30 +33,30 @@ defmodule Aerie.Vehicle.Places do
   end
 
   @doc "Notes that a vehicle is lost, as of now, or that it is not."
-  @spec note(Names.gateway(), Fleet.Store.vehicle_key(), status :: atom()) :: :ok
-  def note(gateway, key, :lost), do: Fleet.Store.remember(gateway, {:lost, key}, now())
-  def note(gateway, key, _heard), do: Fleet.Store.forget(gateway, {:lost, key})
+  @spec note(Names.gateway(), Store.vehicle_key(), status :: atom()) :: :ok
+  def note(gateway, key, :lost), do: Store.remember(gateway, {:lost, key}, now())
+  def note(gateway, key, _heard), do: Store.forget(gateway, {:lost, key})
 
   @doc "Whose place a vehicle may take now, with how long that one has been lost (ms); nil for nobody's."
-  @spec taken_by(Names.gateway(), Fleet.Store.vehicle_key()) ::
-          {Fleet.Store.vehicle_key(), non_neg_integer()} | nil
+  @spec taken_by(Names.gateway(), Store.vehicle_key()) ::
+          {Store.vehicle_key(), non_neg_integer()} | nil
   def taken_by(gateway, newcomer) do
     config = Gateway.config(gateway)
     now = now()
 
     with {_network, _system} = key <- pick(lost(gateway, config), wait_ms(gateway, config, newcomer), now) do
-      {key, now - Fleet.Store.recall(gateway, {:lost, key})}
+      {key, now - Store.recall(gateway, {:lost, key})}
     end
   end
 
   defp lost(gateway, config) do
-    for {{:lost, key}, since} <- Fleet.Store.remembered(gateway), Names.whereis(gateway, :tree, key) != nil do
+    for {{:lost, key}, since} <- Store.remembered(gateway), Names.whereis(gateway, :tree, key) != nil do
       %{key: key, since: since, armed: armed?(gateway, key), named: Vehicle.Options.named?(config, key)}
     end
   end
 
   defp armed?(gateway, key) do
-    match?(%{groups: %{mode: %{data: %{armed: true}}}}, Fleet.Store.vehicle(gateway, key))
+    match?(%{groups: %{mode: %{data: %{armed: true}}}}, Store.vehicle(gateway, key))
   end
 
   defp wait_ms(gateway, config, newcomer) do
@@ -68,7 +68,7 @@ defmodule Aerie.Vehicle.Places do
   end
 
   @doc "Tells that a vehicle, whose tree is gone, lost its place: an event of its own, a counter, a line in the log."
-  @spec tell(Names.gateway(), Fleet.Store.vehicle_key(), by :: Fleet.Store.vehicle_key(), non_neg_integer()) ::
+  @spec tell(Names.gateway(), Store.vehicle_key(), by :: Store.vehicle_key(), non_neg_integer()) ::
           :ok
   def tell(gateway, {network, system} = key, by, lost_ms) do
     config = Gateway.config(gateway)
@@ -79,7 +79,7 @@ defmodule Aerie.Vehicle.Places do
     {detector, [event], _params} = Vehicle.Detector.observe(detector, observation)
     Fleet.Journal.commit(gateway, options.id, detector, [event])
     Vehicle.Events.told(gateway, options.id, event)
-    Fleet.Store.count(gateway, {:vehicles, :displaced})
+    Store.count(gateway, {:vehicles, :displaced})
 
     :telemetry.execute([:aerie, :vehicle, :displaced], %{lost_ms: lost_ms}, %{
       gateway: gateway,

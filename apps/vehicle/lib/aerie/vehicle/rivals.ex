@@ -11,6 +11,8 @@ defmodule Aerie.Vehicle.Rivals do
   A way is a link's id, or that with one of its peers where several bring the system.
   """
 
+  alias Aerie.Router.Apart
+
   @hold_us 60_000_000
   @silent_us 5_000_000
   @max_ways 32
@@ -137,17 +139,9 @@ defmodule Aerie.Vehicle.Rivals do
         do: for(side <- [kept, other], do: Enum.reject(side, &(not is_tuple(&1) and peers?(side, &1)))),
         else: sides
 
-    for side <- sides, do: side |> Enum.map(&text/1) |> Enum.sort()
+    for side <- sides, do: side |> Enum.map(&Apart.text/1) |> Enum.sort()
   end
 
   # Before the other one came the link alone was name enough.
   defp peers?(side, link), do: Enum.any?(side, &match?({^link, _peer}, &1))
-
-  @doc "A way in words: its link, with the peer where that is an address."
-  @spec text(way()) :: String.t()
-  def text({link, {address, port}}) when is_tuple(address) and is_integer(port),
-    do: "#{link} (#{Aerie.Link.Spec.Address.format(address, port)})"
-
-  def text({link, _peer}), do: to_string(link)
-  def text(link), do: to_string(link)
 end

@@ -13,7 +13,8 @@ defmodule Aerie.Vehicle.Session do
   """
   use GenServer
 
-  alias Aerie.{Fleet, HostClock, Names, Vehicle}
+  alias Aerie.{Fleet, HostClock, Identity, Names, Store, Vehicle}
+  alias Aerie.Router.Stations
 
   @tick_ms 100
   @set_us 3_000_000
@@ -30,7 +31,7 @@ defmodule Aerie.Vehicle.Session do
     Process.set_label({:session, options.id})
     # Whoever has frames of the vehicle may remember that there is no session.
     Names.changed()
-    snapshot = Fleet.Store.vehicle(gateway, options.key)
+    snapshot = Store.vehicle(gateway, options.key)
     again()
 
     state = %{
@@ -94,7 +95,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   def handle_info({:pulse, pulse, tag}, state) do
-    Vehicle.Identity.Pulse.answer(pulse, tag)
+    Identity.Pulse.answer(pulse, tag)
     {:noreply, state}
   end
 
@@ -107,7 +108,7 @@ defmodule Aerie.Vehicle.Session do
     do: %{state | ticks: ticks + 1}
 
   defp look_around(state, _now) do
-    stations = Fleet.Stations.list(state.gateway, state.options.network)
+    stations = Stations.list(state.gateway, state.options.network)
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     state = %{state | ticks: state.ticks + 1, core: core}
     if Fleet.Wants.sweep(state.gateway, state.options.key), do: wants(state, nil), else: state
@@ -129,7 +130,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp speed(gateway, link) do
-    case Fleet.Store.link(gateway, link) do
+    case Store.link(gateway, link) do
       %{kind: :replay, spec: %{speed: speed}} when is_number(speed) -> speed
       %{kind: :replay} -> 1.0
       %{} -> :live
@@ -179,7 +180,7 @@ defmodule Aerie.Vehicle.Session do
         recording: Aerie.Recorder.shown(state.gateway, {:vehicle, key})
       })
 
-    Fleet.Store.put_vehicle(state.gateway, key, snapshot)
+    Store.put_vehicle(state.gateway, key, snapshot)
     state
   end
 
@@ -224,7 +225,7 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:count, counter}, state) do
-    Fleet.Store.count(state.gateway, {:vehicle, state.options.id, counter})
+    Store.count(state.gateway, {:vehicle, state.options.id, counter})
     state
   end
 

@@ -10,7 +10,10 @@ defmodule Aerie.Vehicle.Streams do
   kept in the store (`Aerie.Fleet.Wants`) and outlive the session.
   """
 
-  alias Aerie.Fleet.{Store, Wants}
+  @behaviour Aerie.Router.Requests
+
+  alias Aerie.Fleet.Wants
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Vehicle.Streams.Intercept
   alias MavCodec.Frame
@@ -33,6 +36,7 @@ defmodule Aerie.Vehicle.Streams do
   end
 
   @doc "A client is gone: all that it wanted of all vehicles is taken back."
+  @impl Aerie.Router.Requests
   @spec forget(Names.gateway(), Wants.client()) :: :ok
   def forget(gateway, client), do: gateway |> Wants.forget(client) |> Enum.each(&tell(gateway, &1, nil))
 
@@ -44,6 +48,7 @@ defmodule Aerie.Vehicle.Streams do
   and not noted. While a vehicle is reached by links of high latency only, the answer is that it cannot be done now. With `mavlink.request_streams` off
   everything is forwarded.
   """
+  @impl Aerie.Router.Requests
   @spec intercept(Names.gateway(), network :: String.t(), Wants.client(), Frame.t()) ::
           :forward | {:absorb, binary() | nil}
   def intercept(gateway, network, client, frame) do
@@ -78,6 +83,7 @@ defmodule Aerie.Vehicle.Streams do
   end
 
   @doc "Whether a frame is a request for a rate: cheap, for every frame on its way to a vehicle."
+  @impl Aerie.Router.Requests
   @spec request?(Frame.t()) :: boolean()
   defdelegate request?(frame), to: Intercept
 

@@ -6,15 +6,16 @@ defmodule Aerie.Vehicle.Supervisor do
   Aerie.Vehicle.Supervisor        rest_for_one
   ├─ dynamic supervisor           one Aerie.Vehicle.Tree (temporary) per {network, system_id}, at most `max_vehicles`
   ├─ Aerie.Vehicle.Keeper         starts a tree that died again: at once, then with a growing delay
-  └─ Aerie.Vehicle.Identity.Pulse asks all loops whether they still turn: what the gateway's heartbeat stands for
+  └─ Aerie.Identity.Pulse asks all loops whether they still turn: what the gateway's heartbeat stands for
   ```
 
   The trees are temporary so that one vehicle whose frames crash its session over and over never uses up a restart
   budget that all vehicles share; the keeper bounds how often it is tried.
   """
   use Supervisor
+  @behaviour Aerie.Router.Vehicles
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Fleet, Identity, Names, Store, Vehicle}
 
   @default_max_vehicles 256
 
@@ -30,7 +31,8 @@ defmodule Aerie.Vehicle.Supervisor do
   says about the vehicle (see `Aerie.Vehicle.Options`). Errors: `:too_many` when `max_vehicles` are there and none of
   them makes room (`Aerie.Vehicle.Places`; counted as `{:vehicles, :refused}`), `:not_running` when the gateway is going down or its vehicles are being restarted.
   """
-  @spec ensure(Names.gateway(), Fleet.Store.vehicle_key(), keyword()) ::
+  @impl Aerie.Router.Vehicles
+  @spec ensure(Names.gateway(), Store.vehicle_key(), keyword()) ::
           {:ok, pid()} | {:error, :too_many | :not_running}
   def ensure(gateway, {_network, _system} = key, options \\ []) do
     case Names.whereis(gateway, :session, key) do
@@ -40,7 +42,7 @@ defmodule Aerie.Vehicle.Supervisor do
   end
 
   @doc "Ends a vehicle's tree and forgets its snapshot. Unknown vehicles are fine."
-  @spec remove(Names.gateway(), Fleet.Store.vehicle_key()) :: :ok
+  @spec remove(Names.gateway(), Store.vehicle_key()) :: :ok
   def remove(gateway, key) do
     with keeper when is_pid(keeper) <- Names.whereis(gateway, :keeper), do: Vehicle.Keeper.forget(keeper, key)
     end_tree(gateway, key)
@@ -48,7 +50,7 @@ defmodule Aerie.Vehicle.Supervisor do
 
   @doc false
   # For the keeper, which must not watch the tree any more.
-  @spec end_tree(Names.gateway(), Fleet.Store.vehicle_key()) :: :ok
+  @spec end_tree(Names.gateway(), Store.vehicle_key()) :: :ok
   def end_tree(gateway, key) do
     # It may have ended by itself meanwhile.
     _ended =
@@ -57,13 +59,13 @@ defmodule Aerie.Vehicle.Supervisor do
       end
 
     Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.Gateway.config(gateway), key))
-    Fleet.Store.forget(gateway, {:lost, key})
+    Store.forget(gateway, {:lost, key})
     Aerie.Recorder.forget(gateway, key)
-    Fleet.Store.delete_vehicle(gateway, key)
+    Store.delete_vehicle(gateway, key)
   end
 
   @doc "Keys of the vehicles that have a tree."
-  @spec keys(Names.gateway()) :: [Fleet.Store.vehicle_key()]
+  @spec keys(Names.gateway()) :: [Store.vehicle_key()]
   def keys(gateway) do
     Registry.select(Aerie.Registry, [{{{gateway, :tree, :"$1"}, :_, :_}, [], [:"$1"]}])
   end
@@ -77,7 +79,7 @@ defmodule Aerie.Vehicle.Supervisor do
     children = [
       {DynamicSupervisor, name: Names.via(gateway, :vehicle_trees), max_children: max},
       {Vehicle.Keeper, gateway: gateway},
-      {Vehicle.Identity.Pulse, gateway: gateway, config: Keyword.get(options, :config)}
+      {Identity.Pulse, gateway: gateway, config: Keyword.get(options, :config)}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)
@@ -103,7 +105,7 @@ defmodule Aerie.Vehicle.Supervisor do
   end
 
   defp refused(gateway) do
-    Fleet.Store.count(gateway, {:vehicles, :refused})
+    Store.count(gateway, {:vehicles, :refused})
     {:error, :too_many}
   end
 

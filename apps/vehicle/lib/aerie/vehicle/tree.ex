@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.Tree do
   """
   use Supervisor, restart: :temporary
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Names, Store, Vehicle}
 
   @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options) do
@@ -18,7 +18,7 @@ defmodule Aerie.Vehicle.Tree do
   end
 
   @doc "All trees of a gateway with the options they were started with."
-  @spec all(Names.gateway()) :: [{Fleet.Store.vehicle_key(), pid(), keyword()}]
+  @spec all(Names.gateway()) :: [{Store.vehicle_key(), pid(), keyword()}]
   def all(gateway) do
     Registry.select(Aerie.Registry, [
       {{{gateway, :tree, :"$1"}, :"$2", :"$3"}, [], [{{:"$1", :"$2", :"$3"}}]}

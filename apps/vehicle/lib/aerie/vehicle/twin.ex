@@ -8,7 +8,7 @@ defmodule Aerie.Vehicle.Twin do
 
   Each reading comes with its link. Which links brought which value (`links/2`) tells an operator where to look, and a
   router that such links do not carry the same vehicle twice. The moment of the boot is compared within one kind of message
-  (`Aerie.Vehicle.BootClock` says why), and only jumps to and fro count: a clock that counts something else than
+  (`Aerie.Mavlink.BootClock` says why), and only jumps to and fro count: a clock that counts something else than
   milliseconds runs away in one direction. A second link that is late by half a minute or less shows the
   same boot earlier and by itself: links apart and moments near is a delay, no twin, unless its places are where the vehicle
   cannot have been (`Aerie.Vehicle.Core.Intake`).

@@ -138,12 +138,13 @@ defmodule Aerie.Bridge.EventsTest do
   test "kill -9 of the whole gateway while NATS is away: all events are on disk", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Config, Fleet}
+    alias Aerie.{Bridge, Config, Fleet, Store}
+    alias Aerie.Store.PubSub
     config = Config.default([{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Fleet.Store.start_link(gateway: :g)
-    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
+    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.Gateway.plugs(%{}))
+    {:ok, _} = PubSub.start_link(gateway: :g)
     {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
-    Fleet.PubSub.subscribe(:g, :bridge)
+    PubSub.subscribe(:g, :bridge)
     events = for seq <- 1..1000, do: Aerie.Vehicle.Event.new("A", "statustext", seq, seq, nil, %{"n" => seq})
     Fleet.Journal.commit(:g, "A", :state, events)
     wait = fn wait ->

@@ -24,8 +24,8 @@ defmodule Aerie.Bridge.MemoryTest do
   defp hear(gateway, what) do
     port =
       eventually(fn ->
-        match?(%{status: s} when s != :down, Fleet.Store.link(gateway, "radio")) and
-          Fleet.Store.link(gateway, "radio")[:port]
+        match?(%{status: s} when s != :down, Store.link(gateway, "radio")) and
+          Store.link(gateway, "radio")[:port]
       end)
 
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}])
@@ -34,10 +34,10 @@ defmodule Aerie.Bridge.MemoryTest do
     eventually(fn ->
       :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, MavCodec.encode(heartbeat(what), system: 7))
       Process.sleep(50)
-      match?(%{groups: %{mode: %{data: %{mode: ^mode}}}}, Fleet.Store.vehicle(gateway, {"main", 7}))
+      match?(%{groups: %{mode: %{data: %{mode: ^mode}}}}, Store.vehicle(gateway, {"main", 7}))
     end)
 
-    Fleet.Store.vehicle(gateway, {"main", 7}).id
+    Store.vehicle(gateway, {"main", 7}).id
   end
 
   defp gateway_config(dir) do
@@ -117,12 +117,13 @@ defmodule Aerie.Bridge.MemoryTest do
   test "kill -9 keeps it too, and is told", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Config, Fleet}
+    alias Aerie.{Config, Fleet, Store}
+    alias Aerie.Store.PubSub
     config = Config.default([{"nats.port", 0}, {"nats.store_dir", #{inspect(Path.join(dir, "nats"))}},
       {"environment", "test"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}, {"mavlink.local_addr", "off"},
       {"sockets.enabled", false}, {"links", [%{"id" => "radio", "url" => "udpin:127.0.0.1:0"}]}])
     {:ok, _} = Aerie.Gateway.start_link(name: :g, config: config)
-    await = fn await -> case Fleet.Store.link(:g, "radio") do
+    await = fn await -> case Store.link(:g, "radio") do
       %{port: port} when is_integer(port) -> port
       _ -> Process.sleep(20); await.(await)
     end end
@@ -157,8 +158,8 @@ defmodule Aerie.Bridge.MemoryTest do
   test "a transition whose event is not out yet is not taken for told", %{tmp_dir: dir} do
     config = config(dir)
     gateway = make_ref()
-    start_supervised!({Fleet.Store, gateway: gateway}, id: :store)
-    start_supervised!({Fleet.PubSub, gateway: gateway}, id: :pubsub)
+    start_supervised!({Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})}, id: :store)
+    start_supervised!({PubSub, gateway: gateway}, id: :pubsub)
     memory = start_supervised!({Memory, gateway: gateway, config: config})
     detector = %{detector() | last: %{armed: true}}
     :ok = Fleet.Journal.commit(gateway, "A", detector, [])
@@ -176,8 +177,8 @@ defmodule Aerie.Bridge.MemoryTest do
 
   test "a vehicle of a recording is not kept: it is not out there", %{tmp_dir: dir} do
     gateway = start_memory(dir)
-    Fleet.Store.put_link(gateway, "file", %{id: "file", kind: :replay})
-    Fleet.Store.put_vehicle(gateway, {"main", 1}, %{id: "A", links: ["file"]})
+    Store.put_link(gateway, "file", %{id: "file", kind: :replay})
+    Store.put_vehicle(gateway, {"main", 1}, %{id: "A", links: ["file"]})
 
     for id <- ["A", "B"],
         do: Fleet.Journal.commit(gateway, id, %{detector() | vehicle: id, last: %{armed: true}}, [])
@@ -230,8 +231,8 @@ defmodule Aerie.Bridge.MemoryTest do
 
   defp start_memory(dir) do
     gateway = make_ref()
-    start_supervised!({Fleet.Store, gateway: gateway}, id: {:store, gateway})
-    start_supervised!({Fleet.PubSub, gateway: gateway}, id: {:pubsub, gateway})
+    start_supervised!({Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})}, id: {:store, gateway})
+    start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
     start_supervised!({Memory, gateway: gateway, config: config(dir)}, id: gateway)
     gateway
   end

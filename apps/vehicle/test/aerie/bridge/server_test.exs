@@ -60,12 +60,13 @@ defmodule Aerie.Bridge.ServerTest do
   test "kill -9 of the whole gateway ends its server", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Config, Fleet}
+    alias Aerie.{Bridge, Config, Store}
+    alias Aerie.Store.PubSub
     config = Config.default([{"nats.port", 0}, {"nats.store_dir", #{inspect(Path.join(dir, "nats"))}},
                              {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Fleet.Store.start_link(gateway: :g)
-    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
-    Fleet.PubSub.subscribe(:g, :bridge)
+    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.Gateway.plugs(%{}))
+    {:ok, _} = PubSub.start_link(gateway: :g)
+    PubSub.subscribe(:g, :bridge)
     {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
     wait = fn wait ->
       receive do

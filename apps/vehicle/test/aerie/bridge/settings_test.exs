@@ -114,7 +114,7 @@ defmodule Aerie.Bridge.SettingsTest do
 
   test "metrics have the names, types and help that Prometheus wants" do
     gateway = make_ref()
-    start_supervised!({Aerie.Fleet.Store, gateway: gateway})
+    start_supervised!({Aerie.Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})})
     start_supervised!({Aerie.Bridge.Tables, gateway: gateway})
     tables = Aerie.Bridge.Tables.get(gateway)
     Aerie.Bridge.Tables.count(tables, :published, [subject: "state.position"], 3)

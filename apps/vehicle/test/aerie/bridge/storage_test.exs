@@ -16,13 +16,14 @@ defmodule Aerie.Bridge.StorageTest do
 
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Config, Fleet}
+    alias Aerie.{Bridge, Config, Fleet, Store}
+    alias Aerie.Store.PubSub
     alias Aerie.Vehicle.Event
     disk = #{inspect(disk)}
     config = Config.default([{"nats.port", 0}, {"nats.store_dir", Path.join(disk, "nats")},
                              {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Fleet.Store.start_link(gateway: :g)
-    {:ok, _} = Fleet.PubSub.start_link(gateway: :g)
+    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.Gateway.plugs(%{}))
+    {:ok, _} = PubSub.start_link(gateway: :g)
     {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
     await = fn await, fun -> fun.() || (Process.sleep(20); await.(await, fun)) end
     problem = fn -> Bridge.info(:g).problem end

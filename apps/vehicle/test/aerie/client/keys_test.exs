@@ -2,7 +2,7 @@ defmodule Aerie.Client.KeysTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Client.Keys
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
 
   @moduletag :tmp_dir
 

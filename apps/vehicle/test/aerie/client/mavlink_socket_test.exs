@@ -5,7 +5,7 @@ defmodule Aerie.Client.MavlinkSocketTest do
   import Aerie.LinkCase, only: [eventually: 1, heartbeat: 1, heartbeat: 2, attitude: 2, odometry: 2]
 
   alias Aerie.Client.LengthPrefix
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router
   alias Aerie.Router.Endpoint

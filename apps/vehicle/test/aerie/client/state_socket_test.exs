@@ -6,7 +6,7 @@ defmodule Aerie.Client.StateSocketTest do
   import Bitwise
 
   alias Aerie.Client.{UnixListener, UnixSocket}
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
 
   defp lines(socket), do: receive_line(socket)

@@ -17,10 +17,10 @@ defmodule Aerie.Config.SchemaTest do
   end
 
   test "a secret shows as one" do
-    secret = Aerie.Config.Secret.new("hunter2")
-    assert inspect(secret) == "#Aerie.Config.Secret<hidden>"
-    assert Aerie.Config.Secret.reveal(secret) == "hunter2"
-    assert Aerie.Config.Secret.reveal(nil) == nil
+    secret = Aerie.Secret.new("hunter2")
+    assert inspect(secret) == "#Aerie.Secret<hidden>"
+    assert Aerie.Secret.reveal(secret) == "hunter2"
+    assert Aerie.Secret.reveal(nil) == nil
     assert_raise Protocol.UndefinedError, fn -> JSON.encode!(secret) end
   end
 

@@ -1,7 +1,9 @@
 defmodule Aerie.Fleet.JournalTest do
   use Aerie.GatewayCase, async: true
 
-  alias Aerie.Fleet.{Journal, PubSub, Store}
+  alias Aerie.Fleet.Journal
+  alias Aerie.Store.PubSub
+  alias Aerie.Store
   alias Aerie.Vehicle.Event
 
   defp event(seq, vehicle \\ "A"),

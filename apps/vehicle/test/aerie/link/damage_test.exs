@@ -4,7 +4,7 @@ defmodule Aerie.Link.DamageTest do
 
   import ExUnit.CaptureLog
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link.Counters
   alias Aerie.Link.Damage
 

@@ -6,7 +6,7 @@ defmodule Aerie.Replay.LiveTest do
   use ExUnit.Case, async: true
   use Aerie.GatewayCase
 
-  alias Aerie.Fleet.PubSub
+  alias Aerie.Store.PubSub
   alias Aerie.{Link, Replay}
 
   @moduletag :tmp_dir

@@ -39,7 +39,7 @@ defmodule Aerie.Router.AskedTest do
       vehicle = connect(port)
       :ok = :gen_tcp.send(vehicle, heartbeat(1))
       eventually(fn -> Router.way(gateway, {"main", 1}) end)
-      {:ok, "gcs"} = Router.add_client(gateway, %{url: "tcpin:127.0.0.1:0", id: "gcs"})
+      {:ok, "gcs"} = Aerie.Link.Clients.add(gateway, %{url: "tcpin:127.0.0.1:0", id: "gcs"})
       {:ok, gateway: gateway, vehicle: vehicle, port: Link.snapshot(gateway, "gcs").port}
     end
 

@@ -2,7 +2,7 @@ defmodule Aerie.Router.ForwardTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Router
   alias Aerie.Router.Endpoint
   alias MavCodec.Messages
@@ -547,7 +547,7 @@ defmodule Aerie.Router.ForwardTest do
       put = fn id, received, lost ->
         sources = %{{1, 1} => %{received: received, lost: lost}}
 
-        Aerie.Fleet.Store.put_link(gateway, id, %{
+        Aerie.Store.put_link(gateway, id, %{
           id: id,
           status: :up,
           sources: sources,

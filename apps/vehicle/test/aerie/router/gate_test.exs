@@ -180,7 +180,7 @@ defmodule Aerie.Router.GateTest do
 
   test "clients command as before, and so does whoever calls a link with gcs: allow, from one frame to the next",
        c do
-    {:ok, "gcs"} = Router.add_client(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+    {:ok, "gcs"} = Aerie.Link.Clients.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
     client = udp(Link.snapshot(c.gateway, "gcs").port)
     say(client, gcs(254))
     say(client, disarm(1, 254))

@@ -183,8 +183,8 @@ defmodule Aerie.Router.ModelTest do
               Aerie.Link.Supervisor,
               Aerie.Vehicle.Supervisor,
               Router.Supervisor,
-              Aerie.Fleet.PubSub,
-              Aerie.Fleet.Store
+              Aerie.Store.PubSub,
+              Aerie.Store
             ],
             do: stop_supervised!({module, gateway})
 

@@ -2,7 +2,7 @@ defmodule Aerie.Router.RedundantTest do
   @moduledoc "Groups of redundant links: what is measured of each, and which one carries what."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Router
   alias Aerie.Router.{Carrier, Meter, Routes, Score, Tables}
   alias MavCodec.Messages, as: M

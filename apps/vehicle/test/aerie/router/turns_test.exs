@@ -127,7 +127,7 @@ defmodule Aerie.Router.TurnsTest do
       vehicle = udp(port)
       say(vehicle, heartbeat(1))
       eventually(fn -> Router.way(gateway, {"main", 1}) end)
-      {:ok, "gcs"} = Router.add_client(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+      {:ok, "gcs"} = Aerie.Link.Clients.add(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
       client = Link.snapshot(gateway, "gcs").port
       {:ok, gateway: gateway, vehicle: vehicle, a: udp(client), b: udp(client)}
     end

@@ -2,7 +2,8 @@ defmodule Aerie.Router.WishesTest do
   @moduledoc "Clients' requests for rates on their way to a vehicle, and what a link of high latency carries."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.Fleet.{Store, Wants}
+  alias Aerie.Fleet.Wants
+  alias Aerie.Store
   alias Aerie.Router.Endpoint
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M

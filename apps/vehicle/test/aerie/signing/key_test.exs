@@ -1,7 +1,7 @@
 defmodule Aerie.Signing.KeyTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.Signing.Key
 
   @moduletag :tmp_dir

@@ -5,7 +5,7 @@ defmodule Aerie.Signing.PymavlinkTest do
 
   import Aerie.PythonPeer, only: [start: 2, await: 2]
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.{Router, Signing}
 
   @moduletag :python
@@ -45,19 +45,19 @@ defmodule Aerie.Signing.PymavlinkTest do
     eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
     assert state(gateway) == :unsigned
 
-    assert {:ok, %{link: "usb", key: nil}} = Signing.enrol(gateway, {"main", 7})
+    assert {:ok, %{link: "usb", key: nil}} = Aerie.Enrolment.enrol(gateway, {"main", 7})
     await(peer, "key taken")
     assert state(gateway) == :verified
     hears(peer, "HEARTBEAT 237 signed")
 
     # Rotation: the order is signed with the old key, what follows with the new one.
-    assert {:ok, %{link: "usb", key: key}} = Signing.enrol(gateway, {"main", 7}, key: :generate)
-    assert %Aerie.Config.Secret{} = key
+    assert {:ok, %{link: "usb", key: key}} = Aerie.Enrolment.enrol(gateway, {"main", 7}, key: :generate)
+    assert %Aerie.Secret{} = key
     await(peer, "key taken")
     hears(peer, "HEARTBEAT 237 signed")
     assert Signing.vehicle(gateway, {"main", 7}).key == "main/7"
 
-    assert {:ok, %{link: "usb"}} = Signing.revoke(gateway, {"main", 7})
+    assert {:ok, %{link: "usb"}} = Aerie.Enrolment.revoke(gateway, {"main", 7})
     await(peer, "key given up")
   end
 
@@ -66,11 +66,14 @@ defmodule Aerie.Signing.PymavlinkTest do
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
     peer = start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3"])
     eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
-    assert {:error, text} = Signing.enrol(gateway, "VID-007")
+    assert {:error, text} = Aerie.Enrolment.enrol(gateway, "VID-007")
     assert text =~ "not heard by a link that is marked secure (only by radio)"
-    assert {:error, "link radio is not marked secure" <> _} = Signing.enrol(gateway, "VID-007", link: "radio")
-    assert {:error, "there is no link usb"} = Signing.revoke(gateway, "VID-007", link: "usb")
-    assert {:error, "no vehicle VID-009" <> _} = Signing.enrol(gateway, "VID-009")
+
+    assert {:error, "link radio is not marked secure" <> _} =
+             Aerie.Enrolment.enrol(gateway, "VID-007", link: "radio")
+
+    assert {:error, "there is no link usb"} = Aerie.Enrolment.revoke(gateway, "VID-007", link: "usb")
+    assert {:error, "no vehicle VID-009" <> _} = Aerie.Enrolment.enrol(gateway, "VID-009")
     # Nothing of it went out: what comes next is our heartbeat, or our question for its clock.
     refute await(peer, "heard ") =~ "SETUP_SIGNING"
   end
@@ -83,7 +86,7 @@ defmodule Aerie.Signing.PymavlinkTest do
     eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
     :ok = Router.clear(gateway, {"main", 7})
     silent = [link: "usb", key: :generate, timeout_ms: 300]
-    assert {:error, text} = Signing.enrol(gateway, {"main", 9}, silent)
+    assert {:error, text} = Aerie.Enrolment.enrol(gateway, {"main", 9}, silent)
     assert text =~ "no frame signed with that key came by usb within 300 ms"
     assert Signing.list(gateway).keys |> Enum.map(& &1.key) == ["main/*"]
   end

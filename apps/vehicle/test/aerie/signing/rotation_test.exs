@@ -95,7 +95,7 @@ defmodule Aerie.Signing.RotationTest do
     assert {:ok, same} = Vault.stage(c.gateway, @key, :generate)
     assert Signing.Key.same?(one.secret, same.secret)
     assert {:error, "there is no key from before: " <> _} = Vault.stage(c.gateway, @key, :previous)
-    :ok = Signing.discard(c.gateway, @key)
+    :ok = Aerie.Enrolment.discard(c.gateway, @key)
     assert Signing.list(c.gateway).pending == []
 
     :ok = stage(c.gateway, "first")
@@ -169,7 +169,7 @@ defmodule Aerie.Signing.RotationTest do
       {bytes, signer} = signed(signer(), 1)
       say(c, bytes)
       eventually(fn -> Aerie.Router.way(c.gateway, @key) end)
-      task = Task.async(fn -> Signing.enrol(c.gateway, @key, key: :generate, timeout_ms: 400) end)
+      task = Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: 400) end)
       setup_signing = order(c)
       # Signed with the key in force.
       assert {:signed, _} = MavCodec.Signing.check(signer, setup_signing)
@@ -201,7 +201,7 @@ defmodule Aerie.Signing.RotationTest do
       {bytes, signer} = signed(signer(), 1)
       say(c, bytes)
       eventually(fn -> Aerie.Router.way(c.gateway, @key) end)
-      task = Task.async(fn -> Signing.revoke(c.gateway, @key, timeout_ms: 400) end)
+      task = Task.async(fn -> Aerie.Enrolment.revoke(c.gateway, @key, timeout_ms: 400) end)
       order(c)
       # A camera that never signs.
       for n <- 1..5, do: say(c, heartbeat(1, component: 100, autopilot: 8, seq: n))
@@ -214,13 +214,13 @@ defmodule Aerie.Signing.RotationTest do
       {bytes, signer} = signed(signer(), 1)
       say(c, bytes)
       eventually(fn -> Aerie.Router.way(c.gateway, @key) end)
-      task = Task.async(fn -> Signing.enrol(c.gateway, @key, key: :generate, timeout_ms: 1_000) end)
+      task = Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: 1_000) end)
       order(c)
-      assert {:error, "somebody is just giving that vehicle a key"} = Signing.enrol(c.gateway, @key)
+      assert {:error, "somebody is just giving that vehicle a key"} = Aerie.Enrolment.enrol(c.gateway, @key)
       assert {:error, _} = Task.await(task, Aerie.Patience.ms())
 
-      assert {:error, "key is {:file, " <> _} = Signing.enrol(c.gateway, @key, key: "a passphrase")
-      assert {:error, text} = Signing.enrol(c.gateway, :vid_007)
+      assert {:error, "key is {:file, " <> _} = Aerie.Enrolment.enrol(c.gateway, @key, key: "a passphrase")
+      assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, :vid_007)
       assert text =~ ~s(as "VID-007")
 
       armed = %M.Heartbeat{type: 2, autopilot: 3, base_mode: 209, system_status: 4, mavlink_version: 3}
@@ -232,10 +232,10 @@ defmodule Aerie.Signing.RotationTest do
       end)
 
       eventually(fn ->
-        match?(%{groups: %{mode: %{data: %{armed: true}}}}, Aerie.Fleet.Store.vehicle(c.gateway, @key))
+        match?(%{groups: %{mode: %{data: %{armed: true}}}}, Aerie.Store.vehicle(c.gateway, @key))
       end)
 
-      assert {:error, text} = Signing.enrol(c.gateway, @key)
+      assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, @key)
       assert text =~ "is armed"
     end
   end

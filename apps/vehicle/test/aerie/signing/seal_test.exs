@@ -3,7 +3,7 @@ defmodule Aerie.Signing.SealTest do
   use ExUnit.Case, async: true
   use Aerie.SigningCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Router.Endpoint
   alias Aerie.{Router, Signing}
   alias MavCodec.{Frame, Parser}
@@ -150,7 +150,7 @@ defmodule Aerie.Signing.SealTest do
 
       key = :binary.copy(<<0xAB>>, 32)
       setup = MavCodec.encode(%M.SetupSigning{target_system: 1, secret_key: key}, system: 237, component: 191)
-      marked = {:secret, nil, Aerie.Config.Secret.new(setup)}
+      marked = {:secret, nil, Aerie.Secret.new(setup)}
       refute inspect(marked) =~ "AB"
       assert Signing.seal(c.gateway, "radio", :a, marked) == setup
       refute IO.iodata_to_binary(Signing.shown(marked, setup)) =~ key

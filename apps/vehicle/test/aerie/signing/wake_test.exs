@@ -6,7 +6,7 @@ defmodule Aerie.Signing.WakeTest do
   use ExUnit.Case, async: true
   use Aerie.SigningCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Signing
 
   @moduletag :tmp_dir

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.CollisionTest do
   use Aerie.GatewayCase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Vehicle.Collision
 
   @key {"main", 1}

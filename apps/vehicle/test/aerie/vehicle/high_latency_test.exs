@@ -133,8 +133,11 @@ defmodule Aerie.Vehicle.HighLatencyTest do
       %M.ManualControl{}
     ]
 
-    for message <- carried, do: assert(HighLatency.carries?(frame(message, 1)), inspect(message))
-    for message <- not_carried, do: refute(HighLatency.carries?(frame(message, 1)), inspect(message))
+    for message <- carried,
+        do: assert(Aerie.Mavlink.HighLatency.carries?(frame(message, 1)), inspect(message))
+
+    for message <- not_carried,
+        do: refute(Aerie.Mavlink.HighLatency.carries?(frame(message, 1)), inspect(message))
   end
 
   test "MAV_CMD_CONTROL_HIGH_LATENCY" do

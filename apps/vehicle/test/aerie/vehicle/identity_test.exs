@@ -2,7 +2,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   @moduledoc "The gateway's own heartbeat over a real UDP link, while its loops are suspended and come back."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Names, Store, Vehicle}
   alias Aerie.Vehicle.{Identity, Options}
   alias MavCodec.{Frame, Parser}
 
@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     end
   end
 
-  defp silent?(gateway, tag), do: eventually(fn -> tag in Identity.status(gateway).silent end)
+  defp silent?(gateway, tag), do: eventually(fn -> tag in Aerie.Identity.status(gateway).silent end)
 
   test "H1, H2, R10: an on-board computer's heartbeat under our own ids, again and again" do
     {_gateway, _port, socket} = flying()
@@ -72,7 +72,7 @@ defmodule Aerie.Vehicle.IdentityTest do
       refute heard(socket, 1_300)
       :ok = :sys.resume(pid)
       assert heard(socket, 10_000)
-      eventually(fn -> Identity.status(gateway).silent == [] end)
+      eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
     end
   end
 
@@ -89,7 +89,7 @@ defmodule Aerie.Vehicle.IdentityTest do
       silent?(gateway, {unquote(role), nil})
       drain(socket)
       refute heard(socket, 2_500)
-      assert Fleet.Store.counter(gateway, {:identity, :held}) > 0
+      assert Store.counter(gateway, {:identity, :held}) > 0
       :ok = :sys.resume(pid)
       assert {:ok, %{system_status: 4}} = socket |> heard(10_000) |> MavCodec.decode()
     end
@@ -100,7 +100,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     gateway = start_parts(%{mavlink: mavlink})
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", options: [high_latency: true])
     socket = vehicle(port, 1)
-    eventually(fn -> match?(%{high_latency: %{only?: true}}, Fleet.Store.vehicle(gateway, {"main", 1})) end)
+    eventually(fn -> match?(%{high_latency: %{only?: true}}, Store.vehicle(gateway, {"main", 1})) end)
     :ok = Vehicle.HighLatency.request(gateway, {"main", 1}, true)
     # It is the first thing that comes.
     assert {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
@@ -128,14 +128,14 @@ defmodule Aerie.Vehicle.IdentityTest do
     drain(two)
     assert {:ok, %{system_status: 5}} = MavCodec.decode(heard(one, 10_000))
     refute heard(two, 1_300)
-    assert %{alive: true, silent: [{:session, {"main", 2}}]} = Identity.status(gateway)
+    assert %{alive: true, silent: [{:session, {"main", 2}}]} = Aerie.Identity.status(gateway)
   end
 
   test "what is held back is counted" do
     {gateway, _port, socket} = flying()
     assert heard(socket, 10_000)
     :ok = :sys.suspend(Names.whereis(gateway, :store))
-    eventually(fn -> Fleet.Store.counter(gateway, {:identity, :held}) > 0 end)
+    eventually(fn -> Store.counter(gateway, {:identity, :held}) > 0 end)
   end
 
   test "a vehicle that is removed is asked no more" do
@@ -145,11 +145,11 @@ defmodule Aerie.Vehicle.IdentityTest do
     silent?(gateway, {:events, {"main", 1}})
     :sys.resume(Names.whereis(gateway, :events, {"main", 1}))
     :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
-    eventually(fn -> Identity.status(gateway).silent == [] end)
+    eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
   end
 
   test "without a gateway nothing is alive" do
-    assert %{alive: false, silent: [{:pulse, nil}]} = Identity.status(make_ref())
+    assert %{alive: false, silent: [{:pulse, nil}]} = Aerie.Identity.status(make_ref())
   end
 
   describe "who we are" do

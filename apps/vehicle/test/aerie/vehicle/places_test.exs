@@ -7,7 +7,8 @@ defmodule Aerie.Vehicle.PlacesTest do
 
   @moduletag :capture_log
 
-  alias Aerie.{Fleet, Names, Router, Vehicle}
+  alias Aerie.{Fleet, Names, Router, Store, Vehicle}
+  alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Places
   alias MavCodec.Messages, as: M
 
@@ -73,7 +74,7 @@ defmodule Aerie.Vehicle.PlacesTest do
       limits = Map.merge(%{max_vehicles: 2, displace_lost_s: 0}, limits)
       config = Map.merge(%{limits: limits, timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.2}}, more)
       gateway = start_gateway(config, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
-      Fleet.PubSub.subscribe(gateway, :events)
+      PubSub.subscribe(gateway, :events)
       gateway
     end
 
@@ -85,7 +86,7 @@ defmodule Aerie.Vehicle.PlacesTest do
 
     defp await_lost(id), do: assert_receive({:fleet, :events, %{type: "link.lost", vehicle: ^id}}, 5000)
 
-    defp names(gateway), do: gateway |> Fleet.Store.vehicles() |> Enum.map(& &1.id)
+    defp names(gateway), do: gateway |> Store.vehicles() |> Enum.map(& &1.id)
 
     # The event is committed just before the status is shown and noted.
     defp await_noted(gateway, key), do: :sys.get_state(Names.via(gateway, :session, key))
@@ -103,8 +104,8 @@ defmodule Aerie.Vehicle.PlacesTest do
       assert %{"by" => "VID-003", "lost_s" => lost_s} = data
       assert is_float(lost_s)
       assert log =~ "VID-001, lost for" and log =~ "makes room for VID-003"
-      assert Fleet.Store.counter(gateway, {:vehicles, :displaced}) == 1
-      assert Fleet.Store.counter(gateway, {:vehicles, :refused}) == 0
+      assert Store.counter(gateway, {:vehicles, :displaced}) == 1
+      assert Store.counter(gateway, {:vehicles, :refused}) == 0
       eventually(fn -> Enum.sort(Vehicle.Supervisor.keys(gateway)) == [{"main", 2}, {"main", 3}] end)
       eventually(fn -> names(gateway) == ["VID-002", "VID-003"] end)
     end
@@ -116,7 +117,7 @@ defmodule Aerie.Vehicle.PlacesTest do
       for system <- [1, 2], do: await_noted(gateway, {"main", system})
       # It was never here: both are not lost for long enough.
       assert %{refused: 1} = beat(gateway, 3)
-      assert Fleet.Store.counter(gateway, {:vehicles, :refused}) == 1
+      assert Store.counter(gateway, {:vehicles, :refused}) == 1
 
       Vehicle.Supervisor.remove(gateway, {"main", 1})
       beat(gateway, 4)
@@ -167,7 +168,7 @@ defmodule Aerie.Vehicle.PlacesTest do
         |> Task.await_many(Aerie.Patience.ms())
 
       assert [{:error, :too_many}, {:ok, _}, {:ok, _}] = Enum.sort(answers)
-      assert Fleet.Store.counter(gateway, {:vehicles, :displaced}) == 2
+      assert Store.counter(gateway, {:vehicles, :displaced}) == 2
     end
   end
 
@@ -175,7 +176,7 @@ defmodule Aerie.Vehicle.PlacesTest do
     gateway = start_gateway()
     event = &Vehicle.Event.new(&1, "armed", 1, 0, nil, %{})
     for n <- 1..1030, id = "V#{n}", do: Fleet.Journal.commit(gateway, id, %{seq: 1}, [event.(id)])
-    Fleet.Store.count(gateway, {:vehicle, "V1", :odd})
+    Store.count(gateway, {:vehicle, "V1", :odd})
     for n <- 1..1024, do: Fleet.Journal.forget_vehicle(gateway, "V#{n}")
     Fleet.Journal.forget_vehicle(gateway, "V1")
     assert Fleet.Journal.state(gateway, "V1") == %{seq: 1}
@@ -188,8 +189,8 @@ defmodule Aerie.Vehicle.PlacesTest do
     assert Fleet.Journal.recent(gateway, "V3") == []
     # What waits for NATS is not theirs to take along.
     assert Fleet.Journal.pending_size(gateway) == 1030
-    assert Fleet.Store.counter(gateway, {:vehicle, "V1", :odd}) == 1
+    assert Store.counter(gateway, {:vehicle, "V1", :odd}) == 1
     for n <- 2001..3030, do: Fleet.Journal.forget_vehicle(gateway, "V#{n}")
-    assert Fleet.Store.counter(gateway, {:vehicle, "V1", :odd}) == 0
+    assert Store.counter(gateway, {:vehicle, "V1", :odd}) == 0
   end
 end

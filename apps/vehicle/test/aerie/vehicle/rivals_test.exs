@@ -56,10 +56,10 @@ defmodule Aerie.Vehicle.RivalsTest do
     assert Rivals.words(["udp", one], [other]) == [["udp (10.0.0.1:5)"], ["udp (10.0.0.1:6)"]]
     assert Rivals.words(["udp", one], [{"b", :remote}]) == [["udp"], ["b"]]
     assert Rivals.words([], []) == [[], []]
-    assert Rivals.text("a") == "a"
-    assert Rivals.text({"a", :remote}) == "a"
-    assert Rivals.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
-    assert Rivals.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
+    assert Aerie.Router.Apart.text("a") == "a"
+    assert Aerie.Router.Apart.text({"a", :remote}) == "a"
+    assert Aerie.Router.Apart.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
+    assert Aerie.Router.Apart.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
   end
 
   test "a clock that is set ends no minute and begins none" do

@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.SessionTest do
 
   import Aerie.Flight, only: [frame: 2, frame: 3, frames: 1, pick: 2, run: 1]
 
-  alias Aerie.{Fleet, Names, Router, Vehicle}
+  alias Aerie.{Fleet, Names, Router, Store, Vehicle}
+  alias Aerie.Store.PubSub
   alias MavCodec.Messages, as: M
 
   @copter %M.Heartbeat{type: 2, autopilot: 3, base_mode: 81, custom_mode: 4, system_status: 3}
@@ -31,8 +32,8 @@ defmodule Aerie.Vehicle.SessionTest do
 
   test "an autopilot's heartbeat makes a vehicle, which is shown and whose events are in the journal" do
     gateway = gateway()
-    Fleet.PubSub.subscribe(gateway, :events)
-    Fleet.PubSub.subscribe(gateway, {:vehicle, "VID-007"})
+    PubSub.subscribe(gateway, :events)
+    PubSub.subscribe(gateway, {:vehicle, "VID-007"})
     armed = %{@copter | base_mode: 0xD1}
     deliver(gateway, [frame(@copter, at(1), system: 7), frame(armed, at(2), system: 7)])
 
@@ -40,7 +41,7 @@ defmodule Aerie.Vehicle.SessionTest do
     assert_receive {:fleet, {:vehicle, "VID-007"}, %{groups: %{mode: %{data: %{armed: true}}}}}
 
     assert [%{id: "VID-007", status: :online, links: ["radio"], vehicle_type: "copter"}] =
-             Fleet.Store.vehicles(gateway)
+             Store.vehicles(gateway)
 
     assert [%{type: "armed"}] = Fleet.Journal.pending(gateway)
   end
@@ -50,15 +51,15 @@ defmodule Aerie.Vehicle.SessionTest do
     deliver(gateway, [frame(%M.Heartbeat{type: 6, autopilot: 8}, at(1), system: 255, component: 190)])
     deliver(gateway, [frame(%M.Heartbeat{type: 26, autopilot: 8}, at(1), system: 1, component: 154)])
     assert Vehicle.Supervisor.keys(gateway) == []
-    assert Fleet.Store.vehicles(gateway) == []
+    assert Store.vehicles(gateway) == []
   end
 
   test "silence is noticed by the clock, without any frame" do
     gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.3}})
-    Fleet.PubSub.subscribe(gateway, :events)
+    PubSub.subscribe(gateway, :events)
     deliver(gateway, [frame(@copter, at(1))])
     assert_receive {:fleet, :events, %{type: "link.lost", time: 1_300_000}}
-    assert %{status: :lost} = Fleet.Store.vehicle(gateway, "VID-001")
+    assert %{status: :lost} = Store.vehicle(gateway, "VID-001")
     deliver(gateway, [frame(@copter, at(100))])
     assert_receive {:fleet, :events, %{type: "link.restored", time: 100_000_000}}
   end
@@ -70,7 +71,7 @@ defmodule Aerie.Vehicle.SessionTest do
     end
 
     defp live(gateway, frames) do
-      Fleet.Store.put_link(gateway, "radio", %{id: "radio", kind: :udp_server, network: "main"})
+      Store.put_link(gateway, "radio", %{id: "radio", kind: :udp_server, network: "main"})
       deliver(gateway, frames)
       settle(gateway, {"main", 1})
     end
@@ -79,7 +80,7 @@ defmodule Aerie.Vehicle.SessionTest do
       test "by #{step} s: a silent vehicle is lost when it would have been, its age is what it was" do
         step = at(unquote(step))
         gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.5, vehicle_lost_s: 1.0}})
-        Fleet.PubSub.subscribe(gateway, :events)
+        PubSub.subscribe(gateway, :events)
         heard = System.os_time(:microsecond)
         # The second read is known to be live.
         live(gateway, [frame(@copter, heard - 1_000)])
@@ -87,7 +88,7 @@ defmodule Aerie.Vehicle.SessionTest do
         set_clock(gateway, step)
         # Two clocks are not read in the same microsecond.
         near? = &(abs(&1 - &2) < 20_000)
-        eventually(fn -> near?.(Fleet.Store.vehicle(gateway, "VID-001").last_heard, heard + step) end)
+        eventually(fn -> near?.(Store.vehicle(gateway, "VID-001").last_heard, heard + step) end)
         assert_receive {:fleet, :events, %{type: "link.lost", time: lost}}
         assert near?.(lost, heard + step + @second)
         # What comes next comes by the new time.
@@ -99,7 +100,7 @@ defmodule Aerie.Vehicle.SessionTest do
     test "a recording's time is its own" do
       gateway = gateway()
       link = %{id: "radio", kind: :replay, network: "main", spec: %{speed: 1.0}}
-      Fleet.Store.put_link(gateway, "radio", link)
+      Store.put_link(gateway, "radio", link)
       deliver(gateway, [frame(@copter, at(1))])
       deliver(gateway, [frame(@copter, at(2))])
       settle(gateway, {"main", 1})
@@ -112,7 +113,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
   test "who is killed while the vehicle is silent still notices that it is lost" do
     gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.3}})
-    Fleet.PubSub.subscribe(gateway, :events)
+    PubSub.subscribe(gateway, :events)
     deliver(gateway, [frame(@copter, at(1))])
     settle(gateway, {"main", 1})
     Process.exit(Names.whereis(gateway, :session, {"main", 1}), :kill)
@@ -247,7 +248,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
       eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end)
       assert Names.whereis(gateway, :session, {"main", 2}) == other
-      assert Fleet.Store.counter(gateway, {:vehicles, :tree_restarts}) >= 2
+      assert Store.counter(gateway, {:vehicles, :tree_restarts}) >= 2
     end
   end
 
@@ -255,7 +256,7 @@ defmodule Aerie.Vehicle.SessionTest do
     gateway = gateway()
     deliver(gateway, [frame(@copter, at(1)), frame(%M.HomePosition{latitude: 950_000_000}, at(1.1))])
     settle(gateway, {"main", 1})
-    assert Fleet.Store.counter(gateway, {:vehicle, "VID-001", :invalid}) == 1
+    assert Store.counter(gateway, {:vehicle, "VID-001", :invalid}) == 1
   end
 
   test "a vehicle that is removed starts with nothing" do
@@ -263,6 +264,6 @@ defmodule Aerie.Vehicle.SessionTest do
     deliver(gateway, [frame(@copter, at(1))])
     settle(gateway, {"main", 1})
     :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
-    assert Fleet.Store.vehicle(gateway, "VID-001") == nil
+    assert Store.vehicle(gateway, "VID-001") == nil
   end
 end

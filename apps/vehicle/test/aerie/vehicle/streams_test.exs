@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.StreamsTest do
 
   import Aerie.Flight, only: [frame: 2, frame: 3]
 
-  alias Aerie.{Fleet, Names, Router}
+  alias Aerie.{Names, Router, Store}
   alias Aerie.Fleet.Wants
   alias Aerie.Vehicle.Streams
   alias Aerie.Vehicle.Streams.Intercept
@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.StreamsTest do
     gateway = start_gateway(%{}, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
     heartbeat = frame(%M.Heartbeat{type: 2, autopilot: 3}, @second)
     Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [heartbeat])
-    eventually(fn -> Fleet.Store.vehicle(gateway, @key) end)
+    eventually(fn -> Store.vehicle(gateway, @key) end)
     gateway
   end
 
@@ -71,7 +71,7 @@ defmodule Aerie.Vehicle.StreamsTest do
     results = for id <- 1..2_100, do: Streams.want(gateway, @key, :flood, id, 1)
     assert {:error, :too_many} in results
     assert length(Wants.list(gateway, @key)) == 2_048
-    assert Fleet.Store.counter(gateway, {:wants, :refused}) > 0
+    assert Store.counter(gateway, {:wants, :refused}) > 0
     # It takes nothing from who is there already.
     assert Streams.want(gateway, @key, :flood, 1, 9) == :ok
   end

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.SupervisorTest do
   use Aerie.GatewayCase, async: true
 
-  alias Aerie.{Fleet, Names, Vehicle}
+  alias Aerie.{Names, Store, Vehicle}
 
   test "however many ask at once, a vehicle has one session" do
     gateway = start_gateway()
@@ -17,18 +17,18 @@ defmodule Aerie.Vehicle.SupervisorTest do
     {:ok, first} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     {:ok, _} = Vehicle.Supervisor.ensure(gateway, {"other", 1})
     assert Vehicle.Supervisor.ensure(gateway, {"main", 2}) == {:error, :too_many}
-    assert Fleet.Store.counter(gateway, {:vehicles, :refused}) == 1
+    assert Store.counter(gateway, {:vehicles, :refused}) == 1
     assert Vehicle.Supervisor.ensure(gateway, {"main", 1}) == {:ok, first}
   end
 
   test "a vehicle that was removed is gone, and can come again" do
     gateway = start_gateway()
     {:ok, session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
-    Fleet.Store.put_vehicle(gateway, {"main", 1}, %{id: "VID-001"})
+    Store.put_vehicle(gateway, {"main", 1}, %{id: "VID-001"})
     ref = Process.monitor(session)
     :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
     assert_receive {:DOWN, ^ref, :process, _, _}
-    assert Fleet.Store.vehicle(gateway, "VID-001") == nil
+    assert Store.vehicle(gateway, "VID-001") == nil
     eventually(fn -> Vehicle.Supervisor.keys(gateway) == [] end)
     assert {:ok, again} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     assert again != session

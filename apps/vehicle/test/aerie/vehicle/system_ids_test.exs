@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.SystemIdsTest do
   @moduledoc "Vehicles with ids at the edges: those of ground stations, ours, and those of more than a byte."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.{Fleet, Names, Router}
+  alias Aerie.{Names, Router, Store}
+  alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Streams
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
@@ -83,7 +84,7 @@ defmodule Aerie.Vehicle.SystemIdsTest do
       assert {frame.system, decoded(frame)} ==
                {unquote(system), %M.CommandAck{command: 511, target_system: 255, target_component: 190}}
 
-      assert %{status: :online} = Fleet.Store.vehicle(gateway, vehicle.key)
+      assert %{status: :online} = Store.vehicle(gateway, vehicle.key)
       assert :ok = Router.send(gateway, vehicle.key, "to it")
       refute_received {:DOWN, _, _, _, _}
       assert Names.whereis(gateway, :session, vehicle.key) == vehicle.session
@@ -93,18 +94,18 @@ defmodule Aerie.Vehicle.SystemIdsTest do
   test "an operator gives a flying vehicle another id: the new one is there at once, the old one is missed and told" do
     vehicle = flying(1, %{request_streams: true})
     gateway = vehicle.gateway
-    Fleet.PubSub.subscribe(gateway, :events)
+    PubSub.subscribe(gateway, :events)
     asked(vehicle, &match?({%M.CommandLong{command: 511}, _}, {&1, &2}))
 
     renamed = %{vehicle | system: 7, key: {"main", 7}}
     beat(renamed)
-    eventually(fn -> match?(%{status: :online}, Fleet.Store.vehicle(gateway, {"main", 7})) end)
+    eventually(fn -> match?(%{status: :online}, Store.vehicle(gateway, {"main", 7})) end)
     {frame, _} = asked(renamed, &match?({%M.CommandLong{command: 511, target_system: 7}, _}, {&1, &2}))
     assert {7, 1} = Frame.target(frame)
     beating = start_supervised!({Task, fn -> beats(renamed) end})
     assert_receive {:fleet, :events, %{type: "link.lost", vehicle: "VID-001"}}, @patience
-    assert %{status: :lost} = Fleet.Store.vehicle(gateway, {"main", 1})
-    assert %{status: :online, collision: nil} = Fleet.Store.vehicle(gateway, {"main", 7})
+    assert %{status: :lost} = Store.vehicle(gateway, {"main", 1})
+    assert %{status: :online, collision: nil} = Store.vehicle(gateway, {"main", 7})
     # Its former id is given back: the vehicle is who it was, and the other one is missed.
     stop_supervised!(Task)
     refute Process.alive?(beating)

@@ -3,7 +3,7 @@ defmodule Aerie.Bridge.Connection.Settings do
 
   alias Aerie.Bridge.Server.Token
   alias Aerie.Config
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
 
   @doc "Settings for one of the URLs, or why there are none (a file that cannot be read)."
   @spec gnat(Config.t(), String.t()) :: {:ok, map()} | {:error, String.t()}

@@ -5,7 +5,7 @@ defmodule Aerie.Bridge.Server.Token do
   Both are readable by their owner alone. `nats.token` takes the place of the random one.
   """
 
-  alias Aerie.Config.Secret
+  alias Aerie.Secret
   alias Aerie.PrivateFile
 
   @doc "The token, made now if there is none yet."

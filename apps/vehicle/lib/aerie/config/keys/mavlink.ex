@@ -5,15 +5,8 @@ defmodule Aerie.Config.Keys.Mavlink do
 
   alias Aerie.Config.{Field, Types}
 
-  # A hub's: from the top, where ground stations are (R10), and not one that a common one has: 255 QGroundControl, Mission
-  # Planner, MAVProxy, pymavlink, DroneKit; 254 node-mavlink, Skybrush; 252 APM Planner; 245 MAVSDK and what was made after
-  # its example.
-  @hub 237
-  @component 191
-
-  @doc "The gateway's own ids where the configuration gives none: `{system, component}`."
-  @spec own_ids() :: {pos_integer, 1..255}
-  def own_ids, do: {@hub, @component}
+  @hub elem(Aerie.Identity.default_ids(), 0)
+  @component elem(Aerie.Identity.default_ids(), 1)
 
   @doc "The section `mavlink`."
   @spec section() :: Field.t()

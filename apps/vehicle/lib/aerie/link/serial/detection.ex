@@ -1,14 +1,14 @@
 defmodule Aerie.Link.Serial.Detection do
   @moduledoc """
   Carries out what `Aerie.Link.Serial.Detector` says: one search, in the process that calls it. Each port has a process of
-  its own (`Aerie.Link.Transport.Serial.Holder`), which opens it and reads when told to, so that a port that hangs delays
+  its own (`Aerie.Link.Serial.Holder`), which opens it and reads when told to, so that a port that hangs delays
   no other and a port that floods fills nobody's mailbox.
   """
 
   alias Aerie.Link.Serial.Detector
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Serial.Ports
-  alias Aerie.Link.Transport.Serial.Holder
+  alias Aerie.Link.Serial.Holder
 
   @tick_ms 250
   # Ports may come while the others are listened to.

@@ -2,7 +2,7 @@ defmodule Aerie.Link.Transport.Net do
   @moduledoc "What the UDP and TCP transports share: names, families, the draining of datagrams, bounded writes."
 
   alias Aerie.Link.Backlog
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
 
   # Messages between two requests to go on; enough that a busy socket rarely waits, few enough to bound the mailbox.
   @active 256

@@ -5,7 +5,7 @@ defmodule Aerie.Link.Transport.Serial do
   Where the port or its baud rate is to be found first, `Aerie.Link.Serial.Detection` does that while opening; the port
   then stays open, and what it said meanwhile is read first.
 
-  The port belongs to a process of its own (`Aerie.Link.Transport.Serial.Holder`), which also writes: at 57,600 baud a
+  The port belongs to a process of its own (`Aerie.Link.Serial.Holder`), which also writes: at 57,600 baud a
   frame takes milliseconds, during which the link goes on reading. At most #{8_192} bytes wait for it; more is refused.
 
   A sender that is faster than this link waits in the kernel: when more than #{256} messages wait in the link's mailbox,
@@ -18,7 +18,7 @@ defmodule Aerie.Link.Transport.Serial do
   alias Aerie.Link.Serial.Ports
   alias Aerie.Link.Serial.Sniff
   alias Aerie.Link.Spec
-  alias Aerie.Link.Transport.Serial.Holder
+  alias Aerie.Link.Serial.Holder
 
   @max_waiting 8_192
   @max_messages 256

@@ -2,7 +2,7 @@ defmodule Aerie.Link.Transport.TcpClient do
   @moduledoc "TCP, calling. All addresses of a name are tried in turn, 5 s each; the last one's fault is told."
   @behaviour Aerie.Link.Transport
 
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
   @connect_ms 5_000

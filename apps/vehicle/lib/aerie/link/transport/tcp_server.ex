@@ -7,7 +7,7 @@ defmodule Aerie.Link.Transport.TcpServer do
   """
   @behaviour Aerie.Link.Transport
 
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
   @enforce_keys [:listener]

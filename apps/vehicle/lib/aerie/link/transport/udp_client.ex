@@ -12,7 +12,7 @@ defmodule Aerie.Link.Transport.UdpClient do
   @behaviour Aerie.Link.Transport
 
   alias Aerie.Link.Backlog
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
   @enforce_keys [:socket, :to, :broadcast]

@@ -8,7 +8,7 @@ defmodule Aerie.Link.Transport.WebSocket do
   """
   @behaviour Aerie.Link.Transport
 
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
   alias Aerie.Link.Transport.Net
   alias Aerie.Link.Transport.WebSocket.Frames
   alias Aerie.Link.Transport.WebSocket.Handshake

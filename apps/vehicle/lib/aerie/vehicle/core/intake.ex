@@ -4,7 +4,8 @@ defmodule Aerie.Vehicle.Core.Intake do
   concerns.
   """
 
-  alias Aerie.Vehicle.{BootClock, Core, Doubt, Heard, Kind, Params, State, StatusText, Streams, Twin}
+  alias Aerie.Mavlink.BootClock
+  alias Aerie.Vehicle.{Core, Doubt, Heard, Kind, Params, State, StatusText, Streams, Twin}
   alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
 
   @heartbeat 0

@@ -3,7 +3,7 @@ defmodule Aerie.Link.Serial.CableTest do
   use ExUnit.Case, async: false
   use Aerie.LinkCase
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link
   alias Aerie.Names
   alias Aerie.SerialPeer

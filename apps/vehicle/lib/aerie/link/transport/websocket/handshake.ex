@@ -2,7 +2,7 @@ defmodule Aerie.Link.Transport.WebSocket.Handshake do
   @moduledoc "The request that makes a WebSocket of a connection, and whether the answer agrees (RFC 6455, section 4.1): pure."
 
   alias Aerie.Link.Spec
-  alias Aerie.Link.Spec.Address
+  alias Aerie.Address
 
   # Of a status line with its headers.
   @max_bytes 16_384

@@ -1,4 +1,4 @@
-defmodule Aerie.Link.Spec.Address do
+defmodule Aerie.Address do
   @moduledoc "HOST:PORT of a connection string, and back to text: IPv4, IPv6 in brackets, or a name."
 
   @name ~r/\A(?=.{1,253}\z)[A-Za-z0-9_]([A-Za-z0-9_-]{0,62})(\.[A-Za-z0-9_-]{1,63})*\.?\z/

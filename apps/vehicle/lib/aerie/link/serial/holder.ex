@@ -1,4 +1,4 @@
-defmodule Aerie.Link.Transport.Serial.Holder do
+defmodule Aerie.Link.Serial.Holder do
   @moduledoc """
   Holds one open serial port and waits for it in the place of others: opening, changing the rate, writing, and, while it
   is not known what is at the other end, reading.

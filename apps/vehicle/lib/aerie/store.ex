@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Store do
+defmodule Aerie.Store do
   @moduledoc """
   The read model: one snapshot per vehicle and per link, counters, and the systems that were heard.
 
@@ -16,7 +16,8 @@ defmodule Aerie.Fleet.Store do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names}
+  alias Aerie.Names
+  alias Aerie.Store.PubSub
 
   @type vehicle_key :: {network :: String.t(), system_id :: non_neg_integer()}
   @type snapshot :: map()
@@ -26,8 +27,11 @@ defmodule Aerie.Fleet.Store do
   @max_systems 4096
   @max_claims 4096
 
-  @doc "Options: `:gateway`, and `:config` for `limits.max_pending_events`."
-  @spec start_link(gateway: Names.gateway(), config: term()) :: GenServer.on_start()
+  @typedoc "A table that another part keeps here: its name, ETS options besides `:public`, and the objects that it begins with."
+  @type table :: {atom(), [atom() | tuple()], [tuple()]}
+
+  @doc "Options: `:gateway`, and `:tables`, those of other parts, to outlive them."
+  @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
     GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :store))
@@ -37,14 +41,14 @@ defmodule Aerie.Fleet.Store do
   @spec put_vehicle(Names.gateway(), vehicle_key(), snapshot()) :: :ok
   def put_vehicle(gateway, {_network, _system} = key, %{id: id} = snapshot) do
     :ets.insert(table!(gateway, :vehicles), {key, id, snapshot})
-    Fleet.PubSub.changed(gateway, {:vehicle, id})
+    PubSub.changed(gateway, {:vehicle, id})
   end
 
   @doc "Forgets a vehicle."
   @spec delete_vehicle(Names.gateway(), vehicle_key()) :: :ok
   def delete_vehicle(gateway, key) do
     case :ets.take(table!(gateway, :vehicles), key) do
-      [{^key, id, _snapshot}] -> Fleet.PubSub.changed(gateway, {:vehicle, id})
+      [{^key, id, _snapshot}] -> PubSub.changed(gateway, {:vehicle, id})
       [] -> :ok
     end
   end
@@ -76,14 +80,14 @@ defmodule Aerie.Fleet.Store do
   @spec put_link(Names.gateway(), link_id :: term(), snapshot()) :: :ok
   def put_link(gateway, id, snapshot) do
     :ets.insert(table!(gateway, :links), {id, snapshot})
-    Fleet.PubSub.changed(gateway, {:link, id})
+    PubSub.changed(gateway, {:link, id})
   end
 
   @doc "Forgets a link."
   @spec delete_link(Names.gateway(), term()) :: :ok
   def delete_link(gateway, id) do
     :ets.delete(table!(gateway, :links), id)
-    Fleet.PubSub.changed(gateway, {:link, id})
+    PubSub.changed(gateway, {:link, id})
   end
 
   @doc "All links' snapshots, in the order of their ids."
@@ -211,7 +215,7 @@ defmodule Aerie.Fleet.Store do
   end
 
   @doc false
-  # The tables are named by what they hold; only the modules of this folder ask for one.
+  # The tables are named by what they hold; only the modules that keep one here ask for it.
   @spec table!(Names.gateway(), atom()) :: :ets.table()
   def table!(gateway, name) do
     case Names.held(gateway, :store) do
@@ -244,21 +248,24 @@ defmodule Aerie.Fleet.Store do
       links: :ets.new(:links, [:set | shared]),
       counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),
       systems: :ets.new(:systems, [:set | shared]),
-      wants: :ets.new(:wants, [:ordered_set, :public, read_concurrency: true]),
       stations: :ets.new(:stations, [:ordered_set | shared]),
       claims: :ets.new(:claims, [:set | shared]),
-      notes: :ets.new(:notes, [:set | shared]),
-      journal: :ets.new(:journal, [:ordered_set, :public, write_concurrency: true])
+      notes: :ets.new(:notes, [:set | shared])
     }
 
-    Fleet.Journal.bound(tables.journal, Fleet.Journal.max_pending(options[:config]))
-    Names.put_value(gateway, :store, tables)
+    Names.put_value(gateway, :store, Enum.into(options[:tables] || [], tables, &create/1))
     {:ok, gateway}
+  end
+
+  defp create({name, options, objects}) do
+    table = :ets.new(name, [:public | options])
+    true = :ets.insert(table, objects)
+    {name, table}
   end
 
   @impl GenServer
   def handle_info({:pulse, pulse, tag}, gateway) do
-    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    # A loop that turns says so (`Aerie.Identity.Pulse`).
     send(pulse, {:alive, tag, self()})
     {:noreply, gateway}
   end

@@ -1,4 +1,4 @@
-defmodule Aerie.Router.Clients do
+defmodule Aerie.Link.Clients do
   @moduledoc """
   Client endpoints over UDP and TCP: ground stations and other programs that see vehicles through this gateway.
 
@@ -15,17 +15,17 @@ defmodule Aerie.Router.Clients do
   | `tcp:HOST:PORT` | connects to a ground station that listens |
   | `DEVICE,BAUD` | a serial line with a ground station at its other end |
 
-  What was added and removed at run time is remembered by `Aerie.Fleet.Store`, so that a restart of the router brings back
+  What was added and removed at run time is remembered by `Aerie.Store`, so that a restart of the router brings back
   exactly the clients that there were.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
+  alias Aerie.Link.Clients.Settings
   alias Aerie.Link.Spec
   alias Aerie.Successor
   alias Aerie.Link.Tree
   alias Aerie.Names
   alias Aerie.Router.Endpoints
-  alias Aerie.Router.Settings
   alias Aerie.Router.Tables
 
   @first_ms 5_000
@@ -123,7 +123,7 @@ defmodule Aerie.Router.Clients do
     ArgumentError -> []
   end
 
-  ## For the client's process, as `Aerie.Fleet.Store` for a link's
+  ## For the client's process, as `Aerie.Store` for a link's
 
   @doc false
   @spec link(Names.gateway(), String.t()) :: map | nil

@@ -1,7 +1,8 @@
-defmodule Aerie.Fleet.StoreTest do
+defmodule Aerie.StoreTest do
   use Aerie.GatewayCase, async: true
 
-  alias Aerie.Fleet.{PubSub, Store}
+  alias Aerie.Store.PubSub
+  alias Aerie.Store
 
   defp vehicle(id, extra \\ %{}), do: Map.merge(%{id: id, status: :online}, extra)
 

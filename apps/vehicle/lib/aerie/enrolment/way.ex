@@ -1,10 +1,10 @@
-defmodule Aerie.Signing.Way do
+defmodule Aerie.Enrolment.Way do
   @moduledoc """
   By which link a key may go to a vehicle (S8): one that the operator marked secure, because whoever hears it learns the
   key. Everything else is refused, with what to do about it.
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Link
   alias Aerie.Names
   alias Aerie.Router

@@ -1,4 +1,4 @@
-defmodule Aerie.Router.Heartbeat do
+defmodule Aerie.Mavlink.Heartbeat do
   @moduledoc """
   What a HEARTBEAT says about its sender, read straight from the payload: the router looks at no other message.
 

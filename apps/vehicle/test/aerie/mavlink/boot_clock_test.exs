@@ -1,7 +1,7 @@
-defmodule Aerie.Vehicle.BootClockTest do
+defmodule Aerie.Mavlink.BootClockTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.BootClock
+  alias Aerie.Mavlink.BootClock
 
   @second 1_000_000
 

@@ -1,16 +1,17 @@
-defmodule Aerie.Vehicle.Identity.Latch do
+defmodule Aerie.Router.AutoSystemId do
   @moduledoc """
   Whose system id a gateway aboard takes when it is given none (`mavlink.system_id: auto`, R11): that of the autopilot, if
   exactly one is heard within three seconds of its first heartbeat.
 
   Until then nobody knows who we are: no vehicle is let in and nothing of ours is sent, while clients and vehicles hear each
   other as always. Two autopilots, and the gateway is none's: it takes the hub's id and says so in the log and as
-  telemetry. What was decided holds until the gateway ends, whatever of it is restarted (`Aerie.Fleet.Store` keeps it).
+  telemetry. What was decided holds until the gateway ends, whatever of it is restarted (`Aerie.Identity` keeps it).
 
   Telemetry: `[:aerie, :identity, :latched]` with `gateway`, `system`, `heard` (the keys of the autopilots).
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
+  alias Aerie.Identity
   alias Aerie.Names
   alias Aerie.Router.Tables
   alias Aerie.Signing
@@ -19,20 +20,11 @@ defmodule Aerie.Vehicle.Identity.Latch do
 
   @window_ms 3_000
   @max_heard 16
-  @hub elem(Aerie.Config.Keys.Mavlink.own_ids(), 0)
-  @note {:identity, :system}
-
-  @doc "A configuration with the id that was taken, where it says `auto`; `:auto` as long as none was."
-  @spec resolve(term, Names.gateway()) :: term
-  def resolve(%{mavlink: %{system_id: :auto}} = config, gateway),
-    do: put_in(config.mavlink.system_id, Store.recall(gateway, @note, :auto))
-
-  def resolve(config, _gateway), do: config
 
   @doc "What the router knows of its own ids when it starts: `own: ids`, or that they are to be found out."
   @spec settings(term, Names.gateway()) :: keyword
   def settings(config, gateway) do
-    case resolve(config, gateway) do
+    case Identity.resolve(config, gateway) do
       %{mavlink: %{system_id: :auto, component_id: component}} -> [own: nil, latch: component]
       %{mavlink: %{system_id: system, component_id: component}} -> [own: {system, component}]
       _none -> [own: nil]
@@ -73,7 +65,7 @@ defmodule Aerie.Vehicle.Identity.Latch do
   # Two links may come to this at the same moment; they come to the same.
   defp decide(gateway, tables, keys, component) do
     system = system(keys)
-    Store.remember(gateway, @note, system)
+    Identity.remember(gateway, system)
     Signing.identify(gateway, {system, component})
     :ets.insert(tables.settings, {:own, {system, component}})
 
@@ -87,7 +79,7 @@ defmodule Aerie.Vehicle.Identity.Latch do
   @doc "The id that is taken when these autopilots are heard: theirs if it is one, else a hub's."
   @spec system([Store.vehicle_key()]) :: pos_integer
   def system([{_network, system}]), do: system
-  def system(_several), do: @hub
+  def system(_several), do: elem(Identity.default_ids(), 0)
 
   defp tell(gateway, system, keys) do
     case keys do
@@ -101,7 +93,7 @@ defmodule Aerie.Vehicle.Identity.Latch do
   defp words(keys) do
     ids = Enum.map_join(keys, ", ", fn {network, system} -> "#{system} on #{network}" end)
 
-    "mavlink.system_id is auto, and autopilots #{ids} are heard: this gateway belongs to none of them and is system #{@hub}. " <>
+    "mavlink.system_id is auto, and autopilots #{ids} are heard: this gateway belongs to none of them and is system #{system(keys)}. " <>
       "Give mavlink.system_id."
   end
 end

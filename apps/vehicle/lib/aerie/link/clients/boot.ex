@@ -1,4 +1,4 @@
-defmodule Aerie.Router.Clients.Boot do
+defmodule Aerie.Link.Clients.Boot do
   @moduledoc """
   Starts the clients that there are to be: those of the configuration when the gateway starts, and after a restart of the
   router those that ran before it (the store remembers them).
@@ -9,11 +9,11 @@ defmodule Aerie.Router.Clients.Boot do
   """
   use GenServer, restart: :transient
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Successor
   alias Aerie.Names
-  alias Aerie.Router.Clients
-  alias Aerie.Router.Settings
+  alias Aerie.Link.Clients
+  alias Aerie.Link.Clients.Settings
 
   require Logger
 

@@ -1,7 +1,8 @@
-defmodule Aerie.Fleet.StationsTest do
+defmodule Aerie.Router.StationsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Fleet.{Stations, Store}
+  alias Aerie.Router.Stations
+  alias Aerie.Store
 
   @hour 3_600_000_000
 

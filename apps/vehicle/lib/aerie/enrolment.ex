@@ -1,4 +1,4 @@
-defmodule Aerie.Signing.Enrolment do
+defmodule Aerie.Enrolment do
   @moduledoc """
   Gives a flight controller a key, or takes it away; runs in the process that asks.
 
@@ -17,22 +17,37 @@ defmodule Aerie.Signing.Enrolment do
   the staged one again; `discard/2` forgets it; `key: :previous` goes back to the one before.
   """
 
-  alias Aerie.Config.Keys.Mavlink
-  alias Aerie.Config.Secret
-  alias Aerie.Fleet.Store
+  alias Aerie.Identity
+  alias Aerie.Secret
+  alias Aerie.Store
+  alias Aerie.Enrolment.Way
   alias Aerie.Link
   alias Aerie.Names
   alias Aerie.Signing
-  alias Aerie.Signing.{Audit, Guards, Key, Tables, Vault, Way}
+  alias Aerie.Signing.{Audit, Guards, Key, Tables, Vault}
   alias MavCodec.Messages.SetupSigning
 
   @again_ms 2_000
   @timeout_ms 10_000
   @options [:link, :key, component: 1, timeout_ms: @timeout_ms, by: "local"]
 
-  @doc "See `Aerie.Signing.enrol/3`."
-  @spec enrol(Names.gateway(), Signing.vehicle(), keyword) :: {:ok, map} | {:error, String.t()}
-  def enrol(gateway, vehicle, options) do
+  @doc """
+  Gives a flight controller its key by SETUP_SIGNING, and waits until it signs with it.
+
+  Only by a link that is marked secure in the configuration or its connection string (USB, Ethernet), because the key goes
+  over it as it is; anything else is refused with the reason (S8). Options:
+
+    * `:link` - the secure link to take; needed when the vehicle is not heard there (its frames may be refused)
+    * `:key` - another key than the one in force: `{:file, path}`, `{:env, name}`, `:generate` (random), or `:previous` (go
+      back to the one before). It is kept in `signing.dir/keys` from before it is sent, and is in force as soon as the
+      vehicle proves to have it (`Aerie.Enrolment`). A generated one is in the result, as a `Aerie.Secret`.
+    * `:component` - of the autopilot, default 1
+    * `:timeout_ms` - default 10,000
+    * `:by` - who asks, for the audit event; default `"local"`
+  """
+  @spec enrol(Names.gateway(), Signing.vehicle(), keyword) ::
+          {:ok, %{link: String.t(), key: Secret.t() | nil}} | {:error, String.t()}
+  def enrol(gateway, vehicle, options \\ []) do
     with {:ok, given} <- given(options[:key]),
          {:ok, job} <- job(gateway, vehicle, options) do
       exclusive(job, fn job ->
@@ -46,9 +61,14 @@ defmodule Aerie.Signing.Enrolment do
     end
   end
 
-  @doc "See `Aerie.Signing.revoke/3`."
-  @spec revoke(Names.gateway(), Signing.vehicle(), keyword) :: {:ok, map} | {:error, String.t()}
-  def revoke(gateway, vehicle, options) do
+  @doc """
+  Takes the key from a flight controller (SETUP_SIGNING with zeros), and waits until it sends unsigned frames. By a secure
+  link only, like `enrol/3`; options `:link`, `:component`, `:timeout_ms`, `:by`. A key that it was given by `enrol/3` is
+  retired (kept as the previous one); what the configuration says of the vehicle stays.
+  """
+  @spec revoke(Names.gateway(), Signing.vehicle(), keyword) ::
+          {:ok, %{link: String.t()}} | {:error, String.t()}
+  def revoke(gateway, vehicle, options \\ []) do
     with {:ok, job} <- job(gateway, vehicle, Keyword.delete(options, :key)) do
       exclusive(job, fn job ->
         with :ok <- run(job, <<0::256>>, :unsigned),
@@ -60,7 +80,7 @@ defmodule Aerie.Signing.Enrolment do
     end
   end
 
-  @doc "See `Aerie.Signing.discard/2`."
+  @doc "Forgets a key that was sent to a vehicle and never proven: only when it is certain that the vehicle has not got it."
   @spec discard(Names.gateway(), Signing.vehicle()) :: :ok | {:error, String.t()}
   def discard(gateway, vehicle) do
     with {:ok, key} <- Way.key(gateway, vehicle), do: Vault.discard(gateway, key)
@@ -212,7 +232,7 @@ defmodule Aerie.Signing.Enrolment do
   # Kept as a secret on its way: mailboxes and reports of crashes show messages (S9).
   defp setup(job, secret) do
     {_network, system} = job.key
-    {own_system, own_component} = Tables.setting(job.tables, :own, Mavlink.own_ids())
+    {own_system, own_component} = Tables.setting(job.tables, :own, Identity.default_ids())
 
     # Taking the key away is asked for with zeros throughout.
     timestamp = if secret == <<0::256>>, do: 0, else: Guards.timestamp(job.tables, job.link, job.scope)

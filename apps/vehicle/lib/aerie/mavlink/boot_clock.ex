@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.BootClock do
+defmodule Aerie.Mavlink.BootClock do
   @moduledoc """
   Follows the clock of one component of a vehicle (`time_boot_ms`) and tells when it began anew: a reboot (R6). A pure value.
 

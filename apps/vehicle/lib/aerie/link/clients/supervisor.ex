@@ -1,10 +1,10 @@
-defmodule Aerie.Router.Clients.Supervisor do
+defmodule Aerie.Link.Clients.Supervisor do
   @moduledoc "The client endpoints of a gateway: their trees, and what starts those that there are to be."
   use Supervisor
 
   alias Aerie.Successor
   alias Aerie.Names
-  alias Aerie.Router.Clients.Boot
+  alias Aerie.Link.Clients.Boot
 
   @default_max 64
 

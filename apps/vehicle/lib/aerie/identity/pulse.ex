@@ -1,4 +1,4 @@
-defmodule Aerie.Vehicle.Identity.Pulse do
+defmodule Aerie.Identity.Pulse do
   @moduledoc """
   Asks the gateway's loops a few times a second whether they still turn, and remembers when each answered last.
 
@@ -50,7 +50,7 @@ defmodule Aerie.Vehicle.Identity.Pulse do
     end)
   end
 
-  @doc "See `Aerie.Vehicle.Identity.status/1`."
+  @doc "See `Aerie.Identity.status/1`."
   @spec status(Names.gateway()) :: %{alive: boolean(), silent: [tag()], deadman_ms: pos_integer() | nil}
   def status(gateway) do
     absent = %{alive: false, silent: [{:pulse, nil}], deadman_ms: nil}

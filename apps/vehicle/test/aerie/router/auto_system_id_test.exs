@@ -1,11 +1,11 @@
-defmodule Aerie.Vehicle.Identity.LatchTest do
+defmodule Aerie.Router.AutoSystemIdTest do
   @moduledoc "R11: a gateway aboard that was given no system id takes the autopilot's."
   use Aerie.LinkCase, async: true
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router.{Admission, Tables}
-  alias Aerie.Vehicle.Identity.Latch
+  alias Aerie.Router.AutoSystemId
   alias Aerie.Vehicle.Options
   alias MavCodec.Parser
 
@@ -81,8 +81,8 @@ defmodule Aerie.Vehicle.Identity.LatchTest do
   test "what was decided holds when the router is started again", c do
     refute heard(c, 7, 0)
     assert heard(c, 7, 3_000)
-    assert Latch.settings(@config, c.gateway) == [own: {7, 191}]
-    assert %{mavlink: %{system_id: 7}} = Latch.resolve(@config, c.gateway)
+    assert AutoSystemId.settings(@config, c.gateway) == [own: {7, 191}]
+    assert %{mavlink: %{system_id: 7}} = Aerie.Identity.resolve(@config, c.gateway)
     pid = Names.whereis(c.gateway, :router)
     ref = Process.monitor(pid)
     Supervisor.stop(pid)
@@ -95,8 +95,8 @@ defmodule Aerie.Vehicle.Identity.LatchTest do
     config = put_in(@config.mavlink.system_id, 7)
     assert %{id: "VID-007", own_system: 7, own_component: 191} = Options.new(config, {"main", 7})
     assert %{id: "VID-008", own_system: 7} = Options.new(config, {"main", 8})
-    assert Latch.resolve(config, c_none()) == config
-    assert Latch.resolve(nil, c_none()) == nil
+    assert Aerie.Identity.resolve(config, c_none()) == config
+    assert Aerie.Identity.resolve(nil, c_none()) == nil
   end
 
   defp c_none, do: make_ref()

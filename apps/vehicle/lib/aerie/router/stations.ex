@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Stations do
+defmodule Aerie.Router.Stations do
   @moduledoc """
   Everything on a network that sends heartbeats and is no vehicle: ground stations, on-board computers, trackers. A table of
   the store, written by the router (`hear/3`) for heartbeats of links and of clients alike, read once a second by the
@@ -8,7 +8,7 @@ defmodule Aerie.Fleet.Stations do
   set, what was heard live was heard as long ago as before (`Aerie.HostClock`).
   """
 
-  alias Aerie.Fleet.Store
+  alias Aerie.Store
   alias Aerie.HostClock
   alias Aerie.Names
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Router.ClientsTest do
+defmodule Aerie.Link.ClientsTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
@@ -31,7 +31,7 @@ defmodule Aerie.Router.ClientsTest do
   defp encode(struct, system \\ 255), do: MavCodec.encode(struct, system: system, component: 190)
 
   defp client(gateway, client) do
-    {:ok, id} = Router.add_client(gateway, client)
+    {:ok, id} = Aerie.Link.Clients.add(gateway, client)
     {id, Aerie.Link.snapshot(gateway, id).port}
   end
 
@@ -70,7 +70,7 @@ defmodule Aerie.Router.ClientsTest do
     for socket <- [one, two], do: until(socket, attitude(1, 7))
     say(one, port, order(1))
     until(c.vehicle, order(1))
-    assert [%{id: "gcs", status: :up}] = Router.clients(c.gateway)
+    assert [%{id: "gcs", status: :up}] = Aerie.Link.Clients.list(c.gateway)
     # Nobody takes a ground station for a vehicle, and clients are no links.
     assert [%{id: "radio"}] = Aerie.Link.list(c.gateway)
     assert Names.whereis(c.gateway, :session, {"main", 255}) == nil
@@ -177,19 +177,22 @@ defmodule Aerie.Router.ClientsTest do
 
   test "what is wrong is told, and nothing is added", c do
     {_id, port} = client(c.gateway, "tcpin:127.0.0.1:0")
-    assert {:error, words} = Router.add_client(c.gateway, "tcpin:127.0.0.1:#{port}")
+    assert {:error, words} = Aerie.Link.Clients.add(c.gateway, "tcpin:127.0.0.1:#{port}")
     assert words =~ "there is a client" or words =~ "in use"
-    assert {:error, words} = Router.add_client(c.gateway, %{url: "tcpin:127.0.0.1:#{port}", id: "other"})
+    assert {:error, words} = Aerie.Link.Clients.add(c.gateway, %{url: "tcpin:127.0.0.1:#{port}", id: "other"})
     assert words =~ "in use"
-    assert {:error, _} = Router.add_client(c.gateway, "carrier pigeon")
-    assert {:error, "a recording" <> _} = Router.add_client(c.gateway, "replay:flight.tlog")
-    assert {:error, words} = Router.add_client(c.gateway, %{url: "udpin::0", rate_limits: %{"ATITUDE" => 1}})
+    assert {:error, _} = Aerie.Link.Clients.add(c.gateway, "carrier pigeon")
+    assert {:error, "a recording" <> _} = Aerie.Link.Clients.add(c.gateway, "replay:flight.tlog")
+
+    assert {:error, words} =
+             Aerie.Link.Clients.add(c.gateway, %{url: "udpin::0", rate_limits: %{"ATITUDE" => 1}})
+
     assert words =~ "ATITUDE"
 
     assert {:error, "there is a link radio already"} =
-             Router.add_client(c.gateway, %{url: "udpin::0", id: "radio"})
+             Aerie.Link.Clients.add(c.gateway, %{url: "udpin::0", id: "radio"})
 
-    assert [_one] = Router.clients(c.gateway)
+    assert [_one] = Aerie.Link.Clients.list(c.gateway)
   end
 
   test "a removed client is gone, its port free and its routes with it", c do
@@ -197,12 +200,12 @@ defmodule Aerie.Router.ClientsTest do
     {:ok, socket} = udp()
     say(socket, port, gcs(255))
     eventually(fn -> Router.way(c.gateway, {"main", 255}) end)
-    :ok = Router.remove_client(c.gateway, id)
+    :ok = Aerie.Link.Clients.remove(c.gateway, id)
     assert Router.way(c.gateway, {"main", 255}) == nil
-    assert Router.clients(c.gateway) == []
+    assert Aerie.Link.Clients.list(c.gateway) == []
     assert Enum.map(Router.endpoints(c.gateway), & &1.owner) == ["radio"]
     assert {:ok, _} = :gen_udp.open(port, ip: {127, 0, 0, 1})
-    assert Router.remove_client(c.gateway, id) == :ok
+    assert Aerie.Link.Clients.remove(c.gateway, id) == :ok
   end
 
   test "rules change while it runs, for it alone", c do
@@ -299,10 +302,14 @@ defmodule Aerie.Router.ClientsTest do
     assert port > 0
     pid = Names.whereis(c.gateway, :link, id)
     Process.exit(pid, :kill)
-    eventually(fn -> match?(%{status: :up, counters: %{restarts: 1}}, hd(Router.clients(c.gateway))) end)
-    :ok = Router.remove_client(c.gateway, id)
+
+    eventually(fn ->
+      match?(%{status: :up, counters: %{restarts: 1}}, hd(Aerie.Link.Clients.list(c.gateway)))
+    end)
+
+    :ok = Aerie.Link.Clients.remove(c.gateway, id)
     {"kept", _} = client(c.gateway, %{url: "udpin:127.0.0.1:0", id: "kept"})
     Process.exit(Names.whereis(c.gateway, :router), :kill)
-    eventually(fn -> match?([%{id: "kept", status: :up}], Router.clients(c.gateway)) end)
+    eventually(fn -> match?([%{id: "kept", status: :up}], Aerie.Link.Clients.list(c.gateway)) end)
   end
 end

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.PubSub do
+defmodule Aerie.Store.PubSub do
   @moduledoc """
   Change notices for faces: who subscribes to a topic gets `{:fleet, topic, payload}` messages.
 
@@ -17,8 +17,8 @@ defmodule Aerie.Fleet.PubSub do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names}
-  alias Aerie.Fleet.PubSub.Subscribers
+  alias Aerie.{Names, Store}
+  alias Aerie.Store.PubSub.Subscribers
 
   @type topic :: :vehicles | :links | :events | :journal | :bridge | {:vehicle, String.t()} | {:link, term()}
 
@@ -82,7 +82,7 @@ defmodule Aerie.Fleet.PubSub do
   def handle_info(:changed, state), do: {:noreply, state}
 
   def handle_info({:pulse, pulse, tag}, state) do
-    # A loop that turns says so (`Aerie.Vehicle.Identity.Pulse`).
+    # A loop that turns says so (`Aerie.Identity.Pulse`).
     send(pulse, {:alive, tag, self()})
     {:noreply, state}
   end
@@ -104,7 +104,7 @@ defmodule Aerie.Fleet.PubSub do
   end
 
   defp notify_one(gateway, :vehicle, id),
-    do: publish(gateway, {:vehicle, id}, Fleet.Store.vehicle(gateway, id))
+    do: publish(gateway, {:vehicle, id}, Store.vehicle(gateway, id))
 
-  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Fleet.Store.link(gateway, id))
+  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Store.link(gateway, id))
 end

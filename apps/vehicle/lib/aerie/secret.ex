@@ -1,4 +1,4 @@
-defmodule Aerie.Config.Secret do
+defmodule Aerie.Secret do
   @moduledoc """
   A value that never shows in a log, a crash report or an inspected state.
 
@@ -20,6 +20,6 @@ defmodule Aerie.Config.Secret do
   def reveal(%__MODULE__{fun: fun}), do: fun.()
 
   defimpl Inspect do
-    def inspect(_secret, _opts), do: "#Aerie.Config.Secret<hidden>"
+    def inspect(_secret, _opts), do: "#Aerie.Secret<hidden>"
   end
 end

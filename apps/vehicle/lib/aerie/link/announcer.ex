@@ -36,7 +36,7 @@ defmodule Aerie.Link.Announcer do
     Process.set_label({:link_announcer, gateway})
     config = Keyword.get(options, :config)
     heartbeat = not match?(%{mavlink: %{heartbeat: false}}, config)
-    if heartbeat, do: {:ok, _timer} = :timer.send_interval(@every_ms, :announce)
+    _timer = if heartbeat, do: :timer.send_interval(@every_ms, :announce)
     {:ok, %{gateway: gateway, config: config, heartbeat: heartbeat, encoder: nil}}
   end
 

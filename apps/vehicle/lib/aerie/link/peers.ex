@@ -25,9 +25,9 @@ defmodule Aerie.Link.Peers do
   @newcomer_ms 10
   @newcomers 512
 
-  @enforce_keys [:framing, :parser]
-  defstruct [:framing, :parser, :newcomers] ++
-              [max: 256, map: %{}, unknown: :gb_sets.new(), retired: %{}, sum: %{}, sources: %{}]
+  @enforce_keys [:framing, :parser, :unknown]
+  defstruct [:framing, :parser, :newcomers, :unknown] ++
+              [max: 256, map: %{}, retired: %{}, sum: %{}, sources: %{}]
 
   @typedoc """
   - `retired`, `sources`: what the parsers of peers that are gone counted; `sum`: those of the others, as of `measure/1`
@@ -51,7 +51,7 @@ defmodule Aerie.Link.Peers do
   @doc "None yet. `parser` options are `MavCodec.Parser.new/1`'s."
   @spec new(:stream | :datagram, max :: pos_integer, keyword) :: t
   def new(framing, max, parser_options \\ []) do
-    %__MODULE__{framing: framing, parser: Parser.new(parser_options), max: max}
+    %__MODULE__{framing: framing, parser: Parser.new(parser_options), unknown: :gb_sets.new(), max: max}
   end
 
   @doc "Whether one more connection is allowed."

@@ -103,7 +103,7 @@ defmodule Aerie.Recorder.Archive do
   @impl GenServer
   def handle_info({:DOWN, monitor, :process, _pid, _reason}, state) do
     {path, open} = Map.pop(state.open, monitor)
-    without_empty(path)
+    _ = without_empty(path)
     {:noreply, %{state | open: open}}
   end
 

@@ -65,14 +65,14 @@ defmodule Aerie.Router.Local do
   @doc "Holds the texts among frames of a system that has no session."
   @spec hold(Names.gateway(), term, [MavCodec.Frame.t()]) :: :ok
   def hold(gateway, key, frames) do
-    with %__MODULE__{early: early} = local <- Process.get({__MODULE__, gateway}) do
-      case Early.hold(early, key, frames) do
-        ^early -> :ok
-        more -> put(gateway, %{local | early: more})
-      end
-    end
+    case Process.get({__MODULE__, gateway}) do
+      %__MODULE__{early: early} = local ->
+        _ = put(gateway, %{local | early: Early.hold(early, key, frames)})
+        :ok
 
-    :ok
+      _none ->
+        :ok
+    end
   end
 
   @doc "Takes what is held of a system whose session is there now, given the frame that called it in."
@@ -80,7 +80,7 @@ defmodule Aerie.Router.Local do
   def held(gateway, key, %{at: now}) do
     with %__MODULE__{early: early} = local when is_map_key(early, key) <- Process.get({__MODULE__, gateway}) do
       {frames, early} = Early.take(early, key, now)
-      put(gateway, %{local | early: early})
+      _ = put(gateway, %{local | early: early})
       frames
     else
       _nothing -> []

@@ -172,7 +172,7 @@ defmodule Aerie.Router.Routes do
   @spec sweep(Tables.t(), integer, pos_integer) :: non_neg_integer
   def sweep(tables, now, ttl \\ @ttl_ms) do
     swept = :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
-    if :ets.info(tables.heard_by, :size) > :ets.info(tables.routes, :size), do: tidy(tables)
+    _ = if :ets.info(tables.heard_by, :size) > :ets.info(tables.routes, :size), do: tidy(tables)
     swept
   end
 

@@ -61,10 +61,11 @@ defmodule Aerie.Router.Turns do
   defp goes?(gateway, tables, _plan, way, %{autopilot: true}, frame) do
     vehicle = {hd(way.networks), frame.system}
 
-    with true <- :ets.member(tables.settings, {:turn, vehicle}),
-         {kind, said, part} <- Transfer.answered(frame),
-         to when to != nil <- Frame.target(frame),
-         do: GenServer.cast(Names.via(gateway, :router_turns), {:heard, {vehicle, kind}, to, said, part})
+    _ =
+      with true <- :ets.member(tables.settings, {:turn, vehicle}),
+           {kind, said, part} <- Transfer.answered(frame),
+           to when to != nil <- Frame.target(frame),
+           do: GenServer.cast(Names.via(gateway, :router_turns), {:heard, {vehicle, kind}, to, said, part})
 
     true
   end

@@ -67,8 +67,11 @@ defmodule Aerie.Vehicle.Events do
     detector = %{detector | done: n}
     Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
 
-    if (n = detector.budget.suppressed - before) > 0,
-      do: Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, n)
+    suppressed = detector.budget.suppressed - before
+
+    _ =
+      if suppressed > 0,
+        do: Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, suppressed)
 
     Enum.each(events, &told(state.gateway, state.id, &1))
     detector

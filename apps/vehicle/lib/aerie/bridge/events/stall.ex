@@ -40,5 +40,5 @@ defmodule Aerie.Bridge.Events.Stall do
   @doc "For how long none of the events that wait was confirmed."
   @spec ms(t(), integer()) :: non_neg_integer()
   def ms(%{since: nil}, _now), do: 0
-  def ms(%{since: since}, now), do: now - since
+  def ms(%{since: since}, now) when is_integer(since) and is_integer(now), do: max(now - since, 0)
 end

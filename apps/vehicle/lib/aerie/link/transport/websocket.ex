@@ -174,7 +174,8 @@ defmodule Aerie.Link.Transport.WebSocket do
     conn = %{conn | frames: frames, silent: 0}
     # In one go: what one read brings is one delivery.
     data = for {:data, data} <- events, do: data
-    for {:ping, payload} <- events, do: put(conn, Frames.control({:pong, payload}))
+    # A socket that takes no pong is found out by the next write that matters.
+    for {:ping, payload} <- events, do: _ = put(conn, Frames.control({:pong, payload}))
     reads = if data == [], do: [], else: [{:read, [{:remote, joined(data)}]}]
     {reads ++ Enum.flat_map(events, &ending/1), conn}
   end
@@ -226,7 +227,7 @@ defmodule Aerie.Link.Transport.WebSocket do
   def close(%{by: by, socket: socket} = conn) do
     _ = conn.timer && Process.cancel_timer(conn.timer)
     _ = put(conn, Frames.control({:close, 1001, ""}))
-    if by == :ssl, do: _ = :ssl.close(socket), else: Net.tcp_close(socket)
+    _ = if by == :ssl, do: :ssl.close(socket), else: Net.tcp_close(socket)
     :ok
   end
 end

@@ -157,15 +157,16 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       :ok = Router.send(c.gateway, {"main", 1}, attitude(245, 1))
       assert hear(client) == {2, attitude(245, 1)}
 
-      # The system's authorities know nothing of this one; and the certificate is of no address.
-      for {url, why} <- [
-            {"wss://localhost:#{port}", ~r/Unknown CA|no certificate authorities/i},
-            {"wss://127.0.0.1:#{port}/?ca=#{ca}", ~r/hostname|host name/i}
-          ] do
-        {:ok, id} = Link.start(c.gateway, url, id: "bad")
+      # A refused link tries again at any time, so the server goes on accepting.
+      start_supervised!({Task, fn -> Enum.each(Stream.cycle([server]), &accept/1) end})
 
-        Task.start(fn -> accept(server) end)
-        assert_receive {:down, _wait, %{link: "bad", reason: reason}}, @patience
+      # The system's authorities know nothing of this one; and the certificate is of no address.
+      for {id, url, why} <- [
+            {"unknown", "wss://localhost:#{port}", ~r/Unknown CA|no certificate authorities/i},
+            {"misnamed", "wss://127.0.0.1:#{port}/?ca=#{ca}", ~r/hostname|host name/i}
+          ] do
+        {:ok, ^id} = Link.start(c.gateway, url, id: id)
+        assert_receive {:down, _wait, %{link: ^id, reason: reason}}, @patience
         assert reason =~ why
         :ok = Link.stop(c.gateway, id)
       end

@@ -1,12 +1,11 @@
-# Compiled code that nobody changes. Sourced by the scripts that compile or run Aerie.
+# Compiles Aerie and makes copies of the compiled code that do not change. Sourced by the scripts that compile or run it.
 #
-# Mix writes compiled modules in place, and the BEAM reads a module when it is first called: a gateway that ran from Mix's
-# folder would get new code, or none, from whoever compiles beside it. So each program runs from a copy in _build/run/,
-# named by what is in it, and holds a shared lock on that folder for as long as it lives. A start removes the copies that
-# nobody holds: there are as many as different ones run, and one.
+# Mix writes compiled modules in place, and the BEAM reads a module when it is first called. A gateway that ran from Mix's
+# folder would load new code, or none, while somebody compiles. So each program runs from a copy in _build/run/, named
+# by a hash of its content, and holds a shared lock on that folder while it runs. A start removes copies that nobody holds.
 
-# Compiles everything for the environment $1, one caller at a time, and shows the output only when it fails. A terminal
-# sees that it goes on. $2: a function to be called with $1 before anybody else may compile.
+# Compiles everything for the environment $1, one caller at a time, and shows the output only if it fails. A terminal
+# shows progress. $2: a function that is called with $1 before the next caller may compile.
 compile_quietly() {
   local log="$AERIE_ROOT/_build/compile-$1.log" pid
   mkdir -p "$AERIE_ROOT/_build"
@@ -22,15 +21,15 @@ compile_quietly() {
   fi
   wait "$pid" || {
     cat "$log" >&2
-    fail "Aerie did not compile" "see above" "git status shows what was changed here; otherwise report it with the lines above"
+    fail "Aerie did not compile" "see above" "check your changes with git status; if there are none, report the lines above"
   }
   [ -z "${2:-}" ] || "$2" "$1"
   unlock
 }
 
 # Compiles for the environment $1 and sets AERIE_CODE to a copy of the result, which this process and its children hold.
-# When nothing was changed since, the copy of the last time is taken as it is: a gateway that was killed in flight is started
-# again, and asking Mix takes longer than all the rest.
+# If nothing has changed, it takes the last copy without asking Mix: a gateway that was killed in flight must start again
+# quickly, and Mix takes longer than all the rest.
 code_install() {
   local stamp="$AERIE_ROOT/_build/code-$1" begun
   lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
@@ -41,7 +40,7 @@ code_install() {
     return 0
   fi
   unlock
-  # What changes from here on is newer.
+  # Sources that change from here on are newer than the stamp.
   begun=$(date +%s.%N)
   compile_quietly "$1" code_copy
   printf '%s\n%s\n' "$(command -v elixir)" "$AERIE_CODE" >"$stamp.$$"
@@ -49,12 +48,12 @@ code_install() {
   mv "$stamp.$$" "$stamp"
 }
 
-# The copy that the file $1 names, when no source, folder of sources or toolchain is newer than the file.
+# Prints the copy that the file $1 names, if no source, source folder or toolchain is newer than the file.
 code_known() {
   local elixir code newer
   { read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
   [ "$elixir" = "$(command -v elixir)" ] && [ -d "$code" ] || return 1
-  # A toolchain of the system's has no such mark.
+  # The system's own toolchain has no such file.
   newer=$(cd "$AERIE_ROOT" && find -L apps packages mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
     \( -name test -o -name tmp \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
   [ -z "$newer" ] && printf '%s\n' "$code"

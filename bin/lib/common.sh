@@ -1,5 +1,4 @@
-# Shared by the scripts in bin/: where the checkout is, how to speak, how to find the toolchain.
-# Sourced, never run. Bash.
+# Shared by the scripts in bin/: paths, messages, locks, the toolchain's environment. Sourced, never run. Bash.
 
 set -euo pipefail
 
@@ -18,16 +17,16 @@ say() { printf '%s\n' "$*"; }
 step() { printf '==> %s\n' "$*" >&2; }
 warn() { printf 'warning: %s\n' "$*" >&2; }
 
-# fail WHAT WHY MEND: one line each time, so that the cure is never lost in a log.
+# fail WHAT WHY CURE: one line, so that the cure is never separated from the error in a log.
 fail() {
-  printf 'error: %s (%s). To mend it: %s\n' "$1" "$2" "$3" >&2
+  printf 'error: %s (%s). To fix it: %s\n' "$1" "$2" "$3" >&2
   exit 1
 }
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
-# lock FILE WAITING: an exclusive lock until `unlock`, or until the script and what it started are gone. Who waits for
-# longer than a moment is told so. (Without flock there are no locks: Linux has it.)
+# lock FILE MESSAGE: takes an exclusive lock until `unlock`, or until the script and its children have ended. Prints
+# MESSAGE if it has to wait for more than two seconds. Without flock there are no locks; Linux has it.
 lock() {
   mkdir -p "$(dirname "$1")"
   if have flock; then
@@ -37,7 +36,7 @@ lock() {
 }
 unlock() { exec 9>&-; }
 
-# hold FOLDER: keeps others from replacing or removing it while this script or anything that it started lives.
+# hold FOLDER: keeps other scripts from replacing or removing the folder while this script or a child of it runs.
 hold() {
   local held
   have flock || return 0
@@ -45,7 +44,7 @@ hold() {
   flock -s "$held"
 }
 
-# True when nobody holds the folder. Where that cannot be known it may be in use.
+# True if nobody holds the folder. Without flock it counts as held.
 unused() { have flock && flock -n -x "$1" true; }
 
 # Puts the private toolchain, if there is one, first on PATH.
@@ -58,6 +57,6 @@ use_toolchain() {
   export MIX_HOME="$AERIE_ROOT/.mix"
   export ELIXIR_ERL_OPTIONS="${ELIXIR_ERL_OPTIONS:-} +fnu"
   export LANG=${LANG:-C.UTF-8}
-  # A bare Debian root has no locale; names of files are UTF-8 all the same.
+  # A minimal Debian has no locale, but file names are UTF-8.
   case $LANG in *UTF-8 | *utf8) ;; *) export LC_ALL=C.UTF-8 ;; esac
 }

@@ -1,17 +1,17 @@
 # A private Python environment with the peers that the tests talk to (pymavlink, MAVSDK, MAVProxy). Sourced by bin/setup
 # and bin/test.
-# Only tests and the benchmark's comparison need it; the gateway itself has no Python.
+# Only tests and benchmark comparisons need it; the gateway itself uses no Python.
 
 AERIE_VENV=${AERIE_VENV:-$AERIE_ROOT/.venv}
 export AERIE_VENV
 
-# wsproto is what pymavlink opens WebSockets with; pyserial and defusedxml are what MAVProxy starts with.
+# pymavlink needs wsproto for WebSockets; MAVProxy needs pyserial and defusedxml to start.
 PYTHON_PEERS="pymavlink==2.4.50 wsproto==1.3.2 pyserial==3.5 defusedxml==0.7.1"
 
-# Taken without what they name as needed: for MAVProxy that is half a gigabyte of windows, maps and video.
+# Installed without their dependencies: MAVProxy's are half a gigabyte of GUI, maps and video.
 PYTHON_PEERS_ALONE="MAVProxy==1.8.75"
 
-# MAVSDK comes with its library for these machines only; elsewhere its tests are left out.
+# MAVSDK has binaries for these machines only; elsewhere its tests are left out.
 case "$(uname -s) $(uname -m)" in
   "Linux x86_64" | "Linux aarch64") PYTHON_PEERS_ALONE="$PYTHON_PEERS_ALONE mavsdk==4.1.0" ;;
 esac
@@ -22,7 +22,7 @@ python_pip() { "$AERIE_VENV/bin/pip" install --quiet --disable-pip-version-check
 
 python_install() {
   [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ] && [ -x "$AERIE_VENV/bin/python" ] && return 0
-  have python3 || fail "no python3" "the tests talk to pymavlink, a MAVLink implementation that is not ours" \
+  have python3 || fail "no python3" "the tests use pymavlink as an independent peer" \
     "apt-get install python3 python3-venv"
   lock "$AERIE_VENV.lock" "another set-up is running here; waiting for it"
   if [ "$(cat "$AERIE_VENV/.complete" 2>/dev/null)" = "$(python_stamp)" ]; then
@@ -30,11 +30,11 @@ python_install() {
     return 0
   fi
   local log="$AERIE_VENV.log"
-  step "python: a private environment with $PYTHON_PEERS $PYTHON_PEERS_ALONE (for the tests only)"
+  step "python: installing $PYTHON_PEERS $PYTHON_PEERS_ALONE into .venv/ (for the tests only)"
   rm -rf "$AERIE_VENV"
   if ! python3 -m venv "$AERIE_VENV" >"$log" 2>&1; then
     rm -rf "$AERIE_VENV"
-    fail "python3 cannot make a virtual environment" "its venv or ensurepip module is missing; the whole answer is in $log" \
+    fail "python3 cannot create a virtual environment" "its venv or ensurepip module is missing; the whole output is in $log" \
       "apt-get install python3-venv"
   fi
   # shellcheck disable=SC2086 # lists of words on purpose

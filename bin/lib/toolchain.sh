@@ -1,12 +1,12 @@
-# Elixir, OTP and nats-server, without root and inside the checkout. Sourced by bin/setup.
+# Elixir, OTP and nats-server, without root and inside the checkout. Sourced by the scripts that need them.
 #
-# If the machine's own Elixir is new enough and brings the libraries, it is used. Else, on Debian and its kin, the
-# packages of Debian's forky suite are downloaded under a private apt configuration, checked by apt against Debian's
-# keys, and unpacked into .toolchain/. Every ELF program there is started through the unpacked loader and libc, so that
-# an older system's libc does not matter, with paths relative to the wrapper, so that the folder can be moved.
+# The machine's own Elixir is used if it is new enough and has the libraries. Otherwise, on Debian and its relatives, the
+# packages of Debian's forky suite are downloaded with a private apt configuration, verified by apt against Debian's
+# keys, and unpacked into .toolchain/. A wrapper starts each ELF program there through the unpacked loader and libc, so that
+# an older system's libc does not matter. Its paths are relative, so that the folder can be moved.
 
 TOOLCHAIN_SUITE=forky
-TOOLCHAIN_REVISION=5 # change it when the steps below change: set-ups made by the older ones are made anew
+TOOLCHAIN_REVISION=5 # increase it if the steps below change: older set-ups are then made again
 
 toolchain_packages() {
   cat <<'LIST'
@@ -20,7 +20,7 @@ libc6 libatomic1 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libz
 LIST
 }
 
-# True when the Elixir on PATH (not ours) is new enough and has the libraries that design.md takes from Debian.
+# True if the Elixir on PATH is new enough and has the libraries that Aerie otherwise takes from Debian.
 toolchain_system_ok() {
   have elixir && have erl && have nats-server || return 1
   elixir -e '
@@ -41,7 +41,7 @@ toolchain_install() {
   fi
   local versions="Elixir >= $AERIE_MIN_ELIXIR on OTP >= $AERIE_MIN_OTP with cowboy, proper and fast_yaml, and nats-server"
   have apt-get && have dpkg-deb && have dpkg || fail "no toolchain" \
-    "this is not Debian or its kin, so nothing can be downloaded for it" "install $versions, so that they are on PATH and in Erlang's library folder"
+    "this is not Debian or a relative of it, so there is nothing to download" "install $versions on PATH and in Erlang's library folder"
   case $(dpkg --print-architecture) in
     amd64 | arm64) ;;
     *) fail "no toolchain for $(dpkg --print-architecture)" "only amd64 and arm64 are supported" "install $versions" ;;
@@ -51,11 +51,11 @@ toolchain_install() {
     unlock
     return 0
   fi
-  # A running gateway reads modules from there whenever it first needs them.
-  [ ! -d "$AERIE_TOOLCHAIN" ] || unused "$AERIE_TOOLCHAIN" || fail "the toolchain in $AERIE_TOOLCHAIN is an older one" \
-    "it cannot be replaced while a gateway or a test runs with it" "end those, then run this again"
+  # A running gateway reads modules from there when it first needs them.
+  [ ! -d "$AERIE_TOOLCHAIN" ] || unused "$AERIE_TOOLCHAIN" || fail "the toolchain in $AERIE_TOOLCHAIN is outdated" \
+    "it cannot be replaced while a gateway or a test uses it" "end those, then run this again"
 
-  # All work happens beside the final folder; an interrupted set-up leaves only this, and the next one removes it.
+  # All work happens in a folder beside the final one; the next set-up removes what an interrupted one leaves.
   local work="$AERIE_TOOLCHAIN.new"
   rm -rf "$work"
   mkdir -p "$work/debs"
@@ -79,10 +79,10 @@ toolchain_download() {
   local work=$1 versions=$2 mirror keyring apt log
   mirror=$(toolchain_mirror)
   if [ -z "$mirror" ]; then
-    # A root whose lists were cleaned away (containers) still names its mirror in the sources.
+    # A container without package lists still names its mirror in the sources.
     mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 2>/dev/null | grep -v security | grep '/debian/\?$' | head -n 1 || true)
   fi
-  [ -n "$mirror" ] || fail "no Debian mirror" "apt on this machine names none" "add Debian to apt's sources, or install $versions"
+  [ -n "$mirror" ] || fail "no Debian mirror" "apt's sources name none" "add Debian to apt's sources, or install $versions"
   keyring=/usr/share/keyrings/debian-archive-keyring.gpg
   [ -e "$keyring" ] || keyring=/usr/share/keyrings/debian-archive-keyring.pgp
   [ -e "$keyring" ] || fail "Debian's signing keys are missing" "packages could not be verified" "apt-get install debian-archive-keyring"
@@ -97,7 +97,7 @@ toolchain_download() {
     -o Acquire::Languages=none -o "Acquire::IndexTargets::deb::DEP-11::DefaultEnabled=false"
     -o Acquire::Retries=3 -o "APT::Sandbox::User=$(id -un)")
   step "toolchain: reading the package lists of Debian $TOOLCHAIN_SUITE from $mirror"
-  # A list that could not be fetched is only a warning to apt; here it is the end.
+  # For apt a list that it cannot fetch is only a warning; here it is an error.
   if ! apt-get "${apt[@]}" -o APT::Update::Error-Mode=any update >"$log" 2>&1; then
     tail -n 3 "$log" >&2
     fail "cannot read $mirror" "no network, or the mirror does not answer" "check the network and run bin/setup again"
@@ -106,7 +106,7 @@ toolchain_download() {
   # shellcheck disable=SC2046 # a list of words on purpose
   if ! (cd "$work/debs" && apt-get "${apt[@]}" download $(toolchain_packages) >"$log" 2>&1); then
     tail -n 3 "$log" >&2
-    fail "the download from $mirror broke off" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run bin/setup again"
+    fail "the download from $mirror failed" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run bin/setup again"
   fi
 }
 
@@ -117,8 +117,8 @@ toolchain_unpack() {
   rm -rf "$work/debs" "$work/apt" "$work/usr/share/doc" "$work/usr/share/man" "$work/usr/share/locale"
 }
 
-# The wrapper of one ELF program: started by any path, it finds the loader beside it, however the folder was moved.
-# $1 the program, $2 from its folder up to the toolchain's top
+# Wraps one ELF program, so that it finds the unpacked loader wherever the folder is.
+# $1: the program; $2: the path from its folder up to the toolchain's top
 toolchain_wrap_elf() {
   local program=$1 up=$2 triplet=$3 loader=$4
   mv "$program" "$program.elf"
@@ -144,7 +144,7 @@ toolchain_wrap() {
   done
   toolchain_wrap_elf "$work/usr/sbin/nats-server" ../.. "$triplet" "$loader"
 
-  # `erl` sets ROOTDIR to where Debian would have installed it: the folder that it really stands in, instead.
+  # Debian's `erl` sets ROOTDIR to its installed path; this one uses the folder that it is in.
   cat >"$work/usr/lib/erlang/bin/erl" <<ERL
 #!/bin/sh
 ROOTDIR=\$(cd "\${0%/*}/.." && pwd -P)
@@ -162,7 +162,7 @@ ERL
     toolchain_forward "$work" "$name" "usr/lib/erlang/bin/$name"
   done
   for name in elixir elixirc iex; do toolchain_forward "$work" "$name" "usr/lib/elixir/bin/$name"; done
-  # `elixir -S mix` reads it as Elixir, so it cannot be a wrapper.
+  # `elixir -S mix` reads this file as Elixir, so it cannot be a wrapper.
   cp "$work/usr/lib/elixir/bin/mix" "$work/bin/mix"
   toolchain_forward "$work" nats-server usr/sbin/nats-server
 }
@@ -187,8 +187,8 @@ toolchain_check() {
   step "toolchain: $found, nats-server $("$work/bin/nats-server" --version | sed 's/.* v//')"
 }
 
-# Serial ports are driven by a small C program. Without a compiler the rest works, so this is a warning, given once.
+# A small C program drives serial ports. Everything else works without a compiler, so this is only a warning.
 toolchain_compiler_note() {
   have cc || have gcc || have clang ||
-    warn "no C compiler: serial ports (DEVICE,BAUD) will not work, all else does. To mend it: apt-get install gcc libc6-dev"
+    warn "no C compiler: serial ports (DEVICE,BAUD) will not work; everything else does. To fix it: apt-get install gcc libc6-dev"
 }

@@ -1,12 +1,11 @@
-# What a client costs by each way in that is a connection: WebSocket, mavlink.sock, TCP. One source of frames by UDP, one
-# and five clients. The gateway is this program, without sessions, on one scheduler; the source and the clients are another
-# one.
+# Measures the cost of a client by WebSocket, mavlink.sock and TCP, with one source of frames by UDP and one or five clients.
+# The gateway is this program, without sessions, on one scheduler; the source and the clients are another program.
 #
 #     elixir --erl "+S 1:1" -S mix run bench/clients.exs [--seconds N]          or  bin/bench clients
 #
-# Columns: frames/s that were sent for so many seconds and arrived at every client without loss; p50 and p99 of the added
-# latency at 1,000 and 10,000 frames/s, in microseconds (the source's send and the client's receive are in it); CPU seconds
-# of the gateway per 100,000 frames that came in, at 10,000 frames/s; memory of the gateway for each further client.
+# Columns: the highest frames/s that arrived at every client without loss for that many seconds; p50 and p99 of the added
+# latency at 1,000 and 10,000 frames/s, in microseconds (including the source's send and the client's receive); CPU seconds
+# of the gateway per 100,000 received frames, at 10,000 frames/s; memory of the gateway for each further client.
 
 {:module, _name, load_binary, _last} =
   defmodule ClientsBench.Load do

@@ -1,18 +1,18 @@
 defmodule FleetWeb.Endpoint do
   @moduledoc """
-  The HTTP server of one gateway instance: Cowboy listeners under a supervisor of their own.
+  The HTTP server of one gateway instance: Cowboy listeners under their own supervisor.
 
       FleetWeb.Endpoint.start_link(gateway: :default, address: {127, 0, 0, 1}, port: 4000)
 
-  * `gateway` - name of the `Aerie.Gateway` it shows (required)
-  * `address` - IP address to listen on, default `{127, 0, 0, 1}`: what has no password is not for the network
-  * `port` - TCP port, default 4000; 0 takes a free one, `port/1` tells which
+  * `gateway` - name of the `Aerie.Gateway` that it shows (required)
+  * `address` - IP address to listen on, default `{127, 0, 0, 1}`, because there is no password by default
+  * `port` - TCP port, default 4000; 0 takes a free one, which `port/1` returns
   * `max_connections` - default 1000; more wait in the kernel's queue
   * `config` - the `Aerie.Config`, or its sections `http`, `api` and `websocket`; default is the running gateway's. Without
-    a section `websocket`, none is served
+    a section `websocket` there is no WebSocket listener
 
-  Bad input is refused by Cowboy (its limits on headers and request lines stand) and `FleetWeb.HTTP.Guard`, and costs that
-  connection only. HTTP/1.1 is spoken, nothing else: no client of a gateway needs more, and it has limits of its own.
+  Cowboy (with its default limits on headers and request lines) and `FleetWeb.HTTP.Guard` refuse bad input, which costs only
+  its own connection. The server speaks HTTP/1.1 only, because no client of a gateway needs more.
   """
 
   use Supervisor
@@ -37,10 +37,10 @@ defmodule FleetWeb.Endpoint do
     Supervisor.start_link(__MODULE__, options)
   end
 
-  @doc "The port that the server of `gateway` listens on."
+  @doc "The port on which the server of `gateway` listens."
   @spec port(term()) :: :inet.port_number()
   def port(gateway) do
-    # Only a listener on a path of the file system has none.
+    # Only a listener on a unix socket has no port.
     case :ranch.get_port(ref(gateway)) do
       port when is_integer(port) -> port
     end
@@ -60,7 +60,7 @@ defmodule FleetWeb.Endpoint do
         Supervisor.init(children, strategy: :one_for_one)
 
       {:error, text} ->
-        # Nobody would be let in who should, or everybody: neither is a way to go on.
+        # Without readable keys the server would admit nobody, or everybody, so it does not start.
         raise ArgumentError, text
     end
   end
@@ -69,7 +69,7 @@ defmodule FleetWeb.Endpoint do
     transport = %{
       socket_opts: [ip: options[:address], port: options[:port]],
       num_acceptors: 4,
-      # The limit is one for each of these.
+      # Ranch applies the connection limit per connection supervisor, so there is only one.
       num_conns_sups: 1,
       max_connections: options[:max_connections]
     }
@@ -79,7 +79,7 @@ defmodule FleetWeb.Endpoint do
       middlewares: Guard.middlewares(),
       protocols: [:http],
       idle_timeout: 30_000,
-      # A body that nobody reads is not waited for: one that trickles would hold its connection for ever.
+      # An unread body closes its connection; a slow one would hold it for ever.
       max_skip_body_length: 0,
       max_keepalive: 1000
     }

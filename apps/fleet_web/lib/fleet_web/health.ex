@@ -1,18 +1,18 @@
 defmodule FleetWeb.Health do
   @moduledoc """
-  Is a gateway ready to do its work? Answered from the read model, part by part, so that a probe that fails says why.
+  Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 
-  Ready means: the gateway's parts run, NATS stores events (or is switched off by the configuration), and no autopilot has the
-  gateway's own ids, which would make its vehicle unseen. Links that are down do not make it unready, because a
-  gateway that waits for a radio to come back does its work; they are listed all the same.
-  One that drops datagrams, because they come faster than it reads them, does: what the gateway shows is not all there was.
+  Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
+  autopilot has the gateway's own ids (its vehicle would be invisible), and that no link drops datagrams because they come
+  faster than it reads them (what the gateway shows would be incomplete). Links that are down are listed but do not make it
+  unready, because a gateway that waits for a radio to return does its work.
   """
 
   alias Aerie.{Names, Store}
 
   @parts [store: :store, vehicles: :vehicles]
 
-  @doc "`{ready?, report}`; the report is a map for JSON."
+  @doc "Returns `{ready?, report}`; the report is a map for JSON."
   @spec ready(Names.gateway()) :: {boolean(), map()}
   def ready(gateway) do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
@@ -57,7 +57,7 @@ defmodule FleetWeb.Health do
       "give the gateway more CPU, or spread the vehicles over more links"
   end
 
-  # What keeps events from being stored, or nil. The outbox's own trouble is shown, but does not.
+  # What keeps events from being stored, or nil. A problem of the outbox is shown, but does not keep them.
   defp nats_problem(gateway, nil), do: if(not nats_off?(gateway), do: "the bridge to NATS does not run")
   defp nats_problem(_gateway, nats), do: nats.problem
 

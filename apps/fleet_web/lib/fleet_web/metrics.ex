@@ -9,7 +9,7 @@ defmodule FleetWeb.Metrics do
   | `gateway_mavlink_parse_errors_total` | | frames with a wrong CRC or unknown incompatibility flags |
   | `gateway_clients`, `gateway_client_*` | `kind` | clients that are connected, and their frames |
   | `gateway_api_requests_total` | `status` | requests to `/api` |
-  | `gateway_clients_refused_total` | `face`, `reason` | clients refused or let go |
+  | `gateway_clients_refused_total` | `face`, `reason` | clients refused or disconnected |
   | `gateway_nats_*` | | see `Aerie.Bridge.metrics/1` |
   | `gateway_recorder_*` | `recording` | see `Aerie.Recorder.metrics/1` |
   | `gateway_link_*` | `link`, `network` | one link: state, bytes, frames, errors, loss, drops, reconnects |
@@ -17,14 +17,14 @@ defmodule FleetWeb.Metrics do
   | `gateway_counter_total` | `name` | the read model's other counters: drops and refusals |
   | `gateway_vm_*` | | memory, processes and run queue of the VM |
 
-  Names of messages come from the dialects; an id that no dialect knows is `type="unknown"`, so the number of time series
-  does not grow with what a link receives.
+  Message names come from the dialects. An id that no dialect knows is `type="unknown"`, so that received garbage does not
+  add time series.
   """
 
   alias Aerie.Store
   alias FleetWeb.Metrics.{Clients, Links, Text, Vehicles}
 
-  @doc "The families of a gateway; those of parts that do not run are empty."
+  @doc "The metric families of a gateway; those of parts that do not run are empty."
   @spec families(term()) :: [Text.family()]
   def families(gateway) do
     links = Store.links(gateway)

@@ -1,19 +1,19 @@
 defmodule FleetWeb.WebSocket do
   @moduledoc """
-  The listener for MAVLink over WebSocket: a port of its own (8765), `ws` or, with a certificate, `wss` only.
+  The listener for MAVLink over WebSocket, on its own port (8765): `ws`, or `wss` only if there is a certificate.
 
-  A connection has five seconds for its handshake, headers of at most 4 KiB each, and a place among
-  `websocket.max_clients`.
+  A handshake must finish within five seconds, its headers have at most 4 KiB each, and there are at most
+  `websocket.max_clients` clients.
   """
 
   alias FleetWeb.API.Access
   alias FleetWeb.HTTP.Guard
   alias FleetWeb.WebSocket.{Handler, Places}
 
-  # Connections that are about to be told that there is no room.
+  # Connections beyond the limit, which get an answer that says so.
   @spare 16
 
-  @doc "The processes of a gateway's listener, to be supervised; `[]` when the section `websocket` asks for none."
+  @doc "Child specifications of a gateway's listener; `[]` if the section `websocket` is missing or disabled."
   @spec listener(term(), map() | nil, Access.policy()) :: [
           Supervisor.child_spec() | :supervisor.child_spec() | {module(), keyword()}
         ]
@@ -34,15 +34,15 @@ defmodule FleetWeb.WebSocket do
 
     {:ok, address} = :inet.parse_strict_address(String.to_charlist(settings.address))
 
-    # A kernel that keeps megabytes for a client that does not read would give it the past when it reads again; what a
-    # client does not take in ten seconds it does not want.
+    # With megabytes in the kernel's buffer, a client that resumes reading would get old frames. A client that takes
+    # nothing for ten seconds is disconnected.
     socket =
       [ip: address, port: settings.port, nodelay: true, sndbuf: 65_536] ++
         [send_timeout: 10_000, send_timeout_close: true]
 
     {transport, connection, socket} = secure(settings, socket)
 
-    # The limit is one for each supervisor of connections.
+    # Ranch applies the connection limit per connection supervisor, so there is only one.
     limits = %{
       socket_opts: socket,
       num_acceptors: 2,
@@ -58,7 +58,7 @@ defmodule FleetWeb.WebSocket do
 
   def listener(_gateway, _off, _policy), do: []
 
-  @doc "The port that the listener of a gateway has."
+  @doc "The port on which the listener of a gateway listens."
   @spec port(term()) :: :inet.port_number()
   def port(gateway) do
     case :ranch.get_port(ref(gateway)) do

@@ -32,7 +32,7 @@ defmodule FleetWeb.AttackTest do
     status(raw(port, [method, " ", path, " HTTP/1.1\r\n", host, lines, "\r\n", body]))
   end
 
-  test "a path, a query or a header that is no text is refused with 400, on every route, by every method" do
+  test "a path, a query or a header that is not UTF-8 is refused with 400, on every route, with every method" do
     %{port: port} = start_server()
 
     for bad <- ["%FF", "a%FFb", "%C0%AF", "%ED%A0%80", "%", "%zz", <<255>>],
@@ -54,7 +54,7 @@ defmodule FleetWeb.AttackTest do
     assert ask(port, "GET", "/healthz") == 200
   end
 
-  test "every method on every route has an answer of its kind; HEAD is GET without a body, OPTIONS says what there is" do
+  test "every method on every route has its answer; HEAD is GET without a body, OPTIONS lists the methods" do
     %{port: port} = start_server()
 
     for path <- paths("x"), method <- @methods do
@@ -77,7 +77,7 @@ defmodule FleetWeb.AttackTest do
     assert allow =~ "PATCH" and allow =~ "DELETE"
   end
 
-  test "a page that is allowed may use every method that a route has" do
+  test "an allowed page may use every method of a route" do
     %{port: port} = start_server(key: true, origins: ["https://gcs.example.org"])
 
     for {path, resource} <- Resources.paths(), resource != :missing do
@@ -92,7 +92,7 @@ defmodule FleetWeb.AttackTest do
     end
   end
 
-  test "metrics and health are not for a foreign name that was made to point here (DNS rebinding)" do
+  test "metrics and health refuse a foreign host name (DNS rebinding)" do
     %{port: port} = start_server(key: true, hosts: ["gateway.example.org"])
     {:ok, own} = :inet.gethostname()
 
@@ -150,7 +150,7 @@ defmodule FleetWeb.AttackTest do
     end
   end
 
-  test "a body that is too long, no JSON, or of another type is refused by its kind" do
+  test "a body that is too long, not JSON, or of another type is refused with its own status" do
     %{port: port} = start_server()
     post = &ask(port, "POST", "/api/clients", &1, &2)
 
@@ -188,7 +188,7 @@ defmodule FleetWeb.AttackTest do
     assert status(raw(port, [head, List.duplicate(chunk, 100)])) == 413
   end
 
-  test "headers and request lines have an end; only HTTP/1.1 is spoken" do
+  test "headers and request lines have limits; only HTTP/1.1 is spoken" do
     %{port: port} = start_server()
     long = String.duplicate("x", 100_000)
 
@@ -214,7 +214,7 @@ defmodule FleetWeb.AttackTest do
     assert ask(port, "GET", "/healthz") == 200
   end
 
-  test "who sends slowly, or a body that nobody wants, is let go" do
+  test "a slow sender, or one with an unexpected body, is disconnected" do
     %{port: port} = start_server()
     post = "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\n"
 
@@ -231,7 +231,7 @@ defmodule FleetWeb.AttackTest do
     |> Task.await_many(60_000)
   end
 
-  test "connections have a limit; who waits gets his turn when one ends" do
+  test "connections have a limit; a waiting one is served when another ends" do
     gateway = make_ref()
     start_supervised!({FleetWeb.Endpoint, gateway: gateway, port: 0, max_connections: 2, config: %{}})
     port = FleetWeb.Endpoint.port(gateway)

@@ -34,7 +34,7 @@ defmodule FleetWeb.EndpointTest do
     assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
   end
 
-  test "a link that drops what it cannot read in time is told: unready, with its name and what to do",
+  test "a link that drops datagrams makes the gateway unready, with its name and what to do",
        context do
     link = eventually(fn -> link_with_port(context.gateway) end)
     overload = %{since: 1_700_000_000_000_000, datagrams: 12}
@@ -55,14 +55,14 @@ defmodule FleetWeb.EndpointTest do
     assert {200, %{"status" => "ready", "problems" => []}} = json(context.port, "/readyz")
   end
 
-  test "a gateway that is not there is unready, with the parts that are missing", context do
+  test "a missing gateway is unready, and the report names the missing parts", context do
     stop_supervised!({Aerie.Gateway, context.gateway})
     assert {503, %{"status" => "not ready", "parts" => %{"store" => false}}} = json(context.port, "/readyz")
     assert {200, text} = get(context.port, "/metrics")
     assert text =~ "gateway_vehicles 0"
   end
 
-  test "metrics of a vehicle that was heard, and of garbage", context do
+  test "metrics of a vehicle, and of garbage", context do
     heartbeat = %Messages.Heartbeat{type: 2, autopilot: 3, base_mode: 209, custom_mode: 4, system_status: 4}
     battery = %Messages.SysStatus{voltage_battery: 12_600, current_battery: 100, battery_remaining: 87}
     bytes = for message <- [heartbeat, battery], do: MavCodec.encode(message, system: 7)
@@ -108,7 +108,7 @@ defmodule FleetWeb.EndpointTest do
     end
   end
 
-  test "a link tells what docs/telemetry.md says, no more and no less, rounded", context do
+  test "a link has exactly the fields of docs/telemetry.md, rounded", context do
     eventually(fn ->
       {200, %{"links" => [link]}} = json(context.port, "/api/links")
 
@@ -122,7 +122,7 @@ defmodule FleetWeb.EndpointTest do
     end)
   end
 
-  test "whether a lost vehicle is armed is not known: its metric goes with it", context do
+  test "the armed metric of a lost vehicle is absent", context do
     mode = %{at: 1, time_boot_ms: nil, data: %{armed: true, in_air: true}}
     vehicle = %{id: "V", links: [], last_heard: nil, groups: %{mode: mode}, status: :online}
     Store.put_vehicle(context.gateway, {"main", 9}, vehicle)
@@ -137,7 +137,7 @@ defmodule FleetWeb.EndpointTest do
     assert text =~ ~s(gateway_vehicle_online{vehicle="V"} 0)
   end
 
-  test "an unknown page and a wrong method say what there is", context do
+  test "an unknown page and a wrong method say what exists", context do
     assert {200, index} = get(context.port, "/")
     assert index =~ "/metrics"
     assert {404, text} = get(context.port, "/secret/../x")

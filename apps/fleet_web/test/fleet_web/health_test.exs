@@ -7,7 +7,7 @@ defmodule FleetWeb.HealthTest do
   @moduletag :tmp_dir
   @moduletag :capture_log
 
-  test "ready follows from whether events are stored, not from whether there is a connection", %{tmp_dir: dir} do
+  test "ready depends on events being stored, not on the connection", %{tmp_dir: dir} do
     gateway = make_ref()
     # Nobody listens there.
     overrides = [{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", dir}, {"sockets.enabled", false}]

@@ -19,7 +19,7 @@ defmodule FleetWeb.Metrics.TextTest do
     assert IO.iodata_to_binary(Text.render(families)) =~ ~S(x{name="a\"} 1\n\\evil"} 2.5)
   end
 
-  test "what is not known is left out, and so is a family of which nothing is known" do
+  test "unknown samples are left out, and so are families without known samples" do
     families = [{"x", :gauge, "h", [{[], nil}]}, {"y", :gauge, "h", [{[a: 1], nil}, {[a: 2], 3}]}]
     text = IO.iodata_to_binary(Text.render(families))
     refute text =~ "x"

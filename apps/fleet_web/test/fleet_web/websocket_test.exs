@@ -49,7 +49,7 @@ defmodule FleetWeb.WebSocketTest do
   end
 
   describe "frames" do
-    test "go out one a message, as they were received, and come in one or several a message" do
+    test "leave one per message, unchanged, and arrive one or several per message" do
       c = start()
       client = open(c)
       say(c.link, heartbeat(1) <> attitude(7))
@@ -67,7 +67,7 @@ defmodule FleetWeb.WebSocketTest do
                clients(c.gateway)
     end
 
-    test "a client that may only read hears everything, and what it says goes to nobody" do
+    test "a read-only client gets everything, and nothing that it sends is forwarded" do
       c = start()
       client = open(c, "/mavlink?access=read")
       :ok = WSClient.send(client, heartbeat(255, 6, 8))
@@ -77,7 +77,7 @@ defmodule FleetWeb.WebSocketTest do
       assert {{2, _frame}, _client} = WSClient.recv(client)
     end
 
-    test "a client of another network hears nothing of this one" do
+    test "a client of another network gets nothing of this one" do
       c = start()
       client = open(c, "/?network=field,lab")
       assert [%{networks: ["field", "lab"]}] = clients(c.gateway)
@@ -85,7 +85,7 @@ defmodule FleetWeb.WebSocketTest do
       assert {{:closed, :timeout}, _client} = WSClient.recv(client, 100)
     end
 
-    test "a text message, and one that is too large, end the connection in words" do
+    test "a text message, and one that is too large, close the connection with a reason" do
       c = start()
       client = open(c)
       :ok = WSClient.send(client, "hello", 1)
@@ -99,7 +99,7 @@ defmodule FleetWeb.WebSocketTest do
       assert Store.counter(c.gateway, {:clients, :websocket, :text}) == 1
     end
 
-    test "a client that does not read loses the oldest of the least important, and holds nobody up" do
+    test "a client that does not read loses its oldest, least important frames, and delays nobody" do
       c = start()
       _deaf = open(c, "/", socket: [recbuf: 2048])
       [%{id: id}] = clients(c.gateway)
@@ -119,7 +119,7 @@ defmodule FleetWeb.WebSocketTest do
       assert waiting <= Endpoint.max_waiting()
     end
 
-    test "a client that vanishes leaves nothing" do
+    test "a client that vanishes leaves nothing behind" do
       c = start()
       client = open(c)
       WSClient.close(client)
@@ -151,7 +151,7 @@ defmodule FleetWeb.WebSocketTest do
       assert Store.counter(c.gateway, {:clients, :websocket, :unauthorized}) == 4
     end
 
-    test "pages: the gateway's own and the configured ones; no others, with a good ticket neither" do
+    test "pages: the gateway's own and the configured ones; no others, not even with a valid ticket" do
       c = start(key: true, origins: ["https://gcs.example.org"])
       key = {"x-aerie-key", key()}
       assert %WSClient{} = open(c, "/", headers: [key, {"origin", "http://127.0.0.1:#{c.port}"}])
@@ -176,7 +176,7 @@ defmodule FleetWeb.WebSocketTest do
       assert %WSClient{} = open(c)
     end
 
-    test "there is a limit to how many" do
+    test "the number of clients is limited" do
       c = start(websocket: %{max_clients: 2})
       first = open(c)
       _second = open(c, "/", [], 2)
@@ -187,7 +187,7 @@ defmodule FleetWeb.WebSocketTest do
       assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
     end
 
-    test "handshakes in the same moment do not pass the limit together" do
+    test "simultaneous handshakes cannot exceed the limit" do
       c = start(websocket: %{max_clients: 4})
       test = self()
 
@@ -209,7 +209,7 @@ defmodule FleetWeb.WebSocketTest do
       assert Enum.count(answers, &match?({503, %{"error" => %{"code" => "unavailable"}}}, &1)) == 12
     end
 
-    test "places outlive the process that gives them out" do
+    test "places outlive the process that hands them out" do
       c = start(websocket: %{max_clients: 1})
       client = open(c)
       places = Aerie.Names.whereis(c.gateway, :websocket_places)
@@ -221,7 +221,7 @@ defmodule FleetWeb.WebSocketTest do
       assert eventually(fn -> is_struct(WSClient.open(c.ws, "/")) end)
     end
 
-    test "what is no text is refused before anything is looked at, and costs no place" do
+    test "a request that is not UTF-8 is refused first, and takes no place" do
       c = start(websocket: %{max_clients: 1})
 
       upgrade =
@@ -241,7 +241,7 @@ defmodule FleetWeb.WebSocketTest do
       open(c)
     end
 
-    test "what asks for something else is told so" do
+    test "a request for anything else gets an error that says so" do
       c = start()
       assert {426, %{"error" => %{"code" => "upgrade_required"}}} = open(c, "/", headers: [{"upgrade", nil}])
       assert {404, nil} = open(c, "/elsewhere")

@@ -1,14 +1,14 @@
 defmodule FleetWeb.API.Access do
   @moduledoc """
-  Who may use `/api` and the WebSocket. Pure, from the facts of a request.
+  Decides who may use `/api` and the WebSocket. Pure, from the facts of a request.
 
-  1. A web page (a request with an `Origin`) must be one of the server's own or of `api.origins`; any other page's is
-     refused whatever key it brings, because browsers send requests for anybody's page.
-  2. With keys configured, a request needs one of them, in `X-Aerie-Key` or as `Authorization: Bearer`.
-  3. Without, only this machine may: the peer is on loopback, is no proxy that speaks for somebody else, and the `Host`
-     is a name of this machine, so that a foreign name that was made to point here (DNS rebinding) leads nowhere.
+  1. A web page (a request with an `Origin`) must be the server's own or listed in `api.origins`. A request of any other
+     page is refused even with a valid key, because browsers send requests for any page.
+  2. If keys are configured, a request needs one of them, in `X-Aerie-Key` or as `Authorization: Bearer`.
+  3. Without keys only this machine may: the peer is on loopback, no proxy forwards for somebody else, and `Host` is a
+     name of this machine, so that a foreign name that points here (DNS rebinding) gets no access.
 
-  Metrics and health want no key, but a `Host` that is the gateway's (`host/2`), for the same reason.
+  For the same reason, metrics and health need no key, but a `Host` that belongs to the gateway (`host/2`).
   """
 
   alias Aerie.Client.Keys
@@ -16,8 +16,8 @@ defmodule FleetWeb.API.Access do
 
   @typedoc """
   * `peer` - address of the other end
-  * `forwarded` - whether a proxy says that it speaks for somebody
-  * `host`, `origin`, `key` - from the headers; nil when absent
+  * `forwarded` - whether a proxy says that it forwards for somebody
+  * `host`, `origin`, `key` - from the headers; nil if absent
   """
   @type facts :: %{
           peer: :inet.ip_address(),
@@ -28,9 +28,9 @@ defmodule FleetWeb.API.Access do
         }
 
   @typedoc """
-  What is checked against: the keys, the origins of other servers' pages that are allowed, the ports whose pages are
-  the gateway's own (HTTP serves the console, which opens a WebSocket at another port of the same host), and further names
-  that the gateway is called by.
+  What requests are checked against: the keys, the allowed origins of other servers' pages, the ports whose pages are the
+  gateway's own (a page served by HTTP may open a WebSocket at another port of the same host), and further host names of the
+  gateway.
   """
   @type policy :: %{
           keys: [Keys.key()],
@@ -39,13 +39,13 @@ defmodule FleetWeb.API.Access do
           hosts: [String.t()]
         }
 
-  @doc "The name of who asks (a key's name, or `\"local\"`), or why not."
+  @doc "Returns the requester's name (a key's name, or `\"local\"`), or why access is refused."
   @spec decide(policy(), facts()) :: {:ok, String.t()} | {:error, Error.t()}
   def decide(policy, facts) do
     with :ok <- origin(policy, facts), do: key(policy, facts)
   end
 
-  @doc "Whether a page of this origin may use the server; no origin is no page."
+  @doc "Whether a page of this origin may use the server. A request without an origin comes from no page."
   @spec origin(policy(), facts()) :: :ok | {:error, Error.t()}
   def origin(_policy, %{origin: nil}), do: :ok
 
@@ -57,7 +57,7 @@ defmodule FleetWeb.API.Access do
 
   @doc """
   Whether a request that needs no key may be answered: its `Host` is an address, `localhost`, this machine's name or one of
-  `http.hosts`, or it brings a key. A page that had its own name pointed here (DNS rebinding) has none of these.
+  `http.hosts`, or it has a valid key. A page whose own name points here (DNS rebinding) has none of these.
   """
   @spec host(policy(), facts()) :: :ok | {:error, Error.t()}
   def host(_policy, %{host: nil}), do: :ok
@@ -69,7 +69,11 @@ defmodule FleetWeb.API.Access do
          Keys.check(policy.keys, facts.key) != :error,
        do: :ok,
        else:
-         {:error, Error.new(:forbidden, "this is not the gateway's name; use its address, or see http.hosts")}
+         {:error,
+          Error.new(
+            :forbidden,
+            "the Host header is no name of this gateway; use its address, or add the name to http.hosts"
+          )}
   end
 
   defp own_names do
@@ -78,7 +82,7 @@ defmodule FleetWeb.API.Access do
     ["localhost", own, own <> ".local"]
   end
 
-  # "null" (a sandboxed page, a file) is nobody's own.
+  # The origin "null" (a sandboxed page, a file) is never the server's own.
   defp own?({:ok, %URI{scheme: scheme, host: name, port: port}}, host, ports)
        when scheme in ["http", "https"] and is_binary(name) and is_binary(host) do
     {host, host_port} = split(host)
@@ -90,12 +94,13 @@ defmodule FleetWeb.API.Access do
   defp key(%{keys: []}, facts) do
     if Keys.loopback?(facts.peer) and not facts.forwarded and local_name?(facts.host),
       do: {:ok, "local"},
-      else: {:error, Error.new(:forbidden, "no key is configured, so only this machine may; set api.key")}
+      else:
+        {:error, Error.new(:forbidden, "no key is configured, so only this machine has access; set api.key")}
   end
 
   defp key(%{keys: keys}, facts) do
     with :error <- Keys.check(keys, facts.key) do
-      message = if facts.key, do: "this key is not known", else: "the header X-Aerie-Key is missing"
+      message = if facts.key, do: "this key is unknown", else: "the header X-Aerie-Key is missing"
       {:error, Error.new(:unauthorized, message, %{"www-authenticate" => "Bearer"})}
     end
   end
@@ -115,7 +120,7 @@ defmodule FleetWeb.API.Access do
     end
   end
 
-  # Name in lower case and without brackets, port if there is one.
+  # {name in lower case without brackets, port or nil}
   defp split(host) do
     case Regex.run(~r/\A\[?(.*?)\]?(?::(\d{1,5}))?\z/, String.downcase(host)) do
       [_all, name, port] -> {name, String.to_integer(port)}

@@ -1,21 +1,22 @@
 defmodule FleetWeb.API.Dealings do
   @moduledoc """
-  What `GET /api/vehicles/ID` says of the dealings with a vehicle besides its state: streams, ground stations, clock, reports.
-  Pure, from its snapshot. A part that the snapshot does not have is null.
+  What `GET /api/vehicles/ID` shows besides a vehicle's state: streams, ground stations, clock, reports. Pure, from its
+  snapshot. A part that the snapshot does not have is null.
   """
 
   alias Aerie.Fleet.Json
   alias MavCodec.Dialects.All
 
   @doc """
-  * `streams` - a list of what is wanted: `message`, `id`, `state`, `wanted_hz` (null: as it comes), `asked_hz`,
-    `measured_hz`
-  * `gcs` - `stations` on its network and whether its failsafe listens to each (`keeps`), which ids it listens to
-    (`failsafe_gcs`, both ends in `failsafe_range`), whether one keeps it quiet (`quiet`, `heard_gcs`, `last_heard`),
-    `enabled`, `timeout_s`, and the `params` that this is known from
-  * `clock` - `offset_s` (its clock minus ours), `error_s`, `round_trip_s`, `boot` (when its clock was 0), `time`
+  * `streams` - the wanted messages, each with `message`, `id`, `state`, `wanted_hz` (null: the vehicle's own rate),
+    `asked_hz`, `measured_hz`
+  * `gcs` - the `stations` on its network and whether each keeps its failsafe quiet (`keeps`), the ids that the failsafe
+    listens to (`failsafe_gcs`, or both ends in `failsafe_range`), whether one of them keeps it quiet now (`quiet`,
+    `heard_gcs`, `last_heard`), `enabled`, `timeout_s`, and the `params` that say so
+  * `clock` - `offset_s` (the vehicle's clock minus the gateway's), `error_s`, `round_trip_s`, `boot` (when its clock was
+    0), `time`
   * `reports` - its latest reports, newest first, and how many are `lost`
-  * `high_latency` - whether it is reached by slow links `only`, and which `links` are slow
+  * `high_latency` - whether it is reached by high-latency links `only`, and which `links` they are
   """
   @spec of(map()) :: map()
   def of(vehicle) do

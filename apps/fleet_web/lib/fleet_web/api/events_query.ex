@@ -1,21 +1,21 @@
 defmodule FleetWeb.API.EventsQuery do
   @moduledoc """
-  The query of `GET /api/events` and `GET /api/vehicles/ID/events`, checked. Pure.
+  Checks the query of `GET /api/events` and `GET /api/vehicles/ID/events`. Pure.
 
       ?limit=100&since=2026-11-22T10:15:00Z
 
-  `limit` is 1 to 1000, 100 if left out; `since` a time, ISO 8601 with its offset or unix seconds.
+  `limit` is 1 to 1000, by default 100; `since` is a time, ISO 8601 with its offset or unix seconds.
   """
 
   alias FleetWeb.API.Error
 
   @most 1000
-  # Year 9999: what is written with four digits.
+  # The end of year 9999, the last one that ISO 8601 writes with four digits.
   @last_s 253_402_300_799
 
   @type options :: [limit: pos_integer(), since: integer() | nil]
 
-  @doc "The options of `Aerie.Fleet.Journal.recent/3`."
+  @doc "Returns the options for `Aerie.Fleet.Journal.recent/3`."
   @spec parse(%{String.t() => String.t() | nil}) :: {:ok, options()} | {:error, Error.t()}
   def parse(parameters) do
     with :ok <- known(Map.keys(parameters) -- ["limit", "since"]),
@@ -26,12 +26,12 @@ defmodule FleetWeb.API.EventsQuery do
   end
 
   defp known([]), do: :ok
-  defp known(_others), do: bad("the parameters are limit and since")
+  defp known(_others), do: bad("unknown parameter; the parameters are limit and since")
 
   defp limit(text) do
     case Integer.parse(text || "") do
       {n, ""} when n in 1..@most -> {:ok, n}
-      _other -> bad("limit is a number from 1 to #{@most}")
+      _other -> bad("limit must be a number from 1 to #{@most}")
     end
   end
 
@@ -43,7 +43,7 @@ defmodule FleetWeb.API.EventsQuery do
       {:ok, round(seconds * 1_000_000)}
     else
       {:ok, time, _offset} -> {:ok, DateTime.to_unix(time, :microsecond)}
-      _neither -> bad("since is a time such as 2026-11-22T10:15:00Z, or unix seconds")
+      _neither -> bad("since must be a time such as 2026-11-22T10:15:00Z, or unix seconds")
     end
   end
 

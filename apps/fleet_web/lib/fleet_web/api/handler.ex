@@ -1,8 +1,9 @@
 defmodule FleetWeb.API.Handler do
   @moduledoc """
-  `/api`: JSON in and out, for programs. See `FleetWeb.API.Access` for who may, `docs/clients.md` for the whole of it.
+  Serves `/api`: JSON in and out, for programs. `FleetWeb.API.Access` decides who may use it; `docs/clients.md` describes
+  it.
 
-  Each request is counted by its status (`{:api, status}`), whatever became of it.
+  Each request is counted by its status (`{:api, status}`).
   """
 
   @behaviour :cowboy_handler
@@ -29,7 +30,7 @@ defmodule FleetWeb.API.Handler do
     {:ok, reply(status, headers, body, request), state}
   end
 
-  # A page of an allowed origin asks first what it may send, without its key.
+  # A CORS preflight: a page of an allowed origin asks what it may send, without its key.
   defp answer("OPTIONS", resource, %{origin: origin} = facts, state, request)
        when is_binary(origin) and resource != :missing do
     case Access.origin(state.policy, facts) do
@@ -56,7 +57,7 @@ defmodule FleetWeb.API.Handler do
 
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)
 
-  # As long as it was when it was looked at: one that is being written only grows.
+  # Sends the size that was read before: a file that is being written only grows.
   defp reply(status, headers, {:file, path, bytes}, request) do
     name = Path.basename(path)
     type = %{"content-type" => @binary, "content-disposition" => ~s(attachment; filename="#{name}")}
@@ -94,7 +95,7 @@ defmodule FleetWeb.API.Handler do
 
   defp cross_origin(_resource, _policy, _facts), do: %{"vary" => "origin"}
 
-  # A gateway that is being started again counts nothing, and answers all the same.
+  # While the gateway restarts there is no counter table, but the request is still answered.
   defp count(gateway, status) do
     Store.count(gateway, {:api, status})
   rescue

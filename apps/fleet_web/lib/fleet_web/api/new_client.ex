@@ -1,10 +1,10 @@
 defmodule FleetWeb.API.NewClient do
   @moduledoc """
-  The body of `POST /api/clients`, checked. Pure.
+  Checks the body of `POST /api/clients`. Pure.
 
       {"url": "udpout:192.168.1.20:14550", "id": "field", "networks": ["main"], "access": "read"}
 
-  Only `url` is needed. See `Aerie.Client.add/3`. Devices and files of this machine are not for who comes by HTTP.
+  Only `url` is required. See `Aerie.Client.add/3`. HTTP clients may not name devices or files of this machine.
   """
 
   alias Aerie.Link.Spec
@@ -16,7 +16,7 @@ defmodule FleetWeb.API.NewClient do
   @name ~r/\A[A-Za-z0-9_.-]{1,64}\z/
   @most_networks 16
 
-  @doc "The connection string and the options."
+  @doc "Returns the connection string and the options."
   @spec parse(map()) :: {:ok, String.t(), [Aerie.Client.option()]} | {:error, Error.t()}
   def parse(object) do
     with :ok <- known(Map.keys(object) -- @known),
@@ -31,12 +31,13 @@ defmodule FleetWeb.API.NewClient do
   defp known([]), do: :ok
 
   defp known([key | _]),
-    do: invalid("#{inspect(String.slice(key, 0, 64))} is no key: #{Enum.join(@known, ", ")}")
+    do:
+      invalid("#{inspect(String.slice(key, 0, 64))} is an unknown key; known are #{Enum.join(@known, ", ")}")
 
   defp url(url) when is_binary(url) and byte_size(url) <= 512 do
     case Spec.parse(url) do
       {:ok, %Spec{kind: kind}} when kind in @kinds -> {:ok, url}
-      {:ok, _other} -> invalid("an endpoint for clients is one of udpin, udpout, udpbcast, tcpin and tcp")
+      {:ok, _other} -> invalid("url must be one of udpin, udpout, udpbcast, tcpin and tcp for a client")
       {:error, error} -> invalid(Exception.message(error))
     end
   end

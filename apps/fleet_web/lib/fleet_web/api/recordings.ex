@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.Recordings do
-  @moduledoc "What `/api` says about recordings, and what it lets do with them."
+  @moduledoc "Shows and controls recordings for `/api`."
 
   alias Aerie.Fleet.Json
   alias Aerie.Recorder
@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Recordings do
   @modes %{"always" => :always, "armed" => :armed, "off" => :off}
   @max_reason 40
 
-  @doc "The recorder at a glance; nil without one."
+  @doc "A summary of the recorder; nil without one."
   @spec status(term()) :: map() | nil
   def status(gateway) do
     with %{recordings: recordings, space: space} = status <- Recorder.status(gateway) do
@@ -27,7 +27,7 @@ defmodule FleetWeb.API.Recordings do
     end
   end
 
-  @doc "What a link's or vehicle's snapshot has of its recording, for people; nil for none."
+  @doc "The recording of a link's or vehicle's snapshot; nil if there is none."
   @spec one(map() | nil) :: map() | nil
   def one(nil), do: nil
 
@@ -46,7 +46,7 @@ defmodule FleetWeb.API.Recordings do
     }
   end
 
-  @doc "Everything: what is recorded, what the rings have, the files."
+  @doc "All of the recorder: active recordings, content of the rings, files."
   @spec all(term()) :: map() | nil
   def all(gateway) do
     with %{recordings: recordings, rings: rings} <- Recorder.status(gateway) do
@@ -62,7 +62,7 @@ defmodule FleetWeb.API.Recordings do
     end
   end
 
-  @doc "A file as `all/1` lists it."
+  @doc "A file in the form in which `all/1` lists it."
   @spec file(map()) :: map()
   def file(file) do
     %{
@@ -73,14 +73,14 @@ defmodule FleetWeb.API.Recordings do
     }
   end
 
-  @doc "One of our files by its name, as `{:file, path, bytes}`; nil for anything else."
+  @doc "A recording by its file name, as `{:file, path, bytes}`; nil for any other name."
   @spec download(term(), String.t()) :: {:file, Path.t(), non_neg_integer()} | nil
   def download(gateway, name) do
     with %{file: path, bytes: bytes} <- Enum.find(Recorder.list(gateway), &(Path.basename(&1.file) == name)),
          do: {:file, path, bytes}
   end
 
-  @doc "Saves the last moments of a vehicle; `%{\"reason\" => words}` gets into the file's name."
+  @doc "Saves the last minutes of a vehicle; `%{\"reason\" => words}` becomes part of the file's name."
   @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t()}
   def save(gateway, vehicle, object) do
     with {:ok, reason} <- reason(Map.get(object, "reason", "request")),
@@ -94,9 +94,11 @@ defmodule FleetWeb.API.Recordings do
   end
 
   defp reason(text) when is_binary(text) and byte_size(text) <= @max_reason, do: {:ok, text}
-  defp reason(_other), do: {:error, Error.new(:invalid, "reason: words of at most #{@max_reason} bytes")}
 
-  @doc "Begins or ends the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
+  defp reason(_other),
+    do: {:error, Error.new(:invalid, "reason must be a text of at most #{@max_reason} bytes")}
+
+  @doc "Starts or stops the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
   @spec record(term(), {:vehicle | :link, String.t()}, map()) :: {:ok, map()} | {:error, Error.t()}
   def record(gateway, target, object) do
     with {:ok, mode} <- wanted(object["mode"]), :ok <- change(gateway, target, mode) do
@@ -108,12 +110,12 @@ defmodule FleetWeb.API.Recordings do
   end
 
   defp wanted(mode) when is_map_key(@modes, mode), do: {:ok, @modes[mode]}
-  defp wanted(_other), do: {:error, Error.new(:invalid, "mode: always, armed or off")}
+  defp wanted(_other), do: {:error, Error.new(:invalid, "mode must be always, armed or off")}
 
   defp change(gateway, target, :off), do: Recorder.stop(gateway, target)
   defp change(gateway, target, mode), do: Recorder.start(gateway, target, mode)
 
-  # Who is not known is not there; the rest is in the way of what was asked.
+  # An unknown vehicle or link is 404; anything else is a problem of the recorder.
   defp refusal("no vehicle" <> _ = words), do: Error.new(:not_found, words)
   defp refusal("there is no link" <> _ = words), do: Error.new(:not_found, words)
   defp refusal(words), do: Error.new(:unavailable, words)

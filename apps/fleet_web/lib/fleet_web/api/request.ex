@@ -1,11 +1,11 @@
 defmodule FleetWeb.API.Request do
-  @moduledoc "Reads what is needed of a Cowboy request: the facts for `FleetWeb.API.Access`, and a bounded JSON body."
+  @moduledoc "Reads a Cowboy request: the facts for `FleetWeb.API.Access`, and a bounded JSON body."
 
   alias FleetWeb.API.{Access, Error}
 
   @max_body 16_384
 
-  @doc "The facts that access is decided by."
+  @doc "The facts that decide about access."
   @spec facts(:cowboy_req.req()) :: Access.facts()
   def facts(request) do
     {peer, _port} = :cowboy_req.peer(request)
@@ -19,7 +19,7 @@ defmodule FleetWeb.API.Request do
     }
   end
 
-  @doc "A header, nil when absent."
+  @doc "A header, or nil if absent."
   @spec header(:cowboy_req.req(), String.t()) :: String.t() | nil
   def header(request, name) do
     case :cowboy_req.header(name, request) do
@@ -28,7 +28,7 @@ defmodule FleetWeb.API.Request do
     end
   end
 
-  @doc "The query's parameters; of one that is given twice the last, and none of what is no query."
+  @doc "The query's parameters; the last value if one is repeated, and none if the query is malformed."
   @spec parameters(:cowboy_req.req()) :: %{String.t() => String.t() | nil}
   def parameters(request) do
     Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
@@ -47,7 +47,7 @@ defmodule FleetWeb.API.Request do
     end
   end
 
-  # A form, which any web page may send anywhere without asking, is never taken for a command.
+  # Any web page may send a form anywhere without a CORS preflight, so a form is never accepted.
   defp json?(request) do
     case String.split(header(request, "content-type") || "", ";", parts: 2) do
       [type | _] ->
@@ -60,7 +60,7 @@ defmodule FleetWeb.API.Request do
   defp body(request) do
     case :cowboy_req.body_length(request) do
       length when is_integer(length) and length > @max_body -> {:error, too_large()}
-      # In chunks, so nobody knows yet, or short enough.
+      # Short enough, or chunked and of unknown length.
       _length -> read(request)
     end
   end
@@ -69,12 +69,12 @@ defmodule FleetWeb.API.Request do
     case :cowboy_req.read_body(request, %{length: @max_body + 1, period: 5_000}) do
       {:ok, text, request} when byte_size(text) <= @max_body -> {:ok, text, request}
       {_more, text, request} when byte_size(text) > @max_body -> {:error, too_large(), request}
-      {:more, _text, request} -> {:error, Error.new(:bad_request, "the body did not come in time"), request}
+      {:more, _text, request} -> {:error, Error.new(:bad_request, "the body did not arrive in time"), request}
     end
   end
 
   defp too_large,
-    do: Error.new(:too_large, "a body has at most #{@max_body} bytes", %{"connection" => "close"})
+    do: Error.new(:too_large, "the body must have at most #{@max_body} bytes", %{"connection" => "close"})
 
   defp decode(text) do
     case JSON.decode(text) do

@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.Resources do
-  @moduledoc "What there is below `/api`, which methods each takes, and what they do."
+  @moduledoc "The resources below `/api`, the methods that each takes, and what they do."
 
   alias Aerie.{Client, Enrolment, Router}
 
@@ -44,18 +44,18 @@ defmodule FleetWeb.API.Resources do
           {:ok, 200..299, map() | {:file, Path.t(), non_neg_integer()} | nil, :cowboy_req.req()}
           | {:error, Error.t(), :cowboy_req.req()}
 
-  @doc "Cowboy's paths with the names of their resources."
+  @doc "Cowboy's paths, each with the name of its resource."
   @spec paths() :: [{String.t(), atom()}]
   def paths, do: for({path, resource, _methods} <- @resources, do: {path, resource})
 
-  @doc "The methods that a resource takes, HEAD with GET."
+  @doc "The methods that a resource takes; HEAD if it takes GET."
   @spec methods(atom()) :: [String.t()]
   def methods(resource) do
     methods = Map.keys(Map.fetch!(@methods, resource))
     if "GET" in methods, do: methods ++ ["HEAD"], else: methods
   end
 
-  @doc "What a method does to a resource. HEAD is GET without the body, which Cowboy leaves out."
+  @doc "The action of a method on a resource. HEAD is GET; Cowboy leaves out the body."
   @spec action(atom(), String.t()) :: {:ok, atom()} | {:error, Error.t()}
   def action(:missing, _method), do: {:error, Error.new(:not_found, "there is no such resource; see /api")}
   def action(resource, "HEAD"), do: action(resource, "GET")
@@ -69,7 +69,7 @@ defmodule FleetWeb.API.Resources do
     end
   end
 
-  @doc "Does it. `state` has the gateway, and the name of who asks."
+  @doc "Runs an action. `state` has the gateway and the requester's name."
   @spec run(atom(), map(), :cowboy_req.req()) :: result()
   def run(:index, _state, request) do
     resources =
@@ -108,12 +108,12 @@ defmodule FleetWeb.API.Resources do
   def run(:vehicle_signing, state, request) do
     case View.vehicle(state.gateway, :cowboy_req.binding(:id, request)) do
       nil -> {:error, unheard(), request}
-      %{signing: nil} -> {:error, Error.new(:not_found, "there is no key for this vehicle"), request}
+      %{signing: nil} -> {:error, Error.new(:not_found, "this vehicle has no key"), request}
       %{signing: signing} -> {:ok, 200, signing, request}
     end
   end
 
-  # Waits until the vehicle was seen to have the key, ten seconds at most.
+  # Waits until the vehicle is seen to use the key, for ten seconds at most.
   def run(:sign_vehicle, state, request) do
     id = :cowboy_req.binding(:id, request)
 
@@ -128,9 +128,14 @@ defmodule FleetWeb.API.Resources do
 
   def run(:issue_ticket, state, request) do
     case Tickets.issue(state.gateway, state.name) do
-      {:ok, ticket, seconds} -> {:ok, 201, %{ticket: ticket, expires_s: seconds}, request}
-      {:error, :too_many} -> {:error, Error.new(:too_many, "too many tickets wait to be used"), request}
-      {:error, :unavailable} -> {:error, Error.new(:unavailable, "tickets are being set up again"), request}
+      {:ok, ticket, seconds} ->
+        {:ok, 201, %{ticket: ticket, expires_s: seconds}, request}
+
+      {:error, :too_many} ->
+        {:error, Error.new(:too_many, "too many tickets wait to be used"), request}
+
+      {:error, :unavailable} ->
+        {:error, Error.new(:unavailable, "tickets are restarting; try again"), request}
     end
   end
 
@@ -202,9 +207,9 @@ defmodule FleetWeb.API.Resources do
   defp rules("there is no link" <> _ = words), do: Error.new(:not_found, words)
   defp rules(words), do: Error.new(:invalid, words)
 
-  defp unheard, do: Error.new(:not_found, "no vehicle of this name was heard; see /api/vehicles")
+  defp unheard, do: Error.new(:not_found, "no vehicle has this name; see /api/vehicles")
 
-  # A new key stays in this gateway's folder of keys.
+  # The answer never contains a new key; it stays in the gateway's folder of keys.
   defp sign(%{gateway: gateway, name: name}, id, {:ok, action, options}) do
     options = [by: "http:#{name}"] ++ options
 

@@ -18,7 +18,7 @@ defmodule FleetWeb.API.RuleChanges do
 
   @doc "The changes for `Aerie.Router.configure/3`."
   @spec parse(map()) :: {:ok, map()} | {:error, Error.t()}
-  def parse(object) when object == %{}, do: invalid("nothing to change: one of #{names(@keys)}")
+  def parse(object) when object == %{}, do: invalid("nothing to change; give at least one of #{names(@keys)}")
 
   def parse(object) do
     Enum.reduce_while(object, {:ok, %{}}, fn {name, value}, {:ok, changes} ->
@@ -32,13 +32,13 @@ defmodule FleetWeb.API.RuleChanges do
 
   defp known(name, keys) do
     with :error <- Map.fetch(keys, name),
-         do: invalid("#{inspect(String.slice(name, 0, 64))} is no key: #{names(keys)}")
+         do: invalid("#{inspect(String.slice(name, 0, 64))} is an unknown key; known are #{names(keys)}")
   end
 
   defp value(_key, nil), do: {:ok, nil}
 
   defp value(:role, role) do
-    with :error <- Map.fetch(@roles, role), do: invalid("role is one of #{names(@roles)}")
+    with :error <- Map.fetch(@roles, role), do: invalid("role must be one of #{names(@roles)}")
   end
 
   defp value(key, filter)
@@ -48,7 +48,7 @@ defmodule FleetWeb.API.RuleChanges do
         {:cont, {:ok, Map.put(lists, axis, list)}}
       else
         {:error, error} -> {:halt, {:error, error}}
-        false -> {:halt, invalid("#{name} is a list of at most #{@most}")}
+        false -> {:halt, invalid("#{name} must be a list of at most #{@most}")}
       end
     end)
   end
@@ -64,7 +64,7 @@ defmodule FleetWeb.API.RuleChanges do
 
   defp value(:group, text) when is_binary(text) and byte_size(text) <= 64, do: {:ok, text}
   defp value(key, flag) when key in [:sniffer, :broadcasts, :coalesce] and is_boolean(flag), do: {:ok, flag}
-  defp value(key, _other), do: invalid("#{key} cannot be that")
+  defp value(key, _other), do: invalid("#{key} has a value of the wrong type")
 
   defp names(keys), do: keys |> Map.keys() |> Enum.sort() |> Enum.join(", ")
   defp invalid(message), do: {:error, Error.new(:invalid, message)}

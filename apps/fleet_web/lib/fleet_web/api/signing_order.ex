@@ -1,11 +1,11 @@
 defmodule FleetWeb.API.SigningOrder do
   @moduledoc """
-  The body of `POST /api/vehicles/ID/signing`, checked. Pure.
+  Checks the body of `POST /api/vehicles/ID/signing`. Pure.
 
       {"action": "enrol", "key": "generate", "link": "usb"}
 
-  `action` is `enrol`, `revoke` or `discard`; `key` of `enrol` is `configured` (default), `generate` or `previous`. A key itself,
-  or a file of this machine, is not for who comes by HTTP, and no answer has one in it (S9). See `Aerie.Enrolment.enrol/3`.
+  `action` is `enrol`, `revoke` or `discard`; `key` of `enrol` is `configured` (default), `generate` or `previous`. A request
+  cannot contain a key or name a file of this machine, and no answer contains a key (S9). See `Aerie.Enrolment.enrol/3`.
   """
 
   alias FleetWeb.API.Error
@@ -20,7 +20,7 @@ defmodule FleetWeb.API.SigningOrder do
     with :ok <- known(Map.keys(object) -- @known),
          {:ok, action} <- one_of("action", object["action"], @actions),
          {:ok, key} <- one_of("key", Map.get(object, "key", "configured"), @keys),
-         :ok <- only(key == [] or action == :enrol, "key is for the action enrol"),
+         :ok <- only(key == [] or action == :enrol, "key belongs to the action enrol only"),
          {:ok, link} <- link(object["link"]),
          {:ok, component} <- component(object["component"]) do
       {:ok, action, key ++ link ++ component}
@@ -30,11 +30,12 @@ defmodule FleetWeb.API.SigningOrder do
   defp known([]), do: :ok
 
   defp known([key | _]),
-    do: invalid("#{inspect(String.slice(key, 0, 64))} is no key: #{Enum.join(@known, ", ")}")
+    do:
+      invalid("#{inspect(String.slice(key, 0, 64))} is an unknown key; known are #{Enum.join(@known, ", ")}")
 
   defp one_of(name, value, values) do
     with :error <- Map.fetch(values, value),
-         do: invalid("#{name} is one of #{Enum.join(Map.keys(values), ", ")}")
+         do: invalid("#{name} must be one of #{Enum.join(Map.keys(values), ", ")}")
   end
 
   defp only(true, _words), do: :ok
@@ -42,11 +43,11 @@ defmodule FleetWeb.API.SigningOrder do
 
   defp link(nil), do: {:ok, []}
   defp link(link) when is_binary(link) and byte_size(link) <= 512, do: {:ok, [link: link]}
-  defp link(_other), do: invalid("link is the id of a link")
+  defp link(_other), do: invalid("link must be the id of a link")
 
   defp component(nil), do: {:ok, []}
   defp component(n) when is_integer(n) and n in 1..255, do: {:ok, [component: n]}
-  defp component(_other), do: invalid("component is a number from 1 to 255")
+  defp component(_other), do: invalid("component must be a number from 1 to 255")
 
   defp invalid(words), do: {:error, Error.new(:invalid, words)}
 end

@@ -1,9 +1,9 @@
 defmodule FleetWeb.API.Tickets do
   @moduledoc """
-  Tickets: let their bearer open one WebSocket within half a minute.
+  Tickets, each of which lets its bearer open one WebSocket within half a minute.
 
-  A browser cannot send a header with a WebSocket, and a key in an address ends up in logs. So it asks for a ticket with
-  its key and puts that into the address or the subprotocol: it is worthless once used, and soon in any case. Only digests
+  A browser cannot send a header with a WebSocket, and a key in an address ends up in logs. So a page requests a ticket with
+  its key, and puts the ticket into the address or the subprotocol. It is valid once and for a short time. Only digests
   are kept, at most 1000.
   """
   use GenServer
@@ -13,14 +13,14 @@ defmodule FleetWeb.API.Tickets do
   @life_ms 30_000
   @most 1_000
 
-  @doc "Options: `:gateway`; for tests `:now`, a function that gives monotonic milliseconds."
+  @doc "Options: `:gateway`; for tests `:now`, a function that returns monotonic milliseconds."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
     GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :tickets))
   end
 
-  @doc "A ticket for `name`, and for how many seconds it holds."
+  @doc "Issues a ticket for `name`; returns it with its validity in seconds."
   @spec issue(Names.gateway(), String.t()) ::
           {:ok, String.t(), pos_integer()} | {:error, :too_many | :unavailable}
   def issue(gateway, name) do
@@ -37,11 +37,11 @@ defmodule FleetWeb.API.Tickets do
     end)
   end
 
-  @doc "Who the ticket was given to; it is used up by this."
+  @doc "Uses up a ticket and returns the name that it was issued for."
   @spec redeem(Names.gateway(), String.t()) :: {:ok, String.t()} | :error
   def redeem(gateway, ticket) when byte_size(ticket) <= 100 do
     Names.with_value(gateway, :tickets, :error, fn {table, now} ->
-      # Taken in one step: of two that come with the same ticket, one gets in.
+      # Taken atomically, so that only one of two requests with the same ticket succeeds.
       case :ets.take(table, digest(ticket)) do
         [{_digest, name, until}] -> if until > now.(), do: {:ok, name}, else: :error
         [] -> :error

@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.View do
-  @moduledoc "The objects that `/api` answers with, from the read model. Pure but for reading it."
+  @moduledoc "The objects that `/api` returns, made from the read model. Pure apart from reading it."
 
   alias Aerie.Client
   alias Aerie.Client.StateForm
@@ -28,7 +28,7 @@ defmodule FleetWeb.API.View do
     :signing
   ]
 
-  @doc "Everything at a glance: one object per vehicle, one per link, NATS, and who the gateway is."
+  @doc "The whole status: one object per vehicle, one per link, NATS, and the gateway's identity."
   @spec status(term()) :: map()
   def status(gateway) do
     now = System.os_time(:microsecond)
@@ -54,7 +54,7 @@ defmodule FleetWeb.API.View do
   @spec vehicles(term()) :: map()
   def vehicles(gateway), do: Map.take(status(gateway), [:timestamp, :vehicles])
 
-  @doc "One vehicle with all groups of its state, each with its times, and our dealings with it; nil when there is none of that name."
+  @doc "One vehicle with all its state groups, their times, and its streams, clock and so on; nil if there is none of that name."
   @spec vehicle(term(), String.t()) :: map() | nil
   def vehicle(gateway, id) do
     with %{} = vehicle <- Store.vehicle(gateway, id) do
@@ -82,8 +82,9 @@ defmodule FleetWeb.API.View do
   end
 
   @doc """
-  The last events of a vehicle, or of `:all`, in the form of NATS, oldest first; nil when there is no such vehicle. `more`:
-  there are others, after these if `:since` is given, else before. Options as `Aerie.Fleet.Journal.recent/3` has them.
+  The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is true if
+  there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
+  `Aerie.Fleet.Journal.recent/3`.
   """
   @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
   def events(gateway, vehicle, options) do
@@ -103,7 +104,7 @@ defmodule FleetWeb.API.View do
   defp collision(%{at: at} = collision),
     do: %{time: Json.time(at), sign: collision.sign, links: collision.links}
 
-  @doc "All keys by their names, without the keys; which vehicles have one that is not proven."
+  @doc "All signing keys by name, without the keys themselves, and the vehicles whose key is not confirmed."
   @spec signing(term()) :: map()
   def signing(gateway),
     do: Map.new(Aerie.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
@@ -119,7 +120,7 @@ defmodule FleetWeb.API.View do
   @spec links(term()) :: map()
   def links(gateway), do: %{links: Enum.map(Store.links(gateway), &link/1)}
 
-  @doc "The endpoints for clients, and all clients, with what went to and from each."
+  @doc "The endpoints for clients, and all clients, each with its counters."
   @spec clients(term()) :: map()
   def clients(gateway) do
     %{
@@ -132,7 +133,7 @@ defmodule FleetWeb.API.View do
     }
   end
 
-  @doc "Rules of links and clients that were changed while they run, with what is configured."
+  @doc "Rules of links and clients that were changed at run time, beside the configured ones."
   @spec rules(term()) :: map()
   def rules(gateway), do: %{changed: Json.plain(Aerie.Router.changes(gateway))}
 
@@ -167,7 +168,7 @@ defmodule FleetWeb.API.View do
     |> Json.plain()
   end
 
-  # By message id is for the metrics.
+  # Counters by message id are for the metrics only.
   defp counters(nil), do: %{}
   defp counters(%_{} = counters), do: counters |> Map.from_struct() |> counters()
 

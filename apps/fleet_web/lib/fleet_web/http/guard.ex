@@ -1,7 +1,7 @@
 defmodule FleetWeb.HTTP.Guard do
   @moduledoc """
-  What no handler shall have to think of: a path, a query and the headers that are read are text. Anything else is refused
-  with 400 before it is routed, because its bytes would come back in an answer, or go into a log, that cannot hold them.
+  Refuses requests whose path, query or used headers are not UTF-8 with 400 before they are routed, so that no handler has to
+  check: an answer or a log that repeated those bytes could not be encoded.
   """
 
   @behaviour :cowboy_middleware
@@ -11,7 +11,7 @@ defmodule FleetWeb.HTTP.Guard do
 
   @read ~w(host origin x-aerie-key authorization content-type upgrade sec-websocket-protocol)
 
-  @doc "Cowboy's middlewares with this one before the others."
+  @doc "Cowboy's middlewares, with this one first."
   @spec middlewares() :: [module()]
   def middlewares, do: [__MODULE__, :cowboy_router, :cowboy_handler]
 
@@ -39,8 +39,8 @@ defmodule FleetWeb.HTTP.Guard do
   @spec check(binary(), binary(), %{binary() => binary()}) :: :ok | {:error, Error.t()}
   def check(path, query, headers) do
     cond do
-      not text?(path) -> refuse("the path is not UTF-8, percent-encoded")
-      not text?(query) -> refuse("the query is not UTF-8, percent-encoded")
+      not text?(path) -> refuse("the path is not percent-encoded UTF-8")
+      not text?(query) -> refuse("the query is not percent-encoded UTF-8")
       name = Enum.find(@read, &(not String.valid?(Map.get(headers, &1, "")))) -> refuse("#{name} is not text")
       true -> :ok
     end
@@ -53,7 +53,7 @@ defmodule FleetWeb.HTTP.Guard do
   defp count(%{gateway: gateway}, status) do
     Store.count(gateway, {:api, status})
   rescue
-    # A gateway that is being started again counts nothing.
+    # While the gateway restarts there is no counter table.
     ArgumentError -> 0
   end
 end

@@ -1,7 +1,7 @@
 defmodule FleetWeb.HTTP.Handler do
   @moduledoc """
-  The plain HTTP face: `/metrics` (Prometheus), `/healthz` (the process answers), `/readyz` (it can do its work), and an
-  index that names them. Each request runs in a process of its own and only reads the read model.
+  Serves `/metrics` (Prometheus), `/healthz` (the process answers), `/readyz` (it can do its work), and an index of them. Each
+  request runs in its own process and only reads the read model.
   """
 
   @behaviour :cowboy_handler
@@ -54,7 +54,7 @@ defmodule FleetWeb.HTTP.Handler do
   end
 
   defp answer(:missing, _gateway, request),
-    do: reply(request, 404, @text, "not found: there are /metrics, /healthz, /readyz and /api\n")
+    do: reply(request, 404, @text, "not found; available are /metrics, /healthz, /readyz and /api\n")
 
   defp reply(request, status, type, body, more \\ %{}) do
     headers =

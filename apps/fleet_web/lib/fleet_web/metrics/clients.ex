@@ -1,7 +1,7 @@
 defmodule FleetWeb.Metrics.Clients do
   @moduledoc """
-  Metric families of what serves clients: who is connected and what went to and from them, requests to `/api`, and who was
-  refused. Clients come and go, so they are summed by kind: their ids are no labels.
+  Metric families about clients: connected clients and their frames, requests to `/api`, and refusals. Clients come and go, so
+  they are summed by kind; their ids are not labels.
   """
 
   alias Aerie.Router.Tally
@@ -25,16 +25,17 @@ defmodule FleetWeb.Metrics.Clients do
        sums.(& &1.counters.frames_in)},
       {"gateway_client_sent_frames", :gauge, "Frames to the clients that are connected now.",
        sums.(& &1.counters.frames_out)},
-      {"gateway_client_dropped_frames", :gauge, "Frames that clients connected now were too slow for.",
+      {"gateway_client_dropped_frames", :gauge,
+       "Frames dropped because clients that are connected now read too slowly.",
        sums.(&Tally.dropped(&1.counters))},
       {"gateway_api_requests_total", :counter, "Requests to /api, by status of the answer.",
        Enum.sort(requests)},
-      {"gateway_clients_refused_total", :counter, "Clients refused or let go, by face and reason.",
+      {"gateway_clients_refused_total", :counter, "Clients refused or disconnected, by face and reason.",
        Enum.sort(refused)}
     ]
   end
 
-  @doc "Whether a counter is shown by these families."
+  @doc "Whether these families show a counter."
   @spec own?(term()) :: boolean()
   def own?({:api, _status}), do: true
   def own?({:clients, _face, _why}), do: true

@@ -6,8 +6,8 @@ defmodule FleetWeb.Metrics.Links do
   @sums [
     bytes_in: {"gateway_link_received_bytes_total", "Bytes received."},
     frames_in: {"gateway_link_received_frames_total", "Frames received that passed their checks."},
-    bytes_out: {"gateway_link_sent_bytes_total", "Bytes given to the transport."},
-    writes_out: {"gateway_link_sent_writes_total", "Writes given to the transport."},
+    bytes_out: {"gateway_link_sent_bytes_total", "Bytes handed to the transport."},
+    writes_out: {"gateway_link_sent_writes_total", "Writes handed to the transport."},
     crc_errors: {"gateway_link_crc_errors_total", "Frames with a wrong CRC."},
     resync_bytes: {"gateway_link_resync_bytes_total", "Bytes skipped in search of the next frame."},
     unknown_ids: {"gateway_link_unknown_messages_total", "Frames whose message id no dialect knows."},
@@ -24,10 +24,11 @@ defmodule FleetWeb.Metrics.Links do
   @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :kernel_dropped, :shed, :denied, :withheld]
 
   @signing [
-    verified: {"gateway_link_signing_verified_frames_total", "Frames received with a right signature."},
-    unsigned: {"gateway_link_signing_unsigned_frames_total", "Frames taken in without a signature."},
+    verified: {"gateway_link_signing_verified_frames_total", "Frames received with a valid signature."},
+    unsigned: {"gateway_link_signing_unsigned_frames_total", "Frames accepted without a signature."},
     rejected:
-      {"gateway_link_signing_rejected_frames_total", "Frames refused for their signature, or its lack."},
+      {"gateway_link_signing_rejected_frames_total",
+       "Frames refused because of a wrong or missing signature."},
     signed: {"gateway_link_signing_signed_frames_total", "Frames that the gateway signed."},
     not_signed:
       {"gateway_link_signing_not_signed_frames_total",
@@ -44,7 +45,7 @@ defmodule FleetWeb.Metrics.Links do
       {"gateway_mavlink_parse_errors_total", :counter,
        "Frames with a wrong CRC or unknown incompatibility flags.",
        [{[], links |> Enum.map(&(&1.counters.crc_errors + &1.counters.incompatible)) |> Enum.sum()}]},
-      {"gateway_link_up", :gauge, "1 while the link is open, heard or not.",
+      {"gateway_link_up", :gauge, "1 while the link is open, whether or not it receives anything.",
        Enum.map(links, &{labels(&1), &1.status in [:up, :idle]})},
       {"gateway_link_overloaded", :gauge,
        "1 while datagrams come faster than they are read, and for 10 s after the last that was dropped.",
@@ -65,7 +66,7 @@ defmodule FleetWeb.Metrics.Links do
       ] ++ signing(for(%{signing: %{}} = link <- links, do: link))
   end
 
-  # Only where it was measured.
+  # Only links with a measurement.
   defp quality(links) do
     gauge = fn name, help, value ->
       {name, :gauge, help, for(link <- links, x = value.(link.quality), x != nil, do: {labels(link), x})}
@@ -75,15 +76,16 @@ defmodule FleetWeb.Metrics.Links do
       gauge.("gateway_link_score", "How good the link is, from 0 to 100.", & &1.score),
       gauge.(
         "gateway_link_loss_ratio",
-        "Share of the frames that were lost on it in the last seconds.",
+        "Share of frames lost on it in the last seconds, 0 to 1.",
         & &1.loss
       ),
       gauge.(
         "gateway_link_round_trip_seconds",
-        "The way there and back by it.",
+        "Round-trip time measured on it.",
         &(&1.rtt_ms && &1.rtt_ms / 1000)
       ),
-      {"gateway_link_carries", :gauge, "1 while it is the link of its group that carries.",
+      {"gateway_link_carries", :gauge,
+       "1 while it is the link of its group that carries traffic to vehicles.",
        for(
          %{quality: %{group: group} = quality} = link <- links,
          group != nil,
@@ -92,11 +94,11 @@ defmodule FleetWeb.Metrics.Links do
     ]
   end
 
-  # Only where there is a key.
+  # Only links with a key.
   defp signing(links) do
     unsafe =
       {"gateway_link_signing_unsafe", :gauge,
-       "1 while frames are taken in that anybody could have sent (S11).",
+       "1 while the link accepts frames that anybody could have sent (S11).",
        Enum.map(links, &{labels(&1), &1.signing.unsafe})}
 
     sums =

@@ -1,15 +1,15 @@
 defmodule FleetWeb.Metrics.Text do
   @moduledoc """
-  Prometheus' text exposition format 0.0.4: pure, from metric families to iodata.
+  Renders metric families as iodata in Prometheus' text exposition format 0.0.4. Pure.
 
-  A sample whose value is nil (not known) is left out, since a made-up zero would be read as a measurement.
+  A sample with an unknown value (nil) is left out, because a made-up zero would look like a measurement.
   """
 
   @type labels :: [{String.t() | atom(), term()}]
   @type sample :: {labels(), number() | boolean() | nil}
   @type family :: {name :: String.t(), :counter | :gauge, help :: String.t(), [sample()]}
 
-  @doc "The content type that goes with it."
+  @doc "The content type of this format."
   @spec content_type() :: String.t()
   def content_type, do: "text/plain; version=0.0.4; charset=utf-8"
 

@@ -1,5 +1,5 @@
 defmodule FleetWeb.Metrics.Vehicles do
-  @moduledoc "Metric families of vehicles, from their snapshots. What a vehicle has not told is left out."
+  @moduledoc "Metric families of vehicles, from their snapshots. Unknown values are left out."
 
   alias FleetWeb.Metrics.Text
 
@@ -18,13 +18,13 @@ defmodule FleetWeb.Metrics.Vehicles do
       gauge(
         vehicles,
         "gateway_vehicle_armed",
-        "1 while armed, 0 while not; nothing when lost.",
+        "1 while armed, 0 while not; absent while lost.",
         &now(&1, :armed)
       ),
       gauge(
         vehicles,
         "gateway_vehicle_in_air",
-        "1 while in the air, 0 while not; nothing when lost.",
+        "1 while in the air, 0 while not; absent while lost.",
         &now(&1, :in_air)
       ),
       gauge(
@@ -39,25 +39,25 @@ defmodule FleetWeb.Metrics.Vehicles do
       gauge(
         vehicles,
         "gateway_vehicle_gcs_failsafe_quiet",
-        "1 while the ground station that its failsafe listens to is heard, 0 when it is gone.",
+        "1 while the ground station that its failsafe listens to is heard, 0 while it is gone.",
         &part(&1, :gcs, :quiet?)
       ),
       gauge(
         vehicles,
         "gateway_vehicle_clock_error_seconds",
-        "How far off its clock's known offset may be.",
+        "Largest error of its clock's known offset.",
         &seconds(part(&1, :clock, :error_us))
       ),
       gauge(
         vehicles,
         "gateway_vehicle_round_trip_seconds",
-        "Shortest way there and back of the last measurements of its clock.",
+        "Shortest round trip of the latest measurements of its clock.",
         &seconds(part(&1, :clock, :rtt_us))
       ),
       gauge(
         vehicles,
         "gateway_vehicle_streams_wanting",
-        "Messages that come less often than wanted and are not asked for any more.",
+        "Messages that come less often than wanted and are no longer requested.",
         &wanting/1
       ),
       gauge(
@@ -69,7 +69,7 @@ defmodule FleetWeb.Metrics.Vehicles do
       gauge(
         vehicles,
         "gateway_vehicle_signed",
-        "1 while it is heard with right signatures, 0 where there is a key and it is not.",
+        "1 while its frames have valid signatures, 0 if it has a key and they do not.",
         fn vehicle -> part(vehicle, :signing, :state) && vehicle.signing.state == :verified end
       ),
       gauge(vehicles, "gateway_vehicle_collision", "1 while two vehicles use its id.", fn vehicle ->
@@ -98,7 +98,7 @@ defmodule FleetWeb.Metrics.Vehicles do
     with us when is_integer(us) <- Aerie.Fleet.Age.silent_us(vehicle, links, now), do: us / 1_000_000
   end
 
-  # What was true when it was last heard is not what is true now.
+  # The last report of a lost vehicle says nothing about now.
   defp now(%{status: :lost}, _key), do: nil
   defp now(vehicle, key), do: field(vehicle, :mode, key)
 

@@ -1,17 +1,17 @@
 defmodule FleetWeb.WebSocket.Handler do
   @moduledoc """
-  One WebSocket client: MAVLink frames as binary messages. Out goes one frame a message, as it was received; in may come
-  several. Nothing is wrapped, so a page decodes with the same tables as any ground station.
+  One WebSocket client. MAVLink frames are binary messages without an envelope: one unchanged frame in each message to the
+  client, one or more in each message from it.
 
-  Who may, is decided before the upgrade (`FleetWeb.API.Access`): a page by its origin, everybody by a key in the header
-  `X-Aerie-Key`, or by a ticket (`POST /api/tickets`) as `?ticket=TICKET` or as a second subprotocol `ticket.TICKET`
-  beside `mavlink`, which is the one that is chosen.
+  Access is decided before the upgrade (`FleetWeb.API.Access`). A page needs an allowed origin. Everybody needs a key in the
+  header `X-Aerie-Key`, or a ticket (`POST /api/tickets`) as `?ticket=TICKET` or as a second subprotocol `ticket.TICKET`
+  beside `mavlink`, which the server selects.
 
-  Further parameters: `network=NAME` (several: with commas; default all), `access=read` (what the client says goes to
-  nobody).
+  Further parameters: `network=NAME` (several with commas; default all), `access=read` (nothing that the client sends is
+  forwarded).
 
-  A client that does not answer a ping for a minute is let go, one whose connection takes nothing for ten seconds too;
-  until then the oldest frames of the least important class give way (`Aerie.Client.Pipe`).
+  A client that does not answer a ping for a minute, or whose connection takes nothing for ten seconds, is disconnected. Until
+  then the oldest frames of the least important class are dropped (`Aerie.Client.Pipe`).
   """
 
   @behaviour :cowboy_websocket
@@ -56,7 +56,8 @@ defmodule FleetWeb.WebSocket.Handler do
   end
 
   defp no_upgrade,
-    do: {:error, Error.new(:upgrade_required, "this is a WebSocket", %{"upgrade" => "websocket"})}
+    do:
+      {:error, Error.new(:upgrade_required, "this port serves WebSockets only", %{"upgrade" => "websocket"})}
 
   defp admit(request, %{gateway: gateway} = settings) do
     policy = %{settings.policy | ports: [FleetWeb.Endpoint.port(gateway)]}
@@ -68,7 +69,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
       ticket ->
         with :ok <- Access.origin(policy, facts), :error <- Tickets.redeem(gateway, ticket) do
-          {:error, Error.new(:unauthorized, "this ticket is used up, too old, or none of ours")}
+          {:error, Error.new(:unauthorized, "this ticket is used up, expired or unknown")}
         end
     end
   end
@@ -97,19 +98,19 @@ defmodule FleetWeb.WebSocket.Handler do
     if names != [] and length(names) <= @max_networks and
          Enum.all?(names, &(&1 =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/)),
        do: {:ok, [networks: names]},
-       else: {:error, Error.new(:bad_request, "network is a name, or names with commas between them")}
+       else: {:error, Error.new(:bad_request, "network must be a name, or several with commas between them")}
   end
 
   defp role(nil), do: {:ok, []}
   defp role("full"), do: {:ok, []}
   defp role("read"), do: {:ok, [role: :read_only]}
-  defp role(_other), do: {:error, Error.new(:bad_request, "access is read or full")}
+  defp role(_other), do: {:error, Error.new(:bad_request, "access must be read or full")}
 
-  # The connection's own process, which the WebSocket will be, holds the place; this one ends with the handshake.
+  # The connection's process, which will run the WebSocket, holds the place; this process ends with the handshake.
   defp room(%{pid: connection}, gateway) do
     case Places.take(gateway, connection) do
       :ok -> :ok
-      :full -> {:error, Error.new(:unavailable, "there are as many clients as websocket.max_clients allows")}
+      :full -> {:error, Error.new(:unavailable, "the limit websocket.max_clients is reached")}
       :unavailable -> {:error, Error.new(:unavailable, "the gateway is starting; try again")}
     end
   end
@@ -130,7 +131,7 @@ defmodule FleetWeb.WebSocket.Handler do
   defp refuse(request, gateway, error) do
     count(gateway, error.code)
 
-    # Whoever was refused holds no place meanwhile.
+    # A refused client must not keep its connection.
     common = %{
       "content-type" => "application/json; charset=utf-8",
       "cache-control" => "no-store",
@@ -170,7 +171,7 @@ defmodule FleetWeb.WebSocket.Handler do
 
   @impl :cowboy_websocket
   def websocket_info({:forward, frames, class}, state) do
-    # While a write waits, messages gather here: all are sorted by what matters before the next is written.
+    # Messages queue here while a write waits; all of them are sorted by importance before the next write.
     state.pipe |> Pipe.queue(frames, class) |> gather() |> write(state)
   end
 
@@ -203,7 +204,7 @@ defmodule FleetWeb.WebSocket.Handler do
   defp count(gateway, why) do
     Store.count(gateway, {:clients, :websocket, why})
   rescue
-    # A gateway that is being started again counts nothing.
+    # While the gateway restarts there is no counter table.
     ArgumentError -> 0
   end
 end

@@ -1,26 +1,25 @@
 defmodule FleetWeb.WebSocket.Places do
   @moduledoc """
-  The places that there are for WebSocket clients: one is taken before a handshake is answered, and is free when its
-  connection ends, however that comes. One process gives them out, so that handshakes in the same moment do not pass the
-  limit together.
+  Limits the number of WebSocket clients. A place is taken before a handshake is answered and becomes free when its
+  connection ends for any reason. One process hands them out, so that simultaneous handshakes cannot exceed the limit.
   """
   use GenServer
 
   alias Aerie.Names
 
-  @doc "Options: `:gateway`, `:most` (how many places there are)."
+  @doc "Options: `:gateway`, `:most` (the number of places)."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options) do
     name = Names.via(Keyword.fetch!(options, :gateway), :websocket_places)
     GenServer.start_link(__MODULE__, options, name: name)
   end
 
-  @doc "Takes a place for a connection's process; one that has its place keeps it."
+  @doc "Takes a place for a connection's process; a process that has one keeps it."
   @spec take(Names.gateway(), pid()) :: :ok | :full | :unavailable
   def take(gateway, connection) do
     GenServer.call(Names.via(gateway, :websocket_places), {:take, connection})
   catch
-    # It is being started again.
+    # This process is restarting.
     :exit, _reason -> :unavailable
   end
 
@@ -28,7 +27,7 @@ defmodule FleetWeb.WebSocket.Places do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:websocket_places, gateway})
-    # Those who were let in by a predecessor of this process have their places still.
+    # After a restart of this process, its predecessor's connections still have their places.
     connections = Names.processes(gateway, :websocket_client)
     {:ok, %{most: Keyword.fetch!(options, :most), taken: Map.new(connections, &{&1, Process.monitor(&1)})}}
   end

@@ -17,19 +17,19 @@ defmodule FleetWeb.API.AccessTest do
   defp code({:error, error}), do: error.code
 
   describe "without a key" do
-    test "this machine may, by any of its names" do
+    test "this machine has access, by any of its names" do
       for host <- [nil, "localhost", "LOCALHOST:4000", "127.0.0.1", "127.1.2.3:80", "[::1]:4000", "[::1]"],
           do: assert(decide(@open, %{host: host}) == {:ok, "local"})
 
       assert decide(@open, %{peer: {0, 0, 0, 0, 0, 0, 0, 1}}) == {:ok, "local"}
     end
 
-    test "nobody else may, nor a proxy for somebody else" do
+    test "nobody else has access, nor a proxy for somebody else" do
       assert code(decide(@open, %{peer: {10, 0, 0, 2}})) == :forbidden
       assert code(decide(@open, %{forwarded: true})) == :forbidden
     end
 
-    test "a foreign name that points here leads nowhere (DNS rebinding)" do
+    test "a foreign name that points here is refused (DNS rebinding)" do
       for host <- [
             "evil.example",
             "evil.example:4000",
@@ -45,12 +45,12 @@ defmodule FleetWeb.API.AccessTest do
   end
 
   describe "with a key" do
-    test "the key opens, from anywhere and by any name" do
+    test "the key gives access, from anywhere and by any name" do
       assert {:ok, "api.key"} =
                decide(keyed(), %{peer: {10, 0, 0, 2}, host: "gw.example", key: "the-right-key-of-all"})
     end
 
-    test "nothing else does, this machine included" do
+    test "nothing else does, not even being this machine" do
       assert code(decide(keyed(), %{})) == :unauthorized
       assert code(decide(keyed(), %{key: "the-right-key-of-al"})) == :unauthorized
       assert code(decide(keyed(), %{key: ""})) == :unauthorized
@@ -67,7 +67,7 @@ defmodule FleetWeb.API.AccessTest do
       assert {:ok, _name} = decide(listed, facts)
     end
 
-    test "of anybody else may not, with the right key neither" do
+    test "of anybody else may not, not even with a valid key" do
       for origin <- [
             "https://evil.example",
             "null",

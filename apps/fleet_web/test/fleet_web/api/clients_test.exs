@@ -55,14 +55,14 @@ defmodule FleetWeb.API.ClientsTest do
     assert {200, _headers, %{"endpoints" => [], "clients" => []}} = request(port, "GET", "/api/clients")
   end
 
-  test "a link to vehicles is not removed by this way" do
+  test "a link to vehicles cannot be removed here" do
     %{gateway: gateway, port: port} = start_server(links: true)
     {:ok, "sim"} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "sim")
     assert {409, _headers, _body} = request(port, "DELETE", "/api/clients/sim")
     assert %{id: "sim"} = Store.link(gateway, "sim")
   end
 
-  test "what cannot be is refused with what would be right, and changes nothing" do
+  test "invalid requests are refused with what is expected, and change nothing" do
     %{gateway: gateway, port: port} = start_server(links: true)
 
     for {body, word} <- [
@@ -77,7 +77,7 @@ defmodule FleetWeb.API.ClientsTest do
           {%{"url" => "udpin:127.0.0.1:0", "networks" => []}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "networks" => ["a/b"]}, "names"},
           {%{"url" => "udpin:127.0.0.1:0", "access" => "write"}, "read or full"},
-          {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "no key"}
+          {%{"url" => "udpin:127.0.0.1:0", "sudo" => true}, "unknown key"}
         ] do
       assert {422, _headers, %{"error" => %{"code" => "invalid", "message" => message}}} = post(port, body)
       assert message =~ word
@@ -96,7 +96,7 @@ defmodule FleetWeb.API.ClientsTest do
     assert Store.counter(gateway, {:api, 422}) == 12
   end
 
-  test "a key is needed where there is one" do
+  test "if there is a key, it is required" do
     %{port: port} = start_server(key: true, links: true)
     assert {401, _headers, _body} = post(port, %{"url" => "udpin:127.0.0.1:0"})
     assert {401, _headers, _body} = request(port, "DELETE", "/api/clients/x")

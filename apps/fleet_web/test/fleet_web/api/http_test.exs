@@ -62,7 +62,7 @@ defmodule FleetWeb.API.HTTPTest do
     assert {200, _headers, nil} = request(port, "HEAD", "/api/status")
   end
 
-  test "with a key configured, every resource wants it, in either header, and says how" do
+  test "with a key configured, every resource requires it, in either header, and says how" do
     %{port: port} = start_server(key: true)
 
     for path <- ["/api", "/api/status", "/api/vehicles", "/api/vehicles/x", "/api/links", "/api/nothing"] do
@@ -90,7 +90,7 @@ defmodule FleetWeb.API.HTTPTest do
         do: assert({403, _headers, _body} = request(port, "GET", "/api/status", [header]))
   end
 
-  test "foreign pages are refused, allowed ones are told what they may send" do
+  test "foreign pages are refused, allowed ones learn what they may send" do
     %{port: port} = start_server(key: true, origins: ["https://gcs.example.org"])
     key = {"x-aerie-key", key()}
 
@@ -125,7 +125,7 @@ defmodule FleetWeb.API.HTTPTest do
     assert text =~ ~s(gateway_api_requests_total{status="405"} 3)
   end
 
-  test "what is not HTTP costs its connection only" do
+  test "input that is not HTTP closes only its own connection" do
     %{port: port} = start_server()
 
     for bytes <- [

@@ -52,7 +52,7 @@ defmodule FleetWeb.API.RecordingsTest do
     assert %{"network" => "main", "system" => 1, "entries" => 1} = ring
   end
 
-  test "a recording is begun, seen and ended", %{gateway: gateway, port: port} do
+  test "a recording is started, shown and stopped", %{gateway: gateway, port: port} do
     assert {200, _headers, %{"recording" => %{"state" => "recording", "mode" => "always"}}} =
              begin(gateway, port)
 
@@ -90,7 +90,7 @@ defmodule FleetWeb.API.RecordingsTest do
              end)
   end
 
-  test "what cannot be is refused with what would be right", %{port: port, tmp_dir: dir} do
+  test "invalid requests are refused with what is expected", %{port: port, tmp_dir: dir} do
     File.write!(Path.join(dir, "secret"), "secret")
     File.write!(Path.join(dir, "foreign-20260101T000000Z.tlog"), "secret")
 

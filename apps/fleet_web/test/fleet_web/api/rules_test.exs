@@ -3,7 +3,7 @@ defmodule FleetWeb.API.RulesTest do
 
   alias FleetWeb.API.RuleChanges
 
-  test "rules are changed, listed with what is configured, and undone" do
+  test "rules are changed, listed beside the configured ones, and reset" do
     %{gateway: gateway, port: port} = start_server()
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
     {:ok, "gcs"} = Aerie.Link.Clients.add(gateway, client)
@@ -37,7 +37,7 @@ defmodule FleetWeb.API.RulesTest do
     assert words =~ "ATITUDE"
   end
 
-  test "whatever comes, it is a rule or an error in words, and nothing becomes an atom" do
+  test "any input is a rule or an error message, and nothing becomes an atom" do
     for wrong <- [
           %{},
           %{"side" => "client"},

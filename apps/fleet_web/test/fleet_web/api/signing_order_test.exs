@@ -9,7 +9,7 @@ defmodule FleetWeb.API.SigningOrderTest do
     words
   end
 
-  test "what may be asked" do
+  test "valid requests" do
     assert SigningOrder.parse(%{"action" => "enrol"}) == {:ok, :enrol, []}
 
     assert SigningOrder.parse(%{"action" => "enrol", "key" => "generate", "link" => "usb", "component" => 2}) ==
@@ -18,19 +18,19 @@ defmodule FleetWeb.API.SigningOrderTest do
     assert SigningOrder.parse(%{"action" => "revoke", "link" => "usb"}) == {:ok, :revoke, [link: "usb"]}
   end
 
-  test "S9: no key and no file comes by HTTP; everything else that is wrong is told" do
+  test "S9: no key and no file is accepted by HTTP; other errors are named" do
     assert words(%{"action" => "enrol", "key" => "a passphrase"}) =~
-             "key is one of configured, generate, previous"
+             "key must be one of configured, generate, previous"
 
-    assert words(%{"action" => "enrol", "key_file" => "/etc/shadow"}) =~ "is no key"
-    assert words(%{"action" => "enrol", "key" => %{"file" => "x"}}) =~ "key is one of"
-    assert words(%{}) =~ "action is one of discard, enrol, revoke"
-    assert words(%{"action" => "revoke", "key" => "generate"}) =~ "for the action enrol"
+    assert words(%{"action" => "enrol", "key_file" => "/etc/shadow"}) =~ "is an unknown key"
+    assert words(%{"action" => "enrol", "key" => %{"file" => "x"}}) =~ "key must be one of"
+    assert words(%{}) =~ "action must be one of discard, enrol, revoke"
+    assert words(%{"action" => "revoke", "key" => "generate"}) =~ "the action enrol"
     assert words(%{"action" => "enrol", "link" => 5}) =~ "id of a link"
     assert words(%{"action" => "enrol", "component" => 0}) =~ "1 to 255"
   end
 
-  test "the resources: keys by name, nobody unheard is given one, a vehicle without a key says so" do
+  test "the resources list keys by name, refuse to enrol an unknown vehicle, and say if a vehicle has no key" do
     %{gateway: gateway, port: port} = start_server(links: true)
     assert {200, _, %{"keys" => [], "pending" => []}} = request(port, "GET", "/api/signing")
     json = [{"content-type", "application/json"}]

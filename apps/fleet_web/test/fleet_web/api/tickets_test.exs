@@ -10,7 +10,7 @@ defmodule FleetWeb.API.TicketsTest do
     {gateway, clock}
   end
 
-  test "a ticket lets in once, and tells whose it is" do
+  test "a ticket is valid once, and names its owner" do
     {gateway, _clock} = start_tickets()
     {:ok, ticket, 30} = Tickets.issue(gateway, "alice")
     assert Tickets.redeem(gateway, ticket) == {:ok, "alice"}
@@ -20,7 +20,7 @@ defmodule FleetWeb.API.TicketsTest do
     assert Tickets.redeem(make_ref(), ticket) == :error
   end
 
-  test "a ticket is worth nothing after its time, and there is a limit to how many wait" do
+  test "a ticket expires, and the number of unused ones is limited" do
     {gateway, clock} = start_tickets()
     {:ok, ticket, _seconds} = Tickets.issue(gateway, "alice")
     :atomics.put(clock, 1, 30_000)
@@ -32,7 +32,7 @@ defmodule FleetWeb.API.TicketsTest do
     assert {:ok, _ticket, _seconds} = Tickets.issue(gateway, "alice")
   end
 
-  test "POST /api/tickets gives one to who has a key" do
+  test "POST /api/tickets issues one to the holder of a key" do
     %{gateway: gateway, port: port} = start_server(key: true)
     assert {401, _headers, _body} = request(port, "POST", "/api/tickets")
 

@@ -1,5 +1,5 @@
 defmodule FleetWeb.API.VehicleTest do
-  @moduledoc "What `/api` tells of a vehicle: all that its snapshot knows, and its latest events."
+  @moduledoc "What `/api` shows of a vehicle: its whole snapshot and its latest events."
   use FleetWeb.APICase, async: true
 
   alias Aerie.Fleet.Journal
@@ -63,7 +63,7 @@ defmodule FleetWeb.API.VehicleTest do
     }
   end
 
-  test "streams, ground stations, clock and reports are told beside its state" do
+  test "a vehicle has streams, ground stations, clock and reports beside its state" do
     %{gateway: gateway, port: port} = start_server()
     put_vehicle(gateway, "VID-001", 1)
     Store.put_vehicle(gateway, {"main", 1}, Map.merge(Store.vehicle(gateway, "VID-001"), dealings()))
@@ -96,14 +96,14 @@ defmodule FleetWeb.API.VehicleTest do
     assert Enum.sort(names("", vehicle)) -- ["groups"] == Enum.sort(documented()) -- ["groups"]
   end
 
-  test "a vehicle of which these are not known has them as null" do
+  test "unknown ones are null" do
     %{gateway: gateway, port: port} = start_server()
     put_vehicle(gateway, "VID-001", 1)
     assert {200, _headers, vehicle} = request(port, "GET", "/api/vehicles/VID-001")
     for part <- ~w(streams gcs clock reports high_latency), do: assert({part, vehicle[part]} == {part, nil})
   end
 
-  test "numbers are rounded to what they mean" do
+  test "numbers are rounded to meaningful decimals" do
     %{gateway: gateway, port: port} = start_server()
     put_vehicle(gateway, "VID-001", 1)
     position = %{at: @now, time_boot_ms: 5, data: %{lat: 47.39774189999998, heading: 90.2170000000073}}
@@ -140,7 +140,7 @@ defmodule FleetWeb.API.VehicleTest do
       assert first == JSON.decode!(Aerie.Bridge.Message.event(event))
     end
 
-    test "limit gives the last ones, since the first ones from then on", %{port: port} do
+    test "limit gives the latest ones, since the first ones from then on", %{port: port} do
       assert events(port, "/api/events?limit=1") == {[{"V-2", 5}], true}
       assert events(port, "/api/vehicles/V-1/events?limit=2") == {[{"V-1", 4}, {"V-1", 5}], true}
       since = @now |> div(1_000_000) |> Kernel.+(3)
@@ -156,7 +156,7 @@ defmodule FleetWeb.API.VehicleTest do
       assert events(port, "/api/events?since=#{since + 60}") == {[], false}
     end
 
-    test "a vehicle without events has none, one that is unknown is not found", %{
+    test "a vehicle without events has none, an unknown one is not found", %{
       port: port,
       gateway: gateway
     } do
@@ -165,7 +165,7 @@ defmodule FleetWeb.API.VehicleTest do
       assert {404, _headers, _error} = request(port, "GET", "/api/vehicles/V-4/events")
     end
 
-    test "what cannot be meant is refused, with what could be", %{port: port} do
+    test "invalid parameters are refused, with what is expected", %{port: port} do
       for query <-
             ~w(limit=0 limit=1001 limit=x limit limit= since=yesterday since since=-1 since=1e300 since=nan x=1) do
         assert {^query, {400, _headers, %{"error" => %{"message" => message}}}} =

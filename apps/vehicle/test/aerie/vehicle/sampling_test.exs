@@ -23,13 +23,13 @@ defmodule Aerie.Vehicle.SamplingTest do
   end
 
   describe "time" do
-    test "the mean of each period; at is that of the last value in it" do
+    test "the first value at once, then the mean of each period; at is that of the last value in it" do
       inputs = for n <- 0..25, do: {n / 10, %{alt_rel: n * 1.0}}
 
-      assert [{0.9, %{alt_rel: first}}, {1.9, %{alt_rel: second}}] =
+      assert [{+0.0, %{alt_rel: +0.0}}, {0.9, %{alt_rel: first}}, {1.9, %{alt_rel: second}}] =
                run(:position, %{strategy: :time, hz: 1.0}, inputs)
 
-      assert_in_delta first, 4.5, 1.0e-9
+      assert_in_delta first, 5.0, 1.0e-9
       assert_in_delta second, 14.5, 1.0e-9
     end
 
@@ -43,27 +43,34 @@ defmodule Aerie.Vehicle.SamplingTest do
     end
 
     test "angles are averaged on the circle" do
-      inputs = [{0, %{heading: 350.0, yaw: 170.0}}, {0.5, %{heading: 20.0, yaw: -170.0}}, {1.0, nil}]
-      assert [{_, %{heading: heading, yaw: yaw}}] = run(:attitude, %{strategy: :time}, inputs)
+      inputs = [
+        {0, %{}},
+        {0.1, %{heading: 350.0, yaw: 170.0}},
+        {0.5, %{heading: 20.0, yaw: -170.0}},
+        {1.0, nil}
+      ]
+
+      assert [_, {_, %{heading: heading, yaw: yaw}}] = run(:attitude, %{strategy: :time}, inputs)
       assert_in_delta heading, 5.0, 1.0e-6
       assert_in_delta abs(yaw), 180.0, 1.0e-6
     end
 
     test "a vehicle that crosses the date line is not at Greenwich" do
-      inputs = [{0, %{lon: 179.9999}}, {0.5, %{lon: -179.9999}}, {1.0, nil}]
-      assert [{_, %{lon: lon}}] = run(:position, %{strategy: :time}, inputs)
+      inputs = [{0, %{}}, {0.1, %{lon: 179.9999}}, {0.5, %{lon: -179.9999}}, {1.0, nil}]
+      assert [_, {_, %{lon: lon}}] = run(:position, %{strategy: :time}, inputs)
       assert_in_delta abs(lon), 180.0, 1.0e-6
     end
 
     test "unknown values are left out; what is no number is the last" do
       inputs = [
-        {0, %{alt_rel: nil, x: "a"}},
+        {0, %{}},
+        {0.1, %{alt_rel: nil, x: "a"}},
         {0.2, %{alt_rel: 2.0, x: "b"}},
         {0.4, %{alt_rel: 4.0, x: "c"}},
         {1, nil}
       ]
 
-      assert run(:position, %{strategy: :time}, inputs) == [{0.4, %{alt_rel: 3.0, x: "c"}}]
+      assert run(:position, %{strategy: :time}, inputs) == [{0.0, %{}}, {0.4, %{alt_rel: 3.0, x: "c"}}]
       assert [{_, %{alt_rel: nil}}] = run(:position, %{strategy: :time}, [{0, %{alt_rel: nil}}, {1, nil}])
     end
 
@@ -139,9 +146,22 @@ defmodule Aerie.Vehicle.SamplingTest do
   end
 
   test "aggregate: mean, least, greatest, how many" do
-    inputs = [{0, %{frames_per_s: 10.0, links: ["a"]}}, {1, %{frames_per_s: 20.0, links: ["b"]}}, {5, nil}]
+    inputs = [
+      {0, %{frames_per_s: 5.0, links: []}},
+      {0.5, %{frames_per_s: 10.0, links: ["a"]}},
+      {1, %{frames_per_s: 20.0, links: ["b"]}},
+      {5, nil}
+    ]
 
     assert run(:link, %{strategy: :aggregate, hz: 0.2}, inputs) == [
+             {0.0,
+              %{
+                frames_per_s: 5.0,
+                links: [],
+                min: %{frames_per_s: 5.0},
+                max: %{frames_per_s: 5.0},
+                samples: 1
+              }},
              {1.0,
               %{
                 frames_per_s: 15.0,

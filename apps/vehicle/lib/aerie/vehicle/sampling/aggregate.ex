@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Sampling.Aggregate do
   @moduledoc """
-  Over each period the mean under the usual keys, with `min` and `max` of each number and the number of `samples`.
+  Over each period the mean under the usual keys, with `min` and `max` of each number and the number of `samples`. Periods
+  are those of `Aerie.Vehicle.Sampling.Time`.
 
   Minimum and maximum of an angle are those of its numbers, not of the circle.
   """
@@ -16,16 +17,17 @@ defmodule Aerie.Vehicle.Sampling.Aggregate do
   @impl Sampling
   def push(sampler, at, data) do
     {sampler, samples} = step(sampler, Sampling.Time.expire(sampler.time, at))
-    {time, []} = Sampling.Time.push(sampler.time, at, data)
     numbers = Map.filter(data, fn {_key, value} -> is_number(value) end)
 
-    {%{
-       sampler
-       | time: time,
-         min: Map.merge(sampler.min, numbers, fn _key, a, b -> min(a, b) end),
-         max: Map.merge(sampler.max, numbers, fn _key, a, b -> max(a, b) end),
-         samples: sampler.samples + 1
-     }, samples}
+    sampler = %{
+      sampler
+      | min: Map.merge(sampler.min, numbers, fn _key, a, b -> min(a, b) end),
+        max: Map.merge(sampler.max, numbers, fn _key, a, b -> max(a, b) end),
+        samples: sampler.samples + 1
+    }
+
+    {sampler, first} = step(sampler, Sampling.Time.push(sampler.time, at, data))
+    {sampler, samples ++ first}
   end
 
   @impl Sampling

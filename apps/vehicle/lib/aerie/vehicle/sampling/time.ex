@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Sampling.Time do
   @moduledoc """
-  The mean over each period. Periods follow each other from the first value on; one without values gives nothing.
+  The first value as it is, at once, and the mean over each period from there on. A period without values gives nothing,
+  and the next value after it is a first one again: who waits for a vehicle has its position when it comes.
   """
   @behaviour Aerie.Vehicle.Sampling
 
@@ -15,8 +16,10 @@ defmodule Aerie.Vehicle.Sampling.Time do
   @impl Sampling
   def push(sampler, at, data) do
     {sampler, samples} = expire(sampler, at)
-    ends = sampler.ends || at + sampler.period_us
-    {%{sampler | ends: ends, mean: Mean.add(sampler.mean, at, data)}, samples}
+
+    if sampler.ends == nil,
+      do: {%{sampler | ends: at + sampler.period_us}, samples ++ [{at, data}]},
+      else: {%{sampler | mean: Mean.add(sampler.mean, at, data)}, samples}
   end
 
   @impl Sampling

@@ -180,8 +180,15 @@ size = 65_507
 :rand.seed(:exsss, {3, 5, 7})
 random = {"random bytes", :rand.bytes(size)}
 
+# What rows with frames in them have to be compared with.
+valid =
+  for message <- [%MavCodec.Messages.SystemTime{}, %MavCodec.Messages.Heartbeat{type: 2}] do
+    frame = MavCodec.encode(message, system: 1)
+    {"valid frames of #{byte_size(frame)} bytes", :binary.copy(frame, div(size, byte_size(frame)) + 1)}
+  end
+
 hostile =
-  for {name, data} <- [random | Hostile.all(size)] do
+  for {name, data} <- [random | valid] ++ Hostile.all(size) do
     data = binary_part(data, 0, size)
     {frames, _} = Parser.push_datagram(parser, data)
     row = Measure.run(name, size, fn -> Parser.push_datagram(parser, data) end, div(milliseconds, 3))

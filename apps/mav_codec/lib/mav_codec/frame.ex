@@ -151,6 +151,25 @@ defmodule MavCodec.Frame do
     }
   end
 
+  def from_bytes(
+        <<0xFD, len, 0, compat, seq, system, component, id::24-little, payload::binary-size(len), _crc::16>> =
+          bytes,
+        extra,
+        at
+      ) do
+    %__MODULE__{
+      seq: seq,
+      system: system,
+      component: component,
+      id: id,
+      payload: payload,
+      compat: compat,
+      crc_extra: extra,
+      bytes: bytes,
+      at: at
+    }
+  end
+
   def from_bytes(<<0xFD, len, incompat, compat, seq, _::binary>> = bytes, extra, at) do
     {:ok, header, ^len, total, id, system} = header(bytes)
     <<fields::binary-size(^header), payload::binary-size(^len), _crc::16, tail::binary>> = bytes

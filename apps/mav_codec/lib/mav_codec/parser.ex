@@ -27,7 +27,16 @@ defmodule MavCodec.Parser do
   @most_words 32 * 1024 * 1024
 
   @enforce_keys [:scanner]
-  defstruct [:scanner, held: <<>>, at: nil, sources: Sources.new(), bytes: 0, frames: 0, signed: 0]
+  defstruct [
+    :scanner,
+    held: <<>>,
+    at: nil,
+    sources: Sources.new(),
+    bytes: 0,
+    frames: 0,
+    signed: 0,
+    unknown: 0
+  ]
 
   @opaque t :: %__MODULE__{
             scanner: Scanner.t(),
@@ -36,7 +45,8 @@ defmodule MavCodec.Parser do
             sources: Sources.t(),
             bytes: non_neg_integer(),
             frames: non_neg_integer(),
-            signed: non_neg_integer()
+            signed: non_neg_integer(),
+            unknown: non_neg_integer()
           }
 
   @typedoc """
@@ -145,7 +155,7 @@ defmodule MavCodec.Parser do
 
   defp all(parser, data, new_bytes, at, mode) do
     {found, held, scanner} = Scanner.scan(parser.scanner, data, at, mode)
-    {frames, count, signed} = in_order(found, [], 0, 0)
+    {frames, count, signed, unknown} = in_order(found, [], 0, 0, 0)
 
     parser = %{
       parser
@@ -155,19 +165,36 @@ defmodule MavCodec.Parser do
         sources: Sources.observe(parser.sources, frames),
         bytes: parser.bytes + new_bytes,
         frames: parser.frames + count,
-        signed: parser.signed + signed
+        signed: parser.signed + signed,
+        unknown: parser.unknown + unknown
     }
 
     {frames, parser}
   end
 
-  defp in_order([%Frame{signature: nil} = frame | found], frames, count, signed),
-    do: in_order(found, [frame | frames], count + 1, signed)
+  defp in_order(
+         [%Frame{crc_extra: nil, signature: signature} = frame | found],
+         frames,
+         count,
+         signed,
+         unknown
+       ),
+       do:
+         in_order(
+           found,
+           [frame | frames],
+           count + 1,
+           if(signature, do: signed + 1, else: signed),
+           unknown + 1
+         )
 
-  defp in_order([frame | found], frames, count, signed),
-    do: in_order(found, [frame | frames], count + 1, signed + 1)
+  defp in_order([%Frame{signature: nil} = frame | found], frames, count, signed, unknown),
+    do: in_order(found, [frame | frames], count + 1, signed, unknown)
 
-  defp in_order([], frames, count, signed), do: {frames, count, signed}
+  defp in_order([frame | found], frames, count, signed, unknown),
+    do: in_order(found, [frame | frames], count + 1, signed + 1, unknown)
+
+  defp in_order([], frames, count, signed, unknown), do: {frames, count, signed, unknown}
 
   # A few kept bytes must not keep the whole read alive.
   defp own(<<>>), do: <<>>
@@ -182,7 +209,7 @@ defmodule MavCodec.Parser do
       held: byte_size(parser.held),
       crc_errors: scanner.crc_errors,
       resync_bytes: scanner.resync_bytes,
-      unknown_ids: scanner.unknown_ids,
+      unknown_ids: parser.unknown,
       incompatible: scanner.incompatible,
       signed: parser.signed,
       lost: Sources.lost(parser.sources),

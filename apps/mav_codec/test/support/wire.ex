@@ -45,21 +45,28 @@ defmodule MavCodec.Test.Wire do
   end
 
   @doc "The bytes of all frames of known ids: at each byte, header, length and CRC; one byte on when it is none."
-  def scan(data, dialect \\ MavCodec.Dialects.All), do: scan(data, dialect, [])
+  def scan(data, dialect \\ MavCodec.Dialects.All), do: scan(data, dialect, true, [])
 
-  defp scan(<<>>, _dialect, acc), do: Enum.reverse(acc)
+  defp scan(<<>>, _dialect, _due?, acc), do: Enum.reverse(acc)
 
-  defp scan(<<_, rest::binary>> = data, dialect, acc) do
+  defp scan(<<_, rest::binary>> = data, dialect, due?, acc) do
     with {:ok, header, len, size, id, system} when system > 0 <- Frame.header(data),
          true <- byte_size(data) >= size and flags(data) in [0, 1],
          extra when extra != nil <- dialect.crc_extra(id),
+         true <- due? or length?(data, dialect, id, len),
          true <- checksum(data, header + len, extra) do
       <<bytes::binary-size(^size), rest::binary>> = data
-      scan(rest, dialect, [bytes | acc])
+      scan(rest, dialect, true, [bytes | acc])
     else
-      _no_frame -> scan(rest, dialect, acc)
+      _no_frame -> scan(rest, dialect, false, acc)
     end
   end
+
+  # Version 1 cuts nothing (F9): behind damage, a header of another length is noise, whatever its CRC.
+  defp length?(<<0xFE, _::binary>>, dialect, id, len),
+    do: not function_exported?(dialect, :length, 1) or match?({^len, _}, dialect.length(id))
+
+  defp length?(_v2, _dialect, _id, _len), do: true
 
   defp flags(<<0xFD, _len, flags, _::binary>>), do: flags
   defp flags(_v1), do: 0

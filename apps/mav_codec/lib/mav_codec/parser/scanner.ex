@@ -34,7 +34,7 @@ defmodule MavCodec.Parser.Scanner do
   # `cleared` is relative to the bytes kept.
   @enforce_keys [:known, :accepted]
   defstruct @enforce_keys ++
-              [crc_errors: 0, resync_bytes: 0, unknown_ids: 0, incompatible: 0] ++
+              [crc_errors: 0, resync_bytes: 0, incompatible: 0] ++
               [due?: true, ahead: :none, cleared: 0, sums: Checksums.new()]
 
   @typedoc "`:stream` - more bytes may follow; `:datagram` - a boundary; `:final` - nothing follows."
@@ -44,7 +44,6 @@ defmodule MavCodec.Parser.Scanner do
           accepted: 0..255,
           crc_errors: non_neg_integer(),
           resync_bytes: non_neg_integer(),
-          unknown_ids: non_neg_integer(),
           incompatible: non_neg_integer(),
           due?: boolean(),
           ahead: Search.ahead(),
@@ -218,13 +217,24 @@ defmodule MavCodec.Parser.Scanner do
     case data |> from(pos) |> Candidate.judge(state.known, state.accepted) do
       {:good, size, extra} -> take(data, pos, size, extra, at, mode, found, state)
       {:incompatible, size} -> incompatible(data, pos, size, at, mode, found, state)
-      {:unknown, _size} -> gap(data, pos, pos, at, mode, found, state)
+      {:unknown, size} -> unknown(data, pos, size, at, mode, found, state)
       {:bad_crc, size} -> wrong(data, pos, size, at, mode, found, state)
       :noise -> gap(data, pos, pos + 1, at, mode, found, state)
       :more when mode == :stream -> {found, from(data, pos), done(state, pos, true, mode)}
       :more when mode == :final -> gap(data, pos, pos + 1, at, mode, found, state)
       :more -> unfinished(data, pos, at, found, state)
     end
+  end
+
+  # A frame of an unknown id, where one is due. What stands in it was searched before, up to `cleared` or a good frame, when
+  # others were before it; then there is nothing to search.
+  defp unknown(data, pos, size, at, mode, found, %{ahead: ahead, cleared: cleared} = state) do
+    stop = pos + size
+
+    if stop <= cleared and not match?({_, place} when place < stop, ahead) and
+         match?(<<_::binary-size(^stop), magic, _::binary>> when magic in [0xFD, 0xFE], data),
+       do: take(data, pos, size, nil, at, mode, found, state),
+       else: gap(data, pos, pos, at, mode, found, state)
   end
 
   # At a datagram's end the beginning of a frame is kept, but not at the cost of a good frame behind its start.
@@ -249,14 +259,13 @@ defmodule MavCodec.Parser.Scanner do
 
     case {what, ahead} do
       {{:take, place, size}, _} ->
-        state = %{noise(state, place - pos) | unknown_ids: state.unknown_ids + 1}
-        take(data, place, size, nil, at, mode, found, state)
+        take(data, place, size, nil, at, mode, found, noise(state, place - pos))
 
       {{:hold, place}, _} ->
         {found, from(data, place), state |> noise(place - pos) |> done(place, false, mode)}
 
       {:none, {:good, place}} ->
-        good(data, place, at, mode, found, noise(state, place - pos))
+        again(data, place, at, mode, found, noise(state, place - pos))
 
       {:none, {:doubt, place}} ->
         {found, from(data, place), state |> noise(place - pos) |> done(place, false, mode)}
@@ -282,14 +291,6 @@ defmodule MavCodec.Parser.Scanner do
   defp limit(:none, data), do: byte_size(data)
 
   defp noise(state, bytes), do: %{state | resync_bytes: state.resync_bytes + bytes}
-
-  # The CRC is right, the flags are to be judged.
-  defp good(data, pos, at, mode, found, state) do
-    case data |> from(pos) |> Candidate.judge(state.known, state.accepted) do
-      {:good, size, extra} -> take(data, pos, size, extra, at, mode, found, state)
-      {:incompatible, size} -> incompatible(data, pos, size, at, mode, found, state)
-    end
-  end
 
   defp take(data, pos, size, extra, at, mode, found, state) do
     frame = data |> binary_part(pos, size) |> Frame.from_bytes(extra, at)

@@ -21,6 +21,9 @@ defmodule MavCodec.Parser.Search do
   @signed 0x01
   @source32 0x02
   @target32 0x04
+  # Header without the magic, and payload; and more bytes than any read has.
+  @longest 16 + 255
+  @most 0xFFFF_FFFF_FFFF
 
   @typedoc """
     * `{:good, place}` - a frame of a known id with the right CRC
@@ -37,24 +40,33 @@ defmodule MavCodec.Parser.Search do
           {ahead(), errors :: non_neg_integer(), open :: non_neg_integer() | nil, Checksums.t()}
   def good(data, pos, known, accepted, stream?, sums) do
     <<_::binary-size(^pos), rest::binary>> = data
-    fixed = {known, accepted, stream?, byte_size(data), data}
+    fixed = fixed(data, known, accepted, stream?)
     look(rest, pos, known.pages, known.lengths, fixed, 0, nil, sums)
   end
 
-  # This and its helpers begin with a match, so that the runtime makes no binary for what remains.
+  # What stays the same; `refused` are the flags of frames that are not taken (F6).
+  defp fixed(data, known, accepted, stream?),
+    do: {known, 0xFF - accepted, stream?, byte_size(data), data, known.others}
+
+  # This and its helpers begin with a match, so that the runtime makes no binary for what remains, and keep their arguments
+  # in their places, so that nothing is moved.
   defp look(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
     case rest do
       <<len, _seq, system, _component, id, _::binary>> when system > 0 ->
         case elem(lengths, id) do
           ^len ->
             extra = elem(elem(pages, 0), id)
-            candidate(rest, pos, 5 + len, 0, extra, pages, lengths, fixed, errors, open, sums)
+            candidate(rest, pos, pages, lengths, fixed, errors, open, sums, 5 + len, 0, extra)
 
           other when is_integer(other) ->
             look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
           nil ->
-            uncertain(rest, pos, 5, len, 0, id, pages, lengths, fixed, errors, open, sums)
+            case elem(elem(pages, 0), id) do
+              nil when open == nil -> nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, 5 + len, 0)
+              nil -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+              extra -> candidate(rest, pos, pages, lengths, fixed, errors, open, sums, 5 + len, 0, extra)
+            end
         end
 
       <<_::5-binary, _::binary>> ->
@@ -71,13 +83,13 @@ defmodule MavCodec.Parser.Search do
       when (flags &&& @source32) == 0 ->
         if system == 0,
           do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
-          else: uncertain(rest, pos, 9, len, flags, id, pages, lengths, fixed, errors, open, sums)
+          else: v2(rest, pos, pages, lengths, fixed, errors, open, sums, 9 + len, flags, id)
 
       <<len, flags, _::2-binary, system::32, _component, id::24-little, _::binary>>
       when (flags &&& @source32) != 0 ->
         if system == 0,
           do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums),
-          else: uncertain(rest, pos, 12, len, flags, id, pages, lengths, fixed, errors, open, sums)
+          else: v2(rest, pos, pages, lengths, fixed, errors, open, sums, 12 + len, flags, id)
 
       _incomplete ->
         incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
@@ -89,51 +101,79 @@ defmodule MavCodec.Parser.Search do
 
   defp look(<<>>, _pos, _pages, _lengths, _fixed, errors, open, sums), do: {:none, errors, open, sums}
 
-  # A header whose id is known or not. With long ids it is longer.
-  defp uncertain(<<rest::binary>>, pos, header, len, flags, id, pages, lengths, fixed, errors, open, sums) do
-    header = if (flags &&& @target32) == 0, do: header, else: header + 4
+  # Here is nothing but tail calls: another call would put aside all that the loop holds. `covered` as with short ids.
+  defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, flags, id)
+       when id < @direct do
+    case elem(elem(pages, id >>> 8), id &&& 0xFF) do
+      nil when open == nil and (flags &&& elem(fixed, 1)) == 0 ->
+        nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, covered + (flags &&& @target32), flags)
 
-    case if(id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF), else: above(id, fixed)) do
       nil ->
-        if open == nil and (flags &&& bnot(elem(fixed, 1))) == 0 and
-             unknown(pos, header, len, flags, fixed) != :noise,
-           do: look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums),
-           else: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
       extra ->
-        signed = flags &&& @signed
-        candidate(rest, pos, header + len, signed, extra, pages, lengths, fixed, errors, open, sums)
+        covered = covered + (flags &&& @target32)
+        signed = 13 * (flags &&& @signed)
+        candidate(rest, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra)
     end
   end
 
-  # Inlined, since a call puts aside all that the loop holds.
-  @compile {:inline, above: 2}
-  defp above(_id, {%Known{others: []}, _, _, _, _}), do: nil
-  defp above(id, fixed), do: Known.extra(elem(fixed, 0), id)
+  defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, _covered, flags, _id)
+       when elem(fixed, 5) == [] and (open != nil or (flags &&& elem(fixed, 1)) != 0),
+       do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
-  # `covered` bytes of header and payload.
-  defp candidate(<<rest::binary>>, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums) do
+  defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, flags, id) do
+    covered = covered + (flags &&& @target32)
+
+    case Known.extra(elem(fixed, 0), id) do
+      nil when open == nil ->
+        nobody(rest, pos, pages, lengths, fixed, errors, nil, sums, covered, flags)
+
+      nil ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+
+      extra ->
+        signed = 13 * (flags &&& @signed)
+        candidate(rest, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra)
+    end
+  end
+
+  # An unknown id: the first place that may be a frame is remembered.
+  defp nobody(<<rest::binary>>, pos, pages, lengths, fixed, errors, nil, sums, covered, flags) do
+    if unknown(pos, covered, flags, fixed) == :noise,
+      do: look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums),
+      else: look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
+  end
+
+  # `covered` bytes of header and payload, `signed` bytes of signature. The guard is always true: it lets the compiler leave
+  # out checks of each number.
+  defp candidate(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra)
+       when is_integer(pos) and pos in 0..@most and covered in 0..@longest and signed in 0..13 do
     {_spent, from, to, registers} = sums
+    stop = pos + covered
 
     cond do
-      pos + 3 + covered + 13 * signed > elem(fixed, 3) ->
+      stop <= to and pos >= from and extra in 0..255 and stop + signed + 3 <= elem(fixed, 3) ->
+        <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
+        before = Checksums.register(registers, pos - from)
+        behind = Checksums.register(registers, stop - from)
+
+        cond do
+          Checksums.frame(before, behind, covered, extra) == crc -> {{:good, pos}, errors, open, sums}
+          open == nil -> look(rest, pos + 1, pages, lengths, fixed, errors + 1, nil, sums)
+          true -> look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
+        end
+
+      stop + signed + 3 > elem(fixed, 3) ->
         incomplete(rest, pos, pages, lengths, fixed, errors, open, sums)
 
-      pos >= from and pos + covered <= to and is_integer(extra) ->
-        <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
-        before = elem(registers, to - pos)
-
-        if Checksums.frame(before, elem(registers, to - pos - covered), covered, extra) == crc,
-          do: {{:good, pos}, errors, open, sums},
-          else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
-
       true ->
-        outside(rest, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums)
+        outside(rest, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra)
     end
   end
 
   # No window, or it ends here; or several CRC_EXTRAs, each of which is as good as a header of its own.
-  defp outside(<<rest::binary>>, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums) do
+  defp outside(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra) do
     <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
 
     case Checksums.reach(sums, elem(fixed, 4), pos, covered) do
@@ -145,11 +185,11 @@ defmodule MavCodec.Parser.Search do
           else: wrong(rest, pos, pages, lengths, fixed, errors, open, sums)
 
       {:window, sums} when is_integer(extra) ->
-        candidate(rest, pos, covered, signed, extra, pages, lengths, fixed, errors, open, sums)
+        candidate(rest, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra)
 
-      {:window, {_spent, _from, to, registers} = sums} ->
-        before = elem(registers, to - pos)
-        behind = elem(registers, to - pos - covered)
+      {:window, {_spent, from, _to, registers} = sums} ->
+        before = Checksums.register(registers, pos - from)
+        behind = Checksums.register(registers, pos - from + covered)
 
         if Enum.any?(extra, &(Checksums.frame(before, behind, covered, &1) == crc)),
           do: {{:good, pos}, errors, open, sums},
@@ -164,7 +204,7 @@ defmodule MavCodec.Parser.Search do
     do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
   # The header, or the frame of a known id, ends behind the data.
-  defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, true, _, _}, errors, open, sums),
+  defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, true, _, _, _}, errors, open, sums),
     do: {{:doubt, pos}, errors, open, sums}
 
   defp incomplete(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
@@ -192,7 +232,7 @@ defmodule MavCodec.Parser.Search do
   def open(data, pos, ahead, known, accepted, mode, errors) do
     <<_::binary-size(^pos), rest::binary>> = data
     limit = limit(ahead, data)
-    sift(rest, pos, limit, ahead, {known, accepted, mode == :stream, byte_size(data), data}, mode, errors)
+    sift(rest, pos, limit, ahead, fixed(data, known, accepted, mode == :stream), mode, errors)
   end
 
   # The last place to look at.
@@ -205,7 +245,7 @@ defmodule MavCodec.Parser.Search do
        when magic in [0xFD, 0xFE] and pos > limit,
        do: {:none, errors}
 
-  defp sift(<<0xFE, rest::binary>>, pos, limit, ahead, {known, _, _, size, _} = fixed, mode, errors) do
+  defp sift(<<0xFE, rest::binary>>, pos, limit, ahead, {known, _, _, size, _, _} = fixed, mode, errors) do
     case rest do
       <<_len, _seq, 0, _component, _id, _::binary>> ->
         sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
@@ -213,7 +253,7 @@ defmodule MavCodec.Parser.Search do
       <<len, _seq, _system, _component, id, _::binary>> ->
         cond do
           elem(elem(known.pages, 0), id) == nil ->
-            claim(rest, pos, unknown(pos, 5, len, 0, fixed), limit, ahead, fixed, mode, errors)
+            claim(rest, pos, unknown(pos, 5 + len, 0, fixed), limit, ahead, fixed, mode, errors)
 
           other_length?(elem(known.lengths, id), len) ->
             sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
@@ -260,7 +300,7 @@ defmodule MavCodec.Parser.Search do
 
     cond do
       Known.extra(elem(fixed, 0), id) == nil ->
-        claim(rest, pos, unknown(pos, header, len, flags, fixed), limit, ahead, fixed, mode, errors)
+        claim(rest, pos, unknown(pos, header + len, flags, fixed), limit, ahead, fixed, mode, errors)
 
       pos + 3 + header + len + 13 * (flags &&& @signed) > elem(fixed, 3) ->
         claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
@@ -279,7 +319,7 @@ defmodule MavCodec.Parser.Search do
   end
 
   # A stream: what is inside must be known, and one byte that follows.
-  defp claim(<<_::binary>>, pos, {:ends, stop}, limit, _ahead, {_, _, true, size, _}, _mode, errors) do
+  defp claim(<<_::binary>>, pos, {:ends, stop}, limit, _ahead, {_, _, true, size, _, _}, _mode, errors) do
     if stop <= limit and stop < size,
       do: {{:take, pos, stop - pos}, errors},
       else: {{:hold, pos}, errors}
@@ -295,11 +335,11 @@ defmodule MavCodec.Parser.Search do
     do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
 
   # Where a frame of an unknown id would end, if it may be one by its flags (F6) and the byte behind it.
-  defp unknown(pos, header, len, flags, {_known, accepted, _stream?, size, data}) do
-    stop = pos + 3 + header + len + 13 * (flags &&& @signed)
+  defp unknown(pos, covered, flags, {_known, refused, _stream?, size, data, _others}) do
+    stop = pos + 3 + covered + 13 * (flags &&& @signed)
 
     cond do
-      (flags &&& bnot(accepted)) != 0 -> :noise
+      (flags &&& refused) != 0 -> :noise
       stop > size -> :more
       stop == size -> {:ends, stop}
       :binary.at(data, stop) in [0xFD, 0xFE] -> {:ends, stop}

@@ -156,6 +156,24 @@ defmodule Aerie.RouterTest do
       assert %{delivered: 1} = deliver(gateway, attitude(late, 2))
     end
 
+    test "a link for which frames wait makes no vehicle itself" do
+      gateway = start_parts(%{})
+      nursery = Names.whereis(gateway, :router_nursery)
+      :sys.suspend(nursery)
+      for n <- 1..65, do: send(self(), {:waiting, n})
+      assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
+      assert Names.whereis(gateway, :session, {"main", 1}) == nil
+      :sys.resume(nursery)
+      eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end)
+      for n <- 1..65, do: assert_received({:waiting, ^n})
+      deliver(gateway, heartbeat(2))
+      assert is_pid(Names.whereis(gateway, :session, {"main", 2}))
+    end
+
+    test "the slower vehicles are made, the longer the others are left alone between two" do
+      assert Enum.map([0, 2, 5, 10, 20, 5_000], &Router.Nursery.pause/1) == [10, 10, 20, 40, 50, 50]
+    end
+
     test "a session that does not keep up gets no more until it has", c do
       be_session(c.gateway, 1)
       frames = parse(attitude(1, 1))

@@ -4,8 +4,9 @@ defmodule Aerie.Router.Admission do
   those who have them allow (`Aerie.Router.Vehicles`). A vehicle that was refused is not tried again for 5 s, so that a flood of invented
   system ids does not keep the supervisor busy.
 
-  A vehicle is made at once, by the process that has its frames, as long as few come: #{20} a second, #{32} at once. Further
-  ones are made by `Aerie.Router.Nursery`, which gets the frames as well; at most #{1_024} wait there.
+  A vehicle is made at once, by the process that has its frames, as long as few come: #{20} a second, #{32} at once, and while
+  no more than #{64} messages wait for that process, since other vehicles' frames are among them. Further ones are made by
+  `Aerie.Router.Nursery`, which gets the frames as well; at most #{1_024} wait there.
   """
 
   alias Aerie.Allowance
@@ -19,6 +20,7 @@ defmodule Aerie.Router.Admission do
   # Made at once: one in so many ms, so many at once.
   @at_once_ms 50
   @at_once 32
+  @busy 64
   @max_waiting 1_024
   # Whoever was asked for and is not there after so long is asked for again.
   @waits_ms 15_000
@@ -44,10 +46,16 @@ defmodule Aerie.Router.Admission do
         :refused
 
       _free ->
-        if at_once?(tables, now),
+        if not busy?() and at_once?(tables, now),
           do: make(gateway, tables, key, now),
           else: ask(gateway, tables, key, from, first, now)
     end
+  end
+
+  # Making one takes as long as reading a hundred datagrams.
+  defp busy? do
+    {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
+    waiting > @busy
   end
 
   # Two links that ask at the same moment may both be let in.

@@ -1,7 +1,8 @@
 defmodule Aerie.Router.Nursery do
   @moduledoc """
-  Makes vehicles when many are heard at once, one after the other and #{100} a second, so that no link waits for that with
-  its other vehicles' frames in its mailbox. It gets the frames by which a vehicle was found too: they are its first ones.
+  Makes vehicles when many are heard at once, one after the other, so that no link waits for that with its other vehicles'
+  frames in its mailbox: #{100} a second, fewer on a busy machine (`pause/1`), whose vehicles' frames come first. It gets the
+  frames by which a vehicle was found too: they are its first ones.
   """
   use GenServer
 
@@ -11,6 +12,7 @@ defmodule Aerie.Router.Nursery do
   alias Aerie.Successor
 
   @every_ms 10
+  @at_most_ms 50
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
@@ -28,8 +30,13 @@ defmodule Aerie.Router.Nursery do
     :ok
   end
 
+  @doc "How long to wait before the next one, when one took so long, in ms: #{10} to #{50}."
+  @spec pause(non_neg_integer) :: pos_integer
+  def pause(took), do: (4 * took) |> max(@every_ms) |> min(@at_most_ms)
+
   @impl GenServer
   def init(gateway) do
+    Process.flag(:priority, :low)
     Process.set_label({:router_nursery, gateway})
     {:ok, %{gateway: gateway, queue: :queue.new(), timer: nil}}
   end
@@ -49,11 +56,14 @@ defmodule Aerie.Router.Nursery do
   end
 
   defp make(%{gateway: gateway} = state, {key, from, frames}) do
+    began = System.monotonic_time(:millisecond)
+
     with tables when is_map(tables) <- Tables.of(gateway),
-         {:ok, session} <- Admission.make(gateway, tables, key, System.monotonic_time(:millisecond)) do
+         {:ok, session} <- Admission.make(gateway, tables, key, began) do
       send(session, {:frames, from, frames})
     end
 
-    %{state | timer: Process.send_after(self(), :next, @every_ms)}
+    took = System.monotonic_time(:millisecond) - began
+    %{state | timer: Process.send_after(self(), :next, pause(took))}
   end
 end

@@ -1,16 +1,16 @@
 defmodule Aerie.Census do
   @moduledoc """
-  What a node holds: what must not grow however long a gateway runs and whatever comes and goes meanwhile.
+  Counts what a node holds. None of it may grow, however long a gateway runs and whatever comes and goes.
   """
 
   @typedoc """
-  - `memory`, `ets`, `binary`: bytes, after all processes were swept; `rss`: what the operating system sees of the BEAM
-  - `tables`: ETS tables with the number of their rows, the same for those of one name
-  - `files`: descriptors of this process, `programs` the processes of the operating system that it started
+  - `memory`, `ets`, `binary`: bytes after a garbage collection of all processes; `rss`: the BEAM's resident memory
+  - `tables`: number of rows of ETS tables by name, summed over tables with the same name
+  - `files`: file descriptors of this VM; `programs`: operating system processes that it started
   """
   @type t :: %{atom() => term()}
 
-  @doc "Counts, after a sweep of all heaps."
+  @doc "Counts after a garbage collection of all processes."
   @spec take() :: t()
   def take do
     Enum.each(Process.list(), &:erlang.garbage_collect/1)
@@ -31,7 +31,7 @@ defmodule Aerie.Census do
     }
   end
 
-  @doc "One line for people."
+  @doc "The census as one readable line."
   @spec format(t()) :: String.t()
   def format(census) do
     mb = fn bytes -> :erlang.float_to_binary(bytes / 1_048_576, decimals: 1) end
@@ -41,14 +41,14 @@ defmodule Aerie.Census do
       "#{census.atoms} atoms, #{map_size(census.tables)} tables, longest mailbox #{census.waiting}"
   end
 
-  @doc "Loads all modules of these apps, so that what is loaded when it is first needed does not look like a leak."
+  @doc "Loads all modules of these apps, so that a module that is loaded late does not look like a leak."
   @spec load([atom()]) :: :ok
   def load(apps) do
     for app <- apps, module <- Application.spec(app, :modules) || [], do: Code.ensure_loaded(module)
     :ok
   end
 
-  @doc "How many processes there are of each label or initial call: what to look at when there are too many."
+  @doc "The number of processes by label or initial call, to find out which ones are too many."
   @spec who() :: %{term() => pos_integer()}
   def who do
     Enum.frequencies_by(Process.list(), fn pid ->
@@ -86,7 +86,7 @@ defmodule Aerie.Census do
     String.to_integer(pages) * 4_096
   end
 
-  # The BEAM starts programs by a child of its own, whose children they are.
+  # The BEAM starts programs through a helper process, so they are its grandchildren.
   defp programs, do: descendants(System.pid())
 
   defp descendants(pid) do

@@ -1,8 +1,8 @@
 defmodule Aerie.PeerCase do
   @moduledoc """
-  Ground stations and routers that are not ours, as peers of a whole gateway: the scripts of `test/peers`, run in the
-  private Python environment (`AERIE_VENV`, else `.venv` of the checkout), and programs that are on the PATH of who has
-  them, each in an operating-system process of its own.
+  Independent ground stations and routers as peers of a whole gateway: the scripts of `test/peers`, run in the private Python
+  environment (`AERIE_VENV`, by default the checkout's `.venv`), and programs on the PATH. Each runs in its own
+  operating system process.
   """
 
   use ExUnit.CaseTemplate
@@ -10,7 +10,7 @@ defmodule Aerie.PeerCase do
   @root Path.expand("../..", __DIR__)
   @peers Path.join(@root, "test/peers")
 
-  # A whole flight at five times real time takes half a minute; the rest is for machines that are busy.
+  # A whole flight at five times real time takes half a minute; the rest is for busy machines.
   @patience 600_000
 
   using do
@@ -26,12 +26,11 @@ defmodule Aerie.PeerCase do
   @spec missing() :: [atom()]
   def missing, do: Keyword.keys(absent())
 
-  @doc "Lets the end of the run say which peers were not there, and where they were looked for."
+  @doc "Prints at the end of the run which peers were missing, and where they were expected."
   @spec say_missing() :: :ok
   def say_missing do
     for {tag, place} <- absent(),
-        do:
-          ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: there is no #{place}.") end)
+        do: ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: #{place} is missing.") end)
 
     :ok
   end
@@ -51,8 +50,8 @@ defmodule Aerie.PeerCase do
   defp venv, do: System.get_env("AERIE_VENV", Path.join(@root, ".venv"))
 
   @doc """
-  Starts a script, with further variables of the environment; it ends with the test. pymavlink begins with MAVLink 2: by
-  itself it begins with MAVLink 1 and makes everything anew with the first frame of the other, at whatever moment that comes.
+  Starts a script, with further environment variables; it ends with the test. It makes pymavlink start with MAVLink 2:
+  otherwise pymavlink starts with MAVLink 1 and resets its state with the first MAVLink 2 frame, at an arbitrary moment.
   """
   @spec start_peer(String.t(), [term()], %{String.t() => String.t()}) :: port()
   def start_peer(script, arguments, environment \\ %{}),
@@ -63,7 +62,7 @@ defmodule Aerie.PeerCase do
         Map.put_new(environment, "MAVLINK20", "1")
       )
 
-  @doc "Starts a program of the PATH; it ends with the test. What it prints comes to the calling process."
+  @doc "Starts a program on the PATH; it ends with the test. The calling process gets its output."
   @spec start_program(String.t(), [term()]) :: port()
   def start_program(name, arguments), do: start(System.find_executable(name), arguments, %{})
 
@@ -77,7 +76,7 @@ defmodule Aerie.PeerCase do
     peer
   end
 
-  @doc "Waits for the end of a script: what it found, by name. A script that ended badly fails the test with its words."
+  @doc "Waits for the end of a script and returns its findings by name. If the script failed, the test fails with its output."
   @spec findings(port()) :: %{String.t() => String.t()}
   def findings(peer), do: collect(peer, "")
 
@@ -95,7 +94,7 @@ defmodule Aerie.PeerCase do
       {^peer, {:exit_status, status}} ->
         ExUnit.Assertions.flunk("the peer ended with status #{status}:\n#{output}")
     after
-      @patience -> ExUnit.Assertions.flunk("the peer does not end; it said:\n#{output}")
+      @patience -> ExUnit.Assertions.flunk("the peer does not end; its output:\n#{output}")
     end
   end
 end

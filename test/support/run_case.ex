@@ -1,12 +1,12 @@
 defmodule Aerie.RunCase do
-  @moduledoc "`bin/run` as a user gives it: a process of the operating system, its output and its end."
+  @moduledoc "Runs `bin/run` as a user does: as an operating system process, with its output and its end."
 
   use ExUnit.CaseTemplate
 
   import ExUnit.Assertions
 
   @root Path.expand("../..", __DIR__)
-  # The first call compiles for production.
+  # The first call compiles with MIX_ENV=prod.
   @patience 600_000
 
   using do
@@ -15,7 +15,7 @@ defmodule Aerie.RunCase do
     end
   end
 
-  @doc "Starts it. `before` are words of a command that starts it in turn (`unshare`, say), `root` another checkout."
+  @doc "Starts it. `before` is a command that starts it in turn (for example `unshare`), `root` another checkout."
   @spec open([String.t()], [String.t()], Path.t()) :: port
   def open(words, before \\ [], root \\ @root) do
     [program | words] = before ++ [Path.join(root, "bin/run") | words]
@@ -34,7 +34,7 @@ defmodule Aerie.RunCase do
     port
   end
 
-  @doc "As from a plain shell: nothing of this test's own Mix; the toolchain of this checkout serves another one, too."
+  @doc "The environment of a plain shell, without this test's Mix variables. Another checkout uses this one's toolchain."
   @spec environment() :: [{String.t(), String.t() | nil}]
   def environment do
     toolchain = Path.join(@root, ".toolchain")
@@ -46,18 +46,18 @@ defmodule Aerie.RunCase do
       )
   end
 
-  # What a test that failed left running; asked to end, it ends its VM.
+  # A failed test leaves the script running; SIGTERM makes it end its VM.
   defp stop(os_pid) do
     with {:ok, words} <- File.read("/proc/#{os_pid}/cmdline"),
          true <- words =~ "bin/run",
          do: System.cmd("kill", ["-TERM", os_pid])
   end
 
-  @doc "Runs it to its end; gives its status and its output."
+  @doc "Runs it to its end; returns its status and its output."
   @spec run([String.t()], Path.t()) :: {non_neg_integer, String.t()}
   def run(words, root \\ @root), do: words |> open([], root) |> collect("")
 
-  @doc "Waits until it has said all of some texts; gives its output so far."
+  @doc "Waits until its output contains all of `texts`; returns the output so far."
   @spec await_output(port, String.t(), [String.t()]) :: String.t()
   def await_output(port, text, parts) do
     if Enum.all?(parts, &(text =~ &1)) do
@@ -72,11 +72,11 @@ defmodule Aerie.RunCase do
     end
   end
 
-  @doc "The time by which it runs at the latest, for `Aerie.SystemCase.eventually/3`: the first call of all compiles."
+  @doc "The deadline for its start, for `Aerie.SystemCase.eventually/3`; the first call of all compiles."
   @spec started_by() :: integer
   def started_by, do: System.monotonic_time(:millisecond) + @patience
 
-  @doc "Waits for its end; gives its status."
+  @doc "Waits for its end; returns its status."
   @spec await_exit(port, String.t()) :: non_neg_integer
   def await_exit(port, text \\ ""), do: port |> collect(text) |> elem(0)
 
@@ -91,14 +91,14 @@ defmodule Aerie.RunCase do
     end
   end
 
-  @doc "The process of its VM, told by the configuration that it was given."
+  @doc "The operating system process of its VM, found by its configuration file."
   @spec vm_pid(Path.t()) :: String.t()
   def vm_pid(config) do
     {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
     pids |> String.split() |> hd()
   end
 
-  @doc "Kills its VM, as no program can catch it."
+  @doc "Kills its VM with SIGKILL."
   @spec kill_9(Path.t()) :: :ok
   def kill_9(config) do
     {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
@@ -106,7 +106,7 @@ defmodule Aerie.RunCase do
     :ok
   end
 
-  @doc "An object of its `/api`, nil while it does not answer."
+  @doc "An object from its `/api`, or nil while it does not answer."
   @spec api(:inet.port_number(), String.t()) :: map | nil
   def api(port, path) do
     with {:ok, socket} <- :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false], 1_000),
@@ -126,7 +126,7 @@ defmodule Aerie.RunCase do
     end
   end
 
-  @doc "A TCP port that is free just now."
+  @doc "A TCP port that is free at the moment."
   @spec free_tcp_port() :: :inet.port_number()
   def free_tcp_port do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})

@@ -1,7 +1,7 @@
 defmodule Aerie.SystemCase do
   @moduledoc """
-  A whole gateway for a test, started as `bin/run` starts it: embedded nats-server, HTTP, links, all on free ports and in
-  a folder of its own, found by a name of its own.
+  A whole gateway for a test, started as `bin/run` starts it: embedded nats-server, HTTP, links, all on free ports, in its
+  own folder and under its own name.
   """
 
   use ExUnit.CaseTemplate
@@ -49,7 +49,7 @@ defmodule Aerie.SystemCase do
     run
   end
 
-  @doc "A new folder with a short name (a socket's name has at most 107 bytes) that goes with the test."
+  @doc "A new folder that is removed with the test. Its path is short, because a socket's path has at most 107 bytes."
   def short_dir do
     dir =
       Path.join(System.tmp_dir!(), "ae-#{System.pid()}-#{:erlang.unique_integer([:positive, :monotonic])}")
@@ -72,7 +72,7 @@ defmodule Aerie.SystemCase do
     )
   end
 
-  @doc "A UDP port that is free just now, for a link that must find the same one again after a restart."
+  @doc "A UDP port that is free at the moment, for a link that needs the same port after a restart."
   def free_udp_port do
     {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
@@ -80,19 +80,19 @@ defmodule Aerie.SystemCase do
     port
   end
 
-  @doc "A plain NATS client of the gateway's server, as any user would have."
+  @doc "A plain NATS client of the gateway's server."
   def nats_client(gateway) do
     %URI{host: host, port: port, userinfo: token} = URI.parse(Aerie.Bridge.login_url(gateway))
     {:ok, conn} = Gnat.start_link(%{host: host, port: port, token: token})
     conn
   end
 
-  @doc "All events in the stream, in its order, decoded."
+  @doc "All events of the stream, in order, decoded."
   def stream_events(conn) do
     {:ok, %{state: %{first_seq: first, last_seq: last}}} =
       Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
 
-    # An empty stream says first 0 or 1 and last 0.
+    # An empty stream has first 0 or 1 and last 0.
     for seq <- max(first, 1)..last//1 do
       {:ok, message} = Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})
       JSON.decode!(message.data)

@@ -1,5 +1,5 @@
 defmodule Aerie.System.CollisionTest do
-  @moduledoc "Two simulated vehicles with one system id on one network: told, and never taken for one."
+  @moduledoc "Two simulated vehicles with one system id on one network are reported, and never mixed up."
 
   use Aerie.SystemCase, async: true
 
@@ -40,7 +40,7 @@ defmodule Aerie.System.CollisionTest do
     value in [1, true]
   end
 
-  # Latitudes of all positions that came to the client so far.
+  # Latitudes of all positions that the client has received.
   defp seen(client) do
     receive do
       {:forward, bytes, _class} ->
@@ -59,7 +59,7 @@ defmodule Aerie.System.CollisionTest do
   end
 
   for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
-    test "#{where}: told as event, in the snapshot and as metric; the first keeps the id, its state and its orders",
+    test "#{where}: event, snapshot and metric report it; the first vehicle keeps the id, its state and its commands",
          %{
            tmp_dir: folder
          } do
@@ -80,7 +80,7 @@ defmodule Aerie.System.CollisionTest do
         "they are apart"
       )
 
-      # From here on whoever looks sees one vehicle.
+      # From here on everybody sees one vehicle only.
       {:ok, client} = Endpoint.attach(gateway, id: "gcs", side: :client)
       says(client, %M.Heartbeat{type: 6, autopilot: 8})
       before = Enum.find(Router.endpoints(gateway), &(&1.counters.collided > 0)).counters.collided
@@ -95,7 +95,7 @@ defmodule Aerie.System.CollisionTest do
       assert lat(gateway) == home(@first)
       assert Enum.uniq(seen(client)) == [home(@first)]
 
-      # And one obeys.
+      # And only one obeys.
       SimVehicle.await(first, & &1.ready)
 
       for command <- [
@@ -107,14 +107,14 @@ defmodule Aerie.System.CollisionTest do
       SimVehicle.await(first, & &1.armed)
       refute SimVehicle.state(other).armed
 
-      # When it is no more, the other one is the vehicle.
+      # When the first one is gone, the other one gets the id.
       GenServer.stop(first)
       eventually(fn -> lat(gateway) == home(@second) end, "the other one has the id")
     end
   end
 
   for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
-    test "#{where}: of one that flies nothing is told that happened to the other", %{tmp_dir: folder} do
+    test "#{where}: no event of the second vehicle is reported for the flying one", %{tmp_dir: folder} do
       %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
       Aerie.Store.PubSub.subscribe(gateway, :events)
       first = sim(gateway, "link-1", @first)
@@ -143,7 +143,7 @@ defmodule Aerie.System.CollisionTest do
     end
   end
 
-  # Texts and parameters may be either's: nothing says whose.
+  # Texts and parameters do not show which of the two sent them.
   defp told do
     receive do
       {:fleet, :events, %{type: type}} -> Enum.uniq([type | told()])

@@ -1,5 +1,5 @@
 defmodule Aerie.System.DealingsTest do
-  @moduledoc "What a gateway and simulated autopilots have to do with each other: streams, clocks, ground stations."
+  @moduledoc "The gateway's exchanges with simulated autopilots: streams, clocks, ground stations."
 
   use Aerie.SystemCase, async: true
 
@@ -28,7 +28,7 @@ defmodule Aerie.System.DealingsTest do
   defp vehicle(gateway), do: Store.vehicle(gateway, @key)
   defp line(gateway, id), do: Streams.show(gateway, @key)[id]
 
-  # Another program's command, as the vehicle hears it.
+  # Another program's command, as the vehicle receives it.
   defp other(sim, id, hz) do
     command = %M.CommandLong{
       target_system: 1,
@@ -41,7 +41,7 @@ defmodule Aerie.System.DealingsTest do
     SimVehicle.happen(sim, {:message, command, {254, 190}})
   end
 
-  # A ground station on the second link, until the test or the caller ends it.
+  # A ground station on the second link, until the test or the caller stops it.
   defp station(gateway, system) do
     port = link_port(gateway, "link-2")
     heartbeat = %M.Heartbeat{type: 6, autopilot: 8, system_status: 4, mavlink_version: 3}
@@ -64,7 +64,7 @@ defmodule Aerie.System.DealingsTest do
 
   for firmware <- [:ardupilot, :px4] do
     @tag sim: [firmware: firmware]
-    test "#{firmware}: what is needed comes, a client's rate too, and the clock is known", %{
+    test "#{firmware}: the needed streams arrive, also at a client's rate, and the clock is known", %{
       gateway: gateway,
       sim: sim
     } do
@@ -97,11 +97,14 @@ defmodule Aerie.System.DealingsTest do
     end
   end
 
-  test "M2: somebody who takes a rate away twice is given way, and told", %{gateway: gateway, sim: sim} do
+  test "M2: the gateway gives way to a program that changes a rate twice, and reports it", %{
+    gateway: gateway,
+    sim: sim
+  } do
     :ok = Streams.want(gateway, @key, self(), @attitude, 20)
     eventually(fn -> match?(%{state: :ok, asked: 20}, line(gateway, @attitude)) end, "20 a second")
     other(sim, @attitude, 2)
-    # Corrected once.
+    # The gateway has corrected it once.
     eventually(fn -> match?(%{state: :asked}, line(gateway, @attitude)) end, "noticed")
     eventually(fn -> match?(%{state: :ok}, line(gateway, @attitude)) end, "corrected")
     other(sim, @attitude, 2)
@@ -111,7 +114,7 @@ defmodule Aerie.System.DealingsTest do
     assert %{state: :yielded} = line(gateway, @attitude)
   end
 
-  test "R6: after a reboot what is wanted is asked for again", %{gateway: gateway, sim: sim} do
+  test "R6: after a reboot the wanted streams are requested again", %{gateway: gateway, sim: sim} do
     :ok = Streams.want(gateway, @key, self(), @attitude, 20)
     eventually(fn -> match?(%{state: :ok, asked: 20}, line(gateway, @attitude)) end, "20 a second")
     :ok = SimVehicle.reboot(sim)
@@ -120,7 +123,9 @@ defmodule Aerie.System.DealingsTest do
   end
 
   @tag sim: [params: %{"FS_GCS_ENABLE" => 1}]
-  test "H5: which ground station the failsafe listens to, and when it is gone", %{gateway: gateway} do
+  test "H5: the ground station that the failsafe listens to is known, and its loss is noticed", %{
+    gateway: gateway
+  } do
     eventually(
       fn -> match?(%{failsafe_gcs: 255, enabled?: true, timeout_s: 5.0}, vehicle(gateway).gcs) end,
       "its parameters are read"
@@ -146,7 +151,9 @@ defmodule Aerie.System.DealingsTest do
   end
 
   @tag sim: [params: %{"SYSID_MYGCS" => 237}]
-  test "H5: a vehicle whose failsafe listens to our id gets no heartbeat of ours", %{gateway: gateway} do
+  test "H5: a vehicle whose failsafe listens to the gateway's id gets no heartbeat from it", %{
+    gateway: gateway
+  } do
     eventually(fn -> match?(%{withheld?: true, by_us?: true}, vehicle(gateway).gcs) end, "it is noticed")
     eventually(fn -> Store.counter(gateway, {:identity, :withheld}) > 2 end, "the heartbeat is withheld")
     sent = Store.counter(gateway, {:sent, 0})
@@ -156,7 +163,7 @@ defmodule Aerie.System.DealingsTest do
   end
 
   @tag sim: [params: %{"SYSID_MYGCS" => 237}], mavlink: %{"i_am_the_gcs" => true}
-  test "H5: … unless it is the ground station", %{gateway: gateway} do
+  test "H5: … unless the gateway is the ground station", %{gateway: gateway} do
     eventually(fn -> match?(%{withheld?: false, by_us?: true}, vehicle(gateway).gcs) end, "it is known")
     sent = Store.counter(gateway, {:sent, 0})
     eventually(fn -> Store.counter(gateway, {:sent, 0}) > sent + 2 end, "heartbeats go out")

@@ -1,7 +1,7 @@
 defmodule Aerie.System.FirstDesignTest do
   @moduledoc """
-  The gateway.yaml of the first design as it stands: it gives the gateway the ids of the vehicle's own autopilot (1/1). Only
-  where its files, its port and its NATS server are is of this test.
+  The unchanged gateway.yaml of the first design, which gives the gateway the ids of the vehicle's autopilot (1/1). The test
+  sets only paths, port and NATS server.
   """
 
   use Aerie.SystemCase, async: true
@@ -66,7 +66,7 @@ defmodule Aerie.System.FirstDesignTest do
     {ready?, JSON.decode!(JSON.encode!(report))["identity"]}
   end
 
-  test "sees the vehicle, as component 191 of it, and says so", %{gateway: gateway, config: config} do
+  test "sees the vehicle, as its component 191, and warns about it", %{gateway: gateway, config: config} do
     assert Enum.any?(config.warnings, &(&1 =~ "this gateway is component 191"))
     sim = fly(gateway)
 
@@ -84,7 +84,7 @@ defmodule Aerie.System.FirstDesignTest do
   end
 
   @tag mavlink: %{"component_id" => 190}
-  test "an autopilot with our own ids is an alarm", %{gateway: gateway} do
+  test "an autopilot with the gateway's own ids raises an alarm", %{gateway: gateway} do
     fly(gateway, component: 190)
     eventually(fn -> Aerie.Router.identity(gateway).alarm end, "it is noticed")
     assert {false, %{"alarm" => alarm}} = ready(gateway)

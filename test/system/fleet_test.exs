@@ -1,5 +1,5 @@
 defmodule Aerie.System.FleetTest do
-  @moduledoc "Three flying vehicles, a gateway and a plain NATS client: what the client sees."
+  @moduledoc "What a plain NATS client sees of a gateway with three flying vehicles."
 
   use Aerie.SystemCase, async: true
 
@@ -31,7 +31,7 @@ defmodule Aerie.System.FleetTest do
         assert is_number(data["alt_rel"])
       end
 
-      # The rate is told by the times in the messages: one a second (the default of position_hz), mean over the window.
+      # The times in the messages give the rate: one a second (the default of position_hz), as the mean over the window.
       gaps = for [a, b] <- Enum.chunk_every(times(positions), 2, 1, :discard), do: b - a
       assert_in_delta Enum.sum(gaps) / length(gaps), 1000, 200
 
@@ -67,7 +67,7 @@ defmodule Aerie.System.FleetTest do
     assert messages == subjects
   end
 
-  test "HTTP tells health, readiness and metrics of the same gateway", context do
+  test "HTTP shows health, readiness and metrics of the same gateway", context do
     start_supervised!(
       {SimVehicle.Fleet, count: 1, link: "udpout:127.0.0.1:#{context.port}", ready_s: 1.0, fly: false}
     )

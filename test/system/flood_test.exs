@@ -1,5 +1,5 @@
 defmodule Aerie.System.FloodTest do
-  @moduledoc "A vehicle that says something thousands of times a second: what happens to it reaches NATS all the same."
+  @moduledoc "A vehicle sends thousands of texts a second, and its other events still reach NATS."
 
   use Aerie.SystemCase, async: true
 
@@ -10,7 +10,7 @@ defmodule Aerie.System.FloodTest do
 
   @texts 9_000
 
-  test "texts without end evict nothing, and are told as a number", %{tmp_dir: folder} do
+  test "a flood of texts displaces no event, and is reported as a number", %{tmp_dir: folder} do
     %{gateway: gateway} = start_gateway(folder, links: ["tcpin:127.0.0.1:0"])
     {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, link_port(gateway, "link-1"), [:binary, active: true])
     send = &(:ok = :gen_tcp.send(socket, MavCodec.encode(&1, system: 1, component: 1)))
@@ -18,7 +18,7 @@ defmodule Aerie.System.FloodTest do
     send.(heartbeat(81))
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
 
-    # As fast as it goes; among them it is armed and disarmed, and cries for help.
+    # As fast as possible; in between it is armed and disarmed, and reports an emergency.
     for n <- 1..@texts do
       send.(%M.Statustext{severity: 6, text: "flood #{n}"})
       if rem(n, 300) == 0, do: send.(heartbeat(if(rem(n, 600) == 0, do: 81, else: 81 + 128)))
@@ -47,7 +47,7 @@ defmodule Aerie.System.FloodTest do
     types = Enum.frequencies_by(events, & &1["type"])
     assert %{"armed" => 15, "disarmed" => 15} = types
     assert for(%{"data" => %{"text" => "help " <> n}} <- events, do: n) == for(n <- 1..9, do: "#{n}000")
-    # The sequence has no holes: nothing was dropped on its way.
+    # The sequence has no gaps: nothing was dropped on the way.
     seqs = for %{"vehicle" => ^id, "seq" => seq} <- events, do: seq
     assert seqs == Enum.to_list(1..length(seqs))
   end

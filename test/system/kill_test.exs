@@ -9,7 +9,7 @@ defmodule Aerie.System.KillTest do
   alias Aerie.Names
 
   @moduletag :tmp_dir
-  # What is killed says so; that is not news here.
+  # Killed processes are logged; the log is captured.
   @moduletag :capture_log
 
   setup %{tmp_dir: folder} do
@@ -53,7 +53,7 @@ defmodule Aerie.System.KillTest do
       assert back != victim
     end
 
-    # It is not only there: it hears its vehicle again.
+    # It does not only exist, it hears its vehicle again.
     before = Store.vehicle(gateway, "VID-001").last_heard
     eventually(fn -> Store.vehicle(gateway, "VID-001").last_heard > before end, "vehicle 1 is heard again")
 
@@ -95,7 +95,7 @@ defmodule Aerie.System.KillTest do
     assert_events(gateway)
   end
 
-  # The journal's recent events are what the gateway said; the stream must have the same ones, in order, once.
+  # The journal has the events that the gateway made; the stream must have the same ones, in order, once.
   defp assert_events(gateway) do
     eventually(
       fn ->
@@ -118,7 +118,7 @@ defmodule Aerie.System.KillTest do
       recent = for event <- Aerie.Fleet.Journal.recent(gateway, name), do: {event.seq, event.id, event.type}
       assert recent -- told == []
 
-      # Level events alternate: a restart that told an armed vehicle's arming again would break this.
+      # Level events alternate: a restart that reported an armed vehicle's arming again would break this.
       for {on, off} <- [{"armed", "disarmed"}, {"takeoff", "landed"}, {"link.lost", "link.restored"}] do
         types = for {_seq, _id, type} <- told, type in [on, off], do: type
         assert types == Enum.take(Stream.cycle([on, off]), length(types))

@@ -14,7 +14,7 @@ defmodule Aerie.System.PeersTest do
   @moduletag :tmp_dir
   @moduletag :python
 
-  # What each script prints of a flight that went well; the parameters that it changes are of kind float.
+  # What each script prints after a successful flight; the parameters that it changes are floats.
   @copter ["ardupilot", 1, "PILOT_TKOFF_ALT"]
   @px4 ["px4", 2, "MIS_TAKEOFF_ALT"]
 
@@ -63,7 +63,7 @@ defmodule Aerie.System.PeersTest do
   @tag :mavsdk
   @tag :mavproxy
   @tag config: %{"mavlink" => %{"local_addr" => "off", "system_id" => 245}}, params: %{"SYSID_MYGCS" => 245}
-  test "MAVSDK by TCP with ArduPilot, MAVProxy by UDP, where the gateway calls, with PX4; MAVSDK's system id is not its own",
+  test "MAVSDK by TCP with ArduPilot, MAVProxy with PX4 by UDP called by the gateway; the gateway tells its own system id from MAVSDK's",
        c do
     Aerie.Store.PubSub.subscribe(c.gateway, :events)
     tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
@@ -83,7 +83,7 @@ defmodule Aerie.System.PeersTest do
     assert_landed([c.copter, c.px4])
   end
 
-  test "two ground stations upload missions to one PX4 at once, time and again: all are accepted", c do
+  test "two ground stations repeatedly upload missions to one PX4 at once, and all are accepted", c do
     [one, two] =
       for {scheme, source} <- [{"udpin", 255}, {"tcpin", 254}] do
         port = endpoint(c.gateway, "#{scheme}:127.0.0.1:0")
@@ -124,7 +124,7 @@ defmodule Aerie.System.PeersTest do
     findings = findings(peer)
     assert findings["vehicles"] == "VID-001 VID-002"
     assert findings["modes"] =~ "STABILIZE"
-    # By the times in the lines; a busy machine has fewer to say, none more.
+    # Counted by the times in the lines; a busy machine sends fewer, never more.
     assert String.to_float(findings["hz"]) < 11.0
   end
 end
@@ -174,7 +174,7 @@ defmodule Aerie.System.OneIdTest do
     end
 
     for sim <- sims, do: assert(%{armed: false} = SimVehicle.state(sim))
-    # Each under its own id here, and no collision.
+    # The gateway has each under its own id, and no collision.
     assert [%{key: {"main", 1}, collision: nil}, %{key: {"north", 1}, collision: nil}] =
              Store.vehicles(gateway)
   end

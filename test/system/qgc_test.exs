@@ -1,7 +1,7 @@
 defmodule Aerie.System.QGCTest do
   @moduledoc """
-  The conversation of QGroundControl with several vehicles at once (`test/peers/qgc_gcs.py`; the program itself needs a
-  screen), by each way that it has: a UDP port that waits for whoever speaks, called or reached by broadcast, and TCP.
+  QGroundControl's conversation with several vehicles at once (`test/peers/qgc_gcs.py`, because the program itself needs a
+  screen), over each of its connections: its listening UDP port, called directly or by broadcast, and TCP.
   """
 
   use Aerie.SystemCase, async: true
@@ -26,7 +26,7 @@ defmodule Aerie.System.QGCTest do
     {:ok, gateway: gateway}
   end
 
-  # What every conversation comes to: what the vehicles know is answered, what they do not know is refused by them.
+  # The result of every conversation: vehicles answer what they know and refuse the rest.
   defp assert_talked(findings, more \\ fn _found -> %{} end) do
     for system <- 1..3 do
       found = for {name, value} <- findings, [^system, key] <- [key(name)], into: %{}, do: {key, value}
@@ -35,7 +35,7 @@ defmodule Aerie.System.QGCTest do
       assert found == firmware |> expected(found) |> Map.merge(more.(found)),
              "system #{system}: #{inspect(found)}"
 
-      # Ten a second, as asked, or more where another client wants more.
+      # Ten a second, as requested, or more if another client wants more.
       assert String.to_integer(found["attitude_ms"]) in 10..120
     end
 
@@ -76,14 +76,15 @@ defmodule Aerie.System.QGCTest do
       "interval" => "accepted"
     }
 
-  test "a port that waits, called by the gateway", c do
+  test "its listening port, called by the gateway", c do
     port = free_udp_port()
     qgc = start_peer("qgc_gcs.py", ["udpin:127.0.0.1:#{port}", "1,2,3"])
     {:ok, _id} = Client.add(c.gateway, "udpout:127.0.0.1:#{port}")
     assert_talked(findings(qgc))
   end
 
-  test "a port that waits, found by broadcast, and from then on the only one that is written to", c do
+  test "its listening port, found by broadcast, and from then on the only address that the gateway sends to",
+       c do
     port = free_udp_port()
     qgc = start_peer("qgc_gcs.py", ["udpin:0.0.0.0:#{port}", "1,2,3"])
     {:ok, id} = Client.add(c.gateway, "udpbcast:127.255.255.255:#{port}")
@@ -91,11 +92,11 @@ defmodule Aerie.System.QGCTest do
     assert [%{peers: [%{text: _address}]}] = Enum.filter(Client.endpoints(c.gateway), &(&1.id == id))
   end
 
-  # What the second one asks for again may have come by the first one's asking; it changes no plan.
+  # The second one may request items that came for the first one; that changes no plan.
   defp looked(found),
     do: %{"gaps" => found["gaps"], "mission" => "came", "fence" => "came", "rally" => "came"}
 
-  test "two at once, by TCP and by UDP, where they call", c do
+  test "two at once that call the gateway, by TCP and by UDP", c do
     {:ok, tcp} = Client.add(c.gateway, "tcpin:127.0.0.1:0")
     {:ok, udp} = Client.add(c.gateway, "udpin:127.0.0.1:0", id: "second")
     port = fn id -> Enum.find(Client.endpoints(c.gateway), &(&1.id == id)).port end

@@ -1,6 +1,6 @@
 defmodule Aerie.System.RecorderTest do
   @moduledoc """
-  What is left of a recording when the gateway is killed with -9, and what becomes of one whose disk is full.
+  Recordings survive `kill -9` of the gateway, and a full disk.
   """
 
   use Aerie.SystemCase, async: true
@@ -11,7 +11,7 @@ defmodule Aerie.System.RecorderTest do
 
   @moduletag :tmp_dir
 
-  test "a failsafe saves the vehicle's last moments by itself: the file has what led to it, and its replay tells of it",
+  test "a failsafe saves the vehicle's last minutes: the file has the lead-up, and its replay has the failsafe",
        c do
     %{gateway: gateway} =
       start_gateway(c.tmp_dir,
@@ -79,7 +79,7 @@ defmodule Aerie.System.RecorderTest do
       %{recordings: recordings, http: http, configure: configure, fly: fly}
     end
 
-    test "killed with -9: its recordings can be read, at most the last buffer is missing, and the next life goes on beside them",
+    test "killed with -9: its recordings are readable but for the last buffer, and the next start keeps them",
          c do
       config = c.configure.("min_free_mb: 0")
       port = open(["--config", config, "--quiet"])
@@ -99,12 +99,12 @@ defmodule Aerie.System.RecorderTest do
       {frames, damage} = Enum.split_with(items, &is_struct(&1, Frame))
       assert length(damage) <= 1
       assert Enum.all?(damage, &match?(%Tlog.Damage{kind: :cut_off}, &1))
-      # Whoever was told that something is written was told the truth.
+      # Everything that the status reported as written is in the file.
       assert File.stat!(file).size >= told
 
       heard = Enum.filter(frames, &(&1.system == 1))
       assert consecutive?(heard)
-      # The buffer is 64 KiB; as much again may have been on its way.
+      # The buffer has 64 KiB; as much again may have been on the way.
       lost = sent - length(heard)
       assert lost * div(File.stat!(file).size, length(frames)) <= 2 * 65_536
       assert {:ok, %{summary: %{vehicles: ["VID-001"]}}} = Replay.run(file)
@@ -128,7 +128,7 @@ defmodule Aerie.System.RecorderTest do
     @tag skip:
            System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
              "no namespaces here"
-    test "a disk that is really full costs records and not a frame, and is told", c do
+    test "a really full disk costs records but no frame, and is reported", c do
       config = c.configure.("min_free_mb: 0")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
       eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())
@@ -150,7 +150,7 @@ defmodule Aerie.System.RecorderTest do
       eventually(fn -> counters.()["frames_in"] == sent end, "all of #{sent} frames came through")
       assert %{"lost" => 0, "overload" => 0} = counters.()
 
-      # What was written before the disk was full can be read.
+      # The records from before the disk was full are readable.
       [file | _] = Path.wildcard("/proc/#{vm_pid(config)}/root#{c.recordings}/*.tlog")
       assert {:ok, %{summary: %{frames: frames, damaged_parts: parts}}} = Replay.run(file)
       assert frames > 100 and parts <= 1
@@ -161,7 +161,7 @@ defmodule Aerie.System.RecorderTest do
     @tag skip:
            System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
              "no namespaces here"
-    test "a small disk is kept free by removing the oldest recordings", c do
+    test "the oldest recordings are removed to keep a small disk free", c do
       config = c.configure.("min_free_mb: 0.02, max_file_mb: 0.01")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
       eventually(fn -> api(c.http, "/api/recorder") end, "it answers", started_by())

@@ -1,5 +1,5 @@
 defmodule Aerie.System.ReplayTest do
-  @moduledoc "A flight behind a live gateway, and its recordings: replayed, they give the events that the gateway gave."
+  @moduledoc "The recordings of a flight, replayed, give the same events as the live gateway."
 
   use Aerie.SystemCase, async: true
 
@@ -7,7 +7,7 @@ defmodule Aerie.System.ReplayTest do
   alias MavCodec.Messages
 
   @moduletag :tmp_dir
-  # An id of its own: what another program sends to this port by mistake is another vehicle.
+  # An unusual id: frames that another program sends to this port by mistake make another vehicle.
   @key {"main", 77}
   @vehicle "VID-077"
   @flight [:ready, {:wait, 1}, :arm, {:takeoff, 6}, {:wait, 1}, :land, :landed, {:wait, 60}]
@@ -37,7 +37,7 @@ defmodule Aerie.System.ReplayTest do
         )
 
       events = await([], ["takeoff"])
-      # Its operator goes while it flies.
+      # Its operator disconnects while it flies.
       stop_supervised!(station)
       events = await(events, ["landed", "disarmed", "gcs.lost"])
       SimVehicle.fault(sim, :freeze, true)
@@ -46,7 +46,7 @@ defmodule Aerie.System.ReplayTest do
 
       [link_file, vehicle_file] = files
       assert_same(events, link_file, [])
-      # What is sent to all is in no vehicle's recording: whether a station is there is not known from it.
+      # Broadcasts are in no vehicle's recording, so it does not show whether a ground station is there.
       assert_same(events, vehicle_file, ["gcs.lost", "gcs.restored"])
     end
   end
@@ -57,7 +57,7 @@ defmodule Aerie.System.ReplayTest do
     {live, replayed} = {told.(events), told.(Enum.filter(flight.events, &(&1.vehicle == @vehicle)))}
     for type <- ~w(armed takeoff landed disarmed), do: assert(Enum.any?(replayed, &(&1.type == type)))
 
-    # What follows from somebody's silence is told when that is looked at, which is up to a second later.
+    # The gateway checks for silence once a second, so those events come up to a second later.
     exact = fn events ->
       for e <- events,
           e.type not in ["gcs.lost", "gcs.restored"],
@@ -69,7 +69,7 @@ defmodule Aerie.System.ReplayTest do
     assert gcs.(replayed) == gcs.(live)
   end
 
-  # Until all of these have come, in whatever order.
+  # Waits until all of these have come, in any order.
   defp await(events, types) do
     case types -- Enum.map(events, & &1.type) do
       [] ->

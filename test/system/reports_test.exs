@@ -1,5 +1,5 @@
 defmodule Aerie.System.ReportsTest do
-  @moduledoc "EVENT messages (X3) of a simulated PX4 whose link loses some: nothing that it reported stays unknown."
+  @moduledoc "All EVENT messages (X3) of a simulated PX4 arrive, although its link loses some."
 
   use Aerie.SystemCase, async: true
 
@@ -7,7 +7,7 @@ defmodule Aerie.System.ReportsTest do
 
   @moduletag :tmp_dir
 
-  test "what was reported while nobody could hear it is asked for and told, each once", %{tmp_dir: folder} do
+  test "lost reports are requested again and reported once each", %{tmp_dir: folder} do
     %{gateway: gateway} =
       start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"mavlink" => %{"local_addr" => "off"}})
 
@@ -16,7 +16,7 @@ defmodule Aerie.System.ReportsTest do
     {:ok, sim} = SimVehicle.start_link(firmware: :px4, ready_s: 60.0, link: link)
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
 
-    # Not ready: it says why it does not arm. No ground station is there, so it says so by EVENT only.
+    # It is not ready and says why it does not arm; by EVENT only, because there is no ground station.
     arm =
       {:message, %M.CommandLong{target_system: 1, target_component: 1, command: 400, param1: 1.0}, {254, 190}}
 

@@ -2,8 +2,8 @@ defmodule Aerie.System.RoutersTest do
   @moduledoc """
   mavlink-router and mavp2p between the gateway and a ground station, and between a vehicle and the gateway, each by UDP
   and TCP and calling or called. The whole flight goes through them (telemetry, parameters, a mission up and down, arming,
-  take-off, landing), so that whatever a router asks of its neighbours (heartbeats, one address for each system, nothing
-  sent back: R1, R2, R3) is kept.
+  take-off, landing), so that the gateway must meet a router's expectations (heartbeats, one address per system, nothing
+  sent back: R1, R2, R3).
   """
 
   use Aerie.SystemCase, async: true
@@ -105,7 +105,7 @@ defmodule Aerie.System.RoutersTest do
       fly_px4("tcp:127.0.0.1:#{tcp}")
       :ok = Client.remove(c.gateway, "by-udp")
 
-      # The same one, by the port that ground stations use.
+      # The same router, by the port that ground stations use.
       {:ok, "by-tcp"} = Client.add(c.gateway, "tcp:127.0.0.1:#{tcp}", id: "by-tcp")
       fly_copter("tcp:127.0.0.1:#{tcp}")
     end
@@ -118,7 +118,7 @@ defmodule Aerie.System.RoutersTest do
         {"UdpEndpoint gateway", ["Mode = Normal", "Address = 127.0.0.1", "Port = #{c.link}"]}
       ])
 
-      # One by a UDP server, which answers to the last who spoke, one by TCP.
+      # One by a UDP server, which answers the last sender, one by TCP.
       sim("udpout:127.0.0.1:#{udp}", :ardupilot, 1)
       sim("tcp:127.0.0.1:#{tcp}", :px4, 2)
       known(c.gateway)

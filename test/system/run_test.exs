@@ -1,5 +1,5 @@
 defmodule Aerie.System.RunTest do
-  @moduledoc "`bin/run` as a user gives it: an operating system process, its output, its end, and what it leaves behind."
+  @moduledoc "`bin/run` as a user starts it: its output, its end, and what it leaves behind."
 
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
@@ -19,7 +19,7 @@ defmodule Aerie.System.RunTest do
     %{config: config}
   end
 
-  test "help and mistakes", context do
+  test "help and errors", context do
     assert {0, text} = run(["--help"])
     assert text =~ "usage: bin/run"
     assert {2, text} = run(["--nonsense"])
@@ -30,7 +30,7 @@ defmodule Aerie.System.RunTest do
     assert text =~ "mavlink.system_id"
   end
 
-  test "it flies until Ctrl-C, and then all its children are gone", %{config: config, tmp_dir: folder} do
+  test "it runs until Ctrl-C, and then all its children are gone", %{config: config, tmp_dir: folder} do
     port = open(["--config", config, "--sim", "2", "--quiet"])
 
     await_output(port, "", [
@@ -45,14 +45,14 @@ defmodule Aerie.System.RunTest do
     {:os_pid, os_pid} = Port.info(port, :os_pid)
     {_output, 0} = System.cmd("kill", ["-INT", Integer.to_string(os_pid)])
     assert {0, words} = collect(port, "")
-    # No shell reports what it ended.
+    # The shell reports no killed child.
     refute words =~ "Terminated"
     refute File.exists?("/proc/#{nats}")
-    # Nothing that names this run's folder is left: nats-server, its guard, the VM.
+    # No process that names this run's folder is left: nats-server, its guard, the VM.
     assert {"", 1} = System.cmd("pgrep", ["-f", folder])
   end
 
-  test "killed with -9, it takes nats-server along, and the next start finds everything in order", context do
+  test "killed with -9, its nats-server ends too, and the next start works", context do
     %{config: config, tmp_dir: folder} = context
 
     for _life <- 1..2 do

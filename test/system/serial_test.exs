@@ -1,5 +1,5 @@
 defmodule Aerie.System.SerialTest do
-  @moduledoc "A simulated vehicle behind a serial cable that is pulled, and clients that see no more of it than a gap."
+  @moduledoc "A simulated vehicle behind a serial cable that is unplugged; its clients see only a gap."
 
   use Aerie.SystemCase, async: true
 
@@ -8,7 +8,7 @@ defmodule Aerie.System.SerialTest do
   @moduletag :tmp_dir
 
   defmodule Shovel do
-    @moduledoc "Between the vehicle's UDP link and the end of the cable."
+    @moduledoc "Connects the vehicle's UDP link with the end of the cable."
     use GenServer
 
     def start_link(peer_options), do: GenServer.start_link(__MODULE__, peer_options)
@@ -38,7 +38,9 @@ defmodule Aerie.System.SerialTest do
     end
   end
 
-  test "found at its port and rate; the cable pulled and put back as another device", %{tmp_dir: folder} do
+  test "found at its port and rate; the cable is unplugged, and comes back as another device", %{
+    tmp_dir: folder
+  } do
     if SerialPeer.build(), do: cable(folder), else: IO.puts(:stderr, "no C compiler: no serial cable to pull")
   end
 
@@ -57,7 +59,7 @@ defmodule Aerie.System.SerialTest do
       {SimVehicle.Fleet, count: 1, link: "udpout:127.0.0.1:#{Shovel.port(shovel)}", ready_s: 1.0, fly: false}
     )
 
-    # Found, and asked for its streams through the cable.
+    # Found, and its streams requested through the cable.
     eventually(
       fn -> get_in(Store.vehicle(gateway, "VID-001") || %{}, [:groups, :attitude]) end,
       "attitude comes"
@@ -90,13 +92,13 @@ defmodule Aerie.System.SerialTest do
     assert %{counters: %{reconnects: 1}, local: back} = Aerie.Link.snapshot(gateway, "link-1")
     assert Path.basename(back) == "ttyACM0"
     assert Aerie.Names.whereis(gateway, :session, {"main", 1}) == session
-    # Neither client was sent away: what came before the gap has been read, what comes now is new.
+    # Neither client was disconnected: the frames before the gap have been read, so the next ones are new.
     assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
     boot = Store.vehicle(gateway, "VID-001").groups.attitude.time_boot_ms
     assert eventually(fn -> frame(gcs, 30).time_boot_ms > boot end, "the ground station hears it again")
   end
 
-  # The next message of an id that the ground station gets: four bytes of length, then the frame.
+  # The ground station's next message with an id: four bytes of length, then the frame.
   defp frame(gcs, id) do
     {:ok, <<size::32-little>>} = :gen_tcp.recv(gcs, 4, Aerie.Patience.ms())
     {:ok, bytes} = :gen_tcp.recv(gcs, size, Aerie.Patience.ms())

@@ -1,7 +1,7 @@
 defmodule Aerie.System.SigningKillTest do
   @moduledoc """
-  A signed ArduPilot in flight, whose clock stands still but for what it hears: `kill -9` of the gateway, and of the vehicle.
-  Each is heard again at once, by what the gateway says itself, and not when somebody who signs happens to come by.
+  A signed ArduPilot in flight, whose signing clock moves only with the frames that it hears: `kill -9` of the gateway, and
+  of the vehicle. The vehicle is heard again at once, because of the gateway's own frames and without another signer.
   """
 
   use Aerie.RunCase, async: true
@@ -13,7 +13,7 @@ defmodule Aerie.System.SigningKillTest do
 
   @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)
-  # Of two seconds; the rest of the half minute that is not in the file would be more than a thousand.
+  # Frames of two seconds; the half minute that is not in the file would be more than a thousand.
   @few 150
 
   setup %{tmp_dir: folder} do
@@ -54,7 +54,7 @@ defmodule Aerie.System.SigningKillTest do
     run = open(["--config", c.config, "--quiet"])
     eventually(fn -> signing(c.http) end, "it runs", started_by())
     fly(c.link)
-    # So much that time stamps in memory are ahead of the file.
+    # Enough frames that the timestamps in memory are ahead of the file.
     eventually(fn -> verified?(c.http, 300) end, "it is heard")
 
     kill_9(c.config)
@@ -65,14 +65,14 @@ defmodule Aerie.System.SigningKillTest do
 
     stop_supervised!(sim_id())
     %{"rejected" => before, "verified" => verified} = signing(c.http)
-    # From another port, with the clock that was stored 40 s ago.
+    # It returns on another port, with the clock that it stored 40 s ago.
     stored = MavCodec.Signing.timestamp(MavCodec.Signing.new(@key)) - 4_000_000
     fly(c.link, signed_at: stored)
     signing = eventually(fn -> verified?(c.http, verified + 50) end, "it is heard after its own kill")
     assert signing["rejected"] - before < @few
   end
 
-  # The only child that is a vehicle.
+  # The only child is the vehicle.
   defp sim_id do
     {:ok, supervisor} = ExUnit.fetch_test_supervisor()
     [{id, _pid, _type, [SimVehicle]}] = Supervisor.which_children(supervisor)

@@ -1,7 +1,7 @@
 defmodule Aerie.System.SigningTest do
   @moduledoc """
-  Vehicles that ask for signatures, as real autopilots do, behind a whole gateway: ground stations that sign, that do not
-  and are signed for, that do not and are not; keys given, changed and taken away; somebody who floods.
+  Vehicles that require signatures, as real autopilots do, behind a whole gateway: ground stations that sign, that the gateway
+  signs for, and that stay unsigned; keys that are given, changed and revoked; a flood of wrong signatures.
   """
 
   use Aerie.SystemCase, async: true
@@ -15,7 +15,7 @@ defmodule Aerie.System.SigningTest do
   @moduletag :tmp_dir
   @moduletag :capture_log
 
-  # Of one word, as MAVProxy takes it.
+  # A single word, because MAVProxy takes only one.
   @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)
   @vehicle {"main", 1}
@@ -64,19 +64,19 @@ defmodule Aerie.System.SigningTest do
   defp flight(port), do: ["tcp:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
 
   @tag :python
-  test "pymavlink without a key flies it through a client that is signed for", c do
+  test "pymavlink without a key flies it through a client with sign: true", c do
     port = client(c.gateway, id: "gcs", sign: true)
     refused = SimVehicle.stats(c.sim).refused
     flown(findings(start_peer("pymavlink_gcs.py", flight(port), %{"MAVLINK20" => "1"})))
     assert state(c.gateway) == :verified
-    # Not one frame without a signature came to the vehicle.
+    # No frame without a signature reached the vehicle.
     assert SimVehicle.stats(c.sim).refused == refused
     assert Store.counter(c.gateway, {:signing, "link-1", :signed}) > 20
     assert Store.counter(c.gateway, {:signing, "link-1", :rejected}) == 0
   end
 
   @tag :python
-  test "pymavlink that signs itself: verified here, forwarded unchanged (S10)", c do
+  test "frames that pymavlink signs are verified and forwarded unchanged (S10)", c do
     port = client(c.gateway, id: "gcs")
 
     flown(
@@ -88,16 +88,16 @@ defmodule Aerie.System.SigningTest do
       )
     )
 
-    # The gateway knows it by its signatures.
+    # The gateway has verified its signatures.
     assert %{state: :verified, rejected: 0} = Signing.vehicle(c.gateway, {"main", 255})
     assert SimVehicle.stats(c.sim).refused == 0
   end
 
   @tag :mavproxy
-  test "MAVProxy with the key, by UDP; its order to the vehicle to take another one goes nowhere (S8)", c do
+  test "MAVProxy with the key, by UDP; its SETUP_SIGNING is not forwarded (S8)", c do
     {:ok, "gcs"} = Aerie.Link.Clients.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
     port = Enum.find(Client.endpoints(c.gateway), &(&1.id == "gcs")).port
-    # It takes a key from the operator, who types it at the prompt.
+    # The operator types the key at its prompt.
     arguments = ["udpout:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
     findings = findings(start_peer("mavproxy_gcs.py", arguments, %{"SIGNING_PASSPHRASE" => @passphrase}))
     assert %{"arm" => "armed", "land" => "disarmed", "set" => "True"} = findings
@@ -112,7 +112,7 @@ defmodule Aerie.System.SigningTest do
     eventually(fn -> Signing.vehicle(c.gateway, @vehicle).verified > verified end, "the vehicle has its key")
   end
 
-  test "a program at mavlink.sock that cannot sign is signed for where the configuration says so", c do
+  test "the gateway signs for a program at mavlink.sock if the configuration says so", c do
     {:ok, socket} = :gen_tcp.connect({:local, c.socket}, 0, [:binary, active: false, packet: 0])
     request = %M.ParamRequestRead{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_index: -1}
     bytes = MavCodec.encode(request, system: 254, component: 190)
@@ -121,14 +121,14 @@ defmodule Aerie.System.SigningTest do
     assert value(socket, Parser.new()) == "RTL_ALT"
   end
 
-  test "without sign what a client says goes out as it came, and the vehicle refuses it; sign can be set while it runs",
+  test "without sign a client's frames stay unsigned, and the vehicle refuses them; sign can be set at run time",
        c do
     port = client(c.gateway, id: "gcs")
     {:ok, socket} = :gen_tcp.connect(~c"127.0.0.1", port, [:binary, active: false])
     request = %M.ParamRequestRead{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_index: -1}
     bytes = MavCodec.encode(request, system: 255, component: 190)
     refused = SimVehicle.stats(c.sim).refused
-    # The first one is for a vehicle of which this client has not heard yet: the gateway has.
+    # The first one is for a vehicle that this client has not heard yet, but the gateway has.
     :ok = :gen_tcp.send(socket, bytes)
     eventually(fn -> SimVehicle.stats(c.sim).refused > refused end, "the vehicle refuses it")
     assert Store.counter(c.gateway, {:signing, "gcs", :rejected}) > 0
@@ -136,7 +136,7 @@ defmodule Aerie.System.SigningTest do
     :ok = Router.configure(c.gateway, "gcs", sign: true)
     :ok = :gen_tcp.send(socket, bytes)
     assert value(socket, Parser.new()) == "RTL_ALT"
-    # Nobody who comes by a link is signed for.
+    # The gateway never signs for a sender on a link.
     assert {:error, text} = Router.configure(c.gateway, "link-1", sign: true)
     assert text =~ "only a client"
   end
@@ -157,7 +157,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   @tag keys: [], link: "udpin:127.0.0.1:0?secure=true", sim: [key: nil]
-  test "a key is given, changed, given back and taken away; each is an event, and no key is in any of them",
+  test "a key is given, changed, restored and revoked; each step is an event, and no event contains a key",
        c do
     conn = nats_client(c.gateway)
     assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
@@ -167,14 +167,14 @@ defmodule Aerie.System.SigningTest do
     assert state(c.gateway) == :verified
     assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}
 
-    # The vehicle answers what we ask, so it takes what we sign.
+    # The vehicle answers the gateway's requests, so it accepts its signatures.
     eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
 
     assert {:ok, %{key: second}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate)
     refute Aerie.Signing.Key.same?(first, second)
     assert {:ok, %{key: nil}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :previous)
     assert state(c.gateway) == :verified
-    # By HTTP the same, without ever a key.
+    # The same by HTTP, without any key in it.
     assert {200, %{"result" => "enrolled", "link" => "link-1"}} =
              post(c.gateway, %{"action" => "enrol", "key" => "generate"})
 
@@ -214,7 +214,7 @@ defmodule Aerie.System.SigningTest do
     {status, JSON.decode!(body)}
   end
 
-  test "S8: by a link that is not secure nothing is sent, and the error says what to do", c do
+  test "S8: nothing is sent over a link that is not secure, and the error says what to do", c do
     assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1})
     assert text =~ "secure"
     assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")

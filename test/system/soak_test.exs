@@ -1,13 +1,13 @@
 defmodule Aerie.System.SoakTest do
   @moduledoc """
-  A gateway for a long time: ten simulated vehicles fly, recorded flights of real firmware are played beside them, and
-  meanwhile links, clients, cables and vehicles come and go, in rounds. After each round what the node holds is counted;
-  once all that is bounded has filled, nothing of it grows any more.
+  Runs a gateway for a long time: ten simulated vehicles fly, recorded flights of real firmware are replayed, and links,
+  clients, cables and vehicles come and go, in rounds. A census of the node follows each round. Once all bounded buffers
+  have filled, nothing may grow.
 
-  `AERIE_SOAK_MINUTES` says how long (60 unless set); `AERIE_SOAK_PRINT=1` prints every round.
+  `AERIE_SOAK_MINUTES` sets the duration (default 60); `AERIE_SOAK_PRINT=1` prints every round.
   """
 
-  # Counts what the whole node has, so nothing else may run meanwhile.
+  # The census covers the whole node, so no other test may run meanwhile.
   use Aerie.SystemCase, async: false
 
   alias Aerie.{Census, Client, Link, Names, SerialPeer}
@@ -19,11 +19,11 @@ defmodule Aerie.System.SoakTest do
   @moduletag timeout: :infinity
 
   @vehicles 10
-  # Rings and journals fill to their bounds first: for so much of the time nothing is compared.
+  # Rings and journals fill to their bounds first; nothing is compared during this time.
   @warm_up 0.4
   @fixtures Path.expand("../../apps/vehicle/test/fixtures", __DIR__)
 
-  test "nothing grows, whatever comes and goes", %{tmp_dir: folder} do
+  test "nothing grows while links, clients and vehicles come and go", %{tmp_dir: folder} do
     Census.load([
       :vehicle,
       :mav_codec,
@@ -100,7 +100,7 @@ defmodule Aerie.System.SoakTest do
   defp minutes, do: System.get_env("AERIE_SOAK_MINUTES", "60") |> String.to_integer()
   defp print(words), do: if(System.get_env("AERIE_SOAK_PRINT") == "1", do: IO.puts(:stderr, words))
 
-  # Gives the census after the warm-up, the last one, and how many rounds lie between them.
+  # Returns the census after the warm-up, the last one, and the number of rounds between them.
   defp rounds(soak, n, first) do
     round(soak, n)
     census = settled(soak, first && elem(first, 0))
@@ -114,7 +114,7 @@ defmodule Aerie.System.SoakTest do
     end
   end
 
-  # What ends takes a moment to be gone: counted when it is no more than it was, or after half a minute.
+  # Ended processes take a moment to disappear: counts until there are no more than before, for half a minute at most.
   defp settled(soak, first, deadline \\ System.monotonic_time(:millisecond) + 30_000) do
     census = Census.take()
 
@@ -136,7 +136,7 @@ defmodule Aerie.System.SoakTest do
   end
 
   defp compare(first, last, rounds) do
-    # What runs for the first time may bring an atom; what comes with each round is a leak.
+    # Code that runs for the first time may add an atom; atoms that come with each round are a leak.
     assert last.atoms - first.atoms < max(rounds / 2, 3),
            "atoms: #{first.atoms} at first, #{last.atoms} at the end"
 
@@ -145,7 +145,7 @@ defmodule Aerie.System.SoakTest do
              "#{what}: #{Map.fetch!(first, what)} at first, #{Map.fetch!(last, what)} at the end; #{inspect(Census.who())}"
     end
 
-    # Ten vehicles in the middle of their flights: how much they keep just now differs by a little.
+    # Ten vehicles are in flight, so what they hold varies a little.
     for what <- [:memory, :ets] do
       {before, now} = {Map.fetch!(first, what), Map.fetch!(last, what)}
       assert now < before * 1.15 + 4_000_000, "#{what}: #{before} bytes at first, #{now} at the end"
@@ -172,7 +172,7 @@ defmodule Aerie.System.SoakTest do
     Task.await_many(tasks, 180_000)
   end
 
-  # Two recordings at a time, faster than they were, each in a network of its own; gone before they end, or after.
+  # Two replays at a time, sped up, each in its own network; removed before or after their end.
   defp replays(%{gateway: gateway, recordings: recordings}, n) do
     for {file, k} <- Enum.with_index(recordings), rem(k, 2) == rem(n, 2) do
       {:ok, id} =
@@ -187,7 +187,7 @@ defmodule Aerie.System.SoakTest do
     |> Enum.each(&Link.stop(gateway, &1))
   end
 
-  # A link that nobody calls, one that calls nobody, one whose other end hangs up again and again.
+  # A link without a caller, one that calls a dead address, one whose peer hangs up again and again.
   defp links(%{gateway: gateway}, n) do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
     {:ok, port} = :inet.port(listener)
@@ -215,7 +215,7 @@ defmodule Aerie.System.SoakTest do
     for k <- 0..5, do: Aerie.Vehicle.Supervisor.remove(gateway, {"churn", 200 + k})
   end
 
-  # Ground stations at the sockets: who reads, who does not, who goes in the middle of a word; and wants of rates.
+  # Ground stations at the sockets: one that reads, one that does not, one that leaves in mid-frame; and rate requests.
   defp clients(%{gateway: gateway, sockets: sockets}, n) do
     for k <- 1..10 do
       {:ok, gcs} = :gen_tcp.connect({:local, Path.join(sockets, "mavlink.sock")}, 0, [:binary, active: false])
@@ -239,7 +239,7 @@ defmodule Aerie.System.SoakTest do
       :httpc.request(~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics")
   end
 
-  # Client endpoints that are added and removed, with somebody who talks to them.
+  # Client endpoints that are added and removed, with a client that talks to them.
   defp endpoints(%{gateway: gateway}, _n) do
     {:ok, udp} = Client.add(gateway, "udpin:127.0.0.1:0")
     {:ok, tcp} = Client.add(gateway, "tcpin:127.0.0.1:0")
@@ -280,7 +280,7 @@ defmodule Aerie.System.SoakTest do
     end
   end
 
-  # One is restarted, one's processes are killed, one forgets who it is and is another for a while.
+  # One vehicle is restarted, one's processes are killed, one has another id for a while.
   defp vehicles(%{gateway: gateway, fleet: fleet}, n) do
     sims = SimVehicle.Fleet.sims(fleet)
     :ok = SimVehicle.reboot(sims[rem(n, @vehicles) + 1])

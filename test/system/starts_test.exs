@@ -1,5 +1,5 @@
 defmodule Aerie.System.StartsTest do
-  @moduledoc "Starts beside each other, and what is compiled beneath a gateway that runs."
+  @moduledoc "Several starts at once, and compiling beside a running gateway."
 
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
@@ -15,7 +15,7 @@ defmodule Aerie.System.StartsTest do
     end
   end
 
-  test "nothing is compiled when nothing was changed, and whatever was changed is seen", %{tmp_dir: folder} do
+  test "nothing is compiled if nothing has changed, and every change is noticed", %{tmp_dir: folder} do
     root = Path.join(folder, "root")
     stamp = Path.join(folder, "stamp")
 
@@ -42,7 +42,7 @@ defmodule Aerie.System.StartsTest do
       fn -> File.write!(Path.join(root, "apps/one/lib/a.ex"), "changed") end,
       fn -> File.rm!(Path.join(root, "apps/one/lib/b.ex")) end,
       fn -> File.write!(Path.join(root, "packages/new.ex"), "") end,
-      # With the time of another machine.
+      # With the modification time of another machine.
       fn -> File.touch!(Path.join(root, "mix.exs"), {{2020, 1, 1}, {0, 0, 0}}) end,
       fn -> File.rmdir!(code) end
     ]
@@ -50,7 +50,7 @@ defmodule Aerie.System.StartsTest do
     for change <- changes do
       bash.("write")
       assert bash.("known") == code
-      # A test is none of it.
+      # Tests do not count.
       File.write!(Path.join(root, "apps/one/test/a_test.exs"), "")
       assert bash.("known") == code
       change.()
@@ -59,7 +59,7 @@ defmodule Aerie.System.StartsTest do
   end
 
   @tag :long
-  test "three starts at once of an uncompiled checkout; then it is compiled anew beneath them", context do
+  test "three starts of an uncompiled checkout at once, which is then compiled again beside them", context do
     checkout = checkout(context.tmp_dir)
     cli = Path.join(checkout, "apps/aerie_cli/lib/aerie_cli")
     write_late(cli, "first")
@@ -68,7 +68,7 @@ defmodule Aerie.System.StartsTest do
     ports = for n <- 1..3, do: open(["--config", config(context.tmp_dir, n), "--quiet"], [], checkout)
     for port <- ports, do: await_output(port, "", ["connected to NATS"])
 
-    # A module that none of them has loaded yet changes.
+    # Changes a module that none of them has loaded yet.
     write_late(cli, "second")
 
     assert {_words, 0} =
@@ -88,7 +88,7 @@ defmodule Aerie.System.StartsTest do
 
     assert answers == ["first", "first", "first"]
 
-    # The next start runs what is new, and as long as any of them runs, what is theirs stays.
+    # The next start runs the new code; the old copy stays while any of them runs.
     assert {0, _version} = run(["--version"], checkout)
     assert [_first, _second] = File.ls!(Path.join(checkout, "_build/run"))
 
@@ -102,7 +102,7 @@ defmodule Aerie.System.StartsTest do
     assert [_second] = File.ls!(Path.join(checkout, "_build/run"))
   end
 
-  # What `bin/run` needs of a checkout, without what was compiled in this one.
+  # What `bin/run` needs of a checkout, without this one's compiled code.
   defp checkout(folder) do
     root = Path.expand("../..", __DIR__)
     checkout = Path.join(folder, "checkout")
@@ -146,7 +146,7 @@ defmodule Aerie.System.StartsTest do
     """)
   end
 
-  # In the place of the application's own module: the same, and a process that calls a module late.
+  # Replaces the application's module: the same, plus a process that calls a module late.
   defp asking_when_told do
     """
     defmodule AerieCLI.Application do

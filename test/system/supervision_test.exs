@@ -1,7 +1,7 @@
 defmodule Aerie.System.SupervisionTest do
   @moduledoc """
-  Every process that the gateway supervises is killed, one after the other, while a vehicle flies: the gateway stays, what
-  was killed is there again, the vehicle is heard again and is known by NATS.
+  Every process that the gateway supervises is killed, one after the other, while a vehicle flies. The gateway stays up, the
+  killed process is restarted, and the vehicle is heard again and is in NATS.
   """
 
   use Aerie.SystemCase, async: true
@@ -9,13 +9,13 @@ defmodule Aerie.System.SupervisionTest do
   alias Aerie.Names
 
   @moduletag :tmp_dir
-  # What is killed says so; that is not news here.
+  # Killed processes are logged; the log is captured.
   @moduletag :capture_log
 
-  # The gateway ends when its own children die more often than three times a minute, on purpose: each gateway loses two.
+  # The gateway ends, on purpose, if its own children die more than three times a minute, so each gateway loses two.
   @per_gateway 2
 
-  test "whatever dies, supervisors too, comes back and costs no gateway", %{tmp_dir: folder} do
+  test "every killed process, supervisors included, restarts without ending the gateway", %{tmp_dir: folder} do
     top = fly(folder, "survey").gateway |> top() |> children([]) |> Enum.uniq()
     assert length(top) == 10
 
@@ -25,7 +25,7 @@ defmodule Aerie.System.SupervisionTest do
     end
   end
 
-  test "what is deeper down as well", %{tmp_dir: folder} do
+  test "so do the processes further down", %{tmp_dir: folder} do
     %{gateway: gateway} = fly(folder, "deep")
     deeper = gateway |> top() |> paths([]) |> Enum.filter(&(length(&1) > 1))
     assert length(deeper) > 20
@@ -45,7 +45,7 @@ defmodule Aerie.System.SupervisionTest do
       fn ->
         assert Process.alive?(top), "the gateway ended when #{inspect(path)} was killed"
 
-        # A child that nobody needs for a moment (a client that left) may be gone for good; then its parent lives.
+        # A temporary child (a client that left) may be gone for good, but its parent lives.
         (at(top, path) || at(top, Enum.drop(path, -1))) not in [nil, victim]
       end,
       "#{inspect(path)} is back"
@@ -76,7 +76,7 @@ defmodule Aerie.System.SupervisionTest do
     run
   end
 
-  # A gateway whose store is being restarted has no tables for a moment.
+  # While the store restarts it has no tables.
   defp heard(gateway) do
     with %{last_heard: at} <- Store.vehicle(gateway, "VID-001"), do: at
   rescue
@@ -113,7 +113,7 @@ defmodule Aerie.System.SupervisionTest do
     end
   end
 
-  # A dynamic supervisor's children have no names; there is one of each here.
+  # A dynamic supervisor's children have no ids; there is one of each here.
   defp children(supervisor, above),
     do: for({id, pid, _, _} <- which(supervisor), is_pid(pid), do: above ++ [id])
 

@@ -21,8 +21,7 @@ defmodule Aerie.Vehicle.MixProject do
 
   def application do
     [
-      mod: {Aerie.Application, []},
-      extra_applications: [:logger, :crypto, :ssl, :fast_yaml, :cowlib] ++ test_applications(Mix.env())
+      extra_applications: [:logger, :crypto, :ssl, :fast_yaml] ++ test_applications(Mix.env())
     ]
   end
 
@@ -33,5 +32,8 @@ defmodule Aerie.Vehicle.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:mav_codec, in_umbrella: true}] ++ Aerie.Packages.deps([:telemetry, :gnat, :circuits_uart])
+  defp deps,
+    do:
+      [{:mav_codec, in_umbrella: true}, {:mav_router, in_umbrella: true}] ++
+        Aerie.Packages.deps([:telemetry, :gnat])
 end

@@ -1,7 +1,8 @@
 defmodule Aerie.ClientTest do
   use ExUnit.Case, async: true
 
-  import Aerie.LinkCase, only: [start_parts: 0, eventually: 1]
+  import Aerie.LinkCase, only: [eventually: 1]
+  import Aerie.VehicleCase, only: [start_parts: 0]
 
   alias Aerie.Client
   alias Aerie.Router.Endpoint

@@ -1,6 +1,6 @@
 defmodule Aerie.RouterTest do
   use ExUnit.Case, async: true
-  use Aerie.LinkCase
+  use Aerie.VehicleCase
 
   import :proper_types, only: [list: 1, elements: 1, range: 2]
 

@@ -1,6 +1,7 @@
 defmodule Aerie.SigningTest do
   use ExUnit.Case, async: true
-  use Aerie.SigningCase
+  use Aerie.VehicleCase
+  import Aerie.SigningCase, except: [start_signing: 1, start_signing: 2]
 
   alias Aerie.Store
   alias Aerie.{Link, Router, Signing}

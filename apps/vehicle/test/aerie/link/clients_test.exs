@@ -1,6 +1,6 @@
 defmodule Aerie.Link.ClientsTest do
   use ExUnit.Case, async: true
-  use Aerie.LinkCase
+  use Aerie.VehicleCase
 
   alias Aerie.Names
   alias Aerie.Router

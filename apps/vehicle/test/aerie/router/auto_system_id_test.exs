@@ -1,6 +1,6 @@
 defmodule Aerie.Router.AutoSystemIdTest do
   @moduledoc "R11: a gateway aboard that was given no system id takes the autopilot's."
-  use Aerie.LinkCase, async: true
+  use Aerie.VehicleCase, async: true
 
   alias Aerie.Store
   alias Aerie.Names

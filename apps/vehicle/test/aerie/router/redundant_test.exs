@@ -1,6 +1,6 @@
 defmodule Aerie.Router.RedundantTest do
   @moduledoc "Groups of redundant links: what is measured of each, and which one carries what."
-  use Aerie.LinkCase, async: true
+  use Aerie.VehicleCase, async: true
 
   alias Aerie.Store
   alias Aerie.Router

@@ -1,6 +1,6 @@
 defmodule Aerie.Router.WishesTest do
   @moduledoc "Clients' requests for rates on their way to a vehicle, and what a link of high latency carries."
-  use Aerie.LinkCase, async: true
+  use Aerie.VehicleCase, async: true
 
   alias Aerie.Fleet.Wants
   alias Aerie.Store

@@ -1,7 +1,8 @@
 defmodule Aerie.Signing.PymavlinkTest do
   @moduledoc "The other end of the link is pymavlink, with its own implementation of signing."
   use ExUnit.Case, async: true
-  use Aerie.SigningCase
+  use Aerie.VehicleCase
+  import Aerie.SigningCase, except: [start_signing: 1, start_signing: 2]
 
   import Aerie.PythonPeer, only: [start: 2, await: 2]
 

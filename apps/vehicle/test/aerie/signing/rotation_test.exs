@@ -1,7 +1,8 @@
 defmodule Aerie.Signing.RotationTest do
   @moduledoc "Another key for a vehicle, over everything that can happen in between; files and what is in force."
   use ExUnit.Case, async: true
-  use Aerie.SigningCase
+  use Aerie.VehicleCase
+  import Aerie.SigningCase, except: [start_signing: 1, start_signing: 2]
 
   alias Aerie.Signing
   alias Aerie.Signing.{KeyFiles, Vault}

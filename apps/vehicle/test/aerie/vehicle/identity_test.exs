@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.IdentityTest do
   @moduledoc "The gateway's own heartbeat over a real UDP link, while its loops are suspended and come back."
-  use Aerie.LinkCase, async: true
+  use Aerie.VehicleCase, async: true
 
   alias Aerie.{Names, Store, Vehicle}
   alias Aerie.Vehicle.{Identity, Options}

@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.SystemIdsTest do
   @moduledoc "Vehicles with ids at the edges: those of ground stations, ours, and those of more than a byte."
-  use Aerie.LinkCase, async: true
+  use Aerie.VehicleCase, async: true
 
   alias Aerie.{Names, Router, Store}
   alias Aerie.Store.PubSub

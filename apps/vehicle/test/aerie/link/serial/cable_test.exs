@@ -1,7 +1,7 @@
 defmodule Aerie.Link.Serial.CableTest do
   # Counts what the whole node has, so nothing else may run meanwhile.
   use ExUnit.Case, async: false
-  use Aerie.LinkCase
+  use Aerie.VehicleCase
 
   alias Aerie.Store
   alias Aerie.Link

@@ -28,12 +28,12 @@ defmodule Aerie.SigningCase do
   end
 
   @doc "Starts the parts of a gateway with one key for network main; gives its name. `options`: `:policy`, `:system_id`, …"
-  @spec start_signing(Path.t(), keyword) :: reference
-  def start_signing(dir, options \\ []) do
+  @spec start_signing(Path.t(), keyword, (map, keyword -> reference)) :: reference
+  def start_signing(dir, options \\ [], start \\ &Aerie.LinkCase.start_parts/2) do
     {clock, options} = Keyword.pop(options, :clock)
     key = Map.merge(%{network: "main", key_file: key_file(dir)}, Map.new(options))
     config = %{signing: %{keys: [key], dir: Path.join(dir, "signing")}}
-    Aerie.LinkCase.start_parts(config, before: [{Aerie.Signing.Supervisor, clock: clock}])
+    start.(config, before: [{Aerie.Signing.Supervisor, clock: clock}])
   end
 
   @doc "The frames of a recording of mav_codec's fixtures, all at one time."

@@ -18,7 +18,7 @@ defmodule Aerie.Link.PortOwnerTest do
 
     {:os_pid, pid} = Port.info(port, :os_pid)
 
-    Aerie.GatewayCase.eventually(fn ->
+    Aerie.Patience.eventually(fn ->
       PortOwner.holders(Path.join(dir, "by-id")) == [{"cat", pid}]
     end)
 

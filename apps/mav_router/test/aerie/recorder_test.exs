@@ -576,7 +576,7 @@ defmodule Aerie.RecorderTest do
       gateway = start_recorder(c.tmp_dir, %{ring: %{save_on: [:failsafe]}})
       give(gateway, attitudes(1, 1..10))
       Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 1})
-      event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1, nil, %{})
+      event = %{vehicle: "VID-001", type: "armed", time: 1}
       :ok = Aerie.Store.PubSub.publish(gateway, :events, event)
       :ok = Aerie.Store.PubSub.publish(gateway, :events, %{event | type: "failsafe"})
       assert [file] = eventually(fn -> match?([_], tlogs(c.tmp_dir)) && tlogs(c.tmp_dir) end)

@@ -181,7 +181,7 @@ defmodule Aerie.Router.ModelTest do
 
         for module <- [
               Aerie.Link.Supervisor,
-              Aerie.Vehicle.Supervisor,
+              Aerie.Identity.Pulse,
               Router.Supervisor,
               Aerie.Store.PubSub,
               Aerie.Store

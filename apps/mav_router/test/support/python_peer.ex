@@ -15,10 +15,10 @@ defmodule Aerie.PythonPeer do
     if File.exists?(path), do: path
   end
 
-  @doc "Starts a script; `options` are those of the port, by default lines."
+  @doc "Starts a script, of that folder or by its whole path; `options` are those of the port, by default lines."
   @spec start(String.t(), [String.t()], list) :: port
   def start(script, arguments, options \\ [line: 1000]) do
-    arguments = [Path.join(@peers, script) | arguments]
+    arguments = [Path.expand(script, @peers) | arguments]
     port = Port.open({:spawn_executable, python()}, [:binary, :exit_status, args: arguments] ++ options)
     ExUnit.Callbacks.on_exit(fn -> stop(port) end)
     port

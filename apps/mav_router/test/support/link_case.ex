@@ -17,20 +17,23 @@ defmodule Aerie.LinkCase do
   end
 
   @doc """
-  Starts store, notices, router, vehicles and links of a gateway that ends with the test; gives its name. `:before` are
-  further parts, before the router, with further options.
+  Starts store, notices, router and links of a gateway that ends with the test; gives its name. `:before` are further parts,
+  before the router, with further options; `:above` are modules after it, `:options` are given to all.
   """
-  @spec start_parts(map, before: [{module, keyword}]) :: reference
+  @spec start_parts(map, keyword) :: reference
   def start_parts(config \\ %{}, more \\ []) do
     gateway = make_ref()
-    options = [gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config)
+    given = Keyword.get(more, :options, [])
+    options = Keyword.merge([gateway: gateway, config: config, children: [Link.Clients.Supervisor]], given)
 
     plain = &Enum.map(&1, fn module -> {module, []} end)
 
     parts =
       plain.([Aerie.Store, Aerie.Store.PubSub]) ++
         Keyword.get(more, :before, []) ++
-        plain.([Aerie.Router.Supervisor, Aerie.Vehicle.Supervisor, Aerie.Link.Supervisor])
+        plain.(
+          [Aerie.Router.Supervisor] ++ Keyword.get(more, :above, [Aerie.Identity.Pulse]) ++ [Link.Supervisor]
+        )
 
     for {module, further} <- parts do
       start_supervised!(Supervisor.child_spec({module, options ++ further}, id: {module, gateway}))

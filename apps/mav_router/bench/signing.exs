@@ -22,7 +22,7 @@ File.chmod!(file, 0o600)
 start = fn keys ->
   gateway = make_ref()
   config = %{signing: %{keys: keys, dir: Path.join(dir, "#{System.unique_integer([:positive])}")}}
-  {:ok, _} = Aerie.Store.start_link([gateway: gateway] ++ Aerie.Gateway.plugs(%{}))
+  {:ok, _} = Aerie.Store.start_link(gateway: gateway)
   {:ok, _} = Aerie.Store.PubSub.start_link(gateway: gateway)
   {:ok, _} = Signing.Supervisor.start_link(gateway: gateway, config: config)
   gateway

@@ -11,7 +11,7 @@ defmodule Bench do
 
   def gateway do
     gateway = make_ref()
-    options = [gateway: gateway, config: %{}] ++ Aerie.Gateway.plugs(%{})
+    options = [gateway: gateway, config: %{}]
 
     for module <- [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] do
       {:ok, _} = module.start_link(options)

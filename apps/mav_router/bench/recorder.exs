@@ -19,7 +19,7 @@ defmodule Bench do
     config = %{recorder: Map.merge(%{dir: dir(), min_free_mb: 0, space_ms: 600_000}, section)}
 
     for module <- [Store, PubSub, Recorder.Supervisor] do
-      {:ok, _} = module.start_link([gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config))
+      {:ok, _} = module.start_link(gateway: gateway, config: config)
     end
 
     gateway

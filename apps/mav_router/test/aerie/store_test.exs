@@ -1,8 +1,15 @@
 defmodule Aerie.StoreTest do
-  use Aerie.GatewayCase, async: true
+  use ExUnit.Case, async: true
 
   alias Aerie.Store.PubSub
   alias Aerie.Store
+
+  defp start_gateway do
+    gateway = make_ref()
+    start_supervised!({Store, gateway: gateway}, id: {Store, gateway})
+    start_supervised!({PubSub, gateway: gateway, tick_ms: 5}, id: {PubSub, gateway})
+    gateway
+  end
 
   defp vehicle(id, extra \\ %{}), do: Map.merge(%{id: id, status: :online}, extra)
 
@@ -82,7 +89,7 @@ defmodule Aerie.StoreTest do
 
     assert 1..20 |> Enum.map(claim.(60_000)) |> Task.await_many(Aerie.Patience.ms()) |> Enum.count(& &1) == 1
     assert Store.claim(gateway, {:beat, {"other", :peer}}, 60_000)
-    eventually(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, 1) end)
+    Aerie.Patience.eventually(fn -> Store.claim(gateway, {:beat, {"link", :peer}}, 1) end)
     refute Store.claim(gateway, {:beat, {"link", :peer}}, 60_000)
   end
 

@@ -1,12 +1,16 @@
 defmodule Aerie.Router.EarlyTest do
   use ExUnit.Case, async: true
 
-  import Aerie.Flight, only: [frame: 2]
-
   alias Aerie.Router.Early
   alias MavCodec.Messages, as: M
+  alias MavCodec.Parser
 
   @second 1_000_000
+
+  defp frame(message, at) do
+    {[frame], _parser} = Parser.push(Parser.new(), MavCodec.encode(message, system: 1, component: 1), at)
+    frame
+  end
 
   defp text(n, at), do: frame(%M.Statustext{severity: 6, text: "#{n}"}, at)
 

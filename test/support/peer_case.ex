@@ -30,7 +30,7 @@ defmodule Aerie.PeerCase do
   @spec say_missing() :: :ok
   def say_missing do
     for {tag, place} <- absent(),
-        do: ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: #{place} is missing.") end)
+        do: ExUnit.after_suite(fn _result -> IO.puts("\nNot tested against #{tag}: found no #{place}.") end)
 
     :ok
   end

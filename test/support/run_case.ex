@@ -57,7 +57,7 @@ defmodule Aerie.RunCase do
   @spec run([String.t()], Path.t()) :: {non_neg_integer, String.t()}
   def run(words, root \\ @root), do: words |> open([], root) |> collect("")
 
-  @doc "Waits until its output contains all of `texts`; returns the output so far."
+  @doc "Waits until its output, `text` so far, contains all of `parts`; returns the output."
   @spec await_output(port, String.t(), [String.t()]) :: String.t()
   def await_output(port, text, parts) do
     if Enum.all?(parts, &(text =~ &1)) do

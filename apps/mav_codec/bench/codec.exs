@@ -1,4 +1,4 @@
-# What the codec costs: `bin/bench codec`, or in apps/mav_codec `MIX_ENV=prod mix run bench/codec.exs`.
+# Measures the codec: `bin/bench codec`, or in apps/mav_codec `MIX_ENV=prod mix run bench/codec.exs`.
 #
 # BENCH_MS: milliseconds per row (default 1500).
 

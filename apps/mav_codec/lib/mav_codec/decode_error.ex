@@ -1,7 +1,7 @@
 defmodule MavCodec.DecodeError do
   @moduledoc """
-  A frame whose message is not in the dialect. It is the only way that decoding fails: what is in a payload never is an
-  error, since every payload means something (F7, F9).
+  A frame whose message is not in the dialect. This is the only decoding error: every payload of a known message can be decoded
+  (F7, F9).
   """
 
   defexception [:id, :dialect]

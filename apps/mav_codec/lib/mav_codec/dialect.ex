@@ -1,13 +1,13 @@
 defmodule MavCodec.Dialect do
   @moduledoc """
-  A set of messages with their layouts: what a parser, a router and an encoder need to know of ids.
+  A set of messages with their layouts, as parsers, routers and encoders need them.
 
   `MavCodec.Dialects.All` has all of upstream's messages and those that only ArduPilot has; `MavCodec.Dialects.Upstream`
   and `MavCodec.Dialects.Ardupilot` are the two sources, whose layouts differ in the extensions of a few messages; every
   definition file is a dialect too (`MavCodec.Dialects.Common`, `MavCodec.Dialects.Ardupilot.Common` ...).
   `MavCodec.Dialects` lists them.
 
-  ## A dialect of one's own
+  ## Your own dialect
 
       defmodule MyApp.Dialect do
         use MavCodec.Dialect, definitions: "my.xml"
@@ -17,8 +17,8 @@ defmodule MavCodec.Dialect do
   that `mix mav.import` made; its path is relative to the file with the `use`. `base` is the source that has the included
   files that are not beside it: `"upstream"` (the default), `"ardupilot"`, or a folder of facts files.
 
-  A message that is exactly an official one is that one: `MyApp.Dialect` decodes a HEARTBEAT to a
-  `MavCodec.Messages.Heartbeat`. The others get modules of their own, `MyApp.Dialect.Messages.Camel`, as do new or longer
+  A message that equals an official one uses its module: `MyApp.Dialect` decodes a HEARTBEAT to a
+  `MavCodec.Messages.Heartbeat`. Other messages get their own modules, `MyApp.Dialect.Messages.Camel`, as do new or longer
   enums: `MyApp.Dialect.Enums.Camel`.
   """
 

@@ -6,7 +6,7 @@ defmodule MavCodec.Encoder do
       encoder = MavCodec.Encoder.new(system: 237, component: 191)
       {bytes, encoder} = MavCodec.Encoder.encode(encoder, %MavCodec.Messages.Heartbeat{type: 18})
 
-  A count is kept for every source that was ever named, so name only sources of your own.
+  The encoder keeps a count for every source that it was ever given, so use it for your own sources only.
   """
 
   import Bitwise

@@ -1,9 +1,9 @@
 defmodule MavCodec.Frame do
   @moduledoc """
-  One MAVLink frame as it was received: the header's fields, the payload as it stood on the wire and the original bytes.
+  One MAVLink frame as it was received: the header's fields, the payload as on the wire, and the original bytes.
 
-  A frame is cheap: payload and bytes are references into the binary that was read, and no field of the message is
-  decoded before somebody asks (`MavCodec.decode/2`). A router forwards `bytes` unchanged (R3, S10).
+  A frame is cheap: payload and bytes are references into the binary that was read, and message fields are decoded on demand
+  only (`MavCodec.decode/2`). A router forwards `bytes` unchanged (R3, S10).
 
   ## Layout on the wire (F1, F2, N1)
 
@@ -69,7 +69,7 @@ defmodule MavCodec.Frame do
   @spec signed?(t()) :: boolean()
   def signed?(%__MODULE__{signature: signature}), do: signature != nil
 
-  @doc "Whether the message id was known and the CRC right. Frames of unknown ids are routed, nothing else (R4)."
+  @doc "Whether the message id is known and the CRC correct. Frames with unknown ids are only routed (R4)."
   @spec known?(t()) :: boolean()
   def known?(%__MODULE__{crc_extra: extra}), do: extra != nil
 

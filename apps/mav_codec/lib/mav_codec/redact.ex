@@ -2,9 +2,9 @@ defmodule MavCodec.Redact do
   @moduledoc """
   Takes secrets out of frames before they are written to a log (S9).
 
-  SETUP_SIGNING carries the key of the link: its 32 bytes become 0xFF and, as the signature then no longer fits, the frame
-  loses it. Other frames stay, or lose their signatures too when asked for. Damaged or unusual SETUP_SIGNING frames
-  (surplus bytes, truncated keys) are redacted all the same.
+  SETUP_SIGNING contains the link's key: its 32 bytes become 0xFF, and the frame loses its signature, which no longer fits. Other
+  frames stay unchanged, or lose their signatures on request. Damaged or unusual SETUP_SIGNING frames (surplus bytes,
+  truncated keys) are redacted too.
   """
 
   alias MavCodec.{Frame, Raw, Signing}

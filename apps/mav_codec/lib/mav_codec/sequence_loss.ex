@@ -1,9 +1,9 @@
 defmodule MavCodec.SequenceLoss do
   @moduledoc """
-  How many frames of one source {system, component} on one link were lost, judged by their sequence numbers (R7, R9).
+  Estimates from sequence numbers how many frames of one source {system, component} on one link were lost (R7, R9).
 
-  A pure value: `observe/2` each number, read `stats/1`. "Number minus the last one minus one" is not enough for real
-  firmware, so this is what it holds:
+  It is a pure value: `observe/2` each number, then read `stats/1`. "Number minus the last one minus one" is not enough for
+  real firmware, so these rules apply:
 
     * A missing number is counted as lost only when it is #{32} numbers old. If it comes before that it was late, not
       lost (two threads of PX4 1.17 send on one channel: 48, 50, 49, 51).
@@ -13,9 +13,8 @@ defmodule MavCodec.SequenceLoss do
       two groups of messages independently) so has two tracks, each going on by one, and no loss.
     * A number that was seen a moment ago is a duplicate (two radios, one vehicle) and neither loss nor restart.
 
-  What it cannot know: sequence numbers of a stream that somebody has filtered (an autopilot that forwards the
-  heartbeats of another link's ground station) have gaps by nature. `MavCodec.Parser` therefore gives no loss for a
-  source from which nothing but heartbeats was heard.
+  It cannot detect a filtered stream, whose sequence numbers always have gaps (an autopilot that forwards the heartbeats of
+  another link's ground station). `MavCodec.Parser` therefore gives no loss for a source that sends only heartbeats.
 
   The ratio is taken over a window of the last #{512} numbers or so; the counters never go down.
   """

@@ -33,7 +33,7 @@ defmodule MavCodec.Signing do
   @epoch 142_007_040_000_000
   @minute 6_000_000
   @save_ahead div(@minute, 2)
-  # So much before it is reached it is stored anew: a disk takes its time.
+  # The next timestamp is stored this long before the stored one is reached, because writing takes time.
   @save_early 100_000
   # How much further ahead a stream may run before that is stored.
   @slack 20_000
@@ -83,16 +83,16 @@ defmodule MavCodec.Signing do
   @type stream :: {link_id :: 0..255, system :: non_neg_integer(), component :: 0..255}
 
   @typedoc """
-    * `:signed` - the signature is right
+    * `:signed` - the signature is valid
     * `:unsigned` - there is none, and none is needed
-    * `{:rejected, :unsigned}` - there is none
+    * `{:rejected, :unsigned}` - the signature is missing
     * `{:rejected, :wrong_signature}` - made with another key, or damaged, or memory garbage that a firmware forwards
     * `{:rejected, :replayed}` - the time stamp is not above the last one of its stream (S3)
     * `{:rejected, :stale}` - the first of a stream, more than a minute old (S4)
     * `{:rejected, :too_many_streams}` - more than #{@max_streams} streams with right signatures
 
-  Whoever accepts a rejected frame all the same must tell the operator that the link is unsafe (S11); forwarding does
-  not depend on the verdict (S10).
+  A caller that accepts a rejected frame must show the operator that the link is unsafe (S11). Forwarding does not depend on
+  the verdict (S10).
   """
   @type verdict ::
           :signed
@@ -142,7 +142,7 @@ defmodule MavCodec.Signing do
   def streams(%__MODULE__{streams: streams}),
     do: Map.new(streams, fn {stream, {last, _until, _ahead}} -> {stream, last} end)
 
-  @doc "How far each stream was ahead of the clock at most, in this life (10 us; negative: behind), and a little more."
+  @doc "An upper bound of how far each stream was ahead of the clock since the start (10 us; negative: behind)."
   @spec ahead(t()) :: %{optional(stream()) => integer()}
   def ahead(%__MODULE__{streams: streams}),
     do: for({stream, {_last, _until, ahead}} when ahead != nil <- streams, into: %{}, do: {stream, ahead})
@@ -207,7 +207,7 @@ defmodule MavCodec.Signing do
 
   ## Receiving
 
-  @doc "Checks a frame that a parser found good."
+  @doc "Checks the signature of a frame that a parser accepted."
   @spec check(t(), Frame.t()) :: {verdict(), t()}
   def check(%__MODULE__{} = signing, %Frame{signature: nil} = frame) do
     if unsigned?(signing.accept_unsigned, frame),
@@ -280,7 +280,7 @@ defmodule MavCodec.Signing do
     end
   end
 
-  # S1: the first 48 bits of SHA-256 over the key and everything that stands before them.
+  # S1: the first 48 bits of SHA-256 over the key and everything before the signature.
   defp signature(signing, covered) do
     <<signature::binary-size(6), _::binary>> = :crypto.hash(:sha256, joined(signing.key.(), covered))
     signature
@@ -294,7 +294,7 @@ defmodule MavCodec.Signing do
   defp now(signing), do: units(signing.clock.())
   defp units(unix_us), do: (div(unix_us, 10) - @epoch) |> max(0) |> min(@max_timestamp)
 
-  # S6: what is stored is always ahead of what is used.
+  # S6: the stored timestamp is always ahead of the used ones.
   defp reserve(%{timestamp: timestamp, reserved: reserved} = signing)
        when timestamp < reserved - @save_early,
        do: signing

@@ -1,6 +1,6 @@
 defmodule MavCodec.Definition.Parser do
   @moduledoc """
-  A definition file in MAVLink's XML, read and checked as far as one file can be: everything but what includes bring.
+  Reads a definition file in MAVLink's XML and checks everything that does not depend on its includes.
 
   Unknown elements inside messages, enums and entries are errors (a misspelt `<field>` would silently change the wire
   format); unknown attributes are ignored.

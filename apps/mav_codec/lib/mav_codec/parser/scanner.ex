@@ -1,6 +1,6 @@
 defmodule MavCodec.Parser.Scanner do
   @moduledoc """
-  The loop over received bytes: frames out, what is not yet complete kept, everything else counted.
+  The loop over received bytes: it returns frames, keeps incomplete ones, and counts everything else.
 
   `frames/8` is the fast path: complete frames of known ids with the right CRC, one behind the other, of version 2 without
   flags or signed, or of version 1. Each costs one match, one CRC and two references. Everything else goes to `due/7`, which
@@ -9,16 +9,15 @@ defmodule MavCodec.Parser.Scanner do
 
   ## Rules
 
-    * A frame of a known id with the right CRC is taken, whatever stands inside it.
-    * After a wrong CRC the search goes on at the next byte (F13). There, a header of MAVLink 1 counts only when it has the
-      message's own length (F9).
-    * A frame of an *unknown* id has no CRC that could be checked. It is taken only when no good frame of a known id
-      starts within its extent, and the byte after it is a magic or the data ends there. In a stream, "ends" is known
-      only by `flush`, so an unknown frame waits for the next byte; thus the result does not depend on how the bytes
-      were cut into pieces.
+    * A frame with a known id and a correct CRC is accepted, whatever it contains.
+    * After a wrong CRC the search continues at the next byte (F13). There, a MAVLink 1 header counts only if it has exactly
+      the message's length (F9).
+    * The CRC of a frame with an *unknown* id cannot be checked. The frame is accepted only if no good frame with a known id
+      starts inside it, and the byte after it is a magic or the data ends there. In a stream, only `flush` tells the end,
+      so an unknown frame waits for the next byte, and the result does not depend on the chunking.
     * The end of a datagram is an end of the data, except that an incomplete frame is kept for the next datagram, unless
-      a good frame stands behind its start.
-    * The work is linear in the bytes, whatever they are.
+      a good frame follows its start.
+    * The work is linear in the number of bytes.
   """
 
   import Bitwise

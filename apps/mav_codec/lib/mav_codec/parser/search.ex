@@ -1,6 +1,6 @@
 defmodule MavCodec.Parser.Search do
   @moduledoc """
-  What stands in bytes that no good frame begins: the places of frames, found by going over the bytes once.
+  Searches bytes that do not start with a good frame for the next frames, in one pass.
 
   `good/6` looks ahead for the next frame of a known id with the right CRC; `open/7` for what may be a frame of an unknown id
   or the beginning of one that is not complete. Both do a bounded amount of work for each byte, whatever the bytes are

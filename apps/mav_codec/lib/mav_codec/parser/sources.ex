@@ -3,7 +3,7 @@ defmodule MavCodec.Parser.Sources do
   Sequence loss per source {system, component} of one parser.
 
   The frames of a source come in order, so runs of them are counted and handed to `MavCodec.SequenceLoss` as one. At most
-  `limit/0` sources are kept: what forges source ids costs only the statistics of those that come after.
+  `limit/0` sources are kept: forged source ids only deny statistics to later sources.
   """
 
   import Bitwise
@@ -23,15 +23,15 @@ defmodule MavCodec.Parser.Sources do
   @type t :: %{optional(non_neg_integer()) => source()}
   @type key :: {system :: non_neg_integer(), component :: 0..255}
 
-  @doc "Sources that are kept at most."
+  @doc "The largest number of sources."
   @spec limit() :: pos_integer()
   def limit, do: @limit
 
-  @doc "Nothing heard yet."
+  @doc "No source yet."
   @spec new() :: t()
   def new, do: %{}
 
-  @doc "Counts `frames`, the oldest first. Frames of unknown ids count for a source that is known, but make none."
+  @doc "Counts `frames`, the oldest first. A frame with an unknown id counts for a known source, but never adds one."
   @spec observe(t(), [Frame.t()]) :: t()
   def observe(sources, []), do: sources
 

@@ -1,6 +1,6 @@
 defmodule MavCodec.Tlog.Damage do
   @moduledoc """
-  Bytes of a tlog that are no record.
+  Bytes of a tlog that are not a record and were skipped.
 
     * `kind` - `:damaged`: records follow; `:cut_off`: the file ends here, in the middle of a record (the recorder was
       killed, the disk was full)
@@ -12,12 +12,12 @@ defmodule MavCodec.Tlog.Damage do
 
   @type t :: %__MODULE__{kind: :damaged | :cut_off, offset: non_neg_integer(), bytes: pos_integer()}
 
-  @doc "One line about it."
+  @doc "A line that describes it."
   @spec format(t()) :: String.t()
   def format(%__MODULE__{kind: :damaged} = damage),
-    do: "#{damage.bytes} bytes at offset #{damage.offset} are no record and were left out"
+    do: "#{damage.bytes} bytes at offset #{damage.offset} are not a record and were skipped"
 
   def format(%__MODULE__{kind: :cut_off} = damage),
     do:
-      "the file ends in the middle of a record: the last #{damage.bytes} bytes, from offset #{damage.offset}, were left out"
+      "the file ends in the middle of a record: the last #{damage.bytes} bytes, from offset #{damage.offset}, were skipped"
 end

@@ -1,13 +1,13 @@
 defmodule MavCodec.Tlog.Decoder do
   @moduledoc """
-  Bytes of a tlog in, frames out: the pure part of `MavCodec.Tlog.Reader`, any chunking.
+  Turns the bytes of a tlog into frames, in any chunking: the pure part of `MavCodec.Tlog.Reader`.
 
-  A record is 8 bytes of time and a frame of a known id with the right CRC. One of an unknown id is taken when a record
-  (time, magic) or the end of the data follows. Anything else is damage: the search goes on at the next byte, and what was
-  left out is reported as one `MavCodec.Tlog.Damage` before the next frame.
+  A record is 8 bytes of time and a frame with a known id and a correct CRC. A frame with an unknown id is accepted if a record
+  (time, magic) or the end of the data follows it. Anything else is damage: the search continues at the next byte, and the
+  skipped bytes are reported as one `MavCodec.Tlog.Damage` before the next frame.
 
-  A time that cannot be (before 2000 or after 2100, and more than a day from the one before) is damaged: the frame gets the
-  time of the one before.
+  An impossible time (before 2000 or after 2100, and more than a day from the previous one) is damaged: the frame gets the
+  previous frame's time.
   """
 
   alias MavCodec.{Frame, Tlog}

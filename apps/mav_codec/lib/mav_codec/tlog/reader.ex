@@ -1,10 +1,10 @@
 defmodule MavCodec.Tlog.Reader do
   @moduledoc """
-  Reads tlog files as streams: never the whole file, whatever its size (G1).
+  Reads tlog files as streams, so that a file of any size needs little memory (G1).
 
       "flight.tlog" |> MavCodec.Tlog.Reader.frames!() |> Enum.each(&IO.inspect(&1.at))
 
-  Each frame has the time of its record. A damaged part costs only itself, a cut-off end only the last record: see
+  Each frame has the time of its record. A damaged part loses only itself, a truncated file only its last record: see
   `MavCodec.Tlog.Decoder`.
   """
 
@@ -13,7 +13,7 @@ defmodule MavCodec.Tlog.Reader do
   @chunk 65_536
 
   @doc """
-  The frames of a file, and a `MavCodec.Tlog.Damage` wherever bytes were left out, in the order of the file.
+  The frames of a file, and a `MavCodec.Tlog.Damage` wherever bytes were skipped, in the order of the file.
 
   The file is opened when the stream is run, and again for each run; `File.Error` is raised when that fails. Options are
   those of `MavCodec.Parser.new/1`.

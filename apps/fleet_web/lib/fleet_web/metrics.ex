@@ -27,7 +27,7 @@ defmodule FleetWeb.Metrics do
   @doc "The metric families of a gateway; those of parts that do not run are empty."
   @spec families(term()) :: [Text.family()]
   def families(gateway) do
-    links = Store.links(gateway)
+    links = Aerie.Link.list(gateway)
     counters = Store.counters(gateway)
 
     Links.families(links) ++

@@ -119,11 +119,11 @@ defmodule Aerie.Link do
 
   @doc "The snapshots of all links (`Aerie.Link.Snapshot`), at most a quarter of a second old."
   @spec list(Names.gateway()) :: [map]
-  def list(gateway), do: Store.links(gateway)
+  def list(gateway), do: Store.Links.all(gateway)
 
   @doc "The snapshot of one link, nil for an unknown one."
   @spec get(Names.gateway(), String.t()) :: map | nil
-  def get(gateway, id), do: Store.link(gateway, id)
+  def get(gateway, id), do: Store.Links.whole(gateway, id)
 
   @doc "The snapshot of this very moment, asked of the link's process; nil when it does not run."
   @spec snapshot(Names.gateway(), String.t()) :: map | nil

@@ -12,11 +12,13 @@ defmodule Aerie.Store do
   A vehicle's snapshot is a map with `:id` (public name), `:key` (`{network, system_id}`), `:network`, `:system_id`,
   `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
   `:groups` (see `Aerie.Vehicle.State`), `:signing` (`Aerie.Signing.vehicle/2`), `:recording`
-  (`Aerie.Recorder.shown/2`). A link's snapshot belongs to `Aerie.Link`.
+  (`Aerie.Recorder.shown/2`). A link's snapshot belongs to `Aerie.Link`; its peers
+  are rows of their own (`Aerie.Store.Links`).
   """
   use GenServer
 
   alias Aerie.Names
+  alias Aerie.Store.Links
   alias Aerie.Store.PubSub
 
   @type vehicle_key :: {network :: String.t(), system_id :: non_neg_integer()}
@@ -76,10 +78,14 @@ defmodule Aerie.Store do
     end)
   end
 
-  @doc "Writes a link's snapshot and tells subscribers of `:links` and `{:link, id}` at the next tick."
-  @spec put_link(Names.gateway(), link_id :: term(), snapshot()) :: :ok
-  def put_link(gateway, id, snapshot) do
+  @doc """
+  Writes a link's snapshot, and what changed of its peers and sources, and tells subscribers of `:links` and `{:link, id}` at
+  the next tick.
+  """
+  @spec put_link(Names.gateway(), link_id :: term(), snapshot(), Links.changes()) :: :ok
+  def put_link(gateway, id, snapshot, changes \\ %{put: [], delete: :all}) do
     :ets.insert(table!(gateway, :links), {id, snapshot})
+    :ok = Links.change(gateway, id, changes)
     PubSub.changed(gateway, {:link, id})
   end
 
@@ -87,10 +93,11 @@ defmodule Aerie.Store do
   @spec delete_link(Names.gateway(), term()) :: :ok
   def delete_link(gateway, id) do
     :ets.delete(table!(gateway, :links), id)
+    :ok = Links.change(gateway, id, %{put: [], delete: :all})
     PubSub.changed(gateway, {:link, id})
   end
 
-  @doc "All links' snapshots, in the order of their ids."
+  @doc "All links' snapshots without their peers and sources (`Aerie.Store.Links`), in the order of their ids."
   @spec links(Names.gateway()) :: [snapshot()]
   def links(gateway) do
     with_table(gateway, :links, [], fn table ->
@@ -98,7 +105,7 @@ defmodule Aerie.Store do
     end)
   end
 
-  @doc "One link's snapshot; nil when there is none."
+  @doc "One link's snapshot without its peers and sources; nil when there is none."
   @spec link(Names.gateway(), term()) :: snapshot() | nil
   def link(gateway, id) do
     with_table(gateway, :links, nil, fn table -> :ets.lookup_element(table, id, 2, nil) end)
@@ -246,6 +253,7 @@ defmodule Aerie.Store do
     tables = %{
       vehicles: :ets.new(:vehicles, [:set | shared]),
       links: :ets.new(:links, [:set | shared]),
+      link_rows: :ets.new(:link_rows, [:ordered_set | shared]),
       counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),
       systems: :ets.new(:systems, [:set | shared]),
       stations: :ets.new(:stations, [:ordered_set | shared]),

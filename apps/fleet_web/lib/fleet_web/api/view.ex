@@ -118,7 +118,7 @@ defmodule FleetWeb.API.View do
 
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
-  def links(gateway), do: %{links: Enum.map(Store.links(gateway), &link/1)}
+  def links(gateway), do: %{links: Enum.map(Aerie.Link.list(gateway), &link/1)}
 
   @doc "The endpoints for clients, and all clients, each with its counters."
   @spec clients(term()) :: map()

@@ -111,7 +111,7 @@ defmodule Aerie.Link.Clients do
     :exit, _reason -> :ok
   end
 
-  @doc "The snapshots of all clients, as those of links (`Aerie.Link.Snapshot`), in the order of their ids."
+  @doc "The snapshots of all clients, as those of links (`Aerie.Link.Snapshot`) without peers and sources, in the order of their ids."
   @spec list(Names.gateway()) :: [map]
   def list(gateway) do
     case Tables.of(gateway) do
@@ -132,8 +132,9 @@ defmodule Aerie.Link.Clients do
   end
 
   @doc false
-  @spec put_link(Names.gateway(), String.t(), map) :: :ok
-  def put_link(gateway, id, snapshot) do
+  @spec put_link(Names.gateway(), String.t(), map, Store.Links.changes()) :: :ok
+  # What a client's peers say is shown as its endpoints'.
+  def put_link(gateway, id, snapshot, _of_peers) do
     with tables when is_map(tables) <- Tables.of(gateway), do: :ets.insert(tables.clients, {id, snapshot})
     :ok
   end

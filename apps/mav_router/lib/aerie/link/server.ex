@@ -18,6 +18,7 @@ defmodule Aerie.Link.Server do
   alias Aerie.Link.Egress
   alias Aerie.Link.Opener
   alias Aerie.Link.Restarts
+  alias Aerie.Link.Shown
   alias Aerie.Link.Snapshot
   alias Aerie.Link.Spec
   alias Aerie.Successor
@@ -31,7 +32,7 @@ defmodule Aerie.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt), `:home` (where its snapshot is kept: `Aerie.Store`, or a module with its `link/2` and `put_link/3`).
+  attempt), `:home` (where its snapshot is kept: `Aerie.Store`, or a module with its `link/2` and `put_link/4`).
   The core's options are those of `Aerie.Link.Defaults` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()
@@ -70,6 +71,7 @@ defmodule Aerie.Link.Server do
       conn: nil,
       sessions: [],
       judged: nil,
+      shown: Shown.new(),
       kernel_dropped: 0,
       notify: Keyword.get(options, :notify),
       egress: Egress.open(gateway, spec)
@@ -101,7 +103,7 @@ defmodule Aerie.Link.Server do
   @impl GenServer
   def handle_call(:snapshot, _from, state) do
     state = sync(state)
-    {:reply, snapshot(state), state}
+    {:reply, snapshot(state, &Snapshot.of/2), state}
   end
 
   @impl GenServer
@@ -358,13 +360,15 @@ defmodule Aerie.Link.Server do
   end
 
   defp publish(state) do
-    :ok = state.home.put_link(state.gateway, state.spec.id, snapshot(state))
-    state
+    {changes, shown} = Shown.changes(state.shown, state.core.peers)
+    snapshot = snapshot(state, &Snapshot.brief/2)
+    :ok = state.home.put_link(state.gateway, state.spec.id, snapshot, changes)
+    %{state | shown: shown}
   end
 
-  defp snapshot(state) do
+  defp snapshot(state, of) do
     state.core
-    |> Snapshot.of(System.monotonic_time(:millisecond))
+    |> of.(mono())
     |> Map.merge(%{
       restarts: state.restarts,
       signing: Aerie.Signing.link(state.gateway, state.spec),

@@ -1,6 +1,7 @@
 defmodule Aerie.Link.Snapshot do
   @moduledoc """
-  What everyone may know of a link, as it stands in `Aerie.Store` (`link/2`, `links/1`).
+  What everyone may know of a link, as it stands in `Aerie.Store`: `brief/2` is written whole, of `:peers` and `:sources` what
+  changed (`Aerie.Link.Shown`); `Aerie.Store.Links` puts them together.
 
   | key | value |
   |---|---|
@@ -42,7 +43,15 @@ defmodule Aerie.Link.Snapshot do
 
   @doc "The snapshot at a monotonic time in ms."
   @spec of(Core.t(), integer) :: map
-  def of(%Core{spec: spec} = core, mono) do
+  def of(core, mono) do
+    core
+    |> brief(mono)
+    |> Map.merge(%{peers: peers(core.peers, mono), sources: Peers.sources(core.peers)})
+  end
+
+  @doc "The snapshot without peers and sources: its size does not depend on how many there are."
+  @spec brief(Core.t(), integer) :: map
+  def brief(%Core{spec: spec} = core, mono) do
     %{
       id: spec.id,
       network: spec.network,
@@ -65,9 +74,7 @@ defmodule Aerie.Link.Snapshot do
       last_heard: core.last_heard,
       overload: core.overload && Map.take(core.overload, [:since, :datagrams]),
       counters: Core.counters(core),
-      rates: Rates.per_second(core.rates),
-      peers: peers(core.peers, mono),
-      sources: Peers.sources(core.peers)
+      rates: Rates.per_second(core.rates)
     }
   end
 

@@ -140,7 +140,7 @@ defmodule Aerie.Router.Meter do
 
   # A link that is down has no place among those to choose from.
   defp score(state, tables, link, now) do
-    case Store.link(state.gateway, link) do
+    case Store.Links.whole(state.gateway, link) do
       %{status: status} = snapshot when status in [:up, :idle] ->
         state = loss(state, link, snapshot.sources)
         reading = %{loss: state.losses[link], rtt_ms: rtt(tables, link, now), age_ms: age(snapshot)}

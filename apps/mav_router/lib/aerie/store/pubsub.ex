@@ -106,5 +106,5 @@ defmodule Aerie.Store.PubSub do
   defp notify_one(gateway, :vehicle, id),
     do: publish(gateway, {:vehicle, id}, Store.vehicle(gateway, id))
 
-  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Store.link(gateway, id))
+  defp notify_one(gateway, :link, id), do: publish(gateway, {:link, id}, Store.Links.whole(gateway, id))
 end

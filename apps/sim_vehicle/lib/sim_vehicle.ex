@@ -75,7 +75,7 @@ defmodule SimVehicle do
   @spec reboot(sim) :: :ok
   def reboot(sim), do: GenServer.call(sim, :reboot)
 
-  @doc "Something happens to the vehicle that has no function of its own (`SimVehicle.Vehicle.handle/2`)."
+  @doc "Something happens to the vehicle that has no function of its own (`SimVehicle.Simulation.handle/2`)."
   @spec happen(sim, term) :: :ok
   def happen(sim, event), do: GenServer.call(sim, {:handle, event})
 end

@@ -20,6 +20,7 @@ defmodule FleetWeb.Endpoint do
   alias Aerie.Client.Keys
   alias FleetWeb.API
   alias FleetWeb.HTTP.{Guard, Handler}
+  alias FleetWeb.Listener
   alias FleetWeb.WebSocket
 
   @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000, config: nil]
@@ -39,12 +40,7 @@ defmodule FleetWeb.Endpoint do
 
   @doc "The port on which the server of `gateway` listens."
   @spec port(term()) :: :inet.port_number()
-  def port(gateway) do
-    # Only a listener on a unix socket has no port.
-    case :ranch.get_port(ref(gateway)) do
-      port when is_integer(port) -> port
-    end
-  end
+  defdelegate port(gateway), to: Listener
 
   @impl Supervisor
   def init(options) do
@@ -84,7 +80,7 @@ defmodule FleetWeb.Endpoint do
       max_keepalive: 1000
     }
 
-    :ranch.child_spec(ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)
+    :ranch.child_spec(Listener.ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)
   end
 
   defp policy(config) do
@@ -112,6 +108,4 @@ defmodule FleetWeb.Endpoint do
 
     api ++ pages
   end
-
-  defp ref(gateway), do: {__MODULE__, gateway}
 end

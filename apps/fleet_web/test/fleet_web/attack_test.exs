@@ -245,11 +245,11 @@ defmodule FleetWeb.AttackTest do
       end
 
     for _two <- 1..2, do: assert_receive({:tcp, _socket, "HTTP/1.1 200" <> _}, 15_000)
-    connections = length(:ranch.procs({FleetWeb.Endpoint, gateway}, :connections))
+    connections = length(:ranch.procs(FleetWeb.Listener.ref(gateway), :connections))
     # Ranch's acceptors notice the limit when they have one more connection in hand each.
     assert connections <= 2 + 4
     Enum.each(open, &:gen_tcp.close/1)
-    eventually(fn -> :ranch.procs({FleetWeb.Endpoint, gateway}, :connections) == [] end)
+    eventually(fn -> :ranch.procs(FleetWeb.Listener.ref(gateway), :connections) == [] end)
     assert ask(port, "GET", "/healthz") == 200
   end
 

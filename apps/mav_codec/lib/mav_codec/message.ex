@@ -30,8 +30,6 @@ defmodule MavCodec.Message do
   """
   @spec encode_payload(t(), 1 | 2, module()) ::
           {:ok, id :: 0..0xFFFFFF, crc_extra :: 0..255, payload :: binary()} | {:error, EncodeError.t()}
-  def encode_payload(message, version \\ 2, dialect \\ MavCodec.Dialects.All)
-
   def encode_payload(%module{} = message, version, dialect) when version in [1, 2] do
     case dialect.encoder(module) do
       {id, _crc_extra, _min, _layout} when version == 1 and id > 255 ->

@@ -28,7 +28,7 @@ defmodule MavCodec.Definition.CustomTest do
     assert Tiny.decode(50_001, payload) == {:ok, message}
 
     assert {:error, %{expected: "a message of MavCodec.Dialects.All"}} =
-             MavCodec.Message.encode_payload(message)
+             MavCodec.Message.encode_payload(message, 2, MavCodec.Dialects.All)
 
     assert MavCodec.encode(message, system: 1, dialect: Tiny) |> byte_size() == 12 + 17
   end

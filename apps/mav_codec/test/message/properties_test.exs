@@ -80,7 +80,7 @@ defmodule MavCodec.Message.PropertiesTest do
       for term <- terms do
         message = Map.replace!(struct(module), key, term)
 
-        case Message.encode_payload(message) do
+        case Message.encode_payload(message, 2, MavCodec.Dialects.All) do
           {:ok, ^id, _crc_extra, payload} ->
             {:ok, decoded} = MavCodec.Dialects.All.decode(id, payload)
             assert same?(Map.fetch!(decoded, key), term), "#{inspect(module)} #{key}: #{inspect(term)}"

@@ -31,6 +31,13 @@ defmodule SimVehicle.Flight do
   def go(%{armed: false} = v, _goal), do: %{v | flight: :off, mission: Mission.stop(v)}
   def go(v, goal), do: %{v | flight: goal, mission: Mission.stop(v)}
 
+  @doc "Stops the motors, wherever the vehicle is."
+  @spec disarm(Vehicle.t()) :: Vehicle.t()
+  def disarm(vehicle) do
+    %{vehicle | armed: false, armed_at: nil, flight: :off, mission: Mission.stop(vehicle)}
+    |> Vehicle.notify(:disarmed)
+  end
+
   @doc "Stays where it is; on the ground it stays there."
   @spec hold(Vehicle.t()) :: Vehicle.t()
   def hold(%{airborne: false} = v), do: go(v, :idle)

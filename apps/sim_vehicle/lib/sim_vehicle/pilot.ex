@@ -93,7 +93,7 @@ defmodule SimVehicle.Pilot do
 
   def notified(pilot, _event), do: pilot
 
-  @doc "One look at the vehicle: the orders to give now, as events for `SimVehicle.Vehicle.handle/2`."
+  @doc "One look at the vehicle: the orders to give now, as events for `SimVehicle.Simulation.handle/2`."
   @spec step(t, Vehicle.t()) :: {t, [term]}
   def step(%{boots: boots} = pilot, %{boots: now} = v) when boots != now,
     do: step(restart(%{pilot | boots: now}, v), v)

@@ -9,7 +9,7 @@ defmodule SimVehicle.Server do
   use GenServer, restart: :transient
 
   alias MavCodec.Parser
-  alias SimVehicle.{Faults, Link, Pilot, Signing, Vehicle, View}
+  alias SimVehicle.{Faults, Link, Pilot, Signing, Simulation, Vehicle, View}
 
   # After a pause of the whole machine a vehicle does not make up for more than this.
   @catch_up_s 0.5
@@ -163,7 +163,7 @@ defmodule SimVehicle.Server do
   end
 
   defp advance(state, elapsed) do
-    {vehicle, actions} = Vehicle.step(state.vehicle, elapsed)
+    {vehicle, actions} = Simulation.step(state.vehicle, elapsed)
     signing = Signing.tick(state.signing, vehicle.now)
     %{state | vehicle: vehicle, signing: signing} |> interpret(actions) |> fly_script()
   end
@@ -176,7 +176,7 @@ defmodule SimVehicle.Server do
   end
 
   defp boot(state) do
-    {vehicle, actions} = Vehicle.boot(state.vehicle, System.os_time(:microsecond))
+    {vehicle, actions} = Simulation.boot(state.vehicle, System.os_time(:microsecond))
     interpret(%{state | vehicle: vehicle, seq: 0, boot_bytes: ""}, actions)
   end
 
@@ -185,7 +185,7 @@ defmodule SimVehicle.Server do
   defp apply_event(%{off_for: left} = state, _event) when left != nil, do: state
 
   defp apply_event(state, event) do
-    {vehicle, actions} = Vehicle.handle(state.vehicle, event)
+    {vehicle, actions} = Simulation.handle(state.vehicle, event)
     wake(interpret(%{state | vehicle: vehicle}, actions))
   end
 

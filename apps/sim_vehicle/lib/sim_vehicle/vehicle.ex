@@ -2,22 +2,20 @@ defmodule SimVehicle.Vehicle do
   @moduledoc """
   One simulated autopilot as a value: no process, no clock, no socket.
 
-  `step/2` lets time pass, `handle/2` takes what happens; both return the vehicle and a list of actions, in order:
+  `SimVehicle.Simulation` lets time pass and takes what happens. It returns the vehicle and a list of actions, in order:
 
   - `{:send, message}`: a `MavCodec.Messages` struct to send
   - `{:bytes, binary}`: bytes outside any frame (ArduPilot's boot text)
   - `{:notify, event}`: something that tests and the fleet may wait for (`t:event/0`)
-  - `:reboot`: the vehicle restarts; the owner boots it again with `boot/2`
+  - `:reboot`: the vehicle restarts; the owner boots it again with `SimVehicle.Simulation.boot/2`
 
   What ArduPilot and PX4 do differently is in the modules behind `SimVehicle.Personality`. Internally every function
   takes and returns the vehicle and puts actions into `out`.
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Command, Flight, Geo, Kinematics, Params, Plans, Streams, Telemetry, Wind}
+  alias SimVehicle.{Battery, Command, Geo, Kinematics, Params, Plans, Wind}
 
-  # A coarser step would let the position controller overshoot.
-  @step_max_us 50_000
   @later_max 200
 
   defstruct personality: nil,
@@ -107,56 +105,6 @@ defmodule SimVehicle.Vehicle do
     %{vehicle | limits: personality.limits(params)}
   end
 
-  @doc """
-  Powers the vehicle up at UNIX time `epoch` (microseconds). Parameters, plans, position and charge survive a reboot;
-  everything else starts anew.
-  """
-  @spec boot(t, integer) :: {t, [action]}
-  def boot(vehicle, epoch) do
-    %{
-      vehicle
-      | now: 0,
-        epoch: epoch,
-        boots: vehicle.boots + 1,
-        home: nil,
-        streams: Streams.new(vehicle.rates),
-        armed: false,
-        armed_at: nil,
-        flight: :off,
-        airborne: vehicle.kin.d < -0.5,
-        landed: :on_ground,
-        mission: Flight.Mission.new(),
-        plans: %{vehicle.plans | upload: nil},
-        failsafes: MapSet.new(),
-        gcs_heard: nil,
-        text_id: 0,
-        later: [],
-        own: %{}
-    }
-    |> vehicle.personality.boot()
-    |> flush()
-  end
-
-  @doc "Lets `dt` seconds of vehicle time pass."
-  @spec step(t, number) :: {t, [action]}
-  def step(vehicle, dt), do: vehicle |> advance(round(dt * 1.0e6)) |> flush()
-
-  @doc """
-  Something happened:
-
-  - `{:message, struct, {system, component}}`: a decoded message from that source
-  - `{:command, SimVehicle.Command.t()}`: an order that did not come over the link
-  - `{:failsafe, kind, on?}`: `:battery`, `:battery_critical`, `:gcs`, `:rc`, `:fence`, `:ekf`, `:gps` begins or ends
-  - `{:set_param, name, value}`: as if it had been set before boot
-  - `:swap_battery`: a full pack (only on the ground, disarmed)
-  - `:reboot`: power is lost and comes back
-  - `{:clock_jump, seconds}`: the vehicle's idea of UTC jumps
-  """
-  @spec handle(t, term) :: {t, [action]}
-  def handle(vehicle, event), do: vehicle |> on(event) |> flush()
-
-  # --- what personalities and flight use ---
-
   @doc false
   def emit(vehicle, message), do: %{vehicle | out: [{:send, message} | vehicle.out]}
 
@@ -227,142 +175,11 @@ defmodule SimVehicle.Vehicle do
     %{vehicle | armed: true, armed_at: vehicle.now, flight: :idle} |> notify(:armed)
   end
 
-  @doc "Stops the motors, wherever the vehicle is."
-  @spec disarm(t) :: t
-  def disarm(vehicle) do
-    %{vehicle | armed: false, armed_at: nil, flight: :off, mission: Flight.Mission.stop(vehicle)}
-    |> notify(:disarmed)
-  end
-
-  @doc "Messages by id, as REQUEST_MESSAGE asks for them; nil when this vehicle has no such message."
-  @spec message(t, non_neg_integer) :: struct | nil
-  def message(vehicle, id), do: Telemetry.message(vehicle, id)
-
-  # --- time ---
-
-  defp advance(vehicle, us) when us <= 0, do: vehicle
-
-  defp advance(vehicle, us) when us > @step_max_us,
-    do: vehicle |> tick(@step_max_us) |> advance(us - @step_max_us)
-
-  defp advance(vehicle, us), do: tick(vehicle, us)
-
-  defp tick(vehicle, us) do
-    dt = us / 1.0e6
-    wind = if vehicle.airborne, do: Wind.step(vehicle.wind, dt), else: vehicle.wind
-
-    %{vehicle | now: vehicle.now + us, wind: wind}
-    |> send_later()
-    |> vehicle.personality.tick()
-    |> Flight.step(dt)
-    |> drain(dt)
-    |> tick_plans()
-    |> stream()
-  end
-
-  defp drain(vehicle, dt) do
-    %{vehicle | battery: Battery.step(vehicle.battery, vehicle.armed, vehicle.kin.throttle, dt)}
-  end
-
-  defp send_later(%{later: []} = vehicle), do: vehicle
-
-  defp send_later(vehicle) do
-    {due, later} = Enum.split_with(vehicle.later, fn {at, _message} -> at <= vehicle.now end)
-    # The list is newest first; sorting by time is stable only if the order is turned first.
-    due = due |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
-    Enum.reduce(due, %{vehicle | later: later}, fn {_at, message}, v -> emit(v, message) end)
-  end
-
-  defp tick_plans(vehicle) do
-    {plans, replies} = Plans.tick(vehicle.plans, vehicle.now)
-    send_replies(%{vehicle | plans: plans}, replies)
-  end
-
-  defp stream(vehicle) do
-    {ids, streams} = Streams.due(vehicle.streams, vehicle.now)
-
-    Enum.reduce(ids, %{vehicle | streams: streams}, fn id, v ->
-      case Telemetry.message(v, id) do
-        nil -> v
-        message -> emit(v, message)
-      end
-    end)
-  end
-
-  # --- events ---
-
-  defp on(vehicle, {:message, message, source}) do
-    case Command.from(message, source) do
-      nil -> vehicle |> heard(message, source) |> on_message(message, source)
-      command -> on_command(vehicle, command)
-    end
-  end
-
-  defp on(vehicle, {:command, command}), do: vehicle.personality.command(vehicle, command)
-  defp on(vehicle, {:failsafe, kind, on?}), do: vehicle.personality.failsafe(vehicle, kind, on?)
-  defp on(vehicle, {:set_param, name, value}), do: set_param(vehicle, name, value)
-  defp on(vehicle, {:clock_jump, seconds}), do: %{vehicle | epoch: vehicle.epoch + round(seconds * 1.0e6)}
-  defp on(vehicle, :reboot), do: reboot(vehicle)
-
-  defp on(%{armed: false, airborne: false} = vehicle, :swap_battery),
-    do:
-      Enum.reduce([:battery, :battery_critical], full(vehicle), &vehicle.personality.failsafe(&2, &1, false))
-
-  defp on(vehicle, :swap_battery), do: vehicle
-
-  defp full(vehicle), do: %{vehicle | battery: Battery.new(vehicle.battery_opts)}
-
   @doc false
   def reboot(vehicle), do: vehicle |> notify(:rebooting) |> act(:reboot)
-
-  defp on_command(vehicle, command) do
-    if vehicle.personality.addressed?(vehicle, command.target),
-      do: vehicle.personality.command(vehicle, command),
-      else: vehicle
-  end
-
-  defp heard(vehicle, %M.Heartbeat{type: 6}, {system, _component}) do
-    vehicle = %{vehicle | gcs_heard: vehicle.now}
-    vehicle.personality.gcs_heard(vehicle, system)
-  end
-
-  defp heard(vehicle, _message, _source), do: vehicle
-
-  defp on_message(vehicle, message, source) do
-    if vehicle.personality.addressed?(vehicle, target(message)) do
-      case Plans.handle(vehicle.plans, message, source, Telemetry.home_item(vehicle), vehicle.now) do
-        nil -> vehicle.personality.message(vehicle, message, source)
-        {plans, replies} -> send_replies(%{vehicle | plans: plans}, replies)
-      end
-    else
-      vehicle
-    end
-  end
-
-  defp send_replies(vehicle, replies) do
-    Enum.reduce(replies, vehicle, fn
-      {:text, severity, text}, v -> text(v, severity, text)
-      {kind, type}, v when kind in [:stored, :cleared] -> v.personality.plan_changed(v, kind, type)
-      message, v -> emit(v, message)
-    end)
-  end
-
-  # Messages without a target are for everyone.
-  defp target(%{target_system: system, target_component: component}), do: {system, component}
-  defp target(%{target_system: system}), do: {system, 0}
-  defp target(_message), do: {0, 0}
-
-  defp set_param(vehicle, name, value) do
-    case Params.put(vehicle.params, name, value) do
-      {:ok, params} -> %{vehicle | params: params, limits: vehicle.personality.limits(params)}
-      {:error, :unknown} -> vehicle
-    end
-  end
 
   defp put_param!({name, value}, params) do
     {:ok, params} = Params.put(params, name, value)
     params
   end
-
-  defp flush(vehicle), do: {%{vehicle | out: []}, Enum.reverse(vehicle.out)}
 end

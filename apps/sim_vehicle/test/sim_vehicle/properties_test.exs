@@ -9,7 +9,7 @@ defmodule SimVehicle.PropertiesTest do
   import SimVehicle.TestFlight, only: [ready: 1, flying: 1]
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Vehicle}
+  alias SimVehicle.{Battery, Simulation}
 
   @commands [
               16,
@@ -77,9 +77,9 @@ defmodule SimVehicle.PropertiesTest do
   defp recharges?({:command, 420, _params}), do: true
   defp recharges?(event), do: event == :swap_battery
 
-  defp apply_event(v, {:wait, tenths}), do: Vehicle.step(v, tenths / 10)
-  defp apply_event(v, {:failsafe, _kind, _on} = event), do: Vehicle.handle(v, event)
-  defp apply_event(v, :swap_battery), do: Vehicle.handle(v, :swap_battery)
+  defp apply_event(v, {:wait, tenths}), do: Simulation.step(v, tenths / 10)
+  defp apply_event(v, {:failsafe, _kind, _on} = event), do: Simulation.handle(v, event)
+  defp apply_event(v, :swap_battery), do: Simulation.handle(v, :swap_battery)
   defp apply_event(v, {:command, id, params}), do: hear(v, long(id, params))
 
   defp apply_event(v, {:int, id, params, {frame, x, y, z}}) do
@@ -102,7 +102,7 @@ defmodule SimVehicle.PropertiesTest do
 
   defp apply_event(v, {:message, message}), do: hear(v, message)
 
-  defp hear(v, message), do: Vehicle.handle(v, {:message, message, {255, 190}})
+  defp hear(v, message), do: Simulation.handle(v, {:message, message, {255, 190}})
 
   defp long(id, params) do
     struct!(

@@ -4,7 +4,7 @@ defmodule SimVehicle.Recording do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Options, Vehicle}
+  alias SimVehicle.{Options, Simulation, Vehicle}
 
   @fixtures Path.expand("../fixtures", __DIR__)
 
@@ -26,7 +26,7 @@ defmodule SimVehicle.Recording do
         ready_s: recording["ready_s"]
       )
 
-    {vehicle, actions} = options |> Vehicle.new() |> Vehicle.boot(1_795_213_318_360_000)
+    {vehicle, actions} = options |> Vehicle.new() |> Simulation.boot(1_795_213_318_360_000)
     dialect = if firmware == :px4, do: MavCodec.Dialects.Upstream, else: MavCodec.Dialects.Ardupilot
 
     {vehicle, log} =
@@ -50,7 +50,7 @@ defmodule SimVehicle.Recording do
     if left <= 0.0005 do
       {vehicle, log}
     else
-      {vehicle, actions} = Vehicle.step(vehicle, min(left, 0.02))
+      {vehicle, actions} = Simulation.step(vehicle, min(left, 0.02))
       run_until({vehicle, stamp(vehicle, actions) ++ log}, at)
     end
   end
@@ -64,7 +64,7 @@ defmodule SimVehicle.Recording do
       )
 
     {:ok, message} = MavCodec.decode(frame, dialect)
-    {vehicle, actions} = Vehicle.handle(vehicle, {:message, message, {frame.system, frame.component}})
+    {vehicle, actions} = Simulation.handle(vehicle, {:message, message, {frame.system, frame.component}})
     {vehicle, stamp(vehicle, actions) ++ log}
   end
 

@@ -5,7 +5,7 @@ defmodule SimVehicle.TestFlight do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Options, Vehicle}
+  alias SimVehicle.{Options, Simulation, Vehicle}
 
   @gcs {255, 190}
 
@@ -16,7 +16,7 @@ defmodule SimVehicle.TestFlight do
       |> Keyword.merge(opts)
       |> Options.validate!()
       |> Vehicle.new()
-      |> Vehicle.boot(1_795_213_318_360_000)
+      |> Simulation.boot(1_795_213_318_360_000)
 
     {vehicle, stamp(vehicle, actions)}
   end
@@ -48,7 +48,7 @@ defmodule SimVehicle.TestFlight do
   def run({vehicle, log}, seconds) do
     {vehicle, new} =
       Enum.reduce(1..max(round(seconds * 20), 1), {vehicle, []}, fn _step, {vehicle, new} ->
-        {vehicle, actions} = Vehicle.step(vehicle, 0.05)
+        {vehicle, actions} = Simulation.step(vehicle, 0.05)
         {vehicle, [stamp(vehicle, actions) | new]}
       end)
 
@@ -61,7 +61,7 @@ defmodule SimVehicle.TestFlight do
       if fun.(vehicle) do
         {:halt, {vehicle, log}}
       else
-        {vehicle, actions} = Vehicle.step(vehicle, 0.05)
+        {vehicle, actions} = Simulation.step(vehicle, 0.05)
         {:cont, {vehicle, log ++ stamp(vehicle, actions)}}
       end
     end)
@@ -80,7 +80,7 @@ defmodule SimVehicle.TestFlight do
   def hear(flight, message, source \\ @gcs), do: handle(flight, {:message, message, source})
 
   def handle({vehicle, log}, event) do
-    {vehicle, actions} = Vehicle.handle(vehicle, event)
+    {vehicle, actions} = Simulation.handle(vehicle, event)
     {vehicle, log ++ stamp(vehicle, actions)}
   end
 

@@ -60,7 +60,7 @@ defmodule FleetWeb.WebSocket.Handler do
       {:error, Error.new(:upgrade_required, "this port serves WebSockets only", %{"upgrade" => "websocket"})}
 
   defp admit(request, %{gateway: gateway} = settings) do
-    policy = %{settings.policy | ports: [FleetWeb.Endpoint.port(gateway)]}
+    policy = %{settings.policy | ports: [FleetWeb.Listener.port(gateway)]}
     facts = Request.facts(request)
 
     case ticket(request) do

@@ -4,7 +4,7 @@ defmodule SimVehicle.Ardupilot.Arming do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Geo, Params, Telemetry, Vehicle}
+  alias SimVehicle.{Battery, Flight, Geo, Params, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.Modes
 
   @accepted 0
@@ -35,7 +35,7 @@ defmodule SimVehicle.Ardupilot.Arming do
   @spec stop(Vehicle.t()) :: Vehicle.t()
   def stop(v) do
     %{v | landed: if(v.airborne, do: v.landed, else: :on_ground)}
-    |> Vehicle.disarm()
+    |> Flight.disarm()
     |> rewind()
     |> Vehicle.put_own(:auto_armed, false)
     |> Vehicle.text(6, "Disarming motors")

@@ -3,7 +3,7 @@ defmodule SimVehicle.Px4.Arming do
   PX4's arming and disarming, with its events.
   """
 
-  alias SimVehicle.{Command, Params, Vehicle}
+  alias SimVehicle.{Command, Flight, Params, Vehicle}
   alias SimVehicle.Px4.{Events, Modes}
 
   @accepted 0
@@ -78,7 +78,7 @@ defmodule SimVehicle.Px4.Arming do
   def stop(v, reason) do
     words = %{@by_landing => "Disarmed by landing", @by_preflight => "Disarmed by auto preflight disarming"}
     text = Map.get(words, reason, "Disarmed by external command")
-    v = v |> Events.tell(:disarmed, [reason], {6, text}) |> Vehicle.disarm()
+    v = v |> Events.tell(:disarmed, [reason], {6, text}) |> Flight.disarm()
     v = if v.airborne, do: v, else: %{v | landed: :on_ground}
 
     if v.mode in ["AUTO_LAND", "AUTO_RTL", "AUTO_TAKEOFF"] and not v.airborne,

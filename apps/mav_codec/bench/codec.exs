@@ -39,6 +39,11 @@ defmodule Bench.Loops do
 
   def full([], parser), do: parser
 
+  def whole(file, parser) do
+    {:ok, parser} = Parser.reduce(parser, file, :ok, fn frame, :ok -> decode([frame]) end)
+    parser
+  end
+
   def verified([read | reads], parser, signing) do
     {frames, parser} = Parser.push(parser, read)
     verified(reads, parser, decode_signed(frames, signing))
@@ -130,6 +135,7 @@ rows = [
   run.("signed, verified", count, fn -> Bench.Loops.verified(cut.(signed), parser, Signing.new(key)) end),
   run.("1 % damaged", length(whole), fn -> Bench.Loops.full(cut.(damaged), parser) end),
   run.("MAVLink 2, 8 MB in reads", many, fn -> Bench.Loops.full(cut.(file), parser) end),
+  run.("MAVLink 2, 8 MB in one reduce", many, fn -> Bench.Loops.whole(file, parser) end),
   run.("MAVLink 2, 8 MB in one push", many, fn -> Bench.Loops.full([file], parser) end)
 ]
 

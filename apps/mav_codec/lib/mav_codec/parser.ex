@@ -5,9 +5,9 @@ defmodule MavCodec.Parser do
       parser = MavCodec.Parser.new()
       {frames, parser} = MavCodec.Parser.push(parser, bytes, System.os_time(:microsecond))
 
-  `push/3` is for streams (serial, TCP): the frames do not depend on how the bytes are cut into pieces. Frames of
-  unknown ids, whose CRC cannot be checked, wait for the byte after them; `flush/1` ends the waiting when the line is
-  quiet or closed. `push_datagram/3` is for UDP: it uses the datagram's boundary.
+  `push/3` is for streams (serial, TCP), `reduce/5` for whole files: the frames do not depend on how the bytes are cut into
+  pieces. Frames of unknown ids, whose CRC cannot be checked, wait for the byte after them; `flush/1` ends the waiting when
+  the line is quiet or closed. `push_datagram/3` is for UDP: it uses the datagram's boundary.
 
   Nothing that is pushed can make it raise, and what it keeps is bounded: fewer than `max_held/0` bytes and the counters of
   `MavCodec.Parser.Sources.limit/0` sources. The rules are those of `MavCodec.Parser.Scanner`.
@@ -25,6 +25,9 @@ defmodule MavCodec.Parser do
   @large 256 * 1024
   @words 2
   @most_words 32 * 1024 * 1024
+
+  # What `reduce/5` reads at a time: its frames are garbage before the next collection.
+  @piece 2 * 1024
 
   @enforce_keys [:scanner]
   defstruct [
@@ -106,6 +109,27 @@ defmodule MavCodec.Parser do
 
   def push(%__MODULE__{held: held} = parser, data, at),
     do: read(parser, held <> data, byte_size(data), at, :stream)
+
+  @doc """
+  Reads bytes of a stream, as `push/3` does, and calls `fun` with each frame and what it gave for the one before, the first
+  time with `acc`: for files, of which `push/3` would have to keep all frames at once.
+
+      {count, parser} = MavCodec.Parser.reduce(MavCodec.Parser.new(), File.read!("flight.raw"), 0, fn _frame, n -> n + 1 end)
+
+  Frames that are kept by `fun` keep `data` alive.
+  """
+  @spec reduce(t(), binary(), acc, (Frame.t(), acc -> acc), integer() | nil) :: {acc, t()} when acc: term()
+  def reduce(parser, data, acc, fun, at \\ nil)
+
+  def reduce(parser, <<piece::binary-size(@piece), rest::binary>>, acc, fun, at) do
+    {frames, parser} = push(parser, piece, at)
+    reduce(parser, rest, Enum.reduce(frames, acc, fun), fun, at)
+  end
+
+  def reduce(parser, data, acc, fun, at) do
+    {frames, parser} = push(parser, data, at)
+    {Enum.reduce(frames, acc, fun), parser}
+  end
 
   @doc """
   Reads one datagram.

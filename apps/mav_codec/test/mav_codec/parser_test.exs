@@ -212,6 +212,28 @@ defmodule MavCodec.ParserTest do
       assert collections <= 1
     end
 
+    test "a whole file, frame by frame: the same frames and counts as of one push, of which none are kept" do
+      data = String.duplicate(MavCodec.Test.Captures.read("arducopter_flight.bin"), 2)
+      {frames, pushed} = Parser.push(Parser.new(), data, 7)
+      at = fn frame, [next | frames] -> (^next = frame) && frames end
+      assert {[], parser} = Parser.reduce(Parser.new(), data, frames, at, 7)
+      assert stats(parser) == stats(pushed)
+
+      test = self()
+
+      spawn_link(fn ->
+        words = fn -> self() |> Process.info(:total_heap_size) |> elem(1) end
+        most = fn _frame, {n, most} -> {n + 1, max(most, words.())} end
+        {result, _parser} = Parser.reduce(Parser.new(), data, {0, 0}, most)
+        send(test, result)
+      end)
+
+      assert_receive {count, most}, 5000
+      assert count == length(frames)
+      # A frame takes some 30 words.
+      assert most < 4 * count
+    end
+
     test "the bytes kept are not a part of what was read" do
       {[], parser} = Parser.push(Parser.new(), :binary.copy("x", 100_000) <> <<0xFD, 9>>)
       assert :binary.referenced_byte_size(parser.held) == 2

@@ -7,7 +7,7 @@ defmodule SimVehicle do
       SimVehicle.fault(sim, :loss, 0.25)
       SimVehicle.failsafe(sim, :battery)
 
-  Options are those of `SimVehicle.Options.table/0`; an unknown one or a wrong value is refused with what was expected.
+  `SimVehicle.Options.table/0` lists the options. An unknown option or a wrong value is refused with what was expected.
   `SimVehicle.Fleet` starts several that fly by themselves.
   """
 
@@ -38,14 +38,14 @@ defmodule SimVehicle do
   def port(sim), do: GenServer.call(sim, :port)
 
   @doc """
-  Counters: `sent` and `received` frames, `refused` ones (not signed with its key), `unsent` (nobody to send to), `faults` by direction and kind (`offered`,
-  `passed`, `lost`, `duplicated`, `reordered`, `corrupted`, `silenced`, `overflow`), `parser`.
+  Counters: `sent` and `received` frames, `refused` ones (not signed with its key), `unsent` (no peer), `faults` by direction
+  and kind (`offered`, `passed`, `lost`, `duplicated`, `reordered`, `corrupted`, `silenced`, `overflow`), `parser`.
   """
   @spec stats(sim) :: map
   def stats(sim), do: GenServer.call(sim, :stats)
 
   @doc """
-  Waits until `fun` says something other than false or nil of the vehicle's view, and returns that. Exits after
+  Waits until `fun`, called with the vehicle's view, returns something other than false or nil, and returns that. Exits after
   `timeout` ms of real time. The function runs in the vehicle's process.
   """
   @spec await(sim, (SimVehicle.View.t() -> term), timeout) :: term
@@ -58,8 +58,8 @@ defmodule SimVehicle do
   @doc """
   Sets a fault of the link (`SimVehicle.Faults`) or of the vehicle:
 
-  - `:freeze` true/false: the firmware hangs: time stands still, nothing is heard or sent
-  - `:clock_jump` seconds: its idea of UTC jumps
+  - `:freeze` true/false: the firmware hangs: its time stands still, nothing is received or sent
+  - `:clock_jump` seconds: its UTC clock jumps
   - `:drop` true: its connection is lost once
   """
   @spec fault(sim, atom, term, :out | :in) :: :ok | {:error, String.t()}
@@ -75,7 +75,7 @@ defmodule SimVehicle do
   @spec reboot(sim) :: :ok
   def reboot(sim), do: GenServer.call(sim, :reboot)
 
-  @doc "Something happens to the vehicle that has no function of its own (`SimVehicle.Simulation.handle/2`)."
+  @doc "Gives the vehicle any event of `SimVehicle.Simulation.handle/2`."
   @spec happen(sim, term) :: :ok
   def happen(sim, event), do: GenServer.call(sim, {:handle, event})
 end

@@ -1,6 +1,6 @@
 defmodule SimVehicle.Battery do
   @moduledoc """
-  A lithium-polymer pack: charge drains with the load, voltage falls with charge and sags with current.
+  A lithium-polymer pack: the charge drains with the load; the voltage falls with the charge and sags with the current.
   """
 
   @hover_a 28.0

@@ -1,17 +1,17 @@
 defmodule SimVehicle.Faults do
   @moduledoc """
-  What a bad link does to frames, as a pure function: seeded, so the same seed and frames give the same faults.
+  Simulates a bad link as a pure function: the same seed and frames give the same faults.
 
   | fault | value | effect |
   |---|---|---|
   | `:loss` | 0.0..1.0 | that share of the frames is dropped |
   | `:duplicate` | 0.0..1.0 | that share is sent twice |
   | `:reorder` | 0.0..1.0 | that share is held and sent after the frame that follows it |
-  | `:corrupt` | 0.0..1.0 | one bit of that share is turned over |
+  | `:corrupt` | 0.0..1.0 | one bit is flipped in that share |
   | `:delay` | ms or `{ms, jitter_ms}` | every frame is delayed by ms, plus 0..jitter |
-  | `:silence` | true/false | nothing is sent; the vehicle flies on and hears |
-  | `:deaf` | true/false | nothing that arrives is heard; the vehicle sends on |
-  | `:half_open` | true/false | neither, while the connection stays open (a dead peer behind TCP) |
+  | `:silence` | true/false | nothing is sent; the vehicle flies on and still receives |
+  | `:deaf` | true/false | nothing is received; the vehicle still sends |
+  | `:half_open` | true/false | nothing is sent or received, while the connection stays open (a dead peer behind TCP) |
 
   Loss, duplication, reordering, corruption and delay are set for each direction: `:out` (from the vehicle, the
   default) and `:in`. At most 2000 frames are held back; more are dropped and counted.
@@ -65,7 +65,7 @@ defmodule SimVehicle.Faults do
        "got: #{inspect(name)} = #{inspect(value)}, #{inspect(direction)}"}
   end
 
-  @doc "What becomes of one frame: a list of `{delay_ms, bytes}` in the order to send, empty when it is lost."
+  @doc "Applies the faults to one frame: a list of `{delay_ms, bytes}` in sending order, empty if the frame is lost."
   @spec pass(t, direction, binary) :: {[{non_neg_integer, binary}], t}
   def pass(faults, direction, bytes) do
     settings = Map.fetch!(faults, direction)
@@ -78,7 +78,7 @@ defmodule SimVehicle.Faults do
     end
   end
 
-  @doc "Notes frames that a caller holds for a delay (`n`), or that it has let go (`-n`)."
+  @doc "Counts frames that a caller holds for a delay (`n`), or has released (`-n`)."
   @spec pending(t, integer) :: t
   def pending(faults, n), do: %{faults | pending: faults.pending + n}
 

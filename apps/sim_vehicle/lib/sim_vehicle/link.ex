@@ -1,15 +1,15 @@
 defmodule SimVehicle.Link do
   @moduledoc """
-  A transport as a value: opened by a process, which passes the messages of its sockets to `handle/2`.
+  A transport as a value. The process that opens it passes the messages of its sockets to `handle/2`.
 
   | address | the vehicle |
   |---|---|
-  | `udpout:HOST:PORT` | sends to that address from a port of its own, hears answers |
-  | `udpin:HOST:PORT` | waits there; sends to whoever was heard last, and nothing before |
+  | `udpout:HOST:PORT` | sends to that address from its own port, and receives answers |
+  | `udpin:HOST:PORT` | listens there; sends to the last sender, and nothing before it has one |
   | `tcpin:HOST:PORT` | listens as SITL does; one connection at a time |
-  | `tcp:HOST:PORT` | connects, again every half second when it is refused or lost |
+  | `tcp:HOST:PORT` | connects; retries every half second if the connection is refused or lost |
 
-  Port 0 of `udpin` and `tcpin` is a free one; `port/1` tells which.
+  Port 0 of `udpin` and `tcpin` takes a free port, which `port/1` returns.
   """
 
   alias SimVehicle.Link.{Tcp, Udp}
@@ -17,7 +17,7 @@ defmodule SimVehicle.Link do
   @typedoc "The struct of the module that implements the transport."
   @type t :: struct
 
-  @typedoc "What a socket's message meant."
+  @typedoc "The meaning of a socket's message."
   @type outcome :: {:data, binary, t} | {:up, t} | {:down, t} | {:ok, t} | :unknown
 
   @callback open(kind :: atom, :inet.ip_address(), :inet.port_number()) :: {:ok, t} | {:error, term}
@@ -54,11 +54,11 @@ defmodule SimVehicle.Link do
   @spec open({module, atom, :inet.ip_address(), :inet.port_number()}) :: {:ok, t} | {:error, term}
   def open({module, role, ip, port}), do: module.open(role, ip, port)
 
-  @doc "Looks at a message of the owner's mailbox; `:unknown` when it is not of this link."
+  @doc "Handles a message from the owner's mailbox; `:unknown` if it does not belong to this link."
   @spec handle(t, term) :: outcome
   def handle(%module{} = link, message), do: module.handle(link, message)
 
-  @doc "Sends one frame; dropped while there is nobody to send to."
+  @doc "Sends one frame, or drops it while there is no peer."
   @spec send_bytes(t, iodata) :: {:sent | :dropped, t}
   def send_bytes(%module{} = link, bytes), do: module.send_bytes(link, bytes)
 
@@ -66,7 +66,7 @@ defmodule SimVehicle.Link do
   @spec port(t) :: :inet.port_number()
   def port(%module{} = link), do: module.port(link)
 
-  @doc "Loses the connection, as a reboot does; a server goes on listening."
+  @doc "Drops the connection, as a reboot does; a server keeps listening."
   @spec drop(t) :: t
   def drop(%module{} = link), do: module.drop(link)
 

@@ -1,7 +1,7 @@
 defmodule SimVehicle.Personality do
   @moduledoc """
-  What a firmware does its own way. The vehicle is passed in and returned; actions are put into it with
-  `SimVehicle.Vehicle.emit/2` and its kin.
+  The behaviour of a firmware: everything that ArduPilot and PX4 do differently. Functions take and return the vehicle, and add
+  actions with `SimVehicle.Vehicle.emit/2` and similar functions.
   """
 
   alias SimVehicle.{Command, Params, Vehicle}
@@ -42,9 +42,9 @@ defmodule SimVehicle.Personality do
   @doc "A plan (0 mission, 1 fence, 2 rally) was replaced or cleared."
   @callback plan_changed(Vehicle.t(), :stored | :cleared, 0..2) :: Vehicle.t()
 
-  @doc "Message `id` when it is the firmware's own or looks different there; `:common` for the shared form."
+  @doc "Message `id` if the firmware has its own form of it; `:common` for the shared form."
   @callback telemetry(Vehicle.t(), non_neg_integer) :: struct | nil | :common
 
-  @doc "Starts the RTL item of a mission, or any other change that a mission item wants of the mode."
+  @doc "Starts the RTL item of a mission, or any other mode change that a mission item requires."
   @callback mission_rtl(Vehicle.t()) :: {:goal, map} | {:vehicle, Vehicle.t()}
 end

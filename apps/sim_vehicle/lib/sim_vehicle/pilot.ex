@@ -1,6 +1,6 @@
 defmodule SimVehicle.Pilot do
   @moduledoc """
-  Flies a script by giving the vehicle orders, as somebody aboard would: no frame of it is seen on the link.
+  Flies a script by giving the vehicle commands from inside, so that none of them appears on the link.
 
   A script is a list of steps that is repeated for ever:
 
@@ -8,19 +8,19 @@ defmodule SimVehicle.Pilot do
   - `:arm` (in GUIDED, or PX4's hold), `{:takeoff, metres}`, `{:goto, north, east, metres_up}`, `:rtl`, `:land`
   - `:landed` wait until it is down and disarmed, `:swap_battery`
 
-  When somebody else commands the vehicle (arms, changes the mode, gives a target) the pilot lets go until the vehicle
-  has been on the ground and disarmed for 30 seconds. It also lets go for any failsafe.
+  If somebody else commands the vehicle (arms, changes the mode, sets a target), the pilot stops until the vehicle has been on
+  the ground and disarmed for 30 seconds. It also stops during any failsafe.
   """
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Geo, Vehicle}
 
   @hands_off_us 30_000_000
-  # An order that is refused is tried again; a step that does not come to its end is given up.
+  # A refused command is tried again; a step that does not finish is given up.
   @retry_us 2_000_000
   @step_max_us 300_000_000
 
-  # Commands of others that do not touch the flight.
+  # Other senders' commands that do not affect the flight.
   @harmless [401, 410, 510, 511, 512, 519, 520, 42_428]
 
   defstruct script: [],
@@ -71,7 +71,7 @@ defmodule SimVehicle.Pilot do
 
   defp wave(size, k, fun), do: Float.round(size * fun.(k * :math.pi() / 4), 1)
 
-  @doc "Somebody else's message was heard by the vehicle."
+  @doc "The vehicle received somebody else's message."
   @spec overheard(t, struct, Vehicle.t()) :: t
   def overheard(pilot, %module{} = message, vehicle) do
     commanding? =
@@ -84,7 +84,7 @@ defmodule SimVehicle.Pilot do
     if commanding?, do: let_go(pilot), else: pilot
   end
 
-  @doc "The vehicle told of something."
+  @doc "The vehicle reported an event."
   @spec notified(t, Vehicle.event()) :: t
   def notified(pilot, {:failsafe, _kind, true}), do: let_go(pilot)
 
@@ -93,7 +93,7 @@ defmodule SimVehicle.Pilot do
 
   def notified(pilot, _event), do: pilot
 
-  @doc "One look at the vehicle: the orders to give now, as events for `SimVehicle.Simulation.handle/2`."
+  @doc "The commands to give now, as events for `SimVehicle.Simulation.handle/2`."
   @spec step(t, Vehicle.t()) :: {t, [term]}
   def step(%{boots: boots} = pilot, %{boots: now} = v) when boots != now,
     do: step(restart(%{pilot | boots: now}, v), v)
@@ -115,7 +115,7 @@ defmodule SimVehicle.Pilot do
   defp restart(pilot, _v), do: %{pilot | left: pilot.script, since: nil, ordered_at: nil, events: []}
   defp let_go(pilot), do: %{pilot | hands_off: true, quiet_since: nil}
 
-  # In the air there is only one way to start anew: come down first.
+  # In the air, the script can only start again after a landing.
   defp give_up(pilot, %{airborne: true} = v), do: %{restart(pilot, v) | left: [:rtl, :landed, :swap_battery]}
   defp give_up(pilot, v), do: restart(pilot, v)
 

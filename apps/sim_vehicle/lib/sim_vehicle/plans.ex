@@ -2,12 +2,12 @@ defmodule SimVehicle.Plans do
   @moduledoc """
   Mission, fence and rally points on board, and the vehicle's side of the mission protocol (rules W1-W7).
 
-  A plan is replaced only when an upload is complete; an upload that stalls is asked for again and given up. What the
-  two firmwares do differently is in `style`:
+  A plan is replaced only when an upload is complete. In a stalled upload, items are requested again until it is given up.
+  `style` is what the two firmwares do differently:
 
-  - `:ardupilot`: asks with MISSION_REQUEST, item 0 of the mission is the home position, an item out of sequence and a
-    position beyond the globe are refused
-  - `:px4`: asks with MISSION_REQUEST_INT, an item out of sequence is asked for again, opaque ids
+  - `:ardupilot`: requests with MISSION_REQUEST; item 0 of the mission is the home position; refuses an item out of sequence and a
+    position beyond the globe
+  - `:px4`: requests with MISSION_REQUEST_INT; requests the expected item again after one out of sequence; opaque ids
   """
 
   import Bitwise
@@ -134,14 +134,14 @@ defmodule SimVehicle.Plans do
     end
   end
 
-  # The partner says that it is done, or that it gives up (W6).
+  # The other side reports that it is done, or gives up (W6).
   def handle(%{upload: %{from: from}} = plans, %M.MissionAck{type: type}, from, _home, _now) when type != 0,
     do: {%{plans | upload: nil}, []}
 
   def handle(plans, %M.MissionAck{}, _from, _home, _now), do: {plans, []}
   def handle(_plans, _message, _from, _home, _now), do: nil
 
-  @doc "Asks again for an item that does not come, and gives up after a while (W1)."
+  @doc "Requests a missing item again, and gives up after a while (W1)."
   @spec tick(t, integer) :: {t, [reply]}
   def tick(%{upload: nil} = plans, _now), do: {plans, []}
 
@@ -219,7 +219,7 @@ defmodule SimVehicle.Plans do
   defp out_of_sequence(%{style: :ardupilot} = plans, upload, _item),
     do: {plans, [ack(plans, upload.from, @invalid_sequence, upload.type)]}
 
-  # The item before came twice: not worth an answer.
+  # The previous item came twice: no answer.
   defp out_of_sequence(plans, upload, item) when item.seq == upload.next - 1, do: {plans, []}
   defp out_of_sequence(plans, upload, _item), do: {plans, [request(plans, upload)]}
 

@@ -2,9 +2,9 @@ defmodule SimVehicle.Px4 do
   @moduledoc """
   PX4 1.17.0 as its recordings show it.
 
-  Two acknowledgements for a change of mode, commands that are never answered, texts with a tab beside events, texts
-  held back while no ground station is heard, its own commands leaking out, parameters as bytes in floats with
-  `_HASH_CHECK`, reached mission items told again and again.
+  Two acknowledgements for a mode change, commands that are never answered, texts with a tab beside events, texts held back while
+  no ground station is heard, internal commands that leak out, parameters as bytes in floats with `_HASH_CHECK`, mission
+  items that are reported as reached again and again.
   """
 
   @behaviour SimVehicle.Personality
@@ -42,7 +42,7 @@ defmodule SimVehicle.Px4 do
             ] ++
               [300, 360, 411, 435, 436, 4]
 
-  # Sent out unasked after every boot.
+  # Sent without a request after every boot.
   @unasked ~w(CAL_ACC0_ID CAL_BARO0_ID CAL_BARO0_OFF CAL_BARO0_PRIO CAL_GYRO0_ID CAL_MAG0_ID CAL_MAG0_PRIO
               SENS_BOARD_X_OFF SENS_DPRES_OFF SYS_AUTOCONFIG SYS_AUTOSTART)
 
@@ -165,7 +165,7 @@ defmodule SimVehicle.Px4 do
 
   @impl SimVehicle.Personality
   def message(v, %M.ParamRequestList{}, _source) do
-    # 64 in a step would be a burst that no radio takes; the firmware paces the list as well.
+    # The firmware paces the list as well; 64 in a step would be too much for any radio.
     names = ["_HASH_CHECK" | Enum.map(0..(Params.count(v.params) - 1)//1, &Params.name_at(v.params, &1))]
 
     names
@@ -185,7 +185,7 @@ defmodule SimVehicle.Px4 do
     end
   end
 
-  # Answered, and told to everybody once more.
+  # Answered, and broadcast once more.
   def message(v, %M.ParamSet{} = m, _source) do
     case Requests.set_param(v, m) do
       {:ok, v} ->
@@ -198,7 +198,7 @@ defmodule SimVehicle.Px4 do
   end
 
   def message(v, %M.SetMode{custom_mode: custom}, {system, component}) do
-    # SET_MODE is taken as the command of the same meaning, without an answer of its own.
+    # SET_MODE is treated as the command of the same meaning, without its own answer.
     main = Bitwise.band(Bitwise.bsr(custom, 16), 0xFF)
     sub = Bitwise.band(Bitwise.bsr(custom, 24), 0xFF)
     params = {1.0, main * 1.0, sub * 1.0, 0.0, 0.0, 0.0, 0.0}

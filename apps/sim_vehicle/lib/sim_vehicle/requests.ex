@@ -8,7 +8,7 @@ defmodule SimVehicle.Requests do
   alias SimVehicle.{Command, Params, Streams, Vehicle}
 
   @failed 4
-  # What MESSAGE_INTERVAL can tell: 35 minutes.
+  # The largest value of MESSAGE_INTERVAL: 35 minutes.
   @interval_max_us 2_147_483_647
   @accepted 0
 
@@ -65,14 +65,14 @@ defmodule SimVehicle.Requests do
     }
   end
 
-  @doc "The name that a PARAM_REQUEST_READ means, nil when there is none such."
+  @doc "The name that a PARAM_REQUEST_READ asks for, or nil if there is none."
   @spec wanted_param(Vehicle.t(), struct) :: String.t() | nil
   def wanted_param(v, %M.ParamRequestRead{param_index: -1, param_id: name}),
     do: if(Params.member?(v.params, name), do: name)
 
   def wanted_param(v, %M.ParamRequestRead{param_index: index}), do: Params.name_at(v.params, index)
 
-  @doc "Stores what a PARAM_SET carries and applies it."
+  @doc "Stores the value of a PARAM_SET and applies it."
   @spec set_param(Vehicle.t(), struct) :: {:ok, Vehicle.t()} | {:error, atom}
   def set_param(v, %M.ParamSet{} = m) do
     with {:ok, params} <- Params.set(v.params, m.param_id, m.param_value, m.param_type) do

@@ -2,7 +2,7 @@ defmodule SimVehicle.Server do
   @moduledoc """
   The process of one simulated vehicle: real time and sockets around `SimVehicle.Vehicle`.
 
-  It interprets actions, lets time pass, parses and encodes, and puts `SimVehicle.Faults` between vehicle and socket.
+  It performs actions, advances time, parses and encodes, and puts `SimVehicle.Faults` between vehicle and socket.
   The public functions are in `SimVehicle`.
   """
 
@@ -11,7 +11,7 @@ defmodule SimVehicle.Server do
   alias MavCodec.Parser
   alias SimVehicle.{Faults, Link, Pilot, Signing, Simulation, Vehicle, View}
 
-  # After a pause of the whole machine a vehicle does not make up for more than this.
+  # After a pause of the whole machine, a vehicle catches up with at most this much time.
   @catch_up_s 0.5
   @tick_min_ms 5
   @tick_max_ms 40
@@ -143,7 +143,7 @@ defmodule SimVehicle.Server do
     state
   end
 
-  # Twice as often as the fastest stream, so that its rate is right without every vehicle stepping at that of the fastest.
+  # Twice as often as the fastest stream, so that its rate is right without stepping faster than needed.
   defp tick_ms(streams, speed) do
     fastest = streams.intervals |> Map.values() |> Enum.min(fn -> 1_000_000 end)
     round(fastest / 2000 / speed) |> max(@tick_min_ms) |> min(@tick_max_ms)
@@ -209,7 +209,7 @@ defmodule SimVehicle.Server do
     end
   end
 
-  # Boot text that nobody heard is kept for the first one to connect, as a simulator that waits for its console does.
+  # Boot text without a listener is kept for the first connection, as SITL that waits for its console does.
   defp do_action(state, {:bytes, bytes}) do
     kept = binary_part(bytes, 0, min(byte_size(bytes), @boot_bytes_max))
 
@@ -272,7 +272,7 @@ defmodule SimVehicle.Server do
     Enum.reduce(deliveries, %{state | faults: faults}, &deliver(&2, &1, :hear))
   end
 
-  # A hung or unpowered vehicle loses what comes.
+  # A hung or unpowered vehicle loses its input.
   defp hear(%{frozen: true} = state, _bytes), do: state
   defp hear(%{off_for: left} = state, _bytes) when left != nil, do: state
 

@@ -1,13 +1,13 @@
 defmodule SimVehicle.Signing do
   @moduledoc """
-  Signed links as ArduPilot has them: it takes SETUP_SIGNING from whoever may speak to it, unless it is armed, from then on
-  signs everything and asks for signatures, RADIO_STATUS and RADIO excepted; a key and a time stamp of zeros end that. On a
-  link that counts as USB it hears unsigned and wrongly signed frames too. The key survives a reboot.
+  Signed links as in ArduPilot. While disarmed it accepts SETUP_SIGNING from every accepted sender. From then on it signs
+  everything and requires signatures, except for RADIO_STATUS and RADIO; a key and a timestamp of zeros end this. On a link
+  that counts as USB it also accepts unsigned and wrongly signed frames. The key survives a reboot.
 
-  Its clock for that is no clock: GPS sets it once, then it goes on by one with each frame that it sends, and to the time
-  stamp of each right frame that it hears. It is stored every 30 s, and begins a minute later than stored after a reboot.
+  Its signing clock does not run: GPS sets it once, then it advances by one with each sent frame, and to the timestamp of each
+  valid received frame. It is stored every 30 s, and starts a minute after the stored value after a reboot.
 
-  PX4 (1.18) is like it, but takes unsigned heartbeats from everybody.
+  PX4 (1.18) does the same, but accepts unsigned heartbeats from everybody.
   """
 
   alias MavCodec.Frame
@@ -31,7 +31,7 @@ defmodule SimVehicle.Signing do
           stored_at: integer
         }
 
-  @doc "With a key from the start, or none, and with a clock that begins at a time stamp (nil: GPS time); `secure` as USB is."
+  @doc "Starts with a key or none, and with a signing clock at a timestamp (nil: GPS time); `secure`: the link counts as USB."
   @spec new(binary | nil, boolean, :ardupilot | :px4, MavCodec.Signing.timestamp() | nil) :: t
   def new(key, secure, firmware \\ :ardupilot, at \\ nil) do
     signing = %__MODULE__{secure: secure, firmware: firmware}
@@ -46,21 +46,21 @@ defmodule SimVehicle.Signing do
     %{signing | state: MavCodec.Signing.new(key, options), key: key, stored: at}
   end
 
-  @doc "It is `us` of its own time: the clock is stored when that is due."
+  @doc "The vehicle's time is now `us`; stores the signing clock when that is due."
   @spec tick(t, integer) :: t
   def tick(%{state: state, stored_at: at} = signing, us) when state != nil and us - at >= @store_us,
     do: %{signing | stored: MavCodec.Signing.timestamp(state), stored_at: us}
 
   def tick(signing, _us), do: signing
 
-  @doc "It was restarted: the clock begins with what was stored, and nobody is remembered."
+  @doc "After a reboot the signing clock starts from the stored value, and all streams are forgotten."
   @spec rebooted(t) :: t
   def rebooted(%{state: nil} = signing), do: signing
 
   def rebooted(%{key: key, stored: stored} = signing),
     do: with_key(%{signing | stored_at: 0}, key, stored + @after_boot)
 
-  @doc "The frame of a message as it goes out."
+  @doc "The frame of a message as it is sent."
   @spec sign(t, binary, struct, module) :: {binary, t}
   def sign(%{state: nil} = signing, bytes, _message, _dialect), do: {bytes, signing}
   def sign(signing, <<0xFE, _::binary>> = bytes, _message, _dialect), do: {bytes, signing}
@@ -71,7 +71,7 @@ defmodule SimVehicle.Signing do
     {bytes, %{signing | state: state}}
   end
 
-  @doc "Whether a frame is heard."
+  @doc "Whether a frame is accepted."
   @spec check(t, Frame.t()) :: {:ok | :refused, t}
   def check(%{state: nil} = signing, _frame), do: {:ok, signing}
 
@@ -82,7 +82,7 @@ defmodule SimVehicle.Signing do
     end
   end
 
-  @doc "SETUP_SIGNING came, for whomever."
+  @doc "Handles SETUP_SIGNING, whatever its target."
   @spec setup(t, SetupSigning.t(), map) :: t
   def setup(%{firmware: :ardupilot} = signing, _setup, %{armed: true}), do: signing
 

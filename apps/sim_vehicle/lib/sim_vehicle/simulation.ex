@@ -1,7 +1,7 @@
 defmodule SimVehicle.Simulation do
   @moduledoc """
-  What makes a `SimVehicle.Vehicle` go on: `boot/2` powers it up, `step/2` lets time pass, `handle/2` takes what happens. All
-  return the vehicle and its actions (`t:SimVehicle.Vehicle.action/0`), in order. Pure.
+  Runs a `SimVehicle.Vehicle`: `boot/2` powers it up, `step/2` advances its time, `handle/2` gives it an event. All return the
+  vehicle and its actions (`t:SimVehicle.Vehicle.action/0`), in order. Pure.
   """
 
   alias MavCodec.Messages, as: M
@@ -48,12 +48,12 @@ defmodule SimVehicle.Simulation do
   Something happened:
 
   - `{:message, struct, {system, component}}`: a decoded message from that source
-  - `{:command, SimVehicle.Command.t()}`: an order that did not come over the link
+  - `{:command, SimVehicle.Command.t()}`: a command that did not come over the link
   - `{:failsafe, kind, on?}`: `:battery`, `:battery_critical`, `:gcs`, `:rc`, `:fence`, `:ekf`, `:gps` begins or ends
   - `{:set_param, name, value}`: as if it had been set before boot
   - `:swap_battery`: a full pack (only on the ground, disarmed)
   - `:reboot`: power is lost and comes back
-  - `{:clock_jump, seconds}`: the vehicle's idea of UTC jumps
+  - `{:clock_jump, seconds}`: the vehicle's UTC clock jumps
   """
   @spec handle(Vehicle.t(), term) :: {Vehicle.t(), [Vehicle.action()]}
   def handle(vehicle, event), do: vehicle |> on(event) |> flush()
@@ -88,7 +88,7 @@ defmodule SimVehicle.Simulation do
 
   defp send_later(vehicle) do
     {due, later} = Enum.split_with(vehicle.later, fn {at, _message} -> at <= vehicle.now end)
-    # The list is newest first; sorting by time is stable only if the order is turned first.
+    # The list is newest first; it is reversed, so that the stable sort by time keeps the order.
     due = due |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
     Enum.reduce(due, %{vehicle | later: later}, fn {_at, message}, v -> Vehicle.emit(v, message) end)
   end

@@ -1,8 +1,8 @@
 defmodule SimVehicle.Streams do
   @moduledoc """
-  Which message is sent how often: intervals in microseconds of vehicle time, by message id.
+  The intervals of streamed messages, in microseconds of vehicle time, by message id.
 
-  As in real firmware the rates belong to the channel, not to who asked: the last request wins (rule M2).
+  As in real firmware, the rates belong to the channel, not to the requester: the last request wins (rule M2).
   """
 
   defstruct intervals: %{}, defaults: %{}, due: %{}
@@ -44,7 +44,7 @@ defmodule SimVehicle.Streams do
   @spec due(t, integer) :: {[non_neg_integer], t}
   def due(streams, now) do
     Enum.reduce(streams.intervals, {[], streams}, fn {id, interval}, {ids, streams} ->
-      # A first message comes one interval after it was asked for, staggered so that they do not all fall together.
+      # The first message comes one interval after the request, staggered so that streams do not coincide.
       at = Map.get_lazy(streams.due, id, fn -> now + rem(id * 7_919, max(interval, 1)) end)
 
       cond do
@@ -55,7 +55,7 @@ defmodule SimVehicle.Streams do
     end)
   end
 
-  # After a pause (a frozen vehicle) the missed ones are not made up for.
+  # After a pause (a frozen vehicle) missed messages are skipped.
   defp next(at, interval, now) when now - at > interval, do: now + interval
   defp next(at, interval, _now), do: at + interval
 

@@ -2,15 +2,15 @@ defmodule SimVehicle.Vehicle do
   @moduledoc """
   One simulated autopilot as a value: no process, no clock, no socket.
 
-  `SimVehicle.Simulation` lets time pass and takes what happens. It returns the vehicle and a list of actions, in order:
+  `SimVehicle.Simulation` advances its time and gives it events, and returns the vehicle with a list of actions, in order:
 
   - `{:send, message}`: a `MavCodec.Messages` struct to send
   - `{:bytes, binary}`: bytes outside any frame (ArduPilot's boot text)
   - `{:notify, event}`: something that tests and the fleet may wait for (`t:event/0`)
   - `:reboot`: the vehicle restarts; the owner boots it again with `SimVehicle.Simulation.boot/2`
 
-  What ArduPilot and PX4 do differently is in the modules behind `SimVehicle.Personality`. Internally every function
-  takes and returns the vehicle and puts actions into `out`.
+  The modules behind `SimVehicle.Personality` have what ArduPilot and PX4 do differently. Internally every function takes and
+  returns the vehicle and adds actions to `out`.
   """
 
   alias MavCodec.Messages, as: M
@@ -52,13 +52,13 @@ defmodule SimVehicle.Vehicle do
             own: %{}
 
   @typedoc """
-  - `origin`: where the local frame has its zero (`t:SimVehicle.Geo.origin/0`); `home`: what HOME_POSITION tells, nil
-    until it is known
+  - `origin`: origin of the local frame (`t:SimVehicle.Geo.origin/0`); `home`: the content of HOME_POSITION, nil until it is
+    known
   - `now`: microseconds since boot; `epoch`: UNIX time of boot in microseconds
   - `ready_us`: vehicle time at which position is good enough to arm in a position mode
   - `mode`: the mode's name ("GUIDED", "AUTO_LOITER")
   - `flight`: what the vehicle is doing (`SimVehicle.Flight`)
-  - `own`: what only one personality knows
+  - `own`: state of the personality
   """
   @type t :: %__MODULE__{}
 
@@ -126,7 +126,7 @@ defmodule SimVehicle.Vehicle do
   def text(vehicle, severity, text),
     do: vehicle |> notify({:text, severity, text}) |> vehicle.personality.text(severity, text)
 
-  @doc "Acknowledges a command to whom it came from."
+  @doc "Acknowledges a command to its sender."
   @spec ack(t, Command.t(), non_neg_integer) :: t
   def ack(vehicle, %{source: :pilot}, result), do: put_own(vehicle, :pilot_result, result)
 
@@ -169,7 +169,7 @@ defmodule SimVehicle.Vehicle do
     vehicle.now >= vehicle.ready_us and not Enum.any?([:ekf, :gps], &MapSet.member?(vehicle.failsafes, &1))
   end
 
-  @doc "Arms without asking; personalities check first."
+  @doc "Arms without checks; personalities check first."
   @spec arm(t) :: t
   def arm(vehicle) do
     %{vehicle | armed: true, armed_at: vehicle.now, flight: :idle} |> notify(:armed)

@@ -1,6 +1,6 @@
 defmodule SimVehicle.View do
   @moduledoc """
-  What a test or a table wants to know of a vehicle, in plain units.
+  A snapshot of a vehicle for tests and tables, in plain units.
   """
 
   alias SimVehicle.{Battery, Kinematics, Vehicle}

@@ -58,14 +58,14 @@ defmodule SimVehicle.Ardupilot.Arming do
           do: text
   end
 
-  @doc "Says every 30 seconds why the vehicle could not be armed, and disarms it when it stands idle."
+  @doc "Reports every 30 seconds why the vehicle cannot be armed, and disarms it when it is idle."
   @spec tick(Vehicle.t()) :: Vehicle.t()
   def tick(%{armed: true} = v), do: idle(v)
 
   def tick(v) do
     if v.now >= Vehicle.own(v, :prearm_at, @prearm_every_us) do
       v = Vehicle.put_own(v, :prearm_at, v.now + @prearm_every_us)
-      # Texts are for ground stations: without one there is nobody to tell.
+      # Texts are for ground stations; without one they are not sent.
       if v.gcs_heard, do: Enum.reduce(reasons(v), v, &Vehicle.text(&2, 2, "PreArm: " <> &1)), else: v
     else
       v
@@ -83,7 +83,7 @@ defmodule SimVehicle.Ardupilot.Arming do
         do: text
   end
 
-  # Looked at last, and only when somebody wants to arm.
+  # Checked last, and only on an attempt to arm.
   defp mode(v), do: if(Modes.armable?(v.mode), do: [], else: ["#{v.mode} mode not armable"])
 
   defp battery?(v) do

@@ -1,9 +1,9 @@
 defmodule SimVehicle.Ardupilot.Boot do
   @moduledoc """
-  What ArduCopter says from power-up until it can fly, in the order and at about the times of the recordings.
+  ArduCopter's texts from power-up until it can fly, in the order and at about the times of the recordings.
 
-  Times are shares of `ready_us`, the time at which the position is good (41.4 s in the recordings), so that a vehicle
-  that is ready sooner says the same sooner.
+  Times are shares of `ready_us`, the time at which the position is good (41.4 s in the recordings), so that they scale with
+  it.
   """
 
   alias MavCodec.Messages, as: M

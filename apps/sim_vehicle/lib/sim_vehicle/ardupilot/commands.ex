@@ -1,7 +1,7 @@
 defmodule SimVehicle.Ardupilot.Commands do
   @moduledoc """
-  COMMAND_LONG and COMMAND_INT as ArduCopter answers them: every command is acknowledged once, to its sender, with
-  UNSUPPORTED for what it does not know.
+  COMMAND_LONG and COMMAND_INT as ArduCopter answers them: it acknowledges every command once, to its sender, and unknown ones
+  with UNSUPPORTED.
   """
 
   alias SimVehicle.{Ardupilot, Command, Flight, Geo, Requests, Telemetry, Vehicle}
@@ -19,7 +19,7 @@ defmodule SimVehicle.Ardupilot.Commands do
   @global_frames [0, 3, 5, 6, 10, 11]
   @relative_frames [3, 6]
 
-  # Accepted with nothing to see: regions of interest, mounts, cameras, servos, relays, grippers, sprayers.
+  # Accepted without an effect: regions of interest, mounts, cameras, servos, relays, grippers, sprayers.
   @shrugged [183, 181, 195, 197, 201, 205, 216, 1000, 1001]
 
   @doc "Carries out a command that is addressed to the vehicle."
@@ -229,7 +229,7 @@ defmodule SimVehicle.Ardupilot.Commands do
         _other -> {k.n, k.e, k.d}
       end
 
-    # An hour is for ever: no battery lasts that long.
+    # An hour means for ever: no battery lasts that long.
     Flight.go(v, Map.put(Goal.wait(n, e, d, 3_600_000_000), :yaw, Geo.wrap_pi(yaw)))
   end
 

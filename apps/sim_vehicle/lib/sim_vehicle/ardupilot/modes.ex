@@ -81,15 +81,15 @@ defmodule SimVehicle.Ardupilot.Modes do
     end
   end
 
-  @doc "Changes the mode without asking, as failsafes do, and tells it at once with a heartbeat."
+  @doc "Changes the mode without checks, as failsafes do, and sends a heartbeat at once."
   @spec enter(Vehicle.t(), String.t()) :: Vehicle.t()
   def enter(v, name) do
     v = start(%{v | mode: name, landed: if(v.airborne, do: :in_air, else: :on_ground)}, name)
-    # In the next step, so that it follows the acknowledgement of the command that asked for it.
+    # In the next step, so that it follows the acknowledgement of the command.
     v |> Vehicle.notify({:mode, name}) |> Vehicle.later(0, Telemetry.message(v, 0))
   end
 
-  # Disarmed, every mode can be entered: arming is what checks.
+  # While disarmed every mode can be entered; the checks come with arming.
   defp obstacle(%{armed: false}, _name), do: nil
 
   defp obstacle(v, name) do

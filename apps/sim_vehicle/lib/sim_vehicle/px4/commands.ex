@@ -1,6 +1,6 @@
 defmodule SimVehicle.Px4.Commands do
   @moduledoc """
-  COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: modes twice, some never, refusals with an event.
+  COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: mode changes twice, some commands never, refusals with an event.
   """
 
   alias MavCodec.Messages, as: M
@@ -36,8 +36,8 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # DO_SET_MODE: 1.17.0 says yes at once, and some milliseconds later what the commander really thinks. A main mode
-  # that there is not changes nothing, and so is "accepted" the second time as well.
+  # DO_SET_MODE: 1.17.0 accepts at once, and sends the commander's result some milliseconds later. An unknown main mode
+  # changes nothing, and so is "accepted" the second time as well.
   defp run(v, c, 176) do
     {main, sub} = {trunc(Command.p(c, 2)), trunc(Command.p(c, 3))}
     v = Vehicle.ack(v, c, @accepted)
@@ -105,7 +105,7 @@ defmodule SimVehicle.Px4.Commands do
       else: v
   end
 
-  # DO_SET_HOME: any latitude is taken, and shown
+  # DO_SET_HOME: any latitude is accepted, and shown
   defp run(v, c, 179) do
     {lat, lon, alt} = if Command.p(c, 1) == 1.0, do: here(v), else: Command.location(c)
 
@@ -154,7 +154,7 @@ defmodule SimVehicle.Px4.Commands do
   # DO_MOTOR_TEST
   defp run(v, c, 310), do: Vehicle.ack(v, c, @denied)
 
-  # INJECT_FAILURE: the battery's is answered to everybody, another unit's to nobody
+  # INJECT_FAILURE: the answer for the battery is broadcast; other units give no answer
   defp run(v, c, 420) do
     case {trunc(Command.p(c, 1)), trunc(Command.p(c, 2))} do
       {100, 1} -> v |> broadcast_ack(c) |> empty() |> Px4.failsafe(:battery_critical, true)
@@ -199,14 +199,14 @@ defmodule SimVehicle.Px4.Commands do
     insert_ack(v, changed, c, result)
   end
 
-  # The acknowledgement goes before what the change of mode had to say.
+  # The acknowledgement goes before the messages of the mode change.
   defp insert_ack(before, changed, c, result) do
     said = Enum.drop(changed.out, -length(before.out))
     acked = Vehicle.ack(%{changed | out: before.out}, c, result)
     %{acked | out: said ++ acked.out}
   end
 
-  # The text and nothing else.
+  # Only the text.
   defp arm_argument(v, p1) do
     shown = if is_number(p1), do: :erlang.float_to_binary(p1 * 1.0, decimals: 3), else: "nan"
     Events.tell(v, :arm_argument, [p1], {2, "Unsupported ARM_DISARM param: #{shown}"})

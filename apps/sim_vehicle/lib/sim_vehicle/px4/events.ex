@@ -2,8 +2,8 @@ defmodule SimVehicle.Px4.Events do
   @moduledoc """
   PX4's event interface (EVENT 410-413, rule X3) and the STATUSTEXT that doubles most events.
 
-  Ids, levels and argument layouts are those of 1.17.0. The sequence starts at 65526 and so wraps soon after boot. The
-  last 100 events can be asked for again.
+  Ids, levels and argument layouts are those of 1.17.0. The sequence starts at 65526, so that it wraps soon after boot. The
+  last 100 events can be requested again.
   """
 
   alias MavCodec.Messages, as: M
@@ -77,7 +77,7 @@ defmodule SimVehicle.Px4.Events do
     %M.CurrentEventSequence{sequence: rem(sequence + 65_535, 65_536), flags: flags}
   end
 
-  @doc "Answers REQUEST_EVENT: each event again, or an error with the oldest there is."
+  @doc "Answers REQUEST_EVENT: each event again, or an error with the oldest kept sequence."
   @spec again(Vehicle.t(), struct, {integer, integer}) :: Vehicle.t()
   def again(v, m, {system, component}) do
     kept = Vehicle.own(v, :events, [])
@@ -114,7 +114,7 @@ defmodule SimVehicle.Px4.Events do
         Vehicle.put_own(v, :held_texts, Enum.take([chunks | Vehicle.own(v, :held_texts, [])], @texts_kept))
   end
 
-  @doc "Lets the held texts go, now that there is somebody to read them."
+  @doc "Sends the held texts, now that a ground station can read them."
   @spec release(Vehicle.t()) :: Vehicle.t()
   def release(v) do
     held = v |> Vehicle.own(:held_texts, []) |> Enum.reverse() |> List.flatten()
@@ -123,7 +123,7 @@ defmodule SimVehicle.Px4.Events do
 
   defp gcs?(v), do: v.gcs_heard != nil and v.now - v.gcs_heard < @gcs_silent_us
 
-  # The tab tells a ground station that the text is also an event.
+  # The tab shows a ground station that the text is also an event.
   defp double(v, nil), do: v
   defp double(v, {severity, text}), do: Vehicle.text(v, severity, text <> "\t")
 

@@ -1,6 +1,6 @@
 defmodule SimVehicle.Px4.Failsafes do
   @moduledoc """
-  PX4's failsafes. Most first hold for five seconds (`COM_FAIL_ACT_T`), so that a pilot may take over, then return.
+  PX4's failsafes. Most hold for five seconds first (`COM_FAIL_ACT_T`), so that a pilot can take over, and then return.
   """
 
   alias SimVehicle.{Battery, Params, Vehicle}
@@ -76,14 +76,14 @@ defmodule SimVehicle.Px4.Failsafes do
 
     if at && v.now >= at do
       v = Vehicle.put_own(v, :act_at, nil)
-      # Somebody who took over in the meantime keeps the vehicle.
+      # A pilot who took over in the meantime keeps control.
       if v.mode == "AUTO_LOITER", do: bring_down(v), else: v
     else
       v
     end
   end
 
-  # Too little is left to fly home on.
+  # Too little charge is left to fly home.
   defp bring_down(v) do
     if Battery.remaining(v.battery) <= Params.get(v.params, "BAT_EMERGEN_THR"),
       do: v |> Vehicle.text(0, "Emergency battery level\t") |> enter("AUTO_LAND", @action_land, @emergency),

@@ -1,7 +1,7 @@
 defmodule SimVehicle.Px4.Internal do
   @moduledoc """
-  Commands that PX4 gives to its own modules and that leak onto the link: from itself to its own system id, each four
-  times with a rising confirmation. A router that takes them for orders to the vehicle makes a loop.
+  Commands from PX4 to its own modules that leak onto the link: from itself to its own system id, each four times with a rising
+  confirmation. A router that sends them back to the vehicle makes a loop.
   """
 
   alias MavCodec.Messages, as: M
@@ -21,7 +21,7 @@ defmodule SimVehicle.Px4.Internal do
     end)
   end
 
-  @doc "What its navigator tells the gimbal when the mode changes in flight."
+  @doc "The navigator's command to the gimbal when the mode changes in flight."
   @spec gimbal(Vehicle.t(), String.t()) :: Vehicle.t()
   def gimbal(%{airborne: true} = v, mode) when mode in ["AUTO_RTL", "AUTO_LAND", "AUTO_LOITER"] do
     v

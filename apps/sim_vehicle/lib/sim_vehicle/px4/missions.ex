@@ -1,7 +1,7 @@
 defmodule SimVehicle.Px4.Missions do
   @moduledoc """
-  What is PX4's own about missions: the feasibility check after the upload, reached items told once a second, what
-  happens at the end.
+  PX4's specifics of missions: the feasibility check after the upload, reached items repeated every second, the end of a
+  mission.
   """
 
   alias MavCodec.Messages, as: M
@@ -13,7 +13,7 @@ defmodule SimVehicle.Px4.Missions do
   @repeat_for_us 10_200_000
   @far_m 10_000
 
-  @doc "A plan was replaced or cleared: an accepted mission may still be rejected, which only an event tells."
+  @doc "A plan was replaced or cleared. An accepted mission may still be rejected, which only an event reports."
   @spec plan_changed(Vehicle.t(), :stored | :cleared, 0..2) :: Vehicle.t()
   def plan_changed(v, _kind, 0) do
     v =
@@ -63,7 +63,7 @@ defmodule SimVehicle.Px4.Missions do
   @spec reached(Vehicle.t(), non_neg_integer) :: Vehicle.t()
   def reached(v, seq), do: Vehicle.put_own(v, :reached, %{seq: seq, since: v.now, next: v.now})
 
-  @doc "Tells the last item that was reached, again every second for ten seconds."
+  @doc "Repeats the last reached item every second for ten seconds."
   @spec tick(Vehicle.t()) :: Vehicle.t()
   def tick(v) do
     case Vehicle.own(v, :reached) do

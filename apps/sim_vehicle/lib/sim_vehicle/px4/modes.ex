@@ -28,7 +28,7 @@ defmodule SimVehicle.Px4.Modes do
   @by_number Map.new(@modes, fn {name, {main, sub, _nav, _standard, _words}} -> {{main, sub}, name} end)
   @main_modes @modes |> Map.values() |> Enum.map(&elem(&1, 0)) |> Enum.uniq()
 
-  # No stick is moved in a simulator: what needs a pilot cannot be flown.
+  # There is no RC in the simulator, so modes that need a pilot cannot be flown.
   @manual ["MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED"]
 
   @accepted 0
@@ -88,7 +88,7 @@ defmodule SimVehicle.Px4.Modes do
   @spec mission?(Vehicle.t()) :: boolean
   def mission?(v), do: Mission.any?(v) and Vehicle.own(v, :mission_feasible, true)
 
-  @doc "True while setpoints come often enough to be flown by (rule X7)."
+  @doc "True while setpoints come often enough for OFFBOARD (rule X7)."
   @spec setpoints?(Vehicle.t()) :: boolean
   def setpoints?(v) do
     case Vehicle.own(v, :setpoints) do
@@ -97,7 +97,7 @@ defmodule SimVehicle.Px4.Modes do
     end
   end
 
-  @doc "Changes the mode without asking."
+  @doc "Changes the mode without checks."
   @spec enter(Vehicle.t(), String.t()) :: Vehicle.t()
   def enter(%{mode: name} = v, name), do: start(v, name)
 

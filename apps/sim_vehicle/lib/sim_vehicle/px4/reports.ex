@@ -1,6 +1,6 @@
 defmodule SimVehicle.Px4.Reports do
   @moduledoc """
-  The messages that are PX4's own or look different there.
+  The messages that only PX4 has, or that have another form in PX4.
   """
 
   alias MavCodec.Messages, as: M

@@ -124,6 +124,8 @@ defmodule Aerie.BridgeCase do
   def kill9(pid) do
     forget_news()
     {_, 0} = System.cmd("sh", ["-c", "kill -KILL #{pid}"])
+    # A busy machine takes its time, and until then the process owns its folders.
+    eventually(fn -> Aerie.Bridge.FolderLock.start_time(pid) == "" end)
     :ok
   end
 

@@ -7,6 +7,8 @@ defmodule Aerie.Bridge.Memory do
   event died with the gateway is found by the next one, and one that was told in the last half second before a `kill -9` may be
   found again, marked as found. Every ten seconds the time is kept too at which what is kept still held.
 
+  A vehicle that was not lost then and is not heard again is told as lost (`Aerie.Bridge.Memory.Unheard`).
+
   Its start is an event, `gateway.started`, under the gateway's own name. The epoch is a number that grows with each start;
   in one epoch a vehicle's `seq` grows by one from event to event.
 
@@ -16,6 +18,7 @@ defmodule Aerie.Bridge.Memory do
 
   alias Aerie.Bridge.FolderLock
   alias Aerie.Bridge.Memory.File, as: Kept
+  alias Aerie.Bridge.Memory.Unheard
   alias Aerie.{Config, Fleet, Names, Store}
   alias Aerie.Vehicle.{Detector, Event}
 
@@ -66,10 +69,14 @@ defmodule Aerie.Bridge.Memory do
     file = if locked == :ok, do: Path.join(dir, "vehicles.json")
     with {:error, text} <- locked, do: Logger.error("what is known of vehicles is not kept: #{text}")
     former = Kept.read(file)
-    Names.put_value(gateway, :bridge_memory, former.vehicles)
+    found = Map.new(former.vehicles, fn {id, known} -> {id, Map.delete(known, :lost)} end)
+    Names.put_value(gateway, :bridge_memory, found)
 
     state = %{
       gateway: gateway,
+      config: options[:config],
+      started: System.monotonic_time(:microsecond),
+      unheard: Unheard.new(former.vehicles),
       file: file,
       epoch: epoch(gateway, former),
       vehicles: former.vehicles,
@@ -110,7 +117,9 @@ defmodule Aerie.Bridge.Memory do
   @impl GenServer
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
-    {:noreply, look(state)}
+    up_us = System.monotonic_time(:microsecond) - state.started
+    unheard = Unheard.look(state.unheard, state.gateway, state.config, now(), up_us)
+    {:noreply, look(%{state | unheard: unheard})}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -129,7 +138,7 @@ defmodule Aerie.Bridge.Memory do
           known = last |> Map.take(Detector.Found.keys()) |> Enum.into(Map.delete(found || %{}, :since)),
           known != %{},
           into: %{},
-          do: {vehicle, Map.put(known, :since, since(state.vehicles[vehicle], known, lost, now))}
+          do: {vehicle, kept(known, state.vehicles[vehicle], last, lost != false, now)}
 
     vehicles = state.vehicles |> Map.merge(told) |> bounded()
 
@@ -140,11 +149,12 @@ defmodule Aerie.Bridge.Memory do
 
   defp detectors, do: %{__struct__: Detector, last: :"$2", found: :"$3", lost: :"$4"}
 
-  # Of a vehicle that is lost, what is known holds since it was heard.
-  defp since(%{since: since} = before, known, true, _now) when map_size(before) == map_size(known) + 1,
-    do: since
-
-  defp since(_before, _known, _lost, now), do: now
+  # Of a vehicle that is lost, or has shown nothing yet, what is known holds since it was heard.
+  defp kept(known, before, last, lost, now) do
+    same? = before != nil and map_size(Map.drop(before, [:since, :lost])) == map_size(known)
+    since = if same? and (lost or last == %{}), do: before.since, else: now
+    Map.merge(known, %{since: since, lost: lost})
+  end
 
   # A vehicle in a recording is not out there.
   defp recorded(gateway) do

@@ -69,6 +69,34 @@ defmodule Aerie.Fleet.Journal do
     :ok
   end
 
+  @doc "Writes the first state of a vehicle, unless it has one; gives the one that it has."
+  @spec begin(Names.gateway(), String.t(), term()) :: term()
+  def begin(gateway, vehicle, first) do
+    table = Store.table!(gateway, :journal)
+    _ = :ets.insert_new(table, {{:state, vehicle}, first})
+    :ets.lookup_element(table, {:state, vehicle}, 2)
+  end
+
+  @doc """
+  Writes the first state of a vehicle that is not here, with its events, as `commit/5` does; nothing if it has a state, for
+  then it is here. It counts among those that are gone.
+  """
+  @spec begin_gone(Names.gateway(), String.t(), term(), [Event.t()]) :: boolean()
+  def begin_gone(gateway, vehicle, first, events) do
+    table = Store.table!(gateway, :journal)
+    objects = [{{:state, vehicle}, first}, gone(vehicle) | Enum.flat_map(events, &objects(table, &1))]
+    begun? = :ets.insert_new(table, objects)
+
+    if begun? do
+      bound_gone(gateway, table)
+      bound_pending(gateway, table)
+      Enum.each(events, &PubSub.publish(gateway, :events, &1))
+      wake(gateway)
+    end
+
+    begun?
+  end
+
   @doc "The state last committed for a vehicle, or nil."
   @spec state(Names.gateway(), String.t()) :: term() | nil
   def state(gateway, vehicle) do
@@ -283,9 +311,8 @@ defmodule Aerie.Fleet.Journal do
   def forget_vehicle(gateway, vehicle) do
     table = Store.table!(gateway, :journal)
     :ok = here(table, vehicle)
-    :ets.insert(table, {{:gone, :erlang.unique_integer([:monotonic])}, vehicle})
-    gone = :ets.select_count(table, [{{{:gone, :_}, :_}, [], [true]}])
-    if gone > @max_gone, do: forget_longest_gone(gateway, table)
+    :ets.insert(table, gone(vehicle))
+    bound_gone(gateway, table)
     :ets.match_delete(table, {{:inbox, vehicle, :_}, :_})
     :ets.match_delete(table, {{:param, vehicle, :_}, :_})
     :ets.delete(table, {:params, vehicle})
@@ -299,6 +326,13 @@ defmodule Aerie.Fleet.Journal do
   defp here(table, vehicle) do
     true = :ets.match_delete(table, {{:gone, :_}, vehicle})
     :ok
+  end
+
+  defp gone(vehicle), do: {{:gone, :erlang.unique_integer([:monotonic])}, vehicle}
+
+  defp bound_gone(gateway, table) do
+    gone = :ets.select_count(table, [{{{:gone, :_}, :_}, [], [true]}])
+    if gone > @max_gone, do: forget_longest_gone(gateway, table)
   end
 
   # All that is left of it but the events that wait, which are the bridge's.

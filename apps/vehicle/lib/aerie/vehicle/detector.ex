@@ -18,6 +18,7 @@ defmodule Aerie.Vehicle.Detector do
   | `{:reached, at, boot_ms, seq}`           | mission.reached                                                     |
   | `{:params, at, boot_ms, [{name, value, index}]}` | param_changed                                               |
   | `{:lost, at, boot_ms, silent_us}`, `{:restored, at, boot_ms}` | link.lost, link.restored                       |
+  | `{:unheard, at, since}`                  | link.lost: known before the gateway was started, not heard since    |
   | `{:reboot, at, boot_ms}`                 | reboot                                                              |
   | `{:collision, at, boot_ms, sign, links}` | collision                                                           |
   | `{:streams, at, boot_ms, notices}`       | stream.contested                                                    |
@@ -32,6 +33,7 @@ defmodule Aerie.Vehicle.Detector do
   not there (`Detector.Found`).
   """
 
+  alias Aerie.Fleet.Json
   alias Aerie.Vehicle.{Detector, Event, Options}
   alias Aerie.Vehicle.Detector.{Failsafe, Losses, Reported, Texts}
 
@@ -88,7 +90,7 @@ defmodule Aerie.Vehicle.Detector do
           mission: non_neg_integer() | :unknown | nil,
           at_last: {seq :: non_neg_integer(), total :: non_neg_integer()} | nil,
           reached: {non_neg_integer(), integer()} | nil,
-          lost: boolean(),
+          lost: boolean() | :unheard,
           boot_at: integer() | nil,
           collision: integer() | nil,
           found: Detector.Found.t(),
@@ -137,6 +139,13 @@ defmodule Aerie.Vehicle.Detector do
     {detector, before} = emit(%{detector | failsafe: failsafe}, steps, elem(observation, 1), nil, nil)
     {detector, events, params} = step(detector, observation, known)
     {detector, before ++ events, params}
+  end
+
+  # Its session knows nothing of a time before it, and so of no silence that ends.
+  def observe(%{lost: :unheard} = detector, {:state, at, boot_ms, _digest} = observation, known) do
+    {detector, restored, %{}} = step(detector, {:restored, at, boot_ms}, known)
+    {detector, events, params} = step(detector, observation, known)
+    {detector, restored ++ events, params}
   end
 
   def observe(detector, observation, known), do: step(detector, observation, known)
@@ -233,7 +242,18 @@ defmodule Aerie.Vehicle.Detector do
     {detector, events, %{}}
   end
 
-  defp step(%{lost: true} = detector, {:restored, at, boot_ms}, _known) do
+  defp step(%{lost: false} = detector, {:unheard, at, since}, _known) do
+    data = %{
+      "silent_s" => Float.round(max(at - since, 0) / 1_000_000, 1),
+      "found" => true,
+      "since" => Json.time(since)
+    }
+
+    {detector, events} = emit(detector, [{"link.lost", data, lost: :unheard}], at, nil, nil)
+    {detector, events, %{}}
+  end
+
+  defp step(%{lost: lost} = detector, {:restored, at, boot_ms}, _known) when lost != false do
     {detector, events} = emit(detector, [{"link.restored", %{}, lost: false}], at, boot_ms, nil)
     {detector, events, %{}}
   end

@@ -116,7 +116,11 @@ defmodule Aerie.Vehicle.EventTypes do
      [@text]},
     {"kill_switch.released", "they are not any more", "as kill_switch.engaged", [@text]},
     {"link.lost", "nothing of the vehicle was heard for timeouts.vehicle_lost_s", "silence",
-     [{"silent_s", :number, "s", "for how long"}]},
+     [
+       {"silent_s", :number, "s", "for how long"},
+       {"found", :boolean, nil, "true: it was heard before the gateway was started, and not since"},
+       {"since", :string, nil, "of what was found: when it still was not lost"}
+     ]},
     {"link.restored", "it is heard again", "any frame of its autopilot", []},
     {"reboot", "its clock began anew", "time_boot_ms", [{"time_boot_ms", :integer, "ms", "its clock"}]},
     {"collision", "two vehicles use one id", "boot times, places, types or unique ids that take turns",

@@ -26,7 +26,7 @@ defmodule Aerie.Vehicle.Events do
   def init(gateway: gateway, options: options) do
     Process.set_label({:events, options.id})
     Fleet.Journal.welcome(gateway, options.id)
-    detector = Fleet.Journal.state(gateway, options.id) || first(gateway, options)
+    detector = Fleet.Journal.begin(gateway, options.id, first(gateway, options))
     # A forerunner may have been killed before it told about what it had committed.
     Fleet.Journal.wake(gateway)
     {:ok, %{gateway: gateway, id: options.id, detector: detector}, {:continue, :inbox}}

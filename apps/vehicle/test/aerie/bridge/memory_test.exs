@@ -221,6 +221,59 @@ defmodule Aerie.Bridge.MemoryTest do
     end
   end
 
+  test "known before and not heard again: lost, marked as found, once; restored when it is heard", %{
+    tmp_dir: dir
+  } do
+    file = Path.join(dir, "outbox/last/vehicles.json")
+    File.mkdir_p!(Path.dirname(file))
+    since = System.os_time(:microsecond) - 60_000_000
+    known = fn lost -> %{"armed" => true, "since" => since, "lost" => lost} end
+
+    # Of D an older version has not kept whether it was lost.
+    vehicles = %{
+      "A" => known.(false),
+      "B" => known.(true),
+      "C" => known.(false),
+      "D" => %{"armed" => true, "since" => since}
+    }
+
+    File.write!(file, JSON.encode!(%{"epoch" => 17, "vehicles" => vehicles}))
+    gateway = start_memory(dir, [{"timeouts.vehicle_lost_s", 0.2}, {"timeouts.vehicle_stale_s", 0.1}])
+    memory = Aerie.Names.whereis(gateway, :bridge_memory)
+    # C is heard again in time.
+    assert %{vehicle: "C"} = Fleet.Journal.begin(gateway, "C", %{detector() | vehicle: "C"})
+
+    assert [event] =
+             eventually(fn ->
+               look(memory)
+               told = for %{type: "link.lost"} = event <- Fleet.Journal.pending(gateway), do: event
+               told != [] && told
+             end)
+
+    assert %{vehicle: "A", seq: 1, data: %{"found" => true, "silent_s" => silent} = data} = event
+    assert silent >= 60.0 and data["since"] == Fleet.Json.time(since)
+    assert [^event] = for(%{type: "link.lost"} = event <- Fleet.Journal.pending(gateway), do: event)
+
+    # It is kept as lost once it is told, and what was known of it goes on to be compared.
+    Fleet.Journal.ack(gateway, Enum.map(Fleet.Journal.pending(gateway), & &1.id))
+    look(memory)
+    assert %{"lost" => true, "armed" => true, "since" => ^since} = kept(dir)["vehicles"]["A"]
+    told = Fleet.Journal.begin(gateway, "A", detector())
+    digest = %{armed: false, mode: "LAND"}
+
+    assert {%{lost: false}, [%{type: "link.restored", seq: 2}, %{type: "disarmed", data: %{"found" => true}}],
+            _} =
+             Aerie.Vehicle.Detector.observe(told, {:state, System.os_time(:microsecond), nil, digest})
+
+    stop_supervised!(gateway)
+    again = start_memory(dir, [{"timeouts.vehicle_lost_s", 0.2}, {"timeouts.vehicle_stale_s", 0.1}])
+    memory = Aerie.Names.whereis(again, :bridge_memory)
+
+    # C was heard in that life and is not in this one.
+    eventually(fn -> look(memory).unheard == %{} end)
+    assert ["C"] = for(%{type: "link.lost", vehicle: id} <- Fleet.Journal.pending(again), do: id)
+  end
+
   test "an epoch is greater than the last one although the clock is not", %{tmp_dir: dir} do
     file = Path.join(dir, "outbox/last/vehicles.json")
     File.mkdir_p!(Path.dirname(file))
@@ -229,11 +282,11 @@ defmodule Aerie.Bridge.MemoryTest do
     assert Fleet.Journal.epoch(start_memory(dir)) == far + 1
   end
 
-  defp start_memory(dir) do
+  defp start_memory(dir, settings \\ []) do
     gateway = make_ref()
     start_supervised!({Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})}, id: {:store, gateway})
     start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
-    start_supervised!({Memory, gateway: gateway, config: config(dir)}, id: gateway)
+    start_supervised!({Memory, gateway: gateway, config: config(dir, settings)}, id: gateway)
     gateway
   end
 

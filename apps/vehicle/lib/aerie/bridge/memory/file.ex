@@ -35,7 +35,8 @@ defmodule Aerie.Bridge.Memory.File do
     for {name, key, right?} <- [
           {"mode", :mode, &is_binary/1},
           {"armed", :armed, &is_boolean/1},
-          {"in_air", :in_air, &is_boolean/1}
+          {"in_air", :in_air, &is_boolean/1},
+          {"lost", :lost, &is_boolean/1}
         ],
         value = {known[name]},
         right?.(elem(value, 0)),

@@ -16,8 +16,9 @@ defmodule Aerie.Bridge do
   | `[:aerie, :bridge, :events, :confirmed]` | `count` | `gateway` |
   """
 
-  alias Aerie.Bridge.{Metrics, State, Tables}
-  alias Aerie.Bridge.Server.Token
+  @behaviour Aerie.Vehicle.Fleet
+
+  alias Aerie.Bridge.{Memory, Metrics, State, Tables, Token}
   alias Aerie.Names
 
   @typedoc """
@@ -46,8 +47,14 @@ defmodule Aerie.Bridge do
   `map` is the group as in the vehicle's snapshot (`%{data: …, time_boot_ms: …}`) or just its data; `at` is in unix
   microseconds. Without a bridge it does nothing.
   """
+  @impl Aerie.Vehicle.Fleet
   @spec publish_state(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
+
+  @doc "What the last life of the gateway told of a vehicle (`Aerie.Bridge.Memory`), or nil."
+  @impl Aerie.Vehicle.Fleet
+  @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.Found.t()
+  defdelegate remembered(gateway, vehicle), to: Memory, as: :of
 
   @doc "How the bridge is, or nil when it is not running. Subscribers of `:bridge` are told of each change."
   @spec info(Names.gateway()) :: info() | nil

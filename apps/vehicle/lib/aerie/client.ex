@@ -44,7 +44,7 @@ defmodule Aerie.Client do
   end
 
   defp own_network(gateway) do
-    with %{network: network} <- Aerie.Gateway.config(gateway), do: network, else: (_none -> nil)
+    with %{network: network} <- Aerie.RunningConfig.of(gateway), do: network, else: (_none -> nil)
   end
 
   @doc """

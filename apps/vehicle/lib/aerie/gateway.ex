@@ -41,8 +41,8 @@ defmodule Aerie.Gateway do
   use Supervisor
 
   alias Aerie.Names
+  alias Aerie.RunningConfig
   alias Aerie.Successor
-  alias Aerie.Identity
 
   @typedoc """
   * `:name` - any term, `:default` when absent
@@ -76,12 +76,12 @@ defmodule Aerie.Gateway do
   to be found out is the one that was.
   """
   @spec config(Names.gateway()) :: term() | nil
-  def config(gateway), do: gateway |> Names.value(:gateway) |> Identity.resolve(gateway)
+  defdelegate config(gateway), to: RunningConfig, as: :of
 
   @doc """
   What the parts below are given of those above them, as options of all of them: each takes its own. The store keeps the
   `:tables` of the fleet, the router knows its `:vehicles`, the `:requests` for rates and the client endpoints (`:children`),
-  signing who keeps `:events`.
+  signing who keeps `:events`, vehicles the `:fleet` that they tell what happens.
   """
   @spec plugs(term()) :: keyword()
   def plugs(config) do
@@ -90,6 +90,7 @@ defmodule Aerie.Gateway do
       vehicles: Aerie.Vehicle.Supervisor,
       requests: Aerie.Vehicle.Streams,
       events: Aerie.Vehicle.Alarms,
+      fleet: Aerie.Bridge,
       children: [Aerie.Link.Clients.Supervisor]
     ]
   end

@@ -14,8 +14,8 @@ defmodule Aerie.Bridge.Server do
   """
   use GenServer
 
-  alias Aerie.Bridge.{Backoff, Connection, FolderLock, Tables}
-  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Revival, Settings, Token}
+  alias Aerie.Bridge.{Backoff, Connection, FolderLock, Tables, Token}
+  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Revival, Settings}
   alias Aerie.{Config, Disk, Names, PrivateFile}
 
   require Logger

@@ -38,7 +38,7 @@ defmodule Aerie.Client.Pipe do
   end
 
   defp sign?(gateway, kind) do
-    case {Aerie.Gateway.config(gateway), kind} do
+    case {Aerie.RunningConfig.of(gateway), kind} do
       {%{websocket: %{sign: sign}}, :websocket} -> sign
       {%{sockets: %{sign: sign}}, :unix} -> sign
       _other -> false

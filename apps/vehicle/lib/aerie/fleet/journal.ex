@@ -291,7 +291,7 @@ defmodule Aerie.Fleet.Journal do
     end
   end
 
-  defp objects(table, %Event{} = event) do
+  defp objects(table, event) do
     n = :ets.update_counter(table, :last_pending, 1, {:last_pending, 0})
     [{{:pending, n}, event}, {{:id, event.id}, n}, {{:recent, event.vehicle, event.seq}, event}]
   end

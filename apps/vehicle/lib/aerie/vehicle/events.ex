@@ -34,9 +34,8 @@ defmodule Aerie.Vehicle.Events do
 
   # The first of this life: what the last one told is compared with what is found.
   defp first(gateway, options) do
-    options
-    |> Vehicle.Detector.new()
-    |> Vehicle.Detector.remember(Aerie.Bridge.Memory.of(gateway, options.id))
+    found = if options.fleet, do: options.fleet.remembered(gateway, options.id)
+    options |> Vehicle.Detector.new() |> Vehicle.Detector.remember(found)
   end
 
   @impl GenServer

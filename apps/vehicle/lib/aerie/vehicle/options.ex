@@ -30,7 +30,8 @@ defmodule Aerie.Vehicle.Options do
     lost_high_latency_us: 180_000_000,
     battery_low: 0.25,
     battery_critical: 0.10,
-    sampling: %{}
+    sampling: %{},
+    fleet: nil
   ]
 
   @typedoc """
@@ -46,6 +47,7 @@ defmodule Aerie.Vehicle.Options do
   * `:lost_high_latency_us` - silence after which it counts as lost while only high-latency links hear it
   * `:battery_low`, `:battery_critical` - remaining charge (0..1) below which the events are given
   * `:sampling` - group => settings, see `Aerie.Vehicle.Sampling`
+  * `:fleet` - the module of `Aerie.Vehicle.Fleet`, nil for none
   """
   @type t :: %__MODULE__{
           id: String.t(),
@@ -66,7 +68,8 @@ defmodule Aerie.Vehicle.Options do
           lost_high_latency_us: pos_integer(),
           battery_low: float(),
           battery_critical: float(),
-          sampling: %{atom() => map()}
+          sampling: %{atom() => map()},
+          fleet: module() | nil
         }
 
   @doc """

@@ -93,7 +93,10 @@ defmodule Aerie.Vehicle.Outbound do
   @doc "Publishes a sample of a state group: `%{data: map, time_boot_ms: the vehicle's clock or nil}`."
   @spec publish(t(), Vehicle.State.group(), map(), integer()) :: :ok
   def publish(outbound, group, sample, at) do
-    Aerie.Bridge.publish_state(outbound.gateway, outbound.options.id, group, sample, at)
+    case outbound.options do
+      %{fleet: nil} -> :ok
+      %{fleet: fleet, id: id} -> fleet.publish_state(outbound.gateway, id, group, sample, at)
+    end
   end
 
   defp unsent(outbound) do

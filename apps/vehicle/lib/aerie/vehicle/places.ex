@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Places do
   follows from its network and system id, so it is the same when it comes back.
   """
 
-  alias Aerie.{Fleet, Gateway, Names, Store, Vehicle}
+  alias Aerie.{Fleet, Names, RunningConfig, Store, Vehicle}
 
   require Logger
 
@@ -41,7 +41,7 @@ defmodule Aerie.Vehicle.Places do
   @spec taken_by(Names.gateway(), Store.vehicle_key()) ::
           {Store.vehicle_key(), non_neg_integer()} | nil
   def taken_by(gateway, newcomer) do
-    config = Gateway.config(gateway)
+    config = RunningConfig.of(gateway)
     now = now()
 
     with {_network, _system} = key <- pick(lost(gateway, config), wait_ms(gateway, config, newcomer), now) do
@@ -71,7 +71,7 @@ defmodule Aerie.Vehicle.Places do
   @spec tell(Names.gateway(), Store.vehicle_key(), by :: Store.vehicle_key(), non_neg_integer()) ::
           :ok
   def tell(gateway, {network, system} = key, by, lost_ms) do
-    config = Gateway.config(gateway)
+    config = RunningConfig.of(gateway)
     options = Vehicle.Options.new(config, key)
     detector = Fleet.Journal.state(gateway, options.id) || Vehicle.Detector.new(options)
     data = %{"by" => Vehicle.Options.id(config, by), "lost_s" => Float.round(lost_ms / 1000, 1)}

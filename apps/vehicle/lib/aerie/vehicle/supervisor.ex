@@ -58,7 +58,7 @@ defmodule Aerie.Vehicle.Supervisor do
         DynamicSupervisor.terminate_child(Names.via(gateway, :vehicle_trees), tree)
       end
 
-    Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.Gateway.config(gateway), key))
+    Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Aerie.RunningConfig.of(gateway), key))
     Store.forget(gateway, {:lost, key})
     Aerie.Recorder.forget(gateway, key)
     Store.delete_vehicle(gateway, key)
@@ -74,6 +74,7 @@ defmodule Aerie.Vehicle.Supervisor do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:vehicles, gateway})
+    Names.put_value(gateway, :vehicles, Keyword.get(options, :fleet))
     max = Vehicle.Options.max_vehicles(Keyword.get(options, :config)) || @default_max_vehicles
 
     children = [

@@ -29,7 +29,8 @@ defmodule Aerie.Vehicle.Tree do
   def init(options) do
     {gateway, rest} = Keyword.pop!(options, :gateway)
     {key, rest} = Keyword.pop!(rest, :key)
-    vehicle_options = Vehicle.Options.new(Aerie.Gateway.config(gateway), key, rest)
+    given = [fleet: Names.value(gateway, :vehicles)] ++ rest
+    vehicle_options = Vehicle.Options.new(Aerie.RunningConfig.of(gateway), key, given)
     Process.set_label({:vehicle, vehicle_options.id, key})
     Names.put_value(gateway, :tree, key, rest)
     arguments = [gateway: gateway, options: vehicle_options]

@@ -1,7 +1,7 @@
 defmodule Aerie.Bridge.Connection.Settings do
   @moduledoc "The settings of a `Gnat` connection from the configuration. The one place where secrets are revealed."
 
-  alias Aerie.Bridge.Server.Token
+  alias Aerie.Bridge.Token
   alias Aerie.Config
   alias Aerie.Secret
 

@@ -1,4 +1,4 @@
-defmodule Aerie.Bridge.Server.Token do
+defmodule Aerie.Bridge.Token do
   @moduledoc """
   The login of the embedded server: a random token, made at the first start and kept in `token` beside the server's data,
   so that a program that knows the address still knows it after a restart. `url` beside it has the address with the token.

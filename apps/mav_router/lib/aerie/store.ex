@@ -248,7 +248,9 @@ defmodule Aerie.Store do
   def init(options) do
     gateway = options[:gateway]
     Process.set_label({:store, gateway})
-    shared = [:public, read_concurrency: true, write_concurrency: true]
+
+    # Links ask for the sizes of some. Of decentralized counters, an ordered set's default, that waits for all schedulers.
+    shared = [:public, read_concurrency: true, write_concurrency: true, decentralized_counters: false]
 
     tables = %{
       vehicles: :ets.new(:vehicles, [:set | shared]),

@@ -24,6 +24,20 @@ defmodule Aerie.StoreTest do
     assert Store.vehicle(gateway, "C") == nil
   end
 
+  test "the size of a table that a link asks for on its way waits for no scheduler" do
+    gateway = start_gateway()
+
+    start_supervised!({Aerie.Router.Supervisor, gateway: gateway})
+
+    router =
+      gateway |> Aerie.Router.Tables.of() |> Map.take([:routes, :heard_by, :limits, :waiting, :refused])
+
+    store = for name <- [:systems, :stations, :claims], do: {name, Store.table!(gateway, name)}
+
+    for {name, table} <- Enum.concat(router, store),
+        do: assert({name, false} == {name, :ets.info(table, :decentralized_counters)})
+  end
+
   test "gateways do not see each other's vehicles" do
     [one, other] = [start_gateway(), start_gateway()]
     Store.put_vehicle(one, {"main", 1}, vehicle("A"))

@@ -48,7 +48,8 @@ defmodule Aerie.Router.Tables do
   """
   @spec create(Names.gateway(), keyword, keyword) :: t
   def create(gateway, settings, modules \\ []) do
-    shared = [:public, write_concurrency: true, read_concurrency: true]
+    # Links ask for the sizes of some. Of decentralized counters, an ordered set's default, that waits for all schedulers.
+    shared = [:public, write_concurrency: true, read_concurrency: true, decentralized_counters: false]
 
     tables = %{
       # Ordered, so that all routes of a system or a component are one range.

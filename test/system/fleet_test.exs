@@ -78,16 +78,8 @@ defmodule Aerie.System.FleetTest do
     assert {200, %{"status" => "ok"}} = get_json(port, "/healthz")
     assert {200, %{"status" => "ready", "nats" => %{"connected" => true}}} = get_json(port, "/readyz")
 
-    metrics =
-      eventually(
-        fn ->
-          {200, text} = get(port, "/metrics")
-          if text =~ ~s(gateway_nats_messages_published_total{subject="state.position"}), do: text
-        end,
-        "positions are published"
-      )
-
     for line <- [
+          ~s(gateway_nats_messages_published_total{subject="state.position"}),
           ~s(gateway_mavlink_messages_received_total{type="heartbeat"}),
           ~s(gateway_mavlink_parse_errors_total 0),
           ~s(gateway_link_up{link="link-1",network="main"} 1),
@@ -95,7 +87,13 @@ defmodule Aerie.System.FleetTest do
           ~s(gateway_vehicle_armed{vehicle="VID-001"} 0),
           ~s(gateway_nats_connected 1)
         ] do
-      assert metrics =~ line
+      eventually(
+        fn ->
+          {200, text} = get(port, "/metrics")
+          text =~ line
+        end,
+        line
+      )
     end
 
     assert {404, _text} = get(port, "/nothing")

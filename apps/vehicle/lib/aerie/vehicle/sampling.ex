@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Sampling do
   | `:threshold` | a value of which a number named in `threshold` moved by at least its amount, at most `hz` a second |
   | `:aggregate` | once per period the mean, with `min`, `max` and the number of `samples`                           |
 
-  The first value of a group is given at once, by all of them.
+  The first value of a group is given at once, by all of them; by `:time` the first one that has all its fields.
 
   After `refresh_s` seconds a value is given although nothing moved (0: never), but only one that came since: a value is
   never repeated for a vehicle that says nothing.

@@ -23,6 +23,16 @@ defmodule Aerie.Vehicle.SamplingTest do
   end
 
   describe "time" do
+    test "what lacks a field waits for its period; the first whole value is given at once" do
+      height = %{lat: nil, alt_rel: 1.0}
+      place = %{lat: 47.0, alt_rel: 3.0}
+
+      assert [{0.1, ^place}, {_, %{alt_rel: 3.0}}] =
+               run(:position, %{strategy: :time}, [{0, height}, {0.1, place}, {0.2, place}, {1.2, nil}])
+
+      assert [{_, %{lat: nil, alt_rel: 1.0}}] = run(:position, %{strategy: :time}, [{0, height}, {1.1, nil}])
+    end
+
     test "the first value at once, then the mean of each period; at is that of the last value in it" do
       inputs = for n <- 0..25, do: {n / 10, %{alt_rel: n * 1.0}}
 

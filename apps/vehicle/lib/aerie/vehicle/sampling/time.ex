@@ -1,14 +1,15 @@
 defmodule Aerie.Vehicle.Sampling.Time do
   @moduledoc """
-  The first value as it is, at once, and the mean over each period from there on. A period without values gives nothing,
-  and the next value after it is a first one again: who waits for a vehicle has its position when it comes.
+  The first value that has all its fields as it is, at once, and the mean over each period from there on: whoever waits for a
+  vehicle has its position when it comes. A value that lacks a field (a height comes before the place) waits for its period.
+  A period without values gives nothing, and the values after it are first ones again.
   """
   @behaviour Aerie.Vehicle.Sampling
 
   alias Aerie.Vehicle.Sampling
   alias Aerie.Vehicle.Sampling.Mean
 
-  defstruct [:period_us, :ends, mean: Mean.new()]
+  defstruct [:period_us, :ends, whole: false, mean: Mean.new()]
 
   @impl Sampling
   def new(_group, _settings, period_us), do: %__MODULE__{period_us: period_us}
@@ -17,10 +18,16 @@ defmodule Aerie.Vehicle.Sampling.Time do
   def push(sampler, at, data) do
     {sampler, samples} = expire(sampler, at)
 
-    if sampler.ends == nil,
-      do: {%{sampler | ends: at + sampler.period_us}, samples ++ [{at, data}]},
-      else: {%{sampler | mean: Mean.add(sampler.mean, at, data)}, samples}
+    if not sampler.whole and whole?(data) do
+      begun = %{sampler | ends: at + sampler.period_us, whole: true, mean: Mean.new()}
+      {begun, samples ++ [{at, data}]}
+    else
+      ends = sampler.ends || at + sampler.period_us
+      {%{sampler | ends: ends, mean: Mean.add(sampler.mean, at, data)}, samples}
+    end
   end
+
+  defp whole?(data), do: not Enum.any?(data, fn {_field, value} -> value == nil end)
 
   @impl Sampling
   def expire(%{ends: ends} = sampler, now) when ends == nil or now < ends, do: {sampler, []}
@@ -28,8 +35,9 @@ defmodule Aerie.Vehicle.Sampling.Time do
   def expire(%{mean: mean} = sampler, now) do
     next = sampler.ends + sampler.period_us
     # After a pause the periods begin anew with the next value.
-    ends = if next > now, do: next
+    pause = next <= now
     samples = if Mean.count(mean) > 0, do: [{Mean.at(mean), Mean.result(mean)}], else: []
-    {%{sampler | ends: ends, mean: Mean.new()}, samples}
+    ends = if not pause, do: next
+    {%{sampler | ends: ends, whole: sampler.whole and not pause, mean: Mean.new()}, samples}
   end
 end

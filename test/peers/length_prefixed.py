@@ -1,6 +1,6 @@
 """A pymavlink connection over the gateway's mavlink.sock: a 4-byte little-endian length before each frame, both ways.
 
-It is written as a script of a user would be, with pymavlink's parser and encoder and nothing else.
+It is an example for users' scripts and needs only pymavlink's parser and encoder.
 """
 import select
 import socket

@@ -1,10 +1,9 @@
 """MAVProxy as a ground station: mavproxy_gcs.py MASTER FIRMWARE SYSTEM PARAMETER [SOURCE]
 
-With SIGNING_PASSPHRASE in the environment it signs with that passphrase, and at the end it tells the vehicle to take another
-key.
+With SIGNING_PASSPHRASE in the environment it signs with that passphrase, and finally sends the vehicle another key.
 
-Types what an operator would, reads what MAVProxy prints, and prints one line per finding ("name value"); exits 0 when the
-whole flight was gone through.
+Types an operator's commands, reads MAVProxy's output, and prints one line per finding ("name value"); exits 0 after a complete
+flight.
 """
 import os
 import re

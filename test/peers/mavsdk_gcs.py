@@ -1,6 +1,6 @@
 """MAVSDK as a ground station: mavsdk_gcs.py URL FIRMWARE SYSTEM PARAMETER
 
-Prints one line per finding ("name value"); exits 0 when the whole flight was gone through.
+Prints one line per finding ("name value"); exits 0 after a complete flight.
 """
 import sys
 import threading

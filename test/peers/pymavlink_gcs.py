@@ -1,9 +1,9 @@
 """pymavlink as a ground station: pymavlink_gcs.py CONNECTION FIRMWARE SYSTEM PARAMETER [SOURCE]
 
-With SIGNING_KEY (64 hexadecimal digits) in the environment it signs, and hears only what is signed with that key; that
-needs MAVLINK20=1, as MAVLink 1 has no signatures.
+With SIGNING_KEY (64 hexadecimal digits) in the environment it signs, and accepts only frames that are signed with that key.
+This needs MAVLINK20=1, because MAVLink 1 has no signatures.
 
-Prints one line per finding ("name value"); exits 0 when the whole flight was gone through. SOURCE is its own system id.
+Prints one line per finding ("name value"); exits 0 after a complete flight. SOURCE is its own system id.
 CONNECTION is pymavlink's, or unix:PATH for the gateway's mavlink.sock (see length_prefixed.py).
 """
 import os

@@ -1,7 +1,7 @@
 """pymavlink uploads missions again and again: pymavlink_uploads.py CONNECTION SYSTEM ITEMS ROUNDS SOURCE
 
-Repeats a MISSION_COUNT that is not answered within 1.5 s, five times, as ground stations do. Prints "results", those of
-all uploads (0: accepted, None: no answer).
+Repeats an unanswered MISSION_COUNT every 1.5 s, five times, as ground stations do. Prints "results" with the result of each
+upload (0: accepted, None: no answer).
 """
 import sys
 

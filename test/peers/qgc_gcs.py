@@ -1,12 +1,12 @@
-"""What QGroundControl does when it meets vehicles: qgc_gcs.py CONNECTION SYSTEM,SYSTEM,... [SOURCE [look]]
+"""QGroundControl's conversation with vehicles: qgc_gcs.py CONNECTION SYSTEM,SYSTEM,... [SOURCE [look]]
 
-QGroundControl itself needs a screen. This is its conversation, from its sources' known behaviour: a heartbeat each second
+QGroundControl itself needs a screen. This script repeats its conversation as known from its sources: a heartbeat each second
 as 255/190; for each vehicle, all at once, AUTOPILOT_VERSION, PROTOCOL_VERSION, AVAILABLE_MODES and COMPONENT_METADATA by
-REQUEST_MESSAGE, three times three seconds for a command without an answer; a look for the parameters by FTP; all
-parameters, the missing ones in batches of ten; mission, fence and rally points; data streams or message intervals; the
-list of logs. With `look` it saves no plans, as a second operator would not. A UDP link waits, and answers whoever spoke from where it spoke.
+REQUEST_MESSAGE, with three tries of three seconds per command; a request for the parameters by FTP; all parameters, the
+missing ones in batches of ten; mission, fence and rally points; data streams or message intervals; the list of logs. With
+`look` it saves no plans, like a second operator. A UDP connection listens, and answers each sender at its address.
 
-Prints one line per finding ("SYSTEM.name value") and exits 0 when all conversations came to their end.
+Prints one line per finding ("SYSTEM.name value") and exits 0 when all conversations are complete.
 """
 import os
 import sys

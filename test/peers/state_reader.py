@@ -1,6 +1,6 @@
-"""Reads the gateway's state.sock as a script of a user would: state_reader.py PATH TEXTS
+"""Reads the gateway's state.sock as a user's script does: state_reader.py PATH TEXTS
 
-Prints which vehicles it saw, their modes, and how often each was told by the times in the lines.
+Prints the vehicles, their modes, and the rate of each one's lines, from the times in them.
 """
 import json
 import socket

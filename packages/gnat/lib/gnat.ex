@@ -218,7 +218,7 @@ defmodule Gnat do
   @spec active_subscriptions(t()) :: {:ok, pos_integer()} | {:error, Error.t()}
   def active_subscriptions(gnat), do: call(gnat, :active_subscriptions)
 
-  @doc "What the server said about itself. Exits when there is no connection."
+  @doc "The server's INFO. Exits without a connection."
   @spec server_info(t()) :: server_info()
   def server_info(gnat), do: GenServer.call(gnat, :server_info)
 

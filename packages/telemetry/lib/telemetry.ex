@@ -1,6 +1,6 @@
 defmodule :telemetry do
   @moduledoc """
-  Events from libraries to whoever wants to measure them.
+  Delivers events from libraries to handlers that measure them.
 
   A library calls `execute/3` where something happens; an application attaches functions to the names of the
   events. Handlers run in the process that executes the event, so an event nobody listens to costs one ETS lookup.
@@ -160,7 +160,7 @@ defmodule :telemetry do
     run(rest, event_name, measurements, metadata)
   end
 
-  # Detached before the event, so that a failure handler that fails as well ends this instead of going round.
+  # Detached before the event, so that a failure handler that fails too does not loop.
   defp failed(id, config, event_name, kind, reason, stacktrace) do
     # Another process may have detached it already.
     _ = detach(id)

@@ -9,7 +9,7 @@ defmodule Gnat.Handshake do
   @enforce_keys [:transport, :parser, :info, :settings]
   defstruct @enforce_keys
 
-  @typedoc "An accepted connection, still passive: whoever owns it last activates it."
+  @typedoc "An accepted connection, still passive: its final owner activates it."
   @type t :: %__MODULE__{
           transport: Transport.t(),
           parser: Parsec.t(),

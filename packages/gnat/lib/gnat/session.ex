@@ -134,7 +134,7 @@ defmodule Gnat.Session do
     {%{session | pongs: :queue.in(from, session.pongs)}, [{:write, Command.ping()}]}
   end
 
-  # Its process is gone: what it subscribed to ends, and nobody waits for its answers.
+  # Its process has ended, and with it its subscriptions and requests.
   def handle(session, {:down, pid}) do
     {mine, owned} = Map.pop(session.owned, pid, MapSet.new())
     {sids, inboxes} = mine |> MapSet.to_list() |> Enum.split_with(&is_integer/1)
@@ -145,8 +145,7 @@ defmodule Gnat.Session do
 
   def handle(session, :heard), do: {%{session | heard: true}, []}
 
-  # Dead is a server of which nothing at all was heard since the last tick while it owes a PONG. A full pipe that is
-  # still moving is not dead.
+  # A server is dead if it owes a PONG and has sent nothing since the last tick. A slow connection that still moves is not.
   def handle(session, :tick) do
     cond do
       session.heard and :queue.is_empty(session.pongs) ->

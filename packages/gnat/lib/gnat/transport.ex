@@ -51,7 +51,7 @@ defmodule Gnat.Transport do
     with {:error, reason} <- :ssl.send(socket, iodata), do: failed(reason)
   end
 
-  @doc "What has arrived, or what arrives before the deadline."
+  @doc "Reads what has arrived, or arrives before the deadline."
   @spec recv(t(), deadline()) :: {:ok, binary()} | {:error, Error.t()}
   def recv(%__MODULE__{kind: :tcp, socket: socket}, deadline) do
     with {:error, reason} <- :gen_tcp.recv(socket, 0, left(deadline)), do: failed(reason)

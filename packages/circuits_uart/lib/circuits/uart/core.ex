@@ -139,7 +139,7 @@ defmodule Circuits.UART.Core do
   defp step({:timer, {:break, from}}, %{phase: :open} = state), do: set(state, {:simple, from}, :break, false)
   defp step({:timer, {:break, from}}, state), do: State.reply(state, from, {:error, :ebadf})
 
-  # It hangs in the kernel or is stopped. Nothing that it still says can be told from what comes next: away with it.
+  # The program hangs in the kernel or is stopped. Its late answers could not be told from later ones, so it is given up.
   defp step({:timer, {:request, id}}, state) when is_map_key(state.pending, id) do
     state |> State.act({:kill_program, state.name}) |> program_down(:etimedout)
   end

@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Enumerator do
   @moduledoc false
-  # Which serial ports there are, from sysfs: no port is opened for it, since opening one can reset what is behind it.
+  # Lists the serial ports from sysfs. It opens none, because that can reset the device behind it.
 
   @usb_texts [description: "product", manufacturer: "manufacturer", serial_number: "serial"]
   @usb_ids [vendor_id: "idVendor", product_id: "idProduct"]
@@ -72,7 +72,7 @@ defmodule Circuits.UART.Enumerator do
     end
   end
 
-  # USB devices say of themselves whatever they like.
+  # The descriptors of USB devices can contain any bytes.
   defp read(file) do
     with {:ok, text} <- File.read(file),
          text when text != "" <- text |> String.replace_invalid() |> String.trim() do

@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Framing do
   @moduledoc """
-  How messages are told apart in the bytes of a serial line.
+  Splits the bytes of a serial line into messages.
 
   A framing is a value and these functions on it; the process that serves the port keeps the value. Received bytes come
   in pieces cut anywhere: however they are cut, the same messages must come out.

@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Options do
   @moduledoc false
-  # What open/3 and configure/2 take, checked here and nowhere else, before anything is changed.
+  # Checks the options of open/3 and configure/2, before anything is changed.
 
   @flags [
     rs485_enabled: 1,

@@ -46,7 +46,7 @@ defmodule Circuits.UART.PortProgram do
     end
   end
 
-  @doc "What to tell a person when there is none."
+  @doc "The message for the user if the program is missing."
   @spec missing_message(Path.t()) :: String.t()
   def missing_message(path) do
     "serial ports cannot be opened: there is no port program at #{path} (circuits_uart was compiled without a C " <>

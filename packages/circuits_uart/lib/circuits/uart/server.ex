@@ -165,7 +165,7 @@ defmodule Circuits.UART.Server do
     %{server | port: nil, outbox: :queue.new()}
   end
 
-  # Without a program there is nobody to tell; whoever waits for an answer is told by the event of its end.
+  # Without a program nothing is sent; the event of its end answers the waiting callers.
   defp command(%{port: nil} = server, _packet), do: server
 
   defp command(server, packet) do

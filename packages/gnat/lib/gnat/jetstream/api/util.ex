@@ -1,5 +1,5 @@
 defmodule Gnat.Jetstream.API.Util do
-  @moduledoc "What the modules of the JetStream API share: requests, answers as JSON, names, times."
+  @moduledoc "Shared by the modules of the JetStream API: requests, answers as JSON, names, times."
 
   alias Gnat.Error
 
@@ -76,7 +76,7 @@ defmodule Gnat.Jetstream.API.Util do
 
   defp bad_name(what), do: "invalid #{what}: cannot contain '.', '>', '*', '/', '\\' or blanks"
 
-  @doc "A subject nobody else has."
+  @doc "A unique subject."
   @spec reply_inbox(String.t() | nil) :: String.t()
   def reply_inbox(prefix \\ nil), do: (prefix || "_INBOX.") <> unique()
 

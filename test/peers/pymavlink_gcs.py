@@ -74,6 +74,15 @@ class Gcs:
         return values, count
 
     def upload(self, items):
+        # On a busy machine an item is asked for twice and comes twice (MAV_MISSION_INVALID_SEQUENCE, 13): sent anew, as
+        # ground stations do.
+        for _ in range(5):
+            result = self.upload_once(items)
+            if result != 13:
+                break
+        return result
+
+    def upload_once(self, items):
         self.m.mav.mission_count_send(self.system, 1, len(items), 0)
         while True:
             r = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], timeout=20)

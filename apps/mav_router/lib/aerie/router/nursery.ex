@@ -32,7 +32,7 @@ defmodule Aerie.Router.Nursery do
 
   @doc "How long to wait before the next one, when one took so long, in ms: #{10} to #{50}."
   @spec pause(non_neg_integer) :: pos_integer
-  def pause(took), do: (4 * took) |> max(@every_ms) |> min(@at_most_ms)
+  def pause(took) when is_integer(took), do: (4 * took) |> max(@every_ms) |> min(@at_most_ms)
 
   @impl GenServer
   def init(gateway) do

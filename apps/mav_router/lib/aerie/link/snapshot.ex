@@ -26,7 +26,7 @@ defmodule Aerie.Link.Snapshot do
   | `:recording` | `t:Aerie.Recorder.Status.t/0` without its names, nil when it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
   | `:label` | words of the configuration, or nil |
-  | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Vehicle.HighLatency`) |
+  | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Mavlink.HighLatency`) |
   """
 
   alias Aerie.Link.Core

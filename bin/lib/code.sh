@@ -36,6 +36,7 @@ code_install() {
   if AERIE_CODE=$(code_known "$stamp"); then
     export AERIE_CODE
     hold "$AERIE_CODE"
+    remove_unused_copies
     unlock
     return 0
   fi
@@ -60,7 +61,7 @@ code_known() {
 }
 
 code_copy() {
-  local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key other
+  local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key
   key=$(cd "$build" && find -L . -path ./.mix -prune -o -path './lib/*/.mix' -prune -o -type f -print0 | sort -z |
     xargs -0 sha256sum | cat - "$AERIE_ROOT/config/config.exs" | sha256sum | cut -c 1-16)
   AERIE_CODE="$copies/$1-$key"
@@ -71,7 +72,13 @@ code_copy() {
     mv "$copies/new" "$AERIE_CODE"
   fi
   hold "$AERIE_CODE"
-  for other in "$copies"/*; do
+  remove_unused_copies
+}
+
+# To be called with the lock: a copy that is being made is held by nobody.
+remove_unused_copies() {
+  local other
+  for other in "$AERIE_ROOT/_build/run"/*; do
     if unused "$other"; then rm -rf "$other"; fi
   done
 }

@@ -327,17 +327,23 @@ defmodule Aerie.SigningTest do
     end
 
     test "a damaged file is told and does not stop anything", c do
-      dir = Path.join(c.tmp_dir, "signing")
-      File.mkdir_p!(dir)
+      damages = ["{", "[]", ~s({"version":1,"link_ids":{},"links":[1,{"link":2}]})]
 
-      for damage <- ["{", "[]", ~s({"version":1,"link_ids":{},"links":[1,{"link":2}]})] do
-        File.write!(Path.join(dir, "timestamps.json"), damage)
+      # Each has a folder of its own: a gateway that runs writes into its folder.
+      for {damage, n} <- Enum.with_index(damages) do
+        dir = Path.join(c.tmp_dir, "#{n}")
+        File.mkdir_p!(Path.join(dir, "signing"))
+        File.write!(Path.join([dir, "signing", "timestamps.json"]), damage)
 
-        ExUnit.CaptureLog.capture_log(fn ->
-          gateway = start_signing(c.tmp_dir)
-          {bytes, _} = signed(signer(), 1)
-          assert [_] = Signing.admit(gateway, source(), [frame(bytes)])
-        end)
+        log =
+          ExUnit.CaptureLog.capture_log(fn ->
+            gateway = start_signing(dir)
+            {bytes, _} = signed(signer(), 1)
+            assert [_] = Signing.admit(gateway, source(), [frame(bytes)])
+          end)
+
+        # Of a file that can be read, entries that cannot be are left out.
+        if n < 2, do: assert(log =~ "timestamps.json is damaged")
       end
     end
 

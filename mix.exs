@@ -1,4 +1,4 @@
-defmodule Aerie.MixProject do
+defmodule Aerie.Umbrella.MixProject do
   use Mix.Project
 
   def project do
@@ -26,6 +26,39 @@ defmodule Aerie.MixProject do
   end
 
   defp releases do
-    [aerie: [applications: [vehicle: :permanent, fleet_web: :permanent, sim_vehicle: :load]]]
+    [
+      aerie: [
+        applications: [aerie: :permanent],
+        include_executables_for: [:unix],
+        # The shell's h/1 reads them.
+        strip_beams: [keep: ["Docs"]],
+        steps: [:assemble, &pack/1]
+      ]
+    ]
+  end
+
+  # What a release has beside its applications. bin/release adds the loader and libraries of the toolchain, and nats-server.
+  defp pack(release) do
+    case apply(FleetWeb.Console.Assets, :pack, [Path.join(release.path, "lib/fleet_web-#{release.version}")]) do
+      [] ->
+        :ok
+
+      missing ->
+        Mix.raise(
+          "npm packages of the console are missing: #{Enum.join(missing, ", ")}. To fix it: bin/setup"
+        )
+    end
+
+    for {source, target} <- [
+          {"bin/aerie", "bin/aerie"},
+          {"bin/lib/attend.sh", "bin/lib/attend.sh"},
+          {"config/gateway.example.yaml", "gateway.example.yaml"},
+          {"LICENSE", "LICENSE"}
+        ] do
+      File.mkdir_p!(Path.dirname(Path.join(release.path, target)))
+      File.cp!(source, Path.join(release.path, target))
+    end
+
+    release
   end
 end

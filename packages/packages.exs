@@ -5,7 +5,7 @@
 #   AERIE_PACKAGES=hex        the namesakes themselves, from Hex
 #   AERIE_PACKAGES=<folder>   checkouts of the namesakes in that folder
 defmodule Aerie.Packages do
-  @requirements [telemetry: "~> 1.3", gnat: "~> 1.16", circuits_uart: "~> 1.5"]
+  @requirements [telemetry: "~> 1.3", gnat: "~> 1.16", circuits_uart: "~> 1.5", phoenix_live_view: "~> 1.2"]
 
   def deps(names), do: Enum.map(names, &dep/1)
 

@@ -13,7 +13,7 @@ defmodule Aerie.MavRouter.MixProject do
       lockfile: "../../mix.lock",
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
-      test_coverage: [summary: [threshold: 85]],
+      test_coverage: [summary: [threshold: 88]],
       test_ignore_filters: [~r"/support/", ~r"/fixtures/"],
       deps: deps()
     ]
@@ -21,7 +21,7 @@ defmodule Aerie.MavRouter.MixProject do
 
   def application do
     [
-      mod: {Aerie.Application, []},
+      mod: {Aerie.Router.Application, []},
       extra_applications: [:logger, :crypto, :ssl, :cowlib] ++ test_applications(Mix.env())
     ]
   end

@@ -55,7 +55,7 @@ code_known() {
   { read -r elixir && read -r code; } 2>/dev/null <"$1" || return 1
   [ "$elixir" = "$(command -v elixir)" ] && [ -d "$code" ] || return 1
   # The system's own toolchain has no such file.
-  newer=$(cd "$AERIE_ROOT" && find -L apps packages mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
+  newer=$(cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
     \( -name test -o -name tmp \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
   [ -z "$newer" ] && printf '%s\n' "$code"
 }

@@ -14,8 +14,9 @@ AERIE_MIN_ELIXIR=1.20.0
 AERIE_MIN_OTP=29
 
 say() { printf '%s\n' "$*"; }
-step() { printf '==> %s\n' "$*" >&2; }
-warn() { printf 'warning: %s\n' "$*" >&2; }
+# A message that cannot be written (a full disk) ends no script.
+step() { printf '==> %s\n' "$*" >&2 || true; }
+warn() { printf 'warning: %s\n' "$*" >&2 || true; }
 
 # fail WHAT WHY CURE: one line, so that the cure is never separated from the error in a log.
 fail() {

@@ -49,3 +49,22 @@ python_install() {
   python_stamp >"$AERIE_VENV/.complete"
   unlock
 }
+
+# The long test of REST asks it; it has an environment of its own because it brings forty packages along. Without it the test says
+# that it was left out.
+SCHEMATHESIS="schemathesis==4.32.5"
+
+schemathesis_install() {
+  local folder="$AERIE_ROOT/.schemathesis"
+  if [ "$(cat "$folder/.complete" 2>/dev/null)" != "$SCHEMATHESIS" ]; then
+    step "python: installing $SCHEMATHESIS into .schemathesis/ (for the long tests only)"
+    rm -rf "$folder"
+    if ! { python3 -m venv "$folder" && "$folder/bin/pip" install --quiet --disable-pip-version-check "$SCHEMATHESIS"; } >"$folder.log" 2>&1; then
+      warn "REST is not tested against its description: pip could not install $SCHEMATHESIS; see $folder.log"
+      return 1
+    fi
+    rm -f "$folder.log"
+    echo "$SCHEMATHESIS" >"$folder/.complete"
+  fi
+  PATH="$folder/bin:$PATH"
+}

@@ -56,8 +56,8 @@ class Proxy:
         return found
 
     def until(self, line, pattern, tries=300, each=1.0):
-        """Types a line until the answer has come. A change is told once, and may be told between two tries: all is looked
-        through that was said since the first one."""
+        """Types a line until the answer has come. A change is printed once, maybe between two tries, so all output since the
+        first try is searched."""
         for n in range(tries):
             self.type(line, again=n > 0)
             found = self.saw(pattern, each)

@@ -74,21 +74,15 @@ class Gcs:
         return values, count
 
     def upload(self, items):
-        # On a busy machine an item is asked for twice and comes twice (MAV_MISSION_INVALID_SEQUENCE, 13): sent anew, as
-        # ground stations do.
-        for _ in range(5):
-            result = self.upload_once(items)
-            if result != 13:
-                break
-        return result
-
-    def upload_once(self, items):
         self.m.mav.mission_count_send(self.system, 1, len(items), 0)
         while True:
             r = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], timeout=20)
-            if r.get_type() == "MISSION_ACK":
+            if r.get_type() != "MISSION_ACK":
+                self.m.mav.send(items[r.seq])
+            # On a busy machine an item may be requested and sent twice. The second one is refused
+            # (MAV_MISSION_INVALID_SEQUENCE, 13), and the upload goes on.
+            elif r.type != 13:
                 return r.type
-            self.m.mav.send(items[r.seq])
 
     def download(self):
         self.m.mav.mission_request_list_send(self.system, 1, 0)
@@ -119,7 +113,8 @@ def main(address, firmware, system, parameter, source=255):
     say("params", count)
     value = values[parameter].param_value + 1.5
     g.m.mav.param_set_send(g.system, 1, parameter.encode(), value, values[parameter].param_type)
-    say("set", g.wait("PARAM_VALUE", lambda p: p.param_id == parameter).param_value == value)
+    # On a busy machine an answer to the list may still be on its way, with the old value.
+    say("set", g.wait("PARAM_VALUE", lambda p: p.param_id == parameter and p.param_value == value, 30, wanted=False) is not None)
 
     first = [] if g.px4 else [g.item(0, 16, home.lat, home.lon, 0, 0)]
     n = len(first)

@@ -128,7 +128,11 @@ class Vehicle:
         payload = bytes([0, 0, 0, 4, len(name), 0, 0, 0, 0, 0, 0, 0]) + name
         for _ in range(2):
             self.mav.file_transfer_protocol_send(0, self.system, 1, list(payload.ljust(251, b"\0")))
-            if (yield Wait(lambda m: m.get_type() == "FILE_TRANSFER_PROTOCOL", 1)) is not None:
+            opened = yield Wait(lambda m: m.get_type() == "FILE_TRANSFER_PROTOCOL", 1)
+            if opened is not None:
+                # TerminateSession, or the next station waits for it.
+                close = bytes([1, 0, opened.payload[2], 1, 0, 0, 0, 0, 0, 0, 0, 0])
+                self.mav.file_transfer_protocol_send(0, self.system, 1, list(close.ljust(251, b"\0")))
                 return self.say("ftp", "answered")
         self.say("ftp", "silent")
 
@@ -164,8 +168,8 @@ class Vehicle:
         tries = 0
         while True:
             x = yield Wait(lambda m: m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") and m.mission_type == kind, 5)
-            # Nothing, or an item that was asked for twice and came twice (MAV_MISSION_INVALID_SEQUENCE): on a busy machine
-            # the vehicle asks again while the first answer is under way. All of it is sent anew.
+            # No answer, or an item that was requested and sent twice (MAV_MISSION_INVALID_SEQUENCE), because on a busy machine
+            # the vehicle repeats its request while the answer is on its way. The upload is repeated.
             if x is None or (x.get_type() == "MISSION_ACK" and x.type == 13):
                 tries += 1
                 if tries > 5:

@@ -25,7 +25,7 @@ defmodule Aerie.Census do
       ports: length(Port.list()),
       atoms: :erlang.system_info(:atom_count),
       files: length(File.ls!("/proc/self/fd")),
-      programs: length(programs()),
+      programs: length(Aerie.Programs.running()),
       tables: tables(),
       waiting: waiting()
     }
@@ -84,20 +84,5 @@ defmodule Aerie.Census do
   defp rss do
     [pages | _] = "/proc/self/statm" |> File.read!() |> String.split() |> tl()
     String.to_integer(pages) * 4_096
-  end
-
-  # The BEAM starts programs through a helper process, so they are its grandchildren.
-  defp programs, do: descendants(System.pid())
-
-  defp descendants(pid) do
-    with {:ok, tasks} <- File.ls("/proc/#{pid}/task") do
-      for task <- tasks,
-          {:ok, children} <- [File.read("/proc/#{pid}/task/#{task}/children")],
-          child <- String.split(children),
-          program <- [child | descendants(child)],
-          do: program
-    else
-      _ended_meanwhile -> []
-    end
   end
 end

@@ -94,14 +94,14 @@ defmodule Aerie.RunCase do
   @doc "The operating system process of its VM, found by its configuration file."
   @spec vm_pid(Path.t()) :: String.t()
   def vm_pid(config) do
-    {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
+    {pids, 0} = System.cmd("pgrep", ["-f", "Application.*:aerie.*#{config}"])
     pids |> String.split() |> hd()
   end
 
   @doc "Kills its VM with SIGKILL."
   @spec kill_9(Path.t()) :: :ok
   def kill_9(config) do
-    {pids, 0} = System.cmd("pgrep", ["-f", "AerieCLI.main.*#{config}"])
+    {pids, 0} = System.cmd("pgrep", ["-f", "Application.*:aerie.*#{config}"])
     for pid <- String.split(pids), do: System.cmd("kill", ["-KILL", pid])
     :ok
   end
@@ -109,11 +109,21 @@ defmodule Aerie.RunCase do
   @doc "An object from its `/api`, or nil while it does not answer."
   @spec api(:inet.port_number(), String.t()) :: map | nil
   def api(port, path) do
+    with text when is_binary(text) <- get(port, path),
+         {:ok, object} <- JSON.decode(text) do
+      object
+    else
+      _not_yet -> nil
+    end
+  end
+
+  @doc "The body of an answer by HTTP, or nil while it does not answer."
+  @spec get(:inet.port_number(), String.t()) :: String.t() | nil
+  def get(port, path) do
     with {:ok, socket} <- :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false], 1_000),
          :ok <- :gen_tcp.send(socket, "GET #{path} HTTP/1.0\r\nhost: 127.0.0.1:#{port}\r\n\r\n"),
-         [_head, body] <- socket |> all("") |> String.split("\r\n\r\n", parts: 2),
-         {:ok, object} <- JSON.decode(body) do
-      object
+         [_head, body] <- socket |> all("") |> String.split("\r\n\r\n", parts: 2) do
+      body
     else
       _not_yet -> nil
     end
@@ -124,14 +134,5 @@ defmodule Aerie.RunCase do
       {:ok, bytes} -> all(socket, got <> bytes)
       {:error, _closed} -> got
     end
-  end
-
-  @doc "A TCP port that is free at the moment."
-  @spec free_tcp_port() :: :inet.port_number()
-  def free_tcp_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
   end
 end

@@ -6,7 +6,7 @@ defmodule Aerie.SystemCase do
 
   use ExUnit.CaseTemplate
 
-  alias AerieCLI.Run
+  alias Aerie.CLI.Run
 
   using do
     quote do
@@ -16,7 +16,8 @@ defmodule Aerie.SystemCase do
   end
 
   @doc """
-  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`. Returns what `AerieCLI.Run.start/2`
+  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`, `without` (keys that
+  the file is to say). Returns what `Aerie.CLI.Run.start/2`
   does, with `link` ports by id.
   """
   def start_gateway(folder, options \\ []) do
@@ -34,30 +35,56 @@ defmodule Aerie.SystemCase do
               do: %{"id" => "link-#{n}", "url" => url}
             ),
           "http" => %{"port" => 0},
+          "console" => %{"dir" => Path.join(folder, "console")},
           "websocket" => %{"port" => 0},
           "sockets" => %{"dir" => short_dir()},
           "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
           "outbox" => %{"dir" => Path.join(folder, "outbox")},
-          "recorder" => %{"dir" => Path.join(folder, "recordings")}
+          "recorder" => %{"dir" => Path.join(folder, "recordings")},
+          "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}},
+          "commands" => %{"ledger" => %{"dir" => Path.join(folder, "ledger")}},
+          "params" => %{"dir" => Path.join(folder, "params")},
+          "shadow" => %{"dir" => Path.join(folder, "shadow")}
         },
         options[:overrides] || %{}
       )
 
+    overrides = Map.drop(overrides, options[:without] || [])
     plan = %{config_file: options[:config_file], overrides: overrides, sim: 0}
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
     eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
-    run
+    Map.put(run, :top, supervisor)
   end
 
-  @doc "A new folder that is removed with the test. Its path is short, because a socket's path has at most 107 bytes."
-  def short_dir do
-    dir =
-      Path.join(System.tmp_dir!(), "ae-#{System.pid()}-#{:erlang.unique_integer([:positive, :monotonic])}")
+  @doc "Ends the gateway of `start_gateway/2` in order; it does not come back."
+  def stop_gateway(%{top: top, gateway: gateway}),
+    do: :ok = Supervisor.terminate_child(top, {:gateway, gateway})
 
-    File.mkdir_p!(dir)
-    ExUnit.Callbacks.on_exit(fn -> File.rm_rf!(dir) end)
-    dir
+  @doc """
+  Options of a simulated vehicle that flies five times as fast as a real one. It stays armed on the ground: its own ten seconds
+  until it disarms are two of ours, too few on a busy machine.
+  """
+  def fast_vehicle(firmware, params \\ %{}),
+    do: [firmware: firmware, ready_s: 1.0, speed: 5.0, params: Map.merge(stays_armed(firmware), params)]
+
+  defp stays_armed(:ardupilot), do: %{"DISARM_DELAY" => 0}
+  defp stays_armed(:px4), do: %{"COM_DISARM_PRFLT" => 0}
+
+  @doc "What the store has of a group of a vehicle's state; an empty map before it was heard."
+  def data(gateway, group, key \\ {"main", 1}) do
+    case Aerie.Store.vehicle(gateway, key) do
+      %{groups: %{^group => %{data: data}}} -> data
+      _unheard -> %{}
+    end
   end
+
+  @doc "Waits until a vehicle is known to stand on the ground, with its home."
+  def await_standing(gateway, key \\ {"main", 1}) do
+    known = fn -> data(gateway, :home, key)[:alt_msl] && data(gateway, :mode, key)[:in_air] == false end
+    eventually(known, "vehicle, home and landed state are known")
+  end
+
+  defdelegate short_dir, to: Aerie.ShortDir, as: :new
 
   @doc "The port of a link, once it is open."
   def link_port(gateway, id) do
@@ -73,11 +100,23 @@ defmodule Aerie.SystemCase do
   end
 
   @doc "A UDP port that is free at the moment, for a link that needs the same port after a restart."
-  def free_udp_port do
-    {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_udp.close(socket)
-    port
+  def free_udp_port, do: free_port(:gen_udp, :open)
+
+  @doc "A TCP port that is free at the moment, chosen likewise."
+  @spec free_tcp_port() :: :inet.port_number()
+  def free_tcp_port, do: free_port(:gen_tcp, :listen)
+
+  defp free_port(module, open) do
+    port = Enum.random(20_000..29_999)
+
+    case apply(module, open, [port, [ip: {127, 0, 0, 1}]]) do
+      {:ok, socket} ->
+        module.close(socket)
+        port
+
+      {:error, :eaddrinuse} ->
+        free_port(module, open)
+    end
   end
 
   @doc "A plain NATS client of the gateway's server."

@@ -8,31 +8,7 @@ defmodule Aerie.System.FirstDesignTest do
 
   @moduletag :tmp_dir
 
-  defp gateway_yaml(dir) do
-    """
-    # gateway.yaml
-    vehicle_id: VID-001
-    environment: prod
-
-    mavlink:
-      local_addr: ":14550"
-      system_id: 1
-      component_id: 1
-
-    nats:
-      url: "nats://localhost:4222"
-      credentials: "#{dir}/vehicle.creds"
-
-    sampling:
-      position_hz: 1
-      attitude_hz: 1
-      battery_change_threshold: 0.01
-
-    policy:
-      max_altitude: 120
-      geofence_file: "#{dir}/geofence.json"
-    """
-  end
+  @yaml File.read!(Path.expand("../../apps/aerie/test/fixtures/first_design.yaml", __DIR__))
 
   defp credentials do
     """
@@ -47,13 +23,19 @@ defmodule Aerie.System.FirstDesignTest do
 
   setup %{tmp_dir: dir} = context do
     file = Path.join(dir, "gateway.yaml")
-    File.write!(file, gateway_yaml(dir))
-    File.write!(Path.join(dir, "geofence.json"), "{}")
+    File.write!(file, String.replace(@yaml, "/etc/gateway", dir))
+    File.write!(Path.join(dir, "geofence.json"), fence())
     File.write!(Path.join(dir, "vehicle.creds"), credentials())
     mavlink = Map.merge(%{"local_addr" => "127.0.0.1:0"}, context[:mavlink] || %{})
     nats = %{"mode" => "embedded", "port" => 0, "store_dir" => Path.join(dir, "nats")}
     run = start_gateway(dir, config_file: file, overrides: %{"mavlink" => mavlink, "nats" => nats})
     %{gateway: run.gateway, config: run.config}
+  end
+
+  # Around the simulated vehicles' home.
+  defp fence do
+    ring = [[8.5, 47.3], [8.6, 47.3], [8.6, 47.5], [8.5, 47.5], [8.5, 47.3]]
+    JSON.encode!(%{type: "Feature", properties: %{}, geometry: %{type: "Polygon", coordinates: [ring]}})
   end
 
   defp fly(gateway, options \\ []) do
@@ -90,14 +72,14 @@ defmodule Aerie.System.FirstDesignTest do
     assert {false, %{"alarm" => alarm}} = ready(gateway)
     assert alarm =~ "system 1, component 190"
 
-    assert AerieCLI.Status.Lines.render(view(gateway))
-           |> Enum.any?(&(&1 =~ "ALARM=" and &1 =~ "component 190"))
+    assert {"identity", fields} = List.keyfind(Aerie.CLI.Status.Lines.render(view(gateway)), "identity", 0)
+    assert fields[:ALARM] =~ "component 190"
 
-    assert AerieCLI.Status.Table.render(view(gateway), 200, 40) |> Enum.any?(&(&1 =~ "ALARM: an autopilot"))
+    assert Aerie.CLI.Status.Table.render(view(gateway), 200, 40) |> Enum.any?(&(&1 =~ "ALARM: an autopilot"))
   end
 
   defp view(gateway) do
     now = System.os_time(:microsecond)
-    struct!(%AerieCLI.Status.View{now: now, started: now}, identity: Aerie.Router.identity(gateway))
+    struct!(%Aerie.CLI.Status.View{now: now, started: now}, identity: Aerie.Router.identity(gateway))
   end
 end

@@ -10,6 +10,9 @@ defmodule Aerie.System.RecorderTest do
   alias MavCodec.{Frame, Tlog}
 
   @moduletag :tmp_dir
+  # A small file system that gets really full is mounted in a user namespace.
+  @no_namespaces elem(System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true), 1) != 0 &&
+                   "no namespaces here"
 
   test "a failsafe saves the vehicle's last minutes: the file has the lead-up, and its replay has the failsafe",
        c do
@@ -125,9 +128,7 @@ defmodule Aerie.System.RecorderTest do
       await_exit(port)
     end
 
-    @tag skip:
-           System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
-             "no namespaces here"
+    @tag skip: @no_namespaces
     test "a really full disk costs records but no frame, and is reported", c do
       config = c.configure.("min_free_mb: 0")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))
@@ -158,9 +159,7 @@ defmodule Aerie.System.RecorderTest do
       await_exit(port)
     end
 
-    @tag skip:
-           System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
-             "no namespaces here"
+    @tag skip: @no_namespaces
     test "the oldest recordings are removed to keep a small disk free", c do
       config = c.configure.("min_free_mb: 0.02, max_file_mb: 0.01")
       port = open(["--config", config, "--quiet"], on_disk_of(c.recordings, "64k"))

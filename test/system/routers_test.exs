@@ -30,7 +30,7 @@ defmodule Aerie.System.RoutersTest do
   end
 
   defp sim(link, firmware, system) do
-    options = [firmware: firmware, system: system, link: link, ready_s: 1.0, speed: 5.0]
+    options = [system: system, link: link] ++ fast_vehicle(firmware)
     start_supervised!({SimVehicle, options}, id: system)
   end
 
@@ -40,13 +40,6 @@ defmodule Aerie.System.RoutersTest do
   defp endpoint(gateway, url) do
     {:ok, id} = Client.add(gateway, url)
     Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
-  end
-
-  defp free_tcp_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
   end
 
   defp mavlink_router(folder, tcp, endpoints) do

@@ -34,7 +34,7 @@ defmodule Aerie.System.RunTest do
     port = open(["--config", config, "--sim", "2", "--quiet"])
 
     await_output(port, "", [
-      "connected to NATS",
+      "connected to NATS at",
       "vehicle=sim-001 status=online",
       "vehicle=sim-002 status=online"
     ])
@@ -57,7 +57,7 @@ defmodule Aerie.System.RunTest do
 
     for _life <- 1..2 do
       port = open(["--config", config, "--quiet"])
-      await_output(port, "", ["connected to NATS"])
+      await_output(port, "", ["connected to NATS at"])
       nats = folder |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
       kill_9(config)
       assert await_exit(port, "") != 0

@@ -6,7 +6,8 @@ defmodule Aerie.System.SigningKillTest do
 
   use Aerie.RunCase, async: true
 
-  import Aerie.SystemCase, only: [eventually: 2, eventually: 3, free_udp_port: 0, short_dir: 0]
+  import Aerie.SystemCase,
+    only: [eventually: 2, eventually: 3, free_tcp_port: 0, free_udp_port: 0, short_dir: 0]
 
   @moduletag :tmp_dir
   @moduletag timeout: 300_000

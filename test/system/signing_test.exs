@@ -39,11 +39,7 @@ defmodule Aerie.System.SigningTest do
 
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
-    sim =
-      Keyword.merge(
-        [firmware: :ardupilot, link: link, ready_s: 1.0, speed: 5.0, key: @key],
-        context[:sim] || []
-      )
+    sim = Keyword.merge([link: link, key: @key] ++ fast_vehicle(:ardupilot), context[:sim] || [])
 
     {:ok, sim} = SimVehicle.start_link(sim)
     eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
@@ -51,7 +47,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   defp client(gateway, options) do
-    {:ok, id} = Aerie.Link.Clients.add(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
+    {:ok, id} = Aerie.Client.add(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
     Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
   end
 
@@ -95,7 +91,7 @@ defmodule Aerie.System.SigningTest do
 
   @tag :mavproxy
   test "MAVProxy with the key, by UDP; its SETUP_SIGNING is not forwarded (S8)", c do
-    {:ok, "gcs"} = Aerie.Link.Clients.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+    {:ok, "gcs"} = Aerie.Client.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
     port = Enum.find(Client.endpoints(c.gateway), &(&1.id == "gcs")).port
     # The operator types the key at its prompt.
     arguments = ["udpout:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
@@ -137,8 +133,8 @@ defmodule Aerie.System.SigningTest do
     :ok = :gen_tcp.send(socket, bytes)
     assert value(socket, Parser.new()) == "RTL_ALT"
     # The gateway never signs for a sender on a link.
-    assert {:error, text} = Router.configure(c.gateway, "link-1", sign: true)
-    assert text =~ "only a client"
+    assert {:error, error} = Router.configure(c.gateway, "link-1", sign: true)
+    assert Exception.message(error) =~ "only a client"
   end
 
   defp value(socket, parser) do
@@ -160,8 +156,8 @@ defmodule Aerie.System.SigningTest do
   test "a key is given, changed, restored and revoked; each step is an event, and no event contains a key",
        c do
     conn = nats_client(c.gateway)
-    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
-    assert text =~ "key: :generate"
+    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
+    assert Exception.message(error) =~ "key: :generate"
 
     assert {:ok, %{key: first}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
     assert state(c.gateway) == :verified
@@ -215,11 +211,11 @@ defmodule Aerie.System.SigningTest do
   end
 
   test "S8: nothing is sent over a link that is not secure, and the error says what to do", c do
-    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1})
-    assert text =~ "secure"
-    assert {:error, text} = Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")
-    assert text =~ "secure=true"
-    assert {:error, "no vehicle VID-077 is known" <> _} = Aerie.Enrolment.enrol(c.gateway, "VID-077")
+    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, {"main", 1})
+    assert Exception.message(error) =~ "secure"
+    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")
+    assert Exception.message(error) =~ "secure=true"
+    assert {:error, %{reason: {:unknown, :vehicle, "VID-077"}}} = Aerie.Enrolment.enrol(c.gateway, "VID-077")
   end
 
   test "one event for a flood of wrong signatures, in the snapshot, the metrics and NATS; the vehicle is not disturbed",

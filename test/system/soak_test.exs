@@ -32,7 +32,7 @@ defmodule Aerie.System.SoakTest do
       :circuits_uart,
       :gnat,
       :telemetry,
-      :aerie_cli
+      :aerie
     ])
 
     Census.load([:cowboy, :cowlib, :ranch, :crypto, :ssl, :public_key, :inets, :ex_unit, :kernel, :stdlib])

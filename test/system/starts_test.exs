@@ -61,12 +61,12 @@ defmodule Aerie.System.StartsTest do
   @tag :long
   test "three starts of an uncompiled checkout at once, which is then compiled again beside them", context do
     checkout = checkout(context.tmp_dir)
-    cli = Path.join(checkout, "apps/aerie_cli/lib/aerie_cli")
+    cli = Path.join(checkout, "apps/aerie/lib/aerie/cli")
     write_late(cli, "first")
-    File.write!(Path.join(cli, "application.ex"), asking_when_told())
+    ask_when_told(Path.join(Path.dirname(cli), "application.ex"))
 
     ports = for n <- 1..3, do: open(["--config", config(context.tmp_dir, n), "--quiet"], [], checkout)
-    for port <- ports, do: await_output(port, "", ["connected to NATS"])
+    for port <- ports, do: await_output(port, "", ["connected to NATS at"])
 
     # Changes a module that none of them has loaded yet.
     write_late(cli, "second")
@@ -108,7 +108,7 @@ defmodule Aerie.System.StartsTest do
     checkout = Path.join(folder, "checkout")
 
     for part <-
-          ~w(bin config mix.exs packages/packages.exs) ++
+          ~w(bin config rel mix.exs packages/packages.exs) ++
             parts(root, "{apps,packages}/*/{lib,priv,src,mix.exs}") do
       File.mkdir_p!(Path.dirname(Path.join(checkout, part)))
       File.cp_r!(Path.join(root, part), Path.join(checkout, part))
@@ -140,24 +140,28 @@ defmodule Aerie.System.StartsTest do
 
   defp write_late(folder, word) do
     File.write!(Path.join(folder, "late.ex"), """
-    defmodule AerieCLI.Late do
+    defmodule Aerie.CLI.Late do
       def word, do: #{inspect(word)}
     end
     """)
   end
 
   # Replaces the application's module: the same, plus a process that calls a module late.
-  defp asking_when_told do
+  # The application as it is, which also says what the module `Late` says when it is told to ask.
+  defp ask_when_told(file) do
+    source = File.read!(file)
+    start = "def start(_type, _args) do\n"
+    assert source =~ start
+
+    source
+    |> String.replace(start, start <> "spawn(fn -> answer(File.exists?(\"ask\")) end)\n")
+    |> String.replace_suffix("end\n", answer() <> "end\n")
+    |> then(&File.write!(file, &1))
+  end
+
+  defp answer do
     """
-    defmodule AerieCLI.Application do
-      use Application
-
-      def start(_type, _args) do
-        spawn(fn -> answer(File.exists?("ask")) end)
-        Supervisor.start_link([], strategy: :one_for_one, name: AerieCLI.Supervisor)
-      end
-
-      defp answer(true), do: File.write!("answer-\#{System.pid()}", AerieCLI.Late.word())
+      defp answer(true), do: File.write!("answer-\#{System.pid()}", Aerie.CLI.Late.word())
 
       defp answer(false) do
         receive do
@@ -165,7 +169,6 @@ defmodule Aerie.System.StartsTest do
           50 -> answer(File.exists?("ask"))
         end
       end
-    end
     """
   end
 end

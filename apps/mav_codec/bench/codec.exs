@@ -1,8 +1,12 @@
-# Measures the codec: `bin/bench codec`, or in apps/mav_codec `MIX_ENV=prod mix run bench/codec.exs`.
+# Measures the codec: parsing, decoding and encoding a mix of telemetry, and hostile bytes.
 #
-# BENCH_MS: milliseconds per row (default 1500).
+#     bin/bench codec [--ms 1500]
+#
+# Each row is measured for so many milliseconds, a hostile one for a third of that.
 
-for file <- ~w(measure telemetry_mix pymavlink), do: Code.require_file("support/#{file}.ex", __DIR__)
+for file <- ~w(measure options flight_messages telemetry_mix pymavlink),
+    do: Code.require_file("support/#{file}.ex", __DIR__)
+
 Code.require_file("../test/support/hostile.ex", __DIR__)
 
 alias MavCodec.Bench.{Measure, Pymavlink, TelemetryMix}
@@ -10,7 +14,7 @@ alias MavCodec.{CRC, Parser, Signing}
 alias MavCodec.Dialects.Ardupilot.Ardupilotmega
 alias MavCodec.Test.Hostile
 
-milliseconds = String.to_integer(System.get_env("BENCH_MS", "1500"))
+milliseconds = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), ms: 1500)[:ms]
 # Of each stream, and of the file that is pushed at once: 8 MB.
 count = 20_000
 many = 200_000

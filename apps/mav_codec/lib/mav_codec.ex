@@ -9,13 +9,13 @@ defmodule MavCodec do
       MavCodec.encode(%MavCodec.Messages.Heartbeat{type: 6}, system: 237, component: 191, seq: 7)
 
   `MavCodec.Parser` reads, `MavCodec.Encoder` writes and counts, `MavCodec.Signing` signs and verifies,
-  `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` keep recordings.
+  `MavCodec.Tlog.Reader` and `MavCodec.Tlog.Writer` read and write recordings.
   """
 
   alias MavCodec.{DecodeError, Dialects, Message, Raw}
 
   @typedoc """
-    * `:dialect` - the dialect that lays the message out; default `MavCodec.Dialects.All`
+    * `:dialect` - the dialect with the message's layout; default `MavCodec.Dialects.All`
     * the options of `t:MavCodec.Raw.option/0`: `:system` (required), `:component`, `:seq`, `:version`, ...
   """
   @type encode_option :: {:dialect, module()} | Raw.option()
@@ -35,7 +35,7 @@ defmodule MavCodec do
 
   def decode(%{version: 2, id: id, payload: payload}, dialect), do: dialect.decode(id, payload)
 
-  # F9: there are no extensions in MAVLink 1, whatever follows the base fields.
+  # F9: MAVLink 1 has no extensions; bytes behind the base fields are ignored.
   def decode(%{version: 1, id: id, payload: payload}, dialect) do
     case dialect.length(id) do
       {min, _max} when byte_size(payload) > min -> dialect.decode(id, binary_part(payload, 0, min))
@@ -47,7 +47,7 @@ defmodule MavCodec do
   The frame of a message, unsigned. Version 2 has the extension fields and no trailing zeros (F7); version 1 has no
   extensions and only messages with ids up to 255.
 
-  With `sysid32: true` a target system above 255 goes to the header, and the payload has 255 instead (N1).
+  With `sysid32: true` a target system above 255 is put into the header, and 255 into the payload (N1).
 
   Raises `MavCodec.EncodeError` for a value that does not fit its field, a message that is not in the dialect or not in
   version 1, or an id out of range.

@@ -1,21 +1,22 @@
 # How fast a link takes frames from a socket to a vehicle's session, on loopback, in this one program (the sender's work
 # is in the figures).
 #
-#     mix run bench/links.exs [FRAMES]
+#     bin/bench links [--frames 200000]
 #
 # Prints for UDP (one frame a datagram, and ten) and TCP: frames per second, frames lost, and reductions of the link's
 # process per frame. Then the added latency at 1,000 and 10,000 frames/s: from before the send to the session.
+
+Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
 defmodule Bench do
   alias Aerie.{Link, Names}
 
   def gateway do
     gateway = make_ref()
-    options = [gateway: gateway, config: %{}]
-
-    for module <- [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] do
-      {:ok, _} = module.start_link(options)
-    end
+    {:ok, _} = Aerie.Store.start_link(gateway: gateway)
+    {:ok, _} = Aerie.Store.PubSub.start_link(gateway: gateway)
+    {:ok, _} = Aerie.Router.Supervisor.start_link(gateway: gateway, settings: Aerie.Router.Settings.from(%{}))
+    {:ok, _} = Link.Supervisor.start_link(gateway: gateway, settings: Link.Settings.from(%{}))
 
     {:ok, _} = Registry.register(Aerie.Registry, {gateway, :session, {"main", 1}}, nil)
     gateway
@@ -140,5 +141,5 @@ defmodule Bench do
   end
 end
 
-n = System.argv() |> List.first("200000") |> String.to_integer()
+n = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), frames: 200_000)[:frames]
 Bench.run(n)

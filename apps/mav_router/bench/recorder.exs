@@ -1,11 +1,13 @@
 # What recording costs whoever has frames: a link's process, a vehicle's session. Each read is timed by itself; the figure is
 # that of the read divided by its frames.
 #
-#     mix run bench/recorder.exs [READS]
+#     bin/bench recorder [--reads 30000]
 #
 # Prints median and p99 in µs a frame, for reads of one frame and of ten: without a recorder, with one that records nothing,
 # with the ring, with a recording, with both. Then the memory of rings, and how many frames a second one recording writes to
 # a file in the temporary folder without dropping any.
+
+Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
 defmodule Bench do
   alias Aerie.{Names, Recorder, Store}
@@ -19,7 +21,7 @@ defmodule Bench do
     config = %{recorder: Map.merge(%{dir: dir(), min_free_mb: 0, space_ms: 600_000}, section)}
 
     for module <- [Store, PubSub, Recorder.Supervisor] do
-      {:ok, _} = module.start_link(gateway: gateway, config: config)
+      {:ok, _} = module.start_link(gateway: gateway, settings: Recorder.Settings.from(config))
     end
 
     gateway
@@ -146,7 +148,7 @@ defmodule Bench do
 end
 
 Logger.configure(level: :none)
-reads = String.to_integer(List.first(System.argv()) || "30000")
+reads = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), reads: 30_000)[:reads]
 off = %{ring: %{enabled: false}}
 
 IO.puts("| | frames a read | median µs | p99 µs |")

@@ -1,17 +1,19 @@
 # What signed links cost, frame by frame, and what links without a key pay for it.
 #
-#     bin/bench signing [FRAMES]
+#     bin/bench signing [--frames 20000]
 #
-# Each line is one function of Aerie.Signing or MavCodec.Signing, called FRAMES times (20,000) on ATTITUDE frames (28 bytes of
+# Each line is one function of Aerie.Signing or MavCodec.Signing, called that many times on ATTITUDE frames (28 bytes of
 # payload) that were made before: median and p99 of single calls in microseconds (the clock's own reading, which stands in the
-# first line, is in each), and reductions. `admit` is what a link does with each read, `seal` and `fill` with each write.
+# first line, is in each), and reductions. `admit` is what a link does with each read, `sign` and `fill` with each write.
+
+Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
 alias Aerie.Signing
-alias Aerie.Signing.{Guards, Tables}
+alias Aerie.Signing.{Verifiers, Tables}
 alias MavCodec.{Messages, Parser}
 
 Logger.configure(level: :none)
-n = System.argv() |> List.first("20000") |> String.to_integer()
+n = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), frames: 20_000)[:frames]
 dir = Path.join(System.tmp_dir!(), "aerie-bench-signing-#{System.pid()}")
 File.mkdir_p!(dir)
 key = :crypto.strong_rand_bytes(32)
@@ -24,7 +26,7 @@ start = fn keys ->
   config = %{signing: %{keys: keys, dir: Path.join(dir, "#{System.unique_integer([:positive])}")}}
   {:ok, _} = Aerie.Store.start_link(gateway: gateway)
   {:ok, _} = Aerie.Store.PubSub.start_link(gateway: gateway)
-  {:ok, _} = Signing.Supervisor.start_link(gateway: gateway, config: config)
+  {:ok, _} = Signing.Supervisor.start_link(gateway: gateway, settings: Signing.Settings.from(config))
   gateway
 end
 
@@ -159,7 +161,7 @@ end)
 
 own = MavCodec.encode(%Messages.Heartbeat{}, system: 245, component: 191)
 marked = Signing.mark(required, {"main", 1}, own)
-measure.("seal, our own frame", 1..n, fn _i, _ -> Signing.seal(required, "radio", :a, marked) end)
+measure.("sign, our own frame", 1..n, fn _i, _ -> Signing.sign(required, "radio", :a, marked) end)
 
 measure.("placeholder, a client's frame in the router", plain, fn frame, _ ->
   Signing.placeholder(frame.bytes)
@@ -182,7 +184,7 @@ for streams <- [1, 10, 250] do
   IO.puts("a link's state with #{streams} streams: #{size} bytes")
 end
 
-_ = Guards.get(required, tables, "radio", scope)
+_ = Verifiers.get(required, tables, "radio", scope)
 
 size =
   for({name, table} <- tables, name not in [:active, :events], do: :ets.info(table, :memory)) |> Enum.sum()

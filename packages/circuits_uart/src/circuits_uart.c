@@ -1,9 +1,9 @@
 /*
  * The port program: one serial port, served for the BEAM over stdin and stdout (wire.h).
  *
- * One loop over poll; nothing else waits, so a port that does not take bytes or a read that gets none never keeps a close
- * or a hang-up from being noticed. At most one read and one write or drain are under way: the BEAM's side queues the
- * rest. The end of stdin ends the program.
+ * One loop around poll; nothing else waits, so a port that accepts no bytes, or a read that gets none, never delays a close
+ * or hides a hang-up. At most one read and one write or drain are pending: the BEAM's side queues the rest. The end of
+ * stdin ends the program.
  */
 #include "tty.h"
 #include "wire.h"
@@ -20,9 +20,9 @@
 #define SETTINGS_SIZE 19
 #define READ_SIZE 8192
 #define PATH_SIZE 4096
-/* The BEAM's side gives a credit back for each packet of bytes that it has dealt with. */
+/* The BEAM's side returns a credit for each packet of bytes that it has handled. */
 #define FIRST_CREDIT 64
-/* How often a drain looks at what is left to be sent. */
+/* How often a drain checks how many bytes are left. */
 #define DRAIN_TICK_MS 5
 
 enum sending { IDLE, WRITING, DRAINING };
@@ -41,7 +41,7 @@ static struct {
     uint8_t bytes[WIRE_MAX];
     size_t sent, length;
 
-    /* A port that was closed but has bytes to send: they get a little time. */
+    /* A port that was closed with unsent bytes: they get a little time. */
     int closing_fd;
     uint32_t close_id;
     int64_t close_deadline;
@@ -74,7 +74,7 @@ static bool fail_pending(int error)
     return any;
 }
 
-/* The port failed under us. Whatever way the kernel puts it, a device that went away is EIO. */
+/* The port failed. Whatever the kernel calls it, a device that is gone is EIO. */
 static void gone(int error)
 {
     if (error == ENODEV || error == ENXIO || error == EBADF)
@@ -85,7 +85,7 @@ static void gone(int error)
     wire_gone(told, error);
 }
 
-/* What is still to be sent would keep close() waiting, up to half a minute on a line whose flow is stopped. */
+/* Unsent bytes would delay close(), by up to half a minute on a line whose flow is stopped. */
 static void close_now(int fd)
 {
     if (tty_unsent(fd) > 0)
@@ -302,7 +302,7 @@ static void begin_read(uint32_t id, uint32_t timeout_ms)
     do_read(false);
 }
 
-/* Anything that the other side cannot have meant ends the program: guessing would put wrong bytes on a line. */
+/* A malformed command ends the program: guessing could put wrong bytes on a line. */
 static void expect(bool condition)
 {
     if (!condition)
@@ -407,7 +407,7 @@ static void serve_port(short events)
     }
 }
 
-/* However the program ends. Nobody is left who waits for bytes not sent yet. */
+/* However the program ends: nobody waits for unsent bytes any more. */
 static void release(void)
 {
     if (port.closing_fd >= 0)
@@ -419,7 +419,7 @@ static void release(void)
 int main(void)
 {
     atexit(release);
-    /* Ctrl-C in the shell that runs the BEAM is the BEAM's business; it closes stdin when it goes. */
+    /* Ctrl-C in the BEAM's shell is for the BEAM; it closes stdin when it ends. */
     signal(SIGINT, SIG_IGN);
     signal(SIGQUIT, SIG_IGN);
     signal(SIGHUP, SIG_IGN);
@@ -436,7 +436,7 @@ int main(void)
         if (n < 0 && errno != EINTR)
             die("poll failed");
 
-        /* The port first: what it reported is about the descriptor as it was before any command. */
+        /* The port first: poll reported on the descriptor as it was before any command. */
         if (n > 0 && fds[1].revents)
             serve_port(fds[1].revents);
         if (n > 0 && fds[0].revents) {

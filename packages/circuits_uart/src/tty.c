@@ -31,7 +31,7 @@ static const struct {
     {2000000, B2000000}, {2500000, B2500000}, {3000000, B3000000}, {3500000, B3500000}, {4000000, B4000000},
 };
 
-/* The named constant where there is one, so that other programs that look at the port understand what they see. */
+/* The named constant if there is one, so that other programs understand the port's settings. */
 static tcflag_t speed_bits(uint32_t speed)
 {
     for (size_t i = 0; i < sizeof(standard) / sizeof(standard[0]); i++)
@@ -40,7 +40,7 @@ static tcflag_t speed_bits(uint32_t speed)
     return BOTHER;
 }
 
-/* Raw bytes both ways, whatever the port was used for before; what is not about the line (HUPCL) stays. */
+/* Raw bytes both ways, whatever the settings before; those that do not concern the line (HUPCL) stay. */
 static int set_line(struct termios2 *t, const struct settings *s)
 {
     static const tcflag_t sizes[] = {CS5, CS6, CS7, CS8};
@@ -73,11 +73,11 @@ static int set_line(struct termios2 *t, const struct settings *s)
     t->c_cc[VSTART] = 0x11;
     t->c_cc[VSTOP] = 0x13;
 
-    /* One byte at least: with zero, "nothing there" and "hung up" would look the same. */
+    /* At least one byte: with zero, "no bytes" and "hung up" would look the same. */
     t->c_cc[VMIN] = 1;
     t->c_cc[VTIME] = 0;
 
-    /* No bits for the input speed: it is that of the output. */
+    /* No bits for the input speed: it is the same as that of the output. */
     t->c_cflag |= speed_bits(s->speed);
     t->c_ispeed = s->speed;
     t->c_ospeed = s->speed;
@@ -122,7 +122,7 @@ static int set_termios(int fd, const struct termios2 *t, bool plain)
     return ioctl(fd, TCSETS, &old) < 0 ? -errno : 0;
 }
 
-/* A driver that cannot do a rate keeps another one and says nothing. Five percent is more than any receiver bears. */
+/* A driver that does not support a rate silently keeps another one. No receiver tolerates five percent. */
 static bool speed_taken(const struct termios2 *now, uint32_t wanted)
 {
     uint64_t has = now->c_ospeed;
@@ -144,7 +144,7 @@ static int set_rs485(int fd, const struct settings *s)
 #endif
     };
 
-    /* Not even looked at unless asked for: there are drivers that give the settings and refuse the same ones back. */
+    /* Untouched unless given: some drivers return settings and then refuse the same ones. */
     if (s->rs485_given == 0)
         return 0;
 
@@ -201,7 +201,7 @@ int tty_open(const char *path, const struct settings *s)
     struct termios2 t;
     bool plain;
     int rc = get_termios(fd, &t, &plain);
-    /* The lock keeps out the programs that look at locks, and says who was first; the exclusive mode keeps out the others. */
+    /* The lock keeps out programs that check locks, and decides who was first; the exclusive mode keeps out all others. */
     if (rc == 0 && flock(fd, LOCK_EX | LOCK_NB) < 0)
         rc = -errno;
     if (rc < 0) {
@@ -217,14 +217,14 @@ int tty_open(const char *path, const struct settings *s)
         tty_close(fd);
         return rc;
     }
-    /* Bytes from before, at whatever speed. */
+    /* Drop bytes from before, at whatever speed. */
     tty_flush(fd, QUEUE_RECEIVE);
     return fd;
 }
 
 void tty_close(int fd)
 {
-    /* A terminal outlives us where somebody else holds it (a PTY's other side does): its exclusive mode must not. */
+    /* A terminal that others hold, like a PTY, outlives us; its exclusive mode must not. */
     ioctl(fd, TIOCNXCL);
     close(fd);
 }

@@ -26,15 +26,15 @@ struct settings {
     uint32_t rs485_delay_before, rs485_delay_after; /* ms */
 };
 
-/* Opens for this process alone: -EAGAIN when another one holds the lock, -EBUSY when the kernel's exclusive mode is on. */
+/* Opens for this process alone: -EAGAIN if another one holds the lock, -EBUSY if the kernel's exclusive mode is on. */
 int tty_open(const char *path, const struct settings *settings);
-/* All or nothing: on an error the port stays as it was. */
+/* All or nothing: after an error the port is as before. */
 int tty_configure(int fd, const struct settings *settings);
 void tty_close(int fd);
 int tty_flush(int fd, enum queue queue);
-/* Bytes that wait in the kernel to be sent; 0 where that cannot be known. */
+/* Unsent bytes in the kernel; 0 if that is not known. */
 int tty_unsent(int fd);
-/* Waits for the last bytes, those in the device itself; call when tty_unsent is 0, so that the wait is short. */
+/* Waits for the bytes in the device itself; call it when tty_unsent is 0, so that the wait is short. */
 int tty_drain(int fd);
 int tty_signals(int fd, uint32_t *bits);
 int tty_set(int fd, enum signal_line line, bool value);

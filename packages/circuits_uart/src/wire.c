@@ -81,8 +81,8 @@ bool wire_next(struct packet *packet)
     return true;
 }
 
-/* Sends what was put behind the header of `out`. Blocks while the pipe is full, which only the BEAM can end; without a
- * BEAM there is nobody left to serve. */
+/* Sends what follows the header in `out`. Blocks while the pipe is full, which only the BEAM can end; without a BEAM
+ * there is nobody to serve. */
 static void send_out(size_t length)
 {
     out[0] = (uint8_t)(length >> 8);

@@ -6,8 +6,8 @@
  * To the BEAM:    <<'o', id:32, result>>               the request was done
  *                 <<'e', id:32, error name>>           the request failed; the name is a POSIX one, such as "enoent"
  *                 <<'d', bytes>>                       received in active mode; costs one credit
- *                 <<'g', told, error name>>            the port is gone (hung up, unplugged) and closed; told is 1 when
- *                                                      a request that was waiting has failed with the same error
+ *                 <<'g', told, error name>>            the port is gone (hung up, unplugged) and closed; told is 1 if
+ *                                                      a waiting request failed with the same error
  */
 #ifndef CIRCUITS_UART_WIRE_H
 #define CIRCUITS_UART_WIRE_H
@@ -24,7 +24,7 @@ enum command {
     CMD_CONFIGURE = 3, /* <<settings:19 bytes>> */
     CMD_WRITE = 4,     /* <<time-out in ms:32, bytes>> */
     CMD_READ = 5,      /* <<time-out in ms:32>> */
-    CMD_CANCEL = 6,    /* the read that waits, if any, is answered with no bytes */
+    CMD_CANCEL = 6,    /* answers the pending read, if any, without bytes */
     CMD_DRAIN = 7,     /* <<time-out in ms:32>> */
     CMD_FLUSH = 8,     /* <<queues: 1 receive, 2 transmit, 3 both>> */
     CMD_SIGNALS = 9,
@@ -37,10 +37,10 @@ struct packet {
     size_t length;
 };
 
-/* Reads what is there. False at the end of the stream: the BEAM is gone or has closed the port. */
+/* Reads what is available. False at the end of the stream: the BEAM has ended or closed the port. */
 bool wire_fill(void);
 
-/* Takes the next whole packet, valid until the next wire_fill. False when there is none. */
+/* Takes the next whole packet, valid until the next wire_fill. False if there is none. */
 bool wire_next(struct packet *packet);
 
 void wire_ok(uint32_t id, const void *result, size_t length);

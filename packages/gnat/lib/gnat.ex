@@ -11,10 +11,10 @@ defmodule Gnat do
       end
 
   One connection is one process. It ends when the connection does, with the reason `{:shutdown, %Gnat.Error{}}`;
-  `Gnat.ConnectionSupervisor` keeps one under a name and connects again. Functions called while there is no
-  connection return `{:error, %Gnat.Error{reason: :not_connected}}`.
+  `Gnat.ConnectionSupervisor` keeps one under a name and reconnects. Functions called without a connection
+  return `{:error, %Gnat.Error{reason: :not_connected}}`.
 
-  Telemetry, each after the function has returned from the server process, `latency` in native units:
+  Telemetry events, each after the function has returned; `latency` in native units:
 
   | event | measurements | metadata |
   |---|---|---|
@@ -30,14 +30,14 @@ defmodule Gnat do
   @type headers :: [{binary(), iodata()}]
 
   @typedoc """
-  What a subscriber is sent, as `{:msg, message}`.
+  A message as a subscriber gets it, in `{:msg, message}`.
 
     * `topic`, `body`: the subject it was published to, and the bytes
     * `reply_to`: where an answer is expected, nil if nowhere
     * `sid`: the subscription (not in answers to requests)
     * `gnat`: the connection process
-    * `headers`: only if there are any; names in lower case, in the order they came
-    * `status`, `description`: with headers, what the server says about the message, like `"503"`; else nil
+    * `headers`: only if there are any; names in lower case, in the order of arrival
+    * `status`, `description`: with headers, the server's status of the message, such as `"503"`; else nil
   """
   @type message :: %{
           required(:gnat) => pid(),
@@ -57,17 +57,17 @@ defmodule Gnat do
     * `host` - name or address, default `"localhost"`
     * `port` - default 4222
     * `connection_timeout` - for all of connecting, TLS and logging in; default 3000
-    * `ping_interval` - how often the server is asked whether it lives; it is given up after one to two of them
-      without a sign of life; default 10000
+    * `ping_interval` - how often the server is pinged; the connection is given up after one to two intervals without any
+      data; default 10000
     * `send_timeout` - how long a write may wait for a server that does not read; default 10000
-    * `tls` - demand TLS; a server that requires it gets it anyway. Default false
+    * `tls` - require TLS; a server that requires it gets it anyway. Default false
     * `tls_first` - TLS before the first byte, for servers with `handshake_first`; default false
     * `ssl_opts` - options for `:ssl.connect/3`, by default the system's authorities and the name of the host are checked
     * `tcp_opts` - options for `:gen_tcp.connect/4`, like `[:inet6]`
     * `username` and `password`, or `token`, or `nkey_seed`, or `jwt` and `nkey_seed`
     * `credentials` - path of a `.creds` file: `jwt` and `nkey_seed` in one
     * `auth_required` - send credentials even if the server does not ask; default false
-    * `no_responders` - learn at once that nobody answers a request; default false
+    * `no_responders` - a request without any subscriber fails at once; default false
     * `headers` - default true
     * `inbox_prefix` - subject prefix of the answers to requests, default `"_INBOX."`
     * `name` - shown by the server's monitoring
@@ -108,7 +108,7 @@ defmodule Gnat do
   Connects and logs in, then starts the process of the connection, linked to the caller.
 
   Returns when the server has accepted the connection, after `connection_timeout` at the latest. A failure is a
-  `Gnat.Error` and nothing else: no process was started, so no exit signal comes. `opts` are those of
+  `Gnat.Error` only: no process was started, so no exit signal comes. `opts` are those of
   `GenServer.start_link/3`, such as `:name`.
   """
   @spec start_link(connection_settings(), GenServer.options()) ::
@@ -138,7 +138,7 @@ defmodule Gnat do
   end
 
   @doc """
-  Publishes. `:ok` means written to the connection: whether somebody has it, only a request or JetStream can tell.
+  Publishes. `:ok` means written to the connection; only a request or JetStream shows whether somebody received it.
 
     * `reply_to: subject`
     * `headers: [{name, value}]`
@@ -163,8 +163,8 @@ defmodule Gnat do
     * `receive_timeout` - milliseconds, default 60000
     * `headers`
 
-  `{:error, :no_responders}` comes at once when nobody listens, if the connection has `no_responders: true`. An answer
-  that comes too late is dropped, it does not stay in the mailbox.
+  `{:error, :no_responders}` comes at once if nobody listens and the connection has `no_responders: true`. A late
+  answer is dropped and does not stay in the mailbox.
   """
   @spec request(t(), String.t(), iodata(), receive_timeout: timeout(), headers: headers()) ::
           {:ok, message()} | {:error, :timeout | :no_responders | Error.t()}
@@ -184,7 +184,7 @@ defmodule Gnat do
   end
 
   @doc """
-  Publishes and collects answers until the time is over or there are enough.
+  Publishes and collects answers until the timeout or until there are enough.
 
     * `receive_timeout` - milliseconds, default 60000
     * `max_messages` - default -1: as many as come
@@ -214,7 +214,7 @@ defmodule Gnat do
     result
   end
 
-  @doc "The number of subscriptions, one of which the connection has for itself (the answers to requests)."
+  @doc "The number of subscriptions, including the connection's own for answers to requests."
   @spec active_subscriptions(t()) :: {:ok, pos_integer()} | {:error, Error.t()}
   def active_subscriptions(gnat), do: call(gnat, :active_subscriptions)
 
@@ -228,13 +228,13 @@ defmodule Gnat do
   @spec flush(t(), timeout()) :: :ok | {:error, Error.t()}
   def flush(gnat, timeout \\ 5_000), do: call(gnat, :flush, timeout)
 
-  @doc "Does nothing: the connection looks after itself."
+  @doc "Does nothing: the connection pings by itself."
   @deprecated "The connection pings by itself"
   @spec ping(t()) :: :ok
   def ping(_gnat), do: :ok
 
-  # The monitor's alias is where the answers go. It ends with the demonitor, and with it what is still on its way;
-  # every receive names the reference made here, so a long mailbox is not searched.
+  # The answers go to the monitor's alias. The demonitor ends it, so late answers are dropped. Every receive matches the
+  # reference made here, so a long mailbox is not searched.
   defp ask(gnat, topic, body, opts, max) do
     timeout = Keyword.get(opts, :receive_timeout, 60_000)
     headers = Keyword.get(opts, :headers, [])

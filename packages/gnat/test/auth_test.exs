@@ -70,7 +70,7 @@ defmodule Gnat.AuthTest do
     refused(server, %{jwt: jwt, nkey_seed: seed})
   end
 
-  test "credentials are not sent to a server that asks for none, unless it is insisted on" do
+  test "credentials are not sent to a server that does not ask for them, unless configured so" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
 
@@ -86,7 +86,7 @@ defmodule Gnat.AuthTest do
     end
   end
 
-  test "an nkey at a server that knows none is an error that says so" do
+  test "an nkey at a server without nkeys is an error that says so" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
     settings = %{host: "127.0.0.1", port: port, nkey_seed: Nkey.seed(Nkey.generate(:user))}

@@ -4,7 +4,7 @@ defmodule Gnat.ConsumerSupervisorTest do
   import ExUnit.CaptureLog
   import Gnat.Test
 
-  alias Gnat.{ConnectionSupervisor, ConsumerSupervisor}
+  alias Gnat.ConsumerSupervisor
   alias Gnat.Test.NatsServer
 
   @moduletag :capture_log
@@ -41,18 +41,7 @@ defmodule Gnat.ConsumerSupervisorTest do
 
   setup do
     server = start_supervised!(NatsServer)
-    name = :"#{unique("gnat")}"
-    for event <- [:up, :down], do: telemetry([:gnat, :connection, event])
-
-    settings = %{
-      name: name,
-      connection_settings: [NatsServer.settings(server)],
-      backoff_min: 5,
-      backoff_max: 20
-    }
-
-    start_supervised!({ConnectionSupervisor, settings})
-    assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}
+    name = supervised_connection(server)
     {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{no_responders: true}))
     {:ok, server: server, name: name, gnat: gnat, topic: unique("topic")}
   end
@@ -61,7 +50,7 @@ defmodule Gnat.ConsumerSupervisorTest do
     start_supervised!({ConsumerSupervisor, Map.merge(%{connection_name: name}, more)})
   end
 
-  # The subscription is made after the start; a request that nobody takes says that it is not there yet.
+  # The subscription is made after the start; until then a request has no responder.
   defp ask(gnat, topic, body) do
     eventually(fn ->
       case Gnat.request(gnat, topic, body, receive_timeout: 2_000) do

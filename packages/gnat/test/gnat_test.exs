@@ -16,11 +16,11 @@ defmodule GnatTest do
   end
 
   describe "connecting" do
-    test "tells what the server is", %{gnat: gnat} do
+    test "returns what the server is", %{gnat: gnat} do
       assert %{version: "2." <> _, max_payload: 1_048_576, headers: true, port: _} = Gnat.server_info(gnat)
     end
 
-    test "to a port where nobody listens is an error, and no exit" do
+    test "to a closed port is an error, not an exit" do
       {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
       {:ok, port} = :inet.port(socket)
       :gen_tcp.close(socket)
@@ -29,14 +29,14 @@ defmodule GnatTest do
       refute_received {:EXIT, _, _}
     end
 
-    test "to something silent ends with the time that was set" do
+    test "to a silent peer ends with the configured timeout" do
       {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
       {:ok, port} = :inet.port(socket)
       settings = %{host: "127.0.0.1", port: port, connection_timeout: 50}
       assert {:error, %Error{reason: :timeout}} = Gnat.start_link(settings)
     end
 
-    test "to something else is a protocol error" do
+    test "to another protocol is an error" do
       {:ok, socket} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}])
       {:ok, port} = :inet.port(socket)
 
@@ -52,7 +52,7 @@ defmodule GnatTest do
       assert text =~ "SSH-2.0"
     end
 
-    test "refuses settings that make no sense, and says which" do
+    test "refuses invalid settings, and names them" do
       for {settings, text} <- [
             {%{hots: "a"}, "unknown key :hots"},
             {%{port: 0}, ":port must be 1 to 65535, got: 0"},
@@ -69,7 +69,7 @@ defmodule GnatTest do
       end
     end
 
-    test "under a taken name tells who has it", %{server: server} do
+    test "under a taken name returns its owner", %{server: server} do
       name = {:via, Registry, {start_registry(), :nats}}
       {:ok, gnat} = Gnat.start_link(NatsServer.settings(server), name: name)
       assert {:error, {:already_started, ^gnat}} = Gnat.start_link(NatsServer.settings(server), name: name)
@@ -89,7 +89,7 @@ defmodule GnatTest do
   end
 
   describe "publishing and subscribing" do
-    test "a message reaches the subscriber with all that belongs to it", %{gnat: gnat, topic: topic} do
+    test "a message reaches the subscriber with all its parts", %{gnat: gnat, topic: topic} do
       {:ok, sid} = Gnat.sub(gnat, self(), topic)
       :ok = Gnat.pub(gnat, topic, "hello", reply_to: "back")
       assert_receive {:msg, message}
@@ -145,7 +145,7 @@ defmodule GnatTest do
       refute_received {:member, _, _}
     end
 
-    test "unsub ends it", %{gnat: gnat, topic: topic} do
+    test "unsub ends a subscription", %{gnat: gnat, topic: topic} do
       {:ok, sid} = Gnat.sub(gnat, self(), topic)
       :ok = Gnat.unsub(gnat, sid)
       :ok = Gnat.pub(gnat, topic, "x")
@@ -168,7 +168,7 @@ defmodule GnatTest do
       assert {:ok, 1} = Gnat.active_subscriptions(gnat)
     end
 
-    test "max_messages that were received already ends it at once", %{gnat: gnat, topic: topic} do
+    test "max_messages below the number received ends it at once", %{gnat: gnat, topic: topic} do
       {:ok, sid} = Gnat.sub(gnat, self(), topic)
       for n <- 1..2, do: :ok = Gnat.pub(gnat, topic, "#{n}")
       assert_receive {:msg, %{body: "2"}}
@@ -187,7 +187,7 @@ defmodule GnatTest do
       eventually(fn -> Gnat.active_subscriptions(gnat) == {:ok, 1} end)
     end
 
-    test "what is no subject is refused before it can do harm", %{gnat: gnat} do
+    test "an invalid subject is refused before it is sent", %{gnat: gnat} do
       for subject <- ["", "a b", "a\r\nPUB b 0\r\n", "a\t", String.duplicate("x", 1025), :atom, nil] do
         assert {:error, %Error{reason: {:invalid_subject, ^subject}}} = Gnat.pub(gnat, subject, "")
         assert {:error, %Error{reason: {:invalid_subject, _}}} = Gnat.sub(gnat, self(), subject)
@@ -251,7 +251,7 @@ defmodule GnatTest do
                Gnat.pub(gnat, topic, body, headers: [{"a", "b"}])
     end
 
-    test "that another client made up badly cost nothing", %{server: server, gnat: gnat, topic: topic} do
+    test "of another client that are invalid do no harm", %{server: server, gnat: gnat, topic: topic} do
       {:ok, _} = Gnat.sub(gnat, self(), topic)
       :ok = Gnat.flush(gnat)
       {:ok, raw} = :gen_tcp.connect(~c"127.0.0.1", NatsServer.port(server), [:binary, active: false])
@@ -284,18 +284,18 @@ defmodule GnatTest do
       |> Enum.each(fn {:ok, {n, {:ok, %{body: body}}}} -> assert body == "#{n}" end)
     end
 
-    test "that nobody answers: at once when the connection asked to be told", %{gnat: gnat} do
+    test "without a subscriber: an error at once with no_responders", %{gnat: gnat} do
       assert {:error, :no_responders} = Gnat.request(gnat, unique("nobody"), "x")
       assert {:error, :no_responders} = Gnat.request_multi(gnat, unique("nobody"), "x", max_messages: 2)
     end
 
-    test "that nobody answers: a timeout otherwise", %{server: server} do
+    test "without a subscriber: a timeout otherwise", %{server: server} do
       {:ok, gnat} = Gnat.start_link(NatsServer.settings(server))
       assert {:error, :timeout} = Gnat.request(gnat, unique("nobody"), "x", receive_timeout: 20)
       assert {:ok, []} = Gnat.request_multi(gnat, unique("nobody"), "x", receive_timeout: 20)
     end
 
-    test "a late answer stays nowhere", %{gnat: gnat} do
+    test "a late answer is dropped", %{gnat: gnat} do
       topic = unique("late")
       {:ok, _} = Gnat.sub(gnat, self(), topic)
       assert {:error, :timeout} = Gnat.request(gnat, topic, "x", receive_timeout: 20)
@@ -305,7 +305,7 @@ defmodule GnatTest do
       refute_received _anything
     end
 
-    test "request_multi collects up to a number, or until the time is over", %{gnat: gnat, topic: topic} do
+    test "request_multi collects up to a number, or until the timeout", %{gnat: gnat, topic: topic} do
       second = spawn_link(fn -> echo() end)
       {:ok, _} = Gnat.sub(gnat, second, topic)
       assert {:ok, [%{body: "a"}, %{body: "a"}]} = Gnat.request_multi(gnat, topic, "a", max_messages: 2)
@@ -344,7 +344,7 @@ defmodule GnatTest do
       assert :ok = Gnat.stop(gnat)
     end
 
-    test "afterwards everything is an error that says so, and nothing exits", %{gnat: gnat} do
+    test "afterwards every call is an error that says so, and nothing exits", %{gnat: gnat} do
       :ok = Gnat.stop(gnat)
       error = {:error, Error.new(:not_connected)}
       assert Gnat.pub(gnat, "a", "b") == error
@@ -358,7 +358,7 @@ defmodule GnatTest do
       assert Gnat.request(:nobody_has_this_name, "a", "b") == error
     end
 
-    test "a request that waits learns of it", %{gnat: gnat} do
+    test "a waiting request ends with an error", %{gnat: gnat} do
       topic = unique("waiting")
       {:ok, _} = Gnat.sub(gnat, self(), topic)
       task = Task.async(fn -> Gnat.request(gnat, topic, "x") end)

@@ -50,7 +50,7 @@ defmodule Gnat.HandshakeTest do
     Gnat.Test.eventually(fn -> match?(%{ldm: true}, Gnat.server_info(gnat)) end)
   end
 
-  test "what comes in one piece with the PONG is read, too", context do
+  test "bytes that come together with the PONG are read too", context do
     assert {:ok, gnat} =
              connect(context, [
                "INFO {\"headers\":true}\r\n",
@@ -70,7 +70,7 @@ defmodule Gnat.HandshakeTest do
              Gnat.request(gnat, "a", "b", headers: [{"c", "d"}])
   end
 
-  test "every other way it may go is an error", context do
+  test "every other course is an error", context do
     for {script, reason} <- [
           {[:close], :closed},
           {["-ERR 'maximum connections exceeded'\r\n"], {:server, "maximum connections exceeded"}},
@@ -86,13 +86,13 @@ defmodule Gnat.HandshakeTest do
     end
   end
 
-  test "nonsense later ends the connection with what it was", context do
+  test "garbage ends the connection with a description of it", context do
     Process.flag(:trap_exit, true)
     assert {:ok, gnat} = connect(context, ["INFO {}\r\n", :recv, "PONG\r\n", :recv, "PING\r\nnonsense\r\n"])
     assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: {:protocol, "unknown command \"nonsense\""}}}}
   end
 
-  test "the last words of the server are the reason of the end", context do
+  test "the server's last error is the reason of the end", context do
     Process.flag(:trap_exit, true)
     script = ["INFO {}\r\n", :recv, "PONG\r\n", :recv, "-ERR 'Slow Consumer'\r\n", :close]
 

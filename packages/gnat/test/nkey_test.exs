@@ -37,7 +37,7 @@ defmodule Gnat.NkeyTest do
     refute inspect(nkey) =~ "secret"
   end
 
-  test "what is no seed is an error that says why, and not what it was" do
+  test "an invalid seed is an error that says why, without showing it" do
     wrong = String.replace_suffix(@seed, "VY", "VA")
 
     for {seed, why} <- [
@@ -54,9 +54,24 @@ defmodule Gnat.NkeyTest do
     end
   end
 
+  test "the public half verifies what the secret half signed" do
+    assert {:ok, :user, public} = Nkey.from_public(@public)
+    {:ok, key} = Nkey.from_seed(@seed)
+    signature = Nkey.sign(key, "some bytes")
+    assert Nkey.verify(public, "some bytes", signature)
+    refute Nkey.verify(public, "other bytes", signature)
+    refute Nkey.verify(public, "some bytes", "short")
+    refute Nkey.verify(public, "some bytes", :binary.copy(<<1>>, 64))
+
+    for text <- [@seed, "", "U", String.replace(@public, "X", "Y"), String.slice(@public, 0, 50), nil],
+        do: assert({:error, %Error{}} = Nkey.from_public(text))
+  end
+
   test "no text raises" do
     property =
-      :proper.forall(:proper_types.binary(), fn text -> match?({:error, _}, Nkey.from_seed(text)) end)
+      :proper.forall(:proper_types.binary(), fn text ->
+        match?({:error, _}, Nkey.from_seed(text)) and match?({:error, _}, Nkey.from_public(text))
+      end)
 
     assert :proper.quickcheck(property, [:quiet, numtests: 200])
   end
@@ -68,7 +83,7 @@ defmodule Gnat.NkeyTest do
       assert {:ok, %{jwt: "abc.def-g.h_i"}} = text |> String.replace("\n", "\r\n") |> Credentials.parse()
     end
 
-    test "that lack a part, or have a bad one, say so" do
+    test "without a part, or with an invalid one, say so" do
       assert {:error, %Error{reason: {:credentials, "no NATS USER JWT block"}}} = Credentials.parse("")
       [jwt_only, _] = String.split(Jwt.creds("abc", @seed), "-----BEGIN USER")
       assert {:error, %Error{reason: {:credentials, "no USER NKEY SEED block"}}} = Credentials.parse(jwt_only)

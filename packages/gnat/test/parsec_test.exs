@@ -40,7 +40,7 @@ defmodule Gnat.ParsecTest do
     end
   end
 
-  describe "what is not the protocol is an error" do
+  describe "invalid input is an error" do
     test "with the messages that came before it" do
       assert {:error, "unknown command \"HELLO\"", [:ping]} = parse("PING\r\nHELLO\r\nPONG\r\n")
     end
@@ -85,7 +85,7 @@ defmodule Gnat.ParsecTest do
     end
   end
 
-  test "a line in single bytes is searched once, not once a byte" do
+  test "a line in single bytes is searched once, not once for each byte" do
     # 60 000 bytes one at a time: with a search from the start each time these would be 1.8 thousand million steps.
     line = "MSG " <> String.duplicate("x", 60_000) <> " 1 0\r\n\r\n"
 
@@ -105,7 +105,7 @@ defmodule Gnat.ParsecTest do
                Headers.decode("NATS/1.0 409 Consumer Deleted\r\n\r\n")
     end
 
-    test "lines that are none are left out, bytes that are no UTF-8 are kept" do
+    test "invalid lines are left out, bytes that are not UTF-8 are kept" do
       assert %{headers: [{"a", <<255>>}, {"b", ""}]} =
                Headers.decode("NATS/1.0\r\nx\r\n: y\r\nA: \xFF \r\nB:\r\n\r\n")
     end

@@ -32,7 +32,7 @@ defmodule Gnat.TlsTest do
     works(NatsServer.settings(server, %{tls: true, ssl_opts: [verify: :verify_none]}))
   end
 
-  test "a server that requires TLS gets it unasked", %{certificates: certificates} do
+  test "a server that requires TLS gets it without a setting", %{certificates: certificates} do
     works(NatsServer.settings(server(certificates), %{ssl_opts: [cacerts: certificates.cacerts]}))
   end
 
@@ -44,7 +44,7 @@ defmodule Gnat.TlsTest do
     assert {:error, %Error{reason: :timeout}} = Gnat.start_link(late)
   end
 
-  test "a certificate nobody vouches for is refused", %{certificates: certificates} do
+  test "an untrusted certificate is refused", %{certificates: certificates} do
     settings = NatsServer.settings(server(certificates), %{tls: true})
 
     for ssl_opts <- [[], [cacerts: Certificates.make().cacerts]] do
@@ -65,7 +65,7 @@ defmodule Gnat.TlsTest do
              Gnat.start_link(NatsServer.settings(server(certificates), settings))
   end
 
-  test "a server that wants a certificate of the client", %{certificates: certificates} do
+  test "a server that requires a client certificate", %{certificates: certificates} do
     server = server(certificates, "verify: true, ca_file: \"DIR/client-ca.pem\"")
     trusted = [cacerts: certificates.cacerts]
     works(NatsServer.settings(server, %{tls: true, ssl_opts: trusted ++ certificates.client}))
@@ -75,13 +75,13 @@ defmodule Gnat.TlsTest do
     assert match?({:tls, _}, reason) or match?({:transport, _}, reason) or reason == :closed
   end
 
-  test "TLS that the server does not have is an error, and nothing is sent in clear" do
+  test "TLS with a server that has none is an error, and nothing is sent in the clear" do
     server = start_supervised!(NatsServer)
     settings = NatsServer.settings(server, %{tls: true, username: "joe", password: "secret"})
     assert {:error, %Error{reason: :tls_not_offered}} = Gnat.start_link(settings)
   end
 
-  test "bytes smuggled in before TLS are refused" do
+  test "injected bytes before TLS are refused" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
     client = Task.async(fn -> Gnat.start_link(%{host: "127.0.0.1", port: port}) end)
@@ -90,7 +90,7 @@ defmodule Gnat.TlsTest do
     assert {:error, %Error{reason: {:protocol, "bytes between" <> _}}} = Task.await(client, 60_000)
   end
 
-  test "options that TLS does not know are an error", %{certificates: certificates} do
+  test "unknown TLS options are an error", %{certificates: certificates} do
     settings = %{tls: true, ssl_opts: [cacertfile: "/nonexistent", verify: :verify_peer]}
 
     assert {:error, %Error{reason: {:tls, _}}} =
@@ -105,7 +105,7 @@ defmodule Gnat.TlsTest do
     assert_receive {:EXIT, ^gnat, {:shutdown, %Error{}}}
   end
 
-  test "user and password travel inside", %{certificates: certificates} do
+  test "user and password are sent inside TLS", %{certificates: certificates} do
     server = server(certificates, "", "authorization { user: joe, password: secret }")
     settings = %{tls: true, ssl_opts: [cacerts: certificates.cacerts], username: "joe", password: "secret"}
     works(NatsServer.settings(server, settings))

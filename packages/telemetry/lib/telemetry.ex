@@ -2,8 +2,8 @@ defmodule :telemetry do
   @moduledoc """
   Delivers events from libraries to handlers that measure them.
 
-  A library calls `execute/3` where something happens; an application attaches functions to the names of the
-  events. Handlers run in the process that executes the event, so an event nobody listens to costs one ETS lookup.
+  A library calls `execute/3` where something happens; an application attaches functions to the names of the events. Handlers
+  run in the process that executes the event; an event without handlers costs one ETS lookup.
 
       :telemetry.attach("count-messages", [:gnat, :message_received], &MyApp.Metrics.count/4, nil)
       :telemetry.execute([:gnat, :message_received], %{count: 1}, %{topic: "a.b"})
@@ -14,8 +14,7 @@ defmodule :telemetry do
     * metadata: `event_name`, `handler_id`, `handler_config`, `kind` (`:error`, `:exit` or `:throw`), `reason`,
       `stacktrace`
 
-  so that a broken handler never takes down the code it observes. The order of the handlers of one event is not
-  defined.
+  so that a broken handler never affects the code that it observes. The order of the handlers of an event is undefined.
   """
 
   alias Telemetry.HandlerTable
@@ -45,9 +44,9 @@ defmodule :telemetry do
   @doc """
   Attaches `function` to one event, under an id that no other handler has.
 
-  Anything but an external capture (`&Mod.fun/4`) is called slower and survives no code change, and is reported
-  once, at level info. The error is `badarg` (`ArgumentError` in Elixir) when the name is not a non-empty list of atoms or the
-  function has not four arguments.
+  Use an external capture (`&Mod.fun/4`): any other function is slower to call, does not survive a code change, and is
+  reported once, at level info. The error is `badarg` (`ArgumentError` in Elixir) if the name is not a non-empty list of atoms or the
+  function does not take four arguments.
   """
   @spec attach(handler_id(), event_name(), handler_function(), handler_config()) ::
           :ok | {:error, :already_exists}
@@ -82,7 +81,7 @@ defmodule :telemetry do
   @doc """
   Calls every handler of `event_name` with the name, the measurements, the metadata and its own configuration.
 
-  A bare number instead of a map of measurements is the old form: it becomes `%{value: number}`, with a warning.
+  A bare number instead of a map of measurements is deprecated: it becomes `%{value: number}`, with a warning.
   """
   @spec execute(event_name(), event_measurements() | event_value(), event_metadata()) :: :ok
   def execute(event_name, value, metadata) when is_number(value) do
@@ -97,12 +96,12 @@ defmodule :telemetry do
   @doc """
   Runs `function` between the events `prefix ++ [:start]` and `prefix ++ [:stop]`, or `prefix ++ [:exception]`.
 
-  `function` gives `{result, stop_metadata}` or `{result, extra_measurements, stop_metadata}`; `result` is returned.
-  An exception is raised again after its event.
+  `function` returns `{result, stop_metadata}` or `{result, extra_measurements, stop_metadata}`; `result` is returned.
+  An exception is re-raised after its event.
 
   Measurements: `:start` has `system_time` and `monotonic_time`; the other two have `duration` and `monotonic_time`,
-  all in native units; extra measurements cannot replace those. Metadata: as given, plus `telemetry_span_context`
-  (a reference that is the same in both events, unless the metadata brings its own); `:exception` has the start's
+  all in native units; extra measurements cannot replace those. Metadata: as given, plus `telemetry_span_context` (the same
+  reference in both events, unless the metadata has one); `:exception` has the start's
   metadata plus `kind`, `reason` and `stacktrace`.
   """
   @spec span(event_prefix(), event_metadata(), span_function()) :: span_result()
@@ -138,7 +137,7 @@ defmodule :telemetry do
 
   @doc """
   All handlers of the events whose names begin with `prefix`, `[]` for all. A handler of several events is listed once
-  for each.
+  for each of them.
   """
   @spec list_handlers(event_prefix()) :: [handler()]
   def list_handlers(prefix) do
@@ -160,7 +159,7 @@ defmodule :telemetry do
     run(rest, event_name, measurements, metadata)
   end
 
-  # Detached before the event, so that a failure handler that fails too does not loop.
+  # Detached before the event, so that a failing failure handler causes no loop.
   defp failed(id, config, event_name, kind, reason, stacktrace) do
     # Another process may have detached it already.
     _ = detach(id)
@@ -194,7 +193,7 @@ defmodule :telemetry do
 
   defp warn_if_local(id, function) do
     if Function.info(function, :type) == {:type, :local} do
-      # A report, so that programs find the handler in it.
+      # A report, so that programs can read the handler's id.
       Logger.info(%{
         handler_id: id,
         message:
@@ -203,7 +202,7 @@ defmodule :telemetry do
     end
   end
 
-  # What is wrong with an argument, by its number: Erlang and Elixir say it with the `badarg`.
+  # What is wrong with an argument, by its number: Erlang and Elixir add it to the `badarg`.
   defp said(faults), do: [error_info: %{module: __MODULE__, cause: faults}]
 
   @doc false

@@ -142,7 +142,8 @@ defmodule TelemetryTest do
           exit: quote(do: exit(:no)),
           throw: quote(do: throw(:no))
         ] do
-      test "by #{kind} is detached, reported and hurts nobody else", %{event: event, id: id} = context do
+      test "by #{kind} is detached and reported, and affects nothing else",
+           %{event: event, id: id} = context do
         :telemetry.attach({id, :failure}, [:telemetry, :handler, :failure], &__MODULE__.forward/4, self())
         :telemetry.attach(id, event, &__MODULE__.fail/4, fn -> unquote(code) end)
         attach(context, {id, :other})

@@ -2,39 +2,38 @@ defmodule FleetWeb.Endpoint do
   @moduledoc """
   The HTTP server of one gateway instance: Cowboy listeners under their own supervisor.
 
-      FleetWeb.Endpoint.start_link(gateway: :default, address: {127, 0, 0, 1}, port: 4000)
+      FleetWeb.Endpoint.start_link(gateway: :default, settings: settings)
 
   * `gateway` - name of the `Aerie.Gateway` that it shows (required)
-  * `address` - IP address to listen on, default `{127, 0, 0, 1}`, because there is no password by default
-  * `port` - TCP port, default 4000; 0 takes a free one, which `port/1` returns
+  * `settings` - `FleetWeb.Settings` (required); port 0 takes a free one, which `port/1` returns
+  * `reload` - reads the configuration again (`POST /api/config/reload`); gets who asks
   * `max_connections` - default 1000; more wait in the kernel's queue
-  * `config` - the `Aerie.Config`, or its sections `http`, `api` and `websocket`; default is the running gateway's. Without
-    a section `websocket` there is no WebSocket listener
+  * `configuration` - a function that gives the configuration for people (`t:FleetWeb.Console.Settings.Configuration.section/0`), for the
+    page of settings; without it the page has none
 
-  Cowboy (with its default limits on headers and request lines) and `FleetWeb.HTTP.Guard` refuse bad input, which costs only
+  Cowboy (with its default limits on headers and request lines) and `FleetWeb.HTTP.Utf8Check` refuse bad input, which costs only
   its own connection. The server speaks HTTP/1.1 only, because no client of a gateway needs more.
   """
 
   use Supervisor
 
-  alias Aerie.Client.Keys
-  alias FleetWeb.API
-  alias FleetWeb.HTTP.{Guard, Handler}
-  alias FleetWeb.Listener
+  alias FleetWeb.{API, Console}
+  alias FleetWeb.HTTP.{Handler, Proxy, Utf8Check}
+  alias FleetWeb.{Listener, Settings}
   alias FleetWeb.WebSocket
 
-  @defaults [address: {127, 0, 0, 1}, port: 4000, max_connections: 1000, config: nil]
+  @defaults [max_connections: 1000, reload: nil, configuration: nil]
 
   @type option ::
           {:gateway, term()}
-          | {:address, :inet.ip_address()}
-          | {:port, :inet.port_number()}
+          | {:settings, Settings.t()}
           | {:max_connections, pos_integer()}
-          | {:config, map() | nil}
+          | {:reload, (by :: String.t() -> {:ok, map()} | {:error, [String.t()]}) | nil}
+          | {:configuration, (-> [Console.Settings.Configuration.section()]) | nil}
 
   @spec start_link([option()]) :: Supervisor.on_start()
   def start_link(options) do
-    options = Keyword.validate!(options, [:gateway | @defaults])
+    options = Keyword.validate!(options, [:gateway, :settings | @defaults])
     Supervisor.start_link(__MODULE__, options)
   end
 
@@ -45,34 +44,72 @@ defmodule FleetWeb.Endpoint do
   @impl Supervisor
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    config = options[:config] || Aerie.Gateway.config(gateway) || %{}
+    %Settings{} = settings = Keyword.fetch!(options, :settings)
 
-    case policy(config) do
-      {:ok, policy} ->
-        children =
-          [{API.Tickets, gateway: gateway}, listener(gateway, options, policy)] ++
-            WebSocket.listener(gateway, Map.get(config, :websocket), policy)
+    with {:ok, keys} <- API.Keys.load(settings.api),
+         policy = policy(settings),
+         {:ok, console, pages} <- console(gateway, settings, policy, options[:configuration]) do
+      routes = routes(gateway, policy, options[:reload], pages)
 
-        Supervisor.init(children, strategy: :one_for_one)
+      children =
+        [
+          {API.KeyRing, key_ring(gateway, settings, keys)},
+          {API.Tickets, gateway: gateway},
+          {Aerie.Diagnosis.Server, gateway: gateway}
+        ] ++
+          console ++
+          [listener(gateway, settings, options[:max_connections], routes)] ++
+          told(gateway, settings) ++
+          WebSocket.listener(gateway, settings.websocket, policy)
 
+      Supervisor.init(children, strategy: :one_for_one)
+    else
       {:error, text} ->
         # Without readable keys the server would admit nobody, or everybody, so it does not start.
         raise ArgumentError, text
     end
   end
 
-  defp listener(gateway, options, policy) do
+  # The console's processes, and what it serves.
+  defp console(_gateway, %Settings{console: %{enabled: false}}, _policy, _configuration), do: {:ok, [], []}
+
+  defp console(gateway, %Settings{console: console}, policy, configuration) do
+    with {:ok, secret} <- Console.Access.Secret.load(console.dir) do
+      {:ok, [{Console.Supervisor, gateway: gateway, settings: console, configuration: configuration}],
+       Console.Supervisor.routes(gateway, policy, secret)}
+    end
+  end
+
+  # Only a listener that has started knows its port.
+  defp told(_gateway, %Settings{console: %{enabled: false}}), do: []
+
+  defp told(gateway, %Settings{http: http}) do
+    tell = fn -> Console.Access.Launch.write(gateway, Settings.ip(http.address)) end
+    [%{id: :console_address, start: {__MODULE__, :run_once, [tell]}, restart: :transient}]
+  end
+
+  @doc false
+  def run_once(fun) do
+    fun.()
+    :ignore
+  end
+
+  defp listener(gateway, %Settings{http: http}, max_connections, routes) do
     transport = %{
-      socket_opts: [ip: options[:address], port: options[:port]],
+      socket_opts: [ip: Settings.ip(http.address), port: http.port],
       num_acceptors: 4,
       # Ranch applies the connection limit per connection supervisor, so there is only one.
       num_conns_sups: 1,
-      max_connections: options[:max_connections]
+      max_connections: max_connections
     }
 
     protocol = %{
-      env: %{dispatch: :cowboy_router.compile([{:_, routes(gateway, policy)}]), gateway: gateway},
-      middlewares: Guard.middlewares(),
+      env: %{
+        dispatch: :cowboy_router.compile([{:_, routes}]),
+        gateway: gateway,
+        proxies: Enum.map(http.proxies, &Settings.ip/1)
+      },
+      middlewares: [Proxy | Utf8Check.middlewares()],
       protocols: [:http],
       idle_timeout: 30_000,
       # An unread body closes its connection; a slow one would hold it for ever.
@@ -83,29 +120,24 @@ defmodule FleetWeb.Endpoint do
     :ranch.child_spec(Listener.ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)
   end
 
-  defp policy(config) do
-    api = Map.get(config, :api) || %{key: nil, keys_file: nil, origins: []}
-    hosts = Map.get(Map.get(config, :http) || %{}, :hosts, [])
+  # Who decides about a request takes the keys of that moment.
+  defp policy(%Settings{api: api, http: http}),
+    do: %{keys: API.KeyRing.nobody(), origins: api.origins, ports: [], hosts: http.hosts}
 
-    with {:ok, keys} <- Keys.load(api),
-         do: {:ok, %{keys: keys, origins: api.origins, ports: [], hosts: hosts}}
-  end
+  defp key_ring(gateway, %Settings{console: %{dir: dir}}, keys),
+    do: [gateway: gateway, configured: keys, file: Path.join(dir, "keys")]
 
-  defp routes(gateway, policy) do
+  # The console takes every path that nobody else has.
+  defp routes(gateway, policy, reload, console) do
     api =
       for {path, resource} <- API.Resources.paths(),
-          do: {path, API.Handler, %{resource: resource, gateway: gateway, policy: policy}}
+          do: {path, API.Handler, %{resource: resource, gateway: gateway, policy: policy, reload: reload}}
 
-    pages =
-      for {path, page} <- [
-            {"/", :index},
-            {"/metrics", :metrics},
-            {"/healthz", :healthz},
-            {"/readyz", :readyz},
-            {:_, :missing}
-          ],
-          do: {path, Handler, %{page: page, gateway: gateway, policy: policy}}
+    plain = [{"/metrics", :metrics}, {"/healthz", :healthz}, {"/readyz", :readyz}]
+    plain = if console == [], do: plain ++ [{"/", :index}, {:_, :missing}], else: plain
 
-    api ++ pages
+    api ++
+      for({path, page} <- plain, do: {path, Handler, %{page: page, gateway: gateway, policy: policy}}) ++
+      console
   end
 end

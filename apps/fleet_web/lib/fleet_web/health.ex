@@ -5,7 +5,8 @@ defmodule FleetWeb.Health do
   Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
   autopilot has the gateway's own ids (its vehicle would be invisible), and that no link drops datagrams because they come
   faster than it reads them (what the gateway shows would be incomplete). Links that are down are listed but do not make it
-  unready, because a gateway that waits for a radio to return does its work.
+  unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot be written (the gateway
+  then refuses commands, and shows everything) and a policy that could not be loaded anew (the old one is in force).
   """
 
   alias Aerie.{Names, Store}
@@ -38,10 +39,19 @@ defmodule FleetWeb.Health do
          stalled_s: nats[:outbox][:stalled_s],
          problem: problem || nats[:outbox][:problem]
        },
+       policy: %{problem: policy_problem(gateway)},
+       audit: %{problem: Aerie.Policy.Audit.failing(gateway)},
        links: links,
        problems: overloaded,
        vehicles: length(Store.vehicles(gateway))
      }}
+  end
+
+  # A policy that could not be loaded anew: the old one is in force.
+  defp policy_problem(gateway) do
+    with %{problem: %{errors: lines}} <- Aerie.Policy.Store.status(gateway),
+         do: Enum.join(lines, "; "),
+         else: (_none -> nil)
   end
 
   defp link(link),
@@ -58,8 +68,8 @@ defmodule FleetWeb.Health do
   end
 
   # What keeps events from being stored, or nil. A problem of the outbox is shown, but does not keep them.
-  defp nats_problem(gateway, nil), do: if(not nats_off?(gateway), do: "the bridge to NATS does not run")
-  defp nats_problem(_gateway, nats), do: nats.problem
+  defp nats_problem(gateway, nil),
+    do: if(not Aerie.Bridge.off?(gateway), do: "the bridge to NATS does not run")
 
-  defp nats_off?(gateway), do: match?(%{nats: %{mode: :off}}, Aerie.Gateway.config(gateway))
+  defp nats_problem(_gateway, nats), do: nats.problem
 end

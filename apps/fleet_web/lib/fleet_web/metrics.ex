@@ -2,29 +2,16 @@ defmodule FleetWeb.Metrics do
   @moduledoc """
   All metric families of a gateway, read from the read model at the time of the scrape.
 
-  | family | labels | meaning |
-  |---|---|---|
-  | `gateway_mavlink_messages_received_total` | `type` | good frames received, by message name in lower case |
-  | `gateway_mavlink_messages_sent_total` | `type` | messages the gateway itself sent |
-  | `gateway_mavlink_parse_errors_total` | | frames with a wrong CRC or unknown incompatibility flags |
-  | `gateway_clients`, `gateway_client_*` | `kind` | clients that are connected, and their frames |
-  | `gateway_api_requests_total` | `status` | requests to `/api` |
-  | `gateway_clients_refused_total` | `face`, `reason` | clients refused or disconnected |
-  | `gateway_nats_*` | | see `Aerie.Bridge.metrics/1` |
-  | `gateway_recorder_*` | `recording` | see `Aerie.Recorder.metrics/1` |
-  | `gateway_link_*` | `link`, `network` | one link: state, bytes, frames, errors, loss, drops, reconnects |
-  | `gateway_vehicle_*` | `vehicle` | one vehicle: heard, armed, in air, battery, links |
-  | `gateway_counter_total` | `name` | the read model's other counters: drops and refusals |
-  | `gateway_vm_*` | | memory, processes and run queue of the VM |
+  `docs/metrics.md` lists them (`FleetWeb.Metrics.Page`).
 
   Message names come from the dialects. An id that no dialect knows is `type="unknown"`, so that received garbage does not
   add time series.
   """
 
   alias Aerie.Store
-  alias FleetWeb.Metrics.{Clients, Links, Text, Vehicles}
+  alias FleetWeb.Metrics.{Clients, Links, Policy, Text, Vehicles}
 
-  @doc "The metric families of a gateway; those of parts that do not run are empty."
+  @doc "The metric families of a gateway; those of parts that do not run have no samples."
   @spec families(term()) :: [Text.family()]
   def families(gateway) do
     links = Aerie.Link.list(gateway)
@@ -32,15 +19,16 @@ defmodule FleetWeb.Metrics do
 
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), links, System.os_time(:microsecond)) ++
-      bridge(gateway) ++
-      Clients.families(Aerie.Client.list(gateway), counters) ++ [sent(counters), others(counters)] ++ vm()
+      parts(gateway) ++
+      Clients.families(Aerie.Client.list(gateway), counters) ++
+      Policy.families(gateway, counters) ++
+      [sent(counters), others(counters)] ++ vm()
   end
 
-  defp bridge(gateway) do
-    for %{name: name, type: type, help: help, samples: samples} <-
-          Aerie.Bridge.metrics(gateway) ++ Aerie.Recorder.metrics(gateway) do
-      {name, type, help, samples}
-    end
+  defp parts(gateway) do
+    for part <- [Aerie.Bridge, Aerie.Recorder, Aerie.Commands, Aerie.Shadow],
+        %{name: name, type: type, help: help, samples: samples} <- part.metrics(gateway),
+        do: {name, type, help, samples}
   end
 
   defp sent(counters) do
@@ -53,7 +41,8 @@ defmodule FleetWeb.Metrics do
   defp others(counters) do
     samples =
       for {name, n} <- counters,
-          not match?({:sent, _id}, name) and not Clients.own?(name),
+          not match?({:sent, _id}, name) and not Clients.own?(name) and not Policy.own?(name) and
+            not Aerie.Commands.Metrics.own?(name) and not Aerie.Shadow.Metrics.own?(name),
           do: {[name: counter_name(name)], n}
 
     {"gateway_counter_total", :counter, "Drops and refusals, by name.", Enum.sort(samples)}

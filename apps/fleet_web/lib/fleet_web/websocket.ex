@@ -1,30 +1,31 @@
 defmodule FleetWeb.WebSocket do
   @moduledoc """
-  The listener for MAVLink over WebSocket, on its own port (8765): `ws`, or `wss` only if there is a certificate.
+  The listener for MAVLink over WebSocket, on a port of its own (`websocket.port`): `ws`, or `wss` only if there is a certificate.
 
   A handshake must finish within five seconds, its headers have at most 4 KiB each, and there are at most
   `websocket.max_clients` clients.
   """
 
   alias FleetWeb.API.Access
-  alias FleetWeb.HTTP.Guard
-  alias FleetWeb.WebSocket.{Handler, Places}
+  alias FleetWeb.HTTP.Utf8Check
+  alias FleetWeb.Listener
+  alias FleetWeb.WebSocket.{Capacity, Handler}
 
   # Connections beyond the limit, which get an answer that says so.
   @spare 16
 
-  @doc "Child specifications of a gateway's listener; `[]` if the section `websocket` is missing or disabled."
-  @spec listener(term(), map() | nil, Access.policy()) :: [
+  @doc "Child specifications of a gateway's listener; `[]` if `websocket.enabled` is false."
+  @spec listener(term(), map(), Access.policy()) :: [
           Supervisor.child_spec() | :supervisor.child_spec() | {module(), keyword()}
         ]
   def listener(gateway, %{enabled: true} = settings, policy) do
     ref = ref(gateway)
-    handler = %{gateway: gateway, policy: policy}
+    handler = %{gateway: gateway, policy: policy, sign: settings.sign}
     paths = for path <- [~c"/", ~c"/mavlink"], do: {path, Handler, handler}
 
     protocol = %{
       env: %{dispatch: :cowboy_router.compile([{:_, paths}]), gateway: gateway},
-      middlewares: Guard.middlewares(),
+      middlewares: Utf8Check.middlewares(),
       protocols: [:http],
       request_timeout: 5_000,
       idle_timeout: 10_000,
@@ -32,12 +33,10 @@ defmodule FleetWeb.WebSocket do
       max_keepalive: 10
     }
 
-    {:ok, address} = :inet.parse_strict_address(String.to_charlist(settings.address))
-
     # With megabytes in the kernel's buffer, a client that resumes reading would get old frames. A client that takes
     # nothing for ten seconds is disconnected.
     socket =
-      [ip: address, port: settings.port, nodelay: true, sndbuf: 65_536] ++
+      [ip: FleetWeb.Settings.ip(settings.address), port: settings.port, nodelay: true, sndbuf: 65_536] ++
         [send_timeout: 10_000, send_timeout_close: true]
 
     {transport, connection, socket} = secure(settings, socket)
@@ -51,7 +50,7 @@ defmodule FleetWeb.WebSocket do
     }
 
     [
-      {Places, gateway: gateway, most: settings.max_clients},
+      {Capacity, gateway: gateway, max_clients: settings.max_clients},
       :ranch.child_spec(ref, transport, limits, connection, protocol)
     ]
   end
@@ -60,11 +59,7 @@ defmodule FleetWeb.WebSocket do
 
   @doc "The port on which the listener of a gateway listens."
   @spec port(term()) :: :inet.port_number()
-  def port(gateway) do
-    case :ranch.get_port(ref(gateway)) do
-      port when is_integer(port) -> port
-    end
-  end
+  def port(gateway), do: Listener.port_of(ref(gateway))
 
   defp secure(%{cert_file: cert, key_file: key}, socket) when is_binary(cert),
     do:

@@ -11,17 +11,14 @@ defmodule FleetWeb.EndpointTest do
   setup do
     gateway = make_ref()
 
-    config =
-      Aerie.Config.default(%{
-        "nats" => %{"mode" => "off"},
-        "mavlink" => %{"local_addr" => "off"},
-        "sockets" => %{"enabled" => false},
-        "websocket" => %{"port" => 0},
-        "links" => [%{"id" => "radio", "url" => "udpin:127.0.0.1:0"}]
-      })
+    config = %{
+      http: %{port: 0},
+      websocket: %{port: 0},
+      links: [%{id: "radio", url: "udpin:127.0.0.1:0", enabled: true}]
+    }
 
-    start_supervised!({Aerie.Gateway, name: gateway, config: config})
-    start_supervised!({FleetWeb.Endpoint, gateway: gateway, port: 0})
+    Aerie.GatewayCase.start_gateway(config, name: gateway, without: [])
+    FleetWeb.APICase.start_endpoint(gateway, config)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}
   end
 

@@ -10,17 +10,9 @@ defmodule FleetWeb.HealthTest do
   test "ready depends on events being stored, not on the connection", %{tmp_dir: dir} do
     gateway = make_ref()
     # Nobody listens there.
-    overrides = [{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", dir}, {"sockets.enabled", false}]
-
-    config =
-      Aerie.Config.default([
-        {"mavlink.local_addr", "off"},
-        {"nats.retry_min_ms", 60_000},
-        {"nats.retry_max_ms", 60_000} | overrides
-      ])
-
+    nats = %{url: ["nats://127.0.0.1:1"], retry_min_ms: 60_000, retry_max_ms: 60_000}
     without = [Aerie.Link.Supervisor, Aerie.Client.Supervisor]
-    start_supervised!({Aerie.Gateway, name: gateway, config: config, without: without})
+    Aerie.GatewayCase.start_gateway(%{nats: nats, outbox: %{dir: dir}}, name: gateway, without: without)
     assert {false, %{nats: %{problem: "not connected to NATS"}}} = Health.ready(gateway)
 
     tables = Tables.get(gateway)

@@ -6,7 +6,15 @@ defmodule FleetWeb.WebSocketTest do
   alias Aerie.Router.Endpoint
   alias FleetWeb.WSClient
 
-  @settings %{enabled: true, address: "127.0.0.1", port: 0, max_clients: 8, cert_file: nil, key_file: nil}
+  @settings %{
+    enabled: true,
+    sign: false,
+    address: "127.0.0.1",
+    port: 0,
+    max_clients: 8,
+    cert_file: nil,
+    key_file: nil
+  }
 
   # The test process in the place of a link to vehicles.
   defp start(options \\ []) do
@@ -127,7 +135,7 @@ defmodule FleetWeb.WebSocketTest do
     end
   end
 
-  describe "who may" do
+  describe "access" do
     test "with a key: the header, a ticket in the address, a ticket as subprotocol; each ticket once" do
       c = start(key: true)
       assert {401, %{"error" => %{"code" => "unauthorized"}}} = open(c)
@@ -149,6 +157,44 @@ defmodule FleetWeb.WebSocketTest do
       assert {401, _body} = open(c, "/", headers: protocols)
       assert "api.key@" <> _address = hd(clients(c.gateway)).peer
       assert Store.counter(c.gateway, {:clients, :websocket, :unauthorized}) == 4
+    end
+
+    @tag :tmp_dir
+    test "by the role of its key: a viewer only looks on, what an operator commands is judged as an operator's",
+         %{
+           tmp_dir: dir
+         } do
+      file = Path.join(dir, "keys")
+      File.write!(file, "olga the-key-of-olga-0 role=operator\nvictor the-key-of-victor role=viewer\n")
+      File.chmod!(file, 0o600)
+      c = start(keys_file: file)
+      {:ok, policy} = Aerie.Policy.compile(%{})
+      start_supervised!({Aerie.Policy.Store, gateway: c.gateway, policy: policy})
+      say(c.link, heartbeat(1))
+      reboot = MavCodec.encode(%MavCodec.Messages.CommandLong{target_system: 1, command: 246}, system: 255)
+
+      arm =
+        MavCodec.encode(%MavCodec.Messages.CommandLong{target_system: 1, command: 400, param1: 1.0},
+          system: 255
+        )
+
+      victor = [{"x-aerie-key", "the-key-of-victor"}]
+      viewer = open(c, "/?access=full", headers: victor)
+      :ok = WSClient.send(viewer, arm)
+      eventually(fn -> match?([%{counters: %{read_only: 1}}], clients(c.gateway)) end)
+      {201, _headers, %{"ticket" => ticket}} = request(c.port, "POST", "/api/tickets", victor)
+      viewer = open(c, "/?ticket=" <> ticket, [], 2)
+      :ok = WSClient.send(viewer, arm)
+      eventually(fn -> Enum.all?(clients(c.gateway), &(&1.counters.read_only == 1)) end)
+
+      operator = open(c, "/", [headers: [{"x-aerie-key", "the-key-of-olga-0"}]], 3)
+      :ok = WSClient.send(operator, reboot <> arm)
+      assert_receive {:forward, [^arm], :control}
+      refute_received {:forward, _frames, :control}
+      # It hears the vehicle's heartbeat no more; the answer is the first that comes.
+      {{2, answer}, _operator} = WSClient.recv(operator)
+      frame = MavCodec.Frame.from_bytes(answer, nil)
+      assert {:ok, %MavCodec.Messages.CommandAck{command: 246, result: 2}} = MavCodec.decode(frame)
     end
 
     test "pages: the gateway's own and the configured ones; no others, not even with a valid ticket" do
@@ -209,12 +255,12 @@ defmodule FleetWeb.WebSocketTest do
       assert Enum.count(answers, &match?({503, %{"error" => %{"code" => "unavailable"}}}, &1)) == 12
     end
 
-    test "places outlive the process that hands them out" do
+    test "reserved places outlive the process that counts them" do
       c = start(websocket: %{max_clients: 1})
       client = open(c)
-      places = Aerie.Names.whereis(c.gateway, :websocket_places)
-      Process.exit(places, :kill)
-      eventually(fn -> Aerie.Names.whereis(c.gateway, :websocket_places) not in [nil, places] end)
+      capacity = Aerie.Names.whereis(c.gateway, :websocket_capacity)
+      Process.exit(capacity, :kill)
+      eventually(fn -> Aerie.Names.whereis(c.gateway, :websocket_capacity) not in [nil, capacity] end)
       assert {503, %{"error" => %{"message" => message}}} = open(c)
       assert message =~ "max_clients"
       WSClient.close(client)

@@ -1,5 +1,5 @@
 defmodule FleetWeb.APICase do
-  @moduledoc "A gateway without links and NATS, its HTTP server on a free port, and a client that sends what it is told to."
+  @moduledoc "A gateway without links and NATS, its HTTP server on a free port, and a plain HTTP client."
   use ExUnit.CaseTemplate
 
   alias Aerie.Secret
@@ -16,7 +16,7 @@ defmodule FleetWeb.APICase do
   @spec key() :: String.t()
   def key, do: @key
 
-  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `origins: [...]`, `hosts: [...]`, `websocket: %{}`,
+  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `keys_file: PATH`, `origins: [...]`, `hosts: [...]`, `websocket: %{}`,
   `links: true`, `recorder: %{}` (keys of that section)."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
@@ -24,15 +24,26 @@ defmodule FleetWeb.APICase do
     without = [Aerie.Bridge.Supervisor] ++ if(options[:links], do: [], else: [Aerie.Link.Supervisor])
 
     config = %{
-      api: %{key: if(options[:key], do: Secret.new(@key)), keys_file: nil, origins: options[:origins] || []},
-      http: %{hosts: options[:hosts] || []},
-      websocket: Keyword.get(options, :websocket),
-      recorder: Keyword.get(options, :recorder)
+      api: %{
+        key: if(options[:key], do: Secret.new(@key)),
+        keys_file: options[:keys_file],
+        origins: options[:origins] || []
+      },
+      http: %{port: 0, hosts: options[:hosts] || []},
+      websocket: Keyword.get(options, :websocket, %{enabled: false}),
+      recorder: Keyword.get(options, :recorder, %{})
     }
 
-    ExUnit.Callbacks.start_supervised!({Aerie.Gateway, name: gateway, config: config, without: without})
-    ExUnit.Callbacks.start_supervised!({FleetWeb.Endpoint, gateway: gateway, port: 0})
+    Aerie.GatewayCase.start_gateway(config, name: gateway, without: without)
+    start_endpoint(gateway, config)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}
+  end
+
+  @doc "Starts the HTTP server of a gateway, with some keys of the configuration; without the console unless they name it."
+  @spec start_endpoint(term(), map(), keyword()) :: pid()
+  def start_endpoint(gateway, config, options \\ []) do
+    settings = config |> Map.put_new(:console, %{enabled: false}) |> FleetWeb.Settings.from()
+    ExUnit.Callbacks.start_supervised!({FleetWeb.Endpoint, [gateway: gateway, settings: settings] ++ options})
   end
 
   @doc "One request; gives status, headers and the decoded body (nil when it is empty)."
@@ -51,7 +62,7 @@ defmodule FleetWeb.APICase do
     {String.to_integer(status), headers, if(body != "" and method != "HEAD", do: JSON.decode!(body))}
   end
 
-  @doc "Sends bytes to the server and gives all it answers until it closes."
+  @doc "Sends bytes to the server and returns everything that it answers until it closes."
   @spec raw(:inet.port_number(), iodata()) :: binary()
   def raw(port, bytes) do
     {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])

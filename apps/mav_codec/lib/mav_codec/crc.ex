@@ -12,7 +12,7 @@ defmodule MavCodec.CRC do
 
   import Bitwise
 
-  # One byte of zeros through the register; `advance` of n bytes gives the n-th table.
+  # Moves the register over one byte of zeros; the n-th table is for n bytes.
   step = fn crc ->
     x = crc &&& 0xFF
     x = bxor(x, x <<< 4) &&& 0xFF
@@ -52,14 +52,14 @@ defmodule MavCodec.CRC do
   @doc """
   The CRC of a frame (F5): over the `size` bytes after its magic and then `crc_extra`.
 
-  `frame` must hold at least `size + 1` bytes; what follows them does not matter.
+  `frame` must hold at least `size + 1` bytes; bytes behind them are ignored.
   """
   @spec frame(binary(), non_neg_integer(), byte()) :: crc16()
   def frame(<<_magic, rest::binary>>, size, crc_extra), do: blocks(rest, size, 0xFFFF, crc_extra)
 
   # `size` bytes of the data and then the byte `last`. Bytes that do not depend on the register come first, so that the
-  # processor need not wait for it. The last bytes are one jump to straight code: a loop's branches would be guessed
-  # wrong. The head matches, so that one match context serves all blocks; no pipe into a function, since `then/2` would
+  # processor need not wait for it. The last bytes are one jump to straight code, because a loop's branches would be
+  # mispredicted. The head matches, so that one match context serves all blocks; no pipe into a function, since `then/2` would
   # cost a call and a binary per block.
   defp blocks(<<data::binary>>, size, crc, last) do
     case size do
@@ -155,7 +155,7 @@ defmodule MavCodec.CRC do
 
   @doc """
   MAVLink's CRC-32 (F15) of `data`, continued from `crc`: reflected polynomial 0xEDB88320, initial value 0, no final
-  XOR. Continuing needs nothing but the last result.
+  XOR. To continue, pass the last result.
 
       iex> MavCodec.CRC.crc32("123456789")
       0x2DFD2D88

@@ -5,7 +5,6 @@ defmodule MavCodec.Dialect do
   `MavCodec.Dialects.All` has all of upstream's messages and those that only ArduPilot has; `MavCodec.Dialects.Upstream`
   and `MavCodec.Dialects.Ardupilot` are the two sources, whose layouts differ in the extensions of a few messages; every
   definition file is a dialect too (`MavCodec.Dialects.Common`, `MavCodec.Dialects.Ardupilot.Common` ...).
-  `MavCodec.Dialects` lists them.
 
   ## Your own dialect
 

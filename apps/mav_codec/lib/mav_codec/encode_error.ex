@@ -1,7 +1,7 @@
 defmodule MavCodec.EncodeError do
   @moduledoc """
-  A message that cannot be encoded: `message` is its module, `field` the struct key (`nil` when the message as a whole
-  is meant), `got` the value, `expected` what would be right.
+  A message that cannot be encoded: `message` is its module, `field` the struct key (`nil` for the whole
+  message), `got` the value, `expected` what would be right.
   """
 
   defexception [:message, :field, :got, :expected]

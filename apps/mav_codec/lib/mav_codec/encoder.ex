@@ -1,17 +1,17 @@
 defmodule MavCodec.Encoder do
   @moduledoc """
-  Sequence numbers for what is sent on one link: one count per source {system, component}, from 0, wrapping after 255
-  (R7). A value: each encoded frame gives the next encoder.
+  Encodes messages for one link with sequence numbers: one count per source {system, component}, from 0, wrapping after
+  255 (R7). A value: each encoded frame returns the next encoder.
 
       encoder = MavCodec.Encoder.new(system: 237, component: 191)
       {bytes, encoder} = MavCodec.Encoder.encode(encoder, %MavCodec.Messages.Heartbeat{type: 18})
 
-  The encoder keeps a count for every source that it was ever given, so use it for your own sources only.
+  The encoder keeps a count for every source it has seen, so use it only for your own sources.
   """
 
   import Bitwise
 
-  alias MavCodec.{Message, Raw}
+  alias MavCodec.Message
 
   @enforce_keys [:options]
   defstruct options: [], sequences: %{}
@@ -28,22 +28,10 @@ defmodule MavCodec.Encoder do
   @doc "The frame of a message with the next sequence number. Raises as `MavCodec.encode/2` does."
   @spec encode(t(), Message.t(), [MavCodec.encode_option()]) :: {binary(), t()}
   def encode(%__MODULE__{} = encoder, message, options \\ []) do
-    {options, encoder} = next(encoder, options)
-    {MavCodec.encode(message, options), encoder}
-  end
-
-  @doc "The same for a payload that is already laid out, see `MavCodec.Raw.frame/4`."
-  @spec encode_raw(t(), 0..0xFFFFFF, binary(), 0..255, [Raw.option()]) :: {binary(), t()}
-  def encode_raw(%__MODULE__{} = encoder, id, payload, crc_extra, options \\ []) do
-    {options, encoder} = next(encoder, options)
-    {Raw.frame(id, payload, crc_extra, options), encoder}
-  end
-
-  defp next(encoder, options) do
     options = Keyword.merge(encoder.options, options)
     source = {Keyword.fetch!(options, :system), Keyword.get(options, :component, 1)}
     seq = Map.get(encoder.sequences, source, 0)
     sequences = Map.put(encoder.sequences, source, seq + 1 &&& 255)
-    {Keyword.put(options, :seq, seq), %{encoder | sequences: sequences}}
+    {MavCodec.encode(message, Keyword.put(options, :seq, seq)), %{encoder | sequences: sequences}}
   end
 end

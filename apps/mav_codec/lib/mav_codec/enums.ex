@@ -6,9 +6,9 @@ defmodule MavCodec.Enums do
     * `name/1` - the name of a number, `nil` if it has none: `name(4)` is `:MAV_STATE_ACTIVE`
     * `label/1` - the same without the prefix: `"ACTIVE"`
     * `all/0` - all of them: `[{name, value}]`
-    * `flags/1` - bitmasks only: the flags set and the bits that are not known
+    * `flags/1` - bitmasks only: the flags that are set, and unknown bits
 
-  Messages keep the numbers, so a value that this version does not know passes through unchanged.
+  Messages keep the numbers, so unknown values pass through unchanged.
   """
 
   import Bitwise

@@ -40,9 +40,9 @@ defmodule MavCodec.Frame do
     * `id` - the message id, 0..0xFFFFFF
     * `payload` - as received: trailing zeros may have been cut (F7), surplus bytes may follow (F9)
     * `incompat`, `compat` - the flags of a v2 frame, 0 for v1
-    * `crc_extra` - the value with which the CRC was right; `nil`: unknown id, the CRC could not be checked
+    * `crc_extra` - the value that gave the right CRC; `nil`: unknown id, the CRC could not be checked
     * `signature` - the signature block of a signed frame: its link id, its time stamp (10 us units since 2015) and the
-      six bytes; only `MavCodec.Signing` tells whether it is right
+      six bytes; `MavCodec.Signing` checks it
     * `target_system` - the 32-bit addressee in a 2.1 header, else `nil`: see `target/2`
     * `bytes` - the whole frame
     * `at` - time of arrival in unix microseconds, or `nil`
@@ -65,7 +65,7 @@ defmodule MavCodec.Frame do
 
   @type signature :: %{link_id: 0..255, timestamp: 0..0xFFFF_FFFF_FFFF, signature: <<_::48>>}
 
-  @doc "Whether the frame carries a signature (right or wrong)."
+  @doc "Whether the frame has a signature, valid or not."
   @spec signed?(t()) :: boolean()
   def signed?(%__MODULE__{signature: signature}), do: signature != nil
 
@@ -77,7 +77,7 @@ defmodule MavCodec.Frame do
   The addressee `{target_system, target_component}`, or `nil` when the message has none or is not in the dialect.
 
   Bytes that were cut off read as 0, which is a broadcast (F10), and so does a field that the message lacks. The 32-bit
-  addressee of a 2.1 header goes before the byte in the payload (N1).
+  addressee of a 2.1 header takes precedence over the byte in the payload (N1).
   """
   @spec target(t(), module()) :: {non_neg_integer(), 0..255} | nil
   def target(%__MODULE__{payload: payload} = frame, dialect \\ MavCodec.Dialects.All) do
@@ -95,10 +95,10 @@ defmodule MavCodec.Frame do
   defp byte_at(_payload, _offset), do: 0
 
   @doc """
-  Reads the header of a frame at the start of `data`, without looking at CRC or source.
+  Reads the header of a frame at the start of `data`, without checking CRC or source.
 
-  `{:ok, header_size, payload_size, total_size, id, source_system}`, `:more` when the header is not complete,
-  `:error` when there is no magic. Sizes follow from the flags, those of 2.1 included (N3).
+  Returns `{:ok, header_size, payload_size, total_size, id, source_system}`, `:more` if the header is incomplete, or
+  `:error` without a magic. Sizes follow from the flags, those of 2.1 included (N3).
   """
   @spec header(binary()) ::
           {:ok, pos_integer(), 0..255, pos_integer(), 0..0xFFFFFF, non_neg_integer()} | :more | :error
@@ -127,8 +127,8 @@ defmodule MavCodec.Frame do
   defp signature_size(_incompat), do: 13
 
   @doc """
-  The frame whose bytes, exactly, are `bytes`. Checks nothing: for bytes that a parser has found good, or that
-  `MavCodec.encode/2` made.
+  The frame with exactly these bytes. Nothing is checked: use it for bytes that a parser has accepted or that
+  `MavCodec.encode/2` returned.
   """
   @spec from_bytes(binary(), 0..255 | nil, integer() | nil) :: t()
   def from_bytes(bytes, crc_extra, at \\ nil)

@@ -1,10 +1,10 @@
 defmodule MavCodec.Message do
   @moduledoc """
-  Messages as structs: what every module under `MavCodec.Messages` has, and the way from a struct to a payload.
+  Messages as structs: the behaviour of the modules under `MavCodec.Messages`, and the encoding of a struct to a payload.
 
   Integers, enums and bitmasks are integers; floats are floats, or `:nan`, `:infinity`, `:neg_infinity` and
-  `{:nan, bits}`; `char[]` is text without the NULs behind it; `uint8_t[]` is a binary; other arrays are lists. A new
-  struct is all zeros, so it can be encoded with only the fields set that matter.
+  `{:nan, bits}`; `char[]` is text without trailing NULs; `uint8_t[]` is a binary; other arrays are lists. A new
+  struct is all zeros, so only the fields that matter need to be set.
   """
 
   alias MavCodec.EncodeError
@@ -22,7 +22,7 @@ defmodule MavCodec.Message do
   @callback decode(payload :: binary()) :: struct()
 
   @doc """
-  Encodes a message to its payload as one dialect lays it out.
+  Encodes a message to its payload with the layout of a dialect.
 
   `version` 2 has the extensions and cuts trailing zeros (F7); `version` 1 does neither, and has only ids up to 255. All
   fields are checked in both.

@@ -1,6 +1,6 @@
 defmodule MavCodec.Parser do
   @moduledoc """
-  Bytes of a link in, frames out: a pure value, any chunking, MAVLink 1 and 2 interleaved (F1-F13).
+  Turns the bytes of a link into frames: a pure value, any chunking, MAVLink 1 and 2 interleaved (F1-F13).
 
       parser = MavCodec.Parser.new()
       {frames, parser} = MavCodec.Parser.push(parser, bytes, System.os_time(:microsecond))
@@ -9,7 +9,7 @@ defmodule MavCodec.Parser do
   pieces. Frames of unknown ids, whose CRC cannot be checked, wait for the byte after them; `flush/1` ends the waiting when
   the line is quiet or closed. `push_datagram/3` is for UDP: it uses the datagram's boundary.
 
-  Nothing that is pushed can make it raise, and what it keeps is bounded: fewer than `max_held/0` bytes and the counters of
+  No bytes make it raise, and what it keeps is bounded: fewer than `max_held/0` bytes and the counters of
   `MavCodec.Parser.Sources.limit/0` sources. The rules are those of `MavCodec.Parser.Scanner`.
   """
 
@@ -19,14 +19,13 @@ defmodule MavCodec.Parser do
   # An unknown frame of 300 bytes whose last byte may begin a known one of 300.
   @max_held 600
 
-  # The frames of a file that is pushed at once all stay alive. On a heap that grows with them each would be copied again and
-  # again, which costs four times what reading it does, and takes four times the memory; so the heap gets its size first:
-  # about what a byte of telemetry becomes.
+  # All frames of a file that is pushed at once stay alive. On a growing heap they would be copied again and again, which
+  # costs four times as much time and memory as reading the file. So the heap is sized first, by the usual size of the frames.
   @large 256 * 1024
   @words 2
   @most_words 32 * 1024 * 1024
 
-  # What `reduce/5` reads at a time: its frames are garbage before the next collection.
+  # `reduce/5` reads this much at a time, so that its frames are garbage before the next collection.
   @piece 2 * 1024
 
   @enforce_keys [:scanner]
@@ -61,15 +60,15 @@ defmodule MavCodec.Parser do
   @type option :: {:dialects, [module()]} | {:sysid32, boolean()}
 
   @typedoc """
-    * `frames` - given out, those of unknown ids included
+    * `frames` - returned, including those of unknown ids
     * `bytes` - pushed
     * `held` - kept for the next push
-    * `crc_errors` - complete frames of known ids with a wrong CRC (noise that looks like one included)
+    * `crc_errors` - complete frames of known ids with a wrong CRC (including noise that looks like one)
     * `resync_bytes` - bytes outside frames
-    * `unknown_ids` - frames given out unchecked
+    * `unknown_ids` - frames returned unchecked
     * `incompatible` - intact frames dropped for their incompatibility flags (F6)
     * `signed` - frames with a signature
-    * `lost` - by sequence numbers, over the sources whose loss can be known
+    * `lost` - by sequence numbers, of the sources whose loss can be estimated
     * `sources` - by `{system, component}`, see `MavCodec.Parser.Sources.stats/1`
   """
   @type stats :: %{
@@ -111,12 +110,12 @@ defmodule MavCodec.Parser do
     do: read(parser, held <> data, byte_size(data), at, :stream)
 
   @doc """
-  Reads bytes of a stream, as `push/3` does, and calls `fun` with each frame and what it gave for the one before, the first
-  time with `acc`: for files, of which `push/3` would have to keep all frames at once.
+  Reads bytes of a stream and reduces its frames with `fun`: for files, because `push/3` would have to keep all frames at
+  once.
 
       {count, parser} = MavCodec.Parser.reduce(MavCodec.Parser.new(), File.read!("flight.raw"), 0, fn _frame, n -> n + 1 end)
 
-  Frames that are kept by `fun` keep `data` alive.
+  Frames that `fun` keeps keep `data` alive.
   """
   @spec reduce(t(), binary(), acc, (Frame.t(), acc -> acc), integer() | nil) :: {acc, t()} when acc: term()
   def reduce(parser, data, acc, fun, at \\ nil)
@@ -134,9 +133,8 @@ defmodule MavCodec.Parser do
   @doc """
   Reads one datagram.
 
-  A frame may be split over datagrams. But when the datagram begins with an intact frame, what was kept of the one before
-  was no beginning of it: it is given up, so that a bad datagram costs nothing but itself. A frame of an unknown id may
-  end with the datagram.
+  A frame may be split over datagrams. But if the datagram begins with an intact frame, the bytes kept of the previous one
+  are given up, so that a bad datagram costs only itself. A frame of an unknown id may end with the datagram.
   """
   @spec push_datagram(t(), binary(), integer() | nil) :: {[Frame.t()], t()}
   def push_datagram(parser, data, at \\ nil)
@@ -157,8 +155,8 @@ defmodule MavCodec.Parser do
   end
 
   @doc """
-  Nothing follows, for now or for ever: frames of unknown ids that waited are given out, the rest is given up. What was
-  kept has the time of the push that brought it.
+  Ends the waiting, because no bytes follow for now: returns waiting frames of unknown ids and gives up the rest. They have
+  the time of the push that brought them.
   """
   @spec flush(t()) :: {[Frame.t()], t()}
   def flush(%__MODULE__{held: <<>>} = parser), do: {[], parser}
@@ -220,11 +218,11 @@ defmodule MavCodec.Parser do
 
   defp in_order([], frames, count, signed, unknown), do: {frames, count, signed, unknown}
 
-  # A few kept bytes must not keep the whole read alive.
+  # A copy, because a few kept bytes must not keep the whole read alive.
   defp own(<<>>), do: <<>>
   defp own(held), do: :binary.copy(held)
 
-  @doc "What was counted since the start."
+  @doc "The counters since the start."
   @spec stats(t()) :: stats()
   def stats(%__MODULE__{scanner: scanner} = parser) do
     %{

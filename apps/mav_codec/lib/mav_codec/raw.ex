@@ -1,7 +1,7 @@
 defmodule MavCodec.Raw do
   @moduledoc """
-  Puts a payload into a frame: header, truncation, CRC. For those who know id, payload and CRC_EXTRA; messages as structs
-  go through `MavCodec.encode/2`.
+  Puts a payload into a frame: header, truncation, CRC. It needs id, payload and CRC_EXTRA; for message structs use
+  `MavCodec.encode/2`.
   """
 
   import Bitwise
@@ -16,7 +16,7 @@ defmodule MavCodec.Raw do
     * `:seq` - sequence number, only its low 8 bits count; default 0
     * `:version` - 2 (default) or 1
     * `:sysid32` - allow MAVLink 2.1's long ids, used only where an id is above 255 (N1); default `false`
-    * `:target_system` - the addressee for a 2.1 header, when above 255
+    * `:target_system` - the addressee for a 2.1 header, if above 255
     * `:incompat_flags`, `:compat_flags` - flags of a v2 header that are not implied; default 0
     * `:truncate` - cut trailing zeros off a v2 payload (F7); default `true`
   """
@@ -35,7 +35,7 @@ defmodule MavCodec.Raw do
   The bytes of a frame with message `id` and `payload`, unsigned.
 
   `payload` is as the message defines it: at most 255 bytes, for version 1 without extension fields. Raises
-  `MavCodec.EncodeError` when it cannot be sent in the version asked for.
+  `MavCodec.EncodeError` if it cannot be sent in the requested version.
   """
   @spec frame(0..0xFFFFFF, binary(), 0..255, [option()]) :: binary()
   def frame(id, payload, crc_extra, options) do
@@ -45,7 +45,7 @@ defmodule MavCodec.Raw do
     end
   end
 
-  @doc "The version that `options` ask for. Raises `MavCodec.EncodeError` for one that does not exist."
+  @doc "The version requested by `options`. Raises `MavCodec.EncodeError` for one that does not exist."
   @spec version([option()]) :: 1 | 2
   def version(options) do
     version = Keyword.get(options, :version, 2)

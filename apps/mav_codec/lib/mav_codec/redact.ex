@@ -27,7 +27,7 @@ defmodule MavCodec.Redact do
     head = binary_part(frame.payload, 0, min(@before_key, byte_size(frame.payload)))
     payload = head <> <<0::size(missing)-unit(8)>> <> :binary.copy(<<0xFF>>, @key)
 
-    # Not in the dialect: the CRC could not be checked before either.
+    # The id is not in the dialect: the CRC could not be checked before either.
     extra = frame.crc_extra || 0
 
     Raw.frame(@setup_signing, payload, extra,

@@ -1,38 +1,38 @@
 defmodule MavCodec.SequenceLoss do
+  import Bitwise
+
+  # A frame may be late by this many numbers; a gap shorter than @restart is a loss (R9).
+  @late 32
+  @late_mask (1 <<< @late) - 1
+  @restart 64
+  # At most so many at a time, because the bits must fit a machine word.
+  @late_step 16
+  # The largest number of tracks, and how many frames of the source a track may be silent.
+  @max_tracks 4
+  @track_silence 256
+  # The window: so many buckets of so many numbers each.
+  @buckets 8
+  @bucket 64
+
   @moduledoc """
   Estimates from sequence numbers how many frames of one source {system, component} on one link were lost (R7, R9).
 
   It is a pure value: `observe/2` each number, then read `stats/1`. "Number minus the last one minus one" is not enough for
   real firmware, so these rules apply:
 
-    * A missing number is counted as lost only when it is #{32} numbers old. If it comes before that it was late, not
-      lost (two threads of PX4 1.17 send on one channel: 48, 50, 49, 51).
-    * A step forward by 64 or more, or backward to a number that was not missing and is not recent, is a restart, not a
+    * A missing number counts as lost only when it is #{@late} numbers old. If it comes before that, it was late (two
+      threads of PX4 1.17 send on one channel: 48, 50, 49, 51).
+    * A step forward by #{@restart} or more, or backward to a number that was not missing and is not recent, is a restart, not a
       loss (R9).
-    * A restart begins a new *track* and keeps the old one for a while. A source with two counters (Betaflight numbers
-      two groups of messages independently) so has two tracks, each going on by one, and no loss.
-    * A number that was seen a moment ago is a duplicate (two radios, one vehicle) and neither loss nor restart.
+    * A restart begins a new *track* and keeps the old one for a while. So a source with two counters (Betaflight numbers
+      two groups of messages independently) has two tracks without gaps, and no loss.
+    * A number that was seen a moment ago is a duplicate (two radios, one vehicle), neither loss nor restart.
 
   It cannot detect a filtered stream, whose sequence numbers always have gaps (an autopilot that forwards the heartbeats of
   another link's ground station). `MavCodec.Parser` therefore gives no loss for a source that sends only heartbeats.
 
-  The ratio is taken over a window of the last #{512} numbers or so; the counters never go down.
+  The ratio is taken over a window of the last #{@buckets * @bucket} numbers or so; the counters never go down.
   """
-
-  import Bitwise
-
-  # A late frame is looked for this many numbers back; a gap shorter than @restart is a loss (R9).
-  @late 32
-  @late_mask (1 <<< @late) - 1
-  @restart 64
-  # So many at a time, or the bits would not fit a machine's word.
-  @late_step 16
-  # Tracks at most, and how many frames of the source a track may be silent.
-  @max_tracks 4
-  @track_silence 256
-  # The window: this many buckets of so many numbers each.
-  @buckets 8
-  @bucket 64
 
   defstruct tracks: [],
             received: 0,
@@ -60,11 +60,11 @@ defmodule MavCodec.SequenceLoss do
 
   @typedoc """
     * `received` - frames observed
-    * `lost` - numbers that never came (counted #{32} numbers later)
+    * `lost` - numbers that never came (counted #{@late} numbers later)
     * `missing` - numbers that may still come
     * `late` - frames that came out of order
     * `duplicates` - numbers seen twice within a moment
-    * `restarts` - times that the count began anew, or a further counter was found
+    * `restarts` - how often the count restarted, or a further counter was found
     * `ratio` - lost part of the window, 0.0..1.0
   """
   @type stats :: %{
@@ -77,7 +77,7 @@ defmodule MavCodec.SequenceLoss do
           ratio: float()
         }
 
-  @doc "An estimator that has seen nothing."
+  @doc "A new estimator."
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
@@ -99,7 +99,7 @@ defmodule MavCodec.SequenceLoss do
       else: bucket(%{loss | tracks: tracks, received: received}, count, 0)
   end
 
-  # The same while numbers are missing: they grow older by the run's length.
+  # The same while numbers are missing: they become older by the run's length.
   def observe_run(%__MODULE__{tracks: [{expected, missing, _} | others]} = loss, first, count)
       when expected == first do
     part = min(count, @late_step)
@@ -130,7 +130,7 @@ defmodule MavCodec.SequenceLoss do
     }
   end
 
-  @doc "The part of the numbers in the window that was lost, 0.0..1.0; 0.0 when nothing was observed."
+  @doc "The part of the numbers in the window that was lost, 0.0..1.0; 0.0 if nothing was observed."
   @spec ratio(t()) :: float()
   def ratio(%__MODULE__{} = loss) do
     {received, lost} =
@@ -141,7 +141,7 @@ defmodule MavCodec.SequenceLoss do
     if received + lost == 0, do: 0.0, else: lost / (received + lost)
   end
 
-  # The four explanations of a number, the most innocent first.
+  # The four explanations of a number, the most harmless first.
   defp step(loss, seq) do
     loss = %{loss | received: loss.received + 1}
 
@@ -195,7 +195,7 @@ defmodule MavCodec.SequenceLoss do
   end
 
   defp restart(loss, seq) do
-    # What the forgotten tracks still missed is not known to be lost: a restart explains it as well.
+    # Numbers that the forgotten tracks still missed need not be lost: a restart explains them as well.
     kept =
       loss.tracks
       |> Enum.filter(fn {_, _, used} -> loss.received - used <= @track_silence end)
@@ -206,7 +206,7 @@ defmodule MavCodec.SequenceLoss do
     bucket(%{loss | tracks: [track | kept], restarts: loss.restarts + restarts}, 1, 0)
   end
 
-  # The track goes on after `skipped` missing numbers; what is older than 32 numbers will not come any more.
+  # The track continues after `skipped` missing numbers; those older than 32 numbers are lost.
   defp advance(loss, {expected, missing, _} = track, skipped) do
     bits = missing <<< (skipped + 1) ||| ((1 <<< skipped) - 1) <<< 1
     lost = ones(bits >>> @late)
@@ -214,7 +214,7 @@ defmodule MavCodec.SequenceLoss do
     bucket(%{use_track(loss, track, track_now) | lost: loss.lost + lost}, 1, lost)
   end
 
-  # The track in use stands first.
+  # The track in use is the first.
   defp use_track(%{tracks: [track | others]} = loss, track, now), do: %{loss | tracks: [now | others]}
   defp use_track(loss, track, now), do: %{loss | tracks: [now | List.delete(loss.tracks, track)]}
 

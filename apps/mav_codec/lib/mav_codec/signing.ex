@@ -1,6 +1,6 @@
 defmodule MavCodec.Signing do
   @moduledoc """
-  Signs what is sent on a link and checks what comes (S1-S7, S12). A value, one per link and key.
+  Signs the frames sent on a link and checks those received (S1-S7, S12). A value, one per link and key.
 
       signing = MavCodec.Signing.new(key, link_id: 1, stored: read_from_disk, save: &write_to_disk/1)
       {bytes, signing} = MavCodec.Signing.encode(signing, message, system: 237, component: 191)
@@ -8,19 +8,19 @@ defmodule MavCodec.Signing do
 
   ## Time stamps
 
-  Units of 10 us since 2015-01-01. One time stamp serves the whole link: it is the clock's, or one more than the last
-  when the clock has not moved (S12) or lags behind what was received with a right signature (S5). Each received stream
-  {link id, system, component} must go forward (S3); a new one may be one minute behind (S4).
+  Units of 10 us since 2015-01-01. The whole link has one time stamp: the clock's, or one more than the last if the clock
+  has not moved (S12) or is behind a received valid signature (S5). The time stamps of each received stream
+  {link id, system, component} must increase (S3); a new stream may be one minute behind (S4).
 
-  The time must survive a restart even without a clock (S6). `save` is called with a time stamp that lies ahead, and
-  again before it is reached, at least once per 30 s of time stamps; starting with the saved value as `stored` never uses
-  a time stamp twice. It is called, too, when a stream is new or runs further ahead of the clock than it did: with `streams/1`
-  and `ahead/1` as they are then, `resumed/3` tells what may have been received before an end without notice.
+  The time must survive a restart even without a clock (S6). `save` is called with a future time stamp, and again before it
+  is reached, at least once per 30 s of time stamps; with the saved value as `stored`, no time stamp is used twice. It is also
+  called when a stream is new or runs further ahead of the clock than before: from `streams/1` and `ahead/1` at that moment,
+  `resumed/3` computes what may have been received before a crash.
 
   ## Safety
 
-  State changes only after a signature was found right (S5), so nobody without the key can fill or shift it. The key is
-  kept in a closure and never shown by `inspect/2` or in crash reports (S9).
+  State changes only after a valid signature (S5), so nobody without the key can fill or shift it. The key is kept in a
+  closure and never shown by `inspect/2` or in crash reports (S9).
   """
 
   import Bitwise
@@ -35,7 +35,7 @@ defmodule MavCodec.Signing do
   @save_ahead div(@minute, 2)
   # The next timestamp is stored this long before the stored one is reached, because writing takes time.
   @save_early 100_000
-  # How much further ahead a stream may run before that is stored.
+  # A stream that runs ahead by this much more is stored.
   @slack 20_000
   @max_streams 1024
   @radio_status 109
@@ -47,7 +47,7 @@ defmodule MavCodec.Signing do
   @typedoc "Units of 10 us since 2015-01-01T00:00:00Z, 48 bits."
   @type timestamp :: 0..0xFFFF_FFFF_FFFF
 
-  @typedoc "Its fields are private; `inspect/2` shows what may be shown."
+  @typedoc "Its fields are private; `inspect/2` hides the key."
   @type t :: %__MODULE__{
           key: (-> <<_::256>>),
           link_id: 0..255,
@@ -63,12 +63,12 @@ defmodule MavCodec.Signing do
 
   @typedoc """
     * `:link_id` - of this end of the link, 0..255; default 0
-    * `:stored` - the time stamp that `save` was last given in an earlier life; default 0
+    * `:stored` - the time stamp that `save` was last given before a restart; default 0
     * `:save` - called with the time stamp to store (S6); default: nothing is stored
     * `:accept_unsigned` - message ids that are accepted without a signature, or a function of the frame; default
-      `[#{@radio_status}]`, RADIO_STATUS, which radios make themselves (S7)
-    * `:clock` - a function that gives unix microseconds; default: the system's clock
-    * `:streams` - what `streams/1` gave in an earlier life, so that what was recorded before it cannot be played after
+      `[#{@radio_status}]`, RADIO_STATUS, which radios send themselves (S7)
+    * `:clock` - a function that returns unix microseconds; default: the system's clock
+    * `:streams` - what `streams/1` returned before a restart, so that frames recorded before cannot be replayed after
       it (S3)
   """
   @type option ::
@@ -79,17 +79,17 @@ defmodule MavCodec.Signing do
           | {:clock, (-> integer())}
           | {:streams, %{optional(stream()) => timestamp()}}
 
-  @typedoc "Who signs: the link id in the signature, system, component."
+  @typedoc "A signer: link id of the signature, system, component."
   @type stream :: {link_id :: 0..255, system :: non_neg_integer(), component :: 0..255}
 
   @typedoc """
     * `:signed` - the signature is valid
     * `:unsigned` - there is none, and none is needed
     * `{:rejected, :unsigned}` - the signature is missing
-    * `{:rejected, :wrong_signature}` - made with another key, or damaged, or memory garbage that a firmware forwards
+    * `{:rejected, :wrong_signature}` - made with another key, damaged, or memory garbage that a firmware forwards
     * `{:rejected, :replayed}` - the time stamp is not above the last one of its stream (S3)
     * `{:rejected, :stale}` - the first of a stream, more than a minute old (S4)
-    * `{:rejected, :too_many_streams}` - more than #{@max_streams} streams with right signatures
+    * `{:rejected, :too_many_streams}` - more than #{@max_streams} streams with valid signatures
 
   A caller that accepts a rejected frame must show the operator that the link is unsafe (S11). Forwarding does not depend on
   the verdict (S10).
@@ -144,15 +144,21 @@ defmodule MavCodec.Signing do
 
   @doc "An upper bound of how far each stream was ahead of the clock since the start (10 us; negative: behind)."
   @spec ahead(t()) :: %{optional(stream()) => integer()}
-  def ahead(%__MODULE__{streams: streams}),
-    do: for({stream, {_last, _until, ahead}} when ahead != nil <- streams, into: %{}, do: {stream, ahead})
+  def ahead(%__MODULE__{streams: streams} = signing) do
+    now = now(signing)
+
+    # After the clock was set back, frames up to `until` are still accepted without reading it.
+    for {stream, {_last, until, ahead}} when ahead != nil <- streams,
+        into: %{},
+        do: {stream, max(ahead, until - now)}
+  end
 
   @doc """
-  The `:streams` to begin with after a life that ended without notice: time stamps that nothing received in it was above.
+  The `:streams` to begin with after a crash: upper bounds of the time stamps received before it.
 
-  `streams` has the last time stamp and what `ahead/1` said of each (nil: unknown), `stored` is what `save` was given, all at
-  `at`. `now` is the clock (`at` and `now` in unix microseconds): a stream got no further than it was ahead of that, nor than
-  what was stored. With a clock that was set back meanwhile, the latter counts alone.
+  `streams` has the last time stamp of each and the result of `ahead/1` (nil: unknown), `stored` is what `save` was given, all
+  at `at`. `now` is the clock (`at` and `now` in unix microseconds). A stream was no further ahead of the clock than that, nor
+  beyond the stored time stamp. If the clock was set back meanwhile, only the latter counts.
   """
   @spec resumed(%{optional(stream()) => {timestamp(), integer() | nil}}, timestamp(), {
           at :: integer() | nil,
@@ -184,8 +190,8 @@ defmodule MavCodec.Signing do
   end
 
   @doc """
-  Signs an unsigned v2 frame. The header says that it is signed and the CRC covers the header, so both change and
-  `crc_extra` is needed. Raises `MavCodec.EncodeError` for a v1 frame: version 1 has no signatures.
+  Signs an unsigned v2 frame. The header gets the flag, and the CRC covers the header, so `crc_extra` is needed. Raises
+  `MavCodec.EncodeError` for a v1 frame: version 1 has no signatures.
   """
   @spec sign(t(), binary(), 0..255) :: {binary(), t()}
   def sign(signing, frame, crc_extra) do
@@ -224,7 +230,7 @@ defmodule MavCodec.Signing do
 
     if right?(signing.key.(), bytes, given) do
       case streams do
-        # The common case: no look at the clock.
+        # The common case: the clock is not read.
         %{^stream => {last, until, ahead}} when timestamp > last and timestamp <= until ->
           {:signed, accept(signing, %{streams | stream => {timestamp, until, ahead}}, timestamp)}
 
@@ -248,8 +254,8 @@ defmodule MavCodec.Signing do
   defp accept(signing, streams, timestamp),
     do: reserve(%{signing | streams: streams, timestamp: max(signing.timestamp, timestamp)})
 
-  # The first of a stream, or one that may be further ahead of the clock than any before. Time goes on, so with each stream
-  # stands the time stamp up to which that needs no look at the clock: it is read five times a second.
+  # The first frame of a stream, or one that may be further ahead of the clock than any before. Each stream has a time stamp
+  # up to which the clock need not be read, so it is read five times a second.
   defp leading(signing, stream, timestamp, ahead) do
     now = now(signing)
     by = timestamp - now
@@ -259,7 +265,7 @@ defmodule MavCodec.Signing do
     signing
   end
 
-  # As numbers of 48 bits, which are compared in the same time whether they are nearly equal or not at all.
+  # As numbers of 48 bits, which are compared in constant time.
   defp right?(key, bytes, <<given::48>>) do
     covered = byte_size(bytes) - 6
     <<bytes::binary-size(^covered), _::6-binary>> = bytes
@@ -286,7 +292,7 @@ defmodule MavCodec.Signing do
     signature
   end
 
-  # One binary: crypto would make one of a list at twice the cost. The empty first segment keeps it from becoming an append.
+  # One binary, because crypto would need twice the time for a list. The empty first segment prevents an append.
   defp joined(key, bytes), do: <<0::size(0), key::binary-size(32), bytes::binary>>
 
   ## Time
@@ -308,8 +314,8 @@ defmodule MavCodec.Signing do
   ## Logs
 
   @doc """
-  The frame without its signature: flag cleared, CRC made anew. A frame of an unknown id, whose CRC cannot be made, stays
-  as it is; so does an unsigned one.
+  The frame without its signature: flag cleared, CRC recomputed. An unsigned frame, and one of an unknown id, whose CRC
+  cannot be computed, stay as they are.
   """
   @spec strip(Frame.t()) :: Frame.t()
   def strip(%Frame{signature: nil} = frame), do: frame

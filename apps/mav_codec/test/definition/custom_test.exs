@@ -133,7 +133,7 @@ defmodule MavCodec.Definition.CustomTest do
 
     defp code(quoted), do: Macro.to_string(quoted) <> "\n"
 
-    # SNAPSHOTS=write writes them anew, for a look at the difference.
+    # SNAPSHOTS=write rewrites them; then look at the difference.
     defp assert_snapshot(name, text) do
       path = Path.join(@snapshots, name)
       if System.get_env("SNAPSHOTS") == "write", do: File.write!(path, text)

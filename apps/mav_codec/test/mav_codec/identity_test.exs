@@ -114,7 +114,7 @@ defmodule MavCodec.IdentityTest do
     assert seq == 0
 
     {<<0xFE, _len, seq, 1, 1, 0, _::binary>>, encoder} =
-      Encoder.encode_raw(encoder, 0, <<1::72>>, 50, version: 1)
+      Encoder.encode(encoder, heartbeat, version: 1)
 
     assert seq == 1
     {<<0xFD, _::24, seq, _::binary>>, _} = Encoder.encode(encoder, heartbeat)

@@ -36,6 +36,23 @@ defmodule MavCodec.SigningModelTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
   end
 
+  test "S3: what was accepted after the clock was set back is not accepted again after a crash" do
+    {stream, other} = {{1, 1, 2}, {0, 1, 1}}
+
+    assert holds?([
+             {:receive, stream, 0},
+             {:receive, other, 0},
+             # A frame heard while the clock is ahead: it is not read again for 200 s of time stamps.
+             {:clock, 20_000_000},
+             {:receive, stream, -2 * @minute},
+             {:clock, -20_000_000},
+             # The file is written, and then the stream runs further ahead than the file says.
+             {:receive, other, 2 * @minute},
+             {:receive, stream, 2 * @minute},
+             :kill
+           ])
+  end
+
   defp holds?(steps) do
     clock = :atomics.new(1, signed: true)
     :atomics.put(clock, 1, @start)

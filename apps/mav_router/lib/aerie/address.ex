@@ -1,12 +1,14 @@
 defmodule Aerie.Address do
   @moduledoc "HOST:PORT of a connection string, and back to text: IPv4, IPv6 in brackets, or a name."
 
+  import Bitwise
+
   @name ~r/\A(?=.{1,253}\z)[A-Za-z0-9_]([A-Za-z0-9_-]{0,62})(\.[A-Za-z0-9_-]{1,63})*\.?\z/
 
   @doc """
   Reads `HOST:PORT`. Only a server may leave the host empty (all IPv4 addresses) or ask for port 0 (any free one).
 
-  The error is the reason, in words.
+  The error is a text.
   """
   @spec parse(String.t(), server? :: boolean) ::
           {:ok, :inet.ip_address() | String.t(), :inet.port_number()} | {:error, String.t()}
@@ -24,6 +26,13 @@ defmodule Aerie.Address do
   def format(host, port) when is_tuple(host), do: "#{:inet.ntoa(host)}:#{port}"
   def format(host, port), do: "#{host}:#{port}"
 
+  @doc "Whether an address is this machine's own: 127.0.0.0/8, ::1, and the first one written as IPv6."
+  @spec loopback?(:inet.ip_address()) :: boolean()
+  def loopback?({127, _, _, _}), do: true
+  def loopback?({0, 0, 0, 0, 0, 0, 0, 1}), do: true
+  def loopback?({0, 0, 0, 0, 0, 0xFFFF, high, _low}), do: high >>> 8 == 127
+  def loopback?(_address), do: false
+
   defp split("[" <> rest) do
     case String.split(rest, "]:", parts: 2) do
       [host, port] -> {:ok, {:v6, host}, port}
@@ -36,7 +45,7 @@ defmodule Aerie.Address do
       [""] -> {:error, "host and port are missing"}
       [_host] -> {:error, "the port is missing"}
       [host, port] -> {:ok, host, port}
-      _more -> {:error, "an IPv6 address stands in brackets, [::1]:PORT"}
+      _more -> {:error, "an IPv6 address needs brackets: [::1]:PORT"}
     end
   end
 
@@ -47,7 +56,7 @@ defmodule Aerie.Address do
 
     case Integer.parse(text) do
       {port, ""} when port >= lowest and port <= 65_535 -> {:ok, port}
-      _other -> {:error, "#{inspect(text)} is no port (#{lowest} to 65535)"}
+      _other -> {:error, "#{inspect(text)} is not a port (#{lowest} to 65535)"}
     end
   end
 
@@ -57,7 +66,7 @@ defmodule Aerie.Address do
   defp host({:v6, text}, _server?) do
     case :inet.parse_ipv6strict_address(String.to_charlist(text)) do
       {:ok, address} -> {:ok, address}
-      {:error, _reason} -> {:error, "#{inspect(text)} is no IPv6 address"}
+      {:error, _reason} -> {:error, "#{inspect(text)} is not an IPv6 address"}
     end
   end
 
@@ -68,12 +77,12 @@ defmodule Aerie.Address do
     end
   end
 
-  # 1.2.3 or 300.1.1.1 is a mistyped address rather than a name.
+  # 1.2.3 and 300.1.1.1 are mistyped addresses rather than names.
   defp name(text) do
     if text =~ @name and not (text =~ ~r/\A[0-9.]+\z/) do
       {:ok, text}
     else
-      {:error, "#{inspect(text)} is no address and no name"}
+      {:error, "#{inspect(text)} is neither an address nor a name"}
     end
   end
 end

@@ -1,7 +1,7 @@
 defmodule Aerie.Disk do
-  @moduledoc "What the operating system says of a disk."
+  @moduledoc "Free space, as the operating system tells it."
 
-  @doc "Bytes that are free on the disk of a folder; `:unknown` when that cannot be found out. Runs a program: not often."
+  @doc "Free bytes on the disk of a folder; `:unknown` if that cannot be found out. Runs a program, so call it seldom."
   @spec free(Path.t()) :: {:ok, non_neg_integer()} | :unknown
   def free(dir) do
     # POSIX output: one line for the file system, its fourth column is what is available, in KiB.

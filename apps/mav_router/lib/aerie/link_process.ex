@@ -1,6 +1,6 @@
 defmodule Aerie.LinkProcess do
   @moduledoc """
-  What the parts below links ask of a link's process, which they know by its name only. Nothing here waits.
+  What parts on which links depend ask of a link's process, which they know only by name. Nothing here waits.
   """
 
   alias Aerie.Names
@@ -8,7 +8,7 @@ defmodule Aerie.LinkProcess do
   @typedoc "One peer of the link, or every peer."
   @type to :: {:peer, term} | :all
 
-  @doc "Has whole frames written, or bytes marked by `Aerie.Signing.mark/3`; see `Aerie.Link.send_bytes/4`."
+  @doc "Writes whole frames, or bytes marked by `Aerie.Signing.mark/3`; see `Aerie.Link.send_bytes/4`."
   @spec write(Names.gateway(), String.t(), iodata | Aerie.Signing.marked(), to) :: :ok | {:error, :no_link}
   def write(gateway, link, bytes, to) do
     case Names.whereis(gateway, :link, link) do
@@ -18,8 +18,9 @@ defmodule Aerie.LinkProcess do
   end
 
   @doc """
-  Has a heartbeat, if there are any of ours, and a TIMESYNC request said to a peer of a link, signed with the key of a scope;
-  `system` is what is heard there, for a gateway that does not know its own yet (`Aerie.Link.Announcer`).
+  Sends our heartbeat, unless it is off, and a TIMESYNC request to a peer of a link, signed with the key of a scope.
+  `system` is the system that is heard there: a gateway that does not have a system id yet sends as a part of it
+  (`Aerie.Link.Announcer`).
   """
   @spec announce(Names.gateway(), String.t(), peer :: term, Aerie.Signing.Scope.t(), non_neg_integer) :: :ok
   def announce(gateway, link, peer, scope, system),

@@ -1,10 +1,10 @@
 defmodule Aerie.Names do
   @moduledoc """
-  Where every process of a gateway instance is found.
+  Finds the processes of a gateway.
 
-  Several gateways can live in one node (tests start one each), so no process has a global name: each is registered in
-  `Aerie.Registry` under `{gateway, role, id}`, where `gateway` is the instance's name (any term), `role` an atom that
-  says what the process does and `id` tells processes of one role apart (`nil` when there is only one).
+  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in `Aerie.Registry`
+  under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does, and what tells processes of one role
+  apart (`nil` when there is only one).
 
   | role             | id                     | process                              |
   |------------------|------------------------|--------------------------------------|
@@ -13,12 +13,23 @@ defmodule Aerie.Names do
   | `:pubsub`        | nil                    | `Aerie.Store.PubSub`                 |
   | `:vehicles`      | nil                    | `Aerie.Vehicle.Supervisor`           |
   | `:vehicle_trees` | nil                    | its dynamic supervisor               |
-  | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Tree`                 |
+  | `:tree_restarter` | nil                   | `Aerie.Vehicle.Supervisor.TreeRestarter` |
+  | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Supervisor.Tree`      |
   | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
   | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
-  | `:pulse`         | nil                    | `Aerie.Identity.Pulse`       |
-
+  | `:watchdog`         | nil                    | `Aerie.Identity.Watchdog`       |
+  | `:audit`         | nil                    | `Aerie.Policy.Audit`                 |
+  | `:policies`      | nil                    | `Aerie.Policy.Supervisor`            |
+  | `:policy`        | nil                    | `Aerie.Policy.Store`                 |
+  | `:ledger`        | nil                    | `Aerie.Ledger`                       |
+  | `:command_door`, `:command_desk`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Commands.Supervisor` |
+  | `:remote_supervisor`, `:remote_listener`, `:remote_announcer` | nil | of `Aerie.Remote.Supervisor` |
+  | `:transfers`     | `{network, system_id}` | `Aerie.Vehicle.Transfers`            |
+  | `:params_cache` | nil                    | `Aerie.Params.CacheWriter`                |
+  | `:serving`       | `{network, system_id}` | `Aerie.Serving.Vehicle`; `:serving_supervisor`, `:serving_vehicles`, `:serving_starter` without a vehicle |
   | `:clients`       | nil                    | `Aerie.Client.Supervisor`            |
+  | `:inspector`     | nil                    | `Aerie.Inspector`                    |
+  | `:diagnosis`     | nil                    | `Aerie.Diagnosis.Server`             |
   | `:websocket_client`, `:unix_client` | the endpoint's id | of one client     |
 
   Links, router and bridge add their own roles.
@@ -34,14 +45,14 @@ defmodule Aerie.Names do
   @doc "The process registered under a role, or nil when there is none just now."
   @spec whereis(gateway(), role(), term()) :: pid() | nil
   def whereis(gateway, role, id \\ nil) do
-    # A dead process stays registered for a moment; its name is free already.
+    # A dead process stays registered for a moment, although its name is free already.
     case Registry.whereis_name({Aerie.Registry, {gateway, role, id}}) do
       :undefined -> nil
       pid -> pid
     end
   end
 
-  @doc "Registers the calling process, which somebody else started (Cowboy, say)."
+  @doc "Registers the calling process, for one that somebody else started (Cowboy, say)."
   @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
   def register(gateway, role, id) do
     case Registry.register(Aerie.Registry, {gateway, role, id}, nil) do
@@ -50,15 +61,7 @@ defmodule Aerie.Names do
     end
   end
 
-  @doc "How many processes have a role. Looks at all names: not for every frame."
-  @spec count(gateway(), role()) :: non_neg_integer()
-  def count(gateway, role) do
-    Registry.count_select(Aerie.Registry, [
-      {{{:"$1", role, :_}, :_, :_}, [{:"=:=", :"$1", {:const, gateway}}], [true]}
-    ])
-  end
-
-  @doc "The processes that have a role. Looks at all names, as `count/2`."
+  @doc "The processes that have a role. Looks at all names, so it is not for every frame."
   @spec processes(gateway(), role()) :: [pid()]
   def processes(gateway, role) do
     Registry.select(Aerie.Registry, [
@@ -72,15 +75,15 @@ defmodule Aerie.Names do
   @spec put_value(gateway(), role(), term(), term()) :: :ok
   def put_value(gateway, role, id \\ nil, value) do
     {_new, _old} = Registry.update_value(Aerie.Registry, {gateway, role, id}, fn _old -> value end)
-    # After it is there, so that nobody remembers the old one under the new number.
+    # Afterwards, so that nobody remembers the old value under the new number.
     changed()
   end
 
-  @doc "A number that has moved whenever a value was attached to a name, or a process told that it took a name."
+  @doc "A number that moves when a value is attached to a name, or when a process calls `changed/0`."
   @spec epoch() :: non_neg_integer()
   def epoch, do: :atomics.get(:persistent_term.get(__MODULE__), 1)
 
-  @doc "Tells that the calling process took a name by `via/3` that others may remember to be nobody's."
+  @doc "The calling process took a name by `via/3` that others may remember to be free."
   @spec changed() :: :ok
   def changed, do: :atomics.add(:persistent_term.get(__MODULE__), 1, 1)
 
@@ -94,8 +97,28 @@ defmodule Aerie.Names do
   end
 
   @doc """
-  The same as `value/2` for who asks with every frame: the calling process remembers it (in its dictionary) for as long as
-  its owner lives and nobody attached a value to any name, so that asking costs neither a look at a table nor a copy.
+  Applies `fun` to the value that a process attached to its name, usually its table. Returns `absent` if there is none, or if the
+  process ended with its table before `fun` read it; so `fun` must only read.
+  """
+  @spec read(gateway(), role(), absent, (term() -> result)) :: absent | result
+        when absent: term(), result: term()
+  def read(gateway, role, absent, fun) do
+    case Registry.lookup(Aerie.Registry, {gateway, role, nil}) do
+      [{owner, value}] when value != nil -> read_of(owner, value, absent, fun)
+      _none -> absent
+    end
+  end
+
+  defp read_of(owner, value, absent, fun) do
+    fun.(value)
+  rescue
+    error in ArgumentError ->
+      if Process.alive?(owner), do: reraise(error, __STACKTRACE__), else: absent
+  end
+
+  @doc """
+  The same as `value/2`, for callers that ask with every frame: the calling process remembers the value (in its dictionary) while its
+  owner lives and no value is attached to any name, so that asking costs neither a look at a table nor a copy.
   """
   @spec held(gateway(), role()) :: term() | nil
   def held(gateway, role) do
@@ -112,7 +135,7 @@ defmodule Aerie.Names do
   defp hold(gateway, role, key, epoch) do
     {owner, value} =
       case Registry.lookup(Aerie.Registry, {gateway, role, nil}) do
-        # A name without a value yet: its owner is just starting.
+        # The owner of the name is still starting.
         [{_owner, nil}] -> {nil, nil}
         [found] -> found
         [] -> {nil, nil}
@@ -123,23 +146,7 @@ defmodule Aerie.Names do
   end
 
   @doc false
-  # What `held/2` compares with; made once, before there is any name.
+  # The number of `epoch/0`; made once, before there is any name.
   @spec prepare() :: :ok
   def prepare, do: :persistent_term.put(__MODULE__, :atomics.new(1, signed: false))
-
-  @doc """
-  What `fun` makes of the value that a process attached to its name, usually an ETS table of its own; `absent` when
-  there is none, or when it was gone before `fun` had read it (an `ArgumentError`).
-  """
-  @spec with_value(gateway(), role(), absent, (term() -> result)) :: absent | result
-        when absent: term(), result: term()
-  def with_value(gateway, role, absent, fun) do
-    case value(gateway, role) do
-      nil -> absent
-      found -> fun.(found)
-    end
-  rescue
-    # The process ended with its table in between.
-    ArgumentError -> absent
-  end
 end

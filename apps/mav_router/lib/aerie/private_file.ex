@@ -1,7 +1,7 @@
 defmodule Aerie.PrivateFile do
-  @moduledoc "Files and folders that are for their owner alone (modes 0600 and 0700), whatever the umask is."
+  @moduledoc "Files and folders for their owner only (modes 0600 and 0700), whatever the umask is."
 
-  @doc "Makes a folder, those above it too. One that is there already is closed to others where it is ours to do so."
+  @doc "Makes a folder, and those above it. An existing one is closed to others, if it is ours."
   @spec folder(Path.t()) :: :ok | {:error, File.posix()}
   def folder(dir) do
     with :ok <- File.mkdir_p(dir) do
@@ -10,11 +10,11 @@ defmodule Aerie.PrivateFile do
     end
   end
 
-  @doc "The same, but one that is there stays as it is: somebody may have opened it to others on purpose."
+  @doc "The same, but an existing folder stays as it is: somebody may have opened it to others on purpose."
   @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}
   def new_folder(dir), do: if(File.dir?(dir), do: :ok, else: folder(dir))
 
-  @doc "Writes a whole file. Whoever reads it finds the old or the new text, never part of it, and never an open mode."
+  @doc "Writes a file. Readers find the old or the new text, never a part of it, and others can never read it."
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, text) do
     new = path <> ".new"

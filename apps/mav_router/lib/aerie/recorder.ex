@@ -1,26 +1,27 @@
 defmodule Aerie.Recorder do
   @moduledoc """
-  Records what links and vehicles say, as tlog files that every ground station reads, and keeps the last moments of each
-  vehicle in memory, to be saved when something happened.
+  Records the frames of links and vehicles in tlog files, which every ground station reads, and keeps the last minutes of each vehicle
+  in memory, to be saved when something happens.
 
       Aerie.Recorder.start(:default, {:vehicle, "VID-001"}, :armed)
       Aerie.Recorder.status(:default, {:vehicle, "VID-001"})
       Aerie.Recorder.save(:default, "VID-001", "near-miss")
       Aerie.Recorder.list(:default)
 
-  A recording never costs a frame: it is written by a process of its own over a bounded queue, and what the disk does not
-  take is dropped and counted (`dropped`). Keys and signatures are not in it (S9). How it works is in the README of this
-  module's folder.
+  A recording never costs a frame: a process of its own writes it from a bounded queue, and frames that the disk does not take are
+  missing in the recording and counted (`dropped`). It has no keys and no signatures (S9). The README of this module's folder tells how
+  it works.
 
   ## Telemetry
 
   | event | measurements | metadata besides `gateway` |
   |---|---|---|
   | `[:aerie, :recorder, :opened]`, `[:aerie, :recorder, :closed]` | `count`, or `bytes` of the file | `target`, `file` |
-  | `[:aerie, :recorder, :paused]` | `count` | `target`, `file`, `reason` (words): the disk is full, … |
-  | `[:aerie, :recorder, :removed]` | `bytes` | `file`: an old recording made room |
+  | `[:aerie, :recorder, :paused]` | `count` | `target`, `file`, `reason` (text): the disk is full, … |
+  | `[:aerie, :recorder, :removed]` | `bytes` | `file`: an old recording was removed to make room |
   """
 
+  alias Aerie.Error
   alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Recorder.{Archive, Recording, Ring, Status, Tables, Tap}
@@ -29,7 +30,7 @@ defmodule Aerie.Recorder do
 
   @save_ms 10_000
 
-  @typedoc "What is recorded: a link, or a vehicle by its public name or its key."
+  @typedoc "What is recorded: a link, or a vehicle by its public id or its key."
   @type what :: {:link, String.t()} | {:vehicle, String.t() | {String.t(), non_neg_integer}}
 
   ## For links and sessions
@@ -54,17 +55,16 @@ defmodule Aerie.Recorder do
     Tap.offer(tables, {:vehicle, key}, frames, n)
   end
 
-  @doc "A vehicle is gone: its last moments are kept no longer. Recordings of it go on as they would."
+  @doc "A vehicle is gone: its ring is removed. Recordings of it go on."
   @spec forget(Names.gateway(), {String.t(), non_neg_integer}) :: :ok
   def forget(gateway, key) do
     with tables when is_map(tables) <- Tables.of(gateway), do: Ring.forget(tables, key)
     :ok
   end
 
-  @doc "A link sent the bytes of whole frames: they are recorded for it, and for the vehicles that they are addressed to."
+  @doc "A link sent the bytes of whole frames, which are recorded for it and for the vehicles that are their targets."
   @spec sent(Names.gateway(), String.t(), String.t(), iodata) :: :ok
   def sent(gateway, link, network, bytes) do
-    # No tables: no recorder, nothing to record.
     _ =
       with tables when is_map(tables) <- Tables.of(gateway) do
         {frames, _rest} = bytes |> IO.iodata_to_binary() |> Wire.frames(System.os_time(:microsecond))
@@ -74,18 +74,18 @@ defmodule Aerie.Recorder do
     :ok
   end
 
-  @doc "The same for frames that were forwarded."
+  @doc "The same for forwarded frames."
   @spec sent_frames(Names.gateway(), String.t(), String.t(), [Frame.t()]) :: :ok
   def sent_frames(gateway, link, network, frames) do
     _ = with tables when is_map(tables) <- Tables.of(gateway), do: sent_by(tables, link, network, frames)
     :ok
   end
 
-  # Most of it is for everyone, and of links that are not recorded: that costs a look at a table.
+  # Most frames have no target and go by links that are not recorded: that costs a look at a table.
   defp sent_by(tables, link, network, frames) do
     if Tables.settings(tables).sent do
       if Tap.open?(tables, {:link, link}),
-        do: Tap.offer(tables, {:link, link}, Enum.map(frames, &Wire.checked/1))
+        do: Tap.offer(tables, {:link, link}, Enum.map(frames, &Wire.checked/1), :sent)
 
       for frame <- frames,
           {system, _component} when system > 0 <- [Frame.target(frame)],
@@ -95,17 +95,17 @@ defmodule Aerie.Recorder do
     end
   end
 
-  ## For faces
+  ## For interfaces
 
   @doc """
-  Records a link or a vehicle from now on, `:always` or while it is `:armed`, whatever the configuration says, until `stop/2`
-  or the end of the gateway.
+  Records a link or a vehicle from now on, `:always` or while it is `:armed`, whatever the configuration says, until `stop/2` or the
+  end of the gateway.
   """
-  @spec start(Names.gateway(), what, :always | :armed) :: :ok | {:error, String.t()}
+  @spec start(Names.gateway(), what, :always | :armed) :: :ok | {:error, Error.t()}
   def start(gateway, what, mode \\ :always) when mode in [:always, :armed], do: want(gateway, what, mode)
 
-  @doc "Records a link or a vehicle no longer; its file is complete when this returns."
-  @spec stop(Names.gateway(), what) :: :ok | {:error, String.t()}
+  @doc "Ends the recording of a link or a vehicle; its file is complete when this returns."
+  @spec stop(Names.gateway(), what) :: :ok | {:error, Error.t()}
   def stop(gateway, what), do: want(gateway, what, :off)
 
   defp want(gateway, what, mode) do
@@ -119,26 +119,26 @@ defmodule Aerie.Recorder do
       end
     end
   catch
-    :exit, _reason -> {:error, "the recording does not answer"}
+    :exit, _reason -> Error.new({:unavailable, "the recording does not answer"})
   end
 
   @doc false
-  # Begins the recording of a target that has none.
-  @spec begin(Names.gateway(), Tables.target(), keyword) :: :ok | {:error, String.t()}
+  # Starts the recording of a target that has none.
+  @spec begin(Names.gateway(), Tables.target(), keyword) :: :ok | {:error, Error.t()}
   def begin(gateway, target, options \\ []) do
     options = Keyword.merge([gateway: gateway, target: target, label: label(gateway, target)], options)
 
     case DynamicSupervisor.start_child(Names.via(gateway, :recordings), {Recording, options}) do
       {:ok, _pid} -> :ok
       {:error, {:already_started, _pid}} -> :ok
-      {:error, :max_children} -> {:error, "there are as many recordings as there may be"}
-      other -> {:error, "the recording does not start: #{inspect(other)}"}
+      {:error, :max_children} -> Error.new({:limit, "there are as many recordings as the limit allows"})
+      other -> Error.new({:unavailable, "the recording cannot be started: #{inspect(other)}"})
     end
   catch
-    :exit, _reason -> {:error, "the recorder is not running"}
+    :exit, _reason -> Error.new({:unavailable, "the recorder is not running"})
   end
 
-  @doc "The name that files of a target begin with: its network and its link or vehicle."
+  @doc "The beginning of the names of a target's files: its network, and its link or vehicle."
   @spec label(Names.gateway(), Tables.target()) :: String.t()
   def label(gateway, {:link, id}) do
     case Store.link(gateway, id) do
@@ -155,28 +155,29 @@ defmodule Aerie.Recorder do
   end
 
   @doc """
-  Saves the last moments of a vehicle, and what comes within `after_s`, to a file, whose name has the `reason`; gives the file
-  as soon as the past is in it. A saving that is under way goes on for longer instead.
+  Saves a vehicle's ring, and the frames of the next `after_s`, to a file whose name contains the `reason`. Gives the file as soon as the
+  ring is in it. If the ring is being saved already, that goes on for longer instead.
   """
   @spec save(Names.gateway(), String.t() | {String.t(), non_neg_integer}, String.t()) ::
-          {:ok, Path.t()} | {:error, String.t()}
+          {:ok, Path.t()} | {:error, Error.t()}
   def save(gateway, vehicle, reason \\ "request") do
     reference = :erlang.alias([:reply])
 
     with :ok <- save_at(gateway, vehicle, reason, nil, reference) do
       receive do
-        {^reference, result} -> result
+        {^reference, {:ok, file}} -> {:ok, file}
+        {^reference, {:error, text}} -> Error.new({:unavailable, text})
       after
         @save_ms ->
           :erlang.unalias(reference)
-          {:error, "the disk does not answer"}
+          Error.new({:unavailable, "the disk does not answer"})
       end
     end
   end
 
   @doc false
   @spec save_at(Names.gateway(), String.t() | tuple, String.t(), integer | nil, reference | nil) ::
-          :ok | {:error, String.t()}
+          :ok | {:error, Error.t()}
   def save_at(gateway, vehicle, reason, at, notify) do
     with {:ok, tables} <- tables(gateway),
          {:ok, {_kind, key}} <- target(gateway, {:vehicle, vehicle}),
@@ -198,8 +199,8 @@ defmodule Aerie.Recorder do
   defp has_ring(tables, key) do
     cond do
       Ring.known?(tables, key) -> :ok
-      Tables.settings(tables).ring -> {:error, "nothing was heard of that vehicle"}
-      true -> {:error, "no ring is kept (recorder.ring.enabled)"}
+      Tables.settings(tables).ring -> Error.new({:unavailable, "nothing was heard from that vehicle"})
+      true -> Error.new({:unavailable, "no ring is kept (recorder.ring.enabled)"})
     end
   end
 
@@ -208,10 +209,10 @@ defmodule Aerie.Recorder do
     if notify, do: send(notify, {notify, {:ok, Recording.flush(pid)}})
     :ok
   catch
-    :exit, _reason -> {:error, "the recording does not answer"}
+    :exit, _reason -> Error.new({:unavailable, "the recording does not answer"})
   end
 
-  @doc "What is known of the recording of a link or a vehicle; nil when there never was one."
+  @doc "The status of the recording of a link or a vehicle; nil when there never was one."
   @spec status(Names.gateway(), what) :: Status.t() | nil
   def status(gateway, what) do
     with {:ok, tables} <- tables(gateway), {:ok, target} <- target(gateway, what) do
@@ -221,14 +222,14 @@ defmodule Aerie.Recorder do
     end
   end
 
-  @doc "What a link's or vehicle's snapshot shows of its recording: its status, without its names; nil for none."
+  @doc "The part of a recording's status that the snapshot of its link or vehicle shows; nil for none."
   @spec shown(Names.gateway(), Tables.target()) :: map | nil
   def shown(gateway, target) do
     with tables when is_map(tables) <- Tables.of(gateway), do: Status.shown(tables, target)
   end
 
   @doc """
-  Everything: `recordings` (statuses of what is or was recorded), `rings` (`%{vehicle key => %{bytes, entries}}`), `space`
+  The whole status: `recordings` (the statuses of all that are or were made), `rings` (`%{vehicle key => %{bytes, entries}}`), `space`
   (`%{free: bytes or :unknown, low: boolean}`, nil before the first recording), `dir`.
   """
   @spec status(Names.gateway()) :: map | nil
@@ -248,72 +249,65 @@ defmodule Aerie.Recorder do
   @spec list(Names.gateway()) :: [map]
   def list(gateway), do: Archive.list(gateway)
 
-  @doc "Metrics, for `/metrics`: `%{name, type, help, samples: [{labels, value}]}`."
-  @spec metrics(Names.gateway()) :: [map]
-  def metrics(gateway) do
-    case status(gateway) do
-      nil ->
-        []
-
-      status ->
-        totals =
-          for {key, help} <- [
-                frames: "Frames written to recordings.",
-                bytes: "Bytes written to recordings.",
-                files: "Recordings begun.",
-                dropped: "Frames that were to be recorded and were not: disk full or slow.",
-                errors: "Faults of the disk; recording goes on after a pause."
-              ] do
-            samples = for recording <- status.recordings, do: {[recording: recording.label], recording[key]}
-            %{name: "gateway_recorder_#{key}_total", type: :counter, help: help, samples: samples}
-          end
-
-        active = Enum.count(status.recordings, &(&1.state == :recording))
-        paused = Enum.count(status.recordings, &(&1.state == :paused))
-        ring = status.rings |> Map.values() |> Enum.map(& &1.bytes) |> Enum.sum()
-
-        totals ++
-          [
-            %{
-              name: "gateway_recorder_active",
-              type: :gauge,
-              help: "Recordings that are being written.",
-              samples: [{[], active}]
-            },
-            %{
-              name: "gateway_recorder_paused",
-              type: :gauge,
-              help: "Recordings that would be written and are not: the disk is full or does not work.",
-              samples: [{[], paused}]
-            },
-            %{
-              name: "gateway_recorder_free_bytes",
-              type: :gauge,
-              help: "What is free where recordings are written.",
-              samples: free(status.space)
-            },
-            %{
-              name: "gateway_recorder_ring_bytes",
-              type: :gauge,
-              help: "Memory of the last moments of all vehicles.",
-              samples: [{[], ring}]
-            }
-          ]
+  @doc "Removes one of our files by its name (`list/1`), unless it is being written."
+  @spec delete(Names.gateway(), String.t()) :: :ok | {:error, Error.t()}
+  def delete(gateway, name) do
+    case Archive.delete(gateway, name) do
+      :ok -> :ok
+      {:error, :unknown} -> Error.new({:unknown, :recording, name})
+      {:error, :open} -> Error.new({:conflict, "#{name} is being written"})
+      {:error, text} -> Error.new({:unavailable, text})
     end
   end
+
+  @totals [
+    frames: "Frames written to recordings.",
+    bytes: "Bytes written to recordings.",
+    files: "Recordings begun.",
+    dropped: "Frames missing in recordings: disk full or slow.",
+    errors: "Faults of the disk; recording goes on after a pause."
+  ]
+
+  @doc "Metrics, for `/metrics`: `%{name, type, help, samples: [{labels, value}]}`; without samples while no recorder runs."
+  @spec metrics(Names.gateway()) :: [map]
+  def metrics(gateway) do
+    status = status(gateway)
+    recordings = if status, do: status.recordings, else: []
+    gauge = fn samples -> if status, do: samples.(), else: [] end
+
+    totals =
+      for {key, help} <- @totals do
+        samples = for recording <- recordings, do: {[recording: recording.label], recording[key]}
+        %{name: "gateway_recorder_#{key}_total", type: :counter, help: help, samples: samples}
+      end
+
+    totals ++
+      for {name, help, samples} <- [
+            {"active", "Recordings that are being written.", fn -> counted(recordings, :recording) end},
+            {"paused", "Recordings that cannot be written now: the disk is full or does not work.",
+             fn -> counted(recordings, :paused) end},
+            {"free_bytes", "Free bytes on the disk of the recordings.", fn -> free(status.space) end},
+            {"ring_bytes", "Memory of the rings of all vehicles.",
+             fn -> [{[], status.rings |> Map.values() |> Enum.map(& &1.bytes) |> Enum.sum()}] end}
+          ] do
+        %{name: "gateway_recorder_" <> name, type: :gauge, help: help, samples: gauge.(samples)}
+      end
+  end
+
+  defp counted(recordings, state), do: [{[], Enum.count(recordings, &(&1.state == state))}]
 
   defp free(%{free: bytes}) when is_integer(bytes), do: [{[], bytes}]
   defp free(_unknown), do: []
 
   defp tables(gateway) do
     case Tables.of(gateway) do
-      nil -> {:error, "the recorder is not running"}
+      nil -> Error.new({:unavailable, "the recorder is not running"})
       tables -> {:ok, tables}
     end
   end
 
   defp target(gateway, {:link, id}) when is_binary(id) do
-    if Store.link(gateway, id), do: {:ok, {:link, id}}, else: {:error, "there is no link #{id}"}
+    if Store.link(gateway, id), do: {:ok, {:link, id}}, else: Error.new({:unknown, :link, id})
   end
 
   defp target(_gateway, {:vehicle, {network, system} = key}) when is_binary(network) and is_integer(system),
@@ -322,7 +316,7 @@ defmodule Aerie.Recorder do
   defp target(gateway, {:vehicle, id}) when is_binary(id) do
     case Store.vehicle(gateway, id) do
       %{key: key} -> {:ok, {:vehicle, key}}
-      nil -> {:error, "no vehicle #{id} is known"}
+      nil -> Error.new({:unknown, :vehicle, id})
     end
   end
 

@@ -2,7 +2,7 @@ defmodule Aerie.Secret do
   @moduledoc """
   A value that never shows in a log, a crash report or an inspected state.
 
-  It is kept inside a function, so that Erlang's own formatting (`~p` in a crash report) shows nothing of it either.
+  It is kept in a function, so that Erlang's own formatting (`~p` in a crash report) does not show it either.
   """
 
   @enforce_keys [:fun]
@@ -14,7 +14,7 @@ defmodule Aerie.Secret do
   @spec new(String.t()) :: t()
   def new(value) when is_binary(value), do: %__MODULE__{fun: fn -> value end}
 
-  @doc "The hidden value. Call it where the value is handed over, never earlier. nil stays nil."
+  @doc "The hidden value; nil for nil. Called where the value is handed over, never earlier."
   @spec reveal(t() | nil) :: String.t() | nil
   def reveal(nil), do: nil
   def reveal(%__MODULE__{fun: fun}), do: fun.()

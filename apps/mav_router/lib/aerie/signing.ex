@@ -1,8 +1,8 @@
 defmodule Aerie.Signing do
   @moduledoc """
-  Signed MAVLink links: keys per network or per vehicle, what is checked of what comes, what is signed of what we send, and
-  (`Aerie.Enrolment`) how a flight controller gets its key. How to use it is said by docs/signing.md; how it works, by the README of this
-  module's folder.
+  Signed MAVLink links: keys per network or per vehicle, verification of received frames, signing of sent ones, and
+  (`Aerie.Enrolment`) how a flight controller gets its key. docs/signing.md tells how to use it, the README of this module's folder
+  how it works.
 
       Aerie.Signing.list(:default)
       Aerie.Enrolment.enrol(:default, "VID-007")
@@ -26,17 +26,15 @@ defmodule Aerie.Signing do
   alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Secret
-  alias Aerie.Signing.{Intake, Scope, Seal, Tables, Vault}
+  alias Aerie.Signing.{Intake, Scope, Signer, Tables, KeyStore}
   alias MavCodec.Frame
 
-  @setup_signing 256
-
-  @typedoc "A vehicle's public name, or its key."
+  @typedoc "A vehicle's public id, or its key."
   @type vehicle :: String.t() | {network :: String.t(), system :: non_neg_integer}
 
   @typedoc """
-  Bytes that the link's process is to sign: for the system of a network (nil: for all), or with that very key (nil: with
-  none). Those of a secret are not shown on their way.
+  Bytes that the link's process is to sign: for the system of a network (nil: for all), or with that very key (nil: with none). Bytes
+  in a secret are never shown.
   """
   @type marked ::
           {:sign, {String.t(), non_neg_integer | nil} | Scope.t(), iodata}
@@ -44,9 +42,8 @@ defmodule Aerie.Signing do
 
   @typedoc """
   - `policy`, `key`: of the scope that the vehicle belongs to (`main/7`, `main/*`)
-  - `state`: `:verified` (the last frame that says something about it was signed rightly), `:unsigned`, `:rejected`
-    (nothing of it was taken in yet), `:unknown`
-  - `unsafe`: frames are taken in that anybody could have sent; `text` says why, in words for an operator (S11)
+  - `state`: of the last frame that was taken in, `:verified` or `:unsigned`; `:rejected` (none was, yet); `:unknown` (none came)
+  - `unsafe`: frames are taken in that anybody could have sent; `text` tells an operator why (S11)
   - `verified_at`, `unsigned_at`: unix microseconds or nil; `verified`, `unsigned`, `rejected`: frames
   """
   @type status :: %{
@@ -65,46 +62,45 @@ defmodule Aerie.Signing do
   ## For links and the router
 
   @doc """
-  The frames that are to be taken in, of those that a link received; the others are counted. Whoever forwards frames
-  forwards all of them (S10).
+  Those of the frames that a link received which are taken in; the others are counted. All of them are forwarded (S10).
 
-  `source` is the router's (`Aerie.Router.source`); its `:trust` (`trust/1`) says what is thought of the link.
+  `origin` is `t:Aerie.Router.origin/0`; its `:trust` says how far the link is trusted (`trust/1`).
   """
   @spec admit(Names.gateway(), map, [Frame.t()]) :: [Frame.t()]
-  def admit(gateway, source, frames) do
+  def admit(gateway, origin, frames) do
     case Tables.active(gateway) do
       nil -> frames
-      _tables when :erlang.map_get(:trust, source) == :recording -> frames
-      tables -> Intake.admit(gateway, tables, source, frames)
+      _tables when :erlang.map_get(:trust, origin) == :recording -> frames
+      tables -> Intake.admit(gateway, tables, origin, frames)
     end
   end
 
-  @doc "What is thought of a link: `:secure` when its configuration says so, `:recording` for a file, else `:radio`."
+  @doc "How far a link is trusted: `:secure` when its configuration says so, `:recording` for a file, else `:radio`."
   @spec trust(Aerie.Link.Spec.t()) :: :radio | :secure | :recording
-  def trust(%{kind: :replay}), do: :recording
+  def trust(%{recorded: true}), do: :recording
   def trust(%{options: %{secure: true}}), do: :secure
   def trust(_spec), do: :radio
 
   @doc """
-  Marks bytes of our own that go to a system, to be signed by the link's process (`seal/3`), where the order of time stamps
-  is that of sending. Without a key for that system they stay as they are.
+  Marks our own bytes for a system, to be signed by the link's process (`sign/4`), where the order of time stamps is that of
+  sending. Without any key in the gateway they stay as they are.
   """
   @spec mark(Names.gateway(), {String.t(), non_neg_integer | nil}, iodata) :: iodata | marked
   def mark(gateway, key, bytes) do
     if Tables.active(gateway), do: {:sign, key, bytes}, else: bytes
   end
 
-  @doc "The bytes to write to a peer for what a link was given; called in the link's process."
-  @spec seal(Names.gateway(), String.t(), term, iodata | marked) :: iodata
-  def seal(_gateway, _link, _peer, {:secret, nil, bytes}), do: Secret.reveal(bytes)
+  @doc "The bytes to write to a peer, signed if they are marked; called in the link's process."
+  @spec sign(Names.gateway(), String.t(), term, iodata | marked) :: iodata
+  def sign(_gateway, _link, _peer, {:secret, nil, bytes}), do: Secret.reveal(bytes)
 
-  def seal(gateway, link, peer, {:secret, scope, bytes}),
-    do: Seal.own(gateway, link, peer, scope, Secret.reveal(bytes))
+  def sign(gateway, link, peer, {:secret, scope, bytes}),
+    do: Signer.own(gateway, link, peer, scope, Secret.reveal(bytes))
 
-  def seal(gateway, link, peer, {:sign, key, bytes}), do: Seal.own(gateway, link, peer, key, bytes)
-  def seal(_gateway, _link, _peer, bytes), do: bytes
+  def sign(gateway, link, peer, {:sign, key, bytes}), do: Signer.own(gateway, link, peer, key, bytes)
+  def sign(_gateway, _link, _peer, bytes), do: bytes
 
-  @doc "What may be recorded of bytes that went out for what a link was given: nothing of a key (S9)."
+  @doc "What may be recorded of bytes that went out: nothing of a key (S9)."
   @spec shown(iodata | marked, iodata) :: iodata
   def shown({:secret, _key, _secret}, bytes) do
     {frames, _rest} = bytes |> IO.iodata_to_binary() |> Aerie.Wire.frames()
@@ -114,31 +110,27 @@ defmodule Aerie.Signing do
   def shown(_given, bytes), do: bytes
 
   @doc """
-  A client's unsigned frame that is to be signed where a link needs it (`sign: true`, see docs/signing.md); what is signed
-  already stays as it is (S10). `fill/4` makes the frame of it.
+  Marks a client's unsigned frame, to be signed if the link needs it (`sign: true`, see docs/signing.md); a signed one stays as it is
+  (S10). `fill/4` signs it.
   """
   @spec placeholder(binary) :: binary
-  defdelegate placeholder(bytes), to: Seal
+  defdelegate placeholder(bytes), to: Signer
 
   @doc "Frames as a link writes them to a peer; called in the link's process."
   @spec fill(Names.gateway(), Aerie.Link.Spec.t(), term, iodata) :: iodata
   def fill(gateway, %{id: id, network: network}, peer, frames),
-    do: Seal.fill(gateway, id, network, peer, frames)
+    do: Signer.fill(gateway, id, network, peer, frames)
 
-  @doc "Whether a frame may be forwarded: everything but SETUP_SIGNING, which carries a key (S8)."
-  @spec forwardable?(Frame.t()) :: boolean
-  def forwardable?(%Frame{id: id}), do: id != @setup_signing
-
-  @doc "A link is no more."
+  @doc "Forgets a link that was removed."
   @spec forget(Names.gateway(), String.t()) :: :ok
   def forget(gateway, link) do
-    with tables when is_map(tables) <- Tables.of(gateway), do: Aerie.Signing.Guards.forget(tables, link)
+    with tables when is_map(tables) <- Tables.of(gateway), do: Aerie.Signing.Verifiers.forget(tables, link)
     :ok
   end
 
-  ## For faces
+  ## For interfaces
 
-  @doc "What is known of a vehicle's signing; nil when there is no key for it."
+  @doc "The state of a vehicle's signing; nil when there is no key for it."
   @spec vehicle(Names.gateway(), {String.t(), non_neg_integer}) :: status | nil
   def vehicle(gateway, {_network, _system} = key) do
     with tables when is_map(tables) <- Tables.active(gateway),
@@ -148,8 +140,8 @@ defmodule Aerie.Signing do
   end
 
   @doc """
-  What is known of a link: `%{secure, unsafe, verified, unsigned, rejected, signed, not_signed, alarms}`; nil when there is
-  no key.
+  The state of a link: `%{secure, unsafe, verified, unsigned, rejected, signed, not_signed, alarms}`; nil without any key in the
+  gateway.
   """
   @spec link(Names.gateway(), Aerie.Link.Spec.t()) :: map | nil
   def link(gateway, %{id: id, network: network} = spec) do
@@ -163,9 +155,8 @@ defmodule Aerie.Signing do
   end
 
   @doc """
-  All keys: `%{key: "main/7", network, system (or :any), policy, source, error, unsafe}`, without the keys themselves;
-  `pending`: the vehicles that were sent another key and have not proven to have it; and whether the time stamps could be
-  stored.
+  All keys: `%{key: "main/7", network, system (or :any), policy, source, error, unsafe}`, without the keys themselves; `pending`: the
+  vehicles that were sent another key and have not proven yet that they have it; `not_stored`: why the time stamps could not be stored.
   """
   @spec list(Names.gateway()) :: %{keys: [map], pending: [String.t()], not_stored: String.t() | nil}
   def list(gateway) do
@@ -229,27 +220,27 @@ defmodule Aerie.Signing do
   defp text(%{policy: :off}, _state), do: "UNSAFE: signing is off, anybody can send as this vehicle"
 
   defp text(%{policy: :accept_unsigned}, :verified),
-    do: "UNSAFE: signed, but unsigned frames would be taken in too"
+    do: "UNSAFE: signed, but unsigned frames would be accepted too"
 
   defp text(%{policy: :accept_unsigned}, _state),
-    do: "UNSAFE: unsigned frames are taken in, anybody can send as this vehicle"
+    do: "UNSAFE: unsigned frames are accepted, anybody can send as this vehicle"
 
   defp text(%{error: error}, _state) when error != nil, do: "no signature can be checked: #{error}"
   defp text(_scope, :verified), do: "signed"
   defp text(_scope, :unsigned), do: "unsigned, heard by a link that is marked secure"
-  defp text(_scope, :rejected), do: "its frames are refused: no right signature"
+  defp text(_scope, :rejected), do: "its frames are refused: none has a right signature"
   defp text(_scope, :unknown), do: "not heard yet"
 
   ## Keys
 
-  @doc "Who we are, when that is found out (`Aerie.Router.AutoSystemId`): what has these ids is ours to sign."
+  @doc "The gateway's own ids are found out (`Aerie.Router.AutoSystemId`): frames with them are ours to sign."
   @spec identify(Names.gateway(), {pos_integer, 0..255}) :: :ok
   def identify(gateway, ids) do
     with tables when is_map(tables) <- Tables.of(gateway), do: :ets.insert(tables.settings, {:own, ids})
     :ok
   end
 
-  @doc "Reads the configured keys again, after a file was replaced. What cannot be read leaves the old key in place."
+  @doc "Reads the configured keys again, after a file was replaced. A key that cannot be read leaves the old one in place."
   @spec reload(Names.gateway()) :: [{String.t(), :same | :changed | {:error, String.t()}}]
-  def reload(gateway), do: for({id, result} <- Vault.reload(gateway), do: {Scope.name(id), result})
+  def reload(gateway), do: for({id, result} <- KeyStore.reload(gateway), do: {Scope.name(id), result})
 end

@@ -2,14 +2,14 @@ defmodule Aerie.Store do
   @moduledoc """
   The read model: one snapshot per vehicle and per link, counters, and the systems that were heard.
 
-  This process only owns ETS tables, so it outlives the death of any vehicle, link or bridge process, and what they
-  knew is there when they come back. Writers (sessions, links) write their own snapshot directly; readers (console,
-  REST, metrics, bridge) read the tables directly and never wait for a process.
+  This process does nothing but own ETS tables, so these outlive every vehicle, link and bridge process, and a process that is
+  restarted finds what the former one knew. Sessions and links write their own snapshots directly; console, REST, metrics and bridge
+  read the tables directly. Nobody waits for a process.
 
-  When the gateway is not running, reading gives nothing (`[]`, `nil`) and writing raises: a reader has to live with an
-  absent gateway anyway, a writer without a store is a part that must not be running.
+  While the gateway is not running, reading gives nothing (`[]`, `nil`) and writing raises: a reader must be prepared for an absent
+  gateway anyway, but a writer must not run without a store.
 
-  A vehicle's snapshot is a map with `:id` (public name), `:key` (`{network, system_id}`), `:network`, `:system_id`,
+  A vehicle's snapshot is a map with `:id` (public id), `:key` (`{network, system_id}`), `:network`, `:system_id`,
   `:autopilot`, `:vehicle_type`, `:firmware`, `:status` (`:online | :stale | :lost`), `:last_heard` (us), `:links` and
   `:groups` (see `Aerie.Vehicle.State`), `:signing` (`Aerie.Signing.vehicle/2`), `:recording`
   (`Aerie.Recorder.shown/2`). A link's snapshot belongs to `Aerie.Link`; its peers
@@ -25,14 +25,14 @@ defmodule Aerie.Store do
   @type snapshot :: map()
   @type counter :: term()
 
-  # Systems are whatever sends a heartbeat, so a noisy or hostile network could name four billion of them.
+  # Everything that sends a heartbeat is a system: a noisy or hostile network could name four billion of them.
   @max_systems 4096
   @max_claims 4096
 
-  @typedoc "A table that another part keeps here: its name, ETS options besides `:public`, and the objects that it begins with."
+  @typedoc "A table of another part: its name, ETS options besides `:public`, and its first objects."
   @type table :: {atom(), [atom() | tuple()], [tuple()]}
 
-  @doc "Options: `:gateway`, and `:tables`, those of other parts, to outlive them."
+  @doc "Options: `:gateway`, and `:tables`, those of other parts, which are to outlive them."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
@@ -58,24 +58,21 @@ defmodule Aerie.Store do
   @doc "All vehicles' snapshots, in the order of their keys."
   @spec vehicles(Names.gateway()) :: [snapshot()]
   def vehicles(gateway) do
-    with_table(gateway, :vehicles, [], fn table ->
-      table |> :ets.tab2list() |> Enum.sort() |> Enum.map(fn {_key, _id, snapshot} -> snapshot end)
-    end)
+    rows = with_table(gateway, :vehicles, [], &:ets.tab2list/1)
+    for {_key, _id, snapshot} <- Enum.sort(rows), do: snapshot
   end
 
-  @doc "One vehicle's snapshot by its public name or by its key; nil when it was never heard."
+  @doc "One vehicle's snapshot by its public id or by its key; nil when it was never heard."
   @spec vehicle(Names.gateway(), String.t() | vehicle_key()) :: snapshot() | nil
   def vehicle(gateway, {_network, _system} = key) do
-    with_table(gateway, :vehicles, nil, fn table -> :ets.lookup_element(table, key, 3, nil) end)
+    with_table(gateway, :vehicles, nil, &:ets.lookup_element(&1, key, 3, nil))
   end
 
   def vehicle(gateway, id) when is_binary(id) do
-    with_table(gateway, :vehicles, nil, fn table ->
-      case :ets.match(table, {:_, id, :"$1"}) do
-        [[snapshot] | _] -> snapshot
-        [] -> nil
-      end
-    end)
+    case with_table(gateway, :vehicles, [], &:ets.match(&1, {:_, id, :"$1"})) do
+      [[snapshot] | _] -> snapshot
+      [] -> nil
+    end
   end
 
   @doc """
@@ -100,20 +97,18 @@ defmodule Aerie.Store do
   @doc "All links' snapshots without their peers and sources (`Aerie.Store.Links`), in the order of their ids."
   @spec links(Names.gateway()) :: [snapshot()]
   def links(gateway) do
-    with_table(gateway, :links, [], fn table ->
-      table |> :ets.tab2list() |> Enum.sort() |> Enum.map(fn {_id, snapshot} -> snapshot end)
-    end)
+    for {_id, snapshot} <- Enum.sort(with_table(gateway, :links, [], &:ets.tab2list/1)), do: snapshot
   end
 
   @doc "One link's snapshot without its peers and sources; nil when there is none."
   @spec link(Names.gateway(), term()) :: snapshot() | nil
   def link(gateway, id) do
-    with_table(gateway, :links, nil, fn table -> :ets.lookup_element(table, id, 2, nil) end)
+    with_table(gateway, :links, nil, &:ets.lookup_element(&1, id, 2, nil))
   end
 
   @doc """
-  Adds to a counter and gives its new value. A counter is any term and starts at 0; its name must not come from outside
-  unchecked, because every name is kept.
+  Adds to a counter and gives its new value. A counter is any term and starts at 0; terms from outside must be checked first, because
+  every counter is kept.
   """
   @spec count(Names.gateway(), counter(), integer()) :: integer()
   def count(gateway, counter, n \\ 1) do
@@ -121,13 +116,20 @@ defmodule Aerie.Store do
     value
   end
 
+  @doc "Adds to a counter if the gateway is running: for callers whose work goes on without it."
+  @spec count_if_running(Names.gateway(), counter(), integer()) :: :ok
+  def count_if_running(gateway, counter, n \\ 1) do
+    _value = with_table(gateway, :counters, nil, &:ets.update_counter(&1, counter, {2, n}, {counter, 0}))
+    :ok
+  end
+
   @doc "A counter's value, 0 when nothing was counted."
   @spec counter(Names.gateway(), counter()) :: integer()
   def counter(gateway, counter) do
-    with_table(gateway, :counters, 0, fn table -> :ets.lookup_element(table, counter, 2, 0) end)
+    with_table(gateway, :counters, 0, &:ets.lookup_element(&1, counter, 2, 0))
   end
 
-  @doc "Counts for a vehicle no longer: the counters `{:vehicle, id, _}`."
+  @doc "Removes a vehicle's counters, `{:vehicle, id, _}`."
   @spec forget_counters(Names.gateway(), vehicle_id :: String.t()) :: :ok
   def forget_counters(gateway, id) do
     true = :ets.match_delete(table!(gateway, :counters), {{:vehicle, id, :_}, :_})
@@ -137,17 +139,17 @@ defmodule Aerie.Store do
   @doc "All counters."
   @spec counters(Names.gateway()) :: %{counter() => integer()}
   def counters(gateway) do
-    with_table(gateway, :counters, %{}, fn table -> Map.new(:ets.tab2list(table)) end)
+    Map.new(with_table(gateway, :counters, [], &:ets.tab2list/1))
   end
 
   @doc """
-  Lets one of many processes do what is to be done once per `interval_ms`: true for the one that is to do it.
+  True for one of the processes that claim the same within `interval_ms`: that one is to do it.
   """
   @spec claim(Names.gateway(), term(), pos_integer()) :: boolean()
   def claim(gateway, what, interval_ms) do
     table = table!(gateway, :claims)
     now = System.monotonic_time(:millisecond)
-    # What was claimed by peers that are gone is of no more use than what is forgotten here.
+    # Most claims are of peers that are gone; to forget the others does no harm.
     if :ets.info(table, :size) > @max_claims, do: :ets.delete_all_objects(table)
 
     :ets.insert_new(table, {what, now}) or
@@ -183,46 +185,40 @@ defmodule Aerie.Store do
   @doc "What was remembered about a system; nil when it was not heard."
   @spec system(Names.gateway(), vehicle_key()) :: map() | nil
   def system(gateway, key) do
-    with_table(gateway, :systems, nil, fn table -> :ets.lookup_element(table, key, 2, nil) end)
+    with_table(gateway, :systems, nil, &:ets.lookup_element(&1, key, 2, nil))
   end
 
   @doc "All systems heard, with what was remembered about them."
   @spec systems(Names.gateway()) :: %{vehicle_key() => map()}
   def systems(gateway) do
-    with_table(gateway, :systems, %{}, fn table -> Map.new(:ets.tab2list(table)) end)
+    Map.new(with_table(gateway, :systems, [], &:ets.tab2list/1))
   end
 
-  @doc "Keeps a value for a part of the gateway that has to know it after its own restart."
+  @doc "Keeps a value for a part of the gateway that needs it after its own restart."
   @spec remember(Names.gateway(), term(), term()) :: :ok
   def remember(gateway, key, value) do
     :ets.insert(table!(gateway, :notes), {key, value})
     :ok
   end
 
-  @doc "Keeps it no longer."
+  @doc "Forgets a value."
   @spec forget(Names.gateway(), term()) :: :ok
   def forget(gateway, key) do
     :ets.delete(table!(gateway, :notes), key)
     :ok
   end
 
-  @doc "What is kept under a key, or `absent`."
+  @doc "The value that is kept under a key, or `absent`."
   @spec recall(Names.gateway(), term(), absent) :: term() | absent when absent: term()
-  def recall(gateway, key, absent),
+  def recall(gateway, key, absent \\ nil),
     do: with_table(gateway, :notes, absent, &:ets.lookup_element(&1, key, 2, absent))
 
-  @doc "All that is kept, in the order of the keys."
+  @doc "All values that are kept, in the order of their keys."
   @spec remembered(Names.gateway()) :: [{term(), term()}]
-  def remembered(gateway), do: with_table(gateway, :notes, [], &Enum.sort(:ets.tab2list(&1)))
-
-  @doc "A value that is kept, or nil."
-  @spec recall(Names.gateway(), term()) :: term()
-  def recall(gateway, key) do
-    with_table(gateway, :notes, nil, fn table -> :ets.lookup_element(table, key, 2, nil) end)
-  end
+  def remembered(gateway), do: Enum.sort(with_table(gateway, :notes, [], &:ets.tab2list/1))
 
   @doc false
-  # The tables are named by what they hold; only the modules that keep one here ask for it.
+  # For the modules that keep a table here.
   @spec table!(Names.gateway(), atom()) :: :ets.table()
   def table!(gateway, name) do
     case Names.held(gateway, :store) do
@@ -232,6 +228,7 @@ defmodule Aerie.Store do
   end
 
   @doc false
+  # What one call of ETS gives of a table, or `absent`. It does nothing else, so that no other error is taken for a missing table.
   @spec with_table(Names.gateway(), atom(), result, (:ets.table() -> result)) :: result when result: term()
   def with_table(gateway, name, absent, fun) do
     case Names.held(gateway, :store) do
@@ -239,7 +236,7 @@ defmodule Aerie.Store do
       nil -> absent
     end
   rescue
-    # The store died between finding its table and reading it.
+    # The store ended between finding its table and reading it.
     error in ArgumentError ->
       if Names.whereis(gateway, :store), do: reraise(error, __STACKTRACE__), else: absent
   end
@@ -249,7 +246,7 @@ defmodule Aerie.Store do
     gateway = options[:gateway]
     Process.set_label({:store, gateway})
 
-    # Links ask for the sizes of some. Of decentralized counters, an ordered set's default, that waits for all schedulers.
+    # Links ask for the sizes of some. With decentralized counters, an ordered set's default, that waits for all schedulers.
     shared = [:public, read_concurrency: true, write_concurrency: true, decentralized_counters: false]
 
     tables = %{
@@ -274,9 +271,9 @@ defmodule Aerie.Store do
   end
 
   @impl GenServer
-  def handle_info({:pulse, pulse, tag}, gateway) do
-    # A loop that turns says so (`Aerie.Identity.Pulse`).
-    send(pulse, {:alive, tag, self()})
+  # The answer that `Aerie.Identity.Watchdog` waits for.
+  def handle_info({:watchdog, watchdog, tag}, gateway) do
+    send(watchdog, {:alive, tag, self()})
     {:noreply, gateway}
   end
 end

@@ -1,40 +1,53 @@
 defmodule Aerie.Successor do
+  @patience_ms 1_000
+
   @moduledoc """
-  Starts a process whose name, or the name of a process that it starts itself, may still be held by its predecessor: when a
-  supervisor is killed, its children learn of it a moment later than the one who restarts it. Waits for the predecessor to
-  end, and ends it when it does not. Without it such a restart fails several times in a moment, and uses up the restarts
-  of everything above.
+  Child specifications whose start waits until a predecessor has ended. When a supervisor is killed, its children learn of it a moment
+  after the supervisor above has restarted it, and may still hold their names. Without this the restart fails several times in
+  a moment and uses up the restarts of everything above.
+
+  Two supervisors need it: `Aerie.Gateway` for its parts, each of which is a supervisor with named children, and the one of the
+  links for its trees (`Aerie.Link.Tree`), because recordings and sockets are closed in order before a link's name is free.
+
+  A predecessor is a process with a supervisor above it that is dead; if it is still there after #{@patience_ms} ms, it is killed. Any
+  other process keeps its name, and the start fails with `{:already_started, pid}`.
   """
 
-  @patience_ms 1_000
   # A supervisor's start meets the names of its children one after the other.
   @most 256
 
-  @doc "Calls `start`, again once each predecessor that is in the way has gone."
-  @spec start((-> result), non_neg_integer) :: result when result: {:ok, pid} | :ignore | {:error, term}
-  def start(start, most \\ @most) do
-    with {:error, reason} = failed <- start.() do
-      case predecessor(reason) do
-        pid when is_pid(pid) and pid != self() and most > 0 ->
-          await_end(pid)
-          start(start, most - 1)
+  @doc "The specification of a child whose start waits for predecessors."
+  @spec child_spec(Supervisor.module_spec() | module | Supervisor.child_spec()) :: Supervisor.child_spec()
+  def child_spec(child) do
+    %{start: start} = spec = Supervisor.child_spec(child, [])
+    %{spec | start: {__MODULE__, :start, [start]}}
+  end
 
-        _other_reason ->
-          failed
+  @doc false
+  @spec start({module, atom, [term]}, non_neg_integer) :: {:ok, pid} | :ignore | {:error, term}
+  def start({module, function, arguments} = mfa, most \\ @most) do
+    with {:error, reason} = failed <- apply(module, function, arguments) do
+      pid = holder(reason)
+
+      if pid != nil and most > 0 and orphan?(pid) do
+        await_end(pid)
+        start(mfa, most - 1)
+      else
+        failed
       end
     end
   end
 
-  @doc "A child's specification with a start that waits for predecessors."
-  @spec child_spec(Supervisor.module_spec() | module) :: Supervisor.child_spec()
-  def child_spec(child) do
-    %{start: start} = spec = Supervisor.child_spec(child, [])
-    %{spec | start: {__MODULE__, :start_mfa, [start]}}
-  end
+  defp orphan?(pid) do
+    case :erlang.process_info(pid, {:dictionary, :"$ancestors"}) do
+      {_key, ancestors} when is_list(ancestors) ->
+        Enum.any?(ancestors, &(is_pid(&1) and not Process.alive?(&1)))
 
-  @doc false
-  @spec start_mfa({module, atom, [term]}) :: {:ok, pid} | :ignore | {:error, term}
-  def start_mfa({module, function, arguments}), do: start(fn -> apply(module, function, arguments) end)
+      # It has ended in the meantime.
+      _no_ancestors ->
+        not Process.alive?(pid)
+    end
+  end
 
   defp await_end(pid) do
     monitor = Process.monitor(pid)
@@ -48,13 +61,8 @@ defmodule Aerie.Successor do
     end
   end
 
-  # A supervisor says so of a child inside its own reason.
-  defp predecessor({:already_started, pid}) when is_pid(pid), do: pid
-  defp predecessor({:shutdown, {:failed_to_start_child, _id, reason}}), do: predecessor(reason)
-  defp predecessor({:failed_to_start_child, _id, reason}), do: predecessor(reason)
-  defp predecessor({{:shutdown, reason}, _child}), do: predecessor(reason)
-  defp predecessor({:badmatch, {:error, reason}}), do: predecessor(reason)
-  defp predecessor({reason, trace}) when is_list(trace), do: predecessor(reason)
-  defp predecessor({:EXIT, reason}), do: predecessor(reason)
-  defp predecessor(_other), do: nil
+  # Who holds the name: of the process itself, or of a child that its supervisor could not start.
+  defp holder({:already_started, pid}), do: pid
+  defp holder({:shutdown, {:failed_to_start_child, _id, reason}}), do: holder(reason)
+  defp holder(_other), do: nil
 end

@@ -1,14 +1,13 @@
 defmodule Aerie.Wire do
   @moduledoc """
-  Whole frames in bytes that are on their way out: what we made ourselves, or forward. Nothing is searched for in them, as a
-  parser would: what does not begin with a frame is none.
+  Cuts bytes on their way out into whole frames. It does not search for frames, as a parser would: bytes that do not begin with a
+  frame have none.
   """
 
   alias MavCodec.{CRC, Dialects, Frame}
 
   @doc """
-  The frames that `bytes` begin with, and the rest. Their `crc_extra` is nil: `checked/1` finds it out, for those that need
-  it.
+  The frames at the beginning of `bytes`, and the rest. Their `crc_extra` is nil; `checked/1` finds it out where it is needed.
   """
   @spec frames(binary, integer | nil) :: {[Frame.t()], binary}
   def frames(bytes, at \\ nil), do: frames(bytes, at, [])
@@ -24,12 +23,12 @@ defmodule Aerie.Wire do
     end
   end
 
-  @doc "The frame with the `crc_extra` that it was made with; nil for an unknown message."
+  @doc "The frame with its `crc_extra`, nil for an unknown message."
   @spec checked(Frame.t()) :: Frame.t()
   def checked(%Frame{crc_extra: nil} = frame), do: %{frame | crc_extra: extra(frame, frame.id)}
   def checked(frame), do: frame
 
-  # The one of a message's values with which the frame was made.
+  # The value, of those that the message may have, with which the CRC is right.
   defp extra(%Frame{bytes: bytes, signature: signature}, id) do
     size = byte_size(bytes) - if(signature, do: 15, else: 2)
     <<_::binary-size(^size), crc::16-little, _::binary>> = bytes

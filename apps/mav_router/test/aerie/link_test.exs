@@ -31,7 +31,7 @@ defmodule Aerie.LinkTest do
       assert Enum.all?(frames, &(&1.at >= before and &1.at <= System.os_time(:microsecond)))
     end
 
-    test "each sender is a peer of its own; garbage makes none and costs nobody a frame", c do
+    test "each sender is a peer of its own; garbage makes no peer and costs no frame", c do
       be_session(c.gateway, 1)
       be_session(c.gateway, 2)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
@@ -65,7 +65,7 @@ defmodule Aerie.LinkTest do
     end
 
     @tag :capture_log
-    test "nothing is lost in silence: what a link that stands still cannot take is counted", c do
+    test "no loss is silent: datagrams that a suspended link cannot read are counted", c do
       be_session(c.gateway, 1)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
       socket = socket()
@@ -90,23 +90,23 @@ defmodule Aerie.LinkTest do
       assert snapshot.text =~ "overloaded"
     end
 
-    test "a known vehicle loses nothing beside two thousand made-up senders, which are few peers and few vehicles",
+    test "a known vehicle loses nothing beside two thousand forged senders, of which few become peers and vehicles",
          c do
       be_session(c.gateway, 1)
-      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", options: %{max_peers: 256})
       known = socket()
       say(known, port, attitude(1, 0))
       frames(1)
 
       for n <- 1..2_000 do
-        # Another address each time, and all ids that there are, the vehicle's own among them.
+        # A new address each time, and all system ids, that of the vehicle among them.
         {:ok, other} = :gen_udp.open(0, [:binary, ip: {127, rem(n, 250) + 1, div(n, 250) + 1, 2}])
         {type, autopilot} = if rem(n, 2) == 0, do: {2, 3}, else: {6, 8}
         beat = heartbeat(rem(n, 250) + 2, type: type, autopilot: autopilot)
         :ok = :gen_udp.send(other, {127, 0, 0, 1}, port, beat)
         :gen_udp.close(other)
 
-        # Awaited, for nothing holds back who sends datagrams to a link that a busy machine keeps from reading.
+        # Awaited, because nothing slows down the sender while a busy machine keeps the link from reading.
         if rem(n, 10) == 0 do
           say(known, port, attitude(1, div(n, 10)))
           assert Enum.map(frames(1), &number/1) == [div(n, 10)]
@@ -122,12 +122,12 @@ defmodule Aerie.LinkTest do
       snapshot = Link.snapshot(c.gateway, id)
       assert snapshot.counters.peers_refused > 0
       assert Enum.count(Aerie.Router.endpoints(c.gateway)) < 1_024
-      # Of those that are no vehicle's few hear what the vehicle says.
+      # Few of the other senders receive the vehicle's frames.
       tables = Aerie.Router.Tables.of(c.gateway)
-      assert map_size(Aerie.Router.Plan.read(tables).listeners) <= 32
+      assert map_size(Aerie.Router.ForwardingTable.read(tables).listeners) <= 32
     end
 
-    test "a system is answered where it was heard last", c do
+    test "a system is answered at the peer from which it was heard last", c do
       be_session(c.gateway, 1)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
       [a, b] = [socket(), socket()]
@@ -136,7 +136,7 @@ defmodule Aerie.LinkTest do
       assert Aerie.Router.send(c.gateway, {"main", 1}, "to a") == :ok
       assert {:ok, {_, _, "to a"}} = :gen_udp.recv(a, 0, Aerie.Patience.ms())
 
-      # Heard is counted in milliseconds.
+      # The time of hearing has milliseconds.
       eventually(fn ->
         say(b, port, attitude(1, 2))
         frames(1)
@@ -166,16 +166,16 @@ defmodule Aerie.LinkTest do
 
     test "a taken port is an error that names the owner, and nothing is left behind", c do
       {_id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
-      assert {:error, text} = Link.start(c.gateway, "udpin:127.0.0.1:#{port}")
-      assert text =~ "127.0.0.1:#{port} is in use by"
-      assert text =~ "(process #{System.pid()})"
+      assert {:error, %Aerie.Error{} = error} = Link.start(c.gateway, "udpin:127.0.0.1:#{port}")
+      assert Exception.message(error) =~ "127.0.0.1:#{port} is in use by"
+      assert Exception.message(error) =~ "(process #{System.pid()})"
       assert [_one] = Link.list(c.gateway)
-      assert {:error, "cannot use " <> _} = Link.start(c.gateway, "nonsense")
+      assert {:error, %{reason: {:invalid, "cannot use " <> _}}} = Link.start(c.gateway, "nonsense")
     end
   end
 
   describe "UDP client" do
-    test "calls, hears the host that it called, and follows the port that it answers from", c do
+    test "calls a host, accepts its datagrams, and follows its port", c do
       be_session(c.gateway, 1)
       server = socket()
       {:ok, port} = :inet.port(server)
@@ -191,7 +191,7 @@ defmodule Aerie.LinkTest do
       assert {:ok, {_, _, "again"}} = :gen_udp.recv(other, 0, Aerie.Patience.ms())
     end
 
-    test "says our heartbeat until something is heard: the server knows us only so", c do
+    test "sends our heartbeat until something is heard: only so does the server learn of us", c do
       server = socket()
       {:ok, port} = :inet.port(server)
       add_link(c.gateway, "udpout:127.0.0.1:#{port}")
@@ -202,15 +202,15 @@ defmodule Aerie.LinkTest do
 
       assert {:ok, %{type: 18, autopilot: 8}} = MavCodec.decode(frame)
 
-      snapshot = %{kind: :udp_client, status: :up, last_heard: nil}
+      snapshot = %{spec: %{announced: true}, status: :up, last_heard: nil}
       assert Aerie.Link.Announcer.silent?(snapshot, 10_000_000)
       refute Aerie.Link.Announcer.silent?(%{snapshot | last_heard: 9_000_000}, 10_000_000)
       assert Aerie.Link.Announcer.silent?(%{snapshot | last_heard: 5_000_000, status: :idle}, 10_000_000)
       refute Aerie.Link.Announcer.silent?(%{snapshot | status: :down}, 10_000_000)
-      refute Aerie.Link.Announcer.silent?(%{snapshot | kind: :tcp_client}, 10_000_000)
+      refute Aerie.Link.Announcer.silent?(%{snapshot | spec: %{announced: false}}, 10_000_000)
     end
 
-    test "a stranger is not heard", c do
+    test "datagrams of other hosts are ignored", c do
       be_session(c.gateway, 1)
       {id, _} = add_link(c.gateway, "udpout:127.0.0.2:14550")
       eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
@@ -222,7 +222,7 @@ defmodule Aerie.LinkTest do
   end
 
   describe "TCP" do
-    test "a client finds a server that was not there, loses it, and comes back by itself", c do
+    test "a client finds a server that starts later, loses it, and reconnects by itself", c do
       be_session(c.gateway, 1)
       listen(c.gateway, [:up, :down])
       {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, reuseaddr: true, ip: {127, 0, 0, 1}])
@@ -258,7 +258,8 @@ defmodule Aerie.LinkTest do
       assert %{reconnects: 1, frames_in: 3} = Link.snapshot(c.gateway, id).counters
     end
 
-    test "a server takes many, each with a parser of its own; one that goes takes its routes along", c do
+    test "a server accepts many connections, each with its own parser; a closed one takes its routes along",
+         c do
       be_session(c.gateway, 1)
       be_session(c.gateway, 2)
       {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0", options: [max_peers: 2])
@@ -283,7 +284,7 @@ defmodule Aerie.LinkTest do
       assert [%{frames_in: 1}] = Link.snapshot(c.gateway, id).peers
     end
 
-    test "a peer that does not read costs nobody anything", c do
+    test "a peer that does not read affects nobody else", c do
       be_session(c.gateway, 1)
       be_session(c.gateway, 2)
       {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0")
@@ -337,10 +338,27 @@ defmodule Aerie.LinkTest do
       eventually(fn -> match?(%{status: :up}, Link.get(c.gateway, victim)) end)
       say(a, port, attitude(1, 99))
       eventually(fn -> Enum.any?(frames(1), &(number(&1) == 99)) end)
-      # One that is killed before it is quite there does not count.
+      # Killing a process before it has started does not count.
       assert Link.snapshot(c.gateway, victim).counters.restarts in 40..50
       for id <- [udp, tcp], do: assert(Link.snapshot(c.gateway, id).counters.restarts == 0)
       assert supervisors == for(role <- [:links, :link_trees], do: Names.whereis(c.gateway, role))
+    end
+
+    @tag :capture_log
+    test "its tree killed twenty times in a row: it waits for the children of the last one each time", c do
+      {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "victim")
+      :ok = Link.stop(c.gateway, id)
+      {^id, ^port} = add_link(c.gateway, "udpin:127.0.0.1:#{port}", id: id)
+      trees = Names.whereis(c.gateway, :link_trees)
+
+      for _n <- 1..20 do
+        tree = eventually(fn -> Names.whereis(c.gateway, :link_tree, id) end)
+        Process.exit(tree, :kill)
+        eventually(fn -> Names.whereis(c.gateway, :link_tree, id) not in [nil, tree] end)
+      end
+
+      eventually(fn -> match?(%{status: :up, port: ^port}, Link.snapshot(c.gateway, id)) end)
+      assert Names.whereis(c.gateway, :link_trees) == trees
     end
 
     test "keeps its counters", c do
@@ -363,7 +381,7 @@ defmodule Aerie.LinkTest do
     end
 
     @tag :capture_log
-    test "the links' supervisor comes back with the links it had, also those added at run time", c do
+    test "the links' supervisor comes back with its links, those added at run time included", c do
       {id, _} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "kept")
       {gone, _} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "gone")
       :ok = Link.stop(c.gateway, gone)
@@ -388,6 +406,26 @@ defmodule Aerie.LinkTest do
     end
   end
 
+  test "restarted on request, a link connects anew and keeps its counters", c do
+    be_session(c.gateway, 1)
+    {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
+    say(socket(), port, attitude(1, 1))
+    frames(1)
+    before = Names.whereis(c.gateway, :link, id)
+    assert Link.restart(c.gateway, id) == :ok
+    refute Names.whereis(c.gateway, :link, id) in [before, nil]
+
+    again =
+      eventually(fn ->
+        match?(%{status: :up}, Link.snapshot(c.gateway, id)) && Link.snapshot(c.gateway, id)
+      end)
+
+    assert again.counters.frames_in == 1
+    say(socket(), again.port, attitude(1, 2))
+    assert [2] = Enum.map(frames(1), &number/1)
+    assert {:error, %{reason: {:unknown, :link, "none"}}} = Link.restart(c.gateway, "none")
+  end
+
   test "configured links are started with the gateway" do
     config = %{
       links: [
@@ -398,24 +436,53 @@ defmodule Aerie.LinkTest do
       mavlink: %{system_id: 245, component_id: 191, dialects: [:common], sysid32: true}
     }
 
-    assert [max_peers: 3, idle_ms: 10_000, parser: [dialects: [MavCodec.Dialects.Common], sysid32: true]] =
-             Aerie.Link.Defaults.from(config)
+    assert [
+             {:max_peers, 3},
+             {:idle_ms, 10_000},
+             {:parser, [dialects: [MavCodec.Dialects.Common], sysid32: true]} | _serial
+           ] =
+             config |> Link.Settings.from() |> Link.Settings.options()
 
     gateway = start_parts(config)
     assert [%{id: "one", network: "a", label: "Mast"}] = Link.list(gateway)
 
-    assert {:error, "there are as many links as limits.max_links allows"} =
+    assert {:error, %{reason: {:limit, "there are as many links as limits.max_links allows"}}} =
              Link.start(gateway, "udpin:127.0.0.1:0")
   end
 
   test "one id, one link", c do
     {id, _} = add_link(c.gateway, "udpin:127.0.0.1:0")
-    assert {:error, "there is a link udpin:127.0.0.1:0 already"} = Link.start(c.gateway, "udpin:127.0.0.1:0")
+
+    assert {:error, %{reason: {:exists, :link, "udpin:127.0.0.1:0"}}} =
+             Link.start(c.gateway, "udpin:127.0.0.1:0")
+
     :ok = Link.stop(c.gateway, id)
     :ok = Link.stop(c.gateway, id)
     assert Link.list(c.gateway) == []
     assert Link.snapshot(c.gateway, id) == nil
   end
 
+  test "the id of a client is taken, and the client stays", c do
+    {:ok, "gcs"} = Aerie.Client.add(c.gateway, "udpin:127.0.0.1:0", id: "gcs")
+    client = Names.whereis(c.gateway, :link, "gcs")
+
+    assert {:error, %{reason: {:exists, :link, "gcs"}}} =
+             Link.start(c.gateway, "udpin:127.0.0.1:0", id: "gcs")
+
+    assert {:error, %{reason: {:exists, :client, "gcs"}}} =
+             Aerie.Client.add(c.gateway, "udpin:127.0.0.1:0", id: "gcs")
+
+    assert Names.whereis(c.gateway, :link, "gcs") == client
+  end
+
   defp numbers(frames, system), do: for(%{system: ^system} = frame <- frames, do: number(frame))
+
+  test "the snapshot of a link that does not answer is the one that it published last" do
+    gateway = start_parts()
+    {id, port} = add_link(gateway, "udpin:127.0.0.1:0")
+    link = Aerie.Names.whereis(gateway, :link, id)
+    :erlang.suspend_process(link)
+    assert %{id: ^id, port: ^port} = Link.snapshot(gateway, id)
+    :erlang.resume_process(link)
+  end
 end

@@ -3,7 +3,7 @@ defmodule Aerie.RecorderTest do
   use Aerie.RecorderCase
 
   alias Aerie.Store
-  alias Aerie.{Names, Recorder, Router}
+  alias Aerie.{Error, Names, Recorder, Router}
   alias Aerie.Recorder.{Recording, Tap}
   alias Aerie.RecorderCase.{FaultyDisk, FullDisk}
   alias MavCodec.Messages
@@ -74,7 +74,7 @@ defmodule Aerie.RecorderTest do
       [beat] = frames(1)
       :ok = Recorder.vehicle_frames(gateway, {"main", 7}, [beat])
       :ok = :gen_udp.send(station, {127, 0, 0, 1}, ground_port, heartbeat(255, type: 6, autopilot: 8))
-      eventually(fn -> Router.way(gateway, {"main", 255}) end)
+      eventually(fn -> Router.route(gateway, {"main", 255}) end)
 
       order =
         MavCodec.encode(%Messages.CommandLong{target_system: 7, command: 400}, system: 255, component: 190)
@@ -241,7 +241,7 @@ defmodule Aerie.RecorderTest do
       for {_n, records, _frames} <- entries, do: assert(:binary.match(records, key) == :nomatch)
       _counters = Tap.open(Recorder.Tables.of(gateway), {:link, "radio"}, 10_000)
       :ok = Recorder.link_frames(gateway, "radio", [frame(setup, 1), frame(signed_setup, 2)])
-      assert_received {:record, _bytes, [%{id: 256} = one, %{id: 256} = other], nil}
+      assert_received {:record, {:link, "radio"}, _bytes, [%{id: 256} = one, %{id: 256} = other], nil}
       for term <- [one, other], do: assert(:binary.match(:erlang.term_to_binary(term), key) == :nomatch)
     end
   end
@@ -305,7 +305,7 @@ defmodule Aerie.RecorderTest do
 
     test "it is tried again after growing pauses, of a minute at most" do
       tables = %{settings: :ets.new(:settings, [:public])}
-      :ets.insert(tables.settings, {:settings, %Recorder.Settings{}})
+      :ets.insert(tables.settings, {:settings, Recorder.Settings.from(%{})})
       output = Recorder.Recording.Output.new(make_ref(), tables, {:link, "l"}, "l", nil)
 
       {pauses, _output} =
@@ -415,7 +415,7 @@ defmodule Aerie.RecorderTest do
       assert Recording.flush(recording) == nil
       assert %{state: :paused, dropped: 10, reason: reason} = status(gateway)
       assert reason =~ "recordings: "
-      assert {:error, ^reason} = Recorder.save(gateway, @key)
+      assert {:error, %Error{reason: {:unavailable, ^reason}}} = Recorder.save(gateway, @key)
     end
 
     defp listen_paused(gateway) do
@@ -496,6 +496,30 @@ defmodule Aerie.RecorderTest do
       FaultyDisk.set(c.tmp_dir, :free, 0)
       :ok = Recorder.Archive.look(gateway)
       assert [%{file: ^file, open: true}] = Recorder.list(gateway)
+    end
+
+    test "one is deleted on request, unless it is being written or not ours", c do
+      gateway = start_recorder(c.tmp_dir)
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+      file = Recording.flush(recording)
+      name = Path.basename(file)
+      assert {:error, %{reason: {:conflict, _text}}} = Recorder.delete(gateway, name)
+      :ok = Recorder.stop(gateway, {:vehicle, {"main", 1}})
+      other = Path.join(Path.dirname(file), "other.tlog")
+      File.write!(other, "not ours")
+
+      for stranger <- ["other.tlog", "../" <> name, "recordings.index"],
+          do:
+            assert(
+              {:error, %{reason: {:unknown, :recording, ^stranger}}} = Recorder.delete(gateway, stranger)
+            )
+
+      assert :ok = Recorder.delete(gateway, name)
+      refute File.exists?(file)
+      assert Recorder.list(gateway) == []
+      assert File.exists?(other)
+      assert {:error, %{reason: {:unavailable, _text}}} = Recorder.delete(make_ref(), name)
     end
 
     test "what somebody took out of the index, or wrote into it, is left alone", c do
@@ -600,11 +624,13 @@ defmodule Aerie.RecorderTest do
     test "who cannot be saved is told why", c do
       gateway = start_recorder(c.tmp_dir, %{ring: %{enabled: false}})
       give(gateway, attitudes(1, 1..10))
-      assert {:error, "no ring is kept" <> _} = Recorder.save(gateway, @key)
-      assert {:error, "no vehicle VID-009 is known"} = Recorder.save(gateway, "VID-009")
+      assert {:error, %Error{reason: {:unavailable, "no ring is kept" <> _}}} = Recorder.save(gateway, @key)
+      assert {:error, %Error{reason: {:unknown, :vehicle, "VID-009"}}} = Recorder.save(gateway, "VID-009")
       other = start_recorder(Path.join(c.tmp_dir, "other"))
-      assert {:error, "nothing was heard" <> _} = Recorder.save(other, @key)
-      assert {:error, "the recorder is not running"} = Recorder.save(make_ref(), @key)
+      assert {:error, %Error{reason: {:unavailable, "nothing was heard" <> _}}} = Recorder.save(other, @key)
+
+      assert {:error, %Error{reason: {:unavailable, "the recorder is not running"}}} =
+               Recorder.save(make_ref(), @key)
     end
   end
 
@@ -614,7 +640,7 @@ defmodule Aerie.RecorderTest do
     assert Recorder.vehicle_frames(gateway, @key, attitudes(1, 1..1)) == :ok
     assert Recorder.sent(gateway, "radio", "main", "x") == :ok
     assert Recorder.status(gateway) == nil
-    assert Recorder.metrics(gateway) == []
+    assert Enum.all?(Recorder.metrics(gateway), &(&1.samples == []))
     assert {:error, _} = Recorder.start(gateway, {:link, "radio"})
   end
 

@@ -27,7 +27,7 @@ defmodule Aerie.StoreTest do
   test "the size of a table that a link asks for on its way waits for no scheduler" do
     gateway = start_gateway()
 
-    start_supervised!({Aerie.Router.Supervisor, gateway: gateway})
+    start_supervised!({Aerie.Router.Supervisor, gateway: gateway, settings: Aerie.Router.Settings.from(%{})})
 
     router =
       gateway |> Aerie.Router.Tables.of() |> Map.take([:routes, :heard_by, :limits, :waiting, :refused])

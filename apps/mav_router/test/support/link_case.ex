@@ -8,8 +8,6 @@ defmodule Aerie.LinkCase do
   alias Aerie.Link
   alias Aerie.Names
 
-  # For machines that are busy with something else.
-
   using do
     quote do
       import Aerie.LinkCase
@@ -23,29 +21,84 @@ defmodule Aerie.LinkCase do
   @spec start_parts(map, keyword) :: reference
   def start_parts(config \\ %{}, more \\ []) do
     gateway = make_ref()
+    config = Map.merge(%{clients: []}, config)
     given = Keyword.get(more, :options, [])
-    options = Keyword.merge([gateway: gateway, config: config, children: [Link.Clients.Supervisor]], given)
-
     plain = &Enum.map(&1, fn module -> {module, []} end)
 
     parts =
       plain.([Aerie.Store, Aerie.Store.PubSub]) ++
         Keyword.get(more, :before, []) ++
         plain.(
-          [Aerie.Router.Supervisor] ++ Keyword.get(more, :above, [Aerie.Identity.Pulse]) ++ [Link.Supervisor]
+          [Aerie.Router.Supervisor] ++
+            Keyword.get(more, :above, [Aerie.Identity.Watchdog]) ++ [Link.Supervisor]
         )
 
     for {module, further} <- parts do
-      start_supervised!(Supervisor.child_spec({module, options ++ further}, id: {module, gateway}))
+      options =
+        Keyword.merge(
+          options(module, gateway, config) ++ [children: [clients(gateway, config)]],
+          given ++ further
+        )
+
+      start_supervised!(Supervisor.child_spec({module, options}, id: {module, gateway}))
     end
 
     gateway
+  end
+
+  @doc """
+  The options with which a part is started: the gateway, and the part's settings from a map with some keys of the
+  configuration. A part's settings are those of its folder.
+  """
+  @spec options(module, term, map) :: keyword
+  def options(part, gateway, config) do
+    config = without_saving(config)
+    settings = part |> Module.split() |> List.replace_at(-1, "Settings") |> Module.concat()
+
+    if Code.ensure_loaded?(settings) and function_exported?(settings, :from, 1),
+      do: [gateway: gateway, settings: settings.from(config)],
+      else: [gateway: gateway]
+  end
+
+  @doc "The specification of the client endpoints, as a gateway gives it to its router."
+  @spec clients(term, map) :: Supervisor.child_spec()
+  def clients(gateway, config),
+    do:
+      Aerie.Successor.child_spec({Link.Clients.Supervisor, options(Link.Clients.Supervisor, gateway, config)})
+
+  # Recordings are saved on events only where a test asks for it.
+  defp without_saving(config) do
+    recorder = Map.get(config, :recorder, %{})
+    ring = Map.put_new(Map.get(recorder, :ring) || %{}, :save_on, [])
+    Map.put(config, :recorder, Map.put(recorder, :ring, ring))
   end
 
   @doc "Makes the calling process the session of a vehicle."
   @spec be_session(term, non_neg_integer, String.t()) :: :ok
   def be_session(gateway, system, network \\ "main") do
     :ok = Names.register(gateway, :session, {network, system})
+  end
+
+  @doc """
+  Gives `deliver` the heartbeats of 300 vehicles on two networks, each followed by a frame of the calling process's own session, of
+  which none may be lost. A few vehicles are started at once, the others by `Aerie.Router.VehicleStarter`. Gives their keys.
+  """
+  @spec many_vehicles(term, (binary, network :: String.t() -> map)) :: [{String.t(), pos_integer}]
+  def many_vehicles(gateway, deliver) do
+    be_session(gateway, 250)
+
+    outcomes =
+      for n <- 0..299 do
+        network = "net #{div(n, 200)}"
+        outcome = deliver.(heartbeat(rem(n, 200) + 1), network)
+        %{delivered: 1} = deliver.(attitude(250, n), "main")
+        outcome
+      end
+
+    true = Enum.all?(outcomes, &match?(%{delivered: 1, refused: 0, unclaimed: 0}, &1))
+    # Twenty more for each second that this takes.
+    true = Enum.count(outcomes, &(&1.sessions != [])) in 32..200
+    for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
   end
 
   @doc "Frames of the calling process's sessions, in order, until there are `n`."

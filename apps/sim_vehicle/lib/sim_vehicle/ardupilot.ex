@@ -1,6 +1,6 @@
 defmodule SimVehicle.Ardupilot do
   @moduledoc """
-  ArduCopter 4.6.3 as its recordings and its source show it.
+  ArduCopter 4.6.3 according to its recordings and source.
 
   Boot text before the first frame, results of refused commands (FAILED rather than DENIED), STATUSTEXTs, the order of
   answers, mission item 0 = home, disarming by itself, `FS_*` and `BATT_FS_*` failsafes.
@@ -8,6 +8,7 @@ defmodule SimVehicle.Ardupilot do
 
   @behaviour SimVehicle.Personality
 
+  import MavCodec.MessageId
   import Bitwise
 
   alias MavCodec.Messages, as: M
@@ -16,19 +17,36 @@ defmodule SimVehicle.Ardupilot do
   alias SimVehicle.Flight.Mission
 
   @groups %{
-    1 => [27, 116, 129, 29, 137],
-    2 => [1, 125, 152, 42, 24, 62, 87, 162],
-    3 => [36, 65],
-    6 => [33, 32],
-    10 => [30, 178],
-    11 => [74],
-    12 => [163, 2, 168, 241, 193, 147]
+    1 => [id(RawImu), id(ScaledImu2), id(ScaledImu3), id(ScaledPressure), id(ScaledPressure2)],
+    2 => [
+      id(SysStatus),
+      id(PowerStatus),
+      id(Meminfo),
+      id(MissionCurrent),
+      id(GpsRawInt),
+      id(NavControllerOutput),
+      id(PositionTargetGlobalInt),
+      id(FenceStatus)
+    ],
+    3 => [id(ServoOutputRaw), id(RcChannels)],
+    6 => [id(GlobalPositionInt), id(LocalPositionNed)],
+    10 => [id(Attitude), id(Ahrs2)],
+    11 => [id(VfrHud)],
+    12 => [id(Ahrs), id(SystemTime), id(Wind), id(Vibration), id(EkfStatusReport), id(BatteryStatus)]
   }
 
   @streamed @groups
             |> Map.values()
             |> List.flatten()
-            |> Kernel.++([0, 31, 85, 242, 245, 148, 49])
+            |> Kernel.++([
+              id(Heartbeat),
+              id(AttitudeQuaternion),
+              id(PositionTargetLocalNed),
+              id(HomePosition),
+              id(ExtendedSysState),
+              id(AutopilotVersion),
+              id(GpsGlobalOrigin)
+            ])
             |> Enum.sort()
 
   # MAV_PROTOCOL_CAPABILITY bits of 4.6.3; 4.6.3 with type 255 (release) as 8-bit fields.
@@ -43,8 +61,12 @@ defmodule SimVehicle.Ardupilot do
 
   @impl SimVehicle.Personality
   def rates do
-    # 30 is ATTITUDE: an operator's horizon wants more than 4 Hz.
-    @groups |> Map.values() |> List.flatten() |> Map.new(&{&1, 4}) |> Map.merge(%{0 => 1, 30 => 10})
+    # An operator's horizon wants more than 4 Hz.
+    @groups
+    |> Map.values()
+    |> List.flatten()
+    |> Map.new(&{&1, 4})
+    |> Map.merge(%{id(Heartbeat) => 1, id(Attitude) => 10})
   end
 
   @impl SimVehicle.Personality
@@ -73,9 +95,10 @@ defmodule SimVehicle.Ardupilot do
   def boot(v), do: Boot.power_up(v)
 
   @impl SimVehicle.Personality
-  def tick(v), do: v |> Boot.tick() |> Arming.tick() |> Failsafes.tick() |> timesync()
+  def tick(v),
+    do: v |> Boot.tick() |> Arming.tick() |> Failsafes.tick() |> Requests.tick_params() |> timesync()
 
-  # ArduPilot also takes what is meant for a component of its system that it does not know.
+  # ArduPilot also accepts messages for unknown components of its system.
   @impl SimVehicle.Personality
   def addressed?(v, {system, _component}), do: system in [0, v.system]
 
@@ -84,7 +107,7 @@ defmodule SimVehicle.Ardupilot do
 
   @impl SimVehicle.Personality
   def text(v, severity, text) do
-    # Longer than 50 bytes goes in chunks with an id; the usual text has id 0.
+    # A text above 50 bytes is sent in chunks with an id; a shorter one has id 0.
     if byte_size(text) > 50,
       do: chunks(v, severity, text),
       else: Vehicle.emit(v, statustext(severity, text, 0, 0))
@@ -112,12 +135,9 @@ defmodule SimVehicle.Ardupilot do
   def mission_rtl(v), do: {:goal, Modes.rtl(v)}
 
   @impl SimVehicle.Personality
-  def message(v, %M.ParamRequestList{}, _source) do
-    names = 0..(Params.count(v.params) - 1)//1
-    Enum.reduce(names, v, &Vehicle.emit(&2, Requests.param_value(v, Params.name_at(v.params, &1))))
-  end
+  def message(v, %M.ParamRequestList{}, _source), do: Requests.list_params(v, [], 2000)
 
-  # Read by name the index is 65535, as in the recordings; an unknown name is passed over.
+  # After a request by name the index is 65535, as in the recordings; an unknown name is ignored.
   def message(v, %M.ParamRequestRead{} = m, _source) do
     case Requests.wanted_param(v, m) do
       nil -> v
@@ -149,7 +169,7 @@ defmodule SimVehicle.Ardupilot do
 
   def message(v, %M.MissionSetCurrent{seq: seq}, _source) do
     {ok?, v} = Mission.set_current(v, seq)
-    if ok?, do: Vehicle.emit(v, Telemetry.message(v, 42)), else: v
+    if ok?, do: Vehicle.emit(v, Telemetry.message(v, id(MissionCurrent))), else: v
   end
 
   def message(%{mode: "GUIDED"} = v, %module{} = m, _source)
@@ -160,14 +180,8 @@ defmodule SimVehicle.Ardupilot do
     end
   end
 
-  def message(v, %M.Timesync{} = m, source) do
-    case Requests.timesync(v, m, source) do
-      nil -> v
-      answer -> Vehicle.emit(v, answer)
-    end
-  end
+  def message(v, %M.Timesync{} = m, source), do: Requests.timesync(v, m, source)
 
-  def message(v, %M.LogRequestList{}, _source), do: Vehicle.emit(v, %M.LogEntry{})
   def message(v, _message, _source), do: v
 
   @doc "The ids that this firmware streams."
@@ -175,7 +189,7 @@ defmodule SimVehicle.Ardupilot do
   def streamed, do: @streamed
 
   @impl SimVehicle.Personality
-  def telemetry(v, 0) do
+  def telemetry(v, id(Heartbeat)) do
     %M.Heartbeat{
       type: 2,
       autopilot: 3,
@@ -186,7 +200,7 @@ defmodule SimVehicle.Ardupilot do
     }
   end
 
-  def telemetry(v, 148) do
+  def telemetry(v, id(AutopilotVersion)) do
     %M.AutopilotVersion{
       capabilities: @capabilities,
       flight_sw_version: @version,
@@ -195,14 +209,16 @@ defmodule SimVehicle.Ardupilot do
     |> Map.put(:uid, v.system)
   end
 
-  def telemetry(v, 245), do: %M.ExtendedSysState{vtol_state: 3, landed_state: Telemetry.landed_state(v)}
-  def telemetry(_v, 152), do: %M.Meminfo{freemem: 65_535, freemem32: 524_288}
-  def telemetry(v, 62), do: navigation(v)
-  def telemetry(v, 162), do: fence_status(v)
-  def telemetry(_v, 163), do: %M.Ahrs{error_rp: 0.002, error_yaw: 0.007}
-  def telemetry(v, 168), do: if(v.home, do: %M.Wind{direction: -180.0})
-  def telemetry(v, 178), do: if(v.now > 2_800_000, do: ahrs2(v))
-  def telemetry(v, 193), do: %M.EkfStatusReport{flags: ekf_flags(v), compass_variance: 0.03}
+  def telemetry(v, id(ExtendedSysState)),
+    do: %M.ExtendedSysState{vtol_state: 3, landed_state: Telemetry.landed_state(v)}
+
+  def telemetry(_v, id(Meminfo)), do: %M.Meminfo{freemem: 65_535, freemem32: 524_288}
+  def telemetry(v, id(NavControllerOutput)), do: navigation(v)
+  def telemetry(v, id(FenceStatus)), do: fence_status(v)
+  def telemetry(_v, id(Ahrs)), do: %M.Ahrs{error_rp: 0.002, error_yaw: 0.007}
+  def telemetry(v, id(Wind)), do: if(v.home, do: %M.Wind{direction: -180.0})
+  def telemetry(v, id(Ahrs2)), do: if(v.now > 2_800_000, do: ahrs2(v))
+  def telemetry(v, id(EkfStatusReport)), do: %M.EkfStatusReport{flags: ekf_flags(v), compass_variance: 0.03}
   def telemetry(_v, _id), do: :common
 
   defp base_mode(v) do

@@ -23,6 +23,9 @@ defmodule SimVehicle.Options do
     battery: {[], "keyword: `capacity_mah`, `cells`"},
     rates: {%{}, "messages a second by message id, over the firmware's own"},
     params: {%{}, "values by parameter name, over the firmware's own"},
+    more_params: {[], "`{name, value, MAV_PARAM_TYPE}` of parameters after the firmware's own"},
+    files: {%{}, "files by path, which MAVLink FTP serves"},
+    logs: {[], "contents of the logs on board"},
     mavlink: {2, "protocol version that is spoken, 1 or 2"},
     key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
     signed_at: {nil, "nil (GPS time), or the time stamp that the clock of its signatures begins with"},
@@ -113,6 +116,17 @@ defmodule SimVehicle.Options do
       end)
   end
 
+  defp valid?(:more_params, value, _opts) do
+    is_list(value) and
+      Enum.all?(value, fn {name, number, type} ->
+        is_binary(name) and byte_size(name) in 1..16 and is_number(number) and type in [2, 4, 6, 9]
+      end)
+  end
+
+  defp valid?(:files, value, _opts),
+    do: is_map(value) and Enum.all?(value, fn {path, bytes} -> is_binary(path) and is_binary(bytes) end)
+
+  defp valid?(:logs, value, _opts), do: is_list(value) and Enum.all?(value, &is_binary/1)
   defp valid?(:key, value, _opts), do: value == nil or (is_binary(value) and byte_size(value) == 32)
   defp valid?(:signed_at, value, _opts), do: value == nil or (is_integer(value) and value >= 0)
   defp valid?(:secure, value, _opts), do: is_boolean(value)

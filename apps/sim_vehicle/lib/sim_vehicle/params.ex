@@ -41,6 +41,17 @@ defmodule SimVehicle.Params do
     }
   end
 
+  @doc "The table with more parameters at its end."
+  @spec append(t, [definition]) :: t
+  def append(params, []), do: params
+
+  def append(params, definitions) do
+    old =
+      for name <- Tuple.to_list(params.names), {value, type} = params.values[name], do: {name, value, type}
+
+    new(old ++ definitions, params.encoding)
+  end
+
   @doc "The value of a parameter that is known to exist."
   @spec get(t, String.t()) :: number
   def get(params, name), do: params.values |> Map.fetch!(name) |> elem(0)

@@ -270,7 +270,8 @@ defmodule SimVehicle.Plans do
       target_system: system,
       target_component: component,
       count: length(shown(plans, type, home)),
-      mission_type: type
+      mission_type: type,
+      opaque_id: if(plans.style == :px4, do: Map.get(plans.opaque, type, 0), else: 0)
     }
   end
 

@@ -1,6 +1,6 @@
 defmodule SimVehicle.Px4 do
   @moduledoc """
-  PX4 1.17.0 as its recordings show it.
+  PX4 1.17.0 according to its recordings.
 
   Two acknowledgements for a mode change, commands that are never answered, texts with a tab beside events, texts held back while
   no ground station is heard, internal commands that leak out, parameters as bytes in floats with `_HASH_CHECK`, mission
@@ -9,38 +9,45 @@ defmodule SimVehicle.Px4 do
 
   @behaviour SimVehicle.Personality
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Flight, Params, Requests, Setpoints, Telemetry, Vehicle}
   alias SimVehicle.Flight.Mission
   alias SimVehicle.Px4.{Arming, Commands, Events, Failsafes, Missions, Modes, Reports}
 
   @streamed [
-              0,
-              1,
-              2,
-              24,
-              29,
-              30,
-              31,
-              32,
-              33,
-              36,
-              42,
-              49,
-              65,
-              74,
-              85,
-              87,
-              105,
-              141,
-              147,
-              148,
-              230,
-              241,
-              242,
-              245
-            ] ++
-              [300, 360, 411, 435, 436, 4]
+    id(Heartbeat),
+    id(SysStatus),
+    id(SystemTime),
+    id(GpsRawInt),
+    id(ScaledPressure),
+    id(Attitude),
+    id(AttitudeQuaternion),
+    id(LocalPositionNed),
+    id(GlobalPositionInt),
+    id(ServoOutputRaw),
+    id(MissionCurrent),
+    id(GpsGlobalOrigin),
+    id(RcChannels),
+    id(VfrHud),
+    id(PositionTargetLocalNed),
+    id(PositionTargetGlobalInt),
+    id(HighresImu),
+    id(Altitude),
+    id(BatteryStatus),
+    id(AutopilotVersion),
+    id(EstimatorStatus),
+    id(Vibration),
+    id(HomePosition),
+    id(ExtendedSysState),
+    id(ProtocolVersion),
+    id(OrbitExecutionStatus),
+    id(CurrentEventSequence),
+    id(AvailableModes),
+    id(CurrentMode),
+    id(Ping)
+  ]
 
   # Sent without a request after every boot.
   @unasked ~w(CAL_ACC0_ID CAL_BARO0_ID CAL_BARO0_OFF CAL_BARO0_PRIO CAL_GYRO0_ID CAL_MAG0_ID CAL_MAG0_PRIO
@@ -55,29 +62,29 @@ defmodule SimVehicle.Px4 do
   @impl SimVehicle.Personality
   def rates do
     %{
-      0 => 1,
-      1 => 1,
-      4 => 0.1,
-      24 => 5,
-      29 => 1,
-      30 => 10,
-      31 => 10,
-      32 => 10,
-      33 => 10,
-      36 => 4,
-      42 => 1,
-      74 => 4,
-      85 => 4,
-      87 => 1,
-      141 => 1,
-      147 => 0.5,
-      230 => 0.5,
-      241 => 0.1,
-      242 => 0.5,
-      245 => 1,
-      360 => 2,
-      411 => 0.33,
-      436 => 0.5
+      id(Heartbeat) => 1,
+      id(SysStatus) => 1,
+      id(Ping) => 0.1,
+      id(GpsRawInt) => 5,
+      id(ScaledPressure) => 1,
+      id(Attitude) => 10,
+      id(AttitudeQuaternion) => 10,
+      id(LocalPositionNed) => 10,
+      id(GlobalPositionInt) => 10,
+      id(ServoOutputRaw) => 4,
+      id(MissionCurrent) => 1,
+      id(VfrHud) => 4,
+      id(PositionTargetLocalNed) => 4,
+      id(PositionTargetGlobalInt) => 1,
+      id(Altitude) => 1,
+      id(BatteryStatus) => 0.5,
+      id(EstimatorStatus) => 0.5,
+      id(Vibration) => 0.1,
+      id(HomePosition) => 0.5,
+      id(ExtendedSysState) => 1,
+      id(OrbitExecutionStatus) => 2,
+      id(CurrentEventSequence) => 0.33,
+      id(CurrentMode) => 0.5
     }
   end
 
@@ -109,7 +116,8 @@ defmodule SimVehicle.Px4 do
   end
 
   @impl SimVehicle.Personality
-  def tick(v), do: v |> home() |> Arming.tick() |> Missions.tick() |> Failsafes.tick()
+  def tick(v),
+    do: v |> home() |> Arming.tick() |> Missions.tick() |> Failsafes.tick() |> Requests.tick_params()
 
   # A command for another component is not answered at all.
   @impl SimVehicle.Personality
@@ -164,15 +172,7 @@ defmodule SimVehicle.Px4 do
   def flight_event(v, _event), do: v
 
   @impl SimVehicle.Personality
-  def message(v, %M.ParamRequestList{}, _source) do
-    # The firmware paces the list as well; 64 in a step would be too much for any radio.
-    names = ["_HASH_CHECK" | Enum.map(0..(Params.count(v.params) - 1)//1, &Params.name_at(v.params, &1))]
-
-    names
-    |> Enum.chunk_every(20)
-    |> Enum.with_index()
-    |> Enum.reduce(v, fn {chunk, n}, v -> Enum.reduce(chunk, v, &list_param(&2, &1, n * 20_000)) end)
-  end
+  def message(v, %M.ParamRequestList{}, _source), do: Requests.list_params(v, ["_HASH_CHECK"], 1000)
 
   def message(v, %M.ParamRequestRead{param_index: -1, param_id: "_HASH_CHECK"}, _source),
     do: Vehicle.emit(v, Requests.param_value(v, "_HASH_CHECK"))
@@ -218,19 +218,13 @@ defmodule SimVehicle.Px4 do
     end
   end
 
-  def message(v, %M.Timesync{} = m, source) do
-    case Requests.timesync(v, m, source) do
-      nil -> v
-      answer -> Vehicle.emit(v, answer)
-    end
-  end
+  def message(v, %M.Timesync{} = m, source), do: Requests.timesync(v, m, source)
 
   def message(v, %M.Ping{target_system: 0} = m, {system, component}) do
     Vehicle.emit(v, %{m | target_system: system, target_component: component})
   end
 
   def message(v, %M.RequestEvent{} = m, source), do: Events.again(v, m, source)
-  def message(v, %M.LogRequestList{}, _source), do: Vehicle.emit(v, %M.LogEntry{})
   def message(v, _message, _source), do: v
 
   @doc "The ids that this firmware streams."
@@ -239,9 +233,6 @@ defmodule SimVehicle.Px4 do
 
   @impl SimVehicle.Personality
   defdelegate telemetry(v, id), to: Reports, as: :message
-
-  defp list_param(v, name, 0), do: Vehicle.emit(v, Requests.param_value(v, name))
-  defp list_param(v, name, delay), do: Vehicle.later(v, delay, Requests.param_value(v, name))
 
   # The simulated receiver sees as many satellites as this parameter says.
   defp param_changed(v, "SIM_GPS_USED"), do: Failsafes.set(v, :gps, Params.get(v.params, "SIM_GPS_USED") < 4)
@@ -274,7 +265,7 @@ defmodule SimVehicle.Px4 do
     if v.now * 4 >= v.ready_us,
       do:
         %{v | home: %{lat: v.origin.lat, lon: v.origin.lon, alt: v.origin.alt}}
-        |> then(&Vehicle.emit(&1, Telemetry.message(&1, 49))),
+        |> then(&Vehicle.emit(&1, Telemetry.message(&1, id(GpsGlobalOrigin)))),
       else: v
   end
 

@@ -65,6 +65,35 @@ defmodule SimVehicle.Requests do
     }
   end
 
+  @doc "PARAM_REQUEST_LIST: the list is sent from now on, `first` before it, `per_s` parameters a second (P4)."
+  @spec list_params(Vehicle.t(), [String.t()], pos_integer) :: Vehicle.t()
+  def list_params(v, first, per_s) do
+    v = Enum.reduce(first, v, &Vehicle.emit(&2, param_value(&2, &1)))
+    Vehicle.put_own(v, :param_list, {0, v.now, per_s})
+  end
+
+  @doc "Sends what of the list is due."
+  @spec tick_params(Vehicle.t()) :: Vehicle.t()
+  def tick_params(v) do
+    case Vehicle.own(v, :param_list) do
+      nil ->
+        v
+
+      {next, since, per_s} ->
+        send_params(
+          v,
+          next,
+          min(div((v.now - since) * per_s, 1_000_000), Params.count(v.params)),
+          {since, per_s}
+        )
+    end
+  end
+
+  defp send_params(v, next, due, {since, per_s}) do
+    v = Enum.reduce(next..(due - 1)//1, v, &Vehicle.emit(&2, param_value(&2, Params.name_at(&2.params, &1))))
+    Vehicle.put_own(v, :param_list, if(due < Params.count(v.params), do: {due, since, per_s}))
+  end
+
   @doc "The name that a PARAM_REQUEST_READ asks for, or nil if there is none."
   @spec wanted_param(Vehicle.t(), struct) :: String.t() | nil
   def wanted_param(v, %M.ParamRequestRead{param_index: -1, param_id: name}),
@@ -81,10 +110,12 @@ defmodule SimVehicle.Requests do
     end
   end
 
-  @doc "The answer to a TIMESYNC request (X5); nil for an answer."
-  @spec timesync(Vehicle.t(), struct, {integer, integer}) :: struct | nil
-  def timesync(v, %M.Timesync{tc1: 0} = m, {system, component}),
-    do: %M.Timesync{tc1: v.now * 1000, ts1: m.ts1, target_system: system, target_component: component}
+  @doc "Answers a TIMESYNC request (X5). An answer is ignored."
+  @spec timesync(Vehicle.t(), struct, {integer, integer}) :: Vehicle.t()
+  def timesync(v, %M.Timesync{tc1: 0} = m, {system, component}) do
+    answer = %M.Timesync{tc1: v.now * 1000, ts1: m.ts1, target_system: system, target_component: component}
+    Vehicle.emit(v, answer)
+  end
 
-  def timesync(_v, _answer, _source), do: nil
+  def timesync(v, _answer, _source), do: v
 end

@@ -5,16 +5,18 @@ defmodule SimVehicle.Signing do
   that counts as USB it also accepts unsigned and wrongly signed frames. The key survives a reboot.
 
   Its signing clock does not run: GPS sets it once, then it advances by one with each sent frame, and to the timestamp of each
-  valid received frame. It is stored every 30 s, and starts a minute after the stored value after a reboot.
+  valid received frame. It is stored every 30 s. After a reboot it starts a minute after the stored value.
 
   PX4 (1.18) does the same, but accepts unsigned heartbeats from everybody.
   """
+
+  import MavCodec.MessageId
 
   alias MavCodec.Frame
   alias MavCodec.Messages.SetupSigning
 
   # Message ids that need no signature (S7).
-  @unsigned %{ardupilot: [109, 166], px4: [0, 109]}
+  @unsigned %{ardupilot: [id(RadioStatus), id(Radio)], px4: [id(Heartbeat), id(RadioStatus)]}
 
   @store_us 30_000_000
   @after_boot 6_000_000

@@ -5,7 +5,7 @@ defmodule SimVehicle.Simulation do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Command, Flight, Params, Plans, Streams, Telemetry, Vehicle, Wind}
+  alias SimVehicle.{Battery, Command, Flight, Ftp, Logs, Params, Plans, Streams, Telemetry, Vehicle, Wind}
 
   # A coarser step would let the position controller overshoot.
   @step_max_us 50_000
@@ -30,6 +30,8 @@ defmodule SimVehicle.Simulation do
         landed: :on_ground,
         mission: Flight.Mission.new(),
         plans: %{vehicle.plans | upload: nil},
+        ftp: Ftp.reboot(vehicle.ftp),
+        logs: Logs.reboot(vehicle.logs),
         failsafes: MapSet.new(),
         gcs_heard: nil,
         text_id: 0,
@@ -77,6 +79,7 @@ defmodule SimVehicle.Simulation do
     |> Flight.step(dt)
     |> drain(dt)
     |> tick_plans()
+    |> tick_logs()
     |> stream()
   end
 
@@ -96,6 +99,11 @@ defmodule SimVehicle.Simulation do
   defp tick_plans(vehicle) do
     {plans, replies} = Plans.tick(vehicle.plans, vehicle.now)
     send_replies(%{vehicle | plans: plans}, replies)
+  end
+
+  defp tick_logs(vehicle) do
+    {logs, pieces} = Logs.tick(vehicle.logs)
+    send_replies(%{vehicle | logs: logs}, pieces)
   end
 
   defp stream(vehicle) do
@@ -148,11 +156,27 @@ defmodule SimVehicle.Simulation do
   defp on_message(vehicle, message, source) do
     if vehicle.personality.addressed?(vehicle, target(message)) do
       case Plans.handle(vehicle.plans, message, source, Telemetry.home_item(vehicle), vehicle.now) do
-        nil -> vehicle.personality.message(vehicle, message, source)
+        nil -> other(vehicle, message, source)
         {plans, replies} -> send_replies(%{vehicle | plans: plans}, replies)
       end
     else
       vehicle
+    end
+  end
+
+  defp other(vehicle, %M.FileTransferProtocol{payload: payload}, {system, component} = source) do
+    {ftp, answers} = Ftp.handle(vehicle.ftp, payload, source, vehicle.params)
+
+    Enum.reduce(answers, %{vehicle | ftp: ftp}, fn {after_us, payload}, v ->
+      answer = %M.FileTransferProtocol{target_system: system, target_component: component, payload: payload}
+      if after_us == 0, do: Vehicle.emit(v, answer), else: Vehicle.later(v, after_us, answer)
+    end)
+  end
+
+  defp other(vehicle, message, source) do
+    case Logs.handle(vehicle.logs, message) do
+      nil -> vehicle.personality.message(vehicle, message, source)
+      {logs, replies} -> send_replies(%{vehicle | logs: logs}, replies)
     end
   end
 

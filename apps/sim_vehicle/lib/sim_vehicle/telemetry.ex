@@ -4,6 +4,8 @@ defmodule SimVehicle.Telemetry do
   personality; the rest, the same for both, from the modules below this one.
   """
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Geo, Plans, Telemetry, Vehicle}
 
@@ -38,17 +40,39 @@ defmodule SimVehicle.Telemetry do
   @spec boot_ms(Vehicle.t()) :: 0..4_294_967_295
   def boot_ms(v), do: rem(div(v.now, 1000), 4_294_967_296)
 
-  @position [24, 32, 33, 49, 74, 85, 87, 141, 242]
-  @attitude [27, 29, 30, 31, 36, 65, 105, 116, 129, 137, 241]
+  @position [
+    id(GpsRawInt),
+    id(LocalPositionNed),
+    id(GlobalPositionInt),
+    id(GpsGlobalOrigin),
+    id(VfrHud),
+    id(PositionTargetLocalNed),
+    id(PositionTargetGlobalInt),
+    id(Altitude),
+    id(HomePosition)
+  ]
+  @attitude [
+    id(RawImu),
+    id(ScaledPressure),
+    id(Attitude),
+    id(AttitudeQuaternion),
+    id(ServoOutputRaw),
+    id(RcChannels),
+    id(HighresImu),
+    id(ScaledImu2),
+    id(ScaledImu3),
+    id(ScaledPressure2),
+    id(Vibration)
+  ]
 
   defp common(v, id) when id in @position, do: Telemetry.Position.message(v, id)
   defp common(v, id) when id in @attitude, do: Telemetry.Sensors.message(v, id)
-  defp common(v, 1), do: Telemetry.Power.sys_status(v)
-  defp common(v, 147), do: Telemetry.Power.battery_status(v)
-  defp common(v, 2), do: %M.SystemTime{time_unix_usec: unix(v), time_boot_ms: boot_ms(v)}
-  defp common(v, 42), do: mission_current(v)
-  defp common(v, 125), do: Telemetry.Power.power_status(v)
-  defp common(v, 245), do: %M.ExtendedSysState{vtol_state: 0, landed_state: landed_state(v)}
+  defp common(v, id(SysStatus)), do: Telemetry.Power.sys_status(v)
+  defp common(v, id(BatteryStatus)), do: Telemetry.Power.battery_status(v)
+  defp common(v, id(SystemTime)), do: %M.SystemTime{time_unix_usec: unix(v), time_boot_ms: boot_ms(v)}
+  defp common(v, id(MissionCurrent)), do: mission_current(v)
+  defp common(v, id(PowerStatus)), do: Telemetry.Power.power_status(v)
+  defp common(v, id(ExtendedSysState)), do: %M.ExtendedSysState{vtol_state: 0, landed_state: landed_state(v)}
   defp common(_v, _id), do: nil
 
   @doc "MAV_LANDED_STATE: 1 on the ground, 2 in the air, 3 taking off, 4 landing."

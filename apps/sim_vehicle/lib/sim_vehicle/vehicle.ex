@@ -14,7 +14,7 @@ defmodule SimVehicle.Vehicle do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Command, Geo, Kinematics, Params, Plans, Wind}
+  alias SimVehicle.{Battery, Command, Ftp, Geo, Kinematics, Logs, Params, Plans, Wind}
 
   @later_max 200
 
@@ -34,6 +34,8 @@ defmodule SimVehicle.Vehicle do
             battery_opts: [],
             params: nil,
             plans: nil,
+            ftp: nil,
+            logs: nil,
             streams: nil,
             rates: %{},
             limits: %{},
@@ -79,12 +81,14 @@ defmodule SimVehicle.Vehicle do
 
   @doc """
   A vehicle that has not booted yet. Options (all needed, see `SimVehicle.Options`): `:personality`, `:system`,
-  `:component`, `:home`, `:heading` (degrees), `:ready_s`, `:battery`, `:wind`, `:seed`, `:rates`, `:params`.
+  `:component`, `:home`, `:heading` (degrees), `:ready_s`, `:battery`, `:wind`, `:seed`, `:rates`, `:params`, `:files`,
+  `:logs`.
   """
   @spec new(map) :: t
   def new(opts) do
     personality = opts.personality
-    params = Enum.reduce(opts.params, personality.params(), &put_param!/2)
+    params = personality.params() |> Params.append(opts.more_params)
+    params = Enum.reduce(opts.params, params, &put_param!/2)
 
     vehicle = %__MODULE__{
       personality: personality,
@@ -99,6 +103,8 @@ defmodule SimVehicle.Vehicle do
       battery_opts: opts.battery,
       params: params,
       plans: Plans.new(personality.plan_style()),
+      ftp: Ftp.new(personality.plan_style(), opts.files),
+      logs: Logs.new(personality.plan_style(), opts.logs),
       rates: Map.merge(personality.rates(), opts.rates)
     }
 
@@ -125,6 +131,16 @@ defmodule SimVehicle.Vehicle do
   @spec text(t, 0..7, String.t()) :: t
   def text(vehicle, severity, text),
     do: vehicle |> notify({:text, severity, text}) |> vehicle.personality.text(severity, text)
+
+  @doc "Notes and reports that a failsafe began or ended; `:unchanged` if it already had."
+  @spec put_failsafe(t, atom, boolean) :: t | :unchanged
+  def put_failsafe(v, kind, on?) do
+    change = if on?, do: &MapSet.put/2, else: &MapSet.delete/2
+
+    if MapSet.member?(v.failsafes, kind) == on?,
+      do: :unchanged,
+      else: notify(%{v | failsafes: change.(v.failsafes, kind)}, {:failsafe, kind, on?})
+  end
 
   @doc "Acknowledges a command to its sender."
   @spec ack(t, Command.t(), non_neg_integer) :: t

@@ -14,7 +14,7 @@ class Gcs:
     def __init__(self, address):
         self.m = mavutil.mavlink_connection(address, source_system=255, source_component=190, dialect="ardupilotmega")
         self.beat_at = 0
-        # A vehicle that waits to be spoken to first would wait for ever.
+        # A vehicle that waits for the first message would wait for ever.
         if address.startswith("udpout"):
             self.m.mav.heartbeat_send(6, 8, 0, 0, 4)
         self.heard = self.wait("HEARTBEAT", lambda h: h.get_srcSystem() != 255)
@@ -26,7 +26,7 @@ class Gcs:
             self.m.mav.heartbeat_send(6, 8, 0, 0, 4)
             self.beat_at = time.time()
 
-    def wait(self, kinds, test=lambda _m: True, timeout=300):
+    def wait(self, kinds, test=lambda _m: True, timeout=300, wanted=True):
         kinds = [kinds] if isinstance(kinds, str) else kinds
         end = time.time() + timeout
         while time.time() < end:
@@ -34,7 +34,8 @@ class Gcs:
             x = self.m.recv_match(blocking=True, timeout=0.2)
             if x is not None and x.get_type() in kinds and test(x):
                 return x
-        raise SystemExit("timeout: no %s" % kinds)
+        if wanted:
+            raise SystemExit("timeout: no %s" % kinds)
 
     def command(self, command, *params, acks=1):
         p = list(params) + [0] * (7 - len(params))
@@ -48,7 +49,11 @@ class Gcs:
         self.m.mav.param_request_list_send(self.system, 1)
         values, count = {}, None
         while count is None or len([k for k in values if k != "_HASH_CHECK"]) < count:
-            p = self.wait("PARAM_VALUE", timeout=20)
+            p = self.wait("PARAM_VALUE", timeout=2, wanted=False)
+            if p is None:
+                # A busy machine's socket loses parts of the burst.
+                self.m.mav.param_request_list_send(self.system, 1)
+                continue
             values[p.param_id] = p.param_value
             count = p.param_count
         return values, count

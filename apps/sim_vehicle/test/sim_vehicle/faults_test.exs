@@ -100,7 +100,7 @@ defmodule SimVehicle.FaultsTest do
     assert first != other
   end
 
-  test "a fault that there is not, or a wrong value, is refused in words" do
+  test "an unknown fault, or a wrong value, is refused with a text" do
     assert {:error, "expected a fault of" <> _rest} = Faults.set(Faults.new(1), :fire, 1, :out)
     assert {:error, _text} = Faults.set(Faults.new(1), :loss, 1.5, :out)
     assert {:error, _text} = Faults.set(Faults.new(1), :delay, -1, :out)

@@ -17,7 +17,7 @@ defmodule SimVehicle.PartsTest do
       end
     end
 
-    test "0 is the default, -1 stops; the interval is told (M1)" do
+    test "0 is the default, -1 stops; the interval is reported (M1)" do
       streams = Streams.new(%{30 => 10})
       assert Streams.interval_us(streams, 30) == 100_000
       assert streams |> Streams.set(30, 5000) |> Streams.interval_us(30) == 5000
@@ -26,7 +26,7 @@ defmodule SimVehicle.PartsTest do
       assert streams |> Streams.set(33, 1000) |> Streams.set(33, 0) |> Streams.interval_us(33) == -1
     end
 
-    test "a pause is not made up for" do
+    test "missed messages are not sent after a pause" do
       {_ids, streams} = Streams.due(Streams.new(%{30 => 10}), 0)
       {_ids, streams} = Streams.due(streams, 60_000_000)
       assert {[], _streams} = Streams.due(streams, 60_050_000)

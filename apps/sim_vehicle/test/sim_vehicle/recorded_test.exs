@@ -56,7 +56,7 @@ defmodule SimVehicle.RecordedTest do
         assert Enum.map(landed, &tl/1) == Enum.map(recording["landed"], &tl/1)
       end
 
-      test "reaches the same mission items and tells the same of the mission", %{
+      test "reaches the same mission items and reports the same of the mission", %{
         recording: recording,
         log: log
       } do

@@ -1,9 +1,9 @@
 defmodule Aerie.Bridge do
   @moduledoc """
-  The gateway's side of the NATS contract: state and events of vehicles go out here.
+  Publishes state and events of vehicles to NATS.
 
-  State is fire and forget with the last value kept while NATS is away. Events are taken from `Aerie.Fleet.Journal` and
-  are published at least once, over restarts of NATS and of the gateway. See the README beside the code.
+  State is fire and forget; while NATS is away, the last value of each subject is kept. Events come from
+  `Aerie.Fleet.Journal` and are published at least once, even if NATS or the gateway restarts. See the README beside the code.
 
   Telemetry:
 
@@ -16,20 +16,22 @@ defmodule Aerie.Bridge do
   | `[:aerie, :bridge, :events, :confirmed]` | `count` | `gateway` |
   """
 
-  @behaviour Aerie.Vehicle.Fleet
+  @behaviour Aerie.Vehicle.Publisher
 
-  alias Aerie.Bridge.{Memory, Metrics, State, Tables, Token}
-  alias Aerie.Names
+  alias Aerie.Bridge.{LastPublished, Metrics, State, Tables, Token}
+  alias Aerie.{Names, Store}
 
   @typedoc """
   * `mode` - `:embedded` or `:url`
   * `connected` - whether there is a connection; `url` - to which server, or the embedded server's
-  * `problem` - what keeps events from being stored by NATS, in words, or nil: whether the bridge does its work
+  * `problem` - why NATS does not store events, or nil if it does
   * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`, `fault`
     (why it stores nothing, or nil)
-  * `streams` - what became of each stream, see `Aerie.Bridge.Streams`
-  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (for how long
-    events have waited and none was confirmed) and `stalled` (that this is a problem: text or nil)
+  * `hub` - leaf node: `status` (`:up | :down`), `waiting` (events that the hub does not have), `lost` (events that it never gets) and
+    `problem` (text or nil); nil without a hub
+  * `streams` - the state of each stream, see `Aerie.Bridge.Streams`
+  * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (how long events
+    have waited without any confirmation) and `stalled` (text if that is too long, else nil)
   """
   @type info :: %{
           mode: :embedded | :url,
@@ -37,26 +39,27 @@ defmodule Aerie.Bridge do
           problem: String.t() | nil,
           url: String.t() | nil,
           server: map() | nil,
+          hub: map() | nil,
           streams: map(),
           outbox: map()
         }
 
   @doc """
-  Publishes a state group of a vehicle, in the calling process but for the sending. Never waits for NATS.
+  Hands over a state group of a vehicle for publishing. It is encoded in the calling process, which never waits for NATS.
 
   `map` is the group as in the vehicle's snapshot (`%{data: …, time_boot_ms: …}`) or just its data; `at` is in unix
   microseconds. Without a bridge it does nothing.
   """
-  @impl Aerie.Vehicle.Fleet
+  @impl Aerie.Vehicle.Publisher
   @spec publish_state(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   defdelegate publish_state(gateway, vehicle, group, map, at), to: State, as: :put
 
-  @doc "What the last life of the gateway told of a vehicle (`Aerie.Bridge.Memory`), or nil."
-  @impl Aerie.Vehicle.Fleet
-  @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.Found.t()
-  defdelegate remembered(gateway, vehicle), to: Memory, as: :of
+  @doc "What the gateway last published of a vehicle before it was restarted (`Aerie.Bridge.LastPublished`), or nil."
+  @impl Aerie.Vehicle.Publisher
+  @spec remembered(Names.gateway(), String.t()) :: Aerie.Vehicle.Detector.OfflineChanges.t()
+  defdelegate remembered(gateway, vehicle), to: LastPublished, as: :of
 
-  @doc "How the bridge is, or nil when it is not running. Subscribers of `:bridge` are told of each change."
+  @doc "The state of the bridge, or nil if it is not running. Subscribers of `:bridge` get each change."
   @spec info(Names.gateway()) :: info() | nil
   def info(gateway) do
     with %{} = tables <- Tables.get(gateway) do
@@ -69,15 +72,41 @@ defmodule Aerie.Bridge do
         problem: Tables.problem(tables),
         url: connection[:url] || server[:url],
         server: if(server != %{}, do: server),
+        hub: with(hub when hub == %{} <- Tables.info(tables, :hub), do: nil),
         streams: tables |> Tables.info(:streams) |> Map.get(:report, %{}),
         outbox: Tables.info(tables, :outbox)
       }
     end
   end
 
+  @doc "Whether there is no bridge because the configuration says so (`nats.mode: off`)."
+  @spec off?(Names.gateway()) :: boolean()
+  def off?(gateway), do: Store.recall(gateway, {:bridge, :off}, false)
+
+  @doc "The fleet's environment: the second word of every subject, which signed commands name by REST, too."
+  @spec environment(Names.gateway()) :: String.t() | nil
+  def environment(gateway), do: Store.recall(gateway, {:bridge, :environment})
+
+  @doc false
+  @spec note_environment(Names.gateway(), String.t()) :: :ok
+  def note_environment(gateway, environment),
+    do: Store.remember(gateway, {:bridge, :environment}, environment)
+
+  @doc "The name by which this gateway is told from others: in its messages, and of its own events."
+  @spec name(Names.gateway()) :: String.t() | nil
+  def name(gateway), do: Store.recall(gateway, {:bridge, :name})
+
+  @doc false
+  @spec note_name(Names.gateway(), String.t()) :: :ok
+  def note_name(gateway, name), do: Store.remember(gateway, {:bridge, :name}, name)
+
+  @doc false
+  @spec note_off(Names.gateway()) :: :ok
+  def note_off(gateway), do: Store.remember(gateway, {:bridge, :off}, true)
+
   @doc """
-  The address for people and programs on this machine: of the embedded server with its login, which is for the terminal of
-  whoever started it and for nothing that others can read. Nil when there is none to name.
+  The server's address for people and programs on this machine. That of the embedded server contains its login: show it in the
+  terminal from which the gateway was started, and write it nowhere that others can read. Nil if there is no address.
   """
   @spec login_url(Names.gateway()) :: String.t() | nil
   def login_url(gateway) do
@@ -88,18 +117,13 @@ defmodule Aerie.Bridge do
     end
   end
 
-  @doc "The connection for other users of NATS (commands, shadow), or nil just now. Ask again after `{:bridge, …}` news."
+  @doc "The connection, for other users of NATS (commands, shadow), or nil if there is none now. Ask again after a `:bridge` message."
   @spec connection(Names.gateway()) :: pid() | nil
   def connection(gateway) do
     with %{} = tables <- Tables.get(gateway), do: Map.get(Tables.info(tables, :connection), :conn)
   end
 
-  @doc "The bridge's metrics, for `/metrics`."
+  @doc "The bridge's metrics, for `/metrics`; without samples while it does not run."
   @spec metrics(Names.gateway()) :: [Metrics.metric()]
-  def metrics(gateway) do
-    case Tables.get(gateway) do
-      nil -> []
-      tables -> Metrics.all(gateway, tables)
-    end
-  end
+  def metrics(gateway), do: Metrics.all(gateway, Tables.get(gateway))
 end

@@ -1,25 +1,25 @@
 defmodule Aerie.Telemetry do
   @moduledoc """
-  The telemetry events of this application: its contract with whoever measures it.
+  The `:telemetry` events of the gateway.
 
-  Every event has `gateway` in its metadata. An event's other metadata and its measurements are in the table of the part
-  that emits it; each row of `events/0` says which. Durations are in the unit that the key names.
+  Every event has `gateway` in its metadata. Its other metadata and its measurements are in the table of the module that emits
+  it, which `events/0` names. The name of a duration says its unit.
 
-  Nothing here is emitted per frame: what comes thousands of times a second is counted in the read model
-  (`Aerie.Store.counters/1`, snapshots of links and vehicles) and read from there.
+  None of these events is emitted per frame. What happens thousands of times a second is counted in the read model
+  (`Aerie.Store.counters/1`, snapshots of links and vehicles).
 
-  ## Of vehicles
+  ## Vehicles
 
   | event | measurements | metadata | when |
   |---|---|---|---|
-  | `[:aerie, :vehicle, :status]` | `count` (1) | `vehicle`, `old`, `new` | it is heard again, silent, lost |
+  | `[:aerie, :vehicle, :status]` | `count` (1) | `vehicle`, `old`, `new` | it is online, stale or lost |
   | `[:aerie, :vehicle, :event]` | `count` (1) | `vehicle`, `type`, `event` | an `Aerie.Vehicle.Event` was committed |
-  | `[:aerie, :vehicle, :displaced]` | `lost_ms` | `vehicle`, `network`, `system`, `by` | it was lost, and another has its place now |
-  | `[:aerie, :vehicle, :restart]` | `count` (1) | `network`, `system` | a vehicle's tree died and was started again |
+  | `[:aerie, :vehicle, :displaced]` | `lost_ms` | `vehicle`, `network`, `system`, `by` | it was lost and made room for another vehicle |
+  | `[:aerie, :vehicle, :restart]` | `count` (1) | `network`, `system` | a vehicle's process tree died and was restarted |
 
-  ## Of links, router and bridge
+  ## Links, router, bridge, commands, shadow, ledger, policy and audit log
 
-  See `Aerie.Link`, `Aerie.Router`, `Aerie.Signing`, `Aerie.Recorder` and `Aerie.Bridge`.
+  See `Aerie.Shadow.Metrics`, `Aerie.Commands.Record`, `Aerie.Ledger`, `Aerie.Policy.Audit`, `Aerie.Policy.Guard`, `Aerie.Link`, `Aerie.Router`, `Aerie.Signing`, `Aerie.Recorder` and `Aerie.Bridge`.
 
       :telemetry.attach("log-events", [:aerie, :vehicle, :event], &MyLogger.handle/4, nil)
   """
@@ -39,8 +39,8 @@ defmodule Aerie.Telemetry do
     {[:aerie, :link, :added], Aerie.Link},
     {[:aerie, :link, :removed], Aerie.Link},
     {[:aerie, :identity, :latched], Aerie.Router.AutoSystemId},
-    {[:aerie, :identity, :silent], Aerie.Identity.Pulse},
-    {[:aerie, :identity, :answering], Aerie.Identity.Pulse},
+    {[:aerie, :identity, :silent], Aerie.Identity.Watchdog},
+    {[:aerie, :identity, :answering], Aerie.Identity.Watchdog},
     {[:aerie, :router, :vehicle_found], Aerie.Router},
     {[:aerie, :router, :vehicle_refused], Aerie.Router},
     {[:aerie, :router, :dropped], Aerie.Router},
@@ -57,6 +57,16 @@ defmodule Aerie.Telemetry do
     {[:aerie, :recorder, :closed], Aerie.Recorder},
     {[:aerie, :recorder, :paused], Aerie.Recorder},
     {[:aerie, :recorder, :removed], Aerie.Recorder},
+    {[:aerie, :audit, :failing], Aerie.Policy.Audit},
+    {[:aerie, :ledger, :failing], Aerie.Ledger},
+    {[:aerie, :policy, :refused], Aerie.Policy.Guard},
+    {[:aerie, :command, :received], Aerie.Commands.Record},
+    {[:aerie, :command, :refused], Aerie.Commands.Record},
+    {[:aerie, :command, :done], Aerie.Commands.Record},
+    {[:aerie, :shadow, :updated], Aerie.Shadow.Metrics},
+    {[:aerie, :shadow, :refused], Aerie.Shadow.Metrics},
+    {[:aerie, :shadow, :set], Aerie.Shadow.Metrics},
+    {[:aerie, :audit, :writing], Aerie.Policy.Audit},
     {[:aerie, :bridge, :server, :up], Aerie.Bridge},
     {[:aerie, :bridge, :server, :down], Aerie.Bridge},
     {[:aerie, :bridge, :connected], Aerie.Bridge},
@@ -64,7 +74,7 @@ defmodule Aerie.Telemetry do
     {[:aerie, :bridge, :events, :confirmed], Aerie.Bridge}
   ]
 
-  @doc "All events, each with the module that documents it. A part that adds one adds it here."
+  @doc "All events, each with the module that documents it. A module that adds an event adds it here."
   @spec events() :: [{:telemetry.event_name(), module()}]
   def events, do: @events
 end

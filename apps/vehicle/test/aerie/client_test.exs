@@ -4,12 +4,16 @@ defmodule Aerie.ClientTest do
   import Aerie.LinkCase, only: [eventually: 1]
   import Aerie.VehicleCase, only: [start_parts: 0]
 
+  alias Aerie.Error
   alias Aerie.Client
   alias Aerie.Router.Endpoint
 
   test "an endpoint for clients is a link of the clients' side, with its networks and access" do
     gateway = start_parts()
-    {:ok, "field"} = Client.add(gateway, "udpin:127.0.0.1:0", id: "field", networks: ["field"], access: :read)
+
+    {:ok, "field"} =
+      Client.add(gateway, "udpin:127.0.0.1:0", id: "field", networks: ["field"], role: :read_only)
+
     assert [%{id: "field", kind: :udp_server}] = Client.endpoints(gateway)
     port = fn -> gateway |> Client.endpoints() |> hd() |> Map.get(:port) end
     {:ok, gcs} = :gen_udp.open(0, [:binary, active: false])
@@ -26,7 +30,7 @@ defmodule Aerie.ClientTest do
     assert %{owner: "field", side: :client, networks: ["field"], role: :read_only} = client
     assert :ok = Client.remove(gateway, "field")
     assert Client.endpoints(gateway) == []
-    assert {:error, :unknown} = Client.remove(gateway, "field")
+    assert {:error, %Error{reason: {:unknown, :client, "field"}}} = Client.remove(gateway, "field")
   end
 
   test "a client that names no networks sees a link of a network that is added later" do
@@ -57,7 +61,7 @@ defmodule Aerie.ClientTest do
     # 20 frames in one datagram, and what comes of them: [datagram].
     defp packed(c, rules) do
       {:ok, port} = :inet.port(c.gcs)
-      {:ok, id} = Aerie.Link.Clients.add(c.gateway, Map.put(rules, :url, "udpout:127.0.0.1:#{port}"))
+      {:ok, id} = Aerie.Client.add(c.gateway, Map.put(rules, :url, "udpout:127.0.0.1:#{port}"))
       eventually(fn -> match?([_there], Aerie.Router.endpoints(c.gateway)) end)
       frames = for n <- 1..20, do: Aerie.LinkCase.attitude(7, n)
       {:ok, vehicle} = :gen_udp.open(0, [:binary, active: false])
@@ -91,25 +95,27 @@ defmodule Aerie.ClientTest do
 
   test "what is no endpoint for clients is refused in words" do
     gateway = start_parts()
-    assert {:error, words} = Client.add(gateway, "replay:/tmp/x.tlog")
+    assert {:error, %Error{reason: {:invalid, words}}} = Client.add(gateway, "replay:/tmp/x.tlog")
     assert words =~ "no client"
-    assert {:error, words} = Client.add(gateway, "tcp:nowhere")
+    assert {:error, %Error{reason: {:invalid, words}}} = Client.add(gateway, "tcp:nowhere")
     assert words =~ "port"
     {:ok, _id} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
     process = Aerie.Names.whereis(gateway, :link, "a")
-    assert {:error, words} = Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
-    assert words =~ "already"
+
+    assert {:error, %Error{reason: {:exists, :client, "a"}}} =
+             Client.add(gateway, "udpin:127.0.0.1:0", id: "a")
+
     # The one that was there is not disturbed.
     assert process == Aerie.Names.whereis(gateway, :link, "a")
     {:ok, _id} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
-    assert {:error, :for_vehicles} = Client.remove(gateway, "radio")
+    assert {:error, %{reason: {:conflict, _text}}} = Client.remove(gateway, "radio")
   end
 
   test "a client's process is ended by its id" do
     gateway = start_parts()
     :ok = Aerie.Names.register(gateway, :websocket_client, "ws-1")
     {:ok, _endpoint} = Endpoint.attach(gateway, id: "ws-1", kind: :websocket)
-    assert Aerie.Names.count(gateway, :websocket_client) == 1
+    assert [_one] = Aerie.Names.processes(gateway, :websocket_client)
     assert :ok = Client.remove(gateway, "ws-1")
     assert_receive :disconnect
   end

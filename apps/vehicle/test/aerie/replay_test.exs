@@ -142,7 +142,7 @@ defmodule Aerie.ReplayTest do
       assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 60])
     end
 
-    @declared Map.new(Aerie.Vehicle.EventTypes.all(), &{&1.type, Enum.map(&1.fields, fn f -> f.name end)})
+    @declared Map.new(Aerie.Vehicle.Event.Types.all(), &{&1.type, Enum.map(&1.fields, fn f -> f.name end)})
     defp declared!(event), do: [] = Map.keys(event.data) -- ["position" | @declared[event.type]]
 
     # Those that the cores look at, more often than the others.
@@ -224,14 +224,14 @@ defmodule Aerie.ReplayTest do
       assert Replay.run(dir) == {:error, "#{dir}: illegal operation on a directory"}
       empty = Path.join(dir, "empty.tlog")
       File.write!(empty, "")
-      assert Replay.run(empty) == {:error, "#{empty}: is empty"}
+      assert Replay.run(empty) == {:error, "#{empty}: the file is empty"}
       other = Path.join(dir, "other.tlog")
       File.write!(other, String.duplicate("no record ", 1_000))
-      assert Replay.run(other) == {:error, "#{other}: holds no record of MAVLink (is it a tlog?)"}
+      assert Replay.run(other) == {:error, "#{other}: no MAVLink record found (is it a tlog?)"}
       gzip = Path.join(dir, "damaged.tlog.gz")
       File.write!(gzip, "px4_flight" |> file() |> File.read!() |> damage())
-      assert Replay.run(gzip) == {:error, "#{gzip}: damaged gzip data, or a disk that fails"}
-      assert Replay.run([]) == {:error, "no recording was named"}
+      assert Replay.run(gzip) == {:error, "#{gzip}: damaged gzip data, or a disk error"}
+      assert Replay.run([]) == {:error, "no recording was given"}
     end
 
     defp damage(<<head::binary-size(50_000), _::binary-size(100), tail::binary>>),
@@ -345,7 +345,7 @@ defmodule Aerie.ReplayTest do
 
     test "no more vehicles than the configuration allows" do
       frames = for system <- 1..5, do: beat(system / 10, [], system: system)
-      assert {:ok, flight} = play(frames, %{limits: %{max_vehicles: 3}})
+      assert {:ok, flight} = play(frames, settings: Replay.Settings.from(%{limits: %{max_vehicles: 3}}))
       assert flight.summary.vehicles == ~w(VID-001 VID-002 VID-003)
       assert %{refused: 2, unclaimed: 2} = flight.summary
     end
@@ -353,10 +353,16 @@ defmodule Aerie.ReplayTest do
 
   test "names and networks are those of the configuration" do
     config = %{network: "main", vehicles: [%{id: "HAWK", network: "north", system_id: 1}]}
-    assert {:ok, flight} = play([beat(0), beat(1, base_mode: 209)], config: config, network: "north")
+
+    assert {:ok, flight} =
+             play([beat(0), beat(1, base_mode: 209)],
+               settings: Replay.Settings.from(config),
+               network: "north"
+             )
+
     assert [%{type: "armed", vehicle: "HAWK"}] = flight.events
     assert %{"HAWK" => %{key: {"north", 1}, links: ["replay"]}} = flight.snapshots
-    assert types(play([beat(0)], %{})) == []
+    assert types(play([beat(0)])) == []
   end
 
   test "outputs can be taken one by one, in the order in which they come about" do

@@ -5,23 +5,23 @@ defmodule Aerie.BridgeCase do
   """
   use ExUnit.CaseTemplate
 
-  alias Aerie.{Bridge, Config, Fleet, Store}
+  alias Aerie.{Bridge, Fleet, Store}
   alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Event
 
   using do
     quote do
       import Aerie.BridgeCase
-      alias Aerie.{Bridge, Config, Fleet, Store}
+      alias Aerie.{Bridge, Fleet, Store}
       alias Aerie.Store.PubSub
       alias Aerie.Vehicle.Event
     end
   end
 
-  @doc "A configuration whose folders are below `dir`."
-  @spec config(Path.t(), [{String.t(), term()}]) :: Config.t()
+  @doc "The bridge's settings, with folders below `dir`. Overrides are keys of the configuration, as `{\"nats.port\", 0}`."
+  @spec config(Path.t(), [{String.t(), term()}]) :: Bridge.Settings.t()
   def config(dir, overrides \\ []) do
-    Config.default(
+    settings(
       [
         {"environment", "test"},
         {"nats.port", 0},
@@ -33,15 +33,30 @@ defmodule Aerie.BridgeCase do
     )
   end
 
-  @doc "Starts store, notices and bridge; gives the gateway's name."
-  @spec start_bridge(Config.t(), keyword()) :: reference()
+  @doc "The bridge's settings with some keys of the configuration; a `nats.port` is one that somebody asked for."
+  @spec settings([{String.t(), term()}]) :: Bridge.Settings.t()
+  def settings(overrides \\ []) do
+    raw =
+      Enum.reduce(overrides, %{}, fn {key, value}, raw ->
+        put_in(raw, key |> String.split(".") |> Enum.map(&Access.key(&1, %{})), value)
+      end)
+
+    case Bridge.Settings.new(raw) do
+      {:ok, settings} -> %{settings | port_given: List.keymember?(overrides, "nats.port", 0)}
+      {:error, problems} -> raise ArgumentError, inspect(problems)
+    end
+  end
+
+  @doc "Starts store, notices and bridge; gives the gateway's name. `epoch`: of the events, none if left out."
+  @spec start_bridge(Bridge.Settings.t(), keyword()) :: reference()
   def start_bridge(config, options \\ []) do
     gateway = Keyword.get_lazy(options, :gateway, &make_ref/0)
     # Subscribed before there is anything to hear, so that no news is missed.
-    ExUnit.Callbacks.start_supervised!({Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})},
+    ExUnit.Callbacks.start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})},
       id: {:store, gateway}
     )
 
+    if options[:epoch], do: Fleet.Journal.epoch(gateway, options[:epoch])
     ExUnit.Callbacks.start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
     :ok = PubSub.subscribe(gateway, :bridge)
     start_bridge_again(gateway, config)
@@ -49,9 +64,9 @@ defmodule Aerie.BridgeCase do
   end
 
   @doc "Starts the bridge of a gateway whose store is there already."
-  @spec start_bridge_again(reference(), Config.t()) :: pid()
+  @spec start_bridge_again(reference(), Bridge.Settings.t()) :: pid()
   def start_bridge_again(gateway, config) do
-    ExUnit.Callbacks.start_supervised!({Bridge.Supervisor, gateway: gateway, config: config},
+    ExUnit.Callbacks.start_supervised!({Bridge.Supervisor, gateway: gateway, settings: config},
       id: {:bridge, gateway}
     )
   end
@@ -91,6 +106,18 @@ defmodule Aerie.BridgeCase do
     Bridge.login_url(gateway)
   end
 
+  @doc """
+  Waits until the commands of these vehicles are listened to. The answer to a request on the bridge's own connection shows that the
+  server knows the subscriptions: a request of another connection may otherwise overtake them and be lost.
+  """
+  @spec await_listening(reference(), [String.t()]) :: :ok
+  def await_listening(gateway, vehicles) do
+    eventually(fn -> Bridge.Commands.vehicles(gateway) == vehicles end)
+    %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
+    {:ok, _info} = Gnat.request(conn, "$JS.API.INFO", "")
+    :ok
+  end
+
   @doc "Waits until there is another connection than `old`, with its streams; gives the URL, as `await_up/1`."
   @spec await_reconnected(reference(), pid()) :: String.t()
   def await_reconnected(gateway, old) do
@@ -100,6 +127,16 @@ defmodule Aerie.BridgeCase do
     end)
 
     Bridge.login_url(gateway)
+  end
+
+  @doc "The TCP port of a nats-server that was started as an operating system process, from its output."
+  def listening(port) do
+    assert_receive {^port, {:data, {:eol, line}}}
+
+    case Aerie.Bridge.Server.LogLine.parse(line) do
+      {_level, _text, {:listening, tcp_port}} -> tcp_port
+      _other -> listening(port)
+    end
   end
 
   @doc "A plain client on the bridge's server."
@@ -119,13 +156,13 @@ defmodule Aerie.BridgeCase do
   @spec server_pid(Path.t()) :: String.t()
   def server_pid(dir), do: dir |> Path.join("nats/nats-server.pid") |> File.read!() |> String.trim()
 
-  @doc "`kill -9`. News from before it are forgotten, so that `await/4` after it sees what came of it."
+  @doc "`kill -9`. Drops earlier messages, so that `await/4` sees only later ones."
   @spec kill9(String.t()) :: :ok
   def kill9(pid) do
     forget_news()
     {_, 0} = System.cmd("sh", ["-c", "kill -KILL #{pid}"])
     # A busy machine takes its time, and until then the process owns its folders.
-    eventually(fn -> Aerie.Bridge.FolderLock.start_time(pid) == "" end)
+    eventually(fn -> Aerie.FolderLock.start_time(pid) == "" end)
     :ok
   end
 
@@ -203,16 +240,24 @@ defmodule Aerie.BridgeCase do
   @spec events(pid()) :: [{String.t(), pos_integer(), String.t()}]
   def events(conn) do
     {:ok, %{state: %{first_seq: first, last_seq: last}}} =
-      Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+      answered(fn -> Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS") end)
 
-    for seq <- first..last//1, message = message(conn, seq) do
+    # An empty stream has first 0 or 1 and last 0.
+    for seq <- max(first, 1)..last//1, message = message(conn, seq) do
       body = JSON.decode!(message.data)
       {body["vehicle"], body["seq"], message.hdrs || ""}
     end
   end
 
+  # On a busy machine a server may take longer than the five seconds that a client waits; reading again does no harm.
+  defp answered(request) do
+    eventually(fn ->
+      with {:error, :timeout} <- request.(), do: nil
+    end)
+  end
+
   defp message(conn, seq) do
-    case Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) do
+    case answered(fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) end) do
       {:ok, message} -> message
       {:error, %{"code" => 404}} -> nil
     end

@@ -13,16 +13,7 @@ defmodule Aerie.ClientCase do
     end
   end
 
-  @doc "A new folder with a short name (a socket's name has at most 107 bytes) that goes with the test."
-  @spec short_dir() :: Path.t()
-  def short_dir do
-    dir =
-      Path.join(System.tmp_dir!(), "ae-#{System.pid()}-#{:erlang.unique_integer([:positive, :monotonic])}")
-
-    File.mkdir_p!(dir)
-    ExUnit.Callbacks.on_exit(fn -> File.rm_rf!(dir) end)
-    dir
-  end
+  defdelegate short_dir, to: Aerie.ShortDir, as: :new
 
   @doc "Starts store, notices and the clients' faces of a gateway, with sockets in `dir`; gives its name."
   @spec start_clients(Path.t(), map()) :: reference()
@@ -33,9 +24,9 @@ defmodule Aerie.ClientCase do
       Map.merge(%{enabled: true, dir: dir, state_hz: 50.0, max_clients: 4}, sockets)
 
     config = %{sockets: sockets}
-    options = [gateway: gateway, config: config] ++ Aerie.Gateway.plugs(config)
 
     for module <- [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Client.Supervisor] do
+      options = Aerie.GatewayCase.part(module, gateway, config)
       ExUnit.Callbacks.start_supervised!(Supervisor.child_spec({module, options}, id: {module, gateway}))
     end
 

@@ -30,7 +30,8 @@ defmodule Aerie.Flight do
 
   @doc "Options of a vehicle for tests."
   @spec options(keyword()) :: Options.t()
-  def options(extra \\ []), do: Options.new(%{}, {"main", Keyword.get(extra, :system_id, 1)}, extra)
+  def options(extra \\ []),
+    do: Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", Keyword.get(extra, :system_id, 1)}, extra)
 
   @doc """
   Everything that core and detector make of frames: `%{events: …, actions: …, core: …, detector: …}`. `:batch` is how many

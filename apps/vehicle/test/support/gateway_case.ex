@@ -10,17 +10,90 @@ defmodule Aerie.GatewayCase do
     end
   end
 
-  @doc "Starts a gateway of vehicles, without bridge, router and links, that ends with the test; gives its name."
-  @spec start_gateway(map() | struct(), keyword()) :: reference()
+  @parts [
+    Aerie.Store,
+    Aerie.Store.PubSub,
+    Aerie.Bridge.LastPublished,
+    Aerie.Bridge.Supervisor,
+    Aerie.Signing.Supervisor,
+    Aerie.Recorder.Supervisor,
+    Aerie.Router.Supervisor,
+    Aerie.Vehicle.Supervisor,
+    Aerie.Link.Supervisor,
+    Aerie.Client.Supervisor
+  ]
+
+  @doc """
+  Starts a gateway of vehicles, without bridge, router and links, that ends with the test; gives its name. `config` has some
+  keys of the configuration. Options: `:name`, `:without` (parts), `:pubsub_tick_ms`.
+  """
+  @spec start_gateway(map(), keyword()) :: reference()
   def start_gateway(config \\ %{}, options \\ []) do
-    name = make_ref()
+    options = Keyword.put_new_lazy(options, :name, &make_ref/0)
+    start = {__MODULE__, :start_link, [config, options]}
 
-    without = [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor]
-    defaults = [name: name, config: config, pubsub_tick_ms: 5, without: without]
-    ExUnit.Callbacks.start_supervised!({Aerie.Gateway, Keyword.merge(defaults, options)})
+    ExUnit.Callbacks.start_supervised!(%{
+      id: {Aerie.Gateway, options[:name]},
+      type: :supervisor,
+      start: start
+    })
 
-    name
+    options[:name]
   end
+
+  @doc "The same without a test, whose end it does not follow."
+  @spec start_link(map(), keyword()) :: Supervisor.on_start()
+  def start_link(config, options) do
+    name = Keyword.fetch!(options, :name)
+    defaults = [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor]
+    tick = [tick_ms: Keyword.get(options, :pubsub_tick_ms, 5)]
+
+    children =
+      for part <- @parts -- Keyword.get(options, :without, defaults) do
+        more = if part == Aerie.Store.PubSub, do: tick, else: []
+        Aerie.Successor.child_spec({part, part(part, name, config) ++ more})
+      end
+
+    strategy = [strategy: :rest_for_one, max_restarts: 3, max_seconds: 60]
+    Supervisor.start_link(children, strategy ++ [name: Aerie.Names.via(name, :gateway)])
+  end
+
+  # No NATS, sockets or clients unless the test asks for them.
+  @quiet %{nats: %{mode: :off}, sockets: %{enabled: false}, clients: []}
+
+  @doc "The options of a part of a gateway as `Aerie.Gateway` in `apps/aerie` starts it: settings, and the parts above."
+  @spec part(module(), term(), map()) :: keyword()
+  def part(part, gateway, config) do
+    config = Map.merge(@quiet, config)
+
+    Aerie.LinkCase.options(part, gateway, config) ++
+      plugs(config) ++ [children: [Aerie.LinkCase.clients(gateway, config)]]
+  end
+
+  @doc "What parts are given of those above them, as options of all of them: each takes its own."
+  @spec plugs(map()) :: keyword()
+  def plugs(config) do
+    [
+      tables: [
+        Aerie.Fleet.Journal.table(Aerie.Fleet.Settings.from(config)),
+        Aerie.Fleet.StreamDemand.table(),
+        Aerie.Fleet.Remote.table(),
+        Aerie.Commands.Recent.table(),
+        Aerie.Policy.Leases.table()
+      ],
+      vehicles: Aerie.Vehicle.Supervisor,
+      requests: Aerie.Vehicle.Streams,
+      policy: Aerie.Policy.Guard,
+      readings: Aerie.Serving,
+      events: Aerie.Vehicle.Events.External,
+      publisher: Aerie.Bridge,
+      loops: [Aerie.Shadow.Loop]
+    ]
+  end
+
+  @doc "The keys of the vehicles that have a supervision tree."
+  @spec trees(term()) :: [Aerie.Store.vehicle_key()]
+  def trees(gateway), do: Registry.select(Aerie.Registry, [{{{gateway, :tree, :"$1"}, :_, :_}, [], [:"$1"]}])
 
   @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()

@@ -50,7 +50,7 @@ defmodule Aerie.StreamVehicle do
   @doc "What clients want."
   def want(vehicle, messages, options \\ []) do
     wants = %{messages: messages, groups: Keyword.get(options, :groups, %{})}
-    %{vehicle | arbiter: Arbiter.wants(vehicle.arbiter, wants, options[:forwarded])}
+    %{vehicle | arbiter: Arbiter.demand(vehicle.arbiter, wants, options[:forwarded])}
   end
 
   @doc "It begins anew, with these rates."

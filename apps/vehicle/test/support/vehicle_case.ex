@@ -12,7 +12,7 @@ defmodule Aerie.VehicleCase do
   @doc "Starts the parts of `Aerie.LinkCase.start_parts/2` and the vehicles; gives the gateway's name."
   @spec start_parts(map, keyword) :: reference
   def start_parts(config \\ %{}, more \\ []) do
-    above = [options: Aerie.Gateway.plugs(config), above: [Aerie.Vehicle.Supervisor]]
+    above = [options: Aerie.GatewayCase.plugs(config), above: [Aerie.Vehicle.Supervisor]]
     Aerie.LinkCase.start_parts(config, above ++ more)
   end
 

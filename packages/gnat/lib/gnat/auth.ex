@@ -1,9 +1,9 @@
 defmodule Gnat.Auth do
   @moduledoc """
-  The part of CONNECT that says who the client is.
+  The credentials in CONNECT.
 
-  Nothing secret is sent to a server that does not ask (INFO without `auth_required`), unless the settings insist
-  (`auth_required: true`). Of several ways given, the first of user and password, token, JWT, nkey is used.
+  No secret is sent to a server that does not ask for it (INFO without `auth_required`), unless the settings say so
+  (`auth_required: true`). If several are given, the first of user and password, token, JWT, nkey is used.
   """
 
   alias Gnat.{Error, Nkey}
@@ -24,7 +24,7 @@ defmodule Gnat.Auth do
   defp credentials(%{jwt: jwt}, _info), do: {:ok, %{jwt: jwt}}
   defp credentials(%{nkey_seed: seed}, info), do: sign(seed, info)
 
-  # With certificates, or a default user of the server, none of these is needed: the server will say.
+  # With certificates, or with a default user of the server, none of these is needed.
   defp credentials(_none, _info), do: {:ok, %{}}
 
   defp sign(seed, info) do

@@ -1,9 +1,9 @@
 defmodule Gnat.Backoff do
   @moduledoc """
-  How long to wait before the next try: at once, then doubling from `min` to `max` milliseconds.
+  The wait before the next try: none at first, then doubling from `min` to `max` milliseconds.
 
-  Every wait but the first is spread over its upper half (50 to 100 %), so that clients of a server that comes back do
-  not arrive together. The source of chance is given, so that tests know it.
+  Every wait but the first is spread over its upper half (50 to 100 %), so that clients do not
+  reconnect to a restarted server all at once. The random number is an argument, so that tests can choose it.
   """
 
   @enforce_keys [:min, :max]
@@ -21,12 +21,12 @@ defmodule Gnat.Backoff do
   def next(%__MODULE__{failures: 0} = backoff, _random), do: {0, %{backoff | failures: 1}}
 
   def next(%__MODULE__{min: min, max: max, failures: failures} = backoff, random) do
-    # 30 doublings are more than any range of milliseconds; without the limit the number would grow for ever.
+    # 30 doublings cover any range of milliseconds; without a limit the number would grow for ever.
     ceiling = min(min * 2 ** min(failures - 1, 30), max)
     {round(ceiling / 2 + ceiling / 2 * random), %{backoff | failures: failures + 1}}
   end
 
-  @doc "After a success: the next try is at once again."
+  @doc "After a success: the next try has no wait again."
   @spec reset(t()) :: t()
   def reset(%__MODULE__{} = backoff), do: %{backoff | failures: 0}
 end

@@ -1,6 +1,6 @@
 defmodule Gnat.Command do
   @moduledoc """
-  What the client sends, as iodata.
+  The client's commands, as iodata.
 
   Subjects, reply addresses and queue groups are checked here, because a blank or a line break in one would be read as
   another command by the server.
@@ -60,7 +60,7 @@ defmodule Gnat.Command do
   @spec pong() :: iodata()
   def pong, do: "PONG\r\n"
 
-  @doc "Whether this can stand as a subject in a command: 1 to 1024 visible bytes."
+  @doc "Whether this can be a subject in a command: 1 to 1024 visible bytes."
   @spec check(term()) :: :ok | {:error, Error.t()}
   def check(subject) when is_binary(subject) and subject != "" and byte_size(subject) <= @max_subject do
     if visible?(subject), do: :ok, else: {:error, Error.new({:invalid_subject, subject})}

@@ -1,10 +1,10 @@
 defmodule Gnat.Connection do
   @moduledoc """
-  The process of one connection: reads the socket, asks `Gnat.Session` what to do and does it.
+  The process of one connection: reads the socket and executes the actions of `Gnat.Session`.
 
-  It starts with a connection that the server has accepted (`Gnat.Handshake`), so starting is quick and cannot fail
-  for reasons of the network. It stops with `{:shutdown, %Gnat.Error{}}` when the connection is lost; nothing is tried
-  again here, that is the work of `Gnat.ConnectionSupervisor`.
+  It starts with a connection that the server has accepted (`Gnat.Handshake`), so starting is quick and does
+  not depend on the network. It stops with `{:shutdown, %Gnat.Error{}}` when the connection is lost;
+  `Gnat.ConnectionSupervisor` reconnects.
   """
 
   use GenServer
@@ -13,7 +13,7 @@ defmodule Gnat.Connection do
 
   require Logger
 
-  # Publishes that wait in the mailbox are written together, this many at most.
+  # At most so many waiting publishes are written together.
   @batch 64
 
   @doc "Starts the process on an accepted connection that the caller owns, and hands it over."
@@ -37,8 +37,8 @@ defmodule Gnat.Connection do
     Process.set_label({:gnat, settings.host, settings.port})
     {session, [{:write, subscribe}]} = Session.new(info, settings.inbox_prefix)
 
-    # Before the name is of use to anybody: a request must not overtake the subscription its answer comes by. If this
-    # fails, so does activating the socket.
+    # Before anybody can use the name: a request must not overtake the subscription for its answer. If this fails,
+    # activating the socket fails too.
     _ = Transport.send(handshake.transport, subscribe)
 
     {:ok,
@@ -191,7 +191,7 @@ defmodule Gnat.Connection do
     {:ok, %{state | monitors: monitors}}
   end
 
-  # A permission refused at ten messages a second must not fill the log: the same text is logged once.
+  # The same text is logged once, so that a refused permission does not fill the log.
   defp action({:server_error, text}, state) do
     :telemetry.execute([:gnat, :server_error], %{count: 1}, %{message: text})
     if text != state.last_server_error, do: Logger.error("NATS server reports: #{text}")
@@ -207,7 +207,7 @@ defmodule Gnat.Connection do
     end
   end
 
-  # The server says why before it closes, if it can: that is the better reason. A refused permission closes nothing.
+  # If the server reported an error before it closed, that is the better reason. A refused permission closes nothing.
   defp stop(%Error{reason: :closed}, %{last_server_error: text} = state) when is_binary(text) do
     reason = if String.starts_with?(text, "Permissions Violation"), do: :closed, else: {:server, text}
     {:stop, {:shutdown, Error.new(reason)}, state}

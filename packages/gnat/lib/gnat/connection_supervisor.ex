@@ -1,6 +1,6 @@
 defmodule Gnat.ConnectionSupervisor do
   @moduledoc """
-  Keeps a connection under a name, and connects again when it is lost.
+  Keeps a connection under a name, and reconnects when it is lost.
 
       {Gnat.ConnectionSupervisor,
        %{
@@ -15,15 +15,15 @@ defmodule Gnat.ConnectionSupervisor do
   other times. Any name of a GenServer will do, `{:via, Registry, {registry, key}}` too.
 
     * `name` - required
-    * `connection_settings` - required, a list of what `Gnat.start_link/1` takes; each is tried in turn, from a
-      random one on
-    * `backoff_min`, `backoff_max` - ms, default 250 and 30000. The first try is at once; after all servers failed, the
-      waits double from min to max, with jitter (`Gnat.Backoff`). A connection that lived less than a second counts as
-      a failed try, so that a server that takes and drops clients is not asked without pause
-    * `backoff_period` - the setting of the Hex package, a constant wait; here it is both limits at once
+    * `connection_settings` - required, a list of settings for `Gnat.start_link/1`; they are tried in turn, starting at a
+      random one
+    * `backoff_min`, `backoff_max` - ms, default 250 and 30000. The first try has no wait; after all servers have failed,
+      the waits double from min to max, with jitter (`Gnat.Backoff`). A connection that lasted less than a second counts as
+      a failed try, so that a server that accepts and drops clients causes no busy loop
+    * `backoff_period` - the setting of the Hex package, a constant wait; here it sets both limits
 
-  Subscriptions belong to a connection and end with it. `Gnat.ConsumerSupervisor` makes them again; a process of its
-  own monitors the connection.
+  Subscriptions belong to a connection and end with it. `Gnat.ConsumerSupervisor` renews them; other
+  processes must monitor the connection.
 
   Telemetry: `[:gnat, :connection, :up]` (metadata `name`, `host`, `port`), `[:gnat, :connection, :down]` (`name`,
   `reason`), `[:gnat, :connection, :failed]` (`name`, `host`, `port`, `reason`; measurement `retry_in` in ms).
@@ -72,7 +72,7 @@ defmodule Gnat.ConnectionSupervisor do
 
   @impl GenServer
   def handle_info(:attempt, %{servers: [server | _]} = state) do
-    # Connecting takes its time, and this process has to be able to shut down meanwhile.
+    # Connecting takes time, and this process must be able to shut down meanwhile.
     owner = self()
 
     attempt =
@@ -101,7 +101,7 @@ defmodule Gnat.ConnectionSupervisor do
   # The task's end, or a message nobody waits for any more.
   def handle_info(_other, state), do: {:noreply, state}
 
-  # What a crash report or :sys.get_status/1 shows: no secrets.
+  # A crash report or :sys.get_status/1 shows no secrets.
   @impl GenServer
   def format_status(status) do
     Map.replace_lazy(status, :state, fn state -> %{state | servers: Enum.map(state.servers, &place/1)} end)
@@ -131,7 +131,7 @@ defmodule Gnat.ConnectionSupervisor do
   defp lost(reason, state) do
     reason = error(reason)
     :telemetry.execute([:gnat, :connection, :down], %{count: 1}, %{name: state.name, reason: reason})
-    Logger.warning("NATS: connection lost, connecting again: #{describe(reason)}")
+    Logger.warning("NATS: connection lost, reconnecting: #{describe(reason)}")
     lived = System.monotonic_time(:millisecond) - state.up_since
     backoff = if lived >= @stable_after, do: Backoff.reset(state.backoff), else: state.backoff
     schedule(%{state | backoff: backoff})
@@ -143,12 +143,12 @@ defmodule Gnat.ConnectionSupervisor do
     metadata = Map.merge(place(server), %{name: state.name, reason: reason})
     :telemetry.execute([:gnat, :connection, :failed], %{count: 1, retry_in: wait}, metadata)
 
-    # Once for each outage; telemetry has every try.
-    unless state.quiet, do: Logger.warning("NATS: #{show(server)}: #{describe(reason)}; trying on")
+    # Logged once for each outage; telemetry has every try.
+    unless state.quiet, do: Logger.warning("NATS: #{show(server)}: #{describe(reason)}; retrying")
     %{state | quiet: true}
   end
 
-  # The other servers are tried without a wait, but not all of them again.
+  # The other servers are tried without a wait, but each only once.
   defp next(%{untried: untried} = state) when untried > 0 do
     send(self(), :attempt)
     {state, 0}

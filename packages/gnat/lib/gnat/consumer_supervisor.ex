@@ -13,16 +13,16 @@ defmodule Gnat.ConsumerSupervisor do
     * `subscription_topics` - maps with `topic` and, if wanted, `queue_group`
     * `module` - a `Gnat.Server`, or `consuming_function: {module, function}`, called with the message
 
-  When the connection is lost, the subscriptions are made again on the next one; what is published in between does not
-  arrive (that is what JetStream is for). A task that crashes hurts nothing else. At a shutdown the subscriptions end
-  first, what has arrived is still handled, and the tasks are awaited; give the child a `shutdown` time to match.
+  After a loss of the connection, the subscriptions are renewed on the next one; messages published in between are lost (use
+  JetStream against that). A task that crashes affects nothing else. At a shutdown the subscriptions end first, received
+  messages are still handled, and the tasks are awaited; give the child enough `shutdown` time.
   """
 
   use GenServer
 
   require Logger
 
-  # A name is only looked up, which costs nothing.
+  # Often, because looking up a name is cheap.
   @look_again 100
 
   @type settings :: %{
@@ -85,7 +85,7 @@ defmodule Gnat.ConsumerSupervisor do
   def terminate(_reason, state) do
     Enum.each(state.sids, &Gnat.unsub(state.gnat, &1))
 
-    # After the answer to this, what the server had sent before the end of the subscriptions is in the mailbox.
+    # After this, everything that the server sent before the end of the subscriptions is in the mailbox.
     _ = Gnat.flush(state.gnat)
     drain(state)
     await_tasks(state.tasks)
@@ -100,7 +100,7 @@ defmodule Gnat.ConsumerSupervisor do
         look_again(state)
 
       {:error, error} ->
-        Logger.warning("NATS: cannot subscribe, trying on: #{Exception.message(error)}")
+        Logger.warning("NATS: cannot subscribe, retrying: #{Exception.message(error)}")
         look_again(state)
     end
   end

@@ -13,7 +13,7 @@ defmodule Gnat.Credentials do
 
   alias Gnat.{Error, Nkey}
 
-  # A JWT with hundreds of permissions has some tens of KiB; more is some other file.
+  # A JWT with hundreds of permissions has some tens of KiB; a larger file is something else.
   @max_bytes 1_048_576
 
   @type t :: %{jwt: String.t(), nkey_seed: String.t()}

@@ -1,17 +1,17 @@
 defmodule Gnat.Error do
   @moduledoc """
-  What went wrong, as a value that can be matched (`reason`) and read (`Exception.message/1`).
+  An error as a value that can be matched (`reason`) and read (`Exception.message/1`).
 
   | `reason` | when |
   |---|---|
   | `:not_connected` | there is no connection process behind this name or pid |
   | `:closed` | the server or the network closed the connection |
-  | `:unresponsive` | nothing was heard from the server, not even the answer to a PING |
+  | `:unresponsive` | the server sent nothing, not even the answer to a PING |
   | `:timeout` | no answer within the time allowed |
   | `{:connect, posix}` | the TCP connection could not be made |
   | `{:transport, posix}` | reading from or writing to the connection failed |
   | `{:tls, reason}` | the TLS handshake failed |
-  | `:tls_not_offered` | TLS was demanded and the server has none |
+  | `:tls_not_offered` | TLS is required and the server has none |
   | `{:auth, text}` | the server refused the credentials |
   | `{:credentials, text}` | the seed, the token or the credentials file cannot be used |
   | `{:server, text}` | another error reported by the server |
@@ -51,7 +51,7 @@ defmodule Gnat.Error do
   defp text(:closed), do: "the NATS server closed the connection"
   defp text(:unresponsive), do: "the NATS server does not answer to PING"
   defp text(:timeout), do: "no answer in time"
-  defp text(:tls_not_offered), do: "TLS is demanded (tls: true) but the NATS server does not offer it"
+  defp text(:tls_not_offered), do: "TLS is required (tls: true) but the NATS server does not offer it"
   defp text(:headers_not_supported), do: "the NATS server does not support headers"
   defp text({:connect, reason}), do: "cannot connect to the NATS server: #{posix(reason)}"
   defp text({:transport, reason}), do: "the connection to the NATS server failed: #{posix(reason)}"

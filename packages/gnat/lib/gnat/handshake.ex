@@ -1,7 +1,7 @@
 defmodule Gnat.Handshake do
   @moduledoc """
-  From settings to a connection the server has accepted: TCP, INFO, TLS, CONNECT with the credentials, and a PING whose
-  PONG says that the server took them. All of it within `connection_timeout`, in the calling process.
+  Connects and logs in: TCP, INFO, TLS, CONNECT with the credentials, and a PING whose PONG shows that the server accepted
+  them. All of it within `connection_timeout`, in the calling process.
   """
 
   alias Gnat.{Auth, Command, Error, Parsec, Settings, Transport}
@@ -26,7 +26,7 @@ defmodule Gnat.Handshake do
     end
   end
 
-  # A failed upgrade has closed its socket; from then on the newest transport is the one to close.
+  # A failed upgrade has closed its socket; afterwards the newest transport must be closed.
   defp secure(transport, settings, deadline) do
     with {:ok, transport} <- tls_first(transport, settings, deadline),
          {:ok, info, parser} <- info(transport, deadline),
@@ -74,7 +74,7 @@ defmodule Gnat.Handshake do
       not (settings.tls or info[:tls_required] == true) ->
         {:ok, transport}
 
-      # Bytes behind a plain INFO could come from anybody; they must not be taken for the server's, read inside TLS.
+      # Bytes behind a plain INFO could come from anybody; they must not be treated as if they came through TLS.
       not Parsec.empty?(parser) ->
         close(transport, Error.new({:protocol, "bytes between INFO and TLS"}))
 

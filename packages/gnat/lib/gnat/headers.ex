@@ -2,9 +2,9 @@ defmodule Gnat.Headers do
   @moduledoc """
   The header block of a message: `NATS/1.0[ status[ description]]`, then `Name: value` lines.
 
-  Sending is strict, because a line break inside a value would forge headers. Receiving is lenient: the server passes
-  on what another client made up, and one such message must not cost this client its connection. A line without a
-  colon is left out. Names come in lower case, values without blanks around them.
+  Sending is strict, because a line break inside a value would forge headers. Receiving is lenient: the server forwards
+  any client's headers, and a bad one must not cost this client its connection. A line without a colon is skipped.
+  Names are in lower case, values without surrounding blanks.
   """
 
   @version "NATS/1.0"

@@ -10,8 +10,8 @@ defmodule Gnat.Jetstream do
   alias Gnat.Jetstream.API.Util
 
   @typedoc """
-  The server has stored the message in `stream` as number `seq`. `duplicate`: it had it already (by its message id) and
-  did not store it again; `seq` is that of the first one.
+  The server has stored the message in `stream` as number `seq`. With `duplicate` it already had a message of that id; `seq` is
+  the number of that one.
   """
   @type pub_ack :: %{
           stream: String.t(),
@@ -35,12 +35,12 @@ defmodule Gnat.Jetstream do
 
     * `msg_id` - a second message with the same id within the stream's duplicate window is not stored (`Nats-Msg-Id`)
     * `expected_last_subject_seq` - only if the last message of this subject has that sequence, 0 for none
-    * `expected_last_seq`, `expected_last_msg_id`, `expected_stream` - the same about the stream
+    * `expected_last_seq`, `expected_last_msg_id`, `expected_stream` - the same for the stream
     * `ttl` - how long to keep it, like `"10s"`, in streams that allow it
     * `headers`, `timeout` (ms, default 5000)
 
-  The server's refusal is a map with `"code"`, `"err_code"` (10071: a wrong last sequence) and `"description"`;
-  `:no_responders` or `:timeout` says that no stream takes the subject, or that JetStream is off.
+  A refusal by the server is a map with `"code"`, `"err_code"` (10071: a wrong last sequence) and `"description"`;
+  `:no_responders` or `:timeout` mean that no stream has the subject, or that JetStream is off.
   """
   @spec publish(Gnat.t(), String.t(), iodata(), [publish_option()]) ::
           {:ok, pub_ack()} | {:error, Util.api_error() | :timeout | :no_responders | Error.t()}
@@ -70,11 +70,11 @@ defmodule Gnat.Jetstream do
 
   defp pub_ack(_other), do: {:error, Error.new({:protocol, "the answer to a publish is no acknowledgement"})}
 
-  @doc "The message is dealt with."
+  @doc "Acknowledges a message."
   @spec ack(Gnat.message()) :: :ok | {:error, String.t() | Error.t()}
   def ack(message), do: acknowledge(message, "", [])
 
-  @doc "Like `ack/1`, and waits until the server knows."
+  @doc "Like `ack/1`, but waits until the server has the acknowledgement."
   @spec ack_sync(Gnat.message(), timeout()) ::
           :ok | {:error, String.t() | :timeout | :no_responders | Error.t()}
   def ack_sync(message, timeout \\ 5_000)
@@ -85,19 +85,19 @@ defmodule Gnat.Jetstream do
 
   def ack_sync(message, _timeout), do: acknowledge(message, "", [])
 
-  @doc "Dealt with, and the next one (of a pull consumer) is wanted on `consumer_subject`."
+  @doc "Acknowledges a message and requests the next one (of a pull consumer) at `consumer_subject`."
   @spec ack_next(Gnat.message(), String.t()) :: :ok | {:error, String.t() | Error.t()}
   def ack_next(message, consumer_subject), do: acknowledge(message, "+NXT", reply_to: consumer_subject)
 
-  @doc "Not dealt with: deliver it again."
+  @doc "Asks for the message to be delivered again."
   @spec nack(Gnat.message()) :: :ok | {:error, String.t() | Error.t()}
   def nack(message), do: acknowledge(message, "-NAK", [])
 
-  @doc "Still at it: the time to acknowledge begins anew."
+  @doc "Still in progress: the time to acknowledge starts again."
   @spec ack_progress(Gnat.message()) :: :ok | {:error, String.t() | Error.t()}
   def ack_progress(message), do: acknowledge(message, "+WPI", [])
 
-  @doc "Cannot be dealt with: never deliver it again."
+  @doc "The message cannot be handled: never deliver it again."
   @spec ack_term(Gnat.message()) :: :ok | {:error, String.t() | Error.t()}
   def ack_term(message), do: acknowledge(message, "+TERM", [])
 

@@ -50,6 +50,28 @@ defmodule Gnat.Nkey do
   @spec sign(t(), binary()) :: binary()
   def sign(%__MODULE__{secret: secret}, bytes), do: :crypto.sign(:eddsa, :none, bytes, [secret, :ed25519])
 
+  @doc "The purpose and the 32 public bytes of a public key (`U...`)."
+  @spec from_public(String.t()) :: {:ok, purpose(), <<_::256>>} | {:error, Error.t()}
+  def from_public(text) when is_binary(text) do
+    with {:ok, bytes} <- unbase32(String.trim(text)),
+         {:ok, <<prefix, public::binary-size(32)>>} <- check_crc(bytes),
+         purpose when purpose != nil <- @purpose_of[prefix] do
+      {:ok, purpose, public}
+    else
+      {:error, why} -> {:error, Error.new({:credentials, "not a public nkey: #{why}"})}
+      _other -> {:error, Error.new({:credentials, "not a public nkey: it is of another kind"})}
+    end
+  end
+
+  def from_public(_other), do: {:error, Error.new({:credentials, "a public nkey is a text such as U..."})}
+
+  @doc "Whether a signature of some bytes was made with the secret half of a public key."
+  @spec verify(public :: <<_::256>>, bytes :: binary(), signature :: binary()) :: boolean()
+  def verify(public, bytes, signature) when byte_size(signature) == 64,
+    do: :crypto.verify(:eddsa, :none, bytes, signature, [public, :ed25519])
+
+  def verify(_public, _bytes, _other), do: false
+
   defp build(purpose, secret) do
     {public, _secret} = :crypto.generate_key(:eddsa, :ed25519, secret)
     %__MODULE__{purpose: purpose, public: base32(<<@purposes[purpose], public::binary>>), secret: secret}

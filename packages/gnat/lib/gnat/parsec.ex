@@ -1,19 +1,20 @@
 defmodule Gnat.Parsec do
+  @max_line 65_536
+
   @moduledoc """
-  What the server sends, read incrementally: push bytes in any split, get whole messages.
+  Parses what the server sends: takes bytes in any chunks, returns whole messages.
 
-  A value without a process. It is total (garbage is an error, never an exception) and bounded (a control line of at
-  most #{div(65_536, 1024)} KiB, a body of at most `:max_body` bytes). After an error it is of no more use: NATS has no way to
-  find the start of the next message, so the connection has to be closed.
+  A value, not a process. Garbage is an error, never an exception, and what it keeps is bounded (a control line of at
+  most #{div(@max_line, 1024)} KiB, a body of at most `:max_body` bytes). After an error the connection must be closed,
+  because the start of the next message cannot be found.
 
-  Three ways through: whole lines and bodies inside one read (the usual case, bodies are parts of the bytes read); a
-  line cut off at the end of a read (kept, and searched on only where it has not been searched yet); a body not all
-  there (its pieces are collected and put together once, so that a body in n reads costs n steps and not n^2).
+  There are three cases: whole lines and bodies inside one read (the usual case; bodies are parts of the bytes read); a line
+  cut off at the end of a read (it is kept, and only its new part is searched); an incomplete body (its pieces are
+  collected and joined once, so that a body in n reads costs n steps and not n^2).
   """
 
   alias Gnat.{Headers, ServerInfo}
 
-  @max_line 65_536
   # The largest max_payload that nats-server can be configured with, and room for headers.
   @max_body 64 * 1024 * 1024 + 65_536
 

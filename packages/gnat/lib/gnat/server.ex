@@ -1,6 +1,6 @@
 defmodule Gnat.Server do
   @moduledoc """
-  A behaviour for what answers requests, run by `Gnat.ConsumerSupervisor`.
+  A behaviour for modules that answer requests, run by `Gnat.ConsumerSupervisor`.
 
       defmodule MyApp.Echo do
         use Gnat.Server
@@ -12,12 +12,11 @@ defmodule Gnat.Server do
 
   require Logger
 
-  @doc "A message came: `:ok`, an answer to its `reply_to`, or an error."
+  @doc "Handles a message: returns `:ok`, an answer for its `reply_to`, or an error."
   @callback request(Gnat.message()) :: :ok | {:reply, iodata()} | {:error, term()}
 
   @doc """
-  `request/1` gave an error, something it must not, or an exception; that is the second argument. Without one of its
-  own a server logs it.
+  Handles an error, an invalid result or an exception of `request/1` (the second argument). The default logs it.
   """
   @callback error(Gnat.message(), term()) :: :ok | {:reply, iodata()}
 

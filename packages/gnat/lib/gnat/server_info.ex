@@ -1,7 +1,7 @@
 defmodule Gnat.ServerInfo do
   @moduledoc """
-  The INFO message of the server as a map with the atom keys below; fields this list does not know are left out, so
-  that nothing a server sends becomes a new atom.
+  The INFO message of the server as a map with the atom keys below. Unknown fields are left out, so that nothing from a server
+  becomes a new atom.
   """
 
   @fields ~w(auth_required client_id client_ip cluster cluster_dynamic connect_urls domain git_commit go headers host ip
@@ -10,7 +10,7 @@ defmodule Gnat.ServerInfo do
 
   @by_name Map.new(@fields, &{Atom.to_string(&1), &1})
 
-  # What the client computes with; the rest is only shown.
+  # The fields that the client uses; the others are only shown.
   @integers ~w(max_payload proto)a
   @booleans ~w(auth_required headers tls_available tls_required)a
 

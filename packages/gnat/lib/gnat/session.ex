@@ -1,8 +1,8 @@
 defmodule Gnat.Session do
   @moduledoc """
-  What a connection knows and decides, without the connection: subscriptions, waiting requests, the pulse.
+  The state and decisions of a connection, without the connection: subscriptions, waiting requests, liveness.
 
-  `handle/2` takes something that happened and gives the new session and a list of actions for the process around it:
+  `handle/2` takes an event and returns the new session and actions for the connection's process:
 
     * `{:write, iodata}` to the server
     * `{:send, to, message}` to a process or an alias
@@ -14,7 +14,7 @@ defmodule Gnat.Session do
 
   alias Gnat.{Command, Error}
 
-  # The subscription that all answers to requests come through.
+  # The subscription for all answers to requests.
   @inbox_sid 0
 
   @enforce_keys [:info, :inbox]
@@ -96,7 +96,7 @@ defmodule Gnat.Session do
     {session, inbox, actions}
   end
 
-  @doc "Something happened: the new session and what to do."
+  @doc "Handles an event: returns the new session and actions."
   @spec handle(t(), event()) :: {t(), [action()]}
   def handle(session, {:message, message}), do: message(session, message)
 
@@ -134,7 +134,7 @@ defmodule Gnat.Session do
     {%{session | pongs: :queue.in(from, session.pongs)}, [{:write, Command.ping()}]}
   end
 
-  # Its process has ended, and with it its subscriptions and requests.
+  # A process has ended, and with it its subscriptions and requests.
   def handle(session, {:down, pid}) do
     {mine, owned} = Map.pop(session.owned, pid, MapSet.new())
     {sids, inboxes} = mine |> MapSet.to_list() |> Enum.split_with(&is_integer/1)
@@ -145,7 +145,7 @@ defmodule Gnat.Session do
 
   def handle(session, :heard), do: {%{session | heard: true}, []}
 
-  # A server is dead if it owes a PONG and has sent nothing since the last tick. A slow connection that still moves is not.
+  # A server is dead if it owes a PONG and has sent nothing since the last tick; a slow connection is not.
   def handle(session, :tick) do
     cond do
       session.heard and :queue.is_empty(session.pongs) ->
@@ -191,7 +191,7 @@ defmodule Gnat.Session do
     end
   end
 
-  # A message of a subscription that has just ended is still on its way when UNSUB is sent: not an error.
+  # A message may still be on its way when UNSUB is sent: not an error.
   defp deliver(session, sid, message) do
     case session.subs do
       %{^sid => %{pid: pid, received: received, max: max} = sub} ->

@@ -1,15 +1,15 @@
 defmodule Gnat.Transport do
+  @active 100
+
   @moduledoc """
   A TCP or TLS connection as one value.
 
-  Passive while it is made (`recv/2` with a deadline), then switched to messages with `activate/1`. Messages come in
-  batches of at most #{100} reads before the socket asks again, so a server that sends faster than this process works is slowed
-  down by TCP instead of filling the mailbox. Sending never blocks for longer than the settings' `send_timeout`.
+  Passive while connecting (`recv/2` with a deadline), then switched to messages with `activate/1`. Messages come in
+  batches of at most #{@active} reads before the socket asks again, so that TCP slows a fast server down instead of filling the
+  mailbox. Sending never blocks for longer than the settings' `send_timeout`.
   """
 
   alias Gnat.Error
-
-  @active 100
 
   @enforce_keys [:kind, :socket]
   defstruct @enforce_keys
@@ -31,7 +31,7 @@ defmodule Gnat.Transport do
     end
   end
 
-  @doc "Makes it a TLS connection. `ssl_opts` wins over the defaults: the system's authorities, the host's name checked."
+  @doc "Upgrades to TLS. `ssl_opts` override the defaults: the system's authorities, and a check of the host's name."
   @spec upgrade(t(), Gnat.Settings.t(), deadline()) :: {:ok, t()} | {:error, Error.t()}
   def upgrade(%__MODULE__{kind: :tcp, socket: socket}, settings, deadline) do
     with {:ok, opts} <- tls_opts(settings) do
@@ -43,79 +43,61 @@ defmodule Gnat.Transport do
   end
 
   @spec send(t(), iodata()) :: :ok | {:error, Error.t()}
-  def send(%__MODULE__{kind: :tcp, socket: socket}, iodata) do
-    with {:error, reason} <- :gen_tcp.send(socket, iodata), do: failed(reason)
-  end
-
-  def send(%__MODULE__{kind: :tls, socket: socket}, iodata) do
-    with {:error, reason} <- :ssl.send(socket, iodata), do: failed(reason)
+  def send(%__MODULE__{kind: kind, socket: socket}, iodata) do
+    with {:error, reason} <- module(kind).send(socket, iodata), do: failed(reason)
   end
 
   @doc "Reads what has arrived, or arrives before the deadline."
   @spec recv(t(), deadline()) :: {:ok, binary()} | {:error, Error.t()}
-  def recv(%__MODULE__{kind: :tcp, socket: socket}, deadline) do
-    with {:error, reason} <- :gen_tcp.recv(socket, 0, left(deadline)), do: failed(reason)
-  end
-
-  def recv(%__MODULE__{kind: :tls, socket: socket}, deadline) do
-    with {:error, reason} <- :ssl.recv(socket, 0, left(deadline)), do: failed(reason)
+  def recv(%__MODULE__{kind: kind, socket: socket}, deadline) do
+    with {:error, reason} <- module(kind).recv(socket, 0, left(deadline)), do: failed(reason)
   end
 
   @spec close(t()) :: :ok
-  def close(%__MODULE__{kind: :tcp, socket: socket}), do: :gen_tcp.close(socket)
-
-  def close(%__MODULE__{kind: :tls, socket: socket}) do
-    _ = :ssl.close(socket)
+  def close(%__MODULE__{kind: kind, socket: socket}) do
+    _ = module(kind).close(socket)
     :ok
   end
 
   @doc "Gives the connection to another process; only while it is passive."
   @spec give(t(), pid()) :: :ok | {:error, Error.t()}
-  def give(%__MODULE__{kind: :tcp, socket: socket}, pid) do
-    with {:error, reason} <- :gen_tcp.controlling_process(socket, pid), do: failed(reason)
-  end
-
-  def give(%__MODULE__{kind: :tls, socket: socket}, pid) do
-    with {:error, reason} <- :ssl.controlling_process(socket, pid), do: failed(reason)
+  def give(%__MODULE__{kind: kind, socket: socket}, pid) do
+    with {:error, reason} <- module(kind).controlling_process(socket, pid), do: failed(reason)
   end
 
   @spec activate(t()) :: :ok | {:error, Error.t()}
-  def activate(%__MODULE__{kind: :tcp, socket: socket}) do
-    with {:error, reason} <- :inet.setopts(socket, active: @active), do: failed(reason)
+  def activate(%__MODULE__{kind: kind, socket: socket}) do
+    options = if kind == :tcp, do: :inet, else: :ssl
+    with {:error, reason} <- options.setopts(socket, active: @active), do: failed(reason)
   end
 
-  def activate(%__MODULE__{kind: :tls, socket: socket}) do
-    with {:error, reason} <- :ssl.setopts(socket, active: @active), do: failed(reason)
-  end
+  defp module(:tcp), do: :gen_tcp
+  defp module(:tls), do: :ssl
 
   @doc "Reads a message of the process as one of this connection's, if it is one."
   @spec message(t(), term()) :: {:data, binary()} | :passive | {:closed, Error.t()} | :unknown
-  def message(%__MODULE__{kind: :tcp, socket: socket}, message) do
-    case message do
-      {:tcp, ^socket, data} -> {:data, data}
-      {:tcp_passive, ^socket} -> :passive
-      {:tcp_closed, ^socket} -> {:closed, Error.new(:closed)}
-      {:tcp_error, ^socket, reason} -> {:closed, Error.new({:transport, reason})}
+  def message(%__MODULE__{kind: kind, socket: socket}, message) when elem(message, 1) == socket do
+    case {kind, message} do
+      {:tcp, {:tcp, _, data}} -> {:data, data}
+      {:tls, {:ssl, _, data}} -> {:data, data}
+      {:tcp, {:tcp_passive, _}} -> :passive
+      {:tls, {:ssl_passive, _}} -> :passive
+      {:tcp, {:tcp_closed, _}} -> {:closed, Error.new(:closed)}
+      {:tls, {:ssl_closed, _}} -> {:closed, Error.new(:closed)}
+      {:tcp, {:tcp_error, _, reason}} -> {:closed, Error.new({:transport, reason})}
+      {:tls, {:ssl_error, _, reason}} -> {:closed, Error.new({:transport, reason})}
       _other -> :unknown
     end
   end
 
-  def message(%__MODULE__{kind: :tls, socket: socket}, message) do
-    case message do
-      {:ssl, ^socket, data} -> {:data, data}
-      {:ssl_passive, ^socket} -> :passive
-      {:ssl_closed, ^socket} -> {:closed, Error.new(:closed)}
-      {:ssl_error, ^socket, reason} -> {:closed, Error.new({:transport, reason})}
-      _other -> :unknown
-    end
-  end
+  def message(_transport, _message), do: :unknown
 
   defp failed(:closed), do: {:error, Error.new(:closed)}
   defp failed(:timeout), do: {:error, Error.new(:timeout)}
   defp failed({:tls_alert, _} = alert), do: {:error, Error.new({:tls, alert})}
   defp failed(reason), do: {:error, Error.new({:transport, reason})}
 
-  # A name that has no IPv4 address may have an IPv6 one.
+  # A name without an IPv4 address may have an IPv6 one.
   defp tcp(address, settings, deadline) do
     opts = tcp_opts(settings)
 
@@ -162,15 +144,21 @@ defmodule Gnat.Transport do
   defp family(_address), do: []
 
   defp tls_opts(%{ssl_opts: given, host: host}) do
-    # A refusal is returned as an error; :ssl need not log it as well.
+    # A refusal is returned as an error, so :ssl need not log it.
     opts = Keyword.merge([{:log_level, :error} | name_opts(address(host))], given)
     trust = [:verify, :cacerts, :cacertfile]
 
-    if Enum.any?(trust, &Keyword.has_key?(opts, &1)) do
-      {:ok, opts}
-    else
-      {:ok, [verify: :verify_peer, cacerts: :public_key.cacerts_get()] ++ opts}
-    end
+    if Enum.any?(trust, &Keyword.has_key?(opts, &1)),
+      do: {:ok, opts},
+      else:
+        with(
+          {:ok, authorities} <- authorities(),
+          do: {:ok, [verify: :verify_peer, cacerts: authorities] ++ opts}
+        )
+  end
+
+  defp authorities do
+    {:ok, :public_key.cacerts_get()}
   rescue
     _no_store in [ErlangError, MatchError, FunctionClauseError] ->
       {:error,

@@ -24,7 +24,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
   end
 
   describe "consumers" do
-    test "durable: created, told about, listed, deleted", %{gnat: gnat, stream: stream} do
+    test "durable: created, described, listed, deleted", %{gnat: gnat, stream: stream} do
       consumer = %Consumer{
         stream_name: stream,
         durable_name: "d",
@@ -65,7 +65,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
       assert {:error, %{"code" => 404}} = Consumer.list(gnat, "nowhere")
     end
 
-    test "what cannot be is refused here", %{gnat: gnat, stream: stream} do
+    test "invalid configurations are refused locally", %{gnat: gnat, stream: stream} do
       good = %Consumer{stream_name: stream}
 
       for {consumer, text} <- [
@@ -96,7 +96,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
        next: fn opts -> Consumer.request_next_message(gnat, stream, "d", "inbox." <> stream, nil, opts) end}
     end
 
-    test "delivers messages that say where they are", %{gnat: gnat, stream: stream, next: next} do
+    test "delivers messages with their position", %{gnat: gnat, stream: stream, next: next} do
       publish(gnat, stream, [1, 2])
       :ok = next.(batch: 2)
       assert_receive {:msg, %{body: "1"} = first}
@@ -136,19 +136,19 @@ defmodule Gnat.Jetstream.ConsumerTest do
       end)
     end
 
-    test "with no_wait says that there is nothing", %{next: next} do
+    test "with no_wait reports that there is no message", %{next: next} do
       :ok = next.(no_wait: true)
       assert_receive {:msg, %{status: "404", body: ""}}
     end
 
-    test "with expires says when it ran out, with heartbeats before", %{next: next} do
+    test "with expires reports the end, with heartbeats before", %{next: next} do
       :ok = next.(expires: 400_000_000, idle_heartbeat: 100_000_000)
       assert_receive {:msg, %{status: "100"}}
       assert_receive {:msg, %{status: "408"}}
     end
   end
 
-  test "what has no reply address cannot be acknowledged", %{gnat: gnat} do
+  test "a message without a reply address cannot be acknowledged", %{gnat: gnat} do
     message = %{topic: "a", body: "", reply_to: nil, gnat: gnat}
 
     for ack <- [:ack, :nack, :ack_progress, :ack_term, :ack_sync] do
@@ -166,7 +166,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
       assert {:ok, %{domain: nil, consumer: "c", num_pending: 4}} = Message.metadata(%{reply_to: subject})
     end
 
-    test "of what is none is an error" do
+    test "of an invalid address is an error" do
       for {reply_to, reason} <- [
             {nil, :no_jetstream_message},
             {"_INBOX.a", :no_jetstream_message},
@@ -181,7 +181,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
   end
 
   describe "the pager" do
-    test "reads what there is, from where it is told", %{gnat: gnat, stream: stream} do
+    test "reads the present messages, from the given position", %{gnat: gnat, stream: stream} do
       assert {:ok, []} = read(gnat, stream, [])
       publish(gnat, stream, 1..25)
       all = Enum.map(1..25, &"#{&1}")
@@ -207,7 +207,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
       assert :ok = Pager.cleanup(pager)
     end
 
-    test "ends where the end was when it began", %{gnat: gnat, stream: stream} do
+    test "ends at the message that was the last one at the start", %{gnat: gnat, stream: stream} do
       publish(gnat, stream, 1..3)
 
       assert {:ok, 3} =

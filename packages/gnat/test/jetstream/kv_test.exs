@@ -59,7 +59,7 @@ defmodule Gnat.Jetstream.KVTest do
       assert {:error, %{"code" => 404}} = KV.info(gnat, bucket)
     end
 
-    test "with a name that cannot be are refused", %{gnat: gnat} do
+    test "with an invalid name are refused", %{gnat: gnat} do
       for name <- ["a.b", "", "a b", "*", nil] do
         assert {:error, text} = KV.create_bucket(gnat, name)
         assert text =~ "bucket name"
@@ -83,14 +83,14 @@ defmodule Gnat.Jetstream.KVTest do
       assert {:ok, %{state: %{messages: 1}}} = KV.info(gnat, bucket)
     end
 
-    test "may be any bytes, none too", %{gnat: gnat, bucket: bucket} do
+    test "may be any bytes, or empty", %{gnat: gnat, bucket: bucket} do
       for value <- ["", <<0, 255>>, "ü", :binary.copy("x", 100_000)] do
         assert :ok = KV.put_value(gnat, bucket, "v", value)
         assert KV.get_value(gnat, bucket, "v") == value
       end
     end
 
-    test "of keys that are none are refused", %{gnat: gnat, bucket: bucket} do
+    test "of invalid keys are refused", %{gnat: gnat, bucket: bucket} do
       for key <- [
             "",
             ".",
@@ -111,7 +111,7 @@ defmodule Gnat.Jetstream.KVTest do
       end
     end
 
-    test "in a bucket that is not there are errors", %{gnat: gnat} do
+    test "in a missing bucket are errors", %{gnat: gnat} do
       assert {:error, :no_responders} = KV.put_value(gnat, "nowhere", "a", "b")
       assert {:error, %{"code" => 404}} = KV.get_value(gnat, "nowhere", "a")
       assert {:error, %{"code" => 404}} = KV.contents(gnat, "nowhere")
@@ -154,7 +154,7 @@ defmodule Gnat.Jetstream.KVTest do
       assert {:error, :not_found} = KV.get_entry(gnat, bucket, "k")
     end
 
-    test "create_key writes where nothing is", %{gnat: gnat, bucket: bucket} do
+    test "create_key writes only a key without a value", %{gnat: gnat, bucket: bucket} do
       assert :ok = KV.create_key(gnat, bucket, "k", "1")
       assert {:error, :wrong_revision} = KV.create_key(gnat, bucket, "k", "2")
       assert :ok = KV.delete_key(gnat, bucket, "k")
@@ -179,7 +179,7 @@ defmodule Gnat.Jetstream.KVTest do
   end
 
   describe "watch" do
-    test "tells what is there and every change", %{gnat: gnat, bucket: bucket} do
+    test "reports present values and every change", %{gnat: gnat, bucket: bucket} do
       :ok = KV.put_value(gnat, bucket, "a", "1")
       :ok = KV.put_value(gnat, bucket, "a", "2")
       {:ok, watcher} = KV.watch(gnat, bucket, tell(self()))
@@ -205,7 +205,7 @@ defmodule Gnat.Jetstream.KVTest do
       assert got == Enum.to_list(1..1_000)
     end
 
-    test "of a bucket that is not there is an error, and no exit", %{gnat: gnat} do
+    test "of a missing bucket is an error, not an exit", %{gnat: gnat} do
       assert {:error, %{"code" => 404}} = KV.watch(gnat, "nowhere", tell(self()))
 
       assert {:error, %Error{reason: :not_connected}} =
@@ -226,7 +226,7 @@ defmodule Gnat.Jetstream.KVTest do
       KV.unwatch(watcher)
     end
 
-    test "begins anew with a bucket that was made anew", %{gnat: gnat, bucket: bucket} do
+    test "starts over with a bucket that was created again", %{gnat: gnat, bucket: bucket} do
       {:ok, watcher} =
         KV.Watcher.start_link(conn: gnat, bucket_name: bucket, handler: tell(self()), idle_heartbeat: 100)
 
@@ -241,18 +241,7 @@ defmodule Gnat.Jetstream.KVTest do
 
     test "goes on after kill -9 of the server, without a gap and without a repetition" do
       server = start_supervised!({NatsServer, jetstream: true}, id: :killed)
-      name = :"#{unique("gnat")}"
-      telemetry([:gnat, :connection, :up])
-
-      settings = %{
-        name: name,
-        connection_settings: [NatsServer.settings(server)],
-        backoff_min: 5,
-        backoff_max: 20
-      }
-
-      start_supervised!({Gnat.ConnectionSupervisor, settings})
-      assert_receive {:telemetry, _, _, %{name: ^name}}
+      name = supervised_connection(server)
       {:ok, _} = KV.create_bucket(name, "b", history: 10)
       {:ok, watcher} = KV.watch(name, "b", tell(self()))
       :ok = KV.put_value(name, "b", "a", "1")
@@ -260,7 +249,7 @@ defmodule Gnat.Jetstream.KVTest do
 
       :ok = NatsServer.kill(server)
       :ok = NatsServer.start(server)
-      assert_receive {:telemetry, _, _, %{name: ^name}}
+      assert_receive {:telemetry, [:gnat, :connection, :up], _, %{name: ^name}}
       for n <- 2..4, do: :ok = KV.put_value(name, "b", "a", "#{n}")
       assert ["2", "3", "4"] = for(_ <- 2..4, do: receive(do: ({:key_added, "a", value} -> value)))
       refute_received {:key_added, _, _}

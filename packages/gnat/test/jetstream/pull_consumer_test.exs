@@ -66,18 +66,7 @@ defmodule Gnat.Jetstream.PullConsumerTest do
 
   setup do
     server = start_supervised!({NatsServer, jetstream: true})
-    name = :"#{unique("gnat")}"
-    for event <- [:up, :down], do: telemetry([:gnat, :connection, event])
-
-    settings = %{
-      name: name,
-      connection_settings: [NatsServer.settings(server)],
-      backoff_min: 5,
-      backoff_max: 20
-    }
-
-    start_supervised!({Gnat.ConnectionSupervisor, settings})
-    up(name)
+    name = supervised_connection(server)
     stream = unique("S")
     {:ok, _} = Stream.create(name, %Stream{name: stream, subjects: [stream]})
     {:ok, _} = Consumer.create(name, %Consumer{stream_name: stream, durable_name: "d"})
@@ -142,7 +131,7 @@ defmodule Gnat.Jetstream.PullConsumerTest do
     assert_receive {:message, "after", _, _}
   end
 
-  test "makes its consumer anew when it was deleted", %{name: name, stream: stream} do
+  test "creates its consumer again after its deletion", %{name: name, stream: stream} do
     consumer = %Consumer{stream_name: stream, durable_name: "own", inactive_threshold: 10_000_000_000}
 
     options = [
@@ -154,7 +143,7 @@ defmodule Gnat.Jetstream.PullConsumerTest do
 
     start_supervised!({Forward, {self(), options}})
     assert_receive {:connected, "own"}
-    # Its request is with the server, or the deletion would find nobody to tell.
+    # Its request has reached the server, so the server reports the deletion.
     assert_receive {:status, "100"}
     :ok = Consumer.delete(name, stream, "own")
     assert_receive {:connected, "own"}
@@ -179,7 +168,7 @@ defmodule Gnat.Jetstream.PullConsumerTest do
     %{name: name, stream: stream, options: options} = c
     telemetry([:gnat, :jetstream, :pull_consumer, :heartbeat_expired])
     {:ok, _} = Gnat.sub(name, self(), "$JS.ACK.#{stream}.d.>")
-    start_supervised!({Forward, {self(), options ++ [request_expires: 200_000_000]}})
+    start_supervised!({Forward, {self(), options ++ [request_expires: 4_000_000_000]}})
     assert_receive {:connected, "d"}
 
     for body <- ["a", "b"] do

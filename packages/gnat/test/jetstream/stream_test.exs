@@ -19,7 +19,7 @@ defmodule Gnat.Jetstream.StreamTest do
   end
 
   describe "streams" do
-    test "are created with what was asked and told about", %{gnat: gnat, name: name, stream: stream} do
+    test "are created as configured, and described", %{gnat: gnat, name: name, stream: stream} do
       stream = %{
         stream
         | storage: :memory,
@@ -40,7 +40,7 @@ defmodule Gnat.Jetstream.StreamTest do
       assert {:ok, %{config: ^config}} = Stream.info(gnat, name)
     end
 
-    test "can be created twice the same, not twice differently", %{gnat: gnat, stream: stream} do
+    test "can be created twice with the same configuration, not with another", %{gnat: gnat, stream: stream} do
       assert {:ok, _} = Stream.create(gnat, stream)
       assert {:ok, _} = Stream.create(gnat, stream)
 
@@ -89,11 +89,11 @@ defmodule Gnat.Jetstream.StreamTest do
 
       assert {:error, %{"code" => 404}} = Stream.get_message(gnat, name, %{seq: 9})
 
-      assert {:error, "a message is got by" <> _} =
+      assert {:error, "expected either `seq` or `last_by_subj`" <> _} =
                Stream.get_message(gnat, name, %{seq: 1, last_by_subj: topic})
     end
 
-    test "with names or subjects that cannot be are refused here", %{gnat: gnat, stream: stream} do
+    test "with invalid names or subjects are refused locally", %{gnat: gnat, stream: stream} do
       for name <- ["a.b", "a b", "a*", "a>", "", "a\r\nPUB x 0\r\n"] do
         assert {:error, text} = Stream.create(gnat, %{stream | name: name})
         assert text =~ "name"
@@ -139,11 +139,11 @@ defmodule Gnat.Jetstream.StreamTest do
       assert {:error, %{"code" => 400}} = Jetstream.publish(gnat, topic, "z", expected_last_msg_id: "1")
     end
 
-    test "where no stream listens is an error", %{gnat: gnat} do
+    test "without a stream is an error", %{gnat: gnat} do
       assert {:error, :no_responders} = Jetstream.publish(gnat, "no.stream.here", "x", timeout: 1_000)
     end
 
-    test "where somebody else answers is an error", %{gnat: gnat} do
+    test "is an error if another program answers", %{gnat: gnat} do
       topic = unique("impostor")
 
       {:ok, _} =

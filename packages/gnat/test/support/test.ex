@@ -1,7 +1,9 @@
 defmodule Gnat.Test do
   @moduledoc "Helpers of the tests."
 
-  @doc "Polls a fact of the operating system that nobody announces, as long as no idle machine needs."
+  import ExUnit.Assertions
+
+  @doc "Polls until a condition is true, for facts that send no message; the limit only guards against hanging."
   def eventually(check, deadline \\ System.monotonic_time(:millisecond) + 60_000) do
     cond do
       result = check.() ->
@@ -18,7 +20,28 @@ defmodule Gnat.Test do
     end
   end
 
-  @doc "A name nothing else uses, fit for subjects, streams and buckets."
+  @doc """
+  Starts a supervised connection to a server under a new name, and waits for it. The test gets the telemetry events `:up` and
+  `:down` of the connection.
+  """
+  def supervised_connection(server) do
+    name = :"#{unique("gnat")}"
+    for event <- [:up, :down], do: telemetry([:gnat, :connection, event])
+
+    settings = %{
+      name: name,
+      connection_settings: [Gnat.Test.NatsServer.settings(server)],
+      backoff_min: 5,
+      backoff_max: 20
+    }
+
+    ExUnit.Callbacks.start_supervised!({Gnat.ConnectionSupervisor, settings})
+
+    assert_receive {:telemetry, [:gnat, :connection, :up], _measurements, %{name: ^name}}
+    name
+  end
+
+  @doc "A unique name for subjects, streams and buckets."
   def unique(prefix), do: "#{prefix}_#{System.unique_integer([:positive])}"
 
   @doc "Sends telemetry events of this name to the test as `{:telemetry, event, measurements, metadata}`."

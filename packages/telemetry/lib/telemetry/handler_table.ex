@@ -2,9 +2,8 @@ defmodule Telemetry.HandlerTable do
   @moduledoc """
   The ETS table of attached handlers and the process that owns it.
 
-  Lookups read the table directly in the process that executes the event. Attaching and detaching go through the
-  owner, one at a time, so that two handlers can never share an id and a handler of several events comes and goes as
-  a whole.
+  The process that executes an event reads the table directly. Attaching and detaching go through the owner, one at a time, so
+  that no two handlers share an id, and a handler of several events is attached and detached as a whole.
   """
 
   use GenServer
@@ -32,7 +31,7 @@ defmodule Telemetry.HandlerTable do
   @spec delete(:telemetry.handler_id()) :: :ok | {:error, :not_found}
   def delete(id), do: GenServer.call(__MODULE__, {:delete, id})
 
-  @doc "The handlers of exactly this event. Without the application running: none, and a warning."
+  @doc "The handlers of exactly this event; none, and a warning, if the application is not running."
   @spec for_event(:telemetry.event_name()) :: [row()]
   def for_event(event_name) do
     for {_event, id, function, config} <- :ets.lookup(@table, event_name), do: {id, function, config}
@@ -76,6 +75,6 @@ defmodule Telemetry.HandlerTable do
     end
   end
 
-  # Compared as a value: an id like {:"$1"} or :_ must not act as a variable of a match specification.
+  # Compared as a value, because an id such as {:"$1"} or :_ must not act as a variable of a match specification.
   defp rows(id), do: for({_event, ^id, _, _} = row <- :ets.tab2list(@table), do: row)
 end

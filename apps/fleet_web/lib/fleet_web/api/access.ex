@@ -11,7 +11,8 @@ defmodule FleetWeb.API.Access do
   For the same reason, metrics and health need no key, but a `Host` that belongs to the gateway (`host/2`).
   """
 
-  alias Aerie.Client.Keys
+  alias Aerie.Address
+  alias FleetWeb.API.Keys
   alias FleetWeb.API.Error
 
   @typedoc """
@@ -39,8 +40,19 @@ defmodule FleetWeb.API.Access do
           hosts: [String.t()]
         }
 
-  @doc "Returns the requester's name (a key's name, or `\"local\"`), or why access is refused."
-  @spec decide(policy(), facts()) :: {:ok, String.t()} | {:error, Error.t()}
+  @typedoc """
+  Who asks: the owner of a key, or a program of this machine (`local`). `changes?`: it may do more than read. A program of this
+  machine may change the gateway, but is nobody who may command vehicles.
+  """
+  @type requester :: %{
+          name: String.t(),
+          role: Aerie.Policy.Roles.role() | nil,
+          permissions: [Aerie.Command.Type.permission()],
+          changes?: boolean()
+        }
+
+  @doc "Who asks, or why access is refused."
+  @spec decide(policy(), facts()) :: {:ok, requester()} | {:error, Error.t()}
   def decide(policy, facts) do
     with :ok <- origin(policy, facts), do: key(policy, facts)
   end
@@ -66,7 +78,7 @@ defmodule FleetWeb.API.Access do
     {name, _port} = split(host)
 
     if address(name) != nil or name in own_names() or name in policy.hosts or
-         Keys.check(policy.keys, facts.key) != :error,
+         match?({:ok, _owner}, Keys.check(policy.keys, facts.key)),
        do: :ok,
        else:
          {:error,
@@ -92,25 +104,30 @@ defmodule FleetWeb.API.Access do
   defp own?(_other, _host, _ports), do: false
 
   defp key(%{keys: []}, facts) do
-    if Keys.loopback?(facts.peer) and not facts.forwarded and local_name?(facts.host),
-      do: {:ok, "local"},
+    if Address.loopback?(facts.peer) and not facts.forwarded and local_name?(facts.host),
+      do: {:ok, %{name: "local", role: :viewer, permissions: [], changes?: true}},
       else:
         {:error, Error.new(:forbidden, "no key is configured, so only this machine has access; set api.key")}
   end
 
   defp key(%{keys: keys}, facts) do
-    with :error <- Keys.check(keys, facts.key) do
-      message = if facts.key, do: "this key is unknown", else: "the header X-Aerie-Key is missing"
-      {:error, Error.new(:unauthorized, message, %{"www-authenticate" => "Bearer"})}
+    case Keys.check(keys, facts.key) do
+      {:ok, owner} -> {:ok, Map.put(owner, :changes?, owner.role != :viewer)}
+      {:error, {:expired, day}} -> unauthorized("this key was good until #{day}")
+      {:error, :unknown} when facts.key == nil -> unauthorized("the header X-Aerie-Key is missing")
+      {:error, :unknown} -> unauthorized("this key is unknown")
     end
   end
+
+  defp unauthorized(message),
+    do: {:error, Error.new(:unauthorized, message, %{"www-authenticate" => "Bearer"})}
 
   defp local_name?(nil), do: true
 
   defp local_name?(host) do
     {name, _port} = split(host)
     ip = address(name)
-    name == "localhost" or (ip != nil and Keys.loopback?(ip))
+    name == "localhost" or (ip != nil and Address.loopback?(ip))
   end
 
   defp address(name) do

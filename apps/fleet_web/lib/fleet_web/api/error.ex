@@ -2,22 +2,32 @@ defmodule FleetWeb.API.Error do
   @moduledoc """
   The answer to a refused request: a status and `{"error": {"code": ..., "message": ...}}`.
 
-  The code is for programs and does not change. The message is for people and says what is expected.
+  The code is for programs and does not change. The message is for people and says what is expected. This is a struct of its
+  own besides `Aerie.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the gateway
+  below does not know; `from/1` gives each error of the gateway its status.
   """
 
+  alias Aerie.Command
+  alias Aerie.Command.Result
+
   @enforce_keys [:status, :code, :message]
-  defstruct [:status, :code, :message, headers: %{}]
+  defstruct [:status, :code, :message, headers: %{}, details: %{}]
 
   @typedoc """
   * `bad_request` (400) - malformed HTTP or JSON
   * `unauthorized` (401) - no key, or an unknown one
   * `forbidden` (403) - a web page of another server; without a configured key: a request from another machine
-  * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken)
-  * `too_large` (413), `unsupported_media_type` (415)
+  * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken, or the present state forbids it)
+  * `too_large` (413), `unsupported_media_type` (415), `range` (416, it begins after the end)
   * `upgrade_required` (426) - plain HTTP where a WebSocket is served
   * `invalid` (422) - well-formed but not possible
   * `too_many` (429) - a limit is reached
   * `unavailable` (503) - the part that would answer does not run
+
+  Of commands (`of_result/1`):
+
+  * `expired` (410) - its deadline passed; `cancelled` (409)
+  * `failed` (502) - the vehicle did not do it; `timeout` (504), `outcome_unknown` (504) - it may have done it
   """
   @type code ::
           :bad_request
@@ -28,11 +38,25 @@ defmodule FleetWeb.API.Error do
           | :conflict
           | :too_large
           | :unsupported_media_type
+          | :range
           | :invalid
           | :upgrade_required
           | :too_many
           | :unavailable
-  @type t :: %__MODULE__{status: 400..599, code: code(), message: String.t(), headers: map()}
+          | :expired
+          | :cancelled
+          | :failed
+          | :timeout
+          | :outcome_unknown
+
+  @typedoc "`details` are beside `error` in the answer."
+  @type t :: %__MODULE__{
+          status: 400..599,
+          code: code(),
+          message: String.t(),
+          headers: map(),
+          details: map()
+        }
 
   @statuses %{
     bad_request: 400,
@@ -43,18 +67,123 @@ defmodule FleetWeb.API.Error do
     conflict: 409,
     too_large: 413,
     unsupported_media_type: 415,
+    range: 416,
     invalid: 422,
     upgrade_required: 426,
     too_many: 429,
-    unavailable: 503
+    unavailable: 503,
+    expired: 410,
+    cancelled: 409,
+    failed: 502,
+    timeout: 504,
+    outcome_unknown: 504
   }
+
+  @meanings %{
+    400 => "Malformed HTTP or JSON.",
+    401 => "No key, or an unknown one.",
+    403 => "The key, the page or the machine may not, or the policy denies it.",
+    404 => "There is no such thing.",
+    405 => "The resource does not take this method.",
+    409 => "The id is taken, or the present state forbids it.",
+    410 => "The command's deadline has passed.",
+    413 => "The body is too large.",
+    415 => "The body has another type.",
+    422 => "Well-formed but not possible.",
+    429 => "A limit is reached.",
+    502 => "The vehicle did not do it.",
+    503 => "The part that would answer does not run.",
+    504 => "The vehicle did not answer; it may have done it."
+  }
+
+  @doc "The codes of all errors."
+  @spec codes() :: [code()]
+  def codes, do: @statuses |> Map.keys() |> Enum.sort()
+
+  @doc "What a status means, for people."
+  @spec meaning(400..599) :: String.t()
+  def meaning(status), do: Map.fetch!(@meanings, status)
 
   @doc "Makes an error of a kind, with further headers for the answer."
   @spec new(code(), String.t(), map()) :: t()
   def new(code, message, headers \\ %{}),
     do: %__MODULE__{status: Map.fetch!(@statuses, code), code: code, message: message, headers: headers}
 
+  @codes %{
+    unknown: :not_found,
+    exists: :conflict,
+    conflict: :conflict,
+    limit: :too_many,
+    invalid: :invalid,
+    unavailable: :unavailable
+  }
+
+  @doc "The answer for an error of the gateway; an answer is returned unchanged."
+  @spec from(t() | Aerie.Error.t()) :: t()
+  def from(%__MODULE__{} = error), do: error
+
+  def from(%Aerie.Error{reason: reason} = error),
+    do: new(Map.fetch!(@codes, elem(reason, 0)), Exception.message(error))
+
+  # A command's results; `denied` and `rejected` by their rules, too.
+  @results %{
+    rejected: :invalid,
+    denied: :forbidden,
+    failed: :failed,
+    cancelled: :cancelled,
+    timeout: :timeout,
+    unknown: :outcome_unknown,
+    expired: :expired
+  }
+  @rules %{
+    "id" => :conflict,
+    "vehicle" => :not_found,
+    "rate" => :too_many,
+    "busy" => :too_many,
+    "file" => :not_found,
+    "log" => :not_found,
+    "ledger" => :unavailable,
+    "audit" => :unavailable,
+    "policy" => :unavailable,
+    "unavailable" => :unavailable
+  }
+
+  @doc "The answer for a command that was not done, with its result as details; nil for one that was."
+  @spec of_result(Result.t()) :: t() | nil
+  def of_result(%Result{status: status}) when status in [:completed, :accepted], do: nil
+
+  def of_result(result) do
+    code = Map.get(@rules, result.details["rule"], Map.fetch!(@results, result.status))
+    %{new(code, result.reason || Atom.to_string(result.status)) | details: Result.plain(result)}
+  end
+
+  @doc "The answer for an invalid command, with all its errors."
+  @spec malformed([Command.Error.t(), ...]) :: t()
+  def malformed(errors) do
+    plain = for error <- errors, do: error |> Map.from_struct() |> Map.take([:key, :expected, :got])
+    details = %{"result" => "rejected", "rule" => "malformed", "errors" => plain}
+    %{new(:invalid, Command.Error.text(errors)) | details: details}
+  end
+
+  @doc "The error for a well-formed request that is not possible."
+  @spec invalid(String.t()) :: {:error, t()}
+  def invalid(message), do: {:error, new(:invalid, message)}
+
+  @doc "Answers a request with an error and closes its connection."
+  @spec refuse(t(), :cowboy_req.req()) :: :cowboy_req.req()
+  def refuse(%__MODULE__{} = error, request) do
+    headers = %{
+      "content-type" => "application/json; charset=utf-8",
+      "cache-control" => "no-store",
+      "connection" => "close"
+    }
+
+    body = [JSON.encode_to_iodata!(body(error)), ?\n]
+    :cowboy_req.reply(error.status, Map.merge(headers, error.headers), body, request)
+  end
+
   @doc "The body of the answer, as a map for JSON."
   @spec body(t()) :: map()
-  def body(%__MODULE__{code: code, message: message}), do: %{error: %{code: code, message: message}}
+  def body(%__MODULE__{code: code, message: message, details: details}),
+    do: Map.put(details, "error", %{code: code, message: message})
 end

@@ -9,15 +9,18 @@ defmodule FleetWeb.API.Handler do
   @behaviour :cowboy_handler
 
   alias Aerie.Store
-  alias FleetWeb.API.{Access, Error, Request, Resources}
+  alias FleetWeb.API.{Access, Error, KeyRing, Request, Resources}
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
 
   @impl :cowboy_handler
-  def init(request, %{resource: resource, gateway: gateway} = state) do
+  def init(request, %{resource: resource, gateway: gateway, policy: policy} = state) do
+    state = %{state | policy: KeyRing.admit(policy, gateway)}
     method = :cowboy_req.method(request)
     facts = Request.facts(request)
+    everywhere = Map.merge(common(), cross_origin(resource, state.policy, facts))
+    request = :cowboy_req.set_resp_headers(everywhere, request)
 
     {status, headers, body, request} =
       case answer(method, resource, facts, state, request) do
@@ -25,8 +28,7 @@ defmodule FleetWeb.API.Handler do
         {:error, %Error{} = error, request} -> {error.status, error.headers, Error.body(error), request}
       end
 
-    count(gateway, status)
-    headers = headers |> Map.merge(common()) |> Map.merge(cross_origin(resource, state.policy, facts))
+    Store.count_if_running(gateway, {:api, status})
     {:ok, reply(status, headers, body, request), state}
   end
 
@@ -41,27 +43,43 @@ defmodule FleetWeb.API.Handler do
 
   defp answer("OPTIONS", resource, facts, state, request) when resource != :missing do
     case Access.decide(state.policy, facts) do
-      {:ok, _name} -> {:ok, 204, nil, :cowboy_req.set_resp_header("allow", methods(resource), request)}
+      {:ok, _requester} -> {:ok, 204, nil, :cowboy_req.set_resp_header("allow", methods(resource), request)}
       {:error, error} -> {:error, error, request}
     end
   end
 
   defp answer(method, resource, facts, state, request) do
-    with {:ok, name} <- Access.decide(state.policy, facts),
-         {:ok, action} <- Resources.action(resource, method) do
-      Resources.run(action, Map.put(state, :name, name), request)
+    with {:ok, requester} <- Access.decide(state.policy, facts),
+         {:ok, action} <- Resources.action(resource, method),
+         :ok <- may(requester, action, method) do
+      Resources.run(action, Map.merge(state, %{name: requester.name, requester: requester}), request)
     else
       {:error, error} -> {:error, error, request}
     end
   end
 
+  # If the key may only read, so may the WebSocket that the ticket opens.
+  defp may(%{changes?: false, name: name}, action, method)
+       when method not in ["GET", "HEAD"] and action != :issue_ticket,
+       do: {:error, Error.new(:forbidden, "the key #{name} may only read (role=viewer)")}
+
+  defp may(_requester, _action, _method), do: :ok
+
+  defp reply(_status, _headers, :sent, request), do: request
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)
 
-  # Sends the size that was read before: a file that is being written only grows.
+  # Sends the size that was read first, because a file that is being written grows.
   defp reply(status, headers, {:file, path, bytes}, request) do
     name = Path.basename(path)
     type = %{"content-type" => @binary, "content-disposition" => ~s(attachment; filename="#{name}")}
     :cowboy_req.reply(status, Map.merge(headers, type), {:sendfile, 0, bytes, path}, request)
+  end
+
+  defp reply(status, headers, {:text, type, text, name}, request) do
+    # A file name on board may contain any characters.
+    name = String.replace(name, ~r/[^A-Za-z0-9._-]/, "_")
+    more = %{"content-type" => type, "content-disposition" => ~s(attachment; filename="#{name}")}
+    :cowboy_req.reply(status, Map.merge(headers, more), text, request)
   end
 
   defp reply(status, headers, body, request),
@@ -94,11 +112,4 @@ defmodule FleetWeb.API.Handler do
   end
 
   defp cross_origin(_resource, _policy, _facts), do: %{"vary" => "origin"}
-
-  # While the gateway restarts there is no counter table, but the request is still answered.
-  defp count(gateway, status) do
-    Store.count(gateway, {:api, status})
-  rescue
-    ArgumentError -> 0
-  end
 end

@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Recordings do
   @modes %{"always" => :always, "armed" => :armed, "off" => :off}
   @max_reason 40
 
-  @doc "A summary of the recorder; nil without one."
+  @doc "A summary of the recorder, or nil."
   @spec status(term()) :: map() | nil
   def status(gateway) do
     with %{recordings: recordings, space: space} = status <- Recorder.status(gateway) do
@@ -27,7 +27,7 @@ defmodule FleetWeb.API.Recordings do
     end
   end
 
-  @doc "The recording of a link's or vehicle's snapshot; nil if there is none."
+  @doc "The recording of a link's or vehicle's snapshot, or nil."
   @spec one(map() | nil) :: map() | nil
   def one(nil), do: nil
 
@@ -46,7 +46,7 @@ defmodule FleetWeb.API.Recordings do
     }
   end
 
-  @doc "All of the recorder: active recordings, content of the rings, files."
+  @doc "The whole state of the recorder: active recordings, content of the rings, files."
   @spec all(term()) :: map() | nil
   def all(gateway) do
     with %{recordings: recordings, rings: rings} <- Recorder.status(gateway) do
@@ -62,7 +62,7 @@ defmodule FleetWeb.API.Recordings do
     end
   end
 
-  @doc "A file in the form in which `all/1` lists it."
+  @doc "A file as `all/1` lists it."
   @spec file(map()) :: map()
   def file(file) do
     %{
@@ -80,45 +80,35 @@ defmodule FleetWeb.API.Recordings do
          do: {:file, path, bytes}
   end
 
-  @doc "Saves the last minutes of a vehicle; `%{\"reason\" => words}` becomes part of the file's name."
-  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t()}
+  @doc "Saves the last minutes of a vehicle; `%{\"reason\" => text}` becomes part of the file's name."
+  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t() | Aerie.Error.t()}
   def save(gateway, vehicle, object) do
     with {:ok, reason} <- reason(Map.get(object, "reason", "request")),
          {:ok, file} <- Recorder.save(gateway, vehicle, reason) do
       name = Path.basename(file)
       {:ok, %{name: name, url: "/api/recordings/#{name}"}}
-    else
-      {:error, %Error{} = error} -> {:error, error}
-      {:error, words} -> {:error, refusal(words)}
     end
   end
 
   defp reason(text) when is_binary(text) and byte_size(text) <= @max_reason, do: {:ok, text}
 
   defp reason(_other),
-    do: {:error, Error.new(:invalid, "reason must be a text of at most #{@max_reason} bytes")}
+    do: Error.invalid("reason must be a text of at most #{@max_reason} bytes")
 
   @doc "Starts or stops the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
-  @spec record(term(), {:vehicle | :link, String.t()}, map()) :: {:ok, map()} | {:error, Error.t()}
+  @spec record(term(), {:vehicle | :link, String.t()}, map()) ::
+          {:ok, map()} | {:error, Error.t() | Aerie.Error.t()}
   def record(gateway, target, object) do
-    with {:ok, mode} <- wanted(object["mode"]), :ok <- change(gateway, target, mode) do
-      {:ok, %{recording: one(Recorder.status(gateway, target))}}
-    else
-      {:error, %Error{} = error} -> {:error, error}
-      {:error, words} -> {:error, refusal(words)}
-    end
+    with {:ok, mode} <- wanted(object["mode"]),
+         :ok <- change(gateway, target, mode),
+         do: {:ok, %{recording: one(Recorder.status(gateway, target))}}
   end
 
   defp wanted(mode) when is_map_key(@modes, mode), do: {:ok, @modes[mode]}
-  defp wanted(_other), do: {:error, Error.new(:invalid, "mode must be always, armed or off")}
+  defp wanted(_other), do: Error.invalid("mode must be always, armed or off")
 
   defp change(gateway, target, :off), do: Recorder.stop(gateway, target)
   defp change(gateway, target, mode), do: Recorder.start(gateway, target, mode)
-
-  # An unknown vehicle or link is 404; anything else is a problem of the recorder.
-  defp refusal("no vehicle" <> _ = words), do: Error.new(:not_found, words)
-  defp refusal("there is no link" <> _ = words), do: Error.new(:not_found, words)
-  defp refusal(words), do: Error.new(:unavailable, words)
 
   defp named(%{target: {kind, _id}, label: label}), do: %{kind: kind, label: label}
 

@@ -4,15 +4,16 @@ defmodule FleetWeb.API.Request do
   alias FleetWeb.API.{Access, Error}
 
   @max_body 16_384
+  @forwarded ~w(forwarded x-forwarded-for x-forwarded-proto x-forwarded-host x-real-ip)
 
-  @doc "The facts that decide about access."
+  @doc "The facts that decide access."
   @spec facts(:cowboy_req.req()) :: Access.facts()
   def facts(request) do
     {peer, _port} = :cowboy_req.peer(request)
 
     %{
       peer: peer,
-      forwarded: Enum.any?(["forwarded", "x-forwarded-for", "x-real-ip"], &(header(request, &1) != nil)),
+      forwarded: Enum.any?(@forwarded, &(header(request, &1) != nil)),
       host: header(request, "host"),
       origin: header(request, "origin"),
       key: header(request, "x-aerie-key") || bearer(header(request, "authorization"))
@@ -28,7 +29,7 @@ defmodule FleetWeb.API.Request do
     end
   end
 
-  @doc "The query's parameters; the last value if one is repeated, and none if the query is malformed."
+  @doc "The query's parameters; the last value of a repeated one, and none if the query is malformed."
   @spec parameters(:cowboy_req.req()) :: %{String.t() => String.t() | nil}
   def parameters(request) do
     Map.new(:cowboy_req.parse_qs(request), fn {name, value} -> {name, if(is_binary(value), do: value)} end)
@@ -39,15 +40,54 @@ defmodule FleetWeb.API.Request do
   @doc "The body as a JSON object of at most #{@max_body} bytes."
   @spec object(:cowboy_req.req()) :: {:ok, map(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
   def object(request) do
-    with :ok <- json?(request), {:ok, text, request} <- body(request), {:ok, object} <- decode(text) do
-      {:ok, object, request}
+    with {:ok, object, _text, request} <- object_and_body(request), do: {:ok, object, request}
+  end
+
+  @doc "Like `json/1`, with the bytes of the body as they were signed."
+  @spec object_and_body(:cowboy_req.req()) ::
+          {:ok, map(), binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
+  def object_and_body(request) do
+    with :ok <- json?(request),
+         {:ok, text, request} <- body(request, @max_body),
+         {:ok, object} <- decode(text) do
+      {:ok, object, text, request}
     else
       {:error, error} -> {:error, error, request}
       {:error, error, request} -> {:error, error, request}
     end
   end
 
-  # Any web page may send a form anywhere without a CORS preflight, so a form is never accepted.
+  @doc "The raw body, up to a number of bytes."
+  @spec bytes(:cowboy_req.req(), pos_integer()) ::
+          {:ok, binary(), :cowboy_req.req()} | {:error, Error.t(), :cowboy_req.req()}
+  def bytes(request, max) do
+    with {:error, error} <- body(request, max), do: {:error, error, request}
+  end
+
+  @doc "Lets the answer take this long (ms). Otherwise the connection is closed while the client sends nothing."
+  @spec patient(:cowboy_req.req(), pos_integer()) :: :cowboy_req.req()
+  def patient(request, timeout_ms) do
+    :ok = :cowboy_req.cast({:set_options, %{idle_timeout: timeout_ms + 30_000}}, request)
+    request
+  end
+
+  @doc "Checks that an object has only known keys."
+  @spec known(map(), [String.t()]) :: :ok | {:error, Error.t()}
+  def known(object, known) do
+    case Map.keys(object) -- known do
+      [] -> :ok
+      [key | _] -> unknown(key, known)
+    end
+  end
+
+  @doc "Refuses an unknown key."
+  @spec unknown(String.t(), [String.t()]) :: {:error, Error.t()}
+  def unknown(key, known) do
+    known = known |> Enum.sort() |> Enum.join(", ")
+    Error.invalid("#{inspect(String.slice(key, 0, 64))} is an unknown key; known are #{known}")
+  end
+
+  # Any web page may send forms anywhere without a CORS preflight, so forms are never accepted.
   defp json?(request) do
     case String.split(header(request, "content-type") || "", ";", parts: 2) do
       [type | _] ->
@@ -57,26 +97,31 @@ defmodule FleetWeb.API.Request do
     end
   end
 
-  defp body(request) do
+  defp body(request, max) do
     case :cowboy_req.body_length(request) do
-      length when is_integer(length) and length > @max_body -> {:error, too_large()}
-      # Short enough, or chunked and of unknown length.
-      _length -> read(request)
+      length when is_integer(length) and length > max -> {:error, too_large(max)}
+      # Short enough, or of unknown length because it is chunked.
+      _length -> read(request, max)
     end
   end
 
-  defp read(request) do
-    case :cowboy_req.read_body(request, %{length: @max_body + 1, period: 5_000}) do
-      {:ok, text, request} when byte_size(text) <= @max_body -> {:ok, text, request}
-      {_more, text, request} when byte_size(text) > @max_body -> {:error, too_large(), request}
+  defp read(request, max) do
+    case :cowboy_req.read_body(request, %{length: max + 1, period: period(max)}) do
+      {:ok, text, request} when byte_size(text) <= max -> {:ok, text, request}
+      {_more, text, request} when byte_size(text) > max -> {:error, too_large(max), request}
       {:more, _text, request} -> {:error, Error.new(:bad_request, "the body did not arrive in time"), request}
     end
   end
 
-  defp too_large,
-    do: Error.new(:too_large, "the body must have at most #{@max_body} bytes", %{"connection" => "close"})
+  # Five seconds, plus the time that a slow network needs for a large body.
+  defp period(max), do: 5_000 + div(max, 500)
 
-  defp decode(text) do
+  defp too_large(max),
+    do: Error.new(:too_large, "the body must have at most #{max} bytes", %{"connection" => "close"})
+
+  @doc "A body as a JSON object."
+  @spec decode(binary()) :: {:ok, map()} | {:error, Error.t()}
+  def decode(text) do
     case JSON.decode(text) do
       {:ok, object} when is_map(object) -> {:ok, object}
       {:ok, _other} -> {:error, Error.new(:bad_request, "the body must be a JSON object")}

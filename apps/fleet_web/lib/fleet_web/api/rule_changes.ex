@@ -1,15 +1,15 @@
 defmodule FleetWeb.API.RuleChanges do
   @moduledoc """
-  The body of `PATCH /api/rules/ID`, checked. Pure.
+  Checks the body of `PATCH /api/rules/ID`. Pure.
 
       {"rate_limits": {"ATTITUDE": 4}, "filter_out": {"block_messages": ["RAW_IMU"]}, "bytes_per_s": null}
 
-  The keys are those of the configuration (`Aerie.Router.Settings.changeable/0`); null: no such rule. What a value means is
-  checked by `Aerie.Router.configure/3`; here its shape is.
+  The keys are those of the configuration (`Aerie.Router.Settings.changeable/0`); null removes a rule. This module checks the
+  shape of a value; `Aerie.Router.configure/3` checks its meaning.
   """
 
   alias Aerie.Router.{Filter, Settings}
-  alias FleetWeb.API.Error
+  alias FleetWeb.API.{Error, Request}
 
   @keys Map.new(Settings.changeable(), &{Atom.to_string(&1), &1})
   @filter_keys Map.new(Filter.keys(), &{Atom.to_string(&1), &1})
@@ -18,7 +18,8 @@ defmodule FleetWeb.API.RuleChanges do
 
   @doc "The changes for `Aerie.Router.configure/3`."
   @spec parse(map()) :: {:ok, map()} | {:error, Error.t()}
-  def parse(object) when object == %{}, do: invalid("nothing to change; give at least one of #{names(@keys)}")
+  def parse(object) when object == %{},
+    do: Error.invalid("nothing to change; give at least one of #{names(@keys)}")
 
   def parse(object) do
     Enum.reduce_while(object, {:ok, %{}}, fn {name, value}, {:ok, changes} ->
@@ -32,13 +33,13 @@ defmodule FleetWeb.API.RuleChanges do
 
   defp known(name, keys) do
     with :error <- Map.fetch(keys, name),
-         do: invalid("#{inspect(String.slice(name, 0, 64))} is an unknown key; known are #{names(keys)}")
+         do: Request.unknown(name, Map.keys(keys))
   end
 
   defp value(_key, nil), do: {:ok, nil}
 
   defp value(:role, role) do
-    with :error <- Map.fetch(@roles, role), do: invalid("role must be one of #{names(@roles)}")
+    with :error <- Map.fetch(@roles, role), do: Error.invalid("role must be one of #{names(@roles)}")
   end
 
   defp value(key, filter)
@@ -48,7 +49,7 @@ defmodule FleetWeb.API.RuleChanges do
         {:cont, {:ok, Map.put(lists, axis, list)}}
       else
         {:error, error} -> {:halt, {:error, error}}
-        false -> {:halt, invalid("#{name} must be a list of at most #{@most}")}
+        false -> {:halt, Error.invalid("#{name} must be a list of at most #{@most}")}
       end
     end)
   end
@@ -63,9 +64,11 @@ defmodule FleetWeb.API.RuleChanges do
     do: {:ok, n}
 
   defp value(:group, text) when is_binary(text) and byte_size(text) <= 64, do: {:ok, text}
-  defp value(key, flag) when key in [:sniffer, :broadcasts, :coalesce] and is_boolean(flag), do: {:ok, flag}
-  defp value(key, _other), do: invalid("#{key} has a value of the wrong type")
+
+  defp value(key, flag) when key in [:sniffer, :served, :broadcasts, :coalesce] and is_boolean(flag),
+    do: {:ok, flag}
+
+  defp value(key, _other), do: Error.invalid("#{key} has a value of the wrong type")
 
   defp names(keys), do: keys |> Map.keys() |> Enum.sort() |> Enum.join(", ")
-  defp invalid(message), do: {:error, Error.new(:invalid, message)}
 end

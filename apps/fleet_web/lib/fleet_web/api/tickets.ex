@@ -1,6 +1,6 @@
 defmodule FleetWeb.API.Tickets do
   @moduledoc """
-  Tickets, each of which lets its bearer open one WebSocket within half a minute.
+  Tickets, each of which opens one WebSocket within half a minute.
 
   A browser cannot send a header with a WebSocket, and a key in an address ends up in logs. So a page requests a ticket with
   its key, and puts the ticket into the address or the subprotocol. It is valid once and for a short time. Only digests
@@ -20,46 +20,64 @@ defmodule FleetWeb.API.Tickets do
     GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :tickets))
   end
 
-  @doc "Issues a ticket for `name`; returns it with its validity in seconds."
-  @spec issue(Names.gateway(), String.t()) ::
+  @doc "Issues a ticket; returns it with its validity in seconds."
+  @spec issue(Names.gateway(), requester :: term()) ::
           {:ok, String.t(), pos_integer()} | {:error, :too_many | :unavailable}
-  def issue(gateway, name) do
-    Names.with_value(gateway, :tickets, {:error, :unavailable}, fn {table, now} ->
-      _ = sweep(table, now.())
+  def issue(gateway, requester) do
+    ticket = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
 
-      if :ets.info(table, :size) < @most do
-        ticket = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
-        :ets.insert(table, {digest(ticket), name, now.() + @life_ms})
-        {:ok, ticket, div(@life_ms, 1000)}
-      else
-        {:error, :too_many}
-      end
-    end)
+    with {table, clock} <- Names.value(gateway, :tickets),
+         now = clock.(),
+         :ok <- add(table, now, {digest(ticket), requester, now + @life_ms}) do
+      {:ok, ticket, div(@life_ms, 1000)}
+    else
+      nil -> {:error, :unavailable}
+      {:error, reason} -> {:error, reason}
+    end
   end
 
-  @doc "Uses up a ticket and returns the name that it was issued for."
-  @spec redeem(Names.gateway(), String.t()) :: {:ok, String.t()} | :error
+  defp add(table, now, row) do
+    _expired = :ets.select_delete(table, [{{:_, :_, :"$1"}, [{:"=<", :"$1", now}], [true]}])
+
+    if :ets.info(table, :size) < @most do
+      true = :ets.insert(table, row)
+      :ok
+    else
+      {:error, :too_many}
+    end
+  rescue
+    # The process ended with its table meanwhile; so in `take/2`.
+    ArgumentError -> {:error, :unavailable}
+  end
+
+  @doc "Uses up a ticket and returns the key's owner for whom it was issued."
+  @spec redeem(Names.gateway(), String.t()) :: {:ok, requester :: term()} | :error
   def redeem(gateway, ticket) when byte_size(ticket) <= 100 do
-    Names.with_value(gateway, :tickets, :error, fn {table, now} ->
-      # Taken atomically, so that only one of two requests with the same ticket succeeds.
-      case :ets.take(table, digest(ticket)) do
-        [{_digest, name, until}] -> if until > now.(), do: {:ok, name}, else: :error
-        [] -> :error
-      end
-    end)
+    with {table, clock} <- Names.value(gateway, :tickets),
+         [{_digest, requester, until}] <- take(table, digest(ticket)),
+         true <- until > clock.() do
+      {:ok, requester}
+    else
+      _none_or_expired -> :error
+    end
   end
 
   def redeem(_gateway, _ticket), do: :error
 
+  # Atomic, so that only one of two requests with the same ticket succeeds.
+  defp take(table, digest) do
+    :ets.take(table, digest)
+  rescue
+    ArgumentError -> []
+  end
+
   @impl GenServer
   def init(options) do
     table = :ets.new(:tickets, [:set, :public])
-    now = Keyword.get(options, :now, fn -> System.monotonic_time(:millisecond) end)
-    Names.put_value(options[:gateway], :tickets, {table, now})
+    clock = Keyword.get(options, :now, fn -> System.monotonic_time(:millisecond) end)
+    Names.put_value(options[:gateway], :tickets, {table, clock})
     {:ok, table}
   end
-
-  defp sweep(table, now), do: :ets.select_delete(table, [{{:_, :_, :"$1"}, [{:"=<", :"$1", now}], [true]}])
 
   defp digest(ticket), do: :crypto.hash(:sha256, ticket)
 end

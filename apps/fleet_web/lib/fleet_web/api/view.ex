@@ -5,10 +5,10 @@ defmodule FleetWeb.API.View do
   alias Aerie.Client.StateForm
   alias Aerie.Bridge.Message
   alias Aerie.Fleet.{Age, Journal, Json}
-  alias Aerie.Store
-  alias Aerie.Router.Tally
+  alias Aerie.{Fleet, Policy, Shadow, Store}
+  alias Aerie.Router.EndpointCounters
   alias Aerie.Vehicle.Fields
-  alias FleetWeb.API.{Dealings, EventsQuery, Recordings}
+  alias FleetWeb.API.{VehicleDetails, EventsQuery, Recordings}
 
   @link_keys [
     :id,
@@ -34,11 +34,12 @@ defmodule FleetWeb.API.View do
     now = System.os_time(:microsecond)
     links = Store.links(gateway)
     by_id = Map.new(links, &{&1.id, &1})
+    tags = Shadow.tags(gateway)
 
     %{
       timestamp: Float.round(now / 1_000_000, 3),
       epoch: Journal.epoch(gateway),
-      vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle(vehicle, by_id, now)),
+      vehicles: for(vehicle <- Fleet.vehicles(gateway), do: vehicle(vehicle, by_id, tags, now)),
       links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
       nats: nats(Aerie.Bridge.info(gateway)),
       identity: Aerie.Router.identity(gateway),
@@ -46,25 +47,37 @@ defmodule FleetWeb.API.View do
     }
   end
 
-  defp vehicle(vehicle, links, now) do
-    vehicle |> StateForm.of(links, now) |> Map.put(:recording, Recordings.one(vehicle[:recording]))
+  defp vehicle(vehicle, links, tags, now) do
+    vehicle
+    |> StateForm.of(links, now)
+    |> Map.merge(%{
+      recording: Recordings.one(vehicle[:recording]),
+      via: vehicle[:via],
+      gateways: vehicle[:gateways] || [],
+      tags: Map.get(tags, vehicle.id, [])
+    })
   end
 
-  @doc "All vehicles, as in `status/1`."
-  @spec vehicles(term()) :: map()
-  def vehicles(gateway), do: Map.take(status(gateway), [:timestamp, :vehicles])
+  @doc "All vehicles, as in `status/1`; only those with a tag unless it is nil."
+  @spec vehicles(term(), tag :: String.t() | nil) :: map()
+  def vehicles(gateway, tag) do
+    gateway
+    |> status()
+    |> Map.take([:timestamp, :vehicles])
+    |> Map.update!(:vehicles, &Enum.filter(&1, fn vehicle -> tag == nil or tag in vehicle.tags end))
+  end
 
-  @doc "One vehicle with all its state groups, their times, and its streams, clock and so on; nil if there is none of that name."
+  @doc "One vehicle with all its state groups, their times, and its streams, clock and so on; nil if no vehicle has this name."
   @spec vehicle(term(), String.t()) :: map() | nil
   def vehicle(gateway, id) do
-    with %{} = vehicle <- Store.vehicle(gateway, id) do
+    with %{} = vehicle <- Fleet.vehicle(gateway, id) do
       now = System.os_time(:microsecond)
       all = Store.links(gateway)
       links = Map.new(all, &{&1.id, &1})
       clock = Age.now(vehicle, all, now)
 
       vehicle
-      |> vehicle(links, now)
+      |> vehicle(links, Shadow.tags(gateway), now)
       |> Map.merge(%{
         firmware: Json.plain(vehicle.firmware),
         capabilities: vehicle[:capabilities],
@@ -77,7 +90,7 @@ defmodule FleetWeb.API.View do
         signing: signed(vehicle[:signing]),
         groups: Map.new(vehicle.groups, fn {name, group} -> {name, group(name, group, clock)} end)
       })
-      |> Map.merge(Dealings.of(vehicle))
+      |> Map.merge(VehicleDetails.of(vehicle))
     end
   end
 
@@ -92,7 +105,7 @@ defmodule FleetWeb.API.View do
     found = Journal.recent(gateway, vehicle, Keyword.put(options, :limit, limit + 1))
     shown = if options[:since], do: Enum.take(found, limit), else: Enum.take(found, -limit)
 
-    if found != [] or vehicle == :all or Store.vehicle(gateway, vehicle) != nil,
+    if found != [] or vehicle == :all or Fleet.vehicle(gateway, vehicle) != nil,
       do: %{
         events: Enum.map(shown, &Message.event_object(&1, Journal.epoch(gateway))),
         more: length(found) > limit
@@ -116,6 +129,11 @@ defmodule FleetWeb.API.View do
     Json.plain(Map.merge(signing, times))
   end
 
+  @doc "The conditions of `Aerie.Diagnosis`, the most serious first."
+  @spec diagnosis(term()) :: map()
+  def diagnosis(gateway),
+    do: %{conditions: Enum.map(Aerie.Diagnosis.list(gateway), &Aerie.Diagnosis.Condition.plain/1)}
+
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
   def links(gateway), do: %{links: Enum.map(Aerie.Link.list(gateway), &link/1)}
@@ -133,7 +151,15 @@ defmodule FleetWeb.API.View do
     }
   end
 
-  @doc "Rules of links and clients that were changed at run time, beside the configured ones."
+  @doc "Since when the policy is in force, and the errors when it was last read; nil without a policy."
+  @spec policy(term()) :: map() | nil
+  def policy(gateway) do
+    with %{since: since, problem: problem} <- Policy.Store.status(gateway) do
+      %{since: Json.time(since), problem: problem && %{time: Json.time(problem.at), errors: problem.errors}}
+    end
+  end
+
+  @doc "Rules of links and clients that were changed at run time, with the configured ones."
   @spec rules(term()) :: map()
   def rules(gateway), do: %{changed: Json.plain(Aerie.Router.changes(gateway))}
 
@@ -148,7 +174,7 @@ defmodule FleetWeb.API.View do
       waiting: endpoint.waiting,
       frames_in: endpoint.counters.frames_in,
       frames_out: endpoint.counters.frames_out,
-      dropped: Tally.dropped(endpoint.counters),
+      dropped: EndpointCounters.dropped(endpoint.counters),
       denied: endpoint.counters.denied
     })
   end
@@ -168,7 +194,7 @@ defmodule FleetWeb.API.View do
     |> Json.plain()
   end
 
-  # Counters by message id are for the metrics only.
+  # Counters by message id are only for the metrics.
   defp counters(nil), do: %{}
   defp counters(%_{} = counters), do: counters |> Map.from_struct() |> counters()
 
@@ -179,6 +205,7 @@ defmodule FleetWeb.API.View do
     %{
       time: Json.time(group.at),
       age: Float.round(max(now - group.at, 0) / 1_000_000, 2),
+      via: group[:via],
       time_boot_ms: group[:time_boot_ms],
       data: Json.plain(Fields.rounded(name, group.data))
     }

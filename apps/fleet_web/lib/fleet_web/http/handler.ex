@@ -6,7 +6,7 @@ defmodule FleetWeb.HTTP.Handler do
 
   @behaviour :cowboy_handler
 
-  alias FleetWeb.API.{Access, Request}
+  alias FleetWeb.API.{Access, KeyRing, Request}
   alias FleetWeb.{Health, Metrics}
 
   @json "application/json; charset=utf-8"
@@ -16,7 +16,7 @@ defmodule FleetWeb.HTTP.Handler do
   @impl :cowboy_handler
   def init(request, %{page: page, gateway: gateway, policy: policy} = state) do
     request =
-      case Access.host(policy, Request.facts(request)) do
+      case policy |> KeyRing.admit(gateway) |> Access.host(Request.facts(request)) do
         :ok -> asked(:cowboy_req.method(request), page, gateway, request)
         {:error, error} -> reply(request, error.status, @text, error.message <> "\n")
       end

@@ -4,7 +4,7 @@ defmodule FleetWeb.Metrics.Clients do
   they are summed by kind; their ids are not labels.
   """
 
-  alias Aerie.Router.Tally
+  alias Aerie.Router.EndpointCounters
   alias FleetWeb.Metrics.Text
 
   @doc "The families, from the clients (`Aerie.Client.list/1`) and the read model's counters."
@@ -27,7 +27,7 @@ defmodule FleetWeb.Metrics.Clients do
        sums.(& &1.counters.frames_out)},
       {"gateway_client_dropped_frames", :gauge,
        "Frames dropped because clients that are connected now read too slowly.",
-       sums.(&Tally.dropped(&1.counters))},
+       sums.(&EndpointCounters.dropped(&1.counters))},
       {"gateway_api_requests_total", :counter, "Requests to /api, by status of the answer.",
        Enum.sort(requests)},
       {"gateway_clients_refused_total", :counter, "Clients refused or disconnected, by face and reason.",

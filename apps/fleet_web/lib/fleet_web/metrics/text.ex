@@ -6,8 +6,11 @@ defmodule FleetWeb.Metrics.Text do
   """
 
   @type labels :: [{String.t() | atom(), term()}]
-  @type sample :: {labels(), number() | boolean() | nil}
-  @type family :: {name :: String.t(), :counter | :gauge, help :: String.t(), [sample()]}
+  @typedoc "A sample of a histogram has the end of its name (`_bucket`, `_sum`, `_count`) in front."
+  @type sample ::
+          {labels(), number() | boolean() | nil}
+          | {ending :: String.t(), labels(), number() | boolean() | nil}
+  @type family :: {name :: String.t(), :counter | :gauge | :histogram, help :: String.t(), [sample()]}
 
   @doc "The content type of this format."
   @spec content_type() :: String.t()
@@ -18,11 +21,17 @@ defmodule FleetWeb.Metrics.Text do
   def render(families), do: Enum.map(families, &family/1)
 
   defp family({name, type, help, samples}) do
-    case for {labels, value} <- samples, value != nil, do: [name, labels(labels), " ", number(value), "\n"] do
+    case for sample <- samples,
+             {ending, labels, value} = whole(sample),
+             value != nil,
+             do: [name, ending, labels(labels), " ", number(value), "\n"] do
       [] -> []
       lines -> ["# HELP ", name, " ", help, "\n# TYPE ", name, " ", Atom.to_string(type), "\n", lines]
     end
   end
+
+  defp whole({labels, value}), do: {"", labels, value}
+  defp whole({_ending, _labels, _value} = sample), do: sample
 
   defp labels([]), do: []
 

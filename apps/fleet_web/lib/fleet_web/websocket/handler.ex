@@ -8,20 +8,22 @@ defmodule FleetWeb.WebSocket.Handler do
   beside `mavlink`, which the server selects.
 
   Further parameters: `network=NAME` (several with commas; default all), `access=read` (nothing that the client sends is
-  forwarded).
+  forwarded, as for a key with the role viewer).
 
   A client that does not answer a ping for a minute, or whose connection takes nothing for ten seconds, is disconnected. Until
-  then the oldest frames of the least important class are dropped (`Aerie.Client.Pipe`).
+  then the oldest frames of the least important class are dropped (`Aerie.Router.Pipe`).
   """
 
   @behaviour :cowboy_websocket
 
-  alias Aerie.Client.Pipe
-  alias Aerie.Store
+  alias Aerie.Router.Pipe
   alias Aerie.Address
   alias Aerie.Names
-  alias FleetWeb.API.{Access, Error, Request, Tickets}
-  alias FleetWeb.WebSocket.Places
+  alias Aerie.Policy.Guard
+  alias Aerie.Store
+  alias Aerie.Store.PubSub
+  alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
+  alias FleetWeb.WebSocket.Capacity
 
   @ping_ms 20_000
   @idle_ms 60_000
@@ -31,17 +33,26 @@ defmodule FleetWeb.WebSocket.Handler do
   @impl :cowboy_websocket
   def init(request, %{gateway: gateway} = settings) do
     with :ok <- upgrade(request),
-         {:ok, name} <- admit(request, settings),
+         {:ok, requester} <- admit(request, settings),
          {:ok, options} <- options(request),
-         :ok <- room(request, gateway) do
+         :ok <- reserve(request, gateway) do
       {address, port} = :cowboy_req.peer(request)
-      text = "#{name}@#{Address.format(address, port)}"
-      state = %{gateway: gateway, options: [text: text, kind: :websocket] ++ options, pipe: nil}
+      text = "#{requester.name}@#{Address.format(address, port)}"
+      options = if requester.changes?, do: options, else: Keyword.put(options, :role, :read_only)
+
+      state = %{
+        gateway: gateway,
+        requester: requester,
+        options: [text: text, kind: :websocket, sign: settings.sign] ++ options,
+        pipe: nil
+      }
 
       {:cowboy_websocket, chosen(request), state,
        %{idle_timeout: @idle_ms, max_frame_size: @max_message, compress: false}}
     else
-      {:error, %Error{} = error} -> {:ok, refuse(request, gateway, error), settings}
+      {:error, %Error{} = error} ->
+        Store.count_if_running(gateway, {:clients, :websocket, error.code})
+        {:ok, Error.refuse(error, request), settings}
     end
   end
 
@@ -60,7 +71,7 @@ defmodule FleetWeb.WebSocket.Handler do
       {:error, Error.new(:upgrade_required, "this port serves WebSockets only", %{"upgrade" => "websocket"})}
 
   defp admit(request, %{gateway: gateway} = settings) do
-    policy = %{settings.policy | ports: [FleetWeb.Listener.port(gateway)]}
+    policy = KeyRing.admit(%{settings.policy | ports: [FleetWeb.Listener.port(gateway)]}, gateway)
     facts = Request.facts(request)
 
     case ticket(request) do
@@ -107,8 +118,8 @@ defmodule FleetWeb.WebSocket.Handler do
   defp role(_other), do: {:error, Error.new(:bad_request, "access must be read or full")}
 
   # The connection's process, which will run the WebSocket, holds the place; this process ends with the handshake.
-  defp room(%{pid: connection}, gateway) do
-    case Places.take(gateway, connection) do
+  defp reserve(%{pid: connection}, gateway) do
+    case Capacity.reserve(gateway, connection) do
       :ok -> :ok
       :full -> {:error, Error.new(:unavailable, "the limit websocket.max_clients is reached")}
       :unavailable -> {:error, Error.new(:unavailable, "the gateway is starting; try again")}
@@ -128,26 +139,14 @@ defmodule FleetWeb.WebSocket.Handler do
       else: request
   end
 
-  defp refuse(request, gateway, error) do
-    count(gateway, error.code)
-
-    # A refused client must not keep its connection.
-    common = %{
-      "content-type" => "application/json; charset=utf-8",
-      "cache-control" => "no-store",
-      "connection" => "close"
-    }
-
-    headers = Map.merge(common, error.headers)
-    :cowboy_req.reply(error.status, headers, [JSON.encode_to_iodata!(Error.body(error)), ?\n], request)
-  end
-
   @impl :cowboy_websocket
   def websocket_init(state) do
     Process.set_label({:websocket_client, state.options[:text]})
     id = "ws-#{System.unique_integer([:positive])}"
 
     :ok = Names.register(state.gateway, :websocket_client, id)
+    identify(state.requester)
+    :ok = PubSub.subscribe(state.gateway, {:notice, :api_keys})
 
     case Pipe.open(state.gateway, [id: id] ++ state.options) do
       {:ok, pipe} ->
@@ -159,11 +158,16 @@ defmodule FleetWeb.WebSocket.Handler do
     end
   end
 
+  # A key without a role, and this machine, are judged by `policy.clients` like any other client.
+  defp identify(%{role: nil}), do: :ok
+  defp identify(%{role: :viewer}), do: :ok
+  defp identify(owner), do: Guard.identify(Map.take(owner, [:name, :role, :permissions]))
+
   @impl :cowboy_websocket
   def websocket_handle({:binary, bytes}, state), do: {[], %{state | pipe: Pipe.read(state.pipe, bytes)}}
 
   def websocket_handle({:text, _text}, state) do
-    count(state.gateway, :text)
+    Store.count_if_running(state.gateway, {:clients, :websocket, :text})
     {[{:close, 1003, "frames are binary messages"}], state}
   end
 
@@ -181,6 +185,9 @@ defmodule FleetWeb.WebSocket.Handler do
     ping()
     {[:ping], state}
   end
+
+  def websocket_info({:fleet, {:notice, :api_keys}, name}, %{requester: %{name: name}} = state),
+    do: {[{:close, 1008, "the key was revoked"}], state}
 
   def websocket_info(:disconnect, state), do: {[{:close, 1001, "removed by the operator"}], state}
   def websocket_info(_stray, state), do: {[], state}
@@ -200,11 +207,4 @@ defmodule FleetWeb.WebSocket.Handler do
   end
 
   defp ping, do: Process.send_after(self(), :ping, @ping_ms)
-
-  defp count(gateway, why) do
-    Store.count(gateway, {:clients, :websocket, why})
-  rescue
-    # While the gateway restarts there is no counter table.
-    ArgumentError -> 0
-  end
 end

@@ -47,7 +47,8 @@ defmodule FleetWeb.API.ClientsTest do
 
     assert %{"id" => "field", "kind" => "link", "access" => "full", "frames_in" => 2, "dropped" => 0} = client
 
-    assert {409, _headers, %{"error" => %{"code" => "conflict"}}} =
+    assert {409, _headers,
+            %{"error" => %{"code" => "conflict", "message" => "there is already a client field"}}} =
              post(port, %{"url" => "udpout:127.0.0.1:9", "id" => "field"})
 
     assert {204, _headers, nil} = request(port, "DELETE", "/api/clients/field")

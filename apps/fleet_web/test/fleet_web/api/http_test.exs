@@ -140,4 +140,23 @@ defmodule FleetWeb.API.HTTPTest do
 
     assert {200, _headers, _body} = request(port, "GET", "/api/status")
   end
+
+  @tag :tmp_dir
+  test "a key with the role viewer reads, and changes nothing; one that expired does not even read", %{
+    tmp_dir: dir
+  } do
+    file = Path.join(dir, "keys")
+    File.write!(file, "victor the-key-of-victor role=viewer\nolga the-key-of-olga-0 expires=2020-01-01\n")
+    File.chmod!(file, 0o600)
+    %{port: port} = start_server(keys_file: file)
+    victor = [{"x-aerie-key", "the-key-of-victor"}]
+    assert {200, _headers, _body} = request(port, "GET", "/api/status", victor)
+    assert {403, _headers, %{"error" => error}} = request(port, "POST", "/api/clients", victor, "{}")
+    assert error["message"] == "the key victor may only read (role=viewer)"
+
+    assert {401, _headers, %{"error" => error}} =
+             request(port, "GET", "/api/status", [{"x-aerie-key", "the-key-of-olga-0"}])
+
+    assert error["message"] == "this key was good until 2020-01-01"
+  end
 end

@@ -6,7 +6,7 @@ defmodule FleetWeb.API.RulesTest do
   test "rules are changed, listed beside the configured ones, and reset" do
     %{gateway: gateway, port: port} = start_server()
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
-    {:ok, "gcs"} = Aerie.Link.Clients.add(gateway, client)
+    {:ok, "gcs"} = Aerie.Client.add(gateway, client)
     assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules")
 
     change = %{
@@ -29,7 +29,9 @@ defmodule FleetWeb.API.RulesTest do
     assert {200, _, %{"changed" => changed}} = request(port, "GET", "/api/rules")
     assert changed == %{}
     assert {404, _, _} = request(port, "DELETE", "/api/rules/nobody")
-    assert {404, _, _} = patch(port, "/api/rules/nobody", change)
+
+    assert {404, _, %{"error" => %{"message" => "there is no link and no client nobody"}}} =
+             patch(port, "/api/rules/nobody", change)
 
     assert {422, _, %{"error" => %{"message" => words}}} =
              patch(port, "/api/rules/gcs", %{"rate_limits" => %{"ATITUDE" => 1}})

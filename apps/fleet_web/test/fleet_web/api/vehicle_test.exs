@@ -9,7 +9,7 @@ defmodule FleetWeb.API.VehicleTest do
 
   @now 1_763_800_000_000_000
 
-  # Parts as the vehicle's session shows them (`Aerie.Vehicle.Core.Dealings.show/1`).
+  # Parts as the vehicle's session shows them (`Aerie.Vehicle.Core.Services.show/1`).
   defp dealings do
     %{
       streams: %{

@@ -1,6 +1,6 @@
 defmodule MavCodec.Definition.Catalog do
   @moduledoc """
-  All sources of definitions put together: which message modules, enum modules and dialect modules there are.
+  Merges all sources of definitions: which message, enum and dialect modules there are.
 
   A source is a folder of facts files under `priv/definitions`. Sources rank: `upstream`, `ardupilot`, then the others by
   name. A message that several sources define becomes one module with the union of the fields; where only extensions
@@ -74,7 +74,7 @@ defmodule MavCodec.Definition.Catalog do
     end
   end
 
-  @doc "Puts sources together; raises `MavCodec.Definition.Error` where they cannot be."
+  @doc "Merges sources; raises `MavCodec.Definition.Error` where they contradict each other."
   @spec build!([{String.t(), %{String.t() => Document.t()}}]) :: t()
   def build!(sources) do
     resolved =
@@ -86,7 +86,7 @@ defmodule MavCodec.Definition.Catalog do
     enums = Enumerations.merge(for {_source, _file, dialect} <- resolved, enum <- dialect.enums, do: enum)
     types = messages |> Type.all(MavCodec.Messages) |> Type.with_enums(enums)
     by_name = Enum.group_by(types, & &1.name)
-    # Most files include common.xml, so most messages come many times.
+    # Most files include common.xml, so most messages occur many times.
     found = messages |> Enum.uniq() |> Map.new(&{&1, Type.find(&1, by_name[&1.name])})
 
     dialects =
@@ -116,7 +116,7 @@ defmodule MavCodec.Definition.Catalog do
     end
   end
 
-  # The messages of both official sources together, with the layouts of the one or of the other where they differ.
+  # The messages of both official sources, with the layouts of one of them where they differ.
   defp with_all(dialects) do
     case Enum.map(@wholes, fn module -> Enum.find(dialects, &(&1.module == module)) end) do
       [%Dialect{} = upstream, %Dialect{} = ardupilot] ->

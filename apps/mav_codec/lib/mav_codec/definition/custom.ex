@@ -7,8 +7,8 @@ defmodule MavCodec.Definition.Custom do
   alias MavCodec.Definition.Catalog.Dialect
 
   @doc """
-  The code of the dialect module that `env` is in; its message and enum modules are created at once. Raises
-  `MavCodec.Definition.Error` for a definition that is wrong.
+  The code of the dialect module that `env` is in; creates its message and enum modules. Raises
+  `MavCodec.Definition.Error` for a wrong definition.
   """
   @spec define(keyword(), Macro.Env.t()) :: Macro.t()
   def define(options, env) do

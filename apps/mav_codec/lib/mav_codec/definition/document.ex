@@ -1,7 +1,7 @@
 defmodule MavCodec.Definition.Document do
   @moduledoc """
-  What one definition file says: facts only (names, numbers, types, units, order), no prose. Lines are those of the file
-  it was read from, for error messages; they are no part of the facts.
+  The content of one definition file: facts only (names, numbers, types, units, order), no prose. Lines are those of the
+  file that it was read from, for error messages; they are not facts.
   """
 
   defmodule Field do
@@ -9,8 +9,8 @@ defmodule MavCodec.Definition.Document do
     One field of a message, in the order of the XML.
 
     `type` is the element type, `length` the array length (`nil`: no array), `extension` whether it follows
-    `<extensions/>`. `constant` is the value of an `uint8_t_mavlink_version` field. The rest is what the XML says of it,
-    as text: `enum`, `units`, `invalid`, `multiplier`, `min`, `max`, `increment`, `default`, `format` (print_format),
+    `<extensions/>`. `constant` is the value of an `uint8_t_mavlink_version` field. The rest is text as in
+    the XML: `enum`, `units`, `invalid`, `multiplier`, `min`, `max`, `increment`, `default`, `format` (print_format),
     `bitmask` (display="bitmask") and `instance` as booleans.
     """
     @enforce_keys [:name, :type]

@@ -1,5 +1,5 @@
 defmodule MavCodec.Definition.Enumerations do
-  @moduledoc "Enums of one name in several sources become one module; that two sources name one value differently is fine."
+  @moduledoc "Enums of one name in several sources become one module. Two sources may name one value differently."
 
   alias MavCodec.Definition.{Error, Naming}
   alias MavCodec.Definition.Document.Enumeration
@@ -12,7 +12,7 @@ defmodule MavCodec.Definition.Enumerations do
     |> Enum.sort()
     |> Enum.map(fn {name, pieces} ->
       entries = pieces |> Enum.flat_map(& &1.entries) |> Enum.reduce(%{}, &add_entry(&1, &2, name))
-      # Of two names for one value the higher-ranking source's comes first.
+      # If a value has two names, that of the higher-ranking source comes first.
       entries = entries |> Map.values() |> Enum.sort_by(fn {index, entry} -> {entry.value, index} end)
 
       {Naming.enum(name),

@@ -1,7 +1,7 @@
 defmodule MavCodec.Definition.Facts do
   @moduledoc """
-  The text form of a definition file's facts, as it is kept in `priv/definitions`: one fact a line, in the order of the
-  XML, the same bytes each time.
+  The text form of a definition file's facts in `priv/definitions`: one fact a line, in the order of the XML. The same
+  facts always give the same bytes.
 
       file tiny.xml
       include minimal.xml

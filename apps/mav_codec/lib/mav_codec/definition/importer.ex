@@ -1,7 +1,7 @@
 defmodule MavCodec.Definition.Importer do
   @moduledoc """
-  XML files in, facts files out: reads a file and all that it includes, checks the whole, and says what to write.
-  Nothing is written unless everything is right.
+  Turns XML files into facts files: reads a file with its includes, checks everything, and returns what to write.
+  After an error nothing is written.
   """
 
   alias MavCodec.Definition.{Document, Error, Facts, Parser, Resolver}
@@ -24,8 +24,8 @@ defmodule MavCodec.Definition.Importer do
   @doc """
   Reads `paths` (XML, or facts files) and their includes: the documents by file name and the paths that were read.
 
-  An included file is looked for beside the including one, then in `base`, a folder of facts files such as those of a
-  source that is already imported.
+  An included file is searched beside the including one, then in `base`, a folder of facts files, for example of an
+  imported source.
   """
   @spec load([Path.t()], Path.t() | nil) ::
           {:ok, %{String.t() => Document.t()}, [Path.t()]} | {:error, Error.t()}

@@ -1,6 +1,6 @@
 defmodule MavCodec.Definition.Layout do
   @moduledoc """
-  How a message lies on the wire: field order (F4), CRC_EXTRA (F5), lengths, and where its target ids are.
+  The layout of a message on the wire: field order (F4), CRC_EXTRA (F5), lengths, and the position of its target ids.
   """
 
   import Bitwise
@@ -73,7 +73,7 @@ defmodule MavCodec.Definition.Layout do
     {Enum.sort_by(base, &size(&1.type), :desc), extensions}
   end
 
-  # The one message whose target system has another name, which routers have to know all the same.
+  # The only message whose target system has another name; routers must know it too.
   defp manual_control_target(%Message{name: "MANUAL_CONTROL"}, offsets), do: offsets["target"]
   defp manual_control_target(_message, _offsets), do: nil
 
@@ -98,7 +98,7 @@ defmodule MavCodec.Definition.Layout do
   def type_name(type) when type in [:char, :float, :double], do: Atom.to_string(type)
   def type_name(type), do: Atom.to_string(type) <> "_t"
 
-  # Bit by bit: it runs at compile time only, over a few hundred bytes a message.
+  # Bit by bit, because it runs only at compile time, over a few hundred bytes a message.
   defp crc(<<byte, rest::binary>>, crc), do: crc(rest, Enum.reduce(1..8, bxor(crc, byte), &crc_bit/2))
   defp crc(<<>>, crc), do: crc
 

@@ -5,7 +5,7 @@ defmodule MavCodec.Definition.Naming do
   These atoms come from definition files at compile time only, never from data.
   """
 
-  # By their names as text, since a module alias would make this code depend on what is compiled with it.
+  # As text, because a module alias would make this code depend on the modules that are compiled with it.
   @dialects "MavCodec.Dialects"
   @enums "MavCodec.Enums"
 
@@ -26,7 +26,7 @@ defmodule MavCodec.Definition.Naming do
   @spec key(String.t()) :: atom()
   def key(name), do: name |> String.downcase() |> String.to_atom()
 
-  @doc "The module of a dialect that is no file: those that join sources."
+  @doc "The module of a dialect that merges sources."
   @spec joined(String.t()) :: module()
   def joined(name), do: Module.concat(@dialects, name)
 
@@ -62,7 +62,7 @@ defmodule MavCodec.Definition.Naming do
     end
   end
 
-  @doc "The labels of the entries of an enum: their names without what all entries of the enum have in front."
+  @doc "The labels of an enum's entries: their names without the common prefix."
   @spec labels(String.t(), [String.t()]) :: [String.t()]
   def labels(enum, names) do
     prefix = enum <> "_"
@@ -75,7 +75,7 @@ defmodule MavCodec.Definition.Naming do
     Enum.map(names, &binary_part(&1, cut, byte_size(&1) - cut))
   end
 
-  # Up to and including a _, and never a whole name.
+  # The prefix ends with a _ and is never a whole name.
   defp common_prefix(names) do
     case :binary.longest_common_prefix(names) do
       0 ->

@@ -108,7 +108,7 @@ defmodule MavCodec.Definition.Parser do
     }
   end
 
-  # As pymavlink does it: an entry without a value gets the highest of its enum so far plus one.
+  # As in pymavlink: an entry without a value gets the highest value of its enum so far plus one.
   defp entry({:element, "entry", attributes, children, line}, highest) do
     name = name(attributes, "entry", line)
     parts = elements(children, "entry #{name}", ~w(description deprecated superseded wip param))
@@ -148,7 +148,7 @@ defmodule MavCodec.Definition.Parser do
     {index, for(key <- @param_keys, value = attribute(attributes, key), value != "", do: {key, value})}
   end
 
-  # One enum in two pieces in one file is merged like two in two files.
+  # An enum in two pieces in one file is merged like two in two files.
   defp merge_enums(enums) do
     enums
     |> Enum.map(& &1.name)
@@ -196,7 +196,7 @@ defmodule MavCodec.Definition.Parser do
   end
 
   defp check_message(%Message{name: name, fields: fields, line: line} = message) do
-    # Field names become lower-case keys, so case alone must not tell two of them apart.
+    # Field names become lower-case keys, so two of them must not differ only in case.
     unique(fields, &String.downcase(&1.name), &"field #{&1} of #{name}")
     if fields == [], do: fail(line, "#{name} has no fields")
 

@@ -1,6 +1,6 @@
 defmodule MavCodec.Definition.Resolver do
   @moduledoc """
-  One definition file together with all that it includes (F11): recursive, each file once, cycles allowed.
+  Resolves the includes of a definition file (F11): recursively, each file once, cycles allowed.
 
   Enums of one name are merged; a message id, message name or enum value that two files use differently is an error.
   """
@@ -23,7 +23,7 @@ defmodule MavCodec.Definition.Resolver do
   @spec resolve(%{String.t() => Document.t()}, String.t()) :: {:ok, t()} | {:error, Error.t()}
   def resolve(documents, root) do
     files = documents |> files([root], %{}, []) |> Enum.reverse()
-    # Included files first, so that an error is found in the file that includes, not in the included one.
+    # Included files first, so that an error is reported for the including file.
     all = files |> Enum.reverse() |> Enum.map(&Map.fetch!(documents, &1))
     messages = for document <- all, message <- document.messages, do: %{message | file: document.file}
     unique(messages, & &1.id, &"message id #{&1.id} (#{&1.name})")

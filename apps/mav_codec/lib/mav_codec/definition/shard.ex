@@ -1,10 +1,10 @@
 defmodule MavCodec.Definition.Shard do
   @moduledoc """
-  One part of the generated modules. The parts are files of their own so that Mix compiles them side by side.
+  One part of the generated modules. Each part is a file, so that Mix compiles them in parallel.
 
       use MavCodec.Definition.Shard, messages: {1, 8}
 
-  makes every eighth message module, from the first. They are compiled again when a facts file changes or is added.
+  creates every eighth message module, from the first. They are recompiled when a facts file changes or is added.
   """
 
   alias MavCodec.Definition.Catalog
@@ -16,7 +16,7 @@ defmodule MavCodec.Definition.Shard do
   @spec definitions() :: Path.t()
   def definitions, do: @definitions
 
-  @doc "The facts files as they are now, to see whether one was added or taken away."
+  @doc "The present facts files, to detect whether one was added or removed."
   @spec files() :: [Path.t()]
   def files, do: Catalog.files(@definitions)
 

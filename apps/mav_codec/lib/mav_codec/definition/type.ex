@@ -1,7 +1,7 @@
 defmodule MavCodec.Definition.Type do
   @moduledoc """
-  A message module to be: `fields` is the union over `layouts`, in XML order; `message` the definition that ranks first;
-  `enums` tells of the enums of its fields: `%{name => {module, bitmask?}}`.
+  A message module to be generated: `fields` is the union over `layouts`, in XML order; `message` is the definition that
+  ranks first; `enums` are the enums of its fields: `%{name => {module, bitmask?}}`.
   """
 
   alias MavCodec.Definition.{Layout, Naming}
@@ -21,8 +21,8 @@ defmodule MavCodec.Definition.Type do
         }
 
   @doc """
-  The message types of messages in rank order (so that the names of the official ones never depend on what is added to
-  them), with their modules under `namespace`.
+  The message types of messages in rank order (so that the names of official messages never depend on added
+  ones), with their modules under `namespace`.
   """
   @spec all([Message.t()], module()) :: [t()]
   def all(messages, namespace) do
@@ -70,7 +70,7 @@ defmodule MavCodec.Definition.Type do
     %{type | fields: type.fields ++ more, layouts: type.layouts ++ [layout]}
   end
 
-  # One module for both: the same base, and no extension of one name with two types.
+  # They share a module if their bases are equal and no extension has two types.
   defp same_type?(type, message, base) do
     type.id == message.id and type.name == message.name and shape(hd(type.layouts).base) == shape(base) and
       Enum.all?(message.fields, fn field ->
@@ -83,8 +83,8 @@ defmodule MavCodec.Definition.Type do
 
   defp shape(fields), do: Enum.map(fields, &{&1.name, &1.type, &1.length})
 
-  # Module names are unique without regard to case (they are file names): the first keeps its name, one that comes later
-  # gets its id behind it.
+  # Module names are unique regardless of case, because they become file names. The first message keeps the name, a later
+  # one gets its id appended.
   defp name_types(types, namespace) do
     {types, _taken} =
       types
@@ -110,7 +110,7 @@ defmodule MavCodec.Definition.Type do
     end)
   end
 
-  @doc "Tells types where the enums of their fields are; of two with one name the last counts."
+  @doc "Adds the modules of their fields' enums to types; of two enums with one name the last counts."
   @spec with_enums([t()], [{module(), Enumeration.t()}]) :: [t()]
   def with_enums(types, enums) do
     known = Map.new(enums, fn {module, enum} -> {enum.name, {module, enum.bitmask}} end)

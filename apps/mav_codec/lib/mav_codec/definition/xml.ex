@@ -3,8 +3,8 @@ defmodule MavCodec.Definition.XML do
   A small strict XML reader for definition files, with line numbers.
 
   It reads elements, attributes, text, CDATA, comments, processing instructions, the five predefined entities and numeric
-  character references. It refuses what a definition file has no business with: a document type declaration (and with it
-  entities of one's own), another encoding than UTF-8, files over 4 MB, nesting deeper than 16.
+  character references. It refuses what no definition file needs: a document type declaration (and with it custom
+  entities), another encoding than UTF-8, files over 4 MB, nesting deeper than 16.
   """
 
   @max_bytes 4 * 1024 * 1024
@@ -17,7 +17,7 @@ defmodule MavCodec.Definition.XML do
            line :: pos_integer()}
   @type text :: {:text, String.t(), line :: pos_integer()}
 
-  @doc "Reads a document and returns its root element, or the line and the reason why it is none."
+  @doc "Reads a document and returns its root element, or the line and the reason of an error."
   @spec parse(binary()) :: {:ok, element()} | {:error, pos_integer() | nil, String.t()}
   def parse(bytes) when byte_size(bytes) > @max_bytes, do: {:error, nil, "larger than #{@max_bytes} bytes"}
 
@@ -51,7 +51,7 @@ defmodule MavCodec.Definition.XML do
   defp root("", line), do: fail(line, "no element")
   defp root(_rest, line), do: fail(line, "text outside of the root element")
 
-  # What may stand before and after the root element.
+  # What may come before and after the root element.
   defp misc(<<c, rest::binary>>, line, start?) when c in @space, do: misc(rest, next(c, line), start?)
   defp misc("<!--" <> rest, line, _start?), do: rest |> skip("-->", line, "comment") |> misc_on()
 

@@ -6,7 +6,7 @@ defmodule MavCodec.Enums.Param do
     * `label` - its short name, `nil` where it has none
     * `units`, `enum` (a name such as `"MAV_BOOL"`), `min`, `max`, `increment` - `nil` where the definition says nothing
     * `default` - the value of a parameter that is not used: a number or `:nan`
-    * `reserved` - not used so far: send `default`, or 0
+    * `reserved` - unused: send `default`, or 0
   """
 
   @enforce_keys [:index]

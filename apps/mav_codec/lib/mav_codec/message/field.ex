@@ -1,14 +1,14 @@
 defmodule MavCodec.Message.Field do
   @moduledoc """
-  What is known of a field: see `fields/0` of a message module.
+  The description of a field, see `fields/0` of a message module.
 
     * `key` - the struct key, `name` - the name in the XML
     * `type` - element type, `length` - array length (`nil`: no array)
     * `units` - as the definitions write them (`"m/s"`, `"degE7"`, `"cm"` ...), `nil` if none
     * `enum` - module of `MavCodec.Enums`, `bitmask` - whether it is a set of flags
-    * `invalid` - the value that means "not known", as text (`"UINT16_MAX"`, `"NaN"`, `"[0]"` ...)
+    * `invalid` - the value that means "unknown", as text (`"UINT16_MAX"`, `"NaN"`, `"[0]"` ...)
     * `multiplier`, `min`, `max`, `increment`, `default` - as text, where given
-    * `instance` - whether the field tells apart several senders of one message (battery 1, battery 2)
+    * `instance` - whether the field distinguishes several instances of a message (battery 1, battery 2)
     * `extension` - whether it is in MAVLink 2 only
   """
 

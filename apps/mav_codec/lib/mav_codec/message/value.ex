@@ -1,19 +1,19 @@
 defmodule MavCodec.Message.Value do
   @moduledoc """
-  Single values on the wire, little-endian (F2): what generated decoders call for arrays, text and the floats that
-  Erlang has no number for, and the encoding of every type.
+  Single values on the wire, little-endian (F2): decoding of arrays, text and special floats for the generated decoders, and
+  the encoding of every type.
   """
 
   import Bitwise
 
-  @typedoc "A float, or what IEEE 754 has besides: `{:nan, bits}` is a NaN other than the usual quiet one."
+  @typedoc "A float, or a special value of IEEE 754; `{:nan, bits}` is a NaN other than the usual quiet one."
   @type extended_float :: float() | :nan | :infinity | :neg_infinity | {:nan, non_neg_integer()}
 
   @nan32 0x7FC00000
   @infinity32 0x7F800000
   @nan64 0x7FF8000000000000
   @infinity64 0x7FF0000000000000
-  # The largest float plus half of its last place: from there on rounding gives infinity.
+  # The largest float plus half of its last place: from here on, rounding gives infinity.
   @float_limit ((1 <<< 25) - 1) <<< 103
   @double_limit ((1 <<< 53) - 1) <<< 971
 
@@ -86,7 +86,7 @@ defmodule MavCodec.Message.Value do
   def range(type)
 
   @doc """
-  The bytes of a field's value, or what was expected instead of it. Nothing wraps and nothing is cut; text and bytes
+  The bytes of a field's value, or what was expected instead. No value wraps or is truncated; text and bytes
   shorter than the field are filled with zeros.
   """
   @spec encode(term(), MavCodec.Definition.Document.Field.scalar(), 1..255 | nil) ::
@@ -167,8 +167,8 @@ defmodule MavCodec.Message.Value do
        when is_integer(bits) and bits in 0..0xFFFFFFFFFFFFFFFF and (bits &&& 0x7FFFFFFFFFFFFFFF) > @infinity64,
        do: {:ok, <<bits::little-64>>}
 
-  # Erlang would make an infinity of a double that is too large for 32 bits, and raises for an integer that is too large
-  # for 64.
+  # Erlang would turn a double that is too large for 32 bits into an infinity, and raises for an integer that is too
+  # large for 64.
   defp scalar(value, :float) when is_number(value) and abs(value) < @float_limit,
     do: {:ok, <<value::float-little-32>>}
 

@@ -1,6 +1,6 @@
 defmodule MavCodec.Parser.Candidate do
   @moduledoc """
-  What stands at the start of some bytes: the careful judgement, used where the parser's fast path does not apply.
+  Judges whether some bytes start with a frame. Used where the parser's fast path does not apply.
   """
 
   import Bitwise
@@ -14,7 +14,7 @@ defmodule MavCodec.Parser.Candidate do
   @typedoc """
     * `{:good, size, extra}` - a frame of a known id with the right CRC
     * `{:incompatible, size}` - the same, with incompatibility flags that this parser must not accept (F6)
-    * `{:unknown, size}` - could be a frame of an unknown id; nothing more can be said from its own bytes
+    * `{:unknown, size}` - could be a frame of an unknown id; its own bytes say no more
     * `{:bad_crc, size}` - a known id, a complete frame, a wrong CRC
     * `:noise` - cannot be the start of a frame
     * `:more` - too few bytes to tell
@@ -59,7 +59,7 @@ defmodule MavCodec.Parser.Candidate do
     if acceptable?(data, accepted), do: {:good, size, extra}, else: {:incompatible, size}
   end
 
-  # Neither CRC nor flags can be trusted: with flags that are not accepted it is dropped either way (F6).
+  # Neither CRC nor flags can be trusted. With flags that are not accepted it is dropped in any case (F6).
   defp unknown(data, size, accepted), do: if(acceptable?(data, accepted), do: {:unknown, size}, else: :noise)
 
   defp acceptable?(<<0xFD, _len, incompat, _::binary>>, accepted), do: (incompat &&& bnot(accepted)) == 0

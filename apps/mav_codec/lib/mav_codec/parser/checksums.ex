@@ -1,26 +1,26 @@
 defmodule MavCodec.Parser.Checksums do
   @moduledoc """
-  The CRC of any stretch of some bytes, so that a search costs the same whatever the bytes are.
+  Computes the CRC of any range of some bytes in constant time, so that a search costs the same for any bytes.
 
   A byte that looks like a magic claims a frame of up to 280 bytes, and the next byte may claim one as well: with a CRC for
-  each, hostile bytes would cost 280 times what they are. The CRC is linear, so the register behind a stretch follows from
-  the registers before and behind it of *one* run over all the bytes, and from the stretch's length:
+  each, a hostile byte would cost 280 CRC steps. The CRC is linear, so the register behind a range follows from its length
+  and from the registers before and behind it in *one* run over all the bytes:
 
       crc(from, to) = register(to) xor advance(register(from) xor 0xFFFF, to - from)
 
-  where `advance` is what that many zero bytes do, a few looks into a table. A window of the bytes' registers is made only
-  when CRCs computed one by one have cost more than twice the bytes that were read, which damage on a line never does.
+  where `advance` is the effect of that many zero bytes, a few table look-ups. A window of registers is computed only when
+  CRCs one by one have cost more than twice the bytes that were read, which never happens on a damaged line.
   """
 
   import Bitwise
 
-  # The bytes that CRCs one by one may cost: this many, and twice what was read.
+  # CRCs one by one may cost this many bytes, plus twice what was read.
   @allowance 1024
-  # The places of a window, and the longest stretch that begins at one (17 bytes of header, 255 of payload).
+  # The number of places in a window, and the longest range from one of them (17 bytes of header, 255 of payload).
   @window 2048
   @longest 272
 
-  # By length, what so many zero bytes make of each of the register's parts of 6, 5 and 5 bits, at 0, 64 and 96.
+  # By length: the effect of so many zero bytes on each part of the register (6, 5 and 5 bits, at 0, 64 and 96).
   bits = fn crc ->
     x = crc &&& 0xFF
     x = bxor(x, x <<< 4) &&& 0xFF
@@ -35,13 +35,13 @@ defmodule MavCodec.Parser.Checksums do
            |> Enum.map(&List.to_tuple/1)
            |> List.to_tuple()
 
-  # What a byte makes of the register, and what it does one byte later.
+  # The effect of a byte on the register, and its effect one byte later.
   @step List.to_tuple(for byte <- 0..255, do: bits.(byte))
   @steps List.to_tuple(for byte <- 0..255, do: byte |> bits.() |> bits.())
 
   @typedoc """
-  `spent` - bytes that CRCs one by one have cost; `registers` - of the run that begins behind the byte `from`, up to that
-  behind the byte `to`, see `register/2`.
+  `spent` - bytes that CRCs one by one have cost; `registers` - of a run from behind the byte `from` to behind the byte `to`,
+  see `register/2`.
   """
   @type t :: {spent :: non_neg_integer(), from :: non_neg_integer(), to :: integer(), registers :: tuple()}
 
@@ -54,8 +54,7 @@ defmodule MavCodec.Parser.Checksums do
   def spent({spent, from, to, registers}, size), do: {spent + size, from, to, registers}
 
   @doc """
-  For the `size` bytes behind the byte `from`: whether their CRC may be computed by itself, or else a window in which they
-  lie.
+  Whether the CRC of the `size` bytes behind the byte `from` may be computed by itself, or else a window that contains them.
   """
   @spec reach(t(), binary(), non_neg_integer(), non_neg_integer()) :: {:direct | :window, t()}
   def reach({spent, first, last, registers}, _data, from, size) when spent + size <= @allowance + 2 * from,
@@ -71,8 +70,8 @@ defmodule MavCodec.Parser.Checksums do
     {:window, {spent, from, from + count, List.to_tuple(run(bytes, 0, []))}}
   end
 
-  # Two bytes a step, so that the processor waits half as often for a register; eight registers in one tuple, which is half
-  # of the memory that a list would take. The guard lets the compiler leave out checks of each number.
+  # Two bytes a step, so that the processor waits for a register half as often; eight registers in one tuple, which takes
+  # half the memory of a list. The guard lets the compiler leave out checks of each number.
   defp run(<<a::16-little, b::16-little, c::16-little, d::16-little, rest::binary>>, r0, registers)
        when is_integer(r0) and r0 in 0..0xFFFF do
     x = bxor(r0, a)
@@ -96,7 +95,7 @@ defmodule MavCodec.Parser.Checksums do
     Enum.reverse(registers, [List.to_tuple([register | last])])
   end
 
-  @doc "The register of a window behind so many bytes."
+  @doc "The register behind so many bytes of a window."
   defmacro register(registers, place) do
     quote do
       place = unquote(place)
@@ -105,9 +104,9 @@ defmodule MavCodec.Parser.Checksums do
   end
 
   @doc """
-  The CRC of a frame whose `size` bytes of header and payload stand between the registers `before` and `behind` of a window.
+  The CRC of a frame whose `size` bytes of header and payload are between the registers `before` and `behind` of a window.
 
-  A macro: a call would make the search, which calls this for each byte of some data, put aside all that it holds.
+  A macro, because a call would make the search, which may need this for each byte, save all its registers.
   """
   defmacro frame(before, behind, size, crc_extra) do
     quote do

@@ -1,10 +1,10 @@
 defmodule MavCodec.Parser.Known do
   @moduledoc """
-  What the dialects of one parser know of message ids: CRC_EXTRA, and the payload's length in MAVLink 1.
+  The message ids that a parser's dialects know: CRC_EXTRA, and the payload's length in MAVLink 1.
 
-  Ids below 65,536, which is all of the official ones, are looked up in pages of 256 made once for a choice of dialects;
-  the others are asked of the dialects. An id has a list of values when dialects disagree about the message (the frame
-  keeps the one that matched), and `nil` when no dialect knows it.
+  Ids below 65,536, which includes all official ones, are in pages of 256 that are made once for a choice of dialects. For
+  other ids the dialects are asked. An id has a list of values if dialects disagree about the message (the frame keeps the
+  one that matched), and `nil` if no dialect knows it.
   """
 
   import Bitwise
@@ -18,7 +18,7 @@ defmodule MavCodec.Parser.Known do
 
   @typedoc """
     * `pages` - by the id's upper byte, then its lower one
-    * `lengths` - of the payload without extensions, by id below 256; `nil` when it is not known or dialects disagree
+    * `lengths` - of the payload without extensions, by id below 256; `nil` if unknown or if dialects disagree
     * `others` - the dialects that may have ids above the pages
   """
   @type t :: %__MODULE__{pages: tuple(), lengths: tuple(), others: [module()]}

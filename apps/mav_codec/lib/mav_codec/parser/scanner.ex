@@ -2,10 +2,9 @@ defmodule MavCodec.Parser.Scanner do
   @moduledoc """
   The loop over received bytes: it returns frames, keeps incomplete ones, and counts everything else.
 
-  `frames/8` is the fast path: complete frames of known ids with the right CRC, one behind the other, of version 2 without
-  flags or signed, or of version 1. Each costs one match, one CRC and two references. Everything else goes to `due/7`, which
-  judges what stands where a frame is due, and behind damage to `gap/7`, which looks for the next one
-  (`MavCodec.Parser.Search`).
+  `frames/8` is the fast path for consecutive complete frames of known ids with the right CRC: version 2 without flags or
+  signed, or version 1. Each costs one match, one CRC and two references. Where a frame is due and something else comes,
+  `due/7` judges it. Behind damage, `gap/7` searches the next frame (`MavCodec.Parser.Search`).
 
   ## Rules
 
@@ -25,19 +24,17 @@ defmodule MavCodec.Parser.Scanner do
   alias MavCodec.{CRC, Frame}
   alias MavCodec.Parser.{Candidate, Checksums, Known, Search}
 
-  # Not called `Known.extra/2` in the fast path: the id is nearly always in the pages.
+  # The fast path does not call `Known.extra/2`, because the id is nearly always in the pages.
   @direct Known.direct_size()
 
-  # `due?`: a frame is due at the first byte, it does not stand behind damage. `ahead` is what `Search.good/6` found in the
-  # data, and `cleared` the place up to which it has looked, so that it looks at each place once; between two pushes
-  # `cleared` is relative to the bytes kept.
+  # `due?`: a frame is due at the first byte, because there is no damage before it. `ahead` is the result of
+  # `Search.good/6`, and `cleared` the place up to which it has searched, so that each place is searched once; between two
+  # pushes `cleared` is relative to the bytes kept.
   @enforce_keys [:known, :accepted]
   defstruct @enforce_keys ++
               [crc_errors: 0, resync_bytes: 0, incompatible: 0] ++
               [due?: true, ahead: :none, cleared: 0, sums: Checksums.new()]
 
-  @typedoc "`:stream` - more bytes may follow; `:datagram` - a boundary; `:final` - nothing follows."
-  @type mode :: :stream | :datagram | :final
   @type t :: %__MODULE__{
           known: Known.t(),
           accepted: 0..255,
@@ -50,24 +47,75 @@ defmodule MavCodec.Parser.Scanner do
           sums: Checksums.t()
         }
 
-  @doc "A scanner that takes frames of `known` ids and the `accepted` incompatibility flags."
+  @doc "A scanner that accepts frames of `known` ids with the `accepted` incompatibility flags."
   @spec new(Known.t(), 0..255) :: t()
   def new(known, accepted), do: %__MODULE__{known: known, accepted: accepted}
 
-  @doc "A frame is due at the beginning of the next data, whatever came before."
+  @doc "A frame is due at the start of the next data, whatever came before."
   @spec boundary(t()) :: t()
   def boundary(%__MODULE__{due?: true} = state), do: state
   def boundary(state), do: %{state | due?: true}
 
   @doc """
-  All frames of `data`, the newest first, the bytes to keep, and the scanner with what was counted. Frames get `at` as
+  Returns all frames of `data`, the newest first, the bytes to keep, and the scanner with its counters. Frames get `at` as
   their time of arrival.
   """
-  @spec scan(t(), binary(), integer() | nil, mode()) :: {[Frame.t()], binary(), t()}
+  @spec scan(t(), binary(), integer() | nil, Search.mode()) :: {[Frame.t()], binary(), t()}
   def scan(%__MODULE__{due?: true, known: %Known{pages: pages}} = state, data, at, mode),
     do: frames(data, data, 0, pages, at, mode, [], state)
 
   def scan(state, data, at, mode), do: gap(data, 0, 0, at, mode, [], state)
+
+  # The two macros are parts of `frames/8` and use its variables. A function would cost a call for each frame.
+  defmacrop extra(id) do
+    quote do
+      if unquote(id) < @direct,
+        do: elem(elem(var!(pages), unquote(id) >>> 8), unquote(id) &&& 0xFF),
+        else: Known.extra(var!(state).known, unquote(id))
+    end
+  end
+
+  # Takes a frame of `size` bytes if the CRC over `covered` of them is right.
+  defmacrop checked(extra, covered, size, fields) do
+    quote do
+      case unquote(extra) do
+        extra when is_integer(extra) ->
+          bytes = binary_part(var!(data), var!(pos), unquote(size))
+
+          if CRC.frame(bytes, unquote(covered), extra) == var!(crc) do
+            frame = %Frame{
+              unquote_splicing(fields),
+              seq: var!(seq),
+              system: var!(system),
+              component: var!(component),
+              id: var!(id),
+              payload: var!(payload),
+              crc_extra: extra,
+              bytes: bytes,
+              at: var!(at)
+            }
+
+            pos = var!(pos) + unquote(size)
+
+            frames(
+              var!(rest),
+              var!(data),
+              pos,
+              var!(pages),
+              var!(at),
+              var!(mode),
+              [frame | var!(found)],
+              var!(state)
+            )
+          else
+            wrong(var!(data), var!(pos), unquote(covered), var!(at), var!(mode), var!(found), var!(state))
+          end
+
+        _none_or_several ->
+          due(var!(data), var!(pos), var!(at), var!(mode), var!(found), var!(state))
+      end
+    end
+  end
 
   # The first argument is `data` from `pos` on. It is only matched, so that the runtime goes through the whole of `data`
   # with one match context and makes no binary for what remains.
@@ -83,33 +131,7 @@ defmodule MavCodec.Parser.Scanner do
          state
        )
        when system > 0 do
-    case if(id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF), else: Known.extra(state.known, id)) do
-      extra when is_integer(extra) ->
-        bytes = binary_part(data, pos, len + 12)
-
-        case CRC.frame(bytes, len + 9, extra) do
-          ^crc ->
-            frame = %Frame{
-              seq: seq,
-              system: system,
-              component: component,
-              id: id,
-              payload: payload,
-              compat: compat,
-              crc_extra: extra,
-              bytes: bytes,
-              at: at
-            }
-
-            frames(rest, data, pos + len + 12, pages, at, mode, [frame | found], state)
-
-          _wrong ->
-            wrong(data, pos, len + 9, at, mode, found, state)
-        end
-
-      _none_or_several ->
-        due(data, pos, at, mode, found, state)
-    end
+    checked(extra(id), len + 9, len + 12, compat: compat)
   end
 
   defp frames(
@@ -123,33 +145,7 @@ defmodule MavCodec.Parser.Scanner do
          state
        )
        when system > 0 do
-    case elem(elem(pages, 0), id) do
-      extra when is_integer(extra) ->
-        bytes = binary_part(data, pos, len + 8)
-
-        case CRC.frame(bytes, len + 5, extra) do
-          ^crc ->
-            frame = %Frame{
-              version: 1,
-              seq: seq,
-              system: system,
-              component: component,
-              id: id,
-              payload: payload,
-              crc_extra: extra,
-              bytes: bytes,
-              at: at
-            }
-
-            frames(rest, data, pos + len + 8, pages, at, mode, [frame | found], state)
-
-          _wrong ->
-            wrong(data, pos, len + 5, at, mode, found, state)
-        end
-
-      _none_or_several ->
-        due(data, pos, at, mode, found, state)
-    end
+    checked(elem(elem(pages, 0), id), len + 5, len + 8, version: 1)
   end
 
   defp frames(
@@ -164,35 +160,8 @@ defmodule MavCodec.Parser.Scanner do
          state
        )
        when system > 0 do
-    case if(id < @direct, do: elem(elem(pages, id >>> 8), id &&& 0xFF), else: Known.extra(state.known, id)) do
-      extra when is_integer(extra) ->
-        bytes = binary_part(data, pos, len + 25)
-
-        case CRC.frame(bytes, len + 9, extra) do
-          ^crc ->
-            frame = %Frame{
-              seq: seq,
-              system: system,
-              component: component,
-              id: id,
-              payload: payload,
-              incompat: 1,
-              compat: compat,
-              crc_extra: extra,
-              signature: %{link_id: link_id, timestamp: timestamp, signature: signature},
-              bytes: bytes,
-              at: at
-            }
-
-            frames(rest, data, pos + len + 25, pages, at, mode, [frame | found], state)
-
-          _wrong ->
-            wrong(data, pos, len + 9, at, mode, found, state)
-        end
-
-      _none_or_several ->
-        due(data, pos, at, mode, found, state)
-    end
+    signature = %{link_id: link_id, timestamp: timestamp, signature: signature}
+    checked(extra(id), len + 9, len + 25, incompat: 1, compat: compat, signature: signature)
   end
 
   defp frames(<<>>, data, _pos, _pages, _at, mode, found, state),
@@ -205,7 +174,7 @@ defmodule MavCodec.Parser.Scanner do
     frames(rest, data, pos, pages, at, mode, found, state)
   end
 
-  # F13: on at the next byte.
+  # F13: the search continues at the next byte.
   defp wrong(data, pos, covered, at, mode, found, state) do
     state = %{state | crc_errors: state.crc_errors + 1, sums: Checksums.spent(state.sums, covered)}
     gap(data, pos, pos + 1, at, mode, found, state)
@@ -225,8 +194,8 @@ defmodule MavCodec.Parser.Scanner do
     end
   end
 
-  # A frame of an unknown id, where one is due. What stands in it was searched before, up to `cleared` or a good frame, when
-  # others were before it; then there is nothing to search.
+  # A frame of an unknown id where a frame is due. If its bytes were searched before (up to `cleared`, or to a good frame),
+  # there is nothing to search.
   defp unknown(data, pos, size, at, mode, found, %{ahead: ahead, cleared: cleared} = state) do
     stop = pos + size
 
@@ -236,7 +205,7 @@ defmodule MavCodec.Parser.Scanner do
        else: gap(data, pos, pos, at, mode, found, state)
   end
 
-  # At a datagram's end the beginning of a frame is kept, but not at the cost of a good frame behind its start.
+  # At the end of a datagram, the beginning of a frame is kept, unless a good frame follows its start.
   defp unfinished(data, pos, at, found, state) do
     case ahead(data, pos + 1, :datagram, state) do
       {{:good, _place}, _seen, state} -> gap(data, pos, pos + 1, at, :datagram, found, state)
@@ -244,7 +213,7 @@ defmodule MavCodec.Parser.Scanner do
     end
   end
 
-  # From `pos` on nothing is due, and at `next` the search goes on: for frames of unknown ids, up to the next good frame.
+  # No frame is due at `pos`. Searches from `next` on for frames of unknown ids, up to the next good frame.
   defp gap(data, pos, next, at, mode, found, state) do
     {ahead, seen, state} = ahead(data, next, mode, state)
 
@@ -254,42 +223,34 @@ defmodule MavCodec.Parser.Scanner do
         {errors, open} -> Search.open(data, open, ahead, state.known, state.accepted, mode, errors)
       end
 
-    state = %{state | crc_errors: state.crc_errors + errors}
+    place = place(what, ahead, data)
+    state = %{state | crc_errors: state.crc_errors + errors, resync_bytes: state.resync_bytes + place - pos}
 
     case {what, ahead} do
-      {{:take, place, size}, _} ->
-        take(data, place, size, nil, at, mode, found, noise(state, place - pos))
-
-      {{:hold, place}, _} ->
-        {found, from(data, place), state |> noise(place - pos) |> done(place, false, mode)}
-
-      {:none, {:good, place}} ->
-        again(data, place, at, mode, found, noise(state, place - pos))
-
-      {:none, {:doubt, place}} ->
-        {found, from(data, place), state |> noise(place - pos) |> done(place, false, mode)}
-
-      {:none, :none} ->
-        {found, <<>>, state |> noise(byte_size(data) - pos) |> done(byte_size(data), false, mode)}
+      {{:take, _place, size}, _} -> take(data, place, size, nil, at, mode, found, state)
+      {:none, {:good, _place}} -> again(data, place, at, mode, found, state)
+      _hold_doubt_or_none -> {found, from(data, place), done(state, place, false, mode)}
     end
   end
 
-  # What `Search.good/6` finds from `next` on, in this call or, for that part of the data, in an earlier one.
+  defp place({:take, place, _size}, _ahead, _data), do: place
+  defp place({:hold, place}, _ahead, _data), do: place
+  defp place(:none, ahead, data), do: limit(ahead, data)
+
+  # The result of `Search.good/6` from `next` on, of this call or of an earlier one.
   defp ahead(_data, next, _mode, %{ahead: {:good, place}} = state) when place >= next,
     do: {state.ahead, {0, next}, state}
 
   defp ahead(data, next, mode, %{cleared: cleared} = state) do
     %{known: known, accepted: accepted, sums: sums} = state
     from = max(next, cleared)
-    {ahead, errors, open, sums} = Search.good(data, from, known, accepted, mode == :stream, sums)
+    {ahead, errors, open, sums} = Search.good(data, from, known, accepted, mode, sums)
     state = %{state | ahead: ahead, cleared: limit(ahead, data), sums: sums}
     {ahead, if(from == next, do: {errors, open}, else: {0, next}), state}
   end
 
   defp limit({_good_or_doubt, place}, _data), do: place
   defp limit(:none, data), do: byte_size(data)
-
-  defp noise(state, bytes), do: %{state | resync_bytes: state.resync_bytes + bytes}
 
   defp take(data, pos, size, extra, at, mode, found, state) do
     frame = data |> binary_part(pos, size) |> Frame.from_bytes(extra, at)

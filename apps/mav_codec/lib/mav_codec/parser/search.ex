@@ -2,12 +2,12 @@ defmodule MavCodec.Parser.Search do
   @moduledoc """
   Searches bytes that do not start with a good frame for the next frames, in one pass.
 
-  `good/6` looks ahead for the next frame of a known id with the right CRC; `open/7` for what may be a frame of an unknown id
-  or the beginning of one that is not complete. Both do a bounded amount of work for each byte, whatever the bytes are
-  (`MavCodec.Parser.Checksums`), and neither makes anything for a byte that is none of it.
+  `good/6` looks ahead for the next frame of a known id with the right CRC; `open/7` searches for what may be a frame of an
+  unknown id or the beginning of an incomplete frame. Both do a bounded amount of work for each byte, whatever the bytes are
+  (`MavCodec.Parser.Checksums`), and allocate nothing for other bytes.
 
-  MAVLink 1 has no extensions and cuts nothing, so here, behind damage, a header of version 1 counts only when its length is
-  the message's own (F9). Where a frame is due, the scanner does not ask for that.
+  MAVLink 1 has no extensions and truncates nothing, so behind damage a header of version 1 counts only if its length is
+  exactly the message's (F9). Where a frame is due, the scanner does not require that.
   """
 
   import Bitwise
@@ -21,35 +21,37 @@ defmodule MavCodec.Parser.Search do
   @signed 0x01
   @source32 0x02
   @target32 0x04
-  # Header without the magic, and payload; and more bytes than any read has.
+  # The longest header without magic plus payload; and more bytes than any read has.
   @longest 16 + 255
   @most 0xFFFF_FFFF_FFFF
 
   @typedoc """
     * `{:good, place}` - a frame of a known id with the right CRC
-    * `{:doubt, place}` - in a stream, the beginning of a frame of a known id: nothing behind it was looked at
+    * `{:doubt, place}` - in a stream, the beginning of a frame of a known id; nothing behind it was searched
     * `:none` - neither, up to the end of the data
   """
   @type ahead :: {:good | :doubt, non_neg_integer()} | :none
 
+  @typedoc "`:stream` - more bytes may follow; `:datagram` - a boundary; `:final` - nothing follows."
+  @type mode :: :stream | :datagram | :final
+
   @doc """
-  The next good frame of `data` from `pos` on; how many wrong CRCs were before it, or before the first place that `open/7`
-  should look at; and that place, or `nil`.
+  Returns the next good frame of `data` from `pos` on; the number of wrong CRCs before it, or before the first place where
+  `open/7` should search; and that place, or `nil`.
   """
-  @spec good(binary(), non_neg_integer(), Known.t(), 0..255, boolean(), Checksums.t()) ::
+  @spec good(binary(), non_neg_integer(), Known.t(), 0..255, mode(), Checksums.t()) ::
           {ahead(), errors :: non_neg_integer(), open :: non_neg_integer() | nil, Checksums.t()}
-  def good(data, pos, known, accepted, stream?, sums) do
+  def good(data, pos, known, accepted, mode, sums) do
     <<_::binary-size(^pos), rest::binary>> = data
-    fixed = fixed(data, known, accepted, stream?)
-    look(rest, pos, known.pages, known.lengths, fixed, 0, nil, sums)
+    look(rest, pos, known.pages, known.lengths, fixed(data, known, accepted, mode), 0, nil, sums)
   end
 
-  # What stays the same; `refused` are the flags of frames that are not taken (F6).
-  defp fixed(data, known, accepted, stream?),
-    do: {known, 0xFF - accepted, stream?, byte_size(data), data, known.others}
+  # What stays the same during a search; `refused` are the flags that are not accepted (F6).
+  defp fixed(data, known, accepted, mode),
+    do: {known, 0xFF - accepted, mode, byte_size(data), data, known.others}
 
-  # This and its helpers begin with a match, so that the runtime makes no binary for what remains, and keep their arguments
-  # in their places, so that nothing is moved.
+  # This function and its helpers begin with a match, so that the runtime makes no binary of the rest, and keep their
+  # arguments in their places, so that no register is moved.
   defp look(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, open, sums) do
     case rest do
       <<len, _seq, system, _component, id, _::binary>> when system > 0 ->
@@ -101,7 +103,7 @@ defmodule MavCodec.Parser.Search do
 
   defp look(<<>>, _pos, _pages, _lengths, _fixed, errors, open, sums), do: {:none, errors, open, sums}
 
-  # Here is nothing but tail calls: another call would put aside all that the loop holds. `covered` as with short ids.
+  # Only tail calls: any other call would save all registers of the loop. `covered` as with short ids.
   defp v2(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, flags, id)
        when id < @direct do
     case elem(elem(pages, id >>> 8), id &&& 0xFF) do
@@ -140,9 +142,19 @@ defmodule MavCodec.Parser.Search do
 
   # An unknown id: the first place that may be a frame is remembered.
   defp nobody(<<rest::binary>>, pos, pages, lengths, fixed, errors, nil, sums, covered, flags) do
-    if unknown(pos, covered, flags, fixed) == :noise,
-      do: look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums),
-      else: look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
+    signed = 13 * (flags &&& @signed)
+
+    case rest do
+      _refused when (flags &&& elem(fixed, 1)) != 0 ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
+
+      <<_::binary-size(^covered), _crc::16, _::binary-size(^signed), magic, _::binary>>
+      when magic not in [0xFD, 0xFE] ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, nil, sums)
+
+      _possible_or_incomplete ->
+        look(rest, pos + 1, pages, lengths, fixed, errors, pos, sums)
+    end
   end
 
   # `covered` bytes of header and payload, `signed` bytes of signature. The guard is always true: it lets the compiler leave
@@ -172,7 +184,7 @@ defmodule MavCodec.Parser.Search do
     end
   end
 
-  # No window, or it ends here; or several CRC_EXTRAs, each of which is as good as a header of its own.
+  # There is no window, or it ends here; or the id has several CRC_EXTRAs.
   defp outside(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums, covered, signed, extra) do
     <<_::binary-size(^covered), crc::16-little, _::binary>> = rest
 
@@ -204,146 +216,145 @@ defmodule MavCodec.Parser.Search do
     do: look(rest, pos + 1, pages, lengths, fixed, errors, open, sums)
 
   # The header, or the frame of a known id, ends behind the data.
-  defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, true, _, _, _}, errors, open, sums),
+  defp incomplete(<<_::binary>>, pos, _pages, _lengths, {_, _, :stream, _, _, _}, errors, open, sums),
     do: {{:doubt, pos}, errors, open, sums}
 
   defp incomplete(<<rest::binary>>, pos, pages, lengths, fixed, errors, open, sums),
     do: look(rest, pos + 1, pages, lengths, fixed, errors, open || pos, sums)
 
   @doc """
-  The next place of `data` from `pos` on that is a frame of an unknown id, `{:take, place, size}`, or
-  the beginning of a frame that must be waited for, `{:hold, place}`; and how many wrong CRCs were before it.
+  Returns the next frame of an unknown id in `data` from `pos` on, `{:take, place, size}`, or the beginning of a frame that
+  must wait for more bytes, `{:hold, place}`; and the number of wrong CRCs before it.
 
-  `ahead` is what `good/6` found, so none of the known ids before it is good. A frame of an unknown id has no CRC that
-  could be checked. It is believed when the byte behind it is a magic, or the data ends there, and no good frame begins
-  inside it.
+  `ahead` is the result of `good/6`, so no frame of a known id before it is good. The CRC of a frame of an unknown id cannot
+  be checked. It is accepted if the byte behind it is a magic, or the data ends there, and no good frame begins inside it.
   """
-  @spec open(
-          binary(),
-          non_neg_integer(),
-          ahead(),
-          Known.t(),
-          0..255,
-          :stream | :datagram | :final,
-          non_neg_integer()
-        ) ::
+  @spec open(binary(), non_neg_integer(), ahead(), Known.t(), 0..255, mode(), non_neg_integer()) ::
           {{:take, non_neg_integer(), pos_integer()} | {:hold, non_neg_integer()} | :none,
            errors :: non_neg_integer()}
   def open(data, pos, ahead, known, accepted, mode, errors) do
     <<_::binary-size(^pos), rest::binary>> = data
-    limit = limit(ahead, data)
-    sift(rest, pos, limit, ahead, fixed(data, known, accepted, mode == :stream), mode, errors)
+    fixed = fixed(data, known, accepted, mode)
+    sift(rest, pos, known.pages, known.lengths, fixed, errors, limit(ahead, data), match?({:good, _}, ahead))
   end
 
-  # The last place to look at.
+  # The last place to search; if a good frame is ahead (`good?`), the byte before it.
   defp limit({:good, place}, _data), do: place - 1
   defp limit({:doubt, place}, _data), do: place
   defp limit(:none, data), do: byte_size(data)
 
-  # This and its helpers begin with a match, so that the runtime makes no binary for what remains.
-  defp sift(<<magic, _::binary>>, pos, limit, _ahead, _fixed, _mode, errors)
+  # As in `look/8`, arguments keep their places, and there are no calls but tail calls.
+  defp sift(<<magic, _::binary>>, pos, _pages, _lengths, _fixed, errors, limit, _good?)
        when magic in [0xFD, 0xFE] and pos > limit,
        do: {:none, errors}
 
-  defp sift(<<0xFE, rest::binary>>, pos, limit, ahead, {known, _, _, size, _, _} = fixed, mode, errors) do
+  defp sift(<<0xFE, rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?) do
     case rest do
       <<_len, _seq, 0, _component, _id, _::binary>> ->
-        sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+        sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
 
       <<len, _seq, _system, _component, id, _::binary>> ->
-        cond do
-          elem(elem(known.pages, 0), id) == nil ->
-            claim(rest, pos, unknown(pos, 5 + len, 0, fixed), limit, ahead, fixed, mode, errors)
+        case elem(elem(pages, 0), id) do
+          nil ->
+            unknown(rest, pos, pages, lengths, fixed, errors, limit, good?, 5 + len, 0)
 
-          other_length?(elem(known.lengths, id), len) ->
-            sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+          _extra ->
+            case elem(lengths, id) do
+              length when is_integer(length) and length != len ->
+                sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
 
-          pos + 8 + len > size ->
-            claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
-
-          true ->
-            sift(rest, pos + 1, limit, ahead, fixed, mode, errors + 1)
+              _same_or_disputed ->
+                known(rest, pos, pages, lengths, fixed, errors, limit, good?, 5 + len, 0)
+            end
         end
 
       _incomplete ->
-        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+        wait(rest, pos, pages, lengths, fixed, errors, limit, good?)
     end
   end
 
-  defp sift(<<0xFD, rest::binary>>, pos, limit, ahead, fixed, mode, errors) do
+  defp sift(<<0xFD, rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?) do
     case rest do
       <<len, flags, _::2-binary, system, _component, id::24-little, _::binary>>
       when (flags &&& @source32) == 0 ->
-        sift2(rest, pos, 9, len, flags, system, id, limit, ahead, fixed, mode, errors)
+        if system == 0,
+          do: sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?),
+          else: sift2(rest, pos, pages, lengths, fixed, errors, limit, good?, 9 + len, flags, id)
 
       <<len, flags, _::2-binary, system::32, _component, id::24-little, _::binary>>
       when (flags &&& @source32) != 0 ->
-        sift2(rest, pos, 12, len, flags, system, id, limit, ahead, fixed, mode, errors)
+        if system == 0,
+          do: sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?),
+          else: sift2(rest, pos, pages, lengths, fixed, errors, limit, good?, 12 + len, flags, id)
 
       _incomplete ->
-        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
+        wait(rest, pos, pages, lengths, fixed, errors, limit, good?)
     end
   end
 
-  defp sift(<<_, rest::binary>>, pos, limit, ahead, fixed, mode, errors),
-    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+  defp sift(<<_, rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?),
+    do: sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
 
-  defp sift(<<>>, _pos, _limit, _ahead, _fixed, _mode, errors), do: {:none, errors}
+  defp sift(<<>>, _pos, _pages, _lengths, _fixed, errors, _limit, _good?), do: {:none, errors}
 
-  defp other_length?(length, len), do: length != nil and length != len
-
-  defp sift2(<<rest::binary>>, pos, _header, _len, _flags, 0, _id, limit, ahead, fixed, mode, errors),
-    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
-
-  defp sift2(<<rest::binary>>, pos, header, len, flags, _system, id, limit, ahead, fixed, mode, errors) do
-    header = if (flags &&& @target32) == 0, do: header, else: header + 4
-
-    cond do
-      Known.extra(elem(fixed, 0), id) == nil ->
-        claim(rest, pos, unknown(pos, header + len, flags, fixed), limit, ahead, fixed, mode, errors)
-
-      pos + 3 + header + len + 13 * (flags &&& @signed) > elem(fixed, 3) ->
-        claim(rest, pos, :more, limit, ahead, fixed, mode, errors)
-
-      true ->
-        sift(rest, pos + 1, limit, ahead, fixed, mode, errors + 1)
+  # `covered` as with short ids.
+  defp sift2(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?, covered, flags, id)
+       when id < @direct do
+    case elem(elem(pages, id >>> 8), id &&& 0xFF) do
+      nil -> unknown(rest, pos, pages, lengths, fixed, errors, limit, good?, covered, flags)
+      _extra -> known(rest, pos, pages, lengths, fixed, errors, limit, good?, covered, flags)
     end
   end
 
-  # A good frame begins within what is claimed, or behind it.
-  defp claim(<<rest::binary>>, pos, what, limit, {:good, good} = ahead, fixed, mode, errors) do
-    case what do
-      {:ends, stop} when stop <= good -> {{:take, pos, stop - pos}, errors}
-      _noise -> sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
+  defp sift2(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?, covered, flags, _id)
+       when elem(fixed, 5) == [],
+       do: unknown(rest, pos, pages, lengths, fixed, errors, limit, good?, covered, flags)
+
+  defp sift2(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?, covered, flags, id) do
+    if Known.extra(elem(fixed, 0), id) == nil,
+      do: unknown(rest, pos, pages, lengths, fixed, errors, limit, good?, covered, flags),
+      else: known(rest, pos, pages, lengths, fixed, errors, limit, good?, covered, flags)
+  end
+
+  # A known id: the frame is incomplete, or its CRC is wrong, because a good one would be ahead.
+  defp known(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?, covered, flags) do
+    if pos + 3 + covered + (flags &&& @target32) + 13 * (flags &&& @signed) > elem(fixed, 3),
+      do: wait(rest, pos, pages, lengths, fixed, errors, limit, good?),
+      else: sift(rest, pos + 1, pages, lengths, fixed, errors + 1, limit, good?)
+  end
+
+  # An unknown id: its flags (F6) and the byte behind it say whether it may be a frame. It cannot contain a good one. In a
+  # stream, what is inside must have been looked at, and the byte behind it must be there.
+  defp unknown(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, true, covered, _flags)
+       when pos + covered + 2 > limit,
+       do: sift(rest, pos + 1, pages, lengths, fixed, errors, limit, true)
+
+  defp unknown(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?, covered, flags) do
+    size = covered + (flags &&& @target32) + 2 + 13 * (flags &&& @signed)
+    stop = pos + 1 + size
+
+    case rest do
+      _refused when (flags &&& elem(fixed, 1)) != 0 or (good? and stop > limit + 1) ->
+        sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
+
+      <<_::binary-size(^size), magic, _::binary>> when magic not in [0xFD, 0xFE] ->
+        sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
+
+      _incomplete when stop > elem(fixed, 3) ->
+        wait(rest, pos, pages, lengths, fixed, errors, limit, good?)
+
+      _unsure when elem(fixed, 2) == :stream and not good? and (stop > limit or stop == elem(fixed, 3)) ->
+        {{:hold, pos}, errors}
+
+      _possible ->
+        {{:take, pos, stop - pos}, errors}
     end
   end
 
-  # A stream: what is inside must be known, and one byte that follows.
-  defp claim(<<_::binary>>, pos, {:ends, stop}, limit, _ahead, {_, _, true, size, _, _}, _mode, errors) do
-    if stop <= limit and stop < size,
-      do: {{:take, pos, stop - pos}, errors},
-      else: {{:hold, pos}, errors}
-  end
+  # The frame that begins here is not complete.
+  defp wait(<<rest::binary>>, pos, pages, lengths, fixed, errors, limit, good?)
+       when good? or elem(fixed, 2) == :final,
+       do: sift(rest, pos + 1, pages, lengths, fixed, errors, limit, good?)
 
-  defp claim(<<_::binary>>, pos, {:ends, stop}, _limit, _ahead, _fixed, _mode, errors),
-    do: {{:take, pos, stop - pos}, errors}
-
-  defp claim(<<_::binary>>, pos, :more, _limit, _ahead, _fixed, mode, errors) when mode != :final,
-    do: {{:hold, pos}, errors}
-
-  defp claim(<<rest::binary>>, pos, _noise, limit, ahead, fixed, mode, errors),
-    do: sift(rest, pos + 1, limit, ahead, fixed, mode, errors)
-
-  # Where a frame of an unknown id would end, if it may be one by its flags (F6) and the byte behind it.
-  defp unknown(pos, covered, flags, {_known, refused, _stream?, size, data, _others}) do
-    stop = pos + 3 + covered + 13 * (flags &&& @signed)
-
-    cond do
-      (flags &&& refused) != 0 -> :noise
-      stop > size -> :more
-      stop == size -> {:ends, stop}
-      :binary.at(data, stop) in [0xFD, 0xFE] -> {:ends, stop}
-      true -> :noise
-    end
-  end
+  defp wait(<<_::binary>>, pos, _pages, _lengths, _fixed, errors, _limit, _good?), do: {{:hold, pos}, errors}
 end

@@ -2,8 +2,8 @@ defmodule MavCodec.Parser.Sources do
   @moduledoc """
   Sequence loss per source {system, component} of one parser.
 
-  The frames of a source come in order, so runs of them are counted and handed to `MavCodec.SequenceLoss` as one. At most
-  `limit/0` sources are kept: forged source ids only deny statistics to later sources.
+  The frames of a source come in order, so a run of them is counted and passed to `MavCodec.SequenceLoss` at once. At most
+  `limit/0` sources are kept: with forged source ids, only later sources lack statistics.
   """
 
   import Bitwise

@@ -4,7 +4,7 @@ defmodule MavCodec.Tlog.Damage do
 
     * `kind` - `:damaged`: records follow; `:cut_off`: the file ends here, in the middle of a record (the recorder was
       killed, the disk was full)
-    * `offset` - of the first of the bytes in the file, `bytes` - how many
+    * `offset` - of the first byte in the file; `bytes` - how many
   """
 
   @enforce_keys [:kind, :offset, :bytes]
@@ -12,7 +12,7 @@ defmodule MavCodec.Tlog.Damage do
 
   @type t :: %__MODULE__{kind: :damaged | :cut_off, offset: non_neg_integer(), bytes: pos_integer()}
 
-  @doc "A line that describes it."
+  @doc "A description in one line."
   @spec format(t()) :: String.t()
   def format(%__MODULE__{kind: :damaged} = damage),
     do: "#{damage.bytes} bytes at offset #{damage.offset} are not a record and were skipped"

@@ -37,14 +37,14 @@ defmodule MavCodec.Tlog.Decoder do
     %__MODULE__{known: Known.new(options[:dialects]), accepted: Candidate.accepted_flags(options[:sysid32])}
   end
 
-  @doc "What the next bytes of the file complete."
+  @doc "The frames and damage that the next bytes of the file complete."
   @spec push(t(), binary()) :: {[item()], t()}
   def push(%__MODULE__{held: held} = decoder, data) do
     {items, rest, decoder} = records(held <> data, [], decoder, :stream)
     {Enum.reverse(items), %{decoder | held: :binary.copy(rest)}}
   end
 
-  @doc "The end of the file: what is left, and whether it was cut off."
+  @doc "The end of the file: the remaining frames and damage."
   @spec finish(t()) :: [item()]
   def finish(%__MODULE__{held: held} = decoder) do
     {items, <<>>, decoder} = records(held, [], decoder, :final)

@@ -18,7 +18,7 @@ defmodule MavCodec.Tlog.Writer do
   @opaque t :: %__MODULE__{file: :file.io_device(), signatures: boolean()}
 
   @typedoc """
-    * `:append` - go on with an existing file instead of emptying it; default `false`
+    * `:append` - append to an existing file instead of emptying it; default `false`
     * `:signatures` - keep the signatures of signed frames; default `true`
     * `:delay` - milliseconds for which small writes are collected; default 1000. `close/1` and `sync/1` write them.
   """
@@ -39,8 +39,8 @@ defmodule MavCodec.Tlog.Writer do
   end
 
   @doc """
-  Appends frames. Those without a time of arrival get that of the call. An error may be that of an earlier write: they are
-  collected.
+  Appends frames. A frame without a time of arrival gets that of the call. An error may belong to an earlier write, because
+  writes are collected.
   """
   @spec write(t(), Frame.t() | [Frame.t()]) :: :ok | {:error, File.posix() | :terminated}
   def write(%__MODULE__{} = writer, frames),

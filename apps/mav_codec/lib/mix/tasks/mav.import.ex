@@ -6,15 +6,15 @@ defmodule Mix.Tasks.Mav.Import do
 
       mix mav.import FILE.xml [FILE.xml ...] [--source NAME] [--out DIR] [--base SOURCE|DIR]
 
-  Included files are imported along. For each XML file one facts file is written; importing again gives the same bytes.
+  Included files are imported too. Each XML file gives one facts file; importing again gives the same bytes.
   A file with an error is reported as `file:line: reason`, and nothing is written.
 
     * `--source NAME` - folder under `priv/definitions` (default: the first file's name without `.xml`)
     * `--out DIR` - folder to write to, instead of `priv/definitions/NAME`
-    * `--base SOURCE` - where to look for included files that are not beside the file: a source that is already imported
+    * `--base SOURCE` - where to search for included files that are not beside the file: an imported source
       (`upstream`, `ardupilot`) or a folder of facts files
 
-  The README in `priv/definitions` tells how a new dialect gets compiled.
+  The README in `priv/definitions` explains how a new dialect is compiled.
   """
 
   use Mix.Task

@@ -1,12 +1,12 @@
 defmodule Aerie.Link.Announcer do
   @moduledoc """
-  Says our heartbeat once a second on links that call others by UDP and hear nothing: a server learns only so that we are
-  there. As soon as something is heard, the vehicles' sessions keep that way alive themselves. Says it, with a TIMESYNC
-  request, to a peer that is heard and refused for its signing clock too (`Aerie.LinkProcess.announce/5`): it has no session.
+  Sends our heartbeat once a second on UDP client links that hear nothing: only so does the other end learn of us. As soon as
+  something is heard, the vehicles' sessions keep the connection alive. A peer whose frames are refused because of its
+  signing clock has no session; it gets a heartbeat and a TIMESYNC request from here too (`Aerie.LinkProcess.announce/5`).
 
-  The heartbeat is that of an on-board computer with the gateway's own ids, never a ground station's (H5), and a dead-man's
-  like any other of ours: none goes out while the gateway's loops do not answer (H3, `Aerie.Identity`), which is
-  counted as `{:identity, :held}`.
+  The heartbeat is that of an on-board computer with the gateway's own ids, never that of a ground station (H5). Like all of
+  our heartbeats it stops while the gateway's loops do not answer (H3, `Aerie.Identity`), which is counted as
+  `{:identity, :held}`.
   """
   use GenServer
 
@@ -22,7 +22,7 @@ defmodule Aerie.Link.Announcer do
   @active Enums.MavState.value(:MAV_STATE_ACTIVE)
   @critical Enums.MavState.value(:MAV_STATE_CRITICAL)
 
-  @doc "Options: `:gateway`, `:config`."
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Identity.Settings`)."
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options,
@@ -34,20 +34,18 @@ defmodule Aerie.Link.Announcer do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:link_announcer, gateway})
-    config = Keyword.get(options, :config)
-    heartbeat = not match?(%{mavlink: %{heartbeat: false}}, config)
+    %Identity.Settings{heartbeat: heartbeat} = settings = Keyword.fetch!(options, :settings)
     _timer = if heartbeat, do: :timer.send_interval(@every_ms, :announce)
-    {:ok, %{gateway: gateway, config: config, heartbeat: heartbeat, encoder: nil}}
+    {:ok, %{gateway: gateway, settings: settings, heartbeat: heartbeat, encoder: nil}}
   end
 
   @impl GenServer
   def handle_cast({:speak, link, peer, scope, system}, state) do
-    # Whoever is to be a part of that system would be so by now, were it not refused.
+    # A gateway without an id yet sends as a part of that system, which it would be by now if it accepted its frames.
     {encoder, state} =
       case known(state) do
         %{encoder: nil} = state ->
-          {:auto, component} = Identity.ids(state.config)
-          {Encoder.new(system: system, component: component), state}
+          {Encoder.new(system: system, component: state.settings.component_id), state}
 
         state ->
           {state.encoder, state}
@@ -71,7 +69,7 @@ defmodule Aerie.Link.Announcer do
 
   @impl GenServer
   def handle_info(:announce, %{encoder: nil} = state) do
-    # Nobody speaks who does not know yet who he is (`Aerie.Router.AutoSystemId`).
+    # Nothing is sent before our system id is known (`Aerie.Router.AutoSystemId`).
     case known(state) do
       %{encoder: nil} = state -> {:noreply, state}
       state -> handle_info(:announce, state)
@@ -88,7 +86,7 @@ defmodule Aerie.Link.Announcer do
   end
 
   defp known(%{encoder: nil} = state) do
-    case state.config |> Identity.resolve(state.gateway) |> Identity.ids() do
+    case Identity.ids(state.settings, state.gateway) do
       {:auto, _component} -> state
       {system, component} -> %{state | encoder: Encoder.new(system: system, component: component)}
     end
@@ -107,7 +105,7 @@ defmodule Aerie.Link.Announcer do
     for link <- links do
       marked = Aerie.Signing.mark(state.gateway, {link.network, nil}, bytes)
 
-      # A link that is gone meanwhile needs none.
+      # A link that was removed meanwhile needs none.
       _ =
         with :ok <- Aerie.Link.send_bytes(state.gateway, link.id, marked, :all),
              do: Store.count(state.gateway, {:sent, Heartbeat.id()})
@@ -116,9 +114,10 @@ defmodule Aerie.Link.Announcer do
     %{state | encoder: encoder}
   end
 
-  @doc "Whether a link needs our heartbeat: its snapshot, and the time in unix microseconds."
+  @doc "Whether a link needs our heartbeat, from its snapshot and the time in unix microseconds."
   @spec silent?(map, integer) :: boolean
-  def silent?(%{kind: :udp_client, status: status, last_heard: heard}, now) when status in [:up, :idle] do
+  def silent?(%{spec: %{announced: true}, status: status, last_heard: heard}, now)
+      when status in [:up, :idle] do
     is_nil(heard) or now - heard > @silence_us
   end
 

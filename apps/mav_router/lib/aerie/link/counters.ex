@@ -1,24 +1,24 @@
 defmodule Aerie.Link.Counters do
-  @moduledoc """
-  What a link counted since it was first made: a value that grows only, kept in the link's snapshot in the store, so that
-  it outlives reconnections and restarts of the link's process.
+  @max_ids 1024
 
-  - `bytes_in`, `frames_in`: received, and frames of them that passed their checks
+  @moduledoc """
+  What a link counted since it was added: a value that only grows, kept in the link's snapshot in the store, so that it
+  outlives reconnections and restarts of the link's process.
+
+  - `bytes_in`, `frames_in`: received bytes, and frames in them that passed their checks
   - `crc_errors`, `resync_bytes`, `unknown_ids`, `incompatible`, `lost`: as `MavCodec.Parser.stats/1` counts them
-  - `bytes_out`, `writes_out`: given to the transport
+  - `bytes_out`, `writes_out`: passed to the transport
   - `reconnects`: connections made after the first; `restarts`: of the link's process
   - `peers_refused`: datagrams and connections of peers beyond the limit
-  - drops, each counted in frames or writes: `unclaimed` (of a system whose vehicle is not known), `overload` (the vehicle
-    could not keep up), `refused` (the limit of vehicles is reached), `looped` (our own frames come back), `dropped_out`
-    (writes with no way out: link down, peer gone, buffer full)
-  - `denied`: orders to vehicles that came from an end which may not give them; `withheld`: heartbeats and measurements that
-    were kept from vehicles (`Aerie.Router.Gate`)
-  - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room for them; Linux tells), `shed`
+  - drops, in frames or writes: `unclaimed` (no vehicle is known for the system), `overload` (the vehicle could not keep up),
+    `refused` (the limit of vehicles is reached), `looped` (our own frames came back), `dropped_out` (link down, peer gone,
+    buffer full)
+  - `denied`: commands to vehicles from peers that may not command; `withheld`: heartbeats and measurements that were not
+    forwarded to vehicles (`Aerie.Router.CommandGate`)
+  - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
     (they had waited so long that newer ones were read instead, `Aerie.Link.Backlog`)
-  - `messages`: frames by message id; ids beyond the first #{1024} different ones are counted under `:other`
+  - `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are counted under `:other`
   """
-
-  @max_ids 1024
 
   @sums [
     :bytes_in,
@@ -48,15 +48,11 @@ defmodule Aerie.Link.Counters do
 
   @type t :: %__MODULE__{messages: %{(non_neg_integer | :other) => pos_integer}}
 
-  @doc "The names of the plain sums, in the order in which they are shown."
-  @spec sums() :: [atom]
-  def sums, do: @sums
-
   @doc "Adds to one sum."
   @spec add(t, atom, integer) :: t
   def add(%__MODULE__{} = counters, name, n), do: Map.put(counters, name, Map.fetch!(counters, name) + n)
 
-  @doc "Adds each sum that both have; other keys of `more` are not looked at."
+  @doc "Adds the sums that `more` has; its other keys are ignored."
   @spec merge(t, map) :: t
   def merge(%__MODULE__{} = counters, more) do
     Enum.reduce(@sums, counters, fn name, counters ->

@@ -2,9 +2,9 @@ defmodule Aerie.Link.Egress do
   @moduledoc """
   A link's side of the router: makes each of its peers an endpoint, and writes what the router sends to them.
 
-  A UDP peer without a budget is written to by the sender itself, past this process. Everything else comes here as
-  `{:forward, peer, bytes, class}`, is written at once where that is possible, and waits in the peer's
-  `Aerie.Router.Outlet` where it is not: a peer that does not read costs the other peers nothing.
+  Senders write to a UDP peer without a budget themselves, past this process. Everything else comes here as
+  `{:forward, peer, frames, class}`. It is written at once if possible, otherwise it waits in the peer's
+  `Aerie.Router.SendQueue`: a peer that does not read does not slow other peers down.
   """
 
   alias Aerie.Link.Spec
@@ -13,33 +13,37 @@ defmodule Aerie.Link.Egress do
   alias Aerie.Router.Budget
   alias Aerie.Router.Endpoint
   alias Aerie.Router.Endpoints
-  alias Aerie.Router.Outlet
+  alias Aerie.Router.SendQueue
   alias Aerie.Router.Owner
   alias Aerie.Router.Rules
   alias Aerie.Router.Tables
-  alias Aerie.Router.Tally
+  alias Aerie.Router.EndpointCounters
 
   require Logger
 
-  # A socket without room is tried again after so long.
-  @again_ms 10
+  # A socket without room is tried again after this time.
+  @retry_ms 10
+
+  # Both have txbuf at the same place.
+  @radio [MavCodec.Messages.RadioStatus.id(), MavCodec.Messages.Radio.id()]
 
   @enforce_keys [:gateway, :owner]
-  # What was counted for each peer and is added up for the link.
+  # What is counted for each peer and added up for the link.
   @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0}
 
-  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, left: @sums]
+  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, gone: @sums]
 
   @type t :: %__MODULE__{gateway: Names.gateway(), owner: Owner.t(), peers: %{term => map}}
-  @type write :: (term, iodata -> {:ok | :busy | :error, term})
+  @typedoc "Writes to the peer; takes and returns the state of the link's process."
+  @type write :: (state :: term, iodata -> {:ok | :busy | :error, state :: term})
 
-  @doc "The rules of a link, without peers yet. What a former process of the link left is removed."
+  @doc "The egress of a link that has no peers yet. Removes what a former process of the link left."
   @spec open(Names.gateway(), Spec.t()) :: t
   def open(gateway, %Spec{} = spec) do
     rules = spec.options[:router] || []
-    # A client that names none sees all.
+    # A client that names no networks sees all.
     own = if rules[:side] == :client, do: [], else: [networks: [spec.network]]
-    options = own |> Keyword.merge(rules) |> sparing(spec.options) |> commanding(spec.options)
+    options = own |> Keyword.merge(rules) |> high_latency(spec.options) |> gcs(spec.options)
     tables = Tables.of(gateway)
     owner = Rules.restore(gateway, owner(spec.id, options))
 
@@ -51,19 +55,19 @@ defmodule Aerie.Link.Egress do
     %__MODULE__{
       gateway: gateway,
       owner: owner,
-      datagrams?: spec.kind in [:udp_server, :udp_client]
+      datagrams?: spec.protocol == :udp
     }
   end
 
   # A link of high latency carries commands and their answers (X6).
-  defp sparing(options, %{high_latency: true}), do: Keyword.put(options, :high_latency, true)
-  defp sparing(options, _ordinary), do: options
+  defp high_latency(options, %{high_latency: true}), do: Keyword.put(options, :high_latency, true)
+  defp high_latency(options, _other), do: options
 
-  # What the connection string says (`?gcs=allow`).
-  defp commanding(options, %{gcs: gcs}), do: Keyword.put(options, :gcs, gcs)
-  defp commanding(options, _unsaid), do: options
+  # The option of the connection string (`?gcs=allow`).
+  defp gcs(options, %{gcs: gcs}), do: Keyword.put(options, :gcs, gcs)
+  defp gcs(options, _other), do: options
 
-  # Checked where it was configured; a rule that is none is better left out than a link.
+  # The configuration was checked; if rules are wrong all the same, a link without them is better than none.
   defp owner(id, options) do
     case Owner.new(id, options) do
       {:ok, owner} ->
@@ -77,8 +81,8 @@ defmodule Aerie.Link.Egress do
   end
 
   @doc """
-  Makes endpoints of exactly these peers (`%{peer => text}`). `direct` gives for a peer the socket and address that may be
-  written to from any process, or nil.
+  Makes these peers (`%{peer => text}`), and only them, endpoints. `direct` returns the socket and address to which any process
+  may write for a peer, or nil.
   """
   @spec sync(t, %{term => String.t()}, (term -> {:udp, term, map} | nil), integer) :: t
   def sync(egress, peers, direct, now) do
@@ -89,13 +93,13 @@ defmodule Aerie.Link.Egress do
   end
 
   defp sync(egress, tables, peers, direct, now) do
-    gone = for {id, _peer} <- egress.peers, not is_map_key(peers, id), do: id
-    egress = Enum.reduce(gone, egress, &remove(&2, tables, &1))
+    former = for {id, _peer} <- egress.peers, not is_map_key(peers, id), do: id
+    egress = Enum.reduce(former, egress, &remove(&2, tables, &1))
 
     Enum.reduce(peers, egress, fn {id, text}, egress -> join(egress, tables, id, text, direct, now) end)
   end
 
-  @doc "Makes one more peer an endpoint, at a cost that does not depend on how many there are."
+  @doc "Makes one more peer an endpoint; the cost does not depend on how many there are."
   @spec join(t, term, String.t(), (term -> {:udp, term, map} | nil), integer) :: t
   def join(egress, id, text, direct, now) do
     case Tables.of(egress.gateway) do
@@ -109,13 +113,13 @@ defmodule Aerie.Link.Egress do
 
     case egress.peers do
       %{^id => %{endpoint: %{out: ^out}}} -> egress
-      %{^id => peer} -> put(told(egress, peer), tables, id, otherwise(peer, out))
+      %{^id => peer} -> put(keep_counts(egress, peer), tables, id, redirect(peer, out))
       _new -> put(egress, tables, id, peer(egress, tables, id, text, out, now))
     end
   end
 
-  # From now on another process counts what goes there.
-  defp otherwise(%{endpoint: endpoint} = peer, out) do
+  # From now on another process counts what is sent to it.
+  defp redirect(%{endpoint: endpoint} = peer, out) do
     endpoint = %{endpoint | out: out}
     %{peer | endpoint: endpoint, seen: counts(endpoint)}
   end
@@ -125,7 +129,7 @@ defmodule Aerie.Link.Egress do
 
     %{
       endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, fields),
-      outlet: Outlet.new(rules(egress), now),
+      send_queue: SendQueue.new(rules(egress), now),
       timer: nil,
       seen: %{}
     }
@@ -146,7 +150,7 @@ defmodule Aerie.Link.Egress do
   defp chunk(_one_each), do: 1
 
   defp put(egress, tables, id, peer) do
-    # The table has what others noted about it meanwhile.
+    # The table has what others noted about the endpoint meanwhile.
     kept = Endpoints.get(tables, peer.endpoint.key)
     endpoint = if kept, do: %{kept | out: peer.endpoint.out}, else: peer.endpoint
     Endpoints.put(egress.gateway, tables, endpoint)
@@ -154,8 +158,8 @@ defmodule Aerie.Link.Egress do
   end
 
   @doc """
-  The serial line that the link has now, if any: its rate is the budget of those that have none of their own. A USB port
-  (ttyACM) has a baud rate in name only.
+  The device and baud rate of the serial line, if there is one: the rate is the budget of links without one of their own. A
+  USB port (ttyACM) has a baud rate in name only.
   """
   @spec line(t, {Path.t() | nil, pos_integer} | nil, integer) :: t
   def line(egress, line, now) do
@@ -176,49 +180,49 @@ defmodule Aerie.Link.Egress do
     target |> Path.basename() |> String.starts_with?("ttyACM")
   end
 
-  @doc "Ends a peer's endpoint; what waits for it is forgotten."
+  @doc "Removes a peer's endpoint and its queue."
   @spec remove(t, term) :: t
   def remove(egress, id) do
     case Tables.of(egress.gateway) do
-      nil -> left(egress, id)
+      nil -> drop(egress, id)
       tables -> remove(egress, tables, id)
     end
   end
 
   defp remove(egress, tables, id) do
     Endpoints.remove(tables, {egress.owner.id, id})
-    left(egress, id)
+    drop(egress, id)
   end
 
-  # What was counted for it since the last time is not lost with it.
-  defp left(egress, id) do
+  # Its counts since the last `take_counts/1` are kept.
+  defp drop(egress, id) do
     case Map.pop(egress.peers, id) do
       {nil, _peers} -> egress
-      {peer, peers} -> told(%{egress | peers: peers}, peer)
+      {peer, peers} -> keep_counts(%{egress | peers: peers}, peer)
     end
   end
 
-  defp told(egress, peer), do: %{egress | left: sum(egress.left, since(peer, counts(peer.endpoint)))}
+  defp keep_counts(egress, peer), do: %{egress | gone: sum(egress.gone, since(peer, counts(peer.endpoint)))}
 
   defp since(peer, counts), do: Map.merge(counts, peer.seen, fn _name, now, before -> now - before end)
   defp sum(sums, more), do: Map.merge(sums, more, fn _name, a, b -> a + b end)
 
-  @doc "Other rules for the link, while it runs."
+  @doc "Changes the rules of the running link."
   @spec rules(t, Owner.t(), integer) :: t
   def rules(egress, owner, now) do
     egress = %{egress | owner: owner}
 
     peers =
       Map.new(egress.peers, fn {id, peer} ->
-        {outlet, dropped} = Outlet.rules(peer.outlet, rules(egress), now)
+        {send_queue, dropped} = SendQueue.rules(peer.send_queue, rules(egress), now)
         Endpoint.dropped(peer.endpoint, dropped)
-        {id, %{peer | outlet: outlet}}
+        {id, %{peer | send_queue: send_queue}}
       end)
 
     %{egress | peers: peers}
   end
 
-  @doc "Frames for a peer. `write` writes to the peer and is given, and gives, the link's state."
+  @doc "Sends frames to a peer, or queues them."
   @spec forward(t, term, Aerie.Router.Classify.class(), [binary], integer, write, state) :: {t, state}
         when state: term
   def forward(egress, id, class, frames, now, write, state) do
@@ -234,27 +238,30 @@ defmodule Aerie.Link.Egress do
   end
 
   defp take(peer, class, frames, now, write, state, id) do
-    with true <- Outlet.free?(peer.outlet),
+    with true <- SendQueue.free?(peer.send_queue),
          {:busy, state} <- write.(state, frames) do
-      wait(queue(peer, class, frames, now), @again_ms, id, state)
+      wait(queue(peer, class, frames, now), @retry_ms, id, state)
     else
-      {_written_or_lost, state} -> {%{peer | outlet: Outlet.passed(peer.outlet, class, frames, now)}, state}
-      false -> drain(queue(peer, class, frames, now), id, now, write, state)
+      {_written_or_dropped, state} ->
+        {%{peer | send_queue: SendQueue.passed(peer.send_queue, class, frames, now)}, state}
+
+      false ->
+        drain(queue(peer, class, frames, now), id, now, write, state)
     end
   end
 
   defp queue(peer, class, frames, now) do
-    {outlet, dropped} = Outlet.push(peer.outlet, class, frames, now)
+    {send_queue, dropped} = SendQueue.push(peer.send_queue, class, frames, now)
     Endpoint.dropped(peer.endpoint, dropped)
-    if outlet.queue.asked.frames > 0, do: Endpoint.asked(peer.endpoint, now)
-    %{peer | outlet: outlet}
+    if send_queue.queue.requested.frames > 0, do: Endpoint.requested(peer.endpoint, now)
+    %{peer | send_queue: send_queue}
   end
 
-  @doc "Whether a peer is written to by senders themselves, past the link's process."
+  @doc "Whether senders write to a peer themselves, past the link's process."
   @spec direct?(t, term) :: boolean
   def direct?(egress, id), do: match?(%{^id => %{endpoint: %{out: {:udp, _, _}}}}, egress.peers)
 
-  @doc "It is time to try again: the message `{:pump, peer}` came."
+  @doc "Sends what waits for a peer, when the message `{:pump, peer}` comes."
   @spec pump(t, term, integer, write, state) :: {t, state} when state: term
   def pump(egress, id, now, write, state) do
     case egress.peers do
@@ -269,8 +276,8 @@ defmodule Aerie.Link.Egress do
 
   defp drain(%{timer: timer} = peer, _id, _now, _write, state) when timer != nil, do: {peer, state}
 
-  defp drain(%{outlet: outlet} = peer, id, now, write, state) do
-    case Outlet.next(outlet, now) do
+  defp drain(%{send_queue: send_queue} = peer, id, now, write, state) do
+    case SendQueue.next(send_queue, now) do
       :empty ->
         {peer, state}
 
@@ -279,8 +286,8 @@ defmodule Aerie.Link.Egress do
 
       {:send, bytes, rest} ->
         case write.(state, bytes) do
-          {:busy, state} -> wait(peer, @again_ms, id, state)
-          {_written_or_lost, state} -> drain(%{peer | outlet: rest}, id, now, write, state)
+          {:busy, state} -> wait(peer, @retry_ms, id, state)
+          {_written_or_dropped, state} -> drain(%{peer | send_queue: rest}, id, now, write, state)
         end
     end
   end
@@ -290,41 +297,42 @@ defmodule Aerie.Link.Egress do
 
   defp wait(peer, _ms, _id, state), do: {peer, state}
 
-  @doc "Notes what a peer asks for among frames that it sent: the answers have room of their own (`Aerie.Router.Asked`)."
-  @spec asked(t, term, [MavCodec.Frame.t()], integer) :: t
-  def asked(egress, id, frames, now) do
-    with %{^id => peer} <- egress.peers, {true, outlet} <- Outlet.asked(peer.outlet, frames, now) do
-      Endpoint.asked(peer.endpoint, now)
-      %{egress | peers: %{egress.peers | id => %{peer | outlet: outlet}}}
+  @doc "Notes the requests among frames that a peer sent: the answers have a buffer of their own (`Aerie.Router.RequestedData`)."
+  @spec note_requests(t, term, [MavCodec.Frame.t()], integer) :: t
+  def note_requests(egress, id, frames, now) do
+    with %{^id => peer} <- egress.peers,
+         {true, send_queue} <- SendQueue.request(peer.send_queue, frames, now) do
+      Endpoint.requested(peer.endpoint, now)
+      %{egress | peers: %{egress.peers | id => %{peer | send_queue: send_queue}}}
     else
       _nothing -> egress
     end
   end
 
-  @doc "Looks for RADIO_STATUS (and ArduPilot's RADIO) among frames that a peer sent, where there is a budget to correct."
+  @doc "Corrects a peer's budget by the RADIO_STATUS (and ArduPilot's RADIO) among frames that it sent."
   @spec radio(t, term, [MavCodec.Frame.t()]) :: t
   def radio(egress, id, frames) do
-    with %{^id => %{outlet: %{budget: %{}}} = peer} <- egress.peers,
+    with %{^id => %{send_queue: %{budget: %{}}} = peer} <- egress.peers,
          txbuf when txbuf != nil <- Enum.reduce(frames, nil, &txbuf/2) do
-      %{egress | peers: %{egress.peers | id => %{peer | outlet: Outlet.radio(peer.outlet, txbuf)}}}
+      %{egress | peers: %{egress.peers | id => %{peer | send_queue: SendQueue.radio(peer.send_queue, txbuf)}}}
     else
       _nothing -> egress
     end
   end
 
   defp txbuf(%{id: id, crc_extra: extra, payload: <<_::6-binary, txbuf, _::binary>>}, _last)
-       when id in [109, 166] and extra != nil,
+       when id in @radio and extra != nil,
        do: txbuf
 
   defp txbuf(_other, last), do: last
 
   @doc """
-  What was counted for the peers since the last time, by the names of `Aerie.Link.Counters`: written to their sockets by
-  others, dropped, refused.
+  What was counted for the peers since the last call, by the names of `Aerie.Link.Counters`: what others wrote to their
+  sockets, what was dropped or denied.
   """
-  @spec others(t) :: {%{atom => non_neg_integer}, t}
-  def others(egress) do
-    Enum.reduce(egress.peers, {egress.left, %{egress | left: @sums}}, fn {id, peer}, {sums, egress} ->
+  @spec take_counts(t) :: {%{atom => non_neg_integer}, t}
+  def take_counts(egress) do
+    Enum.reduce(egress.peers, {egress.gone, %{egress | gone: @sums}}, fn {id, peer}, {sums, egress} ->
       case counts(peer.endpoint) do
         same when same == peer.seen -> {sums, egress}
         counts -> {sum(sums, since(peer, counts)), put_in(egress.peers[id].seen, counts)}
@@ -332,20 +340,20 @@ defmodule Aerie.Link.Egress do
     end)
   end
 
-  defp counts(%{out: out, tally: tally}) do
-    # What goes through the link's process is counted there.
+  defp counts(%{out: out, counters: counters}) do
+    # The link's process counts what goes through it.
     direct? = match?({:udp, _, _}, out)
 
     %{
-      bytes_out: if(direct?, do: Tally.get(tally, :bytes_out), else: 0),
-      writes_out: if(direct?, do: Tally.get(tally, :frames_out), else: 0),
-      dropped_out: Tally.lost(tally),
-      denied: Tally.get(tally, :denied),
-      withheld: Tally.get(tally, :withheld)
+      bytes_out: if(direct?, do: EndpointCounters.get(counters, :bytes_out), else: 0),
+      writes_out: if(direct?, do: EndpointCounters.get(counters, :frames_out), else: 0),
+      dropped_out: EndpointCounters.lost(counters),
+      denied: EndpointCounters.get(counters, :denied),
+      withheld: EndpointCounters.get(counters, :withheld)
     }
   end
 
-  @doc "The link ends: its endpoints go, its rules stay for the next process of the link."
+  @doc "Removes the endpoints of a link that ends; its rules stay for its next process."
   @spec close(t) :: :ok
   def close(egress) do
     case Tables.of(egress.gateway) do

@@ -1,43 +1,44 @@
 defmodule Aerie.Link.Peers do
+  # Unknown senders that are parsed: one per so many ms, and so many in a burst.
+  @newcomer_ms 10
+  @newcomers 512
+
   @moduledoc """
-  The peers of a link, bounded and aged: a value.
+  The peers of a link: a value that is bounded, and forgets silent peers.
 
-  A datagram's sender becomes a peer with its first good frame, never by garbage, however much of it comes from however
-  many addresses. Whoever is not known costs a look at a map and at an allowance: only #{100} unknown senders a second,
-  #{512} at once, are listened to, the datagrams of the rest are counted (`peers_refused`) and thrown away, so that made-up
-  senders take nothing from those that are there. A datagram that does not begin as a frame does gets at most half of that.
+  The sender of a datagram becomes a peer with its first good frame, never by garbage, however much of it comes from however
+  many addresses. Only #{div(1000, @newcomer_ms)} unknown senders per second, in bursts of up to #{@newcomers}, are parsed; the datagrams of the others cost two
+  look-ups, are counted (`peers_refused`) and discarded. So forged senders take nothing away from real peers. Datagrams that do
+  not begin like a frame get at most half of that allowance.
 
-  When there are as many peers as allowed, one that never said more than its first words (`Aerie.Link.Peer`, `known`) gives
-  way after 5 s, the earliest first; else the newcomer is refused. A known one never does. A peer of datagrams that is silent
-  for 60 s is forgotten. Peers that are connections come and go with them.
+  When the limit of peers is reached, a newcomer replaces the earliest peer that has not become known in 5 s
+  (`Aerie.Link.Peer`); if there is none, the newcomer is refused. Known peers are never replaced. A datagram peer is forgotten
+  after 60 s of silence. The peers of a stream come and go with their connections.
   """
 
-  alias Aerie.Allowance
+  alias Aerie.TokenBucket
   alias Aerie.Link.Peer
   alias Aerie.Address
   alias MavCodec.Parser
 
   @idle_ms 60_000
   @yields_ms 5_000
-  # A quiet line decides what an unknown frame at its end is waiting for.
+  # After this silence, the parser decides about bytes that might have been the beginning of a frame.
   @quiet_ms 200
-  # Unknown senders that are listened to: one in so many ms, so many at once.
-  @newcomer_ms 10
-  @newcomers 512
 
   @enforce_keys [:framing, :parser, :unknown]
   defstruct [:framing, :parser, :newcomers, :unknown] ++
-              [max: 256, map: %{}, retired: %{}, sum: %{}, sources: %{}]
+              [:max, map: %{}, retired: %{}, sum: %{}, sources: %{}]
 
   @typedoc """
-  - `retired`, `sources`: what the parsers of peers that are gone counted; `sum`: those of the others, as of `measure/1`
-  - `parser`: a fresh one for each new peer; `newcomers`: when there will be room for as many new ones as ever
-  - `unknown`: `{since, id}` of peers that may give way
+  - `retired`, `sources`: counts of the parsers of former peers; `sum`: counts of the current ones, as of `measure/1`
+  - `parser`: copied for each new peer; `newcomers`: the allowance for unknown senders
+  - `unknown`: `{since, id}` of the peers that may be replaced
   """
   @type t :: %__MODULE__{
           framing: :stream | :datagram,
           parser: Parser.t(),
-          newcomers: Allowance.t(),
+          newcomers: TokenBucket.t(),
           max: pos_integer,
           map: %{term => Peer.t()},
           unknown: :gb_sets.set({integer, term}),
@@ -48,7 +49,7 @@ defmodule Aerie.Link.Peers do
 
   @type change :: {:up, Peer.t()} | {:down, Peer.t()}
 
-  @doc "None yet. `parser` options are `MavCodec.Parser.new/1`'s."
+  @doc "No peers yet. The parser options are those of `MavCodec.Parser.new/1`."
   @spec new(:stream | :datagram, max :: pos_integer, keyword) :: t
   def new(framing, max, parser_options \\ []) do
     %__MODULE__{framing: framing, parser: Parser.new(parser_options), unknown: :gb_sets.new(), max: max}
@@ -58,14 +59,14 @@ defmodule Aerie.Link.Peers do
   @spec room?(t) :: boolean
   def room?(peers), do: map_size(peers.map) < peers.max
 
-  @doc "Adds a peer that is known to be one: a connection, or the only other end."
+  @doc "Adds a peer that is known from the start: a connection, or the only other end."
   @spec add(t, term, String.t(), integer) :: t
   def add(peers, id, text, now) do
-    {_same_name_before, peers} = remove(peers, id)
+    {_former, peers} = remove(peers, id)
     put(peers, %{Peer.new(id, text, peers.parser, now) | known: true})
   end
 
-  @doc "Takes a peer away; its counters stay."
+  @doc "Removes a peer; its counts stay."
   @spec remove(t, term) :: {Peer.t() | nil, t}
   def remove(peers, id) do
     case Map.pop(peers.map, id) do
@@ -74,7 +75,7 @@ defmodule Aerie.Link.Peers do
     end
   end
 
-  # What it counted moves from those that are there to those that are gone.
+  # Its counts move from those of current to those of former peers.
   defp forget(peers, peer) do
     peer = Peer.measure(peer)
 
@@ -87,7 +88,7 @@ defmodule Aerie.Link.Peers do
     }
   end
 
-  @doc "Bytes of a peer: its frames, and whether that made or cost one a place."
+  @doc "Parses bytes of a peer; returns its frames, and the peers that came or went with them."
   @spec push(t, term, binary, integer, integer) :: {[MavCodec.Frame.t()], [change], t}
   def push(%__MODULE__{map: map} = peers, id, bytes, now, at) do
     case map do
@@ -97,54 +98,53 @@ defmodule Aerie.Link.Peers do
 
       %{^id => peer} ->
         {frames, peer} = Peer.push(peer, peers.framing, bytes, now, at)
-        {frames, [], judge(peers, peer)}
+        {frames, [], promote(peers, peer)}
 
       _unknown when peers.framing == :datagram ->
         newcomer(peers, id, bytes, now, at)
 
-      # A connection that was refused or is over.
+      # A connection that was refused or has ended.
       _unknown ->
         {[], [], peers}
     end
   end
 
-  defp judge(peers, peer) do
-    if Peer.proven?(peer),
-      do:
-        put(%{peers | unknown: :gb_sets.del_element({peer.since, peer.id}, peers.unknown)}, %{
-          peer
-          | known: true
-        }),
-      else: put(peers, peer)
+  defp promote(peers, peer) do
+    if Peer.proven?(peer) do
+      unknown = :gb_sets.del_element({peer.since, peer.id}, peers.unknown)
+      put(%{peers | unknown: unknown}, %{peer | known: true})
+    else
+      put(peers, peer)
+    end
   end
 
   defp newcomer(peers, id, bytes, now, at) do
-    keep = if begins?(bytes), do: 0, else: div(@newcomers, 2)
+    keep = if frame?(bytes), do: 0, else: div(@newcomers, 2)
 
-    case Allowance.take(peers.newcomers, now, @newcomer_ms, @newcomers, keep) do
-      {:ok, newcomers} -> listen(%{peers | newcomers: newcomers}, id, bytes, now, at)
+    case TokenBucket.take(peers.newcomers, now, @newcomer_ms, @newcomers, keep) do
+      {:ok, newcomers} -> parse(%{peers | newcomers: newcomers}, id, bytes, now, at)
       :none -> {[], [], refused(peers, bytes)}
     end
   end
 
-  defp begins?(<<magic, _rest::binary>>), do: magic in [0xFD, 0xFE]
-  defp begins?(<<>>), do: false
+  defp frame?(<<magic, _rest::binary>>), do: magic in [0xFD, 0xFE]
+  defp frame?(<<>>), do: false
 
   defp refused(%{retired: retired} = peers, bytes) do
     %{peers | retired: sum(retired, %{peers_refused: 1, bytes_in: byte_size(bytes)})}
   end
 
-  defp listen(peers, id, bytes, now, at) do
+  defp parse(peers, id, bytes, now, at) do
     {frames, peer} = id |> Peer.new(text(id), peers.parser, now) |> Peer.push(peers.framing, bytes, now, at)
 
     cond do
       frames == [] -> {[], [], %{peers | retired: sum(peers.retired, counted(Peer.measure(peer).stats))}}
-      room?(peers) -> {frames, [{:up, peer}], welcome(peers, peer)}
+      room?(peers) -> {frames, [{:up, peer}], put_unknown(peers, peer)}
       true -> replace(peers, peer, frames, bytes, now)
     end
   end
 
-  defp welcome(peers, peer) do
+  defp put_unknown(peers, peer) do
     put(%{peers | unknown: :gb_sets.add_element({peer.since, peer.id}, peers.unknown)}, peer)
   end
 
@@ -153,28 +153,28 @@ defmodule Aerie.Link.Peers do
          {_since, id} = :gb_sets.smallest(peers.unknown),
          %{framed: framed} = earliest when now - framed >= @yields_ms <- Map.fetch!(peers.map, id) do
       {_earliest, peers} = remove(peers, id)
-      {frames, [{:down, earliest}, {:up, peer}], welcome(peers, peer)}
+      {frames, [{:down, earliest}, {:up, peer}], put_unknown(peers, peer)}
     else
-      _none_gives_way -> {[], [], refused(peers, bytes)}
+      _none_to_replace -> {[], [], refused(peers, bytes)}
     end
   end
 
-  @doc "Forgets datagram peers that were silent too long, and lets quiet ones end what waited for more bytes."
+  @doc "Forgets datagram peers after a long silence; after a short one, parsers give up waiting for more bytes."
   @spec tick(t, integer) :: {[{term, [MavCodec.Frame.t()]}], [change], t}
   def tick(peers, now) do
-    gone = if peers.framing == :datagram, do: idle(peers, now), else: []
-    peers = Enum.reduce(gone, peers, fn peer, peers -> elem(remove(peers, peer.id), 1) end)
+    idle = if peers.framing == :datagram, do: idle(peers, now), else: []
+    peers = Enum.reduce(idle, peers, fn peer, peers -> elem(remove(peers, peer.id), 1) end)
     quiet = for {_id, peer} <- peers.map, not peer.flushed, now - peer.heard >= @quiet_ms, do: peer
     {deliveries, peers} = Enum.flat_map_reduce(quiet, peers, &flush/2)
-    {deliveries, Enum.map(gone, &{:down, &1}), peers}
+    {deliveries, Enum.map(idle, &{:down, &1}), peers}
   end
 
-  # The only other end stays, heard or not.
+  # The only other end is never forgotten.
   defp idle(peers, now) do
     for {id, peer} <- peers.map, id != :remote, now - peer.heard >= @idle_ms, do: peer
   end
 
-  @doc "Ends all peers, as when the connection is over: their last frames."
+  @doc "Removes all peers, as their connection ended; returns their last frames."
   @spec clear(t) :: {[{term, [MavCodec.Frame.t()]}], t}
   def clear(peers) do
     {deliveries, peers} = peers.map |> Map.values() |> Enum.flat_map_reduce(peers, &flush/2)
@@ -188,7 +188,7 @@ defmodule Aerie.Link.Peers do
     end
   end
 
-  @doc "Looks at the parsers of the peers that said something since the last time."
+  @doc "Updates the sums from the parsers of the peers that were heard since the last call."
   @spec measure(t) :: t
   def measure(peers) do
     Enum.reduce(peers.map, peers, fn
@@ -198,18 +198,18 @@ defmodule Aerie.Link.Peers do
         sum = peers.sum |> sum(now) |> sum(peer.counted, -1)
         %{peers | map: %{peers.map | id => %{peer | counted: now}}, sum: sum}
 
-      {_id, _same}, peers ->
+      {_id, _unchanged}, peers ->
         peers
     end)
   end
 
-  @doc "What all parsers counted, those of peers that are gone included, by the names of `Aerie.Link.Counters`."
+  @doc "The counts of all parsers, those of former peers included, by the names of `Aerie.Link.Counters`."
   @spec totals(t) :: %{atom => non_neg_integer}
   def totals(peers), do: sum(peers.retired, measure(peers).sum)
 
   @doc """
-  Sequence loss by `{system, component}`, as `MavCodec.Parser` keeps it: of the peer that was heard last, where several
-  carry one system, and of peers that are gone.
+  Sequence loss by `{system, component}`, as `MavCodec.Parser` keeps it, former peers included. If several peers carry one
+  system, that of the peer that was heard last.
   """
   @spec sources(t) :: %{{non_neg_integer, 0..255} => map}
   def sources(peers) do
@@ -219,7 +219,7 @@ defmodule Aerie.Link.Peers do
     |> Enum.reduce(peers.sources, &Map.merge(&2, Peer.measure(&1).stats.sources))
   end
 
-  # Bounded as one parser is: what forges ids costs the statistics of those that come after.
+  # Bounded like that of one parser: after forged ids, later statistics are not kept.
   defp keep(sources, peer) do
     merged = Map.merge(sources, peer.stats.sources)
     if map_size(merged) <= Parser.Sources.limit(), do: merged, else: sources
@@ -236,7 +236,7 @@ defmodule Aerie.Link.Peers do
   defp add(sums, name, n) do
     case sums do
       %{^name => before} -> %{sums | name => before + n}
-      _first -> Map.put(sums, name, n)
+      _new -> Map.put(sums, name, n)
     end
   end
 

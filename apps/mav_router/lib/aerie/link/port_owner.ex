@@ -1,30 +1,30 @@
 defmodule Aerie.Link.PortOwner do
   @moduledoc """
-  Which program holds a UDP or TCP port or a device of this machine, from Linux' /proc.
+  Which program holds a UDP or TCP port or a device of this machine, according to Linux' /proc.
 
-  Only processes of the same user (or all, for root) can be told; otherwise, and on other systems, it is `:unknown`.
+  Only processes of the same user are visible (to root: all); otherwise, and on other systems, the answer is `:unknown`.
   """
 
   @tables %{udp: ["/proc/net/udp", "/proc/net/udp6"], tcp: ["/proc/net/tcp", "/proc/net/tcp6"]}
   @listening "0A"
 
-  # The kernel gives its tables a page at a time: a socket of which one is opened or closed in between can be passed over.
-  @looks 5
-  # On a busy machine with many processes the answer is not worth waiting for: that the port is taken is known already.
+  # The kernel gives its tables a page at a time, and may skip a socket when others are opened or closed in between.
+  @attempts 5
+  # On a busy machine with many processes the answer is not worth a longer wait: it is known that the port is taken.
   @patience_ms 2_000
 
   @doc "The program's name and process id."
   @spec find(:udp | :tcp, :inet.port_number()) :: {:ok, String.t(), pos_integer} | :unknown
-  def find(protocol, port), do: look(protocol, port, @looks)
+  def find(protocol, port), do: find(protocol, port, @attempts)
 
-  defp look(_protocol, _port, 0), do: :unknown
+  defp find(_protocol, _port, 0), do: :unknown
 
-  defp look(protocol, port, looks) do
+  defp find(protocol, port, attempts) do
     with [_ | _] = inodes <- inodes(protocol, port), {:ok, _name, _pid} = found <- program(inodes) do
       found
     else
-      [] -> look(protocol, port, looks - 1)
-      # Somebody else's, whose descriptors are not for us to see.
+      [] -> find(protocol, port, attempts - 1)
+      # Another user's, whose descriptors we cannot see.
       :unknown -> :unknown
     end
   end
@@ -36,7 +36,24 @@ defmodule Aerie.Link.PortOwner do
     for pid <- pids(), holds?(pid, targets), {:ok, name} <- [name(pid)], do: {name, pid}
   end
 
-  @doc "Whether a process was started by this program, itself or by one that it started."
+  @doc "Those of the programs that have the file open which also have a lock on it (`flock`), according to the kernel."
+  @spec lockers(Path.t(), [{String.t(), pos_integer}]) :: [{String.t(), pos_integer}]
+  def lockers(path, holders) do
+    with {:ok, %File.Stat{inode: inode}} <- File.stat(path), {:ok, text} <- File.read("/proc/locks") do
+      # number: FLOCK ADVISORY WRITE pid major:minor:inode …
+      pids =
+        for line <- String.split(text, "\n"),
+            [_, "FLOCK", _, _, pid, file | _] <- [String.split(line)],
+            String.ends_with?(file, ":#{inode}"),
+            do: pid
+
+      Enum.filter(holders, fn {_name, pid} -> "#{pid}" in pids end)
+    else
+      _unknown -> []
+    end
+  end
+
+  @doc "Whether a process is a descendant of this program, or the program itself."
   @spec ours?(pos_integer) :: boolean
   def ours?(pid), do: ours?("#{pid}", System.pid(), 8)
 
@@ -44,7 +61,7 @@ defmodule Aerie.Link.PortOwner do
   defp ours?(_pid, _own, 0), do: false
 
   defp ours?(pid, own, generations) do
-    # Behind the program's name, which stands in brackets and may hold anything, come its state and its parent.
+    # State and parent follow the program's name, which stands in parentheses and may contain anything.
     with {:ok, stat} <- File.read("/proc/#{pid}/stat"),
          [_state, parent | _] <- stat |> String.split(")") |> List.last() |> String.split() do
       ours?(parent, own, generations - 1)
@@ -62,11 +79,11 @@ defmodule Aerie.Link.PortOwner do
          {:ok, name} <- name(pid) do
       {:ok, name, pid}
     else
-      _not_told -> :unknown
+      _not_found -> :unknown
     end
   end
 
-  # Two links with one port are the commonest case, and all others take a while to look through.
+  # Two links with the same port are the commonest case, and all other processes take a while.
   defp own_first(pids) do
     own = String.to_integer(System.pid())
     [own | List.delete(pids, own)]

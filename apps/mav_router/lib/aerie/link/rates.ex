@@ -1,6 +1,6 @@
 defmodule Aerie.Link.Rates do
   @moduledoc """
-  Per-second rates from counters that grow: a window of the last second's samples, as a value.
+  Rates per second from counters: the samples of the last second, as a value.
   """
 
   alias Aerie.Link.Counters

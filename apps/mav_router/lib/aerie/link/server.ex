@@ -1,28 +1,28 @@
 defmodule Aerie.Link.Server do
   @moduledoc """
-  The process of one link: owns the connection, feeds `Aerie.Link.Core` and carries out its actions.
+  The process of one link: owns the connection, feeds `Aerie.Link.Core` and performs its actions.
 
-  It reads, checks and counts frames and delivers them to the sessions by itself (`Aerie.Router.deliver/3` runs here), so
-  links share no process, and what one does costs no other. See the README of this folder for the way of the data and for
-  what a restart costs.
+  It reads, checks and counts frames and delivers them to the sessions itself (`Aerie.Router.deliver/3` runs here): links
+  share no process and do not slow each other down. The README of this folder describes the data path and what a restart
+  costs.
   """
   use GenServer
 
   require Logger
 
   alias Aerie.Store
-  alias Aerie.Link.Again
+  alias Aerie.Link.Reconnected
   alias Aerie.Link.Core
   alias Aerie.Link.Counters
-  alias Aerie.Link.Defaults
+  alias Aerie.Link.Settings
   alias Aerie.Link.Egress
   alias Aerie.Link.Opener
   alias Aerie.Link.Restarts
-  alias Aerie.Link.Shown
+  alias Aerie.Link.PublishedPeers
   alias Aerie.Link.Snapshot
+  alias Aerie.Link.Search
   alias Aerie.Link.Spec
-  alias Aerie.Successor
-  alias Aerie.Link.Transport
+  alias Aerie.Link.Writer
   alias Aerie.Names
   alias Aerie.Router
   alias Aerie.Router.Meter
@@ -32,17 +32,17 @@ defmodule Aerie.Link.Server do
 
   @doc """
   Options: `:gateway`, `:spec`, `:notify` (an alias that gets `{alias, :ok | {:error, text}}` once, after the first
-  attempt), `:home` (where its snapshot is kept: `Aerie.Store`, or a module with its `link/2` and `put_link/4`).
-  The core's options are those of `Aerie.Link.Defaults` and of the spec.
+  attempt), `:home` (what keeps the snapshot: `Aerie.Store`, or a module with its `link/2` and `put_link/4`). The core
+  gets the options of `Aerie.Link.Settings` and of the spec.
   """
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
     %Spec{id: id} = Keyword.fetch!(options, :spec)
-    # Frames hold on to what was read, so old heaps are swept often; queued datagrams stay out of the heap.
+    # Frames keep whole reads alive, so old heaps are swept often; queued datagrams stay off the heap.
     spawn_options = [message_queue_data: :off_heap, fullsweep_after: 50]
     start_options = [name: Names.via(gateway, :link, id), spawn_opt: spawn_options]
-    Successor.start(fn -> GenServer.start_link(__MODULE__, options, start_options) end)
+    GenServer.start_link(__MODULE__, options, start_options)
   end
 
   @impl GenServer
@@ -62,16 +62,17 @@ defmodule Aerie.Link.Server do
       gateway: gateway,
       spec: spec,
       home: home,
-      transport: Transport.module(spec.kind),
+      transport: spec.transport,
       core: Core.new(spec, core_options(gateway, spec, former, now)),
       restarts: restarts,
       opener: nil,
       retry: nil,
+      # What the transport watches for while the link is down (`c:Aerie.Link.Transport.watch/1`), as of the last attempt.
       watched: nil,
       conn: nil,
       sessions: [],
-      judged: nil,
-      shown: Shown.new(),
+      quality: nil,
+      published: PublishedPeers.new(),
       kernel_dropped: 0,
       notify: Keyword.get(options, :notify),
       egress: Egress.open(gateway, spec)
@@ -79,7 +80,7 @@ defmodule Aerie.Link.Server do
 
     Process.send_after(self(), :tick, Core.tick_ms())
 
-    # Whoever remembers links (the store) knows of this one from here on, whatever becomes of its first attempt.
+    # Published before the first attempt: the store remembers the link, whatever comes of that.
     {:ok, publish(state), {:continue, {:start, Restarts.wait(restarts)}}}
   end
 
@@ -87,7 +88,7 @@ defmodule Aerie.Link.Server do
     counters = if former, do: Counters.add(former.counters, :restarts, 1), else: %Counters{}
 
     gateway
-    |> Defaults.get()
+    |> Settings.options_of()
     |> Keyword.merge(Map.to_list(spec.options))
     |> Keyword.merge(counters: counters, seed: {self(), now})
   end
@@ -108,14 +109,14 @@ defmodule Aerie.Link.Server do
 
   @impl GenServer
   def handle_cast({:send, to, bytes}, state) do
-    {:noreply, write(state, to, bytes)}
+    {:noreply, Writer.send(state, to, bytes)}
   end
 
   @impl GenServer
   def handle_info(:tick, state) do
-    # One at a time: a link that was busy for seconds owes no ticks.
+    # One timer at a time: a link that was busy for seconds does not catch up on ticks.
     Process.send_after(self(), :tick, Core.tick_ms())
-    {:noreply, state |> overrun() |> measured() |> step(:tick) |> look()}
+    {:noreply, state |> count_kernel_drops() |> measure_quality() |> step(:tick) |> retry_if_changed()}
   end
 
   def handle_info(:retry, state), do: {:noreply, step(state, :retry)}
@@ -130,12 +131,14 @@ defmodule Aerie.Link.Server do
   end
 
   def handle_info({:forward, peer, frames, class}, state) do
-    {egress, state} = Egress.forward(state.egress, peer, class, frames, mono(), &out(&1, peer, &2), state)
+    {egress, state} =
+      Egress.forward(state.egress, peer, class, frames, mono(), &Writer.forward(&1, peer, &2), state)
+
     {:noreply, %{state | egress: egress}}
   end
 
   def handle_info({:pump, peer}, state) do
-    {egress, state} = Egress.pump(state.egress, peer, mono(), &out(&1, peer, &2), state)
+    {egress, state} = Egress.pump(state.egress, peer, mono(), &Writer.forward(&1, peer, &2), state)
     {:noreply, %{state | egress: egress}}
   end
 
@@ -143,19 +146,18 @@ defmodule Aerie.Link.Server do
     {:noreply, sync(%{state | egress: Egress.rules(state.egress, owner, mono())})}
   end
 
-  def handle_info(message, %{conn: nil} = state), do: {:noreply, unknown(state, message)}
+  def handle_info(message, %{conn: nil} = state), do: {:noreply, ignore(state, message)}
 
   def handle_info(message, state) do
     case state.transport.handle(state.conn, message) do
-      {events, conn} -> {:noreply, Enum.reduce(events, latched(%{state | conn: conn}, state), &event/2)}
-      :unknown -> {:noreply, unknown(state, message)}
+      {events, conn} -> {:noreply, Enum.reduce(events, %{state | conn: conn}, &event/2)}
+      :unknown -> {:noreply, ignore(state, message)}
     end
   end
 
-  # What the kernel dropped, because nobody else tells.
-  defp overrun(%{conn: nil} = state), do: %{state | kernel_dropped: 0}
+  defp count_kernel_drops(%{conn: nil} = state), do: %{state | kernel_dropped: 0}
 
-  defp overrun(%{transport: transport, kernel_dropped: before} = state) do
+  defp count_kernel_drops(%{transport: transport, kernel_dropped: before} = state) do
     now =
       if function_exported?(transport, :kernel_dropped, 1), do: transport.kernel_dropped(state.conn), else: 0
 
@@ -164,55 +166,31 @@ defmodule Aerie.Link.Server do
   end
 
   # What a link that is down waits for may have come: a device was plugged in.
-  defp look(%{core: %{phase: :down}, watched: watched} = state) do
+  defp retry_if_changed(%{core: %{phase: :down}, watched: watched} = state) do
     if watch(state) == watched, do: state, else: step(state, :retry)
   end
 
-  defp look(state), do: state
+  defp retry_if_changed(state), do: state
 
-  # Silence is no event of the link, but what it is worth falls by it.
-  defp measured(state) do
-    case judged(Meter.quality(state.gateway, state.spec.id)) do
-      same when same == state.judged -> state
-      # Shown with this tick.
-      judged -> %{state | judged: judged, core: Core.changed(state.core)}
+  # A link's quality falls with silence, which is no event; the new value is published with this tick.
+  defp measure_quality(state) do
+    case rounded(Meter.quality(state.gateway, state.spec.id)) do
+      same when same == state.quality -> state
+      quality -> %{state | quality: quality, core: Core.changed(state.core)}
     end
   end
 
-  defp judged(nil), do: nil
-  defp judged(quality), do: {round(quality.score), quality.loss, quality.rtt_ms, quality.carries}
+  defp rounded(nil), do: nil
+  defp rounded(quality), do: {round(quality.score), quality.loss, quality.rtt_ms, quality.carries}
 
   defp watch(state) do
-    if function_exported?(state.transport, :watch, 1), do: state.transport.watch(sought(state)), else: nil
+    if function_exported?(state.transport, :watch, 1), do: state.transport.watch(prepared(state)), else: nil
   end
 
-  # A search begins with what was found the last time, and leaves other links' ports alone.
-  defp sought(%{spec: %{detect: nil} = spec}), do: spec
+  defp prepared(state), do: Search.prepare(state.spec, state.gateway, state.core.found)
 
-  defp sought(%{spec: spec} = state) do
-    configured = state.gateway |> Defaults.get() |> Keyword.take([:serial_ports, :serial_bauds]) |> Map.new()
-    own = %{hint: state.core.found, taken: taken(state)}
-    %{spec | options: configured |> Map.merge(spec.options) |> Map.merge(own)}
-  end
-
-  defp taken(%{spec: %{detect: :baud}}), do: []
-
-  defp taken(state) do
-    for %{id: id, kind: :serial} = link <- Store.links(state.gateway),
-        id != state.spec.id,
-        path = link.local || link.spec.device,
-        do: path
-  end
-
-  # A UDP client may answer from elsewhere, and is written to there from now on: before what it said goes anywhere, so that
-  # an answer to it finds it.
-  defp latched(%{spec: %{kind: :udp_client}, conn: conn} = state, before) when conn != before.conn,
-    do: sync(state)
-
-  defp latched(state, _before), do: state
-
-  # Late messages of connections that are closed, exits of processes that did their work.
-  defp unknown(state, _message), do: state
+  # Late messages of closed connections, exits of processes that are done.
+  defp ignore(state, _message), do: state
 
   @impl GenServer
   def terminate(_reason, state) do
@@ -234,11 +212,12 @@ defmodule Aerie.Link.Server do
 
   defp opened(state, {:error, reason}), do: step(state, {:failed, reason})
 
-  # What the transport says goes through the core, unless the connection ended with an event before it.
+  # Events of the transport go through the core, unless an earlier one of them ended the connection.
   defp event(_event, %{conn: nil} = state), do: state
   defp event({:written, {:ok, _bytes}}, state), do: state
   defp event({:written, {:error, _reason}}, state), do: step(state, {:count, :dropped_out, 1})
   defp event({:records, _records} = event, state), do: state |> step(event) |> delivered()
+  defp event(:redirected, state), do: sync(state)
   defp event(event, state), do: step(state, event)
 
   defp delivered(%{conn: nil} = state), do: state
@@ -259,15 +238,14 @@ defmodule Aerie.Link.Server do
   defp act(:open, state) do
     _ = if state.retry, do: Process.cancel_timer(state.retry)
     watched = watch(state)
-    %{state | opener: Opener.start(sought(state)), retry: nil, watched: watched}
+    %{state | opener: Opener.start(prepared(state)), retry: nil, watched: watched}
   end
 
-  # Its bytes hold no frames: what are they?
   defp act(:sniff, %{conn: nil} = state), do: state
   defp act(:sniff, state), do: %{state | conn: state.transport.sniff(state.conn)}
 
-  defp act(:relinked, state) do
-    Again.tell(state.gateway, state.spec)
+  defp act(:reconnected, state) do
+    Reconnected.tell(state.gateway, state.spec)
     state
   end
 
@@ -287,7 +265,7 @@ defmodule Aerie.Link.Server do
     source = source(spec, peer)
     if state.home == Store, do: Aerie.Recorder.link_frames(state.gateway, spec.id, frames)
     outcome = Router.deliver(state.gateway, source, frames)
-    egress = state.egress |> Egress.radio(peer, frames) |> Egress.asked(peer, frames, mono())
+    egress = state.egress |> Egress.radio(peer, frames) |> Egress.note_requests(peer, frames, mono())
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
     %{state | core: dropped(state.core, outcome), egress: egress, sessions: sessions}
   end
@@ -312,7 +290,7 @@ defmodule Aerie.Link.Server do
   defp act({:emit, event, measurements, metadata}, state) do
     if event == :overload do
       Logger.warning(
-        "#{state.spec.id} gets more than it can read: #{measurements.datagrams} datagrams dropped so far. " <>
+        "link #{state.spec.id} receives more than it can read: #{measurements.datagrams} datagrams dropped so far. " <>
           "Give the gateway more CPU, or spread the vehicles over more links"
       )
     end
@@ -325,7 +303,7 @@ defmodule Aerie.Link.Server do
   end
 
   defp act(:publish, state), do: state |> sync() |> publish()
-  defp act(:show, state), do: state |> others() |> publish()
+  defp act(:publish_snapshot, state), do: state |> take_counts() |> publish()
   defp act(:settled, %{notify: nil} = state), do: state
 
   defp act(:settled, state) do
@@ -348,22 +326,20 @@ defmodule Aerie.Link.Server do
   end
 
   defp source(spec, peer) do
-    slow? = Map.get(spec.options, :high_latency, false)
-
     %{
       id: spec.id,
       network: spec.network,
       peer: peer,
       trust: Aerie.Signing.trust(spec),
-      high_latency: slow?
+      high_latency: Map.get(spec.options, :high_latency, false)
     }
   end
 
   defp publish(state) do
-    {changes, shown} = Shown.changes(state.shown, state.core.peers)
+    {changes, published} = PublishedPeers.changes(state.published, state.core.peers)
     snapshot = snapshot(state, &Snapshot.brief/2)
     :ok = state.home.put_link(state.gateway, state.spec.id, snapshot, changes)
-    %{state | shown: shown}
+    %{state | published: published}
   end
 
   defp snapshot(state, of) do
@@ -377,75 +353,27 @@ defmodule Aerie.Link.Server do
     })
   end
 
-  # The peers there are now become endpoints of the router.
+  # Makes the current peers, and only them, endpoints of the router.
   defp sync(%{conn: nil} = state),
     do: %{state | egress: Egress.sync(state.egress, %{}, fn _peer -> nil end, mono())}
 
   defp sync(state) do
     peers = Map.new(state.core.peers.map, fn {id, peer} -> {id, peer.text} end)
-
-    egress = Egress.line(state.egress, line(state), mono())
-    others(%{state | egress: Egress.sync(egress, peers, &direct(state, &1), mono())})
+    egress = Egress.line(state.egress, line(state.core.info), mono())
+    take_counts(%{state | egress: Egress.sync(egress, peers, &direct(state, &1), mono())})
   end
 
-  # What others wrote to the peers' sockets.
-  defp others(state) do
-    {others, egress} = Egress.others(state.egress)
-    %{state | egress: egress, core: %{state.core | counters: Counters.merge(state.core.counters, others)}}
+  # Adds what others counted who wrote to the peers' sockets.
+  defp take_counts(state) do
+    {counts, egress} = Egress.take_counts(state.egress)
+    %{state | egress: egress, core: %{state.core | counters: Counters.merge(state.core.counters, counts)}}
   end
 
-  defp line(%{spec: %{kind: :serial} = spec, core: %{found: found}}),
-    do: {(found && found.path) || spec.device, (found && found.baud) || spec.baud}
-
-  defp line(_state), do: nil
+  defp line(%{baud: baud, local: device}), do: {device, baud}
+  defp line(_info), do: nil
 
   defp direct(%{transport: transport, conn: conn}, peer) do
     if function_exported?(transport, :direct, 2), do: transport.direct(conn, peer)
-  end
-
-  defp out(%{conn: nil} = state, _peer, _bytes), do: {:error, step(state, {:count, :dropped_out, 1})}
-
-  defp out(state, peer, bytes) do
-    bytes = Aerie.Signing.fill(state.gateway, state.spec, peer, bytes)
-
-    case state.transport.write(state.conn, peer, bytes) do
-      # What is for a peer that others write to directly was counted by them.
-      {:ok, conn} -> {:ok, sent(%{state | conn: conn}, bytes, not Egress.direct?(state.egress, peer))}
-      {:busy, conn} -> {:busy, %{state | conn: conn}}
-      {:error, _reason, conn} -> {:error, step(%{state | conn: conn}, {:count, :dropped_out, 1})}
-    end
-  end
-
-  defp write(%{conn: nil} = state, _to, _bytes), do: step(state, {:count, :dropped_out, 1})
-  defp write(state, {:peer, peer}, bytes), do: write_to(state, peer, bytes)
-
-  defp write(state, :all, bytes) do
-    Enum.reduce(Map.keys(state.core.peers.map), state, &write_to(&2, &1, bytes))
-  end
-
-  defp write_to(state, peer, given) do
-    bytes = Aerie.Signing.seal(state.gateway, state.spec.id, peer, given)
-
-    case state.transport.write(state.conn, peer, bytes) do
-      {:ok, conn} ->
-        sent(%{state | conn: conn}, Aerie.Signing.shown(given, bytes), true)
-
-      {:busy, conn} ->
-        step(%{state | conn: conn}, {:count, :dropped_out, 1})
-
-      {:error, _reason, conn} ->
-        step(%{state | conn: conn}, {:count, :dropped_out, 1})
-    end
-  end
-
-  defp sent(state, bytes, count?) do
-    if state.home == Store, do: Aerie.Recorder.sent(state.gateway, state.spec.id, state.spec.network, bytes)
-    if count?, do: counted(state, IO.iodata_length(bytes)), else: state
-  end
-
-  defp counted(state, size) do
-    counters = state.core.counters |> Counters.add(:bytes_out, size) |> Counters.add(:writes_out, 1)
-    put_in(state.core.counters, counters)
   end
 
   defp now, do: {mono(), :os.system_time(:microsecond)}

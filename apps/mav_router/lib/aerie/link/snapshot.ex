@@ -1,32 +1,32 @@
 defmodule Aerie.Link.Snapshot do
   @moduledoc """
-  What everyone may know of a link, as it stands in `Aerie.Store`: `brief/2` is written whole, of `:peers` and `:sources` what
-  changed (`Aerie.Link.Shown`); `Aerie.Store.Links` puts them together.
+  What everybody may know about a link. The link's process publishes it in `Aerie.Store`: `brief/2` as a whole, of `:peers`
+  and `:sources` only what changed (`Aerie.Link.PublishedPeers`). `Aerie.Store.Links` puts them together.
 
   | key | value |
   |---|---|
   | `:id`, `:network`, `:kind`, `:url`, `:spec` | as in `Aerie.Link.Spec` (`:url` is its `text`) |
   | `:status` | `:connecting`, `:up`, `:idle` (up, but no frame for a while), `:down`, `:ended` |
-  | `:text` | the same in words: `connection refused by 127.0.0.1:5760, next try in 3.2 s` |
+  | `:text` | the status in words: `connection refused by 127.0.0.1:5760, next try in 3.2 s` |
   | `:reason` | the last fault in words, or nil |
   | `:since` | unix microseconds of the last change of phase |
-  | `:retry_in_ms` | while down: to the next try, at the time of writing |
-  | `:local`, `:port`, `:peer` | our end, its real port, the other end, where known |
+  | `:retry_in_ms` | while down: time to the next attempt, at the time of publishing |
+  | `:local`, `:port`, `:peer` | our end, its real port, the other end, as far as known |
   | `:baud` | of an open serial port |
-  | `:finding` | how an open serial port was found, where it was looked for (`Aerie.Link.Serial.Finding`) |
-  | `:diagnosis` | what is in the way on serial ports: findings with evidence and advice, else empty |
-  | `:last_heard` | unix microseconds of the last good frame's arrival |
+  | `:finding` | how an open serial port was found, if it was searched for (`Aerie.Link.Serial.Finding`) |
+  | `:diagnosis` | why serial ports do not work: findings with evidence and advice, otherwise empty |
+  | `:last_heard` | unix microseconds of the arrival of the last good frame |
   | `:counters` | `Aerie.Link.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
-  | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, else nil; `datagrams` were dropped |
+  | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, otherwise nil; `datagrams` were dropped |
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 1,024 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
-  | `:quality` | score, loss, round trip and age, and whether it carries its group (`t:Aerie.Router.Meter.quality/0`), or nil |
-  | `:recording` | `t:Aerie.Recorder.Status.t/0` without its names, nil when it was never recorded |
+  | `:quality` | score, loss, round-trip time and age, and whether it carries its group (`t:Aerie.Router.Meter.quality/0`), or nil |
+  | `:recording` | `t:Aerie.Recorder.Status.t/0` without its names, nil if it was never recorded |
   | `:restarts` | monotonic ms of the last restarts of the link's process |
-  | `:label` | words of the configuration, or nil |
-  | `:high_latency` | whether it was configured as a link of high latency (`Aerie.Mavlink.HighLatency`) |
+  | `:label` | the label of the configuration, or nil |
+  | `:high_latency` | whether it is configured as a high-latency link (`Aerie.Mavlink.HighLatency`) |
   """
 
   alias Aerie.Link.Core
@@ -36,8 +36,7 @@ defmodule Aerie.Link.Snapshot do
   alias Aerie.Link.Reason
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Spec
-
-  @max_peers 1_024
+  alias Aerie.Store
 
   @type status :: :connecting | :up | :idle | :down | :ended
 
@@ -79,7 +78,7 @@ defmodule Aerie.Link.Snapshot do
   end
 
   defp peers(peers, mono) do
-    for {id, peer} <- Enum.take(peers.map, @max_peers) do
+    for {id, peer} <- Enum.take(peers.map, Store.Links.max_peers()) do
       stats = Peer.measure(peer).stats
 
       %{
@@ -119,21 +118,12 @@ defmodule Aerie.Link.Snapshot do
   end
 
   def text(%Core{phase: :up, spec: spec} = core, mono) do
-    case {status(core, mono), spec.kind} do
-      {:idle, kind} when kind in [:udp_server, :tcp_server] ->
-        "listening on #{core.info[:local]}, nothing heard"
+    quiet = if status(core, mono) == :idle, do: ", nothing heard", else: ""
 
-      {:idle, _kind} ->
-        "connected to #{place(core)}, nothing heard"
-
-      {:up, kind} when kind in [:udp_server, :tcp_server] ->
-        "listening on #{core.info[:local]}"
-
-      {:up, :replay} ->
-        "replaying #{Spec.place(spec)}"
-
-      {:up, _kind} ->
-        "connected to #{place(core)}"
+    cond do
+      spec.server -> "listening on #{core.info[:local]}#{quiet}"
+      spec.recorded -> "replaying #{Spec.place(spec)}#{quiet}"
+      true -> "connected to #{place(core)}#{quiet}"
     end
   end
 

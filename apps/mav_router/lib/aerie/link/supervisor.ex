@@ -6,21 +6,20 @@ defmodule Aerie.Link.Supervisor do
   Aerie.Link.Supervisor     rest_for_one
   ├─ dynamic supervisor     one Aerie.Link.Tree per link
   │    └─ Aerie.Link.Tree   Aerie.Recorder.Recording, Aerie.Link.Server
-  ├─ Aerie.Link.Boot        starts the configured links, or those that ran before; then ends
-  └─ Aerie.Link.Announcer   our heartbeat where nothing is heard yet
+  ├─ Aerie.Link.Boot        starts the configured links, or those that ran before; then it ends
+  └─ Aerie.Link.Announcer   sends our heartbeat where nothing is heard yet
   ```
   """
   use Supervisor
 
   alias Aerie.Link.Announcer
   alias Aerie.Link.Boot
-  alias Aerie.Link.Defaults
+  alias Aerie.Link.Server
+  alias Aerie.Link.Settings
   alias Aerie.Link.Tree
   alias Aerie.Names
 
-  @default_max_links 64
-
-  @doc "Options: `:gateway`, `:config`."
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Link.Settings`)."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :links))
@@ -49,6 +48,21 @@ defmodule Aerie.Link.Supervisor do
     end
   end
 
+  @doc "Ends a link's process and starts it again, in its tree."
+  @spec restart(Names.gateway(), String.t()) :: :ok | {:error, :unknown | term}
+  def restart(gateway, id) do
+    with tree when is_pid(tree) <- Names.whereis(gateway, :link_tree, id),
+         :ok <- Supervisor.terminate_child(tree, Server),
+         {:ok, _pid} <- Supervisor.restart_child(tree, Server) do
+      :ok
+    else
+      nil -> {:error, :unknown}
+      {:error, reason} -> {:error, reason}
+    end
+  catch
+    :exit, _gone -> {:error, :unknown}
+  end
+
   defp terminate(trees, tree) do
     _ = DynamicSupervisor.terminate_child(trees, tree)
     :ok
@@ -59,24 +73,21 @@ defmodule Aerie.Link.Supervisor do
   @impl Supervisor
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    config = Keyword.get(options, :config)
+    %Settings{} = settings = Keyword.fetch!(options, :settings)
     Process.set_label({:links, gateway})
-    Defaults.put(gateway, Defaults.from(config))
+    Settings.put(gateway, settings)
 
     children = [
-      # Its trees restart their links themselves, so that it has to restart a tree only when somebody kills that.
+      # Trees restart their links themselves, so this restarts a tree only if somebody kills it.
       {DynamicSupervisor,
        name: Names.via(gateway, :link_trees),
-       max_children: max_links(config),
+       max_children: settings.max_links,
        max_restarts: 100,
        max_seconds: 1},
-      {Boot, gateway: gateway, config: config},
-      {Announcer, gateway: gateway, config: config}
+      {Boot, gateway: gateway, links: settings.links},
+      {Announcer, gateway: gateway, settings: settings.identity}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)
   end
-
-  defp max_links(%{limits: %{max_links: max}}), do: max
-  defp max_links(_none), do: @default_max_links
 end

@@ -1,14 +1,19 @@
 defmodule Aerie.Link.Tree do
   @moduledoc """
-  One link's processes: its recording, apart so that a full disk never stops a link, and the link itself.
+  The processes of one link: its recording, separate so that a full disk never stops a link, and the link itself.
 
-  It restarts its link up to 100 times a second, which only a deliberate killing reaches: a link that crashes by itself
-  waits before it connects (`Aerie.Link.Restarts`).
+  It restarts its link up to 100 times a second, which only deliberate killing reaches: a link that keeps crashing waits
+  before it connects (`Aerie.Link.Restarts`).
   """
   use Supervisor
 
   alias Aerie.Link.Server
   alias Aerie.Names
+  alias Aerie.Successor
+
+  @doc "Its start waits for the processes of a tree that was killed (`Aerie.Successor`). Options: as `start_link/1`."
+  @spec child_spec(keyword) :: Supervisor.child_spec()
+  def child_spec(options), do: options |> super() |> Successor.child_spec()
 
   @doc "Options: as `Aerie.Link.Server.start_link/1`."
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -22,7 +27,7 @@ defmodule Aerie.Link.Tree do
     %{id: id, network: network} = Keyword.fetch!(options, :spec)
     Process.set_label({:link_tree, id})
     recording = [gateway: options[:gateway], target: {:link, id}, label: "#{network}-#{id}"]
-    # What clients hear is what vehicles said.
+    # Clients are not recorded: what they receive came from the vehicles.
     recorders = if options[:home] == nil, do: [{Aerie.Recorder.Recording, recording}], else: []
 
     Supervisor.init(recorders ++ [{Server, options}],

@@ -1,14 +1,20 @@
 defmodule Aerie.Mavlink.BootClock do
+  @tolerance_ms 2_000
+  @readings 3
+  @span_us 1_000_000
+  # Simulators run up to 100 times faster than time.
+  @too_fast 200
+
   @moduledoc """
-  Follows the clock of one component of a vehicle (`time_boot_ms`) and tells when it began anew: a reboot (R6). A pure value.
+  Follows the clock of one component of a vehicle (`time_boot_ms`) and tells when it starts over: a reboot (R6). A pure value.
 
-  Each kind of message has a clock of its own, because firmware fills the field differently: Betaflight's
-  GLOBAL_POSITION_INT has microseconds in it, beside an ATTITUDE in milliseconds. A clock is measured against the time of
-  arrival. One that runs 200 times too fast or more is none; as soon as one has kept time, only those that have done so count.
+  Each kind of message has a clock of its own, because firmware fills the field differently: Betaflight's GLOBAL_POSITION_INT has
+  microseconds in it, its ATTITUDE milliseconds. Clocks are compared with the time of arrival. One that runs at least #{@too_fast}
+  times too fast is no clock; as soon as one clock has kept time, only those that keep time count.
 
-  A clock that is more than two seconds behind what it was is a reboot only when it stays there: three readings in a row
-  over at least a second. Frames that were overtaken (a slower second link, PX4's two sending threads) show an old time
-  in between new ones and are not. The 32-bit wrap after 49.7 days is not either.
+  A clock that falls more than #{div(@tolerance_ms, 1_000)} s behind means a reboot only if it stays behind: #{@readings} readings in
+  a row, over at least #{div(@span_us, 1_000_000)} s. Frames that were overtaken (by a slower second link, or PX4's two sending
+  threads) show an old time between new ones, which is no reboot. Nor is the 32-bit wrap after 49.7 days.
   """
 
   import Bitwise
@@ -16,14 +22,10 @@ defmodule Aerie.Mavlink.BootClock do
   @enforce_keys [:seed]
   defstruct [:seed, clocks: %{}, proven: false]
 
-  @tolerance_ms 2_000
-  @readings 3
-  @span_us 1_000_000
   @half 0x80000000
-  # How long a clock runs before its pace is looked at; what is too fast to be milliseconds (simulators run up to 100 times
-  # faster than time), and how often in a row it has to be: two vehicles with one id jump to and fro.
+  # How long a clock runs before its pace is judged, and how often in a row it has to be too fast: two vehicles with one id jump to
+  # and fro.
   @pace_us 500_000
-  @too_fast 200
   @strikes 3
 
   @typep clock :: %{
@@ -32,7 +34,7 @@ defmodule Aerie.Mavlink.BootClock do
            from: {at :: integer(), boot_ms :: non_neg_integer()},
            pace: :unknown | :good | non_neg_integer()
          }
-  @typedoc "`seed`: what a clock that was not read yet goes on from; `pace`: a number is how often in a row it was too fast."
+  @typedoc "`seed`: the last value of a clock that was not read yet; `pace`: a number tells how often in a row it was too fast."
   @type t :: %__MODULE__{
           seed: non_neg_integer() | nil,
           clocks: %{non_neg_integer() => clock()},
@@ -45,8 +47,8 @@ defmodule Aerie.Mavlink.BootClock do
   def new(boot_ms \\ nil), do: %__MODULE__{seed: boot_ms}
 
   @doc """
-  A reading by a kind of message that came `at`: `:ok` - the vehicle's time now; `:behind` - an overtaken frame, or the
-  first sign of a reboot; `:reboot` - it has begun anew; `:none` - the message may be new or old, its clock is none.
+  A reading from a kind of message that came `at` (µs): `:ok`, it is the vehicle's time now; `:behind`, an overtaken frame or the
+  first sign of a reboot; `:reboot`, the clock has started over; `:none`, the message has no clock that tells.
   """
   @spec read(t(), id :: non_neg_integer(), non_neg_integer(), integer()) :: {t(), verdict()}
   def read(%{clocks: clocks, seed: seed} = all, id, boot_ms, at) do
@@ -61,7 +63,7 @@ defmodule Aerie.Mavlink.BootClock do
     end
   end
 
-  # What is overtaken is old, whatever its clock counts.
+  # An overtaken frame is old, whatever its clock counts.
   defp doubted(:behind), do: :behind
   defp doubted(_verdict), do: :none
 
@@ -77,7 +79,7 @@ defmodule Aerie.Mavlink.BootClock do
 
     pace =
       cond do
-        # Begun anew or wrapped; another vehicle's, if it was not sure yet.
+        # Started over or wrapped; or another vehicle's, if it was not sure yet.
         at < since or gone_us < 0 ->
           if is_integer(clock.pace) and not fast?(clock.pace), do: 0, else: clock.pace
 
@@ -116,8 +118,8 @@ defmodule Aerie.Mavlink.BootClock do
     end
   end
 
-  # After the wrap a small number is ahead of a big one. Half the range behind is never a reboot of interest: it takes
-  # an uptime of more than 24 days.
+  # After the wrap a small number is ahead of a big one. A reboot that falls half the range behind needs an uptime of more than 24
+  # days.
   defp ahead?(boot_ms, newest) when boot_ms >= newest, do: true
   defp ahead?(boot_ms, newest), do: (boot_ms - newest &&& 0xFFFFFFFF) < @half and newest > 0xFFFFFFFF - 60_000
 end

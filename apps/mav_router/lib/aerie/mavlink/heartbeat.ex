@@ -1,18 +1,20 @@
 defmodule Aerie.Mavlink.Heartbeat do
   @moduledoc """
-  What a HEARTBEAT says about its sender, read straight from the payload: the router looks at no other message.
+  What a HEARTBEAT or HIGH_LATENCY2 says about its sender, read straight from the payload.
 
-  A vehicle is known by its autopilot (H2: the field `autopilot`, never the component id, R10). Some ground stations and
-  payloads fill that field in as well, so their types are no vehicles either.
+  A vehicle is recognised by the field `autopilot` (H2), never by the component id (R10). Some ground stations and payloads set that
+  field as well, so their types are no vehicles either.
   """
 
+  alias Aerie.Mavlink.Message
+  alias MavCodec.Enums.MavAutopilot
   alias MavCodec.Frame
 
-  @id 0
-  @high_latency2 235
-  @autopilot_invalid 8
+  @id Message.id!("HEARTBEAT")
+  @high_latency2 Message.id!("HIGH_LATENCY2")
+  @autopilot_invalid MavAutopilot.value(:MAV_AUTOPILOT_INVALID)
 
-  # MAV_TYPE of everything that is a part of a vehicle or no vehicle at all.
+  # Every MAV_TYPE that is a part of a vehicle or no vehicle at all.
   @not_vehicles %{
     6 => "gcs",
     18 => "onboard_controller",
@@ -39,10 +41,10 @@ defmodule Aerie.Mavlink.Heartbeat do
   @type t :: %__MODULE__{type: 0..255, autopilot: 0..255}
 
   @doc "The message id of HEARTBEAT."
-  @spec id() :: 0
+  @spec id() :: non_neg_integer
   def id, do: @id
 
-  @doc "Reads a frame, HIGH_LATENCY2 as well; nil when it is neither. Bytes that were cut off are zeros (F7)."
+  @doc "Reads a HEARTBEAT or HIGH_LATENCY2; nil for any other frame. Bytes that were cut off are zeros (F7)."
   @spec read(Frame.t()) :: t | nil
   def read(%Frame{id: @id, payload: <<_custom_mode::32, type, autopilot, _::binary>>}) do
     %__MODULE__{type: type, autopilot: autopilot}
@@ -61,7 +63,7 @@ defmodule Aerie.Mavlink.Heartbeat do
   def vehicle?(%__MODULE__{autopilot: @autopilot_invalid}), do: false
   def vehicle?(%__MODULE__{type: type}), do: not is_map_key(@not_vehicles, type)
 
-  @doc "What a sender that is no vehicle is, in a word; `component` for what has no name here."
+  @doc "What the sender is, in a word: `autopilot`, `gcs`, `gimbal` …; `component` if nothing else is known."
   @spec role(t) :: String.t()
   def role(%__MODULE__{type: type} = heartbeat) do
     if vehicle?(heartbeat), do: "autopilot", else: Map.get(@not_vehicles, type, "component")

@@ -1,26 +1,34 @@
 defmodule Aerie.Mavlink.HighLatency do
   @moduledoc """
-  What goes over links of high latency: satellite modems and the like, where a byte costs money and minutes (X6). Commands
-  and their answers do; heartbeats, streams, parameters, missions and clock measurements do not.
+  What links of high latency carry: satellite modems and the like, where bytes cost money and minutes (X6). Commands and their
+  answers go over them; heartbeats, streams, parameters, missions and clock measurements do not.
   """
 
+  alias Aerie.Mavlink.Message
+  alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
 
-  # HIGH_LATENCY2 without a heartbeat for this long: that is all that comes by this link.
   @silent_us 10_000_000
-  # SET_MODE, MISSION_SET_CURRENT, COMMAND_INT, COMMAND_LONG, COMMAND_ACK, COMMAND_CANCEL, HIGH_LATENCY, HIGH_LATENCY2
-  @carried [11, 41, 75, 76, 77, 80, 234, 235]
-  # … except those commands that only ask for more to be sent.
-  @asking [510, 511, 512]
+  @commands Enum.map(~w(COMMAND_INT COMMAND_LONG), &Message.id!/1)
+  @carried @commands ++
+             Enum.map(
+               ~w(SET_MODE MISSION_SET_CURRENT COMMAND_ACK COMMAND_CANCEL HIGH_LATENCY HIGH_LATENCY2),
+               &Message.id!/1
+             )
+  # Commands that only ask for more to be sent.
+  @asking Enum.map(
+            [:MAV_CMD_GET_MESSAGE_INTERVAL, :MAV_CMD_SET_MESSAGE_INTERVAL, :MAV_CMD_REQUEST_MESSAGE],
+            &MavCmd.value/1
+          )
 
-  @doc "How long after the last heartbeat a summary means that no more heartbeats come (us)."
+  @doc "Microseconds after the last heartbeat from which a HIGH_LATENCY2 means that no more heartbeats come by the link."
   @spec silent_us() :: pos_integer()
   def silent_us, do: @silent_us
 
-  @doc "Whether a frame may go over a link of high latency: for routers, which ask for each frame."
+  @doc "Whether a link of high latency carries a frame."
   @spec carries?(Frame.t()) :: boolean()
   def carries?(%Frame{id: id, payload: <<_params::28-binary, command::16-little, _::binary>>})
-      when id in [75, 76],
+      when id in @commands,
       do: command not in @asking
 
   def carries?(%Frame{id: id}), do: id in @carried

@@ -1,14 +1,13 @@
 defmodule Aerie.Recorder.Archive do
   @moduledoc """
-  The folder of the recordings: gives names, keeps the index of what is ours, makes room.
+  The folder of the recordings: gives names, keeps the index of our files, makes room.
 
-  Ours is what is in `recordings.index`, one name a line, written before the file is used. Nothing else in the folder is
-  ever removed, whatever its name; a recording that somebody renames or takes out of the index is theirs from then on.
+  Our files are those in `recordings.index`, one name a line, written before the file is used. No other file in the folder is ever
+  removed, whatever its name; a recording that somebody renames or deletes from the index belongs to them from then on.
 
-  Room is made by removing our oldest recordings, never one that is being written: when ours together are more than
-  `max_total`, and when less than `min_free` is free. When that does not help, nothing is recorded (`{:space, …}` in the
-  settings' table) until something is free again. The folder is made when the first recording begins; it and what is in it
-  are for their owner alone. A file that nothing could be written to goes again.
+  Our oldest recordings are removed, but none that is being written, when all of them exceed `max_total` or less than `min_free` is free.
+  If that does not help, nothing is recorded (`{:space, …}` in the settings' table) until there is room again. The folder is made when
+  the first recording starts; it and its files are for their owner only. An empty file is removed when it is closed.
   """
   use GenServer
 
@@ -28,8 +27,8 @@ defmodule Aerie.Recorder.Archive do
   end
 
   @doc """
-  A new file for the calling process, empty, named `{label}-{UTC}.tlog`. It is kept from removal until `closed/2` or the
-  end of the process. None is made where less than `min_free` is free (`:low`), or nothing at all; else the error is in words.
+  A new, empty file for the calling process, named `{label}-{UTC}.tlog`. It is not removed until `closed/2` or the end of the process.
+  `:low`: less than `min_free` is free; any other error is a text.
   """
   @spec new_file(Names.gateway(), String.t()) :: {:ok, Path.t()} | {:error, String.t() | :low}
   def new_file(gateway, label) do
@@ -42,7 +41,7 @@ defmodule Aerie.Recorder.Archive do
   @spec closed(Names.gateway(), Path.t()) :: :ok
   def closed(gateway, path), do: GenServer.cast(Names.via(gateway, :recorder_archive), {:closed, path})
 
-  @doc "Looks at the free space, and makes room, soon."
+  @doc "Checks the free space and makes room; returns at once."
   @spec look(Names.gateway()) :: :ok
   def look(gateway), do: GenServer.cast(Names.via(gateway, :recorder_archive), :look)
 
@@ -52,6 +51,14 @@ defmodule Aerie.Recorder.Archive do
     GenServer.call(Names.via(gateway, :recorder_archive), :list, @call_ms)
   catch
     :exit, _reason -> []
+  end
+
+  @doc "Removes one of our files by its name, unless it is being written."
+  @spec delete(Names.gateway(), String.t()) :: :ok | {:error, :unknown | :open | String.t()}
+  def delete(gateway, name) do
+    GenServer.call(Names.via(gateway, :recorder_archive), {:delete, name}, @call_ms)
+  catch
+    :exit, _reason -> {:error, "the folder of recordings does not answer"}
   end
 
   @impl GenServer
@@ -90,6 +97,16 @@ defmodule Aerie.Recorder.Archive do
     {:reply, files, state}
   end
 
+  def handle_call({:delete, name}, _from, state) do
+    path = Path.join(state.settings.dir, name)
+
+    cond do
+      name not in ours(state) -> {:reply, {:error, :unknown}, state}
+      path in Map.values(state.open) -> {:reply, {:error, :open}, state}
+      true -> {:reply, removed(path), state}
+    end
+  end
+
   @impl GenServer
   def handle_cast({:closed, path}, state) do
     {closed, open} = Map.split_with(state.open, fn {_monitor, file} -> file == path end)
@@ -109,16 +126,21 @@ defmodule Aerie.Recorder.Archive do
 
   def handle_info(:space, state) do
     Process.send_after(self(), :space, state.settings.space_ms)
-    # Nothing to look after before something was recorded here, now or in an earlier life.
+    # Without an index nothing was ever recorded here.
     if File.exists?(index(state)), do: {:noreply, make_room(state)}, else: {:noreply, state}
+  end
+
+  # The index is corrected when room is made.
+  defp removed(path) do
+    with {:error, reason} <- File.rm(path), do: {:error, "#{path}: #{words(reason)}"}
   end
 
   defp stat(path), do: File.stat(path, time: :posix)
 
-  # A file could be made and not one record be written. The index is put right when room is made.
+  # No record was written to it. The index is corrected when room is made.
   defp without_empty(path), do: with({:ok, %{size: 0}} <- stat(path), do: File.rm(path))
 
-  # Not even a block: the system makes a file all the same, and writes nothing to it.
+  # Without a free block a file can be made, but not written.
   defp room(state) do
     case :ets.lookup(state.tables.settings, :space) do
       [{:space, %{low: true}}] -> {:error, :low}
@@ -127,7 +149,7 @@ defmodule Aerie.Recorder.Archive do
     end
   end
 
-  # The index knows of a file before it can grow.
+  # A file is in the index before it grows.
   defp create(_state, _name, attempt) when attempt > 100, do: {:error, :eexist}
 
   defp create(state, name, attempt) do
@@ -149,7 +171,7 @@ defmodule Aerie.Recorder.Archive do
       :ok
     else
       {:error, reason} ->
-        # A file that the index does not know would never be removed.
+        # A file that is not in the index would never be removed.
         _ = File.rm(path)
         {:error, reason}
     end
@@ -157,7 +179,7 @@ defmodule Aerie.Recorder.Archive do
 
   defp index(state), do: Path.join(state.settings.dir, @index)
 
-  # Names only, of files beside the index: whatever was done to the index, nothing elsewhere is ours.
+  # Only names of files beside the index: whatever somebody did to the index, no file elsewhere is ours.
   defp ours(state) do
     with {:ok, %{size: size}} when size <= @max_index <- stat(index(state)),
          {:ok, text} <- File.read(index(state)) do
@@ -183,7 +205,7 @@ defmodule Aerie.Recorder.Archive do
     total = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     removed = remove(found, total - max_total, missing(free, min_free), state.gateway)
 
-    # An index that cannot be rewritten names files that are gone; they are passed over the next time.
+    # An index that cannot be rewritten names files that are gone, which are skipped the next time.
     _ =
       if length(found) < length(names) or removed != [],
         do: rewrite(state, Enum.map(found, &elem(&1, 0)) -- removed)
@@ -213,7 +235,6 @@ defmodule Aerie.Recorder.Archive do
 
   defp rewrite(state, paths) do
     text = Enum.map(paths, &[Path.basename(&1), "\n"])
-    # Not written, the index names files that are gone: no harm.
     PrivateFile.write(index(state), text)
   end
 

@@ -2,14 +2,14 @@ defmodule Aerie.Recorder.Core do
   @moduledoc """
   Which frames are recorded, and when a file ends: a value, without clock, disk or process.
 
-  `:armed` goes by the heartbeats in the frames themselves: recorded is from the one that says armed, of any vehicle, until
-  `after_us` after the last one that says it is not. Time is the frames' own. `{:until, at}` records up to a time.
+  `:armed` follows the heartbeats among the frames: it records from the first one that says armed, of any vehicle, until `after_us`
+  after all are disarmed. `{:until, at}` records up to a time. Times are those of the frames.
   """
 
   alias Aerie.Mavlink.Heartbeat
   alias MavCodec.Frame
 
-  @heartbeat 0
+  @heartbeat Heartbeat.id()
   @armed_flag 0x80
   @max_systems 1024
 
@@ -25,16 +25,16 @@ defmodule Aerie.Recorder.Core do
           on: boolean
         }
 
-  @doc "A recording of that mode; `after_us` is for how long it goes on after disarming."
+  @doc "A recording in a mode; `after_us` is how long it goes on after disarming."
   @spec new(mode, non_neg_integer) :: t
   def new(mode, after_us), do: %__MODULE__{mode: mode, after_us: after_us}
 
-  @doc "The same under another mode; who is armed is not forgotten."
+  @doc "Sets another mode; which vehicles are armed is kept."
   @spec mode(t, mode) :: t
   def mode(core, mode), do: %{core | mode: mode, until: nil}
 
   @doc """
-  Frames came: those to be recorded, in order, with `:close` where a recording ends. `[[frame] | :close]`.
+  The frames to be recorded, in order, with `:close` where a recording ends.
   """
   @spec frames(t, [Frame.t()]) :: {t, [[Frame.t()] | :close]}
   def frames(%{mode: :off} = core, _frames), do: stop(core)
@@ -60,7 +60,7 @@ defmodule Aerie.Recorder.Core do
   defp in_order(:close), do: :close
   defp in_order(frames), do: Enum.reverse(frames)
 
-  @doc "It is over, whatever comes."
+  @doc "Ends the recording."
   @spec stop(t) :: {t, [:close]}
   def stop(%{on: true} = core), do: {%{core | on: false}, [:close]}
   def stop(core), do: {core, []}

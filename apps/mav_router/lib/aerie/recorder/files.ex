@@ -1,21 +1,20 @@
 defmodule Aerie.Recorder.Files do
   @moduledoc """
-  What the recorder does with files and disks: the one place where it touches them, so that a test can put a disk that
-  fails in its place.
+  The recorder's access to files and disks, all in one place, so that a test can replace it by a disk that fails.
   """
 
   @type device :: :file.io_device()
 
-  @doc "Makes a file that is not there yet, for its owner alone."
+  @doc "Makes a new file for its owner only."
   @callback create(Path.t()) :: :ok | {:error, term}
   @doc "Opens a file that `create/1` made, for the calling process."
   @callback open(Path.t()) :: {:ok, device} | {:error, term}
-  @doc "Writes everything, or says why not; part of it may be written then."
+  @doc "Writes all bytes; after an error some of them may be written."
   @callback write(device, iodata) :: :ok | {:error, term}
-  @doc "Forces what was written to the disk."
+  @doc "Forces all that was written to the disk."
   @callback sync(device) :: :ok | {:error, term}
   @callback close(device) :: :ok | {:error, term}
-  @doc "Bytes that are free on the disk of a folder; `:unknown` when that cannot be found out."
+  @doc "Free bytes on the disk of a folder; `:unknown` if that cannot be found out."
   @callback free(Path.t()) :: {:ok, non_neg_integer} | :unknown
 
   @behaviour __MODULE__

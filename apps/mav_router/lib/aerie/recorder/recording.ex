@@ -1,27 +1,26 @@
 defmodule Aerie.Recorder.Recording do
   @moduledoc """
-  The process that writes the frames of one link or vehicle, or saves a ring. Nobody waits for it: frames come over a
-  bounded queue (`Aerie.Recorder.Tap`), and what it cannot write it drops and counts.
+  The process that writes the frames of one link or vehicle, or saves a ring. Nobody waits for it: frames come through a bounded queue
+  (`Aerie.Recorder.Tap`), and those that it cannot write are dropped and counted.
 
-  Which frames, `Aerie.Recorder.Core` says; records are collected (`Buffer`) for half a second or 64 KiB and written at once,
-  whole (`Output`). So after `kill -9`, or when the disk is full, at most the last record of a file is cut off, and
-  everything before it can be read.
+  `Aerie.Recorder.Core` decides which frames are recorded. Records are collected (`Buffer`) for half a second or 64 KiB, and whole
+  records are written together (`Output`). So after `kill -9`, or when the disk is full, at most the last record of a file is cut off,
+  and everything before it can be read.
 
-  A vehicle that is always recorded begins with what its ring has: it was heard before there was anything to record.
+  The recording of a vehicle that is always recorded begins with its ring, since the vehicle was heard before the recording started.
 
   It registers as `{gateway, :recording, target}`. A link's belongs to the link's tree, a vehicle's and a ring's to
   `Aerie.Recorder.Supervisor`.
   """
   use GenServer
 
-  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Recorder.{Core, Ring, Status, Tables, Tap}
-  alias Aerie.Recorder.Recording.{Buffer, Output, Past}
+  alias Aerie.Recorder.Recording.{Buffer, Output, RingOverlap}
   alias MavCodec.Tlog
 
   @second_ms 1_000
-  # What is recorded up to a time ends by the clock too, if nothing more comes.
+  # A recording up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
 
   @doc """
@@ -31,10 +30,7 @@ defmodule Aerie.Recorder.Recording do
   @spec start_link(keyword) :: GenServer.on_start()
   def start_link(options) do
     name = Names.via(Keyword.fetch!(options, :gateway), :recording, Keyword.fetch!(options, :target))
-    start = fn -> GenServer.start_link(__MODULE__, options, name: name) end
-
-    # A link's tree that was killed may be started again before its processes know. Of the others there is one at a time.
-    if match?({:link, _id}, options[:target]), do: Successor.start(start), else: start.()
+    GenServer.start_link(__MODULE__, options, name: name)
   end
 
   @doc false
@@ -44,7 +40,7 @@ defmodule Aerie.Recorder.Recording do
     %{id: {__MODULE__, target}, start: {__MODULE__, :start_link, [options]}, restart: restart}
   end
 
-  @doc "Says that the mode of a target was changed in the tables."
+  @doc "The mode of the target was changed in the tables."
   @spec changed(pid) :: :ok
   def changed(pid), do: GenServer.call(pid, :changed)
 
@@ -52,7 +48,7 @@ defmodule Aerie.Recorder.Recording do
   @spec extend(pid, integer) :: :ok
   def extend(pid, until), do: GenServer.cast(pid, {:extend, until})
 
-  @doc "Writes what was collected; gives the file, nil when there is none."
+  @doc "Writes the collected records; gives the file, nil when there is none."
   @spec flush(pid) :: Path.t() | nil
   def flush(pid), do: GenServer.call(pid, :flush)
 
@@ -79,22 +75,22 @@ defmodule Aerie.Recorder.Recording do
       target: target,
       core: Core.new(:off, settings.after_ms * 1000),
       tap: nil,
-      # Of the queue's drops, how many are in the output's.
+      # How many of the frames that the queue dropped are in the output's total.
       counted: 0,
       buffer: %Buffer{},
       flush: nil,
-      past: Past.none(),
+      past: RingOverlap.none(),
       output: Output.new(gateway, tables, target, Keyword.fetch!(options, :label), former),
-      # When the saving of a ring is over if nothing more comes.
+      # When the saving of a ring ends if nothing more comes (monotonic ms).
       over_at: nil
     }
 
     Process.send_after(self(), :second, @second_ms)
 
-    # Whoever begins one finds it listening.
+    # It gets frames before this returns.
     case Keyword.fetch(options, :until) do
       {:ok, until} ->
-        {:ok, listen(%{state | core: Core.new({:until, until}, 0)}), {:continue, {:save, options[:notify]}}}
+        {:ok, open_tap(%{state | core: Core.new({:until, until}, 0)}), {:continue, {:save, options[:notify]}}}
 
       :error ->
         {:ok, state |> adopt_mode() |> publish(), {:continue, {:begin, former}}}
@@ -110,16 +106,16 @@ defmodule Aerie.Recorder.Recording do
     {:noreply, publish(state)}
   end
 
-  # One that had a life before has what the ring has.
+  # After a restart the frames of the ring are recorded already.
   def handle_continue({:begin, nil}, %{target: {:vehicle, _key}, core: %{mode: :always}} = state),
     do: {:noreply, past(%{state | core: %{state.core | on: true}})}
 
   def handle_continue({:begin, _former}, state), do: {:noreply, state}
 
-  # What the ring has, then what comes: listened for already, so that nothing is missing between the two.
+  # The ring, then new frames, which come already: nothing is missing between the two.
   defp past(%{target: {_kind, key}} = state) do
     entries = Ring.entries(state.tables, key)
-    state = %{state | past: Past.new(entries)}
+    state = %{state | past: RingOverlap.new(entries)}
     Enum.reduce(entries, state, fn {_n, records, frames}, state -> collect(state, records, frames) end)
   end
 
@@ -144,8 +140,8 @@ defmodule Aerie.Recorder.Recording do
   end
 
   @impl GenServer
-  def handle_info({:record, size, frames, n}, state) do
-    frames = if Past.has?(state.past, n), do: [], else: frames
+  def handle_info({:record, _target, size, frames, n}, state) do
+    frames = if RingOverlap.has?(state.past, n), do: [], else: frames
     {core, parts} = Core.frames(state.core, frames)
     state = Enum.reduce(parts, %{state | core: core}, &part/2)
     state = if Buffer.empty?(state.buffer), do: done(state, size), else: wait(state, size)
@@ -170,7 +166,7 @@ defmodule Aerie.Recorder.Recording do
   @impl GenServer
   def terminate(_reason, state), do: finish(state)
 
-  defp finish(state), do: state |> close() |> deaf() |> publish()
+  defp finish(state), do: state |> close() |> close_tap() |> publish()
   defp over?(%{core: %{mode: {:until, _at}, on: on}}), do: not on
   defp over?(_state), do: false
 
@@ -180,25 +176,25 @@ defmodule Aerie.Recorder.Recording do
     mode = Tables.mode(state.tables, state.target)
     {core, parts} = if mode == :off, do: Core.stop(state.core), else: {state.core, []}
     state = Enum.reduce(parts, %{state | core: Core.mode(core, mode)}, &part/2)
-    if mode == :off, do: deaf(state), else: listen(state)
+    if mode == :off, do: close_tap(state), else: open_tap(state)
   end
 
-  # A former life may have been killed.
-  defp listen(%{tap: nil} = state) do
+  # A former process may have been killed.
+  defp open_tap(%{tap: nil} = state) do
     Tap.sweep(state.tables)
     %{state | tap: Tap.open(state.tables, tap_of(state.target), state.settings.queue), counted: 0}
   end
 
-  defp listen(state), do: state
+  defp open_tap(state), do: state
 
-  defp deaf(%{tap: nil} = state), do: state
+  defp close_tap(%{tap: nil} = state), do: state
 
-  defp deaf(state) do
+  defp close_tap(state) do
     Tap.close(state.tables, tap_of(state.target))
     %{drops(state) | tap: nil}
   end
 
-  # A ring that is saved goes on with what its vehicle sends.
+  # After a ring come the frames of its vehicle.
   defp tap_of({:saved, key}), do: {:vehicle, key}
   defp tap_of(target), do: target
 
@@ -246,7 +242,7 @@ defmodule Aerie.Recorder.Recording do
     %{state | output: Output.close(state.output)}
   end
 
-  # Not before it is written, or dropped.
+  # Bytes leave the queue when they are written or dropped.
   defp wait(state, size), do: %{state | buffer: Buffer.wait(state.buffer, size)}
 
   defp done(%{tap: nil} = state, _size), do: state
@@ -256,7 +252,7 @@ defmodule Aerie.Recorder.Recording do
     state
   end
 
-  ## What is told
+  ## Status
 
   defp drops(%{tap: nil} = state), do: state
 

@@ -1,24 +1,23 @@
 defmodule Aerie.Recorder.Ring do
-  @moduledoc """
-  The last moments of each vehicle, in memory: what it sent and what was sent to it, as records of a tlog, without
-  signatures and keys (S9).
+  @overhead 200
 
-  Written by the vehicle's session and by links directly, without a process in between, so that it is there whatever dies.
-  Bounded by age and by bytes per vehicle, and by bytes together: each vehicle's part gets smaller when there are many.
-  An entry counts for its bytes and #{200} more, which is about what it takes.
+  @moduledoc """
+  The last minutes of each vehicle, in memory: the frames that it sent and got, as records of a tlog, without signatures and keys (S9).
+
+  The vehicle's session and links write it directly, without a process in between, so that it survives their deaths. It is bounded by
+  age, by bytes per vehicle, and by bytes of all: each vehicle's part gets smaller when there are many. An entry counts for its bytes
+  and #{@overhead} more, which is about what it takes.
   """
 
   alias Aerie.Recorder.{Settings, Tables}
   alias MavCodec.{Frame, Tlog}
-
-  @overhead 200
 
   @type key :: {String.t(), non_neg_integer}
 
   @doc "Adds frames, in order, at a monotonic time in ms; gives the number of their entry."
   @spec push(Tables.t(), Settings.t(), key, [Frame.t(), ...], integer) :: pos_integer
   def push(tables, settings, key, frames, now) do
-    # Copied: what was read by the link need not stay for the sake of a few frames.
+    # Copied, so that a few frames do not keep a link's read in memory.
     records = frames |> Tlog.Writer.records(signatures: false) |> IO.iodata_to_binary()
     size = byte_size(records) + @overhead
     [n, bytes] = :ets.update_counter(tables.rings, key, [{2, 1}, {3, size}], {key, 0, 0})
@@ -36,7 +35,7 @@ defmodule Aerie.Recorder.Ring do
     min(settings.ring_bytes, div(settings.ring_total, vehicles))
   end
 
-  # Whoever takes an entry subtracts it, so that two who trim at once do no harm.
+  # The process that takes an entry subtracts it, so that two may trim at once.
   defp trim(tables, key, bytes, limit, oldest) do
     with {^key, _n} = first <- :ets.next(tables.ring, {key, 0}),
          [{_first, at, _size, _records, _frames}] when bytes > limit or at < oldest <-
@@ -59,7 +58,7 @@ defmodule Aerie.Recorder.Ring do
     :ets.select(tables.ring, [{{{key, :"$1"}, :_, :_, :"$2", :"$3"}, [], [{{:"$1", :"$2", :"$3"}}]}])
   end
 
-  @doc "How much there is of a vehicle: `%{bytes, entries}`; nil for an unknown one."
+  @doc "The size of a vehicle's ring: `%{bytes, entries}`; nil for an unknown vehicle."
   @spec size(Tables.t(), key) :: %{bytes: non_neg_integer, entries: non_neg_integer} | nil
   def size(tables, key) do
     with [{_key, _n, bytes}] <- :ets.lookup(tables.rings, key) do
@@ -69,10 +68,6 @@ defmodule Aerie.Recorder.Ring do
       [] -> nil
     end
   end
-
-  @doc "Bytes of all rings together."
-  @spec total(Tables.t()) :: non_neg_integer
-  def total(tables), do: :ets.foldl(fn {_key, _n, bytes}, sum -> sum + bytes end, 0, tables.rings)
 
   @doc "Forgets a vehicle."
   @spec forget(Tables.t(), key) :: :ok

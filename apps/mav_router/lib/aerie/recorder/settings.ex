@@ -1,90 +1,116 @@
 defmodule Aerie.Recorder.Settings do
-  @moduledoc """
-  What the configuration says about recording (section `recorder`), in bytes and milliseconds. Missing keys have defaults,
-  so that a test can give a plain map with the few keys that it is about.
-  """
+  @moduledoc "What is recorded, where, and how much of it; in bytes and milliseconds."
+  use Aerie.Settings
+
+  import Aerie.Settings.Rules
 
   @mega 1024 * 1024
+  @save_on ~w(failsafe gcs_failsafe geofence battery.low battery.critical link.lost reboot collision mission.completed
+              armed disarmed takeoff landed signing.rejected)a
 
-  defstruct dir: "var/recordings",
-            links: :off,
-            vehicles: :off,
-            sent: true,
-            max_file: 64 * @mega,
-            max_file_ms: 3_600_000,
-            max_total: 2048 * @mega,
-            min_free: 512 * @mega,
-            queue: 4 * @mega,
-            after_ms: 30_000,
-            fsync: :interval,
-            flush_ms: 500,
-            pause_ms: 5000,
-            space_ms: 10_000,
-            ring: true,
-            ring_ms: 120_000,
-            ring_bytes: 8 * @mega,
-            ring_total: 128 * @mega,
-            save_on: [],
-            files: Aerie.Recorder.Files
+  section "recorder", "Recordings (tlog files) of links and vehicles, without keys and signatures."
 
-  @typedoc """
-  - `dir`: folder of the recordings
-  - `links`, `vehicles`: what is recorded by itself: `:off`, `:armed` (while a vehicle on it is), `:always`
-  - `sent`: also what is sent to vehicles
-  - `max_file`, `max_file_ms`: size and age at which a file is followed by the next
-  - `max_total`, `min_free`: our files together; what is to stay free on the disk
-  - `queue`: bytes that may wait for the disk, for each recording
-  - `after_ms`: for how long a recording goes on after disarming, or after what it was saved for
-  - `fsync`: `:always` (after each write), `:interval` (once a second), `:never`
-  - `flush_ms`: for how long records are collected; `pause_ms`: after a fault of the disk; `space_ms`: between two looks
-    at its free space
-  - `ring…`: the last moments of each vehicle, in memory; `save_on`: event types on which they are saved
-  - `files`: the module that does what is done with files (`Aerie.Recorder.Files`)
-  """
-  @type t :: %__MODULE__{}
+  setting :dir, :path, "Folder; made when the first recording begins.", default: "var/recordings"
 
-  @doc "From a configuration, or any map with some of its keys."
-  @spec new(map | nil) :: t
-  def new(%{recorder: %{} = section}) do
-    ring = Map.get(section, :ring) || %{}
+  setting :links,
+          {:enum, [:off, :armed, :always]},
+          "Record each link: armed means while a vehicle on it is armed.",
+          default: :off
 
-    Enum.reduce(
-      [
-        {:dir, section[:dir]},
-        {:links, section[:links]},
-        {:vehicles, section[:vehicles]},
-        {:sent, section[:sent]},
-        {:max_file, bytes(section[:max_file_mb])},
-        {:max_file_ms, ms(section[:max_file_minutes], 60)},
-        {:max_total, bytes(section[:max_mb])},
-        {:min_free, bytes(section[:min_free_mb])},
-        {:queue, kilo(section[:queue_kb])},
-        {:after_ms, ms(section[:after_s], 1)},
-        {:fsync, section[:fsync]},
-        {:flush_ms, section[:flush_ms]},
-        {:pause_ms, section[:pause_ms]},
-        {:space_ms, section[:space_ms]},
-        {:files, section[:files]},
-        {:ring, ring[:enabled]},
-        {:ring_ms, ms(ring[:seconds], 1)},
-        {:ring_bytes, kilo(ring[:max_kb])},
-        {:ring_total, bytes(ring[:total_mb])},
-        {:save_on, ring[:save_on] && Enum.map(ring[:save_on], &to_string/1)}
-      ],
-      %__MODULE__{},
-      fn
-        {_key, nil}, settings -> settings
-        {key, value}, settings -> Map.replace!(settings, key, value)
-      end
-    )
-  end
+  setting :vehicles,
+          {:enum, [:off, :armed, :always]},
+          "Record each vehicle, by whatever links it is heard.",
+          default: :off
 
-  def new(_none), do: %__MODULE__{}
+  setting :sent, :boolean, "Record what is sent to vehicles as well.", default: true
 
-  defp bytes(nil), do: nil
-  defp bytes(mega), do: round(mega * @mega)
-  defp kilo(nil), do: nil
-  defp kilo(kilo), do: round(kilo * 1024)
-  defp ms(nil, _unit), do: nil
-  defp ms(n, seconds), do: round(n * seconds * 1000)
+  setting :max_file, {:number, 0.01, 4096}, "Size at which a recording goes on in a new file.",
+    key: "max_file_mb",
+    default: 64.0,
+    times: @mega
+
+  setting :max_file_ms, {:number, 0.1, 10_080}, "Time after which it does.",
+    key: "max_file_minutes",
+    default: 60.0,
+    times: 60_000
+
+  setting :max_total,
+          {:number, 0.1, 1_048_576},
+          "Size of our recordings together; the oldest of ours go first.",
+          key: "max_mb",
+          default: 2048.0,
+          times: @mega
+
+  setting :min_free,
+          {:number, 0, 1_048_576},
+          """
+          What is to stay free on the disk: our oldest recordings are removed for it, and when that does not help nothing is
+          recorded.
+          """,
+          key: "min_free_mb",
+          default: 512.0,
+          times: @mega
+
+  setting :queue,
+          {:integer, 64, 1_048_576},
+          "What may wait for the disk, for each recording; beyond it records are dropped and counted.",
+          key: "queue_kb",
+          default: 4096,
+          times: 1024
+
+  setting :after_ms,
+          {:number, 0, 3600},
+          "How long a recording goes on after disarming, or after the event that it is saved for.",
+          key: "after_s",
+          default: 30.0,
+          times: 1000
+
+  setting :fsync,
+          {:enum, [:always, :interval, :never]},
+          "When data is forced to the disk: always (after each write), interval (once a second), never.",
+          default: :interval
+
+  setting :flush_ms, {:integer, 1, 60_000}, "How long records are collected.", internal: true, default: 500
+  setting :pause_ms, {:integer, 1, 60_000}, "Pause after a fault of the disk.", internal: true, default: 5000
+
+  setting :space_ms, {:integer, 1, 60_000}, "Between two looks at the disk's free space.",
+    internal: true,
+    default: 10_000
+
+  setting :files, :string, "The module that does what is done with files.",
+    internal: true,
+    default: Aerie.Recorder.Files
+
+  section "recorder.ring",
+          "The last moments of each vehicle, in memory, saved when something happens or on request."
+
+  setting :ring, :boolean, "Keep them.", key: "enabled", default: true
+
+  setting :ring_ms, {:number, 1, 3600}, "How far back, if max_kb is enough for it.",
+    key: "seconds",
+    default: 120.0,
+    times: 1000
+
+  setting :ring_bytes, {:integer, 16, 1_048_576}, "Memory for one vehicle.",
+    key: "max_kb",
+    default: 8192,
+    times: 1024
+
+  setting :ring_total,
+          {:number, 0.1, 65_536},
+          "Memory for all vehicles; with many of them each has less.",
+          key: "total_mb",
+          default: 128.0,
+          times: @mega
+
+  setting :save_on, {:list, {:enum, @save_on}}, "Events on which the ring is saved; [] for none.",
+    default: [:failsafe, :gcs_failsafe, :"battery.critical", :geofence]
+
+  @doc "Event types come as text."
+  @impl Aerie.Settings
+  def derive(settings), do: %{settings | save_on: Enum.map(settings.save_on, &to_string/1)}
+
+  @impl Aerie.Settings
+  def problems(%{recorder: %{max_file_mb: file, max_mb: all}}),
+    do: failed([{file > all, ["recorder", "max_file_mb"], "at most recorder.max_mb (#{all})", "#{file}"}])
 end

@@ -1,16 +1,16 @@
 defmodule Aerie.Recorder.Status do
   @moduledoc """
-  What is known of a recording, in the recorder's tables: written by its process once a second and when something changes,
-  read by anyone. It stays when the recording is over.
+  The status of a recording, in the recorder's tables: written by its process once a second and when something changes. It stays when
+  the recording is over.
   """
 
   alias Aerie.Recorder.{Core, Recording, Tables}
 
   @typedoc """
   - `state`: `:off`, `:waiting` (for arming, or for a first frame), `:recording`, `:paused` (`reason` says why)
-  - `file`, `size` (bytes), `since` (unix seconds): what is being written
-  - `frames`, `bytes`, `files`: written since the gateway's start; `dropped`: frames that were to be written and were not
-  - `errors`, `error`: faults of the disk, and the last one: `%{at: unix seconds, reason: words}`
+  - `file`, `size` (bytes), `since` (unix seconds): the file that is being written
+  - `frames`, `bytes`, `files`: written since the gateway's start; `dropped`: frames that could not be written
+  - `errors`, `error`: faults of the disk, and the last one: `%{at: unix seconds, reason: text}`
   """
   @type t :: %{
           target: Tables.target(),
@@ -29,7 +29,7 @@ defmodule Aerie.Recorder.Status do
           error: %{at: integer, reason: String.t()} | nil
         }
 
-  @doc "Of a recording's mode and output."
+  @doc "The status for a recording's mode and output."
   @spec new(Core.mode(), Recording.Output.t()) :: t
   def new(mode, output) do
     Map.merge(output.totals, %{
@@ -53,7 +53,7 @@ defmodule Aerie.Recorder.Status do
   @spec put(Tables.t(), Tables.target(), t) :: true
   def put(tables, target, status), do: :ets.insert(tables.status, {target, status})
 
-  @doc "The last one of a target, nil when it was never recorded."
+  @doc "The status of a target, nil when it was never recorded."
   @spec of(Tables.t(), Tables.target()) :: t | nil
   def of(tables, target), do: :ets.lookup_element(tables.status, target, 2, nil)
 
@@ -61,7 +61,7 @@ defmodule Aerie.Recorder.Status do
   @spec all(Tables.t()) :: [t]
   def all(tables), do: for({_target, status} <- Enum.sort(:ets.tab2list(tables.status)), do: status)
 
-  @doc "What a snapshot of the target shows: the status without what the snapshot says itself; nil for none."
+  @doc "What the snapshot of a target shows: the status without the target's names; nil for none."
   @spec shown(Tables.t(), Tables.target()) :: map | nil
   def shown(tables, target) do
     with %{} = status <- of(tables, target), do: Map.drop(status, [:target, :label])

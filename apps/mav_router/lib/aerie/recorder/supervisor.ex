@@ -6,20 +6,20 @@ defmodule Aerie.Recorder.Supervisor do
   Aerie.Recorder.Supervisor    one_for_one, owns the tables; no code of its own that could fail
   ├─ Archive                   the folder: names, index, room
   ├─ dynamic supervisor        a Recording for each vehicle that is recorded, and for each ring that is being saved
-  └─ Watch                     starts those, saves rings on events
+  └─ AutoStart                 starts those, saves rings on events
   ```
 
-  A link's `Aerie.Recorder.Recording` is in the link's own tree. Nothing here is called by a link or a vehicle: they send, or
-  write into a table.
+  A link's `Aerie.Recorder.Recording` is in the link's own tree. Links and vehicles call none of these: they send messages or write into
+  a table.
   """
   use Supervisor
 
   alias Aerie.Names
-  alias Aerie.Recorder.{Archive, Settings, Tables, Watch}
+  alias Aerie.Recorder.{Archive, Settings, Tables, AutoStart}
 
   @max_recordings 1_024
 
-  @doc "Options: `:gateway`, `:config`."
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Recorder.Settings`)."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :recorder))
@@ -29,16 +29,17 @@ defmodule Aerie.Recorder.Supervisor do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:recorder, gateway})
-    _tables = Tables.create(gateway, Settings.new(Keyword.get(options, :config)))
+    %Settings{} = settings = Keyword.fetch!(options, :settings)
+    _tables = Tables.create(gateway, settings)
 
     children = [
       {Archive, gateway: gateway},
       {DynamicSupervisor,
        name: Names.via(gateway, :recordings), max_children: @max_recordings, max_restarts: 100, max_seconds: 1},
-      {Watch, gateway: gateway}
+      {AutoStart, gateway: gateway}
     ]
 
-    # Whoever comes after in the gateway would be restarted with this one: only a deliberate killing reaches that.
+    # A failure of this supervisor restarts what comes after it in the gateway, so only a deliberate killing causes one.
     Supervisor.init(children, strategy: :one_for_one, max_restarts: 100, max_seconds: 1)
   end
 end

@@ -1,10 +1,10 @@
 defmodule Aerie.Recorder.Tables do
   @moduledoc """
-  What the recorder's parts share: ETS tables owned by `Aerie.Recorder.Supervisor`, found through its name.
+  The ETS tables that the recorder's parts share, owned by `Aerie.Recorder.Supervisor` and found through its name.
 
   - `:taps` (a bag) `{target, pid, counters, limit}`: who gets a target's frames
   - `:ring` (ordered) `{{vehicle key, n}, monotonic ms, bytes, records, frames}` and `:rings` `{vehicle key, last n, bytes}`
-  - `:wanted` `{target, mode}`: what was asked for at run time, over the configuration
+  - `:wanted` `{target, mode}`: modes requested at run time, which replace the configured ones
   - `:status` `{target, status}`
   - `:settings` `{name, value}`
 

@@ -1,58 +1,56 @@
 defmodule Aerie.Router.Admission do
-  @moduledoc """
-  Lets a vehicle in when its autopilot is heard: starts its processes, at most as many vehicles as
-  those who have them allow (`Aerie.Router.Vehicles`). A vehicle that was refused is not tried again for 5 s, so that a flood of invented
-  system ids does not keep the supervisor busy.
-
-  A vehicle is made at once, by the process that has its frames, as long as few come: #{20} a second, #{32} at once, and while
-  no more than #{64} messages wait for that process, since other vehicles' frames are among them. Further ones are made by
-  `Aerie.Router.Nursery`, which gets the frames as well; at most #{1_024} wait there.
-  """
-
-  alias Aerie.Allowance
-  alias Aerie.Names
-  alias Aerie.Router.Nursery
-  alias Aerie.Router.Tables
-  alias Aerie.Router.AutoSystemId
-
   @again_ms 5_000
   @max_refused 4_096
-  # Made at once: one in so many ms, so many at once.
+  # Started at once: one in so many ms, so many in a burst.
   @at_once_ms 50
   @at_once 32
   @busy 64
   @max_waiting 1_024
-  # Whoever was asked for and is not there after so long is asked for again.
+  # A vehicle that is not there so long after it was asked for is asked for again.
   @waits_ms 15_000
 
-  @doc """
-  The vehicle's session, started if need be. `:coming`: it is being made, and gets what `first` gives, as come by `from`.
-  `:not_yet`: the gateway does not know who it is, or the vehicle is coming and got frames already.
+  @moduledoc """
+  Lets a vehicle in when its autopilot is heard: has its processes started, for at most as many vehicles as those allow who have
+  them (`Aerie.Router.Vehicles`). A vehicle that was refused is not tried again for #{div(@again_ms, 1_000)} s, so that a flood
+  of invented system ids does not keep their supervisor busy.
+
+  The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second and #{@at_once}
+  in a burst, and while no more than #{@busy} messages wait for that process, since other vehicles' frames are among them.
+  `Aerie.Router.VehicleStarter` starts the others and gets their frames as well; at most #{@max_waiting} wait there.
   """
-  @spec session(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, from, (-> [struct]), integer) ::
+
+  alias Aerie.Names
+  alias Aerie.Router.AutoSystemId
+  alias Aerie.Router.Delivery
+  alias Aerie.Router.Tables
+  alias Aerie.Router.VehicleStarter
+  alias Aerie.TokenBucket
+
+  @doc """
+  The session of a vehicle, started if need be. `:coming`: it is being started and gets the frames that `first` gives.
+  `:not_yet`: the gateway does not know its own ids, or the vehicle is being started and got frames already.
+  """
+  @spec session({String.t(), non_neg_integer}, first :: (-> [struct]), Delivery.t()) ::
           {:ok, pid} | :refused | :coming | :not_yet
-        when from: term
-  def session(gateway, tables, key, from, first, now) do
-    if AutoSystemId.open?(gateway, tables, key, now),
-      do: admit(gateway, tables, key, from, first, now),
+  def session(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
+    if AutoSystemId.open?(gateway, tables, key, now) and tables.vehicles != nil,
+      do: admit(key, first, delivery),
       else: :not_yet
   end
 
-  defp admit(_gateway, %{vehicles: nil}, _key, _from, _first, _now), do: :not_yet
-
-  defp admit(gateway, tables, key, from, first, now) do
+  defp admit(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
     case :ets.lookup(tables.refused, key) do
       [{_key, until}] when now < until ->
         :refused
 
       _free ->
         if not busy?() and at_once?(tables, now),
-          do: make(gateway, tables, key, now),
-          else: ask(gateway, tables, key, from, first, now)
+          do: start(gateway, tables, key, now),
+          else: ask(key, first, delivery)
     end
   end
 
-  # Making one takes as long as reading a hundred datagrams.
+  # Starting one takes as long as reading a hundred datagrams.
   defp busy? do
     {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
     waiting > @busy
@@ -60,28 +58,28 @@ defmodule Aerie.Router.Admission do
 
   # Two links that ask at the same moment may both be let in.
   defp at_once?(tables, now) do
-    case Allowance.take(Tables.setting(tables, :admission, nil), now, @at_once_ms, @at_once) do
+    case TokenBucket.take(Tables.setting(tables, :admission, nil), now, @at_once_ms, @at_once) do
       {:ok, full} -> :ets.insert(tables.settings, {:admission, full})
       :none -> false
     end
   end
 
-  # Frames are kept for a vehicle that comes once: what they hold on to is bounded by the number of those that wait.
-  defp ask(gateway, tables, key, from, first, now) do
+  # The starter keeps one list of frames for each vehicle, so the number of those that wait bounds the memory.
+  defp ask(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
     waits = :ets.lookup_element(tables.waiting, key, 2, now)
 
     if waits <= now and :ets.info(tables.waiting, :size) < @max_waiting do
       :ets.insert(tables.waiting, {key, now + @waits_ms})
-      Nursery.ask(gateway, key, from, first.())
+      VehicleStarter.ask(gateway, key, delivery.sender, first.())
       :coming
     else
       :not_yet
     end
   end
 
-  @doc "Makes the vehicle now."
-  @spec make(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) :: {:ok, pid} | :refused
-  def make(gateway, tables, key, now) do
+  @doc "Starts the vehicle now."
+  @spec start(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) :: {:ok, pid} | :refused
+  def start(gateway, tables, key, now) do
     :ets.delete(tables.waiting, key)
 
     case tables.vehicles.ensure(gateway, key) do
@@ -110,7 +108,7 @@ defmodule Aerie.Router.Admission do
     :refused
   end
 
-  # Vehicles that are just being restarted will be there with the next heartbeat.
+  # Vehicles that are being restarted will be there with the next heartbeat.
   defp wait(:too_many), do: @again_ms
   defp wait(_passing), do: 0
 end

@@ -1,11 +1,13 @@
 defmodule Aerie.Router.AutoSystemId do
-  @moduledoc """
-  Whose system id a gateway aboard takes when it is given none (`mavlink.system_id: auto`, R11): that of the autopilot, if
-  exactly one is heard within three seconds of its first heartbeat.
+  @window_ms 3_000
 
-  Until then nobody knows who we are: no vehicle is let in and nothing of ours is sent, while clients and vehicles hear each
-  other as always. Two autopilots, and the gateway is none's: it takes the hub's id and says so in the log and as
-  telemetry. What was decided holds until the gateway ends, whatever of it is restarted (`Aerie.Identity` keeps it).
+  @moduledoc """
+  The system id of a gateway on board that is configured with `mavlink.system_id: auto` (R11): that of the autopilot, if exactly one
+  is heard within #{div(@window_ms, 1_000)} s of the first heartbeat.
+
+  Until then the gateway has no id: it lets no vehicle in and sends nothing of its own, while clients and vehicles hear each other
+  as always. If several autopilots are heard it belongs to none of them, takes the id of a hub, and says so in the log and as
+  telemetry. The decision holds until the gateway ends, whichever of its parts restart (`Aerie.Identity` keeps it).
 
   Telemetry: `[:aerie, :identity, :latched]` with `gateway`, `system`, `heard` (the keys of the autopilots).
   """
@@ -18,23 +20,21 @@ defmodule Aerie.Router.AutoSystemId do
 
   require Logger
 
-  @window_ms 3_000
   @max_heard 16
 
-  @doc "What the router knows of its own ids when it starts: `own: ids`, or that they are to be found out."
-  @spec settings(term, Names.gateway()) :: keyword
-  def settings(config, gateway) do
-    case Identity.resolve(config, gateway) do
-      %{mavlink: %{system_id: :auto, component_id: component}} -> [own: nil, latch: component]
-      %{mavlink: %{system_id: system, component_id: component}} -> [own: {system, component}]
-      _none -> [own: nil]
+  @doc "The router's settings of its own ids: `own: ids`, or `auto_component:`, the one that is known of them."
+  @spec settings(Identity.Settings.t(), Names.gateway()) :: keyword
+  def settings(identity, gateway) do
+    case Identity.ids(identity, gateway) do
+      {:auto, component} -> [own: nil, auto_component: component]
+      ids -> [own: ids]
     end
   end
 
-  @doc "An autopilot is heard that has no session yet: whether it may have one now. `now` is monotonic ms."
+  @doc "Whether an autopilot that is heard may have a session at `now` (monotonic ms)."
   @spec open?(Names.gateway(), Tables.t(), Store.vehicle_key(), integer) :: boolean
   def open?(gateway, tables, key, now) do
-    case Tables.setting(tables, :latch, nil) do
+    case Tables.setting(tables, :auto_component, nil) do
       nil -> true
       component -> heard(gateway, tables, key, component, now)
     end
@@ -62,38 +62,38 @@ defmodule Aerie.Router.AutoSystemId do
   defp autopilots(tables),
     do: :ets.select(tables.settings, [{{{:autopilot, :"$1"}, :"$2"}, [], [{{:"$1", :"$2"}}]}])
 
-  # Two links may come to this at the same moment; they come to the same.
+  # Two links may decide at the same moment; their decision is the same.
   defp decide(gateway, tables, keys, component) do
     system = system(keys)
     Identity.remember(gateway, system)
     Signing.identify(gateway, {system, component})
     :ets.insert(tables.settings, {:own, {system, component}})
 
-    if :ets.take(tables.settings, :latch) != [] do
+    if :ets.take(tables.settings, :auto_component) != [] do
       Tables.changed(tables)
       :ets.match_delete(tables.settings, {{:autopilot, :_}, :_})
       tell(gateway, system, Enum.sort(keys))
     end
   end
 
-  @doc "The id that is taken when these autopilots are heard: theirs if it is one, else a hub's."
+  @doc "The system id for these autopilots: theirs if it is one, a hub's otherwise."
   @spec system([Store.vehicle_key()]) :: pos_integer
   def system([{_network, system}]), do: system
   def system(_several), do: elem(Identity.default_ids(), 0)
 
   defp tell(gateway, system, keys) do
     case keys do
-      [_one] -> Logger.info("this gateway is a part of system #{system}")
-      several -> Logger.error(words(several))
+      [_one] -> Logger.info("this gateway belongs to system #{system}")
+      several -> Logger.error(text(several))
     end
 
     :telemetry.execute([:aerie, :identity, :latched], %{}, %{gateway: gateway, system: system, heard: keys})
   end
 
-  defp words(keys) do
+  defp text(keys) do
     ids = Enum.map_join(keys, ", ", fn {network, system} -> "#{system} on #{network}" end)
 
-    "mavlink.system_id is auto, and autopilots #{ids} are heard: this gateway belongs to none of them and is system #{system(keys)}. " <>
-      "Give mavlink.system_id."
+    "mavlink.system_id is auto, and several autopilots are heard (#{ids}): this gateway belongs to none of them and takes system id " <>
+      "#{system(keys)}. Set mavlink.system_id."
   end
 end

@@ -1,21 +1,20 @@
 defmodule Aerie.Router.Batch do
   @moduledoc """
-  Frames that go out together, and the forms in which endpoints take them, each made once, when the first needs it.
+  Frames that go out together, in the forms that endpoints take. Each form is made once, when it is first needed.
   """
 
   alias Aerie.Router.Classify
   alias MavCodec.Frame
 
-  # What fits into one Ethernet frame with IPv6 and a tunnel or two around it, and into mavlink-router's buffer (1,120).
+  # Fits into an Ethernet frame with IPv6 and a tunnel or two, and into mavlink-router's buffer (1,120).
   @datagram 1_024
 
   @enforce_keys [:frames, :n]
-  defstruct [:frames, :n, :bytes, :datagrams, :runs]
+  defstruct [:frames, :n, :datagrams, :runs]
 
   @type t :: %__MODULE__{
           frames: [Frame.t()],
           n: pos_integer,
-          bytes: non_neg_integer | nil,
           datagrams: [binary] | nil,
           runs: [{Classify.class(), [binary], pos_integer}] | nil
         }
@@ -23,18 +22,11 @@ defmodule Aerie.Router.Batch do
   @doc "Frames, at least one, in order."
   @spec new([Frame.t()]) :: t
   def new([%Frame{bytes: bytes}] = frames),
-    do: %__MODULE__{frames: frames, n: 1, bytes: byte_size(bytes), datagrams: [bytes]}
+    do: %__MODULE__{frames: frames, n: 1, datagrams: [bytes]}
 
   def new(frames), do: %__MODULE__{frames: frames, n: length(frames)}
 
-  @doc "Fills in the sum of bytes."
-  @spec sized(t) :: t
-  def sized(%__MODULE__{bytes: nil} = batch),
-    do: %{batch | bytes: Enum.reduce(batch.frames, 0, &(byte_size(&1.bytes) + &2))}
-
-  def sized(batch), do: batch
-
-  @doc "The most bytes of several frames in one datagram."
+  @doc "The largest datagram of several frames, in bytes."
   @spec datagram() :: pos_integer
   def datagram, do: @datagram
 
@@ -44,17 +36,17 @@ defmodule Aerie.Router.Batch do
   def packed(batch), do: batch
 
   defp pack([], [], _size, done), do: Enum.reverse(done)
-  defp pack([], open, _size, done), do: Enum.reverse([seal(open) | done])
+  defp pack([], open, _size, done), do: Enum.reverse([datagram(open) | done])
 
   defp pack([%Frame{bytes: bytes} | rest] = frames, open, size, done) do
     case size + byte_size(bytes) do
       more when more <= @datagram or open == [] -> pack(rest, [bytes | open], more, done)
-      _full -> pack(frames, [], 0, [seal(open) | done])
+      _full -> pack(frames, [], 0, [datagram(open) | done])
     end
   end
 
-  defp seal([one]), do: one
-  defp seal(many), do: many |> :lists.reverse() |> :erlang.iolist_to_binary()
+  defp datagram([one]), do: one
+  defp datagram(many), do: many |> :lists.reverse() |> :erlang.iolist_to_binary()
 
   @doc "Fills in the runs of one class."
   @spec classed(t) :: t

@@ -1,13 +1,13 @@
 defmodule Aerie.Router.Budget do
   @moduledoc """
-  How many bytes may go out by a link: a token bucket, fed with the rate of the line and corrected by the radio.
+  How many bytes may go out by a link: a token bucket that fills at the rate of the line, corrected by the radio.
 
-  A serial line at 57,600 baud takes 5,760 bytes a second, and the radio behind it perhaps half of that. What is written
-  beyond it waits in buffers that nobody can look into, behind which a command waits for seconds. So no more is written
-  than the line takes, and what is important goes first (`Aerie.Router.Queue`).
+  A serial line at 57,600 baud takes 5,760 bytes a second, and the radio behind it perhaps half of that. More than that would wait
+  in buffers that nobody can look into, and a command would wait behind it for seconds. So no more is written than the line takes,
+  and what is important goes first (`Aerie.Router.ClassQueue`).
 
-  RADIO_STATUS says how much room is left in the radio's buffer (`txbuf`, %): little room makes the rate smaller, much
-  room lets it grow again, between a twentieth and the whole of the line's rate.
+  RADIO_STATUS tells how much room is left in the radio's buffer (`txbuf`, per cent): little room lowers the rate, much room raises
+  it again, between a twentieth and the whole of the line's rate.
 
   Rates are bytes a second, times monotonic ms. A frame may be sent while there is any token left, so the bucket may go
   into debt by one frame.
@@ -30,11 +30,11 @@ defmodule Aerie.Router.Budget do
     %__MODULE__{rate: rate, capacity: capacity, tokens: capacity, at: now}
   end
 
-  @doc "The bytes a second of a serial line: ten bits for each byte."
+  @doc "The rate of a serial line in bytes a second: ten bits a byte."
   @spec of_baud(pos_integer) :: pos_integer
   def of_baud(baud), do: max(div(baud, 10), 1)
 
-  @doc "What came in since the last time."
+  @doc "Adds the tokens since the last time."
   @spec fill(t, integer) :: t
   def fill(%__MODULE__{at: at} = budget, now) when now <= at, do: budget
 
@@ -73,7 +73,7 @@ defmodule Aerie.Router.Budget do
 
   def radio(budget, _unknown), do: budget
 
-  @doc "The rate that holds now, in bytes a second."
+  @doc "The present rate in bytes a second."
   @spec rate(t) :: float
   def rate(%__MODULE__{rate: rate, factor: factor}) when is_float(factor), do: rate * factor
 end

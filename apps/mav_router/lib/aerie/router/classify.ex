@@ -1,17 +1,17 @@
 defmodule Aerie.Router.Classify do
   @moduledoc """
-  What kind of traffic a message is, when there is not enough room for all of it:
+  The class of a message, which decides what goes first when there is not enough room:
 
   | class | | messages |
   |---|---|---|
-  | `:control` | first | heartbeats, commands, modes, manual control and set-points: what flies the vehicle |
+  | `:control` | first | heartbeats, commands, modes, manual control and set-points |
   | `:ack` | | answers to those, texts, time and radio status |
   | `:state` | | telemetry, and every message that is in no other class, unknown ones included |
   | `:transfer` | | parameters, missions, fences, rally points |
   | `:bulk` | last | files, logs, tunnels, images, debug vectors |
   """
 
-  alias MavCodec.Dialects.All
+  alias Aerie.Mavlink.Message
 
   @type class :: :control | :ack | :state | :transfer | :bulk
 
@@ -52,21 +52,17 @@ defmodule Aerie.Router.Classify do
   @doc "The class of a message id."
   @spec of(non_neg_integer) :: class
   for {class, names} <- @names, name <- names do
-    def of(unquote(All.message_id(name) || raise("no message #{name}"))), do: unquote(class)
+    def of(unquote(Message.id!(name))), do: unquote(class)
   end
 
   def of(_other), do: :state
 
-  @doc "The place of a class in `classes/0`, from 0."
-  @spec rank(class) :: 0..4
-  for {class, rank} <- Enum.with_index(@classes), do: def(rank(unquote(class)), do: unquote(rank))
-
-  @doc "The class of a written name, nil for none."
+  @doc "The class of a name, nil for none."
   @spec parse(String.t()) :: class | nil
   for class <- @classes, do: def(parse(unquote(Atom.to_string(class))), do: unquote(class))
   def parse(_other), do: nil
 
-  @doc "Frames cut into runs of one class, in order."
+  @doc "Runs of frames of one class, in order: their class, bytes and number."
   @spec runs([MavCodec.Frame.t()]) :: [{class, [binary], pos_integer}]
   def runs([frame | rest]), do: runs(rest, of(frame.id), [frame.bytes], 1)
   def runs([]), do: []

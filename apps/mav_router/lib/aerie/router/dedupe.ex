@@ -1,20 +1,20 @@
 defmodule Aerie.Router.Dedupe do
-  @moduledoc """
-  Whether the very same frame came from another endpoint a moment ago: redundant links deliver everything twice, and a
-  loop between two routers delivers it for ever. Sequence numbers cannot tell that (R7); the bytes can.
-
-  A frame is remembered by a 64-bit hash of its bytes for 0.5 to 1 s and in at most twice #{8192} entries: two tables, of which the
-  older is emptied and becomes the newer one when the time or the room is over. A frame that came from *another* endpoint is
-  a duplicate; a sender that says the same twice is heard twice. More than #{16} times it is not: that is a frame which goes
-  round in a loop since before anybody looked for duplicates.
-  """
-
-  alias Aerie.Router.Tables
-
   @max 8_192
   @window_ms 500
   # How often the same bytes from the same endpoint may pass.
   @repeats 16
+
+  @moduledoc """
+  Whether the same frame came from another endpoint a moment ago: redundant links deliver everything twice, and a loop between two
+  routers delivers it for ever. Sequence numbers cannot tell that (R7); the bytes can.
+
+  A frame is remembered by a 64-bit hash of its bytes, for #{@window_ms} to #{2 * @window_ms} ms, in two tables of at most #{@max}
+  entries: when time or room is over, the older one is emptied and becomes the newer one. A frame that came from *another* endpoint
+  is a duplicate. One that comes again from the same endpoint is not, up to #{@repeats} times: more often than that it goes round in
+  a loop that began before anybody looked for duplicates.
+  """
+
+  alias Aerie.Router.Tables
 
   @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."
   @spec duplicate?(Tables.t(), binary, term, integer) :: boolean
@@ -30,8 +30,8 @@ defmodule Aerie.Router.Dedupe do
   end
 
   @doc """
-  Notes a frame of a component that is heard by one endpoint only, should it come back by another: an order is not to be
-  given twice because nobody knew of a loop.
+  Notes a frame of a component that is heard by one endpoint only, in case it comes back by another: a command must not be given
+  twice because of a loop that nobody knew of.
   """
   @spec note(Tables.t(), binary, term, integer) :: :ok
   def note(tables, bytes, from, now) do
@@ -43,12 +43,12 @@ defmodule Aerie.Router.Dedupe do
   defp known(table, hash), do: :ets.lookup_element(table, hash, 2, nil)
   defp before(table, hash), do: :ets.lookup_element(table, hash, 3, 1)
 
-  @doc "The hash by which bytes are remembered: two of 32 bits that have nothing in common."
+  @doc "The hash by which bytes are remembered: two independent ones of 32 bits."
   @spec hash(binary) :: non_neg_integer
   def hash(bytes),
     do: Bitwise.bor(Bitwise.bsl(:erlang.crc32(bytes), 32), :erlang.phash2(bytes, 4_294_967_296))
 
-  # Which of the two is the newer one follows from the clock, and from how often it had to change before its time.
+  # The newer of the two follows from the number of turns, by time or because a table was full.
   defp pair(%{seen: {a, b}, settings: settings} = tables, now) do
     {turn, until} = :ets.lookup_element(settings, :seen_turn, 2)
     {newer, older} = if rem(turn, 2) == 0, do: {a, b}, else: {b, a}
@@ -61,7 +61,7 @@ defmodule Aerie.Router.Dedupe do
     end
   end
 
-  # The first one to see that it is time does it.
+  # The first process to see that it is time does it.
   defp turn(%{settings: settings}, turn, until, older, now) do
     next = {turn + 1, now + @window_ms}
     match = [{{:seen_turn, {turn, until}}, [], [{{:seen_turn, {:const, next}}}]}]

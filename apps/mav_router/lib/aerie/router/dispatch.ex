@@ -1,7 +1,6 @@
 defmodule Aerie.Router.Dispatch do
   @moduledoc """
-  What the gateway itself says: finds the endpoint that bytes of ours go out by. What others say goes by
-  `Aerie.Router.Forward`.
+  The gateway's own frames: finds the endpoint by which they go out. Frames of others go through `Aerie.Router.Forward`.
   """
 
   alias Aerie.LinkProcess
@@ -9,8 +8,8 @@ defmodule Aerie.Router.Dispatch do
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
   alias Aerie.Router.Endpoints
-  alias Aerie.Router.Out
-  alias Aerie.Router.Plan
+  alias Aerie.Router.Output
+  alias Aerie.Router.ForwardingTable
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
 
@@ -19,8 +18,8 @@ defmodule Aerie.Router.Dispatch do
           :ok | {:error, :no_route}
   def send(gateway, {_network, _system} = key, bytes, options) do
     with tables when is_map(tables) <- Tables.of(gateway),
-         [_ | _] = ways <- carriers(tables, key, bytes, Keyword.take(options, [:component, :link])) do
-      results = for way <- ways, do: send_by(gateway, tables, way, key, bytes)
+         [_ | _] = endpoints <- carriers(tables, key, bytes, Keyword.take(options, [:component, :link])) do
+      results = for endpoint <- endpoints, do: send_by(gateway, tables, endpoint, key, bytes)
       if :ok in results, do: :ok, else: {:error, :no_route}
     else
       _none -> {:error, :no_route}
@@ -41,23 +40,24 @@ defmodule Aerie.Router.Dispatch do
 
   # Each link of the group by which the system is heard, with the peer of it that was heard last.
   defp of_group(tables, key, bytes, group, best) do
-    ways = tables |> Routes.ways(key) |> Enum.uniq_by(&elem(&1, 0))
+    endpoints = tables |> Routes.endpoints(key) |> Enum.uniq_by(&elem(&1, 0))
 
     owners =
-      for {link, _} = way <- Carrier.within_reach(tables, key, [best | List.delete(ways, best)]),
+      for {link, _} = endpoint <- Carrier.within_reach(tables, key, [best | List.delete(endpoints, best)]),
           %{group: ^group} = owner <- [Endpoints.owner(tables, link)],
           into: %{},
-          do: {link, {owner, way}}
+          do: {link, {owner, endpoint}}
 
-    carry = owners |> Enum.map(fn {_link, {owner, _way}} -> owner end) |> Carrier.configured(class(bytes))
+    carry =
+      owners |> Enum.map(fn {_link, {owner, _endpoint}} -> owner end) |> Carrier.configured(class(bytes))
 
     for link <- Carrier.links(tables, group, Map.keys(owners), carry),
         do: owners |> Map.fetch!(link) |> elem(1)
   end
 
-  # What is to be signed passes by the link's process, where the order of time stamps is that of sending.
-  defp send_by(gateway, tables, {link, peer} = way, key, bytes) do
-    case {Aerie.Signing.mark(gateway, key, bytes), Endpoints.get(tables, way)} do
+  # Frames to be signed go through the link's process, where the order of time stamps is that of sending.
+  defp send_by(gateway, tables, {link, peer} = endpoint_key, key, bytes) do
+    case {Aerie.Signing.mark(gateway, key, bytes), Endpoints.get(tables, endpoint_key)} do
       {{:sign, _, _} = marked, %{key: {_, peer}}} when peer != :self ->
         LinkProcess.write(gateway, link, marked, {:peer, peer})
 
@@ -65,13 +65,13 @@ defmodule Aerie.Router.Dispatch do
         LinkProcess.write(gateway, link, marked, {:peer, peer})
 
       {_plain, endpoint} ->
-        # Other endpoints' processes tell it themselves.
+        # The processes of other endpoints tell the recorder themselves.
         if match?({:udp, _, _}, endpoint.out), do: Aerie.Recorder.sent(gateway, link, elem(key, 0), bytes)
-        Out.bytes(endpoint, bytes, class(bytes), 1)
+        Output.bytes(endpoint, bytes, class(bytes), 1)
     end
   end
 
-  # Ours is what flies or asks, unless its first frame says something else.
+  # The class of the first frame.
   defp class(bytes) do
     case bytes |> IO.iodata_to_binary() |> MavCodec.Frame.header() do
       {:ok, _header, _payload, _total, id, _system} -> Classify.of(id)
@@ -85,9 +85,11 @@ defmodule Aerie.Router.Dispatch do
     with tables when is_map(tables) <- Tables.of(gateway) do
       bytes = IO.iodata_to_binary(bytes)
 
-      for {key, way} <- Plan.read(tables).ways, way.broadcasts, network == :all or network in way.networks do
-        # An endpoint that went meanwhile needs none.
-        _ = send_by(gateway, tables, key, {hd(way.networks), nil}, bytes)
+      for {key, path} <- ForwardingTable.read(tables).paths,
+          path.broadcasts,
+          network == :all or network in path.networks do
+        # An endpoint that is gone meanwhile needs none.
+        _ = send_by(gateway, tables, key, {hd(path.networks), nil}, bytes)
       end
 
       :ok

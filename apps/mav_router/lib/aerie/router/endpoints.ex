@@ -1,7 +1,7 @@
 defmodule Aerie.Router.Endpoints do
   @moduledoc """
-  The endpoints there are and the rules of their owners, in the router's tables. Every change moves the generation, so
-  that whoever forwards sees it with the next frame.
+  All endpoints and the rules of their owners, in the router's tables. Every change moves the generation, so that every
+  forwarding process sees it with its next frame.
   """
 
   alias Aerie.Names
@@ -10,20 +10,20 @@ defmodule Aerie.Router.Endpoints do
   alias Aerie.Router.Routes
   alias Aerie.Router.Rules
   alias Aerie.Router.Tables
-  alias Aerie.Router.Watch
-  alias Aerie.Router.Wishes
+  alias Aerie.Router.EndpointMonitor
+  alias Aerie.Router.StreamRequests
 
   @max_listeners 32
   @max_unknown 8
 
-  @doc "Puts an owner's rules in place of what there were."
+  @doc "Adds an owner's rules, or replaces them."
   @spec put_owner(Tables.t(), Owner.t()) :: :ok
   def put_owner(tables, %Owner{} = owner) do
     insert_owner(tables, owner)
     Tables.changed(tables)
   end
 
-  # The order in which networks came is the order in which who sees all of them sees them.
+  # Who sees all networks sees them in the order in which they came.
   defp insert_owner(tables, %Owner{id: id} = owner) do
     names = if owner.side == :vehicle and is_list(owner.networks), do: owner.networks, else: []
 
@@ -55,7 +55,7 @@ defmodule Aerie.Router.Endpoints do
   @spec owner(Tables.t(), String.t()) :: Owner.t() | nil
   def owner(tables, id), do: :ets.lookup_element(tables.owners, id, 2, nil)
 
-  @doc "An owner with its one endpoint; refused when the id is taken by a process that lives."
+  @doc "Adds an owner with its one endpoint; an error when a live process has the id."
   @spec attach(Names.gateway(), Tables.t(), Owner.t(), Endpoint.t()) :: :ok | {:error, String.t()}
   def attach(gateway, tables, %Owner{id: id} = owner, endpoint) do
     taken? = Enum.any?(of(tables, id), &(&1.pid != endpoint.pid and Process.alive?(&1.pid)))
@@ -68,11 +68,11 @@ defmodule Aerie.Router.Endpoints do
     end
   end
 
-  @doc "Adds an endpoint, or puts it in the place of the one with its key."
+  @doc "Adds an endpoint, or replaces the one with its key."
   @spec put(Names.gateway(), Tables.t(), Endpoint.t()) :: :ok
   def put(gateway, tables, %Endpoint{key: key} = endpoint) do
     :ets.insert(tables.endpoints, {key, endpoint})
-    Watch.process(gateway, endpoint.pid)
+    EndpointMonitor.monitor(gateway, endpoint.pid)
     Tables.changed(tables, key)
   end
 
@@ -81,10 +81,10 @@ defmodule Aerie.Router.Endpoints do
   def get(tables, key), do: :ets.lookup_element(tables.endpoints, key, 2, nil)
 
   @doc """
-  Whether one more endpoint of a link to vehicles, that is no vehicle's, may get what others broadcast: #{@max_listeners} of a
-  link that said so by a heartbeat (`:said`: ground stations, cameras), #{@max_unknown} of which nothing is known yet
-  (`:unknown`), so that vehicles whose heartbeat has not come, and a thousand made-up senders, do not multiply what the link
-  has to say. What is addressed to them reaches all; a client endpoint's peers are as many as its rules allow.
+  Whether one more endpoint of a link to vehicles that is no vehicle's may get broadcasts: #{@max_listeners} of each link whose
+  heartbeat said what they are (`:said`: ground stations, cameras), #{@max_unknown} of which nothing is known yet (`:unknown`). So
+  neither vehicles whose heartbeat has not come yet nor a thousand made-up senders multiply the traffic of the link. Frames with
+  their id as target reach all of them; the peers of a client endpoint are as many as its rules allow.
   """
   @spec listens?(Tables.t(), Owner.t(), :said | :unknown) :: boolean
   def listens?(_tables, %Owner{side: :client}, _what), do: true
@@ -102,15 +102,15 @@ defmodule Aerie.Router.Endpoints do
   @spec of(Tables.t(), String.t()) :: [Endpoint.t()]
   def of(tables, owner), do: :ets.select(tables.endpoints, [{{{owner, :_}, :"$1"}, [], [:"$1"]}])
 
-  @doc "Removes an endpoint and what was learned by it."
+  @doc "Removes an endpoint and its routes."
   @spec remove(Tables.t(), Endpoint.key()) :: :ok
   def remove(tables, {owner, peer} = key) do
     case :ets.take(tables.endpoints, key) do
       [{_key, endpoint}] ->
         limits_of(tables, key)
-        :ets.delete(tables.scores, {:beat, key})
+        :ets.delete(tables.scores, {:heartbeat, key})
         Tables.changed(tables, key)
-        Wishes.forget(tables, endpoint)
+        StreamRequests.forget(tables, endpoint)
 
       [] ->
         :ok
@@ -130,7 +130,7 @@ defmodule Aerie.Router.Endpoints do
     Tables.changed(tables)
   end
 
-  @doc "Removes what belonged to a process that ended."
+  @doc "Removes the endpoints of a process that ended."
   @spec down(Tables.t(), pid) :: :ok
   def down(tables, pid) do
     for endpoint <- list(tables), endpoint.pid == pid do
@@ -148,8 +148,8 @@ defmodule Aerie.Router.Endpoints do
   end
 
   @doc """
-  Notes what was found out about an endpoint: `side:` (nil: its owner's), `heard_vehicle:`, `listens:`, `high_latency:`. What is known
-  already moves nothing.
+  Notes what was found out about an endpoint: `side:` (nil: its owner's), `heard_vehicle:`, `listens:`, `high_latency:`. What is
+  known already does not move the generation.
   """
   @spec note(Tables.t(), Endpoint.key(), keyword) :: :ok
   def note(tables, key, fields) do

@@ -12,8 +12,8 @@ defmodule Aerie.Router.Filter do
   | `allow_components`, `block_components` | by the source's component id |
   | `allow_sources`, `block_sources` | by the link or client that it came from (outgoing filters) |
 
-  An axis with an `allow` list passes only what is in it; a `block` list is looked at after that. All axes must pass. The
-  empty filter is nil: it costs nothing.
+  A frame passes when, for messages, systems, components and sources alike, it is in the `allow` list, if there is one, and not in
+  the `block` list. The empty filter is nil and costs nothing.
   """
 
   alias MavCodec.Frame
@@ -29,7 +29,7 @@ defmodule Aerie.Router.Filter do
   @spec keys() :: [atom]
   def keys, do: @keys
 
-  @doc "Compiles a specification; the error is words. Keys that are left out, nil or empty pass everything."
+  @doc "Compiles a specification; the error is a text. Keys that are left out, nil or empty pass everything."
   @spec compile(spec | nil) :: {:ok, t} | {:error, String.t()}
   def compile(nil), do: {:ok, nil}
 
@@ -44,7 +44,7 @@ defmodule Aerie.Router.Filter do
   defp known(spec) do
     case Map.keys(spec) -- @keys do
       [] -> :ok
-      [key | _] -> {:error, "#{inspect(key)} is no key of a filter"}
+      [key | _] -> {:error, "#{inspect(key)} is not a key of a filter"}
     end
   end
 
@@ -73,12 +73,12 @@ defmodule Aerie.Router.Filter do
     Enum.reduce_while(list, {:ok, %{}}, fn item, {:ok, set} ->
       case value(axis, item) do
         {:ok, value} -> {:cont, {:ok, Map.put(set, value, [])}}
-        :error -> {:halt, {:error, "#{inspect(item, limit: 5)} is none of the #{axis}"}}
+        :error -> {:halt, {:error, "#{inspect(item, limit: 5)} is not one of the #{axis}"}}
       end
     end)
   end
 
-  defp set(axis, other), do: {:error, "#{axis}: a list, not #{inspect(other, limit: 5)}"}
+  defp set(axis, other), do: {:error, "#{axis}: expected a list, not #{inspect(other, limit: 5)}"}
 
   defp value(:messages, item), do: message(item)
   defp value(:systems, n) when is_integer(n) and n in 0..0xFFFFFFFF, do: {:ok, n}

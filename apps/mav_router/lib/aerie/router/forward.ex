@@ -1,128 +1,122 @@
 defmodule Aerie.Router.Forward do
   @moduledoc """
-  From one endpoint to the others: what becomes of each frame of a read.
+  From one endpoint to the others: where each frame of a delivery goes.
 
   | rule | |
   |---|---|
-  | R1 | addressed to nobody or to all: to every other endpoint of the network; else where the addressee was heard |
-  | R2 | never back to where it came from; an unknown addressee's frame goes nowhere |
-  | R3, S10 | the bytes that go out are the bytes that came in, signature and all; only what a client with `sign` sends unsigned is signed by a link that needs it |
+  | R1 | a frame without a target, or with target 0, goes to every other endpoint of the network; any other one to the endpoints where its target was heard |
+  | R2 | no frame goes back to the endpoint that it came from, and a frame for an unknown target goes nowhere |
+  | R3, S10 | frames go out as they came in, signature and all; only what a client with `sign` sends unsigned is signed, by the link that needs it |
   | R4 | an unknown message goes to everyone |
-  | R6 | a boot time that began anew clears the system's routes |
+  | R6 | a boot time that starts over clears the system's routes |
   | R9 | a component that never spoke is reached where its system is |
   | S8 | SETUP_SIGNING goes nowhere |
-  | F10 | an addressee that was cut off is all |
+  | F10 | a target that was cut off is 0, which is everyone |
 
-  Runs in the process that received the frames. Order is kept for each receiver.
+  Runs in the process that received the frames. Each receiver gets its frames in their order.
   """
 
-  alias Aerie.Allowance
   alias Aerie.Mavlink.HighLatency
+  alias Aerie.Mavlink.Message
   alias Aerie.Router.Batch
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
+  alias Aerie.Router.CommandGate
   alias Aerie.Router.Dedupe
+  alias Aerie.Router.Delivery
+  alias Aerie.Router.EndpointCounters
   alias Aerie.Router.Filter
-  alias Aerie.Router.Gate
-  alias Aerie.Router.Out
-  alias Aerie.Router.Plan
-  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.Output
   alias Aerie.Router.RateLimit
   alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
-  alias Aerie.Router.Tables
-  alias Aerie.Router.Talker
-  alias Aerie.Router.Tally
+  alias Aerie.TokenBucket
   alias MavCodec.Frame
 
-  @setup_signing 256
-  # Heartbeats of one component that other vehicles hear: two a second, four at once.
-  @beat_us 500_000
-  @beats 4
-  # What an autopilot says to itself: PX4 sends its own internal commands to 1/0 and 0/0.
-  @orders [75, 76, 223, 224]
+  @heartbeat Message.id!("HEARTBEAT")
+  @setup_signing Message.id!("SETUP_SIGNING")
+  # Other vehicles hear two heartbeats a second of one component, and up to four at once.
+  @heartbeat_us 500_000
+  @heartbeats 4
+  # Commands that an autopilot sends to 1/0 or 0/0 are for itself: PX4 says its internal ones so.
+  @commands Enum.map(
+              ~w(COMMAND_INT COMMAND_LONG COMMAND_INT_STAMPED COMMAND_LONG_STAMPED),
+              &Message.id!/1
+            )
 
-  @doc "Forwards frames of one talker, in order. `now` is monotonic ms."
-  @spec frames(Tables.t(), Plan.t(), Way.t(), Talker.t(), [Frame.t()], integer) :: :ok
-  def frames(_tables, _plan, %{role: :read_only} = way, _talker, frames, _now) do
-    Tally.add(way.tally, :read_only, length(frames))
-  end
+  @doc "Forwards the frames of one source, in order."
+  @spec frames([Frame.t()], Delivery.t()) :: :ok
+  def frames(frames, %{path: %{role: :read_only} = path}),
+    do: EndpointCounters.add(path.counters, :read_only, length(frames))
 
-  def frames(tables, plan, way, talker, frames, now) do
-    if talker.other, do: Tally.add(way.tally, :collided, length(frames))
+  def frames(frames, %{path: path, source: source} = delivery) do
+    if source.collided, do: EndpointCounters.add(path.counters, :collided, length(frames))
 
-    case admitted(frames, tables, way, talker, now) do
+    case admitted(frames, delivery) do
       [] -> :ok
-      frames -> guarded(frames, way, {tables, plan, way, talker, now})
+      frames -> guarded(frames, delivery)
     end
   end
 
-  # Who may not command vehicles reaches them with what is no order only.
-  defp guarded(frames, way, context) do
-    if way.commands or Gate.free?(frames),
-      do: run(frames, [], context),
-      else: Enum.each(frames, &one(&1, context))
-  end
-
-  defp one(frame, {tables, plan, way, talker, now} = context) do
-    if Gate.free?([frame]) do
-      run([frame], [], context)
-    else
-      way = %{way | guarded: true}
-      run([frame], [], {tables, plan, way, talker, now})
-    end
+  # From an endpoint that may not command, vehicles get only what changes nothing.
+  defp guarded(frames, %{path: path} = delivery) do
+    if path.commands or CommandGate.free?(frames),
+      do: run(frames, [], delivery),
+      else: Enum.each(frames, &run([&1], [], %{delivery | guarded: not CommandGate.free?([&1])}))
   end
 
   # Nearly always there is nothing to look at.
-  defp admitted(frames, _tables, %{in: nil} = way, %{twice: false}, _now) do
-    if secrets?(frames), do: Enum.reject(frames, &secret?(&1, way)), else: frames
+  defp admitted(frames, %{path: %{in: nil} = path, source: %{redundant: false}}) do
+    if secrets?(frames), do: Enum.reject(frames, &secret?(&1, path)), else: frames
   end
 
-  defp admitted(frames, tables, way, talker, now) do
-    Enum.reject(frames, fn frame ->
-      secret?(frame, way) or filtered_in?(frame, way) or duplicate?(frame, tables, way, talker, now)
-    end)
+  defp admitted(frames, %{path: path} = delivery) do
+    Enum.reject(frames, &(secret?(&1, path) or filtered_in?(&1, path) or duplicate?(&1, delivery)))
   end
 
   defp secrets?([]), do: false
   defp secrets?([%{id: @setup_signing} | _rest]), do: true
   defp secrets?([_other | rest]), do: secrets?(rest)
 
-  defp secret?(%{id: @setup_signing}, way), do: Tally.add(way.tally, :secret, 1) == :ok
-  defp secret?(_frame, _way), do: false
+  defp secret?(%{id: @setup_signing}, path), do: EndpointCounters.add(path.counters, :secret, 1) == :ok
+  defp secret?(_frame, _path), do: false
 
-  defp filtered_in?(frame, way),
-    do: not Filter.pass?(way.in, frame, way.owner) and Tally.add(way.tally, :filtered_in, 1) == :ok
+  defp filtered_in?(frame, path),
+    do:
+      not Filter.pass?(path.in, frame, path.owner) and
+        EndpointCounters.add(path.counters, :filtered_in, 1) == :ok
 
-  defp duplicate?(_frame, _tables, _way, %{twice: false}, _now), do: false
+  defp duplicate?(_frame, %{source: %{redundant: false}}), do: false
 
-  defp duplicate?(frame, tables, way, _talker, now),
-    do: Dedupe.duplicate?(tables, frame.bytes, way.key, now) and Tally.add(way.tally, :duplicates, 1) == :ok
+  defp duplicate?(frame, %{tables: tables, path: path, now: now}),
+    do:
+      Dedupe.duplicate?(tables, frame.bytes, path.key, now) and
+        EndpointCounters.add(path.counters, :duplicates, 1) == :ok
 
-  # Broadcasts are gathered until somebody is addressed, so that each receiver gets everything in its order.
-  defp run([], gathered, context), do: flush(gathered, context)
+  # Broadcasts are gathered until a frame has a target, so that each receiver gets everything in its order.
+  defp run([], gathered, delivery), do: broadcast(gathered, delivery)
 
-  defp run([frame | rest], gathered, context) do
-    case target(frame, context) do
+  defp run([frame | rest], gathered, delivery) do
+    case target(frame, delivery) do
       :all ->
-        run(rest, [frame | gathered], context)
+        run(rest, [frame | gathered], delivery)
 
       target ->
-        flush(gathered, context)
-        send_to(target, frame, context)
-        run(rest, [], context)
+        broadcast(gathered, delivery)
+        send_to(target, frame, delivery)
+        run(rest, [], delivery)
     end
   end
 
-  # Another vehicle's: to sniffers, whoever is addressed.
-  defp target(_frame, {_tables, _plan, _way, %{other: true}, _now}), do: :all
+  # A collided vehicle's frames go to sniffers, whatever their target.
+  defp target(_frame, %{source: %{collided: true}}), do: :all
 
-  defp target(frame, {_tables, _plan, way, talker, _now}) do
+  defp target(frame, %{path: path, source: source}) do
     case Frame.target(frame) do
       nil ->
         :all
 
-      {0, _component} when frame.id in @orders and talker.autopilot and way.side == :vehicle ->
+      {0, _component} when frame.id in @commands and source.autopilot and path.side == :vehicle ->
         {frame.system, 0}
 
       {0, _component} ->
@@ -133,44 +127,42 @@ defmodule Aerie.Router.Forward do
     end
   end
 
-  defp flush([], _context), do: :ok
+  defp broadcast([], _delivery), do: :ok
 
-  defp flush([frame], {tables, plan, %{guarded: true} = way, talker, now}),
-    do: flush([frame], {tables, plan, %{way | guarded: false}, Gate.narrow(talker, way, frame, tables), now})
+  defp broadcast([frame], %{guarded: true} = delivery),
+    do: broadcast([frame], %{CommandGate.narrow(frame, delivery) | guarded: false})
 
-  defp flush(gathered, {tables, _plan, way, talker, now}) do
-    batch = to_everyone(talker.everyone, gathered |> :lists.reverse() |> Batch.new(), tables, way, now)
-    _ = if talker.groups != [], do: to_groups(talker.groups, batch, tables, way, now)
-    _ = if talker.heartbeats != [], do: only_heartbeats(talker, batch, tables, way, now)
+  defp broadcast(gathered, %{source: source} = delivery) do
+    batch = emit_all(source.receivers, gathered |> :lists.reverse() |> Batch.new(), delivery)
+    _ = if source.groups != [], do: to_groups(source.groups, batch, delivery)
+    _ = if source.heartbeat_receivers != [], do: heartbeats_only(batch, delivery)
     :ok
   end
 
-  defp to_everyone([], batch, _tables, _way, _now), do: batch
+  defp emit_all([], batch, _delivery), do: batch
+  defp emit_all([to | rest], batch, delivery), do: emit_all(rest, emit(to, batch, delivery), delivery)
 
-  defp to_everyone([to | rest], batch, tables, way, now),
-    do: to_everyone(rest, emit(to, batch, tables, way, now), tables, way, now)
-
-  defp to_groups(groups, batch, tables, way, now) do
-    for {group, ways} <- groups,
+  defp to_groups(groups, batch, %{tables: tables} = delivery) do
+    for {group, paths} <- groups,
         {class, frames} <- classes(batch.frames),
-        to <- pick(tables, group, ways, class) do
-      emit(to, Batch.new(frames), tables, way, now)
+        to <- carriers(tables, group, paths, class) do
+      emit(to, Batch.new(frames), delivery)
     end
   end
 
-  defp only_heartbeats(talker, batch, tables, way, now) do
-    case Enum.filter(batch.frames, &(&1.id == 0 and beats?(talker, tables, way))) do
+  defp heartbeats_only(batch, %{source: source} = delivery) do
+    case Enum.filter(batch.frames, &(&1.id == @heartbeat and heartbeat_due?(delivery))) do
       [] -> :ok
-      beats -> to_everyone(talker.heartbeats, Batch.new(beats), tables, way, now)
+      heartbeats -> emit_all(source.heartbeat_receivers, Batch.new(heartbeats), delivery)
     end
   end
 
-  # Each goes out as often as there are vehicles, so a sender has only so many.
-  defp beats?(talker, tables, way) do
-    key = {way.key, :beat, talker.system, talker.component}
+  # Each goes out as often as there are vehicles, so their rate is limited by sender.
+  defp heartbeat_due?(%{tables: tables, path: path, source: source}) do
+    key = {path.key, :heartbeat, source.system, source.component}
     full = :ets.lookup_element(tables.limits, key, 2, nil)
 
-    case Allowance.take(full, System.monotonic_time(:microsecond), @beat_us, @beats) do
+    case TokenBucket.take(full, System.monotonic_time(:microsecond), @heartbeat_us, @heartbeats) do
       {:ok, full} -> :ets.insert(tables.limits, {key, full})
       :none -> false
     end
@@ -180,154 +172,153 @@ defmodule Aerie.Router.Forward do
     frames |> Enum.chunk_by(&Classify.of(&1.id)) |> Enum.map(&{Classify.of(hd(&1).id), &1})
   end
 
-  defp send_to(target, frame, {tables, plan, way, _talker, _now} = context) do
-    {system, keys} = addressed(target, tables, plan, way)
+  defp send_to(target, frame, delivery) do
+    {system, keys} = addressed(target, delivery)
 
-    case Gate.open(keys, plan.ways, way, frame, target, tables) do
+    case CommandGate.open(keys, frame, target, delivery) do
       :shut -> :ok
-      keys -> send_by(frame, system, keys, context)
+      keys -> send_by(frame, system, keys, delivery)
     end
   end
 
-  defp send_by(frame, system, keys, {tables, _plan, way, talker, now} = context) do
-    if not talker.twice, do: Dedupe.note(tables, frame.bytes, way.key, now)
+  defp send_by(frame, system, keys, %{path: path} = delivery) do
+    if not delivery.source.redundant, do: Dedupe.note(delivery.tables, frame.bytes, path.key, delivery.now)
 
-    case meant(frame, system, way) do
-      {:ok, frame} -> reach(frame, system, keys, context)
-      :refused -> Tally.add(way.tally, :refused, 1)
+    case renumbered_in(frame, system, path) do
+      {:ok, frame} -> reach(frame, system, keys, delivery)
+      :refused -> EndpointCounters.add(path.counters, :refused, 1)
     end
   end
 
-  # A client that sees other ids says other ids.
-  defp meant(frame, nil, _way), do: {:ok, frame}
-
-  defp meant(frame, {_network, system}, %{renumber: offsets}) when offsets != nil,
+  # A client that sees other ids uses them as targets too.
+  defp renumbered_in(frame, {_network, system}, %{renumber: offsets}) when offsets != nil,
     do: Renumber.inward(frame, system)
 
-  defp meant(frame, _system, _way), do: {:ok, frame}
+  defp renumbered_in(frame, _system, _path), do: {:ok, frame}
 
-  defp reach(frame, system, keys, {tables, plan, way, talker, now}) do
+  defp reach(frame, system, keys, %{forwarding: forwarding, path: path} = delivery) do
     batch = Batch.new([frame])
-
-    heard =
-      for key <- keys, key != way.key, to = plan.ways[key], reach?(to, way, frame, talker, tables), do: to
+    heard = for key <- keys, key != path.key, to = forwarding.paths[key], reach?(to, frame, delivery), do: to
 
     sniffers =
-      for {key, %{sniffer: true} = to} <- plan.listeners,
-          key != way.key,
+      for {key, %{sniffer: true} = to} <- forwarding.listeners,
+          key != path.key,
           key not in keys,
-          shares?(way, to),
+          shares?(path, to),
           do: to
 
     case heard do
-      # What is for us goes no further and has arrived.
+      # A frame for the gateway itself has arrived and goes no further.
       [] ->
-        if Frame.target(frame) != plan.own, do: Tally.add(way.tally, :no_route, 1)
+        if Frame.target(frame) != forwarding.own, do: EndpointCounters.add(path.counters, :no_route, 1)
 
       heard ->
-        heard |> one_of_each_group(system, frame, tables) |> Enum.each(&emit(&1, batch, tables, way, now))
+        heard |> one_of_each_group(system, frame, delivery) |> Enum.each(&emit(&1, batch, delivery))
     end
 
-    Enum.each(sniffers, &emit(&1, batch, tables, way, now))
+    Enum.each(sniffers, &emit(&1, batch, delivery))
   end
 
-  # Not within a group of redundant links, and not to the sender itself by another way: a vehicle would take its own words
-  # for orders.
-  defp reach?(to, way, frame, talker, tables) do
-    (to.group == nil or to.group != way.group) and
-      not (talker.twice and to.side == :vehicle and
-             Enum.any?(way.networks, &Routes.talks?(tables, {&1, frame.system, frame.component}, to.key)))
+  # Neither within a group of redundant links nor to the sender itself by another endpoint: a vehicle would take its own frame
+  # for a command.
+  defp reach?(to, frame, %{tables: tables, path: path, source: source}) do
+    (to.group == nil or to.group != path.group) and
+      not (source.redundant and to.side == :vehicle and
+             Enum.any?(path.networks, &Routes.talks?(tables, {&1, frame.system, frame.component}, to.key)))
   end
 
-  # The first of the networks that the sender sees in which the addressee is known decides.
-  defp addressed({id, component}, tables, plan, way) do
-    Enum.find_value(way.networks, {nil, []}, fn network ->
-      key = {network, Renumber.meant(way.renumber, network, id)}
+  # The first of the sender's networks in which the target is known decides.
+  defp addressed({id, component}, %{tables: tables, forwarding: forwarding, path: path}) do
+    Enum.find_value(path.networks, {nil, []}, fn network ->
+      key = {network, Renumber.meant(path.renumber, network, id)}
 
-      case component != 0 && Routes.ways(tables, key, component) do
+      case component != 0 && Routes.endpoints(tables, key, component) do
         none when none in [false, []] ->
-          if({id, component} != plan.own, do: some(key, Routes.ways(tables, key)))
+          if({id, component} != forwarding.own, do: some(key, Routes.endpoints(tables, key)))
 
-        ways ->
-          {key, ways}
+        endpoints ->
+          {key, endpoints}
       end
     end)
   end
 
   defp some(_key, []), do: nil
-  defp some(key, ways), do: {key, ways}
+  defp some(key, endpoints), do: {key, endpoints}
 
-  defp shares?(way, to), do: Enum.any?(way.networks, &(&1 in to.networks))
+  defp shares?(path, to), do: Enum.any?(path.networks, &(&1 in to.networks))
 
-  defp one_of_each_group([_one] = ways, _system, _frame, _tables), do: ways
+  defp one_of_each_group([_one] = paths, _system, _frame, _delivery), do: paths
 
-  defp one_of_each_group(ways, system, frame, tables) do
-    {grouped, single} = Enum.split_with(ways, &(&1.group != nil and &1.side == :vehicle))
+  defp one_of_each_group(paths, system, frame, %{tables: tables}) do
+    {grouped, single} = Enum.split_with(paths, &(&1.group != nil and &1.side == :vehicle))
     class = Classify.of(frame.id)
 
     single ++
-      Enum.flat_map(Enum.group_by(grouped, & &1.group), fn {group, ways} ->
-        near = Carrier.within_reach(tables, system, Enum.map(ways, & &1.key))
-        pick(tables, group, Enum.filter(ways, &(&1.key in near)), class)
+      Enum.flat_map(Enum.group_by(grouped, & &1.group), fn {group, paths} ->
+        near = Carrier.within_reach(tables, system, Enum.map(paths, & &1.key))
+        carriers(tables, group, Enum.filter(paths, &(&1.key in near)), class)
       end)
   end
 
-  defp pick(_tables, _group, [way], _class), do: [way]
+  defp carriers(_tables, _group, [path], _class), do: [path]
 
-  defp pick(tables, group, ways, class) do
-    links = Carrier.links(tables, group, Enum.map(ways, & &1.owner), Carrier.configured(ways, class))
-    Enum.filter(ways, &(&1.owner in links))
+  defp carriers(tables, group, paths, class) do
+    links = Carrier.links(tables, group, Enum.map(paths, & &1.owner), Carrier.configured(paths, class))
+    Enum.filter(paths, &(&1.owner in links))
   end
 
-  defp emit(%{plain: true} = to, batch, _tables, way, _now), do: out(to, batch, way)
+  defp emit(%{plain: true} = to, batch, delivery), do: out(to, batch, delivery.path)
 
-  defp emit(to, batch, tables, way, _now) do
-    # What passes here is a batch of its own, whose bytes no other way can use.
+  defp emit(to, batch, delivery) do
+    # What passes here is a batch of its own: no other path can use its bytes.
     _ =
-      case batch.frames |> renumbered(to, way, tables) |> Enum.filter(&passes?(&1, to, tables, way)) do
+      case batch.frames |> renumbered_out(to, delivery) |> Enum.filter(&passes?(&1, to, delivery)) do
         [] -> :ok
-        frames -> out(to, Batch.new(frames), way)
+        frames -> out(to, Batch.new(frames), delivery.path)
       end
 
     batch
   end
 
-  defp renumbered(frames, %{renumber: offsets} = to, %{side: :vehicle} = way, tables) when offsets != nil do
-    theirs? = fn system -> Enum.any?(way.networks, &Routes.heard?(tables, {&1, system}, to.key)) end
+  defp renumbered_out(frames, %{renumber: offsets} = to, %{tables: tables, path: %{side: :vehicle} = path})
+       when offsets != nil do
+    theirs? = fn system -> Enum.any?(path.networks, &Routes.heard?(tables, {&1, system}, to.key)) end
 
     Enum.flat_map(frames, fn frame ->
-      case Renumber.outward(offsets, way, frame, theirs?) do
-        {:ok, frame} -> [frame]
-        :refused -> refused(to)
+      case Renumber.outward(offsets, path, frame, theirs?) do
+        {:ok, frame} ->
+          [frame]
+
+        :refused ->
+          EndpointCounters.add(to.counters, :refused, 1)
+          []
       end
     end)
   end
 
-  defp renumbered(frames, _to, _way, _tables), do: frames
+  defp renumbered_out(frames, _to, _delivery), do: frames
 
-  defp refused(way) do
-    Tally.add(way.tally, :refused, 1)
-    []
-  end
+  defp out(%{side: :vehicle} = to, batch, %{sign: true}), do: Output.emit_to_be_signed(to, batch)
+  defp out(to, batch, _path), do: Output.emit(to, batch)
 
-  defp out(%{side: :vehicle} = to, batch, %{sign: true}), do: Out.to_be_signed(to, batch)
-  defp out(to, batch, _way), do: Out.emit(to, batch)
-
-  defp passes?(frame, to, tables, way) do
+  defp passes?(frame, to, %{tables: tables, path: path}) do
     cond do
-      to.high_latency and not HighLatency.carries?(frame) -> Tally.add(to.tally, :spared, 1) != :ok
-      not Filter.pass?(to.filter, frame, way.owner) -> Tally.add(to.tally, :filtered_out, 1) != :ok
-      limited?(frame, to, tables) -> Tally.add(to.tally, :limited, 1) != :ok
+      to.high_latency and not HighLatency.carries?(frame) -> stopped(to, :spared)
+      not Filter.pass?(to.filter, frame, path.owner) -> stopped(to, :filtered_out)
+      limited?(frame, to, tables) -> stopped(to, :limited)
       true -> true
     end
   end
 
-  defp limited?(_frame, %{limits: nil}, _tables), do: false
+  defp stopped(to, counter) do
+    EndpointCounters.add(to.counters, counter, 1)
+    false
+  end
 
-  defp limited?(%{id: id} = frame, to, tables) do
-    case to.limits do
+  defp limited?(%{id: id} = frame, %{limits: limits} = to, tables) do
+    case limits do
       %{^id => interval} -> limited?(frame, to, interval, tables)
-      _free -> false
+      _none_or_free -> false
     end
   end
 

@@ -1,140 +1,138 @@
 defmodule Aerie.Router.Intake do
   @moduledoc """
-  The few messages that the router itself looks at: heartbeats, for who somebody is, and SYSTEM_TIME, for reboots (R6).
+  The few messages that the router itself reads: heartbeats tell what their sender is, SYSTEM_TIME tells reboots (R6).
   """
 
   alias Aerie.Mavlink.BootClock
   alias Aerie.Mavlink.Heartbeat
   alias Aerie.Mavlink.HighLatency
-  alias Aerie.Names
+  alias Aerie.Mavlink.Message
+  alias Aerie.Router.Delivery
   alias Aerie.Router.Endpoints
-  alias Aerie.Router.Plan.Way
   alias Aerie.Router.Routes
   alias Aerie.Router.Systems
   alias Aerie.Router.Tables
-  alias Aerie.Router.Talker
   alias MavCodec.Frame
 
-  @system_time 2
-  # HEARTBEAT, and HIGH_LATENCY2, which stands in its place on a link of high latency (X6).
-  @says_who [0, 235]
-  # Who is there for so long and says a heartbeat has said one before.
-  @said_again_us 500_000
+  @heartbeat Message.id!("HEARTBEAT")
+  # Takes the place of the heartbeat on a link of high latency (X6).
+  @high_latency2 Message.id!("HIGH_LATENCY2")
+  @system_time Message.id!("SYSTEM_TIME")
+  # An endpoint that sends a heartbeat after being there for so long has sent one before.
+  @repeated_us 500_000
 
   @doc """
-  Looks at frames of one talker: what is known of it and of its endpoint afterwards, and whether one of the frames was the
-  heartbeat of a vehicle's autopilot (H2, H4).
+  Reads frames of one source: the delivery with what is known of the source and of its path afterwards, and with whether one of
+  the frames was the heartbeat of a vehicle's autopilot (H2, H4).
   """
-  @spec look(Names.gateway(), Tables.t(), Way.t(), Talker.t(), [Frame.t()]) :: {Talker.t(), Way.t(), boolean}
-  def look(gateway, tables, way, talker, frames), do: look(frames, gateway, tables, way, talker, false)
+  @spec look([Frame.t()], Delivery.t()) :: Delivery.t()
+  def look([], delivery), do: delivery
 
-  defp look([], _gateway, _tables, way, talker, vehicle?), do: {talker, way, vehicle?}
+  def look([%Frame{id: id, crc_extra: extra} = frame | rest], delivery)
+      when id in [@heartbeat, @high_latency2] and extra != nil,
+      do: look(rest, heartbeat(frame, delivery))
 
-  defp look([%Frame{id: id, crc_extra: extra} = frame | rest], gateway, tables, way, talker, vehicle?)
-       when id in @says_who and extra != nil do
+  def look([%Frame{id: @system_time, crc_extra: extra, at: at} = frame | rest], delivery)
+      when extra != nil and is_integer(at),
+      do: look(rest, system_time(frame, delivery))
+
+  def look([_other | rest], delivery), do: look(rest, delivery)
+
+  defp heartbeat(frame, %{tables: tables, path: path, source: source} = delivery) do
     heartbeat = Heartbeat.read(frame)
-    # That there are too many systems is no reason not to forward.
-    for network <- way.networks, do: _ = Systems.note(gateway, network, way.owner, frame, heartbeat)
-    now_vehicle? = Heartbeat.vehicle?(heartbeat)
-    way = tables |> side(way, heartbeat, now_vehicle?) |> latency(tables, frame, now_vehicle?)
-    look(rest, gateway, tables, way, %{talker | autopilot: now_vehicle?}, vehicle? or now_vehicle?)
+    # Too many systems are no reason not to forward.
+    for network <- path.networks,
+        do: _ = Systems.note(delivery.gateway, network, path.owner, frame, heartbeat)
+
+    vehicle? = Heartbeat.vehicle?(heartbeat)
+
+    path =
+      if vehicle?, do: latency(vehicle(path, tables), tables, frame), else: other(path, tables, heartbeat)
+
+    %{
+      delivery
+      | path: path,
+        source: %{source | autopilot: vehicle?},
+        vehicle: delivery.vehicle or vehicle?
+    }
   end
 
-  defp look(
-         [%Frame{id: @system_time, crc_extra: extra} = frame | rest],
-         gateway,
-         tables,
-         way,
-         talker,
-         vehicle?
-       )
-       when extra != nil,
-       do: look(rest, gateway, tables, way, time(gateway, tables, way, talker, frame), vehicle?)
+  # A ground station on a link to vehicles is a client for as long as no autopilot is heard from there.
+  defp vehicle(%{side: :client, heard_vehicle: false, role: :full, auto: true} = path, tables),
+    do: turn(path, tables, :vehicle, true)
 
-  defp look([_other | rest], gateway, tables, way, talker, vehicle?),
-    do: look(rest, gateway, tables, way, talker, vehicle?)
+  defp vehicle(%{side: :vehicle, heard_vehicle: false} = path, tables), do: turn(path, tables, nil, true)
+  defp vehicle(path, _tables), do: path
 
-  # On a link to vehicles a ground station without a vehicle is a client, for as long as no autopilot is heard from there.
-  defp side(tables, %{side: :client, heard_vehicle: false, role: :full, auto: true} = way, _heartbeat, true),
-    do: turn(tables, way, :vehicle, true)
-
-  defp side(tables, %{side: :vehicle, heard_vehicle: false} = way, _heartbeat, true),
-    do: turn(tables, way, nil, true)
-
-  defp side(tables, %{side: :vehicle, heard_vehicle: false} = way, heartbeat, false) do
-    way = listens(tables, way)
-    if Heartbeat.role(heartbeat) == "gcs", do: turn(tables, way, :client, false), else: way
+  defp other(%{side: :vehicle, heard_vehicle: false} = path, tables, heartbeat) do
+    path = listens(path, tables)
+    if Heartbeat.role(heartbeat) == "gcs", do: turn(path, tables, :client, false), else: path
   end
 
-  defp side(tables, %{auto: true, heard_vehicle: false} = way, _heartbeat, false), do: listens(tables, way)
+  defp other(%{auto: true, heard_vehicle: false} = path, tables, _heartbeat), do: listens(path, tables)
+  defp other(path, _tables, _heartbeat), do: path
 
-  defp side(_tables, way, _heartbeat, _vehicle?), do: way
+  # There was no room for one more listener when it came; there may be now.
+  defp listens(%{listens: true} = path, _tables), do: path
 
-  # There was no room for one more that is no vehicle when it came; there may be now.
-  defp listens(_tables, %{listens: true} = way), do: way
-
-  defp listens(tables, way) do
-    # Made-up senders say one heartbeat.
-    with %{since: since} <- Endpoints.get(tables, way.key),
-         true <- System.os_time(:microsecond) - since >= @said_again_us,
-         %{} = owner <- Endpoints.owner(tables, way.owner),
+  defp listens(path, tables) do
+    # A made-up sender says one heartbeat.
+    with %{since: since} <- Endpoints.get(tables, path.key),
+         true <- System.os_time(:microsecond) - since >= @repeated_us,
+         %{} = owner <- Endpoints.owner(tables, path.owner),
          true <- Endpoints.listens?(tables, owner, :said) do
-      Endpoints.note(tables, way.key, listens: true)
-      %{way | listens: true}
+      Endpoints.note(tables, path.key, listens: true)
+      %{path | listens: true}
     else
-      _full -> way
+      _full -> path
     end
   end
 
-  # Summaries of a vehicle and no heartbeat for a while: a link of high latency, whoever set it up (X6). A heartbeat ends
+  # Summaries of a vehicle and no heartbeat for a while: a link of high latency, configured or not (X6). A heartbeat ends
   # that at once.
-  defp latency(way, _tables, _frame, false), do: way
-
-  defp latency(way, tables, %{id: 0, at: at}, true) do
-    :ets.insert(tables.scores, {{:beat, way.key}, at})
-    if way.high_latency, do: Endpoints.note(tables, way.key, high_latency: false)
-    way
+  defp latency(path, tables, %{id: @heartbeat, at: at}) do
+    :ets.insert(tables.scores, {{:heartbeat, path.key}, at})
+    if path.high_latency, do: Endpoints.note(tables, path.key, high_latency: false)
+    path
   end
 
-  defp latency(%{high_latency: true} = way, _tables, _summary, true), do: way
+  defp latency(%{high_latency: true} = path, _tables, _summary), do: path
 
-  defp latency(way, tables, %{at: at}, true) do
-    beat = :ets.lookup_element(tables.scores, {:beat, way.key}, 2, nil)
+  defp latency(path, tables, %{at: at}) do
+    heartbeat_at = :ets.lookup_element(tables.scores, {:heartbeat, path.key}, 2, nil)
 
-    if beat == nil or (at != nil and at - beat > HighLatency.silent_us()),
-      do: Endpoints.note(tables, way.key, high_latency: true)
+    if heartbeat_at == nil or (at != nil and at - heartbeat_at > HighLatency.silent_us()),
+      do: Endpoints.note(tables, path.key, high_latency: true)
 
-    way
+    path
   end
 
-  defp turn(tables, way, side, heard?) do
-    Endpoints.note(tables, way.key, side: side, heard_vehicle: heard?)
-    %{way | side: side || way.side, heard_vehicle: heard?}
+  defp turn(path, tables, side, heard_vehicle?) do
+    Endpoints.note(tables, path.key, side: side, heard_vehicle: heard_vehicle?)
+    %{path | side: side || path.side, heard_vehicle: heard_vehicle?}
   end
 
-  defp time(gateway, tables, way, talker, %Frame{payload: payload, at: at}) when is_integer(at) do
-    # Zeros at its end were cut off (F7), as they are in every boot time of less than half a year.
+  defp system_time(%Frame{payload: payload, at: at}, %{source: source} = delivery) do
+    # Zeros at the end are cut off (F7), as they are in every boot time of less than half a year.
     <<_unix::64, boot::32-little, _::binary>> = <<payload::binary, 0::96>>
 
-    case BootClock.read(talker.clock || BootClock.new(), @system_time, boot, at) do
+    case BootClock.read(source.clock || BootClock.new(), @system_time, boot, at) do
       {clock, :reboot} ->
-        reboot(gateway, tables, way, talker)
-        %{talker | clock: clock, learned: nil}
+        reboot(delivery)
+        %{delivery | source: %{source | clock: clock, learned: nil}}
 
       {clock, _going_on} ->
-        %{talker | clock: clock}
+        %{delivery | source: %{source | clock: clock}}
     end
   end
 
-  defp time(_gateway, _tables, _way, talker, _frame), do: talker
+  # The reboot of another vehicle with that id says nothing about this one.
+  defp reboot(%{source: %{collided: true}}), do: :ok
 
-  # Another vehicle with that id may do what it likes.
-  defp reboot(_gateway, _tables, _way, %{other: true}), do: :ok
-
-  defp reboot(gateway, tables, way, talker) do
-    for network <- way.networks do
-      Routes.clear(tables, {network, talker.system})
-      metadata = %{gateway: gateway, network: network, system: talker.system}
+  defp reboot(%{gateway: gateway, tables: tables, path: path, source: source}) do
+    for network <- path.networks do
+      Routes.clear(tables, {network, source.system})
+      metadata = %{gateway: gateway, network: network, system: source.system}
       :telemetry.execute([:aerie, :router, :reboot], %{}, metadata)
     end
 

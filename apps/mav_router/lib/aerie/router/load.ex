@@ -1,16 +1,16 @@
 defmodule Aerie.Router.Load do
+  @max_waiting 2_000
+  @every_ms 250
+
   @moduledoc """
   Whether a vehicle's session keeps up. A session that does not take its messages (stuck, or flooded beyond the machine's
-  power) must not fill the memory: when more than #{2_000} reads wait for it, further ones are dropped and counted until it
-  has caught up. Looked at four times a second for each vehicle, not for each read.
+  power) must not fill the memory: while more than #{@max_waiting} reads wait for it, further ones are dropped and counted. Looked
+  at every #{@every_ms} ms for each vehicle, not for each read.
   """
 
   alias Aerie.Router.Tables
 
-  @max_waiting 2_000
-  @every_ms 250
-
-  @doc "Whether frames for the session have to be dropped now (monotonic ms)."
+  @doc "Whether frames for a vehicle's session have to be dropped at `now` (monotonic ms)."
   @spec over?(Tables.t(), term, pid, integer) :: boolean
   def over?(tables, key, session, now) do
     case :ets.lookup(tables.load, key) do

@@ -1,39 +1,38 @@
 defmodule Aerie.Router.Meter do
+  @every_ms 1_000
+  @rtt_ms 30_000
+
   @moduledoc """
-  Once a second: rates of the endpoints, scores of links to vehicles, and which link of each group carries.
+  Measures once a second: the rates of the endpoints, the scores of the links to vehicles, and which link of each group carries.
 
   | in `:scores` | |
   |---|---|
-  | `{:rates, endpoint}` | per second, of the last one |
+  | `{:rates, endpoint}` | per second, of the last second |
   | `{:score, link}` | `%{score, loss, rtt_ms, age_ms}`: 0 to 100 (`Aerie.Router.Score`), and what it was made of |
-  | `{:pick, group}` | the link that carries |
+  | `{:carrier, group}` | the link that carries |
 
-  Loss is by sequence numbers of what is heard on that link, over the last seconds. Round trips are told by the vehicles'
-  sessions, which measure them with TIMESYNC and PING (`note_rtt/3`, `Aerie.Vehicle.Timesync`), and hold for half a minute.
+  Loss follows from the sequence numbers heard on a link in the last seconds. Round trips are measured by the vehicles' sessions,
+  with TIMESYNC and PING (`note_rtt/3`), and hold for #{div(@rtt_ms, 1_000)} s.
   """
   use GenServer
 
   alias Aerie.Store
-  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Endpoints
   alias Aerie.Router.Score
   alias Aerie.Router.Tables
-  alias Aerie.Router.Tally
+  alias Aerie.Router.EndpointCounters
 
-  @every_ms 1_000
-  @rtt_ms 30_000
-  # How much of the former loss stays in the mean, a second later.
+  # How much of the former loss stays in the mean after a second.
   @keep 0.8
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    name = Names.via(gateway, :router_meter)
-    Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
+    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_meter))
   end
 
-  @doc "Tells a measured round trip over a link, in ms. The mean of it and what was known before holds."
+  @doc "Notes a round trip measured over a link, in ms. What holds is the mean of it and the one before."
   @spec note_rtt(Names.gateway(), String.t(), number) :: :ok
   def note_rtt(gateway, link, ms) when is_number(ms) and ms >= 0 do
     with tables when is_map(tables) <- Tables.of(gateway) do
@@ -58,14 +57,14 @@ defmodule Aerie.Router.Meter do
           carries: boolean | nil
         }
 
-  @doc "How good a link is just now; nil before its first measurement."
+  @doc "How good a link is; nil before its first measurement."
   @spec quality(Names.gateway(), String.t()) :: quality | nil
   def quality(gateway, link) do
     with tables when is_map(tables) <- Tables.of(gateway),
          %{} = reading <- :ets.lookup_element(tables.scores, {:score, link}, 2, nil) do
       case Endpoints.owner(tables, link) do
         %{group: group} when group != nil ->
-          pick = :ets.lookup_element(tables.scores, {:pick, group}, 2, nil)
+          pick = :ets.lookup_element(tables.scores, {:carrier, group}, 2, nil)
           Map.merge(reading, %{group: group, carries: pick == link})
 
         _none ->
@@ -78,7 +77,7 @@ defmodule Aerie.Router.Meter do
   def init(gateway) do
     Process.set_label({:router_meter, gateway})
     Process.send_after(self(), :measure, @every_ms)
-    {:ok, %{gateway: gateway, at: nil, tallies: %{}, sequences: %{}, losses: %{}, choices: %{}}}
+    {:ok, new(gateway)}
   end
 
   @impl GenServer
@@ -91,25 +90,29 @@ defmodule Aerie.Router.Meter do
     end
   end
 
+  @doc "What is kept between two measurements; nothing yet."
+  @spec new(Names.gateway()) :: map
+  def new(gateway), do: %{gateway: gateway, at: nil, counts: %{}, sequences: %{}, losses: %{}, choices: %{}}
+
   @doc "One measurement at a monotonic time in ms."
   @spec measure(map, Tables.t(), integer) :: map
   def measure(state, tables, now), do: state |> rates(tables, now) |> groups(tables, now)
 
   defp rates(state, tables, now) do
-    tallies = Map.new(Endpoints.list(tables), &{&1.key, Tally.read(&1.tally)})
+    counts = Map.new(Endpoints.list(tables), &{&1.key, EndpointCounters.read(&1.counters)})
     seconds = if state.at, do: max(now - state.at, 1) / 1000
 
-    for {key, tally} <- tallies, before = state.tallies[key], seconds do
-      per_second = fn name -> Float.round((tally[name] - before[name]) / seconds, 1) end
+    for {key, now} <- counts, before = state.counts[key], seconds do
+      per_second = fn name -> Float.round((now[name] - before[name]) / seconds, 1) end
       rates = Map.new([:frames_in, :frames_out, :bytes_out], &{&1, per_second.(&1)})
       :ets.insert(tables.scores, {{:rates, key}, rates})
     end
 
-    for {key, _tally} <- state.tallies,
-        not is_map_key(tallies, key),
+    for {key, _tally} <- state.counts,
+        not is_map_key(counts, key),
         do: :ets.delete(tables.scores, {:rates, key})
 
-    %{state | at: now, tallies: tallies}
+    %{state | at: now, counts: counts}
   end
 
   defp groups(state, tables, now) do
@@ -130,7 +133,7 @@ defmodule Aerie.Router.Meter do
     choice = Score.choose(state.choices[group] || Score.none(), scores)
 
     if choice.link != (state.choices[group] || Score.none()).link do
-      :ets.insert(tables.scores, {{:pick, group}, choice.link})
+      :ets.insert(tables.scores, {{:carrier, group}, choice.link})
       metadata = %{gateway: state.gateway, group: group, link: choice.link}
       :telemetry.execute([:aerie, :router, :carrier], %{score: scores[choice.link]}, metadata)
     end
@@ -138,7 +141,7 @@ defmodule Aerie.Router.Meter do
     put_in(state.choices[group], choice)
   end
 
-  # A link that is down has no place among those to choose from.
+  # A link that is down cannot be chosen.
   defp score(state, tables, link, now) do
     case Store.Links.whole(state.gateway, link) do
       %{status: status} = snapshot when status in [:up, :idle] ->
@@ -153,13 +156,13 @@ defmodule Aerie.Router.Meter do
         :ets.insert(tables.scores, {{:score, link}, down})
         {[], state}
 
-      # An endpoint that is no link: nobody measures it.
+      # An owner that is no link is not measured.
       nil ->
         {[], state}
     end
   end
 
-  # Counted since the last time, so that what was lost an hour ago does not count for ever.
+  # Counted since the last measurement, so that a loss of an hour ago does not count for ever.
   defp loss(state, link, sources) do
     sums =
       Enum.reduce(sources, {0, 0}, fn {_ids, source}, {received, lost} ->

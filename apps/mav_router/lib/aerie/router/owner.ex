@@ -1,25 +1,26 @@
 defmodule Aerie.Router.Owner do
   @moduledoc """
-  The rules of a link or a client, which hold for all its peers: whose frames it sees, and how much of them.
+  The rules of a link or a client, which hold for all its peers: which frames it gets, and how many.
 
   | option | |
   |---|---|
   | `:side` | `:vehicle` (a link to vehicles; default) or `:client` |
-  | `:networks` | names, in order of precedence, or `:all`, those too that are added later; a link's is `["main"]` unless said, a client sees all |
-  | `:group` | redundant ways to the same vehicles share a group: nothing goes from one to another of it, and what goes to a vehicle goes by one of them (`Aerie.Router.Score`) |
-  | `:carry` | which one of the group: `%{class => link id | :all}`; else the best one |
-  | `:role` | `:full` or `:read_only`: nothing that it says goes to anyone |
-  | `:sniffer` | true: it gets every frame of its networks, whoever is addressed |
+  | `:networks` | names in order of precedence, or `:all`, later ones included; default the gateway's own for a link, `:all` for a client |
+  | `:group` | redundant links to the same vehicles share a group: nothing goes from one to another, and one of them carries what goes to a vehicle (`Aerie.Router.Carrier`) |
+  | `:carry` | which link of the group carries a class: `%{class => link id | :all}`; default the best one |
+  | `:role` | `:full` or `:read_only`: its frames go to nobody |
+  | `:sniffer` | true: it gets every frame of its networks, whatever the target |
+  | `:served` | of a client, true: what it reads of parameters and plans may be answered by the gateway (`Aerie.Router.Readings`) |
   | `:in`, `:out` | filters (`Aerie.Router.Filter`) |
   | `:rate_limits` | `%{message => Hz}` (`Aerie.Router.RateLimit`) |
-  | `:bytes_per_s` | budget of what goes out to each of its peers; default none, a serial line's own |
-  | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`Aerie.Router.Queue`) |
-  | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Out`); default true |
-  | `:sign` | of a client, true: what it sends unsigned is believed, and signed for vehicles that ask for it (`Aerie.Signing`) |
-  | `:gcs` | of a link: which of its ends may command vehicles, `:auto`, `:allow` or `:deny` (`Aerie.Router.Gate`) |
-  | `:broadcasts` | false: only what is addressed to it; default true |
-  | `:id_offsets` | system ids of a network plus a number, for a client: `%{network => n}` (`Aerie.Router.Renumber`) |
-  | `:high_latency` | true: only what a link of high latency carries goes to it (X6), unless `:out` says itself which messages may |
+  | `:bytes_per_s` | budget of what goes out to each of its peers; default none, for a serial line its rate |
+  | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`Aerie.Router.ClassQueue`) |
+  | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Output`); default true |
+  | `:sign` | of a client, true: its unsigned frames are trusted, and signed for vehicles that require it (`Aerie.Signing`) |
+  | `:gcs` | of a link: which of its endpoints may command vehicles, `:auto`, `:allow` or `:deny` (`Aerie.Router.CommandGate`) |
+  | `:broadcasts` | false: it gets only frames with its ids as target; default true |
+  | `:id_offsets` | for a client, what is added to the system ids of a network: `%{network => n}` (`Aerie.Router.Renumber`) |
+  | `:high_latency` | true: it gets only what a link of high latency carries (X6), unless `:out` lists the messages |
   """
 
   alias Aerie.Router.Classify
@@ -36,12 +37,13 @@ defmodule Aerie.Router.Owner do
     :limits,
     :renumber,
     :bytes_per_s,
+    :networks,
     side: :vehicle,
     gcs: :auto,
-    networks: ["main"],
     carry: %{},
     role: :full,
     sniffer: false,
+    served: false,
     sign: false,
     queue: [],
     coalesce: true,
@@ -51,7 +53,7 @@ defmodule Aerie.Router.Owner do
     configured: []
   ]
 
-  @typedoc "`in`, `out`, `limits`, `renumber` are compiled; `options` is what it was made of, `configured` what it was made of first."
+  @typedoc "`in`, `out`, `limits`, `renumber` are compiled; `options` are those that it was made of, `configured` those of the configuration."
   @type t :: %__MODULE__{
           id: String.t(),
           group: String.t() | nil,
@@ -66,6 +68,7 @@ defmodule Aerie.Router.Owner do
           carry: %{Classify.class() => String.t() | :all},
           role: :full | :read_only,
           sniffer: boolean,
+          served: boolean,
           sign: boolean,
           queue: keyword,
           coalesce: boolean,
@@ -75,18 +78,27 @@ defmodule Aerie.Router.Owner do
           configured: keyword
         }
 
-  @keys [:side, :networks, :group, :carry, :role, :sniffer, :in, :out, :rate_limits, :bytes_per_s, :queue] ++
+  @keys [
+          :side,
+          :networks,
+          :group,
+          :carry,
+          :role,
+          :sniffer,
+          :served,
+          :in,
+          :out,
+          :rate_limits,
+          :bytes_per_s,
+          :queue
+        ] ++
           [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets, :gcs]
 
-  @doc "The keys of options."
-  @spec keys() :: [atom]
-  def keys, do: @keys
-
-  @doc "Checks and compiles options; the error is words."
+  @doc "Checks and compiles options; the error is a text."
   @spec new(String.t(), keyword | map) :: {:ok, t} | {:error, String.t()}
   def new(id, options) do
     options = Enum.reject(options, fn {_key, value} -> is_nil(value) end)
-    networks = if options[:side] == :client, do: :all, else: ["main"]
+    networks = if options[:side] == :client, do: :all, else: [Aerie.Identity.default_network()]
 
     owner = %__MODULE__{id: id, networks: networks, options: options, configured: options}
 
@@ -96,12 +108,12 @@ defmodule Aerie.Router.Owner do
         {:error, words} -> {:halt, {:error, "#{key}: #{words}"}}
       end
     end)
-    |> whole()
+    |> consistent()
   end
 
-  # Who comes by a radio must sign for himself.
-  defp whole({:ok, %{sign: true, side: :vehicle}}), do: {:error, "sign: only a client can be signed for"}
-  defp whole(result), do: result
+  # A sender behind a radio must sign for itself.
+  defp consistent({:ok, %{sign: true, side: :vehicle}}), do: {:error, "sign: only a client can be signed for"}
+  defp consistent(result), do: result
 
   defp option(:side, side) when side in [:vehicle, :client], do: {:ok, side: side}
   defp option(:role, role) when role in [:full, :read_only], do: {:ok, role: role}
@@ -110,7 +122,7 @@ defmodule Aerie.Router.Owner do
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 
   defp option(key, flag)
-       when key in [:sniffer, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
+       when key in [:sniffer, :served, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
        do: {:ok, [{key, flag}]}
 
   defp option(key, spec) when key in [:in, :out],
@@ -127,7 +139,7 @@ defmodule Aerie.Router.Owner do
   defp option(:networks, [_ | _] = names) do
     if Enum.all?(names, &is_binary/1),
       do: {:ok, networks: Enum.uniq(names)},
-      else: {:error, "names of networks"}
+      else: {:error, "expected names of networks"}
   end
 
   defp option(:carry, carry) when is_map(carry) do
@@ -135,7 +147,7 @@ defmodule Aerie.Router.Owner do
          class in Classify.classes() and (link == :all or is_binary(link))
        end),
        do: {:ok, carry: carry},
-       else: {:error, "classes with links or :all"}
+       else: {:error, "expected classes with a link or :all"}
   end
 
   defp option(:queue, queue) when is_list(queue) do
@@ -144,7 +156,7 @@ defmodule Aerie.Router.Owner do
          &match?({key, n} when key in [:max_frames, :max_bytes, :max_asked] and is_integer(n) and n > 0, &1)
        ),
        do: {:ok, queue: queue},
-       else: {:error, "max_frames, max_bytes and max_asked above 0"}
+       else: {:error, "expected max_frames, max_bytes and max_asked above 0"}
   end
 
   defp option(key, value) when key in @keys, do: {:error, "#{inspect(value, limit: 5)} is not allowed"}

@@ -1,10 +1,10 @@
 defmodule Aerie.Router.RateLimit do
   @moduledoc """
-  How often a message may go out to an endpoint: so many a second, counted for each component that sends it, so that the
-  positions of ten vehicles do not share one allowance.
+  How often a message may go out to an endpoint, counted for each component that sends it, so that the positions of ten vehicles do
+  not share one allowance.
 
-  A value per counted stream: the time from which on the next frame is due. A frame may come half an interval early,
-  since no source is perfectly regular, but over any time no more than the rate (and one) passes.
+  Each stream has one value, the time at which its next frame is due. A frame may pass half an interval early, since no source is
+  perfectly regular, but over any time no more than the rate (and one frame) passes.
   """
 
   alias Aerie.Router.Filter
@@ -14,7 +14,7 @@ defmodule Aerie.Router.RateLimit do
 
   @doc """
   Compiles `%{"ATTITUDE" => 4.0}` (messages by name or id, rates in Hz, above 0 and up to 10,000; 0 stops a message);
-  the error is words.
+  the error is a text.
   """
   @spec compile(%{optional(String.t() | non_neg_integer) => number} | nil) :: {:ok, t} | {:error, String.t()}
   def compile(empty) when empty in [nil, %{}], do: {:ok, nil}
@@ -25,8 +25,8 @@ defmodule Aerie.Router.RateLimit do
            {:hz, true} <- {:hz, is_number(hz) and hz >= 0 and hz <= 10_000} do
         {:cont, {:ok, Map.put(done, id, interval(hz))}}
       else
-        {:id, :error} -> {:halt, {:error, "#{inspect(message, limit: 5)} is no message"}}
-        {:hz, false} -> {:halt, {:error, "#{inspect(hz)} is no rate (0 to 10000 a second)"}}
+        {:id, :error} -> {:halt, {:error, "#{inspect(message, limit: 5)} is not a message"}}
+        {:hz, false} -> {:halt, {:error, "#{inspect(hz)} is not a rate (0 to 10000 a second)"}}
       end
     end)
   end

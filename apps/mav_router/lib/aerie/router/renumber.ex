@@ -1,36 +1,37 @@
 defmodule Aerie.Router.Renumber do
+  @highest 239
+
   @moduledoc """
-  System ids of a network shown to a client with a number added: all vehicles of a hub with many radios have id 1, and one
-  ground station is to see them all at once.
+  Adds a number to the system ids of a network for one client: the vehicles of a hub with many radios may all have id 1, and one
+  ground station is to see them all.
 
-  It breaks R3 (forwarded bytes are never changed), so it is done for clients that ask for it (`id_offsets`) and for those
-  networks only; what passes between vehicles, to sessions and to other clients is as it was received.
+  This breaks R3 (forwarded bytes are never changed), so it is done only for clients that ask for it (`id_offsets`), and for the
+  networks that they name. Frames between vehicles, to sessions and to other clients are as they were received.
 
-  | what | on its way to the client | on its way to the vehicle |
+  | what | on its path to the client | on its path to the vehicle |
   |---|---|---|
-  | source | of 1 to #{239}, but for a SiK radio's own reports (51/68): plus the offset | as it is |
-  | `target_system` | of 1 to #{239}, unless that is somebody at the client's end: plus the offset | less the offset, where there is such a system |
-  | the rest of the payload | as it is: an id in a parameter of a command (the leader to follow, say) is not found out | |
-  | CRC | corrected by what the change makes of it, so that a frame that was wrong stays wrong | the same |
+  | source | of 1 to #{@highest}, except a SiK radio's own reports (51/68): plus the offset | unchanged |
+  | `target_system` | of 1 to #{@highest}, unless that system is at the client's end: plus the offset | less the offset, where there is such a system |
+  | the rest of the payload | unchanged: an id in a parameter of a command (the leader to follow, say) is not recognised | the same |
+  | CRC | corrected by the difference, so that a wrong CRC stays wrong | the same |
 
-  Not possible, so refused and counted (`refused` at the client's end): signed frames (the signature covers the ids),
-  32-bit ids, and what would come out above #{239}. Ids from 240 on are ground stations' and this gateway's own.
+  Signed frames (the signature covers the ids), 32-bit ids and ids that would exceed #{@highest} cannot be renumbered: such frames are
+  refused and counted at the client (`refused`). Higher ids are those of ground stations and of this gateway.
   """
 
   import Bitwise
 
-  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.ForwardingTable.Path
   alias MavCodec.CRC
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
 
-  @highest 239
   @long_ids 0x06
 
-  @typedoc "By network; those that are not there are shown as they are."
+  @typedoc "Offsets by network; the others have none."
   @type t :: %{String.t() => pos_integer} | nil
 
-  @doc "Checks offsets; the error is words. None: nil."
+  @doc "Checks offsets, nil for none; the error is a text."
   @spec compile(%{String.t() => non_neg_integer} | nil) :: {:ok, t} | {:error, String.t()}
   def compile(nil), do: {:ok, nil}
 
@@ -43,18 +44,18 @@ defmodule Aerie.Router.Renumber do
         {:ok, if(kept == %{}, do: nil, else: kept)}
 
       wrong ->
-        {:error, "#{inspect(wrong, limit: 5)} is no network with a number of 0 to #{@highest - 1}"}
+        {:error, "#{inspect(wrong, limit: 5)} is not a network with a number of 0 to #{@highest - 1}"}
     end
   end
 
-  def compile(other), do: {:error, "networks with numbers, not #{inspect(other, limit: 5)}"}
+  def compile(other), do: {:error, "expected networks with numbers, not #{inspect(other, limit: 5)}"}
 
-  @doc "The id under which a client with these offsets sees a system of a network."
+  @doc "The id that a client with these offsets sees for a system of a network."
   @spec seen(t, String.t(), non_neg_integer) :: non_neg_integer
   def seen(nil, _network, system), do: system
   def seen(offsets, network, system), do: shift(system, Map.get(offsets, network, 0))
 
-  @doc "The system of a network that a client with these offsets means by an id; nil when it can mean none."
+  @doc "The system of a network that a client with these offsets means by an id; nil for none."
   @spec meant(t, String.t(), non_neg_integer) :: non_neg_integer | nil
   def meant(nil, _network, id), do: id
   def meant(_offsets, _network, id) when id > @highest or id == 0, do: id
@@ -67,10 +68,9 @@ defmodule Aerie.Router.Renumber do
   end
 
   @doc """
-  A vehicle's frame as the client sees it. `theirs?` tells whether a system is at the client's end. `:refused` for what
-  cannot be changed.
+  A vehicle's frame as the client sees it, or `:refused`. `theirs?` tells whether a system is at the client's end.
   """
-  @spec outward(t, Way.t(), Frame.t(), (non_neg_integer -> boolean)) :: {:ok, Frame.t()} | :refused
+  @spec outward(t, Path.t(), Frame.t(), (non_neg_integer -> boolean)) :: {:ok, Frame.t()} | :refused
   def outward(offsets, %{networks: networks}, frame, theirs?) do
     case Enum.find_value(networks, 0, &offsets[&1]) do
       0 -> {:ok, frame}
@@ -88,7 +88,7 @@ defmodule Aerie.Router.Renumber do
         {system, _component} when system in 1..@highest ->
           if theirs?.(system), do: system, else: shift(system, offset)
 
-        _nobody_or_a_station ->
+        _none_or_a_station ->
           nil
       end
 
@@ -98,11 +98,11 @@ defmodule Aerie.Router.Renumber do
   defp shift(system, offset) when system in 1..@highest, do: system + offset
   defp shift(system, _offset), do: system
 
-  @doc "A client's frame with this system as its addressee."
+  @doc "A client's frame with this system as its target."
   @spec inward(Frame.t(), non_neg_integer) :: {:ok, Frame.t()} | :refused
   def inward(frame, system), do: change(frame, frame.system, system)
 
-  # `nil` for a target that stays.
+  # A target of nil stays as it is.
   defp change(frame, source, target) do
     changes =
       for {at, new} <- [{system_at(frame), source}, {target_at(frame), target}],
@@ -120,7 +120,7 @@ defmodule Aerie.Router.Renumber do
   defp system_at(%{version: 1}), do: 3
   defp system_at(_v2), do: 5
 
-  # Bytes that were cut off are zero, and nobody's id.
+  # Bytes that were cut off are zero, which is no id.
   defp target_at(frame) do
     case All.targets(frame.id) do
       {at, _component} when is_integer(at) and at < byte_size(frame.payload) -> header(frame) + at
@@ -131,7 +131,7 @@ defmodule Aerie.Router.Renumber do
   defp header(%{version: 1}), do: 6
   defp header(_v2), do: 10
 
-  # The CRC is linear: what a change of bytes makes of it is the CRC, begun at 0, of the difference.
+  # The CRC is linear: a change of bytes changes it by the CRC of the difference, computed from 0.
   defp changed(frame, changes) do
     crc_at = header(frame) + byte_size(frame.payload)
     {first, _new} = hd(changes)

@@ -1,20 +1,18 @@
 defmodule Aerie.Router.Routes do
   @moduledoc """
-  Which way a system is reached: learned from every frame's source, by link and peer, with the time of the last one (R1).
+  The endpoints by which components are reached: learned from the source of every frame, with the time of the last one (R1).
 
-  System ids are integers of up to 32 bits (N3) and belong to a network: two fleets of id 1 on two networks never meet.
-  Times are monotonic ms. At most #{16_384} routes are kept; one that was not heard for five minutes is swept.
-
-  A component that is addressed but never talks (a vehicle's log at component 155, R9) is reached where its system was
-  heard.
+  System ids are integers of up to 32 bits (N3) and belong to a network: the routes of two networks never meet. Times are
+  monotonic ms. A component that is addressed but never talks (a vehicle's log at component 155, R9) is reached where its
+  system was heard.
   """
 
+  alias Aerie.Router.Endpoint
   alias Aerie.Router.Tables
 
   @max_routes 16_384
   @ttl_ms 300_000
 
-  @type way :: {link :: String.t(), peer :: term}
   @type route :: %{
           network: String.t(),
           system: non_neg_integer,
@@ -25,8 +23,10 @@ defmodule Aerie.Router.Routes do
           known_ms: non_neg_integer
         }
 
-  @doc "Notes that a component was heard. `:new` the first time, `:full` when there is no room for a new route."
-  @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, way, integer) :: :ok | :new | :full
+  @doc """
+  Notes that a component was heard. `:new` the first time; `:full` when there are #{@max_routes} routes already.
+  """
+  @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, Endpoint.key(), integer) :: :ok | :new | :full
   def learn(tables, network, system, component, {link, peer}, now) do
     key = {network, system, component, link, peer}
 
@@ -44,10 +44,10 @@ defmodule Aerie.Router.Routes do
   end
 
   @doc """
-  The way most recently heard of a system, or of one of its components where that is heard at all. `:link` in `options`
-  asks for ways by one link only.
+  The endpoint by which a system was heard last, or one of its components (`:component`), where that is heard at all. `:link`
+  in `options` asks for the endpoints of one link only.
   """
-  @spec best(Tables.t(), {String.t(), non_neg_integer}, keyword) :: way | nil
+  @spec best(Tables.t(), {String.t(), non_neg_integer}, keyword) :: Endpoint.key() | nil
   def best(tables, {network, system}, options \\ []) do
     component = Keyword.get(options, :component, 0)
     link = Keyword.get(options, :link, :_)
@@ -64,13 +64,13 @@ defmodule Aerie.Router.Routes do
 
     case found do
       [] -> nil
-      ways -> ways |> Enum.max() |> then(fn {_heard, link, peer} -> {link, peer} end)
+      endpoints -> endpoints |> Enum.max() |> then(fn {_heard, link, peer} -> {link, peer} end)
     end
   end
 
-  @doc "Every way by which a system (or one component of it) was heard, the most recent first."
-  @spec ways(Tables.t(), {String.t(), non_neg_integer}, 0..255 | :any) :: [way]
-  def ways(tables, {network, system}, component \\ :any) do
+  @doc "Every endpoint by which a system (or one component of it) was heard, the most recent first."
+  @spec endpoints(Tables.t(), {String.t(), non_neg_integer}, 0..255 | :any) :: [Endpoint.key()]
+  def endpoints(tables, {network, system}, component \\ :any) do
     component = if component == :any, do: :_, else: component
 
     tables.routes
@@ -80,7 +80,7 @@ defmodule Aerie.Router.Routes do
     |> Enum.uniq()
   end
 
-  @doc "Whether a system is heard at all."
+  @doc "Whether a system is heard by any endpoint."
   @spec known?(Tables.t(), {String.t(), non_neg_integer}) :: boolean
   def known?(tables, {network, system}) do
     # The first key after all that are smaller.
@@ -88,13 +88,13 @@ defmodule Aerie.Router.Routes do
   end
 
   @doc "Whether a system is heard by an endpoint."
-  @spec heard?(Tables.t(), {String.t(), non_neg_integer}, way) :: boolean
+  @spec heard?(Tables.t(), {String.t(), non_neg_integer}, Endpoint.key()) :: boolean
   def heard?(tables, {network, system}, {link, peer}) do
     :ets.select_count(tables.routes, [{{{network, system, :_, link, peer}, :_, :_}, [], [true]}]) > 0
   end
 
-  @doc "When a system was heard last by an endpoint (monotonic ms, a quarter of a second exact), nil for never."
-  @spec heard(Tables.t(), {String.t(), non_neg_integer}, way) :: integer | nil
+  @doc "When a system was heard last by an endpoint (monotonic ms, to a quarter of a second), nil for never."
+  @spec heard(Tables.t(), {String.t(), non_neg_integer}, Endpoint.key()) :: integer | nil
   def heard(tables, {network, system}, {link, peer}) do
     case :ets.select(tables.routes, [{{{network, system, :_, link, peer}, :"$1", :_}, [], [:"$1"]}]) do
       [] -> nil
@@ -103,12 +103,12 @@ defmodule Aerie.Router.Routes do
   end
 
   @doc "Whether a component is heard by an endpoint."
-  @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, way) :: boolean
+  @spec talks?(Tables.t(), {String.t(), non_neg_integer, 0..255}, Endpoint.key()) :: boolean
   def talks?(tables, {network, system, component}, {link, peer}),
     do: :ets.member(tables.routes, {network, system, component, link, peer})
 
   @doc "The systems that are heard, and by whom, by network."
-  @spec systems(Tables.t()) :: %{String.t() => [{system :: non_neg_integer, way}]}
+  @spec systems(Tables.t()) :: %{String.t() => [{system :: non_neg_integer, Endpoint.key()}]}
   def systems(tables) do
     tables.routes
     |> :ets.select([
@@ -134,7 +134,7 @@ defmodule Aerie.Router.Routes do
     end
   end
 
-  @doc "Forgets all routes of a system: it rebooted (R6) or is no more."
+  @doc "Forgets all routes of a system: it rebooted (R6) or is gone."
   @spec clear(Tables.t(), {String.t(), non_neg_integer}) :: :ok
   def clear(tables, {network, system}) do
     true = :ets.match_delete(tables.routes, {{network, system, :_, :_, :_}, :_, :_})
@@ -149,7 +149,7 @@ defmodule Aerie.Router.Routes do
   end
 
   @doc "Forgets one route."
-  @spec drop(Tables.t(), {String.t(), non_neg_integer, 0..255}, way) :: :ok
+  @spec drop(Tables.t(), {String.t(), non_neg_integer, 0..255}, Endpoint.key()) :: :ok
   def drop(tables, {network, system, component}, {link, peer}) do
     true = :ets.delete(tables.routes, {network, system, component, link, peer})
     :ok
@@ -158,7 +158,7 @@ defmodule Aerie.Router.Routes do
   @doc "Forgets all routes by a link, or by one of its peers."
   @spec forget(Tables.t(), String.t(), term) :: :ok
   def forget(tables, link, peer \\ :_) do
-    # Peers come and go while others are heard: what is theirs is found without a look at everybody else's.
+    # Peers come and go while others are heard: their routes are found without a look at everybody else's.
     for {{link, peer, network, system, component}} = entry <-
           :ets.match_object(tables.heard_by, {{link, peer, :_, :_, :_}}) do
       :ets.delete(tables.routes, {network, system, component, link, peer})
@@ -168,7 +168,7 @@ defmodule Aerie.Router.Routes do
     :ok
   end
 
-  @doc "Forgets routes that were not heard for `ttl` ms; how many."
+  @doc "Forgets routes by which nothing was heard for `ttl` ms (#{div(@ttl_ms, 60_000)} minutes); how many."
   @spec sweep(Tables.t(), integer, pos_integer) :: non_neg_integer
   def sweep(tables, now, ttl \\ @ttl_ms) do
     swept = :ets.select_delete(tables.routes, [{{:_, :"$1", :_}, [{:<, :"$1", now - ttl}], [true]}])
@@ -176,7 +176,7 @@ defmodule Aerie.Router.Routes do
     swept
   end
 
-  # Routes that were forgotten by their system's name are still among those of who brought them.
+  # Routes that were forgotten by system still have their entry by endpoint.
   defp tidy(tables) do
     for {{link, peer, network, system, component}} = entry <- :ets.tab2list(tables.heard_by),
         not :ets.member(tables.routes, {network, system, component, link, peer}),

@@ -1,13 +1,13 @@
 defmodule Aerie.Router.Rules do
   @moduledoc """
-  Rules of links and clients that were changed while they run (`Aerie.Router.configure/3`): checked, remembered by
-  `Aerie.Store`, listed and undone.
+  Rules of links and clients that are changed while these run (`Aerie.Router.configure/3`): checked, remembered by `Aerie.Store`,
+  listed and undone.
 
-  What is remembered are the changes, not their result: a process of the link that is started again, or a restart of the
-  router, begins with what the configuration says (`configured` of an owner) and applies them once more. They are
-  forgotten with the link or client, by `reset/3`, and with the gateway.
+  The changes are remembered, not their result: after a restart of the link's process or of the router they are applied to the
+  configuration (`configured` of an owner) once more. They are forgotten with the link or client, by `reset/3`, and with the gateway.
   """
 
+  alias Aerie.Error
   alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Router.Endpoints
@@ -15,21 +15,21 @@ defmodule Aerie.Router.Rules do
   alias Aerie.Router.Settings
   alias Aerie.Router.Tables
 
-  @typedoc "By key of the configuration: what holds now, nil for nothing."
+  @typedoc "What holds now, by key of the configuration; nil for no rule."
   @type changes :: %{atom => term}
 
-  @doc "An owner as it is configured, with the changes that are remembered for it."
+  @doc "An owner as configured, with its remembered changes."
   @spec restore(Names.gateway(), Owner.t()) :: Owner.t()
   def restore(gateway, owner) do
     case apply_to(owner, changes(gateway, owner.id)) do
       {:ok, owner} -> owner
-      # It is configured otherwise than it was, and the change does not fit any more.
-      {:error, _words} -> owner
+      # The configuration was changed meanwhile, and the remembered change does not fit any more.
+      {:error, _error} -> owner
     end
   end
 
-  @doc "Changes rules; those that are not named stay. The error is words, and nothing was changed then."
-  @spec change(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, String.t()}
+  @doc "Changes rules; the others stay. After an error nothing was changed."
+  @spec change(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Error.t()}
   def change(gateway, id, changes) do
     with {:ok, changes} <- known(Map.new(changes)),
          {:ok, tables, owner} <- owner(gateway, id) do
@@ -38,7 +38,7 @@ defmodule Aerie.Router.Rules do
   end
 
   @doc "Undoes changes: of these keys, or all."
-  @spec reset(Names.gateway(), String.t(), [atom] | :all) :: :ok | {:error, String.t()}
+  @spec reset(Names.gateway(), String.t(), [atom] | :all) :: :ok | {:error, Error.t()}
   def reset(gateway, id, keys \\ :all) do
     with {:ok, tables, owner} <- owner(gateway, id) do
       put(gateway, tables, owner, if(keys == :all, do: %{}, else: Map.drop(changes(gateway, id), keys)))
@@ -46,8 +46,7 @@ defmodule Aerie.Router.Rules do
   end
 
   @doc """
-  What differs from the configuration: `%{id => %{key => %{now: value, configured: value}}}`, with nil for a rule that is
-  not there.
+  What differs from the configuration: `%{id => %{key => %{now: value, configured: value}}}`, with nil for no rule.
   """
   @spec list(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
   def list(gateway) do
@@ -67,10 +66,10 @@ defmodule Aerie.Router.Rules do
     |> Map.reject(fn {_key, %{now: now, configured: configured}} -> now == configured end)
   end
 
-  # Options are kept in the form of the router; a key of the configuration is given back in its own.
+  # Owners keep options; the configuration has another form.
   defp configured(owner, key), do: Settings.key(key, owner.configured)
 
-  @doc "Forgets the changes of an owner that is no more."
+  @doc "Forgets the changes of an owner that is gone."
   @spec forget(Names.gateway(), String.t()) :: :ok
   def forget(gateway, id) do
     # Nearly always there are none; and at the very end there may be no store.
@@ -96,10 +95,12 @@ defmodule Aerie.Router.Rules do
          options = owner.configured |> Keyword.drop(gone) |> Keyword.merge(options, &merged/3),
          {:ok, changed} <- Owner.new(owner.id, options) do
       {:ok, %{changed | configured: owner.configured}}
+    else
+      {:error, text} -> Error.new({:invalid, text})
     end
   end
 
-  # Two keys of the configuration make one option.
+  # Several keys of the configuration make one option.
   defp merged(:queue, configured, changed), do: Keyword.merge(configured, changed)
   defp merged(_key, _configured, changed), do: changed
 
@@ -108,7 +109,7 @@ defmodule Aerie.Router.Rules do
   defp known(changes) do
     case Map.keys(changes) -- Settings.changeable() do
       [] -> {:ok, changes}
-      [key | _] -> {:error, "#{inspect(key)} is no rule that can be changed while it runs"}
+      [key | _] -> Error.new({:invalid, "#{inspect(key)} is not a rule that can be changed at run time"})
     end
   end
 
@@ -116,7 +117,7 @@ defmodule Aerie.Router.Rules do
     with tables when is_map(tables) <- Tables.of(gateway), %Owner{} = owner <- Endpoints.owner(tables, id) do
       {:ok, tables, owner}
     else
-      nil -> {:error, "there is no link and no client #{id}"}
+      nil -> Error.new({:unknown, :owner, id})
     end
   end
 end

@@ -1,8 +1,9 @@
 defmodule Aerie.Router.Settings do
   @moduledoc """
-  From the keys of the configuration (`links` and `clients`, see `config/gateway.example.yaml`) to the rules of an owner.
-  Everything is checked here: whoever adds a client at run time hears the same words as whoever wrote a file.
+  From the keys of the configuration (`links` and `clients`, see `config/gateway.example.yaml`) to the rules of an owner. All checks
+  are here, so a client that is added at run time gets the same error messages as one in a file.
   """
+  use Aerie.Settings
 
   alias Aerie.Router.Classify
   alias Aerie.Router.Owner
@@ -12,6 +13,7 @@ defmodule Aerie.Router.Settings do
     :group,
     :role,
     :sniffer,
+    :served,
     :rate_limits,
     :bytes_per_s,
     :broadcasts,
@@ -20,6 +22,18 @@ defmodule Aerie.Router.Settings do
     :sign,
     :gcs
   ]
+
+  part :identity, Aerie.Identity.Settings
+
+  section "router", "How frames go from one to the other."
+
+  setting :between_vehicles,
+          {:enum, [:auto, :all, :heartbeats, :none]},
+          """
+          Which broadcasts of other vehicles a vehicle gets: all, heartbeats, none; auto: all in networks of at most 8
+          vehicles, heartbeats up to 32, else none. Frames with a vehicle as their target always go there.
+          """,
+          default: :auto
 
   @doc "The options of `Owner.new/2` that a map of configuration keys has; keys that are left out or nil have none."
   @spec owner_options(map) :: {:ok, keyword} | {:error, String.t()}
@@ -49,7 +63,7 @@ defmodule Aerie.Router.Settings do
   @spec empty?(term) :: boolean
   def empty?(value), do: value in [nil, [], %{}]
 
-  @doc "What options say about a key of the configuration, in the form of the configuration; nil for nothing."
+  @doc "The value of a configuration key that options have, in the form of the configuration; nil for none."
   @spec key(atom, keyword) :: term
   def key(:queue_frames, options), do: options[:queue][:max_frames]
 
@@ -66,7 +80,7 @@ defmodule Aerie.Router.Settings do
 
   def key(key, options), do: options[option(key)]
 
-  @doc "The rule that a key of the configuration is about."
+  @doc "The option of `Owner.new/2` that a configuration key sets."
   @spec option(atom) :: atom
   def option(:filter_in), do: :in
   def option(:filter_out), do: :out
@@ -88,13 +102,16 @@ defmodule Aerie.Router.Settings do
   defp carry(map) do
     Enum.reduce_while(map, {:ok, %{}}, fn {name, link}, {:ok, carry} ->
       case Classify.parse(to_string(name)) do
-        nil -> {:halt, {:error, "carry: #{inspect(name)} is none of #{Enum.join(Classify.classes(), ", ")}"}}
-        class -> {:cont, {:ok, Map.put(carry, class, if(link in ["all", :all], do: :all, else: link))}}
+        nil ->
+          {:halt, {:error, "carry: #{inspect(name)} is not one of #{Enum.join(Classify.classes(), ", ")}"}}
+
+        class ->
+          {:cont, {:ok, Map.put(carry, class, if(link in ["all", :all], do: :all, else: link))}}
       end
     end)
   end
 
-  @doc "What is wrong with the rules of a link or client, in words; nil when nothing is."
+  @doc "The error in the rules of a link or client, as a text; nil when there is none."
   @spec wrong(map) :: String.t() | nil
   def wrong(map) do
     with {:ok, options} <- owner_options(map), {:ok, _owner} <- Owner.new("any", options) do

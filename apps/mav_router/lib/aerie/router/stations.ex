@@ -1,20 +1,21 @@
 defmodule Aerie.Router.Stations do
-  @moduledoc """
-  Everything on a network that sends heartbeats and is no vehicle: ground stations, on-board computers, trackers. A table of
-  the store, written by the router (`hear/3`) for heartbeats of links and of clients alike, read once a second by the
-  vehicles' sessions: a vehicle hears what is on its network, so these are the ones that may keep its failsafe quiet (H5).
-
-  At most #{1_024} are kept; one that was not heard for ten minutes makes room for a new one. When the machine's clock is
-  set, what was heard live was heard as long ago as before (`Aerie.HostClock`).
-  """
-
-  alias Aerie.Store
-  alias Aerie.HostClock
-  alias Aerie.Names
-
   @max_stations 1_024
   @forget_us 600_000_000
-  # A frame that came by a live link has a time that is about now.
+
+  @moduledoc """
+  Everything on a network that sends heartbeats and is no vehicle: ground stations, on-board computers, trackers. The router writes
+  them into a table of the store (`hear/3`), for heartbeats of links and of clients; the vehicles' sessions read it once a second,
+  since what a vehicle hears on its network may keep its failsafe from triggering (H5).
+
+  At most #{@max_stations} are kept; one that was not heard for #{div(@forget_us, 60_000_000)} minutes makes room for a new one. When
+  the machine's clock is set, a station that was heard live stays as old as it was (`Aerie.HostClock`).
+  """
+
+  alias Aerie.HostClock
+  alias Aerie.Store
+  alias Aerie.Names
+
+  # A frame that came by a live link has a time close to now.
   @live_us 10_000_000
 
   @typedoc """
@@ -30,7 +31,7 @@ defmodule Aerie.Router.Stations do
           last_heard: integer()
         }
 
-  @doc "Notes a heartbeat; one without a time came now. `:ok` also when it could not be kept; that is counted as `{:stations, :dropped}`."
+  @doc "Notes a heartbeat; one without a time came now. One that cannot be kept is counted as `{:stations, :dropped}`."
   @spec hear(Names.gateway(), network :: String.t(), station()) :: :ok
   def hear(gateway, network, %{last_heard: nil} = station),
     do: hear(gateway, network, %{station | last_heard: System.os_time(:microsecond)})
@@ -48,13 +49,21 @@ defmodule Aerie.Router.Stations do
     end
   end
 
-  # The offset of the clocks under which it was heard; nil for a time that is not this machine's.
+  @doc "How many stations are kept."
+  @spec max() :: pos_integer()
+  def max, do: @max_stations
+
+  @doc "How long a station is silent before another one may take its place, in microseconds."
+  @spec forget_us() :: pos_integer()
+  def forget_us, do: @forget_us
+
+  # The offset of the clocks when it was heard; nil for a time that is not this machine's.
   defp live(at) do
     now = System.os_time(:microsecond)
     if abs(now - at) < @live_us, do: now - System.monotonic_time(:microsecond)
   end
 
-  # One from long after is from before the clock was set back.
+  # A time far in the future is from before the clock was set back.
   defp room?(table, now) do
     :ets.info(table, :size) < @max_stations or
       :ets.select_delete(table, [
@@ -68,11 +77,10 @@ defmodule Aerie.Router.Stations do
   def list(gateway, network) do
     offset = HostClock.offset()
 
-    Store.with_table(gateway, :stations, [], fn table ->
-      for {live, station} <-
-            :ets.select(table, [{{{network, :_, :_}, :_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}]),
-          do: moved(station, live, offset)
-    end)
+    of_network = [{{{network, :_, :_}, :_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}]
+
+    for {live, station} <- Store.with_table(gateway, :stations, [], &:ets.select(&1, of_network)),
+        do: moved(station, live, offset)
   end
 
   defp moved(station, nil, _offset), do: station

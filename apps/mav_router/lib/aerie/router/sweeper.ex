@@ -1,13 +1,13 @@
 defmodule Aerie.Router.Sweeper do
-  @moduledoc "Sweeps old routes, refusals, rate limits' and load notes out of the router's tables, every ten seconds."
+  @every_ms 10_000
+
+  @moduledoc "Removes what is old from the router's tables, every #{div(@every_ms, 1_000)} s: routes, refusals, rate limits, loads."
   use GenServer
 
-  alias Aerie.Successor
   alias Aerie.Names
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
 
-  @every_ms 10_000
   @load_ttl_ms 60_000
   @limit_ttl_us 60_000_000
   @max_limits 65_536
@@ -15,8 +15,7 @@ defmodule Aerie.Router.Sweeper do
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    name = Names.via(gateway, :router_sweeper)
-    Successor.start(fn -> GenServer.start_link(__MODULE__, gateway, name: name) end)
+    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_sweeper))
   end
 
   @impl GenServer
@@ -37,13 +36,13 @@ defmodule Aerie.Router.Sweeper do
     {:noreply, gateway}
   end
 
-  def handle_info({:pulse, pulse, tag}, gateway) do
-    # A loop that turns says so (`Aerie.Identity.Pulse`).
-    send(pulse, {:alive, tag, self()})
+  # The answer that `Aerie.Identity.Watchdog` waits for.
+  def handle_info({:watchdog, watchdog, tag}, gateway) do
+    send(watchdog, {:alive, tag, self()})
     {:noreply, gateway}
   end
 
-  @doc "One sweep at a monotonic time in ms; how many routes went."
+  @doc "One sweep at a monotonic time in ms; gives how many routes it removed."
   @spec sweep(Tables.t(), integer) :: non_neg_integer
   def sweep(tables, now) do
     :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
@@ -53,7 +52,7 @@ defmodule Aerie.Router.Sweeper do
     Routes.sweep(tables, now)
   end
 
-  # Streams that ended; and all, should somebody invent sources faster than they end.
+  # Streams that ended; all of them, if somebody invents sources faster than they end.
   defp limits(table, before) do
     :ets.select_delete(table, [{{:_, :"$1"}, [{:<, :"$1", before}], [true]}])
     if :ets.info(table, :size) > @max_limits, do: :ets.delete_all_objects(table)

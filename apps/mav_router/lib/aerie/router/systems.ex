@@ -1,12 +1,11 @@
 defmodule Aerie.Router.Systems do
   @moduledoc """
-  Everything that sent a heartbeat: vehicles, ground stations, radios, gimbals, kept in `Aerie.Store.systems/1`
-  under `{network, system}` as
+  Everything that sends heartbeats: vehicles, ground stations, radios, gimbals; kept in `Aerie.Store.systems/1` under
+  `{network, system}` as
 
       %{last_heard: us, vehicle: boolean, components: %{component => %{role, type, autopilot, link, last_heard}}}
 
-  Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat
-  mends that.
+  Two links that hear one system at the same moment may overwrite each other's note of a component; the next heartbeat corrects that.
   """
 
   alias Aerie.Router.Stations

@@ -1,26 +1,25 @@
 defmodule Aerie.Router.Tables do
+  @max_changes 1_024
+
   @moduledoc """
-  The router's ETS tables. `Aerie.Router.Supervisor` owns them (it runs no code of its own that could fail), everyone
-  reads and writes them directly, and they are found through the supervisor's name.
+  The router's ETS tables. `Aerie.Router.Supervisor` owns them (it runs no code of its own that could fail); everyone reads and
+  writes them directly and finds them through the supervisor's name.
 
   - `:routes` `{{network, system, component, owner, peer}, heard_ms, since_ms}`
   - `:endpoints` `{{owner, peer}, Endpoint}` and `:owners` `{owner, Owner}`: where frames can go, and by which rules
-  - `:seen` what `Dedupe` remembers, `:limits` what `RateLimit` does
-  - `:clients` `{id, snapshot}` of client endpoints, `:scores` what `Meter` measured
+  - `:seen` for `Dedupe`, `:limits` for `RateLimit`
+  - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
-  - `:refused`, `:waiting` `{vehicle_key, until_ms}`: vehicles that found no place; those that are being made
+  - `:refused`, `:waiting` `{vehicle_key, until_ms}`: vehicles for which there was no room; those that are being started
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
-  - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, of the last #{1_024} times
-  - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by who brings them
+  - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
+  - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
 
-  `generation` is a counter that moves whenever an endpoint, an owner or the set of ways to a system changes. Processes
-  that forward keep what they worked out from these tables for as long as it stands still. `id` tells them from the tables
-  of an earlier life.
+  `generation` counts two things: changes of endpoints and owners, and changes of routes that concern others. Forwarding processes
+  keep what they worked out from these tables for as long as it stands still. `id` tells the tables from those before a restart.
   """
 
   alias Aerie.Names
-
-  @max_changes 1_024
 
   @type t :: %{
           routes: :ets.table(),
@@ -38,17 +37,20 @@ defmodule Aerie.Router.Tables do
           settings: :ets.table(),
           vehicles: module | nil,
           requests: module | nil,
+          policy: module | nil,
+          readings: module | nil,
           generation: :atomics.atomics_ref(),
           id: reference
         }
 
   @doc """
-  Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`. `:vehicles` and `:requests` are the
-  modules of `Aerie.Router.Vehicles` and `Aerie.Router.Requests`.
+  Makes the tables, owned by the calling process, whose name is `{gateway, :router, nil}`. `:vehicles`, `:requests`,
+  `:policy` and `:readings` are the modules of `Aerie.Router.Vehicles`, `Aerie.Router.Requests`, `Aerie.Router.Policy` and
+  `Aerie.Router.Readings`.
   """
   @spec create(Names.gateway(), keyword, keyword) :: t
   def create(gateway, settings, modules \\ []) do
-    # Links ask for the sizes of some. Of decentralized counters, an ordered set's default, that waits for all schedulers.
+    # Links ask for the sizes of some. With decentralized counters, an ordered set's default, that waits for all schedulers.
     shared = [:public, write_concurrency: true, read_concurrency: true, decentralized_counters: false]
 
     tables = %{
@@ -69,6 +71,8 @@ defmodule Aerie.Router.Tables do
       settings: :ets.new(:settings, [:set, :public, read_concurrency: true]),
       vehicles: modules[:vehicles],
       requests: modules[:requests],
+      policy: modules[:policy],
+      readings: modules[:readings],
       generation: :atomics.new(2, signed: false),
       id: make_ref()
     }
@@ -87,8 +91,8 @@ defmodule Aerie.Router.Tables do
   def setting(tables, name, default), do: :ets.lookup_element(tables.settings, name, 2, default)
 
   @doc """
-  Tells every process that forwards to look again: at one endpoint, or at all of them and their owners' rules. Told after
-  the change is in the tables.
+  Has every forwarding process read again: one endpoint, or all of them and their owners' rules. Called after the change is in the
+  tables.
   """
   @spec changed(t, Aerie.Router.Endpoint.key() | :all) :: :ok
   def changed(tables, what \\ :all) do
@@ -99,8 +103,8 @@ defmodule Aerie.Router.Tables do
   end
 
   @doc """
-  The endpoints that changed after one generation and up to another; `:all` when it was more than endpoints, or too long
-  ago, or when one that made a change has not yet said which.
+  The endpoints that changed after one generation and up to another. `:all` when more than endpoints changed, when it was too long
+  ago, or when the process that made a change has not said which yet.
   """
   @spec changes(t, non_neg_integer, non_neg_integer) :: [Aerie.Router.Endpoint.key()] | :all
   def changes(_tables, from, to) when to - from > div(@max_changes, 4), do: :all
@@ -112,15 +116,15 @@ defmodule Aerie.Router.Tables do
     if :all in changes, do: :all, else: Enum.uniq(changes)
   end
 
-  @doc "The generation just now."
+  @doc "The present generation."
   @spec generation(t) :: non_neg_integer
   def generation(tables), do: :atomics.get(tables.generation, 1)
 
-  @doc "Tells every process that forwards that somebody is heard by one more endpoint."
+  @doc "Has every forwarding process work out the receivers of its sources again: routes have changed."
   @spec rerouted(t) :: :ok
   def rerouted(tables), do: :atomics.add(tables.generation, 2, 1)
 
-  @doc "How often that was told."
+  @doc "How often `rerouted/1` was called."
   @spec routed(t) :: non_neg_integer
   def routed(tables), do: :atomics.get(tables.generation, 2)
 end

@@ -1,7 +1,7 @@
 defmodule Aerie.Signing.Alarm do
   @moduledoc """
-  Tells of bursts of refused frames (`Aerie.Signing.Burst`): a telemetry event, a counter, and an event
-  `signing.rejected` of the vehicle that they claim to come from, if that is known.
+  Reports bursts of refused frames (`Aerie.Signing.Burst`): telemetry, a counter, a line in the log, and an event
+  `signing.rejected` of the vehicle that they claim to come from, if it is known.
   """
 
   alias Aerie.{Names, Store}
@@ -10,7 +10,7 @@ defmodule Aerie.Signing.Alarm do
   require Logger
 
   @max_sources 1024
-  # However many sources somebody invents.
+  # For each link, however many sources somebody invents.
   @every_ms 1_000
 
   @doc "`n` frames of a source were refused."
@@ -27,14 +27,14 @@ defmodule Aerie.Signing.Alarm do
     key = {link, system, component}
 
     burst =
-      case :ets.lookup(tables.bad, key) do
+      case :ets.lookup(tables.bursts, key) do
         [{_key, burst}] -> burst
-        [] -> if :ets.info(tables.bad, :size) < @max_sources, do: Burst.new()
+        [] -> if :ets.info(tables.bursts, :size) < @max_sources, do: Burst.new()
       end
 
     if burst do
       {burst, verdict} = Burst.add(burst, reason, n, System.monotonic_time(:millisecond))
-      :ets.insert(tables.bad, {key, burst})
+      :ets.insert(tables.bursts, {key, burst})
       raise_alarm(verdict, gateway, source, {system, component}, at)
     end
 
@@ -64,7 +64,7 @@ defmodule Aerie.Signing.Alarm do
       )
 
       Logger.warning(
-        "link #{source.id}: frames that claim to be of #{system}/#{component} are refused: " <>
+        "link #{source.id}: frames that claim to come from #{system}/#{component} are refused: " <>
           Enum.map_join(reasons, ", ", fn {reason, n} -> "#{n} #{reason}" end)
       )
 
@@ -74,7 +74,7 @@ defmodule Aerie.Signing.Alarm do
     :ok
   end
 
-  # Nobody to tell for a vehicle that is not known: then there is the telemetry, the log, and the link's snapshot.
+  # A vehicle that is not known has no events.
   defp event(gateway, %{id: link, network: network}, {system, component}, reasons, at) do
     data = %{
       "link" => link,

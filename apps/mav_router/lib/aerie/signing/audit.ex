@@ -1,8 +1,7 @@
 defmodule Aerie.Signing.Audit do
   @moduledoc """
-  Who gave which vehicle a key or took it away, by which link, and whether that was seen to work: an event of the vehicle
-  (`signing.enrolled`, `signing.revoked`, `signing.failed`; to NATS as any event), telemetry, and a line in the log. Nothing
-  of a key is in them (S9).
+  Records who gave a key to a vehicle or took it away, by which link, and whether it worked: an event of the vehicle
+  (`signing.enrolled`, `signing.revoked`, `signing.failed`), telemetry, and a line in the log. They contain nothing of a key (S9).
   """
 
   alias Aerie.Names
@@ -10,18 +9,20 @@ defmodule Aerie.Signing.Audit do
 
   require Logger
 
-  @doc "Tells of a result, and gives it back."
-  @spec told(result, map, :enrolled | :revoked) :: result when result: {:ok, map} | {:error, String.t()}
-  def told(result, %{key: {network, system}} = job, what) do
+  @doc "Records a result, and gives it back."
+  @spec record(result, map, :enrolled | :revoked) :: result
+        when result: {:ok, map} | {:error, Aerie.Error.t()}
+  def record(result, %{key: {network, system}} = job, what) do
     metadata = %{gateway: job.gateway, network: network, system: system, link: job.link, by: job.by}
 
     case result do
       {:ok, _map} ->
         :telemetry.execute([:aerie, :signing, what], %{count: 1}, metadata)
-        Logger.notice("signing of #{network}/#{system}: #{what} by link #{job.link}, asked for by #{job.by}")
+        Logger.notice("signing of #{network}/#{system}: #{what} by link #{job.link}, requested by #{job.by}")
         event(job, "signing.#{what}", %{})
 
-      {:error, reason} ->
+      {:error, error} ->
+        reason = Exception.message(error)
         metadata = Map.merge(metadata, %{what: what, reason: reason})
         :telemetry.execute([:aerie, :signing, :failed], %{count: 1}, metadata)
         Logger.warning("signing of #{network}/#{system}: not #{what} by link #{job.link}: #{reason}")

@@ -1,14 +1,15 @@
 defmodule Aerie.Signing.Burst do
-  @moduledoc """
-  When refused frames of one source are worth an alarm: #{20} within #{10} seconds, and then once a minute while they last.
-
-  A value, one for each {link, system, component}. Single ones are counted and no more: PX4 1.18 forwards other ground
-  stations' frames with garbage for a signature, once a second each.
-  """
-
   @many 20
   @window_ms 10_000
   @quiet_ms 60_000
+
+  @moduledoc """
+  When refused frames of one source are an alarm: when there are #{@many} within #{div(@window_ms, 1_000)} s, and then every
+  #{div(@quiet_ms, 1_000)} s while they last.
+
+  A value, one for each {link, system, component}. Fewer are only counted: PX4 1.18 forwards the frames of other ground stations
+  with garbage for a signature, each of them once a second.
+  """
 
   defstruct since: nil, count: 0, told: nil, reasons: %{}
 
@@ -24,8 +25,7 @@ defmodule Aerie.Signing.Burst do
   def new, do: %__MODULE__{}
 
   @doc """
-  `n` frames were refused for a reason (monotonic ms): `{:alarm, %{reason => how many}}` when that is to be told, with what
-  was refused in this window.
+  `n` frames were refused for a reason (monotonic ms): `{:alarm, %{reason => count}}` of this window when an alarm is due.
   """
   @spec add(t, atom, pos_integer, integer) :: {t, :quiet | {:alarm, %{atom => pos_integer}}}
   def add(burst, reason, n, now) do

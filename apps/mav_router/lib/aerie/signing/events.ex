@@ -1,12 +1,11 @@
 defmodule Aerie.Signing.Events do
   @moduledoc """
-  Who keeps the events of vehicles: a module that is given to `Aerie.Signing.Supervisor` (`:events`). Without one what happens
-  to keys and signatures is in the log and in telemetry only.
+  The module that keeps the events of vehicles, given to `Aerie.Signing.Supervisor` (`:events`). Without one, events of keys and
+  signatures are in the log and in telemetry only.
   """
 
   @doc """
-  Something happened to a vehicle at a time (unix microseconds): the type of the event (`signing.rejected`) and its data.
-  Nothing is kept for a vehicle that is not known.
+  Keeps an event of a vehicle: its type (`signing.rejected`), data and time (unix microseconds). A vehicle that is not known has none.
   """
   @callback event(
               Aerie.Names.gateway(),

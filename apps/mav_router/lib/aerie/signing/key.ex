@@ -10,10 +10,10 @@ defmodule Aerie.Signing.Key do
   | 44 characters of base64 that make 32 bytes | those bytes |
   | anything else | a passphrase: its SHA-256, as QGroundControl, Mission Planner and MAVProxy do |
 
-  `hex:`, `base64:` and `passphrase:` before it say which, for a passphrase that looks like a key. Space around the text
-  and the end of the line do not belong to it. A file of exactly 32 bytes that are no text is the key itself.
+  A prefix `hex:`, `base64:` or `passphrase:` says which, for a passphrase that looks like a key. White space around the text is
+  ignored. A file of exactly 32 bytes that are no text is the key itself.
 
-  A key is only ever held as `Aerie.Secret`; no error of this module repeats any of it.
+  A key is held only as `Aerie.Secret`, and no error of this module contains any of it.
   """
 
   import Bitwise
@@ -26,7 +26,7 @@ defmodule Aerie.Signing.Key do
   @typedoc "Where to look: a file, an environment variable, text as above."
   @type source :: {:file, Path.t()} | {:env, String.t()} | {:text, String.t()}
 
-  @doc "Reads a key. The error is a line for the operator."
+  @doc "Reads a key. The error is a text for the operator."
   @spec read(source) :: {:ok, Secret.t()} | {:error, String.t()}
   def read({:text, text}), do: parse(text)
 
@@ -53,11 +53,11 @@ defmodule Aerie.Signing.Key do
   defp regular(_path, %{type: :regular, size: size}) when size <= @max_bytes, do: :ok
 
   defp regular(path, %{type: :regular}),
-    do: {:error, "#{path}: too long for a key (more than #{@max_bytes} bytes)"}
+    do: {:error, "#{path}: is too long for a key (more than #{@max_bytes} bytes)"}
 
   defp regular(path, _stat), do: {:error, "#{path}: is not a file"}
 
-  # Whoever can read the key can fly the vehicle; whoever can write it can lock its owner out.
+  # Reading the key is enough to fly the vehicle; writing it is enough to lock its owner out.
   defp private(path, %{mode: mode}) do
     case mode &&& 0o077 do
       0 ->
@@ -67,7 +67,7 @@ defmodule Aerie.Signing.Key do
         octal = (mode &&& 0o7777) |> Integer.to_string(8) |> String.pad_leading(4, "0")
 
         {:error,
-         "#{path}: its mode is #{octal}, so others than its owner can get at the key; chmod 600 #{path}"}
+         "#{path}: its mode is #{octal}, so that not only its owner can use the key: chmod 600 #{path}"}
     end
   end
 
@@ -107,7 +107,7 @@ defmodule Aerie.Signing.Key do
   defp hex(digits), do: bytes(Base.decode16(digits, case: :mixed))
   defp base64(text), do: bytes(Base.decode64(text))
 
-  # 32 zeros are how signing is switched off.
+  # 32 zeros switch signing off.
   defp bytes({:ok, <<0::size(@size)-unit(8)>>}), do: :error
   defp bytes({:ok, <<_::binary-size(@size)>> = key}), do: {:ok, Secret.new(key)}
   defp bytes(_other), do: :error

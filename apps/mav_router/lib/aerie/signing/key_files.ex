@@ -1,15 +1,15 @@
 defmodule Aerie.Signing.KeyFiles do
   @moduledoc """
-  The keys that vehicles were given, in `signing.dir/keys`, one file each, that only their owner can read:
+  The keys that vehicles were given, in `signing.dir/keys`, one file each, for its owner only:
 
   | file | |
   |---|---|
-  | `main-7.key` | what the vehicle has |
-  | `main-7.key.next` | what it may have: it was sent, and no frame signed with it came yet |
-  | `main-7.key.previous` | what it had before, for going back |
+  | `main-7.key` | the key that the vehicle has |
+  | `main-7.key.next` | the one that it may have: it was sent, and no frame signed with it has come yet |
+  | `main-7.key.previous` | the one that it had before, for going back |
 
-  A key is written, and forced to the disk, before it is sent to a vehicle: whatever happens then, one of the three is the
-  vehicle's. A file that others can read is refused, as any other key file (`Aerie.Signing.Key`).
+  A key is forced to the disk before it is sent to a vehicle, so that one of the three is the vehicle's whatever happens. A file that
+  others can read is refused, like any other key file (`Aerie.Signing.Key`).
   """
 
   alias Aerie.Secret
@@ -21,7 +21,7 @@ defmodule Aerie.Signing.KeyFiles do
   @type kind :: :current | :next | :previous
   @type id :: {network :: String.t(), system :: non_neg_integer}
 
-  @doc "Where a key is."
+  @doc "The path of a key."
   @spec path(Path.t(), id, kind) :: Path.t()
   def path(dir, {network, system}, kind),
     do: Path.join([dir, "keys", "#{network}-#{system}.key#{suffix(kind)}"])
@@ -51,14 +51,14 @@ defmodule Aerie.Signing.KeyFiles do
   @spec read(Path.t(), id, kind) :: {:ok, Secret.t()} | {:error, String.t()}
   def read(dir, id, kind), do: Key.read({:file, path(dir, id, kind)})
 
-  @doc "Writes a key: whole or not at all, and on the disk when this returns."
+  @doc "Writes a key, whole or not at all; it is on the disk when this returns."
   @spec write(Path.t(), id, kind, Secret.t()) :: :ok | {:error, String.t()}
   def write(dir, id, kind, secret) do
     text = "hex:" <> Base.encode16(Secret.reveal(secret), case: :lower) <> "\n"
     with :ok <- State.folder(dir), do: State.write(path(dir, id, kind), text)
   end
 
-  @doc "The vehicle has proven to have a key; the former one, if there was one, is the previous."
+  @doc "The vehicle has proven that it has a key; the former one, if any, becomes the previous."
   @spec promote(Path.t(), id, Secret.t(), Secret.t() | nil) :: :ok | {:error, String.t()}
   def promote(dir, id, secret, former) do
     with :ok <- if(former, do: write(dir, id, :previous, former), else: :ok),
@@ -76,7 +76,7 @@ defmodule Aerie.Signing.KeyFiles do
     end
   end
 
-  @doc "Removes a key; one that is not there is fine."
+  @doc "Removes a key, if it is there."
   @spec remove(Path.t(), id, kind) :: :ok | {:error, String.t()}
   def remove(dir, id, kind) do
     case File.rm(path(dir, id, kind)) do

@@ -1,19 +1,19 @@
 defmodule Aerie.Signing.Scope do
   @moduledoc """
-  Whose frames a key is for, and what is asked of them: one vehicle, or every system of a network that has no key of its
-  own.
+  Whose frames a key is for, and what they must have: one vehicle, or every system of a network that has no key of its own.
 
-  - `:required`: what has no right signature is not the vehicle's: it is not taken in, teaches no route, makes no event.
+  - `:required`: a frame without a right signature is not the vehicle's. It is not taken in, teaches no route, makes no event.
   - `:accept_unsigned`: a wrong signature is refused, a missing one is not. This is unsafe, and shown as such (S11).
-  - `:off`: nothing is checked and nothing signed; shown as unsafe too, as there is a key.
+  - `:off`: nothing is checked and nothing signed; shown as unsafe too, since there is a key.
 
-  A scope whose key could not be read refuses everything that its policy asks a signature of: it fails closed.
+  A scope whose key cannot be read fails closed: it refuses everything for which its policy requires a signature.
   """
 
+  alias Aerie.Mavlink.Message
   alias Aerie.Secret
-  alias Aerie.Signing.{Key, KeyFiles}
+  alias Aerie.Signing.{Key, KeyFiles, Settings}
 
-  @radio_status 109
+  @radio_status Message.id!("RADIO_STATUS")
 
   @enforce_keys [:id]
   defstruct [:id, :secret, :error, :source, policy: :required, allow: [@radio_status], generation: 0]
@@ -24,7 +24,7 @@ defmodule Aerie.Signing.Scope do
   @typedoc """
   - `id`: the network, and the system or `:any`
   - `secret`: the key, nil when it could not be read; then `error` says why
-  - `source`: where it came from, in words
+  - `source`: where it came from, as a text
   - `allow`: message ids that need no signature, RADIO_STATUS unless configured (S7)
   - `generation`: changes with the key, so that links notice
   """
@@ -39,13 +39,12 @@ defmodule Aerie.Signing.Scope do
         }
 
   @doc """
-  The scopes of a configuration, their keys read, and those of the keys that vehicles were given (`Aerie.Signing.KeyFiles`
-  in `dir`), which win: the vehicle has that key, whatever the configuration says. The third are keys that vehicles may
-  have been given.
+  The scopes of a configuration with their keys; those of keys that vehicles were given (`Aerie.Signing.KeyFiles` in `dir`), which
+  take precedence, since the vehicle has that key whatever the configuration says; and those of keys that vehicles may have.
   """
-  @spec all(map | nil, Path.t() | nil) :: {configured :: [t], given :: [t], candidates :: [t]}
-  def all(config, dir) do
-    configured = configured(config)
+  @spec all(Settings.t(), Path.t() | nil) :: {configured :: [t], given :: [t], candidates :: [t]}
+  def all(%Settings{keys: keys, identity: identity}, dir) do
+    configured = Enum.map(keys, &one(&1, identity.network))
 
     given =
       for key <- KeyFiles.list(dir, :current), do: given(key, KeyFiles.read(dir, key, :current), configured)
@@ -56,19 +55,14 @@ defmodule Aerie.Signing.Scope do
     {configured, given, candidates}
   end
 
-  @doc "Those that are in force: what vehicles were given wins."
+  @doc "The scopes in force: those of keys that vehicles were given take precedence."
   @spec in_force([t], [t]) :: [t]
   def in_force(configured, given) do
     ids = Enum.map(given, & &1.id)
     given ++ Enum.reject(configured, &(&1.id in ids))
   end
 
-  defp configured(%{signing: %{keys: keys}} = config),
-    do: Enum.map(keys, &one(&1, Map.get(config, :network, "main")))
-
-  defp configured(_none), do: []
-
-  @doc "The scope of a key that a vehicle was given: policy and exceptions are those that held for the vehicle before."
+  @doc "The scope of a key that a vehicle was given, with the policy and exceptions that held for it before."
   @spec given(id, {:ok, Secret.t()} | {:error, String.t()}, [t]) :: t
   def given({network, _system} = id, read, scopes) do
     base =
@@ -88,8 +82,8 @@ defmodule Aerie.Signing.Scope do
 
     scope = %__MODULE__{
       id: {entry[:network] || network, entry[:system_id] || :any},
-      policy: entry[:policy] || :required,
-      allow: entry[:allow_unsigned] || [@radio_status],
+      policy: entry[:policy] || struct(__MODULE__).policy,
+      allow: entry[:allow_unsigned] || struct(__MODULE__).allow,
       source: place
     }
 
@@ -108,7 +102,7 @@ defmodule Aerie.Signing.Scope do
   @spec renewed(t) :: t
   def renewed(scope), do: %{scope | generation: System.unique_integer()}
 
-  @doc "Whether frames are taken in without the safety that the key is for."
+  @doc "Whether unsigned frames are taken in although there is a key."
   @spec unsafe?(t) :: boolean
   def unsafe?(%__MODULE__{policy: policy}), do: policy != :required
 

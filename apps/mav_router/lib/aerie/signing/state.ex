@@ -1,13 +1,13 @@
 defmodule Aerie.Signing.State do
   @moduledoc """
-  The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new one.
+  The file of time stamps: from the tables to JSON and back, written so that a power cut leaves the old or the new file.
 
       {"version": 1, "at": 1795..., "link_ids": {"radio-1": 0},
        "links": [{"link": "radio-1", "network": "main", "system": null, "timestamp": 1187..., "streams": [[0, 1, 1, 1187..., 0]]}],
        "ended": true}
 
-  A stream: link id, system, component, last time stamp, how far it was ahead of the clock at most (null: unknown).
-  `ended`: it was written in an orderly end, nothing was received after it.
+  A stream is its link id, system, component, last time stamp, and how far it was ahead of the clock at most (null: unknown). `ended`:
+  it was written in an orderly end, after which nothing was received.
   """
 
   alias Aerie.Signing.Tables
@@ -26,11 +26,11 @@ defmodule Aerie.Signing.State do
           ]
         }
 
-  @doc "What there is to store; nil for nothing."
+  @doc "The state to store; nil for none."
   @spec collect(Tables.t()) :: term | nil
   def collect(tables) do
     live =
-      for {key, _generation, signing} <- :ets.tab2list(tables.guards), into: %{} do
+      for {key, _generation, signing} <- :ets.tab2list(tables.verifiers), into: %{} do
         reserved = :ets.lookup_element(tables.reserved, key, 2, 0)
         {key, {max(reserved, Signing.timestamp(signing)), streams(signing)}}
       end
@@ -53,7 +53,7 @@ defmodule Aerie.Signing.State do
     Map.new(Signing.streams(signing), fn {stream, last} -> {stream, {last, ahead[stream]}} end)
   end
 
-  @doc "The same as text, written at a unix time in microseconds, in an orderly end or not."
+  @doc "The text of the file, for a state at a unix time in microseconds; `ended` in an orderly end."
   @spec encode(term, integer, boolean) :: binary
   def encode({ids, entries}, at, ended) do
     links = Enum.map(entries, &entry/1)
@@ -73,12 +73,12 @@ defmodule Aerie.Signing.State do
     }
   end
 
-  @doc "Reads the file; a missing one is empty, a damaged one an error in words."
+  @doc "Reads the file. A missing one is empty, a damaged one an error with a text."
   @spec read(Path.t()) :: {:ok, stored} | {:error, String.t()}
   def read(path) do
     case File.read(path) do
       {:ok, text} when byte_size(text) <= @max_bytes -> decode(text, path)
-      {:ok, _long} -> {:error, "#{path} is longer than such a file can be"}
+      {:ok, _long} -> {:error, "#{path} is too long for a file of time stamps"}
       {:error, :enoent} -> {:ok, %{at: nil, ended: true, link_ids: %{}, entries: []}}
       {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
     end
@@ -116,11 +116,11 @@ defmodule Aerie.Signing.State do
 
   defp entry_of(_other), do: []
 
-  # Older files do not have it.
+  # Older files lack it.
   defp known([ahead]) when is_integer(ahead), do: ahead
   defp known(_unknown), do: nil
 
-  @doc "Writes the file: beside it, forced to the disk, then in its place. Its folder and itself are for the owner only."
+  @doc "Writes the file: under another name, forced to the disk, then renamed. The file and its folder are for the owner only."
   @spec write(Path.t(), binary) :: :ok | {:error, String.t()}
   def write(path, bytes) do
     dir = Path.dirname(path)
@@ -137,7 +137,7 @@ defmodule Aerie.Signing.State do
     end
   end
 
-  # That the new name is in the folder must be on the disk, too. Where folders cannot be opened it has to be good enough.
+  # The folder's entry must be on the disk too, where folders can be opened.
   defp sync(dir) do
     case :file.open(dir, [:read, :raw, :directory]) do
       {:ok, folder} ->
@@ -150,7 +150,7 @@ defmodule Aerie.Signing.State do
     end
   end
 
-  @doc "Makes a folder for its owner only; one that is there stays as it is."
+  @doc "Makes a folder for its owner only; an existing one stays as it is."
   @spec folder(Path.t()) :: :ok | {:error, String.t()}
   def folder(dir) do
     with false <- File.dir?(dir), :ok <- File.mkdir_p(dir) do

@@ -1,15 +1,15 @@
 defmodule Aerie.Signing.Supervisor do
   @moduledoc """
-  Owns the tables of signing (`Aerie.Signing.Tables`; it has no code of its own that could fail) and supervises the vault,
-  which reads keys and stores time stamps. Links do their work with the tables alone.
+  Owns the tables of signing (`Aerie.Signing.Tables`; it has no code of its own that could fail) and supervises the key store. Links
+  need the tables only.
   """
   use Supervisor
 
   alias Aerie.Names
-  alias Aerie.Signing.{Tables, Vault}
+  alias Aerie.Signing.{KeyStore, Settings, Tables}
   alias Aerie.Identity
 
-  @doc "Options: `:gateway`, `:config`, `:events` (`Aerie.Signing.Events`), `:clock` (unix microseconds; for tests)."
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Signing.Settings`), `:events` (`Aerie.Signing.Events`), `:clock` (unix microseconds; for tests)."
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :signing))
@@ -19,17 +19,22 @@ defmodule Aerie.Signing.Supervisor do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:signing, gateway})
+    %Settings{} = settings = Keyword.fetch!(options, :settings)
     clock = if options[:clock], do: [clock: options[:clock]], else: []
 
-    # Only what we send ourselves is signed.
+    # Only frames with these ids are signed.
     _tables =
       Tables.create(
         gateway,
-        [own: options |> Keyword.get(:config) |> Identity.resolve(gateway) |> Identity.ids()] ++ clock,
+        [own: Identity.ids(settings.identity, gateway)] ++ clock,
         options[:events]
       )
 
-    # Without the vault links go on with what they have: it is worth many tries and no other part of the gateway.
-    Supervisor.init([{Vault, options}], strategy: :one_for_one, max_restarts: 100, max_seconds: 1)
+    # Without the key store links go on with what they have, so it may fail often before anything else restarts.
+    Supervisor.init([{KeyStore, gateway: gateway, settings: settings}],
+      strategy: :one_for_one,
+      max_restarts: 100,
+      max_seconds: 1
+    )
   end
 end

@@ -1,22 +1,21 @@
 defmodule Aerie.Signing.Tables do
   @moduledoc """
-  What links, sessions and faces share about signing: ETS tables owned by `Aerie.Signing.Supervisor`, found through its
-  name.
+  The ETS tables that links, sessions and interfaces share for signing, owned by `Aerie.Signing.Supervisor` and found through its name.
 
   - `:scopes` `{scope id, Aerie.Signing.Scope}`
-  - `:guards` `{{link, scope id}, generation, MavCodec.Signing}`: written by the link's process only
-  - `:stored` `{{link, scope id}, link id, time stamp, streams}`: what the last life left behind
-  - `:reserved` `{{link, scope id}, time stamp}`: what the next life must not fall behind (S6)
+  - `:verifiers` `{{link, scope id}, generation, MavCodec.Signing}`: written only by the link's process
+  - `:stored` `{{link, scope id}, link id, time stamp, streams}`: what the former process left
+  - `:reserved` `{{link, scope id}, time stamp}`: what a later process must not fall behind (S6)
   - `:sources` `{vehicle key, verified_us, unsigned_us, verified, unsigned, rejected}`
-  - `:bad` `{{link, system, component}, Aerie.Signing.Burst}`
-  - `:woken` `{{link, peer, scope id}, monotonic ms}` (`Aerie.Signing.Wake`)
+  - `:bursts` `{{link, system, component}, Aerie.Signing.Burst}`
+  - `:announced` `{{link, peer, scope id}, monotonic ms}` (`Aerie.Signing.ClockRecovery`)
   - `:waiters` `{vehicle key, pid, reference}`: enrolments that wait for a signed frame
   - `:candidates` `{vehicle key, Aerie.Signing.Scope}`: keys that vehicles may have been given, not yet proven
-  - `:proven` `{{link, peer}, [{scope id, monotonic s}]}`: which keys a peer has (`Aerie.Signing.Seal`)
+  - `:proven` `{{link, peer}, [{scope id, monotonic s}]}`: the keys that a peer has (`Aerie.Signing.Signer`)
   - `:newest` `{{network, link id, system, component}, time stamp}`: the last one of a stream by any link
   - `:settings` `{name, value}`
 
-  `active` is 1 while there is any scope or candidate: without one, a read costs one look at it.
+  `active` is 1 while there is a scope or candidate: without one, a read costs one look at it.
   """
 
   alias Aerie.Names
@@ -24,12 +23,12 @@ defmodule Aerie.Signing.Tables do
 
   @type t :: %{
           scopes: :ets.table(),
-          guards: :ets.table(),
+          verifiers: :ets.table(),
           stored: :ets.table(),
           reserved: :ets.table(),
           sources: :ets.table(),
-          bad: :ets.table(),
-          woken: :ets.table(),
+          bursts: :ets.table(),
+          announced: :ets.table(),
           waiters: :ets.table(),
           candidates: :ets.table(),
           proven: :ets.table(),
@@ -48,7 +47,7 @@ defmodule Aerie.Signing.Tables do
     shared = [:set, :public, read_concurrency: true, write_concurrency: true]
 
     tables =
-      ([:scopes, :guards, :stored, :reserved, :sources, :bad, :woken, :waiters, :settings] ++
+      ([:scopes, :verifiers, :stored, :reserved, :sources, :bursts, :announced, :waiters, :settings] ++
          [:candidates, :proven, :newest])
       |> Map.new(&{&1, :ets.new(&1, shared)})
       |> Map.put(:events, events)
@@ -86,21 +85,21 @@ defmodule Aerie.Signing.Tables do
     if :ets.info(tables.candidates, :size) > 0, do: :ets.lookup_element(tables.candidates, key, 2, nil)
   end
 
-  @doc "Puts a scope in the place of what had its id."
+  @doc "Adds a scope, or replaces the one with its id."
   @spec put_scope(t, Scope.t()) :: :ok
   def put_scope(tables, scope) do
     :ets.insert(tables.scopes, {scope.id, scope})
     activate(tables)
   end
 
-  @doc "Takes a scope away."
+  @doc "Removes a scope."
   @spec delete_scope(t, Scope.id()) :: :ok
   def delete_scope(tables, id) do
     :ets.delete(tables.scopes, id)
     activate(tables)
   end
 
-  @doc "Puts a candidate in the place of the one that the vehicle had, or takes it away (nil)."
+  @doc "Sets the candidate of a vehicle; nil for none."
   @spec put_candidate(t, Scope.id(), Scope.t() | nil) :: :ok
   def put_candidate(tables, id, nil) do
     :ets.delete(tables.candidates, id)

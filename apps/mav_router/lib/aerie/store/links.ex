@@ -1,7 +1,7 @@
 defmodule Aerie.Store.Links do
   @moduledoc """
-  Links' snapshots with their peers and sources, of which there may be thousands: they are rows of their own, so that a link
-  writes what changed, and who wants to see them puts them together.
+  Links' snapshots with their peers and sources. There may be thousands of these, so they are rows of their own: a link writes only
+  those that changed, and a reader puts them together.
 
   | row of a link | |
   |---|---|
@@ -12,10 +12,14 @@ defmodule Aerie.Store.Links do
   alias Aerie.Names
   alias Aerie.Store
 
-  # Of more peers it is no use to see each.
+  # Nobody can use a longer list.
   @max_peers 1_024
 
-  @typedoc "Rows to write and keys of rows that go, `:all` for those of before."
+  @doc "How many peers of a link are listed."
+  @spec max_peers() :: pos_integer()
+  def max_peers, do: @max_peers
+
+  @typedoc "Rows to write, and keys of rows to delete; `:all` deletes all earlier ones."
   @type changes :: %{put: [{key :: term, row :: map}], delete: [key :: term] | :all}
 
   @doc "One link's snapshot with `:peers` and `:sources` (`Aerie.Link.Snapshot`); nil when there is none."
@@ -28,7 +32,7 @@ defmodule Aerie.Store.Links do
   @spec all(Names.gateway()) :: [map]
   def all(gateway), do: for(%{id: id} = link <- Store.links(gateway), do: joined(gateway, id, link))
 
-  # Whoever wrote them into the snapshot has said all.
+  # The snapshot has them already.
   defp joined(_gateway, _id, %{peers: _, sources: _} = snapshot), do: snapshot
 
   defp joined(gateway, id, snapshot) do

@@ -1,6 +1,6 @@
 defmodule Aerie.Store.PubSub do
   @moduledoc """
-  Change notices for faces: who subscribes to a topic gets `{:fleet, topic, payload}` messages.
+  Change notices: a subscriber of a topic gets `{:fleet, topic, payload}` messages.
 
   | topic           | payload                                     | when                     |
   |-----------------|---------------------------------------------|--------------------------|
@@ -11,16 +11,28 @@ defmodule Aerie.Store.PubSub do
   | `:events`       | an `Aerie.Vehicle.Event`                    | at once                  |
   | `:journal`      | `:pending`: events wait for their acknowledgement | at once            |
   | `:bridge`       | `{part, info}`: the NATS side changed       | at once                  |
+  | `:leases`       | `{key, lease}`: who is in charge of a vehicle changed, nil for nobody | at once |
+  | `{:commands, vehicle}` | the id of a command of this vehicle that began, went on or ended | at once |
+  | `{:notice, part}` | what a part of the layers above tells of itself | at once               |
 
-  A vehicle may change 200 times a second; its watchers hear of it at most once per tick (100 ms), with the state that
-  holds at that moment. Nothing is queued for a slow subscriber but these messages.
+  A vehicle may change 200 times a second; its subscribers get at most one notice per tick (`:tick_ms`, 100 by default), with the
+  state of that moment. Nothing but these messages is queued for a slow subscriber.
   """
   use GenServer
 
   alias Aerie.{Names, Store}
   alias Aerie.Store.PubSub.Subscribers
 
-  @type topic :: :vehicles | :links | :events | :journal | :bridge | {:vehicle, String.t()} | {:link, term()}
+  @type topic ::
+          :vehicles
+          | :links
+          | :events
+          | :journal
+          | :bridge
+          | :leases
+          | {:vehicle | :commands, vehicle :: String.t()}
+          | {:link, term()}
+          | {:notice, atom()}
 
   @spec start_link(gateway: Names.gateway(), tick_ms: pos_integer()) :: GenServer.on_start()
   def start_link(options) do
@@ -39,21 +51,25 @@ defmodule Aerie.Store.PubSub do
   @spec unsubscribe(Names.gateway(), topic()) :: :ok
   def unsubscribe(gateway, topic), do: Registry.unregister(Subscribers, {gateway, topic})
 
-  @doc "Notes that a vehicle or a link changed; its watchers are told at the next tick."
+  @doc "Notes that a vehicle or a link changed; its subscribers are told at the next tick."
   @spec changed(Names.gateway(), {:vehicle | :link, term()}) :: :ok
   def changed(gateway, {_kind, _id} = what) do
     case Names.held(gateway, :pubsub) do
       {pid, dirty} ->
         # Only the first change since the last tick wakes the process; all others cost one failed insert.
-        if :ets.insert_new(dirty, {what}), do: send(pid, :changed)
+        if new?(dirty, what), do: send(pid, :changed)
         :ok
 
       nil ->
         :ok
     end
+  end
+
+  defp new?(dirty, what) do
+    :ets.insert_new(dirty, {what})
   rescue
-    # The process and its table went away in between; its successor starts with nothing noted.
-    ArgumentError -> :ok
+    # The process ended with its table; the next one starts with nothing noted.
+    ArgumentError -> false
   end
 
   @doc "Sends a payload to all subscribers of a topic at once."
@@ -81,9 +97,9 @@ defmodule Aerie.Store.PubSub do
 
   def handle_info(:changed, state), do: {:noreply, state}
 
-  def handle_info({:pulse, pulse, tag}, state) do
-    # A loop that turns says so (`Aerie.Identity.Pulse`).
-    send(pulse, {:alive, tag, self()})
+  # The answer that `Aerie.Identity.Watchdog` waits for.
+  def handle_info({:watchdog, watchdog, tag}, state) do
+    send(watchdog, {:alive, tag, self()})
     {:noreply, state}
   end
 

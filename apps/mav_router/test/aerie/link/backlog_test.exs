@@ -6,7 +6,7 @@ defmodule Aerie.Link.BacklogTest do
   alias Aerie.Link.Backlog
 
   # A link that reads `pace` datagrams a ms while `rate` a ms come, for some seconds: what was read after the
-  # third, with its age, and what is left. Throwing away costs a twentieth of reading.
+  # third, with its age, and what is left. Discarding costs a twentieth of reading.
   defp play(pace, rate, backlog_at_start, seconds \\ 3) do
     state = %{
       backlog: Backlog.new(),
@@ -20,7 +20,7 @@ defmodule Aerie.Link.BacklogTest do
 
       backlog =
         if Backlog.due?(state.backlog, now),
-          do: Backlog.look(state.backlog, :queue.len(queue), now),
+          do: Backlog.measure(state.backlog, :queue.len(queue), now),
           else: state.backlog
 
       n = if backlog.shed > 0, do: pace * 20, else: pace
@@ -31,20 +31,20 @@ defmodule Aerie.Link.BacklogTest do
     end)
   end
 
-  test "who keeps up throws nothing away, whatever waited at first; nor does who was held up for a moment" do
+  test "a link that keeps up discards nothing, whatever waited at first; nor does one that was held up for a moment" do
     for waiting <- [0, 10, 1_000], do: assert(play(10, 9, waiting).shed == 0)
     # Late for less than a second.
     assert play(5, 1, 5_000, 2).shed == 0
   end
 
-  test "who does not keep up reads what is young, and what it throws away is what was too much" do
+  test "a link that does not keep up reads young datagrams, and discards only what was too much" do
     played = play(5, 10, 0, 6)
     assert Enum.max(played.ages) <= 700
     assert played.shed in 15_000..38_000
     assert :queue.len(played.queue) + played.shed + 5 * 6_000 >= 60_000
   end
 
-  test "what is old already goes, the oldest first" do
+  test "old datagrams are discarded, the oldest first" do
     played = play(5, 4, 20_000, 6)
     assert played.shed > 8_000
     assert Enum.max(played.ages) <= 700
@@ -56,7 +56,7 @@ defmodule Aerie.Link.BacklogTest do
         {_now, _backlog, same?} =
           Enum.reduce(steps, {0, Backlog.new(), true}, fn {n, ms, waiting}, {now, backlog, same?} ->
             now = now + ms
-            backlog = if Backlog.due?(backlog, now), do: Backlog.look(backlog, waiting, now), else: backlog
+            backlog = if Backlog.due?(backlog, now), do: Backlog.measure(backlog, waiting, now), else: backlog
             datagrams = Enum.to_list(1..n//1)
             {read, shed, backlog} = Backlog.take(backlog, datagrams)
             {now, backlog, same? and Enum.drop(datagrams, shed) == read and backlog.shed >= 0}

@@ -15,14 +15,14 @@ defmodule Aerie.Link.EgressTest do
     {:ok, gateway: gateway, egress: egress}
   end
 
-  # A line that takes all, or nothing; the state is what was written.
+  # A line that accepts everything, or nothing; the state is what was written.
   defp takes(written, bytes), do: {:ok, [written, bytes]}
   defp full(written, _bytes), do: {:busy, written}
 
   defp forward(egress, class, frames, now, write \\ &takes/2),
     do: Egress.forward(egress, :remote, class, frames, now, write, [])
 
-  test "a serial line gets no more than its rate, what is important first, and what is shed is counted", c do
+  test "a serial line gets no more than its rate, important frames first; drops are counted", c do
     frame = :binary.copy("b", 200)
     {egress, first} = forward(c.egress, :bulk, List.duplicate(frame, 2_000), 0)
     # A tenth of a second at once, the rest later; a timer is set for that.
@@ -55,7 +55,7 @@ defmodule Aerie.Link.EgressTest do
     assert run.(slow) < 2_500
   end
 
-  test "what the line does not take waits, and a peer that is gone is no fault", c do
+  test "frames that the line does not accept wait; a peer that is gone is no error", c do
     {egress, []} = forward(c.egress, :state, ["one"], 0, &full/2)
     assert_receive {:pump, :remote}
     {egress, written} = Egress.pump(egress, :remote, 10, &takes/2, [])

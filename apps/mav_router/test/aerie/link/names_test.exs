@@ -1,5 +1,5 @@
 defmodule Aerie.Link.NamesTest do
-  # What names mean is the whole program's.
+  # Name resolution is global to the VM.
   use ExUnit.Case, async: false
   use Aerie.LinkCase
 
@@ -22,7 +22,7 @@ defmodule Aerie.Link.NamesTest do
     :ok = :inet_db.add_host(to, [String.to_charlist(@name)])
   end
 
-  test "a name is looked up again with each connection: a peer that moved is found" do
+  test "a name is resolved for each connection: a peer that moved is found" do
     gateway = start_parts()
     move(nil, {127, 0, 0, 2})
     {:ok, first} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 2}, active: false])

@@ -24,13 +24,13 @@ defmodule Aerie.Link.PacerTest do
     assert {:due, _} = Pacer.judge(Pacer.new(:max), 9_999_999_999, 0)
   end
 
-  test "a jump back stalls nothing" do
+  test "a step back in time does not stall the replay" do
     {:due, pacer} = Pacer.judge(Pacer.new(1.0), 5_000_000, 0)
     {:due, pacer} = Pacer.judge(pacer, 1_000, 10)
     assert {1000, _} = Pacer.judge(pacer, 1_001_000, 10)
   end
 
-  test "whoever waits as told ends exactly on time, never early" do
+  test "waiting as told ends exactly on time, never early" do
     property =
       :proper.forall({list(non_neg_integer()), float(0.01, 100.0)}, fn {gaps, speed} ->
         times = Enum.scan([0 | gaps], &+/2)

@@ -28,7 +28,27 @@ defmodule Aerie.Link.PortOwnerTest do
     assert PortOwner.holders("/nowhere") == []
   end
 
-  test "a port's owner is found although sockets come and go meanwhile" do
+  @tag :tmp_dir
+  test "of the programs that have a file open, who has the lock", %{tmp_dir: dir} do
+    file = Path.join(dir, "device")
+    File.write!(file, "")
+    open = &Port.open({:spawn_executable, System.find_executable(&1)}, [:binary, args: &2])
+    locks = open.("flock", ["--no-fork", file, "cat"])
+    has_open = open.("sh", ["-c", "exec cat 3<\"$1\"", "sh", file])
+    [locker, other] = for port <- [locks, has_open], do: port |> Port.info(:os_pid) |> elem(1)
+
+    holders =
+      Aerie.Patience.eventually(fn ->
+        holders = PortOwner.holders(file)
+        Enum.sort(holders) == Enum.sort([{"cat", locker}, {"cat", other}]) and holders
+      end)
+
+    Aerie.Patience.eventually(fn -> PortOwner.lockers(file, holders) == [{"cat", locker}] end)
+    Port.close(locks)
+    Aerie.Patience.eventually(fn -> PortOwner.lockers(file, holders) == [] end)
+  end
+
+  test "the owner of a port is found although sockets come and go meanwhile" do
     {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
     # More than a page of the kernel's table.

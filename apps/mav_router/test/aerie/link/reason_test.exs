@@ -11,20 +11,20 @@ defmodule Aerie.Link.ReasonTest do
   test "faults in words, with the place" do
     assert words(:econnrefused, "tcp:[::1]:5760") == "connection refused by [::1]:5760"
     assert words(:timeout, "tcp:10.0.0.1:5760") == "no answer from 10.0.0.1:5760"
-    assert words(:nxdomain, "tcp:nowhere.invalid:1") == "the name of nowhere.invalid:1 is not known"
+    assert words(:nxdomain, "tcp:nowhere.invalid:1") == "the name of nowhere.invalid:1 cannot be resolved"
     assert words(:enoent, "/dev/ttyACM0,57600") == "there is no /dev/ttyACM0"
 
     assert words(:eacces, "/dev/ttyACM0") ==
              "no permission for /dev/ttyACM0 (is the user in the group dialout?)"
 
     assert words(:eacces, "udpin::14") == "no permission for 0.0.0.0:14 (ports below 1024 need root)"
-    assert words(:eaddrnotavail, "udpin:10.9.8.7:1") == "10.9.8.7:1 is no address of this machine"
+    assert words(:eaddrnotavail, "udpin:10.9.8.7:1") == "10.9.8.7:1 is not an address of this machine"
     assert words({:shutdown, :closed}, "tcp:1.2.3.4:5") == "connection closed by 1.2.3.4:5"
     assert words({:in_use, "x (process 7)"}, "udpin::1") == "0.0.0.0:1 is in use by x (process 7)"
     assert words("as it is", "udpin::1") == "as it is"
   end
 
-  test "every POSIX error has words, also those without any of ours; anything else is shown" do
+  test "every POSIX error has words, also those that we do not name; anything else is inspected" do
     for reason <- [:epipe, :ehostdown, :enospc, :no_such_error, :eio, :ebusy, :emfile, :econnreset, :enetdown] do
       text = words(reason, "tcp:1.2.3.4:5")
       assert text =~ " "
@@ -39,7 +39,7 @@ defmodule Aerie.Link.ReasonTest do
     assert Reason.wait(3_249) == "in 3.2 s"
   end
 
-  test "the owner of a port is found, and nobody is named for a free one" do
+  test "the owner of a port is found; a free port has none" do
     {:ok, udp} = :gen_udp.open(0, [])
     {:ok, tcp} = :gen_tcp.listen(0, [:inet6])
     {:ok, udp_port} = :inet.port(udp)

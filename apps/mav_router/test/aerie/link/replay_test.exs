@@ -13,7 +13,7 @@ defmodule Aerie.Link.ReplayTest do
     {:ok, path: path, gateway: start_parts(), recorded: Enum.to_list(MavCodec.Tlog.Reader.frames!(path))}
   end
 
-  test "as fast as possible: all frames, in order, with their times, and then the end is told", c do
+  test "as fast as possible: all frames, in order, with their times, then the end", c do
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])
     {id, _} = add_link(c.gateway, "replay:#{c.path}?speed=max")
@@ -25,12 +25,12 @@ defmodule Aerie.Link.ReplayTest do
     assert reason == "end of #{c.path} after #{length(frames)} frames"
     assert %{status: :ended, text: ^reason} = Link.snapshot(c.gateway, id)
     assert Link.snapshot(c.gateway, id).counters.frames_in == length(frames)
-    # Nothing can be sent into a recording.
+    # A recording is read-only.
     :ok = Link.send_bytes(c.gateway, id, "x", :all)
     assert Link.snapshot(c.gateway, id).counters.dropped_out == 1
   end
 
-  test "a gzipped recording is one too, round and round", c do
+  test "a gzipped recording, in a loop", c do
     be_session(c.gateway, 1)
     add_link(c.gateway, "replay:#{@fixture}?speed=max&loop=true")
     n = length(c.recorded)
@@ -42,7 +42,7 @@ defmodule Aerie.Link.ReplayTest do
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])
     {_id, _} = add_link(c.gateway, "replay:#{c.path}?speed=max&loop=true")
-    # Nobody reads: the recording goes round and round, but no further than this.
+    # Nobody reads: the loop does not get further than this.
     eventually(fn -> waiting() > 16 end)
     assert waiting() < 40
     frames(3 * length(c.recorded))
@@ -51,7 +51,7 @@ defmodule Aerie.Link.ReplayTest do
 
   defp waiting, do: self() |> Process.info(:message_queue_len) |> elem(1)
 
-  test "a damaged recording gives what is whole and says what is not", c do
+  test "a damaged recording delivers its good frames and reports the damage", c do
     bytes = File.read!(c.path)
     File.write!(c.path, binary_part(bytes, 0, byte_size(bytes) - 5))
     be_session(c.gateway, 1)
@@ -63,11 +63,16 @@ defmodule Aerie.Link.ReplayTest do
   end
 
   test "what cannot be replayed is an error", c do
-    assert {:error, "there is no file /nowhere/x.tlog"} = Link.start(c.gateway, "replay:/nowhere/x.tlog")
-    assert {:error, text} = Link.start(c.gateway, "replay:#{c.tmp_dir}")
-    assert text =~ "is a folder"
+    assert {:error, %{reason: {:invalid, "there is no file /nowhere/x.tlog"}}} =
+             Link.start(c.gateway, "replay:/nowhere/x.tlog")
+
+    assert {:error, %Aerie.Error{} = error} = Link.start(c.gateway, "replay:#{c.tmp_dir}")
+    assert Exception.message(error) =~ "is a folder"
     File.write!(c.path, "")
-    assert {:error, "the recording is empty"} = Link.start(c.gateway, "replay:#{c.path}")
+
+    assert {:error, %{reason: {:invalid, "the recording is empty"}}} =
+             Link.start(c.gateway, "replay:#{c.path}")
+
     File.write!(c.path, "this is no recording")
     be_session(c.gateway, 1)
     listen(c.gateway, [:ended])

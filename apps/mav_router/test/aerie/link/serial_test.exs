@@ -43,7 +43,7 @@ defmodule Aerie.Link.SerialTest do
     assert device == c.device
   end
 
-  test "a cable that is pulled: told, and found again when it is back", c do
+  test "a pulled cable is reported, and found again when it is back", c do
     listen(c.gateway, [:up, :down])
     link = Path.join(System.tmp_dir!(), "aerie-serial-#{System.unique_integer([:positive])}")
     File.ln_s!(c.device, link)
@@ -54,7 +54,7 @@ defmodule Aerie.Link.SerialTest do
     assert_receive {:down, _, %{reason: reason}}, @patience
     assert reason == "#{link} was unplugged"
 
-    # It comes back as another device node, which the name points to.
+    # It comes back as another device node, to which the name points.
     Port.command(c.pty, "o")
     File.rm!(link)
     File.ln_s!(await(c.pty, ?n), link)
@@ -64,7 +64,7 @@ defmodule Aerie.Link.SerialTest do
     assert Link.snapshot(c.gateway, id).counters.reconnects == 1
   end
 
-  test "a device that is not there, and one that is no serial port", c do
+  test "a device that does not exist, and one that is not a serial port", c do
     {none, _} = add_link(c.gateway, "/dev/ttyNOWHERE7")
     {file, _} = add_link(c.gateway, "/etc/hostname")
     eventually(fn -> Link.get(c.gateway, none).reason == "there is no /dev/ttyNOWHERE7" end)
@@ -72,7 +72,7 @@ defmodule Aerie.Link.SerialTest do
   end
 
   @tag :capture_log
-  test "a killed link frees its port and has it again", c do
+  test "a killed link frees its port and opens it again", c do
     {id, _} = add_link(c.gateway, c.device)
     up(c, id)
 
@@ -83,7 +83,7 @@ defmodule Aerie.Link.SerialTest do
 
     write(c.pty, attitude(1, 1))
     frames(1)
-    # A flood cannot be written faster than the line takes it; it is bounded and counted.
+    # Writes that exceed the line's rate are bounded and counted.
     Aerie.Router.send(c.gateway, {"main", 1}, :binary.copy("x", 9000))
     for _ <- 1..100, do: Aerie.Router.send(c.gateway, {"main", 1}, :binary.copy("x", 9000))
     eventually(fn -> Link.snapshot(c.gateway, id).counters.dropped_out > 0 end)

@@ -36,7 +36,7 @@ defmodule Aerie.Link.SpecTest do
       assert %{path: "/mavlink?token=a&x=1", ca: "/etc/ca.pem", id: "wss://agent.example.org:8443/mavlink"} =
                spec
 
-      # The server's part may be a password.
+      # The server's options may contain a password.
       assert spec.text == "wss://agent.example.org:8443/mavlink?…&network=north&ca=/etc/ca.pem"
       assert {:ok, %{host: {0, 0, 0, 0, 0, 0, 0, 1}, port: 443, path: "/?a"}} = Spec.parse("wss://[::1]?a")
 
@@ -44,7 +44,7 @@ defmodule Aerie.Link.SpecTest do
             {"ws://", "host and port are missing"},
             {"ws://:8765/", "host is missing"},
             {"ws://me:secret@host/", "a login is not possible"},
-            {"ws://host:0/", "is no port"},
+            {"ws://host:0/", "is not a port"},
             {"ws://host/a b", "its path has characters"},
             {"ws://host/#top", "no fragment"},
             {"ws://host/?ca=/etc/ca.pem", "is no option"},
@@ -132,22 +132,22 @@ defmodule Aerie.Link.SpecTest do
     assert Spec.place(Spec.parse!("replay:/x/y.tlog")) == "y.tlog"
   end
 
-  describe "what is wrong is said in words, with what was expected and an example" do
+  describe "an error says what is wrong, what was expected, and gives an example" do
     for {text, part} <- [
           {"", "neither a known kind of link nor a serial device"},
           {"udpin:", "host and port are missing"},
           {"udpin:0.0.0.0", "the port is missing"},
           {"udpin:0.0.0.0:", "the port is missing"},
-          {"udpin:0.0.0.0:99999", "\"99999\" is no port (0 to 65535)"},
-          {"tcp:300.1.1.1:5760", "\"300.1.1.1\" is no address and no name"},
-          {"tcp:::1:5760", "an IPv6 address stands in brackets"},
-          {"tcp:[::g]:5760", "\"::g\" is no IPv6 address"},
+          {"udpin:0.0.0.0:99999", "\"99999\" is not a port (0 to 65535)"},
+          {"tcp:300.1.1.1:5760", "\"300.1.1.1\" is neither an address nor a name"},
+          {"tcp:::1:5760", "an IPv6 address needs brackets"},
+          {"tcp:[::g]:5760", "\"::g\" is not an IPv6 address"},
           {"tcp:[::1", "the port is missing"},
           {"/dev/ttyACM0,fast", "\"fast\" is no baud rate"},
           {"/dev/ttyACM0,57600,8N1", "too many commas"},
           {"replay:", "the file is missing"},
           {"replay:x?speed=0", "\"0\" is no speed"},
-          {"replay:x?loop=maybe", "loop=maybe is no option of a replay"},
+          {"replay:x?loop=maybe", "\"maybe\" is neither true nor false"},
           {"udpin::1?speed=2", "\"speed\" is no option"},
           {"udpin::1?network=a b", "\"a b\" is no network"},
           {"udp://:14540", "udp:// is another program's form"},
@@ -162,7 +162,7 @@ defmodule Aerie.Link.SpecTest do
       end
     end
 
-    test "what is not text at all" do
+    test "input that is not text" do
       assert {:error, %Spec.Error{}} = Spec.parse(nil)
       assert {:error, %Spec.Error{}} = Spec.parse(<<255, 0, 1>>)
       assert_raise Spec.Error, fn -> Spec.parse!("x") end

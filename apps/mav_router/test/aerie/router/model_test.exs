@@ -181,14 +181,14 @@ defmodule Aerie.Router.ModelTest do
 
         for module <- [
               Aerie.Link.Supervisor,
-              Aerie.Identity.Pulse,
+              Aerie.Identity.Watchdog,
               Router.Supervisor,
               Aerie.Store.PubSub,
               Aerie.Store
             ],
             do: stop_supervised!({module, gateway})
 
-        Process.delete({Aerie.Router.Local, gateway})
+        Process.delete({Aerie.Router.ForwardCache, gateway})
         if result != :ok, do: IO.inspect(result, label: "after #{length(ops)}")
         result == :ok
       end)

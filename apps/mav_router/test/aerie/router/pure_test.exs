@@ -9,9 +9,9 @@ defmodule Aerie.Router.PureTest do
   alias Aerie.Router.Classify
   alias Aerie.Router.Dedupe
   alias Aerie.Router.Filter
-  alias Aerie.Router.Outlet
+  alias Aerie.Router.SendQueue
   alias Aerie.Router.Owner
-  alias Aerie.Router.Queue
+  alias Aerie.Router.ClassQueue
   alias Aerie.Router.RateLimit
   alias Aerie.Router.Score
   alias Aerie.Router.Tables
@@ -19,8 +19,8 @@ defmodule Aerie.Router.PureTest do
 
   defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]))
 
-  describe "Plan" do
-    alias Aerie.Router.{Endpoint, Endpoints, Plan, Routes}
+  describe "ForwardingTable" do
+    alias Aerie.Router.{Endpoint, Endpoints, ForwardingTable, Routes}
 
     defp tables do
       # Where endpoints tell that they are there is not needed here.
@@ -35,8 +35,8 @@ defmodule Aerie.Router.PureTest do
         {:ok, owner} = Owner.new("l", side: :vehicle, networks: ["main"])
         Endpoints.put_owner(tables, owner)
 
-        {plan, _} =
-          Enum.reduce(steps, {Plan.read(tables), 0}, fn {n, what}, {plan, skipped} ->
+        {forwarding, _} =
+          Enum.reduce(steps, {ForwardingTable.read(tables), 0}, fn {n, what}, {forwarding, skipped} ->
             key = {"l", n}
 
             case what do
@@ -48,11 +48,13 @@ defmodule Aerie.Router.PureTest do
             end
 
             # Several changes are taken in at once as well.
-            if rem(skipped + n, 3) == 0, do: {plan, skipped + 1}, else: {Plan.refresh(plan, tables), skipped}
+            if rem(skipped + n, 3) == 0,
+              do: {forwarding, skipped + 1},
+              else: {ForwardingTable.refresh(forwarding, tables), skipped}
           end)
 
-        plan = Plan.refresh(plan, tables)
-        Map.delete(plan, :audience) == Map.delete(Plan.read(tables), :audience)
+        forwarding = ForwardingTable.refresh(forwarding, tables)
+        Map.delete(forwarding, :audience) == Map.delete(ForwardingTable.read(tables), :audience)
       end)
       |> check()
     end
@@ -64,12 +66,12 @@ defmodule Aerie.Router.PureTest do
         Endpoints.put_owner(tables, owner)
         put = &Endpoints.put(gateway, tables, Endpoint.new(gateway, {"l", &1}, heard_vehicle: true))
         for n <- 1..others, do: put.(n)
-        plan = Plan.read(tables)
+        forwarding = ForwardingTable.read(tables)
         put.(:new)
         {:reductions, before} = Process.info(self(), :reductions)
-        plan = Plan.refresh(plan, tables)
+        forwarding = ForwardingTable.refresh(forwarding, tables)
         {:reductions, later} = Process.info(self(), :reductions)
-        assert map_size(plan.ways) == others + 1
+        assert map_size(forwarding.paths) == others + 1
         later - before
       end
 
@@ -247,13 +249,14 @@ defmodule Aerie.Router.PureTest do
       step = oneof([{:push, elements(Classify.classes()), range(1, 300)}, :pop])
 
       :proper.forall(list(step), fn steps ->
-        start = {Queue.new(max_frames: 10, max_bytes: 1_000), Map.new(Classify.classes(), &{&1, []}), true}
+        start =
+          {ClassQueue.new(max_frames: 10, max_bytes: 1_000), Map.new(Classify.classes(), &{&1, []}), true}
 
         {_queue, _model, ok} =
           Enum.reduce(Enum.with_index(steps), start, fn
             {{:push, class, size}, n}, {queue, model, ok} ->
               frame = <<n::32, 0::size(size * 8)>>
-              {queue, dropped} = Queue.push(queue, class, [frame], 0)
+              {queue, dropped} = ClassQueue.push(queue, class, [frame], 0)
               model = Map.update!(model, class, &(&1 ++ [frame]))
 
               model =
@@ -264,7 +267,7 @@ defmodule Aerie.Router.PureTest do
               {queue, model, ok and sane?(queue, model, dropped)}
 
             {:pop, _n}, {queue, model, ok} ->
-              case {Queue.pop(queue, 0), Enum.find(Classify.classes(), &(model[&1] != []))} do
+              case {ClassQueue.pop(queue, 0), Enum.find(Classify.classes(), &(model[&1] != []))} do
                 {nil, nil} ->
                   {queue, model, ok}
 
@@ -282,22 +285,23 @@ defmodule Aerie.Router.PureTest do
     end
 
     defp sane?(queue, model, dropped) do
-      depth = Queue.depth(queue)
+      depth = Map.new(queue.waiting, fn {class, waiting} -> {class, :queue.len(waiting)} end)
+      rank = fn class -> Enum.find_index(Classify.classes(), &(&1 == class)) end
       least = Classify.classes() |> Enum.reverse() |> Enum.find(&(depth[&1] > 0))
       all = model |> Map.values() |> Enum.concat()
 
       queue.frames <= 10 and queue.bytes <= 1_000 and
         depth == Map.new(model, fn {class, list} -> {class, length(list)} end) and
         queue.bytes == Enum.sum_by(all, &byte_size/1) and
-        Enum.all?(dropped, fn {class, _n} -> least == nil or Classify.rank(class) >= Classify.rank(least) end)
+        Enum.all?(dropped, fn {class, _n} -> least == nil or rank.(class) >= rank.(least) end)
     end
 
     test "what waited for a second is next, whatever its class" do
-      {queue, %{}} = Queue.push(Queue.new(), :bulk, ["old"], 0)
-      {queue, %{}} = Queue.push(queue, :control, ["a", "b"], 999)
-      assert {{:control, "a"}, _} = Queue.pop(queue, 999)
-      assert {{:bulk, "old"}, queue} = Queue.pop(queue, 1_000)
-      assert {{:control, "a"}, _} = Queue.pop(queue, 1_000)
+      {queue, %{}} = ClassQueue.push(ClassQueue.new(), :bulk, ["old"], 0)
+      {queue, %{}} = ClassQueue.push(queue, :control, ["a", "b"], 999)
+      assert {{:control, "a"}, _} = ClassQueue.pop(queue, 999)
+      assert {{:bulk, "old"}, queue} = ClassQueue.pop(queue, 1_000)
+      assert {{:control, "a"}, _} = ClassQueue.pop(queue, 1_000)
     end
   end
 
@@ -331,23 +335,23 @@ defmodule Aerie.Router.PureTest do
     end
 
     test "what is important goes first through a line that is too slow, and all that is shed is counted" do
-      outlet = Outlet.new([bytes_per_s: 1_000, queue: [max_frames: 50]], 0)
+      send_queue = SendQueue.new([bytes_per_s: 1_000, queue: [max_frames: 50]], 0)
 
-      {sent, outlet, dropped} =
-        Enum.reduce(0..999, {[], outlet, %{}}, fn ms, {sent, outlet, dropped} ->
-          {outlet, d1} = Outlet.push(outlet, :bulk, [:binary.copy("b", 100)], ms)
+      {sent, send_queue, dropped} =
+        Enum.reduce(0..999, {[], send_queue, %{}}, fn ms, {sent, send_queue, dropped} ->
+          {send_queue, d1} = SendQueue.push(send_queue, :bulk, [:binary.copy("b", 100)], ms)
 
-          {outlet, d2} =
+          {send_queue, d2} =
             if rem(ms, 100) == 0,
-              do: Outlet.push(outlet, :control, [:binary.copy("c", 20)], ms),
-              else: {outlet, %{}}
+              do: SendQueue.push(send_queue, :control, [:binary.copy("c", 20)], ms),
+              else: {send_queue, %{}}
 
           dropped =
             dropped |> Map.merge(d1, fn _, a, b -> a + b end) |> Map.merge(d2, fn _, a, b -> a + b end)
 
-          case Outlet.next(outlet, ms) do
-            {:send, bytes, outlet} -> {[IO.iodata_to_binary(bytes) | sent], outlet, dropped}
-            _wait -> {sent, outlet, dropped}
+          case SendQueue.next(send_queue, ms) do
+            {:send, bytes, send_queue} -> {[IO.iodata_to_binary(bytes) | sent], send_queue, dropped}
+            _wait -> {sent, send_queue, dropped}
           end
         end)
 
@@ -355,18 +359,18 @@ defmodule Aerie.Router.PureTest do
       assert sent |> String.graphemes() |> Enum.count(&(&1 == "c")) >= 9 * 20
       assert byte_size(sent) <= 1_000 + 300 + 100
       assert Map.keys(dropped) == [:bulk]
-      assert (dropped.bulk + outlet.queue.frames + div(byte_size(sent), 100)) in 995..1010
+      assert (dropped.bulk + send_queue.queue.frames + div(byte_size(sent), 100)) in 995..1010
     end
 
     test "what could not be written stays" do
-      outlet = Outlet.new([], 0)
-      assert Outlet.free?(outlet)
-      assert Outlet.next(outlet, 0) == :empty
-      {outlet, %{}} = Outlet.push(outlet, :state, ["one", "two"], 0)
-      refute Outlet.free?(outlet)
-      assert {:send, ["one", "two"], rest} = Outlet.next(outlet, 0)
-      assert Outlet.free?(rest)
-      assert {:send, ["one", "two"], _} = Outlet.next(outlet, 0)
+      send_queue = SendQueue.new([], 0)
+      assert SendQueue.free?(send_queue)
+      assert SendQueue.next(send_queue, 0) == :empty
+      {send_queue, %{}} = SendQueue.push(send_queue, :state, ["one", "two"], 0)
+      refute SendQueue.free?(send_queue)
+      assert {:send, ["one", "two"], rest} = SendQueue.next(send_queue, 0)
+      assert SendQueue.free?(rest)
+      assert {:send, ["one", "two"], _} = SendQueue.next(send_queue, 0)
     end
   end
 

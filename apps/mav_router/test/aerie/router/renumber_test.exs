@@ -1,12 +1,12 @@
 defmodule Aerie.Router.RenumberTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Router.Plan.Way
+  alias Aerie.Router.ForwardingTable.Path
   alias Aerie.Router.Renumber
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
-  @way %Way{key: {"r", :self}, owner: "r", side: :vehicle, networks: ["north"]}
+  @way %Path{key: {"r", :self}, owner: "r", side: :vehicle, networks: ["north"]}
   @offsets %{"north" => 10}
 
   defp check(property, n \\ 300), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]))

@@ -78,7 +78,7 @@ defmodule Aerie.Signing.ReplayTest do
 
   defp stamp(gateway) do
     marked = Signing.mark(gateway, {"main", 1}, heartbeat(237, component: 191))
-    frame(IO.iodata_to_binary(Signing.seal(gateway, "radio", :peer, marked))).signature.timestamp
+    frame(IO.iodata_to_binary(Signing.sign(gateway, "radio", :peer, marked))).signature.timestamp
   end
 
   describe "after kill -9" do
@@ -89,7 +89,7 @@ defmodule Aerie.Signing.ReplayTest do
       gateway = start(c, clock, key_file: key)
       frames = recorded(280, 100_000)
       assert heard(gateway, [hd(frames)]) == 1
-      :ok = Signing.Vault.save(gateway)
+      :ok = Signing.KeyStore.save(gateway)
       dir = Path.join(c.tmp_dir, "killed")
       File.mkdir_p!(dir)
       copy_dir(Path.join(c.tmp_dir, "signing"), Path.join(dir, "signing"))
@@ -123,7 +123,7 @@ defmodule Aerie.Signing.ReplayTest do
       {soon, vehicle} = signed(vehicle, 1)
       assert heard(gateway, [frame(soon)]) == 0
       marked = Signing.mark(gateway, {"main", 1}, heartbeat(237, component: 191))
-      ours = frame(IO.iodata_to_binary(Signing.seal(gateway, "radio", :peer, marked)))
+      ours = frame(IO.iodata_to_binary(Signing.sign(gateway, "radio", :peer, marked)))
       assert {:signed, vehicle} = MavCodec.Signing.check(vehicle, ours)
       {now, _} = signed(vehicle, 1)
       assert heard(gateway, [frame(now)]) == 1

@@ -14,7 +14,7 @@ defmodule Aerie.Signing.SecretsTest do
   setup c do
     gateway = start_signing(c.tmp_dir, key_file: key_file(c.tmp_dir, Base.encode16(@key)))
     {_id, _port} = add_link(gateway, "udpin:127.0.0.1:0?secure=true", id: "usb")
-    {:ok, _staged} = Signing.Vault.stage(gateway, {"main", 1}, Secret.new(@key))
+    {:ok, _staged} = Signing.KeyStore.stage(gateway, {"main", 1}, Secret.new(@key))
     {:ok, gateway: gateway, link: Names.whereis(gateway, :link, "usb")}
   end
 
@@ -41,7 +41,7 @@ defmodule Aerie.Signing.SecretsTest do
   test "states, :sys.get_status, dictionaries and tables of everything that has to do with signing", c do
     {bytes, _} = MavCodec.Signing.sign(MavCodec.Signing.new(@key), heartbeat(1), 50)
     assert [_] = Signing.admit(c.gateway, source(), [frame(bytes)])
-    vault = Names.whereis(c.gateway, :signing_vault)
+    key_store = Names.whereis(c.gateway, :key_store)
 
     tables =
       for {name, table} <- Signing.Tables.of(c.gateway),
@@ -50,7 +50,7 @@ defmodule Aerie.Signing.SecretsTest do
 
     for term <- [
           tables
-          | Enum.flat_map([vault, c.link], &[:sys.get_state(&1), :sys.get_status(&1), Process.info(&1)])
+          | Enum.flat_map([key_store, c.link], &[:sys.get_state(&1), :sys.get_status(&1), Process.info(&1)])
         ],
         do: refute_key(shown(term))
 
@@ -74,20 +74,20 @@ defmodule Aerie.Signing.SecretsTest do
     refute_key(log)
   end
 
-  test "the report of a vault that crashes over a key", c do
-    vault = Names.whereis(c.gateway, :signing_vault)
-    monitor = Process.monitor(vault)
+  test "the report of a key_store that crashes over a key", c do
+    key_store = Names.whereis(c.gateway, :key_store)
+    monitor = Process.monitor(key_store)
 
     log =
       capture_log(fn ->
-        catch_exit(GenServer.call(vault, {:stage, :no_id, Secret.new(@key)}))
+        catch_exit(GenServer.call(key_store, {:stage, :no_id, Secret.new(@key)}))
         assert_receive {:DOWN, ^monitor, :process, _pid, _reason}
       end)
 
     assert log =~ "stage"
     refute_key(log)
     # What is in force outlives it.
-    eventually(fn -> Names.whereis(c.gateway, :signing_vault) not in [nil, vault] end)
+    eventually(fn -> Names.whereis(c.gateway, :key_store) not in [nil, key_store] end)
     assert Signing.list(c.gateway).pending == ["main/1"]
   end
 
@@ -106,10 +106,10 @@ defmodule Aerie.Signing.SecretsTest do
 
     log =
       capture_log(fn ->
-        assert {:error, text} =
+        assert {:error, %Aerie.Error{} = error} =
                  Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "usb", key: :generate, timeout_ms: 50)
 
-        refute_key(text)
+        refute_key(Exception.message(error))
       end)
 
     assert log =~ "main/1"

@@ -3,6 +3,8 @@ defmodule SimVehicle.Ardupilot.Arming do
   ArduCopter's arming: the checks with their texts, and disarming by itself.
   """
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Battery, Flight, Geo, Params, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.Modes
@@ -114,7 +116,7 @@ defmodule SimVehicle.Ardupilot.Arming do
     else
       {lat, lon} = Vehicle.position(v)
       v = %{v | home: %{lat: lat, lon: lon, alt: Vehicle.altitude(v)}}
-      Vehicle.emit(v, Telemetry.message(v, 242))
+      Vehicle.emit(v, Telemetry.message(v, id(HomePosition)))
     end
   end
 

@@ -6,6 +6,8 @@ defmodule SimVehicle.Ardupilot.Boot do
   it.
   """
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Geo, Vehicle}
 
@@ -84,6 +86,6 @@ defmodule SimVehicle.Ardupilot.Boot do
   defp home(v) do
     {lat, lon} = Vehicle.position(v)
     v = %{v | home: %{lat: lat, lon: lon, alt: Vehicle.altitude(v)}}
-    Vehicle.emit(v, SimVehicle.Telemetry.message(v, 242))
+    Vehicle.emit(v, SimVehicle.Telemetry.message(v, id(HomePosition)))
   end
 end

@@ -4,6 +4,8 @@ defmodule SimVehicle.Ardupilot.Commands do
   with UNSUPPORTED.
   """
 
+  import MavCodec.MessageId
+
   alias SimVehicle.{Ardupilot, Command, Flight, Geo, Requests, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.{Arming, Boot, Modes}
   alias SimVehicle.Flight.{Goal, Mission}
@@ -119,7 +121,7 @@ defmodule SimVehicle.Ardupilot.Commands do
     {ok?, v} = Mission.set_current(v, trunc(Command.p(c, 1)))
 
     if ok?,
-      do: v |> Vehicle.emit(Telemetry.message(v, 42)) |> Vehicle.ack(c, @accepted),
+      do: v |> Vehicle.emit(Telemetry.message(v, id(MissionCurrent))) |> Vehicle.ack(c, @accepted),
       else: Vehicle.ack(v, c, @failed)
   end
 
@@ -148,7 +150,7 @@ defmodule SimVehicle.Ardupilot.Commands do
   # PREFLIGHT_CALIBRATION
   defp run(v, c, 241), do: Vehicle.ack(v, c, if(v.armed, do: @failed, else: @accepted))
 
-  # PREFLIGHT_REBOOT_SHUTDOWN: acknowledged, then gone
+  # PREFLIGHT_REBOOT_SHUTDOWN: acknowledged first
   defp run(v, c, 246) do
     cond do
       v.armed -> Vehicle.ack(v, c, @failed)
@@ -167,7 +169,9 @@ defmodule SimVehicle.Ardupilot.Commands do
 
   # GET_HOME_POSITION
   defp run(%{home: nil} = v, c, 410), do: Vehicle.ack(v, c, @failed)
-  defp run(v, c, 410), do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, 242))
+
+  defp run(v, c, 410),
+    do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, id(HomePosition)))
 
   defp run(v, c, 511), do: Requests.set_interval(v, c, Ardupilot.streamed())
 
@@ -191,7 +195,8 @@ defmodule SimVehicle.Ardupilot.Commands do
   end
 
   # REQUEST_AUTOPILOT_CAPABILITIES
-  defp run(v, c, 520), do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, 148))
+  defp run(v, c, 520),
+    do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, id(AutopilotVersion)))
 
   # DO_SEND_BANNER
   defp run(v, c, 42_428), do: v |> Vehicle.ack(c, @accepted) |> Boot.banner()
@@ -229,7 +234,7 @@ defmodule SimVehicle.Ardupilot.Commands do
         _other -> {k.n, k.e, k.d}
       end
 
-    # An hour means for ever: no battery lasts that long.
+    # Practically for ever: no battery lasts an hour.
     Flight.go(v, Map.put(Goal.wait(n, e, d, 3_600_000_000), :yaw, Geo.wrap_pi(yaw)))
   end
 
@@ -257,7 +262,7 @@ defmodule SimVehicle.Ardupilot.Commands do
 
   defp home(v, home) do
     v = %{v | home: home} |> Vehicle.put_own(:home_locked, true)
-    Vehicle.emit(v, Telemetry.message(v, 242))
+    Vehicle.emit(v, Telemetry.message(v, id(HomePosition)))
   end
 
   defp reposition(v, c, lat, lon, alt) do

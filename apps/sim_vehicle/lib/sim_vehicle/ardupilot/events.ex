@@ -1,6 +1,6 @@
 defmodule SimVehicle.Ardupilot.Events do
   @moduledoc """
-  What ArduCopter says and does when something happens in flight.
+  ArduCopter's texts and actions on events in flight.
   """
 
   alias MavCodec.Messages, as: M
@@ -41,7 +41,7 @@ defmodule SimVehicle.Ardupilot.Events do
 
   def flight_event(v, {:reached, :place, seq}) do
     v = %{v | landed: :in_air} |> Vehicle.emit(%M.MissionItemReached{seq: seq})
-    # Taking off is not told as "reached" in words.
+    # There is no "reached" text for a take-off.
     if item(v, seq) == 22, do: v, else: Vehicle.text(v, 6, "Reached command ##{seq}")
   end
 

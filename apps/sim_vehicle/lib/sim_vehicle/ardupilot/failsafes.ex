@@ -8,27 +8,15 @@ defmodule SimVehicle.Ardupilot.Failsafes do
 
   @doc "A failsafe begins or ends."
   @spec set(Vehicle.t(), atom, boolean) :: Vehicle.t()
-  def set(v, kind, true) do
-    if MapSet.member?(v.failsafes, kind) do
-      v
-    else
-      %{v | failsafes: MapSet.put(v.failsafes, kind)}
-      |> Vehicle.notify({:failsafe, kind, true})
-      |> deplete(kind)
-      |> begin(kind)
+  def set(v, kind, on?) do
+    case Vehicle.put_failsafe(v, kind, on?) do
+      :unchanged -> v
+      v when on? -> v |> deplete(kind) |> begin(kind)
+      v -> over(v, kind)
     end
   end
 
-  def set(v, kind, false) do
-    if MapSet.member?(v.failsafes, kind),
-      do:
-        %{v | failsafes: MapSet.delete(v.failsafes, kind)}
-        |> Vehicle.notify({:failsafe, kind, false})
-        |> over(kind),
-      else: v
-  end
-
-  @doc "The heartbeat of the ground station that the vehicle belongs to ends its absence (rule H5)."
+  @doc "A heartbeat of the vehicle's own ground station ends the ground station failsafe (rule H5)."
   @spec gcs_heard(Vehicle.t(), integer) :: Vehicle.t()
   def gcs_heard(v, system) do
     if system == Params.get(v.params, "SYSID_MYGCS"),
@@ -36,7 +24,7 @@ defmodule SimVehicle.Ardupilot.Failsafes do
       else: v
   end
 
-  @doc "Looks at charge, fence and ground station."
+  @doc "Checks charge, fence and ground station."
   @spec tick(Vehicle.t()) :: Vehicle.t()
   def tick(%{armed: false} = v), do: v
   def tick(v), do: v |> battery() |> fence() |> gcs()
@@ -51,7 +39,7 @@ defmodule SimVehicle.Ardupilot.Failsafes do
     end
   end
 
-  # Never before a ground station was seen.
+  # Only after a ground station was seen.
   defp gcs(v) do
     seen = Vehicle.own(v, :my_gcs_at)
     timeout = Params.get(v.params, "FS_GCS_TIMEOUT") * 1.0e6
@@ -77,7 +65,7 @@ defmodule SimVehicle.Ardupilot.Failsafes do
       (Bitwise.band(type, 4) != 0 and outside_polygon?(v))
   end
 
-  # Only the first inclusion polygon of the plan is looked at.
+  # Only the first inclusion polygon of the plan counts.
   defp outside_polygon?(v) do
     corners =
       for %{command: 5001} = item <- Plans.items(v.plans, 1), do: Geo.to_local(v.origin, item.x, item.y)

@@ -3,6 +3,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   ArduCopter's flight modes: numbers, when they can be entered, and what the vehicle then does.
   """
 
+  import MavCodec.MessageId
   import Bitwise
 
   alias SimVehicle.{Flight, Plans, Telemetry, Vehicle}
@@ -43,7 +44,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   @spec number(String.t()) :: non_neg_integer
   def number(name), do: Map.fetch!(@numbers, name)
 
-  @doc "Name of a number, nil for a mode that there is not."
+  @doc "Name of a mode number, nil for an unknown one."
   @spec name(integer) :: String.t() | nil
   def name(number), do: Map.get(@modes, number)
 
@@ -51,7 +52,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   @spec position?(String.t()) :: boolean
   def position?(name), do: name in @position or name == "LAND"
 
-  @doc "True for a mode that needs a position to be entered in flight and to be armed in."
+  @doc "True for a mode that needs a position: to be entered in flight, and to arm in it."
   @spec requires_position?(String.t()) :: boolean
   def requires_position?(name), do: name in @position
 
@@ -59,7 +60,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   @spec armable?(String.t()) :: boolean
   def armable?(name), do: name not in @not_armable
 
-  @doc "A ground station wants a mode, by SET_MODE or DO_SET_MODE; the MAV_RESULT comes first."
+  @doc "A ground station requests a mode, by SET_MODE or DO_SET_MODE. Returns `{MAV_RESULT, vehicle}`."
   @spec request(Vehicle.t(), integer, integer) :: {non_neg_integer, Vehicle.t()}
   def request(v, base_mode, _custom) when (base_mode &&& @custom_mode_enabled) == 0, do: {@denied, v}
 
@@ -70,7 +71,7 @@ defmodule SimVehicle.Ardupilot.Modes do
     end
   end
 
-  @doc "Changes the mode if it can be entered; the MAV_RESULT comes first."
+  @doc "Changes the mode if it can be entered. Returns `{MAV_RESULT, vehicle}`."
   @spec change(Vehicle.t(), String.t()) :: {non_neg_integer, Vehicle.t()}
   def change(%{mode: name} = v, name), do: {@accepted, v}
 
@@ -86,7 +87,7 @@ defmodule SimVehicle.Ardupilot.Modes do
   def enter(v, name) do
     v = start(%{v | mode: name, landed: if(v.airborne, do: :in_air, else: :on_ground)}, name)
     # In the next step, so that it follows the acknowledgement of the command.
-    v |> Vehicle.notify({:mode, name}) |> Vehicle.later(0, Telemetry.message(v, 0))
+    v |> Vehicle.notify({:mode, name}) |> Vehicle.later(0, Telemetry.message(v, id(Heartbeat)))
   end
 
   # While disarmed every mode can be entered; the checks come with arming.

@@ -3,6 +3,8 @@ defmodule SimVehicle.Px4.Commands do
   COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: mode changes twice, some commands never, refusals with an event.
   """
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Battery, Command, Flight, Geo, Params, Px4, Requests, Telemetry, Vehicle}
   alias SimVehicle.Flight.Goal
@@ -16,9 +18,9 @@ defmodule SimVehicle.Px4.Commands do
 
   # Known to PX4 1.17 and never answered: a gimbal's control and a VTOL's transition without either.
   @silent [205, 3000]
-  # Accepted with nothing to see.
+  # Accepted without a visible effect.
   @shrugged [401, 519, 195, 197, 1000, 1001, 2003, 183, 187]
-  # The breaker that keeps flight termination from working.
+  # The circuit breaker that disables flight termination.
   @termination_off 121_212
   # The commander runs in a thread of its own.
   @commander_us 5_000
@@ -184,15 +186,20 @@ defmodule SimVehicle.Px4.Commands do
   end
 
   # REQUEST_AUTOPILOT_CAPABILITIES
-  defp run(v, c, 520), do: v |> Vehicle.emit(Telemetry.message(v, 148)) |> Vehicle.ack(c, @accepted)
+  defp run(v, c, 520),
+    do: v |> Vehicle.emit(Telemetry.message(v, id(AutopilotVersion))) |> Vehicle.ack(c, @accepted)
+
   defp run(v, _c, id) when id in @silent, do: v
   defp run(v, c, id) when id in @shrugged, do: Vehicle.ack(v, c, @accepted)
   defp run(v, c, _unknown), do: Vehicle.ack(v, c, @unsupported)
 
-  defp requested(_v, c, 435), do: Modes.available(trunc(Command.p(c, 2)))
+  defp requested(_v, c, id(AvailableModes)), do: Modes.available(trunc(Command.p(c, 2)))
 
   defp requested(v, _c, id),
-    do: if(id in Px4.streamed() or id in [148, 300, 397], do: Telemetry.message(v, id))
+    do:
+      if(id in Px4.streamed() or id in [id(AutopilotVersion), id(ProtocolVersion), id(ComponentMetadata)],
+        do: Telemetry.message(v, id)
+      )
 
   defp mode(v, c, name) do
     {result, changed} = Modes.change(v, name)

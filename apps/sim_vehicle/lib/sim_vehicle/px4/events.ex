@@ -69,7 +69,7 @@ defmodule SimVehicle.Px4.Events do
     |> Vehicle.emit(event)
   end
 
-  @doc "CURRENT_EVENT_SEQUENCE: the newest sequence, flagged while nothing was told since boot."
+  @doc "CURRENT_EVENT_SEQUENCE: the newest sequence, flagged while there was no event since boot."
   @spec current(Vehicle.t()) :: struct
   def current(v) do
     sequence = Vehicle.own(v, :event_sequence, @first_sequence)
@@ -95,7 +95,7 @@ defmodule SimVehicle.Px4.Events do
 
   @doc """
   A text with id and chunks. Texts are held back while no ground station's heartbeat was heard for five seconds; the
-  oldest of more than twenty is lost.
+  oldest is lost if there are more than twenty.
   """
   @spec text(Vehicle.t(), 0..7, String.t()) :: Vehicle.t()
   def text(v, severity, text) do
@@ -123,7 +123,7 @@ defmodule SimVehicle.Px4.Events do
 
   defp gcs?(v), do: v.gcs_heard != nil and v.now - v.gcs_heard < @gcs_silent_us
 
-  # The tab shows a ground station that the text is also an event.
+  # The tab tells a ground station that the text is also an event.
   defp double(v, nil), do: v
   defp double(v, {severity, text}), do: Vehicle.text(v, severity, text <> "\t")
 

@@ -17,30 +17,19 @@ defmodule SimVehicle.Px4.Failsafes do
 
   @doc "A failsafe begins or ends."
   @spec set(Vehicle.t(), atom, boolean) :: Vehicle.t()
-  def set(v, kind, true) do
-    if MapSet.member?(v.failsafes, kind) do
-      v
-    else
-      %{v | failsafes: MapSet.put(v.failsafes, kind)}
-      |> Vehicle.notify({:failsafe, kind, true})
-      |> begin(kind)
+  def set(v, kind, on?) do
+    case Vehicle.put_failsafe(v, kind, on?) do
+      :unchanged -> v
+      v when on? -> begin(v, kind)
+      v -> over(v, kind)
     end
-  end
-
-  def set(v, kind, false) do
-    if MapSet.member?(v.failsafes, kind),
-      do:
-        %{v | failsafes: MapSet.delete(v.failsafes, kind)}
-        |> Vehicle.notify({:failsafe, kind, false})
-        |> over(kind),
-      else: v
   end
 
   @doc "The ground station is back."
   @spec gcs_heard(Vehicle.t()) :: Vehicle.t()
   def gcs_heard(v), do: set(v, :gcs, false)
 
-  @doc "Looks at charge, offboard setpoints, and whether a hold is over."
+  @doc "Checks charge, offboard setpoints, and whether a hold is over."
   @spec tick(Vehicle.t()) :: Vehicle.t()
   def tick(%{armed: false} = v),
     do: if(Vehicle.own(v, :act_at), do: Vehicle.put_own(v, :act_at, nil), else: v)

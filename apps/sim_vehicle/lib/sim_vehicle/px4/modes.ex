@@ -57,7 +57,7 @@ defmodule SimVehicle.Px4.Modes do
   def base_mode("ACRO"), do: 65
   def base_mode(_name), do: 17
 
-  @doc "A ground station wants a mode; the true MAV_RESULT comes first."
+  @doc "A ground station requests a mode. Returns `{the true MAV_RESULT, vehicle}`."
   @spec request(Vehicle.t(), integer, integer) :: {non_neg_integer, Vehicle.t()}
   def request(v, main, sub) do
     case name(main, sub) do

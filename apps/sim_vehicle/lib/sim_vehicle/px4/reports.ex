@@ -3,6 +3,8 @@ defmodule SimVehicle.Px4.Reports do
   The messages that only PX4 has, or that have another form in PX4.
   """
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Plans, Telemetry, Vehicle}
   alias SimVehicle.Px4.{Arming, Events, Missions, Modes}
@@ -14,7 +16,7 @@ defmodule SimVehicle.Px4.Reports do
 
   @doc "See `SimVehicle.Personality`."
   @spec message(Vehicle.t(), non_neg_integer) :: struct | nil | :common
-  def message(v, 0) do
+  def message(v, id(Heartbeat)) do
     %M.Heartbeat{
       type: 2,
       autopilot: 12,
@@ -25,9 +27,9 @@ defmodule SimVehicle.Px4.Reports do
     }
   end
 
-  def message(v, 4), do: %M.Ping{time_usec: v.now, seq: div(v.now, 10_000_000)}
+  def message(v, id(Ping)), do: %M.Ping{time_usec: v.now, seq: div(v.now, 10_000_000)}
 
-  def message(v, 42) do
+  def message(v, id(MissionCurrent)) do
     items = length(Plans.items(v.plans, 0))
     base = Telemetry.mission_current(v)
 
@@ -42,7 +44,7 @@ defmodule SimVehicle.Px4.Reports do
     }
   end
 
-  def message(v, 148) do
+  def message(v, id(AutopilotVersion)) do
     %M.AutopilotVersion{
       capabilities: @capabilities,
       flight_sw_version: @version,
@@ -55,7 +57,7 @@ defmodule SimVehicle.Px4.Reports do
     }
   end
 
-  def message(v, 230) do
+  def message(v, id(EstimatorStatus)) do
     flags = if Vehicle.positioned?(v), do: if(v.airborne, do: 895, else: 1023), else: 0xE5
 
     %M.EstimatorStatus{
@@ -67,9 +69,10 @@ defmodule SimVehicle.Px4.Reports do
     }
   end
 
-  def message(_v, 300), do: %M.ProtocolVersion{version: 200, min_version: 100, max_version: 203}
+  def message(_v, id(ProtocolVersion)),
+    do: %M.ProtocolVersion{version: 200, min_version: 100, max_version: 203}
 
-  def message(v, 397) do
+  def message(v, id(ComponentMetadata)) do
     %M.ComponentMetadata{
       time_boot_ms: Telemetry.boot_ms(v),
       file_crc: 0xC78D_DDA4,
@@ -78,15 +81,15 @@ defmodule SimVehicle.Px4.Reports do
   end
 
   # Only while it circles.
-  def message(%{mode: "ORBIT"} = v, 360) do
+  def message(%{mode: "ORBIT"} = v, id(OrbitExecutionStatus)) do
     orbit = Vehicle.own(v, :orbit)
     {lat, lon} = SimVehicle.Geo.to_global(v.origin, orbit.n, orbit.e)
     %M.OrbitExecutionStatus{time_usec: v.now, radius: orbit.radius, x: lat, y: lon, z: v.origin.alt - orbit.d}
   end
 
-  def message(_v, 360), do: nil
-  def message(v, 411), do: Events.current(v)
-  def message(v, 436), do: Modes.current(v)
+  def message(_v, id(OrbitExecutionStatus)), do: nil
+  def message(v, id(CurrentEventSequence)), do: Events.current(v)
+  def message(v, id(CurrentMode)), do: Modes.current(v)
   def message(_v, _id), do: :common
 
   # MAV_STATE: 0 when it could not be armed in this mode, 2 calibrating, 3 standby, 4 active (armed), 5 in a failsafe.

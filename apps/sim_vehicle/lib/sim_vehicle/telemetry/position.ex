@@ -1,21 +1,23 @@
 defmodule SimVehicle.Telemetry.Position do
   @moduledoc false
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Geo, Kinematics, Telemetry, Vehicle}
 
   @type_mask_position_only 65_016
 
   @spec message(Vehicle.t(), non_neg_integer) :: struct | nil
-  def message(v, 24), do: gps_raw(v, gps_fix(v))
-  def message(v, 32), do: if(v.home, do: local(v))
-  def message(v, 33), do: global(v)
-  def message(v, 49), do: if(v.home, do: origin(v))
-  def message(v, 74), do: vfr_hud(v)
-  def message(v, 85), do: target_local(v, aim(v.flight, v.mission))
-  def message(v, 87), do: target_global(v, aim(v.flight, v.mission))
-  def message(v, 141), do: altitude(v)
-  def message(v, 242), do: if(v.home, do: home(v))
+  def message(v, id(GpsRawInt)), do: gps_raw(v, gps_fix(v))
+  def message(v, id(LocalPositionNed)), do: if(v.home, do: local(v))
+  def message(v, id(GlobalPositionInt)), do: global(v)
+  def message(v, id(GpsGlobalOrigin)), do: if(v.home, do: origin(v))
+  def message(v, id(VfrHud)), do: vfr_hud(v)
+  def message(v, id(PositionTargetLocalNed)), do: target_local(v, aim(v.flight, v.mission))
+  def message(v, id(PositionTargetGlobalInt)), do: target_global(v, aim(v.flight, v.mission))
+  def message(v, id(Altitude)), do: altitude(v)
+  def message(v, id(HomePosition)), do: if(v.home, do: home(v))
 
   @doc "GPS_FIX_TYPE: none until a quarter of the way to ready, then the personality's."
   @spec gps_fix(Vehicle.t()) :: 0..6

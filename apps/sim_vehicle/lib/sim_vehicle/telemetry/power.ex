@@ -2,13 +2,14 @@ defmodule SimVehicle.Telemetry.Power do
   @moduledoc false
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Vehicle}
+  alias SimVehicle.{Battery, Params, Vehicle}
 
   import Bitwise
 
   @prearm_check 0x1000_0000
   @rc_receiver 0x1_0000
   @gps 0x20
+  @fence 0x10_0000
 
   # The bits that the two firmwares showed in flight, without those of the three sensors that can fail here.
   @sensors %{
@@ -22,7 +23,7 @@ defmodule SimVehicle.Telemetry.Power do
 
     %M.SysStatus{
       onboard_control_sensors_present: present,
-      onboard_control_sensors_enabled: enabled,
+      onboard_control_sensors_enabled: enabled ||| fence(v),
       onboard_control_sensors_health: health &&& bnot(unhealthy(v)),
       load: 60,
       voltage_battery: millivolts(v),
@@ -66,6 +67,12 @@ defmodule SimVehicle.Telemetry.Power do
 
     Enum.reduce(bits, 0, fn {bit, bad?}, sum -> if bad?, do: sum ||| bit, else: sum end)
   end
+
+  # PX4 shows no fence here.
+  defp fence(%{plans: %{style: :ardupilot}} = v),
+    do: if(Params.get(v.params, "FENCE_ENABLE") == 0, do: 0, else: @fence)
+
+  defp fence(_px4), do: 0
 
   defp millivolts(v), do: round(Battery.voltage(v.battery) * 1000)
   defp centiamps(v), do: v.battery.current_a |> Kernel.*(100) |> round() |> min(32_767)

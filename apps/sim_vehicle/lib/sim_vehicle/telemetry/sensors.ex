@@ -1,24 +1,30 @@
 defmodule SimVehicle.Telemetry.Sensors do
   @moduledoc false
 
+  import MavCodec.MessageId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Telemetry, Vehicle}
 
   @gravity 9.80665
 
   @spec message(Vehicle.t(), non_neg_integer) :: struct | nil
-  def message(v, 27), do: struct!(M.RawImu, Map.merge(imu(v), %{time_usec: v.now, temperature: 2744}))
-  def message(v, 29), do: pressure(v, M.ScaledPressure)
-  def message(v, 137), do: pressure(v, M.ScaledPressure2)
-  def message(v, 30), do: attitude(v)
-  def message(v, 31), do: quaternion(v)
-  def message(v, 36), do: servos(v)
-  def message(v, 65), do: rc_channels(v)
-  def message(v, 105), do: highres_imu(v)
-  def message(v, 116), do: struct!(M.ScaledImu2, Map.put(imu(v), :time_boot_ms, Telemetry.boot_ms(v)))
-  def message(v, 129), do: struct!(M.ScaledImu3, Map.put(imu(v), :time_boot_ms, Telemetry.boot_ms(v)))
+  def message(v, id(RawImu)), do: struct!(M.RawImu, Map.merge(imu(v), %{time_usec: v.now, temperature: 2744}))
+  def message(v, id(ScaledPressure)), do: pressure(v, M.ScaledPressure)
+  def message(v, id(ScaledPressure2)), do: pressure(v, M.ScaledPressure2)
+  def message(v, id(Attitude)), do: attitude(v)
+  def message(v, id(AttitudeQuaternion)), do: quaternion(v)
+  def message(v, id(ServoOutputRaw)), do: servos(v)
+  def message(v, id(RcChannels)), do: rc_channels(v)
+  def message(v, id(HighresImu)), do: highres_imu(v)
 
-  def message(v, 241) do
+  def message(v, id(ScaledImu2)),
+    do: struct!(M.ScaledImu2, Map.put(imu(v), :time_boot_ms, Telemetry.boot_ms(v)))
+
+  def message(v, id(ScaledImu3)),
+    do: struct!(M.ScaledImu3, Map.put(imu(v), :time_boot_ms, Telemetry.boot_ms(v)))
+
+  def message(v, id(Vibration)) do
     level = if v.airborne, do: 0.01, else: 0.003
     %M.Vibration{time_usec: v.now, vibration_x: level, vibration_y: level, vibration_z: level}
   end

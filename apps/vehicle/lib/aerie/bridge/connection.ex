@@ -1,23 +1,25 @@
 defmodule Aerie.Bridge.Connection do
   @moduledoc """
-  Keeps one connection to NATS: connects, makes the streams, tells the publishers, and does it all again when it is lost.
+  Keeps one connection to NATS: connects, creates the streams, notifies the publishers, and reconnects after a loss.
 
-  What to do is decided by `Aerie.Bridge.Connection.Machine`; this process carries it out. The publishers get
-  `{:bridge, :up, conn}` when a connection with its streams is there and `{:bridge, :down}` when it is gone; what is so
-  now is `current/1`. An attempt blocks this process only.
+  `Aerie.Bridge.Connection.Machine` decides, this process acts. The publishers get `{:bridge, :up, conn}` when a connection is up
+  and its streams were checked, and `{:bridge, :down}` when it is lost; `current/1` has the present state. An attempt blocks
+  only this process.
   """
   use GenServer
 
   alias Aerie.Bridge.Connection.{Machine, Settings}
   alias Aerie.Bridge.{Streams, Tables}
-  alias Aerie.{Config, Names}
+  alias Aerie.{Bridge, Names}
 
   require Logger
 
   @streams_retry_ms 5_000
-  @publishers [:bridge_state, :bridge_events]
+  # Somebody may delete a stream of which this gateway uses little.
+  @streams_look_ms 15_000
+  @publishers [:bridge_state, :bridge_events, :bridge_commands]
 
-  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  @spec start_link(gateway: Names.gateway(), settings: Bridge.Settings.t()) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_connection))
   end
@@ -25,12 +27,12 @@ defmodule Aerie.Bridge.Connection do
   @doc "The embedded server is up at this URL."
   @spec server_up(Names.gateway(), String.t()) :: :ok
   def server_up(gateway, url) do
-    # Not there yet: it will read the URL from the tables when it starts.
+    # A connection process that has not started yet reads the URL from the tables.
     if pid = Names.whereis(gateway, :bridge_connection), do: send(pid, {:server_up, url})
     :ok
   end
 
-  @doc "The connection that publishers may use, or nil. `streams: :ok` when JetStream is usable too."
+  @doc "The connection that publishers may use, or nil. `streams: :ok` if JetStream is usable too."
   @spec current(Tables.t()) :: %{conn: pid(), streams: :ok | :error} | nil
   def current(tables) do
     case Tables.info(tables, :connection) do
@@ -43,15 +45,15 @@ defmodule Aerie.Bridge.Connection do
   def init(options) do
     Process.flag(:trap_exit, true)
     gateway = options[:gateway]
-    config = options[:config]
+    %Bridge.Settings{} = settings = Keyword.fetch!(options, :settings)
     Process.set_label({:bridge_connection, gateway})
     Logger.metadata(gateway: inspect(gateway))
 
     state = %{
       gateway: gateway,
-      config: config,
+      settings: settings,
       tables: Tables.get(gateway),
-      machine: Machine.new(config.nats.retry_min_ms, config.nats.retry_max_ms),
+      machine: Machine.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
       conn: nil,
       up_at: nil,
       timer: nil,
@@ -66,7 +68,7 @@ defmodule Aerie.Bridge.Connection do
     {:noreply, event({:urls, urls(state)}, state)}
   end
 
-  defp urls(%{config: %{nats: %{mode: :url, url: urls}}}), do: urls
+  defp urls(%{settings: %{nats: %{mode: :url, url: urls}}}), do: urls
   defp urls(%{tables: tables}), do: tables |> Tables.info(:server) |> Map.get(:url) |> List.wrap()
 
   @impl GenServer
@@ -88,7 +90,7 @@ defmodule Aerie.Bridge.Connection do
   end
 
   def handle_info(:check_streams, %{conn: conn} = state) when conn != nil do
-    # Every refused event asks for it; one check answers them all.
+    # Every refused event asks for a check; one is enough for all.
     flush_checks()
     {:noreply, ensure_streams(state)}
   end
@@ -114,7 +116,7 @@ defmodule Aerie.Bridge.Connection do
   end
 
   defp action({:connect, url}, state) do
-    with {:ok, settings} <- Settings.gnat(state.config, url),
+    with {:ok, settings} <- Settings.gnat(state.settings, url),
          {:ok, conn} <- Gnat.start_link(settings) do
       state = %{state | conn: conn, up_at: System.monotonic_time(:millisecond)}
       :telemetry.execute([:aerie, :bridge, :connected], %{count: 1}, %{gateway: state.gateway, url: url})
@@ -126,11 +128,10 @@ defmodule Aerie.Bridge.Connection do
   end
 
   defp ensure_streams(state) do
-    {result, report} = Streams.ensure(state.conn, state.config)
-    # A connection that was lost in the middle is no news about streams; its exit message is on its way.
+    {result, report} = Streams.ensure(state.conn, state.settings)
+
+    # If the connection was lost meanwhile, the report says nothing about the streams; the exit message is on its way.
     if Process.alive?(state.conn), do: streams_known(state, result, report), else: state
-  catch
-    :exit, _reason -> state
   end
 
   defp streams_known(state, result, report) do
@@ -138,7 +139,8 @@ defmodule Aerie.Bridge.Connection do
       do: Enum.each(report, &log_stream/1)
 
     _ = if state.streams_timer, do: Process.cancel_timer(state.streams_timer)
-    timer = if result == :error, do: Process.send_after(self(), :check_streams, @streams_retry_ms)
+    pause = if result == :error, do: @streams_retry_ms, else: @streams_look_ms
+    timer = Process.send_after(self(), :check_streams, pause)
     Tables.put_info(state.gateway, state.tables, :streams, %{result: result, report: report})
     state = put_info(%{state | streams_timer: timer}, :up, result)
     tell(state, {:bridge, :up, state.conn})

@@ -2,35 +2,35 @@ defmodule Aerie.Bridge.Events do
   @moduledoc """
   Brings events from the journal into the stream `FLEET_EVENTS`, at least once and in each vehicle's order.
 
-  * NATS is there: pending events of the journal are published with their id as `Nats-Msg-Id`, and leave the journal when
-    the stream has confirmed them. One that is not confirmed is sent again; the id makes the second copy harmless.
-  * NATS is away (or confirms nothing): pending events move from the journal to the outbox on disk at once.
-  * NATS is back: the outbox goes first, marked `Aerie-Backfill: true`, then the journal again. So the order holds.
-  * The disk cannot be written: events stay in the journal, which is bounded and counts what it drops. Said once in the
-    log, tried again every few seconds.
+  * With NATS, pending events of the journal are published with their id as `Nats-Msg-Id`, and leave the journal when the
+    stream has confirmed them. An event that is not confirmed is sent again; its id makes the second copy harmless.
+  * Without NATS, or if it confirms nothing, pending events move from the journal to the outbox on disk.
+  * When NATS is back, the outbox goes first, marked `Aerie-Backfill: true`, then the journal, so that the order holds.
+  * If the disk cannot be written, events stay in the journal, which is bounded and counts what it drops. That is logged once
+    and retried every half second.
 
   `Aerie.Bridge.Events.Window` decides what may be in flight.
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, Outbox, Server, Tables}
-  alias Aerie.Bridge.Events.{Answer, Disk, Stall, Window}
-  alias Aerie.{Config, Fleet, Names}
+  alias Aerie.Bridge.{Connection, Outbox, Server, Settings, Tables}
+  alias Aerie.Bridge.Events.{Disk, Gaps, PubAck, StallDetector, Window}
+  alias Aerie.{Fleet, Names}
   alias Aerie.Store.PubSub
 
   require Logger
 
   @tick_ms 500
   @answer_ms 2_000
-  # Sent this often without a confirmation, events are safer on disk than in memory.
+  # After so many sendings without a confirmation, events are safer on disk than in memory.
   @patience 4
-  # More than this in the journal, or a quarter of what it holds, is moved to the disk even while NATS answers.
+  # If the journal has more events than this, or is a quarter full, it is moved to the disk even while NATS answers.
   @spill_above 5_000
   @drain_ms 1_000
-  # A server that has answered to nothing for so long is started again.
+  # A server that has answered nothing for so long is restarted.
   @silence_ms 10_000
 
-  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_events))
   end
@@ -39,26 +39,28 @@ defmodule Aerie.Bridge.Events do
   def init(options) do
     Process.flag(:trap_exit, true)
     gateway = options[:gateway]
-    config = options[:config]
+    %Settings{} = settings = Keyword.fetch!(options, :settings)
     Process.set_label({:bridge_events, gateway})
     Logger.metadata(gateway: inspect(gateway))
     :ok = PubSub.subscribe(gateway, :journal)
 
     state = %{
       gateway: gateway,
-      environment: config.environment,
+      environment: settings.environment,
       epoch: Fleet.Journal.epoch(gateway),
       tables: Tables.get(gateway),
-      settings: config.outbox,
-      spill_above: min(@spill_above, div(Fleet.Journal.max_pending(config), 4)),
-      window: Window.new(config.limits.max_events_in_flight),
+      settings: settings.outbox,
+      spill_above: min(@spill_above, div(settings.fleet.max_pending_events, 4)),
+      window: Window.new(settings.max_events_in_flight),
+      gaps: Gaps.new(),
+      places: %{},
       outbox: nil,
       problem: nil,
       refusal: nil,
       conn: nil,
       conn_at: nil,
       inbox: nil,
-      stall: Stall.new(),
+      stall: StallDetector.new(),
       synced_at: now()
     }
 
@@ -71,7 +73,7 @@ defmodule Aerie.Bridge.Events do
 
   @impl GenServer
   def handle_info({:fleet, :journal, _payload}, state) do
-    flush_wakes()
+    flush_notifications()
     {:noreply, pump(state)}
   end
 
@@ -96,7 +98,7 @@ defmodule Aerie.Bridge.Events do
     if state.outbox, do: Outbox.close(state.outbox)
   end
 
-  # What is in flight at an orderly end gets a moment to be confirmed; the rest goes to the disk.
+  # At an orderly end, events in flight get a moment to be confirmed; the rest goes to the disk.
   defp drain(%{conn: nil} = state, _deadline), do: state
 
   defp drain(state, deadline) do
@@ -122,7 +124,7 @@ defmodule Aerie.Bridge.Events do
     end
   end
 
-  # A connection that did not answer, but was not lost either, sends no news.
+  # A connection that did not answer but was not lost sends no message.
   defp look_again(%{conn: nil} = state) do
     case Connection.current(state.tables) do
       %{streams: :ok} -> look_for_connection(state)
@@ -139,18 +141,22 @@ defmodule Aerie.Bridge.Events do
       {:ok, _sid} -> %{state | conn: conn, conn_at: now(), inbox: inbox}
       {:error, _reason} -> state
     end
-  catch
-    :exit, _reason -> state
   end
 
-  # Everything unconfirmed begins again from where it is kept.
+  # Unconfirmed events are read again from the journal or the outbox.
   defp away(state), do: reset(%{state | conn: nil, inbox: nil, refusal: nil})
 
   defp reset(state) do
-    %{state | window: Window.reset(state.window), outbox: state.outbox && Outbox.rewind(state.outbox)}
+    %{
+      state
+      | window: Window.reset(state.window),
+        gaps: Gaps.reset(state.gaps),
+        places: %{},
+        outbox: state.outbox && Outbox.rewind(state.outbox)
+    }
   end
 
-  # The one place that moves events: to the disk, or to NATS.
+  # All events are moved here: to the disk, or to NATS.
   defp pump(%{conn: nil} = state), do: Disk.spill(state)
 
   defp pump(state) do
@@ -170,18 +176,42 @@ defmodule Aerie.Bridge.Events do
 
   defp fill_from(:outbox, state) do
     {records, outbox} = Outbox.read(state.outbox, 2 * state.window.max)
-    items = for {seq, record} <- records, do: {{:outbox, seq}, record}
-    %{state | outbox: outbox, window: Window.put(state.window, items)}
+
+    Enum.reduce(records, %{state | outbox: outbox}, fn {seq, record}, state ->
+      put(state, {:outbox, seq}, record, Gaps.place(decoded(record.body)))
+    end)
   end
 
   defp fill_from(:journal, state) do
-    items =
-      for event <- Fleet.Journal.pending(state.gateway, 4 * state.window.max),
-          key = {:journal, event.id},
-          not Window.member?(state.window, key),
-          do: {key, Disk.record(state, event)}
+    for event <- Fleet.Journal.pending(state.gateway, 4 * state.window.max),
+        key = {:journal, event.id},
+        not Window.member?(state.window, key),
+        reduce: state do
+      state -> put(state, key, Disk.record(state, event), place(state.epoch, event))
+    end
+  end
 
-    %{state | window: Window.put(state.window, items)}
+  defp place(nil, _event), do: nil
+  defp place(epoch, event), do: {event.vehicle, epoch, event.seq, event.seq}
+
+  # A bounded store dropped what is missing before it: a reader gets a marker in its place.
+  defp put(state, key, record, place) do
+    {missing, gaps} = Gaps.observe(state.gaps, place, false)
+
+    marker =
+      if missing,
+        do: [{{:lost, key}, Gaps.marker(state.environment, missing, System.os_time(:microsecond))}],
+        else: []
+
+    window = Window.put(state.window, marker ++ [{key, record}])
+    %{state | gaps: gaps, places: Map.put(state.places, key, place), window: window}
+  end
+
+  defp decoded(body) do
+    case JSON.decode(body) do
+      {:ok, object} -> object
+      {:error, _damaged} -> nil
+    end
   end
 
   defp send_ready(%{conn: nil} = state), do: state
@@ -228,20 +258,17 @@ defmodule Aerie.Bridge.Events do
 
       {:error, reason} ->
         Tables.count(state.tables, :publish_errors)
-        if Answer.hopeless?(reason), do: give_up(state, ref, record, reason), else: state
+        if PubAck.hopeless?(reason), do: give_up(state, ref, record, reason), else: state
     end
-  catch
-    :exit, _reason ->
-      Tables.count(state.tables, :publish_errors)
-      away(state)
   end
 
   defp headers({:outbox, _seq}, record), do: [{"Nats-Msg-Id", record.id}, {"Aerie-Backfill", "true"}]
+  defp headers({:lost, key}, record), do: headers(key, record)
   defp headers({:journal, _id}, record), do: [{"Nats-Msg-Id", record.id}]
 
-  # Refused for what it is: it would be refused for ever and hold up its vehicle's others.
+  # It would be refused for ever, and hold up the vehicle's other events.
   defp give_up(state, ref, record, reason) do
-    Logger.error("event #{record.id} on #{record.subject} is dropped: #{Answer.text(reason)}")
+    Logger.error("event #{record.id} on #{record.subject} is dropped: #{PubAck.text(reason)}")
     Tables.count(state.tables, :events_dropped)
     {key, window} = Window.confirm(state.window, ref)
     done(%{state | window: window}, [key])
@@ -253,7 +280,7 @@ defmodule Aerie.Bridge.Events do
   end
 
   defp answer(message, {state, keys}) do
-    case Answer.parse(message, state.inbox) do
+    case PubAck.parse(message, state.inbox) do
       {:confirmed, ref, duplicate?} ->
         if duplicate?, do: Tables.count(state.tables, :event_duplicates)
         subject = subject(state.window, ref)
@@ -274,17 +301,17 @@ defmodule Aerie.Bridge.Events do
 
     case state.window.in_flight do
       %{^ref => {{_key, record}, _at, _tries}} ->
-        if Answer.hopeless?(reason), do: give_up(state, ref, record, reason), else: not_now(state, reason)
+        if PubAck.hopeless?(reason), do: give_up(state, ref, record, reason), else: not_now(state, reason)
 
       _late ->
         state
     end
   end
 
-  # It stays in flight and is sent again when it is overdue. Without a stream, somebody has deleted it: have it made again.
+  # The event stays in flight and is sent again when it is overdue. If the stream was deleted, it is created again.
   defp not_now(state, reason) do
     if reason == :no_stream, do: send_to_connection(state, :check_streams)
-    text = "events are not taken by NATS: #{Answer.text(reason)}"
+    text = "NATS does not take events: #{PubAck.text(reason)}"
     if text != state.refusal, do: Logger.warning(text)
     %{state | refusal: text}
   end
@@ -314,23 +341,27 @@ defmodule Aerie.Bridge.Events do
       gateway: state.gateway
     })
 
-    state = %{state | stall: Stall.confirmed(state.stall, now())}
+    {places, rest} = Map.split(state.places, keys)
+    gaps = places |> Map.values() |> Enum.sort() |> Enum.reduce(state.gaps, &Gaps.confirm(&2, &1))
+    # On a leaf node it brings them to the hub.
+    if pid = Names.whereis(state.gateway, :bridge_forward), do: send(pid, :pump)
+    state = %{state | stall: StallDetector.confirmed(state.stall, now()), places: rest, gaps: gaps}
     if seqs == [], do: state, else: %{state | outbox: Outbox.ack(state.outbox, seqs)}
   end
 
   defp stalled(state) do
     waiting? = journal?(state) or source(state) == :outbox
-    stall = Stall.look(state.stall, now(), waiting?)
+    stall = StallDetector.check(state.stall, now(), waiting?)
 
-    # A refusal has its reason, which a new start does not take away; silence has none. A server that has just come gets its time.
+    # A restart helps against silence, not against a refusal. A new connection gets its time.
     if stall.problem? and state.conn != nil and now() - state.conn_at >= @silence_ms and state.refusal == nil,
-      do: Server.stalled(state.gateway, "it answers to no event")
+      do: Server.stalled(state.gateway, "it answers no event")
 
     %{state | stall: stall}
   end
 
   defp stall_text(%{stall: %{problem?: false}}), do: nil
-  defp stall_text(%{refusal: nil}), do: "events are not confirmed by NATS"
+  defp stall_text(%{refusal: nil}), do: "NATS does not confirm events"
   defp stall_text(%{refusal: text}), do: text
 
   defp put_info(state) do
@@ -342,7 +373,7 @@ defmodule Aerie.Bridge.Events do
         in_flight: Window.in_flight(state.window),
         problem: state.problem,
         stalled: stall_text(state),
-        stalled_s: div(Stall.ms(state.stall, now()), 1000)
+        stalled_s: div(StallDetector.ms(state.stall, now()), 1000)
       })
 
     if info != Tables.info(state.tables, :outbox),
@@ -351,7 +382,7 @@ defmodule Aerie.Bridge.Events do
     state
   end
 
-  # Answers and wakes that wait are taken together: one write of the outbox's head, one look at the journal.
+  # Waiting answers and notifications are handled together: one write of the outbox's head, one read of the journal.
   defp more_answers(messages) when length(messages) >= 64, do: messages
 
   defp more_answers(messages) do
@@ -362,9 +393,9 @@ defmodule Aerie.Bridge.Events do
     end
   end
 
-  defp flush_wakes do
+  defp flush_notifications do
     receive do
-      {:fleet, :journal, _payload} -> flush_wakes()
+      {:fleet, :journal, _payload} -> flush_notifications()
     after
       0 -> :ok
     end

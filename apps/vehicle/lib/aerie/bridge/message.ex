@@ -2,12 +2,13 @@ defmodule Aerie.Bridge.Message do
   @moduledoc """
   Subjects and bodies of the NATS contract. Pure.
 
-      fleet.{environment}.{vehicle}.state.{group}   {"vehicle","group","epoch","time","time_boot_ms","data"}
+      fleet.{environment}.{vehicle}.state.{group}   {"vehicle","group","gateway","epoch","time","time_boot_ms","data"}
       fleet.{environment}.{vehicle}.event.{type}    {"id","vehicle","type","epoch","seq","time","time_boot_ms","data"}
 
-  `epoch` is the number of the gateway's life, greater with each start: another one means that the gateway was started
-  anew, and that `seq` begins at 1. What comes from no gateway (a recording turned into text) has none.
-  Times are ISO 8601 in UTC with milliseconds. A number that JSON has no form for (NaN, infinity) is null.
+  `epoch` is a number that grows with each start of the gateway. A new one means that the gateway was restarted and that
+  `seq` begins at 1 again. Text made from a recording has no epoch.
+  `gateway` is the name of the one that published it: two may hear the same vehicle.
+  Times are ISO 8601 in UTC with milliseconds. A number that JSON cannot express (NaN, infinity) is null.
   """
 
   alias Aerie.Fleet.Json
@@ -17,14 +18,17 @@ defmodule Aerie.Bridge.Message do
   @spec state_subject(String.t(), String.t(), String.t()) :: String.t()
   def state_subject(environment, vehicle, group), do: "fleet.#{environment}.#{vehicle}.state.#{group}"
 
-  @doc "Subject of an event. A type with a dot (`battery.low`) takes two words, as consumers expect."
+  @doc "Subject of an event. A type with a dot (`battery.low`) is two tokens of the subject."
   @spec event_subject(String.t(), Event.t()) :: String.t()
   def event_subject(environment, event), do: "fleet.#{environment}.#{event.vehicle}.event.#{event.type}"
 
-  @doc "Body of a state group; `at` in unix microseconds."
-  @spec state(String.t(), String.t(), map(), non_neg_integer() | nil, integer(), pos_integer() | nil) ::
+  @typedoc "Which start of which gateway publishes."
+  @type origin :: %{epoch: pos_integer() | nil, gateway: String.t() | nil}
+
+  @doc "Body of a state group; `at` in unix microseconds. Text made from a recording has no origin."
+  @spec state(String.t(), String.t(), map(), non_neg_integer() | nil, integer(), origin() | nil) ::
           String.t()
-  def state(vehicle, group, data, time_boot_ms, at, epoch \\ nil) do
+  def state(vehicle, group, data, time_boot_ms, at, origin \\ nil) do
     body = %{
       "vehicle" => vehicle,
       "group" => group,
@@ -33,14 +37,19 @@ defmodule Aerie.Bridge.Message do
       "data" => Json.plain(Fields.rounded(group, data))
     }
 
-    epoch |> with_epoch(body) |> JSON.encode!()
+    body |> with_origin(origin) |> JSON.encode!()
   end
+
+  defp with_origin(body, nil), do: body
+
+  defp with_origin(body, %{epoch: epoch, gateway: gateway}),
+    do: Map.put(with_epoch(epoch, body), "gateway", gateway)
 
   @doc "Body of an event."
   @spec event(Event.t(), pos_integer() | nil) :: String.t()
   def event(%Event{} = event, epoch \\ nil), do: event |> event_object(epoch) |> JSON.encode!()
 
-  @doc "What the body of an event says: REST has the same."
+  @doc "The body of an event as a map; REST uses it too."
   @spec event_object(Event.t(), pos_integer() | nil) :: map()
   def event_object(%Event{} = event, epoch) do
     with_epoch(epoch, %{

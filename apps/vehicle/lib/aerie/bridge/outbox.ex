@@ -2,18 +2,19 @@ defmodule Aerie.Bridge.Outbox do
   @moduledoc """
   Events on disk while NATS is away: append at the end, read from the front, acknowledge in any order.
 
-  A value with open files, no process. A folder of segment files, each named after the number of its first record;
-  records are numbered 1, 2, 3 … for the life of the folder. The file `head` holds the number of the first record that
-  is not acknowledged yet. Whole segments before it are deleted.
+  A value with open files, not a process. The folder has segment files, each named after the number of its first record;
+  records are numbered 1, 2, 3 … as long as the folder exists. The file `head` has the number of the first record that
+  is not acknowledged. Segments before it are deleted.
 
-  What a crash costs: `kill -9` of the VM nothing that `append/2` returned from (the system has the data); a power cut
-  what was not forced to the disk yet, see `sync/1`. A record that was cut off or damaged ends its segment: what is
-  before it is kept. A lost `head` means that records are published again, which their ids make harmless.
+  After `kill -9` of the VM nothing is lost that `append/2` has written (the system has the data); after a power cut, what was
+  not synced (`sync/1`). A record that is cut off or damaged ends its segment; those before it are kept. If `head` is lost,
+  records are published again, which their ids make harmless.
 
-  Full: the oldest segment goes as a whole, and its unacknowledged records are counted as dropped.
+  If the outbox is full, the oldest segment is deleted, and its unacknowledged records are counted as dropped.
   """
 
   alias Aerie.Bridge.Outbox.{Record, Segment}
+  alias Aerie.DiskFormat
 
   @enforce_keys [:dir, :max_bytes, :segment_bytes]
   defstruct [
@@ -34,21 +35,28 @@ defmodule Aerie.Bridge.Outbox do
   @opaque t :: %__MODULE__{}
   @type seq :: pos_integer()
   @read_bytes 2 * 131_072
+  @format {"outbox", 1}
+
+  @doc "Kind and version of its folder, what `Aerie.Bridge.LastPublished` keeps there included."
+  @spec format() :: DiskFormat.kind()
+  def format, do: @format
 
   @doc """
-  Opens or makes an outbox. Options: `:max_bytes` (64 MiB), `:segment_bytes` (1 MiB).
+  Opens or makes an outbox. Options, both required: `:max_bytes`, `:segment_bytes`.
 
-  Everything that is readable is there again, to be read from the first record that is not acknowledged.
+  Reading starts at the first record that is not acknowledged.
   """
-  @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, File.posix()}
-  def open(dir, opts \\ []) do
+  @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, File.posix() | String.t()}
+  def open(dir, opts) do
     outbox = %__MODULE__{
       dir: Path.expand(dir),
-      max_bytes: Keyword.get(opts, :max_bytes, 64 * 1_048_576),
-      segment_bytes: Keyword.get(opts, :segment_bytes, 1_048_576)
+      max_bytes: Keyword.fetch!(opts, :max_bytes),
+      segment_bytes: Keyword.fetch!(opts, :segment_bytes)
     }
 
-    with :ok <- File.mkdir_p(outbox.dir), {:ok, names} <- File.ls(outbox.dir) do
+    with :ok <- File.mkdir_p(outbox.dir),
+         :ok <- DiskFormat.mark(outbox.dir, @format),
+         {:ok, names} <- File.ls(outbox.dir) do
       numbers = names |> Enum.flat_map(&List.wrap(Segment.number(&1))) |> Enum.sort()
       load(outbox, numbers, read_head(outbox))
     end
@@ -77,9 +85,9 @@ defmodule Aerie.Bridge.Outbox do
   end
 
   @doc """
-  Writes records at the end. An error says how many of them, from the first on, are done with all the same.
+  Writes records at the end. An error says how many of them, from the first on, were handled nevertheless.
 
-  A record above #{div(Record.max_bytes(), 1024)} KiB is dropped and counted: it would block all others for ever.
+  A record above #{div(Record.max_bytes(), 1024)} KiB is dropped and counted, because it would block all others for ever.
   """
   @spec append(t(), [Record.t()]) :: {:ok, t()} | {:error, File.posix(), t(), written :: non_neg_integer()}
   def append(outbox, []), do: {:ok, outbox}
@@ -95,7 +103,7 @@ defmodule Aerie.Bridge.Outbox do
         end
       end)
 
-    # In pieces of a segment, so that the size limit holds within one long list too.
+    # In pieces of at most a segment, so that the size limit also holds within one long list.
     case encoded |> Enum.reverse() |> pieces(outbox.segment_bytes) |> write(outbox, 0) do
       {:ok, outbox} ->
         {:ok, dropped(outbox, length(too_large))}
@@ -107,7 +115,7 @@ defmodule Aerie.Bridge.Outbox do
 
   defp dropped(outbox, n), do: %{outbox | dropped: outbox.dropped + n}
 
-  # Each piece as its bytes, how many records there are in it, and the place of the last one among all.
+  # Each piece: its bytes, their size, the number of its records, and the place of the last one in the list.
   defp pieces(encoded, size) do
     Enum.chunk_while(
       encoded,
@@ -141,24 +149,24 @@ defmodule Aerie.Bridge.Outbox do
         outbox = put_last(outbox, segment)
         {:ok, %{outbox | next: outbox.next + n, unsynced: true}}
 
-      # Closed, so that the next try opens it anew, or the next one where half a record could not be taken back.
+      # Closed, so that the next try opens the segment again, or the next one if half a record could not be removed.
       {:error, reason, segment} ->
-        {:error, reason, outbox |> close_writer() |> put_last(segment) |> without_ruin(segment)}
+        {:error, reason, outbox |> close_writer() |> put_last(segment) |> drop_unreadable(segment)}
     end
   end
 
   defp put_last(outbox, segment), do: %{outbox | segments: List.replace_at(outbox.segments, -1, segment)}
 
-  # A file that has nothing but what cannot be read is of no use, and the next one is to have its number.
-  defp without_ruin(outbox, %Segment{damaged: true, count: 0} = ruin) do
+  # A file without any readable record is deleted, because the next segment takes its number.
+  defp drop_unreadable(outbox, %Segment{damaged: true, count: 0} = ruin) do
     case Segment.delete(ruin) do
       :ok -> %{outbox | segments: List.delete_at(outbox.segments, -1)}
       {:error, _reason} -> %{outbox | damaged: outbox.damaged + 1}
     end
   end
 
-  defp without_ruin(outbox, %Segment{damaged: true}), do: %{outbox | damaged: outbox.damaged + 1}
-  defp without_ruin(outbox, _sound), do: outbox
+  defp drop_unreadable(outbox, %Segment{damaged: true}), do: %{outbox | damaged: outbox.damaged + 1}
+  defp drop_unreadable(outbox, _sound), do: outbox
 
   defp make_room(%{segments: [oldest | rest]} = outbox, bytes) do
     if bytes(outbox) + bytes > outbox.max_bytes do
@@ -197,7 +205,7 @@ defmodule Aerie.Bridge.Outbox do
     end
   end
 
-  # A damaged file without a readable record has that number already: it is skipped, as `settle/1` and `read/2` know.
+  # A damaged file without a readable record already has that number, so it is skipped, as in `settle/1` and `read/2`.
   defp first_of_next(outbox) do
     case List.last(outbox.segments) do
       %Segment{first: first} when first >= outbox.next -> first + 1
@@ -221,7 +229,7 @@ defmodule Aerie.Bridge.Outbox do
     %{outbox | writer: nil}
   end
 
-  @doc "The next unread records that are not acknowledged, oldest first, at most `limit`. They count as read."
+  @doc "At most `limit` unread, unacknowledged records, oldest first. They then count as read."
   @spec read(t(), pos_integer()) :: {[{seq(), Record.t()}], t()}
   def read(%{cursor: %{seq: seq}, head: head} = outbox, limit) when seq < head,
     do: outbox |> cursor(head) |> read(limit, [])
@@ -233,7 +241,7 @@ defmodule Aerie.Bridge.Outbox do
 
   defp read(%{cursor: cursor} = outbox, left, chunks) do
     segment = Enum.find(outbox.segments, &(cursor.seq < Segment.next(&1)))
-    # A gap (a segment that was damaged or dropped) is stepped over.
+    # A gap (a segment that was damaged or dropped) is skipped.
     cursor = if cursor.seq < segment.first, do: %{seq: segment.first, offset: 0}, else: cursor
     cursor = if cursor.seq == segment.first, do: %{cursor | offset: 0}, else: cursor
 
@@ -245,7 +253,7 @@ defmodule Aerie.Bridge.Outbox do
 
     case records do
       [] ->
-        # What was readable when it was opened is not any more: the rest of this segment is lost.
+        # What was readable before is no longer: the rest of this segment is lost.
         lost = Segment.next(segment) - cursor.seq
         outbox = %{outbox | damaged: outbox.damaged + 1, dropped: outbox.dropped + lost}
         outbox = ack(outbox, Enum.to_list(cursor.seq..(Segment.next(segment) - 1)))
@@ -260,7 +268,7 @@ defmodule Aerie.Bridge.Outbox do
     end
   end
 
-  @doc "Reading begins again at the first record that is not acknowledged."
+  @doc "Starts reading again at the first record that is not acknowledged."
   @spec rewind(t()) :: t()
   def rewind(outbox), do: cursor(outbox, outbox.head)
 
@@ -278,19 +286,19 @@ defmodule Aerie.Bridge.Outbox do
     %{outbox | cursor: %{seq: seq, offset: offset}}
   end
 
-  @doc "Records that are safe elsewhere. Unknown and repeated numbers are ignored."
+  @doc "Acknowledges records. Unknown and repeated numbers are ignored."
   @spec ack(t(), [seq()]) :: t()
   def ack(outbox, []), do: outbox
 
   def ack(outbox, seqs) do
     acked = for seq <- seqs, seq >= outbox.head, seq < outbox.next, into: outbox.acked, do: {seq, true}
     settled = settle(%{outbox | acked: acked})
-    # A head that cannot be written means that records are published again.
+    # If the head cannot be written, records are published again after a restart.
     _ = if settled.head != outbox.head, do: write_head(settled)
     trim(settled)
   end
 
-  # Moves the head over what is acknowledged, and over numbers that no segment has (the end of a damaged one).
+  # Moves the head past acknowledged records, and past numbers that no segment has (the end of a damaged one).
   defp settle(outbox) do
     {head, acked} = advance(outbox.head, outbox.acked)
     outbox = %{outbox | head: head, acked: acked}
@@ -305,7 +313,7 @@ defmodule Aerie.Bridge.Outbox do
     if is_map_key(acked, head), do: advance(head + 1, Map.delete(acked, head)), else: {head, acked}
   end
 
-  # Segments before the head go. The last one too once it is all acknowledged, so that an empty outbox is an empty folder.
+  # Deletes segments before the head, the last one too once all of it is acknowledged: an empty outbox has no segments.
   defp trim(%{segments: [segment | rest]} = outbox) do
     if Segment.next(segment) <= outbox.head and (rest != [] or segment.count > 0) do
       outbox = if rest == [], do: close_writer(outbox), else: outbox
@@ -318,7 +326,7 @@ defmodule Aerie.Bridge.Outbox do
 
   defp trim(outbox), do: outbox
 
-  @doc "Forces what was written to the disk."
+  @doc "Syncs what was written to the disk."
   @spec sync(t()) :: t()
   def sync(%{unsynced: true, writer: writer} = outbox) when writer != nil do
     _ = :file.datasync(writer)
@@ -335,8 +343,8 @@ defmodule Aerie.Bridge.Outbox do
   end
 
   @doc """
-  `events`: not acknowledged; `bytes`, `segments`: on disk; `dropped`: for want of room or readability, since it was
-  opened; `damaged`: segments that end in something unreadable.
+  `events`: not acknowledged; `bytes`, `segments`: on disk; `dropped`: since it was opened, because it was full or unreadable;
+  `damaged`: segments with an unreadable end.
   """
   @spec stats(t()) :: %{
           events: non_neg_integer(),
@@ -373,7 +381,7 @@ defmodule Aerie.Bridge.Outbox do
     end
   end
 
-  # Renamed into place, so that it is the old or the new one and never half of it.
+  # Renamed into place, so that it is never half written.
   defp write_head(outbox) do
     new = head_file(outbox) <> ".new"
 

@@ -3,31 +3,33 @@ defmodule Aerie.Bridge.Server do
   Embedded mode: runs nats-server and keeps it running.
 
   The folder `nats.store_dir` has its configuration (`nats.conf`, written at each start), its JetStream data (`data/`),
-  its log (`nats-server.log`, bounded), its process id, its login (`token`) and its address with that (`url`), all for
-  their owner alone. When it ends, it is started again: at once the first time,
-  then with growing pauses. What an earlier life left behind is ended before. A missing program, a folder that cannot
-  be used or a taken port is one line in the log, and is tried again: the gateway runs without NATS meanwhile. One that runs
-  but stores nothing, as after a full disk, is started again when the disk has room (`Aerie.Bridge.Server.Revival`).
+  its log (`nats-server.log`, bounded), its process id, its login (`token`) and its address with the login (`url`). Only their
+  owner can read them. A server that ends is restarted, at first immediately, then with growing pauses. A process that an
+  earlier gateway left behind is ended first. A missing program, an unusable folder or a taken port is logged once and retried;
+  meanwhile the gateway runs without NATS. A server that runs but stores nothing, as after a full disk, is restarted
+  when the disk has room (`Aerie.Bridge.Server.RestartPolicy`).
 
-  Where it listens and how it is, is in `Aerie.Bridge.info/1`; changes also go to subscribers of `:bridge` and to
+  `Aerie.Bridge.info/1` has its address and status; changes also go to subscribers of `:bridge` and to
   telemetry (`[:aerie, :bridge, :server, :up | :down]`).
   """
   use GenServer
 
-  alias Aerie.Bridge.{Backoff, Connection, FolderLock, Tables, Token}
-  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Revival, Settings}
-  alias Aerie.{Config, Disk, Names, PrivateFile}
+  alias Aerie.Backoff
+  alias Aerie.Bridge.{Connection, Leaf, Tables, Token}
+  alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, RestartPolicy, Settings}
+  alias Aerie.FolderLock
+  alias Aerie.{Bridge, Disk, Names, PrivateFile}
 
   require Logger
 
-  # Up for this long, a server is taken for healthy, and its end for a new misfortune.
+  # A server that was up for this long was healthy: its end is a new fault, so the pauses start over.
   @healthy_ms 5_000
   @stop_ms 5_000
   @max_port_tries 100
-  # How often the disk is looked at while the server stores nothing.
+  # How often the disk is checked while the server stores nothing.
   @look_ms 2_000
 
-  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  @spec start_link(gateway: Names.gateway(), settings: Bridge.Settings.t()) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_server))
   end
@@ -35,10 +37,10 @@ defmodule Aerie.Bridge.Server do
   def child_spec(options),
     do: %{id: __MODULE__, start: {__MODULE__, :start_link, [options]}, shutdown: @stop_ms + 3_000}
 
-  @doc "Events that were given to the server are not answered; `text` says since when, for the log."
+  @doc "The server does not answer published events; `text` is for the log."
   @spec stalled(Names.gateway(), String.t()) :: :ok
   def stalled(gateway, text) do
-    # A configured server is nobody's to start again.
+    # Only the embedded server can be restarted.
     if pid = Names.whereis(gateway, :bridge_server), do: send(pid, {:stalled, text})
     :ok
   end
@@ -47,7 +49,7 @@ defmodule Aerie.Bridge.Server do
   def init(options) do
     Process.flag(:trap_exit, true)
     gateway = options[:gateway]
-    config = options[:config]
+    %Bridge.Settings{} = settings = Keyword.fetch!(options, :settings)
     Process.set_label({:bridge_server, gateway})
     Logger.metadata(gateway: inspect(gateway))
 
@@ -55,17 +57,17 @@ defmodule Aerie.Bridge.Server do
      %{
        gateway: gateway,
        tables: Tables.get(gateway),
-       nats: %{config.nats | store_dir: Path.expand(config.nats.store_dir)},
-       port_given: Config.given?(config, "nats.port"),
-       wanted_port: config.nats.port,
-       tcp_port: config.nats.port,
+       nats: %{settings.nats | store_dir: Path.expand(settings.nats.store_dir)},
+       port_given: settings.port_given,
+       wanted_port: settings.nats.port,
+       tcp_port: settings.nats.port,
        port: nil,
        status: :starting,
        started_at: nil,
        log: %LogFile{},
-       failures: 0,
+       backoff: Backoff.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
        restarts: 0,
-       revival: Revival.new(),
+       restart_policy: RestartPolicy.new(),
        last_problem: nil
      }, {:continue, :start}}
   end
@@ -79,9 +81,9 @@ defmodule Aerie.Bridge.Server do
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state), do: {:noreply, line(line, state)}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
-    Logger.error("nats-server ended (status #{status}); starting it again")
+    Logger.error("nats-server ended (status #{status}); restarting it")
     up_ms = System.monotonic_time(:millisecond) - state.started_at
-    failures = if up_ms >= @healthy_ms, do: 0, else: state.failures
+    backoff = if up_ms >= @healthy_ms, do: Backoff.reset(state.backoff), else: state.backoff
 
     :telemetry.execute([:aerie, :bridge, :server, :down], %{up_ms: up_ms}, %{
       gateway: state.gateway,
@@ -90,26 +92,31 @@ defmodule Aerie.Bridge.Server do
 
     Tables.count(state.tables, :server_restarts)
     _ = LogFile.close(state.log)
-    state = %{state | port: nil, failures: failures, restarts: state.restarts + 1}
-    {:noreply, state |> put_info(:down) |> again()}
+    state = %{state | port: nil, backoff: backoff, restarts: state.restarts + 1}
+    {:noreply, state |> put_info(:down) |> start_later()}
   end
 
   def handle_info({:stalled, text}, state), do: {:noreply, fault(text, state)}
 
-  def handle_info(:look, %{port: port, revival: %{fault: text}} = state) when port != nil and text != nil do
-    case Revival.look(state.revival, System.monotonic_time(:millisecond), Disk.free(state.nats.store_dir)) do
-      {:restart, revival} ->
-        Logger.error("nats-server stores nothing (#{text}); starting it again")
+  def handle_info(:look, %{port: port, restart_policy: %{fault: text}} = state)
+      when port != nil and text != nil do
+    case RestartPolicy.check(
+           state.restart_policy,
+           System.monotonic_time(:millisecond),
+           Disk.free(state.nats.store_dir)
+         ) do
+      {:restart, restart_policy} ->
+        Logger.error("nats-server stores nothing (#{text}); restarting it")
         OsProcess.stop(port)
-        {:noreply, %{state | revival: revival}}
+        {:noreply, %{state | restart_policy: restart_policy}}
 
-      {:wait, revival} ->
+      {:wait, restart_policy} ->
         Process.send_after(self(), :look, @look_ms)
-        {:noreply, %{state | revival: revival}}
+        {:noreply, %{state | restart_policy: restart_policy}}
     end
   end
 
-  # A late line or end of a server that was given up.
+  # A late line or exit of a former server.
   def handle_info(_message, state), do: {:noreply, state}
 
   @impl GenServer
@@ -134,12 +141,13 @@ defmodule Aerie.Bridge.Server do
          _ = end_leftover(state, conf),
          {:ok, tcp_port} <- free_port(state),
          {:ok, token} <- Token.fetch(state.nats),
-         :ok <- write(conf, settings(state, tcp_port, token)) do
+         {:ok, seed} <- Leaf.Config.seed(state.nats.leaf),
+         :ok <- write(conf, state |> settings(tcp_port, token) |> Map.put(:seed, seed)) do
       port = OsProcess.start(program, ["-c", conf])
       log = LogFile.open(Path.join(state.nats.store_dir, "nats-server.log"))
       started_at = System.monotonic_time(:millisecond)
       state = %{state | port: port, tcp_port: tcp_port, log: log, started_at: started_at}
-      put_info(%{state | revival: Revival.started(state.revival)}, :starting)
+      put_info(%{state | restart_policy: RestartPolicy.started(state.restart_policy)}, :starting)
     else
       {:error, problem} -> problem(state, problem)
     end
@@ -159,7 +167,7 @@ defmodule Aerie.Bridge.Server do
   end
 
   defp settings(state, tcp_port, token) do
-    nats = Map.take(state.nats, [:address, :store_dir, :max_memory_mb, :max_store_mb])
+    nats = Map.take(state.nats, [:address, :store_dir, :max_memory_mb, :max_store_mb, :domain, :leaf])
     name = "aerie-#{:erlang.phash2(state.nats.store_dir)}"
     Map.merge(nats, %{name: name, port: tcp_port, token: token})
   end
@@ -171,10 +179,10 @@ defmodule Aerie.Bridge.Server do
     end
   end
 
-  # The port of the last run is kept while it is free, so that clients find the server again.
+  # The port of the last run is kept if it is free, so that clients find the server again.
   defp free_port(%{tcp_port: 0}), do: {:ok, 0}
 
-  # Any port was asked for: it need not be the last one.
+  # `nats.port: 0`: any port will do.
   defp free_port(%{wanted_port: 0} = state) do
     if try_port(state, state.tcp_port) == :ok, do: {:ok, state.tcp_port}, else: {:ok, 0}
   end
@@ -208,21 +216,15 @@ defmodule Aerie.Bridge.Server do
   end
 
   defp problem(state, problem) do
-    # Said once, not at every attempt.
+    # Logged once, not at every attempt.
     if problem != state.last_problem, do: Logger.error("the embedded NATS server cannot start: #{problem}")
-    %{state | last_problem: problem} |> put_info({:failed, problem}) |> again()
+    %{state | last_problem: problem} |> put_info({:failed, problem}) |> start_later()
   end
 
-  defp again(state) do
-    failures = state.failures + 1
-
-    Process.send_after(
-      self(),
-      :start,
-      Backoff.delay(failures, state.nats.retry_min_ms, state.nats.retry_max_ms)
-    )
-
-    %{state | failures: failures}
+  defp start_later(state) do
+    {delay, backoff} = Backoff.next(state.backoff)
+    Process.send_after(self(), :start, delay)
+    %{state | backoff: backoff}
   end
 
   defp line(line, state) do
@@ -241,7 +243,7 @@ defmodule Aerie.Bridge.Server do
         )
 
     state = put_info(%{state | last_problem: nil}, :up)
-    leave_url(state)
+    write_url(state)
 
     :telemetry.execute([:aerie, :bridge, :server, :up], %{restarts: state.restarts}, %{
       gateway: state.gateway,
@@ -254,24 +256,29 @@ defmodule Aerie.Bridge.Server do
 
   defp fact({:write_error, text}, state), do: fault(text, state)
 
-  # Somebody took the port between our looking and the server's opening; the next start looks again.
+  defp fact({:leaf, problem}, state) do
+    Tables.put_info(state.gateway, state.tables, :leaf, %{problem: problem})
+    state
+  end
+
+  # Another program took the port between our check and the server's start. The next start checks again.
   defp fact(:port_taken, state), do: state
   defp fact(nil, state), do: state
 
   defp fault(_text, %{port: nil} = state), do: state
-  defp fault(_text, %{revival: %{fault: known}} = state) when known != nil, do: state
+  defp fault(_text, %{restart_policy: %{fault: known}} = state) when known != nil, do: state
 
   defp fault(text, state) do
-    Logger.error("nats-server stores nothing: #{text}; it is started again when its disk has room")
+    Logger.error("nats-server stores nothing: #{text}; it is restarted when its disk has room")
     Process.send_after(self(), :look, @look_ms)
-    put_info(%{state | revival: Revival.fault(state.revival, text)}, state.status)
+    put_info(%{state | restart_policy: RestartPolicy.fault(state.restart_policy, text)}, state.status)
   end
 
-  defp leave_url(state) do
+  defp write_url(state) do
     with {:ok, token} <- Token.read(state.nats), :ok <- Token.put_url(state.nats, url(state), token) do
       :ok
     else
-      {:error, text} -> Logger.error("the address of the NATS server is not told: #{text}")
+      {:error, text} -> Logger.error("cannot write the address of the NATS server: #{text}")
     end
   end
 
@@ -282,7 +289,7 @@ defmodule Aerie.Bridge.Server do
       port: if(status == :up, do: state.tcp_port),
       store_dir: state.nats.store_dir,
       restarts: state.restarts,
-      fault: state.revival.fault
+      fault: state.restart_policy.fault
     }
 
     Tables.put_info(state.gateway, state.tables, :server, info)

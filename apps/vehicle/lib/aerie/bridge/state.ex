@@ -1,52 +1,54 @@
 defmodule Aerie.Bridge.State do
-  @moduledoc """
-  Publishes vehicles' state: fire and forget, last value first.
+  @doubtful_ms 30_000
 
-  `put/5` runs in the vehicle's process: it encodes and leaves the message in a table, one place per subject, and wakes
-  this process once per place. So a slow or absent NATS costs one value per subject, never a queue: the newer value
-  takes the place of the older one, which is counted as superseded. When NATS is back, the last value of each subject
-  is published; also one that was sent in the last #{div(30_000, 1000)} seconds, because nobody knows which of those a connection took with
-  it when it broke. Older ones are left alone: another gateway may know better by now.
+  @moduledoc """
+  Publishes vehicles' state: fire and forget, the newest value only.
+
+  `put/5` runs in the vehicle's process. It encodes the message, puts it into a table with one entry per subject, and wakes
+  this process if the entry is new. So a slow or absent NATS costs one value per subject, never a queue: a newer value
+  replaces the older one, which is counted as superseded. When NATS is back, the last value of each subject is published, also
+  if it was sent within the last #{div(@doubtful_ms, 1000)} seconds, because the lost connection may have dropped it. Older
+  values are not sent again: another gateway may have published newer ones.
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, Message, Tables}
-  alias Aerie.{Config, Fleet, Names}
+  alias Aerie.Bridge.{Connection, Message, Settings, Tables}
+  alias Aerie.{Bridge, Fleet, Names}
 
   @max_subjects 100_000
   @look_again_ms 1_000
-  @doubtful_ms 30_000
 
-  @spec start_link(gateway: Names.gateway(), config: Config.t()) :: GenServer.on_start()
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_state))
   end
 
-  @doc "Leaves a message to be published. Never waits for NATS."
+  @doc "Hands over a state group for publishing. Never waits for NATS."
   @spec put(Names.gateway(), String.t(), atom(), map(), integer()) :: :ok
   def put(gateway, vehicle, group, map, at) do
-    with %{values: values} = tables <- Tables.get(gateway),
-         {pid, {environment, epoch}} <- publisher(gateway) do
+    with %{} = tables <- Tables.get(gateway),
+         {pid, {environment, origin}} <- publisher(gateway) do
       {data, time_boot_ms} = parts(map)
       group = Atom.to_string(group)
       subject = Message.state_subject(environment, vehicle, group)
-      body = Message.state(vehicle, group, data, time_boot_ms, at, epoch)
+      body = Message.state(vehicle, group, data, time_boot_ms, at, origin)
 
-      if leave(tables, values, {subject, body, "state." <> group}) and
-           :ets.insert_new(values, {{:dirty, subject}}) do
-        send(pid, {:publish, subject})
-      end
+      if enqueue(tables, {subject, body, "state." <> group}), do: send(pid, {:publish, subject})
     end
 
     :ok
-  rescue
-    # The tables went away with a bridge that is being restarted: the next value comes soon.
-    ArgumentError -> :ok
+  end
+
+  @doc "The hub is back: what was published since `since` (monotonic ms) may not have arrived there, so it is published again."
+  @spec hub_up(Names.gateway(), integer()) :: :ok
+  def hub_up(gateway, since) do
+    if pid = Names.whereis(gateway, :bridge_state), do: send(pid, {:hub_up, since})
+    :ok
   end
 
   defp publisher(gateway) do
     case Registry.lookup(Aerie.Registry, {gateway, :bridge_state, nil}) do
-      [{pid, {_environment, _epoch} = value}] -> {pid, value}
+      [{pid, {_environment, _origin} = value}] -> {pid, value}
       _ -> nil
     end
   end
@@ -55,18 +57,25 @@ defmodule Aerie.Bridge.State do
   defp parts(%{data: data} = group) when is_map(data), do: {data, Map.get(group, :time_boot_ms)}
   defp parts(data), do: {data, nil}
 
-  defp leave(tables, values, {subject, _body, label} = message) do
+  # Whether the publisher must be notified.
+  defp enqueue(tables, {subject, _body, _label} = message) do
+    leave(tables, message) and :ets.insert_new(tables.values, {{:dirty, subject}})
+  rescue
+    # The tables are gone because the bridge restarts. The next value comes soon.
+    ArgumentError -> false
+  end
+
+  defp leave(%{values: values} = tables, {subject, _body, label} = message) do
     cond do
       :ets.info(values, :size) >= 2 * @max_subjects and not :ets.member(values, subject) ->
         Tables.count(tables, :state_dropped, subject: label)
         false
 
-      # Gives false when a value waits already.
+      # False if a value is already waiting.
       :ets.insert_new(values, message) ->
         true
 
-      # The older value may just have been taken: then it counts as superseded although it was published. Never the
-      # other way round: the newer one is there in any case.
+      # The publisher may take the older value just now, which then counts as superseded although it was published.
       true ->
         Tables.count(tables, :state_superseded, subject: label)
         :ets.insert(values, message)
@@ -78,14 +87,15 @@ defmodule Aerie.Bridge.State do
     gateway = options[:gateway]
     Process.set_label({:bridge_state, gateway})
     tables = Tables.get(gateway)
-    Names.put_value(gateway, :bridge_state, {options[:config].environment, Fleet.Journal.epoch(gateway)})
+    origin = %{epoch: Fleet.Journal.epoch(gateway), gateway: Bridge.name(gateway)}
+    Names.put_value(gateway, :bridge_state, {options[:settings].environment, origin})
     current = Connection.current(tables)
     conn = current && current.conn
     {:ok, sweep(%{tables: tables, conn: conn, last_conn: conn})}
   end
 
   @impl GenServer
-  # Away: the mark stays, so that nobody wakes us for this subject again; the sweep takes it off.
+  # Without a connection the mark stays, so that this subject causes no further messages. The sweep removes it.
   def handle_info({:publish, _subject}, %{conn: nil} = state), do: {:noreply, state}
 
   def handle_info({:publish, subject}, state), do: {:noreply, publish(subject, state)}
@@ -100,7 +110,16 @@ defmodule Aerie.Bridge.State do
 
   def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil}}
 
-  # A connection that did not answer, but was not lost either, sends no news.
+  def handle_info({:hub_up, since}, %{conn: conn} = state) when conn != nil do
+    # A value that waits is newer, and comes after it.
+    for {subject, {_subject, body, _label}, at} <- :ets.tab2list(state.tables.sent),
+        at >= since,
+        do: _ = Gnat.pub(conn, subject, body, headers: [{"Aerie-Backfill", "true"}])
+
+    {:noreply, state}
+  end
+
+  # A connection that did not answer but was not lost sends no message.
   def handle_info(:look_again, %{conn: nil} = state) do
     current = Connection.current(state.tables)
     {:noreply, sweep(%{state | conn: current && current.conn})}
@@ -118,7 +137,7 @@ defmodule Aerie.Bridge.State do
   defp publish(_subject, %{conn: nil} = state), do: state
 
   defp publish(subject, %{tables: %{values: values} = tables, conn: conn} = state) do
-    # The mark goes first: a value that comes after the take makes a new one.
+    # The mark goes first, so that a value that comes after the take sets a new one.
     :ets.delete(values, {:dirty, subject})
 
     case :ets.take(values, subject) do
@@ -162,11 +181,9 @@ defmodule Aerie.Bridge.State do
       {:error, %{reason: {:payload_too_large, _size, _max}}} -> {:error, :refused}
       {:error, _reason} -> {:error, :gone}
     end
-  catch
-    :exit, _reason -> {:error, :gone}
   end
 
-  # Unless a newer value is there already.
+  # Unless there is already a newer value.
   defp put_back(values, {subject, _body, _label} = message) do
     :ets.insert_new(values, message)
     :ets.insert(values, {{:dirty, subject}})

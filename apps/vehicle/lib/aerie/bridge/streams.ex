@@ -7,12 +7,11 @@ defmodule Aerie.Bridge.Streams do
   | `FLEET_STATE` | `fleet.*.*.state.>` | the last message of each subject |
   | `FLEET_EVENTS` | `fleet.*.*.event.>` | events, up to an age and a size, the oldest go first |
 
-  A stream that is not there is made. One that is there and differs is changed in embedded mode, where the server is
-  ours; on somebody else's server it is left as it is and the difference is reported: another gateway or an operator
-  may have meant it.
+  A missing stream is created. A stream that differs from the configuration is changed on the embedded server. On another
+  server it is left as it is and the difference is reported, because another gateway or an operator may have set it.
   """
 
-  alias Aerie.Config
+  alias Aerie.Bridge.Settings
   alias Gnat.Jetstream.API.Stream, as: Api
 
   @compared [
@@ -32,22 +31,23 @@ defmodule Aerie.Bridge.Streams do
 
   @type report :: %{String.t() => :created | :ok | :updated | {:differs, [String.t()]} | {:error, String.t()}}
 
-  @doc "The streams as the configuration wants them."
-  @spec wanted(Config.t()) :: [struct()]
-  def wanted(%Config{nats: %{streams: streams}}) do
+  @doc "The streams as configured."
+  @spec wanted(Settings.t()) :: [struct()]
+  def wanted(%Settings{nats: %{streams: streams}}) do
     common = %{retention: :limits, storage: :file, discard: :old, num_replicas: streams.replicas}
 
-    # A stream without duplicate window of its own gets the server's two minutes; state has no message ids to remember.
+    # Without its own duplicate window, the stream gets the server's two minutes. State messages have no ids anyway.
     state = %{
       name: "FLEET_STATE",
       subjects: ["fleet.*.*.state.>"],
       description: "Last value of each state group of each vehicle",
       max_msgs_per_subject: 1,
       max_bytes: streams.state_max_mb * 1_048_576,
+      max_age: nanoseconds(streams.state_max_age_days),
       allow_direct: true
     }
 
-    max_age = round(streams.event_max_age_days * 86_400 * 1_000_000_000)
+    max_age = nanoseconds(streams.event_max_age_days)
 
     events = %{
       name: "FLEET_EVENTS",
@@ -61,14 +61,16 @@ defmodule Aerie.Bridge.Streams do
     for stream <- [state, events], do: struct!(Api, Map.merge(common, stream))
   end
 
-  # The server refuses a window that is longer than messages live.
+  defp nanoseconds(days), do: round(days * 86_400 * 1_000_000_000)
+
+  # The server refuses a window that is longer than the age limit.
   defp duplicate_window(window, 0), do: window
   defp duplicate_window(window, max_age), do: min(window, max_age)
 
-  @doc "Makes or checks both streams. `{:error, report}` if one of them cannot be used."
-  @spec ensure(Gnat.t(), Config.t()) :: {:ok, report()} | {:error, report()}
-  def ensure(conn, %Config{} = config) do
-    report = Map.new(wanted(config), &{&1.name, ensure_one(conn, &1, config.nats.mode)})
+  @doc "Creates or checks both streams; an error if one of them cannot be used."
+  @spec ensure(Gnat.t(), Settings.t()) :: {:ok, report()} | {:error, report()}
+  def ensure(conn, %Settings{} = settings) do
+    report = Map.new(wanted(settings), &{&1.name, ensure_one(conn, &1, settings.nats.mode)})
     failed? = Enum.any?(report, &match?({_name, {:error, _}}, &1))
     {if(failed?, do: :error, else: :ok), report}
   end
@@ -88,7 +90,7 @@ defmodule Aerie.Bridge.Streams do
     end
   end
 
-  # The server reserves a stream's size when it makes it.
+  # The server reserves a stream's size when it creates it.
   defp not_made(%{"err_code" => code} = reason, wanted) when code in @no_room do
     key = if wanted.name == "FLEET_STATE", do: "state_max_mb", else: "event_max_mb"
     "#{text(reason)} for #{div(wanted.max_bytes, 1_048_576)} MB (nats.streams.#{key})"
@@ -107,12 +109,12 @@ defmodule Aerie.Bridge.Streams do
   defp update(conn, wanted, differences) do
     case Api.update(conn, wanted) do
       {:ok, _info} -> :updated
-      # Some settings cannot be changed while a stream exists. It works as it is.
+      # Some settings of an existing stream cannot be changed. It works as it is.
       {:error, _reason} -> {:differs, differences}
     end
   end
 
-  @doc "What differs, in words: `max_bytes is 1, configured 2`."
+  @doc "The differences as texts: `max_bytes is 1, configured 2`."
   @spec differences(struct(), struct()) :: [String.t()]
   def differences(wanted, there) do
     for key <- @compared, Map.fetch!(wanted, key) != nil, normal(wanted, key) != normal(there, key) do
@@ -132,12 +134,12 @@ defmodule Aerie.Bridge.Streams do
   defp show(nil), do: "not set"
   defp show(value), do: to_string(value)
 
-  @doc "A reason of the JetStream API in words."
+  @doc "A reason of the JetStream API as text."
   @spec text(term()) :: String.t()
   def text(%{"description" => description}), do: description
   def text(:no_responders), do: "the server has no JetStream"
   def text(:timeout), do: "no answer"
   def text(text) when is_binary(text), do: text
   def text(exception) when is_exception(exception), do: Exception.message(exception)
-  def text(_other), do: "an answer that is not understood"
+  def text(_other), do: "an unknown answer"
 end

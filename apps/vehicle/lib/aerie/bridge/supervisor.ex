@@ -2,42 +2,60 @@ defmodule Aerie.Bridge.Supervisor do
   @moduledoc """
   The bridge's processes, each depending on those before it (`rest_for_one`).
 
-  | child | what its end costs |
+  | child | what its crash costs |
   |---|---|
   | `Tables` | counters and last values; then all below |
   | `Server` (embedded mode) | the server ends with it and comes back with its data; then all below |
   | `Connection` | the connection; events in flight are sent again |
   | `State` | nothing: last values are in the tables |
-  | `Events` | events in flight are sent again, their ids make that harmless |
+  | `Events` | events in flight are sent again; their ids make that harmless |
+  | `Forward` (leaf node) | events in flight to the hub are sent again |
+  | `Commands` | answers to commands under way; the commands go on |
   """
   use Supervisor
 
-  alias Aerie.Bridge.{Connection, Events, Server, State, Tables}
-  alias Aerie.{Config, Names}
+  alias Aerie.Bridge.{
+    Commands,
+    Connection,
+    Events,
+    Forward,
+    LastPublished,
+    Leaf,
+    Server,
+    Settings,
+    State,
+    Tables
+  }
 
-  @doc "`:ignore` when the configuration has no NATS (`nats.mode: off`, or no such section): there is nothing to bridge to."
-  @spec start_link(gateway: Names.gateway(), config: Config.t() | map()) :: Supervisor.on_start()
+  alias Aerie.{Bridge, Names}
+
+  @doc "`:ignore` if there is no NATS (`nats.mode: off`)."
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: Supervisor.on_start()
   def start_link(options) do
-    case options[:config] do
-      %Config{nats: %{mode: mode}} when mode in [:embedded, :url] ->
-        Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge))
+    Bridge.note_environment(options[:gateway], options[:settings].environment)
+    Bridge.note_name(options[:gateway], LastPublished.name(options[:settings].vehicle.identity))
 
-      _without ->
-        :ignore
+    if Settings.on?(Keyword.fetch!(options, :settings)) do
+      Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge))
+    else
+      Bridge.note_off(options[:gateway])
+      :ignore
     end
   end
 
   @impl Supervisor
   def init(options) do
     Process.set_label({:bridge, options[:gateway]})
-    children = if options[:config].nats.mode == :embedded, do: [{Server, options}], else: []
+    nats = options[:settings].nats
+    server = if nats.mode == :embedded, do: [{Server, options}], else: []
+    forward = if Leaf.Config.on?(nats.leaf), do: [{Forward, options}], else: []
 
     children =
       [{Tables, gateway: options[:gateway]}] ++
-        children ++
-        [{Connection, options}, {State, options}, {Events, options}]
+        server ++
+        [{Connection, options}, {State, options}, {Events, options}] ++ forward ++ [{Commands, options}]
 
-    # A client or server that misbehaves is met with pauses of its own; this bounds what nobody thought of.
+    # The children handle a misbehaving server with pauses of their own; this limits unforeseen crashes.
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 30)
   end
 end

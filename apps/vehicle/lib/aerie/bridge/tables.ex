@@ -1,16 +1,17 @@
 defmodule Aerie.Bridge.Tables do
   @moduledoc """
-  Owns what the bridge's processes share and what must outlive them: last values of state waiting for NATS, counters, and
-  what is known of the server and the connection. It does nothing else, so nothing can end it.
+  Owns the tables that the bridge's processes share and that must outlive them: state values that wait for NATS, counters,
+  and the status of the parts. It does nothing else, so it has no reason to crash.
 
-  * `values`: `{subject, body, label}` not published yet, and `{{:dirty, subject}}` for those that the publisher was told of
+  * `values`: `{subject, body, label}` not published yet, and `{{:dirty, subject}}` if the publisher was notified
   * `sent`: `{subject, message, ms}`, the message last sent on each subject and when (monotonic)
   * `counters`: `{{metric, labels}, n}`
-  * `info`: `{:server, map}`, `{:connection, map}`, `{:streams, map}`, `{:outbox, map}`
+  * `info`: `{:server, map}`, `{:connection, map}`, `{:streams, map}`, `{:outbox, map}`; on a leaf node
+    `{:leaf, map}` (what the server says of the hub) and `{:hub, map}`
   """
   use GenServer
 
-  alias Aerie.Bridge.Problem
+  alias Aerie.Bridge.Readiness
   alias Aerie.Names
 
   @type t :: %{values: :ets.table(), sent: :ets.table(), counters: :ets.table(), info: :ets.table()}
@@ -21,7 +22,7 @@ defmodule Aerie.Bridge.Tables do
     GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :bridge_tables))
   end
 
-  @doc "The tables of a gateway's bridge, or nil when it is not running."
+  @doc "The tables of a gateway's bridge, or nil if it is not running."
   @spec get(Names.gateway()) :: t() | nil
   def get(gateway), do: Names.value(gateway, :bridge_tables)
 
@@ -33,17 +34,18 @@ defmodule Aerie.Bridge.Tables do
     :ok
   end
 
-  @doc "What is known of a part."
-  @spec info(t(), :server | :connection | :streams | :outbox) :: map()
+  @doc "The status of a part."
+  @spec info(t(), :server | :connection | :streams | :outbox | :leaf | :hub) :: map()
   def info(tables, part), do: :ets.lookup_element(tables.info, part, 2, %{})
 
-  @doc "What keeps events from being stored by NATS, or nil."
+  @doc "Why NATS does not store events, or nil if it does."
   @spec problem(t()) :: String.t() | nil
   def problem(tables),
-    do: Problem.text(Map.new([:server, :connection, :streams, :outbox], &{&1, info(tables, &1)}))
+    do: Readiness.problem(Map.new([:server, :connection, :streams, :outbox], &{&1, info(tables, &1)}))
 
-  @doc "Writes what is known of a part, and tells subscribers of `:bridge` what it is now."
-  @spec put_info(Names.gateway(), t(), :server | :connection | :streams | :outbox, map()) :: :ok
+  @doc "Writes the status of a part and publishes it to subscribers of `:bridge`."
+  @spec put_info(Names.gateway(), t(), :server | :connection | :streams | :outbox | :leaf | :hub, map()) ::
+          :ok
   def put_info(gateway, tables, part, info) do
     :ets.insert(tables.info, {part, info})
     Aerie.Store.PubSub.publish(gateway, :bridge, {part, info})

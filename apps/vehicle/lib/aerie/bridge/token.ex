@@ -1,20 +1,20 @@
 defmodule Aerie.Bridge.Token do
   @moduledoc """
-  The login of the embedded server: a random token, made at the first start and kept in `token` beside the server's data,
-  so that a program that knows the address still knows it after a restart. `url` beside it has the address with the token.
-  Both are readable by their owner alone. `nats.token` takes the place of the random one.
+  The login of the embedded server: a random token. It is made at the first start and kept in the file `token` beside the
+  server's data, so that programs can still log in after a restart. The file `url` has the address with the token. Only
+  their owner can read both. `nats.token` replaces the random token.
   """
 
   alias Aerie.Secret
   alias Aerie.PrivateFile
 
-  @doc "The token, made now if there is none yet."
+  @doc "The token; it is made if there is none yet."
   @spec fetch(map()) :: {:ok, String.t()} | {:error, String.t()}
   def fetch(nats) do
     with {:error, _reason} <- read(nats), do: make(file(nats))
   end
 
-  @doc "The token of a server that was started."
+  @doc "The token of a server that was started before."
   @spec read(map()) :: {:ok, String.t()} | {:error, String.t()}
   def read(%{token: token}) when token != nil, do: {:ok, Secret.reveal(token)}
 
@@ -34,11 +34,11 @@ defmodule Aerie.Bridge.Token do
     with :ok <- write(file, token), do: {:ok, token}
   end
 
-  @doc "Leaves the address with the token for whoever may read it."
+  @doc "Writes the address with the token into a file for its owner."
   @spec put_url(map(), String.t(), String.t()) :: :ok | {:error, String.t()}
   def put_url(nats, url, token), do: write(url_file(nats), with_token(url, token))
 
-  @doc "The address with the token that `put_url/3` left, or nil."
+  @doc "The address with the token that `put_url/3` wrote, or nil."
   @spec url(map()) :: String.t() | nil
   def url(nats) do
     case File.read(url_file(nats)) do

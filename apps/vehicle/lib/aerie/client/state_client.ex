@@ -1,7 +1,7 @@
 defmodule Aerie.Client.StateClient do
   @moduledoc """
   One reader of `state.sock`. It writes the newest text and waits for the reader as long as that takes, with nothing
-  queued meanwhile; a reader that takes nothing for half a minute is let go. What a reader says is not listened to.
+  queued meanwhile; a reader that reads nothing for half a minute is disconnected. What a reader sends is ignored.
   """
   use GenServer, restart: :temporary
 

@@ -3,7 +3,7 @@ defmodule Aerie.Client.StateFeed do
   The state of all vehicles as text, made once for all who read it, ten times a second while anybody does.
 
   A reader (`join/1`) gets the message `:state_lines` when there is a new text, takes it with `latest/1`, and gets no
-  further message before it has: whoever is slow misses texts and never has more than one message waiting.
+  further message before it has: a slow subscriber misses texts and never has more than one message waiting.
   """
   use GenServer
 
@@ -36,14 +36,8 @@ defmodule Aerie.Client.StateFeed do
   @spec latest(reader()) :: binary() | nil
   def latest({gateway, told}) do
     :ok = :atomics.put(told, 1, 0)
-
-    case Names.value(gateway, :state_feed) do
-      nil -> nil
-      table -> :ets.lookup_element(table, :text, 2, nil)
-    end
-  rescue
-    # The feed and its table went away in between; its successor tells when it has a text.
-    ArgumentError -> nil
+    # After a restart of the feed the next message comes when it has a text.
+    Names.read(gateway, :state_feed, nil, &:ets.lookup_element(&1, :text, 2, nil))
   end
 
   @impl GenServer
@@ -52,7 +46,7 @@ defmodule Aerie.Client.StateFeed do
     Process.set_label({:state_feed, gateway})
     table = :ets.new(:state_feed, [:set, :protected, read_concurrency: true])
     Names.put_value(gateway, :state_feed, table)
-    period = max(round(1000 / Keyword.get(options, :hz, 10.0)), 1)
+    period = max(round(1000 / Keyword.fetch!(options, :hz)), 1)
     {:ok, tick(%{gateway: gateway, table: table, period: period, due: now_ms()})}
   end
 

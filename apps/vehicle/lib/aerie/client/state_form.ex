@@ -90,9 +90,12 @@ defmodule Aerie.Client.StateForm do
   # The latest link first.
   defp port([id | _], links) do
     case links do
-      # A port that was looked for has its name and rate from what was found.
-      %{^id => %{spec: %{kind: :serial} = spec} = link} ->
-        %{fc_port: link[:local] || spec.device, fc_baud: link[:baud] || spec.baud}
+      # An open serial port; its device and rate may have been found by searching.
+      %{^id => %{baud: baud, local: local}} when baud != nil ->
+        %{fc_port: local, fc_baud: baud}
+
+      %{^id => %{spec: %{device: device, baud: baud}}} when device != nil ->
+        %{fc_port: device, fc_baud: baud}
 
       %{^id => %{url: url}} ->
         %{fc_port: text(url), fc_baud: nil}

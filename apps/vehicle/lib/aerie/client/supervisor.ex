@@ -5,10 +5,11 @@ defmodule Aerie.Client.Supervisor do
   """
   use Supervisor
 
-  alias Aerie.Client.{MavlinkClient, StateClient, StateFeed, UnixListener, UnixSocket}
+  alias Aerie.Client.{Settings, StateClient, StateFeed}
   alias Aerie.Names
+  alias Aerie.UnixSocket.{Listener, MavlinkClient}
 
-  @doc "Options: `:gateway`, `:config`."
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Client.Settings`)."
   @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :clients))
@@ -18,36 +19,20 @@ defmodule Aerie.Client.Supervisor do
   def init(options) do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:clients, gateway})
-    children = sockets(gateway, Map.get(Keyword.fetch!(options, :config), :sockets))
+    children = sockets(gateway, Keyword.fetch!(options, :settings))
     Supervisor.init(children, strategy: :one_for_one, max_restarts: 20, max_seconds: 10)
   end
 
-  defp sockets(gateway, %{enabled: true} = settings) do
-    dir = Path.expand(settings.dir || UnixSocket.default_dir(System.get_env()))
-
+  defp sockets(gateway, %Settings{enabled: true} = settings) do
     [{StateFeed, gateway: gateway, hz: settings.state_hz}] ++
-      socket(gateway, :state, StateClient, dir, settings) ++
-      socket(gateway, :mavlink, MavlinkClient, dir, settings)
+      Listener.children(gateway, :state, {StateClient, gateway: gateway}, settings) ++
+      Listener.children(
+        gateway,
+        :mavlink,
+        {MavlinkClient, gateway: gateway, sign: settings.sign},
+        settings
+      )
   end
 
-  defp sockets(_gateway, _off), do: []
-
-  # The clients' supervisor is found by its name, so that it and the listener may die independently.
-  defp socket(gateway, socket, client, dir, settings) do
-    clients = Names.via(gateway, :socket_clients, socket)
-    child = {client, gateway: gateway}
-
-    [
-      Supervisor.child_spec(
-        {DynamicSupervisor, name: clients, strategy: :one_for_one, max_children: settings.max_clients},
-        id: {:clients, socket}
-      ),
-      {UnixListener,
-       gateway: gateway,
-       socket: socket,
-       path: Path.join(dir, "#{socket}.sock"),
-       chosen: settings.dir != nil,
-       start: fn -> DynamicSupervisor.start_child(clients, child) end}
-    ]
-  end
+  defp sockets(_gateway, %Settings{}), do: []
 end

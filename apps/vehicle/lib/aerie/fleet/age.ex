@@ -1,14 +1,14 @@
 defmodule Aerie.Fleet.Age do
   @moduledoc """
-  How old something in the read model is: pure.
+  The age of what the read model shows. Pure.
 
-  A vehicle that is heard only from recordings lives in the recording's time, so its silence is measured against the last
-  frame of the recording that was played, not against today.
+  A vehicle that is heard only from recordings lives in the recording's time, so its silence is measured against the last frame
+  that was played, not against the present time.
   """
 
   @doc """
-  Microseconds since a vehicle was last heard at `now` (unix microseconds); nil when it never was. `links` are the
-  gateway's link snapshots.
+  Microseconds since a vehicle was last heard, at `now` (unix microseconds); nil if it never was. `links` are the gateway's
+  link snapshots.
   """
   @spec silent_us(vehicle :: map(), links :: [map()], now :: integer()) :: non_neg_integer() | nil
   def silent_us(%{last_heard: nil}, _links, _now), do: nil
@@ -19,14 +19,14 @@ defmodule Aerie.Fleet.Age do
   defp since(now, at) when is_integer(now) and is_integer(at), do: max(now - at, 0)
 
   @doc """
-  The time (unix microseconds) to measure the ages of a vehicle's state against: `now`, or the recording's own for a vehicle
-  that is heard from recordings only.
+  The time (unix microseconds) that the ages of a vehicle's state refer to: `now`, or the recording's time for a vehicle that
+  is heard only from recordings.
   """
   @spec now(vehicle :: map(), links :: [map()], now :: integer()) :: integer()
   def now(%{links: ids}, links, now) do
     own = for link <- links, link.id in ids, do: link
 
-    if own != [] and Enum.all?(own, &(&1[:kind] == :replay)),
+    if own != [] and Enum.all?(own, &match?(%{spec: %{recorded: true}}, &1)),
       do: own |> Enum.map(&(&1.last_heard || 0)) |> Enum.max(),
       else: now
   end

@@ -1,20 +1,31 @@
 defmodule Aerie.Fleet.Journal do
-  @moduledoc """
-  Events between the moment they are detected and the moment NATS has acknowledged them.
+  @max_inbox 4096
+  # Observations that a vehicle can send at any rate get at most half of the inbox, urgent texts (critical and above) three
+  # quarters. The rest is for changes of its state.
+  @max_chatter 2048
+  @max_urgent 3072
+  @chatter [:text, :report, :params, :reached]
+  @max_gone 1024
+  @max_recent 256
+  @page 2048
+  # No firmware has as many; the names come from outside.
+  @max_params 8192
 
-  Exactly once, whatever is killed: a detector's new state and the events that its step produced are written with *one*
-  atomic `:ets.insert`. Killed before it, the step never happened and is done again from the same state; killed after
-  it, the state says that it is done. What a detector is to look at reaches it through an inbox in the same table, and
-  the state says how far it has read.
+  @moduledoc """
+  Keeps events from their detection until NATS has acknowledged them.
+
+  Each step of a detector happens exactly once, whichever process is killed: its new state and its events are written with *one*
+  atomic `:ets.insert`. If the process is killed before that, the step is repeated from the same state; after it, the state
+  says that the step is done. A detector gets its observations through an inbox in the same table, and its state says how far
+  it has read.
 
       session ─ offer/3 ─▶ inbox ─▶ Aerie.Vehicle.Events ─ commit/4 ─▶ pending ─▶ bridge ─ ack/2
-                                                                   └─▶ recent (for faces)
+                                                                   └─▶ recent (for the API)
 
-  Bounds: #{inspect(4096)} entries in a vehicle's inbox (half of them for texts, reports, parameters and the like, three quarters for urgent texts), `limits.max_pending_events`
-  unacknowledged events (the oldest is dropped),
-  the last #{inspect(256)} events of each vehicle for faces, #{inspect(8192)} parameters of a vehicle, the detectors' states of
-  #{inspect(1024)} vehicles that are gone. Drops are counted in
-  the store's counters `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
+  Bounds: #{@max_inbox} entries in a vehicle's inbox (half of them for texts, reports, parameters and the like, three quarters for urgent
+  texts), `limits.max_pending_events` unacknowledged events (the oldest is dropped), the last #{@max_recent} events of each vehicle,
+  #{@max_params} parameters of a vehicle, the detectors' states of #{@max_gone} vehicles that were removed. Drops are counted as
+  `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
 
   The table belongs to `Aerie.Store`. Objects in it:
 
@@ -28,26 +39,12 @@ defmodule Aerie.Fleet.Journal do
   alias Aerie.Store.PubSub
   alias Aerie.Vehicle.Event
 
-  @max_inbox 4096
-  # What a vehicle can say as often as it likes gets no more than half of that, urgent texts (critical and above) three
-  # quarters: the rest is for what happens to it.
-  @max_chatter 2048
-  @max_urgent 3072
-  @chatter [:text, :report, :params, :reached]
-  @max_pending 20_000
-  @max_gone 1024
-  @max_recent 256
-  @page 2048
-  # No firmware has as many; the names come from outside.
-  @max_params 8192
-
   @type params :: %{String.t() => term()}
 
   @doc """
-  Writes a detector's state and the events of its step, atomically, then tells subscribers of `:events` and
-  `:journal`.
+  Writes a detector's state and the events of its step atomically, then notifies subscribers of `:events` and `:journal`.
 
-  `params` are parameter values to remember, part of the same write.
+  `params` are parameter values to keep, part of the same write.
   """
   @spec commit(Names.gateway(), String.t(), term(), [Event.t()], params()) :: :ok
   def commit(gateway, vehicle, state, events, params \\ %{}) do
@@ -69,7 +66,7 @@ defmodule Aerie.Fleet.Journal do
     :ok
   end
 
-  @doc "Writes the first state of a vehicle, unless it has one; gives the one that it has."
+  @doc "Writes the first state of a vehicle unless it has one, and returns its state."
   @spec begin(Names.gateway(), String.t(), term()) :: term()
   def begin(gateway, vehicle, first) do
     table = Store.table!(gateway, :journal)
@@ -78,8 +75,8 @@ defmodule Aerie.Fleet.Journal do
   end
 
   @doc """
-  Writes the first state of a vehicle that is not here, with its events, as `commit/5` does; nothing if it has a state, for
-  then it is here. It counts among those that are gone.
+  Writes the first state of a vehicle that is not present, with its events, like `commit/5`; does nothing if it has a state,
+  because then it is present. The vehicle counts as removed.
   """
   @spec begin_gone(Names.gateway(), String.t(), term(), [Event.t()]) :: boolean()
   def begin_gone(gateway, vehicle, first, events) do
@@ -103,7 +100,7 @@ defmodule Aerie.Fleet.Journal do
     Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, {:state, vehicle}, 2, nil))
   end
 
-  @doc "Parts of all committed states: `[vehicle | parts]` of each that matches an ETS pattern, whose variables begin with `$2`."
+  @doc "Parts of all committed states: `[vehicle | parts]` for each that matches an ETS pattern with variables from `$2`."
   @spec states(Names.gateway(), term()) :: [[term()]]
   def states(gateway, pattern) do
     Store.with_table(gateway, :journal, [], fn table ->
@@ -121,13 +118,13 @@ defmodule Aerie.Fleet.Journal do
     |> MapSet.new()
   end
 
-  @doc "The number of this life of the journal, in which events are numbered from 1; nil as long as nobody gave it one."
+  @doc "The epoch of this journal, in which events are numbered from 1; nil before it is set."
   @spec epoch(Names.gateway()) :: pos_integer() | nil
   def epoch(gateway) do
     Store.with_table(gateway, :journal, nil, &:ets.lookup_element(&1, :epoch, 2, nil))
   end
 
-  @doc "Gives this life its number, unless it has one, and gives the one that it has."
+  @doc "Sets the epoch unless it is set, and returns it."
   @spec epoch(Names.gateway(), pos_integer()) :: pos_integer()
   def epoch(gateway, new) do
     table = Store.table!(gateway, :journal)
@@ -135,21 +132,19 @@ defmodule Aerie.Fleet.Journal do
     :ets.lookup_element(table, :epoch, 2)
   end
 
-  @doc "The value remembered for a vehicle's parameter: `{:ok, value}` or `:error`."
+  @doc "The last known value of a vehicle's parameter: `{:ok, value}` or `:error`."
   @spec param(Names.gateway(), String.t(), String.t()) :: {:ok, term()} | :error
   def param(gateway, vehicle, name) do
-    Store.with_table(gateway, :journal, :error, fn table ->
-      case :ets.lookup(table, {:param, vehicle, name}) do
-        [{_key, value}] -> {:ok, value}
-        [] -> :error
-      end
-    end)
+    case Store.with_table(gateway, :journal, [], &:ets.lookup(&1, {:param, vehicle, name})) do
+      [{_key, value}] -> {:ok, value}
+      [] -> :error
+    end
   end
 
   @doc """
   Tells subscribers of `:journal` (`{:fleet, :journal, :pending}`) that there may be unacknowledged events.
 
-  Done by every commit with events, and by a detector that starts: its forerunner may have been killed between the
+  Called by every commit with events, and when a vehicle's event loop starts: the last one may have been killed between the
   write and the notice.
   """
   @spec wake(Names.gateway()) :: :ok
@@ -163,33 +158,26 @@ defmodule Aerie.Fleet.Journal do
     do: Store.with_table(gateway, :journal, [], &:ets.select(&1, all_pending()))
 
   def pending(gateway, limit) do
-    Store.with_table(gateway, :journal, [], fn table ->
-      case :ets.select(table, all_pending(), limit) do
-        {events, _continuation} -> events
-        :"$end_of_table" -> []
-      end
-    end)
+    case Store.with_table(gateway, :journal, :"$end_of_table", &:ets.select(&1, all_pending(), limit)) do
+      {events, _continuation} -> events
+      :"$end_of_table" -> []
+    end
   end
 
   defp all_pending, do: [{{{:pending, :_}, :"$1"}, [], [:"$1"]}]
 
-  @doc "How many unacknowledged events a configuration allows."
-  @spec max_pending(term()) :: pos_integer()
-  def max_pending(%{limits: %{max_pending_events: max}}), do: max
-  def max_pending(_config), do: @max_pending
+  @doc "The table that the store owns for the journal."
+  @spec table(Aerie.Fleet.Settings.t()) :: Store.table()
+  def table(%Aerie.Fleet.Settings{max_pending_events: max}),
+    do: {:journal, [:ordered_set, write_concurrency: true], [{:max_pending, max}]}
 
-  @doc "The table that the store keeps for the journal."
-  @spec table(term()) :: Store.table()
-  def table(config),
-    do: {:journal, [:ordered_set, write_concurrency: true], [{:max_pending, max_pending(config)}]}
-
-  @doc "How many events wait for their acknowledgement."
+  @doc "How many events wait for acknowledgement."
   @spec pending_size(Names.gateway()) :: non_neg_integer()
   def pending_size(gateway) do
     Store.with_table(gateway, :journal, 0, &:ets.select_count(&1, [{{{:pending, :_}, :_}, [], [true]}]))
   end
 
-  @doc "Forgets events that are safe elsewhere. Ids that are unknown or acknowledged before are ignored."
+  @doc "Removes acknowledged events from the pending ones. Unknown ids are ignored."
   @spec ack(Names.gateway(), [String.t()]) :: :ok
   def ack(gateway, ids) do
     table = Store.table!(gateway, :journal)
@@ -198,11 +186,11 @@ defmodule Aerie.Fleet.Journal do
   end
 
   @doc """
-  The last events of a vehicle in their order, or of `:all` by their time, oldest first, acknowledged or not; at most
-  #{@max_recent} of each vehicle, so that one that says much does not drive out what the others said.
+  The last events of a vehicle in their order, or of `:all` by time, oldest first, acknowledged or not; at most #{@max_recent} of each
+  vehicle, so that one vehicle cannot push out the events of others.
 
-  Options: `:since` (unix us) leaves out what happened before; `:limit` is how many at most: with `:since` the first ones,
-  so that one can go on from there, else the last ones.
+  Options: `:since` (unix us) omits earlier events; `:limit` is the largest number: with `:since` of the first ones, so that a
+  reader can continue from there, else of the last ones.
   """
   @spec recent(Names.gateway(), String.t() | :all, since: integer() | nil, limit: pos_integer()) :: [
           Event.t()
@@ -215,30 +203,33 @@ defmodule Aerie.Fleet.Journal do
     spec = [{{{:recent, whose, :_}, %{time: :"$1", seq: :"$2", vehicle: :"$3"}}, within, [order]}]
     keep = if since, do: &Enum.take(&1, limit), else: &Enum.take(&1, -limit)
 
-    Store.with_table(gateway, :journal, [], fn table ->
-      for key <- table |> :ets.select(spec, @page) |> gather([], keep),
-          # One may have gone meanwhile.
-          {_key, event} <- :ets.lookup(table, recent_key(key)),
-          do: event
-    end)
+    for key <- gateway |> page(&:ets.select(&1, spec, @page)) |> gather(gateway, [], keep),
+        # It may have been removed meanwhile.
+        {_key, event} <- Store.with_table(gateway, :journal, [], &:ets.lookup(&1, recent_key(key))),
+        do: event
   end
 
-  # Places in the order that is asked for, a page at a time: the events themselves are copied only where they are wanted.
-  defp gather(:"$end_of_table", kept, _keep), do: kept
+  # Collects the sort keys page by page; only the events of the result are copied.
+  defp gather(:"$end_of_table", _gateway, kept, _keep), do: kept
 
-  defp gather({found, continuation}, kept, keep),
-    do: gather(:ets.select(continuation), keep.(Enum.sort(kept ++ found)), keep)
+  defp gather({found, continuation}, gateway, kept, keep) do
+    gateway
+    |> page(fn _table -> :ets.select(continuation) end)
+    |> gather(gateway, keep.(Enum.sort(kept ++ found)), keep)
+  end
+
+  defp page(gateway, select), do: Store.with_table(gateway, :journal, :"$end_of_table", select)
 
   defp recent_key({_time, vehicle, seq}), do: {:recent, vehicle, seq}
   defp recent_key({seq, vehicle}), do: {:recent, vehicle, seq}
 
-  @doc "Puts something for a vehicle's detector to look at into its inbox. Full: it is dropped and counted."
+  @doc "Puts an observation into the inbox of a vehicle's detector. If the inbox is full, it is dropped and counted."
   @spec offer(Names.gateway(), String.t(), term()) :: :ok | {:error, :full}
   def offer(gateway, vehicle, observation) do
     table = Store.table!(gateway, :journal)
     next = :ets.lookup_element(table, {:inbox_last, vehicle}, 2, 0) + 1
 
-    # What is refused takes no number: the span of numbers is the size.
+    # A dropped entry takes no number, so the span of numbers is the size.
     if next - oldest(table, vehicle, next) < room(observation) do
       n = :ets.update_counter(table, {:inbox_last, vehicle}, 1, {{:inbox_last, vehicle}, 0})
       :ets.insert(table, {{:inbox, vehicle, n}, observation})
@@ -249,13 +240,13 @@ defmodule Aerie.Fleet.Journal do
     end
   end
 
-  defp room({:text, _at, _boot_ms, severity, _text}) when severity <= 2, do: @max_urgent
-  defp room(observation) when is_tuple(observation) and elem(observation, 0) in @chatter, do: @max_chatter
+  defp room(%{kind: :text, data: %{severity: severity}}) when severity <= 2, do: @max_urgent
+  defp room(%{kind: kind}) when kind in @chatter, do: @max_chatter
   defp room(_observation), do: @max_inbox
 
   @doc """
-  What a detector has not looked at yet, in order: the entries after the `done`-th as `{n, observation}`, at most
-  #{@max_inbox}.
+  The observations that a detector has not processed yet: the entries after number `done` as `{n, observation}`, in order, at
+  most #{@max_inbox}.
   """
   @spec inbox(Names.gateway(), String.t(), non_neg_integer()) :: [{pos_integer(), term()}]
   def inbox(gateway, vehicle, done) do
@@ -264,7 +255,7 @@ defmodule Aerie.Fleet.Journal do
     end)
   end
 
-  @doc "Removes inbox entries that a committed state has taken account of."
+  @doc "Removes inbox entries that the committed state has processed."
   @spec forget(Names.gateway(), String.t(), [pos_integer()]) :: :ok
   def forget(gateway, vehicle, numbers) do
     table = Store.table!(gateway, :journal)
@@ -304,8 +295,8 @@ defmodule Aerie.Fleet.Journal do
   end
 
   @doc """
-  Forgets what was kept to find a vehicle's events: its inbox and its parameters. Its events stay, and so does its
-  detector's state, which numbers the next ones; until #{@max_gone} others have gone after it.
+  Removes a vehicle's inbox and parameters. Its events stay, and so does its detector's state, which numbers the next ones,
+  until #{@max_gone} other vehicles have been removed after it.
   """
   @spec forget_vehicle(Names.gateway(), String.t()) :: :ok
   def forget_vehicle(gateway, vehicle) do
@@ -319,7 +310,7 @@ defmodule Aerie.Fleet.Journal do
     :ok
   end
 
-  @doc "A vehicle that may have been forgotten is here again."
+  @doc "A vehicle that may have been removed is present again."
   @spec welcome(Names.gateway(), String.t()) :: :ok
   def welcome(gateway, vehicle), do: gateway |> Store.table!(:journal) |> here(vehicle)
 
@@ -335,7 +326,7 @@ defmodule Aerie.Fleet.Journal do
     if gone > @max_gone, do: forget_longest_gone(gateway, table)
   end
 
-  # All that is left of it but the events that wait, which are the bridge's.
+  # Removes everything but the events that wait, which the bridge will acknowledge.
   defp forget_longest_gone(gateway, table) do
     {[{key, vehicle}], _continuation} = :ets.select(table, [{{{:gone, :_}, :_}, [], [:"$_"]}], 1)
     :ets.delete(table, key)
@@ -345,7 +336,7 @@ defmodule Aerie.Fleet.Journal do
     Store.forget_counters(gateway, vehicle)
   end
 
-  # The span of numbers is taken for the size: a number is used once, so there are never more events than that.
+  # The span of numbers is the size: numbers are not reused, so there are never more events than that.
   defp bound_pending(gateway, table) do
     with {[{n, id}], _continuation} <- :ets.select(table, oldest_pending(), 1),
          true <-
@@ -358,7 +349,7 @@ defmodule Aerie.Fleet.Journal do
     end
   end
 
-  # An acknowledgement came in between; then nothing was dropped.
+  # It was acknowledged in between, so nothing was dropped.
   defp dropped(_gateway, []), do: :ok
 
   defp dropped(gateway, [_object]) do

@@ -1,9 +1,9 @@
 defmodule Aerie.Fleet.Json do
   @moduledoc """
-  Values of the read model as JSON has them. Pure.
+  Converts values of the read model to values that JSON can represent. Pure.
 
-  A number that JSON has no form for (NaN, infinity) is null; text of a vehicle is whatever bytes it sent, and becomes
-  valid UTF-8; anything that has no form at all becomes its Elixir text.
+  NaN and infinity become null. A vehicle's text may have any bytes, and becomes valid UTF-8. Anything else without a JSON form
+  becomes its Elixir representation.
   """
 
   @doc "A value that `JSON.encode!/1` takes."

@@ -1,14 +1,14 @@
 defmodule Aerie.Replay.Clock do
   @moduledoc """
-  The time of a replay: what a recording's own times say, and the ticks that a live gateway would have had in between. A
-  pure value.
+  The time of a replay: that of the recording's frames, and the ticks that a live gateway would have had between them. A pure
+  value.
 
-  A tick is due every 100 ms, as in `Aerie.Vehicle.Session`. A silence is gone through more coarsely: after ten seconds of
-  it once a second, and after ten minutes, when everything that waits for something has given up, not at all until the next
-  frame. So a gap of a month costs seven hundred ticks.
+  A tick is due every 100 ms, as in `Aerie.Vehicle.Session`. During a silence ticks are rarer: after ten seconds one a second,
+  and after ten minutes, when nothing waits any more, none until the next frame. So a gap of a month costs seven hundred
+  ticks.
 
   A frame that is more than two seconds older than the one before means that a clock was set back or that another recording
-  begins: time goes on from there.
+  begins: time goes on from that frame.
   """
 
   @tick_us 100_000
@@ -27,8 +27,8 @@ defmodule Aerie.Replay.Clock do
   def new, do: %__MODULE__{}
 
   @doc """
-  A frame came `at`: the ticks that lie before it, oldest first, or `:back` when time begins anew. Time between two frames
-  that overtook each other by less stands still.
+  A frame came `at`: the ticks before it, oldest first, or `:back` if time begins anew. A frame that is only a little older
+  than the one before gives no ticks.
   """
   @spec advance(t, integer) :: {[integer] | :back, t}
   def advance(%__MODULE__{now: nil}, at), do: {[], begin(at)}

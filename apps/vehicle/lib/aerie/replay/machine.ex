@@ -1,37 +1,37 @@
 defmodule Aerie.Replay.Machine do
   @moduledoc """
   The pipeline of a gateway without its processes: frames of a recording in, outputs out. A pure value, driven by the
-  recording's own times (`Aerie.Replay.Clock`), so that the same frames give the same outputs, however often and wherever.
+  recording's own times (`Aerie.Replay.Clock`), so that the same frames always give the same outputs.
 
       record ─ parser ─ router's rules ─ vehicle core ─ detector ─▶ {:event, …}
                                                 └─ samplers ──────▶ {:sample, …}
 
-  Of the router's rules those count that decide what a vehicle's session gets: our own frames are not a vehicle's (but its
-  answers to our TIMESYNC requests are read by them), an autopilot's heartbeat lets a vehicle in (H2, H4), what is no
-  vehicle is noted as a station, frames of systems without a vehicle are counted. Who forwards what to whom is nothing
-  that a vehicle's events depend on.
+  Only those of the router's rules apply that decide what a vehicle's session receives. Our own frames are not a vehicle's
+  (but our TIMESYNC requests are needed to recognise its answers), an autopilot's heartbeat admits a vehicle (H2, H4), other
+  heartbeats are noted as stations, and frames of systems without a vehicle are counted. Forwarding does not affect events.
 
-  A recording does not say by which link a frame came. What two links brought twice is passed on twice, as a live gateway
-  does; only a text that is the copy of one within five seconds is left out, which there the link's name would tell.
+  A recording does not say by which link a frame came. Frames that two links brought are passed on twice, as in a live gateway.
+  Only a copy of a text within five seconds is dropped; a live gateway would know it by the link.
   """
 
-  alias Aerie.Replay.{Clock, Stations, Vehicle}
+  alias Aerie.Replay.{Clock, Settings, Stations, Vehicle}
   alias Aerie.Mavlink.Heartbeat
-  alias Aerie.Router.Early
+  alias Aerie.Router.EarlyTexts
   alias Aerie.Vehicle.{Core, Options, Timesync}
   alias MavCodec.{Frame, Parser, Tlog}
+  alias MavCodec.Messages, as: M
 
-  @statustext 253
-  @timesync 111
-  @says_who [0, 235]
-  @default_max_vehicles 256
-  # As the core does it for two links.
+  @statustext M.Statustext.id()
+  @timesync M.Timesync.id()
+  # The messages that say what their sender is.
+  @heartbeats [M.Heartbeat.id(), M.HighLatency2.id()]
+  # As in `Aerie.Vehicle.Core.Frames`.
   @copy_us 5_000_000
   @copies 64
   @stations_every 10
   @max_damage 100
 
-  @enforce_keys [:config, :network, :link, :own, :max, :parser]
+  @enforce_keys [:settings, :network, :link, :own, :max, :parser]
   defstruct @enforce_keys ++
               [
                 high_latency: false,
@@ -40,7 +40,7 @@ defmodule Aerie.Replay.Machine do
                 vehicles: %{},
                 stations: %{},
                 texts: %{},
-                early: Early.new(),
+                early: EarlyTexts.new(),
                 first: nil,
                 last: nil,
                 damage: [],
@@ -59,31 +59,27 @@ defmodule Aerie.Replay.Machine do
 
   @type t :: %__MODULE__{}
 
-  @doc "A machine that has heard nothing; options as `Aerie.Replay.run/2`."
-  @spec new(map, keyword) :: t
-  def new(config, options) do
+  @doc "A machine that has heard nothing; options as in `Aerie.Replay.run/2`."
+  @spec new(Settings.t(), keyword) :: t
+  def new(%Settings{vehicle: vehicle} = settings, options) do
     %__MODULE__{
-      config: config,
-      network: options[:network] || Map.get(config, :network) || "main",
+      settings: vehicle,
+      network: options[:network] || vehicle.identity.network,
       link: options[:link] || "replay",
       high_latency: options[:high_latency] || false,
-      own: own(config),
-      max: Options.max_vehicles(config) || @default_max_vehicles,
-      parser: Parser.new(parser(config))
+      own: own(vehicle),
+      max: vehicle.max_vehicles,
+      parser: Parser.new(parser(settings))
     }
   end
 
-  @doc "Options of the parser that a configuration asks for."
-  @spec parser(map) :: [Parser.option()]
-  def parser(config), do: Aerie.Link.Defaults.from(config)[:parser]
+  @doc "The parser's options."
+  @spec parser(Settings.t()) :: [Parser.option()]
+  def parser(settings), do: Aerie.Link.Settings.parser(settings.link)
 
-  defp own(config) do
-    options = Options.new(config, {"any", 0})
-    mavlink = Map.get(config, :mavlink, %{})
-    {Map.get(mavlink, :system_id) || options.own_system, options.own_component}
-  end
+  defp own(%{identity: identity}), do: {identity.system_id, identity.component_id}
 
-  @doc "The next frame or damage of a recording; outputs in their order."
+  @doc "The next frame or damaged part of a recording; returns the outputs in order."
   @spec push(t, Frame.t() | Tlog.Damage.t()) :: {t, [Aerie.Replay.output()]}
   def push(machine, %Tlog.Damage{} = damage) do
     kept = if length(machine.damage) < @max_damage, do: [damage | machine.damage], else: machine.damage
@@ -127,7 +123,7 @@ defmodule Aerie.Replay.Machine do
       else: {machine, outputs}
   end
 
-  # In the order of their ids: nothing depends on how a map is kept.
+  # In the order of their ids, so that nothing depends on a map's internal order.
   defp each(machine, event, at, outputs) do
     machine.vehicles
     |> Map.keys()
@@ -158,10 +154,10 @@ defmodule Aerie.Replay.Machine do
     end
   end
 
-  defp hold(machine, frame), do: %{machine | early: Early.hold(machine.early, frame.system, [frame])}
+  defp hold(machine, frame), do: %{machine | early: EarlyTexts.hold(machine.early, frame.system, [frame])}
 
   defp deliver(machine, frame, outputs) do
-    {texts, early} = Early.take(machine.early, frame.system, frame.at)
+    {texts, early} = EarlyTexts.take(machine.early, frame.system, frame.at)
 
     give(
       %{machine | early: early},
@@ -172,7 +168,7 @@ defmodule Aerie.Replay.Machine do
     )
   end
 
-  # What the gateway that made the recording asked: without it the answers would be somebody else's.
+  # A request of the gateway that made the recording, needed to recognise its answer as ours.
   defp ours(machine, %Frame{id: @timesync, crc_extra: extra} = frame, outputs) when extra != nil do
     with {:ok, request} <- MavCodec.decode(frame), true <- Timesync.request?(request) do
       each(machine, {:asked, request, frame.at}, frame.at, outputs)
@@ -183,7 +179,7 @@ defmodule Aerie.Replay.Machine do
 
   defp ours(machine, _frame, outputs), do: {machine, outputs}
 
-  defp hear(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @says_who and extra != nil do
+  defp hear(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @heartbeats and extra != nil do
     heartbeat = Heartbeat.read(frame)
 
     if Heartbeat.vehicle?(heartbeat),
@@ -196,7 +192,7 @@ defmodule Aerie.Replay.Machine do
   defp admit(%{vehicles: vehicles} = machine, %{system: system}) when is_map_key(vehicles, system),
     do: machine
 
-  defp admit(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @says_who and extra != nil do
+  defp admit(machine, %Frame{id: id, crc_extra: extra} = frame) when id in @heartbeats and extra != nil do
     cond do
       not Heartbeat.vehicle?(Heartbeat.read(frame)) -> machine
       map_size(machine.vehicles) >= machine.max -> count(machine, :refused, 1)
@@ -207,7 +203,7 @@ defmodule Aerie.Replay.Machine do
   defp admit(machine, _frame), do: machine
 
   defp vehicle(machine, system) do
-    options = Options.new(machine.config, {machine.network, system})
+    options = Options.new(machine.settings, {machine.network, system})
     Vehicle.new(options, machine.link, machine.high_latency)
   end
 
@@ -229,14 +225,14 @@ defmodule Aerie.Replay.Machine do
 
   defp copy(machine, _frame), do: {false, machine}
 
-  # A flood of texts: what is forgotten may be told twice.
+  # In a flood of texts, a copy may be missed.
   defp bounded(texts), do: if(map_size(texts) < 4 * @copies, do: texts, else: %{})
 
   defp count(machine, what, n), do: %{machine | counts: Map.update!(machine.counts, what, &(&1 + n))}
 
-  ## What there is in the end
+  ## Result
 
-  @doc "The vehicles as faces would see them now, by name."
+  @doc "The vehicles' snapshots by name."
   @spec snapshots(t) :: %{String.t() => map}
   def snapshots(machine) do
     for {_system, %{core: %{component: component} = core}} <- machine.vehicles,

@@ -1,7 +1,7 @@
 defmodule Aerie.Replay.Source do
   @moduledoc """
-  Where the bytes of a recording come from: a tlog file, gzipped or not, several that follow each other, or pieces of bytes
-  in any size. Read a piece at a time, so that a file's size costs no memory.
+  Reads the bytes of a recording: a tlog file, gzipped or not, several in succession, or chunks of any size. A file is read
+  chunk by chunk, so its size costs no memory.
   """
 
   alias MavCodec.{Frame, Tlog}
@@ -12,7 +12,7 @@ defmodule Aerie.Replay.Source do
   @typedoc "A path, paths in the order in which they were written, or pieces of a tlog's bytes."
   @type t :: Path.t() | [Path.t()] | {:chunks, Enumerable.t(binary)}
 
-  @doc "Folds over what the recording holds. The error is in words and names the file."
+  @doc "Reduces over the frames and damaged parts of a recording. The error is a text that names the file."
   @spec reduce(t, [MavCodec.Parser.option()], acc, (Frame.t() | Tlog.Damage.t(), acc -> acc)) ::
           {:ok, acc} | {:error, String.t()}
         when acc: term
@@ -30,18 +30,18 @@ defmodule Aerie.Replay.Source do
     end)
   end
 
-  def reduce([], _options, _acc, _fun), do: {:error, "no recording was named"}
+  def reduce([], _options, _acc, _fun), do: {:error, "no recording was given"}
 
   def reduce(path, options, acc, fun) do
     opened(path, &read(&1, {acc, Tlog.Decoder.new(options)}, 0, fun))
   end
 
-  @doc "Whether a file has a MAVLink frame in its first mebibyte, as every recording has. The error is in words and names the file."
+  @doc "Whether a file has a MAVLink frame in its first mebibyte, as every recording has. The error is a text that names the file."
   @spec recording(Path.t()) :: :ok | {:error, String.t()}
   def recording(path),
     do: with({:ok, _found} <- opened(path, &first(&1, Tlog.Decoder.new([]), @looked_at)), do: :ok)
 
-  defp first(_device, _decoder, 0), do: {:error, "is no recording: there is no MAVLink frame in it"}
+  defp first(_device, _decoder, 0), do: {:error, "not a recording: no MAVLink frame found"}
 
   defp first(device, decoder, left) do
     case :file.read(device, @chunk) do
@@ -59,7 +59,7 @@ defmodule Aerie.Replay.Source do
 
   defp frame?(items), do: Enum.any?(items, &is_struct(&1, Frame))
 
-  # `:compressed` reads what is not gzipped as it is.
+  # `:compressed` also reads files that are not gzipped.
   defp opened(path, fun) do
     with {:ok, device} <- :file.open(path, [:read, :raw, :binary, :compressed]) do
       try do
@@ -74,7 +74,7 @@ defmodule Aerie.Replay.Source do
   defp read(device, {acc, decoder} = state, size, fun) do
     case :file.read(device, @chunk) do
       {:ok, bytes} -> read(device, push(bytes, state, fun), size + byte_size(bytes), fun)
-      :eof when size == 0 -> {:error, "is empty"}
+      :eof when size == 0 -> {:error, "the file is empty"}
       :eof -> {:ok, Enum.reduce(Tlog.Decoder.finish(decoder), acc, fun)}
       {:error, reason} -> {:error, reason}
     end
@@ -85,12 +85,12 @@ defmodule Aerie.Replay.Source do
     {Enum.reduce(items, acc, fun), decoder}
   end
 
-  # Inflating says that too.
-  defp named({:error, :eio}, path), do: {:error, "#{path}: damaged gzip data, or a disk that fails"}
+  # Damaged gzip data is reported as an I/O error, too.
+  defp named({:error, :eio}, path), do: {:error, "#{path}: damaged gzip data, or a disk error"}
 
   defp named({:error, reason}, path) when is_atom(reason),
     do: {:error, "#{path}: #{:file.format_error(reason)}"}
 
-  defp named({:error, words}, path), do: {:error, "#{path}: #{words}"}
+  defp named({:error, text}, path), do: {:error, "#{path}: #{text}"}
   defp named({:ok, acc}, _path), do: {:ok, acc}
 end

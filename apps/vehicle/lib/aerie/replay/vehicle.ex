@@ -1,12 +1,12 @@
 defmodule Aerie.Replay.Vehicle do
   @moduledoc """
-  One vehicle of a replay: what `Aerie.Vehicle.Session` and `Aerie.Vehicle.Events` are to a live gateway, as a value. The
-  same core is given the same events, and its actions become outputs instead of writes.
+  One vehicle of a replay: `Aerie.Vehicle.Session` and `Aerie.Vehicle.Events` as a value. The core gets the same events as in a
+  live gateway; its actions become outputs.
   """
 
   alias Aerie.Vehicle.{Core, Detector, Options}
 
-  # As many parameters as the journal of a live gateway remembers.
+  # As in the journal of a live gateway.
   @max_params 8_192
 
   @enforce_keys [:options, :core, :detector]
@@ -22,16 +22,16 @@ defmodule Aerie.Replay.Vehicle do
   @typedoc "See `t:Aerie.Replay.output/0`."
   @type output :: Aerie.Replay.output()
 
-  @doc "A vehicle that was just heard by a link for the first time."
+  @doc "A vehicle that is heard for the first time."
   @spec new(Options.t(), link :: String.t(), high_latency :: boolean) :: t
   def new(options, link, high_latency) do
     core = Core.new(options)
-    {core, []} = Core.handle(core, {:wants, %{messages: %{}, groups: %{}}, nil})
+    {core, []} = Core.handle(core, {:demand, %{messages: %{}, groups: %{}}, nil})
     {core, []} = Core.handle(core, {:link, link, %{high_latency: high_latency}})
     %__MODULE__{options: options, core: core, detector: Detector.new(options)}
   end
 
-  @doc "One step; the outputs are put before `outputs`, newest first."
+  @doc "One step. Its outputs are prepended to `outputs`, newest first."
   @spec step(t, Core.event(), integer, [output]) :: {t, [output]}
   def step(vehicle, event, at, outputs) do
     {core, actions} = Core.handle(vehicle.core, event)
@@ -61,7 +61,7 @@ defmodule Aerie.Replay.Vehicle do
     {vehicle, [{:status, %{vehicle: vehicle.options.id, at: at, from: old, to: new}} | outputs]}
   end
 
-  # Snapshots are read at the end, heartbeats of ours and counters are a live gateway's.
+  # Snapshots are read at the end; our heartbeats and counters only concern a live gateway.
   defp act(_other, acc, _at), do: acc
 
   defp learn({name, value}, params) do

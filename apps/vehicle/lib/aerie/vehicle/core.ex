@@ -4,57 +4,51 @@ defmodule Aerie.Vehicle.Core do
 
   Events:
 
-    * `{:frames, way, frames}` - frames of this system, in the order of their arrival, each with its time `at`; `way` is a
-      link's id, or `{link, peer}` where several endpoints bring the system
-    * `{:link_again, link}` - a link on which it was heard was interrupted and is connected again
-    * `{:tick, now}` - it is `now` (unix microseconds) and nothing has come
-    * `{:rebase, now}` - what was called another time is `now` from here on: a clock was set
-    * `{:shift, step}` - the clock was set by so much (microseconds): all that was heard was heard as long ago as before
-    * `{:link, link, %{high_latency: boolean}}` - what is configured about a link
-    * `{:stations, stations}` - who else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
-    * `{:asked, request, at}` - a TIMESYNC request of ours that a recording has, for its answers
-    * `{:wants, wants, forwarded}` - what clients want of the vehicle has changed (`Aerie.Vehicle.Streams.Arbiter.wants/3`)
+    * `{:frames, path, frames}` - frames of this system in the order of their arrival, each with its time `at`; `path` is a
+      link's id, or `{link, peer}` if several peers bring the system
+    * `{:link_reconnected, link}` - a link on which the vehicle was heard was interrupted and is connected again
+    * `{:tick, now}` - it is `now` (unix microseconds), and nothing has come
+    * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began anew
+    * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
+    * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
+    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
+    * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
+    * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
+    * `{:operator, fields}` - who is in charge of the vehicle changed: fields of the group `operator`
+    * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Streams.Arbiter.demand/3`)
 
-  Time is the frames' own: a recorded flight played at any speed gives what the flight gave. Before a frame is applied,
-  every deadline that lies before its time is dealt with. A frame that is more than two seconds older than the one before
-  means that a clock was set back or a recording began anew; nothing has to be waited for twice then.
+  Time is that of the frames, so a recorded flight gives the same result at any speed. Before a frame is applied, every
+  earlier deadline is handled. A frame that is more than two seconds older than the one before means that a clock was set
+  back or that a recording began anew; what was waited for before is not waited for again.
 
   Actions, to be carried out in order:
 
     * `{:snapshot, map}` - what the store is to show
-    * `{:observe, observation}` - something for the detector (`Aerie.Vehicle.Detector`)
-    * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sampled state group for the fleet
-    * `{:send, message, version}` - a message for the vehicle, in the MAVLink version that it speaks
-    * `{:send, message, version, link}` - by this link
-    * `{:round_trip, link, us}` - how long the way there and back by a link took
-    * `{:heartbeat, version}` - our heartbeat is due on the vehicle's way
-    * `:withhold` - it is due and must not go there, not from other vehicles' sessions either
-    * `{:apart, ways}` - by these ways another vehicle with this id is heard, or by none any more (`Aerie.Vehicle.Rivals`)
-    * `{:count, counter}` - something to be counted
-    * `{:status, old, new}` - the vehicle is heard again, is silent, is lost
+    * `{:observe, observation}` - for the detector (`Aerie.Vehicle.Detector.Observation`)
+    * `{:reported, report}` - a report (EVENT) has just come, and tells what is
+    * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sample of a state group for the fleet
+    * `{:send, message, version}` - a message to the vehicle, in the MAVLink version that it speaks
+    * `{:send, message, version, link}` - the same, by this link
+    * `{:authorise_arming, from}` - the vehicle asks whether it may arm (`Aerie.Policy.Arming`)
+    * `{:round_trip, link, us}` - a measured round trip by a link
+    * `{:heartbeat, version}` - our heartbeat is due on the vehicle's path
+    * `:withhold` - our heartbeat is due and must not be sent there, not by other vehicles' sessions either
+    * `{:other_vehicle, paths}` - the paths by which another vehicle with this id is heard; `[]` when that is over
+      (`Aerie.Vehicle.Collision.Owner`)
+    * `{:count, counter}` - something to count
+    * `{:status, old, new}` - `:online`, `:stale` or `:lost`
 
   Only the autopilot's component says anything about the vehicle (H2, H4): the first one that sends an autopilot's
-  heartbeat, or component 1 when it does. Frames of gimbals, cameras and ground stations that use the vehicle's system id
-  are counted as heard on the link, and change nothing else.
+  heartbeat, or component 1 when it does. Frames of gimbals, cameras and ground stations with the vehicle's system id count
+  as heard on the link and change nothing else.
   """
 
   alias Aerie.Mavlink.BootClock
-
-  alias Aerie.Vehicle.{
-    Detector,
-    Doubt,
-    Heard,
-    Options,
-    Reports,
-    Rivals,
-    Sampling,
-    State,
-    StatusText,
-    Twin
-  }
-
-  alias Aerie.Vehicle.Core.{Dealings, Intake, Timers}
-  alias Aerie.Vehicle.{Gcs, HighLatency, Timesync}
+  alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Timesync}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Services, Timers}
+  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.Links.{HighLatency, Reception}
+  alias Aerie.Vehicle.Reports.StatusText
   alias Aerie.Vehicle.Streams.Arbiter
 
   defstruct [
@@ -62,33 +56,34 @@ defmodule Aerie.Vehicle.Core do
     :now,
     :last_heard,
     :component,
-    :expired,
-    :shown,
+    :expired_at,
+    :shown_at,
     :digest,
-    :heartbeat,
+    :heartbeat_at,
     :collision,
     :view,
-    :viewed,
-    :way,
-    :settle,
+    :viewed_at,
+    :path,
+    :settle_at,
+    :observed_at,
+    :heard_again_at,
+    :modes_asked,
     status: :online,
     version: 2,
-    beat: 1,
+    heartbeat_version: 1,
     dirty: false,
-    observed: nil,
-    back: nil,
-    confirm: false,
+    confirm_status: false,
     state: %State{},
-    heard: Heard.new(),
-    clock: BootClock.new(),
-    twin: Twin.new(),
-    rivals: Rivals.new(),
-    apart: [],
-    doubt: Doubt.new(),
+    reception: Reception.new(),
+    boot_clock: BootClock.new(),
+    collision_detector: Collision.Detector.new(),
+    owner: Collision.Owner.new(),
+    suspicion: Collision.Suspicion.new(),
+    other_paths: [],
     texts: StatusText.new(),
-    early: [],
+    early_texts: [],
+    recent_texts: %{},
     reports: Reports.new(),
-    recent: %{},
     streams: Arbiter.new(),
     timesync: Timesync.new(0),
     gcs: Gcs.new(),
@@ -98,33 +93,46 @@ defmodule Aerie.Vehicle.Core do
 
   @collision_us 60_000_000
 
-  @typedoc "Only this module and those below it look into it."
+  @typedoc """
+  For this module and those in its folder.
+
+  - `expired_at`, `shown_at`, `viewed_at`, `observed_at`, `heartbeat_at`: when deadlines were last handled, the snapshot was
+    last written, its slow part was renewed, the detector was last given something, our heartbeat was last due
+  - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
+  - `settle_at`: when the detector looks again for the cause of a failsafe
+  - `confirm_status`: the detector is told the status again, after a crash
+  - `path`: that of the frames at hand; `other_paths`: what the last `:other_vehicle` action said
+  """
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
   @type event ::
-          {:frames, Rivals.way(), [struct()]}
-          | {:link_again, link :: term()}
+          {:frames, Collision.Owner.path(), [struct()]}
+          | {:link_reconnected, link :: term()}
           | {:tick, integer()}
           | {:rebase, integer()}
           | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
           | {:stations, [Aerie.Router.Stations.station()]}
-          | {:wants, Aerie.Fleet.Wants.merged(), non_neg_integer() | nil}
+          | {:demand, Aerie.Fleet.StreamDemand.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}
+          | {:operator, map()}
+          | {:hold_requests, boolean()}
   @type action ::
           {:snapshot, map()}
-          | {:observe, Detector.observation()}
+          | {:observe, Observation.t()}
+          | {:reported, Aerie.Vehicle.Reports.report()}
           | {:publish, State.group(), map(), integer()}
           | {:send, struct(), 1 | 2}
           | {:send, struct(), 1 | 2, link :: term()}
+          | {:authorise_arming, Aerie.Protocol.source()}
           | {:round_trip, link :: term(), us :: non_neg_integer()}
           | {:heartbeat, 1 | 2}
           | :withhold
-          | {:apart, [Rivals.way()]}
+          | {:other_vehicle, [Collision.Owner.path()]}
           | {:count, atom()}
           | {:status, atom(), atom()}
 
-  @doc "The state of a vehicle of which nothing is known, or what its last snapshot tells."
+  @doc "The core of a vehicle of which nothing is known, or of one with a last snapshot."
   @spec new(Options.t(), map() | nil) :: t()
   def new(options, snapshot \\ nil)
 
@@ -148,61 +156,68 @@ defmodule Aerie.Vehicle.Core do
         now: snapshot.last_heard,
         status: snapshot.status,
         component: snapshot[:component],
-        heard: Heard.new(snapshot.links, snapshot.last_heard),
-        clock: BootClock.new(Enum.max(boots, fn -> nil end)),
+        reception: Reception.new(snapshot.links, snapshot.last_heard),
+        boot_clock: BootClock.new(Enum.max(boots, fn -> nil end)),
         gcs: Gcs.new(snapshot[:gcs]),
         high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),
-        # Both are shown to the detector again: the crash may have been between the snapshot and that, and the
-        # detector knows what it has seen.
+        # Digest and status are shown to the detector again: the crash may have come between writing the snapshot and
+        # telling the detector, and the detector knows what it has seen.
         digest: nil,
-        confirm: true
+        confirm_status: true
     }
   end
 
   @doc "One step."
   @spec handle(t(), event()) :: {t(), [action()]}
-  def handle(core, {:link, link, %{high_latency: marked?}}),
-    do: {%{core | high_latency: HighLatency.marked(core.high_latency, link, marked?)}, []}
+  def handle(core, {:link, link, %{high_latency: configured?}}),
+    do: {%{core | high_latency: HighLatency.configured(core.high_latency, link, configured?)}, []}
 
   def handle(core, {:stations, stations}),
     do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}
 
-  def handle(core, {:wants, wants, forwarded}),
-    do: {%{core | streams: Arbiter.wants(core.streams, wants, forwarded)}, []}
+  def handle(core, {:demand, demand, forwarded}),
+    do: {%{core | streams: Arbiter.demand(core.streams, demand, forwarded)}, []}
+
+  def handle(%{now: nil} = core, {:operator, _operator}), do: {core, []}
+
+  def handle(core, {:operator, operator}) do
+    core = %{core | state: State.put(core.state, :operator, operator, core.now)}
+    {core, actions} = {core, []} |> Effects.sample(:operator, core.now) |> Effects.show(core.now)
+    {core, Enum.reverse(actions)}
+  end
+
+  def handle(core, {:hold_requests, hold?}),
+    do: {%{core | streams: Arbiter.hold(core.streams, hold?)}, []}
 
   def handle(core, {:asked, request, at}),
     do: {%{core | timesync: Timesync.asked(core.timesync, request, at)}, []}
 
-  def handle(%{confirm: true} = core, event) do
-    {next, actions} = handle(%{core | confirm: false}, event)
-    {next, [confirm(core) | actions]}
+  def handle(%{confirm_status: true} = core, event) do
+    {next, actions} = handle(%{core | confirm_status: false}, event)
+    {next, [confirm_status(core) | actions]}
   end
 
-  def handle(core, {:frames, way, frames}) do
-    link = Rivals.link(way)
+  def handle(core, {:frames, path, frames}) do
+    link = Collision.Owner.link(path)
 
     {core, actions} =
-      Enum.reduce(frames, {%{core | way: way}, []}, fn frame, {core, actions} ->
+      Enum.reduce(frames, {%{core | path: path}, []}, fn frame, {core, actions} ->
         {core, actions} = Timers.before(core, actions, frame.at)
+        owner = Collision.Owner.heard(core.owner, path, frame.at)
+        core = %{core | now: max(core.now || frame.at, frame.at), owner: owner}
 
-        core = %{
-          core
-          | now: max(core.now || frame.at, frame.at),
-            rivals: Rivals.heard(core.rivals, way, frame.at)
-        }
-
-        if Rivals.other?(core.rivals, way, frame.at),
-          do: Intake.rival(core, actions, frame),
-          else: Intake.frame(core, actions, link, frame)
+        if Collision.Owner.other?(owner, path, frame.at),
+          do: Collisions.other_vehicle(core, actions, frame),
+          else: Frames.frame(core, actions, link, frame)
       end)
 
     {Timers.observed(core, actions), Enum.reverse(actions)}
   end
 
-  # It may have been restarted, or be on another of its ports, where it sends other streams.
-  def handle(%{now: nil} = core, {:link_again, _link}), do: {core, []}
+  # The vehicle may have been restarted, or be on another of its ports, which sends other streams.
+  def handle(%{now: nil} = core, {:link_reconnected, _link}), do: {core, []}
 
-  def handle(core, {:link_again, _link}),
+  def handle(core, {:link_reconnected, _link}),
     do: {%{core | streams: Arbiter.rebooted(core.streams, core.now)}, []}
 
   def handle(core, {:tick, now}) do
@@ -224,9 +239,9 @@ defmodule Aerie.Vehicle.Core do
 
   defp own(options), do: {options.own_system, options.own_component}
 
-  @doc "The vehicle as faces see it."
+  @doc "The vehicle as the read model shows it."
   @spec snapshot(t()) :: map()
-  def snapshot(core), do: snapshot(core, Dealings.show(core))
+  def snapshot(core), do: snapshot(core, Services.show(core))
 
   @doc false
   @spec snapshot(t(), view :: map()) :: map()
@@ -237,6 +252,7 @@ defmodule Aerie.Vehicle.Core do
       network: options.network,
       system_id: options.system_id,
       component: core.component,
+      mavlink_version: core.version,
       autopilot: state.autopilot,
       vehicle_type: state.kind,
       type: state.type,
@@ -246,7 +262,7 @@ defmodule Aerie.Vehicle.Core do
       status: core.status,
       last_heard: core.last_heard,
       time_boot_ms: state.boot_ms,
-      links: Heard.links(core.heard),
+      links: Reception.links(core.reception),
       groups: state.groups,
       collision: collision(core),
       memory: State.memory(state)
@@ -254,13 +270,12 @@ defmodule Aerie.Vehicle.Core do
     |> Map.merge(view)
   end
 
-  # For as long as there may be two.
   defp collision(%{collision: %{at: at} = collision, now: now}) when now - at < @collision_us, do: collision
   defp collision(_core), do: nil
 
-  # As of before this step.
-  defp confirm(%{status: :lost} = core),
-    do: {:observe, {:lost, core.last_heard + core.options.lost_us, nil, core.options.lost_us}}
+  # The status before this step.
+  defp confirm_status(%{status: :lost, options: %{lost_us: lost_us}} = core),
+    do: {:observe, Observation.new(:lost, core.last_heard + lost_us, nil, lost_us)}
 
-  defp confirm(core), do: {:observe, {:restored, core.last_heard, nil}}
+  defp confirm_status(core), do: {:observe, Observation.new(:restored, core.last_heard, nil)}
 end

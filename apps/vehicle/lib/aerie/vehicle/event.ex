@@ -2,9 +2,9 @@ defmodule Aerie.Vehicle.Event do
   @moduledoc """
   Something that happened to a vehicle.
 
-  The id is a function of the vehicle, the event's type, its place in the vehicle's sequence, its time and its data: the
-  same transition found twice in the same bytes (a replay, a detector that was restored after a crash) has the same id,
-  which lets every consumer, and JetStream by `Nats-Msg-Id`, drop the second one.
+  The id is a hash of the vehicle, the type, the sequence number, the time and the data. The same transition detected twice
+  in the same bytes (a replay, a detector that was restored after a crash) has the same id, so that every consumer, and
+  JetStream by `Nats-Msg-Id`, can drop the second one.
   """
 
   @enforce_keys [:id, :vehicle, :type, :seq, :time, :data]
@@ -14,10 +14,10 @@ defmodule Aerie.Vehicle.Event do
   * `:id` - 32 hexadecimal digits, unique
   * `:vehicle` - the vehicle's public name
   * `:type` - one of `types/0`
-  * `:seq` - 1, 2, 3 … per vehicle for as long as the gateway's store lives
+  * `:seq` - 1, 2, 3 … per vehicle, for the lifetime of the gateway's store
   * `:time` - unix microseconds at which the gateway received what shows the event
   * `:vehicle_time_ms` - the vehicle's own clock (milliseconds since its boot) as last heard, or nil
-  * `:data` - what there is to say, by `Aerie.Vehicle.EventTypes`; string keys, JSON values
+  * `:data` - the fields of the type (`Aerie.Vehicle.Event.Types`); string keys, JSON values
   """
   @type t :: %__MODULE__{
           id: String.t(),
@@ -29,9 +29,9 @@ defmodule Aerie.Vehicle.Event do
           data: %{String.t() => term()}
         }
 
-  @types Aerie.Vehicle.EventTypes.names()
+  @types Aerie.Vehicle.Event.Types.names()
 
-  @doc "All event types; `Aerie.Vehicle.EventTypes` says what they mean."
+  @doc "All event types; `Aerie.Vehicle.Event.Types` describes them."
   @spec types() :: [String.t()]
   def types, do: @types
 
@@ -50,7 +50,7 @@ defmodule Aerie.Vehicle.Event do
   end
 
   defp id(vehicle, type, seq, time, data) do
-    # The deterministic form keeps the id independent of the order in which a map's keys happen to be kept.
+    # Without :deterministic, the hash would depend on the internal order of a map's keys.
     digest = :crypto.hash(:sha256, :erlang.term_to_binary({vehicle, type, seq, time, data}, [:deterministic]))
     digest |> binary_part(0, 16) |> Base.encode16(case: :lower)
   end

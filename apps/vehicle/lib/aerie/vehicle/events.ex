@@ -1,9 +1,10 @@
 defmodule Aerie.Vehicle.Events do
   @moduledoc """
-  The event loop of one vehicle: reads its inbox in the journal, asks `Aerie.Vehicle.Detector`, and commits the
-  detector's new state together with the events, entry by entry.
+  The event loop of one vehicle: reads its inbox in the journal, passes each entry to `Aerie.Vehicle.Detector`, and commits
+  the detector's new state together with the events.
 
-  Whoever is killed when, each inbox entry is taken account of exactly once: the committed state says which was the last.
+  Whichever process is killed at whatever time, each inbox entry is processed exactly once: the committed state says which
+  one was the last.
   """
   use GenServer
 
@@ -15,7 +16,7 @@ defmodule Aerie.Vehicle.Events do
     GenServer.start_link(__MODULE__, arguments, name: name)
   end
 
-  @doc "Says that there is something in the inbox."
+  @doc "Tells the loop that there is something in the inbox."
   @spec wake(pid()) :: :ok
   def wake(events) do
     send(events, :inbox)
@@ -27,15 +28,15 @@ defmodule Aerie.Vehicle.Events do
     Process.set_label({:events, options.id})
     Fleet.Journal.welcome(gateway, options.id)
     detector = Fleet.Journal.begin(gateway, options.id, first(gateway, options))
-    # A forerunner may have been killed before it told about what it had committed.
+    # The last loop may have been killed between a commit and its notice.
     Fleet.Journal.wake(gateway)
-    {:ok, %{gateway: gateway, id: options.id, detector: detector}, {:continue, :inbox}}
+    {:ok, %{gateway: gateway, id: options.id, key: options.key, detector: detector}, {:continue, :inbox}}
   end
 
-  # The first of this life: what the last one told is compared with what is found.
+  # The detector of a new gateway: it compares the state with what was published before the restart.
   defp first(gateway, options) do
-    found = if options.fleet, do: options.fleet.remembered(gateway, options.id)
-    options |> Vehicle.Detector.new() |> Vehicle.Detector.remember(found)
+    published = if options.publisher, do: options.publisher.remembered(gateway, options.id)
+    options |> Vehicle.Detector.new() |> Vehicle.Detector.remember(published)
   end
 
   @impl GenServer
@@ -47,8 +48,8 @@ defmodule Aerie.Vehicle.Events do
     {:noreply, work(state)}
   end
 
-  def handle_info({:pulse, pulse, tag}, state) do
-    Identity.Pulse.answer(pulse, tag)
+  def handle_info({:watchdog, watchdog, tag}, state) do
+    Identity.Watchdog.answer(watchdog, tag)
     {:noreply, state}
   end
 
@@ -72,18 +73,25 @@ defmodule Aerie.Vehicle.Events do
       if suppressed > 0,
         do: Store.count(state.gateway, {:vehicle, state.id, :events_suppressed}, suppressed)
 
-    Enum.each(events, &told(state.gateway, state.id, &1))
+    Enum.each(events, &committed(state.gateway, state.id, &1))
+    if events != [], do: tell_shadow(state)
     detector
   end
 
-  @doc "Tells who measures that an event was committed."
-  @spec told(Names.gateway(), String.t(), Vehicle.Event.t()) :: :ok
-  def told(gateway, id, event) do
+  # The shadow loop looks at the vehicle once a second anyway: this one is so that it hears at once of who is in charge.
+  defp tell_shadow(state) do
+    shadow = Names.whereis(state.gateway, :shadow, state.key)
+    if shadow, do: send(shadow, :changed)
+  end
+
+  @doc "Emits the telemetry of an event that was committed."
+  @spec committed(Names.gateway(), String.t(), Vehicle.Event.t()) :: :ok
+  def committed(gateway, id, event) do
     metadata = %{gateway: gateway, vehicle: id, type: event.type, event: event}
     :telemetry.execute([:aerie, :vehicle, :event], %{count: 1}, metadata)
   end
 
-  # One look at the inbox answers all calls to look at it that are waiting.
+  # Reading the inbox once serves all notices that are waiting.
   defp drain do
     receive do
       :inbox -> drain()

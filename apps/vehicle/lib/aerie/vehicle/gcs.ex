@@ -1,17 +1,18 @@
 defmodule Aerie.Vehicle.Gcs do
   @moduledoc """
-  Which ground station keeps a vehicle's failsafe quiet (H5). A pure value.
+  Which ground station's heartbeats keep a vehicle's failsafe quiet (H5). A pure value.
 
-  A vehicle's failsafe for a lost ground station waits for heartbeats, and for whose differs: ArduPilot's for any of system
-  `SYSID_MYGCS` (`MAV_GCS_SYSID` to `MAV_GCS_SYSID_HI` since 4.7), PX4's for any that says MAV_TYPE_GCS. So with two stations
-  on a network the one that the vehicle listens to may be gone while the other is there, and with a wrong parameter nobody
-  ever was it. Here it is known which it is, whether it is heard, and told when it goes.
+  The failsafe for a lost ground station waits for heartbeats. ArduPilot's counts those of system `SYSID_MYGCS`
+  (`MAV_GCS_SYSID` to `MAV_GCS_SYSID_HI` since 4.7), PX4's any with MAV_TYPE_GCS. So with two stations on a network the one
+  that the vehicle listens to may be gone while the other is still there, and with a wrong parameter there never was one.
+  This module knows which one counts and whether it is heard, and reports when it falls silent.
 
-  The parameters are read once, one by one, two seconds apart, and again after a reboot; whatever PARAM_VALUE comes by
-  itself is taken as well. What is not known is nil.
+  The parameters are read once, one by one, two seconds apart, and again after a reboot; any other PARAM_VALUE that comes is
+  used, too. Unknown values are nil.
   """
 
   alias Aerie.Router.Stations
+  alias MavCodec.Enums.MavType
   alias MavCodec.Messages.ParamRequestRead
 
   @ardupilot ~w(SYSID_MYGCS MAV_GCS_SYSID MAV_GCS_SYSID_HI FS_GCS_ENABLE FS_GCS_ENABL FS_GCS_TIMEOUT FS_LONG_TIMEOUT)
@@ -23,8 +24,8 @@ defmodule Aerie.Vehicle.Gcs do
   @tries 2
   @known_us 60_000_000
   @shown 16
-  @mav_type_gcs 6
-  # Defaults of the firmware, where its parameter is not known.
+  @mav_type_gcs MavType.value(:MAV_TYPE_GCS)
+  # The firmware's defaults, for when the parameter is not known.
   @timeout_us %{ardupilot: 5_000_000, px4: 10_000_000}
 
   defstruct autopilot: :generic,
@@ -37,9 +38,9 @@ defmodule Aerie.Vehicle.Gcs do
             quiet: nil
 
   @typedoc """
-  - `asked`: how often each parameter was asked for since the vehicle's boot
+  - `asked`: how often each parameter was requested since the vehicle's boot
   - `heard`: `{time, system}` of the last heartbeat that keeps the failsafe quiet
-  - `quiet`: whether it is kept quiet; nil while nobody is known to
+  - `quiet`: whether the failsafe is kept quiet; nil before the first such heartbeat
   """
   @type t :: %__MODULE__{}
   @type notice :: {:lost | :back, at :: integer(), map()}
@@ -50,25 +51,25 @@ defmodule Aerie.Vehicle.Gcs do
   def new(%{params: params}), do: %__MODULE__{params: params}
   def new(_nothing), do: %__MODULE__{}
 
-  @doc "What the vehicle is: its firmware decides which parameters count."
+  @doc "The vehicle's firmware and kind, which decide which parameters count."
   @spec vehicle(t(), atom(), String.t()) :: t()
   def vehicle(%{autopilot: autopilot, kind: kind} = gcs, autopilot, kind), do: gcs
   def vehicle(gcs, autopilot, kind), do: %{gcs | autopilot: autopilot, kind: kind}
 
-  @doc "A parameter's value, of whatever parameter."
+  @doc "The value of any parameter."
   @spec param(t(), String.t(), number()) :: t()
   def param(gcs, name, value) when name in @names, do: %{gcs | params: Map.put(gcs.params, name, value)}
   def param(gcs, _name, _value), do: gcs
 
-  @doc "Parameters may have been changed by whatever restarted it; they are read again."
+  @doc "After a reboot the parameters are read again: they may have been changed before it."
   @spec rebooted(t(), integer()) :: t()
   def rebooted(gcs, at), do: %{gcs | asked: %{}, next: at + @first_us}
 
-  @doc "Time goes on from `now`: how long ago a station was heard can no longer be told."
+  @doc "Time goes on from `now`, which is not comparable with the time before: stations are unheard."
   @spec rebased(t(), integer()) :: t()
   def rebased(gcs, now), do: %{gcs | next: gcs.next && now + @pause_us, heard: nil, quiet: nil, stations: []}
 
-  @doc "The clock was set by `step`: a station was heard as long ago as before."
+  @doc "The clock was set by `step` (us): a station was heard as long ago as before."
   @spec shifted(t(), integer()) :: t()
   def shifted(gcs, step) do
     heard = with {at, system} <- gcs.heard, do: {at + step, system}
@@ -77,20 +78,18 @@ defmodule Aerie.Vehicle.Gcs do
   end
 
   @doc """
-  The stations that are heard on the vehicle's network (`Aerie.Router.Stations`), ourselves excluded; what has our system id
-  and another component is somebody else.
+  The stations heard on the vehicle's network (`Aerie.Router.Stations`), without ourselves; another component with our system
+  id is another station.
   """
   @spec stations(t(), [Stations.station()], own :: {system :: integer(), component :: integer()}) :: t()
   def stations(gcs, stations, own) do
     stations = Enum.reject(stations, &({&1.system, &1.component} == own))
-    keepers = for station <- stations, keeps?(gcs, station), do: {station.last_heard, station.system}
-    %{gcs | stations: stations, heard: Enum.max([gcs.heard || {0, nil} | keepers]) |> some()}
+    # nil, an atom, is less than any tuple.
+    keepers = for station <- stations, keeps_quiet?(gcs, station), do: {station.last_heard, station.system}
+    %{gcs | stations: stations, heard: Enum.max([gcs.heard | keepers])}
   end
 
-  defp some({0, nil}), do: nil
-  defp some(heard), do: heard
-
-  @doc "The parameter that is due to be asked for at `now`, and whether the failsafe's station is gone or back."
+  @doc "The parameter to request at `now`, and whether the station that counts fell silent or is back."
   @spec expire(t(), integer(), target :: {integer(), integer()}, ask :: boolean()) ::
           {t(), [ParamRequestRead.t()], [notice()]}
   def expire(gcs, now, target, ask) do
@@ -142,7 +141,7 @@ defmodule Aerie.Vehicle.Gcs do
   defp plan(%{autopilot: :px4}), do: @px4
   defp plan(_generic), do: []
 
-  # What is known, or stands in another parameter's place, is not asked for.
+  # A parameter that is known, or has another name in this firmware, is not requested.
   defp ask?(gcs, "MAV_GCS_SYSID_HI"),
     do: is_map_key(gcs.params, "MAV_GCS_SYSID") and not known?(gcs, "MAV_GCS_SYSID_HI")
 
@@ -156,7 +155,7 @@ defmodule Aerie.Vehicle.Gcs do
 
   defp known?(gcs, name), do: is_map_key(gcs.params, name)
 
-  @doc "The ids that the vehicle's failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil."
+  @doc "The system ids that the failsafe listens to: `{lowest, highest}`, `:any_gcs` for any ground station, or nil."
   @spec listens_to(t()) :: {integer(), integer()} | :any_gcs | nil
   def listens_to(%{autopilot: :px4}), do: :any_gcs
 
@@ -175,7 +174,7 @@ defmodule Aerie.Vehicle.Gcs do
 
   def listens_to(_generic), do: nil
 
-  @doc "Whether the failsafe is switched on; nil while that is not known."
+  @doc "Whether the failsafe is enabled; nil while that is not known."
   @spec enabled?(t()) :: boolean() | nil
   def enabled?(%{autopilot: :px4, params: params}), do: on?(params["NAV_DLL_ACT"])
   def enabled?(%{params: params}), do: on?(params["FS_GCS_ENABLE"] || params["FS_GCS_ENABL"])
@@ -183,7 +182,7 @@ defmodule Aerie.Vehicle.Gcs do
   defp on?(nil), do: nil
   defp on?(value), do: value > 0
 
-  @doc "Silence after which the failsafe takes the station for lost (us)."
+  @doc "The silence after which the failsafe acts (us)."
   @spec timeout_us(t()) :: pos_integer()
   def timeout_us(%{autopilot: autopilot, params: params}) do
     seconds =
@@ -197,8 +196,8 @@ defmodule Aerie.Vehicle.Gcs do
   end
 
   @doc "Whether heartbeats of this station keep the failsafe quiet."
-  @spec keeps?(t(), %{system: integer(), type: integer()}) :: boolean()
-  def keeps?(gcs, %{system: system, type: type}) do
+  @spec keeps_quiet?(t(), %{system: integer(), type: integer()}) :: boolean()
+  def keeps_quiet?(gcs, %{system: system, type: type}) do
     case listens_to(gcs) do
       {low, high} -> system in low..high//1
       :any_gcs -> type == @mav_type_gcs
@@ -207,15 +206,15 @@ defmodule Aerie.Vehicle.Gcs do
   end
 
   @doc """
-  What faces see:
+  For the snapshot:
 
-  - `known_by`: system ids of the ground stations that were heard within a minute
-  - `failsafe_gcs`: the id that the failsafe listens to, nil when unknown or any; `failsafe_range` with both ends
-  - `heard_gcs`, `last_heard`: who kept it quiet last, and when (unix us)
-  - `quiet?`: whether it is kept quiet now; nil while nobody is known to
+  - `known_by`: system ids of the ground stations heard within a minute
+  - `failsafe_gcs`: the id that the failsafe listens to, nil if unknown or any; `failsafe_range`: the lowest and highest id
+  - `heard_gcs`, `last_heard`: the system whose heartbeat last kept it quiet, and when (unix us)
+  - `quiet?`: whether it is kept quiet now; nil before the first such heartbeat
   - `enabled?`, `timeout_s`: of the failsafe
   - `stations`: each `%{system, component, type, via, last_heard, keeps?}`
-  - `params`: what was read
+  - `params`: those that were read
   """
   @spec show(t(), integer()) :: map()
   def show(gcs, now) do
@@ -232,7 +231,7 @@ defmodule Aerie.Vehicle.Gcs do
       quiet?: gcs.quiet,
       enabled?: enabled?(gcs),
       timeout_s: timeout_us(gcs) / 1_000_000,
-      stations: near |> Enum.take(@shown) |> Enum.map(&Map.put(&1, :keeps?, keeps?(gcs, &1))),
+      stations: near |> Enum.take(@shown) |> Enum.map(&Map.put(&1, :keeps?, keeps_quiet?(gcs, &1))),
       params: gcs.params
     }
   end

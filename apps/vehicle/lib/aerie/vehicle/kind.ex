@@ -1,7 +1,6 @@
 defmodule Aerie.Vehicle.Kind do
   @moduledoc """
-  What kind of vehicle it is, by the heartbeat of its autopilot: MAV_TYPE and MAV_AUTOPILOT, never the component id
-  (R10).
+  The kind of a vehicle, by MAV_TYPE and MAV_AUTOPILOT of its autopilot's heartbeat, never by the component id (R10).
   """
 
   @kinds %{
@@ -22,8 +21,8 @@ defmodule Aerie.Vehicle.Kind do
   }
   @by_type for {kind, types} <- @kinds, type <- types, into: %{}, do: {type, kind}
 
-  # Types of things that are aboard or around a vehicle and are none: ground stations, on-board computers, gimbals, ADS-B
-  # receivers, cameras, chargers, flarms, servos, remote id, batteries, parachutes, logs, OSDs, sensors, winches, lights.
+  # Types that are no vehicles: ground stations, on-board computers, gimbals, ADS-B receivers, cameras, chargers, FLARMs,
+  # servos, remote id, batteries, parachutes, logs, OSDs, sensors, winches, lights.
   @not_vehicles [6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 37, 38, 39, 40, 41, 42, 44]
 
   @autopilot_invalid 8
@@ -43,13 +42,13 @@ defmodule Aerie.Vehicle.Kind do
   @doc """
   Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2).
 
-  Everything that is none sends MAV_AUTOPILOT_INVALID; some ground stations and cameras do not, so the type counts too.
+  Everything else should send MAV_AUTOPILOT_INVALID; some ground stations and cameras do not, so the type counts, too.
   """
   @spec vehicle?(integer(), integer()) :: boolean()
   def vehicle?(_type, @autopilot_invalid), do: false
   def vehicle?(type, _autopilot), do: type not in @not_vehicles
 
-  @doc "Whether taking off and landing mean anything for this kind of vehicle."
+  @doc "Whether this kind of vehicle takes off and lands."
   @spec flies?(String.t()) :: boolean()
   def flies?(kind), do: kind not in ["rover", "boat", "sub", "tracker", "spacecraft"]
 end

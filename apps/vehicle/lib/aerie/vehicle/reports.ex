@@ -1,36 +1,38 @@
 defmodule Aerie.Vehicle.Reports do
+  @text_us 1_500_000
+
   @moduledoc """
-  What a vehicle's components report with EVENT messages (X3): PX4 says with them why it does what it does, also while no
-  ground station is there to whom it would send texts. A pure value.
+  EVENT messages of a vehicle's components (X3), with which PX4 reports why it does what it does, even while there is no
+  ground station to send texts to. A pure value.
 
-  An event has an id, arguments and two log levels; its words are in a file of the firmware. Shown is what is known without
-  it: the id in hexadecimal, its name and the values of its arguments if `Reports.Names` has them, the level meant for people
-  (external), the one meant for the log (internal), the arguments as they came.
+  An event has an id, arguments and two log levels; its text is in a file of the firmware, which is not read. Known without
+  that file are the id in hexadecimal, the name and the values of the arguments if `Reports.Names` has them, the level for
+  users (external), the level for the log (internal), and the bytes of the arguments.
 
-  Most events come as a STATUSTEXT, too, which then ends with a tab (`doubled`), a moment before or after. Those are shown
-  once, as the text: an event waits #{1.5} s for its text and is given when none came. Either way it is in `show/1`. Events
-  that are not for display (levels above 7) or not for us are only counted in the sequence, and the reasons that keep a
-  vehicle from being armed are given as one list (`Reports.Checks`).
+  Most events also come as a STATUSTEXT, which then ends with a tab (`doubled`), a moment before or after. Those are reported
+  once, as the text: an event waits #{@text_us / 1_000_000} s for its text, and is reported if none comes. `show/1` has all of them. Events
+  that are not for display (levels above 7) or not for us only count in the sequence. The reasons that keep a vehicle from
+  being armed are collected in one list (`Reports.Checks`).
   """
 
   import Bitwise
 
   alias Aerie.Vehicle.Reports.{Checks, Names, Sequence}
+  alias MavCodec.Enums.MavEventCurrentSequenceFlags, as: EventSequenceFlags
   alias MavCodec.Messages.{CurrentEventSequence, Event, RequestEvent, ResponseEventError}
 
-  @text_us 1_500_000
-  # A text whose event is lost and asked for again waits longer.
+  # A text whose event was lost and requested again waits longer.
   @late_us 6_000_000
   @max_components 8
   @max_waiting 64
   @recent 16
-  @reset 1
+  @reset EventSequenceFlags.value(:MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET)
 
   defstruct components: %{}, open: [], texts: [], recent: []
 
   @typedoc """
-  `severity`, `internal`: 0 emergency to 7 debug; `arguments`: as sent, without the zeros at their end; `values`: what they
-  mean, nil where that is not known.
+  `severity`, `internal`: 0 emergency to 7 debug; `arguments`: the bytes without trailing zeros; `values`: their meaning, nil if
+  unknown.
   """
   @type report :: %{
           component: 0..255,
@@ -46,18 +48,20 @@ defmodule Aerie.Vehicle.Reports do
           boot_ms: non_neg_integer()
         }
   @type t :: %__MODULE__{}
-  @typedoc "A report at once; one that no text doubles; all that keeps the vehicle from being armed."
-  @type given :: {:said, report()} | {:report, report()} | {:checks, [report()]}
+  @typedoc """
+  `:new`: a report that has just come; `:report`: one without a text; `:checks`: all that keeps the vehicle from being armed.
+  """
+  @type output :: {:new, report()} | {:report, report()} | {:checks, [report()]}
   @type own :: {system :: non_neg_integer(), component :: non_neg_integer()}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
   @doc """
-  An EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component that came `at`. `own`: who we are. `sure?`: it is
-  no other vehicle with the same id; else a number far from ours says nothing of what is missing.
+  EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component. `own`: our ids. `sure?`: certainly not of another
+  vehicle with the same id; otherwise a sequence number far from the last one does not mean that events are missing.
   """
-  @spec message(t(), 0..255, struct(), own(), integer(), sure? :: boolean()) :: {t(), [given()]}
+  @spec message(t(), 0..255, struct(), own(), integer(), sure? :: boolean()) :: {t(), [output()]}
   def message(reports, component, message, own, at, sure? \\ true)
 
   def message(%{components: known} = reports, component, _message, _own, _at, _sure?)
@@ -80,7 +84,7 @@ defmodule Aerie.Vehicle.Reports do
     {sequence(reports, component, &Sequence.current(&1, message.sequence, reset?, at)), []}
   end
 
-  # An answer to somebody else's request is true for all.
+  # The answer to another program's request tells us the same.
   def message(reports, component, %ResponseEventError{} = message, _own, _at, true),
     do: {sequence(reports, component, &Sequence.gone(&1, message.sequence_oldest_available)), []}
 
@@ -98,11 +102,11 @@ defmodule Aerie.Vehicle.Reports do
     state = component(reports, component)
     {what, checks, list} = Checks.event(state.checks, report.sequence, report.id, report, report.at)
     reports = put_component(reports, component, %{state | checks: checks})
-    given = [{:said, report}] ++ if(list, do: [{:checks, list}], else: [])
-    if what == :other and report.severity <= 7, do: {pair(reports, report), given}, else: {reports, given}
+    outputs = [{:new, report}] ++ if(list, do: [{:checks, list}], else: [])
+    if what == :other and report.severity <= 7, do: {pair(reports, report), outputs}, else: {reports, outputs}
   end
 
-  # The text came first, or may come.
+  # The text came first, or may still come.
   defp pair(reports, report) do
     case Enum.split_while(reports.texts, &(&1.source != report.component)) do
       {before, [text | rest]} ->
@@ -113,9 +117,9 @@ defmodule Aerie.Vehicle.Reports do
     end
   end
 
-  @doc "A whole STATUSTEXT (`Aerie.Vehicle.StatusText`) that the vehicle gave."
+  @doc "A complete STATUSTEXT (`Aerie.Vehicle.Reports.StatusText`)."
   @spec text(t(), map()) :: t()
-  # Who sends no events sends no texts that double them.
+  # A component without events has no texts that double them.
   def text(%{components: components} = reports, %{doubled: true, source: source} = text)
       when is_map_key(components, source) do
     case Enum.split_while(reports.open, &(&1.component != source)) do
@@ -129,10 +133,10 @@ defmodule Aerie.Vehicle.Reports do
   defp keep(reports, report), do: %{reports | recent: Enum.take([report | reports.recent], @recent)}
 
   @doc """
-  It is `now`: reports whose texts did not come are given, those of a component in the order in which it made them. Missing
-  ones that were asked for are waited for, #{@late_us / 1_000_000} s at most.
+  The reports whose texts did not come until `now`, those of a component in its own order. While events that were requested
+  are missing, later ones wait for them, at most #{@late_us / 1_000_000} s.
   """
-  @spec expire(t(), integer()) :: {t(), [given()]}
+  @spec expire(t(), integer()) :: {t(), [output()]}
   def expire(%{components: components} = reports, _now) when components == %{}, do: {reports, []}
 
   def expire(reports, now) do
@@ -149,7 +153,7 @@ defmodule Aerie.Vehicle.Reports do
     {%{reports | components: Map.new(components)}, Enum.map(ready, &{:report, &1}) ++ lists}
   end
 
-  # None before an earlier one of its component.
+  # A report never comes before an earlier one of its component.
   defp ready(reports, now) do
     {judged, _waiting} =
       reports.open
@@ -178,13 +182,13 @@ defmodule Aerie.Vehicle.Reports do
     if Sequence.waiting?(component(reports, component).sequence), do: @late_us, else: @text_us
   end
 
-  @doc "Whether anything is missing."
+  @doc "Whether events are missing."
   @spec missing?(t()) :: boolean()
   def missing?(reports),
     do:
       Enum.any?(reports.components, fn {_component, %{sequence: sequence}} -> Sequence.waiting?(sequence) end)
 
-  @doc "What to ask a vehicle's components for at `now`."
+  @doc "The requests to a vehicle's components that are due at `now`."
   @spec requests(t(), system :: non_neg_integer(), integer()) :: {t(), [struct()]}
   def requests(reports, system, now) do
     {components, requests} =
@@ -207,7 +211,7 @@ defmodule Aerie.Vehicle.Reports do
     {%{reports | components: Map.new(components)}, requests}
   end
 
-  @doc "Time goes on from `now`, whatever it was before: what waits is given with the next `expire/2`."
+  @doc "Time goes on from `now`, which is not comparable with the time before: what waits is due at once."
   @spec rebased(t(), integer()) :: t()
   def rebased(reports, now) do
     components =
@@ -218,16 +222,16 @@ defmodule Aerie.Vehicle.Reports do
     %{reports | components: components, texts: [], open: Enum.map(reports.open, &%{&1 | at: now - @text_us})}
   end
 
-  @doc "For the snapshot: the last #{@recent} reports, the newest first, and how many events are lost."
+  @doc "For the snapshot: the last #{@recent} reports, newest first, and how many events were lost."
   @spec show(t()) :: %{recent: [map()], lost: non_neg_integer()}
   def show(reports) do
     lost = for {_component, %{sequence: sequence}} <- reports.components, do: sequence.lost
-    %{recent: Enum.map(reports.recent, &Map.merge(&1, words(&1))), lost: Enum.sum(lost)}
+    %{recent: Enum.map(reports.recent, &Map.merge(&1, hex(&1))), lost: Enum.sum(lost)}
   end
 
   @doc "A report's id and arguments in hexadecimal."
-  @spec words(report()) :: %{id: String.t(), arguments: String.t()}
-  def words(report) do
+  @spec hex(report()) :: %{id: String.t(), arguments: String.t()}
+  def hex(report) do
     %{
       id: "0x" <> (report.id |> Integer.to_string(16) |> String.pad_leading(8, "0")),
       arguments: Base.encode16(report.arguments, case: :lower)

@@ -1,66 +1,52 @@
 defmodule Aerie.Vehicle.Sampling do
   @moduledoc """
-  Full rate in, a configured rate out: what of each state group is published. A pure value.
+  Reduces the full rate of each state group to the configured rate of publishing. A pure value.
 
   A group's strategy:
 
-  | strategy    | gives                                                                                             |
-  |-------------|---------------------------------------------------------------------------------------------------|
-  | `:time`     | once per period the mean of the period; angles are averaged on the circle, what is no number last  |
-  | `:change`   | a value that differs from the one given last, at most `hz` times a second                         |
-  | `:threshold` | a value of which a number named in `threshold` moved by at least its amount, at most `hz` a second |
-  | `:aggregate` | once per period the mean, with `min`, `max` and the number of `samples`                           |
+  | strategy     | publishes                                                                                          |
+  |--------------|----------------------------------------------------------------------------------------------------|
+  | `:time`      | once per period the mean of the period; angles are averaged on the circle, for anything but a number the last value counts |
+  | `:change`    | a value that differs from the one published last, at most `hz` times a second                      |
+  | `:threshold` | a value in which a number named in `threshold` changed by at least that amount, at most `hz` times a second |
+  | `:aggregate` | once per period the mean, with `min`, `max` and the number of `samples`                            |
 
-  The first value of a group is given at once, by all of them; by `:time` the first one that has all its fields.
+  All of them publish the first value of a group at once; `:time` the first one that has all its fields.
 
-  After `refresh_s` seconds a value is given although nothing moved (0: never), but only one that came since: a value is
-  never repeated for a vehicle that says nothing.
+  After `refresh_s` seconds a value is published even without a change (0: never), but only a new one: the values of a silent
+  vehicle are not repeated.
 
   Settings of a group: `%{strategy: atom, hz: float, threshold: %{"key" => amount}, refresh_s: float}`, as
-  `Aerie.Config` has them under `sampling.groups`; missing ones have defaults.
+  in `Aerie.Vehicle.Sampling.Settings`, which also has the defaults.
   """
 
-  alias Aerie.Vehicle.Sampling.{Aggregate, Change, Threshold, Time}
+  alias Aerie.Vehicle.Sampling.{Aggregate, Change, Settings, Threshold, Time}
   alias Aerie.Vehicle.State
 
   @type data :: map()
   @type sample :: {at :: integer(), data()}
 
-  @doc "A sampler of a group; `period_us` is the shortest time between two samples that it gives."
+  @doc "A sampler of a group; `period_us` is the shortest time between two samples."
   @callback new(State.group(), settings :: map(), period_us :: pos_integer()) :: term()
   @doc "A value that came `at`."
   @callback push(term(), integer(), data()) :: {term(), [sample()]}
-  @doc "It is `now`, and no value came."
+  @doc "What is due at `now` without a new value."
   @callback expire(term(), integer()) :: {term(), [sample()]}
 
   @strategies %{time: Time, change: Change, threshold: Threshold, aggregate: Aggregate}
-  @defaults %{
-    position: %{strategy: :time},
-    attitude: %{strategy: :time},
-    velocity: %{strategy: :time},
-    battery: %{strategy: :threshold, threshold: %{"remaining" => 0.01}},
-    gps: %{strategy: :change, hz: 0.5},
-    mode: %{strategy: :change, hz: 10.0},
-    health: %{strategy: :change},
-    home: %{strategy: :change, refresh_s: 60.0},
-    mission: %{strategy: :change, refresh_s: 60.0},
-    rc: %{strategy: :time, hz: 0.2},
-    link: %{strategy: :aggregate, hz: 0.2}
-  }
 
   @type t :: %{State.group() => {module(), term()}}
 
   @doc "The samplers of all groups."
   @spec new(%{State.group() => map()}) :: t()
   def new(settings \\ %{}) do
-    Map.new(State.groups(), fn group ->
-      settings = @defaults |> Map.fetch!(group) |> Map.merge(Map.get(settings, group, %{}))
+    Map.new(Settings.groups(settings), fn {group, settings} ->
       module = Map.fetch!(@strategies, settings.strategy)
-      {group, {module, module.new(group, settings, round(1_000_000 / Map.get(settings, :hz, 1.0)))}}
+      {group, {module, module.new(group, settings, round(1_000_000 / settings.hz))}}
     end)
   end
 
-  @doc "A group's value that came `at`; gives what is to be published."
+  @doc "A group's value that came `at`; returns what is to be published."
   @spec push(t(), State.group(), integer(), data()) :: {t(), [sample()]}
   def push(samplers, group, at, data) do
     {module, sampler} = Map.fetch!(samplers, group)
@@ -68,7 +54,7 @@ defmodule Aerie.Vehicle.Sampling do
     {%{samplers | group => {module, sampler}}, samples}
   end
 
-  @doc "What is to be published because it is `now`."
+  @doc "What is to be published at `now`."
   @spec expire(t(), integer()) :: {t(), [{State.group(), sample()}]}
   def expire(samplers, now) do
     Enum.reduce(samplers, {samplers, []}, fn {group, {module, sampler}}, {samplers, due} ->
@@ -82,12 +68,9 @@ defmodule Aerie.Vehicle.Sampling do
     end)
   end
 
-  @doc "The refresh time of settings in microseconds, nil for never."
+  @doc "The refresh time of a group's settings (us), nil for never."
   @spec refresh_us(map()) :: pos_integer() | nil
   def refresh_us(settings) do
-    case Map.get(settings, :refresh_s, 30.0) do
-      seconds when seconds > 0 -> round(seconds * 1_000_000)
-      _never -> nil
-    end
+    if settings.refresh_s > 0, do: round(settings.refresh_s * 1_000_000)
   end
 end

@@ -1,24 +1,26 @@
 defmodule Aerie.Vehicle.Session do
   @moduledoc """
-  The process of one vehicle: takes its frames and carries out what `Aerie.Vehicle.Core` says.
+  The process of one vehicle: receives its frames and carries out the actions of `Aerie.Vehicle.Core`.
 
-  Who has frames of the vehicle sends `{:frames, link_id, [frame]}`, one message per read of a link, or
-  `{:frames, {link_id, peer}, [frame]}` while the system is heard by several endpoints.
+  The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer}, [frame]}`
+  while several endpoints of a link bring the system.
 
-  The time between frames is the time of the last one plus what has passed since by the monotonic clock, at the pace of the
-  link: a vehicle is missed after the same silence whether its frames come from a radio or from a recording played ten
-  times as fast. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock
-  starts in another year), all that the session knows of a live vehicle moves with it: nothing becomes older or newer by
-  that, and no vehicle is lost or kept.
+  Between frames, time is that of the last frame plus what has passed since by the monotonic clock, at the link's speed: a
+  vehicle is lost after the same silence whether its frames come from a radio or from a recording that is played ten times as
+  fast. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock starts in
+  another year), all times that the session keeps of a live vehicle move with it: nothing becomes older or newer, and no
+  vehicle is lost by it.
   """
   use GenServer
 
   alias Aerie.{Fleet, HostClock, Identity, Names, Store, Vehicle}
+  alias Aerie.Policy.Arming
   alias Aerie.Router.Stations
 
   @tick_ms 100
-  @set_us 3_000_000
-  @look_ticks 10
+  # A larger difference between a frame's time and the expected one means that a clock was set.
+  @clock_set_us 3_000_000
+  @look_around_ticks 10
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -29,10 +31,10 @@ defmodule Aerie.Vehicle.Session do
   @impl GenServer
   def init(gateway: gateway, options: options) do
     Process.set_label({:session, options.id})
-    # Whoever has frames of the vehicle may remember that there is no session.
+    # A sender of frames may have cached that there is no session.
     Names.changed()
     snapshot = Store.vehicle(gateway, options.key)
-    again()
+    schedule_tick()
 
     state = %{
       gateway: gateway,
@@ -40,135 +42,190 @@ defmodule Aerie.Vehicle.Session do
       core: Vehicle.Core.new(options, snapshot),
       clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
       host: HostClock.offset(),
-      live?: snapshot != nil and Enum.any?(snapshot.links, &(speed(gateway, &1) == :live)),
-      paces: %{},
-      outbound: Vehicle.Outbound.new(gateway, options),
+      live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
+      speeds: %{},
+      output: Vehicle.Output.new(gateway, options),
       events: nil,
+      alone: nil,
+      listeners: %{},
       ticks: 0
     }
 
-    # What a forerunner found out is to be found out again.
-    Aerie.Router.Apart.put(gateway, options.key, [])
-    {:ok, state, {:continue, :wants}}
+    # A collision that the last session knew of has to be detected again.
+    Aerie.Router.CollisionRoutes.put(gateway, options.key, [])
+    {:ok, state, {:continue, :demand}}
   end
 
   @impl GenServer
-  def handle_continue(:wants, state), do: {:noreply, wants(state, nil)}
+  def handle_continue(:demand, state), do: {:noreply, demand(state, nil)}
 
   @impl GenServer
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
 
-  def handle_info({:frames, way, frames}, state) do
-    link = if is_tuple(way), do: elem(way, 0), else: way
+  def handle_info({:frames, path, frames}, state) do
     Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
-    {pace, state} = pace(state, link)
-    state = set(%{state | live?: pace == :live})
-    state = if pace == :live, do: follow(state, hd(frames).at), else: state
-    clock = {List.last(frames).at, monotonic(), if(pace == :live, do: 1.0, else: pace)}
-    {:noreply, step(%{state | clock: clock}, {:frames, way, frames})}
+    {speed, state} = speed(state, Vehicle.Collision.Owner.link(path))
+    state = check_host_clock(%{state | live?: speed == :live})
+    state = if speed == :live, do: check_frame_time(state, hd(frames).at), else: state
+    clock = {List.last(frames).at, monotonic(), if(speed == :live, do: 1.0, else: speed)}
+    hand_over(state.listeners, frames)
+    {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
   end
 
-  # A link on which it was heard is connected again (`Aerie.Link.Again`).
-  def handle_info({:link_again, link}, state), do: {:noreply, step(state, {:link_again, link})}
+  # A link on which the vehicle was heard is connected again (`Aerie.Link.Reconnected`).
+  def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
   def handle_info({:timeout, _timer, :tick}, state) do
-    again()
+    schedule_tick()
     handle_info(:tick, state)
   end
 
   def handle_info(:tick, state) do
-    state = set(state)
+    state = check_host_clock(state)
 
     case expected(state.clock) do
-      # Nothing heard yet: there is no time to go by.
+      # Nothing was heard yet, so there is no time.
       nil -> {:noreply, state}
       now -> {:noreply, state |> step({:tick, now}) |> look_around(now)}
     end
   end
 
-  def handle_info({:wants, forwarded}, state), do: {:noreply, wants(state, forwarded)}
+  def handle_info({:demand, forwarded}, state), do: {:noreply, demand(state, forwarded)}
+
+  # Who is in charge of the vehicle changed.
+  def handle_info({:operator, fields}, state), do: {:noreply, step(state, {:operator, fields})}
 
   def handle_info({:high_latency, on?}, state) do
     target = {state.options.system_id, state.core.component || 1}
-    message = Vehicle.HighLatency.control(target, on?)
-    {:noreply, %{state | outbound: Vehicle.Outbound.send(state.outbound, message, state.core.version)}}
+    message = Vehicle.Links.HighLatency.control(target, on?)
+    {:noreply, %{state | output: Vehicle.Output.send(state.output, message, state.core.version)}}
   end
 
-  def handle_info({:pulse, pulse, tag}, state) do
-    Identity.Pulse.answer(pulse, tag)
+  # The executor or the transfers want frames with these ids, snapshots, texts, reports and reboots; nil: nothing any more.
+  def handle_info({:listen, pid, ids}, state) do
+    {monitor, _ids} = Map.get_lazy(state.listeners, pid, fn -> {Process.monitor(pid), nil} end)
+    if ids == nil, do: Process.demonitor(monitor, [:flush])
+
+    {:noreply,
+     %{
+       state
+       | listeners:
+           if(ids, do: Map.put(state.listeners, pid, {monitor, ids}), else: Map.delete(state.listeners, pid))
+     }}
+  end
+
+  def handle_info({:DOWN, _monitor, :process, pid, _reason}, state),
+    do: {:noreply, %{state | listeners: Map.delete(state.listeners, pid)}}
+
+  # The executor asks the vehicle by commands that our requests for streams use, too, and cannot tell the answers apart (C8).
+  def handle_info({:alone, pid, wanted?}, state),
+    do: {:noreply, step(%{state | alone: if(wanted?, do: pid)}, {:hold_requests, wanted?})}
+
+  def handle_info({:transmit, messages}, state) do
+    version = state.core.version
+    output = Enum.reduce(messages, state.output, &Vehicle.Output.send(&2, &1, version))
+    {:noreply, %{state | output: output}}
+  end
+
+  def handle_info({:watchdog, watchdog, tag}, state) do
+    Identity.Watchdog.answer(watchdog, tag)
     {:noreply, state}
   end
 
-  # A timer of its own each time: an interval's ticks would all pass by one process, a thousand a second for a hundred
-  # vehicles.
-  defp again, do: :erlang.start_timer(@tick_ms, self(), :tick)
+  defp hand_over(listeners, _frames) when listeners == %{}, do: :ok
 
-  # What others have written down since, once a second.
-  defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_ticks) != 0,
+  defp hand_over(listeners, frames) do
+    Enum.each(listeners, fn {pid, {_monitor, ids}} ->
+      wanted = Enum.filter(frames, &(&1.id in ids))
+      if wanted != [], do: send(pid, {:frames, wanted})
+    end)
+  end
+
+  defp tell(%{listeners: listeners}, what),
+    do: Enum.each(listeners, fn {pid, _wants} -> send(pid, what) end)
+
+  # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles.
+  defp schedule_tick, do: :erlang.start_timer(@tick_ms, self(), :tick)
+
+  # Once a second: what other processes have written to the tables.
+  defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_around_ticks) != 0,
     do: %{state | ticks: ticks + 1}
 
   defp look_around(state, _now) do
     stations = Stations.list(state.gateway, state.options.network)
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     state = %{state | ticks: state.ticks + 1, core: core}
-    if Fleet.Wants.sweep(state.gateway, state.options.key), do: wants(state, nil), else: state
+    if Fleet.StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
   end
 
-  defp wants(state, forwarded) do
-    merged = Fleet.Wants.merged(state.gateway, state.options.key)
-    {core, []} = Vehicle.Core.handle(state.core, {:wants, merged, forwarded})
+  defp demand(state, forwarded) do
+    merged = Fleet.StreamDemand.merged(state.gateway, state.options.key)
+    {core, []} = Vehicle.Core.handle(state.core, {:demand, merged, forwarded})
     %{state | core: core}
   end
 
   # How fast a link's time passes: `:live`, or the factor of a recording.
-  defp pace(%{paces: paces} = state, link) when is_map_key(paces, link), do: {Map.fetch!(paces, link), state}
+  defp speed(%{speeds: speeds} = state, link) when is_map_key(speeds, link), do: {speeds[link], state}
 
-  defp pace(state, link) do
-    pace = speed(state.gateway, link)
-    # A link is known by the first frame that it delivers, but for its first moment.
-    if pace == :unknown, do: {1.0, state}, else: {pace, state |> put_in([:paces, link], pace) |> marked(link)}
+  defp speed(state, link) do
+    case link_speed(state.gateway, link) do
+      # A link may deliver its first frames just before it is in the store.
+      :unknown -> {1.0, state}
+      speed -> {speed, state |> put_in([:speeds, link], speed) |> configured(link)}
+    end
   end
 
-  defp speed(gateway, link) do
+  defp link_speed(gateway, link) do
     case Store.link(gateway, link) do
-      %{kind: :replay, spec: %{speed: speed}} when is_number(speed) -> speed
-      %{kind: :replay} -> 1.0
+      %{spec: %{recorded: true, speed: speed}} when is_number(speed) -> speed
+      %{spec: %{recorded: true}} -> 1.0
       %{} -> :live
       nil -> :unknown
     end
   end
 
-  defp marked(state, link) do
-    what = %{high_latency: Vehicle.HighLatency.link?(state.gateway, link)}
-    {core, []} = Vehicle.Core.handle(state.core, {:link, link, what})
+  defp configured(state, link) do
+    configured = %{high_latency: Vehicle.Links.HighLatency.link?(state.gateway, link)}
+    {core, []} = Vehicle.Core.handle(state.core, {:link, link, configured})
     %{state | core: core}
   end
 
-  # Whether the machine's clock was set since the last look.
-  defp set(state) do
+  # The machine's clock may have been set since the last check.
+  defp check_host_clock(state) do
     offset = HostClock.offset()
-    moved(%{state | host: offset}, HostClock.step(state.host, offset))
+    shift(%{state | host: offset}, HostClock.step(state.host, offset))
   end
 
-  defp moved(%{clock: {at, then, pace}, live?: true} = state, step) when step != 0,
-    do: step(%{state | clock: {at + step, then, pace}}, {:shift, step})
+  defp shift(%{clock: {at, then, speed}, live?: true} = state, step) when step != 0,
+    do: step(%{state | clock: {at + step, then, speed}}, {:shift, step})
 
-  defp moved(state, _step), do: state
+  defp shift(state, _step), do: state
 
-  # A live frame's time is not about the time that it is: two links disagree, or the process slept. Frames that waited in
-  # the mailbox are older, but not by seconds.
-  defp follow(state, at) do
+  # A live frame should have about the present time. It has not if two links disagree or the process slept. Frames that
+  # waited in the mailbox are older, but not by seconds.
+  defp check_frame_time(state, at) do
     expected = expected(state.clock)
-    if expected != nil and abs(at - expected) > @set_us, do: step(state, {:rebase, at}), else: state
+    if expected != nil and abs(at - expected) > @clock_set_us, do: step(state, {:rebase, at}), else: state
   end
 
   defp expected(nil), do: nil
-  defp expected({at, then, pace}), do: at + round((monotonic() - then) * pace)
+  defp expected({at, then, speed}), do: at + round((monotonic() - then) * speed)
 
   defp step(state, event) do
     {core, actions} = Vehicle.Core.handle(state.core, event)
     state = Enum.reduce(actions, %{state | core: core}, &act/2)
-    wake(state, actions)
+    state |> wake(actions) |> alone()
+  end
+
+  defp alone(%{alone: nil} = state), do: state
+
+  defp alone(state) do
+    if Vehicle.Core.Services.requests_held?(state.core) do
+      send(state.alone, :alone)
+      %{state | alone: nil}
+    else
+      state
+    end
   end
 
   defp act({:snapshot, snapshot}, state) do
@@ -181,25 +238,50 @@ defmodule Aerie.Vehicle.Session do
       })
 
     Store.put_vehicle(state.gateway, key, snapshot)
+    tell(state, {:snapshot, snapshot})
     state
   end
 
   defp act({:observe, observation}, state) do
+    case observation do
+      %{kind: :reboot, boot_ms: boot_ms} -> tell(state, {:rebooted, boot_ms})
+      # Whole, whatever chunks it came in (X2).
+      %{kind: :text, data: text} -> tell(state, {:text, text})
+      _other -> :ok
+    end
+
     _dropped_and_counted_when_full = Fleet.Journal.offer(state.gateway, state.options.id, observation)
     state
   end
 
+  defp act({:reported, report}, state) do
+    tell(state, {:reported, report})
+    state
+  end
+
   defp act({:publish, group, sample, at}, state) do
-    Vehicle.Outbound.publish(state.outbound, group, sample, at)
+    Vehicle.Output.publish(state.output, group, sample, at)
     state
   end
 
   defp act({:send, message, version}, state) do
-    %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version, by(state.core))}
+    %{state | output: Vehicle.Output.send(state.output, message, version, link(state.core))}
   end
 
   defp act({:send, message, version, link}, state) do
-    %{state | outbound: Vehicle.Outbound.send(state.outbound, message, version, link)}
+    %{state | output: Vehicle.Output.send(state.output, message, version, link)}
+  end
+
+  defp act({:authorise_arming, {system, component}}, state) do
+    case Store.vehicle(state.gateway, state.options.key) do
+      nil ->
+        state
+
+      snapshot ->
+        decision = Arming.decide(state.gateway, snapshot, System.os_time(:microsecond))
+        answers = Arming.answers(decision, system, component)
+        Enum.reduce(answers, state, &act({:send, &1, &2.core.version}, &2))
+    end
   end
 
   defp act({:round_trip, link, us}, state) do
@@ -208,19 +290,16 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act(:withhold, state) do
-    Vehicle.Outbound.withhold(state.outbound)
+    Vehicle.Output.withhold(state.output)
     state
   end
 
   defp act({:heartbeat, version}, state) do
-    %{
-      state
-      | outbound: Vehicle.Outbound.heartbeat(state.outbound, version, by(state.core))
-    }
+    %{state | output: Vehicle.Output.heartbeat(state.output, version, link(state.core))}
   end
 
-  defp act({:apart, ways}, state) do
-    Aerie.Router.Apart.put(state.gateway, state.options.key, ways)
+  defp act({:other_vehicle, paths}, state) do
+    Aerie.Router.CollisionRoutes.put(state.gateway, state.options.key, paths)
     state
   end
 
@@ -232,13 +311,13 @@ defmodule Aerie.Vehicle.Session do
   defp act({:status, old, new}, state) do
     metadata = %{gateway: state.gateway, vehicle: state.options.id, old: old, new: new}
     :telemetry.execute([:aerie, :vehicle, :status], %{count: 1}, metadata)
-    Vehicle.Places.note(state.gateway, state.options.key, new)
+    Vehicle.Supervisor.Capacity.note(state.gateway, state.options.key, new)
     state
   end
 
   defp wake(state, actions) do
     if Enum.any?(actions, &match?({:observe, _observation}, &1)) do
-      # Both restart together, so the one found first stays the right one.
+      # Both restart together, so this pid stays valid.
       events = state.events || Names.whereis(state.gateway, :events, state.options.key)
       if events, do: Vehicle.Events.wake(events)
       %{state | events: events}
@@ -247,10 +326,10 @@ defmodule Aerie.Vehicle.Session do
     end
   end
 
-  defp by(core) do
-    case Vehicle.Core.Dealings.way(core) do
+  defp link(core) do
+    case Vehicle.Core.Services.link(core) do
       {:link, link} -> link
-      _whichever -> nil
+      _any_or_none -> nil
     end
   end
 

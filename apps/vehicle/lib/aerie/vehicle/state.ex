@@ -1,50 +1,74 @@
 defmodule Aerie.Vehicle.State do
   @moduledoc """
-  What is known about a vehicle, folded from its autopilot's messages. A pure value.
+  The state of a vehicle, built from its autopilot's messages. A pure value.
 
-  State comes in groups, each with the time `at` which its last message arrived (unix us), the vehicle's own clock then
-  (`time_boot_ms`, nil when unknown) and `data`. All keys of a group are always there; what is unknown is nil.
-  `Aerie.Vehicle.Fields` lists the groups and what is in them.
+  State comes in groups. Each has `at` (unix us), when its last message arrived, `time_boot_ms`, the vehicle's own clock at that
+  time (nil if unknown), and `data`. All keys of a group are always present; unknown values are nil. `Aerie.Vehicle.Fields` lists
+  the groups and their fields.
 
-  Several messages may tell the same; the better one wins while it keeps coming (`wants?/3`), so that a stream of
-  ATTITUDE_QUATERNION is not even decoded while ATTITUDE arrives.
+  If several messages carry the same values, the best one is used while it comes (`wants?/3`): a stream of ATTITUDE_QUATERNION
+  is not even decoded while ATTITUDE arrives.
   """
 
   alias Aerie.Vehicle.{Fields, Kind, State}
+  alias MavCodec.Messages, as: M
 
   @groups Fields.keys()
   @empty Map.new(@groups, fn {group, keys} -> {group, Map.new(keys, &{&1, nil})} end)
 
-  # Message id => the module that knows what it says.
-  @handlers %{
-    0 => State.Mode,
-    245 => State.Mode,
-    435 => State.Mode,
-    24 => State.Motion,
-    30 => State.Motion,
-    31 => State.Motion,
-    32 => State.Motion,
-    33 => State.Motion,
-    74 => State.Motion,
-    242 => State.Motion,
-    1 => State.Power,
-    147 => State.Power,
-    42 => State.Plan,
-    46 => State.Plan,
-    62 => State.Plan,
-    162 => State.Plan,
-    35 => State.Health,
-    65 => State.Health,
-    148 => State.Health,
-    193 => State.Health,
-    230 => State.Health,
-    241 => State.Health,
-    235 => State.HighLatency
-  }
+  # The messages that each part of the state is read from.
+  @mode Enum.map(
+          [
+            M.Heartbeat,
+            M.ExtendedSysState,
+            M.AvailableModes,
+            M.AvailableModesMonitor,
+            M.CurrentMode,
+            M.ControlStatus
+          ],
+          & &1.id()
+        )
+  @motion Enum.map(
+            [
+              M.GpsRawInt,
+              M.Attitude,
+              M.AttitudeQuaternion,
+              M.LocalPositionNed,
+              M.GlobalPositionInt,
+              M.VfrHud,
+              M.HomePosition
+            ],
+            & &1.id()
+          )
+  @power Enum.map([M.SysStatus, M.BatteryStatus], & &1.id())
+  @plan Enum.map([M.MissionCurrent, M.MissionItemReached, M.NavControllerOutput, M.FenceStatus], & &1.id())
+  @health Enum.map(
+            [
+              M.RcChannelsRaw,
+              M.RcChannels,
+              M.AutopilotVersion,
+              M.EkfStatusReport,
+              M.EstimatorStatus,
+              M.Vibration
+            ],
+            & &1.id()
+          )
+  @high_latency M.HighLatency2.id()
+  @ids [@high_latency | @mode ++ @motion ++ @power ++ @plan ++ @health]
 
-  # Second choices: used only while the first has not come for this long.
-  @second_choice %{31 => {:attitude, 30}, 32 => {:velocity, 33}, 35 => {:rc, 65}, 230 => {:health, 193}}
+  # Second choice => first choice: the second is used only while the first has not come for this long.
+  @second_choice %{
+    M.AttitudeQuaternion.id() => M.Attitude.id(),
+    M.LocalPositionNed.id() => M.GlobalPositionInt.id(),
+    M.RcChannelsRaw.id() => M.RcChannels.id(),
+    M.EstimatorStatus.id() => M.EkfStatusReport.id()
+  }
   @fresh_us 2_000_000
+  # Only these can show that the vehicle left the ground or came back to it.
+  @flight Enum.map(
+            [M.Heartbeat, M.LocalPositionNed, M.GlobalPositionInt, M.HighLatency2, M.ExtendedSysState],
+            & &1.id()
+          )
 
   defstruct autopilot: :generic,
             type: nil,
@@ -55,6 +79,8 @@ defmodule Aerie.Vehicle.State do
             boot_ms: nil,
             base_mode: nil,
             mode_names: %{},
+            standard_modes: %{},
+            modes_seq: nil,
             landed: nil,
             high_latency: false,
             groups: %{},
@@ -72,34 +98,28 @@ defmodule Aerie.Vehicle.State do
           boot_ms: non_neg_integer() | nil,
           base_mode: integer() | nil,
           mode_names: %{non_neg_integer() => String.t()},
+          standard_modes: %{String.t() => non_neg_integer()},
+          modes_seq: 0..255 | nil,
           landed: {integer(), at :: integer()} | nil,
           high_latency: boolean(),
           groups: %{group() => entry()},
           sources: %{non_neg_integer() => integer()}
         }
 
-  @typedoc "What a message says: fields of the vehicle and changes of groups."
+  @typedoc "What a message says: fields of this struct, and changes of groups."
   @type said :: {fields :: keyword(), changes :: [{group(), map()}]} | {:invalid, atom()}
 
-  @doc "What a message says, given what is known already."
+  @doc "Reads a message, given the state so far."
   @callback read(message :: struct(), t(), at :: integer()) :: said()
-
-  @doc "The names of all groups."
-  @spec groups() :: [group()]
-  def groups, do: Keyword.keys(@groups)
 
   @doc "The keys of a group's data."
   @spec keys(group()) :: [atom()]
   def keys(group), do: Keyword.fetch!(@groups, group)
 
-  @doc "The ids of all messages that say something about the state."
-  @spec ids() :: [non_neg_integer()]
-  def ids, do: Map.keys(@handlers)
-
   @doc "Whether a message that came `at` is worth decoding."
   @spec wants?(t(), non_neg_integer(), integer()) :: boolean()
   def wants?(state, id, at) when is_map_key(@second_choice, id) do
-    {_group, first} = Map.fetch!(@second_choice, id)
+    first = Map.fetch!(@second_choice, id)
 
     case state.sources do
       %{^first => heard} -> at - heard > @fresh_us
@@ -107,15 +127,15 @@ defmodule Aerie.Vehicle.State do
     end
   end
 
-  def wants?(_state, id, _at), do: is_map_key(@handlers, id)
+  def wants?(_state, id, _at), do: id in @ids
 
   @doc """
-  Folds in a message of the autopilot that came `at`. Gives the groups that it renewed; `{:invalid, field}` for a value
-  that cannot be, which changes nothing.
+  Applies a message of the autopilot that came `at`, and returns the groups that it updated; `{:invalid, field}` for an
+  impossible value, which changes nothing.
   """
   @spec apply(t(), non_neg_integer(), struct(), integer()) :: {t(), [group()]} | {:invalid, atom()}
   def apply(state, id, message, at) do
-    with {fields, changes} when is_list(fields) <- Map.fetch!(@handlers, id).read(message, state, at) do
+    with {fields, changes} when is_list(fields) <- reader(id).read(message, state, at) do
       state = %{state | sources: Map.put(state.sources, id, at)}
       state = if fields == [], do: state, else: struct!(state, fields)
       state = Enum.reduce(changes, state, &merge(&2, &1, at))
@@ -123,8 +143,14 @@ defmodule Aerie.Vehicle.State do
     end
   end
 
-  # Only these can show that the vehicle left the ground or came back to it.
-  defp fly(state, id, groups, at) when id in [0, 32, 33, 235, 245] do
+  defp reader(id) when id in @mode, do: State.Mode
+  defp reader(id) when id in @motion, do: State.Motion
+  defp reader(id) when id in @power, do: State.Power
+  defp reader(id) when id in @plan, do: State.Plan
+  defp reader(id) when id in @health, do: State.Health
+  defp reader(@high_latency), do: State.HighLatency
+
+  defp fly(state, id, groups, at) when id in @flight do
     case State.Flight.in_air(state, at) do
       :same -> {state, groups}
       in_air -> {merge(state, {:mode, %{in_air: in_air}}, at), Enum.uniq(groups ++ [:mode])}
@@ -133,7 +159,7 @@ defmodule Aerie.Vehicle.State do
 
   defp fly(state, _id, groups, _at), do: {state, groups}
 
-  @doc "The vehicle's clock as a message told it."
+  @doc "Sets the vehicle's clock."
   @spec at_boot(t(), non_neg_integer()) :: t()
   def at_boot(state, boot_ms), do: %{state | boot_ms: boot_ms}
 
@@ -141,7 +167,7 @@ defmodule Aerie.Vehicle.State do
   @spec put(t(), group(), map(), integer()) :: t()
   def put(state, group, changes, at), do: merge(state, {group, changes}, at)
 
-  @doc "A group's data; all keys nil when nothing was heard."
+  @doc "A group's data; all keys are nil before its first message."
   @spec data(t(), group()) :: map()
   def data(%{groups: groups}, group) do
     case groups do
@@ -150,14 +176,14 @@ defmodule Aerie.Vehicle.State do
     end
   end
 
-  @doc "Time goes on from `now`: what the state goes by counts as heard now."
+  @doc "Time goes on from `now`, which is not comparable with the time before: all sources count as heard now."
   @spec rebased(t(), integer()) :: t()
   def rebased(state, now) do
     landed = with {landed_state, _at} <- state.landed, do: {landed_state, now}
     %{state | landed: landed, sources: Map.new(state.sources, fn {id, _at} -> {id, now} end)}
   end
 
-  @doc "The clock was set by `step`: all that was heard was heard as long ago as before."
+  @doc "The clock was set by `step` (us): everything was heard as long ago as before."
   @spec shifted(t(), integer()) :: t()
   def shifted(state, step) do
     landed = with {landed_state, at} <- state.landed, do: {landed_state, at + step}
@@ -166,14 +192,14 @@ defmodule Aerie.Vehicle.State do
     %{state | landed: landed, sources: sources, groups: groups}
   end
 
-  # What judging the next message takes besides the groups.
-  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode, :mode_names]
+  # What the next message needs besides the groups.
+  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode, :mode_names, :standard_modes, :modes_seq]
 
   @doc "What a snapshot keeps for `restore/1` besides what it shows."
   @spec memory(t()) :: map()
   def memory(state), do: Map.take(state, @memory)
 
-  @doc "The state that a snapshot of the vehicle shows; what is older than that comes from the wire again."
+  @doc "The state that a snapshot shows."
   @spec restore(map()) :: t()
   def restore(snapshot) do
     shown = %__MODULE__{

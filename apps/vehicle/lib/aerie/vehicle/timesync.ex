@@ -1,18 +1,17 @@
 defmodule Aerie.Vehicle.Timesync do
   @moduledoc """
-  How far a vehicle's clock is from ours, by TIMESYNC, and how long the way there and back by each of its links takes. A
-  pure value.
+  The offset of a vehicle's clock from ours, by TIMESYNC, and the round trip by each of its links. A pure value.
 
-  A request carries our time (`ts1`), the answer the same and the vehicle's time when it was given (`tc1`), so the answer's
-  way there and back is known, and half of it is the best guess at its age. Of the last samples the one with the shortest
-  way counts, for it has the smallest error; that error is `rtt_us / 2`. Older samples lose by drift, 50 µs a second.
+  A request has our time (`ts1`); the answer repeats it and adds the vehicle's time (`tc1`). So the round trip is known, and
+  half of it is the best estimate of the answer's age. Of the last samples the one with the shortest round trip counts, because
+  its error, `rtt_us / 2`, is the smallest. Older samples lose by drift, 50 µs a second.
 
-  A vehicle with several links is asked by each of them. The first copy of an answer is a sample of its clock, whichever way
-  it came; the round trip of a link is that of the copy which came by the link that was asked.
+  A vehicle with several links is asked by each of them. The first copy of an answer is a sample of the clock, whichever link
+  brought it; the round trip of a link is that of the copy which came by the link that was asked.
 
-  Only answers to our own requests are taken, recognised by their `ts1` (X5): many programs ask, and firmware answers to all.
-  A vehicle that does not answer is asked by PING as well, which tells nothing of its clock but the round trip; who answers
-  neither is asked ever more seldom.
+  Only answers to our own requests count, recognised by `ts1` (X5): many programs ask, and firmware sends its answers to all. A
+  vehicle that does not answer is sent PING as well, which gives a round trip but no clock. A vehicle that answers neither is
+  asked less often.
   """
 
   alias MavCodec.Messages.{Ping, Timesync}
@@ -25,7 +24,7 @@ defmodule Aerie.Vehicle.Timesync do
   @max_links 8
   @max_samples 8
   @drift_per_s 50
-  # More than its own error off: the clock was set, or something is wrong. Twice in a row it was set.
+  # A sample that differs by more than its error: the clock was set, or the sample is wrong. Two in a row: it was set.
   @jump_us 50_000
   @patience 5
   @ping_after 2
@@ -49,22 +48,22 @@ defmodule Aerie.Vehicle.Timesync do
 
   @typedoc """
   - `period`: time between two requests (us), 0 for none
-  - `pending`: `ts1`, or `{:ping, seq}`, of requests without an answer by the link that was asked: when they were sent, by
-    which link (nil: whichever), and whether another link brought a copy of the answer
-  - `unanswered`, `unpinged`: rounds since the last answer of the one and the other kind
+  - `pending`: requests without an answer by the link that was asked, by `ts1` or `{:ping, seq}`: when they were sent, by which
+    link (nil: any), and whether another link brought a copy of the answer
+  - `unanswered`, `unpinged`: rounds since the last answer to TIMESYNC and to PING
   - `odd`: a sample that contradicts the others
-  - `foreign`: how many answers were not ours
+  - `foreign`: how many answers were not for us
   """
   @type t :: %__MODULE__{}
   @type sample :: {at :: integer(), rtt_us :: non_neg_integer(), offset_us :: integer()}
-  @typedoc "By which link to send it (nil: the one that is best)."
+  @typedoc "The link to send it by (nil: the best one)."
   @type request :: {link :: term() | nil, Timesync.t() | Ping.t()}
   @type round_trip :: {link :: term(), us :: non_neg_integer()}
 
   @spec new(non_neg_integer()) :: t()
   def new(period), do: %__MODULE__{period: period}
 
-  @doc "The requests that are due at `now`, if any, for a vehicle that is heard by these links; the first eight are asked."
+  @doc "The requests that are due at `now` for a vehicle that is heard by these links, at most for the first eight."
   @spec expire(t(), integer(), [term()]) :: {t(), [request()]}
   def expire(sync, now, links \\ [])
   def expire(%{period: 0} = sync, _now, _links), do: {sync, []}
@@ -77,25 +76,25 @@ defmodule Aerie.Vehicle.Timesync do
     sync = if ping?, do: %{sync | unpinged: sync.unpinged + 1}, else: sync
 
     {requests, sync} =
-      Enum.flat_map_reduce(Enum.take(ways(links), @max_links), sync, &request(&2, &1, now, ping?))
+      Enum.flat_map_reduce(Enum.take(targets(links), @max_links), sync, &request(&2, &1, now, ping?))
 
     {%{sync | next: now + pause(sync)}, requests}
   end
 
-  # With one link there is no choice of ways, only somebody whose round trip it is.
-  defp ways([]), do: [{nil, nil}]
-  defp ways([only]), do: [{nil, only}]
-  defp ways(links), do: Enum.map(links, &{&1, &1})
+  # {link to send by, link whose round trip it is}; a single link need not be chosen.
+  defp targets([]), do: [{nil, nil}]
+  defp targets([only]), do: [{nil, only}]
+  defp targets(links), do: Enum.map(links, &{&1, &1})
 
-  defp request(sync, {way, link}, now, ping?) do
-    # Nanoseconds; what is below our microsecond tells our requests from those of others at the same moment.
+  defp request(sync, {by, link}, now, ping?) do
+    # Nanoseconds. The digits below our microsecond distinguish our requests from others at the same time.
     ts1 = now * 1000 + rem(sync.sent * 37 + 191, 1000)
     sync = wait(%{sync | sent: sync.sent + 1}, ts1, {now, link, false})
-    timesync = {way, %Timesync{tc1: 0, ts1: ts1}}
+    timesync = {by, %Timesync{tc1: 0, ts1: ts1}}
 
     if ping? do
       seq = rem(sync.sent, 0x1_0000_0000)
-      ping = {way, %Ping{time_usec: now, seq: seq, target_system: 0, target_component: 0}}
+      ping = {by, %Ping{time_usec: now, seq: seq, target_system: 0, target_component: 0}}
       {[timesync, ping], wait(sync, {:ping, seq}, {now, link, false})}
     else
       {[timesync], sync}
@@ -119,17 +118,17 @@ defmodule Aerie.Vehicle.Timesync do
   defp pause(%{rounds: rounds} = sync) when rounds < @burst, do: min(@burst_us, sync.period)
   defp pause(sync), do: sync.period
 
-  @doc "Whether a message asks for the time, as ours do."
+  @doc "Whether a message is a TIMESYNC request."
   @spec request?(struct()) :: boolean()
   def request?(message), do: match?(%Timesync{tc1: 0}, message)
 
-  @doc "A request of ours that is not from `expire/3`: a recording says when it was sent."
+  @doc "A request of ours that is in a recording, with the time at which it was sent."
   @spec asked(t(), Timesync.t(), integer()) :: t()
   def asked(sync, %Timesync{tc1: 0, ts1: ts1}, at), do: wait(sync, ts1, {at, nil, false})
 
   @doc """
-  An answer that came `at` by a link, and the round trip if it is that of a link. One that is not to a request of ours
-  changes nothing but `foreign`.
+  An answer that came `at` by a link, and that link's round trip if it was the one asked. An answer that is not to one of our
+  requests only counts as `foreign`.
   """
   @spec reply(t(), Timesync.t() | Ping.t(), integer(), term() | nil) :: {t(), round_trip() | nil}
   def reply(sync, answer, at, link \\ nil) do
@@ -183,11 +182,11 @@ defmodule Aerie.Vehicle.Timesync do
     end)
   end
 
-  @doc "After a reboot the vehicle's clock begins anew, after a change of ours (`rebased`) nothing measured holds."
+  @doc "Forgets all measurements: the vehicle's clock or ours is another one now."
   @spec restarted(t()) :: t()
   def restarted(sync), do: %{new(sync.period) | foreign: sync.foreign}
 
-  @doc "Our clock was set by `step`: what was measured holds, with the difference that this makes."
+  @doc "Our clock was set by `step` (us), and the measured offsets change by it."
   @spec shifted(t(), integer()) :: t()
   def shifted(sync, step) do
     move = fn {at, rtt, offset} -> {at + step, rtt, offset - step} end
@@ -202,7 +201,7 @@ defmodule Aerie.Vehicle.Timesync do
     }
   end
 
-  @doc "What is known at `now`: the vehicle's clock less ours (us), how far off that may be; nil before the first answer."
+  @doc "The vehicle's clock minus ours at `now`, and its largest error (us); nil before the first answer."
   @spec offset(t(), integer()) :: {offset_us :: integer(), error_us :: non_neg_integer()} | nil
   def offset(%{samples: []}, _now), do: nil
 
@@ -211,15 +210,9 @@ defmodule Aerie.Vehicle.Timesync do
     {offset, div(rtt, 2) + div(max(now - at, 0) * @drift_per_s, 1_000_000)}
   end
 
-  @doc "When, by our clock (unix us), the vehicle's clock showed `boot_ms`; nil while its offset is unknown."
-  @spec to_unix(t(), non_neg_integer(), integer()) :: integer() | nil
-  def to_unix(sync, boot_ms, now) when is_integer(boot_ms) do
-    with {offset, _error} <- offset(sync, now), do: boot_ms * 1000 - offset
-  end
-
   @doc """
-  What faces see: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at which the
-  vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. All nil before the first answer.
+  For the snapshot: `offset_us` and `error_us` as in `offset/2`, `rtt_us` of the best sample, `boot_at` (unix us at which the
+  vehicle's clock was 0), `at` (of the last answer), `samples`, `foreign`. The measurements are nil before the first answer.
   """
   @spec show(t(), integer()) :: map()
   def show(%{samples: []} = sync, _now) do
@@ -242,8 +235,8 @@ defmodule Aerie.Vehicle.Timesync do
   end
 
   @doc """
-  Our answer to somebody's request at `now` (unix us): TIMESYNC with `tc1` 0, PING to nobody in particular (X5). nil for what
-  is no request, or is one to somebody else than `own`.
+  Our answer at `now` (unix us) to a request: TIMESYNC with `tc1` 0, or PING without a target (X5). nil for anything else, and
+  for a request to another target than `own`.
   """
   @spec answer(struct(), from :: {integer(), integer()}, own :: {integer(), integer()}, integer()) ::
           struct() | nil
@@ -258,12 +251,12 @@ defmodule Aerie.Vehicle.Timesync do
 
   def answer(_no_request, _from, _own, _now), do: nil
 
-  @doc "Whether an answer of TIMESYNC can be for us at all: newer firmware says for whom it is."
+  @doc "Whether a TIMESYNC message may be for us: newer firmware sets the target."
   @spec to?(Timesync.t(), own :: {integer(), integer()}) :: boolean()
   def to?(%Timesync{target_system: system, target_component: component}, {own_system, own_component}),
     do: system in [0, own_system] and component in [0, own_component]
 
-  @doc "Whether a request that came `at` is to be answered: a vehicle that floods us with them gets ten answers a second."
+  @doc "Whether to answer a request that came `at`: at most ten a second are answered."
   @spec answer?(t(), integer()) :: {boolean(), t()}
   def answer?(%{answered: last} = sync, at) when last != nil and at - last < @answers_us and at >= last,
     do: {false, sync}

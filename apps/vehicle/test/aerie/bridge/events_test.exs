@@ -132,18 +132,18 @@ defmodule Aerie.Bridge.EventsTest do
       end)
 
     assert length(marked) >= 200
-    assert File.ls!(Path.join(dir, "outbox")) |> Enum.sort() == ["head", "owner"]
+    assert File.ls!(Path.join(dir, "outbox")) |> Enum.sort() == ["FORMAT", "head", "owner"]
   end
 
   test "kill -9 of the whole gateway while NATS is away: all events are on disk", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Config, Fleet, Store}
+    alias Aerie.{Bridge, Fleet, Store}
     alias Aerie.Store.PubSub
-    config = Config.default([{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.Gateway.plugs(%{}))
+    config = Aerie.BridgeCase.settings([{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
+    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
     {:ok, _} = PubSub.start_link(gateway: :g)
-    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, config: config)
+    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: config)
     PubSub.subscribe(:g, :bridge)
     events = for seq <- 1..1000, do: Aerie.Vehicle.Event.new("A", "statustext", seq, seq, nil, %{"n" => seq})
     Fleet.Journal.commit(:g, "A", :state, events)
@@ -166,7 +166,7 @@ defmodule Aerie.Bridge.EventsTest do
     assert_complete(events(conn), ["A"], 1000)
   end
 
-  test "an outbox that cannot be written is said once; events stay in memory until NATS is back", %{
+  test "an outbox that cannot be written is logged once; events stay in memory until NATS is back", %{
     tmp_dir: dir
   } do
     File.write!(Path.join(dir, "file"), "")
@@ -204,8 +204,8 @@ defmodule Aerie.Bridge.EventsTest do
     assert metric(gateway, "gateway_nats_events_dropped_total") == 1
   end
 
-  test "events of an earlier life go before new ones", %{tmp_dir: dir} do
-    {:ok, outbox} = Outbox.open(Path.join(dir, "outbox"))
+  test "events from before a restart go before new ones", %{tmp_dir: dir} do
+    {:ok, outbox} = Outbox.open(Path.join(dir, "outbox"), max_bytes: 67_108_864, segment_bytes: 1_048_576)
 
     old =
       for seq <- 1..300 do

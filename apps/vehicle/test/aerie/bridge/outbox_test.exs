@@ -17,7 +17,7 @@ defmodule Aerie.Bridge.OutboxTest do
   end
 
   defp open!(dir, opts \\ []) do
-    {:ok, outbox} = Outbox.open(dir, opts)
+    {:ok, outbox} = Outbox.open(dir, Keyword.merge([max_bytes: 67_108_864, segment_bytes: 1_048_576], opts))
     outbox
   end
 
@@ -54,7 +54,7 @@ defmodule Aerie.Bridge.OutboxTest do
     outbox = dir |> open!(segment_bytes: 100) |> append!(1..9)
     outbox = Outbox.ack(outbox, Enum.to_list(1..9))
     assert Outbox.empty?(outbox)
-    assert File.ls!(dir) == ["head"]
+    assert Enum.sort(File.ls!(dir)) == ["FORMAT", "head"]
     outbox = append!(open!(dir), [10])
     assert {[{10, _}], _} = Outbox.read(outbox, 9)
   end
@@ -111,9 +111,11 @@ defmodule Aerie.Bridge.OutboxTest do
     assert {[{4, _}], _} = Outbox.read(outbox, 3)
   end
 
-  test "a folder that cannot be is an error", %{tmp_dir: dir} do
+  test "an unusable folder is an error", %{tmp_dir: dir} do
     File.write!(Path.join(dir, "file"), "")
-    assert {:error, :enotdir} = Outbox.open(Path.join(dir, "file/outbox"))
+
+    assert {:error, :enotdir} =
+             Outbox.open(Path.join(dir, "file/outbox"), max_bytes: 4096, segment_bytes: 1024)
   end
 
   test "a disk that is full takes nothing and loses nothing" do

@@ -3,13 +3,12 @@ defmodule Aerie.Bridge.SettingsTest do
 
   alias Aerie.Bridge.Connection.Settings
   alias Aerie.Bridge.{Message, Metrics, Streams}
-  alias Aerie.Config
   alias Gnat.Jetstream.API.Stream
 
   @moduletag :tmp_dir
 
   defp gnat(overrides, url \\ "nats://nats.example:4333"),
-    do: Settings.gnat(Config.default([{"nats.url", url} | overrides]), url)
+    do: Settings.gnat(Aerie.BridgeCase.settings([{"nats.url", url} | overrides]), url)
 
   describe "settings of the connection" do
     test "host, port and time-out; IPv6 with its family" do
@@ -19,7 +18,7 @@ defmodule Aerie.Bridge.SettingsTest do
       assert {:ok, %{host: "::1", port: 4222, tcp_opts: [:binary, :inet6]}} = gnat([], "nats://[::1]")
     end
 
-    test "one way to sign in, revealed here and nowhere before", %{tmp_dir: dir} do
+    test "one way to log in, revealed only here", %{tmp_dir: dir} do
       assert {:ok, %{username: "a", password: "b", auth_required: true}} =
                gnat([{"nats.user", "a"}, {"nats.password", "b"}])
 
@@ -32,7 +31,7 @@ defmodule Aerie.Bridge.SettingsTest do
                gnat([{"nats.nkey_seed_file", Path.join(dir, "none")}])
     end
 
-    test "TLS checks the server by its name, unless it is told not to" do
+    test "TLS checks the server's name, unless that is switched off" do
       assert {:ok, settings} = gnat([{"nats.tls.ca_file", "/ca.pem"}], "tls://nats.example")
       assert settings.tls
       assert settings.ssl_opts[:verify] == :verify_peer
@@ -54,8 +53,8 @@ defmodule Aerie.Bridge.SettingsTest do
   end
 
   describe "streams" do
-    test "what differs is said in words; what the server fills in does not differ" do
-      [state, events] = Streams.wanted(Config.default())
+    test "differences are texts; defaults that the server fills in are no differences" do
+      [state, events] = Streams.wanted(Aerie.BridgeCase.settings())
       assert Streams.differences(state, %{state | duplicate_window: 120_000_000_000, max_age: 0}) == []
 
       assert Streams.differences(events, %{events | max_bytes: -1, subjects: ["a", "b"]}) == [
@@ -65,13 +64,13 @@ defmodule Aerie.Bridge.SettingsTest do
     end
 
     test "a duplicate window is never longer than events live, or the server refuses the stream" do
-      config = Config.default([{"nats.streams.event_max_age_days", 0.01}])
+      config = Aerie.BridgeCase.settings([{"nats.streams.event_max_age_days", 0.01}])
       assert [_, %Stream{max_age: age, duplicate_window: age}] = Streams.wanted(config)
-      config = Config.default([{"nats.streams.event_max_age_days", 0}])
+      config = Aerie.BridgeCase.settings([{"nats.streams.event_max_age_days", 0}])
       assert [_, %Stream{max_age: 0, duplicate_window: 3_600_000_000_000}] = Streams.wanted(config)
     end
 
-    test "reasons are words" do
+    test "reasons are texts" do
       for reason <- [
             :no_responders,
             :timeout,
@@ -114,7 +113,7 @@ defmodule Aerie.Bridge.SettingsTest do
 
   test "metrics have the names, types and help that Prometheus wants" do
     gateway = make_ref()
-    start_supervised!({Aerie.Store, [gateway: gateway] ++ Aerie.Gateway.plugs(%{})})
+    start_supervised!({Aerie.Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
     start_supervised!({Aerie.Bridge.Tables, gateway: gateway})
     tables = Aerie.Bridge.Tables.get(gateway)
     Aerie.Bridge.Tables.count(tables, :published, [subject: "state.position"], 3)

@@ -56,7 +56,7 @@ defmodule Aerie.Client.StateFormTest do
       kind: :replay,
       url: "replay:x",
       last_heard: vehicle.last_heard + 500_000,
-      spec: %{kind: :replay}
+      spec: %{kind: :replay, recorded: true}
     }
 
     object = json(vehicle, %{"radio" => replay}, vehicle.last_heard + 86_400_000_000)

@@ -4,9 +4,9 @@ defmodule Aerie.Fleet.AgeTest do
   alias Aerie.Fleet.Age
 
   @links [
-    %{id: "radio", kind: :serial, last_heard: 900},
-    %{id: "flight", kind: :replay, last_heard: 150},
-    %{id: "other", kind: :replay, last_heard: nil}
+    %{id: "radio", spec: %{recorded: false}, last_heard: 900},
+    %{id: "flight", spec: %{recorded: true}, last_heard: 150},
+    %{id: "other", spec: %{recorded: true}, last_heard: nil}
   ]
 
   test "a live vehicle's silence is measured against the clock, and is never negative" do

@@ -103,11 +103,11 @@ defmodule Aerie.Fleet.JournalTest do
 
   test "texts fill half of the inbox, urgent ones three quarters: what happens to the vehicle has room" do
     gateway = start_gateway()
-    text = fn severity -> Journal.offer(gateway, "A", {:text, 0, nil, severity, "flood"}) end
+    text = fn severity -> Journal.offer(gateway, "A", %{kind: :text, data: %{severity: severity}}) end
     assert 4096 - Enum.count(1..4096, fn _ -> text.(6) == {:error, :full} end) == 2048
     assert 4096 - Enum.count(1..4096, fn _ -> text.(0) == {:error, :full} end) == 1024
-    assert Journal.offer(gateway, "A", {:params, 0, nil, []}) == {:error, :full}
-    assert Journal.offer(gateway, "A", {:state, 0, nil, %{}}) == :ok
+    assert Journal.offer(gateway, "A", %{kind: :params}) == {:error, :full}
+    assert Journal.offer(gateway, "A", %{kind: :state}) == :ok
   end
 
   test "parameters are remembered with the step that saw them" do

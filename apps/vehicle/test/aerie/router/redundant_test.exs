@@ -104,17 +104,23 @@ defmodule Aerie.Router.RedundantTest do
     assert_receive {:by, ^fast, %M.CommandLong{command: 400}}
     for id <- ["a-slow", "b-fast"], do: :ok = Router.configure(gateway, id, carry: %{"control" => "all"})
     :ok = Router.send(gateway, @key, order)
-    for port <- [slow, fast], do: assert_receive({:by, ^port, %M.CommandLong{command: 400}}, 10_000)
+    for port <- [slow, fast], do: assert_receive({:by, ^port, %M.CommandLong{command: 400}})
   end
 
   test "a link that falls silent is worth less and less in its snapshot, too" do
     gateway = start_parts()
     {id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback])
-    :ok = :gen_udp.send(socket, @loopback, port, heartbeat(1))
+
+    # It speaks until its score has been seen: on a busy machine one heartbeat may be old before it is measured.
+    spoken = :counters.new(1, [])
 
     before =
       eventually(fn ->
+        seq = rem(:counters.get(spoken, 1), 256)
+        :counters.add(spoken, 1, 1)
+        :ok = :gen_udp.send(socket, @loopback, port, heartbeat(1, seq: seq))
+
         match?(%{quality: %{score: s}} when s > 90, Aerie.Link.get(gateway, id)) &&
           Aerie.Link.get(gateway, id)
       end)
@@ -133,7 +139,7 @@ defmodule Aerie.Router.RedundantTest do
     end
 
     test "of Meter: by loss, round trip and age; with hysteresis", c do
-      state = %{gateway: c.gateway, at: nil, tallies: %{}, sequences: %{}, losses: %{}, choices: %{}}
+      state = Router.Meter.new(c.gateway)
 
       for id <- ["a", "b"] do
         {:ok, owner} = Router.Owner.new(id, group: "mast")
@@ -171,7 +177,7 @@ defmodule Aerie.Router.RedundantTest do
             end
 
           state = Meter.measure(state, c.tables, second * 1000)
-          assert {second, :ets.lookup_element(c.tables.scores, {:pick, "mast"}, 2)} == {second, expected}
+          assert {second, :ets.lookup_element(c.tables.scores, {:carrier, "mast"}, 2)} == {second, expected}
           {state, sums}
       end)
 
@@ -193,7 +199,7 @@ defmodule Aerie.Router.RedundantTest do
     test "what is configured goes before what is measured, until nothing comes by it", c do
       both = ["a", "b"]
       assert Carrier.links(c.tables, "mast", both, nil) == ["a"]
-      :ets.insert(c.tables.scores, {{:pick, "mast"}, "b"})
+      :ets.insert(c.tables.scores, {{:carrier, "mast"}, "b"})
       assert Carrier.links(c.tables, "mast", both, nil) == ["b"]
       assert Carrier.links(c.tables, "mast", both, "a") == ["a"]
       assert Carrier.links(c.tables, "mast", both, "c") == ["b"]

@@ -32,7 +32,7 @@ defmodule Aerie.Vehicle.BetaflightTest do
 
   defp types(run), do: for({type, _ms, _data} <- pick(run, ~w(reboot collision)), do: type)
 
-  test "is no reboot and no second vehicle, over the wrap of its microseconds too" do
+  test "is neither a reboot nor a second vehicle, even when its microseconds wrap" do
     run = run(flight(4_250, 120, 1_000))
     assert types(run) == []
     snapshot = Core.snapshot(run.core)
@@ -40,7 +40,7 @@ defmodule Aerie.Vehicle.BetaflightTest do
     assert %{data: %{lat: 47.397742}, time_boot_ms: 4_370_000, at: 1_120_000_000} = snapshot.groups.position
   end
 
-  test "R6: a restart is one" do
+  test "R6: a restart is a reboot" do
     assert [{"reboot", ms, _data}] =
              flight(300, 30, 1_000)
              |> Kernel.++(flight(3, 30, 1_035))
@@ -50,7 +50,7 @@ defmodule Aerie.Vehicle.BetaflightTest do
     assert ms in 1_035_000..1_038_000
   end
 
-  test "two of them with one id are told" do
+  test "two of them with one id are a collision" do
     frames = Enum.sort_by(flight(300, 20, 1_000) ++ flight(30, 20, 1_000.05), & &1.at)
     assert "collision" in types(run(frames))
   end

@@ -20,16 +20,16 @@ defmodule Aerie.Vehicle.CoreTest do
   defp types(run), do: run.events |> Enum.reverse() |> Enum.map(& &1.type)
   defp statuses(run), do: for({:status, _old, new} <- Enum.reverse(run.actions), do: new)
 
-  test "M3: streams are asked for again when a link is connected again, after a moment's grace" do
+  test "M3: streams are requested again after a link was reconnected, after a short grace period" do
     asked = fn run -> for({:send, %M.CommandLong{command: 511}, _} <- run.actions, do: :asked) end
     run = Enum.reduce(0..40, start(), fn second, run -> run |> beat(10 + second) |> tick(10.5 + second) end)
     before = length(asked.(run))
-    run = run |> step({:link_again, "a"}) |> beat(51) |> tick(51.5)
+    run = run |> step({:link_reconnected, "a"}) |> beat(51) |> tick(51.5)
     assert length(asked.(run)) == before
     run = run |> beat(52) |> tick(52.9)
     assert length(asked.(run)) > before
-    # Of a vehicle that was never heard there is nothing to ask.
-    assert {_core, []} = Core.handle(Core.new(options([])), {:link_again, "a"})
+    # Nothing is requested of a vehicle that was never heard.
+    assert {_core, []} = Core.handle(Core.new(options([])), {:link_reconnected, "a"})
   end
 
   describe "silence (H1)" do
@@ -62,7 +62,7 @@ defmodule Aerie.Vehicle.CoreTest do
       assert types(run) == ["link.lost"]
     end
 
-    test "H4: what a camera, a gimbal and an on-board computer say of themselves is nothing of the vehicle" do
+    test "H4: messages of a camera, a gimbal and an on-board computer do not change the vehicle" do
       place = &%M.GlobalPositionInt{lat: &1, lon: 10, relative_alt: 5_000, time_boot_ms: &2}
 
       # An on-board computer with an estimate of its own and another clock, a gimbal, and a camera that says it is armed.
@@ -125,25 +125,25 @@ defmodule Aerie.Vehicle.CoreTest do
 
     defp down(n), do: frame(@copter, round(n * @second))
     defp flown, do: for(n <- 10..20, reduce: start(), do: (run -> frames(run, flying(n, 100 + n))))
-    defp told(run), do: run.events |> Enum.reverse() |> Enum.map(&{&1.type, div(&1.time, 1_000_000)})
+    defp event_times(run), do: run.events |> Enum.reverse() |> Enum.map(&{&1.type, div(&1.time, 1_000_000)})
 
-    test "is told before what follows from it" do
+    test "is reported before its consequences" do
       run = frames(flown(), [down(23), down(24), clock(24.5, 3), clock(25, 3.5), clock(25.6, 4.1), down(26)])
-      assert told(run) == [{"reboot", 25}, {"disarmed", 25}]
+      assert event_times(run) == [{"reboot", 25}, {"disarmed", 25}]
     end
 
-    test "that was none holds back nothing: a gap, and disarmed meanwhile" do
+    test "that did not happen holds back nothing: disarmed during a gap" do
       run = frames(flown(), [down(23), clock(23.5, 123.5), down(24)])
-      assert told(run) == [{"disarmed", 23}]
+      assert event_times(run) == [{"disarmed", 23}]
     end
 
-    test "of a vehicle that shows no clock any more holds back nothing for ever" do
+    test "does not hold back events for ever if the vehicle shows no clock any more" do
       run = frames(flown(), [down(23), down(24), down(25), down(26), down(27), down(28), down(29)])
-      assert told(run) == [{"disarmed", 23}]
+      assert event_times(run) == [{"disarmed", 23}]
     end
   end
 
-  test "battery events have one battery's values of one message, and its source may change" do
+  test "battery events have the values of one battery from one message, and the source may change" do
     pack = [11_000 | List.duplicate(0xFFFF, 9)]
 
     battery = fn id, percent, state ->
@@ -163,7 +163,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Map.delete(data, "position") ==
              %{"battery" => 1, "remaining" => 0.13, "voltage" => 11.0, "charge_state" => "CRITICAL"}
 
-    # SYS_STATUS says that it is low, then BATTERY_STATUS says it with its id: told once.
+    # SYS_STATUS shows it as low, then BATTERY_STATUS with its id: one event.
     low = fn message, at -> frame(message, round(at * @second)) end
 
     run =
@@ -175,7 +175,7 @@ defmodule Aerie.Vehicle.CoreTest do
              run.events
   end
 
-  test "more texts than the budget allows are told as one, when they are over, in a recording too" do
+  test "texts over the budget are reported as one event when they end, also in a recording" do
     flood = for n <- 1..500, do: frame(%M.Statustext{severity: 6, text: "#{n}"}, 11 * @second + n * 1000)
     live = start() |> beat(10) |> frames(flood) |> tick(14) |> tick(15)
     assert Enum.frequencies(types(live)) == %{"statustext" => 60, "events.suppressed" => 1}
@@ -194,18 +194,18 @@ defmodule Aerie.Vehicle.CoreTest do
     text = fn seq -> frame(%M.Statustext{severity: 6, text: "ready"}, 11 * @second, seq: seq) end
     run = start() |> beat(10) |> frames([text.(5)], "a") |> frames([text.(5)], "b")
     assert types(run) == ["statustext"]
-    # The vehicle saying it twice is two.
+    # The same text sent twice is two events.
     assert run |> frames([text.(6)], "a") |> types() == ["statustext", "statustext"]
   end
 
-  test "chunks that do not come are given up by time alone" do
+  test "missing chunks are given up by time alone" do
     half = frame(%M.Statustext{severity: 6, id: 3, text: String.duplicate("a", 50)}, 11 * @second)
     run = start() |> beat(10) |> frames([half]) |> tick(12.5)
     assert [%{type: "statustext", time: 12_000_000, data: %{"text" => text}}] = run.events
     assert String.ends_with?(text, "[…]")
   end
 
-  test "the first autopilot that is heard speaks; component 1 takes over, another does not" do
+  test "the first autopilot that is heard counts; component 1 replaces it, another one does not" do
     other = frame(%{@copter | custom_mode: 6}, 11 * @second, component: 2)
     run = start() |> frames([other])
     assert Core.snapshot(run.core).component == 2
@@ -215,7 +215,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert %{component: 1, groups: %{mode: %{data: %{mode: "GUIDED"}}}} = Core.snapshot(run.core)
   end
 
-  test "R6: a reboot is an event, streams are asked for anew" do
+  test "R6: a reboot is an event, and streams are requested anew" do
     attitude = fn at, boot -> frame(%M.Attitude{time_boot_ms: boot}, round(at * @second)) end
     before = for n <- 0..10, do: attitude.(10 + n, 600_000 + n * 1000)
     later = for n <- 0..10, do: attitude.(24 + n / 2, 500 + n * 500)
@@ -238,7 +238,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert hd(run.events).data["sign"] == "time_boot_ms"
   end
 
-  test "two on two links that were switched on within half a minute are told apart by their places; a late link is none" do
+  test "two vehicles on two links that were switched on within half a minute are distinguished by their positions; a late link is one vehicle" do
     place = fn at, boot, lat ->
       frame(%M.GlobalPositionInt{time_boot_ms: boot, lat: lat, lon: 85_000_000}, round(at * @second))
     end
@@ -258,7 +258,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert types(fly.(25, 473_000_000 + round(25 * 50 / 111_320 * 1.0e7))) == []
   end
 
-  test "two vehicles on two links: the links are told apart, for a minute after the last sign" do
+  test "two vehicles on two links: the links are shown for a minute after the last sign" do
     place = fn at, lat ->
       frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat, lon: 85_000_000}, round(at * @second))
     end
@@ -279,13 +279,13 @@ defmodule Aerie.Vehicle.CoreTest do
     assert Core.snapshot(tick(run, 80).core).collision == nil
   end
 
-  describe "two vehicles by a way each" do
-    defp fly(run, at, way, lat) do
+  describe "two vehicles with a path each" do
+    defp fly(run, at, path, lat) do
       place = frame(%M.GlobalPositionInt{time_boot_ms: 0, lat: lat * 10_000_000, lon: 0}, round(at * @second))
-      frames(run, [place], way)
+      frames(run, [place], path)
     end
 
-    # Both in turn, until there are two.
+    # Both alternate until the collision is detected.
     defp both(one, other) do
       Enum.reduce(0..20, start() |> beat(9, one) |> beat(10, one), fn n, run ->
         run |> fly(10 + n / 4, one, 47) |> fly(10.1 + n / 4, other, 48)
@@ -293,13 +293,13 @@ defmodule Aerie.Vehicle.CoreTest do
     end
 
     defp lat(run), do: Core.snapshot(run.core).groups.position.data.lat
-    defp apart(run), do: for({:apart, ways} <- Enum.reverse(run.actions), do: ways)
+    defp other_paths(run), do: for({:other_vehicle, paths} <- Enum.reverse(run.actions), do: paths)
 
-    test "the one that was there first keeps the id, and nothing of the other is its state" do
+    test "the first one keeps the id, and the other one does not change its state" do
       run = both("a", "b")
-      assert apart(run) == [["b"]]
+      assert other_paths(run) == [["b"]]
       assert lat(run) == 47.0
-      # Its heartbeats say nothing either: armed, in another mode.
+      # Nor do its heartbeats: armed, in another mode.
       armed = frame(%{@copter | base_mode: 0xFF, custom_mode: 9}, 16 * @second)
       time = frame(%M.SystemTime{time_boot_ms: 5}, 16 * @second)
       uid = frame(%M.AutopilotVersion{uid: 5}, 16 * @second)
@@ -307,49 +307,49 @@ defmodule Aerie.Vehicle.CoreTest do
       assert %{uid: nil} = Core.snapshot(run.core)
       assert %{groups: %{mode: %{data: %{armed: false}}}} = Core.snapshot(run.core)
       assert Core.snapshot(run.core).links == ["a"]
-      # Both go on for minutes: told once, apart all the time.
+      # Both go on for minutes: one event, and they stay separated.
       run = Enum.reduce(20..200, run, fn n, run -> run |> fly(n, "a", 47) |> fly(n + 0.1, "b", 48) end)
-      assert apart(run) == [["b"]] and lat(run) == 47.0
+      assert other_paths(run) == [["b"]] and lat(run) == 47.0
       assert Enum.count(types(run), &(&1 == "collision")) == 1
     end
 
-    test "of one link the peers are told apart" do
+    test "peers of one link are separated" do
       [p, q] = for port <- [1, 2], do: {"udp", {{10, 0, 0, 1}, port}}
       run = both(p, q)
-      assert apart(run) == [[q]]
+      assert other_paths(run) == [[q]]
       assert lat(run) == 47.0
       assert %{links: [["udp (10.0.0.1:1)"], ["udp (10.0.0.1:2)"]]} = Core.snapshot(run.core).collision
       assert Core.snapshot(run.core).links == ["udp"]
     end
 
-    test "when the first one falls silent the id is the other's, and stays so when the first one comes back" do
+    test "when the first one falls silent the other one gets the id, and keeps it when the first one comes back" do
       run = both("a", "b")
       run = Enum.reduce(16..30, run, &fly(&2, &1, "b", 48))
-      assert apart(run) == [["b"], []]
+      assert other_paths(run) == [["b"], []]
       assert lat(run) == 48.0
 
       run =
         Enum.reduce(1..20, run, fn n, run -> run |> fly(30 + n / 4, "a", 47) |> fly(30.1 + n / 4, "b", 48) end)
 
-      assert List.last(apart(run)) == ["a"]
+      assert List.last(other_paths(run)) == ["a"]
       assert lat(run) == 48.0
     end
 
-    test "a minute after the last sign of two there is one" do
+    test "a minute after the last sign the collision is over" do
       run = both("a", "b")
       run = Enum.reduce(16..80, run, &fly(&2, &1, "a", 47))
-      assert apart(run) == [["b"], []]
+      assert other_paths(run) == [["b"], []]
     end
 
-    test "a restart of its processes finds it out again" do
+    test "a restart of the processes detects it again" do
       run = both("a", "b")
       core = Core.new(run.core.options, Core.snapshot(run.core))
       {core, _actions} = Core.handle(core, {:tick, 16 * @second})
-      assert core.apart == []
+      assert core.other_paths == []
     end
   end
 
-  test "heartbeats of two kinds of vehicle in turn are a collision; a change of mind is none" do
+  test "alternating heartbeats of two types are a collision; a single change is not" do
     plane = fn at -> frame(%{@copter | type: 1}, round(at * @second)) end
     run = Enum.reduce(1..5, start(), fn n, run -> run |> beat(10 + n) |> frames([plane.(10.5 + n)]) end)
     assert Enum.count(types(run), &(&1 == "collision")) == 1
@@ -357,13 +357,13 @@ defmodule Aerie.Vehicle.CoreTest do
     refute "collision" in types(changed)
   end
 
-  test "another unique id is a collision too" do
+  test "another unique id is a collision, too" do
     version = fn at, uid -> frame(%M.AutopilotVersion{uid: uid}, at * @second) end
     run = start() |> beat(10) |> frames([version.(11, 1), version.(12, 2), version.(13, 1)])
     assert types(run) == ["collision"]
   end
 
-  test "our heartbeat is due once a second, whether it is heard or not; V2: in both versions for one that speaks the first" do
+  test "our heartbeat is due once a second, even for a lost vehicle; V2: alternating versions for one that speaks MAVLink 1" do
     old = frame(@copter, 10 * @second, version: 1)
     run = start() |> frames([old])
     run = Enum.reduce(1..50, run, &tick(&2, 10 + &1 / 10))
@@ -375,7 +375,7 @@ defmodule Aerie.Vehicle.CoreTest do
     assert for({:heartbeat, _} <- tick(beat(start(heartbeat: false), 10), 20).actions, do: 1) == []
   end
 
-  test "asking for streams can be switched off" do
+  test "requesting streams can be switched off" do
     sent = fn run -> for {:send, _message, _version} <- run.actions, do: 1 end
     long = fn run -> Enum.reduce(1..200, run, &beat(&2, 10 + &1 / 10)) end
     assert start() |> long.() |> sent.() |> length() > 10
@@ -394,7 +394,7 @@ defmodule Aerie.Vehicle.CoreTest do
       assert run |> tick(26) |> types() == ["link.lost"]
     end
 
-    test "a clock that was set forward, as the session tells, loses nobody" do
+    test "a clock that was set forward loses no vehicle" do
       run = start() |> beat(10) |> step({:rebase, 5_000_000 * @second}) |> beat(5_000_000.1)
       assert {types(run), statuses(run)} == {[], []}
     end
@@ -413,7 +413,7 @@ defmodule Aerie.Vehicle.CoreTest do
 
         assert now - heard == 1 * @second
         assert now - groups.position.at == 1 * @second
-        # Silence goes on from where it was: stale three, lost five seconds after the last frame.
+        # The silence continues: stale three, lost five seconds after the last frame.
         run = step(run, {:tick, now + round(1.9 * @second)})
         assert statuses(run) == []
         run = step(run, {:tick, now + 2 * @second})
@@ -434,11 +434,11 @@ defmodule Aerie.Vehicle.CoreTest do
       assert types(run) == ["link.lost", "link.restored"]
     end
 
-    test "of a vehicle that was never heard nothing is set" do
+    test "nothing changes for a vehicle that was never heard" do
       assert {_core, []} = Core.handle(Core.new(options([])), {:shift, @second})
     end
 
-    test "a landed vehicle does not take off by it, an open text is given" do
+    test "a landed vehicle does not take off, and an incomplete text is published" do
       on_ground = frame(%M.ExtendedSysState{landed_state: 1}, 11 * @second)
       half = frame(%M.Statustext{severity: 6, id: 3, text: String.duplicate("a", 50)}, 11 * @second)
       active = frame(%{@copter | base_mode: 0xD1, system_status: 4}, 1 * @second)
@@ -460,18 +460,18 @@ defmodule Aerie.Vehicle.CoreTest do
              Enum.find(run.actions, &match?({:snapshot, _}, &1))
   end
 
-  test "the link group says how much is heard" do
+  test "the link group has the rates" do
     run = start() |> beat(10) |> beat(10.5) |> beat(11.0) |> tick(12.1)
     assert %{status: :online, frames_per_s: rate, links: ["a"]} = Core.snapshot(run.core).groups.link.data
     assert rate > 0
   end
 
-  test "values that cannot be are counted" do
+  test "impossible values are counted" do
     run = start() |> beat(10) |> frames([frame(%M.HomePosition{latitude: 950_000_000}, 11 * @second)])
     assert {:count, :invalid} in run.actions
   end
 
-  test "rebuilt from its snapshot it goes on without an event, and finds what happened meanwhile" do
+  test "restored from its snapshot it continues without an event, and detects what happened meanwhile" do
     armed = frame(%{@copter | base_mode: 0xD1}, 12 * @second)
     run = start() |> beat(10) |> beat(11)
     rebuild = fn run -> %{run | core: Core.new(options(), Core.snapshot(run.core))} end
@@ -531,7 +531,7 @@ defmodule Aerie.Vehicle.CoreTest do
       }
     end
 
-    # `kills: false` leaves the kills out: the same flight without them.
+    # `kills: false`: the same flight without the kills.
     defp fly(messages, kills) do
       {run, _at} =
         Enum.reduce(messages, {start(), @second}, fn
@@ -572,7 +572,7 @@ defmodule Aerie.Vehicle.CoreTest do
       assert :proper.quickcheck(prop, [:quiet, numtests: 300])
     end
 
-    test "killed and rebuilt at any moment, the events are the same" do
+    test "killed and restored at any time, the events are the same" do
       prop =
         :proper.forall(:proper_types.list(message_gen()), fn messages ->
           messages = Enum.reject(messages, &match?({:raw, _, _}, &1))

@@ -1,13 +1,13 @@
 defmodule Aerie.Vehicle.DetectorTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.{Detector, Event, EventTypes, Options, State}
-  alias Aerie.Vehicle.Detector.Texts
+  alias Aerie.Vehicle.{Detector, Event, Options, State}
+  alias Aerie.Vehicle.Detector.{Observation, StatusTexts}
 
   @second 1_000_000
   @ground %{mode: "STABILIZE", armed: false, in_air: false, failsafe: false, remaining: 0.9}
 
-  defp new, do: Detector.new(Options.new(%{}, {"main", 1}))
+  defp new, do: Detector.new(Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", 1}))
 
   # Observations with their times in seconds; the events as {type, data}.
   defp observe(observations, detector \\ new(), known \\ %{}) do
@@ -26,19 +26,21 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   defp state(seconds, changes),
-    do: {:state, round(seconds * @second), 1000, Map.merge(@ground, Map.new(changes))}
+    do: Observation.new(:state, round(seconds * @second), 1000, Map.merge(@ground, Map.new(changes)))
 
-  defp text(seconds, text), do: {:text, round(seconds * @second), 1000, 4, text}
-  defp settle(seconds), do: {:settle, round(seconds * @second), 1000, nil}
+  defp text(seconds, text),
+    do: Observation.new(:text, round(seconds * @second), 1000, %{severity: 4, text: text})
+
+  defp settle(seconds), do: Observation.new(:settle, round(seconds * @second), 1000)
 
   defp without_texts(observations),
-    do: types(observations) -- for({:text, _, _, _, _} <- observations, do: "statustext")
+    do: types(observations) -- for(%{kind: :text} <- observations, do: "statustext")
 
-  test "where a vehicle is found is no event" do
+  test "the first state is not an event" do
     assert types([state(0, armed: true, in_air: true, mode: "AUTO")]) == []
   end
 
-  test "a whole flight, one event each, numbered, with the times of what showed them" do
+  test "a whole flight: one event each, numbered, with the times of their sources" do
     {events, _} =
       observe([
         state(0, []),
@@ -64,7 +66,7 @@ defmodule Aerie.Vehicle.DetectorTest do
     assert Enum.all?(events, &(&1.vehicle == "VID-001"))
   end
 
-  test "what becomes known or unknown is no event" do
+  test "a value that becomes known or unknown is not an event" do
     assert types([
              state(0, armed: nil, in_air: nil),
              state(1, armed: true, in_air: true),
@@ -74,14 +76,14 @@ defmodule Aerie.Vehicle.DetectorTest do
     assert types([state(0, armed: true), state(1, armed: nil), state(2, armed: false)]) == ["disarmed"]
   end
 
-  test "an event says where it happened" do
+  test "an event has the position" do
     where = %{"lat" => 47.4, "lon" => 8.5, "alt_msl" => 500.0, "alt_rel" => 0.0}
     {[event], _} = observe([state(0, []), state(1, armed: true, where: where)])
     assert event.data["position"] == where
   end
 
   describe "failsafe" do
-    test "with the reason that was given just before" do
+    test "with the reason that was named just before" do
       {events, _} =
         observe([
           state(0, armed: true),
@@ -93,7 +95,7 @@ defmodule Aerie.Vehicle.DetectorTest do
       assert %{"type" => "rc", "reason" => "rc", "text" => "Radio Failsafe - RTL"} = data
     end
 
-    test "an old reason is none; a general text does not replace a reason" do
+    test "an old reason does not count; a general text does not replace a reason" do
       {events, _} = observe([state(0, []), text(1, "Battery low"), state(9, failsafe: true), settle(10)])
       assert List.last(events).data["reason"] == "unknown"
 
@@ -130,7 +132,7 @@ defmodule Aerie.Vehicle.DetectorTest do
       assert types(Enum.map([0.3, 0.05, 0.2, 0.05], at)) == ~w(battery.low battery.critical battery.critical)
     end
 
-    test "by what the battery says of itself" do
+    test "by the charge state" do
       assert types([state(0, charge_state: "OK"), state(1, charge_state: "LOW")]) == ["battery.low"]
 
       assert types([
@@ -153,13 +155,17 @@ defmodule Aerie.Vehicle.DetectorTest do
                Enum.map(events, &{&1.type, &1.data})
     end
 
-    test "one that is found low is an event; one that is not measured is none" do
+    test "a battery that is low at first is an event; one that is not measured is not" do
       assert types([state(0, remaining: 0.2)]) == ["battery.low"]
       assert types([state(0, remaining: nil), state(1, remaining: nil)]) == []
     end
 
     test "thresholds are configured" do
-      options = Options.new(%{events: %{battery_low: 0.5, battery_critical: 0.3}}, {"main", 1})
+      options =
+        Options.new(
+          Aerie.Vehicle.Settings.from(%{events: %{battery_low: 0.5, battery_critical: 0.3}}),
+          {"main", 1}
+        )
 
       assert types([state(0, remaining: 0.45), state(1, remaining: 0.29)], Detector.new(options)) ==
                ["battery.low", "battery.critical"]
@@ -167,7 +173,7 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   describe "geofence" do
-    test "by FENCE_STATUS, once per breach; the text that comes with it is not a second one" do
+    test "by FENCE_STATUS, once per breach; its text is not a second event" do
       breach = [fence_breach: true, fence_breach_type: "BOUNDARY"]
 
       assert without_texts([
@@ -180,7 +186,7 @@ defmodule Aerie.Vehicle.DetectorTest do
              ]) == ["geofence", "geofence.cleared", "geofence"]
     end
 
-    test "by text where there is no FENCE_STATUS, not again within ten seconds" do
+    test "by text without FENCE_STATUS, not again within ten seconds" do
       assert without_texts([state(0, []), text(1, "Geofence violation"), text(2, "Geofence violation")]) == [
                "geofence"
              ]
@@ -197,13 +203,13 @@ defmodule Aerie.Vehicle.DetectorTest do
       assert without_texts([state(0, []), state(2, fence_breach: true)]) == ["geofence"]
     end
 
-    test "a complaint about a fence is no breach" do
+    test "a complaint about a fence is not a breach" do
       for complaint <- [
             "PreArm: Polygon fence breached",
             "Geofence invalid, doesn't contain Home position",
             "Fence Indexed OK"
           ] do
-        refute Texts.fence?(complaint)
+        refute StatusTexts.fence?(complaint)
       end
     end
   end
@@ -221,11 +227,11 @@ defmodule Aerie.Vehicle.DetectorTest do
     assert without_texts([lost, state(1, []), state(2, failsafe: true), state(3, []), lost]) ==
              ["gcs_failsafe", "failsafe", "failsafe.cleared", "gcs_failsafe"]
 
-    assert Texts.gcs("Lost connection to GCS") == :lost
-    assert Texts.gcs("Connection to ground station lost") == :lost
-    assert Texts.gcs("Connection to ground control station regained") == :back
-    assert Texts.gcs("PreArm: GCS failsafe on") == nil
-    assert Texts.gcs("Arming motors") == nil
+    assert StatusTexts.gcs("Lost connection to GCS") == :lost
+    assert StatusTexts.gcs("Connection to ground station lost") == :lost
+    assert StatusTexts.gcs("Connection to ground control station regained") == :back
+    assert StatusTexts.gcs("PreArm: GCS failsafe on") == nil
+    assert StatusTexts.gcs("Arming motors") == nil
   end
 
   test "reasons that texts name" do
@@ -241,7 +247,7 @@ defmodule Aerie.Vehicle.DetectorTest do
           {"Arming denied: Resolve system health failures first", nil},
           {"Arming motors", nil}
         ] do
-      assert Texts.failsafe(text) == reason, text
+      assert StatusTexts.failsafe(text) == reason, text
     end
   end
 
@@ -249,15 +255,15 @@ defmodule Aerie.Vehicle.DetectorTest do
     defp mission(seconds, seq, state),
       do: state(seconds, mission_seq: seq, mission_total: 4, mission_state: state)
 
-    defp reached(seconds, seq), do: {:reached, round(seconds * @second), 1000, seq}
+    defp reached(seconds, seq), do: Observation.new(:reached, round(seconds * @second), 1000, seq)
 
-    test "what was reached without a mission is no item of one" do
+    test "an item that is reached without a mission does not count" do
       assert types([state(0, mode: "GUIDED"), reached(1, 0)]) == []
       assert types([state(0, mode: "HOLD", mission_total: 0), reached(1, 0)]) == []
       assert types([state(0, mode: "AUTO_MISSION", mission_total: 3), reached(1, 0)]) == ["mission.reached"]
     end
 
-    test "PX4 says once a second that an item is reached: one event; later again it is another" do
+    test "PX4 repeats every second that an item is reached: one event; much later it is another one" do
       assert types([reached(0, 2), reached(1, 2), reached(2, 2), reached(3, 3), reached(60, 3)]) ==
                List.duplicate("mission.reached", 3)
     end
@@ -289,20 +295,20 @@ defmodule Aerie.Vehicle.DetectorTest do
                mission(2, 4, "COMPLETE")
              ]) == ["mission.reached", "mission.completed"]
 
-      assert Texts.mission_completed?("Mission finished, loitering")
-      refute Texts.mission_completed?("Mission: 4 WP")
+      assert StatusTexts.mission_completed?("Mission finished, loitering")
+      refute StatusTexts.mission_completed?("Mission: 4 WP")
     end
   end
 
   test "statustext with the name of its severity" do
-    {[event], _} = observe([{:text, 5, nil, 2, "Arming denied"}])
+    {[event], _} = observe([Observation.new(:text, 5, nil, %{severity: 2, text: "Arming denied"})])
     assert event.data == %{"severity" => 2, "severity_name" => "CRITICAL", "text" => "Arming denied"}
-    {[event], _} = observe([{:text, 5, nil, 99, "?"}])
+    {[event], _} = observe([Observation.new(:text, 5, nil, %{severity: 99, text: "?"})])
     assert event.data["severity_name"] == "SEVERITY(99)"
   end
 
-  test "parameters: what is new is learned, what changes is an event, what is the same is nothing" do
-    params = fn values -> {:params, @second, 1, values} end
+  test "parameters: a new one is learned, a changed one is an event, an unchanged one is nothing" do
+    params = fn values -> Observation.new(:params, @second, 1, values) end
 
     {events, _} =
       observe([
@@ -318,20 +324,21 @@ defmodule Aerie.Vehicle.DetectorTest do
   end
 
   test "lost and restored alternate" do
-    lost = {:lost, 5 * @second, 1, 5 * @second}
-    restored = {:restored, 9 * @second, 2}
+    lost = Observation.new(:lost, 5 * @second, 1, 5 * @second)
+    restored = Observation.new(:restored, 9 * @second, 2)
     assert types([restored, lost, lost, restored, restored, lost]) == ~w(link.lost link.restored link.lost)
     {[event | _], _} = observe([lost])
     assert event.data == %{"silent_s" => 5.0}
   end
 
-  test "a reboot once, though it is seen again after a crash; the next one again" do
-    reboot = fn at, boot_ms -> {:reboot, at * @second, boot_ms} end
+  test "a reboot is one event, even if it is seen again after a crash; the next one is another event" do
+    reboot = fn at, boot_ms -> Observation.new(:reboot, at * @second, boot_ms) end
     assert types([reboot.(100, 2000), reboot.(103, 5000), reboot.(200, 2000)]) == ["reboot", "reboot"]
   end
 
   test "a collision once while it lasts" do
-    collision = fn at -> {:collision, at * @second, 1, "uid", [["a"], ["b"]]} end
+    two = %{sign: "uid", links: [["a"], ["b"]]}
+    collision = fn at -> Observation.new(:collision, at * @second, 1, two) end
 
     assert types([collision.(0), collision.(10), collision.(65), collision.(200)]) == [
              "collision",
@@ -344,7 +351,7 @@ defmodule Aerie.Vehicle.DetectorTest do
     assert Event.types() -- Enum.filter(Event.types(), &String.contains?(readme, "`#{&1}`")) == []
     assert Enum.uniq(Event.types()) == Event.types()
     assert Enum.all?(Event.types(), &(&1 =~ ~r/\A[a-z_]+(\.[a-z_]+)?\z/))
-    fields = for type <- EventTypes.all(), field <- type.fields, do: field
+    fields = for type <- Event.Types.all(), field <- type.fields, do: field
 
     assert Enum.all?(
              fields,
@@ -352,7 +359,7 @@ defmodule Aerie.Vehicle.DetectorTest do
            )
   end
 
-  test "a digest has nothing in it that changes all the time" do
+  test "a digest has no value that changes all the time" do
     refute Enum.any?(
              Map.keys(Detector.Digest.of(%State{})),
              &(&1 in [:lat, :lon, :voltage, :at, :time_boot_ms])
@@ -372,13 +379,14 @@ defmodule Aerie.Vehicle.DetectorTest do
     end
 
     defp real({:state, armed, in_air, mode, failsafe}, n) do
-      {:state, n * 1000, n, %{armed: armed, in_air: in_air, mode: mode, failsafe: failsafe}}
+      digest = %{armed: armed, in_air: in_air, mode: mode, failsafe: failsafe}
+      Observation.new(:state, n * 1000, n, digest)
     end
 
-    defp real(:lost, n), do: {:lost, n * 1000, n, 1000}
-    defp real(:restored, n), do: {:restored, n * 1000, n}
-    defp real({:reached, seq}, n), do: {:reached, n * 1000, n, seq}
-    defp real({:text, text}, n), do: {:text, n * 1000, n, 6, text}
+    defp real(:lost, n), do: Observation.new(:lost, n * 1000, n, 1000)
+    defp real(:restored, n), do: Observation.new(:restored, n * 1000, n)
+    defp real({:reached, seq}, n), do: Observation.new(:reached, n * 1000, n, seq)
+    defp real({:text, text}, n), do: Observation.new(:text, n * 1000, n, %{severity: 6, text: text})
 
     defp alternate?(types, a, b) do
       types
@@ -387,7 +395,7 @@ defmodule Aerie.Vehicle.DetectorTest do
       |> Enum.all?(fn [x, y] -> x != y end)
     end
 
-    test "pairs alternate, numbers have no gap, ids are unique, and seeing the same again gives nothing" do
+    test "pairs alternate, numbers have no gap, ids are unique, and repeated observations give nothing" do
       prop =
         :proper.forall(:proper_types.list(observation_gen()), fn observations ->
           real =
@@ -395,8 +403,8 @@ defmodule Aerie.Vehicle.DetectorTest do
 
           {events, _} = observe(real)
           types = Enum.map(events, & &1.type)
-          # A state that is shown twice, as after a crash of who shows it.
-          doubled = Enum.flat_map(real, fn o -> if elem(o, 0) == :state, do: [o, o], else: [o] end)
+          # Each state twice, as after a crash of the session.
+          doubled = Enum.flat_map(real, fn o -> if o.kind == :state, do: [o, o], else: [o] end)
           {same, _} = observe(doubled)
 
           alternate?(types, "armed", "disarmed") and alternate?(types, "takeoff", "landed") and

@@ -4,16 +4,16 @@ defmodule Aerie.Vehicle.FieldsTest do
   alias Aerie.Bridge.Message
   alias Aerie.Client.StateForm
   alias Aerie.Replay
-  alias Aerie.Vehicle.{Event, EventTypes, Fields, State}
+  alias Aerie.Vehicle.{Event, Fields, State}
 
   @page Path.expand("../../../../../docs/telemetry.md", __DIR__)
 
-  test "docs/telemetry.md is what the tables say (mix aerie.telemetry)" do
+  test "docs/telemetry.md is up to date (mix aerie.telemetry)" do
     assert File.read!(@page) == Fields.Page.markdown()
   end
 
   @tag :tmp_dir
-  test "the task writes it", %{tmp_dir: dir} do
+  test "mix aerie.telemetry writes it", %{tmp_dir: dir} do
     file = Path.join(dir, "telemetry.md")
     ExUnit.CaptureIO.capture_io(fn -> Mix.Tasks.Aerie.Telemetry.run([file]) end)
     assert File.read!(file) == Fields.Page.markdown()
@@ -21,18 +21,18 @@ defmodule Aerie.Vehicle.FieldsTest do
 
   @units ["°", "°/s", "°C", "m", "m/s", "m/s²", "V", "A", "mAh", "0..1", "1/s", "B/s", "µs", "s", "ms", nil]
 
-  test "every group of the state is in the table; units are few, and none is per cent" do
-    assert Keyword.keys(Fields.keys()) == State.groups()
+  test "every group of the state is in the table; there are few units, and per cent is not one" do
+    for {group, keys} <- Fields.keys(), do: assert(State.keys(group) == keys)
 
     for {_group, _title, fields} <- Fields.all(), field <- fields do
       assert field.meaning != "" and field.source != ""
       assert field.unit in @units
     end
 
-    for %{fields: fields} <- EventTypes.all(), field <- fields, do: assert(field.unit in @units)
+    for %{fields: fields} <- Event.Types.all(), field <- fields, do: assert(field.unit in @units)
   end
 
-  test "numbers are told to the decimals that mean something, in groups, lists and what is below them" do
+  test "numbers are rounded to their decimals, in groups, lists and nested fields" do
     assert Fields.rounded(:position, %{heading: 90.2170000000073, lat: 47.39774189999998, alt_rel: nil}) ==
              %{heading: 90.22, lat: 47.3977419, alt_rel: nil}
 
@@ -78,7 +78,7 @@ defmodule Aerie.Vehicle.FieldsTest do
         do: assert(is_float(Fields.rounded(:position, %{lat: x}).lat))
   end
 
-  test "all that a recorded flight publishes is in the table: names, and decimals of every number" do
+  test "everything that a recorded flight publishes is in the table: names, and decimals of every number" do
     {:ok, seen, _summary} = Replay.reduce(flight("arducopter_flight"), [], %{}, &published/2)
     {:ok, seen, _summary} = Replay.reduce(flight("px4_flight"), [], seen, &published/2)
     assert map_size(seen) > 40
@@ -91,7 +91,7 @@ defmodule Aerie.Vehicle.FieldsTest do
     end
   end
 
-  test "NATS and state.sock tell one value by one name" do
+  test "NATS and state.sock have the same name for a value" do
     data = %{remaining: 0.9800000190734863, voltage: 22.799999237060547, current: nil}
     group = %{at: 1, time_boot_ms: 5, data: data}
     nats = JSON.decode!(Message.state("V", "battery", data, 5, 1))["data"]

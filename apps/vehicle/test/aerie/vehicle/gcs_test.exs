@@ -35,7 +35,7 @@ defmodule Aerie.Vehicle.GcsTest do
   defp told(log), do: for({:told, at, what} <- log, do: {what, at})
   defp copter, do: Gcs.vehicle(Gcs.new(), :ardupilot, "copter")
 
-  test "H5: a clock that is set neither brings a station back nor loses one" do
+  test "H5: setting the clock neither brings a station back nor loses one" do
     hour = 3_600
     gcs = Gcs.param(copter(), "SYSID_MYGCS", 255)
 
@@ -43,11 +43,11 @@ defmodule Aerie.Vehicle.GcsTest do
       run(Map.put(gcs, :asked, %{}) |> Map.put(:next, nil), 0..3, fn at -> [station(255, at)] end) |> quiet()
 
     for step <- [-hour, hour] do
-      # Gone in the moment in which the clock is set: missed five seconds after it was heard last, as without that.
+      # It falls silent when the clock is set: lost five seconds after it was last heard, as without that.
       shifted = Gcs.shifted(gcs, step * @second)
       {log, _gcs} = run(shifted, (4 + step)..(20 + step), fn _ -> [station(255, 3 + step)] end)
       assert told(log) == [lost: 8 + step]
-      # There all the time: nothing is told.
+      # Heard all the time: nothing is reported.
       {log, _gcs} = run(shifted, (4 + step)..(20 + step), &[station(255, &1)])
       assert told(log) == []
     end
@@ -55,7 +55,7 @@ defmodule Aerie.Vehicle.GcsTest do
 
   defp quiet({log, gcs}), do: {told(log), gcs}
 
-  describe "which it listens to" do
+  describe "the station that it listens to" do
     test "is read once, one by one, and only as far as it is needed" do
       answers = %{"SYSID_MYGCS" => 255, "FS_GCS_ENABLE" => 1, "FS_GCS_TIMEOUT" => 5.0}
       {log, gcs} = run(copter(), 0..600, fn _ -> [] end, answers)
@@ -67,7 +67,7 @@ defmodule Aerie.Vehicle.GcsTest do
       assert {[], _} = run(%{gcs | asked: %{}}, 601..700, fn _ -> [] end)
     end
 
-    test "a newer ArduPilot has other names, a plane others again" do
+    test "newer ArduPilots and planes have other parameter names" do
       answers = %{"MAV_GCS_SYSID" => 250, "MAV_GCS_SYSID_HI" => 254, "FS_GCS_ENABLE" => 0}
       {log, gcs} = run(copter(), 0..600, fn _ -> [] end, answers)
 
@@ -75,7 +75,10 @@ defmodule Aerie.Vehicle.GcsTest do
                asked(log)
 
       assert %{failsafe_gcs: 250, failsafe_range: {250, 254}, enabled?: false} = Gcs.show(gcs, 0)
-      assert Gcs.keeps?(gcs, %{system: 252, type: 18}) and not Gcs.keeps?(gcs, %{system: 255, type: 6})
+
+      assert Gcs.keeps_quiet?(gcs, %{system: 252, type: 18}) and
+               not Gcs.keeps_quiet?(gcs, %{system: 255, type: 6})
+
       plane = Gcs.vehicle(Gcs.new(), :ardupilot, "plane")
       {log, _gcs} = run(plane, 0..600, fn _ -> [] end, %{"SYSID_MYGCS" => 255})
       assert "FS_GCS_ENABL" in asked(log) and "FS_GCS_ENABLE" not in asked(log)
@@ -85,11 +88,14 @@ defmodule Aerie.Vehicle.GcsTest do
       px4 = Gcs.vehicle(Gcs.new(), :px4, "copter")
       {log, gcs} = run(px4, 0..600, fn _ -> [] end, %{"NAV_DLL_ACT" => 2, "COM_DL_LOSS_T" => 10})
       assert asked(log) == ["NAV_DLL_ACT", "COM_DL_LOSS_T"]
-      assert Gcs.keeps?(gcs, %{system: 17, type: 6}) and not Gcs.keeps?(gcs, %{system: 17, type: 18})
+
+      assert Gcs.keeps_quiet?(gcs, %{system: 17, type: 6}) and
+               not Gcs.keeps_quiet?(gcs, %{system: 17, type: 18})
+
       assert %{failsafe_gcs: nil, enabled?: true, timeout_s: 10.0} = Gcs.show(gcs, 0)
     end
 
-    test "a vehicle that does not answer is left alone after two tries for each" do
+    test "a vehicle that does not answer is asked twice for each" do
       {log, gcs} = run(copter(), 0..600, fn _ -> [] end)
       assert log |> asked() |> Enum.frequencies() |> Map.values() |> Enum.uniq() == [2]
       assert Enum.all?(log, fn {:asked, at, _} -> at < 30 end)
@@ -98,7 +104,7 @@ defmodule Aerie.Vehicle.GcsTest do
       assert {[], _} = run(Gcs.new(), 0..100, fn _ -> [] end)
     end
 
-    test "a value that comes by itself is taken, one of another parameter is not" do
+    test "an unrequested value counts, other parameters do not" do
       gcs = copter() |> Gcs.param("SYSID_MYGCS", 252) |> Gcs.param("RTL_ALT", 1500)
       assert Gcs.show(gcs, 0).params == %{"SYSID_MYGCS" => 252}
       assert Gcs.new(Gcs.show(gcs, 0)).params == %{"SYSID_MYGCS" => 252}
@@ -127,7 +133,7 @@ defmodule Aerie.Vehicle.GcsTest do
       assert told(log) == [back: 31]
     end
 
-    test "another station beside it is known, and does not keep it quiet" do
+    test "another station is listed and does not keep it quiet" do
       {_log, gcs} = run(known(), 0..10, fn at -> [station(255, at), station(253, at)] end)
       {log, gcs} = run(gcs, 11..30, fn at -> [station(255, 10), station(253, at)] end)
       assert told(log) == [lost: 15]
@@ -135,31 +141,31 @@ defmodule Aerie.Vehicle.GcsTest do
       assert for(s <- stations, do: {s.system, s.keeps?}) == [{255, true}, {253, false}]
     end
 
-    test "one that was never heard is not gone" do
+    test "one that was never heard is not lost" do
       {log, gcs} = run(known(), 0..100, fn at -> [station(253, at)] end)
       assert told(log) == []
       assert %{quiet?: nil, heard_gcs: nil} = Gcs.show(gcs, 100 * @second)
     end
 
-    test "whoever uses its id counts for ArduPilot; we do not count as somebody else" do
+    test "for ArduPilot any sender with its id counts; our own heartbeat is not another station's" do
       {_log, gcs} = run(known(), 0..10, fn at -> [station(255, at, type: 18)] end)
       assert Gcs.show(gcs, 10 * @second).quiet?
       own = copter() |> Gcs.param("SYSID_MYGCS", 245)
       {_log, gcs} = run(own, 0..10, fn at -> [station(245, at, component: 191)] end)
       assert %{quiet?: nil, stations: []} = Gcs.show(gcs, 10 * @second)
-      # Whose system id is ours and whose component is not, as MAVSDK's may be.
+      # Our system id with another component, as MAVSDK may have.
       {_log, gcs} = run(own, 0..10, fn at -> [station(245, at)] end)
       assert %{quiet?: true, known_by: [245]} = Gcs.show(gcs, 10 * @second)
     end
 
-    test "a clock that was set loses nobody" do
+    test "setting the clock loses no station" do
       {_log, gcs} = run(known(), 0..10, fn at -> [station(255, at)] end)
       {log, _gcs} = gcs |> Gcs.rebased(5_000 * @second) |> run(5_000..5_010, fn at -> [station(255, at)] end)
       assert told(log) == []
     end
   end
 
-  test "lost and back take turns, whoever is heard when" do
+  test "lost and back alternate, whichever stations are heard" do
     prop =
       :proper.forall(:proper_types.list(:proper_types.oneof([:nobody, 255, 253])), fn heard ->
         {log, _} =

@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   use Aerie.VehicleCase, async: true
 
   alias Aerie.{Names, Store, Vehicle}
-  alias Aerie.Vehicle.{Identity, Options}
+  alias Aerie.Vehicle.{Identity, Options, Settings}
   alias MavCodec.{Frame, Parser}
 
   @loopback {127, 0, 0, 1}
@@ -57,7 +57,7 @@ defmodule Aerie.Vehicle.IdentityTest do
         store: nil,
         pubsub: nil,
         router_sweeper: nil,
-        pulse: nil,
+        watchdog: nil,
         session: {"main", 1},
         events: {"main", 1}
       ] do
@@ -76,7 +76,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     end
   end
 
-  for role <- [:store, :router_sweeper, :pulse] do
+  for role <- [:store, :router_sweeper, :watchdog] do
     test "H3: nor does one that calls and hears nothing get any while #{role} stands still" do
       mavlink = %{heartbeat_deadman_s: @deadman_s, system_id: 245, component_id: 191}
       gateway = Aerie.GatewayCase.start_gateway(%{mavlink: mavlink}, without: [Aerie.Bridge.Supervisor])
@@ -101,7 +101,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", options: [high_latency: true])
     socket = vehicle(port, 1)
     eventually(fn -> match?(%{high_latency: %{only?: true}}, Store.vehicle(gateway, {"main", 1})) end)
-    :ok = Vehicle.HighLatency.request(gateway, {"main", 1}, true)
+    :ok = Vehicle.Links.HighLatency.request(gateway, {"main", 1}, true)
     # It is the first thing that comes.
     assert {:ok, {_from, _port, bytes}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
     {[frame], _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
@@ -112,7 +112,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   test "a killed loop is asked anew" do
     {gateway, _port, socket} = flying()
     assert heard(socket, 10_000)
-    Process.exit(Names.whereis(gateway, :pulse), :kill)
+    Process.exit(Names.whereis(gateway, :watchdog), :kill)
     Process.exit(Names.whereis(gateway, :router_sweeper), :kill)
     drain(socket)
     assert heard(socket, 10_000)
@@ -149,24 +149,23 @@ defmodule Aerie.Vehicle.IdentityTest do
   end
 
   test "without a gateway nothing is alive" do
-    assert %{alive: false, silent: [{:pulse, nil}]} = Aerie.Identity.status(make_ref())
+    assert %{alive: false, silent: [{:watchdog, nil}]} = Aerie.Identity.status(make_ref())
   end
 
   describe "who we are" do
     test "a companion is component 191 of its vehicle, a hub system 237" do
       companion =
-        Options.new(Aerie.Config.default([{"vehicle_id", "A"}, {"mavlink.system_id", 7}]), {"main", 7})
+        Options.new(Settings.from(%{vehicle_id: "A", mavlink: %{system_id: 7}}), {"main", 7})
 
       assert {companion.own_system, companion.own_component} == {7, 191}
-      hub = Options.new(Aerie.Config.default(), {"main", 7})
+      hub = Options.new(Settings.from(%{}), {"main", 7})
       assert {hub.own_system, hub.own_component} == {237, 191}
-      assert Identity.own?(hub, 237, 191) and not Identity.own?(hub, 237, 1)
     end
 
     test "H5: only who is meant to be the ground station says so" do
-      gcs = Options.new(Aerie.Config.default([{"mavlink.i_am_the_gcs", true}]), {"main", 1})
+      gcs = Options.new(Settings.from(%{mavlink: %{i_am_the_gcs: true}}), {"main", 1})
       assert %{type: 6, autopilot: 8} = Identity.heartbeat(gcs)
-      assert %{type: 18} = Identity.heartbeat(Options.new(%{}, {"main", 1}))
+      assert %{type: 18} = Identity.heartbeat(Options.new(Settings.from(%{}), {"main", 1}))
     end
   end
 end

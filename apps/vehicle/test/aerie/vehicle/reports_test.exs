@@ -14,8 +14,15 @@ defmodule Aerie.Vehicle.ReportsTest do
   @px4 %M.Heartbeat{type: 2, autopilot: 12, base_mode: 81, system_status: 3}
   @second 1_000_000
 
+  # The ids of `priv/px4_events.json` with their names.
+  @names for {space, component} <-
+               JSON.decode!(File.read!(Application.app_dir(:vehicle, "priv/px4_events.json")))["components"],
+             {id, event} <- component["events"],
+             into: %{},
+             do: {String.to_integer(space) * 0x1000000 + String.to_integer(id), event["name"]}
+
   describe "names" do
-    test "an id is the name space and the hash of the name" do
+    test "an id is the namespace and the hash of the name" do
       # As PX4 1.17 sent them.
       assert Names.name(0x0102089D) == "commander_arm_denied_resolve_failures"
       assert Names.name(0x01414569) == "commander_takeoff_detected"
@@ -25,7 +32,8 @@ defmodule Aerie.Vehicle.ReportsTest do
     end
 
     test "all of PX4 1.18 and those that only 1.17 has are known" do
-      assert map_size(Names.all()) == 375
+      assert map_size(@names) == 375
+      assert Enum.all?(@names, fn {id, name} -> Names.name(id) == name end)
       assert Names.name(0x01A4B458) == "commander_gcs_lost"
       assert Names.name(id("commander_transition_denied")) == "commander_transition_denied"
     end
@@ -33,7 +41,7 @@ defmodule Aerie.Vehicle.ReportsTest do
     test "arguments are read by their types: enums and bit fields by their labels" do
       hold = id("commander_failsafe_enter_hold")
       assert Names.values(hold, <<0, 0, 4, 3, 6, 2, 0, 2>>) == [50_593_792, "rtl", 2, "gcs_connection_loss"]
-      # A value without a label stays a number; zeros at the end may be missing, and more may be there.
+      # A value without a label stays a number; trailing zeros may be missing, and more bytes may follow.
       assert Names.values(hold, <<0, 0, 4, 3, 77>>) == [50_593_792, 77, 0, "generic"]
       assert Names.values(hold, <<0::320>>) == [0, "none", 0, "generic"]
 
@@ -46,15 +54,15 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert Names.values(id("vrtl_return_at"), <<0xF9, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF>>) == [505, -1]
     end
 
-    test "an event without arguments has none; one whose layout is not known has its bytes only" do
+    test "an event without arguments has an empty list; one with an unknown layout has only its bytes" do
       assert Names.values(id("commander_gcs_lost"), <<0::320>>) == []
       assert Names.values(id("commander_transition_denied"), <<1, 2>>) == nil
       assert Names.values(0x02000001, <<1, 2>>) == nil
     end
 
-    test "any bytes are some values" do
+    test "any bytes can be read" do
       property =
-        :proper.forall({:proper_types.elements(Map.keys(Names.all())), :proper_types.binary()}, fn {id, bytes} ->
+        :proper.forall({:proper_types.elements(Map.keys(@names)), :proper_types.binary()}, fn {id, bytes} ->
           is_list(Names.values(id, bytes)) or Names.values(id, "") == nil
         end)
 
@@ -62,13 +70,13 @@ defmodule Aerie.Vehicle.ReportsTest do
     end
 
     test "no two names have the same id" do
-      names = Map.values(Names.all())
+      names = Map.values(@names)
       assert Enum.uniq(names) == names
     end
   end
 
   describe "recordings" do
-    test "every event of PX4's flight came as a text too, and is shown once, as that" do
+    test "every event of PX4's flight also came as a text, and is shown once, as the text" do
       run = frames("px4_flight_reports") |> run()
       assert pick(run, ["report"]) == []
       texts = for {_, _, %{"text" => text}} <- pick(run, ["statustext"]), do: text
@@ -85,7 +93,7 @@ defmodule Aerie.Vehicle.ReportsTest do
                sequence: 27
              } = hd(shown.recent)
 
-      # Its text is in two pieces, and comes after it.
+      # Its text has two chunks and comes after it.
       assert Enum.any?(
                shown.recent,
                &match?(
@@ -95,7 +103,7 @@ defmodule Aerie.Vehicle.ReportsTest do
              )
     end
 
-    test "what has no text is an event, with both levels and its arguments" do
+    test "a report without a text is an event, with both levels and its arguments" do
       run = frames("px4_refusals_reports") |> run()
 
       assert [{_, _, no_takeoff}, {_, _, far}] = pick(run, ["report"])
@@ -128,7 +136,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert Enum.count(names, &(&1 == "commander_armed_by")) == 2
     end
 
-    test "however the frames are cut into reads, and with all of them twice on two links, it is the same" do
+    test "the result is the same however the frames are cut into reads, and with all of them twice on two links" do
       frames = frames("px4_refusals_reports")
       once = frames |> run() |> pick(["report"])
       assert frames |> run(batch: 1) |> pick(["report"]) == once
@@ -148,7 +156,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert twice.events |> Enum.reverse() |> pick(["report"]) == once
     end
 
-    test "what keeps the vehicle from being armed is one list, renewed as it changes" do
+    test "what keeps the vehicle from being armed is one list, updated as it changes" do
       run = frames("px4_refusals_reports") |> run()
 
       lists =
@@ -165,7 +173,7 @@ defmodule Aerie.Vehicle.ReportsTest do
              ]
     end
 
-    test "events that get lost are asked for, and shown when they come after all (X3)" do
+    test "lost events are requested, and shown when they come (X3)" do
       frames = frames("px4_refusals_reports")
       lost? = &match?(%{id: 410, payload: <<_::64, s::little-16, _::binary>>} when s in [17, 19], &1)
       {lost, heard} = Enum.split_with(frames, lost?)
@@ -178,14 +186,14 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert Core.snapshot(run.core).reports.lost == 2
       assert pick(run, ["report"]) == []
 
-      # The vehicle answers half a second after it was asked.
+      # The vehicle answers after half a second.
       answered =
         Enum.sort_by(heard ++ Enum.map(lost, &%{&1 | at: &1.at + 800_000}), & &1.at)
 
       assert for({_, _, data} <- answered |> run() |> pick(["report"]), do: data["sequence"]) == [17, 19]
     end
 
-    test "who may ask for nothing asks for nothing, and nothing is asked for by links of high latency (X6)" do
+    test "nothing is requested if requests are disabled, and nothing by high-latency links (X6)" do
       heard = Enum.reject(frames("px4_refusals_reports"), &match?(%{id: 410}, &1))
       asked = fn run -> for {:send, %M.RequestEvent{}, _} <- run.actions, do: :asked end
       assert asked.(run(heard)) != []
@@ -205,7 +213,7 @@ defmodule Aerie.Vehicle.ReportsTest do
     end
   end
 
-  describe "what it is about" do
+  describe "rules" do
     defp event(sequence, fields \\ []) do
       struct!(
         %M.Event{id: 0x01000007, sequence: sequence, event_time_boot_ms: 5000, log_levels: 0x66},
@@ -225,7 +233,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       (beats ++ said) |> Enum.sort_by(& &1.at) |> run()
     end
 
-    test "an event of a camera is the vehicle's, too; numbers are each component's own (X3)" do
+    test "an event of a camera is the vehicle's, too; each component has its own numbers (X3)" do
       run =
         said([{1.1, event(5), 1}, {1.2, event(5), 100}, {1.3, event(6), 1}, {1.4, event(6), 100}])
 
@@ -235,7 +243,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
     end
 
-    test "reports are told in their order, each at the time when it happened; how late they came is told" do
+    test "reports come in their order, each with the time when it happened and how late it came" do
       clock = fn second -> {second, %M.SystemTime{time_boot_ms: round(second * 1000)}, 1} end
 
       run =
@@ -243,7 +251,7 @@ defmodule Aerie.Vehicle.ReportsTest do
           [
             {1.1, event(5, event_time_boot_ms: 1100), 1},
             {4.1, event(8, event_time_boot_ms: 4100), 1},
-            # Those between were lost, and come when they are asked for.
+            # Those between were lost, and come when they are requested.
             {4.6, event(7, event_time_boot_ms: 3300), 1},
             {5.2, event(6, event_time_boot_ms: 1300), 1}
           ] ++ for(s <- 0..10, do: clock.(s + 0.05))
@@ -263,7 +271,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert {{_, 4600, %{"sequence" => 7}}, {_, 4100, %{"sequence" => 8}}} = {seven, eight}
     end
 
-    test "what is not for display, or for somebody else, is not shown, and not missing either" do
+    test "events that are not for display or not for us are not shown, and not missing either" do
       run =
         said([
           {1.1, event(1), 1},
@@ -278,7 +286,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
     end
 
-    test "a text without a tab, and one of somebody who sends no events, doubles none" do
+    test "a text without a tab, or of a component without events, doubles no event" do
       run =
         said([
           {1.1, %M.Statustext{severity: 6, text: "tab without events\t"}, 1},
@@ -289,7 +297,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert [{"report", _, %{"name" => nil, "id" => "0x01000007"}}] = pick(run, ["report"])
     end
 
-    test "an unknown component more than eight is not followed" do
+    test "more than eight components are not followed" do
       reports =
         Enum.reduce(1..20, Reports.new(), fn component, reports ->
           {reports, _said} = Reports.message(reports, component, event(1), {245, 191}, 0)
@@ -300,7 +308,7 @@ defmodule Aerie.Vehicle.ReportsTest do
     end
   end
 
-  test "a batch of checks: in any order, with foreign events in between, and without its end" do
+  test "a batch of checks: in any order, with other events in between, and without its end" do
     [first, last] = for name <- ~w(commander_arming_check_summary commander_health_summary), do: id(name)
     reason = id("check_battery_low")
     feed = fn checks, events -> Enum.map_reduce(events, checks, &feed/2) end
@@ -332,5 +340,5 @@ defmodule Aerie.Vehicle.ReportsTest do
     {{verdict, list}, checks}
   end
 
-  defp id(name), do: Enum.find_value(Names.all(), fn {id, known} -> if known == name, do: id end)
+  defp id(name), do: Enum.find_value(@names, fn {id, known} -> if known == name, do: id end)
 end

@@ -30,7 +30,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
   defp at(seconds), do: round(seconds * @second)
 
-  test "an autopilot's heartbeat makes a vehicle, which is shown and whose events are in the journal" do
+  test "an autopilot's heartbeat makes a vehicle with a snapshot, and its events are in the journal" do
     gateway = gateway()
     PubSub.subscribe(gateway, :events)
     PubSub.subscribe(gateway, {:vehicle, "VID-007"})
@@ -50,8 +50,56 @@ defmodule Aerie.Vehicle.SessionTest do
     gateway = gateway()
     deliver(gateway, [frame(%M.Heartbeat{type: 6, autopilot: 8}, at(1), system: 255, component: 190)])
     deliver(gateway, [frame(%M.Heartbeat{type: 26, autopilot: 8}, at(1), system: 1, component: 154)])
-    assert Vehicle.Supervisor.keys(gateway) == []
+    assert Aerie.GatewayCase.trees(gateway) == []
     assert Store.vehicles(gateway) == []
+  end
+
+  test "requests for streams cease while the executor asks by the same commands (C8), once their answer came" do
+    gateway = gateway()
+    deliver(gateway, [frame(@copter, at(1))])
+    alive(gateway, {"main", 1})
+    session = Names.whereis(gateway, :session, {"main", 1})
+    arbiter = fn -> :sys.get_state(session).core.streams end
+    # Its first requests are due two seconds after it was heard.
+    deliver(gateway, [frame(@copter, at(4))])
+    assert {{:set, id}, _sent} = eventually(fn -> arbiter.().in_flight end)
+    send(session, {:alone, self(), true})
+    refute_received :alone
+    deliver(gateway, [frame(%M.CommandAck{command: 511, result: 0}, at(4))])
+    assert_receive :alone
+    deliver(gateway, [frame(@copter, at(10))])
+    assert %{in_flight: nil, queue: [_ | _], held: true} = arbiter.()
+    send(session, {:alone, self(), false})
+    deliver(gateway, [frame(@copter, at(12))])
+    assert {{:set, other}, _sent} = eventually(fn -> arbiter.().in_flight end)
+    assert other != id
+  end
+
+  test "who is in charge is in the state, with what the vehicle says of it (X15), and is an event" do
+    gateway = gateway()
+    start_supervised!({Aerie.Commands.Control, gateway: gateway})
+    deliver(gateway, [frame(@copter, at(1))])
+    alive(gateway, {"main", 1})
+    PubSub.subscribe(gateway, :events)
+    source = %{name: "olga", role: :operator, permissions: []}
+    rules = %{required: false, take_over: :operator}
+    change = &Aerie.Policy.Leases.change(gateway, {"main", 1}, &1, source, "nats", rules)
+    assert {:ok, _lease} = change.({:take, nil, nil})
+    assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
+    assert %{"operator" => "olga", "before" => nil, "via" => "nats"} = JSON.decode!(JSON.encode!(data))
+    deliver(gateway, [frame(%M.ControlStatus{flags: 3, gcs_main: 245}, at(2))])
+    state = fn -> get_in(Store.vehicle(gateway, "VID-001").groups, [:operator, :data]) end
+
+    eventually(fn ->
+      match?(%{name: "olga", via: "nats", system: 245, takeover_allowed: true, offered_to: nil}, state.())
+    end)
+
+    assert {:ok, _lease} = change.({:offer, :anyone})
+    eventually(fn -> state.().offered_to == "*" end)
+    assert {:ok, nil} = change.(:release)
+    assert_receive {:fleet, :events, %{type: "operator.changed", data: data}}
+    assert %{"operator" => nil, "before" => "olga"} = JSON.decode!(JSON.encode!(data))
+    eventually(fn -> match?(%{name: nil, system: 245}, state.()) end)
   end
 
   test "silence is noticed by the clock, without any frame" do
@@ -65,14 +113,14 @@ defmodule Aerie.Vehicle.SessionTest do
   end
 
   describe "the machine's clock is set" do
-    # What the session counts from its last frame on: no machine is too slow for a time that does not have to be waited for.
+    # The session counts from its last frame, so no time has to be waited for.
     defp pass(gateway, us) do
       :sys.replace_state(Names.via(gateway, :session, {"main", 1}), fn %{clock: {at, since, pace}} = state ->
         %{state | clock: {at, since - us, pace}}
       end)
     end
 
-    # As the session sees it: between two looks the offset of the clocks has changed. Frames come by a live link.
+    # As the session sees it: the offset of the clocks has changed since its last check. Frames come by a live link.
     defp set_clock(gateway, step) do
       :sys.replace_state(Names.via(gateway, :session, {"main", 1}), &%{&1 | host: &1.host - step})
     end
@@ -84,12 +132,12 @@ defmodule Aerie.Vehicle.SessionTest do
     end
 
     for step <- [-3_600, 3_600] do
-      test "by #{step} s: a silent vehicle is lost when it would have been, its age is what it was" do
+      test "by #{step} s: a silent vehicle is lost at the same time as without it, and its age is the same" do
         step = at(unquote(step))
         gateway = gateway(%{timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}})
         PubSub.subscribe(gateway, :events)
         heard = System.os_time(:microsecond)
-        # The second read is known to be live.
+        # With the second read the link is known to be live.
         live(gateway, [frame(@copter, heard - 1_000)])
         live(gateway, [frame(@copter, heard)])
         set_clock(gateway, step)
@@ -99,7 +147,7 @@ defmodule Aerie.Vehicle.SessionTest do
         pass(gateway, at(121))
         assert_receive {:fleet, :events, %{type: "link.lost", time: lost}}
         assert near?.(lost, heard + step + at(120))
-        # What comes next comes by the new time.
+        # Further frames have the new time.
         live(gateway, [frame(@copter, heard + step + at(122))])
         assert_receive {:fleet, :events, %{type: "link.restored"}}
       end
@@ -107,7 +155,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
     test "a recording's time is its own" do
       gateway = gateway()
-      link = %{id: "radio", kind: :replay, network: "main", spec: %{speed: 1.0}}
+      link = %{id: "radio", network: "main", spec: %{recorded: true, speed: 1.0}}
       Store.put_link(gateway, "radio", link)
       deliver(gateway, [frame(@copter, at(1))])
       deliver(gateway, [frame(@copter, at(2))])
@@ -119,7 +167,7 @@ defmodule Aerie.Vehicle.SessionTest do
     end
   end
 
-  test "who is killed while the vehicle is silent still notices that it is lost" do
+  test "a session that is killed during a silence still notices that the vehicle is lost" do
     gateway = gateway(%{timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.3}})
     PubSub.subscribe(gateway, :events)
     deliver(gateway, [frame(@copter, at(1))])
@@ -145,7 +193,7 @@ defmodule Aerie.Vehicle.SessionTest do
       Enum.each(@keys, &settle(gateway, &1))
     end
 
-    # The events of each vehicle as far as they do not depend on who it is.
+    # The events of each vehicle without what depends on its id.
     defp journal(gateway) do
       for n <- 1..3,
           do:
@@ -159,13 +207,13 @@ defmodule Aerie.Vehicle.SessionTest do
     defp expected(recording), do: for(e <- run(recording).events, do: {e.seq, e.type, e.time, e.data})
 
     for role <- [:session, :events, :tree] do
-      test "#{role}: not an event is lost or doubled, and the others do not notice" do
+      test "#{role}: no event is lost or duplicated, and other vehicles are not affected" do
         gateway = gateway()
         recording = frames("arducopter_mavlink1")
         role = unquote(role)
 
         fly(gateway, recording, fn
-          # A tree that dies more often is given a rest by the keeper.
+          # The restarter delays a tree that dies more often.
           n when n in [60, 200] or (role != :tree and rem(n, 40) == 20) ->
             key = {"main", 2}
             settle(gateway, key)
@@ -187,7 +235,7 @@ defmodule Aerie.Vehicle.SessionTest do
       end
     end
 
-    test "the event loop with a full inbox: everything in it is looked at, once" do
+    test "the event loop with a full inbox: every entry is processed once" do
       gateway = gateway()
       recording = frames("arducopter_mavlink1")
 
@@ -195,7 +243,7 @@ defmodule Aerie.Vehicle.SessionTest do
         n when rem(n, 25) == 10 ->
           key = {"main", 2}
 
-          # Not a moment's rest: what it was about to look at is in the journal, and frames may be in the session's mailbox.
+          # At once: its entries are in the journal, and frames may be in the session's mailbox.
           events = Names.whereis(gateway, :events, key)
           :sys.get_state(Names.via(gateway, :session, key))
           Process.exit(events, :kill)
@@ -211,7 +259,7 @@ defmodule Aerie.Vehicle.SessionTest do
       assert [^expected, ^expected, ^expected] = journal(gateway)
     end
 
-    test "with frames in its mailbox: those are lost, but what they changed is found, and nothing is doubled" do
+    test "with frames in its mailbox: those are lost, but their changes are detected, and nothing is duplicated" do
       gateway = gateway()
       recording = frames("arducopter_mavlink1")
       key = {"main", 2}
@@ -241,7 +289,7 @@ defmodule Aerie.Vehicle.SessionTest do
       assert [_, _, _] = journal(gateway)
     end
 
-    test "the keeper gives a tree that dies over and over a rest, and the others go on" do
+    test "the restarter delays a tree that dies again and again, and the others continue" do
       gateway = gateway()
       deliver(gateway, [frame(@copter, at(1))])
       deliver(gateway, [frame(@copter, at(1), system: 2)])
@@ -260,14 +308,14 @@ defmodule Aerie.Vehicle.SessionTest do
     end
   end
 
-  test "values that cannot be are counted for the vehicle" do
+  test "impossible values are counted for the vehicle" do
     gateway = gateway()
     deliver(gateway, [frame(@copter, at(1)), frame(%M.HomePosition{latitude: 950_000_000}, at(1.1))])
     settle(gateway, {"main", 1})
     assert Store.counter(gateway, {:vehicle, "VID-001", :invalid}) == 1
   end
 
-  test "a vehicle that is removed starts with nothing" do
+  test "a removed vehicle starts anew" do
     gateway = gateway()
     deliver(gateway, [frame(@copter, at(1))])
     settle(gateway, {"main", 1})

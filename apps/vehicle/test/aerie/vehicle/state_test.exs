@@ -61,7 +61,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert %{total: nil, state: "NO_MISSION"} = State.data(state, :mission)
   end
 
-  test "what cannot be is refused and changes nothing" do
+  test "an impossible value is refused and changes nothing" do
     state = fold([@copter, %M.HomePosition{latitude: 473_977_415, longitude: 85_455_929, altitude: 488_744}])
 
     assert State.apply(state, 242, %M.HomePosition{latitude: 950_000_000, longitude: 1}, 9) ==
@@ -102,7 +102,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert state.groups.position.at == @second
   end
 
-  test "sensors that are there, in use and not healthy are named; the pre-arm check is not a sensor" do
+  test "present, enabled and unhealthy sensors are listed; the pre-arm check is not a sensor" do
     gps = 0x20
     prearm = 0x10000000
 
@@ -117,12 +117,12 @@ defmodule Aerie.Vehicle.StateTest do
     assert %{ready_to_arm: nil} = State.data(fold([@copter, %M.SysStatus{}]), :health)
   end
 
-  test "PX4's current of -1 A is its unknown, scaled" do
+  test "PX4's current of -1 A is unknown" do
     assert State.data(fold([@px4, %M.SysStatus{current_battery: -100}]), :battery).current == nil
     assert State.data(fold([@copter, %M.SysStatus{current_battery: -100}]), :battery).current == -1.0
   end
 
-  test "several batteries: each is listed, the worst state counts, the first one that knows speaks for all" do
+  test "several batteries: each is listed, the worst state counts, and the first one with values is the group's own" do
     cells = fn voltage -> [voltage | List.duplicate(0xFFFF, 9)] end
     blind = %M.BatteryStatus{id: 0, voltages: cells.(0xFFFF), battery_remaining: -1}
     one = %M.BatteryStatus{id: 1, voltages: cells.(16_200), battery_remaining: 50, charge_state: 1}
@@ -132,7 +132,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert [%{id: 0}, %{id: 1, voltage: 16.2}, %{id: 2, voltage: 15.1, remaining: 0.2}] = battery.batteries
   end
 
-  test "SYS_STATUS, which does not say of which battery, counts only where no battery speaks for itself" do
+  test "SYS_STATUS counts only while no BATTERY_STATUS comes" do
     status = %M.SysStatus{voltage_battery: 12_000, battery_remaining: 36}
     one = %M.BatteryStatus{id: 0, voltages: [11_000 | List.duplicate(0xFFFF, 9)], battery_remaining: 13}
     assert %{id: nil, voltage: 12.0, remaining: 0.36} = State.data(fold([@copter, status]), :battery)
@@ -147,7 +147,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert %{id: nil, remaining: 0.36} = State.data(fold([@copter, status, unknown, status]), :battery)
   end
 
-  test "cells add up, those of the extension too" do
+  test "cells are added up, including those of the extension" do
     many = %M.BatteryStatus{
       voltages: List.duplicate(4000, 10),
       voltages_ext: [4000, 4000, 0, 0],
@@ -162,7 +162,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert length(State.data(state, :battery).batteries) == 16
   end
 
-  test "a second choice is taken only while the first does not come" do
+  test "a second choice is used only while the first does not come" do
     assert State.wants?(%State{}, 31, 0)
     state = fold([@copter, %M.Attitude{}])
     refute State.wants?(state, 31, 2 * @second)
@@ -188,7 +188,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert fold([@copter, %M.AutopilotVersion{uid2: <<1, 0::136>>}]).uid == "01" <> String.duplicate("0", 34)
   end
 
-  test "HIGH_LATENCY2 stands for all (X6), PX4's mode is in its upper half" do
+  test "HIGH_LATENCY2 fills all groups (X6); PX4's mode is in its upper half" do
     message = %M.HighLatency2{
       type: 2,
       autopilot: 12,
@@ -210,7 +210,7 @@ defmodule Aerie.Vehicle.StateTest do
     assert {:invalid, _} = State.apply(state, 235, %{message | latitude: 2_000_000_000}, 0)
   end
 
-  test "a snapshot gives the state back" do
+  test "a snapshot restores the state" do
     state = fold([@copter, %M.SysStatus{voltage_battery: 12_600}])
 
     snapshot = %{
@@ -230,11 +230,11 @@ defmodule Aerie.Vehicle.StateTest do
   describe "in the air" do
     defp in_air(messages, state \\ %State{}), do: State.data(fold(messages, state), :mode).in_air
 
-    test "nobody knows before the heartbeat" do
+    test "is unknown before the heartbeat" do
       assert in_air([%M.ExtendedSysState{landed_state: 2}]) == nil
     end
 
-    test "EXTENDED_SYS_STATE says it, also while taking off and landing" do
+    test "by EXTENDED_SYS_STATE, also while taking off and landing" do
       armed = %{@px4 | base_mode: 157, system_status: 4}
 
       for {landed, expected} <- [{1, false}, {2, true}, {3, true}, {4, true}] do
@@ -242,7 +242,7 @@ defmodule Aerie.Vehicle.StateTest do
       end
     end
 
-    test "without it ArduPilot's ACTIVE and STANDBY do; in a failsafe it is what it was" do
+    test "without it by ArduPilot's ACTIVE and STANDBY; in a failsafe as before" do
       armed = %{@copter | base_mode: 0xD1}
       assert in_air([%{armed | system_status: 4}]) == true
       assert in_air([armed]) == false
@@ -250,7 +250,7 @@ defmodule Aerie.Vehicle.StateTest do
       assert in_air([%{armed | system_status: 3}, %{armed | system_status: 5}]) == false
     end
 
-    test "without it PX4 flies by height, with hysteresis" do
+    test "without it for PX4 by height, with hysteresis" do
       armed = %{@px4 | base_mode: 157, system_status: 4}
       at = fn height, down -> %M.GlobalPositionInt{lat: 1, lon: 1, relative_alt: height, vz: down} end
       assert in_air([armed, at.(1000, 0)]) == false
@@ -261,14 +261,14 @@ defmodule Aerie.Vehicle.StateTest do
       assert in_air([armed, at.(1600, 0), %{armed | base_mode: 29}]) == false
     end
 
-    test "an old EXTENDED_SYS_STATE counts no more" do
+    test "an old EXTENDED_SYS_STATE does not count" do
       armed = %{@copter | base_mode: 0xD1, system_status: 4}
       messages = [{armed, 0}, {%M.ExtendedSysState{landed_state: 1}, @second}]
       assert in_air(messages ++ [{armed, 3 * @second}]) == false
       assert in_air(messages ++ [{armed, 7 * @second}]) == true
     end
 
-    test "a rover never, whatever it says" do
+    test "never for a rover, whatever it says" do
       rover = %M.Heartbeat{type: 10, autopilot: 3, base_mode: 0x81, system_status: 4}
       assert in_air([rover, %M.ExtendedSysState{landed_state: 2}]) == false
     end
@@ -289,8 +289,8 @@ defmodule Aerie.Vehicle.StateTest do
     end
   end
 
-  test "no message, whatever it holds, raises or makes a number of the wrong kind" do
-    ids = State.ids()
+  test "no message, whatever its content, raises or gives a value of the wrong type" do
+    ids = Enum.filter(MavCodec.Dialects.All.ids(), &State.wants?(%State{}, &1, 0))
 
     prop =
       :proper.forall(

@@ -1,11 +1,11 @@
 defmodule Aerie.Vehicle.StreamsTest do
-  @moduledoc "Wants of clients, and their own requests on the way to a vehicle."
+  @moduledoc "Demand of clients, and their own requests to a vehicle."
   use Aerie.GatewayCase, async: true
 
   import Aerie.Flight, only: [frame: 2, frame: 3]
 
   alias Aerie.{Names, Router, Store}
-  alias Aerie.Fleet.Wants
+  alias Aerie.Fleet.StreamDemand
   alias Aerie.Vehicle.Streams
   alias Aerie.Vehicle.Streams.Intercept
   alias MavCodec.Messages, as: M
@@ -22,7 +22,7 @@ defmodule Aerie.Vehicle.StreamsTest do
   end
 
   defp session(gateway), do: :sys.get_state(Names.via(gateway, :session, @key))
-  defp wanted(gateway), do: session(gateway).core.streams.wants
+  defp wanted(gateway), do: session(gateway).core.streams.demand
 
   defp set(id, hz, target \\ 1) do
     %M.CommandLong{
@@ -39,7 +39,7 @@ defmodule Aerie.Vehicle.StreamsTest do
   defp intercept(gateway, client, message),
     do: Streams.intercept(gateway, "main", client, from_client(message))
 
-  test "wants of all clients are merged to the highest, and survive the session" do
+  test "the highest rate of all clients counts, and survives the session" do
     gateway = gateway()
     :ok = Streams.want(gateway, @key, :map, 30, 5)
     :ok = Streams.want(gateway, @key, :chart, 30, 20)
@@ -54,34 +54,34 @@ defmodule Aerie.Vehicle.StreamsTest do
     assert wanted(gateway) == %{30 => 5}
   end
 
-  test "the wants of a client whose process ends go with it" do
+  test "the demand of a client ends with its process" do
     gateway = gateway()
     client = spawn(fn -> receive do: (:stop -> :ok) end)
     :ok = Streams.want(gateway, @key, {client, "ws"}, 30, 20)
-    refute Wants.sweep(gateway, @key)
+    refute StreamDemand.sweep(gateway, @key)
     ref = Process.monitor(client)
     send(client, :stop)
     assert_receive {:DOWN, ^ref, _, _, _}
-    assert Wants.sweep(gateway, @key)
-    assert Wants.list(gateway, @key) == []
+    assert StreamDemand.sweep(gateway, @key)
+    assert StreamDemand.list(gateway, @key) == []
   end
 
   test "a client cannot fill the table" do
     gateway = gateway()
     results = for id <- 1..2_100, do: Streams.want(gateway, @key, :flood, id, 1)
     assert {:error, :too_many} in results
-    assert length(Wants.list(gateway, @key)) == 2_048
+    assert length(StreamDemand.list(gateway, @key)) == 2_048
     assert Store.counter(gateway, {:wants, :refused}) > 0
-    # It takes nothing from who is there already.
+    # Clients that are there already are not affected.
     assert Streams.want(gateway, @key, :flood, 1, 9) == :ok
   end
 
   describe "a client's own request" do
-    test "that takes nothing from anybody is forwarded and noted" do
+    test "that lowers no rate is forwarded and recorded" do
       gateway = gateway()
       assert intercept(gateway, :one, set(30, 10)) == :forward
       assert wanted(gateway) == %{30 => 10.0}
-      assert %{set: 10.0, state: :asked} = session(gateway).core.streams.lines[30]
+      assert %{set: 10.0, state: :asked} = session(gateway).core.streams.messages[30]
     end
 
     test "M2: that would lower another's rate is answered in the vehicle's name" do
@@ -94,12 +94,12 @@ defmodule Aerie.Vehicle.StreamsTest do
       assert {:ok, %M.CommandAck{command: 511, result: 0, target_system: 255, target_component: 190}} =
                MavCodec.decode(ack)
 
-      # Its own want is what it said last.
-      assert {:one, 30, 4.0} in Wants.list(gateway, @key)
+      # Its own demand is its last request.
+      assert {:one, 30, 4.0} in StreamDemand.list(gateway, @key)
       assert wanted(gateway) == %{30 => 20}
     end
 
-    test "to stop what the gateway needs is absorbed, to stop what nobody needs is forwarded" do
+    test "to stop a message that the gateway needs is absorbed, to stop any other is forwarded" do
       gateway = gateway()
       stop = fn id -> %{set(id, 1) | param2: -1.0} end
       assert {:absorb, _ack} = intercept(gateway, :one, stop.(33))
@@ -107,7 +107,7 @@ defmodule Aerie.Vehicle.StreamsTest do
       assert wanted(gateway) == %{}
     end
 
-    test "M1: REQUEST_DATA_STREAM is noted, not forwarded, and has no answer" do
+    test "M1: REQUEST_DATA_STREAM is recorded, not forwarded, and has no answer" do
       gateway = gateway()
 
       request = %M.RequestDataStream{
@@ -125,7 +125,7 @@ defmodule Aerie.Vehicle.StreamsTest do
       assert session(gateway).core.streams.groups == %{}
     end
 
-    test "is let pass when it is not for a known vehicle's autopilot, or no such request" do
+    test "is forwarded if it is not for a known vehicle's autopilot, or requests no rate" do
       gateway = gateway()
       assert intercept(gateway, :one, %{set(30, 4) | target_system: 9}) == :forward
       assert intercept(gateway, :one, %{set(30, 4) | target_system: 0}) == :forward
@@ -138,7 +138,7 @@ defmodule Aerie.Vehicle.StreamsTest do
       assert wanted(gateway) == %{30 => 4.0}
     end
 
-    test "is told from all else at a glance, in both versions and both kinds of command" do
+    test "is recognised by its first bytes, in both versions and both kinds of command" do
       int = %M.CommandInt{target_system: 1, command: 511, param1: 30.0, param2: 1.0e5}
 
       for message <- [set(30, 4), int, %M.RequestDataStream{target_system: 1}], version <- [1, 2] do
@@ -151,7 +151,7 @@ defmodule Aerie.Vehicle.StreamsTest do
     end
   end
 
-  test "whatever is asked for: nothing is forwarded that lowers what another wants" do
+  test "whatever is requested: nothing is forwarded that lowers the rate of another client" do
     hz = :proper_types.range(1, 50)
     wants = :proper_types.list({:proper_types.oneof([30, 33, 36, 74]), hz})
 

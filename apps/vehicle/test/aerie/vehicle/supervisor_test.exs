@@ -3,16 +3,16 @@ defmodule Aerie.Vehicle.SupervisorTest do
 
   alias Aerie.{Names, Store, Vehicle}
 
-  test "however many ask at once, a vehicle has one session" do
+  test "a vehicle has one session, however many processes ask at once" do
     gateway = start_gateway()
     ask = fn _ -> Task.async(fn -> Vehicle.Supervisor.ensure(gateway, {"main", 1}) end) end
     answers = 1..50 |> Enum.map(ask) |> Task.await_many(Aerie.Patience.ms()) |> Enum.uniq()
     assert [{:ok, session}] = answers
     assert Names.whereis(gateway, :session, {"main", 1}) == session
-    assert Vehicle.Supervisor.keys(gateway) == [{"main", 1}]
+    assert Aerie.GatewayCase.trees(gateway) == [{"main", 1}]
   end
 
-  test "no more vehicles than allowed; a refusal is counted and costs the others nothing" do
+  test "no more vehicles than allowed; a refusal is counted and does not affect the others" do
     gateway = start_gateway(%{limits: %{max_vehicles: 2}})
     {:ok, first} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     {:ok, _} = Vehicle.Supervisor.ensure(gateway, {"other", 1})
@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.SupervisorTest do
     assert Vehicle.Supervisor.ensure(gateway, {"main", 1}) == {:ok, first}
   end
 
-  test "a vehicle that was removed is gone, and can come again" do
+  test "a removed vehicle is gone and can come again" do
     gateway = start_gateway()
     {:ok, session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     Store.put_vehicle(gateway, {"main", 1}, %{id: "VID-001"})
@@ -29,13 +29,13 @@ defmodule Aerie.Vehicle.SupervisorTest do
     :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
     assert_receive {:DOWN, ^ref, :process, _, _}
     assert Store.vehicle(gateway, "VID-001") == nil
-    eventually(fn -> Vehicle.Supervisor.keys(gateway) == [] end)
+    eventually(fn -> Aerie.GatewayCase.trees(gateway) == [] end)
     assert {:ok, again} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     assert again != session
     assert Vehicle.Supervisor.remove(gateway, {"main", 99}) == :ok
   end
 
-  test "asking a gateway that is not there is an error, not a crash" do
+  test "a gateway that is not running gives an error, not a crash" do
     assert Vehicle.Supervisor.ensure(make_ref(), {"main", 1}) == {:error, :not_running}
   end
 
@@ -53,11 +53,11 @@ defmodule Aerie.Vehicle.SupervisorTest do
     end
   end
 
-  test "the keeper's own death loses no vehicle" do
+  test "the death of the restarter loses no vehicle" do
     gateway = start_gateway()
     {:ok, session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
-    Process.exit(Names.whereis(gateway, :keeper), :kill)
-    eventually(fn -> Names.whereis(gateway, :keeper) end)
+    Process.exit(Names.whereis(gateway, :tree_restarter), :kill)
+    eventually(fn -> Names.whereis(gateway, :tree_restarter) end)
     assert Names.whereis(gateway, :session, {"main", 1}) == session
     Process.exit(Names.whereis(gateway, :tree, {"main", 1}), :kill)
     eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) not in [nil, session] end)
@@ -65,7 +65,7 @@ defmodule Aerie.Vehicle.SupervisorTest do
 
   test "names: configured, by default, and never the same for two vehicles" do
     config = %{vehicle_id: "HERO", vehicles: [%{id: "VID-003", network: "main", system_id: 9}]}
-    id = &Vehicle.Options.id(config, &1)
+    id = &Vehicle.Options.id(Vehicle.Settings.from(config), &1)
     assert id.({"main", 1}) == "HERO"
     assert id.({"main", 9}) == "VID-003"
     assert id.({"main", 2}) == "VID-002"

@@ -77,7 +77,7 @@ defmodule Aerie.Vehicle.SystemIdsTest do
 
       bytes = MavCodec.encode(request, system: 255, component: 190, sysid32: true)
       {[frame], _parser} = Parser.push(Parser.new(sysid32: true), bytes)
-      eventually(fn -> map_size(Streams.show(gateway, vehicle.key)) > 0 end)
+      eventually(fn -> map_size(Store.vehicle(gateway, vehicle.key).streams) > 0 end)
       assert {:absorb, answer} = Streams.intercept(gateway, "main", test, frame)
       {[frame], _parser} = Parser.push(Parser.new(sysid32: true), answer)
 

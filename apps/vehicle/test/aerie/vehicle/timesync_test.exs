@@ -7,8 +7,8 @@ defmodule Aerie.Vehicle.TimesyncTest do
   @second 1_000_000
   @start 1_700_000_000_000_000
 
-  # Asks for `seconds`; the vehicle's clock is ours plus `offset`, the ways there and back take what `way` says of a second.
-  defp run(sync \\ Timesync.new(10 * @second), seconds, offset, way) do
+  # Asks for `seconds`; the vehicle's clock is ours plus `offset`, and `delays` returns the delay there and back at a second.
+  defp run(sync \\ Timesync.new(10 * @second), seconds, offset, delays) do
     Enum.reduce(seconds, sync, fn second, sync ->
       now = @start + second * @second
       {sync, requests} = Timesync.expire(sync, now)
@@ -16,7 +16,7 @@ defmodule Aerie.Vehicle.TimesyncTest do
       requests = for {nil, %M.Timesync{} = request} <- requests, do: request
 
       Enum.reduce(requests, sync, fn %{tc1: 0, ts1: ts1}, sync ->
-        {there, back} = way.(second)
+        {there, back} = delays.(second)
         reply(sync, %M.Timesync{tc1: (now + there + offset) * 1000, ts1: ts1}, now + there + back)
       end)
     end)
@@ -28,22 +28,20 @@ defmodule Aerie.Vehicle.TimesyncTest do
   test "nothing is known before the first answer" do
     sync = Timesync.new(10 * @second)
     assert Timesync.offset(sync, @start) == nil
-    assert Timesync.to_unix(sync, 5, @start) == nil
     assert %{offset_us: nil, samples: 0} = Timesync.show(sync, @start)
   end
 
-  test "the offset is that of the sample with the shortest way" do
+  test "the offset is that of the sample with the shortest round trip" do
     offset = 60 * @second - @start
-    # The way back is slow, but for one.
+    # The answers are slow, except one.
     sync = run(0..100, offset, &if(&1 == 23, do: {500, 500}, else: {1_000, 41_000}))
     assert {^offset, error} = Timesync.offset(sync, now(25))
     assert error in 500..1_000
     assert %{offset_us: ^offset, rtt_us: 1_000, boot_at: boot_at} = Timesync.show(sync, now(25))
     assert boot_at == @start - 60 * @second
-    assert Timesync.to_unix(sync, 1_000, now(25)) == boot_at + @second
   end
 
-  test "our own clock is set: what was measured holds, with the difference" do
+  test "our own clock is set: the measured offset changes by the step" do
     offset = 60 * @second - @start
     sync = run(0..25, offset, fn _ -> {500, 500} end)
 
@@ -51,16 +49,17 @@ defmodule Aerie.Vehicle.TimesyncTest do
       shifted = Timesync.shifted(sync, step)
       at = now(25) + step
       assert {Timesync.offset(sync, now(25)), step} == {back(Timesync.offset(shifted, at), step), step}
-      # The moment at which the vehicle was started is another one by our clock, as long ago as before.
+      # By our clock the vehicle was started at another time, as long ago as before.
       assert at - Timesync.show(shifted, at).boot_at == now(25) - Timesync.show(sync, now(25)).boot_at
-      # No answer to a question of before the step is taken, and the next question comes when it would have.
+
+      # Answers to earlier requests are ignored, and the next request comes at the same time as without the step.
       assert shifted.pending == %{} and shifted.next - at == sync.next - now(25)
     end
   end
 
   defp back({offset, error}, step), do: {offset + step, error}
 
-  test "asked three times at first, then once per period; ever more seldom when there is no answer" do
+  test "asks three times at first, then once per period, and less often without an answer" do
     times = fn seconds, fun ->
       {sent, _sync} =
         Enum.flat_map_reduce(seconds, Timesync.new(10 * @second), fn second, sync ->
@@ -85,7 +84,7 @@ defmodule Aerie.Vehicle.TimesyncTest do
     foreign = reply(sync, %M.Timesync{tc1: 999, ts1: 12_345}, now(13))
     assert foreign.samples == sync.samples
     assert Timesync.show(foreign, now(13)).foreign == 1
-    # Nor does the second copy of one that is, which a second link brings.
+    # Nor does a second copy of our answer by a second link.
     {sync, [{nil, %{ts1: ts1}}]} = Timesync.expire(sync, now(23))
     once = reply(sync, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 10)
     twice = reply(once, %M.Timesync{tc1: 5, ts1: ts1}, now(23) + 5_000)
@@ -105,12 +104,12 @@ defmodule Aerie.Vehicle.TimesyncTest do
     refute to?.(245, 190) or to?.(1, 191) or to?.(1, 0) or to?.(0, 190)
   end
 
-  test "an answer that took too long is none" do
+  test "an answer that took too long does not count" do
     sync = run(0..5, 0, fn _ -> {1, 11 * @second} end)
     assert sync.samples == []
   end
 
-  test "one odd answer is passed over, a second one in a row is another time" do
+  test "one odd answer is ignored; two in a row mean that the clock was set" do
     sync = run(0..30, 0, fn _ -> {100, 100} end)
     one = run(sync, 31..40, 5 * @second, fn _ -> {100, 100} end)
     assert {0, _} = Timesync.offset(one, now(40))
@@ -119,25 +118,25 @@ defmodule Aerie.Vehicle.TimesyncTest do
   end
 
   describe "a vehicle with several links" do
-    test "is asked by each; a link's round trip is that of the copy which came by it, the clock's sample the first copy" do
+    test "is asked by each; a link's round trip is that of its own copy, the clock's sample the first copy" do
       {sync, []} = Timesync.expire(Timesync.new(10 * @second), @start, ["a", "b"])
       {sync, requests} = Timesync.expire(sync, now(1), ["a", "b"])
       assert [{"a", %M.Timesync{ts1: of_a}}, {"b", %M.Timesync{ts1: of_b}}] = requests
       assert of_a != of_b
       answer = &%M.Timesync{tc1: now(1) * 1000, ts1: &1}
 
-      # The answer to what went by the slow link comes by the fast one first, as when a vehicle answers on all of its links.
+      # The answer to the request by the slow link comes first by the fast one, as when a vehicle answers on all links.
       {sync, nil} = Timesync.reply(sync, answer.(of_a), now(1) + 200_000, "b")
       assert [{_at, 200_000, _offset}] = sync.samples
       {sync, {"a", 400_000}} = Timesync.reply(sync, answer.(of_a), now(1) + 400_000, "a")
       assert length(sync.samples) == 1
       {sync, {"b", 30_000}} = Timesync.reply(sync, answer.(of_b), now(1) + 30_000, "b")
       assert length(sync.samples) == 2
-      # And once more is nothing of ours.
+      # A further copy is not ours.
       assert {%{foreign: 1}, nil} = Timesync.reply(sync, answer.(of_b), now(1) + 50_000, "a")
     end
 
-    test "with one link it is that one's, by whichever way it is sent" do
+    test "with one link the round trip is that link's" do
       {sync, []} = Timesync.expire(Timesync.new(@second), @start, ["a"])
       {sync, [{nil, %{ts1: ts1}}]} = Timesync.expire(sync, now(1), ["a"])
 
@@ -145,7 +144,7 @@ defmodule Aerie.Vehicle.TimesyncTest do
                Timesync.reply(sync, %M.Timesync{tc1: 1, ts1: ts1}, now(1) + 70_000, "a")
     end
 
-    test "who does not answer TIMESYNC is asked by PING, which tells the round trip and nothing of the clock" do
+    test "a vehicle that does not answer TIMESYNC is sent PING, which gives a round trip and no clock" do
       sync =
         Enum.reduce(0..30, Timesync.new(10 * @second), fn second, sync ->
           {sync, requests} = Timesync.expire(sync, now(second), ["a", "b"])
@@ -159,13 +158,13 @@ defmodule Aerie.Vehicle.TimesyncTest do
         end)
 
       assert sync.unanswered == 5 and sync.unpinged == 0 and sync.samples == []
-      # It answers, so it is not asked more seldom.
+      # It answers, so requests do not become rare.
       {sync, _requests} = Timesync.expire(sync, now(33), ["a", "b"])
       assert sync.next == now(43)
       assert map_size(sync.pending) <= 32
     end
 
-    test "eight links are asked at most, and what is waited for is bounded" do
+    test "at most eight links are asked, and pending requests are bounded" do
       links = Enum.map(1..20, &"radio-#{&1}")
 
       sync =
@@ -179,13 +178,13 @@ defmodule Aerie.Vehicle.TimesyncTest do
     end
   end
 
-  test "after a reboot it is measured anew" do
+  test "after a reboot measuring begins anew" do
     sync = run(0..30, 0, fn _ -> {100, 100} end) |> Timesync.restarted()
     assert Timesync.offset(sync, now(31)) == nil
     assert {7, _} = sync |> run(31..35, 7, fn _ -> {100, 100} end) |> Timesync.offset(now(35))
   end
 
-  test "X5: requests are answered, answers and what is for others are not" do
+  test "X5: requests are answered, answers and messages to others are not" do
     assert %M.Timesync{tc1: 5_000, ts1: 77, target_system: 1, target_component: 1} =
              Timesync.answer(%M.Timesync{tc1: 0, ts1: 77}, {1, 1}, {245, 191}, 5)
 
@@ -206,16 +205,16 @@ defmodule Aerie.Vehicle.TimesyncTest do
     assert Enum.count(answers, & &1) == 10
   end
 
-  test "the error that is told is never too small, whatever the ways" do
-    way = {:proper_types.range(0, 400_000), :proper_types.range(0, 400_000)}
+  test "the error is never too small, whatever the delays" do
+    delays = {:proper_types.range(0, 400_000), :proper_types.range(0, 400_000)}
 
     prop =
       :proper.forall(
         {:proper_types.range(-1_000_000_000, 1_000_000_000),
-         :proper_types.non_empty(:proper_types.list(way))},
-        fn {offset, ways} ->
-          ways = List.to_tuple(ways)
-          sync = run(0..60, offset, &elem(ways, rem(&1, tuple_size(ways))))
+         :proper_types.non_empty(:proper_types.list(delays))},
+        fn {offset, delays} ->
+          delays = List.to_tuple(delays)
+          sync = run(0..60, offset, &elem(delays, rem(&1, tuple_size(delays))))
           {estimate, error} = Timesync.offset(sync, now(61))
           abs(estimate - offset) <= error + 1
         end

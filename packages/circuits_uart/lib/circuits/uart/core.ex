@@ -1,8 +1,7 @@
 defmodule Circuits.UART.Core do
   @moduledoc false
-  # The decisions of the serving process, without the process: `handle(state, event, now)` gives the next state and what
-  # is to be done. Opening, closing, configuring and faults are here, the two directions in Core.Receive and
-  # Core.Transmit.
+  # The decisions of the serving process, without the process: `handle(state, event, now)` returns the next state and the
+  # actions. This module opens, closes, configures and handles faults; Core.Receive and Core.Transmit are the two directions.
   #
   #     phase: closed ──open──▶ opening ──ok──▶ open ──close──▶ closing ──ok──▶ closed
   #              ▲                 └──error──▶ closed             │
@@ -10,7 +9,7 @@ defmodule Circuits.UART.Core do
 
   alias Circuits.UART.{Core, Options, State, Wire}
 
-  # Bytes not sent yet when the port is closed get this long (ms), as closing a terminal would give them.
+  # How long unsent bytes get when the port is closed (ms), as when a terminal is closed.
   @linger 2_000
   @open_limit 10_000
   @limit 5_000
@@ -83,7 +82,7 @@ defmodule Circuits.UART.Core do
     State.reply(state, from, {:error, :einval})
   end
 
-  # Everything from here on needs an open port.
+  # Everything below needs an open port.
   defp step({:call, from, {:write, _data, _timeout}}, %{phase: phase, fault: fault} = state)
        when phase != :open and fault != nil do
     State.reply(%{state | fault: nil}, from, {:error, fault})
@@ -116,7 +115,7 @@ defmodule Circuits.UART.Core do
 
   defp step({:program, {:data, bytes}}, state), do: Core.Receive.data(state, bytes)
 
-  # Of a port that was closed or opened anew meanwhile, or that is being so: its end is no news.
+  # The port was closed or reopened meanwhile, or is about to be: its end means nothing.
   defp step({:program, {:gone, _told, _reason}}, %{phase: phase} = state) when phase != :open, do: state
   defp step({:program, {:gone, told, reason}}, state), do: gone(state, reason, told)
 
@@ -139,7 +138,7 @@ defmodule Circuits.UART.Core do
   defp step({:timer, {:break, from}}, %{phase: :open} = state), do: set(state, {:simple, from}, :break, false)
   defp step({:timer, {:break, from}}, state), do: State.reply(state, from, {:error, :ebadf})
 
-  # The program hangs in the kernel or is stopped. Its late answers could not be told from later ones, so it is given up.
+  # The program hangs in the kernel or is stopped. A late answer could be mistaken for a later one, so it is given up.
   defp step({:timer, {:request, id}}, state) when is_map_key(state.pending, id) do
     state |> State.act({:kill_program, state.name}) |> program_down(:etimedout)
   end
@@ -194,7 +193,7 @@ defmodule Circuits.UART.Core do
     state
   end
 
-  # A fresh state when a framing was asked for. Otherwise a part of a frame stays what it is.
+  # A fresh state if a framing was given; otherwise a part of a frame is kept.
   defp framing(%Options{framing: {module, args}}, given) do
     if Keyword.has_key?(given, :framing), do: module.init(args), else: {:ok, :keep}
   end
@@ -209,7 +208,7 @@ defmodule Circuits.UART.Core do
     |> Core.Receive.reconfigured()
   end
 
-  # Ends everything that waits, and forgets what was received.
+  # Ends all waiting calls, and drops what was received.
   defp abandon(state, reason) do
     state = state |> Core.Receive.abandon(reason) |> Core.Transmit.abandon(reason)
     %{state | fault: nil, messages: :queue.new()}
@@ -220,7 +219,7 @@ defmodule Circuits.UART.Core do
     state = abandon(state, reason)
     state = if state.options.active, do: State.notify(state, {:error, reason}), else: state
 
-    # What came before the end can still be read.
+    # What was received before can still be read.
     fault = if state.options.active or told, do: nil, else: reason
     %{state | phase: :closed, name: :closed, fault: fault, messages: messages}
   end

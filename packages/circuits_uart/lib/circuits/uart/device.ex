@@ -1,8 +1,8 @@
 defmodule Circuits.UART.Device do
   @moduledoc false
-  # From the name that a caller uses to a path.
+  # From a caller's name of a port to its path.
 
-  @doc "A path stays; a name is one in `/dev`, else one in `/dev/serial/by-id`."
+  @doc "A path is returned unchanged; a name is looked up in `/dev`, then in `/dev/serial/by-id`."
   @spec path(String.t(), Path.t()) :: Path.t()
   def path(name, dev \\ "/dev")
   def path("/" <> _rest = path, _dev), do: path
@@ -12,7 +12,7 @@ defmodule Circuits.UART.Device do
     by_id = Path.join([dev, "serial/by-id", name])
     if not File.exists?(direct) and File.exists?(by_id), do: by_id, else: direct
   rescue
-    # A zero byte: no file has such a name. The port program says so.
+    # A zero byte, which no file name has: the port program returns the error.
     ArgumentError -> name
   end
 end

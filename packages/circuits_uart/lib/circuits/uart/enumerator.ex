@@ -1,11 +1,11 @@
 defmodule Circuits.UART.Enumerator do
   @moduledoc false
-  # Lists the serial ports from sysfs. It opens none, because that can reset the device behind it.
+  # Lists the serial ports from sysfs. It opens none, because opening can reset the device.
 
   @usb_texts [description: "product", manufacturer: "manufacturer", serial_number: "serial"]
   @usb_ids [vendor_id: "idVendor", product_id: "idProduct"]
 
-  # From a tty up to the USB device that it belongs to there are a handful of folders.
+  # How many folders up the USB device of a tty can be.
   @levels 8
 
   @doc "`roots` are for tests: `:sys` and `:dev`."
@@ -21,7 +21,7 @@ defmodule Circuits.UART.Enumerator do
     end
   end
 
-  # A tty without a device is a console or a PTY; one of type 0 is a UART that the kernel made room for and did not find.
+  # A tty without a device is a console or a PTY; type 0 is a UART that the kernel reserved but did not find.
   defp real_device(tty) do
     case real_path(Path.join(tty, "device")) do
       {:ok, device} -> if read(Path.join(tty, "type")) != "0", do: device
@@ -82,7 +82,7 @@ defmodule Circuits.UART.Enumerator do
     end
   end
 
-  # The folder behind a link, whose parents are then the devices that it is part of.
+  # The target of a link; its parent folders are the devices to which it belongs.
   defp real_path(link) do
     case File.read_link(link) do
       {:ok, target} -> {:ok, target |> Path.expand(real_parent(link))}

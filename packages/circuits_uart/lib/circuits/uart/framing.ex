@@ -12,18 +12,18 @@ defmodule Circuits.UART.Framing do
   @typedoc "The framing's own value."
   @type state :: term()
 
-  @doc "A fresh state from the `args` in `framing: {module, args}` (`[]` when only the module was given)."
+  @doc "A fresh state from the `args` in `framing: {module, args}` (`[]` if only the module was given)."
   @callback init(args :: term()) :: {:ok, state()} | {:error, reason :: term()}
 
   @doc "The bytes to send for message `data`."
   @callback add_framing(data :: term(), state()) ::
               {:ok, binary(), state()} | {:error, reason :: term(), state()}
 
-  @doc "The messages that are whole with `new_data`, in order; `:in_frame` when a part of another one is left over."
+  @doc "The messages that `new_data` completes, in order; `:in_frame` if a part of another message is left."
   @callback remove_framing(new_data :: binary(), state()) ::
               {:in_frame, [term()], state()} | {:ok, [term()], state()}
 
-  @doc "The rest of a message did not come within `:rx_framing_timeout`: what becomes of its part?"
+  @doc "What to return of an unfinished message whose rest did not come within `:rx_framing_timeout`."
   @callback frame_timeout(state()) :: {:ok, [term()], state()}
 
   @doc "Forgets unfinished messages of that direction."

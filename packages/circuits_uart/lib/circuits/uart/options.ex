@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Options do
   @moduledoc false
-  # Checks the options of open/3 and configure/2, before anything is changed.
+  # Checks the options of open/3 and configure/2 before anything is changed.
 
   @flags [
     rs485_enabled: 1,
@@ -69,7 +69,7 @@ defmodule Circuits.UART.Options do
 
   defp put_rs485(options, name, value), do: %{options | rs485: Map.put(options.rs485, name, value)}
 
-  @doc "As `Circuits.UART.configuration/1` gives them."
+  @doc "As `Circuits.UART.configuration/1` returns them."
   @spec to_list(t()) :: keyword()
   def to_list(%__MODULE__{framing: {module, _args}} = o) do
     [
@@ -85,7 +85,7 @@ defmodule Circuits.UART.Options do
     ] ++ Enum.sort(o.rs485)
   end
 
-  @doc "The 19 bytes of settings that the port program takes (src/circuits_uart.c, settings_of)."
+  @doc "The 19 bytes of settings that the port program expects (src/circuits_uart.c, settings_of)."
   @spec encode(t()) :: <<_::152>>
   def encode(%__MODULE__{rs485: rs485} = o) do
     given = bits(@flags ++ @delays, &Map.has_key?(rs485, &1))

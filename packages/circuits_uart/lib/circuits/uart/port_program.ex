@@ -2,7 +2,7 @@ defmodule Circuits.UART.PortProgram do
   @moduledoc false
   # The operating-system process that holds the port: where it is, and how to talk to it.
 
-  @doc "Where the build puts it."
+  @doc "The path at which the build puts it."
   @spec path() :: Path.t()
   def path, do: Application.app_dir(:circuits_uart, ["priv", "circuits_uart"])
 
@@ -15,7 +15,7 @@ defmodule Circuits.UART.PortProgram do
       {:error, if(error.original in [:enoent, :eacces], do: :port_program_missing, else: error.original)}
   end
 
-  @doc "Never waits: `:busy` when the program is behind with reading, `:down` when it is gone."
+  @doc "Sends without waiting: `:busy` if the program does not read fast enough, `:down` if it has ended."
   @spec command(port(), iodata()) :: :ok | :busy | :down
   def command(port, packet) do
     if Port.command(port, packet, [:nosuspend]), do: :ok, else: :busy
@@ -23,7 +23,7 @@ defmodule Circuits.UART.PortProgram do
     ArgumentError -> :down
   end
 
-  @doc "Gives it up: its stdin closes, at which it ends as soon as it can. None of its packets comes any more."
+  @doc "Gives it up: closes its stdin, so that it ends as soon as it can. No more of its packets are delivered."
   @spec stop(port()) :: :ok
   def stop(port) do
     Process.unlink(port)

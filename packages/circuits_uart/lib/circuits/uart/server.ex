@@ -3,8 +3,8 @@ defmodule Circuits.UART.Server do
   # The process that serves a port. It decides nothing: calls, packets and timers become events for Circuits.UART.Core,
   # and the actions that come back are performed here. It never waits for anything.
   #
-  # The port program is started by the first open and kept from then on. When it ends or is given up, the next open
-  # starts another one; this process goes on.
+  # The first open starts the port program, which then stays. When it ends or is given up, the next open starts another one;
+  # this process continues.
 
   use GenServer, restart: :permanent
 
@@ -12,12 +12,12 @@ defmodule Circuits.UART.Server do
 
   require Logger
 
-  # How soon the port program is tried again when it was behind with reading (ms).
+  # How soon to try again when the port program did not read fast enough (ms).
   @busy_retry 2
 
   defstruct core: %State{}, path: nil, port: nil, timers: %{}, outbox: :queue.new(), told_missing: false
 
-  @doc "Whether that process is one of these."
+  @doc "Whether a process is such a server."
   @spec serves?(pid()) :: boolean()
   def serves?(pid) do
     case Process.info(pid, :dictionary) do
@@ -31,7 +31,7 @@ defmodule Circuits.UART.Server do
 
   @impl GenServer
   def init(opts) do
-    # The port is linked: its end is an event, not ours.
+    # The port is linked: its end is an event, and must not end this process.
     Process.flag(:trap_exit, true)
     Process.set_label({Circuits.UART, :closed})
     {:ok, %__MODULE__{path: Keyword.get_lazy(opts, :program, &PortProgram.path/0)}}
@@ -63,7 +63,7 @@ defmodule Circuits.UART.Server do
     {:noreply, program_ended(server, "status #{status}")}
   end
 
-  # Its stdin was closed when it was written to: that may be seen before the status.
+  # Its stdin was closed during a write; this may be noticed before its exit status.
   def handle_info({:EXIT, port, reason}, %{port: port} = server) when is_port(port) do
     {:noreply, program_ended(server, inspect(reason))}
   end
@@ -80,7 +80,7 @@ defmodule Circuits.UART.Server do
     end
   end
 
-  # Somebody else who is linked: as if exits were not trapped.
+  # Another linked process: end as if exits were not trapped.
   def handle_info({:EXIT, pid, reason}, server) when is_pid(pid) and reason != :normal,
     do: {:stop, reason, server}
 
@@ -145,7 +145,7 @@ defmodule Circuits.UART.Server do
 
   defp ensure_program(server), do: {:ok, server}
 
-  # Once, however often the open is tried again.
+  # Logged once, however often the open is tried again.
   defp tell_missing(%{told_missing: false} = server, :port_program_missing) do
     Logger.error(PortProgram.missing_message(server.path))
     %{server | told_missing: true}
@@ -165,7 +165,7 @@ defmodule Circuits.UART.Server do
     %{server | port: nil, outbox: :queue.new()}
   end
 
-  # Without a program nothing is sent; the event of its end answers the waiting callers.
+  # Without a program nothing is sent; the event of its end answers waiting callers.
   defp command(%{port: nil} = server, _packet), do: server
 
   defp command(server, packet) do

@@ -1,12 +1,12 @@
 defmodule Circuits.UART.State do
   @moduledoc false
-  # What the serving process knows, and the actions that a step has decided upon, newest first. `Circuits.UART.Core` and
-  # its two halves are functions on it; `Circuits.UART.Server` performs the actions.
+  # The state of the serving process, and the actions of the current step, newest first. The functions of
+  # `Circuits.UART.Core` and its two halves work on it; `Circuits.UART.Server` performs the actions.
 
   alias Circuits.UART.{Options, Wire}
   alias Circuits.UART.Framing.None
 
-  # How much longer than its own limit the port program may take for an answer before it is given up.
+  # How much longer than its limit the port program may take to answer before it is given up.
   @slack 1_000
 
   defstruct phase: :closed,
@@ -15,9 +15,9 @@ defmodule Circuits.UART.State do
             name: :closed,
             options: %Options{},
             controlling_process: nil,
-            # Why the port closed by itself, when nobody has been told yet (passive mode).
+            # Why the port closed by itself, if no caller has been told yet (passive mode).
             fault: nil,
-            # Requests that the port program has not answered: id => what they were.
+            # Requests that the port program has not answered: id => request.
             pending: %{},
             last_id: 0,
             # Receiving (Core.Receive)
@@ -50,7 +50,7 @@ defmodule Circuits.UART.State do
   @spec reply(t(), GenServer.from(), term()) :: t()
   def reply(state, from, result), do: act(state, {:reply, from, result})
 
-  @doc "To the controlling process, in active mode. The server adds the id."
+  @doc "A message to the controlling process, in active mode. The server adds the id."
   @spec notify(t(), term()) :: t()
   def notify(%{controlling_process: nil} = state, _data), do: state
   def notify(state, data), do: act(state, {:send, state.controlling_process, message_id(state), data})
@@ -58,7 +58,7 @@ defmodule Circuits.UART.State do
   defp message_id(%{options: %{id: :name}, name: name}), do: {:name, name}
   defp message_id(_state), do: :pid
 
-  @doc "Asks the port program; its answer comes back with `what`. `limit` ms are what it may take by itself."
+  @doc "A request to the port program; its answer comes back with `what`. It may take `limit` ms."
   @spec request(t(), what :: tuple(), limit :: non_neg_integer(), (Wire.id() -> iodata())) :: {Wire.id(), t()}
   def request(state, what, limit, command) do
     id = rem(state.last_id, 0xFFFFFFFF) + 1
@@ -66,7 +66,7 @@ defmodule Circuits.UART.State do
     {id, state |> act({:command, command.(id)}) |> act({:start_timer, {:request, id}, limit + @slack})}
   end
 
-  @doc "The request is settled, whether answered or not; an answer that still comes is ignored."
+  @doc "Ends a request, answered or not; a later answer is ignored."
   @spec settle(t(), Wire.id()) :: {what :: tuple() | nil, t()}
   def settle(state, id) do
     case Map.pop(state.pending, id) do

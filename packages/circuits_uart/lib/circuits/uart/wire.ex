@@ -1,7 +1,7 @@
 defmodule Circuits.UART.Wire do
   @moduledoc false
-  # The packets to and from the port program, described in src/wire.h. Decoding is total: any binary gives an event or
-  # `:malformed`, and names of errors become atoms by a table only.
+  # The packets to and from the port program, described in src/wire.h. Decoding is total: any binary becomes an event or
+  # `:malformed`, and error names become atoms only by a table.
 
   import Bitwise
 

@@ -1,16 +1,16 @@
 defmodule Gnat.Jetstream.Pager do
   @moduledoc """
-  Reads the messages that a stream has now, in pages, with a consumer of its own that ends with the reading.
+  Reads the present messages of a stream in pages, with a temporary consumer.
 
       {:ok, count} = Pager.reduce(gnat, "FLEET_EVENTS", [from_seq: 1], 0, fn _message, n -> n + 1 end)
 
     * `batch` - messages in a page, default 10
     * `from_seq` or `from_datetime` - where to begin, default the first message
     * `filter_subject`, `headers_only`, `domain`
-    * `deliver_policy` - instead of the two above; `:last_per_subject` reads what is newest
-    * `timeout` - ms without any message after which reading is given up, default 5000
+    * `deliver_policy` - instead of the two above; `:last_per_subject` reads the newest message of each subject
+    * `timeout` - ms without any message until reading is given up, default 5000
 
-  Reading ends at what was the end when it began; a stream that is written to all the while does not keep it going.
+  Reading ends at the message that was the last one when it began, even if others are written meanwhile.
   """
 
   alias Gnat.Error
@@ -29,10 +29,10 @@ defmodule Gnat.Jetstream.Pager do
 
   @type error :: {:error, term()}
 
-  # The server removes the consumer by itself when the reader died: 30 s.
+  # After a crash of the reader, the server removes the consumer: 30 s.
   @inactive_threshold 30_000_000_000
 
-  @doc "Begins. `cleanup/1` has to end it, from the same process."
+  @doc "Starts reading. The same process must end it with `cleanup/1`."
   @spec init(Gnat.t(), String.t(), [opt()]) :: {:ok, pager()} | error()
   def init(conn, stream, opts) do
     inbox = Util.reply_inbox()
@@ -94,7 +94,7 @@ defmodule Gnat.Jetstream.Pager do
     Consumer.delete(pager.conn, pager.stream, pager.consumer, pager.domain)
   end
 
-  @doc "Runs `fun` over every message, and ends it all."
+  @doc "Reduces all messages with `fun`, and cleans up."
   @spec reduce(Gnat.t(), String.t(), [opt()], acc, (Gnat.message(), acc -> acc)) :: {:ok, acc} | error()
         when acc: term()
   def reduce(conn, stream, opts, acc, fun) do
@@ -119,7 +119,7 @@ defmodule Gnat.Jetstream.Pager do
 
   defp collect(%{sid: sid, timeout: timeout} = pager, count, messages) do
     receive do
-      # Nothing left, or the consumer is gone. Any other status says nothing about messages.
+      # No message is left, or the consumer is gone. Any other status says nothing about messages.
       {:msg, %{sid: ^sid, status: status}} when status in ["404", "408", "409"] ->
         {:done, Enum.reverse(messages)}
 

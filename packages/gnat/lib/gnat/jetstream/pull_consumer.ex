@@ -19,10 +19,10 @@ defmodule Gnat.Jetstream.PullConsumer do
         end
       end
 
-  With a `batch_size` of 1 a message is acknowledged with `+NXT`, which asks for the next one in the same breath.
+  With a `batch_size` of 1 a message is acknowledged with `+NXT`, which also requests the next one.
 
-  It waits for the connection, pulls again when the server has nothing, and starts over (with the same durable
-  consumer, or a new ephemeral one) when the connection is lost, the consumer is gone, or nothing is heard any more.
+  It waits for the connection and pulls again if the server has no message. It starts over (with the same durable consumer, or
+  a new ephemeral one) if the connection is lost, the consumer is gone, or no heartbeat comes.
 
   Options that `c:init/1` returns:
 
@@ -30,11 +30,11 @@ defmodule Gnat.Jetstream.PullConsumer do
     * `stream_name` and `consumer_name` of a durable consumer that exists, or `consumer`, a
       `Gnat.Jetstream.API.Consumer` to create
     * `domain`, `inbox_prefix`
-    * `connection_retry_timeout` - ms between tries to begin, default 1000; `connection_retries` - how many of them in
-      a row may fail before the process stops with `:timeout`, default 10
-    * `batch_size` - messages asked for at once, default 1
+    * `connection_retry_timeout` - ms between tries to start, default 1000; `connection_retries` - how many of them may
+      fail in a row before the process stops with `:timeout`, default 10
+    * `batch_size` - messages requested at once, default 1
     * `request_expires` - ns a request for messages stays with the server, default 5 s; `idle_heartbeat` - ns, default
-      and most: half of it. Twice that without a word, and it starts over
+      and maximum: half of it. After twice that without any message it starts over
       (`[:gnat, :jetstream, :pull_consumer, :heartbeat_expired]`)
   """
 
@@ -57,21 +57,21 @@ defmodule Gnat.Jetstream.PullConsumer do
           | {:heartbeat_check_interval, pos_integer()}
   @type connection_options :: [connection_option()]
 
-  @doc "The state to begin with and the options above."
+  @doc "Returns the first state and the options above."
   @callback init(arg :: term()) ::
               {:ok, state :: term(), connection_options()} | :ignore | {:stop, reason :: term()}
 
   @doc """
-  A message of the stream. `:ack` it is dealt with, `:nack` deliver it again, `:term` never deliver it again,
-  `:noreply` somebody acknowledges it later (`Gnat.Jetstream.ack/1`).
+  Handles a message. `:ack` acknowledges it, `:nack` asks for it again, `:term` ends its delivery, and after `:noreply` it is
+  acknowledged later (`Gnat.Jetstream.ack/1`).
   """
   @callback handle_message(Gnat.message(), state) :: {:ack | :nack | :term | :noreply, state}
             when state: term()
 
-  @doc "The consumer is there and messages will come; after every reconnection too."
+  @doc "The consumer is ready, also after each reconnection."
   @callback handle_connected(Consumer.info(), state) :: {:ok, state} when state: term()
 
-  @doc "The server says something that is no message of the stream: a heartbeat, an empty stream, a new leader."
+  @doc "A status message of the server: a heartbeat, an empty stream, a new leader."
   @callback handle_status(Gnat.message(), state) :: {:ok, state} when state: term()
 
   @optional_callbacks handle_connected: 2, handle_status: 2
@@ -100,7 +100,7 @@ defmodule Gnat.Jetstream.PullConsumer do
   @spec start(module(), term(), GenServer.options()) :: GenServer.on_start()
   def start(module, arg, options \\ []), do: GenServer.start(Server, {module, arg}, options)
 
-  @doc "Ends it with `:shutdown`, after the message it is at. The consumer stays with the server."
+  @doc "Ends the process with `:shutdown`, after the current message. The server keeps the consumer."
   @spec close(consumer()) :: :ok
   def close(consumer), do: GenServer.call(consumer, :close, :infinity)
 end

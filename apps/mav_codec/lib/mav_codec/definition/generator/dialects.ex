@@ -1,6 +1,6 @@
 defmodule MavCodec.Definition.Generator.Dialects do
   @moduledoc """
-  The code of dialect modules: everything is a jump on the message id.
+  The code of dialect modules. Every lookup is a jump on the message id.
   """
 
   alias MavCodec.Definition.Catalog.Dialect

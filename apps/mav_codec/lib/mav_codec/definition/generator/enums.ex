@@ -25,7 +25,7 @@ defmodule MavCodec.Definition.Generator.Enums do
 
       def value(name) when is_atom(name), do: nil
 
-      @doc "The name of a value, or `nil` for one that is not known."
+      @doc "The name of a value, or `nil` for an unknown one."
       @spec name(integer()) :: atom()
       unquote_splicing(
         for {name, value, _} <- first, do: quote(do: def(name(unquote(value)), do: unquote(name)))
@@ -33,7 +33,7 @@ defmodule MavCodec.Definition.Generator.Enums do
 
       def name(value) when is_integer(value), do: nil
 
-      @doc "The name of a value without what all names of the enum have in front, or `nil`."
+      @doc "The name of a value without the common prefix of the enum's names, or `nil`."
       @spec label(integer()) :: String.t() | nil
       unquote_splicing(
         for {_, value, label} <- first, do: quote(do: def(label(unquote(value)), do: unquote(label)))
@@ -52,7 +52,7 @@ defmodule MavCodec.Definition.Generator.Enums do
 
   defp flags do
     quote do
-      @doc "The flags that are set, and the bits that no entry has a name for."
+      @doc "The flags that are set, and the bits without a name."
       @spec flags(non_neg_integer()) :: {[atom()], unknown_bits :: non_neg_integer()}
       def flags(value), do: MavCodec.Enums.flags(value, all())
     end
@@ -63,7 +63,7 @@ defmodule MavCodec.Definition.Generator.Enums do
       for entry <- enum.entries, entry.params != [], do: {entry.value, Enum.map(entry.params, &param/1)}
 
     quote do
-      @doc "The parameters of a command that its definition tells of, by index."
+      @doc "The parameters of a command that its definition describes, by index."
       @spec params(integer()) :: [MavCodec.Enums.Param.t()]
       unquote_splicing(
         for {value, list} <- params,

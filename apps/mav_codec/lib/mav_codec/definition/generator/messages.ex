@@ -2,18 +2,18 @@ defmodule MavCodec.Definition.Generator.Messages do
   @moduledoc """
   The code of message modules.
 
-  Decoding is one match of the whole payload: first on its full length with finite floats, which is nearly always it.
+  Decoding is one match of the whole payload. The first pattern, the full length with finite floats, nearly always matches.
   A shorter payload is filled with zeros and matched again; one with a NaN or an infinity is matched with its floats as
   bits.
 
-  Encoding has a function for the usual case too, whose guards are the ranges of the fields; whatever it does not take (text,
-  long lists, a NaN, a wrong value) goes the general way of `MavCodec.Message`, by the list of fields.
+  Encoding also has a function for the usual case, whose guards are the ranges of the fields. For other values (text, long
+  lists, a NaN, a wrong value), `MavCodec.Message` encodes field by field.
   """
 
   alias MavCodec.Definition.{Layout, Naming, Type}
   alias MavCodec.Definition.Document.Field
 
-  # Arrays up to this length are matched element by element, longer ones taken as bytes and then as a list.
+  # Arrays up to this length are matched element by element; longer ones are matched as bytes, which then become a list.
   @inline 24
 
   @doc "The body of the module of a message type."
@@ -69,7 +69,7 @@ defmodule MavCodec.Definition.Generator.Messages do
     hidden = if index > 0, do: [quote(do: @doc(false))], else: []
 
     clauses = [
-      # First, since the other clauses would read one field after the other before they find that the last is missing.
+      # This clause is first, because the others would read all fields before they find that the last is missing.
       quote do
         def unquote(name)(payload) when byte_size(payload) < unquote(layout.max) do
           # The empty first segment keeps this from becoming an append, which would put the bytes off the heap.
@@ -123,7 +123,7 @@ defmodule MavCodec.Definition.Generator.Messages do
     end
   end
 
-  # The first segment is no binary, see decode/1.
+  # The first segment is not a binary, see decode/1.
   defp guarded?(%Field{type: :char}), do: false
   defp guarded?(%Field{type: :uint8}), do: true
   defp guarded?(%Field{length: nil}), do: true

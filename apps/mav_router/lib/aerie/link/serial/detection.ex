@@ -1,8 +1,8 @@
 defmodule Aerie.Link.Serial.Detection do
   @moduledoc """
-  Carries out what `Aerie.Link.Serial.Detector` says: one search, in the process that calls it. Each port has a process of
-  its own (`Aerie.Link.Serial.Holder`), which opens it and reads when told to, so that a port that hangs delays
-  no other and a port that floods fills nobody's mailbox.
+  Performs the actions of `Aerie.Link.Serial.Detector`: one search, in the process that calls it. Each port has a process of
+  its own (`Aerie.Link.Serial.Holder`) that opens it and reads on request, so a port that hangs delays no other, and a port
+  that floods fills no mailbox.
   """
 
   alias Aerie.Link.Serial.Detector
@@ -11,17 +11,17 @@ defmodule Aerie.Link.Serial.Detection do
   alias Aerie.Link.Serial.Holder
 
   @tick_ms 250
-  # Ports may come while the others are listened to.
-  @look_ms 1_000
+  # New ports may appear during the search.
+  @list_ms 1_000
 
   @doc """
-  Searches; gives the holder of the port, which is open and not being read, and the bytes that it said.
+  Searches; returns the holder of the port, which is open but not being read, and the bytes that were received.
 
   Options: those of `Aerie.Link.Serial.Ports` as `:ports`, and `:bauds` and `:hint` of `Aerie.Link.Serial.Detector.new/1`.
   """
   @spec run(keyword) :: {:ok, pid, Finding.t(), binary} | {:error, {:undetected, [Finding.t()]}}
   def run(options) do
-    # A holder that crashes costs its port, not the search; whoever wants the search ended ends it with its holders.
+    # A holder that crashes costs its port, not the search; the holders end with this process.
     Process.flag(:trap_exit, true)
     names = Keyword.fetch!(options, :ports)
 
@@ -30,11 +30,11 @@ defmodule Aerie.Link.Serial.Detection do
       detector: Detector.new(options),
       holders: %{},
       keys: %{},
-      look_at: nil,
+      list_at: nil,
       result: nil
     }
 
-    result = state |> look() |> loop()
+    result = state |> list_ports() |> loop()
     Process.flag(:trap_exit, false)
     result
   end
@@ -44,7 +44,7 @@ defmodule Aerie.Link.Serial.Detection do
       {:serial, holder, event} when is_map_key(state.keys, holder) ->
         state |> step({state.keys[holder], event}) |> loop()
 
-      # Of a port that was closed meanwhile.
+      # From a port that was closed meanwhile.
       {:serial, _holder, _event} ->
         loop(state)
 
@@ -59,15 +59,15 @@ defmodule Aerie.Link.Serial.Detection do
       {:EXIT, _other, reason} ->
         exit(reason)
     after
-      @tick_ms -> state |> step(:tick) |> look() |> loop()
+      @tick_ms -> state |> step(:tick) |> list_ports() |> loop()
     end
   end
 
   defp loop(%{result: result}), do: result
 
-  defp look(%{look_at: at} = state) do
+  defp list_ports(%{list_at: at} = state) do
     if state.result == nil and (at == nil or now() >= at) do
-      step(%{state | look_at: now() + @look_ms}, {:ports, Ports.list(state.names)})
+      step(%{state | list_at: now() + @list_ms}, {:ports, Ports.list(state.names)})
     else
       state
     end
@@ -89,8 +89,8 @@ defmodule Aerie.Link.Serial.Detection do
     %{state | holders: Map.put(state.holders, key, holder), keys: Map.put(state.keys, holder, key)}
   end
 
-  defp act({:set, key, baud}, state), do: tell(state, key, &Holder.set(&1, baud))
-  defp act({:read, key, ms}, state), do: tell(state, key, &Holder.read(&1, ms))
+  defp act({:set, key, baud}, state), do: request(state, key, &Holder.set(&1, baud))
+  defp act({:read, key, ms}, state), do: request(state, key, &Holder.read(&1, ms))
 
   defp act({:close, key}, state) do
     case Map.pop(state.holders, key) do
@@ -109,8 +109,8 @@ defmodule Aerie.Link.Serial.Detection do
 
   defp act({:failed, findings}, state), do: %{state | result: {:error, {:undetected, findings}}}
 
-  defp tell(state, key, message) do
-    with %{^key => holder} <- state.holders, do: message.(holder)
+  defp request(state, key, request) do
+    with %{^key => holder} <- state.holders, do: request.(holder)
     state
   end
 

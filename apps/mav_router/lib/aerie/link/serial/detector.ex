@@ -1,32 +1,32 @@
 defmodule Aerie.Link.Serial.Detector do
   @moduledoc """
-  Finds the serial port with a vehicle behind it: a pure state machine over `Aerie.Link.Serial.Probe`s, one for each port.
+  Finds the serial port that is connected to a vehicle: a pure state machine of `Aerie.Link.Serial.Probe`s, one for each port.
 
-  The ports that the configuration names are listened to first, all at once; when none of them has a vehicle, the others,
-  all at once. The first valid heartbeat wins; a port that comes before it in the list and was not heard out yet gets half
-  a second more, so that of a flight controller with two ports it is always the same one.
+  It listens to the configured ports first, all at once; if none of them has a vehicle, to the others, all at once. The first
+  valid heartbeat wins. A port before it in the list that was not yet listened to for long enough gets half a second more, so
+  that of two ports of a flight controller it is always the same one.
 
   | event | meaning |
   |---|---|
-  | `{:ports, [port]}` | the ports that there are (`Aerie.Link.Serial.Ports`); again whenever that may have changed |
-  | `{key, event}` | of a port, an event of its probe |
-  | `:tick` | time passes, four times a second |
+  | `{:ports, [port]}` | the existing ports (`Aerie.Link.Serial.Ports`); repeated, as they may change |
+  | `{key, event}` | an event for the probe of a port |
+  | `:tick` | four times a second |
 
   | action | meaning |
   |---|---|
-  | `{:open, key, path, baud}` (again while it is in use), `{:set, key, baud}`, `{:close, key}` | a port and its baud rate |
-  | `{:read, key, ms}` | one read, of at most that long |
-  | `{:found, key, finding, bytes}` | the port to use, and what it said; all others are closed |
-  | `{:failed, [finding]}` | there is none; all are closed |
+  | `{:open, key, path, baud}` (repeated while it is in use), `{:set, key, baud}`, `{:close, key}` | open a port, set its baud rate, close it |
+  | `{:read, key, ms}` | read once, for at most that long |
+  | `{:found, key, finding, bytes}` | the port to use, and what was received; all others are closed |
+  | `{:failed, [finding]}` | no port has a vehicle; all are closed |
 
-  There is no action that writes: before it is known what is at the other end, nothing is said to it (Q3). After `:found` or
-  `:failed` nothing more happens. Time is monotonic ms.
+  No action writes: nothing is sent before it is known what is at the other end (Q3). After `:found` or `:failed` nothing more
+  happens. Time is monotonic ms.
   """
 
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Serial.Probe
 
-  # A rate for telemetry radios, one for USB and on-board ports, the fast ones, then what is rare.
+  # The rate of telemetry radios, that of USB and on-board ports, the fast ones, then the rare ones.
   @bauds [
     57_600,
     115_200,
@@ -69,13 +69,13 @@ defmodule Aerie.Link.Serial.Detector do
           | {:failed, [Finding.t()]}
   @type t :: %__MODULE__{}
 
-  @doc "The baud rates that are tried unless the configuration says which, in order."
+  @doc "The baud rates that are tried unless the configuration names others, in order."
   @spec bauds() :: [pos_integer, ...]
   def bauds, do: @bauds
 
   @doc """
-  A search that has not begun. Options: `:bauds` (candidates, in order), `:hint` (`%{path:, baud:}` that was right the last
-  time: tried first).
+  A search before its start. Options: `:bauds` (candidates, in order), `:hint` (`%{path:, baud:}` that was right the last time
+  and is tried first).
   """
   @spec new(keyword) :: t
   def new(options \\ []) do
@@ -88,7 +88,7 @@ defmodule Aerie.Link.Serial.Detector do
     }
   end
 
-  @doc "One step."
+  @doc "Handles one event."
   @spec handle(t, event, integer) :: {t, [action]}
   def handle(%{over: true} = detector, _event, _now), do: {detector, []}
 
@@ -129,15 +129,16 @@ defmodule Aerie.Link.Serial.Detector do
     {%{detector | probes: %{detector.probes | key => probe}}, name(actions, key, probe)}
   end
 
-  # A port that is not there has no device to be told by.
+  # A port that does not exist has no device number.
   defp key(%{key: nil, path: path}), do: path
   defp key(%{key: key}), do: key
 
-  # Those whose turn it is.
+  # Starts the probes of the current tier.
   defp begin(detector, actions, now) do
-    {turn, later} = Enum.split_with(detector.waiting, &(detector.tier == :rest or &1.origin == :configured))
+    {now_due, later} =
+      Enum.split_with(detector.waiting, &(detector.tier == :rest or &1.origin == :configured))
 
-    Enum.reduce(turn, {%{detector | waiting: later}, actions}, fn port, {detector, actions} ->
+    Enum.reduce(now_due, {%{detector | waiting: later}, actions}, fn port, {detector, actions} ->
       {probe, more} = Probe.new(port, detector.bauds, now)
       key = key(port)
 
@@ -172,7 +173,7 @@ defmodule Aerie.Link.Serial.Detector do
 
   defp rest(detector), do: %{detector | tier: :rest}
 
-  # Whether one that is preferred may still turn out to have a vehicle too.
+  # Whether a preferred port may still turn out to have a vehicle, too.
   defp wait?(detector, hit, busy, now) do
     before = Enum.take_while(detector.order, &(&1 != hit))
     open? = Enum.any?(before, &(&1 in busy and not Probe.warmed_up?(detector.probes[&1], now)))
@@ -185,7 +186,7 @@ defmodule Aerie.Link.Serial.Detector do
     {%{detector | over: true}, actions ++ others ++ [{:found, key, finding, bytes}]}
   end
 
-  # What is not over is open, or about to be.
+  # A probe without a result is open, or about to be.
   defp open?(%{outcome: {:over, _finding}}), do: false
   defp open?(_probe), do: true
 

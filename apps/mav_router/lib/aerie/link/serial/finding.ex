@@ -1,15 +1,15 @@
 defmodule Aerie.Link.Serial.Finding do
   @moduledoc """
-  What was found out about one serial port: the condition by name, the evidence, and what to do about it.
+  What is known about one serial port: its condition, the evidence, and what to do.
 
   | condition | meaning |
   |---|---|
-  | `:vehicle` | MAVLink with a heartbeat: the port that is used |
-  | `:no_heartbeat` | MAVLink, but nobody's heartbeat |
+  | `:vehicle` | MAVLink with a heartbeat: the port to use |
+  | `:no_heartbeat` | MAVLink without heartbeats |
   | `:other_protocol` | MSP, CRSF, NMEA, UBX or a console (`protocol`) |
-  | `:noise` | bytes that make sense at no baud rate that was tried |
-  | `:silent` | nothing came |
-  | `:no_permission`, `:in_use`, `:absent`, `:not_serial`, `:fault` | it cannot be opened, or is lost |
+  | `:noise` | bytes that make no sense at any baud rate that was tried |
+  | `:silent` | nothing was received |
+  | `:no_permission`, `:in_use`, `:absent`, `:not_serial`, `:fault` | it cannot be opened, or was lost |
   """
 
   alias Aerie.Link.Serial.Sniff
@@ -17,7 +17,7 @@ defmodule Aerie.Link.Serial.Finding do
   @enforce_keys [:path, :condition]
   defstruct [:path, :condition, :protocol, :baud, :evidence, :advice]
 
-  # Nothing to be ended for it: it is as it was configured.
+  # Without advice: nothing has to be ended, the configuration wants it so.
   @other_link {:in_use, "another link"}
 
   @type condition ::
@@ -69,7 +69,7 @@ defmodule Aerie.Link.Serial.Finding do
     }
   end
 
-  @doc "It cannot be opened, or fails; reasons are those of `Circuits.UART`."
+  @doc "It cannot be opened, or failed; the reasons are those of `Circuits.UART`."
   @spec failed(Path.t(), term) :: t
   def failed(path, reason) do
     condition = refusal(reason)
@@ -82,7 +82,7 @@ defmodule Aerie.Link.Serial.Finding do
     }
   end
 
-  @doc "A port that another link of this gateway has, or waits for: it is left alone."
+  @doc "A port that another link of this gateway has or waits for, and that is therefore not used."
   @spec of_another_link(Path.t()) :: t
   def of_another_link(path),
     do: %__MODULE__{path: path, condition: :in_use, evidence: "belongs to another link"}
@@ -103,15 +103,15 @@ defmodule Aerie.Link.Serial.Finding do
   defp refused(:no_permission, _reason), do: "no permission to open it"
   defp refused(:in_use, {:in_use, who}), do: "in use by #{who}"
   defp refused(:in_use, _reason), do: "in use by another program or link"
-  defp refused(:absent, _reason), do: "not there"
-  defp refused(:not_serial, _reason), do: "no serial port"
+  defp refused(:absent, _reason), do: "does not exist"
+  defp refused(:not_serial, _reason), do: "not a serial port"
   defp refused(:fault, reason) when reason in [:eio, :ebadf], do: "unplugged"
   defp refused(:fault, reason) when is_binary(reason), do: reason
   defp refused(:fault, reason) when is_atom(reason), do: to_string(:inet.format_error(reason))
   defp refused(:fault, reason), do: inspect(reason, limit: 10, printable_limit: 200)
 
   defp advice(:no_heartbeat, _protocol, _path) do
-    "a radio whose vehicle is off or out of range? Else let the vehicle send HEARTBEAT on this port"
+    "a radio whose vehicle is off or out of range? Otherwise let the vehicle send HEARTBEAT on this port"
   end
 
   defp advice(:other_protocol, protocol, _path) when protocol in [:msp1, :msp2] do
@@ -137,7 +137,7 @@ defmodule Aerie.Link.Serial.Finding do
   defp advice(:silent, _protocol, path) do
     if path =~ ~r/betaflight|inav/i,
       do:
-        "its name says Betaflight or iNav, which by MSP speaks only when asked: set the port to MAVLink telemetry",
+        "its name says Betaflight or iNav, whose MSP only answers requests: set the port to MAVLink telemetry",
       else: "is it powered, are TX and RX crossed over, and does the port speak MAVLink (SERIALn_PROTOCOL 2)?"
   end
 
@@ -164,18 +164,18 @@ defmodule Aerie.Link.Serial.Finding do
     "#{Sniff.name(protocol)} at #{baud} baud, #{evidence}"
   end
 
-  @max_told 4
+  @max_listed 4
 
-  @doc "All that was found, as the reason of a failed attempt."
+  @doc "All findings in one line, as the reason of a failed attempt."
   @spec summary([t]) :: String.t()
   def summary([]), do: "no serial port found: plug one in, or name it in the configuration"
 
   def summary(findings) do
-    told = findings |> Enum.take(@max_told) |> Enum.map_join("; ", &told/1)
-    more = length(findings) - @max_told
-    "no vehicle heard: #{told}#{if more > 0, do: "; and #{more} ports more"}"
+    listed = findings |> Enum.take(@max_listed) |> Enum.map_join("; ", &advised/1)
+    more = length(findings) - @max_listed
+    "no vehicle heard: #{listed}#{if more > 0, do: "; and #{more} ports more"}"
   end
 
-  defp told(%{advice: nil} = finding), do: format(finding)
-  defp told(%{advice: advice} = finding), do: "#{format(finding)} (#{advice})"
+  defp advised(%{advice: nil} = finding), do: format(finding)
+  defp advised(%{advice: advice} = finding), do: "#{format(finding)} (#{advice})"
 end

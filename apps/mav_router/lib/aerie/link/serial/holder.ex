@@ -1,14 +1,14 @@
 defmodule Aerie.Link.Serial.Holder do
   @moduledoc """
-  Holds one open serial port and waits for it in the place of others: opening, changing the rate, writing, and, while it
-  is not known what is at the other end, reading.
+  Holds one open serial port and does everything that may block: opening, changing the rate, writing and, during a search,
+  reading.
 
-  It is linked to the process that started it, later to the link's process, and to the port's: when one ends, so do the
-  others.
+  It is linked to the process that started it, later to the link's process, and to the port's process: when one of them ends,
+  all do.
 
-  While a port is listened to, each request is answered to the starting process with `{:serial, holder, event}`, the events
-  being those of `Aerie.Link.Serial.Probe`. After `give/2` and `go/1` what is received goes straight to the link's process
-  as `Circuits.UART`'s messages.
+  During a search it answers each request of the starting process with `{:serial, holder, event}`; the events are those of
+  `Aerie.Link.Serial.Probe`. After `give/2` and `go/1` received bytes go straight to the link's process, as messages of
+  `Circuits.UART`.
   """
   use GenServer
 
@@ -17,59 +17,59 @@ defmodule Aerie.Link.Serial.Holder do
   alias Aerie.Link.PortOwner
   alias Circuits.UART
 
-  # Numbers of the devices /dev/pts/* (Linux' list of devices).
+  # Major numbers of the devices /dev/pts/* on Linux.
   @pty_majors 136..143
   @write_ms 2_000
   @open_ms 20_000
 
-  @doc "Starts one without a port, linked to the calling process until `give/2`."
+  @doc "Starts a holder without a port, linked to the calling process."
   @spec start_link() :: GenServer.on_start()
   def start_link, do: GenServer.start_link(__MODULE__, self())
 
   @doc """
-  Opens the port and waits for that; nothing is read of it before `go/1`. Gives the process whose messages will come.
+  Opens the port and waits for the result; nothing is read before `go/1`. Returns the process that will send the messages.
 
   A port that another program has open, with or without a lock, is refused with `{:in_use, who}`: two readers would take
-  each other's bytes.
+  bytes from each other.
   """
   @spec open(pid, String.t(), pos_integer) :: {:ok, pid} | {:error, term}
   def open(holder, device, baud), do: GenServer.call(holder, {:open, device, baud}, @open_ms)
 
-  @doc "The same without waiting; the answer is `:opened` or `{:open_failed, reason}`."
+  @doc "Opens the port without waiting; the event is `:opened` or `{:open_failed, reason}`."
   @spec listen(pid, String.t(), pos_integer) :: :ok
   def listen(holder, device, baud), do: GenServer.cast(holder, {:listen, device, baud})
 
-  @doc "Changes the rate and forgets what came at the old one; the answer is `:set` or `{:set_failed, reason}`."
+  @doc "Changes the rate and drops what came at the old one; the event is `:set` or `{:set_failed, reason}`."
   @spec set(pid, pos_integer) :: :ok
   def set(holder, baud), do: GenServer.cast(holder, {:set, baud})
 
   @doc """
-  Reads once, for `ms` at most; the answer is `{:read, bytes}`, no bytes when there were none, or `{:read_failed, reason}`.
+  Reads once, for at most `ms`; the event is `{:read, bytes}`, empty if none came, or `{:read_failed, reason}`.
   """
   @spec read(pid, non_neg_integer) :: :ok
   def read(holder, ms), do: GenServer.cast(holder, {:read, ms})
 
-  @doc "The process whose messages will come after `go/1`."
+  @doc "The process that will send messages after `go/1`."
   @spec uart(pid) :: pid
   def uart(holder), do: GenServer.call(holder, :uart)
 
-  @doc "From now on it belongs to `link`."
+  @doc "Makes `link` the owner."
   @spec give(pid, pid) :: :ok
   def give(holder, link), do: GenServer.call(holder, {:give, link})
 
-  @doc "What is received is sent to the link from now on, beginning with what came since the last `read/2`."
+  @doc "Sends received bytes to the link from now on, beginning with those since the last `read/2`."
   @spec go(pid) :: :ok
   def go(holder), do: GenServer.cast(holder, {:active, true})
 
-  @doc "Nothing is sent to the link until `go/1`; what comes stays with the kernel."
+  @doc "Sends nothing to the link until `go/1`; received bytes stay in the kernel."
   @spec pause(pid) :: :ok
   def pause(holder), do: GenServer.cast(holder, {:active, false})
 
-  @doc "Writes later; the link gets `{:serial_written, holder, bytes, :ok | {:error, reason}}`."
+  @doc "Writes without waiting; the link gets `{:serial_written, holder, bytes, :ok | {:error, reason}}`."
   @spec write(pid, binary) :: :ok
   def write(holder, bytes), do: GenServer.cast(holder, {:write, bytes})
 
-  @doc "Ends it, and closes the port."
+  @doc "Ends the holder, which closes the port."
   @spec stop(pid) :: :ok
   def stop(holder) do
     Process.unlink(holder)
@@ -99,30 +99,30 @@ defmodule Aerie.Link.Serial.Holder do
   @impl GenServer
   def handle_cast({:listen, device, baud}, state) do
     case open_port(device, baud) do
-      {:ok, uart} -> {:noreply, tell(%{state | uart: uart}, :opened)}
-      {:error, reason} -> {:noreply, tell(state, {:open_failed, reason})}
+      {:ok, uart} -> {:noreply, notify(%{state | uart: uart}, :opened)}
+      {:error, reason} -> {:noreply, notify(state, {:open_failed, reason})}
     end
   end
 
   def handle_cast({:set, baud}, state) do
     with :ok <- UART.configure(state.uart, speed: baud), :ok <- UART.flush(state.uart, :receive) do
-      {:noreply, tell(state, :set)}
+      {:noreply, notify(state, :set)}
     else
-      {:error, reason} -> {:noreply, tell(state, {:set_failed, reason})}
+      {:error, reason} -> {:noreply, notify(state, {:set_failed, reason})}
     end
   end
 
   def handle_cast({:read, ms}, state) do
     case UART.read(state.uart, ms) do
-      {:ok, bytes} -> {:noreply, tell(state, {:read, bytes})}
-      {:error, reason} -> {:noreply, tell(state, {:read_failed, reason})}
+      {:ok, bytes} -> {:noreply, notify(state, {:read, bytes})}
+      {:error, reason} -> {:noreply, notify(state, {:read_failed, reason})}
     end
   end
 
   def handle_cast({:active, active}, state) do
     result = UART.configure(state.uart, active: active)
 
-    # The end of a port that nobody reads is told to nobody.
+    # Nobody is told of the end of a port that nobody reads.
     case {result, UART.configuration(state.uart)} do
       {:ok, {name, _options}} when name != :closed -> {:noreply, state}
       {:ok, {:closed, _options}} -> {:stop, {:shutdown, :eio}, state}
@@ -141,7 +141,7 @@ defmodule Aerie.Link.Serial.Holder do
     with :ok <- free(device), do: open_free(device, baud)
   end
 
-  # Who makes a PTY has it open, without reading from it.
+  # The creator of a PTY has it open, too, without reading from it.
   defp free(device) do
     with {:ok, %File.Stat{type: type, minor_device: number}} <- File.stat(device),
          false <- type == :device and bsr(number, 8) in @pty_majors,
@@ -165,13 +165,19 @@ defmodule Aerie.Link.Serial.Holder do
     end
   end
 
-  # Only who may look at others' processes learns who it is.
+  # Known only if we may see the other process. Who has the lock counts: a link that is refused, too, or that was just stopped,
+  # has the port open for a moment.
   defp owner(device) do
-    case PortOwner.holders(device) do
-      [] -> nil
-      holders -> {:in_use, if(Enum.any?(holders, &link?/1), do: "another link", else: names(holders))}
+    holders = PortOwner.holders(device)
+
+    case {PortOwner.lockers(device, holders), holders} do
+      {[], []} -> nil
+      {[], holders} -> {:in_use, who(holders)}
+      {lockers, _holders} -> {:in_use, who(lockers)}
     end
   end
+
+  defp who(holders), do: if(Enum.any?(holders, &link?/1), do: "another link", else: names(holders))
 
   defp link?({program, pid}), do: program == "circuits_uart" and PortOwner.ours?(pid)
 
@@ -179,7 +185,7 @@ defmodule Aerie.Link.Serial.Holder do
     holders |> Enum.take(3) |> Enum.map_join(", ", fn {program, pid} -> "#{program} (process #{pid})" end)
   end
 
-  defp tell(state, event) do
+  defp notify(state, event) do
     send(state.owner, {:serial, self(), event})
     state
   end

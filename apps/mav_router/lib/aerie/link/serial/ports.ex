@@ -1,27 +1,27 @@
 defmodule Aerie.Link.Serial.Ports do
   @moduledoc """
-  Which serial ports there are to look at: those of the configuration first, then `/dev/serial/by-id/*` (names that stay
-  the same wherever the cable is plugged in), `/dev/ttyACM*` and `/dev/ttyUSB*`. One that several names point to comes
-  once, by the first of them. Looks at names only, opens nothing.
+  The serial ports of a search: those of the configuration first, then `/dev/serial/by-id/*` (names that stay the same
+  whichever socket the cable is in), `/dev/ttyACM*` and `/dev/ttyUSB*`. A port with several names is listed once, by the first
+  of them. Only lists names, opens nothing.
 
-  Ports that belong to the machine itself (`ttyS0`, `ttyAMA0`, `ttyTHS1`) are looked at only when the configuration names
-  them: one of them is often the machine's own console.
+  Ports of the machine itself (`ttyS0`, `ttyAMA0`, `ttyTHS1`) are used only if the configuration names them: one of them is
+  often the machine's console.
   """
 
   @max_ports 16
 
   @typedoc """
   - `path`: the name to open it by
-  - `key`: what tells one device from another, whatever it is called; nil for one that is not there
+  - `key`: identifies the device whatever its name; nil if it does not exist
   - `origin`: why it is in the list
   """
   @type port_name :: %{path: Path.t(), key: term, origin: :configured | :by_id | :acm | :usb}
 
   @typedoc """
   - `ports`: names of the configuration, default none
-  - `only`: whether only these are looked at, default false
+  - `only`: whether only these are used, default false
   - `dev`: the folder of devices, default `/dev`
-  - `taken`: names that others use
+  - `taken`: names of ports that other links use
   """
   @type options :: %{
           optional(:ports) => [Path.t()],
@@ -30,7 +30,7 @@ defmodule Aerie.Link.Serial.Ports do
           optional(:taken) => [Path.t()]
         }
 
-  @doc "The ports, in the order in which they are preferred, #{@max_ports} at most."
+  @doc "The ports in order of preference, at most #{@max_ports}."
   @spec list(options) :: [port_name]
   def list(options) do
     dev = Map.get(options, :dev, "/dev")
@@ -43,7 +43,7 @@ defmodule Aerie.Link.Serial.Ports do
   end
 
   @doc """
-  A value that is another one when ports came, went, or may be opened by other users than before.
+  A value that changes when ports come, go, or change their permissions.
   """
   @spec fingerprint(options) :: non_neg_integer
   def fingerprint(options) do
@@ -71,7 +71,7 @@ defmodule Aerie.Link.Serial.Ports do
         ],
         name <- Enum.sort_by(names, &natural/1),
         path = Path.join(folder, name),
-        # A name that points nowhere: udev is behind.
+        # No key: a symbolic link that udev has not removed yet.
         key = key(path) do
       %{path: path, key: key, origin: origin}
     end
@@ -90,7 +90,7 @@ defmodule Aerie.Link.Serial.Ports do
   defp absolute("/" <> _rest = path, _dev), do: path
   defp absolute(name, dev), do: Path.join(dev, name)
 
-  # A device's number, through all symbolic links; a file that is no device is told by its place.
+  # The number of the device, symbolic links followed; a file that is no device has its inode.
   defp key(path) do
     case File.stat(path) do
       {:ok, %File.Stat{type: :device, minor_device: number}} -> {:device, number}

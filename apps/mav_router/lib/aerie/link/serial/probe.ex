@@ -1,16 +1,16 @@
 defmodule Aerie.Link.Serial.Probe do
   @moduledoc """
-  Listens to one serial port at one baud rate after the other: a pure value, part of `Aerie.Link.Serial.Detector`.
+  Listens to one serial port at one baud rate after the other: a pure value, used by `Aerie.Link.Serial.Detector`.
 
-  - A rate is listened to for a little more than a heartbeat's period, or until 600 bytes came that hold no frame: at the
-    right rate a whole frame would be among them.
-  - With the first good frame the rate is known; it is kept, and the heartbeat waited for.
-  - Text that can be read says the same: boot messages come before MAVLink on the same line.
+  - It listens at each rate for a little more than the period of heartbeats, or until 600 bytes contain no frame: at the right
+    rate a whole frame would be among them.
+  - The first good frame settles the rate; the probe then waits for a heartbeat.
+  - Readable text also settles it: boot messages come before MAVLink on the same line.
   - A port that is in use is tried again for two seconds.
-  - Another protocol with good checksums ends it: that port is not ours.
-  - A port that is silent gets five seconds in all, one that is not gets all rates.
+  - Another protocol with good checksums ends the probe: the port is not ours.
+  - A silent port gets five seconds in all, one that is not silent gets all rates.
 
-  Nothing here writes to the port.
+  It never writes to the port.
   """
 
   alias Aerie.Link.Serial.Finding
@@ -39,7 +39,7 @@ defmodule Aerie.Link.Serial.Probe do
     phase: :opening,
     buffer: "",
     count: 0,
-    # At this rate: a frame was good; text was read.
+    # At this rate: whether a good frame was received; whether the rate is kept because of text.
     framed: false,
     staying: false,
     tried: [],
@@ -62,22 +62,18 @@ defmodule Aerie.Link.Serial.Probe do
   """
   @type t :: %__MODULE__{}
 
-  @doc "How long a silent port is listened to, in ms."
-  @spec patience_ms() :: pos_integer
-  def patience_ms, do: @heartbeat_ms
-
-  @doc "Begins with a port; `bauds` are the candidates in order."
+  @doc "Starts with a port; `bauds` are the candidates in order."
   @spec new(map, [pos_integer, ...], integer) :: {t, [action]}
   def new(port, [baud | bauds], now) do
     {%__MODULE__{port: port, bauds: bauds, started: now, baud: baud}, [{:open, baud}]}
   end
 
-  @doc "Whether it has been listened to for a whole window, so that who speaks would have been heard."
+  @doc "Whether it has listened for a whole window, in which a vehicle would have been heard."
   @spec warmed_up?(t, integer) :: boolean
   def warmed_up?(%{opened: nil}, _now), do: false
   def warmed_up?(probe, now), do: now - probe.opened >= @window_ms and not probe.framed
 
-  @doc "One step. Nothing happens any more when there is an outcome."
+  @doc "Handles one event. After the outcome nothing more happens."
   @spec handle(t, event, integer) :: {t, [action]}
   def handle(%{outcome: outcome} = probe, _event, _now) when outcome != nil, do: {probe, []}
 
@@ -87,16 +83,16 @@ defmodule Aerie.Link.Serial.Probe do
 
   def handle(%{phase: :busy} = probe, :tick, _now), do: {%{probe | phase: :opening}, [{:open, probe.baud}]}
 
-  # A rate that this port cannot do.
+  # The port does not support the rate.
   def handle(%{phase: :opening, bauds: bauds} = probe, {:open_failed, :einval}, _now) do
     case bauds do
       [baud | bauds] -> {%{probe | baud: baud, bauds: bauds}, [{:open, baud}]}
-      [] -> fail(probe, "it does none of the baud rates")
+      [] -> fail(probe, "it supports none of the baud rates")
     end
   end
 
   def handle(%{phase: :opening} = probe, {:open_failed, reason}, now) do
-    # Who has it, most likely this very link, may be about to let go of it.
+    # Most likely this link itself still has it, and is about to close it.
     if busy?(reason) and now - probe.started < @busy_ms,
       do: {%{probe | phase: :busy}, []},
       else: fail(probe, reason)
@@ -111,10 +107,10 @@ defmodule Aerie.Link.Serial.Probe do
   def handle(%{phase: :listening} = probe, {:read, bytes}, now), do: probe |> take(bytes, now) |> decide(now)
   def handle(probe, _other, _now), do: {probe, []}
 
-  @doc "Time is up: what is known so far is the outcome."
+  @doc "Ends the probe: what is known so far is the outcome."
   @spec stop(t, integer) :: {t, [action]}
   def stop(%{outcome: outcome} = probe, _now) when outcome != nil, do: {probe, []}
-  def stop(%{opened: nil} = probe, _now), do: fail(probe, "it takes too long to open")
+  def stop(%{opened: nil} = probe, _now), do: fail(probe, "opening it takes too long")
   def stop(probe, now), do: over(note(probe), now)
 
   defp busy?({:in_use, _who}), do: true
@@ -155,7 +151,7 @@ defmodule Aerie.Link.Serial.Probe do
   end
 
   defp hit(probe) do
-    # Of a flood the heartbeat itself may be more than the buffer ago; it was seen all the same.
+    # In a flood the heartbeat may already have left the buffer.
     sniffed =
       case Sniff.classify(probe.buffer) do
         %{heartbeat: true} = sniffed -> sniffed
@@ -205,17 +201,17 @@ defmodule Aerie.Link.Serial.Probe do
 
     case probe.bauds do
       _any when silent? and now - probe.started >= @heartbeat_ms -> over(probe, now)
-      [] when silent? -> again(probe)
+      [] when silent? -> start_over(probe)
       [] -> over(probe, now)
       [baud | bauds] -> {%{probe | phase: :setting, baud: baud, bauds: bauds}, [{:set, baud}]}
     end
   end
 
-  # A short list of rates, and time left: from the start.
-  defp again(probe) do
+  # All rates were tried and time is left: starts over.
+  defp start_over(probe) do
     case probe.tried |> Enum.map(&elem(&1, 0)) |> Enum.reverse() do
       [] ->
-        fail(probe, "it does none of the baud rates")
+        fail(probe, "it supports none of the baud rates")
 
       [baud | bauds] ->
         {%{probe | phase: :setting, tried: [], baud: baud, bauds: bauds}, [{:set, baud}]}

@@ -1,27 +1,27 @@
 defmodule Aerie.Link.Serial.Sniff do
   @moduledoc """
-  What bytes of a serial line are, by listening only: a pure function, total over all bytes.
+  Recognises the protocol of bytes from a serial line, by listening only: a pure function that accepts any bytes.
 
-  | protocol | what counts as a sign |
+  | protocol | sign |
   |---|---|
   | `:mavlink2`, `:mavlink1` | a frame of a known message with a good CRC |
   | `:msp1`, `:msp2` | a message with a good checksum |
   | `:crsf` | frames with a good CRC, two at least |
   | `:nmea` | a sentence with a good checksum |
   | `:ublox` | a UBX message with a good checksum |
-  | `:console` | text to read: boot messages, a shell |
-  | `:noise` | bytes that are none of these, as a wrong baud rate gives |
+  | `:console` | readable text: boot messages, a shell |
+  | `:noise` | bytes that are none of these, as with a wrong baud rate |
   | `:silence` | no bytes |
 
-  Whoever has a checksum comes before who has none, and who explains more bytes before who explains fewer; MAVLink comes
-  first, because a flight controller prints its boot text on the same line.
+  A protocol with checksums wins over text, and one that explains more bytes over one that explains fewer. MAVLink always
+  wins: a flight controller prints its boot messages on the same line.
   """
 
   alias Aerie.Link.Serial.Sniff.{Crsf, Mavlink, Msp, Nmea, Text, Ublox}
 
-  # Scanning is linear for what comes in practice and at worst quadratic, so there is an end to it.
+  # Scanning takes linear time in practice, but quadratic time at worst.
   @max_bytes 4_096
-  # Of noise this long every protocol would have shown itself.
+  # In this many bytes any known protocol would have shown a sign.
   @enough 600
 
   @type protocol ::
@@ -40,13 +40,13 @@ defmodule Aerie.Link.Serial.Sniff do
   - `protocol`: the best explanation
   - `confidence`: 0.0 to 1.0
   - `evidence`: what was seen, in words
-  - `heartbeat`: whether a MAVLink heartbeat with a good CRC is among it
+  - `heartbeat`: whether it includes a MAVLink heartbeat with a good CRC
   """
   @type t :: %{protocol: protocol, confidence: float, evidence: String.t(), heartbeat: boolean}
 
   @typedoc """
-  What a scanner finds: `units` complete with good checksums, the `bytes` that they cover, and the chance that one of
-  them is there by accident.
+  What a scanner finds: so many `units` with good checksums, the `bytes` that they cover, and the probability that one of them
+  occurs by chance.
   """
   @type found :: %{
           required(:protocol) => protocol,
@@ -59,7 +59,7 @@ defmodule Aerie.Link.Serial.Sniff do
 
   @scanners [Mavlink, Msp, Nmea, Ublox, Crsf]
 
-  @doc "The most bytes that are looked at, the latest ones."
+  @doc "How many bytes are examined at most, the latest ones."
   @spec max_bytes() :: pos_integer
   def max_bytes, do: @max_bytes
 
@@ -89,7 +89,7 @@ defmodule Aerie.Link.Serial.Sniff do
     for scanner <- @scanners, found <- scanner.scan(bytes), found.units > 0, sure?(found, bytes), do: found
   end
 
-  # A check of eight bits alone is passed now and then by anything; then most of the line has to be so.
+  # Random bytes pass an 8-bit check now and then, so CRSF has to cover at least half of the bytes.
   defp sure?(%{protocol: :crsf} = found, bytes), do: found.units >= 2 and found.bytes * 2 >= byte_size(bytes)
   defp sure?(_found, _bytes), do: true
 
@@ -112,7 +112,7 @@ defmodule Aerie.Link.Serial.Sniff do
     end
   end
 
-  # What a line at rest or without ground looks like.
+  # As from an idle line, or one without common ground.
   defp pattern(bytes) do
     case for(<<byte <- bytes>>, do: byte) |> Enum.uniq() do
       [byte] -> ", all of them 0x#{Base.encode16(<<byte>>)}"

@@ -1,29 +1,29 @@
 defmodule Aerie.Link.Transport.Net do
-  @moduledoc "What the UDP and TCP transports share: names, families, the draining of datagrams, bounded writes."
+  @moduledoc "What the UDP and TCP transports share: names, address families, batches of datagrams, bounded writes."
 
   alias Aerie.Link.Backlog
   alias Aerie.Address
 
-  # Messages between two requests to go on; enough that a busy socket rarely waits, few enough to bound the mailbox.
+  # Messages between two renewals of `active`: enough that a busy socket rarely waits, few enough to bound the mailbox.
   @active 256
-  # Datagrams taken at one wake-up.
+  # Datagrams handled at one wake-up.
   @batch 128
   @buffer 65_536
-  # Datagrams that the socket takes from the kernel at a time; 5, the default, costs almost twice the time per datagram.
+  # Datagrams that the socket reads from the kernel at a time; the default of 5 costs almost twice the time per datagram.
   @read_packets 64
-  # The reserve while the link's process waits for its turn: about 5,000 small datagrams (Linux counts 832 bytes for one, and
-  # doubles what is asked for), half a second of 10,000 a second. More would only be older.
+  # For the time in which the link's process waits to be scheduled: about 5,000 small datagrams (Linux counts 832 bytes for
+  # each, and doubles the requested size), half a second at 10,000 a second. More would only be older.
   @recbuf 2 * 1024 * 1024
   @datagram_bytes 832
-  # SO_MEMINFO of Linux: nine numbers, of which the first is what waits in bytes and the last what was dropped.
+  # SO_MEMINFO of Linux: nine numbers; the first is how many bytes wait, the last how many datagrams were dropped.
   @meminfo {:raw, 1, 55, 36}
   @send_limit 128 * 1024
 
-  @doc "Messages that a socket delivers before it asks to go on."
+  @doc "How many messages a socket delivers before it has to be asked again (`{:active, n}`)."
   @spec active() :: pos_integer
   def active, do: @active
 
-  @doc "Addresses of a host, IPv4 first. A name is looked up now, every time."
+  @doc "The addresses of a host, IPv4 first. A name is resolved with every call."
   @spec resolve(:inet.ip_address() | String.t()) :: {:ok, [:inet.ip_address()]} | {:error, term}
   def resolve(address) when is_tuple(address), do: {:ok, [address]}
 
@@ -43,15 +43,15 @@ defmodule Aerie.Link.Transport.Net do
     end
   end
 
-  @doc "The option that chooses IPv4 or IPv6 for an address."
+  @doc "The socket option for the family of an address."
   @spec family(:inet.ip_address()) :: :inet | :inet6
   def family(address) when tuple_size(address) == 8, do: :inet6
   def family(_address), do: :inet
 
-  @doc "Opens a UDP socket at a local address, quiet until activated. Never shares a port (no reuseaddr)."
+  @doc "Opens a passive UDP socket at a local address. Never shares a port (no reuseaddr)."
   @spec udp(:inet.ip_address(), :inet.port_number(), keyword) :: {:ok, :gen_udp.socket()} | {:error, term}
   def udp(address, port, more \\ []) do
-    # The buffer comes after recbuf, which would else make every read allocate as much.
+    # `buffer` comes after `recbuf`, which would otherwise make every read allocate as much.
     options = [
       :binary,
       family(address),
@@ -65,7 +65,7 @@ defmodule Aerie.Link.Transport.Net do
     :gen_udp.open(port, options ++ more)
   end
 
-  @doc "What a UDP socket says besides datagrams, as `c:Aerie.Link.Transport.handle/2` has it."
+  @doc "Handles what a UDP socket sends besides datagrams, as `c:Aerie.Link.Transport.handle/2`."
   @spec udp_message(conn, term) :: {[{:closed, :closed}], conn} | :unknown
         when conn: %{socket: :gen_udp.socket()}
   def udp_message(%{socket: socket} = conn, {:udp_passive, socket}) do
@@ -73,14 +73,14 @@ defmodule Aerie.Link.Transport.Net do
     {[], conn}
   end
 
-  # An answer of the network to something sent before (no such port there): says nothing about the other peers.
+  # The network's answer to something sent before (no such port): says nothing about other peers.
   def udp_message(%{socket: socket} = conn, {:udp_error, socket, _reason}), do: {[], conn}
   def udp_message(%{socket: socket} = conn, {:udp_closed, socket}), do: {[{:closed, :closed}], conn}
   def udp_message(_conn, _message), do: :unknown
 
   @doc """
-  The datagrams that wait in the mailbox, in order, with their senders; at most #{@batch}. The socket is asked to go on
-  when it had stopped.
+  The datagrams that wait in the mailbox, in order, with their senders; at most #{@batch}. Reactivates the socket if it had
+  stopped.
   """
   @spec drain(:gen_udp.socket()) :: [{{:inet.ip_address(), :inet.port_number()}, binary}]
   def drain(socket), do: drain(socket, @batch, [])
@@ -90,20 +90,20 @@ defmodule Aerie.Link.Transport.Net do
   defp drain(socket, room, reads) do
     receive do
       {:udp, ^socket, address, port, bytes} -> drain(socket, room - 1, [{{address, port}, bytes} | reads])
-      {:udp_passive, ^socket} -> drain_on(socket, room, reads)
+      {:udp_passive, ^socket} -> reactivate(socket, room, reads)
     after
       0 -> Enum.reverse(reads)
     end
   end
 
-  defp drain_on(socket, room, reads) do
+  defp reactivate(socket, room, reads) do
     _ = :inet.setopts(socket, active: @active)
     drain(socket, room, reads)
   end
 
   @doc """
-  A datagram of the mailbox and those that wait behind it, less what has waited too long (`Aerie.Link.Backlog`), and how
-  many went for that.
+  A datagram and those that wait behind it in the mailbox, without those that waited too long (`Aerie.Link.Backlog`), and
+  how many those were.
   """
   @spec take(:gen_udp.socket(), Backlog.t(), datagram) :: {[datagram], non_neg_integer, Backlog.t()}
         when datagram: {{:inet.ip_address(), :inet.port_number()}, binary}
@@ -111,11 +111,11 @@ defmodule Aerie.Link.Transport.Net do
     datagrams = [first | drain(socket)]
     now = :erlang.monotonic_time(:millisecond)
 
-    backlog = if Backlog.due?(backlog, now), do: Backlog.look(backlog, waiting(socket), now), else: backlog
+    backlog = if Backlog.due?(backlog, now), do: Backlog.measure(backlog, waiting(socket), now), else: backlog
     Backlog.take(backlog, datagrams)
   end
 
-  @doc "Datagrams and how many were thrown away, as events of a transport."
+  @doc "Datagrams, and how many were discarded, as events of a transport."
   @spec events([{term, binary}], non_neg_integer) :: [Aerie.Link.Transport.event()]
   def events([], 0), do: []
   def events(reads, 0), do: [{:read, reads}]
@@ -127,7 +127,7 @@ defmodule Aerie.Link.Transport.Net do
     messages + div(bytes, @datagram_bytes)
   end
 
-  @doc "How many datagrams the kernel has dropped of a socket because its buffer was full; 0 where it does not tell."
+  @doc "How many datagrams of a socket the kernel has dropped because its buffer was full; 0 where that is not known."
   @spec kernel_dropped(:gen_udp.socket()) :: non_neg_integer
   def kernel_dropped(socket), do: socket |> kernel() |> elem(1)
 
@@ -142,8 +142,8 @@ defmodule Aerie.Link.Transport.Net do
   end
 
   @doc """
-  A second handle of a UDP socket for writing, which any process may use without the port's queue in between, and at a
-  third of the cost. It ends with the calling process, or by `udp_close/2` and no other way; nil where the system does not give one.
+  A second handle of a UDP socket for writing: any process may use it past the port's queue, at a third of the cost. It ends
+  with the calling process; close it only by `udp_close/2`. nil if the system does not allow one.
   """
   @spec sender(:gen_udp.socket()) :: :socket.socket() | nil
   def sender(socket) do
@@ -164,7 +164,7 @@ defmodule Aerie.Link.Transport.Net do
 
   def sockaddr(address, port), do: %{family: :inet, addr: address, port: port}
 
-  @doc "Writes one datagram, by the second handle where there is one. Nobody listening there is no fault of ours."
+  @doc "Writes one datagram, by the second handle if there is one. It is no error if nobody listens there."
   @spec udp_write(:gen_udp.socket(), :socket.socket() | nil, :inet.ip_address(), :inet.port_number(), iodata) ::
           :ok | :busy | {:error, term}
   def udp_write(socket, nil, address, port, bytes),
@@ -182,14 +182,14 @@ defmodule Aerie.Link.Transport.Net do
   @doc "Closes a UDP socket and its second handle."
   @spec udp_close(:gen_udp.socket(), :socket.socket() | nil) :: :ok
   def udp_close(socket, sender) do
-    # In this order only: `:socket.close/1` makes the descriptor that both share a blocking one, and the driver of the
-    # socket, if it was still reading, would stop a scheduler, and with it the whole VM, until the next datagram.
+    # Only in this order: `:socket.close/1` makes the shared descriptor blocking, and a driver that still reads from it
+    # would block a scheduler, and with it the whole VM, until the next datagram.
     :ok = :gen_udp.close(socket)
     _ = if sender, do: :socket.close(sender)
     :ok
   end
 
-  @doc "Options of every TCP socket; a half-open connection is noticed within half a minute."
+  @doc "The options of every TCP socket; a half-open connection is noticed within half a minute."
   @spec tcp_options() :: keyword
   def tcp_options do
     [
@@ -198,7 +198,7 @@ defmodule Aerie.Link.Transport.Net do
       nodelay: true,
       buffer: @buffer,
       keepalive: true,
-      # Not as much as the kernel would take by itself: for a slow reader that is minutes of old telemetry.
+      # Less than the kernel's default, which for a slow reader is minutes of old telemetry.
       sndbuf: @send_limit,
       high_watermark: 2 * @send_limit,
       send_timeout: 1000,
@@ -206,7 +206,7 @@ defmodule Aerie.Link.Transport.Net do
     ] ++ keepalive_options()
   end
 
-  # In seconds, seconds, tries, and milliseconds for data that is not acknowledged.
+  # Seconds, seconds, attempts; milliseconds for unacknowledged data.
   defp keepalive_options do
     case :os.type() do
       {:unix, :linux} -> [keepidle: 10, keepintvl: 5, keepcnt: 4, user_timeout: 30_000]
@@ -215,8 +215,8 @@ defmodule Aerie.Link.Transport.Net do
   end
 
   @doc """
-  Writes to a TCP socket unless #{div(@send_limit, 1024)} KiB wait already: a peer that stops reading gets less, and
-  nobody waits for it.
+  Writes to a TCP socket unless #{div(@send_limit, 1024)} KiB already wait: nobody waits for a peer that stops reading; it misses
+  frames.
   """
   @spec tcp_write(:gen_tcp.socket(), iodata) :: :ok | :busy | {:error, term}
   def tcp_write(socket, bytes) do
@@ -226,12 +226,12 @@ defmodule Aerie.Link.Transport.Net do
     end
   end
 
-  @doc "Whether a connection in which so many bytes wait takes more."
+  @doc "Whether a connection in which so many bytes wait accepts more."
   @spec room?(non_neg_integer) :: boolean
   def room?(waiting), do: waiting <= @send_limit
 
   @doc """
-  Closes a TCP socket at once. What waits for a peer that does not read is given up: closing would else wait for it.
+  Closes a TCP socket at once. Bytes that wait for a peer that does not read are discarded, for which closing would wait.
   """
   @spec tcp_close(:gen_tcp.socket()) :: :ok
   def tcp_close(socket) do
@@ -243,7 +243,7 @@ defmodule Aerie.Link.Transport.Net do
     :gen_tcp.close(socket)
   end
 
-  @doc "The address and port of our end: for people, and as a number."
+  @doc "The address of our end, for people, and its port."
   @spec local(port) :: %{local: String.t(), port: :inet.port_number()}
   def local(socket) do
     case :inet.sockname(socket) do

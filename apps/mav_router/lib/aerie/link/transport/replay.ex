@@ -1,26 +1,28 @@
 defmodule Aerie.Link.Transport.Replay do
   @moduledoc """
-  A recorded tlog, gzipped or not, in place of a live link, in real time, scaled, or as fast as it is taken.
+  A recorded tlog, gzipped or not, in real time, scaled, or as fast as possible.
 
-  The frames carry the times of their records. As fast as possible means: a batch is read when the vehicles' sessions have
-  dealt with what they had before, so that neither the file's size nor a slow reader of it costs memory. At the end the
-  link says how the recording ended, with what was damaged or cut off, and stays; with `loop=true` it begins anew.
+  Frames have the times of their records. As fast as possible means that a batch is read when the vehicles' sessions have
+  handled the one before, so that neither a large file nor a slow session costs memory. At its end the link stays, and says
+  how the recording ended and what was damaged or cut off; with `loop=true` it starts over.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Form
+  alias Aerie.Link.Transport.Query
   alias Aerie.Link.Transport.Replay.Pacer
   alias MavCodec.Frame
   alias MavCodec.Tlog.Damage
   alias MavCodec.Tlog.Decoder
 
   @chunk 65_536
-  # What is not gzipped is read as it is.
+  # Files that are not gzipped are read unchanged.
   @modes [:read, :raw, :binary, :compressed]
   @batch 256
-  # Reads that may wait at a session before the next batch is read, and how soon that is looked at again.
+  # Messages that may wait at a session before the next batch is read, and how soon they are counted again.
   @backlog 16
   @look_ms 1
-  # A gap in a recording is waited for in pieces, so that a clock that is set while it lasts does no harm.
+  # A long gap in a recording is waited for in pieces, so that setting the clock meanwhile does no harm.
   @most_ms 1_000
 
   @enforce_keys [:spec, :pacer, :ref]
@@ -32,15 +34,53 @@ defmodule Aerie.Link.Transport.Replay do
     :decoder,
     items: [],
     frames: 0,
-    rounds: 0,
     damage: nil,
     busy: false
   ]
 
   @impl Aerie.Link.Transport
-  def framing, do: :datagram
+  def traits, do: %{kind: :replay, framing: :datagram, recorded: true, client: nil}
 
-  # Opened once to see that it can be; the link's process opens it again, because a file belongs to its process.
+  @impl Aerie.Link.Transport
+  def forms do
+    [
+      %Form{
+        prefix: "replay:",
+        expected: "replay:FILE",
+        example: "replay:flight.tlog?speed=max",
+        help: [{"replay:FILE", "play a recorded flight (a .tlog file)"}],
+        options: ["speed", "loop"]
+      }
+    ]
+  end
+
+  @impl Aerie.Link.Transport
+  def parse(_prefix, ""), do: {:error, "the file is missing"}
+  def parse(_prefix, file), do: {:ok, %{file: file}}
+
+  @impl Aerie.Link.Transport
+  def option(_prefix, "loop", value), do: Query.boolean(:loop, value)
+  def option(_prefix, "speed", "max"), do: {:ok, :speed, :max}
+
+  def option(_prefix, "speed", value) do
+    case Float.parse(value) do
+      {number, ""} when number >= 0.01 and number <= 10_000 ->
+        {:ok, :speed, number}
+
+      _other ->
+        {:error, reason: "#{inspect(value)} is no speed", expected: "speed=N (0.01 to 10000) or speed=max"}
+    end
+  end
+
+  @impl Aerie.Link.Transport
+  def place(spec), do: Path.basename(spec.file)
+
+  @impl Aerie.Link.Transport
+  def explain(:enoent, spec), do: "there is no file #{spec.file}"
+  def explain(:eisdir, spec), do: "#{spec.file} is a folder"
+  def explain(_reason, _spec), do: nil
+
+  # Opened to see whether it can be; the link's process opens it again, because a file belongs to a process.
   @impl Aerie.Link.Transport
   def open(spec) do
     with {:ok, device} <- :file.open(spec.file, @modes),
@@ -114,7 +154,7 @@ defmodule Aerie.Link.Transport.Replay do
   end
 
   defp take(%{decoder: nil} = conn, _room, records, _now) do
-    # A file without a single frame would loop for ever.
+    # A file without any frame would loop for ever.
     if conn.spec.loop and conn.frames > 0, do: rewind(conn, records), else: {records, conn, :over}
   end
 
@@ -134,7 +174,7 @@ defmodule Aerie.Link.Transport.Replay do
 
   defp rewind(conn, records) do
     case :file.position(conn.device, 0) do
-      {:ok, 0} -> {records, begin(%{conn | rounds: conn.rounds + 1}), :more}
+      {:ok, 0} -> {records, begin(conn), :more}
       {:error, reason} -> {records, conn, {:error, reason}}
     end
   end
@@ -142,7 +182,7 @@ defmodule Aerie.Link.Transport.Replay do
   defp ending(%{damage: nil} = conn), do: "end of #{conn.spec.file} after #{conn.frames} frames"
   defp ending(conn), do: "#{ending(%{conn | damage: nil})}; #{Damage.format(conn.damage)}"
 
-  # Called after each batch: reads on, or looks a little later whether the sessions have caught up.
+  # Called after each batch: reads on, or checks a little later whether the sessions have caught up.
   @impl Aerie.Link.Transport
   def delivered(%{busy: false} = conn, _backlog), do: conn
 

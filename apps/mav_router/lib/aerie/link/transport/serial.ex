@@ -1,27 +1,28 @@
 defmodule Aerie.Link.Transport.Serial do
+  @max_waiting 8_192
+  @max_messages 256
+
   @moduledoc """
-  A serial port, over `Circuits.UART` in active mode: what is received comes straight to the link's process.
+  A serial port, by `Circuits.UART` in active mode: what is received comes straight to the link's process.
 
-  Where the port or its baud rate is to be found first, `Aerie.Link.Serial.Detection` does that while opening; the port
-  then stays open, and what it said meanwhile is read first.
+  If the port or its baud rate has to be found first, `Aerie.Link.Serial.Detection` does that while opening; the port
+  then stays open, and what was received meanwhile is read first.
 
-  The port belongs to a process of its own (`Aerie.Link.Serial.Holder`), which also writes: at 57,600 baud a
-  frame takes milliseconds, during which the link goes on reading. At most #{8_192} bytes wait for it; more is refused.
+  The port belongs to a process of its own (`Aerie.Link.Serial.Holder`), which also writes: at 57,600 baud a frame takes
+  milliseconds, in which the link goes on reading. At most #{@max_waiting} bytes wait to be written; more is refused.
 
-  A sender that is faster than this link waits in the kernel: when more than #{256} messages wait in the link's mailbox,
-  nothing more is read of the port until they are dealt with.
+  When more than #{@max_messages} messages wait in the link's mailbox, nothing is read from the port until they are handled; the bytes
+  of a faster sender wait in the kernel.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Serial.ConnectionString
   alias Aerie.Link.Serial.Detection
   alias Aerie.Link.Serial.Finding
   alias Aerie.Link.Serial.Ports
   alias Aerie.Link.Serial.Sniff
-  alias Aerie.Link.Spec
   alias Aerie.Link.Serial.Holder
 
-  @max_waiting 8_192
-  @max_messages 256
   @batch 64
   @sniff_ms 1_500
 
@@ -29,10 +30,29 @@ defmodule Aerie.Link.Transport.Serial do
   defstruct [:holder, :uart, :device, :finding, :baud, waiting: 0, head: "", paused: false, sniffed: nil]
 
   @impl Aerie.Link.Transport
-  def framing, do: :stream
+  def traits, do: %{kind: :serial, framing: :stream, sniffed: true}
 
   @impl Aerie.Link.Transport
-  def open(%Spec{detect: nil} = spec) do
+  defdelegate forms(), to: ConnectionString
+
+  @impl Aerie.Link.Transport
+  defdelegate parse(prefix, rest), to: ConnectionString
+
+  @impl Aerie.Link.Transport
+  defdelegate option(prefix, name, value), to: ConnectionString
+
+  @impl Aerie.Link.Transport
+  def place(%{detect: :port}), do: "any serial port"
+  def place(%{device: device}), do: device
+
+  @impl Aerie.Link.Transport
+  def explain(reason, spec) when reason in [:eacces, :eperm],
+    do: "no permission for #{place(spec)} (is the user in the group dialout?)"
+
+  def explain(_reason, _spec), do: nil
+
+  @impl Aerie.Link.Transport
+  def open(%{detect: nil} = spec) do
     {:ok, holder} = Holder.start_link()
 
     case Holder.open(holder, spec.device, spec.baud) do
@@ -45,14 +65,14 @@ defmodule Aerie.Link.Transport.Serial do
     end
   end
 
-  def open(%Spec{} = spec) do
+  def open(spec) do
     options = [
       ports: ports(spec),
       bauds: spec.bauds || spec.options[:serial_bauds],
       hint: spec.options[:hint]
     ]
 
-    with {:ok, holder, finding, bytes} <- Detection.run(options) |> others(options[:ports]) do
+    with {:ok, holder, finding, bytes} <- Detection.run(options) |> explain_taken(options[:ports]) do
       {:ok,
        %__MODULE__{
          holder: holder,
@@ -66,19 +86,19 @@ defmodule Aerie.Link.Transport.Serial do
   end
 
   # There are ports, but other links have them.
-  defp others({:error, {:undetected, []}}, %{taken: [_ | _]} = ports) do
+  defp explain_taken({:error, {:undetected, []}}, %{taken: [_ | _]} = ports) do
     {:error,
      {:undetected, for(%{path: path} <- Ports.list(%{ports | taken: []}), do: Finding.of_another_link(path))}}
   end
 
-  defp others(result, _ports), do: result
+  defp explain_taken(result, _ports), do: result
 
-  defp ports(%Spec{detect: :port, options: options} = spec) do
+  defp ports(%{detect: :port, options: options} = spec) do
     ports = if spec.ports == [], do: options[:serial_ports] || [], else: spec.ports
     Map.merge(%{ports: ports, only: spec.only, taken: options[:taken] || []}, dev(options))
   end
 
-  defp ports(%Spec{device: device, options: options}) do
+  defp ports(%{device: device, options: options}) do
     Map.merge(%{ports: [device], only: true}, dev(options))
   end
 
@@ -86,14 +106,14 @@ defmodule Aerie.Link.Transport.Serial do
   defp dev(_options), do: %{}
 
   @impl Aerie.Link.Transport
-  def watch(%Spec{} = spec), do: spec |> ports() |> Ports.fingerprint()
+  def watch(spec), do: spec |> ports() |> Ports.fingerprint()
 
   @impl Aerie.Link.Transport
   def give(conn, link), do: Holder.give(conn.holder, link)
 
   @impl Aerie.Link.Transport
   def activate(conn) do
-    # The opener is about to end; from here on the port lives and dies with the link's process.
+    # The opener is about to end; from now on the port ends with the link's process.
     Process.link(conn.holder)
     if conn.head != "", do: send(self(), {:serial_head, conn.holder})
     Holder.go(conn.holder)
@@ -166,7 +186,7 @@ defmodule Aerie.Link.Transport.Serial do
 
     if waiting > @max_messages do
       Holder.pause(conn.holder)
-      # Behind all that waits now.
+      # It comes behind everything that waits now.
       send(self(), {:serial_caught_up, conn.holder})
       %{conn | paused: true}
     else
@@ -205,18 +225,19 @@ defmodule Aerie.Link.Transport.Serial do
     Holder.stop(conn.holder)
   end
 
-  # The link's own name may be that of no port. `:ebadf` is the same, seen a moment later.
-  defp gone(conn, reason) when reason in [:eio, :ebadf], do: "#{conn.device} was unplugged"
+  # The name in the spec may be no port's. `:ebadf` is the same fault, a moment later.
+  # Which one it is depends on the driver, and on what was being done.
+  defp gone(conn, reason) when reason in [:eio, :ebadf, :enodev, :enxio], do: "#{conn.device} was unplugged"
   defp gone(_conn, reason), do: words(reason)
 
-  # What means something particular for a serial port.
+  # Reasons that mean something particular for a serial port.
   defp words(:eagain), do: :ebusy
-  defp words(:enotty), do: "that file is no serial port"
-  defp words(:einval), do: "the port does not do this baud rate"
+  defp words(:enotty), do: "it is no serial port"
+  defp words(:einval), do: "the port does not support this baud rate"
   defp words(:epipe), do: "the program that serves the port ended"
 
   defp words(:port_program_missing),
-    do: "serial ports need a C compiler at set-up: install gcc, then run bin/setup"
+    do: "serial ports need a C compiler when the gateway is built: install gcc, then run bin/setup"
 
   defp words(reason), do: reason
 end

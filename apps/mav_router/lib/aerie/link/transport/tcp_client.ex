@@ -1,14 +1,21 @@
 defmodule Aerie.Link.Transport.TcpClient do
-  @moduledoc "TCP, calling. All addresses of a name are tried in turn, 5 s each; the last one's fault is told."
+  @moduledoc "A TCP client. Tries all addresses of a name in turn, 5 s each; the error is that of the last one."
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Form
   alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
   @connect_ms 5_000
 
   @impl Aerie.Link.Transport
-  def framing, do: :stream
+  def traits, do: %{kind: :tcp_client, framing: :stream, protocol: :tcp, client: :remote}
+
+  @impl Aerie.Link.Transport
+  def forms, do: [Form.address("tcp:", "127.0.0.1:5760", "connect, e.g. to a SITL: tcp:127.0.0.1:5760")]
+
+  @impl Aerie.Link.Transport
+  def parse(_prefix, rest), do: Form.parse_address(rest, false)
 
   @impl Aerie.Link.Transport
   def open(spec) do
@@ -37,13 +44,13 @@ defmodule Aerie.Link.Transport.TcpClient do
   def handle(socket, {:tcp, socket, bytes}), do: {[{:read, [{:remote, bytes}]}], socket}
 
   def handle(socket, {:tcp_passive, socket}) do
-    # A socket that closed meanwhile says so itself, in its next message.
+    # If the socket closed meanwhile, its next message says so.
     _ = :inet.setopts(socket, active: Net.active())
     {[], socket}
   end
 
   def handle(socket, {:tcp_closed, socket}), do: {[{:closed, :closed}], socket}
-  # The closing message follows, but the reason is here.
+  # `:tcp_closed` follows, but without the reason.
   def handle(socket, {:tcp_error, socket, reason}), do: {[{:closed, reason}], socket}
   def handle(_socket, _message), do: :unknown
 

@@ -1,12 +1,13 @@
 defmodule Aerie.Link.Transport.TcpServer do
   @moduledoc """
-  TCP, listening: every connection is a peer of its own, numbered from 1.
+  A TCP server: every connection is a peer of its own, numbered from 1.
 
-  A process of its own waits for connections, because that blocks; it is linked to the link's process and holds nothing
-  else. Connections are read by the link's process.
+  Accepting blocks, so a process of its own does it, linked to the link's process. The link's process reads the
+  connections.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Form
   alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
@@ -14,7 +15,13 @@ defmodule Aerie.Link.Transport.TcpServer do
   defstruct [:listener, :acceptor, next: 1, sockets: %{}, peers: %{}]
 
   @impl Aerie.Link.Transport
-  def framing, do: :stream
+  def traits, do: %{kind: :tcp_server, framing: :stream, protocol: :tcp, server: true, client: :remote}
+
+  @impl Aerie.Link.Transport
+  def forms, do: [Form.address("tcpin:", "0.0.0.0:5760", "listen for TCP connections")]
+
+  @impl Aerie.Link.Transport
+  def parse(_prefix, rest), do: Form.parse_address(rest, true)
 
   @impl Aerie.Link.Transport
   def open(spec) do
@@ -44,11 +51,11 @@ defmodule Aerie.Link.Transport.TcpServer do
   defp accept(listener, link) do
     case :gen_tcp.accept(listener) do
       {:ok, socket} ->
-        # A connection that is gone again already is no reason to stop.
+        # A connection may already be closed again; that is no reason to stop.
         if :gen_tcp.controlling_process(socket, link) == :ok, do: send(link, {:accepted, listener, socket})
         accept(listener, link)
 
-      # The limits of the machine: waiting keeps the other links alive.
+      # A limit of the machine: wait, so that the other links live on.
       {:error, reason} when reason in [:emfile, :enfile, :enobufs, :enomem] ->
         Process.sleep(200)
         accept(listener, link)
@@ -86,7 +93,7 @@ defmodule Aerie.Link.Transport.TcpServer do
       conn = %{conn | next: peer + 1, sockets: Map.put(conn.sockets, socket, peer)}
       {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], socket)}
     else
-      {:error, _gone_already} ->
+      {:error, _already_closed} ->
         Net.tcp_close(socket)
         {[], conn}
     end
@@ -108,7 +115,7 @@ defmodule Aerie.Link.Transport.TcpServer do
     else
       :error -> {:error, :enotconn, conn}
       :busy -> {:busy, conn}
-      # The peer's own closing message follows.
+      # The message that the peer closed follows.
       {:error, reason} -> {:error, reason, conn}
     end
   end

@@ -1,25 +1,42 @@
 defmodule Aerie.Link.Transport.UdpClient do
   @moduledoc """
-  UDP, calling: sends to one address and hears only that host. Replies may come from another port of the host (a server
-  behind a router answers from where it likes); from then on that port is written to.
+  A UDP client: sends to one address and accepts datagrams of that host only. If they come from another port (a server
+  behind a NAT), it sends to that port from then on.
 
-  Towards a broadcast address (`udpbcast:`) the first that answers, whoever it is, becomes the one that is written to and
-  heard. In both cases the peer's name stays `:remote`.
+  With a broadcast address (`udpbcast:`), it accepts the first host that answers, and sends only to that host from then
+  on. In both cases the peer's name stays `:remote`.
 
-  The name is resolved when the link connects. When nothing was heard for 30 s the link is opened again, and with it the
-  name is resolved again and the reply's port forgotten: a server that moved is found.
+  The name is resolved when the link connects. After 30 s of silence the link is opened again, which resolves the name
+  again and forgets the port: a server that moved is found.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Form
   alias Aerie.Link.Backlog
   alias Aerie.Address
   alias Aerie.Link.Transport.Net
 
+  @broadcast "udpbcast:"
+
   @enforce_keys [:socket, :to, :broadcast]
-  defstruct [:socket, :to, :broadcast, :sender, latched: false, backlog: Backlog.new()]
+  defstruct [:socket, :to, :broadcast, :sender, found: false, backlog: Backlog.new()]
 
   @impl Aerie.Link.Transport
-  def framing, do: :datagram
+  def traits, do: %{kind: :udp_client, framing: :datagram, protocol: :udp, announced: true, client: :remote}
+
+  @impl Aerie.Link.Transport
+  def forms do
+    [
+      Form.address("udpout:", "192.168.1.10:14550", "send UDP to a vehicle, radio or router"),
+      Form.address(@broadcast, "192.168.1.255:14550", "broadcast by UDP until one answers", "ADDRESS:PORT")
+    ]
+  end
+
+  @impl Aerie.Link.Transport
+  def parse(prefix, rest) do
+    with {:ok, fields} <- Form.parse_address(rest, false),
+         do: {:ok, Map.put(fields, :broadcast, prefix == @broadcast)}
+  end
 
   @impl Aerie.Link.Transport
   def open(spec) do
@@ -48,8 +65,10 @@ defmodule Aerie.Link.Transport.UdpClient do
   @impl Aerie.Link.Transport
   def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
     {datagrams, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
-    {reads, conn} = Enum.flat_map_reduce(datagrams, %{conn | backlog: backlog}, &hear/2)
-    {Net.events(reads, shed), conn}
+    {reads, heard} = Enum.flat_map_reduce(datagrams, %{conn | backlog: backlog}, &hear/2)
+    events = Net.events(reads, shed)
+    # Before the reads, so that an answer to them goes to the new address.
+    {if(heard.to == conn.to, do: events, else: [:redirected | events]), heard}
   end
 
   def handle(conn, message), do: Net.udp_message(conn, message)
@@ -57,11 +76,11 @@ defmodule Aerie.Link.Transport.UdpClient do
   defp hear({from, bytes}, %{to: from} = conn), do: {[{:remote, bytes}], conn}
 
   defp hear({{address, _} = from, bytes}, %{to: {address, _}} = conn) do
-    {[{:remote, bytes}], %{conn | to: from, latched: true}}
+    {[{:remote, bytes}], %{conn | to: from, found: true}}
   end
 
-  defp hear({from, bytes}, %{broadcast: true, latched: false} = conn) do
-    {[{:remote, bytes}], %{conn | to: from, latched: true}}
+  defp hear({from, bytes}, %{broadcast: true, found: false} = conn) do
+    {[{:remote, bytes}], %{conn | to: from, found: true}}
   end
 
   defp hear(_stranger, conn), do: {[], conn}

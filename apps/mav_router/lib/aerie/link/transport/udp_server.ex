@@ -1,10 +1,11 @@
 defmodule Aerie.Link.Transport.UdpServer do
   @moduledoc """
-  UDP, listening: every sender is a peer of its own, `{address, port}`. Which senders become peers, and for how long, is
-  the link's business; this module answers to any address it is told.
+  A UDP server: every sender is a peer of its own, `{address, port}`. The link decides which senders become peers and for how
+  long (`Aerie.Link.Peers`); this module writes to any address.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.Form
   alias Aerie.Link.Backlog
   alias Aerie.Link.Transport.Net
 
@@ -12,7 +13,18 @@ defmodule Aerie.Link.Transport.UdpServer do
   defstruct [:socket, :sender, backlog: Backlog.new()]
 
   @impl Aerie.Link.Transport
-  def framing, do: :datagram
+  def traits, do: %{kind: :udp_server, framing: :datagram, protocol: :udp, server: true, client: :remote}
+
+  @impl Aerie.Link.Transport
+  def forms do
+    [
+      Form.address("udpin:", "0.0.0.0:14550", "listen for UDP, e.g. udpin:0.0.0.0:14550"),
+      Form.address("udp:", "0.0.0.0:14550", nil)
+    ]
+  end
+
+  @impl Aerie.Link.Transport
+  def parse(_prefix, rest), do: Form.parse_address(rest, true)
 
   @impl Aerie.Link.Transport
   def open(spec) do

@@ -1,13 +1,16 @@
 defmodule Aerie.Link.Transport.WebSocket do
+  @ping_ms 10_000
+
   @moduledoc """
-  WebSocket, calling: raw MAVLink in binary messages, one frame in each that is sent, any pieces of the stream in those that
-  come. Over TLS (`wss://`) the server has to show a certificate for its name from an authority of this system, or of the link's
+  A WebSocket client: raw MAVLink in binary messages. It sends one frame in each message, and accepts any pieces of the
+  stream. Over TLS (`wss://`) the server needs a certificate for its name from an authority of this system, or of the link's
   `ca` file.
 
-  A server that is silent is asked for a sign of life (ping) every #{10_000} ms; without any for three of them the connection is over.
+  A silent server is pinged every #{div(@ping_ms, 1000)} s; after three pings without any answer the connection is closed.
   """
   @behaviour Aerie.Link.Transport
 
+  alias Aerie.Link.Transport.WebSocket.ConnectionString
   alias Aerie.Address
   alias Aerie.Link.Transport.Net
   alias Aerie.Link.Transport.WebSocket.Frames
@@ -15,14 +18,22 @@ defmodule Aerie.Link.Transport.WebSocket do
   alias MavCodec.Frame
 
   @connect_ms 5_000
-  @ping_ms 10_000
   @silent_pings 3
 
   @enforce_keys [:by, :socket, :early]
   defstruct [:by, :socket, :early, :timer, frames: Frames.new(), silent: 0]
 
   @impl Aerie.Link.Transport
-  def framing, do: :stream
+  def traits, do: %{kind: :websocket, framing: :stream, protocol: :tcp}
+
+  @impl Aerie.Link.Transport
+  defdelegate forms(), to: ConnectionString
+
+  @impl Aerie.Link.Transport
+  defdelegate parse(prefix, rest), to: ConnectionString
+
+  @impl Aerie.Link.Transport
+  defdelegate option(prefix, name, value), to: ConnectionString
 
   @impl Aerie.Link.Transport
   def open(spec) do
@@ -38,7 +49,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     Enum.reduce_while(addresses, {:error, :nxdomain}, fn address, _last ->
       case connect_to(address, spec) do
         {:ok, conn} -> {:halt, {:ok, conn}}
-        {:error, reason} -> {:cont, {:error, words(reason, spec)}}
+        {:error, reason} -> {:cont, {:error, explain_tls(reason, spec)}}
       end
     end)
   end
@@ -60,8 +71,8 @@ defmodule Aerie.Link.Transport.WebSocket do
   defp trusted(nil) do
     {:ok, cacerts: :public_key.cacerts_get()}
   rescue
-    # Raised where the system has none.
-    _none -> {:error, "this system has no certificate authorities: name some by ?ca=FILE"}
+    # Raised if the system has none.
+    _none -> {:error, "this system has no certificate authorities; name some with ?ca=FILE"}
   end
 
   defp trusted(file) do
@@ -70,7 +81,7 @@ defmodule Aerie.Link.Transport.WebSocket do
       else: {:error, "there is no file #{file} with certificate authorities"}
   end
 
-  # Of an address the certificate has to name that address.
+  # For an address, the certificate has to name that address.
   defp name(host) when is_binary(host), do: [server_name_indication: String.to_charlist(host)]
   defp name(_address), do: []
 
@@ -86,7 +97,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     ]
   end
 
-  defp words({:tls_alert, {_name, text}}, spec) do
+  defp explain_tls({:tls_alert, {_name, text}}, spec) do
     text =
       text
       |> to_string()
@@ -97,7 +108,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     "#{Address.format(spec.host, spec.port)} is not trusted (TLS): #{text}"
   end
 
-  defp words(reason, _spec), do: reason
+  defp explain_tls(reason, _spec), do: reason
 
   defp shake(conn, spec) do
     key = :cow_ws.key()
@@ -125,7 +136,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     with {:ok, {address, port}} <- options(conn).peername(socket),
          {:ok, {own, own_port}} <- options(conn).sockname(socket),
          :ok <- options(conn).setopts(socket, active: Net.active()) do
-      # What came with the answer is a message like any other.
+      # What came together with the answer is handled like any other message.
       if conn.early != "", do: send(self(), {:websocket, :early, socket})
 
       {:ok, ping_later(conn),
@@ -147,7 +158,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     do: read(conn, bytes)
 
   def handle(%{socket: socket} = conn, {kind, socket}) when kind in [:tcp_passive, :ssl_passive] do
-    # A socket that closed meanwhile says so itself, in its next message.
+    # If the socket closed meanwhile, its next message says so.
     _ = options(conn).setopts(socket, active: Net.active())
     {[], conn}
   end
@@ -172,9 +183,9 @@ defmodule Aerie.Link.Transport.WebSocket do
   defp read(conn, bytes) do
     {events, frames} = Frames.push(conn.frames, bytes)
     conn = %{conn | frames: frames, silent: 0}
-    # In one go: what one read brings is one delivery.
+    # What one read brings is one delivery.
     data = for {:data, data} <- events, do: data
-    # A socket that takes no pong is found out by the next write that matters.
+    # If the socket does not accept the pong, the next write finds out.
     for {:ping, payload} <- events, do: _ = put(conn, Frames.control({:pong, payload}))
     reads = if data == [], do: [], else: [{:read, [{:remote, joined(data)}]}]
     {reads ++ Enum.flat_map(events, &ending/1), conn}
@@ -188,7 +199,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     [{:closed, "the server closed the WebSocket (#{code || "no code"}#{said})"}]
   end
 
-  defp ending(:bad), do: [{:closed, "the server sent what is no WebSocket frame"}]
+  defp ending(:bad), do: [{:closed, "the server sent something that is no WebSocket frame"}]
   defp ending(_other), do: []
 
   @impl Aerie.Link.Transport
@@ -202,7 +213,7 @@ defmodule Aerie.Link.Transport.WebSocket do
     end
   end
 
-  # A message for each frame: there are readers that read no further than the first.
+  # One message for each frame: some receivers read only the first frame of a message.
   defp frames(<<>>), do: []
 
   defp frames(bytes) do

@@ -2,8 +2,8 @@ defmodule Aerie.Recorder.Recording.Buffer do
   @moduledoc """
   Records that are collected until they are written together. A pure value.
 
-  `waiting` are the bytes of the queue (`Aerie.Recorder.Tap`) that are answered for when these are written, or dropped: what
-  is collected still takes memory.
+  `waiting` are bytes that count as waiting in the queue (`Aerie.Recorder.Tap`) until these records are written or dropped: collected
+  records still take memory.
   """
 
   @full 65_536
@@ -17,7 +17,7 @@ defmodule Aerie.Recorder.Recording.Buffer do
           waiting: non_neg_integer
         }
 
-  @doc "Adds the records of some frames. Copied, so that nothing of a link's reads stays in memory for them."
+  @doc "Adds the records of some frames, copied, so that they do not keep a link's reads in memory."
   @spec add(t, iodata, pos_integer) :: t
   def add(buffer, records, frames) do
     records = IO.iodata_to_binary(records)
@@ -30,14 +30,14 @@ defmodule Aerie.Recorder.Recording.Buffer do
     }
   end
 
-  @doc "Notes bytes of the queue that wait for this to be written."
+  @doc "Notes bytes of the queue that wait for the records to be written."
   @spec wait(t, non_neg_integer) :: t
   def wait(buffer, bytes), do: %{buffer | waiting: buffer.waiting + bytes}
 
   @spec empty?(t) :: boolean
   def empty?(buffer), do: buffer.entries == []
 
-  @doc "Whether there is as much as is written at once."
+  @doc "Whether there is enough for one write."
   @spec full?(t) :: boolean
   def full?(buffer), do: buffer.bytes >= @full
 

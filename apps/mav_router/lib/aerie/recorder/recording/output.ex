@@ -1,22 +1,23 @@
 defmodule Aerie.Recorder.Recording.Output do
+  # The longest pause, in times of `pause_ms`.
+  @longest 12
+
   @moduledoc """
-  Where a recording's records go: one file after the other, and what becomes of them when the disk does not take them.
+  The files of a recording, one after the other, and what happens when the disk does not take the records.
 
-  A file is begun with the first records and followed by the next when it is long or old enough. A fault of the disk (full,
-  read-only, gone, less free than `min_free`) ends the file; what comes then is dropped and counted, and after `pause_ms`, then
-  twice that, up to twelve times that, it is tried again, in a new file. What is wrong is in the log once for all recordings, until one
-  writes again. A file only ever grows by whole records, but for the last one before a fault.
+  A file starts with the first records and is followed by the next one when it is long or old enough. A fault of the disk (full,
+  read-only, gone, less than `min_free`) ends the file. Records that come then are dropped and counted, until a retry in a new file
+  succeeds: after `pause_ms`, then twice that, up to #{@longest} times that. The log has each fault once for all recordings, until one of
+  them writes again. A file grows by whole records only, except for the last one before a fault.
 
-  Belongs to the process that made it, as its files do.
+  An output belongs to the process that made it, as its files do.
   """
 
   require Logger
 
+  alias Aerie.Backoff
   alias Aerie.Names
   alias Aerie.Recorder.{Archive, Settings, Tables}
-
-  # Times `pause_ms`.
-  @longest 12
 
   @enforce_keys [:gateway, :target, :label, :settings, :tables]
   defstruct @enforce_keys ++
@@ -28,7 +29,7 @@ defmodule Aerie.Recorder.Recording.Output do
                 :paused_until,
                 :reason,
                 :error,
-                :told,
+                :logged,
                 pauses: 0,
                 size: 0,
                 synced: true,
@@ -38,13 +39,13 @@ defmodule Aerie.Recorder.Recording.Output do
   @typedoc """
   - `file`, `size`, `since` (unix seconds), `opened` (monotonic ms): of the file that is being written
   - `paused_until` (monotonic ms), `reason`: while nothing is written
-  - `error`: the last fault, `%{at: unix seconds, reason: words}`
-  - `told`: the fault, until something is written again; `pauses`: how often it was tried since
+  - `error`: the last fault, `%{at: unix seconds, reason: text}`
+  - `logged`: the fault that is in the log, until something is written again; `pauses`: the retries since
   - `totals`: frames and bytes written, files begun, frames `dropped`, `errors` of the disk
   """
   @type t :: %__MODULE__{}
 
-  @doc "Nothing written yet; `former` has the totals and the last error of a former life."
+  @doc "Nothing written yet; `former` has the totals and the last error of a former process."
   @spec new(Names.gateway(), Tables.t(), Tables.target(), String.t(), map | nil) :: t
   def new(gateway, tables, target, label, former) do
     output = %__MODULE__{
@@ -61,12 +62,12 @@ defmodule Aerie.Recorder.Recording.Output do
     end
   end
 
-  @doc "Whether records that come now are dropped without a try."
+  @doc "Whether records are dropped without a retry."
   @spec paused?(t) :: boolean
   def paused?(%{paused_until: nil}), do: false
   def paused?(%{paused_until: until}), do: now() < until
 
-  @doc "Writes the records of some frames, in a file that is there or a new one; or drops them."
+  @doc "Writes the records of some frames to the present file or a new one, or drops them."
   @spec write(t, iodata, pos_integer) :: t
   def write(output, records, frames) do
     if paused?(output) do
@@ -76,11 +77,11 @@ defmodule Aerie.Recorder.Recording.Output do
     end
   end
 
-  @doc "Frames that were to be written and were not."
+  @doc "Counts frames that could not be written."
   @spec dropped(t, non_neg_integer) :: t
   def dropped(output, frames), do: count(output, :dropped, frames)
 
-  @doc "The file is complete."
+  @doc "Completes the file."
   @spec close(t) :: t
   def close(%{device: nil} = output), do: output
 
@@ -92,11 +93,11 @@ defmodule Aerie.Recorder.Recording.Output do
     %{output | device: nil, file: nil, since: nil, size: 0, synced: true}
   end
 
-  @doc "What is due once a second: forces to the disk what was written since, and sees whether the file is still there."
+  @doc "Once a second: forces new records to the disk, and checks whether the file is still there."
   @spec second(t) :: t
   def second(output), do: output |> sync_now(:interval) |> there()
 
-  # Somebody removed it, or its disk: what is written goes nowhere.
+  # The file or its disk was removed: records would be lost.
   defp there(%{file: file} = output) when file != nil do
     if match?({:error, _reason}, :file.read_file_info(file, [:raw])),
       do: output |> close() |> fault("#{file} was removed while it was written"),
@@ -168,23 +169,22 @@ defmodule Aerie.Recorder.Recording.Output do
   defp pause(output, reason) do
     Archive.look(output.gateway)
     tell(output, :paused, %{count: 1}, %{reason: reason})
-    # Once, not with each try of each recording.
-    if reason != output.told and :ets.insert_new(output.tables.settings, {{:told, reason}, output.label}),
+    # Once, not for each retry of each recording.
+    if reason != output.logged and :ets.insert_new(output.tables.settings, {{:logged, reason}, output.label}),
       do: Logger.warning("#{output.label} is not recorded: #{reason}")
 
-    until = now() + output.settings.pause_ms * min(Integer.pow(2, min(output.pauses, 4)), @longest)
-
-    fault(
-      %{output | paused_until: until, pauses: output.pauses + 1, reason: reason, told: reason},
-      reason
-    )
+    min = output.settings.pause_ms
+    pauses = output.pauses + 1
+    # The lower bounds of the back-off: without jitter.
+    until = now() + Backoff.wait(pauses, min, 2 * min * @longest, 0.0)
+    fault(%{output | paused_until: until, pauses: pauses, reason: reason, logged: reason}, reason)
   end
 
-  defp well(%{told: nil} = output), do: output
+  defp well(%{logged: nil} = output), do: output
 
   defp well(output) do
-    :ets.match_delete(output.tables.settings, {{:told, :_}, :_})
-    %{output | told: nil, pauses: 0}
+    :ets.match_delete(output.tables.settings, {{:logged, :_}, :_})
+    %{output | logged: nil, pauses: 0}
   end
 
   defp fault(output, reason),

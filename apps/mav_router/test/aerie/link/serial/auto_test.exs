@@ -28,7 +28,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     SerialPeer.start([every: 100, says: says] ++ options)
   end
 
-  # Less patient than in life.
+  # Shorter than in real life.
   defp auto(c, text \\ "serial:auto") do
     {id, _} = add_link(c.gateway, text, options: [serial_dev: c.dev, silent_ms: 1_000, garbled_ms: 1_000])
     id
@@ -36,7 +36,7 @@ defmodule Aerie.Link.Serial.AutoTest do
 
   defp up(_c), do: assert_receive({:up, _, _}, @patience)
 
-  test "the port with a vehicle among silent, noisy and foreign ones, at its baud rate", c do
+  test "finds the port with a vehicle among silent, noisy and other ones, at its baud rate", c do
     _silent = SerialPeer.start(name_in: {c.dev, "ttyACM0"})
 
     _gps =
@@ -58,10 +58,10 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert %{condition: :vehicle, protocol: :mavlink2, evidence: "" <> _} = finding
     assert text == "connected to #{port} at 921600 baud"
 
-    # What was heard while listening is not lost, and it goes on without a gap.
+    # What was received during the search is not lost, and there is no gap.
     numbers = Enum.map(attitudes(20), &number/1)
     assert numbers == Enum.to_list(hd(numbers)..(hd(numbers) + 19))
-    # Nothing was said to anybody until now.
+    # Nothing was written to any port until now.
     refute_received {:heard, _, _}
     assert :ok = Aerie.Router.send(c.gateway, {"main", 1}, "to the vehicle")
     assert_receive {:heard, ^vehicle, "to the vehicle"}, @patience
@@ -79,7 +79,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert %{baud: 230_400} = Link.snapshot(c.gateway, id)
   end
 
-  test "no port, then one: the plug is noticed", c do
+  test "no port, then one: it is noticed", c do
     id = auto(c)
     assert_receive {:down, _, %{reason: "no serial port found" <> _}}, @patience
     assert_receive {:down, %{retry_ms: 5_000}, _}, @patience
@@ -88,7 +88,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert %{status: :up, diagnosis: []} = Link.snapshot(c.gateway, id)
   end
 
-  test "a port with something else: named, with what to do", c do
+  test "a port with another protocol: named, with what to do", c do
     SerialPeer.start(every: 100, says: fn _ -> "$M>\x03\x01\x00\x01.-" end, name_in: {c.dev, "ttyUSB0"})
     id = auto(c)
     assert_receive {:down, _, %{reason: reason}}, @patience
@@ -99,7 +99,7 @@ defmodule Aerie.Link.Serial.AutoTest do
              Link.snapshot(c.gateway, id).diagnosis
   end
 
-  test "pulled and back as another device: found again, what was known first", c do
+  test "pulled and back as another device: found again, beginning with what was known", c do
     vehicle = vehicle(baud: 460_800, name_in: {c.dev, "ttyUSB0"})
     id = auto(c)
     up(c)
@@ -115,18 +115,18 @@ defmodule Aerie.Link.Serial.AutoTest do
     frames(5)
   end
 
-  test "the baud rate changes under us: looked for again", c do
+  test "the baud rate changes: the port is searched for again", c do
     vehicle = vehicle(baud: 57_600, name_in: {c.dev, "ttyUSB0"})
     id = auto(c)
     up(c)
     SerialPeer.change(vehicle, baud: 115_200)
-    assert_receive {:down, _, %{reason: "no MAVLink any more on " <> what}}, @patience
+    assert_receive {:down, _, %{reason: "no more MAVLink on " <> what}}, @patience
     assert what =~ "no known protocol"
     assert_receive {:up, _, _}, @patience
     assert Link.snapshot(c.gateway, id).baud == 115_200
   end
 
-  test "a fixed baud rate that is wrong: stays, and says so", c do
+  test "a wrong configured baud rate: the port stays open, and the diagnosis says so", c do
     vehicle = vehicle(baud: 57_600)
     {id, _} = add_link(c.gateway, "#{SerialPeer.path(vehicle)},115200", options: [garbled_ms: 1_000])
     up(c)
@@ -137,7 +137,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     eventually(fn -> match?(%{diagnosis: [], status: :up}, Link.snapshot(c.gateway, id)) end)
   end
 
-  test "garbage and good frames in turn cost only themselves", c do
+  test "alternating garbage and good frames: no good frame is lost", c do
     vehicle = vehicle(baud: :any, name_in: {c.dev, "ttyACM0"})
     id = auto(c)
     up(c)
@@ -168,7 +168,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     noise = :binary.copy(<<1, 0xFD, 3, 4>>, 20)
     before = Link.snapshot(c.gateway, id).counters
     flood = for _ <- 1..20, piece <- pieces, into: "", do: noise <> piece
-    # The process that reads stands still, as on a busy machine; what comes waits in the kernel and beyond it.
+    # The reading process is suspended, as on a busy machine; bytes wait in the kernel and at the sender.
     :erlang.suspend_process(link)
     SerialPeer.say(vehicle, flood)
     :erlang.resume_process(link)
@@ -182,7 +182,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert Link.snapshot(c.gateway, id).counters.frames_in - before.frames_in >= 8_000
   end
 
-  test "a half-open line: a device that is there and says nothing any more", c do
+  test "a half-open line: a device that exists but has fallen silent", c do
     vehicle = vehicle(name_in: {c.dev, "ttyUSB0"})
     id = auto(c)
     up(c)
@@ -195,7 +195,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert Link.snapshot(c.gateway, id).status == :up
   end
 
-  test "two links that look for ports do not take each other's", c do
+  test "two links that search do not take each other's ports", c do
     vehicle(name_in: {c.dev, "ttyUSB0"})
     vehicle(name_in: {c.dev, "ttyUSB1"})
     a = auto(c, "serial:auto?id=a")
@@ -210,6 +210,12 @@ defmodule Aerie.Link.Serial.AutoTest do
             "fcntl.flock(fd, fcntl.LOCK_EX); print('locked', flush=True); sys.stdin.read()"
 
   @tag :python
+  # On a busy machine a search may end before the port could be looked at; the next one follows.
+  defp why_down(id) do
+    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
+    if reason =~ "opening it takes too long", do: why_down(id), else: reason
+  end
+
   test "a port that another program has locked: named, with a fixed rate and with a search", c do
     vehicle = vehicle(name_in: {c.dev, "ttyACM0"})
     device = SerialPeer.path(vehicle)
@@ -223,15 +229,16 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert_receive {:down, _, %{link: ^fixed, reason: reason}}, @patience
     assert reason =~ ~r/^#{device} is in use by .*python\S* \(process #{pid}\)/
     Link.stop(c.gateway, fixed)
-    id = auto(c)
-    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
-    assert reason =~ ~r/ttyACM0: in use by .*python\S* \(process #{pid}\).* \(end what has it open/
+
+    assert c |> auto() |> why_down() =~
+             ~r/ttyACM0: in use by .*python\S* \(process #{pid}\).* \(end what has it open/
+
     Port.close(program)
     up(c)
   end
 
   test "a device that another program has open without a lock is left alone, with a fixed rate as well", c do
-    # No PTY, for who makes one has it open; and no serial port either, which is not even found out.
+    # Not a PTY, because its creator has it open; nor a serial port, which is not even checked.
     file = Path.join(c.dev, "device")
     File.write!(file, "")
     shell = System.find_executable("sh")
@@ -242,7 +249,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     eventually(fn -> Link.get(c.gateway, fixed).reason == "#{file} is in use by cat (process #{pid})" end)
   end
 
-  test "a port of another link is said to be one", c do
+  test "a port of another link is reported as such", c do
     vehicle = vehicle(name_in: {c.dev, "ttyACM0"})
     {_first, _} = add_link(c.gateway, "#{SerialPeer.path(vehicle)},57600")
     up(c)
@@ -250,12 +257,10 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert_receive {:down, _, %{link: ^again, reason: reason}}, @patience
     assert reason == "#{c.dev}/ttyACM0 is in use by another link"
     Link.stop(c.gateway, again)
-    id = auto(c)
-    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
-    assert reason == "no vehicle heard: #{c.dev}/ttyACM0: belongs to another link"
+    assert c |> auto() |> why_down() == "no vehicle heard: #{c.dev}/ttyACM0: belongs to another link"
   end
 
-  test "a link that is stopped while it looks leaves nothing behind", c do
+  test "a link that is stopped during its search leaves nothing behind", c do
     before = Circuits.UART.find_pids() |> Enum.map(&elem(&1, 0))
     silent = SerialPeer.start(name_in: {c.dev, "ttyUSB0"})
     id = auto(c)

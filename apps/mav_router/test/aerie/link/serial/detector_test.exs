@@ -10,7 +10,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
 
   defp port(n, origin \\ :usb), do: %{path: "/dev/p#{n}", key: n, origin: origin}
 
-  # The detector after events, and the actions of all of them.
+  # The detector after events, and all their actions.
   defp run(detector \\ Detector.new(), events) do
     Enum.reduce(events, {detector, []}, fn {ms, event}, {detector, actions} ->
       {detector, more} = Detector.handle(detector, event, ms)
@@ -18,7 +18,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     end)
   end
 
-  # A world of ports: what each answers to the detector's actions, until it has decided. `world` is
+  # Simulated ports: how each answers the detector's actions, until it has decided. `world` is
   # `%{key => fn baud, ms -> bytes end}` or `{:refuses, reason}`.
   defp live(detector, ports, world, limit \\ 60_000) do
     {detector, actions} = Detector.handle(detector, {:ports, ports}, 0)
@@ -137,7 +137,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     speaks = at_baud(57_600, heartbeat(1))
     late = fn baud, ms -> if ms > 300, do: speaks.(baud, ms), else: "" end
     assert {:found, 1, _, _, _, _} = live(Detector.new(), [port(1), port(2)], %{1 => late, 2 => speaks})
-    # But nobody is waited for long.
+    # But it does not wait for long.
     assert {:found, 2, _, _, ms, _} = live(Detector.new(), [port(1), port(2)], %{1 => silent(), 2 => speaks})
     assert ms < 1_000
   end
@@ -184,7 +184,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
              %{condition: :no_permission, advice: "add the user to the group dialout" <> _},
              %{condition: :in_use, evidence: "in use by mavproxy.py (process 812)"},
              %{condition: :not_serial},
-             %{condition: :fault, evidence: "it takes too long to open"}
+             %{condition: :fault, evidence: "opening it takes too long"}
            ] = findings
 
     text = Finding.summary(findings)
@@ -204,7 +204,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
              live(Detector.new(bauds: [57_600]), [port(1)], %{1 => silent()})
   end
 
-  test "boot text is waited out: MAVLink follows on the same line" do
+  test "waits for the end of boot text: MAVLink follows on the same line" do
     boots = at_baud(115_200, "Init ArduCopter V4.6.3 (92b0cd78)\n\nFree RAM: 524288\n")
 
     world = fn baud, ms ->
@@ -238,7 +238,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     assert [_, {:close, 1}, {:failed, [%{condition: :in_use}]}] = actions
   end
 
-  test "a port that cannot do the first rate is opened at the next, one that can do none is told" do
+  test "a port that does not support the first rate is opened at the next; one that supports none is reported" do
     {detector, actions} =
       run([{0, {:ports, [port(1)]}}, {1, {1, {:open_failed, :einval}}}, {2, {1, :opened}}])
 
@@ -247,10 +247,12 @@ defmodule Aerie.Link.Serial.DetectorTest do
 
     none = for n <- 1..length(Detector.bauds()), do: {n, {1, {:open_failed, :einval}}}
     {_, actions} = run([{0, {:ports, [port(1)]}} | none])
-    assert {:failed, [%{condition: :fault, evidence: "it does none of the baud rates"}]} = List.last(actions)
+
+    assert {:failed, [%{condition: :fault, evidence: "it supports none of the baud rates"}]} =
+             List.last(actions)
   end
 
-  test "a rate that a port cannot do is passed over, one that is pulled is told" do
+  test "a rate that a port does not support is skipped; an unplugged port is reported" do
     {_detector, actions} =
       run([
         {0, {:ports, [port(1)]}},
@@ -274,7 +276,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     assert %{condition: :fault, evidence: "unplugged"} = finding
   end
 
-  # What a port may say: one thing of these, for any time, in any order.
+  # What a port may send: one of these, for any time, in any order.
   defp event do
     bytes =
       oneof([
@@ -305,7 +307,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     ])
   end
 
-  test "whatever happens: no port is written to, none forgotten, and it comes to an end" do
+  test "whatever happens: no port is written to or left open, and the search ends" do
     property =
       :proper.forall(:proper_types.list({integer(0, 400), event()}), fn steps ->
         {events, _} = Enum.map_reduce(steps, 0, fn {wait, event}, at -> {{at + wait, event}, at + wait} end)
@@ -323,7 +325,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
   defp only_known?(actions),
     do: Enum.all?(actions, &(elem(&1, 0) in [:open, :set, :read, :close, :found, :failed]))
 
-  # With one end, which is the last action.
+  # With one result, which is the last action.
   defp ends_once?(actions) do
     Enum.count(actions, &(elem(&1, 0) in [:found, :failed])) == 1 and
       elem(List.last(actions), 0) in [:found, :failed]
@@ -336,7 +338,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
     Enum.sort(Enum.uniq(opened)) == Enum.sort(closed ++ kept)
   end
 
-  # Found only where a heartbeat was.
+  # Found only where there was a heartbeat.
   defp deserved?(actions, events) do
     Enum.all?(actions, fn
       {:found, key, %{condition: :vehicle}, bytes} ->

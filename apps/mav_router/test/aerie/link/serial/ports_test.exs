@@ -3,7 +3,7 @@ defmodule Aerie.Link.Serial.PortsTest do
 
   alias Aerie.Link.Serial.Ports
 
-  # Devices that every machine has, in the place of serial ports.
+  # Devices that every machine has, in place of serial ports.
   setup do
     dev = Path.join(System.tmp_dir!(), "aerie-ports-#{System.unique_integer([:positive])}")
     File.mkdir_p!(Path.join(dev, "serial/by-id"))
@@ -43,7 +43,7 @@ defmodule Aerie.Link.Serial.PortsTest do
     refute {"ttyUSB9", :usb} in names(%{dev: dev, taken: ["/dev/zero"]})
   end
 
-  test "no folder, no ports; many are too many", %{dev: dev} do
+  test "no folder, no ports; the number of ports is bounded", %{dev: dev} do
     assert Ports.list(%{dev: "/nowhere"}) == []
     ports = for n <- 1..40, do: "/nowhere/tty#{n}"
     assert length(Ports.list(%{dev: dev, ports: ports})) == 16

@@ -11,7 +11,7 @@ defmodule Aerie.Link.Serial.SniffTest do
   @fixtures Path.expand("../../../fixtures/serial", __DIR__)
   defp fixture(name), do: File.read!(Path.join(@fixtures, name))
 
-  describe "what real firmware says" do
+  describe "recordings of real firmware" do
     test "MAVLink 2 and 1 of ArduPilot, cut anywhere" do
       assert %{protocol: :mavlink2, heartbeat: true, confidence: confidence, evidence: evidence} =
                Sniff.classify(fixture("mavlink2.bin"))
@@ -69,7 +69,7 @@ defmodule Aerie.Link.Serial.SniffTest do
       assert %{protocol: :noise} = Sniff.classify(<<0, 0xB5, 0x62, 5, 1, 2, 0, 6, 1, 0x0F, 0x39, 0>>)
     end
 
-    test "CRSF of a radio receiver; one frame alone may be chance" do
+    test "CRSF of a radio receiver; a single frame may be chance" do
       statistics = <<0x14, 16, 19, 99, 151, 1, 2, 3, 8, 88, 148>>
       frame = <<0xC8, 12, statistics::binary, Sniff.Crc8.of(statistics)>>
 
@@ -111,13 +111,13 @@ defmodule Aerie.Link.Serial.SniffTest do
       assert BaudModel.receive("a few bytes", 57_600, 59_000) == "a few bytes"
     end
 
-    test "a steady pattern is said to be one" do
+    test "a steady pattern is reported as such" do
       assert Sniff.classify(:binary.copy(<<0>>, 50)).evidence =~ "all of them 0x00"
       assert Sniff.classify(:binary.copy("U", 50)).protocol == :noise
     end
   end
 
-  test "any bytes have an answer, soon and of the right form" do
+  test "any bytes get an answer of the right form" do
     property =
       :proper.forall(:proper_types.binary(), fn bytes ->
         pieces = ["$M>", <<0xB5, 0x62>>, <<0xC8, 40>>, "$GPGGA,", <<0xFD>>, <<0xFE, 9>>, ""]
@@ -134,7 +134,7 @@ defmodule Aerie.Link.Serial.SniffTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 300])
   end
 
-  test "the worst that can be is bounded: only the last bytes are looked at" do
+  test "the worst case is bounded: only the last bytes are examined" do
     for worst <- ["$M>\xFF", <<0xB5, 0x62, 1, 1, 255, 15>>, <<0xC8, 62>>, "$GPGGA,", <<0xFD, 255, 0>>] do
       bytes = :binary.copy(worst, 100_000)
       {reductions, _} = {elem(Process.info(self(), :reductions), 1), Sniff.classify(bytes)}

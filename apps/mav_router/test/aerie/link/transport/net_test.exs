@@ -8,7 +8,7 @@ defmodule Aerie.Link.Transport.NetTest do
   test "a UDP socket with a second handle is closed in the middle of its traffic" do
     {:ok, out} = :gen_udp.open(0)
 
-    # Whoever closes the second handle first has a VM that stands still after some of these.
+    # If the second handle were closed first, the VM would stand still after some of these.
     for _ <- 1..300 do
       {:ok, socket} = Net.udp(@loopback, 0)
       {:ok, port} = :inet.port(socket)
@@ -25,7 +25,7 @@ defmodule Aerie.Link.Transport.NetTest do
     end
   end
 
-  test "so is one whose process is killed" do
+  test "a UDP socket with a second handle whose process is killed" do
     {:ok, out} = :gen_udp.open(0)
     test = self()
 
@@ -40,7 +40,7 @@ defmodule Aerie.Link.Transport.NetTest do
     end
   end
 
-  # The process of a socket that is read and written.
+  # A process that reads and writes a socket.
   defp own(test) do
     {:ok, socket} = Net.udp(@loopback, 0)
     {:ok, port} = :inet.port(socket)

@@ -13,9 +13,9 @@ defmodule Aerie.Link.Transport.WebSocketTest do
 
   @patience 15_000
 
-  ## A server of a few lines
+  ## A minimal server
 
-  # Tells the test of each connection, which is then the test's.
+  # Gives each connection to the test.
   defp serve(by \\ :gen_tcp, options \\ []) do
     {:ok, listener} = by.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}, reuseaddr: true] ++ options)
     {:ok, {_address, port}} = if by == :ssl, do: :ssl.sockname(listener), else: :inet.sockname(listener)
@@ -104,13 +104,13 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       :ok = Router.send(c.gateway, {"main", 1}, [ours, ours])
       assert [hear(client), hear(client)] == [{2, ours}, {2, ours}]
 
-      # What is for the server only is shown to nobody.
+      # The server's options are not shown.
       snapshot = Link.snapshot(c.gateway, id)
       assert snapshot.url == "ws://127.0.0.1:#{port}/mavlink?…&network=main"
       assert snapshot.peer == "127.0.0.1:#{port}"
     end
 
-    test "the server goes, with a reason, and comes back: so does the link", c do
+    test "the server closes with a reason and comes back: so does the link", c do
       {_by, _listener, port} = server = serve()
       listen(c.gateway, [:down])
       {:ok, id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent")
@@ -123,7 +123,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       assert [%{id: 0}] = frames(1)
     end
 
-    test "what is no WebSocket is told in words", c do
+    test "a server that is no WebSocket is reported in words", c do
       {_by, _listener, port} = server = serve()
       listen(c.gateway, [:down])
       {:ok, _id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent")
@@ -134,16 +134,18 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       assert_receive {:down, _wait, %{reason: reason}}, @patience
       assert reason == place <> "it answered 403 Forbidden"
 
-      # One that says that it is one, and then something else.
+      # One that accepts the handshake and then sends something else.
       client = upgrade(server)
       {by, socket, _request} = client
       :ok = by.send(socket, "hello, who is there?")
-      assert_receive {:down, _wait, %{reason: "the server sent what is no WebSocket frame"}}, @patience
+
+      assert_receive {:down, _wait, %{reason: "the server sent something that is no WebSocket frame"}},
+                     @patience
     end
 
     @tag :tmp_dir
     @tag capture_log: true
-    test "wss: only of a server whose certificate is of an authority that is trusted, and of its name",
+    test "wss: only with a certificate of a trusted authority for the server's name",
          %{tmp_dir: dir} = c do
       {ca, options} = certificates(dir)
       {_by, _listener, port} = server = serve(:ssl, options)
@@ -157,10 +159,10 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       :ok = Router.send(c.gateway, {"main", 1}, attitude(245, 1))
       assert hear(client) == {2, attitude(245, 1)}
 
-      # A refused link tries again at any time, so the server goes on accepting.
+      # A refused link may connect again at any time, so the server keeps accepting.
       start_supervised!({Task, fn -> Enum.each(Stream.cycle([server]), &accept/1) end})
 
-      # The system's authorities know nothing of this one; and the certificate is of no address.
+      # The system does not trust this authority; and the certificate is not for an address.
       for {id, url, why} <- [
             {"unknown", "wss://localhost:#{port}", ~r/Unknown CA|no certificate authorities/i},
             {"misnamed", "wss://127.0.0.1:#{port}/?ca=#{ca}", ~r/hostname|host name/i}
@@ -190,7 +192,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     {file, Keyword.take(server, [:cert, :key, :cacerts])}
   end
 
-  test "a server that shows no sign of life is given up" do
+  test "a server that answers no ping is given up" do
     {_by, _listener, port} = server = serve()
     test = self()
 
@@ -213,13 +215,13 @@ defmodule Aerie.Link.Transport.WebSocketTest do
 
     assert hear(client) == {9, ""}
     assert {[{:closed, :timeout}], _conn} = WebSocket.handle(conn, ping)
-    # Any word of it is one.
+    # Anything that it sends is an answer.
     {[], conn} = WebSocket.handle(conn, {:tcp, conn.socket, IO.iodata_to_binary(:cow_ws.frame(:pong, %{}))})
     assert {[], conn} = WebSocket.handle(conn, ping)
     assert :ok = WebSocket.close(conn)
   end
 
-  test "frames: the same whatever pieces they come in" do
+  test "frames: the same in whatever pieces they come" do
     message = oneof([{:binary, binary()}, {:text, ""}, {:ping, ""}, {:binary, :long}])
 
     property =

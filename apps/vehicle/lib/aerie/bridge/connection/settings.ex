@@ -1,13 +1,13 @@
 defmodule Aerie.Bridge.Connection.Settings do
-  @moduledoc "The settings of a `Gnat` connection from the configuration. The one place where secrets are revealed."
+  @moduledoc "The settings of a `Gnat` connection, from the configuration. Secrets are revealed only here."
 
+  alias Aerie.Bridge
   alias Aerie.Bridge.Token
-  alias Aerie.Config
   alias Aerie.Secret
 
-  @doc "Settings for one of the URLs, or why there are none (a file that cannot be read)."
-  @spec gnat(Config.t(), String.t()) :: {:ok, map()} | {:error, String.t()}
-  def gnat(%Config{nats: nats}, url) do
+  @doc "Settings for one of the URLs, or why there are none (an unreadable file)."
+  @spec gnat(Bridge.Settings.t(), String.t()) :: {:ok, map()} | {:error, String.t()}
+  def gnat(%Bridge.Settings{nats: nats}, url) do
     uri = URI.parse(url)
     host = uri.host |> String.trim("[") |> String.trim("]")
 
@@ -29,7 +29,7 @@ defmodule Aerie.Bridge.Connection.Settings do
 
   defp family(host), do: if(String.contains?(host, ":"), do: [:inet6], else: [])
 
-  # The server is started by whoever has the same folder, and its token lies there.
+  # The embedded server's token is in its folder.
   defp auth(%{mode: :embedded} = nats),
     do: with({:ok, token} <- Token.read(nats), do: {:ok, %{token: token, auth_required: true}})
 

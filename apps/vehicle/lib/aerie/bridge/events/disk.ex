@@ -1,12 +1,13 @@
 defmodule Aerie.Bridge.Events.Disk do
   @moduledoc """
-  The outbox of `Aerie.Bridge.Events`: opening it, moving events from the journal into it, forcing it to the disk.
+  The outbox of `Aerie.Bridge.Events`: opens it, moves events from the journal into it, and syncs it to the disk.
 
-  Works on that process's state: `gateway`, `environment`, `epoch`, `settings` (the configuration's `outbox`), `outbox` (nil while it
-  cannot be used), `problem` (what is wrong with it, said once in the log) and `synced_at`.
+  It works on that process's state: `gateway`, `environment`, `epoch`, `settings` (the configuration's `outbox`), `outbox`
+  (nil while it cannot be used), `problem` (its fault, logged once) and `synced_at`.
   """
 
-  alias Aerie.Bridge.{FolderLock, Message, Outbox, Tables}
+  alias Aerie.Bridge.{Message, Outbox, Tables}
+  alias Aerie.FolderLock
   alias Aerie.Fleet
   alias Aerie.Vehicle.Event
 
@@ -14,7 +15,7 @@ defmodule Aerie.Bridge.Events.Disk do
 
   @batch 500
 
-  @doc "Opens the outbox; without it, events stay in the journal."
+  @doc "Opens the outbox. While that fails, events stay in the journal."
   @spec open(map()) :: map()
   def open(%{settings: settings} = state) do
     sizes = [max_bytes: settings.max_mb * 1_048_576, segment_bytes: settings.segment_kb * 1024]
@@ -27,7 +28,7 @@ defmodule Aerie.Bridge.Events.Disk do
     end
   end
 
-  @doc "Moves all pending events from the journal to the outbox: they leave the one when they are in the other."
+  @doc "Moves all pending events from the journal to the outbox. An event leaves the journal once the outbox has it."
   @spec spill(map()) :: map()
   def spill(%{outbox: nil} = state), do: state
 
@@ -59,7 +60,7 @@ defmodule Aerie.Bridge.Events.Disk do
     Tables.count(state.tables, :outbox_written, [], length(events))
   end
 
-  @doc "Forces what was written to the disk, when it is time (`outbox.fsync: interval`)."
+  @doc "Syncs the outbox to the disk when that is due (`outbox.fsync: interval`)."
   @spec sync(map()) :: map()
   def sync(%{outbox: outbox, settings: %{fsync: :interval}} = state) when outbox != nil do
     now = System.monotonic_time(:millisecond)
@@ -71,7 +72,7 @@ defmodule Aerie.Bridge.Events.Disk do
 
   def sync(state), do: state
 
-  @doc "An event as it is published, and as it lies in the outbox."
+  @doc "An event as a record of the outbox."
   @spec record(map(), Event.t()) :: Outbox.Record.t()
   def record(state, event) do
     subject = Message.event_subject(state.environment, event)

@@ -1,10 +1,10 @@
 defmodule Aerie.Bridge.Events.Window do
   @moduledoc """
-  Events on their way to NATS: what may be sent, what is in flight, what is confirmed. Pure.
+  The send window for events: what may be sent, what is in flight, what is confirmed. Pure.
 
-  Each vehicle has at most one event in flight, so a vehicle's events are stored in their order even when one is
-  refused; events of different vehicles travel side by side, at most `max` in flight. Items carry a key (where they came
-  from: the journal or a place in the outbox), which is what a confirmation gives back.
+  Each vehicle has at most one event in flight, so its events are stored in order even if one is refused. Events of different
+  vehicles are sent concurrently, at most `max` in flight. Each item has a key that says where it comes from (the journal or a
+  place in the outbox); a confirmation returns the key.
   """
 
   alias Aerie.Bridge.Outbox.Record
@@ -14,7 +14,7 @@ defmodule Aerie.Bridge.Events.Window do
 
   @type key :: term()
   @type item :: {key(), Record.t()}
-  @typedoc "Number of a sending; a new one each time an event is sent."
+  @typedoc "The number of a sending; each sending of an event has its own."
   @type ref :: pos_integer()
   @type t :: %__MODULE__{
           max: pos_integer(),
@@ -25,23 +25,23 @@ defmodule Aerie.Bridge.Events.Window do
           next_ref: ref()
         }
 
-  @doc "An empty window that lets `max` events be in flight."
+  @doc "An empty window for at most `max` events in flight."
   @spec new(pos_integer()) :: t()
   def new(max), do: %__MODULE__{max: max, ready: :queue.new(), keys: MapSet.new()}
 
-  @doc "An empty window again. Answers to what was sent before are told apart by their numbers."
+  @doc "Empties the window. Its numbers go on, so that late answers are recognised."
   @spec reset(t()) :: t()
   def reset(window), do: %{new(window.max) | next_ref: window.next_ref}
 
-  @doc "How many events it holds, in flight or not."
+  @doc "The number of events, in flight or not."
   @spec size(t()) :: non_neg_integer()
   def size(window), do: MapSet.size(window.keys)
 
-  @doc "How many are in flight."
+  @doc "The number of events in flight."
   @spec in_flight(t()) :: non_neg_integer()
   def in_flight(window), do: map_size(window.in_flight)
 
-  @doc "Takes up events, oldest first. Those it has already are ignored."
+  @doc "Adds events, oldest first. Events that it already has are ignored."
   @spec put(t(), [item()]) :: t()
   def put(window, items), do: Enum.reduce(items, window, &put_one/2)
 
@@ -62,11 +62,11 @@ defmodule Aerie.Bridge.Events.Window do
     end
   end
 
-  @doc "Whether it has this event."
+  @doc "Whether it contains an event."
   @spec member?(t(), key()) :: boolean()
   def member?(window, key), do: MapSet.member?(window.keys, key)
 
-  @doc "The next event to send, if one may be sent; it then is in flight."
+  @doc "The next event to send, which is then in flight; `:none` if nothing may be sent."
   @spec next(t(), now :: integer()) :: {ref(), item(), t()} | :none
   def next(%{max: max, in_flight: in_flight}, _now) when map_size(in_flight) >= max, do: :none
 
@@ -87,7 +87,7 @@ defmodule Aerie.Bridge.Events.Window do
     {ref, item, %{window | in_flight: in_flight, next_ref: ref + 1}}
   end
 
-  @doc "A sending is confirmed: the event's key, or nil for a confirmation that nobody waits for any more."
+  @doc "Confirms a sending: returns the event's key, or nil for a late confirmation."
   @spec confirm(t(), ref()) :: {key() | nil, t()}
   def confirm(window, ref) do
     case Map.pop(window.in_flight, ref) do
@@ -109,18 +109,18 @@ defmodule Aerie.Bridge.Events.Window do
     end
   end
 
-  @doc "Sendings older than `deadline`, to be sent again under new numbers; an answer to the old one is ignored."
+  @doc "The sendings that are older than `deadline`."
   @spec overdue(t(), deadline :: integer()) :: [ref()]
   def overdue(window, deadline) do
     for {ref, {_item, at, _tries}} <- window.in_flight, at <= deadline, do: ref
   end
 
-  @doc "How often the event that was sent most often was sent."
+  @doc "The largest number of sendings of one event."
   @spec most_tries(t()) :: non_neg_integer()
   def most_tries(window),
     do: window.in_flight |> Map.values() |> Enum.map(&elem(&1, 2)) |> Enum.max(fn -> 0 end)
 
-  @doc "Sends again. Gives the number of this try too."
+  @doc "Sends an event again under a new number, and returns the number of tries. An answer to the old number is ignored."
   @spec again(t(), ref(), now :: integer()) :: {ref(), item(), tries :: pos_integer(), t()} | :none
   def again(window, ref, now) do
     case Map.pop(window.in_flight, ref) do

@@ -1,15 +1,15 @@
 defmodule Aerie.Bridge.Outbox.Record do
   @moduledoc """
-  One event as it lies in the outbox: what is needed to publish it again, and nothing to interpret.
+  One event in the outbox: what is needed to publish it again.
 
   On disk: length of the rest (32 bits), CRC-32 of the rest (32 bits), then id, vehicle and subject, each with a length
-  byte, and the body. Decoding is total: a record that is cut off or damaged ends the readable part of its file.
+  byte, and the body. A record that is cut off or damaged ends the readable part of its file.
   """
 
   @enforce_keys [:id, :vehicle, :subject, :body]
   defstruct [:id, :vehicle, :subject, :body]
 
-  @typedoc "`id` is the event's; `vehicle` orders (events of one vehicle stay in order); `subject`, `body`: the message."
+  @typedoc "`id` of the event; `vehicle`, whose events stay in order; `subject` and `body` of the message."
   @type t :: %__MODULE__{id: String.t(), vehicle: String.t(), subject: String.t(), body: binary()}
 
   @max_bytes 131_072
@@ -32,7 +32,7 @@ defmodule Aerie.Bridge.Outbox.Record do
 
   def encode(%__MODULE__{}), do: :too_large
 
-  @doc "The records at the start of `bytes`, at most `limit`, each with its size on disk; and why it stopped there."
+  @doc "The records at the start of `bytes`, at most `limit`, each with its size on disk; and why decoding stopped."
   @spec decode(binary(), non_neg_integer() | :all) ::
           {[{t(), pos_integer()}], :limit | :end | :cut | :damaged}
   def decode(bytes, limit), do: decode(bytes, limit, [])

@@ -7,8 +7,8 @@ defmodule Aerie.Bridge.Outbox.Segment do
   defstruct [:path, :first, count: 0, bytes: 0, waste: 0, damaged: false]
 
   @typedoc """
-  `bytes`: the readable part; `damaged`: something unreadable follows it, so nothing is appended; `waste`: how much of
-  that there is on the disk.
+  `bytes`: of the readable part; `damaged`: an unreadable part follows it, so nothing is appended; `waste`: bytes of that
+  part.
   """
   @type t :: %__MODULE__{
           path: Path.t(),
@@ -19,7 +19,7 @@ defmodule Aerie.Bridge.Outbox.Segment do
           damaged: boolean()
         }
 
-  @doc "The number in a segment's file name, or nil for another file."
+  @doc "The number in a segment's file name, or nil for any other file."
   @spec number(String.t()) :: pos_integer() | nil
   def number(name) do
     with [_, digits] <- Regex.run(~r/\A(\d{16})\.log\z/, name),
@@ -30,14 +30,14 @@ defmodule Aerie.Bridge.Outbox.Segment do
     end
   end
 
-  @doc "A segment that has no file yet."
+  @doc "A segment without a file."
   @spec new(Path.t(), pos_integer()) :: t()
   def new(dir, first) do
     name = first |> Integer.to_string() |> String.pad_leading(16, "0")
     %__MODULE__{path: Path.join(dir, name <> ".log"), first: first}
   end
 
-  @doc "A segment as it lies in its file. A record that was cut off at the end is cut away."
+  @doc "Loads a segment from its file. A record that is cut off at the end is removed."
   @spec load(Path.t(), pos_integer()) :: {:ok, t()} | {:error, File.posix()}
   def load(dir, first) do
     segment = new(dir, first)
@@ -65,8 +65,7 @@ defmodule Aerie.Bridge.Outbox.Segment do
   def open_writer(segment), do: :file.open(segment.path, [:append, :raw, :binary])
 
   @doc """
-  Writes records. A write that fails half way (a full disk) is taken back; where that fails too, the segment given with the
-  error takes no more.
+  Writes records. A write that fails half way (a full disk) is undone; if that fails too, the returned segment is damaged.
   """
   @spec append(t(), :file.fd(), iodata(), pos_integer(), pos_integer()) ::
           {:ok, t()} | {:error, File.posix(), t()}
@@ -80,7 +79,7 @@ defmodule Aerie.Bridge.Outbox.Segment do
     end
   end
 
-  @doc "At most `length` bytes of the readable part from `offset` on."
+  @doc "At most `length` bytes of the readable part, from `offset` on."
   @spec read(t(), non_neg_integer(), pos_integer()) :: {:ok, binary()} | {:error, term()}
   def read(segment, offset, length) do
     with {:ok, file} <- :file.open(segment.path, [:read, :raw, :binary]) do
@@ -90,13 +89,13 @@ defmodule Aerie.Bridge.Outbox.Segment do
     end
   end
 
-  @doc "Deletes the file; one that is gone already is as good."
+  @doc "Deletes the file; a missing one is no error."
   @spec delete(t()) :: :ok | {:error, File.posix()}
   def delete(segment) do
     with {:error, :enoent} <- File.rm(segment.path), do: :ok
   end
 
-  # Without its unreadable end, which makes the file `size` bytes long at most; with it, nothing may follow.
+  # Removes the unreadable end; the file has at most `size` bytes. If that fails, nothing may be appended.
   defp cut(segment, size) do
     case truncate(segment) do
       :ok -> segment

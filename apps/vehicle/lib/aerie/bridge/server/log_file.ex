@@ -1,14 +1,15 @@
 defmodule Aerie.Bridge.Server.LogFile do
+  @max_bytes 524_288
+
   @moduledoc """
-  nats-server's log on disk, bounded: at most two files of #{div(524_288, 1024)} KiB, the older one with `.1` at its end. A disk that
-  cannot be written ends the file, not the server.
+  nats-server's log on disk: at most two files of #{div(@max_bytes, 1024)} KiB, the older one with `.1` at its end. If the disk
+  cannot be written, logging stops; the server goes on.
   """
 
   defstruct [:path, :file, size: 0]
   @type t :: %__MODULE__{path: Path.t() | nil, file: :file.fd() | nil, size: non_neg_integer()}
-  @max_bytes 524_288
 
-  @doc "Opens the log to append to."
+  @doc "Opens the log for appending."
   @spec open(Path.t()) :: t()
   def open(path) do
     case :file.open(path, [:append, :raw, :binary]) do

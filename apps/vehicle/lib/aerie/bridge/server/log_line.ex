@@ -1,19 +1,27 @@
 defmodule Aerie.Bridge.Server.LogLine do
-  @moduledoc "What a line of nats-server's log says. Pure."
+  @moduledoc "Reads a line of nats-server's log. Pure."
 
   @typedoc """
-  * `{:listening, port}` - it takes connections on this port
-  * `:ready` - it is up, JetStream included
-  * `:port_taken` - somebody else has the port
+  * `{:listening, port}` - the server accepts connections on this port
+  * `:ready` - it is up, with JetStream
+  * `:port_taken` - another program has the port
+  * `{:leaf, nil}` - the connection to the hub is there; `{:leaf, text}` - why it is not
   * `{:write_error, text}` - a stream could not be written; from then on the server stores nothing in it
   """
   @type fact ::
-          {:listening, :inet.port_number()} | :ready | :port_taken | {:write_error, String.t()} | nil
+          {:listening, :inet.port_number()}
+          | :ready
+          | :port_taken
+          | {:leaf, String.t() | nil}
+          | {:write_error, String.t()}
+          | nil
 
   @write_error ~r/critical write error: |failed to store a msg on stream .*?: |out of .* resources, will be DISABLED/i
 
+  @leaf_error ~r/Leafnode Error '?(.*?)'?\z|Error trying to connect as leafnode to remote server .*?: (.*)\z/
+
   @doc """
-  Level for the logger, text without process id and time, and what the gateway needs to know.
+  The level for the logger, the text without process id and time, and what the gateway needs to know of it.
 
       iex> Aerie.Bridge.Server.LogLine.parse("[7] 2026/11/20 22:22:41.702000 [INF] Server is ready")
       {:debug, "Server is ready", :ready}
@@ -23,15 +31,15 @@ defmodule Aerie.Bridge.Server.LogLine do
     line = String.replace_invalid(line)
 
     case Regex.run(~r/\A\[\d+\] \S+ \S+ \[([A-Z]{3})\] (.*)\z/s, line) do
-      # Its configuration is readable by its owner alone.
+      # Only the owner can read its configuration.
       [_, "WRN", "Plaintext passwords detected" <> _ = text] -> {:debug, text, nil}
       [_, level, text] -> {level(level), text, fact(text)}
-      # What it writes before it has a log: mistakes in its configuration or arguments.
+      # Before its log is set up: mistakes in its configuration or arguments.
       nil -> {:warning, line, fact(line)}
     end
   end
 
-  # Its information is about itself; the gateway's own log says what matters of that.
+  # The gateway's own log says what matters of the server's information.
   defp level(level) when level in ["INF", "DBG", "TRC"], do: :debug
   defp level("WRN"), do: :warning
   defp level(_error_or_fatal), do: :error
@@ -47,10 +55,12 @@ defmodule Aerie.Bridge.Server.LogLine do
     cond do
       text =~ "address already in use" -> :port_taken
       text =~ @write_error -> {:write_error, cause(text)}
+      text =~ "Leafnode connection created" -> {:leaf, nil}
+      error = Regex.run(@leaf_error, text) -> {:leaf, List.last(error)}
       true -> nil
     end
   end
 
-  # `write /a/long/path: no space left on device`: what is wrong stands at the end.
+  # `write /a/long/path: no space left on device`: the cause is at the end.
   defp cause(text), do: text |> String.split(": ") |> List.last()
 end

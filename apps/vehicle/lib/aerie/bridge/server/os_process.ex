@@ -2,17 +2,15 @@ defmodule Aerie.Bridge.Server.OsProcess do
   @moduledoc """
   A program that lives no longer than this VM.
 
-  A port that is closed only closes pipes, and a VM that is killed cannot even do that properly for a program that does
-  not read its input, as nats-server does not. So a shell stands in between: it starts the program and waits for it,
-  and a second shell reads our pipe, whose end (or a line on it) means that the program has to go: first asked (TERM),
-  after three seconds made (KILL). That holds for `kill -9` of the VM too; and since the second shell is not the
-  first, for `kill -9` of the first one along with the VM.
+  Closing a port only closes pipes, which nats-server does not notice because it does not read its input. So a shell starts
+  the program and waits for it, and a second shell reads our pipe. A line on the pipe, or its end, makes the second shell end
+  the program: with TERM, after three seconds with KILL. That also works after `kill -9` of the VM, and of the first shell.
   """
 
-  alias Aerie.Bridge.FolderLock
+  alias Aerie.FolderLock
 
-  # Jobs in the background of a shell have no input, hence the copy of our pipe as descriptor 3. The shell's own words
-  # ("Killed") are nobody's business.
+  # Background jobs of a shell have no input, hence the copy of our pipe as descriptor 3. The shell's own messages
+  # ("Killed") are suppressed.
   @script """
   exec 3<&0 2>/dev/null
   "$@" </dev/null 2>&1 3<&- &
@@ -49,19 +47,19 @@ defmodule Aerie.Bridge.Server.OsProcess do
     ])
   end
 
-  @doc "Asks the program to end; `{port, {:exit_status, status}}` tells when it has."
+  @doc "Asks the program to end; `{port, {:exit_status, status}}` comes when it has."
   @spec stop(port()) :: :ok
   def stop(port) do
     Port.command(port, "stop\n")
     :ok
   rescue
-    # The port is closed already: so is the pipe.
+    # The port, and with it the pipe, is already closed.
     ArgumentError -> :ok
   end
 
   @doc """
-  Ends what an earlier life left behind: the process in `pid_file`, if `mark` (the name of its configuration file) is
-  among its arguments, so that a stranger who has got the number since is left alone. Gives whether there was one.
+  Ends the process of `pid_file` that an earlier run left behind, if `mark` (the name of its configuration file) is among its
+  arguments; another process may have got the pid since. Returns whether there was one.
   """
   @spec end_leftover(Path.t(), String.t()) :: boolean()
   def end_leftover(pid_file, mark) do
@@ -79,13 +77,13 @@ defmodule Aerie.Bridge.Server.OsProcess do
     end
   end
 
-  # Its result is nothing to go by: what counts is whether the process is gone.
+  # The result does not matter: what counts is whether the process is gone.
   defp signal(name, pid) do
     _ = System.cmd("/bin/sh", ["-c", "kill -#{name} $1", "kill", pid], stderr_to_stdout: true)
     :ok
   end
 
-  # Not our child, so there is no message to wait for.
+  # It is not our child, so no message comes.
   defp gone?(_pid, 0), do: false
 
   defp gone?(pid, tries) do

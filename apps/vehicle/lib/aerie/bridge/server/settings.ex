@@ -1,6 +1,8 @@
 defmodule Aerie.Bridge.Server.Settings do
   @moduledoc "The configuration file of the embedded nats-server, as text. Pure."
 
+  alias Aerie.Bridge.Leaf
+
   @typedoc "`port` 0 lets the server take any free one; it then says which in its log."
   @type t :: %{
           name: String.t(),
@@ -9,7 +11,10 @@ defmodule Aerie.Bridge.Server.Settings do
           store_dir: Path.t(),
           max_memory_mb: pos_integer(),
           max_store_mb: pos_integer(),
-          token: String.t()
+          token: String.t(),
+          domain: String.t() | nil,
+          leaf: map(),
+          seed: String.t() | nil
         }
 
   @doc "The text of the file."
@@ -28,8 +33,9 @@ defmodule Aerie.Bridge.Server.Settings do
       store_dir: #{quoted(Path.join(settings.store_dir, "data"))}
       max_memory_store: #{settings.max_memory_mb}MB
       max_file_store: #{settings.max_store_mb}MB
+      #{if settings.domain, do: "domain: #{quoted(settings.domain)}"}
     }
-    """
+    """ <> Leaf.Config.render(settings.leaf, settings.seed)
   end
 
   # nats-server reads escapes in quoted strings as JSON does.

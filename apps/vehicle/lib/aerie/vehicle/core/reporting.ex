@@ -1,50 +1,51 @@
 defmodule Aerie.Vehicle.Core.Reporting do
   @moduledoc """
-  What the vehicle has to say in words: STATUSTEXT, and the EVENT messages that are often the same (`Aerie.Vehicle.Reports`).
+  Texts (STATUSTEXT) and reports (EVENT) of the vehicle, which often say the same (`Aerie.Vehicle.Reports`).
   """
 
-  alias Aerie.Vehicle.{Core, Detector, Reports, State, StatusText}
-  alias Aerie.Vehicle.Core.{Dealings, Effects}
-  alias Aerie.Vehicle.Detector.{Reported, Texts}
+  alias Aerie.Vehicle.{Core, Detector, Reports, State}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Services}
+  alias Aerie.Vehicle.Detector.{Observation, Px4Reports, StatusTexts}
+  alias Aerie.Vehicle.Reports.StatusText
 
   @fresh_ms 10_000
-  # A clock that was read a second ago says no better; an event of hours ago is one of another clock.
+  # The vehicle's clock is known to about a second; a report that seems hours old is one of another clock.
   @late_us 2_000_000
-  @believed_us 3_600_000_000
+  @max_late_us 3_600_000_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
-  @doc "An EVENT or what belongs to it, of any component of the vehicle. The actions come newest first."
+  @doc "EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component of the vehicle. Actions are newest first."
   @spec message(Core.t(), [Core.action()], struct(), struct()) :: acc()
   def message(core, actions, %{component: component, at: at}, message) do
     own = {core.options.own_system, core.options.own_component}
-    sure? = not Effects.doubtful?(core, at)
-    {reports, given} = Reports.message(core.reports, component, message, own, at, sure?)
-    give({%{core | reports: reports}, actions}, given, at)
+    sure? = not Collisions.suspected?(core, at)
+    {reports, outputs} = Reports.message(core.reports, component, message, own, at, sure?)
+    outputs({%{core | reports: reports}, actions}, outputs, at)
   end
 
-  @doc "Texts that are complete."
+  @doc "Complete texts."
   @spec texts(acc(), [StatusText.text()]) :: acc()
   def texts(acc, texts) do
     Enum.reduce(texts, acc, fn text, {core, actions} ->
-      observation = {:text, text.at, core.state.boot_ms, text.severity, text.text}
-      core = if Texts.activation(text.text), do: Effects.settle(core, text.at), else: core
-      {%{core | reports: Reports.text(core.reports, text)}, [{:observe, observation} | actions]}
+      observe = Effects.observation(core, :text, text.at, Map.take(text, [:severity, :text]))
+      core = if StatusTexts.activation(text.text), do: Effects.settle(core, text.at), else: core
+      {%{core | reports: Reports.text(core.reports, text)}, [observe | actions]}
     end)
   end
 
-  @doc "What is due at `now`."
+  @doc "Does what is due at `now`."
   @spec expire(acc(), integer()) :: acc()
   def expire({core, actions}, now) do
-    {reports, given} = Reports.expire(core.reports, now)
-    {core, actions} = give({%{core | reports: reports}, actions}, given, now)
+    {reports, outputs} = Reports.expire(core.reports, now)
+    {core, actions} = outputs({%{core | reports: reports}, actions}, outputs, now)
     if ask?(core, now), do: ask(core, actions, now), else: {core, actions}
   end
 
   defp ask?(%{options: options, status: status} = core, now),
     do:
-      options.request_streams and status == :online and Dealings.open?(core, now) and
-        Reports.missing?(core.reports) and not Effects.doubtful?(core, now)
+      options.request_streams and status == :online and Services.requests?(core, now) and
+        Reports.missing?(core.reports) and not Collisions.suspected?(core, now)
 
   defp ask(core, actions, now) do
     {reports, requests} = Reports.requests(core.reports, core.options.system_id, now)
@@ -52,56 +53,60 @@ defmodule Aerie.Vehicle.Core.Reporting do
     {%{core | reports: reports}, sent ++ actions}
   end
 
-  defp give(acc, given, at), do: Enum.reduce(given, acc, &give_one(&1, &2, at))
+  defp outputs(acc, outputs, at), do: Enum.reduce(outputs, acc, &output(&1, &2, at))
 
-  defp give_one({:said, report}, {core, actions}, at) do
-    if Reported.about?(report.name) and fresh?(core, report) do
-      where = Detector.Digest.position(core.state)
-      observation = {:said, at, report.boot_ms, report.name, report.values, where}
+  defp output({:new, report}, {core, actions}, at) do
+    fresh? = fresh?(core, report)
+    actions = if fresh?, do: [{:reported, report} | actions], else: actions
+
+    if Px4Reports.known?(report.name) and fresh? do
+      data = %{name: report.name, values: report.values, where: Detector.Digest.position(core.state)}
+      observation = Observation.new(:px4_report, at, report.boot_ms, data)
       {Effects.settle(core, at), [{:observe, observation} | actions]}
     else
       {core, actions}
     end
   end
 
-  defp give_one({:report, report}, {core, actions}, at) do
-    words = Reports.words(report)
+  defp output({:report, report}, {core, actions}, at) do
+    hex = Reports.hex(report)
     late_us = late(core, report, at)
 
     data = %{
-      "id" => words.id,
+      "id" => hex.id,
       "name" => report.name,
       "severity" => report.severity,
       "internal_severity" => report.internal,
-      "arguments" => words.arguments,
+      "arguments" => hex.arguments,
       "values" => report.values,
       "component" => report.component,
       "sequence" => report.sequence
     }
 
     data = if late_us > 0, do: Map.put(data, "late_s", Float.round(late_us / 1_000_000, 1)), else: data
-    {%{core | dirty: true}, [{:observe, {:report, report.at - late_us, report.boot_ms, data}} | actions]}
+    observation = Observation.new(:report, report.at - late_us, report.boot_ms, data)
+    {%{core | dirty: true}, [{:observe, observation} | actions]}
   end
 
-  defp give_one({:checks, list}, {core, actions}, at) do
+  defp output({:checks, list}, {core, actions}, at) do
     checks =
-      for report <- list, do: %{id: Reports.words(report).id, name: report.name, severity: report.severity}
+      for report <- list, do: %{id: Reports.hex(report).id, name: report.name, severity: report.severity}
 
     core = %{core | state: State.put(core.state, :health, %{arming_checks: checks}, at)}
     {core, actions} = Effects.sample({core, actions}, :health, at)
-    Effects.looked_at(core, actions, at)
+    Effects.check_digest(core, actions, at)
   end
 
-  # By how much it came after it happened, by the vehicle's clock: that of the autopilot.
+  # How long after the event the report came, by the autopilot's clock.
   defp late(%{component: component, state: %{boot_ms: boot_ms}}, %{component: component} = report, now)
        when is_integer(boot_ms) do
     late_us = report.at - (now - (boot_ms - report.boot_ms) * 1000)
-    if late_us in @late_us..@believed_us, do: late_us, else: 0
+    if late_us in @late_us..@max_late_us, do: late_us, else: 0
   end
 
   defp late(_core, _report, _now), do: 0
 
-  # What was asked for again after a gap of some length tells what was, not what is.
+  # A report that was requested after a long gap tells what was, not what is.
   defp fresh?(%{state: %{boot_ms: now}}, %{boot_ms: then}) when is_integer(now), do: now - then <= @fresh_ms
   defp fresh?(_core, _report), do: true
 end

@@ -1,19 +1,21 @@
 defmodule Aerie.Vehicle.Core.Timers do
   @moduledoc """
-  What follows from time passing: texts that stay incomplete, samples, silence, rates, and what `Dealings` has to do.
+  What follows from time passing: incomplete texts, samples, silence, rates, and what `Services` has to do.
   """
 
-  alias Aerie.Vehicle.{Core, Doubt, Heard, Rivals, Sampling, State, StatusText, Twin}
-  alias Aerie.Vehicle.Core.{Dealings, Effects, Reporting}
+  alias Aerie.Vehicle.{Collision, Core, Sampling, State}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services}
+  alias Aerie.Vehicle.Links.Reception
+  alias Aerie.Vehicle.Reports.StatusText
 
-  # Deadlines are looked at ten times a second.
+  # Deadlines are checked ten times a second.
   @period_us 100_000
-  # So long after the last observation the detector is told that there was none since.
+  # How long after the last observation the detector is told that there was none since.
   @quiet_us 3_000_000
-  # Two links may deliver a little out of order; more than this is another time.
+  # Two links may deliver a little out of order; a larger step back is a clock that was set.
   @back_us 2_000_000
 
-  @doc "What there is to do before a frame that came `at` is looked at."
+  @doc "Does what is due before a frame that came `at`."
   @spec before(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def before(core, actions, at) do
     cond do
@@ -23,20 +25,20 @@ defmodule Aerie.Vehicle.Core.Timers do
     end
   end
 
-  @doc "What there is to do when it is `now` and no frame came: nothing, where one has done it just before."
+  @doc "Does what is due at `now` without a frame; nothing if a frame has just done it."
   @spec tick(Core.t(), integer()) :: {Core.t(), [Core.action()]}
   def tick(core, now),
-    do: if(due?(core, now) or now < core.expired, do: expire(core, [], now), else: {core, []})
+    do: if(due?(core, now) or now < core.expired_at, do: expire(core, [], now), else: {core, []})
 
-  defp due?(%{expired: nil}, _at), do: true
-  defp due?(core, at), do: at - core.expired >= @period_us or overdue?(StatusText.deadline(core.texts), at)
+  defp due?(%{expired_at: nil}, _at), do: true
+  defp due?(core, at), do: at - core.expired_at >= @period_us or overdue?(StatusText.deadline(core.texts), at)
 
   defp overdue?(nil, _at), do: false
   defp overdue?(deadline, at), do: at >= deadline
 
   @doc """
-  Time goes on from `now`, whatever it was before. What was waited for begins anew, and what was heard counts as heard
-  now: how long ago it was can no longer be told.
+  Time goes on from `now`, which is not comparable with the time before. Waiting begins anew, and what was heard counts as
+  heard now.
   """
   @spec rebase(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def rebase(core, actions, now) do
@@ -46,29 +48,29 @@ defmodule Aerie.Vehicle.Core.Timers do
       core
       | now: now,
         last_heard: core.last_heard && now,
-        expired: nil,
+        expired_at: nil,
         collision: nil,
-        observed: core.observed && now,
-        back: nil,
-        settle: core.settle && now,
-        shown: nil,
-        recent: %{},
+        observed_at: core.observed_at && now,
+        heard_again_at: nil,
+        settle_at: core.settle_at && now,
+        shown_at: nil,
+        recent_texts: %{},
         texts: texts,
-        heard: Heard.new(Heard.links(core.heard), now),
-        twin: Twin.rebased(core.twin),
-        rivals: Rivals.rebased(core.rivals),
-        doubt: Doubt.new(),
+        reception: Reception.new(Reception.links(core.reception), now),
+        collision_detector: Collision.Detector.rebased(core.collision_detector),
+        owner: Collision.Owner.new(),
+        suspicion: Collision.Suspicion.new(),
         samplers: Sampling.new(core.options.sampling),
         state: State.rebased(core.state, now)
     }
 
     {core, actions} = Reporting.texts({core, actions}, done)
-    {Dealings.rebased(core, now), actions}
+    {Services.rebased(core, now), actions}
   end
 
   @doc """
-  The clock was set by `step`: what is waited for begins anew as in `rebase/3`, and all that was heard was heard as long ago
-  as before. Shown at once, for who looks goes by the new time already.
+  The clock was set by `step`: waiting begins anew as in `rebase/3`, and everything was heard as long ago as before. The
+  snapshot is written at once, because its readers go by the new time already.
   """
   @spec shift(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def shift(core, actions, step) do
@@ -79,16 +81,16 @@ defmodule Aerie.Vehicle.Core.Timers do
       rebased
       | last_heard: core.last_heard && core.last_heard + step,
         collision: core.collision && %{core.collision | at: core.collision.at + step},
-        heard: Heard.shifted(core.heard, step),
-        rivals: Rivals.shifted(core.rivals, step),
+        reception: Reception.shifted(core.reception, step),
+        owner: Collision.Owner.shifted(core.owner, step),
         state: State.shifted(core.state, step),
         dirty: true
     }
 
-    Effects.show({Dealings.shifted(core, shifted, step), actions}, now)
+    Effects.show({Services.shifted(core, shifted, step), actions}, now)
   end
 
-  @doc "It is `now`. The actions come newest first."
+  @doc "Handles the deadlines before `now`. Actions are newest first."
   @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def expire(core, actions, now) do
     {texts, done} = StatusText.expire(core.texts, now)
@@ -100,33 +102,33 @@ defmodule Aerie.Vehicle.Core.Timers do
         [Effects.publish(core, group, sample) | actions]
       end)
 
-    {%{core | texts: texts, samplers: samplers, expired: now}, actions}
+    {%{core | texts: texts, samplers: samplers, expired_at: now}, actions}
     |> quiet(now)
-    |> Effects.apart(now)
+    |> Collisions.separate(now)
     |> Effects.held(now)
     |> Effects.settled(now)
     |> silence(now)
     |> measure(now)
-    |> Dealings.expire(now)
+    |> Services.expire(now)
     |> Reporting.expire(now)
     |> Effects.show(now)
   end
 
-  @doc "Remembers when the detector was last shown something by these actions, which come newest first."
+  @doc "Notes when the detector was last given something by these actions, newest first."
   @spec observed(Core.t(), [Core.action()]) :: Core.t()
   def observed(core, actions) do
     case Enum.find(actions, &match?({:observe, _observation}, &1)) do
       nil -> core
-      {:observe, {:quiet, _at, _boot_ms}} -> %{core | observed: nil}
-      {:observe, observation} -> %{core | observed: elem(observation, 1)}
+      {:observe, %{kind: :quiet}} -> %{core | observed_at: nil}
+      {:observe, %{at: at}} -> %{core | observed_at: at}
     end
   end
 
-  # What it did not tell for want of budget it tells then.
+  # Then the detector reports the events that were over the budget.
   defp quiet({core, actions}, now) do
     case observed(core, actions) do
-      %{observed: at} = core when at != nil and now - at >= @quiet_us ->
-        {%{core | observed: nil}, [{:observe, {:quiet, at + @quiet_us, core.state.boot_ms}} | actions]}
+      %{observed_at: at} = core when at != nil and now - at >= @quiet_us ->
+        {%{core | observed_at: nil}, [Effects.observation(core, :quiet, at + @quiet_us) | actions]}
 
       core ->
         {core, actions}
@@ -137,13 +139,12 @@ defmodule Aerie.Vehicle.Core.Timers do
 
   defp silence({core, actions}, now) do
     silent = now - core.last_heard
-
-    {stale_us, lost_us} = Dealings.patience(core, now)
+    {stale_us, lost_us} = Services.timeouts(core, now)
 
     cond do
       core.status != :lost and silent >= lost_us ->
-        observation = {:lost, core.last_heard + lost_us, core.state.boot_ms, lost_us}
-        Effects.status(core, [{:observe, observation} | actions], :lost)
+        lost = Effects.observation(core, :lost, core.last_heard + lost_us, lost_us)
+        Effects.status(core, [lost | actions], :lost)
 
       core.status == :online and silent >= stale_us ->
         Effects.status(core, actions, :stale)
@@ -154,18 +155,13 @@ defmodule Aerie.Vehicle.Core.Timers do
   end
 
   defp measure({core, actions}, now) do
-    case Heard.measure(core.heard, now) do
-      {heard, nil} ->
-        {%{core | heard: heard}, actions}
+    case Reception.measure(core.reception, now) do
+      {reception, nil} ->
+        {%{core | reception: reception}, actions}
 
-      {heard, data} ->
-        core = %{
-          core
-          | heard: heard,
-            state: State.put(core.state, :link, Map.put(data, :status, core.status), now)
-        }
-
-        Effects.sample({core, actions}, :link, now)
+      {reception, data} ->
+        state = State.put(core.state, :link, Map.put(data, :status, core.status), now)
+        Effects.sample({%{core | reception: reception, state: state}, actions}, :link, now)
     end
   end
 end

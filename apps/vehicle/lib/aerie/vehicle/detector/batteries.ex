@@ -1,22 +1,23 @@
 defmodule Aerie.Vehicle.Detector.Batteries do
   @moduledoc """
-  When batteries are low or critical: by their charge state, or by what remains in them.
+  Whether batteries are low or critical, by their charge state or the charge that remains.
 
-  Each battery has its own level and its own events, whose `battery` (id), `remaining`, `voltage` and `charge_state` are of
-  one message of it. The first one is followed through a change of its source: SYS_STATUS shows it until BATTERY_STATUS
-  does, without its id.
+  Each battery has its own level and its own events, whose `battery` (id), `remaining`, `voltage` and `charge_state` come from
+  one message about it. The first battery keeps its level when its source changes: SYS_STATUS shows it, without its id, until
+  BATTERY_STATUS does.
   """
 
   alias Aerie.Vehicle.{Detector, State}
+  alias Aerie.Vehicle.Detector.Step
 
   # A battery has to recover by this much before it can be low again.
   @recovered 0.05
 
-  @typedoc "What is followed of one: `id` is `:unknown` where the message does not say."
+  @typedoc "`id` is `:unknown` if the message does not say."
   @type battery :: %{id: 0..255 | :unknown, remaining: float() | nil, charge_state: String.t() | nil}
   @type level :: :ok | :low | :critical
 
-  @doc "The part of a digest that is about batteries: the vehicle's own values and its further batteries."
+  @doc "The part of a digest about batteries: the group's own values, and the other batteries."
   @spec digest(State.t()) :: map()
   def digest(state) do
     group = State.data(state, :battery)
@@ -27,7 +28,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
 
     charge_state = if group.id, do: first.charge_state
 
-    # No key becomes nil again, for unknown values keep what was known; this one goes with the source.
+    # A digest's nil keeps the last known value. The charge state has to change with the source, so it is never nil.
     known =
       if group.id || group.remaining,
         do: %{battery: group.id || :unknown, charge_state: charge_state || "UNKNOWN"}
@@ -35,7 +36,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
     Map.merge(%{remaining: group.remaining, batteries: others}, known || %{})
   end
 
-  @doc "The voltages now, by id. They change all the time, so that they are in no digest."
+  @doc "The voltages by battery id. They change all the time, so they are not in the digest."
   @spec voltages(State.t()) :: %{(0..255 | :unknown) => float() | nil}
   def voltages(state) do
     group = State.data(state, :battery)
@@ -44,9 +45,8 @@ defmodule Aerie.Vehicle.Detector.Batteries do
     |> Map.put(group.id || :unknown, group.voltage)
   end
 
-  @doc "Steps of the detector (`t:Aerie.Vehicle.Detector.step/0`)."
-  @spec events(digest :: map(), Detector.t()) :: [Detector.step()]
-  def events(now, detector) do
+  @spec steps(digest :: map(), Detector.t()) :: [Step.t()]
+  def steps(now, detector) do
     own = %{id: now[:battery] || :unknown, remaining: now[:remaining], charge_state: now[:charge_state]}
 
     {steps, _levels} =
@@ -58,21 +58,21 @@ defmodule Aerie.Vehicle.Detector.Batteries do
             was = Map.get(levels, key, :ok)
             level = level(battery, was, detector)
             levels = Map.put(levels, key, level)
-            {steps(was, level, data(battery, now), battery: levels), levels}
+            {change(was, level, data(battery, now), battery: levels), levels}
         end
       )
 
     steps
   end
 
-  defp steps(:ok, :low, data, changes), do: [{"battery.low", data, changes}]
+  defp change(:ok, :low, data, changes), do: [Step.event("battery.low", data, changes)]
 
-  defp steps(:ok, :critical, data, changes),
-    do: [{"battery.low", data, []}, {"battery.critical", data, changes}]
+  defp change(:ok, :critical, data, changes),
+    do: [Step.event("battery.low", data), Step.event("battery.critical", data, changes)]
 
-  defp steps(:low, :critical, data, changes), do: [{"battery.critical", data, changes}]
-  defp steps(same, same, _data, _changes), do: []
-  defp steps(_was, _better, _data, changes), do: [{nil, %{}, changes}]
+  defp change(:low, :critical, data, changes), do: [Step.event("battery.critical", data, changes)]
+  defp change(same, same, _data, _changes), do: []
+  defp change(_was, _better, _data, changes), do: [Step.change(changes)]
 
   defp data(battery, now) do
     %{
@@ -83,7 +83,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
     }
   end
 
-  # The level with hysteresis: a level that was reached is left only well above its threshold.
+  # With hysteresis: a level is left only well above its threshold.
   defp level(battery, was, detector) do
     remaining = battery.remaining || 1.0
     critical = detector.battery_critical + if(was == :critical, do: @recovered, else: 0)

@@ -1,43 +1,44 @@
 defmodule Aerie.Vehicle.Detector.Budget do
+  @quiet_us 2_000_000
+  @summary_us 10_000_000
+
   @moduledoc """
-  How many events of each kind a vehicle may have, so that a script or an attacker that says something three thousand times
-  a second does not drive out of the stream what matters. A pure value.
+  How many events of each kind a vehicle may have, so that a script or an attacker with three thousand messages a second cannot
+  push what matters out of the stream. A pure value.
 
-  Each kind has a bucket of its own: no text keeps a vehicle from being told as armed, and chatter none of the urgent texts.
+  Each kind has a token bucket of its own: no number of texts suppresses `armed`, and chatter suppresses no urgent text.
 
-  | kind                                             | at once | a second |
+  | kind                                             | burst   | a second |
   |--------------------------------------------------|---------|----------|
   | texts of severity 0 to 2 (emergency to critical) | 60      | 2        |
   | texts of severity 3 and 4 (error, warning)       | 60      | 2        |
   | all other texts                                  | 60      | 2        |
-  | `param_changed` (a file of them may be loaded)   | 2000    | 20       |
+  | `param_changed` (a whole file may be loaded)     | 2000    | 20       |
   | every other type                                 | 60      | 2        |
 
-  What is over the budget is counted and told as one `events.suppressed`: #{2} s after the last one of them, or every
-  #{10} s while they go on.
+  Events over the budget are counted and reported as one `events.suppressed`: #{div(@quiet_us, 1_000_000)} s after the last one of them, or every
+  #{div(@summary_us, 1_000_000)} s while they go on.
   """
 
-  # Two texts a second for ever is more than any healthy vehicle says, 60 at once more than any says when it boots.
+  # More than any healthy vehicle sends all the time, and more than any sends when it boots.
   @usual %{burst: 60, interval_us: 500_000}
   @params %{burst: 2_000, interval_us: 50_000}
-  @over_us 2_000_000
-  @told_us 10_000_000
-  # Frames of two links may be a little out of order; a bucket that is emptier than this was filled by another clock.
+  # Frames of two links may be a little out of order; a bucket that is emptier than this was used under another clock.
   @slack_us 60_000_000
 
   defstruct due: %{}, over: %{}, suppressed: 0
 
   @typedoc """
-  `due`: when each kind's bucket is full again (unix us); `over`: what was not told yet; `suppressed`: how many in all.
+  `due`: when each kind's bucket is full again (unix us); `over`: what is to be reported; `suppressed`: how many in all.
   """
   @type t :: %__MODULE__{due: %{kind() => integer()}, over: %{kind() => map()}, suppressed: non_neg_integer()}
-  @typedoc "A type of event, texts by how urgent they are. There are as many as types: the table is bounded."
+  @typedoc "A type of event, texts by their urgency. The number of types bounds the tables."
   @type kind :: String.t() | {String.t(), :urgent | :warning | :other}
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Whether an event that happened `at` may be told; if not, it is counted."
+  @doc "Whether an event that happened `at` is within the budget; if not, it is counted."
   @spec take(t(), type :: String.t(), data :: map(), at :: integer()) :: {:ok | :over, t()}
   def take(budget, type, data, at) do
     kind = kind(type, data)
@@ -62,20 +63,20 @@ defmodule Aerie.Vehicle.Detector.Budget do
     %{budget | over: Map.put(budget.over, kind, over), suppressed: budget.suppressed + 1}
   end
 
-  @doc "The data of `events.suppressed` for the kinds of which it is time to tell `at`."
-  @spec tell(t(), at :: integer()) :: {t(), [map()]}
-  def tell(%{over: over} = budget, _at) when over == %{}, do: {budget, []}
+  @doc "The data of each `events.suppressed` that is due `at` this time."
+  @spec summaries(t(), at :: integer()) :: {t(), [map()]}
+  def summaries(%{over: over} = budget, _at) when over == %{}, do: {budget, []}
 
-  def tell(budget, at) do
+  def summaries(budget, at) do
     {ready, over} = Enum.split_with(budget.over, fn {_kind, one} -> ready?(one, at) end)
-    {%{budget | over: Map.new(over)}, for({_kind, one} <- Enum.sort(ready), do: words(one))}
+    {%{budget | over: Map.new(over)}, for({_kind, one} <- Enum.sort(ready), do: data(one))}
   end
 
-  # Also when a clock was set back.
+  # The last condition: a clock was set back.
   defp ready?(one, at),
-    do: at - one.last >= @over_us or at - one.first >= @told_us or at < one.first - @slack_us
+    do: at - one.last >= @quiet_us or at - one.first >= @summary_us or at < one.first - @slack_us
 
-  defp words(one) do
+  defp data(one) do
     %{
       "of" => one.type,
       "count" => one.count,

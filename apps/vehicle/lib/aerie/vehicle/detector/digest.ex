@@ -1,20 +1,21 @@
 defmodule Aerie.Vehicle.Detector.Digest do
   @moduledoc """
-  What of a vehicle's state the detector looks at: nothing that changes all the time, so that equal digests need not be
-  observed twice. What is unknown is nil.
+  The part of a vehicle's state that events are about. Nothing in it changes all the time, so that the detector need not see
+  equal digests. Unknown values are nil.
 
-  `gps` is "OK" or the fix that is not enough; `position`: whether the estimator knows where it is; `fence_check`: PX4's check
-  of its fence that fails, as it is told and by its name, or false.
+  `gps`: "OK", or the fix that is too weak; `position`: whether the estimator knows the position; `fence_check`:
+  `{breach, name}` of PX4's fence check that fails, or false.
   """
 
   import Bitwise
 
   alias Aerie.Vehicle.{Detector, State}
+  alias MavCodec.Enums.{EstimatorStatusFlags, GpsFixType}
 
-  # GPS_FIX_TYPE
-  @fix_3d 3
-  # Both firmwares' estimators: horizontal position relative, absolute.
-  @somewhere 0x18
+  @fix_3d GpsFixType.value(:GPS_FIX_TYPE_3D_FIX)
+  # The flags of both firmwares' estimators for a relative and an absolute horizontal position.
+  @horizontal_position EstimatorStatusFlags.value(:ESTIMATOR_POS_HORIZ_REL) |||
+                         EstimatorStatusFlags.value(:ESTIMATOR_POS_HORIZ_ABS)
 
   @doc "The digest of a state."
   @spec of(State.t()) :: map()
@@ -37,7 +38,7 @@ defmodule Aerie.Vehicle.Detector.Digest do
       mission_total: mission.total,
       mission_state: mission.state,
       gps: if(gps.fix, do: if(gps.fix >= @fix_3d, do: "OK", else: gps.fix_name)),
-      position: if(health.ekf, do: (health.ekf.flags &&& @somewhere) != 0),
+      position: if(health.ekf, do: (health.ekf.flags &&& @horizontal_position) != 0),
       rc_receiver: health.rc_receiver,
       fence_check: if(health.arming_checks, do: fence_check(health.arming_checks))
     }
@@ -48,11 +49,11 @@ defmodule Aerie.Vehicle.Detector.Digest do
   defp violation("check_gf_violation_" <> what = name), do: {String.upcase(what), name}
   defp violation(_other), do: nil
 
-  @doc "What is shown beside a digest for the data of events, however often it changes."
+  @doc "What events need besides the digest, however often it changes: the position and the batteries' voltages."
   @spec beside(State.t()) :: map()
   def beside(state), do: %{where: position(state), voltages: Detector.Batteries.voltages(state)}
 
-  @doc "Where the vehicle is, for the data of events; nil when it does not know."
+  @doc "The position as event data; nil if it is not known."
   @spec position(State.t()) :: map() | nil
   def position(state) do
     case State.data(state, :position) do

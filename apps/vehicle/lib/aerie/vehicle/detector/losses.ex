@@ -1,16 +1,16 @@
 defmodule Aerie.Vehicle.Detector.Losses do
   @moduledoc """
-  What a vehicle loses and gets back: remote control, GNSS, its position, the inside of its fence; and its kill switch. A part
-  of the detector. Several sources may say the same; each loss is told once, and its end with the time that it lasted.
+  What a vehicle loses and gets back: remote control, GNSS, its position, the inside of its fence; and its kill switch.
+  Several sources may say the same; each loss is reported once, and its end with its duration.
 
-  GNSS is missed of an armed vehicle only, the position of one in the air: on the ground they come and go.
+  GNSS counts as lost only while the vehicle is armed, the position only in the air: on the ground they come and go.
   """
 
   alias Aerie.Vehicle.Detector
-  alias Aerie.Vehicle.Detector.Failsafe
+  alias Aerie.Vehicle.Detector.{Failsafe, Step}
 
-  @doc "The difference of two digests, as steps and changes of the detector."
-  @spec changed(Detector.t(), map(), map(), integer()) :: {Detector.t(), [Detector.step()]}
+  @doc "What follows from the difference of two digests."
+  @spec changed(Detector.t(), map(), map(), integer()) :: {Detector.t(), [Step.t()]}
   def changed(detector, last, now, at) do
     Enum.reduce([&gps/4, &position/4, &receiver/4, &fence_end/4], {detector, []}, fn part,
                                                                                      {detector, steps} ->
@@ -20,18 +20,18 @@ defmodule Aerie.Vehicle.Detector.Losses do
   end
 
   defp gps(%{gps_lost: nil} = detector, %{gps: "OK"}, %{gps: fix, armed: true}, at) when fix != "OK",
-    do: {%{said(detector, at, "gps") | gps_lost: at}, [{"gps.lost", %{"fix_name" => fix}, []}]}
+    do: {%{hint(detector, at, "gps") | gps_lost: at}, [Step.event("gps.lost", %{"fix_name" => fix})]}
 
   defp gps(%{gps_lost: since} = detector, _last, %{gps: "OK"}, at) when since != nil,
-    do: {%{detector | gps_lost: nil}, [{"gps.restored", %{"duration" => lasted(since, at)}, []}]}
+    do: {%{detector | gps_lost: nil}, [Step.event("gps.restored", duration(since, at))]}
 
   defp gps(detector, _last, _now, _at), do: {detector, []}
 
   defp position(%{position_lost: nil} = detector, %{position: true}, %{position: false, in_air: true}, at),
-    do: {%{said(detector, at, "position") | position_lost: at}, [{"position.lost", %{}, []}]}
+    do: {%{hint(detector, at, "position") | position_lost: at}, [Step.event("position.lost")]}
 
   defp position(%{position_lost: since} = detector, _last, %{position: true}, at) when since != nil,
-    do: {%{detector | position_lost: nil}, [{"position.restored", %{"duration" => lasted(since, at)}, []}]}
+    do: {%{detector | position_lost: nil}, [Step.event("position.restored", duration(since, at))]}
 
   defp position(detector, _last, _now, _at), do: {detector, []}
 
@@ -48,40 +48,39 @@ defmodule Aerie.Vehicle.Detector.Losses do
   defp fence_end(detector, _last, _now, _at), do: {detector, []}
 
   defp fence_over(%{fence_open: {since, breach}} = detector, at) do
-    {%{detector | fence_open: nil},
-     [{"geofence.cleared", %{"breach" => breach, "duration" => lasted(since, at)}, []}]}
+    data = Map.put(duration(since, at), "breach", breach)
+    {%{detector | fence_open: nil}, [Step.event("geofence.cleared", data)]}
   end
 
-  @doc "Parameters that have new values: ArduPilot says nothing of a fence any more that is switched off."
-  @spec params(Detector.t(), %{String.t() => term()}, integer()) :: {Detector.t(), [Detector.step()]}
+  @doc "Parameters with new values: of a fence that is switched off, ArduPilot sends no FENCE_STATUS."
+  @spec params(Detector.t(), %{String.t() => term()}, integer()) :: {Detector.t(), [Step.t()]}
   def params(%{fence_open: {_since, _breach}} = detector, %{"FENCE_ENABLE" => 0}, at),
     do: fence_over(detector, at)
 
   def params(detector, _values, _at), do: {detector, []}
 
-  @doc "The remote control is lost, or there again, as a text, a report or the receiver's state says."
+  @doc "The remote control is lost or back, as a text, a report or the receiver's state says."
   @spec rc(Detector.t(), :lost | :back | nil, String.t() | nil, integer()) ::
-          {Detector.t(), [Detector.step()]}
+          {Detector.t(), [Step.t()]}
   def rc(%{rc_lost: nil} = detector, :lost, text, at),
-    do: {%{detector | rc_lost: at}, [{"rc.lost", %{"text" => text}, []}]}
+    do: {%{detector | rc_lost: at}, [Step.event("rc.lost", %{"text" => text})]}
 
   def rc(%{rc_lost: since} = detector, :back, text, at) when since != nil do
-    data = %{"text" => text, "duration" => lasted(since, at)}
-    {%{detector | rc_lost: nil}, [{"rc.restored", data, []}]}
+    {%{detector | rc_lost: nil}, [Step.event("rc.restored", Map.put(duration(since, at), "text", text))]}
   end
 
   def rc(detector, _known, _text, _at), do: {detector, []}
 
-  @doc "The kill switch is engaged, or not any more."
-  @spec kill(Detector.t(), boolean() | nil, String.t() | nil) :: {Detector.t(), [Detector.step()]}
+  @doc "The kill switch is engaged or released; nil: nothing is said of it."
+  @spec kill(Detector.t(), boolean() | nil, String.t() | nil) :: {Detector.t(), [Step.t()]}
   def kill(%{killed: known} = detector, on?, _text) when on? in [known, nil], do: {detector, []}
 
   def kill(detector, on?, text) do
     type = if on?, do: "kill_switch.engaged", else: "kill_switch.released"
-    {%{detector | killed: on?}, [{type, %{"text" => text}, []}]}
+    {%{detector | killed: on?}, [Step.event(type, %{"text" => text})]}
   end
 
-  @doc "What is wrong with the vehicle just now that a failsafe may come of, the likeliest first."
+  @doc "What is wrong with the vehicle now that may cause a failsafe, the most likely cause first."
   @spec troubles(Detector.t()) :: [String.t()]
   def troubles(detector) do
     for {type, true} <- [
@@ -89,19 +88,19 @@ defmodule Aerie.Vehicle.Detector.Losses do
           {"gps", detector.gps_lost != nil},
           {"position", detector.position_lost != nil},
           {"rc", detector.rc_lost != nil},
-          {"gcs", detector.gcs},
+          {"gcs", detector.gcs_failsafe},
           {"battery", :critical in Map.values(detector.battery)}
         ],
         do: type
   end
 
-  @doc "After a reboot nothing of this is known."
-  @spec forgotten(Detector.t()) :: Detector.t()
-  def forgotten(detector),
+  @doc "After a reboot none of this is known."
+  @spec forget(Detector.t()) :: Detector.t()
+  def forget(detector),
     do: %{detector | gps_lost: nil, position_lost: nil, rc_lost: nil, fence_open: nil, killed: false}
 
-  defp said(detector, at, type),
-    do: %{detector | failsafe: Failsafe.said(detector.failsafe, at, type, type)}
+  defp hint(detector, at, type),
+    do: %{detector | failsafe: Failsafe.hint(detector.failsafe, at, type, type)}
 
-  defp lasted(since, at), do: Float.round(max(at - since, 0) / 1_000_000, 1)
+  defp duration(since, at), do: %{"duration" => Step.seconds(since, at)}
 end

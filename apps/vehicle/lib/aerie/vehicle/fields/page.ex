@@ -1,10 +1,10 @@
 defmodule Aerie.Vehicle.Fields.Page do
   @moduledoc """
-  `docs/telemetry.md`, made from `Aerie.Vehicle.Fields` and `Aerie.Vehicle.EventTypes` (`mix aerie.telemetry`), so that what is
-  published and what is written about it are one.
+  `docs/telemetry.md`, made from `Aerie.Vehicle.Fields` and `Aerie.Vehicle.Event.Types` (`mix aerie.telemetry`), so that the page
+  cannot differ from what is published.
   """
 
-  alias Aerie.Vehicle.{EventTypes, Fields}
+  alias Aerie.Vehicle.{Event, Fields}
   alias Aerie.Vehicle.Fields.Object
 
   @doc "The text of the page."
@@ -17,13 +17,13 @@ defmodule Aerie.Vehicle.Fields.Page do
       for({group, title, fields} <- Fields.all(), do: group(group, title, fields)),
       "\n## A vehicle\n\nThe object of `state.sock` and `/api/status`:\n\n",
       object(Object.short()),
-      "\n`GET /api/vehicles/ID` has these besides:\n\n",
+      "\n`GET /api/vehicles/ID` adds:\n\n",
       object(Object.long()),
       "\n## A link\n\nThe objects of `GET /api/links`:\n\n",
       object(Object.link()),
       "\n## Events\n\n",
       events(),
-      for(type <- EventTypes.all(), do: event(type))
+      for(type <- Event.Types.all(), do: event(type))
     ]
     |> IO.iodata_to_binary()
   end
@@ -32,34 +32,36 @@ defmodule Aerie.Vehicle.Fields.Page do
     """
     # Telemetry: every field, its unit, its meaning
 
-    <!-- Made by `mix aerie.telemetry` from Aerie.Vehicle.Fields and Aerie.Vehicle.EventTypes: change those, not this page. -->
+    <!-- Made by `mix aerie.telemetry` from Aerie.Vehicle.Fields and Aerie.Vehicle.Event.Types: change those, not this page. -->
 
-    NATS, REST and `state.sock` use one vocabulary: a field has the same name, unit and number of decimals in all of them.
+    A field has the same name, unit and number of decimals in NATS, REST and `state.sock`.
 
-    - Units are SI, with degrees for angles and places. A share is 0..1, never per cent. A height says above what.
-    - null is "not known"; a value that is not told any more stays and has an age.
-    - `time` is ISO 8601 in UTC with milliseconds, by the gateway's clock; `time_boot_ms` the vehicle's own clock, milliseconds
-      since its boot; `timestamp` unix time in seconds, of the answer itself; `age` seconds.
-    - `epoch` is the number of the gateway's life, greater with each start: another one means that it was started anew. An event's
-      `seq` begins at 1 in each epoch.
-    - Numbers are rounded to the decimals that mean something when they are told, not before.
+    - Units are SI, with degrees for angles and positions. A ratio is 0..1, never per cent. A height says above what.
+    - null means "not known". A value that is not updated any more stays and has an age.
+    - `time` is ISO 8601 in UTC with milliseconds, by the gateway's clock. `time_boot_ms` is the vehicle's own clock,
+      milliseconds since its boot. `timestamp` is the unix time of the response in seconds. `age` is in seconds.
+    - `gateway` is the name of the gateway that published a value; two may hear the same vehicle.
+    - `epoch` increases with each start of the gateway: a new epoch means that it was restarted. An event's `seq` begins at 1 in
+      each epoch.
+    - Numbers are rounded when they are published, not before.
 
     | where | what |
     |---|---|
-    | NATS `fleet.{environment}.{vehicle}.state.{group}` | `vehicle`, `group`, `epoch`, `time`, `time_boot_ms`, `data`: a group below |
+    | NATS `fleet.{environment}.{vehicle}.state.{group}` | `vehicle`, `group`, `gateway`, `epoch`, `time`, `time_boot_ms`, `data`: a group below |
     | NATS `fleet.{environment}.{vehicle}.event.{type}` | `id`, `vehicle`, `type`, `epoch`, `seq`, `time`, `time_boot_ms`, `data`: an event below |
-    | `GET /api/vehicles/ID` | `groups`: each with `time`, `age`, `time_boot_ms`, `data`; and the vehicle itself |
+    | NATS `fleet.{environment}.{vehicle}.state.gateway` | the same; `data` is what the gateway knows of the vehicle: `network`, `system_id`, `autopilot`, `type`, `firmware`, `status`, and `silent_s`, how long it was silent |
+    | `GET /api/vehicles/ID` | `groups`, each with `time`, `age`, `via`, `time_boot_ms`, `data`; and the vehicle below |
     | `GET /api/vehicles/ID/events`, `GET /api/events` | the latest events, each as in NATS |
     | `GET /api/links` | a link below |
-    | `state.sock`, `GET /api/status` | of some groups the fields that most want, with `ages` |
+    | `state.sock`, `GET /api/status` | the most used fields of some groups, with `ages` |
 
-    How often a group is published is said by `sampling` in the configuration. A group with the strategy `aggregate` has, beside
-    its means, `min` and `max` of each number and how many `samples` they are of.
+    The configuration's `sampling` sets how often a group is published. With the strategy `aggregate`, a group has `min` and
+    `max` of each number and the number of `samples`, besides the means.
     """
   end
 
   defp state,
-    do: "Sources are MAVLink messages; of several that tell the same the better one wins while it comes.\n"
+    do: "Sources are MAVLink messages. If several carry the same value, the best one that comes is used.\n"
 
   defp group(group, title, fields) do
     rows =
@@ -79,9 +81,9 @@ defmodule Aerie.Vehicle.Fields.Page do
 
   defp events do
     """
-    At least once, in the order of `seq`, with an `id` that is the same for the same event however often it comes. `time` is when
-    the gateway received what shows it. `position` (`lat`, `lon`, `alt_msl`, `alt_rel` as above) may be in the data of each type
-    that the vehicle's state shows: where it was then.
+    Events are delivered at least once, in the order of `seq`. An event that is delivered twice has the same `id`. `time` is when
+    the gateway received what shows the event. The data of an event that the vehicle's state shows may also have `position` (`lat`,
+    `lon`, `alt_msl`, `alt_rel` as above): where the vehicle was then.
     """
   end
 

@@ -1,10 +1,10 @@
 defmodule Aerie.Vehicle.Fields.Round do
-  @moduledoc "Rounds the numbers of an object to given decimals, by the names of its fields, however deep."
+  @moduledoc "Rounds the numbers of a nested object by the names of its fields."
 
-  @typedoc "Decimals by names, as atoms or texts; 0 gives whole numbers."
+  @typedoc "Decimals by field name; 0 gives whole numbers."
   @type decimals :: %{optional(atom() | String.t()) => non_neg_integer()}
 
-  @doc "The object rounded. What is below a field whose name is not known has the field's own decimals."
+  @doc "The rounded object. A field that has no decimals of its own uses those of the field above it."
   @spec object(map(), decimals()) :: map()
   def object(map, decimals), do: object(map, decimals, nil)
 

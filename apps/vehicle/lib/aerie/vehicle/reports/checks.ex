@@ -1,17 +1,18 @@
 defmodule Aerie.Vehicle.Reports.Checks do
+  @wait_us 5_000_000
+
   @moduledoc """
   What keeps a PX4 vehicle from being armed, from its EVENT messages. A pure value.
 
-  A report of the arming checks is a batch: `commander_arming_check_summary`, the reasons one by one,
-  `commander_health_summary`. It says all there is to say, and is sent again whenever something in it changes. A batch
-  whose last piece does not come within #{5} s is no batch; one with another piece missing is taken for what there is of it.
+  The arming checks come as a batch: `commander_arming_check_summary`, the reasons one by one, `commander_health_summary`. A
+  batch is complete in itself, and is sent again whenever something in it changes. A batch whose last event does not come
+  within #{div(@wait_us, 1_000_000)} s is dropped; one with another event missing is used without it.
   """
 
   import Bitwise
 
   alias Aerie.Vehicle.Reports.Names
 
-  @wait_us 5_000_000
   @max_pieces 64
 
   defstruct [:first, :last, :until, members: %{}, others: 0]
@@ -19,8 +20,8 @@ defmodule Aerie.Vehicle.Reports.Checks do
   @type t :: %__MODULE__{}
 
   @doc """
-  Takes one event of the component, by its sequence number. `{:taken, …}`: it is a piece of a batch, not to be shown by
-  itself. The list is that of a batch that is complete now, in order; nil for none.
+  An event of the component with its sequence number. `{:taken, …}`: it is part of a batch and is not shown by itself. The
+  list has the reasons of a batch that is complete now, in order; nil if there is none.
   """
   @spec event(t() | nil, 0..65_535, non_neg_integer(), term(), integer()) ::
           {:taken | :other, t() | nil, [term()] | nil}
@@ -42,13 +43,13 @@ defmodule Aerie.Vehicle.Reports.Checks do
         cond do
           not within?(checks, number) -> {:other, checks, nil}
           reason?(name) -> close(:taken, %{checks | members: Map.put(checks.members, number, what)})
-          # Of another part of the firmware, sent in between.
+          # An event of another part of the firmware in between.
           true -> close(:other, %{checks | others: checks.others + 1})
         end
     end
   end
 
-  @doc "It is `now`: a batch that waits too long is ended."
+  @doc "Ends a batch that has waited too long at `now`."
   @spec expire(t() | nil, integer()) :: {t() | nil, [term()] | nil}
   def expire(%{until: until, last: last} = checks, now) when until <= now,
     do: {nil, if(last, do: reasons(checks))}
@@ -60,7 +61,7 @@ defmodule Aerie.Vehicle.Reports.Checks do
     (number - first &&& 0xFFFF) in 1..end_of//1
   end
 
-  # One whose name is not known may well be one.
+  # An event with an unknown name may be a reason, too.
   defp reason?(nil), do: true
   defp reason?(name), do: String.starts_with?(name, "check_")
 

@@ -3,10 +3,9 @@ defmodule Aerie.Vehicle.Reports.Names do
   Names and arguments of EVENT ids, from `priv/px4_events.json` (facts of PX4's own metadata: names, ids, types of arguments,
   values of enums; see the README beside it).
 
-  The upper 8 bits of an id are a name space (the component that defines it; 0 for those in common), the lower 24 bits are,
-  in PX4, the 32-bit FNV-1a hash of the event's name without its upper 8 bits. So a name that is known is right for every
-  version of the firmware that has it. Arguments follow each other as packed little-endian values; they have no names here.
-  An event that is not in the file keeps its number and its bytes.
+  The upper 8 bits of an id are the namespace (the component that defines it; 0 for common events). In PX4, the lower 24 bits
+  are those of the 32-bit FNV-1a hash of the event's name, so a known name is right for every firmware version that has it.
+  Arguments are packed little-endian values without names. An event that is not in the file keeps its number and its bytes.
   """
 
   import Bitwise
@@ -28,7 +27,7 @@ defmodule Aerie.Vehicle.Reports.Names do
 
   components = @file_name |> File.read!() |> JSON.decode!() |> Map.fetch!("components")
 
-  # Types are written with and without their name space.
+  # Types are written with and without their namespace.
   enums =
     for {_space, component} <- components,
         {name, enum} <- component["enums"],
@@ -54,15 +53,11 @@ defmodule Aerie.Vehicle.Reports.Names do
   @typedoc "A number, the label of an enum's value (its number where it has none), or the labels of a bit field."
   @type value :: integer() | float() | String.t() | [String.t()] | nil
 
-  @doc "The name of an event, nil when it is not known."
+  @doc "The name of an event; nil if unknown."
   @spec name(non_neg_integer()) :: String.t() | nil
   def name(id), do: Map.get(@names, id)
 
-  @doc "All known events."
-  @spec all() :: %{non_neg_integer() => String.t()}
-  def all, do: @names
-
-  @doc "An event's arguments, read from its bytes (zeros at their end may be missing); nil when its layout is not known."
+  @doc "An event's arguments from its bytes (trailing zeros may be missing); nil if the layout is unknown."
   @spec values(non_neg_integer(), binary()) :: [value()] | nil
   def values(id, bytes) do
     case @layouts do
@@ -91,7 +86,7 @@ defmodule Aerie.Vehicle.Reports.Names do
   end
 
   defp value({:float, 32}, <<number::little-float-32>>), do: number
-  # Not a number.
+  # NaN and the infinities.
   defp value({:float, 32}, _bytes), do: nil
 
   defp value({:enum, bits, labels}, bytes) do

@@ -1,18 +1,19 @@
 defmodule Aerie.Vehicle.Reports.Sequence do
+  @first_us 300_000
+
   @moduledoc """
   Which EVENT messages of one component have come, and which are missing (X3). A pure value.
 
-  Numbers have 16 bits and come round. EVENT and CURRENT_EVENT_SEQUENCE both tell how far the component is; what lies
-  between is asked for with REQUEST_EVENT: after #{300} ms (another link may bring it), then twice more, and is given up
-  after that, or when RESPONSE_EVENT_ERROR says that it is not kept any more. What is late is taken when it comes; what
-  comes twice, on two links or because somebody else asked for it, counts once.
+  Sequence numbers have 16 bits and wrap. EVENT and CURRENT_EVENT_SEQUENCE both show the latest number. Missing ones are
+  requested with REQUEST_EVENT after #{div(@first_us, 1000)} ms (another link may bring them) and twice more. After that they are given up,
+  as they are when RESPONSE_EVENT_ERROR says that the component does not keep them any more. Late events are accepted;
+  duplicates, by a second link or another program's request, count once.
 
-  A component that was restarted begins anew: it says so in CURRENT_EVENT_SEQUENCE, or its clock went back.
+  A restarted component begins anew: CURRENT_EVENT_SEQUENCE says so, or its clock goes back.
   """
 
   import Bitwise
 
-  @first_us 300_000
   @again_us 1_000_000
   @tries 3
   @max_missing 64
@@ -20,7 +21,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
 
   defstruct [:latest, :boot_ms, missing: %{}, lost: 0]
 
-  @typedoc "`lost`: numbers that will not come, so far; `missing`: when each is to be asked for, and how often it was."
+  @typedoc "`lost`: how many were given up; `missing`: when each is to be requested next, and how often it was."
   @type t :: %__MODULE__{
           latest: 0..65_535 | nil,
           boot_ms: non_neg_integer() | nil,
@@ -31,7 +32,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "An EVENT with this number came `at` (us). `boot_ms` is the time that it gives."
+  @doc "An EVENT with this number came `at` (us). `boot_ms` is its own time."
   @spec event(t(), 0..65_535, non_neg_integer(), integer()) :: {:new | :old, t()}
   def event(%{boot_ms: last} = sequence, number, boot_ms, at) when last != nil and boot_ms + @clock_ms < last,
     do: event(%{new() | lost: sequence.lost}, number, boot_ms, at)
@@ -55,12 +56,12 @@ defmodule Aerie.Vehicle.Reports.Sequence do
     end
   end
 
-  @doc "Whether a number is so near to the latest one that it is of the same sequence."
+  @doc "Whether a number is so close to the latest one that it belongs to the same sequence."
   @spec near?(t(), 0..65_535) :: boolean()
   def near?(%{latest: nil}, _number), do: true
   def near?(%{latest: latest}, number), do: (number - latest + @max_missing &&& 0xFFFF) <= 2 * @max_missing
 
-  @doc "CURRENT_EVENT_SEQUENCE came `at`: this is the last one that was sent. `reset?`: numbers before it mean nothing."
+  @doc "CURRENT_EVENT_SEQUENCE came `at`: the last number that was sent. `reset?`: earlier numbers are void."
   @spec current(t(), 0..65_535, boolean(), integer()) :: t()
   def current(%{latest: same} = sequence, same, _reset?, _at), do: sequence
 
@@ -74,7 +75,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
     end
   end
 
-  @doc "RESPONSE_EVENT_ERROR: what is older than `oldest` is not kept any more."
+  @doc "RESPONSE_EVENT_ERROR: the component does not keep events before `oldest` any more."
   @spec gone(t(), 0..65_535) :: t()
   def gone(%{latest: nil} = sequence, _oldest), do: sequence
 
@@ -83,7 +84,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
     %{sequence | missing: missing, lost: sequence.lost + map_size(gone)}
   end
 
-  @doc "What to ask for at `now`, as first and last numbers."
+  @doc "The ranges to request at `now`, as first and last numbers."
   @spec expire(t(), integer()) :: {t(), [{0..65_535, 0..65_535}]}
   def expire(%{missing: missing} = sequence, _now) when missing == %{}, do: {sequence, []}
 
@@ -96,17 +97,17 @@ defmodule Aerie.Vehicle.Reports.Sequence do
      asked |> Map.keys() |> ranges(sequence.latest)}
   end
 
-  @doc "Time goes on from `now`, whatever it was before."
+  @doc "Time goes on from `now`, which is not comparable with the time before."
   @spec rebased(t(), integer()) :: t()
   def rebased(sequence, now) do
     %{sequence | missing: Map.new(sequence.missing, fn {number, {_due, tries}} -> {number, {now, tries}} end)}
   end
 
-  @doc "Whether something may still come."
+  @doc "Whether missing events may still come."
   @spec waiting?(t()) :: boolean()
   def waiting?(%{missing: missing}), do: missing != %{}
 
-  # How far a number is ahead of the latest one; 0 for one that is not.
+  # How far a number is ahead of the latest one; 0 if it is not.
   defp ahead(%{latest: latest}, number) do
     distance = number - latest &&& 0xFFFF
     if distance < 0x8000, do: distance, else: 0
@@ -114,7 +115,7 @@ defmodule Aerie.Vehicle.Reports.Sequence do
 
   defp before?(number, other), do: (other - number &&& 0xFFFF) in 1..0x7FFF
 
-  # The n numbers after the latest one. So many at once are a component that was away; the last ones matter.
+  # Notes the n numbers after the latest one as missing. If there are too many, the last ones matter.
   defp expect(sequence, n, at) do
     first = max(n - @max_missing, 0) + 1
     numbers = for i <- first..n//1, into: %{}, do: {sequence.latest + i &&& 0xFFFF, {at + @first_us, 0}}

@@ -1,9 +1,9 @@
 defmodule Aerie.Vehicle.Sampling.Aggregate do
   @moduledoc """
-  Over each period the mean under the usual keys, with `min` and `max` of each number and the number of `samples`. Periods
+  The mean of each period under the usual keys, with `min` and `max` of each number and the number of `samples`. The periods
   are those of `Aerie.Vehicle.Sampling.Time`.
 
-  Minimum and maximum of an angle are those of its numbers, not of the circle.
+  The minimum and maximum of an angle are those of its numbers, not on the circle.
   """
   @behaviour Aerie.Vehicle.Sampling
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Sampling.Change do
   @moduledoc """
-  A value when it differs from the one given last. One that differs too early is held until the period is over, unless it
-  changed back by then.
+  Publishes a value that differs from the last one. If the period is not over yet, the value is held until then, and dropped
+  if it changes back.
   """
   @behaviour Aerie.Vehicle.Sampling
 

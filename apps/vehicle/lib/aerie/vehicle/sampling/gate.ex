@@ -1,7 +1,6 @@
 defmodule Aerie.Vehicle.Sampling.Gate do
   @moduledoc """
-  Lets values through that matter, not more often than once a period, and one of those that do not when the last one was
-  too long ago.
+  Passes values that matter, at most once per period, and one that does not when the last one was too long ago.
   """
 
   defstruct [:period_us, :refresh_us, :last, :last_at, :held]
@@ -17,7 +16,7 @@ defmodule Aerie.Vehicle.Sampling.Gate do
   @spec new(pos_integer(), pos_integer() | nil) :: t()
   def new(period_us, refresh_us), do: %__MODULE__{period_us: period_us, refresh_us: refresh_us}
 
-  @doc "A value; `matters?.(last, value)` says whether it is to be given."
+  @doc "A value; `matters?.(last, value)` says whether it is to be passed."
   @spec push(t(), integer(), map(), (map(), map() -> boolean())) :: {t(), [{integer(), map()}]}
   def push(%{last: nil} = gate, at, data, _matters?), do: give(gate, at, at, data)
 

@@ -1,8 +1,9 @@
 defmodule Aerie.Vehicle.Sampling.Mean do
   @moduledoc """
-  Means of maps: each number over those samples that have it, angles on the circle, what is no number as it was last.
+  The mean of maps: of each number over the samples that have it, of angles on the circle; anything but a number has its last
+  value.
 
-  A key that was nil in every sample is nil. Angles are the keys `heading`, `yaw`, `roll`, `pitch` and `lon`: the mean of
+  A key that is nil in every sample is nil. Angles are the keys `heading`, `yaw`, `roll`, `pitch` and `lon`: the mean of
   359° and 1° is 0°, and a vehicle at the date line is not at Greenwich. The result is in the range of the input
   (0..360 for `heading`, -180..180 for the others).
   """
@@ -17,17 +18,17 @@ defmodule Aerie.Vehicle.Sampling.Mean do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "How many samples are in it."
+  @doc "The number of samples."
   @spec count(t()) :: non_neg_integer()
   def count(mean), do: mean.count
 
-  @doc "When the last sample came; nil without any."
+  @doc "When the last sample came; nil if there is none."
   @spec at(t()) :: integer() | nil
   def at(mean), do: mean.at
 
   @spec add(t(), integer(), map()) :: t()
   def add(mean, at, data) do
-    # Comes for each message at the full rate.
+    # Hot path: called for each message.
     %{mean | sums: sums(:maps.to_list(data), mean.sums), last: data, count: mean.count + 1, at: at}
   end
 
@@ -37,7 +38,7 @@ defmodule Aerie.Vehicle.Sampling.Mean do
   @spec result(t()) :: map()
   def result(mean), do: Map.merge(mean.last, Map.new(mean.sums, fn {key, sum} -> {key, value(key, sum)} end))
 
-  # An angle counts from the first one of the window, which keeps the exact value when they are all the same.
+  # Angles are added relative to the first one, so equal angles give exactly that angle.
   defp sum(sums, key, value) when is_number(value) and key in @angles do
     case sums do
       %{^key => {first, x, y}} ->
@@ -49,7 +50,7 @@ defmodule Aerie.Vehicle.Sampling.Mean do
     end
   end
 
-  # The running mean never leaves the range of its values, which a sum divided at the end may by rounding.
+  # A running mean never leaves the range of its values, as a sum divided at the end might by rounding.
   defp sum(sums, key, value) when is_number(value) do
     case sums do
       %{^key => {mean, n}} -> %{sums | key => {mean + (value - mean) / (n + 1), n + 1}}
@@ -61,7 +62,7 @@ defmodule Aerie.Vehicle.Sampling.Mean do
 
   defp value(_key, {mean, _n}), do: mean
 
-  # Opposite directions have no mean; the first one stands for them.
+  # Opposite directions have no mean; the first one is used.
   defp value(_key, {first, x, y}) when x * x + y * y < 1.0e-12, do: first
   defp value(key, {first, x, y}), do: wrap(key, first + :math.atan2(y, x) / @radian)
 

@@ -1,7 +1,7 @@
 defmodule Aerie.Vehicle.Sampling.Threshold do
   @moduledoc """
-  A value when one of the numbers named under `threshold` moved by at least its amount since the value given last, or
-  became known or unknown. A name that the group does not have is ignored.
+  Publishes a value when a number named under `threshold` has changed by at least that amount since the last one, or has become
+  known or unknown. A name that the group does not have is ignored.
   """
   @behaviour Aerie.Vehicle.Sampling
 
@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Sampling.Threshold do
 
   @impl Sampling
   def new(group, settings, period_us) do
-    named = Map.get(settings, :threshold, %{})
+    named = settings.threshold
     limits = for key <- State.keys(group), amount = named[Atom.to_string(key)], do: {key, amount - @rounding}
     {limits, Gate.new(period_us, Sampling.refresh_us(settings))}
   end

@@ -1,8 +1,8 @@
 defmodule Aerie.Vehicle.Sampling.Time do
   @moduledoc """
-  The first value that has all its fields as it is, at once, and the mean over each period from there on: whoever waits for a
-  vehicle has its position when it comes. A value that lacks a field (a height comes before the place) waits for its period.
-  A period without values gives nothing, and the values after it are first ones again.
+  Publishes the first value that has all its fields at once, so that a vehicle's position is known when it appears, and after
+  that the mean of each period. An incomplete value (the height may come before the position) waits for its period. A period
+  without values gives nothing, and the next complete value is a first one again.
   """
   @behaviour Aerie.Vehicle.Sampling
 
@@ -34,7 +34,7 @@ defmodule Aerie.Vehicle.Sampling.Time do
 
   def expire(%{mean: mean} = sampler, now) do
     next = sampler.ends + sampler.period_us
-    # After a pause the periods begin anew with the next value.
+    # After a pause, periods begin with the next value.
     pause = next <= now
     samples = if Mean.count(mean) > 0, do: [{Mean.at(mean), Mean.result(mean)}], else: []
     ends = if not pause, do: next

@@ -1,10 +1,11 @@
 defmodule Aerie.Vehicle.State.Health do
-  @moduledoc "Estimator, vibration, remote control and what the autopilot is."
+  @moduledoc "Estimator, vibration, remote control, and the autopilot's version and unique id."
   @behaviour Aerie.Vehicle.State
 
   import Bitwise
 
-  alias Aerie.Vehicle.{State, Value}
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Value
   alias MavCodec.Messages, as: M
 
   @impl State
@@ -84,14 +85,14 @@ defmodule Aerie.Vehicle.State.Health do
     {[], rc: %{channels: Enum.map(channels, &channel/1), rssi: rssi(m.rssi)}}
   end
 
-  # Further ports repeat what RC_CHANNELS has in one message.
+  # RC_CHANNELS has the other ports, too.
   def read(%M.RcChannelsRaw{}, _state, _at), do: {[], []}
 
   def read(%M.AutopilotVersion{} = m, _state, _at) do
     {[firmware: version(m.flight_sw_version), uid: uid(m), capabilities: m.capabilities], []}
   end
 
-  @doc "A firmware version as people write it, `\"4.6.3\"`, `\"1.18.0-beta\"`; nil for none."
+  @doc "A firmware version as it is written, `\"4.6.3\"`, `\"1.18.0-beta\"`; nil for none."
   @spec version(non_neg_integer()) :: String.t() | nil
   def version(0), do: nil
 
@@ -107,7 +108,7 @@ defmodule Aerie.Vehicle.State.Health do
     end
   end
 
-  # The long identification if there is one, else the short one; a vehicle may have neither.
+  # The long unique id if there is one, else the short one; a vehicle may have neither.
   defp uid(%{uid2: uid2, uid: uid}) do
     cond do
       String.trim(uid2, <<0>>) != "" -> Base.encode16(uid2, case: :lower)

@@ -1,26 +1,28 @@
 defmodule Aerie.Vehicle.State.HighLatency do
   @moduledoc """
-  HIGH_LATENCY2, which is all that comes over a satellite link (X6): a summary without a heartbeat.
+  HIGH_LATENCY2, the only message that comes by a satellite link (X6): a summary without a heartbeat.
 
-  Only ArduPilot says whether the vehicle is armed: it puts the base mode into `custom0`.
+  Only ArduPilot says in it whether the vehicle is armed: it puts the base mode into `custom0`.
   """
   @behaviour Aerie.Vehicle.State
 
   import Bitwise
 
-  alias Aerie.Vehicle.{Kind, Modes, State, Value}
-  alias MavCodec.Enums.HlFailureFlag
+  alias Aerie.Protocol.Modes
+  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.State.Value
+  alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}
   alias MavCodec.Messages, as: M
 
-  @safety_armed 0x80
-  @geofence 0x800
+  @safety_armed MavModeFlag.value(:MAV_MODE_FLAG_SAFETY_ARMED)
+  @geofence HlFailureFlag.value(:HL_FAILURE_FLAG_GEOFENCE)
 
   @impl State
   def read(%M.HighLatency2{} = m, state, at) do
     with {lat, lon} <- Value.lat_lon(m.latitude, m.longitude) || {nil, nil} do
       autopilot = Kind.autopilot(m.autopilot)
       kind = Kind.name(m.type)
-      # Sixteen bits of the mode: PX4 sends the upper half, where its main and sub modes are.
+      # The field has 16 bits. PX4 sends the upper half of its mode, with the main and sub mode.
       mode = if autopilot == :px4, do: m.custom_mode <<< 16, else: m.custom_mode
 
       {[autopilot: autopilot, type: m.type, kind: kind, high_latency: true],
@@ -51,7 +53,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
   defp armed(mode, :ardupilot, m), do: Map.put(mode, :armed, (m.custom0 &&& @safety_armed) != 0)
   defp armed(mode, _autopilot, _m), do: mode
 
-  # The fence is the only failure that has a place of its own.
+  # Of the failures only the fence has a field of its own.
   defp mission(m) do
     %{
       seq: Value.unsigned(m.wp_num, 16),

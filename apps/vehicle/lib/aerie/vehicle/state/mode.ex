@@ -1,17 +1,32 @@
 defmodule Aerie.Vehicle.State.Mode do
-  @moduledoc "What the autopilot is doing: mode, armed, failsafe from its HEARTBEAT, landed from EXTENDED_SYS_STATE, names of modes from AVAILABLE_MODES."
+  @moduledoc """
+  What the autopilot does: mode, arming and failsafe from HEARTBEAT, landed state from EXTENDED_SYS_STATE, names of modes from
+  AVAILABLE_MODES; who is in control of it from CONTROL_STATUS.
+  """
   @behaviour Aerie.Vehicle.State
 
   import Bitwise
 
-  alias Aerie.Vehicle.{Kind, Modes, State}
-  alias MavCodec.Enums.{MavLandedState, MavState, MavVtolState}
+  alias Aerie.Protocol.Modes
+  alias Aerie.Vehicle.{Kind, State}
+
+  alias MavCodec.Enums.{
+    GcsControlStatusFlags,
+    MavLandedState,
+    MavModeFlag,
+    MavStandardMode,
+    MavState,
+    MavVtolState
+  }
+
   alias MavCodec.Messages, as: M
 
-  @safety_armed 0x80
-  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY: both firmwares show a failsafe in charge that way.
-  @failsafe [5, 6]
+  @safety_armed MavModeFlag.value(:MAV_MODE_FLAG_SAFETY_ARMED)
+  # Both firmwares show an active failsafe by these.
+  @failsafe [MavState.value(:MAV_STATE_CRITICAL), MavState.value(:MAV_STATE_EMERGENCY)]
   @max_names 64
+  @manages_system GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER)
+  @takeover_allowed GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED)
 
   @impl State
   def read(%M.Heartbeat{} = m, state, _at) do
@@ -38,8 +53,36 @@ defmodule Aerie.Vehicle.State.Mode do
      }}
   end
 
-  # A mode that an application brought along (PX4's external modes, ArduPilot's scripts) has the name that it gave itself.
+  # Who is in control (X15); only the component that manages the system says it of the whole of it.
+  def read(%M.ControlStatus{flags: flags} = m, _state, _at) when (flags &&& @manages_system) != 0,
+    do: {[], operator: %{system: m.gcs_main, takeover_allowed: (flags &&& @takeover_allowed) != 0}}
+
+  def read(%M.ControlStatus{}, _state, _at), do: {[], []}
+
+  # A mode that an application registered (PX4's external modes, ArduPilot's scripts) has its own name.
   def read(%M.AvailableModes{custom_mode: mode} = m, state, _at) do
+    standard = standard_modes(m, state.standard_modes)
+    {fields, changes} = mode_name(m, mode, state)
+    {if(standard == state.standard_modes, do: fields, else: [{:standard_modes, standard} | fields]), changes}
+  end
+
+  # Whoever sends one of these has AVAILABLE_MODES, and its modes changed with the number (X4).
+  def read(%M.CurrentMode{}, %{modes_seq: nil}, _at), do: {[modes_seq: 0], []}
+  def read(%M.CurrentMode{}, _state, _at), do: {[], []}
+  def read(%M.AvailableModesMonitor{seq: seq}, %{modes_seq: seq}, _at), do: {[], []}
+  def read(%M.AvailableModesMonitor{seq: seq}, _state, _at), do: {[modes_seq: seq, standard_modes: %{}], []}
+
+  defp standard_modes(%{standard_mode: 0}, known), do: known
+
+  defp standard_modes(%{standard_mode: standard, custom_mode: mode}, known) do
+    case MavStandardMode.label(standard) do
+      nil -> known
+      # Of several, the first is the firmware's choice.
+      label -> Map.put_new(known, String.downcase(label), mode)
+    end
+  end
+
+  defp mode_name(m, mode, state) do
     name = m.mode_name |> String.replace_invalid() |> String.trim()
 
     if name == "" or (map_size(state.mode_names) >= @max_names and not is_map_key(state.mode_names, mode)) do

@@ -1,8 +1,9 @@
 defmodule Aerie.Vehicle.State.Motion do
-  @moduledoc "Where the vehicle is, how it lies and how it moves: position, attitude, velocity, gps, home."
+  @moduledoc "The groups position, attitude, velocity, gps and home."
   @behaviour Aerie.Vehicle.State
 
-  alias Aerie.Vehicle.{State, Value}
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Value
   alias MavCodec.Enums.GpsFixType
   alias MavCodec.Messages, as: M
 
@@ -15,7 +16,7 @@ defmodule Aerie.Vehicle.State.Motion do
       place ->
         {lat, lon} = place || {nil, nil}
 
-        # Before it knows where it is, an autopilot sends zeros for all of it.
+        # Before an autopilot knows its position, it sends zeros for all of these.
         position = %{
           lat: lat,
           lon: lon,
@@ -86,7 +87,7 @@ defmodule Aerie.Vehicle.State.Motion do
     end
   end
 
-  # PX4 takes a home at 95 degrees north for an order like any other and publishes it.
+  # PX4 accepts a home position at 95 degrees north, and publishes it.
   def read(%M.HomePosition{} = m, _state, _at) do
     case Value.lat_lon(m.latitude, m.longitude) do
       {lat, lon} -> {[], home: %{lat: lat, lon: lon, alt_msl: Value.millimetres(m.altitude)}}

@@ -2,7 +2,8 @@ defmodule Aerie.Vehicle.State.Plan do
   @moduledoc "Mission progress and fence."
   @behaviour Aerie.Vehicle.State
 
-  alias Aerie.Vehicle.{State, Value}
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Value
   alias MavCodec.Enums.{FenceBreach, MissionState}
   alias MavCodec.Messages, as: M
 
@@ -21,7 +22,7 @@ defmodule Aerie.Vehicle.State.Plan do
     {[], mission: %{fence_breach: m.breach_status != 0, fence_breach_type: breach(m)}}
   end
 
-  # The extension is all zeros when the sender does not know it (MAVLink 1, older firmware).
+  # The extension fields are zero if the sender does not know them (MAVLink 1, older firmware).
   defp total(%{total: 0, mission_state: 0}), do: nil
   defp total(%{total: total}), do: Value.unsigned(total, 16)
 

@@ -1,24 +1,28 @@
 defmodule Aerie.Vehicle.State.Power do
   @moduledoc """
-  Batteries and what SYS_STATUS says besides.
+  Batteries, and the health in SYS_STATUS.
 
-  `batteries` lists each battery that sends BATTERY_STATUS. The group's own `voltage`, `current` and `remaining` are of one
-  message: that of the battery with the lowest id (`id`) of those that know either; of SYS_STATUS or HIGH_LATENCY2, which
-  do not say whose values they have (`id` is nil), only while no BATTERY_STATUS comes. `charge_state` is the worst of all.
+  `batteries` has each battery that sends BATTERY_STATUS. The group's own `voltage`, `current` and `remaining` come from one
+  message: BATTERY_STATUS of the battery with the lowest id (`id`) that has a voltage or a remaining charge. Only while no
+  BATTERY_STATUS comes are they those of SYS_STATUS or HIGH_LATENCY2, which do not say of which battery (`id` is nil).
+  `charge_state` is the worst of all batteries.
   """
   @behaviour Aerie.Vehicle.State
 
   import Bitwise
 
-  alias Aerie.Vehicle.{State, Value}
+  alias Aerie.Vehicle.State
+  alias Aerie.Vehicle.State.Value
   alias MavCodec.Enums.{MavBatteryChargeState, MavSysStatusSensor}
   alias MavCodec.Messages, as: M
 
   # PX4 sends BATTERY_STATUS every two seconds, slow links less often.
   @fresh_us 10_000_000
-  @prearm_check 0x10000000
-  @rc_receiver 0x10000
-  # MAV_BATTERY_CHARGE_STATE, from harmless to bad.
+  @prearm_check MavSysStatusSensor.value(:MAV_SYS_STATUS_PREARM_CHECK)
+  @fence MavSysStatusSensor.value(:MAV_SYS_STATUS_GEOFENCE)
+  @rc_receiver MavSysStatusSensor.value(:MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
+  @battery_status M.BatteryStatus.id()
+  # MAV_BATTERY_CHARGE_STATE by severity.
   @severity %{
     "CHARGING" => 0,
     "OK" => 1,
@@ -28,7 +32,7 @@ defmodule Aerie.Vehicle.State.Power do
     "EMERGENCY" => 5,
     "FAILED" => 6
   }
-  # Ids are 8 bits; no vehicle has more than a few and a bad one shall not fill memory.
+  # Ids have 8 bits. No vehicle has more than a few batteries, and a faulty one must not fill the memory.
   @max_batteries 16
 
   @impl State
@@ -62,18 +66,17 @@ defmodule Aerie.Vehicle.State.Power do
   defp own(batteries),
     do: Map.take(first(batteries) || %{}, [:id, :voltage, :current, :remaining, :consumed_mah])
 
-  @doc "The battery whose values are the group's own: the one with the lowest id of those that know theirs; nil if none does."
+  @doc "The battery whose values are the group's own: the first one with a voltage or a remaining charge, or nil."
   @spec first([map()]) :: map() | nil
   def first(batteries), do: Enum.find(batteries, &(&1.voltage != nil or &1.remaining != nil))
 
   @doc """
-  What a message says of the vehicle's power without saying of which battery, as a change of the group; none while a battery
-  speaks for itself.
+  Battery values of a message that does not say of which battery, as a change of the group; none while BATTERY_STATUS comes.
   """
   @spec summary(map(), State.t(), at :: integer()) :: [{:battery, map()}]
   def summary(values, state, at) do
     case {State.data(state, :battery), state.sources} do
-      {%{id: id}, %{147 => heard}} when id != nil and at - heard <= @fresh_us -> []
+      {%{id: id}, %{@battery_status => heard}} when id != nil and at - heard <= @fresh_us -> []
       _no_battery -> [battery: Map.merge(%{id: nil, voltage: nil, current: nil, consumed_mah: nil}, values)]
     end
   end
@@ -86,16 +89,23 @@ defmodule Aerie.Vehicle.State.Power do
       load: m.load / 1000,
       unhealthy: names(failing &&& bnot(@prearm_check)),
       rc_receiver: rc_receiver(m),
+      fence_enabled: fence_enabled(m),
       ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
       drop_rate: Value.unsigned(m.drop_rate_comm, 16, 10_000),
       errors: m.errors_comm
     }
   end
 
-  # PX4 shows a receiver that is lost as one that is not there.
+  # PX4 shows a lost receiver as not present.
   defp rc_receiver(m) do
     if (m.onboard_control_sensors_enabled &&& @rc_receiver) != 0,
       do: (m.onboard_control_sensors_present &&& m.onboard_control_sensors_health &&& @rc_receiver) != 0
+  end
+
+  # A vehicle without a fence shows it as not present.
+  defp fence_enabled(m) do
+    if (m.onboard_control_sensors_present &&& @fence) != 0,
+      do: (m.onboard_control_sensors_enabled &&& @fence) != 0
   end
 
   defp names(0), do: []
@@ -112,8 +122,8 @@ defmodule Aerie.Vehicle.State.Power do
   defp voltage(0), do: nil
   defp voltage(millivolts), do: Value.unsigned(millivolts, 16, 1000)
 
-  # A battery of up to ten cells has them in `voltages`, a pack without cell data its whole voltage in the first (and
-  # the rest above 65 V in the second ...); cells 11 to 14 are in the extension, where 0 is unknown.
+  # `voltages` has up to ten cells, or the voltage of the whole pack in the first field (what exceeds 65 V in the second,
+  # and so on). The extension has cells 11 to 14, where 0 is unknown.
   defp total_voltage(m) do
     case Enum.reject(m.voltages, &(&1 == 0xFFFF)) ++ Enum.reject(m.voltages_ext, &(&1 in [0, 0xFFFF])) do
       [] -> nil
@@ -121,7 +131,7 @@ defmodule Aerie.Vehicle.State.Power do
     end
   end
 
-  # PX4 scales its "unknown" of -1 A like any current before it sends it.
+  # PX4 scales its "unknown" of -1 A before sending it.
   defp current(-100, :px4), do: nil
   defp current(centiamperes, _autopilot), do: Value.or_minus_one(centiamperes, 100)
 

@@ -1,62 +1,80 @@
 defmodule Aerie.Vehicle.Streams.Arbiter do
   @moduledoc """
-  Decides what to ask a vehicle for, so that everybody gets what they want and nobody is fought. A pure value.
+  Decides which message rates to request of a vehicle, so that every client gets what it wants and other ground stations are
+  not fought. A pure value.
 
-  What is wanted: by the gateway, some messages at any rate (`floor/0`) and those of `mavlink.streams` at theirs; by each
-  client, what it asked for. Of each message the highest rate counts, for the rate belongs to the link and not to who asked
+  The gateway wants some messages at any rate (`floor/0`) and those of `mavlink.streams` at the configured rate; clients want
+  what they requested. The highest rate of each message counts, because a rate belongs to the link and not to the client
   (M2).
 
-  What comes as wanted is not asked for. What does not is asked for by SET_MESSAGE_INTERVAL, one command at a time, and then
-  measured: an acknowledgement proves nothing (M2). Three tries, with growing pauses; a vehicle that does not know the
-  command, or heeds none, gets REQUEST_DATA_STREAM. After that it is left alone until it reboots (R6) or the wants change
-  (M3).
+  A message that comes as wanted is not requested. Any other is requested with SET_MESSAGE_INTERVAL, one command at a time,
+  and then measured: an acknowledgement proves nothing (M2). There are three tries with growing pauses. A vehicle that does
+  not know the command, or does not obey it, gets REQUEST_DATA_STREAM. After that nothing is sent until the vehicle reboots
+  (R6) or the demand changes (M3).
 
-  What nobody wants any more is given back: what came by itself before anybody asked comes as often as then, all else at the
+  When no client wants a message any more, its rate is reset: to what was measured before the first request, otherwise to the
   vehicle's default.
 
-  What came as asked for and then comes too seldom was changed by somebody, or does not get through. The vehicle is asked
-  which (MESSAGE_INTERVAL). Set as we set it: the link is too slow, asking again would make it no faster. Set otherwise: it
-  is asked for once more; changed again within two minutes, it is left to whoever changes it, and told.
+  If a message that came as requested becomes too slow, its interval was changed by another program, or the link is too slow.
+  The vehicle is asked for the interval (MESSAGE_INTERVAL). If it is ours, the link is too slow, and a request would not help.
+  Otherwise the message is requested once more; when it is changed again within two minutes, it is left to the other program,
+  and reported.
 
   Each function takes the time (us) as `now` or `at`. `Check` judges, `Sender` sends.
   """
 
-  alias Aerie.Vehicle.Streams.{Check, Line, Meter, Request, Sender}
+  alias Aerie.Vehicle.Streams.{Check, Meter, Request, Sender, WantedMessage}
+  alias MavCodec.Messages, as: M
 
-  # Message id => rate to ask for when it does not come by itself.
-  @floor %{245 => 2, 33 => 4, 30 => 4, 74 => 2, 1 => 1, 24 => 1, 147 => 0.5, 42 => 1, 65 => 1}
-  # What comes once when asked for. HOME_POSITION comes by itself when it changes.
-  @once [148, 242]
+  # The rates to request of messages that do not come by themselves.
+  @floor %{
+    M.ExtendedSysState.id() => 2,
+    M.GlobalPositionInt.id() => 4,
+    M.Attitude.id() => 4,
+    M.VfrHud.id() => 2,
+    M.SysStatus.id() => 1,
+    M.GpsRawInt.id() => 1,
+    M.BatteryStatus.id() => 0.5,
+    M.MissionCurrent.id() => 1,
+    M.RcChannels.id() => 1
+  }
+  # Requested once. HOME_POSITION comes by itself when it changes.
+  @once [M.AutopilotVersion.id(), M.HomePosition.id()]
 
   @grace_us 2_000_000
+  @late_us 2_000_000
 
-  defstruct lines: %{},
+  defstruct messages: %{},
             meter: Meter.new(),
             gateway: %{},
-            wants: %{},
+            demand: %{},
             groups: %{},
             sent_groups: %{},
             once: %{},
-            releases: %{},
-            begun: nil,
-            checked: nil,
+            resets: %{},
+            starts_at: nil,
+            checked_at: nil,
             queue: [],
-            flight: nil,
+            in_flight: nil,
+            held: false,
             accepted: false,
             obeyed: false,
             legacy: false,
             notices: []
 
   @typedoc """
+  - `messages`: the wanted ones; `gateway`, `demand`: the rates that the gateway and clients want; all by message id
+  - `groups`, `sent_groups`: rates of REQUEST_DATA_STREAM groups that clients want, and that were requested
   - `once`: id => `{tries, next}`, or `:known`
-  - `releases`: id => when what nobody wants any more is given back
-  - `queue`, `flight`: what is to be sent, what waits for its acknowledgement
+  - `resets`: id => when the rate of a message that is not wanted any more is reset
+  - `queue`, `in_flight`: what is to be sent, what waits for its acknowledgement
+  - `held`: nothing is to be sent
   - `accepted`, `obeyed`: whether SET_MESSAGE_INTERVAL was ever acknowledged, whether a rate ever followed it
-  - `legacy`: whether REQUEST_DATA_STREAM has taken its place
+  - `legacy`: whether REQUEST_DATA_STREAM is used instead
   """
   @type t :: %__MODULE__{}
 
-  @typedoc "A rate was changed under us: `how` is `:slower` or `:faster`; `yielded` when it is left to who changed it."
+  @typedoc "Another program changed a rate. `yielded`: it is left to that program."
   @type notice :: %{
           id: non_neg_integer(),
           asked: number(),
@@ -65,155 +83,178 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
           yielded: boolean()
         }
 
-  @doc "Messages that the gateway wants to come at all, with the rate that it asks for."
+  @doc "The messages that the gateway wants at any rate, with the rate that it requests."
   @spec floor() :: %{non_neg_integer() => number()}
   def floor, do: @floor
 
-  @doc "Nothing heard yet. `gateway`: messages per second that the gateway wants at least, by message id."
+  @doc "Nothing heard yet. `gateway`: the rates (1/s) that the gateway itself wants, by message id."
   @spec new(%{non_neg_integer() => number()}) :: t()
-  def new(gateway \\ %{}), do: with_lines(%__MODULE__{gateway: gateway, once: once()})
+  def new(gateway \\ %{}), do: update_messages(%__MODULE__{gateway: gateway, once: once()})
 
   defp once, do: Map.new(@once, &{&1, {0, nil}})
 
-  @doc "A message is to come once, if it did not do so already."
+  @doc "Requests a message once, unless it has come already."
   @spec once(t(), non_neg_integer()) :: t()
   def once(arbiter, id), do: %{arbiter | once: Map.put_new(arbiter.once, id, {0, nil})}
 
+  @doc "Requests a message once, although it has come before."
+  @spec again(t(), non_neg_integer()) :: t()
+  def again(arbiter, id), do: %{arbiter | once: Map.put(arbiter.once, id, {0, nil})}
+
+  @doc "Nothing more is sent, or it is again."
+  @spec hold(t(), boolean()) :: t()
+  def hold(arbiter, held?), do: %{arbiter | held: held?}
+
+  @doc "Whether nothing is sent, and no acknowledgement to what was sent before can come any more."
+  @spec held?(t(), integer() | nil) :: boolean()
+  def held?(%{held: true, in_flight: {_what, sent}}, now), do: now - sent >= @late_us
+  def held?(arbiter, _now), do: arbiter.held
+
   @doc "A message of the autopilot came by a link."
   @spec heard(t(), term(), non_neg_integer(), integer()) :: t()
-  def heard(%{begun: nil} = arbiter, link, id, at),
-    do: heard(%{arbiter | begun: at + @grace_us}, link, id, at)
+  def heard(%{starts_at: nil} = arbiter, link, id, at),
+    do: heard(%{arbiter | starts_at: at + @grace_us}, link, id, at)
 
   def heard(%{once: once} = arbiter, _link, id, _at) when is_map_key(once, id),
     do: %{arbiter | once: Map.put(arbiter.once, id, :known)}
 
-  def heard(%{lines: lines} = arbiter, link, id, at) when is_map_key(lines, id) do
+  def heard(%{messages: messages} = arbiter, link, id, at) when is_map_key(messages, id) do
     %{arbiter | meter: arbiter.meter |> Meter.ensure(id, at) |> Meter.heard(link, id, at)}
   end
 
   def heard(arbiter, _link, _id, _at), do: arbiter
 
   @doc """
-  What clients want now (`Aerie.Fleet.Wants.merged/3`). `forwarded` is a message whose client's own request goes to the
-  vehicle as it is: it counts as asked for.
+  What clients want now (`Aerie.Fleet.StreamDemand.merged/3`). `forwarded`: the client's own request for this message is
+  forwarded to the vehicle, so it counts as requested.
   """
-  @spec wants(t(), Aerie.Fleet.Wants.merged(), non_neg_integer() | nil) :: t()
-  def wants(arbiter, merged, forwarded \\ nil) do
-    arbiter = with_lines(%{arbiter | wants: merged.messages, groups: merged.groups})
+  @spec demand(t(), Aerie.Fleet.StreamDemand.merged(), non_neg_integer() | nil) :: t()
+  def demand(arbiter, merged, forwarded \\ nil) do
+    arbiter = update_messages(%{arbiter | demand: merged.messages, groups: merged.groups})
     sent = Map.filter(arbiter.sent_groups, fn {group, _hz} -> is_map_key(merged.groups, group) end)
     forwarded(%{arbiter | sent_groups: sent}, forwarded)
   end
 
-  defp forwarded(arbiter, id) when is_map_key(arbiter.lines, id) do
-    line = arbiter.lines[id]
+  defp forwarded(arbiter, id) when is_map_key(arbiter.messages, id) do
+    wanted = arbiter.messages[id]
     queue = List.delete(arbiter.queue, {:set, id})
-    line = Line.asked(line, line.hz || line.ask, Meter.last(arbiter.meter, id))
-    put_line(%{arbiter | queue: queue}, %{line | state: :asked, tries: 1, next: nil})
+    wanted = WantedMessage.asked(wanted, wanted.hz || wanted.ask, Meter.last(arbiter.meter, id))
+    put(%{arbiter | queue: queue}, %{wanted | state: :asked, tries: 1, next: nil})
   end
 
   defp forwarded(arbiter, _id), do: arbiter
 
-  @doc "The vehicle's answer to a command of ours (MAV_CMD, MAV_RESULT)."
+  @doc "The vehicle's COMMAND_ACK for one of our commands (MAV_CMD, MAV_RESULT)."
   @spec ack(t(), non_neg_integer(), non_neg_integer()) :: t()
   defdelegate ack(arbiter, command, result), to: Sender
 
-  @doc "MESSAGE_INTERVAL: what the vehicle has set for a message (us)."
+  @doc "MESSAGE_INTERVAL: the interval (us) that the vehicle has set for a message."
   @spec interval(t(), non_neg_integer(), integer(), integer()) :: t()
   defdelegate interval(arbiter, id, interval, at), to: Check
 
-  @doc "The vehicle was restarted: its streams are what it begins with (R6)."
+  @doc "The vehicle was restarted, so its streams have their initial rates (R6)."
   @spec rebooted(t(), integer()) :: t()
   def rebooted(arbiter, at) do
-    fresh = %{new(arbiter.gateway) | wants: arbiter.wants, groups: arbiter.groups, begun: at + @grace_us}
-    with_lines(fresh)
+    update_messages(%{
+      new(arbiter.gateway)
+      | demand: arbiter.demand,
+        groups: arbiter.groups,
+        held: arbiter.held,
+        starts_at: at + @grace_us
+    })
   end
 
-  @doc "The vehicle is heard again after a silence: what is measured begins anew."
+  @doc "The vehicle is heard again after a silence: measuring begins anew."
   @spec back(t(), integer()) :: t()
-  def back(arbiter, at), do: resume(arbiter, at, arbiter.begun)
+  def back(arbiter, at), do: resume(arbiter, at, arbiter.starts_at)
 
-  @doc "Time goes on from `now`: what was heard counts as heard now."
+  @doc "Time goes on from `now`, which is not comparable with the time before."
   @spec rebased(t(), integer()) :: t()
   def rebased(arbiter, now) do
     once = Map.new(arbiter.once, fn {id, state} -> {id, with({tries, _next} <- state, do: {tries, nil})} end)
-    lines = Map.new(arbiter.lines, fn {id, line} -> {id, %{line | resets: [], queries: []}} end)
-    resume(%{arbiter | once: once, lines: lines, releases: %{}}, now, arbiter.begun && now + @grace_us)
+    messages = Map.new(arbiter.messages, fn {id, one} -> {id, %{one | changes: [], queries: []}} end)
+    starts_at = arbiter.starts_at && now + @grace_us
+    resume(%{arbiter | once: once, messages: messages, resets: %{}}, now, starts_at)
   end
 
-  defp resume(arbiter, now, begun) do
-    lines = Map.new(arbiter.lines, fn {id, line} -> {id, %{line | next: nil}} end)
+  defp resume(arbiter, now, starts_at) do
+    messages = Map.new(arbiter.messages, fn {id, wanted} -> {id, %{wanted | next: nil}} end)
 
     %{
       arbiter
-      | begun: begun,
-        lines: lines,
+      | starts_at: starts_at,
+        messages: messages,
         meter: Meter.restart(arbiter.meter, now),
-        checked: nil,
-        flight: nil
+        checked_at: nil,
+        in_flight: nil
     }
   end
 
-  @doc "What to send at `now` to a vehicle that is being heard, and what to tell; mostly nothing."
+  @doc "What to send at `now` to a vehicle that is heard, and what to report; mostly nothing."
   @spec expire(t(), integer(), Request.target()) :: {t(), [struct()], [notice()]}
-  def expire(%{begun: begun} = arbiter, now, _target) when begun == nil or now < begun, do: {arbiter, [], []}
+  def expire(%{starts_at: starts_at} = arbiter, now, _target) when starts_at == nil or now < starts_at,
+    do: {arbiter, [], []}
 
   def expire(arbiter, now, target) do
     {arbiter, messages} = arbiter |> Check.run(now) |> Sender.run(now, target)
     {%{arbiter | notices: []}, messages, Enum.reverse(arbiter.notices)}
   end
 
-  @doc "How far each wanted message has come (`Line.show/1`), by message id."
+  @doc "The state of each wanted message (`WantedMessage.show/1`), by message id."
   @spec show(t()) :: %{non_neg_integer() => map()}
-  def show(arbiter), do: Map.new(arbiter.lines, fn {id, line} -> {id, Line.show(line)} end)
+  def show(arbiter), do: Map.new(arbiter.messages, fn {id, wanted} -> {id, WantedMessage.show(wanted)} end)
 
   @doc false
-  @spec put_line(t(), Line.t()) :: t()
-  def put_line(arbiter, line), do: %{arbiter | lines: Map.put(arbiter.lines, line.id, line)}
+  @spec put(t(), WantedMessage.t()) :: t()
+  def put(arbiter, wanted), do: %{arbiter | messages: Map.put(arbiter.messages, wanted.id, wanted)}
 
   @doc false
-  # Something to be sent, once however often it is asked for.
+  # Queues something to be sent, once however often it is queued.
   @spec enqueue(t(), tuple()) :: t()
   def enqueue(arbiter, what),
     do: if(what in arbiter.queue, do: arbiter, else: %{arbiter | queue: arbiter.queue ++ [what]})
 
-  # The lines follow the wants.
-  defp with_lines(arbiter) do
-    wanted = Map.merge(arbiter.gateway, arbiter.wants, fn _id, a, b -> max(a, b) end)
-    ids = Map.keys(Map.merge(@floor, wanted))
-    gone = Map.drop(arbiter.lines, ids)
-    arbiter = Enum.reduce(gone, arbiter, fn {_id, line}, arbiter -> drop(arbiter, line) end)
-    Enum.reduce(ids, arbiter, &follow(&2, &1, wanted[&1]))
+  # Makes `messages` follow the demand.
+  defp update_messages(arbiter) do
+    rates = Map.merge(arbiter.gateway, arbiter.demand, fn _id, a, b -> max(a, b) end)
+    ids = Map.keys(Map.merge(@floor, rates))
+    unwanted = Map.drop(arbiter.messages, ids)
+    arbiter = Enum.reduce(unwanted, arbiter, fn {_id, message}, arbiter -> drop(arbiter, message) end)
+    Enum.reduce(ids, arbiter, &update(&2, &1, rates[&1]))
   end
 
-  defp drop(arbiter, line) do
+  defp drop(arbiter, %{id: id, set: set}) do
     arbiter = %{
       arbiter
-      | lines: Map.delete(arbiter.lines, line.id),
-        meter: Meter.ignore(arbiter.meter, line.id),
-        queue: arbiter.queue -- [{:set, line.id}, {:query, line.id}]
+      | messages: Map.delete(arbiter.messages, id),
+        meter: Meter.ignore(arbiter.meter, id),
+        queue: arbiter.queue -- [{:set, id}, {:query, id}]
     }
 
-    if line.set, do: release(arbiter, line.id), else: arbiter
+    if set, do: reset(arbiter, id), else: arbiter
   end
 
-  defp follow(arbiter, id, hz) do
+  defp update(arbiter, id, hz) do
     ask = max(hz || 0, Map.get(@floor, id, 0))
 
-    case arbiter.lines do
+    case arbiter.messages do
       %{^id => %{hz: ^hz}} ->
         arbiter
 
-      %{^id => line} when hz != nil and (line.hz == nil or hz > line.hz) ->
-        put_line(arbiter, %{line | hz: hz, ask: ask, state: :new, tries: 0, resets: [], next: nil})
+      %{^id => wanted} when hz != nil and (wanted.hz == nil or hz > wanted.hz) ->
+        put(arbiter, %{wanted | hz: hz, ask: ask, state: :new, tries: 0, changes: [], next: nil})
 
-      %{^id => line} ->
-        arbiter = put_line(arbiter, %{line | hz: hz, ask: ask})
-        if line.set, do: release(arbiter, id), else: arbiter
+      %{^id => wanted} ->
+        arbiter = put(arbiter, %{wanted | hz: hz, ask: ask})
+        if wanted.set, do: reset(arbiter, id), else: arbiter
 
-      _no_line ->
-        put_line(%{arbiter | releases: Map.delete(arbiter.releases, id)}, %Line{id: id, hz: hz, ask: ask})
+      _new ->
+        put(
+          %{arbiter | resets: Map.delete(arbiter.resets, id)},
+          %WantedMessage{id: id, hz: hz, ask: ask}
+        )
     end
   end
 
-  defp release(arbiter, id), do: %{arbiter | releases: Map.put(arbiter.releases, id, nil)}
+  defp reset(arbiter, id), do: %{arbiter | resets: Map.put(arbiter.resets, id, nil)}
 end

@@ -1,12 +1,12 @@
 defmodule Aerie.Vehicle.Streams.Check do
   @moduledoc """
-  Looks at what comes and decides for each wanted message what its state is, as `Aerie.Vehicle.Streams.Arbiter` describes.
+  Decides the state of each wanted message by what comes, as `Aerie.Vehicle.Streams.Arbiter` describes.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Line, Meter}
+  alias Aerie.Vehicle.Streams.{Arbiter, Meter, WantedMessage}
 
   @every_us 250_000
-  # A want that is new is measured only briefly before it is asked for.
+  # A new demand is measured only briefly before it is requested.
   @first_us 1_500_000
   @again_us 500_000
   @retries_us [3_000_000, 10_000_000]
@@ -15,18 +15,18 @@ defmodule Aerie.Vehicle.Streams.Check do
   @queries 3
   @query_again_us 600_000_000
   @linger_us 10_000_000
-  # When so many streams have too little at once, it is the link.
+  # If this share of all streams is too slow at once, the link is.
   @most 0.6
 
-  @doc "What is due at `now`."
+  @doc "Does what is due at `now`."
   @spec run(Arbiter.t(), integer()) :: Arbiter.t()
-  def run(%{checked: checked} = arbiter, now) when checked != nil and now - checked < @every_us, do: arbiter
+  def run(%{checked_at: at} = arbiter, now) when at != nil and now - at < @every_us, do: arbiter
 
   def run(arbiter, now) do
-    %{arbiter | checked: now} |> groups() |> releases(now) |> lines(now) |> once(now)
+    %{arbiter | checked_at: now} |> groups() |> resets(now) |> messages(now) |> once(now)
   end
 
-  # Groups that clients asked for in the old way are asked for once, and after each reboot.
+  # Groups that clients requested with REQUEST_DATA_STREAM are requested once, and again after each reboot.
   defp groups(arbiter) do
     Enum.reduce(arbiter.groups, arbiter, fn {group, hz}, arbiter ->
       if Map.get(arbiter.sent_groups, group, 0) >= hz,
@@ -35,149 +35,151 @@ defmodule Aerie.Vehicle.Streams.Check do
     end)
   end
 
-  defp releases(arbiter, now) do
-    Enum.reduce(arbiter.releases, arbiter, fn
+  defp resets(arbiter, now) do
+    Enum.reduce(arbiter.resets, arbiter, fn
       {id, nil}, arbiter ->
-        %{arbiter | releases: Map.put(arbiter.releases, id, now + @linger_us)}
+        %{arbiter | resets: Map.put(arbiter.resets, id, now + @linger_us)}
 
       {id, due}, arbiter when now >= due ->
-        release(%{arbiter | releases: Map.delete(arbiter.releases, id)}, id, arbiter.lines[id])
+        reset(%{arbiter | resets: Map.delete(arbiter.resets, id)}, id, arbiter.messages[id])
 
       _later, arbiter ->
         arbiter
     end)
   end
 
-  defp release(arbiter, id, nil), do: Arbiter.enqueue(arbiter, {:default, id})
+  defp reset(arbiter, id, nil), do: Arbiter.enqueue(arbiter, {:default, id})
 
-  # Somebody may have raised it further than we did: then it is theirs.
-  defp release(arbiter, id, line) do
-    due = max(line.hz || 0, line.own || line.ask)
+  # If another program has raised the rate further than we did, it stays.
+  defp reset(arbiter, id, wanted) do
+    hz = max(wanted.hz || 0, wanted.initial || wanted.ask)
 
-    if line.set not in [nil, due] and (line.set > due or line.own != nil) and not line.faster,
-      do: ask(arbiter, %{line | ask: due, tries: 0}, id),
+    if wanted.set not in [nil, hz] and (wanted.set > hz or wanted.initial != nil) and not wanted.faster,
+      do: ask(arbiter, %{wanted | ask: hz, tries: 0}, id),
       else: arbiter
   end
 
-  defp lines(arbiter, now) do
-    Enum.reduce(arbiter.lines, arbiter, fn
-      {_id, %{next: nil} = line}, arbiter ->
-        begin(arbiter, line, now)
+  defp messages(arbiter, now) do
+    Enum.reduce(arbiter.messages, arbiter, fn
+      {_id, %{next: nil} = wanted}, arbiter ->
+        begin(arbiter, wanted, now)
 
-      {id, %{next: next} = line}, arbiter when now >= next ->
-        # What is still to be asked for has had no chance yet.
-        if {:set, id} in arbiter.queue, do: arbiter, else: judge(arbiter, line, now)
+      {id, %{next: next} = wanted}, arbiter when now >= next ->
+        # A request that is still queued cannot have had an effect.
+        if {:set, id} in arbiter.queue, do: arbiter, else: judge(arbiter, wanted, now)
 
       _later, arbiter ->
         arbiter
     end)
   end
 
-  defp begin(arbiter, line, now) do
-    last = Meter.last(arbiter.meter, line.id)
-    arbiter = %{arbiter | meter: Meter.watch(arbiter.meter, line.id, now)}
-    # What is to come at all and has not is missing at once; all else has to be measured first.
-    wait = if line.hz == nil and last == nil and line.state == :new, do: 0, else: long(line)
-    line = %{line | next: now + wait}
-    if wait == 0, do: judge(arbiter, line, now), else: Arbiter.put_line(arbiter, line)
+  defp begin(arbiter, wanted, now) do
+    last = Meter.last(arbiter.meter, wanted.id)
+    arbiter = %{arbiter | meter: Meter.watch(arbiter.meter, wanted.id, now)}
+
+    # A message that is wanted at any rate and never came is missing at once; others have to be measured first.
+    wait = if wanted.hz == nil and last == nil and wanted.state == :new, do: 0, else: long(wanted)
+    wanted = %{wanted | next: now + wait}
+    if wait == 0, do: judge(arbiter, wanted, now), else: Arbiter.put(arbiter, wanted)
   end
 
   defp long(%{state: :new, hz: nil}), do: @first_us
   defp long(%{state: :new, hz: hz}), do: max(@first_us, round(3_000_000 / hz))
-  defp long(line), do: Line.window(line)
+  defp long(wanted), do: WantedMessage.window(wanted)
 
-  defp judge(arbiter, line, now) do
-    rate = Meter.rate(arbiter.meter, line.id, now, long(line))
-    verdict = Line.judge(line, rate, Meter.last(arbiter.meter, line.id), now)
-    line = %{line | rate: rate || line.rate, own: own(line, rate)}
+  defp judge(arbiter, wanted, now) do
+    rate = Meter.rate(arbiter.meter, wanted.id, now, long(wanted))
+    verdict = WantedMessage.judge(wanted, rate, Meter.last(arbiter.meter, wanted.id), now)
+    wanted = %{wanted | rate: rate || wanted.rate, initial: initial(wanted, rate)}
 
     arbiter =
-      if rate, do: %{arbiter | meter: Meter.watch(arbiter.meter, line.id, now)}, else: arbiter
+      if rate, do: %{arbiter | meter: Meter.watch(arbiter.meter, wanted.id, now)}, else: arbiter
 
-    next = if verdict == :wait, do: @again_us, else: Line.window(line)
-    verdict(arbiter, %{line | next: now + next}, verdict, now)
+    next = if verdict == :wait, do: @again_us, else: WantedMessage.window(wanted)
+    verdict(arbiter, %{wanted | next: now + next}, verdict, now)
   end
 
-  defp own(%{set: nil}, rate) when rate != nil and rate > 0, do: rate
-  defp own(%{own: own}, _rate), do: own
+  defp initial(%{set: nil}, rate) when rate != nil and rate > 0, do: rate
+  defp initial(%{initial: initial}, _rate), do: initial
 
-  defp verdict(arbiter, line, :wait, _now), do: Arbiter.put_line(arbiter, line)
+  defp verdict(arbiter, wanted, :wait, _now), do: Arbiter.put(arbiter, wanted)
 
-  defp verdict(arbiter, %{faster: told} = line, :faster, _now) do
-    arbiter = if told, do: arbiter, else: notice(arbiter, line, :faster, line.rate, true)
-    Arbiter.put_line(arbiter, %{line | faster: true})
+  defp verdict(arbiter, %{faster: reported} = wanted, :faster, _now) do
+    arbiter = if reported, do: arbiter, else: notice(arbiter, wanted, :faster, wanted.rate, true)
+    Arbiter.put(arbiter, %{wanted | faster: true})
   end
 
-  defp verdict(arbiter, line, :good, _now) do
-    arbiter = if line.state == :asked, do: %{arbiter | obeyed: true}, else: arbiter
-    Arbiter.put_line(arbiter, %{line | state: :ok, tries: 0, faster: false})
+  defp verdict(arbiter, wanted, :good, _now) do
+    arbiter = if wanted.state == :asked, do: %{arbiter | obeyed: true}, else: arbiter
+    Arbiter.put(arbiter, %{wanted | state: :ok, tries: 0, faster: false})
   end
 
-  defp verdict(arbiter, %{state: :new} = line, :short, _now), do: ask(arbiter, line, line.id)
+  defp verdict(arbiter, %{state: :new} = wanted, :short, _now), do: ask(arbiter, wanted, wanted.id)
 
-  # Never asked for: it came by itself, and does no more.
-  defp verdict(arbiter, %{state: :ok, set: nil} = line, :short, _now), do: ask(arbiter, line, line.id)
+  # It was never requested: it came by itself, and now it does not.
+  defp verdict(arbiter, %{state: :ok, set: nil} = wanted, :short, _now), do: ask(arbiter, wanted, wanted.id)
 
-  defp verdict(arbiter, %{state: :ok} = line, :short, now), do: query(arbiter, line, now)
+  defp verdict(arbiter, %{state: :ok} = wanted, :short, now), do: query(arbiter, wanted, now)
 
-  defp verdict(arbiter, %{state: :query} = line, :short, now) do
-    # It has not said what is set.
-    if link?(arbiter),
-      do: Arbiter.put_line(arbiter, %{line | state: :short}),
-      else: changed(arbiter, line, line.rate, now)
+  defp verdict(arbiter, %{state: :query} = wanted, :short, now) do
+    # The vehicle has not answered.
+    if slow_link?(arbiter),
+      do: Arbiter.put(arbiter, %{wanted | state: :short}),
+      else: changed(arbiter, wanted, wanted.rate, now)
   end
 
-  # Asked for again because somebody had changed it: have they done it again?
-  defp verdict(arbiter, %{state: :asked, resets: [_ | _]} = line, :short, now), do: query(arbiter, line, now)
+  # It was requested again because another program had changed it. Has it been changed once more?
+  defp verdict(arbiter, %{state: :asked, changes: [_ | _]} = wanted, :short, now),
+    do: query(arbiter, wanted, now)
 
-  defp verdict(arbiter, %{state: :asked, tries: tries} = line, :short, _now) when tries < @tries do
-    ask(arbiter, line, line.id)
+  defp verdict(arbiter, %{state: :asked, tries: tries} = wanted, :short, _now) when tries < @tries do
+    ask(arbiter, wanted, wanted.id)
   end
 
-  defp verdict(arbiter, %{state: :asked} = line, :short, _now) do
-    state = if Meter.last(arbiter.meter, line.id), do: :short, else: :missing
-    arbiter = Arbiter.put_line(arbiter, %{line | state: state})
-    # Who heeds nothing may know only the old way.
+  defp verdict(arbiter, %{state: :asked} = wanted, :short, _now) do
+    state = if Meter.last(arbiter.meter, wanted.id), do: :short, else: :missing
+    arbiter = Arbiter.put(arbiter, %{wanted | state: state})
+    # A vehicle that obeys nothing may know only REQUEST_DATA_STREAM.
     if arbiter.obeyed or arbiter.accepted or arbiter.legacy, do: arbiter, else: legacy(arbiter)
   end
 
-  # Left alone.
-  defp verdict(arbiter, line, :short, _now), do: Arbiter.put_line(arbiter, line)
+  # Nothing more is sent.
+  defp verdict(arbiter, wanted, :short, _now), do: Arbiter.put(arbiter, wanted)
 
-  # A link that comes and goes is not asked about each time.
-  defp query(arbiter, line, now) do
-    queries = Enum.filter(line.queries, &(now - &1 < @query_again_us))
+  # Bounded, because a link may come and go.
+  defp query(arbiter, wanted, now) do
+    queries = Enum.filter(wanted.queries, &(now - &1 < @query_again_us))
 
     if length(queries) < @queries,
       do:
         arbiter
-        |> Arbiter.put_line(%{line | state: :query, queries: [now | queries]})
-        |> Arbiter.enqueue({:query, line.id}),
-      else: Arbiter.put_line(arbiter, %{line | state: :short})
+        |> Arbiter.put(%{wanted | state: :query, queries: [now | queries]})
+        |> Arbiter.enqueue({:query, wanted.id}),
+      else: Arbiter.put(arbiter, %{wanted | state: :short})
   end
 
-  defp ask(arbiter, line, id) do
-    arbiter |> Arbiter.put_line(%{line | state: :asked, tries: line.tries + 1}) |> Arbiter.enqueue({:set, id})
+  defp ask(arbiter, wanted, id) do
+    arbiter |> Arbiter.put(%{wanted | state: :asked, tries: wanted.tries + 1}) |> Arbiter.enqueue({:set, id})
   end
 
-  @doc "How long after a try it is judged (us)."
-  @spec wait(Line.t()) :: pos_integer()
-  def wait(line), do: max(Enum.at(@retries_us, line.tries - 1, 0), Line.window(line))
+  @doc "How long after a request its effect is judged (us)."
+  @spec wait(WantedMessage.t()) :: pos_integer()
+  def wait(wanted), do: max(Enum.at(@retries_us, wanted.tries - 1, 0), WantedMessage.window(wanted))
 
   defp legacy(arbiter) do
-    ids = for {id, %{state: state}} <- arbiter.lines, state in [:asked, :missing, :short], do: id
+    ids = for {id, %{state: state}} <- arbiter.messages, state in [:asked, :missing, :short], do: id
     Enum.reduce(ids, %{arbiter | legacy: true}, &Arbiter.enqueue(&2, {:set, &1}))
   end
 
   @doc "See `Aerie.Vehicle.Streams.Arbiter.interval/4`."
   @spec interval(Arbiter.t(), non_neg_integer(), integer(), integer()) :: Arbiter.t()
   def interval(arbiter, id, interval, at) do
-    case arbiter.lines do
-      %{^id => %{set: set, state: state} = line} when set != nil and state in [:ok, :query] ->
+    case arbiter.messages do
+      %{^id => %{set: set, state: state} = wanted} when set != nil and state in [:ok, :query] ->
         cond do
-          not Line.as_set?(line, interval) -> changed(arbiter, line, hz(interval), at)
-          # It is set as we set it, so it is the link that does not carry it.
-          state == :query -> Arbiter.put_line(arbiter, %{line | state: :short})
+          not WantedMessage.as_set?(wanted, interval) -> changed(arbiter, wanted, hz(interval), at)
+          # The interval is ours, so the link is too slow.
+          state == :query -> Arbiter.put(arbiter, %{wanted | state: :short})
           true -> arbiter
         end
 
@@ -189,27 +191,27 @@ defmodule Aerie.Vehicle.Streams.Check do
   defp hz(interval) when interval > 0, do: 1_000_000 / interval
   defp hz(_none), do: 0.0
 
-  # Somebody changed it under us.
-  defp changed(arbiter, line, rate, now) do
-    resets = [now | Enum.filter(line.resets, &(now - &1 < @contest_us))]
-    line = %{line | resets: resets, rate: rate, tries: 0}
-    arbiter = %{arbiter | queue: List.delete(arbiter.queue, {:query, line.id})}
+  # Another program changed the rate.
+  defp changed(arbiter, wanted, rate, now) do
+    changes = [now | Enum.filter(wanted.changes, &(now - &1 < @contest_us))]
+    wanted = %{wanted | changes: changes, rate: rate, tries: 0}
+    arbiter = %{arbiter | queue: List.delete(arbiter.queue, {:query, wanted.id})}
 
     cond do
-      # What is set is enough for everybody: it may stay.
-      line.hz == nil and rate != nil and rate > 0 -> Arbiter.put_line(arbiter, %{line | state: :ok, set: nil})
-      length(resets) < 2 -> ask(arbiter, line, line.id)
-      true -> arbiter |> Arbiter.put_line(%{line | state: :yielded}) |> notice(line, :slower, rate, true)
+      # Any rate will do, so this one may stay.
+      wanted.hz == nil and rate != nil and rate > 0 -> Arbiter.put(arbiter, %{wanted | state: :ok, set: nil})
+      length(changes) < 2 -> ask(arbiter, wanted, wanted.id)
+      true -> arbiter |> Arbiter.put(%{wanted | state: :yielded}) |> notice(wanted, :slower, rate, true)
     end
   end
 
-  defp notice(arbiter, line, how, rate, yielded) do
-    notice = %{id: line.id, asked: line.set, measured: rate, how: how, yielded: yielded}
+  defp notice(arbiter, wanted, how, rate, yielded) do
+    notice = %{id: wanted.id, asked: wanted.set, measured: rate, how: how, yielded: yielded}
     %{arbiter | notices: [notice | arbiter.notices]}
   end
 
-  defp link?(arbiter) do
-    states = for {_id, %{set: set, state: state}} <- arbiter.lines, set != nil, do: state
+  defp slow_link?(arbiter) do
+    states = for {_id, %{set: set, state: state}} <- arbiter.messages, set != nil, do: state
     short = Enum.count(states, &(&1 in [:query, :short]))
     length(states) >= 3 and short >= length(states) * @most
   end

@@ -1,32 +1,33 @@
 defmodule Aerie.Vehicle.Streams.Intercept do
   @moduledoc """
-  What becomes of a client's own request for a rate on its way to a vehicle. Pure.
+  Decides what happens to a client's own request for a message rate. Pure.
 
-  The rate belongs to the link, so the last request wins (M2), and one client's request would take another's rate away. A
-  request that takes nothing from anybody is forwarded as it is: the vehicle itself answers. One that would lower what
-  somebody else wants is noted and answered in the vehicle's name. REQUEST_DATA_STREAM is always noted and not forwarded: it
-  sets whole groups, some programs repeat it every few seconds, and it has no answer; `Aerie.Vehicle.Streams.Arbiter` asks
-  for the group once, and gives those in it that are to come more often their rate back.
+  A rate belongs to the link, so the last request wins (M2), and one client's request could lower another client's rate. A
+  request that lowers no other client's rate is forwarded, and the vehicle itself answers. One that would is recorded and
+  answered in the vehicle's name. REQUEST_DATA_STREAM is always recorded and never forwarded: it sets whole groups, has no
+  answer, and some programs repeat it every few seconds. `Aerie.Vehicle.Streams.Arbiter` requests the group once, and then
+  restores the higher rates in it.
   """
 
   alias Aerie.Vehicle.Streams.{Arbiter, Request}
   alias MavCodec.Frame
-  alias MavCodec.Messages.CommandAck
+  alias MavCodec.Messages.{CommandAck, CommandInt, CommandLong, RequestDataStream}
 
-  @command_int 75
-  @command_long 76
-  @request_data_stream 66
-  @set_message_interval 511
-  # The gateway's own wants need no more than this.
+  @command_int CommandInt.id()
+  @command_long CommandLong.id()
+  @request_data_stream RequestDataStream.id()
+  @set_message_interval MavCodec.Enums.MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
+  # For the gateway itself this rate is enough.
   @floor_hz 0.5
 
   @type verdict ::
           :pass
-          | {:forward | :absorb, want :: Aerie.Fleet.Wants.what() | [Aerie.Fleet.Wants.what()],
+          | {:forward | :absorb,
+             demand :: Aerie.Fleet.StreamDemand.what() | [Aerie.Fleet.StreamDemand.what()],
              hz :: number() | nil}
 
   @doc """
-  Whether a frame is a request for a rate, told by its id and a glance at its payload: what is not one need not be decoded.
+  Whether a frame requests a rate, by its id and two bytes of its payload, so that other frames need not be decoded.
   """
   @spec request?(Frame.t()) :: boolean()
   def request?(%Frame{id: @request_data_stream}), do: true
@@ -38,11 +39,10 @@ defmodule Aerie.Vehicle.Streams.Intercept do
   def request?(_frame), do: false
 
   @doc """
-  What to do with a message, given what all others want (`Aerie.Fleet.Wants.merged/3`): `:pass` when it is no request for
-  a rate, `{:forward, what, hz}` and `{:absorb, what, hz}` with the want that is to be noted for the client, `hz` nil when
-  it takes its want back.
+  What to do with a message, given what all other clients want (`Aerie.Fleet.StreamDemand.merged/3`): `:pass` if it requests
+  no rate, else `{:forward, what, hz}` or `{:absorb, what, hz}` with the client's demand, `hz` nil if it withdraws it.
   """
-  @spec decide(struct(), Aerie.Fleet.Wants.merged()) :: verdict()
+  @spec decide(struct(), Aerie.Fleet.StreamDemand.merged()) :: verdict()
   def decide(message, others) do
     case Request.read(message) do
       {:message, id, hz} -> {if((hz || 0) >= least(id, others), do: :forward, else: :absorb), id, hz}
@@ -51,14 +51,14 @@ defmodule Aerie.Vehicle.Streams.Intercept do
     end
   end
 
-  # What the others would lose by less.
+  # The lowest rate that takes nothing from the others.
   defp least(id, others) do
     floor = if is_map_key(Arbiter.floor(), id), do: @floor_hz, else: 0
     group = Map.get(others.groups, Request.group(id), 0)
     Enum.max([floor, group, Map.get(others.messages, id, 0)])
   end
 
-  @doc "The vehicle's answer to a request that was absorbed, for who sent it; nil when there is none."
+  @doc "The answer to an absorbed request in the vehicle's name; nil if the request has none."
   @spec answer(Frame.t(), component :: 0..255, result :: 0..255) :: binary() | nil
   def answer(%Frame{id: id, version: version} = frame, component, result)
       when id in [@command_long, @command_int] do
@@ -71,9 +71,9 @@ defmodule Aerie.Vehicle.Streams.Intercept do
       target_component: frame.component
     }
 
-    # Of whoever has an id of more than a byte was heard, so such ids are understood (N1).
-    long? = max(system, frame.system) > 255
-    options = [system: system, component: component, seq: frame.seq, version: version, sysid32: long?]
+    # A sender or vehicle whose own id is above 255 understands such ids (N1).
+    sysid32? = max(system, frame.system) > 255
+    options = [system: system, component: component, seq: frame.seq, version: version, sysid32: sysid32?]
     MavCodec.encode(ack, options)
   end
 

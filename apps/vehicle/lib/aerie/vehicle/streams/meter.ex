@@ -1,16 +1,16 @@
 defmodule Aerie.Vehicle.Streams.Meter do
   @moduledoc """
-  How often messages come, measured. A pure value.
+  Measures how often messages come. A pure value.
 
-  Counted per link, and the best link's count is the rate: two redundant links that bring the same frames do not make it
-  twice as much. Only messages that are watched are counted.
+  Messages are counted per link, and the highest count gives the rate: two redundant links that bring the same frames do not
+  double it. Only watched messages are counted.
   """
 
   @links 8
 
   defstruct watched: %{}
 
-  @typedoc "By message id: since when it is counted, and how many came by which link."
+  @typedoc "By message id: since when it is counted, how many came by which link, and when the last one came."
   @type t :: %__MODULE__{
           watched: %{
             non_neg_integer() => {since :: integer(), %{term() => pos_integer()}, last :: integer() | nil}
@@ -20,19 +20,19 @@ defmodule Aerie.Vehicle.Streams.Meter do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Begins to count a message, from 0, whether or not it was counted before."
+  @doc "Begins to count a message from 0."
   @spec watch(t(), non_neg_integer(), integer()) :: t()
   def watch(meter, id, now) do
     last = with {_since, _counts, last} <- meter.watched[id], do: last
     %{meter | watched: Map.put(meter.watched, id, {now, %{}, last})}
   end
 
-  @doc "As `watch/3`, unless it is counted already."
+  @doc "Like `watch/3`, unless the message is counted already."
   @spec ensure(t(), non_neg_integer(), integer()) :: t()
   def ensure(%{watched: watched} = meter, id, _now) when is_map_key(watched, id), do: meter
   def ensure(meter, id, now), do: watch(meter, id, now)
 
-  @doc "Counts a message no more."
+  @doc "Stops counting a message."
   @spec ignore(t(), non_neg_integer()) :: t()
   def ignore(meter, id), do: %{meter | watched: Map.delete(meter.watched, id)}
 
@@ -56,7 +56,7 @@ defmodule Aerie.Vehicle.Streams.Meter do
     end
   end
 
-  @doc "Messages per second over the time that was counted, once that is long enough (us); nil before."
+  @doc "Messages per second since counting began, once that is `long_enough` (us) ago; nil before."
   @spec rate(t(), non_neg_integer(), integer(), pos_integer()) :: float() | nil
   def rate(meter, id, now, long_enough) do
     case meter.watched do
@@ -68,11 +68,11 @@ defmodule Aerie.Vehicle.Streams.Meter do
     end
   end
 
-  @doc "When a watched message came last; nil for never."
+  @doc "When a watched message last came; nil for never."
   @spec last(t(), non_neg_integer()) :: integer() | nil
   def last(meter, id), do: with({_since, _counts, last} <- meter.watched[id], do: last)
 
-  @doc "Everything is counted anew from `now`, as after a silence or a change of the clock."
+  @doc "Counts everything from 0 again, as after a silence or a change of the clock."
   @spec restart(t(), integer()) :: t()
   def restart(meter, now) do
     %{meter | watched: Map.new(meter.watched, fn {id, {_, _, last}} -> {id, {now, %{}, last && now}} end)}

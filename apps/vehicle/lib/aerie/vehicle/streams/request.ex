@@ -1,32 +1,43 @@
 defmodule Aerie.Vehicle.Streams.Request do
   @moduledoc """
-  The messages by which rates are asked for (M1), and what those of others mean.
+  The messages that request rates (M1), and the meaning of those that clients send.
 
-  SET_MESSAGE_INTERVAL is for one message. REQUEST_DATA_STREAM is older and for groups, whose members the firmware decides;
+  SET_MESSAGE_INTERVAL is for one message. The older REQUEST_DATA_STREAM is for groups, whose members the firmware decides;
   `groups/0` are ArduPilot's, as far as they matter here.
   """
 
-  alias MavCodec.Messages.{CommandInt, CommandLong, RequestDataStream}
+  alias MavCodec.Dialects.All
+  alias MavCodec.Enums.{MavCmd, MavDataStream}
+  alias MavCodec.Messages.{CommandInt, CommandLong, MessageInterval, RequestDataStream}
 
-  @set_message_interval 511
-  @request_message 512
-  @message_interval 244
+  @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
+  @request_message MavCmd.value(:MAV_CMD_REQUEST_MESSAGE)
+  @message_interval MessageInterval.id()
 
-  # MAV_DATA_STREAM => message ids.
-  @groups %{
-    1 => [27, 29, 116, 129, 137, 143],
-    2 => [1, 24, 42, 62, 124, 125, 127, 128, 152, 162],
-    3 => [35, 36, 65],
-    6 => [32, 33],
-    10 => [30, 164, 178, 194],
-    11 => [74],
-    12 => [2, 136, 147, 163, 168, 173, 193, 241]
-  }
+  # Group => message ids.
+  @groups Map.new(
+            [
+              RAW_SENSORS:
+                ~w(RAW_IMU SCALED_PRESSURE SCALED_IMU2 SCALED_IMU3 SCALED_PRESSURE2 SCALED_PRESSURE3),
+              EXTENDED_STATUS: ~w(SYS_STATUS GPS_RAW_INT MISSION_CURRENT NAV_CONTROLLER_OUTPUT GPS2_RAW
+                POWER_STATUS GPS_RTK GPS2_RTK MEMINFO FENCE_STATUS),
+              RC_CHANNELS: ~w(RC_CHANNELS_RAW SERVO_OUTPUT_RAW RC_CHANNELS),
+              POSITION: ~w(LOCAL_POSITION_NED GLOBAL_POSITION_INT),
+              EXTRA1: ~w(ATTITUDE SIMSTATE AHRS2 PID_TUNING),
+              EXTRA2: ~w(VFR_HUD),
+              EXTRA3: ~w(SYSTEM_TIME TERRAIN_REPORT BATTERY_STATUS AHRS WIND RANGEFINDER EKF_STATUS_REPORT
+                VIBRATION)
+            ],
+            fn {group, names} ->
+              {MavDataStream.value(:"MAV_DATA_STREAM_#{group}"),
+               Enum.map(names, &(All.message_id(&1) || raise("no message #{&1}")))}
+            end
+          )
   @group_of for {group, ids} <- @groups, id <- ids, into: %{}, do: {id, group}
 
   @type target :: {system :: non_neg_integer(), component :: non_neg_integer()}
 
-  @doc "Groups of REQUEST_DATA_STREAM with their messages."
+  @doc "The groups of REQUEST_DATA_STREAM (MAV_DATA_STREAM) with the ids of their messages."
   @spec groups() :: %{pos_integer() => [non_neg_integer()]}
   def groups, do: @groups
 
@@ -34,16 +45,16 @@ defmodule Aerie.Vehicle.Streams.Request do
   @spec group(non_neg_integer()) :: pos_integer() | nil
   def group(id), do: @group_of[id]
 
-  @doc "SET_MESSAGE_INTERVAL; `hz` 0 means the vehicle's own default."
+  @doc "SET_MESSAGE_INTERVAL; 0 Hz is the vehicle's default."
   @spec set(target(), non_neg_integer(), number()) :: CommandLong.t()
   def set(target, id, hz) when hz == 0, do: command(target, @set_message_interval, id, 0)
   def set(target, id, hz), do: command(target, @set_message_interval, id, trunc(1_000_000 / hz))
 
-  @doc "Asks what interval is set: MESSAGE_INTERVAL answers."
+  @doc "Requests MESSAGE_INTERVAL: the interval that is set."
   @spec query(target(), non_neg_integer()) :: CommandLong.t()
   def query(target, id), do: command(target, @request_message, @message_interval, id)
 
-  @doc "Asks for a message once."
+  @doc "Requests a message once."
   @spec once(target(), non_neg_integer()) :: CommandLong.t()
   def once(target, id), do: command(target, @request_message, id, 0)
 
@@ -60,8 +71,8 @@ defmodule Aerie.Vehicle.Streams.Request do
   end
 
   @doc """
-  What a message of somebody else asks for: `{:message, id, hz}` or `{:groups, [group], hz}`, `hz` nil for "not any more"
-  or "whatever is the default". `:other` when it is about something else or makes no sense.
+  What a client's message requests: `{:message, id, hz}` or `{:groups, [group], hz}`, with `hz` nil for "stop" and "the
+  default". `:other` for another message or an invalid one.
   """
   @spec read(struct()) ::
           {:message, non_neg_integer(), float() | nil} | {:groups, [pos_integer()], number() | nil} | :other

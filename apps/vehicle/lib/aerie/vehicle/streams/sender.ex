@@ -1,30 +1,32 @@
 defmodule Aerie.Vehicle.Streams.Sender do
   @moduledoc """
-  Sends what `Aerie.Vehicle.Streams.Check` wants to be asked for: one command at a time, because an acknowledgement does not
-  say which of several it is for (C8), the next one when it came or after a moment without.
+  Sends the requests that `Aerie.Vehicle.Streams.Check` queued: one command at a time, because an acknowledgement does not say
+  which of several it is for (C8). The next one follows the acknowledgement, or a short wait without one.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Check, Line, Meter, Request}
+  alias Aerie.Vehicle.Streams.{Arbiter, Check, Meter, Request, WantedMessage}
+  alias MavCodec.Enums.{MavCmd, MavResult}
 
-  @set_message_interval 511
-  @request_message 512
+  @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
+  @request_message MavCmd.value(:MAV_CMD_REQUEST_MESSAGE)
   @ack_us 600_000
 
-  @accepted 0
-  @temporarily_rejected 1
-  @unsupported 3
-  @in_progress 5
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
+  @unsupported MavResult.value(:MAV_RESULT_UNSUPPORTED)
+  @in_progress MavResult.value(:MAV_RESULT_IN_PROGRESS)
 
   @doc "The message that is due, if any."
   @spec run(Arbiter.t(), integer(), Request.target()) :: {Arbiter.t(), [struct()]}
   def run(%{queue: []} = arbiter, _now, _target), do: {arbiter, []}
+  def run(%{held: true} = arbiter, _now, _target), do: {arbiter, []}
 
-  def run(%{flight: {_what, sent}} = arbiter, now, _target) when now - sent < @ack_us, do: {arbiter, []}
+  def run(%{in_flight: {_what, sent}} = arbiter, now, _target) when now - sent < @ack_us, do: {arbiter, []}
 
   def run(%{queue: [what | queue]} = arbiter, now, target) do
-    case message(%{arbiter | queue: queue, flight: nil}, what, now, target) do
+    case message(%{arbiter | queue: queue, in_flight: nil}, what, now, target) do
       {arbiter, nil} -> run(arbiter, now, target)
-      {arbiter, message} -> {%{arbiter | flight: {what, now}}, [message]}
+      {arbiter, message} -> {%{arbiter | in_flight: {what, now}}, [message]}
     end
   end
 
@@ -36,16 +38,16 @@ defmodule Aerie.Vehicle.Streams.Sender do
   end
 
   defp message(arbiter, {:set, id}, now, target) do
-    case arbiter.lines do
-      %{^id => line} -> {sent(arbiter, line, line.ask, now), Request.set(target, id, line.ask)}
+    case arbiter.messages do
+      %{^id => wanted} -> {sent(arbiter, wanted, wanted.ask, now), Request.set(target, id, wanted.ask)}
       _not_wanted -> {arbiter, nil}
     end
   end
 
-  # In place of the command the group gets the highest rate that anybody in it is to have, for it sets them all.
+  # REQUEST_DATA_STREAM sets all messages of a group, so it gets the highest rate that is wanted of any of them.
   defp message(%{legacy: true} = arbiter, {:group, group}, now, target) do
     members = members(arbiter, group)
-    rates = for line <- members, line.hz != nil or asked?(arbiter, line), do: line.ask
+    rates = for wanted <- members, wanted.hz != nil or asked?(arbiter, wanted), do: wanted.ask
 
     case Enum.max([Map.get(arbiter.groups, group, 0) | rates]) do
       0 -> {arbiter, nil}
@@ -53,7 +55,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
     end
   end
 
-  # For a client that asked for it: who is to come more often than that is asked for anew.
+  # A client's request for a group. Messages of it that are wanted at a higher rate are requested again.
   defp message(arbiter, {:group, group}, now, target) do
     case arbiter.groups do
       %{^group => hz} ->
@@ -68,10 +70,10 @@ defmodule Aerie.Vehicle.Streams.Sender do
   end
 
   defp message(arbiter, {:query, id}, now, target) do
-    case arbiter.lines do
-      %{^id => %{state: :query} = line} ->
-        line = %{line | next: now + Check.wait(%{line | tries: 1})}
-        {Arbiter.put_line(arbiter, line), Request.query(target, id)}
+    case arbiter.messages do
+      %{^id => %{state: :query} = wanted} ->
+        wanted = %{wanted | next: now + Check.wait(%{wanted | tries: 1})}
+        {Arbiter.put(arbiter, wanted), Request.query(target, id)}
 
       _no_more ->
         {arbiter, nil}
@@ -79,7 +81,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   end
 
   defp message(arbiter, {:default, id}, _now, target) do
-    if is_map_key(arbiter.lines, id) or arbiter.legacy,
+    if is_map_key(arbiter.messages, id) or arbiter.legacy,
       do: {arbiter, nil},
       else: {arbiter, Request.set(target, id, 0)}
   end
@@ -95,30 +97,30 @@ defmodule Aerie.Vehicle.Streams.Sender do
   end
 
   defp members(arbiter, group) do
-    for id <- Map.get(Request.groups(), group, []), line = arbiter.lines[id], do: line
+    for id <- Map.get(Request.groups(), group, []), wanted = arbiter.messages[id], do: wanted
   end
 
-  defp more?(line, hz), do: (line.hz || 0) > hz or (line.set || 0) > hz
+  defp more?(wanted, hz), do: (wanted.hz || 0) > hz or (wanted.set || 0) > hz
 
-  defp asked?(arbiter, line), do: line.state == :asked or {:set, line.id} in arbiter.queue
+  defp asked?(arbiter, wanted), do: wanted.state == :asked or {:set, wanted.id} in arbiter.queue
 
-  defp sent(arbiter, line, hz, now) do
-    state = if line.state == :ok, do: :ok, else: :asked
-    tries = max(line.tries, 1)
-    line = Line.asked(line, hz, Meter.last(arbiter.meter, line.id))
-    line = %{line | sent: now, state: state, tries: tries, faster: false}
+  defp sent(arbiter, wanted, hz, now) do
+    state = if wanted.state == :ok, do: :ok, else: :asked
+    tries = max(wanted.tries, 1)
+    wanted = WantedMessage.asked(wanted, hz, Meter.last(arbiter.meter, wanted.id))
+    wanted = %{wanted | state: state, tries: tries, faster: false}
 
-    Arbiter.put_line(
-      %{arbiter | meter: Meter.watch(arbiter.meter, line.id, now)},
-      %{line | next: now + Check.wait(line)}
+    Arbiter.put(
+      %{arbiter | meter: Meter.watch(arbiter.meter, wanted.id, now)},
+      %{wanted | next: now + Check.wait(wanted)}
     )
   end
 
   @doc "See `Aerie.Vehicle.Streams.Arbiter.ack/3`."
   @spec ack(Arbiter.t(), non_neg_integer(), non_neg_integer()) :: Arbiter.t()
-  def ack(%{flight: {{kind, id} = what, _sent}} = arbiter, command, result) do
+  def ack(%{in_flight: {{kind, id} = what, _sent}} = arbiter, command, result) do
     if command == command(kind) and result != @in_progress,
-      do: answered(%{arbiter | flight: nil}, what, id, result),
+      do: answered(%{arbiter | in_flight: nil}, what, id, result),
       else: arbiter
   end
 
@@ -131,7 +133,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   defp answered(arbiter, {:set, _id}, _, @accepted), do: %{arbiter | accepted: true}
   defp answered(arbiter, {:set, _id}, _, @temporarily_rejected), do: arbiter
 
-  # It does not know the command, so it gets the old one.
+  # The vehicle does not know the command, so it gets REQUEST_DATA_STREAM.
   defp answered(%{accepted: false} = arbiter, {:set, _id} = what, _, @unsupported) do
     %{arbiter | legacy: true, queue: [what | List.delete(arbiter.queue, what)]}
   end
@@ -143,10 +145,10 @@ defmodule Aerie.Vehicle.Streams.Sender do
 
   defp answered(arbiter, _what, _id, _result), do: arbiter
 
-  # The vehicle does not have it: no further try.
+  # The vehicle does not have this message: no further try.
   defp missing(arbiter, id) do
-    case arbiter.lines do
-      %{^id => line} -> Arbiter.put_line(arbiter, %{line | state: :missing})
+    case arbiter.messages do
+      %{^id => wanted} -> Arbiter.put(arbiter, %{wanted | state: :missing})
       _not_wanted -> arbiter
     end
   end

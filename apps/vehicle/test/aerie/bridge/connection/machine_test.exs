@@ -1,7 +1,6 @@
 defmodule Aerie.Bridge.Connection.MachineTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Bridge.Backoff
   alias Aerie.Bridge.Connection.Machine
 
   defp run(machine, events) do
@@ -18,7 +17,7 @@ defmodule Aerie.Bridge.Connection.MachineTest do
     {actions, _} = run(Machine.new(250, 30_000), [{:urls, ["nats://a"]} | failures])
     [first, second | _] = pauses = timers(actions)
     assert first == 0
-    assert second in 125..250
+    assert second in 250..500
     assert List.last(pauses) in 15_000..30_000
   end
 
@@ -36,18 +35,18 @@ defmodule Aerie.Bridge.Connection.MachineTest do
     flapping = List.flatten(List.duplicate([{:closed, "x", 10}, :retry, :connected], 8))
     {actions, _} = run(Machine.new(250, 30_000), up ++ flapping)
     assert [0, second | _] = pauses = timers(actions)
-    assert second >= 125
+    assert second >= 250
     assert List.last(pauses) > 5_000
   end
 
-  test "the word that our server is up ends the waiting" do
+  test "the message that the embedded server is up ends the waiting" do
     events = [{:urls, ["nats://a"]}, {:failed, "no"}, :retry, {:failed, "no"}, {:urls, ["nats://a"]}]
     {actions, machine} = run(Machine.new(250, 30_000), events)
     assert [:cancel_timer, {:connect, "nats://a"}] = List.last(actions)
     assert machine.phase == :connecting
   end
 
-  test "the same reason is said once" do
+  test "the same reason is logged once" do
     events = [{:urls, ["nats://a"]}, {:failed, "no"}, :retry, {:failed, "no"}, :retry, {:failed, "other"}]
     {actions, _} = run(Machine.new(1, 2), events)
     assert length(for {:log, :warning, _} <- List.flatten(actions), do: 1) == 2
@@ -85,14 +84,5 @@ defmodule Aerie.Bridge.Connection.MachineTest do
       end)
 
     assert :proper.quickcheck(property, [:quiet, numtests: 300])
-  end
-
-  test "pauses stay within their limits for any number of failures" do
-    for failures <- [1, 2, 3, 10, 1_000, 1_000_000], random <- [0.0, 0.5, 1.0] do
-      assert Backoff.delay(failures, 250, 30_000, random) in 0..30_000
-    end
-
-    assert Backoff.delay(2, 250, 30_000, 1.0) == 250
-    assert Backoff.delay(3, 250, 30_000, 1.0) == 500
   end
 end

@@ -38,7 +38,7 @@ defmodule Aerie.Bridge.Events.WindowTest do
     assert {[_], _} = window |> Window.put([item("A", 1)]) |> send_all()
   end
 
-  test "an overdue one is sent again under a new number; the late answer to the old one is nothing" do
+  test "an overdue event is sent again under a new number; a late answer to the old one is ignored" do
     window = Window.put(Window.new(3), [item("A", 1)])
     {[{old, _}], window} = send_all(window, 100)
     assert Window.overdue(window, 99) == []

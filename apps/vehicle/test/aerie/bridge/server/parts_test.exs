@@ -1,7 +1,7 @@
 defmodule Aerie.Bridge.Server.PartsTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Bridge.FolderLock
+  alias Aerie.FolderLock
   alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, Settings}
 
   doctest LogLine
@@ -21,7 +21,10 @@ defmodule Aerie.Bridge.Server.PartsTest do
         store_dir: folder,
         max_memory_mb: 1,
         max_store_mb: 2,
-        token: "t"
+        token: "t",
+        domain: nil,
+        leaf: %{url: []},
+        seed: nil
       }
 
       File.write!(conf, Settings.render(settings))
@@ -87,7 +90,7 @@ defmodule Aerie.Bridge.Server.PartsTest do
       assert FolderLock.acquire(dir) == :ok
     end
 
-    test "of another program that runs is refused, of one that ended taken over", %{tmp_dir: dir} do
+    test "of another running program is refused, of an ended one taken over", %{tmp_dir: dir} do
       port = Port.open({:spawn_executable, "/bin/sh"}, [:binary, args: ["-c", "read -r line"]])
       {:os_pid, pid} = Port.info(port, :os_pid)
       owner = Path.join(dir, "owner")
@@ -112,7 +115,7 @@ defmodule Aerie.Bridge.Server.PartsTest do
   end
 
   describe "a program" do
-    test "ends when it is told to, and says its status" do
+    test "ends on request, and returns its status" do
       port =
         OsProcess.start("/bin/sh", ["-c", "trap 'exit 7' TERM; echo ready; while :; do sleep 0.05; done"])
 
@@ -122,14 +125,14 @@ defmodule Aerie.Bridge.Server.PartsTest do
       assert OsProcess.stop(port) == :ok
     end
 
-    test "that does not listen to TERM is made to end" do
+    test "that ignores TERM is killed" do
       port = OsProcess.start("/bin/sh", ["-c", "trap '' TERM; echo ready; while :; do sleep 0.05; done"])
       assert_receive {^port, {:data, {:eol, "ready"}}}
       OsProcess.stop(port)
       assert_receive {^port, {:exit_status, 137}}
     end
 
-    test "that has a pid which is a stranger's is left alone", %{tmp_dir: dir} do
+    test "whose pid now belongs to another program is left alone", %{tmp_dir: dir} do
       pid_file = Path.join(dir, "pid")
 
       for text <- [System.pid(), "0", "-1", "x", "1\n2"] do
@@ -142,22 +145,22 @@ defmodule Aerie.Bridge.Server.PartsTest do
   end
 
   describe "a server that stores nothing is started again" do
-    alias Aerie.Bridge.Server.Revival
+    alias Aerie.Bridge.Server.RestartPolicy
 
     test "when its disk has room" do
-      revival = Revival.fault(Revival.new(), "no space left on device")
-      assert {:wait, ^revival} = Revival.look(revival, 0, {:ok, 100_000})
-      assert {:restart, _} = Revival.look(revival, 0, {:ok, 2_000_000})
-      assert {:restart, _} = Revival.look(revival, 0, :unknown)
-      assert {:wait, _} = Revival.look(Revival.new(), 0, {:ok, 2_000_000})
+      restart_policy = RestartPolicy.fault(RestartPolicy.new(), "no space left on device")
+      assert {:wait, ^restart_policy} = RestartPolicy.check(restart_policy, 0, {:ok, 100_000})
+      assert {:restart, _} = RestartPolicy.check(restart_policy, 0, {:ok, 2_000_000})
+      assert {:restart, _} = RestartPolicy.check(restart_policy, 0, :unknown)
+      assert {:wait, _} = RestartPolicy.check(RestartPolicy.new(), 0, {:ok, 2_000_000})
     end
 
     test "with growing pauses where that does not help, and at once after a long time" do
-      {times, revival} =
-        Enum.flat_map_reduce(0..3_000//1, Revival.new(), fn second, revival ->
-          case Revival.look(Revival.fault(revival, "no answer"), second * 1000, :unknown) do
-            {:restart, revival} -> {[second], Revival.started(revival)}
-            {:wait, revival} -> {[], revival}
+      {times, restart_policy} =
+        Enum.flat_map_reduce(0..3_000//1, RestartPolicy.new(), fn second, restart_policy ->
+          case RestartPolicy.check(RestartPolicy.fault(restart_policy, "no answer"), second * 1000, :unknown) do
+            {:restart, restart_policy} -> {[second], RestartPolicy.started(restart_policy)}
+            {:wait, restart_policy} -> {[], restart_policy}
           end
         end)
 
@@ -165,14 +168,16 @@ defmodule Aerie.Bridge.Server.PartsTest do
       later = 100_000_000
 
       assert {:restart, %{tries: 1, not_before: at}} =
-               Revival.look(Revival.fault(revival, "again"), later, :unknown)
+               RestartPolicy.check(RestartPolicy.fault(restart_policy, "again"), later, :unknown)
 
       assert at == later + 10_000
     end
 
     test "for the reason that came first" do
-      assert %{fault: "full"} = Revival.new() |> Revival.fault("full") |> Revival.fault("no answer")
-      assert %{fault: nil} = Revival.new() |> Revival.fault("full") |> Revival.started()
+      assert %{fault: "full"} =
+               RestartPolicy.new() |> RestartPolicy.fault("full") |> RestartPolicy.fault("no answer")
+
+      assert %{fault: nil} = RestartPolicy.new() |> RestartPolicy.fault("full") |> RestartPolicy.started()
     end
   end
 end

@@ -47,29 +47,13 @@ defmodule Aerie.Link.Serial.CableTest do
       files: length(File.ls!("/proc/#{System.pid()}/fd")),
       ports: length(Port.list()),
       processes: length(Process.list()),
-      programs: length(programs())
+      programs: length(Aerie.Programs.running())
     }
-  end
-
-  # The port programs of all serial ports, as the operating system sees them: the BEAM starts programs by a child of its
-  # own, whose children they are.
-  defp programs, do: descendants(System.pid())
-
-  defp descendants(pid) do
-    with {:ok, tasks} <- File.ls("/proc/#{pid}/task") do
-      for task <- tasks,
-          {:ok, children} <- [File.read("/proc/#{pid}/task/#{task}/children")],
-          child <- String.split(children),
-          program <- [child | descendants(child)],
-          do: program
-    else
-      _ended_meanwhile -> []
-    end
   end
 
   # A module that is loaded when it is needed brings its atoms.
   defp load_all do
-    for app <- [:vehicle, :mav_codec, :circuits_uart, :telemetry],
+    for app <- [:vehicle, :mav_router, :mav_codec, :circuits_uart, :telemetry],
         module <- Application.spec(app, :modules) do
       Code.ensure_loaded!(module)
     end

@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.Reports.SequenceTest do
-  @moduledoc "X3: what is missing is found, asked for and given up, whatever is lost, late or doubled."
+  @moduledoc "X3: missing events are noticed, requested and given up, whatever is lost, late or duplicated."
   use ExUnit.Case, async: true
 
   import Bitwise
@@ -15,13 +15,13 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
     end)
   end
 
-  test "in order nothing is asked for, also where the numbers come round (X3)" do
+  test "nothing is requested while events come in order, even when the numbers wrap (X3)" do
     {verdicts, sequence} = seen([65_534, 65_535, 0, 1])
     assert Enum.all?(verdicts, &(&1 == :new))
     assert {^sequence, []} = Sequence.expire(sequence, 10_000 * @ms)
   end
 
-  test "a gap is asked for as one range, three times, and given up; what comes late is taken once (X3)" do
+  test "a gap is requested as one range three times, then given up; a late event counts once (X3)" do
     {_, sequence} = seen([65_533, 2])
     refute match?({_, [_ | _]}, Sequence.expire(sequence, 299 * @ms))
     {sequence, asked} = Sequence.expire(sequence, 300 * @ms)
@@ -38,21 +38,21 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
     assert {:old, _} = Sequence.event(sequence, 1, 5000, 3400 * @ms)
   end
 
-  test "CURRENT_EVENT_SEQUENCE tells what nobody heard; the first one is where to begin (X3)" do
+  test "CURRENT_EVENT_SEQUENCE shows missing events; the first one only sets the start (X3)" do
     sequence = Sequence.current(Sequence.new(), 100, false, 0)
     refute Sequence.waiting?(sequence)
     sequence = Sequence.current(sequence, 102, false, 0)
     assert {_, [{101, 102}]} = Sequence.expire(sequence, 300 * @ms)
-    # Older than what came already, by a slower link.
+    # Older than the latest one, by a slower link.
     assert Sequence.current(sequence, 100, false, 0) == sequence
   end
 
-  test "RESPONSE_EVENT_ERROR: what is not kept any more is not asked for again (X3)" do
+  test "RESPONSE_EVENT_ERROR: events that are not kept any more are not requested again (X3)" do
     {_, sequence} = seen([10, 20])
     sequence = Sequence.gone(sequence, 17)
     assert sequence.lost == 6
     assert {_, [{17, 19}]} = Sequence.expire(sequence, 300 * @ms)
-    # Of a number that is not there yet the oldest one that is kept is told, too.
+    # The answer to a request for a future number also has the oldest one that is kept.
     assert Sequence.gone(sequence, 5) == sequence
   end
 
@@ -66,12 +66,12 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
     refute Sequence.waiting?(reset)
   end
 
-  test "away for long: the last ones are asked for, the others are lost" do
+  test "after a long absence the last ones are requested, the others are lost" do
     {_, sequence} = seen([0, 1000])
     assert {%{lost: 935}, [{936, 999}]} = Sequence.expire(sequence, 300 * @ms)
   end
 
-  test "whatever comes in whatever order, each number is new once, and memory is bounded" do
+  test "whatever comes in whatever order, each number is new once, and the tables are bounded" do
     step =
       :proper_types.frequency([
         {6, {:event, :proper_types.integer(-5, 8)}},

@@ -114,28 +114,28 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert_in_delta interval, 500_000, 50_000
     end
 
-    test "M2: what came by itself before anybody asked comes so often again when nobody asks any more" do
+    test "M2: the rate before the first request is restored when no client wants more" do
       vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(20)
-      # The client's own request, which goes to the vehicle as it is; lower than before, too.
+      # The client's own request, which is forwarded, with a lower rate.
       for hz <- [100, 20, 2] do
         asked = vehicle |> Sim.set(30, hz) |> Sim.want(%{30 => hz}, forwarded: 30) |> Sim.run(30)
         assert asked.rates[30] == hz
         left = asked |> Sim.want(%{}) |> Sim.run(60)
         assert_in_delta left.rates[30], 50, 2
         assert [_once] = sets(left, 30)
-        # It stays so, and is not told as somebody's doing.
+        # It stays so, and is not reported as contested.
         again = Sim.run(left, 120)
         assert {length(sets(again, 30)), again.notices, state(again, 30)} == {1, [], :ok}
       end
     end
 
-    test "another client's want holds it no lower than it came by itself" do
+    test "another client's demand does not keep it below its initial rate" do
       vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(20)
       vehicle = vehicle |> Sim.want(%{30 => 100}) |> Sim.run(20) |> Sim.want(%{30 => 6}) |> Sim.run(60)
       assert_in_delta vehicle.rates[30], 50, 2
     end
 
-    test "what came but was not measured before the first wish gets the vehicle's default" do
+    test "a message that was not measured before the first request gets the vehicle's default" do
       vehicle = Sim.new(rates: %{@default | 30 => 50}) |> Sim.run(0.5)
       vehicle = vehicle |> Sim.want(%{30 => 100}, forwarded: 30) |> Sim.set(30, 100) |> Sim.run(10)
       vehicle = vehicle |> Sim.want(%{}) |> Sim.run(60)
@@ -143,7 +143,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert {vehicle.rates[30], vehicle.notices} == {50, []}
     end
 
-    test "what the gateway had to ask for stays as the gateway asks for it" do
+    test "what the gateway had to request keeps the rate that it requests" do
       vehicle =
         Sim.new(rates: Map.delete(@default, 30)) |> Sim.run(20) |> Sim.want(%{30 => 20}) |> Sim.run(20)
 
@@ -151,7 +151,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert {vehicle.rates[30], state(vehicle, 30)} == {4.0, :ok}
     end
 
-    test "a client's own request that was forwarded is judged before it is repeated" do
+    test "a forwarded request is judged before it is repeated" do
       vehicle = Sim.new(rates: @default) |> Sim.run(10)
       obeyed = vehicle |> Sim.set(30, 10) |> Sim.want(%{30 => 10}, forwarded: 30) |> Sim.run(30)
       assert requests(obeyed) == []
@@ -159,7 +159,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert [{_, {:set, 30, 100_000.0}}] = requests(lost)
     end
 
-    test "groups are asked for once, and those that are to come more often get their rate back" do
+    test "groups are requested once, and higher rates in them are restored" do
       vehicle = Sim.new(rates: @default) |> Sim.run(5) |> Sim.want(%{30 => 20}) |> Sim.run(20)
       vehicle = vehicle |> Sim.want(%{30 => 20}, groups: %{10 => 4, 11 => 4}) |> Sim.run(120)
       assert vehicle.rates[30] == 20 and vehicle.rates[178] == 4 and vehicle.rates[74] == 4
@@ -167,7 +167,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert vehicle.notices == []
     end
 
-    test "R6: after a reboot all is asked for again that does not come" do
+    test "R6: after a reboot everything that does not come is requested again" do
       vehicle = Sim.new(rates: @default) |> Sim.run(5)
       vehicle = vehicle |> Sim.want(%{30 => 20}, groups: %{11 => 4}) |> Sim.run(30)
       vehicle = vehicle |> Sim.reboot(Map.delete(@default, 245)) |> Sim.run(30)
@@ -175,15 +175,15 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert later == [{:group, 11, 4}, {:set, 30, 50_000.0}, {:set, 245, 500_000.0}]
     end
 
-    test "more than the vehicle can do is asked for three times" do
+    test "a rate that the vehicle cannot reach is requested three times" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 50}, cap: 20) |> Sim.run(300)
       assert length(sets(vehicle, 30)) <= 3
       assert state(vehicle, 30) == :short
     end
   end
 
-  describe "others" do
-    test "a slow link is told from another requester: nothing is asked for, nothing told" do
+  describe "other programs" do
+    test "a slow link is not taken for another program: no request, no report" do
       vehicle = Sim.new(gateway: %{30 => 10, 33 => 5, 74 => 5}) |> Sim.run(60)
       asked = length(requests(vehicle))
       vehicle = Sim.run(%{vehicle | carried: 0.4}, 300)
@@ -193,7 +193,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert Sim.run(%{vehicle | carried: 1.0}, 60) |> state(30) == :ok
     end
 
-    test "M2: who lowers a rate once is corrected once; who does it again is given way, and told once" do
+    test "M2: a rate that is lowered once is corrected once; lowered again, it is left to the other program and reported once" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
       vehicle = vehicle |> Sim.set(30, 2) |> Sim.run(30)
       assert length(sets(vehicle, 30)) == 2
@@ -204,21 +204,21 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert [%{id: 30, asked: 10, how: :slower, yielded: true}] = vehicle.notices
     end
 
-    test "also when the vehicle does not say what is set" do
+    test "also if the vehicle does not tell its interval" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 10}, tells: false) |> Sim.run(30)
       vehicle = Sim.run(vehicle, 600, &Sim.set(&1, 30, 2))
       assert length(sets(vehicle, 30)) == 2
       assert state(vehicle, 30) == :yielded
     end
 
-    test "a rate that somebody raised is told and left" do
+    test "a rate that another program raised is reported and left" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
       vehicle = vehicle |> Sim.set(30, 20) |> Sim.run(120)
       assert length(sets(vehicle, 30)) == 1
       assert [%{id: 30, how: :faster, asked: 10, measured: 20.0}] = vehicle.notices
     end
 
-    test "two links that bring the same are not twice the rate" do
+    test "two links that bring the same frames do not double the rate" do
       arbiter = Arbiter.new(%{30 => 10}) |> Arbiter.heard("a", 30, 0)
       # Five a second by each of two links.
       arbiter =
@@ -232,7 +232,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert_in_delta Arbiter.show(arbiter)[30].measured, 5, 0.7
     end
 
-    test "a silence is no deficit" do
+    test "a silence is not a low rate" do
       vehicle = Sim.new(rates: @default, gateway: %{30 => 10}) |> Sim.run(30)
       before = requests(vehicle)
       vehicle = Sim.run(%{vehicle | up: false}, 300)
@@ -271,7 +271,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       ])
     end
 
-    test "whatever happened: with nothing more happening it falls silent, and before that it was never a flood" do
+    test "whatever happened: requests end when nothing more happens, and are never a flood" do
       prop =
         :proper.forall({behaviour(), :proper_types.list(step())}, fn {behaviour, steps} ->
           vehicle = Enum.reduce(steps, Sim.new([rates: @default] ++ behaviour), &apply_step/2)
@@ -285,7 +285,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert :proper.quickcheck(prop, [:quiet, numtests: 60])
     end
 
-    test "a vehicle that obeys, with nobody else about, sends what is wanted in the end" do
+    test "a vehicle that obeys, without other programs, finally sends what is wanted" do
       prop =
         :proper.forall(
           {:proper_types.list({id(), :proper_types.range(1, 19)}),
@@ -303,7 +303,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert :proper.quickcheck(prop, [:quiet, numtests: 60])
     end
 
-    test "somebody who sets a rate again and again is fought no more than once" do
+    test "a program that sets a rate again and again is corrected at most once" do
       prop =
         :proper.forall({id(), :proper_types.range(10, 40), :proper_types.range(1, 5)}, fn {id, wanted, theirs} ->
           vehicle = Sim.new(rates: @default, gateway: %{id => wanted}) |> Sim.run(30)

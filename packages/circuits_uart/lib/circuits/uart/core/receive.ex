@@ -1,15 +1,15 @@
 defmodule Circuits.UART.Core.Receive do
   @moduledoc false
-  # The receiving half: framing, active mode's notices, passive mode's readers.
+  # The receiving half: framing, messages of active mode, readers of passive mode.
   #
-  # The port program sends received bytes by itself in active mode, each packet for one credit, which it gets back here
-  # when the packet was dealt with: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends
-  # the bytes of one read when asked to. At most one such request is under way; its answer serves the readers in order,
-  # and whoever of them is left over is asked for again.
+  # In active mode the port program sends received bytes unasked. Each packet costs a credit, which is returned when the packet
+  # was handled: a flood stays in the kernel, not in this process's mailbox. In passive mode it sends the bytes of one read
+  # on request. At most one such request is pending; its answer serves the readers in order, and readers without data
+  # get another request.
 
   alias Circuits.UART.{State, Wire}
 
-  # Credits are given back this many at once (the port program begins with 64).
+  # How many credits are returned at once (the port program begins with 64).
   @credit_batch 16
   @max_readers 256
 
@@ -38,14 +38,14 @@ defmodule Circuits.UART.Core.Receive do
     end
   end
 
-  @doc "Bytes of active mode, or some that were under way when it ended."
+  @doc "Bytes of active mode, or bytes that were on their way when it ended."
   @spec data(State.t(), binary()) :: State.t()
   def data(state, bytes) do
     state = credit(state)
     if state.phase == :open and state.discarding == 0, do: state |> take(bytes) |> serve(), else: state
   end
 
-  @doc "The answer to the read that was under way; no bytes when its time was over."
+  @doc "The answer to the pending read; without bytes if it timed out."
   @spec answered(State.t(), {:ok, binary()} | {:error, atom()}) :: State.t()
   def answered(state, {:ok, bytes}) do
     state = %{state | reading: nil}
@@ -62,7 +62,7 @@ defmodule Circuits.UART.Core.Receive do
     end
   end
 
-  @doc "A waiting reader's time is over. The one that the port program reads for is answered by that read."
+  @doc "A waiting reader timed out. The reader of the pending read gets the answer to that."
   @spec expire(State.t(), reference()) :: State.t()
   def expire(state, key) do
     case {state.reading, :queue.to_list(state.readers)} do
@@ -84,7 +84,7 @@ defmodule Circuits.UART.Core.Receive do
     %{state | framing_state: framing_state} |> deliver(messages) |> serve()
   end
 
-  @doc "What comes from now until the answer was received before the flush: it goes too."
+  @doc "Bytes that come before the answer to the flush were received before it, and are dropped, too."
   @spec flush(State.t(), GenServer.from(), :receive | :transmit | :both, non_neg_integer()) :: State.t()
   def flush(state, from, direction, limit) do
     {_id, state} = State.request(state, {:flush, from, direction}, limit, &Wire.flush(&1, direction))
@@ -103,7 +103,7 @@ defmodule Circuits.UART.Core.Receive do
     State.act(state, {:cancel_timer, :frame})
   end
 
-  @doc "The mode may have changed: in active mode nobody reads, and messages that nobody read are sent."
+  @doc "The mode may have changed: active mode has no readers, and sends messages that were not read."
   @spec reconfigured(State.t()) :: State.t()
   def reconfigured(%{options: %{active: true}} = state) do
     messages = :queue.to_list(state.messages)
@@ -141,8 +141,8 @@ defmodule Circuits.UART.Core.Receive do
 
   defp deliver(state, messages), do: %{state | messages: Enum.reduce(messages, state.messages, &:queue.in/2)}
 
-  # Messages to readers, in order. When that answers the reader whose read is under way, the read is called off; what
-  # it brings nevertheless is kept.
+  # Messages to readers, in order. If that answers the reader of the pending read, the read is cancelled; bytes that it
+  # still brings are kept.
   defp serve(state) do
     case {:queue.out(state.messages), :queue.out(state.readers)} do
       {{{:value, message}, messages}, {{:value, reader}, readers}} ->

@@ -1,8 +1,8 @@
 defmodule Circuits.UART.Core.Transmit do
   @moduledoc false
   # The sending half: writes, drains and flushes of the transmit direction, one at a time, in the order of the calls. A
-  # write goes to the port program in pieces, so that no request is larger than a packet and a long one never delays
-  # what is not in this queue (reads, signals, close).
+  # write goes to the port program in pieces: no request is larger than a packet, and a long write never delays what is not
+  # in this queue (reads, signals, close).
 
   alias Circuits.UART.{Core, State, Wire}
 
@@ -38,7 +38,7 @@ defmodule Circuits.UART.Core.Transmit do
     end
   end
 
-  @doc "The answer to what was under way for the first sender."
+  @doc "The answer to the pending request of the first sender."
   @spec answered(State.t(), {:ok, binary()} | {:error, atom()}) :: State.t()
   def answered(state, result) do
     {{:value, sender}, rest} = :queue.out(state.senders)
@@ -60,7 +60,7 @@ defmodule Circuits.UART.Core.Transmit do
     end
   end
 
-  @doc "A waiting sender's time is over. That of the first one is kept by the port program."
+  @doc "A waiting sender timed out. The port program times the first one."
   @spec expire(State.t(), reference()) :: State.t()
   def expire(state, key) do
     case {state.sending, :queue.to_list(state.senders)} do
@@ -93,7 +93,7 @@ defmodule Circuits.UART.Core.Transmit do
   defp pump(%{sending: nil, phase: :open} = state) do
     case :queue.out(state.senders) do
       {{:value, %{what: {:flush, direction}} = sender}, rest} ->
-        # Not waited for: the port program does it at once, before whatever comes next.
+        # No need to wait: the port program does it at once, before anything else.
         %{state | senders: rest}
         |> State.act({:cancel_timer, {:waiting, sender.key}})
         |> Core.Receive.flush(sender.from, direction, max(sender.deadline - state.now, 0))

@@ -1,6 +1,6 @@
 defmodule Circuits.UART.Framing.Line do
   @moduledoc ~S"""
-  Each message is a line. The separator is put behind each message that is sent and taken off each that is received.
+  Each message is a line. The separator is appended to each sent message, and removed from each received one.
 
       Circuits.UART.open(uart, "ttyUSB0", framing: {Circuits.UART.Framing.Line, separator: "\r\n"})
 
@@ -8,14 +8,14 @@ defmodule Circuits.UART.Framing.Line do
     * `:max_length` (bytes without the separator, `4096`) - of a longer line each `max_length` bytes come as
       `{:partial, data}` and the end of it as a line
 
-  With `:rx_framing_timeout`, a line that does not go on comes as `{:partial, data}` too.
+  With `:rx_framing_timeout`, an unfinished line comes as `{:partial, data}`, too.
   """
 
   @behaviour Circuits.UART.Framing
 
   defmodule State do
     @moduledoc false
-    # processed: the line so far; in_process: bytes that may be the beginning of a separator, or not.
+    # processed: the line so far; in_process: bytes that may or may not begin a separator.
     defstruct max_length: 4_096, separator: "\n", processed: "", in_process: ""
   end
 
@@ -36,7 +36,7 @@ defmodule Circuits.UART.Framing.Line do
 
   @impl Circuits.UART.Framing
   def remove_framing(data, state) do
-    # No separator begins in what is processed: it need not be searched again.
+    # No separator begins in `processed`, so it is not searched again.
     searched = byte_size(state.processed)
     {rest, messages} = split(state.processed <> state.in_process <> data, searched, state, [])
     kept = byte_size(rest) - min(byte_size(rest), byte_size(state.separator) - 1)

@@ -1,5 +1,5 @@
 defmodule Circuits.UART.Framing.None do
-  @moduledoc "No framing: bytes as they come."
+  @moduledoc "No framing: bytes in the pieces in which they come."
 
   @behaviour Circuits.UART.Framing
 

@@ -1,9 +1,9 @@
 defmodule Gnat.Jetstream.API.Consumer do
   @moduledoc """
-  Consumers: where in a stream somebody is, kept by the server.
+  Consumers: positions in a stream, kept by the server.
 
-  With a `durable_name` it stays until it is deleted (or unused for `inactive_threshold`); without, it ends by itself.
-  With a `deliver_subject` the server pushes messages there; without, they are pulled (`request_next_message/6`,
+  With a `durable_name` a consumer stays until it is deleted (or unused for `inactive_threshold`); otherwise it ends by itself.
+  With a `deliver_subject` the server pushes messages there; otherwise they are pulled (`request_next_message/6`,
   `Gnat.Jetstream.PullConsumer`).
 
   Times (`ack_wait`, `backoff`, `idle_heartbeat`, `inactive_threshold`, `max_expires`) are in nanoseconds, -1 means
@@ -111,7 +111,7 @@ defmodule Gnat.Jetstream.API.Consumer do
 
   @type error :: {:error, String.t() | Util.api_error() | :timeout | :no_responders | Error.t()}
 
-  @doc "Creates it; a durable one may exist already with the same configuration."
+  @doc "Creates a consumer; a durable one may already exist with the same configuration."
   @spec create(Gnat.t(), t()) :: {:ok, info()} | error()
   def create(conn, %__MODULE__{} = consumer) do
     with :ok <- validate(consumer),
@@ -152,12 +152,12 @@ defmodule Gnat.Jetstream.API.Consumer do
   end
 
   @doc """
-  Asks for the next messages of a pull consumer; they come to `reply_to` as messages of their own.
+  Requests the next messages of a pull consumer; they are sent to `reply_to`.
 
     * `batch` - how many, default 1
     * `expires` - how long the server keeps the request, in ns; default: until it is fulfilled
-    * `no_wait` - true: only what is there, else a message of status 404
-    * `idle_heartbeat` - a message of status 100 this often (ns) while there is nothing; at most half of `expires`
+    * `no_wait` - true: only messages that are there, else a message of status 404
+    * `idle_heartbeat` - how often (ns) a message of status 100 comes while there is no other; at most half of `expires`
   """
   @spec request_next_message(Gnat.t(), String.t(), String.t(), String.t(), nil | String.t(), keyword()) ::
           :ok | {:error, Error.t()}

@@ -7,7 +7,7 @@ defmodule Gnat.Jetstream.API.KV do
       "{}" = KV.get_value(gnat, "fleet_desired", "prod.VID-001")
 
   Keys are subjects: tokens with dots between them, of letters, digits and `-/_=`. Every change of a bucket has a
-  revision, a number that grows. To change a value only if nobody else has in the meantime:
+  revision, a number that grows. To change a value only if nobody else has changed it meanwhile:
 
       {:ok, entry} = KV.get_entry(gnat, "fleet_desired", "prod.VID-001")
       {:ok, revision} = KV.update_value(gnat, "fleet_desired", "prod.VID-001", "new", entry.revision)
@@ -39,11 +39,11 @@ defmodule Gnat.Jetstream.API.KV do
   @type write_option :: {:timeout, timeout()} | {:expected_revision, non_neg_integer()}
 
   @doc """
-  Creates a bucket; creating it again with the same options is fine.
+  Creates a bucket; it may already exist with the same options.
 
     * `history` - values kept for each key, default 1, at most 64
-    * `ttl` - nanoseconds after which a value goes
-    * `limit_marker_ttl` - nanoseconds for which a marker tells that a value went by its ttl
+    * `ttl` - nanoseconds after which a value expires
+    * `limit_marker_ttl` - nanoseconds for which a marker shows that a value has expired
     * `max_bucket_size`, `max_value_size` - bytes, default -1: unlimited
     * `description`, `replicas`, `storage` (`:file` or `:memory`, default `:file`), `placement`
   """
@@ -59,6 +59,7 @@ defmodule Gnat.Jetstream.API.KV do
         max_msgs_per_subject: params[:history] || 1,
         discard: :new,
         deny_delete: true,
+        allow_direct: true,
         allow_rollup_hdrs: true,
         max_age: ttl,
         max_bytes: params[:max_bucket_size] || -1,
@@ -66,7 +67,7 @@ defmodule Gnat.Jetstream.API.KV do
         num_replicas: params[:replicas] || 1,
         storage: params[:storage] || :file,
         placement: params[:placement],
-        # The server refuses a window that is longer than what it keeps.
+        # The server refuses a window that is longer than the age limit.
         duplicate_window: if(ttl > 0, do: min(ttl, @two_minutes), else: @two_minutes),
         allow_msg_ttl: if(params[:limit_marker_ttl], do: true),
         subject_delete_marker_ttl: params[:limit_marker_ttl]
@@ -74,7 +75,7 @@ defmodule Gnat.Jetstream.API.KV do
     end
   end
 
-  @doc "Deletes a bucket with all that is in it."
+  @doc "Deletes a bucket with its content."
   @spec delete_bucket(Gnat.t(), String.t()) :: :ok | error()
   def delete_bucket(conn, bucket), do: Stream.delete(conn, stream_name(bucket))
 
@@ -259,7 +260,7 @@ defmodule Gnat.Jetstream.API.KV do
     end
   end
 
-  # A key with a wildcard or a blank would be another subject than the one meant, an empty token none at all.
+  # A key with a wildcard or a blank would be another subject, and one with an empty token would be invalid.
   defp check(bucket, key) do
     with :ok <- Util.check_name(bucket, "bucket name") do
       if is_binary(key) and byte_size(key) <= 512 and key =~ ~r{\A[-/_=a-zA-Z0-9]+(\.[-/_=a-zA-Z0-9]+)*\z} do

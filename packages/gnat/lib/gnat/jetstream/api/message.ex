@@ -1,10 +1,10 @@
 defmodule Gnat.Jetstream.API.Message do
-  @moduledoc "Where a delivered message comes from, which JetStream writes into its reply address."
+  @moduledoc "The origin of a delivered message, which JetStream writes into its reply address."
 
   defmodule Metadata do
     @moduledoc """
-    `stream_seq` and `consumer_seq` count from 1; `num_delivered` is 1 the first time; `num_pending` is how many are
-    left for this consumer; `timestamp` is when the stream took the message.
+    `stream_seq` and `consumer_seq` count from 1; `num_delivered` is 1 the first time; `num_pending` is how many
+    remain for this consumer; `timestamp` is when the stream stored the message.
     """
 
     defstruct ~w(stream_seq consumer_seq num_pending num_delivered timestamp stream consumer domain)a
@@ -21,7 +21,7 @@ defmodule Gnat.Jetstream.API.Message do
           }
   end
 
-  @doc "Reads the reply address. A message that is none of JetStream's, or claims to be one and is not, is an error."
+  @doc "Reads the reply address. Any message that is not JetStream's is an error."
   @spec metadata(Gnat.message()) ::
           {:ok, Metadata.t()} | {:error, :no_jetstream_message | :invalid_ack_reply_to}
   def metadata(%{reply_to: "$JS.ACK." <> rest}), do: rest |> String.split(".") |> read()

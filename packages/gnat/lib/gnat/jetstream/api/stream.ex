@@ -1,6 +1,6 @@
 defmodule Gnat.Jetstream.API.Stream do
   @moduledoc """
-  Streams: what keeps the messages of some subjects.
+  Streams, which store the messages of some subjects.
 
       stream = %Stream{name: "FLEET_STATE", subjects: ["fleet.*.*.state.>"], max_msgs_per_subject: 1}
       {:ok, %{config: %Stream{}, state: %{messages: 0}}} = Stream.create(gnat, stream)
@@ -55,7 +55,7 @@ defmodule Gnat.Jetstream.API.Stream do
           template_owner: nil | String.t()
         }
 
-  @typedoc "Counts and limits of what is stored; `first_ts` and `last_ts` are of year 1 while it is empty."
+  @typedoc "Counts and limits of what is stored; `first_ts` and `last_ts` are in year 1 while it is empty."
   @type state :: %{
           bytes: non_neg_integer(),
           consumer_count: non_neg_integer(),
@@ -96,18 +96,18 @@ defmodule Gnat.Jetstream.API.Stream do
           hdrs: binary() | nil
         }
 
-  @typedoc "A text for what is wrong before asking, a map of the server's, an atom or a `Gnat.Error` for the way there."
+  @typedoc "A text for invalid arguments, a map from the server, an atom or a `Gnat.Error` for failed communication."
   @type error :: {:error, String.t() | Util.api_error() | :timeout | :no_responders | Error.t()}
 
-  @doc "Creates it; creating it again with the same configuration is fine, with another an error."
+  @doc "Creates a stream; it may already exist with the same configuration, but not with another."
   @spec create(Gnat.t(), t()) :: {:ok, info()} | error()
   def create(conn, %__MODULE__{} = stream), do: put(conn, stream, "CREATE")
 
-  @doc "Changes the configuration of one that exists."
+  @doc "Changes the configuration of a stream."
   @spec update(Gnat.t(), t()) :: {:ok, info()} | error()
   def update(conn, %__MODULE__{} = stream), do: put(conn, stream, "UPDATE")
 
-  @doc "Deletes it with all its messages."
+  @doc "Deletes a stream with all its messages."
   @spec delete(Gnat.t(), String.t(), nil | String.t()) :: :ok | error()
   def delete(conn, name, domain \\ nil) do
     with {:ok, _answer} <- ask(conn, domain, "DELETE", name, ""), do: :ok
@@ -135,7 +135,7 @@ defmodule Gnat.Jetstream.API.Stream do
     with {:ok, answer} <- ask(conn, domain, "INFO", name, ""), do: to_info(answer)
   end
 
-  @doc "Names, a page at a time: `offset`, `subject` (only streams that take it), `domain`."
+  @doc "The names of streams, a page at a time: `offset`, `subject` (only streams that have it), `domain`."
   @spec list(Gnat.t(), offset: non_neg_integer(), subject: String.t(), domain: nil | String.t()) ::
           {:ok, streams()} | error()
   def list(conn, params \\ []) do
@@ -176,7 +176,7 @@ defmodule Gnat.Jetstream.API.Stream do
   end
 
   def get_message(_conn, _name, method, _domain) do
-    {:error, "a message is got by one of `seq` or `last_by_subj`, got: #{inspect(method)}"}
+    {:error, "expected either `seq` or `last_by_subj`, got: #{inspect(method)}"}
   end
 
   defp put(conn, stream, operation) do

@@ -4,7 +4,7 @@ defmodule Gnat.Jetstream.API.Util do
   alias Gnat.Error
 
   @typedoc """
-  What the JetStream API says no with: `"code"` like HTTP, `"err_code"` for the exact reason, `"description"`.
+  An error of the JetStream API: `"code"` like HTTP, `"err_code"` for the exact reason, `"description"`.
   """
   @type api_error :: %{String.t() => term()}
 
@@ -15,7 +15,7 @@ defmodule Gnat.Jetstream.API.Util do
   def api(domain) when domain in [nil, ""], do: "$JS.API"
   def api(domain), do: "$JS.#{domain}.API"
 
-  @doc "Asks the API and reads the answer; an answer with an error in it is an error."
+  @doc "Sends a request to the API and reads the answer, which may be an error."
   @spec request(Gnat.t(), String.t(), iodata(), keyword()) ::
           {:ok, map()} | {:error, api_error() | :timeout | :no_responders | Error.t()}
   def request(conn, topic, payload, opts \\ []) do
@@ -33,11 +33,11 @@ defmodule Gnat.Jetstream.API.Util do
     end
   end
 
-  @doc "A struct or map as the JSON the API wants: what is nil is not sent, because the server refuses unknown fields."
+  @doc "A struct or map as JSON for the API, without fields that are nil, because the server refuses unknown fields."
   @spec encode(map()) :: iodata()
   def encode(map), do: map |> Map.reject(fn {_key, value} -> value == nil end) |> JSON.encode_to_iodata!()
 
-  @doc "A point in time as the server writes it (RFC 3339); nil for nil and for what is none."
+  @doc "A point in time as the server writes it (RFC 3339); nil for anything else."
   @spec to_datetime(term()) :: DateTime.t() | nil
   def to_datetime(text) when is_binary(text) do
     case DateTime.from_iso8601(text) do
@@ -48,11 +48,11 @@ defmodule Gnat.Jetstream.API.Util do
 
   def to_datetime(_none), do: nil
 
-  @doc "One of the atoms that stand for this text, or the text itself when a newer server says something else."
+  @doc "The known atom for this text, or the text itself, which a newer server may send."
   @spec to_atom(term(), [atom()]) :: atom() | term()
   def to_atom(text, known), do: Enum.find(known, text, &(Atom.to_string(&1) == text))
 
-  @doc "Base 64 as text; nil for nil and for what is none."
+  @doc "Decodes base 64; nil for anything else."
   @spec decode_base64(term()) :: binary() | nil
   def decode_base64(text) when is_binary(text) do
     case Base.decode64(text) do

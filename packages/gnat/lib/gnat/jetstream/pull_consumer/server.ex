@@ -1,9 +1,9 @@
 defmodule Gnat.Jetstream.PullConsumer.Server do
   @moduledoc """
-  The process of `Gnat.Jetstream.PullConsumer`: connect, ask for a batch, handle it, ask again.
+  The process of `Gnat.Jetstream.PullConsumer`: connects, requests a batch, handles it, requests the next.
 
-  A subscription is known by the connection and its number; what still comes from one that was given up is dropped
-  without an answer, and the server delivers it again.
+  A subscription is identified by its connection and number. Late messages of a former one are dropped without an
+  acknowledgement, so the server delivers them again.
   """
 
   use GenServer
@@ -30,7 +30,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
           sid: nil,
           inbox: nil,
           consumer: nil,
-          # Whether acknowledging a message asks for the next one (`+NXT`), and whether it is what we wait for.
+          # Whether acknowledgements request the next message (`+NXT`), and whether we wait for such a one.
           next?: false,
           bare: false,
           wanted: 0,
@@ -59,7 +59,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
       "100" -> {:noreply, state |> flow_control(message) |> status(message)}
       # Nothing there, or the request has run out: ask again.
       status when status in ["404", "408"] -> {:noreply, state |> status(message) |> pull()}
-      # The consumer is gone, has a new leader, or has too many requests: begin again, not at once.
+      # The consumer is gone, has a new leader, or has too many requests: start over after a pause.
       _other -> state |> status(message) |> disconnect() |> failed(message[:description])
     end
   end
@@ -70,8 +70,8 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
     connect(disconnect(%{state | gnat: nil}))
   end
 
-  # `+NXT` asks for no heartbeats, so silence after it says nothing: ask as at the beginning. With a new inbox, because the
-  # server drops a request whose inbox nobody hears, and would keep this one for ever.
+  # After `+NXT` no heartbeats come, so silence means nothing: request as at the start. The inbox is new, because the server
+  # drops requests whose inbox has no subscriber, and would keep this one for ever.
   def handle_info({:silent, id}, %{timer: {id, _ref}, bare: true} = state) do
     _ = Gnat.unsub(state.gnat, state.sid)
     inbox = Util.reply_inbox(state.options.inbox_prefix)
@@ -121,7 +121,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
     end
   end
 
-  # A durable consumer is expected to be there, any other is made.
+  # A durable consumer must exist; any other is created.
   defp consumer(gnat, %{consumer: nil} = options) do
     Consumer.info(gnat, options.stream_name, options.consumer_name, options.domain)
   end
@@ -142,7 +142,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
 
   defp disconnect(state) do
     if state.monitor, do: Process.demonitor(state.monitor, [:flush])
-    # A subscription that cannot be ended is one whose connection is lost.
+    # If the subscription cannot be ended, its connection is lost.
     _ = if state.gnat, do: Gnat.unsub(state.gnat, state.sid)
     %{cancel(state) | gnat: nil, monitor: nil, sid: nil, wanted: 0}
   end
@@ -168,7 +168,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
   defp next(%{wanted: wanted} = state) when wanted > 0, do: state
   defp next(state), do: pull(state)
 
-  # A failure to ask is the end of the connection, of which the monitor tells.
+  # If this fails, the connection is lost, which the monitor reports.
   defp pull(%{options: options} = state) do
     request = [
       batch: options.batch_size,
@@ -208,7 +208,7 @@ defmodule Gnat.Jetstream.PullConsumer.Server do
     end
   end
 
-  # Each timer has a number of its own, so that one that fires while it is cancelled is not taken for the next.
+  # Each timer has its own number, so that one that fires while it is cancelled is not mistaken for the next.
   defp heard(state) do
     id = make_ref()
     %{cancel(state) | timer: {id, Process.send_after(self(), {:silent, id}, silence(state.options))}}

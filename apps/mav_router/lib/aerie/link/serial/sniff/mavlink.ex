@@ -1,13 +1,13 @@
 defmodule Aerie.Link.Serial.Sniff.Mavlink do
-  @moduledoc "Finds MAVLink 1 and 2: frames of known messages with a good CRC, as the codec reads them."
+  @moduledoc "Finds MAVLink 1 and 2: frames of known messages with a good CRC."
 
   alias Aerie.Link.Serial.Sniff
   alias MavCodec.Frame
   alias MavCodec.Parser
 
-  @heartbeat 0
+  @heartbeat MavCodec.Messages.Heartbeat.id()
 
-  @doc "One finding for each version that is there."
+  @doc "One finding for each version that occurs."
   @spec scan(binary) :: [Sniff.found()]
   def scan(bytes) do
     {frames, parser} = Parser.push(Parser.new(), bytes)

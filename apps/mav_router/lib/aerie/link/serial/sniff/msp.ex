@@ -10,7 +10,7 @@ defmodule Aerie.Link.Serial.Sniff.Msp do
 
   @directions ~c"<>!"
 
-  @doc "One finding for each version that is there."
+  @doc "One finding for each version that occurs."
   @spec scan(binary) :: [Sniff.found()]
   def scan(bytes) do
     messages = messages(bytes, [])
@@ -29,7 +29,7 @@ defmodule Aerie.Link.Serial.Sniff.Msp do
     }
   end
 
-  # After a message go on behind it, after anything else one byte further.
+  # Continues behind a message, otherwise one byte further.
   defp messages(<<"$", _::binary>> = bytes, found) do
     case message(bytes) do
       {:ok, version, direction, size} ->
@@ -43,7 +43,7 @@ defmodule Aerie.Link.Serial.Sniff.Msp do
   defp messages(<<_byte, rest::binary>>, found), do: messages(rest, found)
   defp messages(<<>>, found), do: found
 
-  # A size of 255 means that the real one follows in 16 bits.
+  # A size of 255 means that the real size follows in 16 bits.
   defp message(<<"$M", direction, 255, command, size::16-little, payload::binary-size(size), sum, _::binary>>)
        when direction in @directions do
     checked(xor([255, command, size &&& 0xFF, size >>> 8], payload) == sum, :msp1, direction, 8 + size)

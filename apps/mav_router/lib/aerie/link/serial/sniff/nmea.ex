@@ -1,5 +1,5 @@
 defmodule Aerie.Link.Serial.Sniff.Nmea do
-  @moduledoc "Finds NMEA 0183, which GPS receivers and ship's instruments speak: sentences `$GPGGA,…*47`."
+  @moduledoc "Finds NMEA 0183, the protocol of GPS receivers and ship instruments: sentences like `$GPGGA,…*47`."
 
   import Bitwise
 
@@ -23,7 +23,7 @@ defmodule Aerie.Link.Serial.Sniff.Nmea do
     %{
       protocol: :nmea,
       units: length(sentences),
-      # Each ends with a line.
+      # Plus the line end of each.
       bytes: sentences |> Enum.map(&(byte_size(elem(&1, 0)) + 2)) |> Enum.sum(),
       chance: 0.02,
       evidence: "#{Sniff.Words.count(length(sentences), "sentence")} (#{Enum.join(kinds, ", ")})"

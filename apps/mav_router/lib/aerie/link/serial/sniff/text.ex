@@ -1,8 +1,8 @@
 defmodule Aerie.Link.Serial.Sniff.Text do
   @moduledoc """
-  Finds text for people, and what prints it: a flight controller that boots, a boot loader, a shell.
+  Finds readable text, and what prints it: a flight controller that boots, a boot loader, a shell.
 
-  Text has no checksum, so nine of ten bytes must be printable, which by accident a dozen never are.
+  Text has no checksum, so nine of ten bytes have to be printable; a dozen random bytes never are.
   """
 
   @min_bytes 12
@@ -33,14 +33,14 @@ defmodule Aerie.Link.Serial.Sniff.Text do
 
   defp printable?(byte), do: byte in 0x20..0x7E or byte in [?\r, ?\n, ?\t, ?\e]
 
-  # UUUUUU is what a wrong baud rate may make of a steady pattern.
+  # At a wrong baud rate a regular pattern may look like UUUUUU.
   defp several?(bytes), do: length(Enum.uniq(for(<<byte <- bytes>>, do: byte))) >= 5
 
   defp speaker(bytes) do
     Enum.find_value(@speakers, "text", fn {pattern, who} -> if bytes =~ pattern, do: who end)
   end
 
-  # The first line that says something, cut to what a diagnosis has room for.
+  # The first meaningful line, shortened for a diagnosis.
   defp line(bytes) do
     plain = for <<byte <- bytes>>, into: "", do: if(byte in 0x20..0x7E, do: <<byte>>, else: "\n")
 

@@ -1,5 +1,5 @@
 defmodule Aerie.Link.Serial.Sniff.Words do
-  @moduledoc "Small parts of sentences."
+  @moduledoc "Counted nouns."
 
   @doc """
   A number of things.

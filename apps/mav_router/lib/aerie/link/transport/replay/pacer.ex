@@ -1,9 +1,9 @@
 defmodule Aerie.Link.Transport.Replay.Pacer do
   @moduledoc """
-  When a record of a recording is due: a value, without a clock of its own.
+  When a record of a recording is due: a value without a clock.
 
   Time begins with the first record. A record that is older than its predecessor (two recordings in one file, a clock that
-  was set) is due at once, and time goes on from there, so that a jump back stalls nothing.
+  was set) is due at once, and time continues from it, so that a step back does not stall the replay.
   """
 
   @enforce_keys [:speed]

@@ -1,17 +1,17 @@
 defmodule Aerie.Link.Transport.WebSocket.Frames do
   @moduledoc """
-  What a WebSocket server sends, taken apart (RFC 6455): a value that bytes are pushed into, in whatever pieces they come.
+  Parses what a WebSocket server sends (RFC 6455): a value into which bytes are pushed in any pieces.
 
-  What messages carry is handed on as it comes, so that the length that a header claims costs no memory; what waits is a
-  header, or a control frame of 125 bytes. Text is handed on like binary: it holds no MAVLink, and the parser counts it.
+  The content of messages is passed on as it comes, so a header that claims a great length costs no memory: only a header or a
+  control frame (125 bytes) is buffered. Text is passed on like binary; it holds no MAVLink, and the parser counts it.
   """
 
   defstruct buffer: "", fragment: :undefined, in: :header
 
-  @typedoc "`in`: what comes next: a header, or so many bytes of a message's frame"
+  @typedoc "`in`: what comes next, a header or so many bytes of a message's frame"
   @type t :: %__MODULE__{buffer: binary, fragment: term, in: :header | {:payload, pos_integer}}
 
-  @typedoc "`:bad`: no WebSocket frame, or one that a server may not send; nothing comes after it"
+  @typedoc "`:bad`: no WebSocket frame, or one that a server must not send; no event follows it"
   @type event ::
           {:data, binary}
           | {:ping, binary}
@@ -23,7 +23,7 @@ defmodule Aerie.Link.Transport.WebSocket.Frames do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "More bytes: what was in them, in order."
+  @doc "Takes more bytes; returns what was in them, in order."
   @spec push(t, binary) :: {[event], t}
   def push(%__MODULE__{} = frames, bytes), do: take(frames, bytes, [])
 

@@ -1,16 +1,15 @@
 defmodule Aerie.Link.Transport.WebSocket.Handshake do
-  @moduledoc "The request that makes a WebSocket of a connection, and whether the answer agrees (RFC 6455, section 4.1): pure."
+  @moduledoc "The request that opens a WebSocket, and the check of its answer (RFC 6455, section 4.1). Pure."
 
-  alias Aerie.Link.Spec
   alias Aerie.Address
 
-  # Of a status line with its headers.
+  # A status line with its headers.
   @max_bytes 16_384
   @ports %{false => 80, true => 443}
 
-  @doc "The request for what a link's URL names; `key` is `:cow_ws.key/0`'s."
-  @spec request(Spec.t(), binary) :: iodata
-  def request(%Spec{} = spec, key) do
+  @doc "The request for a link's URL; `key` is from `:cow_ws.key/0`."
+  @spec request(Aerie.Link.Spec.t(), binary) :: iodata
+  def request(spec, key) do
     [
       ["GET ", spec.path, " HTTP/1.1\r\nHost: ", host(spec), "\r\n"],
       "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nUser-Agent: aerie\r\n",
@@ -24,22 +23,25 @@ defmodule Aerie.Link.Transport.WebSocket.Handshake do
       else: Address.format(host, port)
   end
 
-  @doc "What has come of the answer: `{:ok, rest}` when it agrees, with what the server said after it; words for why not."
+  @doc """
+  Checks what has come of the answer: `{:ok, rest}` if the server accepts, with the bytes after its answer; `:more` if the
+  answer is incomplete. The error is words.
+  """
   @spec answer(binary, key :: binary) :: {:ok, rest :: binary} | :more | {:error, String.t()}
   def answer(bytes, key) do
     case :binary.split(bytes, "\r\n\r\n") do
-      [head, rest] -> agrees(head <> "\r\n\r\n", rest, key)
+      [head, rest] -> check(head <> "\r\n\r\n", rest, key)
       [_all] when byte_size(bytes) > @max_bytes -> {:error, "the answer has no end"}
       [_all] -> :more
     end
   end
 
-  defp agrees(head, rest, key) do
+  defp check(head, rest, key) do
     with {:ok, {:http_response, _version, status, words}, headers} <-
            :erlang.decode_packet(:http_bin, head, []),
          {:ok, headers} <- headers(headers, %{}) do
       cond do
-        status != 101 -> {:error, "it answered #{status} #{printable(words)}#{elsewhere(headers)}"}
+        status != 101 -> {:error, "it answered #{status} #{printable(words)}#{location(headers)}"}
         headers["sec-websocket-accept"] != :cow_ws.encode_key(key) -> {:error, "it is no WebSocket server"}
         headers["sec-websocket-extensions"] != nil -> {:error, "it chose extensions that nobody offered"}
         true -> {:ok, rest}
@@ -49,8 +51,8 @@ defmodule Aerie.Link.Transport.WebSocket.Handshake do
     end
   end
 
-  defp elsewhere(%{"location" => place}), do: " (#{printable(place)})"
-  defp elsewhere(_here), do: ""
+  defp location(%{"location" => place}), do: " (#{printable(place)})"
+  defp location(_here), do: ""
 
   defp headers(bytes, headers) do
     case :erlang.decode_packet(:httph_bin, bytes, []) do
@@ -65,6 +67,6 @@ defmodule Aerie.Link.Transport.WebSocket.Handshake do
     end
   end
 
-  # It goes into the log and onto a terminal.
+  # For logs and terminals.
   defp printable(text), do: text |> String.slice(0, 200) |> String.replace(~r/[^ -~]/, "?")
 end

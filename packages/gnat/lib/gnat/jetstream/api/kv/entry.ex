@@ -1,6 +1,6 @@
 defmodule Gnat.Jetstream.API.KV.Entry do
   @moduledoc """
-  One change of a key: `operation` is `:put`, `:delete` or `:purge` (a value that went by its age is a `:delete`).
+  One change of a key: `operation` is `:put`, `:delete` or `:purge` (an expired value is a `:delete`).
 
   `revision` is the number of the change in its bucket, `created` its time, `delta` how many changes came after it
   when it was sent (nil where that is not known).
@@ -21,7 +21,7 @@ defmodule Gnat.Jetstream.API.KV.Entry do
           delta: non_neg_integer() | nil
         }
 
-  @doc "Reads a message that a consumer of the bucket's stream delivered; `:ignore` if it is no change of this bucket."
+  @doc "Reads a message that a consumer of the bucket's stream delivered; `:ignore` if it is not a change of this bucket."
   @spec from_message(Gnat.message(), bucket :: String.t()) :: {:ok, t()} | :ignore
   def from_message(%{status: status}, _bucket) when is_binary(status), do: :ignore
 
@@ -42,7 +42,7 @@ defmodule Gnat.Jetstream.API.KV.Entry do
     end
   end
 
-  @doc "The same from a message read out of the stream."
+  @doc "The same from a stored message of the stream."
   @spec from_stored(Gnat.Jetstream.API.Stream.message_response(), bucket :: String.t()) :: t()
   def from_stored(stored, bucket) do
     %{headers: headers} = Headers.decode(stored.hdrs || "")

@@ -2,17 +2,16 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
   @moduledoc """
   The process behind `Gnat.Jetstream.API.KV.watch/3`.
 
-  It reads the bucket with a consumer of its own, in order and without a gap: a number that is missing, a heartbeat
-  that does not come, a connection that is lost make it start a new consumer behind the last revision the handler saw.
-  So the handler sees no change twice and none is left out that the bucket still has. A bucket that was deleted and
-  made anew is read from its beginning.
+  It reads the bucket with its own consumer, in order and without gaps. After a missing number, a missing heartbeat or a lost
+  connection, it starts a new consumer behind the last revision that the handler saw. So the handler sees no change twice,
+  and misses none that the bucket still has. A bucket that was deleted and created again is read from its beginning.
 
-  Given the name of a connection, it outlives the connection and goes on when there is one again. Given the pid of one
-  that ends, it ends too.
+  Given a connection's name, it outlives the connection and resumes with the next one. Given a pid, it ends with the
+  connection.
 
     * `conn`, `bucket_name`, `handler` - required
     * `domain`
-    * `idle_heartbeat` - ms, default 5000; after two and a half of them without a word a new consumer is made
+    * `idle_heartbeat` - ms, default 5000; after two and a half of them without any message, a new consumer is created
   """
 
   use GenServer, restart: :temporary
@@ -29,7 +28,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
           | {:domain, nil | String.t()}
           | {:idle_heartbeat, pos_integer()}
 
-  @doc "Starts it. A bucket that is not there, or no connection, is an error and no exit."
+  @doc "Starts a watcher. Without the bucket or a connection it returns an error and does not exit."
   @spec start_link([option()]) :: GenServer.on_start()
   def start_link(opts) do
     with {:ok, _info} <- KV.info(opts[:conn], opts[:bucket_name], domain: opts[:domain]) do
@@ -37,7 +36,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
     end
   end
 
-  @doc "Ends it and its consumer."
+  @doc "Ends a watcher and its consumer."
   @spec stop(GenServer.server()) :: :ok
   def stop(watcher), do: GenServer.stop(watcher)
 
@@ -81,7 +80,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
     {:noreply, retry(%{state | gnat: nil, monitor: nil, sid: nil, consumer: nil})}
   end
 
-  # Messages of a subscription that was given up.
+  # Messages of a former subscription.
   def handle_info(_other, state), do: {:noreply, state}
 
   @impl GenServer
@@ -95,7 +94,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
 
   defp message(state, %{status: "100", headers: headers}) do
     headers = Map.new(headers)
-    # An answer that is lost with the connection is not missed: the next one has a consumer of its own.
+    # An answer may be lost with the connection, because the next connection gets a new consumer.
     _ = if stalled = headers["nats-consumer-stalled"], do: Gnat.pub(state.gnat, stalled, "")
 
     case Integer.parse(headers["nats-last-consumer"] || "") do
@@ -135,7 +134,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
   defp give_up(state) do
     if state.monitor, do: Process.demonitor(state.monitor, [:flush])
 
-    # Both end with the connection too, which may be what is given up; the server forgets an idle consumer by itself.
+    # Both also end with the connection, which may be lost; the server removes an idle consumer by itself.
     _ = if state.sid, do: Gnat.unsub(state.gnat, state.sid)
 
     _ =
@@ -191,7 +190,7 @@ defmodule Gnat.Jetstream.API.KV.Watcher do
     %{cancel(state) | backoff: backoff}
   end
 
-  # Each timer has a number of its own, so that one that fires while it is cancelled is not taken for the next.
+  # Each timer has its own number, so that one that fires while it is cancelled is not mistaken for the next.
   defp await_heartbeat(state) do
     timer = make_ref()
     after_ms = div(state.heartbeat * 5, 2)

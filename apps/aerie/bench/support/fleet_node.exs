@@ -1,0 +1,157 @@
+# A whole gateway with an embedded nats-server, as bench/fleet.exs starts it in an OS process of its own:
+#
+#     mix run --no-compile bench/support/fleet_node.exs FOLDER PORT LINKS REMOTE
+#
+# REMOTE is 1 for a hub. Says "ready URL" when it listens; at each line of its standard input what was counted since the last one, as JSON;
+# ends with it. Ages are measured by looking, every millisecond, at ten of the vehicles.
+defmodule FleetNode do
+  alias Aerie.{Bridge, Fleet, Store}
+
+  @gateway :bench
+  # Vehicles that are looked at.
+  @watched 10
+
+  def main(folder, port, links, remote) do
+    Logger.configure(level: :error)
+    dir = &Path.join(folder, &1)
+
+    config =
+      Aerie.Config.default([
+        {"mavlink.local_addr", "off"},
+        {"mavlink.system_id", 245},
+        {"clients", []},
+        {"limits.max_links", 200},
+        {"nats.port", 0},
+        {"nats.store_dir", dir.("nats")},
+        {"outbox.dir", dir.("outbox")},
+        {"recorder.dir", dir.("recordings")},
+        {"signing.dir", dir.("signing")},
+        {"policy.audit.dir", dir.("audit")},
+        {"commands.ledger.dir", dir.("ledger")},
+        {"params.dir", dir.("params")},
+        {"shadow.dir", dir.("shadow")},
+        {"sockets.dir", dir.("sockets")},
+        {"remote.enabled", remote == "1"}
+      ])
+
+    {:ok, _gateway} = Aerie.Gateway.start_link(name: @gateway, config: config)
+
+    for n <- 0..(links - 1),
+        do: {:ok, _} = Aerie.Link.start(@gateway, "udpin:127.0.0.1:#{port + n}", network: "n#{n}")
+
+    await_nats()
+    store = spawn_link(fn -> watch(for(n <- 1..@watched, do: {"n0", n}), &boot/1, &clock/0, %{}, []) end)
+    far = for n <- 1..@watched, do: "FAR-#{String.pad_leading("#{n * 90}", 4, "0")}"
+    shown = if remote == "1", do: spawn_link(fn -> watch(far, &position/1, &wall/0, %{}, []) end)
+    IO.puts("ready #{Bridge.login_url(@gateway)}")
+    answer(%{store: store, shown: shown}, counted())
+  end
+
+  defp await_nats do
+    with %{connected: true, problem: nil} <- Bridge.info(@gateway) do
+      :ok
+    else
+      _not_yet ->
+        Process.sleep(50)
+        await_nats()
+    end
+  end
+
+  defp answer(watchers, before) do
+    case IO.read(:stdio, :line) do
+      line when is_binary(line) ->
+        # What was under way arrives.
+        Process.sleep(1_500)
+        now = counted()
+
+        now
+        |> Map.new(fn {name, n} -> {name, n - Map.fetch!(before, name)} end)
+        |> Map.merge(%{
+          store: ages(watchers.store),
+          shown: ages(watchers.shown),
+          memory: memory(),
+          watched: for(n <- 1..@watched, %{id: id} <- [Store.vehicle(@gateway, {"n0", n})], do: id),
+          heard: Enum.count(Store.vehicles(@gateway), &(&1.status == :online))
+        })
+        |> JSON.encode!()
+        |> IO.puts()
+
+        answer(watchers, now)
+
+      _closed ->
+        Aerie.Gateway.stop(@gateway)
+    end
+  end
+
+  # Of the VM, without garbage and without code, which is loaded when it is first called.
+  defp memory do
+    Enum.each(Process.list(), &:erlang.garbage_collect/1)
+    :erlang.memory(:total) - :erlang.memory(:code)
+  end
+
+  defp ages(nil), do: nil
+
+  defp ages(watcher) do
+    send(watcher, {:ages, self()})
+
+    receive do
+      {:ages, []} -> nil
+      {:ages, ages} -> spread(Enum.sort(ages))
+    end
+  end
+
+  defp spread(ages), do: Enum.map([0.5, 0.99, 1.0], &Enum.at(ages, max(ceil(length(ages) * &1) - 1, 0)))
+
+  defp counted do
+    links = Store.links(@gateway)
+    sum = fn name -> links |> Enum.map(&Map.fetch!(&1.counters, name)) |> Enum.sum() end
+    telemetry = for %{counters: %{messages: messages}} <- links, {id, n} <- messages, id != 0, do: n
+
+    %{
+      received: Enum.sum(telemetry),
+      dropped: Enum.sum(Enum.map([:kernel_dropped, :shed, :unclaimed, :overload], sum)),
+      superseded: metric("gateway_nats_state_superseded_total"),
+      published: metric("gateway_nats_messages_published_total"),
+      remote: Store.counter(@gateway, {:remote, :taken}),
+      remote_dropped: Store.counter(@gateway, {:remote, :dropped})
+    }
+  end
+
+  defp metric(name) do
+    for(%{name: ^name, samples: samples} <- Bridge.metrics(@gateway), {_labels, n} <- samples, do: n)
+    |> Enum.sum()
+  end
+
+  defp watch(keys, look, clock, seen, ages) do
+    receive do
+      {:ages, whom} ->
+        send(whom, {:ages, ages})
+        watch(keys, look, clock, seen, [])
+    after
+      1 ->
+        now = clock.()
+
+        {seen, ages} =
+          for key <- keys, at = look.(key), at != seen[key], reduce: {seen, ages} do
+            {seen, ages} -> {Map.put(seen, key, at), [now - at | ages]}
+          end
+
+        watch(keys, look, clock, seen, ages)
+    end
+  end
+
+  defp boot(key), do: with(%{time_boot_ms: boot} <- Store.vehicle(@gateway, key), do: boot)
+
+  # CLOCK_MONOTONIC, which is what the vehicles' clocks are.
+  defp clock, do: div(:os.perf_counter(:microsecond), 1000)
+
+  defp position(id) do
+    with %{groups: %{position: %{at: at}}} <- Fleet.Remote.vehicle(@gateway, id, System.os_time(:microsecond)),
+         do: div(at, 1000)
+  end
+
+  defp wall, do: System.os_time(:millisecond)
+end
+
+[folder, port, links, remote] = System.argv()
+FleetNode.main(folder, String.to_integer(port), String.to_integer(links), remote)

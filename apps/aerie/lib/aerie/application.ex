@@ -1,0 +1,44 @@
+defmodule Aerie.Application do
+  @moduledoc false
+  use Application
+
+  require Logger
+
+  alias Aerie.{CLI, Commands, Store}
+  alias Aerie.CLI.{Output, Ports}
+
+  # `Aerie.CLI.Run` starts the parts of a run below this supervisor, so that an orderly stop of the VM (SIGTERM) ends them
+  # in reverse order, the devices last.
+  @impl Application
+  def start(_type, _args) do
+    children = [
+      {Output, fd: 1, name: Output.stdout(), lost: &count_lost/1},
+      {Output, fd: 2, name: Output.stderr(), lost: &count_lost/1},
+      Ports
+    ]
+
+    with {:ok, top} <- Supervisor.start_link(children, strategy: :one_for_one, name: CLI.Supervisor),
+         :ok <- gateway(Application.get_env(:aerie, :start)),
+         do: {:ok, top}
+  end
+
+  # Who starts the VM says whether it is to have a gateway: `bin/run` puts its words there, a release those after -extra.
+  # Tests, benchmarks and `bin/aerie eval` have none.
+  defp gateway(nil), do: :ok
+  defp gateway(:plain_arguments), do: CLI.main(Enum.map(:init.get_plain_arguments(), &List.to_string/1))
+  defp gateway(words), do: CLI.main(words)
+
+  # Before anything is stopped, so that links still carry the vehicles' answers.
+  @impl Application
+  def prep_stop(state) do
+    left = Commands.drain(:default)
+
+    if left != [],
+      do: Logger.warning("ended with commands under way, whose results are unknown: #{Enum.join(left, ", ")}")
+
+    state
+  end
+
+  # For `/metrics` of the gateway that `bin/run` starts.
+  defp count_lost(lines), do: Store.count_if_running(:default, {:output, :lines_lost}, lines)
+end

@@ -1,0 +1,138 @@
+defmodule Aerie.CLI.Output do
+  @moduledoc """
+  An I/O device on standard output or standard error that a gateway can rely on: `IO.write(Aerie.CLI.Output.stdout(), text)`.
+
+  The BEAM's own devices end for good at the first write that fails (a full disk, a pipe whose reader is gone) and take the
+  log handler along; a terminal that is stopped, or a pipe that nobody reads, blocks who writes. Here no writer ever waits
+  or fails. What cannot be written is lost and counted. Four times a second the device tries to say how many lines are
+  missing; once that succeeds, it goes on.
+  """
+  use GenServer
+
+  @retry_ms 250
+
+  @doc """
+  Options: `fd` (1: standard output, 2: standard error), `name` (of the process, which is the device), `lost` (a function that
+  is called with a number of lines that were lost).
+  """
+  @spec start_link(fd: 1 | 2, name: atom(), lost: (pos_integer() -> term())) :: GenServer.on_start()
+  def start_link(options), do: GenServer.start_link(__MODULE__, options, name: options[:name])
+
+  @doc false
+  def child_spec(options), do: %{id: options[:name], start: {__MODULE__, :start_link, [options]}}
+
+  @doc "The device for standard output."
+  @spec stdout() :: atom()
+  def stdout, do: :aerie_stdout
+
+  @doc "The device for standard error."
+  @spec stderr() :: atom()
+  def stderr, do: :aerie_stderr
+
+  @doc "Has the log written to a device instead of the BEAM's standard output."
+  @spec take_log(atom()) :: :ok
+  def take_log(device) do
+    handler =
+      case :logger.get_handler_config(:default) do
+        {:ok, handler} -> handler
+        # It ended with the BEAM's own device.
+        {:error, _} -> %{}
+      end
+
+    _ = :logger.remove_handler(:default)
+    handler = Map.merge(handler, %{config: %{type: {:device, device}}, formatter: Aerie.Log.Formatter.new()})
+    :ok = :logger.add_handler(:default, :logger_std_h, handler)
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    Process.set_label({:aerie, options[:name]})
+    {:ok, %{fd: options[:fd], on_lost: options[:lost], port: nil, lost: 0, reason: nil}}
+  end
+
+  @impl GenServer
+  def handle_info({:io_request, from, ref, request}, state) do
+    {reply, state} = request(request, state)
+    send(from, {:io_reply, ref, reply})
+    {:noreply, state}
+  end
+
+  def handle_info({:EXIT, port, reason}, %{port: port} = state) when is_port(port),
+    do: {:noreply, lost(%{state | port: nil}, 1, reason)}
+
+  def handle_info(:retry, state) do
+    note = "#{state.lost} lines of output are missing here: #{describe(state.reason)}\n"
+
+    case put(state, note) do
+      {:ok, state} -> {:noreply, %{state | lost: 0, reason: nil}}
+      {:error, reason, state} -> {:noreply, retry(%{state | reason: reason})}
+    end
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp request({:put_chars, encoding, chars}, state) do
+    case :unicode.characters_to_binary(chars, encoding) do
+      bytes when is_binary(bytes) -> {:ok, write(state, bytes)}
+      _invalid -> {{:error, :put_chars}, state}
+    end
+  end
+
+  defp request({:put_chars, encoding, module, function, arguments}, state),
+    do: request({:put_chars, encoding, apply(module, function, arguments)}, state)
+
+  defp request(:getopts, state), do: {[binary: true, encoding: :unicode], state}
+  defp request(_other, state), do: {{:error, :enotsup}, state}
+
+  # In order: nothing is written before the note on what is missing.
+  defp write(%{lost: lost} = state, bytes) when lost > 0, do: lost(state, lines(bytes), state.reason)
+
+  defp write(state, bytes) do
+    case put(state, bytes) do
+      {:ok, state} -> state
+      {:error, reason, state} -> lost(state, lines(bytes), reason)
+    end
+  end
+
+  defp lines(bytes), do: max(length(:binary.matches(bytes, "\n")), 1)
+
+  defp put(%{port: nil, fd: fd} = state, bytes),
+    do: put(%{state | port: Port.open({:fd, fd, fd}, [:out, :binary])}, bytes)
+
+  defp put(%{port: port} = state, bytes) do
+    taken = command(port, bytes)
+    # Asked after the write, a port that has failed has sent its exit signal.
+    _ = Port.info(port, :id)
+
+    receive do
+      {:EXIT, ^port, reason} -> {:error, reason, %{state | port: nil}}
+    after
+      # A closed port has sent its exit signal, or is about to.
+      if(taken == :closed, do: :infinity, else: 0) ->
+        if taken, do: {:ok, state}, else: {:error, :busy, state}
+    end
+  end
+
+  # `nosuspend`: a port whose queue is full takes nothing, and does not stop the caller either.
+  defp command(port, bytes) do
+    :erlang.port_command(port, bytes, [:nosuspend])
+  rescue
+    # It failed before, with something that it had still queued.
+    ArgumentError -> :closed
+  end
+
+  defp lost(state, lines, reason) do
+    state.on_lost.(lines)
+    state = if state.lost == 0, do: retry(state), else: state
+    %{state | lost: state.lost + lines, reason: reason}
+  end
+
+  defp retry(state) do
+    Process.send_after(self(), :retry, @retry_ms)
+    state
+  end
+
+  defp describe(:busy), do: "nobody read them"
+  defp describe(reason), do: :file.format_error(reason)
+end

@@ -1,0 +1,56 @@
+defmodule Aerie.CLI.Plan do
+  @moduledoc """
+  Decides from the options what one call of `bin/run` starts. Pure.
+
+  Two rules hold for users. Simulated vehicles fly only without `--link`, `--replay` and `--config`, or if `--sim` asks
+  for them. The command line overrides the environment, and the environment overrides the file.
+  """
+
+  alias Aerie.CLI.Options
+
+  @demo_vehicles 3
+
+  @type t :: %{
+          config_file: String.t() | nil,
+          overrides: map(),
+          sim: non_neg_integer()
+        }
+
+  @doc """
+  Plans a run. Relative paths are relative to `folder`, the user's current directory. `demo?`: simulated vehicles fly where nothing
+  else was asked for.
+  """
+  @spec from(Options.t(), String.t(), demo? :: boolean()) :: t()
+  def from(%Options{} = options, folder, demo? \\ true) do
+    %{
+      config_file: options.config && Path.expand(options.config, folder),
+      overrides: %{} |> links(options, folder) |> http(options) |> nats(options),
+      sim: sim(options, demo?)
+    }
+  end
+
+  defp links(overrides, %{replay: file} = options, folder) when is_binary(file) do
+    url = "replay:#{Path.expand(file, folder)}?speed=#{options.speed}"
+    # No live vehicle may connect during a replay: it could be taken for part of the recording.
+    overrides
+    |> Map.put("links", [%{"id" => "replay", "url" => url}])
+    |> Map.put("mavlink", %{"local_addr" => "off"})
+  end
+
+  defp links(overrides, %{links: []}, _folder), do: overrides
+
+  defp links(overrides, %{links: links}, _folder) do
+    Map.put(overrides, "links", Enum.map(links, &%{"url" => &1}))
+  end
+
+  defp http(overrides, %{http: nil}), do: overrides
+  defp http(overrides, %{http: port}), do: Map.put(overrides, "http", %{"port" => port})
+
+  defp nats(overrides, %{nats: nil}), do: overrides
+  defp nats(overrides, %{nats: "embedded"}), do: Map.put(overrides, "nats", %{"mode" => "embedded"})
+  defp nats(overrides, %{nats: url}), do: Map.put(overrides, "nats", %{"mode" => "url", "url" => url})
+
+  defp sim(%{sim: count}, _demo?) when is_integer(count), do: count
+  defp sim(%{links: [], replay: nil, config: nil}, true), do: @demo_vehicles
+  defp sim(_options, _demo?), do: 0
+end

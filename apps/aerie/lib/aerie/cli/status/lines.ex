@@ -1,0 +1,136 @@
+defmodule Aerie.CLI.Status.Lines do
+  @moduledoc """
+  The status as lines of the log, for a pipe or `--quiet`: one line per vehicle, one per link and one for NATS. Each is its
+  message with its pairs, for `Aerie.Log.Formatter.line/5`, which leaves out what is nil.
+  """
+
+  import Aerie.CLI.Status.Format
+
+  alias Aerie.Fleet.Age
+  alias Aerie.CLI.Status.View
+
+  @type line :: {message :: String.t(), [{atom(), term()}]}
+
+  @doc "The lines of one snapshot."
+  @spec render(View.t()) :: [line()]
+  def render(%View{} = view) do
+    Enum.map(view.vehicles, &vehicle(&1, view)) ++
+      Enum.map(view.links, &link/1) ++
+      Enum.flat_map(view.clients, &client/1) ++ nats(view) ++ identity(view.identity)
+  end
+
+  @doc "Where the console is, and the file with the address that signs in: a log must not have that itself."
+  @spec console(String.t() | nil, Aerie.Config.t() | nil) :: [line()]
+  def console(http, %{console: %{enabled: true, dir: dir}}) when http != nil,
+    do: [{"console", console: http, sign_in_with_the_address_in: Path.join(dir, "url")}]
+
+  def console(_http, _config), do: []
+
+  @doc "An open interface, and who may use it, as a log line."
+  @spec interface(Aerie.CLI.Status.Access.interface()) :: line()
+  def interface(interface), do: {"interface", open: interface.address, to: interface.who}
+
+  @doc "An event as a line of the table: vehicle, type and data, without the position."
+  @spec note(map()) :: String.t()
+  def note(event) do
+    "#{text(event.vehicle)} #{text(event.type)}  #{data(Map.delete(event.data, "position"))}"
+  end
+
+  @doc "An event as a log line; `at` is when it happened, which is in the past for a recording."
+  @spec event(map()) :: line()
+  def event(event),
+    do: {"event", [vehicle: event.vehicle, type: event.type, at: time(event.time)] ++ Enum.sort(event.data)}
+
+  defp time(us) do
+    us |> DateTime.from_unix!(:microsecond) |> DateTime.truncate(:millisecond) |> DateTime.to_iso8601()
+  end
+
+  defp data(data) do
+    data
+    |> flat()
+    |> Enum.map_join(" ", fn {key, value} -> "#{key}=#{value(value)}" end)
+  end
+
+  # `position: %{lat: 1}` becomes `position.lat=1`.
+  defp flat(data) do
+    Enum.flat_map(Enum.sort(data), fn
+      {key, %{} = inner} when not is_struct(inner) ->
+        for {name, value} <- flat(inner), do: {"#{key}.#{name}", value}
+
+      {key, value} ->
+        [{key, value}]
+    end)
+  end
+
+  defp vehicle(vehicle, view) do
+    {"vehicle",
+     [
+       vehicle: vehicle.id,
+       status: vehicle.status,
+       type: vehicle.vehicle_type,
+       autopilot: vehicle.autopilot,
+       mode: View.field(vehicle, :mode, :mode),
+       armed: View.armed(vehicle),
+       lat: rounded(View.field(vehicle, :position, :lat), 6),
+       lon: rounded(View.field(vehicle, :position, :lon), 6),
+       alt_rel: rounded(View.field(vehicle, :position, :alt_rel), 1),
+       groundspeed: rounded(View.field(vehicle, :velocity, :groundspeed), 1),
+       battery: rounded(View.field(vehicle, :battery, :remaining), 2),
+       gps: View.field(vehicle, :gps, :fix_name),
+       age: seconds(Age.silent_us(vehicle, view.links, view.now))
+     ]}
+  end
+
+  defp seconds(nil), do: nil
+  defp seconds(us), do: rounded(us / 1_000_000, 1)
+
+  defp rounded(value, decimals) when is_float(value), do: Float.round(value, decimals)
+  defp rounded(value, _decimals), do: value
+
+  defp link(link) do
+    {"link",
+     link: link.id,
+     status: link.status,
+     frames_in_per_s: round(link.rates.frames_in),
+     writes_out_per_s: round(link.rates.writes_out),
+     crc_errors: link.counters.crc_errors,
+     lost: link.counters.lost,
+     denied: link.counters.denied,
+     dropped_out: link.counters.dropped_out,
+     dropped_in: link.counters.kernel_dropped + link.counters.shed,
+     text: link.text}
+  end
+
+  # Only clients that lost frames; `/api/clients` has the rest.
+  defp client(%{counters: %{dropped_out: 0}}), do: []
+
+  defp client(client),
+    do: [{"client", client: client.id, dropped_out: client.counters.dropped_out, text: client.text}]
+
+  defp nats(%{nats: nil}), do: []
+
+  defp nats(%{nats: nats} = view) do
+    [
+      {"nats",
+       nats: if(nats.connected, do: "connected", else: "away"),
+       url: nats.url,
+       published: view.published,
+       events_waiting: Map.get(nats.outbox, :events, 0) + view.pending,
+       problem: nats.problem || nats.outbox[:problem]}
+    ]
+  end
+
+  defp identity(nil), do: []
+
+  defp identity(%{alarm: alarm} = own) do
+    [{"identity", system: own.system, component: own.component, ALARM: alarm}]
+  end
+
+  defp value(value) when is_map(value) or is_list(value) or is_tuple(value),
+    do: value |> inspect(limit: 20, printable_limit: 200) |> value()
+
+  defp value(value) do
+    text = text(value)
+    if text =~ ~r/[\s"=]/, do: inspect(text), else: text
+  end
+end

@@ -1,0 +1,67 @@
+defmodule Aerie.CLI.Status.View do
+  @moduledoc """
+  One snapshot of a gateway for display: vehicles, links, NATS, HTTP. It is collected from the read model, and rendered
+  by `Aerie.CLI.Status.Table` (a terminal) or `Aerie.CLI.Status.Lines` (a pipe). No vehicle's process is called for it.
+  """
+
+  defstruct [
+    :now,
+    :started,
+    :nats,
+    :nats_login,
+    :identity,
+    :http,
+    :console,
+    published: 0,
+    pending: 0,
+    vehicles: [],
+    links: [],
+    clients: [],
+    interfaces: [],
+    warnings: [],
+    notes: []
+  ]
+
+  @typedoc """
+  * `now`, `started` - unix microseconds
+  * `vehicles`, `links` - snapshots of `Aerie.Store`; `clients` - `Aerie.Client.endpoints/1`
+  * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal but never for a log
+  * `identity` - `Aerie.Router.identity/1`
+  * `published` - messages handed to NATS so far; `pending` - events in memory that NATS has not confirmed
+  * `http` - address of the HTTP server, or nil
+  * `console` - the address that signs in to the console, for a terminal but never for a log
+  * `interfaces` - the open interfaces, and who may use each
+  * `warnings` - the configuration's warnings
+  * `notes` - the latest events, newest first, as text
+  """
+  @type t :: %__MODULE__{
+          now: integer(),
+          started: integer(),
+          vehicles: [map()],
+          links: [map()],
+          clients: [map()],
+          nats: map() | nil,
+          nats_login: String.t() | nil,
+          identity: map() | nil,
+          http: String.t() | nil,
+          console: String.t() | nil,
+          published: non_neg_integer(),
+          pending: non_neg_integer(),
+          interfaces: [Aerie.CLI.Status.Access.interface()],
+          warnings: [String.t()],
+          notes: [String.t()]
+        }
+
+  @doc "Whether the vehicle of a snapshot is armed, or nil if that is not known."
+  @spec armed(map()) :: boolean() | nil
+  def armed(vehicle), do: field(vehicle, :mode, :armed)
+
+  @doc "A field of a state group, or nil if the group or the field is not known."
+  @spec field(map(), atom(), atom()) :: term()
+  def field(vehicle, group, key) do
+    case vehicle do
+      %{groups: %{^group => %{data: %{^key => value}}}} -> value
+      _other -> nil
+    end
+  end
+end

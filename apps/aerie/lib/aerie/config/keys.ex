@@ -1,0 +1,58 @@
+defmodule Aerie.Config.Keys do
+  @moduledoc """
+  The schema: every key of the configuration. The parts of the gateway declare them (`Aerie.Settings`); the checks, the
+  environment variables, `config/gateway.example.yaml` and `Aerie.Config.default/1` all come from there.
+  """
+
+  alias Aerie.Settings
+  alias Aerie.Settings.Field
+
+  @parts [
+    Aerie.Identity.Settings,
+    Aerie.Link.Settings,
+    Aerie.Link.Clients.Settings,
+    Aerie.Router.Settings,
+    Aerie.Signing.Settings,
+    Aerie.Recorder.Settings,
+    Aerie.Vehicle.Settings,
+    Aerie.Vehicle.Sampling.Settings,
+    Aerie.Fleet.Settings,
+    Aerie.Bridge.Settings,
+    Aerie.Remote.Settings,
+    Aerie.Commands.Settings,
+    Aerie.Policy.Settings,
+    Aerie.Params.Settings,
+    Aerie.Shadow.Settings,
+    Aerie.Client.Settings,
+    Aerie.Log.Settings,
+    FleetWeb.Settings,
+    Aerie.Node.Settings
+  ]
+
+  # The order of the example file.
+  @order ~w(vehicle_id environment network mavlink links clients router vehicles signing recorder nats outbox remote sampling events
+            commands policy params shadow http console api websocket sockets shell serial timeouts limits log)a
+
+  # Sections that belong to several parts.
+  @docs %{
+    "mavlink" => "The MAVLink side.",
+    "timeouts" => "When silence means something.",
+    "limits" => "What bounds memory when a radio (or somebody) makes vehicles up."
+  }
+
+  @doc "The parts with settings."
+  @spec parts() :: [module()]
+  def parts, do: @parts
+
+  @doc "The top-level keys and sections, in the order of the example file."
+  @spec order() :: [atom()]
+  def order, do: @order
+
+  @doc "All keys."
+  @spec fields() :: [Field.t()]
+  def fields do
+    @parts
+    |> Settings.fields(@docs)
+    |> Enum.sort_by(fn field -> Enum.find_index(@order, &(&1 == field.key)) end)
+  end
+end

@@ -1,0 +1,192 @@
+defmodule Aerie.Gateway do
+  @moduledoc """
+  One gateway: the supervisor of everything between its links and its NATS server.
+
+  ```
+  Aerie.Gateway                    rest_for_one
+  ├─ Aerie.Store             owns the ETS read model and the journal of events
+  ├─ Aerie.Store.PubSub            change notices, coalesced
+  ├─ Aerie.Bridge.LastPublished      what was published last of each vehicle, over restarts
+  ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
+  ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
+  ├─ Aerie.Recorder.Supervisor     recordings of vehicles, the last moments of each
+  ├─ Aerie.Policy.Supervisor       the policy for commands, the audit log
+  ├─ Aerie.Router.Supervisor       routes, client endpoints
+  ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
+  ├─ Aerie.Remote.Supervisor       vehicles of other gateways, and telling them of ours
+  ├─ Aerie.Commands.Supervisor     the door for commands: ledger, what is under way
+  ├─ Aerie.Params.CacheWriter           lists of parameters, over restarts
+  ├─ Aerie.Serving.Supervisor      answers ground stations that read parameters and plans
+  ├─ Aerie.Shadow.Supervisor       desired states, which of several gateways acts
+  ├─ Aerie.Operations.Supervisor   one command or desired state for many vehicles
+  ├─ Aerie.Link.Supervisor         one tree per physical link
+  └─ Aerie.Client.Supervisor       unix sockets of programs on this machine
+  ```
+
+  A child depends only on those before it, and a restart also restarts those after it. What a restart costs:
+
+  | child that dies    | what is lost                                                      | what goes on                  |
+  |--------------------|-------------------------------------------------------------------|-------------------------------|
+  | a vehicle's process | frames in its mailbox; state comes back from the store and wire  | every other vehicle, all links |
+  | a link's process   | bytes in its socket buffer; vehicles stay, marked stale in time   | every other link, all vehicles |
+  | Client.Supervisor  | the connections of its clients                                    | everything else                |
+  | Link.Supervisor    | the same for all links                                            | vehicles, bridge, store        |
+  | Serving.Supervisor | what was read: the vehicles are read again; then as above            | commands, vehicles, bridge, store |
+  | Params.CacheWriter      | nothing: the lists are on the disk; then as above                   | commands, vehicles, bridge, store |
+  | Shadow.Supervisor | the lease, for a moment; desired states come back from disk and NATS; then as above | commands, vehicles, bridge, store |
+  | Operations.Supervisor | what is left of an operation is not done; then as above            | shadow, commands, vehicles, store |
+  | Commands.Supervisor | what is under way is `unknown`, and observed; then as above         | vehicles, bridge, store        |
+  | Remote.Supervisor  | nothing: what was heard is in the store; then as above               | vehicles, bridge, store        |
+  | Vehicle.Supervisor | links reconnect; vehicles are rebuilt from the store              | router, bridge, store          |
+  | Router.Supervisor  | learned routes, then as above                                     | bridge, store                  |
+  | Policy.Supervisor  | nothing: the policy stays in force, the log is on the disk; then as above | recorder, signing, bridge, store |
+  | Recorder.Supervisor | rings, what was not written; then as above                      | signing, bridge, store         |
+  | Signing.Supervisor | nothing: time stamps were stored; then as above                  | bridge, store                  |
+  | Bridge.Supervisor  | nothing: unacknowledged events wait in the journal; then as above | store                          |
+  | Bridge.LastPublished | nothing: what it keeps is on the disk; then as above             | store                          |
+  | PubSub             | notices of one tick, then as above                                | store                          |
+  | Store              | the snapshots and the journal's unacknowledged events; then all   | nothing                        |
+
+  The store therefore does nothing but own tables: it has no code that could fail on input.
+
+  The configuration ends here: each part gets the settings that it declares (`Aerie.Settings`) and sees nothing else of it.
+
+  A gateway is addressed by its name everywhere: `Aerie.Store.vehicles(name)`. Tests give each their own
+  (`make_ref()`), a node that runs only one uses `:default`.
+  """
+  use Supervisor
+
+  alias Aerie.{
+    Bridge,
+    Client,
+    Commands,
+    Config,
+    Fleet,
+    Link,
+    Names,
+    Operations,
+    Params,
+    Policy,
+    Recorder,
+    Remote,
+    Router,
+    Serving,
+    Shadow,
+    Signing,
+    Successor,
+    Vehicle
+  }
+
+  alias Aerie.Link.Clients
+
+  @typedoc """
+  * `:name` - any term, `:default` when absent
+  * `:config` - an `%Aerie.Config{}`; required
+  * `:pubsub_tick_ms` - the shortest time between change notices; `Aerie.Store.PubSub` has the default
+  * `:read_config` - reads the configuration again, for `Aerie.Policy.Store.reload/2`; without it only the fence file is read again
+  * `:without` - children that are left out, as modules: for a gateway that only has vehicles, say
+  """
+  @type option ::
+          {:name, Names.gateway()}
+          | {:config, Config.t()}
+          | {:pubsub_tick_ms, pos_integer()}
+          | {:read_config, (-> {:ok, Config.t()} | {:error, [Config.Error.t()]})}
+          | {:without, [module()]}
+
+  @spec start_link([option()]) :: Supervisor.on_start()
+  def start_link(options) do
+    name = Keyword.get(options, :name, :default)
+    Supervisor.start_link(__MODULE__, Keyword.put(options, :name, name), name: Names.via(name, :gateway))
+  end
+
+  @doc false
+  def child_spec(options) do
+    %{
+      id: {__MODULE__, Keyword.get(options, :name, :default)},
+      start: {__MODULE__, :start_link, [options]},
+      type: :supervisor
+    }
+  end
+
+  @doc "Ends a gateway: links first, then vehicles, router, bridge and store."
+  @spec stop(Names.gateway()) :: :ok
+  def stop(gateway), do: Supervisor.stop(Names.via(gateway, :gateway))
+
+  @impl Supervisor
+  def init(given) do
+    name = Keyword.fetch!(given, :name)
+    %Config{} = config = Keyword.fetch!(given, :config)
+    Process.set_label({:gateway, name})
+    without = Keyword.get(given, :without, [])
+
+    children =
+      for {module, options} <- parts(name, config, given[:read_config]),
+          module not in without do
+        tick = if module == Aerie.Store.PubSub, do: tick(given), else: []
+        Successor.child_spec({module, [gateway: name] ++ options ++ tick})
+      end
+
+    # Any of these dying is rare and serious: three times within a minute means that starting again does not help.
+    Supervisor.init(children, strategy: :rest_for_one, max_restarts: 3, max_seconds: 60)
+  end
+
+  @doc """
+  The parts of a gateway in the order of their start, each with its options (but for `:gateway`): its settings, and what it
+  needs of those above it. The store keeps the tables of the fleet; the router knows who takes in vehicles, who answers
+  requests for rates and who decides about commands, and supervises the client endpoints; signing knows who keeps its events; vehicles know who is told what
+  happens.
+  """
+  @spec parts(Names.gateway(), Config.t(), read | nil) :: [{module(), keyword()}]
+        when read: (-> {:ok, Config.t()} | {:error, [Config.Error.t()]})
+  def parts(name, config, read \\ nil) do
+    read = read || fn -> {:ok, config} end
+    bridge = %{Bridge.Settings.from(config) | port_given: Config.given?(config, "nats.port")}
+
+    clients =
+      Successor.child_spec({Clients.Supervisor, gateway: name, settings: Clients.Settings.from(config)})
+
+    [
+      {Aerie.Store,
+       tables: [
+         Fleet.Journal.table(bridge.fleet),
+         Fleet.StreamDemand.table(),
+         Fleet.Remote.table(),
+         Commands.Recent.table(),
+         Policy.Leases.table()
+       ]},
+      {Aerie.Store.PubSub, []},
+      {Bridge.LastPublished, settings: bridge},
+      {Bridge.Supervisor, settings: bridge},
+      {Signing.Supervisor, settings: Signing.Settings.from(config), events: Vehicle.Events.External},
+      {Recorder.Supervisor, settings: Recorder.Settings.from(config)},
+      {Policy.Supervisor, settings: Policy.Settings.from(config), read: fn -> policy(read.()) end},
+      {Router.Supervisor,
+       settings: Router.Settings.from(config),
+       vehicles: Vehicle.Supervisor,
+       requests: Vehicle.Streams,
+       policy: Policy.Guard,
+       readings: Serving,
+       children: [clients]},
+      {Vehicle.Supervisor, settings: Vehicle.Settings.from(config), publisher: Bridge, loops: [Shadow.Loop]},
+      {Remote.Supervisor, settings: Remote.Settings.from(config)},
+      {Commands.Supervisor, settings: Commands.Settings.from(config), elsewhere: Remote},
+      {Params.CacheWriter, settings: Params.Settings.from(config)},
+      {Serving.Supervisor, []},
+      {Shadow.Supervisor, settings: Shadow.Settings.from(config)},
+      {Operations.Supervisor, []},
+      {Link.Supervisor, settings: Link.Settings.from(config)},
+      {Client.Supervisor, settings: Client.Settings.from(config)}
+    ]
+  end
+
+  # Only the policy is read again; everything else of the configuration counts from the start on.
+  defp policy({:ok, config}), do: {:ok, Map.from_struct(Policy.Settings.from(config))}
+  defp policy({:error, errors}), do: {:error, Enum.map(errors, &Config.Error.format/1)}
+
+  defp tick(options) do
+    case Keyword.fetch(options, :pubsub_tick_ms) do
+      {:ok, tick_ms} -> [tick_ms: tick_ms]
+      :error -> []
+    end
+  end
+end

@@ -1,0 +1,98 @@
+defmodule Aerie.Node.Entry do
+  @moduledoc """
+  The files of running gateways in the folder of `Aerie.Node.Settings`: one for each, named after its node, and the cookie. Whoever
+  can read them gets into these gateways, so they are for their owner only.
+  """
+
+  alias Aerie.PrivateFile
+
+  @typedoc """
+    * `name` - of the node, before the `@`; `port` - where its distribution listens, on loopback
+    * `pid` - of the operating system; `started` - ISO 8601
+    * `http`, `config` - address of the console and the configuration file, for people who have several gateways
+  """
+  @type t :: %{
+          name: String.t(),
+          port: :inet.port_number(),
+          pid: pos_integer(),
+          started: String.t(),
+          http: String.t() | nil,
+          config: String.t() | nil
+        }
+
+  @max_bytes 4096
+  # The name becomes an atom, as Erlang has it for nodes.
+  @max_name 64
+
+  @doc "Writes the file of a gateway."
+  @spec write(Path.t(), t()) :: :ok | {:error, File.posix()}
+  def write(dir, entry), do: PrivateFile.write(file(dir, entry.name), JSON.encode!(entry))
+
+  @doc "Removes it."
+  @spec remove(Path.t(), name :: String.t()) :: :ok
+  def remove(dir, name) do
+    _ = File.rm(file(dir, name))
+    :ok
+  end
+
+  @doc "The gateways that run, in the order of their start. What one left that was killed is removed."
+  @spec list(Path.t()) :: {:ok, [t()]} | {:error, File.posix()}
+  def list(dir) do
+    with {:ok, names} <- File.ls(dir) do
+      {running, gone} =
+        for(
+          file <- names,
+          Path.extname(file) == ".gateway",
+          {:ok, entry} <- [read(Path.join(dir, file))],
+          do: entry
+        )
+        |> Enum.split_with(&runs?(&1.pid))
+
+      Enum.each(gone, &remove(dir, &1.name))
+      {:ok, Enum.sort_by(running, & &1.started)}
+    end
+  end
+
+  # Whoever can write there can command the gateway already; a file that is damaged is none.
+  defp read(path) do
+    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path),
+         {:ok, text} <- File.read(path),
+         {:ok, %{"name" => "aerie-" <> _ = name, "port" => port, "pid" => pid, "started" => started} = entry}
+         when byte_size(name) <= @max_name and port in 1..65_535 and is_integer(pid) and is_binary(started) <-
+           JSON.decode(text),
+         true <- Path.basename(path) == name <> ".gateway" do
+      {:ok,
+       %{name: name, port: port, pid: pid, started: started, http: entry["http"], config: entry["config"]}}
+    else
+      _no_entry -> :error
+    end
+  end
+
+  # Of this process id there may be another program by now; then connecting fails, and says so.
+  defp runs?(pid), do: File.exists?("/proc/#{pid}") or not File.exists?("/proc/self")
+
+  @doc "The cookie of a folder; made when there is none."
+  @spec cookie(Path.t()) :: {:ok, atom()} | {:error, File.posix()}
+  def cookie(dir) do
+    path = Path.join(dir, "cookie")
+
+    with :ok <- PrivateFile.folder(dir),
+         {:error, :enoent} <- read_cookie(path),
+         :ok <- PrivateFile.write(path, Base.url_encode64(:crypto.strong_rand_bytes(24))) do
+      # Of two that start at once, one has written last.
+      read_cookie(path)
+    end
+  end
+
+  @doc "The cookie of a folder, as `bin/aerie` needs it."
+  @spec read_cookie(Path.t()) :: {:ok, atom()} | {:error, File.posix()}
+  def read_cookie(path) do
+    case File.read(path) do
+      {:ok, text} when byte_size(text) in 16..255 -> {:ok, String.to_atom(text)}
+      {:ok, _short} -> {:error, :enoent}
+      error -> error
+    end
+  end
+
+  defp file(dir, name), do: Path.join(dir, name <> ".gateway")
+end

@@ -1,0 +1,230 @@
+defmodule Aerie.Shell do
+  @moduledoc """
+  Short helpers for the shell in a running gateway (`bin/aerie remote`), where they are imported.
+
+      fleet()                           all vehicles
+      v "sim-001"                       one vehicle: its state, with ages
+      links()                           all links
+      watch "sim-001", :ATTITUDE        a message of a vehicle, as it comes
+      trace "radio-1"                   which messages go over a link, in and out, for some seconds
+      cmd "sim-001", :rtl               a command; what moves a vehicle asks first
+      cmd "sim-001", :goto, lat: 47.39, lon: 8.54, altitude: 30
+      shadow "sim-001"                  what is desired and reported of a vehicle
+      top()                             the busiest processes
+      sup()                             the supervision tree, with its restarts
+      drop "radio-1"                    ends a link; asks first
+      sim 2                             adds simulated vehicles (in a checkout)
+      health()                          whether the gateway is ready, and what is wrong
+
+  What is read comes from the read model: no vehicle's process waits for it. All of them work on the gateway that `bin/run` or a release
+  has started, `:default`; for anything else the shell has the whole of `Aerie`.
+  """
+
+  alias Aerie.{Inspector, Link, Shadow, Store}
+  alias Aerie.Fleet.Age
+  alias Aerie.Shell.Text
+  alias Aerie.Tool.{Ask, Columns, Run}
+  alias FleetWeb.Console.System.Sampler
+
+  @gateway :default
+  @sim_link "sim-shell"
+
+  @doc "What a shell begins with."
+  @spec greet() :: :ok
+  def greet do
+    IO.puts("Aerie #{Application.spec(:aerie, :vsn)} on #{node()}")
+    health()
+
+    IO.puts(
+      "\nfleet(), links(), v ID, watch ID, :MESSAGE, cmd ID, :TYPE, top(), sup(): h Aerie.Shell tells of all. Ctrl-C twice leaves."
+    )
+  end
+
+  @doc "Whether the gateway is ready, and what is wrong."
+  @spec health() :: :ok
+  def health do
+    {_status, text} = Run.Status.run(%{name: "status", arguments: %{}, options: %{}, folder: "."})
+    IO.write(text)
+  end
+
+  @doc "All vehicles."
+  @spec fleet() :: :ok
+  def fleet do
+    now = System.os_time(:microsecond)
+    IO.write(Text.fleet(Store.vehicles(@gateway), Store.links(@gateway), now))
+  end
+
+  @doc "One vehicle: its state by groups, with ages."
+  @spec v(String.t()) :: :ok
+  def v(id) do
+    with_vehicle(id, fn vehicle ->
+      links = Store.links(@gateway)
+      IO.write(Text.vehicle(vehicle, Age.now(vehicle, links, System.os_time(:microsecond))))
+    end)
+  end
+
+  @doc "All links."
+  @spec links() :: :ok
+  def links, do: IO.write(Text.links(Store.links(@gateway)))
+
+  @doc "Prints a message of a vehicle whenever it comes, `count` times, for at most half a minute."
+  @spec watch(String.t(), atom(), pos_integer()) :: :ok
+  def watch(id, message, count \\ 10) do
+    with_vehicle(id, fn vehicle ->
+      inspecting(fn ->
+        wanted = to_string(message)
+        # Of two vehicles with one id in two networks, this one's links tell which it is.
+        of = fn ->
+          for(
+            %{key: {link, :in, _s, _c, id} = key} = row <- Inspector.rows(@gateway, system: vehicle.system_id),
+            link in vehicle.links,
+            Inspector.Fields.name(id) == wanted,
+            do: {key, row}
+          )
+        end
+
+        watch_rows(of, %{}, count, 150)
+      end)
+    end)
+  end
+
+  defp watch_rows(_of, _seen, left, rounds) when left <= 0 or rounds == 0, do: :ok
+
+  defp watch_rows(of, seen, left, rounds) do
+    rows = of.()
+    fresh = for({key, row} <- rows, seen[key] != row.count, do: key) |> Enum.take(left)
+    for key <- fresh, frame = Inspector.last(@gateway, key), do: IO.puts(Text.message(key, frame))
+    Process.sleep(200)
+    watch_rows(of, Map.new(rows, fn {key, row} -> {key, row.count} end), left - length(fresh), rounds - 1)
+  end
+
+  @doc "Which messages go over a link: after `seconds`, a line for each, with direction, rate and count."
+  @spec trace(String.t(), pos_integer()) :: :ok
+  def trace(link, seconds \\ 5) do
+    if Store.link(@gateway, link) == nil do
+      IO.puts(
+        "there is no link #{Columns.cell(link)}; known are #{Enum.map_join(Store.links(@gateway), ", ", & &1.id)}"
+      )
+    else
+      inspecting(fn ->
+        Process.sleep(seconds * 1000)
+        IO.write(Text.trace(Inspector.rows(@gateway, link: link)))
+      end)
+    end
+  end
+
+  @doc "Commands a vehicle, and prints the result. What moves a vehicle asks first."
+  @spec cmd(String.t(), atom() | String.t(), keyword()) :: :ok
+  def cmd(id, type, params \\ []) do
+    case Run.Command.give(
+           id,
+           to_string(type),
+           Map.new(params, fn {name, value} -> {to_string(name), value} end),
+           %{}
+         ) do
+      {:error, text} -> IO.puts("error: " <> text)
+      {_status, text} -> IO.write(text)
+    end
+  end
+
+  @doc "What is desired and reported of a vehicle, and how each field stands."
+  @spec shadow(String.t()) :: map() | :ok
+  def shadow(id) do
+    case Shadow.get(@gateway, id) do
+      {:ok, document} -> document
+      {:error, refusal} -> IO.puts("error: " <> Shadow.text(refusal))
+    end
+  end
+
+  @doc "The busiest processes, measured by the console's system page at most two seconds ago."
+  @spec top() :: :ok
+  def top do
+    with_sample(fn
+      %{top: %{reductions: [%{reductions: nil} | _]}} ->
+        # The first measurement of all: work is known by the second.
+        Process.sleep(2_100)
+        with_sample(&IO.write(Text.top(&1.top)))
+
+      sample ->
+        IO.write(Text.top(sample.top))
+    end)
+  end
+
+  @doc "The supervision tree with its restarts."
+  @spec sup() :: :ok
+  def sup, do: with_sample(&IO.write(Text.tree(&1.tree)))
+
+  @doc "Ends a link, and forgets it with its counters. Asks first."
+  @spec drop(String.t()) :: :ok
+  def drop(link) do
+    with %{} <- Store.link(@gateway, link),
+         :ok <- Ask.first("end the link #{link}", %{}) do
+      Link.stop(@gateway, link)
+    else
+      nil -> IO.puts("there is no link #{Columns.cell(link)}")
+      {:error, text} -> IO.puts(text)
+    end
+  end
+
+  @doc "Adds `n` simulated vehicles on a network of their own; a release has none."
+  @spec sim(pos_integer()) :: :ok
+  def sim(n) when n in 1..50 do
+    if Code.ensure_loaded?(SimVehicle.Fleet) do
+      first = Enum.count(Store.vehicles(@gateway), &(&1.network == @sim_link)) + 1
+
+      with {:ok, port} <- sim_port(),
+           child = {SimVehicle.Fleet, count: n, first_system: first, link: "udpout:127.0.0.1:#{port}"},
+           {:ok, _pid} <-
+             Supervisor.start_child(
+               Aerie.CLI.Supervisor,
+               Supervisor.child_spec(child, id: {:sim_shell, first})
+             ) do
+        IO.puts("#{n} vehicles fly, from #{@sim_link}-#{String.pad_leading("#{first}", 3, "0")} on")
+      else
+        {:error, reason} ->
+          IO.puts("error: #{if is_exception(reason), do: Exception.message(reason), else: inspect(reason)}")
+      end
+    else
+      IO.puts("a release has no simulated vehicles")
+    end
+  end
+
+  defp sim_port do
+    case Link.get(@gateway, @sim_link) do
+      %{port: port} when is_integer(port) ->
+        {:ok, port}
+
+      _none ->
+        with {:ok, @sim_link} <- Link.start(@gateway, "udpin:127.0.0.1:0", id: @sim_link, network: @sim_link),
+             do: {:ok, Link.snapshot(@gateway, @sim_link).port}
+    end
+  end
+
+  defp with_vehicle(id, fun) do
+    case Store.vehicle(@gateway, id) do
+      nil -> IO.puts(Run.Tail.unknown(id))
+      vehicle -> fun.(vehicle)
+    end
+  end
+
+  defp with_sample(fun) do
+    case Sampler.sample(@gateway) do
+      nil -> IO.puts("the console is off (console.enabled), and measures nothing")
+      sample -> fun.(sample)
+    end
+  end
+
+  defp inspecting(fun) do
+    case Inspector.watch(@gateway) do
+      :ok ->
+        fun.()
+        Inspector.unwatch(@gateway)
+
+      {:error, :no_recorder} ->
+        IO.puts("there is no recorder, by which messages are seen")
+
+      {:error, :not_running} ->
+        IO.puts("the gateway does not run")
+    end
+  end
+end

@@ -1,0 +1,122 @@
+defmodule Aerie.Shell.Text do
+  @moduledoc "What `Aerie.Shell` prints, as text. Pure: from snapshots, rows and samples."
+
+  alias Aerie.CLI.Status.Format
+  alias Aerie.Fleet.Age
+  alias Aerie.Inspector.Fields
+  alias Aerie.Tool.Columns
+  alias MavCodec.Frame
+
+  @doc "All vehicles; `links` are the snapshots of links, `now` is in unix microseconds."
+  @spec fleet([map()], [map()], integer()) :: iodata()
+  def fleet([], _links, _now), do: "no vehicle was heard\n"
+
+  def fleet(vehicles, links, now) do
+    rows =
+      for vehicle <- vehicles do
+        mode = data(vehicle, :mode)
+        heard = Age.silent_us(vehicle, links, now)
+
+        [
+          vehicle.id,
+          vehicle.status,
+          vehicle.autopilot,
+          vehicle.vehicle_type,
+          mode[:mode],
+          mode[:armed],
+          Format.age(heard)
+        ]
+      end
+
+    Columns.render(~w(VEHICLE STATUS AUTOPILOT TYPE MODE ARMED HEARD), rows)
+  end
+
+  @doc "One vehicle: a line for each value that is known, with the age of its group."
+  @spec vehicle(map(), integer()) :: iodata()
+  def vehicle(vehicle, now) do
+    head =
+      "#{vehicle.id}: #{vehicle.autopilot} #{vehicle.vehicle_type}, system #{vehicle.system_id} of #{vehicle.network}, #{vehicle.status}\n"
+
+    rows =
+      for {name, group} <- Enum.sort(vehicle.groups), {key, value} <- Enum.sort(group.data), value != nil do
+        ["#{name}.#{key}", value(value), Format.age(max(now - group.at, 0))]
+      end
+
+    [head, Columns.render(~w(FIELD VALUE AGE), rows)]
+  end
+
+  @doc "All links."
+  @spec links([map()]) :: iodata()
+  def links([]), do: "there is no link\n"
+
+  def links(links) do
+    rows =
+      for link <- links do
+        [
+          link.id,
+          link.status,
+          link.network,
+          round(link.rates.frames_in),
+          link.counters.crc_errors,
+          link.counters.lost,
+          link.text
+        ]
+      end
+
+    Columns.render(~w(LINK STATUS NETWORK FRAMES/s CRC LOST TEXT), rows)
+  end
+
+  @doc "The last message of a row as one line."
+  @spec message(Aerie.Inspector.key(), Frame.t()) :: String.t()
+  def message({_link, _way, system, component, id}, frame) do
+    fields = for field <- Fields.of(frame) || [], do: "#{field.name}=#{value(field.value)}"
+    Enum.join(["#{system}/#{component}", Fields.name(id) | fields], " ")
+  end
+
+  @doc "Rows of `Aerie.Inspector.rows/2`."
+  @spec trace([Aerie.Inspector.row()]) :: iodata()
+  def trace([]), do: "nothing went over it\n"
+
+  def trace(rows) do
+    lines =
+      for %{key: {_link, way, system, component, id}, hz: hz, count: count} <- rows,
+          do: [way, "#{system}/#{component}", Fields.name(id), Float.round(hz * 1.0, 1), count]
+
+    Columns.render(~w(WAY FROM MESSAGE PER-SECOND COUNT), lines)
+  end
+
+  @doc "The busiest processes, of `FleetWeb.Console.System.Top`; the first measurement knows no work yet."
+  @spec top(FleetWeb.Console.System.Top.t()) :: iodata()
+  def top(%{reductions: rows}) do
+    rows =
+      for row <- rows,
+          do: [row.name, inspect(row.pid), row.reductions && round(row.reductions), row.memory, row.queue]
+
+    Columns.render(~w(PROCESS PID REDUCTIONS/s MEMORY QUEUE), rows)
+  end
+
+  @doc "A supervision tree (`FleetWeb.Console.System.Tree`) with its restarts."
+  @spec tree(map() | nil) :: iodata()
+  def tree(nil), do: "no tree: the gateway is starting\n"
+  def tree(tree), do: Columns.render(~w(PROCESS PID MEMORY QUEUE RESTARTS), branch(tree, 0))
+
+  defp branch(node, depth) do
+    row = [
+      String.duplicate("  ", depth) <> node.name,
+      node.pid && inspect(node.pid),
+      node.memory,
+      node.queue,
+      restarts(node.restarts)
+    ]
+
+    [row | Enum.flat_map(node.children, &branch(&1, depth + 1))]
+  end
+
+  defp restarts(nil), do: nil
+  defp restarts(%{count: count, reason: reason}), do: "#{count}, the last: #{reason}"
+
+  defp data(vehicle, group), do: get_in(vehicle, [:groups, group, :data]) || %{}
+
+  defp value(value) when is_binary(value) or is_atom(value) or is_number(value), do: Columns.cell(value)
+  defp value(value), do: value |> inspect(limit: 20, printable_limit: 200) |> Columns.cell()
+end

@@ -1,0 +1,55 @@
+defmodule Aerie.Tool do
+  @moduledoc """
+  `bin/aerie`: watches, commands and debugs gateways from a terminal. `Aerie.Tool.Table` lists what it can do, `Aerie.Tool.Parse` reads
+  the words, and the modules in `run/` do it: in this VM, or in a running gateway (`Aerie.Tool.Gateway`).
+  """
+
+  alias Aerie.Tool.{Gateway, Help, Parse}
+
+  @doc "For a release, whose words come after `-extra`."
+  @spec main() :: no_return()
+  def main do
+    {:ok, _started} = Application.ensure_all_started(:elixir)
+    :init.get_plain_arguments() |> Enum.map(&List.to_string/1) |> main()
+  end
+
+  @doc "Does what the words say, and ends the VM."
+  @spec main([String.t()]) :: no_return()
+  def main(words) do
+    # What it prints is the answer; a library's remarks are none.
+    :ok = :logger.set_primary_config(:level, :error)
+
+    case call(words, System.get_env("AERIE_CWD") || File.cwd!()) do
+      {:error, text} ->
+        IO.puts(:stderr, "error: " <> text)
+        System.halt(2)
+
+      {status, text} ->
+        _ = print(text)
+        System.halt(status)
+    end
+  end
+
+  @doc "Does what the words say: the exit status and what is left to print, or what was wrong."
+  @spec call([String.t()], Path.t()) :: {0..255, iodata()} | {:error, String.t()}
+  def call(words, folder) do
+    case Parse.words(words) do
+      {:help, row} ->
+        {0, Help.text(row)}
+
+      {:ok, row, arguments, options} ->
+        request = %{name: row.name, arguments: arguments, options: options, folder: folder}
+        if row.where == :gateway, do: Gateway.run(row.module, request), else: row.module.run(request)
+
+      {:error, text} ->
+        {:error, text}
+    end
+  end
+
+  # A reader that closes the pipe (| head) has seen enough.
+  defp print(text) do
+    IO.write(text)
+  rescue
+    ErlangError -> :ok
+  end
+end

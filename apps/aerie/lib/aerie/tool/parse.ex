@@ -1,0 +1,99 @@
+defmodule Aerie.Tool.Parse do
+  @moduledoc "Words of the command line of `bin/aerie` to a request. Pure."
+
+  alias Aerie.Tool.{Subcommand, Table}
+
+  @type result ::
+          {:ok, Subcommand.t(), %{String.t() => String.t() | [String.t()]}, %{atom() => term()}}
+          | {:help, Subcommand.t() | nil}
+          | {:error, String.t()}
+
+  @doc "Finds the subcommand, and checks its options and arguments. An error says what is wrong, what was expected, and where to look."
+  @spec words([String.t()]) :: result()
+  def words([]), do: {:help, nil}
+  def words([help | _rest]) when help in ["help", "--help", "-h"], do: {:help, nil}
+
+  def words(words) do
+    case find(words) do
+      {row, rest} -> subcommand(row, rest)
+      nil -> {:error, unknown(words)}
+    end
+  end
+
+  # Two words before one: `config check` is a row, `config` alone is none.
+  defp find([first, second | rest] = words) do
+    with nil <- row("#{first} #{second}", rest), do: find([first], tl(words))
+  end
+
+  defp find([first]), do: find([first], [])
+  defp find([first], rest), do: row(first, rest)
+
+  defp row(name, rest) do
+    case Table.fetch(name) do
+      {:ok, row} -> {row, rest}
+      :error -> nil
+    end
+  end
+
+  defp unknown([first | _rest]) do
+    case for(row <- Table.all(), String.starts_with?(row.name, first <> " "), do: row.name) do
+      [_ | _] = below ->
+        "#{first}: expected #{Enum.join(below, ", ")}"
+
+      [] ->
+        hint = closest(first, Enum.map(Table.all(), & &1.name))
+        "unknown command #{first}#{hint}; aerie --help lists the commands"
+    end
+  end
+
+  # The options of starting a gateway are those of Aerie.CLI.Options, which the script passes on.
+  defp subcommand(%{where: :script} = row, _rest), do: {:help, row}
+
+  defp subcommand(row, rest) do
+    options = row.options ++ Table.common(row)
+    switches = [help: :boolean] ++ for {name, kind, _placeholder, _meaning} <- options, do: {name, kind}
+    {given, arguments, invalid} = OptionParser.parse(rest, strict: switches, aliases: [h: :help])
+
+    cond do
+      given[:help] -> {:help, row}
+      invalid != [] -> {:error, invalid(row, hd(invalid), Keyword.keys(switches))}
+      true -> with {:ok, arguments} <- arguments(row, arguments), do: {:ok, row, arguments, Map.new(given)}
+    end
+  end
+
+  defp invalid(row, {name, nil}, known) do
+    names = Enum.map(known, &Subcommand.switch/1)
+
+    if name in names,
+      do: "#{row.name}: #{name} needs a value#{see(row)}",
+      else: "#{row.name}: unknown option #{name}#{closest(name, names)}#{see(row)}"
+  end
+
+  defp invalid(row, {name, value}, _known), do: "#{row.name}: #{name}: '#{value}' is not a number#{see(row)}"
+
+  defp see(row), do: "; see aerie #{row.name} --help"
+
+  defp closest(word, known) do
+    best = Enum.max_by(known, &String.jaro_distance(&1, word))
+    if String.jaro_distance(best, word) > 0.75, do: "; did you mean #{best}?", else: ""
+  end
+
+  defp arguments(row, given), do: take(row.arguments, given, %{}, row)
+
+  defp take([], [], taken, _row), do: {:ok, taken}
+  defp take([], [word | _rest], _taken, row), do: {:error, "#{row.name}: unexpected '#{word}'#{see(row)}"}
+
+  defp take([{name, _meaning} | rest], given, taken, row) do
+    inner = name |> String.trim_leading("[") |> String.trim_trailing("]")
+    plain = String.trim_trailing(inner, " ...")
+    many? = inner != plain
+
+    case {given, String.starts_with?(name, "[")} do
+      {[], true} when many? -> take(rest, [], Map.put(taken, plain, []), row)
+      {[], true} -> take(rest, [], taken, row)
+      {[], false} -> {:error, "#{row.name}: #{plain} is missing: aerie #{Subcommand.usage(row)}"}
+      {_words, _optional} when many? -> {:ok, Map.put(taken, plain, given)}
+      {[word | given], _optional} -> take(rest, given, Map.put(taken, plain, word), row)
+    end
+  end
+end

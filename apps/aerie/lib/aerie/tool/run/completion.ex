@@ -1,0 +1,7 @@
+defmodule Aerie.Tool.Run.Completion do
+  @moduledoc "`aerie completion`."
+  @behaviour Aerie.Tool.Subcommand
+
+  @impl Aerie.Tool.Subcommand
+  def run(_request), do: {0, Aerie.Tool.Completion.bash()}
+end

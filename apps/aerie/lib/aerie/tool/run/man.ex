@@ -1,0 +1,10 @@
+defmodule Aerie.Tool.Run.Man do
+  @moduledoc "`aerie man`."
+  @behaviour Aerie.Tool.Subcommand
+
+  @impl Aerie.Tool.Subcommand
+  def run(_request) do
+    _ = Application.load(:aerie)
+    {0, Aerie.Tool.Man.page(to_string(Application.spec(:aerie, :vsn)))}
+  end
+end

@@ -1,0 +1,33 @@
+defmodule Aerie.Tool.Run.MissionFile do
+  @moduledoc "`aerie mission load`: the file is read here, with our rights; the plan is sent by the gateway."
+  @behaviour Aerie.Tool.Subcommand
+
+  alias Aerie.Missions
+  alias Aerie.Tool.{Ask, Gateway, Run}
+
+  # Far more than the largest mission.
+  @max_bytes 4_000_000
+
+  @impl Aerie.Tool.Subcommand
+  def run(%{arguments: %{"VEHICLE" => vehicle, "FILE" => file}, options: options, folder: folder} = request) do
+    path = Path.expand(file, folder)
+
+    with {:ok, kind} <- Run.Mission.kind(request),
+         {:ok, text} <- read(path),
+         {:ok, plan} <-
+           Missions.import(text, if(String.starts_with?(text, "QGC WPL"), do: :waypoints, else: :plan)),
+         {:ok, node, _entry} <- Gateway.connect(request),
+         :ok <- Ask.first("send the #{kind} of #{path} to #{vehicle}", options) do
+      Gateway.call(node, Run.Mission, :upload, [vehicle, kind, plan])
+    end
+  end
+
+  defp read(path) do
+    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path), {:ok, text} <- File.read(path) do
+      {:ok, text}
+    else
+      {:ok, _stat} -> {:error, "#{path}: larger than #{@max_bytes} bytes"}
+      {:error, posix} -> {:error, "#{path}: #{:file.format_error(posix)}"}
+    end
+  end
+end

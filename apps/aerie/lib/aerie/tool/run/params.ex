@@ -1,0 +1,61 @@
+defmodule Aerie.Tool.Run.Params do
+  @moduledoc "`aerie params list`, `get` and `set` (`Aerie.Params`)."
+  @behaviour Aerie.Tool.Subcommand
+
+  alias Aerie.Params
+  alias Aerie.Params.Table
+  alias Aerie.Tool.{Ask, Columns, Run}
+
+  @impl Aerie.Tool.Subcommand
+  def run(%{name: "params list", arguments: %{"VEHICLE" => vehicle} = arguments, options: options}) do
+    case Params.list(:default, vehicle, refresh: options[:refresh] || false) do
+      {:ok, table} ->
+        pattern = String.upcase(arguments["PATTERN"] || "")
+        params = for param <- Table.plain(table).params, String.contains?(param.name, pattern), do: param
+        {0, if(options[:json], do: [JSON.encode_to_iodata!(params), ?\n], else: rows(params))}
+
+      error ->
+        Run.Command.answer(error, %{})
+    end
+  end
+
+  def run(%{name: "params get", arguments: %{"VEHICLE" => vehicle, "NAME" => name}}) do
+    case Params.get(:default, vehicle, name) do
+      {:ok, param} -> {0, "#{Columns.cell(param.value)}\n"}
+      error -> Run.Command.answer(error, %{})
+    end
+  end
+
+  def run(%{
+        name: "params set",
+        arguments: %{"VEHICLE" => vehicle, "NAME" => name, "VALUE" => text},
+        options: options
+      }) do
+    with {:ok, value} <- number(text),
+         :ok <- Ask.first("set #{name} of #{vehicle} to #{text}", options) do
+      Run.Command.answer(
+        Params.set(:default, vehicle, name, value, as: Run.Command.source(), via: "bin/aerie"),
+        options
+      )
+    end
+  end
+
+  @doc "All parameters as the text of a file; runs in the gateway."
+  @spec file(String.t(), :param | :params) :: {:ok, String.t()} | {0..1, iodata()} | {:error, String.t()}
+  def file(vehicle, format) do
+    with {:error, _result} = error <- Params.save(:default, vehicle, format),
+         do: Run.Command.answer(error, %{})
+  end
+
+  defp rows(params),
+    do:
+      Columns.render(~w(NAME VALUE TYPE DEFAULT), for(p <- params, do: [p.name, p.value, p.type, p.default]))
+
+  defp number(text) do
+    case {Integer.parse(text), Float.parse(text)} do
+      {{number, ""}, _float} -> {:ok, number}
+      {_integer, {number, ""}} -> {:ok, number}
+      _other -> {:error, "'#{text}': expected a number"}
+    end
+  end
+end

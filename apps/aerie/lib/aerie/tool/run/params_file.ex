@@ -1,0 +1,21 @@
+defmodule Aerie.Tool.Run.ParamsFile do
+  @moduledoc "`aerie params save`: read in the gateway, written by us, with our rights and in our folder."
+  @behaviour Aerie.Tool.Subcommand
+
+  alias Aerie.Tool.{Gateway, Run}
+
+  @impl Aerie.Tool.Subcommand
+  def run(%{arguments: %{"VEHICLE" => vehicle, "FILE" => file}, folder: folder} = request) do
+    path = Path.expand(file, folder)
+    format = if Path.extname(path) == ".params", do: :params, else: :param
+
+    with {:ok, node, _entry} <- Gateway.connect(request),
+         {:ok, text} <- Gateway.call(node, Run.Params, :file, [vehicle, format]),
+         {:file, :ok} <- {:file, File.write(path, text)} do
+      {0, "wrote #{path}\n"}
+    else
+      {:file, {:error, posix}} -> {:error, "#{path}: #{:file.format_error(posix)}"}
+      other -> other
+    end
+  end
+end

@@ -1,0 +1,17 @@
+defmodule Aerie.Tool.Run.Replay do
+  @moduledoc "`aerie replay`: the events of a recording, without a gateway (`Aerie.CLI.ReplayEvents`)."
+  @behaviour Aerie.Tool.Subcommand
+
+  alias Aerie.CLI.{Options, ReplayEvents}
+  alias Aerie.Tool.Run
+
+  @impl Aerie.Tool.Subcommand
+  def run(%{arguments: %{"FILE" => file}, options: options, folder: folder} = request) do
+    {:ok, _started} = Application.ensure_all_started(:vehicle)
+    what = if options[:samples], do: [:events, :samples], else: [:events]
+
+    with :ok <-
+           ReplayEvents.print(%Options{replay: file, print: what, config: Run.Config.file(request)}, folder),
+         do: {0, ""}
+  end
+end

@@ -1,0 +1,84 @@
+defmodule Aerie.Tool.Run.Tail do
+  @moduledoc "`aerie tail`: a vehicle's events, and changes of its state, as they come."
+  @behaviour Aerie.Tool.Subcommand
+
+  alias Aerie.Bridge.Message
+  alias Aerie.CLI.Status.Lines
+  alias Aerie.Fleet.Journal
+  alias Aerie.Store
+  alias Aerie.Store.PubSub
+  alias Aerie.Tool.Columns
+
+  @impl Aerie.Tool.Subcommand
+  def run(%{arguments: %{"VEHICLE" => id}, options: options}) do
+    case Store.vehicle(:default, id) do
+      nil ->
+        {:error, unknown(id)}
+
+      vehicle ->
+        PubSub.subscribe(:default, :events)
+        unless options[:events], do: PubSub.subscribe(:default, {:vehicle, id})
+        follow(id, options, groups(vehicle), options[:count] || :infinity)
+    end
+  end
+
+  @doc "There is no such vehicle; these are."
+  @spec unknown(String.t()) :: String.t()
+  def unknown(id) do
+    known = for vehicle <- Store.vehicles(:default), do: vehicle.id
+
+    "there is no vehicle #{id}; " <>
+      if(known == [], do: "none was heard", else: "known are #{Enum.join(known, ", ")}")
+  end
+
+  defp follow(_id, _options, _seen, 0), do: {0, ""}
+
+  defp follow(id, options, seen, left) do
+    receive do
+      {:fleet, :events, %{vehicle: ^id} = event} ->
+        put(
+          if options[:json],
+            do: Message.event(event, Journal.epoch(:default)),
+            else: Columns.cell(Lines.note(event))
+        )
+
+        follow(id, options, seen, less(left))
+
+      {:fleet, {:vehicle, ^id}, _changed} ->
+        now = with(%{} = vehicle <- Store.vehicle(:default, id), do: groups(vehicle)) || %{}
+        changed = for {name, data} <- now, seen[name] != data, do: {name, data}
+        changed = if left == :infinity, do: changed, else: Enum.take(changed, left)
+        for {name, data} <- changed, do: put(group(name, data, options))
+        follow(id, options, now, less(left, length(changed)))
+
+      {:fleet, _topic, _other} ->
+        follow(id, options, seen, left)
+    end
+  end
+
+  defp less(left, n \\ 1)
+  defp less(:infinity, _n), do: :infinity
+  defp less(left, n), do: max(left - n, 0)
+
+  # The link's counters change with every frame.
+  defp groups(vehicle),
+    do: for({name, group} <- vehicle.groups, name != :link, into: %{}, do: {name, group.data})
+
+  defp group(name, data, %{json: true}), do: JSON.encode!(%{group: name, data: Aerie.Fleet.Json.plain(data)})
+
+  defp group(name, data, _options) do
+    words =
+      for {key, value} <- Enum.sort(data),
+          value != nil,
+          not is_map(value),
+          do: "#{key}=#{Columns.cell(text(value))}"
+
+    Enum.join(["#{name}:" | words], " ")
+  end
+
+  defp text(value) when is_binary(value) or is_atom(value) or is_number(value), do: value
+  defp text(value), do: inspect(value, limit: 20)
+
+  # Standard output is that of aerie; when it is gone, so are we.
+  defp put(line), do: IO.puts(line)
+end

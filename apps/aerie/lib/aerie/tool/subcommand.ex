@@ -1,0 +1,55 @@
+defmodule Aerie.Tool.Subcommand do
+  @moduledoc """
+  One row of the table of `bin/aerie` (`Aerie.Tool.Table`). Parsing, `--help`, the man page and the completion of the shell are all
+  made from it.
+
+    * `:name` - one word or two (`config check`)
+    * `:arguments` - `{name, meaning}` each; the last may end with `...` (one or more) or be in brackets (may be left out)
+    * `:options` - `{name, kind, placeholder, meaning}`; the kind is `:boolean`, `:string`, `:integer` or `:float`
+    * `:where` - `:here` in this VM, `:gateway` in the running one, `:script` by the script itself
+    * `:module` - has `run/1`: a request in, an exit status and what to print out
+    * `:more` - further lines of its help
+  """
+
+  @enforce_keys [:name, :summary, :where]
+  defstruct [:name, :summary, :where, :module, arguments: [], options: [], more: nil]
+
+  @type option :: {atom(), :boolean | :string | :integer | :float, String.t() | nil, String.t()}
+  @type t :: %__MODULE__{
+          name: String.t(),
+          summary: String.t(),
+          where: :here | :gateway | :script,
+          module: module() | nil,
+          arguments: [{String.t(), String.t()}],
+          options: [option()],
+          more: String.t() | nil
+        }
+
+  @typedoc """
+  What `c:run/1` gets: the subcommand's name, its arguments by their names, its options, and the user's folder.
+  """
+  @type request :: %{
+          name: String.t(),
+          arguments: %{String.t() => String.t() | [String.t()]},
+          options: %{atom() => term()},
+          folder: Path.t()
+        }
+
+  @doc """
+  Does it: the exit status, and what to print. An error ends with status 2 and goes to standard error. What runs in a gateway asks and
+  prints by standard input and output nevertheless: they are those of `aerie`.
+  """
+  @callback run(request()) :: {0..255, iodata()} | {:error, String.t()}
+
+  @doc "How it is called: `status [OPTION ...]`."
+  @spec usage(t()) :: String.t()
+  def usage(%__MODULE__{} = row) do
+    words = Enum.map(row.arguments, &elem(&1, 0))
+    options = if row.options == [], do: [], else: ["[OPTION ...]"]
+    Enum.join([row.name] ++ words ++ options, " ")
+  end
+
+  @doc "An option as the command line has it."
+  @spec switch(atom()) :: String.t()
+  def switch(name), do: "--" <> String.replace(Atom.to_string(name), "_", "-")
+end

@@ -1,0 +1,284 @@
+defmodule Aerie.Tool.Table do
+  @moduledoc "The subcommands of `bin/aerie`, in the order of its help."
+
+  alias Aerie.Tool.{Run, Subcommand}
+
+  @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
+  @json {:json, :boolean, nil, "print JSON"}
+  @yes {:yes, :boolean, nil, "do not ask first"}
+  @config {:config, :string, "FILE",
+           "the configuration (default: AERIE_CONFIG, else the defaults and the environment)"}
+
+  @doc "All of them."
+  @spec all() :: [Subcommand.t()]
+  def all, do: starting() ++ looking() ++ commanding() ++ keeping() ++ scripting()
+
+  @doc "The one of this name."
+  @spec fetch(String.t()) :: {:ok, Subcommand.t()} | :error
+  def fetch(name) do
+    case Enum.find(all(), &(&1.name == name)) do
+      nil -> :error
+      row -> {:ok, row}
+    end
+  end
+
+  @doc "The options that every subcommand of this kind has."
+  @spec common(Subcommand.t() | %{where: :gateway}) :: [Subcommand.option()]
+  def common(%{where: :gateway}) do
+    [
+      {:gateway, :string, "NAME", "which gateway, where several run (default: the only one)"},
+      {:dir, :string, "FOLDER", "the folder of its files (default: AERIE_SHELL_DIR, else var/shell)"}
+    ]
+  end
+
+  def common(_row), do: []
+
+  defp starting do
+    [
+      %Subcommand{
+        name: "start",
+        summary: "start a gateway in the foreground",
+        where: :script,
+        arguments: [{"[OPTION ...]", "aerie start --help lists them"}]
+      },
+      %Subcommand{
+        name: "daemon",
+        summary: "start a gateway in the background; its output goes to var/log",
+        where: :script,
+        arguments: [{"[OPTION ...]", "those of start"}]
+      },
+      %Subcommand{
+        name: "stop",
+        summary: "end the gateway in order, and wait for it",
+        where: :here,
+        module: Run.Stop,
+        options: common(%{where: :gateway})
+      },
+      %Subcommand{name: "version", summary: "print the version", where: :here, module: Run.Version}
+    ]
+  end
+
+  defp looking do
+    [
+      %Subcommand{
+        name: "status",
+        summary: "vehicles, links, NATS and what is wrong",
+        where: :gateway,
+        module: Run.Status,
+        options: [@json],
+        more: "Exit status: 0 ready, 1 not ready, 3 no gateway runs."
+      },
+      %Subcommand{
+        name: "tail",
+        summary: "print a vehicle's events and changes of state as they come, until Ctrl-C",
+        where: :gateway,
+        module: Run.Tail,
+        arguments: [@vehicle],
+        options: [
+          {:events, :boolean, nil, "events only"},
+          {:count, :integer, "N", "end after so many lines"},
+          {:json, :boolean, nil, "print JSON lines, as in NATS"}
+        ]
+      },
+      %Subcommand{
+        name: "probe",
+        summary: "what speaks at a serial port or an address: protocol, rate, ids, versions, messages",
+        where: :here,
+        module: Run.Probe,
+        arguments: [
+          {"PORT|URL", "a device such as /dev/ttyACM0, or a connection string such as udpin:0.0.0.0:14550"}
+        ],
+        options: [{:seconds, :float, "N", "how long to listen (default 5)"}, @json],
+        more: "Exit status: 0 a vehicle, 1 something else or nothing, 2 it cannot be opened."
+      },
+      %Subcommand{
+        name: "doctor",
+        summary: "check this machine for what a gateway needs, and say how to mend it",
+        where: :here,
+        module: Run.Doctor,
+        options: [@config, @json],
+        more: "Exit status: 0 all well, or warnings only; 1 something will not work."
+      },
+      %Subcommand{
+        name: "replay",
+        summary: "print the events of a recorded flight as JSON lines",
+        where: :here,
+        module: Run.Replay,
+        arguments: [{"FILE", "a .tlog file"}],
+        options: [{:samples, :boolean, nil, "the state samples, too"}, @config],
+        more: "aerie start --replay FILE plays it to clients and the console."
+      }
+    ]
+  end
+
+  defp commanding do
+    [
+      %Subcommand{
+        name: "cmd",
+        summary: "command a vehicle, and print the one result",
+        where: :gateway,
+        module: Run.Command,
+        arguments: [
+          @vehicle,
+          {"TYPE", "such as arm, takeoff, goto (docs/commands.md)"},
+          {"[NAME=VALUE ...]", "parameters"}
+        ],
+        options: [@yes, @json],
+        more:
+          "What moves a vehicle asks first. Exit status: 0 completed or accepted, 1 any other result, 2 it is no command."
+      },
+      %Subcommand{
+        name: "params list",
+        summary: "print a vehicle's parameters",
+        where: :gateway,
+        module: Run.Params,
+        arguments: [@vehicle, {"[PATTERN]", "only names that have this in them"}],
+        options: [{:refresh, :boolean, nil, "read them anew"}, @json]
+      },
+      %Subcommand{
+        name: "params get",
+        summary: "read one parameter from the vehicle",
+        where: :gateway,
+        module: Run.Params,
+        arguments: [@vehicle, {"NAME", "the parameter"}]
+      },
+      %Subcommand{
+        name: "params set",
+        summary: "set one parameter, and wait until the vehicle shows it",
+        where: :gateway,
+        module: Run.Params,
+        arguments: [@vehicle, {"NAME", "the parameter"}, {"VALUE", "a number"}],
+        options: [@yes]
+      },
+      %Subcommand{
+        name: "params save",
+        summary:
+          "write all parameters into a file for Mission Planner and MAVProxy, or for QGroundControl (.params)",
+        where: :here,
+        module: Run.ParamsFile,
+        arguments: [@vehicle, {"FILE", "it is replaced"}],
+        options: common(%{where: :gateway})
+      },
+      %Subcommand{
+        name: "mission show",
+        summary: "print a vehicle's mission, fence or rally points",
+        where: :gateway,
+        module: Run.Mission,
+        arguments: [@vehicle, {"[KIND]", "mission (the default), fence or rally"}],
+        options: [@json]
+      },
+      %Subcommand{
+        name: "mission clear",
+        summary: "remove a plan from a vehicle",
+        where: :gateway,
+        module: Run.Mission,
+        arguments: [@vehicle, {"[KIND]", "mission (the default), fence or rally"}],
+        options: [@yes]
+      },
+      %Subcommand{
+        name: "mission load",
+        summary: "send the mission of a .plan or .waypoints file to a vehicle, and read it back",
+        where: :here,
+        module: Run.MissionFile,
+        arguments: [
+          @vehicle,
+          {"FILE", "of QGroundControl or Mission Planner"},
+          {"[KIND]", "mission, fence or rally"}
+        ],
+        options: [@yes | common(%{where: :gateway})]
+      },
+      %Subcommand{
+        name: "record",
+        summary: "begin, end or list recordings",
+        where: :gateway,
+        module: Run.Record,
+        arguments: [
+          {"ACTION", "start, stop, save (the last minutes) or list"},
+          {"[VEHICLE]", "not with list"}
+        ],
+        options: [@json]
+      }
+    ]
+  end
+
+  defp keeping do
+    [
+      %Subcommand{
+        name: "config check",
+        summary: "check a configuration completely, without starting anything",
+        where: :here,
+        module: Run.Config,
+        arguments: [{"[FILE]", "default: AERIE_CONFIG, else the defaults and the environment"}],
+        more:
+          "Exit status: 0 a gateway can start with it, 1 it cannot: every error with file, key and what was expected."
+      },
+      %Subcommand{
+        name: "config show",
+        summary: "print the keys that somebody set, their values, and where they come from",
+        where: :here,
+        module: Run.Config,
+        arguments: [{"[FILE]", "as for config check"}],
+        options: [{:all, :boolean, nil, "the defaults, too"}]
+      },
+      %Subcommand{
+        name: "user add",
+        summary: "add a user of the console; the password is the first line of standard input",
+        where: :gateway,
+        module: Run.User,
+        arguments: [{"NAME", "a-z, 0-9, dot, underscore, hyphen"}],
+        options: [{:role, :string, "ROLE", "viewer, operator (the default) or admin"}]
+      },
+      %Subcommand{
+        name: "user list",
+        summary: "list the users of the console",
+        where: :gateway,
+        module: Run.User
+      },
+      %Subcommand{
+        name: "user remove",
+        summary: "remove a user of the console",
+        where: :gateway,
+        module: Run.User,
+        arguments: [{"NAME", "of the user"}]
+      }
+    ]
+  end
+
+  defp scripting do
+    [
+      %Subcommand{
+        name: "remote",
+        summary: "an Elixir shell in the gateway (Aerie.Shell)",
+        where: :here,
+        module: Run.Remote,
+        options: common(%{where: :gateway})
+      },
+      %Subcommand{
+        name: "rpc",
+        summary: "evaluate Elixir in the gateway, and print the value",
+        where: :gateway,
+        module: Run.Evaluate,
+        arguments: [{"EXPRESSION", "Aerie.Shell's functions are imported"}]
+      },
+      %Subcommand{
+        name: "eval",
+        summary: "evaluate Elixir without a gateway",
+        where: :here,
+        module: Run.Evaluate,
+        arguments: [{"EXPRESSION", "such as 'Application.spec(:aerie, :vsn)'"}]
+      },
+      %Subcommand{
+        name: "completion",
+        summary: "print the completion for bash: . <(aerie completion)",
+        where: :here,
+        module: Run.Completion
+      },
+      %Subcommand{
+        name: "man",
+        summary: "print the man page: aerie man | man -l -",
+        where: :here,
+        module: Run.Man
+      }
+    ]
+  end
+end

@@ -1,0 +1,61 @@
+defmodule Aerie.MixProject do
+  use Mix.Project
+
+  def project do
+    [
+      app: :aerie,
+      version: "0.1.0",
+      build_path: "../../_build",
+      config_path: "../../config/config.exs",
+      deps_path: "../../deps",
+      lockfile: "../../mix.lock",
+      elixir: "~> 1.20",
+      elixirc_paths: elixirc_paths(Mix.env()),
+      # What the tests are made of is not what they test; the census is taken by the soak.
+      test_coverage: [
+        summary: [threshold: 85],
+        ignore_modules: [
+          ~r/Case$/,
+          Aerie.Census,
+          Aerie.LogLines,
+          DynamicTop,
+          # `bin/aerie` and the shell run in VMs of their own, which cover cannot see; tool_test.exs and release_test.exs run them.
+          Aerie.Shell,
+          Aerie.Shell.Text,
+          Aerie.Node,
+          Aerie.Node.Directory,
+          Aerie.Tool,
+          Aerie.Tool.Ask,
+          Aerie.Tool.Gateway,
+          ~r/^Aerie\.Tool\.Run\./
+        ]
+      ],
+      # The system tests of the whole gateway stand at the top of the repository; this app depends on all they need.
+      test_paths: ["test", "../../test"],
+      test_ignore_filters: [~r"/support/", ~r"/browser/"],
+      deps: deps()
+    ]
+  end
+
+  def application do
+    [
+      mod: {Aerie.Application, []},
+      extra_applications: [:logger, :public_key, :fast_yaml] ++ test_applications(Mix.env())
+    ]
+  end
+
+  # PropEr is Debian's, not a dependency that Mix knows; naming it keeps it on the code path of the tests.
+  defp test_applications(:test), do: [:proper]
+  defp test_applications(_env), do: []
+
+  defp elixirc_paths(:test), do: ["lib", Path.expand("../../test/support", __DIR__)]
+  defp elixirc_paths(_env), do: ["lib"]
+
+  defp deps,
+    do: [
+      {:vehicle, in_umbrella: true},
+      {:fleet_web, in_umbrella: true},
+      # In the checkout only: a release has no simulated vehicles.
+      {:sim_vehicle, in_umbrella: true, runtime: false}
+    ]
+end

@@ -1,0 +1,72 @@
+defmodule Aerie.CLI.NatsSetupTest do
+  use ExUnit.Case, async: true
+
+  import Bitwise
+
+  alias Aerie.CLI.NatsSetup
+  alias Aerie.Config
+
+  @moduletag :tmp_dir
+
+  defp setup_in(dir, words), do: NatsSetup.call(["set" | words], dir)
+  defp read(dir, name), do: File.read!(Path.join([dir, "set", name]))
+
+  test "a set for a hub and two vehicles: secrets for their owner, configurations that load", %{tmp_dir: dir} do
+    assert {:ok, text} = setup_in(dir, ~w(--host hub.example.org --vehicle VID-1 --vehicle VID-2))
+    assert text =~ "VID-1: copy"
+
+    for name <- ~w(ca.key hub/gateway.nk hub/hub.example.org/server.key vehicles/VID-1/leaf.nk) do
+      %{mode: mode} = File.stat!(Path.join([dir, "set", name]))
+      assert (mode &&& 0o077) == 0, name
+    end
+
+    # Public halves only.
+    refute read(dir, "hub/accounts.conf") =~ ~r/SU[A-Z2-7]{50}/
+    refute read(dir, "fleet.json") =~ ~r/SU[A-Z2-7]{50}/
+
+    for {name, mode} <- [{"vehicles/VID-2/gateway.yaml", :embedded}, {"hub/gateway.yaml", :url}] do
+      assert {:ok, %{nats: %{mode: ^mode}, environment: "prod"}} =
+               Config.load(Path.join([dir, "set", name]), [], env: %{})
+    end
+
+    pem = read(dir, "hub/hub.example.org/server.pem")
+    [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(pem)
+    [{:Certificate, ca, :not_encrypted}] = :public_key.pem_decode(read(dir, "hub/ca.pem"))
+    assert {:ok, _} = :public_key.pkix_path_validation(ca, [der], [])
+    assert :public_key.pkix_verify_hostname(der, dns_id: ~c"hub.example.org")
+  end
+
+  test "run again it keeps keys, adds and takes out", %{tmp_dir: dir} do
+    {:ok, _} = setup_in(dir, ~w(--host hub --environment test --vehicle A --vehicle B))
+    seed = read(dir, "vehicles/A/leaf.nk")
+    ca = read(dir, "ca.key")
+    # As after they were moved to the vehicle.
+    File.rm_rf!(Path.join(dir, "set/vehicles/B"))
+    assert {:ok, text} = setup_in(dir, ~w(--vehicle C --vehicle A --revoke B))
+    assert text =~ "B: its key opens nothing"
+    assert {read(dir, "vehicles/A/leaf.nk"), read(dir, "ca.key")} == {seed, ca}
+    accounts = read(dir, "hub/accounts.conf")
+    assert accounts =~ ~s("vehicle-C") and accounts =~ "fleet.test.A.event.>"
+    refute accounts =~ "vehicle-B"
+  end
+
+  test "what cannot be is said, and nothing is written", %{tmp_dir: dir} do
+    for {words, said} <- [
+          {["set"], "the hub's name is missing: --host"},
+          {~w(set --host hub --vehicle a.b), "a name has at most 64 letters"},
+          {~w(set --host a/b), "--host is a name such as"},
+          {~w(set --host hub --revoke X), "there is no such vehicle"},
+          {[], "one folder is needed"},
+          {~w(set --hots hub), "--hots is not an option"}
+        ] do
+      assert {:error, text} = NatsSetup.call(words, dir)
+      assert text =~ said
+    end
+
+    assert File.ls!(dir) == []
+    assert {:ok, "usage: bin/nats-setup" <> _} = NatsSetup.call(["--help"], dir)
+    {:ok, _} = setup_in(dir, ~w(--host hub))
+    assert {:error, text} = setup_in(dir, ~w(--environment other))
+    assert text =~ "the fleet's environment is prod"
+  end
+end

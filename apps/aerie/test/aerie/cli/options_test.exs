@@ -1,0 +1,182 @@
+defmodule Aerie.CLI.OptionsTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.CLI.{Options, Plan}
+
+  describe "parse/1" do
+    test "no argument starts a demo with defaults" do
+      assert {:ok, %Options{links: [], sim: nil, quiet: false, speed: 1.0}} = Options.parse([])
+    end
+
+    test "links keep their order" do
+      assert {:ok, %{links: ["udpin:0.0.0.0:14550", "tcp:127.0.0.1:5760"]}} =
+               Options.parse(["--link", "udpin:0.0.0.0:14550", "--link", "tcp:127.0.0.1:5760"])
+    end
+
+    test "printing a recording excludes the options of a running gateway" do
+      assert {:ok, %{print: [:events], replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--events"])
+      assert {:ok, %{print: [:events, :samples]}} = Options.parse(~w(--samples --events --replay a.tlog))
+      assert {:error, "--samples needs --replay FILE"} = Options.parse(["--samples"])
+
+      for extra <- [~w(--speed 2), ~w(--sim 0), ~w(--http 1), ~w(--nats embedded), ~w(--quiet)] do
+        assert {:error, message} = Options.parse(~w(--replay a.tlog --events) ++ extra)
+        assert message =~ hd(extra)
+      end
+    end
+
+    test "speed is a number or max, and needs a replay" do
+      assert {:ok, %{speed: :max, replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--speed", "max"])
+      assert {:ok, %{speed: 2.5}} = Options.parse(["--replay", "a.tlog", "--speed", "2.5"])
+      assert {:error, "--speed" <> _} = Options.parse(["--speed", "2"])
+
+      for bad <- ["0", "-1", "fast", "1e9", ""],
+          do: assert({:error, _} = Options.parse(["--replay", "a", "--speed", bad]))
+    end
+
+    test "help and version win over everything else" do
+      assert Options.parse(["--sim", "2", "--help"]) == :help
+      assert Options.parse(["-h"]) == :help
+      assert Options.parse(["--version"]) == :version
+    end
+
+    test "each error says what is wrong and what is expected" do
+      assert {:error, message} = Options.parse(["--lnk", "x"])
+      assert message =~ "did you mean --link?"
+      assert {:error, message} = Options.parse(["--http", "99999"])
+      assert message =~ "0 to 65535"
+      assert {:error, message} = Options.parse(["--sim", "many"])
+      assert message =~ "not a whole number"
+      assert {:error, message} = Options.parse(["--sim", "-1"])
+      assert message =~ "expected 0 to"
+      assert {:error, message} = Options.parse(["udpin:0.0.0.0:14550"])
+      assert message =~ "unexpected"
+      assert {:error, message} = Options.parse(["--nats", "hub"])
+      assert message =~ "nats://"
+      assert {:error, message} = Options.parse(["--link"])
+      assert message =~ "--link needs a value"
+      assert {:error, message} = Options.parse(["--replay", "a.tlog", "--link", "tcp:h:1"])
+      assert message =~ "exclude"
+      assert {:error, message} = Options.parse(["--xyzzy"])
+      assert message =~ "unknown option --xyzzy"
+    end
+
+    test "the help names every option" do
+      for name <-
+            ~w(--link --replay --speed --events --samples --sim --config --http --nats --quiet --version --help) do
+        assert Options.help() =~ name
+      end
+    end
+  end
+
+  describe "Plan.from/2" do
+    defp plan(words) do
+      {:ok, options} = Options.parse(words)
+      Plan.from(options, "/home/me")
+    end
+
+    test "three simulated vehicles fly without a link, a replay or a configuration" do
+      assert %{sim: 3, config_file: nil, overrides: overrides} = plan([])
+      assert overrides == %{}
+      assert plan(["--http", "0", "--nats", "embedded"]).sim == 3
+    end
+
+    test "with one of them, none fly unless --sim asks for them" do
+      assert plan(["--link", "tcp:h:1"]).sim == 0
+      assert plan(["--replay", "a.tlog"]).sim == 0
+      assert plan(["--config", "c.yaml"]).sim == 0
+      assert plan(["--config", "c.yaml", "--sim", "2"]).sim == 2
+      assert plan(["--sim", "0"]).sim == 0
+    end
+
+    test "paths are relative to the user's directory, and a replay excludes live vehicles" do
+      assert plan(["--config", "c.yaml"]).config_file == "/home/me/c.yaml"
+      plan = plan(["--replay", "log/a.tlog", "--speed", "max"])
+      assert [%{"url" => "replay:/home/me/log/a.tlog?speed=max"}] = plan.overrides["links"]
+      assert plan.overrides["mavlink"]["local_addr"] == "off"
+    end
+
+    test "the command line's NATS and HTTP are overrides" do
+      assert plan(["--nats", "nats://hub:4222"]).overrides["nats"] == %{
+               "mode" => "url",
+               "url" => "nats://hub:4222"
+             }
+
+      assert plan(["--nats", "embedded"]).overrides["nats"] == %{"mode" => "embedded"}
+      assert plan(["--http", "8080"]).overrides["http"] == %{"port" => 8080}
+    end
+  end
+
+  describe "an option over a configuration" do
+    @describetag :tmp_dir
+
+    # Every section that an option touches, with keys that have other values than their defaults.
+    @file_text """
+    environment: prod
+    mavlink: {local_addr: ":14999", system_id: 244, component_id: 192, streams: {ATTITUDE: 5}}
+    links: [{id: field, url: "udpin:127.0.0.1:14888"}]
+    nats:
+      url: "tls://hub.example:4222"
+      credentials: vehicle.creds
+      tls: {enabled: true, ca_file: ca.pem, cert_file: own.pem, key_file: own.key, server_name: hub, verify: true}
+      port: 4999
+      streams: {event_max_mb: 77}
+      retry_max_ms: 5000
+    http: {enabled: true, address: "127.0.0.2", port: 4001}
+    websocket: {enabled: false}
+    outbox: {max_mb: 33}
+    """
+
+    # What was configured, key by key, with what an option changes of it.
+    defp changed(%{tmp_dir: dir}, words) do
+      path = Path.join(dir, "gateway.yaml")
+      File.write!(path, @file_text)
+      {:ok, options} = Options.parse(words)
+      {:ok, before} = Aerie.Config.load(path, %{}, env: %{})
+      {:ok, config} = Aerie.Config.load(path, Plan.from(options, dir).overrides, env: %{})
+
+      for {keys, _field} <- Aerie.Settings.Schema.leaves(Aerie.Config.Keys.fields()),
+          keys = Enum.map(keys, &String.to_existing_atom/1),
+          value(before, keys) != value(config, keys),
+          do: Enum.join(keys, ".")
+    end
+
+    defp value(config, [section | below]),
+      do: Enum.reduce(below, Map.fetch!(config, section), &Map.fetch!(&2, &1))
+
+    test "changes its own key and keeps the others of the section", context do
+      assert changed(context, ~w(--nats nats://other:4222)) == ["nats.url"]
+      assert changed(context, ~w(--http 8080)) == ["http.port"]
+      assert changed(context, ~w(--link tcp:127.0.0.1:5760)) == ["links"]
+      assert changed(context, ~w(--replay a.tlog --speed 2)) == ["mavlink.local_addr", "links"]
+      assert changed(context, ~w(--sim 2 --quiet)) == []
+    end
+
+    test "--nats embedded over configured servers keeps the keys that are not about reaching them", context do
+      assert changed(context, ~w(--nats embedded)) == ["nats.mode", "nats.tls.enabled"]
+    end
+  end
+
+  test "checks of a policy and of an audit log stand alone" do
+    assert {:ok, %{check_policy: "g.yaml", command: "{}", role: :operator, permissions: []}} =
+             Options.parse(~w(--check-policy g.yaml --command {}))
+
+    assert {:ok, %{role: :admin, permissions: [:terminate]}} =
+             Options.parse(~w(--check-policy g.yaml --command {} --role admin --permission terminate))
+
+    assert {:ok, %{check_audit: "var/audit"}} = Options.parse(~w(--check-audit var/audit))
+
+    for {words, text} <- [
+          {~w(--check-policy g.yaml), "--check-policy needs --command JSON"},
+          {~w(--command {}), "--command needs --check-policy FILE"},
+          {~w(--check-policy g.yaml --command {} --sim 1), "leave out --sim"},
+          {~w(--check-audit a --config b), "leave out --config"},
+          {~w(--check-policy g.yaml --command {} --role boss),
+           "--role: expected viewer, operator, admin, got: boss"},
+          {~w(--check-policy g.yaml --command {} --permission all), "--permission: expected arm"},
+          {~w(--check-polcy g.yaml), "did you mean --check-policy?"}
+        ] do
+      assert {:error, message} = Options.parse(words)
+      assert message =~ text
+    end
+  end
+end

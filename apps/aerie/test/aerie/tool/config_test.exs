@@ -1,0 +1,33 @@
+defmodule Aerie.Tool.ConfigTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Tool
+
+  @moduletag :tmp_dir
+
+  test "config show has what somebody set and where it comes from, and no secret", %{tmp_dir: folder} do
+    File.write!(Path.join(folder, "g.yaml"), """
+    nats: {mode: url, url: "nats://hub:4222", user: ops, password: hunter22}
+    environment: field
+    """)
+
+    assert {0, text} = Tool.call(["config", "show", "g.yaml"], folder)
+    text = IO.iodata_to_binary(text)
+    assert text =~ ~r/environment +field +.*g.yaml/
+    assert text =~ "nats.password" and text =~ "hidden"
+    refute text =~ "hunter22"
+    refute text =~ "recorder.dir"
+
+    assert {0, text} = Tool.call(["config", "show", "g.yaml", "--all"], folder)
+    assert IO.iodata_to_binary(text) =~ ~r/recorder.dir +var\/recordings +default/
+  end
+
+  test "config check reports every error, with key and what was expected", %{tmp_dir: folder} do
+    File.write!(Path.join(folder, "g.yaml"), "http: {prot: 1}\nmavlink: {system_id: -3}\n")
+    assert {1, text} = Tool.call(["config", "check", "g.yaml"], folder)
+    text = IO.iodata_to_binary(text)
+    assert text =~ "http.prot" and text =~ "mavlink.system_id"
+    assert {1, text} = Tool.call(["config", "check", "none.yaml"], folder)
+    assert IO.iodata_to_binary(text) =~ "none.yaml"
+  end
+end

@@ -1,0 +1,39 @@
+// The console's own script: connects the live page, and registers the hooks of all pages. A hook that needs a large
+// package imports it when it is mounted.
+import { Socket } from "./npm/phoenix/phoenix.mjs";
+import { LiveSocket } from "./npm/phoenix_live_view/phoenix_live_view.esm.js";
+import { watch } from "./lib/gateway.js";
+import { actions } from "./lib/actions.js";
+import { keyboard } from "./lib/keyboard.js";
+import AlarmSound from "./hooks/alarm_sound.js";
+import Chart from "./hooks/chart.js";
+import CommandForm from "./hooks/command_form.js";
+import Dialog from "./hooks/dialog.js";
+import FleetMap from "./hooks/fleet_map.js";
+import FleetTable from "./hooks/fleet_table.js";
+import HoldButton from "./hooks/hold_button.js";
+import Instruments from "./hooks/instruments.js";
+import ParamsFile from "./hooks/params_file.js";
+import PlanFile from "./hooks/plan_file.js";
+import Toast from "./hooks/toast.js";
+
+const hooks = { AlarmSound, Chart, CommandForm, Dialog, FleetMap, FleetTable, HoldButton, Instruments, ParamsFile, PlanFile, Toast };
+
+// A gateway that starts again is back within a second; the client's own pauses grow to five.
+const pause = (tries) => [50, 100, 200, 500][tries - 1] ?? 1000;
+const csrf = document.querySelector("meta[name='csrf-token']").content;
+
+// Never log at length: pages of localhost would.
+sessionStorage.setItem("phx:live-socket:debug", "false");
+
+const liveSocket = new LiveSocket("/live", Socket, {
+  params: { _csrf_token: csrf },
+  hooks,
+  reconnectAfterMs: pause,
+  rejoinAfterMs: pause,
+});
+
+liveSocket.connect();
+watch(liveSocket);
+actions();
+keyboard();

@@ -1,0 +1,46 @@
+// The map's buttons: ordinary ones, in the order of the Tab key, with names for screen readers and tool tips.
+
+const SVG = "http://www.w3.org/2000/svg";
+const ICONS = {
+  in: "M12 5v14M5 12h14",
+  out: "M5 12h14",
+  north: "M12 3l5 16-5-4-5 4z",
+  fit: "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5",
+  follow: "M12 2v4M12 18v4M2 12h4M18 12h4M12 8a4 4 0 100 8 4 4 0 000-8z",
+  tracks: "M3 19c4 0 3-6 7-6s3-8 11-8",
+  rings: "M12 11v2M12 6a6 6 0 100 12 6 6 0 000-12M12 2a10 10 0 100 20 10 10 0 000-20",
+  measure: "M3 17L17 3l4 4L7 21zM7 13l2 2M10 10l2 2M13 7l2 2",
+};
+
+// `buttons`: [{name, label, toggle?, press}]
+export function toolbar(buttons) {
+  const bar = document.createElement("div");
+  bar.className = "map-tools";
+  bar.setAttribute("role", "toolbar");
+  bar.setAttribute("aria-label", "Map");
+  const made = {};
+  for (const { name, label, toggle, press } of buttons) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "map-tool";
+    button.dataset.tool = name;
+    button.title = label;
+    button.setAttribute("aria-label", label);
+    if (toggle) button.setAttribute("aria-pressed", "false");
+    button.append(icon(ICONS[name]));
+    button.addEventListener("click", press);
+    bar.append(button);
+    made[name] = button;
+  }
+  return { bar, press: (name, pressed) => made[name]?.setAttribute("aria-pressed", String(pressed)) };
+}
+
+function icon(path) {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "0 0 24 24");
+  svg.setAttribute("aria-hidden", "true");
+  const shape = document.createElementNS(SVG, "path");
+  shape.setAttribute("d", path);
+  svg.append(shape);
+  return svg;
+}

@@ -1,0 +1,163 @@
+defmodule FleetWeb.API.KeyRing do
+  @moduledoc """
+  The keys that open `/api` and the WebSocket at this moment: those of the configuration, and those that an admin made in the console. Of the
+  latter a file of the console's folder has the digests, in the form of `api.keys_file`; the key itself is shown once and kept nowhere.
+
+  Whoever decides about a request reads the list without waiting (`admit/2`). While this process restarts nobody is let in, because no keys
+  at all would mean that programs of this machine need none.
+  """
+  use GenServer
+
+  require Logger
+
+  alias Aerie.{Names, PrivateFile}
+  alias Aerie.Store.PubSub
+  alias FleetWeb.API.{Access, Keys}
+
+  @most 100
+  @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
+  # What programs of this machine are called.
+  @taken ["local"]
+  @head "# Keys that were made in the console; of each its digest. A line goes with its key there: \"Revoke\".\n"
+  @nobody [%{name: "nobody", digest: <<0::256>>, role: nil, permissions: [], until: nil}]
+
+  @typedoc "What may be shown of a key. `made`: in the console, and can be revoked there."
+  @type shown :: %{
+          name: String.t(),
+          role: Aerie.Policy.Roles.role() | nil,
+          permissions: [atom()],
+          until: integer() | nil,
+          made: boolean()
+        }
+
+  @doc "Options: `:gateway`, `:configured` (keys), `:file`."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :api_keys))
+
+  @doc "Keys that nothing opens: for a policy before `admit/2`."
+  @spec nobody() :: [Keys.key()]
+  def nobody, do: @nobody
+
+  @doc "A policy with the keys of now."
+  @spec admit(Access.policy(), Names.gateway()) :: Access.policy()
+  def admit(policy, gateway) do
+    case Names.value(gateway, :api_keys) do
+      nil -> policy
+      %{configured: configured, made: made} -> %{policy | keys: configured ++ made}
+    end
+  end
+
+  @doc "The keys without what would help to use one."
+  @spec list(Names.gateway()) :: [shown()]
+  def list(gateway) do
+    with %{configured: configured, made: made} <- Names.value(gateway, :api_keys),
+         do: shown(configured, false) ++ shown(made, true),
+         else: (nil -> [])
+  end
+
+  defp shown(keys, made?),
+    do: for(key <- keys, do: key |> Map.take([:name, :role, :permissions, :until]) |> Map.put(:made, made?))
+
+  @doc "Makes a key in the name of `by`; gives its text, which is known nowhere else. `expires`: a day as `2027-12-31`, or nothing."
+  @spec make(Names.gateway(), name :: term(), role :: term(), expires :: term(), by :: String.t()) ::
+          {:ok, String.t()} | {:error, String.t()}
+  def make(gateway, name, role, expires, by) do
+    text = Base.url_encode64(:crypto.strong_rand_bytes(24), padding: false)
+
+    with :ok <- name(name),
+         :ok <- words([role, expires]),
+         {:ok, key} <- Keys.make(name, text, [{"role", role}, {"expires", expires}]),
+         :ok <- future(key),
+         :ok <- call(gateway, {:add, key, by}),
+         do: {:ok, text}
+  end
+
+  defp name(name) when is_binary(name) do
+    cond do
+      name in @taken -> {:error, "#{name} is what programs of this machine are called"}
+      name =~ @name -> :ok
+      true -> {:error, "a name has 1 to 32 characters out of a-z, 0-9, dot, underscore and hyphen"}
+    end
+  end
+
+  defp name(_missing), do: {:error, "the name is missing"}
+
+  # They become part of a line.
+  defp words(words) do
+    if Enum.all?(words, &(is_binary(&1) and &1 =~ ~r/\A[a-z0-9-]{0,20}\z/)),
+      do: :ok,
+      else: {:error, "expected a role, and a day such as 2027-12-31 or nothing"}
+  end
+
+  defp future(%{until: until}) do
+    if until == nil or until > System.os_time(:microsecond), do: :ok, else: {:error, "that day is over"}
+  end
+
+  @doc "Revokes a key that was made in the console: it opens nothing any more, and its WebSockets are closed."
+  @spec revoke(Names.gateway(), String.t(), by :: String.t()) :: :ok | {:error, String.t()}
+  def revoke(gateway, name, by), do: call(gateway, {:revoke, name, by})
+
+  defp call(gateway, request) do
+    GenServer.call(Names.via(gateway, :api_keys), request)
+  catch
+    :exit, _gone -> {:error, "the gateway takes no changes of keys just now; try again"}
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.set_label(:api_keys)
+    file = options[:file]
+
+    case if(File.exists?(file), do: Keys.read(file), else: {:ok, []}) do
+      {:ok, made} ->
+        {:ok, share(%{gateway: options[:gateway], file: file, configured: options[:configured], made: made})}
+
+      {:error, text} ->
+        {:stop, text}
+    end
+  end
+
+  defp share(state) do
+    Names.put_value(state.gateway, :api_keys, Map.take(state, [:configured, :made]))
+    state
+  end
+
+  @impl GenServer
+  def handle_call({:add, key, by}, _from, state) do
+    cond do
+      Enum.any?(state.configured ++ state.made, &(&1.name == key.name)) ->
+        {:reply, {:error, "there is a key #{key.name} already"}, state}
+
+      length(state.made) >= @most ->
+        {:reply, {:error, "there are #{@most} keys already; revoke some first"}, state}
+
+      true ->
+        change(%{state | made: state.made ++ [key]}, state, "the key #{key.name} was made by #{by}")
+    end
+  end
+
+  def handle_call({:revoke, name, by}, _from, state) do
+    case Enum.split_with(state.made, &(&1.name == name)) do
+      {[], _made} ->
+        {:reply, {:error, "#{name} is no key that was made here: it is configured, or gone"}, state}
+
+      {[_key], made} ->
+        reply = change(%{state | made: made}, state, "the key #{name} was revoked by #{by}")
+        PubSub.publish(state.gateway, {:notice, :api_keys}, name)
+        reply
+    end
+  end
+
+  # It holds once it is on the disk.
+  defp change(new, old, words) do
+    lines = [@head | Enum.map(new.made, &[Keys.line(&1), ?\n])]
+
+    with :ok <- PrivateFile.new_folder(Path.dirname(new.file)), :ok <- PrivateFile.write(new.file, lines) do
+      Logger.info(words)
+      {:reply, :ok, share(new)}
+    else
+      {:error, reason} -> {:reply, {:error, "#{new.file}: #{:file.format_error(reason)}"}, old}
+    end
+  end
+end

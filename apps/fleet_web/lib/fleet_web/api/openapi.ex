@@ -1,0 +1,172 @@
+defmodule FleetWeb.API.OpenAPI do
+  @moduledoc """
+  `docs/openapi.json` and `GET /api/openapi`: the REST interface as OpenAPI 3.1, made from the routes
+  (`FleetWeb.API.Resources.actions/0`) and what is said about them (`FleetWeb.API.Operations`). Pure.
+  """
+
+  alias FleetWeb.API.{Error, Operations, Resources}
+
+  # Every answer may be one of these; those of commands only where a vehicle is asked.
+  @errors [400, 401, 403, 404, 405, 409, 413, 415, 422, 429, 503]
+  @command_errors [410, 502, 504]
+
+  @doc "The description."
+  @spec document() :: map()
+  def document do
+    %{
+      openapi: "3.1.0",
+      info: %{
+        title: "Aerie",
+        version: version(),
+        description:
+          "The REST interface of an Aerie gateway; docs/clients.md, docs/commands.md and docs/transfers.md explain it. The " <>
+            "fields of vehicles, events and links are in docs/telemetry.md."
+      },
+      servers: [%{url: "http://127.0.0.1:4000"}],
+      security: [%{key: []}, %{bearer: []}, %{}],
+      paths: paths(),
+      components: %{
+        securitySchemes: %{
+          key: %{type: :apiKey, in: :header, name: "X-Aerie-Key"},
+          bearer: %{type: :http, scheme: :bearer}
+        },
+        schemas: Map.merge(Operations.schemas(), %{error: error()}),
+        responses: Map.new(@errors ++ @command_errors, &{"error#{&1}", response(&1)})
+      }
+    }
+  end
+
+  @doc "The text of `docs/openapi.json`: the same bytes each time, a line for each operation."
+  @spec text() :: String.t()
+  def text, do: IO.iodata_to_binary([pretty(document(), 0), "\n"])
+
+  # That of the release; a checkout's has no other.
+  defp version, do: :fleet_web |> Application.spec(:vsn) |> to_string()
+
+  defp paths do
+    Resources.actions()
+    |> Enum.group_by(fn {path, _method, _action} -> path end)
+    |> Map.new(fn {path, actions} ->
+      methods =
+        Map.new(actions, fn {_path, method, action} ->
+          {String.downcase(method), operation(path, method, action)}
+        end)
+
+      {template(path), methods}
+    end)
+  end
+
+  defp template(path), do: path |> String.replace(~r/:([a-z]+)/, "{\\1}") |> String.replace("[...]", "{path}")
+
+  defp operation(path, method, action) do
+    about = Map.fetch!(Operations.all(), action)
+
+    %{
+      operationId:
+        "#{String.downcase(method)}#{path |> String.replace(~r/[^a-z]+/, "_") |> String.trim_trailing("_")}",
+      summary: about.summary <> if(about[:admin], do: " Only for an admin.", else: ""),
+      tags: [path |> String.split("/", trim: true) |> Enum.at(1, "api")],
+      parameters: in_path(path) ++ Enum.map(about[:query] || [], &in_query/1),
+      responses: responses(path, about)
+    }
+    |> with_body(about[:body])
+  end
+
+  defp in_path(path) do
+    for [name] <- Regex.scan(~r/\{([a-z]+)\}/, template(path), capture: :all_but_first),
+        do: %{name: name, in: :path, required: true, schema: %{type: :string, minLength: 1}}
+  end
+
+  defp in_query(name) do
+    {schema, meaning} = Map.fetch!(Operations.parameters(), name)
+    %{name: name, in: :query, required: false, description: meaning, schema: schema}
+  end
+
+  defp with_body(operation, nil), do: operation
+
+  defp with_body(operation, {:bytes, types}),
+    do: Map.put(operation, :requestBody, %{required: true, content: content(types)})
+
+  defp with_body(operation, schema),
+    do:
+      Map.put(operation, :requestBody, %{
+        required: schema != :nothing,
+        content: %{"application/json" => %{schema: schema(schema)}}
+      })
+
+  defp content(types) do
+    Map.new(types, fn
+      "application/json" = type -> {type, %{schema: schema(:object)}}
+      type -> {type, %{schema: %{type: :string}}}
+    end)
+  end
+
+  defp responses(path, about) do
+    errors = if String.starts_with?(path, "/api/vehicles/:id/"), do: @errors ++ @command_errors, else: @errors
+    done = %{"#{about[:status] || 200}" => answer(Map.get(about, :answer, :object))}
+    later = if about[:later], do: %{"202" => answer(:object)}, else: %{}
+
+    errors
+    |> Map.new(&{"#{&1}", %{"$ref": "#/components/responses/error#{&1}"}})
+    |> Map.merge(later)
+    |> Map.merge(done)
+  end
+
+  defp answer(nil), do: %{description: "Done."}
+
+  defp answer({:bytes, types}),
+    do: %{description: "Done.", content: content(Enum.uniq(["application/json" | types]))}
+
+  defp answer(schema),
+    do: %{description: "Done.", content: %{"application/json" => %{schema: schema(schema)}}}
+
+  defp schema(name), do: %{"$ref": "#/components/schemas/#{name}"}
+
+  defp response(status),
+    do: %{description: Error.meaning(status), content: %{"application/json" => %{schema: schema(:error)}}}
+
+  defp error do
+    %{
+      type: :object,
+      required: [:error],
+      properties: %{
+        error: %{
+          type: :object,
+          required: [:code, :message],
+          properties: %{code: %{type: :string, enum: Error.codes()}, message: %{type: :string}}
+        }
+      }
+    }
+  end
+
+  # Objects in the order of their keys, those that fit on a line on one.
+  defp pretty(map, depth) when is_map(map) and map_size(map) > 0 do
+    one = IO.iodata_to_binary(plain(map))
+
+    if byte_size(one) + 2 * depth <= 120 or depth > 4 do
+      plain(map)
+    else
+      members =
+        for {key, value} <- sorted(map),
+            do: [indent(depth + 1), JSON.encode!(key), ": ", pretty(value, depth + 1)]
+
+      ["{\n", Enum.intersperse(members, ",\n"), "\n", indent(depth), "}"]
+    end
+  end
+
+  defp pretty(value, _depth), do: plain(value)
+
+  defp plain(map) when is_map(map),
+    do: [
+      "{",
+      Enum.map_intersperse(sorted(map), ", ", fn {k, v} -> [JSON.encode!(k), ": ", plain(v)] end),
+      "}"
+    ]
+
+  defp plain(list) when is_list(list), do: ["[", Enum.map_intersperse(list, ", ", &plain/1), "]"]
+  defp plain(value), do: JSON.encode!(value)
+
+  defp sorted(map), do: map |> Enum.map(fn {key, value} -> {to_string(key), value} end) |> Enum.sort()
+
+  defp indent(depth), do: String.duplicate("  ", depth)
+end

@@ -1,0 +1,290 @@
+defmodule FleetWeb.API.Transfers do
+  @moduledoc """
+  Parameters, plans, files and logs of a vehicle by REST: `Aerie.Params`, `Aerie.Missions`, `Aerie.Files` and `Aerie.Logs` in the name of a key.
+  `docs/transfers.md` describes it.
+
+  A read takes up to `?timeout=` (seconds), and ends when the client hangs up. A change is waited for
+  like a command, and then continues by itself.
+  """
+
+  alias Aerie.Command.Result
+  alias Aerie.{Files, Logs, Missions, Params}
+  alias Aerie.Params.{Param, Table}
+  alias FleetWeb.API.{Commands, Error, Format, LogDownload, Request}
+
+  @max_timeout_s Aerie.Transfers.max_timeout_s()
+  @plan_bytes 4_194_304
+  @param_bytes 1_048_576
+  @file_bytes Aerie.Ftp.Client.max_bytes()
+  @object_bytes 16_384
+
+  @type action ::
+          :list_params
+          | :load_params
+          | :get_param
+          | :param_metadata
+          | :set_param
+          | {:get_plan | :put_plan | :clear_plan, Missions.kind()}
+          | :read_file
+          | :write_file
+          | :remove_file
+          | :list_logs
+          | :download_log
+  @type result ::
+          {:ok, 200 | 202 | 206, map() | {:text, String.t(), iodata(), String.t()} | :sent, :cowboy_req.req()}
+          | {:error, Error.t(), :cowboy_req.req()}
+
+  @doc "Runs an action. `state` has the gateway and the requester."
+  @spec run(action(), map(), :cowboy_req.req()) :: result()
+  def run(action, %{gateway: gateway, requester: requester}, request) do
+    parameters = Request.parameters(request)
+
+    with {:ok, timeout_ms} <- timeout_ms(parameters["timeout"]),
+         {:ok, wait_ms} <- Commands.wait_ms(parameters["wait"]) do
+      request = Request.patient(request, timeout_ms || longest_ms(action))
+      more = if timeout_ms, do: [timeout_ms: timeout_ms], else: []
+      options = [as: Commands.source(requester), via: "rest", wait_ms: wait_ms] ++ more
+      act(action, {gateway, :cowboy_req.binding(:id, request)}, options, parameters, request)
+    else
+      {:error, error} -> {:error, error, request}
+    end
+  end
+
+  # --- Parameters
+
+  defp act(:list_params, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, format} <- wanted(parameters, request, ["json", "param", "params"]),
+         {:ok, body} <- list_params(format, gateway, vehicle, options) do
+      {:ok, 200, body, request}
+    else
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:load_params, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, format} <- given(parameters, request, ["json", "param", "params"]),
+         {:ok, text, request} <- Request.bytes(request, @param_bytes) do
+      unknown = if parameters["unknown"] == "skip", do: :skip, else: :refuse
+
+      case format do
+        "json" ->
+          with {:ok, object} <- Request.decode(text),
+               :ok <- Request.known(object, ["id", "values"]),
+               %{} = values <-
+                 object["values"] || Error.invalid("values: expected an object of names and numbers") do
+            Params.set_all(gateway, vehicle, values, with_id(options, object, parameters))
+          end
+
+        _file ->
+          Params.load(gateway, vehicle, text, [unknown: unknown] ++ with_id(options, %{}, parameters))
+      end
+      |> changed(vehicle, request)
+    else
+      {:error, error, request} -> {:error, error, request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:get_param, {gateway, vehicle}, options, _parameters, request) do
+    case Params.get(gateway, vehicle, :cowboy_req.binding(:name, request), options) do
+      {:ok, param} -> {:ok, 200, Param.plain(param), request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:param_metadata, {gateway, vehicle}, options, _parameters, request) do
+    case Params.metadata(gateway, vehicle, options) do
+      {:ok, all} -> {:ok, 200, %{params: all |> Map.values() |> Enum.sort_by(& &1.name)}, request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:set_param, {gateway, vehicle}, options, parameters, request) do
+    name = :cowboy_req.binding(:name, request)
+
+    with {:ok, text, request} <- Request.bytes(request, @object_bytes) do
+      with {:ok, object} <- Request.decode(text),
+           :ok <- Request.known(object, ["id", "value"]) do
+        Params.set(gateway, vehicle, name, object["value"], with_id(options, object, parameters))
+      end
+      |> changed(vehicle, request)
+    end
+  end
+
+  # --- Plans
+
+  defp act({:get_plan, kind}, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, format} <- wanted(parameters, request, formats(kind)),
+         {:ok, stored} <- Missions.download(gateway, vehicle, kind, options) do
+      body =
+        if format == "json",
+          do: Missions.plain(stored, kind),
+          else:
+            file(format, Missions.export(stored.plan, plan_format(format)), "#{vehicle}-#{kind}.#{format}")
+
+      {:ok, 200, body, request}
+    else
+      error -> refused(error, request)
+    end
+  end
+
+  defp act({:put_plan, kind}, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, format} <- given(parameters, request, formats(kind)),
+         {:ok, text, request} <- Request.bytes(request, @plan_bytes) do
+      case plan(format, text) do
+        {:ok, plan, object} ->
+          Missions.upload(gateway, vehicle, kind, plan, with_id(options, object, parameters))
+
+        error ->
+          error
+      end
+      |> changed(vehicle, request)
+    else
+      {:error, error, request} -> {:error, error, request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act({:clear_plan, kind}, {gateway, vehicle}, options, parameters, request) do
+    gateway
+    |> Missions.clear(vehicle, kind, with_id(options, %{}, parameters))
+    |> changed(vehicle, request)
+  end
+
+  # --- Files and logs
+
+  defp act(:read_file, {gateway, vehicle}, options, parameters, request) do
+    path = path(request)
+
+    cond do
+      is_map_key(parameters, "crc") ->
+        with {:ok, crc} <- Files.crc(gateway, vehicle, path, options), do: {:ok, %{path: path, crc32: crc}}
+
+      is_map_key(parameters, "list") ->
+        with {:ok, entries} <- Files.list(gateway, vehicle, path, options),
+             do: {:ok, %{path: path, entries: entries}}
+
+      true ->
+        with {:ok, bytes} <- Files.read(gateway, vehicle, path, options),
+             do: {:ok, {:text, Format.bytes(), bytes, Path.basename(path)}}
+    end
+    |> case do
+      {:ok, body} -> {:ok, 200, body, request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:write_file, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, bytes, request} <- Request.bytes(request, @file_bytes) do
+      gateway
+      |> Files.write(vehicle, path(request), bytes, with_id(options, %{}, parameters))
+      |> changed(vehicle, request)
+    end
+  end
+
+  defp act(:remove_file, {gateway, vehicle}, options, parameters, request) do
+    gateway
+    |> Files.remove(vehicle, path(request), with_id(options, %{}, parameters))
+    |> changed(vehicle, request)
+  end
+
+  defp act(:list_logs, {gateway, vehicle}, options, _parameters, request) do
+    case Logs.list(gateway, vehicle, options) do
+      {:ok, logs} -> {:ok, 200, %{logs: logs}, request}
+      error -> refused(error, request)
+    end
+  end
+
+  defp act(:download_log, place, options, _parameters, request) do
+    case LogDownload.run(place, options, request) do
+      {:ok, status, :sent, request} -> {:ok, status, :sent, request}
+      error -> refused(error, request)
+    end
+  end
+
+  # --- Formats
+
+  defp list_params("json", gateway, vehicle, options) do
+    with {:ok, table} <- Params.list(gateway, vehicle, options), do: {:ok, Table.plain(table)}
+  end
+
+  defp list_params(format, gateway, vehicle, options) do
+    with {:ok, text} <-
+           Params.save(gateway, vehicle, if(format == "param", do: :param, else: :params), options),
+         do: {:ok, file(format, text, "#{vehicle}.#{format}")}
+  end
+
+  defp file(format, text, name), do: {:text, Format.type(format), text, name}
+
+  defp formats(:mission), do: ["json", "waypoints", "plan"]
+  defp formats(_other), do: ["json", "plan"]
+
+  defp plan_format("plan"), do: :plan
+  defp plan_format("waypoints"), do: :waypoints
+
+  # In JSON the plan is beside the id.
+  defp plan("json", text) do
+    with {:ok, object} <- Request.decode(text),
+         :ok <- Request.known(object, ["id", "plan"]),
+         {:ok, plan, _none} <- plan("plan", JSON.encode!(object["plan"])),
+         do: {:ok, plan, object}
+  end
+
+  defp plan(format, text) do
+    case Missions.import(text, plan_format(format)) do
+      {:ok, plan} -> {:ok, plan, %{}}
+      {:error, reason} -> Error.invalid(reason)
+    end
+  end
+
+  # The format that a request without a body wants, or that of the body.
+  defp wanted(parameters, request, formats),
+    do: Format.choose(parameters["format"], Request.header(request, "accept"), formats)
+
+  defp given(parameters, request, formats),
+    do: Format.choose(parameters["format"], Request.header(request, "content-type"), formats)
+
+  # Empty segments do not belong to a path on board.
+  defp path(request), do: "/" <> Enum.join(:cowboy_req.path_info(request), "/")
+
+  defp with_id(options, object, parameters) do
+    case object["id"] || parameters["id"] do
+      nil -> options
+      id -> [id: id] ++ options
+    end
+  end
+
+  defp longest_ms(:download_log), do: Logs.timeout_ms()
+  defp longest_ms(_action), do: @max_timeout_s * 1000
+
+  defp timeout_ms(nil), do: {:ok, nil}
+
+  defp timeout_ms(text) do
+    case Integer.parse(text) do
+      {seconds, ""} when seconds in 1..@max_timeout_s -> {:ok, seconds * 1000}
+      _other -> Error.invalid("timeout: expected 1 to #{@max_timeout_s} seconds")
+    end
+  end
+
+  # --- Answers
+
+  defp refused({:error, %Result{} = result}, request), do: {:error, Error.of_result(result), request}
+  defp refused({:error, [_ | _] = errors}, request), do: {:error, Error.malformed(errors), request}
+  defp refused({:error, %Error{} = error}, request), do: {:error, error, request}
+
+  defp changed({:ok, result}, vehicle, request) do
+    case Error.of_result(result) do
+      nil -> {:ok, 200, Result.plain(result), located(request, vehicle, result.id)}
+      error -> {:error, error, request}
+    end
+  end
+
+  defp changed({:pending, id}, vehicle, request),
+    do: {:ok, 202, %{"id" => id, "vehicle" => vehicle, "state" => "under_way"}, located(request, vehicle, id)}
+
+  defp changed(error, _vehicle, request), do: refused(error, request)
+
+  # `GET` and `DELETE` work there as for commands.
+  defp located(request, vehicle, id),
+    do: :cowboy_req.set_resp_header("location", "/api/vehicles/#{vehicle}/commands/#{id}", request)
+end

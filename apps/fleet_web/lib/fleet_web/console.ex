@@ -1,0 +1,58 @@
+defmodule FleetWeb.Console do
+  @moduledoc """
+  The console: pages for operators. `console/README.md` describes how it is put together.
+
+      defmodule FleetWeb.Console.Links.Page do
+        use FleetWeb.Console, {:page, events: [viewer: ~w(sort), admin: ~w(remove)]}
+
+        @impl Phoenix.LiveView
+        def mount(_params, _session, socket), do: {:ok, socket |> subscribe([:links]) |> load()}
+
+        @impl Phoenix.LiveView
+        def handle_info(:refresh, socket), do: {:noreply, load(socket)}
+      end
+
+  A page gets the assigns `@gateway` (`t:Aerie.Names.gateway/0`), `@user` (`t:Aerie.Policy.Roles.source/0`), `@path` and `@alarms` before
+  its `mount/3`. Its options:
+
+    * `:role` - the least role that may open the page, `:viewer` unless given
+    * `:events` - the least role for events by name. An event that is not named needs `:operator`
+
+  Both are enforced in the server, before `mount/3` and before each `handle_event/3`.
+  """
+
+  alias Aerie.Policy.Roles
+
+  @doc "`use FleetWeb.Console, :page`, `{:page, options}` or `:component`."
+  defmacro __using__(:component), do: component()
+  defmacro __using__(:page), do: page([])
+  defmacro __using__({:page, options}), do: options |> Macro.expand_literals(__CALLER__) |> page()
+
+  defp component do
+    quote do
+      use Phoenix.Component
+      use FleetWeb.Console.UI
+      alias Phoenix.LiveView.JS
+    end
+  end
+
+  defp page(options) do
+    quote do
+      use Phoenix.LiveView
+      use FleetWeb.Console.UI
+      import FleetWeb.Console.Refresh, only: [subscribe: 1, subscribe: 2]
+      alias Phoenix.LiveView.JS
+
+      @doc false
+      def __console__, do: unquote(__MODULE__).options(unquote(options))
+    end
+  end
+
+  @doc false
+  @spec options(keyword()) :: %{role: Roles.role(), events: %{String.t() => Roles.role()}}
+  def options(options) do
+    options = Keyword.validate!(options, role: :viewer, events: [])
+    events = for {role, names} <- options[:events], name <- names, into: %{}, do: {name, role}
+    %{role: options[:role], events: events}
+  end
+end

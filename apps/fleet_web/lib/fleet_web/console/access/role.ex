@@ -1,0 +1,20 @@
+defmodule FleetWeb.Console.Access.Role do
+  @moduledoc "The order of roles: viewer, operator, admin."
+
+  alias Aerie.Policy.Roles
+
+  @rank Roles.all() |> Enum.with_index() |> Map.new()
+
+  @doc "Whether a role may do what `least` may."
+  @spec at_least?(Roles.role(), Roles.role()) :: boolean()
+  def at_least?(role, least), do: Map.fetch!(@rank, role) >= Map.fetch!(@rank, least)
+
+  @doc "The role with a name from outside."
+  @spec parse(term()) :: {:ok, Roles.role()} | :error
+  def parse(name) do
+    case Enum.find(Roles.all(), &(Atom.to_string(&1) == name)) do
+      nil -> :error
+      role -> {:ok, role}
+    end
+  end
+end

@@ -1,0 +1,213 @@
+defmodule FleetWeb.Console.Access.Users do
+  @moduledoc """
+  The users who may sign in, each with a role: in a table that all processes read, and in a file that only its owner can read.
+
+  ```json
+  {"users": [{"name": "ann", "role": "operator", "password": "pbkdf2-sha256$600000$…$…"}]}
+  ```
+
+  A change is on disk before it takes effect, and open pages of the user are notified (`{:notice, :console_users}` of `Aerie.Store.PubSub`). The file is
+  read only at start; the console does not start with an invalid one.
+  """
+  use GenServer
+
+  import Bitwise
+
+  alias Aerie.{Names, PrivateFile}
+  alias Aerie.Policy.Roles
+  alias Aerie.Store.PubSub
+  alias FleetWeb.Console.Access.{Password, Role}
+
+  @most 100
+  @max_file 65_536
+  @name ~r/\A[a-z0-9][a-z0-9._-]{0,31}\z/
+
+  @type user :: %{name: String.t(), role: Roles.role(), password: Password.stored()}
+
+  @doc "Options: `:gateway`, `:file`."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_users))
+
+  @doc "All users, by name."
+  @spec list(Names.gateway()) :: [user()]
+  def list(gateway),
+    do: Names.read(gateway, :console_users, [], &for({_name, user} <- :ets.tab2list(&1), do: user))
+
+  @doc "One user."
+  @spec find(Names.gateway(), String.t()) :: user() | nil
+  def find(gateway, name),
+    do: Names.read(gateway, :console_users, nil, &:ets.lookup_element(&1, name, 2, nil))
+
+  @doc "The user with this name and password. An unknown name takes as long to check."
+  @spec check(Names.gateway(), term(), term()) :: {:ok, user()} | :error
+  def check(gateway, name, password) do
+    user = if is_binary(name), do: find(gateway, name)
+    if Password.match?(password, user[:password]), do: {:ok, user}, else: :error
+  end
+
+  @doc "Adds a user."
+  @spec add(Names.gateway(), term(), term(), term()) :: :ok | {:error, String.t()}
+  def add(gateway, name, role, password) do
+    with :ok <- name(name), {:ok, role} <- role(role), :ok <- Password.check(password) do
+      change(gateway, {:add, %{name: name, role: role, password: Password.hash(password)}})
+    end
+  end
+
+  @doc "Changes a user's role."
+  @spec set_role(Names.gateway(), String.t(), term()) :: :ok | {:error, String.t()}
+  def set_role(gateway, name, role) do
+    with {:ok, role} <- role(role), do: change(gateway, {:update, name, %{role: role}})
+  end
+
+  @doc "Changes a user's password, which ends the user's sessions."
+  @spec set_password(Names.gateway(), String.t(), term()) :: :ok | {:error, String.t()}
+  def set_password(gateway, name, password) do
+    with :ok <- Password.check(password),
+         do: change(gateway, {:update, name, %{password: Password.hash(password)}})
+  end
+
+  @doc "The new password if both inputs are equal."
+  @spec same(term(), term()) :: {:ok, term()} | {:error, String.t()}
+  def same(password, password), do: {:ok, password}
+  def same(_password, _other), do: {:error, "the two new passwords differ"}
+
+  @doc "Removes a user."
+  @spec remove(Names.gateway(), String.t()) :: :ok | {:error, String.t()}
+  def remove(gateway, name), do: change(gateway, {:remove, name})
+
+  defp change(gateway, change), do: GenServer.call(Names.via(gateway, :console_users), change)
+
+  @doc "The users' file in the console's folder."
+  @spec file(Path.t()) :: Path.t()
+  def file(dir), do: Path.join(dir, "users.json")
+
+  @doc "The users of a file; none if there is no file."
+  @spec read(Path.t()) :: {:ok, [user()]} | {:error, String.t()}
+  def read(path) do
+    with {:ok, stat} <- File.stat(path),
+         :ok <- private(stat),
+         {:ok, text} <- File.read(path),
+         {:ok, users} <- parse(text) do
+      {:ok, users}
+    else
+      {:error, :enoent} -> {:ok, []}
+      {:error, reason} when is_atom(reason) -> {:error, "#{path}: #{:file.format_error(reason)}"}
+      {:error, text} -> {:error, "#{path}: #{text}"}
+    end
+  end
+
+  defp private(%File.Stat{type: :regular, mode: mode, size: size}) do
+    cond do
+      (mode &&& 0o077) != 0 ->
+        {:error, "others can read it (mode #{Integer.to_string(mode &&& 0o777, 8)}): chmod 600"}
+
+      size > @max_file ->
+        {:error, "it is larger than #{@max_file} bytes"}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp private(_stat), do: {:error, "it is not a file"}
+
+  # No message quotes the text, because it contains password hashes.
+  defp parse(text) do
+    with {:ok, %{"users" => users}} when is_list(users) and length(users) <= @most <- JSON.decode(text),
+         {:ok, users} <- users |> Enum.with_index() |> each([]) do
+      if users |> Enum.uniq_by(& &1.name) |> length() == length(users),
+        do: {:ok, users},
+        else: {:error, "two users have the same name"}
+    else
+      {:error, words} when is_binary(words) -> {:error, words}
+      _other -> {:error, ~s(expected JSON with {"users": […]}, #{@most} at most)}
+    end
+  end
+
+  defp each([], users), do: {:ok, Enum.reverse(users)}
+
+  defp each([{%{"name" => name, "role" => role, "password" => stored}, index} | rest], users) do
+    with :ok <- name(name), {:ok, role} <- role(role), true <- Password.stored?(stored) do
+      each(rest, [%{name: name, role: role, password: stored} | users])
+    else
+      {:error, words} -> {:error, "users[#{index}]: #{words}"}
+      false -> {:error, "users[#{index}].password: expected pbkdf2-sha256$ITERATIONS$SALT$HASH"}
+    end
+  end
+
+  defp each([{_other, index} | _rest], _users),
+    do: {:error, "users[#{index}]: expected name, role and password"}
+
+  defp name(name) when is_binary(name) do
+    if name =~ @name,
+      do: :ok,
+      else: {:error, "a name has 1 to 32 characters out of a-z, 0-9, dot, underscore and hyphen"}
+  end
+
+  defp name(_other), do: {:error, "the name is missing"}
+
+  defp role(role) do
+    with :error <- Role.parse(to_string(role)),
+         do: {:error, "expected the role #{Enum.join(Roles.all(), ", ")}"}
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.set_label(:console_users)
+
+    case read(options[:file]) do
+      {:ok, users} ->
+        table = :ets.new(:console_users, [:ordered_set, :protected, read_concurrency: true])
+        true = :ets.insert(table, Enum.map(users, &{&1.name, &1}))
+        Names.put_value(options[:gateway], :console_users, table)
+        {:ok, %{gateway: options[:gateway], file: options[:file], table: table}}
+
+      {:error, text} ->
+        {:stop, text}
+    end
+  end
+
+  @impl GenServer
+  def handle_call(change, _from, %{table: table} = state) do
+    users = Map.new(:ets.tab2list(table))
+
+    with {:ok, name, changed} <- changed(users, change),
+         :ok <- write(state.file, Map.values(changed)) do
+      true = :ets.delete(table, name)
+      true = :ets.insert(table, Map.to_list(Map.take(changed, [name])))
+      PubSub.publish(state.gateway, {:notice, :console_users}, name)
+      {:reply, :ok, state}
+    else
+      {:error, words} -> {:reply, {:error, words}, state}
+    end
+  end
+
+  defp changed(users, {:add, %{name: name} = user}) do
+    cond do
+      is_map_key(users, name) -> {:error, "there already is a user #{name}"}
+      map_size(users) >= @most -> {:error, "there are #{@most} users already"}
+      true -> {:ok, name, Map.put(users, name, user)}
+    end
+  end
+
+  defp changed(users, {:update, name, fields}) when is_map_key(users, name),
+    do: {:ok, name, Map.update!(users, name, &Map.merge(&1, fields))}
+
+  defp changed(users, {:remove, name}) when is_map_key(users, name), do: {:ok, name, Map.delete(users, name)}
+  defp changed(_users, _change), do: {:error, "there is no such user"}
+
+  defp write(file, users) do
+    text = JSON.encode_to_iodata!(%{users: Enum.sort_by(users, & &1.name)})
+
+    with :ok <- PrivateFile.new_folder(Path.dirname(file)), :ok <- PrivateFile.write(file, [text, ?\n]) do
+      :ok
+    else
+      {:error, reason} -> {:error, "#{file}: #{:file.format_error(reason)}"}
+    end
+  end
+
+  # The state and messages contain password hashes.
+  @impl GenServer
+  def format_status(status), do: Map.merge(status, %{state: :hidden, message: :hidden})
+end

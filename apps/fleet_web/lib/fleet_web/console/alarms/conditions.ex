@@ -1,0 +1,74 @@
+defmodule FleetWeb.Console.Alarms.Conditions do
+  @moduledoc """
+  What is wrong now: from snapshots of vehicles and links, from the diagnosis, and from the gateway's own state. Pure.
+
+  What the diagnosis judges (`Aerie.Diagnosis`) is not judged a second time here.
+  """
+
+  alias Aerie.Diagnosis.Condition
+  alias FleetWeb.Console.Alarms
+
+  # Which conditions of the diagnosis are alarms, too, and how severe.
+  @diagnosed [:two_vehicles_one_id, :overload, :noisy_link]
+  @severities %{error: :critical, warning: :warning}
+
+  @doc "Conditions of a vehicle's snapshot."
+  @spec vehicle(map()) :: [Alarms.condition()]
+  def vehicle(%{id: id} = vehicle) do
+    mode = data(vehicle, :mode)
+    flying? = mode[:armed] == true or mode[:in_air] == true
+    emergency? = mode[:failsafe] == true and vehicle.status != :lost
+
+    silent(vehicle.status, id, flying?) ++
+      if emergency?,
+        do: [condition(:emergency, id, :critical, "the vehicle reports an emergency", id)],
+        else: []
+  end
+
+  defp silent(:lost, id, true),
+    do: [condition(:vehicle, id, :critical, "not heard any more, last seen armed", id)]
+
+  defp silent(:lost, id, false), do: [condition(:vehicle, id, :notice, "not heard any more", id)]
+  defp silent(:stale, id, true), do: [condition(:vehicle, id, :warning, "silent while armed", id)]
+  defp silent(_status, _id, _flying?), do: []
+
+  @doc "Conditions of a link's snapshot."
+  @spec link(map()) :: [Alarms.condition()]
+  def link(%{status: status}) when status in [:up, :idle, :ended, :disabled], do: []
+
+  def link(%{id: id, status: status} = link),
+    do: [condition(:link, id, :warning, "link is #{link[:text] || status}", nil)]
+
+  @doc "Those of the diagnosis' conditions that are alarms: collisions of ids, overload, damaged frames."
+  @spec diagnosed([Condition.t()]) :: [Alarms.condition()]
+  def diagnosed(conditions) do
+    for %{name: name, subject: {kind, id} = subject, severity: severity, title: title} <- conditions,
+        name in @diagnosed do
+      vehicle = if kind == :vehicle, do: id
+      %{key: {name, subject}, severity: @severities[severity], text: title, vehicle: vehicle}
+    end
+  end
+
+  @doc "Conditions of the gateway itself: its ids, and what keeps it from storing events (nil for nothing)."
+  @spec gateway(%{:alarm => String.t() | nil, optional(atom()) => term()}, String.t() | nil, String.t() | nil) ::
+          [Alarms.condition()]
+  def gateway(identity, nats, audit) do
+    for {kind, severity, text} <- [
+          {:identity, :critical, identity.alarm},
+          {:events, :warning, nats && "events are not stored: #{nats}"},
+          {:audit, :warning, audit && "commands are refused: the audit log #{audit}"}
+        ],
+        text != nil,
+        do: %{key: {kind, :gateway}, severity: severity, text: text, vehicle: nil}
+  end
+
+  defp condition(kind, id, severity, words, vehicle),
+    do: %{key: {kind, id}, severity: severity, text: "#{id}: #{words}", vehicle: vehicle}
+
+  defp data(%{groups: groups}, name) do
+    case groups do
+      %{^name => %{data: data}} -> data
+      _unheard -> %{}
+    end
+  end
+end

@@ -1,0 +1,49 @@
+defmodule FleetWeb.Console.Alarms.Page do
+  @moduledoc "The page of all alarms: what they are about, since when, and who has seen them."
+  use FleetWeb.Console, :page
+
+  alias FleetWeb.Console.Access.Role
+  alias FleetWeb.Console.Alarms
+  alias FleetWeb.Console.Alarms.{Server, Strip}
+
+  @impl Phoenix.LiveView
+  def mount(_params, _session, socket),
+    do: {:ok, socket |> assign(page_title: "Alarms") |> subscribe([]) |> load()}
+
+  @impl Phoenix.LiveView
+  def handle_info(:refresh, socket), do: {:noreply, load(socket)}
+
+  defp load(socket) do
+    {list, dropped} = Server.list(socket.assigns.gateway)
+    now = System.os_time(:microsecond)
+    rows = for alarm <- list, do: Map.merge(alarm, %{state: Alarms.state(alarm), age: now - alarm.since})
+    assign(socket, rows: rows, dropped: dropped, may?: Role.at_least?(socket.assigns.user.role, :operator))
+  end
+
+  @impl Phoenix.LiveView
+  def render(assigns) do
+    ~H"""
+    <div class="spread page-title">
+      <h1>Alarms</h1>
+      <.button :if={@may?} phx-click="alarm-acknowledge" phx-value-all="yes" icon="check" disabled={@alarms.waiting == 0}>All seen</.button>
+    </div>
+    <.stale :if={@dropped > 0}>{@dropped} more alarms did not fit into this list.</.stale>
+    <.empty :if={@rows == []} icon="check" title="No alarms">
+      Lost vehicles and links, failsafes, batteries, fences and collisions of ids appear here.
+    </.empty>
+    <.data_table :if={@rows != []} id="alarms" label="Alarms" rows={@rows} row_id={&"alarm-#{&1.id}"} row_class={&"alarm-row #{&1.state}"}>
+      <:col :let={row} label="Severity"><.badge kind={Strip.kind_of(row)}>{row.severity}</.badge></:col>
+      <:col :let={row} label="What" class="grow">{row.text}</:col>
+      <:col :let={row} label="Since" number>{FleetWeb.Console.UI.Age.text(row.age)}</:col>
+      <:col :let={row} label="State">{state(row)}</:col>
+      <:col :let={row} label="Seen">
+        <span :if={row.by}>{row.by}</span>
+        <.button :if={row.by == nil && @may?} small phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Seen</.button>
+      </:col>
+    </.data_table>
+    """
+  end
+
+  defp state(%{over: over}) when over != nil, do: "over"
+  defp state(_alarm), do: "holds"
+end

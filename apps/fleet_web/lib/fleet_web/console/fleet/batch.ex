@@ -1,0 +1,77 @@
+defmodule FleetWeb.Console.Fleet.Batch do
+  @moduledoc """
+  One button press for several vehicles: a command for each, and its result. Pure.
+
+  The id of each command is made from the id of the press, which the browser makes, and the vehicle's. So a press that arrives twice commands
+  no vehicle twice.
+  """
+
+  alias Aerie.Command.Result
+
+  @types ~w(hold rtl land take_control release_control)
+
+  @enforce_keys [:press, :type]
+  defstruct [:press, :type, params: %{}, entries: []]
+
+  @typedoc "`:waiting` is not submitted yet."
+  @type state :: :waiting | :under_way | {:done, Result.status(), reason :: String.t() | nil}
+  @type entry :: %{vehicle: String.t(), id: String.t(), state: state()}
+  @type t :: %__MODULE__{press: String.t(), type: String.t(), params: map(), entries: [entry()]}
+
+  @doc "The commands for the vehicles; `:error` for a command that this page does not offer, or an invalid id."
+  @spec new(term(), term(), [String.t()], params :: map()) :: {:ok, t()} | :error
+  def new(press, type, vehicles, params \\ %{})
+
+  def new(press, type, vehicles, params) when is_binary(press) and type in @types do
+    if press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/ do
+      entries = for vehicle <- vehicles, do: %{vehicle: vehicle, id: id(press, vehicle), state: :waiting}
+      {:ok, %__MODULE__{press: press, type: type, params: params, entries: entries}}
+    else
+      :error
+    end
+  end
+
+  def new(_press, _type, _vehicles, _params), do: :error
+
+  defp id(press, vehicle) do
+    <<short::binary-18, _rest::binary>> = :crypto.hash(:sha256, [press, 0, vehicle])
+    "web-" <> Base.url_encode64(short)
+  end
+
+  @doc "The next command to be submitted."
+  @spec next(t()) :: entry() | nil
+  def next(batch), do: Enum.find(batch.entries, &(&1.state == :waiting))
+
+  @doc "Updates the state of a command. A result is final."
+  @spec put(t(), id :: String.t(), state()) :: t()
+  def put(batch, id, state) do
+    entries =
+      for entry <- batch.entries do
+        if entry.id == id and not match?({:done, _, _}, entry.state), do: %{entry | state: state}, else: entry
+      end
+
+    %{batch | entries: entries}
+  end
+
+  @doc "The entry of a command."
+  @spec find(t() | nil, id :: String.t()) :: entry() | nil
+  def find(nil, _id), do: nil
+  def find(batch, id), do: Enum.find(batch.entries, &(&1.id == id))
+
+  @doc "How many commands have a result."
+  @spec done(t()) :: non_neg_integer()
+  def done(batch), do: Enum.count(batch.entries, &match?({:done, _status, _reason}, &1.state))
+
+  @doc "The kind of badge and the word for a state."
+  @spec shown(state()) :: {String.t(), String.t()}
+  def shown(:waiting), do: {"plain", "waiting"}
+  def shown(:under_way), do: {"info", "under way"}
+
+  def shown({:done, status, _reason}) when status in [:completed, :accepted],
+    do: {"ok", Atom.to_string(status)}
+
+  def shown({:done, status, _reason}) when status in [:unknown, :timeout],
+    do: {"warn", Atom.to_string(status)}
+
+  def shown({:done, status, _reason}), do: {"bad", Atom.to_string(status)}
+end

@@ -1,0 +1,142 @@
+defmodule FleetWeb.Console.Fleet.Row do
+  @moduledoc """
+  A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
+  """
+
+  alias Aerie.Policy.Lease
+  alias Aerie.Store
+  alias Aerie.Fleet.Age
+  alias FleetWeb.Console.Fleet.Problems
+  alias FleetWeb.Console.Map.Payload
+
+  @enforce_keys [:id, :network, :system_id, :kind, :autopilot, :status, :state]
+  defstruct [
+    :id,
+    :network,
+    :system_id,
+    :kind,
+    :autopilot,
+    :firmware,
+    :status,
+    :state,
+    :mode,
+    :armed,
+    :in_air,
+    :battery,
+    :voltage,
+    :fix,
+    :satellites,
+    :height,
+    :speed,
+    :link,
+    :silent_us,
+    :via,
+    problems: [],
+    holder: nil,
+    tags: []
+  ]
+
+  @typedoc """
+    * `:state` - as on the map
+    * `:battery` - 0..1; `:voltage` - V; `:height` - m above home; `:speed` - m/s over the ground
+    * `:link` - 0..100, the best of its links, nil if none was measured
+    * `:silent_us` - time since it was heard, in whole seconds
+    * `:via` - the gateway by which it is reached, nil for a link of this one
+    * `:holder` - who is in charge; nil for nobody
+    * `:tags` - sorted
+  """
+  @type t :: %__MODULE__{
+          id: String.t(),
+          network: String.t(),
+          system_id: non_neg_integer(),
+          kind: String.t(),
+          autopilot: atom(),
+          firmware: String.t() | nil,
+          status: :online | :stale | :lost,
+          state: atom(),
+          mode: String.t() | nil,
+          armed: boolean() | nil,
+          in_air: boolean() | nil,
+          battery: float() | nil,
+          voltage: float() | nil,
+          fix: integer() | nil,
+          satellites: integer() | nil,
+          height: number() | nil,
+          speed: number() | nil,
+          link: 0..100 | nil,
+          silent_us: integer() | nil,
+          via: String.t() | nil,
+          problems: [Problems.problem()],
+          holder: String.t() | nil,
+          tags: [String.t()]
+        }
+
+  @doc """
+  The row of a snapshot. `links`: snapshots of links; `tags`: the tags of all vehicles by id; `leases`: who is in charge, by key; `now`: unix
+  microseconds.
+  """
+  @spec new(map(), [map()], %{String.t() => [String.t()]}, integer(), %{Store.vehicle_key() => Lease.t()}) ::
+          t()
+  def new(vehicle, links, tags, now, leases \\ %{}) do
+    own = for link <- links, link.id in vehicle.links, do: link
+    mode = data(vehicle, :mode)
+    battery = data(vehicle, :battery)
+    gps = data(vehicle, :gps)
+
+    %__MODULE__{
+      id: vehicle.id,
+      network: vehicle.network,
+      system_id: vehicle.system_id,
+      kind: vehicle.vehicle_type,
+      autopilot: vehicle.autopilot,
+      firmware: vehicle.firmware,
+      status: vehicle.status,
+      state: Payload.state(vehicle),
+      mode: text(mode[:mode]),
+      armed: mode[:armed],
+      in_air: mode[:in_air],
+      battery: rounded(battery[:remaining], 2),
+      voltage: rounded(battery[:voltage], 1),
+      fix: whole(gps[:fix]),
+      satellites: whole(gps[:satellites]),
+      height: height(data(vehicle, :position)[:alt_rel]),
+      speed: rounded(data(vehicle, :velocity)[:groundspeed], 1),
+      link: quality(own),
+      silent_us: seconds(Age.silent_us(vehicle, own, now)),
+      via: vehicle[:via],
+      problems: Problems.of(vehicle),
+      holder: with(%{holder: name} <- leases[vehicle[:key]], do: name),
+      tags: Map.get(tags, vehicle.id, [])
+    }
+  end
+
+  defp data(%{groups: groups}, name) do
+    case groups do
+      %{^name => %{data: data}} -> data
+      _unheard -> %{}
+    end
+  end
+
+  defp text(mode) when is_binary(mode), do: mode
+  defp text(_unknown), do: nil
+
+  # Decimetres matter only near the ground.
+  defp height(metres) when is_number(metres) and abs(metres) < 10, do: rounded(metres, 1)
+  defp height(metres) when is_number(metres), do: round(metres)
+  defp height(_unknown), do: nil
+
+  # 255 means that the receiver does not know the number.
+  defp whole(number) when is_integer(number) and number < 255, do: number
+  defp whole(_unknown), do: nil
+
+  defp rounded(value, decimals) when is_number(value), do: Float.round(value / 1, decimals)
+  defp rounded(_unknown, _decimals), do: nil
+
+  defp quality(links) do
+    scores = for %{quality: %{score: score}} when is_number(score) <- links, do: score
+    if scores != [], do: scores |> Enum.max() |> round() |> max(0) |> min(100)
+  end
+
+  defp seconds(nil), do: nil
+  defp seconds(us), do: us - rem(us, 1_000_000)
+end

@@ -1,0 +1,52 @@
+defmodule FleetWeb.Console.Fleet.Toolbar do
+  @moduledoc "The search and the filters above the table."
+  use FleetWeb.Console, :component
+
+  alias FleetWeb.Console.Fleet.Filter
+
+  attr :filter, :map, required: true
+  attr :all, :list, required: true
+  attr :shown, :integer, required: true
+  attr :selected, :integer, required: true
+  attr :words, :list, required: true
+
+  @doc "Search, filters, and the number of matching vehicles."
+  def toolbar(assigns) do
+    ~H"""
+    <form id="fleet-filter" class="fleet-filter" phx-change="filter" phx-submit="filter" role="search">
+      <.field id="fleet-search" type="search" name="q" label="Search" label_hidden placeholder="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
+      <.field id="fleet-type" type="select" name="type" label="Type" label_hidden value={@filter.type} options={options("All types", @filter.type, Enum.map(@all, & &1.kind))} />
+      <.field
+        id="fleet-firmware"
+        type="select"
+        name="firmware"
+        label="Firmware"
+        label_hidden
+        value={@filter.firmware}
+        options={options("All firmware", @filter.firmware, Enum.map(@all, &Atom.to_string(&1.autopilot)))}
+      />
+      <.field :if={@words != [] or @filter.tag} id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @words)} />
+      <div class="fleet-flags" role="group" aria-label="Only those that are">
+        <.button :for={{name, label} <- Filter.flags()} small phx-click="flag" phx-value-flag={name} aria-pressed={pressed(@filter, name)}>{label}</.button>
+      </div>
+      <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
+    </form>
+    """
+  end
+
+  defp pressed(filter, name),
+    do: if(Enum.any?(filter.flags, &(Atom.to_string(&1) == name)), do: "true", else: "false")
+
+  # The chosen value stays in the list when its last vehicle has gone.
+  defp options(all, chosen, values) do
+    values = [chosen | values] |> Enum.reject(&is_nil/1) |> Enum.uniq() |> Enum.sort()
+    [{all, ""} | Enum.map(values, &{&1, &1})]
+  end
+
+  defp count(all, all, 0), do: "#{all} #{vehicles(all)}"
+  defp count(shown, all, 0), do: "#{shown} of #{all} #{vehicles(all)}"
+  defp count(shown, all, selected), do: count(shown, all, 0) <> ", #{selected} selected"
+
+  defp vehicles(1), do: "vehicle"
+  defp vehicles(_n), do: "vehicles"
+end

@@ -1,0 +1,135 @@
+defmodule FleetWeb.Console.Layout do
+  @moduledoc "The frame of every page: the document, and in it the header, the navigation and messages."
+  use FleetWeb.Console, :component
+
+  import FleetWeb.Console.Alarms.Strip
+
+  alias FleetWeb.Console.{Assets, Navigation}
+
+  @doc "The document. The banner for a lost gateway is outside the live page, because it shows when that is dead."
+  def root(assigns) do
+    assigns = Map.merge(%{theme: nil, live: true}, assigns)
+
+    ~H"""
+    <html lang="en" data-theme={@theme}>
+      <head>
+        <meta charset="utf-8" />
+        <meta name="viewport" content="width=device-width, initial-scale=1, viewport-fit=cover" />
+        <meta name="csrf-token" content={@csrf_token} />
+        <meta name="color-scheme" content="dark light" />
+        <.live_title default="Aerie" suffix=" · Aerie">{@page_title}</.live_title>
+        <link rel="icon" href={Assets.path(@gateway, "icon.svg")} type="image/svg+xml" />
+        <link :for={style <- Assets.styles(@gateway)} rel="stylesheet" href={Assets.path(@gateway, style)} phx-track-static />
+        <script :if={@live} type="module" src={Assets.path(@gateway, "console.js")} phx-track-static></script>
+      </head>
+      <body>
+        <a class="skip" href="#main">Skip to the content</a>
+        <div id="gateway-lost" class="banner bad" role="alert" hidden>
+          <.icon name="link-off" /> <strong>Gateway lost.</strong>
+          <span>What you see is <b id="gateway-lost-age"></b> old. Nothing is sent. It comes back by itself.</span>
+        </div>
+        <div :if={Assets.missing(@gateway) != []} class="banner bad" role="alert">
+          The pages' JavaScript packages are not installed: run <code>bin/setup</code> and start the gateway again.
+        </div>
+        <noscript><div class="banner bad">The console needs JavaScript.</div></noscript>
+        {@inner_content}
+      </body>
+    </html>
+    """
+  end
+
+  @doc "The page for an unknown address."
+  @spec not_found() :: String.t()
+  def not_found do
+    """
+    <!DOCTYPE html>
+    <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>Not found · Aerie</title></head>
+    <body><h1>Not found</h1><p>There is no such page. <a href="/">To the fleet</a></p></body></html>
+    """
+  end
+
+  @doc "Header, navigation and messages around a page."
+  def app(assigns) do
+    ~H"""
+    <div id="app" class="app">
+      <header class="top">
+        <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
+        <.alarm_strip alarms={@alarms} />
+        <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
+          <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>
+            <.icon name="user" /><span class="wide-only">{@user.name}</span><.icon name="chevron-down" />
+          </summary>
+          <div class="menu-list">
+            <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge></p>
+            <.nav_link :for={entry <- Navigation.entries(@user.role)} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
+            <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
+            <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>
+            <form action="/sign-out" method="post">
+              <input type="hidden" name="_csrf_token" value={@csrf_token} />
+              <button type="submit"><.icon name="sign-out" /> Sign out</button>
+            </form>
+          </div>
+        </details>
+      </header>
+      <nav class="nav" aria-label="Pages">
+        <.nav_link :for={entry <- Navigation.entries(@user.role)} entry={entry} path={@path} class={if(not entry.main, do: "wide-only")} />
+      </nav>
+      <main id="main" class="main" tabindex="-1">{@inner_content}</main>
+      <.flash flash={@flash} />
+      <.help entries={Navigation.entries(@user.role)} />
+    </div>
+    """
+  end
+
+  attr :entries, :list, required: true
+
+  defp help(assigns) do
+    ~H"""
+    <dialog id="help" class="dialog" aria-labelledby="help-title" phx-mounted={JS.ignore_attributes("open")}>
+      <header>
+        <h2 id="help-title">Keyboard shortcuts</h2>
+        <.button kind="quiet" icon="x" label="Close" data-action="close" />
+      </header>
+      <div class="dialog-body">
+        <dl class="facts">
+          <dt><kbd>h</kbd> held</dt>
+          <dd>hold: the selected vehicle stays where it is</dd>
+          <dt><kbd>r</kbd> held</dt>
+          <dd>return the selected vehicle to its home</dd>
+          <dt><kbd>l</kbd> held</dt>
+          <dd>land the selected vehicle where it is</dd>
+          <.go :for={entry <- @entries} entry={entry} />
+          <dt><kbd>?</kbd></dt>
+          <dd>this list</dd>
+          <dt><kbd>Esc</kbd></dt>
+          <dd>close, cancel</dd>
+        </dl>
+      </div>
+    </dialog>
+    """
+  end
+
+  attr :entry, :map, required: true
+
+  defp go(assigns) do
+    ~H"""
+    <dt><kbd>g</kbd> <kbd>{@entry.key}</kbd></dt>
+    <dd>{@entry.label}</dd>
+    """
+  end
+
+  attr :entry, :map, required: true
+  attr :path, :string, required: true
+  attr :class, :string, default: nil
+
+  defp nav_link(assigns) do
+    ~H"""
+    <.link
+      navigate={@entry.path}
+      class={["nav-link", @class]}
+      data-key={@entry.key}
+      aria-current={if(Navigation.current?(@entry, @path), do: "page")}
+    ><.icon name={@entry.icon} /><span>{@entry.label}</span></.link>
+    """
+  end
+end

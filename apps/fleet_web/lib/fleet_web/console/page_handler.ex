@@ -1,0 +1,21 @@
+defmodule FleetWeb.Console.PageHandler do
+  @moduledoc "Answers the GET of a page if its `Host` is a name of the gateway. A foreign name that points here (DNS rebinding) gets nothing."
+
+  @behaviour :cowboy_handler
+
+  alias FleetWeb.API.{Access, Request}
+  alias Phoenix.LiveView.Cowboy.Page
+
+  @impl :cowboy_handler
+  def init(request, %{policy: policy, server: server} = state) do
+    case Access.host(policy, Request.facts(request)) do
+      :ok ->
+        {:ok, request, _server} = Page.init(request, server)
+        {:ok, request, state}
+
+      {:error, error} ->
+        headers = %{"content-type" => "text/plain; charset=utf-8"}
+        {:ok, :cowboy_req.reply(error.status, headers, error.message <> "\n", request), state}
+    end
+  end
+end

@@ -1,0 +1,116 @@
+defmodule FleetWeb.Console.Params.Listing do
+  @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
+
+  alias Aerie.Params.{File, Param, Table}
+  alias Aerie.Protocol.ParamValue
+  alias MavCodec.Enums.MavParamType
+
+  @max 200
+
+  @typedoc """
+    * `:value`, `:default` - as text; the default is nil if the vehicle does not tell it
+    * `:changed` - it differs from the default; nil if that is not known
+    * `:type` - `int32`, `real32` …
+    * `:exact` - false for an integer that the vehicle's float cannot carry in full
+    * `:file` - what the opened file says, if it says something else
+  """
+  @type row :: %{
+          name: String.t(),
+          value: String.t(),
+          default: String.t() | nil,
+          changed: boolean() | nil,
+          type: String.t(),
+          exact: boolean(),
+          file: String.t() | nil
+        }
+
+  @typedoc "`:search`: words that all have to occur in the name; `:only`: `\"all\"`, `\"changed\"`, or `\"differs\"` from the file."
+  @type filter :: %{search: String.t(), only: String.t()}
+
+  @doc "The choices of what is shown."
+  @spec choices() :: [String.t()]
+  def choices, do: ~w(all changed differs)
+
+  @doc "The largest number of rows that are shown."
+  @spec max() :: pos_integer()
+  def max, do: @max
+
+  @doc "At most #{@max} rows in the order of their names, and the total number. `entries` are those of an opened file."
+  @spec rows(Table.t(), [File.entry()], filter()) :: {[row()], count :: non_neg_integer()}
+  def rows(table, entries, filter) do
+    file = Map.new(entries, &{&1.name, &1})
+    words = filter.search |> String.upcase() |> String.split()
+
+    found =
+      for param <- Table.sorted(table),
+          Enum.all?(words, &String.contains?(String.upcase(param.name), &1)),
+          row = row(param, file[param.name]),
+          shown?(filter.only, row),
+          do: row
+
+    {Enum.take(found, @max), length(found)}
+  end
+
+  defp shown?("changed", row), do: row.changed == true
+  defp shown?("differs", row), do: row.file != nil
+  defp shown?(_all, _row), do: true
+
+  @doc "The row of a parameter, with its value in a file, or nil."
+  @spec row(Param.t(), File.entry() | nil) :: row()
+  def row(param, entry \\ nil) do
+    %{
+      name: param.name,
+      value: text(param.value),
+      default: param.default && text(param.default),
+      changed: if(param.default != nil, do: not ParamValue.same?(param.value, param.default)),
+      type: type(param.type),
+      exact: param.exact,
+      file: if(entry != nil and not File.says?(entry, param.value), do: text(entry.value))
+    }
+  end
+
+  @doc "The entries of a file that differ from the vehicle's values, and the names that the vehicle does not have."
+  @spec differing([File.entry()], Table.t()) :: {[File.entry()], missing :: [String.t()]}
+  def differing(entries, table) do
+    {known, missing} = Enum.split_with(entries, &is_map_key(table.params, &1.name))
+
+    differing =
+      for entry <- known,
+          param = table.params[entry.name],
+          not File.says?(entry, param.value),
+          do: %{entry | type: param.type}
+
+    {differing, Enum.map(missing, & &1.name)}
+  end
+
+  @doc "The number in the text of a field."
+  @spec number(String.t()) :: {:ok, number()} | :error
+  def number(text) do
+    text = String.trim(text)
+
+    case {Integer.parse(text), Float.parse(text)} do
+      {{number, ""}, _float} -> {:ok, number}
+      {_integer, {number, ""}} -> {:ok, number}
+      _neither -> :error
+    end
+  end
+
+  @doc "A value as text, with only the digits that its 32-bit float has."
+  @spec text(number()) :: String.t()
+  def text(number) when is_integer(number), do: Integer.to_string(number)
+
+  def text(number) when trunc(number) == number and abs(number) < 1.0e15,
+    do: number |> trunc() |> Integer.to_string()
+
+  def text(number), do: :erlang.float_to_binary(short(number, 6), [:short])
+
+  # The shortest decimal that gives this float.
+  defp short(number, digits) when digits <= 9 do
+    rounded = "~.#{digits}e" |> :io_lib.format([number]) |> IO.iodata_to_binary() |> String.to_float()
+    if ParamValue.same?(rounded, number), do: rounded, else: short(number, digits + 1)
+  end
+
+  defp short(number, _digits), do: number
+
+  defp type(type), do: String.downcase(MavParamType.label(type) || "type #{type}")
+end

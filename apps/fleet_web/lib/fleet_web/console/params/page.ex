@@ -1,0 +1,263 @@
+defmodule FleetWeb.Console.Params.Page do
+  @moduledoc """
+  The parameters of a vehicle: read, searched, compared with their defaults and with a file, set one by one or from a file, saved.
+
+  Reading needs no permission. A change is checked like a command (`Aerie.Params`), has the id of its button press, and its progress and result
+  appear among the vehicle's commands, as on the vehicle's page.
+  """
+  use FleetWeb.Console,
+      {:page, events: [viewer: ~w(vehicle filter read stop_reading open_file close_file save close_param)]}
+
+  import FleetWeb.Console.Params.Parts
+
+  alias Aerie.{Commands, Params, Store}
+  alias Aerie.Command.Error
+  alias Aerie.Policy.Roles
+  alias Aerie.Store.PubSub
+  alias FleetWeb.Console.Commands.{Life, Lives}
+  alias FleetWeb.Console.Params.{Listing, Reading}
+
+  # The command type of a change.
+  @set "set_parameter"
+
+  @impl Phoenix.LiveView
+  def mount(_params, _session, socket) do
+    {:ok,
+     socket
+     |> assign(
+       page_title: "Parameters",
+       vehicle: nil,
+       table: nil,
+       reading: nil,
+       problem: nil,
+       file: nil,
+       lives: [],
+       open: nil,
+       error: nil
+     )
+     |> assign(
+       filter: %{search: "", only: "all"},
+       able: Roles.allowed?(socket.assigns.user, :maintain),
+       now: System.os_time(:microsecond)
+     )
+     |> relist()
+     |> subscribe([:vehicles])
+     |> vehicles()}
+  end
+
+  @impl Phoenix.LiveView
+  def handle_params(params, _uri, socket) do
+    id = params["vehicle"]
+
+    socket =
+      if id == socket.assigns.vehicle,
+        do: socket,
+        else: choose(socket, if(Store.vehicle(socket.assigns.gateway, id || ""), do: id))
+
+    {:noreply, assign(socket, open: params["p"], error: nil)}
+  end
+
+  defp choose(%{assigns: %{gateway: gateway, vehicle: before}} = socket, id) do
+    if connected?(socket) do
+      if before, do: PubSub.unsubscribe(gateway, {:commands, before})
+      if id, do: PubSub.subscribe(gateway, {:commands, id})
+    end
+
+    socket =
+      socket |> stop() |> assign(vehicle: id, table: nil, problem: nil, file: nil) |> relist() |> commands()
+
+    if id && connected?(socket), do: read(socket), else: socket
+  end
+
+  defp read(%{assigns: %{gateway: gateway, vehicle: id}} = socket),
+    do: socket |> stop() |> assign(reading: Reading.start(gateway, id), problem: nil)
+
+  defp stop(%{assigns: %{reading: nil}} = socket), do: socket
+
+  defp stop(%{assigns: %{reading: reading, gateway: gateway}} = socket) do
+    _ended_already = Reading.cancel(reading, gateway)
+    assign(socket, :reading, nil)
+  end
+
+  @impl Phoenix.LiveView
+  def handle_info(:refresh, %{assigns: %{lives: []}} = socket), do: {:noreply, vehicles(socket)}
+  def handle_info(:refresh, socket), do: {:noreply, socket |> vehicles() |> follow()}
+
+  def handle_info(
+        {:command_progress, {:params, ref}, _id, progress},
+        %{assigns: %{reading: %{ref: ref} = reading}} = socket
+      ),
+      do: {:noreply, assign(socket, :reading, %{reading | progress: progress})}
+
+  def handle_info({:params, ref, {:ok, table}}, %{assigns: %{reading: %{ref: ref}}} = socket),
+    do: {:noreply, socket |> assign(table: table, reading: nil) |> relist()}
+
+  def handle_info({:params, ref, {:error, text}}, %{assigns: %{reading: %{ref: ref}}} = socket),
+    do: {:noreply, assign(socket, problem: text, reading: nil)}
+
+  def handle_info({:fleet, {:commands, id}, _command}, %{assigns: %{vehicle: id}} = socket),
+    do: {:noreply, follow(socket)}
+
+  def handle_info(_late, socket), do: {:noreply, socket}
+
+  @impl Phoenix.LiveView
+  def handle_event("vehicle", %{"vehicle" => id}, socket), do: {:noreply, push_patch(socket, to: path(id))}
+
+  def handle_event("read", _value, %{assigns: %{vehicle: id}} = socket) when is_binary(id),
+    do: {:noreply, read(socket)}
+
+  def handle_event("stop_reading", _value, socket), do: {:noreply, stop(socket)}
+
+  def handle_event("filter", fields, socket) do
+    only = if fields["only"] in Listing.choices(), do: fields["only"], else: "all"
+    filter = %{search: String.slice(fields["search"] || "", 0, 60), only: only}
+    {:noreply, socket |> assign(:filter, filter) |> relist()}
+  end
+
+  def handle_event("open_file", %{"name" => name, "text" => text}, %{assigns: %{table: %{}}} = socket)
+      when is_binary(name) and is_binary(text) do
+    case Params.parse(text) do
+      {:ok, entries} ->
+        file = %{name: String.slice(name, 0, 100), entries: entries}
+
+        {:noreply,
+         socket |> assign(file: file, filter: %{socket.assigns.filter | only: "differs"}) |> relist()}
+
+      {:error, errors} ->
+        {:noreply, put_flash(socket, :error, Error.text(errors))}
+    end
+  end
+
+  def handle_event("open_file", %{"error" => text}, socket) when is_binary(text),
+    do: {:noreply, put_flash(socket, :error, text)}
+
+  def handle_event("close_file", _value, socket),
+    do: {:noreply, socket |> assign(file: nil, filter: %{socket.assigns.filter | only: "all"}) |> relist()}
+
+  def handle_event(
+        "save",
+        %{"format" => format},
+        %{assigns: %{table: %{} = table, vehicle: id, gateway: gateway}} = socket
+      )
+      when format in ~w(param params) do
+    %{system_id: system} = vehicle = Store.vehicle(gateway, id)
+
+    text =
+      Params.File.format(
+        table,
+        if(format == "param", do: :param, else: :params),
+        {system, vehicle[:component] || 1}
+      )
+
+    {:noreply, push_event(socket, "params:file", %{name: "#{id}.#{format}", text: text})}
+  end
+
+  def handle_event("close_param", _value, socket),
+    do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+
+  # The page's table is what the operator saw; the vehicle itself reports whether it accepted a value.
+  def handle_event(
+        "command",
+        %{"type" => "set", "id" => press, "fields" => %{"name" => name, "value" => text}},
+        %{assigns: %{table: %{}}} = socket
+      )
+      when is_binary(text) do
+    with %{} = param <- socket.assigns.table.params[name], {:ok, value} <- Listing.number(text) do
+      %{gateway: gateway, vehicle: id} = socket.assigns
+      gateway |> Params.set(id, name, value, [type: param.type] ++ options(socket, press)) |> answered(socket)
+    else
+      nil -> {:noreply, put_flash(socket, :error, "The vehicle has no parameter of this name.")}
+      :error -> {:noreply, assign(socket, :error, "expected a number")}
+    end
+  end
+
+  def handle_event(
+        "command",
+        %{"type" => "load", "id" => press},
+        %{assigns: %{table: %{} = table, file: %{} = file}} = socket
+      ) do
+    {differing, _missing} = Listing.differing(file.entries, table)
+    %{gateway: gateway, vehicle: id} = socket.assigns
+    gateway |> Params.set_all(id, differing, options(socket, press)) |> answered(socket)
+  end
+
+  def handle_event("cancel", %{"id" => command}, %{assigns: %{vehicle: id}} = socket) when is_binary(id) do
+    case Commands.cancel(socket.assigns.gateway, id, command, socket.assigns.user, "console") do
+      :ok -> {:noreply, socket}
+      {:error, _why, text} -> {:noreply, put_flash(socket, :error, "Not cancelled: #{text}")}
+    end
+  end
+
+  def handle_event(_other, _value, socket), do: {:noreply, socket}
+
+  defp options(socket, press), do: [id: press, as: socket.assigns.user, via: "console", wait_ms: 0]
+
+  defp answered({:pending, _id}, socket), do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+
+  defp answered({:ok, %{status: status, reason: reason}}, socket) when status in [:denied, :rejected],
+    do: {:noreply, put_flash(socket, :error, "Not set: #{reason}")}
+
+  defp answered({:ok, _result}, socket), do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+
+  defp answered({:error, errors}, socket),
+    do: {:noreply, put_flash(socket, :error, "Not set: #{Error.text(errors)}")}
+
+  defp vehicles(socket),
+    do: assign(socket, :vehicles, for(vehicle <- Store.vehicles(socket.assigns.gateway), do: vehicle.id))
+
+  defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [])
+
+  defp commands(%{assigns: %{gateway: gateway, vehicle: id}} = socket) do
+    lives = for %{type: @set} = entry <- Commands.recent(gateway, id, 20), do: Life.of(entry)
+    assign(socket, lives: Enum.take(lives, 5), now: System.os_time(:microsecond))
+  end
+
+  # When somebody has set a parameter, the list is read again. The gateway has it, or reads what changed.
+  defp follow(%{assigns: %{lives: before}} = socket) do
+    socket = commands(socket)
+    known = for life <- before, not Life.under_way?(life), do: life.id
+
+    if Enum.any?(socket.assigns.lives, &(&1.id not in known and not Life.under_way?(&1))),
+      do: read(socket),
+      else: socket
+  end
+
+  # The visible part of the table, computed only when it changed.
+  defp relist(%{assigns: %{table: nil}} = socket),
+    do: assign(socket, rows: [], total: 0, differing: [], missing: [])
+
+  defp relist(%{assigns: %{table: table, file: file, filter: filter}} = socket) do
+    {rows, total} = Listing.rows(table, entries(file), filter)
+    {differing, missing} = Listing.differing(entries(file), table)
+    assign(socket, rows: rows, total: total, differing: differing, missing: missing)
+  end
+
+  @impl Phoenix.LiveView
+  def render(assigns) do
+    param = assigns.table && assigns.open && assigns.table.params[assigns.open]
+    row = param && Listing.row(param, Enum.find(entries(assigns.file), &(&1.name == param.name)))
+    assigns = assign(assigns, :row, row)
+
+    ~H"""
+    <h1 class="page-title">Parameters</h1>
+    <div class="stack">
+      <.toolbar vehicles={@vehicles} vehicle={@vehicle} filter={@filter} reading={@reading} table={@table} file={@file} />
+      <.progress :if={@reading} reading={@reading} />
+      <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
+      <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
+      <.empty :if={@vehicle == nil} icon="params" title="No vehicle is chosen">{if @vehicles == [], do: "No vehicle has been heard yet.", else: "Choose one above."}</.empty>
+      <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} />
+      <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, &1)} file={@file} />
+      <.editor :if={@row} row={@row} able={@able} error={@error} />
+    </div>
+    """
+  end
+
+  defp entries(nil), do: []
+  defp entries(file), do: file.entries
+
+  defp path(nil), do: "/params"
+  defp path(""), do: "/params"
+  defp path(id), do: "/params?" <> URI.encode_query(vehicle: id)
+  defp path(id, name), do: "/params?" <> URI.encode_query(vehicle: id, p: name)
+end

@@ -1,0 +1,132 @@
+defmodule FleetWeb.Console.Params.Parts do
+  @moduledoc "The parts of the page of parameters."
+  use FleetWeb.Console, :component
+
+  alias FleetWeb.Console.Params.{Listing, Reading}
+
+  attr :vehicles, :list, required: true
+  attr :vehicle, :string, required: true, doc: "nil for none"
+  attr :filter, :map, required: true
+  attr :reading, :map, required: true, doc: "nil for none"
+  attr :table, :map, required: true, doc: "nil for none"
+  attr :file, :map, required: true, doc: "nil for none"
+
+  @doc "The choice of vehicle and of what is shown, and the files."
+  def toolbar(assigns) do
+    ~H"""
+    <div class="params-tools" id="params-tools" phx-hook="ParamsFile">
+      <form id="params-vehicle" phx-change="vehicle" phx-submit="vehicle">
+        <.field id="params-vehicle-choice" name="vehicle" type="select" label="Vehicle" options={[{"choose", ""} | Enum.map(@vehicles, &{&1, &1})]} value={@vehicle} />
+      </form>
+      <form :if={@table} id="params-filter" class="row filters" phx-change="filter" phx-submit="filter">
+        <.field id="params-search" name="search" type="search" label="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
+        <.field id="params-only" name="only" type="select" label="Show" options={choices(@file)} value={@filter.only} />
+      </form>
+      <div :if={@vehicle} class="row">
+        <.button icon="refresh" phx-click="read" disabled={@reading != nil}>Read</.button>
+        <label :if={@table} class="button" for="params-open"><.icon name="upload" />Open a file<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
+        <.button :if={@table} icon="download" phx-click="save" phx-value-format="param">.param</.button>
+        <.button :if={@table} icon="download" phx-click="save" phx-value-format="params">.params</.button>
+      </div>
+    </div>
+    """
+  end
+
+  defp choices(nil), do: [{"all", "all"}, {"changed from the default", "changed"}]
+  defp choices(_file), do: choices(nil) ++ [{"differs from the file", "differs"}]
+
+  attr :reading, :map, required: true
+
+  @doc "The progress of reading."
+  def progress(assigns) do
+    ~H"""
+    <div class="notice info" role="status" id="params-progress">
+      <span class="spinner small"></span>
+      <span>Reading the parameters{if @reading.progress, do: ": #{@reading.progress["phase"]}"}</span>
+      <.meter value={Reading.share(@reading)} label="Parameters read" text={count(@reading.progress)} />
+      <.button small={true} icon="x" phx-click="stop_reading">Stop</.button>
+    </div>
+    """
+  end
+
+  defp count(%{"done" => done, "total" => total}) when is_integer(done) and is_integer(total),
+    do: "#{done} of #{total}"
+
+  defp count(_unknown), do: nil
+
+  attr :file, :map, required: true
+  attr :differing, :list, required: true
+  attr :missing, :list, required: true
+  attr :able, :boolean, required: true
+
+  @doc "What an opened file would change."
+  def file(assigns) do
+    ~H"""
+    <section class="card" id="params-file" aria-labelledby="params-file-title">
+      <div class="spread">
+        <h2 id="params-file-title">{@file.name}</h2>
+        <.button kind="quiet" small={true} icon="x" label="Close the file" phx-click="close_file" />
+      </div>
+      <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
+      <.hold_button :if={@able and @differing != []} id="params-load" event="command" icon="upload" phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
+      <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
+    </section>
+    """
+  end
+
+  defp missing([]), do: ""
+  defp missing(names) when length(names) <= 5, do: "; the vehicle does not have #{Enum.join(names, ", ")}"
+
+  defp missing(names),
+    do: "; the vehicle does not have #{length(names)} of them (#{names |> Enum.take(3) |> Enum.join(", ")} …)"
+
+  attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Params.Listing.row/0`"
+  attr :total, :integer, required: true
+  attr :path, :any, required: true, doc: "a function of a name: the address with it open"
+  attr :file, :map, required: true
+
+  @doc "The table."
+  def table(assigns) do
+    ~H"""
+    <p class="muted" role="status">{words(@total)}</p>
+    <.empty :if={@rows == []} icon="search" title="No parameter matches" />
+    <.data_table :if={@rows != []} id="params" label="Parameters" rows={@rows} row_id={&"param-#{&1.name}"} row_class={&(&1.changed && "changed")}>
+      <:col :let={row} label="Name"><.link patch={@path.(row.name)} class="mono">{row.name}</.link></:col>
+      <:col :let={row} label="Value" number={true}><strong>{row.value}</strong></:col>
+      <:col :let={row} label="Default" number={true}>{row.default || "–"}</:col>
+      <:col :let={row} label={if @file, do: "File", else: "Type"} number={@file != nil}>{if @file, do: row.file || "", else: row.type}</:col>
+      <:col :let={row} label="State"><.badge :if={row.changed} kind="info">changed</.badge><.badge :if={not row.exact} kind="warn" title="The vehicle's float cannot represent all digits">inexact</.badge></:col>
+    </.data_table>
+    """
+  end
+
+  defp words(total) do
+    if total > Listing.max(),
+      do: "The first #{Listing.max()} of #{total}; search for the others",
+      else: "#{total} parameters"
+  end
+
+  attr :row, :map, required: true
+  attr :able, :boolean, required: true
+  attr :error, :string, required: true
+
+  @doc "The form that sets one parameter."
+  def editor(assigns) do
+    ~H"""
+    <.dialog id="param-editor" title={@row.name} cancel="close_param">
+      <dl class="facts">
+        <div class="fact"><dt>Value</dt><dd><strong>{@row.value}</strong></dd></div>
+        <div class="fact"><dt>Default</dt><dd>{@row.default || "the vehicle does not tell it"}</dd></div>
+        <div class="fact"><dt>Type</dt><dd>{@row.type}</dd></div>
+        <div :if={@row.file} class="fact"><dt>In the file</dt><dd>{@row.file}</dd></div>
+      </dl>
+      <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="set">
+        <input type="hidden" name="name" value={@row.name} />
+        <.field id="param-value" name="value" label="New value" inputmode="decimal" autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
+        <.button type="submit" kind="primary">Set</.button>
+      </form>
+      <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
+    </.dialog>
+    """
+  end
+end

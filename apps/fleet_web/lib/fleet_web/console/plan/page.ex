@@ -1,0 +1,286 @@
+defmodule FleetWeb.Console.Plan.Page do
+  @moduledoc """
+  The page that draws missions, fences and rally points on the map, sends them to a vehicle, reads them from it, and opens and saves files.
+
+  The draft lives in this page's process; the browser keeps a copy, so that neither a reload nor a restart of the gateway loses it.
+  Viewers may edit the draft, but not change a vehicle.
+  """
+  use FleetWeb.Console,
+      {:page,
+       events: [
+         viewer:
+           ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part action vehicle home
+              import export restore download verify close_transfer map_select map_follow map_menu map_escape)
+       ]}
+
+  import FleetWeb.Console.Map, only: [map: 1]
+  import FleetWeb.Console.Plan.Panel
+
+  alias Aerie.{Missions, Policy, Store}
+  alias Aerie.Mission.Plan
+  alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
+  alias FleetWeb.Console.Plan.{Check, Draft, Edit, Profile, Shown, Transfer}
+
+  @map "plan-map"
+  # A larger copy would not fit into the browser's frame.
+  @max_kept 200_000
+
+  @impl Phoenix.LiveView
+  def mount(_params, _session, socket) do
+    {:ok,
+     socket
+     |> assign(page_title: "Plan", draft: %Draft{}, problems: [], vehicle: nil, vehicles: [], transfer: nil)
+     |> assign(what: %{mission: 16, fence: {:inclusion, :polygon}}, altitude: 30.0, error: nil)
+     |> put_private(:plan, %{sent: %{}})
+     |> subscribe()
+     |> read()
+     |> zones()}
+  end
+
+  @impl Phoenix.LiveView
+  def handle_params(params, _uri, socket) do
+    vehicle = Enum.find(socket.assigns.vehicles, &(&1.id == params["vehicle"]))
+    {:noreply, socket |> assign(:vehicle, vehicle && vehicle.id) |> check() |> draw()}
+  end
+
+  @impl Phoenix.LiveView
+  def handle_info(:refresh, socket), do: {:noreply, read(socket)}
+
+  def handle_info({:transfer, ref, message}, %{assigns: %{transfer: %{ref: ref} = transfer}} = socket) do
+    transfer = Transfer.update(transfer, message)
+    socket = assign(socket, :transfer, transfer)
+
+    if message == :done and transfer.what == :download and transfer.plan != nil,
+      do: {:noreply, socket |> replace(transfer.plan) |> push_event("map:fit", %{map: @map, ids: []})},
+      else: {:noreply, socket}
+  end
+
+  def handle_info(
+        {:command_progress, {:transfer, ref}, _id, progress},
+        %{assigns: %{transfer: %{ref: ref}}} = socket
+      ),
+      do: {:noreply, update(socket, :transfer, &Transfer.update(&1, {:progress, progress}))}
+
+  def handle_info({kind, _ref_or_term, _message}, socket) when kind == :transfer, do: {:noreply, socket}
+  def handle_info({:command_progress, _term, _id, _progress}, socket), do: {:noreply, socket}
+
+  @impl Phoenix.LiveView
+  def handle_event("plan_add", value, %{assigns: %{draft: draft, what: what, altitude: altitude}} = socket),
+    do: {:noreply, result(socket, Draft.add(draft, Edit.place(value), what[draft.part], altitude))}
+
+  def handle_event("plan_" <> how, value, %{assigns: %{draft: draft}} = socket)
+      when how in ["move", "insert", "pick"] do
+    with {:ok, {part, index, corner} = target} <- Edit.target(value) do
+      case how do
+        "move" ->
+          {:noreply, result(socket, Draft.move(draft, target, Edit.place(value)))}
+
+        "insert" ->
+          {:noreply, result(socket, Draft.insert(draft, target, Edit.place(value)))}
+
+        "pick" when part == draft.part ->
+          {:noreply, socket |> assign(:draft, Draft.pick(draft, {index, corner})) |> draw()}
+
+        "pick" ->
+          {:noreply, socket}
+      end
+    else
+      :error -> {:noreply, socket}
+    end
+  end
+
+  def handle_event("part", %{"part" => name}, socket) do
+    case Edit.part(name) do
+      {:ok, part} ->
+        {:noreply, socket |> update(:draft, &Draft.part(&1, part)) |> assign(:error, nil) |> draw()}
+
+      :error ->
+        {:noreply, socket}
+    end
+  end
+
+  def handle_event("what", value, socket), do: {:noreply, update(socket, :what, &Edit.what(&1, value))}
+
+  def handle_event("altitude", value, socket) do
+    case Edit.number(value["altitude"]) do
+      {:ok, altitude} when altitude >= -500 and altitude <= 10_000 ->
+        {:noreply, assign(socket, :altitude, altitude)}
+
+      _no_altitude ->
+        {:noreply, socket}
+    end
+  end
+
+  def handle_event("undo", _value, socket), do: {:noreply, changed(socket, Draft.undo(socket.assigns.draft))}
+  def handle_event("redo", _value, socket), do: {:noreply, changed(socket, Draft.redo(socket.assigns.draft))}
+
+  def handle_event("clear_part", _value, socket),
+    do: {:noreply, result(socket, Draft.clear(socket.assigns.draft))}
+
+  def handle_event("remove", value, %{assigns: %{draft: draft}} = socket) do
+    case Edit.target(value) do
+      {:ok, target} -> {:noreply, result(socket, Draft.remove(draft, target))}
+      :error -> {:noreply, socket}
+    end
+  end
+
+  def handle_event("shift", %{"index" => index, "by" => by}, socket) do
+    with {:ok, index} <- Edit.index(index), true <- by in ["-1", "1"] do
+      {:noreply, result(socket, Draft.shift(socket.assigns.draft, index, String.to_integer(by)))}
+    else
+      _wrong -> {:noreply, socket}
+    end
+  end
+
+  def handle_event("set", value, socket),
+    do: {:noreply, result(socket, Edit.set(socket.assigns.draft, value))}
+
+  def handle_event("action", %{"command" => command}, socket) do
+    case FleetWeb.Console.Plan.Kinds.parse(command) do
+      {:ok, command} -> {:noreply, result(socket, Draft.add_action(socket.assigns.draft, command))}
+      :error -> {:noreply, socket}
+    end
+  end
+
+  def handle_event("vehicle", %{"vehicle" => id}, socket),
+    do:
+      {:noreply,
+       push_patch(socket, to: if(id == "", do: "/plan", else: "/plan?" <> URI.encode_query(vehicle: id)))}
+
+  # The vehicle's home.
+  def handle_event("home", _value, socket) do
+    case socket.assigns.vehicle && Store.vehicle(socket.assigns.gateway, socket.assigns.vehicle) do
+      %{groups: %{home: %{data: %{lat: lat, lon: lon} = home}}} when is_number(lat) and is_number(lon) ->
+        {:noreply,
+         result(socket, Draft.set_home(socket.assigns.draft, {lat, lon}, Edit.or_zero(home[:alt_msl])))}
+
+      _unknown ->
+        {:noreply, assign(socket, :error, "the vehicle has not reported its home")}
+    end
+  end
+
+  def handle_event("import", %{"name" => name, "text" => text}, socket)
+      when is_binary(name) and is_binary(text) do
+    format = if String.ends_with?(name, [".waypoints", ".txt"]), do: :waypoints, else: :plan
+
+    case Missions.import(text, format) do
+      {:ok, plan} -> {:noreply, socket |> replace(plan) |> push_event("map:fit", %{map: @map, ids: []})}
+      {:error, reason} -> {:noreply, assign(socket, :error, "#{String.slice(name, 0, 80)}: #{reason}")}
+    end
+  end
+
+  def handle_event("import", %{"error" => text}, socket) when is_binary(text),
+    do: {:noreply, assign(socket, :error, String.slice(text, 0, 200))}
+
+  def handle_event("export", %{"format" => format}, socket) do
+    format = if format == "waypoints", do: :waypoints, else: :plan
+    text = Missions.export(socket.assigns.draft.plan, format)
+    {:noreply, push_event(socket, "plan:file", %{name: "aerie.#{format}", text: text})}
+  end
+
+  # The copy of an earlier page; it never replaces a newer drawing.
+  def handle_event("restore", %{"text" => text}, %{assigns: %{draft: %{undo: []}}} = socket)
+      when is_binary(text) do
+    case Missions.import(text, :plan) do
+      {:ok, plan} -> {:noreply, replace(socket, plan)}
+      {:error, _reason} -> {:noreply, socket}
+    end
+  end
+
+  def handle_event("restore", _value, socket), do: {:noreply, socket}
+
+  def handle_event(what, value, %{assigns: %{vehicle: vehicle, transfer: transfer}} = socket)
+      when what in ["upload", "download", "verify"] do
+    press = if match?(%{"id" => id} when is_binary(id), value), do: value["id"], else: Aerie.Command.id()
+
+    cond do
+      vehicle == nil -> {:noreply, assign(socket, :error, "choose a vehicle first")}
+      transfer != nil and not Transfer.over?(transfer) -> {:noreply, socket}
+      not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) -> {:noreply, socket}
+      true -> {:noreply, begin(socket, Edit.transfer(what), press)}
+    end
+  end
+
+  def handle_event("close_transfer", _value, socket) do
+    over? = socket.assigns.transfer == nil or Transfer.over?(socket.assigns.transfer)
+    {:noreply, if(over?, do: assign(socket, :transfer, nil), else: socket)}
+  end
+
+  def handle_event("map_" <> _event, _value, socket), do: {:noreply, socket}
+
+  defp begin(
+         %{assigns: %{gateway: gateway, vehicle: vehicle, draft: draft, user: user}} = socket,
+         what,
+         press
+       ) do
+    transfer = Transfer.start(what, gateway, vehicle, draft.plan, press, as: user, via: "console")
+    assign(socket, transfer: transfer, error: nil)
+  end
+
+  defp result(socket, {:ok, draft}), do: changed(socket, draft)
+  defp result(socket, {:error, text}), do: socket |> assign(:error, text) |> draw()
+
+  defp replace(%{assigns: %{draft: draft}} = socket, plan), do: changed(socket, Draft.replace(draft, plan))
+
+  defp changed(socket, draft),
+    do: socket |> assign(draft: draft, error: nil) |> check() |> draw() |> keep()
+
+  # A copy that could not be read again must not replace an earlier one that could.
+  defp keep(%{assigns: %{draft: %{plan: plan}}} = socket) do
+    text = Missions.export(plan, :plan)
+
+    if connected?(socket) and byte_size(text) <= @max_kept and match?({:ok, _}, Missions.import(text, :plan)),
+      do: push_event(socket, "plan:keep", %{text: text}),
+      else: socket
+  end
+
+  defp check(%{assigns: %{gateway: gateway, draft: %{plan: plan}, vehicle: vehicle, user: user}} = socket) do
+    snapshot = vehicle && Store.vehicle(gateway, vehicle)
+    denied = if snapshot && plan != %Plan{}, do: Check.policy(gateway, plan, snapshot, user), else: []
+    assign(socket, :problems, denied ++ Check.alone(plan))
+  end
+
+  defp draw(%{assigns: %{draft: draft, problems: problems}} = socket),
+    do: push_event(socket, "map:plan", %{map: @map, plan: Shown.payload(draft, problems)})
+
+  defp zones(%{assigns: %{gateway: gateway}} = socket),
+    do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(gateway))})
+
+  defp read(%{assigns: %{gateway: gateway}} = socket) do
+    vehicles = Store.vehicles(gateway)
+    {payload, sent} = Payload.changes(socket.private.plan.sent, Enum.flat_map(vehicles, &List.wrap(row(&1))))
+    socket = put_private(socket, :plan, %{sent: sent})
+    socket = assign(socket, :vehicles, for(vehicle <- vehicles, do: Map.take(vehicle, [:id, :status])))
+
+    if payload && connected?(socket),
+      do: push_event(socket, "map:vehicles", Map.put(payload, :map, @map)),
+      else: socket
+  end
+
+  defp row(vehicle), do: with([_ | _] = row <- Payload.row(vehicle), do: [row])
+
+  @impl Phoenix.LiveView
+  def render(assigns) do
+    assigns = assign(assigns, :profile, Profile.points(assigns.draft.plan))
+
+    ~H"""
+    <div class="plan" id="plan" phx-hook="PlanFile">
+      <h1 class="visually-hidden">Plan</h1>
+      <div class="plan-left">
+        <.map id="plan-map" class="plan-map" label="Map on which the plan is drawn" tiles={Tiles.shown(@gateway)} tool="plan" tools={~w(in out north fit measure)} />
+        <.profile points={@profile} problems={@problems} />
+      </div>
+      <section class="plan-panel" aria-label="The plan">
+        <.head vehicle={@vehicle} vehicles={@vehicles} draft={@draft} user={@user} transfer={@transfer} problems={@problems} />
+        <.outcome :if={@transfer} transfer={@transfer} />
+        <p :if={@error} class="notice bad" role="alert"><.icon name="alert" /> <span>{@error}</span></p>
+        <.tools draft={@draft} what={@what} altitude={@altitude} vehicle={@vehicle} />
+        <.problems problems={@problems} />
+        <.items :if={@draft.part == :mission} draft={@draft} problems={@problems} />
+        <.fences :if={@draft.part == :fence} draft={@draft} />
+        <.rally :if={@draft.part == :rally} draft={@draft} />
+      </section>
+    </div>
+    """
+  end
+end

@@ -1,0 +1,357 @@
+defmodule FleetWeb.Console.Plan.Panel do
+  @moduledoc "The parts of the plan page beside the map."
+  use FleetWeb.Console, :component
+
+  alias FleetWeb.Console.Access.Role
+  alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
+
+  @width 600
+  @height 90
+
+  attr :vehicle, :string, required: true
+  attr :vehicles, :list, required: true
+  attr :draft, :map, required: true
+  attr :user, :map, required: true
+  attr :transfer, :map, required: true
+  attr :problems, :list, required: true
+
+  @doc "The choice of vehicle, and the buttons to send, read, open and save a plan."
+  def head(assigns) do
+    busy? = assigns.transfer != nil and not Transfer.over?(assigns.transfer)
+    bad? = Enum.any?(assigns.problems, &(&1.kind == :bad))
+    assigns = assign(assigns, busy?: busy?, bad?: bad?)
+
+    ~H"""
+    <div class="plan-head">
+      <form id="plan-vehicle" phx-change="vehicle" phx-submit="vehicle">
+        <.field
+          id="plan-vehicle-field"
+          type="select"
+          name="vehicle"
+          label="Vehicle"
+          label_hidden
+          value={@vehicle}
+          options={[{"No vehicle", ""} | Enum.map(@vehicles, &{&1.id, &1.id})]}
+        />
+      </form>
+      <div class="plan-with">
+        <.button icon="download" phx-click="download" disabled={@vehicle == nil or @busy?}>Read</.button>
+        <.button icon="check" phx-click="verify" disabled={@vehicle == nil or @busy?}>Compare</.button>
+        <.hold_button
+          :if={Role.at_least?(@user.role, :operator)}
+          id="plan-upload"
+          event="upload"
+          icon="upload"
+          disabled={@vehicle == nil or @busy? or @bad?}
+          reason={why(@vehicle, @busy?, @bad?)}
+        >Send</.hold_button>
+      </div>
+      <span class="plan-files">
+        <label class="button" for="plan-import"><.icon name="upload" />Open<input
+            id="plan-import"
+            class="visually-hidden"
+            type="file"
+            accept=".plan,.waypoints,.txt,.json"
+          /></label>
+        <.button icon="download" phx-click="export" phx-value-format="plan">.plan</.button>
+        <.button icon="download" phx-click="export" phx-value-format="waypoints">.waypoints</.button>
+      </span>
+    </div>
+    """
+  end
+
+  defp why(nil, _busy?, _bad?), do: "Choose a vehicle"
+  defp why(_vehicle, true, _bad?), do: "Another transfer is under way"
+  defp why(_vehicle, _busy?, true), do: "The plan has errors"
+  defp why(_vehicle, _busy?, _bad?), do: nil
+
+  attr :transfer, :map, required: true
+
+  @doc "The progress of a transfer, and the result of each part."
+  def outcome(assigns) do
+    ~H"""
+    <section id="plan-transfer" class="card plan-transfer" aria-label="Transfer">
+      <header class="spread">
+        <h2>{title(@transfer)}</h2>
+        <.button :if={Transfer.over?(@transfer)} kind="quiet" icon="x" label="Close" phx-click="close_transfer" />
+      </header>
+      <ul aria-live="polite">
+        <li :for={{kind, {outcome, text}} <- @transfer.results} :key={kind}>
+          <.badge kind={if outcome == :ok, do: "ok", else: "bad"}>{kind}</.badge> {text}
+        </li>
+      </ul>
+      <p :if={@transfer.kind}>
+        <.badge kind="info">{@transfer.kind}</.badge> <.meter value={Transfer.share(@transfer)} label="Progress" text={phase(@transfer.progress)} />
+      </p>
+    </section>
+    """
+  end
+
+  defp title(%{what: :upload, vehicle: vehicle}), do: "Sending to #{vehicle}"
+  defp title(%{what: :download, vehicle: vehicle}), do: "Reading from #{vehicle}"
+  defp title(%{what: :verify, vehicle: vehicle}), do: "Comparing with #{vehicle}"
+
+  defp phase(%{"phase" => phase, "done" => done, "total" => total})
+       when is_integer(total) and is_integer(done),
+       do: "#{phase} #{done} of #{total}"
+
+  defp phase(%{"phase" => phase}) when is_binary(phase), do: phase
+  defp phase(_nothing), do: "waiting"
+
+  attr :draft, :map, required: true
+  attr :what, :map, required: true
+  attr :altitude, :float, required: true
+  attr :vehicle, :string, required: true
+
+  @doc "The choice of part, what a click adds, undo and redo."
+  def tools(assigns) do
+    ~H"""
+    <div class="plan-parts" role="group" aria-label="What is drawn">
+      <.button
+        :for={{part, label, n} <- parts(@draft.plan)}
+        phx-click="part"
+        phx-value-part={part}
+        aria-pressed={if Atom.to_string(@draft.part) == part, do: "true", else: "false"}
+      >{label} ({n})</.button>
+    </div>
+    <div class="plan-tools">
+      <form :if={@draft.part == :mission} id="plan-what" phx-change="what" phx-submit="what">
+        <.field id="plan-command" type="select" name="command" label="A click adds" value={@what.mission} options={Kinds.options(true)} />
+      </form>
+      <form :if={@draft.part == :fence} id="plan-shape" phx-change="what" phx-submit="what">
+        <.field id="plan-zone" type="select" name="shape" label="A click adds" value={Edit.shape(@what.fence)} options={Edit.shapes()} />
+      </form>
+      <form :if={@draft.part != :fence} id="plan-altitude" phx-change="altitude" phx-submit="altitude">
+        <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="at a height of" unit="m" value={number(@altitude)} phx-debounce="300" />
+      </form>
+      <form :if={@draft.part == :mission} id="plan-action" phx-submit="action">
+        <.field id="plan-action-field" type="select" name="command" label="Without a place" options={Kinds.options(false)} />
+        <.button type="submit" icon="plus" label="Add" />
+      </form>
+      <div class="row">
+        <.button small phx-click="undo" disabled={@draft.undo == []}>Undo</.button>
+        <.button small phx-click="redo" disabled={@draft.redo == []}>Redo</.button>
+        <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Home of the vehicle</.button>
+        <.button small icon="trash" phx-click="clear_part">Clear</.button>
+      </div>
+    </div>
+    """
+  end
+
+  defp parts(plan) do
+    [
+      {"mission", "Mission", length(plan.items)},
+      {"fence", "Fence", length(plan.fence)},
+      {"rally", "Rally points", length(plan.rally)}
+    ]
+  end
+
+  attr :problems, :list, required: true
+
+  @doc "The findings about the plan."
+  def problems(assigns) do
+    ~H"""
+    <ul :if={@problems != []} id="plan-problems" class="plan-problems" aria-label="Problems" aria-live="polite">
+      <li :for={problem <- Enum.take(@problems, 20)} class={["notice", Atom.to_string(problem.kind)]}>
+        <.icon name="alert" /><span>{problem.text}</span>
+      </li>
+    </ul>
+    """
+  end
+
+  attr :draft, :map, required: true
+  attr :problems, :list, required: true
+
+  @doc "The items of the mission; the selected one with its fields."
+  def items(assigns) do
+    ~H"""
+    <.empty :if={@draft.plan.items == []} icon="plan" title="No mission yet">
+      Click on the map to add waypoints, open a file, or read what a vehicle has.
+    </.empty>
+    <ol :if={@draft.plan.items != []} id="plan-items" class="plan-items">
+      <li :for={{item, n} <- Enum.with_index(@draft.plan.items)} :key={n} class={picked?(@draft, n) && "picked"}>
+        <div class="plan-item">
+          <button type="button" class="plan-pick" phx-click="plan_pick" phx-value-part="mission" phx-value-index={n} aria-expanded={expanded(@draft, n)}>
+            <span class="plan-number">{n + 1}</span> <strong>{Kinds.name(item.command)}</strong>
+            <span class="muted">{height(item)}</span>
+            <.badge :if={Enum.any?(@problems, &(&1.index == n and &1.part == :mission))} kind="bad">!</.badge>
+          </button>
+          <.button small kind="quiet" icon="chevron-up" label={"Move item #{n + 1} up"} phx-click="shift" phx-value-index={n} phx-value-by="-1" />
+          <.button small kind="quiet" icon="chevron-down" label={"Move item #{n + 1} down"} phx-click="shift" phx-value-index={n} phx-value-by="1" />
+          <.button small kind="quiet" icon="trash" label={"Remove item #{n + 1}"} phx-click="remove" phx-value-part="mission" phx-value-index={n} />
+        </div>
+        <form :if={picked?(@draft, n)} id={"plan-item-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
+          <input type="hidden" name="part" value="mission" /><input type="hidden" name="index" value={n} />
+          <.field id={"item-#{n}-command"} type="select" name="command" label="Kind" value={item.command} options={kinds(item)} />
+          <.field :if={item.frame != 2} id={"item-#{n}-z"} type="number" step="any" name="z" label="Height" unit="m" value={number(item.z)} phx-debounce="500" />
+          <.field :if={item.frame != 2} id={"item-#{n}-frame"} type="select" name="frame" label="measured" value={plain(item.frame)} options={frames(item)} />
+          <.field :if={placed?(item)} id={"item-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(item.x)} phx-debounce="500" />
+          <.field :if={placed?(item)} id={"item-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(item.y)} phx-debounce="500" />
+          <.field
+            :for={{p, label, unit, _default} <- Kinds.params(item.command)}
+            :key={p}
+            id={"item-#{n}-p#{p}"}
+            type="number"
+            step="any"
+            name={"p#{p}"}
+            label={label}
+            unit={unit}
+            value={number(elem(item.params, p - 1))}
+            phx-debounce="500"
+          />
+        </form>
+      </li>
+    </ol>
+    """
+  end
+
+  attr :draft, :map, required: true
+
+  @doc "The zones of the fence."
+  def fences(assigns) do
+    ~H"""
+    <.empty :if={@draft.plan.fence == []} icon="shield" title="No fence yet">Click on the map to begin a zone, then drag its corners.</.empty>
+    <ol :if={@draft.plan.fence != []} id="plan-zones" class="plan-items">
+      <li :for={{{kind, shape}, n} <- Enum.with_index(@draft.plan.fence)} :key={n} class={picked?(@draft, n) && "picked"}>
+        <div class="plan-item">
+          <button type="button" class="plan-pick" phx-click="plan_pick" phx-value-part="fence" phx-value-index={n}>
+            <span class="plan-number">{n + 1}</span> <strong>{zone(kind)}</strong> <span class="muted">{shape(shape)}</span>
+          </button>
+          <.button
+            :if={corner?(@draft, n)}
+            small
+            phx-click="remove"
+            phx-value-part="fence"
+            phx-value-index={n}
+            phx-value-corner={elem(@draft.picked, 1)}
+          >Remove corner {elem(@draft.picked, 1) + 1}</.button>
+          <.button small kind="quiet" icon="trash" label={"Remove zone #{n + 1}"} phx-click="remove" phx-value-part="fence" phx-value-index={n} />
+        </div>
+        <form :if={picked?(@draft, n)} id={"plan-zone-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
+          <input type="hidden" name="part" value="fence" /><input type="hidden" name="index" value={n} />
+          <.field
+            id={"zone-#{n}-kind"}
+            type="select"
+            name="kind"
+            label="Vehicles"
+            value={Atom.to_string(kind)}
+            options={[{"stay inside", "inclusion"}, {"keep out", "exclusion"}]}
+          />
+          <.field :if={match?({:circle, _, _}, shape)} id={"zone-#{n}-radius"} type="number" step="any" name="radius" label="Radius" unit="m" value={radius(shape)} phx-debounce="500" />
+        </form>
+      </li>
+    </ol>
+    """
+  end
+
+  attr :draft, :map, required: true
+
+  @doc "The rally points."
+  def rally(assigns) do
+    ~H"""
+    <.empty :if={@draft.plan.rally == []} icon="home" title="No rally points yet">Click on the map where vehicles may return to in place of home.</.empty>
+    <ol :if={@draft.plan.rally != []} id="plan-rally" class="plan-items">
+      <li :for={{{{lat, lon}, altitude}, n} <- Enum.with_index(@draft.plan.rally)} :key={n} class={picked?(@draft, n) && "picked"}>
+        <div class="plan-item">
+          <button type="button" class="plan-pick" phx-click="plan_pick" phx-value-part="rally" phx-value-index={n}>
+            <span class="plan-number">R{n + 1}</span> <span class="muted">{number(altitude)} m above home</span>
+          </button>
+          <.button small kind="quiet" icon="trash" label={"Remove rally point #{n + 1}"} phx-click="remove" phx-value-part="rally" phx-value-index={n} />
+        </div>
+        <form :if={picked?(@draft, n)} id={"plan-rally-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
+          <input type="hidden" name="part" value="rally" /><input type="hidden" name="index" value={n} />
+          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label="Height above home" unit="m" value={number(altitude)} phx-debounce="500" />
+          <.field id={"rally-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(lat)} phx-debounce="500" />
+          <.field id={"rally-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(lon)} phx-debounce="500" />
+        </form>
+      </li>
+    </ol>
+    """
+  end
+
+  attr :points, :list, required: true
+  attr :problems, :list, required: true
+
+  @doc "The height profile."
+  def profile(assigns) do
+    wrong = for %{part: :mission, index: index} when index != nil <- assigns.problems, do: index
+    drawing = Profile.drawing(assigns.points, @width, @height)
+
+    assigns =
+      assign(assigns,
+        drawing: drawing,
+        wrong: wrong,
+        box: "-6 -8 #{@width + 12} #{@height + 16}",
+        height: @height
+      )
+
+    ~H"""
+    <figure :if={@drawing} id="plan-profile" class="plan-profile">
+      <svg viewBox={@box} preserveAspectRatio="none" role="img" aria-label={summary(@drawing)}>
+        <line class="plan-ground" x1="0" x2="600" y1={ground(@drawing, @height)} y2={ground(@drawing, @height)} />
+        <polyline class="plan-line" points={@drawing.line} />
+        <circle :for={dot <- @drawing.dots} class={if dot.index in @wrong, do: "plan-dot bad", else: "plan-dot"} cx={"#{dot.x}"} cy={"#{dot.y}"} r="4">
+          <title>{"Item #{dot.index + 1}"}</title>
+        </circle>
+      </svg>
+      <figcaption class="muted">{summary(@drawing)}</figcaption>
+    </figure>
+    """
+  end
+
+  defp summary(drawing),
+    do:
+      "#{kilometres(drawing.length)} over the ground, from #{round(drawing.low)} to #{round(drawing.high)} m above home; the ground is not known"
+
+  defp kilometres(metres) when metres < 1000, do: "#{round(metres)} m"
+  defp kilometres(metres), do: "#{:erlang.float_to_binary(metres / 1000, decimals: 1)} km"
+
+  defp ground(%{low: low, high: high}, height), do: "#{Float.round(high / (high - low) * height, 1)}"
+
+  defp picked?(%{picked: {index, _corner}}, index), do: true
+  defp picked?(_draft, _index), do: false
+
+  defp expanded(draft, n), do: if(picked?(draft, n), do: "true", else: "false")
+
+  defp corner?(%{picked: {n, corner}, plan: plan}, n) when is_integer(corner),
+    do: match?({_kind, {:polygon, [_, _, _, _ | _]}}, Enum.at(plan.fence, n))
+
+  defp corner?(_draft, _n), do: false
+
+  defp placed?(%{x: x, y: y, frame: frame}), do: frame != 2 and is_integer(x) and is_integer(y)
+
+  # The frames with 1e-7 degrees mean the same as those with floats.
+  defp plain(frame), do: Integer.to_string(Aerie.Protocol.Mavlink.plain_frame(frame))
+
+  defp frames(item) do
+    if Enum.any?(Edit.frames(), fn {_label, frame} -> frame == plain(item.frame) end),
+      do: Edit.frames(),
+      else: [{"frame #{item.frame}", plain(item.frame)} | Edit.frames()]
+  end
+
+  defp kinds(item) do
+    all = Kinds.options(true) ++ Kinds.options(false)
+
+    if Enum.any?(all, fn {_name, command} -> command == item.command end),
+      do: all,
+      else: [{Kinds.name(item.command), item.command} | all]
+  end
+
+  defp height(%{frame: 2}), do: nil
+  defp height(%{z: nil}), do: nil
+  defp height(%{z: z}), do: "#{number(z)} m"
+
+  defp zone(:inclusion), do: "Stay inside"
+  defp zone(:exclusion), do: "Keep out"
+
+  defp shape({:polygon, corners}), do: "#{length(corners)} corners"
+  defp shape({:circle, _centre, radius}), do: "circle of #{number(radius)} m"
+
+  defp radius({:circle, _centre, metres}), do: number(metres)
+
+  defp number(nil), do: nil
+  defp number(value) when value == trunc(value), do: value |> trunc() |> Integer.to_string()
+  defp number(value), do: value |> Float.round(3) |> Float.to_string()
+
+  defp degrees(e7), do: :erlang.float_to_binary(e7 / 1.0e7, decimals: 6)
+end

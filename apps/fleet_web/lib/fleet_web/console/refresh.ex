@@ -1,0 +1,65 @@
+defmodule FleetWeb.Console.Refresh do
+  @moduledoc """
+  Tells a page when to read the read model again, by a message `:refresh`: at most five times a second however much has changed, and
+  once a second if nothing has, because ages grow.
+  """
+
+  import Phoenix.LiveView
+
+  alias Aerie.Store.PubSub
+  alias Phoenix.LiveView.Socket
+
+  @least_ms 200
+  @idle_ms 1_000
+
+  @doc """
+  Subscribes the page to topics of `Aerie.Store.PubSub`. Change notices (`:vehicles`, `:links`, `{:vehicle, id}`, `{:link, id}`) become
+  `:refresh`; messages of other topics reach the page's `handle_info/2` as they are. Does nothing before the page is connected.
+  """
+  @spec subscribe(Socket.t(), [PubSub.topic()]) :: Socket.t()
+  def subscribe(socket, topics \\ [:vehicles, :links]) do
+    if connected?(socket) do
+      Enum.each(topics, &PubSub.subscribe(socket.assigns.gateway, &1))
+      begin(socket)
+    else
+      socket
+    end
+  end
+
+  defp begin(%{private: %{console_refresh: _begun}} = socket), do: socket
+
+  defp begin(socket) do
+    socket
+    |> put_private(:console_refresh, due(now() + @idle_ms, nil))
+    |> attach_hook(:console_refresh, :handle_info, &handle/2)
+  end
+
+  defp handle({:fleet, topic, _changed}, socket) when topic in [:vehicles, :links], do: sooner(socket)
+
+  defp handle({:fleet, {kind, _id}, _changed}, socket) when kind in [:vehicle, :link], do: sooner(socket)
+
+  defp handle(:refresh, socket) do
+    now = now()
+    next = due(now + @idle_ms, socket.private.console_refresh) |> Map.put(:last, now)
+    {:cont, put_private(socket, :console_refresh, next)}
+  end
+
+  defp handle(_other, socket), do: {:cont, socket}
+
+  defp sooner(%{private: %{console_refresh: %{at: at, last: last} = refresh}} = socket) do
+    wanted = max(last + @least_ms, now())
+
+    if wanted < at,
+      do: {:halt, put_private(socket, :console_refresh, due(wanted, refresh))},
+      else: {:halt, socket}
+  end
+
+  # One timer at a time. If it has fired meanwhile, the page refreshes once too often.
+  defp due(at, refresh) do
+    _ = if refresh, do: Process.cancel_timer(refresh.timer)
+    timer = Process.send_after(self(), :refresh, at, abs: true)
+    %{at: at, timer: timer, last: if(refresh, do: refresh.last, else: at - @idle_ms)}
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

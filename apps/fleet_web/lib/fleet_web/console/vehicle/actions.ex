@@ -1,0 +1,111 @@
+defmodule FleetWeb.Console.Vehicle.Actions do
+  @moduledoc """
+  The commands that are always in reach (hold, return, land), and those of every flight: arm, take off, modes. Commands that the firmware lacks,
+  or the user may not give, are left out.
+  """
+  use FleetWeb.Console, :component
+
+  alias Aerie.Protocol.Modes
+  alias FleetWeb.Console.Commands.{Catalog, Panel}
+  alias FleetWeb.Console.Vehicle.{Target, View}
+
+  @always [
+    {"hold", "Hold", "hold", "H"},
+    {"rtl", "Return", "rtl", "R"},
+    {"land", "Land", "land", "L"}
+  ]
+
+  attr :view, View, required: true
+  attr :user, :map, required: true
+
+  @doc "The bar below every section, with the keys that are held down: H, R, L."
+  def bar(assigns) do
+    assigns =
+      assign(assigns, :actions, for({name, _, _, _} = action <- @always, able?(name, assigns), do: action))
+
+    ~H"""
+    <div :if={@actions != []} class="vehicle-bar" role="group" aria-label="Always in reach">
+      <.hold_button :for={{name, label, icon, key} <- @actions} id={"action-#{name}"} event="command" icon={icon} kind="plain" shortcut={key} phx-value-type={name}>{label}</.hold_button>
+    </div>
+    """
+  end
+
+  attr :view, View, required: true
+  attr :user, :map, required: true
+  attr :inputs, :map, required: true, doc: "texts of the fields: `takeoff`, `mode`"
+  attr :modes, :list, required: true
+
+  @doc "Arm or disarm, take off, change the mode."
+  def flight(assigns) do
+    assigns =
+      assign(assigns,
+        armed: View.get(assigns.view, [:mode, :armed]),
+        first: arm_first(assigns.view),
+        able: for(name <- ~w(arm disarm takeoff set_mode), able?(name, assigns), do: name)
+      )
+
+    ~H"""
+    <section class="card" aria-labelledby="flight-title">
+      <h2 id="flight-title">Control</h2>
+      <p :if={@able == []} class="muted"><.icon name="eye" /> You look on: {@user.name} may not command this vehicle.</p>
+      <div class="controls">
+        <.hold_button :if={"arm" in @able and @armed != true} id="action-arm" event="command" icon="arm" phx-value-type="arm">Arm</.hold_button>
+        <div :if={"arm" in @able and "set_mode" in @able and @armed == false and @first != nil} class="control">
+          <p class="hint">It refuses to be armed in {View.get(@view, [:mode, :mode])}.</p>
+          <.hold_button id="action-arm-first" event="command" kind="plain" phx-value-type="set_mode" phx-value-mode={@first}>Set {@first} first</.hold_button>
+        </div>
+        <.hold_button :if={"disarm" in @able and @armed != false} id="action-disarm" event="command" icon="stop" kind="plain" phx-value-type="disarm">Disarm</.hold_button>
+        <form :if={"takeoff" in @able} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="takeoff-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
+          <.hold_button id="action-takeoff" event="command" icon="takeoff" phx-value-type="takeoff">Take off</.hold_button>
+        </form>
+        <form :if={"set_mode" in @able and @modes != []} id="mode-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="mode-choice" name="mode" type="select" label="Mode" options={[{"choose", ""} | Enum.map(@modes, &{&1, &1})]} value={@inputs["mode"]} />
+          <.hold_button id="action-mode" event="command" kind="plain" phx-value-type="set_mode" disabled={@inputs["mode"] in [nil, ""]} reason="Choose a mode">Set mode</.hold_button>
+        </form>
+      </div>
+    </section>
+    """
+  end
+
+  defp arm_first(%{vehicle: vehicle} = view),
+    do: Modes.arm_first(vehicle.autopilot, vehicle.vehicle_type, View.get(view, [:mode, :mode]))
+
+  attr :view, View, required: true
+  attr :target, :map, required: true
+  attr :answer, :any, required: true
+
+  @doc "A position that was clicked on the map, with the policy's answer, before anything is sent."
+  def target(assigns) do
+    ~H"""
+    <section class="card goto-panel" aria-labelledby="goto-title">
+      <div class="spread">
+        <h2 id="goto-title">Go to a place</h2>
+        <.button kind="quiet" small={true} icon="x" label="Do not go there" phx-click="aim_end" />
+      </div>
+      <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
+      <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
+        <.field id="goto-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
+        <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
+        <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused">Go there</.hold_button>
+      </form>
+      <Panel.answer answer={@answer} />
+    </section>
+    """
+  end
+
+  defp place(target), do: target |> Target.fields() |> Map.delete("altitude") |> Enum.sort()
+
+  defp far(target, view) do
+    case Target.distance(target, view) do
+      nil -> nil
+      metres when metres < 1000 -> "#{round(metres)} m"
+      metres -> "#{View.number(metres / 1000, 1)} km"
+    end
+  end
+
+  @doc "Whether the firmware has the command and the user may give it."
+  @spec able?(String.t(), map()) :: boolean()
+  def able?(name, %{view: view, user: user}),
+    do: match?(%{gap: nil, denied: nil}, Catalog.entry(name, view.vehicle, user))
+end

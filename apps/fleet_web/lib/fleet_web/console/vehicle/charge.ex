@@ -1,0 +1,59 @@
+defmodule FleetWeb.Console.Vehicle.Charge do
+  @moduledoc "Shows who is in charge of a vehicle (`Aerie.Policy.Lease`), with forms to take, take over, hand over and release it."
+  use FleetWeb.Console, :component
+
+  alias FleetWeb.Console.Vehicle.{Actions, View}
+
+  attr :view, View, required: true
+  attr :user, :map, required: true
+  attr :lease, :any, required: true, doc: "`t:Aerie.Policy.Lease.t/0`, nil for nobody"
+
+  @doc "One line, with the form of what the user may change."
+  def charge(assigns) do
+    assigns =
+      assign(assigns,
+        able: Actions.able?("take_control", assigns),
+        relation: relation(assigns.lease, assigns.user)
+      )
+
+    ~H"""
+    <details class={["charge", Atom.to_string(@relation)]} id="charge" phx-mounted={JS.ignore_attributes("open")}>
+      <summary>
+        <.icon name={if @relation == :other, do: "lock", else: "user"} />
+        <span>{words(@relation, @lease)}</span>
+        <span :if={@lease != nil and @lease.reason != nil} class="muted">({@lease.reason})</span>
+      </summary>
+      <div :if={@able} class="charge-forms">
+        <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control">
+          <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason, shown to whoever is in charge" maxlength="200" required={true} autocomplete="off" />
+          <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take charge"}</.button>
+        </form>
+        <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control">
+          <.field id="charge-to" name="to" label="Hand over to (empty: anybody)" maxlength="64" autocomplete="off" />
+          <.button type="submit">Hand over</.button>
+        </form>
+        <form :if={@relation == :own or (@relation == :other and @user.role == :admin)} id="charge-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control">
+          <.button type="submit">Release</.button>
+        </form>
+      </div>
+      <p class="hint">Hold, return and land stay free for all whose role allows them.</p>
+    </details>
+    """
+  end
+
+  defp relation(nil, _user), do: :free
+  defp relation(%{holder: name}, %{name: name}), do: :own
+  defp relation(%{offered_to: to}, %{name: name}) when to == :anyone or to == name, do: :offered
+  defp relation(_lease, _user), do: :other
+
+  defp words(:free, _lease), do: "Nobody is in charge"
+  defp words(:own, %{offered_to: nil} = lease), do: "You have been in charge since #{clock(lease)}"
+  defp words(:own, lease), do: "You are in charge, and offer the charge to #{to(lease)}"
+  defp words(:offered, lease), do: "#{lease.holder} offers the charge"
+  defp words(:other, lease), do: "#{lease.holder} has been in charge since #{clock(lease)}"
+
+  defp to(%{offered_to: :anyone}), do: "anybody"
+  defp to(%{offered_to: name}), do: name
+
+  defp clock(lease), do: lease.since |> Aerie.Fleet.Json.time() |> String.slice(11, 5) |> Kernel.<>(" UTC")
+end

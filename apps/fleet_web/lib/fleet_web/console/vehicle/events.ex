@@ -1,0 +1,61 @@
+defmodule FleetWeb.Console.Vehicle.Events do
+  @moduledoc "A vehicle's events and texts as a filtered time line."
+  use FleetWeb.Console, :component
+
+  alias FleetWeb.Console.Vehicle.Timeline
+
+  attr :lines, :list, required: true
+  attr :level, :string, required: true
+  attr :search, :string, required: true
+  attr :paused, :boolean, required: true
+  attr :total, :integer, required: true
+
+  @doc "The events section."
+  def events(assigns) do
+    ~H"""
+    <section aria-labelledby="events-title">
+      <h2 id="events-title" class="visually-hidden">Events</h2>
+      <form id="events-filter" class="row filters" phx-change="events_filter" phx-submit="events_filter">
+        <.field id="events-level" name="level" type="select" label="Severity" options={levels()} value={@level} />
+        <.field id="events-search" name="search" type="search" label="Search" value={@search} phx-debounce="150" autocomplete="off" />
+        <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Go on", else: "Pause"}</.button>
+        <span class="muted" role="status">{length(@lines)} of the last {@total}</span>
+      </form>
+      <.empty :if={@lines == []} icon="list" title={if @total == 0, do: "Nothing has happened yet", else: "Nothing of this kind"}>
+        Texts of the vehicle, changes of its mode, failsafes and so on stand here as they come.
+      </.empty>
+      <.lines id="events" lines={@lines} />
+    </section>
+    """
+  end
+
+  attr :id, :string, required: true
+  attr :lines, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Timeline.line/0`"
+
+  @doc "Lines."
+  def lines(assigns) do
+    ~H"""
+    <ol id={@id} class="timeline">
+      <li :for={line <- @lines} :key={line.id} class={["event", Atom.to_string(line.tone)]}>
+        <time datetime={Aerie.Fleet.Json.time(line.time)} title={Aerie.Fleet.Json.time(line.time)}>{clock(line.time)}</time>
+        <span class="event-severity">{line.name}</span>
+        <span class="event-text">{line.text}</span>
+      </li>
+    </ol>
+    """
+  end
+
+  defp levels do
+    labels = %{
+      "all" => "everything",
+      "notice" => "notice and worse",
+      "warning" => "warning and worse",
+      "error" => "error and worse"
+    }
+
+    for level <- Timeline.levels(), do: {labels[level], level}
+  end
+
+  # The time of day in UTC, as in logs.
+  defp clock(us), do: us |> Aerie.Fleet.Json.time() |> String.slice(11, 8)
+end

@@ -1,0 +1,58 @@
+defmodule FleetWeb.Console.BrowserTest do
+  @moduledoc "What only a browser can show."
+  use FleetWeb.ConsoleCase, async: true
+
+  alias Aerie.Commands
+  alias FleetWeb.Console.Router
+
+  @moduletag :chromium
+  @moduletag :tmp_dir
+  @moduletag timeout: 600_000
+
+  setup %{tmp_dir: dir} do
+    [console: console] = start_console()
+    Aerie.DoorCase.start_door(dir, gateway: console.gateway, policy: [max_altitude: 100])
+    put_vehicle(console, "VID-007", [], %{key: {"main", 7}, system_id: 7, component: 1})
+
+    put_vehicle(console, "VID-002", [mode: %{armed: false, mode: "STABILIZE", in_air: false}], %{
+      status: :stale
+    })
+
+    put_link(console, "radio")
+    %{console: console}
+  end
+
+  defp types(console), do: for(%{type: type} <- Commands.recent(console.gateway, "VID-007", 20), do: type)
+
+  test "signing in and out, roles, keys, the look, the button that has to be held", %{console: console} do
+    browse(console, "access.mjs")
+    assert Enum.sort(types(console)) == ["hold", "hold", "rtl"]
+  end
+
+  test "every page, narrow and wide, dark and light, is sound, accessible and small", %{console: console} do
+    browse(console, "pages.mjs", paths())
+  end
+
+  # The parameters of a path are vehicles.
+  defp paths do
+    for %{segments: segments} <- Router.__live_routes__() do
+      "/" <> Enum.map_join(segments, "/", &if(String.starts_with?(&1, ":"), do: "VID-007", else: &1))
+    end
+  end
+
+  test "a gateway that goes away is shown, nothing is sent meanwhile, and the page recovers by itself", %{
+    console: console
+  } do
+    script = browser(console, "lost.mjs")
+    await_line(script, "ready")
+    :ok = stop_console(console)
+    Port.command(script, "gone\n")
+    await_line(script, "tried")
+
+    [console: again] = start_console(gateway: console.gateway, dir: console.dir, port: console.port)
+    Port.command(script, "back\n")
+    await_line(script, "back")
+    await_line(script, "ok")
+    assert types(again) == []
+  end
+end

@@ -1,0 +1,84 @@
+defmodule FleetWeb.Console.Params.PageTest do
+  @moduledoc "Parameters of a simulated vehicle behind UDP, by the page."
+  use FleetWeb.ConsoleCase, async: true
+
+  import Aerie.TransferCase, only: [fly: 3]
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @path "/params?vehicle=VID-001"
+
+  setup %{tmp_dir: dir} do
+    {gateway, port} = Aerie.TransferCase.start(dir)
+    [console: console] = start_console(gateway: gateway)
+    %{console: console, sim: fly(gateway, port, firmware: :ardupilot)}
+  end
+
+  defp open(console, role) do
+    {:ok, view, _html} = live(conn(console, role), @path)
+    eventually(fn -> has_element?(view, "#params") end)
+    view
+  end
+
+  defp command(view, type, id, fields),
+    do: render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields})
+
+  @tag :chromium
+  test("in a browser: a parameter is found, set, and is so after a reload", %{console: console},
+    do: browse(console, "params.mjs")
+  )
+
+  test "read, searched, set by an admin, compared with a file, loaded and saved", %{console: console} do
+    view = open(console, :admin)
+
+    refute view |> element("#params-filter") |> render_change(%{"search" => "pilot tkoff", "only" => "all"}) =~
+             "RTL_ALT"
+
+    view |> element("#param-PILOT_TKOFF_ALT a") |> render_click()
+    assert has_element?(view, "#param-editor", "PILOT_TKOFF_ALT")
+
+    assert command(view, "set", "p0", %{"name" => "PILOT_TKOFF_ALT", "value" => "high"}) =~
+             "expected a number"
+
+    assert command(view, "set", "p0", %{"name" => "NO_SUCH", "value" => "1"}) =~ "no parameter of this name"
+    command(view, "set", "p1", %{"name" => "PILOT_TKOFF_ALT", "value" => "150"})
+    eventually(fn -> has_element?(view, "#params-commands-p1[data-state=completed]") end)
+    eventually(fn -> has_element?(view, "#param-PILOT_TKOFF_ALT strong", "150") end)
+
+    render_hook(view, "open_file", %{"name" => "mine.param", "text" => "PILOT_TKOFF_ALT,200\nNO_SUCH,1\n"})
+    assert has_element?(view, "#params-file", "1 differ from the vehicle; the vehicle does not have NO_SUCH")
+    assert has_element?(view, "#params-load")
+    command(view, "load", "l1", %{})
+    eventually(fn -> has_element?(view, "#params-commands-l1[data-state=completed]") end)
+    eventually(fn -> has_element?(view, "#params-file", "0 differ") end)
+
+    render_hook(view, "save", %{"format" => "param"})
+    assert_push_event(view, "params:file", %{"name" => "VID-001.param", "text" => text}, Aerie.Patience.ms())
+    assert text =~ ~r/PILOT_TKOFF_ALT,200/
+    assert render_hook(view, "open_file", %{"name" => "odd", "text" => "what is this"}) =~ "line 1"
+    assert render_hook(view, "open_file", %{"error" => "too large"}) =~ "too large"
+  end
+
+  test "a viewer reads; neither viewer nor operator sets", %{console: console} do
+    view = open(console, :viewer)
+    assert command(view, "set", "p1", %{"name" => "RTL_ALT", "value" => "1"}) =~ "As viewer"
+    view = open(console, :operator)
+    {:ok, _view, html} = live(conn(console, :operator), @path <> "&p=RTL_ALT")
+    refute html =~ "param-form"
+    command(view, "set", "p2", %{"name" => "RTL_ALT", "value" => "1"})
+    eventually(fn -> has_element?(view, "#params-commands-p2[data-state=denied]", "maintain") end)
+  end
+
+  test "a vehicle that does not answer: the page says so, and reading can be stopped", %{
+    console: console,
+    sim: sim
+  } do
+    for direction <- [:in, :out], do: :ok = SimVehicle.fault(sim, :loss, 1.0, direction)
+    {:ok, view, _html} = live(conn(console, :viewer), @path)
+    eventually(fn -> has_element?(view, "#params-progress") end)
+    refute view |> element("#params-progress button") |> render_click() =~ "params-progress"
+    assert has_element?(view, "button", "Read")
+    {:ok, _view, html} = live(conn(console, :viewer), "/params?vehicle=VID-999")
+    assert html =~ "No vehicle is chosen"
+  end
+end

@@ -1,0 +1,77 @@
+defmodule FleetWeb.Console.RefreshTest.Page do
+  @moduledoc false
+  use FleetWeb.Console, {:page, events: [viewer: ~w(look), admin: ~w(change)]}
+
+  def mount(_params, _session, socket),
+    do: {:ok, socket |> assign(n: 0, last: "") |> subscribe([:vehicles, :events])}
+
+  def handle_info(:refresh, socket), do: {:noreply, update(socket, :n, &(&1 + 1))}
+  def handle_info({:fleet, :events, event}, socket), do: {:noreply, assign(socket, :last, event)}
+  def handle_event(event, _value, socket), do: {:noreply, assign(socket, :last, event)}
+
+  def render(assigns) do
+    ~H"""
+    <p id="n">{@n}</p><p id="last">{@last}</p>
+    """
+  end
+end
+
+defmodule FleetWeb.Console.RefreshTest.Routes do
+  @moduledoc false
+  use Phoenix.LiveView.Router
+  alias FleetWeb.Console.{Access, Alarms}
+
+  live_session :test, on_mount: [Access.OnMount, Alarms.OnMount] do
+    live "/", FleetWeb.Console.RefreshTest.Page
+  end
+end
+
+defmodule FleetWeb.Console.RefreshTest do
+  use FleetWeb.ConsoleCase, async: true
+
+  alias FleetWeb.Console.RefreshTest.Routes
+
+  setup do: {:ok, start_console()}
+
+  defp page(console, role) do
+    conn = conn(console, role)
+    {:ok, view, _html} = live(%{conn | server: %{conn.server | router: Routes}}, "/")
+    view
+  end
+
+  defp n(view),
+    do: view |> element("#n") |> render() |> then(&Regex.run(~r/\d+/, &1)) |> hd() |> String.to_integer()
+
+  test "many changes make few refreshes; without any there is one now and then", %{console: console} do
+    view = page(console, :viewer)
+    begun = System.monotonic_time(:millisecond)
+    for n <- 1..400, do: put_vehicle(console, "VID-#{rem(n, 20)}")
+    eventually(fn -> n(view) > 0 end)
+    seen = n(view)
+    # Five a second at most, whatever time this took.
+    assert seen <= div(System.monotonic_time(:millisecond) - begun, 200) + 2
+    eventually(fn -> n(view) >= seen + 2 end)
+  end
+
+  test "messages of other topics reach the page as they are", %{console: console} do
+    view = page(console, :viewer)
+    Aerie.Store.PubSub.publish(console.gateway, :events, "an event")
+    eventually(fn -> view |> element("#last") |> render() =~ "an event" end)
+  end
+
+  test "an event needs the role that the page names, and operator if it names none", %{console: console} do
+    for {role, may} <- [
+          viewer: ~w(look),
+          operator: ~w(look fly),
+          admin: ~w(look fly change)
+        ] do
+      view = page(console, role)
+
+      for event <- ~w(look fly change) do
+        html = render_click(view, event)
+        assert html =~ ~s(<p id="last">#{event}</p>) == event in may
+        render_click(view, "lv:clear-flash")
+      end
+    end
+  end
+end

@@ -1,0 +1,157 @@
+defmodule FleetWeb.Console.Settings.PageTest do
+  use FleetWeb.ConsoleCase, async: true
+
+  alias Aerie.Secret
+  alias FleetWeb.Console.Access.Users
+
+  setup do: {:ok, start_console()}
+
+  test "an admin adds a user, gives roles and passwords, and removes", %{console: console} do
+    {:ok, view, html} = live(conn(console, :admin), "/settings")
+    assert html =~ "operator"
+
+    fields = %{"name" => "ann", "role" => "viewer", "password" => "a-password-of-ann"}
+    assert view |> form("#add-user", fields) |> render_submit() =~ "The user was added and may sign in now."
+    assert {:ok, %{role: :viewer}} = Users.check(console.gateway, "ann", "a-password-of-ann")
+
+    view |> form("#role-ann", %{"role" => "operator"}) |> render_change()
+    assert Users.find(console.gateway, "ann").role == :operator
+
+    view |> element("#user-ann button", "Password") |> render_click()
+    view |> form("#change-password", %{"password" => "another-of-ann"}) |> render_submit()
+    assert {:ok, _user} = Users.check(console.gateway, "ann", "another-of-ann")
+
+    view |> element("#user-ann button", "Remove") |> render_click()
+    assert view |> element("#remove-user button.danger") |> render_click() =~ "The user was removed"
+    assert Users.find(console.gateway, "ann") == nil
+  end
+
+  test "what is wrong is said beside the form, and nothing changes", %{console: console} do
+    {:ok, view, _html} = live(conn(console, :admin), "/settings")
+    fields = %{"name" => "ann", "role" => "viewer", "password" => "short"}
+    assert view |> form("#add-user", fields) |> render_submit() =~ "10 characters or more"
+    assert render_click(view, "add", %{"name" => "x"}) =~ "The form is not complete."
+    assert length(Users.list(console.gateway)) == 3
+  end
+
+  test "others see no users, cannot change any, but their own password", %{console: console} do
+    {:ok, view, html} = live(conn(console, :operator), "/settings")
+    refute html =~ "Add a user"
+
+    for {event, value} <- [
+          {"add", %{"name" => "eve", "role" => "admin", "password" => "a-password-of-eve"}},
+          {"change-role", %{"name" => "operator", "role" => "admin"}},
+          {"change-password", %{"name" => "admin", "password" => "a-password-of-eve"}},
+          {"remove", %{"name" => "admin"}}
+        ],
+        do: assert(render_click(view, event, value) =~ "it needs the role admin")
+
+    assert Enum.map(Users.list(console.gateway), & &1.role) == [:admin, :operator, :viewer]
+
+    own = %{"old" => "wrong-password", "new" => "my-new-password", "again" => "my-new-password"}
+    assert view |> form("#own-password", own) |> render_submit() =~ "the old password is wrong"
+    own = %{own | "old" => password(:operator), "again" => "another-password"}
+    assert view |> form("#own-password", own) |> render_submit() =~ "the two new passwords differ"
+    own = %{own | "again" => "my-new-password"}
+    # It ends all sessions, this one too.
+    view |> form("#own-password", own) |> render_submit()
+    eventually(fn -> match?({:error, {:redirect, %{to: "/settings"}}}, render(view)) end)
+    assert {:ok, _user} = Users.check(console.gateway, "operator", "my-new-password")
+  end
+
+  test "a key is made, shown once, opens what its role may, and is revoked", %{console: console} do
+    admin = conn(console, :admin)
+    {:ok, view, _html} = live(admin, "/settings")
+    assert status(console, nil) == 200
+
+    view
+    |> form("#add-key", %{"name" => "wall", "role" => "viewer", "expires" => "2099-12-31"})
+    |> render_submit()
+
+    [_all, text] = Regex.run(~r/id="new-key-text"[^>]*>([^<]+)</, render(view))
+    assert status(console, text) == 200
+    # There is a key now, so this machine needs one too.
+    assert status(console, nil) == 401
+    assert status(console, "x" <> text) == 401
+
+    {:ok, again, html} = live(admin, "/settings")
+    assert html =~ "2099-12-31"
+    refute html =~ text
+    refute File.read!(Path.join(console.dir, "keys")) =~ text
+    refute view |> element("#new-key button") |> render_click() =~ text
+
+    again |> element("#keys button", "Revoke") |> render_click()
+
+    assert again |> element("#revoke-key button.danger") |> render_click() =~
+             "The key was revoked."
+
+    assert status(console, text) == 200
+    refute has_element?(again, "#keys")
+  end
+
+  test "what is wrong about a key is said, and nothing of it is written", %{console: console} do
+    {:ok, view, _html} = live(conn(console, :admin), "/settings")
+
+    for {fields, words} <- [
+          {%{"name" => "a b"}, "a name has 1 to 32 characters"},
+          {%{"name" => "local"}, "programs of this machine"},
+          {%{"role" => "king"}, "role= expects"},
+          {%{"role" => "viewer permissions=force_disarm"}, "expected a role"},
+          {%{"expires" => "2020-01-01"}, "that day is over"},
+          {%{"expires" => "soon"}, "expires= expects a day"}
+        ] do
+      form = Map.merge(%{"name" => "wall", "role" => "viewer", "expires" => ""}, fields)
+      assert render_hook(view, "add-key", form) =~ words
+    end
+
+    refute File.exists?(Path.join(console.dir, "keys"))
+    {:ok, operator, _html} = live(conn(console, :operator), "/settings")
+    form = %{"name" => "eve", "role" => "admin", "expires" => ""}
+    assert render_click(operator, "add-key", form) =~ "it needs the role admin"
+    assert render_click(operator, "revoke-key", %{"name" => "wall"}) =~ "it needs the role admin"
+  end
+
+  defp status(console, key) do
+    headers = if key, do: [{"x-aerie-key", key}], else: []
+    {status, _headers, _body} = FleetWeb.APICase.request(console.port, "GET", "/api/status", headers)
+    status
+  end
+
+  test "the configuration, for admins only, found by words and by what was set" do
+    key = %{
+      value: "4711",
+      default: "4000",
+      source: "aerie.yaml",
+      unit: nil,
+      expected: "an integer",
+      meaning: "Port."
+    }
+
+    keys = [
+      Map.put(key, :path, "http.port"),
+      Map.merge(key, %{path: "http.hosts", source: nil, value: "4000"})
+    ]
+
+    section = %{name: "http", meaning: "The console.", keys: keys}
+    [console: console] = start_console(configuration: fn -> [section] end)
+
+    {:ok, view, _html} = live(conn(console, :admin), "/settings?part=configuration")
+    assert has_element?(view, "[id='key-http.port']", "aerie.yaml")
+    assert has_element?(view, "[id='key-http.hosts']", "default")
+    view |> form("#configuration-filter", %{search: "port", given: "true"}) |> render_change()
+    refute has_element?(view, "[id='key-http.hosts']")
+
+    assert view |> form("#configuration-filter", %{search: "nothing like it"}) |> render_change() =~
+             "No key is like this"
+
+    {:ok, _view, html} = live(conn(console, :operator), "/settings?part=configuration")
+    refute html =~ "aerie.yaml"
+  end
+
+  test "keys of programs are listed, without what would help to use one" do
+    [console: console] = start_console(config: %{api: %{key: Secret.new("a-key-that-is-secret")}})
+    {:ok, _view, html} = live(conn(console, :admin), "/settings")
+    assert html =~ "api.key"
+    refute html =~ "a-key-that-is-secret"
+  end
+end

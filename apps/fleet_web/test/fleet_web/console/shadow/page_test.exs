@@ -1,0 +1,116 @@
+defmodule FleetWeb.Console.Shadow.PageTest do
+  @moduledoc "The page of a shadow; the test is the vehicle's executor."
+  use FleetWeb.ConsoleCase, async: true
+
+  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+  import Aerie.ShadowCase, only: [start_shadow: 2, start_loop: 1, standing: 3]
+
+  alias Aerie.Shadow
+  alias FleetWeb.Console.Shadow.{Input, Shown}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @id "VID-007"
+  @path "/vehicles/VID-007/shadow"
+
+  setup %{tmp_dir: dir} do
+    [console: console] = start_console()
+    start_door(dir, gateway: console.gateway)
+    Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true})
+    start_shadow(console.gateway, dir)
+    start_loop(console.gateway)
+    %{console: console}
+  end
+
+  defp open(console, role \\ :admin) do
+    {:ok, view, _html} = live(conn(console, role), @path)
+    view
+  end
+
+  defp shown?(view, selector, text) do
+    send(view.pid, :refresh)
+    has_element?(view, selector, text)
+  end
+
+  defp desire(view, fields) do
+    view |> form("#desire", Map.take(fields, [:field])) |> render_change()
+    view |> form("#desire", fields) |> render_submit()
+  end
+
+  test "what is desired, how it stands, who set it, until it agrees; then it is removed", %{console: console} do
+    view = open(console)
+    assert render(view) =~ "Nothing is desired of it"
+    desire(view, %{field: "mode", value: "LOITER", reason: "storm", expires: "3600"})
+    from = executing(%{type: "set_mode", source: "shadow", id: id})
+    eventually(fn -> shown?(view, "#field-mode", "pending") end)
+    assert has_element?(view, "#field-mode", "admin (console)")
+    assert has_element?(view, "#field-mode", "storm")
+    assert has_element?(view, "#field-mode", "ends 20")
+    assert has_element?(view, "#change-1", "mode")
+
+    answer(from, id, :accepted)
+    Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true, mode: "LOITER"})
+    standing(console.gateway, "mode", :converged)
+    eventually(fn -> shown?(view, "#field-mode", "converged") end)
+
+    view |> element("#field-mode button[phx-click=remove]") |> render_click()
+    eventually(fn -> not shown?(view, "#field-mode", "LOITER") end)
+    assert has_element?(view, "#change-2", "removed")
+  end
+
+  test "what cannot be is refused with the reason, and nothing changes", %{console: console} do
+    view = open(console)
+    assert desire(view, %{field: "params.*", name: "", value: "1"}) =~ "needs the name of a parameter"
+    assert desire(view, %{field: "params.*", name: "RTL_ALT", value: "high"}) =~ "expected a number"
+    assert desire(view, %{field: "home", value: "47.1"}) =~ "desired.home"
+    assert desire(view, %{field: "mission.plan", value: "abc"}) =~ "64 hexadecimal digits"
+    assert render_hook(view, "desire", %{"field" => "__proto__"}) =~ "is no field"
+    assert {:ok, %{"version" => 0}} = Shadow.get(console.gateway, @id)
+  end
+
+  test "fields are offered by permission, and a viewer only looks on", %{console: console} do
+    view = open(console, :operator)
+    assert has_element?(view, "#desire-field option", "mode")
+    refute has_element?(view, "#desire-field option", "params.*")
+    {:ok, _} = Shadow.update(console.gateway, @id, %{"desired" => %{"params" => %{"RTL_ALT" => 80}}})
+    eventually(fn -> shown?(view, "[id='field-params.RTL_ALT']", "80") end)
+    refute has_element?(view, "[id='field-params.RTL_ALT'] button")
+
+    assert render_hook(view, "desire", %{"field" => "params.*", "name" => "RTL_ALT", "value" => "1"}) =~
+             "maintain"
+
+    viewer = open(console, :viewer)
+    refute has_element?(viewer, "#desire")
+    assert render_click(viewer, "remove_all") =~ "As viewer you may not do this"
+
+    admin = open(console)
+    admin |> element("button", "Remove all") |> render_click()
+    admin |> element("#remove-all button.danger") |> render_click()
+    assert {:ok, %{"desired" => desired}} = Shadow.get(console.gateway, @id)
+    assert desired == %{}
+  end
+
+  test "a vehicle that nobody has heard of", %{console: console} do
+    {:ok, view, _html} = live(conn(console, :admin), "/vehicles/VID-999/shadow")
+    assert render(view) =~ "Nothing is desired of it"
+    desire(view, %{field: "tags", value: "later"})
+    assert Shadow.tags(console.gateway)["VID-999"] == ["later"]
+  end
+
+  test "values as text, and back" do
+    for {path, value} <- [
+          {"tags", ["a", "b"]},
+          {"recorder", true},
+          {"geofence.enabled", false},
+          {"home", %{"lat" => 47.1, "lon" => 8, "altitude_msl" => 500}},
+          {"params.RTL_ALT", 80},
+          {"intervals.ATTITUDE", 2.5},
+          {"mode", "LOITER"}
+        ] do
+      assert {:ok, %{"desired" => desired}} = path |> Input.form(Shown.text(value)) |> Input.request(3)
+      assert Shown.at(desired, path) == value
+      # It is for the version that was shown; the shadow refuses it for another one.
+      assert {:ok, %{"version" => 3}} = path |> Input.form("1") |> Input.request(3)
+    end
+  end
+end

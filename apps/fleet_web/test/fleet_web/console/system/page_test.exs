@@ -1,0 +1,81 @@
+defmodule FleetWeb.Console.System.PageTest do
+  use FleetWeb.ConsoleCase, async: true
+
+  alias Aerie.Names
+  alias FleetWeb.Console.System.{Sampler, Top}
+
+  @moduletag :capture_log
+
+  setup do: {:ok, start_console()}
+
+  defp open(console, part) do
+    {:ok, view, _html} = live(conn(console, :viewer), "/system?part=#{part}")
+    view
+  end
+
+  test "the figures of the virtual machine, and NATS", %{console: console} do
+    html = console |> open("overview") |> render()
+
+    for word <- ["Virtual machine", "Run queues", "processes", "binary", "Elixir", System.version(), "NATS"],
+        do: assert(html =~ word)
+
+    assert html =~ "The bridge is not running."
+  end
+
+  test "before the page is connected nothing is measured", %{console: console} do
+    before = Names.whereis(console.gateway, :console_system) |> :sys.get_state() |> Map.fetch!(:measured)
+    assert before == nil
+    {:ok, _view, html} = live(conn(console, :viewer), "/system")
+    assert html =~ "System"
+  end
+
+  test "the supervision tree shows a process that died and came back, with its reason", %{console: console} do
+    view = open(console, "tree")
+    html = render(view)
+    for name <- ["store", "router", "recorder", "console"], do: assert(html =~ name)
+    refute html =~ "restarted"
+    eventually(fn -> restart(console, view) end)
+  end
+
+  # Whoever dies before the sampler knows it is not counted.
+  defp restart(console, view) do
+    meter = Names.whereis(console.gateway, :router_meter)
+    if meter, do: Process.exit(meter, :kill)
+    has_element?(view, ".badge.bad", "restart") and render(view) =~ "killed"
+  end
+
+  test "processes by memory, work and waiting messages", %{console: console} do
+    view = open(console, "processes")
+    assert has_element?(view, "#processes tbody tr")
+    assert has_element?(view, "th[aria-sort=descending]", "Memory")
+    view |> element("button.sort", "Reductions") |> render_click()
+    assert has_element?(view, "th[aria-sort=descending]", "Reductions")
+    render_click(view, "sort", %{"by" => "nonsense"})
+    assert has_element?(view, "th[aria-sort=descending]", "Reductions")
+  end
+
+  test "however many look, the processes are looked at once in two seconds", %{console: console} do
+    [first | rest] = for _viewer <- 1..20, do: Task.async(fn -> Sampler.sample(console.gateway) end)
+    sample = Task.await(first)
+    for task <- rest, do: assert(Task.await(task) == sample)
+  end
+
+  test "when it cannot be measured, it says so, and what is shown is old", %{console: console} do
+    view = open(console, "overview")
+    sampler = Names.whereis(console.gateway, :console_system)
+    ref = Process.monitor(sampler)
+    :ok = Supervisor.terminate_child(Names.via(console.gateway, :console), Sampler)
+    assert_receive {:DOWN, ^ref, :process, _pid, _reason}
+    eventually(fn -> has_element?(view, ".notice.warn", "too busy to measure") end)
+    assert console |> open("overview") |> render() =~ "cannot be measured"
+  end
+
+  test "the first look at the work of processes has nothing to compare with" do
+    {top, totals} = Top.of(%{}, nil)
+    assert [%{reductions: nil} | _] = top.reductions
+    {top, _totals} = Top.of(totals, 1_000)
+    assert [%{reductions: n} | _] = top.reductions
+    assert is_number(n)
+    assert top.looked_at > 20
+  end
+end

@@ -1,0 +1,208 @@
+// The fleet's map and table in a browser. Arguments: the console's address, a user's name and password, what to do: `flows`, or
+// `fleet` with a number of vehicles that move.
+import { chromium } from "playwright-core";
+import { PATIENCE_MS } from "../../../../test/browser/chromium.mjs";
+
+const [url, name, password, task, count, shots] = process.argv.slice(2);
+// Pages are our own; a container often has no user namespaces for the sandbox. There is no GPU in most.
+const browser = await chromium.launch({
+  executablePath: process.env.AERIE_CHROMIUM,
+  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", ...(task === "nowebgl" ? ["--disable-gpu", "--disable-webgl", "--disable-webgl2", "--disable-3d-apis"] : [])],
+});
+const complaints = [];
+
+async function open(path = "/", options = {}) {
+  const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, ...options });
+  const page = await context.newPage();
+  page.setDefaultTimeout(PATIENCE_MS);
+  page.on("console", (message) => { if (["error", "warning"].includes(message.type())) complaints.push(message.text()); });
+  page.on("pageerror", (error) => complaints.push(error.stack));
+  await page.goto(url + "/sign-in");
+  await page.fill("input[name=name]", name);
+  await page.fill("input[name=password]", password);
+  await page.click("button[type=submit]");
+  await page.goto(url + path);
+  await page.waitForSelector("[data-phx-main].phx-connected");
+  return page;
+}
+
+const ready = (page) => page.waitForSelector("#fleet-map.map-ready");
+// The vehicles that the map has drawn: id to [x, y] on the screen and the name of the symbol.
+const drawn = (page) => page.evaluate(() => {
+  const { map } = document.querySelector("#fleet-map").fleetMap;
+  const found = map.queryRenderedFeatures({ layers: ["vehicles"] });
+  return Object.fromEntries(found.map(({ properties, geometry }) => {
+    const { x, y } = map.project(geometry.coordinates);
+    return [properties.id, { x, y, symbol: properties.symbol, selected: properties.selected }];
+  }));
+});
+const until = async (what, holds) => {
+  const end = Date.now() + PATIENCE_MS;
+  for (;;) {
+    const value = await holds();
+    if (value) return value;
+    if (Date.now() > end) throw new Error(`not so in time: ${what}`);
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+};
+const equal = (what, found, expected) => {
+  if (JSON.stringify(found) !== JSON.stringify(expected)) throw new Error(`${what}: expected ${JSON.stringify(expected)}, found ${JSON.stringify(found)}`);
+};
+const selected = (page) => page.$$eval("#fleet-table tr[aria-selected=true]", (rows) => rows.map((row) => row.dataset.id));
+
+const tasks = {
+  // VID-1 moves, VID-2 is lost, VID-3 is disarmed.
+  async flows() {
+    const page = await open();
+    await ready(page);
+    const first = await until("three vehicles are drawn", async () => { const all = await drawn(page); return Object.keys(all).length === 3 && all; });
+    equal("symbols", Object.keys(first).sort().map((id) => first[id].symbol), ["vehicle-copter-armed", "vehicle-plane-lost", "vehicle-rover-disarmed"]);
+
+    // It moves on the map, and leaves a track.
+    await until("VID-1 moves", async () => { const now = (await drawn(page))["VID-1"]; return now && Math.hypot(now.x - first["VID-1"].x, now.y - first["VID-1"].y) > 3; });
+    await until("VID-1 has a track", () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.querySourceFeatures("tracks").length > 0));
+    await until("land is drawn", () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.queryRenderedFeatures({ layers: ["land"] }).length > 0));
+
+    // A click on the map selects there and in the table; with Ctrl one more.
+    const box = await page.locator("#fleet-map").boundingBox();
+    const click = async (id, options) => { const { x, y } = (await drawn(page))[id]; await page.mouse.click(box.x + x, box.y + y); };
+    await click("VID-2");
+    await until("VID-2 is selected", async () => (await selected(page)).join() === "VID-2");
+    await page.keyboard.down("Control");
+    await click("VID-3");
+    await page.keyboard.up("Control");
+    await until("both are selected", async () => (await selected(page)).join() === "VID-2,VID-3");
+    await until("the map shows the selection", async () => { const all = await drawn(page); return all["VID-2"].selected && all["VID-3"].selected && !all["VID-1"].selected; });
+
+    // In the table: a click, Shift for a range, the keyboard.
+    await page.click("#vehicle-VID-1 td[data-label=Mode]");
+    await until("VID-1 alone", async () => (await selected(page)).join() === "VID-1");
+    await page.keyboard.press("Shift+ArrowDown");
+    await until("a range", async () => (await selected(page)).join() === "VID-1,VID-2");
+    await page.keyboard.press("Control+a");
+    await until("all", async () => (await selected(page)).length === 3);
+    await page.keyboard.press("Escape");
+    await until("none", async () => (await selected(page)).length === 0);
+    await page.click("#vehicle-VID-1 input");
+    await page.click("#vehicle-VID-3 input");
+    await until("two by their boxes", async () => (await selected(page)).join() === "VID-1,VID-3");
+
+    // Following, until the map is moved.
+    await page.keyboard.press("Escape");
+    await page.click("#vehicle-VID-1 td[data-label=Mode]");
+    await page.click("[data-tool=follow]");
+    const off = () => page.evaluate(() => {
+      const { map, fleet } = document.querySelector("#fleet-map").fleetMap;
+      const at = map.project(fleet.get("VID-1").position);
+      return Math.hypot(at.x - map.getCanvas().clientWidth / 2, at.y - map.getCanvas().clientHeight / 2);
+    });
+    await until("VID-1 is in the middle", async () => (await off()) < 30);
+    // A frame of software WebGL may take long, so the hand goes on until it has moved the map.
+    await page.mouse.move(box.x + 200, box.y + 300);
+    await page.mouse.down();
+    let at = 300;
+    await until("following has ended", async () => {
+      await page.mouse.move(box.x + 200, box.y + (at += 5));
+      return (await page.getAttribute("[data-tool=follow]", "aria-pressed")) === "false";
+    });
+    await page.mouse.up();
+
+    // Rings and the ruler.
+    await page.click("[data-tool=rings]");
+    await until("rings", () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.overlays.parts.rings.length === 6));
+    await page.click("[data-tool=measure]");
+    for (const x of [200, 400]) await page.mouse.click(box.x + x, box.y + 400);
+    await until("a distance", async () => /^Distance: [\d.]+ k?m$/.test(await page.textContent(".map-status")));
+    await page.focus("#fleet-map canvas");
+    await page.keyboard.press("Escape");
+    await until("the ruler is put away", async () => (await page.getAttribute("[data-tool=measure]", "aria-pressed")) === "false");
+
+    // The connection breaks: the map and the selection are there again.
+    await page.evaluate(() => { window.same = true; });
+    await page.click("[data-tool=fit]");
+    await page.evaluate(() => document.querySelector("#fleet-map").fleetMap.liveSocket.getSocket().conn.close());
+    await page.waitForSelector("[data-phx-main].phx-connected");
+    await until("VID-1 is still selected", async () => (await selected(page)).join() === "VID-1");
+    await until("three vehicles are drawn again", async () => Object.keys(await drawn(page)).length === 3);
+    equal("the page was not loaded again", await page.evaluate(() => window.same), true);
+
+    // Dark and light.
+    const water = () => page.evaluate(() => document.querySelector("#fleet-map").fleetMap.map.getPaintProperty("water", "background-color"));
+    const before = await water();
+    await page.evaluate(() => { document.documentElement.dataset.theme = "dark"; window.dispatchEvent(new CustomEvent("theme")); });
+    await until("the map is dark", async () => (await water()) !== before);
+    if (shots) await page.screenshot({ path: `${shots}/fleet-dark.png` });
+    await page.evaluate(() => { document.documentElement.dataset.theme = "light"; window.dispatchEvent(new CustomEvent("theme")); });
+    if (shots) await page.screenshot({ path: `${shots}/fleet-light.png` });
+
+    // On a phone, one of both, and nothing is wider than it.
+    const phone = await open("/", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
+    await ready(phone);
+    equal("the table is hidden", await phone.isVisible("#fleet-table"), false);
+    if (shots) await phone.screenshot({ path: `${shots}/fleet-phone-map.png` });
+    await phone.click("text=Table (3)");
+    await phone.waitForSelector("#fleet-table", { state: "visible" });
+    equal("the map is hidden", await phone.isVisible("#fleet-map canvas"), false);
+    equal("no scrolling sideways", await phone.evaluate(() => document.documentElement.scrollWidth), 390);
+    if (shots) await phone.screenshot({ path: `${shots}/fleet-phone-table.png` });
+  },
+
+  // Figures of many vehicles that change five times a second.
+  async fleet() {
+    const page = await open();
+    await ready(page);
+    const number = Number(count);
+    await until(`${number} vehicles are drawn`, async () => Object.keys(await drawn(page)).length >= number * 0.9);
+    // Of the page's thread; what software WebGL takes is another process's.
+    const session = await page.context().newCDPSession(page);
+    await session.send("Performance.enable", { timeDomain: "threadTicks" });
+    const spent = async () => Object.fromEntries((await session.send("Performance.getMetrics")).metrics.map(({ name, value }) => [name, value]));
+    const before = await spent();
+    const figures = await page.evaluate(async () => {
+      const hook = document.querySelector("#fleet-map").fleetMap;
+      const draw = hook.vehiclesLayer.draw.bind(hook.vehiclesLayer);
+      let pushes = 0;
+      hook.vehiclesLayer.draw = (fleet) => { pushes += 1; draw(fleet); };
+      const frames = [];
+      const from = performance.now();
+      let last = from;
+      await new Promise((resolve) => {
+        const frame = (now) => { frames.push(now - last); last = now; now - from > 10_000 ? resolve() : requestAnimationFrame(frame); };
+        requestAnimationFrame(frame);
+      });
+      frames.sort((a, b) => a - b);
+      const at = (share) => Math.round(frames[Math.floor(frames.length * share)]);
+      const seconds = (performance.now() - from) / 1000;
+      return { seconds, pushes_per_s: pushes / seconds, frames_per_s: frames.length / seconds, frame_ms: { p50: at(0.5), p95: at(0.95), p99: at(0.99), worst: Math.round(frames.at(-1)) } };
+    });
+    const after = await spent();
+    for (const name of ["TaskDuration", "ScriptDuration", "LayoutDuration", "RecalcStyleDuration"])
+      figures[`${name}_ms_per_s`] = Math.round((1000 * (after[name] - before[name])) / figures.seconds);
+    console.log(JSON.stringify(figures));
+    if (figures.pushes_per_s === 0) throw new Error("the map is not told of what moves");
+    if (shots) await page.screenshot({ path: `${shots}/fleet-${number}.png` });
+  },
+
+  async nowebgl() {
+    const page = await open();
+    await page.waitForSelector("#fleet-map.map-failed");
+    equal("the notice", /WebGL/.test(await page.textContent(".map-notice")), true);
+    equal("rows", (await page.$$("#fleet-table tbody tr")).length, 3);
+    await page.click("#vehicle-VID-1 td[data-label=Mode]");
+    await until("the table works", async () => (await selected(page)).join() === "VID-1");
+  },
+};
+
+let status = 0;
+try {
+  await tasks[task]();
+  // Software WebGL says that it is slow.
+  const other = complaints.filter((text) => !/GPU stall|WebSocket|swiftshader|SwiftShader|GroupMarkerNotSet|WebGL/i.test(text));
+  if (other.length) throw new Error(`complaints of the browser:\n${other.join("\n")}`);
+  console.log("ok");
+} catch (error) {
+  console.log(error.stack, complaints);
+  status = 1;
+}
+await browser.close();
+process.exit(status);

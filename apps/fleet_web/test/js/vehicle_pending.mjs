@@ -1,0 +1,33 @@
+// A command without an end, and a reload; then each part of the page on a phone and on a desk. Argument: the console's address.
+import { equal, hold, live, main, open } from "../../../../test/browser/chromium.mjs";
+import { signIn } from "./sign_in.mjs";
+
+const base = process.argv[2];
+const parts = ["", "/commands?c=goto", "/events", "/charts?f=battery.voltage,position.alt_rel", "/health", "/links"];
+const folder = process.env.AERIE_SCREENSHOTS;
+
+main(async (browser) => {
+  const page = await open(browser, { viewport: { width: 390, height: 844 }, hasTouch: true });
+  await signIn(page, base, "operator", "/vehicles/VID-007");
+  await hold(page, "#action-rtl");
+  await page.waitForSelector("#commands-now .life[data-state=pending]");
+  await page.reload();
+  await live(page);
+  await page.waitForSelector("#commands-now .life[data-state=pending]");
+  await page.evaluate(() => window.liveSocket?.disconnect());
+
+  for (const [name, size] of [["phone", { width: 390, height: 844 }], ["desk", { width: 1440, height: 900 }]]) {
+    await page.setViewportSize(size);
+    for (const part of parts) {
+      await page.goto(`${base}/vehicles/VID-007${part}`);
+      await live(page);
+      await page.waitForSelector("#action-land");
+      if (part === "") await page.waitForSelector("#vehicle-map.map-ready, #vehicle-map.map-failed");
+      if (part.startsWith("/charts")) await page.waitForSelector(".uplot");
+      const wide = await page.evaluate(() => document.querySelector("#main").scrollWidth - document.querySelector("#main").clientWidth);
+      equal(`${part} is as wide as the ${name}`, wide <= 0, true);
+      if (folder) await page.screenshot({ path: `${folder}/vehicle${part.replace(/\?.*/, "").replace("/", "_")}_${name}.png` });
+    }
+  }
+  equal("complaints of the browser", JSON.stringify(page.complaints), "[]");
+});

@@ -1,0 +1,175 @@
+defmodule Aerie.Identity.Watchdog do
+  @moduledoc """
+  Asks the gateway's processes a few times a second whether they still work, and remembers when each answered last.
+
+  A process is asked by a message in its mailbox, `{:watchdog, pid, tag}`, which it answers with `answer/2`: only a process that
+  handles its messages does that. (A system message would not do: a suspended process answers those.) A process that owes an answer
+  is not asked again, so a stuck one gathers no more than one message.
+
+  Asked are the store, the notices, the router and, for each vehicle, its session and its events process. The session reads the
+  answers before it sends a heartbeat (`silent/2`), which needs the first three and its own two. If a process of another vehicle is
+  stuck the heartbeat says MAV_STATE_CRITICAL and is still sent, for a fault stays where it happened.
+
+  While this process is stuck or dead nobody knows, so no heartbeat goes out.
+
+  Telemetry: `[:aerie, :identity, :silent]` and `[:aerie, :identity, :answering]` with `gateway`, `role`, `id` when a process has not
+  answered in time, and when it does again.
+  """
+  use GenServer
+
+  alias Aerie.Identity.Settings
+  alias Aerie.Names
+
+  @max_every_ms 500
+  @needed [store: nil, pubsub: nil, router_sweeper: nil]
+  @per_vehicle [:session, :events]
+
+  @type tag :: {role :: atom(), id :: term()}
+
+  @doc "Options: `:gateway`, `:settings` (`Aerie.Identity.Settings`)."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :watchdog))
+  end
+
+  @doc "Answers the message `{:watchdog, watchdog, tag}`."
+  @spec answer(watchdog :: pid(), tag()) :: :ok
+  def answer(watchdog, tag) do
+    send(watchdog, {:alive, tag, self()})
+    :ok
+  end
+
+  @doc """
+  The processes that a vehicle's heartbeat needs and that have not answered in time; `[{:watchdog, nil}]` when nobody asks them.
+  """
+  @spec silent(Names.gateway(), term()) :: [tag()]
+  def silent(gateway, key) do
+    case read(gateway) do
+      nil -> [{:watchdog, nil}]
+      {answers, deadman_ms} -> late([{:watchdog, nil}, {:events, key} | @needed], answers, now(), deadman_ms)
+    end
+  end
+
+  @doc "See `Aerie.Identity.status/1`."
+  @spec status(Names.gateway()) :: %{alive: boolean(), silent: [tag()], deadman_ms: pos_integer() | nil}
+  def status(gateway) do
+    case read(gateway) do
+      nil ->
+        %{alive: false, silent: [{:watchdog, nil}], deadman_ms: nil}
+
+      {answers, deadman_ms} ->
+        now = now()
+        needed = late([{:watchdog, nil} | @needed], answers, now, deadman_ms)
+        others = for {tag, {at, _}} <- answers, tag not in needed, now - at > deadman_ms, do: tag
+        %{alive: needed == [], silent: Enum.sort(needed ++ others), deadman_ms: deadman_ms}
+    end
+  end
+
+  @doc "Whether any process has not answered in time."
+  @spec any_silent?(Names.gateway()) :: boolean()
+  def any_silent?(gateway) do
+    case read(gateway) do
+      nil -> true
+      {answers, deadman_ms} -> Enum.any?(answers, fn {_tag, {at, _}} -> now() - at > deadman_ms end)
+    end
+  end
+
+  # All answers; nil while nobody asks.
+  defp read(gateway) do
+    Names.read(gateway, :watchdog, nil, fn {table, deadman_ms} ->
+      {for({tag, at, answered} <- :ets.tab2list(table), into: %{}, do: {tag, {at, answered}}), deadman_ms}
+    end)
+  end
+
+  # A process that has never answered is late: a heartbeat says what is known.
+  defp late(tags, answers, now, deadman_ms),
+    do: Enum.reject(tags, &match?(%{^&1 => {at, true}} when now - at <= deadman_ms, answers))
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:watchdog, gateway})
+    table = :ets.new(:watchdog, [:set, :protected, read_concurrency: true])
+    %Settings{deadman_ms: deadman_ms} = Keyword.fetch!(options, :settings)
+    Names.put_value(gateway, :watchdog, {table, deadman_ms})
+    # Often enough that one late answer is no missed one.
+    {:ok, _timer} = :timer.send_interval(min(@max_every_ms, div(deadman_ms, 4)), :ask)
+    state = %{gateway: gateway, table: table, deadman_ms: deadman_ms, owing: %{}, silent: []}
+    {:ok, state, {:continue, :ask}}
+  end
+
+  @impl GenServer
+  def handle_continue(:ask, state), do: {:noreply, ask(state)}
+
+  @impl GenServer
+  def handle_info(:ask, state), do: {:noreply, ask(state)}
+
+  def handle_info({:alive, tag, pid}, state) do
+    # The answer of a process that was restarted meanwhile says nothing about the new one.
+    case state.owing do
+      %{^tag => ^pid} ->
+        :ets.insert(state.table, {tag, now(), true})
+        {:noreply, %{state | owing: Map.delete(state.owing, tag)}}
+
+      _other ->
+        {:noreply, state}
+    end
+  end
+
+  defp ask(state) do
+    :ets.insert(state.table, {{:watchdog, nil}, now(), true})
+    loops = loops(state.gateway)
+    forget(state.table, loops)
+
+    owing =
+      for {tag, pid} <- loops, pid != nil, into: %{} do
+        if state.owing[tag] != pid, do: send(pid, {:watchdog, self(), tag})
+        # From here on it has had its time to answer.
+        :ets.insert_new(state.table, {tag, now(), false})
+        {tag, pid}
+      end
+
+    tell(%{state | owing: owing})
+  end
+
+  defp loops(gateway) do
+    vehicles =
+      for role <- @per_vehicle, {id, pid} <- registered(gateway, role), into: %{}, do: {{role, id}, pid}
+
+    for {role, id} <- @needed, into: vehicles, do: {{role, id}, Names.whereis(gateway, role, id)}
+  end
+
+  defp registered(gateway, role) do
+    Registry.select(Aerie.Registry, [{{{gateway, role, :"$1"}, :"$2", :_}, [], [{{:"$1", :"$2"}}]}])
+  end
+
+  # Vehicles that are no more. The needed ones stay, dead or alive.
+  defp forget(table, loops) do
+    for {tag, _at, _answered} <- :ets.tab2list(table), tag != {:watchdog, nil}, not is_map_key(loops, tag) do
+      :ets.delete(table, tag)
+    end
+
+    :ok
+  end
+
+  defp tell(state) do
+    %{silent: silent} = status(state.gateway)
+    execute(state, :silent, silent -- state.silent)
+    execute(state, :answering, state.silent -- silent)
+    %{state | silent: silent}
+  end
+
+  defp execute(state, event, tags) do
+    for {role, id} <- tags do
+      :telemetry.execute([:aerie, :identity, event], %{count: 1}, %{
+        gateway: state.gateway,
+        role: role,
+        id: id
+      })
+    end
+
+    :ok
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

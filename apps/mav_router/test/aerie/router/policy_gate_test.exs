@@ -1,0 +1,139 @@
+defmodule Aerie.Router.PolicyGateTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.{Link, Router, Store}
+  alias MavCodec.Frame
+  alias MavCodec.Messages, as: M
+
+  @patience Aerie.Patience.ms()
+
+  # Refuses commands with an odd number, with one answer, and SET_MODE with a question in its place; tells the test what it was
+  # asked.
+  defmodule Odd do
+    @behaviour Aerie.Router.Policy
+
+    @impl Aerie.Router.Policy
+    def decide(gateway, sender, vehicle, frame) do
+      {:ok, message} = MavCodec.decode(frame)
+      send(:persistent_term.get({__MODULE__, gateway}), {:asked, sender, vehicle, message})
+
+      case message do
+        %M.CommandLong{command: command} when rem(command, 2) == 1 ->
+          {_network, system} = vehicle
+
+          {:refuse,
+           [MavCodec.encode(%M.CommandAck{command: command, result: 2}, system: system, component: 1)], nil}
+
+        %M.SetMode{target_system: target} ->
+          question =
+            MavCodec.encode(%M.ParamRequestList{target_system: target},
+              system: frame.system,
+              component: frame.component
+            )
+
+          {:refuse, [], Frame.from_bytes(question, MavCodec.Dialects.All.crc_extra(21))}
+
+        _even ->
+          :forward
+      end
+    end
+  end
+
+  setup do
+    gateway = start_parts(%{mavlink: %{system_id: 245, component_id: 191}}, options: [policy: Odd])
+    :persistent_term.put({Odd, gateway}, self())
+    on_exit(fn -> :persistent_term.erase({Odd, gateway}) end)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    {:ok, gateway: gateway, port: port, one: vehicle(gateway, port, 1), two: vehicle(gateway, port, 2)}
+  end
+
+  defp vehicle(gateway, port, system) do
+    socket = udp(port)
+    say(socket, heartbeat(system))
+    eventually(fn -> Router.route(gateway, {"main", system}) end)
+
+    Store.put_vehicle(gateway, {"main", system}, %{
+      id: "V#{system}",
+      key: {"main", system},
+      network: "main",
+      system_id: system
+    })
+
+    socket
+  end
+
+  defp client(c, settings \\ %{}) do
+    {:ok, "gcs"} = Aerie.Client.add(c.gateway, Map.merge(%{url: "udpin:127.0.0.1:0", id: "gcs"}, settings))
+    udp(Link.snapshot(c.gateway, "gcs").port)
+  end
+
+  defp udp(port) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    :ok = :gen_udp.connect(socket, {127, 0, 0, 1}, port)
+    socket
+  end
+
+  defp say(socket, bytes) when is_binary(bytes), do: :ok = :gen_udp.send(socket, bytes)
+  defp say(socket, message), do: say(socket, MavCodec.encode(message, system: 255, component: 190))
+
+  defp next(socket) do
+    {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+    frame = Frame.from_bytes(bytes, nil)
+    {:ok, message} = MavCodec.decode(frame)
+    if match?(%M.Heartbeat{}, message), do: next(socket), else: {message, frame}
+  end
+
+  test "a refused command is answered and counted, and its place is taken by what the policy sends", c do
+    gcs = client(c)
+
+    for command <- [401, 402],
+        do: say(gcs, %M.CommandLong{target_system: 1, target_component: 1, command: command})
+
+    say(gcs, %M.SetMode{target_system: 1})
+    assert {%M.CommandLong{command: 402}, _frame} = next(c.one)
+    assert {%M.ParamRequestList{target_system: 1}, %{system: 255, component: 190}} = next(c.one)
+    assert {%M.CommandAck{command: 401, result: 2}, %{system: 1}} = next(gcs)
+
+    assert_receive {:asked, %{owner: "gcs", peer: "127.0.0.1:" <> _}, {"main", 1},
+                    %M.CommandLong{command: 401}}
+
+    assert Link.snapshot(c.gateway, "gcs").counters.denied == 2
+  end
+
+  test "it is asked for each vehicle of a command to all, and refusing it for one refuses it for all", c do
+    gcs = client(c)
+    say(gcs, %M.CommandLong{command: 403})
+    assert_receive {:asked, _sender, {"main", 1}, _message}
+    say(gcs, %M.CommandLong{command: 404})
+
+    for system <- [1, 2],
+        do: assert_receive({:asked, _sender, {"main", ^system}, %M.CommandLong{command: 404}})
+
+    for vehicle <- [c.one, c.two], do: assert({%M.CommandLong{command: 404}, _frame} = next(vehicle))
+  end
+
+  test "a client that sees other ids is judged by the vehicle that it means, and answered from the id that it knows",
+       c do
+    gcs = client(c, %{id_offsets: %{"main" => 100}})
+    say(gcs, %M.CommandLong{target_system: 102, target_component: 1, command: 405})
+    assert_receive {:asked, _sender, {"main", 2}, %M.CommandLong{command: 405}}
+    assert {%M.CommandAck{command: 405}, %{system: 102}} = next(gcs)
+    say(gcs, %M.SetMode{target_system: 102})
+    assert {%M.ParamRequestList{target_system: 2}, _frame} = next(c.two)
+  end
+
+  test "it is not asked about telemetry, questions, and those who may not command anyway", c do
+    gcs = client(c)
+    say(c.one, attitude(1, 7))
+    say(gcs, %M.ParamRequestList{target_system: 1})
+    # An autopilot's own commands go where they did.
+    say(c.one, MavCodec.encode(%M.CommandLong{target_system: 2, command: 407}, system: 1, component: 1))
+    assert {%M.ParamRequestList{}, _frame} = next(c.one)
+    :ok = Router.configure(c.gateway, "gcs", role: :read_only)
+    say(gcs, %M.CommandLong{target_system: 1, command: 409})
+    say(c.one, attitude(1, 8))
+    assert {%M.Attitude{}, _frame} = next(gcs)
+    refute_received {:asked, _sender, _vehicle, _message}
+  end
+end

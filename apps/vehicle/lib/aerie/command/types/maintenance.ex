@@ -1,0 +1,154 @@
+defmodule Aerie.Command.Types.Maintenance do
+  @moduledoc "Commands for the workshop, and for messages: rows of `Aerie.Command.Types`."
+
+  import Aerie.Command.Types.Shared
+
+  alias Aerie.Command.{Param, Type}
+
+  @sensors ~w(gyro accelerometer accelerometer_simple level magnetometer barometer airspeed rc esc compass_motor)
+
+  @doc false
+  @spec rows() :: [Type.t()]
+  def rows, do: workshop() ++ calibration() ++ messages()
+
+  defp workshop do
+    [
+      %Type{
+        name: "prearm_check",
+        group: :maintenance,
+        meaning: "Runs the checks before arming; what they find comes as texts and reports.",
+        permission: :telemetry
+      },
+      %Type{
+        name: "motor_test",
+        group: :maintenance,
+        meaning: "Turns one motor. Take the propellers off.",
+        permission: :maintain,
+        retry: :never,
+        moves_vehicle?: true,
+        params: [
+          Param.integer(:motor, nil, 1, 16, "which motor, in the firmware's order", required: true),
+          Param.number(:throttle, "0..1", 0, 1, "share of full throttle", required: true),
+          Param.number(:duration, "s", 0.1, 3, "for how long", required: true)
+        ]
+      },
+      %Type{
+        name: "reboot",
+        group: :maintenance,
+        meaning: "Starts the autopilot anew. It refuses while it is armed.",
+        permission: :maintain,
+        retry: :never,
+        confirmed_by: "its clock begins anew",
+        params: [
+          Param.choice(
+            :to,
+            ~w(normal bootloader),
+            "whether it is to stay in its boot loader, where firmware is loaded",
+            default: "normal"
+          )
+        ]
+      },
+      %Type{
+        name: "save_params",
+        group: :maintenance,
+        meaning: "Stores the parameters where they survive a power cut.",
+        permission: :maintain
+      },
+      %Type{
+        name: "reset_params",
+        group: :maintenance,
+        meaning: "Resets all parameters to the firmware's defaults, calibration included.",
+        permission: :maintain,
+        retry: :never
+      },
+      %Type{
+        name: "rx_pair",
+        group: :maintenance,
+        meaning: "Makes the remote control receiver ready to be bound.",
+        permission: :maintain,
+        retry: :never,
+        params: [
+          Param.choice(:receiver, ~w(dsm2 dsmx dsmx8 crsf), "what kind of receiver", required: true)
+        ]
+      }
+    ]
+  end
+
+  defp calibration do
+    [
+      %Type{
+        name: "calibrate",
+        group: :maintenance,
+        meaning:
+          "Calibrates a sensor. What the vehicle says on the way, such as how to lay it, comes as progress.",
+        permission: :maintain,
+        retry: :never,
+        confirmed_by: "what the vehicle says of it",
+        long?: true,
+        cancel?: true,
+        params: [Param.choice(:sensor, @sensors, "what to calibrate", required: true)]
+      },
+      %Type{
+        name: "calibrate_position",
+        group: :maintenance,
+        meaning: "Tells the vehicle that it lies as the calibration of the accelerometer asked for.",
+        permission: :maintain,
+        retry: :never,
+        params: [
+          Param.choice(:position, ~w(level left right nose_down nose_up back), "how it lies", required: true)
+        ]
+      },
+      %Type{
+        name: "calibrate_accept",
+        group: :maintenance,
+        meaning: "Stores what the calibration of the magnetometers found.",
+        permission: :maintain
+      },
+      %Type{
+        name: "calibrate_cancel",
+        group: :maintenance,
+        meaning: "Ends a calibration without a result.",
+        permission: :maintain
+      }
+    ]
+  end
+
+  defp messages do
+    [
+      %Type{
+        name: "request_message",
+        group: :telemetry,
+        meaning: "Asks for a message once.",
+        permission: :telemetry,
+        confirmed_by: "the message",
+        params: [
+          Param.integer(:message_id, nil, 0, 16_777_215, "id of the message", required: true),
+          Param.integer(:index, nil, 0, 65_535, "which one, for messages that there are several of",
+            default: 0
+          ),
+          component()
+        ]
+      },
+      %Type{
+        name: "set_message_interval",
+        group: :telemetry,
+        meaning:
+          "Sets how often a message comes by the link that the vehicle is commanded by. What the gateway and its clients want besides may change it again.",
+        permission: :telemetry,
+        rules: [{:one_of, [:rate, :action]}],
+        params: [
+          Param.integer(:message_id, nil, 0, 16_777_215, "id of the message", required: true),
+          Param.number(:rate, "Hz", 0.001, 1000, "how often"),
+          Param.choice(:action, ~w(stop default), "not at all, or as often as the vehicle likes")
+        ]
+      },
+      %Type{
+        name: "high_latency",
+        group: :telemetry,
+        meaning: "Begins or ceases to send a summary only, for links of high latency.",
+        permission: :telemetry,
+        params: [Param.boolean(:enabled, "whether only the summary is sent", required: true)]
+      }
+    ]
+  end
+end

@@ -1,0 +1,58 @@
+defmodule Aerie.Command.Types.Mission do
+  @moduledoc "Commands that start and steer a mission, and the fence: rows of `Aerie.Command.Types`."
+
+  alias Aerie.Command.{Param, Type}
+
+  @doc false
+  @spec rows() :: [Type.t()]
+  def rows do
+    [
+      %Type{
+        name: "mission_start",
+        group: :mission,
+        meaning: "Starts the mission, or goes on with it. It does not arm the vehicle.",
+        permission: :mission,
+        confirmed_by: "its mode is that for missions",
+        moves_vehicle?: true
+      },
+      %Type{
+        name: "mission_pause",
+        group: :mission,
+        meaning: "Stops on the way and waits there; resume goes on.",
+        permission: :mission,
+        confirmed_by: "its mode, where the firmware changes it",
+        moves_vehicle?: true
+      },
+      %Type{
+        name: "mission_set_current",
+        group: :mission,
+        meaning: "Makes an item of the mission the one to do next.",
+        permission: :mission,
+        confirmed_by: "the current item",
+        moves_vehicle?: true,
+        params: [
+          Param.integer(:seq, nil, 0, 65_534, "number of the item as the vehicle counts", required: true)
+        ]
+      },
+      %Type{
+        name: "jump",
+        group: :mission,
+        meaning: "Goes on with the mission at the item with a tag.",
+        permission: :mission,
+        retry: :never,
+        moves_vehicle?: true,
+        params: [
+          Param.integer(:tag, nil, 0, 65_535, "the tag, as the JUMP_TAG item has it", required: true),
+          Param.integer(:repeat, nil, 0, 65_535, "how often again", default: 0)
+        ]
+      },
+      %Type{
+        name: "set_geofence",
+        group: :mission,
+        meaning: "Switches the vehicle's own fence on or off.",
+        permission: :mission,
+        params: [Param.boolean(:enabled, "whether the fence is on", required: true)]
+      }
+    ]
+  end
+end

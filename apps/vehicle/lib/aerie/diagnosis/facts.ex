@@ -1,0 +1,42 @@
+defmodule Aerie.Diagnosis.Facts do
+  @moduledoc """
+  What the rules look at: the read model of this moment, as plain values. Nothing here calls a process that handles frames, or sends
+  anything to a vehicle.
+
+  | key | value |
+  |---|---|
+  | `:now`, `:mono` | unix microseconds, monotonic ms |
+  | `:clock_offset` | `Aerie.HostClock.offset/0` |
+  | `:links`, `:vehicles`, `:endpoints` | snapshots (`Aerie.Store.Links`, `Aerie.Store`, `Aerie.Router.endpoints/1`) |
+  | `:identity` | `Aerie.Router.identity/1` |
+  | `:nats`, `:nats_off?` | `Aerie.Bridge.info/1` |
+  | `:recorder` | `Aerie.Recorder.status/1` or nil |
+  | `:audit` | why the audit log cannot be written, or nil |
+  | `:signing` | `Aerie.Signing.list/1` |
+
+  `Aerie.Diagnosis.Trend` adds `:grown`, `:online_ms` and `:clock_steps`.
+  """
+
+  alias Aerie.{Bridge, HostClock, Names, Policy, Recorder, Router, Signing, Store}
+
+  @type t :: %{atom() => term()}
+
+  @doc "The facts of a gateway now. One that does not run has no links and no vehicles."
+  @spec of(Names.gateway()) :: t()
+  def of(gateway) do
+    %{
+      now: System.os_time(:microsecond),
+      mono: System.monotonic_time(:millisecond),
+      clock_offset: HostClock.offset(),
+      links: Store.Links.all(gateway),
+      vehicles: Store.vehicles(gateway),
+      endpoints: Router.endpoints(gateway),
+      identity: Router.identity(gateway),
+      nats: Bridge.info(gateway),
+      nats_off?: Bridge.off?(gateway),
+      recorder: Recorder.status(gateway),
+      audit: Policy.Audit.failing(gateway),
+      signing: Signing.list(gateway)
+    }
+  end
+end

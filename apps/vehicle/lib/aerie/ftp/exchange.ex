@@ -1,0 +1,131 @@
+defmodule Aerie.Ftp.Exchange do
+  @moduledoc """
+  One request at a time and its answers: numbers, repetitions and time-outs (T2). Pure.
+
+  A request is repeated with the same number until it is answered; the vehicle answers a repetition with its last answer. A burst
+  is answered by many packets, whose numbers continue from the request's.
+  """
+
+  alias Aerie.Ftp.{Packet, RoundTrip}
+
+  @repeats 24
+  # A vehicle that has answered before is likely to do so again.
+  @first_repeats 8
+  @burst_numbers 4_096
+  # The vehicle reads the whole file before it answers.
+  @crc_wait 300_000
+  @crc Packet.opcode(:crc)
+
+  @enforce_keys [:target, :trip]
+  defstruct [
+    :target,
+    :trip,
+    :request,
+    :due,
+    :sent_at,
+    :first_seq,
+    seq: 0,
+    session: 0,
+    repeats: 0,
+    heard?: false
+  ]
+
+  @typedoc """
+    * `due` - when the request has to be repeated, in microseconds
+    * `seq` - the number of the next request
+    * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for reading
+    * `heard?` - whether the vehicle has answered anything
+  """
+  @type t :: %__MODULE__{}
+
+  @doc "An exchange that has sent nothing; the first request has the number `seq`."
+  @spec new(Packet.target(), rtt_us :: non_neg_integer() | nil, seq :: 0..65_535) :: t()
+  def new(target, rtt, seq), do: %__MODULE__{target: target, trip: RoundTrip.new(rtt), seq: seq}
+
+  @doc "Records the session that the vehicle opened."
+  @spec opened(t(), byte()) :: t()
+  def opened(exchange, session), do: %{exchange | session: session}
+
+  @doc "Opens the session for reading: packets of bursts count as answers from now on."
+  @spec expect_bursts(t()) :: t()
+  def expect_bursts(exchange), do: %{exchange | first_seq: exchange.seq}
+
+  @doc "Forgets the session, which is lost or ended."
+  @spec without_session(t()) :: t()
+  def without_session(exchange), do: %{exchange | session: 0, first_seq: nil}
+
+  @doc "Makes a new request by the name of its opcode."
+  @spec ask(t(), atom(), keyword(), integer()) :: {t(), struct()}
+  def ask(exchange, opcode, fields, now) do
+    packet = struct!(packet(exchange, opcode), fields)
+    packet = if packet.size == 0, do: %{packet | size: byte_size(packet.data)}, else: packet
+    transmit(%{exchange | request: packet, repeats: 0, seq: next(exchange.seq)}, now)
+  end
+
+  @doc "Makes a request whose answer does not matter."
+  @spec tell(t(), atom()) :: {t(), struct()}
+  def tell(exchange, opcode),
+    do: {%{exchange | seq: next(exchange.seq)}, Packet.message(packet(exchange, opcode), exchange.target)}
+
+  @doc "Repeats the request, because no answer came in time."
+  @spec again(t(), integer()) :: {t(), struct()} | :give_up
+  def again(%{repeats: @repeats}, _now), do: :give_up
+  def again(%{repeats: @first_repeats, heard?: false}, _now), do: :give_up
+  def again(exchange, now), do: transmit(%{exchange | repeats: exchange.repeats + 1}, now)
+
+  @doc """
+  Gives up on the rest of a burst, which is lost or late. The number of the next request must not be among those of the burst: a late EOF
+  would look like its answer.
+  """
+  @spec after_burst(t()) :: t()
+  def after_burst(exchange) do
+    seq = Bitwise.band(exchange.seq + @burst_numbers, 0xFFFF)
+    %{exchange | seq: seq, first_seq: exchange.request.seq}
+  end
+
+  @doc "Whether a packet is an answer to the request, or belongs to a burst of this session."
+  @spec answer?(t(), Packet.t()) :: boolean()
+  def answer?(%{request: %{opcode: opcode}} = exchange, packet) do
+    (packet.request == opcode and follows?(exchange, packet)) or
+      (packet.request == Packet.opcode(:burst) and exchange.first_seq != nil and
+         packet.session == exchange.session and not before?(packet.seq, exchange.first_seq))
+  end
+
+  @doc "Records an answer. It measures the round trip if its request was sent once."
+  @spec heard(t(), Packet.t(), integer()) :: t()
+  def heard(%{repeats: 0, sent_at: at, request: request} = exchange, packet, now) when at != nil do
+    if packet.request == request.opcode and follows?(exchange, packet),
+      do: %{exchange | trip: RoundTrip.sample(exchange.trip, now - at), sent_at: nil, heard?: true},
+      else: %{exchange | heard?: true}
+  end
+
+  def heard(exchange, _packet, _now), do: %{exchange | heard?: true}
+
+  @doc "Records a packet with data; the next request has a number after the packet's."
+  @spec took(t(), Packet.t()) :: t()
+  def took(exchange, packet) do
+    seq = next(packet.seq)
+    %{exchange | repeats: 0, seq: if(before?(seq, exchange.seq), do: exchange.seq, else: seq)}
+  end
+
+  @doc "Waits for more packets of the burst."
+  @spec wait(t(), integer()) :: t()
+  def wait(exchange, now), do: %{exchange | due: now + timeout(exchange)}
+
+  defp packet(exchange, opcode),
+    do: %Packet{seq: exchange.seq, session: exchange.session, opcode: Packet.opcode(opcode)}
+
+  defp transmit(exchange, now) do
+    exchange = wait(%{exchange | sent_at: if(exchange.repeats == 0, do: now)}, now)
+    {exchange, Packet.message(exchange.request, exchange.target)}
+  end
+
+  defp timeout(%{request: %{opcode: @crc}} = exchange),
+    do: max(@crc_wait, RoundTrip.timeout(exchange.trip)) * Integer.pow(2, min(exchange.repeats, 5))
+
+  defp timeout(exchange), do: RoundTrip.timeout(exchange.trip, div(exchange.repeats, 4))
+
+  defp follows?(%{request: request}, packet), do: packet.seq == next(request.seq)
+  defp next(seq), do: Bitwise.band(seq + 1, 0xFFFF)
+  defp before?(seq, other), do: Bitwise.band(seq - other, 0xFFFF) >= 0x8000
+end

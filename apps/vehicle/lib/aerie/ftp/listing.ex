@@ -1,0 +1,49 @@
+defmodule Aerie.Ftp.Listing do
+  @moduledoc "The entries of a directory received so far. The vehicle sends as many as fit into each answer."
+
+  @max 10_000
+
+  defstruct entries: [], offset: 0
+
+  @typedoc "`offset`: the number of the entry to ask for next"
+  @type t :: %__MODULE__{entries: [entry()], offset: non_neg_integer()}
+  @type entry :: %{kind: :file | :directory, name: String.t(), size: non_neg_integer() | nil}
+
+  @doc "The most entries that a directory may have."
+  @spec max() :: pos_integer()
+  def max, do: @max
+
+  @doc "Adds the entries of one answer; `:ended` if it has none. Names end with NUL; `S` is an entry that is left out, but counted."
+  @spec took(t(), binary()) :: {:more, t()} | :ended | :too_large
+  def took(listing, data) do
+    case String.split(data, <<0>>, trim: true) do
+      [] ->
+        :ended
+
+      names ->
+        entries = names |> Enum.flat_map(&entry/1) |> Enum.reverse(listing.entries)
+
+        if length(entries) > @max,
+          do: :too_large,
+          else: {:more, %{listing | entries: entries, offset: listing.offset + length(names)}}
+    end
+  end
+
+  @doc "All entries, in the vehicle's order."
+  @spec entries(t()) :: [entry()]
+  def entries(listing), do: Enum.reverse(listing.entries)
+
+  defp entry("D" <> name), do: [%{kind: :directory, name: name, size: nil}]
+
+  defp entry("F" <> file) do
+    case String.split(file, "\t") do
+      [name, size | _time] -> [%{kind: :file, name: name, size: size(Integer.parse(size))}]
+      [name] -> [%{kind: :file, name: name, size: nil}]
+    end
+  end
+
+  defp entry(_skipped), do: []
+
+  defp size({size, ""}), do: size
+  defp size(_unreadable), do: nil
+end

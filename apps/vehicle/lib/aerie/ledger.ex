@@ -1,0 +1,250 @@
+defmodule Aerie.Ledger do
+  @moduledoc """
+  The ledger of a gateway's commands by their ids, on disk: no id is executed twice, whatever is killed or repeated.
+
+  | | answered with |
+  |---|---|
+  | a new id | `:new`: execute it |
+  | the same command again | `:in_flight`, or `{:stored, result}` |
+  | another command with that id | `{:refused, reason}` |
+  | after a kill: a command that was not sent | `:new` again, because nothing happened |
+  | after a kill: a command that may have been sent | `{:stored, %Result{status: :unknown}}`, and it is never sent again |
+
+  Call `admit/3`, then `sending/4` right before the first byte goes to the vehicle, then `finish/3`. A record is written before
+  the answer, so a kill loses none; `sending/4` of a command that must not be repeated (`:never`) also waits for the disk,
+  so a power cut loses none either.
+
+  If a record cannot be written, all three return `{:error, reason}`. The record is kept in memory and written as soon as the
+  disk has room, so a command that is sent nevertheless, because it brings a vehicle down, is protected until a restart. Until the
+  file has been read once, nothing is admitted: only the file knows which ids were used before.
+
+  Telemetry: `[:aerie, :ledger, :failing]` (`count` 1; `gateway`, `reason`), once until the ledger can be written again.
+  """
+
+  use GenServer
+
+  alias Aerie.{Command, FolderLock, Names}
+  alias Aerie.Command.Result
+  alias Aerie.Ledger.{Core, Journal}
+
+  require Logger
+
+  @retry_ms 1_000
+  @call_ms 5_000
+  # A smaller file is not worth rewriting.
+  @compact_bytes 4_194_304
+
+  @typedoc "`:dir` - its folder; `:max_entries`, `:max_age_s` - how many commands it keeps, and for how long."
+  @type option ::
+          {:gateway, Names.gateway()}
+          | {:dir, Path.t()}
+          | {:max_entries, pos_integer()}
+          | {:max_age_s, pos_integer()}
+
+  @spec start_link([option()]) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :ledger))
+
+  @doc "Admits a command. This and the steps below wait for `timeout` milliseconds at most."
+  @spec admit(Names.gateway(), Command.t(), timeout :: pos_integer()) ::
+          :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()} | {:error, String.t()}
+  def admit(gateway, command, timeout \\ @call_ms), do: call(gateway, {:admit, command}, timeout)
+
+  @doc "What `admit/3` would say of a command's id, without admitting it."
+  @spec known(Names.gateway(), Command.t(), timeout :: pos_integer()) ::
+          :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()} | {:error, String.t()}
+  def known(gateway, command, timeout \\ @call_ms), do: call(gateway, {:known, command}, timeout)
+
+  @doc "What became of an id, or nil."
+  @spec lookup(Names.gateway(), String.t()) :: :in_flight | Result.t() | nil | {:error, String.t()}
+  def lookup(gateway, id), do: call(gateway, {:lookup, id})
+
+  @doc "Records that the command is about to be sent. Send it as soon as this returns `:ok`."
+  @spec sending(Names.gateway(), String.t(), :safe | :never, timeout :: pos_integer()) ::
+          :ok | {:refused, String.t()} | {:error, String.t()}
+  def sending(gateway, id, retry, timeout \\ @call_ms), do: call(gateway, {:sending, id, retry}, timeout)
+
+  @doc "Records the result."
+  @spec finish(Names.gateway(), Result.t(), timeout :: pos_integer()) ::
+          :ok | {:refused, String.t()} | {:error, String.t()}
+  def finish(gateway, result, timeout \\ @call_ms), do: call(gateway, {:finish, result}, timeout)
+
+  @doc """
+  The commands that were under way when the gateway stopped, as plain envelopes. Their result is `unknown` until somebody
+  has observed the vehicle and calls `finish/3`.
+  """
+  @spec interrupted(Names.gateway()) :: [%{String.t() => term()}] | {:error, String.t()}
+  def interrupted(gateway), do: call(gateway, :interrupted)
+
+  @doc "The number of commands, the file's bytes, damaged lines that were left out, and why it cannot be written."
+  @spec status(Names.gateway()) ::
+          %{
+            entries: non_neg_integer(),
+            bytes: non_neg_integer() | nil,
+            damaged: non_neg_integer(),
+            failing: String.t() | nil
+          }
+          | {:error, String.t()}
+  def status(gateway), do: call(gateway, :status)
+
+  defp call(gateway, message, timeout \\ @call_ms) do
+    GenServer.call(Names.via(gateway, :ledger), message, timeout)
+  catch
+    :exit, {:timeout, _call} -> {:error, "the ledger did not answer within #{timeout} ms"}
+    :exit, _gone -> {:error, "the ledger does not run"}
+  end
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    Process.set_label({:ledger, options[:gateway]})
+
+    state = %{
+      gateway: options[:gateway],
+      dir: Path.expand(Keyword.fetch!(options, :dir)),
+      core: Core.new(Keyword.fetch!(options, :max_entries), Keyword.fetch!(options, :max_age_s)),
+      journal: nil,
+      interrupted: [],
+      damaged: 0,
+      failing: nil,
+      tried_at: nil,
+      compacted: 0
+    }
+
+    {:ok, open(state)}
+  end
+
+  @impl GenServer
+  def handle_call({:admit, command}, _from, state) do
+    case reopen(state) do
+      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
+      state -> step(Core.admit(state.core, command, now()), state, :write)
+    end
+  end
+
+  def handle_call({what, of}, _from, state) when what in [:known, :lookup] do
+    case reopen(state) do
+      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
+      state -> {:reply, apply(Core, what, [state.core, of]), state}
+    end
+  end
+
+  def handle_call({:sending, id, retry}, _from, state),
+    do: step(Core.sending(state.core, id, retry, now()), state, if(retry == :never, do: :sync, else: :write))
+
+  def handle_call({:finish, result}, _from, state) do
+    state = %{state | interrupted: Enum.reject(state.interrupted, &(&1["id"] == result.id))}
+    step(Core.finish(state.core, result, now()), state, :write)
+  end
+
+  def handle_call(:interrupted, _from, state), do: {:reply, state.interrupted, state}
+
+  def handle_call(:status, _from, state) do
+    bytes = if state.journal, do: state.journal.bytes
+
+    {:reply, %{entries: Core.count(state.core), bytes: bytes, damaged: state.damaged, failing: state.failing},
+     state}
+  end
+
+  @impl GenServer
+  def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
+
+  @impl GenServer
+  def terminate(_reason, %{journal: nil}), do: :ok
+  def terminate(_reason, state), do: Journal.close(state.journal)
+
+  defp step({answer, records, core}, state, how) do
+    case store(%{state | core: core}, records, how) do
+      {:ok, state} ->
+        {:reply, answer, state}
+
+      {:error, reason, state} ->
+        {:reply, if(answer in [:ok, :new], do: {:error, reason}, else: answer), state}
+    end
+  end
+
+  defp store(state, [], _how), do: {:ok, state}
+  defp store(%{journal: nil} = state, _records, _how), do: {:error, state.failing, state}
+
+  defp store(%{failing: nil} = state, records, how) do
+    with {:ok, journal} <- Journal.append(state.journal, records),
+         :ok <- if(how == :sync, do: Journal.sync(journal), else: :ok) do
+      {:ok, compact(%{state | journal: journal})}
+    else
+      {:error, reason, journal} -> {:error, reason, failed(%{state | journal: journal}, reason)}
+      {:error, reason} -> {:error, reason, failed(state, reason)}
+    end
+  end
+
+  # The file lacks records, so all are rewritten.
+  defp store(state, _records, _how) do
+    case rewrite(state) do
+      {:ok, state} -> {:ok, works(state)}
+      error -> error
+    end
+  end
+
+  # Rewrite it when it has doubled.
+  defp compact(%{journal: %{bytes: bytes}} = state) when bytes < @compact_bytes, do: state
+  defp compact(%{journal: %{bytes: bytes}, compacted: last} = state) when bytes < 2 * last, do: state
+
+  defp compact(state) do
+    case rewrite(state) do
+      {:ok, state} -> state
+      # The old file is intact; the next attempt follows when it has grown by as much again.
+      {:error, _reason, state} -> %{state | compacted: state.journal.bytes}
+    end
+  end
+
+  defp rewrite(state) do
+    case Journal.compact(state.journal, Core.records(state.core)) do
+      {:ok, journal} -> {:ok, %{state | journal: journal, compacted: journal.bytes}}
+      {:error, reason, journal} -> {:error, reason, failed(%{state | journal: journal}, reason)}
+    end
+  end
+
+  defp open(state) do
+    with :ok <- FolderLock.acquire(state.dir),
+         {:ok, journal, core, damaged} <- Journal.open(state.dir, state.core, &Core.replay(&2, &1)) do
+      if damaged > 0 do
+        Logger.error(
+          "ledger: #{damaged} lines of #{journal.path} were damaged; their commands are not known any more. The file is " <>
+            "kept as #{journal.path}.damaged"
+        )
+      end
+
+      {interrupted, records, core} = Core.interrupted(core, now())
+      state = %{state | journal: journal, core: core, interrupted: interrupted, damaged: damaged}
+
+      case store(%{state | compacted: journal.bytes}, records, :sync) do
+        {:ok, state} -> works(state)
+        {:error, _reason, state} -> state
+      end
+    else
+      {:error, reason} -> failed(%{state | tried_at: monotonic()}, reason)
+    end
+  end
+
+  defp reopen(%{journal: nil, tried_at: tried} = state),
+    do: if(monotonic() - tried >= @retry_ms, do: open(state), else: state)
+
+  defp reopen(state), do: state
+
+  defp failed(%{failing: nil} = state, reason) do
+    Logger.error("ledger: #{reason}. Commands are refused until it can be written")
+    :telemetry.execute([:aerie, :ledger, :failing], %{count: 1}, %{gateway: state.gateway, reason: reason})
+    %{state | failing: reason}
+  end
+
+  defp failed(state, reason), do: %{state | failing: reason}
+
+  defp works(%{failing: nil} = state), do: state
+
+  defp works(state) do
+    Logger.warning("ledger: written again")
+    %{state | failing: nil}
+  end
+
+  defp now, do: System.os_time(:microsecond)
+  defp monotonic, do: System.monotonic_time(:millisecond)
+end

@@ -1,0 +1,56 @@
+defmodule Aerie.Mission.Plan do
+  @moduledoc """
+  A plan as a value: a mission, a fence and rally points. Files are read into it (`Aerie.Mission.File.QgcPlan`,
+  `Aerie.Mission.File.Waypoints`), and it is converted to what a vehicle stores (`Aerie.Mission.Onboard`).
+
+  Items are counted from 1, also in DO_JUMP: home is not an item. The adapter of a firmware that counts otherwise converts.
+  """
+
+  alias Aerie.Mission.Item
+
+  defstruct home: nil, items: [], fence: [], fence_return: nil, rally: []
+
+  @typedoc "Degrees times 1e7."
+  @type position :: {lat :: integer(), lon :: integer()}
+
+  @typedoc "An area that the vehicle must stay in or keep out of; a circle's radius is in metres."
+  @type zone ::
+          {:inclusion | :exclusion, {:polygon, [position(), ...]} | {:circle, position(), radius :: float()}}
+
+  @typedoc """
+    * `:home` - the planned start, with metres above mean sea level, or nil
+    * `:items` - the mission
+    * `:fence_return` - where to go after leaving the fence, with metres above home
+    * `:rally` - rally points, with metres above home
+  """
+  @type t :: %__MODULE__{
+          home: {position(), float()} | nil,
+          items: [Item.t()],
+          fence: [zone()],
+          fence_return: {position(), float()} | nil,
+          rally: [{position(), float()}]
+        }
+
+  @doc """
+  A digest of the items' content (64 hexadecimal digits), the same for equal items on every machine: floats as 32 bits, -0.0 as 0.0.
+  """
+  @spec digest([Item.t()]) :: String.t()
+  def digest(items) do
+    bytes = for item <- items, do: bytes(Item.rounded(item))
+    :crypto.hash(:sha256, bytes) |> Base.encode16(case: :lower)
+  end
+
+  defp bytes(%{params: {p1, p2, p3, p4}} = item) do
+    floats = for value <- [p1, p2, p3, p4, item.z], do: float(value)
+    places = for value <- [item.x, item.y], do: <<value || 0x7FFFFFFF::signed-32>>
+
+    [
+      <<item.command::16, Aerie.Protocol.Mavlink.plain_frame(item.frame)::8, item.autocontinue::8>>,
+      floats,
+      places
+    ]
+  end
+
+  defp float(nil), do: <<0x7FC00000::32>>
+  defp float(number), do: <<number::float-32>>
+end

@@ -1,0 +1,188 @@
+defmodule Aerie.Missions do
+  @moduledoc """
+  The missions, fences and rally points of a vehicle, for programs in Elixir:
+
+      {:ok, plan} = Aerie.Missions.import(File.read!("survey.plan"), :plan)
+      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Missions.upload(gateway, "VID-001", :mission, plan)
+      {:ok, %{plan: plan}} = Aerie.Missions.download(gateway, "VID-001", :mission)
+
+  A plan (`Aerie.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
+  is sent (`Aerie.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
+  """
+
+  alias Aerie.{Commands, Mission, Names, Protocol, Store, Transfers}
+  alias Aerie.Command.{Error, Result}
+  alias Aerie.Mission.{Item, Onboard, Plan, Review, Transfer}
+  alias Aerie.Mission.File.{QgcPlan, Waypoints}
+  alias Aerie.Mission.Transfer.Compare
+  alias Aerie.Policy.Raw
+  alias MavCodec.Messages, as: M
+
+  @kinds %{mission: 0, fence: 1, rally: 2}
+  @timeout_ms 300_000
+
+  @type kind :: :mission | :fence | :rally
+
+  @typedoc """
+    * `:plan` - a plan with only the kind that was read
+    * `:items` - the items as the vehicle stores them
+    * `:opaque_id` - the vehicle's id for it (W7), or nil
+    * `:digest` - digest of the items (`Aerie.Mission.Plan.digest/1`)
+  """
+  @type stored :: %{
+          plan: Plan.t(),
+          items: [Item.t()],
+          opaque_id: pos_integer() | nil,
+          digest: String.t()
+        }
+
+  @doc "The kinds of plans."
+  @spec kinds() :: [kind()]
+  def kinds, do: [:mission, :fence, :rally]
+
+  @doc "Reads a kind of plan from the vehicle."
+  @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
+          {:ok, stored()} | {:error, Result.t()}
+  def download(gateway, vehicle, kind, options \\ []) do
+    type = Map.fetch!(@kinds, kind)
+
+    with {:ok, result} <- read(gateway, vehicle, kind, options),
+         {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
+      {:ok,
+       %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
+    else
+      {:error, %Result{}} = error ->
+        error
+
+      {:error, text} ->
+        {:error, Result.new(Aerie.Command.id(), :failed, "what the vehicle has is no plan: #{text}")}
+    end
+  end
+
+  @doc "Like `download/4`, but returns the transfer's result. Identical reads at the same time share one transfer."
+  @spec read(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
+          {:ok, Mission.Result.t()} | {:error, Result.t()}
+  def read(gateway, vehicle, kind, options \\ []) do
+    type = Map.fetch!(@kinds, kind)
+
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+      transfer = Map.put(transfer(:download, type), :share, {:plan, type})
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    end
+  end
+
+  @doc "Reads all three kinds into one plan."
+  @spec download_all(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
+          {:ok, Plan.t()} | {:error, Result.t()}
+  def download_all(gateway, vehicle, options \\ []) do
+    with {:ok, mission} <- download(gateway, vehicle, :mission, options),
+         {:ok, fence} <- download(gateway, vehicle, :fence, options),
+         {:ok, rally} <- download(gateway, vehicle, :rally, options) do
+      {:ok,
+       %{
+         mission.plan
+         | fence: fence.plan.fence,
+           fence_return: fence.plan.fence_return,
+           rally: rally.plan.rally
+       }}
+    end
+  end
+
+  @doc """
+  Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it cannot fly it
+  where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the vehicle refused it, possibly after acknowledging it. Needs the
+  permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`.
+  """
+  @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
+          Commands.answer()
+  def upload(gateway, vehicle, kind, %Plan{} = plan, options \\ []) do
+    type = Map.fetch!(@kinds, kind)
+    items = Onboard.items(plan, type, protocol(gateway, vehicle))
+
+    if length(items) > Transfer.limit(),
+      do: {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]},
+      else: send_items(gateway, vehicle, kind, items, "upload", options)
+  end
+
+  @doc "Removes a kind of plan from the vehicle, and reads back that it is gone. Needs the permission `mission`."
+  @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
+  def clear(gateway, vehicle, kind, options \\ []),
+    do: send_items(gateway, vehicle, kind, [], "clear", options)
+
+  @doc "Compares a kind of plan with the vehicle's: `:same`, or the first item that differs, and how."
+  @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
+          {:ok, :same | {:differs, seq :: non_neg_integer(), how :: String.t()}} | {:error, Result.t()}
+  def verify(gateway, vehicle, kind, plan, options \\ []) do
+    with {:ok, stored} <- download(gateway, vehicle, kind, options) do
+      type = Map.fetch!(@kinds, kind)
+      protocol = protocol(gateway, vehicle)
+      {:ok, Compare.plans(Onboard.items(plan, type, protocol), stored.items, type, protocol)}
+    end
+  end
+
+  @doc "Reads a plan from a file's content: `:plan` (QGroundControl) or `:waypoints` (`QGC WPL 110`)."
+  @spec import(binary(), :plan | :waypoints) :: {:ok, Plan.t()} | {:error, String.t()}
+  def import(text, :plan), do: QgcPlan.read(text)
+  def import(text, :waypoints), do: Waypoints.read(text)
+
+  @doc "A plan as a file's content; `:waypoints` has the mission only."
+  @spec export(Plan.t(), :plan | :waypoints) :: binary()
+  def export(plan, :plan), do: QgcPlan.write(plan)
+  def export(plan, :waypoints), do: Waypoints.write(plan)
+
+  @doc "The answer for NATS and REST, with the plan as in a `.plan` file."
+  @spec plain(stored(), kind()) :: map()
+  def plain(stored, kind) do
+    %{
+      kind: kind,
+      items: length(stored.items),
+      digest: stored.digest,
+      opaque_id: stored.opaque_id,
+      plan: JSON.decode!(export(stored.plan, :plan))
+    }
+  end
+
+  defp send_items(gateway, vehicle, kind, items, action, options) do
+    type = Map.fetch!(@kinds, kind)
+    params = %{action: action, items: length(items), digest: Plan.digest(items)}
+
+    change = %{
+      facts: Raw.facts(%M.MissionCount{mission_type: type}, %{autopilot: :generic, vehicle_type: "unknown"}),
+      params: params,
+      review: &review(&1, &2, &3, items, type)
+    }
+
+    op = if items == [], do: :clear, else: {:upload, items}
+    Transfers.change(gateway, vehicle, change, transfer(op, type), options)
+  end
+
+  defp review(policy, context, snapshot, items, type) do
+    with {:deny, rule, _seq, reason} <-
+           Review.plan(policy, items, type, Map.take(snapshot, [:autopilot, :vehicle_type]), context),
+         do: {:deny, rule, reason}
+  end
+
+  defp transfer(op, type) do
+    %{
+      lanes: [:mission],
+      timeout_ms: @timeout_ms,
+      start: fn context, until ->
+        Transfer.new(op, type,
+          protocol: context.protocol,
+          target: context.target,
+          us: context.us,
+          until: until,
+          rtt: context.rtt_us
+        )
+      end
+    }
+  end
+
+  defp protocol(gateway, vehicle) do
+    case Store.vehicle(gateway, vehicle) do
+      nil -> Protocol.of(:generic)
+      snapshot -> Protocol.of(snapshot.autopilot)
+    end
+  end
+end

@@ -1,0 +1,275 @@
+defmodule Aerie.Params do
+  @moduledoc """
+  The parameters of a vehicle, for programs in Elixir:
+
+      {:ok, table} = Aerie.Params.list(gateway, "VID-001")
+      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Params.set(gateway, "VID-001", "WPNAV_SPEED", 500)
+
+  The options of all functions are those of `t:Aerie.Transfers.option/0`. A result that is not a success gives the reason, in the terms of
+  `Aerie.Command.Result`.
+  """
+
+  alias Aerie.{Commands, Names, Transfers}
+  alias Aerie.Command.{Error, Result}
+
+  alias Aerie.Params.{
+    CacheWriter,
+    Diff,
+    Fetch,
+    File,
+    Get,
+    Metadata,
+    MetadataReader,
+    Param,
+    Set,
+    SetAll,
+    Table
+  }
+
+  alias Aerie.Policy.Raw
+  alias Aerie.Protocol.ParamValue
+  alias MavCodec.Enums.MavProtocolCapability
+
+  @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
+  @list_ms 180_000
+  @one_ms 20_000
+  @all_ms 600_000
+
+  @doc """
+  All parameters, read from the vehicle in the best way that it offers (P4). A list that was read earlier, even before a restart, is
+  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it anew.
+  """
+  @spec list(Names.gateway(), vehicle :: String.t(), [Transfers.option() | {:refresh, boolean()}]) ::
+          {:ok, Table.t()} | {:error, Result.t()}
+  def list(gateway, vehicle, options \\ []) do
+    {refresh?, options} = Keyword.pop(options, :refresh, false)
+
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+      file? = file?(snapshot)
+      stored = if not refresh?, do: CacheWriter.stored(gateway, snapshot)
+
+      transfer = %{
+        lanes: if(file?, do: [:params, :file], else: [:params]),
+        timeout_ms: @list_ms,
+        share: {:params, refresh?},
+        start: fn context, until ->
+          more = [
+            hash: context.autopilot == :px4,
+            file: file?,
+            stored: stored,
+            us: context.us,
+            seq: context.seq
+          ]
+
+          {:ok, Fetch.new(context.target, until, more ++ common(context))}
+        end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      kept(result, stored, gateway, snapshot)
+    end
+  end
+
+  # A list that cannot be checked later is not stored.
+  defp kept({:ok, table} = result, stored, gateway, snapshot) do
+    if table != stored and (table.hash || table.file_crc), do: CacheWriter.keep(gateway, snapshot, table)
+    result
+  end
+
+  defp kept(error, _stored, _gateway, _snapshot), do: error
+
+  # ArduPilot offers its parameters as a file.
+  defp file?(snapshot),
+    do: snapshot.autopilot == :ardupilot and Bitwise.band(snapshot[:capabilities] || 0, @ftp) != 0
+
+  @doc """
+  What the vehicle says about its parameters, by name: units, ranges, descriptions, values to choose from. Only newer firmware offers it (PX4 does); of
+  the others the result is `:failed`.
+  """
+  @spec metadata(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
+          {:ok, %{String.t() => Metadata.t()}} | {:error, Result.t()}
+  defdelegate metadata(gateway, vehicle, options \\ []), to: MetadataReader, as: :read
+
+  @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
+  @spec get(Names.gateway(), vehicle :: String.t(), name :: String.t(), [Transfers.option()]) ::
+          {:ok, Param.t()} | {:error, Result.t()}
+  def get(gateway, vehicle, name, options \\ []) do
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
+         :ok <- known_name(name) do
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @one_ms,
+        share: {:param, name},
+        start: fn context, until -> {:ok, Get.new(name, context.target, until, common(context))} end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    end
+  end
+
+  @doc """
+  Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
+  permission `maintain`. Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+  """
+  @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number(), [
+          Transfers.option() | {:type, 1..10}
+        ]) :: Commands.answer()
+  def set(gateway, vehicle, name, value, options \\ []) do
+    {type, options} = Keyword.pop(options, :type)
+
+    with :ok <- check(name, value) do
+      change = change(%{name: name, value: value})
+
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @one_ms,
+        start: fn context, until ->
+          {:ok, Set.new(name, value, context.target, until, [type: type] ++ common(context))}
+        end
+      }
+
+      Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
+        %{"name" => param.name, "value" => param.value}
+      end)
+    end
+  end
+
+  @doc """
+  Sets several parameters one by one, from a file (`Aerie.Params.File.parse/1`) or `%{name => value}`. The reason lists those that the vehicle
+  refused (name and value of at most twenty); the others are set nevertheless, and the result is `:failed`.
+  """
+  @spec set_all(
+          Names.gateway(),
+          vehicle :: String.t(),
+          [File.entry()] | %{String.t() => number()},
+          [Transfers.option()]
+        ) :: Commands.answer()
+  def set_all(gateway, vehicle, values, options \\ []) do
+    entries = for entry <- values, do: entry(entry)
+
+    with :ok <- check_all(entries) do
+      change = change(%{count: length(entries), digest: digest(entries)})
+
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @all_ms,
+        start: fn context, until -> {:ok, SetAll.new(entries, context.target, until, common(context))} end
+      }
+
+      Transfers.change(gateway, vehicle, change, transfer, options, &%{"set" => &1})
+    end
+  end
+
+  @doc """
+  Sets the parameters of a file that differ from the vehicle's, which are read first. Parameters that the vehicle does not have are refused before
+  anything is set, unless `unknown: :skip` is given.
+  """
+  @spec load(Names.gateway(), vehicle :: String.t(), text :: binary(), [
+          Transfers.option() | {:unknown, :refuse | :skip}
+        ]) :: Commands.answer() | {:error, Result.t()}
+  def load(gateway, vehicle, text, options \\ []) do
+    {unknown, options} = Keyword.pop(options, :unknown, :refuse)
+
+    with {:ok, entries} <- parse(text),
+         {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
+         :ok <- present(entries, table, unknown) do
+      differ =
+        for entry <- entries, param = table.params[entry.name], not File.says?(entry, param.value) do
+          %{entry | type: param.type}
+        end
+
+      set_all(gateway, vehicle, differ, options)
+    end
+  end
+
+  @doc "The parameters as a file: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl."
+  @spec save(Names.gateway(), vehicle :: String.t(), :param | :params, [Transfers.option()]) ::
+          {:ok, String.t()} | {:error, Result.t()}
+  def save(gateway, vehicle, format, options \\ []) do
+    with {:ok, %{system_id: system, component: component}} <- Transfers.vehicle(gateway, vehicle),
+         {:ok, table} <- list(gateway, vehicle, options),
+         do: {:ok, File.format(table, format, {system, component || 1})}
+  end
+
+  @doc "How the vehicle (right) differs from a file or another list (left)."
+  @spec diff(Names.gateway(), vehicle :: String.t(), binary() | Table.t(), [Transfers.option()]) ::
+          {:ok, Diff.t()} | {:error, Result.t() | [Error.t(), ...]}
+  def diff(gateway, vehicle, other, options \\ [])
+
+  def diff(gateway, vehicle, text, options) when is_binary(text) do
+    with {:ok, entries} <- parse(text),
+         {:ok, table} <- list(gateway, vehicle, options),
+         do: {:ok, Diff.diff(entries, table)}
+  end
+
+  def diff(gateway, vehicle, %Table{} = other, options) do
+    with {:ok, table} <- list(gateway, vehicle, options), do: {:ok, Diff.diff(other, table)}
+  end
+
+  @doc "The parameters of a file, or errors with their lines."
+  @spec parse(binary()) :: {:ok, [File.entry()]} | {:error, [Error.t(), ...]}
+  def parse(text) do
+    with {:error, errors} <- File.parse(text) do
+      {:error,
+       for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
+    end
+  end
+
+  defp common(context), do: [encoding: context.protocol.param_encoding(), rtt_us: context.rtt_us]
+
+  defp change(params) do
+    facts = Raw.facts(%MavCodec.Messages.ParamSet{}, %{autopilot: :generic, vehicle_type: "unknown"})
+    %{facts: facts, params: params}
+  end
+
+  defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
+  defp entry({name, value}), do: {name, value, nil}
+
+  defp digest(entries),
+    do: :crypto.hash(:sha256, :erlang.term_to_binary(Enum.sort(entries))) |> Base.encode16(case: :lower)
+
+  defp check_all(entries) do
+    if length(entries) > Table.max(),
+      do: {:error, [Error.new("values", "at most #{Table.max()}", length(entries))]},
+      else:
+        Enum.find_value(entries, :ok, fn {name, value, _type} -> with :ok <- check(name, value), do: nil end)
+  end
+
+  defp check(name, value) do
+    cond do
+      not ParamValue.name?(name) ->
+        {:error, [Error.new("name", "1 to 16 printable characters", name)]}
+
+      not is_number(value) ->
+        {:error, [Error.new("value", "a number", value)]}
+
+      abs(value) > 3.4028235e38 ->
+        {:error, [Error.new("value", "a number that a 32-bit float can have", value)]}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp known_name(name) do
+    with {:error, [error]} <- check(name, 0),
+         do: {:error, Result.new(Aerie.Command.id(), :rejected, Exception.message(error))}
+  end
+
+  defp present(_entries, _table, :skip), do: :ok
+
+  defp present(entries, table, :refuse) do
+    case Enum.reject(entries, &is_map_key(table.params, &1.name)) do
+      [] ->
+        :ok
+
+      missing ->
+        {:error,
+         for(
+           entry <- Enum.take(missing, 20),
+           do: Error.new(entry.name, "a parameter of this vehicle", :unknown)
+         )}
+    end
+  end
+end

@@ -1,0 +1,23 @@
+defmodule Aerie.Params.Param do
+  @moduledoc """
+  One parameter of a vehicle.
+
+  `type` is its MAV_PARAM_TYPE. `exact` is false for an integer that came as a float too large to be exact
+  (`Aerie.Protocol.ParamValue`). `default` is the firmware's default, nil if the vehicle did not say.
+  """
+
+  @enforce_keys [:name, :value, :type]
+  defstruct [:name, :value, :type, :default, exact: true]
+
+  @type t :: %__MODULE__{
+          name: String.t(),
+          value: number(),
+          type: 1..10,
+          default: number() | nil,
+          exact: boolean()
+        }
+
+  @doc "The parameter as NATS and REST show it."
+  @spec plain(t()) :: %{atom() => String.t() | number() | boolean() | nil}
+  def plain(param), do: Map.take(param, [:name, :value, :type, :default, :exact])
+end

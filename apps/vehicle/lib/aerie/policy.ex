@@ -1,0 +1,98 @@
+defmodule Aerie.Policy do
+  @moduledoc """
+  Who may command what, where, when and how high: a value that is compiled from the section `policy` of the configuration
+  and a fence file, and asked about each command.
+
+      {:ok, policy} = Aerie.Policy.compile(%{max_altitude: 120.0, geofence_file: "fence.geojson"})
+      Aerie.Policy.decide(policy, command, context)
+      #=> {:deny, :altitude, "the target is 150 m above home; at most 120 m is allowed"}
+
+  There is no process and no state. Its owner may replace it between two commands. A rule that lacks what it
+  needs to know denies. `docs/policy.md` describes the rules with examples.
+  """
+
+  alias Aerie.Command
+  alias Aerie.Policy.{Compile, Context, Facts, Fence, Lease, Rate, Roles, Rules, Sources}
+
+  defstruct [
+    :max_altitude,
+    :min_altitude,
+    :max_altitude_msl,
+    :takeoff_battery,
+    :fence,
+    modes: %{denied: [], transitions: %{}},
+    conditions: %{},
+    windows: [],
+    rates: [],
+    clients: [],
+    sources: [],
+    unsigned: nil,
+    lease: %{required: false, take_over: :operator},
+    audit_required: true
+  ]
+
+  @type t :: %__MODULE__{
+          max_altitude: number() | nil,
+          min_altitude: number() | nil,
+          max_altitude_msl: number() | nil,
+          takeoff_battery: number() | nil,
+          fence: Fence.t() | nil,
+          modes: Rules.Mode.modes(),
+          conditions: %{String.t() => Rules.Condition.condition()},
+          windows: [Rules.Window.window()],
+          rates: [Rate.rule()],
+          clients: [client()],
+          sources: [Sources.listed()],
+          unsigned: Roles.role() | nil,
+          lease: Lease.rules(),
+          audit_required: boolean()
+        }
+
+  @typedoc "What a client that sends raw MAVLink may do: one by its id, all others by nil."
+  @type client :: %{id: String.t() | nil, role: Roles.role(), permissions: [Command.Type.permission()]}
+
+  # In the order in which they are asked: who, when, in which state, where.
+  @rules [
+    role: Rules.Role,
+    lease: Rules.Lease,
+    window: Rules.Window,
+    condition: Rules.Condition,
+    battery: Rules.Battery,
+    mode: Rules.Mode,
+    altitude: Rules.Altitude,
+    geofence: Rules.Geofence
+  ]
+
+  @type rule :: :role | :lease | :window | :condition | :battery | :mode | :altitude | :geofence
+  @type decision :: :allow | {:deny, rule(), reason :: String.t()}
+
+  @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Policy.Rate`)."
+  @spec rules() :: [rule(), ...]
+  def rules, do: Keyword.keys(@rules)
+
+  @doc "A policy from a section, or a line for everything that is wrong with it."
+  @spec compile(map()) :: {:ok, t()} | {:error, [String.t(), ...]}
+  def compile(section) do
+    with {:error, errors} <- Compile.policy(section), do: {:error, Enum.map(errors, &Compile.text/1)}
+  end
+
+  @doc "Whether a command is allowed. The first rule that denies it gives the reason."
+  @spec decide(t(), Command.t() | Facts.t(), Context.t()) :: decision()
+  def decide(policy, %Command{} = command, context), do: decide(policy, Facts.of(command), context)
+
+  def decide(policy, %Facts{} = facts, context) do
+    Enum.find_value(@rules, :allow, fn {name, rule} ->
+      with {:deny, reason} <- rule.check(policy, facts, context),
+           do: {:deny, name, reason},
+           else: (:ok -> nil)
+    end)
+  end
+
+  @doc "The identity of a client that sends raw MAVLink. A client without configured roles may do everything, because the operator opened it."
+  @spec client(t(), String.t()) :: Roles.source()
+  def client(policy, id) do
+    found = Enum.find(policy.clients, &(&1.id == id)) || Enum.find(policy.clients, &(&1.id == nil))
+    %{role: role, permissions: permissions} = found || %{role: :admin, permissions: Roles.own()}
+    %{name: id, role: role, permissions: permissions}
+  end
+end

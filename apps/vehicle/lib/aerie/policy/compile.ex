@@ -1,0 +1,238 @@
+defmodule Aerie.Policy.Compile do
+  @moduledoc """
+  From the section `policy` of the configuration, whose values have the right types already, to a policy. Finds everything
+  that contradicts itself or names what does not exist, at once.
+  """
+
+  alias Aerie.Command.Types
+  alias Aerie.Policy
+  alias Aerie.Policy.{Facts, Fence}
+  alias Aerie.Policy.Rules.Window
+  alias Aerie.Settings.Schema
+
+  # What a vehicle must not be told in flight, unless the configuration says otherwise.
+  @conditions %{
+    "reboot" => %{armed: false, in_air: nil},
+    "calibrate" => %{armed: false, in_air: nil},
+    "motor_test" => %{armed: false, in_air: nil}
+  }
+  # Fifty a second and a hundred at once: more than any stream of set-points, less than a flood.
+  @rates [%{types: :all, sources: :all, vehicles: :all, interval_us: 20_000, burst: 100}]
+  @max_items 100
+
+  @typedoc "Where it is, what was expected there, and what was found."
+  @type error :: {key :: String.t(), expected :: String.t(), got :: String.t()}
+
+  @doc "The policy of a section. Keys that are not there, or nil, are as in an empty section."
+  @spec policy(map()) :: {:ok, Policy.t()} | {:error, [error(), ...]}
+  def policy(section) do
+    {fence, fence_errors} = fence(section[:geofence_file])
+    {modes, mode_errors} = modes(section[:modes] || %{})
+    {conditions, condition_errors} = list(section, :conditions, &condition/2)
+    {windows, window_errors} = list(section, :windows, &window/2)
+    {rates, rate_errors} = list(section, :rates, &rate/2)
+    {clients, client_errors} = list(section, :clients, &client/2)
+    {sources, source_errors} = list(section, :sources, &source/2)
+
+    errors = [
+      altitudes(section),
+      fence_errors,
+      mode_errors,
+      condition_errors,
+      window_errors,
+      rate_errors,
+      client_errors,
+      source_errors,
+      twice(sources, :name),
+      twice(sources, :nkey)
+    ]
+
+    case Enum.concat(errors) do
+      [] ->
+        {:ok,
+         %Policy{
+           max_altitude: section[:max_altitude],
+           min_altitude: section[:min_altitude],
+           max_altitude_msl: section[:max_altitude_msl],
+           takeoff_battery: section[:takeoff_battery],
+           fence: fence,
+           modes: modes,
+           conditions: conditions |> Enum.concat() |> Enum.into(@conditions),
+           windows: windows,
+           rates: if(section[:rates] == nil, do: @rates, else: rates),
+           clients: clients,
+           sources: sources,
+           unsigned: section[:unsigned],
+           lease: Map.merge(%Policy{}.lease, section[:lease] || %{}),
+           audit_required: get_in(section, [:audit, :required]) != false
+         }}
+
+      errors ->
+        {:error, errors}
+    end
+  end
+
+  @doc "An error as a line."
+  @spec text(error()) :: String.t()
+  def text({key, expected, got}), do: "#{key}: expected #{expected}, got: #{got}"
+
+  defp altitudes(%{min_altitude: min, max_altitude: max})
+       when is_number(min) and is_number(max) and min >= max,
+       do: [{"policy.min_altitude", "less than max_altitude (#{max})", "#{min}"}]
+
+  defp altitudes(_section), do: []
+
+  defp fence(nil), do: {nil, []}
+
+  defp fence(file) do
+    case Fence.read(file) do
+      {:ok, fence} -> {fence, []}
+      {:error, lines} -> {nil, Enum.map(lines, &{"policy.geofence_file", "a fence", &1})}
+    end
+  end
+
+  defp modes(section) do
+    transitions =
+      for {from, to} <- section[:transitions] || %{},
+          into: %{},
+          do: {String.upcase(from), Enum.map(to, &String.upcase/1)}
+
+    denied = Enum.map(section[:denied] || [], &String.upcase/1)
+
+    errors =
+      for {from, to} <- Enum.sort(transitions),
+          mode <- to,
+          mode in denied,
+          do:
+            {"policy.modes.transitions.#{from}", "modes that may be asked for",
+             "#{mode}, which modes.denied denies"}
+
+    {%{denied: denied, transitions: transitions}, errors}
+  end
+
+  defp list(section, key, fun) do
+    items = section[key] || []
+
+    if length(items) > @max_items do
+      {[], [{"policy.#{key}", "at most #{@max_items} entries", "#{length(items)}"}]}
+    else
+      results = for {item, n} <- Enum.with_index(items), do: fun.("policy.#{key}[#{n}]", item)
+      {for({:ok, value} <- results, do: value), for({:error, errors} <- results, error <- errors, do: error)}
+    end
+  end
+
+  defp condition(path, item) do
+    neither =
+      if item[:armed] == nil and item[:in_air] == nil, do: [{path, "armed or in_air", "neither"}], else: []
+
+    with :ok <- ok(neither ++ types("#{path}.types", item[:types], &known/2)),
+         do: {:ok, for(type <- item.types, do: {type, %{armed: item[:armed], in_air: item[:in_air]}})}
+  end
+
+  defp window(path, item) do
+    from = minutes("#{path}.from", item[:from])
+    to = minutes("#{path}.to", item[:to])
+
+    empty =
+      if is_integer(from) and from == to, do: [{"#{path}.to", "another time than from", item.to}], else: []
+
+    wrong = for {_key, _expected, _got} = error <- [from, to], do: error
+    types = if item[:types], do: types("#{path}.types", item.types, &may_wait/2), else: []
+
+    with :ok <- ok(wrong ++ empty ++ types),
+         do: {:ok, %{types: item[:types] || :moving, days: item[:days] || Window.days(), from: from, to: to}}
+  end
+
+  defp may_wait(path, type) do
+    if type in Facts.ending(),
+      do: [{path, "commands that may wait", "#{type}, which holds a vehicle or brings it down"}],
+      else: known(path, type)
+  end
+
+  defp rate(path, item) do
+    missing = if item[:per_minute], do: [], else: [{"#{path}.per_minute", "a number", "nothing"}]
+
+    with :ok <- ok(types("#{path}.types", item[:types] || [], &known/2) ++ missing) do
+      {:ok,
+       %{
+         types: item[:types] || :all,
+         sources: item[:sources] || :all,
+         vehicles: item[:vehicles] || :all,
+         interval_us: max(round(60_000_000 / item.per_minute), 1),
+         burst: item[:burst] || 1
+       }}
+    end
+  end
+
+  defp client(_path, item),
+    do: {:ok, %{id: item[:id], role: item[:role] || :operator, permissions: item[:permissions] || []}}
+
+  defp source(path, item) do
+    nkey =
+      case Gnat.Nkey.from_public(item[:nkey] || "") do
+        {:ok, :user, _public} -> []
+        _other -> [{"#{path}.nkey", "the public nkey of a user (U…)", item[:nkey] || "nothing"}]
+      end
+
+    expires = expires("#{path}.expires", item[:expires])
+    wrong = for {_key, _expected, _got} = error <- [expires], do: error
+
+    with :ok <- ok(nkey ++ wrong) do
+      {:ok,
+       %{
+         name: item.name,
+         nkey: item.nkey,
+         role: item[:role] || :operator,
+         permissions: item[:permissions] || [],
+         expires: expires
+       }}
+    end
+  end
+
+  # The day is its last one.
+  defp expires(_path, nil), do: nil
+
+  defp expires(path, text) do
+    case Date.from_iso8601(text) do
+      {:ok, day} -> day |> Date.add(1) |> DateTime.new!(~T[00:00:00]) |> DateTime.to_unix(:microsecond)
+      {:error, _reason} -> {path, "a day such as 2027-12-31", text}
+    end
+  end
+
+  defp twice(items, key) do
+    values = Enum.map(items, &Map.fetch!(&1, key))
+
+    for value <- Enum.uniq(values -- Enum.uniq(values)),
+        do: {"policy.sources", "each #{key} once", "#{value} twice"}
+  end
+
+  defp types(path, nil, _check), do: [{path, "names of commands", "nothing"}]
+  defp types(path, types, check), do: Enum.flat_map(types, &check.(path, &1))
+
+  defp known(path, type) do
+    if type in Types.names() or type in Facts.raw(),
+      do: [],
+      else: [{path, "names of commands (docs/commands.md lists them)", type <> hint(type)}]
+  end
+
+  defp hint(type) do
+    case Schema.did_you_mean(type, Types.names()) do
+      nil -> ""
+      hint -> " (#{hint})"
+    end
+  end
+
+  # HH:MM; 24:00 is the end of a day.
+  defp minutes(path, text) do
+    with [_all, hours, minutes] <- Regex.run(~r/\A(\d{1,2}):(\d{2})\z/, text || ""),
+         at = String.to_integer(hours) * 60 + String.to_integer(minutes),
+         true <- String.to_integer(minutes) < 60 and at <= 1440 do
+      at
+    else
+      _other -> {path, "a time of day such as 06:30, UTC", text || "nothing"}
+    end
+  end
+
+  defp ok([]), do: :ok
+  defp ok(errors), do: {:error, errors}
+end

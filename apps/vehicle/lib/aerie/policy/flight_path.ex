@@ -1,0 +1,186 @@
+defmodule Aerie.Policy.FlightPath do
+  @moduledoc """
+  Where a command brings its vehicle, as positions with their heights above home and above mean sea level: what the rules
+  for heights and fences judge.
+  """
+
+  alias Aerie.Policy.{Context, Facts, Fence}
+  alias Aerie.Policy.Fence.Earth
+
+  # A velocity set-point is repeated or ends within this time, which limits how far the vehicle gets.
+  @drift_s 3
+  @corners 36
+
+  @typedoc """
+  `{from, to}` is a straight way; `from` nil: only the place counts. `given`: what its height was given above, or `:same`.
+  """
+  @type leg :: {Fence.position() | nil, Fence.position(), given :: :home | :msl | :terrain | :same}
+
+  @doc "The ways and places of a command, or what of the vehicle is not known and would have to be."
+  @spec legs(Facts.t(), Context.t()) :: {:ok, [leg()]} | {:unknown, String.t()}
+  def legs(%{path: :none}, _context), do: {:ok, []}
+
+  def legs(%{path: {:at, places}}, context) do
+    with {:ok, positions} <- positions(places, context),
+         do: {:ok, for({position, given} <- positions, do: {nil, position, given})}
+  end
+
+  def legs(%{path: {:along, places}}, context) do
+    with {:ok, [{first, given} | _] = positions} <- positions(places, context),
+         do: {:ok, [{nil, first, given} | ways(positions)]}
+  end
+
+  def legs(%{path: {:from, start, place}}, context) do
+    with {:ok, [{from, _given}, {to, given}]} <- positions([start, place], context),
+         do: {:ok, [{from, to, given}]}
+  end
+
+  def legs(%{path: {:to, places}}, context) do
+    with {:ok, here} <- here(context),
+         {:ok, positions} <- positions(places, context),
+         do: {:ok, ways([{here, :same} | positions])}
+  end
+
+  def legs(%{path: {:around, place, metres}}, context) do
+    with {:ok, here} <- here(context),
+         {:ok, [{middle, given}]} <- positions([place], context) do
+      circle = circle(middle, metres, here)
+      {:ok, ways(for position <- [here | circle], do: {position, given})}
+    end
+  end
+
+  def legs(%{path: {:offset, {north, east, down}}}, context) do
+    with {:ok, here} <- here(context),
+         {:ok, home} <- home(context) do
+      there = moved(home, north, east)
+      {:ok, [{here, Map.merge(there, heights({:home, -down}, here, context)), :home}]}
+    end
+  end
+
+  def legs(%{path: {:drift, frame, {x, y, down}}} = facts, context),
+    do: legs(%{facts | path: {:shift, frame, {x * @drift_s, y * @drift_s, down * @drift_s}}}, context)
+
+  def legs(%{path: {:shift, frame, {x, y, down}}}, context) do
+    with {:ok, here} <- here(context),
+         {:ok, {north, east}} <- turned(frame, x, y, context) do
+      there = moved(here, north, east)
+      climb = fn height -> height && height - down end
+      {:ok, [{here, %{there | home: climb.(here.home), msl: climb.(here.msl)}, :same}]}
+    end
+  end
+
+  @doc "The heights that a command asks for. Unlike `legs/2` it needs the vehicle's position only where a height depends on it."
+  @spec heights(Facts.t(), Context.t()) ::
+          {:ok, [{home :: number() | nil, msl :: number() | nil, :home | :msl | :terrain | :own}]}
+          | {:unknown, String.t()}
+  def heights(%{path: {kind, places}}, context) when kind in [:to, :along, :at],
+    do: {:ok, for(%{height: {above, _} = height} <- places, do: level(height, above, context))}
+
+  def heights(%{path: {:from, _start, %{height: {above, _} = height}}}, context),
+    do: {:ok, [level(height, above, context)]}
+
+  def heights(%{path: {:around, %{height: {above, _} = height}, _metres}}, context),
+    do: {:ok, [level(height, above, context)]}
+
+  def heights(%{path: {:offset, {_north, _east, down}}}, context),
+    do: {:ok, [level({:home, -down}, :home, context)]}
+
+  def heights(%{path: {kind, _frame, {_x, _y, down}}}, _context) when kind in [:shift, :drift] and down == 0,
+    do: {:ok, []}
+
+  def heights(%{path: {kind, _frame, _offset}} = facts, context) when kind in [:shift, :drift] do
+    with {:ok, [{_from, to, _given}]} <- legs(facts, context), do: {:ok, [{to.home, to.msl, :own}]}
+  end
+
+  def heights(_level, _context), do: {:ok, []}
+
+  defp level(height, above, context) do
+    %{home: home, msl: msl} = heights(height, nil, context)
+    {home, msl, above}
+  end
+
+  defp ways(positions) do
+    Enum.zip_with(positions, tl(positions), fn {from, _given}, {to, given} -> {from, to, given} end)
+  end
+
+  defp positions(places, context) do
+    Enum.reduce_while(places, {:ok, []}, fn place, {:ok, done} ->
+      case position(place, context) do
+        {:ok, position} -> {:cont, {:ok, [position | done]}}
+        unknown -> {:halt, unknown}
+      end
+    end)
+    |> then(fn result -> with {:ok, done} <- result, do: {:ok, Enum.reverse(done)} end)
+  end
+
+  defp position(%{lat: lat, lon: lon, height: height}, context) when is_number(lat) and is_number(lon) do
+    here = with {:ok, here} <- here(context), do: here, else: (_unknown -> %{home: nil, msl: nil})
+    {:ok, {Map.merge(%{lat: lat, lon: lon}, heights(height, here, context)), given(height)}}
+  end
+
+  defp position(%{height: height}, context) do
+    with {:ok, here} <- here(context),
+         do: {:ok, {Map.merge(here, heights(height, here, context)), given(height)}}
+  end
+
+  defp given(:same), do: :same
+  defp given({above, _metres}), do: above
+
+  defp heights(:same, here, _context), do: Map.take(here, [:home, :msl])
+  defp heights({:home, metres}, _here, context), do: %{home: metres, msl: plus(metres, home_msl(context))}
+  defp heights({:msl, metres}, _here, context), do: %{home: minus(metres, home_msl(context)), msl: metres}
+  # How high the ground is there, nobody here knows.
+  defp heights({:terrain, _metres}, _here, _context), do: %{home: nil, msl: nil}
+
+  defp home_msl(%{home: nil}), do: nil
+  defp home_msl(%{home: home}), do: home.alt_msl
+
+  defp plus(a, b), do: b && a + b
+  defp minus(a, b), do: b && a - b
+
+  defp here(context) do
+    with {:ok, position} <- Context.position(context),
+         do: {:ok, %{lat: position.lat, lon: position.lon, home: position.alt_rel, msl: position.alt_msl}}
+  end
+
+  defp turned(:north, north, east, _context), do: {:ok, {north, east}}
+
+  defp turned(:body, ahead, right, context) do
+    case context.position.heading do
+      nil ->
+        {:unknown, "the vehicle's heading is not known"}
+
+      heading ->
+        {sin, cos} = {:math.sin(heading * :math.pi() / 180), :math.cos(heading * :math.pi() / 180)}
+        {:ok, {ahead * cos - right * sin, ahead * sin + right * cos}}
+    end
+  end
+
+  defp home(%{home: nil}), do: {:unknown, "the vehicle's home is not known"}
+  defp home(%{home: home}), do: {:ok, home}
+
+  # Degrees from metres, for the short distances that set-points are about.
+  defp moved(from, north, east) do
+    radius = 6_378_137.0
+    lat = from.lat + north / radius * 180 / :math.pi()
+    lon = from.lon + east / (radius * max(:math.cos(from.lat * :math.pi() / 180), 1.0e-6)) * 180 / :math.pi()
+    %{lat: lat |> max(-90.0) |> min(90.0), lon: lon, home: nil, msl: nil}
+  end
+
+  # Straight pieces around the circle, so far out that no part of it lies beyond them, from the corner that is nearest.
+  defp circle(middle, metres, here) do
+    centre = Earth.point(middle.lat, middle.lon)
+    reach = max(abs(metres), 0.1) / :math.cos(:math.pi() / @corners)
+
+    corners =
+      for n <- 0..(@corners - 1) do
+        {lat, lon} = centre |> Earth.destination(n * 360 / @corners, reach) |> Earth.degrees()
+        %{middle | lat: lat, lon: lon}
+      end
+
+    start = Earth.point(here.lat, here.lon)
+    nearest = fn n -> Earth.distance(start, Earth.point(Enum.at(corners, n).lat, Enum.at(corners, n).lon)) end
+    {before, from} = Enum.split(corners, Enum.min_by(0..(@corners - 1), nearest))
+    from ++ before ++ [hd(from)]
+  end
+end

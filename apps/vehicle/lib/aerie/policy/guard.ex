@@ -1,0 +1,220 @@
+defmodule Aerie.Policy.Guard do
+  @moduledoc """
+  The policy for raw MAVLink of clients (`Aerie.Router.Policy`): reads what a message asks for (`Aerie.Policy.Raw`), decides by
+  the gateway's policy, answers a refusal (`Aerie.Policy.Raw.Answer`), and writes it into the audit log.
+
+  It runs in the process that received the message and waits for nobody: rates and what was told when are remembered there,
+  for each client's process. A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
+  an answer; its STATUSTEXT comes every 5 s, and so does its record.
+
+  Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each refusal.
+  """
+
+  @behaviour Aerie.Router.Policy
+
+  alias Aerie.{Policy, Store}
+  alias Aerie.Policy.{Audit, Commanded, Context, Leases, Rate, Raw, Roles}
+  alias MavCodec.Dialects.All
+  alias MavCodec.Frame
+  alias MavCodec.Messages, as: M
+
+  @told_us 5_000_000
+  @max_told 500
+  # Frames of streams and of uploads are too many for the log; what they begin with is in it.
+  @recorded [
+    M.CommandLong,
+    M.CommandInt,
+    M.SetMode,
+    M.ParamSet,
+    M.ParamExtSet,
+    M.MissionCount,
+    M.MissionClearAll
+  ]
+
+  @doc "Who the client of the calling process is, as it proved by a key: that counts in place of `policy.clients`."
+  @spec identify(Roles.source()) :: :ok
+  def identify(source) do
+    Process.put({__MODULE__, :source}, source)
+    :ok
+  end
+
+  @impl Aerie.Router.Policy
+  def decide(gateway, sender, key, frame) do
+    case Policy.Store.get(gateway) do
+      nil -> :forward
+      policy -> judge(policy, gateway, sender, key, frame)
+    end
+  end
+
+  defp judge(policy, gateway, sender, key, frame) do
+    snapshot = Store.vehicle(gateway, key)
+    message = message(frame)
+
+    case message |> facts(snapshot) |> on_the_way(message, key) do
+      :free ->
+        :forward
+
+      facts ->
+        now = System.os_time(:microsecond)
+        source = Process.get({__MODULE__, :source}) || Policy.client(policy, sender.owner)
+        vehicle = name(snapshot, key)
+
+        entry = %{
+          "type" => "raw",
+          "source" => source.name,
+          "client" => sender.owner,
+          "peer" => sender.peer,
+          "system" => frame.system,
+          "vehicle" => vehicle,
+          "message" => All.name(frame.id) || frame.id,
+          "command" => facts.type
+        }
+
+        decision =
+          with :ok <- rate(policy, gateway, source.name, vehicle, facts),
+               :allow <- Policy.decide(policy, facts, Context.of(gateway, snapshot, source, now)),
+               :allow <- recorded(gateway, facts, policy.audit_required),
+               do: in_charge(policy, gateway, key, facts, source)
+
+        count(gateway, decision)
+        if decision == :allow and snapshot != nil, do: commanded(gateway, vehicle, source.name, facts)
+        conclude(decision, gateway, entry, {message, frame, key, snapshot})
+    end
+  end
+
+  defp commanded(gateway, vehicle, source, %{type: type} = facts) do
+    Commanded.note(gateway, vehicle, source, facts)
+    if String.starts_with?(type, "setpoint_"), do: Commanded.setpoint(gateway, vehicle), else: :ok
+  end
+
+  defp count(gateway, :allow), do: Store.count(gateway, {:policy, :allow, nil})
+  defp count(gateway, {:deny, rule, _reason}), do: Store.count(gateway, {:policy, :deny, rule})
+
+  defp message(frame) do
+    case MavCodec.decode(frame) do
+      {:ok, message} -> message
+      {:error, _unknown} -> nil
+    end
+  end
+
+  defp facts(nil, _snapshot), do: Raw.unreadable()
+  defp facts(message, nil), do: Raw.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
+  defp facts(message, snapshot), do: Raw.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
+
+  # Where the last item of the mission was is remembered here, for each vehicle.
+  defp on_the_way(%{type: "mission_upload"} = facts, message, key) do
+    {facts, upload} = Raw.Upload.next(Process.get({__MODULE__, :upload}, %{}), key, message, facts)
+    Process.put({__MODULE__, :upload}, upload)
+    facts
+  end
+
+  defp on_the_way(facts, _message, _key), do: facts
+
+  defp groups(nil), do: %{}
+  defp groups(snapshot), do: snapshot.groups
+
+  defp name(nil, {network, system}), do: "#{network}/#{system}"
+  defp name(snapshot, _key), do: snapshot.id
+
+  # What brings a vehicle down is not counted: a stuck key must not use it up.
+  defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
+
+  defp rate(policy, gateway, source, vehicle, facts) do
+    key = {__MODULE__, :rate, gateway}
+    rate = Process.get(key) || Rate.new()
+
+    with {:ok, rate} <-
+           Rate.take(rate, policy, source, vehicle, facts.type, System.monotonic_time(:microsecond)) do
+      Process.put(key, rate)
+      :ok
+    end
+  end
+
+  defp recorded(gateway, facts, required?) do
+    case Audit.failing(gateway) do
+      nil -> :allow
+      reason -> Audit.verdict({:error, reason}, facts, required?)
+    end
+  end
+
+  # The gateway itself keeps who is in charge; a vehicle that does so, too, is asked in the client's name (X15).
+  defp in_charge(_policy, _gateway, _key, %{control: nil}, _source), do: :allow
+
+  defp in_charge(policy, gateway, key, %{control: change}, source) do
+    case Leases.change(gateway, key, change, source, "mavlink", policy.lease) do
+      {:ok, _lease} -> :allow
+      {:deny, reason} -> {:deny, :lease, reason}
+    end
+  end
+
+  defp conclude(:allow, gateway, entry, {%module{} = message, frame, {_network, system}, snapshot})
+       when module in @recorded do
+    Audit.note(gateway, Map.put(entry, "decision", "allow"))
+
+    if entry["command"] in ["take_control", "release_control"] and
+         get_in(groups(snapshot), [:operator, :data, :system]) == nil do
+      ids = [system: system, component: component(frame, snapshot)]
+      {:answer, [MavCodec.encode(Raw.Answer.accepted(message, frame), ids)]}
+    else
+      :forward
+    end
+  end
+
+  defp conclude(:allow, _gateway, _entry, _refused), do: :forward
+
+  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, {_network, system}, snapshot}) do
+    metadata = %{
+      gateway: gateway,
+      vehicle: entry["vehicle"],
+      source: entry["source"],
+      type: entry["command"],
+      rule: rule
+    }
+
+    :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
+
+    texts =
+      if due?({gateway, entry["source"], entry["vehicle"], entry["command"], rule}) do
+        Audit.note(gateway, Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason}))
+        Raw.Answer.texts(reason, :erlang.phash2(reason, 0xFFFF) + 1)
+      else
+        []
+      end
+
+    current = get_in(groups(snapshot), [:mission, :data, :seq])
+    answers = if message, do: Raw.Answer.messages(message, frame, current), else: []
+    ids = [system: system, component: component(frame, snapshot)]
+    {:refuse, Enum.map(answers ++ texts, &MavCodec.encode(&1, ids)), instead(message, frame)}
+  end
+
+  defp component(frame, snapshot) do
+    case Frame.target(frame) do
+      {_system, component} when component > 0 -> component
+      _all -> (snapshot && snapshot.component) || 1
+    end
+  end
+
+  # In the sender's name, so that the vehicle answers to it.
+  defp instead(nil, _frame), do: nil
+
+  defp instead(message, frame) do
+    with %_module{} = question <- Raw.Answer.instead(message) do
+      bytes = MavCodec.encode(question, system: frame.system, component: frame.component, seq: frame.seq)
+      question = Frame.from_bytes(bytes, nil, frame.at)
+      %{question | crc_extra: All.crc_extra(question.id)}
+    end
+  end
+
+  defp due?(what) do
+    now = System.monotonic_time(:microsecond)
+    told = Process.get({__MODULE__, :told}, %{})
+
+    if now - Map.get(told, what, now - @told_us) >= @told_us do
+      told = if map_size(told) >= @max_told, do: %{}, else: told
+      Process.put({__MODULE__, :told}, Map.put(told, what, now))
+      true
+    else
+      false
+    end
+  end
+end

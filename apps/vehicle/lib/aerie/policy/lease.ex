@@ -1,0 +1,94 @@
+defmodule Aerie.Policy.Lease do
+  @moduledoc """
+  Who is in charge of a vehicle: one source at a time, by its name. A pure value; `Aerie.Policy.Leases` keeps those of a gateway,
+  and the rule `Aerie.Policy.Rules.Lease` asks them.
+
+  | change | who may |
+  |---|---|
+  | take | anybody who may fly, while nobody is in charge; the source that it is offered to; as far as `policy.lease.take_over` allows, a source that gives a reason |
+  | offer | the source in charge, which stays in charge until the other one takes it, so that there always is one |
+  | release | who is in charge, or an admin |
+  """
+
+  alias Aerie.Policy.Roles
+
+  @enforce_keys [:holder, :via, :since]
+  defstruct [:holder, :via, :since, :reason, :offered_to, :before]
+
+  @typedoc """
+    * `:holder` - the name of the source in charge, by `:via` (`nats`, `rest`, `elixir` or `mavlink`) since then (unix microseconds)
+    * `:reason` - why it was taken over; nil if it was free or offered
+    * `:offered_to` - who may take it without a reason; `:anyone`, or nil for nobody
+    * `:before` - who was in charge before
+  """
+  @type t :: %__MODULE__{
+          holder: String.t(),
+          via: String.t(),
+          since: integer(),
+          reason: String.t() | nil,
+          offered_to: String.t() | :anyone | nil,
+          before: String.t() | nil
+        }
+
+  @typedoc "What a command asks for. Who takes it may offer it in the same breath, as MAVLink's allow-takeover flag does."
+  @type change ::
+          {:take, reason :: String.t() | nil, offer :: :anyone | nil}
+          | {:offer, String.t() | :anyone}
+          | :release
+
+  @typedoc "`:required`: whether nobody may command before taking charge; `:take_over`: the lowest role that may take over."
+  @type rules :: %{required: boolean(), take_over: :operator | :admin}
+
+  @doc "The lease after a change, nil for nobody in charge, or why the source may not change it."
+  @spec change(t() | nil, change(), Roles.source(), via :: String.t(), rules(), now :: integer()) ::
+          {:ok, t() | nil} | {:deny, String.t()}
+  def change(nil, {:take, _reason, offer}, source, via, _rules, now),
+    do: {:ok, %__MODULE__{holder: source.name, via: via, since: now, offered_to: offer}}
+
+  def change(%{holder: name} = lease, {:take, _reason, offer}, %{name: name}, _via, _rules, _now),
+    do: {:ok, %{lease | offered_to: offer}}
+
+  def change(lease, {:take, reason, offer}, source, via, rules, now) do
+    taken = %__MODULE__{
+      holder: source.name,
+      via: via,
+      since: now,
+      offered_to: offer,
+      before: lease.holder
+    }
+
+    cond do
+      lease.offered_to in [:anyone, source.name] ->
+        {:ok, taken}
+
+      rules.take_over == :admin and source.role != :admin ->
+        {:deny, "#{in_charge(lease)}; only an admin may take over (policy.lease.take_over)"}
+
+      reason == nil ->
+        {:deny, "#{in_charge(lease)}; taking over needs a reason"}
+
+      true ->
+        {:ok, %{taken | reason: reason}}
+    end
+  end
+
+  def change(nil, _offer_or_release, _source, _via, _rules, _now), do: {:deny, "nobody is in charge"}
+
+  def change(%{holder: name} = lease, {:offer, to}, %{name: name}, _via, _rules, _now),
+    do: {:ok, %{lease | offered_to: to}}
+
+  def change(lease, {:offer, _to}, _source, _via, _rules, _now), do: {:deny, in_charge(lease)}
+
+  def change(%{holder: holder}, :release, source, _via, _rules, _now)
+      when holder == source.name or source.role == :admin,
+      do: {:ok, nil}
+
+  def change(lease, :release, _source, _via, _rules, _now), do: {:deny, in_charge(lease)}
+
+  @doc "Who is in charge, as a sentence."
+  @spec in_charge(t()) :: String.t()
+  def in_charge(lease) do
+    time = lease.since |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
+    "#{lease.holder} is in charge of the vehicle since #{time} UTC"
+  end
+end

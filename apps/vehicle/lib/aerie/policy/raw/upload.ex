@@ -1,0 +1,36 @@
+defmodule Aerie.Policy.Raw.Upload do
+  @moduledoc """
+  Where the last item of a mission was while it is uploaded, for each vehicle, as a plain map: the vehicle flies straight from
+  item to item, so the way is judged with each of them.
+
+  Items come in order (W3). One that comes again is judged from the same item as before; one with a lower number begins anew, as
+  a MISSION_COUNT does.
+  """
+
+  alias Aerie.Policy.Facts
+  alias MavCodec.Messages, as: M
+
+  @max_vehicles 100
+
+  @typedoc "The number and the place of the last item, and the place before it."
+  @type t :: %{term() => %{seq: non_neg_integer(), place: Facts.place(), before: Facts.place() | nil}}
+
+  @doc "The facts of a message of an upload, with the way from the item before it if there is one."
+  @spec next(t(), vehicle :: term(), struct(), Facts.t()) :: {Facts.t(), t()}
+  def next(uploads, vehicle, %module{seq: seq}, %{path: {:at, [place]}} = facts)
+      when module in [M.MissionItem, M.MissionItemInt] do
+    before =
+      case uploads do
+        %{^vehicle => %{seq: ^seq, before: before}} -> before
+        %{^vehicle => %{seq: last, place: place}} when last < seq -> place
+        _first -> nil
+      end
+
+    uploads = if map_size(uploads) >= @max_vehicles, do: %{}, else: uploads
+    path = if before, do: {:from, before, place}, else: facts.path
+    {%{facts | path: path}, Map.put(uploads, vehicle, %{seq: seq, place: place, before: before})}
+  end
+
+  def next(uploads, vehicle, %M.MissionCount{}, facts), do: {facts, Map.delete(uploads, vehicle)}
+  def next(uploads, _vehicle, _other, facts), do: {facts, uploads}
+end

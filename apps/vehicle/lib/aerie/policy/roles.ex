@@ -1,0 +1,45 @@
+defmodule Aerie.Policy.Roles do
+  @moduledoc """
+  What a source may ask for, by its role:
+
+  | role | may |
+  |---|---|
+  | `viewer` | look on |
+  | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry` |
+  | `admin` | the same, and `maintain` |
+
+  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody: they are given by name, to an
+  operator or an admin.
+  """
+
+  alias Aerie.Command.Type
+
+  @operator [:arm, :fly, :mission, :manual, :payload, :telemetry]
+  @roles %{viewer: [], operator: @operator, admin: [:maintain | @operator]}
+  @own [:force_disarm, :terminate]
+
+  @type role :: :viewer | :operator | :admin
+
+  @typedoc "Who commands, as authentication found out: a name for people, a role, and permissions beyond the role."
+  @type source :: %{name: String.t(), role: role(), permissions: [Type.permission()]}
+
+  @doc "All roles, from the one that may least."
+  @spec all() :: [role(), ...]
+  def all, do: [:viewer, :operator, :admin]
+
+  @doc "The permissions that no role includes."
+  @spec own() :: [Type.permission(), ...]
+  def own, do: @own
+
+  @doc "The permissions of a role."
+  @spec permissions(role()) :: [Type.permission()]
+  def permissions(role), do: Map.fetch!(@roles, role)
+
+  @doc "Whether a source has a permission. One that is not known has none; a viewer has none, whatever it was given."
+  @spec allowed?(source() | nil, Type.permission()) :: boolean()
+  def allowed?(nil, _permission), do: false
+  def allowed?(%{role: :viewer}, _permission), do: false
+
+  def allowed?(source, permission),
+    do: permission in permissions(source.role) or permission in source.permissions
+end

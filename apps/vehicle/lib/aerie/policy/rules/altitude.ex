@@ -1,0 +1,65 @@
+defmodule Aerie.Policy.Rules.Altitude do
+  @moduledoc """
+  Heights that a command may ask for: at most `max_altitude` and at least `min_altitude` above home, at most
+  `max_altitude_msl` above mean sea level. A command that leaves the vehicle at its height is not judged.
+  """
+
+  @behaviour Aerie.Policy.Rule
+
+  alias Aerie.Policy.FlightPath
+
+  @impl Aerie.Policy.Rule
+  def check(%{max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts, _context), do: :ok
+  def check(_policy, %{ends_flight?: true}, _context), do: :ok
+
+  def check(policy, facts, context) do
+    case FlightPath.heights(facts, context) do
+      {:ok, heights} -> heights |> Enum.map(&height(policy, facts, &1)) |> Enum.find(:ok, &(&1 != :ok))
+      {:unknown, why} -> {:deny, "a limit of altitude applies to #{facts.type}, and #{why}"}
+    end
+  end
+
+  defp height(policy, facts, {home, msl, given}) do
+    limits = [
+      {policy.max_altitude, :max, home, "above home"},
+      {floor(policy, facts), :min, home, "above home"},
+      {policy.max_altitude_msl, :max, msl, "above mean sea level"}
+    ]
+
+    Enum.find_value(limits, :ok, fn {limit, side, height, above} ->
+      (limit != nil and not within?(side, height, limit)) &&
+        {:deny, text(side, height, limit, above, facts, given)}
+    end)
+  end
+
+  # What is stored (a home, a landing place) may be on the ground.
+  defp floor(_policy, %{path: {kind, _places}}) when kind in [:at, :along], do: nil
+  defp floor(_policy, %{path: {:from, _start, _place}}), do: nil
+  defp floor(policy, _facts), do: policy.min_altitude
+
+  defp within?(_side, nil, _limit), do: false
+  defp within?(:max, height, limit), do: height <= limit
+  defp within?(:min, height, limit), do: height >= limit
+
+  defp text(side, nil, limit, above, facts, given) do
+    why =
+      case given do
+        :terrain -> "it is given above the ground"
+        :own -> "the vehicle's height is not known"
+        _home_or_msl -> "the height of its home is not known"
+      end
+
+    "#{facts.what} must be #{bound(side)} #{metres(limit)} #{above}; how high it is, is not known, because #{why}"
+  end
+
+  defp text(side, height, limit, above, facts, _given),
+    do: "#{facts.what} is #{metres(height)} #{above}; #{bound(side)} #{metres(limit)} is allowed"
+
+  defp bound(:max), do: "at most"
+  defp bound(:min), do: "at least"
+
+  defp metres(value) when is_integer(value), do: "#{value} m"
+
+  defp metres(value),
+    do: "#{value |> Float.round(1) |> Float.to_string() |> String.replace_suffix(".0", "")} m"
+end

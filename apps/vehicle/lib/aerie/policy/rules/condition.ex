@@ -1,0 +1,34 @@
+defmodule Aerie.Policy.Rules.Condition do
+  @moduledoc "Some commands are allowed only while the vehicle is armed or not, in the air or not."
+
+  @behaviour Aerie.Policy.Rule
+
+  @typedoc "What must be so; nil: either."
+  @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
+
+  @impl Aerie.Policy.Rule
+  def check(policy, facts, context) do
+    condition = Map.get(policy.conditions, facts.type, %{armed: nil, in_air: nil})
+
+    with :ok <- state(facts, :armed, condition.armed, context.armed),
+         do: state(facts, :in_air, condition.in_air, context.in_air)
+  end
+
+  defp state(_facts, _what, nil, _is), do: :ok
+  defp state(_facts, _what, must, must), do: :ok
+
+  defp state(facts, what, must, nil),
+    do:
+      {:deny,
+       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; whether it is, is not known"}
+
+  defp state(facts, what, must, is),
+    do:
+      {:deny,
+       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; it is #{word(what, is)}"}
+
+  defp word(:armed, true), do: "armed"
+  defp word(:armed, false), do: "disarmed"
+  defp word(:in_air, true), do: "in the air"
+  defp word(:in_air, false), do: "on the ground"
+end

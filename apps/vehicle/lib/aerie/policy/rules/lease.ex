@@ -1,0 +1,31 @@
+defmodule Aerie.Policy.Rules.Lease do
+  @moduledoc """
+  One source is in charge of a vehicle (`Aerie.Policy.Lease`): nobody else commands it, and with `policy.lease.required` nobody
+  before taking charge. What holds the vehicle or brings it down, and what only asks for messages, is free for all whose role
+  allows it.
+  """
+
+  @behaviour Aerie.Policy.Rule
+
+  alias Aerie.Policy.Lease
+
+  @impl Aerie.Policy.Rule
+  def check(policy, %{control: change}, context) when change != nil do
+    with {:ok, _lease} <- Lease.change(context.lease, change, context.source, "", policy.lease, context.now),
+         do: :ok
+  end
+
+  def check(_policy, %{ends_flight?: true}, _context), do: :ok
+  def check(_policy, %{permission: :telemetry}, _context), do: :ok
+  def check(%{lease: %{required: false}}, _facts, %{lease: nil}), do: :ok
+
+  def check(_policy, facts, %{lease: nil}),
+    do:
+      {:deny,
+       "nobody is in charge of the vehicle; #{facts.type} needs take_control first (policy.lease.required)"}
+
+  def check(_policy, _facts, %{lease: %{holder: name}, source: %{name: name}}), do: :ok
+
+  def check(_policy, _facts, %{lease: lease}),
+    do: {:deny, Lease.in_charge(lease) <> "; take_control takes over"}
+end

@@ -1,0 +1,57 @@
+defmodule Aerie.Policy.Sources do
+  @moduledoc """
+  Who commands, for the interfaces that carry a signature: those whose public nkeys the policy lists. An unknown source
+  can command nothing.
+  """
+
+  alias Aerie.Policy
+  alias Aerie.Policy.{Roles, Signature}
+
+  @typedoc "`nkey` is public (`U…`); `expires` in unix microseconds, nil for never."
+  @type listed :: %{
+          name: String.t(),
+          nkey: String.t(),
+          role: Roles.role(),
+          permissions: [Aerie.Command.Type.permission()],
+          expires: integer() | nil
+        }
+
+  @doc """
+  The source of a command by its header `Aerie-Signature` (nil: it has none), as `Aerie.Policy.Signature` describes it. A command
+  without a signature comes from nobody, unless the policy has a role for that (`unsigned`).
+  """
+  @spec identify(
+          Policy.t(),
+          header :: String.t() | nil,
+          subject :: String.t(),
+          body :: binary(),
+          now :: integer()
+        ) ::
+          {:ok, Roles.source()} | {:error, String.t()}
+  def identify(%{unsigned: nil}, nil, _subject, _body, _now),
+    do: {:error, "the command is not signed, and unsigned commands may do nothing here (policy.unsigned)"}
+
+  def identify(%{unsigned: role}, nil, _subject, _body, _now),
+    do: {:ok, %{name: "unsigned", role: role, permissions: []}}
+
+  def identify(policy, header, subject, body, now) do
+    with {:ok, key} <- Signature.verify(header, subject, body, now),
+         {:ok, listed} <- listed(policy, key, now),
+         do: {:ok, Map.take(listed, [:name, :role, :permissions])}
+  end
+
+  defp listed(policy, key, now) do
+    case Enum.find(policy.sources, &(&1.nkey == key)) do
+      nil ->
+        {:error, "the key #{key} is not one of policy.sources"}
+
+      %{expires: expires, name: name} when expires != nil and now >= expires ->
+        {:error, "the key of #{name} was good until #{day(expires - 1)}"}
+
+      listed ->
+        {:ok, listed}
+    end
+  end
+
+  defp day(at), do: at |> DateTime.from_unix!(:microsecond) |> DateTime.to_date() |> Date.to_iso8601()
+end

@@ -1,0 +1,50 @@
+defmodule Aerie.Serving.Starter do
+  @moduledoc "Starts `Aerie.Serving.Vehicle` when a vehicle appears, and stops it when the vehicle is forgotten."
+  use GenServer
+
+  alias Aerie.{Names, Serving, Store}
+  alias Aerie.Store.PubSub
+
+  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  def start_link(options),
+    do:
+      GenServer.start_link(__MODULE__, options[:gateway],
+        name: Names.via(options[:gateway], :serving_starter)
+      )
+
+  @impl GenServer
+  def init(gateway) do
+    Process.set_label({:serving_starter, gateway})
+    :ok = PubSub.subscribe(gateway, :vehicles)
+    {:ok, Enum.reduce(Store.vehicles(gateway), %{gateway: gateway, keys: %{}}, &look(&2, &1.id))}
+  end
+
+  @impl GenServer
+  def handle_info({:fleet, :vehicles, ids}, state), do: {:noreply, Enum.reduce(ids, state, &look(&2, &1))}
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp look(state, id) do
+    case {Store.vehicle(state.gateway, id), state.keys} do
+      {%{key: key}, keys} when not is_map_key(keys, id) ->
+        started =
+          DynamicSupervisor.start_child(
+            supervisor(state),
+            {Serving.Vehicle, gateway: state.gateway, key: key}
+          )
+
+        if match?({:ok, _pid}, started), do: put_in(state.keys[id], key), else: state
+
+      {nil, %{^id => key}} ->
+        _ =
+          with pid when pid != nil <- Names.whereis(state.gateway, :serving, key),
+               do: DynamicSupervisor.terminate_child(supervisor(state), pid)
+
+        %{state | keys: Map.delete(state.keys, id)}
+
+      _as_it_was ->
+        state
+    end
+  end
+
+  defp supervisor(state), do: Names.via(state.gateway, :serving_vehicles)
+end

@@ -1,0 +1,398 @@
+defmodule Aerie.Shadow.Documents.Server do
+  @moduledoc """
+  Keeps the desired documents of `Aerie.Shadow.Documents`: copies in memory and on disk of the documents in NATS, and
+  the lease by which one of several gateways acts (`Aerie.Shadow.Documents.Ownership`).
+
+  The bucket is authoritative, with three exceptions: a document that no gateway with our key wrote, an older one than we know
+  (Z5), and none at all. In the last two cases our copy is written back, so a deleted bucket is restored.
+  """
+  use GenServer
+
+  alias Aerie.{Bridge, Names, Store}
+  alias Aerie.Bridge.LastPublished
+  alias Aerie.Shadow.{Buckets, Copy, Document, Lease, Metrics, SealedDocument, Settings, Tags}
+  alias Aerie.Shadow.Documents.Ownership
+  alias Aerie.Store.PubSub
+  alias Aerie.TokenBucket
+  alias Gnat.Jetstream.API.KV
+
+  require Logger
+
+  @away "NATS is away"
+  @rate_ms 100
+  @burst 50
+  @max_sources 1_000
+  @log_ms 5_000
+
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :shadow_documents))
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    gateway = options[:gateway]
+    %Settings{bridge: bridge} = settings = options[:settings]
+    Process.set_label({:shadow_documents, gateway})
+    Logger.metadata(gateway: inspect(gateway))
+    dir = Path.expand(settings.dir)
+    {folder, problem} = open(dir, settings.key)
+    table = :ets.new(:shadow, [:set, :protected, read_concurrency: true])
+    local? = bridge.nats.mode == :off
+
+    kept = %{table: table, local?: local?, environment: bridge.environment, key: folder.key, dir: dir}
+    Names.put_value(gateway, :shadow_documents, kept)
+    :ok = PubSub.subscribe(gateway, :bridge)
+
+    state = %{
+      gateway: gateway,
+      settings: settings,
+      dir: dir,
+      kept: kept,
+      table: table,
+      name: LastPublished.name(bridge.vehicle.identity),
+      names: %{},
+      lease: Lease.new(folder.instance, settings.lease_ms),
+      loops: %{},
+      reports: %{},
+      rates: %{},
+      conn: nil,
+      watchers: [],
+      problem: nil
+    }
+
+    schedule(state)
+    {:ok, state |> problem(problem) |> Ownership.authorities(), {:continue, :connect}}
+  end
+
+  defp open(dir, key) do
+    case Copy.open(dir, key) do
+      {:ok, folder} -> {folder, nil}
+      {:error, why} -> {Copy.without_folder(key), why}
+    end
+  end
+
+  defp schedule(%{settings: %{lease_ms: ttl}}), do: Process.send_after(self(), :renew, max(div(ttl, 3), 50))
+
+  @impl GenServer
+  def handle_continue(:connect, state), do: {:noreply, connect(state)}
+
+  @impl GenServer
+  def handle_call({:change, vehicle, fun}, _from, state) do
+    state = load(state, vehicle)
+
+    case fun.(known(state, vehicle)) do
+      {:ok, document} -> {:reply, {:ok, document}, accept(state, document)}
+      error -> {:reply, error, state}
+    end
+  end
+
+  def handle_call({:rate, actor}, _from, state) do
+    now = monotonic()
+    rates = if map_size(state.rates) >= @max_sources, do: %{}, else: state.rates
+
+    case TokenBucket.take(rates[actor], now, @rate_ms, @burst) do
+      {:ok, full} -> {:reply, :ok, %{state | rates: Map.put(rates, actor, full)}}
+      :none -> {:reply, :none, state}
+    end
+  end
+
+  # The watchers call this and wait, so that a flood of writes waits in NATS.
+  def handle_call({:kv, bucket, action, key, value}, _from, state),
+    do: {:reply, :ok, changed(bucket, action, key, value, state)}
+
+  @impl GenServer
+  def handle_cast({:join, vehicle, loop}, state) do
+    Process.monitor(loop)
+    state = load(%{state | loops: Map.put(state.loops, vehicle, loop)}, vehicle)
+    send(loop, {:desired, known(state, vehicle)})
+    {:noreply, Ownership.authorities(state)}
+  end
+
+  def handle_cast({:heard, vehicle, heard?}, state) do
+    state = %{state | lease: Lease.want(state.lease, vehicle, heard?)}
+
+    {:noreply,
+     if(heard?, do: state |> Ownership.claim() |> Ownership.authorities(), else: give_up(state, vehicle))}
+  end
+
+  def handle_cast({:report, vehicle, fields, reported}, state) do
+    :ets.insert(state.table, {{:reported, vehicle}, {fields, reported}})
+    {:noreply, publish(%{state | reports: Map.put(state.reports, vehicle, reported)}, vehicle)}
+  end
+
+  # Of vehicles that are not heard here only the tags are kept.
+  def handle_cast({:written, document}, state) do
+    if is_map_key(state.loops, document.vehicle),
+      do: {:noreply, accept(state, document)},
+      else: {:noreply, tagged(state, document)}
+  end
+
+  @impl GenServer
+  def handle_info(:renew, state) do
+    schedule(state)
+    {:noreply, state |> connect() |> renew() |> Ownership.claim() |> Ownership.authorities()}
+  end
+
+  def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
+
+  def handle_info({:DOWN, _ref, :process, loop, _reason}, state) do
+    case Enum.find(state.loops, &match?({_vehicle, ^loop}, &1)) do
+      {vehicle, ^loop} -> {:noreply, left(state, vehicle)}
+      nil -> {:noreply, state}
+    end
+  end
+
+  # A watcher ends with its connection.
+  def handle_info({:EXIT, watcher, _reason}, state) do
+    if watcher in state.watchers, do: {:noreply, disconnected(state)}, else: {:noreply, state}
+  end
+
+  def handle_info(_late, state), do: {:noreply, state}
+
+  @impl GenServer
+  def terminate(_reason, %{conn: conn} = state) when conn != nil do
+    for vehicle <- state.lease.wanted,
+        match?({:mine, _until}, Ownership.holder(state, vehicle)),
+        do: Ownership.release(state, vehicle)
+  end
+
+  def terminate(_reason, _state), do: :ok
+
+  ## The connection
+
+  defp connect(%{kept: %{local?: true}} = state), do: state
+
+  defp connect(state) do
+    conn = Bridge.connection(state.gateway)
+
+    cond do
+      conn == nil -> disconnected(state)
+      conn == state.conn and length(state.watchers) == 2 -> state
+      true -> begin(disconnected(state), conn)
+    end
+  end
+
+  defp disconnected(state) do
+    for watcher <- state.watchers, Process.alive?(watcher), do: Process.exit(watcher, :kill)
+    problem(%{state | conn: nil, watchers: []}, @away)
+  end
+
+  defp begin(state, conn) do
+    with {:ok, _made} <- buckets(state, conn),
+         {:ok, desired} <- watch(conn, Buckets.desired()),
+         {:ok, leases} <- watch(conn, Buckets.leases()) do
+      %{state | conn: conn, watchers: [desired, leases]}
+      |> problem(nil)
+      |> all()
+      |> renew()
+      |> Ownership.claim()
+      |> Ownership.authorities()
+    else
+      {:error, why} -> problem(state, if(is_binary(why), do: why, else: Bridge.Streams.text(why)))
+    end
+  catch
+    # The connection ended meanwhile; the bridge announces the next one.
+    :exit, _gone -> state
+  end
+
+  # Synchronises everything in both directions.
+  defp all(state) do
+    state = Enum.reduce(Map.keys(state.loops), state, &load(&2, &1))
+    Enum.reduce(Map.keys(state.reports), state, &publish(&2, &1))
+  end
+
+  defp buckets(state, conn), do: Buckets.ensure(conn, state.settings.bridge.nats.streams.replicas)
+
+  defp watch(conn, bucket) do
+    documents = self()
+
+    KV.watch(conn, bucket, fn action, key, value ->
+      GenServer.call(documents, {:kv, bucket, action, key, value}, :infinity)
+    end)
+  end
+
+  ## Documents
+
+  defp known(state, vehicle),
+    do: :ets.lookup_element(state.table, {:document, vehicle}, 2, Document.new(vehicle))
+
+  # The copy on disk first, then the document in NATS.
+  defp load(state, vehicle) do
+    state = if :ets.member(state.table, {:document, vehicle}), do: state, else: load_copy(state, vehicle)
+    if state.conn, do: load_kept(state, vehicle), else: state
+  end
+
+  defp load_copy(%{kept: kept} = state, vehicle) do
+    with text when is_binary(text) <- Copy.read(state.dir, vehicle),
+         {:ok, document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.key) do
+      :ets.insert(state.table, {{:document, vehicle}, document})
+      tagged(state, document)
+    else
+      {:error, why} -> problem(state, "the copy of #{vehicle}'s desired state is not used: #{why}")
+      nil -> state
+    end
+  end
+
+  defp load_kept(state, vehicle) do
+    case Buckets.read(state.conn, state.kept, vehicle) do
+      {:ok, document, revision} -> document |> newer(state, revision) |> accept(document)
+      :none -> restore(state, vehicle, :none)
+      {:refused, why, _revision} -> refused(state, vehicle, why)
+      {:error, _why} -> state
+    end
+  catch
+    :exit, _gone -> state
+  end
+
+  # The bucket's document is older than ours, for example after a restored backup.
+  defp newer(document, state, revision) do
+    if document.version < known(state, document.vehicle).version,
+      do: restore(state, document.vehicle, revision),
+      else: state
+  end
+
+  defp restore(state, vehicle, revision) do
+    document = known(state, vehicle)
+
+    _lost_race_or_later =
+      if document.version > 0, do: Buckets.write(state.conn, state.kept, document, revision)
+
+    state
+  end
+
+  defp accept(state, document) do
+    known = known(state, document.vehicle)
+
+    cond do
+      document.version > known.version ->
+        :ets.insert(state.table, {{:document, document.vehicle}, document})
+        if loop = state.loops[document.vehicle], do: send(loop, {:desired, document})
+        text = SealedDocument.encode(document, state.kept.environment, state.kept.key)
+        state = tagged(state, document)
+
+        case Copy.write(state.dir, document.vehicle, text) do
+          :ok -> state
+          {:error, why} -> problem(state, why)
+        end
+
+      document.version < known.version ->
+        Metrics.count(state.gateway, :documents_refused)
+        state
+
+      true ->
+        state
+    end
+  end
+
+  # The fleet's pages and groups need the tags of all vehicles, and those of remote ones too.
+  defp tagged(state, document) do
+    if Tags.note(state.table, document), do: PubSub.changed(state.gateway, {:vehicle, document.vehicle})
+    state
+  end
+
+  defp refused(state, vehicle, why) do
+    Metrics.count(state.gateway, :documents_refused)
+    problem(state, "the desired state of #{vehicle} in NATS is not heeded: #{why}")
+  end
+
+  ## Changes in the buckets
+
+  defp changed("fleet_desired", action, key, value, state) do
+    vehicle = Buckets.vehicle(key, state.kept.environment)
+
+    cond do
+      vehicle == nil -> state
+      not is_map_key(state.loops, vehicle) -> remote(state, vehicle, action, value)
+      action == :key_added -> received(state, vehicle, value)
+      # Somebody else removed it: a gateway would leave an empty document.
+      state.conn != nil -> load_kept(state, vehicle)
+      true -> state
+    end
+  end
+
+  defp changed("fleet_leases", action, key, value, state) do
+    case {Buckets.lease(key, state.kept.environment), action} do
+      {{:gateway, instance}, :key_added} -> Ownership.peer(state, instance, value)
+      {{:vehicle, vehicle}, :key_added} -> Ownership.owner(state, vehicle, value)
+      {{:vehicle, vehicle}, _removed} -> Ownership.owner(state, vehicle, nil)
+      _other -> state
+    end
+  end
+
+  defp remote(state, vehicle, :key_added, value) do
+    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
+      {:ok, document} -> tagged(state, document)
+      {:error, _no_gateway_of_ours} -> state
+    end
+  end
+
+  defp remote(state, _vehicle, _removed, _value), do: state
+
+  defp received(state, vehicle, value) do
+    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
+      {:ok, document} -> accept(state, document)
+      {:error, why} -> refused(state, vehicle, why)
+    end
+  end
+
+  ## Who acts
+
+  defp renew(%{conn: nil} = state), do: state
+
+  defp renew(state) do
+    sent_at = monotonic()
+
+    with {:ok, made} <- buckets(state, state.conn),
+         :ok <- Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name) do
+      state = %{state | lease: Lease.renewed(state.lease, sent_at)}
+      # Somebody deleted a bucket.
+      if made == [], do: state, else: all(state)
+    else
+      {:error, why} -> problem(disconnected(state), why)
+    end
+  catch
+    :exit, _gone -> disconnected(state)
+  end
+
+  defp left(state, vehicle) do
+    lease = Lease.want(state.lease, vehicle, false)
+    state = give_up(%{state | lease: lease}, vehicle)
+    for what <- [:document, :reported, :authority], do: :ets.delete(state.table, {what, vehicle})
+    %{state | loops: Map.delete(state.loops, vehicle), reports: Map.delete(state.reports, vehicle)}
+  end
+
+  defp give_up(state, vehicle) do
+    if state.conn != nil and match?({:mine, _until}, Ownership.holder(state, vehicle)),
+      do: Ownership.release(state, vehicle)
+
+    Ownership.authorities(%{state | lease: Lease.owner(state.lease, vehicle, nil, monotonic())})
+  end
+
+  # The owner of a vehicle reports it; if the owner is not known, every gateway that hears it does.
+  defp publish(%{conn: nil} = state, _vehicle), do: state
+
+  defp publish(state, vehicle) do
+    # A report that is lost with the connection is published with the next one.
+    _ =
+      unless match?({:other, _id}, Ownership.holder(state, vehicle)),
+        do: Buckets.report(state.conn, state.kept.environment, vehicle, state.reports[vehicle])
+
+    state
+  catch
+    :exit, _gone -> state
+  end
+
+  defp problem(%{problem: problem} = state, problem), do: state
+
+  defp problem(state, problem) do
+    # The bridge reports a lost connection itself; one line for each invalid document would flood the log.
+    if problem not in [nil, @away] and Store.claim(state.gateway, {__MODULE__, :problem}, @log_ms),
+      do: Logger.warning("shadow: " <> problem)
+
+    :ets.insert(state.table, {:problem, problem})
+    %{state | problem: problem}
+  end
+
+  defp monotonic, do: System.monotonic_time(:millisecond)
+end

@@ -1,0 +1,73 @@
+defmodule Aerie.Shadow.Settings do
+  @moduledoc "The shadow: whether vehicles are made to agree with their desired state, and who keeps that."
+  use Aerie.Settings
+
+  import Aerie.Settings.Rules
+
+  alias Aerie.Shadow.Buckets
+
+  part :bridge, Aerie.Bridge.Settings
+
+  section "shadow",
+          "Desired and reported state of vehicles (docs/shadow.md). Nothing is desired unless somebody with the permission says so."
+
+  setting :enabled,
+          :boolean,
+          "Whether vehicles are made to agree with what is desired of them. If not, differences are only shown.",
+          default: true
+
+  setting :hold_us,
+          {:number, 0, 86_400},
+          """
+          How long the shadow stays away from a vehicle after a pilot, a failsafe, an operator or another ground station was in charge
+          of it.
+          """,
+          key: "hold_s",
+          default: 30.0,
+          times: 1_000_000
+
+  setting :allow_arming,
+          :boolean,
+          "Whether the field armed is heeded. If not, it is refused. What it takes besides is in docs/shadow.md.",
+          default: false
+
+  setting :max_tries,
+          {:integer, 1, 20},
+          "How often a field is tried before it counts as refused.",
+          default: 6
+
+  setting :without_nats,
+          {:enum, [:hold, :act]},
+          """
+          What the shadow does while the servers of NATS cannot be reached: hold, because another gateway may have taken over, or act,
+          for a gateway that is the only one to hear its vehicles.
+          """,
+          default: :hold
+
+  setting :lease_ms,
+          {:number, 1, 600},
+          "Of gateways that hear the same vehicle one acts. Another one takes over when it was silent for one and a half times this.",
+          key: "lease_s",
+          default: 10.0,
+          times: 1000
+
+  setting :dir, :path, "Folder with copies of the desired states, for its owner only.", default: "var/shadow"
+
+  setting :key,
+          :secret,
+          """
+          Gateways heed desired states only of gateways with the same key. Left out: a random one of this gateway, in shadow.dir.
+          """,
+          example: "a long random text"
+
+  @impl Aerie.Settings
+  def warnings(%{nats: nats}) do
+    needed = nats.streams.state_max_mb + nats.streams.event_max_mb + Buckets.reserved_mb()
+
+    texts([
+      {nats.mode == :embedded and nats.max_store_mb < needed,
+       "nats.max_store_mb is #{nats.max_store_mb}: the server has no room for the shadow's buckets, so no desired state can be " <>
+         "stored. With the streams as configured it takes #{needed}."}
+    ])
+  end
+end

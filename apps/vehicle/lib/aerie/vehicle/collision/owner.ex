@@ -1,0 +1,140 @@
+defmodule Aerie.Vehicle.Collision.Owner do
+  @moduledoc """
+  Which of two vehicles with one system id owns it, by the paths that each is heard on. A pure value.
+
+  When `Aerie.Vehicle.Collision.Detector` finds two vehicles and each has a path of its own, the one that was heard first
+  keeps the id. Frames by the other one's paths do not change this vehicle's state and are not forwarded, and nothing
+  addressed to the id is sent there (`other?/3`, `others/2`). So a vehicle that is switched on beside one that flies can
+  neither be mistaken for it nor obey its commands. That lasts for a minute after the last sign of a collision, provided
+  that the owner is still heard: when it falls silent, the id goes to the other vehicle.
+  """
+
+  alias Aerie.Router.CollisionRoutes
+
+  @hold_us 60_000_000
+  @silent_us 5_000_000
+  @max_paths 32
+
+  defstruct paths: %{}, others: [], kept: [], until: nil
+
+  @typedoc "How a vehicle is heard: a link's id, or `{link, peer}` where several peers of a link bring the system."
+  @type path :: term()
+  @typedoc "`kept`: the owner's own paths; `others`: those of the other vehicle; `until`: how long that holds."
+  @type t :: %__MODULE__{
+          paths: %{path() => {first :: integer(), last :: integer()}},
+          others: [path()],
+          kept: [path()],
+          until: integer() | nil
+        }
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "The system was heard by a path. After five seconds of silence a path counts as new."
+  @spec heard(t(), path(), integer()) :: t()
+  def heard(%{paths: paths} = owner, path, at) do
+    case paths do
+      %{^path => {first, last}} when at - last <= @silent_us ->
+        %{owner | paths: %{paths | path => {first, max(at, last)}}}
+
+      %{^path => _silent} ->
+        # A vehicle that lost the id by its silence does not get it back when it returns.
+        %{if(holds?(owner, at), do: owner, else: none(owner)) | paths: %{paths | path => {at, at}}}
+
+      _new when map_size(paths) < @max_paths ->
+        %{owner | paths: Map.put(paths, path, {at, at})}
+
+      _full ->
+        recent = Map.filter(paths, fn {_path, {_first, last}} -> at - last <= @silent_us end)
+        %{owner | paths: Map.put(recent, path, {at, at})}
+    end
+  end
+
+  @doc "Whether a path was first heard within the last `us`, while another one has been heard for longer."
+  @spec new_path?(t(), integer(), pos_integer()) :: boolean()
+  def new_path?(%{paths: paths}, _now, _us) when map_size(paths) < 2, do: false
+
+  def new_path?(%{paths: paths}, now, us) do
+    firsts = for {_path, {first, last}} <- paths, now - last <= us, do: first
+    firsts != [] and now - Enum.max(firsts) <= us and Enum.max(firsts) != Enum.min(firsts)
+  end
+
+  defp none(owner), do: %{owner | kept: [], others: [], until: nil}
+
+  @doc """
+  A collision was found: `ones` brought the one vehicle and `others` the other (some paths perhaps both). Returns both lists
+  again, the owner's first.
+  """
+  @spec decide(t(), [path()], [path()], integer()) :: {t(), kept :: [path()], other :: [path()]}
+  def decide(owner, ones, others, at) do
+    {kept, other} = if second?(owner, ones, others, at), do: {others, ones}, else: {ones, others}
+    separate = other -- kept
+
+    # If one of them has no path of its own, the collision is reported, but the vehicles cannot be separated.
+    if separate == [] or kept -- other == [],
+      do: {owner, kept, other},
+      else: {%{owner | kept: kept -- other, others: separate, until: at + @hold_us}, kept, other}
+  end
+
+  # Whether the second one keeps the id: it has it already, or was heard earlier.
+  defp second?(owner, ones, others, at) do
+    cond do
+      not holds?(owner, at) -> first(owner, others) < first(owner, ones)
+      Enum.any?(owner.kept, &(&1 in ones)) -> false
+      Enum.any?(owner.others, &(&1 in ones)) -> true
+      true -> first(owner, others) < first(owner, ones)
+    end
+  end
+
+  defp first(owner, paths) do
+    # nil, an atom, is greater than any number.
+    paths |> Enum.map(&with({first, _last} <- owner.paths[&1], do: first)) |> Enum.min(fn -> nil end)
+  end
+
+  @doc "Whether a path is another vehicle's at this time."
+  @spec other?(t(), path(), integer()) :: boolean()
+  def other?(%{others: []}, _path, _now), do: false
+  def other?(owner, path, now), do: path in owner.others and holds?(owner, now)
+
+  @doc "The paths that are another vehicle's at this time."
+  @spec others(t(), integer()) :: [path()]
+  def others(%{others: []}, _now), do: []
+  def others(owner, now), do: if(holds?(owner, now), do: Enum.sort(owner.others), else: [])
+
+  defp holds?(%{until: nil}, _now), do: false
+
+  defp holds?(owner, now) do
+    now < owner.until and
+      Enum.any?(owner.kept, fn path ->
+        match?({_first, last} when now - last <= @silent_us, owner.paths[path])
+      end)
+  end
+
+  @doc "The clock was set by `step` (us): every path was heard as long ago as before."
+  @spec shifted(t(), integer()) :: t()
+  def shifted(owner, step) do
+    paths = Map.new(owner.paths, fn {path, {first, last}} -> {path, {first + step, last + step}} end)
+    %{owner | paths: paths, until: owner.until && owner.until + step}
+  end
+
+  @doc "The link of a path."
+  @spec link(path()) :: term()
+  def link({link, _peer}), do: link
+  def link(link), do: link
+
+  @doc "Both lists of paths as text: the links' names, with the peers where the names alone would be the same."
+  @spec describe([path()], [path()]) :: [[String.t()]]
+  def describe(kept, other) do
+    sides = [links, _] = for side <- [kept, other], do: side |> Enum.map(&link/1) |> Enum.uniq()
+
+    sides =
+      if Enum.any?(List.last(sides), &(&1 in links)),
+        do: for(side <- [kept, other], do: Enum.reject(side, &(not is_tuple(&1) and peers?(side, &1)))),
+        else: sides
+
+    for side <- sides, do: side |> Enum.map(&CollisionRoutes.text/1) |> Enum.sort()
+  end
+
+  # Until the second peer came, the vehicle was known by the link alone.
+  defp peers?(side, link), do: Enum.any?(side, &match?({^link, _peer}, &1))
+end

@@ -1,0 +1,245 @@
+defmodule Aerie.Vehicle.Core.Frames do
+  @moduledoc """
+  One frame of the vehicle's system: which component sent it, whether it is worth decoding, and which part of the core
+  handles it. Actions are newest first.
+  """
+
+  alias Aerie.Mavlink.BootClock
+  alias Aerie.Vehicle.{Collision, Core, Kind, Params, State}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services}
+  alias Aerie.Vehicle.Detector.Observation
+  alias Aerie.Vehicle.Links.Reception
+  alias Aerie.Vehicle.Reports.StatusText
+  alias Aerie.Vehicle.Streams.Arbiter
+  alias MavCodec.Messages, as: M
+
+  @heartbeat M.Heartbeat.id()
+  @system_time M.SystemTime.id()
+  @param_value M.ParamValue.id()
+  @high_latency M.HighLatency2.id()
+  @statustext M.Statustext.id()
+  @reports [M.Event.id(), M.CurrentEventSequence.id(), M.ResponseEventError.id()]
+  # For `Services.message/5`.
+  @services [M.Ping.id(), M.CommandAck.id(), M.CommandLong.id(), M.Timesync.id(), M.MessageInterval.id()]
+  @decoded [@system_time, @param_value, @statustext | @services]
+  # How long after the first link's copy of a text a second link's copy may come.
+  @copy_us 5_000_000
+  # Within this time, the same text by the same link with the same sequence number is a duplicate.
+  @duplicate_us 1_000_000
+  # A vehicle that restarts is silent for longer than this.
+  @silence_us 2_000_000
+  # Texts from before the first heartbeat (`Aerie.Router.EarlyTexts` holds as many).
+  @max_early 16
+
+  @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
+  def frame(core, actions, link, frame) do
+    # Whichever component sent it: the link reaches this system.
+    reception = Reception.frame(core.reception, link, byte_size(frame.bytes), frame.at)
+    core = %{core | reception: reception}
+
+    cond do
+      frame.id == @heartbeat ->
+        heartbeat(core, actions, link, frame)
+
+      frame.component == core.component ->
+        autopilot(core, actions, link, frame)
+
+      core.component == nil and frame.id == @statustext ->
+        {%{core | early_texts: Enum.take(core.early_texts ++ [{link, frame}], @max_early)}, actions}
+
+      core.component == nil and frame.id == @high_latency ->
+        autopilot(%{core | component: frame.component}, actions, link, frame)
+
+      # Other components of the vehicle send reports, too.
+      core.component != nil and frame.id in @reports ->
+        report(core, actions, frame)
+
+      true ->
+        {core, actions}
+    end
+  end
+
+  defp report(core, actions, frame) do
+    case MavCodec.decode(frame) do
+      {:ok, message} -> Reporting.message(core, actions, frame, message)
+      {:error, _unknown} -> {core, actions}
+    end
+  end
+
+  defp heartbeat(core, actions, link, frame) do
+    {:ok, message} = MavCodec.decode(frame)
+    known = core.component
+
+    if Kind.vehicle?(message.type, message.autopilot) and
+         (known in [nil, frame.component] or frame.component == 1) do
+      {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
+      core = core |> Services.heartbeat_heard(link, frame.at) |> Services.heard(link, frame.id, frame.at)
+      {core, actions} = early_texts({core, actions})
+      content = {message.base_mode, message.custom_mode, message.system_status}
+      suspicion = Collision.Suspicion.heartbeat(core.suspicion, core.path, content, frame.at)
+      message(%{core | suspicion: suspicion}, actions, link, frame, message)
+    else
+      {core, actions}
+    end
+  end
+
+  defp early_texts({%{early_texts: []}, _actions} = acc), do: acc
+
+  # What the autopilot said before its component was known to be one.
+  defp early_texts({%{early_texts: early, component: component} = core, actions}) do
+    for {link, %{component: ^component} = frame} <- early, reduce: {%{core | early_texts: []}, actions} do
+      {core, actions} -> autopilot_message(core, actions, link, frame)
+    end
+  end
+
+  defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
+    {core, actions} = alive(core, actions, at)
+    core = Services.heard(core, link, id, at)
+    core = if id == @high_latency, do: Services.summary_heard(core, link, at), else: core
+
+    if id in @reports, do: report(core, actions, frame), else: autopilot_message(core, actions, link, frame)
+  end
+
+  defp autopilot_message(core, actions, link, %{id: id, at: at} = frame) do
+    if State.wants?(core.state, id, at) or id in @decoded do
+      case MavCodec.decode(frame) do
+        {:ok, message} -> message(core, actions, link, frame, message)
+        {:error, _unknown} -> {core, actions}
+      end
+    else
+      {core, actions}
+    end
+  end
+
+  # A frame of the autopilot came. With the first one the detector is told that the vehicle is heard: its state, which
+  # outlives a restart of the session, may say that the vehicle is lost.
+  defp alive(%{status: :online, last_heard: nil} = core, actions, at),
+    do: {%{core | last_heard: at}, [restored(core, at) | actions]}
+
+  defp alive(%{status: :online} = core, actions, at),
+    do: {%{after_silence(core, at) | last_heard: later(core.last_heard, at)}, actions}
+
+  defp alive(core, actions, at) do
+    core = after_silence(core, at)
+    actions = if core.status == :lost, do: [restored(core, at) | actions], else: actions
+    core = %{core | last_heard: later(core.last_heard, at), streams: Arbiter.back(core.streams, at)}
+    Effects.status(core, actions, :online)
+  end
+
+  defp restored(core, at), do: {:observe, Observation.new(:restored, at, core.state.boot_ms)}
+
+  # The vehicle may have been restarted meanwhile; its clock will tell.
+  defp after_silence(%{last_heard: last, state: %{boot_ms: boot_ms}} = core, at)
+       when is_integer(last) and is_integer(boot_ms) and at - last >= @silence_us,
+       do: %{core | heard_again_at: at}
+
+  defp after_silence(core, _at), do: core
+
+  defp message(core, actions, _link, %{id: id, at: at} = frame, %{time_boot_ms: boot_ms} = message) do
+    {clock, verdict} = BootClock.read(core.boot_clock, id, boot_ms, at)
+    core = %{core | boot_clock: clock, heard_again_at: if(verdict == :behind, do: core.heard_again_at)}
+
+    case verdict do
+      :ok ->
+        {core, actions} = Collisions.boot_time(core, actions, id, boot_ms, at)
+        apply_message(%{core | state: State.at_boot(core.state, boot_ms)}, actions, frame, message)
+
+      # Older than what is known, or the first sign of a reboot: either way, wait for the next one.
+      :behind ->
+        {core, actions} = Collisions.boot_time(core, actions, id, boot_ms, at)
+        Collisions.late_message(core, actions, frame, message)
+
+      :none ->
+        {core, actions} = Collisions.boot_time(core, actions, id, boot_ms, at)
+        apply_message(core, actions, frame, message)
+
+      :reboot ->
+        core = Services.rebooted(core, at)
+
+        core = %{
+          core
+          | state: State.at_boot(core.state, boot_ms),
+            # Everything may be different, even the hardware.
+            collision_detector: Collision.Detector.new(),
+            suspicion: Collision.Suspicion.rebooted(core.suspicion, at)
+        }
+
+        apply_message(core, [{:observe, Observation.new(:reboot, at, boot_ms)} | actions], frame, message)
+    end
+  end
+
+  defp message(core, actions, link, %{id: @statustext} = frame, message) do
+    {first?, core} = first_copy(core, link, frame)
+
+    if first? do
+      {texts, done} = StatusText.push(core.texts, frame.component, message, frame.at)
+      Reporting.texts({%{core | texts: texts}, actions}, done)
+    else
+      {core, actions}
+    end
+  end
+
+  defp message(core, actions, _link, %{id: @param_value, at: at}, message) do
+    case Params.read(message, core.state.autopilot) do
+      {:ok, value} -> {Services.param(core, value), add_param(actions, at, core.state.boot_ms, value)}
+      :ignore -> {core, actions}
+    end
+  end
+
+  defp message(core, actions, link, %{id: id} = frame, message) when id in @services,
+    do: Services.message(core, actions, link, frame, message)
+
+  defp message(core, actions, _link, frame, message), do: apply_message(core, actions, frame, message)
+
+  defp apply_message(core, actions, %{id: @system_time}, _message), do: {core, actions}
+
+  defp apply_message(core, actions, %{id: id, at: at}, message) do
+    case State.apply(core.state, id, message, at) do
+      {:invalid, _field} ->
+        {core, [{:count, :invalid} | actions]}
+
+      {state, groups} ->
+        {core, actions} = Collisions.reading(%{core | state: state}, actions, {id, message}, at)
+        {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
+        core |> Effects.changed(actions, id, message, at) |> Effects.show(at)
+    end
+  end
+
+  # A second link brings the same frame again, or the network the same datagram: same number, same content. (The number
+  # alone would not do, R7: it repeats after 256 frames.)
+  defp first_copy(core, link, frame) do
+    key = {frame.component, frame.seq, frame.payload}
+
+    case core.recent_texts do
+      %{^key => {other, at}} when other != link and frame.at - at < @copy_us ->
+        {false, core}
+
+      %{^key => {_same, at}} when frame.at - at < @duplicate_us ->
+        {false, core}
+
+      recent ->
+        recent =
+          if map_size(recent) < 64,
+            do: recent,
+            else: Map.filter(recent, fn {_, {_, at}} -> frame.at - at < @copy_us end)
+
+        recent = if map_size(recent) < 256, do: recent, else: %{}
+        {true, %{core | recent_texts: Map.put(recent, key, {link, frame.at})}}
+    end
+  end
+
+  # Parameters of one read are one observation: a list of a thousand is not a thousand steps.
+  defp add_param(
+         [{:observe, %{kind: :params, at: at, boot_ms: boot_ms, data: values} = params} | rest],
+         at,
+         boot_ms,
+         value
+       ),
+       do: [{:observe, %{params | data: values ++ [value]}} | rest]
+
+  defp add_param(actions, at, boot_ms, value),
+    do: [{:observe, Observation.new(:params, at, boot_ms, [value])} | actions]
+
+  defp later(nil, at), do: at
+  defp later(last, at), do: max(last, at)
+end

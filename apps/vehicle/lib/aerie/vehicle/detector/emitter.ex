@@ -1,0 +1,42 @@
+defmodule Aerie.Vehicle.Detector.Emitter do
+  @moduledoc """
+  Makes events of steps: each event that is within the budget gets the next number. The changes of the detector are made in
+  any case.
+  """
+
+  alias Aerie.Vehicle.{Detector, Event}
+  alias Aerie.Vehicle.Detector.{Budget, Step}
+
+  @doc "The detector after these steps, which happened at `moment` unless they say otherwise, and their events in order."
+  @spec emit(Detector.t(), [Step.t()], Step.moment()) :: {Detector.t(), [Event.t()]}
+  def emit(detector, steps, moment) do
+    {budget, suppressed} = Budget.summaries(detector.budget, moment.at)
+
+    summaries =
+      for data <- suppressed, do: %{Step.event("events.suppressed", data) | moment: %{moment | where: nil}}
+
+    start = Enum.reduce(summaries, {%{detector | budget: budget}, []}, &number/2)
+
+    {detector, events} =
+      Enum.reduce(steps, start, fn step, {detector, events} ->
+        step = %{step | moment: step.moment || moment}
+        step = if where = step.moment.where, do: put_in(step.data["position"], where), else: step
+        {verdict, budget} = spend(detector.budget, step)
+        step = if verdict == :ok, do: step, else: %{step | type: nil}
+        number(step, {%{detector | budget: budget}, events})
+      end)
+
+    {detector, Enum.reverse(events)}
+  end
+
+  defp spend(budget, %{type: nil}), do: {:ok, budget}
+  defp spend(budget, step), do: Budget.take(budget, step.type, step.data, step.moment.at)
+
+  defp number(%{type: nil} = step, {detector, events}), do: {struct!(detector, step.changes), events}
+
+  defp number(%{type: type, data: data, moment: moment} = step, {detector, events}) do
+    seq = detector.seq + 1
+    event = Event.new(detector.vehicle, type, seq, moment.at, moment.boot_ms, data)
+    {struct!(detector, [seq: seq] ++ step.changes), [event | events]}
+  end
+end

@@ -1,0 +1,111 @@
+defmodule Aerie.Vehicle.Detector.TextConditions do
+  @moduledoc """
+  What follows from a status text: a failsafe, a lost ground station or remote control, a broken fence, the kill switch, a
+  completed mission, who armed.
+  """
+
+  alias Aerie.Vehicle.Detector
+  alias Aerie.Vehicle.Detector.{Failsafe, Losses, StatusTexts, Step}
+
+  # A report about arming is more precise than a text that comes within this time.
+  @reported_us 1_000_000
+
+  @spec steps(Detector.t(), String.t(), Step.moment()) :: {Detector.t(), [Step.t()]}
+  def steps(detector, text, %{at: at} = moment) do
+    detector = detector |> hint(text, at) |> armed_by(text, at)
+    {detector, gcs} = gcs(detector, text)
+    {detector, rc} = Losses.rc(detector, StatusTexts.rc(text), text, at)
+    {detector, kill} = Losses.kill(detector, StatusTexts.kill(text), text)
+    {detector, failsafe} = failsafe(detector, text, moment)
+    {detector, gcs ++ rc ++ kill ++ failsafe ++ fence(detector, text, at) ++ mission(detector, text)}
+  end
+
+  # The text may name the cause of a failsafe. A general "failsafe activated" does not replace a cause named just before.
+  defp hint(detector, text, at) do
+    case StatusTexts.failsafe(text) do
+      nil ->
+        detector
+
+      type ->
+        {known, _reason, _text} = Failsafe.why(detector.failsafe, at, [])
+        reason = StatusTexts.precisely(type, text)
+
+        if type == "unknown" and known != "unknown",
+          do: detector,
+          else: %{detector | failsafe: Failsafe.hint(detector.failsafe, at, type, reason, text)}
+    end
+  end
+
+  # Only for vehicles that send no report about it; texts may be late.
+  defp gcs(%{gcs_reported_at: nil} = detector, text) do
+    case {StatusTexts.gcs(text), detector.gcs_failsafe} do
+      {:lost, false} -> {%{detector | gcs_failsafe: true}, [Step.event("gcs_failsafe", %{"text" => text})]}
+      {:back, true} -> {%{detector | gcs_failsafe: false}, []}
+      _nothing_new -> {detector, []}
+    end
+  end
+
+  defp gcs(detector, _text), do: {detector, []}
+
+  defp armed_by(detector, text, at) do
+    case StatusTexts.armed_by(text) do
+      {armed, reason}
+      when not is_tuple(detector.armed_by) or at - elem(detector.armed_by, 0) > @reported_us ->
+        %{detector | armed_by: {at, armed, reason}}
+
+      _nothing_or_reported ->
+        detector
+    end
+  end
+
+  defp failsafe(detector, text, moment) do
+    facts = Detector.facts(detector)
+
+    {failsafe, steps} =
+      case StatusTexts.activation(text) do
+        # The report says more (`Detector.Px4Reports`).
+        {:begins, _type} when detector.reports ->
+          {detector.failsafe, []}
+
+        {:begins, type} ->
+          named = %{by: :text, type: type, reason: StatusTexts.precisely(type, text), text: text}
+          named = named |> Map.merge(StatusTexts.hold(text)) |> with_cause(detector, moment.at)
+          Failsafe.start(detector.failsafe, named, facts, moment)
+
+        {:over, type} ->
+          Failsafe.clear(detector.failsafe, {:type, type}, "text", facts, moment)
+
+        nil ->
+          {detector.failsafe, []}
+      end
+
+    {%{detector | failsafe: failsafe}, steps}
+  end
+
+  # "Failsafe activated": the cause was named just before.
+  defp with_cause(%{type: "unknown"} = facts, detector, at) do
+    {type, reason, _text} = Failsafe.why(detector.failsafe, at, [])
+    %{facts | type: type, reason: reason}
+  end
+
+  defp with_cause(facts, _detector, _at), do: facts
+
+  # FENCE_STATUS and PX4's checks are better sources, if they come.
+  defp fence(detector, text, at) do
+    reported? =
+      is_map_key(detector.last, :fence_breach) or is_map_key(detector.last, :fence_check) or
+        Detector.fence_reported?(detector, at)
+
+    if not reported? and StatusTexts.fence?(text),
+      do: [Step.event("geofence", %{"text" => text}, fence_event_at: at)],
+      else: []
+  end
+
+  defp mission(detector, text) do
+    last = detector.last[:mission_seq] || :unknown
+
+    if detector.mission_completed == nil and StatusTexts.mission_completed?(text),
+      do: [Step.event("mission.completed", %{"text" => text}, mission_completed: last)],
+      else: []
+  end
+end

@@ -1,0 +1,265 @@
+defmodule Aerie.Vehicle.Event.Types do
+  @moduledoc """
+  All event types of a vehicle, as a table: when each occurs, what shows it, and the fields of its data with unit and meaning.
+  `Aerie.Vehicle.Event.types/0`, `docs/telemetry.md` and the table in `vehicle/README.md` are made from it.
+
+  Any field may be null if nothing is known. An event that the vehicle's state shows may also have `position`: where the vehicle
+  was then.
+  """
+
+  @typedoc "A field of an event's data; `unit` is nil for a field without one."
+  @type field :: %{
+          name: String.t(),
+          type: :string | :number | :integer | :boolean | :list | :object | :any,
+          unit: String.t() | nil,
+          meaning: String.t()
+        }
+  @type t :: %{type: String.t(), when: String.t(), source: String.t(), fields: [field()]}
+
+  @mode {"mode", :string, nil, "the mode at that time"}
+  @text {"text", :string, nil, "the vehicle's text"}
+  @lasted {"duration", :number, "s", "how long it was lost"}
+  @found [
+    {"found", :boolean, nil,
+     "true: it happened while the gateway was not running, and was noticed afterwards"},
+    {"since", :string, nil, "with `found`: the last time at which the old value was known to hold"}
+  ]
+  @battery [
+    {"battery", :integer, nil, "id of the battery; null if the message does not say"},
+    {"remaining", :number, "0..1", "remaining charge"},
+    {"voltage", :number, "V", "voltage, from the same message"},
+    {"charge_state", :string, nil, "MAV_BATTERY_CHARGE_STATE"}
+  ]
+  @signing [
+    {"link", :string, nil, "the link"},
+    {"component", :integer, nil, "the vehicle's component"},
+    {"by", :string, nil, "who asked for it"}
+  ]
+  @failsafe_types "`rc`, `gcs`, `battery`, `fence`, `gps`, `position`, `ekf`, `offboard`, `terrain`, `vibration`, `leak`, `crash`, `unknown`"
+
+  table = [
+    {"armed", "the vehicle is armed", "HEARTBEAT; for the reason: PX4's report commander_armed_by, texts",
+     [
+       @mode,
+       {"reason", :string, nil, "who or what armed it, if the vehicle says so: command_external, rc_switch …"}
+       | @found
+     ]},
+    {"disarmed", "the vehicle is disarmed", "as `armed`",
+     [
+       @mode,
+       {"reason", :string, nil,
+        "who or what disarmed it, if the vehicle says so: landing, kill_switch, command_external …"}
+       | @found
+     ]},
+    {"mode_change", "the flight mode changes, whatever the cause", "HEARTBEAT, HIGH_LATENCY2",
+     [{"from", :string, nil, "the old mode"}, {"to", :string, nil, "the new mode"} | @found]},
+    {"takeoff", "the vehicle leaves the ground",
+     "EXTENDED_SYS_STATE; without it ArduPilot's system status, or the height", [@mode | @found]},
+    {"landed", "the vehicle is on the ground again", "as `takeoff`", [@mode | @found]},
+    {"failsafe", "a failsafe begins, or is active when the vehicle is first heard",
+     "whichever comes first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle itself chooses",
+     [
+       {"type", :string, nil, "what it is about: " <> @failsafe_types},
+       {"reason", :string, nil,
+        "the cause as precisely as the vehicle says it, such as critical_battery_level; otherwise the type"},
+       {"action", :string, nil,
+        "what the vehicle does: rtl, land, descend, hold …; none if the mode stays the same"},
+       {"delay", :number, "s", "how long the vehicle waits before it acts, if it says so"},
+       {"text", :string, nil, "the text that reported it"},
+       {"report", :string, nil, "name of the report (EVENT) that reported it"},
+       @mode,
+       {"system_status", :string, nil, "MAV_STATE at that time"},
+       {"found", :boolean, nil, "true: it was active when the vehicle was first heard"}
+     ]},
+    {"failsafe.cleared", "a failsafe is over",
+     "system status, a text (… Cleared), a report; disarming, if the system status never showed the failsafe",
+     [
+       {"type", :string, nil, "type of the failsafe"},
+       {"reason", :string, nil, "reason of the failsafe"},
+       {"duration", :number, "s", "how long it was active"},
+       {"by", :string, nil, "what shows the end: status, text, report, disarmed, reboot"}
+     ]},
+    {"geofence", "the vehicle breaches a fence",
+     "FENCE_STATUS, PX4's checks (EVENT); a text if neither comes",
+     [
+       {"breach", :string, nil, "FENCE_BREACH; for PX4 MAX_HOR_DIST, MAX_ALT, CUSTOM_GF"},
+       @text
+     ]},
+    {"geofence.cleared", "the vehicle is inside its fence again, or the fence is disabled",
+     "as `geofence`, but never a text; the parameter FENCE_ENABLE",
+     [
+       {"breach", :string, nil, "as in `geofence`"},
+       {"duration", :number, "s", "how long the breach lasted"}
+     ]},
+    {"battery.low", "a battery is low",
+     "BATTERY_STATUS of each battery; without it SYS_STATUS and HIGH_LATENCY2; with the thresholds of the configuration",
+     @battery},
+    {"battery.critical", "a battery is nearly empty", "as `battery.low`", @battery},
+    {"rc.lost", "the remote control is lost", "reports, texts, and the receiver's health in SYS_STATUS",
+     [@text]},
+    {"rc.restored", "the remote control is back", "as `rc.lost`", [@text, @lasted]},
+    {"gps.lost", "an armed vehicle loses its GNSS position", "GPS_RAW_INT: a fix of 3 or more becomes less",
+     [{"fix_name", :string, nil, "the present GPS_FIX_TYPE"}]},
+    {"gps.restored", "the GNSS position is back", "GPS_RAW_INT", [@lasted]},
+    {"position.lost", "in the air, the estimator loses the position",
+     "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", []},
+    {"position.restored", "the estimator knows the position again", "as `position.lost`", [@lasted]},
+    {"kill_switch.engaged", "the kill switch stops the motors", "PX4's reports, texts of both firmwares",
+     [@text]},
+    {"kill_switch.released", "the kill switch is released", "as `kill_switch.engaged`", [@text]},
+    {"link.lost", "the vehicle was not heard for timeouts.vehicle_lost_s", "silence",
+     [
+       {"silent_s", :number, "s", "how long it was silent"},
+       {"found", :boolean, nil, "true: it was heard before the gateway was started, and not since"},
+       {"since", :string, nil, "with `found`: the last time at which it was not lost"}
+     ]},
+    {"link.restored", "a lost vehicle is heard again", "any frame of its autopilot", []},
+    {"reboot", "the vehicle was restarted", "`time_boot_ms` begins anew",
+     [{"time_boot_ms", :integer, "ms", "the vehicle's clock"}]},
+    {"collision", "two vehicles use one system id",
+     "boot times, positions, types or unique ids that alternate",
+     [
+       {"sign", :string, nil, "what alternates: time_boot_ms, position, type, uid"},
+       {"links", :list, nil,
+        "two lists: the links of the vehicle that keeps the id, and those of the other one"}
+     ]},
+    {"statustext", "the vehicle sends a text", "STATUSTEXT",
+     [
+       {"severity", :integer, nil, "0 emergency to 7 debug"},
+       {"severity_name", :string, nil, "MAV_SEVERITY"},
+       {"text", :string, nil, "the whole text"}
+     ]},
+    {"report", "the vehicle sends a report that is not also a text", "EVENT",
+     [
+       {"id", :string, nil, "id of the report, hexadecimal"},
+       {"name", :string, nil, "name of the report"},
+       {"severity", :integer, nil, "level for users, 0 emergency to 7 debug"},
+       {"severity_name", :string, nil, "MAV_SEVERITY"},
+       {"internal_severity", :integer, nil, "level for the log"},
+       {"arguments", :string, nil, "the bytes of the arguments, hexadecimal"},
+       {"values", :list, nil,
+        "the arguments, if their layout is known: numbers, enum labels, lists of labels"},
+       {"component", :integer, nil, "the component that sent it"},
+       {"sequence", :integer, nil, "its number there; a component's reports come in this order"},
+       {"late_s", :number, "s",
+        "how long after it happened (the event's time) it was received, if that is more than two seconds"}
+     ]},
+    {"events.suppressed", "more events of a type occurred than are published",
+     "`Aerie.Vehicle.Detector.Budget`: of each type 60 at once and two a second, texts by their urgency",
+     [
+       {"of", :string, nil, "the type"},
+       {"count", :integer, nil, "how many were suppressed"},
+       {"first", :string, nil, "time of the first one"},
+       {"last", :string, nil, "time of the last one"},
+       {"last_data", :object, nil, "data of the last one: what is true now"},
+       {"text", :string, nil, "a summary: 440 more texts"}
+     ]},
+    {"param_changed", "a parameter has a new value", "PARAM_VALUE",
+     [
+       {"name", :string, nil, "the parameter"},
+       {"from", :any, nil, "the old value"},
+       {"to", :any, nil, "the new value"},
+       {"index", :integer, nil, "index in the parameter list"}
+     ]},
+    {"mission.reached", "the vehicle reaches a mission item", "MISSION_ITEM_REACHED",
+     [
+       {"seq", :integer, nil, "number of the item"},
+       {"total", :integer, nil, "number of items"}
+     ]},
+    {"mission.completed", "the mission is over", "MISSION_CURRENT, a text, or inferred",
+     [
+       {"seq", :integer, nil, "number of the last item"},
+       {"total", :integer, nil, "number of items"},
+       {"before", :string, nil, "the MISSION_STATE before"},
+       @text,
+       {"inferred", :boolean, nil,
+        "true: the vehicle did not say so, but landed and disarmed at its last item"}
+     ]},
+    {"gcs_failsafe", "the vehicle reports that it lost its ground station",
+     "PX4's report commander_gcs_lost, a text",
+     [@text, {"report", :string, nil, "name of the report (EVENT)"}]},
+    {"gcs.lost", "the ground station that the vehicle's failsafe listens to falls silent",
+     "heartbeats on the vehicle's network, and the vehicle's parameters",
+     [
+       {"system", :integer, nil, "system id of the ground station"},
+       {"timeout_s", :number, "s", "the silence after which the failsafe acts"},
+       {"failsafe_enabled", :boolean, nil, "whether the failsafe is enabled"}
+     ]},
+    {"gcs.restored", "that ground station is heard again", "as `gcs.lost`",
+     [{"system", :integer, nil, "system id of the ground station"}]},
+    {"stream.contested", "another program changes message rates that the gateway requested",
+     "measured rates, MESSAGE_INTERVAL",
+     [
+       {"messages", :list, nil,
+        "for each message: id, name, asked_hz, found_hz, yielded (whether the gateway leaves the rate to the other program)"}
+     ]},
+    {"displaced", "a lost vehicle makes room for another one", "limits.max_vehicles",
+     [
+       {"by", :string, nil, "the vehicle that takes its place"},
+       {"lost_s", :number, "s", "how long it was lost"}
+     ]},
+    {"gateway.started", "a gateway starts; `vehicle` is the gateway's name",
+     "the start, and what was stored on disk before it",
+     [
+       {"version", :string, nil, "version of the gateway"},
+       {"previous_epoch", :integer, nil, "the epoch before, null if unknown"},
+       {"ended", :string, nil, "how the gateway ended before: orderly, killed"},
+       {"vehicles", :list, nil,
+        "the vehicles whose state was stored; changes since then are published when they are heard"}
+     ]},
+    {"operator.changed", "another one is in charge of the vehicle, or nobody any more",
+     "`take_control`, `release_control`",
+     [
+       {"operator", :string, nil, "who alone commands the vehicle through the gateway; null for nobody"},
+       {"before", :string, nil, "who was in charge before"},
+       {"via", :string, nil, "the way that it was taken: nats, rest, elixir, mavlink"},
+       {"reason", :string, nil, "why it was taken over"}
+     ]},
+    {"signing.rejected", "frames of the vehicle are rejected", "signatures",
+     [
+       {"link", :string, nil, "the link that they came by"},
+       {"component", :integer, nil, "the component that sent them"},
+       {"reasons", :object, nil, "how many for each reason"}
+     ]},
+    {"signing.enrolled", "the vehicle was given its signing key", "an operator's request", @signing},
+    {"signing.revoked", "the vehicle's signing key was removed", "an operator's request", @signing},
+    {"signing.failed", "the vehicle's signing key could not be set or removed", "an operator's request",
+     [
+       {"what", :string, nil, "enrolled or revoked"},
+       {"reason", :string, nil, "why it failed"}
+       | @signing
+     ]}
+  ]
+
+  all =
+    for {type, moment, source, fields} <- table do
+      fields =
+        for {name, kind, unit, meaning} <- fields, do: %{name: name, type: kind, unit: unit, meaning: meaning}
+
+      %{type: type, when: moment, source: source, fields: fields}
+    end
+
+  @all all
+  @names Enum.map(all, & &1.type)
+
+  @doc "All types, in the order of the documentation."
+  @spec all() :: [t()]
+  def all, do: @all
+
+  @doc "The names of all types."
+  @spec names() :: [String.t()]
+  def names, do: @names
+
+  @doc "The table as Markdown, for the README of `vehicle/`."
+  @spec markdown() :: String.t()
+  def markdown do
+    rows =
+      for t <- @all,
+          do: "| `#{t.type}` | #{t.when} | #{Enum.map_join(t.fields, "; ", &field/1)} | #{t.source} |\n"
+
+    IO.iodata_to_binary(["| event | when | data | shown by |\n|---|---|---|---|\n", rows])
+  end
+
+  defp field(%{unit: nil} = field), do: "`#{field.name}`: #{field.meaning}"
+  defp field(field), do: "`#{field.name}` (#{field.unit}): #{field.meaning}"
+end

@@ -1,0 +1,55 @@
+defmodule Aerie.Vehicle.Sampling.Settings do
+  @moduledoc "How often each group of a vehicle's state is published."
+  use Aerie.Settings
+
+  @groups [
+    position: {:time, 1.0, %{}, 30.0},
+    attitude: {:time, 1.0, %{}, 30.0},
+    velocity: {:time, 1.0, %{}, 30.0},
+    battery: {:threshold, 1.0, %{"remaining" => 0.01}, 30.0},
+    gps: {:change, 0.5, %{}, 30.0},
+    mode: {:change, 10.0, %{}, 30.0},
+    health: {:change, 1.0, %{}, 30.0},
+    home: {:change, 1.0, %{}, 60.0},
+    mission: {:change, 1.0, %{}, 60.0},
+    rc: {:time, 0.2, %{}, 60.0},
+    operator: {:change, 10.0, %{}, 60.0},
+    link: {:aggregate, 0.2, %{}, 60.0}
+  ]
+
+  section "sampling", "How often each group of a vehicle's state is published. Full rate stays inside."
+
+  setting :position_hz, {:number, 0.001, 100}, "Short for groups.position.hz.", example: "1"
+  setting :attitude_hz, {:number, 0.001, 100}, "Short for groups.attitude.hz.", example: "1"
+
+  setting :battery_change_threshold,
+          {:number, 0, 1},
+          """
+          Battery is published when its remaining charge (0 to 1) has changed by this; short for
+          groups.battery.threshold.remaining.
+          """,
+          example: "0.01"
+
+  setting :groups,
+          {:section, Enum.map(@groups, &group/1)},
+          """
+          Strategies: time (mean over each period), change (when a value differs), threshold (when a value named under
+          threshold has moved by its amount), aggregate (min, max and mean over each period). hz is the rate, for change
+          and threshold the highest one. After refresh_s seconds a value is published even if nothing moved; 0: never.
+          """
+
+  defp group({name, {strategy, hz, threshold, refresh}}) do
+    fields = [
+      field(:strategy, {:enum, [:time, :change, :threshold, :aggregate]}, "", default: strategy),
+      field(:hz, {:number, 0.001, 100}, "", default: hz),
+      field(:threshold, {:map, {:number, 0, 1_000_000_000}}, "", default: threshold),
+      field(:refresh_s, {:number, 0, 86_400}, "", default: refresh)
+    ]
+
+    section(name, "", fields)
+  end
+
+  @doc "Settings of groups, of which those that are left out, and all keys that are, have their defaults."
+  @spec groups(map()) :: %{atom() => map()}
+  def groups(given), do: from(%{sampling: %{groups: given}}).groups
+end

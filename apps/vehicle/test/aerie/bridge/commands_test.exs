@@ -1,0 +1,193 @@
+defmodule Aerie.Bridge.CommandsTest do
+  @moduledoc "Commands by a real nats-server; the test is the vehicle's executor."
+  use Aerie.BridgeCase, async: true
+
+  import Aerie.DoorCase
+
+  alias Aerie.Policy.Signature
+  alias Gnat.Nkey
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  setup %{tmp_dir: dir} = context do
+    gateway = start_bridge(config(dir))
+    key = Nkey.generate(:user)
+
+    sources = [
+      %{name: "ops", nkey: key.public},
+      %{name: "wall", nkey: Nkey.generate(:user).public, role: :viewer}
+    ]
+
+    policy =
+      [sources: sources, rates: [%{types: ["gripper"], per_minute: 1, burst: 1}]] ++ (context[:policy] || [])
+
+    start_door(dir, gateway: gateway, policy: policy)
+    conn = client(await_up(gateway))
+    await_listening(gateway, ["VID-007"])
+    %{gateway: gateway, conn: conn, key: key}
+  end
+
+  defp subject(type), do: "fleet.test.VID-007.cmd.#{type}"
+
+  # Asks in a task, signed if there is a key.
+  defp ask(context, type, body, options \\ []) do
+    body = if is_binary(body), do: body, else: JSON.encode!(body)
+    key = Keyword.get(options, :key, context.key)
+
+    signature =
+      if key,
+        do: [{"Aerie-Signature", Signature.sign(key, subject(type), body, DateTime.utc_now())}],
+        else: []
+
+    headers = signature ++ Keyword.get(options, :headers, [])
+
+    Task.async(fn ->
+      {:ok, %{body: reply}} = Gnat.request(context.conn, subject(type), body, headers: headers)
+      JSON.decode!(reply)
+    end)
+  end
+
+  defp reply(task), do: Task.await(task, Aerie.Patience.ms())
+
+  test "a signed command: carried out in the name of the key, with progress, and again the stored result",
+       context do
+    {:ok, _sid} = Gnat.sub(context.conn, self(), subject("takeoff") <> ".progress.*")
+    body = %{"id" => "t1", "params" => %{"altitude" => 20}, "source" => "tablet 3"}
+    task = ask(context, "takeoff", body)
+
+    assert_receive {:"$gen_call", from,
+                    {:submit, %{id: "t1", source: "ops", params: %{altitude: 20.0}}, desk}}
+
+    send(desk, {:command_progress, "t1", %{"progress" => 0.25, "text" => "climbing"}})
+    assert_receive {:msg, %{topic: "fleet.test.VID-007.cmd.takeoff.progress.t1", body: progress}}
+    assert JSON.decode!(progress) == %{"id" => "t1", "progress" => 0.25, "text" => "climbing"}
+    answer(from, "t1", :completed)
+    assert %{"id" => "t1", "result" => "completed", "reason" => nil} = reply(task)
+    assert %{"id" => "t1", "result" => "completed"} = context |> ask("takeoff", body) |> reply()
+
+    assert [%{"says" => "tablet 3", "source" => "ops", "via" => "nats"}] =
+             for(%{"decision" => "allow"} = record <- audit(context.tmp_dir), do: record)
+  end
+
+  test "out of the box nobody commands: unsigned, by an unknown key, for another subject, changed", context do
+    land = %{"id" => "l"}
+
+    assert %{"id" => "l", "result" => "denied", "rule" => "signature"} =
+             context |> ask("land", land, key: nil) |> reply()
+
+    other = Nkey.generate(:user)
+    assert %{"rule" => "signature", "reason" => reason} = context |> ask("land", land, key: other) |> reply()
+    assert reason =~ "is not one of policy.sources"
+
+    signature = Signature.sign(context.key, subject("hold"), JSON.encode!(land), DateTime.utc_now())
+    headers = [{"Aerie-Signature", signature}]
+    assert %{"rule" => "signature"} = context |> ask("land", land, key: nil, headers: headers) |> reply()
+
+    old =
+      Signature.sign(context.key, subject("land"), JSON.encode!(land), DateTime.add(DateTime.utc_now(), -90))
+
+    assert %{"rule" => "signature"} =
+             context |> ask("land", land, key: nil, headers: [{"Aerie-Signature", old}]) |> reply()
+
+    refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
+    # A flood has one record in five seconds.
+    assert [%{"type" => "opened"}, %{"rule" => "signature", "command" => "land"}] = audit(context.tmp_dir)
+  end
+
+  @tag policy: [unsigned: :operator]
+  test "policy.unsigned: whoever may publish has that role; headers stand for keys of the body", context do
+    past = "#{System.os_time(:second) - 1}"
+
+    assert %{"result" => "expired"} =
+             context |> ask("land", %{"id" => "e"}, key: nil, headers: [{"Aerie-Deadline", past}]) |> reply()
+
+    task = ask(context, "land", %{"id" => "l"}, key: nil, headers: [{"Aerie-Source", "tower"}])
+    answer(executing(%{id: "l", source: "unsigned"}), "l", :completed)
+    assert %{"result" => "completed"} = reply(task)
+    assert %{"rule" => "role"} = context |> ask("force_disarm", %{"id" => "f"}, key: nil) |> reply()
+    assert "tower" in for(%{"says" => says} <- audit(context.tmp_dir), do: says)
+  end
+
+  test "each refusal says why", context do
+    assert %{"rule" => "malformed", "errors" => [%{"key" => "id"}]} = context |> ask("land", %{}) |> reply()
+    assert %{"rule" => "malformed"} = context |> ask("land", "[]") |> reply()
+
+    assert %{"rule" => "malformed", "errors" => [%{"key" => "type"}]} =
+             context |> ask("dance", %{"id" => "d"}) |> reply()
+
+    assert %{"result" => "rejected", "errors" => [%{"key" => "params.altitude", "got" => "5000"}]} =
+             context |> ask("takeoff", %{"id" => "t", "params" => %{"altitude" => 5000}}) |> reply()
+
+    assert %{"rule" => "malformed"} =
+             context |> ask("land", %{"id" => "x", "vehicle" => "VID-008"}) |> reply()
+
+    deadline = [{"Aerie-Deadline", "2026-11-22T09:00:10Z"}]
+
+    assert %{"rule" => "malformed", "reason" => "Aerie-Deadline" <> _} =
+             context |> ask("land", %{"id" => "x"}, headers: deadline) |> reply()
+
+    long = %{"id" => "long", "source" => String.duplicate("x", 20_000)}
+    assert %{"result" => "rejected", "rule" => "size"} = context |> ask("land", long) |> reply()
+    assert %{"rule" => "role"} = context |> ask("reboot", %{"id" => "r"}) |> reply()
+
+    assert %{"result" => "expired"} =
+             context |> ask("arm", %{"id" => "e", "deadline" => System.os_time(:second) - 1}) |> reply()
+
+    grip = %{"id" => "g", "params" => %{"action" => "grab"}}
+    task = ask(context, "gripper", grip)
+    answer(executing(%{id: "g"}), "g", :accepted)
+    assert %{"result" => "accepted"} = reply(task)
+
+    assert %{"result" => "denied", "rule" => "rate"} =
+             context |> ask("gripper", %{grip | "id" => "g2"}) |> reply()
+
+    assert %{"result" => "rejected", "rule" => "id"} = context |> ask("land", %{"id" => "g"}) |> reply()
+  end
+
+  test "cancelling", context do
+    task = ask(context, "takeoff", %{"id" => "t", "params" => %{"altitude" => 5}})
+    from = executing(%{id: "t"})
+    cancel = ask(context, "cancel", %{"id" => "t"})
+    assert_receive {:"$gen_call", canceller, {:cancel, "t"}}
+    GenServer.reply(canceller, :ok)
+    assert %{"id" => "t", "result" => "accepted"} = reply(cancel)
+    answer(from, "t", :cancelled)
+    assert %{"result" => "cancelled"} = reply(task)
+    assert %{"result" => "rejected"} = context |> ask("cancel", %{"id" => "t"}) |> reply()
+  end
+
+  test "only vehicles that were heard have a subject, and a new connection listens again", context do
+    %{gateway: gateway, tmp_dir: dir} = context
+    {:ok, asker} = Gnat.start_link(Map.merge(login(gateway), %{no_responders: true}))
+    assert {:error, :no_responders} = Gnat.request(asker, "fleet.test.VID-008.cmd.land", "{}")
+
+    old = Bridge.connection(gateway)
+    for conn <- [asker, context.conn], do: Process.unlink(conn)
+    kill9(server_pid(dir))
+    await_reconnected(gateway, old)
+    await_listening(gateway, ["VID-007"])
+    context = %{context | conn: client(Bridge.login_url(gateway))}
+    task = ask(context, "land", %{"id" => "l"})
+    answer(executing(%{id: "l"}), "l", :completed)
+    assert %{"result" => "completed"} = reply(task)
+    :ok = Store.delete_vehicle(gateway, {"main", 7})
+    eventually(fn -> Bridge.Commands.vehicles(gateway) == [] end)
+  end
+
+  defp login(gateway) do
+    uri = URI.parse(Bridge.login_url(gateway))
+    %{token: uri.userinfo, host: uri.host, port: uri.port}
+  end
+
+  test "no command is in a stream", context do
+    task = ask(context, "land", %{"id" => "l"})
+    answer(executing(%{id: "l"}), "l", :completed)
+    assert %{"result" => "completed"} = reply(task)
+
+    for stream <- ~w(FLEET_STATE FLEET_EVENTS) do
+      {:ok, %{config: %{subjects: subjects}}} = Gnat.Jetstream.API.Stream.info(context.conn, stream)
+      refute Enum.any?(subjects, &(&1 =~ "cmd" or &1 =~ ~r/\*\.>$/))
+    end
+  end
+end

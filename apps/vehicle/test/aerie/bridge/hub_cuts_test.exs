@@ -1,0 +1,277 @@
+defmodule Aerie.Bridge.HubCutsTest do
+  @moduledoc """
+  Leaf nodes over every cut: real servers. Each test counts what the hub's stream has in the end: every event of every vehicle once
+  and in its order. The long ones print their figures.
+  """
+  use Aerie.BridgeCase, async: true
+
+  alias Aerie.HubServer
+  alias Gnat.Jetstream.API.Stream
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @unshare System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) == 0
+
+  defp names(n), do: for(i <- 1..n, do: "V#{i}")
+
+  defp start(dir, n, options \\ []) do
+    hub = HubServer.start(dir, names(n), options)
+    fleet = start_bridge(HubServer.gateway(hub, options[:settings] || []))
+    await_up(fleet)
+    leaves = for id <- names(n), do: {id, start_bridge(HubServer.leaf(hub, id), epoch: 1)}
+    for {_id, leaf} <- leaves, do: HubServer.await_hub(leaf)
+    %{hub: hub, fleet: fleet, leaves: leaves}
+  end
+
+  defp make(leaves, seqs), do: for({id, leaf} <- leaves, do: commit(leaf, id, seqs))
+
+  # All that was made is stored aboard.
+  defp await_aboard(leaves), do: for({_id, leaf} <- leaves, do: await_empty(leaf))
+
+  defp conn(hub, host \\ "127.0.0.1") do
+    eventually(fn ->
+      case HubServer.client(hub, host) do
+        {:ok, conn} -> conn
+        {:error, _not_yet} -> nil
+      end
+    end)
+  end
+
+  # One read of the stream at a time: of each vehicle, the numbers and which of them came late.
+  defp arrived(conn, vehicles) do
+    stored = events(conn)
+
+    Map.new(vehicles, fn id ->
+      {id, for({^id, seq, head} <- stored, do: {seq, head =~ "Aerie-Backfill"})}
+    end)
+  end
+
+  defp await_all(conn, leaves, n) do
+    await_stored(conn, n * length(leaves))
+
+    for {id, rows} <- arrived(conn, Enum.map(leaves, &elem(&1, 0))),
+        do: assert({id, Enum.map(rows, &elem(&1, 0))} == {id, Enum.to_list(1..n)})
+  end
+
+  # Whatever its servers say meanwhile.
+  defp await_stored(conn, n) do
+    eventually(fn ->
+      case Stream.info(conn, "FLEET_EVENTS") do
+        {:ok, %{state: %{messages: messages}}} -> messages >= n
+        {:error, _not_now} -> false
+      end
+    end)
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+
+  # Killed, away for a while in which 40 events are made for each vehicle, and back.
+  defp gone(dir, vehicles, away_ms) do
+    # Clients end with their server.
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: leaves} = start(dir, vehicles)
+    make(leaves, 1..10)
+    await_all(conn(hub), leaves, 10)
+    HubServer.kill(hub)
+    for {_id, leaf} <- leaves, do: await(leaf, :hub, &(&1[:status] == :down))
+
+    for n <- 11..50 do
+      make(leaves, n..n)
+      if away_ms > 0, do: Process.sleep(div(away_ms, 40))
+    end
+
+    for {id, leaf} <- leaves,
+        do: :ok = Bridge.publish_state(leaf, id, :mode, %{name: "RTL"}, 1_700_000_000_000_000)
+
+    await_aboard(leaves)
+    # The vehicle's own NATS goes on, and says how much waits.
+    for {_id, leaf} <- leaves do
+      await(leaf, :hub, &(&1[:status] == :down and &1[:waiting] >= 40))
+      assert Bridge.info(leaf).problem == nil
+    end
+
+    HubServer.restart(hub)
+    begun = now()
+    for {_id, leaf} <- leaves, do: await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+    converged = now() - begun
+    conn = conn(hub)
+    await_all(conn, leaves, 50)
+    make(leaves, 51..51)
+    await_all(conn, leaves, 51)
+
+    for {id, rows} <- arrived(conn, names(vehicles)) do
+      late = for {seq, true} <- rows, do: seq
+      assert Enum.all?(11..50, &(&1 in late)), id
+      refute 51 in late
+
+      assert {:ok, %{hdrs: hdrs}} =
+               Stream.get_message(conn, "FLEET_STATE", %{last_by_subj: "fleet.test.#{id}.state.mode"})
+
+      assert hdrs =~ "Aerie-Backfill: true"
+    end
+
+    converged
+  end
+
+  test "the hub is gone: events wait aboard, arrive once, in order and marked; the last value too", %{
+    tmp_dir: dir
+  } do
+    assert gone(dir, 2, 0) >= 0
+  end
+
+  @tag :long
+  @tag timeout: 600_000
+  test "the hub is gone for half a minute, with 20 vehicles", %{tmp_dir: dir} do
+    ms = gone(dir, 20, 30_000)
+    IO.puts("20 vehicles, hub gone 30 s: 800 events late, 0 lost, 0 doubled, converged in #{ms} ms")
+  end
+
+  @tag :soak
+  @tag timeout: 3_600_000
+  test "the hub is gone for ten minutes, with 20 vehicles", %{tmp_dir: dir} do
+    ms = gone(dir, 20, 600_000)
+    IO.puts("20 vehicles, hub gone 10 min: 800 events late, 0 lost, 0 doubled, converged in #{ms} ms")
+  end
+
+  test "the leaf's server is killed, then its whole bridge restarts while the hub is away", %{tmp_dir: dir} do
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)
+    make(leaves, 1..10)
+    kill9(server_pid(Path.join(dir, id)))
+    make(leaves, 11..20)
+    await_all(conn(hub), leaves, 20)
+    HubServer.kill(hub)
+    await(leaf, :hub, &(&1[:status] == :down))
+    make(leaves, 21..30)
+    await_aboard(leaves)
+    stop_bridge(leaf)
+    start_bridge_again(leaf, HubServer.leaf(hub, id))
+    make(leaves, 31..40)
+    await_aboard(leaves)
+    HubServer.restart(hub)
+    await_stored(conn(hub), 40)
+
+    await_all(conn(hub), leaves, 40)
+  end
+
+  test "somebody deletes the hub's stream: its gateway makes it anew, and what comes then is there", %{
+    tmp_dir: dir
+  } do
+    %{hub: hub, fleet: fleet, leaves: [{id, leaf}] = leaves} = start(dir, 1)
+    make(leaves, 1..10)
+    conn = conn(hub)
+    await_all(conn, leaves, 10)
+    :ok = Stream.delete(conn, "FLEET_EVENTS")
+    make(leaves, 11..20)
+    await_aboard(leaves)
+    # The gateway looks after its streams when one of its own events is refused, and now and then.
+    commit(fleet, "gateway-hub", 1..1)
+    await_stored(conn, 11)
+    await(leaf, :hub, &(&1[:waiting] == 0))
+    assert for({^id, seq, _} <- events(conn), do: seq) == Enum.to_list(11..20)
+  end
+
+  test "the local stream overflows while the hub is away: a marker stands where events are missing", %{
+    tmp_dir: dir
+  } do
+    Process.flag(:trap_exit, true)
+    hub = HubServer.start(dir, ["V1"])
+    start_bridge(HubServer.gateway(hub)) |> await_up()
+    leaf = start_bridge(HubServer.leaf(hub, "V1", [{"nats.streams.event_max_mb", 1}]), epoch: 1)
+    HubServer.await_hub(leaf)
+
+    big = fn seq ->
+      Event.new("V1", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 20_000)})
+    end
+
+    :ok = Fleet.Journal.commit(leaf, "V1", :some_state, Enum.map(1..5, big))
+    await(leaf, :hub, &(&1[:waiting] == 0))
+    HubServer.kill(hub)
+    await(leaf, :hub, &(&1[:status] == :down))
+    for n <- 6..100, do: :ok = Fleet.Journal.commit(leaf, "V1", :some_state, [big.(n)])
+    await_empty(leaf)
+    HubServer.restart(hub)
+    %{lost: lost} = await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+    conn = conn(hub)
+    rows = for({"V1", seq, _} <- events(conn), do: seq)
+
+    assert [1, 2, 3, 4, 5, nil, first | rest] = rows
+    assert [first | rest] == Enum.to_list(first..100)
+    assert lost == first - 6 and lost > 0
+
+    {:ok, %{data: marker}} =
+      Stream.get_message(conn, "FLEET_EVENTS", %{last_by_subj: "fleet.test.V1.event.events.lost"})
+
+    to = first - 1
+
+    assert %{"type" => "events.lost", "seq" => nil, "data" => %{"from" => 6, "to" => ^to, "lost" => ^lost}} =
+             JSON.decode!(marker)
+
+    assert metric(leaf, "gateway_hub_events_lost_total") == lost
+  end
+
+  test "the vehicle's clock jumps an hour forth and back: every event once, in order, no marker", %{
+    tmp_dir: dir
+  } do
+    %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)
+    hour = 3_600_000_000
+
+    for {seq, jump} <- Enum.zip(1..30, Elixir.Stream.cycle([0, hour, -hour])) do
+      event = Event.new(id, "statustext", seq, 1_700_000_000_000_000 + seq + jump, seq, %{"n" => seq})
+      :ok = Fleet.Journal.commit(leaf, id, :some_state, [event])
+    end
+
+    await_all(conn(hub), leaves, 30)
+  end
+
+  test "a reader that does not read keeps nobody waiting", %{tmp_dir: dir} do
+    %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)
+    slow = conn(hub)
+    {:ok, _} = Gnat.sub(slow, self(), "fleet.>")
+    :sys.suspend(slow)
+
+    for seq <- 1..400 do
+      event = Event.new(id, "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 20_000)})
+      :ok = Fleet.Journal.commit(leaf, id, :some_state, [event])
+    end
+
+    await_all(conn(hub), leaves, 400)
+    :sys.resume(slow)
+  end
+
+  @tag skip: not @unshare && "no namespaces here"
+  test "the hub's disk is full: nothing is confirmed, nothing is lost", %{tmp_dir: dir} do
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: [{_id, leaf}] = leaves} = start(dir, 1, disk_mb: 8)
+    make(leaves, 1..10)
+    await_all(conn(hub), leaves, 10)
+    filler = HubServer.fill_disk(hub)
+    make(leaves, 11..600)
+    await_aboard(leaves)
+    assert await(leaf, :hub, &(&1[:waiting] > 0 and &1[:problem] != nil)).waiting > 0
+    File.rm!(filler)
+    # A server whose write failed stores nothing until it is started again.
+    HubServer.signal(hub, "TERM")
+    await_all(conn(hub), leaves, 600)
+  end
+
+  test "three servers, three copies: the leader of the stream is killed", %{tmp_dir: dir} do
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: leaves} = start(dir, 2, servers: 3)
+    make(leaves, 1..20)
+    conn = conn(hub)
+    await_all(conn, leaves, 20)
+    {:ok, %{cluster: %{"leader" => leader}, config: %{num_replicas: 3}}} = Stream.info(conn, "FLEET_EVENTS")
+    make(leaves, 21..40)
+    HubServer.kill(hub, leader)
+    make(leaves, 41..60)
+    begun = now()
+    alive = Enum.find(hub.hosts, &(&1 != leader))
+    conn = conn(hub, alive)
+    for {_id, leaf} <- leaves, do: await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+    await_all(conn, leaves, 60)
+    assert now() >= begun
+    {:ok, %{cluster: %{"leader" => other}}} = Stream.info(conn, "FLEET_EVENTS")
+    refute other == leader
+  end
+end

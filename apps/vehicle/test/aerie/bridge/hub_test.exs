@@ -1,0 +1,184 @@
+defmodule Aerie.Bridge.HubTest do
+  @moduledoc "A hub with the files of `bin/nats-setup`, and companions as its leaf nodes: real servers, TLS, nkeys."
+  use Aerie.BridgeCase, async: true
+
+  alias Aerie.HubServer
+  alias Gnat.Jetstream.API.{KV, Stream}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @nobody {:error, :no_responders}
+
+  # The hub's gateway makes the streams; the buckets are those of the shadow.
+  setup %{tmp_dir: dir} do
+    hub = HubServer.start(dir, ["A", "B"])
+    start_bridge(HubServer.gateway(hub)) |> await_up()
+    {:ok, fleet} = HubServer.client(hub)
+
+    for bucket <- ~w(fleet_desired fleet_reported fleet_leases),
+        do: {:ok, _} = KV.create_bucket(fleet, bucket)
+
+    a = start_bridge(HubServer.leaf(hub, "A"))
+    HubServer.await_hub(a)
+    %{hub: hub, fleet: fleet, a: a, client: HubServer.local_client(await_up(a))}
+  end
+
+  defp ask(conn, subject, body \\ "", headers \\ []),
+    do: Gnat.request(conn, subject, body, headers: headers, receive_timeout: 10_000)
+
+  # All that was sent before on the way from the leaf to the hub has arrived.
+  defp flush(client), do: assert({:ok, _info} = ask(client, "hub.info"))
+
+  test "a companion is itself: state, events, commands, its own keys", %{fleet: fleet, client: client, a: a} do
+    {:ok, _} = Gnat.sub(fleet, self(), "fleet.test.A.>")
+    :ok = KV.put_value(fleet, "fleet_desired", "test.A", "wish")
+    :ok = Bridge.publish_state(a, "A", :mode, %{name: "HOLD"}, 1_700_000_000_000_000)
+    assert_receive {:msg, %{topic: "fleet.test.A.state.mode"}}
+    commit(a, "A", 1..3)
+    for _ <- 1..3, do: assert_receive({:msg, %{topic: "fleet.test.A.event.statustext"}})
+    eventually(fn -> for({"A", seq, _} <- events(fleet), do: seq) == [1, 2, 3] end)
+
+    assert {:ok, %{body: "wish"}} = ask(client, "hub.kv.get.fleet_desired.test.A")
+
+    assert {:ok, %{body: "{\"stream\":\"KV_fleet_reported\"" <> _}} =
+             ask(client, "hub.kv.put.fleet_reported.test.A", "{}")
+
+    answering(client, "fleet.test.A.cmd.*", "done")
+    eventually(fn -> match?({:ok, %{body: "done"}}, ask(fleet, "fleet.test.A.cmd.arm")) end)
+  end
+
+  defp answering(client, subject, body) do
+    test = self()
+
+    start_supervised!(
+      {Task,
+       fn ->
+         {:ok, _} = Gnat.sub(client, self(), subject)
+         send(test, {:listening, subject})
+         answer(client, body, test)
+       end},
+      id: make_ref()
+    )
+
+    assert_receive {:listening, ^subject}
+  end
+
+  defp answer(client, body, test) do
+    receive do
+      {:msg, message} ->
+        send(test, {:seen, message.topic})
+        if message.reply_to, do: Gnat.pub(client, message.reply_to, body)
+        answer(client, body, test)
+    end
+  end
+
+  test "it cannot publish as another one, not even by way of JetStream's answers", %{
+    fleet: fleet,
+    client: client
+  } do
+    {:ok, _} = Gnat.sub(fleet, self(), ">")
+    assert ask(client, "hub.fleet.test.B.event.armed", "{}") == @nobody
+    assert ask(client, "hub.fleet.test.gateway-B.event.gateway.started", "{}") == @nobody
+    assert ask(client, "hub.kv.put.fleet_reported.test.B", "{}") == @nobody
+    assert ask(client, "hub.kv.put.fleet_desired.test.B", "{}") == @nobody
+
+    for subject <- [
+          "fleet.test.B.state.mode",
+          "fleet.test.B.event.armed",
+          "fleet.other.A.state.mode",
+          "$KV.fleet_desired.test.B"
+        ],
+        do: :ok = Gnat.pub(client, subject, "forged")
+
+    # Its own text, as the answer to a request that names another one's subject.
+    assert {:ok, _} = ask(client, "hub.kv.put.fleet_desired.test.A", "forged")
+    :ok = Gnat.pub(client, "hub.kv.get.fleet_desired.test.A", "", reply_to: "fleet.test.B.event.armed")
+    :ok = Gnat.pub(client, "hub.kv.get.fleet_desired.test.A", "", reply_to: "hub.fleet.test.B.event.armed")
+    flush(client)
+    :ok = Gnat.pub(client, "fleet.test.A.state.mode", "last")
+    assert_receive {:msg, %{topic: "fleet.test.A.state.mode"}}
+    refute_received {:msg, %{topic: "fleet.test.B" <> _}}
+    refute_received {:msg, %{topic: "fleet.other" <> _}}
+
+    for stream <- ["FLEET_STATE", "FLEET_EVENTS"],
+        do:
+          assert(
+            {:error, %{"code" => 404}} = Stream.get_message(fleet, stream, %{last_by_subj: "fleet.test.B.>"})
+          )
+
+    assert {:error, :not_found} = KV.get_entry(fleet, "fleet_desired", "test.B")
+  end
+
+  test "it cannot read another one's commands, desired state or events", context do
+    %{hub: hub, fleet: fleet, client: client} = context
+    b = start_bridge(HubServer.leaf(hub, "B"))
+    HubServer.await_hub(b)
+    client_b = HubServer.local_client(await_up(b))
+    answering(client, "fleet.test.B.>", "mine")
+    answering(client, "hub.kv.new.>", "mine")
+    answering(client_b, "fleet.test.B.cmd.*", "of B")
+    :ok = KV.put_value(fleet, "fleet_desired", "test.B", "secret")
+    eventually(fn -> match?({:ok, %{body: "of B"}}, ask(fleet, "fleet.test.B.cmd.arm")) end)
+    for _ <- 1..20, do: assert({:ok, %{body: "of B"}} = ask(fleet, "fleet.test.B.cmd.arm"))
+
+    {:ok, _} = Gnat.sub(client, self(), "stolen.*")
+
+    for subject <- [
+          "hub.kv.get.fleet_desired.test.B",
+          "$JS.hub.API.STREAM.MSG.GET.KV_fleet_desired",
+          "$JS.hub.API.CONSUMER.CREATE.FLEET_EVENTS",
+          "$JS.hub.API.STREAM.NAMES"
+        ],
+        do:
+          :ok =
+            Gnat.pub(client, subject, ~s({"last_by_subj":"$KV.fleet_desired.test.B"}), reply_to: "stolen.it")
+
+    flush(client)
+    # Its account has no JetStream, which can only say that it does not understand.
+    assert Enum.all?(stolen(), &(&1[:status] == "503" or &1.body =~ ~s("error")))
+    commit(b, "B", 1..2)
+    eventually(fn -> length(for {"B", _, _} <- events(fleet), do: 1) == 2 end)
+    # What is its own arrives, so what is not would have.
+    :ok = KV.put_value(fleet, "fleet_desired", "test.A", "own")
+    assert_receive {:seen, "hub.kv.new.fleet_desired.test.A"}
+    refute Enum.any?(seen(), &(&1 =~ "test.B.event" or &1 == "hub.kv.new.fleet_desired.test.B"))
+  end
+
+  defp stolen do
+    receive do
+      {:msg, %{topic: "stolen" <> _} = message} -> [message | stolen()]
+    after
+      0 -> []
+    end
+  end
+
+  defp seen do
+    receive do
+      {:seen, topic} -> [topic | seen()]
+    after
+      0 -> []
+    end
+  end
+
+  test "its key opens a leaf node and nothing else, and no longer that once it is revoked", context do
+    %{hub: hub, a: a, tmp_dir: dir} = context
+    seed = File.read!(Path.join(hub.set, "vehicles/A/leaf.nk"))
+    # Our clients end with their servers.
+    Process.flag(:trap_exit, true)
+    assert {:error, error} = Gnat.start_link(HubServer.login(hub, seed))
+    assert Exception.message(error) =~ ~r/authorization/i
+
+    HubServer.revoke(hub, ["A"])
+    # The open connection leads nowhere any more, and a new one is refused.
+    assert %{problem: "it does not answer"} = await(a, :hub, &(&1[:status] == :down))
+    {:ok, _} = Gnat.sub(context.fleet, self(), "fleet.test.A.>")
+    :ok = Gnat.pub(context.client, "fleet.test.A.state.mode", "forged")
+    kill9(server_pid(Path.join(dir, "A")))
+    await(a, :hub, &(&1[:problem] =~ ~r/authoriz/i))
+    refute_received {:msg, _message}
+    # The vehicle's own NATS works on.
+    commit(a, "A", 1..2)
+    await_empty(a)
+    assert Bridge.info(a).problem == nil
+  end
+end

@@ -1,0 +1,89 @@
+defmodule Aerie.Policy.AuditTest do
+  use ExUnit.Case, async: true
+
+  import ExUnit.CaptureLog
+
+  alias Aerie.Policy.{Audit, Facts}
+  alias Aerie.Policy.Audit.Verify
+
+  @moduletag :tmp_dir
+
+  defp start(dir) do
+    gateway = make_ref()
+    pid = start_supervised!({Audit, gateway: gateway, dir: dir, max_bytes: 1_048_576}, id: gateway)
+    {gateway, pid}
+  end
+
+  test "entries survive a restart; number and hash can be kept elsewhere", %{tmp_dir: dir} do
+    {gateway, _pid} = start(dir)
+    assert {:ok, 2} = Audit.append(gateway, %{"type" => "decision", "id" => "a"})
+    assert {:ok, %{n: 2, hash: hash, failing: nil, missed: 0}} = Audit.status(gateway)
+    :ok = stop_supervised!(gateway)
+    assert {:error, "the audit log does not run"} = Audit.append(gateway, %{"type" => "decision"})
+
+    {gateway, _pid} = start(dir)
+    assert {:ok, 4} = Audit.append(gateway, %{"type" => "decision", "id" => "b"})
+    :ok = stop_supervised!(gateway)
+    assert {:ok, %{problems: [], records: 4}} = Verify.folder(dir, {2, hash})
+  end
+
+  test "a full disk: entries are refused, what must be recorded is denied, and the log tells it afterwards",
+       %{tmp_dir: dir} do
+    {gateway, pid} = start(dir)
+    %{log: %{file: file}} = :sys.get_state(pid)
+    # /dev/full says "no space left" to every write; a raw file belongs to the process that opened it.
+    full = fn -> :file.open(~c"/dev/full", [:read, :write, :raw, :binary]) |> elem(1) end
+    swap = fn open -> :sys.replace_state(pid, &put_in(&1.log.file, open.())) end
+
+    log =
+      capture_log(fn ->
+        swap.(full)
+        for _entry <- 1..3, do: assert({:error, "" <> _} = Audit.append(gateway, %{"type" => "decision"}))
+      end)
+
+    # Once, not for every command.
+    assert [_, _] = String.split(log, "no space left on device")
+    assert {:ok, %{failing: reason, missed: 3}} = Audit.status(gateway)
+    assert reason =~ "no space left on device"
+
+    goto = %Facts{type: "goto", permission: :fly}
+    land = %Facts{type: "land", permission: :fly, ends_flight?: true}
+    assert {:deny, :audit, text} = Audit.verdict({:error, reason}, goto, true)
+    assert text =~ "goto must be recorded, and the audit log cannot be written (#{reason})"
+    assert Audit.verdict({:error, reason}, goto, false) == :allow
+    assert Audit.verdict({:error, reason}, land, true) == :allow
+    assert Audit.verdict({:ok, 1}, goto, true) == :allow
+
+    swap.(fn -> file end)
+    capture_log(fn -> assert {:ok, 3} = Audit.append(gateway, %{"type" => "decision"}) end)
+    assert {:ok, %{failing: nil, missed: 0}} = Audit.status(gateway)
+    :ok = stop_supervised!(gateway)
+    assert {:ok, %{problems: [], notes: [note]}} = Verify.folder(dir)
+    assert note =~ "record 2: 3 records could not be written since"
+  end
+
+  test "a folder that cannot be written stops no gateway, and works as soon as it can be", %{tmp_dir: dir} do
+    folder = Path.join(dir, "audit")
+    File.write!(folder, "a file")
+
+    capture_log(fn ->
+      {gateway, pid} = start(folder)
+      assert {:error, text} = Audit.append(gateway, %{"type" => "decision"})
+      assert text =~ "cannot make folder #{folder}"
+      File.rm!(folder)
+      # Tried once a second at most.
+      :sys.replace_state(pid, &%{&1 | tried: &1.tried - 1_000})
+      assert {:ok, 3} = Audit.append(gateway, %{"type" => "decision"})
+    end)
+  end
+
+  test "two gateways do not write into one log", %{tmp_dir: dir} do
+    {_gateway, _pid} = start(dir)
+
+    capture_log(fn ->
+      {second, _pid} = start(dir)
+      assert {:error, text} = Audit.append(second, %{"type" => "decision"})
+      assert text =~ "in use by another gateway"
+    end)
+  end
+end

@@ -1,0 +1,402 @@
+defmodule Aerie.Policy.GuardTest do
+  use ExUnit.Case, async: true
+  use Aerie.LinkCase
+
+  alias Aerie.{Link, Names, Policy, Router, Store}
+  alias Aerie.Policy.{Audit, Commanded, Guard, Leases}
+  alias Aerie.Policy.Audit.Verify
+  alias MavCodec.Enums.MavCmd
+  alias MavCodec.Frame
+  alias MavCodec.Messages, as: M
+
+  @patience Aerie.Patience.ms()
+  @moduletag :tmp_dir
+  @moduletag capture_log: true
+
+  @fence """
+  {"type": "Feature", "properties": {"name": "field"},
+   "geometry": {"type": "Polygon", "coordinates": [[[8.0, 47.0], [8.02, 47.0], [8.02, 47.02], [8.0, 47.02]]]}}
+  """
+
+  # A vehicle on a link, and three clients: one of an operator, one of a viewer, one that nobody said anything about.
+  setup %{tmp_dir: dir} do
+    file = Path.join(dir, "fence.geojson")
+    File.write!(file, @fence)
+
+    section = %{
+      geofence_file: file,
+      max_altitude: 120,
+      clients: [%{id: "operator", role: :operator}, %{id: "viewer", role: :viewer}]
+    }
+
+    {:ok, policy} = Policy.compile(section)
+
+    gateway =
+      start_parts(%{mavlink: %{system_id: 245, component_id: 191}},
+        options: [policy: Guard, tables: [Leases.table()]]
+      )
+
+    start_supervised!({Policy.Store, gateway: gateway, policy: policy})
+    start_supervised!({Audit, gateway: gateway, dir: Path.join(dir, "audit"), max_bytes: 1_048_576})
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    vehicle = udp(port)
+    say(vehicle, heartbeat(1))
+    eventually(fn -> Router.route(gateway, {"main", 1}) end)
+    known(gateway, %{})
+    {:ok, gateway: gateway, vehicle: vehicle, section: section, audit: Path.join(dir, "audit")}
+  end
+
+  defp known(gateway, changes) do
+    groups = %{
+      position: %{lat: 47.001, lon: 8.001, alt_rel: 20.0, alt_msl: 520.0, heading: 0.0},
+      home: %{lat: 47.001, lon: 8.001, alt_msl: 500.0},
+      mode: %{mode: "GUIDED", armed: true, in_air: true},
+      mission: %{seq: 4}
+    }
+
+    at = System.os_time(:microsecond)
+
+    Store.put_vehicle(gateway, {"main", 1}, %{
+      id: "VID-001",
+      key: {"main", 1},
+      network: "main",
+      system_id: 1,
+      component: 1,
+      autopilot: :ardupilot,
+      vehicle_type: "copter",
+      groups:
+        Map.new(Map.merge(groups, changes), fn {group, data} ->
+          {group, %{at: at, time_boot_ms: nil, data: data}}
+        end)
+    })
+  end
+
+  defp client(gateway, id) do
+    {:ok, ^id} = Aerie.Client.add(gateway, %{url: "udpin:127.0.0.1:0", id: id})
+    udp(Link.snapshot(gateway, id).port)
+  end
+
+  defp udp(port) do
+    {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    :ok = :gen_udp.connect(socket, {127, 0, 0, 1}, port)
+    socket
+  end
+
+  defp say(socket, %_module{} = message),
+    do: say(socket, MavCodec.encode(message, system: 255, component: 190))
+
+  defp say(socket, bytes), do: :ok = :gen_udp.send(socket, bytes)
+
+  # Messages until one that passes whatever the policy is; what is refused is not among them.
+  defp until_mark(socket, mark, before \\ []) do
+    {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+
+    case bytes |> Frame.from_bytes(nil) |> MavCodec.decode() do
+      {:ok, %M.AdsbVehicle{icao_address: ^mark}} -> Enum.reverse(before)
+      {:ok, message} -> until_mark(socket, mark, [message | before])
+    end
+  end
+
+  defp reached(socket, c) do
+    mark = System.unique_integer([:positive])
+    say(socket, %M.AdsbVehicle{icao_address: mark})
+    c.vehicle |> until_mark(mark) |> Enum.reject(&match?(%M.Heartbeat{}, &1))
+  end
+
+  defp answers(socket, n) do
+    for _message <- 1..n do
+      {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+      frame = Frame.from_bytes(bytes, nil)
+      assert {frame.system, frame.component} == {1, 1}
+      {:ok, message} = MavCodec.decode(frame)
+      message
+    end
+  end
+
+  defp goto(lat, altitude),
+    do: %M.CommandInt{
+      target_system: 1,
+      target_component: 1,
+      command: MavCmd.value(:MAV_CMD_DO_REPOSITION),
+      frame: 6,
+      x: round(lat * 1.0e7),
+      y: 80_010_000,
+      z: altitude
+    }
+
+  defp long(name, params \\ []),
+    do:
+      struct!(
+        %M.CommandLong{target_system: 1, target_component: 1, command: MavCmd.value(:"MAV_CMD_#{name}")},
+        params
+      )
+
+  test "fence and altitude hold for a ground station's commands, and it is told why", c do
+    gcs = client(c.gateway, "operator")
+    say(gcs, goto(47.01, 50.0))
+    say(gcs, goto(47.03, 50.0))
+    say(gcs, goto(47.01, 150.0))
+    assert [%M.CommandInt{x: 470_100_000}] = reached(gcs, c)
+
+    assert [
+             %M.CommandAck{command: 192, result: 2, target_system: 255},
+             %M.Statustext{} = first,
+             %M.Statustext{}
+           ] = answers(gcs, 3)
+
+    assert first.text == "refused: the target 47.030000, 8.001000 is 1112 m "
+    assert [%M.CommandAck{command: 192, result: 2}, %M.Statustext{} = high | _] = answers(gcs, 3)
+    assert high.text =~ "refused: the target is 150"
+    assert Link.snapshot(c.gateway, "operator").counters.denied == 2
+
+    for {counter, n} <- [
+          {{:policy, :allow, nil}, 1},
+          {{:policy, :deny, :geofence}, 1},
+          {{:policy, :deny, :altitude}, 1}
+        ],
+        do: assert(Store.counter(c.gateway, counter) == n)
+  end
+
+  test "roles: a viewer commands nothing and reads everything, an operator maintains nothing", c do
+    viewer = client(c.gateway, "viewer")
+    say(viewer, long("COMPONENT_ARM_DISARM", param1: 1.0))
+    say(viewer, %M.SetMode{target_system: 1, base_mode: 1, custom_mode: 6})
+    say(viewer, %M.RcChannelsOverride{target_system: 1, chan3_raw: 1900})
+    say(viewer, %M.ParamRequestList{target_system: 1, target_component: 1})
+    say(viewer, %M.MissionSetCurrent{target_system: 1, target_component: 1, seq: 9})
+    assert [%M.ParamRequestList{}] = reached(viewer, c)
+    got = answers(viewer, 9)
+    assert Enum.any?(got, &match?(%M.CommandAck{command: 400, result: 2}, &1))
+    assert Enum.any?(got, &match?(%M.CommandAck{command: 11, result: 2}, &1))
+    assert Enum.any?(got, &match?(%M.MissionCurrent{seq: 4}, &1))
+
+    operator = client(c.gateway, "operator")
+    say(operator, long("COMPONENT_ARM_DISARM"))
+    say(operator, long("COMPONENT_ARM_DISARM", param2: 21_196.0))
+    say(operator, %M.MissionCount{target_system: 1, target_component: 1, count: 3})
+    # P3: the vehicle is asked for the value that it has.
+    say(operator, %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_value: 0.0})
+
+    assert [
+             %M.CommandLong{param2: +0.0},
+             %M.MissionCount{},
+             %M.ParamRequestRead{param_id: "RTL_ALT", param_index: -1}
+           ] = reached(operator, c)
+  end
+
+  test "who is in charge (X15): a client asks for control, and is answered by the gateway", c do
+    one = client(c.gateway, "operator")
+    other = client(c.gateway, "someone")
+    request = &long("REQUEST_OPERATOR_CONTROL", param1: &1, param2: &2)
+    arm = long("COMPONENT_ARM_DISARM", param1: 1.0)
+    say(one, request.(1.0, 0.0))
+    assert [%M.CommandAck{command: 32_100, result: 0, target_system: 255}] = answers(one, 1)
+    assert %{holder: "operator", via: "mavlink"} = Leases.of(c.gateway, {"main", 1})
+    assert Link.snapshot(c.gateway, "operator").counters.denied == 0
+    say(other, request.(1.0, 0.0))
+    say(other, arm)
+    assert [%M.CommandAck{command: 32_100, result: 2} | texts] = answers(other, 3)
+    assert Enum.map_join(texts, & &1.text) =~ "refused: operator is in charge of the vehicle since"
+    assert [%M.CommandAck{command: 400, result: 2} | _texts] = answers(other, 3)
+
+    # It may be taken over from now on.
+    say(one, request.(1.0, 1.0))
+    assert [%M.CommandAck{result: 0}] = answers(one, 1)
+    say(other, request.(1.0, 0.0))
+    assert [%M.CommandAck{command: 32_100, result: 0}] = answers(other, 1)
+    say(other, arm)
+    # What brings it down is free.
+    say(one, arm)
+    say(one, long("NAV_LAND"))
+    assert [%M.CommandAck{command: 400, result: 2} | _texts] = answers(one, 3)
+    reached = reached(other, c)
+    assert Enum.sort(for %M.CommandLong{command: command} <- reached, do: command) == [21, 400]
+
+    # A vehicle that keeps it itself is asked by the client.
+    known(c.gateway, %{operator: %{system: 0, takeover_allowed: false}})
+    say(other, request.(0.0, 0.0))
+    assert [%M.CommandLong{command: 32_100}] = reached(other, c)
+    assert Leases.of(c.gateway, {"main", 1}) == nil
+  end
+
+  test "a client that nobody said anything about may do what it could before", c do
+    gcs = client(c.gateway, "someone")
+    say(gcs, long("COMPONENT_ARM_DISARM", param2: 21_196.0))
+    say(gcs, %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT"})
+    say(gcs, %M.SerialControl{})
+    assert [%M.CommandLong{}, %M.ParamSet{}, %M.SerialControl{}] = reached(gcs, c)
+  end
+
+  test "who proved by a key who he is, is that in his process, whatever the client's entry says", c do
+    frame =
+      %M.ParamSet{target_system: 1, param_id: "RTL_ALT"}
+      |> MavCodec.encode(system: 255)
+      |> Frame.from_bytes(nil)
+
+    sender = %{endpoint: {"ws-1", 1}, owner: "ws-1", peer: "10.0.0.9:5000"}
+    assert Guard.decide(c.gateway, sender, {"main", 1}, frame) == :forward
+    :ok = Guard.identify(%{name: "olga", role: :operator, permissions: []})
+    assert {:refuse, _answers, _instead} = Guard.decide(c.gateway, sender, {"main", 1}, frame)
+  end
+
+  test "a command for all systems is judged for each vehicle that it would reach", c do
+    gcs = client(c.gateway, "operator")
+    say(gcs, %{goto(47.03, 50.0) | target_system: 0, target_component: 0})
+    say(gcs, %{long("NAV_LAND") | target_system: 0, target_component: 0})
+    assert [%M.CommandLong{}] = reached(gcs, c)
+    assert [%M.CommandAck{result: 2} | _] = answers(gcs, 1)
+  end
+
+  test "mission items outside are refused with MISSION_ACK, set-points with a text every five seconds", c do
+    gcs = client(c.gateway, "operator")
+
+    item = %M.MissionItemInt{
+      target_system: 1,
+      target_component: 1,
+      seq: 2,
+      frame: 6,
+      command: 16,
+      x: 470_300_000,
+      y: 80_010_000,
+      z: 20.0
+    }
+
+    say(gcs, item)
+    assert [] = reached(gcs, c)
+    assert [%M.MissionAck{type: 14}, %M.Statustext{text: text} | _] = answers(gcs, 3)
+    assert text =~ "mission item 2"
+
+    setpoint = %M.SetPositionTargetGlobalInt{
+      target_system: 1,
+      coordinate_frame: 6,
+      type_mask: 0b110111111000,
+      lat_int: 470_300_000,
+      lon_int: 80_010_000,
+      alt: 20.0
+    }
+
+    for _times <- 1..20, do: say(gcs, setpoint)
+    assert [] = reached(gcs, c)
+    assert [%M.Statustext{}, %M.Statustext{}] = answers(gcs, 2)
+    assert Link.snapshot(c.gateway, "operator").counters.denied == 21
+    # Nothing more: the next thing that it hears is the vehicle.
+    say(c.vehicle, heartbeat(1))
+    assert [%M.Heartbeat{}] = answers(gcs, 1)
+
+    # PX4's OFFBOARD needs those that pass (X7).
+    assert Commanded.setpoints_ms(c.gateway, "VID-001") == nil
+    say(gcs, %{setpoint | lat_int: 470_050_000, lon_int: 80_050_000})
+    assert [%M.SetPositionTargetGlobalInt{}] = reached(gcs, c)
+    assert {_since, _until} = Store.recall(c.gateway, {:setpoints, "VID-001"})
+  end
+
+  test "a mission whose items are inside and whose way is not is refused at the item where it leaves", c do
+    # Both are in the corners of a field whose middle is cut out.
+    hole = "[[8.009, 47.009], [8.011, 47.009], [8.011, 47.011], [8.009, 47.011]]"
+    File.write!(c.section.geofence_file, String.replace(@fence, "[8.0, 47.02]]]", "[8.0, 47.02]], #{hole}]"))
+    :ok = Policy.Store.put(c.gateway, c.section)
+    gcs = client(c.gateway, "operator")
+
+    item =
+      &%M.MissionItemInt{
+        target_system: 1,
+        target_component: 1,
+        seq: &1,
+        frame: 6,
+        command: 16,
+        x: &2,
+        y: &3,
+        z: 20.0
+      }
+
+    say(gcs, %M.MissionCount{target_system: 1, target_component: 1, count: 3})
+    say(gcs, item.(1, 470_010_000, 80_010_000))
+    say(gcs, item.(2, 470_010_000, 80_190_000))
+    say(gcs, item.(3, 470_190_000, 80_010_000))
+    assert [%M.MissionCount{}, %M.MissionItemInt{seq: 1}, %M.MissionItemInt{seq: 2}] = reached(gcs, c)
+
+    assert [
+             %M.MissionAck{type: 14},
+             %M.Statustext{text: "refused: the straight way to mission item 3" <> _} | _
+           ] = answers(gcs, 3)
+  end
+
+  test "a vehicle of which nothing is known is refused what needs to be known, and a new policy counts at once",
+       c do
+    Store.put_vehicle(c.gateway, {"main", 1}, %{
+      id: "VID-001",
+      key: {"main", 1},
+      network: "main",
+      system_id: 1,
+      component: nil,
+      autopilot: :ardupilot,
+      vehicle_type: "copter",
+      groups: %{}
+    })
+
+    gcs = client(c.gateway, "operator")
+    say(gcs, goto(47.01, 50.0))
+    assert [] = reached(gcs, c)
+    assert [%M.CommandAck{result: 2}, %M.Statustext{text: text} | _] = answers(gcs, 3)
+    assert text =~ "a fence applies to goto, and the"
+
+    assert {:error, ["policy.geofence_file: " <> _]} =
+             Policy.Store.put(c.gateway, %{geofence_file: "/no/such/file"})
+
+    say(gcs, goto(47.01, 50.0))
+    assert [] = reached(gcs, c)
+    assert :ok = Policy.Store.put(c.gateway, %{c.section | geofence_file: nil})
+    say(gcs, goto(47.01, 50.0))
+    assert [%M.CommandInt{}] = reached(gcs, c)
+  end
+
+  test "decisions are in the audit log; while it cannot be written, what must be recorded is refused", c do
+    gcs = client(c.gateway, "operator")
+    say(gcs, goto(47.01, 50.0))
+    for _times <- 1..3, do: say(gcs, goto(47.03, 50.0))
+    reached(gcs, c)
+    {:ok, _status} = Audit.status(c.gateway)
+
+    records =
+      c.audit
+      |> Path.join("*.jsonl")
+      |> Path.wildcard()
+      |> Enum.flat_map(&File.stream!/1)
+      |> Enum.map(&JSON.decode!/1)
+
+    assert [%{"type" => "opened"}, allowed, refused] = records
+
+    assert %{
+             "decision" => "allow",
+             "command" => "goto",
+             "source" => "operator",
+             "vehicle" => "VID-001",
+             "system" => 255
+           } = allowed
+
+    assert %{"decision" => "deny", "rule" => "geofence", "message" => "COMMAND_INT", "reason" => reason} =
+             refused
+
+    assert reason =~ "1112 m outside"
+    assert {:ok, %{problems: []}} = Verify.folder(c.audit)
+
+    pid = Names.whereis(c.gateway, :audit)
+    full = fn -> :file.open(~c"/dev/full", [:read, :write, :raw, :binary]) |> elem(1) end
+    :sys.replace_state(pid, &put_in(&1.log.file, full.()))
+    assert {:error, _full} = Audit.append(c.gateway, %{"type" => "decision"})
+    assert Store.counter(c.gateway, {:audit, :missed}) == 1
+    say(gcs, goto(47.01, 51.0))
+    say(gcs, long("NAV_LAND"))
+    assert [%M.CommandLong{}] = reached(gcs, c)
+  end
+
+  test "a flood is refused, but never what brings the vehicle down", c do
+    :ok = Policy.Store.put(c.gateway, Map.put(c.section, :rates, [%{per_minute: 60, burst: 5}]))
+    gcs = client(c.gateway, "operator")
+    for _times <- 1..20, do: say(gcs, goto(47.01, 50.0))
+    for _times <- 1..20, do: say(gcs, long("NAV_LAND"))
+    got = reached(gcs, c)
+    assert Enum.count(got, &match?(%M.CommandInt{}, &1)) in 5..6
+    assert Enum.count(got, &match?(%M.CommandLong{}, &1)) == 20
+  end
+end

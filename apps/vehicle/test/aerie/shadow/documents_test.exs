@@ -1,0 +1,320 @@
+defmodule Aerie.Shadow.DocumentsTest do
+  @moduledoc "Desired documents in a real nats-server, on disk, and among gateways; the test is the loop."
+  use Aerie.ShadowCase, async: true
+
+  alias Aerie.Shadow.{Buckets, Document}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  @vehicle "VID-007"
+  @admin %{name: "ops", role: :admin, permissions: []}
+
+  defp update(gateway, desired, more \\ %{}),
+    do: Shadow.update(gateway, @vehicle, Map.put(more, "desired", desired), @admin, "rest")
+
+  # With an embedded server of its own, and the test joined as the loop.
+  defp with_nats(dir, overrides \\ []) do
+    gateway = start_bridge(config(dir))
+    url = await_up(gateway)
+    start_shadow(gateway, dir, [{"nats.mode", "embedded"}, {"shadow.lease_s", 1} | overrides])
+    join(gateway)
+    eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+    %{gateway: gateway, url: url, conn: client(url)}
+  end
+
+  defp join(gateway) do
+    Documents.join(documents(gateway), @vehicle)
+    Documents.heard(documents(gateway), @vehicle, true)
+    assert_receive {:desired, _document}
+  end
+
+  describe "without NATS (nats.mode: off)" do
+    test "the folder is all there is: documents outlive the process, and damaged copies are not used", %{
+      tmp_dir: dir
+    } do
+      gateway = make_ref()
+      start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+      start_shadow(gateway, dir)
+      join(gateway)
+
+      assert {:ok, %{"version" => 1, "desired" => %{"mode" => "LOITER"}}} =
+               update(gateway, %{"mode" => "LOITER"})
+
+      assert_receive {:desired, %Document{version: 1}}
+      assert Documents.authority(gateway, @vehicle) == :mine
+      assert {:error, {:conflict, _why}} = update(gateway, %{"mode" => "RTL"}, %{"version" => 0})
+
+      stop_supervised!({:shadow, gateway})
+      start_shadow(gateway, dir)
+      Documents.join(documents(gateway), @vehicle)
+      assert_receive {:desired, %Document{version: 1, fields: %{"mode" => %{actor: "ops"}}}}
+      assert {:ok, %{"version" => 2}} = Shadow.delete(gateway, @vehicle, %{}, @admin, "rest")
+
+      stop_supervised!({:shadow, gateway})
+      copy = Path.join(dir, "shadow/desired/#{@vehicle}.json")
+      assert {:ok, %{mode: mode}} = File.stat(copy)
+      assert Bitwise.band(mode, 0o777) == 0o600
+      File.write!(copy, String.replace(File.read!(copy), "ops", "eve"))
+      start_shadow(gateway, dir)
+      Documents.join(documents(gateway), @vehicle)
+      assert_receive {:desired, %Document{version: 0}}
+      assert Documents.problem(gateway) =~ "its seal does not fit"
+    end
+
+    test "an update is refused to whoever lacks a permission, and when too many come", %{tmp_dir: dir} do
+      gateway = make_ref()
+      start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+      start_shadow(gateway, dir)
+      operator = %{name: "op", role: :operator, permissions: []}
+      viewer = %{name: "wall", role: :viewer, permissions: [:fly]}
+      change = &Shadow.update(gateway, @vehicle, %{"desired" => &2}, &1)
+
+      assert {:error, {:role, "params.A needs the permission maintain, which op does not have"}} =
+               change.(operator, %{"mode" => "RTL", "params" => %{"A" => 1}})
+
+      assert {:error, {:role, "mode needs" <> _}} = change.(viewer, %{"mode" => "RTL"})
+      assert {:error, {:role, "mode needs" <> _}} = change.(viewer, %{"mode" => nil})
+      assert {:error, {:role, _why}} = Shadow.delete(gateway, @vehicle, %{}, viewer)
+      assert {:ok, _done} = change.(operator, %{"mode" => "RTL"})
+      assert {:error, {:malformed, _errors}} = Shadow.get(gateway, "../../etc")
+
+      assert {:error, {:malformed, _errors}} =
+               Shadow.update(gateway, "a.b", %{"desired" => %{"mode" => "RTL"}})
+
+      # Tokens are taken faster than updates are made on a busy machine.
+      eventually(fn ->
+        for _n <- 1..100, do: Documents.rate(gateway, "op")
+        match?({:error, {:rate, "op changes" <> _}}, change.(operator, %{"tags" => ["y"]}))
+      end)
+
+      assert {:ok, _other} = change.(@admin, %{"tags" => ["x"]})
+      assert Store.counter(gateway, {:shadow, :updates_refused}) >= 6
+      # A limit that cannot be asked for does not give way.
+      assert {:error, {:unavailable, "the shadow does not answer" <> _}} = Documents.rate(make_ref(), "op")
+    end
+
+    test "a folder that cannot be written is told, and everything goes on from memory", %{tmp_dir: dir} do
+      gateway = make_ref()
+      start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})})
+      File.write!(Path.join(dir, "shadow"), "a file")
+      start_shadow(gateway, dir)
+      join(gateway)
+      assert {:ok, _done} = update(gateway, %{"mode" => "RTL"})
+      assert Documents.problem(gateway) =~ "shadow"
+      assert Documents.document(gateway, @vehicle).version == 1
+    end
+  end
+
+  describe "in NATS" do
+    test "documents are in the bucket, races are won one after the other, and what is reported is there", %{
+      tmp_dir: dir
+    } do
+      %{gateway: gateway, conn: conn} = with_nats(dir)
+
+      1..12
+      |> Enum.map(&Task.async(fn -> update(gateway, %{"params" => %{"P#{&1}" => &1}}) end))
+      |> Task.await_many(60_000)
+
+      assert {:ok, %{"version" => 12, "desired" => %{"params" => params}}} = Shadow.get(gateway, @vehicle)
+      assert map_size(params) == 12
+
+      assert %{"version" => 12, "seal" => _seal} =
+               conn |> KV.get_value("fleet_desired", "test.#{@vehicle}") |> JSON.decode!()
+
+      eventually(fn -> Documents.document(gateway, @vehicle).version == 12 end)
+
+      Documents.report(documents(gateway), @vehicle, %{"mode" => %{state: :pending}}, %{"mode" => "GUIDED"})
+      eventually(fn -> KV.get_value(conn, "fleet_reported", "test.#{@vehicle}") == ~s({"mode":"GUIDED"}) end)
+      assert [%{"mode" => %{state: :pending}}] = Documents.reports(gateway)
+    end
+
+    test "what no gateway wrote is not heeded, and the next update puts it right", %{tmp_dir: dir} do
+      %{gateway: gateway, conn: conn} = with_nats(dir)
+      {:ok, _one} = update(gateway, %{"mode" => "LOITER"})
+      assert_receive {:desired, %{version: 1}}
+      key = "test.#{@vehicle}"
+      genuine = KV.get_value(conn, "fleet_desired", key)
+
+      for forged <- [
+            "junk",
+            String.replace(genuine, "LOITER", "ACRO"),
+            String.replace(genuine, ~s("version":1), ~s("version":9))
+          ],
+          do: :ok = KV.put_value(conn, "fleet_desired", key, forged)
+
+      eventually(fn -> Store.counter(gateway, {:shadow, :documents_refused}) == 3 end)
+      assert Documents.problem(gateway) =~ "is not heeded"
+      refute_received {:desired, _forged}
+
+      assert {:ok, %{"version" => 2, "desired" => %{"mode" => "LOITER", "tags" => ["a"]}}} =
+               update(gateway, %{"tags" => ["a"]})
+
+      # Z5: an older one, sealed as it is, is none.
+      :ok = KV.put_value(conn, "fleet_desired", key, genuine)
+      eventually(fn -> Store.counter(gateway, {:shadow, :documents_refused}) == 4 end)
+      assert Documents.document(gateway, @vehicle).version == 2
+      assert {:ok, %{"version" => 3}} = update(gateway, %{"tags" => ["b"]})
+    end
+
+    test "a key or a bucket that somebody deletes comes back", %{tmp_dir: dir} do
+      %{gateway: gateway, conn: conn} = with_nats(dir)
+      {:ok, _one} = update(gateway, %{"mode" => "LOITER"})
+      assert_receive {:desired, %{version: 1}}
+
+      there? = fn ->
+        match?(%{"version" => 1}, decoded(KV.get_value(conn, "fleet_desired", "test.#{@vehicle}")))
+      end
+
+      :ok = KV.delete_key(conn, "fleet_desired", "test.#{@vehicle}")
+      eventually(there?)
+      for bucket <- ~w(fleet_desired fleet_leases fleet_reported), do: :ok = KV.delete_bucket(conn, bucket)
+      eventually(there?)
+      eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+      eventually(fn -> match?({:ok, %{"version" => _next}}, update(gateway, %{"tags" => ["x"]})) end)
+    end
+
+    test "while the server is away nothing is changed or done; afterwards everything goes on", %{tmp_dir: dir} do
+      %{gateway: gateway, conn: conn} = with_nats(dir)
+      {:ok, _one} = update(gateway, %{"mode" => "LOITER"})
+      assert_receive {:desired, %{version: 1}}
+      Process.unlink(conn)
+      old = Bridge.connection(gateway)
+      # A server that cannot come back for now.
+      pid = server_pid(dir)
+      {_text, 0} = System.cmd("kill", ["-STOP", pid])
+      eventually(fn -> match?({:held, _by, _why}, Documents.authority(gateway, @vehicle)) end)
+      {_text, 0} = System.cmd("kill", ["-CONT", pid])
+      kill9(pid)
+      await_reconnected(gateway, old)
+      eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+
+      assert {:ok, %{"version" => 2}} =
+               eventually(fn -> with {:error, _why} <- update(gateway, %{"tags" => ["x"]}), do: false end)
+    end
+
+    test "a killed documents comes back with the document and the lease", %{tmp_dir: dir} do
+      %{gateway: gateway} = with_nats(dir)
+      {:ok, _one} = update(gateway, %{"mode" => "LOITER"})
+      assert_receive {:desired, %{version: 1}}
+      Process.exit(documents(gateway), :kill)
+      eventually(fn -> documents(gateway) != nil end)
+      join(gateway)
+      eventually(fn -> Documents.document(gateway, @vehicle).version == 1 end)
+      eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+    end
+  end
+
+  describe "two gateways that hear the same vehicle" do
+    setup %{tmp_dir: dir} do
+      one = with_nats(dir, [{"shadow.key", "shared by both"}])
+      uri = URI.parse(one.url)
+      other_dir = Path.join(dir, "other")
+      url = [{"nats.mode", "url"}, {"nats.url", [bare(one.url)]}, {"nats.token", uri.userinfo}]
+      gateway = start_bridge(config(other_dir, url))
+      await_up(gateway)
+      start_shadow(gateway, other_dir, url ++ [{"shadow.lease_s", 1}, {"shadow.key", "shared by both"}])
+      Map.put(one, :other, gateway)
+    end
+
+    test "one acts, and the other one takes over when it is gone", %{
+      gateway: gateway,
+      other: other,
+      conn: conn
+    } do
+      join(other)
+
+      eventually(fn ->
+        match?({:held, "gateway", "the gateway gateway-" <> _}, Documents.authority(other, @vehicle))
+      end)
+
+      assert Documents.authority(gateway, @vehicle) == :mine
+
+      # Each sees what was desired by the other.
+      {:ok, _one} = update(other, %{"mode" => "LOITER"})
+      eventually(fn -> Documents.document(gateway, @vehicle).version == 1 end)
+
+      # Only who acts reports.
+      Documents.report(documents(gateway), @vehicle, %{}, %{"by" => "one"})
+      eventually(fn -> KV.get_value(conn, "fleet_reported", "test.#{@vehicle}") == ~s({"by":"one"}) end)
+      Documents.report(documents(other), @vehicle, %{}, %{"by" => "other"})
+      assert {:ok, %{"reported" => %{"by" => "one"}}} = Shadow.get(other, @vehicle)
+
+      # Without a word, as by a kill -9: its lease is not given back.
+      :sys.suspend(documents(gateway))
+      eventually(fn -> Documents.authority(other, @vehicle) == :mine end)
+
+      assert {:held, "nats", "the lease could not be renewed in time"} =
+               Documents.authority(gateway, @vehicle)
+
+      :sys.resume(documents(gateway))
+      eventually(fn -> match?({:held, "gateway", _why}, Documents.authority(gateway, @vehicle)) end)
+      assert Documents.authority(other, @vehicle) == :mine
+    end
+
+    test "kill -9 of the VM of the one that acts: the other one has what was desired, and takes over",
+         context do
+      %{gateway: gateway, tmp_dir: dir} = context
+      # The one of this VM leaves it to the other VM.
+      Documents.heard(documents(gateway), @vehicle, false)
+      uri = URI.parse(context.url)
+
+      script = """
+      Application.ensure_all_started(:vehicle)
+      alias Aerie.{Bridge, Shadow, Store}
+      alias Aerie.Store.PubSub
+      dir = #{inspect(Path.join(dir, "third"))}
+      url = [{"nats.mode", "url"}, {"nats.url", [#{inspect(bare(context.url))}]}, {"nats.token", #{inspect(uri.userinfo)}}]
+      {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
+      {:ok, _} = PubSub.start_link(gateway: :g)
+      {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: Aerie.BridgeCase.config(dir, url))
+      settings = Aerie.ShadowCase.shadow_settings(dir, url ++ [{"shadow.lease_s", 1}, {"shadow.key", "shared by both"}])
+      {:ok, _} = Shadow.Supervisor.start_link(gateway: :g, settings: settings)
+      Shadow.Documents.join(Aerie.ShadowCase.documents(:g), "VID-007")
+      Shadow.Documents.heard(Aerie.ShadowCase.documents(:g), "VID-007", true)
+      wait = fn wait -> if Shadow.Documents.authority(:g, "VID-007") == :mine, do: :ok, else: (Process.sleep(20); wait.(wait)) end
+      wait.(wait)
+      {:ok, _} = Shadow.update(:g, "VID-007", %{"desired" => %{"mode" => "LOITER"}})
+      IO.puts("acts \#{System.pid()}")
+      Process.sleep(:infinity)
+      """
+
+      {_port, pid} = other_vm(script, "acts ")
+      Documents.heard(documents(gateway), @vehicle, true)
+
+      eventually(fn ->
+        match?({:held, "gateway", "the gateway" <> _}, Documents.authority(gateway, @vehicle))
+      end)
+
+      kill9(pid)
+      eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+      assert %{version: 1, fields: %{"mode" => %{value: "LOITER"}}} = Documents.document(gateway, @vehicle)
+    end
+
+    test "an orderly end, and not hearing the vehicle any more, give it to the other one at once", context do
+      %{gateway: gateway, other: other} = context
+      join(other)
+
+      eventually(fn ->
+        match?({:held, "gateway", "the gateway" <> _}, Documents.authority(other, @vehicle))
+      end)
+
+      Documents.heard(documents(gateway), @vehicle, false)
+      eventually(fn -> Documents.authority(other, @vehicle) == :mine end)
+      Documents.heard(documents(gateway), @vehicle, true)
+      stop_supervised!({:shadow, other})
+      eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+    end
+  end
+
+  test "keys of buckets are those of this environment only" do
+    assert Buckets.vehicle("test.VID-007", "test") == "VID-007"
+    assert Buckets.vehicle("prod.VID-007", "test") == nil
+    assert Buckets.lease("test.gateways.a", "test") == {:gateway, "a"}
+    assert Buckets.lease("test.vehicles.V", "test") == {:vehicle, "V"}
+    assert Buckets.lease("test.V", "test") == nil
+  end
+
+  defp decoded(text) when is_binary(text), do: JSON.decode!(text)
+  defp decoded(_none), do: nil
+end

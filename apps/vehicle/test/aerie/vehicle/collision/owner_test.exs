@@ -1,0 +1,76 @@
+defmodule Aerie.Vehicle.Collision.OwnerTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Vehicle.Collision.Owner
+
+  @second 1_000_000
+
+  defp heard(owner, paths, seconds) do
+    for(s <- seconds, path <- paths, do: {s, path})
+    |> Enum.reduce(owner, fn {s, path}, owner -> Owner.heard(owner, path, round(s * @second)) end)
+  end
+
+  test "the vehicle that was heard first keeps the id, whichever side comes first" do
+    owner = Owner.new() |> heard(["a"], 0..10) |> heard(["a", "b"], 11..12)
+
+    for {ones, others} <- [{["a"], ["b"]}, {["b"], ["a"]}] do
+      assert {found, ["a"], ["b"]} = Owner.decide(owner, ones, others, 12 * @second)
+      assert Owner.others(found, 12 * @second) == ["b"]
+      assert Owner.other?(found, "b", 12 * @second) and not Owner.other?(found, "a", 12 * @second)
+      refute Owner.other?(found, "c", 12 * @second)
+    end
+  end
+
+  test "two vehicles behind one path cannot be separated; a path that brings both belongs to neither" do
+    owner = heard(Owner.new(), ["a", "b", "both"], 0..1)
+    assert {^owner, _, _} = Owner.decide(owner, ["a"], ["a"], @second)
+    assert {^owner, _, _} = Owner.decide(owner, ["a", "b"], ["b"], @second)
+    {found, _, _} = Owner.decide(owner, ["a", "both"], ["b", "both"], @second)
+    assert Owner.others(found, @second) == ["b"]
+  end
+
+  test "the decision holds for a minute, and while the first vehicle is heard" do
+    owner = heard(Owner.new(), ["a", "b"], 0..1)
+    {found, _, _} = Owner.decide(owner, ["a"], ["b"], @second)
+    heard = heard(found, ["a", "b"], 2..60)
+    assert Owner.others(heard, 60 * @second) == ["b"]
+    assert Owner.others(heard, 61 * @second) == []
+    alone = heard(found, ["b"], 2..20)
+    assert Owner.others(alone, 6 * @second) == ["b"]
+    assert Owner.others(alone, 7 * @second) == []
+    # It comes back as the second one.
+    back = heard(alone, ["a", "b"], 21..22)
+    {back, ["b"], ["a"]} = Owner.decide(back, ["a"], ["b"], 22 * @second)
+    assert Owner.others(back, 22 * @second) == ["a"]
+  end
+
+  test "paths stay bounded" do
+    owner = Enum.reduce(1..1_000, Owner.new(), &Owner.heard(&2, &1, &1 * @second))
+    assert map_size(owner.paths) <= 32
+    assert is_map_key(owner.paths, 1_000)
+  end
+
+  test "paths as text: links, and their peers where needed" do
+    one = {"udp", {{10, 0, 0, 1}, 5}}
+    other = {"udp", {{10, 0, 0, 1}, 6}}
+    assert Owner.describe(["udp", one], [other]) == [["udp (10.0.0.1:5)"], ["udp (10.0.0.1:6)"]]
+    assert Owner.describe(["udp", one], [{"b", :remote}]) == [["udp"], ["b"]]
+    assert Owner.describe([], []) == [[], []]
+    assert Aerie.Router.CollisionRoutes.text("a") == "a"
+    assert Aerie.Router.CollisionRoutes.text({"a", :remote}) == "a"
+    assert Aerie.Router.CollisionRoutes.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
+    assert Aerie.Router.CollisionRoutes.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
+  end
+
+  test "setting the clock neither ends the minute nor begins one" do
+    owner = Owner.new() |> heard(["a"], 0..10) |> heard(["a", "b"], 11..12)
+    {owner, ["a"], ["b"]} = Owner.decide(owner, ["a"], ["b"], 12 * @second)
+
+    for hours <- [-1, 1] do
+      step = hours * 3_600
+      shifted = Owner.shifted(owner, step * @second) |> heard(["a", "b"], (13 + step)..(60 + step))
+      assert Owner.other?(shifted, "b", (60 + step) * @second)
+      refute Owner.other?(heard(shifted, ["a", "b"], (61 + step)..(73 + step)), "b", (73 + step) * @second)
+    end
+  end
+end

@@ -1,0 +1,139 @@
+defmodule Aerie.Vehicle.CommandsTest do
+  @moduledoc "The process around the executor; the test is the session."
+  use ExUnit.Case, async: true
+
+  import Aerie.GatewayCase
+
+  alias Aerie.{Command, Names, Store, Vehicle}
+  alias Aerie.Vehicle.Commands.Observed
+  alias MavCodec.Messages, as: M
+
+  @key {"main", 7}
+
+  setup do
+    gateway = start_gateway()
+    Names.register(gateway, :session, @key)
+    Store.put_vehicle(gateway, @key, snapshot(%{armed: false}, 1))
+    options = %{id: "VID-007", key: @key, own_system: 237, own_component: 191}
+    pid = start_supervised!({Vehicle.Commands, gateway: gateway, options: options})
+    %{gateway: gateway, pid: pid}
+  end
+
+  # A snapshot at a beat: one heartbeat later.
+  defp snapshot(mode, beat) do
+    %{
+      id: "VID-007",
+      key: @key,
+      network: "main",
+      system_id: 7,
+      component: 1,
+      autopilot: :ardupilot,
+      vehicle_type: "copter",
+      status: :online,
+      clock: %{rtt_us: 20_000},
+      groups: %{mode: %{data: Map.merge(%{mode: "GUIDED", armed: false, in_air: false}, mode)}},
+      memory: %{sources: %{0 => beat}, mode_names: %{}}
+    }
+  end
+
+  defp submit(gateway, fields) do
+    {progress, fields} = Keyword.pop(fields, :progress)
+    {:ok, command} = Command.new([vehicle: "VID-007"] ++ fields)
+    Task.async(fn -> {:ok, Vehicle.Commands.submit(gateway, @key, command, progress: progress)} end)
+  end
+
+  defp ack(fields) do
+    bytes = MavCodec.encode(struct!(M.CommandAck, fields), system: 7, component: 1)
+    {frames, _parser} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, 0)
+    {:frames, frames}
+  end
+
+  test "listens only while a command is carried out; the acknowledgement and the state are its result",
+       context do
+    %{gateway: gateway, pid: pid} = context
+    task = submit(gateway, type: "arm")
+    assert_receive {:listen, ^pid, [77]}
+    assert_receive {:transmit, [%M.CommandLong{command: 400, target_system: 7, target_component: 1}]}
+    send(pid, ack(command: 400, result: 0))
+    send(pid, {:snapshot, snapshot(%{armed: true}, 2)})
+    assert {:ok, %{status: :completed, details: %{"acknowledged" => true}}} = Task.await(task)
+    assert_receive {:listen, ^pid, nil}
+  end
+
+  test "time passes: what is safe is sent again", %{gateway: gateway, pid: pid} do
+    task = submit(gateway, type: "set_speed", params: %{speed: 3})
+    assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 0}]}
+    assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 1}]}
+    send(pid, ack(command: 178, result: 0))
+    assert {:ok, %{status: :accepted, details: %{"sent" => 2}}} = Task.await(task)
+  end
+
+  test "progress goes to whoever asked for it", %{gateway: gateway, pid: pid} do
+    task = submit(gateway, id: "g", type: "gripper", params: %{action: "grab"}, progress: self())
+    assert_receive {:transmit, [_command]}
+    send(pid, ack(command: 211, result: 5, progress: 50))
+    assert_receive {:command_progress, "g", %{"progress" => 0.5}}
+    assert :ok = Vehicle.Commands.cancel(gateway, @key, "g")
+    assert_receive {:transmit, [%M.CommandCancel{command: 211}]}
+    send(pid, ack(command: 211, result: 6))
+    assert {:ok, %{status: :cancelled}} = Task.await(task)
+    assert {:error, "no command" <> _} = Vehicle.Commands.cancel(gateway, @key, "g")
+  end
+
+  test "an id that is being carried out is refused", %{gateway: gateway, pid: pid} do
+    task = submit(gateway, id: "a", type: "arm")
+    assert_receive {:transmit, [_command]}
+
+    assert {:ok, %{status: :rejected, reason: "a command with this id" <> _}} =
+             Task.await(submit(gateway, id: "a", type: "arm"))
+
+    send(pid, ack(command: 400, result: 2))
+    assert {:ok, %{status: :rejected, reason: "the vehicle answered DENIED"}} = Task.await(task)
+  end
+
+  test "texts and reports of the session are the reason for a refusal", %{gateway: gateway, pid: pid} do
+    task = submit(gateway, type: "arm")
+    assert_receive {:transmit, [_command]}
+    send(pid, {:text, %{severity: 6, text: "no warning"}})
+    send(pid, {:reported, %{severity: 2, name: "commander_arm_denied_calibrating"}})
+    send(pid, ack(command: 400, result: 1))
+    assert {:ok, %{reason: reason}} = Task.await(task)
+    assert reason == "the vehicle answered TEMPORARILY_REJECTED; it said: arm denied calibrating"
+  end
+
+  test "a reboot, and a crash, leave what was in flight unknown", %{gateway: gateway, pid: pid} do
+    task = submit(gateway, type: "set_speed", params: %{speed: 3})
+    assert_receive {:transmit, [_command]}
+    send(pid, {:rebooted, 100})
+    assert {:ok, %{status: :unknown, reason: "the vehicle rebooted" <> _}} = Task.await(task)
+
+    task = submit(gateway, type: "arm")
+    assert_receive {:transmit, [%M.CommandLong{command: 400}]}
+    Process.exit(pid, :kill)
+    assert {:ok, %{status: :unknown, reason: "the vehicle's processes" <> _}} = Task.await(task)
+  end
+
+  test "a vehicle that is lost, or has no process, is sent nothing", %{gateway: gateway} do
+    Store.put_vehicle(gateway, @key, %{snapshot(%{}, 1) | status: :lost})
+
+    assert {:ok, %{status: :rejected, reason: "the vehicle is lost"}} =
+             gateway |> submit(type: "arm") |> Task.await()
+
+    stop_supervised!(Vehicle.Commands)
+    {:ok, command} = Command.new(vehicle: "VID-007", type: "arm")
+
+    assert %{status: :rejected, reason: "the vehicle is not known"} =
+             Vehicle.Commands.submit(gateway, @key, command)
+
+    refute_received {:transmit, _messages}
+  end
+
+  test "what was heard is told by the messages" do
+    assert Observed.heard(%{0 => 1}, %{0 => 2}) |> Enum.sort() == [:in_air, :mode]
+    assert Observed.heard(%{0 => 1, 245 => 1}, %{0 => 1, 245 => 2}) |> Enum.sort() == [:in_air, :vtol]
+    assert Observed.heard(%{0 => 1, 245 => 1}, %{0 => 2, 245 => 1}) == [:mode]
+    assert Observed.heard(%{0 => 1, 242 => 1}, %{0 => 1, 242 => 1}) == []
+    assert %{home: nil, lat: nil, armed: true} = Observed.changes(snapshot(%{armed: true}, 1))
+    assert %{system: 7, us: {237, 191}, mode: "GUIDED"} = Observed.vehicle(snapshot(%{}, 1), {237, 191})
+  end
+end

@@ -1,0 +1,49 @@
+# Makes a Debian package of an unpacked release. Sourced by bin/release.
+
+# release_deb FOLDER: FOLDER/aerie is the release; the package stands beside it.
+release_deb() {
+  local folder=$1 version architecture stage deb
+  have dpkg-deb || fail "no dpkg-deb" "it makes the package" "apt-get install dpkg"
+  read -r _ version <"$folder/aerie/releases/start_erl.data" || true
+  case $(uname -m) in
+    x86_64) architecture=amd64 ;;
+    aarch64) architecture=arm64 ;;
+    *) fail "no Debian architecture for $(uname -m)" "" "make the package on x86-64 or arm64" ;;
+  esac
+  stage=$folder/deb
+  deb=$folder/aerie_${version}_$architecture.deb
+  step "making the Debian package"
+  rm -rf "$stage"
+  "$folder/aerie/install.sh" --stage "$stage"
+  mkdir -p "$stage/DEBIAN" "$stage/usr/share/doc/aerie"
+  cp "$AERIE_ROOT/LICENSE" "$stage/usr/share/doc/aerie/copyright"
+  cat >"$stage/DEBIAN/control" <<TEXT
+Package: aerie
+Version: $version
+Architecture: $architecture
+Section: net
+Priority: optional
+Maintainer: The Aerie project <aerie@localhost>
+Installed-Size: $(du -sk "$stage" | cut -f 1)
+Depends: passwd, libc-bin
+Recommends: systemd, udev
+Description: gateway between MAVLink vehicles and a NATS fleet
+ Aerie connects drones and other vehicles (ArduPilot, PX4) to a NATS fleet, to
+ ground stations and to a console in the browser. The package brings its own
+ Erlang runtime, libraries and nats-server.
+TEXT
+  # The same steps as install.sh, which is in the package.
+  deb_script "$stage" postinst configure '/opt/aerie/install.sh --configure'
+  deb_script "$stage" prerm remove 'if [ -d /run/systemd/system ]; then systemctl disable --now aerie.service || true; fi'
+  deb_script "$stage" postrm purge 'rm -rf /etc/aerie /var/lib/aerie; ! getent passwd aerie >/dev/null || userdel aerie'
+  find "$stage" -type d -exec chmod 755 {} +
+  dpkg-deb -Zgzip --root-owner-group --build "$stage" "$deb" >&2
+  rm -rf "$stage"
+  step "made $deb ($(du -m "$deb" | cut -f 1) MB)"
+}
+
+# deb_script STAGE NAME WHEN COMMAND: a script of the package that runs COMMAND when dpkg calls it with WHEN
+deb_script() {
+  printf '#!/bin/sh\nset -e\nif [ "${1:-}" = %s ]; then\n  %s\nfi\n' "$3" "$4" >"$1/DEBIAN/$2"
+  chmod 755 "$1/DEBIAN/$2"
+}

@@ -1,0 +1,172 @@
+defmodule Phoenix.Component do
+  @moduledoc """
+  Function components: functions that take a map of assigns and return `~H`.
+
+      attr :level, :atom, values: [:info, :warning], default: :info
+      slot :inner_block, required: true
+
+      def notice(assigns) do
+        ~H\"\"\"
+        <p class={["notice", @level]}>{render_slot(@inner_block)}</p>
+        \"\"\"
+      end
+
+  `use Phoenix.Component` imports `~H`, `attr/3`, `slot/3` and the functions below. In a template `{…}` holds an expression,
+  `@name` is an assign, `<.name>` and `<Module.name>` call components, `<:name>` fills a slot, and `:if`, `:for`, `:key` and
+  `:let` are special attributes. See `Phoenix.LiveView.Template.Tokenizer` for the syntax.
+  """
+
+  alias Phoenix.LiveView.{Engine, LiveStream, Socket}
+  alias Phoenix.LiveView.Template.{Compiler, Parser}
+
+  @doc false
+  defmacro __using__(_options) do
+    quote do
+      import Phoenix.Component
+      import Phoenix.Component.Elements
+      use Phoenix.Component.Declarative
+    end
+  end
+
+  @doc "A template; `assigns` must be a variable in its scope."
+  defmacro sigil_H({:<<>>, meta, [source]}, _modifiers) do
+    unless Macro.Env.has_var?(__CALLER__, {:assigns, nil}),
+      do: raise(ArgumentError, "~H needs a variable named assigns in its scope")
+
+    # A heredoc begins on the line after its quotes, with their indentation.
+    {line, column} =
+      if meta[:indentation],
+        do: {__CALLER__.line + 1, meta[:indentation] + 1},
+        else: {__CALLER__.line, (meta[:column] || 1) + 3}
+
+    place = [file: __CALLER__.file, line: line, column: column, indentation: meta[:indentation] || 0]
+    tree = Parser.parse(source, place)
+    Phoenix.Component.Verify.remember(tree, __CALLER__)
+
+    quote do
+      _ = unquote(Macro.var(:assigns, nil))
+      unquote(Compiler.compile_tree(tree, __CALLER__.file))
+    end
+  end
+
+  @doc "The contents of a slot, with an argument for its `:let`."
+  defmacro render_slot(slot, argument \\ nil) do
+    quote do: Phoenix.LiveView.Engine.slot(unquote(slot), unquote(argument))
+  end
+
+  @doc """
+  Adds a value to a socket or to a component's assigns. Equal values change nothing.
+  """
+  @spec assign(Socket.t() | map(), atom(), term()) :: Socket.t() | map()
+  def assign(%Socket{assigns: assigns} = socket, key, value),
+    do: %{socket | assigns: assign(assigns, key, value)}
+
+  def assign(%{__changed__: changed} = assigns, key, value) when is_atom(key) do
+    case assigns do
+      %{^key => ^value} ->
+        assigns
+
+      _differs
+      when key in [:flash, :live_action, :socket, :uploads, :streams, :myself] and not is_nil(changed) ->
+        raise ArgumentError, ":#{key} is a reserved assign"
+
+      _differs ->
+        put(assigns, key, value)
+    end
+  end
+
+  def assign(assigns, _key, _value),
+    do:
+      raise(ArgumentError, "assign/3 takes a socket or the assigns of a component, got: #{inspect(assigns)}")
+
+  @doc "Adds several values, or those that a function of the assigns returns."
+  @spec assign(Socket.t() | map(), keyword() | map() | (map() -> keyword() | map())) :: Socket.t() | map()
+  def assign(%Socket{assigns: assigns} = socket, fun) when is_function(fun, 1),
+    do: assign(socket, fun.(assigns))
+
+  def assign(assigns, fun) when is_function(fun, 1), do: assign(assigns, fun.(assigns))
+
+  def assign(target, values) when is_list(values) or is_map(values),
+    do: Enum.reduce(values, target, fn {key, value}, target -> assign(target, key, value) end)
+
+  @doc "Adds the value of a function unless the assign exists; the function may take the assigns."
+  @spec assign_new(Socket.t() | map(), atom(), (-> term()) | (map() -> term())) :: Socket.t() | map()
+  def assign_new(%Socket{assigns: assigns} = socket, key, fun),
+    do: %{socket | assigns: assign_new(assigns, key, fun)}
+
+  def assign_new(assigns, key, _fun) when is_map_key(assigns, key), do: assigns
+  def assign_new(assigns, key, fun) when is_function(fun, 0), do: put(assigns, key, fun.())
+  def assign_new(assigns, key, fun) when is_function(fun, 1), do: put(assigns, key, fun.(assigns))
+
+  @doc "Updates an assign by a function of its value."
+  @spec update(Socket.t() | map(), atom(), (term() -> term()) | (term(), map() -> term())) ::
+          Socket.t() | map()
+  def update(%Socket{assigns: assigns} = socket, key, fun), do: %{socket | assigns: update(assigns, key, fun)}
+
+  def update(assigns, key, fun) when is_function(fun, 2),
+    do: assign(assigns, key, fun.(Engine.assign!(assigns, key), assigns))
+
+  def update(assigns, key, fun), do: assign(assigns, key, fun.(Engine.assign!(assigns, key)))
+
+  @doc "Whether an assign has changed since the last rendering."
+  @spec changed?(Socket.t() | map(), atom()) :: boolean()
+  def changed?(%Socket{assigns: assigns}, key), do: changed?(assigns, key)
+  def changed?(%{__changed__: nil}, _key), do: true
+  def changed?(%{__changed__: changed}, key), do: is_map_key(changed, key)
+
+  @doc "The assigns without some keys and without those that templates add, for `{…}` in an element."
+  @spec assigns_to_attributes(map(), [atom()]) :: keyword()
+  def assigns_to_attributes(assigns, exclude \\ []) do
+    excluded = [:__changed__, :__slot__, :inner_block, :myself, :flash, :socket | exclude]
+    for {key, value} <- assigns, key not in excluded, do: {key, value}
+  end
+
+  @doc "A form from params with text keys. Options as in `Phoenix.HTML.Form.new/2`."
+  @spec to_form(map() | Phoenix.HTML.Form.t(), keyword()) :: Phoenix.HTML.Form.t()
+  def to_form(params, options \\ [])
+
+  def to_form(%Phoenix.HTML.Form{} = form, options),
+    do: struct!(form, Keyword.take(options, [:id, :name, :errors, :action]))
+
+  def to_form(params, options), do: Phoenix.HTML.Form.new(params, options)
+
+  @doc """
+  Whether the user has touched a field, so that errors may be shown: the client sends `_unused_` for untouched fields.
+
+      iex> form = Phoenix.Component.to_form(%{"name" => "", "_unused_name" => "", "age" => "x"})
+      iex> {Phoenix.Component.used_input?(form[:name]), Phoenix.Component.used_input?(form[:age])}
+      {false, true}
+  """
+  @spec used_input?(Phoenix.HTML.FormField.t()) :: boolean()
+  def used_input?(%Phoenix.HTML.FormField{field: field, form: form}), do: used?(form.params, to_string(field))
+
+  # A nested field is used if one of its fields is.
+  defp used?(_params, "_unused_" <> _name), do: false
+
+  defp used?(params, name) do
+    unused = "_unused_" <> name
+
+    case params do
+      %{^name => _value, ^unused => _mark} -> false
+      %{^name => %{} = inner} when not is_struct(inner) -> Enum.any?(Map.keys(inner), &used?(inner, &1))
+      %{^name => _value} -> true
+      _without -> false
+    end
+  end
+
+  @doc "A message for the user, by its kind."
+  @spec live_flash(map(), atom() | String.t()) :: term()
+  def live_flash(flash, kind), do: flash[to_string(kind)]
+
+  defp put(%{__changed__: nil} = assigns, key, value), do: Map.put(assigns, key, value)
+
+  defp put(%{__changed__: changed} = assigns, key, value),
+    do: assigns |> Map.put(key, value) |> Map.put(:__changed__, Map.put(changed, key, true))
+
+  @doc false
+  @spec prune_streams(map()) :: map()
+  def prune_streams(%{streams: streams} = assigns),
+    do: %{assigns | streams: Map.new(streams, fn {name, stream} -> {name, LiveStream.prune(stream)} end)}
+
+  def prune_streams(assigns), do: assigns
+end

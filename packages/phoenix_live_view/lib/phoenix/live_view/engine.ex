@@ -1,0 +1,66 @@
+defmodule Phoenix.LiveView.Engine do
+  @moduledoc false
+  # Functions that compiled templates call: each value becomes a node of the tree, so that no number, nil or boolean reaches the wire.
+
+  alias Phoenix.HTML.Safe
+  alias Phoenix.LiveView.{Comprehension, LiveStream, Rendered}
+
+  @spec node(term()) :: Rendered.tree()
+  def node(text) when is_binary(text), do: text |> Phoenix.HTML.Escape.text() |> IO.iodata_to_binary()
+  def node(%Rendered{} = rendered), do: rendered
+  def node(%Comprehension{} = comprehension), do: comprehension
+  def node({:safe, data}), do: IO.iodata_to_binary(data)
+  def node(nil), do: ""
+  def node(value), do: value |> Safe.to_iodata() |> IO.iodata_to_binary()
+
+  @spec attribute(String.t(), term()) :: String.t()
+  def attribute(name, value), do: {name, value} |> Phoenix.HTML.attribute() |> IO.iodata_to_binary()
+
+  @spec attributes(Enumerable.t()) :: String.t()
+  def attributes(attributes),
+    do: attributes |> Phoenix.HTML.attributes_escape() |> Phoenix.HTML.safe_to_string()
+
+  @spec component(term(), String.t()) :: Rendered.tree()
+  def component(%Rendered{} = rendered, _name), do: rendered
+  def component(%Comprehension{} = comprehension, _name), do: comprehension
+
+  def component(other, name),
+    do: raise(ArgumentError, "expected the component <#{name}> to return ~H, got: #{inspect(other)}")
+
+  @spec rows([String.t()], Enumerable.t(), [{term(), [Rendered.tree()]}]) :: Comprehension.t()
+  def rows(static, %LiveStream{} = stream, entries),
+    do: Comprehension.new(static, entries, LiveStream.wire(stream))
+
+  def rows(static, _enumerable, entries), do: Comprehension.new(static, entries, nil)
+
+  @spec slot(term(), term()) :: Rendered.tree()
+  def slot(entries, argument) do
+    case List.wrap(entries) do
+      [] -> ""
+      [entry] -> inner(entry, argument)
+      entries -> Comprehension.new(["", ""], Enum.map(entries, &{:index, [inner(&1, argument)]}), nil)
+    end
+  end
+
+  defp inner(%{inner_block: nil}, _argument), do: ""
+  defp inner(%{inner_block: inner}, argument), do: inner.(nil, argument)
+
+  defp inner(other, _argument),
+    do: raise(ArgumentError, "expected a slot, such as @inner_block, got: #{inspect(other)}")
+
+  @spec assign!(map(), atom()) :: term()
+  def assign!(assigns, name) do
+    case assigns do
+      %{^name => value} ->
+        value
+
+      _missing ->
+        known = assigns |> Map.keys() |> Enum.reject(&(&1 in [:__changed__, :inner_block])) |> inspect()
+
+        raise KeyError,
+          key: name,
+          term: assigns,
+          message: "assign @#{name} is not there. Assigns are: #{known}"
+    end
+  end
+end

@@ -1,0 +1,127 @@
+defmodule Phoenix.LiveView.Router do
+  @moduledoc """
+  Maps paths to views.
+
+      defmodule Routes do
+        use Phoenix.LiveView.Router
+
+        live_session :operators, on_mount: [Guard] do
+          live "/", FleetLive
+          live "/vehicles/:id", VehicleLive, :show
+        end
+      end
+
+  Navigation within one `live_session` loads no new page; between sessions the page is loaded anew. `match/2` finds the
+  route of a path; segments with a colon become parameters.
+  """
+
+  defmodule Route do
+    @moduledoc "A route: its view and action, the `live_session` that it belongs to, and the parameters of the path."
+    @enforce_keys [:view, :segments]
+    defstruct [
+      :view,
+      :action,
+      :segments,
+      session: %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil},
+      params: %{}
+    ]
+
+    @type t :: %__MODULE__{}
+  end
+
+  @doc false
+  defmacro __using__(_options) do
+    quote do
+      import Phoenix.LiveView.Router, only: [live: 2, live: 3, live_session: 2, live_session: 3]
+      Module.register_attribute(__MODULE__, :live_routes, accumulate: true)
+      @live_session %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil}
+      @before_compile Phoenix.LiveView.Router
+    end
+  end
+
+  @doc false
+  defmacro __before_compile__(_env) do
+    quote do
+      @doc false
+      def __live_routes__, do: @live_routes |> Enum.reverse()
+    end
+  end
+
+  @doc "A view at a path, with an action that is assigned to `@live_action`."
+  defmacro live(path, view, action \\ nil) do
+    # Expanded as if in a function, so that the router is not recompiled whenever the view is.
+    view = Macro.expand_literals(view, %{__CALLER__ | function: {:__live_routes__, 0}})
+
+    quote bind_quoted: [path: path, view: view, action: action] do
+      @live_routes %Phoenix.LiveView.Router.Route{
+        view: view,
+        action: action,
+        segments: Phoenix.LiveView.Router.segments(path),
+        session: @live_session
+      }
+    end
+  end
+
+  @doc """
+  Routes that share hooks and layouts. Options: `:on_mount`, `:session` (a map that mount gets), `:root_layout`, `:layout`, both `{module, name}`.
+  """
+  defmacro live_session(name, options \\ [], do: block) do
+    quote do
+      @live_session Phoenix.LiveView.Router.session(unquote(name), unquote(Keyword.delete(options, :do)))
+      unquote(block)
+      @live_session %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil}
+    end
+  end
+
+  @doc false
+  def session(name, options) do
+    case Keyword.keys(options) -- [:on_mount, :session, :root_layout, :layout] do
+      [] -> :ok
+      unknown -> raise ArgumentError, "unknown options of live_session: #{inspect(unknown)}"
+    end
+
+    %{
+      name: name,
+      on_mount:
+        options
+        |> Keyword.get(:on_mount, [])
+        |> List.wrap()
+        |> Enum.map(&Phoenix.LiveView.Lifecycle.on_mount/1),
+      session: options |> Keyword.get(:session, %{}) |> Map.new(),
+      root_layout: options[:root_layout],
+      layout: options[:layout]
+    }
+  end
+
+  @doc "The segments of a path."
+  @spec segments(String.t()) :: [String.t()]
+  def segments(path), do: String.split(path, "/", trim: true)
+
+  @doc "The route of a path with its decoded parameters; `:error` if there is none."
+  @spec match(module(), String.t()) :: {:ok, Route.t()} | :error
+  def match(router, path) do
+    segments = segments(path)
+
+    Enum.find_value(router.__live_routes__(), :error, fn route ->
+      with {:ok, params} <- fits(route.segments, segments, %{}),
+           do: {:ok, %{route | params: params}},
+           else: (:error -> nil)
+    end)
+  end
+
+  defp fits([], [], params), do: {:ok, params}
+
+  defp fits([":" <> name | pattern], [segment | path], params) do
+    with {:ok, value} <- decoded(segment), do: fits(pattern, path, Map.put(params, name, value))
+  end
+
+  defp fits([same | pattern], [same | path], params), do: fits(pattern, path, params)
+  defp fits(_pattern, _path, _params), do: :error
+
+  defp decoded(segment) do
+    value = URI.decode(segment)
+    if String.valid?(value), do: {:ok, value}, else: :error
+  rescue
+    ArgumentError -> :error
+  end
+end

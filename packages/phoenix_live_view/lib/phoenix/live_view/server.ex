@@ -1,0 +1,83 @@
+defmodule Phoenix.LiveView.Server do
+  @moduledoc """
+  The server of pages: a value that is made once and given to Cowboy (`Phoenix.LiveView.Cowboy.routes/1`). It takes the
+  place of an endpoint in Phoenix.
+
+    * `:router`: a module that uses `Phoenix.LiveView.Router`
+    * `:secret`: at least 32 random bytes; tokens and cookies are signed with keys made from it
+    * `:root_layout`: `{module, name}` of the component around every page, with `@inner_content`, `@page_title` and `@csrf_token`
+    * `:session`: a function of the Cowboy request that returns the session (who is signed in), a string-keyed map
+    * `:origin?`: a function of the Cowboy request: whether a WebSocket from its `Origin` may be opened
+    * `:hosts`: the host names that requests may use, or `:any`. A list prevents pages of another site whose
+      name points to this server's address from using it
+    * `:supervisor`: the `DynamicSupervisor` of the views' processes
+    * `:cookie`: the name of the session cookie; `:not_found`: the HTML of the answer 404
+    * `:endpoint`: any term, found in `socket.endpoint`
+    * `:max_channels` of one WebSocket, 8; `:max_frame` in bytes, 262,144; `:max_events` a second, 100; `:idle_ms` without a heartbeat, 90,000
+    * `:render_ms`: the shortest time between two renderings that no event asked for, 50
+    * `:csp`: the Content-Security-Policy of pages
+  """
+
+  @derive {Inspect, only: [:router, :endpoint]}
+  @enforce_keys [:router, :secret, :supervisor]
+  defstruct [
+    :router,
+    :secret,
+    :supervisor,
+    :root_layout,
+    :endpoint,
+    :not_found,
+    hosts: :any,
+    cookie: "_live_view",
+    session: &__MODULE__.no_session/1,
+    origin?: &__MODULE__.same_origin?/1,
+    max_channels: 8,
+    max_frame: 262_144,
+    max_events: 100,
+    idle_ms: 90_000,
+    render_ms: 50,
+    csp:
+      "default-src 'self'; img-src 'self' data: blob:; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'self'; form-action 'self'"
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Checks the options."
+  @spec new(keyword()) :: t()
+  def new(options) do
+    server = struct!(__MODULE__, options)
+
+    cond do
+      byte_size(server.secret) < 32 ->
+        raise ArgumentError, "secret: expected at least 32 bytes, got #{byte_size(server.secret)}"
+
+      server.hosts != :any and not (is_list(server.hosts) and Enum.all?(server.hosts, &is_binary/1)) ->
+        raise ArgumentError, "hosts: expected :any or a list of host names, got #{inspect(server.hosts)}"
+
+      true ->
+        server
+    end
+  end
+
+  @doc "Whether a request's host is one of the server's own names."
+  @spec host?(t(), :cowboy_req.req()) :: boolean()
+  def host?(%__MODULE__{hosts: :any}, _request), do: true
+  def host?(%__MODULE__{hosts: hosts}, request), do: :cowboy_req.host(request) in hosts
+
+  @doc false
+  def no_session(_request), do: %{}
+
+  @doc "Whether the `Origin` of a request is the server's own. A request without one comes from no page."
+  @spec same_origin?(:cowboy_req.req()) :: boolean()
+  def same_origin?(request) do
+    case :cowboy_req.header("origin", request) do
+      :undefined -> true
+      origin -> own?(URI.new(origin), :cowboy_req.host(request), :cowboy_req.port(request))
+    end
+  end
+
+  defp own?({:ok, %URI{scheme: scheme, host: host, port: port}}, host, port) when scheme in ["http", "https"],
+    do: true
+
+  defp own?(_other, _host, _port), do: false
+end

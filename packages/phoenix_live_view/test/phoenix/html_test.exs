@@ -1,0 +1,138 @@
+defmodule Phoenix.HTMLTest do
+  use ExUnit.Case, async: true
+  use Phoenix.Component
+
+  import Phoenix.LiveViewTest, only: [rendered_to_string: 1]
+  doctest Phoenix.Component, import: true
+
+  alias Phoenix.HTML
+  alias Phoenix.HTML.Form
+
+  defp text(value), do: value |> HTML.html_escape() |> HTML.safe_to_string()
+
+  for {value, html} <- [
+        {quote(do: nil), ""},
+        {quote(do: :a), "a"},
+        {quote(do: ["a", ?<, [~c"b"], {:safe, "<i>"}]), "a&lt;b<i>"},
+        {quote(do: ["a" | "b"]), "ab"},
+        {quote(do: {:safe, "<b>"}), "<b>"},
+        {quote(do: ~D[2026-01-02]), "2026-01-02"},
+        {quote(do: ~T[01:02:03]), "01:02:03"},
+        {quote(do: ~N[2026-01-02 01:02:03]), "2026-01-02 01:02:03"},
+        {quote(do: ~U[2026-01-02 01:02:03Z]), "2026-01-02 01:02:03Z"},
+        {quote(do: URI.parse("/a?b=1&c='")), "/a?b=1&amp;c=&#39;"},
+        {quote(do: Version.parse!("1.2.3")), "1.2.3"}
+      ] do
+    test "text of #{Macro.to_string(value)}", do: assert(text(unquote(value)) == unquote(html))
+  end
+
+  test "what has no text is an error" do
+    assert_raise Protocol.UndefinedError, fn -> text({:a, 1}) end
+    assert_raise ArgumentError, fn -> text([:a]) end
+  end
+
+  test "attributes, and names that would end one" do
+    given = [id: 1, class: ["a", nil, ["b"]], data: [a_b: 2], aria: %{label: "<"}, x: nil, y: false, z: true]
+
+    assert HTML.safe_to_string(HTML.attributes_escape(given)) ==
+             ~s( id="1" class="a b" data-a-b="2" aria-label="&lt;" z)
+
+    for name <- ["a b", "a>", "", "a\"", "a=b"],
+        do: assert_raise(ArgumentError, fn -> HTML.attributes_escape([{name, "1"}]) end)
+
+    assert HTML.raw(nil) == {:safe, ""}
+  end
+
+  test "options of a select" do
+    options = [{"One", 1}, {"Group", [{"<2>", 2}, 3]}]
+
+    assert HTML.safe_to_string(Form.options_for_select(options, [2, "3"])) ==
+             ~s(<option value="1">One</option><optgroup label="Group"><option value="2" selected>&lt;2&gt;</option><option value="3" selected>3</option></optgroup>)
+  end
+
+  test "forms: names, ids, values, errors" do
+    form = to_form(%{"a" => "1"}, as: :user, errors: [a: {"is odd", []}], action: :save)
+    assert %{name: "user[a]", id: "user_a", value: "1", errors: [{"is odd", []}]} = form[:a]
+    assert form["a"].errors == []
+    assert %{id: "x_b", value: nil} = to_form(form, id: "x")[:b]
+    assert Form.normalize_value("checkbox", "true") and not Form.normalize_value("checkbox", nil)
+    assert_raise ArgumentError, fn -> to_form(%{a: 1}) end
+  end
+
+  test "a field of fields is used when one of them is" do
+    form =
+      to_form(%{"a" => %{"b" => "1", "_unused_b" => ""}, "c" => %{"d" => "", "_unused_d" => "", "e" => ""}})
+
+    refute used_input?(form[:a])
+    assert used_input?(form[:c])
+    refute used_input?(form[:gone])
+  end
+
+  for {name, template, html} <- [
+        {"href", ~s(<.link href="/a" class="x">t</.link>), ~s(<a href="/a" class="x">t</a>)},
+        {"href none", ~s(<.link>t</.link>), ~s(<a href="#">t</a>)},
+        {"patch", ~s(<.link patch="/a">t</.link>),
+         ~s(<a href="/a" data-phx-link="patch" data-phx-link-state="push">t</a>)},
+        {"navigate", ~s(<.link navigate="/a" replace data={[x: 1]}>t</.link>),
+         ~s(<a href="/a" data-phx-link="redirect" data-phx-link-state="replace" data-x="1">t</a>)},
+        {"title", ~s(<.live_title default="d" prefix="p ">{nil}</.live_title>),
+         ~s(<title data-prefix="p " data-default="d">p d</title>)},
+        {"title given", ~s(<.live_title>t</.live_title>), "<title>t</title>"},
+        {"form",
+         ~s(<.form :let={f} for={%{"a" => "1"}} as={:u} action="/x" method="post" csrf_token="t" phx-submit="s">{f[:a].name}</.form>),
+         ~s(<form id="u" action="/x" method="post" phx-submit="s"><input type="hidden" name="_csrf_token" value="t">u[a]</form>)},
+        {"tag", ~s(<.dynamic_tag tag_name="h1" id="a">t</.dynamic_tag>), ~s(<h1 id="a">t</h1>)},
+        {"empty tag", ~s(<.dynamic_tag tag_name="br" />), "<br/>"},
+        {"focus", ~s(<.focus_wrap id="a">t</.focus_wrap>),
+         ~s(<div id="a" phx-hook="Phoenix.FocusWrap"><div id="a-start" tabindex="0" aria-hidden="true"></div>t<div id="a-end" tabindex="0" aria-hidden="true"></div></div>)},
+        {"between", ~s(<.intersperse :let={i} enum={[1, 2, 3]}>{i}<:separator>, </:separator></.intersperse>),
+         "1, 2, 3"},
+        {"braces", ~s(<p phx-no-curly-interpolation>{a <p>{b}</p>} </p>{1}), "<p>{a <p>{b}</p>} </p>1"}
+      ] do
+    test "component: #{name}" do
+      assigns = %{}
+
+      found =
+        unquote(
+          {:sigil_H, [line: __ENV__.line, delimiter: "\""], [{:<<>>, [line: __ENV__.line], [template]}, []]}
+        )
+        |> rendered_to_string()
+        |> String.replace(~r/\n */, "")
+        |> String.trim()
+
+      assert found == unquote(html)
+    end
+  end
+
+  test "links lead to pages, not to code" do
+    assigns = %{to: "javascript:alert(1)"}
+
+    for rendered <- [
+          fn -> ~H"<.link href={@to}>t</.link>" end,
+          fn -> ~H"<.link patch={@to}>t</.link>" end,
+          fn -> ~H"<.link navigate={@to}>t</.link>" end
+        ] do
+      assert_raise ArgumentError, ~r/unsupported scheme/, rendered
+    end
+
+    assert_raise ArgumentError, fn -> ~H|<.dynamic_tag tag_name="a b" />| end
+  end
+
+  test "assigns" do
+    socket =
+      %Phoenix.LiveView.Socket{}
+      |> assign(:a, 1)
+      |> assign(%{b: 2})
+      |> assign(fn assigns -> [c: assigns.a + assigns.b] end)
+
+    assert %{a: 1, b: 2, c: 3} = socket.assigns
+    assert changed?(socket, :a) and not changed?(socket, :z)
+    socket = socket |> update(:a, &(&1 + 1)) |> update(:b, fn b, assigns -> b + assigns.a end)
+    assert %{a: 2, b: 4} = socket.assigns
+    assert assign_new(socket, :a, fn -> 9 end).assigns.a == 2
+    assert assign_new(socket, :d, fn assigns -> assigns.c end).assigns.d == 3
+    assert_raise ArgumentError, ~r/reserved/, fn -> assign(socket, :flash, %{"a" => 1}) end
+    assert_raise ArgumentError, fn -> assign(%{}, :a, 1) end
+    assert assigns_to_attributes(%{__changed__: nil, inner_block: [], id: 1, x: 2}, [:x]) == [id: 1]
+  end
+end

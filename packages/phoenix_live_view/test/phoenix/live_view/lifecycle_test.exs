@@ -1,0 +1,145 @@
+defmodule Phoenix.LiveView.LifecycleTest do
+  use ExUnit.Case, async: true
+
+  @moduletag :capture_log
+
+  defmodule Hooks do
+    import Phoenix.LiveView
+    import Phoenix.Component
+
+    def on_mount(:attach, params, _session, socket) do
+      socket =
+        socket
+        |> assign(:seen, [])
+        |> attach_hook(:params, :handle_params, fn _params, _uri, socket -> {:cont, seen(socket, :params)} end)
+        |> attach_hook(:event, :handle_event, fn
+          "stop", _value, socket -> {:halt, seen(socket, :stop)}
+          "reply", value, socket -> {:halt, value, seen(socket, :reply)}
+          "detach", _value, socket -> {:halt, detach_hook(socket, :info, :handle_info)}
+          _event, _value, socket -> {:cont, seen(socket, :event)}
+        end)
+        |> attach_hook(:info, :handle_info, fn _message, socket -> {:halt, seen(socket, :info)} end)
+        |> attach_hook(:render, :after_render, &put_private(&1, :rendered, true))
+
+      if params["again"],
+        do: {:cont, attach_hook(socket, :info, :handle_info, fn _, socket -> {:cont, socket} end)},
+        else: {:cont, socket}
+    end
+
+    def on_mount(:forgetful, _params, _session, socket), do: {:halt, socket}
+    defp seen(socket, what), do: update(socket, :seen, &[what | &1])
+  end
+
+  defmodule Layout do
+    use Phoenix.Component
+    def live(assigns), do: ~H"<main>{@inner_content}</main>"
+  end
+
+  defmodule Page do
+    use Phoenix.LiveView, layout: {Layout, :live}
+    on_mount {Hooks, :attach}
+
+    def mount(_params, _session, socket),
+      do: {:ok, assign(socket, :once, "once"), temporary_assigns: [once: ""]}
+
+    def handle_params(_params, _uri, socket), do: {:noreply, socket}
+
+    def handle_event(_event, _value, socket),
+      do: {:noreply, clear_flash(put_flash(socket, :info, "x"), :error)}
+
+    def handle_call(:n, _from, socket),
+      do: {:reply, length(socket.assigns.seen), assign(socket, :seen, [:call])}
+
+    def handle_cast(:c, socket), do: {:noreply, assign(socket, :seen, [:cast])}
+
+    def render(assigns),
+      do: ~H|<p>{inspect(@seen)}{@once}{@flash["info"]}{@live_action}{@socket.id != nil}</p>|
+  end
+
+  defmodule Forgetful do
+    use Phoenix.LiveView
+    on_mount {Hooks, :forgetful}
+    def render(assigns), do: ~H""
+  end
+
+  defmodule Silent do
+    use Phoenix.LiveView
+    def render(assigns), do: ~H"<p>silent</p>"
+  end
+
+  defmodule Routes do
+    use Phoenix.LiveView.Router
+    live "/", Page, :index
+    live "/forgetful", Forgetful
+    live "/silent", Silent
+  end
+
+  import Phoenix.LiveViewTest
+
+  setup do
+    supervisor = start_supervised!(DynamicSupervisor)
+
+    %{
+      conn:
+        conn(
+          Phoenix.LiveView.Server.new(
+            router: Routes,
+            secret: String.duplicate("k", 32),
+            supervisor: supervisor
+          )
+        )
+    }
+  end
+
+  test "hooks see what the view's callbacks would, and may keep it from them", %{conn: conn} do
+    {:ok, view, html} = live(conn, "/")
+    assert html == "<main><p>[:params]onceindextrue</p></main>"
+    assert render_click(view, "any") =~ "[:event, :params]xindex"
+    assert render_click(view, "stop") =~ "[:stop, :event, :params]x"
+    render_click(view, "reply", %{a: 1})
+    send(view.pid, :message)
+    assert render(view) =~ "[:info, :reply,"
+    render_click(view, "detach")
+    assert render_click(view, "lv:clear-flash", %{key: "info"}) =~ "]index"
+  end
+
+  test "a view answers calls and casts", %{conn: conn} do
+    {:ok, view, _html} = live(conn, "/")
+    assert GenServer.call(view.pid, :n) == 1
+    assert render(view) =~ "[:call]"
+    GenServer.cast(view.pid, :c)
+    assert render(view) =~ "[:cast]"
+  end
+
+  test "mistakes with hooks are told", %{conn: conn} do
+    assert_raise ArgumentError, ~r/hook :info at :handle_info already/, fn -> live(conn, "/?again=1") end
+    assert_raise ArgumentError, ~r/on_mount halted without a redirect/, fn -> live(conn, "/forgetful") end
+  end
+
+  test "a message that a view does not handle does not end it", %{conn: conn} do
+    {:ok, view, _html} = live(conn, "/silent")
+    send(view.pid, :hello)
+    assert render(view) == "<p>silent</p>"
+  end
+
+  test "callbacks are spans, with names that do not change", %{conn: conn} do
+    test = self()
+    handler = inspect(make_ref())
+
+    :telemetry.attach_many(
+      handler,
+      Phoenix.LiveView.Telemetry.events(),
+      fn event, _, meta, _ -> send(test, {event, meta}) end,
+      nil
+    )
+
+    {:ok, view, _html} = live(conn, "/")
+    render_click(view, "any")
+    :telemetry.detach(handler)
+
+    for callback <- [:mount, :handle_params, :render, :handle_event], point <- [:start, :stop] do
+      event = [:phoenix, :live_view, callback, point]
+      assert_receive {^event, %{socket: %{view: Page}}}
+    end
+  end
+end

@@ -1,0 +1,83 @@
+// A Chromium for tests: pages whose complaints are kept, and what tests ask of them. The limits only guard against hanging.
+import { chromium } from "playwright-core";
+
+export const PATIENCE_MS = 300_000;
+
+// Pages are our own; a container often has no user namespaces for the sandbox.
+export async function launch() {
+  return chromium.launch({
+    executablePath: process.env.AERIE_CHROMIUM,
+    args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+  });
+}
+
+// A page in a context of its own. `page.complaints` has what it wrote to the console as errors, and exceptions.
+export async function open(browser, options = {}) {
+  const context = await browser.newContext(options);
+  const page = await context.newPage();
+  page.setDefaultTimeout(PATIENCE_MS);
+  page.complaints = [];
+  page.on("console", (message) => { if (message.type() === "error") page.complaints.push(message.text()); });
+  page.on("pageerror", (error) => page.complaints.push(error.message));
+  return page;
+}
+
+export const live = (page) => page.waitForSelector("[data-phx-main].phx-connected");
+
+// Waits until a function holds in the page. Unlike Playwright's default it does not wait for frames, which software WebGL draws slowly.
+export const until = (page, holds, value) => page.waitForFunction(holds, value, { polling: 100 });
+
+export const shows = (page, selector, text) =>
+  until(page, ([selector, text]) => document.querySelector(selector)?.textContent.trim() === text, [selector, text]);
+
+export const contains = (page, selector, text) =>
+  until(page, ([selector, text]) => document.querySelector(selector)?.textContent.includes(text), [selector, text]);
+
+// Holds a button of FleetWeb.Console.UI.HoldButton with the mouse until the button has sent its event. On a busy machine the gateway may seem
+// lost for a moment, which ends the press; then the button is pressed again.
+export async function hold(page, selector) {
+  const button = page.locator(`${selector}:not([disabled])`);
+  for (;;) {
+    await page.waitForSelector("html:not(.gateway-lost)");
+    await button.hover();
+    const before = Number((await button.getAttribute("data-held-count")) ?? 0);
+    await page.mouse.down();
+    const outcome = await until(page, ([selector, before]) => {
+      const { dataset } = document.querySelector(selector) ?? {};
+      // Some buttons disappear when the event has been handled.
+      if (!dataset || Number(dataset.heldCount ?? 0) > before) return "held";
+      return dataset.state === "holding" ? false : "let go";
+    }, [selector, before]);
+    await page.mouse.up();
+    if ((await outcome.jsonValue()) === "held") return;
+  }
+}
+
+export function equal(what, found, expected) {
+  if (found !== expected) throw new Error(`${what}\n  expected ${JSON.stringify(expected)}\n  found    ${JSON.stringify(found)}`);
+}
+
+// The text of a page, for the output of a test that fails; and a screenshot in the folder AERIE_SHOTS if that is set.
+async function seen(page) {
+  const folder = process.env.AERIE_SHOTS;
+  if (folder) await page.screenshot({ path: `${folder}/failed-${Date.now()}.png` }).catch(() => {});
+  return page.evaluate(() => document.querySelector("#main")?.innerText.slice(0, 2_000)).catch(() => "");
+}
+
+// Runs a test's body and ends with its status.
+export async function main(body) {
+  const browser = await launch();
+  let status = 0;
+  try {
+    await body(browser);
+    console.log("ok");
+  } catch (error) {
+    for (const context of browser.contexts()) {
+      for (const page of context.pages()) console.log(page.url(), page.complaints, await seen(page));
+    }
+    console.log(error.stack);
+    status = 1;
+  }
+  await browser.close();
+  process.exit(status);
+}

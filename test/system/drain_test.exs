@@ -1,0 +1,101 @@
+defmodule Aerie.System.DrainTest do
+  @moduledoc "SIGTERM with a command under way: it is drained within the grace time, or told as unknown."
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.BridgeCase, only: [other_vm: 2]
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @key "a-key-for-the-drain-test"
+
+  setup %{tmp_dir: folder} do
+    [http, udp] = [free_tcp_port(), free_udp_port()]
+    config = Path.join(folder, "gateway.yaml")
+
+    File.write!(config, """
+    environment: test
+    mavlink: {local_addr: off}
+    links: [{id: radio, url: "udpin:127.0.0.1:#{udp}"}]
+    http: {port: #{http}}
+    api: {key: #{@key}}
+    console: {enabled: false}
+    websocket: {enabled: false}
+    sockets: {enabled: false}
+    clients: []
+    nats: {mode: off}
+    outbox: {dir: "#{folder}/outbox"}
+    recorder: {dir: "#{folder}/recordings"}
+    policy: {audit: {dir: "#{folder}/audit"}}
+    params: {dir: "#{folder}/params"}
+    shadow: {dir: "#{folder}/shadow"}
+    commands: {ledger: {dir: "#{folder}/ledger"}, grace_s: GRACE}
+    """)
+
+    File.chmod!(config, 0o600)
+    sim = start_supervised!({SimVehicle, firmware: :ardupilot, ready_s: 1.0, link: "udpout:127.0.0.1:#{udp}"})
+    %{config: config, url: "http://127.0.0.1:#{http}/api/vehicles/VID-001/commands", sim: sim}
+  end
+
+  # A gateway as the program runs it, in a VM that ends by SIGTERM; with a command that the vehicle does not answer.
+  defp commanded(context, grace_s) do
+    File.write!(context.config, String.replace(File.read!(context.config), "GRACE", "#{grace_s}"))
+
+    script = """
+    {:ok, _} = Application.ensure_all_started(:aerie)
+    plan = %{config_file: #{inspect(context.config)}, overrides: %{}, sim: 0}
+    {:ok, _run} = Aerie.CLI.Run.start(plan, status: false)
+    IO.puts("running " <> System.pid())
+    Process.sleep(:infinity)
+    """
+
+    {port, pid} = other_vm(script, "running ")
+    done = %{"type" => "set_mode", "params" => %{"mode" => "GUIDED"}}
+    eventually(fn -> match?({200, _result}, post(context.url, done)) end, "it obeys")
+    :ok = SimVehicle.fault(context.sim, :silence, true)
+    mode = %{"type" => "set_mode", "id" => "mode", "params" => %{"mode" => "LOITER"}}
+    task = Task.async(fn -> post(context.url, mode) end)
+    SimVehicle.await(context.sim, &(&1.mode == "LOITER"))
+    {_output, 0} = System.cmd("kill", ["-TERM", "#{pid}"])
+    {port, task}
+  end
+
+  defp post(url, body) do
+    # Otherwise a request waits behind the one that waits for its result.
+    headers = [{~c"x-aerie-key", ~c"#{@key}"}, {~c"connection", ~c"close"}]
+    request = {to_charlist(url), headers, ~c"application/json", JSON.encode!(body)}
+
+    case :httpc.request(:post, request, [], body_format: :binary) do
+      {:ok, {{_version, status, _reason}, _headers, reply}} -> {status, JSON.decode!(reply)}
+      {:error, reason} -> reason
+    end
+  end
+
+  defp await_end(port) do
+    monitor = Port.monitor(port)
+    assert_receive {:DOWN, ^monitor, :port, _port, _reason}
+  end
+
+  test "answered within the grace time: its result is told, and nothing new is taken", context do
+    {port, task} = commanded(context, 120)
+
+    eventually(
+      fn ->
+        {status, body} = post(context.url, %{"type" => "arm"})
+        status == 503 and body["error"]["message"] =~ "ending"
+      end,
+      "no new command is taken"
+    )
+
+    :ok = SimVehicle.fault(context.sim, :silence, false)
+    assert {200, %{"result" => "completed"}} = Task.await(task, :infinity)
+    await_end(port)
+  end
+
+  test "not answered: told as unknown, and the program ends", context do
+    {port, task} = commanded(context, 0.5)
+    assert {504, %{"result" => "unknown", "reason" => reason}} = Task.await(task, :infinity)
+    assert reason =~ "the gateway ended before"
+    await_end(port)
+  end
+end

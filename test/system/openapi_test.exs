@@ -1,0 +1,42 @@
+defmodule Aerie.System.OpenAPITest do
+  @moduledoc "REST does what `docs/openapi.json` says, asked by schemathesis: every operation, with right and with wrong requests."
+
+  use Aerie.SystemCase, async: true
+  use Aerie.PeerCase
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @moduletag :long
+  @moduletag :schemathesis
+  @key "a-key-for-schemathesis"
+
+  test "every answer is one that the description has", %{tmp_dir: folder} do
+    %{gateway: gateway} =
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"api" => %{"key" => @key}})
+
+    port = FleetWeb.Endpoint.port(gateway)
+    file = Path.join(folder, "openapi.json")
+    File.write!(file, FleetWeb.API.OpenAPI.text())
+
+    peer =
+      start_program("schemathesis", [
+        "run",
+        file,
+        "--url=http://127.0.0.1:#{port}",
+        "--header=X-Aerie-Key: #{@key}",
+        # Every status that is not described fails: 500 above all. Methods that nobody has are not asked for: Cowboy itself
+        # answers TRACE with 501.
+        "--checks=status_code_conformance,content_type_conformance,response_schema_conformance",
+        "--phases=examples,coverage,fuzzing",
+        "--max-examples=15",
+        "--seed=1",
+        "--no-color",
+        # A transfer from a vehicle that is not there must not wait for an hour.
+        "--request-timeout=60"
+      ])
+
+    findings(peer)
+    # Whatever was asked, the gateway is as it was.
+    assert {true, _report} = FleetWeb.Health.ready(gateway)
+  end
+end

@@ -1,0 +1,204 @@
+defmodule Aerie.System.ShadowTest do
+  @moduledoc "The shadow through the whole gateway: simulated vehicles are made to agree, and nobody in charge of them is disturbed."
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.{Commands, Missions, Names, Params, Shadow}
+  alias Aerie.Mission.{Item, Plan}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @key {"main", 1}
+  @vehicle "VID-001"
+
+  setup %{tmp_dir: folder} = context do
+    overrides = %{
+      "shadow" => %{"dir" => Path.join(folder, "shadow"), "hold_s" => 1, "lease_s" => 2},
+      "signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys(folder, context[:key])}
+    }
+
+    link = context[:link] || "udpin:127.0.0.1:0"
+    %{gateway: gateway} = start_gateway(folder, links: [link], overrides: overrides)
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+    {:ok, sim} = SimVehicle.start_link([link: link] ++ fast_vehicle(context[:firmware] || :ardupilot))
+    SimVehicle.await(sim, & &1.ready)
+    await_standing(gateway)
+    %{gateway: gateway, sim: sim}
+  end
+
+  defp keys(_folder, nil), do: []
+
+  defp keys(folder, passphrase) do
+    file = Path.join(folder, "network.key")
+    File.write!(file, passphrase)
+    File.chmod!(file, 0o600)
+    [%{"key_file" => file}]
+  end
+
+  defp desire(gateway, desired), do: {:ok, _done} = Shadow.update(gateway, @vehicle, %{"desired" => desired})
+
+  defp standing(gateway, path, state) do
+    eventually(
+      fn -> match?(%{^path => %{state: ^state}}, Shadow.report(gateway, @vehicle)) end,
+      fn -> "#{path} #{state}; it is #{inspect(Shadow.report(gateway, @vehicle)[path])}" end
+    )
+
+    Shadow.report(gateway, @vehicle)[path]
+  end
+
+  defp command(gateway, type, params \\ %{}) do
+    {:ok, result} = Commands.submit(gateway, vehicle: @vehicle, type: type, params: params)
+    result
+  end
+
+  defp plan do
+    point = fn north -> %Item{command: 16, frame: 3, x: 473_977_420 + north, y: 85_455_940, z: 20.0} end
+    take_off = %{point.(0) | command: 22}
+
+    corners =
+      for {x, y} <- [{-9_000, -9_000}, {9_000, -9_000}, {9_000, 9_000}], do: {473_977_420 + x, 85_455_940 + y}
+
+    Missions.export(
+      %Plan{items: [take_off, point.(2_000), point.(4_000)], fence: [{:inclusion, {:polygon, corners}}]},
+      :plan
+    )
+  end
+
+  for {firmware, mode, param} <- [
+        {:ardupilot, "GUIDED", "WPNAV_SPEED"},
+        {:px4, "AUTO_LOITER", "MIS_TAKEOFF_ALT"}
+      ] do
+    @tag firmware: firmware
+    test "#{firmware}: parameters, fence, mission, mode, and message rates agree in the end, and stay so",
+         context do
+      %{gateway: gateway, sim: sim} = context
+      {:ok, %{value: old}} = Params.get(gateway, @vehicle, unquote(param))
+      {:ok, hash} = Shadow.put_plan(gateway, plan())
+
+      desire(gateway, %{
+        "params" => %{unquote(param) => old + 1},
+        "geofence" => %{"plan" => hash},
+        "mission" => %{"plan" => hash},
+        "mode" => unquote(mode),
+        "intervals" => %{"ATTITUDE" => 4},
+        "tags" => ["survey"]
+      })
+
+      for path <- [
+            "params.#{unquote(param)}",
+            "geofence.plan",
+            "mission.plan",
+            "mode",
+            "intervals.ATTITUDE",
+            "tags"
+          ],
+          do: standing(gateway, path, :converged)
+
+      new = old + 1
+      assert {:ok, %{value: ^new}} = Params.get(gateway, @vehicle, unquote(param))
+      assert SimVehicle.state(sim).mode == unquote(mode)
+      assert {:ok, %{plan: %{items: [_, _, _]}}} = Missions.download(gateway, @vehicle, :mission)
+      assert {:ok, %{plan: %{fence: [_zone]}}} = Missions.download(gateway, @vehicle, :fence)
+      issued = Store.counter(gateway, {:shadow, :commands_issued})
+      compared = Store.counter(gateway, {:shadow, :reconciliations})
+
+      eventually(
+        fn -> Store.counter(gateway, {:shadow, :reconciliations}) > compared + 3 end,
+        "it was looked at again"
+      )
+
+      assert Store.counter(gateway, {:shadow, :commands_issued}) == issued
+      conn = nats_client(gateway)
+
+      eventually(
+        fn ->
+          with text when is_binary(text) <-
+                 Gnat.Jetstream.API.KV.get_value(conn, "fleet_reported", "test.#{@vehicle}") do
+            match?(
+              %{"fields" => %{"mission.plan" => %{"state" => "converged"}}, "tags" => ["survey"]},
+              JSON.decode!(text)
+            )
+          else
+            _none -> false
+          end
+        end,
+        "it is reported"
+      )
+    end
+  end
+
+  test "the fence is switched on, and off again", %{gateway: gateway, sim: sim} do
+    for {on?, value} <- [{true, 1.0}, {false, 0.0}] do
+      desire(gateway, %{"geofence" => %{"enabled" => on?}})
+      # The last report may still be that of the wish before.
+      eventually(fn -> data(gateway, :health)[:fence_enabled] == on? end, "the fence is #{on?}")
+      standing(gateway, "geofence.enabled", :converged)
+      assert {:ok, %{value: there}} = Params.get(gateway, @vehicle, "FENCE_ENABLE")
+      assert there == value
+    end
+
+    assert SimVehicle.state(sim).armed == false
+  end
+
+  @tag key: "a long passphrase of the network", link: "udpin:127.0.0.1:0?secure=true"
+  test "a vehicle without a key gets the one that is kept for it, over a secure link", %{gateway: gateway} do
+    refute match?(%{state: :verified}, Aerie.Signing.vehicle(gateway, @key))
+    desire(gateway, %{"signing" => true})
+    standing(gateway, "signing", :converged)
+    assert %{state: :verified} = Aerie.Signing.vehicle(gateway, @key)
+  end
+
+  test "armed on the ground it is not sent off; in the air it agrees when the operator has let go, and a failsafe holds it",
+       context do
+    %{gateway: gateway, sim: sim} = context
+    assert %{status: :completed} = command(gateway, "set_mode", %{mode: "GUIDED"})
+    assert %{status: :completed} = command(gateway, "arm")
+    desire(gateway, %{"mode" => "AUTO"})
+
+    eventually(
+      fn -> match?(%{"mode" => %{by: "ground"}}, Shadow.report(gateway, @vehicle)) end,
+      "held by the ground"
+    )
+
+    {:ok, _done} = Shadow.delete(gateway, @vehicle)
+    assert %{status: :completed} = command(gateway, "takeoff", %{altitude: 10})
+    SimVehicle.await(sim, &(&1.alt_rel > 8))
+    desire(gateway, %{"mode" => "LOITER"})
+    # The operator's time is over.
+    standing(gateway, "mode", :converged)
+    assert SimVehicle.state(sim).mode == "LOITER"
+
+    # By the vehicle itself, which nobody here commanded.
+    SimVehicle.failsafe(sim, :battery)
+    eventually(fn -> data(gateway, :mode)[:mode] != "LOITER" end, "the failsafe acts")
+    assert %{by: by} = standing(gateway, "mode", :held)
+    assert by in ["failsafe", "other"]
+  end
+
+  test "its loop, the documents and the whole tree may be killed: what is desired stays, and is done",
+       context do
+    %{gateway: gateway, sim: sim} = context
+    desire(gateway, %{"mode" => "GUIDED"})
+    standing(gateway, "mode", :converged)
+    session = Names.whereis(gateway, :session, @key)
+    Process.exit(Names.whereis(gateway, :shadow, @key), :kill)
+    eventually(fn -> Names.whereis(gateway, :session, @key) not in [nil, session] end, "the tree restarted")
+    Process.exit(Names.whereis(gateway, :shadow_documents), :kill)
+    eventually(fn -> Names.whereis(gateway, :shadow_documents) != nil end, "the documents restarted")
+    desire(gateway, %{"mode" => "LOITER"})
+    eventually(fn -> SimVehicle.state(sim).mode == "LOITER" end, "it is in LOITER")
+    standing(gateway, "mode", :converged)
+    assert {:ok, %{"version" => 2}} = Shadow.get(gateway, @vehicle)
+  end
+
+  test "at a bad link it agrees all the same, and refuses what the vehicle refuses", %{
+    gateway: gateway,
+    sim: sim
+  } do
+    :ok = SimVehicle.fault(sim, :loss, 0.25)
+    desire(gateway, %{"params" => %{"WPNAV_SPEED" => 444, "NO_SUCH_PARAM" => 1}, "mode" => "GUIDED"})
+    standing(gateway, "params.WPNAV_SPEED", :converged)
+    assert %{why: "waits for params.NO_SUCH_PARAM"} = standing(gateway, "mode", :pending)
+    desire(gateway, %{"params" => %{"NO_SUCH_PARAM" => nil}})
+    standing(gateway, "mode", :converged)
+  end
+end

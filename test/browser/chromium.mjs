@@ -33,18 +33,37 @@ export const shows = (page, selector, text) =>
 export const contains = (page, selector, text) =>
   until(page, ([selector, text]) => document.querySelector(selector)?.textContent.includes(text), [selector, text]);
 
-// Holds a button of FleetWeb.Console.UI.HoldButton with the mouse until the button has sent its event. On a busy machine the gateway may seem
-// lost for a moment, which ends the press; then the button is pressed again.
-export async function hold(page, selector) {
+// What a button of FleetWeb.Console.UI.HoldButton went through: its presses that ended, and the one that is on. Null if there is no such button.
+const presses = (page, selector) =>
+  page.evaluate((selector) => {
+    const { heldCount, slippedCount, state } = document.querySelector(selector)?.dataset ?? {};
+    return document.querySelector(selector) && { held: Number(heldCount ?? 0), ended: Number(heldCount ?? 0) + Number(slippedCount ?? 0), on: state === "holding" };
+  }, selector);
+
+// Presses such a button with the mouse. The page may move between the pointer's way there and the press, and on a busy machine the gateway may
+// seem lost for a moment: then the press does nothing, and is made again. A brief press ends at once.
+export async function press(page, selector, { brief = false } = {}) {
   const button = page.locator(`${selector}:not([disabled])`);
   for (;;) {
     await page.waitForSelector("html:not(.gateway-lost)");
     await button.hover();
-    const before = Number((await button.getAttribute("data-held-count")) ?? 0);
-    await page.mouse.down();
+    const before = await presses(page, selector);
+    await (brief ? Promise.all([page.mouse.down(), page.mouse.up()]) : page.mouse.down());
+    const now = await presses(page, selector);
+    // Some buttons disappear when they were held.
+    if (!now || now.on || now.ended > (before?.ended ?? 0)) return;
+    await page.mouse.up();
+  }
+}
+
+// The same until the button has sent its event; what ended the press on the way starts it again.
+export async function hold(page, selector) {
+  await page.waitForSelector(selector);
+  const before = (await presses(page, selector)).held;
+  for (;;) {
+    await press(page, selector);
     const outcome = await until(page, ([selector, before]) => {
       const { dataset } = document.querySelector(selector) ?? {};
-      // Some buttons disappear when the event has been handled.
       if (!dataset || Number(dataset.heldCount ?? 0) > before) return "held";
       return dataset.state === "holding" ? false : "let go";
     }, [selector, before]);

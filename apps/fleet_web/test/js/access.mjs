@@ -1,5 +1,5 @@
 // Signing in and out, roles, keys, the look, and the button that has to be held. Argument: the console's address.
-import { contains, equal, live, main, open, shows } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, live, main, open, press, shows } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
 
 const base = process.argv[2];
@@ -40,25 +40,20 @@ main(async (browser) => {
   // Held too short: nothing. Held: one command, with an id of its own. By a key: another.
   await page.goto(base + "/vehicles/VID-007");
   await live(page);
-  const button = page.locator("#action-hold");
-  await button.hover();
-  await page.mouse.down();
-  await page.mouse.up();
-  await page.waitForSelector("#action-hold[data-slipped-count='1']");
-  await page.mouse.down();
-  await page.waitForSelector("#action-hold[data-held-count='1']");
-  await page.mouse.up();
+  const counted = (name, count) => page.waitForSelector(`#action-hold[data-${name}-count='${count}']`);
+  await press(page, "#action-hold", { brief: true });
+  await counted("slipped", 1);
+  await hold(page, "#action-hold");
+  await counted("held", 1);
   // The press goes on if the page moves under the pointer, and ends if the pointer leaves the button.
-  await button.hover();
-  await page.mouse.down();
+  await press(page, "#action-hold");
   await page.evaluate(() => { document.querySelector(".vehicle-foot").style.translate = "0 -200px"; });
-  await page.waitForSelector("#action-hold[data-held-count='2']");
+  await counted("held", 2);
   await page.mouse.up();
   await page.evaluate(() => { document.querySelector(".vehicle-foot").style.translate = ""; });
-  await button.hover();
-  await page.mouse.down();
+  await press(page, "#action-hold");
   await page.mouse.move(700, 300);
-  await page.waitForSelector("#action-hold[data-slipped-count='2']");
+  await counted("slipped", 2);
   await page.mouse.up();
   await page.keyboard.down("r");
   await page.waitForSelector("#action-rtl[data-held-count='1']");

@@ -9,13 +9,13 @@ defmodule SimVehicle.Pilot do
   - `:landed` wait until it is down and disarmed, `:swap_battery`
 
   If somebody else commands the vehicle (arms, changes the mode, sets a target), the pilot stops until the vehicle has been on
-  the ground and disarmed for 30 seconds. It also stops during any failsafe.
+  the ground and disarmed for five minutes: nobody who looks around after a landing is to be surprised by a take-off. It also stops during any failsafe.
   """
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Geo, Vehicle}
 
-  @hands_off_us 30_000_000
+  @hands_off_us 300_000_000
   # A refused command is tried again; a step that does not finish is given up.
   @retry_us 2_000_000
   @step_max_us 300_000_000

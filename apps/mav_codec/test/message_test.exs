@@ -2,7 +2,7 @@ defmodule MavCodec.MessageTest do
   use ExUnit.Case, async: true
 
   alias MavCodec.{DecodeError, Dialects, EncodeError, Message}
-  alias MavCodec.Messages.{Attitude, Heartbeat, MissionAck, ParamValue, Simstate164, SimState}
+  alias MavCodec.Messages.{Attitude, Heartbeat, MissionAck, ParamExtSet, ParamValue, Simstate164, SimState}
 
   defp encode_payload(message, version \\ 2, dialect \\ Dialects.All),
     do: Message.encode_payload(message, version, dialect)
@@ -67,6 +67,18 @@ defmodule MavCodec.MessageTest do
     assert ParamValue.decode(payload).param_id == "RTL_ALT"
     assert ParamValue.decode(<<0::64, "AB", 0, "garbage_after", 9>>).param_id == "AB"
     assert ParamValue.decode(<<0::64, "SIXTEEN_BYTES_ID", 9>>).param_id == "SIXTEEN_BYTES_ID"
+  end
+
+  test "P8: the value of an extended parameter is bytes, its NULs included" do
+    number = <<0, 0, 128, 63, 0::124-unit(8)>>
+    message = %ParamExtSet{target_system: 1, param_id: "CAM_EV", param_value: number, param_type: 9}
+    assert {:ok, 323, 78, payload} = encode_payload(message)
+    assert ParamExtSet.decode(payload) == message
+    # Fewer bytes are filled with zeros, as of any other bytes.
+    assert encode_payload(%{message | param_value: <<0, 0, 128, 63>>}) == {:ok, 323, 78, payload}
+    assert %ParamExtSet{}.param_value == <<0::128-unit(8)>>
+    assert %{type: :uint8, length: 128} = Enum.find(ParamExtSet.fields(), &(&1.key == :param_value))
+    assert {:error, %EncodeError{}} = encode_payload(%{message | param_value: <<0::129-unit(8)>>})
   end
 
   test "a value out of range or of the wrong type is an error that says what was expected" do

@@ -3,7 +3,7 @@ defmodule MavCodec.Message do
   Messages as structs: the behaviour of the modules under `MavCodec.Messages`, and the encoding of a struct to a payload.
 
   Integers, enums and bitmasks are integers; floats are floats, or `:nan`, `:infinity`, `:neg_infinity` and
-  `{:nan, bits}`; `char[]` is text without trailing NULs; `uint8_t[]` is a binary; other arrays are lists. A new
+  `{:nan, bits}`; `char[]` is text without trailing NULs; `uint8_t[]` and a `char[]` that holds bytes are binaries; other arrays are lists. A new
   struct is all zeros, so only the fields that matter need to be set.
   """
 

@@ -71,6 +71,23 @@ defmodule MavCodec.Definition.ParserTest do
         int16_t a enum=E units=cm invalid=INT16_MAX multiplier=1E-2 min=0 max=9 increment=0.1 default=a\\sb format=0x%04x instance bitmask
       """
     },
+    "bytes in a char[]: said so, or known" => {
+      ~S(<messages><message id='1' name='M'><field type='char[4]' name='a' display='bytes'/><field type='char[4]' name='b'/>) <>
+        ~S(<field type='char' name='c' display='bytes'/></message>) <>
+        ~S(<message id='323' name='PARAM_EXT_SET'><field type='char[16]' name='param_id'/>) <>
+        ~S(<field type='char[128]' name='param_value'/></message></messages>),
+      """
+
+      message 1 M
+        char[4] a bytes
+        char[4] b
+        char c
+
+      message 323 PARAM_EXT_SET
+        char[16] param_id
+        char[128] param_value bytes
+      """
+    },
     "an enum; values decimal, hexadecimal, binary, as powers and as shifts; an entry without one gets the next" =>
       {
         "<enums><enum name='E'><description>Prose</description><entry value='3' name='E_A'><description>P</description>" <>

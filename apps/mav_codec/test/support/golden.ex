@@ -66,6 +66,10 @@ defmodule MavCodec.Golden do
   defp value(%{type: type}, "neg_infinity") when type in [:float, :double], do: :neg_infinity
   defp value(%{type: :float}, 1.0e-45), do: 2.0 ** -149
   defp value(%{type: type}, value) when type in [:float, :double], do: value * 1.0
+  # pymavlink has every char[] as text.
+  defp value(%{type: :uint8, length: length}, text) when is_binary(text),
+    do: text <> <<0::size(length - byte_size(text))-unit(8)>>
+
   defp value(_field, value), do: value
 
   defp read(file) do

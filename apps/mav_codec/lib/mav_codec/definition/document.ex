@@ -12,6 +12,9 @@ defmodule MavCodec.Definition.Document do
     `<extensions/>`. `constant` is the value of an `uint8_t_mavlink_version` field. The rest is text as in
     the XML: `enum`, `units`, `invalid`, `multiplier`, `min`, `max`, `increment`, `default`, `format` (print_format),
     `bitmask` (display="bitmask") and `instance` as booleans.
+
+    `bytes` is set for a `char[]` that holds bytes and not text. Its `type` is `:uint8`, as of any other bytes; only
+    CRC_EXTRA still says "char".
     """
     @enforce_keys [:name, :type]
     defstruct [
@@ -28,7 +31,7 @@ defmodule MavCodec.Definition.Document do
                 :default,
                 :format
               ] ++
-                [:constant, :line, extension: false, instance: false, bitmask: false]
+                [:constant, :line, extension: false, instance: false, bitmask: false, bytes: false]
 
     @type scalar ::
             :char | :int8 | :uint8 | :int16 | :uint16 | :int32 | :uint32 | :int64 | :uint64 | :float | :double

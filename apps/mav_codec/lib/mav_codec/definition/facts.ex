@@ -82,13 +82,14 @@ defmodule MavCodec.Definition.Facts do
   end
 
   defp write_field(%Field{} = field) do
-    type = Layout.type_name(field.type) <> if(field.length, do: "[#{field.length}]", else: "")
+    type = Layout.type_name(field) <> if(field.length, do: "[#{field.length}]", else: "")
     facts = for {key, name} <- @field_facts, value = Map.fetch!(field, key), do: {name, value}
     facts = if field.constant, do: facts ++ [{"constant", "#{field.constant}"}], else: facts
 
     line(
       ["  " <> type, field.name] ++
-        pairs(facts) ++ flag(field.instance, "instance") ++ flag(field.bitmask, "bitmask")
+        pairs(facts) ++
+        flag(field.instance, "instance") ++ flag(field.bitmask, "bitmask") ++ flag(field.bytes, "bytes")
     )
   end
 
@@ -233,6 +234,7 @@ defmodule MavCodec.Definition.Facts do
 
   defp field_fact("instance", field, _number), do: %{field | instance: true}
   defp field_fact("bitmask", field, _number), do: %{field | bitmask: true}
+  defp field_fact("bytes", %{type: :char} = field, _number), do: %{field | type: :uint8, bytes: true}
 
   for {key, name} <- @field_facts do
     defp field_fact(unquote(name) <> "=" <> value, field, _number),

@@ -86,15 +86,17 @@ defmodule MavCodec.Definition.Layout do
   defp crc_extra(name, base) do
     crc =
       Enum.reduce(base, crc(name <> " ", 0xFFFF), fn field, crc ->
-        crc = crc(type_name(field.type) <> " " <> field.name <> " ", crc)
+        crc = crc(type_name(field) <> " " <> field.name <> " ", crc)
         if field.length, do: crc(<<field.length>>, crc), else: crc
       end)
 
     bxor(crc &&& 0xFF, crc >>> 8)
   end
 
-  @doc "A type as the XML writes it."
-  @spec type_name(Field.scalar()) :: String.t()
+  @doc "A type, or the type of a field's elements, as the XML writes it."
+  @spec type_name(Field.scalar() | Field.t()) :: String.t()
+  def type_name(%Field{bytes: true}), do: "char"
+  def type_name(%Field{type: type}), do: type_name(type)
   def type_name(type) when type in [:char, :float, :double], do: Atom.to_string(type)
   def type_name(type), do: Atom.to_string(type) <> "_t"
 

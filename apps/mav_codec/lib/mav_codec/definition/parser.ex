@@ -4,6 +4,9 @@ defmodule MavCodec.Definition.Parser do
 
   Unknown elements inside messages, enums and entries are errors (a misspelt `<field>` would silently change the wire
   format); unknown attributes are ignored.
+
+  A `char[]` is text unless it has `display="bytes"`. MAVLink has no such attribute: of its own messages, those in
+  `@bytes` are meant so.
   """
 
   alias MavCodec.Definition.{Document, Error, Layout, XML}
@@ -28,6 +31,9 @@ defmodule MavCodec.Definition.Parser do
     "float" => :float,
     "double" => :double
   }
+
+  # A number of `param_type` in the first of its bytes, or text (P8).
+  @bytes for message <- ~w(PARAM_EXT_VALUE PARAM_EXT_SET PARAM_EXT_ACK), do: {message, "param_value"}
 
   @doc "Reads the XML in `bytes`; `file` is the name for error messages and in the facts."
   @spec parse(binary(), String.t()) :: {:ok, Document.t()} | {:error, Error.t()}
@@ -175,7 +181,7 @@ defmodule MavCodec.Definition.Parser do
           {[], true}
 
         {:element, "field", attributes, _, line}, extension? ->
-          {[field(attributes, line, extension?)], extension?}
+          {[attributes |> field(line, extension?) |> bytes(name, attributes)], extension?}
 
         _other, extension? ->
           {[], extension?}
@@ -236,6 +242,14 @@ defmodule MavCodec.Definition.Parser do
       instance: boolean(attributes, "instance", line)
     }
   end
+
+  defp bytes(%{type: :char, length: length} = field, message, attributes) when length != nil do
+    if attribute(attributes, "display") == "bytes" or {message, field.name} in @bytes,
+      do: %{field | type: :uint8, bytes: true},
+      else: field
+  end
+
+  defp bytes(field, _message, _attributes), do: field
 
   defp units(nil), do: nil
   defp units(text), do: text |> String.trim() |> String.replace(~r/\A\[(.*)\]\z/, "\\1")

@@ -3,7 +3,7 @@ defmodule MavCodec.Message.Field do
   The description of a field, see `fields/0` of a message module.
 
     * `key` - the struct key, `name` - the name in the XML
-    * `type` - element type, `length` - array length (`nil`: no array)
+    * `type` - element type (`:uint8` for a `char[]` that holds bytes), `length` - array length (`nil`: no array)
     * `units` - as the definitions write them (`"m/s"`, `"degE7"`, `"cm"` ...), `nil` if none
     * `enum` - module of `MavCodec.Enums`, `bitmask` - whether it is a set of flags
     * `invalid` - the value that means "unknown", as text (`"UINT16_MAX"`, `"NaN"`, `"[0]"` ...)

@@ -274,7 +274,15 @@ defmodule Aerie.Policy.RawTest do
 
     assert [%M.MissionAck{type: 14}] = answer.(%M.MissionItemInt{})
     assert [%M.MissionCurrent{seq: 4}] = answer.(%M.MissionSetCurrent{seq: 9})
-    assert [%M.ParamExtAck{param_id: "CAM", param_result: 2}] = answer.(%M.ParamExtSet{param_id: "CAM"})
+
+    set = %M.ParamExtSet{param_id: "CAM", param_value: <<7>>, param_type: 1, target_component: 100}
+    assert [%M.ParamExtAck{param_id: "CAM", param_result: 2, param_type: 1} = ack] = answer.(set)
+    # P8: what it carries is the value that stands, so not the refused one.
+    assert ack.param_value == <<0::128-unit(8)>>
+
+    assert %M.ParamExtRequestRead{param_id: "CAM", param_index: -1, target_component: 100} =
+             Answer.instead(set)
+
     # T1: sequence number plus one, NAK, the operation it is about, the error.
     payload = <<41::16-little, 3, 7, 10, 0, 0, 0, 0::32>> <> :binary.copy(<<0>>, 239)
 

@@ -295,7 +295,8 @@ defmodule MavCodec.Definition.Generator.Messages do
   defp status(_message), do: ""
 
   defp row(field, of) do
-    type = Layout.type_name(field.type) <> if(field.length, do: "[#{field.length}]", else: "")
+    type = Layout.type_name(field) <> if(field.length, do: "[#{field.length}]", else: "")
+    type = if field.bytes, do: type <> ", bytes", else: type
     type = if field.extension, do: type <> ", extension", else: type
 
     values =

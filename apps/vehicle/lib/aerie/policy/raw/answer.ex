@@ -9,7 +9,7 @@ defmodule Aerie.Policy.Raw.Answer do
   | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL | MISSION_ACK, MAV_MISSION_DENIED |
   | MISSION_SET_CURRENT | MISSION_CURRENT with the item that is the current one |
   | PARAM_SET | the vehicle is asked for the value that it has, and its PARAM_VALUE is the answer (P3) |
-  | PARAM_EXT_SET | PARAM_EXT_ACK, PARAM_ACK_FAILED |
+  | PARAM_EXT_SET | PARAM_EXT_ACK, PARAM_ACK_FAILED, without a value; the component is asked for the one that it has (PARAM_EXT_VALUE) |
   | FILE_TRANSFER_PROTOCOL | NAK, FileProtected |
   """
 
@@ -57,15 +57,9 @@ defmodule Aerie.Policy.Raw.Answer do
   def messages(%M.MissionSetCurrent{}, _frame, current) when is_integer(current),
     do: [%M.MissionCurrent{seq: current}]
 
+  # The value of a failure is the one that stands (P8). It is not known here, and the refused one would be a lie.
   def messages(%M.ParamExtSet{} = m, _frame, _current),
-    do: [
-      %M.ParamExtAck{
-        param_id: m.param_id,
-        param_value: m.param_value,
-        param_type: m.param_type,
-        param_result: @failed
-      }
-    ]
+    do: [%M.ParamExtAck{param_id: m.param_id, param_type: m.param_type, param_result: @failed}]
 
   def messages(%M.FileTransferProtocol{payload: payload}, frame, _current) do
     <<sequence::16-little, session, operation, _::binary>> = payload
@@ -92,6 +86,14 @@ defmodule Aerie.Policy.Raw.Answer do
   @spec instead(struct()) :: Message.t() | nil
   def instead(%M.ParamSet{} = m),
     do: %M.ParamRequestRead{
+      target_system: m.target_system,
+      target_component: m.target_component,
+      param_id: m.param_id,
+      param_index: -1
+    }
+
+  def instead(%M.ParamExtSet{} = m),
+    do: %M.ParamExtRequestRead{
       target_system: m.target_system,
       target_component: m.target_component,
       param_id: m.param_id,

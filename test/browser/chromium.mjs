@@ -2,6 +2,8 @@
 import { chromium } from "playwright-core";
 
 export const PATIENCE_MS = 300_000;
+// What is drawn without a graphics card costs by the pixel.
+export const SMALL = { width: 1024, height: 700 };
 
 // Pages are our own; a container often has no user namespaces for the sandbox.
 export async function launch() {

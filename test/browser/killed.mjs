@@ -1,14 +1,14 @@
 // The gateway is killed while somebody looks at a vehicle, and started again. Argument: the address that signs in. It prints what it has seen,
 // and the test acts in between.
 import { createInterface } from "node:readline";
-import { equal, hold, live, main, open } from "./chromium.mjs";
+import { equal, hold, live, main, open, SMALL } from "./chromium.mjs";
 
 const [address] = process.argv.slice(2);
 const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
 const told = async (word) => equal("told", (await lines.next()).value, word);
 
 main(async (browser) => {
-  const page = await open(browser, { viewport: { width: 1440, height: 900 }, reducedMotion: "reduce" });
+  const page = await open(browser, { viewport: SMALL, reducedMotion: "reduce" });
   await page.goto(address);
   await live(page);
   await page.locator("#fleet-table .fleet-name a").first().click();

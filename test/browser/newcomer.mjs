@@ -1,11 +1,11 @@
 // What somebody does who sees Aerie for the first time: opens the address that bin/run printed, sees three vehicles fly, takes one over,
 // lands it, arms it, takes off, sends it somewhere, and watches it land. Arguments: the address, and a folder for pictures.
-import { contains, equal, hold, live, main, open, until } from "./chromium.mjs";
+import { contains, equal, hold, live, main, open, SMALL, until } from "./chromium.mjs";
 
 const [address, pictures] = process.argv.slice(2);
 
 main(async (browser) => {
-  const page = await open(browser, { viewport: { width: 1440, height: 900 } });
+  const page = await open(browser, { viewport: pictures ? { width: 1440, height: 900 } : SMALL });
   const picture = (name) => pictures && page.screenshot({ path: `${pictures}/newcomer-${name}.png` });
 
   // One click: signed in, and the token is not in the address any more.

@@ -1,7 +1,8 @@
 defmodule Aerie.System.ConsoleTest do
   @moduledoc "The console as a newcomer meets it: `bin/run`, the address that it prints, and a browser."
 
-  use Aerie.SystemCase, async: true
+  # Alone: a browser that draws maps without a graphics card takes all that a small machine has.
+  use Aerie.SystemCase, async: false
   use Aerie.RunCase
 
   import FleetWeb.ConsoleCase, only: [await_line: 2]

@@ -217,6 +217,9 @@ defmodule FleetWeb.ConsoleCase do
   def browser(%ConsoleCase{url: url}, script, arguments \\ []),
     do: Aerie.Browser.open(Path.join(@scripts, script), [url | arguments])
 
+  # Each of a script's own waits ends after five minutes, and then says what the page showed; several may be needed for a line.
+  @script_ms 900_000
+
   @doc "Waits until a script says a line; fails with all that it said if it ends before."
   @spec await_line(port(), String.t(), [String.t()]) :: :ok
   def await_line(script, line, before \\ []) do
@@ -230,7 +233,7 @@ defmodule FleetWeb.ConsoleCase do
       {^script, {:exit_status, _status}} ->
         ExUnit.Assertions.flunk(before |> Enum.reverse() |> Enum.join("\n"))
     after
-      Aerie.Patience.ms() ->
+      @script_ms ->
         ExUnit.Assertions.flunk("never said #{line}: #{Enum.join(Enum.reverse(before), "\n")}")
     end
   end

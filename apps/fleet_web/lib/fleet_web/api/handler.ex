@@ -9,7 +9,7 @@ defmodule FleetWeb.API.Handler do
   @behaviour :cowboy_handler
 
   alias Aerie.Store
-  alias FleetWeb.API.{Access, Error, KeyRing, Request, Resources}
+  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Request, Resources}
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
@@ -52,7 +52,7 @@ defmodule FleetWeb.API.Handler do
     with {:ok, requester} <- Access.decide(state.policy, facts),
          {:ok, action} <- Resources.action(resource, method),
          :ok <- may(requester, action, method) do
-      Resources.run(action, Map.merge(state, %{name: requester.name, requester: requester}), request)
+      Actions.run(action, Map.merge(state, %{name: requester.name, requester: requester}), request)
     else
       {:error, error} -> {:error, error, request}
     end

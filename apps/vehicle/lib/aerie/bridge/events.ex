@@ -9,12 +9,12 @@ defmodule Aerie.Bridge.Events do
   * If the disk cannot be written, events stay in the journal, which is bounded and counts what it drops. That is logged once
     and retried every half second.
 
-  `Aerie.Bridge.Events.Window` decides what may be in flight.
+  `Aerie.Bridge.Events.Source` brings the events into the window, and `Aerie.Bridge.Events.Window` decides what may be in flight.
   """
   use GenServer
 
   alias Aerie.Bridge.{Connection, Outbox, Server, Settings, Tables}
-  alias Aerie.Bridge.Events.{Disk, Gaps, PubAck, StallDetector, Window}
+  alias Aerie.Bridge.Events.{Disk, Gaps, PubAck, Source, StallDetector, Window}
   alias Aerie.{Fleet, Names}
   alias Aerie.Store.PubSub
 
@@ -161,56 +161,9 @@ defmodule Aerie.Bridge.Events do
 
   defp pump(state) do
     if Fleet.Journal.pending_size(state.gateway) > state.spill_above do
-      state |> reset() |> Disk.spill() |> fill() |> send_ready()
+      state |> reset() |> Disk.spill() |> Source.fill() |> send_ready()
     else
-      state |> fill() |> send_ready()
-    end
-  end
-
-  defp fill(state) do
-    if Window.size(state.window) >= 2 * state.window.max, do: state, else: fill_from(source(state), state)
-  end
-
-  defp source(%{outbox: nil}), do: :journal
-  defp source(%{outbox: outbox}), do: if(Outbox.empty?(outbox), do: :journal, else: :outbox)
-
-  defp fill_from(:outbox, state) do
-    {records, outbox} = Outbox.read(state.outbox, 2 * state.window.max)
-
-    Enum.reduce(records, %{state | outbox: outbox}, fn {seq, record}, state ->
-      put(state, {:outbox, seq}, record, Gaps.place(decoded(record.body)))
-    end)
-  end
-
-  defp fill_from(:journal, state) do
-    for event <- Fleet.Journal.pending(state.gateway, 4 * state.window.max),
-        key = {:journal, event.id},
-        not Window.member?(state.window, key),
-        reduce: state do
-      state -> put(state, key, Disk.record(state, event), place(state.epoch, event))
-    end
-  end
-
-  defp place(nil, _event), do: nil
-  defp place(epoch, event), do: {event.vehicle, epoch, event.seq, event.seq}
-
-  # A bounded store dropped what is missing before it: a reader gets a marker in its place.
-  defp put(state, key, record, place) do
-    {missing, gaps} = Gaps.observe(state.gaps, place, false)
-
-    marker =
-      if missing,
-        do: [{{:lost, key}, Gaps.marker(state.environment, missing, System.os_time(:microsecond))}],
-        else: []
-
-    window = Window.put(state.window, marker ++ [{key, record}])
-    %{state | gaps: gaps, places: Map.put(state.places, key, place), window: window}
-  end
-
-  defp decoded(body) do
-    case JSON.decode(body) do
-      {:ok, object} -> object
-      {:error, _damaged} -> nil
+      state |> Source.fill() |> send_ready()
     end
   end
 
@@ -229,12 +182,10 @@ defmodule Aerie.Bridge.Events do
     state =
       state.window |> Window.overdue(now() - @answer_ms) |> Enum.sort() |> Enum.reduce(state, &send_again/2)
 
-    if Window.most_tries(state.window) > @patience and journal?(state),
+    if Window.most_tries(state.window) > @patience and Source.journal?(state),
       do: state |> reset() |> Disk.spill(),
       else: state
   end
-
-  defp journal?(state), do: Fleet.Journal.pending_size(state.gateway) > 0
 
   defp send_again(_ref, %{conn: nil} = state), do: state
 
@@ -350,7 +301,7 @@ defmodule Aerie.Bridge.Events do
   end
 
   defp stalled(state) do
-    waiting? = journal?(state) or source(state) == :outbox
+    waiting? = Source.waiting?(state)
     stall = StallDetector.check(state.stall, now(), waiting?)
 
     # A restart helps against silence, not against a refusal. A new connection gets its time.

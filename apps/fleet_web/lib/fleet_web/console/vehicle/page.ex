@@ -17,25 +17,18 @@ defmodule FleetWeb.Console.Vehicle.Page do
   alias Aerie.Command.Types
   alias Aerie.Fleet.Journal
   alias Aerie.Policy.Leases
-  alias Aerie.Protocol.Modes
-  alias FleetWeb.Console.Commands.{Catalog, Form, Give, Life, Lives, Panel}
-  alias FleetWeb.Console.Map.{Payload, Tiles}
+  alias FleetWeb.Console.Commands.{Give, Life, Lives}
+  alias FleetWeb.Console.Map.Payload
 
   alias FleetWeb.Console.Vehicle.{
     Actions,
     Answer,
-    Arming,
-    Calibration,
     Charge,
-    Charts,
-    Events,
-    Fly,
     Header,
-    Health,
     Instruments,
     Links,
-    LinkTable,
     MessageSeries,
+    Section,
     Sections,
     Series,
     Target,
@@ -312,7 +305,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
       <.tabs label="Parts of the page">
         <:tab :for={{name, label, icon} <- Sections.all()} patch={Sections.path(@id, name)} current={name == @section} icon={icon}>{label}</:tab>
       </.tabs>
-      <.section {assigns} />
+      <Section.section {assigns} />
       <%!-- At the bottom, so that a command that appears or disappears does not move the buttons above. --%>
       <div class="vehicle-foot">
         <Lives.lives id="commands-now" lives={in_sight(@lives, @now)} now={@now} user={@user} class="in-sight" />
@@ -322,81 +315,5 @@ defmodule FleetWeb.Console.Vehicle.Page do
     """
   end
 
-  defp section(%{section: "fly"} = assigns) do
-    ~H"""
-    <Fly.fly
-      view={@view}
-      user={@user}
-      inputs={@inputs}
-      modes={modes(@view.vehicle)}
-      target={@target}
-      answer={@answer}
-      aiming={@aiming}
-      following={@following}
-      lines={@events |> Timeline.lines() |> Enum.take(6)}
-      events_path={Sections.path(@id, "events")}
-      tiles={Tiles.shown(@gateway)}
-    />
-    """
-  end
-
-  defp section(%{section: "commands"} = assigns) do
-    assigns =
-      assign(assigns,
-        entry: assigns.command && Catalog.entry(assigns.command, assigns.view.vehicle, assigns.user)
-      )
-
-    ~H"""
-    <div class="commands">
-      <Panel.catalog groups={Catalog.groups(@view.vehicle, @user, @search)} search={@search} chosen={@command} path={&Sections.command_path(@id, &1)} />
-      <div class="stack">
-        <Panel.panel :if={@entry} entry={@entry} fields={Form.fields(@entry.type, @view.vehicle, @form)} errors={@errors} answer={@answer} />
-        <section class="card" aria-labelledby="history-title">
-          <h2 id="history-title">Commands of all operators</h2>
-          <p :if={@lives == []} class="muted">None has been given yet.</p>
-          <Lives.lives id="history" lives={@lives} now={@now} user={@user} />
-        </section>
-      </div>
-    </div>
-    """
-  end
-
-  defp section(%{section: "events"} = assigns) do
-    assigns = assign(assigns, :shown, assigns.paused || assigns.events)
-
-    ~H"""
-    <Events.events lines={Timeline.lines(@shown, @level, @events_search)} level={@level} search={@events_search} paused={@paused != nil} total={length(@shown)} />
-    """
-  end
-
-  defp section(%{section: "charts"} = assigns) do
-    ~H"""
-    <Charts.charts vehicle={@id} series={@series} heard={@heard} message={@message} path={&Sections.charts_path(@id, &1)} />
-    """
-  end
-
-  defp section(%{section: "health"} = assigns) do
-    ~H"""
-    <Health.health
-      view={@view}
-      user={@user}
-      arming={Arming.of(@view.vehicle, @events, @now)}
-      calibrations={Enum.filter(@lives, &Calibration.command?(&1.name))}
-      now={@now}
-    />
-    """
-  end
-
-  defp section(%{section: "links"} = assigns) do
-    ~H"""
-    <LinkTable.links view={@view} rows={@link_rows} />
-    """
-  end
-
   defp in_sight(lives, now), do: Enum.filter(lives, &(Life.under_way?(&1) or now - &1.done_at < @shown_us))
-
-  defp modes(vehicle),
-    do:
-      Modes.all(vehicle.autopilot, vehicle.vehicle_type) ++
-        Enum.sort(Map.values(vehicle[:memory][:mode_names] || %{}))
 end

@@ -1,28 +1,24 @@
 defmodule Aerie.Shadow.Documents.Server do
   @moduledoc """
-  Keeps the desired documents of `Aerie.Shadow.Documents`: copies in memory and on disk of the documents in NATS, and
-  the lease by which one of several gateways acts (`Aerie.Shadow.Documents.Ownership`).
+  Keeps the desired documents of `Aerie.Shadow.Documents`: copies in memory and on disk of the documents in NATS
+  (`Aerie.Shadow.Documents.Desired`), and the lease by which one of several gateways acts (`Aerie.Shadow.Documents.Ownership`).
 
   The bucket is authoritative, with three exceptions: a document that no gateway with our key wrote, an older one than we know
   (Z5), and none at all. In the last two cases our copy is written back, so a deleted bucket is restored.
   """
   use GenServer
 
-  alias Aerie.{Bridge, Names, Store}
+  alias Aerie.{Bridge, Names}
   alias Aerie.Bridge.LastPublished
-  alias Aerie.Shadow.{Buckets, Copy, Document, Lease, Metrics, SealedDocument, Settings, Tags}
-  alias Aerie.Shadow.Documents.Ownership
+  alias Aerie.Shadow.{Buckets, Copy, Lease, Settings}
+  alias Aerie.Shadow.Documents.{Desired, Ownership}
   alias Aerie.Store.PubSub
   alias Aerie.TokenBucket
   alias Gnat.Jetstream.API.KV
 
-  require Logger
-
-  @away "NATS is away"
   @rate_ms 100
   @burst 50
   @max_sources 1_000
-  @log_ms 5_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -62,7 +58,7 @@ defmodule Aerie.Shadow.Documents.Server do
     }
 
     schedule(state)
-    {:ok, state |> problem(problem) |> Ownership.authorities(), {:continue, :connect}}
+    {:ok, state |> Desired.problem(problem) |> Ownership.authorities(), {:continue, :connect}}
   end
 
   defp open(dir, key) do
@@ -79,10 +75,10 @@ defmodule Aerie.Shadow.Documents.Server do
 
   @impl GenServer
   def handle_call({:change, vehicle, fun}, _from, state) do
-    state = load(state, vehicle)
+    state = Desired.load(state, vehicle)
 
-    case fun.(known(state, vehicle)) do
-      {:ok, document} -> {:reply, {:ok, document}, accept(state, document)}
+    case fun.(Desired.known(state, vehicle)) do
+      {:ok, document} -> {:reply, {:ok, document}, Desired.accept(state, document)}
       error -> {:reply, error, state}
     end
   end
@@ -104,8 +100,8 @@ defmodule Aerie.Shadow.Documents.Server do
   @impl GenServer
   def handle_cast({:join, vehicle, loop}, state) do
     Process.monitor(loop)
-    state = load(%{state | loops: Map.put(state.loops, vehicle, loop)}, vehicle)
-    send(loop, {:desired, known(state, vehicle)})
+    state = Desired.load(%{state | loops: Map.put(state.loops, vehicle, loop)}, vehicle)
+    send(loop, {:desired, Desired.known(state, vehicle)})
     {:noreply, Ownership.authorities(state)}
   end
 
@@ -124,8 +120,8 @@ defmodule Aerie.Shadow.Documents.Server do
   # Of vehicles that are not heard here only the tags are kept.
   def handle_cast({:written, document}, state) do
     if is_map_key(state.loops, document.vehicle),
-      do: {:noreply, accept(state, document)},
-      else: {:noreply, tagged(state, document)}
+      do: {:noreply, Desired.accept(state, document)},
+      else: {:noreply, Desired.tagged(state, document)}
   end
 
   @impl GenServer
@@ -175,7 +171,7 @@ defmodule Aerie.Shadow.Documents.Server do
 
   defp disconnected(state) do
     for watcher <- state.watchers, Process.alive?(watcher), do: Process.exit(watcher, :kill)
-    problem(%{state | conn: nil, watchers: []}, @away)
+    Desired.away(%{state | conn: nil, watchers: []})
   end
 
   defp begin(state, conn) do
@@ -183,13 +179,13 @@ defmodule Aerie.Shadow.Documents.Server do
          {:ok, desired} <- watch(conn, Buckets.desired()),
          {:ok, leases} <- watch(conn, Buckets.leases()) do
       %{state | conn: conn, watchers: [desired, leases]}
-      |> problem(nil)
+      |> Desired.problem(nil)
       |> all()
       |> renew()
       |> Ownership.claim()
       |> Ownership.authorities()
     else
-      {:error, why} -> problem(state, if(is_binary(why), do: why, else: Bridge.Streams.text(why)))
+      {:error, why} -> Desired.problem(state, if(is_binary(why), do: why, else: Bridge.Streams.text(why)))
     end
   catch
     # The connection ended meanwhile; the bridge announces the next one.
@@ -198,7 +194,7 @@ defmodule Aerie.Shadow.Documents.Server do
 
   # Synchronises everything in both directions.
   defp all(state) do
-    state = Enum.reduce(Map.keys(state.loops), state, &load(&2, &1))
+    state = Enum.reduce(Map.keys(state.loops), state, &Desired.load(&2, &1))
     Enum.reduce(Map.keys(state.reports), state, &publish(&2, &1))
   end
 
@@ -212,102 +208,12 @@ defmodule Aerie.Shadow.Documents.Server do
     end)
   end
 
-  ## Documents
-
-  defp known(state, vehicle),
-    do: :ets.lookup_element(state.table, {:document, vehicle}, 2, Document.new(vehicle))
-
-  # The copy on disk first, then the document in NATS.
-  defp load(state, vehicle) do
-    state = if :ets.member(state.table, {:document, vehicle}), do: state, else: load_copy(state, vehicle)
-    if state.conn, do: load_kept(state, vehicle), else: state
-  end
-
-  defp load_copy(%{kept: kept} = state, vehicle) do
-    with text when is_binary(text) <- Copy.read(state.dir, vehicle),
-         {:ok, document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.key) do
-      :ets.insert(state.table, {{:document, vehicle}, document})
-      tagged(state, document)
-    else
-      {:error, why} -> problem(state, "the copy of #{vehicle}'s desired state is not used: #{why}")
-      nil -> state
-    end
-  end
-
-  defp load_kept(state, vehicle) do
-    case Buckets.read(state.conn, state.kept, vehicle) do
-      {:ok, document, revision} -> document |> newer(state, revision) |> accept(document)
-      :none -> restore(state, vehicle, :none)
-      {:refused, why, _revision} -> refused(state, vehicle, why)
-      {:error, _why} -> state
-    end
-  catch
-    :exit, _gone -> state
-  end
-
-  # The bucket's document is older than ours, for example after a restored backup.
-  defp newer(document, state, revision) do
-    if document.version < known(state, document.vehicle).version,
-      do: restore(state, document.vehicle, revision),
-      else: state
-  end
-
-  defp restore(state, vehicle, revision) do
-    document = known(state, vehicle)
-
-    _lost_race_or_later =
-      if document.version > 0, do: Buckets.write(state.conn, state.kept, document, revision)
-
-    state
-  end
-
-  defp accept(state, document) do
-    known = known(state, document.vehicle)
-
-    cond do
-      document.version > known.version ->
-        :ets.insert(state.table, {{:document, document.vehicle}, document})
-        if loop = state.loops[document.vehicle], do: send(loop, {:desired, document})
-        text = SealedDocument.encode(document, state.kept.environment, state.kept.key)
-        state = tagged(state, document)
-
-        case Copy.write(state.dir, document.vehicle, text) do
-          :ok -> state
-          {:error, why} -> problem(state, why)
-        end
-
-      document.version < known.version ->
-        Metrics.count(state.gateway, :documents_refused)
-        state
-
-      true ->
-        state
-    end
-  end
-
-  # The fleet's pages and groups need the tags of all vehicles, and those of remote ones too.
-  defp tagged(state, document) do
-    if Tags.note(state.table, document), do: PubSub.changed(state.gateway, {:vehicle, document.vehicle})
-    state
-  end
-
-  defp refused(state, vehicle, why) do
-    Metrics.count(state.gateway, :documents_refused)
-    problem(state, "the desired state of #{vehicle} in NATS is not heeded: #{why}")
-  end
-
   ## Changes in the buckets
 
   defp changed("fleet_desired", action, key, value, state) do
-    vehicle = Buckets.vehicle(key, state.kept.environment)
-
-    cond do
-      vehicle == nil -> state
-      not is_map_key(state.loops, vehicle) -> remote(state, vehicle, action, value)
-      action == :key_added -> received(state, vehicle, value)
-      # Somebody else removed it: a gateway would leave an empty document.
-      state.conn != nil -> load_kept(state, vehicle)
-      true -> state
+    case Buckets.vehicle(key, state.kept.environment) do
+      nil -> state
+      vehicle -> Desired.changed(state, vehicle, action, value)
     end
   end
 
@@ -317,22 +223,6 @@ defmodule Aerie.Shadow.Documents.Server do
       {{:vehicle, vehicle}, :key_added} -> Ownership.owner(state, vehicle, value)
       {{:vehicle, vehicle}, _removed} -> Ownership.owner(state, vehicle, nil)
       _other -> state
-    end
-  end
-
-  defp remote(state, vehicle, :key_added, value) do
-    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
-      {:ok, document} -> tagged(state, document)
-      {:error, _no_gateway_of_ours} -> state
-    end
-  end
-
-  defp remote(state, _vehicle, _removed, _value), do: state
-
-  defp received(state, vehicle, value) do
-    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
-      {:ok, document} -> accept(state, document)
-      {:error, why} -> refused(state, vehicle, why)
     end
   end
 
@@ -349,7 +239,7 @@ defmodule Aerie.Shadow.Documents.Server do
       # Somebody deleted a bucket.
       if made == [], do: state, else: all(state)
     else
-      {:error, why} -> problem(disconnected(state), why)
+      {:error, why} -> Desired.problem(disconnected(state), why)
     end
   catch
     :exit, _gone -> disconnected(state)
@@ -381,17 +271,6 @@ defmodule Aerie.Shadow.Documents.Server do
     state
   catch
     :exit, _gone -> state
-  end
-
-  defp problem(%{problem: problem} = state, problem), do: state
-
-  defp problem(state, problem) do
-    # The bridge reports a lost connection itself; one line for each invalid document would flood the log.
-    if problem not in [nil, @away] and Store.claim(state.gateway, {__MODULE__, :problem}, @log_ms),
-      do: Logger.warning("shadow: " <> problem)
-
-    :ets.insert(state.table, {:problem, problem})
-    %{state | problem: problem}
   end
 
   defp monotonic, do: System.monotonic_time(:millisecond)

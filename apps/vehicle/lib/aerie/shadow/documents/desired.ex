@@ -1,0 +1,149 @@
+defmodule Aerie.Shadow.Documents.Desired do
+  @moduledoc """
+  The desired documents: in memory, on disk and in the bucket, brought to the same version. Functions of the state of
+  `Aerie.Shadow.Documents.Server`, their only caller.
+  """
+
+  alias Aerie.Shadow.{Buckets, Copy, Document, Metrics, SealedDocument, Tags}
+  alias Aerie.Store
+  alias Aerie.Store.PubSub
+
+  require Logger
+
+  @log_ms 5_000
+
+  @type state :: map()
+
+  @doc "The document in memory; an empty one if there is none."
+  @spec known(state(), String.t()) :: Document.t()
+  def known(state, vehicle),
+    do: :ets.lookup_element(state.table, {:document, vehicle}, 2, Document.new(vehicle))
+
+  @doc "Loads a vehicle's document: the copy on disk first, then the document in NATS."
+  @spec load(state(), String.t()) :: state()
+  def load(state, vehicle) do
+    state = if :ets.member(state.table, {:document, vehicle}), do: state, else: load_copy(state, vehicle)
+    if state.conn, do: load_kept(state, vehicle), else: state
+  end
+
+  defp load_copy(%{kept: kept} = state, vehicle) do
+    with text when is_binary(text) <- Copy.read(state.dir, vehicle),
+         {:ok, document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.key) do
+      :ets.insert(state.table, {{:document, vehicle}, document})
+      tagged(state, document)
+    else
+      {:error, why} -> problem(state, "the copy of #{vehicle}'s desired state is not used: #{why}")
+      nil -> state
+    end
+  end
+
+  defp load_kept(state, vehicle) do
+    case Buckets.read(state.conn, state.kept, vehicle) do
+      {:ok, document, revision} -> document |> newer(state, revision) |> accept(document)
+      :none -> restore(state, vehicle, :none)
+      {:refused, why, _revision} -> refused(state, vehicle, why)
+      {:error, _why} -> state
+    end
+  catch
+    :exit, _gone -> state
+  end
+
+  # The bucket's document is older than ours, for example after a restored backup.
+  defp newer(document, state, revision) do
+    if document.version < known(state, document.vehicle).version,
+      do: restore(state, document.vehicle, revision),
+      else: state
+  end
+
+  defp restore(state, vehicle, revision) do
+    document = known(state, vehicle)
+
+    _lost_race_or_later =
+      if document.version > 0, do: Buckets.write(state.conn, state.kept, document, revision)
+
+    state
+  end
+
+  @doc "Keeps a document that is newer than the one in memory, and gives it to the vehicle's loop."
+  @spec accept(state(), Document.t()) :: state()
+  def accept(state, document) do
+    known = known(state, document.vehicle)
+
+    cond do
+      document.version > known.version ->
+        :ets.insert(state.table, {{:document, document.vehicle}, document})
+        if loop = state.loops[document.vehicle], do: send(loop, {:desired, document})
+        text = SealedDocument.encode(document, state.kept.environment, state.kept.key)
+        state = tagged(state, document)
+
+        case Copy.write(state.dir, document.vehicle, text) do
+          :ok -> state
+          {:error, why} -> problem(state, why)
+        end
+
+      document.version < known.version ->
+        Metrics.count(state.gateway, :documents_refused)
+        state
+
+      true ->
+        state
+    end
+  end
+
+  @doc "Keeps only the tags of a document. The fleet's pages and groups need those of all vehicles, remote ones too."
+  @spec tagged(state(), Document.t()) :: state()
+  def tagged(state, document) do
+    if Tags.note(state.table, document), do: PubSub.changed(state.gateway, {:vehicle, document.vehicle})
+    state
+  end
+
+  @doc "Handles a change in the bucket. `action` is that of `Gnat.Jetstream.API.KV.watch/3`."
+  @spec changed(state(), String.t(), action :: atom(), value :: binary()) :: state()
+  def changed(state, vehicle, action, value) do
+    heard_here? = is_map_key(state.loops, vehicle)
+
+    cond do
+      action == :key_added -> received(state, vehicle, value, heard_here?)
+      # Somebody else removed it: a gateway would leave an empty document.
+      heard_here? and state.conn != nil -> load_kept(state, vehicle)
+      true -> state
+    end
+  end
+
+  defp received(state, vehicle, value, heard_here?) do
+    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
+      {:ok, document} when heard_here? -> accept(state, document)
+      {:ok, document} -> tagged(state, document)
+      {:error, why} when heard_here? -> refused(state, vehicle, why)
+      {:error, _no_gateway_of_ours} -> state
+    end
+  end
+
+  defp refused(state, vehicle, why) do
+    Metrics.count(state.gateway, :documents_refused)
+    problem(state, "the desired state of #{vehicle} in NATS is not heeded: #{why}")
+  end
+
+  @doc """
+  Records what keeps documents from being kept, nil for nothing. It is logged at most every five seconds, so that invalid
+  documents do not flood the log.
+  """
+  @spec problem(state(), String.t() | nil) :: state()
+  def problem(%{problem: problem} = state, problem), do: state
+
+  def problem(state, problem) do
+    if problem != nil and Store.claim(state.gateway, {__MODULE__, :problem}, @log_ms),
+      do: Logger.warning("shadow: " <> problem)
+
+    put_problem(state, problem)
+  end
+
+  @doc "Records that NATS is away. The bridge logs that."
+  @spec away(state()) :: state()
+  def away(state), do: put_problem(state, "NATS is away")
+
+  defp put_problem(state, problem) do
+    :ets.insert(state.table, {:problem, problem})
+    %{state | problem: problem}
+  end
+end

@@ -14,21 +14,22 @@ defmodule Aerie.Policy do
   alias Aerie.Command
   alias Aerie.Policy.{Compile, Context, Facts, Fence, Lease, Rate, Roles, Rules, Sources}
 
+  @enforce_keys [:modes, :lease, :audit_required]
   defstruct [
     :max_altitude,
     :min_altitude,
     :max_altitude_msl,
     :takeoff_battery,
     :fence,
-    modes: %{denied: [], transitions: %{}},
+    :modes,
+    :unsigned,
+    :lease,
+    :audit_required,
     conditions: %{},
     windows: [],
     rates: [],
     clients: [],
-    sources: [],
-    unsigned: nil,
-    lease: %{required: false, take_over: :operator},
-    audit_required: true
+    sources: []
   ]
 
   @type t :: %__MODULE__{

@@ -7,7 +7,7 @@ defmodule Aerie.Mavlink.Heartbeat do
   """
 
   alias Aerie.Mavlink.Message
-  alias MavCodec.Enums.MavAutopilot
+  alias MavCodec.Enums.{MavAutopilot, MavType}
   alias MavCodec.Frame
 
   @id Message.id!("HEARTBEAT")
@@ -15,24 +15,11 @@ defmodule Aerie.Mavlink.Heartbeat do
   @autopilot_invalid MavAutopilot.value(:MAV_AUTOPILOT_INVALID)
 
   # Every MAV_TYPE that is a part of a vehicle or no vehicle at all.
-  @not_vehicles %{
-    6 => "gcs",
-    18 => "onboard_controller",
-    26 => "gimbal",
-    27 => "adsb",
-    30 => "camera",
-    31 => "charging_station",
-    32 => "flarm",
-    33 => "servo",
-    34 => "odid",
-    36 => "battery",
-    37 => "parachute",
-    38 => "log",
-    39 => "osd",
-    40 => "imu",
-    41 => "gps",
-    42 => "winch"
-  }
+  @parts ~w(GCS ONBOARD_CONTROLLER GIMBAL ADSB CAMERA CHARGING_STATION FLARM SERVO ODID BATTERY PARACHUTE LOG OSD IMU GPS WINCH
+            ILLUMINATOR)
+  @not_vehicles for name <- @parts,
+                    into: %{},
+                    do: {MavType.value(:"MAV_TYPE_#{name}"), String.downcase(name)}
 
   @enforce_keys [:type, :autopilot]
   defstruct [:type, :autopilot]

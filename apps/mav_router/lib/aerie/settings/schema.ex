@@ -29,6 +29,15 @@ defmodule Aerie.Settings.Schema do
   def default(%Field{type: {:section, fields}}), do: defaults(fields)
   def default(%Field{default: default}), do: default
 
+  @doc "A typed tree that lacks keys, or has nil for them, with the defaults of its fields, also in the sections of its lists."
+  @spec complete([Field.t()], map()) :: map()
+  def complete(fields, tree), do: Map.new(fields, &{&1.key, completed(&1, tree[&1.key])})
+
+  defp completed(%Field{type: {:section, fields}}, value), do: complete(fields, value || %{})
+  defp completed(field, nil), do: default(field)
+  defp completed(%Field{type: {:list, {:section, fields}}}, items), do: Enum.map(items, &complete(fields, &1))
+  defp completed(_field, value), do: value
+
   @doc "What callers in Elixir write, as the schema reads it: names of keys and values of enumerations are strings there."
   @spec plain(term()) :: term()
   def plain(map) when is_map(map) and not is_struct(map),

@@ -18,6 +18,7 @@ defmodule Aerie.Logs.Download do
   """
 
   alias Aerie.Ftp.{Ranges, RoundTrip}
+  alias Aerie.Transfers.Spool
   alias MavCodec.Messages, as: M
 
   @piece 90
@@ -57,8 +58,8 @@ defmodule Aerie.Logs.Download do
           | {:done, {:ok, term()} | {:error, term()}}
 
   @doc """
-  A download of a log of `Aerie.Logs.List` that has not begun. Options: `:offset` (where to continue), `:max_bytes` (1 GiB),
-  `:rtt_us`.
+  A download of a log of `Aerie.Logs.List` that has not begun. Options: `:offset` (where to continue), `:max_bytes`
+  (that of `Aerie.Transfers.Spool`), `:rtt_us`.
   """
   @spec new(Aerie.Logs.List.entry(), {non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()
   def new(entry, target, deadline, options \\ []) do
@@ -69,7 +70,7 @@ defmodule Aerie.Logs.Download do
       deadline: deadline,
       trip: RoundTrip.new(options[:rtt_us]),
       ranges: Ranges.new(Keyword.get(options, :offset, 0)),
-      max_bytes: Keyword.get(options, :max_bytes, 1_073_741_824)
+      max_bytes: Keyword.get(options, :max_bytes, Spool.max_bytes())
     }
   end
 

@@ -4,11 +4,14 @@ defmodule Aerie.Mission.Item do
   list.
   """
 
+  alias MavCodec.Enums.MavFrame
   alias MavCodec.Messages, as: M
 
   @unset 0x7FFFFFFF
-  # The LOCAL_* and BODY_* frames.
-  @local [1, 4, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21]
+  # LOCAL_*, BODY_* and reserved ones.
+  @local for {name, value} <- MavFrame.all(),
+             not String.starts_with?(to_string(name), ["MAV_FRAME_GLOBAL", "MAV_FRAME_MISSION"]),
+             do: value
 
   @enforce_keys [:command, :frame]
   defstruct [:command, :frame, params: {0.0, 0.0, 0.0, 0.0}, x: 0, y: 0, z: 0.0, autocontinue: 1]

@@ -6,7 +6,7 @@ defmodule Aerie.Policy.Compile do
 
   alias Aerie.Command.Types
   alias Aerie.Policy
-  alias Aerie.Policy.{Facts, Fence}
+  alias Aerie.Policy.{Facts, Fence, Settings}
   alias Aerie.Policy.Rules.Window
   alias Aerie.Settings.Schema
 
@@ -26,8 +26,9 @@ defmodule Aerie.Policy.Compile do
   @doc "The policy of a section. Keys that are not there, or nil, are as in an empty section."
   @spec policy(map()) :: {:ok, Policy.t()} | {:error, [error(), ...]}
   def policy(section) do
-    {fence, fence_errors} = fence(section[:geofence_file])
-    {modes, mode_errors} = modes(section[:modes] || %{})
+    section = Schema.complete(Enum.map(Settings.settings(), & &1.field), section)
+    {fence, fence_errors} = fence(section.geofence_file)
+    {modes, mode_errors} = modes(section.modes)
     {conditions, condition_errors} = list(section, :conditions, &condition/2)
     {windows, window_errors} = list(section, :windows, &window/2)
     {rates, rate_errors} = list(section, :rates, &rate/2)
@@ -51,20 +52,20 @@ defmodule Aerie.Policy.Compile do
       [] ->
         {:ok,
          %Policy{
-           max_altitude: section[:max_altitude],
-           min_altitude: section[:min_altitude],
-           max_altitude_msl: section[:max_altitude_msl],
-           takeoff_battery: section[:takeoff_battery],
+           max_altitude: section.max_altitude,
+           min_altitude: section.min_altitude,
+           max_altitude_msl: section.max_altitude_msl,
+           takeoff_battery: section.takeoff_battery,
            fence: fence,
            modes: modes,
            conditions: conditions |> Enum.concat() |> Enum.into(@conditions),
            windows: windows,
-           rates: if(section[:rates] == nil, do: @rates, else: rates),
+           rates: if(section.rates == nil, do: @rates, else: rates),
            clients: clients,
            sources: sources,
-           unsigned: section[:unsigned],
-           lease: Map.merge(%Policy{}.lease, section[:lease] || %{}),
-           audit_required: get_in(section, [:audit, :required]) != false
+           unsigned: section.unsigned,
+           lease: section.lease,
+           audit_required: section.audit.required
          }}
 
       errors ->
@@ -93,11 +94,11 @@ defmodule Aerie.Policy.Compile do
 
   defp modes(section) do
     transitions =
-      for {from, to} <- section[:transitions] || %{},
+      for {from, to} <- section.transitions,
           into: %{},
           do: {String.upcase(from), Enum.map(to, &String.upcase/1)}
 
-    denied = Enum.map(section[:denied] || [], &String.upcase/1)
+    denied = Enum.map(section.denied, &String.upcase/1)
 
     errors =
       for {from, to} <- Enum.sort(transitions),
@@ -111,7 +112,7 @@ defmodule Aerie.Policy.Compile do
   end
 
   defp list(section, key, fun) do
-    items = section[key] || []
+    items = Map.fetch!(section, key) || []
 
     if length(items) > @max_items do
       {[], [{"policy.#{key}", "at most #{@max_items} entries", "#{length(items)}"}]}
@@ -123,24 +124,24 @@ defmodule Aerie.Policy.Compile do
 
   defp condition(path, item) do
     neither =
-      if item[:armed] == nil and item[:in_air] == nil, do: [{path, "armed or in_air", "neither"}], else: []
+      if item.armed == nil and item.in_air == nil, do: [{path, "armed or in_air", "neither"}], else: []
 
-    with :ok <- ok(neither ++ types("#{path}.types", item[:types], &known/2)),
-         do: {:ok, for(type <- item.types, do: {type, %{armed: item[:armed], in_air: item[:in_air]}})}
+    with :ok <- ok(neither ++ types("#{path}.types", item.types, &known/2)),
+         do: {:ok, for(type <- item.types, do: {type, %{armed: item.armed, in_air: item.in_air}})}
   end
 
   defp window(path, item) do
-    from = minutes("#{path}.from", item[:from])
-    to = minutes("#{path}.to", item[:to])
+    from = minutes("#{path}.from", item.from)
+    to = minutes("#{path}.to", item.to)
 
     empty =
       if is_integer(from) and from == to, do: [{"#{path}.to", "another time than from", item.to}], else: []
 
     wrong = for {_key, _expected, _got} = error <- [from, to], do: error
-    types = if item[:types], do: types("#{path}.types", item.types, &may_wait/2), else: []
+    types = if item.types, do: types("#{path}.types", item.types, &may_wait/2), else: []
 
     with :ok <- ok(wrong ++ empty ++ types),
-         do: {:ok, %{types: item[:types] || :moving, days: item[:days] || Window.days(), from: from, to: to}}
+         do: {:ok, %{types: item.types || :moving, days: item.days || Window.days(), from: from, to: to}}
   end
 
   defp may_wait(path, type) do
@@ -150,43 +151,33 @@ defmodule Aerie.Policy.Compile do
   end
 
   defp rate(path, item) do
-    missing = if item[:per_minute], do: [], else: [{"#{path}.per_minute", "a number", "nothing"}]
+    missing = if item.per_minute, do: [], else: [{"#{path}.per_minute", "a number", "nothing"}]
 
-    with :ok <- ok(types("#{path}.types", item[:types] || [], &known/2) ++ missing) do
+    with :ok <- ok(types("#{path}.types", item.types || [], &known/2) ++ missing) do
       {:ok,
        %{
-         types: item[:types] || :all,
-         sources: item[:sources] || :all,
-         vehicles: item[:vehicles] || :all,
+         types: item.types || :all,
+         sources: item.sources || :all,
+         vehicles: item.vehicles || :all,
          interval_us: max(round(60_000_000 / item.per_minute), 1),
-         burst: item[:burst] || 1
+         burst: item.burst
        }}
     end
   end
 
-  defp client(_path, item),
-    do: {:ok, %{id: item[:id], role: item[:role] || :operator, permissions: item[:permissions] || []}}
+  defp client(_path, item), do: {:ok, item}
 
   defp source(path, item) do
     nkey =
-      case Gnat.Nkey.from_public(item[:nkey] || "") do
+      case Gnat.Nkey.from_public(item.nkey || "") do
         {:ok, :user, _public} -> []
-        _other -> [{"#{path}.nkey", "the public nkey of a user (U…)", item[:nkey] || "nothing"}]
+        _other -> [{"#{path}.nkey", "the public nkey of a user (U…)", item.nkey || "nothing"}]
       end
 
-    expires = expires("#{path}.expires", item[:expires])
+    expires = expires("#{path}.expires", item.expires)
     wrong = for {_key, _expected, _got} = error <- [expires], do: error
 
-    with :ok <- ok(nkey ++ wrong) do
-      {:ok,
-       %{
-         name: item.name,
-         nkey: item.nkey,
-         role: item[:role] || :operator,
-         permissions: item[:permissions] || [],
-         expires: expires
-       }}
-    end
+    with :ok <- ok(nkey ++ wrong), do: {:ok, %{item | expires: expires}}
   end
 
   # The day is its last one.

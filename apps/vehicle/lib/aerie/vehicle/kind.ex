@@ -3,29 +3,34 @@ defmodule Aerie.Vehicle.Kind do
   The kind of a vehicle, by MAV_TYPE and MAV_AUTOPILOT of its autopilot's heartbeat, never by the component id (R10).
   """
 
+  alias Aerie.Mavlink.Heartbeat
+  alias MavCodec.Enums.{MavAutopilot, MavType}
+
   @kinds %{
-    "plane" => [1],
-    "copter" => [2, 3, 4, 13, 14, 15, 29, 35, 43],
-    "tracker" => [5],
-    "blimp" => [7],
-    "balloon" => [8],
-    "rocket" => [9],
-    "rover" => [10],
-    "boat" => [11],
-    "sub" => [12],
-    "flapping_wing" => [16],
-    "kite" => [17],
-    "vtol" => [19, 20, 21, 22, 23, 24, 25],
-    "parafoil" => [28],
-    "spacecraft" => [45]
+    "plane" => ~w(FIXED_WING),
+    "copter" =>
+      ~w(QUADROTOR COAXIAL HELICOPTER HEXAROTOR OCTOROTOR TRICOPTER DODECAROTOR DECAROTOR GENERIC_MULTIROTOR),
+    "tracker" => ~w(ANTENNA_TRACKER),
+    "blimp" => ~w(AIRSHIP),
+    "balloon" => ~w(FREE_BALLOON),
+    "rocket" => ~w(ROCKET),
+    "rover" => ~w(GROUND_ROVER),
+    "boat" => ~w(SURFACE_BOAT),
+    "sub" => ~w(SUBMARINE),
+    "flapping_wing" => ~w(FLAPPING_WING),
+    "kite" => ~w(KITE),
+    "vtol" =>
+      ~w(VTOL_TAILSITTER_DUOROTOR VTOL_TAILSITTER_QUADROTOR VTOL_TILTROTOR VTOL_FIXEDROTOR VTOL_TAILSITTER VTOL_TILTWING VTOL_RESERVED5),
+    "parafoil" => ~w(PARAFOIL),
+    "spacecraft" => ~w(SPACECRAFT_ORBITER)
   }
-  @by_type for {kind, types} <- @kinds, type <- types, into: %{}, do: {type, kind}
+  @by_type for {kind, names} <- @kinds,
+               name <- names,
+               into: %{},
+               do: {MavType.value(:"MAV_TYPE_#{name}"), kind}
 
-  # Types that are no vehicles: ground stations, on-board computers, gimbals, ADS-B receivers, cameras, chargers, FLARMs,
-  # servos, remote id, batteries, parachutes, logs, OSDs, sensors, winches, lights.
-  @not_vehicles [6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 37, 38, 39, 40, 41, 42, 44]
-
-  @autopilot_invalid 8
+  @ardupilot MavAutopilot.value(:MAV_AUTOPILOT_ARDUPILOTMEGA)
+  @px4 MavAutopilot.value(:MAV_AUTOPILOT_PX4)
 
   @type autopilot :: :ardupilot | :px4 | :generic
 
@@ -35,18 +40,13 @@ defmodule Aerie.Vehicle.Kind do
 
   @doc "The firmware family of a MAV_AUTOPILOT."
   @spec autopilot(integer()) :: autopilot()
-  def autopilot(3), do: :ardupilot
-  def autopilot(12), do: :px4
+  def autopilot(@ardupilot), do: :ardupilot
+  def autopilot(@px4), do: :px4
   def autopilot(_other), do: :generic
 
-  @doc """
-  Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2).
-
-  Everything else should send MAV_AUTOPILOT_INVALID; some ground stations and cameras do not, so the type counts, too.
-  """
+  @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `Aerie.Mavlink.Heartbeat.vehicle?/1`)."
   @spec vehicle?(integer(), integer()) :: boolean()
-  def vehicle?(_type, @autopilot_invalid), do: false
-  def vehicle?(type, _autopilot), do: type not in @not_vehicles
+  def vehicle?(type, autopilot), do: Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot})
 
   @doc "Whether this kind of vehicle takes off and lands."
   @spec flies?(String.t()) :: boolean()

@@ -1,20 +1,3 @@
-[
-  inputs: ["mix.exs", "{lib,test,bench}/**/*.{ex,exs}"],
-  line_length: 110,
-  locals_without_parens: [
-    setting: 3,
-    setting: 4,
-    section: 1,
-    section: 2,
-    part: 2,
-    attr: 2,
-    attr: 3,
-    slot: 1,
-    slot: 2,
-    slot: 3,
-    live: 2,
-    live: 3,
-    on_mount: 1,
-    live_session: 3
-  ]
-]
+# As the root's; its own file lets Mix format one app.
+{root, _binding} = Code.eval_file("../../.formatter.exs", __DIR__)
+Keyword.put(root, :inputs, ["mix.exs", "{lib,test,bench}/**/*.{ex,exs}"])

@@ -9,8 +9,11 @@
 # from before its `send` on (ms, of ten vehicles, looked at every ms); how many vehicles are known and heard at the end.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
+Code.require_file("support/os_process.ex", __DIR__)
 
 defmodule HubBench do
+  alias Aerie.Bench.OSProcess
+
   # Systems of one network: an id is a byte, and a few are taken.
   @of_network 240
 
@@ -32,7 +35,12 @@ defmodule HubBench do
     File.mkdir_p!(context.dir)
 
     try do
-      context = Map.put(context, :load, compile(context.dir))
+      context =
+        Map.put(
+          context,
+          :load,
+          OSProcess.compile(Path.join(__DIR__, "support/hub_load.c"), Path.join(context.dir, "hub_load"))
+        )
 
       counts =
         for n <- String.split(options[:vehicles], ","),
@@ -57,50 +65,30 @@ defmodule HubBench do
 
       for n <- counts, do: measure(context, n, 0)
       for n <- [1, 20], do: measure(context, n, options[:fakes])
-      IO.puts("\n#{System.schedulers_online()} cores, load #{load()} at the end")
+      IO.puts("\n#{System.schedulers_online()} cores, load #{OSProcess.load()} at the end")
     after
       File.rm_rf!(context.dir)
     end
   end
 
-  defp compile(dir) do
-    out = Path.join(dir, "hub_load")
-
-    cc =
-      System.find_executable("cc") || System.find_executable("gcc") ||
-        raise "the load needs a C compiler (cc)"
-
-    source = Path.join(__DIR__, "support/hub_load.c")
-    {_, 0} = System.cmd(cc, ["-O2", "-pthread", "-o", out, source], into: IO.stream())
-    out
-  end
-
   defp measure(context, vehicles, fakes) do
     links = ceil(vehicles / @of_network)
-    port = base_port(vehicles)
+    port = OSProcess.base_port(vehicles)
     script = Path.join(__DIR__, "support/hub_node.exs")
-    args = ["run", "--no-compile", script, "#{port}", "#{links}"]
 
-    node =
-      Port.open({:spawn_executable, System.find_executable("mix")}, [
-        :binary,
-        :exit_status,
-        args: args
-      ])
+    node = OSProcess.start(["run", "--no-compile", script, "#{port}", "#{links}"])
 
     try do
-      line(node, "ready")
-      {:os_pid, pid} = Port.info(node, :os_pid)
-      pid = busiest(pid)
+      OSProcess.line(node, "ready")
       # All vehicles are known before it counts.
       load(context, port, vehicles, links, 5, 0)
       report(node)
-      before = cpu(pid)
+      before = OSProcess.cpus(node).gateway
       sent = load(context, port, vehicles, links, context.seconds, fakes)
-      busy = cpu(pid) - before
+      busy = OSProcess.cpus(node).gateway - before
       print(vehicles, links, fakes, sent, report(node), busy)
     after
-      if Port.info(node), do: Port.close(node)
+      OSProcess.stop(node)
     end
   end
 
@@ -110,30 +98,7 @@ defmodule HubBench do
     JSON.decode!(text)["sent"]
   end
 
-  defp report(node) do
-    Port.command(node, "report\n")
-    node |> line("{") |> JSON.decode!()
-  end
-
-  defp line(node, start, text \\ "") do
-    receive do
-      {^node, {:data, more}} ->
-        text = text <> more
-
-        found =
-          text
-          |> String.split("\n")
-          |> Enum.drop(-1)
-          |> Enum.find(&String.starts_with?(&1, start))
-
-        found || line(node, start, text)
-
-      {^node, {:exit_status, status}} ->
-        raise "the gateway ended with #{status}: #{text}"
-    after
-      120_000 -> raise "the gateway does not answer: #{text}"
-    end
-  end
+  defp report(node), do: node |> OSProcess.ask("report", "{") |> JSON.decode!()
 
   defp print(vehicles, links, fakes, sent, report, busy) do
     lost = sent - report["received"]
@@ -143,52 +108,6 @@ defmodule HubBench do
     heard = if fakes > 0, do: "", else: report["vehicles"]
 
     IO.puts(row([vehicles, links, fakes, sent, report["received"], lost, counted, cost, ages, heard]))
-  end
-
-  # A wrapper's child does the work.
-  defp busiest(pid) do
-    case System.cmd("pgrep", ["-P", "#{pid}"], stderr_to_stdout: true) do
-      {children, 0} ->
-        [pid | children |> String.split() |> Enum.map(&busiest(String.to_integer(&1)))]
-        |> Enum.max_by(&rss/1)
-
-      _none ->
-        pid
-    end
-  end
-
-  defp rss(pid) do
-    with {:ok, text} <- File.read("/proc/#{pid}/status"),
-         [_, kib] <- Regex.run(~r/VmRSS:\s+(\d+)/, text),
-         do: String.to_integer(kib),
-         else: (_ -> 0)
-  end
-
-  # Seconds of user and system time.
-  defp cpu(pid) do
-    [_, rest] = "/proc/#{pid}/stat" |> File.read!() |> String.split(") ", parts: 2)
-    fields = String.split(rest)
-    (String.to_integer(Enum.at(fields, 11)) + String.to_integer(Enum.at(fields, 12))) / 100
-  end
-
-  defp load, do: "/proc/loadavg" |> File.read!() |> String.split() |> hd()
-
-  # The links', and from 1000 on the vehicles'.
-  defp base_port(vehicles) do
-    base = 10_000 + 2_000 * :rand.uniform(10)
-
-    if Enum.all?(
-         Enum.concat(base..(base + 10), (base + 1_000)..(base + 1_000 + vehicles)),
-         &free?/1
-       ),
-       do: base,
-       else: base_port(vehicles)
-  end
-
-  defp free?(port) do
-    with {:ok, socket} <- :gen_udp.open(port, ip: {127, 0, 0, 1}),
-         do: :gen_udp.close(socket) == :ok,
-         else: (_ -> false)
   end
 
   defp row(cells) do

@@ -9,6 +9,7 @@
 # a simulated ArduPilot on UDP for a parameter, the mode, and both.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
+Code.require_file("support/config.ex", __DIR__)
 
 defmodule ShadowBench do
   alias Aerie.{Shadow, Store}
@@ -40,25 +41,7 @@ defmodule ShadowBench do
   end
 
   defp start(folder) do
-    dir = &Path.join(folder, &1)
-
-    config =
-      Aerie.Config.default([
-        {"mavlink.local_addr", "off"},
-        {"mavlink.system_id", 245},
-        {"clients", []},
-        {"nats.mode", "off"},
-        {"outbox.dir", dir.("outbox")},
-        {"recorder.dir", dir.("recordings")},
-        {"signing.dir", dir.("signing")},
-        {"policy.audit.dir", dir.("audit")},
-        {"commands.ledger.dir", dir.("ledger")},
-        {"params.dir", dir.("params")},
-        {"shadow.dir", dir.("shadow")},
-        {"shadow.hold_s", 0},
-        {"sockets.dir", dir.("sockets")}
-      ])
-
+    config = Aerie.Bench.Config.new(folder, [{"nats.mode", "off"}, {"shadow.hold_s", 0}])
     {:ok, _gateway} = Aerie.Gateway.start_link(name: @gateway, config: config)
     {:ok, _link} = Aerie.Link.start(@gateway, "udpin:127.0.0.1:0", network: "main")
     until(fn -> port() end)

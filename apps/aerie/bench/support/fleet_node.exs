@@ -4,6 +4,8 @@
 #
 # REMOTE is 1 for a hub. Says "ready URL" when it listens; at each line of its standard input what was counted since the last one, as JSON;
 # ends with it. Ages are measured by looking, every millisecond, at ten of the vehicles.
+Code.require_file("config.ex", __DIR__)
+
 defmodule FleetNode do
   alias Aerie.{Bridge, Fleet, Store}
 
@@ -13,24 +15,12 @@ defmodule FleetNode do
 
   def main(folder, port, links, remote) do
     Logger.configure(level: :error)
-    dir = &Path.join(folder, &1)
 
     config =
-      Aerie.Config.default([
-        {"mavlink.local_addr", "off"},
-        {"mavlink.system_id", 245},
-        {"clients", []},
+      Aerie.Bench.Config.new(folder, [
         {"limits.max_links", 200},
         {"nats.port", 0},
-        {"nats.store_dir", dir.("nats")},
-        {"outbox.dir", dir.("outbox")},
-        {"recorder.dir", dir.("recordings")},
-        {"signing.dir", dir.("signing")},
-        {"policy.audit.dir", dir.("audit")},
-        {"commands.ledger.dir", dir.("ledger")},
-        {"params.dir", dir.("params")},
-        {"shadow.dir", dir.("shadow")},
-        {"sockets.dir", dir.("sockets")},
+        {"nats.store_dir", Path.join(folder, "nats")},
         {"remote.enabled", remote == "1"}
       ])
 

@@ -22,6 +22,7 @@ defmodule Aerie.Client.StateForm do
   a recording are those in the recording.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Fleet.{Age, Json}
   alias Aerie.Vehicle.Fields
 
@@ -47,7 +48,7 @@ defmodule Aerie.Client.StateForm do
   @doc "The object of a vehicle's snapshot at a unix time in microseconds; `links` are snapshots of links by id."
   @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
   def of(vehicle, links, now) do
-    mode = data(vehicle, :mode)
+    mode = Fleet.data(vehicle, :mode)
     heard_by = for id <- vehicle.links, link = links[id], do: link
     clock = Age.now(vehicle, heard_by, now)
 
@@ -67,7 +68,7 @@ defmodule Aerie.Client.StateForm do
       ages: for({part, _keys} <- @parts, into: %{}, do: {part, age(at(vehicle, part), clock)})
     }
     |> Map.merge(port(vehicle.links, links))
-    |> Map.merge(Map.new(@parts, fn {part, keys} -> {part, part(part, keys, data(vehicle, part))} end))
+    |> Map.merge(Map.new(@parts, fn {part, keys} -> {part, part(part, keys, Fleet.data(vehicle, part))} end))
   end
 
   @doc """
@@ -106,13 +107,6 @@ defmodule Aerie.Client.StateForm do
   end
 
   defp port([], _links), do: %{fc_port: nil, fc_baud: nil}
-
-  defp data(vehicle, group) do
-    case vehicle.groups do
-      %{^group => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
 
   defp at(vehicle, group) do
     case vehicle.groups do

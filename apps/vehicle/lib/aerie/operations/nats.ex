@@ -9,8 +9,11 @@ defmodule Aerie.Operations.Nats do
   use GenServer
 
   alias Aerie.{Bridge, Names, Operations, Policy}
+  alias Aerie.Bridge.Subscriber
   alias Aerie.Policy.Sources
   alias Aerie.Store.PubSub
+
+  import Subscriber, only: [refusal: 2, reply: 2]
 
   @max_waiting 200
   @max_bytes 131_072
@@ -36,21 +39,8 @@ defmodule Aerie.Operations.Nats do
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
   def handle_info(_late, state), do: {:noreply, state}
 
-  defp connect(%{gateway: gateway} = state) do
-    conn = Bridge.connection(gateway)
-    subject = "fleet.#{Bridge.environment(gateway)}.#{Bridge.name(gateway)}.operation.*"
-
-    with true <- conn != nil and conn != state.conn,
-         {:ok, _sid} <- Gnat.sub(conn, self(), subject) do
-      %{state | conn: conn}
-    else
-      false -> %{state | conn: conn}
-      # The connection is lost; the next one subscribes.
-      {:error, _lost} -> %{state | conn: nil}
-    end
-  catch
-    :exit, _gone -> %{state | conn: nil}
-  end
+  defp connect(%{gateway: gateway} = state),
+    do: Subscriber.follow(state, "fleet.#{Bridge.environment(gateway)}.#{Bridge.name(gateway)}.operation.*")
 
   defp answer(gateway, %{topic: topic, body: body} = message) do
     action = topic |> String.split(".") |> List.last()
@@ -112,16 +102,4 @@ defmodule Aerie.Operations.Nats do
 
   defp body({:error, {rule, _what} = refused}),
     do: rule |> Atom.to_string() |> refusal(Operations.text(refused))
-
-  defp refusal(rule, reason), do: %{"result" => "refused", "rule" => rule, "reason" => reason}
-
-  defp reply(%{reply_to: nil}, _body), do: :ok
-
-  defp reply(message, body) do
-    # Who gets no answer asks again.
-    _ = Gnat.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body))
-    :ok
-  catch
-    :exit, _gone -> :ok
-  end
 end

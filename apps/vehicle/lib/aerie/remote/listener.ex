@@ -18,7 +18,7 @@ defmodule Aerie.Remote.Listener do
   use GenServer
 
   alias Aerie.{Bridge, Fleet, Names, Store}
-  alias Aerie.Bridge.Commands
+  alias Aerie.Bridge.{Commands, Subscriber}
   alias Aerie.Fleet.Remote
   alias Aerie.Remote.{Message, Settings}
   alias Aerie.Store.PubSub
@@ -82,26 +82,15 @@ defmodule Aerie.Remote.Listener do
       {:reply, :ok,
        Enum.reduce(messages, state, fn {topic, body}, state -> take(state, topic, body, :last) end)}
 
-  defp connect(state) do
-    conn = Bridge.connection(state.gateway)
-    if conn != nil and conn != state.conn, do: subscribe(state, conn), else: %{state | conn: conn}
-  end
-
-  defp subscribe(state, conn) do
+  defp connect(%{conn: before} = state) do
     subjects = "fleet.#{state.environment}.*.state.*"
+    %{conn: conn, tasks: tasks} = state = Subscriber.follow(state, subjects)
+    listener = self()
 
-    case Gnat.sub(conn, self(), subjects) do
-      {:ok, _sid} ->
-        listener = self()
-        {:ok, _pid} = Task.Supervisor.start_child(state.tasks, fn -> read(conn, subjects, listener) end)
-        %{state | conn: conn}
+    if conn not in [nil, before],
+      do: {:ok, _pid} = Task.Supervisor.start_child(tasks, fn -> read(conn, subjects, listener) end)
 
-      # The connection is lost; the next one subscribes.
-      {:error, _lost} ->
-        %{state | conn: nil}
-    end
-  catch
-    :exit, _gone -> %{state | conn: nil}
+    state
   end
 
   # Without the stream there is only what comes from now on.

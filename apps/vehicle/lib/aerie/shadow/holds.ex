@@ -14,6 +14,7 @@ defmodule Aerie.Shadow.Holds do
   Changes within ten seconds of a known command are taken for its effect.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Policy.Commanded
 
   defstruct hold_us: 30_000_000, seen: nil, sticks: nil, expected_until: nil, commanded_at: nil, until: %{}
@@ -56,14 +57,14 @@ defmodule Aerie.Shadow.Holds do
   @doc "Takes the vehicle's snapshot at `now` (unix microseconds), and who commanded it last."
   @spec observe(t(), map(), Commanded.t() | nil, now :: integer()) :: t()
   def observe(holds, snapshot, commanded, now) do
-    mode = data(snapshot, :mode)
+    mode = Fleet.data(snapshot, :mode)
 
     holds
     |> commanded(commanded)
     |> changed({mode[:mode], mode[:armed]}, now)
     |> failsafe(mode[:failsafe] == true, now)
-    |> sticks(data(snapshot, :rc)[:channels], now)
-    |> flown(mode, data(snapshot, :health)[:rc_receiver], now)
+    |> sticks(Fleet.data(snapshot, :rc)[:channels], now)
+    |> flown(mode, Fleet.data(snapshot, :health)[:rc_receiver], now)
   end
 
   @doc "Records that the shadow itself sends something: changes that follow are its effect."
@@ -133,11 +134,4 @@ defmodule Aerie.Shadow.Holds do
 
   defp hold(holds, by, from),
     do: %{holds | until: Map.update(holds.until, by, from + holds.hold_us, &max(&1, from + holds.hold_us))}
-
-  defp data(snapshot, group) do
-    case snapshot.groups do
-      %{^group => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
 end

@@ -13,10 +13,13 @@ defmodule Aerie.Shadow.Nats do
   """
   use GenServer
 
-  alias Aerie.{Bridge, Names, Policy, Shadow}
+  alias Aerie.{Names, Policy, Shadow}
+  alias Aerie.Bridge.Subscriber
   alias Aerie.Shadow.Nats.Request
   alias Aerie.Shadow.{Metrics, Settings}
   alias Aerie.Store.PubSub
+
+  import Subscriber, only: [refusal: 2, reply: 2]
 
   @queue "aerie-shadow"
   @max_waiting 1_000
@@ -79,20 +82,8 @@ defmodule Aerie.Shadow.Nats do
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
   def handle_info(_late, state), do: {:noreply, state}
 
-  defp connect(state) do
-    conn = Bridge.connection(state.gateway)
-    if conn != nil and conn != state.conn, do: subscribe(state, conn), else: %{state | conn: conn}
-  end
-
-  defp subscribe(state, conn) do
-    case Gnat.sub(conn, self(), "fleet.#{state.environment}.*.shadow.*", queue_group: @queue) do
-      {:ok, _sid} -> %{state | conn: conn}
-      # The connection was lost; the next one subscribes.
-      {:error, _lost} -> %{state | conn: nil}
-    end
-  catch
-    :exit, _gone -> %{state | conn: nil}
-  end
+  defp connect(state),
+    do: Subscriber.follow(state, "fleet.#{state.environment}.*.shadow.*", queue_group: @queue)
 
   defp run(state, message) do
     gateway = state.gateway
@@ -120,16 +111,4 @@ defmodule Aerie.Shadow.Nats do
 
   defp body({:error, {rule, _what} = refusal}, request),
     do: rule |> Atom.to_string() |> refusal(Shadow.text(refusal)) |> Map.put("token", request.object["token"])
-
-  defp refusal(rule, reason), do: %{"result" => "refused", "rule" => rule, "reason" => reason}
-
-  defp reply(%{reply_to: nil}, _body), do: :ok
-
-  defp reply(message, body) do
-    # A client without an answer asks again.
-    _ = Gnat.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body))
-    :ok
-  catch
-    :exit, _gone -> :ok
-  end
 end

@@ -4,6 +4,7 @@ defmodule Aerie.Shadow.Report do
   the gateway writes it (Z2); `docs/shadow.md` describes its keys.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Fleet.Json
   alias Aerie.Shadow.{Actual, Core, Field}
 
@@ -32,7 +33,7 @@ defmodule Aerie.Shadow.Report do
         "firmware" => snapshot[:firmware],
         "capabilities" => snapshot[:capabilities],
         "links" => Enum.sort(for link <- snapshot.links, do: "#{link}"),
-        "health" => health(snapshot),
+        "health" => snapshot |> Fleet.data(:health) |> Map.take(@health),
         "fields" => fields(core),
         "holds" => for(hold <- core.active, do: plain(hold))
       })
@@ -82,12 +83,5 @@ defmodule Aerie.Shadow.Report do
       {:state, state} -> {"state", Atom.to_string(state)}
       {key, value} -> {Atom.to_string(key), value}
     end)
-  end
-
-  defp health(snapshot) do
-    case snapshot.groups do
-      %{health: %{data: data}} -> Map.take(data, @health)
-      _unheard -> %{}
-    end
   end
 end

@@ -5,6 +5,7 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   What the diagnosis judges (`Aerie.Diagnosis`) is not judged a second time here.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Diagnosis.Condition
   alias FleetWeb.Console.Alarms
 
@@ -15,7 +16,7 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   @doc "Conditions of a vehicle's snapshot."
   @spec vehicle(map()) :: [Alarms.condition()]
   def vehicle(%{id: id} = vehicle) do
-    mode = data(vehicle, :mode)
+    mode = Fleet.data(vehicle, :mode)
     flying? = mode[:armed] == true or mode[:in_air] == true
     emergency? = mode[:failsafe] == true and vehicle.status != :lost
 
@@ -64,11 +65,4 @@ defmodule FleetWeb.Console.Alarms.Conditions do
 
   defp condition(kind, id, severity, words, vehicle),
     do: %{key: {kind, id}, severity: severity, text: "#{id}: #{words}", vehicle: vehicle}
-
-  defp data(%{groups: groups}, name) do
-    case groups do
-      %{^name => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
 end

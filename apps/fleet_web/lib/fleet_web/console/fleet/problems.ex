@@ -1,6 +1,8 @@
 defmodule FleetWeb.Console.Fleet.Problems do
   @moduledoc "The problems of a vehicle, in a few words each, the worst first. Pure."
 
+  alias Aerie.Fleet
+
   @type problem :: {:bad | :warn, String.t()}
 
   @low 0.3
@@ -11,12 +13,12 @@ defmodule FleetWeb.Console.Fleet.Problems do
   def of(vehicle) do
     [
       status(vehicle.status),
-      failsafe(data(vehicle, :mode)),
+      failsafe(Fleet.data(vehicle, :mode)),
       collision(vehicle[:collision]),
-      fence(data(vehicle, :mission)),
-      battery(data(vehicle, :battery)),
-      gps(data(vehicle, :gps), data(vehicle, :mode)),
-      health(data(vehicle, :health))
+      fence(Fleet.data(vehicle, :mission)),
+      battery(Fleet.data(vehicle, :battery)),
+      gps(Fleet.data(vehicle, :gps), Fleet.data(vehicle, :mode)),
+      health(Fleet.data(vehicle, :health))
     ]
     |> List.flatten()
     |> Enum.sort_by(fn {severity, _text} -> severity == :warn end)
@@ -64,12 +66,5 @@ defmodule FleetWeb.Console.Fleet.Problems do
     |> String.replace(~r/^(MAV_SYS_STATUS_)?(SENSOR_)?/, "")
     |> String.downcase()
     |> String.replace("_", " ")
-  end
-
-  defp data(%{groups: groups}, name) do
-    case groups do
-      %{^name => %{data: data}} -> data
-      _unheard -> %{}
-    end
   end
 end

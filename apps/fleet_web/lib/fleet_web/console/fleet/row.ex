@@ -3,6 +3,7 @@ defmodule FleetWeb.Console.Fleet.Row do
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Policy.Lease
   alias Aerie.Store
   alias Aerie.Fleet.Age
@@ -79,9 +80,9 @@ defmodule FleetWeb.Console.Fleet.Row do
           t()
   def new(vehicle, links, tags, now, leases \\ %{}) do
     own = for link <- links, link.id in vehicle.links, do: link
-    mode = data(vehicle, :mode)
-    battery = data(vehicle, :battery)
-    gps = data(vehicle, :gps)
+    mode = Fleet.data(vehicle, :mode)
+    battery = Fleet.data(vehicle, :battery)
+    gps = Fleet.data(vehicle, :gps)
 
     %__MODULE__{
       id: vehicle.id,
@@ -99,8 +100,8 @@ defmodule FleetWeb.Console.Fleet.Row do
       voltage: rounded(battery[:voltage], 1),
       fix: whole(gps[:fix]),
       satellites: whole(gps[:satellites]),
-      height: height(data(vehicle, :position)[:alt_rel]),
-      speed: rounded(data(vehicle, :velocity)[:groundspeed], 1),
+      height: height(Fleet.data(vehicle, :position)[:alt_rel]),
+      speed: rounded(Fleet.data(vehicle, :velocity)[:groundspeed], 1),
       link: quality(own),
       silent_us: seconds(Age.silent_us(vehicle, own, now)),
       via: vehicle[:via],
@@ -108,13 +109,6 @@ defmodule FleetWeb.Console.Fleet.Row do
       holder: with(%{holder: name} <- leases[vehicle[:key]], do: name),
       tags: Map.get(tags, vehicle.id, [])
     }
-  end
-
-  defp data(%{groups: groups}, name) do
-    case groups do
-      %{^name => %{data: data}} -> data
-      _unheard -> %{}
-    end
   end
 
   defp text(mode) when is_binary(mode), do: mode

@@ -3,6 +3,8 @@ defmodule FleetWeb.Console.Map.Payload do
   The vehicles for the map: short rows, and of those only the changed ones. Pure.
   """
 
+  alias Aerie.Fleet
+
   @typedoc """
   `[id, lat, lon, heading, course, speed, height, kind, state, in_air]`: degrees, m/s, metres above home; nil where not known.
   """
@@ -14,7 +16,7 @@ defmodule FleetWeb.Console.Map.Payload do
   def row(%{groups: groups} = vehicle) do
     with %{position: %{data: %{lat: lat, lon: lon} = position}} when is_number(lat) and is_number(lon) <-
            groups do
-      velocity = data(groups, :velocity)
+      velocity = Fleet.data(vehicle, :velocity)
       {course, speed} = over_ground(velocity)
 
       [
@@ -27,7 +29,7 @@ defmodule FleetWeb.Console.Map.Payload do
         rounded(position[:alt_rel], 1),
         vehicle.vehicle_type,
         state(vehicle),
-        data(groups, :mode)[:in_air] == true
+        Fleet.data(vehicle, :mode)[:in_air] == true
       ]
     else
       _no_position -> nil
@@ -40,8 +42,8 @@ defmodule FleetWeb.Console.Map.Payload do
   @spec state(map()) :: :lost | :stale | :failsafe | :armed | :disarmed
   def state(%{status: status}) when status in [:lost, :stale], do: status
 
-  def state(%{groups: groups}) do
-    case data(groups, :mode) do
+  def state(vehicle) do
+    case Fleet.data(vehicle, :mode) do
       %{failsafe: true} -> :failsafe
       %{armed: true} -> :armed
       _other -> :disarmed
@@ -82,13 +84,6 @@ defmodule FleetWeb.Console.Map.Payload do
   end
 
   defp over_ground(velocity), do: {nil, velocity[:groundspeed]}
-
-  defp data(groups, name) do
-    case groups do
-      %{^name => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
 
   defp rounded(value, 0) when is_number(value), do: round(value)
   defp rounded(value, decimals) when is_number(value), do: Float.round(value / 1, decimals)

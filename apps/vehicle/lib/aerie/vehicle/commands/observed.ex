@@ -6,6 +6,7 @@ defmodule Aerie.Vehicle.Commands.Observed do
   too, which says nothing about the mode.
   """
 
+  alias Aerie.Fleet
   alias Aerie.Protocol.Vehicle
 
   # Message id: HEARTBEAT, GLOBAL_POSITION_INT, MISSION_CURRENT, HIGH_LATENCY2, HOME_POSITION, EXTENDED_SYS_STATE.
@@ -37,8 +38,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
   @doc "The fields that a snapshot shows."
   @spec changes(map()) :: map()
   def changes(snapshot) do
-    mode = data(snapshot, :mode)
-    position = data(snapshot, :position)
+    mode = Fleet.data(snapshot, :mode)
+    position = Fleet.data(snapshot, :position)
 
     %{
       mode: mode[:mode],
@@ -50,8 +51,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
       alt_msl: position[:alt_msl],
       alt_rel: position[:alt_rel],
       heading: position[:heading],
-      home: home(data(snapshot, :home)),
-      mission_seq: data(snapshot, :mission)[:seq],
+      home: home(Fleet.data(snapshot, :home)),
+      mission_seq: Fleet.data(snapshot, :mission)[:seq],
       arming_checks: checks(snapshot),
       mode_names: get_in(snapshot, [:memory, :mode_names]) || %{},
       standard_modes: get_in(snapshot, [:memory, :standard_modes]) || %{}
@@ -69,16 +70,9 @@ defmodule Aerie.Vehicle.Commands.Observed do
     if :mode in heard and not is_map_key(now, 245), do: Enum.uniq([:in_air | heard]), else: Enum.uniq(heard)
   end
 
-  defp data(snapshot, group) do
-    case snapshot.groups do
-      %{^group => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
-
   # Those of lower severity keep it from being armed in other modes only.
   defp checks(snapshot) do
-    checks = data(snapshot, :health)[:arming_checks] || []
+    checks = Fleet.data(snapshot, :health)[:arming_checks] || []
 
     for(%{name: "check_" <> _ = name, severity: level} <- checks, level <= @error, do: name)
     |> Enum.take(@max_checks)

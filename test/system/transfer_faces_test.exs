@@ -284,6 +284,12 @@ defmodule Aerie.System.TransferFacesTest do
     assert {200, _logs} = rest(c, :get, "logs")
     assert [] = :sys.get_state(Aerie.Names.whereis(c.gateway, :transfers, @key)).core.order
 
+    # A clock that falls back by a few seconds is no reboot (R6).
+    eventually(
+      fn -> Store.vehicle(c.gateway, @key).time_boot_ms > 10_000 end,
+      "the vehicle has been up for a while"
+    )
+
     # So many pieces have to be asked for again that it cannot be complete yet.
     :ok = SimVehicle.fault(c.sim, :loss, 0.3)
     socket = begun(c)

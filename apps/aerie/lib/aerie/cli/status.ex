@@ -93,7 +93,7 @@ defmodule Aerie.CLI.Status do
       started: state.started,
       vehicles: state.gateway |> Store.vehicles() |> Enum.sort_by(& &1.id),
       links: links,
-      interfaces: Access.list(links, commands, clients, state.config),
+      interfaces: Access.list(links, commands, clients, bound(state)),
       clients: clients,
       nats: Aerie.Bridge.info(state.gateway),
       nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),
@@ -106,6 +106,24 @@ defmodule Aerie.CLI.Status do
       notes: state.notes
     }
   end
+
+  # The configuration with the ports that the servers really got.
+  defp bound(%{config: nil}), do: nil
+
+  defp bound(%{config: config, gateway: gateway}) do
+    for {name, server} <- [http: FleetWeb.Endpoint, websocket: FleetWeb.WebSocket], reduce: config do
+      config -> update_in(config, [name], &bound(&1, server, gateway))
+    end
+  end
+
+  defp bound(%{enabled: true, port: 0} = settings, server, gateway) do
+    %{settings | port: server.port(gateway)}
+  rescue
+    # It does not listen at this moment.
+    ArgumentError -> settings
+  end
+
+  defp bound(settings, _server, _gateway), do: settings
 
   defp published(gateway) do
     for %{name: "gateway_nats_messages_published_total", samples: samples} <- Aerie.Bridge.metrics(gateway),

@@ -90,6 +90,7 @@ defmodule Aerie.Identity.Watchdog do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:watchdog, gateway})
     table = :ets.new(:watchdog, [:set, :protected, read_concurrency: true])
+    :ets.insert(table, for(tag <- @needed, do: {tag, now(), false}))
     %Settings{deadman_ms: deadman_ms} = Keyword.fetch!(options, :settings)
     Names.put_value(gateway, :watchdog, {table, deadman_ms})
     # Often enough that one late answer is no missed one.
@@ -152,11 +153,20 @@ defmodule Aerie.Identity.Watchdog do
     :ok
   end
 
+  # A process that has yet to answer for the first time is waited for, not complained of: a gateway that starts is no fault.
   defp tell(state) do
     %{silent: silent} = status(state.gateway)
+    silent = Enum.reject(silent, &awaited?(state, &1))
     execute(state, :silent, silent -- state.silent)
     execute(state, :answering, state.silent -- silent)
     %{state | silent: silent}
+  end
+
+  defp awaited?(%{table: table, deadman_ms: deadman_ms}, tag) do
+    case :ets.lookup(table, tag) do
+      [{^tag, at, false}] -> now() - at <= deadman_ms
+      _answered_before -> false
+    end
   end
 
   defp execute(state, event, tags) do

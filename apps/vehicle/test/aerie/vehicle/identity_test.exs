@@ -148,6 +148,25 @@ defmodule Aerie.Vehicle.IdentityTest do
     eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
   end
 
+  test "a gateway that starts is given its time before anyone complains" do
+    gateway = make_ref()
+    test = self()
+
+    told = fn _event, _count, told, _config ->
+      if told.gateway == gateway, do: send(test, {:silent, told.role})
+    end
+
+    :ok = :telemetry.attach(gateway, [:aerie, :identity, :silent], told, nil)
+    on_exit(fn -> :telemetry.detach(gateway) end)
+    # Deaf to everything: none of the processes that it asks for is there.
+    options = [gateway: gateway, settings: %Aerie.Identity.Settings{deadman_ms: 400}]
+    watchdog = start_supervised!({Aerie.Identity.Watchdog, options})
+    _asked = :sys.get_state(watchdog)
+    refute_received {:silent, _role}
+    refute Aerie.Identity.status(gateway).alive
+    assert_receive {:silent, :store}
+  end
+
   test "without a gateway nothing is alive" do
     assert %{alive: false, silent: [{:watchdog, nil}]} = Aerie.Identity.status(make_ref())
   end

@@ -26,6 +26,8 @@ defmodule SimVehicle.Options do
     more_params: {[], "`{name, value, MAV_PARAM_TYPE}` of parameters after the firmware's own"},
     files: {%{}, "files by path, which MAVLink FTP serves"},
     logs: {[], "contents of the logs on board"},
+    camera:
+      {nil, "nil, or the component id of a camera with parameters of its own, 2..255 (`SimVehicle.Camera`)"},
     mavlink: {2, "protocol version that is spoken, 1 or 2"},
     key: {nil, "nil, or the 32 bytes of the signing key that it has from the start"},
     signed_at: {nil, "nil (GPS time), or the time stamp that the clock of its signatures begins with"},
@@ -87,6 +89,9 @@ defmodule SimVehicle.Options do
   defp valid?(:firmware, value, _opts), do: is_map_key(@personalities, value)
   defp valid?(:link, value, _opts), do: match?({:ok, _parsed}, Link.parse(value))
   defp valid?(key, value, _opts) when key in [:system, :component], do: is_integer(value) and value in 1..255
+
+  defp valid?(:camera, value, opts),
+    do: value == nil or (is_integer(value) and value in 2..255 and value != opts.component)
 
   defp valid?(:home, {lat, lon, alt}, _opts),
     do: is_number(lat) and abs(lat) <= 90 and is_number(lon) and abs(lon) <= 180 and is_number(alt)

@@ -31,7 +31,7 @@ defmodule SimVehicle.Server do
     :clock,
     :off_for,
     :signing,
-    seq: 0,
+    seq: %{},
     frozen: false,
     datagrams: true,
     boot_bytes: "",
@@ -177,7 +177,7 @@ defmodule SimVehicle.Server do
 
   defp boot(state) do
     {vehicle, actions} = Simulation.boot(state.vehicle, System.os_time(:microsecond))
-    interpret(%{state | vehicle: vehicle, seq: 0, boot_bytes: ""}, actions)
+    interpret(%{state | vehicle: vehicle, seq: %{}, boot_bytes: ""}, actions)
   end
 
   # --- actions ---
@@ -191,23 +191,9 @@ defmodule SimVehicle.Server do
 
   defp interpret(state, actions), do: Enum.reduce(actions, state, &do_action(&2, &1))
 
-  defp do_action(state, {:send, message}) do
-    if state.options.mavlink == 1 and not version_1?(state, message) do
-      state
-    else
-      bytes =
-        MavCodec.encode(message,
-          system: state.vehicle.system,
-          component: state.vehicle.component,
-          seq: state.seq,
-          version: state.options.mavlink,
-          dialect: state.dialect
-        )
-
-      {bytes, signing} = Signing.sign(state.signing, bytes, message, state.dialect)
-      transmit(%{state | seq: rem(state.seq + 1, 256), signing: signing}, bytes)
-    end
-  end
+  # Each component counts its own frames.
+  defp do_action(state, {:send, {component, message}}), do: encode(state, message, component)
+  defp do_action(state, {:send, message}), do: encode(state, message, state.vehicle.component)
 
   # Boot text without a listener is kept for the first connection, as SITL that waits for its console does.
   defp do_action(state, {:bytes, bytes}) do
@@ -232,6 +218,26 @@ defmodule SimVehicle.Server do
         signing: Signing.rebooted(state.signing),
         off_for: @reboot_us
     }
+
+  defp encode(state, message, component) do
+    if state.options.mavlink == 1 and not version_1?(state, message) do
+      state
+    else
+      seq = Map.get(state.seq, component, 0)
+
+      bytes =
+        MavCodec.encode(message,
+          system: state.vehicle.system,
+          component: component,
+          seq: seq,
+          version: state.options.mavlink,
+          dialect: state.dialect
+        )
+
+      {bytes, signing} = Signing.sign(state.signing, bytes, message, state.dialect)
+      transmit(%{state | seq: Map.put(state.seq, component, rem(seq + 1, 256)), signing: signing}, bytes)
+    end
+  end
 
   defp version_1?(state, %module{}),
     do: match?({id, _crc, _base, _ext} when id < 256, state.dialect.layout(module))

@@ -5,7 +5,21 @@ defmodule SimVehicle.Simulation do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Command, Flight, Ftp, Logs, Params, Plans, Streams, Telemetry, Vehicle, Wind}
+
+  alias SimVehicle.{
+    Battery,
+    Camera,
+    Command,
+    Flight,
+    Ftp,
+    Logs,
+    Params,
+    Plans,
+    Streams,
+    Telemetry,
+    Vehicle,
+    Wind
+  }
 
   # A coarser step would let the position controller overshoot.
   @step_max_us 50_000
@@ -32,6 +46,7 @@ defmodule SimVehicle.Simulation do
         plans: %{vehicle.plans | upload: nil},
         ftp: Ftp.reboot(vehicle.ftp),
         logs: Logs.reboot(vehicle.logs),
+        camera: vehicle.camera && Camera.reboot(vehicle.camera),
         failsafes: MapSet.new(),
         gcs_heard: nil,
         text_id: 0,
@@ -80,6 +95,7 @@ defmodule SimVehicle.Simulation do
     |> drain(dt)
     |> tick_plans()
     |> tick_logs()
+    |> tick_camera()
     |> stream()
   end
 
@@ -104,6 +120,16 @@ defmodule SimVehicle.Simulation do
   defp tick_logs(vehicle) do
     {logs, pieces} = Logs.tick(vehicle.logs)
     send_replies(%{vehicle | logs: logs}, pieces)
+  end
+
+  defp tick_camera(%{camera: nil} = vehicle), do: vehicle
+
+  defp tick_camera(vehicle) do
+    {camera, messages} = Camera.tick(vehicle.camera, vehicle.now)
+
+    for message <- messages, reduce: %{vehicle | camera: camera} do
+      v -> Vehicle.emit(v, {camera.component, message})
+    end
   end
 
   defp stream(vehicle) do
@@ -153,7 +179,27 @@ defmodule SimVehicle.Simulation do
 
   defp heard(vehicle, _message, _source), do: vehicle
 
-  defp on_message(vehicle, message, source) do
+  # ArduPilot hears what is for the camera, too.
+  defp on_message(%{camera: %{component: id}, system: system} = vehicle, message, source) do
+    v =
+      if match?({s, c} when s in [0, system] and c in [0, id], target(message)),
+        do: to_camera(vehicle, message),
+        else: vehicle
+
+    to_autopilot(v, message, source)
+  end
+
+  defp on_message(vehicle, message, source), do: to_autopilot(vehicle, message, source)
+
+  defp to_camera(vehicle, message) do
+    {camera, answers} = Camera.handle(vehicle.camera, message, vehicle.now)
+
+    for {after_us, answer} <- answers, reduce: %{vehicle | camera: camera} do
+      v -> Vehicle.later(v, after_us, {camera.component, answer})
+    end
+  end
+
+  defp to_autopilot(vehicle, message, source) do
     if vehicle.personality.addressed?(vehicle, target(message)) do
       case Plans.handle(vehicle.plans, message, source, Telemetry.home_item(vehicle), vehicle.now) do
         nil -> other(vehicle, message, source)

@@ -4,7 +4,7 @@ defmodule SimVehicle.Vehicle do
 
   `SimVehicle.Simulation` advances its time and gives it events, and returns the vehicle with a list of actions, in order:
 
-  - `{:send, message}`: a `MavCodec.Messages` struct to send
+  - `{:send, message}`: a `MavCodec.Messages` struct to send; `{component, message}` comes from another component than the autopilot
   - `{:bytes, binary}`: bytes outside any frame (ArduPilot's boot text)
   - `{:notify, event}`: something that tests and the fleet may wait for (`t:event/0`)
   - `:reboot`: the vehicle restarts; the owner boots it again with `SimVehicle.Simulation.boot/2`
@@ -14,7 +14,7 @@ defmodule SimVehicle.Vehicle do
   """
 
   alias MavCodec.Messages, as: M
-  alias SimVehicle.{Battery, Command, Ftp, Geo, Kinematics, Logs, Params, Plans, Wind}
+  alias SimVehicle.{Battery, Camera, Command, Ftp, Geo, Kinematics, Logs, Params, Plans, Wind}
 
   @later_max 200
 
@@ -36,6 +36,7 @@ defmodule SimVehicle.Vehicle do
             plans: nil,
             ftp: nil,
             logs: nil,
+            camera: nil,
             streams: nil,
             rates: %{},
             limits: %{},
@@ -77,12 +78,12 @@ defmodule SimVehicle.Vehicle do
           | {:text, 0..7, String.t()}
           | {:param, String.t(), number}
 
-  @type action :: {:send, struct} | {:bytes, binary} | {:notify, event} | :reboot
+  @type action :: {:send, struct | {1..255, struct}} | {:bytes, binary} | {:notify, event} | :reboot
 
   @doc """
   A vehicle that has not booted yet. Options (all needed, see `SimVehicle.Options`): `:personality`, `:system`,
   `:component`, `:home`, `:heading` (degrees), `:ready_s`, `:battery`, `:wind`, `:seed`, `:rates`, `:params`, `:files`,
-  `:logs`.
+  `:logs`, `:camera`.
   """
   @spec new(map) :: t
   def new(opts) do
@@ -105,6 +106,7 @@ defmodule SimVehicle.Vehicle do
       plans: Plans.new(personality.plan_style()),
       ftp: Ftp.new(personality.plan_style(), opts.files),
       logs: Logs.new(personality.plan_style(), opts.logs),
+      camera: opts.camera && Camera.new(opts.camera),
       rates: Map.merge(personality.rates(), opts.rates)
     }
 
@@ -121,7 +123,7 @@ defmodule SimVehicle.Vehicle do
   def notify(vehicle, event), do: act(vehicle, {:notify, event})
 
   @doc "Sends `message` when `delay_us` of vehicle time have passed."
-  @spec later(t, non_neg_integer, struct) :: t
+  @spec later(t, non_neg_integer, struct | {1..255, struct}) :: t
   def later(%{later: queue} = vehicle, _delay, _message) when length(queue) >= @later_max, do: vehicle
 
   def later(vehicle, delay_us, message),

@@ -1,7 +1,22 @@
 defmodule SimVehicle.PartsTest do
   use ExUnit.Case, async: true
 
-  alias SimVehicle.{Battery, Fleet, Link, Options, Params, Pilot, Real32, Streams, Texts}
+  alias MavCodec.Messages, as: M
+
+  alias SimVehicle.{
+    Battery,
+    Camera,
+    Fleet,
+    Link,
+    Options,
+    Params,
+    Pilot,
+    Real32,
+    Simulation,
+    Streams,
+    Texts,
+    Vehicle
+  }
 
   describe "streams" do
     test "send at their rate, whatever the step" do
@@ -30,6 +45,33 @@ defmodule SimVehicle.PartsTest do
       {_ids, streams} = Streams.due(Streams.new(%{30 => 10}), 0)
       {_ids, streams} = Streams.due(streams, 60_000_000)
       assert {[], _streams} = Streams.due(streams, 60_050_000)
+    end
+  end
+
+  describe "the camera" do
+    test "sends its own heartbeats and lists its parameters, whichever the firmware" do
+      for firmware <- [:ardupilot, :px4] do
+        options = Options.validate!(firmware: firmware, camera: 100)
+        {vehicle, _boot} = options |> Vehicle.new() |> Simulation.boot(1_795_213_318_360_000)
+        {vehicle, actions} = Simulation.step(vehicle, 2.5)
+
+        assert [_, _, _] =
+                 for({:send, {100, %M.Heartbeat{type: 30, autopilot: 8} = beat}} <- actions, do: beat)
+
+        list = %M.ParamExtRequestList{target_system: 1, target_component: 100}
+        {vehicle, []} = Simulation.handle(vehicle, {:message, list, {255, 190}})
+        {_vehicle, actions} = Simulation.step(vehicle, 1.0)
+
+        values =
+          for {:send, {100, %M.ParamExtValue{} = value}} <- actions, do: {value.param_id, value.param_type}
+
+        assert values == Camera.params()
+        assert Enum.map(Camera.params(), &elem(&1, 1)) |> Enum.uniq() == Enum.to_list(1..11)
+      end
+    end
+
+    test "is not the autopilot" do
+      assert {:error, "expected :camera" <> _} = Options.validate(camera: 1)
     end
   end
 

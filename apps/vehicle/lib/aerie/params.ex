@@ -5,7 +5,12 @@ defmodule Aerie.Params do
       {:ok, table} = Aerie.Params.list(gateway, "VID-001")
       {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Params.set(gateway, "VID-001", "WPNAV_SPEED", 500)
 
-  The options of all functions are those of `t:Aerie.Transfers.option/0`. A result that is not a success gives the reason, in the terms of
+  The options of all functions are those of `t:Aerie.Transfers.option/0`. With `component: 1..255`, `list`, `get` and `set` are for a camera,
+  gimbal or companion that has parameters of its own (PARAM_EXT). Their values are numbers or text (`Aerie.Protocol.ExtValue`):
+
+      {:ok, %Aerie.Params.Param{value: 200}} = Aerie.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
+
+  A result that is not a success gives the reason, in the terms of
   `Aerie.Command.Result`.
   """
 
@@ -14,14 +19,15 @@ defmodule Aerie.Params do
 
   alias Aerie.Params.{
     CacheWriter,
+    Component,
     Diff,
+    Download,
     Fetch,
     File,
     Get,
     Metadata,
     MetadataReader,
     Param,
-    Set,
     SetAll,
     Table
   }
@@ -30,20 +36,50 @@ defmodule Aerie.Params do
   alias Aerie.Protocol.ParamValue
   alias MavCodec.Enums.MavProtocolCapability
 
+  @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
+  @type option :: Transfers.option() | {:component, 1..255}
+
   @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
   @list_ms 180_000
   @one_ms 20_000
+  @component_ms 60_000
   @all_ms 600_000
 
   @doc """
   All parameters, read from the vehicle in the best way that it offers (P4). A list that was read earlier, even before a restart, is
-  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it anew.
+  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it anew. Lists of other components have no
+  checksum and are read each time.
   """
-  @spec list(Names.gateway(), vehicle :: String.t(), [Transfers.option() | {:refresh, boolean()}]) ::
+  @spec list(Names.gateway(), vehicle :: String.t(), [option() | {:refresh, boolean()}]) ::
           {:ok, Table.t()} | {:error, Result.t()}
   def list(gateway, vehicle, options \\ []) do
     {refresh?, options} = Keyword.pop(options, :refresh, false)
+    {component, options} = Keyword.pop(options, :component)
 
+    if component,
+      do: list_of_component(gateway, vehicle, component, options),
+      else: list_of_autopilot(gateway, vehicle, refresh?, options)
+  end
+
+  defp list_of_component(gateway, vehicle, component, options) do
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
+         :ok <- readable(Component.check(component)) do
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @list_ms,
+        share: {:params_of, component},
+        start: fn context, until ->
+          target = Component.target(context, component)
+          {:ok, Download.new(target, until, Component.options(context, component))}
+        end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    end
+  end
+
+  defp list_of_autopilot(gateway, vehicle, refresh?, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       file? = file?(snapshot)
       stored = if not refresh?, do: CacheWriter.stored(gateway, snapshot)
@@ -91,16 +127,22 @@ defmodule Aerie.Params do
   defdelegate metadata(gateway, vehicle, options \\ []), to: MetadataReader, as: :read
 
   @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
-  @spec get(Names.gateway(), vehicle :: String.t(), name :: String.t(), [Transfers.option()]) ::
+  @spec get(Names.gateway(), vehicle :: String.t(), name :: String.t(), [option()]) ::
           {:ok, Param.t()} | {:error, Result.t()}
   def get(gateway, vehicle, name, options \\ []) do
+    {component, options} = Keyword.pop(options, :component)
+
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
-         :ok <- known_name(name) do
+         :ok <- readable(check_name(name)),
+         :ok <- readable(Component.check(component)) do
       transfer = %{
         lanes: [:params],
         timeout_ms: @one_ms,
-        share: {:param, name},
-        start: fn context, until -> {:ok, Get.new(name, context.target, until, common(context))} end
+        share: {:param, component, name},
+        start: fn context, until ->
+          target = Component.target(context, component)
+          {:ok, Get.new(name, target, until, Component.options(context, component))}
+        end
       }
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
@@ -111,23 +153,27 @@ defmodule Aerie.Params do
   @doc """
   Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
   permission `maintain`. Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+
+  A component that says that it works on it (PARAM_ACK_IN_PROGRESS) is waited for, up to `:timeout_ms`. `:failed` if it says so, or if it accepted the
+  value and does not have it.
   """
-  @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number(), [
-          Transfers.option() | {:type, 1..10}
+  @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number() | String.t(), [
+          option() | {:type, 1..11}
         ]) :: Commands.answer()
   def set(gateway, vehicle, name, value, options \\ []) do
     {type, options} = Keyword.pop(options, :type)
+    {component, options} = Keyword.pop(options, :component)
 
-    with :ok <- check(name, value) do
-      change = change(%{name: name, value: value})
+    with :ok <- check(name, value, component) do
+      whose = if component, do: %{component: component}, else: %{}
 
       transfer = %{
         lanes: [:params],
-        timeout_ms: @one_ms,
-        start: fn context, until ->
-          {:ok, Set.new(name, value, context.target, until, [type: type] ++ common(context))}
-        end
+        timeout_ms: if(component, do: @component_ms, else: @one_ms),
+        start: &Component.set(name, value, type, &1, &2, component)
       }
+
+      change = change(Map.merge(%{name: name, value: value}, whose))
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => param.name, "value" => param.value}
@@ -146,6 +192,7 @@ defmodule Aerie.Params do
           [Transfers.option()]
         ) :: Commands.answer()
   def set_all(gateway, vehicle, values, options \\ []) do
+    options = Component.none!(options)
     entries = for entry <- values, do: entry(entry)
 
     with :ok <- check_all(entries) do
@@ -169,7 +216,7 @@ defmodule Aerie.Params do
           Transfers.option() | {:unknown, :refuse | :skip}
         ]) :: Commands.answer() | {:error, Result.t()}
   def load(gateway, vehicle, text, options \\ []) do
-    {unknown, options} = Keyword.pop(options, :unknown, :refuse)
+    {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
 
     with {:ok, entries} <- parse(text),
          {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
@@ -188,7 +235,7 @@ defmodule Aerie.Params do
           {:ok, String.t()} | {:error, Result.t()}
   def save(gateway, vehicle, format, options \\ []) do
     with {:ok, %{system_id: system, component: component}} <- Transfers.vehicle(gateway, vehicle),
-         {:ok, table} <- list(gateway, vehicle, options),
+         {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, File.format(table, format, {system, component || 1})}
   end
 
@@ -199,7 +246,7 @@ defmodule Aerie.Params do
 
   def diff(gateway, vehicle, text, options) when is_binary(text) do
     with {:ok, entries} <- parse(text),
-         {:ok, table} <- list(gateway, vehicle, options),
+         {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, Diff.diff(entries, table)}
   end
 
@@ -216,7 +263,7 @@ defmodule Aerie.Params do
     end
   end
 
-  defp common(context), do: [encoding: context.protocol.param_encoding(), rtt_us: context.rtt_us]
+  defp common(context), do: Component.options(context, nil)
 
   defp change(params) do
     facts = Raw.facts(%MavCodec.Messages.ParamSet{}, %{autopilot: :generic, vehicle_type: "unknown"})
@@ -236,11 +283,20 @@ defmodule Aerie.Params do
         Enum.find_value(entries, :ok, fn {name, value, _type} -> with :ok <- check(name, value), do: nil end)
   end
 
-  defp check(name, value) do
-    cond do
-      not ParamValue.name?(name) ->
-        {:error, [Error.new("name", "1 to 16 printable characters", name)]}
+  defp check(name, value, component \\ nil) do
+    with :ok <- check_name(name),
+         :ok <- Component.check(component),
+         do: if(component, do: Component.check_value(value), else: check_number(value))
+  end
 
+  defp check_name(name) do
+    if ParamValue.name?(name),
+      do: :ok,
+      else: {:error, [Error.new("name", "1 to 16 printable characters", name)]}
+  end
+
+  defp check_number(value) do
+    cond do
       not is_number(value) ->
         {:error, [Error.new("value", "a number", value)]}
 
@@ -252,8 +308,9 @@ defmodule Aerie.Params do
     end
   end
 
-  defp known_name(name) do
-    with {:error, [error]} <- check(name, 0),
+  # A read gives a result, whatever is wrong.
+  defp readable(checked) do
+    with {:error, [error]} <- checked,
          do: {:error, Result.new(Aerie.Command.id(), :rejected, Exception.message(error))}
   end
 

@@ -59,6 +59,36 @@ defmodule Aerie.TransfersTest do
       assert Process.alive?(sim)
     end
 
+    test "#{firmware}: a camera's own parameters, with a quarter of the frames lost (P8)", %{tmp_dir: dir} do
+      {gateway, port} = start(dir)
+      fly(gateway, port, firmware: unquote(firmware), camera: 100, loss: 0.25)
+      camera = [component: 100]
+      assert {:ok, table} = Params.list(gateway, "VID-001", camera)
+      assert Enum.map(table.order, &{&1, table.params[&1].type}) == SimVehicle.Camera.params()
+      assert %{value: 0xFFFF_FFFF_FFFF_FFFF} = table.params["CAM_FREE"]
+
+      assert {:ok, %Result{status: :completed, details: %{"name" => "CAM_NAME", "value" => "Front"}}} =
+               Params.set(gateway, "VID-001", "CAM_NAME", "Front", camera)
+
+      # It works on this for three seconds.
+      assert {:ok, %Result{status: :completed}} = Params.set(gateway, "VID-001", "CAM_FORMAT", 513, camera)
+      assert {:ok, %{value: 513, type: 3}} = Params.get(gateway, "VID-001", "CAM_FORMAT", camera)
+
+      assert {:ok, %Result{status: :rejected, reason: "the component does not support this value" <> _}} =
+               Params.set(gateway, "VID-001", "CAM_MODE", 3, camera)
+
+      assert {:ok, %Result{status: :denied, details: %{"rule" => "role"}}} =
+               Params.set(gateway, "VID-001", "CAM_MODE", 2, [as: @viewer] ++ camera)
+
+      # The autopilot has parameters of its own, also if it is named.
+      assert {:error, %Result{status: :timeout}} =
+               Params.get(gateway, "VID-001", "CAM_MODE", timeout_ms: 3_000)
+
+      name = if unquote(firmware) == :px4, do: "MIS_TAKEOFF_ALT", else: "PILOT_TKOFF_ALT"
+      assert {:ok, %{name: ^name}} = Params.get(gateway, "VID-001", name, component: 1)
+      assert {:ok, %Result{status: :rejected}} = Params.set(gateway, "VID-001", name, "high", component: 1)
+    end
+
     test "#{firmware}: a mission and rally points are sent, read back, verified and cleared", %{tmp_dir: dir} do
       {gateway, port} = start(dir)
       fly(gateway, port, firmware: unquote(firmware), loss: 0.05, duplicate: 0.05)
@@ -79,6 +109,24 @@ defmodule Aerie.TransfersTest do
       assert {:ok, %Result{status: :completed}} = Missions.clear(gateway, "VID-001", :mission)
       assert {:ok, %{plan: %{items: []}}} = Missions.download(gateway, "VID-001", :mission)
     end
+  end
+
+  test "a component without parameters, and what is no component", %{tmp_dir: dir} do
+    {gateway, port} = start(dir)
+    fly(gateway, port, firmware: :px4)
+
+    assert {:error, %Result{status: :timeout, reason: "component 154 does not answer" <> _}} =
+             Params.get(gateway, "VID-001", "GIMBAL", component: 154)
+
+    for wrong <- [0, 256, "100"] do
+      assert {:error, %Result{status: :rejected}} = Params.list(gateway, "VID-001", component: wrong)
+      assert {:error, [%{key: "component"}]} = Params.set(gateway, "VID-001", "A", 1, component: wrong)
+    end
+
+    for wrong <- [[1], nil, String.duplicate("x", 181), 0x1_0000_0000_0000_0000],
+        do: assert({:error, [%{key: "value"}]} = Params.set(gateway, "VID-001", "A", wrong, component: 100))
+
+    assert_raise ArgumentError, fn -> Params.set_all(gateway, "VID-001", %{"A" => 1}, component: 100) end
   end
 
   test "whoever may not is sent away before anything is sent, and it is on record", %{tmp_dir: dir} do

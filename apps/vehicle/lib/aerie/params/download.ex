@@ -1,6 +1,6 @@
 defmodule Aerie.Params.Download do
   @moduledoc """
-  Reads the whole list of a vehicle with PARAM_REQUEST_LIST (P4). Pure: `handle(download, event) -> {download, actions}`.
+  Reads the whole list of a vehicle with PARAM_REQUEST_LIST (P4), or of another component with PARAM_EXT_REQUEST_LIST (P8). Pure: `handle(download, event) -> {download, actions}`.
 
   The vehicle sends the list once and does not report its end. After a silence, missing parameters are requested by
   index, ten at a time, until they come. If the list changes while it is read (another count, another name at an index; P5, P7), or
@@ -23,8 +23,6 @@ defmodule Aerie.Params.Download do
 
   alias Aerie.Ftp.RoundTrip
   alias Aerie.Params.{Message, Param, Table}
-  alias Aerie.Protocol.ParamValue
-  alias MavCodec.Messages, as: M
 
   @no_index 65_535
   @window 10
@@ -67,7 +65,7 @@ defmodule Aerie.Params.Download do
   @type t :: %__MODULE__{}
 
   @typedoc """
-    * `:no_answer` - the vehicle does not answer, or stopped answering
+    * `:no_answer` - the vehicle does not answer, or stopped answering; `{:silent, component}` - a component that is asked by PARAM_EXT
     * `{:missing, n}` - n parameters never arrived
     * `:changing` - the list changed during each attempt to read it
     * `{:too_many, n}` - the vehicle says that it has n parameters
@@ -75,6 +73,7 @@ defmodule Aerie.Params.Download do
   """
   @type reason ::
           :no_answer
+          | {:silent, 0..255}
           | {:missing, pos_integer()}
           | :changing
           | {:too_many, pos_integer()}
@@ -91,7 +90,7 @@ defmodule Aerie.Params.Download do
   @doc """
   A download that has not begun. `target` is `{system, component}`, `deadline` in the clock of the events.
 
-  Options: `:encoding` (`c:Aerie.Protocol.param_encoding/0`), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`.
+  Options: `:encoding` (`c:Aerie.Protocol.param_encoding/0`, or `:extended` for PARAM_EXT), `:hash` (whether the firmware has `_HASH_CHECK`), `:rtt_us`.
   """
   @spec new({non_neg_integer(), 0..255}, deadline :: integer(), keyword()) :: t()
   def new(target, deadline, options \\ []) do
@@ -123,12 +122,11 @@ defmodule Aerie.Params.Download do
   def handle(d, {:rebooted, now}), do: resync(d, now)
   def handle(d, {:tick, now}), do: tick(d, now)
 
-  def handle(%{target: from} = d, {:message, %M.ParamValue{} = m, from, now}) do
-    with true <- ParamValue.name?(m.param_id),
-         {:ok, value, exact?} <- ParamValue.decode(m.param_value, m.param_type, d.encoding) do
-      heard(d, %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}, m, now)
-    else
-      _garbage -> {%{d | ignored: d.ignored + 1}, []}
+  def handle(%{target: from} = d, {:message, message, from, now}) do
+    case Message.value(message, d.encoding) do
+      {:ok, param} -> heard(d, param, message, now)
+      :garbage -> {%{d | ignored: d.ignored + 1}, []}
+      :other -> {d, []}
     end
   end
 
@@ -213,11 +211,14 @@ defmodule Aerie.Params.Download do
     do: (4 * d.gap) |> max(RoundTrip.timeout(d.trip)) |> max(@silence_shortest) |> min(@silence_longest)
 
   defp tick(%{heard_at: heard, phase: phase} = d, now) when now - heard >= @dead and phase != :hash,
-    do: finish(d, {:error, :no_answer})
+    do: finish(d, {:error, Message.silence(d.target, d.encoding)})
 
   defp tick(%{phase: :missing} = d, now), do: repeat(d, now)
   defp tick(%{due: due} = d, now) when now < due, do: {d, []}
-  defp tick(%{phase: :start, sent: @lists} = d, _now), do: finish(d, {:error, :no_answer})
+
+  defp tick(%{phase: :start, sent: @lists} = d, _now),
+    do: finish(d, {:error, Message.silence(d.target, d.encoding)})
+
   defp tick(%{phase: :start} = d, now), do: request_list(d, now)
   defp tick(%{phase: :hash, sent: @hash_reads} = d, _now), do: finish(d, {:ok, table(%{d | first_hash: nil})})
   defp tick(%{phase: :hash} = d, now), do: request_hash(d, now)
@@ -256,24 +257,21 @@ defmodule Aerie.Params.Download do
         {index, %{at: now, repeats: repeats, due: now + RoundTrip.timeout(d.trip, div(repeats, 6))}}
       end
 
-    {%{d | pending: pending}, [{:send, Enum.map(asked, fn {index, _n} -> read(d, index) end)}]}
+    {%{d | pending: pending},
+     [{:send, Enum.map(asked, fn {index, _n} -> Message.read(d.target, index, d.encoding) end)}]}
   end
 
   defp request_list(d, now) do
-    {system, component} = d.target
-    hash = if d.hashed?, do: [Message.read(d.target, "_HASH_CHECK")], else: []
-    list = %M.ParamRequestList{target_system: system, target_component: component}
+    hash = if d.hashed?, do: [Message.read(d.target, "_HASH_CHECK", d.encoding)], else: []
+    list = Message.list(d.target, d.encoding)
     d = %{d | phase: :start, sent: d.sent + 1, due: now + RoundTrip.timeout(d.trip, d.sent) + @pause}
     {d, [{:send, hash ++ [list]}]}
   end
 
   defp request_hash(d, now) do
     d = %{d | sent: d.sent + 1, due: now + RoundTrip.timeout(d.trip, min(d.sent, 1))}
-    {d, [{:send, [Message.read(d.target, "_HASH_CHECK")]}]}
+    {d, [{:send, [Message.read(d.target, "_HASH_CHECK", d.encoding)]}]}
   end
-
-  defp read(%{target: {system, component}}, index),
-    do: %M.ParamRequestRead{target_system: system, target_component: component, param_index: index}
 
   defp resync(%{resyncs: @resyncs} = d, _now), do: finish(d, {:error, :changing})
 

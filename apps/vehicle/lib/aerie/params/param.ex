@@ -2,7 +2,8 @@ defmodule Aerie.Params.Param do
   @moduledoc """
   One parameter of a vehicle.
 
-  `type` is its MAV_PARAM_TYPE. `exact` is false for an integer that came as a float too large to be exact
+  `type` is its MAV_PARAM_TYPE; for a parameter of PARAM_EXT the MAV_PARAM_EXT_TYPE, which has the same numbers and 11 for text or bytes, and
+  whose values are those of `Aerie.Protocol.ExtValue`. `exact` is false for an integer that came as a float too large to be exact
   (`Aerie.Protocol.ParamValue`). `default` is the firmware's default, nil if the vehicle did not say.
   """
 
@@ -11,8 +12,8 @@ defmodule Aerie.Params.Param do
 
   @type t :: %__MODULE__{
           name: String.t(),
-          value: number(),
-          type: 1..10,
+          value: number() | String.t() | nil,
+          type: 0..255,
           default: number() | nil,
           exact: boolean()
         }

@@ -105,7 +105,9 @@ defmodule Aerie.Params.Set do
       else: {%{set | shown: param.value}, []}
   end
 
-  defp late(%{shown: nil, sent: @sends} = set, _now), do: finish(set, {:error, :no_answer})
+  defp late(%{shown: nil, sent: @sends} = set, _now),
+    do: finish(set, {:error, Message.silence(set.target, set.encoding)})
+
   defp late(%{shown: nil} = set, now), do: again(set, now)
 
   defp late(%{denials: denials} = set, _now) when denials + 1 == @denials,
@@ -126,8 +128,8 @@ defmodule Aerie.Params.Set do
   defp again(set, now) do
     message =
       if set.phase == :set,
-        do: Message.set(set.target, set.name, set.wire, set.type),
-        else: Message.read(set.target, set.name)
+        do: Message.set(set.target, set.name, set.wire, set.type, set.encoding),
+        else: Message.read(set.target, set.name, set.encoding)
 
     {%{set | sent: set.sent + 1, due: now + RoundTrip.timeout(set.trip, set.sent)}, [{:send, [message]}]}
   end

@@ -39,6 +39,20 @@ defmodule Aerie.Transfers.Outcome do
   defp error({:refused, value}),
     do: {:rejected, "the vehicle keeps the value #{value}", %{"value" => value}}
 
+  defp error({:silent, component}),
+    do:
+      {:timeout, "component #{component} does not answer: it is not there, or it has no such parameter", %{}}
+
+  defp error({:not_set, verdict, shown}) do
+    {status, text} = not_set(verdict)
+
+    case shown do
+      {:keeps, value} -> {status, "#{text}; it keeps #{kept(value)}", %{"value" => value}}
+      :not_shown when verdict == :accepted -> {:accepted, "it accepted the value, and does not show it", %{}}
+      :not_shown -> {status, text, %{}}
+    end
+  end
+
   defp error({:missing, n}), do: {:failed, "#{n} of them never came", %{"missing" => n}}
 
   defp error({:too_many, n}),
@@ -73,4 +87,11 @@ defmodule Aerie.Transfers.Outcome do
     do: {:failed, "the vehicle refused it: " <> String.replace(Atom.to_string(reason), "_", " "), %{}}
 
   defp error({reason, _errno}) when is_atom(reason), do: error(reason)
+
+  defp not_set(:unsupported), do: {:rejected, "the component does not support this value"}
+  defp not_set(:failed), do: {:failed, "the component failed to set it"}
+  defp not_set(:accepted), do: {:failed, "the component accepted the value and does not have it"}
+
+  defp kept(nil), do: "no number"
+  defp kept(value), do: "#{value}"
 end

@@ -35,7 +35,7 @@ defmodule Aerie.Vehicle.Transfers.Core do
   @wait_us 60_000_000
 
   @listens %{
-    params: [M.ParamValue, M.ParamError, M.ComponentMetadata],
+    params: [M.ParamValue, M.ParamExtValue, M.ParamExtAck, M.ParamError, M.ComponentMetadata],
     mission:
       [M.MissionRequest, M.MissionRequestInt, M.MissionCount, M.MissionItemInt, M.MissionAck] ++
         [M.MissionCurrent, M.Event, M.Statustext],

@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Transfers.Job do
   defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by, phase: :queued, turns: [], asked: []]
 
   @typedoc """
-  What only one transfer at a time may use: PARAM messages, the mission protocol (missions, fences and rally points together, as in
+  What only one transfer at a time may use: PARAM and PARAM_EXT messages, the mission protocol (missions, fences and rally points together, as in
   PX4), MAVLink FTP, and LOG messages.
   """
   @type lane :: :params | :mission | :file | :log

@@ -52,7 +52,7 @@ defmodule Aerie.Vehicle.Transfers.CoreTest do
     assert for({:send, [id]} <- actions, do: id) == ["a", "c"]
 
     assert Core.listens(core) |> Enum.sort() ==
-             Enum.sort([22, M.ParamError.id(), M.ComponentMetadata.id(), 118, 120])
+             Enum.sort([22, 322, 324, M.ParamError.id(), M.ComponentMetadata.id(), 118, 120])
 
     {actions, core} = run(core, [{:message, 22, :value, {1, 1}, 10}])
 

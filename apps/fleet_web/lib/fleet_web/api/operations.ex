@@ -120,7 +120,7 @@ defmodule FleetWeb.API.Operations do
                   {{:transfer, :list_params},
                    %{
                      summary: "All parameters of a vehicle.",
-                     query: [:format, :timeout],
+                     query: [:format, :component, :timeout],
                      answer: {:bytes, ["application/json", "text/plain"]}
                    }},
                   {{:transfer, :load_params},
@@ -132,9 +132,14 @@ defmodule FleetWeb.API.Operations do
                    }},
                   {{:transfer, :param_metadata},
                    %{summary: "What the vehicle itself says of its parameters.", query: [:timeout]}},
-                  {{:transfer, :get_param}, %{summary: "One parameter.", query: [:timeout]}},
+                  {{:transfer, :get_param}, %{summary: "One parameter.", query: [:component, :timeout]}},
                   {{:transfer, :set_param},
-                   %{summary: "Sets a parameter.", query: [:timeout, :wait, :id], body: :param, later: true}},
+                   %{
+                     summary: "Sets a parameter.",
+                     query: [:component, :timeout, :wait, :id],
+                     body: :param,
+                     later: true
+                   }},
                   {{:transfer, :read_file},
                    %{
                      summary: "A file on board; with list, a folder; with crc, its checksum.",
@@ -240,7 +245,7 @@ defmodule FleetWeb.API.Operations do
       type: :object,
       additionalProperties: false,
       required: [:value],
-      properties: %{id: @texts, value: %{type: :number}}
+      properties: %{id: @texts, value: %{type: [:number, :string]}}
     }
   }
 
@@ -255,6 +260,9 @@ defmodule FleetWeb.API.Operations do
       {@texts, "The form of the text: json, plan, waypoints, param or params, whichever the resource has."},
     id: {@texts, "Id of the command, for asking for it again."},
     unknown: {%{enum: ~w(skip refuse)}, "What to do with parameters that the vehicle does not have."},
+    component:
+      {%{type: :integer, minimum: 1, maximum: 255},
+       "The component whose parameters are meant, such as 100, a camera; without it the autopilot."},
     version: {%{type: :integer}, "The version that this is meant for."},
     tag: {@texts, "Only vehicles with this tag."},
     list: {@texts, "Lists a folder."},

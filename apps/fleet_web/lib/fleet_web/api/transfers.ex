@@ -54,6 +54,7 @@ defmodule FleetWeb.API.Transfers do
 
   defp act(:list_params, {gateway, vehicle}, options, parameters, request) do
     with {:ok, format} <- wanted(parameters, request, ["json", "param", "params"]),
+         {:ok, options} <- component(parameters, options, format == "json"),
          {:ok, body} <- list_params(format, gateway, vehicle, options) do
       {:ok, 200, body, request}
     else
@@ -63,6 +64,7 @@ defmodule FleetWeb.API.Transfers do
 
   defp act(:load_params, {gateway, vehicle}, options, parameters, request) do
     with {:ok, format} <- given(parameters, request, ["json", "param", "params"]),
+         {:ok, options} <- component(parameters, options, false),
          {:ok, text, request} <- Request.bytes(request, @param_bytes) do
       unknown = if parameters["unknown"] == "skip", do: :skip, else: :refuse
 
@@ -85,9 +87,11 @@ defmodule FleetWeb.API.Transfers do
     end
   end
 
-  defp act(:get_param, {gateway, vehicle}, options, _parameters, request) do
-    case Params.get(gateway, vehicle, :cowboy_req.binding(:name, request), options) do
-      {:ok, param} -> {:ok, 200, Param.plain(param), request}
+  defp act(:get_param, {gateway, vehicle}, options, parameters, request) do
+    with {:ok, options} <- component(parameters, options),
+         {:ok, param} <- Params.get(gateway, vehicle, :cowboy_req.binding(:name, request), options) do
+      {:ok, 200, Param.plain(param), request}
+    else
       error -> refused(error, request)
     end
   end
@@ -104,7 +108,8 @@ defmodule FleetWeb.API.Transfers do
 
     with {:ok, text, request} <- Request.bytes(request, @object_bytes) do
       with {:ok, object} <- Request.decode(text),
-           :ok <- Request.known(object, ["id", "value"]) do
+           :ok <- Request.known(object, ["id", "value"]),
+           {:ok, options} <- component(parameters, options) do
         Params.set(gateway, vehicle, name, object["value"], with_id(options, object, parameters))
       end
       |> changed(vehicle, request)
@@ -234,6 +239,23 @@ defmodule FleetWeb.API.Transfers do
     case Missions.import(text, plan_format(format)) do
       {:ok, plan} -> {:ok, plan, %{}}
       {:error, reason} -> Error.invalid(reason)
+    end
+  end
+
+  # Files of parameters have only numbers, as autopilots do.
+  defp component(parameters, options, offered? \\ true) do
+    case parameters["component"] do
+      nil ->
+        {:ok, options}
+
+      _text when not offered? ->
+        Error.invalid("component: only the list as JSON and single parameters have it")
+
+      text ->
+        case Integer.parse(text) do
+          {id, ""} when id in 1..255 -> {:ok, [component: id] ++ options}
+          _other -> Error.invalid("component: expected an integer from 1 to 255")
+        end
     end
   end
 

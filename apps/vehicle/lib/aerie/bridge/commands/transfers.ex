@@ -5,7 +5,7 @@ defmodule Aerie.Bridge.Commands.Transfers do
 
   | area | operations |
   |---|---|
-  | `params` | `list`, `get`, `set`, `load`, `metadata` |
+  | `params` | `list`, `get`, `set`, `load`, `metadata`; the first three of the autopilot unless `component` is given |
   | `mission` | `get`, `put`, `clear`; `kind` is `mission` unless given |
   | `files` | `list`, `read`, `write`, `remove`, `crc` |
   | `logs` | `list`, `read` |
@@ -90,14 +90,14 @@ defmodule Aerie.Bridge.Commands.Transfers do
   # --- Operations
 
   defp run({"params", "list"}, {gateway, vehicle}, request, options) do
-    with :ok <- known(request, []),
-         {:ok, table} <- Params.list(gateway, vehicle, options),
+    with :ok <- known(request, ["component"]),
+         {:ok, table} <- Params.list(gateway, vehicle, of(request, options)),
          do: {:ok, Table.plain(table)}
   end
 
   defp run({"params", "get"}, {gateway, vehicle}, request, options) do
-    with :ok <- known(request, ["name"]),
-         {:ok, param} <- Params.get(gateway, vehicle, request["name"], options),
+    with :ok <- known(request, ["name", "component"]),
+         {:ok, param} <- Params.get(gateway, vehicle, request["name"], of(request, options)),
          do: {:ok, Param.plain(param)}
   end
 
@@ -110,8 +110,8 @@ defmodule Aerie.Bridge.Commands.Transfers do
   end
 
   defp run({"params", "set"}, {gateway, vehicle}, request, options) do
-    with :ok <- known(request, ["name", "value"]),
-         do: Params.set(gateway, vehicle, request["name"], request["value"], options)
+    with :ok <- known(request, ["name", "value", "component"]),
+         do: Params.set(gateway, vehicle, request["name"], request["value"], of(request, options))
   end
 
   defp run({"params", "load"}, {gateway, vehicle}, request, options) do
@@ -212,6 +212,9 @@ defmodule Aerie.Bridge.Commands.Transfers do
 
   defp file("remove", {gateway, vehicle}, path, _request, options),
     do: Files.remove(gateway, vehicle, path, options)
+
+  # `Aerie.Params` says what a component can be.
+  defp of(request, options), do: [component: request["component"]] ++ options
 
   defp kind(request) do
     with :error <- Map.fetch(@kinds, request["kind"] || "mission"),

@@ -1,0 +1,115 @@
+defmodule Aerie.System.ComponentParamsTest do
+  @moduledoc """
+  The parameters of a vehicle's camera (PARAM_EXT, P8) by REST and NATS through the whole gateway, with the examples of docs/transfers.md,
+  and by pymavlink as a ground station of the gateway.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
+
+  alias Aerie.Client
+
+  @moduletag :tmp_dir
+  @chief "key-of-the-chief-0001"
+  @wall "key-of-the-wall-00001"
+  @page File.read!(Path.expand("../../docs/transfers.md", __DIR__))
+
+  setup %{tmp_dir: folder} = context do
+    keys = Path.join(folder, "keys")
+    File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
+    File.chmod!(keys, 0o600)
+    policy = Map.merge(%{"audit" => %{"dir" => Path.join(folder, "audit")}}, context[:policy] || %{})
+    overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}}
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+    start_supervised!({SimVehicle, firmware: :px4, camera: 100, ready_s: 1.0, link: link})
+    eventually(fn -> Aerie.Bridge.Commands.vehicles(gateway) == ["VID-001"] end, "it is listened to")
+    %{gateway: gateway, conn: nats_client(gateway)}
+  end
+
+  defp rest(%{gateway: gateway}, method, path, body \\ nil, key \\ @chief) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}"
+    headers = [{~c"x-aerie-key", to_charlist(key)}]
+    request = if body, do: {url, headers, ~c"application/json", JSON.encode!(body)}, else: {url, headers}
+
+    {:ok, {{_version, status, _reason}, _headers, reply}} =
+      :httpc.request(method, request, [timeout: :infinity], body_format: :binary)
+
+    {status, JSON.decode!(reply)}
+  end
+
+  defp nats(%{conn: conn}, operation, body) do
+    subject = "fleet.test.VID-001.#{operation}"
+    {:ok, %{body: reply}} = Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: 60_000)
+    JSON.decode!(reply)
+  end
+
+  @tag policy: %{"unsigned" => "admin"}
+  test "by REST and NATS", c do
+    assert {200, %{"count" => 12, "params" => params}} = rest(c, :get, "params?component=100", nil, @wall)
+    assert %{"value" => 0xFFFF_FFFF_FFFF_FFFF, "type" => 7} = Enum.find(params, &(&1["name"] == "CAM_FREE"))
+    assert %{"result" => "completed", "count" => 12} = nats(c, "params.list", %{"component" => 100})
+    get = %{"component" => 100, "name" => "CAM_SERIAL"}
+    assert %{"value" => "base64:AAEC/w==", "type" => 11} = nats(c, "params.get", get)
+
+    assert {200, %{"result" => "completed", "value" => "Rear"}} =
+             rest(c, :put, "params/CAM_NAME?component=100", %{"value" => "Rear", "id" => "c1"})
+
+    set = %{"id" => "c2", "component" => 100, "name" => "CAM_MODE", "value" => 7}
+    assert %{"result" => "rejected", "value" => 1} = nats(c, "params.set", set)
+
+    assert {422, %{"result" => "rejected"}} =
+             rest(c, :put, "params/CAM_MODE?component=100", %{"value" => "x"})
+
+    assert {403, _refused} = rest(c, :put, "params/CAM_NAME?component=100", %{"value" => "x"}, @wall)
+
+    for wrong <- ["params?component=0", "params/A?component=x", "params?component=100&format=param"],
+        do: assert({422, %{"error" => %{"message" => "component: " <> _}}} = rest(c, :get, wrong))
+
+    assert {422, _error} = rest(c, :put, "params?component=100", %{"values" => %{"CAM_MODE" => 1}})
+    assert %{"errors" => [%{"key" => "component"}]} = nats(c, "params.set", %{set | "component" => "camera"})
+
+    assert %{"errors" => [%{"key" => "component"}]} =
+             nats(c, "params.load", %{"id" => "c4", "component" => 100})
+  end
+
+  @tag policy: %{"unsigned" => "viewer"}
+  test "who may not set the autopilot's may not set a camera's", c do
+    set = %{"id" => "c1", "component" => 100, "name" => "CAM_MODE", "value" => 2}
+    assert %{"result" => "denied", "rule" => "role"} = nats(c, "params.set", set)
+  end
+
+  @tag policy: %{"unsigned" => "admin"}
+  test "the examples of docs/transfers.md do what it says", c do
+    [_all, section] = Regex.run(~r/## Parameters of cameras.*?\n(.*?)\n## /s, @page)
+    [got, set] = for [line] <- Regex.scan(~r/^\{.*\}$/m, section), do: JSON.decode!(line)
+    [_all, path] = Regex.run(~r/"http:\/\/localhost:4000\/api\/vehicles\/VID-001\/(\S+)"/, section)
+    assert rest(c, :get, path) == {200, got}
+    [_all, body] = Regex.run(~r/VID-001\.params\.set '(.+)' --timeout/, section)
+    assert nats(c, "params.set", JSON.decode!(body)) == set
+  end
+
+  @tag :python
+  test "pymavlink reads and sets what the camera has", %{gateway: gateway} do
+    {:ok, id} = Client.add(gateway, "tcpin:127.0.0.1:0")
+    port = Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
+    findings = findings(start_peer("pymavlink_camera.py", ["tcp:127.0.0.1:#{port}", 1, 100]))
+
+    # As the gateway reads them.
+    {:ok, table} = Aerie.Params.list(gateway, "VID-001", component: 100)
+    changed = ["CAM_ISO", "CAM_FORMAT", "CAM_NAME", "CAM_SERIAL"]
+
+    for {name, %{value: value}} <- table.params,
+        name not in changed,
+        do: assert({name, findings[name]} == {name, "#{value}"})
+
+    assert %{"type" => "30", "CAM_ISO" => "16777728", "CAM_FORMAT" => "256", "CAM_NAME" => "b'Nadir'"} =
+             findings
+
+    assert findings["CAM_SERIAL"] == ~S(b'\x00\x01\x02\xff')
+    assert %{"set" => "0 33554688", "unsupported" => "1 1", "begun" => "3", "done" => "0 512"} = findings
+    assert table.params["CAM_ISO"].value == 33_554_688
+    assert table.params["CAM_FORMAT"].value == 512
+  end
+end

@@ -1,7 +1,8 @@
-// Says within two seconds when the gateway does not answer, whatever the reason: a question every 600 ms, to be answered within 1200. The
-// socket's process answers, so the page itself is not troubled. Time in which the browser held the page still does not count.
+// Says within two seconds when the gateway does not answer, whatever the reason: a question every 600 ms, and lost when two of them are open
+// at the third. The socket's process answers, so the page itself is not troubled. Questions are counted and not the time, because a browser
+// that held the page still has asked nothing meanwhile, and may have the answer waiting.
 const ASK_MS = 600;
-const PATIENCE_MS = 1200;
+const OPEN = 2;
 
 export function watch(liveSocket) {
   const root = document.documentElement;
@@ -9,28 +10,30 @@ export function watch(liveSocket) {
   const age = document.getElementById("gateway-lost-age");
   const socket = liveSocket.getSocket();
   let answered = performance.now();
-  let woken = answered;
-  let looked = answered;
+  let open = 0;
 
-  function look() {
-    const now = performance.now();
-    if (now - looked > 4 * ASK_MS) woken = now;
-    looked = now;
-    socket.ping?.(() => { answered = performance.now(); show(); });
+  function hear() {
+    answered = performance.now();
+    open = 0;
     show();
   }
 
+  function look() {
+    show();
+    open += 1;
+    socket.ping?.(hear);
+  }
+
   function show() {
-    const now = performance.now();
-    const lost = now - Math.max(answered, woken) > PATIENCE_MS;
-    if (lost) age.textContent = words(now - answered);
+    const lost = open >= OPEN;
+    if (lost) age.textContent = words(performance.now() - answered);
     if (lost === !banner.hidden) return;
     banner.hidden = !lost;
     root.classList.toggle("gateway-lost", lost);
     window.dispatchEvent(new CustomEvent("gateway", { detail: { lost } }));
   }
 
-  socket.onOpen(() => { answered = performance.now(); show(); });
+  socket.onOpen(hear);
   setInterval(look, ASK_MS);
 }
 

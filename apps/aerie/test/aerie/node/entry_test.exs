@@ -21,6 +21,8 @@ defmodule Aerie.Node.EntryTest do
     :ok = Entry.write(dir, entry("aerie-4194305", 4_194_305))
     File.write!(Path.join(dir, "aerie-3.gateway"), ~s({"name": "aerie-3", "port": 99999}))
     File.write!(Path.join(dir, "aerie-4.gateway"), String.duplicate("x", 10_000))
+    # Its name is longer than any that a gateway makes.
+    :ok = Entry.write(dir, entry("aerie-" <> String.duplicate("7", 59), me))
     # A file that says it is another one's.
     File.cp!(Path.join(dir, "aerie-1.gateway"), Path.join(dir, "aerie-5.gateway"))
 

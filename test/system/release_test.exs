@@ -72,7 +72,7 @@ defmodule Aerie.System.ReleaseTest do
     assert {text, 2} = aerie(context, ["start", "--sim", "1"])
     assert text =~ "a release has no simulated vehicles"
     assert {text, 3} = aerie(context, ["rpc", "1"])
-    assert text =~ "no gateway runs"
+    assert text =~ "no gateway is running"
 
     environment = [
       "-i",

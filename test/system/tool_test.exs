@@ -39,7 +39,7 @@ defmodule Aerie.System.ToolTest do
 
   test "it finds the gateway, shows, commands, evaluates and ends it", context do
     assert {text, 3} = aerie(context, ["status"])
-    assert text =~ "no gateway runs"
+    assert text =~ "no gateway is running"
 
     port = open(["--config", context.config, "--sim", "1", "--quiet"])
     await_output(port, "", ["connected to NATS at", "vehicle=sim-001 status=online"])

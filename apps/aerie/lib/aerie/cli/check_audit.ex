@@ -1,5 +1,5 @@
 defmodule Aerie.CLI.CheckAudit do
-  @moduledoc "`bin/run --check-audit DIR`: whether an audit log is whole and nothing in it was changed (`Aerie.Policy.Audit.Verify`)."
+  @moduledoc "`bin/run --check-audit DIR`: checks that an audit log is complete and unchanged (`Aerie.Policy.Audit.Verify`)."
 
   alias Aerie.Policy.Audit.Verify
 

@@ -1,6 +1,6 @@
 defmodule Aerie.CLI.CheckPolicy do
   @moduledoc """
-  `bin/run --check-policy FILE --command JSON`: what the policy of a configuration decides about a command, without a gateway.
+  `bin/run --check-policy FILE --command JSON`: prints what the policy of a configuration decides about a command, without starting a gateway.
 
   `--vehicle` describes the vehicle as far as it is known, with the groups of `GET /api/vehicles/ID`
   (`Aerie.Policy.Context.parse/3`); `--role` is that of the source, operator if left out. Rates are not checked: they depend on what

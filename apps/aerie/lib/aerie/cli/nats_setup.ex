@@ -8,14 +8,14 @@ defmodule Aerie.CLI.NatsSetup do
   @help """
   usage: bin/nats-setup FOLDER [OPTION ...]
 
-    Writes what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration. The first
-    time it needs --host. Run it again to add vehicles or to take some out; docs/fleet.md explains the files.
+    Writes what a hub's nats-server and the leaf nodes of its vehicles need: accounts, keys, certificates, configuration. --host is
+    required the first time. Run it again to add or remove vehicles; docs/fleet.md explains the files.
 
-    --host NAME          a server of the hub, by the name or address that vehicles call; three of them make a cluster
-    --vehicle ID         a vehicle to add (again for each)
-    --revoke ID          a vehicle to take out: its key opens nothing any more
+    --host NAME          a server of the hub, by the name or address at which vehicles reach it; three make a cluster (may be repeated)
+    --vehicle ID         a vehicle to add (may be repeated)
+    --revoke ID          a vehicle to remove: its key stops working (may be repeated)
     --environment NAME   second word of every subject (prod)
-    --help               this text
+    --help               print this text
   """
 
   @doc "Entry point of `bin/nats-setup`: prints, and ends the program with status 0 or 2."
@@ -46,7 +46,7 @@ defmodule Aerie.CLI.NatsSetup do
     case {options[:help], words} do
       {true, _words} -> {:ok, @help}
       {nil, [dir]} -> write(Path.expand(dir, folder), options)
-      {nil, _none_or_many} -> wrong("one folder is needed")
+      {nil, _none_or_many} -> wrong("expected one FOLDER")
     end
   end
 

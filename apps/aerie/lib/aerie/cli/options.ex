@@ -88,7 +88,7 @@ defmodule Aerie.CLI.Options do
     --speed N|max      with --replay: playback speed, up to 1000 times real time (default 1)
     --events           with --replay: print the events of the flight as JSON lines and exit
     --samples          with --replay: print the state samples and exit; with --events, print both
-    --sim N            number of simulated vehicles (0 to #{@max_sim}); also beside links
+    --sim N            number of simulated vehicles (0 to #{@max_sim}); also together with links
     --config FILE      configuration file; config/gateway.example.yaml documents every key
     --http PORT        port of the HTTP server: /api, /metrics, /healthz, /readyz (0 takes a free one)
     --nats WHERE       embedded (the default) or a URL such as nats://hub:4222
@@ -96,7 +96,7 @@ defmodule Aerie.CLI.Options do
     --check-policy FILE --command JSON
                        print what the policy of a configuration decides about a command, and exit: status 0 allowed,
                        1 denied, 2 error. JSON may be the name of a file.
-    --vehicle JSON     with --check-policy: what is known of the vehicle, e.g. {"mode": {"armed": false}}
+    --vehicle JSON     with --check-policy: what is known about the vehicle, e.g. {"mode": {"armed": false}}
     --role ROLE        with --check-policy: viewer, operator (the default) or admin
     --permission NAME  with --check-policy: a permission beyond the role's, e.g. force_disarm (may be repeated)
     --check-audit DIR  check an audit log, and exit: status 0 intact, 1 damaged or changed, 2 error

@@ -3,7 +3,7 @@ defmodule Aerie.CLI.Output do
   An I/O device on standard output or standard error that a gateway can rely on: `IO.write(Aerie.CLI.Output.stdout(), text)`.
 
   The BEAM's own devices end for good at the first write that fails (a full disk, a pipe whose reader is gone) and take the
-  log handler along; a terminal that is stopped, or a pipe that nobody reads, blocks who writes. Here no writer ever waits
+  log handler along; a terminal that is stopped, or a pipe that nobody reads, blocks the writer. Here no writer ever waits
   or fails. What cannot be written is lost and counted. Four times a second the device tries to say how many lines are
   missing; once that succeeds, it goes on.
   """
@@ -29,7 +29,7 @@ defmodule Aerie.CLI.Output do
   @spec stderr() :: atom()
   def stderr, do: :aerie_stderr
 
-  @doc "Has the log written to a device instead of the BEAM's standard output."
+  @doc "Sends the log to a device instead of the BEAM's standard output."
   @spec take_log(atom()) :: :ok
   def take_log(device) do
     handler =

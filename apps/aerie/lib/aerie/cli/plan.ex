@@ -1,6 +1,6 @@
 defmodule Aerie.CLI.Plan do
   @moduledoc """
-  Decides from the options what one call of `bin/run` starts. Pure.
+  Decides from the options what `bin/run` starts. Pure.
 
   Two rules hold for users. Simulated vehicles fly only without `--link`, `--replay` and `--config`, or if `--sim` asks
   for them. The command line overrides the environment, and the environment overrides the file.

@@ -1,7 +1,7 @@
 defmodule Aerie.Tool.Ask do
-  @moduledoc "Asks a person before something that moves or changes a vehicle."
+  @moduledoc "Asks for confirmation before something moves or changes a vehicle."
 
-  @doc "`:ok` if the answer is yes, or `--yes` was given. Without anybody to answer it is no."
+  @doc "`:ok` if the answer is yes or `--yes` was given. If nobody can answer, it is an error."
   @spec first(String.t(), %{optional(atom()) => term()}) :: :ok | {:error, String.t()}
   def first(what, options) do
     if options[:yes] do
@@ -12,7 +12,7 @@ defmodule Aerie.Tool.Ask do
           if yes?(answer), do: :ok, else: {:error, "not done: the answer was not yes"}
 
         _nobody ->
-          {:error, "not done: nobody is there to confirm it; --yes says so beforehand"}
+          {:error, "not done: there is nobody to confirm it; --yes confirms it beforehand"}
       end
     end
   end

@@ -14,7 +14,7 @@ defmodule Aerie.Tool.Gateway do
     with {:ok, node, _entry} <- connect(request), do: call(node, module, :run, [request])
   end
 
-  @doc "The same for any function that gives such an answer."
+  @doc "Calls a function in a gateway, with this VM's standard input and output."
   @spec call(node(), module(), atom(), [term()]) :: term()
   def call(node, module, function, arguments) do
     trap = Process.flag(:trap_exit, true)
@@ -26,7 +26,7 @@ defmodule Aerie.Tool.Gateway do
       receive do
         {^ref, answer} -> answer
         {:EXIT, ^pid, :noconnection} -> {:error, "the gateway has ended"}
-        {:EXIT, ^pid, {:undef, _stack}} -> {:error, "the gateway is of another version than this program"}
+        {:EXIT, ^pid, {:undef, _stack}} -> {:error, "the gateway runs another version than this program"}
         {:EXIT, ^pid, reason} -> {:error, "the gateway failed: " <> Exception.format_exit(reason)}
       end
 
@@ -38,7 +38,7 @@ defmodule Aerie.Tool.Gateway do
   @spec answer(pid(), reference(), module(), atom(), [term()]) :: term()
   def answer(to, ref, module, function, arguments), do: send(to, {ref, apply(module, function, arguments)})
 
-  @typedoc "What of a request says which gateway it is for."
+  @typedoc "The parts of a request that choose the gateway."
   @type asked :: %{:options => map(), :folder => Path.t(), optional(atom()) => term()}
 
   @doc "Connects to the gateway of a request."
@@ -69,7 +69,7 @@ defmodule Aerie.Tool.Gateway do
           {:ok, Aerie.Node.Entry.t()} | {0..255, iodata()} | {:error, String.t()}
   def choose([], _name, dir) do
     {@none,
-     "no gateway runs (none has its file in #{dir}); aerie start starts one, --dir names another folder\n"}
+     "no gateway is running (none has its file in #{dir}); aerie start starts one, --dir names another folder\n"}
   end
 
   def choose([entry], nil, _dir), do: {:ok, entry}
@@ -82,7 +82,11 @@ defmodule Aerie.Tool.Gateway do
               do:
                 "  --gateway #{e.name}   since #{e.started}  #{e.http || "no http"}  #{e.config || "no file"}"
 
-        asked = if name, do: "no gateway #{name} runs; these do", else: "several gateways run; choose one"
+        asked =
+          if name,
+            do: "no gateway #{name} is running; these are",
+            else: "several gateways are running; choose one"
+
         {:error, Enum.join([asked <> ":" | lines], "\n")}
 
       entry ->

@@ -15,7 +15,7 @@ defmodule Aerie.Tool.Help do
 
     #{Enum.map_join(Table.all(), "\n", &entry(&1.name, &1.summary, width))}
 
-    aerie COMMAND --help tells more of one.
+    aerie COMMAND --help explains one command.
     """
   end
 

@@ -1,5 +1,5 @@
 defmodule Aerie.Tool.Parse do
-  @moduledoc "Words of the command line of `bin/aerie` to a request. Pure."
+  @moduledoc "Parses the command line of `bin/aerie` into a request. Pure."
 
   alias Aerie.Tool.{Subcommand, Table}
 

@@ -6,8 +6,8 @@ defmodule Aerie.Tool.Subcommand do
     * `:name` - one word or two (`config check`)
     * `:arguments` - `{name, meaning}` each; the last may end with `...` (one or more) or be in brackets (may be left out)
     * `:options` - `{name, kind, placeholder, meaning}`; the kind is `:boolean`, `:string`, `:integer` or `:float`
-    * `:where` - `:here` in this VM, `:gateway` in the running one, `:script` by the script itself
-    * `:module` - has `run/1`: a request in, an exit status and what to print out
+    * `:where` - where it runs: `:here` (this VM), `:gateway` (the running one) or `:script` (the shell script)
+    * `:module` - the module that implements `c:run/1`
     * `:more` - further lines of its help
   """
 
@@ -36,8 +36,8 @@ defmodule Aerie.Tool.Subcommand do
         }
 
   @doc """
-  Does it: the exit status, and what to print. An error ends with status 2 and goes to standard error. What runs in a gateway asks and
-  prints by standard input and output nevertheless: they are those of `aerie`.
+  Runs the subcommand: returns the exit status and what to print. An error ends with status 2 and goes to standard error. A subcommand that
+  runs in a gateway still has the standard input and output of `aerie`.
   """
   @callback run(request()) :: {0..255, iodata()} | {:error, String.t()}
 

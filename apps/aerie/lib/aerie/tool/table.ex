@@ -5,9 +5,9 @@ defmodule Aerie.Tool.Table do
 
   @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
   @json {:json, :boolean, nil, "print JSON"}
-  @yes {:yes, :boolean, nil, "do not ask first"}
+  @yes {:yes, :boolean, nil, "do not ask for confirmation"}
   @config {:config, :string, "FILE",
-           "the configuration (default: AERIE_CONFIG, else the defaults and the environment)"}
+           "the configuration file (default: AERIE_CONFIG, else the default values and the environment)"}
 
   @doc "All of them."
   @spec all() :: [Subcommand.t()]
@@ -26,8 +26,9 @@ defmodule Aerie.Tool.Table do
   @spec common(Subcommand.t() | %{where: :gateway}) :: [Subcommand.option()]
   def common(%{where: :gateway}) do
     [
-      {:gateway, :string, "NAME", "which gateway, where several run (default: the only one)"},
-      {:dir, :string, "FOLDER", "the folder of its files (default: AERIE_SHELL_DIR, else var/shell)"}
+      {:gateway, :string, "NAME", "the gateway to use if several run (default: the only one)"},
+      {:dir, :string, "FOLDER",
+       "the folder by which running gateways are found (default: AERIE_SHELL_DIR, else var/shell)"}
     ]
   end
 
@@ -49,7 +50,7 @@ defmodule Aerie.Tool.Table do
       },
       %Subcommand{
         name: "stop",
-        summary: "end the gateway in order, and wait for it",
+        summary: "shut the gateway down, and wait until it has ended",
         where: :here,
         module: Run.Stop,
         options: common(%{where: :gateway})
@@ -62,11 +63,11 @@ defmodule Aerie.Tool.Table do
     [
       %Subcommand{
         name: "status",
-        summary: "vehicles, links, NATS and what is wrong",
+        summary: "show vehicles, links, NATS and problems",
         where: :gateway,
         module: Run.Status,
         options: [@json],
-        more: "Exit status: 0 ready, 1 not ready, 3 no gateway runs."
+        more: "Exit status: 0 ready, 1 not ready, 3 no gateway is running."
       },
       %Subcommand{
         name: "tail",
@@ -76,28 +77,30 @@ defmodule Aerie.Tool.Table do
         arguments: [@vehicle],
         options: [
           {:events, :boolean, nil, "events only"},
-          {:count, :integer, "N", "end after so many lines"},
+          {:count, :integer, "N", "stop after N lines"},
           {:json, :boolean, nil, "print JSON lines, as in NATS"}
         ]
       },
       %Subcommand{
         name: "probe",
-        summary: "what speaks at a serial port or an address: protocol, rate, ids, versions, messages",
+        summary:
+          "find out what is connected to a serial port or an address: protocol, rate, ids, versions, messages",
         where: :here,
         module: Run.Probe,
         arguments: [
           {"PORT|URL", "a device such as /dev/ttyACM0, or a connection string such as udpin:0.0.0.0:14550"}
         ],
         options: [{:seconds, :float, "N", "how long to listen (default 5)"}, @json],
-        more: "Exit status: 0 a vehicle, 1 something else or nothing, 2 it cannot be opened."
+        more:
+          "Exit status: 0 a vehicle was found, 1 something else or nothing, 2 the port or address cannot be opened."
       },
       %Subcommand{
         name: "doctor",
-        summary: "check this machine for what a gateway needs, and say how to mend it",
+        summary: "check whether this machine has what a gateway needs, and say how to fix what is wrong",
         where: :here,
         module: Run.Doctor,
         options: [@config, @json],
-        more: "Exit status: 0 all well, or warnings only; 1 something will not work."
+        more: "Exit status: 0 everything works, perhaps with warnings; 1 something will not work."
       },
       %Subcommand{
         name: "replay",
@@ -105,7 +108,7 @@ defmodule Aerie.Tool.Table do
         where: :here,
         module: Run.Replay,
         arguments: [{"FILE", "a .tlog file"}],
-        options: [{:samples, :boolean, nil, "the state samples, too"}, @config],
+        options: [{:samples, :boolean, nil, "print the state samples, too"}, @config],
         more: "aerie start --replay FILE plays it to clients and the console."
       }
     ]
@@ -115,7 +118,7 @@ defmodule Aerie.Tool.Table do
     [
       %Subcommand{
         name: "cmd",
-        summary: "command a vehicle, and print the one result",
+        summary: "send a command to a vehicle, and print its result",
         where: :gateway,
         module: Run.Command,
         arguments: [
@@ -125,15 +128,15 @@ defmodule Aerie.Tool.Table do
         ],
         options: [@yes, @json],
         more:
-          "What moves a vehicle asks first. Exit status: 0 completed or accepted, 1 any other result, 2 it is no command."
+          "Commands that move a vehicle ask for confirmation. Exit status: 0 completed or accepted, 1 any other result, 2 not a valid command."
       },
       %Subcommand{
         name: "params list",
         summary: "print a vehicle's parameters",
         where: :gateway,
         module: Run.Params,
-        arguments: [@vehicle, {"[PATTERN]", "only names that have this in them"}],
-        options: [{:refresh, :boolean, nil, "read them anew"}, @json]
+        arguments: [@vehicle, {"[PATTERN]", "only names that contain this text"}],
+        options: [{:refresh, :boolean, nil, "read them from the vehicle again"}, @json]
       },
       %Subcommand{
         name: "params get",
@@ -144,7 +147,7 @@ defmodule Aerie.Tool.Table do
       },
       %Subcommand{
         name: "params set",
-        summary: "set one parameter, and wait until the vehicle shows it",
+        summary: "set one parameter, and wait until the vehicle confirms it",
         where: :gateway,
         module: Run.Params,
         arguments: [@vehicle, {"NAME", "the parameter"}, {"VALUE", "a number"}],
@@ -153,10 +156,10 @@ defmodule Aerie.Tool.Table do
       %Subcommand{
         name: "params save",
         summary:
-          "write all parameters into a file for Mission Planner and MAVProxy, or for QGroundControl (.params)",
+          "write all parameters to a file for Mission Planner and MAVProxy, or for QGroundControl (.params)",
         where: :here,
         module: Run.ParamsFile,
-        arguments: [@vehicle, {"FILE", "it is replaced"}],
+        arguments: [@vehicle, {"FILE", "the file to write; an existing one is replaced"}],
         options: common(%{where: :gateway})
       },
       %Subcommand{
@@ -182,19 +185,19 @@ defmodule Aerie.Tool.Table do
         module: Run.MissionFile,
         arguments: [
           @vehicle,
-          {"FILE", "of QGroundControl or Mission Planner"},
+          {"FILE", "a plan of QGroundControl or Mission Planner"},
           {"[KIND]", "mission, fence or rally"}
         ],
         options: [@yes | common(%{where: :gateway})]
       },
       %Subcommand{
         name: "record",
-        summary: "begin, end or list recordings",
+        summary: "start, stop, save or list recordings",
         where: :gateway,
         module: Run.Record,
         arguments: [
           {"ACTION", "start, stop, save (the last minutes) or list"},
-          {"[VEHICLE]", "not with list"}
+          {"[VEHICLE]", "the vehicle; list takes none"}
         ],
         options: [@json]
       }
@@ -208,17 +211,17 @@ defmodule Aerie.Tool.Table do
         summary: "check a configuration completely, without starting anything",
         where: :here,
         module: Run.Config,
-        arguments: [{"[FILE]", "default: AERIE_CONFIG, else the defaults and the environment"}],
+        arguments: [{"[FILE]", "default: AERIE_CONFIG, else the default values and the environment"}],
         more:
-          "Exit status: 0 a gateway can start with it, 1 it cannot: every error with file, key and what was expected."
+          "Exit status: 0 a gateway can start with it, 1 it cannot. Every error names its file, its key and what was expected."
       },
       %Subcommand{
         name: "config show",
-        summary: "print the keys that somebody set, their values, and where they come from",
+        summary: "print the keys that are set, their values, and where they were set",
         where: :here,
         module: Run.Config,
         arguments: [{"[FILE]", "as for config check"}],
-        options: [{:all, :boolean, nil, "the defaults, too"}]
+        options: [{:all, :boolean, nil, "print the keys with default values, too"}]
       },
       %Subcommand{
         name: "user add",
@@ -239,7 +242,7 @@ defmodule Aerie.Tool.Table do
         summary: "remove a user of the console",
         where: :gateway,
         module: Run.User,
-        arguments: [{"NAME", "of the user"}]
+        arguments: [{"NAME", "the user's name"}]
       }
     ]
   end
@@ -248,7 +251,7 @@ defmodule Aerie.Tool.Table do
     [
       %Subcommand{
         name: "remote",
-        summary: "an Elixir shell in the gateway (Aerie.Shell)",
+        summary: "open an Elixir shell in the gateway (Aerie.Shell)",
         where: :here,
         module: Run.Remote,
         options: common(%{where: :gateway})

@@ -56,7 +56,7 @@ defmodule Aerie.CLI.NatsSetupTest do
           {~w(set --host hub --vehicle a.b), "a name has at most 64 letters"},
           {~w(set --host a/b), "--host is a name such as"},
           {~w(set --host hub --revoke X), "there is no such vehicle"},
-          {[], "one folder is needed"},
+          {[], "expected one FOLDER"},
           {~w(set --hots hub), "--hots is not an option"}
         ] do
       assert {:error, text} = NatsSetup.call(words, dir)

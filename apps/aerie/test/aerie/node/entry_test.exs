@@ -44,11 +44,11 @@ defmodule Aerie.Node.EntryTest do
   test "of several gateways one must be named" do
     one = entry("aerie-1", 1)
     two = %{entry("aerie-2", 2) | config: "/etc/hub.yaml"}
-    assert {3, "no gateway runs" <> _} = Gateway.choose([], nil, "var/shell")
+    assert {3, "no gateway is running" <> _} = Gateway.choose([], nil, "var/shell")
     assert {:ok, ^one} = Gateway.choose([one], nil, "")
     assert {:ok, ^two} = Gateway.choose([one, two], "aerie-2", "")
     assert {:error, text} = Gateway.choose([one, two], nil, "")
     assert text =~ "--gateway aerie-1" and text =~ "/etc/hub.yaml"
-    assert {:error, "no gateway aerie-3 runs" <> _} = Gateway.choose([one], "aerie-3", "")
+    assert {:error, "no gateway aerie-3 is running" <> _} = Gateway.choose([one], "aerie-3", "")
   end
 end

@@ -11,7 +11,7 @@ defmodule Aerie.Tool.Run.Command do
     with {:ok, params} <- params(pairs), do: give(vehicle, type, params, options)
   end
 
-  @doc "Gives a command in the name of whoever may use `bin/aerie`. What moves a vehicle asks first."
+  @doc "Submits a command as `source/0`. Commands that move a vehicle ask for confirmation first."
   @spec give(String.t(), String.t(), map(), map()) :: {0..1, iodata()} | {:error, String.t()}
   def give(vehicle, type, params, options) do
     with {:known, %{}} <- {:known, Store.vehicle(:default, vehicle)},
@@ -33,7 +33,7 @@ defmodule Aerie.Tool.Run.Command do
         " "
       )
 
-  @doc "Who commands by `bin/aerie`, for the policy and the audit log: the gateway's own user."
+  @doc "The source of commands from `bin/aerie`, for the policy and the audit log: the gateway's own user."
   @spec source() :: Aerie.Policy.Roles.source()
   def source, do: %{Commands.inside() | name: "bin/aerie"}
 
@@ -55,7 +55,7 @@ defmodule Aerie.Tool.Run.Command do
     end
   end
 
-  @doc "An answer as text, with the exit status that it means."
+  @doc "An answer as text, with its exit status."
   @spec answer(Commands.answer() | {:error, Result.t()}, map()) :: {0..1, iodata()} | {:error, String.t()}
   def answer({:ok, %Result{} = result}, options) do
     text = if options[:json], do: JSON.encode!(Result.plain(result)), else: words(result)

@@ -1,7 +1,7 @@
 defmodule Aerie.Tool.Run.Doctor do
   @moduledoc """
-  `aerie doctor`: checks this machine for what a gateway with this configuration needs. Each check gives findings: ok, a warning or an
-  error, each with how to mend it. Where a gateway runs, what it has found itself (`Aerie.Diagnosis`) is asked for, too.
+  `aerie doctor`: checks whether this machine has what a gateway with this configuration needs. Each finding is ok, a warning or an error,
+  and says how to fix it. If a gateway is running, the findings of its own diagnosis (`Aerie.Diagnosis`) are included.
   """
   @behaviour Aerie.Tool.Subcommand
 
@@ -94,7 +94,7 @@ defmodule Aerie.Tool.Run.Doctor do
         warning(
           "serial port",
           "#{path}: #{:file.format_error(posix)}",
-          "plug it in, or take it out of the configuration"
+          "plug it in, or remove it from the configuration"
         )
     end
   end
@@ -111,11 +111,11 @@ defmodule Aerie.Tool.Run.Doctor do
       do: [
         warning(
           "ModemManager",
-          "it runs, and writes to new serial ports, also to a flight controller's",
+          "it is running, and writes to every new serial port, also to a flight controller's",
           "sudo systemctl mask --now ModemManager, or a udev rule with ENV{ID_MM_DEVICE_IGNORE}=\"1\""
         )
       ],
-      else: [ok("ModemManager", "does not run")]
+      else: [ok("ModemManager", "not running")]
   end
 
   @doc "Whether the clock is right, as far as can be seen: the year, and systemd's mark where systemd keeps the time."
@@ -126,13 +126,13 @@ defmodule Aerie.Tool.Run.Doctor do
         [
           error(
             "clock",
-            "#{DateTime.from_unix!(now_s)} is long past: signing and NATS need the time",
+            "#{DateTime.from_unix!(now_s)} is long past: signing and NATS need the right time",
             "set it: timedatectl set-ntp true, or a GPS"
           )
         ]
 
       File.dir?(Path.dirname(mark)) and not File.exists?(mark) ->
-        [warning("clock", "systemd has not yet set it by the network", "timedatectl status tells why")]
+        [warning("clock", "systemd has not set it from the network yet", "timedatectl status shows why")]
 
       true ->
         [ok("clock", "#{DateTime.from_unix!(now_s)}")]
@@ -153,12 +153,12 @@ defmodule Aerie.Tool.Run.Doctor do
           ok("disk", "#{div(bytes, 1_048_576)} MB free in #{dir}")
 
         :unknown ->
-          warning("disk", "#{dir}: how much is free cannot be found out", "df #{dir}")
+          warning("disk", "#{dir}: the free space cannot be determined", "df #{dir}")
       end
     end
   end
 
-  # Whether the embedded program is there, the configuration's check has said.
+  # The configuration's check has looked for the embedded program.
   defp nats(%{mode: :url, url: urls}), do: Enum.map(urls, &server/1)
   defp nats(%{mode: mode}), do: [ok("NATS", "#{mode}")]
 
@@ -189,14 +189,17 @@ defmodule Aerie.Tool.Run.Doctor do
     with {:ok, entries} <- Aerie.Node.list(Gateway.dir(request)), do: entries, else: (_unreadable -> [])
   end
 
-  defp gateway([]), do: [ok("gateway", "none runs")]
+  defp gateway([]), do: [ok("gateway", "none is running")]
 
   defp gateway([entry | _others]) do
     request = %{options: %{gateway: entry.name}, folder: "."}
 
     with {:ok, node, _entry} <- Gateway.connect(request),
          conditions when is_list(conditions) <- Gateway.call(node, Aerie.Diagnosis, :list, [:default]) do
-      [ok("gateway", "#{entry.name} runs since #{entry.started}") | Enum.map(conditions, &condition/1)]
+      [
+        ok("gateway", "#{entry.name} has been running since #{entry.started}")
+        | Enum.map(conditions, &condition/1)
+      ]
     else
       {:error, text} -> [error("gateway", text, "aerie stop, then start it again")]
       _other -> [warning("gateway", "#{entry.name} does not answer", "look at its log")]

@@ -4,7 +4,7 @@ defmodule Aerie.Tool.Run.Evaluate do
 
   @impl Aerie.Tool.Subcommand
   def run(%{arguments: %{"EXPRESSION" => text}}) do
-    # The compiler's remarks are part of the answer, and no business of the gateway's log.
+    # The compiler's messages belong to the answer, not to the gateway's log.
     case Code.with_diagnostics(fn -> evaluate("import Aerie.Shell, warn: false\n" <> text) end) do
       {{:ok, value}, _warnings} ->
         {0, [inspect(value, pretty: true, limit: 200, printable_limit: 10_000), ?\n]}

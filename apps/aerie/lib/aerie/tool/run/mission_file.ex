@@ -1,5 +1,5 @@
 defmodule Aerie.Tool.Run.MissionFile do
-  @moduledoc "`aerie mission load`: the file is read here, with our rights; the plan is sent by the gateway."
+  @moduledoc "`aerie mission load`: this program reads the file with its user's rights; the gateway sends the plan."
   @behaviour Aerie.Tool.Subcommand
 
   alias Aerie.Missions

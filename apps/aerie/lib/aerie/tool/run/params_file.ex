@@ -1,5 +1,5 @@
 defmodule Aerie.Tool.Run.ParamsFile do
-  @moduledoc "`aerie params save`: read in the gateway, written by us, with our rights and in our folder."
+  @moduledoc "`aerie params save`: the gateway reads the parameters; this program writes the file with its user's rights."
   @behaviour Aerie.Tool.Subcommand
 
   alias Aerie.Tool.{Gateway, Run}

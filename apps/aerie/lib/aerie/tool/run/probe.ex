@@ -1,7 +1,7 @@
 defmodule Aerie.Tool.Run.Probe do
   @moduledoc """
-  `aerie probe`: what speaks at a serial port or an address. A gateway of its own, without NATS, HTTP and memory, listens there for a
-  few seconds, and what its read model then has is shown. It asks a vehicle for its version, and commands nothing.
+  `aerie probe`: finds out what is connected to a serial port or an address. A temporary gateway without NATS, HTTP and stored data
+  listens there for a few seconds; then its read model is printed. It asks a vehicle for its version, and sends no commands.
   """
   @behaviour Aerie.Tool.Subcommand
 
@@ -77,7 +77,7 @@ defmodule Aerie.Tool.Run.Probe do
     })
   end
 
-  # The time begins anew when the first frame is heard, once: a search for the rate takes seconds itself.
+  # The time starts again when the first frame is heard, because the search for the rate takes seconds. This happens once.
   defp await(gateway, until, heard? \\ false) do
     left = until - System.monotonic_time(:millisecond)
 

@@ -1,5 +1,5 @@
 defmodule Aerie.Tool.Run.Status do
-  @moduledoc "`aerie status`: vehicles, links, NATS and what is wrong, from the read model."
+  @moduledoc "`aerie status`: vehicles, links, NATS and problems, from the read model."
   @behaviour Aerie.Tool.Subcommand
 
   alias Aerie.Tool.Columns

@@ -1,5 +1,5 @@
 defmodule Aerie.Tool.Run.Stop do
-  @moduledoc "`aerie stop`: ends a gateway in order, and waits until its process is gone."
+  @moduledoc "`aerie stop`: shuts a gateway down, and waits until its process has ended."
   @behaviour Aerie.Tool.Subcommand
 
   alias Aerie.Tool.Gateway

@@ -22,7 +22,7 @@ defmodule Aerie.Tool.Run.Tail do
     end
   end
 
-  @doc "There is no such vehicle; these are."
+  @doc "The error for an unknown vehicle, with the names of the known ones."
   @spec unknown(String.t()) :: String.t()
   def unknown(id) do
     known = for vehicle <- Store.vehicles(:default), do: vehicle.id
@@ -79,6 +79,6 @@ defmodule Aerie.Tool.Run.Tail do
   defp text(value) when is_binary(value) or is_atom(value) or is_number(value), do: value
   defp text(value), do: inspect(value, limit: 20)
 
-  # Standard output is that of aerie; when it is gone, so are we.
+  # Standard output is aerie's own; when it is closed, this process ends, too.
   defp put(line), do: IO.puts(line)
 end

@@ -28,7 +28,7 @@ defmodule Aerie.Command.Types.Control do
         name: "hand_over_control",
         group: :control,
         meaning:
-          "Offers the charge of the vehicle. The source that offers it stays in charge until the other one takes it.",
+          "Offers control of the vehicle to another source. The source that offers it stays in charge until the other one takes over.",
         permission: :fly,
         confirmed_by: "the gateway: it is offered",
         params: [
@@ -38,7 +38,7 @@ defmodule Aerie.Command.Types.Control do
       %Type{
         name: "release_control",
         group: :control,
-        meaning: "Ends being in charge of the vehicle. An admin may end somebody else's charge.",
+        meaning: "Gives up control of the vehicle. An admin may also end somebody else's control.",
         permission: :fly,
         confirmed_by: "the gateway: nobody is in charge"
       }

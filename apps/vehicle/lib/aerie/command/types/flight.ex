@@ -14,7 +14,8 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "arm",
         group: :flight,
-        meaning: "Arms the vehicle: its motors may turn from now on. The vehicle's own checks decide.",
+        meaning:
+          "Arms the vehicle, so that its motors may turn. The vehicle's own checks decide whether it arms.",
         permission: :arm,
         retry: :never,
         confirmed_by: "it is armed",
@@ -23,7 +24,7 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "disarm",
         group: :flight,
-        meaning: "Disarms the vehicle. The vehicle refuses while it flies.",
+        meaning: "Disarms the vehicle. A flying vehicle refuses.",
         permission: :arm,
         confirmed_by: "it is not armed"
       },
@@ -47,7 +48,7 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "takeoff",
         group: :flight,
-        meaning: "Takes off from where it stands. It has to be armed.",
+        meaning: "Takes off. The vehicle must be armed.",
         permission: :fly,
         retry: :never,
         confirmed_by: "it is in the air",
@@ -59,43 +60,42 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "land",
         group: :flight,
-        meaning: "Lands where it is.",
+        meaning: "Lands at its present position.",
         permission: :fly,
-        confirmed_by: "its mode is that for landing, or it is on the ground",
+        confirmed_by: "it is in the landing mode, or on the ground",
         moves_vehicle?: true
       },
       %Type{
         name: "rtl",
         group: :flight,
-        meaning:
-          "Returns to home, or to a rally point, and does there what its parameters say, usually landing.",
+        meaning: "Returns to home or to a rally point, and then does what its parameters say, usually land.",
         permission: :fly,
-        confirmed_by: "its mode is that for returning",
+        confirmed_by: "it is in the return mode",
         moves_vehicle?: true
       },
       %Type{
         name: "hold",
         group: :flight,
-        meaning: "Stops and stays where it is; what cannot stop circles.",
+        meaning: "Stops and stays in place; a vehicle that cannot stop circles.",
         permission: :fly,
-        confirmed_by: "its mode is that for holding",
+        confirmed_by: "it is in the hold mode",
         moves_vehicle?: true
       },
       %Type{
         name: "resume",
         group: :flight,
-        meaning: "Goes on with the mission after hold or mission_pause.",
+        meaning: "Continues the mission after hold or mission_pause.",
         permission: :mission,
-        confirmed_by: "its mode is that for missions",
+        confirmed_by: "it is in the mission mode",
         moves_vehicle?: true
       },
       %Type{
         name: "set_mode",
         group: :flight,
         meaning:
-          "Changes the flight mode: to one of this firmware's by the name that the vehicle's state shows, or to a standard mode of MAVLink that every firmware has a mode for.",
+          "Changes the flight mode: to a mode of the firmware, by the name that the vehicle's state shows, or to one of MAVLink's standard modes.",
         permission: :fly,
-        confirmed_by: "its mode",
+        confirmed_by: "it is in this mode",
         moves_vehicle?: true,
         rules: [{:one_of, [:mode, :standard_mode]}],
         params: [
@@ -103,7 +103,7 @@ defmodule Aerie.Command.Types.Flight do
           Param.choice(:standard_mode, @standard_modes, "a mode of MAV_STANDARD_MODE"),
           Param.boolean(
             :setpoints_elsewhere,
-            "for PX4's OFFBOARD: the set-points that it needs come in another way than through this gateway",
+            "for PX4's OFFBOARD: whether its set-points come from elsewhere, not through this gateway",
             default: false
           )
         ]
@@ -111,14 +111,14 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "vtol_transition",
         group: :flight,
-        meaning: "Changes between flying on wings and on rotors.",
+        meaning: "Switches between fixed-wing and multicopter flight.",
         permission: :fly,
         retry: :never,
-        confirmed_by: "its VTOL state",
+        confirmed_by: "its VTOL state shows it",
         long?: true,
         moves_vehicle?: true,
         params: [
-          Param.choice(:to, ~w(fixed_wing multicopter), "how it is to fly", required: true)
+          Param.choice(:to, ~w(fixed_wing multicopter), "how to fly", required: true)
         ]
       },
       %Type{
@@ -135,12 +135,12 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "set_home",
         group: :flight,
-        meaning: "Sets home: to where the vehicle is, or to a place.",
+        meaning: "Sets home to the vehicle's position, or to a place.",
         permission: :fly,
-        confirmed_by: "home",
+        confirmed_by: "it reports this home",
         rules: [{:together, [:lat, :lon, :altitude_msl]}, {:one_of, [:here, :lat]}],
         params: [
-          Param.boolean(:here, "where the vehicle is", values: [true]),
+          Param.boolean(:here, "use the vehicle's present position", values: [true]),
           Enum.at(place(), 0),
           Enum.at(place(), 1),
           altitude_msl()
@@ -149,9 +149,9 @@ defmodule Aerie.Command.Types.Flight do
       %Type{
         name: "set_origin",
         group: :flight,
-        meaning: "Tells a vehicle without GNSS where its local coordinates begin.",
+        meaning: "Sets the origin of the local coordinates, for a vehicle without GNSS.",
         permission: :maintain,
-        confirmed_by: "GPS_GLOBAL_ORIGIN",
+        confirmed_by: "it sends GPS_GLOBAL_ORIGIN",
         params: place(required: true) ++ [altitude_msl(required: true)]
       }
     ]

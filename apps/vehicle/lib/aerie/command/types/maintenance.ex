@@ -35,15 +35,15 @@ defmodule Aerie.Command.Types.Maintenance do
       %Type{
         name: "reboot",
         group: :maintenance,
-        meaning: "Starts the autopilot anew. It refuses while it is armed.",
+        meaning: "Restarts the autopilot. An armed vehicle refuses.",
         permission: :maintain,
         retry: :never,
-        confirmed_by: "its clock begins anew",
+        confirmed_by: "its clock starts again",
         params: [
           Param.choice(
             :to,
             ~w(normal bootloader),
-            "whether it is to stay in its boot loader, where firmware is loaded",
+            "whether it stays in its boot loader, where firmware is loaded",
             default: "normal"
           )
         ]
@@ -80,10 +80,10 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "calibrate",
         group: :maintenance,
         meaning:
-          "Calibrates a sensor. What the vehicle says on the way, such as how to lay it, comes as progress.",
+          "Calibrates a sensor. The vehicle's instructions, such as how to place it, come as progress.",
         permission: :maintain,
         retry: :never,
-        confirmed_by: "what the vehicle says of it",
+        confirmed_by: "what the vehicle reports",
         long?: true,
         cancel?: true,
         params: [Param.choice(:sensor, @sensors, "what to calibrate", required: true)]
@@ -91,11 +91,11 @@ defmodule Aerie.Command.Types.Maintenance do
       %Type{
         name: "calibrate_position",
         group: :maintenance,
-        meaning: "Tells the vehicle that it lies as the calibration of the accelerometer asked for.",
+        meaning: "Tells the vehicle that it is in the position that the accelerometer calibration asked for.",
         permission: :maintain,
         retry: :never,
         params: [
-          Param.choice(:position, ~w(level left right nose_down nose_up back), "how it lies", required: true)
+          Param.choice(:position, ~w(level left right nose_down nose_up back), "the position", required: true)
         ]
       },
       %Type{
@@ -120,10 +120,10 @@ defmodule Aerie.Command.Types.Maintenance do
         group: :telemetry,
         meaning: "Asks for a message once.",
         permission: :telemetry,
-        confirmed_by: "the message",
+        confirmed_by: "the message arrives",
         params: [
           Param.integer(:message_id, nil, 0, 16_777_215, "id of the message", required: true),
-          Param.integer(:index, nil, 0, 65_535, "which one, for messages that there are several of",
+          Param.integer(:index, nil, 0, 65_535, "which one, for messages that exist several times",
             default: 0
           ),
           component()
@@ -139,13 +139,13 @@ defmodule Aerie.Command.Types.Maintenance do
         params: [
           Param.integer(:message_id, nil, 0, 16_777_215, "id of the message", required: true),
           Param.number(:rate, "Hz", 0.001, 1000, "how often"),
-          Param.choice(:action, ~w(stop default), "not at all, or as often as the vehicle likes")
+          Param.choice(:action, ~w(stop default), "stop it, or let the vehicle decide")
         ]
       },
       %Type{
         name: "high_latency",
         group: :telemetry,
-        meaning: "Begins or ceases to send a summary only, for links of high latency.",
+        meaning: "Starts or stops sending only a summary, for high-latency links.",
         permission: :telemetry,
         params: [Param.boolean(:enabled, "whether only the summary is sent", required: true)]
       }

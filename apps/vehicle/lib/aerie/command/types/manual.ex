@@ -32,31 +32,31 @@ defmodule Aerie.Command.Types.Manual do
       ]),
       row(
         "setpoint_position",
-        "Off-board set-point: be at a place.",
+        "Off-board set-point: a position.",
         place(required: true) ++
           altitude("height to be at", required: true) ++
-          [heading(:yaw, "where its nose is to point; without it as the vehicle likes")]
+          [heading(:yaw, "heading of the nose; without it, the vehicle decides")]
       ),
       row(
         "setpoint_local",
-        "Off-board set-point: be at a place in metres from the origin of its local coordinates.",
+        "Off-board set-point: a position in metres from the origin of its local coordinates.",
         [
           Param.number(:north, "m", -100_000, 100_000, "to the north", required: true),
           Param.number(:east, "m", -100_000, 100_000, "to the east", required: true),
           Param.number(:down, "m", -20_000, 20_000, "down", required: true),
-          heading(:yaw, "where its nose is to point; without it as the vehicle likes")
+          heading(:yaw, "heading of the nose; without it, the vehicle decides")
         ]
       ),
-      row("setpoint_velocity", "Off-board set-point: fly this fast.", [
+      row("setpoint_velocity", "Off-board set-point: a velocity.", [
         speed(:vx, "to the north, or forward"),
         speed(:vy, "to the east, or to the right"),
         speed(:vz, "down"),
         Param.choice(:frame, ~w(north body), "whether x is to the north or where its nose points",
           default: "north"
         ),
-        Param.number(:yaw_rate, "°/s", -360, 360, "turn to the right this fast; without it not at all")
+        Param.number(:yaw_rate, "°/s", -360, 360, "turn to the right at this rate; without it, do not turn")
       ]),
-      row("setpoint_attitude", "Off-board set-point: lie so, with so much thrust.", [
+      row("setpoint_attitude", "Off-board set-point: an attitude and a thrust.", [
         Param.number(:roll, "°", -180, 180, "right side down is positive", required: true),
         Param.number(:pitch, "°", -90, 90, "nose up is positive", required: true),
         Param.number(:yaw, "°", -180, 360, "from north", required: true),
@@ -76,10 +76,12 @@ defmodule Aerie.Command.Types.Manual do
       params:
         params ++
           [
-            Param.number(:hold, "s", 0.2, 10, "for how long it counts without being sent again",
+            Param.number(:hold, "s", 0.2, 10, "how long it stays in force if it is not sent again",
               default: 1.0
             ),
-            Param.integer(:rate, "Hz", 2, 50, "how often the vehicle is sent it meanwhile", default: 10)
+            Param.integer(:rate, "Hz", 2, 50, "how often the gateway sends it to the vehicle meanwhile",
+              default: 10
+            )
           ]
     }
   end

@@ -10,25 +10,25 @@ defmodule Aerie.Command.Types.Mission do
       %Type{
         name: "mission_start",
         group: :mission,
-        meaning: "Starts the mission, or goes on with it. It does not arm the vehicle.",
+        meaning: "Starts the mission, or continues it. It does not arm the vehicle.",
         permission: :mission,
-        confirmed_by: "its mode is that for missions",
+        confirmed_by: "it is in the mission mode",
         moves_vehicle?: true
       },
       %Type{
         name: "mission_pause",
         group: :mission,
-        meaning: "Stops on the way and waits there; resume goes on.",
+        meaning: "Stops and waits in place; resume continues the mission.",
         permission: :mission,
-        confirmed_by: "its mode, where the firmware changes it",
+        confirmed_by: "its mode has changed, if the firmware changes it",
         moves_vehicle?: true
       },
       %Type{
         name: "mission_set_current",
         group: :mission,
-        meaning: "Makes an item of the mission the one to do next.",
+        meaning: "Makes an item of the mission the current one.",
         permission: :mission,
-        confirmed_by: "the current item",
+        confirmed_by: "it is the current item",
         moves_vehicle?: true,
         params: [
           Param.integer(:seq, nil, 0, 65_534, "number of the item as the vehicle counts", required: true)
@@ -37,13 +37,13 @@ defmodule Aerie.Command.Types.Mission do
       %Type{
         name: "jump",
         group: :mission,
-        meaning: "Goes on with the mission at the item with a tag.",
+        meaning: "Continues the mission at the item with a tag.",
         permission: :mission,
         retry: :never,
         moves_vehicle?: true,
         params: [
           Param.integer(:tag, nil, 0, 65_535, "the tag, as the JUMP_TAG item has it", required: true),
-          Param.integer(:repeat, nil, 0, 65_535, "how often again", default: 0)
+          Param.integer(:repeat, nil, 0, 65_535, "how many more times", default: 0)
         ]
       },
       %Type{

@@ -14,37 +14,37 @@ defmodule Aerie.Command.Types.Navigation do
         group: :navigation,
         meaning: "Flies to a place and stays there.",
         permission: :fly,
-        confirmed_by: "its mode is that for going to a place",
+        confirmed_by: "it is in the mode for flying to a place",
         moves_vehicle?: true,
         params:
           place(required: true) ++
             altitude("height to fly at", required: true) ++
             [
-              Param.number(:speed, "m/s", 0.1, 100, "ground speed; without it the vehicle's own"),
-              heading(:yaw, "where its nose is to point; without it as the vehicle likes")
+              Param.number(:speed, "m/s", 0.1, 100, "ground speed; without it, the vehicle's default"),
+              heading(:yaw, "heading of the nose; without it, the vehicle decides")
             ]
       },
       %Type{
         name: "orbit",
         group: :navigation,
-        meaning: "Circles around a place, or around where it is, until it is told otherwise.",
+        meaning: "Circles around a place, or around its present position, until the next command.",
         permission: :fly,
-        confirmed_by: "its mode is that for circling",
+        confirmed_by: "it is in the circling mode",
         moves_vehicle?: true,
         rules: [{:together, [:lat, :lon]}],
         params:
           place() ++
-            altitude("height to fly at; without it the present one") ++
+            altitude("height to fly at; without it, the present height") ++
             [
               Param.number(:radius, "m", 1, 10_000, "radius of the circle", required: true),
-              Param.number(:speed, "m/s", 0.1, 100, "speed on the circle; without it the vehicle's own"),
+              Param.number(:speed, "m/s", 0.1, 100, "speed on the circle; without it, the vehicle's default"),
               Param.choice(:direction, ~w(clockwise counterclockwise), "seen from above",
                 default: "clockwise"
               ),
               Param.choice(
                 :yaw_behaviour,
                 ~w(center initial uncontrolled tangent rc unchanged),
-                "where its nose points: to the centre, as at the beginning, anywhere, ahead, as the pilot steers, as it is set",
+                "where the nose points: at the centre, in the initial direction, anywhere, along the circle, as the pilot steers, as configured",
                 default: "center"
               )
             ]
@@ -52,27 +52,27 @@ defmodule Aerie.Command.Types.Navigation do
       %Type{
         name: "set_speed",
         group: :navigation,
-        meaning: "Sets the speed at which it flies to its goals.",
+        meaning: "Sets the speed at which it flies to its targets.",
         permission: :fly,
         moves_vehicle?: true,
         params: [
-          Param.number(:speed, "m/s", 0.1, 100, "how fast", required: true),
+          Param.number(:speed, "m/s", 0.1, 100, "the speed", required: true),
           Param.choice(:kind, ~w(groundspeed airspeed climb descent), "which speed", default: "groundspeed")
         ]
       },
       %Type{
         name: "set_altitude",
         group: :navigation,
-        meaning: "Climbs or descends to a height and stays above the place where it is.",
+        meaning: "Climbs or descends to a height above its present position.",
         permission: :fly,
-        confirmed_by: "its mode is that for going to a place",
+        confirmed_by: "it is in the mode for flying to a place",
         moves_vehicle?: true,
         params: altitude("height to fly at", required: true)
       },
       %Type{
         name: "set_yaw",
         group: :navigation,
-        meaning: "Turns its nose while it stays where it is.",
+        meaning: "Turns the nose while staying in place.",
         permission: :fly,
         retry: :never,
         moves_vehicle?: true,
@@ -85,14 +85,14 @@ defmodule Aerie.Command.Types.Navigation do
             "heading from north, or, if relative, how far to turn to the right",
             required: true
           ),
-          Param.boolean(:relative, "whether it is from where its nose points now", default: false),
-          Param.number(:rate, "°/s", 0, 360, "how fast; 0: as the vehicle likes", default: 0.0)
+          Param.boolean(:relative, "whether the angle is relative to the present heading", default: false),
+          Param.number(:rate, "°/s", 0, 360, "how fast; 0: the vehicle decides", default: 0.0)
         ]
       },
       %Type{
         name: "set_roi",
         group: :navigation,
-        meaning: "Points camera and nose at a place from now on.",
+        meaning: "Keeps camera and nose pointed at a place.",
         permission: :payload,
         moves_vehicle?: true,
         params: place(required: true) ++ altitude("height of the place", default: 0.0)
@@ -100,14 +100,14 @@ defmodule Aerie.Command.Types.Navigation do
       %Type{
         name: "clear_roi",
         group: :navigation,
-        meaning: "Ceases to point at a place.",
+        meaning: "Stops pointing at a place.",
         permission: :payload,
         moves_vehicle?: true
       },
       %Type{
         name: "land_start",
         group: :navigation,
-        meaning: "Goes to the beginning of the mission's landing and lands by it.",
+        meaning: "Flies to the start of the mission's landing sequence and lands with it.",
         permission: :mission,
         moves_vehicle?: true
       }

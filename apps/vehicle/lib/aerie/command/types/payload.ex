@@ -12,15 +12,15 @@ defmodule Aerie.Command.Types.Payload do
       %Type{
         name: "camera_photo",
         group: :payload,
-        meaning: "Takes photos, or ceases to.",
+        meaning: "Takes photos, or stops taking them.",
         permission: :payload,
         retry: :never,
         long?: true,
         cancel?: true,
         params: [
-          Param.choice(:action, ~w(start stop), "take photos, or cease to", default: "start"),
-          Param.integer(:count, nil, 0, 100_000, "how many; 0: until stopped", default: 1),
-          Param.number(:interval, "s", 0, 86_400, "time between two", default: 0.0),
+          Param.choice(:action, ~w(start stop), "take photos, or stop taking them", default: "start"),
+          Param.integer(:count, nil, 0, 100_000, "number of photos; 0: until stopped", default: 1),
+          Param.number(:interval, "s", 0, 86_400, "time between two photos", default: 0.0),
           component()
         ]
       },
@@ -30,7 +30,7 @@ defmodule Aerie.Command.Types.Payload do
         meaning: "Starts or stops recording a video.",
         permission: :payload,
         params: [
-          Param.choice(:action, ~w(start stop), "record, or cease to", default: "start"),
+          Param.choice(:action, ~w(start stop), "start or stop recording", default: "start"),
           Param.integer(:stream, nil, 0, 255, "which stream of the camera; 0: all", default: 0),
           component()
         ]
@@ -45,10 +45,10 @@ defmodule Aerie.Command.Types.Payload do
       %Type{
         name: "camera_trigger_distance",
         group: :payload,
-        meaning: "Takes a photo each time that the vehicle has flown so far.",
+        meaning: "Takes a photo each time the vehicle has flown this distance.",
         permission: :payload,
         params: [
-          Param.number(:distance, "m", 0, 10_000, "between two photos; 0: cease to", required: true)
+          Param.number(:distance, "m", 0, 10_000, "distance between two photos; 0: stop", required: true)
         ]
       },
       %Type{
@@ -59,8 +59,8 @@ defmodule Aerie.Command.Types.Payload do
         rules: [{:together, [:pitch, :yaw]}],
         params: [
           Param.choice(:action, ~w(point neutral retract), "point it, or bring it to rest", default: "point"),
-          Param.number(:pitch, "°", -180, 180, "up is positive; for point it must be given"),
-          Param.number(:yaw, "°", -180, 180, "right is positive; for point it must be given"),
+          Param.number(:pitch, "°", -180, 180, "up is positive; required for point"),
+          Param.number(:yaw, "°", -180, 180, "right is positive; required for point"),
           Param.choice(:yaw_reference, ~w(vehicle north), "what yaw is measured from", default: "vehicle"),
           Param.integer(:gimbal, nil, 0, 255, "which gimbal; 0: the first", default: 0)
         ]

@@ -65,7 +65,7 @@ defmodule Aerie.System.ToolTest do
 
     # What moves a vehicle asks, and nobody's answer is no.
     assert {text, 2} = aerie(context, ["cmd", "sim-001", "rtl"])
-    assert text =~ "nobody is there to confirm it"
+    assert text =~ "there is nobody to confirm it"
     assert {text, 2} = aerie(context, ["cmd", "sim-001", "rtl"], "n\n")
     assert text =~ "not done"
     assert {text, 2} = aerie(context, ["cmd", "sim-001", "rtll"])

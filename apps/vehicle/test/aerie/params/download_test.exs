@@ -180,7 +180,7 @@ defmodule Aerie.Params.DownloadTest do
     property =
       :proper.forall(scenario(), fn {n, px4?, seed, loss, duplicate, jitter, changes} ->
         v = ParamsVehicle.new(ParamsVehicle.some(n), encoding: if(px4?, do: :bytewise, else: :c_cast))
-        script = Enum.map(changes, fn {at, what} -> {at * 1000, change(what)} end)
+        script = for {{at, what}, n} <- Enum.with_index(changes), do: {at * 1000, change(what, n)}
 
         run =
           run(v,
@@ -209,10 +209,11 @@ defmodule Aerie.Params.DownloadTest do
 
   defp listed(changes), do: Enum.count(changes, &match?({_at, what} when what != :put, &1))
 
-  defp change(:put), do: &ParamsVehicle.put(&1, "P1", 50)
-  defp change(:appear), do: &ParamsVehicle.appear(&1, 0, {"NEW#{length(&1.params)}", 1, 6})
-  defp change(:vanish), do: &ParamsVehicle.vanish(&1, "P2")
-  defp change(:reboot), do: fn v -> {:reboot, v} end
+  # A vehicle has no two parameters of one name.
+  defp change(:appear, n), do: &ParamsVehicle.appear(&1, 0, {"NEW#{n}", 1, 6})
+  defp change(:put, _n), do: &ParamsVehicle.put(&1, "P1", 50)
+  defp change(:vanish, _n), do: &ParamsVehicle.vanish(&1, "P2")
+  defp change(:reboot, _n), do: fn v -> {:reboot, v} end
 
   defp scenario do
     :proper_types.tuple([

@@ -18,7 +18,7 @@ defmodule Aerie.Params.Component do
   @doc "The options of a function that is for the autopilot only; it raises for a component."
   @spec none!(keyword()) :: keyword()
   def none!(options) do
-    if options[:component],
+    if Keyword.get(options, :component),
       do: raise(ArgumentError, "only list, get and set have the option :component"),
       else: options
   end

@@ -87,8 +87,10 @@ defmodule Aerie.Remote.Listener do
     %{conn: conn, tasks: tasks} = state = Subscriber.follow(state, subjects)
     listener = self()
 
-    if conn not in [nil, before],
-      do: {:ok, _pid} = Task.Supervisor.start_child(tasks, fn -> read(conn, subjects, listener) end)
+    _reader =
+      if conn not in [nil, before] do
+        {:ok, _pid} = Task.Supervisor.start_child(tasks, fn -> read(conn, subjects, listener) end)
+      end
 
     state
   end

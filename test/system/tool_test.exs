@@ -98,7 +98,7 @@ defmodule Aerie.System.ToolTest do
           {~s(shadow "sim-001"), "reported"},
           {~s|top()|, "REDUCTIONS"},
           {~s|sup()|, "RESTARTS"},
-          {~s(cmd "sim-001", :rtl), "nobody is there to confirm it"},
+          {~s(cmd "sim-001", :rtl), "there is nobody to confirm it"},
           {~s(drop "udp"), "not done"},
           {~s(sim 1), "1 vehicles fly"},
           {~s|health()|, "NATS connected"},

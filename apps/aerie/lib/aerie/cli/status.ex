@@ -112,7 +112,7 @@ defmodule Aerie.CLI.Status do
 
   defp bound(%{config: config, gateway: gateway}) do
     for {name, server} <- [http: FleetWeb.Endpoint, websocket: FleetWeb.WebSocket], reduce: config do
-      config -> update_in(config, [name], &bound(&1, server, gateway))
+      config -> Map.update!(config, name, &bound(&1, server, gateway))
     end
   end
 

@@ -168,6 +168,20 @@ defmodule MavCodec.Definition.ImporterTest do
     end
   end
 
+  test "the definition of docs/guides/dialect.md is imported", %{tmp_dir: dir} do
+    [_all, xml] =
+      Regex.run(
+        ~r/^```xml\n(.*?)^```$/ms,
+        File.read!(Path.expand("../../../../docs/guides/dialect.md", __DIR__))
+      )
+
+    path = Path.join(dir, "sprayer.xml")
+    File.write!(path, xml)
+    assert {:ok, files} = Importer.import([path], Path.expand("../../priv/definitions/upstream", __DIR__))
+    assert {_name, facts} = List.keyfind(files, "sprayer.facts", 0)
+    assert IO.iodata_to_binary(facts) =~ "SPRAYER_STATUS"
+  end
+
   test "the facts that are checked in are what facts read and written again give" do
     for file <- Shard.files() do
       text = File.read!(file)

@@ -249,6 +249,7 @@ defmodule Aerie.System.TransferFacesTest do
   @described ~s({"version": 1, "parameters": [{"name": "MIS_TAKEOFF_ALT", "units": "m", "shortDesc": "Take-off altitude"}]})
   @general ~s({"version": 1, "metadataTypes": [{"type": 1, "uri": "mftp:///params.json"}]})
 
+  @tag :xz
   @tag firmware: :px4,
        files: %{"/params.json" => @described, "etc/extras/component_general.json.xz" => :general}
   test "descriptions of parameters by REST and NATS", context do

@@ -1,8 +1,9 @@
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`; peers written in Python need the
-# environment that bin/setup makes, the other ends of serial cables a C compiler.
+# environment that bin/setup makes, the other ends of serial cables a C compiler, packed files the machine's xz.
 ExUnit.start(
   exclude:
     [:long, :soak] ++
       if(Aerie.PythonPeer.python(), do: [], else: [:python]) ++
-      if(Aerie.SerialPeer.build(), do: [], else: [:pty])
+      if(Aerie.SerialPeer.build(), do: [], else: [:pty]) ++
+      if(System.find_executable("xz"), do: [], else: [:xz])
 )

@@ -209,7 +209,8 @@ defmodule Aerie.Policy.GuardTest do
     say(one, arm)
     say(one, long("NAV_LAND"))
     assert [%M.CommandAck{command: 400, result: 2} | _texts] = answers(one, 3)
-    reached = reached(other, c)
+    # Each client has a process of its own, so each has to be waited for.
+    reached = reached(one, c) ++ reached(other, c)
     assert Enum.sort(for %M.CommandLong{command: command} <- reached, do: command) == [21, 400]
 
     # A vehicle that keeps it itself is asked by the client.

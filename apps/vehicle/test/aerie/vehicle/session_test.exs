@@ -25,7 +25,10 @@ defmodule Aerie.Vehicle.SessionTest do
   end
 
   defp alive(gateway, key) do
-    eventually(fn -> Names.whereis(gateway, :session, key) && Names.whereis(gateway, :events, key) end)
+    eventually(fn ->
+      Names.whereis(gateway, :session, key) && Names.whereis(gateway, :events, key) &&
+        Store.vehicle(gateway, key)
+    end)
   end
 
   defp at(seconds), do: round(seconds * @second)

@@ -103,8 +103,11 @@ defmodule Aerie.BridgeCase do
   @spec await_up(reference()) :: String.t()
   def await_up(gateway) do
     await(gateway, :connection, &(&1[:status] == :up and &1[:streams] == :ok))
-    Bridge.login_url(gateway)
+    login_url(gateway)
   end
+
+  # The connection may be up before the server's own process has told its address.
+  defp login_url(gateway), do: eventually(fn -> Bridge.login_url(gateway) end)
 
   @doc """
   Waits until the commands of these vehicles are listened to. The answer to a request on the bridge's own connection shows that the
@@ -123,10 +126,10 @@ defmodule Aerie.BridgeCase do
   def await_reconnected(gateway, old) do
     eventually(fn ->
       current = with %{} = tables <- Bridge.Tables.get(gateway), do: Bridge.Connection.current(tables)
-      match?(%{streams: :ok}, current) and current.conn != old
+      match?(%{streams: :ok, conn: conn} when is_pid(conn), current) and current.conn != old
     end)
 
-    Bridge.login_url(gateway)
+    login_url(gateway)
   end
 
   @doc "The TCP port of a nats-server that was started as an operating system process, from its output."

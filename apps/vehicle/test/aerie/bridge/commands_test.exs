@@ -165,9 +165,9 @@ defmodule Aerie.Bridge.CommandsTest do
     old = Bridge.connection(gateway)
     for conn <- [asker, context.conn], do: Process.unlink(conn)
     kill9(server_pid(dir))
-    await_reconnected(gateway, old)
+    url = await_reconnected(gateway, old)
     await_listening(gateway, ["VID-007"])
-    context = %{context | conn: client(Bridge.login_url(gateway))}
+    context = %{context | conn: client(url)}
     task = ask(context, "land", %{"id" => "l"})
     answer(executing(%{id: "l"}), "l", :completed)
     assert %{"result" => "completed"} = reply(task)

@@ -49,7 +49,7 @@ defmodule Aerie.Bridge.LastPublishedTest do
 
   defp connect(gateway) do
     eventually(fn -> match?(%{problem: nil}, Bridge.info(gateway)) end)
-    client(Bridge.login_url(gateway))
+    client(eventually(fn -> Bridge.login_url(gateway) end))
   end
 
   # All events of the stream as their bodies.

@@ -30,6 +30,8 @@ defmodule Aerie.Umbrella.MixProject do
       aerie: [
         applications: [aerie: :permanent],
         include_executables_for: [:unix],
+        # Another architecture's (bin/release --arch).
+        include_erts: System.get_env("AERIE_ERTS") || true,
         # The shell's h/1 reads them.
         strip_beams: [keep: ["Docs"]],
         steps: [:assemble, &pack/1]
@@ -37,7 +39,7 @@ defmodule Aerie.Umbrella.MixProject do
     ]
   end
 
-  # What a release has beside its applications. bin/release adds the loader and libraries of the toolchain, and nats-server.
+  # What a release has beside its applications. bin/release adds the loader and libraries of the toolchain, nats-server and xz.
   defp pack(release) do
     case apply(FleetWeb.Console.Assets, :pack, [Path.join(release.path, "lib/fleet_web-#{release.version}")]) do
       [] ->

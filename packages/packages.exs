@@ -3,19 +3,36 @@
 #
 #   AERIE_PACKAGES unset      the ones in this folder, which have the public API of their namesakes
 #   AERIE_PACKAGES=hex        the namesakes themselves, from Hex
-#   AERIE_PACKAGES=<folder>   checkouts of the namesakes in that folder
+#   AERIE_PACKAGES=<folder>   checkouts of the namesakes in that folder, and of what they depend on
+#
+# A namesake that is not in the folder is taken from here. nkey always is, because it has no namesake, and phoenix_live_view unless
+# the folder has it: the namesake's pages need Phoenix's endpoint, which serves what the one here serves itself.
 defmodule Aerie.Packages do
-  @requirements [telemetry: "~> 1.3", gnat: "~> 1.16", circuits_uart: "~> 1.5", phoenix_live_view: "~> 1.2"]
+  @requirements [telemetry: "~> 1.3", gnat: "~> 1.16", circuits_uart: "~> 1.5"]
+  @own [:nkey, :phoenix_live_view]
 
-  def deps(names), do: Enum.map(names, &dep/1)
-
-  defp dep(name) do
-    requirement = Keyword.fetch!(@requirements, name)
-
+  def deps(names) do
     case System.get_env("AERIE_PACKAGES", "") do
-      "" -> {name, path: Path.join(__DIR__, Atom.to_string(name))}
-      "hex" -> {name, requirement}
-      folder -> {name, path: Path.join(Path.expand(folder), Atom.to_string(name))}
+      "" -> Enum.map(names, &own/1)
+      "hex" -> Enum.map(names, &if(&1 in @own, do: own(&1), else: {&1, @requirements[&1]}))
+      folder -> names |> checkouts(Path.expand(folder))
     end
   end
+
+  # `override`: what they depend on would be asked of Hex. Each application names all of it, since it may use any of them first.
+  defp checkouts(names, folder) do
+    File.dir?(folder) || Mix.raise("AERIE_PACKAGES: there is no folder #{folder}")
+
+    found =
+      for path <- folder |> Path.join("*/mix.exs") |> Path.wildcard(),
+          do: path |> Path.dirname() |> Path.basename()
+
+    others = found -- Enum.map(@own ++ names, &Atom.to_string/1)
+
+    for(name <- names, do: if("#{name}" in found, do: checkout(name, folder), else: own(name))) ++
+      for name <- others, do: checkout(name, folder)
+  end
+
+  defp checkout(name, folder), do: {:"#{name}", path: Path.join(folder, "#{name}"), override: true}
+  defp own(name), do: {name, path: Path.join(__DIR__, "#{name}")}
 end

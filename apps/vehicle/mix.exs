@@ -40,5 +40,5 @@ defmodule Aerie.Vehicle.MixProject do
         # Transfers are tested against what the simulated vehicles answer.
         {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
       ] ++
-        Aerie.Packages.deps([:telemetry, :gnat])
+        Aerie.Packages.deps([:telemetry, :gnat, :nkey])
 end

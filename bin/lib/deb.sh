@@ -1,14 +1,13 @@
 # Makes a Debian package of an unpacked release. Sourced by bin/release.
 
-# release_deb FOLDER: FOLDER/aerie is the release; the package stands beside it.
+# release_deb FOLDER: FOLDER/aerie is the release for `architecture`; the package stands beside it.
 release_deb() {
-  local folder=$1 version architecture stage deb
+  local folder=$1 version stage deb
   have dpkg-deb || fail "no dpkg-deb" "it makes the package" "apt-get install dpkg"
   read -r _ version <"$folder/aerie/releases/start_erl.data" || true
-  case $(uname -m) in
-    x86_64) architecture=amd64 ;;
-    aarch64) architecture=arm64 ;;
-    *) fail "no Debian architecture for $(uname -m)" "" "make the package on x86-64 or arm64" ;;
+  case $architecture in
+    amd64 | arm64) ;;
+    *) fail "no Debian architecture for $architecture" "" "make the package for amd64 or arm64" ;;
   esac
   stage=$folder/deb
   deb=$folder/aerie_${version}_$architecture.deb
@@ -16,7 +15,10 @@ release_deb() {
   rm -rf "$stage"
   "$folder/aerie/install.sh" --stage "$stage"
   mkdir -p "$stage/DEBIAN" "$stage/usr/share/doc/aerie"
-  cp "$AERIE_ROOT/LICENSE" "$stage/usr/share/doc/aerie/copyright"
+  {
+    printf 'Aerie is under the licence below. What the package brings along: /opt/aerie/sbom.cdx.json and /opt/aerie/licences.\n\n'
+    cat "$AERIE_ROOT/LICENSE"
+  } >"$stage/usr/share/doc/aerie/copyright"
   cat >"$stage/DEBIAN/control" <<TEXT
 Package: aerie
 Version: $version
@@ -30,7 +32,7 @@ Recommends: systemd, udev
 Description: gateway between MAVLink vehicles and a NATS fleet
  Aerie connects drones and other vehicles (ArduPilot, PX4) to a NATS fleet, to
  ground stations and to a console in the browser. The package brings its own
- Erlang runtime, libraries and nats-server.
+ Erlang runtime, libraries, nats-server and xz.
 TEXT
   # The same steps as install.sh, which is in the package.
   deb_script "$stage" postinst configure '/opt/aerie/install.sh --configure'

@@ -1,4 +1,31 @@
-# Makes a release of compiled code. Sourced by bin/release, which sets `output`.
+# Makes a release of compiled code. Sourced by bin/release, which sets `output`, and calls `release_for` first.
+
+# What Debian calls this machine's architecture, if it is one of those that releases are made for; else what the kernel calls it.
+release_own() {
+  case $(uname -m) in
+    x86_64) echo amd64 ;;
+    aarch64) echo arm64 ;;
+    *) uname -m ;;
+  esac
+}
+
+# release_for ARCHITECTURE: sets `architecture`, `machine` (the kernel's name of it), `runtime` (the toolchain whose programs and libraries
+# the release gets) and `foreign` (whether it is another one than the machine's; Mix then compiles into a folder of its own, by MIX_TARGET).
+release_for() {
+  architecture=$1 runtime=$AERIE_TOOLCHAIN foreign=no
+  case $architecture in
+    amd64) machine=x86_64 ;;
+    arm64) machine=aarch64 ;;
+    *) machine=$architecture ;;
+  esac
+  [ "$architecture" != "$(release_own)" ] || return 0
+  cross_install "$architecture"
+  foreign=yes runtime=$AERIE_CROSS
+  export MIX_TARGET=$architecture
+  export CC="$AERIE_CROSS/compiler/usr/bin/$machine-linux-gnu-gcc"
+  AERIE_ERTS=$(echo "$AERIE_CROSS"/usr/lib/erlang/erts-*)
+  export AERIE_ERTS
+}
 
 # Called with the lock on compiling: Mix copies what it has compiled.
 release_assemble() {
@@ -8,10 +35,10 @@ release_assemble() {
     fail "mix release failed" "see above" "report the lines above"
 }
 
-# Adds nats-server and, from a private toolchain, the loader and the libraries, so that the machine's own libc does not matter.
+# Adds nats-server, xz and, from a private toolchain, the loader and the libraries, so that the machine's own libc does not matter.
 # $1: the release's folder
 release_runtime() {
-  local release=$1 erts file name triplet loader libraries="$AERIE_TOOLCHAIN/usr/lib"
+  local release=$1 erts file name triplet loader libraries="$runtime/usr/lib"
   erts=$(echo "$release"/erts-*)
   # No gateway uses them.
   for name in dialyzer typer erlc escript ct_run epmd yielding_c_fun to_erl start start_erl erl_call; do
@@ -23,7 +50,7 @@ release_runtime() {
   mkdir -p "$release/bin"
   if [ ! -x "$AERIE_TOOLCHAIN/bin/elixir" ]; then
     warn "Erlang is this machine's own, so the release needs this machine's libraries. To fix it: make it where bin/setup installs a toolchain"
-    cp "$(command -v nats-server)" "$release/bin/nats-server"
+    cp "$(command -v nats-server)" "$(command -v xz)" "$release/bin/"
     return
   fi
 
@@ -35,31 +62,55 @@ release_runtime() {
     mv "$file" "${file%.elf}"
     toolchain_wrap_elf "${file%.elf}" ../.. "$triplet" "$loader"
   done
-  cp "$AERIE_TOOLCHAIN/usr/sbin/nats-server.elf" "$release/bin/nats-server"
-  toolchain_wrap_elf "$release/bin/nats-server" .. "$triplet" "$loader"
+  for file in usr/sbin/nats-server usr/bin/xz; do
+    name=$release/bin/${file##*/}
+    cp "$runtime/$file.elf" "$name"
+    toolchain_wrap_elf "$name" .. "$triplet" "$loader"
+  done
 
   # What programs and drivers are linked with, and what they load by name: resolvers of host names, SCTP for Erlang's sockets.
-  {
-    find "$release/erts-"* "$release/lib" "$release/bin" \( -name '*.elf' -o -name '*.so' \) -print0 |
-      xargs -0 -n 1 "$libraries/$triplet/$loader" --library-path "$libraries/$triplet" --list |
-      awk '$2 == "=>" && $3 ~ /^\// { print $3 }'
-    ls "$libraries/$triplet"/lib{nss_dns,nss_files,resolv,sctp}.so.*
-  } | sort -u | while read -r file; do
-    case $file in
-      "$libraries"/*) cp -L "$file" "$release/usr/lib/$triplet/${file##*/}" ;;
-      *) fail "the toolchain lacks ${file##*/}" "a program of the release needs it" "add its package to bin/lib/toolchain.sh" ;;
-    esac
-  done
+  # shellcheck disable=SC2046 # a list of words on purpose
+  elixir "$AERIE_ROOT/bin/lib/libraries.exs" "$release" "$libraries/$triplet" \
+    $(cd "$libraries/$triplet" && ls lib{nss_dns,nss_files,resolv,sctp}.so.*) ||
+    fail "the libraries are not those of the programs" "see above" "add a missing one's package to bin/lib/toolchain.sh"
 }
 
-# Runs it without this machine's environment, and has it write its own man page and completion.
+# $1: the release's folder
+release_sbom() {
+  if [ -e "$runtime/packages/index" ]; then
+    (toolchain_licences "$runtime" "$architecture") || warn "the release lacks the licences of what is linked into nats-server. To fix it: see above"
+  fi
+  AERIE_TOOLCHAIN=$runtime elixir "$AERIE_ROOT/bin/lib/sbom.exs" "$1" || fail "no list of what the release contains" "see above" "report the lines above"
+}
+
+# release_aerie RELEASE WORD ...: its bin/aerie, without this machine's environment. The code of another architecture's release is the
+# same, so it runs on the machine's Erlang.
+release_aerie() {
+  local release=$1 version
+  shift
+  if [ "$foreign" = no ]; then
+    env -i "$release/bin/aerie" "$@"
+    return
+  fi
+  read -r _ version <"$release/releases/start_erl.data" || true
+  env -i PATH="$PATH" erl -boot "$release/releases/$version/start_clean" -boot_var RELEASE_LIB "$release/lib" \
+    -config "$release/releases/$version/sys" -args_file "$release/releases/$version/vm.args" \
+    +Bd -noshell -eval "'Elixir.Aerie.Tool':main()" -extra "$@"
+}
+
+# Runs it, and has it write its own man page and completion.
 release_check() {
+  local name
   mkdir -p "$1/share/man/man1" "$1/share/bash-completion/completions"
-  env -i "$1/bin/aerie" eval ':crypto.hash(:sha256, "x"); {:ok, _} = Application.ensure_all_started(:fast_yaml); :ok' >/dev/null ||
-    fail "the release does not run" "see above" "report the lines above; $1 is kept"
-  env -i "$1/bin/aerie" man >"$1/share/man/man1/aerie.1"
-  env -i "$1/bin/aerie" completion >"$1/share/bash-completion/completions/aerie"
-  env -i "$1/bin/nats-server" --version >/dev/null || fail "its nats-server does not run" "see above" "report the lines above"
+  release_aerie "$1" man >"$1/share/man/man1/aerie.1" || fail "the release does not run" "see above" "report the lines above; $1 is kept"
+  release_aerie "$1" completion >"$1/share/bash-completion/completions/aerie"
+  if [ "$foreign" = no ]; then
+    release_aerie "$1" eval ':crypto.hash(:sha256, "x"); {:ok, _} = Application.ensure_all_started(:fast_yaml); :ok' >/dev/null ||
+      fail "the release does not run" "see above" "report the lines above; $1 is kept"
+    for name in nats-server xz; do
+      env -i "$1/bin/$name" --version >/dev/null || fail "its $name does not run" "see above" "report the lines above"
+    done
+  fi
   [ -e "$1"/lib/circuits_uart-*/priv/circuits_uart ] ||
     warn "the release cannot open serial ports, because it was made without a C compiler. To fix it: apt-get install gcc libc6-dev"
 }
@@ -68,7 +119,7 @@ release_pack() {
   local name file
   # The file has no end of line.
   read -r _ name <"$1/aerie/releases/start_erl.data" || true
-  name=aerie-$name-linux-$(uname -m)
+  name=aerie-$name-linux-$machine
   file=$name.tar.gz
   step "packing"
   # The same content gives the same bytes.

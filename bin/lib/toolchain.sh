@@ -1,4 +1,4 @@
-# Elixir, OTP and nats-server, without root and inside the checkout. Sourced by the scripts that need them.
+# Elixir, OTP, nats-server and xz, without root and inside the checkout. Sourced by the scripts that need them.
 #
 # The machine's own Elixir is used if it is new enough and has the libraries. Otherwise, on Debian and its relatives, the
 # packages of Debian's forky suite are downloaded with a private apt configuration, verified by apt against Debian's
@@ -6,7 +6,7 @@
 # an older system's libc does not matter. Its paths are relative, so that the folder can be moved.
 
 TOOLCHAIN_SUITE=forky
-TOOLCHAIN_REVISION=5 # increase it if the steps below change: older set-ups are then made again
+TOOLCHAIN_REVISION=6 # increase it if the steps below change: older set-ups are then made again
 
 toolchain_packages() {
   cat <<'LIST'
@@ -15,14 +15,16 @@ elixir-nimble-parsec
 erlang-base erlang-crypto erlang-mnesia erlang-asn1 erlang-public-key erlang-runtime-tools erlang-ssl erlang-inets
 erlang-parsetools erlang-tools erlang-syntax-tools erlang-dialyzer erlang-os-mon erlang-eunit
 erlang-ranch erlang-cowlib erlang-cowboy erlang-p1-utils erlang-p1-yaml erlang-proper
-nats-server
-libc6 libatomic1 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 libssl3t64 libyaml-0-2
+nats-server xz-utils
+libc6 libatomic1 libgcc-s1 libstdc++6 libtinfo6 libsctp1 libsystemd0 zlib1g libzstd1 liblzma5 libssl3t64 libyaml-0-2
 LIST
 }
 
+TOOLCHAIN_NEEDS="Elixir >= $AERIE_MIN_ELIXIR on OTP >= $AERIE_MIN_OTP with cowboy, proper and fast_yaml, nats-server, and xz"
+
 # True if the Elixir on PATH is new enough and has the libraries that Aerie otherwise takes from Debian.
 toolchain_system_ok() {
-  have elixir && have erl && have nats-server || return 1
+  have elixir && have erl && have nats-server && have xz || return 1
   elixir -e '
     ok = Version.match?(System.version(), ">= '"$AERIE_MIN_ELIXIR"'") and
       String.to_integer(System.otp_release()) >= '"$AERIE_MIN_OTP"' and
@@ -39,27 +41,25 @@ toolchain_install() {
   if toolchain_system_ok; then
     return 0
   fi
-  local versions="Elixir >= $AERIE_MIN_ELIXIR on OTP >= $AERIE_MIN_OTP with cowboy, proper and fast_yaml, and nats-server"
   have apt-get && have dpkg-deb && have dpkg || fail "no toolchain" \
-    "this is not Debian or a relative of it, so there is nothing to download" "install $versions on PATH and in Erlang's library folder"
+    "this is not Debian or a relative of it, so there is nothing to download" "install $TOOLCHAIN_NEEDS on PATH and in Erlang's library folder"
   case $(dpkg --print-architecture) in
     amd64 | arm64) ;;
-    *) fail "no toolchain for $(dpkg --print-architecture)" "only amd64 and arm64 are supported" "install $versions" ;;
+    *) fail "no toolchain for $(dpkg --print-architecture)" "only amd64 and arm64 are supported" "install $TOOLCHAIN_NEEDS" ;;
   esac
   lock "$AERIE_TOOLCHAIN.lock" "another set-up is running here; waiting for it"
   if [ "$(cat "$AERIE_TOOLCHAIN/.complete" 2>/dev/null)" = "$(toolchain_stamp)" ]; then
     unlock
     return 0
   fi
-  # A running gateway reads modules from there when it first needs them.
-  [ ! -d "$AERIE_TOOLCHAIN" ] || unused "$AERIE_TOOLCHAIN" || fail "the toolchain in $AERIE_TOOLCHAIN is outdated" \
+  # A running gateway reads modules from there when it first needs them. A link to another checkout's is only replaced itself.
+  [ ! -d "$AERIE_TOOLCHAIN" ] || [ -L "$AERIE_TOOLCHAIN" ] || unused "$AERIE_TOOLCHAIN" || fail "the toolchain in $AERIE_TOOLCHAIN is outdated" \
     "it cannot be replaced while a gateway or a test uses it" "end those, then run this again"
 
   # All work happens in a folder beside the final one; the next set-up removes what an interrupted one leaves.
   local work="$AERIE_TOOLCHAIN.new"
   rm -rf "$work"
-  mkdir -p "$work/debs"
-  toolchain_download "$work" "$versions"
+  toolchain_download "$work" "$(dpkg --print-architecture)"
   toolchain_unpack "$work"
   toolchain_wrap "$work"
   toolchain_check "$work"
@@ -75,14 +75,15 @@ toolchain_mirror() {
     awk '$2 == "Debian" && $1 !~ /security/ { print $1; exit }'
 }
 
-toolchain_download() {
-  local work=$1 versions=$2 mirror keyring apt log
+# toolchain_lists WORK ARCHITECTURE: reads the package lists for it, and sets `apt` to how apt is called with them.
+toolchain_lists() {
+  local work=$1 architecture=$2 mirror keyring log="$1/apt/log"
   mirror=$(toolchain_mirror)
   if [ -z "$mirror" ]; then
     # A container without package lists still names its mirror in the sources.
     mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 2>/dev/null | grep -v security | grep '/debian/\?$' | head -n 1 || true)
   fi
-  [ -n "$mirror" ] || fail "no Debian mirror" "apt's sources name none" "add Debian to apt's sources, or install $versions"
+  [ -n "$mirror" ] || fail "no Debian mirror" "apt's sources name none" "add Debian to apt's sources, or install $TOOLCHAIN_NEEDS"
   keyring=/usr/share/keyrings/debian-archive-keyring.gpg
   [ -e "$keyring" ] || keyring=/usr/share/keyrings/debian-archive-keyring.pgp
   [ -e "$keyring" ] || fail "Debian's signing keys are missing" "packages could not be verified" "apt-get install debian-archive-keyring"
@@ -90,31 +91,93 @@ toolchain_download() {
   mkdir -p "$work/apt/lists/partial" "$work/apt/cache/archives/partial" "$work/apt/empty"
   : >"$work/apt/status"
   printf 'deb [signed-by=%s] %s %s main\n' "$keyring" "$mirror" "$TOOLCHAIN_SUITE" >"$work/apt/sources.list"
-  log="$work/apt/log"
-  apt=(-q -o "Dir::State=$work/apt" -o "Dir::State::lists=$work/apt/lists" -o "Dir::State::status=$work/apt/status"
+  apt=(-q -o "APT::Architecture=$architecture" -o "APT::Architectures=$architecture"
+    -o "Dir::State=$work/apt" -o "Dir::State::lists=$work/apt/lists" -o "Dir::State::status=$work/apt/status"
     -o "Dir::Cache=$work/apt/cache" -o "Dir::Etc::sourcelist=$work/apt/sources.list" -o "Dir::Etc::sourceparts=$work/apt/empty"
     -o "Dir::Etc::preferences=$work/apt/none" -o "Dir::Etc::preferencesparts=$work/apt/empty"
     -o Acquire::Languages=none -o "Acquire::IndexTargets::deb::DEP-11::DefaultEnabled=false"
     -o Acquire::Retries=3 -o "APT::Sandbox::User=$(id -un)")
-  step "toolchain: reading the package lists of Debian $TOOLCHAIN_SUITE from $mirror"
+  step "toolchain: reading the package lists of Debian $TOOLCHAIN_SUITE for $architecture from $mirror"
   # For apt a list that it cannot fetch is only a warning; here it is an error.
   if ! apt-get "${apt[@]}" -o APT::Update::Error-Mode=any update >"$log" 2>&1; then
     tail -n 3 "$log" >&2
-    fail "cannot read $mirror" "no network, or the mirror does not answer" "check the network and run bin/setup again"
-  fi
-  step "toolchain: downloading Elixir, OTP, Cowboy, PropEr, fast_yaml and nats-server (about 45 MB)"
-  # shellcheck disable=SC2046 # a list of words on purpose
-  if ! (cd "$work/debs" && apt-get "${apt[@]}" download $(toolchain_packages) >"$log" 2>&1); then
-    tail -n 3 "$log" >&2
-    fail "the download from $mirror failed" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run bin/setup again"
+    fail "cannot read $mirror" "no network, or the mirror does not answer" "check the network and run this again"
   fi
 }
 
+# toolchain_fetch WORK PACKAGE ...: downloads them into WORK/debs
+toolchain_fetch() {
+  local work=$1
+  shift
+  mkdir -p "$work/debs"
+  if ! (cd "$work/debs" && apt-get "${apt[@]}" download "$@" >"$work/apt/log" 2>&1); then
+    tail -n 3 "$work/apt/log" >&2
+    fail "the download of Debian's packages failed" "no network, or a package is gone from $TOOLCHAIN_SUITE" "run this again"
+  fi
+}
+
+toolchain_download() {
+  local work=$1 architecture=$2 apt gcc
+  toolchain_lists "$work" "$architecture"
+  step "toolchain: downloading Elixir, OTP, Cowboy, PropEr, fast_yaml, nats-server and xz (about 45 MB)"
+  # The licence of GCC's libraries is in a package with GCC's version in its name.
+  gcc=$(apt-cache "${apt[@]}" depends libgcc-s1 | sed -n 's/^ *Depends: \(gcc-[0-9]*-base\)$/\1/p')
+  # shellcheck disable=SC2046 # a list of words on purpose
+  toolchain_fetch "$work" $(toolchain_packages) $gcc base-files
+}
+
+# Unpacks the packages, and keeps in packages/ what a release has to tell of them: PACKAGE.files (their paths), PACKAGE.copyright, an
+# index (name, version, architecture, source, the sources that are linked into its programs, SHA-256 of the .deb; separated by tabs), and
+# the licences that Debian does not repeat.
 toolchain_unpack() {
-  local work=$1 deb
+  local work=$1 deb name known="$1/packages"
   step "toolchain: unpacking"
-  for deb in "$work"/debs/*.deb; do dpkg-deb -x "$deb" "$work"; done
+  mkdir "$known"
+  dpkg-deb --fsys-tarfile "$work"/debs/base-files_*.deb | tar -xf - -C "$known" --strip-components=4 ./usr/share/common-licenses
+  rm "$work"/debs/base-files_*.deb
+  for deb in "$work"/debs/*.deb; do
+    dpkg-deb -x "$deb" "$work"
+    name=$(dpkg-deb -f "$deb" Package)
+    dpkg-deb --fsys-tarfile "$deb" | tar -tf - | sed -n 's,^\./\(.*[^/]\)$,\1,p' >"$known/$name.files"
+    dpkg-deb -W --showformat='${Package}\t${Version}\t${Architecture}\t${source:Package}\t${Static-Built-Using}\t' "$deb"
+    sha256sum "$deb" | cut -c 1-64
+  done >"$known/index"
+  # A package's folder may be a link to that of another one, so all have to be there.
+  for deb in "$known"/*.files; do
+    name=$(basename "$deb" .files)
+    cp "$work/usr/share/doc/$name/copyright" "$known/$name.copyright"
+  done
   rm -rf "$work/debs" "$work/apt" "$work/usr/share/doc" "$work/usr/share/man" "$work/usr/share/locale"
+}
+
+# toolchain_licences FOLDER ARCHITECTURE: brings FOLDER/packages/SOURCE.copyright of the sources that are linked into its programs. They are
+# in further packages (36 MB), which only a release has a use for.
+toolchain_licences() {
+  local folder=$1 architecture=$2 work="$1/licences.new" apt source package missing=()
+  lock "$folder.lock" "another set-up is running here; waiting for it"
+  for source in $(cut -f 5 "$folder/packages/index" | grep -o '[^ ,]* (=' | cut -d ' ' -f 1 | sort -u); do
+    [ -e "$folder/packages/$source.copyright" ] || missing+=("$source")
+  done
+  [ ${#missing[@]} -gt 0 ] || { unlock; return 0; }
+  rm -rf "$work"
+  toolchain_lists "$work" "$architecture"
+  step "toolchain: downloading the licences of ${missing[*]}"
+  apt-cache "${apt[@]}" dumpavail >"$work/known"
+  for source in "${missing[@]}"; do
+    # The smallest of its packages: each has them.
+    package=$(awk -v source="$source" 'BEGIN { RS = ""; FS = "\n" }
+      { name = from = size = ""
+        for (i = 1; i <= NF; i++) { split($i, word, " ")
+          if (word[1] == "Package:") name = word[2]; else if (word[1] == "Source:") from = word[2]; else if (word[1] == "Size:") size = word[2] }
+        if ((from == "" ? name : from) == source && (best == "" || size + 0 < least)) { best = name; least = size + 0 } }
+      END { print best }' "$work/known")
+    [ -n "$package" ] || fail "no package has the licence of $source" "it is gone from $TOOLCHAIN_SUITE" "make the toolchain anew: remove $folder and run this again"
+    toolchain_fetch "$work" "$package"
+    dpkg-deb -x "$work/debs/${package}"_*.deb "$work/$source"
+    cp "$work/$source/usr/share/doc/$package/copyright" "$folder/packages/$source.copyright"
+  done
+  rm -rf "$work"
+  unlock
 }
 
 # Wraps one ELF program, so that it finds the unpacked loader wherever the folder is.
@@ -143,6 +206,7 @@ toolchain_wrap() {
     is_elf "$file" && toolchain_wrap_elf "$file" ../../../.. "$triplet" "$loader"
   done
   toolchain_wrap_elf "$work/usr/sbin/nats-server" ../.. "$triplet" "$loader"
+  toolchain_wrap_elf "$work/usr/bin/xz" ../.. "$triplet" "$loader"
 
   # Debian's `erl` sets ROOTDIR to its installed path; this one uses the folder that it is in.
   cat >"$work/usr/lib/erlang/bin/erl" <<ERL
@@ -165,6 +229,7 @@ ERL
   # `elixir -S mix` reads this file as Elixir, so it cannot be a wrapper.
   cp "$work/usr/lib/elixir/bin/mix" "$work/bin/mix"
   toolchain_forward "$work" nats-server usr/sbin/nats-server
+  toolchain_forward "$work" xz usr/bin/xz
 }
 
 toolchain_forward() {
@@ -184,7 +249,7 @@ toolchain_check() {
     _ = :crypto.hash(:sha256, "x")
     IO.write("Elixir #{System.version()} on OTP #{System.otp_release()}")' 2>"$work/check.log") ||
     { tail -n 5 "$work/check.log" >&2; fail "the unpacked toolchain does not run" "see above" "report it with the lines above; $work is kept"; }
-  step "toolchain: $found, nats-server $("$work/bin/nats-server" --version | sed 's/.* v//')"
+  step "toolchain: $found, nats-server $("$work/bin/nats-server" --version | sed 's/.* v//'), $("$work/bin/xz" --version | sed -n '1s/.*) /xz /p')"
 }
 
 # A small C program drives serial ports. Everything else works without a compiler, so this is only a warning.

@@ -1,3 +1,5 @@
+Code.require_file("../packages.exs", __DIR__)
+
 defmodule Gnat.MixProject do
   use Mix.Project
 
@@ -8,7 +10,7 @@ defmodule Gnat.MixProject do
       elixir: "~> 1.20",
       elixirc_paths: elixirc_paths(Mix.env()),
       test_coverage: [summary: [threshold: 85]],
-      deps: [{:telemetry, path: "../telemetry"}]
+      deps: Aerie.Packages.deps([:telemetry, :nkey])
     ]
   end
 

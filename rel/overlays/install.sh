@@ -15,6 +15,7 @@ usage: ./install.sh [--no-start]      installs or upgrades, as root
   /etc/aerie/environment         keys and passwords as AERIE_…=VALUE, for root only; made by you
   /var/lib/aerie                 what the gateway keeps: outbox, ledger, recordings, NATS, keys
   aerie.service, 60-aerie.rules  for systemd and udev
+  /usr/bin/aerie                 the command, with its man page and completion
   user and group aerie           the gateway runs as; member of dialout, for serial ports
 
   An upgrade keeps configuration and data, and restarts a gateway that runs: what it keeps on the disk is read by the new version.
@@ -29,7 +30,7 @@ fail() {
 # stage ROOT: the program and the files of systemd and udev, below ROOT (empty: this machine)
 stage() {
   [ -e "$here/releases/start_erl.data" ] || fail "$here is no release: unpack aerie-VERSION-linux-ARCHITECTURE.tar.gz, and call its install.sh"
-  mkdir -p "$1/opt" "$1/usr/bin" "$1/lib/systemd/system" "$1/lib/udev/rules.d" "$1/etc/aerie"
+  mkdir -p "$1/opt" "$1/usr/bin" "$1/usr/share/man/man1" "$1/usr/share/bash-completion/completions" "$1/lib/systemd/system" "$1/lib/udev/rules.d" "$1/etc/aerie"
   rm -rf "$1/opt/aerie.new"
   mkdir "$1/opt/aerie.new"
   # What a gateway has left that was started from here stays here.
@@ -40,6 +41,8 @@ stage() {
   mv "$1/opt/aerie.new" "$1/opt/aerie"
   rm -rf "$1/opt/aerie.old"
   ln -sfn /opt/aerie/bin/aerie "$1/usr/bin/aerie"
+  ln -sfn /opt/aerie/share/man/man1/aerie.1 "$1/usr/share/man/man1/aerie.1"
+  ln -sfn /opt/aerie/share/bash-completion/completions/aerie "$1/usr/share/bash-completion/completions/aerie"
   install -m 644 "$here/systemd/aerie.service" "$1/lib/systemd/system/aerie.service"
   install -m 644 "$here/udev/60-aerie.rules" "$1/lib/udev/rules.d/60-aerie.rules"
 }
@@ -75,7 +78,7 @@ start() {
 uninstall() {
   if [ -d /run/systemd/system ]; then systemctl disable --now aerie.service || true; fi
   rm -rf /opt/aerie /opt/aerie.new /opt/aerie.old
-  rm -f /usr/bin/aerie /lib/systemd/system/aerie.service /lib/udev/rules.d/60-aerie.rules
+  rm -f /usr/bin/aerie /usr/share/man/man1/aerie.1 /usr/share/bash-completion/completions/aerie /lib/systemd/system/aerie.service /lib/udev/rules.d/60-aerie.rules
   reload
   echo "removed; /etc/aerie and /var/lib/aerie stay. To remove them, and the user: rm -r /etc/aerie /var/lib/aerie; userdel aerie"
 }

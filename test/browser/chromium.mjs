@@ -15,7 +15,7 @@ export async function launch() {
 
 // A page in a context of its own. `page.complaints` has what it wrote to the console as errors, and exceptions.
 export async function open(browser, options = {}) {
-  const context = await browser.newContext(options);
+  const context = await browser.newContext({ reducedMotion: "reduce", ...options });
   const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   page.complaints = [];

@@ -20,7 +20,7 @@ defmodule Aerie.PeerCase do
   end
 
   @files [python: "bin/python", mavproxy: "bin/mavproxy.py", mavsdk: "lib/python*/site-packages/mavsdk"]
-  @programs [mavlink_router: "mavlink-routerd", mavp2p: "mavp2p", schemathesis: "schemathesis", xz: "xz"]
+  @programs [mavlink_router: "mavlink-routerd", mavp2p: "mavp2p", schemathesis: "schemathesis"]
 
   @doc "Tags of tests whose peers are not installed."
   @spec missing() :: [atom()]
@@ -76,6 +76,28 @@ defmodule Aerie.PeerCase do
     peer
   end
 
+  @doc "Gives a script that is told what to do a line of JSON, and returns its answer."
+  @spec ask(port(), map()) :: map()
+  def ask(peer, order) do
+    Port.command(peer, [JSON.encode!(order), "\n"])
+    answer(peer, "")
+  end
+
+  defp answer(peer, output) do
+    case Regex.run(~r/^answer (.*)\n/m, output) do
+      [_line, json] ->
+        JSON.decode!(json)
+
+      nil ->
+        receive do
+          {^peer, {:data, bytes}} -> answer(peer, output <> bytes)
+          {^peer, {:exit_status, status}} -> gone(status, output)
+        after
+          @patience -> ExUnit.Assertions.flunk("the peer does not answer; its output:\n#{output}")
+        end
+    end
+  end
+
   @doc "Waits for the end of a script and returns its findings by name. If the script failed, the test fails with its output."
   @spec findings(port()) :: %{String.t() => String.t()}
   def findings(peer), do: collect(peer, "")
@@ -92,9 +114,12 @@ defmodule Aerie.PeerCase do
             do: {name, value}
 
       {^peer, {:exit_status, status}} ->
-        ExUnit.Assertions.flunk("the peer ended with status #{status}:\n#{output}")
+        gone(status, output)
     after
       @patience -> ExUnit.Assertions.flunk("the peer does not end; its output:\n#{output}")
     end
   end
+
+  defp gone(status, output),
+    do: ExUnit.Assertions.flunk("the peer ended with status #{status}:\n#{output}")
 end

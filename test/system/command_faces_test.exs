@@ -9,7 +9,6 @@ defmodule Aerie.System.CommandFacesTest do
   import Aerie.BridgeCase, only: [await_listening: 2, kill9: 1, other_vm: 2]
 
   alias Aerie.Policy.Signature
-  alias Gnat.Nkey
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -55,10 +55,12 @@ defmodule Aerie.System.CommandsTest do
   end
 
   # Its clock shows when it booted: it has to run as ours does, and to have run for longer than a boot takes.
-  @tag speed: 1.0
-  test "a reboot is completed when the vehicle has booted", %{gateway: gateway, sim: sim} do
-    SimVehicle.await(sim, &(&1.seconds > 10))
-    assert %{status: :completed, details: %{"sent" => 1}} = command(gateway, "reboot")
+  for firmware <- [:ardupilot, :px4] do
+    @tag speed: 1.0, firmware: firmware
+    test "#{firmware}: a reboot is completed when the vehicle has booted", %{gateway: gateway, sim: sim} do
+      SimVehicle.await(sim, &(&1.seconds > 10))
+      assert %{status: :completed, details: %{"sent" => 1}} = command(gateway, "reboot")
+    end
   end
 
   @tag firmware: :px4

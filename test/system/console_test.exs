@@ -1,8 +1,7 @@
 defmodule Aerie.System.ConsoleTest do
   @moduledoc "The console as a newcomer meets it: `bin/run`, the address that it prints, and a browser."
 
-  # Alone: a browser that draws maps without a graphics card takes all that a small machine has.
-  use Aerie.SystemCase, async: false
+  use Aerie.SystemCase, async: true
   use Aerie.RunCase
 
   import FleetWeb.ConsoleCase, only: [await_line: 2]
@@ -44,7 +43,7 @@ defmodule Aerie.System.ConsoleTest do
   end
 
   test "a newcomer opens the printed address, sees three vehicles fly, and flies one", context do
-    address = start(context.config, context.url, ["--sim", "3"])
+    address = start(context.config, context.url, ["--sim", "3", "--speed", "3"])
     {output, status} = Aerie.Browser.run(Path.join(@scripts, "newcomer.mjs"), [address])
     assert status == 0, output
   end

@@ -16,7 +16,7 @@ defmodule Aerie.System.FirstDesignTest do
     eyJ0eXAi
     ------END NATS USER JWT------
     -----BEGIN USER NKEY SEED-----
-    #{Gnat.Nkey.seed(Gnat.Nkey.generate(:user))}
+    #{Nkey.seed(Nkey.generate(:user))}
     ------END USER NKEY SEED------
     """
   end

@@ -36,8 +36,8 @@ defmodule Aerie.System.PeersTest do
     start_supervised!({SimVehicle, options}, id: firmware)
   end
 
-  defp endpoint(gateway, url) do
-    {:ok, id} = Client.add(gateway, url)
+  defp endpoint(gateway, client) do
+    {:ok, id} = Client.add(gateway, client)
     Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
   end
 
@@ -87,6 +87,18 @@ defmodule Aerie.System.PeersTest do
     assert_receive {:fleet, :events, %{type: "gcs.lost", data: %{"system" => 245}}}
     assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
     assert_landed([c.copter, c.px4])
+  end
+
+  @tag :mavproxy
+  test "pymavlink and MAVProxy fly what the gateway serves them parameters and plans of", c do
+    udp = endpoint(c.gateway, %{url: "udpin:127.0.0.1:0", id: "one", served: true})
+    tcp = endpoint(c.gateway, %{url: "tcpin:127.0.0.1:0", id: "two", served: true})
+    pymavlink = start_peer("pymavlink_gcs.py", ["udpout:127.0.0.1:#{udp}" | @px4] ++ [254])
+    mavproxy = start_peer("mavproxy_gcs.py", ["tcp:127.0.0.1:#{tcp}" | @copter])
+    assert_flown(findings(pymavlink), "[22, 16, 21]")
+    assert_flown(findings(mavproxy), "[16, 22, 16, 21]")
+    assert_landed([c.copter, c.px4])
+    assert Map.new(Store.counters(c.gateway))[:served_messages] > 100
   end
 
   @tag speed: 1.0

@@ -2,31 +2,46 @@ defmodule Aerie.System.RemoteTest do
   @moduledoc "A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears."
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Bridge, Commands, Fleet, HubServer}
-  alias Gnat.Nkey
+  alias Aerie.{Bridge, Commands, Files, Fleet, HubServer, Missions, Params}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
   @vehicle "VID-001"
   @companion "gateway-VID-001"
+  @plan JSON.encode!(%{
+          "fileType" => "Plan",
+          "version" => 1,
+          "groundStation" => "QGroundControl",
+          "geoFence" => %{"version" => 2, "polygons" => [], "circles" => []},
+          "rallyPoints" => %{"version" => 2, "points" => []},
+          "mission" => %{
+            "version" => 2,
+            "firmwareType" => 3,
+            "vehicleType" => 2,
+            "cruiseSpeed" => 15,
+            "hoverSpeed" => 5,
+            "plannedHomePosition" => [47.3977, 8.5456, 488.0],
+            "items" =>
+              for {command, seq} <- [{22, 1}, {16, 2}] do
+                %{
+                  "type" => "SimpleItem",
+                  "command" => command,
+                  "doJumpId" => seq,
+                  "frame" => 3,
+                  "autoContinue" => true,
+                  "params" => [0, 0, 0, nil, 47.3977, 8.5456, 20]
+                }
+              end
+          }
+        })
 
   setup %{tmp_dir: folder} = context do
     nkey = Nkey.generate(:user)
     seed = Path.join(folder, "hub.nk")
     File.write!(seed, Nkey.seed(nkey))
     File.chmod!(seed, 0o600)
-    server = if context[:leaf], do: HubServer.start(folder, [@vehicle])
-
-    hub =
-      start_gateway(
-        Path.join(folder, "hub"),
-        links: ["udpin:127.0.0.1:0"],
-        overrides:
-          Map.merge(hub_nats(server), %{
-            "remote" => %{"enabled" => true, "lost_s" => 3, "announce_s" => 0.5, "nkey_seed_file" => seed},
-            "vehicles" => [%{"system_id" => 1, "id" => @vehicle}]
-          })
-      ).gateway
+    server = if context[:leaf], do: HubServer.start(folder, [@vehicle], servers: context[:servers])
+    hub = start_hub(Path.join(folder, "hub"), server, seed)
 
     dir = Path.join(folder, "companion")
 
@@ -46,19 +61,31 @@ defmodule Aerie.System.RemoteTest do
 
     sim = fly(companion.gateway, "companion-sim")
     await_standing(companion.gateway)
-    %{hub: hub, companion: companion, sim: sim, server: server}
+    %{hub: hub, companion: companion, sim: sim, server: server, folder: folder, seed: seed}
+  end
+
+  defp start_hub(dir, server, seed, host \\ "127.0.0.1") do
+    start_gateway(dir,
+      links: ["udpin:127.0.0.1:0"],
+      overrides:
+        Map.merge(hub_nats(server, host), %{
+          "remote" => %{"enabled" => true, "lost_s" => 3, "announce_s" => 0.5, "nkey_seed_file" => seed},
+          "vehicles" => [%{"system_id" => 1, "id" => @vehicle}]
+        })
+    ).gateway
   end
 
   # One server for both, that of the hub.
-  defp hub_nats(nil), do: %{}
+  defp hub_nats(nil, _host), do: %{}
 
   # A server of the hub's, whose leaf node the companion's server is.
-  defp hub_nats(server) do
+  defp hub_nats(server, host) do
     %{
       "nats" => %{
-        "url" => "tls://127.0.0.1:#{server.ports.client}",
+        "url" => "tls://#{host}:#{server.ports.client}",
         "nkey_seed_file" => Path.join(server.set, "hub/gateway.nk"),
         "tls" => %{"ca_file" => Path.join(server.set, "ca.pem")},
+        "streams" => %{"replicas" => length(server.hosts)},
         "retry_max_ms" => 1_000
       }
     }
@@ -73,7 +100,7 @@ defmodule Aerie.System.RemoteTest do
       "port" => 0,
       "store_dir" => Path.join(dir, "nats"),
       "leaf" => %{
-        "url" => "tls://127.0.0.1:#{server.ports.leaf}",
+        "url" => for(host <- server.hosts, do: "tls://#{host}:#{server.ports.leaf}"),
         "nkey_seed_file" => Path.join(own, "leaf.nk"),
         "tls" => %{"ca_file" => Path.join(own, "ca.pem")}
       }
@@ -94,7 +121,9 @@ defmodule Aerie.System.RemoteTest do
     )
   end
 
+  # Ten seconds, the usual deadline, are too few on a busy machine.
   defp command(hub, type, params \\ %{}, more \\ []) do
+    more = Keyword.put_new(more, :deadline, System.os_time(:second) + 120)
     {:ok, result} = Commands.submit(hub, [vehicle: @vehicle, type: type, params: params] ++ more)
     result
   end
@@ -135,6 +164,36 @@ defmodule Aerie.System.RemoteTest do
     assert %{status: :denied, reason: reason, details: %{"rule" => "role"}} = command(hub, "reboot")
     assert reason =~ "hub"
 
+    # Parameters and plans go the same way; the companion knows the hub as an operator, who has no say in parameters.
+    assert {:ok, %{name: "RTL_ALT", value: value}} = Params.get(hub, @vehicle, "RTL_ALT")
+    assert is_number(value)
+    assert {:ok, %{params: %{"RTL_ALT" => %{value: ^value}}}} = Params.list(hub, @vehicle)
+    assert {:ok, %{status: :denied, reason: reason}} = Params.set(hub, @vehicle, "RTL_ALT", value + 1)
+    assert reason =~ "maintain"
+    assert %{"name" => "RTL_ALT", "value" => ^value} = get(hub, "vehicles/#{@vehicle}/params/RTL_ALT")
+
+    {:ok, plan} = Missions.import(@plan, :plan)
+
+    assert {:ok, %{status: :completed, details: %{"gateway" => @companion}}} =
+             Missions.upload(hub, @vehicle, :mission, plan)
+
+    assert {:ok, %{plan: %{items: [_one, _two]}, items: items}} = Missions.download(hub, @vehicle, :mission)
+    {:ok, %{items: ^items}} = Missions.download(companion.gateway, @vehicle, :mission)
+    assert %{"kind" => "mission", "plan" => %{"mission" => _}} = get(hub, "vehicles/#{@vehicle}/mission")
+    assert {:ok, %{status: :completed}} = Missions.clear(hub, @vehicle, :mission)
+    assert {:ok, %{plan: %{items: []}}} = Missions.download(hub, @vehicle, :mission)
+
+    # What is not passed on is said at once.
+    for refused <- [
+          Files.list(hub, @vehicle, "/"),
+          Aerie.Logs.list(hub, @vehicle),
+          Params.metadata(hub, @vehicle),
+          Params.set_all(hub, @vehicle, %{"RTL_ALT" => 1})
+        ] do
+      assert {_kind, %{status: :rejected, reason: reason, details: %{"rule" => "elsewhere"}}} = refused
+      assert reason =~ "not available for a remote vehicle" and reason =~ @companion
+    end
+
     assert %{status: :completed} = command(hub, "arm")
     assert %{status: :completed} = command(hub, "takeoff", %{altitude: 10})
 
@@ -147,6 +206,13 @@ defmodule Aerie.System.RemoteTest do
     assert %{status: :failed, reason: why, details: %{"rule" => "unreachable"}} = command(hub, "rtl")
     assert why =~ "nothing was sent"
     lost = shown(hub, "lost", &(&1.status == :lost))
+
+    assert {:error, %{status: :failed, details: %{"rule" => "unreachable"}}} =
+             Params.get(hub, @vehicle, "RTL_ALT")
+
+    assert {:ok, %{status: :failed, details: %{"rule" => "unreachable"}}} =
+             Missions.clear(hub, @vehicle, :mission)
+
     assert %{groups: %{mode: %{data: %{mode: mode}, at: at}}, via: @companion} = lost
     assert is_binary(mode)
     assert System.os_time(:microsecond) - at > 0
@@ -214,6 +280,105 @@ defmodule Aerie.System.RemoteTest do
     shown(hub, "online again", &(&1.status == :online))
     assert %{status: :completed} = command(hub, "set_mode", %{mode: "LOITER"})
     assert SimVehicle.state(sim).mode == "LOITER"
+  end
+
+  @tag :leaf
+  @tag servers: 3
+  test "two hubs on a cluster of three servers: both show the vehicle, and what both command is done once",
+       %{hub: one, sim: sim, server: server, folder: folder, seed: seed} do
+    other = start_hub(Path.join(folder, "other-hub"), server, seed, "127.0.0.2")
+    hubs = [one, other]
+    for hub <- hubs, do: shown(hub, "a mode", &(&1.via == @companion and is_map(&1.groups[:mode])))
+    # The servers of a cluster tell each other who listens, each in its time.
+    for {hub, mode} <- [{one, "LOITER"}, {other, "GUIDED"}] do
+      eventually(
+        fn -> match?(%{status: :completed}, command(hub, "set_mode", %{mode: mode})) end,
+        "each commands it"
+      )
+
+      assert SimVehicle.state(sim).mode == mode
+    end
+
+    for hub <- hubs, do: shown(hub, "the new mode", &(&1.groups.mode.data.mode == "GUIDED"))
+
+    # The one id on both at the same time: the gateway aboard knows it.
+    results =
+      hubs
+      |> Enum.map(&Task.async(fn -> command(&1, "arm", %{}, id: "both") end))
+      |> Task.await_many(60_000)
+
+    for result <- results, do: assert(%{status: :completed} = result)
+    assert [%{"command" => "arm", "decision" => "allow"}] = done(folder, "both")
+
+    # A server of the three is gone. If the vehicle or a hub was connected to it, it finds another one; until then it is unreachable.
+    HubServer.kill(server, "127.0.0.3")
+
+    eventually(
+      fn -> match?(%{status: :completed}, command(other, "disarm")) end,
+      "it is commanded by the servers that are left"
+    )
+
+    for hub <- hubs, do: shown(hub, "disarmed", &(&1.groups.mode.data.armed == false))
+  end
+
+  # What the companion let through, of a command.
+  defp done(folder, id) do
+    for file <- Path.wildcard(Path.join(folder, "companion/audit/*.jsonl")),
+        line <- file |> File.read!() |> String.split("\n", trim: true),
+        %{"id" => ^id, "type" => "decision"} = record <- [JSON.decode!(line)],
+        do: record
+  end
+
+  @tag :leaf
+  test "through a leaf node whose server is frozen: a command is answered in time, and is not done after its deadline",
+       %{hub: hub, sim: sim, folder: folder} do
+    shown(hub, "a mode", &(&1.status == :online and is_map(&1.groups[:mode])))
+    assert %{status: :completed} = command(hub, "set_mode", %{mode: "GUIDED"})
+    pid = folder |> Path.join("companion/nats/nats-server.pid") |> File.read!() |> String.trim()
+    signal = fn name -> assert {_, 0} = System.cmd("kill", ["-#{name}", pid]) end
+    signal.("STOP")
+    # A thread that runs stops a moment later.
+    eventually(fn -> Enum.all?(states(pid), &(&1 == "T")) end, "all its threads have stopped")
+    deadline = System.os_time(:second) + 2
+
+    under_way =
+      Task.async(fn -> command(hub, "set_mode", %{mode: "LOITER"}, id: "frozen", deadline: deadline) end)
+
+    # It falls silent for the hub after lost_s, which is 3.
+    assert %{status: :unknown, reason: "the gateway gateway-VID-001 fell silent" <> _} =
+             Task.await(under_way, 60_000)
+
+    # Another one is refused at once.
+    assert %{status: :failed, details: %{"rule" => "unreachable"}} = command(hub, "set_mode", %{mode: "RTL"})
+    eventually(fn -> System.os_time(:second) > deadline end, "the deadline has passed")
+    signal.("CONT")
+    shown(hub, "online again", &(&1.status == :online))
+    # What comes after it on the same way is done, so the late one has arrived.
+    assert %{status: :completed} = command(hub, "set_mode", %{mode: "BRAKE"})
+    assert SimVehicle.state(sim).mode == "BRAKE"
+    # Its audit log has everything that it let through.
+    refute Enum.any?(done(folder, "frozen"), &(&1["decision"] == "allow")), inspect(modes(hub))
+    # Asked again, the companion says what became of it.
+    assert %{status: status} = command(hub, "set_mode", %{mode: "LOITER"}, id: "frozen", deadline: deadline)
+    assert status in [:unknown, :expired]
+    assert SimVehicle.state(sim).mode == "BRAKE"
+  end
+
+  defp states(pid) do
+    for file <- Path.wildcard("/proc/#{pid}/task/*/stat"), {:ok, text} <- [File.read(file)] do
+      text |> String.split(") ") |> List.last() |> String.first()
+    end
+  end
+
+  # All modes that the vehicle was in, by its events.
+  defp modes(hub) do
+    conn = Bridge.connection(hub)
+    {:ok, %{state: %{last_seq: last}}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+
+    for seq <- 1..last//1,
+        {:ok, %{data: text}} <- [Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})],
+        %{"type" => "mode_change", "data" => %{"to" => mode}} <- [JSON.decode!(text)],
+        do: mode
   end
 
   @tag :leaf

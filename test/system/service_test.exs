@@ -34,6 +34,10 @@ defmodule Aerie.System.ServiceTest do
         do: assert(File.regular?(Path.join(root, file)))
 
     assert File.read_link!(Path.join(root, "usr/bin/aerie")) == "/opt/aerie/bin/aerie"
+
+    for link <- ~w(usr/share/man/man1/aerie.1 usr/share/bash-completion/completions/aerie),
+        do: assert(File.read_link!(Path.join(root, link)) =~ ~r"^/opt/aerie/share/(man|bash-completion)/")
+
     refute File.exists?(Path.join(root, "opt/aerie/var"))
 
     assert {"", 0} = install(release(dir, "2.0"), ["--stage", root])

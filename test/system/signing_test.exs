@@ -59,7 +59,9 @@ defmodule Aerie.System.SigningTest do
   defp state(gateway), do: Signing.vehicle(gateway, @vehicle).state
   defp flight(port), do: ["tcp:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
 
+  # In faster time the vehicle waits less than two seconds for a mission's next item.
   @tag :python
+  @tag sim: [speed: 2.0]
   test "pymavlink without a key flies it through a client with sign: true", c do
     port = client(c.gateway, id: "gcs", sign: true)
     refused = SimVehicle.stats(c.sim).refused
@@ -72,6 +74,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   @tag :python
+  @tag sim: [speed: 2.0]
   test "frames that pymavlink signs are verified and forwarded unchanged (S10)", c do
     port = client(c.gateway, id: "gcs")
 

@@ -4,11 +4,15 @@ defmodule Aerie.System.ToolTest do
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
 
+  alias Aerie.SerialPeer
+
   @moduletag :tmp_dir
   @root Path.expand("../..", __DIR__)
 
   setup %{tmp_dir: folder} do
     config = Path.join(folder, "gateway.yaml")
+
+    radio = free_udp_port()
 
     dirs =
       for name <- ~w(console signing recorder params shadow), do: "#{name}: {dir: \"#{folder}/#{name}\"}\n"
@@ -19,6 +23,7 @@ defmodule Aerie.System.ToolTest do
     http: {port: 0}
     websocket: {port: 0}
     clients: []
+    links: [{id: radio, url: "udpin:127.0.0.1:#{radio}"}]
     sockets: {enabled: false}
     commands: {ledger: {dir: "#{folder}/ledger"}}
     policy: {audit: {dir: "#{folder}/audit"}}
@@ -27,7 +32,7 @@ defmodule Aerie.System.ToolTest do
     #{Enum.reject(dirs, &(&1 =~ "http"))}
     """)
 
-    %{config: config, folder: folder}
+    %{config: config, folder: folder, radio: radio}
   end
 
   defp aerie(context, words, input \\ "") do
@@ -76,9 +81,14 @@ defmodule Aerie.System.ToolTest do
     assert text == "1\n"
 
     assert {text, 0} = aerie(context, ["params", "list", "sim-001", "BAT", "--json"])
-    assert [%{"name" => _} | _] = JSON.decode!(text)
+    assert [%{"name" => name} | _] = JSON.decode!(text)
+    saved = Path.join(context.folder, "all.param")
+    assert {"wrote " <> _, 0} = aerie(context, ["params", "save", "sim-001", saved])
+    assert File.read!(saved) =~ name
     assert {text, 0} = aerie(context, ["record", "list"])
     assert text =~ "FILE"
+    records(context)
+    missions(context)
 
     assert {text, 0} = aerie(context, ["user", "add", "ann", "--role", "viewer"], "a long enough password\n")
     assert text =~ "added ann"
@@ -124,6 +134,90 @@ defmodule Aerie.System.ToolTest do
     assert {_text, 3} = aerie(context, ["status"])
   end
 
+  defp recordings(context, n) do
+    assert {json, 0} = aerie(context, ["record", "list", "--json"])
+    recordings = JSON.decode!(json)
+    if length(recordings) == n, do: recordings
+  end
+
+  defp records(context) do
+    assert {"recording sim-001\n", 0} = aerie(context, ["record", "start", "sim-001"])
+    # Its file is there with the next frames.
+    [%{"file" => file, "open" => true}] =
+      eventually(fn -> recordings(context, 1) end, "the recording has a file")
+
+    assert {"no longer recording sim-001\n", 0} = aerie(context, ["record", "stop", "sim-001"])
+    assert [%{"file" => ^file, "open" => false}] = recordings(context, 1)
+
+    # The last minutes, as a file that `aerie replay` reads.
+    assert {saved, 0} = aerie(context, ["record", "save", "sim-001"])
+    [path] = Path.wildcard(Path.join(context.folder, "recorder/**/#{Path.basename(String.trim(saved))}"))
+    assert {text, 0} = aerie(context, ["replay", path])
+    # A recording does not know the names that a gateway gave.
+    assert text =~ ~s("vehicle":"VID-001")
+
+    # The summary goes to stderr.
+    events = for "{" <> _ = line <- String.split(text, "\n"), do: JSON.decode!(line)
+    assert Enum.all?(events, &match?(%{"time" => _, "type" => _}, &1))
+
+    assert {text, 2} = aerie(context, ["record", "start", "sim-9"])
+    assert text =~ "sim-9"
+    assert {text, 2} = aerie(context, ["record", "start"])
+    assert text =~ "need a VEHICLE"
+    assert {text, 2} = aerie(context, ["record", "begin", "sim-001"])
+    assert text =~ "expected start, stop, save or list"
+  end
+
+  defp missions(context) do
+    file = Path.join(context.folder, "flight.waypoints")
+
+    File.write!(file, """
+    QGC WPL 110
+    0\t1\t0\t16\t0\t0\t0\t0\t47.397742\t8.545594\t488\t1
+    1\t0\t3\t22\t0\t0\t0\t0\t47.397742\t8.545594\t20\t1
+    2\t0\t3\t16\t0\t0\t0\t0\t47.398200\t8.546100\t30\t1
+    """)
+
+    assert {text, 2} = aerie(context, ["mission", "load", "sim-001", file])
+    assert text =~ "there is nobody to confirm it"
+    assert {text, 0} = aerie(context, ["mission", "load", "sim-001", file, "--yes"])
+    assert text =~ "completed"
+    assert {text, 0} = aerie(context, ["mission", "show", "sim-001"])
+    assert text =~ "47.3982" and text =~ "8.5461"
+    assert {text, 0} = aerie(context, ["mission", "clear", "sim-001", "--yes"])
+    assert text =~ "completed"
+    assert {text, 0} = aerie(context, ["mission", "show", "sim-001"])
+    refute text =~ "47.3982"
+
+    assert {text, 2} = aerie(context, ["mission", "load", "sim-001", file <> "x", "--yes"])
+    assert text =~ "no such file"
+    File.write!(file, "QGC WPL 110\nnonsense\n")
+    assert {_text, 2} = aerie(context, ["mission", "load", "sim-001", file, "--yes"])
+    assert {text, 2} = aerie(context, ["mission", "show", "sim-001", "route"])
+    assert text =~ "expected mission"
+  end
+
+  test "parameters of a camera", context do
+    port = open(["--config", context.config, "--quiet"])
+    link = "udpout:127.0.0.1:#{context.radio}"
+    start_supervised!({SimVehicle, firmware: :px4, system: 7, camera: 100, ready_s: 1.0, link: link})
+    await_output(port, "", ["vehicle=VID-007 status=online"])
+    camera = ["--component", "100"]
+    assert {text, 0} = aerie(context, ["params", "list", "VID-007", "cam_"] ++ camera)
+    assert text =~ ~r/CAM_NAME +Nadir/ and text =~ ~r/CAM_FREE +18446744073709551615/
+    assert {text, 0} = aerie(context, ["params", "set", "VID-007", "CAM_NAME", "Rear", "--yes"] ++ camera)
+    assert text =~ "completed"
+    assert {"Rear\n", 0} = aerie(context, ["params", "get", "VID-007", "CAM_NAME"] ++ camera)
+    assert {text, 1} = aerie(context, ["params", "set", "VID-007", "CAM_ISO", "fast", "--yes"] ++ camera)
+    assert text =~ "rejected"
+    assert {text, 2} = aerie(context, ["params", "set", "VID-007", "MIS_TAKEOFF_ALT", "high", "--yes"])
+    assert text =~ "expected a number"
+    assert {text, _status} = aerie(context, ["params", "list", "VID-007", "--component", "0"])
+    assert text =~ "component: expected an integer from 1 to 255"
+    assert {_text, 0} = aerie(context, ["stop"])
+    assert await_exit(port) == 0
+  end
+
   test "without a gateway it probes, examines and explains", context do
     port = free_udp_port()
     start_supervised!({SimVehicle, [link: "udpout:127.0.0.1:#{port}"] ++ fast_vehicle(:ardupilot)})
@@ -141,10 +235,30 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "configuration: " and text =~ "clock: " and text =~ "ModemManager: "
     assert {text, 0} = aerie(context, ["config", "check", context.config])
     assert text =~ "a gateway can start with it"
+    assert {text, 0} = aerie(context, ["config", "show", context.config])
+    assert text =~ ~r/^shell.dir +#{context.folder}\/shell +/m
+    wrong = Path.join(context.folder, "wrong.yaml")
+    File.write!(wrong, "http: {port: many}\nnats: {prot: 4222}\n")
+    assert {text, 1} = aerie(context, ["config", "check", wrong])
+    assert text =~ "http.port" and text =~ "nats.prot"
     assert {"3\n", 0} = aerie(context, ["eval", "1 + 2"])
+    assert {":embedded\n", 0} = aerie(context, ["eval", "Aerie.Config.default().nats.mode"])
     assert {text, 0} = aerie(context, ["man"])
     assert text =~ ".TH AERIE 1"
     assert {text, 2} = aerie(context, ["stauts"])
     assert text =~ "did you mean status?"
+  end
+
+  # It looks for the rate, so it takes seconds.
+  @tag :long
+  test "it probes a serial port", context do
+    if SerialPeer.build(), do: port(context), else: IO.puts(:stderr, "no C compiler: no serial port to probe")
+  end
+
+  defp port(context) do
+    says = fn _turn -> Aerie.LinkCase.heartbeat(1) end
+    peer = SerialPeer.start(baud: 115_200, every: 50, says: says)
+    assert {text, 0} = aerie(context, ["probe", SerialPeer.path(peer), "--seconds", "8"])
+    assert text =~ "baud rate 115200" and text =~ "MAVLink: " and text =~ "HEARTBEAT"
   end
 end

@@ -7,7 +7,6 @@ defmodule Aerie.System.TransferFacesTest do
   use Aerie.SystemCase, async: true
 
   alias Aerie.Policy.Signature
-  alias Gnat.Nkey
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -249,7 +248,6 @@ defmodule Aerie.System.TransferFacesTest do
   @described ~s({"version": 1, "parameters": [{"name": "MIS_TAKEOFF_ALT", "units": "m", "shortDesc": "Take-off altitude"}]})
   @general ~s({"version": 1, "metadataTypes": [{"type": 1, "uri": "mftp:///params.json"}]})
 
-  @tag :xz
   @tag firmware: :px4,
        files: %{"/params.json" => @described, "etc/extras/component_general.json.xz" => :general}
   test "descriptions of parameters by REST and NATS", context do

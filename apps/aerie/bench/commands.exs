@@ -74,7 +74,8 @@ start = fn gateway ->
   {:ok, _} = Store.PubSub.start_link(gateway: gateway)
   config = %{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})}
   {:ok, _} = Policy.Supervisor.start_link(gateway: gateway, settings: Policy.Settings.from(config), read: nil)
-  ledger = %{ledger: %{dir: Path.join(dir, "ledger")}}
+  # More than it keeps of 20 minutes by default.
+  ledger = %{ledger: %{dir: Path.join(dir, "ledger"), max_entries: 1_000_000}}
   settings = Commands.Settings.from(%{commands: ledger})
   {:ok, _} = Commands.Supervisor.start_link(gateway: gateway, settings: settings)
   Store.put_vehicle(gateway, key, snapshot.())

@@ -1,3 +1,7 @@
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`.
 # Ground stations written in Python need the environment that bin/setup makes.
-ExUnit.start(exclude: [:long, :soak] ++ Aerie.PeerCase.missing() ++ Aerie.Browser.excluded())
+# Most tests wait for vehicles and servers rather than compute, so more of them run at once than there are cores.
+ExUnit.start(
+  max_cases: 4 * System.schedulers_online(),
+  exclude: [:long, :soak] ++ Aerie.PeerCase.missing() ++ Aerie.Browser.excluded()
+)

@@ -1,2 +1,3 @@
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`.
-ExUnit.start(exclude: [:long, :soak] ++ Aerie.Browser.excluded())
+# A browser that draws maps without a graphics card keeps a core busy.
+ExUnit.start(max_cases: System.schedulers_online(), exclude: [:long, :soak] ++ Aerie.Browser.excluded())

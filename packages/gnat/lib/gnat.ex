@@ -61,11 +61,9 @@ defmodule Gnat do
       data; default 10000
     * `send_timeout` - how long a write may wait for a server that does not read; default 10000
     * `tls` - require TLS; a server that requires it gets it anyway. Default false
-    * `tls_first` - TLS before the first byte, for servers with `handshake_first`; default false
     * `ssl_opts` - options for `:ssl.connect/3`, by default the system's authorities and the name of the host are checked
     * `tcp_opts` - options for `:gen_tcp.connect/4`, like `[:inet6]`
     * `username` and `password`, or `token`, or `nkey_seed`, or `jwt` and `nkey_seed`
-    * `credentials` - path of a `.creds` file: `jwt` and `nkey_seed` in one
     * `auth_required` - send credentials even if the server does not ask; default false
     * `no_responders` - a request without any subscriber fails at once; default false
     * `headers` - default true
@@ -79,7 +77,6 @@ defmodule Gnat do
           optional(:ping_interval) => pos_integer(),
           optional(:send_timeout) => pos_integer(),
           optional(:tls) => boolean(),
-          optional(:tls_first) => boolean(),
           optional(:ssl_opts) => [:ssl.tls_client_option()],
           optional(:tcp_opts) => [:gen_tcp.connect_option()],
           optional(:username) => String.t(),
@@ -87,7 +84,6 @@ defmodule Gnat do
           optional(:token) => String.t(),
           optional(:nkey_seed) => String.t(),
           optional(:jwt) => String.t(),
-          optional(:credentials) => Path.t(),
           optional(:auth_required) => boolean(),
           optional(:no_responders) => boolean(),
           optional(:headers) => boolean(),

@@ -1,7 +1,7 @@
 defmodule Gnat.AuthTest do
   use ExUnit.Case, async: true
 
-  alias Gnat.{Error, Nkey}
+  alias Gnat.Error
   alias Gnat.Test.{Jwt, NatsServer}
 
   @moduletag :capture_log
@@ -41,17 +41,12 @@ defmodule Gnat.AuthTest do
     assert {:error, %Error{reason: {:credentials, _}}} = connect(server, %{nkey_seed: "SUABC"})
   end
 
-  @tag :tmp_dir
-  test "JWT, from a credentials file or as two settings", %{tmp_dir: dir} do
-    %{config: config, creds: creds, jwt: jwt, seed: seed} = Jwt.deployment()
+  test "JWT" do
+    %{config: config, jwt: jwt, seed: seed} = Jwt.deployment()
     server = start_supervised!({NatsServer, config: config})
-    path = Path.join(dir, "user.creds")
-    File.write!(path, creds)
-    works(server, %{credentials: path})
     works(server, %{jwt: jwt, nkey_seed: seed})
     refused(server, %{jwt: jwt, nkey_seed: Nkey.seed(Nkey.generate(:user))})
     refused(server, %{jwt: Jwt.deployment().jwt, nkey_seed: seed})
-    assert {:error, %Error{reason: {:credentials, _}}} = connect(server, %{credentials: path <> "x"})
   end
 
   test "a JWT that expires ends the connection with that reason" do

@@ -16,7 +16,7 @@ defmodule Gnat.ConnectionSupervisorTest do
   end
 
   defp supervise(name, servers, more \\ %{}) do
-    settings = Map.merge(%{name: name, connection_settings: servers, backoff_min: 5, backoff_max: 20}, more)
+    settings = Map.merge(%{name: name, connection_settings: servers, backoff_period: 10}, more)
     start_supervised!({ConnectionSupervisor, settings})
   end
 
@@ -55,7 +55,7 @@ defmodule Gnat.ConnectionSupervisorTest do
       capture_log(fn ->
         supervise(name, [%{host: "127.0.0.1", port: free_port()}])
         assert %{retry_in: retry, reason: %Error{reason: {:connect, :econnrefused}}} = await(:failed, name)
-        assert retry in 2..20
+        assert retry in 5..10
         assert {:error, %Error{reason: :not_connected}} = Gnat.pub(name, "a", "b")
         await(:failed, name)
       end)

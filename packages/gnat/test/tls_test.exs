@@ -36,14 +36,6 @@ defmodule Gnat.TlsTest do
     works(NatsServer.settings(server(certificates), %{ssl_opts: [cacerts: certificates.cacerts]}))
   end
 
-  test "TLS from the first byte", %{certificates: certificates} do
-    server = server(certificates, "handshake_first: true")
-    works(NatsServer.settings(server, %{tls_first: true, ssl_opts: [cacerts: certificates.cacerts]}))
-
-    late = NatsServer.settings(server, %{tls: true, connection_timeout: 200})
-    assert {:error, %Error{reason: :timeout}} = Gnat.start_link(late)
-  end
-
   test "an untrusted certificate is refused", %{certificates: certificates} do
     settings = NatsServer.settings(server(certificates), %{tls: true})
 

@@ -1,1 +1,2 @@
-ExUnit.start(exclude: Aerie.Browser.excluded())
+# What a test waits for comes at once on an idle machine; a busy one needs patience, which costs nothing when it comes.
+ExUnit.start(assert_receive_timeout: 60_000, exclude: Aerie.Browser.excluded())

@@ -122,7 +122,7 @@ defmodule FleetNode do
         now = clock.()
 
         {seen, ages} =
-          for key <- keys, at = look.(key), at != seen[key], reduce: {seen, ages} do
+          for key <- keys, at = look.(key), is_integer(at) and at != seen[key], reduce: {seen, ages} do
             {seen, ages} -> {Map.put(seen, key, at), [now - at | ages]}
           end
 

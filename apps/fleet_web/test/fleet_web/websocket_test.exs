@@ -190,7 +190,7 @@ defmodule FleetWeb.WebSocketTest do
       operator = open(c, "/", [headers: [{"x-aerie-key", "the-key-of-olga-0"}]], 3)
       :ok = WSClient.send(operator, reboot <> arm)
       assert_receive {:forward, [^arm], :control}
-      refute_received {:forward, _frames, :control}
+      refute_received {:forward, [^reboot], :control}
       # It hears the vehicle's heartbeat no more; the answer is the first that comes.
       {{2, answer}, _operator} = WSClient.recv(operator)
       frame = MavCodec.Frame.from_bytes(answer, nil)

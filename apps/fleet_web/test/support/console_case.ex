@@ -104,14 +104,16 @@ defmodule FleetWeb.ConsoleCase do
     :ok = Aerie.PrivateFile.write(Path.join(dir, "users.json"), JSON.encode_to_iodata!(%{users: users}))
   end
 
-  @doc "Somebody with a role, signed in; `nil`: nobody. For `Phoenix.LiveViewTest.live/2`."
-  @spec conn(t(), :viewer | :operator | :admin | nil) :: Phoenix.LiveViewTest.conn()
-  def conn(console, role \\ :operator)
-  def conn(console, nil), do: Phoenix.LiveViewTest.conn(console.server, %{})
+  @doc "Somebody with a role, signed in; `nil`: nobody. For `Phoenix.LiveViewTest.live/2`. A test with pages of its own gives its router."
+  @spec conn(t(), :viewer | :operator | :admin | nil, module()) :: Phoenix.LiveViewTest.conn()
+  def conn(console, role \\ :operator, router \\ Console.Router) do
+    user = role && Users.find(console.gateway, Atom.to_string(role))
+    session = if user, do: Session.of_user(user), else: %{}
 
-  def conn(console, role) do
-    user = Users.find(console.gateway, Atom.to_string(role))
-    Phoenix.LiveViewTest.conn(console.server, Session.of_user(user))
+    Phoenix.LiveViewTest.conn(
+      %{console.server | router: router},
+      Map.put(session, "gateway", console.gateway)
+    )
   end
 
   @doc """

@@ -1,5 +1,5 @@
 defmodule Aerie.Disk do
-  @moduledoc "Free space, as the operating system tells it."
+  @moduledoc "A disk, as the operating system tells it: its free space, and when what was written is on it."
 
   @doc "Free bytes on the disk of a folder; `:unknown` if that cannot be found out. Runs a program, so call it seldom."
   @spec free(Path.t()) :: {:ok, non_neg_integer()} | :unknown
@@ -13,6 +13,19 @@ defmodule Aerie.Disk do
       {:ok, kilobytes * 1024}
     else
       _anything -> :unknown
+    end
+  end
+
+  @doc """
+  Returns when all that any process wrote to a file would survive a power cut. That can take seconds (an SD card), so a process that
+  others wait for has it done by another one.
+  """
+  @spec sync(Path.t()) :: :ok | {:error, File.posix()}
+  def sync(path) do
+    with {:ok, file} <- :file.open(path, [:read, :write, :raw]) do
+      result = :file.datasync(file)
+      _ = :file.close(file)
+      result
     end
   end
 end

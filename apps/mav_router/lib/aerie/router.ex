@@ -72,6 +72,13 @@ defmodule Aerie.Router do
   defdelegate deliver(gateway, origin, frames), to: Deliver, as: :frames
 
   @doc """
+  Takes the frames by which a vehicle was found, if it was started beside the link that heard it: a message of `deliver/3`, or nil. A
+  session asks for it when it starts, before it reads its mailbox, where newer frames may be already.
+  """
+  @spec first_frames(Names.gateway(), vehicle_key) :: {:frames, term, [Frame.t()]} | nil
+  defdelegate first_frames(gateway, key), to: Aerie.Router.Admission
+
+  @doc """
   Sends bytes (one or more whole frames) to a vehicle or any other system, by the endpoint where it was heard last; of redundant
   links by the one that carries their class (`Aerie.Router.Carrier`).
 

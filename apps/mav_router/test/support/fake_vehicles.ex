@@ -39,6 +39,10 @@ defmodule Aerie.FakeVehicles do
     session =
       spawn_link(fn ->
         :ok = Names.register(gateway, :session, key)
+
+        with {:frames, sender, frames} <- Aerie.Router.first_frames(gateway, key),
+             do: send(test, {:session, key, sender, frames})
+
         send(vehicles, {:started, self()})
         tell(test, key)
       end)

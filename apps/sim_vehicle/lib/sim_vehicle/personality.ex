@@ -1,7 +1,7 @@
 defmodule SimVehicle.Personality do
   @moduledoc """
   The behaviour of a firmware: everything that ArduPilot and PX4 do differently. Functions take and return the vehicle, and add
-  actions with `SimVehicle.Vehicle.emit/2` and similar functions.
+  actions for the core to carry out.
   """
 
   alias SimVehicle.{Command, Params, Vehicle}

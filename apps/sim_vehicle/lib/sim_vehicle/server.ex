@@ -206,7 +206,7 @@ defmodule SimVehicle.Server do
   end
 
   defp do_action(state, {:notify, event}) do
-    Enum.each(state.subscribers, fn {pid, _ref} -> send(pid, {:sim, self(), event}) end)
+    tell(state, event)
     %{state | pilot: state.pilot && Pilot.notified(state.pilot, event)}
   end
 
@@ -218,6 +218,9 @@ defmodule SimVehicle.Server do
         signing: Signing.rebooted(state.signing),
         off_for: @reboot_us
     }
+
+  defp tell(state, event),
+    do: Enum.each(state.subscribers, fn {pid, _ref} -> send(pid, {:sim, self(), event}) end)
 
   defp encode(state, message, component) do
     if state.options.mavlink == 1 and not version_1?(state, message) do
@@ -305,6 +308,7 @@ defmodule SimVehicle.Server do
       {:ok, message} ->
         source = {frame.system, frame.component}
         state = %{state | pilot: state.pilot && Pilot.overheard(state.pilot, message, state.vehicle)}
+        tell(state, {:heard, message, source})
         apply_event(state, {:message, message, source})
 
       {:error, _unknown} ->

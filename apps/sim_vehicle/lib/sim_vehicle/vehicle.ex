@@ -77,6 +77,7 @@ defmodule SimVehicle.Vehicle do
           | {:failsafe, atom, boolean}
           | {:text, 0..7, String.t()}
           | {:param, String.t(), number}
+          | {:heard, message :: struct, source :: {0..255, 0..255}}
 
   @type action :: {:send, struct | {1..255, struct}} | {:bytes, binary} | {:notify, event} | :reboot
 

@@ -196,6 +196,7 @@ defmodule SimVehicle.ServerTest do
       SimVehicle.subscribe(sim)
       SimVehicle.await(sim, & &1.ready)
       _peer = arm(peer)
+      assert_receive {:sim, ^sim, {:heard, %M.CommandLong{command: 400}, {255, 190}}}
       assert_receive {:sim, ^sim, :armed}
       :ok = SimVehicle.failsafe(sim, :rc)
       assert_receive {:sim, ^sim, {:failsafe, :rc, true}}

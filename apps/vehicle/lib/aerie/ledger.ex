@@ -12,7 +12,8 @@ defmodule Aerie.Ledger do
 
   Call `admit/3`, then `sending/4` right before the first byte goes to the vehicle, then `finish/3`. A record is written before
   the answer, so a kill loses none; `sending/4` of a command that must not be repeated (`:never`) also waits for the disk,
-  so a power cut loses none either.
+  so a power cut loses none either. Nobody else waits for it: a task brings the file to the disk, and all who come meanwhile
+  are served by the next one.
 
   If a record cannot be written, all three return `{:error, reason}`. The record is kept in memory and written as soon as the
   disk has room, so a command that is sent nevertheless, because it brings a vehicle down, is protected until a restart. Until the
@@ -23,7 +24,7 @@ defmodule Aerie.Ledger do
 
   use GenServer
 
-  alias Aerie.{Command, FolderLock, Names}
+  alias Aerie.{Command, Disk, FolderLock, Names}
   alias Aerie.Command.Result
   alias Aerie.Ledger.{Core, Journal}
 
@@ -34,12 +35,16 @@ defmodule Aerie.Ledger do
   # A smaller file is not worth rewriting.
   @compact_bytes 4_194_304
 
-  @typedoc "`:dir` - its folder; `:max_entries`, `:max_age_s` - how many commands it keeps, and for how long."
+  @typedoc """
+    * `:dir` - its folder; `:max_entries`, `:max_age_s` - how many commands it keeps, and for how long
+    * `:sync` - brings a file to the disk; for tests of a slow one
+  """
   @type option ::
           {:gateway, Names.gateway()}
           | {:dir, Path.t()}
           | {:max_entries, pos_integer()}
           | {:max_age_s, pos_integer()}
+          | {:sync, (Path.t() -> :ok | {:error, File.posix()})}
 
   @spec start_link([option()]) :: GenServer.on_start()
   def start_link(options),
@@ -108,7 +113,10 @@ defmodule Aerie.Ledger do
       damaged: 0,
       failing: nil,
       tried_at: nil,
-      compacted: 0
+      compacted: 0,
+      sync: Keyword.get(options, :sync, &Disk.sync/1),
+      syncing: nil,
+      unsynced: []
     }
 
     {:ok, open(state)}
@@ -118,7 +126,7 @@ defmodule Aerie.Ledger do
   def handle_call({:admit, command}, _from, state) do
     case reopen(state) do
       %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
-      state -> step(Core.admit(state.core, command, now()), state, :write)
+      state -> step(Core.admit(state.core, command, now()), state)
     end
   end
 
@@ -129,12 +137,19 @@ defmodule Aerie.Ledger do
     end
   end
 
-  def handle_call({:sending, id, retry}, _from, state),
-    do: step(Core.sending(state.core, id, retry, now()), state, if(retry == :never, do: :sync, else: :write))
+  def handle_call({:sending, id, retry}, from, state) do
+    case step(Core.sending(state.core, id, retry, now()), state) do
+      {:reply, :ok, state} when retry == :never ->
+        {:noreply, sync(%{state | unsynced: [from | state.unsynced]})}
+
+      step ->
+        step
+    end
+  end
 
   def handle_call({:finish, result}, _from, state) do
     state = %{state | interrupted: Enum.reject(state.interrupted, &(&1["id"] == result.id))}
-    step(Core.finish(state.core, result, now()), state, :write)
+    step(Core.finish(state.core, result, now()), state)
   end
 
   def handle_call(:interrupted, _from, state), do: {:reply, state.interrupted, state}
@@ -147,14 +162,32 @@ defmodule Aerie.Ledger do
   end
 
   @impl GenServer
+  def handle_info({task, result}, %{syncing: {%{ref: task}, callers}} = state) do
+    Process.demonitor(task, [:flush])
+    for caller <- callers, do: GenServer.reply(caller, result)
+    state = if result == :ok, do: state, else: failed(state, elem(result, 1))
+    {:noreply, sync(%{state | syncing: nil})}
+  end
+
+  # A task that has given its answer.
+  def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   @impl GenServer
   def terminate(_reason, %{journal: nil}), do: :ok
   def terminate(_reason, state), do: Journal.close(state.journal)
 
-  defp step({answer, records, core}, state, how) do
-    case store(%{state | core: core}, records, how) do
+  # Who comes while a task is under way waits for the next: what it wrote may be too late for this one.
+  defp sync(%{syncing: nil, unsynced: [_ | _]} = state) do
+    %{journal: %{path: path}, sync: sync} = state
+    task = Task.async(fn -> Journal.sync(path, sync) end)
+    %{state | syncing: {task, state.unsynced}, unsynced: []}
+  end
+
+  defp sync(state), do: state
+
+  defp step({answer, records, core}, state) do
+    case store(%{state | core: core}, records) do
       {:ok, state} ->
         {:reply, answer, state}
 
@@ -163,21 +196,18 @@ defmodule Aerie.Ledger do
     end
   end
 
-  defp store(state, [], _how), do: {:ok, state}
-  defp store(%{journal: nil} = state, _records, _how), do: {:error, state.failing, state}
+  defp store(state, []), do: {:ok, state}
+  defp store(%{journal: nil} = state, _records), do: {:error, state.failing, state}
 
-  defp store(%{failing: nil} = state, records, how) do
-    with {:ok, journal} <- Journal.append(state.journal, records),
-         :ok <- if(how == :sync, do: Journal.sync(journal), else: :ok) do
-      {:ok, compact(%{state | journal: journal})}
-    else
+  defp store(%{failing: nil} = state, records) do
+    case Journal.append(state.journal, records) do
+      {:ok, journal} -> {:ok, compact(%{state | journal: journal})}
       {:error, reason, journal} -> {:error, reason, failed(%{state | journal: journal}, reason)}
-      {:error, reason} -> {:error, reason, failed(state, reason)}
     end
   end
 
   # The file lacks records, so all are rewritten.
-  defp store(state, _records, _how) do
+  defp store(state, _records) do
     case rewrite(state) do
       {:ok, state} -> {:ok, works(state)}
       error -> error
@@ -216,9 +246,13 @@ defmodule Aerie.Ledger do
       {interrupted, records, core} = Core.interrupted(core, now())
       state = %{state | journal: journal, core: core, interrupted: interrupted, damaged: damaged}
 
-      case store(%{state | compacted: journal.bytes}, records, :sync) do
-        {:ok, state} -> works(state)
+      # On the disk before anything of this run is admitted.
+      with {:ok, state} <- store(%{state | compacted: journal.bytes}, records),
+           :ok <- Journal.sync(journal.path, state.sync) do
+        works(state)
+      else
         {:error, _reason, state} -> state
+        {:error, reason} -> failed(state, reason)
       end
     else
       {:error, reason} -> failed(%{state | tried_at: monotonic()}, reason)

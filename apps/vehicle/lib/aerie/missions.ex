@@ -10,7 +10,7 @@ defmodule Aerie.Missions do
   is sent (`Aerie.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
   """
 
-  alias Aerie.{Commands, Mission, Names, Protocol, Store, Transfers}
+  alias Aerie.{Commands, Fleet, Mission, Names, Protocol, Transfers}
   alias Aerie.Command.{Error, Result}
   alias Aerie.Mission.{Item, Onboard, Plan, Review, Transfer}
   alias Aerie.Mission.File.{QgcPlan, Waypoints}
@@ -45,17 +45,34 @@ defmodule Aerie.Missions do
           {:ok, stored()} | {:error, Result.t()}
   def download(gateway, vehicle, kind, options \\ []) do
     type = Map.fetch!(@kinds, kind)
+    asked = {"mission", "get", %{"kind" => Atom.to_string(kind)}}
 
-    with {:ok, result} <- read(gateway, vehicle, kind, options),
+    with :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @timeout_ms),
+         {:ok, result} <- read(gateway, vehicle, kind, options),
          {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
       {:ok,
        %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
     else
-      {:error, %Result{}} = error ->
-        error
+      {:ok, %{"plan" => plan} = answer} -> told(plan, answer, type, protocol(gateway, vehicle))
+      {:ok, _other} -> no_plan("its gateway told none")
+      {:error, %Result{}} = error -> error
+      {:error, text} -> no_plan(text)
+    end
+  end
+
+  defp no_plan(text),
+    do: {:error, Result.new(Aerie.Command.id(), :failed, "what the vehicle has is no plan: #{text}")}
+
+  # Another gateway's answer (`plain/2`).
+  defp told(plan, answer, type, protocol) do
+    case plan |> JSON.encode!() |> __MODULE__.import(:plan) do
+      {:ok, plan} ->
+        items = Onboard.items(plan, type, protocol)
+        id = if is_integer(answer["opaque_id"]), do: answer["opaque_id"]
+        {:ok, %{plan: plan, items: items, opaque_id: id, digest: Plan.digest(items)}}
 
       {:error, text} ->
-        {:error, Result.new(Aerie.Command.id(), :failed, "what the vehicle has is no plan: #{text}")}
+        no_plan(text)
     end
   end
 
@@ -102,13 +119,19 @@ defmodule Aerie.Missions do
 
     if length(items) > Transfer.limit(),
       do: {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]},
-      else: send_items(gateway, vehicle, kind, items, "upload", options)
+      else: send_items(gateway, vehicle, kind, items, {"upload", asked("put", kind, plan)}, options)
   end
 
   @doc "Removes a kind of plan from the vehicle, and reads back that it is gone. Needs the permission `mission`."
   @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
   def clear(gateway, vehicle, kind, options \\ []),
-    do: send_items(gateway, vehicle, kind, [], "clear", options)
+    do: send_items(gateway, vehicle, kind, [], {"clear", asked("clear", kind, nil)}, options)
+
+  # What another gateway is asked for, if it is that which hears the vehicle.
+  defp asked("put", kind, plan),
+    do: {"mission", "put", %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}}
+
+  defp asked("clear", kind, nil), do: {"mission", "clear", %{"kind" => Atom.to_string(kind)}}
 
   @doc "Compares a kind of plan with the vehicle's: `:same`, or the first item that differs, and how."
   @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
@@ -143,13 +166,14 @@ defmodule Aerie.Missions do
     }
   end
 
-  defp send_items(gateway, vehicle, kind, items, action, options) do
+  defp send_items(gateway, vehicle, kind, items, {action, asked}, options) do
     type = Map.fetch!(@kinds, kind)
     params = %{action: action, items: length(items), digest: Plan.digest(items)}
 
     change = %{
       facts: Raw.facts(%M.MissionCount{mission_type: type}, %{autopilot: :generic, vehicle_type: "unknown"}),
       params: params,
+      elsewhere: asked,
       review: &review(&1, &2, &3, items, type)
     }
 
@@ -180,7 +204,7 @@ defmodule Aerie.Missions do
   end
 
   defp protocol(gateway, vehicle) do
-    case Store.vehicle(gateway, vehicle) do
+    case Fleet.vehicle(gateway, vehicle) do
       nil -> Protocol.of(:generic)
       snapshot -> Protocol.of(snapshot.autopilot)
     end

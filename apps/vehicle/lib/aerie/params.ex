@@ -55,11 +55,25 @@ defmodule Aerie.Params do
   def list(gateway, vehicle, options \\ []) do
     {refresh?, options} = Keyword.pop(options, :refresh, false)
     {component, options} = Keyword.pop(options, :component)
+    asked = {"params", "list", of(component, %{})}
 
-    if component,
-      do: list_of_component(gateway, vehicle, component, options),
-      else: list_of_autopilot(gateway, vehicle, refresh?, options)
+    case Transfers.read_elsewhere(gateway, vehicle, asked, options, @list_ms) do
+      :here when component == nil -> list_of_autopilot(gateway, vehicle, refresh?, options)
+      :here -> list_of_component(gateway, vehicle, component, options)
+      {:ok, answer} -> told(Table.parse(answer))
+      error -> error
+    end
   end
+
+  # What another gateway is asked for.
+  defp of(nil, body), do: body
+  defp of(component, body), do: Map.put(body, "component", component)
+
+  defp told({:ok, value}), do: {:ok, value}
+
+  defp told(:error),
+    do:
+      {:error, Result.new(Aerie.Command.id(), :failed, "the vehicle's gateway answered what is no parameter")}
 
   defp list_of_component(gateway, vehicle, component, options) do
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
@@ -132,9 +146,11 @@ defmodule Aerie.Params do
   def get(gateway, vehicle, name, options \\ []) do
     {component, options} = Keyword.pop(options, :component)
 
-    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
-         :ok <- readable(check_name(name)),
-         :ok <- readable(Component.check(component)) do
+    with :ok <- readable(check_name(name)),
+         :ok <- readable(Component.check(component)),
+         asked = {"params", "get", of(component, %{"name" => name})},
+         :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @one_ms),
+         {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       transfer = %{
         lanes: [:params],
         timeout_ms: @one_ms,
@@ -147,6 +163,9 @@ defmodule Aerie.Params do
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
+    else
+      {:ok, answer} -> told(Param.parse(answer))
+      error -> error
     end
   end
 
@@ -173,7 +192,8 @@ defmodule Aerie.Params do
         start: &Component.set(name, value, type, &1, &2, component)
       }
 
-      change = change(Map.merge(%{name: name, value: value}, whose))
+      asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
+      change = Map.put(change(Map.merge(%{name: name, value: value}, whose)), :elsewhere, asked)
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => param.name, "value" => param.value}

@@ -5,11 +5,13 @@ defmodule Aerie.Remote do
 
   The other gateway identifies this one by the signature (`remote.nkey_seed_file`) and decides by its own policy. The id stays, so
   its ledger keeps the command from being done twice. Nothing is queued: if nobody listens, or the vehicle is lost, the answer is
-  `failed` with the rule `unreachable` at once, and nothing was sent.
+  `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and plans go the same way, on the subjects that
+  `Aerie.Bridge.Commands.Transfers` answers.
   """
   @behaviour Aerie.Commands.Elsewhere
 
-  alias Aerie.{Bridge, Command, Fleet, Names}
+  alias Aerie.{Bridge, Command, Fleet, Names, Nats}
+  alias Aerie.Bridge.Commands.Transfers
   alias Aerie.Command.Result
   alias Aerie.Policy.Signature
 
@@ -18,64 +20,108 @@ defmodule Aerie.Remote do
   @cancel_ms 5_000
   @look_ms 500
   @max_text 512
+  # The other gateway's answer may come a little after its time limit.
+  @late_ms 5_000
+  @own ~w(id result reason)
+  @progress ~w(progress text phase done total)
 
   @impl Aerie.Commands.Elsewhere
-  def submit(_gateway, %{status: :lost} = snapshot, command, _request, _progress),
-    do: unreachable(command, "nothing was heard of it by NATS for a while; its gateway was #{snapshot.via}")
-
   def submit(gateway, snapshot, command, request, progress) do
-    case Bridge.connection(gateway) do
-      nil -> unreachable(command, "NATS is away, and the vehicle is heard by the gateway #{snapshot.via}")
-      conn -> ask(gateway, conn, snapshot, command, request, progress)
-    end
-  catch
-    :exit, _gone -> unknown(command, "the connection to NATS was lost while the command was under way")
+    timeout = max(div(command.deadline - System.os_time(:microsecond), 1000) + @after_deadline_ms, 0)
+    what = "cmd.#{command.type}"
+
+    gateway
+    |> ask(snapshot, command.id, what, body(command, request), timeout, progress)
+    |> result(command.id, snapshot)
   end
 
-  defp ask(gateway, conn, snapshot, command, request, progress) do
-    subject = "fleet.#{Bridge.environment(gateway)}.#{command.vehicle}.cmd.#{command.type}"
-    body = body(command, request)
-    timeout = div(command.deadline - System.os_time(:microsecond), 1000) + @after_deadline_ms
-    options = [receive_timeout: max(timeout, 0), headers: signature(gateway, subject, body)]
+  @impl Aerie.Commands.Elsewhere
+  def transfer(gateway, snapshot, id, {area, operation, body}, who, timeout_ms, progress) do
+    source = String.slice(who, 0, 64)
+    text = JSON.encode!(Map.merge(body, %{"id" => id, "timeout" => timeout_ms / 1000, "source" => source}))
 
-    case Gnat.sub(conn, self(), "#{subject}.progress.#{command.id}") do
+    if byte_size(text) > Transfers.max_bytes() do
+      {:error,
+       Result.new(id, :failed, "it is larger than what NATS carries: ask its gateway", %{"rule" => "size"})}
+    else
+      case ask(gateway, snapshot, id, "#{area}.#{operation}", text, timeout_ms + @late_ms, progress) do
+        {:ok, %{"result" => "completed"} = answer} ->
+          {:ok, answer |> Map.drop(@own) |> Map.put("gateway", snapshot.via)}
+
+        other ->
+          {:error, result(other, id, snapshot)}
+      end
+    end
+  end
+
+  # The other gateway's answer, or why there is none: nothing was sent, or nobody knows what became of it.
+  defp ask(_gateway, %{status: :lost} = snapshot, _id, _what, _body, _timeout, _progress),
+    do: {:unreachable, "nothing was heard of it by NATS for a while; its gateway was #{snapshot.via}"}
+
+  defp ask(gateway, snapshot, id, what, body, timeout, progress) do
+    case Bridge.connection(gateway) do
+      nil -> {:unreachable, "NATS is away, and the vehicle is heard by the gateway #{snapshot.via}"}
+      conn -> ask(gateway, conn, snapshot, {id, what, body, timeout}, progress)
+    end
+  catch
+    :exit, _gone -> {:unknown, "the connection to NATS was lost while it was under way"}
+  end
+
+  defp ask(gateway, conn, snapshot, {id, what, body, timeout}, progress) do
+    subject = "fleet.#{Bridge.environment(gateway)}.#{snapshot.id}.#{what}"
+    options = [receive_timeout: timeout, headers: signature(gateway, subject, body)]
+
+    case Nats.sub(conn, self(), "#{subject}.progress.#{id}") do
       {:ok, sid} ->
-        task = Task.async(fn -> Gnat.request(conn, subject, body, options) end)
+        task = Task.async(fn -> Nats.request(conn, subject, body, options) end)
 
         try do
-          wait(task, gateway, snapshot, command, progress)
+          wait(task, gateway, snapshot, progress)
         after
           _ = Task.shutdown(task, :brutal_kill)
-          _ = Gnat.unsub(conn, sid)
+          _ = Nats.unsub(conn, sid)
         end
 
       {:error, _lost} ->
-        unreachable(command, "the connection to NATS is lost")
+        {:unreachable, "the connection to NATS is lost"}
     end
   end
 
-  defp wait(%{ref: ref} = task, gateway, snapshot, command, progress) do
+  defp wait(%{ref: ref} = task, gateway, snapshot, progress) do
     receive do
       {:msg, %{body: text}} ->
-        with {:ok, %{} = told} <- JSON.decode(text), do: progress.(Map.take(told, ["progress", "text"]))
-        wait(task, gateway, snapshot, command, progress)
+        with {:ok, %{} = told} <- JSON.decode(text), do: progress.(Map.take(told, @progress))
+        wait(task, gateway, snapshot, progress)
 
       {^ref, answer} ->
-        result(answer, command, snapshot)
+        answer(answer, snapshot)
 
       {:DOWN, ^ref, :process, _pid, _reason} ->
-        unknown(command, "the connection to NATS was lost while the command was under way")
+        {:unknown, "the connection to NATS was lost while it was under way"}
     after
       @look_ms ->
-        case Fleet.Remote.vehicle(gateway, command.vehicle, System.os_time(:microsecond)) do
+        case Fleet.Remote.vehicle(gateway, snapshot.id, System.os_time(:microsecond)) do
           %{status: status} when status != :lost ->
-            wait(task, gateway, snapshot, command, progress)
+            wait(task, gateway, snapshot, progress)
 
           _cut ->
-            unknown(command, "the gateway #{snapshot.via} fell silent while the command was under way")
+            {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
         end
     end
   end
+
+  defp answer({:ok, %{body: text}}, snapshot) do
+    case JSON.decode(text) do
+      {:ok, %{"result" => word} = answer} when is_binary(word) -> {:ok, answer}
+      _other -> {:unknown, "the gateway #{snapshot.via} answered without a result"}
+    end
+  end
+
+  defp answer({:error, :no_responders}, snapshot),
+    do: {:unreachable, "no gateway listens for it; it was heard by #{snapshot.via}"}
+
+  defp answer({:error, _timeout_or_lost}, snapshot),
+    do: {:unknown, "the gateway #{snapshot.via} did not answer in time"}
 
   defp body(command, %{source: source, via: via}) do
     command
@@ -94,41 +140,29 @@ defmodule Aerie.Remote do
     end
   end
 
-  defp result({:ok, %{body: text}}, command, snapshot) do
-    with {:ok, %{"result" => word} = answer} when is_binary(word) <- JSON.decode(text),
-         {:ok, status} <- Result.status(word) do
-      details =
-        for {key, value} <- answer,
-            key not in ~w(id result reason),
-            plain?(value),
-            into: %{},
-            do: {key, value}
+  defp result({:ok, %{"result" => word} = answer}, id, snapshot) do
+    case Result.status(word) do
+      {:ok, status} ->
+        details = for {key, value} <- Map.drop(answer, @own), plain?(value), into: %{}, do: {key, value}
+        Result.new(id, status, reason(answer["reason"]), Map.put(details, "gateway", snapshot.via))
 
-      Result.new(command.id, status, reason(answer["reason"]), Map.put(details, "gateway", snapshot.via))
-    else
-      _other -> unknown(command, "the gateway #{snapshot.via} answered without a result")
+      :error ->
+        Result.new(id, :unknown, "the gateway #{snapshot.via} answered without a result")
     end
   end
 
-  defp result({:error, :no_responders}, command, snapshot),
-    do: unreachable(command, "no gateway listens for it; it was heard by #{snapshot.via}")
+  defp result({:unreachable, why}, id, _snapshot) do
+    why = "the vehicle cannot be reached, nothing was sent: #{why}"
+    Result.new(id, :failed, why, %{"rule" => "unreachable"})
+  end
 
-  defp result({:error, _timeout_or_lost}, command, snapshot),
-    do: unknown(command, "the gateway #{snapshot.via} did not answer in time")
+  defp result({:unknown, why}, id, _snapshot), do: Result.new(id, :unknown, why)
 
   defp reason(text) when is_binary(text), do: String.slice(text, 0, @max_text)
   defp reason(_none), do: nil
 
   defp plain?(value),
     do: is_number(value) or is_boolean(value) or (is_binary(value) and byte_size(value) <= @max_text)
-
-  defp unreachable(command, why),
-    do:
-      Result.new(command.id, :failed, "the vehicle cannot be reached, nothing was sent: #{why}", %{
-        "rule" => "unreachable"
-      })
-
-  defp unknown(command, why), do: Result.new(command.id, :unknown, why)
 
   @impl Aerie.Commands.Elsewhere
   def cancel(gateway, snapshot, id) do
@@ -137,14 +171,12 @@ defmodule Aerie.Remote do
     options = [receive_timeout: @cancel_ms, headers: signature(gateway, subject, body)]
 
     with conn when conn != nil <- Bridge.connection(gateway),
-         {:ok, %{body: text}} <- Gnat.request(conn, subject, body, options),
+         {:ok, %{body: text}} <- Nats.request(conn, subject, body, options),
          {:ok, %{"result" => "accepted"}} <- JSON.decode(text) do
       :ok
     else
       {:ok, %{"reason" => reason}} -> {:error, reason(reason) || "the gateway #{snapshot.via} refused it"}
       _none -> {:error, "the gateway #{snapshot.via} does not answer"}
     end
-  catch
-    :exit, _gone -> {:error, "the connection to NATS was lost"}
   end
 end

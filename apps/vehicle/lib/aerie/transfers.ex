@@ -7,9 +7,9 @@ defmodule Aerie.Transfers do
   the policy's roles and rules, the audit log, and the ledger by its id.
   """
 
-  alias Aerie.{Command, Commands, Names, Store, Vehicle}
+  alias Aerie.{Command, Commands, Fleet, Names, Store, Vehicle}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Commands.Work
+  alias Aerie.Commands.{Desk, Elsewhere, Work}
   alias Aerie.Policy.{Facts, Roles}
   alias Aerie.Transfers.{Outcome, Progress}
   alias Aerie.Vehicle.Transfers.Job
@@ -45,22 +45,51 @@ defmodule Aerie.Transfers do
   @type change :: %{
           required(:facts) => Facts.t(),
           required(:params) => %{atom() => term()},
-          optional(:review) => term()
+          optional(:review) => term(),
+          optional(:elsewhere) => Elsewhere.request()
         }
 
   @doc "The longest time limit that NATS and REST accept, in seconds."
   @spec max_timeout_s() :: pos_integer()
   def max_timeout_s, do: 3_600
 
-  @doc "The present snapshot of a vehicle by its name."
+  @doc "The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not passed on."
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
-    case Store.vehicle(gateway, id) do
+    case Fleet.vehicle(gateway, id) do
       nil ->
         {:error, Result.new(Command.id(), :rejected, "there is no vehicle #{id}", %{"rule" => "vehicle"})}
 
+      %{via: via} when via != nil ->
+        {:error, Result.new(Command.id(), :rejected, Elsewhere.only(via), %{"rule" => "elsewhere"})}
+
       snapshot ->
         {:ok, snapshot}
+    end
+  end
+
+  @doc """
+  Asks the gateway that hears a vehicle to read something, and gives its answer; `:here` for one that is not to be asked for elsewhere:
+  this gateway hears it, nobody does, or the question came from another gateway.
+  """
+  @spec read_elsewhere(
+          Names.gateway(),
+          String.t(),
+          Elsewhere.request(),
+          [option()],
+          timeout_ms :: pos_integer()
+        ) ::
+          :here | {:ok, %{String.t() => term()}} | {:error, Result.t()}
+  def read_elsewhere(gateway, vehicle, request, options, timeout_ms) do
+    with true <- options[:via] != "nats",
+         %{via: via} = snapshot when via != nil <- Fleet.vehicle(gateway, vehicle),
+         module when module != nil <- Desk.elsewhere(gateway) do
+      id = options[:id] || Command.id()
+      who = "#{source(options).name} by #{options[:via] || "elixir"}"
+      tell = teller(options[:progress], id)
+      module.transfer(gateway, snapshot, id, request, who, options[:timeout_ms] || timeout_ms, tell)
+    else
+      _here -> :here
     end
   end
 
@@ -102,6 +131,7 @@ defmodule Aerie.Transfers do
     work = %Work{
       facts: change.facts,
       review: change[:review],
+      elsewhere: change[:elsewhere],
       run: fn snapshot, tell ->
         {result, nil} = run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
 

@@ -2,6 +2,7 @@ defmodule Aerie.LedgerTest do
   use ExUnit.Case, async: true
 
   import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
+  import Aerie.Patience
   import ExUnit.CaptureLog
 
   alias Aerie.{Command, Ledger}
@@ -9,9 +10,9 @@ defmodule Aerie.LedgerTest do
 
   @moduletag :tmp_dir
 
-  defp start(dir, max_entries \\ 1000) do
+  defp start(dir, max_entries \\ 1000, more \\ []) do
     gateway = make_ref()
-    options = [gateway: gateway, dir: dir, max_entries: max_entries, max_age_s: 3600]
+    options = [gateway: gateway, dir: dir, max_entries: max_entries, max_age_s: 3600] ++ more
     pid = start_supervised!({Ledger, options}, id: gateway)
     {gateway, pid}
   end
@@ -188,6 +189,58 @@ defmodule Aerie.LedgerTest do
     # It may have been sent: somebody was told no, and sent it all the same.
     assert {:stored, %Result{status: :unknown}} = Ledger.admit(gateway, command("a"))
     assert {:stored, %Result{status: :denied}} = Ledger.admit(gateway, command("b"))
+  end
+
+  test "a slow disk holds up only who must wait for it, and brings all who came meanwhile there at once", %{
+    tmp_dir: dir
+  } do
+    slow = :atomics.new(1, [])
+    test = self()
+
+    sync = fn _path ->
+      if :atomics.get(slow, 1) == 1, do: send(test, {:sync, self()})
+      if :atomics.get(slow, 1) == 1, do: receive(do: (:written -> :ok)), else: :ok
+    end
+
+    {gateway, pid} = start(dir, 1000, sync: sync)
+    :atomics.put(slow, 1, 1)
+    for id <- ~w(a b c d), do: assert(:new = Ledger.admit(gateway, command(id)))
+    sending = fn id -> Task.async(fn -> Ledger.sending(gateway, id, :never) end) end
+
+    a = sending.("a")
+    assert_receive {:sync, first}
+    others = Enum.map(~w(b c), sending)
+    eventually(fn -> length(:sys.get_state(pid).unsynced) == 2 end)
+    # Nobody else waits.
+    assert :ok = Ledger.sending(gateway, "d", :safe)
+    assert :ok = Ledger.finish(gateway, Result.new("d", :accepted))
+    assert :new = Ledger.admit(gateway, command("e"))
+    assert Task.yield(a, 0) == nil
+
+    send(first, :written)
+    assert Task.await(a) == :ok
+    assert_receive {:sync, second}
+    send(second, :written)
+    assert Task.await_many(others) == [:ok, :ok]
+    refute_received {:sync, _third}
+  end
+
+  test "a disk that fails: who waits for it is told, and the file is written anew", %{tmp_dir: dir} do
+    broken = :atomics.new(1, [])
+    sync = fn _path -> if :atomics.get(broken, 1) == 1, do: {:error, :eio}, else: :ok end
+    {gateway, _pid} = start(dir, 1000, sync: sync)
+    :new = Ledger.admit(gateway, command("a"))
+    :atomics.put(broken, 1, 1)
+
+    assert capture_log(fn ->
+             assert {:error, reason} = Ledger.sending(gateway, "a", :never)
+             assert reason =~ "I/O error"
+           end) =~ "Commands are refused until it can be written"
+
+    assert %{failing: "" <> _} = Ledger.status(gateway)
+    :atomics.put(broken, 1, 0)
+    capture_log(fn -> assert :new = Ledger.admit(gateway, command("b")) end)
+    assert %{failing: nil} = Ledger.status(gateway)
   end
 
   test "the file is written anew when most of it is out of date", %{tmp_dir: dir} do

@@ -151,6 +151,21 @@ defmodule Aerie.BridgeCase do
     conn
   end
 
+  @doc """
+  Connects with settings of `Aerie.Nats.connect/1`, and waits until the server has accepted the login, which not every client does. The
+  caller traps exits.
+  """
+  @spec log_in(map()) :: {:ok, pid()} | {:error, term()}
+  def log_in(settings) do
+    with {:ok, conn} <- Aerie.Nats.connect(settings),
+         {:ok, _info} <- Aerie.Nats.request(conn, "$JS.API.INFO", "", receive_timeout: 30_000),
+         do: {:ok, conn}
+  end
+
+  @doc "Whether the NATS client is the one in `packages/`, which says why a server refuses it (`AERIE_PACKAGES`)."
+  @spec own_client?() :: boolean()
+  def own_client?, do: System.get_env("AERIE_PACKAGES", "") == ""
+
   @doc "A URL without its login, as the gateway shows it to everybody."
   @spec bare(String.t()) :: String.t()
   def bare(url), do: String.replace(url, ~r|//.*@|, "//")
@@ -175,7 +190,12 @@ defmodule Aerie.BridgeCase do
   """
   @spec other_vm(String.t(), String.t(), [String.t()]) :: {port(), String.t()}
   def other_vm(script, mark, before \\ []) do
-    paths = for path <- :code.get_path(), path = to_string(path), path =~ "_build", do: ["-pa", path]
+    paths =
+      for path <- :code.get_path(),
+          path = to_string(path),
+          String.starts_with?(path, Mix.Project.build_path()),
+          do: ["-pa", path]
+
     [program | words] = before ++ ["elixir"] ++ List.flatten(paths) ++ ["-e", script]
     options = [:binary, :stderr_to_stdout, line: 1000, args: words]
     port = Port.open({:spawn_executable, System.find_executable(program)}, options)
@@ -243,7 +263,7 @@ defmodule Aerie.BridgeCase do
   @spec events(pid()) :: [{String.t(), pos_integer(), String.t()}]
   def events(conn) do
     {:ok, %{state: %{first_seq: first, last_seq: last}}} =
-      answered(fn -> Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS") end)
+      answered(conn, fn -> Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS") end)
 
     # An empty stream has first 0 or 1 and last 0.
     for seq <- max(first, 1)..last//1, message = message(conn, seq) do
@@ -253,14 +273,14 @@ defmodule Aerie.BridgeCase do
   end
 
   # On a busy machine a server may take longer than the five seconds that a client waits; reading again does no harm.
-  defp answered(request) do
+  defp answered(conn, request) do
     eventually(fn ->
-      with {:error, :timeout} <- request.(), do: nil
+      with {:error, :timeout} <- Aerie.Nats.call(conn, request), do: nil
     end)
   end
 
   defp message(conn, seq) do
-    case answered(fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) end) do
+    case answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) end) do
       {:ok, message} -> message
       {:error, %{"code" => 404}} -> nil
     end

@@ -63,6 +63,14 @@ defmodule Aerie.ShadowCase do
     end)
   end
 
+  @doc "Waits until a field of VID-007 is held by `by`, whatever held it before; gives how."
+  @spec held(reference(), String.t(), String.t()) :: map()
+  def held(gateway, path, by) do
+    Aerie.Patience.eventually(fn ->
+      with %{by: ^by} = status <- standing(gateway, path, :held), do: status, else: (_other -> false)
+    end)
+  end
+
   @doc "The documents of a gateway."
   @spec documents(reference()) :: pid()
   def documents(gateway), do: Names.whereis(gateway, :shadow_documents)

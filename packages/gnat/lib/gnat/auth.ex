@@ -6,7 +6,7 @@ defmodule Gnat.Auth do
   (`auth_required: true`). If several are given, the first of user and password, token, JWT, nkey is used.
   """
 
-  alias Gnat.{Error, Nkey}
+  alias Gnat.Error
 
   @spec options(Gnat.server_info(), Gnat.Settings.t()) :: {:ok, map()} | {:error, Error.t()}
   def options(info, settings) do
@@ -29,10 +29,13 @@ defmodule Gnat.Auth do
 
   defp sign(seed, info) do
     with {:ok, nonce} <- nonce(info),
-         {:ok, nkey} <- Nkey.from_seed(seed) do
+         {:ok, nkey} <- nkey(seed) do
       {:ok, %{nkey: nkey.public, sig: nkey |> Nkey.sign(nonce) |> Base.url_encode64(padding: false)}}
     end
   end
+
+  defp nkey(seed),
+    do: with({:error, why} <- Nkey.from_seed(seed), do: {:error, Error.new({:credentials, why})})
 
   defp nonce(%{nonce: nonce}) when is_binary(nonce), do: {:ok, nonce}
 

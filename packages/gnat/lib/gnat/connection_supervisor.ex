@@ -6,8 +6,7 @@ defmodule Gnat.ConnectionSupervisor do
        %{
          name: MyApp.Nats,
          connection_settings: [%{host: "10.0.0.100"}, %{host: "10.0.0.101"}],
-         backoff_min: 250,
-         backoff_max: 30_000
+         backoff_period: 2_000
        }}
 
   It starts at once, with or without a server. The name belongs to the connection process and exists while there is a
@@ -17,10 +16,9 @@ defmodule Gnat.ConnectionSupervisor do
     * `name` - required
     * `connection_settings` - required, a list of settings for `Gnat.start_link/1`; they are tried in turn, starting at a
       random one
-    * `backoff_min`, `backoff_max` - ms, default 250 and 30000. The first try has no wait; after all servers have failed,
-      the waits double from min to max, with jitter (`Gnat.Backoff`). A connection that lasted less than a second counts as
-      a failed try, so that a server that accepts and drops clients causes no busy loop
-    * `backoff_period` - the setting of the Hex package, a constant wait; here it sets both limits
+    * `backoff_period` - ms, default 2000. The first try has no wait; after all servers have failed, the next round waits so
+      long, or up to a half less, so that clients do not come all at once. A connection that lasted less than a second counts
+      as a failed try, so that a server that accepts and drops clients causes no busy loop
 
   Subscriptions belong to a connection and end with it. `Gnat.ConsumerSupervisor` renews them; other
   processes must monitor the connection.
@@ -40,8 +38,6 @@ defmodule Gnat.ConnectionSupervisor do
   @type settings :: %{
           required(:name) => GenServer.name(),
           required(:connection_settings) => [Gnat.connection_settings(), ...],
-          optional(:backoff_min) => pos_integer(),
-          optional(:backoff_max) => pos_integer(),
           optional(:backoff_period) => pos_integer()
         }
 
@@ -52,15 +48,14 @@ defmodule Gnat.ConnectionSupervisor do
   def init(settings) do
     Process.flag(:trap_exit, true)
     Process.set_label({:gnat_connection_supervisor, settings.name})
-    period = settings[:backoff_period]
+    period = settings[:backoff_period] || 2_000
     servers = Map.fetch!(settings, :connection_settings)
 
     state = %{
       name: Map.fetch!(settings, :name),
       servers: rotate(servers, :rand.uniform(length(servers)) - 1),
       untried: length(servers),
-      backoff:
-        Backoff.new(settings[:backoff_min] || period || 250, settings[:backoff_max] || period || 30_000),
+      backoff: Backoff.new(period, period),
       attempt: nil,
       gnat: nil,
       up_since: nil,

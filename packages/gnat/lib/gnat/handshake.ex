@@ -28,19 +28,12 @@ defmodule Gnat.Handshake do
 
   # A failed upgrade has closed its socket; afterwards the newest transport must be closed.
   defp secure(transport, settings, deadline) do
-    with {:ok, transport} <- tls_first(transport, settings, deadline),
-         {:ok, info, parser} <- info(transport, deadline),
+    with {:ok, info, parser} <- info(transport, deadline),
          {:ok, transport} <- tls(transport, info, parser, settings, deadline) do
       connection = %__MODULE__{transport: transport, parser: parser, info: info, settings: settings}
       with {:error, error} <- log_in(connection, deadline), do: close(transport, error)
     end
   end
-
-  defp tls_first(transport, %{tls_first: true} = settings, deadline) do
-    upgrade(transport, settings, deadline)
-  end
-
-  defp tls_first(transport, _settings, _deadline), do: {:ok, transport}
 
   defp upgrade(transport, settings, deadline) do
     with {:error, error} <- Transport.upgrade(transport, settings, deadline), do: close(transport, error)
@@ -61,8 +54,6 @@ defmodule Gnat.Handshake do
       end
     end
   end
-
-  defp tls(%{kind: :tls} = transport, _info, _parser, _settings, _deadline), do: {:ok, transport}
 
   defp tls(transport, info, parser, settings, deadline) do
     offered? = info[:tls_required] || info[:tls_available] || false

@@ -1,7 +1,7 @@
 defmodule Gnat.Settings do
-  @moduledoc "The settings of one connection: defaults, checks with readable errors, the credentials file read."
+  @moduledoc "The settings of one connection: defaults, checks with readable errors."
 
-  alias Gnat.{Credentials, Error}
+  alias Gnat.Error
 
   @defaults %{
     host: "localhost",
@@ -9,7 +9,6 @@ defmodule Gnat.Settings do
     tcp_opts: [:binary],
     ssl_opts: [],
     tls: false,
-    tls_first: false,
     connection_timeout: 3_000,
     send_timeout: 10_000,
     ping_interval: 10_000,
@@ -19,7 +18,7 @@ defmodule Gnat.Settings do
     auth_required: false
   }
 
-  @optional ~w(name username password token nkey_seed jwt credentials)a
+  @optional ~w(name username password token nkey_seed jwt)a
   @keys Map.keys(@defaults) ++ @optional
 
   @type t :: %{required(atom()) => term()}
@@ -30,9 +29,8 @@ defmodule Gnat.Settings do
     settings = Map.merge(@defaults, settings)
 
     with :ok <- known(settings),
-         :ok <- Enum.find_value(settings, :ok, &bad/1) do
-      credentials(settings)
-    end
+         :ok <- Enum.find_value(settings, :ok, &bad/1),
+         do: {:ok, settings}
   end
 
   def new(other), do: wrong("expected a map, got: #{inspect(other)}")
@@ -47,12 +45,6 @@ defmodule Gnat.Settings do
     end
   end
 
-  defp credentials(%{credentials: path} = settings) do
-    with {:ok, credentials} <- Credentials.read(path), do: {:ok, Map.merge(settings, credentials)}
-  end
-
-  defp credentials(settings), do: {:ok, settings}
-
   defp bad({key, value}), do: if(not ok?(key, value), do: wrong(expected(key, value)))
 
   defp ok?(:host, host),
@@ -61,7 +53,7 @@ defmodule Gnat.Settings do
   defp ok?(:port, port), do: is_integer(port) and port in 1..65_535
   defp ok?(key, list) when key in [:tcp_opts, :ssl_opts], do: is_list(list)
 
-  defp ok?(key, flag) when key in [:tls, :tls_first, :no_responders, :headers, :auth_required] do
+  defp ok?(key, flag) when key in [:tls, :no_responders, :headers, :auth_required] do
     is_boolean(flag)
   end
 
@@ -81,7 +73,7 @@ defmodule Gnat.Settings do
   defp kind(:host), do: "a host name or an address"
   defp kind(:port), do: "1 to 65535"
   defp kind(key) when key in [:tcp_opts, :ssl_opts], do: "a list of options"
-  defp kind(key) when key in [:tls, :tls_first, :no_responders, :headers, :auth_required], do: "true or false"
+  defp kind(key) when key in [:tls, :no_responders, :headers, :auth_required], do: "true or false"
   defp kind(key) when key in [:connection_timeout, :send_timeout, :ping_interval], do: "1 to 86400000 ms"
   defp kind(:inbox_prefix), do: "a subject that ends with a dot"
   defp kind(_text), do: "a string"

@@ -20,7 +20,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
   end
 
   defp publish(gnat, stream, bodies) do
-    for body <- bodies, do: {:ok, _} = Jetstream.publish(gnat, stream <> ".a", "#{body}")
+    for body <- bodies, do: {:ok, _} = store(gnat, stream <> ".a", "#{body}")
   end
 
   describe "consumers" do
@@ -120,7 +120,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
       :ok = next.([])
       assert_receive {:msg, %{body: "2"} = again}
       assert {:ok, %{num_delivered: 2}} = Message.metadata(again)
-      assert :ok = Jetstream.ack_sync(again)
+      assert :ok = Jetstream.ack(again)
       publish(gnat, stream, [3, 4])
       :ok = next.([])
       assert_receive {:msg, %{body: "3"} = three}
@@ -151,7 +151,7 @@ defmodule Gnat.Jetstream.ConsumerTest do
   test "a message without a reply address cannot be acknowledged", %{gnat: gnat} do
     message = %{topic: "a", body: "", reply_to: nil, gnat: gnat}
 
-    for ack <- [:ack, :nack, :ack_progress, :ack_term, :ack_sync] do
+    for ack <- [:ack, :nack, :ack_progress, :ack_term] do
       assert {:error, "Cannot ack message with no reply-to"} = apply(Jetstream, ack, [message])
     end
 

@@ -6,7 +6,6 @@ defmodule Gnat.Jetstream.KVTest do
   alias Gnat.Error
   alias Gnat.Jetstream.API
   alias Gnat.Jetstream.API.{Consumer, KV}
-  alias Gnat.Jetstream.API.KV.Entry
   alias Gnat.Test.NatsServer
 
   @moduletag :capture_log
@@ -45,6 +44,22 @@ defmodule Gnat.Jetstream.KVTest do
       assert {:ok, %{config: ^config}} = KV.create_bucket(gnat, bucket, opts)
       assert {:ok, %{config: ^config}} = KV.info(gnat, bucket)
       assert {:error, %{"code" => _}} = KV.put_value(gnat, bucket, "a", :binary.copy("x", 101))
+    end
+
+    # Leaf nodes and other accounts read a bucket so: the subject says which key, and permissions can name it.
+    test "answer direct requests with the last value of a key, its revision and what was done to it", %{
+      gnat: gnat,
+      bucket: bucket
+    } do
+      get = fn key -> Gnat.request(gnat, "$JS.API.DIRECT.GET.KV_#{bucket}.$KV.#{bucket}.#{key}", "") end
+      assert {:ok, %{config: %{allow_direct: true}}} = KV.info(gnat, bucket)
+      for value <- ["one", "two"], do: :ok = KV.put_value(gnat, bucket, "a.b", value)
+      assert {:ok, %{body: "two", headers: headers}} = get.("a.b")
+      assert {"nats-sequence", "2"} in headers
+      :ok = KV.delete_key(gnat, bucket, "a.b")
+      assert {:ok, %{body: "", headers: headers}} = get.("a.b")
+      assert {"kv-operation", "DEL"} in headers
+      assert {:ok, %{status: "404"}} = get.("none")
     end
 
     test "are listed and deleted", %{gnat: gnat, bucket: bucket} do
@@ -115,7 +130,6 @@ defmodule Gnat.Jetstream.KVTest do
       assert {:error, :no_responders} = KV.put_value(gnat, "nowhere", "a", "b")
       assert {:error, %{"code" => 404}} = KV.get_value(gnat, "nowhere", "a")
       assert {:error, %{"code" => 404}} = KV.contents(gnat, "nowhere")
-      assert {:error, %{"code" => 404}} = KV.get_entry(gnat, "nowhere", "a")
     end
 
     test "all at once", %{gnat: gnat, bucket: bucket} do
@@ -135,46 +149,13 @@ defmodule Gnat.Jetstream.KVTest do
     end
   end
 
-  describe "compare and set" do
-    test "writes only over the revision that was read", %{gnat: gnat, bucket: bucket} do
-      assert {:error, :not_found} = KV.get_entry(gnat, bucket, "k")
-      assert {:ok, 1} = KV.update_value(gnat, bucket, "k", "a", 0)
-      assert {:error, :wrong_revision} = KV.update_value(gnat, bucket, "k", "b", 0)
-
-      assert {:ok, %Entry{revision: 1, value: "a", key: "k", created: %DateTime{}}} =
-               KV.get_entry(gnat, bucket, "k")
-
-      assert :ok = KV.put_value(gnat, bucket, "other", "x")
-      assert {:ok, 3} = KV.update_value(gnat, bucket, "k", "b", 1)
-      assert {:error, :wrong_revision} = KV.put_value(gnat, bucket, "k", "c", expected_revision: 1)
-      assert {:error, :wrong_revision} = KV.delete_key(gnat, bucket, "k", expected_revision: 1)
-      assert {:error, :wrong_revision} = KV.purge_key(gnat, bucket, "k", expected_revision: 1)
-      assert "b" = KV.get_value(gnat, bucket, "k")
-      assert :ok = KV.delete_key(gnat, bucket, "k", expected_revision: 3)
-      assert {:error, :not_found} = KV.get_entry(gnat, bucket, "k")
-    end
-
-    test "create_key writes only a key without a value", %{gnat: gnat, bucket: bucket} do
+  describe "creating a key" do
+    test "writes only a key without a value", %{gnat: gnat, bucket: bucket} do
       assert :ok = KV.create_key(gnat, bucket, "k", "1")
       assert {:error, :wrong_revision} = KV.create_key(gnat, bucket, "k", "2")
       assert :ok = KV.delete_key(gnat, bucket, "k")
       assert :ok = KV.create_key(gnat, bucket, "k", "3")
       assert "3" = KV.get_value(gnat, bucket, "k")
-    end
-
-    test "of many writers at once loses no update", %{gnat: gnat, bucket: bucket} do
-      :ok = KV.put_value(gnat, bucket, "n", "0")
-      1..4 |> Task.async_stream(fn _ -> for _ <- 1..10, do: increment(gnat, bucket) end) |> Stream.run()
-      assert "40" = KV.get_value(gnat, bucket, "n")
-    end
-
-    defp increment(gnat, bucket) do
-      {:ok, %{value: value, revision: revision}} = KV.get_entry(gnat, bucket, "n")
-
-      case KV.update_value(gnat, bucket, "n", "#{String.to_integer(value) + 1}", revision) do
-        {:ok, _} -> :ok
-        {:error, :wrong_revision} -> increment(gnat, bucket)
-      end
     end
   end
 

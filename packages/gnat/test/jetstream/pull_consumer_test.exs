@@ -75,7 +75,7 @@ defmodule Gnat.Jetstream.PullConsumerTest do
   end
 
   defp up(name), do: assert_receive({:telemetry, [:gnat, :connection, :up], _, %{name: ^name}})
-  defp publish(name, stream, body), do: {:ok, _} = Jetstream.publish(name, stream, body)
+  defp publish(name, stream, body), do: {:ok, _} = store(name, stream, body)
 
   defp settled(name, stream) do
     eventually(fn ->

@@ -3,7 +3,6 @@ defmodule Gnat.Jetstream.StreamTest do
 
   import Gnat.Test
 
-  alias Gnat.{Error, Jetstream}
   alias Gnat.Jetstream.API.Stream
   alias Gnat.Test.NatsServer
 
@@ -66,7 +65,7 @@ defmodule Gnat.Jetstream.StreamTest do
 
     test "are purged, whole or one subject", %{gnat: gnat, name: name, stream: stream} do
       {:ok, _} = Stream.create(gnat, stream)
-      for topic <- ~w(a b b), do: {:ok, _} = Jetstream.publish(gnat, "#{name}.#{topic}", topic)
+      for topic <- ~w(a b b), do: {:ok, _} = store(gnat, "#{name}.#{topic}", topic)
       assert :ok = Stream.purge(gnat, name, nil, %{filter: name <> ".b"})
       assert {:ok, %{state: %{messages: 1}}} = Stream.info(gnat, name)
       assert :ok = Stream.purge(gnat, name)
@@ -78,8 +77,8 @@ defmodule Gnat.Jetstream.StreamTest do
     test "give single messages", %{gnat: gnat, name: name, stream: stream} do
       {:ok, _} = Stream.create(gnat, stream)
       topic = name <> ".a"
-      {:ok, _} = Jetstream.publish(gnat, topic, "first")
-      {:ok, _} = Jetstream.publish(gnat, topic, <<0, 255>>, headers: [{"x", "1"}])
+      {:ok, _} = store(gnat, topic, "first")
+      {:ok, _} = store(gnat, topic, <<0, 255>>, [{"x", "1"}])
 
       assert {:ok, %{data: "first", seq: 1, subject: ^topic, time: %DateTime{}, hdrs: nil}} =
                Stream.get_message(gnat, name, %{seq: 1})
@@ -105,58 +104,6 @@ defmodule Gnat.Jetstream.StreamTest do
     end
   end
 
-  describe "publishing" do
-    setup %{gnat: gnat, name: name, stream: stream} do
-      {:ok, _} = Stream.create(gnat, %{stream | allow_msg_ttl: true})
-      {:ok, topic: name <> ".a"}
-    end
-
-    test "is acknowledged", %{gnat: gnat, name: name, topic: topic} do
-      assert {:ok, %{stream: ^name, seq: 1, duplicate: false, domain: nil}} =
-               Jetstream.publish(gnat, topic, "x")
-
-      assert {:ok, %{seq: 2}} = Jetstream.publish(gnat, topic, "x", ttl: "60s")
-    end
-
-    test "the same id twice stores once", %{gnat: gnat, name: name, topic: topic} do
-      assert {:ok, %{seq: 1, duplicate: false}} = Jetstream.publish(gnat, topic, "x", msg_id: "event-1")
-      assert {:ok, %{seq: 1, duplicate: true}} = Jetstream.publish(gnat, topic, "x", msg_id: "event-1")
-      assert {:ok, %{state: %{messages: 1}}} = Stream.info(gnat, name)
-    end
-
-    test "with an expectation is refused when it does not hold", %{gnat: gnat, name: name, topic: topic} do
-      assert {:ok, %{seq: 1}} = Jetstream.publish(gnat, topic, "x", expected_last_subject_seq: 0, msg_id: "1")
-
-      assert {:error, %{"err_code" => 10_071, "description" => "wrong last sequence" <> _}} =
-               Jetstream.publish(gnat, topic, "y", expected_last_subject_seq: 0)
-
-      assert {:ok, %{seq: 2}} = Jetstream.publish(gnat, topic, "y", expected_last_subject_seq: 1, msg_id: "2")
-
-      assert {:ok, %{seq: 3}} =
-               Jetstream.publish(gnat, topic, "z", expected_last_seq: 2, expected_stream: name)
-
-      assert {:error, %{"code" => 400}} = Jetstream.publish(gnat, topic, "z", expected_stream: "other")
-      assert {:error, %{"code" => 400}} = Jetstream.publish(gnat, topic, "z", expected_last_msg_id: "1")
-    end
-
-    test "without a stream is an error", %{gnat: gnat} do
-      assert {:error, :no_responders} = Jetstream.publish(gnat, "no.stream.here", "x", timeout: 1_000)
-    end
-
-    test "is an error if another program answers", %{gnat: gnat} do
-      topic = unique("impostor")
-
-      {:ok, _} =
-        Gnat.sub(
-          gnat,
-          spawn_link(fn -> receive(do: ({:msg, m} -> Gnat.pub(gnat, m.reply_to, "ok"))) end),
-          topic
-        )
-
-      assert {:error, %Error{reason: {:protocol, _}}} = Jetstream.publish(gnat, topic, "x")
-    end
-  end
-
   test "a domain is part of the subject of the API" do
     server =
       start_supervised!({NatsServer, config: &"jetstream { domain: hub, store_dir: \"#{&1}/js\" }"}, id: :hub)
@@ -165,7 +112,7 @@ defmodule Gnat.Jetstream.StreamTest do
     stream = %Stream{name: "D", subjects: ["d"], domain: "hub"}
     assert {:ok, %{config: %{name: "D"}}} = Stream.create(gnat, stream)
     assert {:ok, %{streams: ["D"]}} = Stream.list(gnat, domain: "hub")
-    assert {:ok, %{domain: "hub"}} = Jetstream.publish(gnat, "d", "x")
+    assert {:ok, %{"domain" => "hub"}} = store(gnat, "d", "x")
     assert {:error, :no_responders} = Stream.info(gnat, "D", "other")
     assert :ok = Stream.delete(gnat, "D", "hub")
   end

@@ -3,8 +3,6 @@ defmodule Gnat.Test.Jwt do
   An operator, an account and a user of it, as JWTs signed with nkeys: what `nsc` would make.
   """
 
-  alias Gnat.Nkey
-
   @unlimited %{
     subs: -1,
     data: -1,
@@ -16,7 +14,7 @@ defmodule Gnat.Test.Jwt do
     leaf: -1
   }
 
-  @doc "`%{config: server configuration, creds: text of a credentials file, seed: , jwt: }`."
+  @doc "`%{config: server configuration, seed: , jwt: }`."
   def deployment(user_claims \\ %{}) do
     operator = Nkey.generate(:operator)
     account = Nkey.generate(:account)
@@ -32,24 +30,7 @@ defmodule Gnat.Test.Jwt do
     resolver_preload: { #{account.public}: #{account_jwt} }
     """
 
-    %{config: config, jwt: jwt, seed: Nkey.seed(user), creds: creds(jwt, Nkey.seed(user))}
-  end
-
-  def creds(jwt, seed) do
-    """
-    -----BEGIN NATS USER JWT-----
-    #{jwt}
-    ------END NATS USER JWT------
-
-    ************************* IMPORTANT *************************
-    NKEY Seed printed below can be used to sign and prove identity.
-
-    -----BEGIN USER NKEY SEED-----
-    #{seed}
-    ------END USER NKEY SEED------
-
-    *************************************************************
-    """
+    %{config: config, jwt: jwt, seed: Nkey.seed(user)}
   end
 
   defp sign(signer, subject, type, nats, claims \\ %{}) do

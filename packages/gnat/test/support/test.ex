@@ -31,8 +31,7 @@ defmodule Gnat.Test do
     settings = %{
       name: name,
       connection_settings: [Gnat.Test.NatsServer.settings(server)],
-      backoff_min: 5,
-      backoff_max: 20
+      backoff_period: 10
     }
 
     ExUnit.Callbacks.start_supervised!({Gnat.ConnectionSupervisor, settings})
@@ -40,6 +39,10 @@ defmodule Gnat.Test do
     assert_receive {:telemetry, [:gnat, :connection, :up], _measurements, %{name: ^name}}
     name
   end
+
+  @doc "Publishes into a stream, and waits until it has the message; gives the server's answer."
+  def store(gnat, topic, body, headers \\ []),
+    do: Gnat.Jetstream.API.Util.request(gnat, topic, body, headers: headers)
 
   @doc "A unique name for subjects, streams and buckets."
   def unique(prefix), do: "#{prefix}_#{System.unique_integer([:positive])}"

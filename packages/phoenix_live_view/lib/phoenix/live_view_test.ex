@@ -7,8 +7,8 @@ defmodule Phoenix.LiveViewTest do
       assert html =~ "20 °C"
       assert view |> element("button", "up") |> render_click() =~ "21 °C"
 
-  A view's messages pass through the wire encoding and are merged by rules that follow the client's
-  (`Phoenix.LiveViewTest.Tree`). A value of `conn/2` takes the place of a `Plug.Conn`.
+  A view's messages pass through the wire encoding and are merged by rules that follow the client's.
+  A value of `conn/2` takes the place of a `Plug.Conn`.
   """
 
   alias Phoenix.HTML.Safe
@@ -278,7 +278,7 @@ defmodule Phoenix.LiveViewTest do
     end
   end
 
-  @doc "Waits until the view sends its hooks an event."
+  @doc "Waits until the view sends its hooks an event; `payload` is a pattern for what it gave `Phoenix.LiveView.push_event/3`."
   defmacro assert_push_event(
              view,
              event,

@@ -17,7 +17,9 @@ defmodule Phoenix.LiveViewTest.PageTest do
     def mount(_params, session, socket),
       do:
         {:ok,
-         socket |> assign(n: 0, name: "", session: session["_csrf"], page_title: "0") |> stream(:log, [])}
+         socket
+         |> assign(n: 0, name: "", session: session["_csrf_token"], page_title: "0")
+         |> stream(:log, [])}
 
     def handle_params(params, _uri, socket), do: {:noreply, assign(socket, :q, params["q"])}
 
@@ -37,6 +39,7 @@ defmodule Phoenix.LiveViewTest.PageTest do
 
     def handle_event("away", _value, socket), do: {:noreply, redirect(socket, to: "/login")}
     def handle_event("echo", value, socket), do: {:reply, value, push_event(socket, "heard", value)}
+    def handle_event("told", _value, socket), do: {:noreply, push_event(socket, "told", %{how: :told})}
     def handle_event("evil", _value, socket), do: {:noreply, redirect(socket, to: "//evil.example")}
 
     def handle_info({:set, n}, socket), do: {:noreply, assign(socket, :n, n)}
@@ -70,7 +73,8 @@ defmodule Phoenix.LiveViewTest.PageTest do
   end
 
   defmodule Routes do
-    use Phoenix.LiveView.Router
+    use Phoenix.Router
+    import Phoenix.LiveView.Router
 
     live "/", Counter, :index
     live "/v/:id", Vehicle
@@ -140,12 +144,19 @@ defmodule Phoenix.LiveViewTest.PageTest do
     assert html =~ "<h1>7</h1><b>hi</b>"
     {:ok, view, _html} = live(conn, "/")
     assert {:error, {:redirect, %{to: "/login"}}} = view |> element("button", "away") |> render_click()
+    assert_redirect(view, "/login")
   end
 
-  test "hooks get replies and events", %{conn: conn} do
+  test "hooks get replies and events, which a test sees as the view pushed them", %{conn: conn} do
     {:ok, view, _html} = live(conn, "/")
     render_hook(view, "echo", %{a: 1})
     assert_push_event(view, "heard", %{"a" => 1})
+    render_hook(view, "told")
+    assert_push_event(view, "told", %{how: :told})
+  end
+
+  test "a router tells its paths" do
+    assert [%{path: "/", verb: :get}, %{path: "/v/:id"}, %{path: "/private"}] = Phoenix.Router.routes(Routes)
   end
 
   test "on_mount decides who may see a page, at the request and at the join", %{conn: conn, server: server} do

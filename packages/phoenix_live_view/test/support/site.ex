@@ -156,7 +156,8 @@ defmodule Phoenix.LiveViewTest.Site do
 
   defmodule Routes do
     @moduledoc false
-    use Phoenix.LiveView.Router
+    use Phoenix.Router
+    import Phoenix.LiveView.Router
 
     live("/", Home)
     live("/other/:id", Other)

@@ -25,7 +25,7 @@ defmodule Aerie.CLI.Options do
   @typedoc """
   * `links` - connection strings, in the order given
   * `replay` - path of a tlog file to play, or nil
-  * `speed` - playback speed as a multiple of real time, or `:max`
+  * `speed` - of a replay or of simulated vehicles, as a multiple of real time; `:max` for a replay
   * `print` - what to print of the recording instead of playing it: `:events`, `:samples`
   * `sim` - number of simulated vehicles, or nil if the command line does not say
   * `config` - path of a YAML configuration, or nil
@@ -86,6 +86,7 @@ defmodule Aerie.CLI.Options do
                          #{Enum.join(Aerie.Link.Transport.help(), "\n" <> String.duplicate(" ", 23))}
     --replay FILE      play a recorded flight (a .tlog file) instead of connecting to vehicles
     --speed N|max      with --replay: playback speed, up to 1000 times real time (default 1)
+                       with --sim: the vehicles' time, 0.1 to 100 times real time
     --events           with --replay: print the events of the flight as JSON lines and exit
     --samples          with --replay: print the state samples and exit; with --events, print both
     --sim N            number of simulated vehicles (0 to #{@max_sim}); also together with links
@@ -174,7 +175,12 @@ defmodule Aerie.CLI.Options do
   defp range(name, value, low, high), do: {:error, "#{name}: expected #{low} to #{high}, got: #{value}"}
 
   defp replay_alone(%{replay: nil}, switches) do
-    if switches[:speed], do: {:error, "--speed needs --replay FILE"}, else: :ok
+    case switches[:speed] && {switches[:sim], speed(switches[:speed])} do
+      nil -> :ok
+      {nil, _speed} -> {:error, "--speed needs --replay FILE or --sim N"}
+      {_sim, {:ok, speed}} when is_float(speed) and speed >= 0.1 and speed <= 100 -> :ok
+      _other -> {:error, "--speed: expected 0.1 to 100 with --sim, got: #{switches[:speed]}"}
+    end
   end
 
   defp replay_alone(%{links: [_ | _]}, _switches),

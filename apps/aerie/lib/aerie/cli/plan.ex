@@ -13,7 +13,8 @@ defmodule Aerie.CLI.Plan do
   @type t :: %{
           config_file: String.t() | nil,
           overrides: map(),
-          sim: non_neg_integer()
+          sim: non_neg_integer(),
+          sim_speed: float()
         }
 
   @doc """
@@ -25,7 +26,8 @@ defmodule Aerie.CLI.Plan do
     %{
       config_file: options.config && Path.expand(options.config, folder),
       overrides: %{} |> links(options, folder) |> http(options) |> nats(options),
-      sim: sim(options, demo?)
+      sim: sim(options, demo?),
+      sim_speed: if(options.replay, do: 1.0, else: options.speed)
     }
   end
 

@@ -163,7 +163,7 @@ defmodule Aerie.CLI.Run do
       [{:gateway, {Aerie.Gateway, name: gateway, config: config, read_config: read}}] ++
         http_part(gateway, config) ++
         [{:reload, {Reload, gateway: gateway, config: loaded, read: read, log?: options[:log] == true}}] ++
-        sim_part(plan.sim, sim_port) ++
+        sim_part(plan, sim_port) ++
         systemd_part(gateway) ++
         node_part(gateway, http, config) ++
         status_part(gateway, http, config, options)
@@ -216,8 +216,10 @@ defmodule Aerie.CLI.Run do
   defp systemd_part(:default), do: [{:systemd, {Systemd, gateway: :default}}]
   defp systemd_part(_other), do: []
 
-  defp sim_part(0, _port), do: []
-  defp sim_part(count, port), do: [{:sim, {SimVehicle.Fleet, count: count, link: "udpout:127.0.0.1:#{port}"}}]
+  defp sim_part(%{sim: 0}, _port), do: []
+
+  defp sim_part(%{sim: count, sim_speed: speed}, port),
+    do: [{:sim, {SimVehicle.Fleet, count: count, speed: speed, link: "udpout:127.0.0.1:#{port}"}}]
 
   # The tools ask the gateway that a node is started for, not those of tests.
   defp node_part(:default, http, config) do

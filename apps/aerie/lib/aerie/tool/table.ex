@@ -6,6 +6,8 @@ defmodule Aerie.Tool.Table do
   @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
   @json {:json, :boolean, nil, "print JSON"}
   @yes {:yes, :boolean, nil, "do not ask for confirmation"}
+  @component {:component, :integer, "ID",
+              "of the camera, gimbal or companion with this component id, not of the autopilot"}
   @config {:config, :string, "FILE",
            "the configuration file (default: AERIE_CONFIG, else the default values and the environment)"}
 
@@ -136,22 +138,23 @@ defmodule Aerie.Tool.Table do
         where: :gateway,
         module: Run.Params,
         arguments: [@vehicle, {"[PATTERN]", "only names that contain this text"}],
-        options: [{:refresh, :boolean, nil, "read them from the vehicle again"}, @json]
+        options: [{:refresh, :boolean, nil, "read them from the vehicle again"}, @component, @json]
       },
       %Subcommand{
         name: "params get",
         summary: "read one parameter from the vehicle",
         where: :gateway,
         module: Run.Params,
-        arguments: [@vehicle, {"NAME", "the parameter"}]
+        arguments: [@vehicle, {"NAME", "the parameter"}],
+        options: [@component]
       },
       %Subcommand{
         name: "params set",
         summary: "set one parameter, and wait until the vehicle confirms it",
         where: :gateway,
         module: Run.Params,
-        arguments: [@vehicle, {"NAME", "the parameter"}, {"VALUE", "a number"}],
-        options: [@yes]
+        arguments: [@vehicle, {"NAME", "the parameter"}, {"VALUE", "a number; with --component also text"}],
+        options: [@component, @yes]
       },
       %Subcommand{
         name: "params save",

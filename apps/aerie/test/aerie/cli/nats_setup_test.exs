@@ -29,6 +29,15 @@ defmodule Aerie.CLI.NatsSetupTest do
                Config.load(Path.join([dir, "set", name]), [], env: %{})
     end
 
+    # One key for all desired states, in no file of a server.
+    keys =
+      for name <- ["vehicles/VID-1/gateway.yaml", "vehicles/VID-2/gateway.yaml", "hub/gateway.yaml"] do
+        {:ok, %{shadow: %{key: key}}} = Config.load(Path.join([dir, "set", name]), [], env: %{})
+        Aerie.Secret.reveal(key)
+      end
+
+    assert Enum.uniq(keys) == [String.trim(read(dir, "shadow.key"))]
+
     pem = read(dir, "hub/hub.example.org/server.pem")
     [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(pem)
     [{:Certificate, ca, :not_encrypted}] = :public_key.pem_decode(read(dir, "hub/ca.pem"))
@@ -45,6 +54,11 @@ defmodule Aerie.CLI.NatsSetupTest do
     assert {:ok, text} = setup_in(dir, ~w(--vehicle C --vehicle A --revoke B))
     assert text =~ "B: its key opens nothing"
     assert {read(dir, "vehicles/A/leaf.nk"), read(dir, "ca.key")} == {seed, ca}
+    refute text =~ "shadow.key"
+    # A set of before there was such a key.
+    File.rm!(Path.join(dir, "set/shadow.key"))
+    assert {:ok, text} = setup_in(dir, ~w(--vehicle D))
+    assert text =~ ~r"A: put shadow.key of \S+/hub/gateway.yaml" and not (text =~ "D: put")
     accounts = read(dir, "hub/accounts.conf")
     assert accounts =~ ~s("vehicle-C") and accounts =~ "fleet.test.A.event.>"
     refute accounts =~ "vehicle-B"

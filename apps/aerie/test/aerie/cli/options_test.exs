@@ -24,13 +24,17 @@ defmodule Aerie.CLI.OptionsTest do
       end
     end
 
-    test "speed is a number or max, and needs a replay" do
+    test "speed is a number or max, and needs a replay or simulated vehicles" do
       assert {:ok, %{speed: :max, replay: "a.tlog"}} = Options.parse(["--replay", "a.tlog", "--speed", "max"])
       assert {:ok, %{speed: 2.5}} = Options.parse(["--replay", "a.tlog", "--speed", "2.5"])
       assert {:error, "--speed" <> _} = Options.parse(["--speed", "2"])
 
       for bad <- ["0", "-1", "fast", "1e9", ""],
           do: assert({:error, _} = Options.parse(["--replay", "a", "--speed", bad]))
+
+      assert {:ok, %{speed: 5.0, sim: 2}} = Options.parse(~w(--sim 2 --speed 5))
+      assert {:error, "--speed" <> _} = Options.parse(~w(--sim 2 --speed max))
+      assert {:error, "--speed" <> _} = Options.parse(~w(--sim 2 --speed 0.01))
     end
 
     test "help and version win over everything else" do

@@ -113,9 +113,9 @@ defmodule Aerie.Config.PreflightTest do
       assert line =~ "nats.nkey_seed_file: expected a file with the nkey seed of a user (SU…)"
       assert line =~ file <> ": not an nkey seed"
       refute line =~ "hello"
-      account = Gnat.Nkey.seed(Gnat.Nkey.generate(:account))
+      account = Nkey.seed(Nkey.generate(:account))
       assert refused.("nats.nkey_seed_file", account) =~ "for account, not for a user"
-      File.write!(file, Gnat.Nkey.seed(Gnat.Nkey.generate(:user)) <> "\n")
+      File.write!(file, Nkey.seed(Nkey.generate(:user)) <> "\n")
       assert Preflight.check(url(dir, [{"nats.nkey_seed_file", file}])) == {:ok, []}
     end
 

@@ -67,7 +67,7 @@ defmodule Aerie.Tool.RenderTest do
     silent = %{"vehicle" => "x", "status" => "stale", "position" => %{}, "battery" => %{}}
 
     assert IO.iodata_to_binary(Run.Status.render(%{@status | "vehicles" => [silent]})) =~
-             ~r/x +stale +- +- +- +- +- +- +-\n/
+             ~r/x +stale +- +- +- +- +- +- +- +- +-\n/
   end
 
   test "parameters of a command are JSON where they can be" do

@@ -1,35 +1,66 @@
-// Land and borders from npm's world-atlas (Natural Earth, public domain): coarse ones first, fine ones when the view comes closer.
+// Land and borders from npm's world-atlas (Natural Earth, public domain): coarse ones of the whole earth, and from FINE_ZOOM on fine ones of
+// what is around the view. All fine ones at once keep a computer busy for seconds.
+import { line, ring } from "./cut.js";
 import { collection, continuous, feature } from "./geo.js";
 import { npm } from "./npm.js";
 
 const FINE_ZOOM = 4.5;
+const MARGIN = 1; // of the view's size, on each side
+const LEAST = 2; // degrees
 
 export class Coastlines {
   constructor(map) {
     this.map = map;
+    this.read = {}; // what was fetched, by its detail
     this.shown = null;
     this.failed = false;
-    this.wanted = () => this.show(map.getZoom() >= FINE_ZOOM ? "10m" : "50m");
-    map.on("zoomend", this.wanted);
-    this.wanted();
+    map.on("moveend", () => this.show());
+    this.show();
   }
 
-  async show(detail) {
-    if (this.shown === detail || this.shown === "10m" || this.failed) return;
-    this.shown = detail;
+  async show() {
+    const view = this.view();
+    const detail = view.fine ? "10m" : "50m";
+    if (this.failed || (this.shown?.detail === detail && (!view.fine || contains(this.shown.box, view)))) return;
+    const shown = (this.shown = { detail, box: around(view) });
     try {
-      const { land, coast, borders } = await read(detail);
-      // Finer ones may have come meanwhile, or the map may be gone.
-      if (this.shown !== detail || !this.map.getSource("land")) return;
-      this.map.getSource("land").setData(land);
-      this.map.getSource("coast").setData(coast);
-      this.map.getSource("borders").setData(borders);
+      const lines = await (this.read[detail] ??= read(detail));
+      // The view may have gone elsewhere meanwhile, or the map may be gone.
+      if (this.shown !== shown || !this.map.getSource("land")) return;
+      const { land, coast, borders } = view.fine ? cut(lines, shown.box) : lines;
+      this.map.getSource("land").setData(collection([feature("MultiPolygon", land)]));
+      this.map.getSource("coast").setData(collection([feature("MultiLineString", coast)]));
+      this.map.getSource("borders").setData(collection([feature("MultiLineString", borders)]));
     } catch (error) {
       // Without coastlines the map still has its graticule.
       this.failed = true;
       console.warn("coastlines:", error);
     }
   }
+
+  view() {
+    const bounds = this.map.getBounds();
+    return { west: bounds.getWest(), east: bounds.getEast(), south: bounds.getSouth(), north: bounds.getNorth(), fine: this.map.getZoom() >= FINE_ZOOM };
+  }
+}
+
+const contains = (box, view) => box.west <= view.west && box.east >= view.east && box.south <= view.south && box.north >= view.north;
+
+function around({ west, south, east, north }) {
+  const [wide, high] = [Math.max(LEAST, MARGIN * (east - west)), Math.max(LEAST, MARGIN * (north - south))];
+  return { west: west - wide, south: south - high, east: east + wide, north: north + high };
+}
+
+// The map repeats the earth, so what is around the view may be there under other longitudes.
+function cut({ land, coast, borders }, box) {
+  const boxes = [-720, -360, 0, 360, 720].map((turn) => ({ ...box, west: box.west + turn, east: box.east + turn }));
+  return {
+    land: boxes.flatMap((box) =>
+      land.map((polygon) => polygon.map((one) => ring(one, box)).filter(({ length }) => length)).filter(({ length }) => length),
+    ),
+    coast: boxes.flatMap((box) => coast.flatMap((one) => line(one, box))),
+    borders: boxes.flatMap((box) => borders.flatMap((one) => line(one, box))),
+  };
 }
 
 async function read(detail) {
@@ -42,11 +73,10 @@ async function read(detail) {
     }),
   ]);
   const rings = toGeoJson(atlas, atlas.objects.land).features.flatMap(polygons).map((polygon) => polygon.map(continuous));
-  const inland = mesh(atlas, atlas.objects.countries, (a, b) => a !== b).coordinates.map(continuous);
   return {
-    land: collection([feature("MultiPolygon", rings.map((polygon) => polygon.map(aroundThePole)))]),
-    coast: collection([feature("MultiLineString", rings.flat())]),
-    borders: collection([feature("MultiLineString", inland)]),
+    land: rings.map((polygon) => polygon.map(aroundThePole)),
+    coast: rings.flat(),
+    borders: mesh(atlas, atlas.objects.countries, (a, b) => a !== b).coordinates.map(continuous),
   };
 }
 

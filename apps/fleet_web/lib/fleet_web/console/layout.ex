@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Layout do
 
   @doc "The document. The banner for a lost gateway is outside the live page, because it shows when that is dead."
   def root(assigns) do
-    assigns = Map.merge(%{theme: nil, live: true}, assigns)
+    assigns = Map.merge(%{theme: nil, live: true, page_title: nil}, assigns)
 
     ~H"""
     <html lang="en" data-theme={@theme}>

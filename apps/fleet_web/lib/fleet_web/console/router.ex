@@ -1,6 +1,7 @@
 defmodule FleetWeb.Console.Router do
   @moduledoc "The pages and their paths. `FleetWeb.Console.Navigation` has the entries of the navigation."
-  use Phoenix.LiveView.Router
+  use Phoenix.Router, helpers: false
+  import Phoenix.LiveView.Router
 
   alias FleetWeb.Console.{Access, Alarms, Layout}
 

@@ -59,9 +59,8 @@ defmodule FleetWeb.Console.Supervisor do
       secret: secret,
       supervisor: pages(gateway),
       root_layout: {Layout, :root},
-      endpoint: gateway,
       cookie: Access.Session.cookie(secret),
-      session: &Access.Session.extra/1,
+      session: &Map.put(Access.Session.extra(&1), "gateway", gateway),
       origin?: &own?(policy, &1),
       not_found: Layout.not_found()
     )

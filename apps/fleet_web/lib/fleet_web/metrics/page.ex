@@ -81,7 +81,7 @@ defmodule FleetWeb.Metrics.Page do
     <!-- Made by `mix aerie.metrics` from FleetWeb.Metrics: change that, not this page. -->
 
     `GET /metrics` answers in Prometheus' text format, on the port of the console (`http.port`). It needs no key, but a `Host`
-    that belongs to the gateway ([clients.md](clients.md#who-may)). A scrape reads what the gateway knows anyway: it waits for no
+    that belongs to the gateway ([clients.md](clients.md#who-may-do-what)). A scrape reads what the gateway knows anyway: it waits for no
     vehicle, link or disk.
 
     - A value that is not known is left out, because a made-up zero would look like a measurement.

@@ -5,7 +5,6 @@ defmodule FleetWeb.API.CommandsTest do
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
 
   alias Aerie.Policy.Signature
-  alias Gnat.Nkey
 
   @moduletag :tmp_dir
   @moduletag :capture_log

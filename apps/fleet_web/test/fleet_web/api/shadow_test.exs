@@ -3,7 +3,7 @@ defmodule FleetWeb.API.ShadowTest do
   use FleetWeb.APICase, async: true
 
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
-  import Aerie.ShadowCase, only: [start_shadow: 2, start_loop: 1, standing: 3]
+  import Aerie.ShadowCase, only: [start_shadow: 3, start_loop: 1, standing: 3]
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -21,7 +21,8 @@ defmodule FleetWeb.API.ShadowTest do
     server = start_server(keys_file: file, key: true)
     start_door(dir, gateway: server.gateway)
     Aerie.DoorCase.put_vehicle(server.gateway, %{in_air: true})
-    start_shadow(server.gateway, dir)
+    # The vehicle is armed: the shadow would stay away for as long.
+    start_shadow(server.gateway, dir, [{"shadow.hold_s", 0.1}])
     start_loop(server.gateway)
     server
   end

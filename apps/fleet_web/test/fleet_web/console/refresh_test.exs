@@ -18,7 +18,9 @@ end
 
 defmodule FleetWeb.Console.RefreshTest.Routes do
   @moduledoc false
-  use Phoenix.LiveView.Router
+  use Phoenix.Router, helpers: false
+  import Phoenix.LiveView.Router
+
   alias FleetWeb.Console.{Access, Alarms}
 
   live_session :test, on_mount: [Access.OnMount, Alarms.OnMount] do
@@ -34,8 +36,7 @@ defmodule FleetWeb.Console.RefreshTest do
   setup do: {:ok, start_console()}
 
   defp page(console, role) do
-    conn = conn(console, role)
-    {:ok, view, _html} = live(%{conn | server: %{conn.server | router: Routes}}, "/")
+    {:ok, view, _html} = live(conn(console, role, Routes), "/")
     view
   end
 

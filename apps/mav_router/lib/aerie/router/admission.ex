@@ -16,7 +16,8 @@ defmodule Aerie.Router.Admission do
 
   The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second and #{@at_once}
   in a burst, and while no more than #{@busy} messages wait for that process, since other vehicles' frames are among them.
-  `Aerie.Router.VehicleStarter` starts the others and gets their frames as well; at most #{@max_waiting} wait there.
+  `Aerie.Router.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames, which their sessions take when
+  they start (`first_frames/2`).
   """
 
   alias Aerie.Names
@@ -64,13 +65,13 @@ defmodule Aerie.Router.Admission do
     end
   end
 
-  # The starter keeps one list of frames for each vehicle, so the number of those that wait bounds the memory.
+  # The frames of one read for each vehicle, so the number of those that wait bounds the memory.
   defp ask(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
     waits = :ets.lookup_element(tables.waiting, key, 2, now)
 
     if waits <= now and :ets.info(tables.waiting, :size) < @max_waiting do
-      :ets.insert(tables.waiting, {key, now + @waits_ms})
-      VehicleStarter.ask(gateway, key, delivery.sender, first.())
+      :ets.insert(tables.waiting, {key, now + @waits_ms, {:frames, delivery.sender, first.()}})
+      VehicleStarter.ask(gateway, key)
       :coming
     else
       :not_yet
@@ -80,11 +81,14 @@ defmodule Aerie.Router.Admission do
   @doc "Starts the vehicle now."
   @spec start(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) :: {:ok, pid} | :refused
   def start(gateway, tables, key, now) do
-    :ets.delete(tables.waiting, key)
+    started = tables.vehicles.ensure(gateway, key)
+    # Those of a session that was there already.
+    first = take(tables, key)
 
-    case tables.vehicles.ensure(gateway, key) do
+    case started do
       {:ok, session} ->
         {network, system} = key
+        if first, do: send(session, first)
 
         :telemetry.execute([:aerie, :router, :vehicle_found], %{}, %{
           gateway: gateway,
@@ -96,6 +100,22 @@ defmodule Aerie.Router.Admission do
 
       {:error, reason} ->
         refuse(gateway, tables, key, reason, now)
+    end
+  end
+
+  @doc """
+  Takes the first frames of a vehicle that was asked for, as a message for its session, nil for none. The session takes them before it
+  reads its mailbox: as soon as it has a name, links send it newer ones.
+  """
+  @spec first_frames(Names.gateway(), {String.t(), non_neg_integer}) :: {:frames, term, [struct]} | nil
+  def first_frames(gateway, key) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: take(tables, key)
+  end
+
+  defp take(tables, key) do
+    case :ets.take(tables.waiting, key) do
+      [{_key, _until, frames}] -> frames
+      [] -> nil
     end
   end
 

@@ -10,7 +10,8 @@ defmodule Aerie.Router.Tables do
   - `:seen` for `Dedupe`, `:limits` for `RateLimit`
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
-  - `:refused`, `:waiting` `{vehicle_key, until_ms}`: vehicles for which there was no room; those that are being started
+  - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
+  - `:waiting` `{vehicle_key, until_ms, {:frames, sender, frames}}`: vehicles that are being started, with their first frames
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint

@@ -4,8 +4,7 @@ defmodule Aerie.Router.VehicleStarter do
 
   @moduledoc """
   Starts vehicles one after the other when many are heard at once, so that no link has to do it while frames of its other
-  vehicles wait in its mailbox. #{div(1_000, @every_ms)} a second, fewer on a busy machine (`pause/1`), where frames come first. It
-  also gets the frames by which a vehicle was found, which are the vehicle's first ones.
+  vehicles wait in its mailbox. #{div(1_000, @every_ms)} a second, fewer on a busy machine (`pause/1`), where frames come first.
   """
   use GenServer
 
@@ -19,11 +18,10 @@ defmodule Aerie.Router.VehicleStarter do
     GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :vehicle_starter))
   end
 
-  @doc "Asks for a vehicle, which `Aerie.Router.Admission` does once for each. Its session gets the frames as sent by `sender`."
-  @spec ask(Names.gateway(), {String.t(), non_neg_integer}, sender :: term, [MavCodec.Frame.t()]) :: :ok
-  def ask(gateway, key, sender, frames) do
-    with pid when is_pid(pid) <- Names.whereis(gateway, :vehicle_starter),
-         do: send(pid, {:start, key, sender, frames})
+  @doc "Asks for a vehicle, which `Aerie.Router.Admission` does once for each that waits in the router's tables."
+  @spec ask(Names.gateway(), {String.t(), non_neg_integer}) :: :ok
+  def ask(gateway, key) do
+    with pid when is_pid(pid) <- Names.whereis(gateway, :vehicle_starter), do: send(pid, {:start, key})
 
     :ok
   end
@@ -40,28 +38,28 @@ defmodule Aerie.Router.VehicleStarter do
   end
 
   @impl GenServer
-  def handle_info({:start, key, sender, frames}, %{timer: nil} = state),
-    do: {:noreply, start(state, {key, sender, frames})}
+  def handle_info({:start, key}, %{timer: nil} = state), do: {:noreply, start(state, key)}
+  def handle_info({:start, key}, state), do: {:noreply, %{state | queue: :queue.in(key, state.queue)}}
+  def handle_info(:next, state), do: {:noreply, next(state)}
 
-  def handle_info({:start, key, sender, frames}, state),
-    do: {:noreply, %{state | queue: :queue.in({key, sender, frames}, state.queue)}}
-
-  def handle_info(:next, state) do
+  defp next(state) do
     case :queue.out(state.queue) do
-      {:empty, _queue} -> {:noreply, %{state | timer: nil}}
-      {{:value, asked}, queue} -> {:noreply, start(%{state | queue: queue}, asked)}
+      {:empty, _queue} -> %{state | timer: nil}
+      {{:value, key}, queue} -> start(%{state | queue: queue}, key)
     end
   end
 
-  defp start(%{gateway: gateway} = state, {key, sender, frames}) do
+  defp start(%{gateway: gateway} = state, key) do
     began = System.monotonic_time(:millisecond)
+    tables = Tables.of(gateway)
 
-    with tables when is_map(tables) <- Tables.of(gateway),
-         {:ok, session} <- Admission.start(gateway, tables, key, began) do
-      send(session, {:frames, sender, frames})
+    # One that waits no more was started by a link, or waited for too long and will be asked for again.
+    if tables != nil and :ets.member(tables.waiting, key) do
+      _ = Admission.start(gateway, tables, key, began)
+      took = System.monotonic_time(:millisecond) - began
+      %{state | timer: Process.send_after(self(), :next, pause(took))}
+    else
+      next(state)
     end
-
-    took = System.monotonic_time(:millisecond) - began
-    %{state | timer: Process.send_after(self(), :next, pause(took))}
   end
 end

@@ -4,7 +4,8 @@ defmodule Aerie.Router.Vehicles do
   forwards frames and knows no vehicles.
 
   A vehicle's frames are sent to the process that is registered as its session (`Aerie.Names`, role `:session`); see
-  `Aerie.Router.deliver/3`.
+  `Aerie.Router.deliver/3`. Its first ones may wait for it: it asks for them (`Aerie.Router.first_frames/2`) before it handles any
+  other.
   """
 
   @doc """

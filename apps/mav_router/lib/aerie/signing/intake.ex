@@ -13,7 +13,7 @@ defmodule Aerie.Signing.Intake do
 
   alias Aerie.Store
   alias Aerie.Names
-  alias Aerie.Signing.{Alarm, Verifier, Verifiers, Scope, Signer, Tables, KeyStore, ClockRecovery}
+  alias Aerie.Signing.{Alarm, Verifier, Verifiers, Signer, Tables, KeyStore, ClockRecovery}
   alias MavCodec.Frame
 
   @max_sources 4096
@@ -34,6 +34,7 @@ defmodule Aerie.Signing.Intake do
       waiters?: :ets.info(tables.waiters, :size) > 0,
       kept: [],
       behind: %{},
+      candidates: %{},
       slots: %{},
       verifiers: %{},
       newest: %{},
@@ -60,7 +61,7 @@ defmodule Aerie.Signing.Intake do
   defp judge(frame, acc) do
     case slot(acc, frame.system) do
       {nil, acc} ->
-        {verdict, scope} = candidate({:no_scope, nil}, acc, frame)
+        {verdict, scope, acc} = candidate({:no_scope, nil}, acc, frame)
         verdict(acc, frame, verdict, scope)
 
       {slot, %{verifiers: verifiers} = acc} ->
@@ -68,7 +69,7 @@ defmodule Aerie.Signing.Intake do
         {verdict, signing} = Verifier.check(scope, signing, frame, acc.trust)
         verifiers = %{verifiers | slot => {scope, signing, moved? or verdict == :verified}}
         {verdict, newest} = elsewhere(verdict, acc, frame)
-        {verdict, scope} = candidate({verdict, scope}, acc, frame)
+        {verdict, scope, acc} = candidate({verdict, scope}, acc, frame)
 
         %{acc | verifiers: verifiers, newest: newest}
         |> behind(verdict, scope, frame)
@@ -114,16 +115,29 @@ defmodule Aerie.Signing.Intake do
   # Only where the key in force does not fit, so it costs nothing as long as all is well.
   defp candidate({verdict, scope}, acc, %Frame{signature: signature} = frame)
        when signature != nil and verdict in [:no_scope, {:rejected, :wrong_signature}, {:rejected, :no_key}] do
-    with %Scope{} = candidate <- Tables.candidate(acc.tables, {acc.network, frame.system}),
-         true <- Verifiers.proves?(acc.tables, acc.link, candidate, frame) do
+    {candidate, acc} = staged(acc, frame.system)
+
+    if candidate != nil and Verifiers.proves?(acc.tables, acc.link, candidate, frame) do
       KeyStore.proven(acc.gateway, candidate)
-      {:verified, candidate}
+      {:verified, candidate, acc}
     else
-      _other -> {verdict, scope}
+      {verdict, scope, acc}
     end
   end
 
-  defp candidate(judged, _acc, _frame), do: judged
+  defp candidate({verdict, scope}, acc, _frame), do: {verdict, scope, acc}
+
+  # Read once for each system of a read: its first frame puts the key in force, and the others of the read are signed with it, too.
+  defp staged(%{candidates: candidates} = acc, system) do
+    case candidates do
+      %{^system => candidate} ->
+        {candidate, acc}
+
+      _first ->
+        candidate = Tables.candidate(acc.tables, {acc.network, system})
+        {candidate, %{acc | candidates: Map.put(candidates, system, candidate)}}
+    end
+  end
 
   # The key of a system's scope in `verifiers`, nil for no scope; the tables are read once for each system of a read.
   defp slot(%{slots: slots} = acc, system) do

@@ -139,6 +139,23 @@ defmodule Aerie.Router.DeliverTest do
     assert %{delivered: 1} = deliver(gateway, attitude(1, 2))
   end
 
+  test "the frames by which a vehicle was found come before those that its session gets as soon as it is there" do
+    gateway = gateway()
+    starter = Names.whereis(gateway, :vehicle_starter)
+    :sys.suspend(starter)
+    for n <- 1..65, do: send(self(), {:waiting, n})
+    assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
+    # Another link that hears it, or the starter's own work while it waits for a processor.
+    assert {:ok, _session} = Aerie.FakeVehicles.ensure(gateway, {"main", 1})
+    assert %{delivered: 1} = deliver(gateway, attitude(1, 1))
+    :sys.resume(starter)
+    assert_receive {:session, {"main", 1}, "a", [%{id: 30}]}
+    assert_received {:session, {"main", 1}, "a", [%{id: 0}]}
+    :sys.get_state(starter)
+    assert :ets.info(Tables.of(gateway).waiting, :size) == 0
+    refute_received {:session, _key, _sender, _frames}
+  end
+
   test "a link with many messages in its mailbox starts no vehicle itself" do
     gateway = gateway(%{})
     starter = Names.whereis(gateway, :vehicle_starter)

@@ -47,6 +47,22 @@ defmodule Aerie.Signing.RotationTest do
     assert [_] = Signing.admit(c.gateway, source(), [frame(other)])
   end
 
+  test "all frames of the read whose first one puts the new key in force are heard", c do
+    :ok = stage(c.gateway)
+    {:ok, secret} = Signing.Key.parse("new")
+    {old, _signer} = signed(signer(), 1)
+
+    {frames, _signer} =
+      Enum.map_reduce(1..3000, MavCodec.Signing.new(Aerie.Secret.reveal(secret)), fn _n, signer ->
+        {bytes, signer} = signed(signer, 1)
+        {frame(bytes, 5), signer}
+      end)
+
+    assert length(Signing.admit(c.gateway, source(), [frame(old, 5) | frames])) == 3001
+    :ok = KeyStore.settle(c.gateway)
+    assert keys(c.gateway) == ["main/1", "main/*"]
+  end
+
   test "the key is on the disk before it is sent: after kill -9 the vehicle is still understood, whichever it has",
        c do
     :ok = stage(c.gateway)

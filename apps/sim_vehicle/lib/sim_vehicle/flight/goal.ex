@@ -67,7 +67,7 @@ defmodule SimVehicle.Flight.Goal do
   def advance(:off, _v), do: {:cont, :off, :off, []}
   def advance(:idle, _v), do: {:cont, :idle, :idle, []}
 
-  def advance(%{do: :hold} = g, v), do: {:cont, g, setpoint(v, {:pos, g.n, g.e}, {:pos, g.d}, :keep), []}
+  def advance(%{do: :hold} = g, v), do: {:cont, g, setpoint(v, {:pos, g.n, g.e}, {:pos, g.d}, nose(g)), []}
   def advance(%{do: :settle} = g, _v), do: {:cont, g, :idle, []}
 
   def advance(%{do: :takeoff, from: from} = g, v) when v.now < from, do: {:cont, g, :idle, []}
@@ -83,7 +83,8 @@ defmodule SimVehicle.Flight.Goal do
     radius = Map.get(g, :radius, v.limits.radius)
 
     if away < radius and abs(v.kin.d - g.d) < 0.5 do
-      {:done, :arrived, hold(g)}
+      # The nose may have further to turn.
+      {:done, :arrived, Map.put(hold(g), :yaw, g.yaw)}
     else
       setpoint = setpoint(v, {:pos, g.n, g.e}, {:pos, g.d}, course(g, v, away))
       {:cont, g, %{setpoint | speed: Map.get(g, :speed, v.limits.speed)}, []}
@@ -114,10 +115,7 @@ defmodule SimVehicle.Flight.Goal do
   def advance(%{do: :wait, until: nil} = g, v), do: advance(%{g | until: v.now + g.us}, v)
   def advance(%{do: :wait, until: until} = g, v) when v.now >= until, do: {:done, :arrived, hold(g)}
 
-  def advance(%{do: :wait} = g, v) do
-    yaw = if Map.get(g, :yaw), do: {:to, g.yaw}, else: :keep
-    {:cont, g, setpoint(v, {:pos, g.n, g.e}, {:pos, g.d}, yaw), []}
-  end
+  def advance(%{do: :wait} = g, v), do: {:cont, g, setpoint(v, {:pos, g.n, g.e}, {:pos, g.d}, nose(g)), []}
 
   def advance(%{do: :steps, steps: [{tag, _goal} | _rest], told: false} = g, v) do
     with {:cont, g, setpoint, events} <- advance(%{g | told: true}, v),
@@ -142,6 +140,8 @@ defmodule SimVehicle.Flight.Goal do
     setpoint = setpoint(v, {:pos, n, e}, {:pos, g.d}, {:to, inward})
     {:cont, %{g | swept: swept, angle: bearing}, %{setpoint | speed: g.speed}, []}
   end
+
+  defp nose(g), do: if(yaw = Map.get(g, :yaw), do: {:to, yaw}, else: :keep)
 
   defp course(%{yaw: yaw}, _v, _away) when is_number(yaw), do: {:to, yaw}
   defp course(_g, _v, away) when away < 3.0, do: :keep

@@ -21,7 +21,7 @@ defmodule Aerie.Bridge.Commands do
 
   alias Aerie.Bridge.Commands.{Request, Transfers}
   alias Aerie.Bridge.{Connection, Settings, Tables}
-  alias Aerie.{Command, Commands, Names, Policy, Store}
+  alias Aerie.{Command, Commands, Names, Nats, Policy, Store}
   alias Aerie.Command.{Error, Result}
   alias Aerie.Commands.Record
   alias Aerie.Policy.Facts
@@ -100,7 +100,7 @@ defmodule Aerie.Bridge.Commands do
   def handle_info({:command_progress, topic, id, progress}, state) do
     body = JSON.encode!(Map.put(progress, "id", id))
     # Progress that does not arrive is followed by more of it, or by the result.
-    _ = if state.conn, do: Gnat.pub(state.conn, "#{topic}.progress.#{id}", body)
+    _ = if state.conn, do: Nats.pub(state.conn, "#{topic}.progress.#{id}", body)
     {:noreply, state}
   end
 
@@ -133,7 +133,7 @@ defmodule Aerie.Bridge.Commands do
   defp look(id, state) do
     case {if(id not in state.left, do: Store.vehicle(state.gateway, id)), state.subscribed} do
       {nil, %{^id => sids}} ->
-        for sid <- sids, do: _ = Gnat.unsub(state.conn, sid)
+        for sid <- sids, do: _ = Nats.unsub(state.conn, sid)
         %{state | subscribed: Map.delete(state.subscribed, id)}
 
       {%{}, subscribed} when not is_map_key(subscribed, id) ->
@@ -141,7 +141,7 @@ defmodule Aerie.Bridge.Commands do
           for area <- ["cmd" | Transfers.areas()],
               subject = "fleet.#{state.environment}.#{id}.#{area}.*",
               # Otherwise the connection is lost; the next one subscribes.
-              {:ok, sid} <- [Gnat.sub(state.conn, self(), subject, queue_group: @queue)],
+              {:ok, sid} <- [Aerie.Nats.sub(state.conn, self(), subject, queue_group: @queue)],
               do: sid
 
         if length(sids) > length(Transfers.areas()),
@@ -251,7 +251,7 @@ defmodule Aerie.Bridge.Commands do
   defp reply(_tables, %{reply_to: nil}, _body), do: :ok
 
   defp reply(tables, message, body) do
-    with {:error, _lost} <- Gnat.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body)),
+    with {:error, _lost} <- Nats.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body)),
          do: Tables.count(tables, :publish_errors)
 
     :ok

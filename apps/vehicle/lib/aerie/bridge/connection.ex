@@ -9,12 +9,15 @@ defmodule Aerie.Bridge.Connection do
   use GenServer
 
   alias Aerie.Bridge.Connection.{Machine, Settings}
-  alias Aerie.Bridge.{Streams, Tables}
-  alias Aerie.{Bridge, Names}
+  alias Aerie.Bridge.{Server, Streams, Tables}
+  alias Aerie.{Bridge, Names, Nats}
+  alias Aerie.Store.PubSub
 
   require Logger
 
   @streams_retry_ms 5_000
+  # An embedded server that accepts no connection for so long hangs.
+  @hangs_ms 10_000
   # Somebody may delete a stream of which this gateway uses little.
   @streams_look_ms 15_000
   @publishers [:bridge_state, :bridge_events, :bridge_commands]
@@ -22,14 +25,6 @@ defmodule Aerie.Bridge.Connection do
   @spec start_link(gateway: Names.gateway(), settings: Bridge.Settings.t()) :: GenServer.on_start()
   def start_link(options) do
     GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_connection))
-  end
-
-  @doc "The embedded server is up at this URL."
-  @spec server_up(Names.gateway(), String.t()) :: :ok
-  def server_up(gateway, url) do
-    # A connection process that has not started yet reads the URL from the tables.
-    if pid = Names.whereis(gateway, :bridge_connection), do: send(pid, {:server_up, url})
-    :ok
   end
 
   @doc "The connection that publishers may use, or nil. `streams: :ok` if JetStream is usable too."
@@ -48,6 +43,8 @@ defmodule Aerie.Bridge.Connection do
     %Bridge.Settings{} = settings = Keyword.fetch!(options, :settings)
     Process.set_label({:bridge_connection, gateway})
     Logger.metadata(gateway: inspect(gateway))
+    # The embedded server's address comes and changes.
+    :ok = PubSub.subscribe(gateway, :bridge)
 
     state = %{
       gateway: gateway,
@@ -56,6 +53,7 @@ defmodule Aerie.Bridge.Connection do
       machine: Machine.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
       conn: nil,
       up_at: nil,
+      down_at: now(),
       timer: nil,
       streams_timer: nil
     }
@@ -72,21 +70,23 @@ defmodule Aerie.Bridge.Connection do
   defp urls(%{tables: tables}), do: tables |> Tables.info(:server) |> Map.get(:url) |> List.wrap()
 
   @impl GenServer
-  def handle_info({:server_up, url}, state), do: {:noreply, event({:urls, [url]}, state)}
+  def handle_info({:fleet, :bridge, {:server, %{status: :up, fault: nil, url: url}}}, state),
+    do: {:noreply, event({:urls, [url]}, %{state | down_at: now()})}
+
   def handle_info(:retry, state), do: {:noreply, event(:retry, %{state | timer: nil})}
 
   def handle_info({:EXIT, conn, reason}, %{conn: conn} = state) when conn != nil do
-    up_ms = System.monotonic_time(:millisecond) - state.up_at
+    up_ms = now() - state.up_at
     tell(state, {:bridge, :down})
 
     :telemetry.execute([:aerie, :bridge, :disconnected], %{up_ms: up_ms}, %{
       gateway: state.gateway,
-      reason: text(reason)
+      reason: Nats.text(reason)
     })
 
     Tables.count(state.tables, :disconnects)
-    state = put_info(%{state | conn: nil}, :down, :error)
-    {:noreply, event({:closed, text(reason), up_ms}, state)}
+    state = put_info(%{state | conn: nil, down_at: now()}, :down, :error)
+    {:noreply, event({:closed, Nats.text(reason), up_ms}, state)}
   end
 
   def handle_info(:check_streams, %{conn: conn} = state) when conn != nil do
@@ -117,13 +117,15 @@ defmodule Aerie.Bridge.Connection do
 
   defp action({:connect, url}, state) do
     with {:ok, settings} <- Settings.gnat(state.settings, url),
-         {:ok, conn} <- Gnat.start_link(settings) do
-      state = %{state | conn: conn, up_at: System.monotonic_time(:millisecond)}
+         {:ok, conn} <- Nats.connect(settings) do
+      state = %{state | conn: conn, up_at: now()}
       :telemetry.execute([:aerie, :bridge, :connected], %{count: 1}, %{gateway: state.gateway, url: url})
       Tables.count(state.tables, :connects)
       ensure_streams(event(:connected, state))
     else
-      {:error, reason} -> event({:failed, text(reason)}, state)
+      {:error, reason} ->
+        if now() - state.down_at >= @hangs_ms, do: Server.stalled(state.gateway, "it accepts no connection")
+        event({:failed, Nats.text(reason)}, state)
     end
   end
 
@@ -174,12 +176,8 @@ defmodule Aerie.Bridge.Connection do
     state
   end
 
+  defp now, do: System.monotonic_time(:millisecond)
+
   defp url(machine),
     do: Enum.at(machine.urls, rem(max(machine.attempts - 1, 0), max(length(machine.urls), 1)))
-
-  defp text({:shutdown, reason}), do: text(reason)
-  defp text(reason) when is_exception(reason), do: Exception.message(reason)
-  defp text(reason) when is_binary(reason), do: reason
-  defp text(reason) when is_atom(reason), do: reason |> :inet.format_error() |> to_string()
-  defp text(_reason), do: "an unexpected error"
 end

@@ -15,7 +15,7 @@ defmodule Aerie.Bridge.Events do
 
   alias Aerie.Bridge.{Connection, Outbox, Server, Settings, Tables}
   alias Aerie.Bridge.Events.{Disk, Gaps, PubAck, Source, StallDetector, Window}
-  alias Aerie.{Fleet, Names}
+  alias Aerie.{Fleet, Names, Nats}
   alias Aerie.Store.PubSub
 
   require Logger
@@ -137,7 +137,7 @@ defmodule Aerie.Bridge.Events do
   defp subscribe(state, conn) do
     inbox = "_INBOX.aerie-#{Base.encode16(:crypto.strong_rand_bytes(9), case: :lower)}"
 
-    case Gnat.sub(conn, self(), inbox <> ".*") do
+    case Nats.sub(conn, self(), inbox <> ".*") do
       {:ok, _sid} -> %{state | conn: conn, conn_at: now(), inbox: inbox}
       {:error, _reason} -> state
     end
@@ -203,7 +203,7 @@ defmodule Aerie.Bridge.Events do
   defp publish(state, ref, {key, record}) do
     options = [reply_to: "#{state.inbox}.#{ref}", headers: headers(key, record)]
 
-    case Gnat.pub(state.conn, record.subject, record.body, options) do
+    case Nats.pub(state.conn, record.subject, record.body, options) do
       :ok ->
         state
 

@@ -17,7 +17,7 @@ defmodule Aerie.Bridge.Forward do
   alias Aerie.Bridge.{Connection, Settings, State, Tables}
   alias Aerie.Bridge.Events.{Gaps, PubAck, Window}
   alias Aerie.Bridge.Forward.{Local, Position}
-  alias Aerie.{Names, PrivateFile}
+  alias Aerie.{Names, Nats, PrivateFile}
 
   require Logger
 
@@ -112,7 +112,7 @@ defmodule Aerie.Bridge.Forward do
   defp subscribe(state, conn) do
     inbox = "_INBOX.aerie-hub-#{Base.encode16(:crypto.strong_rand_bytes(9), case: :lower)}"
 
-    case Gnat.sub(conn, self(), inbox <> ".*") do
+    case Nats.sub(conn, self(), inbox <> ".*") do
       {:ok, _sid} -> %{state | conn: conn, inbox: inbox, asked_at: nil, heard_at: now()}
       {:error, _lost} -> state
     end
@@ -137,7 +137,7 @@ defmodule Aerie.Bridge.Forward do
     state = if now() - state.heard_at > @silence_ms, do: down(state, "it does not answer"), else: state
 
     if state.asked_at == nil or now() - state.asked_at >= @ask_ms do
-      _lost = Gnat.pub(state.conn, "hub.info", "", reply_to: state.inbox <> ".hub")
+      _lost = Nats.pub(state.conn, "hub.info", "", reply_to: state.inbox <> ".hub")
       %{state | asked_at: now()}
     else
       state
@@ -158,13 +158,21 @@ defmodule Aerie.Bridge.Forward do
 
   defp up(%{hub: :up} = state), do: %{state | good_at: now()}
 
+  defp up(%{conn: nil} = state), do: state
+
+  # Without the local stream's end nobody knows what is history for the hub: then the next answer counts.
   defp up(state) do
-    Logger.notice("the hub is there")
-    # What was sent a moment before the last answer may have been lost on the way.
-    State.hub_up(state.gateway, state.good_at - @ask_ms)
-    # What is stored until now is history for it.
-    state = look(%{state | hub: :up, problem: nil})
-    %{state | good_at: now(), backfill_to: state.last}
+    case Local.info(state.conn) do
+      {:ok, born, last} ->
+        Logger.notice("the hub is there")
+        # What was sent a moment before the last answer may have been lost on the way.
+        State.hub_up(state.gateway, state.good_at - @ask_ms)
+        state = looked(%{state | hub: :up, problem: nil}, born, last)
+        %{state | good_at: now(), backfill_to: state.last}
+
+      {:error, _why} ->
+        state
+    end
   end
 
   defp down(%{hub: :down} = state, why), do: %{state | problem: why || state.problem}
@@ -174,28 +182,22 @@ defmodule Aerie.Bridge.Forward do
     %{state | hub: :down, problem: why}
   end
 
-  # A stream that was deleted and made anew numbers anew.
   defp look(%{conn: nil} = state), do: state
 
   defp look(state) do
     case Local.info(state.conn) do
-      {:ok, born, last} when born == state.position.born ->
-        %{state | last: last, dry: last < state.position.next}
-
-      {:ok, born, last} ->
-        %{
-          again(state)
-          | position: Position.of(state.position, born),
-            last: last,
-            dry: false,
-            backfill_to: last
-        }
-
-      {:error, _why} ->
-        state
+      {:ok, born, last} -> looked(state, born, last)
+      {:error, _why} -> state
     end
-  catch
-    :exit, _gone -> state
+  end
+
+  defp looked(%{position: %{born: born} = position} = state, born, last),
+    do: %{state | last: last, dry: last < position.next}
+
+  # A stream that was deleted and made anew numbers anew.
+  defp looked(state, born, last) do
+    position = Position.of(state.position, born)
+    %{again(state) | position: position, last: last, dry: false, backfill_to: last}
   end
 
   ## Events
@@ -224,8 +226,6 @@ defmodule Aerie.Bridge.Forward do
       {:error, _why} ->
         state
     end
-  catch
-    :exit, _gone -> state
   end
 
   defp take(state, %{seq: seq, place: place} = message) do
@@ -287,7 +287,7 @@ defmodule Aerie.Bridge.Forward do
     headers = [{"Nats-Msg-Id", record.id} | late]
     options = [reply_to: "#{state.inbox}.#{ref}", headers: headers]
 
-    case Gnat.pub(state.conn, "hub." <> record.subject, record.body, options) do
+    case Nats.pub(state.conn, "hub." <> record.subject, record.body, options) do
       :ok -> state
       {:error, reason} -> if PubAck.hopeless?(reason), do: give_up(state, ref, reason), else: state
     end

@@ -15,7 +15,7 @@ defmodule Aerie.Bridge.Server do
   use GenServer
 
   alias Aerie.Backoff
-  alias Aerie.Bridge.{Connection, Leaf, Tables, Token}
+  alias Aerie.Bridge.{Leaf, Tables, Token}
   alias Aerie.Bridge.Server.{LogFile, LogLine, OsProcess, RestartPolicy, Settings}
   alias Aerie.FolderLock
   alias Aerie.{Bridge, Disk, Names, PrivateFile}
@@ -37,7 +37,7 @@ defmodule Aerie.Bridge.Server do
   def child_spec(options),
     do: %{id: __MODULE__, start: {__MODULE__, :start_link, [options]}, shutdown: @stop_ms + 3_000}
 
-  @doc "The server does not answer published events; `text` is for the log."
+  @doc "The server hangs: it answers no events, or accepts no connection. `text` is for the log."
   @spec stalled(Names.gateway(), String.t()) :: :ok
   def stalled(gateway, text) do
     # Only the embedded server can be restarted.
@@ -106,7 +106,7 @@ defmodule Aerie.Bridge.Server do
            Disk.free(state.nats.store_dir)
          ) do
       {:restart, restart_policy} ->
-        Logger.error("nats-server stores nothing (#{text}); restarting it")
+        Logger.error("nats-server does not work (#{text}); restarting it")
         OsProcess.stop(port)
         {:noreply, %{state | restart_policy: restart_policy}}
 
@@ -242,15 +242,15 @@ defmodule Aerie.Bridge.Server do
           "NATS server on #{url(state)}; its address with the login is in #{Token.url_file(state.nats)}"
         )
 
-    state = put_info(%{state | last_problem: nil}, :up)
+    # Who hears that it is up finds the file.
     write_url(state)
+    state = put_info(%{state | last_problem: nil}, :up)
 
     :telemetry.execute([:aerie, :bridge, :server, :up], %{restarts: state.restarts}, %{
       gateway: state.gateway,
       url: url(state)
     })
 
-    Connection.server_up(state.gateway, url(state))
     state
   end
 
@@ -269,7 +269,7 @@ defmodule Aerie.Bridge.Server do
   defp fault(_text, %{restart_policy: %{fault: known}} = state) when known != nil, do: state
 
   defp fault(text, state) do
-    Logger.error("nats-server stores nothing: #{text}; it is restarted when its disk has room")
+    Logger.error("nats-server does not work: #{text}; it is restarted when its disk has room")
     Process.send_after(self(), :look, @look_ms)
     put_info(%{state | restart_policy: RestartPolicy.fault(state.restart_policy, text)}, state.status)
   end

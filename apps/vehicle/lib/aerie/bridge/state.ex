@@ -13,7 +13,7 @@ defmodule Aerie.Bridge.State do
   use GenServer
 
   alias Aerie.Bridge.{Connection, Message, Settings, Tables}
-  alias Aerie.{Bridge, Fleet, Names}
+  alias Aerie.{Bridge, Fleet, Names, Nats}
 
   @max_subjects 100_000
   @look_again_ms 1_000
@@ -114,7 +114,7 @@ defmodule Aerie.Bridge.State do
     # A value that waits is newer, and comes after it.
     for {subject, {_subject, body, _label}, at} <- :ets.tab2list(state.tables.sent),
         at >= since,
-        do: _ = Gnat.pub(conn, subject, body, headers: [{"Aerie-Backfill", "true"}])
+        do: _ = Nats.pub(conn, subject, body, headers: [{"Aerie-Backfill", "true"}])
 
     {:noreply, state}
   end
@@ -176,9 +176,9 @@ defmodule Aerie.Bridge.State do
   end
 
   defp pub(conn, subject, body) do
-    case Gnat.pub(conn, subject, body) do
+    case Nats.pub(conn, subject, body) do
       :ok -> :ok
-      {:error, %{reason: {:payload_too_large, _size, _max}}} -> {:error, :refused}
+      {:error, {:too_large, _bytes, _max}} -> {:error, :refused}
       {:error, _reason} -> {:error, :gone}
     end
   end

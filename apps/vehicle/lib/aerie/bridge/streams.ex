@@ -12,6 +12,7 @@ defmodule Aerie.Bridge.Streams do
   """
 
   alias Aerie.Bridge.Settings
+  alias Aerie.Nats
   alias Gnat.Jetstream.API.Stream, as: Api
 
   @compared [
@@ -21,6 +22,7 @@ defmodule Aerie.Bridge.Streams do
     :max_age,
     :duplicate_window,
     :num_replicas,
+    :allow_direct,
     :discard,
     :retention,
     :storage
@@ -68,7 +70,7 @@ defmodule Aerie.Bridge.Streams do
   defp duplicate_window(window, max_age), do: min(window, max_age)
 
   @doc "Creates or checks both streams; an error if one of them cannot be used."
-  @spec ensure(Gnat.t(), Settings.t()) :: {:ok, report()} | {:error, report()}
+  @spec ensure(Aerie.Nats.conn(), Settings.t()) :: {:ok, report()} | {:error, report()}
   def ensure(conn, %Settings{} = settings) do
     report = Map.new(wanted(settings), &{&1.name, ensure_one(conn, &1, settings.nats.mode)})
     failed? = Enum.any?(report, &match?({_name, {:error, _}}, &1))
@@ -76,15 +78,15 @@ defmodule Aerie.Bridge.Streams do
   end
 
   defp ensure_one(conn, wanted, mode) do
-    case Api.info(conn, wanted.name) do
+    case Nats.call(conn, fn -> Api.info(conn, wanted.name) end) do
       {:ok, %{config: there}} -> compare(conn, wanted, there, mode)
       {:error, %{"code" => 404}} -> create(conn, wanted)
-      {:error, reason} -> {:error, text(reason)}
+      {:error, reason} -> {:error, Nats.text(reason)}
     end
   end
 
   defp create(conn, wanted) do
-    case Api.create(conn, wanted) do
+    case Nats.call(conn, fn -> Api.create(conn, wanted) end) do
       {:ok, _info} -> :created
       {:error, reason} -> {:error, not_made(reason, wanted)}
     end
@@ -93,10 +95,10 @@ defmodule Aerie.Bridge.Streams do
   # The server reserves a stream's size when it creates it.
   defp not_made(%{"err_code" => code} = reason, wanted) when code in @no_room do
     key = if wanted.name == "FLEET_STATE", do: "state_max_mb", else: "event_max_mb"
-    "#{text(reason)} for #{div(wanted.max_bytes, 1_048_576)} MB (nats.streams.#{key})"
+    "#{Nats.text(reason)} for #{div(wanted.max_bytes, 1_048_576)} MB (nats.streams.#{key})"
   end
 
-  defp not_made(reason, _wanted), do: text(reason)
+  defp not_made(reason, _wanted), do: Nats.text(reason)
 
   defp compare(conn, wanted, there, mode) do
     case {differences(wanted, there), mode} do
@@ -107,7 +109,7 @@ defmodule Aerie.Bridge.Streams do
   end
 
   defp update(conn, wanted, differences) do
-    case Api.update(conn, wanted) do
+    case Nats.call(conn, fn -> Api.update(conn, wanted) end) do
       {:ok, _info} -> :updated
       # Some settings of an existing stream cannot be changed. It works as it is.
       {:error, _reason} -> {:differs, differences}
@@ -133,13 +135,4 @@ defmodule Aerie.Bridge.Streams do
   defp show(list) when is_list(list), do: Enum.join(list, " ")
   defp show(nil), do: "not set"
   defp show(value), do: to_string(value)
-
-  @doc "A reason of the JetStream API as text."
-  @spec text(term()) :: String.t()
-  def text(%{"description" => description}), do: description
-  def text(:no_responders), do: "the server has no JetStream"
-  def text(:timeout), do: "no answer"
-  def text(text) when is_binary(text), do: text
-  def text(exception) when is_exception(exception), do: Exception.message(exception)
-  def text(_other), do: "an unknown answer"
 end

@@ -4,27 +4,31 @@ defmodule Aerie.Bridge.Subscriber do
   answers to requests.
   """
 
-  alias Aerie.Bridge
+  alias Aerie.{Bridge, Nats}
 
   @doc """
-  Subscribes this process with each new connection. `state` has `:gateway` and `:conn`, the connection that is subscribed, nil for
-  none; call this at the start and for each `{:fleet, :bridge, {:connection, info}}`. Options are those of `Gnat.sub/4`.
+  Subscribes this process to a subject, or several, with each new connection. `state` has `:gateway` and `:conn`, the connection that is subscribed, nil for
+  none; call this at the start and for each `{:fleet, :bridge, {:connection, info}}`. Options are those of `Nats.sub/4`.
   """
-  @spec follow(state, String.t(), keyword()) :: state
+  @spec follow(state, String.t() | [String.t()], keyword()) :: state
         when state: %{:gateway => term(), :conn => pid() | nil, optional(atom()) => term()}
-  def follow(state, subject, options \\ []) do
+  def follow(state, subjects, options \\ []) do
     conn = Bridge.connection(state.gateway)
 
     with true <- conn != nil and conn != state.conn,
-         {:ok, _sid} <- Gnat.sub(conn, self(), subject, options) do
+         :ok <- all(List.wrap(subjects), &Nats.sub(conn, self(), &1, options)) do
       %{state | conn: conn}
     else
       false -> %{state | conn: conn}
       # The connection was lost; the next one subscribes.
       {:error, _lost} -> %{state | conn: nil}
     end
-  catch
-    :exit, _gone -> %{state | conn: nil}
+  end
+
+  defp all(subjects, subscribe) do
+    Enum.find_value(subjects, :ok, fn subject ->
+      with {:ok, _sid} <- subscribe.(subject), do: nil
+    end)
   end
 
   @doc "The answer that refuses a request."
@@ -37,9 +41,7 @@ defmodule Aerie.Bridge.Subscriber do
 
   def reply(message, body) do
     # A client without an answer asks again.
-    _ = Gnat.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body))
+    _ = Nats.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body))
     :ok
-  catch
-    :exit, _gone -> :ok
   end
 end

@@ -8,6 +8,7 @@ defmodule Aerie.Client.StateFeed do
   use GenServer
 
   alias Aerie.Client.StateForm
+  alias Aerie.Fleet
   alias Aerie.Store.PubSub
   alias Aerie.Store
   alias Aerie.Names
@@ -62,7 +63,7 @@ defmodule Aerie.Client.StateFeed do
 
   defp tell(state, readers) do
     now = System.os_time(:microsecond)
-    lines = StateForm.lines(Store.vehicles(state.gateway), Store.links(state.gateway), now)
+    lines = StateForm.lines(Fleet.vehicles(state.gateway), Store.links(state.gateway), now)
     :ets.insert(state.table, {:text, lines})
     for {pid, told} <- readers, :atomics.exchange(told, 1, 1) == 0, do: send(pid, @topic)
     :ok

@@ -4,7 +4,7 @@ defmodule Aerie.Client.StateForm do
 
   ```json
   {"timestamp": 1713264000.123, "vehicle": "VID-001", "network": "main", "system_id": 1,
-   "status": "online", "age": 0.08,
+   "status": "online", "via": null, "age": 0.08,
    "fc_connected": true, "fc_port": "/dev/ttyS0", "fc_baud": 921600, "autopilot": "ardupilot", "type": "copter",
    "armed": false, "in_air": false, "mode": "STABILIZE",
    "attitude": {"roll": 0.02, "pitch": -0.01, "yaw": 178.5},
@@ -16,8 +16,8 @@ defmodule Aerie.Client.StateForm do
   ```
 
   Names, units and decimals are those of `Aerie.Vehicle.Fields`; `timestamp` is unix time in seconds. What is not known is
-  null. `fc_connected` says whether the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part
-  of the state was: a value that is no longer told stays, and can be seen to be old. `fc_port` is the device or address of
+  null. `via` is the gateway by which a remote vehicle is reached, null for one on this gateway's links. `fc_connected` says
+  whether the vehicle is heard; `age` how long ago it was heard, and `ages` how long ago each part of the state was: a value that is no longer told stays, and can be seen to be old. `fc_port` is the device or address of
   the link that it is heard on, `fc_baud` is null for other links than serial ones. The ages of a vehicle that is heard from
   a recording are those in the recording.
   """
@@ -58,6 +58,7 @@ defmodule Aerie.Client.StateForm do
       network: vehicle.network,
       system_id: vehicle.system_id,
       status: vehicle.status,
+      via: vehicle[:via],
       age: age(vehicle.last_heard, clock),
       fc_connected: vehicle.status == :online,
       autopilot: vehicle.autopilot,

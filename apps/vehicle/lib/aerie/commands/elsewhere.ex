@@ -23,6 +23,28 @@ defmodule Aerie.Commands.Elsewhere do
             ) ::
               Result.t()
 
+  @typedoc "What is asked besides commands: area, operation and body, as in `docs/transfers.md`."
+  @type request :: {area :: String.t(), operation :: String.t(), body :: %{String.t() => term()}}
+
+  @doc """
+  Asks the gateway of the vehicle's snapshot for something that is no command, in the name of `who`, and waits at most a little longer
+  than `timeout_ms`. Gives what it answered beside its result, or the result that says why there is nothing.
+  """
+  @callback transfer(
+              Names.gateway(),
+              snapshot :: map(),
+              id :: String.t(),
+              request(),
+              who :: String.t(),
+              timeout_ms :: pos_integer(),
+              progress :: (map() -> term())
+            ) :: {:ok, %{String.t() => term()}} | {:error, Result.t()}
+
+  @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
+  @spec only(via :: String.t()) :: String.t()
+  def only(via),
+    do: "not available for a remote vehicle: it is heard by the gateway #{via}; ask that one (docs/fleet.md)"
+
   @doc "Asks the other gateway to let a command cease."
   @callback cancel(Names.gateway(), snapshot :: map(), id :: String.t()) :: :ok | {:error, String.t()}
 end

@@ -9,7 +9,7 @@ defmodule Aerie.Commands.Passage do
 
   alias Aerie.{Command, Fleet, Ledger, Names, Policy, Store, Vehicle}
   alias Aerie.Command.Result
-  alias Aerie.Commands.{Desk, Record, SetpointsFirst}
+  alias Aerie.Commands.{Desk, Elsewhere, Record, SetpointsFirst}
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
 
   @patience_ms 5_000
@@ -116,8 +116,8 @@ defmodule Aerie.Commands.Passage do
       nil ->
         {:stop, :rejected, :vehicle, "there is no vehicle #{way.command.vehicle}"}
 
-      %{via: via} when via != nil and way.request.work != nil ->
-        {:stop, :rejected, :vehicle, "it is heard by the gateway #{via}; ask that one (docs/fleet.md)"}
+      %{via: via} when via != nil and way.request.work != nil and way.request.work.elsewhere == nil ->
+        {:stop, :rejected, :elsewhere, Elsewhere.only(via)}
 
       snapshot ->
         {:ok, snapshot}
@@ -185,7 +185,7 @@ defmodule Aerie.Commands.Passage do
 
   defp carry_out(way, %{via: via} = snapshot) when via != nil do
     progress = fn told -> send(way.desk, {:command_progress, way.command.id, told}) end
-    way.elsewhere.submit(way.gateway, snapshot, way.command, way.request, progress)
+    pass_on(way.request.work, way, snapshot, progress)
   end
 
   defp carry_out(%{facts: %{control: nil}} = way, snapshot), do: execute(way, snapshot)
@@ -217,6 +217,19 @@ defmodule Aerie.Commands.Passage do
       send(desk, {:command_progress, command.id, progress})
       :ok
     end)
+  end
+
+  defp pass_on(nil, way, snapshot, progress),
+    do: way.elsewhere.submit(way.gateway, snapshot, way.command, way.request, progress)
+
+  defp pass_on(%{elsewhere: request}, %{command: command} = way, snapshot, progress) do
+    left_ms = max(div(command.deadline - System.os_time(:microsecond), 1000), 1)
+    who = "#{way.request.source.name} by #{way.request.via}"
+
+    case way.elsewhere.transfer(way.gateway, snapshot, command.id, request, who, left_ms, progress) do
+      {:ok, details} -> Result.new(command.id, :completed, nil, details)
+      {:error, result} -> result
+    end
   end
 
   # Sent twice, a value, a plan or a file is the same as sent once.

@@ -9,17 +9,20 @@ defmodule Aerie.Commands.Work do
   alias Aerie.Policy.{Context, Facts}
 
   @enforce_keys [:facts, :run]
-  defstruct [:facts, :run, :review]
+  defstruct [:facts, :run, :review, :elsewhere]
 
   @typedoc """
     * `:facts` - what the rules judge it by; its type is that of the envelope
     * `:review` - what the rules have to say beyond that, asked before anything is sent; nil for nothing
+    * `:elsewhere` - how another gateway is asked to do it to a vehicle that it hears (`t:Aerie.Commands.Elsewhere.request/0`); nil: it
+      is not passed on
     * `:run` - does it, given the vehicle's snapshot and a function for its progress
   """
   @type t :: %__MODULE__{
           facts: Facts.t(),
           review:
             nil | (Policy.t(), Context.t(), snapshot :: map() -> :allow | {:deny, Policy.rule(), String.t()}),
+          elsewhere: nil | Aerie.Commands.Elsewhere.request(),
           run: (snapshot :: map(), (map() -> :ok) -> Result.t())
         }
 end

@@ -9,7 +9,7 @@ defmodule Aerie.Ledger.Journal do
   damaged file is kept beside the new one. The file is rewritten (`compact/2`) when most of it is out of date.
   """
 
-  alias Aerie.{DiskFormat, PrivateFile}
+  alias Aerie.{Disk, DiskFormat, PrivateFile}
 
   @format 1
   @head "aerie-ledger #{@format}\n"
@@ -77,10 +77,10 @@ defmodule Aerie.Ledger.Journal do
     end
   end
 
-  @doc "Returns when everything written would survive a power cut."
-  @spec sync(t()) :: :ok | {:error, String.t()}
-  def sync(journal),
-    do: with({:error, reason} <- :file.datasync(journal.file), do: {:error, text(journal.path, reason)})
+  @doc "Returns when everything written to the file would survive a power cut. Any process may call it."
+  @spec sync(Path.t(), (Path.t() -> :ok | {:error, File.posix()})) :: :ok | {:error, String.t()}
+  def sync(path, sync \\ &Disk.sync/1),
+    do: with({:error, reason} <- sync.(path), do: {:error, text(path, reason)})
 
   @doc "Replaces the file with one that has these records."
   @spec compact(t(), Enumerable.t([term()])) :: {:ok, t()} | {:error, String.t(), t()}
@@ -104,7 +104,7 @@ defmodule Aerie.Ledger.Journal do
 
   @spec close(t()) :: :ok
   def close(journal) do
-    _ = sync(journal)
+    _ = :file.datasync(journal.file)
     _ = :file.close(journal.file)
     :ok
   end

@@ -18,6 +18,19 @@ defmodule Aerie.Params.Param do
           exact: boolean()
         }
 
+  @doc "Reads what `plain/1` gave, as JSON brings it: it came from outside."
+  @spec parse(term()) :: {:ok, t()} | :error
+  def parse(%{"name" => name, "value" => value, "type" => type} = object)
+      when is_binary(name) and byte_size(name) in 1..16 and type in 0..255 and
+             (is_number(value) or is_nil(value) or (is_binary(value) and byte_size(value) <= 128)) do
+    default = if is_number(object["default"]), do: object["default"]
+
+    {:ok,
+     %__MODULE__{name: name, value: value, type: type, default: default, exact: object["exact"] != false}}
+  end
+
+  def parse(_other), do: :error
+
   @doc "The parameter as NATS and REST show it."
   @spec plain(t()) :: %{atom() => String.t() | number() | boolean() | nil}
   def plain(param), do: Map.take(param, [:name, :value, :type, :default, :exact])

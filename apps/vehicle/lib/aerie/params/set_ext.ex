@@ -1,7 +1,7 @@
 defmodule Aerie.Params.SetExt do
   @moduledoc """
   Sets one parameter of a component that speaks PARAM_EXT (P8); this succeeds only when the component has reported the new value. Events,
-  times and `{:send, _}` are those of `Aerie.Params.Download`; the end is `{:done, {:ok, param} | {:error, reason}}`.
+  times and actions are those of `Aerie.Params.Download`; the result at the end is the parameter or a reason.
 
   If its type is not given, the parameter is read first. Then it is sent until PARAM_EXT_ACK answers. IN_PROGRESS is waited on for as
   long as the component answers; meanwhile the value is read, because the acknowledgement of the end comes once and can be lost.

@@ -37,6 +37,15 @@ defmodule Aerie.Params.Table do
   @spec plain(t()) :: %{count: non_neg_integer(), params: [map()]}
   def plain(table), do: %{count: count(table), params: Enum.map(sorted(table), &Param.plain/1)}
 
+  @doc "Reads what `plain/1` gave, as JSON brings it."
+  @spec parse(term()) :: {:ok, t()} | :error
+  def parse(%{"params" => params}) when is_list(params) and length(params) <= @max do
+    parsed = for object <- params, {:ok, param} <- [Param.parse(object)], do: param
+    if length(parsed) == length(params), do: {:ok, new(parsed)}, else: :error
+  end
+
+  def parse(_other), do: :error
+
   @doc "All parameters in the order of their names."
   @spec sorted(t()) :: [Param.t()]
   def sorted(table), do: Enum.sort_by(Map.values(table.params), & &1.name)

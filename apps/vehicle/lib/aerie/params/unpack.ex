@@ -1,6 +1,6 @@
 defmodule Aerie.Params.Unpack do
   @moduledoc """
-  Metadata that is compressed (T5): `.xz` by the machine's `xz`, because OTP has no such decompression. What it may become is bounded, in size,
+  Metadata that is compressed (T5): `.xz` by the program `xz`, which comes with a release, because OTP has no such decompression. What it may become is bounded, in size,
   memory and time.
   """
 
@@ -18,7 +18,7 @@ defmodule Aerie.Params.Unpack do
     case System.find_executable("xz") do
       nil ->
         {:error,
-         "the vehicle's metadata is compressed, and this machine has no xz: install the package xz-utils"}
+         "the vehicle's metadata is compressed, and there is no xz on the PATH: install the package xz-utils"}
 
       program ->
         unpacked(program, bytes)

@@ -5,7 +5,7 @@ defmodule Aerie.Policy.Audit do
 
   When it cannot be written (a full disk, a folder that is gone), `append/3` says so, and `verdict/3` says what follows:
   with `required: true`, the default, commands are denied until it can be again, but for those that hold a vehicle or bring
-  it down. What was not recorded is counted, shown by `status/1`, and told in the log itself as soon as it can be written.
+  it down. A task brings it to the disk once a second, so that nobody waits for a slow one. What was not recorded is counted, shown by `status/1`, and told in the log itself as soon as it can be written.
 
   Telemetry: `[:aerie, :audit, :failing]` (`count` 1; `gateway`, `reason`) when writing begins to fail, and
   `[:aerie, :audit, :writing]` (`missed`; `gateway`) when it works again.
@@ -13,7 +13,7 @@ defmodule Aerie.Policy.Audit do
 
   use GenServer
 
-  alias Aerie.{FolderLock, Names, Store}
+  alias Aerie.{Disk, FolderLock, Names, Store}
   alias Aerie.Policy.Audit.Log
   alias Aerie.Policy.Facts
 
@@ -28,8 +28,13 @@ defmodule Aerie.Policy.Audit do
   @typedoc """
     * `:gateway` - whose log it is; `:dir` - its folder
     * `:max_bytes` - the most that it may take on the disk; the oldest records make room
+    * `:sync` - brings a file to the disk; for tests of a slow one
   """
-  @type option :: {:gateway, Names.gateway()} | {:dir, Path.t()} | {:max_bytes, pos_integer()}
+  @type option ::
+          {:gateway, Names.gateway()}
+          | {:dir, Path.t()}
+          | {:max_bytes, pos_integer()}
+          | {:sync, (Path.t() -> :ok | {:error, File.posix()})}
 
   @type status :: %{
           n: non_neg_integer() | nil,
@@ -108,7 +113,9 @@ defmodule Aerie.Policy.Audit do
       since: nil,
       missed: 0,
       tried: nil,
-      timer: nil
+      sync: Keyword.get(options, :sync, &Disk.sync/1),
+      sync_due?: false,
+      syncing: nil
     }
 
     {:ok, open(state)}
@@ -143,20 +150,31 @@ defmodule Aerie.Policy.Audit do
   def handle_cast(:missed, state), do: {:noreply, missed(state)}
 
   @impl GenServer
-  def handle_info(:sync, %{log: nil} = state), do: {:noreply, %{state | timer: nil}}
+  # The one before it still waits for the disk; there is one at a time.
+  def handle_info(:sync, %{syncing: %Task{}} = state), do: {:noreply, schedule(%{state | sync_due?: false})}
 
-  def handle_info(:sync, state) do
-    case Log.sync(state.log) do
-      {:ok, log} -> {:noreply, %{state | log: log, timer: nil}}
-      {:error, reason, log} -> {:noreply, failed(%{state | log: log, timer: nil}, reason)}
-    end
+  def handle_info(:sync, %{log: log, sync: sync} = state) do
+    task = if log, do: Task.async(fn -> Log.sync(log, sync) end)
+    {:noreply, %{state | syncing: task, sync_due?: false}}
   end
 
+  def handle_info({task, result}, %{syncing: %{ref: task}} = state) do
+    Process.demonitor(task, [:flush])
+    state = %{state | syncing: nil}
+    {:noreply, if(result == :ok, do: state, else: failed(state, elem(result, 1)))}
+  end
+
+  # A task that has given its answer.
+  def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   @impl GenServer
   def terminate(_reason, %{log: nil}), do: :ok
-  def terminate(_reason, state), do: Log.close(state.log)
+
+  def terminate(_reason, state) do
+    _ = if state.syncing, do: Task.shutdown(state.syncing, :brutal_kill)
+    Log.close(state.log)
+  end
 
   defp open(state) do
     state = %{state | tried: System.monotonic_time(:millisecond)}
@@ -226,8 +244,12 @@ defmodule Aerie.Policy.Audit do
     %{state | failing: nil, since: nil, missed: 0}
   end
 
-  defp schedule(%{timer: nil} = state), do: %{state | timer: Process.send_after(self(), :sync, @sync_ms)}
-  defp schedule(state), do: state
+  defp schedule(%{sync_due?: true} = state), do: state
+
+  defp schedule(state) do
+    _ = Process.send_after(self(), :sync, @sync_ms)
+    %{state | sync_due?: true}
+  end
 
   defp now, do: System.os_time(:microsecond)
 end

@@ -169,7 +169,7 @@ defmodule Aerie.Policy.Compile do
 
   defp source(path, item) do
     nkey =
-      case Gnat.Nkey.from_public(item.nkey || "") do
+      case Nkey.from_public(item.nkey || "") do
         {:ok, :user, _public} -> []
         _other -> [{"#{path}.nkey", "the public nkey of a user (U…)", item.nkey || "nothing"}]
       end

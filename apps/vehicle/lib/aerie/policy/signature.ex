@@ -17,8 +17,6 @@ defmodule Aerie.Policy.Signature do
   A signature counts for a minute. Within that a message that is sent again has the same id, and gets the stored result.
   """
 
-  alias Gnat.Nkey
-
   @old_us 60_000_000
   @ahead_us 5_000_000
   @max_header 512

@@ -17,12 +17,11 @@ defmodule Aerie.Remote.Listener do
   """
   use GenServer
 
-  alias Aerie.{Bridge, Fleet, Names, Store}
+  alias Aerie.{Bridge, Fleet, Names, Nats, Store}
   alias Aerie.Bridge.{Commands, Subscriber}
   alias Aerie.Fleet.Remote
   alias Aerie.Remote.{Message, Settings}
   alias Aerie.Store.PubSub
-  alias Gnat.Jetstream.Pager
 
   @max_waiting 20_000
   @max_gateways 8
@@ -97,10 +96,8 @@ defmodule Aerie.Remote.Listener do
 
   # Without the stream there is only what comes from now on.
   defp read(conn, subjects, listener) do
-    options = [deliver_policy: :last_per_subject, filter_subject: subjects, batch: 200]
-
     _ =
-      Pager.reduce(conn, "FLEET_STATE", options, :ok, fn message, :ok ->
+      Nats.Reader.last(conn, "FLEET_STATE", subjects, fn message ->
         GenServer.call(listener, {:last, [{message.topic, message.body}]}, :infinity)
       end)
 

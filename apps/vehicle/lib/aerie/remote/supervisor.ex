@@ -8,7 +8,6 @@ defmodule Aerie.Remote.Supervisor do
   alias Aerie.Bridge
   alias Aerie.Names
   alias Aerie.Remote.{Announcer, Listener, Settings}
-  alias Gnat.Nkey
 
   require Logger
 

@@ -2,18 +2,24 @@ defmodule Aerie.Shadow.Buckets do
   @moduledoc """
   The shadow's buckets in NATS, read and written with compare-and-set.
 
-  | bucket | key | value | history |
-  |---|---|---|---|
-  | `fleet_desired` | `{env}.{vehicle}` | the desired document (`Aerie.Shadow.SealedDocument`) | 5 |
-  | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Shadow.Report`) | 1 |
-  | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway | 1 |
-  | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it | 1 |
-  | `fleet_plans` | SHA-256 of the file | a `.plan` file | 1 |
+  | bucket | key | value |
+  |---|---|---|
+  | `fleet_desired` | `{env}.{vehicle}` | the desired document (`Aerie.Shadow.SealedDocument`) |
+  | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Shadow.Report`) |
+  | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway |
+  | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it |
+  | `fleet_plans` | SHA-256 of the file | a `.plan` file |
+
+  Sizes, ages, history and copies are in the configuration (`shadow.buckets`, `nats.streams.replicas`). A bucket that differs is changed on
+  the embedded server. On another server it is left as it is and the difference is told, because an operator may have set it.
   """
 
+  alias Aerie.Bridge.Streams
+  alias Aerie.Nats
+  alias Aerie.Nats.KV
   alias Aerie.Secret
   alias Aerie.Shadow.{Document, Report, SealedDocument}
-  alias Gnat.Jetstream.API.KV
+  alias Gnat.Jetstream.API.Stream
 
   @desired "fleet_desired"
   @reported "fleet_reported"
@@ -34,81 +40,121 @@ defmodule Aerie.Shadow.Buckets do
   def leases, do: @leases
 
   @doc "The space that the server reserves for them, in megabytes."
-  @spec reserved_mb() :: pos_integer()
-  def reserved_mb,
-    do: div(Enum.sum(for {_bucket, options} <- wanted(), do: options[:max_bucket_size]), @mb)
+  @spec reserved_mb(limits :: map()) :: pos_integer()
+  def reserved_mb(limits),
+    do: div(Enum.sum(for stream <- wanted(limits, 1), do: stream.max_bytes), @mb)
 
-  defp wanted do
-    [
-      {@desired, history: 5, max_bucket_size: 64 * @mb, max_value_size: 2 * Document.max_bytes()},
-      {@reported, history: 1, max_bucket_size: 32 * @mb, max_value_size: 2 * Report.max_bytes()},
-      {@leases, history: 1, max_bucket_size: 1 * @mb},
-      {@plans, history: 1, max_bucket_size: 32 * @mb}
-    ]
+  defp wanted(limits, replicas) do
+    for {bucket, limits} <- [
+          {@desired,
+           max_msgs_per_subject: limits.desired_history,
+           max_bytes: limits.desired_max_mb * @mb,
+           max_msg_size: 2 * Document.max_bytes()},
+          {@reported,
+           max_bytes: limits.reported_max_mb * @mb,
+           max_msg_size: 2 * Report.max_bytes(),
+           max_age: nanoseconds(limits.reported_max_age_days)},
+          {@leases, max_bytes: @mb},
+          {@plans, max_bytes: limits.plans_max_mb * @mb, max_age: nanoseconds(limits.plans_max_age_days)}
+        ],
+        do: KV.stream(bucket, [num_replicas: replicas] ++ limits)
   end
 
-  @doc "Creates missing buckets, and returns their names. `replicas`: copies in a cluster."
-  @spec ensure(Gnat.t(), replicas :: pos_integer()) :: {:ok, made :: [String.t()]} | {:error, String.t()}
-  def ensure(conn, replicas) do
-    Enum.reduce_while(wanted(), {:ok, []}, fn {bucket, options}, {:ok, made} ->
-      # An existing bucket is not changed: an operator may have given it other limits.
-      with {:error, _none} <- KV.info(conn, bucket),
-           {:ok, _info} <- KV.create_bucket(conn, bucket, [replicas: replicas] ++ options) do
-        {:cont, {:ok, [bucket | made]}}
-      else
-        {:ok, _there} -> {:cont, {:ok, made}}
-        {:error, reason} -> {:halt, {:error, "the bucket #{bucket} cannot be made: #{text(reason)}"}}
+  defp nanoseconds(days), do: round(days * 86_400 * 1_000_000_000)
+
+  @typedoc "`made`: names of buckets that were missing; `differs`: what is not as configured, as texts."
+  @type report :: %{made: [String.t()], differs: [String.t()]}
+
+  @doc "Creates missing buckets, and brings those of the embedded server to the configured limits (`shadow.buckets`)."
+  @spec ensure(Nats.conn(), Aerie.Bridge.Settings.t(), limits :: map()) ::
+          {:ok, report()} | {:error, String.t()}
+  def ensure(conn, %{nats: nats}, limits) do
+    Enum.reduce_while(wanted(limits, nats.streams.replicas), {:ok, %{made: [], differs: []}}, fn wanted,
+                                                                                                 {:ok, report} ->
+      "KV_" <> bucket = wanted.name
+
+      case ensure_one(conn, wanted, nats.mode) do
+        :made ->
+          {:cont, {:ok, %{report | made: [bucket | report.made]}}}
+
+        {:there, differs} ->
+          {:cont,
+           {:ok, %{report | differs: report.differs ++ for(text <- differs, do: "#{bucket}: #{text}")}}}
+
+        {:error, reason} ->
+          {:halt, {:error, "the bucket #{bucket} cannot be made: #{Nats.text(reason)}"}}
       end
     end)
   end
 
-  @doc "The desired document of a vehicle: `:none`, `{:error, text}` if NATS does not answer, or `{:refused, text}` if no gateway with our key wrote it."
-  @spec read(Gnat.t(), kept(), String.t()) ::
-          {:ok, Document.t(), revision :: pos_integer()}
-          | :none
-          | {:refused, String.t(), revision :: pos_integer()}
-          | {:error, String.t()}
-  def read(conn, kept, vehicle) do
-    case KV.get_entry(conn, @desired, "#{kept.environment}.#{vehicle}") do
-      {:ok, entry} ->
-        case SealedDocument.decode(entry.value, kept.environment, vehicle, kept.key) do
-          {:ok, document} -> {:ok, document, entry.revision}
-          {:error, why} -> {:refused, why, entry.revision}
-        end
-
-      {:error, :not_found} ->
-        :none
-
-      {:error, reason} ->
-        {:error, text(reason)}
+  defp ensure_one(conn, wanted, mode) do
+    with {:error, _none} <- Nats.call(conn, fn -> Stream.info(conn, wanted.name) end),
+         {:ok, _info} <- Nats.call(conn, fn -> Stream.create(conn, wanted) end) do
+      :made
+    else
+      {:ok, %{config: there}} -> {:there, compare(conn, adapted(there, wanted), there, mode)}
+      error -> error
     end
   end
 
-  @doc "Writes a document if `revision` is still the last one of its key, or `:none` and the key has none."
-  @spec write(Gnat.t(), kept(), Document.t(), revision :: pos_integer() | :none) ::
+  defp compare(conn, wanted, there, mode) do
+    with [_ | _] = differences <- Streams.differences(wanted, there),
+         false <-
+           mode == :embedded and match?({:ok, _info}, Nats.call(conn, fn -> Stream.update(conn, wanted) end)) do
+      differences
+    else
+      _same_or_changed -> []
+    end
+  end
+
+  # What is not configured stays as it is. The server refuses a window that is longer than the age limit.
+  defp adapted(there, %{max_age: max_age} = wanted) do
+    window = if max_age > 0, do: min(there.duplicate_window, max_age), else: there.duplicate_window
+    keys = [:max_msgs_per_subject, :max_bytes, :max_age, :num_replicas, :allow_direct]
+    struct!(%{there | duplicate_window: window}, Map.take(wanted, keys))
+  end
+
+  @doc """
+  The desired document of a vehicle: `:none`, `{:error, text}` if NATS does not answer, or `{:refused, text}` if no gateway with our key
+  wrote it. The revision is for `write/4`.
+  """
+  @spec read(Nats.conn(), kept(), String.t()) ::
+          {:ok, Document.t(), revision :: pos_integer()}
+          | {:none, revision :: non_neg_integer()}
+          | {:refused, String.t(), revision :: pos_integer()}
+          | {:error, String.t()}
+  def read(conn, kept, vehicle) do
+    case KV.get(conn, @desired, "#{kept.environment}.#{vehicle}") do
+      {:ok, value, revision} ->
+        case SealedDocument.decode(value, kept.environment, vehicle, kept.key) do
+          {:ok, document} -> {:ok, document, revision}
+          {:error, why} -> {:refused, why, revision}
+        end
+
+      {:none, revision} ->
+        {:none, revision}
+
+      {:error, reason} ->
+        {:error, Nats.text(reason)}
+    end
+  end
+
+  @doc "Writes a document if `revision` is still the last one of its key."
+  @spec write(Nats.conn(), kept(), Document.t(), revision :: non_neg_integer()) ::
           :ok | :lost_race | {:error, String.t()}
   def write(conn, kept, document, revision) do
-    key = "#{kept.environment}.#{document.vehicle}"
     text = SealedDocument.encode(document, kept.environment, kept.key)
+    options = [expected: revision, timeout: @timeout_ms]
 
-    result =
-      if revision == :none,
-        do: KV.create_key(conn, @desired, key, text, timeout: @timeout_ms),
-        else: KV.update_value(conn, @desired, key, text, revision, timeout: @timeout_ms)
-
-    case result do
-      :ok -> :ok
-      {:ok, _revision} -> :ok
-      {:error, :wrong_revision} -> :lost_race
-      {:error, reason} -> {:error, text(reason)}
-    end
+    with {:error, reason} <- KV.put(conn, @desired, "#{kept.environment}.#{document.vehicle}", text, options),
+         do: {:error, Nats.text(reason)}
   end
 
   @doc """
   Changes a document by `fun` with compare-and-set: after a lost race it tries again with the new value. `copy` is the last document
   known here; it is used if the bucket has none, an older one, or one that no gateway wrote.
   """
-  @spec change(Gnat.t(), kept(), Document.t(), (Document.t() -> {:ok, Document.t()} | error), (-> :ok)) ::
+  @spec change(Nats.conn(), kept(), Document.t(), (Document.t() -> {:ok, Document.t()} | error), (-> :ok)) ::
           {:ok, Document.t()} | error | {:error, {:unavailable, String.t()}}
         when error: {:error, {:role | :conflict | :limit, String.t()}}
   def change(conn, kept, copy, fun, on_race), do: change(conn, kept, copy, fun, on_race, @races)
@@ -137,103 +183,90 @@ defmodule Aerie.Shadow.Buckets do
     case read(conn, kept, copy.vehicle) do
       {:ok, document, revision} -> {:ok, Enum.max_by([document, copy], & &1.version), revision}
       {:refused, _why, revision} -> {:ok, copy, revision}
-      :none -> {:ok, copy, :none}
+      {:none, revision} -> {:ok, copy, revision}
       {:error, why} -> {:error, {:unavailable, "NATS does not answer: #{why}"}}
     end
   end
 
   @doc "Publishes a reported document without waiting; it is published again after a lost connection."
-  @spec report(Gnat.t(), String.t(), String.t(), map()) :: :ok | {:error, term()}
+  @spec report(Nats.conn(), String.t(), String.t(), map()) :: :ok | {:error, term()}
   def report(conn, environment, vehicle, report),
-    do: Gnat.pub(conn, "$KV.#{@reported}.#{environment}.#{vehicle}", JSON.encode_to_iodata!(report))
+    do: Nats.pub(conn, "$KV.#{@reported}.#{environment}.#{vehicle}", JSON.encode_to_iodata!(report))
 
   @doc "The reported document in the bucket, or nil."
-  @spec reported(Gnat.t(), String.t(), String.t()) :: map() | nil
+  @spec reported(Nats.conn(), String.t(), String.t()) :: map() | nil
   def reported(conn, environment, vehicle) do
-    with {:ok, entry} <- KV.get_entry(conn, @reported, "#{environment}.#{vehicle}"),
-         {:ok, %{} = report} <- JSON.decode(entry.value),
+    with {:ok, value, _revision} <- KV.get(conn, @reported, "#{environment}.#{vehicle}"),
+         {:ok, %{} = report} <- JSON.decode(value),
          do: report,
          else: (_none -> nil)
   end
 
   @doc "Stores a plan file."
-  @spec put_plan(Gnat.t(), hash :: String.t(), binary()) :: :ok | {:error, String.t()}
+  @spec put_plan(Nats.conn(), hash :: String.t(), binary()) :: :ok | {:error, String.t()}
   def put_plan(conn, hash, text) do
-    with {:error, reason} <- KV.put_value(conn, @plans, hash, text), do: {:error, text(reason)}
-  catch
-    :exit, _gone -> {:error, "the connection to NATS was lost"}
+    conn |> KV.put(@plans, hash, text) |> written()
   end
 
   @doc "Reads a plan file."
-  @spec plan(Gnat.t(), hash :: String.t()) :: {:ok, binary()} | :error
+  @spec plan(Nats.conn(), hash :: String.t()) :: {:ok, binary()} | :error
   def plan(conn, hash) do
-    case KV.get_entry(conn, @plans, hash) do
-      {:ok, entry} -> {:ok, entry.value}
-      {:error, _none} -> :error
-    end
-  catch
-    :exit, _gone -> :error
+    with {:ok, value, _revision} <- KV.get(conn, @plans, hash), do: {:ok, value}, else: (_none -> :error)
   end
 
   @doc "Writes this gateway's heartbeat."
-  @spec renew(Gnat.t(), String.t(), instance :: String.t(), name :: String.t()) :: :ok | {:error, String.t()}
+  @spec renew(Nats.conn(), String.t(), instance :: String.t(), name :: String.t()) ::
+          :ok | {:error, String.t()}
   def renew(conn, environment, instance, name) do
-    with {:error, reason} <-
-           KV.put_value(
-             conn,
-             @leases,
-             "#{environment}.gateways.#{instance}",
-             JSON.encode!(%{"gateway" => name}),
-             timeout: @timeout_ms
-           ),
-         do: {:error, text(reason)}
+    value = JSON.encode!(%{"gateway" => name})
+
+    conn |> KV.put(@leases, "#{environment}.gateways.#{instance}", value, timeout: @timeout_ms) |> written()
   end
+
+  # No revision was expected, so a race is not lost.
+  defp written(:ok), do: :ok
+  defp written({:error, reason}), do: {:error, Nats.text(reason)}
 
   @doc """
   Makes this gateway a vehicle's owner if nobody is, or if `gone?` is true for the present owner: `:mine`, or the owner.
   """
-  @spec claim(Gnat.t(), String.t(), String.t(), instance :: String.t(), (String.t() -> boolean())) ::
+  @spec claim(Nats.conn(), String.t(), String.t(), instance :: String.t(), (String.t() -> boolean())) ::
           :mine | {:other, String.t()} | {:error, String.t()}
   def claim(conn, environment, vehicle, instance, gone?) do
     key = "#{environment}.vehicles.#{vehicle}"
 
-    case KV.get_entry(conn, @leases, key) do
-      {:ok, %{value: ^instance}} ->
+    case KV.get(conn, @leases, key) do
+      {:ok, ^instance, _revision} ->
         :mine
 
-      {:ok, entry} ->
-        if gone?.(entry.value), do: take(conn, key, instance, entry.revision), else: {:other, entry.value}
+      {:ok, owner, revision} ->
+        if gone?.(owner), do: take(conn, key, instance, revision), else: {:other, owner}
 
-      {:error, :not_found} ->
-        take(conn, key, instance, :none)
+      {:none, revision} ->
+        take(conn, key, instance, revision)
 
       {:error, reason} ->
-        {:error, text(reason)}
+        {:error, Nats.text(reason)}
     end
   end
 
   defp take(conn, key, instance, revision) do
-    result =
-      if revision == :none,
-        do: KV.create_key(conn, @leases, key, instance, timeout: @timeout_ms),
-        else: KV.update_value(conn, @leases, key, instance, revision, timeout: @timeout_ms)
-
-    case result do
-      {:error, :wrong_revision} -> {:error, "another gateway was faster"}
-      {:error, reason} -> {:error, text(reason)}
-      _written -> :mine
+    case KV.put(conn, @leases, key, instance, expected: revision, timeout: @timeout_ms) do
+      :ok -> :mine
+      :lost_race -> {:error, "another gateway was faster"}
+      {:error, reason} -> {:error, Nats.text(reason)}
     end
   end
 
   @doc "Gives a vehicle up if this gateway owns it."
-  @spec release(Gnat.t(), String.t(), String.t(), instance :: String.t()) :: :ok
+  @spec release(Nats.conn(), String.t(), String.t(), instance :: String.t()) :: :ok
   def release(conn, environment, vehicle, instance) do
     key = "#{environment}.vehicles.#{vehicle}"
 
     # If this fails, the others wait until the lease has expired.
     _ =
-      with {:ok, %{value: ^instance, revision: revision}} <- KV.get_entry(conn, @leases, key),
-           do: KV.delete_key(conn, @leases, key, expected_revision: revision, timeout: @timeout_ms)
+      with {:ok, ^instance, revision} <- KV.get(conn, @leases, key),
+           do: KV.delete(conn, @leases, key, expected: revision, timeout: @timeout_ms)
 
     :ok
   end
@@ -256,6 +289,4 @@ defmodule Aerie.Shadow.Buckets do
       _of_others -> nil
     end
   end
-
-  defp text(reason), do: Aerie.Bridge.Streams.text(reason)
 end

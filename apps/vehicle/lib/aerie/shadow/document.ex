@@ -105,6 +105,11 @@ defmodule Aerie.Shadow.Document do
   defp covers?(name, path),
     do: String.ends_with?(name, "*") and String.starts_with?(path, String.trim_trailing(name, "*"))
 
+  @doc "The changes that a document keeps of these, the newest first."
+  @spec history([change()]) :: [change()]
+  def history(changes),
+    do: changes |> Enum.uniq() |> Enum.sort_by(&{-&1.version, -&1.at}) |> Enum.take(@max_history)
+
   # The values of a large change are in the history of the bucket.
   defp paths(paths) do
     case Enum.split(Enum.sort(paths), @max_paths) do
@@ -113,7 +118,9 @@ defmodule Aerie.Shadow.Document do
     end
   end
 
-  defp bounded(document) do
+  @doc "The document, unless it is larger than a bucket takes."
+  @spec bounded(t()) :: {:ok, t()} | {:error, {:limit, String.t()}}
+  def bounded(document) do
     counts = document.fields |> Map.keys() |> Enum.frequencies_by(&hd(String.split(&1, ".")))
     full = Enum.find(@max_of_group, fn {group, max} -> Map.get(counts, group, 0) > max end)
 

@@ -8,7 +8,10 @@ defmodule Aerie.Shadow.Documents do
   """
 
   alias Aerie.{Bridge, Names}
-  alias Aerie.Shadow.{Buckets, Document, Metrics, Tags}
+  alias Aerie.Shadow.{Buckets, Document, Metrics, Tags, Uplink}
+
+  # For how long an answer waits to be shown here.
+  @shown_ms 1_000
 
   ## For loops
 
@@ -67,9 +70,9 @@ defmodule Aerie.Shadow.Documents do
   @spec tags(Names.gateway()) :: Tags.tags()
   def tags(gateway), do: with_table(gateway, %{}, &Tags.of(&1, System.os_time(:microsecond)))
 
-  @doc "Why desired states cannot be stored, or nil."
+  @doc "Why desired states cannot be stored, or do not agree with the hub's; or nil."
   @spec problem(Names.gateway()) :: String.t() | nil
-  def problem(gateway), do: row(gateway, :problem)
+  def problem(gateway), do: row(gateway, :problem) || Uplink.problem(gateway)
 
   @doc "The document of a vehicle in NATS, also of one that this gateway does not hear."
   @spec fetch(Names.gateway(), String.t()) :: {:ok, Document.t()} | {:error, {:unavailable, String.t()}}
@@ -105,7 +108,7 @@ defmodule Aerie.Shadow.Documents do
 
         with {:ok, document} <-
                Buckets.change(conn, kept, copy, fun, fn -> Metrics.count(gateway, :conflicts) end) do
-          GenServer.cast(Names.via(gateway, :shadow_documents), {:written, document})
+          written(gateway, document)
           {:ok, document}
         end
 
@@ -115,6 +118,13 @@ defmodule Aerie.Shadow.Documents do
   catch
     :exit, _gone ->
       {:error, {:unavailable, "the shadow is being restarted, or NATS does not answer; try again"}}
+  end
+
+  # Who is answered finds it in what this gateway shows. If its process is busy with NATS, that follows later.
+  defp written(gateway, document) do
+    GenServer.call(Names.via(gateway, :shadow_documents), {:written, document}, @shown_ms)
+  catch
+    :exit, _late -> :ok
   end
 
   @doc "Takes a token of the rate limit for an update by somebody; `:none` if they come too fast."

@@ -85,7 +85,7 @@ defmodule Aerie.Shadow.Lease do
   defp free?(lease, vehicle, now) do
     case lease.owners do
       %{^vehicle => me} when me == lease.me -> false
-      %{^vehicle => other} -> gone?(lease, other, now)
+      %{^vehicle => other} -> not aboard?(vehicle, other) and gone?(lease, other, now)
       _none_known -> true
     end
   end
@@ -98,6 +98,13 @@ defmodule Aerie.Shadow.Lease do
       _never_seen -> false
     end
   end
+
+  @doc """
+  Whether the owner is the gateway aboard the vehicle, whose leaf node says so at the hub (`Aerie.Shadow.Uplink`). It goes on while it is cut
+  off, so nobody takes its vehicle over.
+  """
+  @spec aboard?(vehicle :: String.t(), owner :: String.t()) :: boolean()
+  def aboard?(vehicle, owner), do: owner == "gateway-" <> vehicle
 
   @doc "Until when this gateway may act on a vehicle: `{:mine, until}`, `{:other, id}`, or `:none` if nobody owns it yet."
   @spec holder(t(), String.t(), now :: integer()) ::

@@ -8,7 +8,7 @@ defmodule Aerie.Shadow.Plans do
 
   alias Aerie.{Missions, Names, PrivateFile}
   alias Aerie.Mission.Plan
-  alias Aerie.Shadow.{Buckets, Documents}
+  alias Aerie.Shadow.{Buckets, Documents, HubBuckets}
 
   # By default a NATS message has at most a megabyte.
   @max_bytes 524_288
@@ -70,10 +70,17 @@ defmodule Aerie.Shadow.Plans do
   defp text(gateway, dir, hash) do
     with :error <- genuine(File.read(path(dir, hash)), hash),
          {conn, _environment} <- Documents.nats(gateway),
-         {:ok, text} <- genuine(Buckets.plan(conn, hash), hash) do
+         {:ok, text} <- in_nats(conn, hash) do
       _copy = keep(dir, hash, text)
       {:ok, text}
     end
+  end
+
+  # On a leaf node the hub may have it.
+  defp in_nats(conn, hash) do
+    with :error <- genuine(Buckets.plan(conn, hash), hash),
+         {:ok, text, _revision} <- HubBuckets.get(conn, "fleet_plans", hash),
+         do: genuine({:ok, text}, hash)
   end
 
   defp genuine({:ok, text}, hash), do: if(hash(text) == hash, do: {:ok, text}, else: :error)

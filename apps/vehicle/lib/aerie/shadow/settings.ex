@@ -53,6 +53,10 @@ defmodule Aerie.Shadow.Settings do
 
   setting :dir, :path, "Folder with copies of the desired states, for its owner only.", default: "var/shadow"
 
+  setting :buckets,
+          {:section, bucket_fields()},
+          "The buckets, made if they are not there. Their copies in a cluster: nats.streams.replicas."
+
   setting :key,
           :secret,
           """
@@ -60,9 +64,50 @@ defmodule Aerie.Shadow.Settings do
           """,
           example: "a long random text"
 
+  defp bucket_fields do
+    [
+      field(
+        :desired_max_mb,
+        {:integer, 1, 1_048_576},
+        "Size of fleet_desired. When it is full, no desired state can be changed.",
+        default: 64
+      ),
+      field(
+        :desired_history,
+        {:integer, 1, 64},
+        "Documents that fleet_desired keeps of each vehicle, the present one included.",
+        default: 5
+      ),
+      field(
+        :reported_max_mb,
+        {:integer, 1, 1_048_576},
+        "Size of fleet_reported. When it is full, reports get old.",
+        default: 32
+      ),
+      field(
+        :reported_max_age_days,
+        {:number, 0, 3650},
+        "Age at which a report goes, of a vehicle that is long gone; 0 keeps it.",
+        default: 0.0
+      ),
+      field(
+        :plans_max_mb,
+        {:integer, 1, 1_048_576},
+        "Size of fleet_plans. When it is full, no plan can be stored.",
+        default: 32
+      ),
+      field(
+        :plans_max_age_days,
+        {:number, 0, 3650},
+        "Age at which a plan file goes, used or not; 0 keeps it. Gateways have copies of the last 100.",
+        default: 0.0
+      )
+    ]
+  end
+
   @impl Aerie.Settings
-  def warnings(%{nats: nats}) do
-    needed = nats.streams.state_max_mb + nats.streams.event_max_mb + Buckets.reserved_mb()
+  def warnings(%{nats: nats, shadow: %{buckets: buckets}}) do
+    needed = nats.streams.state_max_mb + nats.streams.event_max_mb + Buckets.reserved_mb(buckets)
 
     texts([
       {nats.mode == :embedded and nats.max_store_mb < needed,

@@ -7,13 +7,14 @@ defmodule Aerie.Shadow.Supervisor do
   | `Documents` | the lease, for a moment; documents come back from disk and NATS |
   | the tasks' supervisor | attempts under way: they count as refused, and are in the ledger |
   | `Nats` | requests by NATS under way |
+  | `Uplink`, on a leaf node with a `vehicle_id` | nothing: it compares with the hub again |
 
   The loops themselves are in the vehicles' trees (`Aerie.Shadow.Loop`).
   """
   use Supervisor
 
   alias Aerie.Names
-  alias Aerie.Shadow.{Nats, Documents, Settings}
+  alias Aerie.Shadow.{Nats, Documents, Settings, Uplink}
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: Supervisor.on_start()
   def start_link(options),
@@ -32,7 +33,7 @@ defmodule Aerie.Shadow.Supervisor do
         {Task.Supervisor, name: Names.via(gateway, :shadow_tasks)},
         {Documents.Server, options},
         {Nats, options}
-      ],
+      ] ++ if(Uplink.vehicle(settings), do: [{Uplink, options}], else: []),
       strategy: :rest_for_one,
       max_restarts: 10,
       max_seconds: 30

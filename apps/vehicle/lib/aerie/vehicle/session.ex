@@ -53,11 +53,15 @@ defmodule Aerie.Vehicle.Session do
 
     # A collision that the last session knew of has to be detected again.
     Aerie.Router.CollisionRoutes.put(gateway, options.key, [])
-    {:ok, state, {:continue, :demand}}
+    # Newer frames may be in the mailbox already.
+    {:ok, state, {:continue, {:first, Aerie.Router.first_frames(gateway, options.key)}}}
   end
 
   @impl GenServer
-  def handle_continue(:demand, state), do: {:noreply, demand(state, nil)}
+  def handle_continue({:first, frames}, state) do
+    state = demand(state, nil)
+    if frames, do: handle_info(frames, state), else: {:noreply, state}
+  end
 
   @impl GenServer
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}

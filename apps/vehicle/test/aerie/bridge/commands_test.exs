@@ -5,7 +5,6 @@ defmodule Aerie.Bridge.CommandsTest do
   import Aerie.DoorCase
 
   alias Aerie.Policy.Signature
-  alias Gnat.Nkey
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -6,7 +6,7 @@ defmodule Aerie.Bridge.HubCutsTest do
   use Aerie.BridgeCase, async: true
 
   alias Aerie.HubServer
-  alias Gnat.Jetstream.API.Stream
+  alias Gnat.Jetstream.API.{KV, Stream}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -56,7 +56,7 @@ defmodule Aerie.Bridge.HubCutsTest do
   # Whatever its servers say meanwhile.
   defp await_stored(conn, n) do
     eventually(fn ->
-      case Stream.info(conn, "FLEET_EVENTS") do
+      case Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) do
         {:ok, %{state: %{messages: messages}}} -> messages >= n
         {:error, _not_now} -> false
       end
@@ -257,9 +257,19 @@ defmodule Aerie.Bridge.HubCutsTest do
 
   test "three servers, three copies: the leader of the stream is killed", %{tmp_dir: dir} do
     Process.flag(:trap_exit, true)
-    %{hub: hub, leaves: leaves} = start(dir, 2, servers: 3)
+    %{hub: hub, fleet: fleet, leaves: leaves} = start(dir, 2, servers: 3)
     make(leaves, 1..20)
     conn = conn(hub)
+    url = [{"nats.mode", "url"}, {"nats.url", "nats://unused"}, {"nats.streams.replicas", 3}]
+    Aerie.ShadowCase.start_shadow(fleet, dir, url)
+
+    for bucket <- ~w(desired reported leases plans) do
+      eventually(fn ->
+        info = Aerie.Nats.call(conn, fn -> KV.info(conn, "fleet_" <> bucket) end)
+        match?({:ok, %{config: %{num_replicas: 3, allow_direct: true}}}, info)
+      end)
+    end
+
     await_all(conn, leaves, 20)
     {:ok, %{cluster: %{"leader" => leader}, config: %{num_replicas: 3}}} = Stream.info(conn, "FLEET_EVENTS")
     make(leaves, 21..40)

@@ -16,7 +16,7 @@ defmodule Aerie.Bridge.HubTest do
     {:ok, fleet} = HubServer.client(hub)
 
     for bucket <- ~w(fleet_desired fleet_reported fleet_leases),
-        do: {:ok, _} = KV.create_bucket(fleet, bucket)
+        do: {:ok, _} = Stream.create(fleet, Aerie.Nats.KV.stream(bucket, []))
 
     a = start_bridge(HubServer.leaf(hub, "A"))
     HubServer.await_hub(a)
@@ -106,7 +106,47 @@ defmodule Aerie.Bridge.HubTest do
             {:error, %{"code" => 404}} = Stream.get_message(fleet, stream, %{last_by_subj: "fleet.test.B.>"})
           )
 
-    assert {:error, :not_found} = KV.get_entry(fleet, "fleet_desired", "test.B")
+    assert {:error, %{"code" => 404}} = KV.get_value(fleet, "fleet_desired", "test.B")
+  end
+
+  test "of the leases it has its own vehicle's only: nobody's sign of life, and no other vehicle's owner",
+       context do
+    %{fleet: fleet, client: client} = context
+
+    for key <- ~w(test.gateways.f00d test.vehicles.B test.vehicles.A),
+        do: :ok = KV.put_value(fleet, "fleet_leases", key, "true")
+
+    for key <-
+          ~w(test.gateways.f00d test.gateways.gateway-A test.gateways.new test.vehicles.B prod.vehicles.A) do
+      assert ask(client, "hub.kv.put.fleet_leases.#{key}", "forged") == @nobody
+      assert ask(client, "hub.kv.get.fleet_leases.#{key}") == @nobody
+      :ok = Gnat.pub(client, "$KV.fleet_leases.#{key}", "forged")
+    end
+
+    assert ask(client, "hub.kv.put.fleet_plans.hash", "forged") == @nobody
+    assert ask(client, "hub.kv.get.fleet_reported.test.B") == @nobody
+    assert {:ok, _stored} = ask(client, "hub.kv.put.fleet_leases.test.vehicles.A", "gateway-A")
+    flush(client)
+    {:ok, leases} = KV.contents(fleet, "fleet_leases")
+
+    assert leases == %{
+             "test.gateways.f00d" => "true",
+             "test.vehicles.B" => "true",
+             "test.vehicles.A" => "gateway-A"
+           }
+  end
+
+  test "commands and desired states of its own are asked at the hub; another one's it cannot answer",
+       context do
+    %{fleet: fleet, client: client} = context
+    answering(client, "fleet.test.B.cmd.*", "not mine")
+    answering(client, "fleet.test.*.shadow.*", "not mine")
+    answering(client, "fleet.test.A.cmd.*", "mine")
+    eventually(fn -> match?({:ok, %{body: "mine"}}, ask(fleet, "fleet.test.A.cmd.arm")) end)
+    for _ <- 1..20, do: assert(ask(fleet, "fleet.test.B.cmd.arm") in [@nobody, {:error, :timeout}])
+    assert ask(fleet, "fleet.test.A.shadow.get") == @nobody
+    # As a gateway it may not ask others either.
+    assert ask(client, "fleet.test.B.mission.get") == @nobody
   end
 
   test "it cannot read another one's commands, desired state or events", context do
@@ -165,8 +205,8 @@ defmodule Aerie.Bridge.HubTest do
     seed = File.read!(Path.join(hub.set, "vehicles/A/leaf.nk"))
     # Our clients end with their servers.
     Process.flag(:trap_exit, true)
-    assert {:error, error} = Gnat.start_link(HubServer.login(hub, seed))
-    assert Exception.message(error) =~ ~r/authorization/i
+    assert {:error, error} = log_in(HubServer.login(hub, seed))
+    assert Aerie.Nats.text(error) =~ if(own_client?(), do: ~r/authorization/i, else: ~r/lost|closed/)
 
     HubServer.revoke(hub, ["A"])
     # The open connection leads nowhere any more, and a new one is refused.

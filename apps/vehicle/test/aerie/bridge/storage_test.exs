@@ -111,6 +111,19 @@ defmodule Aerie.Bridge.StorageTest do
     assert server_pid(dir) != pid
   end
 
+  test "a server that hangs is restarted although no event waits and the connection is lost", %{tmp_dir: dir} do
+    gateway = start_bridge(config(dir))
+    await_up(gateway)
+    pid = server_pid(dir)
+    {_, 0} = System.cmd("kill", ["-STOP", pid])
+    %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
+    Process.exit(conn, :kill)
+    await(gateway, :connection, &(&1[:status] == :down))
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up), 60_000)
+    await(gateway, :connection, &(&1[:status] == :up))
+    assert server_pid(dir) != pid
+  end
+
   defp start_server(dir, limits) do
     conf = Path.join(dir, "server.conf")
 

@@ -102,6 +102,10 @@ defmodule Aerie.Client.StateFormTest do
   end
 
   test "lines: one for each vehicle" do
+    remote = StateForm.lines([vehicle(%{id: "VID-003", via: "gateway-VID-003", links: []})], [], 0)
+    assert %{"via" => "gateway-VID-003", "age" => age} = JSON.decode!(remote)
+    assert is_number(age)
+    assert %{"via" => nil} = JSON.decode!(StateForm.lines([vehicle()], [], 0))
     lines = StateForm.lines([vehicle(), vehicle(%{id: "VID-002"})], [], 0)
     assert String.ends_with?(lines, "\n")
     assert [one, two] = String.split(lines, "\n", trim: true)

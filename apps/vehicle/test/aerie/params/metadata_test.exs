@@ -59,7 +59,6 @@ defmodule Aerie.Params.MetadataTest do
     packed
   end
 
-  @tag :xz
   test "a vehicle's descriptions, read once and again when it names another checksum; damaged ones are not kept",
        %{
          tmp_dir: dir
@@ -147,7 +146,6 @@ defmodule Aerie.Params.MetadataTest do
     assert String.length(long) == 4_000
   end
 
-  @tag :xz
   test "what unpacks to more than is read is not unpacked", %{tmp_dir: dir} do
     assert {:ok, "plain"} = Unpack.file("x.json", "plain")
     assert {:ok, "text"} = Unpack.file("x.json.xz", xz("text", dir))

@@ -8,9 +8,10 @@ defmodule Aerie.Policy.AuditTest do
 
   @moduletag :tmp_dir
 
-  defp start(dir) do
+  defp start(dir, more \\ []) do
     gateway = make_ref()
-    pid = start_supervised!({Audit, gateway: gateway, dir: dir, max_bytes: 1_048_576}, id: gateway)
+    options = [gateway: gateway, dir: dir, max_bytes: 1_048_576] ++ more
+    pid = start_supervised!({Audit, options}, id: gateway)
     {gateway, pid}
   end
 
@@ -60,6 +61,23 @@ defmodule Aerie.Policy.AuditTest do
     :ok = stop_supervised!(gateway)
     assert {:ok, %{problems: [], notes: [note]}} = Verify.folder(dir)
     assert note =~ "record 2: 3 records could not be written since"
+  end
+
+  test "a slow disk delays nobody; a log that is closed meanwhile is whole", %{tmp_dir: dir} do
+    test = self()
+
+    slow = fn _path ->
+      send(test, {:sync, self()})
+      receive(do: (:written -> :ok))
+    end
+
+    {gateway, _pid} = start(dir, sync: slow)
+    assert_receive {:sync, first}
+    for n <- 2..50, do: assert({:ok, ^n} = Audit.append(gateway, %{"type" => "decision"}))
+    send(first, :written)
+    assert_receive {:sync, _second}
+    :ok = stop_supervised!(gateway)
+    assert {:ok, %{problems: [], records: 50}} = Verify.folder(dir)
   end
 
   test "a folder that cannot be written stops no gateway, and works as soon as it can be", %{tmp_dir: dir} do

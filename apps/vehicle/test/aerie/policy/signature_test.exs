@@ -3,7 +3,6 @@ defmodule Aerie.Policy.SignatureTest do
 
   alias Aerie.Policy
   alias Aerie.Policy.{Signature, Sources}
-  alias Gnat.Nkey
 
   @time ~U[2026-11-22 09:30:00Z]
   @now DateTime.to_unix(@time, :microsecond)

@@ -205,6 +205,91 @@ defmodule Aerie.Shadow.DocumentsTest do
     end
   end
 
+  describe "the buckets" do
+    @limits [
+      {"shadow.buckets.desired_max_mb", 3},
+      {"shadow.buckets.desired_history", 2},
+      {"shadow.buckets.reported_max_mb", 2},
+      {"shadow.buckets.reported_max_age_days", 0.5},
+      {"shadow.buckets.plans_max_mb", 4},
+      {"shadow.buckets.plans_max_age_days", 7}
+    ]
+
+    defp limits(conn) do
+      for bucket <- ~w(desired reported leases plans), into: %{} do
+        {:ok, %{config: config}} = KV.info(conn, "fleet_" <> bucket)
+        {bucket, {div(config.max_bytes, 1_048_576), config.max_msgs_per_subject, config.max_age}}
+      end
+    end
+
+    @hour 3_600_000_000_000
+
+    test "have the configured sizes, ages and history; those of the embedded server follow a change", %{
+      tmp_dir: dir
+    } do
+      %{gateway: gateway, conn: conn} = with_nats(dir)
+
+      assert %{
+               "desired" => {64, 5, 0},
+               "reported" => {32, 1, 0},
+               "leases" => {1, 1, 0},
+               "plans" => {32, 1, 0}
+             } = limits(conn)
+
+      for n <- 1..4, do: {:ok, %{"version" => ^n}} = update(gateway, %{"tags" => ["t#{n}"]})
+      stop_supervised!({:shadow, gateway})
+      start_shadow(gateway, dir, [{"nats.mode", "embedded"}, {"shadow.lease_s", 1} | @limits])
+
+      eventually(fn ->
+        limits(conn) == %{
+          "desired" => {3, 2, 0},
+          "reported" => {2, 1, 12 * @hour},
+          "leases" => {1, 1, 0},
+          "plans" => {4, 1, 7 * 24 * @hour}
+        }
+      end)
+
+      # What was there is there, and of older ones as many as are kept.
+      assert %{"version" => 4} = decoded(KV.get_value(conn, "fleet_desired", "test.#{@vehicle}"))
+      assert {:ok, %{state: %{messages: 2}}} = KV.info(conn, "fleet_desired")
+    end
+
+    test "of another server are left as they are, and the difference is told", %{tmp_dir: dir} do
+      embedded = start_bridge(config(dir))
+      url = await_up(embedded)
+      conn = client(url)
+      {:ok, _} = KV.create_bucket(conn, "fleet_desired", history: 9, max_bucket_size: 1_048_576)
+      nats = [{"nats.mode", "url"}, {"nats.url", [bare(url)]}, {"nats.token", URI.parse(url).userinfo}]
+      gateway = start_bridge(config(Path.join(dir, "other"), nats))
+      await_up(gateway)
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          start_shadow(gateway, dir, nats ++ @limits)
+          join(gateway)
+          eventually(fn -> Documents.authority(gateway, @vehicle) == :mine end)
+        end)
+
+      assert log =~ "the bucket fleet_desired: max_bytes is 1048576, configured 3145728"
+      assert log =~ "the bucket fleet_desired: max_msgs_per_subject is 9, configured 2"
+      assert %{"desired" => {1, 9, 0}, "plans" => {4, 1, _week}} = limits(conn)
+      assert {:ok, _done} = update(gateway, %{"mode" => "RTL"})
+    end
+
+    test "of a wrong size are refused with the key", %{tmp_dir: dir} do
+      for {key, value} <- [
+            {"desired_history", 65},
+            {"desired_history", 0},
+            {"plans_max_mb", 0},
+            {"reported_max_age_days", -1}
+          ] do
+        assert_raise MatchError, ~r/#{key}/, fn ->
+          shadow_settings(dir, [{"shadow.buckets.#{key}", value}])
+        end
+      end
+    end
+  end
+
   describe "two gateways that hear the same vehicle" do
     setup %{tmp_dir: dir} do
       one = with_nats(dir, [{"shadow.key", "shared by both"}])

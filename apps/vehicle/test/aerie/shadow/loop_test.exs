@@ -58,7 +58,7 @@ defmodule Aerie.Shadow.LoopTest do
     groups(gateway, rc.(1700))
     answer(from, id, :accepted)
     groups(gateway, Map.put(rc.(1700), :home, %{at: 0, data: %{lat: 47.0, lon: 8.1, alt_msl: 500.0}}))
-    assert %{by: "rc", until: until} = standing(gateway, "mode", :held)
+    assert %{until: until} = held(gateway, "mode", "rc")
     assert is_integer(until)
     assert {:ok, %{"reported" => %{"holds" => [%{"by" => "rc"} | _more]}}} = Shadow.get(gateway, @vehicle)
     refute_received {:"$gen_call", _from, {:submit, %{type: "set_mode"}, _progress}}
@@ -105,7 +105,7 @@ defmodule Aerie.Shadow.LoopTest do
   @tag shadow: [{"shadow.allow_arming", true}]
   test "with shadow.allow_arming it is disarmed on the ground, and not in the air", %{gateway: gateway} do
     desire(gateway, %{"armed" => false})
-    assert %{by: "air"} = standing(gateway, "armed", :held)
+    held(gateway, "armed", "air")
     flying(gateway, %{in_air: false})
     from = executing(%{type: "disarm", source: "shadow", id: id})
     answer(from, id, :completed)
@@ -114,14 +114,15 @@ defmodule Aerie.Shadow.LoopTest do
   @tag shadow: [{"shadow.enabled", false}]
   test "switched off, it only shows differences", %{gateway: gateway} do
     desire(gateway, %{"mode" => "LOITER"})
-    assert %{by: "configuration"} = standing(gateway, "mode", :held)
+    held(gateway, "mode", "configuration")
   end
 
   test "a lost vehicle is held by its link, an expired field is none", %{gateway: gateway} do
-    desire(gateway, %{"mode" => "LOITER"}, %{"expires_in_s" => 3})
     vehicle = Store.vehicle(gateway, @vehicle)
     :ok = Store.put_vehicle(gateway, vehicle.key, %{vehicle | status: :lost})
-    assert %{by: "link", why: "the vehicle is lost"} = standing(gateway, "mode", :held)
+    desire(gateway, %{"mode" => "LOITER"})
+    assert %{why: "the vehicle is lost"} = held(gateway, "mode", "link")
+    desire(gateway, %{"mode" => "LOITER"}, %{"expires_in_s" => 1})
     eventually(fn -> Shadow.report(gateway, @vehicle) == %{} end)
     assert {:ok, %{"desired" => desired, "set" => %{"mode" => _kept}}} = Shadow.get(gateway, @vehicle)
     assert desired == %{}

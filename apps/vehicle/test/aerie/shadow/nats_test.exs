@@ -3,7 +3,6 @@ defmodule Aerie.Shadow.NatsTest do
   use Aerie.ShadowCase, async: true
 
   alias Aerie.Policy.Signature
-  alias Gnat.Nkey
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -49,6 +49,24 @@ defmodule Aerie.Vehicle.SessionTest do
     assert [%{type: "armed"}] = Fleet.Journal.pending(gateway)
   end
 
+  test "frames that come while its processes are started are handled after those by which it was found" do
+    gateway = gateway()
+    PubSub.subscribe(gateway, :events)
+    starter = Names.whereis(gateway, :vehicle_starter)
+    :sys.suspend(starter)
+    # With frames waiting a link leaves the start to the starter.
+    for n <- 1..65, do: send(self(), {:waiting, n})
+    deliver(gateway, [frame(@copter, at(1))])
+    assert {:ok, _session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
+    deliver(gateway, [frame(%{@copter | base_mode: 0xD1}, at(2))])
+    :sys.resume(starter)
+    :sys.get_state(starter)
+    settle(gateway, {"main", 1})
+    assert_receive {:fleet, :events, %{type: "armed", seq: 1}}
+    assert %{groups: %{mode: %{data: %{armed: true}}}} = Store.vehicle(gateway, {"main", 1})
+    assert [%{type: "armed"}] = Fleet.Journal.pending(gateway)
+  end
+
   test "a ground station's or a gimbal's heartbeat makes none (H2)" do
     gateway = gateway()
     deliver(gateway, [frame(%M.Heartbeat{type: 6, autopilot: 8}, at(1), system: 255, component: 190)])

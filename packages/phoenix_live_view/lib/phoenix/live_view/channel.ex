@@ -17,9 +17,16 @@ defmodule Phoenix.LiveView.Channel do
 
   require Logger
 
-  @typedoc "`:transport` and `:topic`, `:join_ref`; `:join`, a function that gives the outcome of the join."
+  @typedoc """
+  `:transport` and `:topic`, `:join_ref`; `:join`, a function that gives the outcome of the join; `:encode`, what the transport gets of a
+  message, the text of a frame unless it is given.
+  """
   @type option ::
-          {:transport, pid()} | {:topic, String.t()} | {:join_ref, String.t()} | {:join, (pid() -> joined())}
+          {:transport, pid()}
+          | {:topic, String.t()}
+          | {:join_ref, String.t()}
+          | {:join, (pid() -> joined())}
+          | {:encode, (String.t() | nil, String.t() | nil, String.t(), String.t(), map() -> term())}
   @type joined :: {:ok, map(), View.t()} | {:error, map()}
 
   @spec start_link([option()]) :: GenServer.on_start()
@@ -59,7 +66,10 @@ defmodule Phoenix.LiveView.Channel do
     _monitor = Process.monitor(options[:transport])
 
     state =
-      Map.new(options) |> Map.merge(%{view: nil, dirty?: false, timer: nil, rendered: nil, unwritten: 0})
+      Map.merge(
+        %{encode: &Frame.encode/5, view: nil, dirty?: false, timer: nil, rendered: nil, unwritten: 0},
+        Map.new(options)
+      )
 
     {:ok, state, {:continue, :join}}
   end
@@ -172,7 +182,7 @@ defmodule Phoenix.LiveView.Channel do
   defp act([{:reply, payload} | rest], ref, state), do: act(rest, ref, reply(state, ref, "ok", payload))
 
   defp act([{:push, event, payload} | rest], ref, state),
-    do: act(rest, ref, write(state, Frame.encode(state.join_ref, nil, state.topic, event, payload)))
+    do: act(rest, ref, write(state, nil, event, payload))
 
   defp act([{:refused, words} | rest], ref, state) do
     Telemetry.refused(:event, words)
@@ -183,13 +193,10 @@ defmodule Phoenix.LiveView.Channel do
   defp act([], _ref, state), do: {:noreply, state}
 
   defp reply(state, ref, status, response),
-    do:
-      write(
-        state,
-        Frame.encode(state.join_ref, ref, state.topic, "phx_reply", %{status: status, response: response})
-      )
+    do: write(state, ref, "phx_reply", %{status: status, response: response})
 
-  defp write(state, frame) do
+  defp write(state, ref, event, payload) do
+    frame = state.encode.(state.join_ref, ref, state.topic, event, payload)
     send(state.transport, {__MODULE__, self(), frame})
     %{state | unwritten: state.unwritten + 1}
   end

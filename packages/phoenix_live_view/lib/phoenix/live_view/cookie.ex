@@ -41,14 +41,14 @@ defmodule Phoenix.LiveView.Cookie do
 
   @doc "The session with a CSRF token, which is added if it is missing."
   @spec with_csrf(map()) :: map()
-  def with_csrf(%{"_csrf" => _} = session), do: session
+  def with_csrf(%{"_csrf_token" => _} = session), do: session
 
   def with_csrf(session),
-    do: Map.put(session, "_csrf", Base.url_encode64(:crypto.strong_rand_bytes(18), padding: false))
+    do: Map.put(session, "_csrf_token", Base.url_encode64(:crypto.strong_rand_bytes(18), padding: false))
 
   @doc "Whether a request's CSRF token is the session's."
   @spec csrf?(map(), term()) :: boolean()
-  def csrf?(%{"_csrf" => token}, given) when is_binary(given) and byte_size(given) == byte_size(token),
+  def csrf?(%{"_csrf_token" => token}, given) when is_binary(given) and byte_size(given) == byte_size(token),
     do: :crypto.hash_equals(token, given)
 
   def csrf?(_session, _given), do: false

@@ -58,7 +58,6 @@ defmodule Phoenix.LiveView.Join do
 
     socket = %Socket{
       id: token.id,
-      endpoint: server.endpoint,
       view: route.view,
       router: server.router,
       host_uri: %{uri | path: nil, query: nil, fragment: nil},

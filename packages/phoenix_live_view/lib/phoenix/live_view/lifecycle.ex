@@ -1,6 +1,5 @@
 defmodule Phoenix.LiveView.Lifecycle do
-  @moduledoc false
-  # Hooks of a view: functions that run before its callbacks, in the order of their attachment.
+  @moduledoc "Hooks of a view: functions that run before its callbacks, in the order of their attachment."
 
   alias Phoenix.LiveView.Socket
 

@@ -1,6 +1,5 @@
 defmodule Phoenix.LiveView.Navigation do
-  @moduledoc false
-  # A view's request to navigate, as a value in its socket: `{:patch | :navigate, %{to, kind}}` or `{:redirect, %{to}}`.
+  @moduledoc "A view's request to navigate, as a value in its socket."
 
   alias Phoenix.LiveView.Socket
 

@@ -3,7 +3,8 @@ defmodule Phoenix.LiveView.Router do
   Maps paths to views.
 
       defmodule Routes do
-        use Phoenix.LiveView.Router
+        use Phoenix.Router
+        import Phoenix.LiveView.Router
 
         live_session :operators, on_mount: [Guard] do
           live "/", FleetLive
@@ -27,24 +28,6 @@ defmodule Phoenix.LiveView.Router do
     ]
 
     @type t :: %__MODULE__{}
-  end
-
-  @doc false
-  defmacro __using__(_options) do
-    quote do
-      import Phoenix.LiveView.Router, only: [live: 2, live: 3, live_session: 2, live_session: 3]
-      Module.register_attribute(__MODULE__, :live_routes, accumulate: true)
-      @live_session %{name: :default, on_mount: [], session: %{}, root_layout: nil, layout: nil}
-      @before_compile Phoenix.LiveView.Router
-    end
-  end
-
-  @doc false
-  defmacro __before_compile__(_env) do
-    quote do
-      @doc false
-      def __live_routes__, do: @live_routes |> Enum.reverse()
-    end
   end
 
   @doc "A view at a path, with an action that is assigned to `@live_action`."

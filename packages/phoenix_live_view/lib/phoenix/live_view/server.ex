@@ -3,7 +3,7 @@ defmodule Phoenix.LiveView.Server do
   The server of pages: a value that is made once and given to Cowboy (`Phoenix.LiveView.Cowboy.routes/1`). It takes the
   place of an endpoint in Phoenix.
 
-    * `:router`: a module that uses `Phoenix.LiveView.Router`
+    * `:router`: a module that uses `Phoenix.Router`
     * `:secret`: at least 32 random bytes; tokens and cookies are signed with keys made from it
     * `:root_layout`: `{module, name}` of the component around every page, with `@inner_content`, `@page_title` and `@csrf_token`
     * `:session`: a function of the Cowboy request that returns the session (who is signed in), a string-keyed map
@@ -12,20 +12,18 @@ defmodule Phoenix.LiveView.Server do
       name points to this server's address from using it
     * `:supervisor`: the `DynamicSupervisor` of the views' processes
     * `:cookie`: the name of the session cookie; `:not_found`: the HTML of the answer 404
-    * `:endpoint`: any term, found in `socket.endpoint`
     * `:max_channels` of one WebSocket, 8; `:max_frame` in bytes, 262,144; `:max_events` a second, 100; `:idle_ms` without a heartbeat, 90,000
     * `:render_ms`: the shortest time between two renderings that no event asked for, 50
     * `:csp`: the Content-Security-Policy of pages
   """
 
-  @derive {Inspect, only: [:router, :endpoint]}
+  @derive {Inspect, only: [:router]}
   @enforce_keys [:router, :secret, :supervisor]
   defstruct [
     :router,
     :secret,
     :supervisor,
     :root_layout,
-    :endpoint,
     :not_found,
     hosts: :any,
     cookie: "_live_view",

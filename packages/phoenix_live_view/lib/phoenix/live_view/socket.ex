@@ -2,7 +2,7 @@ defmodule Phoenix.LiveView.Socket do
   @moduledoc """
   The state of a view: its `assigns`, and the requests since the last rendering (redirects, events for the client).
 
-  Views may read only `assigns`, `endpoint`, `view`, `router`, `host_uri`, `id` and `transport_pid`; the rest belongs to the
+  Views may read only `assigns`, `view`, `router`, `host_uri`, `id` and `transport_pid`; the rest belongs to the
   library.
   """
 

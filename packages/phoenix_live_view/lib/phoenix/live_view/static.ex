@@ -21,7 +21,6 @@ defmodule Phoenix.LiveView.Static do
 
       socket = %Socket{
         id: id,
-        endpoint: server.endpoint,
         view: route.view,
         router: server.router,
         host_uri: %{uri | path: nil, query: nil, fragment: nil},

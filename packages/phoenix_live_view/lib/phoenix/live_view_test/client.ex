@@ -1,10 +1,10 @@
 defmodule Phoenix.LiveViewTest.Client do
   @moduledoc false
   # A test's browser: joins a page's view, keeps the tree that the view sends, and sends the test's events. It takes the place of the
-  # WebSocket's process, so everything passes through the wire encoding.
+  # WebSocket's process, so everything passes through the wire encoding. Only the events for hooks reach the test as they were pushed.
   use GenServer
 
-  alias Phoenix.LiveView.{Channel, Join}
+  alias Phoenix.LiveView.{Channel, Frame, Join}
   alias Phoenix.LiveViewTest.Tree
 
   @timeout_ms 60_000
@@ -25,7 +25,7 @@ defmodule Phoenix.LiveViewTest.Client do
     with {:ok, _reply} <- push(client, "sync", %{}), do: {:ok, GenServer.call(client, :html, @timeout_ms)}
   end
 
-  @doc "A value that the client keeps: `:title`, `:channel`, `:events`, `:patches`, `:away`, `:url`."
+  @doc "A value that the client keeps: `:title`, `:channel`, `:patches`, `:away`, `:url`."
   @spec get(pid(), atom()) :: term()
   def get(client, key), do: GenServer.call(client, {:get, key}, @timeout_ms)
 
@@ -37,7 +37,7 @@ defmodule Phoenix.LiveViewTest.Client do
     info = options[:info]
     payload = options[:payload] |> JSON.encode!() |> JSON.decode!()
     join = fn transport -> Join.join(server, topic, payload, info, transport) end
-    arguments = [transport: self(), topic: topic, join_ref: "1", join: join]
+    arguments = [transport: self(), topic: topic, join_ref: "1", join: join, encode: &encode/5]
     {:ok, channel} = DynamicSupervisor.start_child(server.supervisor, {Channel, arguments})
 
     state = %{
@@ -49,7 +49,6 @@ defmodule Phoenix.LiveViewTest.Client do
       tree: nil,
       title: nil,
       url: options[:payload]["url"] || options[:payload]["redirect"],
-      events: [],
       patches: [],
       away: nil
     }
@@ -79,8 +78,12 @@ defmodule Phoenix.LiveViewTest.Client do
   def handle_call({:get, key}, _from, state), do: {:reply, Map.fetch!(state, key), state}
 
   @impl GenServer
-  def handle_info({Channel, channel, frame}, state) do
+  def handle_info({Channel, channel, {sent, frame}}, state) do
     Channel.written(channel)
+
+    for [name, payload | _] <- pushed(sent),
+        do: send(state.owner, {__MODULE__, self(), :event, name, payload})
+
     ["1", ref, _topic, event, payload] = frame |> IO.iodata_to_binary() |> JSON.decode!()
     {:noreply, heard(event, ref, payload, state)}
   end
@@ -113,7 +116,7 @@ defmodule Phoenix.LiveViewTest.Client do
 
     case Map.take(response, ["redirect", "live_redirect"]) |> Map.to_list() do
       [{kind, target}] ->
-        answer(%{state | away: {kind, target}}, ref, {:away, {kind, target}})
+        answer(told(%{state | away: {kind, target}}), ref, {:away, {kind, target}})
 
       [] ->
         answer(
@@ -135,12 +138,17 @@ defmodule Phoenix.LiveViewTest.Client do
   defp merged(diff, state) do
     {extras, tree} = Map.split(diff, ["e", "t", "r"])
     tree = if tree == %{}, do: state.tree, else: Tree.merge(state.tree || %{}, tree)
-
-    for [name, payload | _] <- extras["e"] || [],
-        do: send(state.owner, {__MODULE__, self(), :event, name, payload})
-
-    %{state | tree: tree, title: extras["t"] || state.title, events: state.events ++ (extras["e"] || [])}
+    %{state | tree: tree, title: extras["t"] || state.title}
   end
+
+  defp encode(join_ref, ref, topic, event, payload),
+    do: {payload, Frame.encode(join_ref, ref, topic, event, payload)}
+
+  defp pushed(%{response: response}), do: pushed(response)
+  defp pushed(%{rendered: tree}), do: pushed(tree)
+  defp pushed(%{diff: diff}), do: pushed(diff)
+  defp pushed(%{e: events}), do: events
+  defp pushed(_without), do: []
 
   defp patched(nil, state), do: state
 

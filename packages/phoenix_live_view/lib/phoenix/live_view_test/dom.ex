@@ -151,7 +151,8 @@ defmodule Phoenix.LiveViewTest.DOM do
     |> elem(0)
   end
 
-  @condition ~r/\[([\w:-]+)(?:([\^*$]?=)["']?([^"'\]]*)["']?)?\]|:not\(([^()]+)\)|([#.:]?)([\w-]+)|(\*)/
+  # As in CSS, a name begins with no digit, and a value that is no name has quotes.
+  @condition ~r/\[([\w:-]+)(?:([\^*$]?=)(?|"([^"\]]*)"|'([^'\]]*)'|([a-z_-][\w-]*)))?\]|:not\(([^()]+)\)|([#.:]?)([a-z_-][\w-]*)|(\*)/i
 
   defp conditions(simple) do
     found = Regex.scan(@condition, simple)

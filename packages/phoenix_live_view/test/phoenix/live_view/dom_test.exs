@@ -14,13 +14,13 @@ defmodule Phoenix.LiveViewTest.DOMTest do
     assert ids("li.row") == ["a", "b"]
     assert ids("#l > li:not(.busy)") == ["b"]
     assert ids("#a:not(.busy)") == []
-    assert ids(".row:not([data-n=1])") == ["b"]
+    assert ids(".row:not([data-n='1'])") == ["b"]
     assert ids("ul li.busy, #b") == ["a", "b"]
     assert ids("*:not(ul)") == ["a", "b"]
   end
 
   test "what it does not know it does not ignore" do
-    for selector <- ["li:hover", "li:nth-child(2)", "li:not(ul li)"],
+    for selector <- ["li:hover", "li:nth-child(2)", "li:not(ul li)", "[data-n=1]", "#1"],
         do: assert_raise(ArgumentError, fn -> ids(selector) end)
   end
 end

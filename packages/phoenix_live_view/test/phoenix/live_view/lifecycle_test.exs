@@ -68,7 +68,8 @@ defmodule Phoenix.LiveView.LifecycleTest do
   end
 
   defmodule Routes do
-    use Phoenix.LiveView.Router
+    use Phoenix.Router
+    import Phoenix.LiveView.Router
     live "/", Page, :index
     live "/forgetful", Forgetful
     live "/silent", Silent

@@ -29,10 +29,10 @@ defmodule Aerie.Config.Preflight.Contents do
   defp expected(:certificates), do: "a PEM file with certificates"
   defp expected(:private_key), do: "a PEM file with a private key"
 
-  defp content(:credentials, text), do: with({:ok, _parts} <- said(Gnat.Credentials.parse(text)), do: :ok)
+  defp content(:credentials, text), do: with({:ok, _parts} <- Nkey.Credentials.parse(text), do: :ok)
 
   defp content(:nkey_seed, text) do
-    case said(Gnat.Nkey.from_seed(text)) do
+    case Nkey.from_seed(text) do
       {:ok, %{purpose: :user}} -> :ok
       {:ok, %{purpose: purpose}} -> {:error, "it is the seed of an nkey for #{purpose}, not for a user"}
       error -> error
@@ -77,9 +77,6 @@ defmodule Aerie.Config.Preflight.Contents do
   rescue
     _error -> false
   end
-
-  defp said({:error, %Gnat.Error{reason: {:credentials, why}}}), do: {:error, why}
-  defp said(result), do: result
 
   defp posix(reason), do: reason |> :file.format_error() |> to_string()
 end

@@ -8,7 +8,7 @@ defmodule Aerie.Tool.Run.Params do
 
   @impl Aerie.Tool.Subcommand
   def run(%{name: "params list", arguments: %{"VEHICLE" => vehicle} = arguments, options: options}) do
-    case Params.list(:default, vehicle, refresh: options[:refresh] || false) do
+    case Params.list(:default, vehicle, [refresh: options[:refresh] || false] ++ component(options)) do
       {:ok, table} ->
         pattern = String.upcase(arguments["PATTERN"] || "")
         params = for param <- Table.plain(table).params, String.contains?(param.name, pattern), do: param
@@ -19,8 +19,8 @@ defmodule Aerie.Tool.Run.Params do
     end
   end
 
-  def run(%{name: "params get", arguments: %{"VEHICLE" => vehicle, "NAME" => name}}) do
-    case Params.get(:default, vehicle, name) do
+  def run(%{name: "params get", arguments: %{"VEHICLE" => vehicle, "NAME" => name}, options: options}) do
+    case Params.get(:default, vehicle, name, component(options)) do
       {:ok, param} -> {0, "#{Columns.cell(param.value)}\n"}
       error -> Run.Command.answer(error, %{})
     end
@@ -31,10 +31,16 @@ defmodule Aerie.Tool.Run.Params do
         arguments: %{"VEHICLE" => vehicle, "NAME" => name, "VALUE" => text},
         options: options
       }) do
-    with {:ok, value} <- number(text),
+    with {:ok, value} <- value(text, options[:component]),
          :ok <- Ask.first("set #{name} of #{vehicle} to #{text}", options) do
       Run.Command.answer(
-        Params.set(:default, vehicle, name, value, as: Run.Command.source(), via: "bin/aerie"),
+        Params.set(
+          :default,
+          vehicle,
+          name,
+          value,
+          [as: Run.Command.source(), via: "bin/aerie"] ++ component(options)
+        ),
         options
       )
     end
@@ -51,10 +57,14 @@ defmodule Aerie.Tool.Run.Params do
     do:
       Columns.render(~w(NAME VALUE TYPE DEFAULT), for(p <- params, do: [p.name, p.value, p.type, p.default]))
 
-  defp number(text) do
+  defp component(options), do: for({:component, id} <- Map.take(options, [:component]), do: {:component, id})
+
+  # Only components other than the autopilot have texts; one that is to be a number is refused by the component's type.
+  defp value(text, component) do
     case {Integer.parse(text), Float.parse(text)} do
       {{number, ""}, _float} -> {:ok, number}
       {_integer, {number, ""}} -> {:ok, number}
+      _other when component != nil -> {:ok, text}
       _other -> {:error, "'#{text}': expected a number"}
     end
   end

@@ -10,8 +10,9 @@ defmodule Aerie.Tool.Run.Replay do
     {:ok, _started} = Application.ensure_all_started(:vehicle)
     what = if options[:samples], do: [:events, :samples], else: [:events]
 
-    with :ok <-
-           ReplayEvents.print(%Options{replay: file, print: what, config: Run.Config.file(request)}, folder),
-         do: {0, ""}
+    # FILE is the recording here, not the configuration.
+    config = Run.Config.file(%{request | arguments: %{}})
+
+    with :ok <- ReplayEvents.print(%Options{replay: file, print: what, config: config}, folder), do: {0, ""}
   end
 end

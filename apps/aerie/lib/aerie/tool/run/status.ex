@@ -26,7 +26,7 @@ defmodule Aerie.Tool.Run.Status do
       head(status),
       "\n",
       Columns.render(
-        ~w(VEHICLE STATUS TYPE MODE ARMED LATITUDE LONGITUDE HEIGHT BATTERY),
+        ~w(VEHICLE STATUS TYPE MODE ARMED LATITUDE LONGITUDE HEIGHT BATTERY AGE VIA),
         Enum.map(status["vehicles"], &vehicle/1)
       ),
       if(status["vehicles"] == [], do: "no vehicle was heard\n", else: []),
@@ -71,7 +71,9 @@ defmodule Aerie.Tool.Run.Status do
       vehicle["position"]["lat"],
       vehicle["position"]["lon"],
       unit(vehicle["position"]["alt_rel"], "m"),
-      percent(vehicle["battery"]["remaining"])
+      percent(vehicle["battery"]["remaining"]),
+      unit(vehicle["age"], "s"),
+      vehicle["via"]
     ]
   end
 

@@ -107,7 +107,7 @@ defmodule FleetWeb.Console.Access.Handler do
     html =
       SignIn.html(%{
         gateway: gateway,
-        csrf_token: kept["_csrf"],
+        csrf_token: kept["_csrf_token"],
         theme: Session.extra(request)["theme"],
         message: message,
         exposed: exposed(request),

@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Access.OnMount do
 
   @doc false
   def on_mount(:default, _params, session, socket) do
-    gateway = socket.endpoint
+    gateway = session["gateway"]
 
     case Session.user(gateway, session) do
       nil -> {:halt, redirect(socket, to: "/sign-in")}
@@ -34,7 +34,7 @@ defmodule FleetWeb.Console.Access.OnMount do
          user: user,
          path: "/",
          theme: session["theme"],
-         csrf_token: session["_csrf"]
+         csrf_token: session["_csrf_token"]
        )
        |> attach_hook(:console_path, :handle_params, &path/3)
        |> attach_hook(:console_role, :handle_event, fn event, _value, socket -> event(page, event, socket) end)

@@ -3,7 +3,6 @@ defmodule FleetWeb.Console.Access.SignIn do
   use FleetWeb.Console, :component
 
   alias FleetWeb.Console.Layout
-  alias Phoenix.LiveView.Diff
 
   @doc "The HTML. `message` says what went wrong; `exposed` who could read along; `users?` whether there are any users."
   @spec html(map()) :: iodata()
@@ -15,7 +14,7 @@ defmodule FleetWeb.Console.Access.SignIn do
         Map.merge(assigns, %{__changed__: nil, inner_content: content, page_title: "Sign in", live: false})
       )
 
-    ["<!DOCTYPE html>\n", Diff.to_iodata(root)]
+    ["<!DOCTYPE html>\n", Phoenix.HTML.Safe.to_iodata(root)]
   end
 
   defp render(assigns) do

@@ -1,11 +1,13 @@
 defmodule FleetWeb.Console.Params.Listing do
   @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
 
-  alias Aerie.Params.{File, Param, Table}
+  alias Aerie.Params.{File, Metadata, Param, Table}
   alias Aerie.Protocol.ParamValue
   alias MavCodec.Enums.MavParamType
 
   @max 200
+  # MAV_PARAM_EXT_TYPE_CUSTOM.
+  @text 11
 
   @typedoc """
     * `:value`, `:default` - as text; the default is nil if the vehicle does not tell it
@@ -13,6 +15,7 @@ defmodule FleetWeb.Console.Params.Listing do
     * `:type` - `int32`, `real32` …
     * `:exact` - false for an integer that the vehicle's float cannot carry in full
     * `:file` - what the opened file says, if it says something else
+    * `:about` - what the vehicle says about it, if that was read
   """
   @type row :: %{
           name: String.t(),
@@ -21,10 +24,11 @@ defmodule FleetWeb.Console.Params.Listing do
           changed: boolean() | nil,
           type: String.t(),
           exact: boolean(),
-          file: String.t() | nil
+          file: String.t() | nil,
+          about: Metadata.t() | nil
         }
 
-  @typedoc "`:search`: words that all have to occur in the name; `:only`: `\"all\"`, `\"changed\"`, or `\"differs\"` from the file."
+  @typedoc "`:search`: words that all have to occur in the name or the short description; `:only`: `\"all\"`, `\"changed\"`, or `\"differs\"` from the file."
   @type filter :: %{search: String.t(), only: String.t()}
 
   @doc "The choices of what is shown."
@@ -35,16 +39,21 @@ defmodule FleetWeb.Console.Params.Listing do
   @spec max() :: pos_integer()
   def max, do: @max
 
-  @doc "At most #{@max} rows in the order of their names, and the total number. `entries` are those of an opened file."
-  @spec rows(Table.t(), [File.entry()], filter()) :: {[row()], count :: non_neg_integer()}
-  def rows(table, entries, filter) do
+  @doc """
+  At most #{@max} rows in the order of their names, and the total number. `entries` are those of an opened file, `about` what the vehicle says about
+  its parameters, by name.
+  """
+  @spec rows(Table.t(), [File.entry()], %{String.t() => Metadata.t()}, filter()) ::
+          {[row()], count :: non_neg_integer()}
+  def rows(table, entries, about, filter) do
     file = Map.new(entries, &{&1.name, &1})
     words = filter.search |> String.upcase() |> String.split()
 
     found =
       for param <- Table.sorted(table),
-          Enum.all?(words, &String.contains?(String.upcase(param.name), &1)),
-          row = row(param, file[param.name]),
+          text = String.upcase("#{param.name} #{about[param.name][:short]}"),
+          Enum.all?(words, &String.contains?(text, &1)),
+          row = row(param, file[param.name], about[param.name]),
           shown?(filter.only, row),
           do: row
 
@@ -55,9 +64,9 @@ defmodule FleetWeb.Console.Params.Listing do
   defp shown?("differs", row), do: row.file != nil
   defp shown?(_all, _row), do: true
 
-  @doc "The row of a parameter, with its value in a file, or nil."
-  @spec row(Param.t(), File.entry() | nil) :: row()
-  def row(param, entry \\ nil) do
+  @doc "The row of a parameter, with its value in a file and what the vehicle says about it; nil for none."
+  @spec row(Param.t(), File.entry() | nil, Metadata.t() | nil) :: row()
+  def row(param, entry, about) do
     %{
       name: param.name,
       value: text(param.value),
@@ -65,7 +74,8 @@ defmodule FleetWeb.Console.Params.Listing do
       changed: if(param.default != nil, do: not ParamValue.same?(param.value, param.default)),
       type: type(param.type),
       exact: param.exact,
-      file: if(entry != nil and not File.says?(entry, param.value), do: text(entry.value))
+      file: if(entry != nil and not File.says?(entry, param.value), do: text(entry.value)),
+      about: about
     }
   end
 
@@ -83,6 +93,11 @@ defmodule FleetWeb.Console.Params.Listing do
     {differing, Enum.map(missing, & &1.name)}
   end
 
+  @doc "The value of such a type in the text of a field: of a component's text (MAV_PARAM_EXT_TYPE_CUSTOM) the text, else a number."
+  @spec value(String.t(), type :: 1..11) :: {:ok, number() | String.t()} | :error
+  def value(text, @text), do: {:ok, text}
+  def value(text, _number), do: number(text)
+
   @doc "The number in the text of a field."
   @spec number(String.t()) :: {:ok, number()} | :error
   def number(text) do
@@ -96,7 +111,9 @@ defmodule FleetWeb.Console.Params.Listing do
   end
 
   @doc "A value as text, with only the digits that its 32-bit float has."
-  @spec text(number()) :: String.t()
+  @spec text(number() | String.t() | nil) :: String.t()
+  def text(nil), do: "no number"
+  def text(text) when is_binary(text), do: text
   def text(number) when is_integer(number), do: Integer.to_string(number)
 
   def text(number) when trunc(number) == number and abs(number) < 1.0e15,
@@ -112,5 +129,6 @@ defmodule FleetWeb.Console.Params.Listing do
 
   defp short(number, _digits), do: number
 
+  defp type(@text), do: "text"
   defp type(type), do: String.downcase(MavParamType.label(type) || "type #{type}")
 end

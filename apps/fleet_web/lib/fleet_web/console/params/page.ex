@@ -1,12 +1,14 @@
 defmodule FleetWeb.Console.Params.Page do
   @moduledoc """
-  The parameters of a vehicle: read, searched, compared with their defaults and with a file, set one by one or from a file, saved.
+  The parameters of a vehicle's autopilot: read, searched, compared with their defaults and with a file, set one by one or from a file, saved,
+  with what the vehicle says about them; those of its cameras and other components: read, searched, set one by one.
 
   Reading needs no permission. A change is checked like a command (`Aerie.Params`), has the id of its button press, and its progress and result
   appear among the vehicle's commands, as on the vehicle's page.
   """
   use FleetWeb.Console,
-      {:page, events: [viewer: ~w(vehicle filter read stop_reading open_file close_file save close_param)]}
+      {:page,
+       events: [viewer: ~w(vehicle filter read describe stop_reading open_file close_file save close_param)]}
 
   import FleetWeb.Console.Params.Parts
 
@@ -15,8 +17,9 @@ defmodule FleetWeb.Console.Params.Page do
   alias Aerie.Policy.Roles
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Commands.{Life, Lives}
-  alias FleetWeb.Console.Params.{Listing, Reading}
+  alias FleetWeb.Console.Params.{Components, Listing, Reading}
 
+  @all %{search: "", only: "all"}
   # The command type of a change.
   @set "set_parameter"
 
@@ -27,6 +30,9 @@ defmodule FleetWeb.Console.Params.Page do
      |> assign(
        page_title: "Parameters",
        vehicle: nil,
+       component: nil,
+       components: [],
+       about: %{},
        table: nil,
        reading: nil,
        problem: nil,
@@ -36,7 +42,7 @@ defmodule FleetWeb.Console.Params.Page do
        error: nil
      )
      |> assign(
-       filter: %{search: "", only: "all"},
+       filter: @all,
        able: Roles.allowed?(socket.assigns.user, :maintain),
        now: System.os_time(:microsecond)
      )
@@ -47,30 +53,50 @@ defmodule FleetWeb.Console.Params.Page do
 
   @impl Phoenix.LiveView
   def handle_params(params, _uri, socket) do
-    id = params["vehicle"]
+    id = if Store.vehicle(socket.assigns.gateway, params["vehicle"] || ""), do: params["vehicle"]
+    component = component(params["component"])
 
     socket =
-      if id == socket.assigns.vehicle,
+      if {id, component} == {socket.assigns.vehicle, socket.assigns.component},
         do: socket,
-        else: choose(socket, if(Store.vehicle(socket.assigns.gateway, id || ""), do: id))
+        else: choose(socket, id, component)
 
     {:noreply, assign(socket, open: params["p"], error: nil)}
   end
 
-  defp choose(%{assigns: %{gateway: gateway, vehicle: before}} = socket, id) do
+  # Any may be asked for: not each of them sends heartbeats.
+  defp component(text) do
+    case Integer.parse(text || "") do
+      {component, ""} when component in 1..255 -> component
+      _none -> nil
+    end
+  end
+
+  defp choose(%{assigns: %{gateway: gateway, vehicle: before}} = socket, id, component) do
     if connected?(socket) do
       if before, do: PubSub.unsubscribe(gateway, {:commands, before})
       if id, do: PubSub.subscribe(gateway, {:commands, id})
     end
 
+    # A search goes on with the next vehicle; a camera has other names.
+    filter = if component == socket.assigns.component, do: socket.assigns.filter, else: @all
+
     socket =
-      socket |> stop() |> assign(vehicle: id, table: nil, problem: nil, file: nil) |> relist() |> commands()
+      socket
+      |> stop()
+      |> assign(filter: filter)
+      |> assign(vehicle: id, component: component, table: nil, about: %{}, problem: nil, file: nil)
+      |> relist()
+      |> commands()
+      |> vehicles()
 
     if id && connected?(socket), do: read(socket), else: socket
   end
 
-  defp read(%{assigns: %{gateway: gateway, vehicle: id}} = socket),
-    do: socket |> stop() |> assign(reading: Reading.start(gateway, id), problem: nil)
+  defp read(socket), do: read(socket, {:list, socket.assigns.component})
+
+  defp read(%{assigns: %{gateway: gateway, vehicle: id}} = socket, what),
+    do: socket |> stop() |> assign(reading: Reading.start(gateway, id, what), problem: nil)
 
   defp stop(%{assigns: %{reading: nil}} = socket), do: socket
 
@@ -89,8 +115,10 @@ defmodule FleetWeb.Console.Params.Page do
       ),
       do: {:noreply, assign(socket, :reading, %{reading | progress: progress})}
 
-  def handle_info({:params, ref, {:ok, table}}, %{assigns: %{reading: %{ref: ref}}} = socket),
-    do: {:noreply, socket |> assign(table: table, reading: nil) |> relist()}
+  def handle_info({:params, ref, {:ok, read}}, %{assigns: %{reading: %{ref: ref, what: what}}} = socket) do
+    read = if what == :descriptions, do: [about: read], else: [table: read]
+    {:noreply, socket |> assign([reading: nil] ++ read) |> relist()}
+  end
 
   def handle_info({:params, ref, {:error, text}}, %{assigns: %{reading: %{ref: ref}}} = socket),
     do: {:noreply, assign(socket, problem: text, reading: nil)}
@@ -101,10 +129,16 @@ defmodule FleetWeb.Console.Params.Page do
   def handle_info(_late, socket), do: {:noreply, socket}
 
   @impl Phoenix.LiveView
-  def handle_event("vehicle", %{"vehicle" => id}, socket), do: {:noreply, push_patch(socket, to: path(id))}
+  def handle_event("vehicle", %{"vehicle" => id} = fields, socket) do
+    component = if id == socket.assigns.vehicle, do: component(fields["component"])
+    {:noreply, push_patch(socket, to: path(id, component))}
+  end
 
   def handle_event("read", _value, %{assigns: %{vehicle: id}} = socket) when is_binary(id),
     do: {:noreply, read(socket)}
+
+  def handle_event("describe", _value, %{assigns: %{table: %{}, component: nil}} = socket),
+    do: {:noreply, read(socket, :descriptions)}
 
   def handle_event("stop_reading", _value, socket), do: {:noreply, stop(socket)}
 
@@ -114,7 +148,11 @@ defmodule FleetWeb.Console.Params.Page do
     {:noreply, socket |> assign(:filter, filter) |> relist()}
   end
 
-  def handle_event("open_file", %{"name" => name, "text" => text}, %{assigns: %{table: %{}}} = socket)
+  def handle_event(
+        "open_file",
+        %{"name" => name, "text" => text},
+        %{assigns: %{table: %{}, component: nil}} = socket
+      )
       when is_binary(name) and is_binary(text) do
     case Params.parse(text) do
       {:ok, entries} ->
@@ -137,7 +175,7 @@ defmodule FleetWeb.Console.Params.Page do
   def handle_event(
         "save",
         %{"format" => format},
-        %{assigns: %{table: %{} = table, vehicle: id, gateway: gateway}} = socket
+        %{assigns: %{table: %{} = table, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when format in ~w(param params) do
     %{system_id: system} = vehicle = Store.vehicle(gateway, id)
@@ -152,8 +190,7 @@ defmodule FleetWeb.Console.Params.Page do
     {:noreply, push_event(socket, "params:file", %{name: "#{id}.#{format}", text: text})}
   end
 
-  def handle_event("close_param", _value, socket),
-    do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+  def handle_event("close_param", _value, socket), do: {:noreply, push_patch(socket, to: path(socket))}
 
   # The page's table is what the operator saw; the vehicle itself reports whether it accepted a value.
   def handle_event(
@@ -162,9 +199,10 @@ defmodule FleetWeb.Console.Params.Page do
         %{assigns: %{table: %{}}} = socket
       )
       when is_binary(text) do
-    with %{} = param <- socket.assigns.table.params[name], {:ok, value} <- Listing.number(text) do
-      %{gateway: gateway, vehicle: id} = socket.assigns
-      gateway |> Params.set(id, name, value, [type: param.type] ++ options(socket, press)) |> answered(socket)
+    with %{} = param <- socket.assigns.table.params[name], {:ok, value} <- Listing.value(text, param.type) do
+      %{gateway: gateway, vehicle: id, component: component} = socket.assigns
+      options = [type: param.type, component: component] ++ options(socket, press)
+      gateway |> Params.set(id, name, value, options) |> answered(socket)
     else
       nil -> {:noreply, put_flash(socket, :error, "The vehicle has no parameter of this name.")}
       :error -> {:noreply, assign(socket, :error, "expected a number")}
@@ -192,18 +230,24 @@ defmodule FleetWeb.Console.Params.Page do
 
   defp options(socket, press), do: [id: press, as: socket.assigns.user, via: "console", wait_ms: 0]
 
-  defp answered({:pending, _id}, socket), do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+  defp answered({:pending, _id}, socket), do: {:noreply, push_patch(socket, to: path(socket))}
 
   defp answered({:ok, %{status: status, reason: reason}}, socket) when status in [:denied, :rejected],
     do: {:noreply, put_flash(socket, :error, "Not set: #{reason}")}
 
-  defp answered({:ok, _result}, socket), do: {:noreply, push_patch(socket, to: path(socket.assigns.vehicle))}
+  defp answered({:ok, _result}, socket), do: {:noreply, push_patch(socket, to: path(socket))}
 
   defp answered({:error, errors}, socket),
     do: {:noreply, put_flash(socket, :error, "Not set: #{Error.text(errors)}")}
 
-  defp vehicles(socket),
-    do: assign(socket, :vehicles, for(vehicle <- Store.vehicles(socket.assigns.gateway), do: vehicle.id))
+  defp vehicles(%{assigns: %{gateway: gateway, vehicle: id, component: component}} = socket) do
+    others =
+      if vehicle = id && Store.vehicle(gateway, id),
+        do: Components.others(gateway, vehicle, component),
+        else: []
+
+    assign(socket, vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle.id), components: others)
+  end
 
   defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [])
 
@@ -226,8 +270,8 @@ defmodule FleetWeb.Console.Params.Page do
   defp relist(%{assigns: %{table: nil}} = socket),
     do: assign(socket, rows: [], total: 0, differing: [], missing: [])
 
-  defp relist(%{assigns: %{table: table, file: file, filter: filter}} = socket) do
-    {rows, total} = Listing.rows(table, entries(file), filter)
+  defp relist(%{assigns: %{table: table, file: file, about: about, filter: filter}} = socket) do
+    {rows, total} = Listing.rows(table, entries(file), about, filter)
     {differing, missing} = Listing.differing(entries(file), table)
     assign(socket, rows: rows, total: total, differing: differing, missing: missing)
   end
@@ -235,19 +279,19 @@ defmodule FleetWeb.Console.Params.Page do
   @impl Phoenix.LiveView
   def render(assigns) do
     param = assigns.table && assigns.open && assigns.table.params[assigns.open]
-    row = param && Listing.row(param, Enum.find(entries(assigns.file), &(&1.name == param.name)))
-    assigns = assign(assigns, :row, row)
+    entry = param && Enum.find(entries(assigns.file), &(&1.name == param.name))
+    assigns = assign(assigns, :row, param && Listing.row(param, entry, assigns.about[param.name]))
 
     ~H"""
     <h1 class="page-title">Parameters</h1>
     <div class="stack">
-      <.toolbar vehicles={@vehicles} vehicle={@vehicle} filter={@filter} reading={@reading} table={@table} file={@file} />
+      <.toolbar vehicles={@vehicles} vehicle={@vehicle} components={@components} component={@component} described={@about != %{}} filter={@filter} reading={@reading} table={@table} file={@file} />
       <.progress :if={@reading} reading={@reading} />
       <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle is chosen">{if @vehicles == [], do: "No vehicle has been heard yet.", else: "Choose one above."}</.empty>
       <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} />
-      <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, &1)} file={@file} />
+      <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
       <.editor :if={@row} row={@row} able={@able} error={@error} />
     </div>
     """
@@ -256,8 +300,13 @@ defmodule FleetWeb.Console.Params.Page do
   defp entries(nil), do: []
   defp entries(file), do: file.entries
 
-  defp path(nil), do: "/params"
-  defp path(""), do: "/params"
-  defp path(id), do: "/params?" <> URI.encode_query(vehicle: id)
-  defp path(id, name), do: "/params?" <> URI.encode_query(vehicle: id, p: name)
+  defp path(%Phoenix.LiveView.Socket{assigns: %{vehicle: id, component: component}}), do: path(id, component)
+
+  defp path(id, component, name \\ nil)
+  defp path(none, _component, _name) when none in [nil, ""], do: "/params"
+
+  defp path(id, component, name) do
+    query = for {key, value} <- [vehicle: id, component: component, p: name], value != nil, do: {key, value}
+    "/params?" <> URI.encode_query(query)
+  end
 end

@@ -6,6 +6,9 @@ defmodule FleetWeb.Console.Params.Parts do
 
   attr :vehicles, :list, required: true
   attr :vehicle, :string, required: true, doc: "nil for none"
+  attr :components, :list, required: true, doc: "`FleetWeb.Console.Params.Components`"
+  attr :component, :integer, required: true, doc: "nil for the autopilot"
+  attr :described, :boolean, required: true, doc: "the descriptions were read"
   attr :filter, :map, required: true
   attr :reading, :map, required: true, doc: "nil for none"
   attr :table, :map, required: true, doc: "nil for none"
@@ -15,8 +18,9 @@ defmodule FleetWeb.Console.Params.Parts do
   def toolbar(assigns) do
     ~H"""
     <div class="params-tools" id="params-tools" phx-hook="ParamsFile">
-      <form id="params-vehicle" phx-change="vehicle" phx-submit="vehicle">
+      <form id="params-vehicle" class="row" phx-change="vehicle" phx-submit="vehicle">
         <.field id="params-vehicle-choice" name="vehicle" type="select" label="Vehicle" options={[{"choose", ""} | Enum.map(@vehicles, &{&1, &1})]} value={@vehicle} />
+        <.field :if={@components != []} id="params-component" name="component" type="select" label="Of" options={[{"autopilot", ""} | @components]} value={@component} />
       </form>
       <form :if={@table} id="params-filter" class="row filters" phx-change="filter" phx-submit="filter">
         <.field id="params-search" name="search" type="search" label="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
@@ -24,9 +28,10 @@ defmodule FleetWeb.Console.Params.Parts do
       </form>
       <div :if={@vehicle} class="row">
         <.button icon="refresh" phx-click="read" disabled={@reading != nil}>Read</.button>
-        <label :if={@table} class="button" for="params-open"><.icon name="upload" />Open a file<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
-        <.button :if={@table} icon="download" phx-click="save" phx-value-format="param">.param</.button>
-        <.button :if={@table} icon="download" phx-click="save" phx-value-format="params">.params</.button>
+        <.button :if={@table && @component == nil && not @described} icon="info" phx-click="describe" disabled={@reading != nil} title="Reads what the vehicle says about its parameters, once for each firmware">Descriptions</.button>
+        <label :if={@table && @component == nil} class="button" for="params-open"><.icon name="upload" />Open a file<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
+        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="param">.param</.button>
+        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="params">.params</.button>
       </div>
     </div>
     """
@@ -42,7 +47,7 @@ defmodule FleetWeb.Console.Params.Parts do
     ~H"""
     <div class="notice info" role="status" id="params-progress">
       <span class="spinner small"></span>
-      <span>Reading the parameters{if @reading.progress, do: ": #{@reading.progress["phase"]}"}</span>
+      <span>Reading {if @reading.what == :descriptions, do: "the descriptions", else: "the parameters"}{if @reading.progress, do: ": #{@reading.progress["phase"]}"}</span>
       <.meter value={Reading.share(@reading)} label="Parameters read" text={count(@reading.progress)} />
       <.button small={true} icon="x" phx-click="stop_reading">Stop</.button>
     </div>
@@ -91,14 +96,19 @@ defmodule FleetWeb.Console.Params.Parts do
     <p class="muted" role="status">{words(@total)}</p>
     <.empty :if={@rows == []} icon="search" title="No parameter matches" />
     <.data_table :if={@rows != []} id="params" label="Parameters" rows={@rows} row_id={&"param-#{&1.name}"} row_class={&(&1.changed && "changed")}>
-      <:col :let={row} label="Name"><.link patch={@path.(row.name)} class="mono">{row.name}</.link></:col>
-      <:col :let={row} label="Value" number={true}><strong>{row.value}</strong></:col>
+      <:col :let={row} label="Name"><.link patch={@path.(row.name)} class="mono">{row.name}</.link><span :if={row.about[:short]} class="muted param-about">{row.about.short}</span></:col>
+      <:col :let={row} label="Value" number={true}><strong>{row.value}</strong>{unit(row.about)}</:col>
       <:col :let={row} label="Default" number={true}>{row.default || "–"}</:col>
       <:col :let={row} label={if @file, do: "File", else: "Type"} number={@file != nil}>{if @file, do: row.file || "", else: row.type}</:col>
       <:col :let={row} label="State"><.badge :if={row.changed} kind="info">changed</.badge><.badge :if={not row.exact} kind="warn" title="The vehicle's float cannot represent all digits">inexact</.badge></:col>
     </.data_table>
     """
   end
+
+  defp unit(%{unit: unit}) when is_binary(unit) and unit != "", do: " " <> unit
+  defp unit(_unknown), do: ""
+
+  defp words(1), do: "1 parameter"
 
   defp words(total) do
     if total > Listing.max(),
@@ -114,19 +124,43 @@ defmodule FleetWeb.Console.Params.Parts do
   def editor(assigns) do
     ~H"""
     <.dialog id="param-editor" title={@row.name} cancel="close_param">
+      <p :if={@row.about} id="param-about">{@row.about.long || @row.about.short}</p>
       <dl class="facts">
-        <div class="fact"><dt>Value</dt><dd><strong>{@row.value}</strong></dd></div>
+        <div class="fact"><dt>Value</dt><dd><strong>{@row.value}</strong>{unit(@row.about)}</dd></div>
         <div class="fact"><dt>Default</dt><dd>{@row.default || "the vehicle does not tell it"}</dd></div>
         <div class="fact"><dt>Type</dt><dd>{@row.type}</dd></div>
         <div :if={@row.file} class="fact"><dt>In the file</dt><dd>{@row.file}</dd></div>
+        <div :for={{label, text} <- about(@row.about)} class="fact"><dt>{label}</dt><dd>{text}</dd></div>
       </dl>
       <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="set">
         <input type="hidden" name="name" value={@row.name} />
-        <.field id="param-value" name="value" label="New value" inputmode="decimal" autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
+        <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
         <.button type="submit" kind="primary">Set</.button>
       </form>
       <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
     </.dialog>
     """
   end
+
+  defp about(nil), do: []
+
+  defp about(about) do
+    [
+      {"Range", range(about)},
+      {"Choices",
+       list(for %{value: value, text: text} <- about.values, do: "#{Listing.text(value)} #{text}")},
+      {"Bits", list(for %{bit: bit, text: text} <- about.bits, do: "#{bit} #{text}")},
+      {"Takes effect", if(about.reboot_required, do: "after a reboot")}
+    ]
+    |> Enum.reject(fn {_label, text} -> text in [nil, ""] end)
+  end
+
+  defp range(%{min: nil, max: nil}), do: nil
+  defp range(%{min: min, max: nil}), do: "from #{Listing.text(min)}"
+  defp range(%{min: nil, max: max}), do: "up to #{Listing.text(max)}"
+  defp range(%{min: min, max: max}), do: "#{Listing.text(min)} to #{Listing.text(max)}"
+
+  # A list of channels or functions can be long.
+  defp list(items) when length(items) > 40, do: list(Enum.take(items, 40) ++ ["…"])
+  defp list(items), do: Enum.join(items, ", ")
 end

@@ -1,38 +1,55 @@
 defmodule FleetWeb.Console.Params.Reading do
   @moduledoc """
-  Reads a vehicle's parameters for a page. The state is a value; a task does the work and sends messages to the page. The task ends with its
-  last message, and the gateway keeps the list for the next reader.
+  Reads a vehicle's parameters, or what it says about them, for a page. The state is a value; a task does the work and sends messages to the
+  page. The task ends with its last message, and the gateway keeps what was read for the next reader.
   """
 
   alias Aerie.{Names, Params, Transfers}
   alias Aerie.Command.Result
-  alias Aerie.Params.Table
+  alias Aerie.Params.{Metadata, Table}
 
-  @enforce_keys [:ref, :id, :vehicle]
-  defstruct [:ref, :id, :vehicle, :progress]
+  @enforce_keys [:ref, :id, :vehicle, :what]
+  defstruct [:ref, :id, :vehicle, :what, :progress]
+
+  @typedoc "The parameters of a component (nil: the autopilot), or the autopilot's descriptions of its own."
+  @type what :: {:list, component :: 1..255 | nil} | :descriptions
 
   @typedoc "`:progress` - `%{\"phase\", \"done\", \"total\"}`, nil before the first message."
-  @type t :: %__MODULE__{ref: reference(), id: String.t(), vehicle: String.t(), progress: map() | nil}
+  @type t :: %__MODULE__{
+          ref: reference(),
+          id: String.t(),
+          vehicle: String.t(),
+          what: what(),
+          progress: map() | nil
+        }
 
   @doc """
   Starts reading. The calling process gets `{:command_progress, {:params, ref}, id, progress}`, and at the end `{:params, ref, answer}`:
-  `{:ok, table}` or `{:error, text}`.
+  `{:ok, table}`, `{:ok, descriptions by name}` or `{:error, text}`.
   """
-  @spec start(Names.gateway(), String.t()) :: t()
-  def start(gateway, vehicle) do
+  @spec start(Names.gateway(), String.t(), what()) :: t()
+  def start(gateway, vehicle, what) do
     {page, ref, id} = {self(), make_ref(), Aerie.Command.id()}
 
     {:ok, _pid} =
       Task.start(fn ->
-        answer = Params.list(gateway, vehicle, id: id, progress: {page, {:params, ref}})
+        answer = read(gateway, vehicle, what, id: id, progress: {page, {:params, ref}})
         send(page, {:params, ref, answer(answer)})
       end)
 
-    %__MODULE__{ref: ref, id: id, vehicle: vehicle}
+    %__MODULE__{ref: ref, id: id, vehicle: vehicle, what: what}
   end
 
-  @spec answer({:ok, Table.t()} | {:error, Result.t()}) :: {:ok, Table.t()} | {:error, String.t()}
-  defp answer({:ok, table}), do: {:ok, table}
+  defp read(gateway, vehicle, :descriptions, options), do: Params.metadata(gateway, vehicle, options)
+  defp read(gateway, vehicle, {:list, nil}, options), do: Params.list(gateway, vehicle, options)
+
+  defp read(gateway, vehicle, {:list, component}, options),
+    do: Params.list(gateway, vehicle, [component: component] ++ options)
+
+  @typep read :: Table.t() | %{String.t() => Metadata.t()}
+
+  @spec answer({:ok, read()} | {:error, Result.t()}) :: {:ok, read()} | {:error, String.t()}
+  defp answer({:ok, read}), do: {:ok, read}
 
   defp answer({:error, %Result{status: status, reason: reason}}),
     do: {:error, reason || Atom.to_string(status)}

@@ -70,23 +70,23 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     put_vehicle(console, "VID-001")
     put_vehicle(console, "VID-002")
     view = open(console)
-    assert_push_event(view, "map:vehicles", %{"map" => "fleet-map", "all" => true, "vehicles" => rows})
+    assert_push_event(view, "map:vehicles", %{map: "fleet-map", all: true, vehicles: rows})
     assert rows |> Enum.map(&hd/1) |> Enum.sort() == ["VID-001", "VID-002"]
-    assert_push_event(view, "map:homes", %{"homes" => [[47.3975, 8.545]]})
+    assert_push_event(view, "map:homes", %{homes: [[47.3975, 8.545]]})
 
     put_vehicle(console, "VID-001", position: %{lat: 47.5})
     refresh(view)
 
     assert_push_event(view, "map:vehicles", %{
-      "all" => false,
-      "vehicles" => [["VID-001", 47.5 | _]],
-      "gone" => []
+      all: false,
+      vehicles: [["VID-001", 47.5 | _]],
+      gone: []
     })
 
     %{key: key} = Aerie.Store.vehicle(console.gateway, "VID-002")
     Aerie.Store.delete_vehicle(console.gateway, key)
     refresh(view)
-    assert_push_event(view, "map:vehicles", %{"vehicles" => [], "gone" => ["VID-002"]})
+    assert_push_event(view, "map:vehicles", %{vehicles: [], gone: ["VID-002"]})
     assert shown(view) == ["VID-001"]
   end
 
@@ -308,7 +308,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
   describe "missions on the map" do
     defp told(view),
-      do: assert_push_event(view, "map:plans", %{"plans" => [%{"vehicle" => "V1"}]}, Aerie.Patience.ms())
+      do: assert_push_event(view, "map:plans", %{plans: [%{vehicle: "V1"}]}, Aerie.Patience.ms())
 
     test "are read for the vehicles that somebody switches on, and say why they could not be", %{
       console: console

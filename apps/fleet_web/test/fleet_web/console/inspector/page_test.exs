@@ -38,7 +38,7 @@ defmodule FleetWeb.Console.Inspector.PageTest do
     assert render(view) =~ "No messages yet"
     heard(console, attitude(0.5))
     row(view, "ATTITUDE")
-    Process.unlink(view.pid)
+    Process.flag(:trap_exit, true)
     Process.exit(view.pid, :kill)
     eventually(fn -> Inspector.rows(console.gateway) == [] end)
   end

@@ -16,27 +16,29 @@ defmodule FleetWeb.Console.Params.ListingTest do
   defp names({rows, _count}), do: Enum.map(rows, & &1.name)
 
   test "rows by name, searched, changed only" do
-    assert {[_, _, _], 3} = Listing.rows(@table, [], @all)
-    assert ["ANGLE_MAX", "ATC_RAT_P", "RTL_ALT"] == names(Listing.rows(@table, [], @all))
-    assert ["ATC_RAT_P"] == names(Listing.rows(@table, [], %{@all | search: "rat atc"}))
-    assert ["RTL_ALT"] == names(Listing.rows(@table, [], %{@all | only: "changed"}))
+    assert {[_, _, _], 3} = Listing.rows(@table, [], %{}, @all)
+    assert ["ANGLE_MAX", "ATC_RAT_P", "RTL_ALT"] == names(Listing.rows(@table, [], %{}, @all))
+    assert ["ATC_RAT_P"] == names(Listing.rows(@table, [], %{}, %{@all | search: "rat atc"}))
+    assert ["RTL_ALT"] == names(Listing.rows(@table, [], %{}, %{@all | only: "changed"}))
 
     assert {[
               %{value: "3000", default: "3000", changed: false, type: "int16", exact: true},
               %{value: "0.135", default: nil, changed: nil, exact: false} | _
             ], 3} =
-             Listing.rows(@table, [], @all)
+             Listing.rows(@table, [], %{}, @all)
   end
 
   test "a file: what differs, and what the vehicle does not have" do
     {:ok, entries} = Aerie.Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")
     assert {[%{name: "RTL_ALT", value: 1500, type: 4}], ["NO_SUCH"]} = Listing.differing(entries, @table)
-    assert {[%{name: "RTL_ALT", file: "1500"}], 1} = Listing.rows(@table, entries, %{@all | only: "differs"})
+
+    assert {[%{name: "RTL_ALT", file: "1500"}], 1} =
+             Listing.rows(@table, entries, %{}, %{@all | only: "differs"})
   end
 
   test "no more rows than a page can show" do
     many = Table.new(for n <- 1..300, do: %Param{name: "P#{n}", value: n, type: 6})
-    assert {rows, 300} = Listing.rows(many, [], @all)
+    assert {rows, 300} = Listing.rows(many, [], %{}, @all)
     assert length(rows) == Listing.max()
   end
 

@@ -8,10 +8,35 @@ defmodule FleetWeb.Console.Params.PageTest do
   @moduletag :capture_log
   @path "/params?vehicle=VID-001"
 
-  setup %{tmp_dir: dir} do
+  setup %{tmp_dir: dir} = context do
     {gateway, port} = Aerie.TransferCase.start(dir)
     [console: console] = start_console(gateway: gateway)
-    %{console: console, sim: fly(gateway, port, firmware: :ardupilot)}
+    sim = context[:sim] || [firmware: :ardupilot]
+    %{console: console, sim: fly(gateway, port, [files: files(dir)] ++ sim)}
+  end
+
+  # What a PX4 has on board about its parameters.
+  @general "etc/extras/component_general.json.xz"
+  @about %{
+    version: 1,
+    parameters: [
+      %{
+        name: "MIS_TAKEOFF_ALT",
+        type: "Float",
+        shortDesc: "Default take-off altitude",
+        units: "m",
+        min: 0,
+        max: 80
+      }
+    ]
+  }
+
+  defp files(dir) do
+    path = Path.join(dir, "general")
+    types = [%{type: 1, uri: "mftp:///etc/extras/parameters.json"}]
+    File.write!(path, JSON.encode!(%{version: 1, metadataTypes: types}))
+    {packed, 0} = System.cmd("xz", ["--stdout", "--check=crc32", path])
+    %{@general => packed, "/etc/extras/parameters.json" => JSON.encode!(@about)}
   end
 
   defp open(console, role) do
@@ -53,10 +78,45 @@ defmodule FleetWeb.Console.Params.PageTest do
     eventually(fn -> has_element?(view, "#params-file", "0 differ") end)
 
     render_hook(view, "save", %{"format" => "param"})
-    assert_push_event(view, "params:file", %{"name" => "VID-001.param", "text" => text}, Aerie.Patience.ms())
+    assert_push_event(view, "params:file", %{name: "VID-001.param", text: text}, Aerie.Patience.ms())
     assert text =~ ~r/PILOT_TKOFF_ALT,200/
     assert render_hook(view, "open_file", %{"name" => "odd", "text" => "what is this"}) =~ "line 1"
     assert render_hook(view, "open_file", %{"error" => "too large"}) =~ "too large"
+  end
+
+  @tag sim: [firmware: :px4, camera: 100]
+  test "what the vehicle says about its parameters, and a camera's own, text among them", %{console: console} do
+    view = open(console, :admin)
+    view |> element("button", "Descriptions") |> render_click()
+    eventually(fn -> has_element?(view, "#param-MIS_TAKEOFF_ALT", "Default take-off altitude") end)
+    refute has_element?(view, "button", "Descriptions")
+    view |> element("#params-filter") |> render_change(%{"search" => "take-off altitude", "only" => "all"})
+    view |> element("#param-MIS_TAKEOFF_ALT a") |> render_click()
+    assert has_element?(view, "#param-editor", "0 to 80")
+
+    # It is heard by its heartbeat.
+    eventually(fn ->
+      send(view.pid, :refresh)
+      has_element?(view, "#params-component option[value='100']", "camera (100)")
+    end)
+
+    view |> element("#params-vehicle") |> render_change(%{"vehicle" => "VID-001", "component" => "100"})
+    eventually(fn -> has_element?(view, "#param-CAM_NAME") end)
+    refute has_element?(view, "label[for=params-open]")
+    refute has_element?(view, "button", "Descriptions")
+    view |> element("#param-CAM_NAME a") |> render_click()
+    command(view, "set", "c1", %{"name" => "CAM_NAME", "value" => "Rear"})
+    eventually(fn -> has_element?(view, "#params-commands-c1[data-state=completed]") end)
+    eventually(fn -> has_element?(view, "#param-CAM_NAME strong", "Rear") end)
+    view |> element("#param-CAM_MODE a") |> render_click()
+    assert command(view, "set", "c2", %{"name" => "CAM_MODE", "value" => "x"}) =~ "expected a number"
+
+    # Events that belong to what this page does not show now.
+    render_hook(view, "save", %{"format" => "param"})
+    render_hook(view, "open_file", %{"name" => "mine.param", "text" => "CAM_MODE,1"})
+    refute has_element?(view, "#params-file")
+    {:ok, _view, html} = live(conn(console, :viewer), @path <> "&component=300")
+    assert html =~ "VID-001"
   end
 
   test "a viewer reads; neither viewer nor operator sets", %{console: console} do

@@ -18,7 +18,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
 
   defp plan_of(view) do
     render_hook(view, "export", %{"format" => "plan"})
-    assert_push_event(view, "plan:file", %{"name" => "aerie.plan", "text" => text})
+    assert_push_event(view, "plan:file", %{name: "aerie.plan", text: text})
     {:ok, plan} = Missions.import(text, :plan)
     plan
   end
@@ -35,7 +35,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
       view |> form("#plan-altitude", %{altitude: "40"}) |> render_change()
       view |> add(200) |> add(400)
       view |> form("#plan-action", %{command: "20"}) |> render_submit()
-      assert_push_event(view, "map:plan", %{"plan" => %{"items" => [_, _, _, %{"lat" => nil}]}})
+      assert_push_event(view, "map:plan", %{plan: %{items: [_, _, _, %{lat: nil}]}})
       assert has_element?(view, "#plan-profile")
 
       view |> element("#plan-items button[phx-value-index='1']", "Waypoint") |> render_click()
@@ -111,7 +111,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
 
       render_hook(view, "import", %{"name" => "a.waypoints", "text" => waypoints})
       assert [%{x: 474_000_000}] = plan_of(view).items
-      assert_push_event(view, "plan:keep", %{"text" => text})
+      assert_push_event(view, "plan:keep", %{text: text})
 
       again = open(console)
       render_hook(again, "restore", %{"text" => text})

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
-  import Aerie.ShadowCase, only: [start_shadow: 2, start_loop: 1, standing: 3]
+  import Aerie.ShadowCase, only: [start_shadow: 3, start_loop: 1, standing: 3]
 
   alias Aerie.Shadow
   alias FleetWeb.Console.Shadow.{Input, Shown}
@@ -17,7 +17,8 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     [console: console] = start_console()
     start_door(dir, gateway: console.gateway)
     Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true})
-    start_shadow(console.gateway, dir)
+    # The vehicle is armed: the shadow would stay away for as long.
+    start_shadow(console.gateway, dir, [{"shadow.hold_s", 0.1}])
     start_loop(console.gateway)
     %{console: console}
   end

@@ -227,7 +227,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert_push_event(
       view,
       "map:target",
-      %{"place" => %{"lat" => 47.398, "lon" => 8.5456}},
+      %{place: %{lat: 47.398, lon: 8.5456}},
       Aerie.Patience.ms()
     )
 
@@ -298,7 +298,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert_push_event(
       view,
       "chart",
-      %{"chart" => "charts", "values" => %{"battery.voltage" => 21.5}},
+      %{chart: "charts", values: %{"battery.voltage" => 21.5}},
       Aerie.Patience.ms()
     )
 
@@ -330,7 +330,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
       view,
       "chart",
       %{
-        "values" => %{"ATTITUDE.roll" => 0.5, "BATTERY_STATUS.voltages.1" => nil, "battery.voltage" => 22.8}
+        values: %{"ATTITUDE.roll" => 0.5, "BATTERY_STATUS.voltages.1" => nil, "battery.voltage" => 22.8}
       },
       Aerie.Patience.ms()
     )
@@ -360,20 +360,20 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert_push_event(
       view,
       "instruments",
-      %{"vehicle" => @id, "roll" => 1.5, "speed" => 3.0},
+      %{vehicle: @id, roll: 1.5, speed: 3.0},
       Aerie.Patience.ms()
     )
 
     assert_push_event(
       view,
       "map:vehicles",
-      %{"map" => "vehicle-map", "vehicles" => [[@id | _row]]},
+      %{map: "vehicle-map", vehicles: [[@id | _row]]},
       Aerie.Patience.ms()
     )
 
-    assert_push_event(view, "map:homes", %{"homes" => [[47.3975, 8.545]]}, Aerie.Patience.ms())
+    assert_push_event(view, "map:homes", %{homes: [[47.3975, 8.545]]}, Aerie.Patience.ms())
     put(console, attitude: %{roll: -20.0})
-    assert_push_event(view, "instruments", %{"roll" => -20.0}, Aerie.Patience.ms())
+    assert_push_event(view, "instruments", %{roll: -20.0}, Aerie.Patience.ms())
   end
 
   test "one operator is in charge; another one takes over with a reason", %{console: console} do

@@ -36,7 +36,8 @@ defmodule Aerie.Bridge.Commands.Request do
   end
 
   @doc "Reads a message at `now` (unix microseconds). A refusal comes with what could be read of the envelope."
-  @spec read(Gnat.message(), Policy.t() | nil, now :: integer()) :: {:ok, t()} | {:refused, map(), refusal()}
+  @spec read(Aerie.Nats.message(), Policy.t() | nil, now :: integer()) ::
+          {:ok, t()} | {:refused, map(), refusal()}
   def read(%{topic: topic, body: body} = message, policy, now) do
     {vehicle, type} = subject(topic)
     headers = Map.new(message[:headers] || [])

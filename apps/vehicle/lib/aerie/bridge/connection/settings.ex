@@ -5,6 +5,9 @@ defmodule Aerie.Bridge.Connection.Settings do
   alias Aerie.Bridge.Token
   alias Aerie.Secret
 
+  # A server that does not read must not hold the client up for ever. The Hex package sets none of these.
+  @tcp [nodelay: true, keepalive: true, send_timeout: 10_000, send_timeout_close: true]
+
   @doc "Settings for one of the URLs, or why there are none (an unreadable file)."
   @spec gnat(Bridge.Settings.t(), String.t()) :: {:ok, map()} | {:error, String.t()}
   def gnat(%Bridge.Settings{nats: nats}, url) do
@@ -18,7 +21,7 @@ defmodule Aerie.Bridge.Connection.Settings do
           port: uri.port || 4222,
           connection_timeout: round(nats.connect_timeout_s * 1000),
           no_responders: true,
-          tcp_opts: [:binary | family(host)]
+          tcp_opts: [:binary] ++ family(host) ++ @tcp
         }
         |> Map.merge(auth)
         |> Map.merge(tls(nats, uri.scheme, host))
@@ -33,7 +36,8 @@ defmodule Aerie.Bridge.Connection.Settings do
   defp auth(%{mode: :embedded} = nats),
     do: with({:ok, token} <- Token.read(nats), do: {:ok, %{token: token, auth_required: true}})
 
-  defp auth(%{credentials: file}) when file != nil, do: {:ok, %{credentials: file, auth_required: true}}
+  defp auth(%{credentials: file}) when file != nil,
+    do: with({:ok, parts} <- Nkey.Credentials.read(file), do: {:ok, Map.put(parts, :auth_required, true)})
 
   defp auth(%{nkey_seed_file: file}) when file != nil do
     case File.read(file) do

@@ -1,14 +1,14 @@
 defmodule Aerie.Bridge.Events.PubAck do
   @moduledoc "JetStream's answer to a published event. Pure."
 
-  @typedoc "`:no_stream`: no stream has this subject; a map: an error of JetStream; anything else: an error of the client."
-  @type reason :: :no_stream | map() | term()
+  @typedoc "`:no_stream`: no stream has this subject; else a reason of `Aerie.Nats`."
+  @type reason :: :no_stream | :not_understood | Aerie.Nats.reason()
 
   # message size exceeds maximum allowed
   @too_large 10_054
 
   @doc "The number of the sending that is answered, and the answer."
-  @spec parse(Gnat.message(), String.t() | nil) ::
+  @spec parse(Aerie.Nats.message(), String.t() | nil) ::
           {:confirmed, pos_integer(), duplicate? :: boolean()} | {:refused, pos_integer(), reason()} | :other
   def parse(%{topic: topic} = message, inbox) when is_binary(inbox) do
     with [^inbox, ref] <- String.split(topic, ~r/\.(?=[^.]*\z)/),
@@ -34,14 +34,12 @@ defmodule Aerie.Bridge.Events.PubAck do
   @doc "Whether sending the same message again is useless."
   @spec hopeless?(reason()) :: boolean()
   def hopeless?(%{"err_code" => @too_large}), do: true
-  def hopeless?(%{reason: {:payload_too_large, _size, _max}}), do: true
+  def hopeless?({:too_large, _bytes, _max}), do: true
   def hopeless?(_reason), do: false
 
   @doc "A reason as text."
   @spec text(reason()) :: String.t()
   def text(:no_stream), do: "there is no stream for them"
-  def text(%{"description" => description}), do: description
-  def text(reason) when is_exception(reason), do: Exception.message(reason)
-  def text(reason) when is_binary(reason), do: reason
-  def text(_reason), do: "an unknown answer"
+  def text(:not_understood), do: "an answer that is not understood"
+  def text(reason), do: Aerie.Nats.text(reason)
 end

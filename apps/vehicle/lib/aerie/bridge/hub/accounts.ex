@@ -14,17 +14,20 @@ defmodule Aerie.Bridge.Hub.Accounts do
 
   | from the fleet to a vehicle | on the leaf |
   |---|---|
-  | `fleet.E.V.{cmd,params,mission,files,logs,shadow}.*`, answered | the same |
+  | `fleet.E.V.{cmd,params,mission,files,logs}.*`, answered | the same |
   | what is written to its own keys | `hub.kv.new.BUCKET.KEY` |
 
   Permissions within one account would not be enough: the answer to a request goes to the subject that the request names, so a
   vehicle could have JetStream publish its own text in another one's name. Between accounts, answers have subjects of the server's.
 
+  Of the leases a vehicle has only that of who acts on itself. The desired state is asked of the hub's gateway: documents aboard and at the
+  hub are kept the same (`Aerie.Shadow.Uplink`).
+
   Events have a subject of their own on the leaf, because the leaf stores them in a stream of its own: the gateway forwards them
   in order (`Aerie.Bridge.Forward`).
   """
 
-  @areas ~w(cmd params mission files logs shadow)
+  @areas ~w(cmd params mission files logs)
   @get "$JS.API.DIRECT.GET.KV_"
 
   @type vehicle :: {id :: String.t(), public :: String.t()}
@@ -104,8 +107,6 @@ defmodule Aerie.Bridge.Hub.Accounts do
       put("fleet_reported", document),
       get("fleet_leases", owner),
       put("fleet_leases", owner),
-      get("fleet_leases", "#{environment}.gateways.*"),
-      put("fleet_leases", "#{environment}.gateways.*"),
       get("fleet_plans", "*")
     ]
   end

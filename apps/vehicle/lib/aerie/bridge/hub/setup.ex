@@ -4,6 +4,7 @@ defmodule Aerie.Bridge.Hub.Setup do
 
       DIR/fleet.json             who is in the fleet (public keys only)
       DIR/ca.key                 the authority's key; keep it where no server is
+      DIR/shadow.key             seals desired states (`shadow.key`); it is in each gateway.yaml
       DIR/hub/                   for the hub: hub.conf, accounts.conf, ca.pem, gateway.nk, gateway.yaml
       DIR/hub/HOST/              for each of its servers: server.conf, server.pem, server.key
       DIR/vehicles/ID/           for a vehicle: leaf.nk, ca.pem, gateway.yaml
@@ -15,7 +16,6 @@ defmodule Aerie.Bridge.Hub.Setup do
   alias Aerie.Bridge.Hub.{Accounts, Certificates}
   alias Aerie.PrivateFile
   alias Aerie.Settings.Types
-  alias Gnat.Nkey
 
   @template Path.expand("../../../../../../rel/overlays/nats/hub.conf", __DIR__)
   @external_resource @template
@@ -46,11 +46,12 @@ defmodule Aerie.Bridge.Hub.Setup do
          :ok <- folders(dir, fleet),
          {:ok, fleet, gateway} <- gateway(dir, fleet),
          {:ok, fleet, made} <- vehicles(dir, fleet, wish),
+         {:ok, key, told} <- shadow_key(dir, Map.keys(fleet["vehicles"]) -- made),
          :ok <- Certificates.authority(dir),
          {:ok, servers} <- servers(dir, fleet),
-         :ok <- files(dir, fleet, servers, made),
+         :ok <- files(dir, fleet, servers, made, key),
          :ok <- save(dir, fleet) do
-      {:ok, gateway ++ lines(dir, made, Map.get(wish, :revoked, []))}
+      {:ok, gateway ++ lines(dir, made, Map.get(wish, :revoked, [])) ++ told}
     end
   end
 
@@ -130,6 +131,25 @@ defmodule Aerie.Bridge.Hub.Setup do
          do: {:ok, Map.put(fleet, "gateway", public), ["the hub's key is new"]}
   end
 
+  # Gateways heed desired states only of gateways with the same key.
+  defp shadow_key(dir, without) do
+    file = Path.join(dir, "shadow.key")
+
+    with {:error, :enoent} <- File.read(file),
+         key = Base.encode16(:crypto.strong_rand_bytes(32), case: :lower),
+         :ok <- said(PrivateFile.write(file, key <> "\n"), file) do
+      {:ok, key,
+       for(
+         id <- without,
+         do: "#{id}: put shadow.key of #{Path.join(dir, "hub")}/gateway.yaml into its gateway.yaml, too"
+       )}
+    else
+      {:ok, text} -> {:ok, String.trim(text), []}
+      {:error, reason} when is_atom(reason) -> {:error, "cannot read #{file}: #{:file.format_error(reason)}"}
+      error -> error
+    end
+  end
+
   defp seed(file) do
     key = Nkey.generate(:user)
     with :ok <- said(PrivateFile.write(file, Nkey.seed(key) <> "\n"), file), do: {:ok, key.public}
@@ -161,14 +181,14 @@ defmodule Aerie.Bridge.Hub.Setup do
          do: {:ok, folders}
   end
 
-  defp files(dir, fleet, servers, made) do
+  defp files(dir, fleet, servers, made, key) do
     %{"environment" => environment, "hosts" => hosts, "ports" => ports} = fleet
     {:ok, authority} = File.read(Path.join(dir, "ca.pem"))
     accounts = Accounts.render(environment, fleet["gateway"], Enum.sort(fleet["vehicles"]))
 
     hub = [{"hub/hub.conf", @hub_conf}, {"hub/accounts.conf", accounts}, {"hub/ca.pem", authority}]
     urls = fn port -> for host <- hosts, do: "tls://#{address(host)}:#{port}" end
-    gateway = {"hub/gateway.yaml", hub_yaml(environment, urls.(ports["client"]), length(hosts))}
+    gateway = {"hub/gateway.yaml", hub_yaml(environment, urls.(ports["client"]), length(hosts), key)}
 
     own =
       for {host, _folder} <- servers,
@@ -178,7 +198,7 @@ defmodule Aerie.Bridge.Hub.Setup do
       for id <- made,
           {name, text} <- [
             {"ca.pem", authority},
-            {"gateway.yaml", vehicle_yaml(environment, id, urls.(ports["leaf"]))}
+            {"gateway.yaml", vehicle_yaml(environment, id, urls.(ports["leaf"]), key)}
           ],
           do: {"vehicles/#{id}/#{name}", text}
 
@@ -217,7 +237,7 @@ defmodule Aerie.Bridge.Hub.Setup do
 
   defp address(host), do: if(String.contains?(host, ":"), do: "[#{host}]", else: host)
 
-  defp hub_yaml(environment, urls, servers) do
+  defp hub_yaml(environment, urls, servers, key) do
     """
     # The gateway of the hub: files beside this one.
     environment: #{environment}
@@ -228,10 +248,12 @@ defmodule Aerie.Bridge.Hub.Setup do
         ca_file: ca.pem
       streams:
         replicas: #{if servers >= 3, do: 3, else: 1}
+    shadow:
+      key: #{JSON.encode!(key)}
     """
   end
 
-  defp vehicle_yaml(environment, id, urls) do
+  defp vehicle_yaml(environment, id, urls, key) do
     """
     # The gateway aboard #{id}: files beside this one.
     vehicle_id: #{id}
@@ -242,6 +264,8 @@ defmodule Aerie.Bridge.Hub.Setup do
         nkey_seed_file: leaf.nk
         tls:
           ca_file: ca.pem
+    shadow:
+      key: #{JSON.encode!(key)}
     """
   end
 

@@ -123,7 +123,7 @@ defmodule Aerie.Bridge.Leaf.Config do
   def seed(%{nkey_seed_file: nil}), do: {:ok, nil}
 
   def seed(%{nkey_seed_file: file}) do
-    with {:ok, text} <- File.read(file), {:ok, %{purpose: :user}} <- Gnat.Nkey.from_seed(text) do
+    with {:ok, text} <- File.read(file), {:ok, %{purpose: :user}} <- Nkey.from_seed(text) do
       {:ok, String.trim(text)}
     else
       {:error, reason} when is_atom(reason) ->

@@ -2,7 +2,7 @@ defmodule Aerie.Policy.Audit.Log do
   @moduledoc """
   The audit log's folder as a value of the process that writes it: opened, repaired, appended to, bounded.
 
-  A line is written at once, so that a kill of the program loses none, and brought to the disk (`sync/1`) a moment later. With
+  A line is written at once, so that a kill of the program loses none, and brought to the disk (`sync/2`) a moment later. With
   it the file `head` is written: number and hash of the last record that is safe. A log that ends before its head was
   shortened.
 
@@ -16,11 +16,11 @@ defmodule Aerie.Policy.Audit.Log do
     * `missed` - so many `records` could not be written `since` then, for the `reason`
   """
 
-  alias Aerie.PrivateFile
+  alias Aerie.{Disk, PrivateFile}
   alias Aerie.Policy.Audit.{Record, Segment}
 
   @enforce_keys [:dir, :max_bytes, :segment_bytes]
-  defstruct [:dir, :max_bytes, :segment_bytes, :file, segments: [], bytes: 0, n: 0, hash: nil, synced: nil]
+  defstruct [:dir, :max_bytes, :segment_bytes, :file, segments: [], bytes: 0, n: 0, hash: nil]
 
   @opaque t :: %__MODULE__{}
   @format 1
@@ -65,16 +65,14 @@ defmodule Aerie.Policy.Audit.Log do
     end
   end
 
-  @doc "Brings what was written to the disk."
-  @spec sync(t()) :: {:ok, t()} | {:error, String.t(), t()}
-  def sync(%{synced: n, n: n} = log), do: {:ok, log}
-
-  def sync(log) do
-    with :ok <- :file.datasync(log.file),
+  @doc "Brings what was written to the disk. Any process may call it, one at a time."
+  @spec sync(t(), (Path.t() -> :ok | {:error, File.posix()})) :: :ok | {:error, String.t()}
+  def sync(log, sync \\ &Disk.sync/1) do
+    with :ok <- sync.(Segment.path(log.dir, List.last(log.segments))),
          :ok <- PrivateFile.write(head_file(log.dir), "#{log.n} #{log.hash}\n") do
-      {:ok, %{log | synced: log.n}}
+      :ok
     else
-      {:error, reason} -> {:error, text(log.dir, reason), log}
+      {:error, reason} -> {:error, text(log.dir, reason)}
     end
   end
 

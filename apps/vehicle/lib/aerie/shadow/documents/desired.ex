@@ -40,12 +40,10 @@ defmodule Aerie.Shadow.Documents.Desired do
   defp load_kept(state, vehicle) do
     case Buckets.read(state.conn, state.kept, vehicle) do
       {:ok, document, revision} -> document |> newer(state, revision) |> accept(document)
-      :none -> restore(state, vehicle, :none)
+      {:none, revision} -> restore(state, vehicle, revision)
       {:refused, why, _revision} -> refused(state, vehicle, why)
       {:error, _why} -> state
     end
-  catch
-    :exit, _gone -> state
   end
 
   # The bucket's document is older than ours, for example after a restored backup.
@@ -97,16 +95,16 @@ defmodule Aerie.Shadow.Documents.Desired do
     state
   end
 
-  @doc "Handles a change in the bucket. `action` is that of `Gnat.Jetstream.API.KV.watch/3`."
-  @spec changed(state(), String.t(), action :: atom(), value :: binary()) :: state()
-  def changed(state, vehicle, action, value) do
+  @doc "Handles a change in the bucket. "
+  @spec changed(state(), String.t(), {:put, binary()} | :removed) :: state()
+  def changed(state, vehicle, change) do
     heard_here? = is_map_key(state.loops, vehicle)
 
-    cond do
-      action == :key_added -> received(state, vehicle, value, heard_here?)
+    case change do
+      {:put, value} -> received(state, vehicle, value, heard_here?)
       # Somebody else removed it: a gateway would leave an empty document.
-      heard_here? and state.conn != nil -> load_kept(state, vehicle)
-      true -> state
+      :removed when heard_here? and state.conn != nil -> load_kept(state, vehicle)
+      :removed -> state
     end
   end
 

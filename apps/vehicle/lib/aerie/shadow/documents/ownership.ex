@@ -46,13 +46,11 @@ defmodule Aerie.Shadow.Documents.Ownership do
 
   def claim(state) do
     state.lease |> Lease.claims(monotonic()) |> Enum.take(@max_claims) |> Enum.reduce(state, &take/2)
-  catch
-    :exit, _gone -> state
   end
 
   defp take(vehicle, %{lease: lease} = state) do
     now = monotonic()
-    gone? = &Lease.gone?(lease, &1, now)
+    gone? = &(not Lease.aboard?(vehicle, &1) and Lease.gone?(lease, &1, now))
 
     case Buckets.claim(state.conn, state.kept.environment, vehicle, lease.me, gone?) do
       :mine -> %{state | lease: Lease.owner(lease, vehicle, lease.me, now)}
@@ -65,8 +63,6 @@ defmodule Aerie.Shadow.Documents.Ownership do
   @spec release(state(), String.t()) :: :ok
   def release(state, vehicle) do
     Buckets.release(state.conn, state.kept.environment, vehicle, state.lease.me)
-  catch
-    :exit, _gone -> :ok
   end
 
   @doc "See `Aerie.Shadow.Lease.holder/3`."

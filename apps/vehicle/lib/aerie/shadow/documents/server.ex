@@ -8,13 +8,14 @@ defmodule Aerie.Shadow.Documents.Server do
   """
   use GenServer
 
-  alias Aerie.{Bridge, Names}
+  alias Aerie.{Bridge, Names, Nats}
   alias Aerie.Bridge.LastPublished
   alias Aerie.Shadow.{Buckets, Copy, Lease, Settings}
   alias Aerie.Shadow.Documents.{Desired, Ownership}
   alias Aerie.Store.PubSub
   alias Aerie.TokenBucket
-  alias Gnat.Jetstream.API.KV
+
+  require Logger
 
   @rate_ms 100
   @burst 50
@@ -54,6 +55,7 @@ defmodule Aerie.Shadow.Documents.Server do
       rates: %{},
       conn: nil,
       watchers: [],
+      differs: [],
       problem: nil
     }
 
@@ -94,8 +96,15 @@ defmodule Aerie.Shadow.Documents.Server do
   end
 
   # The watchers call this and wait, so that a flood of writes waits in NATS.
-  def handle_call({:kv, bucket, action, key, value}, _from, state),
-    do: {:reply, :ok, changed(bucket, action, key, value, state)}
+  def handle_call({:kv, bucket, key, change}, _from, state),
+    do: {:reply, :ok, changed(bucket, key, change, state)}
+
+  # Of vehicles that are not heard here only the tags are kept.
+  def handle_call({:written, document}, _from, state) do
+    if is_map_key(state.loops, document.vehicle),
+      do: {:reply, :ok, Desired.accept(state, document)},
+      else: {:reply, :ok, Desired.tagged(state, document)}
+  end
 
   @impl GenServer
   def handle_cast({:join, vehicle, loop}, state) do
@@ -115,13 +124,6 @@ defmodule Aerie.Shadow.Documents.Server do
   def handle_cast({:report, vehicle, fields, reported}, state) do
     :ets.insert(state.table, {{:reported, vehicle}, {fields, reported}})
     {:noreply, publish(%{state | reports: Map.put(state.reports, vehicle, reported)}, vehicle)}
-  end
-
-  # Of vehicles that are not heard here only the tags are kept.
-  def handle_cast({:written, document}, state) do
-    if is_map_key(state.loops, document.vehicle),
-      do: {:noreply, Desired.accept(state, document)},
-      else: {:noreply, Desired.tagged(state, document)}
   end
 
   @impl GenServer
@@ -175,7 +177,7 @@ defmodule Aerie.Shadow.Documents.Server do
   end
 
   defp begin(state, conn) do
-    with {:ok, _made} <- buckets(state, conn),
+    with {:ok, _made, state} <- buckets(state, conn),
          {:ok, desired} <- watch(conn, Buckets.desired()),
          {:ok, leases} <- watch(conn, Buckets.leases()) do
       %{state | conn: conn, watchers: [desired, leases]}
@@ -185,11 +187,8 @@ defmodule Aerie.Shadow.Documents.Server do
       |> Ownership.claim()
       |> Ownership.authorities()
     else
-      {:error, why} -> Desired.problem(state, if(is_binary(why), do: why, else: Bridge.Streams.text(why)))
+      {:error, why} -> Desired.problem(state, Nats.text(why))
     end
-  catch
-    # The connection ended meanwhile; the bridge announces the next one.
-    :exit, _gone -> state
   end
 
   # Synchronises everything in both directions.
@@ -198,30 +197,36 @@ defmodule Aerie.Shadow.Documents.Server do
     Enum.reduce(Map.keys(state.reports), state, &publish(&2, &1))
   end
 
-  defp buckets(state, conn), do: Buckets.ensure(conn, state.settings.bridge.nats.streams.replicas)
+  defp buckets(state, conn) do
+    with {:ok, %{made: made, differs: differs}} <-
+           Buckets.ensure(conn, state.settings.bridge, state.settings.buckets) do
+      for text <- differs -- state.differs, do: Logger.warning("shadow: the bucket #{text}")
+      {:ok, made, %{state | differs: differs}}
+    end
+  end
 
   defp watch(conn, bucket) do
     documents = self()
 
-    KV.watch(conn, bucket, fn action, key, value ->
-      GenServer.call(documents, {:kv, bucket, action, key, value}, :infinity)
+    Nats.KV.watch(conn, bucket, fn key, change ->
+      GenServer.call(documents, {:kv, bucket, key, change}, :infinity)
     end)
   end
 
   ## Changes in the buckets
 
-  defp changed("fleet_desired", action, key, value, state) do
+  defp changed("fleet_desired", key, change, state) do
     case Buckets.vehicle(key, state.kept.environment) do
       nil -> state
-      vehicle -> Desired.changed(state, vehicle, action, value)
+      vehicle -> Desired.changed(state, vehicle, change)
     end
   end
 
-  defp changed("fleet_leases", action, key, value, state) do
-    case {Buckets.lease(key, state.kept.environment), action} do
-      {{:gateway, instance}, :key_added} -> Ownership.peer(state, instance, value)
-      {{:vehicle, vehicle}, :key_added} -> Ownership.owner(state, vehicle, value)
-      {{:vehicle, vehicle}, _removed} -> Ownership.owner(state, vehicle, nil)
+  defp changed("fleet_leases", key, change, state) do
+    case {Buckets.lease(key, state.kept.environment), change} do
+      {{:gateway, instance}, {:put, value}} -> Ownership.peer(state, instance, value)
+      {{:vehicle, vehicle}, {:put, value}} -> Ownership.owner(state, vehicle, value)
+      {{:vehicle, vehicle}, :removed} -> Ownership.owner(state, vehicle, nil)
       _other -> state
     end
   end
@@ -233,7 +238,7 @@ defmodule Aerie.Shadow.Documents.Server do
   defp renew(state) do
     sent_at = monotonic()
 
-    with {:ok, made} <- buckets(state, state.conn),
+    with {:ok, made, state} <- buckets(state, state.conn),
          :ok <- Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name) do
       state = %{state | lease: Lease.renewed(state.lease, sent_at)}
       # Somebody deleted a bucket.
@@ -241,8 +246,6 @@ defmodule Aerie.Shadow.Documents.Server do
     else
       {:error, why} -> Desired.problem(disconnected(state), why)
     end
-  catch
-    :exit, _gone -> disconnected(state)
   end
 
   defp left(state, vehicle) do
@@ -269,8 +272,6 @@ defmodule Aerie.Shadow.Documents.Server do
         do: Buckets.report(state.conn, state.kept.environment, vehicle, state.reports[vehicle])
 
     state
-  catch
-    :exit, _gone -> state
   end
 
   defp monotonic, do: System.monotonic_time(:millisecond)

@@ -22,7 +22,7 @@ defmodule Aerie.Shadow.Nats.Request do
         }
 
   @doc "Reads a message at `now` (unix microseconds), or returns the rule and the reason of its refusal."
-  @spec read(Gnat.message(), Policy.t() | nil, now :: integer()) ::
+  @spec read(Aerie.Nats.message(), Policy.t() | nil, now :: integer()) ::
           {:ok, t()} | {:refused, rule :: String.t(), reason :: String.t()}
   def read(%{topic: topic, body: body} = message, policy, now) do
     ["fleet", _environment, vehicle, "shadow", word] = String.split(topic, ".")

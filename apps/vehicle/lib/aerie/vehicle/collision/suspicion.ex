@@ -4,8 +4,8 @@ defmodule Aerie.Vehicle.Collision.Suspicion do
 
   `Aerie.Vehicle.Collision.Detector` takes some seconds to be sure. Until then a flying vehicle must not be reported as
   landed and disarmed because another one was switched on. So while boot times, positions or types alternate, while a path
-  is new, or while heartbeats on two paths differ, a change of the state counts only after it has stayed for a second and a
-  half. Two links to one vehicle agree again with the second link's next heartbeat, and then the change counts at once.
+  is new, or while heartbeats on two paths differ, a change of the state counts only after it has stayed for two and a half
+  seconds, in which two heartbeats come. Two links to one vehicle agree again with the second link's next heartbeat, and then the change counts at once.
 
   A change after a silence waits as well, until the vehicle's clock has shown whether it was restarted: that it is disarmed
   now follows from the reboot, and is reported after it.
@@ -15,7 +15,7 @@ defmodule Aerie.Vehicle.Collision.Suspicion do
 
   # For how long a sign of two vehicles counts.
   @sign_us 3_000_000
-  @stays_us 1_500_000
+  @stays_us 2_500_000
   @max_paths 32
 
   defstruct heartbeats: %{}, held: nil

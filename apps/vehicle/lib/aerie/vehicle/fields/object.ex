@@ -15,6 +15,7 @@ defmodule Aerie.Vehicle.Fields.Object do
     {"network", nil, "the network that its system id belongs to"},
     {"system_id", nil, "MAVLink system id"},
     {"status", nil, "online, stale or lost"},
+    {"via", nil, "the gateway by which it is reached; null: a link of this one (fleet.md)"},
     {"age", "s", "since the vehicle was last heard"},
     {"fc_connected", nil, "true while the vehicle is online"},
     {"fc_port", nil, "device or address of the link that last heard it"},
@@ -35,8 +36,6 @@ defmodule Aerie.Vehicle.Fields.Object do
   rest = [
     {"recording", nil, "how it is recorded (recordings.md); also in `/api/status`"},
     {"tags", nil, "words that people gave it (shadow.md); also in `/api/status`"},
-    {"via", nil,
-     "the gateway by which it is reached; null: a link of this one (fleet.md); also in `/api/status`"},
     {"gateways", nil, "the other gateways that tell of it; also in `/api/status`"},
     {"groups", nil, "all state groups: `time`, `age`, `via`, `time_boot_ms`, `data`"},
     {"firmware", nil, "firmware version"},

@@ -7,15 +7,10 @@ defmodule Gnat.Jetstream.API.KV do
       "{}" = KV.get_value(gnat, "fleet_desired", "prod.VID-001")
 
   Keys are subjects: tokens with dots between them, of letters, digits and `-/_=`. Every change of a bucket has a
-  revision, a number that grows. To change a value only if nobody else has changed it meanwhile:
-
-      {:ok, entry} = KV.get_entry(gnat, "fleet_desired", "prod.VID-001")
-      {:ok, revision} = KV.update_value(gnat, "fleet_desired", "prod.VID-001", "new", entry.revision)
-
-  `get_entry/4`, `update_value/6` and the `:expected_revision` of the other functions are not in the Hex package.
+  revision, a number that grows.
   """
 
-  alias Gnat.{Error, Jetstream}
+  alias Gnat.Error
   alias Gnat.Jetstream.API.{Stream, Util}
   alias Gnat.Jetstream.API.KV.{Entry, Watcher}
   alias Gnat.Jetstream.Pager
@@ -34,9 +29,7 @@ defmodule Gnat.Jetstream.API.KV do
           | {:placement, Stream.placement()}
 
   @type key :: String.t()
-  @type revision :: pos_integer()
-  @type error :: {:error, String.t() | :wrong_revision | :not_found | term()}
-  @type write_option :: {:timeout, timeout()} | {:expected_revision, non_neg_integer()}
+  @type error :: {:error, String.t() | :wrong_revision | term()}
 
   @doc """
   Creates a bucket; it may already exist with the same options.
@@ -84,46 +77,31 @@ defmodule Gnat.Jetstream.API.KV do
   """
   @spec create_key(Gnat.t(), String.t(), key(), iodata(), timeout: timeout()) :: :ok | error()
   def create_key(conn, bucket, key, value, opts \\ []) do
-    with {:error, :wrong_revision} <- put_value(conn, bucket, key, value, [{:expected_revision, 0} | opts]),
+    with {:error, :wrong_revision} <- write(conn, bucket, key, value, expected(0), opts),
          {:ok, %Entry{operation: operation, revision: revision}} when operation != :put <-
            entry(conn, bucket, key) do
-      put_value(conn, bucket, key, value, [{:expected_revision, revision} | opts])
+      write(conn, bucket, key, value, expected(revision), opts)
     else
       {:ok, %Entry{}} -> {:error, :wrong_revision}
       other -> other
     end
   end
 
-  @doc """
-  Writes a value.
+  defp expected(revision), do: [{"Nats-Expected-Last-Subject-Sequence", Integer.to_string(revision)}]
 
-    * `timeout` - ms, default 5000
-    * `expected_revision` - only if this is the key's last revision, 0 for none; else `{:error, :wrong_revision}`
-  """
-  @spec put_value(Gnat.t(), String.t(), key(), iodata(), [write_option()]) :: :ok | error()
-  def put_value(conn, bucket, key, value, opts \\ []) do
-    with {:ok, _revision} <- write(conn, bucket, key, value, [], opts), do: :ok
-  end
-
-  @doc "Writes a value if `revision` is the key's last one, 0 for a key without; gives the new revision."
-  @spec update_value(Gnat.t(), String.t(), key(), iodata(), non_neg_integer(), timeout: timeout()) ::
-          {:ok, revision()} | error()
-  def update_value(conn, bucket, key, value, revision, opts \\ []) do
-    write(conn, bucket, key, value, [], [{:expected_revision, revision} | opts])
-  end
+  @doc "Writes a value. `timeout` in ms, default 5000."
+  @spec put_value(Gnat.t(), String.t(), key(), iodata(), timeout: timeout()) :: :ok | error()
+  def put_value(conn, bucket, key, value, opts \\ []), do: write(conn, bucket, key, value, [], opts)
 
   @doc "Deletes a key; its history stays. Options as in `put_value/5`."
-  @spec delete_key(Gnat.t(), String.t(), key(), [write_option()]) :: :ok | error()
-  def delete_key(conn, bucket, key, opts \\ []) do
-    with {:ok, _revision} <- write(conn, bucket, key, "", [{"KV-Operation", "DEL"}], opts), do: :ok
-  end
+  @spec delete_key(Gnat.t(), String.t(), key(), timeout: timeout()) :: :ok | error()
+  def delete_key(conn, bucket, key, opts \\ []),
+    do: write(conn, bucket, key, "", [{"KV-Operation", "DEL"}], opts)
 
   @doc "Deletes a key and its history. Options as in `put_value/5`."
-  @spec purge_key(Gnat.t(), String.t(), key(), [write_option()]) :: :ok | error()
-  def purge_key(conn, bucket, key, opts \\ []) do
-    headers = [{"KV-Operation", "PURGE"}, {"Nats-Rollup", "sub"}]
-    with {:ok, _revision} <- write(conn, bucket, key, "", headers, opts), do: :ok
-  end
+  @spec purge_key(Gnat.t(), String.t(), key(), timeout: timeout()) :: :ok | error()
+  def purge_key(conn, bucket, key, opts \\ []),
+    do: write(conn, bucket, key, "", [{"KV-Operation", "PURGE"}, {"Nats-Rollup", "sub"}], opts)
 
   @doc "The value of a key; nil if it was deleted, an error with `\"code\" => 404` if it was never written."
   @spec get_value(Gnat.t(), String.t(), key()) :: binary() | nil | error()
@@ -131,17 +109,6 @@ defmodule Gnat.Jetstream.API.KV do
     case entry(conn, bucket, key) do
       {:ok, %Entry{operation: :put, value: value}} -> value
       {:ok, %Entry{}} -> nil
-      {:error, _} = error -> error
-    end
-  end
-
-  @doc "Value and revision of a key, `{:error, :not_found}` if it has no value."
-  @spec get_entry(Gnat.t(), String.t(), key(), nil | String.t()) :: {:ok, Entry.t()} | error()
-  def get_entry(conn, bucket, key, domain \\ nil) do
-    case entry(conn, bucket, key, domain) do
-      {:ok, %Entry{operation: :put} = entry} -> {:ok, entry}
-      {:ok, %Entry{}} -> {:error, :not_found}
-      {:error, %{"err_code" => 10_037}} -> {:error, :not_found}
       {:error, _} = error -> error
     end
   end
@@ -215,27 +182,22 @@ defmodule Gnat.Jetstream.API.KV do
   def prefix(bucket), do: "$KV." <> bucket <> "."
 
   defp write(conn, bucket, key, value, headers, opts) do
-    expected = for {:expected_revision, revision} <- opts, do: {:expected_last_subject_seq, revision}
+    options = [headers: headers, receive_timeout: opts[:timeout] || 5_000]
 
     with :ok <- check(bucket, key),
-         {:ok, %{seq: revision}} <-
-           Jetstream.publish(
-             conn,
-             prefix(bucket) <> key,
-             value,
-             [headers: headers, timeout: opts[:timeout] || 5_000] ++ Enum.take(expected, 1)
-           ) do
-      {:ok, revision}
+         {:ok, %{"seq" => _revision}} <- Util.request(conn, prefix(bucket) <> key, value, options) do
+      :ok
     else
       {:error, %{"err_code" => 10_071}} -> {:error, :wrong_revision}
+      {:ok, _other} -> {:error, Error.new({:protocol, "the answer to a publish is no acknowledgement"})}
       {:error, _} = error -> error
     end
   end
 
-  defp entry(conn, bucket, key, domain \\ nil) do
+  defp entry(conn, bucket, key) do
     with :ok <- check(bucket, key),
          {:ok, message} <-
-           Stream.get_message(conn, stream_name(bucket), %{last_by_subj: prefix(bucket) <> key}, domain) do
+           Stream.get_message(conn, stream_name(bucket), %{last_by_subj: prefix(bucket) <> key}) do
       {:ok, Entry.from_stored(message, bucket)}
     end
   end

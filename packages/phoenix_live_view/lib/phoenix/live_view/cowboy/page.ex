@@ -32,7 +32,7 @@ defmodule Phoenix.LiveView.Cowboy.Page do
 
     info = %{
       session: Map.merge(session, server.session.(request)),
-      csrf_token: session["_csrf"],
+      csrf_token: session["_csrf_token"],
       flash: flash(request, server),
       peer_data: peer(request)
     }

@@ -1,13 +1,11 @@
-defmodule Gnat.Nkey do
+defmodule Nkey do
   @moduledoc """
   NATS keys: Ed25519 keys in base 32, with a letter for their purpose in front and a CRC-16 behind.
 
-  A seed (`SU...`, `SA...`, `SO...`) is the secret half; the public half begins with the second letter alone (`U...`).
+  Errors are texts for a person, which never show the key. A seed (`SU...`, `SA...`, `SO...`) is the secret half; the public half begins with the second letter alone (`U...`).
   """
 
   import Bitwise
-
-  alias Gnat.Error
 
   @prefix_seed 18 <<< 3
   @purposes %{operator: 14 <<< 3, server: 13 <<< 3, cluster: 2 <<< 3, account: 0, user: 20 <<< 3}
@@ -26,18 +24,18 @@ defmodule Gnat.Nkey do
   def generate(purpose), do: build(purpose, :crypto.strong_rand_bytes(32))
 
   @doc "The key of a seed. Blanks around the text do not matter."
-  @spec from_seed(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  @spec from_seed(String.t()) :: {:ok, t()} | {:error, String.t()}
   def from_seed(seed) when is_binary(seed) do
     with {:ok, bytes} <- unbase32(String.trim(seed)),
          {:ok, content} <- check_crc(bytes),
          {:ok, purpose, secret} <- open(content) do
       {:ok, build(purpose, secret)}
     else
-      {:error, why} -> {:error, Error.new({:credentials, "not an nkey seed: #{why}"})}
+      {:error, why} -> {:error, "not an nkey seed: #{why}"}
     end
   end
 
-  def from_seed(_other), do: {:error, Error.new({:credentials, "an nkey seed is a text beginning with S"})}
+  def from_seed(_other), do: {:error, "an nkey seed is a text beginning with S"}
 
   @doc "The seed as text. Secret."
   @spec seed(t()) :: String.t()
@@ -51,19 +49,19 @@ defmodule Gnat.Nkey do
   def sign(%__MODULE__{secret: secret}, bytes), do: :crypto.sign(:eddsa, :none, bytes, [secret, :ed25519])
 
   @doc "The purpose and the 32 public bytes of a public key (`U...`)."
-  @spec from_public(String.t()) :: {:ok, purpose(), <<_::256>>} | {:error, Error.t()}
+  @spec from_public(String.t()) :: {:ok, purpose(), <<_::256>>} | {:error, String.t()}
   def from_public(text) when is_binary(text) do
     with {:ok, bytes} <- unbase32(String.trim(text)),
          {:ok, <<prefix, public::binary-size(32)>>} <- check_crc(bytes),
          purpose when purpose != nil <- @purpose_of[prefix] do
       {:ok, purpose, public}
     else
-      {:error, why} -> {:error, Error.new({:credentials, "not a public nkey: #{why}"})}
-      _other -> {:error, Error.new({:credentials, "not a public nkey: it is of another kind"})}
+      {:error, why} -> {:error, "not a public nkey: #{why}"}
+      _other -> {:error, "not a public nkey: it is of another kind"}
     end
   end
 
-  def from_public(_other), do: {:error, Error.new({:credentials, "a public nkey is a text such as U..."})}
+  def from_public(_other), do: {:error, "a public nkey is a text such as U..."}
 
   @doc "Whether a signature of some bytes was made with the secret half of a public key."
   @spec verify(public :: <<_::256>>, bytes :: binary(), signature :: binary()) :: boolean()

@@ -1,8 +1,7 @@
-defmodule Gnat.NkeyTest do
+defmodule NkeyTest do
   use ExUnit.Case, async: true
 
-  alias Gnat.{Credentials, Error, Nkey}
-  alias Gnat.Test.Jwt
+  alias Nkey.Credentials
 
   # The example of the NATS documentation on nkeys: a seed and the public key that belongs to it.
   @seed "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY"
@@ -48,9 +47,9 @@ defmodule Gnat.NkeyTest do
           {String.slice(@seed, 0, 20), "checksum"},
           {nil, "beginning with S"}
         ] do
-      assert {:error, %Error{reason: {:credentials, text}} = error} = Nkey.from_seed(seed)
+      assert {:error, text} = Nkey.from_seed(seed)
       assert text =~ why
-      if is_binary(seed) and seed != "", do: refute(Exception.message(error) =~ seed)
+      if is_binary(seed) and seed != "", do: refute(text =~ seed)
     end
   end
 
@@ -64,7 +63,7 @@ defmodule Gnat.NkeyTest do
     refute Nkey.verify(public, "some bytes", :binary.copy(<<1>>, 64))
 
     for text <- [@seed, "", "U", String.replace(@public, "X", "Y"), String.slice(@public, 0, 50), nil],
-        do: assert({:error, %Error{}} = Nkey.from_public(text))
+        do: assert({:error, "" <> _} = Nkey.from_public(text))
   end
 
   test "no text raises" do
@@ -78,16 +77,16 @@ defmodule Gnat.NkeyTest do
 
   describe "credentials" do
     test "are the JWT and the seed of a file" do
-      text = Jwt.creds("abc.def-g.h_i", @seed)
+      text = creds("abc.def-g.h_i", @seed)
       assert {:ok, %{jwt: "abc.def-g.h_i", nkey_seed: @seed}} = Credentials.parse(text)
       assert {:ok, %{jwt: "abc.def-g.h_i"}} = text |> String.replace("\n", "\r\n") |> Credentials.parse()
     end
 
     test "without a part, or with an invalid one, say so" do
-      assert {:error, %Error{reason: {:credentials, "no NATS USER JWT block"}}} = Credentials.parse("")
-      [jwt_only, _] = String.split(Jwt.creds("abc", @seed), "-----BEGIN USER")
-      assert {:error, %Error{reason: {:credentials, "no USER NKEY SEED block"}}} = Credentials.parse(jwt_only)
-      assert {:error, %Error{reason: {:credentials, text}}} = Credentials.parse(Jwt.creds("abc", "SUABC"))
+      assert {:error, "no NATS USER JWT block"} = Credentials.parse("")
+      [jwt_only, _] = String.split(creds("abc", @seed), "-----BEGIN USER")
+      assert {:error, "no USER NKEY SEED block"} = Credentials.parse(jwt_only)
+      assert {:error, text} = Credentials.parse(creds("abc", "SUABC"))
       assert text =~ "not an nkey seed"
     end
 
@@ -95,13 +94,28 @@ defmodule Gnat.NkeyTest do
     test "of a file name the file", %{tmp_dir: dir} do
       path = Path.join(dir, "a.creds")
       assert {:error, error} = Credentials.read(path)
-      assert Exception.message(error) =~ "a.creds: no such file"
+      assert error =~ "a.creds: no such file"
       File.write!(path, "nonsense")
       assert {:error, error} = Credentials.read(path)
-      assert Exception.message(error) =~ "a.creds: no NATS USER JWT block"
+      assert error =~ "a.creds: no NATS USER JWT block"
       File.write!(path, :binary.copy("x", 1_048_577))
       assert {:error, error} = Credentials.read(path)
-      assert Exception.message(error) =~ "too many"
+      assert error =~ "too many"
     end
+  end
+
+  defp creds(jwt, seed) do
+    """
+    -----BEGIN NATS USER JWT-----
+    #{jwt}
+    ------END NATS USER JWT------
+
+    ************************* IMPORTANT *************************
+    NKEY Seed printed below can be used to sign and prove identity.
+
+    -----BEGIN USER NKEY SEED-----
+    #{seed}
+    ------END USER NKEY SEED------
+    """
   end
 end

@@ -1,4 +1,4 @@
-defmodule Gnat.Credentials do
+defmodule Nkey.Credentials do
   @moduledoc """
   A NATS credentials file (`.creds`): a user's JWT and the seed of its key between lines of dashes.
 
@@ -11,15 +11,13 @@ defmodule Gnat.Credentials do
       ------END USER NKEY SEED------
   """
 
-  alias Gnat.{Error, Nkey}
-
   # A JWT with hundreds of permissions has some tens of KiB; a larger file is something else.
   @max_bytes 1_048_576
 
   @type t :: %{jwt: String.t(), nkey_seed: String.t()}
 
-  @doc "Reads a file into the connection settings `:jwt` and `:nkey_seed`."
-  @spec read(Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  @doc "Reads a file into the settings `:jwt` and `:nkey_seed` of a connection."
+  @spec read(Path.t()) :: {:ok, t()} | {:error, String.t()}
   def read(path) do
     with {:ok, %File.Stat{size: size}} when size <= @max_bytes <- File.stat(path),
          {:ok, text} <- File.read(path),
@@ -27,13 +25,13 @@ defmodule Gnat.Credentials do
       {:ok, credentials}
     else
       {:ok, %File.Stat{size: size}} -> error(path, "#{size} bytes are too many for a credentials file")
-      {:error, %Error{reason: {:credentials, why}}} -> error(path, why)
+      {:error, why} when is_binary(why) -> error(path, why)
       {:error, posix} -> error(path, to_string(:file.format_error(posix)))
     end
   end
 
   @doc "The same from the text of a file."
-  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  @spec parse(String.t()) :: {:ok, t()} | {:error, String.t()}
   def parse(text) do
     with {:ok, jwt} <- block(text, "NATS USER JWT"),
          {:ok, seed} <- block(text, "USER NKEY SEED"),
@@ -45,9 +43,9 @@ defmodule Gnat.Credentials do
   defp block(text, name) do
     case Regex.run(~r/-{3,} *BEGIN #{name} *-{3,}\s+([A-Za-z0-9_.=-]+?)\s+-{3,} *END #{name} *-{3,}/, text) do
       [_all, content] -> {:ok, content}
-      nil -> {:error, Error.new({:credentials, "no #{name} block"})}
+      nil -> {:error, "no #{name} block"}
     end
   end
 
-  defp error(path, why), do: {:error, Error.new({:credentials, "#{path}: #{why}"})}
+  defp error(path, why), do: {:error, "#{path}: #{why}"}
 end

@@ -1,0 +1,236 @@
+defmodule Aerie.System.OperationsTest do
+  @moduledoc """
+  Three simulated vehicles behind a whole gateway, commanded and changed together by REST and NATS; the examples of docs/fleet.md and
+  docs/shadow.md.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  alias Aerie.{Bridge, Params}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @chief "key-of-the-chief-0001"
+  @wall "key-of-the-wall-00001"
+  @ids ["VID-001", "VID-002", "VID-003"]
+  @docs Path.expand("../../docs", __DIR__)
+  @fleet File.read!(Path.join(@docs, "fleet.md"))
+  @shadow File.read!(Path.join(@docs, "shadow.md"))
+
+  setup %{tmp_dir: folder} do
+    keys = Path.join(folder, "keys")
+    File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
+    File.chmod!(keys, 0o600)
+
+    overrides = %{
+      "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}, "unsigned" => "admin"},
+      "api" => %{"keys_file" => keys},
+      "shadow" => %{"dir" => Path.join(folder, "shadow"), "hold_s" => 1, "lease_s" => 2}
+    }
+
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
+    link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
+
+    sims =
+      for n <- 1..3 do
+        options = [link: link, system: n] ++ fast_vehicle(:ardupilot)
+        sim = start_supervised!({SimVehicle, options}, id: n)
+        SimVehicle.await(sim, & &1.ready)
+        sim
+      end
+
+    for n <- 1..3, do: await_standing(gateway, {"main", n})
+    %{gateway: gateway, sims: sims, conn: nats_client(gateway)}
+  end
+
+  defp rest(%{gateway: gateway}, method, path, body \\ nil, key \\ @chief) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/#{path}"
+    headers = [{~c"x-aerie-key", to_charlist(key)}]
+    request = if body, do: {url, headers, ~c"application/json", body(body)}, else: {url, headers}
+
+    {:ok, {{_version, status, _reason}, _headers, reply}} =
+      :httpc.request(method, request, [timeout: :infinity], body_format: :binary)
+
+    {status, JSON.decode!(reply)}
+  end
+
+  defp body(text) when is_binary(text), do: text
+  defp body(object), do: JSON.encode!(object)
+
+  defp nats(%{conn: conn, gateway: gateway}, action, body) do
+    subject = "fleet.test.#{Bridge.name(gateway)}.operation.#{action}"
+    {:ok, %{body: reply}} = Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: 60_000)
+    JSON.decode!(reply)
+  end
+
+  defp over(look) do
+    eventually(
+      fn ->
+        operation = look.()
+        if operation["state"] != "running", do: operation
+      end,
+      fn -> "it is over; it is #{inspect(look.())}" end
+    )
+  end
+
+  defp altitude(gateway, id) do
+    {:ok, %{value: value}} = Params.get(gateway, id, "FENCE_ALT_MAX")
+    value
+  end
+
+  # The vehicles of the page, by the names that they have here.
+  defp here(text), do: String.replace(text, ["sim-001", "sim-002"], &String.replace(&1, "sim", "VID"))
+
+  test "a roll-out by REST halts at the first vehicle that refuses; by NATS another one reaches all", c do
+    change = fn params -> %{"desired" => %{"params" => params}, "reason" => "festival"} end
+
+    begin = %{
+      "id" => "odd",
+      "vehicles" => @ids,
+      "step" => 1,
+      "halt_ratio" => 0,
+      "await" => "converged",
+      "timeout_s" => 20,
+      # More than the vehicle takes.
+      "shadow" => change.(%{"NO_SUCH_PARAM" => 1})
+    }
+
+    assert {403, _refused} = rest(c, :post, "operations", begin, @wall)
+    assert {status, %{"id" => "odd", "state" => "running"}} = rest(c, :post, "operations", begin)
+    assert status in [200, 202]
+    halted = over(fn -> c |> rest(:get, "operations/odd") |> elem(1) end)
+    assert %{"state" => "halted", "counts" => %{"failed" => 1, "waiting" => 2, "ok" => 0}} = halted
+    assert %{"VID-001" => %{"state" => "failed", "reason" => reason}} = halted["vehicles"]
+    assert is_binary(reason)
+    assert {:ok, %{"desired" => untouched}} = Aerie.Shadow.get(c.gateway, "VID-002")
+    assert untouched == %{}
+
+    # The same operation again begins nothing; what was wished is taken back.
+    assert {_status, %{"state" => "halted"}} = rest(c, :post, "operations", begin)
+    assert {200, _done} = rest(c, :patch, "vehicles/VID-001/shadow", %{"desired" => %{"params" => nil}})
+
+    begin = %{begin | "id" => "even", "timeout_s" => 300, "shadow" => change.(%{"FENCE_ALT_MAX" => 70})}
+    assert %{"result" => "ok", "state" => "running"} = nats(c, "begin", begin)
+    done = over(fn -> nats(c, "get", %{"id" => "even"}) end)
+    assert %{"state" => "done", "counts" => %{"ok" => 3, "failed" => 0}} = done
+    for id <- @ids, do: assert(altitude(c.gateway, id) == 70.0)
+    assert %{"operations" => [_, _]} = nats(c, "list", %{})
+    assert %{"result" => "refused", "rule" => "unknown"} = nats(c, "get", %{"id" => "none"})
+  end
+
+  test "a command for several in the air, stopped between two of them", c do
+    for id <- @ids do
+      for {type, params} <- [
+            {"set_mode", %{"mode" => "GUIDED"}},
+            {"arm", %{}},
+            {"takeoff", %{"altitude" => 10}}
+          ] do
+        assert {200, %{"result" => result}} =
+                 rest(c, :post, "vehicles/#{id}/commands", %{"type" => type, "params" => params})
+
+        assert result in ["accepted", "completed"]
+      end
+    end
+
+    for sim <- c.sims, do: SimVehicle.await(sim, &(&1.alt_rel > 8))
+
+    begin = %{
+      "id" => "home",
+      "vehicles" => @ids,
+      "step" => 1,
+      "pause_s" => 600,
+      "command" => %{"type" => "rtl"}
+    }
+
+    assert {_status, %{"state" => "running"}} = rest(c, :post, "operations", begin)
+    SimVehicle.await(hd(c.sims), &(&1.mode in ["RTL", "LAND"]))
+    look = fn -> c |> rest(:get, "operations/home") |> elem(1) end
+    eventually(fn -> look.()["counts"]["ok"] == 1 end, "the first one has succeeded")
+    assert {403, _refused} = rest(c, :delete, "operations/home", nil, @wall)
+    assert {200, _stopped} = rest(c, :delete, "operations/home")
+    assert %{"state" => "stopped", "counts" => %{"waiting" => 2}} = over(look)
+    for sim <- tl(c.sims), do: assert(%{mode: "GUIDED"} = SimVehicle.state(sim))
+  end
+
+  test "the examples of docs/fleet.md do what it says", c do
+    [_all, body] = Regex.run(~r/-d '(\{"id": "home-1".+?\})' \\/s, @fleet)
+    assert {_status, %{"id" => "home-1"}} = rest(c, :post, "operations", here(body))
+
+    [look, stop] =
+      for [_all, path] <- Regex.scan(~r{127\.0\.0\.1:4000/api/(operations/\S+)}, @fleet), do: path
+
+    home = over(fn -> c |> rest(:get, look) |> elem(1) end)
+    assert Map.keys(home["vehicles"]) == ["VID-001", "VID-002"]
+    assert {200, _stopped} = rest(c, :delete, stop)
+
+    for id <- @ids,
+        do:
+          assert(
+            {200, _done} = rest(c, :patch, "vehicles/#{id}/shadow", %{"desired" => %{"tags" => ["survey"]}})
+          )
+
+    # As it is written it gives each vehicle a minute, which a busy machine may need more than.
+    [_all, recipe] = Regex.run(~r/```json\n(.+?)```/s, @fleet)
+    %{"id" => id} = recipe = JSON.decode!(recipe)
+    recipe = Map.put(recipe, "timeout_s", 300)
+    assert {_status, %{"id" => ^id, "state" => "running"}} = rest(c, :post, "operations", recipe)
+
+    assert %{"state" => "done", "counts" => %{"ok" => 3}} =
+             over(fn -> c |> rest(:get, "operations/#{id}") |> elem(1) end)
+
+    for id <- @ids, do: assert(altitude(c.gateway, id) == 80.0)
+
+    [_all, all] = Regex.run(~r/at once: `(\{.+?\})`\./, @fleet)
+    assert {_status, %{"id" => id, "vehicles" => vehicles}} = rest(c, :post, "operations", all)
+    assert map_size(vehicles) == 3
+    over(fn -> c |> rest(:get, "operations/#{id}") |> elem(1) end)
+  end
+
+  test "the examples of docs/shadow.md do what it says", c do
+    [_all, body, path] = Regex.run(~r{-d '(.+?)' \\\n +http://127\.0\.0\.1:4000/api/(\S+)}s, @shadow)
+    assert {200, %{"version" => 1}} = rest(c, :patch, here(path), body)
+    [_all, path] = Regex.run(~r{127\.0\.0\.1:4000/api/(vehicles/\S+/delta)}, @shadow)
+    assert {200, %{"fields" => _fields}} = rest(c, :get, here(path))
+
+    eventually(
+      fn ->
+        {200, %{"reported" => %{"fields" => fields}}} = rest(c, :get, "vehicles/VID-001/shadow")
+        for {_path, %{"state" => state}} <- fields, uniq: true, do: state
+      end
+      |> then(fn states -> fn -> states.() == ["converged"] end end),
+      "it is as desired"
+    )
+
+    assert altitude(c.gateway, "VID-001") == 80.0
+
+    # What the text says in passing.
+    for [object] <- Regex.scan(~r/(?<=`)\{"desired": .+?\}(?=`)/, @shadow),
+        do: assert({200, _done} = rest(c, :patch, "vehicles/VID-002/shadow", object))
+
+    plan = Aerie.Missions.export(%Aerie.Mission.Plan{}, :plan)
+    hash = :crypto.hash(:sha256, plan) |> Base.encode16(case: :lower)
+    assert @shadow =~ "http://127.0.0.1:4000/api/plans"
+    assert {_status, %{"plan" => ^hash}} = rest(c, :post, "plans", plan)
+    [_all, both] = Regex.run(~r/Then set `(\{.+?\})`;/, @shadow)
+    desired = String.replace(both, "HASH", hash)
+    assert {200, _done} = rest(c, :patch, "vehicles/VID-003/shadow", ~s({"desired": #{desired}}))
+
+    for operation <- ["get", "delta"] do
+      {:ok, %{body: reply}} = Gnat.request(c.conn, "fleet.test.VID-001.shadow.#{operation}", "")
+      assert %{"result" => "ok"} = JSON.decode!(reply)
+    end
+
+    {200, metrics} = metrics(c.gateway)
+    for [name] <- Regex.scan(~r/gateway_shadow_\w+/, @shadow), do: assert(metrics =~ name)
+  end
+
+  defp metrics(gateway) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics"
+    headers = [{~c"x-aerie-key", to_charlist(@chief)}]
+
+    {:ok, {{_version, status, _reason}, _headers, body}} =
+      :httpc.request(:get, {url, headers}, [], body_format: :binary)
+
+    {status, body}
+  end
+end

@@ -166,8 +166,10 @@ const tasks = {
       const frames = [];
       const from = performance.now();
       let last = from;
+      // Ten seconds, and longer where software WebGL leaves the page no time in between.
       await new Promise((resolve) => {
-        const frame = (now) => { frames.push(now - last); last = now; now - from > 10_000 ? resolve() : requestAnimationFrame(frame); };
+        const over = (now) => (now - from > 10_000 && pushes >= 10) || now - from > 300_000;
+        const frame = (now) => { frames.push(now - last); last = now; over(now) ? resolve() : requestAnimationFrame(frame); };
         requestAnimationFrame(frame);
       });
       frames.sort((a, b) => a - b);
@@ -179,7 +181,7 @@ const tasks = {
     for (const name of ["TaskDuration", "ScriptDuration", "LayoutDuration", "RecalcStyleDuration"])
       figures[`${name}_ms_per_s`] = Math.round((1000 * (after[name] - before[name])) / figures.seconds);
     console.log(JSON.stringify(figures));
-    if (figures.pushes_per_s === 0) throw new Error("the map is not told of what moves");
+    if (figures.seconds > 300) throw new Error("the map is not told of what moves");
     if (shots) await page.screenshot({ path: `${shots}/fleet-${number}.png` });
   },
 

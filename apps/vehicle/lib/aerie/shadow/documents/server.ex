@@ -172,15 +172,14 @@ defmodule Aerie.Shadow.Documents.Server do
   end
 
   defp disconnected(state) do
-    for watcher <- state.watchers, Process.alive?(watcher), do: Process.exit(watcher, :kill)
+    Enum.each(state.watchers, &Process.exit(&1, :kill))
     Desired.away(%{state | conn: nil, watchers: []})
   end
 
   defp begin(state, conn) do
     with {:ok, _made, state} <- buckets(state, conn),
-         {:ok, desired} <- watch(conn, Buckets.desired()),
-         {:ok, leases} <- watch(conn, Buckets.leases()) do
-      %{state | conn: conn, watchers: [desired, leases]}
+         {:ok, watchers} <- watch(conn, [Buckets.desired(), Buckets.leases()], []) do
+      %{state | conn: conn, watchers: watchers}
       |> Desired.problem(nil)
       |> all()
       |> renew()
@@ -205,12 +204,21 @@ defmodule Aerie.Shadow.Documents.Server do
     end
   end
 
-  defp watch(conn, bucket) do
-    documents = self()
+  # All of them or none: a watcher that nobody knows would go on until the connection ends.
+  defp watch(_conn, [], watchers), do: {:ok, watchers}
 
-    Nats.KV.watch(conn, bucket, fn key, change ->
-      GenServer.call(documents, {:kv, bucket, key, change}, :infinity)
-    end)
+  defp watch(conn, [bucket | others], watchers) do
+    documents = self()
+    changed = fn key, change -> GenServer.call(documents, {:kv, bucket, key, change}, :infinity) end
+
+    case Nats.KV.watch(conn, bucket, changed) do
+      {:ok, watcher} ->
+        watch(conn, others, [watcher | watchers])
+
+      error ->
+        Enum.each(watchers, &Process.exit(&1, :kill))
+        error
+    end
   end
 
   ## Changes in the buckets

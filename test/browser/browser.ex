@@ -49,7 +49,8 @@ defmodule Aerie.Browser do
   @spec run(Path.t(), [String.t()]) :: {String.t(), non_neg_integer()}
   def run(script, arguments) do
     environment = [{"AERIE_CHROMIUM", browser()}, {"NODE_NO_WARNINGS", "1"}]
-    System.cmd(program(), [script | arguments], stderr_to_stdout: true, env: environment)
+    [program | words] = modest() ++ [program(), script | arguments]
+    System.cmd(program, words, stderr_to_stdout: true, env: environment)
   end
 
   @doc "The same as a port, for a test that acts while the script runs: the script prints lines, and reads them."
@@ -58,12 +59,14 @@ defmodule Aerie.Browser do
     environment =
       for {name, value} <- [AERIE_CHROMIUM: browser(), NODE_NO_WARNINGS: "1"], do: {~c"#{name}", ~c"#{value}"}
 
-    Port.open({:spawn_executable, program()}, [
+    [program | words] = modest() ++ [program(), script | arguments]
+
+    Port.open({:spawn_executable, program}, [
       :binary,
       :exit_status,
       :stderr_to_stdout,
       line: 65_536,
-      args: [script | arguments],
+      args: words,
       env: environment
     ])
   end
@@ -71,6 +74,18 @@ defmodule Aerie.Browser do
   @doc "A file of an npm package."
   @spec package(Path.t()) :: Path.t()
   def package(path), do: Path.join([@root, "node_modules", path])
+
+  # As root, Chromium gives what draws a priority above everything else, and drawing without a graphics card never ends. This takes
+  # the right to do so from it.
+  defp modest do
+    with setpriv when setpriv != nil <- System.find_executable("setpriv"),
+         words = [setpriv, "--bounding-set=-sys_nice"],
+         {_output, 0} <- System.cmd(setpriv, tl(words) ++ ["true"], stderr_to_stdout: true) do
+      words
+    else
+      _not_root -> []
+    end
+  end
 
   defp program do
     own = Path.join(@root, ".node/bin/node")

@@ -25,6 +25,8 @@ defmodule Aerie.Signing.KeyStore do
   require Logger
 
   @soon_ms 50
+  # An operator waits for the disk; a card that is being written to may take seconds.
+  @call_ms 30_000
 
   @doc "Options: `:gateway`, `:settings` (`Aerie.Signing.Settings`)."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -65,7 +67,7 @@ defmodule Aerie.Signing.KeyStore do
   def retire(gateway, id), do: call(gateway, {:retire, id})
 
   defp call(gateway, request) do
-    case GenServer.call(Names.via(gateway, :key_store), request) do
+    case GenServer.call(Names.via(gateway, :key_store), request, @call_ms) do
       {:error, fault} when is_binary(fault) -> Error.new({:unavailable, fault})
       result -> result
     end

@@ -76,7 +76,11 @@ defmodule FleetWeb.Console.Access.Users do
   @spec remove(Names.gateway(), String.t()) :: :ok | {:error, String.t()}
   def remove(gateway, name), do: change(gateway, {:remove, name})
 
-  defp change(gateway, change), do: GenServer.call(Names.via(gateway, :console_users), change)
+  defp change(gateway, change) do
+    GenServer.call(Names.via(gateway, :console_users), change)
+  catch
+    :exit, _gone -> {:error, "the gateway takes no changes of users just now; try again"}
+  end
 
   @doc "The users' file in the console's folder."
   @spec file(Path.t()) :: Path.t()

@@ -6,6 +6,9 @@ defmodule SimVehicle.Link.Udp do
   # Datagrams taken before the socket has to be opened for more: a flood cannot fill the mailbox.
   @active 100
 
+  # On a machine that is busy for seconds the kernel keeps what comes meanwhile; it grants less if it may not give as much.
+  @receive_buffer 1_048_576
+
   defstruct [:socket, :peer, :role]
 
   @impl SimVehicle.Link
@@ -13,7 +16,13 @@ defmodule SimVehicle.Link.Udp do
     local = if role == :server, do: [ip: ip], else: []
 
     with {:ok, socket} <-
-           :gen_udp.open(if(role == :server, do: port, else: 0), [:binary, {:active, @active} | local]) do
+           :gen_udp.open(if(role == :server, do: port, else: 0), [
+             :binary,
+             {:active, @active},
+             {:recbuf, @receive_buffer},
+             # Or each datagram gets memory for as much.
+             {:buffer, 9_216} | local
+           ]) do
       {:ok, %__MODULE__{socket: socket, role: role, peer: if(role == :client, do: {ip, port})}}
     end
   end

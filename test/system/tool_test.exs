@@ -18,6 +18,7 @@ defmodule Aerie.System.ToolTest do
       for name <- ~w(console signing recorder params shadow), do: "#{name}: {dir: \"#{folder}/#{name}\"}\n"
 
     File.write!(config, """
+    remote: {enabled: true}
     nats: {port: 0, store_dir: "#{folder}/nats"}
     outbox: {dir: "#{folder}/outbox"}
     http: {port: 0}
@@ -96,6 +97,8 @@ defmodule Aerie.System.ToolTest do
     assert text =~ ~r/ann +viewer/
     refute text =~ "pbkdf2"
 
+    elsewhere(context)
+
     # The shell's helpers.
     for {expression, expected} <- [
           {~s|fleet()|, "sim-001"},
@@ -138,6 +141,33 @@ defmodule Aerie.System.ToolTest do
     assert {json, 0} = aerie(context, ["record", "list", "--json"])
     recordings = JSON.decode!(json)
     if length(recordings) == n, do: recordings
+  end
+
+  # A vehicle that only another gateway hears.
+  defp elsewhere(context) do
+    now = "System.os_time(:microsecond)"
+
+    assert {_ok, 0} =
+             aerie(context, [
+               "rpc",
+               ~s|Aerie.Fleet.Remote.heard(:default, "far-1", "gateway-far-1", nil, #{now})|
+             ])
+
+    assert {text, 0} = aerie(context, ["status"])
+    assert text =~ ~r/far-1 .*gateway-far-1/
+    assert {text, 2} = aerie(context, ["tail", "far-1"])
+    assert text =~ "far-1 is heard by the gateway gateway-far-1"
+    assert {text, 1} = aerie(context, ["cmd", "far-1", "hold", "--yes"])
+    assert text =~ "gateway-far-1"
+
+    for {expression, expected} <- [
+          {~s|fleet()|, ~r/far-1 .*gateway-far-1/},
+          {~s(v "far-1"), ~r/heard by the gateway gateway-far-1/},
+          {~s(watch "far-1", :ATTITUDE), ~r/far-1 is heard by the gateway gateway-far-1/}
+        ] do
+      assert {text, 0} = aerie(context, ["rpc", expression]), expression
+      assert text =~ expected
+    end
   end
 
   defp records(context) do

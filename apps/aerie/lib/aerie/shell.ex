@@ -20,7 +20,7 @@ defmodule Aerie.Shell do
   has started, `:default`; for anything else the shell has the whole of `Aerie`.
   """
 
-  alias Aerie.{Inspector, Link, Shadow, Store}
+  alias Aerie.{Fleet, Inspector, Link, Shadow, Store}
   alias Aerie.Fleet.Age
   alias Aerie.Shell.Text
   alias Aerie.Tool.{Ask, Columns, Run}
@@ -47,11 +47,11 @@ defmodule Aerie.Shell do
     IO.write(text)
   end
 
-  @doc "All vehicles."
+  @doc "All vehicles; `VIA` is the gateway by which one is reached that this gateway's links do not hear."
   @spec fleet() :: :ok
   def fleet do
     now = System.os_time(:microsecond)
-    IO.write(Text.fleet(Store.vehicles(@gateway), Store.links(@gateway), now))
+    IO.write(Text.fleet(Fleet.vehicles(@gateway), Store.links(@gateway), now))
   end
 
   @doc "One vehicle: its state by groups, with ages."
@@ -70,7 +70,7 @@ defmodule Aerie.Shell do
   @doc "Prints a message of a vehicle whenever it comes, `count` times, for at most half a minute."
   @spec watch(String.t(), atom(), pos_integer()) :: :ok
   def watch(id, message, count \\ 10) do
-    with_vehicle(id, fn vehicle ->
+    with_vehicle_here(id, fn vehicle ->
       inspecting(fn ->
         wanted = to_string(message)
         # Of two vehicles with one id in two networks, this one's links tell which it is.
@@ -201,10 +201,18 @@ defmodule Aerie.Shell do
   end
 
   defp with_vehicle(id, fun) do
-    case Store.vehicle(@gateway, id) do
+    case Fleet.vehicle(@gateway, id) do
       nil -> IO.puts(Run.Tail.unknown(id))
       vehicle -> fun.(vehicle)
     end
+  end
+
+  # What is seen only on the links.
+  defp with_vehicle_here(id, fun) do
+    with_vehicle(id, fn
+      %{via: via} when via != nil -> IO.puts(Run.Tail.elsewhere(id, via))
+      vehicle -> fun.(vehicle)
+    end)
   end
 
   defp with_sample(fun) do

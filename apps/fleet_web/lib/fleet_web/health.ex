@@ -6,7 +6,8 @@ defmodule FleetWeb.Health do
   autopilot has the gateway's own ids (its vehicle would be invisible), and that no link drops datagrams because they come
   faster than it reads them (what the gateway shows would be incomplete). Links that are down are listed but do not make it
   unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot be written (the gateway
-  then refuses commands, and shows everything) and a policy that could not be loaded anew (the old one is in force).
+  then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in force), and a leaf node's
+  hub that is away or stores nothing (events are stored aboard).
   """
 
   alias Aerie.{Names, Store}
@@ -37,7 +38,8 @@ defmodule FleetWeb.Health do
          url: nats[:url],
          outbox: nats[:outbox][:events],
          stalled_s: nats[:outbox][:stalled_s],
-         problem: problem || nats[:outbox][:problem]
+         problem: problem || nats[:outbox][:problem],
+         hub: hub(nats[:hub])
        },
        policy: %{problem: policy_problem(gateway)},
        audit: %{problem: Aerie.Policy.Audit.failing(gateway)},
@@ -46,6 +48,17 @@ defmodule FleetWeb.Health do
        vehicles: length(Store.vehicles(gateway))
      }}
   end
+
+  # Of a leaf node; nil without a hub.
+  defp hub(nil), do: nil
+
+  defp hub(hub),
+    do: %{
+      connected: hub.status == :up,
+      stores: hub[:stalled] == nil,
+      waiting: hub.waiting,
+      problem: hub.problem
+    }
 
   # A policy that could not be loaded anew: the old one is in force.
   defp policy_problem(gateway) do

@@ -25,5 +25,17 @@ defmodule FleetWeb.HealthTest do
 
     assert {false, %{nats: %{connected: true, problem: "stream FLEET_EVENTS: no room"}}} =
              Health.ready(gateway)
+
+    put.(:connection, %{status: :up, conn: nil, streams: :ok, url: "nats://127.0.0.1:1"})
+    put.(:outbox, %{events: 3, problem: nil, stalled: "NATS does not confirm events", silent?: true})
+    assert {false, %{nats: %{problem: problem, hub: nil}}} = Health.ready(gateway)
+    assert problem =~ "disk of nats-server at nats://127.0.0.1:1 was full, make room and restart it"
+    put.(:outbox, %{events: 0, problem: nil, stalled: nil, silent?: false})
+
+    # Events are stored aboard, so the leaf node is ready, and says what its hub lacks.
+    put.(:hub, %{status: :up, waiting: 4, lost: 0, problem: "restart it", stalled: "restart it"})
+
+    assert {true, %{nats: %{hub: %{connected: true, stores: false, waiting: 4, problem: "restart it"}}}} =
+             Health.ready(gateway)
   end
 end

@@ -27,11 +27,12 @@ defmodule Aerie.Bridge do
   * `problem` - why NATS does not store events, or nil if it does
   * `server` - embedded mode: `status` (`:starting | :up | :down | {:failed, text}`), `port`, `store_dir`, `restarts`, `fault`
     (why it stores nothing, or nil)
-  * `hub` - leaf node: `status` (`:up | :down`), `waiting` (events that the hub does not have), `lost` (events that it never gets) and
-    `problem` (text or nil); nil without a hub
+  * `hub` - leaf node: `status` (`:up | :down`), `waiting` (events that the hub does not have), `lost` (events that it never gets),
+    `problem` (text or nil) and `stalled` (text if it is there and does not store events, else nil); nil without a hub
   * `streams` - the state of each stream, see `Aerie.Bridge.Streams`
   * `outbox` - `events`, `bytes`, `dropped`, `in_flight`, `problem` (of its disk: text or nil), `stalled_s` (how long events
-    have waited without any confirmation) and `stalled` (text if that is too long, else nil)
+    have waited without any confirmation), `stalled` (text if that is too long, else nil) and `silent?` (whether the server is
+    connected and says nothing to it, as after a failed write)
   """
   @type info :: %{
           mode: :embedded | :url,

@@ -91,7 +91,7 @@ defmodule Aerie.CLI.Status do
     %View{
       now: System.os_time(:microsecond),
       started: state.started,
-      vehicles: state.gateway |> Store.vehicles() |> Enum.sort_by(& &1.id),
+      vehicles: state.gateway |> Fleet.vehicles() |> Enum.sort_by(& &1.id),
       links: links,
       interfaces: Access.list(links, commands, clients, bound(state)),
       clients: clients,

@@ -24,18 +24,21 @@ defmodule Aerie.Shell.Text do
           vehicle.vehicle_type,
           mode[:mode],
           mode[:armed],
-          Format.age(heard)
+          Format.age(heard),
+          vehicle[:via]
         ]
       end
 
-    Columns.render(~w(VEHICLE STATUS AUTOPILOT TYPE MODE ARMED HEARD), rows)
+    Columns.render(~w(VEHICLE STATUS AUTOPILOT TYPE MODE ARMED HEARD VIA), rows)
   end
 
   @doc "One vehicle: a line for each value that is known, with the age of its group."
   @spec vehicle(map(), integer()) :: iodata()
   def vehicle(vehicle, now) do
+    via = if vehicle[:via], do: ", heard by the gateway #{vehicle[:via]}", else: ""
+
     head =
-      "#{vehicle.id}: #{vehicle.autopilot} #{vehicle.vehicle_type}, system #{vehicle.system_id} of #{vehicle.network}, #{vehicle.status}\n"
+      "#{vehicle.id}: #{vehicle.autopilot} #{vehicle.vehicle_type}, system #{vehicle.system_id} of #{vehicle.network}, #{vehicle.status}#{via}\n"
 
     rows =
       for {name, group} <- Enum.sort(vehicle.groups), {key, value} <- Enum.sort(group.data), value != nil do

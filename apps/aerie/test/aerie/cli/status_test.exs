@@ -115,6 +115,29 @@ defmodule Aerie.CLI.StatusTest do
     assert [nats: nats] |> view() |> rendered() |> text() =~ ~s(problem="no space left on device")
   end
 
+  test "a leaf node's hub, and what to do when it stores nothing" do
+    hub = %{status: :up, waiting: 12, lost: 0, problem: nil, stalled: nil}
+    nats = %{connected: true, url: "nats://h:1", problem: nil, outbox: %{events: 0}, hub: hub}
+    table = &([nats: %{nats | hub: &1}] |> view() |> Table.render(140, 40) |> text())
+    assert table.(hub) =~ "hub  connected  events waiting 12"
+    refute table.(hub) =~ "HUB PROBLEM"
+    full = %{hub | problem: "make room and restart it", stalled: "make room and restart it"}
+    assert table.(full) =~ "HUB PROBLEM: make room and restart it"
+
+    assert [nats: %{nats | hub: full}] |> view() |> rendered() |> text() =~
+             ~s(problem="make room and restart it")
+  end
+
+  test "a vehicle that another gateway hears is there with that gateway's name" do
+    refute view() |> Table.render(140, 40) |> text() =~ "VIA"
+    remote = vehicle(%{id: "VID-002", via: "gateway-VID-002", links: []})
+    table = [vehicles: [vehicle(), remote]] |> view() |> Table.render(160, 40) |> text()
+    assert table =~ ~r/VEHICLE +VIA +TYPE/
+    assert table =~ ~r/VID-002 +gateway-VID-002 +copter/
+    assert table =~ ~r/VID-001 {10,}copter/
+    assert [vehicles: [remote]] |> view() |> rendered() |> text() =~ "via=gateway-VID-002"
+  end
+
   test "an unknown value is a dash, and a lost vehicle is called lost" do
     table = [vehicles: [vehicle(%{groups: %{}, status: :lost})]] |> view() |> Table.render(140, 40) |> text()
     assert table =~ "LOST"

@@ -61,6 +61,8 @@ defmodule Aerie.Bridge.Events do
       conn_at: nil,
       inbox: nil,
       stall: StallDetector.new(),
+      silent?: false,
+      told?: false,
       synced_at: now()
     }
 
@@ -86,7 +88,9 @@ defmodule Aerie.Bridge.Events do
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
     state = if state.outbox == nil, do: Disk.open(state), else: state
-    {:noreply, state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info()}
+
+    {:noreply,
+     state |> look_again() |> send_overdue() |> pump() |> Disk.sync() |> stalled() |> put_info() |> tell()}
   end
 
   def handle_info(_message, state), do: {:noreply, state}
@@ -305,11 +309,25 @@ defmodule Aerie.Bridge.Events do
     stall = StallDetector.check(state.stall, now(), waiting?)
 
     # A restart helps against silence, not against a refusal. A new connection gets its time.
-    if stall.problem? and state.conn != nil and now() - state.conn_at >= @silence_ms and state.refusal == nil,
-      do: Server.stalled(state.gateway, "it answers no event")
+    silent? =
+      stall.problem? and stall.calm_since == nil and state.conn != nil and
+        now() - state.conn_at >= @silence_ms and state.refusal == nil
 
-    %{state | stall: stall}
+    if silent?, do: Server.stalled(state.gateway, "it answers no event")
+    %{state | stall: stall, silent?: silent?}
   end
+
+  defp tell(%{silent?: true, told?: false} = state) do
+    Logger.error(Tables.problem(state.tables) || stall_text(state))
+    %{state | told?: true}
+  end
+
+  defp tell(%{stall: %{problem?: false}, told?: true} = state) do
+    Logger.notice("NATS confirms events again")
+    %{state | told?: false}
+  end
+
+  defp tell(state), do: state
 
   defp stall_text(%{stall: %{problem?: false}}), do: nil
   defp stall_text(%{refusal: nil}), do: "NATS does not confirm events"
@@ -324,6 +342,7 @@ defmodule Aerie.Bridge.Events do
         in_flight: Window.in_flight(state.window),
         problem: state.problem,
         stalled: stall_text(state),
+        silent?: state.silent?,
         stalled_s: div(StallDetector.ms(state.stall, now()), 1000)
       })
 

@@ -11,10 +11,12 @@ defmodule Aerie.Bridge.Forward do
 
   Where events are missing in a vehicle's row, because the local stream overflowed, the hub gets a marker
   (`Aerie.Bridge.Events.Gaps`).
+
+  A hub that is there and does not store what it gets is `stalled`, until it confirms an event.
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, Settings, State, Tables}
+  alias Aerie.Bridge.{Connection, Readiness, Settings, State, Tables}
   alias Aerie.Bridge.Events.{Gaps, PubAck, Window}
   alias Aerie.Bridge.Forward.{Local, Position}
   alias Aerie.{Names, Nats, PrivateFile}
@@ -67,6 +69,7 @@ defmodule Aerie.Bridge.Forward do
       backfill_to: 0,
       last: 0,
       lost: 0,
+      stalled: nil,
       problem: nil
     }
 
@@ -179,7 +182,7 @@ defmodule Aerie.Bridge.Forward do
 
   defp down(state, why) do
     Logger.warning("the hub is gone: #{why || "the local server is"}")
-    %{state | hub: :down, problem: why}
+    %{state | hub: :down, problem: why, stalled: nil}
   end
 
   defp look(%{conn: nil} = state), do: state
@@ -269,8 +272,11 @@ defmodule Aerie.Bridge.Forward do
     state =
       state.window |> Window.overdue(now() - @answer_ms) |> Enum.sort() |> Enum.reduce(state, &send_again/2)
 
-    silent? = Window.most_tries(state.window) > @patience
-    if silent?, do: %{state | problem: state.problem || "it confirms no event"}, else: state
+    silent? = Window.most_tries(state.window) > @patience and state.stalled == nil
+
+    if silent?,
+      do: stalled(state, "it confirms no event: #{Readiness.mend("the hub's nats-server")}"),
+      else: state
   end
 
   defp send_overdue(state), do: state
@@ -308,7 +314,21 @@ defmodule Aerie.Bridge.Forward do
 
   # It is sent again when it is overdue.
   defp refused(state, :no_stream), do: state
-  defp refused(state, reason), do: %{state | problem: "it does not take events: #{PubAck.text(reason)}"}
+  defp refused(state, reason), do: stalled(state, "it does not take events: #{PubAck.text(reason)}")
+
+  defp stalled(%{stalled: same} = state, same), do: state
+
+  defp stalled(state, text) do
+    Logger.error("the hub does not store events: #{text}")
+    %{state | stalled: text}
+  end
+
+  defp stores(%{stalled: nil} = state), do: state
+
+  defp stores(state) do
+    Logger.notice("the hub confirms events again")
+    %{state | stalled: nil}
+  end
 
   defp give_up(state, ref, reason) do
     Logger.error("an event is not sent to the hub: #{PubAck.text(reason)}")
@@ -323,7 +343,7 @@ defmodule Aerie.Bridge.Forward do
         Tables.count(state.tables, :hub_events)
 
         %{
-          state
+          stores(state)
           | window: window,
             places: places,
             gaps: Gaps.confirm(state.gaps, place),
@@ -350,7 +370,10 @@ defmodule Aerie.Bridge.Forward do
       status: state.hub,
       waiting: max(state.last - Position.reached(state.position), 0),
       lost: state.lost,
-      problem: if(state.hub == :down, do: Tables.info(state.tables, :leaf)[:problem]) || state.problem
+      stalled: state.stalled,
+      problem:
+        if(state.hub == :down, do: Tables.info(state.tables, :leaf)[:problem]) || state.stalled ||
+          state.problem
     }
 
     if info != Tables.info(state.tables, :hub), do: Tables.put_info(state.gateway, state.tables, :hub, info)

@@ -5,8 +5,14 @@ defmodule Aerie.Bridge.Readiness do
   @spec problem(%{server: map(), connection: map(), streams: map(), outbox: map()}) :: String.t() | nil
   def problem(parts) do
     server(parts.server) || connection(parts.connection) || streams(parts.connection, parts.streams) ||
-      parts.outbox[:stalled]
+      events(parts.server, parts.connection, parts.outbox)
   end
+
+  @doc "What to do about a nats-server, named in words, that is connected and confirms nothing, as after a failed write."
+  @spec mend(String.t()) :: String.t()
+  def mend(server),
+    do:
+      "if the disk of #{server} was full, make room and restart it: after a failed write nats-server stores nothing until then"
 
   defp server(%{status: {:failed, text}}), do: "the NATS server cannot start: #{text}"
   defp server(%{fault: text}) when is_binary(text), do: "the NATS server cannot store: #{text}"
@@ -14,6 +20,12 @@ defmodule Aerie.Bridge.Readiness do
 
   defp connection(%{status: :up}), do: nil
   defp connection(_down), do: "not connected to NATS"
+
+  # The embedded server is restarted by the gateway itself (`Aerie.Bridge.Server`).
+  defp events(server, connection, %{stalled: text, silent?: true}) when server == %{},
+    do: "#{text}: #{mend("nats-server at #{connection[:url]}")}"
+
+  defp events(_server, _connection, outbox), do: outbox[:stalled]
 
   defp streams(%{streams: :ok}, _streams), do: nil
 

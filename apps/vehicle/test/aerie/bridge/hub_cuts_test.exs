@@ -5,7 +5,7 @@ defmodule Aerie.Bridge.HubCutsTest do
   """
   use Aerie.BridgeCase, async: true
 
-  alias Aerie.HubServer
+  alias Aerie.{Diagnosis, HubServer}
   alias Gnat.Jetstream.API.{KV, Stream}
 
   @moduletag :tmp_dir
@@ -242,17 +242,43 @@ defmodule Aerie.Bridge.HubCutsTest do
   @tag skip: not @unshare && "no namespaces here"
   test "the hub's disk is full: nothing is confirmed, nothing is lost", %{tmp_dir: dir} do
     Process.flag(:trap_exit, true)
-    %{hub: hub, leaves: [{_id, leaf}] = leaves} = start(dir, 1, disk_mb: 8)
+    %{hub: hub, fleet: fleet, leaves: [{_id, leaf}] = leaves} = start(dir, 1, disk_mb: 8)
     make(leaves, 1..10)
     await_all(conn(hub), leaves, 10)
     filler = HubServer.fill_disk(hub)
     make(leaves, 11..600)
     await_aboard(leaves)
-    assert await(leaf, :hub, &(&1[:waiting] > 0 and &1[:problem] != nil)).waiting > 0
+    commit(fleet, "G", 1..3)
+    # Both gateways are connected, and say which server is to be restarted.
+    assert %{status: :up, waiting: waiting, stalled: aboard} = await(leaf, :hub, & &1[:stalled], 60_000)
+    assert waiting > 0 and aboard =~ "disk of the hub's nats-server was full, make room and restart it"
+    assert Bridge.info(leaf).problem == nil
+    await(fleet, :outbox, & &1[:silent?], 60_000)
+    %{problem: problem, url: url} = Bridge.info(fleet)
+    assert problem =~ "NATS does not confirm events: if the disk of nats-server at #{url} was full"
+
+    assert [%{severity: :error, mend: "If the disk of the hub's" <> _}] =
+             told(leaf, :hub_not_confirming)
+
+    assert [%{mend: "If the disk of nats-server at tls://" <> _}] = told(fleet, :nats_not_confirming)
     File.rm!(filler)
     # A server whose write failed stores nothing until it is started again.
     HubServer.signal(hub, "TERM")
-    await_all(conn(hub), leaves, 600)
+    conn = conn(hub)
+    await_stored(conn, 603)
+    assert %{"V1" => rows, "G" => late} = arrived(conn, ["V1", "G"])
+
+    assert {for({seq, _late} <- rows, do: seq), for({seq, _late} <- late, do: seq)} ==
+             {Enum.to_list(1..600), [1, 2, 3]}
+
+    assert %{stalled: nil, problem: nil} = await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+    eventually(fn -> Bridge.info(fleet).problem == nil end)
+    assert {told(leaf, :hub_not_confirming), told(fleet, :nats_not_confirming)} == {[], []}
+  end
+
+  defp told(gateway, name) do
+    {conditions, _diagnosis} = Diagnosis.step(Diagnosis.new(), Diagnosis.Facts.of(gateway))
+    Enum.filter(conditions, &(&1.name == name))
   end
 
   test "three servers, three copies: the leader of the stream is killed", %{tmp_dir: dir} do

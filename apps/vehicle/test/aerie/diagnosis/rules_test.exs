@@ -254,6 +254,27 @@ defmodule Aerie.Diagnosis.RulesTest do
              conditions(facts(%{nats: nats, nats_off?: false}))
 
     assert conditions(facts(%{nats: nats, nats_off?: true})) == []
+
+    url =
+      Map.merge(nats, %{mode: :url, url: "nats://h:1", outbox: %{events: 12, problem: nil, silent?: true}})
+
+    assert [%{mend: mend}] = conditions(facts(%{nats: url, nats_off?: false}))
+    assert mend =~ "disk of nats-server at nats://h:1 was full, make room and restart it"
+  end
+
+  test "a leaf node's hub: away is a notice, one that stores nothing an error" do
+    nats = &%{connected: true, problem: nil, outbox: %{events: 0, problem: nil}, hub: &1}
+    found = &conditions(facts(%{nats: nats.(&1), nats_off?: false}))
+    hub = %{status: :up, waiting: 7, lost: 0, problem: nil, stalled: nil}
+    assert found.(hub) == []
+
+    assert [%{name: :hub_unreachable, severity: :notice, evidence: ["it refuses the key", "7 events wait"]}] =
+             found.(%{hub | status: :down, problem: "it refuses the key"})
+
+    assert [%{name: :hub_not_confirming, severity: :error, mend: mend}] =
+             found.(%{hub | stalled: "it confirms no event"})
+
+    assert mend =~ "the hub's nats-server was full, make room and restart it"
   end
 
   test "a condition keeps the time when it was noticed, until it is gone" do

@@ -67,6 +67,7 @@ defmodule Aerie.CLI.Status.Lines do
      [
        vehicle: vehicle.id,
        status: vehicle.status,
+       via: vehicle[:via],
        type: vehicle.vehicle_type,
        autopilot: vehicle.autopilot,
        mode: View.field(vehicle, :mode, :mode),
@@ -117,8 +118,19 @@ defmodule Aerie.CLI.Status.Lines do
        published: view.published,
        events_waiting: Map.get(nats.outbox, :events, 0) + view.pending,
        problem: nats.problem || nats.outbox[:problem]}
+      | hub(nats[:hub])
     ]
   end
+
+  defp hub(nil), do: []
+
+  defp hub(hub),
+    do: [
+      {"hub",
+       hub: if(hub.status == :up, do: "connected", else: "away"),
+       events_waiting: hub.waiting,
+       problem: hub.problem}
+    ]
 
   defp identity(nil), do: []
 

@@ -41,12 +41,14 @@ defmodule Aerie.CLI.Status.Table do
   @doc "The lines of the table, the header first."
   @spec render(View.t(), pos_integer(), pos_integer()) :: [String.t()]
   def render(%View{} = view, width, height) do
+    {columns, rows} = via(view.vehicles, Enum.map(view.vehicles, &vehicle(&1, view)))
+
     lines =
       [header(view) | console(view) ++ nats_lines(view)] ++
         alarm(view.identity) ++
         Enum.map(view.warnings, &{"WARNING: #{text(&1)}", :yellow}) ++
         [""] ++
-        section(@vehicle_columns, Enum.map(view.vehicles, &vehicle(&1, view)), width, empty_vehicles()) ++
+        section(columns, rows, width, empty_vehicles()) ++
         [""] ++
         section(@link_columns, Enum.map(view.links, &link/1), width, [{"no link is configured", :dim}]) ++
         denied(view.links) ++
@@ -89,8 +91,42 @@ defmodule Aerie.CLI.Status.Table do
           problem,
           do: {"NATS PROBLEM: #{text(problem)}", :red}
         )
+    ] ++ hub(nats[:hub])
+  end
+
+  # Of a leaf node. That it is away is usual; that it stores nothing is not.
+  defp hub(nil), do: []
+
+  defp hub(hub) do
+    state = if hub.status == :up, do: "connected", else: "NOT CONNECTED, events wait here"
+    style = if hub.problem, do: :yellow, else: :green
+
+    [
+      {"hub  #{state}  events waiting #{hub.waiting}", style}
+      | if(hub.problem,
+          do: [{"HUB PROBLEM: #{text(hub.problem)}", if(hub[:stalled], do: :red, else: :yellow)}],
+          else: []
+        )
     ]
   end
+
+  # Only where some other gateway hears a vehicle is there something to say of it, and then it comes before the values.
+  defp via(vehicles, rows) do
+    if Enum.any?(vehicles, & &1[:via]) do
+      [id | columns] = @vehicle_columns
+
+      {[id, {"VIA", 16, :left} | columns],
+       for(
+         {vehicle, {[id | cells], style}} <- Enum.zip(vehicles, rows),
+         do: {[id, via(vehicle) | cells], style}
+       )}
+    else
+      {@vehicle_columns, rows}
+    end
+  end
+
+  defp via(%{via: via}) when via != nil, do: text(via)
+  defp via(_heard_here), do: ""
 
   defp empty_vehicles do
     [

@@ -3,7 +3,7 @@ defmodule Aerie.Tool.Run.Command do
   @behaviour Aerie.Tool.Subcommand
 
   alias Aerie.Command.{Error, Result, Types}
-  alias Aerie.{Commands, Store}
+  alias Aerie.{Commands, Fleet}
   alias Aerie.Tool.{Ask, Columns, Run}
 
   @impl Aerie.Tool.Subcommand
@@ -14,7 +14,7 @@ defmodule Aerie.Tool.Run.Command do
   @doc "Submits a command as `source/0`. Commands that move a vehicle ask for confirmation first."
   @spec give(String.t(), String.t(), map(), map()) :: {0..1, iodata()} | {:error, String.t()}
   def give(vehicle, type, params, options) do
-    with {:known, %{}} <- {:known, Store.vehicle(:default, vehicle)},
+    with {:known, %{}} <- {:known, Fleet.vehicle(:default, vehicle)},
          {:type, {:ok, row}} <- {:type, Types.fetch(type)},
          :ok <- if(row.moves_vehicle?, do: Ask.first(words(vehicle, type, params), options), else: :ok) do
       envelope = %{"vehicle" => vehicle, "type" => type, "params" => params}

@@ -45,6 +45,7 @@ defmodule Aerie.Tool.Run.Status do
 
     problems = [
       nats["problem"],
+      if(nats["hub"]["stores"] == false, do: "the hub does not store events: #{nats["hub"]["problem"]}"),
       health["identity"]["alarm"],
       health["audit"]["problem"],
       health["policy"]["problem"]
@@ -53,6 +54,7 @@ defmodule Aerie.Tool.Run.Status do
     [
       "#{health["status"]}: #{length(status["vehicles"])} vehicles, #{length(status["links"])} links\n",
       "NATS #{if nats["connected"], do: "connected", else: "not connected"}#{place}#{waiting}\n",
+      hub(nats["hub"]),
       for(
         problem <- problems ++ health["problems"],
         problem != nil,
@@ -60,6 +62,13 @@ defmodule Aerie.Tool.Run.Status do
       )
     ]
   end
+
+  defp hub(nil), do: []
+
+  defp hub(hub),
+    do:
+      "hub #{if hub["connected"], do: "connected", else: "not connected"}" <>
+        if(hub["waiting"] == 0, do: "\n", else: ", #{hub["waiting"]} events wait\n")
 
   defp vehicle(vehicle) do
     [

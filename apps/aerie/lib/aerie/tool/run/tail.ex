@@ -4,16 +4,19 @@ defmodule Aerie.Tool.Run.Tail do
 
   alias Aerie.Bridge.Message
   alias Aerie.CLI.Status.Lines
+  alias Aerie.{Fleet, Store}
   alias Aerie.Fleet.Journal
-  alias Aerie.Store
   alias Aerie.Store.PubSub
   alias Aerie.Tool.Columns
 
   @impl Aerie.Tool.Subcommand
   def run(%{arguments: %{"VEHICLE" => id}, options: options}) do
-    case Store.vehicle(:default, id) do
+    case Fleet.vehicle(:default, id) do
       nil ->
         {:error, unknown(id)}
+
+      %{via: via} when via != nil ->
+        {:error, elsewhere(id, via)}
 
       vehicle ->
         PubSub.subscribe(:default, :events)
@@ -25,11 +28,17 @@ defmodule Aerie.Tool.Run.Tail do
   @doc "The error for an unknown vehicle, with the names of the known ones."
   @spec unknown(String.t()) :: String.t()
   def unknown(id) do
-    known = for vehicle <- Store.vehicles(:default), do: vehicle.id
+    known = for vehicle <- Fleet.vehicles(:default), do: vehicle.id
 
     "there is no vehicle #{id}; " <>
       if(known == [], do: "none was heard", else: "known are #{Enum.join(known, ", ")}")
   end
+
+  @doc "The error for a vehicle that only another gateway hears: its events and messages are there."
+  @spec elsewhere(String.t(), via :: String.t()) :: String.t()
+  def elsewhere(id, via),
+    do:
+      "#{id} is heard by the gateway #{via}, and its events and messages are seen there: ask that one; aerie status shows its state here"
 
   defp follow(_id, _options, _seen, 0), do: {0, ""}
 

@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   alias FleetWeb.Console.Alarms
 
   # Which conditions of the diagnosis are alarms, too, and how severe.
-  @diagnosed [:two_vehicles_one_id, :overload, :noisy_link]
+  @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming]
   @severities %{error: :critical, warning: :warning}
 
   @doc "Conditions of a vehicle's snapshot."
@@ -40,15 +40,21 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   def link(%{id: id, status: status} = link),
     do: [condition(:link, id, :warning, "link is #{link[:text] || status}", nil)]
 
-  @doc "Those of the diagnosis' conditions that are alarms: collisions of ids, overload, damaged frames."
+  @doc "Those of the diagnosis' conditions that are alarms: collisions of ids, overload, damaged frames, a hub that stores nothing."
   @spec diagnosed([Condition.t()]) :: [Alarms.condition()]
   def diagnosed(conditions) do
-    for %{name: name, subject: {kind, id} = subject, severity: severity, title: title} <- conditions,
-        name in @diagnosed do
-      vehicle = if kind == :vehicle, do: id
-      %{key: {name, subject}, severity: @severities[severity], text: title, vehicle: vehicle}
-    end
+    for %{name: name, subject: subject, severity: severity, title: title} <- conditions,
+        name in @diagnosed,
+        do: %{
+          key: {name, subject},
+          severity: @severities[severity],
+          text: title,
+          vehicle: vehicle_of(subject)
+        }
   end
+
+  defp vehicle_of({:vehicle, id}), do: id
+  defp vehicle_of(_other), do: nil
 
   @doc "Conditions of the gateway itself: its ids, and what keeps it from storing events (nil for nothing)."
   @spec gateway(%{:alarm => String.t() | nil, optional(atom()) => term()}, String.t() | nil, String.t() | nil) ::

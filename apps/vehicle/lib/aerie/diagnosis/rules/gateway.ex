@@ -3,6 +3,7 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
 
   @behaviour Aerie.Diagnosis.Rules
 
+  alias Aerie.Bridge.Readiness
   alias Aerie.Diagnosis.Condition
 
   @impl true
@@ -16,6 +17,8 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
       signing_not_stored: "the time stamps of signatures cannot be stored",
       nats_unreachable: "there is no connection to NATS",
       nats_not_confirming: "NATS is connected, but does not store events",
+      hub_not_confirming: "the hub is connected, but does not store events",
+      hub_unreachable: "a leaf node has no connection to its hub",
       signing_key_unusable: "a signing key cannot be used"
     ]
   end
@@ -30,7 +33,8 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
       outbox(facts),
       stamps(facts),
       keys(facts),
-      nats(facts)
+      nats(facts),
+      hub(facts)
     ])
   end
 
@@ -138,15 +142,39 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
   defp nats(%{nats: nats}) do
     new(:nats_not_confirming, :error, "NATS does not store events",
       evidence: [nats.problem | waiting(nats)],
-      mend:
-        "Check the server's disk, its JetStream limits and the streams. The outbox keeps events meanwhile."
+      mend: mend(nats) <> " The outbox keeps events meanwhile."
     )
   end
 
-  defp waiting(%{outbox: %{events: events}}) when is_integer(events) and events > 0,
-    do: ["#{events} events wait"]
+  # The embedded server is restarted by the gateway.
+  defp mend(%{mode: :url, url: url, outbox: %{silent?: true}}), do: restart("nats-server at #{url}")
+  defp mend(_refused), do: "Check the server's disk, its JetStream limits and the streams."
 
-  defp waiting(_nats), do: []
+  defp restart(server) do
+    <<first::utf8, rest::binary>> = Readiness.mend(server)
+    String.upcase(<<first::utf8>>) <> rest <> "."
+  end
+
+  defp hub(%{nats: %{hub: %{status: :down} = hub}}) do
+    new(:hub_unreachable, :notice, "there is no connection to the hub",
+      evidence: [hub.problem || "it does not answer" | events_wait(hub.waiting)],
+      mend: "Check the network and nats.leaf. Events wait in the local stream, and are sent afterwards."
+    )
+  end
+
+  defp hub(%{nats: %{hub: %{stalled: why} = hub}}) when is_binary(why) do
+    new(:hub_not_confirming, :error, "the hub does not store events",
+      evidence: [why | events_wait(hub.waiting)],
+      mend: restart("the hub's nats-server") <> " Events wait in the local stream meanwhile."
+    )
+  end
+
+  defp hub(_none_or_well), do: []
+
+  defp waiting(%{outbox: outbox}), do: events_wait(outbox[:events])
+
+  defp events_wait(events) when is_integer(events) and events > 0, do: ["#{events} events wait"]
+  defp events_wait(_none), do: []
 
   defp new(name, severity, title, fields),
     do: [Condition.new(name, severity, :gateway, [title: title] ++ fields)]

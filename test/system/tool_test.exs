@@ -248,6 +248,15 @@ defmodule Aerie.System.ToolTest do
     assert await_exit(port) == 0
   end
 
+  test "an answer that the disk has no room for is an error; a reader that has seen enough is none" do
+    tool = Path.join(@root, "bin/aerie")
+    sh = fn script -> System.cmd("bash", ["-c", script, tool], env: environment()) end
+    assert {text, 2} = sh.(~s("$0" --help 2>&1 >/dev/full))
+    assert text =~ "error: standard output takes nothing: no space left on device"
+    # The pipe closes before anything is written.
+    assert {"0\n", 0} = sh.(~s("$0" --help 2>/dev/null | true; echo "${PIPESTATUS[0]}"))
+  end
+
   test "without a gateway it probes, examines and explains", context do
     port = free_udp_port()
     start_supervised!({SimVehicle, [link: "udpout:127.0.0.1:#{port}"] ++ fast_vehicle(:ardupilot)})

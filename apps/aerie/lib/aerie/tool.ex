@@ -25,8 +25,7 @@ defmodule Aerie.Tool do
         System.halt(2)
 
       {status, text} ->
-        _ = print(text)
-        System.halt(status)
+        System.halt(print(text) || status)
     end
   end
 
@@ -46,10 +45,22 @@ defmodule Aerie.Tool do
     end
   end
 
-  # A reader that closes the pipe (| head) has seen enough.
+  # The status of an error, nil when it was printed.
   defp print(text) do
     IO.write(text)
+    nil
   rescue
-    ErlangError -> :ok
+    ErlangError -> unprinted(text)
+  end
+
+  # The BEAM's device does not say why it ended. A reader that closes the pipe (| head) has seen enough.
+  defp unprinted(text) do
+    with {:ok, file} <- :file.open("/dev/stdout", [:raw, :append]),
+         {:error, reason} when reason != :epipe <- :file.write(file, text) do
+      IO.puts(:stderr, "error: standard output takes nothing: #{:file.format_error(reason)}")
+      2
+    else
+      _written_or_closed -> nil
+    end
   end
 end

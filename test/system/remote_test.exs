@@ -129,12 +129,17 @@ defmodule Aerie.System.RemoteTest do
   end
 
   defp get(hub, path) do
+    {200, object} = answer(hub, path)
+    object
+  end
+
+  defp answer(hub, path) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(hub)}/api/#{path}"
 
-    {:ok, {{_version, 200, _reason}, _headers, body}} =
+    {:ok, {{_version, status, _reason}, _headers, body}} =
       :httpc.request(:get, {url, []}, [], body_format: :binary)
 
-    JSON.decode!(body)
+    {status, JSON.decode!(body)}
   end
 
   test "it is shown with its way and its ages, commanded, and unreachable at once when it is cut off",
@@ -192,6 +197,14 @@ defmodule Aerie.System.RemoteTest do
         ] do
       assert {_kind, %{status: :rejected, reason: reason, details: %{"rule" => "elsewhere"}}} = refused
       assert reason =~ "not available for a remote vehicle" and reason =~ @companion
+    end
+
+    for path <- ~w(files/ logs logs/1 metadata/params params?format=param signing events) do
+      assert {421, %{"error" => %{"code" => "misdirected", "message" => message}, "rule" => "elsewhere"}} =
+               answer(hub, "vehicles/#{@vehicle}/#{path}"),
+             path
+
+      assert message =~ @companion
     end
 
     assert %{status: :completed} = command(hub, "arm")

@@ -9,6 +9,7 @@ defmodule FleetWeb.API.Error do
 
   alias Aerie.Command
   alias Aerie.Command.Result
+  alias Aerie.Commands.Elsewhere
 
   @enforce_keys [:status, :code, :message]
   defstruct [:status, :code, :message, headers: %{}, details: %{}]
@@ -19,6 +20,7 @@ defmodule FleetWeb.API.Error do
   * `forbidden` (403) - a web page of another server; without a configured key: a request from another machine
   * `not_found` (404), `method_not_allowed` (405), `conflict` (409, the id is taken, or the present state forbids it)
   * `too_large` (413), `unsupported_media_type` (415), `range` (416, it begins after the end)
+  * `misdirected` (421) - only the gateway that hears the vehicle has it: the message and `GET /api/vehicles/ID` (`via`) name that one
   * `upgrade_required` (426) - plain HTTP where a WebSocket is served
   * `invalid` (422) - well-formed but not possible
   * `too_many` (429) - a limit is reached
@@ -39,6 +41,7 @@ defmodule FleetWeb.API.Error do
           | :too_large
           | :unsupported_media_type
           | :range
+          | :misdirected
           | :invalid
           | :upgrade_required
           | :too_many
@@ -68,6 +71,7 @@ defmodule FleetWeb.API.Error do
     too_large: 413,
     unsupported_media_type: 415,
     range: 416,
+    misdirected: 421,
     invalid: 422,
     upgrade_required: 426,
     too_many: 429,
@@ -89,6 +93,8 @@ defmodule FleetWeb.API.Error do
     410 => "The command's deadline has passed.",
     413 => "The body is too large.",
     415 => "The body has another type.",
+    421 =>
+      "Another gateway hears the vehicle, and only that one has this: ask the one that `via` of GET /api/vehicles/{id} names.",
     422 => "Well-formed but not possible.",
     429 => "A limit is reached.",
     502 => "The vehicle did not do it.",
@@ -140,6 +146,7 @@ defmodule FleetWeb.API.Error do
     "vehicle" => :not_found,
     "rate" => :too_many,
     "busy" => :too_many,
+    "elsewhere" => :misdirected,
     "file" => :not_found,
     "log" => :not_found,
     "ledger" => :unavailable,
@@ -156,6 +163,11 @@ defmodule FleetWeb.API.Error do
     code = Map.get(@rules, result.details["rule"], Map.fetch!(@results, result.status))
     %{new(code, result.reason || Atom.to_string(result.status)) | details: Result.plain(result)}
   end
+
+  @doc "The answer for what only the gateway `via` has, which hears the vehicle."
+  @spec misdirected(via :: String.t()) :: t()
+  def misdirected(via),
+    do: %{new(:misdirected, Elsewhere.only(via)) | details: %{"rule" => "elsewhere", "gateway" => via}}
 
   @doc "The answer for an invalid command, with all its errors."
   @spec malformed([Command.Error.t(), ...]) :: t()

@@ -9,7 +9,7 @@ defmodule FleetWeb.API.Handler do
   @behaviour :cowboy_handler
 
   alias Aerie.Store
-  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Request, Resources}
+  alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Resources}
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
@@ -51,7 +51,8 @@ defmodule FleetWeb.API.Handler do
   defp answer(method, resource, facts, state, request) do
     with {:ok, requester} <- Access.decide(state.policy, facts),
          {:ok, action} <- Resources.action(resource, method),
-         :ok <- may(requester, action, method) do
+         :ok <- may(requester, action, method),
+         :ok <- Misdirected.check(action, state.gateway, request) do
       Actions.run(action, Map.merge(state, %{name: requester.name, requester: requester}), request)
     else
       {:error, error} -> {:error, error, request}

@@ -8,7 +8,7 @@ defmodule FleetWeb.API.OpenAPI do
 
   # Every answer may be one of these; those of commands only where a vehicle is asked.
   @errors [400, 401, 403, 404, 405, 409, 413, 415, 422, 429, 503]
-  @command_errors [410, 502, 504]
+  @command_errors [410, 421, 502, 504]
 
   @doc "The description."
   @spec document() :: map()

@@ -20,6 +20,9 @@ defmodule FleetWeb.API.ErrorTest do
     hinted = %Aerie.Error{reason: {:unknown, :vehicle, "VID-009"}, hint: "known are VID-001"}
     assert Error.from(hinted).message == "no vehicle VID-009 is known; known are VID-001"
 
+    elsewhere = Aerie.Command.Result.new("a", :rejected, "ask that one", %{"rule" => "elsewhere"})
+    assert %Error{status: 421, code: :misdirected, message: "ask that one"} = Error.of_result(elsewhere)
+
     refused = Error.new(:forbidden, "no")
     assert Error.from(refused) == refused
   end

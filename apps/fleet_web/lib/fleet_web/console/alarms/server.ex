@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Alarms.Server do
   """
   use GenServer
 
-  alias Aerie.{Diagnosis, Names, Store}
+  alias Aerie.{Diagnosis, Fleet, Names, Store}
   alias Aerie.Fleet.Journal
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Alarms
@@ -84,7 +84,7 @@ defmodule FleetWeb.Console.Alarms.Server do
   defp look(%{gateway: gateway} = state) do
     now = System.os_time(:microsecond)
     state = %{state | problem_since: problem_since(state, now)}
-    vehicles = gateway |> Store.vehicles() |> Enum.flat_map(&Conditions.vehicle/1)
+    vehicles = gateway |> Fleet.vehicles() |> Enum.flat_map(&Conditions.vehicle/1)
     links = gateway |> Store.links() |> Enum.flat_map(&Conditions.link/1)
 
     alarms =

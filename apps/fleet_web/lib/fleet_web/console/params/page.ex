@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Params.Page do
 
   import FleetWeb.Console.Params.Parts
 
-  alias Aerie.{Commands, Params, Store}
+  alias Aerie.{Commands, Fleet, Params}
   alias Aerie.Command.Error
   alias Aerie.Policy.Roles
   alias Aerie.Store.PubSub
@@ -53,7 +53,7 @@ defmodule FleetWeb.Console.Params.Page do
 
   @impl Phoenix.LiveView
   def handle_params(params, _uri, socket) do
-    id = if Store.vehicle(socket.assigns.gateway, params["vehicle"] || ""), do: params["vehicle"]
+    id = if Fleet.vehicle(socket.assigns.gateway, params["vehicle"] || ""), do: params["vehicle"]
     component = component(params["component"])
 
     socket =
@@ -178,13 +178,13 @@ defmodule FleetWeb.Console.Params.Page do
         %{assigns: %{table: %{} = table, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when format in ~w(param params) do
-    %{system_id: system} = vehicle = Store.vehicle(gateway, id)
+    vehicle = Fleet.vehicle(gateway, id) || %{}
 
     text =
       Params.File.format(
         table,
         if(format == "param", do: :param, else: :params),
-        {system, vehicle[:component] || 1}
+        {vehicle[:system_id] || 1, vehicle[:component] || 1}
       )
 
     {:noreply, push_event(socket, "params:file", %{name: "#{id}.#{format}", text: text})}
@@ -241,12 +241,14 @@ defmodule FleetWeb.Console.Params.Page do
     do: {:noreply, put_flash(socket, :error, "Not set: #{Error.text(errors)}")}
 
   defp vehicles(%{assigns: %{gateway: gateway, vehicle: id, component: component}} = socket) do
-    others =
-      if vehicle = id && Store.vehicle(gateway, id),
-        do: Components.others(gateway, vehicle, component),
-        else: []
+    vehicle = id && Fleet.vehicle(gateway, id)
+    others = if vehicle, do: Components.others(gateway, vehicle, component), else: []
 
-    assign(socket, vehicles: for(vehicle <- Store.vehicles(gateway), do: vehicle.id), components: others)
+    assign(socket,
+      vehicles: for(vehicle <- Fleet.vehicles(gateway), do: vehicle.id),
+      components: others,
+      via: vehicle[:via]
+    )
   end
 
   defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [])
@@ -285,12 +287,13 @@ defmodule FleetWeb.Console.Params.Page do
     ~H"""
     <h1 class="page-title">Parameters</h1>
     <div class="stack">
-      <.toolbar vehicles={@vehicles} vehicle={@vehicle} components={@components} component={@component} described={@about != %{}} filter={@filter} reading={@reading} table={@table} file={@file} />
+      <.toolbar vehicles={@vehicles} vehicle={@vehicle} components={@components} component={@component} described={@about != %{}} filter={@filter} reading={@reading} table={@table} file={@file} via={@via} />
+      <.elsewhere :if={@via} via={@via}>It is asked for them. What the parameters mean, and setting those of a file, is only there.</.elsewhere>
       <.progress :if={@reading} reading={@reading} />
       <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle is chosen">{if @vehicles == [], do: "No vehicle has been heard yet.", else: "Choose one above."}</.empty>
-      <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} />
+      <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} via={@via} />
       <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
       <.editor :if={@row} row={@row} able={@able} error={@error} />
     </div>

@@ -13,6 +13,7 @@ defmodule FleetWeb.Console.Params.Parts do
   attr :reading, :map, required: true, doc: "nil for none"
   attr :table, :map, required: true, doc: "nil for none"
   attr :file, :map, required: true, doc: "nil for none"
+  attr :via, :string, required: true, doc: "the gateway that hears the vehicle; nil: this one"
 
   @doc "The choice of vehicle and of what is shown, and the files."
   def toolbar(assigns) do
@@ -28,7 +29,7 @@ defmodule FleetWeb.Console.Params.Parts do
       </form>
       <div :if={@vehicle} class="row">
         <.button icon="refresh" phx-click="read" disabled={@reading != nil}>Read</.button>
-        <.button :if={@table && @component == nil && not @described} icon="info" phx-click="describe" disabled={@reading != nil} title="Reads what the vehicle says about its parameters, once for each firmware">Descriptions</.button>
+        <.button :if={@table && @component == nil && @via == nil && not @described} icon="info" phx-click="describe" disabled={@reading != nil} title="Reads what the vehicle says about its parameters, once for each firmware">Descriptions</.button>
         <label :if={@table && @component == nil} class="button" for="params-open"><.icon name="upload" />Open a file<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
         <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="param">.param</.button>
         <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="params">.params</.button>
@@ -63,6 +64,7 @@ defmodule FleetWeb.Console.Params.Parts do
   attr :differing, :list, required: true
   attr :missing, :list, required: true
   attr :able, :boolean, required: true
+  attr :via, :string, required: true, doc: "the gateway that hears the vehicle; nil: this one"
 
   @doc "What an opened file would change."
   def file(assigns) do
@@ -73,7 +75,7 @@ defmodule FleetWeb.Console.Params.Parts do
         <.button kind="quiet" small={true} icon="x" label="Close the file" phx-click="close_file" />
       </div>
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
-      <.hold_button :if={@able and @differing != []} id="params-load" event="command" icon="upload" phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
+      <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
       <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
     </section>
     """

@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Plan.Page do
   import FleetWeb.Console.Map, only: [map: 1]
   import FleetWeb.Console.Plan.Panel
 
-  alias Aerie.{Missions, Policy, Store}
+  alias Aerie.{Fleet, Missions, Policy}
   alias Aerie.Mission.Plan
   alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
   alias FleetWeb.Console.Plan.{Check, Draft, Edit, Profile, Shown, Transfer}
@@ -149,7 +149,7 @@ defmodule FleetWeb.Console.Plan.Page do
 
   # The vehicle's home.
   def handle_event("home", _value, socket) do
-    case socket.assigns.vehicle && Store.vehicle(socket.assigns.gateway, socket.assigns.vehicle) do
+    case socket.assigns.vehicle && Fleet.vehicle(socket.assigns.gateway, socket.assigns.vehicle) do
       %{groups: %{home: %{data: %{lat: lat, lon: lon} = home}}} when is_number(lat) and is_number(lon) ->
         {:noreply,
          result(socket, Draft.set_home(socket.assigns.draft, {lat, lon}, Edit.or_zero(home[:alt_msl])))}
@@ -235,7 +235,7 @@ defmodule FleetWeb.Console.Plan.Page do
   end
 
   defp check(%{assigns: %{gateway: gateway, draft: %{plan: plan}, vehicle: vehicle, user: user}} = socket) do
-    snapshot = vehicle && Store.vehicle(gateway, vehicle)
+    snapshot = vehicle && Fleet.vehicle(gateway, vehicle)
     denied = if snapshot && plan != %Plan{}, do: Check.policy(gateway, plan, snapshot, user), else: []
     assign(socket, :problems, denied ++ Check.alone(plan))
   end
@@ -247,7 +247,7 @@ defmodule FleetWeb.Console.Plan.Page do
     do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(gateway))})
 
   defp read(%{assigns: %{gateway: gateway}} = socket) do
-    vehicles = Store.vehicles(gateway)
+    vehicles = Fleet.vehicles(gateway)
     {payload, sent} = Payload.changes(socket.private.plan.sent, Enum.flat_map(vehicles, &List.wrap(row(&1))))
     socket = put_private(socket, :plan, %{sent: sent})
     socket = assign(socket, :vehicles, for(vehicle <- vehicles, do: Map.take(vehicle, [:id, :status])))

@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Shadow.Page do
 
   import FleetWeb.Console.Shadow.Parts
 
-  alias Aerie.{Shadow, Store}
+  alias Aerie.{Fleet, Shadow}
   alias FleetWeb.Console.Shadow.{Input, Shown}
   alias FleetWeb.Console.Vehicle.Sections
 
@@ -95,7 +95,7 @@ defmodule FleetWeb.Console.Shadow.Page do
 
   # What this gateway knows itself costs nothing. Of a vehicle that another one hears, NATS is asked now and then, by a task.
   defp load(%{assigns: %{gateway: gateway, id: id, user: user}} = socket) do
-    socket = assign(socket, now: System.os_time(:microsecond), heard: Store.vehicle(gateway, id) != nil)
+    socket = assign(socket, now: System.os_time(:microsecond), heard: Fleet.vehicle(gateway, id) != nil)
 
     case Shadow.look(gateway, id) do
       {:ok, shadow} -> shown(assign(socket, :problem, shadow["problem"]), shadow, user)

@@ -39,6 +39,16 @@ defmodule FleetWeb.Console.UI.State do
     """
   end
 
+  attr :via, :string, required: true
+  slot :inner_block, required: true
+
+  @doc "Another gateway hears the vehicle: says which, and what is only there."
+  def elsewhere(assigns) do
+    ~H"""
+    <p class="notice info" role="status" data-elsewhere={@via}><.icon name="info" /> <span>This vehicle is heard by the gateway <strong>{@via}</strong>. {render_slot(@inner_block)}</span></p>
+    """
+  end
+
   attr :title, :string, required: true
   slot :inner_block
 

@@ -12,6 +12,7 @@ defmodule FleetWeb.Console.Vehicle.Charts do
     required: true,
     doc: "the one whose fields are offered, empty for the fields of the state"
 
+  attr :via, :string, default: nil, doc: "the gateway that hears the vehicle, if this one does not"
   attr :path, :any, required: true, doc: "a function of keys: the address of the page with these"
 
   @doc "The charts section."
@@ -19,6 +20,7 @@ defmodule FleetWeb.Console.Vehicle.Charts do
     ~H"""
     <section aria-labelledby="charts-title">
       <h2 id="charts-title" class="visually-hidden">Charts</h2>
+      <.elsewhere :if={@via} via={@via}>Its state can be charted here, its messages there.</.elsewhere>
       <form id="chart-add" class="row filters" phx-change="chart_add" phx-submit="noop">
         <.field id="chart-message" name="message" type="select" label="Of" options={[{"the vehicle's state", ""} | Enum.map(@heard, &{&1, &1})]} value={@message} />
         <.field id="chart-field" name="key" type="select" label="Add a field" options={options(@series, @message)} value="" disabled={length(@series) >= Series.max()} />

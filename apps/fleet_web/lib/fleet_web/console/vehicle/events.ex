@@ -9,25 +9,31 @@ defmodule FleetWeb.Console.Vehicle.Events do
   attr :search, :string, required: true
   attr :paused, :boolean, required: true
   attr :total, :integer, required: true
+  attr :via, :string, default: nil, doc: "the gateway that hears the vehicle, if this one does not"
 
   @doc "The events section."
   def events(assigns) do
     ~H"""
     <section aria-labelledby="events-title">
       <h2 id="events-title" class="visually-hidden">Events</h2>
+      <.elsewhere :if={@via} via={@via}>Its events are shown there, and are in the stream FLEET_EVENTS. Here is what happened while this gateway heard it.</.elsewhere>
       <form id="events-filter" class="row filters" phx-change="events_filter" phx-submit="events_filter">
         <.field id="events-level" name="level" type="select" label="Severity" options={levels()} value={@level} />
         <.field id="events-search" name="search" type="search" label="Search" value={@search} phx-debounce="150" autocomplete="off" />
         <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Go on", else: "Pause"}</.button>
         <span class="muted" role="status">{length(@lines)} of the last {@total}</span>
       </form>
-      <.empty :if={@lines == []} icon="list" title={if @total == 0, do: "Nothing has happened yet", else: "Nothing of this kind"}>
+      <.empty :if={@lines == []} icon="list" title={nothing(@total, @via)}>
         Texts of the vehicle, changes of its mode, failsafes and so on stand here as they come.
       </.empty>
       <.lines id="events" lines={@lines} />
     </section>
     """
   end
+
+  defp nothing(0, nil), do: "Nothing has happened yet"
+  defp nothing(0, _via), do: "This gateway has no events of it"
+  defp nothing(_total, _via), do: "Nothing of this kind"
 
   attr :id, :string, required: true
   attr :lines, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Timeline.line/0`"

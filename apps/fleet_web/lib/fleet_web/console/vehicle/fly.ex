@@ -63,7 +63,7 @@ defmodule FleetWeb.Console.Vehicle.Fly do
         <.facts id="gps" title="GPS" view={@view} group={:gps} fields={gps()} />
         <section class="card" aria-labelledby="latest-title">
           <div class="spread"><h2 id="latest-title">Latest</h2><.link patch={@events_path}>All events</.link></div>
-          <p :if={@lines == []} class="muted">Nothing has happened yet.</p>
+          <p :if={@lines == []} class="muted">{if @view.vehicle[:via], do: "Its events are at the gateway #{@view.vehicle[:via]}.", else: "Nothing has happened yet."}</p>
           <Events.lines id="latest" lines={@lines} />
         </section>
       </div>

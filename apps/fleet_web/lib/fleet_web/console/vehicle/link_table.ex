@@ -16,7 +16,8 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
     ~H"""
     <section aria-labelledby="links-title" class="stack">
       <h2 id="links-title" class="visually-hidden">Links</h2>
-      <.empty :if={@rows == []} icon="link-off" title="No link hears this vehicle" />
+      <.elsewhere :if={@view.vehicle[:via]} via={@view.vehicle[:via]}>Its links and its clock are shown there.</.elsewhere>
+      <.empty :if={@rows == [] && @view.vehicle[:via] == nil} icon="link-off" title="No link hears this vehicle" />
       <.data_table :if={@rows != []} id="vehicle-links" label="Links of this vehicle" rows={@rows} row_id={&"link-#{&1.id}"}>
         <:col :let={row} label="Link"><strong>{row.id}</strong> <span class="muted">{row.url}</span></:col>
         <:col :let={row} label="State"><.badge kind={kind(row.status)}>{row.status}</.badge></:col>
@@ -27,7 +28,7 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
       </.data_table>
       <div class="cards">
         <.facts id="hearing" title="Hearing" view={@view} group={:link} fields={[frames_per_s: "Frames", bytes_per_s: "Bytes"]} />
-        <section class="card">
+        <section :if={@view.vehicle[:via] == nil} class="card">
           <h2>Clock</h2>
           <dl class="facts">
             <div class="fact"><dt>Round trip</dt><dd>{ms(@clock[:rtt_us])}</dd></div>

@@ -75,6 +75,9 @@ defmodule FleetWeb.Console.Vehicle.MessageSeries do
     Map.new(series, &{&1.key, value(messages, &1.path)})
   end
 
+  # A system id of this gateway's networks says nothing of a vehicle that another one hears.
+  defp rows(_gateway, %{via: via}) when via != nil, do: []
+
   # Several components of a vehicle send the same messages; the charts show the autopilot's.
   defp rows(gateway, vehicle) do
     filter = [system: vehicle.system_id, component: vehicle[:component] || 1, direction: :in]

@@ -63,13 +63,13 @@ defmodule FleetWeb.Console.Vehicle.Section do
     assigns = assign(assigns, :shown, assigns.paused || assigns.events)
 
     ~H"""
-    <Events.events lines={Timeline.lines(@shown, @level, @events_search)} level={@level} search={@events_search} paused={@paused != nil} total={length(@shown)} />
+    <Events.events lines={Timeline.lines(@shown, @level, @events_search)} level={@level} search={@events_search} paused={@paused != nil} total={length(@shown)} via={@view.vehicle[:via]} />
     """
   end
 
   def section(%{section: "charts"} = assigns) do
     ~H"""
-    <Charts.charts vehicle={@id} series={@series} heard={@heard} message={@message} path={&Sections.charts_path(@id, &1)} />
+    <Charts.charts vehicle={@id} series={@series} heard={@heard} message={@message} via={@view.vehicle[:via]} path={&Sections.charts_path(@id, &1)} />
     """
   end
 

@@ -78,6 +78,16 @@ defmodule Aerie.Shadow.Attempts do
     %{attempts | fields: fields}
   end
 
+  @doc "The clock was set by so many microseconds: every wait is as long as before."
+  @spec moved(t(), integer()) :: t()
+  def moved(attempts, step) do
+    moved = fn attempt ->
+      %{attempt | next_at: attempt.next_at + step, agreed_at: attempt.agreed_at && attempt.agreed_at + step}
+    end
+
+    %{attempts | fields: Map.new(attempts.fields, fn {path, attempt} -> {path, moved.(attempt)} end)}
+  end
+
   @doc "Allows everything to be tried again, after a restart of the vehicle."
   @spec rebooted(t()) :: t()
   def rebooted(attempts), do: %{attempts | fields: %{}}

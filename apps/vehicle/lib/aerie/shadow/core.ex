@@ -64,6 +64,13 @@ defmodule Aerie.Shadow.Core do
   def desired(core, document),
     do: if(document.version >= core.document.version, do: %{core | document: document}, else: core)
 
+  @doc "The machine's clock was set by so many microseconds (`Aerie.HostClock`). A field's expiry is a date, and follows the clock."
+  @spec clock_set(t(), integer()) :: t()
+  def clock_set(core, 0), do: core
+
+  def clock_set(core, step),
+    do: %{core | holds: Holds.moved(core.holds, step), attempts: Attempts.moved(core.attempts, step)}
+
   @doc "Whether anything is desired."
   @spec idle?(t()) :: boolean()
   def idle?(core), do: core.document.fields == %{} and core.intervals == [] and core.report == %{}

@@ -71,6 +71,13 @@ defmodule Aerie.Shadow.Holds do
   @spec acted(t(), now :: integer()) :: t()
   def acted(holds, now), do: %{holds | expected_until: now + @effect_us}
 
+  @doc "The clock was set by so many microseconds: every hold lasts as long as before."
+  @spec moved(t(), integer()) :: t()
+  def moved(holds, step) do
+    until = Map.new(holds.until, fn {by, until} -> {by, until + step} end)
+    %{holds | until: until, expected_until: holds.expected_until && holds.expected_until + step}
+  end
+
   @doc "The holds in force at `now`, the longest first."
   @spec active(t(), now :: integer()) :: [hold()]
   def active(holds, now) do

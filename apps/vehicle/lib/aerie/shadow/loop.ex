@@ -9,7 +9,7 @@ defmodule Aerie.Shadow.Loop do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Names, Policy, Store}
+  alias Aerie.{Fleet, HostClock, Names, Policy, Store}
   alias Aerie.Bridge.LastPublished
   alias Aerie.Shadow.{Core, Field, Actuator, Documents, Metrics, Report, Settings}
 
@@ -43,7 +43,8 @@ defmodule Aerie.Shadow.Loop do
        plans: %{},
        reported: nil,
        ticks: 0,
-       looking: nil
+       looking: nil,
+       clock: HostClock.offset()
      }, {:continue, :join}}
   end
 
@@ -129,7 +130,7 @@ defmodule Aerie.Shadow.Loop do
   end
 
   defp look(state, snapshot) do
-    %{gateway: gateway, vehicle: %{id: id}} = state
+    %{gateway: gateway, vehicle: %{id: id}} = state = clock(state)
 
     commanded = Policy.Commanded.last(gateway, id)
     state = %{state | plans: still_known(state.plans, commanded, snapshot)}
@@ -146,6 +147,14 @@ defmodule Aerie.Shadow.Loop do
     if state.core.document.fields != %{}, do: Metrics.count(gateway, :reconciliations)
     {core, actions} = Core.look(state.core, view)
     actions |> Enum.reduce(%{state | core: core}, &act/2) |> report(snapshot, beside)
+  end
+
+  # Set forward, it must end no hold early, and set back, make none longer.
+  defp clock(state) do
+    offset = HostClock.offset()
+    step = HostClock.step(state.clock, offset)
+    plans = Map.new(state.plans, fn {path, known} -> {path, %{known | at: known.at + step}} end)
+    %{state | clock: offset, core: Core.clock_set(state.core, step), plans: plans}
   end
 
   # Parameters as PARAM_VALUE last reported them.

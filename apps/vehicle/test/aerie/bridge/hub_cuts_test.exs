@@ -224,19 +224,26 @@ defmodule Aerie.Bridge.HubCutsTest do
     await_all(conn(hub), leaves, 30)
   end
 
-  test "a reader that does not read keeps nobody waiting", %{tmp_dir: dir} do
-    %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)
+  test "a reader that does not read keeps nobody waiting, and the hub's server ends its connection", %{
+    tmp_dir: dir
+  } do
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: leaves} = start(dir, 1)
     slow = conn(hub)
     {:ok, _} = Gnat.sub(slow, self(), "fleet.>")
     :sys.suspend(slow)
-
-    for seq <- 1..400 do
-      event = Event.new(id, "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 20_000)})
-      :ok = Fleet.Journal.commit(leaf, id, :some_state, [event])
-    end
-
-    await_all(conn(hub), leaves, 400)
+    client = conn(hub)
+    # More than what systems on the way hold for a reader.
+    much = String.duplicate("x", 100_000)
+    for _ <- 1..600, do: :ok = Gnat.pub(client, "fleet.test.V2.raw.in", much)
+    make(leaves, 1..200)
+    await_all(client, leaves, 200)
+    log = Path.join(HubServer.folder(hub), "log")
+    eventually(fn -> File.read!(log) =~ "Slow Consumer" end)
     :sys.resume(slow)
+    assert_receive {:EXIT, ^slow, _closed}
+    make(leaves, 201..210)
+    await_all(client, leaves, 210)
   end
 
   @tag skip: not @unshare && "no namespaces here"

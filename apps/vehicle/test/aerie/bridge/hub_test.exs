@@ -47,6 +47,20 @@ defmodule Aerie.Bridge.HubTest do
     eventually(fn -> match?({:ok, %{body: "done"}}, ask(fleet, "fleet.test.A.cmd.arm")) end)
   end
 
+  test "its JetStream is a domain of its own, and the hub's is another one", %{fleet: fleet, client: client} do
+    info = fn conn, prefix ->
+      {:ok, %{body: body}} = ask(conn, prefix <> ".API.INFO")
+      JSON.decode!(body)
+    end
+
+    assert %{"domain" => "A", "streams" => aboard} = info.(client, "$JS")
+    assert %{"domain" => "A"} = info.(client, "$JS.A")
+    assert %{"domain" => hub, "streams" => streams} = info.(fleet, "$JS")
+    assert hub != "A" and aboard > 0 and streams > 0
+    # From the fleet nobody reaches the streams aboard.
+    assert {:error, :no_responders} = ask(fleet, "$JS.A.API.INFO")
+  end
+
   defp answering(client, subject, body) do
     test = self()
 

@@ -129,6 +129,30 @@ defmodule Aerie.Shadow.DocumentsTest do
       assert [%{"mode" => %{state: :pending}}] = Documents.reports(gateway)
     end
 
+    test "a lost race is tried again on the new value, and others who never stop end it", %{tmp_dir: dir} do
+      %{gateway: gateway} = with_nats(dir)
+      assert {:ok, %{"version" => 1}} = update(gateway, %{"params" => %{"A" => 1}})
+      test = self()
+
+      # Between its reading and its writing another one writes, up to version `n`.
+      change = fn n ->
+        Documents.change(gateway, @vehicle, fn document ->
+          send(test, {:tried_on, document.version})
+
+          if document.version < n,
+            do: assert({:ok, _} = update(gateway, %{"params" => %{"B" => document.version}}))
+
+          {:ok, %{document | version: document.version + 1}}
+        end)
+      end
+
+      assert {:ok, %{version: 3, fields: %{"params.A" => _, "params.B" => _}}} = change.(2)
+      for version <- [1, 2], do: assert_received({:tried_on, ^version})
+      refute_received {:tried_on, _version}
+      assert {:error, {:unavailable, "others change the document all the time" <> _}} = change.(1_000)
+      assert Documents.document(gateway, @vehicle).version == 23
+    end
+
     test "what no gateway wrote is not heeded, and the next update puts it right", %{tmp_dir: dir} do
       %{gateway: gateway, conn: conn} = with_nats(dir)
       {:ok, _one} = update(gateway, %{"mode" => "LOITER"})

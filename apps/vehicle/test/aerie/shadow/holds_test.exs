@@ -25,6 +25,16 @@ defmodule Aerie.Shadow.HoldsTest do
     assert Holds.new(30 * @second) |> look(0, %{armed: false}) |> by(0) == []
   end
 
+  test "a clock that is set ends no hold and makes none longer", %{holds: holds} do
+    holds = look(holds, 1, %{failsafe: true})
+
+    for hours <- [1, -1], jump = hours * 3600 do
+      moved = Holds.moved(holds, jump * @second)
+      assert by(moved, jump + 30) == ["failsafe"]
+      assert by(moved, jump + 32) == []
+    end
+  end
+
   test "a quiet vehicle is held by nobody", %{holds: holds} do
     assert by(holds, 0) == []
     assert holds |> look(1, %{}) |> by(1) == []

@@ -79,6 +79,16 @@ defmodule Aerie.Shadow.LoopTest do
     assert ["failsafe", "operator"] -- Enum.map(holds, & &1["by"]) == []
   end
 
+  test "a clock that is set an hour forth ends no hold", %{gateway: gateway, loop: loop} do
+    flying(gateway, %{failsafe: true})
+    desire(gateway, %{"mode" => "LOITER"})
+    %{until: until} = held(gateway, "mode", "failsafe")
+    hour = 3_600_000_000
+    # As if the clock had been an hour behind until now.
+    :sys.replace_state(loop, &%{&1 | clock: &1.clock - hour})
+    eventually(fn -> held(gateway, "mode", "failsafe").until >= until + hour end)
+  end
+
   @tag policy: [modes: %{denied: ["ACRO"], transitions: %{}}]
   test "the policy denies, as to everybody; that is told, and tried again later", %{gateway: gateway} do
     desire(gateway, %{"mode" => "ACRO"})

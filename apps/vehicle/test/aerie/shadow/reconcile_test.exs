@@ -6,6 +6,7 @@ defmodule Aerie.Shadow.ReconcileTest do
 
   @now 1_800_000_000_000_000
   @second 1_000_000
+  @jumps %{hour_forth: 3600 * @second, hour_back: -3600 * @second}
   @hash String.duplicate("0a", 32)
 
   defp desired(object) do
@@ -228,6 +229,18 @@ defmodule Aerie.Shadow.ReconcileTest do
       assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true
     end
 
+    test "after the last disturbance it settles: everything agrees or is given up, and nothing is done any more" do
+      property =
+        :proper.forall({wishes(), disturbances()}, fn {wishes, disturbances} ->
+          {_core, _vehicle, log} = run(wishes, disturbances, 600)
+          {_actions, last} = List.last(log)
+          quiet? = log |> Enum.take(-60) |> Enum.all?(fn {actions, _report} -> actions == [] end)
+          quiet? and Enum.all?(last, fn {_path, status} -> status.state in [:converged, :refused] end)
+        end)
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true
+    end
+
     test "it ends: a vehicle that refuses or changes everything back is left alone after six tries" do
       property =
         :proper.forall({wishes(), :proper_types.oneof([:refuse, :change_back])}, fn {wishes, how} ->
@@ -263,7 +276,7 @@ defmodule Aerie.Shadow.ReconcileTest do
   end
 
   defp disturbances do
-    what = :proper_types.oneof([:failsafe, :operator, :rc, :other])
+    what = :proper_types.oneof([:failsafe, :operator, :rc, :other, :hour_forth, :hour_back])
     :proper_types.bind(:proper_types.list({:proper_types.integer(0, 100), what}), &Map.new/1, false)
   end
 
@@ -272,15 +285,17 @@ defmodule Aerie.Shadow.ReconcileTest do
     {:ok, update} = Update.parse(%{"desired" => wishes}, @now)
     {:ok, document} = Document.apply(Document.new("V"), update, %{actor: "ops", via: "rest"}, @now)
     core = "V" |> Core.new(hold_us: 30 * @second, max_tries: 6, allow_arming: false) |> Core.desired(document)
-    vehicle = %{fields: %{"mode" => "GUIDED"}, rc: 1500, commanded: nil, failsafe: false}
+    vehicle = %{fields: %{"mode" => "GUIDED"}, rc: 1500, commanded: nil, failsafe: false, jump: 0}
     # One look before it all begins: the first one knows nothing to compare with.
     {core, _actions} = Core.look(%{core | document: Document.new("V")}, view(vehicle, @now - 60 * @second))
     core = Core.desired(core, document)
 
     {core, vehicle, log} =
       Enum.reduce(0..(seconds - 1), {core, vehicle, []}, fn second, {core, vehicle, log} ->
-        now = @now + second * @second
-        vehicle = disturb(vehicle, disturbances[second], now)
+        jump = vehicle.jump + Map.get(@jumps, disturbances[second], 0)
+        core = Core.clock_set(core, jump - vehicle.jump)
+        now = @now + jump + second * @second
+        vehicle = disturb(%{vehicle | jump: jump}, disturbances[second], now)
         {core, actions} = Core.look(core, view(vehicle, now))
         {core, vehicle} = Enum.reduce(actions, {core, vehicle}, &obey(&1, &2, disturbances[second], now))
         {core, vehicle, [{actions -- reports(actions), core.report} | log]}
@@ -326,7 +341,7 @@ defmodule Aerie.Shadow.ReconcileTest do
       snapshot: %{
         status: :online,
         collision: nil,
-        time_boot_ms: div(now, 1000),
+        time_boot_ms: div(now - vehicle.jump, 1000),
         groups: %{
           mode: %{data: mode},
           rc: %{data: %{channels: [vehicle.rc, 1500]}},

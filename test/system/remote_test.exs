@@ -3,6 +3,7 @@ defmodule Aerie.System.RemoteTest do
   use Aerie.SystemCase, async: true
 
   alias Aerie.{Bridge, Commands, Files, Fleet, HubServer, Missions, Params}
+  alias Aerie.Vehicle.Event
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -40,7 +41,11 @@ defmodule Aerie.System.RemoteTest do
     seed = Path.join(folder, "hub.nk")
     File.write!(seed, Nkey.seed(nkey))
     File.chmod!(seed, 0o600)
-    server = if context[:leaf], do: HubServer.start(folder, [@vehicle], servers: context[:servers])
+
+    server =
+      if context[:leaf],
+        do: HubServer.start(folder, [@vehicle], Map.take(context, [:servers, :disk_mb]) |> Enum.to_list())
+
     hub = start_hub(Path.join(folder, "hub"), server, seed)
 
     dir = Path.join(folder, "companion")
@@ -393,6 +398,81 @@ defmodule Aerie.System.RemoteTest do
         %{"type" => "mode_change", "data" => %{"to" => mode}} <- [JSON.decode!(text)],
         do: mode
   end
+
+  @tag :leaf
+  @tag disk_mb: 8
+  @tag skip:
+         System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) != 0 &&
+           "no namespaces here"
+  test "the hub's disk was full: both gateways name its server and the mend, until it is restarted",
+       %{hub: hub, companion: companion, server: server} do
+    Process.flag(:trap_exit, true)
+    shown(hub, "a mode", &(&1.status == :online and is_map(&1.groups[:mode])))
+    eventually(fn -> stores?(companion.gateway) and match?({200, _ready}, ready(hub)) end, "all is well")
+    filler = HubServer.fill_disk(server)
+
+    for _ <- 1..10,
+        mode <- ["LOITER", "GUIDED"],
+        do: assert(%{status: :completed} = command(companion.gateway, "set_mode", %{mode: mode}))
+
+    for seq <- 1..10 do
+      event = Event.new("G", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 4_000)})
+      :ok = Fleet.Journal.commit(hub, "G", :some_state, [event])
+    end
+
+    # Room alone does not help.
+    stores = fn -> ready(companion.gateway) |> elem(1) |> get_in(["nats", "hub", "stores"]) end
+    eventually(fn -> stores.() == false end, "the companion says it")
+    eventually(fn -> match?({503, _not_ready}, ready(hub)) end, "the hub's gateway says it")
+    File.rm!(filler)
+    mend = "make room and restart it: after a failed write nats-server stores nothing until then"
+
+    # Aboard all is well but for the hub.
+    assert {200, %{"nats" => %{"problem" => nil, "hub" => %{"problem" => text}}}} = ready(companion.gateway)
+    assert text =~ "the hub's nats-server was full, " <> mend
+
+    eventually(
+      fn ->
+        {503, %{"nats" => %{"problem" => text}}} = ready(hub)
+        text =~ "nats-server at tls://127.0.0.1:#{server.ports.client} was full, " <> mend
+      end,
+      "the hub's gateway names the server"
+    )
+
+    eventually(fn -> "hub_not_confirming" in conditions(companion.gateway) end, "diagnosed aboard")
+    eventually(fn -> "nats_not_confirming" in conditions(hub) end, "diagnosed at the hub")
+
+    HubServer.signal(server, "TERM")
+    eventually(fn -> stores?(companion.gateway) end, "the companion's events are confirmed")
+
+    eventually(
+      fn -> match?({200, %{"nats" => %{"problem" => nil}}}, ready(hub)) end,
+      "the hub's gateway is ready"
+    )
+
+    over = fn gateway ->
+      Enum.all?(conditions(gateway), &(&1 not in ~w(hub_not_confirming nats_not_confirming)))
+    end
+
+    eventually(fn -> over.(hub) and over.(companion.gateway) end, "and the diagnosis")
+  end
+
+  defp ready(gateway) do
+    url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/readyz"
+
+    {:ok, {{_version, status, _reason}, _headers, body}} =
+      :httpc.request(:get, {url, []}, [], body_format: :binary)
+
+    {status, JSON.decode!(body)}
+  end
+
+  # The hub has what there is.
+  defp stores?(gateway) do
+    {_status, %{"nats" => %{"hub" => hub}}} = ready(gateway)
+    match?(%{"connected" => true, "stores" => true, "waiting" => 0}, hub)
+  end
+
+  defp conditions(gateway), do: for(%{"name" => name} <- get(gateway, "diagnosis")["conditions"], do: name)
 
   @tag :leaf
   test "through a leaf node: a vehicle that was cut off is unreachable at once",

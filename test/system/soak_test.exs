@@ -1,8 +1,8 @@
 defmodule Aerie.System.SoakTest do
   @moduledoc """
-  Runs a gateway for a long time: ten simulated vehicles fly, recorded flights of real firmware are replayed, and links,
-  clients, cables and vehicles come and go, in rounds. A census of the node follows each round. Once all bounded buffers
-  have filled, nothing may grow.
+  Runs a gateway for a long time: fifty simulated vehicles fly, some of them behind bad radios, recorded flights of real firmware
+  are replayed, and links, clients, cables and vehicles come and go, in rounds. A census of the node follows each round. Once all
+  bounded buffers have filled, nothing may grow.
 
   `AERIE_SOAK_MINUTES` sets the duration (default 60); `AERIE_SOAK_PRINT=1` prints every round.
   """
@@ -18,7 +18,7 @@ defmodule Aerie.System.SoakTest do
   @moduletag :capture_log
   @moduletag timeout: :infinity
 
-  @vehicles 10
+  @vehicles 50
   # Rings and journals fill to their bounds first; nothing is compared during this time.
   @warm_up 0.4
   @fixtures Path.expand("../../apps/vehicle/test/fixtures", __DIR__)
@@ -61,10 +61,7 @@ defmodule Aerie.System.SoakTest do
     fleet =
       start_supervised!(
         {SimVehicle.Fleet,
-         count: @vehicles,
-         link: fn n -> "udpout:127.0.0.1:#{elem(ports, rem(n, 2))}" end,
-         ready_s: 1.0,
-         speed: 2.0}
+         count: @vehicles, link: fn n -> "udpout:127.0.0.1:#{elem(ports, rem(n, 2))}" end, ready_s: 1.0}
       )
 
     eventually(fn -> length(Store.vehicles(gateway)) == @vehicles end, "all vehicles are known")
@@ -145,7 +142,7 @@ defmodule Aerie.System.SoakTest do
              "#{what}: #{Map.fetch!(first, what)} at first, #{Map.fetch!(last, what)} at the end; #{inspect(Census.who())}"
     end
 
-    # Ten vehicles are in flight, so what they hold varies a little.
+    # The vehicles are in flight, so what they hold varies a little.
     for what <- [:memory, :ets] do
       {before, now} = {Map.fetch!(first, what), Map.fetch!(last, what)}
       assert now < before * 1.15 + 4_000_000, "#{what}: #{before} bytes at first, #{now} at the end"
@@ -165,7 +162,7 @@ defmodule Aerie.System.SoakTest do
 
   defp round(soak, n) do
     tasks =
-      for churn <- [&replays/2, &links/2, &clients/2, &endpoints/2, &cables/2, &vehicles/2] do
+      for churn <- [&replays/2, &links/2, &clients/2, &endpoints/2, &cables/2, &vehicles/2, &radios/2] do
         Task.async(fn -> churn.(soak, n) end)
       end
 
@@ -291,6 +288,30 @@ defmodule Aerie.System.SoakTest do
     end
 
     eventually(fn -> Names.whereis(gateway, :session, victim) end, "its session is back")
+  end
+
+  # A tenth of the vehicles have a bad radio, others in each round; one is not heard for so long that it counts as lost.
+  defp radios(%{gateway: gateway, fleet: fleet}, n) do
+    sims = SimVehicle.Fleet.sims(fleet)
+    bad = for k <- 0..(div(@vehicles, 10) - 1), sim = sims[rem(n * 7 + k * 10, @vehicles) + 1], do: sim
+    faults = [loss: 0.2, duplicate: 0.1, reorder: 0.1, corrupt: 0.02, delay: {50, 100}]
+
+    for sim <- bad,
+        {fault, value} <- faults,
+        direction <- [:in, :out],
+        do: :ok = SimVehicle.fault(sim, fault, value, direction)
+
+    silent = rem(n * 3, @vehicles) + 1
+    :ok = SimVehicle.fault(sims[silent], :silence, true)
+    status = fn -> Store.vehicle(gateway, {"main", silent})[:status] end
+    eventually(fn -> status.() == :lost end, "vehicle #{silent} is missed")
+    :ok = SimVehicle.fault(sims[silent], :silence, false)
+    eventually(fn -> status.() == :online end, "vehicle #{silent} is back")
+
+    for sim <- bad,
+        {fault, _value} <- faults,
+        direction <- [:in, :out],
+        do: :ok = SimVehicle.fault(sim, fault, if(fault == :delay, do: 0, else: 0.0), direction)
   end
 
   defp cable(dev) do

@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.StateTest do
   use ExUnit.Case, async: true
 
+  alias Aerie.Vehicle.Detector.Batteries
   alias Aerie.Vehicle.State
   alias MavCodec.Messages, as: M
 
@@ -145,6 +146,18 @@ defmodule Aerie.Vehicle.StateTest do
 
     unknown = %{one | voltages: List.duplicate(0xFFFF, 10), battery_remaining: -1}
     assert %{id: nil, remaining: 0.36} = State.data(fold([@copter, status, unknown, status]), :battery)
+  end
+
+  test "a battery that stops measuring: its last values are none of the present, and those of SYS_STATUS count again" do
+    one = %M.BatteryStatus{id: 0, voltages: [11_000 | List.duplicate(0xFFFF, 9)], battery_remaining: 13}
+    blind = %{one | voltages: List.duplicate(0xFFFF, 10), battery_remaining: -1}
+    state = fold([@copter, one, blind])
+    assert %{id: nil, voltage: nil, remaining: nil, batteries: [%{id: 0}]} = State.data(state, :battery)
+    assert %{remaining: nil, batteries: [%{id: 0}]} = Batteries.digest(state)
+
+    status = %M.SysStatus{voltage_battery: 12_000, battery_remaining: 36}
+    state = fold([@copter, one, blind, status, blind])
+    assert %{id: nil, voltage: 12.0, remaining: 0.36} = State.data(state, :battery)
   end
 
   test "cells are added up, including those of the extension" do

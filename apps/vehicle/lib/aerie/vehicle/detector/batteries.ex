@@ -26,7 +26,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
     others =
       for one <- group.batteries || [], one != first, do: Map.take(one, [:id, :remaining, :charge_state])
 
-    charge_state = if group.id, do: first.charge_state
+    charge_state = if group.id && first, do: first.charge_state
 
     # A digest's nil keeps the last known value. The charge state has to change with the source, so it is never nil.
     known =

@@ -34,6 +34,7 @@ defmodule Aerie.Vehicle.State.Power do
   }
   # Ids have 8 bits. No vehicle has more than a few batteries, and a faulty one must not fill the memory.
   @max_batteries 16
+  @own [:id, :voltage, :current, :remaining, :consumed_mah]
 
   @impl State
   def read(%M.SysStatus{} = m, state, at) do
@@ -57,14 +58,18 @@ defmodule Aerie.Vehicle.State.Power do
       charge_state: charge_state(m.charge_state)
     }
 
-    others = Enum.reject(State.data(state, :battery).batteries || [], &(&1.id == m.id))
+    group = State.data(state, :battery)
+    others = Enum.reject(group.batteries || [], &(&1.id == m.id))
     batteries = Enum.take(Enum.sort_by([one | others], & &1.id), @max_batteries)
 
-    {[], battery: Map.merge(own(batteries), %{batteries: batteries, charge_state: worst(batteries)})}
+    {[],
+     battery: Map.merge(own(first(batteries), group), %{batteries: batteries, charge_state: worst(batteries)})}
   end
 
-  defp own(batteries),
-    do: Map.take(first(batteries) || %{}, [:id, :voltage, :current, :remaining, :consumed_mah])
+  defp own(nil, %{id: nil}), do: %{}
+  # It does not measure any more. What was measured before is none of the present.
+  defp own(nil, _group), do: Map.from_keys(@own, nil)
+  defp own(first, _group), do: Map.take(first, @own)
 
   @doc "The battery whose values are the group's own: the first one with a voltage or a remaining charge, or nil."
   @spec first([map()]) :: map() | nil

@@ -129,23 +129,28 @@ defmodule FleetWeb.Console.AlarmsTest do
       assert [%{key: {:link, "l"}}] = Conditions.link(%{link | status: :waiting})
     end
 
-    test "of the diagnosis, collisions, overload and damaged frames are alarms" do
+    test "of the diagnosis, collisions, overload, damaged frames and a hub that stores nothing are alarms" do
       condition =
-        &Condition.new(&1, &2, &3, title: "about #{elem(&3, 1)}", mend: "mend it", evidence: [])
+        &Condition.new(&1, &2, &3, title: "about #{subject(&3)}", mend: "mend it", evidence: [])
 
       assert [] = Conditions.diagnosed([condition.(:mavlink1_only, :notice, {:vehicle, "V"})])
 
       assert [
                %{vehicle: "V", severity: :critical, text: "about V"},
                %{vehicle: nil, severity: :critical, text: "about l"},
-               %{vehicle: nil, severity: :warning}
+               %{vehicle: nil, severity: :warning},
+               %{vehicle: nil, severity: :warning, key: {:hub_not_confirming, :gateway}}
              ] =
                Conditions.diagnosed([
                  condition.(:two_vehicles_one_id, :error, {:vehicle, "V"}),
                  condition.(:overload, :error, {:link, "l"}),
-                 condition.(:noisy_link, :warning, {:link, "l"})
+                 condition.(:noisy_link, :warning, {:link, "l"}),
+                 condition.(:hub_not_confirming, :error, :gateway)
                ])
     end
+
+    defp subject({_kind, id}), do: id
+    defp subject(:gateway), do: "the gateway"
 
     test "the gateway itself" do
       assert [] = Conditions.gateway(%{alarm: nil}, nil, nil)

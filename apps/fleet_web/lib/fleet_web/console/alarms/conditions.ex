@@ -47,11 +47,15 @@ defmodule FleetWeb.Console.Alarms.Conditions do
         name in @diagnosed,
         do: %{
           key: {name, subject},
-          severity: @severities[severity],
+          severity: severity(name, severity),
           text: title,
           vehicle: vehicle_of(subject)
         }
   end
+
+  # As when this gateway's own server stores nothing: no vehicle is in danger.
+  defp severity(:hub_not_confirming, :error), do: :warning
+  defp severity(_name, severity), do: @severities[severity]
 
   defp vehicle_of({:vehicle, id}), do: id
   defp vehicle_of(_other), do: nil

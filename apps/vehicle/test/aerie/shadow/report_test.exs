@@ -1,8 +1,8 @@
 defmodule Aerie.Shadow.ReportTest do
-  @moduledoc "The size of a reported document."
+  @moduledoc "What is in a reported document, and its size."
   use ExUnit.Case, async: true
 
-  alias Aerie.Shadow.Report
+  alias Aerie.Shadow.{Core, Document, Report, Update}
 
   defp document(count, state, why \\ 20) do
     fields =
@@ -12,6 +12,59 @@ defmodule Aerie.Shadow.ReportTest do
       end
 
     %{"vehicle" => "VID-001", "fields" => fields}
+  end
+
+  test "what the vehicle is and has, what is desired of it and how it stands, and who holds it" do
+    now = 1_800_000_000_000_000
+
+    {:ok, update} =
+      Update.parse(%{"desired" => %{"mode" => "RTL", "tags" => ["a"]}, "reason" => "storm"}, now)
+
+    {:ok, desired} = Document.apply(Document.new("V"), update, %{actor: "ops", via: "rest"}, now)
+
+    snapshot = %{
+      status: :online,
+      autopilot: :ardupilot,
+      vehicle_type: "copter",
+      firmware: "4.6.0",
+      capabilities: 0xFF,
+      links: ["radio", "lte"],
+      collision: nil,
+      time_boot_ms: 1,
+      groups: %{
+        mode: %{data: %{mode: "GUIDED", armed: true, in_air: true, failsafe: true}},
+        health: %{data: %{ready_to_arm: true, rc_receiver: false, fence_enabled: true, load: 0.5}}
+      }
+    }
+
+    view = %{now: now, snapshot: snapshot, commanded: nil, holds: [], beside: %{}}
+    core = "V" |> Core.new(hold_us: 30_000_000, max_tries: 6, allow_arming: false) |> Core.desired(desired)
+    {core, _actions} = Core.look(core, view)
+
+    assert %{
+             "vehicle" => "V",
+             "gateway" => "gateway-V",
+             "desired_version" => 1,
+             "status" => "online",
+             "autopilot" => "ardupilot",
+             "type" => "copter",
+             "firmware" => "4.6.0",
+             "capabilities" => 0xFF,
+             "links" => ["lte", "radio"],
+             "mode" => "GUIDED",
+             "armed" => true,
+             "in_air" => true,
+             "tags" => ["a"],
+             "geofence" => %{"enabled" => true},
+             "health" => health,
+             "fields" => %{"mode" => %{"state" => "held", "by" => by}, "tags" => %{"state" => "converged"}},
+             "holds" => holds
+           } = Report.document(snapshot, core, view.beside, "gateway-V")
+
+    # Not what changes all the time.
+    assert health == %{ready_to_arm: true, rc_receiver: false}
+    assert by in ["begun", "failsafe"]
+    assert "failsafe" in for(%{"by" => by} <- holds, do: by)
   end
 
   test "one that is small enough stays as it is" do

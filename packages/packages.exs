@@ -14,9 +14,19 @@ defmodule Aerie.Packages do
   def deps(names) do
     case System.get_env("AERIE_PACKAGES", "") do
       "" -> Enum.map(names, &own/1)
-      "hex" -> Enum.map(names, &if(&1 in @own, do: own(&1), else: {&1, @requirements[&1]}))
+      "hex" -> hex(names)
       folder -> names |> checkouts(Path.expand(folder))
     end
+  end
+
+  defp hex(names) do
+    Code.ensure_loaded?(Hex) ||
+      Mix.raise("""
+      AERIE_PACKAGES=hex: Hex is not installed. With a network, `AERIE_PACKAGES= mix local.hex` installs it; without one, take \
+      checkouts (AERIE_PACKAGES=<folder>), or unset AERIE_PACKAGES for those in packages/.\
+      """)
+
+    Enum.map(names, &if(&1 in @own, do: own(&1), else: {&1, @requirements[&1]}))
   end
 
   # `override`: what they depend on would be asked of Hex. Each application names all of it, since it may use any of them first.

@@ -248,11 +248,33 @@ defmodule Aerie.System.ToolTest do
     assert await_exit(port) == 0
   end
 
-  test "an answer that the disk has no room for is an error; a reader that has seen enough is none" do
+  test "an answer that the disk has no room for is an error; a reader that has seen enough is none",
+       %{folder: folder} do
     tool = Path.join(@root, "bin/aerie")
     sh = fn script -> System.cmd("bash", ["-c", script, tool], env: environment()) end
     assert {text, 2} = sh.(~s("$0" --help 2>&1 >/dev/full))
     assert text =~ "error: standard output takes nothing: no space left on device"
+    # What is printed on the way, and by bin/run.
+    flight = Path.join(folder, "flight.tlog")
+    recording = File.read!(Path.join(@root, "apps/vehicle/test/fixtures/px4_flight.tlog.gz"))
+    File.write!(flight, :zlib.gunzip(recording))
+    run = Path.join(@root, "bin/run")
+
+    for call <- [
+          ~s|"$0" eval 'IO.puts(1)'|,
+          ~s("$0" replay '#{flight}'),
+          ~s(#{run} --replay '#{flight}' --events),
+          ~s(#{run} --help)
+        ] do
+      assert {text, 2} = sh.(call <> " 2>&1 >/dev/full"), call
+      assert text =~ "error: standard output takes nothing: no space left on device", call
+      # It was compiled before.
+      refute text =~ "compiling"
+    end
+
+    # Nobody can be told, so that only the status says it.
+    assert {"", 2} = sh.(~s("$0" stauts 2>/dev/full))
+    assert {"", 0} = sh.(~s("$0" replay '#{flight}' 2>/dev/null | true; exit "${PIPESTATUS[0]}"))
     # The pipe closes before anything is written.
     assert {"0\n", 0} = sh.(~s("$0" --help 2>/dev/null | true; echo "${PIPESTATUS[0]}"))
   end

@@ -60,6 +60,9 @@ defmodule Aerie.CLI do
     # No gateway runs, so there is nothing to log; a closed pipe would only log an error.
     if options[:log], do: :ok = :logger.set_primary_config(:level, :none)
 
+    # Not by way of the application's own leader, which waits forever for a device that has ended.
+    options = Keyword.put_new(options, :device, :user)
+
     case ReplayEvents.print(parsed, folder(environment), options) do
       :ok -> {:finish, ""}
       {:error, message} -> {:fail, "error: #{message}\n"}
@@ -112,6 +115,8 @@ defmodule Aerie.CLI do
   @spec halt(atom(), String.t(), 0..2) :: no_return()
   defp halt(device, text, status) do
     if text != "", do: IO.write(device, text)
-    System.halt(status)
+    why = if status != 2, do: Output.problem(device)
+    if why, do: IO.write(Output.stderr(), "error: #{why}\n")
+    System.halt(if(why, do: 2, else: status))
   end
 end

@@ -4,6 +4,7 @@ defmodule Aerie.Tool do
   the words, and the modules in `run/` do it: in this VM, or in a running gateway (`Aerie.Tool.Gateway`).
   """
 
+  alias Aerie.CLI.Output
   alias Aerie.Tool.{Gateway, Help, Parse}
 
   @doc "For a release, whose words come after `-extra`."
@@ -21,8 +22,7 @@ defmodule Aerie.Tool do
 
     case call(words, System.get_env("AERIE_CWD") || File.cwd!()) do
       {:error, text} ->
-        IO.puts(:stderr, "error: " <> text)
-        System.halt(2)
+        System.halt(failed(text))
 
       {status, text} ->
         System.halt(print(text) || status)
@@ -50,17 +50,28 @@ defmodule Aerie.Tool do
     IO.write(text)
     nil
   rescue
-    ErlangError -> unprinted(text)
+    ErlangError ->
+      with {:error, why} <- Output.repeat(text), do: complain(why), else: (_written_or_closed -> nil)
   end
 
-  # The BEAM's device does not say why it ended. A reader that closes the pipe (| head) has seen enough.
-  defp unprinted(text) do
-    with {:ok, file} <- :file.open("/dev/stdout", [:raw, :append]),
-         {:error, reason} when reason != :epipe <- :file.write(file, text) do
-      IO.puts(:stderr, "error: standard output takes nothing: #{:file.format_error(reason)}")
-      2
-    else
-      _written_or_closed -> nil
-    end
+  # What was printed on the way may have ended the device, and so what printed it.
+  defp failed(text) do
+    IO.write("")
+    complain(text)
+  rescue
+    ErlangError ->
+      case Output.repeat("\n") do
+        :closed -> 0
+        {:error, why} -> complain(why)
+        :ok -> complain(text)
+      end
+  end
+
+  # Its status says it, too, if nobody can be told.
+  defp complain(text) do
+    IO.puts(:stderr, "error: " <> text)
+    2
+  rescue
+    _full in [ArgumentError, ErlangError] -> 2
   end
 end

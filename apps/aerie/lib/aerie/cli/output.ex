@@ -44,6 +44,34 @@ defmodule Aerie.CLI.Output do
     :ok = :logger.add_handler(:default, :logger_std_h, handler)
   end
 
+  @doc """
+  Writes to standard output what the BEAM's own device did not take, which does not say why it has ended: `:closed` if the reader of a
+  pipe has seen enough (`| head`), else an error for the user.
+  """
+  @spec repeat(iodata()) :: :ok | :closed | {:error, String.t()}
+  def repeat(text) do
+    with {:ok, file} <- :file.open("/dev/stdout", [:raw, :append]), :ok <- :file.write(file, text) do
+      :ok
+    else
+      {:error, :epipe} -> :closed
+      {:error, reason} -> {:error, refusal(reason)}
+    end
+  end
+
+  @doc "What a device of this module could not write last, as an error for the user; nil if nothing is missing."
+  @spec problem(atom()) :: String.t() | nil
+  def problem(device) do
+    case GenServer.call(device, :reason) do
+      reason when reason in [nil, :epipe] -> nil
+      reason -> refusal(reason)
+    end
+  end
+
+  defp refusal(reason), do: "standard output takes nothing: #{describe(reason)}"
+
+  @impl GenServer
+  def handle_call(:reason, _from, state), do: {:reply, state.reason, state}
+
   @impl GenServer
   def init(options) do
     Process.flag(:trap_exit, true)

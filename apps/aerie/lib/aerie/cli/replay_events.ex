@@ -8,7 +8,7 @@ defmodule Aerie.CLI.ReplayEvents do
 
   alias Aerie.Bridge.Message
   alias Aerie.{Config, Replay}
-  alias Aerie.CLI.{Options, Plan}
+  alias Aerie.CLI.{Options, Output, Plan}
   alias MavCodec.Tlog.Damage
 
   @doc """
@@ -35,6 +35,7 @@ defmodule Aerie.CLI.ReplayEvents do
          do: {:ok, note(summary) <> "\n"}
   catch
     :closed -> {:ok, ""}
+    {:error, _why} = error -> error
   end
 
   defp load(plan) do
@@ -56,7 +57,8 @@ defmodule Aerie.CLI.ReplayEvents do
   defp put(device, json) do
     IO.puts(device, json |> JSON.decode!() |> JSON.encode!(&in_order/2))
   rescue
-    ErlangError -> throw(:closed)
+    _ended in [ArgumentError, ErlangError] ->
+      throw(with :ok <- Output.repeat("\n"), do: {:error, "standard output has ended"})
   end
 
   defp in_order(map, encoder) when is_map(map) do

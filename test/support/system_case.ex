@@ -16,13 +16,13 @@ defmodule Aerie.SystemCase do
   end
 
   @doc """
-  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`, `without` (keys that
+  Starts a gateway. `options`: `links` (their URLs), `overrides` (configuration), `config_file`, `gateway` (its name), `without` (keys that
   the file is to say). Returns what `Aerie.CLI.Run.start/2`
   does, with `link` ports by id.
   """
   def start_gateway(folder, options \\ []) do
     supervisor = ExUnit.Callbacks.start_supervised!({DynamicTop, []}, id: make_ref())
-    gateway = make_ref()
+    gateway = options[:gateway] || make_ref()
 
     overrides =
       Map.merge(

@@ -1,0 +1,151 @@
+defmodule Aerie.System.ToolInsideTest do
+  @moduledoc """
+  What `bin/aerie` and the shell do, in this VM with a gateway of it: the modules that a gateway runs for them. tool_test.exs has the
+  program itself.
+  """
+
+  use Aerie.SystemCase, async: true
+
+  import ExUnit.CaptureIO
+
+  alias Aerie.{Shell, Tool}
+  alias Aerie.Tool.{Gateway, Parse}
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  # What the table says runs in the gateway is run here, with the same words.
+  defp aerie(words, input \\ "") do
+    {:ok, row, arguments, options} = Parse.words(words)
+    request = %{name: row.name, arguments: arguments, options: options, folder: "."}
+    me = self()
+    run = fn -> send(me, {:answer, Gateway.call(node(), row.module, :run, [request])}) end
+    printed = capture_io([input: input, capture_prompt: true], run)
+    assert_received {:answer, answer}
+
+    case answer do
+      {:error, text} -> {printed <> text, 2}
+      {status, text} -> {printed <> IO.iodata_to_binary(text), status}
+    end
+  end
+
+  test "it shows, commands and changes a vehicle, and the shell does", %{tmp_dir: folder} do
+    # The one that the program and the shell mean; no other test has it.
+    start_gateway(folder, gateway: :default, links: ["udpin:127.0.0.1:0"])
+    assert {text, _not_ready} = aerie(["status"])
+    assert text =~ "no vehicle was heard"
+    link = "udpout:127.0.0.1:#{link_port(:default, "link-1")}"
+    sim = start_supervised!({SimVehicle, [link: link] ++ fast_vehicle(:ardupilot)})
+    SimVehicle.await(sim, & &1.ready)
+    await_standing(:default)
+
+    assert {json, 0} = aerie(["status", "--json"])
+    assert %{"vehicles" => [%{"vehicle" => id}]} = JSON.decode!(json)
+    assert {text, 0} = aerie(["tail", id, "--count", "1"])
+    assert text =~ "\n"
+    assert {text, 2} = aerie(["tail", "nobody"])
+    assert text =~ "known are #{id}"
+
+    # The example of docs/operating.md; on the ground it is refused, and the question comes first.
+    goto = ["cmd", id, "goto", "lat=47.39", "lon=8.54", "altitude=30"]
+    assert {text, 2} = aerie(goto, "n\n")
+    assert text =~ "goto" and text =~ "altitude=30" and text =~ "are you sure?" and text =~ "not done"
+    assert {_refused, 1} = aerie(goto ++ ["--yes"])
+    assert {text, 2} = aerie(["cmd", id, "goto", "lat", "--yes"])
+    assert text =~ "'lat': expected NAME=VALUE"
+    assert {text, 2} = aerie(["cmd", id, "gotoo"])
+    assert text =~ "did you mean goto?"
+
+    assert {text, 0} = aerie(["params", "get", id, "RTL_ALT"])
+    assert {_number, "\n"} = Float.parse(text)
+    assert {text, 0} = aerie(["params", "list", id, "rtl_alt"])
+    assert text =~ "RTL_ALT"
+    assert {text, 2} = aerie(["params", "set", id, "RTL_ALT", "high"])
+    assert text =~ "expected a number"
+    assert {text, 0} = aerie(["params", "set", id, "RTL_ALT", "2000", "--yes"])
+    assert text =~ "completed"
+    assert {text, 0} = aerie(["mission", "show", id])
+    assert text =~ "SEQ"
+    assert {text, 2} = aerie(["mission", "show", id, "route"])
+    assert text =~ "expected mission"
+    assert {_completed, 0} = aerie(["mission", "clear", id], "y\n")
+    assert {text, 0} = aerie(["record", "start", id])
+    assert text =~ "recording"
+    assert {_no_longer, 0} = aerie(["record", "stop", id])
+    assert {text, 0} = aerie(["record", "list"])
+    assert text =~ "FILE"
+    assert {text, 0} = aerie(["user", "add", "ann", "--role", "viewer"], "a long enough password\n")
+    assert text =~ "added ann"
+    assert {text, 0} = aerie(["user", "list"])
+    assert text =~ ~r/ann +viewer/
+    assert {"removed ann\n", 0} = aerie(["user", "remove", "ann"])
+    assert {"3\n", 0} = aerie(["rpc", "1 + 2"])
+    assert {text, 2} = aerie(["rpc", "raise \"no\""])
+    assert text =~ "no"
+
+    shell(id)
+  end
+
+  # The examples of the shell in docs/operating.md.
+  defp shell(id) do
+    for {call, expected} <- [
+          {&Shell.greet/0, "h Aerie.Shell"},
+          {&Shell.fleet/0, id},
+          {fn -> Shell.v(id) end, "position.lat"},
+          {&Shell.links/0, "link-1"},
+          {fn -> Shell.trace("link-1", 1) end, "HEARTBEAT"},
+          {fn -> Shell.trace("none") end, "there is no link none"},
+          {fn -> Shell.watch(id, :ATTITUDE, 1) end, "ATTITUDE"},
+          {fn -> Shell.cmd(id, :goto, lat: 47.39, lon: 8.54, altitude: 30) end, "not done"},
+          {fn -> IO.inspect(Shell.shadow(id)) end, "reported"},
+          {&Shell.top/0, "REDUCTIONS"},
+          {&Shell.sup/0, "RESTARTS"},
+          {fn -> Shell.drop("none") end, "there is no link none"},
+          {fn -> Shell.drop("link-1") end, "not done"}
+        ],
+        do: assert(capture_io([input: "n\n"], call) =~ expected)
+  end
+
+  # What needs no gateway.
+  defp here(words, folder) do
+    case Tool.call(words, folder) do
+      {:error, text} -> {text, 2}
+      {status, text} -> {IO.iodata_to_binary(text), status}
+    end
+  end
+
+  test "without a gateway it explains, examines and probes", %{tmp_dir: folder} do
+    assert {text, 3} = here(["status", "--dir", folder], "/")
+    assert text =~ "no gateway is running"
+    assert {".TH AERIE 1" <> _, 0} = here(["man"], "/")
+    assert {"aerie" <> _, 0} = here(["version"], "/")
+    assert {"# Completion of aerie" <> _, 0} = here(["completion"], "/")
+    assert {text, 2} = here(["stauts"], "/")
+    assert text =~ "did you mean status?"
+    assert {text, 2} = here(["replay", "none.tlog"], folder)
+    assert text =~ "none.tlog: no such file"
+
+    File.write!(Path.join(folder, "g.yaml"), "nats: {mode: off}\nhttp: {port: 0}\n")
+    assert {text, _status} = here(["doctor", "--config", "g.yaml"], folder)
+    for part <- ["configuration: ", "clock: ", "ModemManager: "], do: assert(text =~ part)
+
+    port = free_udp_port()
+    start_supervised!({SimVehicle, [link: "udpout:127.0.0.1:#{port}"] ++ fast_vehicle(:ardupilot)})
+    assert {text, 0} = here(["probe", "udpin:127.0.0.1:#{port}", "--seconds", "4"], folder)
+    assert text =~ "MAVLink: " and text =~ "HEARTBEAT"
+    assert {text, 2} = here(["probe", "nonsense:1"], folder)
+    assert text =~ "nonsense"
+  end
+
+  test "of several gateways one is chosen by its name" do
+    [one, _other] =
+      entries =
+      for n <- 1..2, do: %{name: "aerie-#{n}", port: n, pid: n, started: "now", http: nil, config: nil}
+
+    assert {:ok, ^one} = Gateway.choose([one], nil, "/dir")
+    assert {:ok, ^one} = Gateway.choose(entries, "aerie-1", "/dir")
+    assert {:error, text} = Gateway.choose(entries, nil, "/dir")
+    assert text =~ "several gateways are running" and text =~ "--gateway aerie-2"
+    assert {:error, "no gateway aerie-3 is running" <> _} = Gateway.choose(entries, "aerie-3", "/dir")
+  end
+end

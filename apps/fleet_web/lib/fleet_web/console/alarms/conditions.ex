@@ -38,7 +38,15 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   def link(%{status: status}) when status in [:up, :idle, :ended, :disabled], do: []
 
   def link(%{id: id, status: status} = link),
-    do: [condition(:link, id, :warning, "link is #{link[:text] || status}", nil)]
+    do: [
+      condition(
+        :link,
+        id,
+        :warning,
+        "link is #{status}" <> if(link[:text], do: ": #{link.text}", else: ""),
+        nil
+      )
+    ]
 
   @doc "Those of the diagnosis' conditions that are alarms: collisions of ids, overload, damaged frames, a hub that stores nothing."
   @spec diagnosed([Condition.t()]) :: [Alarms.condition()]

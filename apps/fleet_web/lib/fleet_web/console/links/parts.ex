@@ -114,7 +114,7 @@ defmodule FleetWeb.Console.Links.Parts do
       <.endpoint_table :if={@endpoints != []} endpoints={@endpoints} title="Queues and drops" />
       <section :if={@counters != []}>
         <h3>Counters since the start</h3>
-        <dl class="facts"><dt :for={{name, _n} <- @counters} class="mono">{name}</dt><dd :for={{_name, n} <- @counters}>{n}</dd></dl>
+        <dl class="facts"><div :for={{name, n} <- @counters}><dt class="mono">{name}</dt><dd>{n}</dd></div></dl>
       </section>
     </section>
     """

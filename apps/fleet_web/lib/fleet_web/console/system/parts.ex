@@ -42,8 +42,10 @@ defmodule FleetWeb.Console.System.Parts do
       <dl class="facts">
         <dt>Total</dt>
         <dd>{bytes(@facts.memory.total)}</dd>
-        <dt :for={name <- [:processes, :binary, :ets, :code, :atom]}>{name}</dt>
-        <dd :for={name <- [:processes, :binary, :ets, :code, :atom]}>{bytes(Map.fetch!(@facts.memory, name))}</dd>
+        <div :for={name <- [:processes, :binary, :ets, :code, :atom]}>
+          <dt>{name}</dt>
+          <dd>{bytes(Map.fetch!(@facts.memory, name))}</dd>
+        </div>
       </dl>
     </section>
     """
@@ -57,10 +59,10 @@ defmodule FleetWeb.Console.System.Parts do
     <section class="card">
       <h2>Limits</h2>
       <dl class="facts">
-        <dt :for={limit <- @facts.limits}>{limit.name}</dt>
-        <dd :for={limit <- @facts.limits}>
-          <.meter value={limit.used / limit.most} label={limit.name} text={"#{limit.used} of #{limit.most}"} kind={limit_kind(limit)} />
-        </dd>
+        <div :for={limit <- @facts.limits}>
+          <dt>{limit.name}</dt>
+          <dd><.meter value={limit.used / limit.most} label={limit.name} text={"#{limit.used} of #{limit.most}"} kind={limit_kind(limit)} /></dd>
+        </div>
       </dl>
     </section>
     """
@@ -108,8 +110,10 @@ defmodule FleetWeb.Console.System.Parts do
     <section class="card">
       <h2>Versions</h2>
       <dl class="facts">
-        <dt :for={{name, _version} <- @facts.versions}>{name}</dt>
-        <dd :for={{_name, version} <- @facts.versions}>{version}</dd>
+        <div :for={{name, version} <- @facts.versions}>
+          <dt>{name}</dt>
+          <dd>{version}</dd>
+        </div>
         <dt>System</dt>
         <dd>{@facts.os}</dd>
       </dl>

@@ -19,6 +19,8 @@ defmodule FleetWeb.Console.System.PageTest do
     for word <- ["Virtual machine", "Run queues", "processes", "binary", "Elixir", System.version(), "NATS"],
         do: assert(html =~ word)
 
+    # Each value stands behind its name.
+    for name <- ["processes", "ETS tables", "Cowboy"], do: assert(html =~ ~r{<dt>#{name}</dt>\s*<dd>})
     assert html =~ "The bridge is not running."
   end
 

@@ -59,7 +59,7 @@ defmodule Aerie.System.CommandTrialsTest do
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
     # A peer that stands still for a moment is none that has gone, although time passes faster for the vehicle.
-    patient = if firmware == :px4, do: %{"COM_OF_LOSS_T" => 20.0}, else: %{}
+    patient = if firmware == :px4, do: %{"COM_OF_LOSS_T" => 60.0}, else: %{}
     fast = Keyword.put(fast_vehicle(firmware, patient), :speed, speed)
     sim = start_supervised!({SimVehicle, [link: link] ++ fast})
     SimVehicle.await(sim, & &1.ready)

@@ -43,6 +43,8 @@ defmodule Aerie.System.ToolInsideTest do
     assert %{"vehicles" => [%{"vehicle" => id}]} = JSON.decode!(json)
     assert {text, 0} = aerie(["tail", id, "--count", "1"])
     assert text =~ "\n"
+    assert {json, 0} = aerie(["tail", id, "--count", "1", "--json"])
+    assert %{"group" => _name, "data" => %{}} = json |> String.split("\n") |> hd() |> JSON.decode!()
     assert {text, 2} = aerie(["tail", "nobody"])
     assert text =~ "known are #{id}"
 
@@ -88,6 +90,12 @@ defmodule Aerie.System.ToolInsideTest do
 
   # The examples of the shell in docs/operating.md.
   defp shell(id) do
+    # Its vehicles are beside the gateway, and stay when it ends.
+    on_exit(fn ->
+      Supervisor.terminate_child(Aerie.CLI.Supervisor, {:sim_shell, 1})
+      Supervisor.delete_child(Aerie.CLI.Supervisor, {:sim_shell, 1})
+    end)
+
     for {call, expected} <- [
           {&Shell.greet/0, "h Aerie.Shell"},
           {&Shell.fleet/0, id},
@@ -100,6 +108,8 @@ defmodule Aerie.System.ToolInsideTest do
           {fn -> IO.inspect(Shell.shadow(id)) end, "reported"},
           {&Shell.top/0, "REDUCTIONS"},
           {&Shell.sup/0, "RESTARTS"},
+          {fn -> Shell.sim(1) end, "1 vehicles fly"},
+          {fn -> Shell.v("nobody") end, "there is no vehicle nobody"},
           {fn -> Shell.drop("none") end, "there is no link none"},
           {fn -> Shell.drop("link-1") end, "not done"}
         ],
@@ -128,6 +138,19 @@ defmodule Aerie.System.ToolInsideTest do
     File.write!(Path.join(folder, "g.yaml"), "nats: {mode: off}\nhttp: {port: 0}\n")
     assert {text, _status} = here(["doctor", "--config", "g.yaml"], folder)
     for part <- ["configuration: ", "clock: ", "ModemManager: "], do: assert(text =~ part)
+
+    # NATS that does not answer, and one that does; a configuration that is none.
+    {:ok, nats} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(nats)
+    File.write!(Path.join(folder, "u.yaml"), "nats: {url: \"nats://127.0.0.1:#{port}\"}\nhttp: {port: 0}\n")
+    assert {text, _status} = here(["doctor", "--config", "u.yaml"], folder)
+    assert text =~ "ok       NATS: nats://127.0.0.1:#{port} answers"
+    :gen_tcp.close(nats)
+    assert {text, _status} = here(["doctor", "--config", "u.yaml"], folder)
+    assert text =~ "events wait on the disk"
+    File.write!(Path.join(folder, "w.yaml"), "http: {port: many}\n")
+    assert {text, 1} = here(["doctor", "--config", "w.yaml"], folder)
+    assert text =~ "error    configuration: " and text =~ "http.port"
 
     port = free_udp_port()
     start_supervised!({SimVehicle, [link: "udpout:127.0.0.1:#{port}"] ++ fast_vehicle(:ardupilot)})

@@ -129,7 +129,8 @@ defmodule Phoenix.LiveView.CowboyTest do
       ])
 
       assert ["2", "2", _, "phx_reply", %{"status" => "ok"}] = Wire.recv(view.socket)
-      assert_receive {:DOWN, ^monitor, :process, _, {:shutdown, :left}}
+      assert_receive {:DOWN, ^monitor, :process, _, reason}
+      assert reason == {:shutdown, :left}
       assert [_one] = views(site)
     end
 

@@ -17,7 +17,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   @restart 1012
 
   # How long a view that is being left may take to finish.
-  @leave_ms 1_000
+  @leave_ms 5_000
 
   @impl :cowboy_websocket
   def init(request, server) do

@@ -241,8 +241,8 @@ defmodule SimVehicle.Px4 do
   defp setpoint_heard(v) do
     setpoints =
       case Vehicle.own(v, :setpoints) do
-        %{last: last} = stream when v.now - last < 500_000 -> %{stream | last: v.now}
-        _none_or_stale -> %{first: v.now, last: v.now}
+        nil -> %{first: v.now, last: v.now}
+        stream -> if Modes.steady?(v, stream), do: %{stream | last: v.now}, else: %{first: v.now, last: v.now}
       end
 
     Vehicle.put_own(v, :setpoints, setpoints)

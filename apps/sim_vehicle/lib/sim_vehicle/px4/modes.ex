@@ -92,10 +92,14 @@ defmodule SimVehicle.Px4.Modes do
   @spec setpoints?(Vehicle.t()) :: boolean
   def setpoints?(v) do
     case Vehicle.own(v, :setpoints) do
-      %{first: first, last: last} -> v.now - last < 500_000 and last - first >= 800_000
+      %{first: first, last: last} = stream -> steady?(v, stream) and last - first >= 800_000
       nil -> false
     end
   end
+
+  @doc "True when the last set-point of a stream is recent: half of COM_OF_LOSS_T, at its default two in a second (X7)."
+  @spec steady?(Vehicle.t(), %{last: integer}) :: boolean
+  def steady?(v, %{last: last}), do: v.now - last < Params.get(v.params, "COM_OF_LOSS_T") * 500_000
 
   @doc "Changes the mode without checks."
   @spec enter(Vehicle.t(), String.t()) :: Vehicle.t()

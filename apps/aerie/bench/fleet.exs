@@ -6,8 +6,8 @@
 # The gateway is one OS process with its nats-server beside it, the load a C program (bench/support/hub_load.c), and this program the
 # NATS client that looks on; all on the same cores. Columns of vehicles: frames other than heartbeats that were sent, lost, and of the lost
 # those that were counted; CPU of the gateway and of nats-server in per cent of one core; memory of the VM per vehicle without code, above that of
-# the same gateway without vehicles; from before the frame's `send` (its clock, in whole ms) until its vehicle's state shows it in the store, and until
-# a NATS client has a state message made of it, of ten vehicles; state messages that were replaced by newer ones before they were sent.
+# the same gateway without vehicles; from before a frame's `send` (its clock, in whole ms) until its vehicle's state shows it in the store, and from
+# before a heartbeat's until a NATS client has the mode that it brought, of ten vehicles; state messages that were replaced by newer ones before they were sent.
 #
 # Columns of remote vehicles: state messages that were published, taken, dropped; CPU of the hub; memory per vehicle; how old a value is when the
 # hub shows it. FILE gets the rows as JSON, for bench/support/plot_fleet.py.
@@ -20,6 +20,8 @@ defmodule FleetBench do
 
   # Systems of one network: an id is a byte, and a few are taken.
   @of_network 240
+  # As in bench/support/fleet_node.exs.
+  @watched 10
 
   def main(argv) do
     options =
@@ -94,8 +96,8 @@ defmodule FleetBench do
       cpu = OSProcess.cpus(node)
       sent = load(context, port, vehicles, links, context.seconds)
       cpu = shares(cpu, OSProcess.cpus(node), context.seconds)
-      after_ = report(node)
       ages = ages(looker)
+      after_ = report(node)
 
       row = %{
         vehicles: vehicles,
@@ -121,21 +123,18 @@ defmodule FleetBench do
   end
 
   defp load(context, port, vehicles, links, seconds) do
-    args = Enum.map([port, vehicles, links, context.rate, seconds, 0], &to_string/1)
+    args = Enum.map([port, vehicles, links, context.rate, seconds, 0, @watched], &to_string/1)
     {text, 0} = System.cmd(context.load, args)
     JSON.decode!(text)["sent"]
   end
 
-  # A client that has the state of some vehicles, and how old the last frame in it was when it came.
+  # A client that has the modes of some vehicles, and how old the heartbeat was when its mode came.
   defp look(conn, ids) do
     test = self()
 
     pid =
       spawn_link(fn ->
-        # Groups whose messages carry the vehicle's clock.
-        for id <- ids,
-            group <- ~w(position attitude),
-            do: {:ok, _sid} = Gnat.sub(conn, self(), "fleet.*.#{id}.state.#{group}")
+        for id <- ids, do: {:ok, _sid} = Gnat.sub(conn, self(), "fleet.*.#{id}.state.mode")
 
         send(test, {self(), :looking})
         looking([])
@@ -149,10 +148,8 @@ defmodule FleetBench do
       {:msg, %{body: body}} ->
         now = div(:os.perf_counter(:microsecond), 1000)
 
-        case JSON.decode!(body) do
-          %{"time_boot_ms" => boot} when is_integer(boot) -> looking([now - boot | ages])
-          _no_clock -> looking(ages)
-        end
+        %{"data" => %{"custom_mode" => sent}} = JSON.decode!(body)
+        looking([now - sent | ages])
 
       {:ages, whom} ->
         send(whom, {:ages, ages})

@@ -28,7 +28,13 @@ static int frame(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, u
   return 12 + n;
 }
 
-static int heartbeat(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, uint8_t type, uint8_t autopilot) {
+static int heartbeat_in(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, uint8_t type, uint8_t autopilot,
+                        uint32_t mode) {
   uint8_t payload[9] = {0, 0, 0, 0, type, autopilot, 0, 4, 3};
+  memcpy(payload, &mode, 4);
   return frame(out, seq, system, component, 0, payload, 9, 50);
+}
+
+static int heartbeat(uint8_t *out, uint8_t seq, uint8_t system, uint8_t component, uint8_t type, uint8_t autopilot) {
+  return heartbeat_in(out, seq, system, component, type, autopilot, 0);
 }

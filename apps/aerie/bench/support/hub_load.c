@@ -1,11 +1,12 @@
 /* Vehicles for bench/hub.exs, each from a socket of its own, and made-up senders beside them.
  *
- *     hub_load PORT VEHICLES LINKS RATE SECONDS FAKES
+ *     hub_load PORT VEHICLES LINKS RATE SECONDS FAKES [WATCHED]
  *
  * Vehicle i (system i / LINKS + 1) says RATE frames a second to 127.0.0.1:(PORT + i % LINKS), evenly spaced: a heartbeat a
  * second, else ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD and SYS_STATUS in turn. time_boot_ms is CLOCK_MONOTONIC, so that
  * whoever shows the state knows how old it is. FAKES heartbeats a second come from ever new addresses (127.x.y.z) and ports,
- * each one of another system, autopilots and ground stations in turn.
+ * each one of another system, autopilots and ground stations in turn. The first WATCHED vehicles of each link change their mode with each
+ * heartbeat: custom_mode is that clock, too.
  *
  * Prints how many frames other than heartbeats were sent, and how long it took.
  */
@@ -21,7 +22,7 @@
 
 #define MAX_VEHICLES 2000
 
-static int vehicles, links, port, fakes, fd[MAX_VEHICLES];
+static int vehicles, links, port, fakes, watched, fd[MAX_VEHICLES];
 static uint8_t seq[MAX_VEHICLES];
 static volatile int done;
 
@@ -77,6 +78,7 @@ static void *make_up(void *unused) {
 int main(int count, char **words) {
   if (count < 7) return 2;
   port = atoi(words[1]), vehicles = atoi(words[2]), links = atoi(words[3]), fakes = atoi(words[6]);
+  watched = count > 7 ? atoi(words[7]) : 0;
   double rate = atof(words[4]), seconds = atof(words[5]);
   if (vehicles > MAX_VEHICLES) return 2;
 
@@ -97,7 +99,8 @@ int main(int count, char **words) {
     for (int i = 0; i < vehicles; i++) {
       wait_until(start + (k + (double)i / vehicles) * 1e9 / rate);
       int beat = (k + i) % (rate < 1 ? 1 : (uint64_t)rate) == 0;
-      int n = beat ? heartbeat(bytes, seq[i]++, i / links + 1, 1, 2, 3) : vehicle_frame(bytes, i, k);
+      uint32_t mode = i / links < watched ? now_ns() / 1000000 : 0;
+      int n = beat ? heartbeat_in(bytes, seq[i]++, i / links + 1, 1, 2, 3, mode) : vehicle_frame(bytes, i, k);
       if (send(fd[i], bytes, n, 0) == n && !beat) sent++;
     }
 

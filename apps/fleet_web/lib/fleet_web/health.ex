@@ -45,7 +45,7 @@ defmodule FleetWeb.Health do
        audit: %{problem: Aerie.Policy.Audit.failing(gateway)},
        links: links,
        problems: overloaded,
-       vehicles: length(Store.vehicles(gateway))
+       vehicles: Store.vehicle_count(gateway)
      }}
   end
 

@@ -62,6 +62,10 @@ defmodule Aerie.Store do
     for {_key, _id, snapshot} <- Enum.sort(rows), do: snapshot
   end
 
+  @doc "How many vehicles there are, lost ones among them."
+  @spec vehicle_count(Names.gateway()) :: non_neg_integer()
+  def vehicle_count(gateway), do: with_table(gateway, :vehicles, 0, &:ets.info(&1, :size))
+
   @doc "One vehicle's snapshot by its public id or by its key; nil when it was never heard."
   @spec vehicle(Names.gateway(), String.t() | vehicle_key()) :: snapshot() | nil
   def vehicle(gateway, {_network, _system} = key) do

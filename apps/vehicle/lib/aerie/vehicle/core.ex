@@ -12,6 +12,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
     * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
+    * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
     * `{:operator, fields}` - who is in charge of the vehicle changed: fields of the group `operator`
@@ -68,6 +69,7 @@ defmodule Aerie.Vehicle.Core do
     :observed_at,
     :heard_again_at,
     :modes_asked,
+    :show_us,
     status: :online,
     version: 2,
     heartbeat_version: 1,
@@ -98,6 +100,7 @@ defmodule Aerie.Vehicle.Core do
 
   - `expired_at`, `shown_at`, `viewed_at`, `observed_at`, `heartbeat_at`: when deadlines were last handled, the snapshot was
     last written, its slow part was renewed, the detector was last given something, our heartbeat was last due
+  - `show_us`: how long a snapshot stands before the next one is written
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
   - `confirm_status`: the detector is told the status again, after a crash
@@ -113,6 +116,7 @@ defmodule Aerie.Vehicle.Core do
           | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
           | {:stations, [Aerie.Router.Stations.station()]}
+          | {:vehicles, non_neg_integer()}
           | {:demand, Aerie.Fleet.StreamDemand.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}
           | {:operator, map()}
@@ -140,6 +144,7 @@ defmodule Aerie.Vehicle.Core do
     %__MODULE__{
       options: options,
       samplers: Sampling.new(options.sampling),
+      show_us: Effects.show_us(:many),
       streams: Arbiter.new(options.wants),
       timesync: Timesync.new(options.timesync_us)
     }
@@ -174,6 +179,8 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:stations, stations}),
     do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}
+
+  def handle(core, {:vehicles, n}), do: {%{core | show_us: Effects.show_us(n)}, []}
 
   def handle(core, {:demand, demand, forwarded}),
     do: {%{core | streams: Arbiter.demand(core.streams, demand, forwarded)}, []}

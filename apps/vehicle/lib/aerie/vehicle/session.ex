@@ -36,10 +36,12 @@ defmodule Aerie.Vehicle.Session do
     snapshot = Store.vehicle(gateway, options.key)
     schedule_tick()
 
+    {core, []} = options |> Vehicle.Core.new(snapshot) |> count_vehicles(gateway)
+
     state = %{
       gateway: gateway,
       options: options,
-      core: Vehicle.Core.new(options, snapshot),
+      core: core,
       clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
@@ -158,9 +160,13 @@ defmodule Aerie.Vehicle.Session do
   defp look_around(state, _now) do
     stations = Stations.list(state.gateway, state.options.network)
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
+    {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}
     if Fleet.StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
   end
+
+  defp count_vehicles(core, gateway),
+    do: Vehicle.Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
 
   defp demand(state, forwarded) do
     merged = Fleet.StreamDemand.merged(state.gateway, state.options.key)

@@ -447,10 +447,12 @@ defmodule Aerie.Vehicle.CoreTest do
     end
   end
 
-  test "a change of mode is shown at once, other changes at most every 50 ms" do
+  test "a change of mode is shown at once; the more vehicles there are, the less often other changes are" do
     shown = fn run -> length(for {:snapshot, _} <- run.actions, do: 1) end
     attitudes = for n <- 1..100, do: frame(%M.Attitude{time_boot_ms: 1000 + n}, 10 * @second + n * 1000)
-    run = start() |> beat(10) |> frames(attitudes)
+    assert start() |> beat(10) |> step({:vehicles, 1}) |> frames(attitudes) |> shown.() == 101
+    assert shown.(start() |> beat(10) |> step({:vehicles, 30}) |> frames(attitudes)) in 10..13
+    run = start() |> beat(10) |> step({:vehicles, 1000}) |> frames(attitudes)
     assert shown.(run) <= 4
     before = shown.(run)
     run = frames(run, [frame(%{@copter | custom_mode: 6}, 10 * @second + 100_500)])

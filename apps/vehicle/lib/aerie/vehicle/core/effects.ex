@@ -28,7 +28,8 @@ defmodule Aerie.Vehicle.Core.Effects do
             )
   # How long a vehicle that was silent may take to show its clock.
   @restarted_us 5_000_000
-  # The store is written at most twenty times a second.
+  # Of all vehicles together the store is written some three thousand times a second, but of each at least twenty times.
+  @show_each_us 300
   @show_us 50_000
 
   @type acc :: {Core.t(), [Core.action()]}
@@ -127,10 +128,15 @@ defmodule Aerie.Vehicle.Core.Effects do
     )
   end
 
+  @doc "How long a snapshot stands before the next one is written, if the gateway has so many vehicles (us)."
+  @spec show_us(non_neg_integer() | :many) :: non_neg_integer()
+  def show_us(:many), do: @show_us
+  def show_us(vehicles), do: min(vehicles * @show_each_us, @show_us)
+
   @doc "Writes the snapshot, if something changed and the last one is old enough."
   @spec show(acc(), integer()) :: acc()
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
-    if core.shown_at == nil or now - core.shown_at >= @show_us do
+    if core.shown_at == nil or now - core.shown_at >= core.show_us do
       core = Services.view(core, now)
       {%{core | shown_at: now, dirty: false}, [{:snapshot, Core.snapshot(core, core.view)} | actions]}
     else

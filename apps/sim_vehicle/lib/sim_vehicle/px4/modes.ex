@@ -98,7 +98,7 @@ defmodule SimVehicle.Px4.Modes do
   end
 
   @doc "True when the last set-point of a stream is recent: half of COM_OF_LOSS_T, at its default two in a second (X7)."
-  @spec steady?(Vehicle.t(), %{last: integer}) :: boolean
+  @spec steady?(Vehicle.t(), %{first: integer, last: integer}) :: boolean
   def steady?(v, %{last: last}), do: v.now - last < Params.get(v.params, "COM_OF_LOSS_T") * 500_000
 
   @doc "Changes the mode without checks."

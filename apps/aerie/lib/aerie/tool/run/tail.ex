@@ -86,7 +86,7 @@ defmodule Aerie.Tool.Run.Tail do
   end
 
   defp text(value) when is_binary(value) or is_atom(value) or is_number(value), do: value
-  defp text(value), do: inspect(value, limit: 20)
+  defp text(value), do: inspect(value, limit: 20, width: :infinity)
 
   # Standard output is aerie's own; when it is closed, this process ends, too.
   defp put(line), do: IO.puts(line)

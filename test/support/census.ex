@@ -5,6 +5,7 @@ defmodule Aerie.Census do
 
   @typedoc """
   - `memory`, `ets`, `binary`: bytes after a garbage collection of all processes; `rss`: the BEAM's resident memory
+  - `kinds`: number of processes by label or initial call
   - `tables`: number of rows of ETS tables by name, summed over tables with the same name
   - `files`: file descriptors of this VM; `programs`: operating system processes that it started
   """
@@ -27,6 +28,7 @@ defmodule Aerie.Census do
       files: length(File.ls!("/proc/self/fd")),
       programs: length(Aerie.Programs.running()),
       tables: tables(),
+      kinds: kinds(),
       waiting: waiting()
     }
   end
@@ -48,9 +50,16 @@ defmodule Aerie.Census do
     :ok
   end
 
-  @doc "The number of processes by label or initial call, to find out which ones are too many."
-  @spec who() :: %{term() => pos_integer()}
-  def who do
+  @doc "Which kinds of processes a later census has more of, or fewer: `{kind, before, after}`."
+  @spec changed(t(), t()) :: [{term(), non_neg_integer(), non_neg_integer()}]
+  def changed(first, last) do
+    for kind <- Map.keys(Map.merge(first.kinds, last.kinds)),
+        {before, now} = {Map.get(first.kinds, kind, 0), Map.get(last.kinds, kind, 0)},
+        before != now,
+        do: {kind, before, now}
+  end
+
+  defp kinds do
     Enum.frequencies_by(Process.list(), fn pid ->
       case Process.info(pid, [:label, :dictionary, :initial_call]) do
         [label: {kind, _id}, dictionary: _, initial_call: _] -> kind

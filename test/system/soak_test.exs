@@ -51,6 +51,8 @@ defmodule Aerie.System.SoakTest do
             "links" => "always",
             "vehicles" => "always",
             "max_file_mb" => 4,
+            # Batteries get low within the hour, and each such event saves a ring, which is a process and a file for as long.
+            "after_s" => 5,
             "max_mb" => 20
           }
         }
@@ -139,7 +141,7 @@ defmodule Aerie.System.SoakTest do
 
     for what <- [:processes, :ports, :files, :programs] do
       assert Map.fetch!(last, what) <= Map.fetch!(first, what),
-             "#{what}: #{Map.fetch!(first, what)} at first, #{Map.fetch!(last, what)} at the end; #{inspect(Census.who())}"
+             "#{what}: #{Map.fetch!(first, what)} at first, #{Map.fetch!(last, what)} at the end; more or fewer: #{inspect(Census.changed(first, last), limit: :infinity)}"
     end
 
     # The vehicles are in flight, so what they hold varies a little.

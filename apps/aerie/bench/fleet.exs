@@ -6,7 +6,7 @@
 # The gateway is one OS process with its nats-server beside it, the load a C program (bench/support/hub_load.c), and this program the
 # NATS client that looks on; all on the same cores. Columns of vehicles: frames other than heartbeats that were sent, lost, and of the lost
 # those that were counted; CPU of the gateway and of nats-server in per cent of one core; memory of the VM per vehicle without code, above that of
-# the same gateway without vehicles; from before a frame's `send` (its clock, in whole ms) until its vehicle's state shows it in the store, and from
+# the same gateway without vehicles, and besides of the recorder's ring, which is bounded by time and bytes; from before a frame's `send` (its clock, in whole ms) until its vehicle's state shows it in the store, and from
 # before a heartbeat's until a NATS client has the mode that it brought, of ten vehicles; state messages that were replaced by newer ones before they were sent.
 #
 # Columns of remote vehicles: state messages that were published, taken, dropped; CPU of the hub; memory per vehicle; how old a value is when the
@@ -48,7 +48,7 @@ defmodule FleetBench do
           "counted",
           "CPU gateway",
           "CPU NATS",
-          "kB/vehicle",
+          "kB/vehicle + ring",
           "store p50/p99/max ms"
         ] ++
           ["NATS p50/p99/max ms", "superseded"]
@@ -106,7 +106,8 @@ defmodule FleetBench do
         counted: after_["dropped"],
         cpu: cpu.gateway,
         cpu_nats: cpu.nats,
-        kb: round((after_["memory"] - none["memory"]) / vehicles / 1000),
+        kb: each(vehicles, none, after_, "memory") - each(vehicles, none, after_, "ring"),
+        kb_ring: each(vehicles, none, after_, "ring"),
         store: after_["store"],
         nats: ages,
         superseded: after_["superseded"],
@@ -114,13 +115,23 @@ defmodule FleetBench do
       }
 
       print(
-        [vehicles, sent, row.lost, row.counted, "#{row.cpu} %", "#{row.cpu_nats} %", row.kb] ++
+        [
+          vehicles,
+          sent,
+          row.lost,
+          row.counted,
+          "#{row.cpu} %",
+          "#{row.cpu_nats} %",
+          "#{row.kb} + #{row.kb_ring}"
+        ] ++
           [three(row.store), three(row.nats), row.superseded]
       )
 
       row
     end)
   end
+
+  defp each(vehicles, none, after_, what), do: round((after_[what] - none[what]) / vehicles / 1000)
 
   defp load(context, port, vehicles, links, seconds) do
     args = Enum.map([port, vehicles, links, context.rate, seconds, 0, @watched], &to_string/1)
@@ -181,7 +192,7 @@ defmodule FleetBench do
         dropped: after_["remote_dropped"],
         cpu: cpu.gateway,
         cpu_nats: cpu.nats,
-        kb: round((after_["memory"] - none["memory"]) / vehicles / 1000),
+        kb: each(vehicles, none, after_, "memory"),
         shown: after_["shown"]
       }
 

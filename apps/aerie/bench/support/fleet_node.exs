@@ -60,6 +60,7 @@ defmodule FleetNode do
           store: ages(watchers.store),
           shown: ages(watchers.shown),
           memory: memory(),
+          ring: ring(),
           watched: for(n <- 1..@watched, %{id: id} <- [Store.vehicle(@gateway, {"n0", n})], do: id),
           heard: Enum.count(Store.vehicles(@gateway), &(&1.status == :online))
         })
@@ -77,6 +78,12 @@ defmodule FleetNode do
   defp memory do
     Enum.each(Process.list(), &:erlang.garbage_collect/1)
     :erlang.memory(:total) - :erlang.memory(:code)
+  end
+
+  # What the recorder keeps of the last minutes of each vehicle.
+  defp ring do
+    %{ring: ring} = Aerie.Recorder.Tables.of(@gateway)
+    :ets.info(ring, :memory) * :erlang.system_info(:wordsize)
   end
 
   defp ages(nil), do: nil

@@ -9,7 +9,7 @@ from pymavlink_gcs import Gcs, say
 
 
 def upload(g, items):
-    for _ in range(5):
+    for _ in range(30):
         g.m.mav.mission_count_send(g.system, 1, len(items), 0)
         answer = g.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], for_us(g), timeout=1.5, wanted=False)
         if answer is not None:

@@ -45,10 +45,17 @@ defmodule Aerie.System.ReplayTest do
       events = events ++ waiting()
 
       [link_file, vehicle_file] = files
-      assert_same(events, link_file, [])
+      assert_same(events, link_file, unheard(gateway))
       # Broadcasts are in no vehicle's recording, so it does not show whether a ground station is there.
       assert_same(events, vehicle_file, ["gcs.lost", "gcs.restored"])
     end
+  end
+
+  # What comes before the vehicle has its processes is in the link's recording, and reaches nobody: on a busy machine some texts of
+  # its start. It is counted.
+  defp unheard(gateway) do
+    %{unclaimed: unclaimed, overload: overload} = Aerie.Store.link(gateway, "link-1").counters
+    if unclaimed + overload > 0, do: ["statustext"], else: []
   end
 
   defp assert_same(events, file, without) do

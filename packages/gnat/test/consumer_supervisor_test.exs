@@ -53,7 +53,7 @@ defmodule Gnat.ConsumerSupervisorTest do
   # The subscription is made after the start; until then a request has no responder.
   defp ask(gnat, topic, body) do
     eventually(fn ->
-      case Gnat.request(gnat, topic, body, receive_timeout: 2_000) do
+      case Gnat.request(gnat, topic, body, receive_timeout: 60_000) do
         {:ok, %{body: answer}} -> answer
         {:error, :no_responders} -> nil
       end

@@ -309,8 +309,10 @@ defmodule GnatTest do
       {:ok, _} = Gnat.sub(gnat, second, topic)
       assert {:ok, [%{body: "a"}, %{body: "a"}]} = Gnat.request_multi(gnat, topic, "a", max_messages: 2)
       assert {:ok, [%{body: "a"}]} = Gnat.request_multi(gnat, topic, "a", max_messages: 1)
-      assert {:ok, [_, _]} = Gnat.request_multi(gnat, topic, "a", receive_timeout: 200)
-      assert {:ok, [_, _]} = Gnat.request_multi(gnat, topic, "a", receive_timeout: 200, headers: [{"a", "b"}])
+      assert {:ok, [_, _]} = Gnat.request_multi(gnat, topic, "a", receive_timeout: 1_000)
+
+      assert {:ok, [_, _]} =
+               Gnat.request_multi(gnat, topic, "a", receive_timeout: 1_000, headers: [{"a", "b"}])
     end
 
     test "of a process that dies are forgotten", %{gnat: gnat} do

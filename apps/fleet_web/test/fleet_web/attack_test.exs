@@ -251,7 +251,7 @@ defmodule FleetWeb.AttackTest do
         socket
       end
 
-    for _two <- 1..2, do: assert_receive({:tcp, _socket, "HTTP/1.1 200" <> _}, 15_000)
+    for _two <- 1..2, do: assert_receive({:tcp, _socket, "HTTP/1.1 200" <> _})
     connections = length(:ranch.procs(FleetWeb.Listener.ref(gateway), :connections))
     # Ranch's acceptors notice the limit when they have one more connection in hand each.
     assert connections <= 2 + 4

@@ -48,7 +48,7 @@ defmodule Aerie.Signing.WakeTest do
 
   # What comes is signed with the key; the clock goes on by it (S5).
   defp hears(%{socket: socket} = vehicle) do
-    assert_receive {:udp, ^socket, _ip, _port, bytes}, 5_000
+    assert_receive {:udp, ^socket, _ip, _port, bytes}
     {frames, _} = MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes)
 
     {ids, signer} =

@@ -181,7 +181,7 @@ defmodule Phoenix.LiveView.CowboyTest do
       send(pid, {:report, self()})
       assert ["1", "3", _, "phx_reply", _] = click(view, "3", "up")
       Wire.push(view.socket, ["1", "4", view.topic, "event", %{type: "click", event: "cut", value: %{}}])
-      assert_receive {:terminated, {:shutdown, :closed}}, 5_000
+      assert_receive {:terminated, {:shutdown, :closed}}
       assert last(view.socket) == :closed
     end
 
@@ -414,7 +414,7 @@ defmodule Phoenix.LiveView.CowboyTest do
       # As if four messages were not written yet: events gather.
       :sys.replace_state(pid, &%{&1 | unwritten: 4})
       for i <- 1..1_001, do: send(pid, {:hook, i})
-      assert_receive {:DOWN, ^monitor, :process, _, {:shutdown, :slow}}, 5_000
+      assert_receive {:DOWN, ^monitor, :process, _, {:shutdown, :slow}}
       :erlang.resume_process(transport)
       assert ["1", "1", _, "phx_error", %{}] = Wire.recv(socket)
     end

@@ -131,7 +131,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "How long a snapshot stands before the next one is written, if the gateway has so many vehicles (us)."
   @spec show_us(non_neg_integer() | :many) :: non_neg_integer()
   def show_us(:many), do: @show_us
-  def show_us(vehicles), do: min(vehicles * @show_each_us, @show_us)
+  def show_us(vehicles) when is_integer(vehicles), do: min(vehicles * @show_each_us, @show_us)
 
   @doc "Writes the snapshot, if something changed and the last one is old enough."
   @spec show(acc(), integer()) :: acc()

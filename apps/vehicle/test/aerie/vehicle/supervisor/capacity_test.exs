@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.Supervisor.CapacityTest do
       Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, frames)
     end
 
-    defp await_lost(id), do: assert_receive({:fleet, :events, %{type: "link.lost", vehicle: ^id}}, 5000)
+    defp await_lost(id), do: assert_receive({:fleet, :events, %{type: "link.lost", vehicle: ^id}})
 
     defp names(gateway), do: gateway |> Store.vehicles() |> Enum.map(& &1.id)
 

@@ -58,9 +58,34 @@ defmodule Aerie.BridgeCase do
 
     if options[:epoch], do: Fleet.Journal.epoch(gateway, options[:epoch])
     ExUnit.Callbacks.start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
-    :ok = PubSub.subscribe(gateway, :bridge)
+    tell_news(gateway)
     start_bridge_again(gateway, config)
     gateway
+  end
+
+  # A test has several gateways, so each piece of news says whose it is.
+  defp tell_news(gateway) do
+    test = self()
+
+    ExUnit.Callbacks.start_supervised!(
+      {Task,
+       fn ->
+         :ok = PubSub.subscribe(gateway, :bridge)
+         send(test, {:listening, gateway})
+         pass_on(test, gateway)
+       end},
+      id: {:news, gateway}
+    )
+
+    receive do: ({:listening, ^gateway} -> :ok)
+  end
+
+  defp pass_on(test, gateway) do
+    receive do
+      {:fleet, :bridge, {part, info}} -> send(test, {:news, gateway, part, info})
+    end
+
+    pass_on(test, gateway)
   end
 
   @doc "Starts the bridge of a gateway whose store is there already."
@@ -78,21 +103,25 @@ defmodule Aerie.BridgeCase do
     forget_news()
   end
 
-  @doc "Waits for news of a part of the bridge that `fun` accepts."
+  @doc """
+  Waits until a part of the bridge is as `fun` wants it, or was since the last `forget_news/0`. What changes a part in a test forgets
+  the news from before, as `kill9/1` does.
+  """
   @spec await(reference(), atom(), (map() -> as_boolean(term())), timeout()) :: map()
   def await(gateway, part, fun, timeout \\ Aerie.Patience.ms()) do
     deadline = System.monotonic_time(:millisecond) + timeout
     info = gateway |> Bridge.Tables.get() |> info(part)
-    if info && fun.(info), do: info, else: await_news(part, fun, deadline)
+    if info && fun.(info), do: info, else: await_news(gateway, part, fun, deadline)
   end
 
   # The tables are gone while the bridge restarts.
   defp info(nil, _part), do: nil
   defp info(tables, part), do: Bridge.Tables.info(tables, part)
 
-  defp await_news(part, fun, deadline) do
+  defp await_news(gateway, part, fun, deadline) do
     receive do
-      {:fleet, :bridge, {^part, info}} -> if fun.(info), do: info, else: await_news(part, fun, deadline)
+      {:news, ^gateway, ^part, info} ->
+        if fun.(info), do: info, else: await_news(gateway, part, fun, deadline)
     after
       max(deadline - System.monotonic_time(:millisecond), 0) ->
         ExUnit.Assertions.flunk("no such news of #{part}")
@@ -222,9 +251,11 @@ defmodule Aerie.BridgeCase do
     end
   end
 
-  defp forget_news do
+  @doc "What was told so far does not count."
+  @spec forget_news() :: :ok
+  def forget_news do
     receive do
-      {:fleet, :bridge, _news} -> forget_news()
+      {:news, _gateway, _part, _info} -> forget_news()
     after
       0 -> :ok
     end

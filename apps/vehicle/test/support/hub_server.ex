@@ -139,6 +139,7 @@ defmodule Aerie.HubServer do
 
   @doc "Sends a signal: STOP and CONT freeze and thaw it, HUP reloads its configuration."
   def signal(hub, name, host \\ "127.0.0.1") do
+    BridgeCase.forget_news()
     {_, 0} = System.cmd("kill", ["-#{name}", pid(hub, host)])
     :ok
   end

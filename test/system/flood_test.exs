@@ -18,6 +18,8 @@ defmodule Aerie.System.FloodTest do
     send.(heartbeat(81))
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
 
+    begun = System.monotonic_time(:second)
+
     # As fast as possible; in between it is armed and disarmed, and reports an emergency.
     for n <- 1..@texts do
       send.(%M.Statustext{severity: 6, text: "flood #{n}"})
@@ -33,17 +35,15 @@ defmodule Aerie.System.FloodTest do
         fn ->
           events = stream_events(conn)
           dropped = Store.counter(gateway, {:journal, :inbox_dropped})
-
-          texts =
-            Enum.count(events, &match?(%{"type" => "statustext", "data" => %{"text" => "flood" <> _}}, &1))
-
-          texts + told(events) + dropped == @texts and events
+          texts(events) + told(events) + dropped == @texts and events
         end,
         "all texts are accounted for"
       )
 
     assert told(events) == Store.counter(gateway, {:vehicle, id, :events_suppressed})
-    assert told(events) > @texts / 2
+    # The budget of `Aerie.Vehicle.Detector.Budget`, whatever time this machine took.
+    assert told(events) > 0
+    assert texts(events) <= 60 + 2 * (System.monotonic_time(:second) - begun + 1)
     types = Enum.frequencies_by(events, & &1["type"])
     assert %{"armed" => 15, "disarmed" => 15} = types
     assert for(%{"data" => %{"text" => "help " <> n}} <- events, do: n) == for(n <- 1..9, do: "#{n}000")
@@ -51,6 +51,9 @@ defmodule Aerie.System.FloodTest do
     seqs = for %{"vehicle" => ^id, "seq" => seq} <- events, do: seq
     assert seqs == Enum.to_list(1..length(seqs))
   end
+
+  defp texts(events),
+    do: Enum.count(events, &match?(%{"type" => "statustext", "data" => %{"text" => "flood" <> _}}, &1))
 
   defp told(events),
     do: Enum.sum(for %{"type" => "events.suppressed", "data" => %{"count" => n}} <- events, do: n)

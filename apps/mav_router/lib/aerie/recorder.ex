@@ -238,8 +238,7 @@ defmodule Aerie.Recorder do
       %{
         dir: Tables.settings(tables).dir,
         recordings: Status.all(tables),
-        rings:
-          for({key, _n, _bytes} <- :ets.tab2list(tables.rings), into: %{}, do: {key, Ring.size(tables, key)}),
+        rings: Ring.sizes(tables),
         space: :ets.lookup_element(tables.settings, :space, 2, nil)
       }
     end

@@ -11,8 +11,8 @@ defmodule Aerie.UnixSocket do
   # sun_path of Linux, without its final NUL.
   @longest 107
 
-  @typedoc "What tells our file from another one that came to stand in its place."
-  @type identity :: {device :: integer(), inode :: integer()}
+  @typedoc "What tells our socket from another one that came to stand in its place. A file system gives an inode again at once."
+  @type identity :: {device :: integer(), inode :: integer(), made :: integer()}
 
   @doc """
   Where the sockets are when nobody says: `$XDG_RUNTIME_DIR/aerie`, else `/run/aerie` where that can be written (root, or
@@ -126,9 +126,15 @@ defmodule Aerie.UnixSocket do
   end
 
   defp identity(path) do
-    case File.lstat(path) do
-      {:ok, %File.Stat{major_device: device, inode: inode}} -> {:ok, {device, inode}}
-      {:error, reason} -> said({:error, reason}, path)
+    case File.lstat(path, time: :posix) do
+      {:ok, %File.Stat{type: :other, major_device: device, inode: inode, mtime: made}} ->
+        {:ok, {device, inode, made}}
+
+      {:ok, _file} ->
+        {:error, "#{path} is not a socket"}
+
+      {:error, reason} ->
+        said({:error, reason}, path)
     end
   end
 

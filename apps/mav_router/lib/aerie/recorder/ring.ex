@@ -13,6 +13,7 @@ defmodule Aerie.Recorder.Ring do
   alias MavCodec.{Frame, Tlog}
 
   @type key :: {String.t(), non_neg_integer}
+  @type size :: %{bytes: non_neg_integer, entries: non_neg_integer}
 
   @doc "Adds frames, in order, at a monotonic time in ms; gives the number of their entry."
   @spec push(Tables.t(), Settings.t(), key, [Frame.t(), ...], integer) :: pos_integer
@@ -59,13 +60,17 @@ defmodule Aerie.Recorder.Ring do
   end
 
   @doc "The size of a vehicle's ring: `%{bytes, entries}`; nil for an unknown vehicle."
-  @spec size(Tables.t(), key) :: %{bytes: non_neg_integer, entries: non_neg_integer} | nil
-  def size(tables, key) do
-    with [{_key, _n, bytes}] <- :ets.lookup(tables.rings, key) do
-      entries = :ets.select_count(tables.ring, [{{{key, :_}, :_, :_, :_, :_}, [], [true]}])
-      %{bytes: bytes, entries: entries}
-    else
-      [] -> nil
+  @spec size(Tables.t(), key) :: size | nil
+  def size(tables, key), do: tables |> sizes(:ets.lookup(tables.rings, key)) |> Map.get(key)
+
+  @doc "The sizes of all rings. A vehicle that is forgotten meanwhile is in it whole or not at all."
+  @spec sizes(Tables.t()) :: %{key => size}
+  def sizes(tables), do: sizes(tables, :ets.tab2list(tables.rings))
+
+  defp sizes(tables, rings) do
+    for {key, _n, bytes} <- rings, into: %{} do
+      {key,
+       %{bytes: bytes, entries: :ets.select_count(tables.ring, [{{{key, :_}, :_, :_, :_, :_}, [], [true]}])}}
     end
   end
 

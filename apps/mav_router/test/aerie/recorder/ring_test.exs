@@ -30,6 +30,21 @@ defmodule Aerie.Recorder.RingTest do
     assert Ring.size(c.tables, {"main", 2}) == nil
   end
 
+  test "a vehicle that is forgotten meanwhile is in the sizes whole or not at all", c do
+    comes_and_goes = fn again ->
+      push(c, @key, attitudes(1, 1..1), 1)
+      Ring.forget(c.tables, @key)
+      again.(again)
+    end
+
+    start_supervised!({Task, fn -> comes_and_goes.(comes_and_goes) end})
+
+    for _look <- 1..5_000, {_key, size} <- Ring.sizes(c.tables) do
+      assert %{bytes: bytes, entries: _} = size
+      assert bytes > 0
+    end
+  end
+
   defp total(tables), do: tables.rings |> :ets.tab2list() |> Enum.sum_by(fn {_key, _n, bytes} -> bytes end)
 
   test "is bounded by bytes, whatever the batches", c do

@@ -65,6 +65,18 @@ defmodule Aerie.Client.StateSocketTest do
     assert text =~ "not a socket"
     UnixSocket.remove(path, identity)
     assert File.read!(path) == "precious"
+
+    # A file system gives a new file the inode of one that was removed.
+    %File.Stat{major_device: device, inode: inode, mtime: made} = File.lstat!(path, time: :posix)
+    UnixSocket.remove(path, {device, inode, made})
+    assert File.read!(path) == "precious"
+    {_, _, was} = identity
+    File.rm!(path)
+    {:ok, socket, {device, inode, made}} = UnixSocket.listen(path)
+    assert made >= was
+    UnixSocket.remove(path, {device, inode, made - 1})
+    assert UnixSocket.present?(path, {device, inode, made})
+    :gen_tcp.close(socket)
   end
 
   test "a name that is too long, and a folder that cannot be, are told in words" do

@@ -121,7 +121,8 @@ defmodule Aerie.Inspector.Rows do
   def skipped(table), do: counted(table, :skipped) + counted(table, :odd)
 
   defp counted(table, key) do
-    count = :ets.lookup_element(table, key, 2)
+    # Absent for a moment while everything is forgotten.
+    count = :ets.lookup_element(table, key, 2, 0)
     true = is_integer(count)
     count
   end

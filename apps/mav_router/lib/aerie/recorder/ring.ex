@@ -43,7 +43,7 @@ defmodule Aerie.Recorder.Ring do
            :ets.lookup(tables.ring, first) do
       case :ets.take(tables.ring, first) do
         [{_first, _at, size, _records, _frames}] ->
-          trim(tables, key, :ets.update_counter(tables.rings, key, {3, -size}), limit, oldest)
+          trim(tables, key, subtract(tables, key, size), limit, oldest)
 
         [] ->
           trim(tables, key, :ets.lookup_element(tables.rings, key, 3, 0), limit, oldest)
@@ -51,6 +51,13 @@ defmodule Aerie.Recorder.Ring do
     else
       _young_or_empty -> :ok
     end
+  end
+
+  defp subtract(tables, key, size) do
+    :ets.update_counter(tables.rings, key, {3, -size})
+  rescue
+    # The vehicle was forgotten meanwhile; who writes goes on.
+    ArgumentError -> 0
   end
 
   @doc "All entries of a vehicle, oldest first: `{n, records, how many}`."

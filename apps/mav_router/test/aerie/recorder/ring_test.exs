@@ -45,6 +45,18 @@ defmodule Aerie.Recorder.RingTest do
     end
   end
 
+  test "who writes while the vehicle is forgotten goes on", c do
+    forgets = fn again ->
+      Enum.sum(1..:rand.uniform(1_000))
+      Ring.forget(c.tables, @key)
+      again.(again)
+    end
+
+    start_supervised!({Task, fn -> forgets.(forgets) end})
+    # Old entries, so that each is trimmed by the next.
+    for n <- 1..20_000, do: push(c, @key, attitudes(1, 1..1), n * 100_000)
+  end
+
   defp total(tables), do: tables.rings |> :ets.tab2list() |> Enum.sum_by(fn {_key, _n, bytes} -> bytes end)
 
   test "is bounded by bytes, whatever the batches", c do

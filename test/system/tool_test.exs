@@ -267,8 +267,11 @@ defmodule Aerie.System.ToolTest do
           ~s(#{run} --replay '#{flight}' --events),
           ~s(#{run} --help)
         ] do
-      assert {text, 2} = sh.(call <> " 2>&1 >/dev/full"), call
-      assert text =~ "error: standard output takes nothing: no space left on device", call
+      {text, status} = sh.(call <> " 2>&1 >/dev/full")
+
+      assert {status, text =~ "error: standard output takes nothing: no space left on device"} == {2, true},
+             call <> ": " <> text
+
       # It was compiled before.
       refute text =~ "compiling"
     end

@@ -102,11 +102,11 @@ defmodule Aerie.DoorCase do
   @spec answer(GenServer.from(), String.t(), atom()) :: :ok
   def answer(from, id, status), do: GenServer.reply(from, Aerie.Command.Result.new(id, status))
 
-  @doc "The records of the audit log."
+  @doc "The records of the audit log; one that is being written is none yet."
   @spec audit(Path.t()) :: [map()]
   def audit(dir) do
     for file <- dir |> Path.join("audit/*.jsonl") |> Path.wildcard() |> Enum.sort(),
-        line <- file |> File.read!() |> String.split("\n", trim: true),
+        line <- file |> File.read!() |> String.split("\n") |> Enum.drop(-1),
         do: JSON.decode!(line)
   end
 end

@@ -10,6 +10,8 @@ defmodule Aerie.CLI.Output do
   use GenServer
 
   @retry_ms 250
+  # How long the end of a program waits for the answer to its last write, in steps of 10 ms.
+  @settle_steps 200
 
   @doc """
   Options: `fd` (1: standard output, 2: standard error), `name` (of the process, which is the device), `lost` (a function that
@@ -58,7 +60,10 @@ defmodule Aerie.CLI.Output do
     end
   end
 
-  @doc "What a device of this module could not write last, as an error for the user; nil if nothing is missing."
+  @doc """
+  What a device of this module could not write last, as an error for the user; nil if nothing is missing. Waits up to 2 s for
+  what is being written.
+  """
   @spec problem(atom()) :: String.t() | nil
   def problem(device) do
     case GenServer.call(device, :reason) do
@@ -70,7 +75,10 @@ defmodule Aerie.CLI.Output do
   defp refusal(reason), do: "standard output takes nothing: #{describe(reason)}"
 
   @impl GenServer
-  def handle_call(:reason, _from, state), do: {:reply, state.reason, state}
+  def handle_call(:reason, _from, state) do
+    state = settle(state, @settle_steps)
+    {:reply, state.reason, state}
+  end
 
   @impl GenServer
   def init(options) do
@@ -148,6 +156,23 @@ defmodule Aerie.CLI.Output do
   rescue
     # It failed before, with something that it had still queued.
     ArgumentError -> :closed
+  end
+
+  # The BEAM writes to what it cannot poll (a file, /dev/full) in a thread, and an error comes later.
+  defp settle(%{port: nil} = state, _steps), do: state
+
+  defp settle(%{port: port} = state, steps) do
+    receive do
+      {:EXIT, ^port, reason} -> lost(%{state | port: nil}, 1, reason)
+    after
+      if(steps == @settle_steps, do: 0, else: 10) ->
+        case Port.info(port, :queue_size) do
+          {:queue_size, 0} -> state
+          # Closed: its exit signal is on the way.
+          _queued when steps > 0 -> settle(state, steps - 1)
+          _queued -> state
+        end
+    end
   end
 
   defp lost(state, lines, reason) do

@@ -29,7 +29,7 @@ defmodule Aerie.InspectorTest do
     eventually(fn -> tapped?(c.gateway) end)
     assert Inspector.watch(c.gateway) == :ok
     send(watcher.pid, :end)
-    assert Task.await(watcher) == {:ok, :ok}
+    assert Task.await(watcher, Aerie.Patience.ms()) == {:ok, :ok}
     heard(c.gateway, attitudes(1, 1..3))
     assert row(c.gateway, 30)
     assert Inspector.unwatch(c.gateway) == :ok

@@ -10,7 +10,7 @@ defmodule Aerie.CommandsTest do
   @moduletag :tmp_dir
   @moduletag :capture_log
 
-  defp result(task), do: with({:ok, result} <- Task.await(task), do: result)
+  defp result(task), do: with({:ok, result} <- Task.await(task, Aerie.Patience.ms()), do: result)
 
   defp rule(task) do
     %Result{status: status, reason: reason, details: details} = result(task)
@@ -99,9 +99,9 @@ defmodule Aerie.CommandsTest do
              gateway |> command("gripper", id: "g1", params: %{action: "release"}) |> result()
 
     assert {:error, [%{key: "params.altitude"}]} =
-             gateway |> command("takeoff", params: %{altitude: 5000}) |> Task.await()
+             gateway |> command("takeoff", params: %{altitude: 5000}) |> Task.await(Aerie.Patience.ms())
 
-    assert {:error, [%{key: "type"}]} = gateway |> command("dance") |> Task.await()
+    assert {:error, [%{key: "type"}]} = gateway |> command("dance") |> Task.await(Aerie.Patience.ms())
 
     # The log is written by a process of its own.
     eventually(fn ->
@@ -126,9 +126,15 @@ defmodule Aerie.CommandsTest do
 
   test "a caller that does not wait, or no longer: the command goes on", %{tmp_dir: dir} do
     gateway = start_door(dir)
-    assert {:pending, "a"} = gateway |> command("land", id: "a", wait_ms: 0) |> Task.await()
+
+    assert {:pending, "a"} =
+             gateway |> command("land", id: "a", wait_ms: 0) |> Task.await(Aerie.Patience.ms())
+
     from = executing(%{id: "a"})
-    assert {:pending, "a"} = gateway |> command("land", id: "a", wait_ms: 1) |> Task.await()
+
+    assert {:pending, "a"} =
+             gateway |> command("land", id: "a", wait_ms: 1) |> Task.await(Aerie.Patience.ms())
+
     answer(from, "a", :completed)
     assert %{status: :completed} = gateway |> command("land", id: "a") |> result()
   end

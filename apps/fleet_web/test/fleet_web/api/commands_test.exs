@@ -46,7 +46,10 @@ defmodule FleetWeb.API.CommandsTest do
     body = %{"type" => "takeoff", "id" => "t1", "params" => %{"altitude" => 20}}
     task = ask(context, "POST", @path, body)
     answer(executing(%{id: "t1", source: "ops"}), "t1", :completed)
-    assert {200, headers, %{"id" => "t1", "result" => "completed", "reason" => nil}} = Task.await(task)
+
+    assert {200, headers, %{"id" => "t1", "result" => "completed", "reason" => nil}} =
+             Task.await(task, Aerie.Patience.ms())
+
     assert headers["location"] == @path <> "/t1"
     assert {200, %{"result" => "completed"}} = context |> ask("POST", @path, body) |> reply()
 

@@ -45,7 +45,7 @@ defmodule Aerie.Router.EndpointRulesTest do
     assert %{counters: %{frames_out: 4_097}} = counted(c.gateway, "lazy")
 
     assert {:error, "there is an endpoint lazy already"} =
-             Task.async(fn -> Endpoint.attach(c.gateway, id: "lazy") end) |> Task.await()
+             Task.async(fn -> Endpoint.attach(c.gateway, id: "lazy") end) |> Task.await(Aerie.Patience.ms())
 
     :ok = Endpoint.detach(endpoint)
     assert counted(c.gateway, "lazy") == nil

@@ -34,7 +34,7 @@ defmodule Aerie.Commands.RecentTest do
     assert [%{progress: %{"progress" => 0.5}}] = Commands.recent(gateway, "VID-007")
 
     answer(from, "t1", :completed)
-    Task.await(task)
+    Task.await(task, Aerie.Patience.ms())
     assert_receive {:fleet, {:commands, "VID-007"}, "t1"}
     assert [%{result: %{status: :completed}, at: at, done_at: done_at}] = Commands.recent(gateway, "VID-007")
     assert done_at >= at

@@ -70,7 +70,7 @@ defmodule Aerie.Shadow.LoopTest do
   test "an operator's direct command holds it, and a failsafe does", %{gateway: gateway} do
     task = command(gateway, "set_speed", id: "s", params: %{speed: 3})
     answer(executing(%{id: "s"}), "s", :accepted)
-    assert {:ok, _result} = Task.await(task)
+    assert {:ok, _result} = Task.await(task, Aerie.Patience.ms())
     flying(gateway, %{failsafe: true})
     desire(gateway, %{"mode" => "LOITER"})
     assert %{by: by} = standing(gateway, "mode", :held)

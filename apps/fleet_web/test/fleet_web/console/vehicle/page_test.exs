@@ -171,7 +171,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     task = Task.async(fn -> view |> element("#calibrations-c1 button") |> render_click() end)
     assert_receive {:"$gen_call", canceller, {:cancel, "c1"}}
     GenServer.reply(canceller, :ok)
-    Task.await(task)
+    Task.await(task, Aerie.Patience.ms())
     answer(from, "c1", :cancelled)
     eventually(fn -> has_element?(view, "#calibrations-c1[data-state=cancelled]") end)
     assert render_hook(view, "cancel", %{"id" => "c1"}) =~ "Not cancelled"

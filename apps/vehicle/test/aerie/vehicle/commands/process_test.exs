@@ -56,7 +56,10 @@ defmodule Aerie.Vehicle.CommandsTest do
     assert_receive {:transmit, [%M.CommandLong{command: 400, target_system: 7, target_component: 1}]}
     send(pid, ack(command: 400, result: 0))
     send(pid, {:snapshot, snapshot(%{armed: true}, 2)})
-    assert {:ok, %{status: :completed, details: %{"acknowledged" => true}}} = Task.await(task)
+
+    assert {:ok, %{status: :completed, details: %{"acknowledged" => true}}} =
+             Task.await(task, Aerie.Patience.ms())
+
     assert_receive {:listen, ^pid, nil}
   end
 
@@ -65,7 +68,7 @@ defmodule Aerie.Vehicle.CommandsTest do
     assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 0}]}
     assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 1}]}
     send(pid, ack(command: 178, result: 0))
-    assert {:ok, %{status: :accepted, details: %{"sent" => 2}}} = Task.await(task)
+    assert {:ok, %{status: :accepted, details: %{"sent" => 2}}} = Task.await(task, Aerie.Patience.ms())
   end
 
   test "progress goes to whoever asked for it", %{gateway: gateway, pid: pid} do
@@ -76,7 +79,7 @@ defmodule Aerie.Vehicle.CommandsTest do
     assert :ok = Vehicle.Commands.cancel(gateway, @key, "g")
     assert_receive {:transmit, [%M.CommandCancel{command: 211}]}
     send(pid, ack(command: 211, result: 6))
-    assert {:ok, %{status: :cancelled}} = Task.await(task)
+    assert {:ok, %{status: :cancelled}} = Task.await(task, Aerie.Patience.ms())
     assert {:error, "no command" <> _} = Vehicle.Commands.cancel(gateway, @key, "g")
   end
 
@@ -88,7 +91,9 @@ defmodule Aerie.Vehicle.CommandsTest do
              Task.await(submit(gateway, id: "a", type: "arm"))
 
     send(pid, ack(command: 400, result: 2))
-    assert {:ok, %{status: :rejected, reason: "the vehicle answered DENIED"}} = Task.await(task)
+
+    assert {:ok, %{status: :rejected, reason: "the vehicle answered DENIED"}} =
+             Task.await(task, Aerie.Patience.ms())
   end
 
   test "texts and reports of the session are the reason for a refusal", %{gateway: gateway, pid: pid} do
@@ -97,7 +102,7 @@ defmodule Aerie.Vehicle.CommandsTest do
     send(pid, {:text, %{severity: 6, text: "no warning"}})
     send(pid, {:reported, %{severity: 2, name: "commander_arm_denied_calibrating"}})
     send(pid, ack(command: 400, result: 1))
-    assert {:ok, %{reason: reason}} = Task.await(task)
+    assert {:ok, %{reason: reason}} = Task.await(task, Aerie.Patience.ms())
     assert reason == "the vehicle answered TEMPORARILY_REJECTED; it said: arm denied calibrating"
   end
 
@@ -105,19 +110,23 @@ defmodule Aerie.Vehicle.CommandsTest do
     task = submit(gateway, type: "set_speed", params: %{speed: 3})
     assert_receive {:transmit, [_command]}
     send(pid, {:rebooted, 100})
-    assert {:ok, %{status: :unknown, reason: "the vehicle rebooted" <> _}} = Task.await(task)
+
+    assert {:ok, %{status: :unknown, reason: "the vehicle rebooted" <> _}} =
+             Task.await(task, Aerie.Patience.ms())
 
     task = submit(gateway, type: "arm")
     assert_receive {:transmit, [%M.CommandLong{command: 400}]}
     Process.exit(pid, :kill)
-    assert {:ok, %{status: :unknown, reason: "the vehicle's processes" <> _}} = Task.await(task)
+
+    assert {:ok, %{status: :unknown, reason: "the vehicle's processes" <> _}} =
+             Task.await(task, Aerie.Patience.ms())
   end
 
   test "a vehicle that is lost, or has no process, is sent nothing", %{gateway: gateway} do
     Store.put_vehicle(gateway, @key, %{snapshot(%{}, 1) | status: :lost})
 
     assert {:ok, %{status: :rejected, reason: "the vehicle is lost"}} =
-             gateway |> submit(type: "arm") |> Task.await()
+             gateway |> submit(type: "arm") |> Task.await(Aerie.Patience.ms())
 
     stop_supervised!(Vehicle.Commands)
     {:ok, command} = Command.new(vehicle: "VID-007", type: "arm")

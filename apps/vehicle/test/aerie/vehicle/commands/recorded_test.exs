@@ -31,7 +31,7 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
     task = Task.async(fn -> Vehicle.Commands.submit(c.gateway, @key, command) end)
     eventually(fn -> :sys.get_state(Names.via(c.gateway, :session, @key)).listeners != %{} end)
     deliver(c.gateway, between(c.frames, from, to))
-    Task.await(task)
+    Task.await(task, Aerie.Patience.ms())
   end
 
   test "arming while it calibrates: an event, and no text of it", c do

@@ -171,11 +171,13 @@ class Vehicle:
         while True:
             x = yield Wait(lambda m: m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") and m.mission_type == kind, 5)
             # No answer, or an item that was requested and sent twice (MAV_MISSION_INVALID_SEQUENCE), because on a busy machine
-            # the vehicle repeats its request while the answer is on its way. The upload is repeated.
+            # the vehicle repeats its request while the answer is on its way. The upload is repeated when that is over.
             if x is None or (x.get_type() == "MISSION_ACK" and x.type == 13):
                 tries += 1
-                if tries > 5:
+                if tries > 10:
                     return self.say(name, "no answer" if x is None else "refused 13")
+                if x is not None:
+                    yield Wait(lambda m: False, 2)
                 self.mav.mission_count_send(self.system, 1, len(rows), kind)
             elif x.get_type() == "MISSION_ACK":
                 if x.type != 0:

@@ -21,6 +21,8 @@ defmodule Aerie.System.SoakTest do
   @vehicles 50
   # Rings and journals fill to their bounds first; nothing is compared during this time.
   @warm_up 0.4
+  # Rows of what is full by design.
+  @bounds %{claims: 4_096}
   @fixtures Path.expand("../../apps/vehicle/test/fixtures", __DIR__)
 
   test "nothing grows while links, clients and vehicles come and go", %{tmp_dir: folder} do
@@ -102,7 +104,7 @@ defmodule Aerie.System.SoakTest do
   # Returns the census after the warm-up, the last one, and the number of rounds between them.
   defp rounds(soak, n, first) do
     round(soak, n)
-    census = settled(soak, first && elem(first, 0))
+    census = soak |> settled(first && elem(first, 0)) |> without_recent(soak)
     print("round #{n}: #{Census.format(census)}")
     now = System.monotonic_time(:second)
 
@@ -129,6 +131,12 @@ defmodule Aerie.System.SoakTest do
     end
   end
 
+  # The journal keeps the last 256 events of each vehicle, and an hour does not fill that.
+  defp without_recent(census, %{gateway: gateway}) do
+    recent = :ets.select_count(Store.table!(gateway, :journal), [{{{:recent, :_, :_}, :_}, [], [true]}])
+    %{census | tables: Map.update!(census.tables, :journal, &(&1 - recent))}
+  end
+
   defp quiet?(%{gateway: gateway, plug: plug} = soak) do
     (plug == nil or match?(%{status: :up}, Store.link(gateway, "cable"))) and
       length(Client.endpoints(gateway)) <= soak.endpoints
@@ -153,7 +161,7 @@ defmodule Aerie.System.SoakTest do
     grown =
       for {name, rows} <- last.tables,
           before = Map.get(first.tables, name, 0),
-          rows > before * 1.25 + 64,
+          rows > max(before * 1.25 + 64, Map.get(@bounds, name, 0)),
           do: {name, before, rows}
 
     assert grown == [], "tables that grew: #{inspect(grown)}"

@@ -55,11 +55,12 @@ defmodule Aerie.Recorder do
     Tap.offer(tables, {:vehicle, key}, frames, n)
   end
 
-  @doc "A vehicle is gone: its ring is removed. Recordings of it go on."
+  @doc "A vehicle is gone: its ring is removed, and its recording ends. What is being saved of it is saved."
   @spec forget(Names.gateway(), {String.t(), non_neg_integer}) :: :ok
   def forget(gateway, key) do
     with tables when is_map(tables) <- Tables.of(gateway), do: Ring.forget(tables, key)
-    :ok
+    recording = Names.whereis(gateway, :recording, {:vehicle, key})
+    if recording, do: Recording.leave(recording), else: :ok
   end
 
   @doc "A link sent the bytes of whole frames, which are recorded for it and for the vehicles that are their targets."

@@ -644,6 +644,34 @@ defmodule Aerie.RecorderTest do
     assert {:error, _} = Recorder.start(gateway, {:link, "radio"})
   end
 
+  test "what is known of a recording goes with its link or vehicle", c do
+    gateway = start_recorder(c.tmp_dir, %{links: :always, vehicles: :always})
+    known = fn -> for %{target: target} <- Recorder.status(gateway).recordings, do: target end
+
+    for n <- 1..20 do
+      {id, _port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio-#{n}")
+      eventually(fn -> {:link, id} in known.() end)
+      :ok = Aerie.Link.stop(gateway, id)
+    end
+
+    Store.put_vehicle(gateway, @key, %{id: "VID-001", key: @key, last_heard: 5})
+    recording = eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) end)
+    eventually(fn -> known.() == [{:vehicle, @key}] end)
+    # It ends, and is begun again, while the vehicle is there; afterwards nothing is left of it.
+    Process.exit(recording, :kill)
+    eventually(fn -> Names.whereis(gateway, :recording, {:vehicle, @key}) not in [nil, recording] end)
+    assert known.() == [{:vehicle, @key}]
+    give(gateway, attitudes(1, 1..10))
+    Store.delete_vehicle(gateway, @key)
+    :ok = Recorder.forget(gateway, @key)
+    eventually(fn -> known.() == [] end)
+    assert Names.whereis(gateway, :recording, {:vehicle, @key}) == nil
+    assert [file] = tlogs(c.tmp_dir)
+    assert length(recorded(file)) == 10
+    assert [%{open: false}] = Recorder.list(gateway)
+    assert Map.new(Recorder.metrics(gateway), &{&1.name, &1.samples})["gateway_recorder_frames_total"] == []
+  end
+
   test "metrics tell what was written and what was lost", c do
     gateway = start_recorder(c.tmp_dir)
     recording = vehicle(gateway)

@@ -9,7 +9,7 @@ defmodule Aerie.Recorder.AutoStart do
   alias Aerie.Store
   alias Aerie.Names
   alias Aerie.Recorder
-  alias Aerie.Recorder.{Tables, Tap}
+  alias Aerie.Recorder.{Status, Tables, Tap}
 
   @every_ms 1_000
 
@@ -55,10 +55,11 @@ defmodule Aerie.Recorder.AutoStart do
     {:noreply, state}
   end
 
-  # Starts recordings again that died, and removes their queues.
+  # Starts recordings again that died, and removes their queues, and what is known of recordings whose link or vehicle is gone.
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @every_ms)
     Tap.sweep(state.tables)
+    Status.sweep(state.tables, state.gateway)
     all(state)
     {:noreply, state}
   end

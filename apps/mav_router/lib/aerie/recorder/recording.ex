@@ -48,6 +48,10 @@ defmodule Aerie.Recorder.Recording do
   @spec extend(pid, integer) :: :ok
   def extend(pid, until), do: GenServer.cast(pid, {:extend, until})
 
+  @doc "Its vehicle is gone: the file is closed, and the recording ends."
+  @spec leave(pid) :: :ok
+  def leave(pid), do: GenServer.cast(pid, :leave)
+
   @doc "Writes the collected records; gives the file, nil when there is none."
   @spec flush(pid) :: Path.t() | nil
   def flush(pid), do: GenServer.call(pid, :flush)
@@ -138,6 +142,8 @@ defmodule Aerie.Recorder.Recording do
     {:until, former} = state.core.mode
     {:noreply, ends_by(%{state | core: %{state.core | mode: {:until, max(until, former)}}})}
   end
+
+  def handle_cast(:leave, state), do: {:stop, :normal, state}
 
   @impl GenServer
   def handle_info({:record, _target, size, frames, n}, state) do

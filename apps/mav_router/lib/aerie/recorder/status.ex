@@ -1,9 +1,10 @@
 defmodule Aerie.Recorder.Status do
   @moduledoc """
   The status of a recording, in the recorder's tables: written by its process once a second and when something changes. It stays when
-  the recording is over.
+  the recording is over, until its link or vehicle is removed.
   """
 
+  alias Aerie.{Names, Store}
   alias Aerie.Recorder.{Core, Recording, Tables}
 
   @typedoc """
@@ -60,6 +61,19 @@ defmodule Aerie.Recorder.Status do
   @doc "All, in the order of their targets."
   @spec all(Tables.t()) :: [t]
   def all(tables), do: for({_target, status} <- Enum.sort(:ets.tab2list(tables.status)), do: status)
+
+  @doc "Removes those of links and vehicles that the gateway no longer has, once nothing more is written."
+  @spec sweep(Tables.t(), Names.gateway()) :: :ok
+  def sweep(tables, gateway) do
+    for target <- :ets.select(tables.status, [{{:"$1", :_}, [], [:"$1"]}]),
+        Names.whereis(gateway, :recording, target) == nil and not known?(gateway, target),
+        do: :ets.delete(tables.status, target)
+
+    :ok
+  end
+
+  defp known?(gateway, {:link, id}), do: Store.link(gateway, id) != nil
+  defp known?(gateway, {_vehicle_or_saved, key}), do: Store.vehicle(gateway, key) != nil
 
   @doc "What the snapshot of a target shows: the status without the target's names; nil for none."
   @spec shown(Tables.t(), Tables.target()) :: map | nil

@@ -71,8 +71,9 @@ defmodule Aerie.Vehicle.Supervisor do
     Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Vehicle.Settings.of(gateway), key))
     Store.forget(gateway, {:lost, key})
     Store.forget(gateway, {:commanded, Vehicle.Options.id(Vehicle.Settings.of(gateway), key)})
+    :ok = Store.delete_vehicle(gateway, key)
+    # Afterwards, so that its recording is not begun again.
     Aerie.Recorder.forget(gateway, key)
-    Store.delete_vehicle(gateway, key)
   end
 
   @impl Supervisor

@@ -69,7 +69,7 @@ defmodule Aerie.Ftp.Client do
 
   Options: `:seq` (`seq/1` of the previous transfer, so that its late answers are not taken for new ones), `:offset` (where a read or write
   continues), `:max_bytes` (of a read; #{div(@max_bytes, 1024 * 1024)} MiB), `:us` (`{system, component}` of the gateway; answers to others are
-  ignored), `:rtt_us`.
+  ignored), `:rtt_us`; or, for `:seq` and `:rtt_us`, `:former`: the transfer with the same vehicle that has just ended.
   """
   @spec new(operation(), Packet.target(), deadline :: integer(), keyword()) :: t()
   def new(operation, target, deadline, options \\ []) do
@@ -83,11 +83,17 @@ defmodule Aerie.Ftp.Client do
         _other -> nil
       end
 
+    exchange =
+      case options[:former] do
+        %__MODULE__{exchange: former} -> Exchange.after_transfer(former)
+        nil -> Exchange.new(target, options[:rtt_us], Keyword.get(options, :seq, 0))
+      end
+
     %__MODULE__{
       operation: operation,
       us: options[:us],
       deadline: deadline,
-      exchange: Exchange.new(target, options[:rtt_us], Keyword.get(options, :seq, 0)),
+      exchange: exchange,
       state: state
     }
   end

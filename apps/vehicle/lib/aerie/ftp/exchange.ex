@@ -24,6 +24,7 @@ defmodule Aerie.Ftp.Exchange do
     :due,
     :sent_at,
     :first_seq,
+    patience: 0,
     seq: 0,
     session: 0,
     repeats: 0,
@@ -32,6 +33,8 @@ defmodule Aerie.Ftp.Exchange do
 
   @typedoc """
     * `due` - when the request has to be repeated, in microseconds
+    * `sent_at` - when the request was sent first, until its answer has come
+    * `patience` - the shortest wait, because the last answer took so long that its request was repeated (0: it was not)
     * `seq` - the number of the next request
     * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for reading
     * `heard?` - whether the vehicle has answered anything
@@ -41,6 +44,11 @@ defmodule Aerie.Ftp.Exchange do
   @doc "An exchange that has sent nothing; the first request has the number `seq`."
   @spec new(Packet.target(), rtt_us :: non_neg_integer() | nil, seq :: 0..65_535) :: t()
   def new(target, rtt, seq), do: %__MODULE__{target: target, trip: RoundTrip.new(rtt), seq: seq}
+
+  @doc "The exchange for the next transfer with the same vehicle: what was learnt of it and of the way to it stays."
+  @spec after_transfer(t()) :: t()
+  def after_transfer(exchange),
+    do: %{without_session(exchange) | request: nil, due: nil, sent_at: nil, repeats: 0}
 
   @doc "Records the session that the vehicle opened."
   @spec opened(t(), byte()) :: t()
@@ -59,7 +67,7 @@ defmodule Aerie.Ftp.Exchange do
   def ask(exchange, opcode, fields, now) do
     packet = struct!(packet(exchange, opcode), fields)
     packet = if packet.size == 0, do: %{packet | size: byte_size(packet.data)}, else: packet
-    transmit(%{exchange | request: packet, repeats: 0, seq: next(exchange.seq)}, now)
+    transmit(%{exchange | request: packet, repeats: 0, sent_at: now, seq: next(exchange.seq)}, now)
   end
 
   @doc "Makes a request whose answer does not matter."
@@ -91,12 +99,21 @@ defmodule Aerie.Ftp.Exchange do
          packet.session == exchange.session and not before?(packet.seq, exchange.first_seq))
   end
 
-  @doc "Records an answer. It measures the round trip if its request was sent once."
+  @doc """
+  Records an answer. If its request was sent once, that measures the round trip; if it was repeated, nobody knows to which of them it is the
+  answer, and the next requests wait as long as it took (Karn's rule, RFC 6298).
+  """
   @spec heard(t(), Packet.t(), integer()) :: t()
-  def heard(%{repeats: 0, sent_at: at, request: request} = exchange, packet, now) when at != nil do
-    if packet.request == request.opcode and follows?(exchange, packet),
-      do: %{exchange | trip: RoundTrip.sample(exchange.trip, now - at), sent_at: nil, heard?: true},
-      else: %{exchange | heard?: true}
+  def heard(%{sent_at: at, request: request} = exchange, packet, now) when at != nil do
+    exchange = %{exchange | heard?: true}
+
+    cond do
+      packet.request != request.opcode or not follows?(exchange, packet) -> exchange
+      # Its time is that of reading the file.
+      request.opcode == @crc -> exchange
+      exchange.repeats > 0 -> %{exchange | patience: now - at, sent_at: nil}
+      true -> %{exchange | trip: RoundTrip.sample(exchange.trip, now - at), patience: 0, sent_at: nil}
+    end
   end
 
   def heard(exchange, _packet, _now), do: %{exchange | heard?: true}
@@ -105,7 +122,13 @@ defmodule Aerie.Ftp.Exchange do
   @spec took(t(), Packet.t()) :: t()
   def took(exchange, packet) do
     seq = next(packet.seq)
-    %{exchange | repeats: 0, seq: if(before?(seq, exchange.seq), do: exchange.seq, else: seq)}
+
+    %{
+      exchange
+      | repeats: 0,
+        sent_at: if(exchange.repeats == 0, do: exchange.sent_at),
+        seq: if(before?(seq, exchange.seq), do: exchange.seq, else: seq)
+    }
   end
 
   @doc "Waits for more packets of the burst."
@@ -115,15 +138,18 @@ defmodule Aerie.Ftp.Exchange do
   defp packet(exchange, opcode),
     do: %Packet{seq: exchange.seq, session: exchange.session, opcode: Packet.opcode(opcode)}
 
-  defp transmit(exchange, now) do
-    exchange = wait(%{exchange | sent_at: if(exchange.repeats == 0, do: now)}, now)
-    {exchange, Packet.message(exchange.request, exchange.target)}
-  end
+  defp transmit(exchange, now),
+    do: {wait(exchange, now), Packet.message(exchange.request, exchange.target)}
 
   defp timeout(%{request: %{opcode: @crc}} = exchange),
     do: max(@crc_wait, RoundTrip.timeout(exchange.trip)) * Integer.pow(2, min(exchange.repeats, 5))
 
-  defp timeout(exchange), do: RoundTrip.timeout(exchange.trip, div(exchange.repeats, 4))
+  defp timeout(exchange),
+    do:
+      max(
+        RoundTrip.timeout(exchange.trip, div(exchange.repeats, 4)),
+        min(exchange.patience, RoundTrip.longest())
+      )
 
   defp follows?(%{request: request}, packet), do: packet.seq == next(request.seq)
   defp next(seq), do: Bitwise.band(seq + 1, 0xFFFF)

@@ -26,6 +26,10 @@ defmodule Aerie.Ftp.RoundTrip do
   def sample(%{smooth: smooth, spread: spread}, us),
     do: %__MODULE__{smooth: 0.875 * smooth + 0.125 * us, spread: 0.75 * spread + 0.25 * abs(smooth - us)}
 
+  @doc "The longest wait, whatever was measured."
+  @spec longest() :: pos_integer()
+  def longest, do: @longest
+
   @doc "How long to wait for an answer after `repeats` repetitions; the wait doubles up to three times."
   @spec timeout(t(), non_neg_integer()) :: pos_integer()
   def timeout(trip, repeats \\ 0) do

@@ -117,7 +117,11 @@ defmodule Aerie.Params.Fetch do
   defp transfer(fetch, phase, now) do
     path = Packed.path(Keyword.get(fetch.options, :defaults, true))
     operation = if phase == :read, do: {:read, path}, else: {:crc, path}
-    options = [seq: fetch.seq, max_bytes: Packed.max_bytes()] ++ Keyword.take(fetch.options, [:us, :rtt_us])
+
+    options =
+      [former: fetch.machine, seq: fetch.seq, max_bytes: Packed.max_bytes()] ++
+        Keyword.take(fetch.options, [:us, :rtt_us])
+
     start(%{fetch | phase: phase}, Client.new(operation, fetch.target, fetch.deadline, options), now)
   end
 

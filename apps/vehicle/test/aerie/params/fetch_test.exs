@@ -79,6 +79,22 @@ defmodule Aerie.Params.FetchTest do
     end
   end
 
+  test "over a way that takes far longer than what was measured, the file, too, with few repetitions (T2)" do
+    params = ParamsVehicle.some(400)
+
+    for delay <- [300_000, 1_000_000, 3_000_000] do
+      run = run(vehicle(params), [delay: delay], rtt_us: 5_000)
+      assert {:ok, %Table{file_crc: crc} = table} = run.result
+      assert values(table) == values_of(params)
+      assert crc != nil
+      # The first answers show how long it takes.
+      assert length(run.sent) <= 24
+
+      assert {:ok, %Table{file_crc: ^crc}} =
+               run(vehicle(params), [delay: delay, loss: 0.1], rtt_us: 5_000).result
+    end
+  end
+
   test "without the file the list is taken (P4)" do
     params = ParamsVehicle.some(100)
     run = run(vehicle(params, :px4))

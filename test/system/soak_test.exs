@@ -21,8 +21,10 @@ defmodule Aerie.System.SoakTest do
   @vehicles 50
   # Rings and journals fill to their bounds first; nothing is compared during this time.
   @warm_up 0.4
-  # Rows of what is full by design.
-  @bounds %{claims: 4_096}
+  # Rows of what is bounded by design and varies with the machine's load: claims of peers that are gone, what was read within two minutes,
+  # values that wait for NATS (one for each group of a vehicle).
+  @bounds %{claims: 4_096, ring: @vehicles * 120 * 25, bridge_values: @vehicles * 20}
+  @max_waiting 1_000
   @fixtures Path.expand("../../apps/vehicle/test/fixtures", __DIR__)
 
   test "nothing grows while links, clients and vehicles come and go", %{tmp_dir: folder} do
@@ -104,7 +106,7 @@ defmodule Aerie.System.SoakTest do
   # Returns the census after the warm-up, the last one, and the number of rounds between them.
   defp rounds(soak, n, first) do
     round(soak, n)
-    census = soak |> settled(first && elem(first, 0)) |> without_recent(soak)
+    census = settled(soak, first && elem(first, 0))
     print("round #{n}: #{Census.format(census)}")
     now = System.monotonic_time(:second)
 
@@ -115,15 +117,18 @@ defmodule Aerie.System.SoakTest do
     end
   end
 
-  # Ended processes take a moment to disappear: counts until there are no more than before, for half a minute at most.
+  # What has ended takes a moment to disappear: counts until there is no more than before, for half a minute at most.
   defp settled(soak, first, deadline \\ System.monotonic_time(:millisecond) + 30_000) do
-    census = Census.take()
+    census = without_recent(Census.take(), soak)
 
     same? =
       first == nil or
         Enum.all?([:processes, :ports, :files, :programs], &(Map.fetch!(census, &1) <= Map.fetch!(first, &1)))
 
-    if (same? and quiet?(soak)) or System.monotonic_time(:millisecond) > deadline do
+    calm? = census.waiting < @max_waiting and (first == nil or grown(first, census) == [])
+
+    if (same? and calm? and quiet?(soak)) or
+         System.monotonic_time(:millisecond) > deadline do
       census
     else
       Process.sleep(500)
@@ -158,14 +163,15 @@ defmodule Aerie.System.SoakTest do
       assert now < before * 1.15 + 4_000_000, "#{what}: #{before} bytes at first, #{now} at the end"
     end
 
-    grown =
-      for {name, rows} <- last.tables,
-          before = Map.get(first.tables, name, 0),
-          rows > max(before * 1.25 + 64, Map.get(@bounds, name, 0)),
-          do: {name, before, rows}
+    assert grown(first, last) == [], "tables that grew: #{inspect(grown(first, last))}"
+    assert last.waiting < @max_waiting
+  end
 
-    assert grown == [], "tables that grew: #{inspect(grown)}"
-    assert last.waiting < 1_000
+  defp grown(first, last) do
+    for {name, rows} <- last.tables,
+        before = Map.get(first.tables, name, 0),
+        rows > max(before * 1.25 + 64, Map.get(@bounds, name, 0)),
+        do: {name, before, rows}
   end
 
   ## One round: each thing comes and goes once or more

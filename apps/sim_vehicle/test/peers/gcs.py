@@ -37,12 +37,22 @@ class Gcs:
         if wanted:
             raise SystemExit("timeout: no %s" % kinds)
 
+    def ask(self, send, kinds, test=lambda _m: True):
+        """Asks again while no answer comes: a busy machine's socket loses some."""
+        for _ in range(12):
+            send()
+            x = self.wait(kinds, test, timeout=5, wanted=False)
+            if x is not None:
+                return x
+        raise SystemExit("timeout: no %s" % kinds)
+
     def command(self, command, *params, acks=1):
         p = list(params) + [0] * (7 - len(params))
-        self.m.mav.command_long_send(self.system, 1, command, 0, *p)
-        results = []
-        for _ in range(acks):
-            results.append(self.wait("COMMAND_ACK", lambda a: a.command == command, 10).result)
+        send = lambda: self.m.mav.command_long_send(self.system, 1, command, 0, *p)
+        ours = lambda a: a.command == command
+        results = [self.ask(send, "COMMAND_ACK", ours).result]
+        while len(results) < acks:
+            results.append(self.wait("COMMAND_ACK", ours, 60).result)
         return results
 
     def params(self):
@@ -59,23 +69,24 @@ class Gcs:
         return values, count
 
     def upload(self, items):
-        self.m.mav.mission_count_send(self.system, 1, len(items), 0)
+        count = lambda: self.m.mav.mission_count_send(self.system, 1, len(items), 0)
+        kinds = ["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"]
+        r = self.ask(count, kinds)
         while True:
-            r = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], timeout=10)
             if r.get_type() == "MISSION_ACK":
                 # "Invalid sequence": an item came twice because it was asked for twice; the upload goes on.
-                if r.type == mavutil.mavlink.MAV_MISSION_INVALID_SEQUENCE:
-                    continue
-                return r.type
-            self.m.mav.send(items[r.seq])
+                if r.type != mavutil.mavlink.MAV_MISSION_INVALID_SEQUENCE:
+                    return r.type
+            else:
+                self.m.mav.send(items[r.seq])
+            r = self.wait(kinds, timeout=60)
 
     def download(self):
-        self.m.mav.mission_request_list_send(self.system, 1, 0)
-        count = self.wait("MISSION_COUNT", timeout=10).count
+        count = self.ask(lambda: self.m.mav.mission_request_list_send(self.system, 1, 0), "MISSION_COUNT").count
         items = []
         for seq in range(count):
-            self.m.mav.mission_request_int_send(self.system, 1, seq, 0)
-            items.append(self.wait("MISSION_ITEM_INT", lambda i: i.seq == seq, 10))
+            send = lambda: self.m.mav.mission_request_int_send(self.system, 1, seq, 0)
+            items.append(self.ask(send, "MISSION_ITEM_INT", lambda i: i.seq == seq))
         self.m.mav.mission_ack_send(self.system, 1, 0, 0)
         return items
 

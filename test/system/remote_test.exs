@@ -2,7 +2,7 @@ defmodule Aerie.System.RemoteTest do
   @moduledoc "A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears."
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Bridge, Commands, Files, Fleet, HubServer, Missions, Params}
+  alias Aerie.{Bridge, Commands, DoorCase, Files, Fleet, HubServer, Missions, Params}
   alias Aerie.Vehicle.Event
 
   @moduletag :tmp_dir
@@ -46,7 +46,7 @@ defmodule Aerie.System.RemoteTest do
       if context[:leaf],
         do: HubServer.start(folder, [@vehicle], Map.take(context, [:servers, :disk_mb]) |> Enum.to_list())
 
-    hub = start_hub(Path.join(folder, "hub"), server, seed, lost_s: context[:lost_s] || 3)
+    hub = start_hub(Path.join(folder, "hub"), server, seed, lost_s: context[:lost_s])
 
     dir = Path.join(folder, "companion")
 
@@ -346,9 +346,7 @@ defmodule Aerie.System.RemoteTest do
 
   # What the companion let through, of a command.
   defp done(folder, id) do
-    for file <- Path.wildcard(Path.join(folder, "companion/audit/*.jsonl")),
-        line <- file |> File.read!() |> String.split("\n") |> Enum.drop(-1),
-        %{"id" => ^id, "type" => "decision"} = record <- [JSON.decode!(line)],
+    for %{"id" => ^id, "type" => "decision"} = record <- DoorCase.audit(Path.join(folder, "companion")),
         do: record
   end
 

@@ -85,7 +85,7 @@ defmodule Aerie.Ftp.Client do
 
     exchange =
       case options[:former] do
-        %__MODULE__{exchange: former} -> Exchange.after_transfer(former)
+        %__MODULE__{exchange: former} -> Exchange.without_session(former)
         nil -> Exchange.new(target, options[:rtt_us], Keyword.get(options, :seq, 0))
       end
 

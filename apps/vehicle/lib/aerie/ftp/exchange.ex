@@ -45,11 +45,6 @@ defmodule Aerie.Ftp.Exchange do
   @spec new(Packet.target(), rtt_us :: non_neg_integer() | nil, seq :: 0..65_535) :: t()
   def new(target, rtt, seq), do: %__MODULE__{target: target, trip: RoundTrip.new(rtt), seq: seq}
 
-  @doc "The exchange for the next transfer with the same vehicle: what was learnt of it and of the way to it stays."
-  @spec after_transfer(t()) :: t()
-  def after_transfer(exchange),
-    do: %{without_session(exchange) | request: nil, due: nil, sent_at: nil, repeats: 0}
-
   @doc "Records the session that the vehicle opened."
   @spec opened(t(), byte()) :: t()
   def opened(exchange, session), do: %{exchange | session: session}
@@ -58,7 +53,7 @@ defmodule Aerie.Ftp.Exchange do
   @spec expect_bursts(t()) :: t()
   def expect_bursts(exchange), do: %{exchange | first_seq: exchange.seq}
 
-  @doc "Forgets the session, which is lost or ended."
+  @doc "Forgets the session, which is lost or ended; what was learnt of the vehicle and of the way to it stays."
   @spec without_session(t()) :: t()
   def without_session(exchange), do: %{exchange | session: 0, first_seq: nil}
 

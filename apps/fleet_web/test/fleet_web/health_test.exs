@@ -1,6 +1,8 @@
 defmodule FleetWeb.HealthTest do
   use ExUnit.Case, async: true
 
+  import Aerie.Patience, only: [eventually: 1]
+
   alias Aerie.Bridge.Tables
   alias FleetWeb.Health
 
@@ -13,7 +15,9 @@ defmodule FleetWeb.HealthTest do
     nats = %{url: ["nats://127.0.0.1:1"], retry_min_ms: 60_000, retry_max_ms: 60_000}
     without = [Aerie.Link.Supervisor, Aerie.Client.Supervisor]
     Aerie.GatewayCase.start_gateway(%{nats: nats, outbox: %{dir: dir}}, name: gateway, without: without)
-    assert {false, %{nats: %{problem: "not connected to NATS"}}} = Health.ready(gateway)
+    # And says why, once it has tried.
+    why = "cannot connect to NATS at nats://127.0.0.1:1: "
+    eventually(fn -> match?({false, %{nats: %{problem: ^why <> _reason}}}, Health.ready(gateway)) end)
 
     tables = Tables.get(gateway)
     put = &Tables.put_info(gateway, tables, &1, &2)

@@ -149,12 +149,14 @@ defmodule Aerie.HubServer do
 
   @doc "Takes vehicles out of the fleet, and reloads the server."
   def revoke(hub, vehicles) do
-    {:ok, _lines} = Setup.write(hub.set, %{revoked: vehicles})
+    change(hub, %{revoked: vehicles})
+    for host <- hub.hosts, do: signal(hub, "HUP", host)
+  end
 
-    for host <- hub.hosts do
-      copy(hub, "accounts.conf", host)
-      signal(hub, "HUP", host)
-    end
+  @doc "Runs `bin/nats-setup` again with a wish of `Setup.write/2`, and copies its result to the servers. They are restarted or reloaded then."
+  def change(hub, wish) do
+    {:ok, _lines} = Setup.write(hub.set, wish)
+    for host <- hub.hosts, do: copy(hub, "accounts.conf", host)
   end
 
   @doc "A client with the key of the hub's gateway; `:error` for a server that does not answer."

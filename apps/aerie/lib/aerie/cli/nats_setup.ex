@@ -3,7 +3,14 @@ defmodule Aerie.CLI.NatsSetup do
 
   alias Aerie.Bridge.Hub.Setup
 
-  @switches [host: :keep, vehicle: :keep, revoke: :keep, environment: :string, help: :boolean]
+  @switches [
+    host: :keep,
+    vehicle: :keep,
+    revoke: :keep,
+    new_gateway_key: :boolean,
+    environment: :string,
+    help: :boolean
+  ]
 
   @help """
   usage: bin/nats-setup FOLDER [OPTION ...]
@@ -14,6 +21,7 @@ defmodule Aerie.CLI.NatsSetup do
     --host NAME          a server of the hub, by the name or address at which vehicles reach it; three make a cluster (may be repeated)
     --vehicle ID         a vehicle to add (may be repeated)
     --revoke ID          a vehicle to remove: its key stops working (may be repeated)
+    --new-gateway-key    another key for the hub's gateways and operators: the one that they have stops working
     --environment NAME   second word of every subject (prod)
     --help               print this text
   """
@@ -55,7 +63,8 @@ defmodule Aerie.CLI.NatsSetup do
       environment: options[:environment],
       hosts: Keyword.get_values(options, :host),
       vehicles: Keyword.get_values(options, :vehicle),
-      revoked: Keyword.get_values(options, :revoke)
+      revoked: Keyword.get_values(options, :revoke),
+      new_gateway_key: options[:new_gateway_key] == true
     }
 
     case Setup.write(dir, wish) do

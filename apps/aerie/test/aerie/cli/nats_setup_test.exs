@@ -64,6 +64,34 @@ defmodule Aerie.CLI.NatsSetupTest do
     refute accounts =~ "vehicle-B"
   end
 
+  test "another key for the hub's gateways, and for a vehicle that is taken out and added again", %{
+    tmp_dir: dir
+  } do
+    {:ok, text} = setup_in(dir, ~w(--host hub --vehicle A --vehicle B))
+    assert text =~ "the key of the hub's gateways is new: #{dir}/set/hub/gateway.nk"
+
+    keys = fn ->
+      for name <- ~w(hub/gateway.nk vehicles/A/leaf.nk vehicles/B/leaf.nk), do: public(dir, name)
+    end
+
+    [gateway, a, b] = keys.()
+    assert {:ok, text} = setup_in(dir, ["--new-gateway-key"])
+    assert text =~ "the key of the hub's gateways is new"
+    assert [other, ^a, ^b] = keys.()
+    accounts = read(dir, "hub/accounts.conf")
+    assert accounts =~ other and accounts =~ a and not (accounts =~ gateway)
+    assert {:ok, text} = setup_in(dir, ~w(--revoke A --vehicle A))
+    refute text =~ "the hub's gateways"
+    assert [^other, again, ^b] = keys.()
+    accounts = read(dir, "hub/accounts.conf")
+    assert accounts =~ again and not (accounts =~ a)
+  end
+
+  defp public(dir, name) do
+    {:ok, key} = Nkey.from_seed(read(dir, name))
+    key.public
+  end
+
   test "what cannot be is said, and nothing is written", %{tmp_dir: dir} do
     for {words, said} <- [
           {["set"], "the hub's name is missing: --host"},

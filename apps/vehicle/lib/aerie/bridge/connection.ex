@@ -85,8 +85,8 @@ defmodule Aerie.Bridge.Connection do
     })
 
     Tables.count(state.tables, :disconnects)
-    state = put_info(%{state | conn: nil, down_at: now()}, :down, :error)
-    {:noreply, event({:closed, Nats.text(reason), up_ms}, state)}
+    state = event({:closed, Nats.text(reason), up_ms}, %{state | conn: nil, down_at: now()})
+    {:noreply, put_info(state, :down, :error)}
   end
 
   def handle_info(:check_streams, %{conn: conn} = state) when conn != nil do
@@ -125,7 +125,7 @@ defmodule Aerie.Bridge.Connection do
     else
       {:error, reason} ->
         if now() - state.down_at >= @hangs_ms, do: Server.stalled(state.gateway, "it accepts no connection")
-        event({:failed, Nats.text(reason)}, state)
+        put_info(event({:failed, Nats.text(reason)}, state), :down, :error)
     end
   end
 
@@ -171,7 +171,14 @@ defmodule Aerie.Bridge.Connection do
   end
 
   defp put_info(state, status, streams) do
-    info = %{status: status, conn: state.conn, streams: streams, url: if(state.conn, do: url(state.machine))}
+    info = %{
+      status: status,
+      conn: state.conn,
+      streams: streams,
+      url: if(state.conn, do: url(state.machine)),
+      problem: Machine.problem(state.machine)
+    }
+
     Tables.put_info(state.gateway, state.tables, :connection, info)
     state
   end

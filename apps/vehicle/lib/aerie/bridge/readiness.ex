@@ -19,7 +19,8 @@ defmodule Aerie.Bridge.Readiness do
   defp server(_none_or_well), do: nil
 
   defp connection(%{status: :up}), do: nil
-  defp connection(_down), do: "not connected to NATS"
+  defp connection(%{problem: text}) when is_binary(text), do: text
+  defp connection(_not_tried_yet), do: "not connected to NATS"
 
   # The embedded server is restarted by the gateway itself (`Aerie.Bridge.Server`).
   defp events(server, connection, %{stalled: text, silent?: true}) when server == %{},

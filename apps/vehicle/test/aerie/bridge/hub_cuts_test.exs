@@ -5,63 +5,14 @@ defmodule Aerie.Bridge.HubCutsTest do
   """
   use Aerie.BridgeCase, async: true
 
-  alias Aerie.{Diagnosis, HubServer}
+  import Aerie.HubCase
+
+  alias Aerie.HubServer
   alias Gnat.Jetstream.API.{KV, Stream}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
   @unshare System.cmd("unshare", ["-rm", "true"], stderr_to_stdout: true) |> elem(1) == 0
-
-  defp names(n), do: for(i <- 1..n, do: "V#{i}")
-
-  defp start(dir, n, options \\ []) do
-    hub = HubServer.start(dir, names(n), options)
-    fleet = start_bridge(HubServer.gateway(hub, options[:settings] || []))
-    await_up(fleet)
-    leaves = for id <- names(n), do: {id, start_bridge(HubServer.leaf(hub, id), epoch: 1)}
-    for {_id, leaf} <- leaves, do: HubServer.await_hub(leaf)
-    %{hub: hub, fleet: fleet, leaves: leaves}
-  end
-
-  defp make(leaves, seqs), do: for({id, leaf} <- leaves, do: commit(leaf, id, seqs))
-
-  # All that was made is stored aboard.
-  defp await_aboard(leaves), do: for({_id, leaf} <- leaves, do: await_empty(leaf))
-
-  defp conn(hub, host \\ "127.0.0.1") do
-    eventually(fn ->
-      case HubServer.client(hub, host) do
-        {:ok, conn} -> conn
-        {:error, _not_yet} -> nil
-      end
-    end)
-  end
-
-  # One read of the stream at a time: of each vehicle, the numbers and which of them came late.
-  defp arrived(conn, vehicles) do
-    stored = events(conn)
-
-    Map.new(vehicles, fn id ->
-      {id, for({^id, seq, head} <- stored, do: {seq, head =~ "Aerie-Backfill"})}
-    end)
-  end
-
-  defp await_all(conn, leaves, n) do
-    await_stored(conn, n * length(leaves))
-
-    for {id, rows} <- arrived(conn, Enum.map(leaves, &elem(&1, 0))),
-        do: assert({id, Enum.map(rows, &elem(&1, 0))} == {id, Enum.to_list(1..n)})
-  end
-
-  # Whatever its servers say meanwhile.
-  defp await_stored(conn, n) do
-    eventually(fn ->
-      case Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) do
-        {:ok, %{state: %{messages: messages}}} -> messages >= n
-        {:error, _not_now} -> false
-      end
-    end)
-  end
 
   defp now, do: System.monotonic_time(:millisecond)
 
@@ -224,28 +175,6 @@ defmodule Aerie.Bridge.HubCutsTest do
     await_all(conn(hub), leaves, 30)
   end
 
-  test "a reader that does not read keeps nobody waiting, and the hub's server ends its connection", %{
-    tmp_dir: dir
-  } do
-    Process.flag(:trap_exit, true)
-    %{hub: hub, leaves: leaves} = start(dir, 1)
-    slow = conn(hub)
-    {:ok, _} = Gnat.sub(slow, self(), "fleet.>")
-    :sys.suspend(slow)
-    client = conn(hub)
-    # More than what systems on the way hold for a reader.
-    much = String.duplicate("x", 100_000)
-    for _ <- 1..600, do: :ok = Gnat.pub(client, "fleet.test.V2.raw.in", much)
-    make(leaves, 1..200)
-    await_all(client, leaves, 200)
-    log = Path.join(HubServer.folder(hub), "log")
-    eventually(fn -> File.read!(log) =~ "Slow Consumer" end)
-    :sys.resume(slow)
-    assert_receive {:EXIT, ^slow, _closed}
-    make(leaves, 201..210)
-    await_all(client, leaves, 210)
-  end
-
   @tag skip: not @unshare && "no namespaces here"
   test "the hub's disk is full: nothing is confirmed, nothing is lost", %{tmp_dir: dir} do
     Process.flag(:trap_exit, true)
@@ -281,11 +210,6 @@ defmodule Aerie.Bridge.HubCutsTest do
     assert %{stalled: nil, problem: nil} = await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
     eventually(fn -> Bridge.info(fleet).problem == nil end)
     assert {told(leaf, :hub_not_confirming), told(fleet, :nats_not_confirming)} == {[], []}
-  end
-
-  defp told(gateway, name) do
-    {conditions, _diagnosis} = Diagnosis.step(Diagnosis.new(), Diagnosis.Facts.of(gateway))
-    Enum.filter(conditions, &(&1.name == name))
   end
 
   test "three servers, three copies: the leader of the stream is killed", %{tmp_dir: dir} do

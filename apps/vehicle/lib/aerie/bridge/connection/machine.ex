@@ -15,7 +15,7 @@ defmodule Aerie.Bridge.Connection.Machine do
   alias Aerie.Backoff
 
   @enforce_keys [:backoff]
-  defstruct [:backoff, urls: [], phase: :idle, attempts: 0, stable_ms: 5_000, last_reason: nil]
+  defstruct [:backoff, urls: [], phase: :idle, attempts: 0, stable_ms: 5_000, failures: %{}]
 
   @type t :: %__MODULE__{
           backoff: Backoff.t(),
@@ -23,7 +23,7 @@ defmodule Aerie.Bridge.Connection.Machine do
           phase: :idle | :connecting | :waiting | :up,
           attempts: non_neg_integer(),
           stable_ms: pos_integer(),
-          last_reason: String.t() | nil
+          failures: %{(url :: String.t()) => String.t()}
         }
 
   @type event ::
@@ -43,6 +43,13 @@ defmodule Aerie.Bridge.Connection.Machine do
   @spec new(pos_integer(), pos_integer()) :: t()
   def new(min, max), do: %__MODULE__{backoff: Backoff.new(min, max)}
 
+  @doc "Why there is no connection: what became of the last attempt at each server, in words. Nil before the first one, and with a connection."
+  @spec problem(t()) :: String.t() | nil
+  def problem(machine) do
+    texts = for url <- machine.urls, text = machine.failures[url], do: text
+    if texts != [], do: Enum.join(texts, "; ")
+  end
+
   @doc "Handles an event."
   @spec handle(t(), event()) :: {t(), [action()]}
   # New URLs, or the embedded server has just come up: no reason to wait.
@@ -57,7 +64,7 @@ defmodule Aerie.Bridge.Connection.Machine do
   def handle(machine, {:urls, urls}), do: {%{machine | urls: urls}, []}
 
   def handle(%{phase: :connecting} = machine, :connected) do
-    {%{machine | phase: :up, last_reason: nil}, [{:log, :info, "connected to NATS at #{current(machine)}"}]}
+    {%{machine | phase: :up, failures: %{}}, [{:log, :info, "connected to NATS at #{current(machine)}"}]}
   end
 
   def handle(%{phase: :connecting} = machine, {:failed, reason}) do
@@ -68,7 +75,7 @@ defmodule Aerie.Bridge.Connection.Machine do
     machine =
       if up_ms >= machine.stable_ms, do: %{machine | backoff: Backoff.reset(machine.backoff)}, else: machine
 
-    wait(machine, "the connection to NATS is lost: #{reason}")
+    wait(machine, "the connection to NATS at #{current(machine)} is lost: #{reason}")
   end
 
   def handle(%{phase: :waiting} = machine, :retry), do: connect(machine)
@@ -84,9 +91,11 @@ defmodule Aerie.Bridge.Connection.Machine do
   defp current(machine), do: Enum.at(machine.urls, rem(machine.attempts - 1, length(machine.urls)))
 
   defp wait(machine, reason) do
+    url = current(machine)
     # Logged once, not at every attempt.
-    log = if reason == machine.last_reason, do: [], else: [{:log, :warning, reason}]
+    log = if reason == machine.failures[url], do: [], else: [{:log, :warning, reason}]
     {delay, backoff} = Backoff.next(machine.backoff)
-    {%{machine | phase: :waiting, backoff: backoff, last_reason: reason}, log ++ [{:timer, delay}]}
+    failures = machine.failures |> Map.take(machine.urls) |> Map.put(url, reason)
+    {%{machine | phase: :waiting, backoff: backoff, failures: failures}, log ++ [{:timer, delay}]}
   end
 end

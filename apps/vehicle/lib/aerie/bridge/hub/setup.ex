@@ -25,12 +25,16 @@ defmodule Aerie.Bridge.Hub.Setup do
   @leaf_port 7422
   @route_port 6222
 
-  @typedoc "`hosts`: the hub's servers, needed the first time; `ports` for tests."
+  @typedoc """
+  `hosts`: the hub's servers, needed the first time; `new_gateway_key`: the hub's gateways get another key, and the one that they have
+  opens nothing any more; `ports` for tests.
+  """
   @type wish :: %{
           optional(:environment) => String.t() | nil,
           optional(:hosts) => [String.t()],
           optional(:vehicles) => [String.t()],
           optional(:revoked) => [String.t()],
+          optional(:new_gateway_key) => boolean(),
           optional(:ports) => %{
             client: :inet.port_number(),
             leaf: :inet.port_number(),
@@ -44,7 +48,7 @@ defmodule Aerie.Bridge.Hub.Setup do
     with {:ok, known} <- read(dir),
          {:ok, fleet} <- plan(known, wish),
          :ok <- folders(dir, fleet),
-         {:ok, fleet, gateway} <- gateway(dir, fleet),
+         {:ok, fleet, gateway} <- gateway(dir, fleet, wish),
          {:ok, fleet, made} <- vehicles(dir, fleet, wish),
          {:ok, key, told} <- shadow_key(dir, Map.keys(fleet["vehicles"]) -- made),
          :ok <- Certificates.authority(dir),
@@ -124,11 +128,15 @@ defmodule Aerie.Bridge.Hub.Setup do
     |> all(&said(PrivateFile.folder(&1), &1))
   end
 
-  defp gateway(_dir, %{"gateway" => _public} = fleet), do: {:ok, fleet, []}
+  defp gateway(dir, fleet, wish) do
+    if fleet["gateway"] == nil or wish[:new_gateway_key] == true do
+      file = Path.join(dir, "hub/gateway.nk")
 
-  defp gateway(dir, fleet) do
-    with {:ok, public} <- seed(Path.join(dir, "hub/gateway.nk")),
-         do: {:ok, Map.put(fleet, "gateway", public), ["the hub's key is new"]}
+      with {:ok, public} <- seed(file),
+           do: {:ok, Map.put(fleet, "gateway", public), ["the key of the hub's gateways is new: #{file}"]}
+    else
+      {:ok, fleet, []}
+    end
   end
 
   # Gateways heed desired states only of gateways with the same key.
@@ -276,10 +284,10 @@ defmodule Aerie.Bridge.Hub.Setup do
 
   defp lines(dir, made, revoked) do
     for(id <- made, do: "#{id}: copy #{Path.join([dir, "vehicles", id])} to the vehicle") ++
-      for(id <- revoked, do: "#{id}: its key opens nothing any more, once the hub has been reloaded") ++
+      for(id <- revoked, do: "#{id}: its key opens nothing any more, once the hub has been restarted") ++
       [
         "hub: copy #{Path.join(dir, "hub")}/*.* and the folder of each server's name into one folder there",
-        "after a change of accounts.conf: nats-server --signal reload=nats-server.pid"
+        "after a change of accounts.conf: restart nats-server, one server after the other; for a new account a reload is not enough"
       ]
   end
 

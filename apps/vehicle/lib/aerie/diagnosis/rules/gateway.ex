@@ -135,7 +135,8 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
     new(:nats_unreachable, :error, "there is no connection to NATS",
       evidence: [nats.problem | waiting(nats)],
       mend:
-        "Check nats.url and whether the server runs. The outbox keeps events meanwhile, and sends them afterwards."
+        "Check nats.url, whether the server runs, and the key or password if it refuses the login: a key's file is read again at each " <>
+          "attempt. The outbox keeps events meanwhile, and sends them afterwards."
     )
   end
 
@@ -158,7 +159,9 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
   defp hub(%{nats: %{hub: %{status: :down} = hub}}) do
     new(:hub_unreachable, :notice, "there is no connection to the hub",
       evidence: [hub.problem || "it does not answer" | events_wait(hub.waiting)],
-      mend: "Check the network and nats.leaf. Events wait in the local stream, and are sent afterwards."
+      mend:
+        "Check the network and nats.leaf; a new key is taken when the gateway starts again. Events wait in the local stream, and are sent " <>
+          "afterwards."
     )
   end
 

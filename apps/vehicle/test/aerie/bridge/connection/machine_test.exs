@@ -52,6 +52,24 @@ defmodule Aerie.Bridge.Connection.MachineTest do
     assert length(for {:log, :warning, _} <- List.flatten(actions), do: 1) == 2
   end
 
+  test "why there is no connection: of each server the last reason, logged once although they take turns" do
+    urls = ["nats://a", "nats://b"]
+    events = [{:urls, urls}, {:failed, "no"}, :retry, {:failed, "refused"}, :retry, {:failed, "no"}]
+    {actions, machine} = run(Machine.new(1, 2), events)
+    assert length(for {:log, :warning, _} <- List.flatten(actions), do: 1) == 2
+
+    assert Machine.problem(machine) ==
+             "cannot connect to NATS at nats://a: no; cannot connect to NATS at nats://b: refused"
+
+    {_, machine} = run(machine, [:retry, :connected])
+    assert Machine.problem(machine) == nil
+    {_, machine} = run(machine, [{:closed, "revoked", 10}])
+    assert Machine.problem(machine) == "the connection to NATS at nats://b is lost: revoked"
+    # The embedded server has another port after a restart.
+    {_, machine} = run(machine, [{:urls, ["nats://c"]}])
+    assert Machine.problem(machine) == nil
+  end
+
   test "without a server nothing is tried, and late events change nothing" do
     machine = Machine.new(1, 2)
 

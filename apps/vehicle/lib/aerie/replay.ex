@@ -124,7 +124,8 @@ defmodule Aerie.Replay do
         {:error, "#{name(source)}no MAVLink record found (is it a tlog?)"}
 
       {:ok, {machine, acc}} ->
-        {:ok, acc, machine}
+        {machine, outputs} = Machine.finish(machine)
+        {:ok, Enum.reduce(outputs, acc, fun), machine}
 
       {:error, text} ->
         {:error, text}

@@ -318,6 +318,21 @@ defmodule Aerie.ReplayTest do
       assert offset == 7_000_000 - at(2.01)
     end
 
+    test "a gateway that got no time recorded what it sent before what came meanwhile: that is no silence" do
+      own = fn second -> beat(second, [type: 18, autopilot: 8], system: 237, component: 191) end
+      late = Enum.map(2..30, &beat/1)
+      assert {:ok, %{events: [], statuses: [], summary: summary}} = play([beat(0), beat(1), own.(30) | late])
+      assert %{jumps_back: 0, own: 1} = summary
+    end
+
+    test "a recording that ends with our own frames has the silence before its end" do
+      own = for second <- 2..20, do: beat(second, [type: 18, autopilot: 8], system: 237, component: 191)
+      assert {:ok, flight} = play([beat(0), beat(1) | own])
+      assert [{"link.lost", at}] = Enum.map(flight.events, &{&1.type, &1.time})
+      assert at in at(6)..at(6.2)
+      assert flight.summary.to == at(20)
+    end
+
     test "X5: answers to what others asked are not" do
       request = frame(%M.Timesync{tc1: 0, ts1: 555}, at(2), system: 255, component: 190)
       answer = frame(%M.Timesync{tc1: 7_000_000_000, ts1: 555}, at(2.02))

@@ -7,7 +7,8 @@ defmodule Aerie.Replay.Machine do
                                                 └─ samplers ──────▶ {:sample, …}
 
   Only those of the router's rules apply that decide what a vehicle's session receives. Our own frames are not a vehicle's
-  (but our TIMESYNC requests are needed to recognise its answers), an autopilot's heartbeat admits a vehicle (H2, H4), other
+  (but our TIMESYNC requests are needed to recognise its answers) and are no reason for time to go on: a gateway that got no time for
+  seconds recorded them before what it had not read yet. An autopilot's heartbeat admits a vehicle (H2, H4), other
   heartbeats are noted as stations, and frames of systems without a vehicle are counted. Forwarding does not affect events.
 
   A recording does not say by which link a frame came. Frames that two links brought are passed on twice, as in a live gateway.
@@ -95,11 +96,25 @@ defmodule Aerie.Replay.Machine do
     {machine, Enum.reverse(outputs)}
   end
 
-  defp frame(frame, {machine, outputs}) do
-    {machine, outputs} = time(machine, frame.at, outputs)
-    machine = %{machine | first: machine.first || frame.at, last: frame.at}
-    route(count(machine, :frames, 1), frame, outputs)
+  defp frame(%{system: system, component: component} = frame, {machine, outputs}) do
+    machine = count(%{machine | first: machine.first || frame.at, last: frame.at}, :frames, 1)
+
+    if machine.own == {system, component} do
+      ours(count(machine, :own, 1), frame, outputs)
+    else
+      {machine, outputs} = time(machine, frame.at, outputs)
+      route(machine, frame, outputs)
+    end
   end
+
+  @doc "The end of a recording: the time after its last frame of somebody else, in which it has our own only."
+  @spec finish(t) :: {t, [Aerie.Replay.output()]}
+  def finish(%{last: last, clock: %{now: now}} = machine) when is_integer(now) and last > now do
+    {machine, outputs} = time(machine, last, [])
+    {machine, Enum.reverse(outputs)}
+  end
+
+  def finish(machine), do: {machine, []}
 
   ## Time
 
@@ -139,9 +154,6 @@ defmodule Aerie.Replay.Machine do
   end
 
   ## Frames
-
-  defp route(%{own: {system, component}} = machine, %{system: system, component: component} = frame, outputs),
-    do: ours(count(machine, :own, 1), frame, outputs)
 
   defp route(machine, frame, outputs) do
     {copy?, machine} = copy(machine, frame)

@@ -8,6 +8,7 @@ defmodule Aerie.Bridge.HubCutOffTest do
   import Aerie.HubCase
 
   alias Aerie.HubServer
+  alias Gnat.Jetstream.API.Stream
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -169,6 +170,43 @@ defmodule Aerie.Bridge.HubCutOffTest do
 
     assert for({id, rows} <- arrived(client, names(3)), do: {id, Enum.map(rows, &elem(&1, 0))}) ==
              [{"V1", Enum.to_list(1..70)}, {"V2", Enum.to_list(1..70)}, {"V3", Enum.to_list(1..60)}]
+  end
+
+  @tag :long
+  @tag timeout: 300_000
+  test "a vehicle is added to a hub of three servers, which are restarted one after the other", %{
+    tmp_dir: dir
+  } do
+    Process.flag(:trap_exit, true)
+    %{hub: hub, leaves: leaves} = start(dir, 2, servers: 3)
+    make(leaves, 1..10)
+    await_all(conn(hub), leaves, 10)
+    HubServer.change(hub, %{vehicles: ["V3"]})
+
+    for {host, n} <- Enum.zip(hub.hosts, 2..4) do
+      HubServer.kill(hub, host)
+      make(leaves, (n * 10 - 9)..(n * 10))
+      HubServer.restart(hub, host)
+      # Before the next one is stopped, the stream has its three copies again.
+      for {_id, leaf} <- leaves, do: await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+      eventually(fn -> in_step?(conn(hub, host)) end)
+    end
+
+    client = conn(hub)
+    await_all(client, leaves, 40)
+    added = start_bridge(HubServer.leaf(hub, "V3"), epoch: 1)
+    HubServer.await_hub(added)
+    leaves = [{"V3", added} | leaves]
+    commit(added, "V3", 1..40)
+    make(leaves, 41..50)
+    await_all(client, leaves, 50)
+  end
+
+  defp in_step?(conn) do
+    case Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) do
+      {:ok, %{cluster: %{"leader" => _, "replicas" => copies}}} -> Enum.all?(copies, & &1["current"])
+      _not_now -> false
+    end
   end
 
   # More than what systems on the way hold for a reader.

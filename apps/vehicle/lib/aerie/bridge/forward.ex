@@ -29,6 +29,8 @@ defmodule Aerie.Bridge.Forward do
   @answer_ms 2_000
   # After so many sendings without a confirmation, that is told.
   @patience 3
+  # A connection that lasts longer was not refused.
+  @refused_ms 2_000
   @batch 64
   # What was published so long before this process started is taken for delivered.
   @unknown_ms 30_000
@@ -372,13 +374,19 @@ defmodule Aerie.Bridge.Forward do
       lost: state.lost,
       stalled: state.stalled,
       problem:
-        if(state.hub == :down, do: Tables.info(state.tables, :leaf)[:problem]) || state.stalled ||
+        if(state.hub == :down, do: leaf_problem(Tables.info(state.tables, :leaf))) || state.stalled ||
           state.problem
     }
 
     if info != Tables.info(state.tables, :hub), do: Tables.put_info(state.gateway, state.tables, :hub, info)
     state
   end
+
+  defp leaf_problem(%{problem: text, connected_at: at}) do
+    if at == nil or now() - at < @refused_ms, do: text
+  end
+
+  defp leaf_problem(_never_tried), do: nil
 
   defp flush_pumps do
     receive do

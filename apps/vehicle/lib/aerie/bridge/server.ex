@@ -82,7 +82,7 @@ defmodule Aerie.Bridge.Server do
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.error("nats-server ended (status #{status}); restarting it")
-    up_ms = System.monotonic_time(:millisecond) - state.started_at
+    up_ms = now() - state.started_at
     backoff = if up_ms >= @healthy_ms, do: Backoff.reset(state.backoff), else: state.backoff
 
     :telemetry.execute([:aerie, :bridge, :server, :down], %{up_ms: up_ms}, %{
@@ -102,7 +102,7 @@ defmodule Aerie.Bridge.Server do
       when port != nil and text != nil do
     case RestartPolicy.check(
            state.restart_policy,
-           System.monotonic_time(:millisecond),
+           now(),
            Disk.free(state.nats.store_dir)
          ) do
       {:restart, restart_policy} ->
@@ -145,7 +145,7 @@ defmodule Aerie.Bridge.Server do
          :ok <- write(conf, state |> settings(tcp_port, token) |> Map.put(:seed, seed)) do
       port = OsProcess.start(program, ["-c", conf])
       log = LogFile.open(Path.join(state.nats.store_dir, "nats-server.log"))
-      started_at = System.monotonic_time(:millisecond)
+      started_at = now()
       state = %{state | port: port, tcp_port: tcp_port, log: log, started_at: started_at}
       put_info(%{state | restart_policy: RestartPolicy.started(state.restart_policy)}, :starting)
     else
@@ -256,8 +256,14 @@ defmodule Aerie.Bridge.Server do
 
   defp fact({:write_error, text}, state), do: fault(text, state)
 
+  # A connection is there before the hub refuses its login, so the last problem stays known.
   defp fact({:leaf, problem}, state) do
-    Tables.put_info(state.gateway, state.tables, :leaf, %{problem: problem})
+    leaf =
+      if problem,
+        do: %{problem: problem, connected_at: nil},
+        else: %{problem: Tables.info(state.tables, :leaf)[:problem], connected_at: now()}
+
+    Tables.put_info(state.gateway, state.tables, :leaf, leaf)
     state
   end
 
@@ -295,6 +301,8 @@ defmodule Aerie.Bridge.Server do
     Tables.put_info(state.gateway, state.tables, :server, info)
     %{state | status: status}
   end
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   defp url(state) do
     host =

@@ -156,6 +156,11 @@ defmodule Aerie.Bridge.HubCutOffTest do
     client = conn(hub)
     await_stored(client, 70)
     await(leaf, :hub, &(&1[:status] == :down and &1[:waiting] == 50))
+    # The reason stays known while the server tries again and again.
+    forget_news()
+    tried = refusals(hub)
+    eventually(fn -> refusals(hub) >= tried + 3 end)
+    for info <- news(leaf, :hub), do: assert(info.problem =~ ~r/authoriz/i)
     assert [%{evidence: [why | _], mend: mend}] = told(leaf, :hub_unreachable)
     assert why =~ ~r/authoriz/i and mend =~ "a new key is taken when the gateway starts again"
     File.cp!(copied, own)
@@ -213,6 +218,22 @@ defmodule Aerie.Bridge.HubCutOffTest do
   defp flood(client, subject \\ "fleet.test.V2.raw.in") do
     much = String.duplicate("x", 100_000)
     for _ <- 1..600, do: :ok = Gnat.pub(client, subject, much)
+  end
+
+  defp refusals(hub),
+    do:
+      HubServer.folder(hub)
+      |> Path.join("log")
+      |> File.read!()
+      |> String.split("authentication error")
+      |> length()
+
+  defp news(gateway, part) do
+    receive do
+      {:news, ^gateway, ^part, info} -> [info | news(gateway, part)]
+    after
+      0 -> []
+    end
   end
 
   defp await_log(hub, text) do

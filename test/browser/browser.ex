@@ -32,6 +32,13 @@ defmodule Aerie.Browser do
     end
   end
 
+  @doc """
+  The tag of a browser's test that only `bin/test --full` runs. Without a browser it is not `:long`, because a tag that is included
+  overrides the others of its test.
+  """
+  @spec long() :: :long | :chromium
+  def long, do: if(browser(), do: :long, else: :chromium)
+
   @doc "The path of a browser."
   @spec browser() :: String.t() | nil
   def browser do

@@ -42,6 +42,7 @@ defmodule Aerie.System.ConsoleTest do
     url |> File.read!() |> String.trim()
   end
 
+  @tag Aerie.Browser.long()
   test "a newcomer opens the printed address, sees three vehicles fly, and flies one", context do
     address = start(context.config, context.url, ["--sim", "3", "--speed", "3"])
     {output, status} = Aerie.Browser.run(Path.join(@scripts, "newcomer.mjs"), [address])

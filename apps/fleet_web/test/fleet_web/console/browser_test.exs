@@ -29,6 +29,7 @@ defmodule FleetWeb.Console.BrowserTest do
     assert Enum.sort(types(console)) == ["hold", "hold", "rtl"]
   end
 
+  @tag Aerie.Browser.long()
   test "every page, narrow and wide, dark and light, is sound, accessible and small", %{console: console} do
     browse(console, "pages.mjs", paths())
   end

@@ -4,6 +4,7 @@ defmodule FleetWeb.Console.OpsBrowserTest do
   @moduletag :chromium
   @moduletag timeout: 300_000
 
+  @tag Aerie.Browser.long()
   test "inspector, system and their neighbours, on a phone and on a desk" do
     [console: console] = start_console()
     put_link(console, "radio", %{diagnosis: [], peers: [], sources: %{}})

@@ -52,8 +52,7 @@ defmodule FleetWeb.Console.Map.BrowserTest do
     assert browse_map(console, "nowebgl") =~ "ok"
   end
 
-  # Without a browser it is none of the long tests, which are included by their tag whatever else they have.
-  @tag if(Aerie.Browser.browser(), do: :long, else: :chromium)
+  @tag Aerie.Browser.long()
   test "200 vehicles that change five times a second", %{console: console} do
     for n <- 1..200, do: fly(console, n, 47.39 + rem(n, 20) * 0.0008, 8.53 + div(n, 20) * 0.002)
     output = browse_map(console, "fleet", ["200"])

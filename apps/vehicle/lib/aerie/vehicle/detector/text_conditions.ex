@@ -14,10 +14,9 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
   def steps(detector, text, %{at: at} = moment) do
     detector = detector |> hint(text, at) |> armed_by(text, at)
     {detector, gcs} = gcs(detector, text)
-    {detector, rc} = Losses.rc(detector, StatusTexts.rc(text), text, at)
-    {detector, kill} = Losses.kill(detector, StatusTexts.kill(text), text)
+    {detector, losses} = losses(detector, text, at)
     {detector, failsafe} = failsafe(detector, text, moment)
-    {detector, gcs ++ rc ++ kill ++ failsafe ++ fence(detector, text, at) ++ mission(detector, text)}
+    {detector, gcs ++ losses ++ failsafe ++ fence(detector, text, at) ++ mission(detector, text)}
   end
 
   # The text may name the cause of a failsafe. A general "failsafe activated" does not replace a cause named just before.
@@ -46,6 +45,15 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
   end
 
   defp gcs(detector, _text), do: {detector, []}
+
+  # The reports say it at once; PX4 may have held the texts back until a ground station was there.
+  defp losses(%{reports: true} = detector, _text, _at), do: {detector, []}
+
+  defp losses(detector, text, at) do
+    {detector, rc} = Losses.rc(detector, StatusTexts.rc(text), text, at)
+    {detector, kill} = Losses.kill(detector, StatusTexts.kill(text), text)
+    {detector, rc ++ kill}
+  end
 
   defp armed_by(detector, text, at) do
     case StatusTexts.armed_by(text) do

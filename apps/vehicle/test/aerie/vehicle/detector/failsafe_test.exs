@@ -172,6 +172,23 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
     {_detector, [], _} = observe_late()
   end
 
+  test "nor do the texts that PX4 held back about the kill switch and the remote control" do
+    assert types([
+             {0.1, [fence_check: false]},
+             {1, {"commander_kill_sw_engaged", []}},
+             {2, {"commander_kill_sw_disengaged", []}},
+             {9, "Kill-switch engaged"},
+             {9.1, "Kill-switch disengaged"}
+           ]) == ~w(kill_switch.engaged kill_switch.released)
+
+    assert types([
+             {1, {"commander_rc_lost", []}},
+             {4, {"commander_rc_regained", [3.0]}},
+             {9, "Manual control lost"},
+             {9.1, "Manual control regained"}
+           ]) == ~w(rc.lost rc.restored)
+  end
+
   defp observe_late do
     detector = Detector.new(Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", 1}))
     {detector, [_], _} = Detector.observe(detector, observation(0, {"commander_gcs_lost", []}))

@@ -234,6 +234,31 @@ defmodule Aerie.Vehicle.DetectorTest do
     assert StatusTexts.gcs("Arming motors") == nil
   end
 
+  test "ArduPlane's words for the end: a ground station that is back is not lost, nor is the remote control" do
+    lost = text(1, "GCS Failsafe On: switched to RTL")
+    off = text(4, "GCS Failsafe Off")
+
+    assert without_texts([state(0, []), lost, state(2, failsafe: true), state(3, []), off, settle(6)]) ==
+             ["gcs_failsafe", "failsafe", "failsafe.cleared"]
+
+    # Its status may stay critical for another reason.
+    assert without_texts([state(0, []), lost, state(2, failsafe: true), off, text(9, "GCS Failsafe On")]) ==
+             ["gcs_failsafe", "failsafe", "failsafe.cleared", "gcs_failsafe"]
+
+    for {on, off} <- [
+          {"RC Short Failsafe: switched to CIRCLE", "Short Failsafe Cleared"},
+          {"RC Short Failsafe On", "RC Short Failsafe Cleared"},
+          {"RC Long Failsafe On: switched to RTL", "RC Long Failsafe Cleared"},
+          {"Long Failsafe On", "Long Failsafe Off"}
+        ] do
+      assert {StatusTexts.rc(on), StatusTexts.rc(off)} == {:lost, :back}, on
+      assert {StatusTexts.activation(on), StatusTexts.activation(off)} == {{:begins, "rc"}, {:over, "rc"}}, on
+
+      assert without_texts([state(0, []), text(1, on), text(3, off)]) ==
+               ~w(rc.lost failsafe rc.restored failsafe.cleared)
+    end
+  end
+
   test "reasons that texts name" do
     for {text, reason} <- [
           {"Battery 1 is low 10.40V used 3100 mAh", "battery"},

@@ -8,7 +8,8 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
 
   @reasons [
     {"gcs", ~r/\bgcs\b|ground (control )?station|data ?link/i},
-    {"rc", ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)/i},
+    # ArduPlane's short and long failsafes are about the remote control; for the ground station it says GCS.
+    {"rc", ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)|\b(short|long) fail-?safe/i},
     {"battery",
      ~r/batter(y|ies)\b.*(fail-?safe|low|critical|emergency|is )|(low|critical|emergency) battery/i},
     {"ekf", ~r/\b(ekf|dead ?reckoning|position estimate|velocity estimate|attitude estimate)\b/i},
@@ -26,10 +27,10 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
   @failsafe ~r/fail-?safe/i
   @over ~r/cleared|recovered|restored|\boff\b|ended/i
   @gcs ~r/\bgcs\b.*(fail-?safe|lost|loss)|lost connection to gcs|(ground (control )?station|data ?link).*(lost|loss)|failsafe.*\bgcs\b/i
-  @gcs_back ~r/\bgcs\b.*(cleared|regained|restored|recovered)|(ground (control )?station|data ?link).*(regained|restored|recovered)/i
+  @gcs_back ~r/\bgcs\b.*(cleared|regained|restored|recovered|fail-?safe off)|(ground (control )?station|data ?link).*(regained|restored|recovered)/i
   @fence ~r/fence.*(breach|violat|exceed)|(breach|violat).*fence/i
-  @rc ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)/i
-  @rc_back ~r/\b(radio|rc|manual control|throttle)\b.*(cleared|regained|restored|recovered|fail-?safe off)/i
+  @rc ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)|\b(short|long) fail-?safe/i
+  @rc_back ~r/\b(radio|rc|manual control|throttle)\b.*(cleared|regained|restored|recovered|fail-?safe off)|\b(short|long) fail-?safe (cleared|off)/i
   @kill ~r/\bkill(-| )?(switch)?\b.*\b(engaged|on)\b|motor ?e-?stop high/i
   @kill_off ~r/\bkill(-| )?(switch)?\b.*\b(disengaged|off)\b|motor ?e-?stop low/i
   @armed_by ~r/\A(armed|disarmed) by (?:an? |the )?([\w ]{1,40})\z/i

@@ -111,7 +111,8 @@ defmodule Aerie.Vehicle.Detector.Changes do
   defp mission(_last, _now, _detector), do: []
 
   # ArduPilot does not say that a mission is over that ends with the landing. It resets the mission when it disarms, a moment
-  # before the heartbeat shows that.
+  # before the heartbeat shows that. Its total leaves out the home position, item 0, so the last item is number `total`. The one
+  # before is the last that the vehicle executes if a command for the camera or the like follows: then it was reached itself.
   defp landed_mission(
          _last,
          %{mode: "AUTO", armed: true, mission_seq: seq, mission_total: total} = now,
@@ -123,16 +124,13 @@ defmodule Aerie.Vehicle.Detector.Changes do
   end
 
   defp landed_mission(
-         %{armed: true},
-         %{armed: false, mode: "AUTO"} = now,
+         %{armed: true, in_air: false},
+         %{armed: false, mode: "AUTO"},
          %{mission_completed: nil, last_item: {seq, total}, reached: {reached, _at}}
        )
-       when reached >= seq - 1 do
+       when reached >= total - 1 do
     data = %{"seq" => seq, "total" => total, "inferred" => true}
-
-    if now[:in_air] != true,
-      do: [Step.event("mission.completed", data, mission_completed: seq, last_item: nil)],
-      else: []
+    [Step.event("mission.completed", data, mission_completed: seq, last_item: nil)]
   end
 
   defp landed_mission(_last, _now, _detector), do: []

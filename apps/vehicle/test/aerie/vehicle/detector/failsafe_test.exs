@@ -345,6 +345,18 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
       said = [{1, @auto}, {2, {:reached, 3}}, {3, "Mission Complete"}, ends.([])]
       assert Enum.count(types(said), &(&1 == "mission.completed")) == 1
     end
+
+    test "is not completed by disarming in the air, nor at the item before the last" do
+      ends = Keyword.merge(@auto, in_air: false, armed: false)
+      # Without EXTENDED_SYS_STATE, whatever is not armed is not in the air.
+      refute "mission.completed" in types([{1, @auto}, {2, {:reached, 3}}, {11, ends}])
+
+      before = Keyword.put(@auto, :mission_seq, 3)
+      landed = [{9, before ++ [in_air: false]}, {11, Keyword.put(ends, :mission_seq, 3)}]
+      refute "mission.completed" in types([{1, before}, {2, {:reached, 2}} | landed])
+      # It was reached, and only a command that needs no flight follows.
+      assert "mission.completed" in types([{1, before}, {2, {:reached, 3}} | landed])
+    end
   end
 
   describe "whatever comes" do

@@ -173,6 +173,31 @@ defmodule Aerie.Vehicle.CoreTest do
 
     assert [%{type: "battery.low", data: %{"battery" => nil, "remaining" => 0.2, "voltage" => 12.0}}] =
              run.events
+
+    # A battery that does not say what remains has not what SYS_STATUS said of it, nor is it judged by that.
+    unsaid = fn states ->
+      states
+      |> Enum.with_index(2)
+      |> Enum.map(fn {state, n} -> low.(battery.(0, -1, state), 10 + n / 10) end)
+    end
+
+    after_low = fn states ->
+      start()
+      |> beat(10)
+      |> frames([low.(%{status | battery_remaining: 20}, 10.1) | unsaid.(states)])
+      |> Map.fetch!(:events)
+    end
+
+    assert [%{type: "battery.critical", data: data}, %{type: "battery.low"}] = after_low.([3])
+
+    assert Map.delete(data, "position") ==
+             %{"battery" => 0, "remaining" => nil, "voltage" => 11.0, "charge_state" => "CRITICAL"}
+
+    # It is well again by its own word, then low by its own word. Knowing nothing is not being well.
+    assert [%{type: "battery.low", data: %{"battery" => 0, "remaining" => nil}}, %{type: "battery.low"}] =
+             after_low.([1, 2])
+
+    assert [%{type: "battery.low", data: %{"battery" => nil}}] = after_low.([0, 2])
   end
 
   test "texts over the budget are reported as one event when they end, also in a recording" do

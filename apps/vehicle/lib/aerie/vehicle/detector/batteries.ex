@@ -28,12 +28,17 @@ defmodule Aerie.Vehicle.Detector.Batteries do
 
     charge_state = if group.id && first, do: first.charge_state
 
-    # A digest's nil keeps the last known value. The charge state has to change with the source, so it is never nil.
+    # A digest's nil keeps the last known value. What has to change with the source is never nil.
     known =
-      if group.id || group.remaining,
-        do: %{battery: group.id || :unknown, charge_state: charge_state || "UNKNOWN"}
+      if group.id || group.remaining do
+        %{
+          battery: group.id || :unknown,
+          remaining: group.remaining || :unknown,
+          charge_state: charge_state || "UNKNOWN"
+        }
+      end
 
-    Map.merge(%{remaining: group.remaining, batteries: others}, known || %{})
+    Map.merge(%{remaining: nil, batteries: others}, known || %{})
   end
 
   @doc "The voltages by battery id. They change all the time, so they are not in the digest."
@@ -47,7 +52,8 @@ defmodule Aerie.Vehicle.Detector.Batteries do
 
   @spec steps(digest :: map(), Detector.t()) :: [Step.t()]
   def steps(now, detector) do
-    own = %{id: now[:battery] || :unknown, remaining: now[:remaining], charge_state: now[:charge_state]}
+    remaining = if now[:remaining] != :unknown, do: now[:remaining]
+    own = %{id: now[:battery] || :unknown, remaining: remaining, charge_state: now[:charge_state]}
 
     {steps, _levels} =
       Enum.flat_map_reduce(
@@ -82,6 +88,9 @@ defmodule Aerie.Vehicle.Detector.Batteries do
       "charge_state" => if(battery.charge_state != "UNKNOWN", do: battery.charge_state)
     }
   end
+
+  # Nothing is known of it now.
+  defp level(%{remaining: nil, charge_state: state}, was, _detector) when state in [nil, "UNKNOWN"], do: was
 
   # With hysteresis: a level is left only well above its threshold.
   defp level(battery, was, detector) do

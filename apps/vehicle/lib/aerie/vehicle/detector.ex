@@ -127,10 +127,10 @@ defmodule Aerie.Vehicle.Detector do
   @spec observe(t(), Observation.t(), known()) :: {t(), [Event.t()], %{String.t() => term()}}
   def observe(detector, observation, known \\ fn _name -> :error end)
 
-  def observe(%{failsafe: %{pending: %{}}} = detector, %Observation{at: at} = observation, known) do
+  def observe(%{failsafe: %{pending: %{}}} = detector, %Observation{received: now} = observation, known) do
     facts = Map.put(facts(detector), :where, where(observation))
-    {failsafe, steps} = Failsafe.due(detector.failsafe, at, facts)
-    moment = %{at: at, boot_ms: nil, where: nil}
+    {failsafe, steps} = Failsafe.due(detector.failsafe, now, facts)
+    moment = %{at: now, boot_ms: nil, where: nil, received: now}
     {detector, before} = Emitter.emit(%{detector | failsafe: failsafe}, steps, moment)
     {detector, events, params} = step(detector, observation, known)
     {detector, before ++ events, params}
@@ -320,8 +320,8 @@ defmodule Aerie.Vehicle.Detector do
 
   defp emit({detector, steps}, observation), do: Emitter.emit(detector, steps, moment(observation))
 
-  defp moment(%{at: at, boot_ms: boot_ms} = observation),
-    do: %{at: at, boot_ms: boot_ms, where: place(observation)}
+  defp moment(%{at: at, boot_ms: boot_ms, received: received} = observation),
+    do: %{at: at, boot_ms: boot_ms, where: place(observation), received: received}
 
   defp place(%{kind: :state, data: digest}), do: digest[:where]
   defp place(%{kind: :px4_report, data: %{where: where}}), do: where

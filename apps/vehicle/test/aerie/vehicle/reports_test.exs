@@ -271,6 +271,18 @@ defmodule Aerie.Vehicle.ReportsTest do
       assert {{_, 4600, %{"sequence" => 7}}, {_, 4100, %{"sequence" => 8}}} = {seven, eight}
     end
 
+    test "that are said to be an hour old by turns with fresh ones have no more than their budget" do
+      clock = {0.5, %M.SystemTime{time_boot_ms: 4_000_000}, 1}
+
+      flood =
+        for n <- 1..200, do: {1 + n / 20, event(n, event_time_boot_ms: 4_001_000 - rem(n, 2) * 3_000_000), 1}
+
+      reports = pick(said([clock | flood]), ["report"])
+      # The whole bucket, and two a second for the ten seconds that they take.
+      assert length(reports) in 60..82
+      assert [_ | _] = for({_, _, %{"late_s" => late}} <- reports, do: assert_in_delta(late, 3000, 20))
+    end
+
     test "events that are not for display or not for us are not shown, and not missing either" do
       run =
         said([

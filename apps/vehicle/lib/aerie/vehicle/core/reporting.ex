@@ -84,7 +84,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
     }
 
     data = if late_us > 0, do: Map.put(data, "late_s", Float.round(late_us / 1_000_000, 1)), else: data
-    observation = Observation.new(:report, report.at - late_us, report.boot_ms, data)
+    observation = Observation.new(:report, report.at - late_us, report.boot_ms, data, report.at)
     {%{core | dirty: true}, [{:observe, observation} | actions]}
   end
 

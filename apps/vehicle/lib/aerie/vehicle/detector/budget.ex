@@ -38,7 +38,7 @@ defmodule Aerie.Vehicle.Detector.Budget do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Whether an event that happened `at` is within the budget; if not, it is counted."
+  @doc "Whether an event that the gateway learned of `at` this time is within the budget; if not, it is counted."
   @spec take(t(), type :: String.t(), data :: map(), at :: integer()) :: {:ok | :over, t()}
   def take(budget, type, data, at) do
     kind = kind(type, data)

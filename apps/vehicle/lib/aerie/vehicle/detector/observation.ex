@@ -26,7 +26,7 @@ defmodule Aerie.Vehicle.Detector.Observation do
   """
 
   @enforce_keys [:kind, :at, :boot_ms]
-  defstruct [:kind, :at, :boot_ms, :data]
+  defstruct [:kind, :at, :boot_ms, :data, :received]
 
   @type kind ::
           :state
@@ -47,10 +47,19 @@ defmodule Aerie.Vehicle.Detector.Observation do
           | :published
           | :quiet
 
-  @typedoc "`at`: unix us; `boot_ms`: the vehicle's clock, or nil."
-  @type t :: %__MODULE__{kind: kind(), at: integer(), boot_ms: non_neg_integer() | nil, data: term()}
+  @typedoc """
+  - `at`: when it happened, unix us; `boot_ms`: the same by the vehicle's clock, or nil
+  - `received`: when the gateway learned of it, unix us; a report may come up to an hour late
+  """
+  @type t :: %__MODULE__{
+          kind: kind(),
+          at: integer(),
+          boot_ms: non_neg_integer() | nil,
+          data: term(),
+          received: integer()
+        }
 
-  @spec new(kind(), integer(), non_neg_integer() | nil, term()) :: t()
-  def new(kind, at, boot_ms, data \\ nil),
-    do: %__MODULE__{kind: kind, at: at, boot_ms: boot_ms, data: data}
+  @spec new(kind(), integer(), non_neg_integer() | nil, term(), received :: integer() | nil) :: t()
+  def new(kind, at, boot_ms, data \\ nil, received \\ nil),
+    do: %__MODULE__{kind: kind, at: at, boot_ms: boot_ms, data: data, received: received || at}
 end

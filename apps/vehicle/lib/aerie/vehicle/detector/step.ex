@@ -4,8 +4,16 @@ defmodule Aerie.Vehicle.Detector.Step do
   @enforce_keys [:type]
   defstruct [:type, data: %{}, changes: [], moment: nil]
 
-  @typedoc "When and where something happened: unix us, the vehicle's clock (ms), its position as event data."
-  @type moment :: %{at: integer(), boot_ms: non_neg_integer() | nil, where: map() | nil}
+  @typedoc """
+  When and where something happened: unix us, the vehicle's clock (ms), its position as event data; and when the gateway learned
+  of it.
+  """
+  @type moment :: %{
+          at: integer(),
+          boot_ms: non_neg_integer() | nil,
+          where: map() | nil,
+          received: integer()
+        }
   @typedoc """
   `type` is nil for a change of the detector alone; `changes` are fields of the detector; `moment` is set if the event
   happened earlier than what showed it.

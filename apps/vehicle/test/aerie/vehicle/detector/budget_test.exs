@@ -56,6 +56,35 @@ defmodule Aerie.Vehicle.Detector.BudgetTest do
     assert {:ok, _budget} = Budget.take(budget, "statustext", %{"severity" => 6}, 0)
   end
 
+  test "reports that are fresh and fifty minutes late by turns have no more than their budget" do
+    reports =
+      for n <- 1..1000 do
+        received = 10_000 * @second + n * 1000
+        at = if rem(n, 2) == 0, do: received - 3000 * @second, else: received
+        Observation.new(:report, at, nil, %{"severity" => 6}, received)
+      end
+
+    quiet = Observation.new(:quiet, 10_010 * @second, nil)
+    detector = Detector.new(Options.new(Aerie.Vehicle.Settings.from(%{}), {"main", 1}))
+
+    {events, _detector} =
+      Enum.flat_map_reduce(reports ++ [quiet], detector, fn observation, detector ->
+        {detector, events, %{}} = Detector.observe(detector, observation)
+        {events, detector}
+      end)
+
+    passed = for %{type: "report", time: time} <- events, do: time
+    # The whole bucket, and what is added to it in a second.
+    assert length(passed) in 60..62
+    # Each still has its own time.
+    assert Enum.any?(passed, &(&1 < 8_000 * @second))
+
+    assert [%{time: 10_010_000_000, data: %{"of" => "report", "count" => count}}] =
+             events -- Enum.filter(events, &(&1.type == "report"))
+
+    assert count + length(passed) == 1000
+  end
+
   test "an event over the budget still changes the detector" do
     flap = for n <- 1..400, do: Observation.new(:state, n * 1000, nil, %{armed: rem(n, 2) == 0, mode: "AUTO"})
     quiet = Observation.new(:quiet, 10 * @second, nil)

@@ -41,6 +41,9 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
   defp observation(at, {:reached, seq}), do: Observation.new(:reached, at, nil, seq)
   defp observation(at, :reboot), do: Observation.new(:reboot, at, 1000)
 
+  defp observation(at, {:late_report, late_s}),
+    do: Observation.new(:report, at - late_s * @second, nil, %{"severity" => 6}, at)
+
   defp observation(at, {name, values}),
     do: Observation.new(:px4_report, at, nil, %{name: name, values: values, where: nil})
 
@@ -68,6 +71,16 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
     test "by the heartbeat takes its cause from the text after it, and its time from the heartbeat" do
       assert [{1.0, %{"type" => "rc", "action" => "land", "text" => "Radio Failsafe"}}] =
                failsafes([{1, [failsafe: true, mode: "LAND"]}, {1.01, "Radio Failsafe"}])
+    end
+
+    test "goes on waiting when a report comes that tells what was an hour ago" do
+      story = [
+        {5000, [failsafe: true, mode: "LAND"]},
+        {5000.1, {:late_report, 3000}},
+        {5000.2, "Radio Failsafe"}
+      ]
+
+      assert [{5000.0, %{"type" => "rc", "action" => "land", "text" => "Radio Failsafe"}}] = failsafes(story)
     end
 
     test "during another one is shown by its text, and by the mode that it forces" do

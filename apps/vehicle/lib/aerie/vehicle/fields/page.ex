@@ -82,8 +82,13 @@ defmodule Aerie.Vehicle.Fields.Page do
   defp events do
     """
     Events are delivered at least once, in the order of `seq`. An event that is delivered twice has the same `id`. `time` is when
-    the gateway received what shows the event. The data of an event that the vehicle's state shows may also have `position` (`lat`,
-    `lon`, `alt_msl`, `alt_rel` as above): where the vehicle was then.
+    the gateway received what shows the event. It may step back by a few seconds from one event to the next, because a `failsafe`
+    waits for its cause, a `report` for those before it, and a change that may be another vehicle's until it has stayed. The `time`
+    of a `report` with `late_s`, most often one that was lost and requested again, is when it happened by the vehicle's clock: up
+    to an hour before. Sort by `epoch` and `seq`, not by `time`.
+
+    The data of an event that the vehicle's state shows may also have `position` (`lat`, `lon`, `alt_msl`, `alt_rel` as above):
+    where the vehicle was then.
     """
   end
 

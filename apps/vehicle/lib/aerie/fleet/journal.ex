@@ -25,7 +25,8 @@ defmodule Aerie.Fleet.Journal do
   Bounds: #{@max_inbox} entries in a vehicle's inbox (half of them for texts, reports, parameters and the like, three quarters for urgent
   texts), `limits.max_pending_events` unacknowledged events (the oldest is dropped), the last #{@max_recent} events of each vehicle,
   #{@max_params} parameters of a vehicle, the detectors' states of #{@max_gone} vehicles that were removed. Drops are counted as
-  `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`.
+  `{:journal, :inbox_dropped}`, `{:journal, :pending_dropped}` and `{:journal, :params_dropped}`; those of a vehicle's inbox also
+  as `{:vehicle, id, :inbox_dropped}`, because they are in no `events.suppressed`.
 
   The table belongs to `Aerie.Store`. Objects in it:
 
@@ -236,6 +237,7 @@ defmodule Aerie.Fleet.Journal do
       :ok
     else
       Store.count(gateway, {:journal, :inbox_dropped})
+      Store.count(gateway, {:vehicle, vehicle, :inbox_dropped})
       {:error, :full}
     end
   end

@@ -96,6 +96,8 @@ defmodule Aerie.Fleet.JournalTest do
     for n <- 1..4096, do: :ok = Journal.offer(gateway, "A", n)
     assert Journal.offer(gateway, "A", :late) == {:error, :full}
     assert Store.counter(gateway, {:journal, :inbox_dropped}) == 1
+    assert Store.counter(gateway, {:vehicle, "A", :inbox_dropped}) == 1
+    assert Store.counter(gateway, {:vehicle, "B", :inbox_dropped}) == 0
     Journal.forget(gateway, "A", Enum.to_list(1..100))
     assert Journal.offer(gateway, "A", :fits) == :ok
     assert List.last(Journal.inbox(gateway, "A", 4000)) |> elem(1) == :fits

@@ -89,6 +89,10 @@ defmodule Aerie.Vehicle.Fields.Page do
 
     The data of an event that the vehicle's state shows may also have `position` (`lat`, `lon`, `alt_msl`, `alt_rel` as above):
     where the vehicle was then.
+
+    `events.suppressed` tells how many events were over the budget of their type. A vehicle that sends more than the gateway can
+    look at loses texts, reports, parameters and reached items before they are events: of them there is no event, only
+    `gateway_counter_total{name="vehicle.ID.inbox_dropped"}`.
     """
   end
 

@@ -13,17 +13,17 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
   (R6) or the demand changes (M3).
 
   When no client wants a message any more, its rate is reset: to what was measured before the first request, otherwise to the
-  vehicle's default.
+  vehicle's default. The same goes for the groups that clients request with REQUEST_DATA_STREAM (`Groups`).
 
   If a message that came as requested becomes too slow, its interval was changed by another program, or the link is too slow.
   The vehicle is asked for the interval (MESSAGE_INTERVAL). If it is ours, the link is too slow, and a request would not help.
   Otherwise the message is requested once more; when it is changed again within two minutes, it is left to the other program,
   and reported.
 
-  Each function takes the time (us) as `now` or `at`. `Check` judges, `Sender` sends.
+  Each function takes the time (us) as `now` or `at`. `Check` judges, `Sender` sends, `Groups` knows REQUEST_DATA_STREAM.
   """
 
-  alias Aerie.Vehicle.Streams.{Check, Meter, Request, Sender, WantedMessage}
+  alias Aerie.Vehicle.Streams.{Check, Groups, Meter, Request, Sender, WantedMessage}
   alias MavCodec.Messages, as: M
 
   # The rates to request of messages that do not come by themselves.
@@ -50,6 +50,7 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
             demand: %{},
             groups: %{},
             sent_groups: %{},
+            before: %{},
             once: %{},
             resets: %{},
             starts_at: nil,
@@ -64,9 +65,10 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
 
   @typedoc """
   - `messages`: the wanted ones; `gateway`, `demand`: the rates that the gateway and clients want; all by message id
-  - `groups`, `sent_groups`: rates of REQUEST_DATA_STREAM groups that clients want, and that were requested
+  - `groups`, `sent_groups`: rates of REQUEST_DATA_STREAM groups that clients want, and those that were requested for them
+  - `before`: group => the rate of its members that nobody wants, before its first request; `:measuring` until it is known
   - `once`: id => `{tries, next}`, or `:known`
-  - `resets`: id => when the rate of a message that is not wanted any more is reset
+  - `resets`: id or `{:group, group}` => when the rate of what is not wanted any more is reset
   - `queue`, `in_flight`: what is to be sent, what waits for its acknowledgement
   - `held`: nothing is to be sent
   - `accepted`, `obeyed`: whether SET_MESSAGE_INTERVAL was ever acknowledged, whether a rate ever followed it
@@ -122,6 +124,10 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
     %{arbiter | meter: arbiter.meter |> Meter.ensure(id, at) |> Meter.heard(link, id, at)}
   end
 
+  # Watched as a member of a group.
+  def heard(%{meter: %{watched: watched}} = arbiter, link, id, at) when is_map_key(watched, id),
+    do: %{arbiter | meter: Meter.heard(arbiter.meter, link, id, at)}
+
   def heard(arbiter, _link, _id, _at), do: arbiter
 
   @doc """
@@ -130,9 +136,9 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
   """
   @spec demand(t(), Aerie.Fleet.StreamDemand.merged(), non_neg_integer() | nil) :: t()
   def demand(arbiter, merged, forwarded \\ nil) do
-    arbiter = update_messages(%{arbiter | demand: merged.messages, groups: merged.groups})
-    sent = Map.filter(arbiter.sent_groups, fn {group, _hz} -> is_map_key(merged.groups, group) end)
-    forwarded(%{arbiter | sent_groups: sent}, forwarded)
+    update_messages(%{arbiter | demand: merged.messages})
+    |> Groups.demand(merged.groups)
+    |> forwarded(forwarded)
   end
 
   defp forwarded(arbiter, id) when is_map_key(arbiter.messages, id) do
@@ -174,7 +180,8 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
     once = Map.new(arbiter.once, fn {id, state} -> {id, with({tries, _next} <- state, do: {tries, nil})} end)
     messages = Map.new(arbiter.messages, fn {id, one} -> {id, %{one | changes: [], queries: []}} end)
     starts_at = arbiter.starts_at && now + @grace_us
-    resume(%{arbiter | once: once, messages: messages, resets: %{}}, now, starts_at)
+    resets = Map.new(arbiter.resets, fn {what, _due} -> {what, nil} end)
+    resume(%{arbiter | once: once, messages: messages, resets: resets}, now, starts_at)
   end
 
   defp resume(arbiter, now, starts_at) do

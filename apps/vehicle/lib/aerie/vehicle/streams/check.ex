@@ -3,7 +3,7 @@ defmodule Aerie.Vehicle.Streams.Check do
   Decides the state of each wanted message by what comes, as `Aerie.Vehicle.Streams.Arbiter` describes.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Meter, WantedMessage}
+  alias Aerie.Vehicle.Streams.{Arbiter, Groups, Meter, WantedMessage}
 
   @every_us 250_000
   # A new demand is measured only briefly before it is requested.
@@ -23,16 +23,7 @@ defmodule Aerie.Vehicle.Streams.Check do
   def run(%{checked_at: at} = arbiter, now) when at != nil and now - at < @every_us, do: arbiter
 
   def run(arbiter, now) do
-    %{arbiter | checked_at: now} |> groups() |> resets(now) |> messages(now) |> once(now)
-  end
-
-  # Groups that clients requested with REQUEST_DATA_STREAM are requested once, and again after each reboot.
-  defp groups(arbiter) do
-    Enum.reduce(arbiter.groups, arbiter, fn {group, hz}, arbiter ->
-      if Map.get(arbiter.sent_groups, group, 0) >= hz,
-        do: arbiter,
-        else: Arbiter.enqueue(arbiter, {:group, group})
-    end)
+    %{arbiter | checked_at: now} |> Groups.check(now) |> resets(now) |> messages(now) |> once(now)
   end
 
   defp resets(arbiter, now) do
@@ -40,24 +31,29 @@ defmodule Aerie.Vehicle.Streams.Check do
       {id, nil}, arbiter ->
         %{arbiter | resets: Map.put(arbiter.resets, id, now + @linger_us)}
 
-      {id, due}, arbiter when now >= due ->
-        reset(%{arbiter | resets: Map.delete(arbiter.resets, id)}, id, arbiter.messages[id])
+      {what, due}, arbiter when now >= due ->
+        reset(%{arbiter | resets: Map.delete(arbiter.resets, what)}, what, arbiter.messages[what])
 
       _later, arbiter ->
         arbiter
     end)
   end
 
+  defp reset(arbiter, {:group, group}, _), do: Groups.reset(arbiter, group)
   defp reset(arbiter, id, nil), do: Arbiter.enqueue(arbiter, {:default, id})
 
   # If another program has raised the rate further than we did, it stays.
   defp reset(arbiter, id, wanted) do
-    hz = max(wanted.hz || 0, wanted.initial || wanted.ask)
+    hz = least(wanted)
 
     if wanted.set not in [nil, hz] and (wanted.set > hz or wanted.initial != nil) and not wanted.faster,
       do: ask(arbiter, %{wanted | ask: hz, tries: 0}, id),
       else: arbiter
   end
+
+  @doc "The rate of a message that is reset: what is wanted of it, but not less than it had before the first request."
+  @spec least(WantedMessage.t()) :: number()
+  def least(wanted), do: max(wanted.hz || 0, wanted.initial || wanted.ask)
 
   defp messages(arbiter, now) do
     Enum.reduce(arbiter.messages, arbiter, fn

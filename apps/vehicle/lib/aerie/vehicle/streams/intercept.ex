@@ -5,8 +5,8 @@ defmodule Aerie.Vehicle.Streams.Intercept do
   A rate belongs to the link, so the last request wins (M2), and one client's request could lower another client's rate. A
   request that lowers no other client's rate is forwarded, and the vehicle itself answers. One that would is recorded and
   answered in the vehicle's name. REQUEST_DATA_STREAM is always recorded and never forwarded: it sets whole groups, has no
-  answer, and some programs repeat it every few seconds. `Aerie.Vehicle.Streams.Arbiter` requests the group once, and then
-  restores the higher rates in it.
+  answer, and some programs repeat it every few seconds. `Aerie.Vehicle.Streams.Arbiter` requests the group once, then
+  restores the higher rates in it, and resets the group when its clients are gone.
   """
 
   alias Aerie.Vehicle.Streams.{Arbiter, Request}

@@ -58,8 +58,11 @@ defmodule Aerie.Vehicle.Streams.Request do
   @spec once(target(), non_neg_integer()) :: CommandLong.t()
   def once(target, id), do: command(target, @request_message, id, 0)
 
-  @doc "REQUEST_DATA_STREAM; the rate is a whole number, at least 1."
+  @doc "REQUEST_DATA_STREAM; the rate is a whole number, at least 1; 0 Hz stops the group."
   @spec group(target(), non_neg_integer(), number()) :: RequestDataStream.t()
+  def group(target, group, hz) when hz == 0,
+    do: %{group(target, group, 1) | req_message_rate: 0, start_stop: 0}
+
   def group({system, component}, group, hz) do
     %RequestDataStream{
       target_system: system,

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   which of several it is for (C8). The next one follows the acknowledgement, or a short wait without one.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Check, Meter, Request, WantedMessage}
+  alias Aerie.Vehicle.Streams.{Arbiter, Check, Groups, Meter, Request, WantedMessage}
   alias MavCodec.Enums.{MavCmd, MavResult}
 
   @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   defp message(%{legacy: true} = arbiter, {:set, id}, now, target) do
     case Request.group(id) do
       nil -> {missing(arbiter, id), nil}
-      group -> message(arbiter, {:group, group}, now, target)
+      group -> Groups.request(arbiter, group, now, target)
     end
   end
 
@@ -44,30 +44,8 @@ defmodule Aerie.Vehicle.Streams.Sender do
     end
   end
 
-  # REQUEST_DATA_STREAM sets all messages of a group, so it gets the highest rate that is wanted of any of them.
-  defp message(%{legacy: true} = arbiter, {:group, group}, now, target) do
-    members = members(arbiter, group)
-    rates = for wanted <- members, wanted.hz != nil or asked?(arbiter, wanted), do: wanted.ask
-
-    case Enum.max([Map.get(arbiter.groups, group, 0) | rates]) do
-      0 -> {arbiter, nil}
-      hz -> members |> Enum.reduce(arbiter, &sent(&2, &1, hz, now)) |> group(group, members, hz, target)
-    end
-  end
-
-  # A client's request for a group. Messages of it that are wanted at a higher rate are requested again.
-  defp message(arbiter, {:group, group}, now, target) do
-    case arbiter.groups do
-      %{^group => hz} ->
-        {more, less} = Enum.split_with(members(arbiter, group), &more?(&1, hz))
-        arbiter = less |> Enum.filter(&(&1.ask <= hz)) |> Enum.reduce(arbiter, &sent(&2, &1, hz, now))
-        {arbiter, message} = group(arbiter, group, [], hz, target)
-        {Enum.reduce(more, arbiter, &Arbiter.enqueue(&2, {:set, &1.id})), message}
-
-      _nobody ->
-        {arbiter, nil}
-    end
-  end
+  defp message(arbiter, {:group, group}, now, target), do: Groups.request(arbiter, group, now, target)
+  defp message(arbiter, {:restore, group}, now, target), do: Groups.restore(arbiter, group, now, target)
 
   defp message(arbiter, {:query, id}, now, target) do
     case arbiter.messages do
@@ -90,21 +68,10 @@ defmodule Aerie.Vehicle.Streams.Sender do
     if arbiter.once[id] == :known, do: {arbiter, nil}, else: {arbiter, Request.once(target, id)}
   end
 
-  defp group(arbiter, group, members, hz, target) do
-    queue = arbiter.queue -- Enum.map(members, &{:set, &1.id})
-    sent = Map.put(arbiter.sent_groups, group, hz)
-    {%{arbiter | queue: queue, sent_groups: sent}, Request.group(target, group, hz)}
-  end
-
-  defp members(arbiter, group) do
-    for id <- Map.get(Request.groups(), group, []), wanted = arbiter.messages[id], do: wanted
-  end
-
-  defp more?(wanted, hz), do: (wanted.hz || 0) > hz or (wanted.set || 0) > hz
-
-  defp asked?(arbiter, wanted), do: wanted.state == :asked or {:set, wanted.id} in arbiter.queue
-
-  defp sent(arbiter, wanted, hz, now) do
+  @doc false
+  # A request that sets a message to this rate goes out now.
+  @spec sent(Arbiter.t(), WantedMessage.t(), number(), integer()) :: Arbiter.t()
+  def sent(arbiter, wanted, hz, now) do
     state = if wanted.state == :ok, do: :ok, else: :asked
     tries = max(wanted.tries, 1)
     wanted = WantedMessage.asked(wanted, hz, Meter.last(arbiter.meter, wanted.id))
@@ -128,7 +95,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
 
   defp command(kind) when kind in [:set, :default], do: @set_message_interval
   defp command(kind) when kind in [:query, :once], do: @request_message
-  defp command(:group), do: nil
+  defp command(kind) when kind in [:group, :restore], do: nil
 
   defp answered(arbiter, {:set, _id}, _, @accepted), do: %{arbiter | accepted: true}
   defp answered(arbiter, {:set, _id}, _, @temporarily_rejected), do: arbiter

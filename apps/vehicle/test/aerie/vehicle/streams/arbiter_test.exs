@@ -167,6 +167,92 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       assert vehicle.notices == []
     end
 
+    test "M2: what the members of a group had before is restored when no client wants the group any more" do
+      before = Sim.new(rates: %{@default | 30 => 10}) |> Sim.run(20)
+
+      for hz <- [4, 2, 20] do
+        asked = before |> Sim.want(%{}, groups: %{10 => hz}) |> Sim.run(30)
+        assert {asked.rates[30], asked.rates[178]} == {hz, hz}
+        left = asked |> Sim.want(%{}) |> Sim.run(60)
+        assert_in_delta left.rates[30], 10, 1
+        # Nobody had asked for AHRS2, and it did not come.
+        assert left.rates[178] == 0
+        again = Sim.run(left, 120)
+        assert {requests(again), again.notices, state(again, 30)} == {requests(left), [], :ok}
+      end
+    end
+
+    test "M2: also of members that nobody wants, with the group's own request" do
+      rates = Map.merge(@default, %{30 => 10, 178 => 10, 27 => 5, 116 => 5})
+      vehicle = Sim.new(rates: rates) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{}, groups: %{1 => 4, 10 => 4}) |> Sim.run(30)
+      assert {vehicle.rates[30], vehicle.rates[178], vehicle.rates[27]} == {4, 4, 4}
+      left = vehicle |> Sim.want(%{}) |> Sim.run(60)
+      assert Map.take(left.rates, [30, 178, 27, 116]) == %{30 => 10, 178 => 10, 27 => 5, 116 => 5}
+
+      assert [{:group, 1, 5}, {:group, 10, 10}] =
+               left |> requests() |> Enum.map(&elem(&1, 1)) |> Enum.take(-2)
+    end
+
+    test "a group that other clients want is lowered to the rate that they want, not below what came before" do
+      vehicle = Sim.new(rates: Map.put(@default, 178, 3)) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{}, groups: %{10 => 10}) |> Sim.run(20)
+      assert vehicle.rates[178] == 10
+      assert (vehicle |> Sim.want(%{}, groups: %{10 => 5}) |> Sim.run(30)).rates[178] == 5
+      assert (vehicle |> Sim.want(%{}, groups: %{10 => 1}) |> Sim.run(30)).rates[178] == 3
+    end
+
+    test "a group's end takes nothing from who wants one of its messages" do
+      vehicle = Sim.new(rates: %{@default | 30 => 10}) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{30 => 20, 178 => 6}, groups: %{10 => 4}) |> Sim.run(30)
+      vehicle = vehicle |> Sim.want(%{30 => 20, 178 => 6}) |> Sim.run(60)
+      assert_in_delta vehicle.rates[30], 20, 0.1
+      assert_in_delta vehicle.rates[178], 6, 0.1
+    end
+
+    test "a client that is gone for a moment only changes nothing" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(20) |> Sim.want(%{}, groups: %{10 => 4}) |> Sim.run(20)
+      back = vehicle |> Sim.want(%{}) |> Sim.run(5) |> Sim.want(%{}, groups: %{10 => 4}) |> Sim.run(60)
+      assert requests(back) == requests(vehicle)
+    end
+
+    test "M2: a vehicle that knows only REQUEST_DATA_STREAM gets its rates back too" do
+      before = Sim.new(rates: Map.merge(@default, %{30 => 10, 27 => 5}), command: :unsupported) |> Sim.run(20)
+      # It has refused the command once.
+      before = before |> Sim.want(%{33 => 5}) |> Sim.run(20)
+      asked = before |> Sim.want(%{33 => 5}, groups: %{1 => 2, 10 => 4}) |> Sim.run(30)
+      assert {asked.rates[27], asked.rates[30]} == {2, 4}
+      left = asked |> Sim.want(%{33 => 5}) |> Sim.run(60)
+      assert {left.rates[27], left.rates[30], left.rates[33]} == {5, 10, 5}
+    end
+
+    test "M2: a change of the clock does not prevent it" do
+      vehicle = Sim.new(rates: %{@default | 30 => 10}) |> Sim.run(20)
+
+      vehicle =
+        vehicle |> Sim.want(%{36 => 2}, groups: %{10 => 4}) |> Sim.run(20) |> Sim.want(%{}) |> Sim.run(2)
+
+      vehicle = %{vehicle | now: 0, arbiter: Arbiter.rebased(vehicle.arbiter, 0)} |> Sim.run(60)
+      assert {vehicle.rates[30], vehicle.rates[36]} == {10, 0}
+    end
+
+    test "a member that is not wanted any more does not hold its group up" do
+      vehicle = Sim.new(rates: @default) |> Sim.run(20)
+      vehicle = vehicle |> Sim.want(%{178 => 1}, groups: %{10 => 4}) |> Sim.run(2)
+      vehicle = vehicle |> Sim.want(%{}, groups: %{10 => 4}) |> Sim.run(20)
+      assert vehicle.rates[178] == 4
+      assert (vehicle |> Sim.want(%{}) |> Sim.run(60)).rates[178] == 0
+    end
+
+    test "nothing is measured while nothing may be sent" do
+      vehicle = Sim.new(rates: Map.put(@default, 27, 5)) |> Sim.run(20)
+      held = %{vehicle | arbiter: Arbiter.hold(vehicle.arbiter, true), rates: %{}}
+      held = held |> Sim.want(%{}, groups: %{1 => 2}) |> Sim.run(30)
+      vehicle = %{held | arbiter: Arbiter.hold(held.arbiter, false), rates: vehicle.rates} |> Sim.run(30)
+      assert vehicle.rates[27] == 2
+      assert (vehicle |> Sim.want(%{}) |> Sim.run(60)).rates[27] == 5
+    end
+
     test "R6: after a reboot everything that does not come is requested again" do
       vehicle = Sim.new(rates: @default) |> Sim.run(5)
       vehicle = vehicle |> Sim.want(%{30 => 20}, groups: %{11 => 4}) |> Sim.run(30)
@@ -244,9 +330,11 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
   describe "properties" do
     defp id, do: :proper_types.oneof([30, 33, 74, 1, 36, 241])
 
+    defp groups, do: :proper_types.list({:proper_types.oneof([1, 2, 6, 10, 13]), :proper_types.range(1, 40)})
+
     defp step do
       :proper_types.frequency([
-        {3, {:want, :proper_types.list({id(), :proper_types.range(1, 40)})}},
+        {3, {:want, :proper_types.list({id(), :proper_types.range(1, 40)}), groups()}},
         {2, {:other, id(), :proper_types.range(0, 50)}},
         {1, :reboot},
         {1, {:link, :proper_types.oneof([0.3, 0.8, 1.0])}},
@@ -254,7 +342,9 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
       ])
     end
 
-    defp apply_step({:want, wants}, vehicle), do: Sim.want(vehicle, Map.new(wants))
+    defp apply_step({:want, wants, groups}, vehicle),
+      do: Sim.want(vehicle, Map.new(wants), groups: Map.new(groups))
+
     defp apply_step({:other, id, hz}, vehicle), do: Sim.set(vehicle, id, hz)
     defp apply_step(:reboot, vehicle), do: Sim.reboot(vehicle, @default)
     defp apply_step({:link, share}, vehicle), do: %{vehicle | carried: share}
@@ -297,6 +387,32 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
             Enum.all?(Map.new(second), fn {id, hz} ->
               vehicle.rates[id] >= hz * 0.7 and state(vehicle, id) == :ok
             end) and vehicle.notices == []
+          end
+        )
+
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+    end
+
+    test "M2: whatever clients wanted of a vehicle that obeys: when they are gone, it sends what it sent before" do
+      prop =
+        :proper.forall(
+          {:proper_types.range(1, 20), :proper_types.range(0, 20),
+           :proper_types.list({:proper_types.list({id(), :proper_types.range(1, 40)}), groups()})},
+          fn {attitude, raw, wants} ->
+            # As with ArduPilot, the members of a group that nobody has requested have one rate.
+            rates = Map.merge(@default, Map.new([26, 27, 29], &{&1, raw}))
+            before = Sim.new(rates: %{rates | 30 => attitude}) |> Sim.run(20)
+
+            left =
+              Enum.reduce(wants, before, fn {messages, groups}, vehicle ->
+                vehicle |> Sim.want(Map.new(messages), groups: Map.new(groups)) |> Sim.run(15)
+              end)
+
+            left = left |> Sim.want(%{}) |> Sim.run(60)
+            known = Map.filter(before.rates, fn {id, _hz} -> id in [26, 27, 29 | Map.keys(@floor)] end)
+
+            left.notices == [] and
+              Enum.all?(known, fn {id, hz} -> abs(left.rates[id] - hz) <= max(0.5, hz * 0.1) end)
           end
         )
 

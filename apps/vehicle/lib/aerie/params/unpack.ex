@@ -5,7 +5,8 @@ defmodule Aerie.Params.Unpack do
   """
 
   @max_bytes 16_777_216
-  @memory "--memlimit-decompress=64MiB"
+  # PX4 packs with the largest preset (-9), which takes 65 MiB to unpack.
+  @memory "--memlimit-decompress=80MiB"
   @ms 20_000
 
   @doc "The content of a file, by its name."

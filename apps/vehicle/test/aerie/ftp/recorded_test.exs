@@ -5,6 +5,7 @@ defmodule Aerie.Ftp.RecordedTest do
 
   alias Aerie.{Flight, LossyLink}
   alias Aerie.Ftp.Client
+  alias Aerie.Params.Unpack
   alias MavCodec.Messages.FileTransferProtocol
 
   @fixtures Path.expand("../../fixtures", __DIR__)
@@ -63,6 +64,8 @@ defmodule Aerie.Ftp.RecordedTest do
     # The magic bytes of xz at both ends.
     assert <<0xFD, "7zXZ", 0, _::binary>> = bytes = LossyLink.bytes(run)
     assert binary_part(bytes, 16_970, 2) == "YZ"
+    assert {:ok, text} = Unpack.file("all_events.json.xz", bytes)
+    assert %{"version" => 2, "components" => %{"0" => _common, "1" => _px4}} = JSON.decode!(text)
     assert run({:read, "/nope.txt"}).result == {:error, :file_not_found}
   end
 end

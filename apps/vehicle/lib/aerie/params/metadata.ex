@@ -4,7 +4,8 @@ defmodule Aerie.Params.Metadata do
   cut, what is more is left out.
   """
 
-  @parameters 1
+  # COMP_METADATA_TYPE
+  @types %{parameters: 1, events: 4}
   @max_params 5_000
   @max_short 200
   @max_long 4_000
@@ -34,14 +35,19 @@ defmodule Aerie.Params.Metadata do
           bits: [%{bit: number(), text: String.t()}]
         }
 
-  @doc "Where the general file says that the parameters are described: a uri, and the checksum of that file if it names one."
-  @spec general(binary()) :: {:ok, {uri :: String.t(), crc :: non_neg_integer() | nil}} | {:error, String.t()}
-  def general(text) do
+  @doc """
+  Where the general file says that the parameters, or the events, are described: a uri, and the checksum of that file if it names one.
+  """
+  @spec general(binary(), :parameters | :events) ::
+          {:ok, {uri :: String.t(), crc :: non_neg_integer() | nil}} | {:error, String.t()}
+  def general(text, what \\ :parameters) do
+    number = Map.fetch!(@types, what)
+
     with {:ok, %{"metadataTypes" => types}} when is_list(types) <- JSON.decode(text),
-         %{"uri" => uri} = type when is_binary(uri) <- Enum.find(types, &match?(%{"type" => @parameters}, &1)) do
+         %{"uri" => uri} = type when is_binary(uri) <- Enum.find(types, &match?(%{"type" => ^number}, &1)) do
       {:ok, {uri, if(is_integer(type["fileCrc"]), do: type["fileCrc"])}}
     else
-      nil -> {:error, "the vehicle describes no parameters"}
+      nil -> {:error, "the vehicle describes no #{what}"}
       _other -> {:error, "the vehicle's general metadata is not as MAVLink has it"}
     end
   end

@@ -1,13 +1,15 @@
 defmodule Aerie.Params.MetadataReader do
   @moduledoc """
-  Reads the descriptions of a vehicle's parameters: COMPONENT_METADATA, the general file, the file of the parameters, both by MAVLink FTP. The
-  second one is kept by the checksum that the first one names, and read again only if that is another one.
+  Reads what a vehicle says about its parameters, and about its events: COMPONENT_METADATA, the general file, the file of the
+  parameters or events, both by MAVLink FTP. The second one is kept by the checksum that the first one names, and read again only if that
+  is another one.
   """
 
   alias Aerie.{Command, Files, Names, PrivateFile, Transfers}
   alias Aerie.Command.Result
   alias Aerie.Ftp.Packet
   alias Aerie.Params.{Metadata, MetadataSource, Unpack}
+  alias Aerie.Vehicle.Reports.Definitions
 
   @source_ms 30_000
   @max_bytes 4_194_304
@@ -16,12 +18,21 @@ defmodule Aerie.Params.MetadataReader do
   @doc "The descriptions by name; why there are none."
   @spec read(Names.gateway(), String.t(), [Transfers.option()]) ::
           {:ok, %{String.t() => Metadata.t()}} | {:error, Result.t()}
-  def read(gateway, vehicle, options) do
+  def read(gateway, vehicle, options),
+    do: read(gateway, vehicle, :parameters, &Metadata.decode/1, options)
+
+  @doc "What the vehicle says about its events; why it says nothing."
+  @spec events(Names.gateway(), String.t(), [Transfers.option()]) ::
+          {:ok, Definitions.t()} | {:error, Result.t()}
+  def events(gateway, vehicle, options \\ []),
+    do: read(gateway, vehicle, :events, &Definitions.decode/1, options)
+
+  defp read(gateway, vehicle, what, decode, options) do
     with {:ok, uri} <- source(gateway, vehicle, options),
          {:ok, _packed, general} <- file(gateway, vehicle, uri, options),
-         {:ok, {uri, crc}} <- Metadata.general(general),
+         {:ok, {uri, crc}} <- Metadata.general(general, what),
          {:ok, text} <- text(gateway, vehicle, uri, crc, options) do
-      Metadata.decode(text)
+      decode.(text)
     end
     |> case do
       {:error, reason} when is_binary(reason) ->

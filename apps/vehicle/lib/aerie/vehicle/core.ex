@@ -15,6 +15,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
+    * `{:event_definitions, definitions}` - what the vehicle itself says about its events (`Aerie.Vehicle.Reports.Definitions`)
     * `{:operator, fields}` - who is in charge of the vehicle changed: fields of the group `operator`
     * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Streams.Arbiter.demand/3`)
 
@@ -34,6 +35,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:round_trip, link, us}` - a measured round trip by a link
     * `{:heartbeat, version}` - our heartbeat is due on the vehicle's path
     * `:withhold` - our heartbeat is due and must not be sent there, not by other vehicles' sessions either
+    * `:describe_events` - what the vehicle itself says about its events is to be read
     * `{:other_vehicle, paths}` - the paths by which another vehicle with this id is heard; `[]` when that is over
       (`Aerie.Vehicle.Collision.Owner`)
     * `{:count, counter}` - something to count
@@ -46,7 +48,7 @@ defmodule Aerie.Vehicle.Core do
 
   alias Aerie.Mavlink.BootClock
   alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Timesync}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Services, Timers}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, Timers}
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Reports.StatusText
@@ -121,6 +123,7 @@ defmodule Aerie.Vehicle.Core do
           | {:asked, struct(), integer()}
           | {:operator, map()}
           | {:hold_requests, boolean()}
+          | {:event_definitions, Aerie.Vehicle.Reports.Definitions.t()}
   @type action ::
           {:snapshot, map()}
           | {:observe, Observation.t()}
@@ -132,6 +135,7 @@ defmodule Aerie.Vehicle.Core do
           | {:round_trip, link :: term(), us :: non_neg_integer()}
           | {:heartbeat, 1 | 2}
           | :withhold
+          | :describe_events
           | {:other_vehicle, [Collision.Owner.path()]}
           | {:count, atom()}
           | {:status, atom(), atom()}
@@ -195,6 +199,8 @@ defmodule Aerie.Vehicle.Core do
 
   def handle(core, {:hold_requests, hold?}),
     do: {%{core | streams: Arbiter.hold(core.streams, hold?)}, []}
+
+  def handle(core, {:event_definitions, definitions}), do: {Reporting.definitions(core, definitions), []}
 
   def handle(core, {:asked, request, at}),
     do: {%{core | timesync: Timesync.asked(core.timesync, request, at)}, []}

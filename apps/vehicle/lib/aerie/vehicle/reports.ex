@@ -5,9 +5,9 @@ defmodule Aerie.Vehicle.Reports do
   EVENT messages of a vehicle's components (X3), with which PX4 reports why it does what it does, even while there is no
   ground station to send texts to. A pure value.
 
-  An event has an id, arguments and two log levels; its text is in a file of the firmware, which is not read. Known without
-  that file are the id in hexadecimal, the name and the values of the arguments if `Reports.Names` has them, the level for
-  users (external), the level for the log (internal), and the bytes of the arguments.
+  An event has an id in hexadecimal, a level for users (external), a level for the log (internal), and the bytes of its
+  arguments. Its name and the values of its arguments come from a file that the vehicle serves (`define/2`), otherwise from
+  `Reports.Names`. The texts in that file are not read.
 
   Most events also come as a STATUSTEXT, which then ends with a tab (`doubled`), a moment before or after. Those are reported
   once, as the text: an event waits #{@text_us / 1_000_000} s for its text, and is reported if none comes. `show/1` has all of them. Events
@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.Reports do
 
   import Bitwise
 
-  alias Aerie.Vehicle.Reports.{Checks, Names, Sequence}
+  alias Aerie.Vehicle.Reports.{Checks, Definitions, Names, Sequence}
   alias MavCodec.Enums.MavEventCurrentSequenceFlags, as: EventSequenceFlags
   alias MavCodec.Messages.{CurrentEventSequence, Event, RequestEvent, ResponseEventError}
 
@@ -28,7 +28,7 @@ defmodule Aerie.Vehicle.Reports do
   @recent 16
   @reset EventSequenceFlags.value(:MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET)
 
-  defstruct components: %{}, open: [], texts: [], recent: []
+  defstruct components: %{}, open: [], texts: [], recent: [], own: Definitions.none(), asked?: false
 
   @typedoc """
   `severity`, `internal`: 0 emergency to 7 debug; `arguments`: the bytes without trailing zeros; `values`: their meaning, nil if
@@ -47,6 +47,7 @@ defmodule Aerie.Vehicle.Reports do
           at: integer(),
           boot_ms: non_neg_integer()
         }
+  @typedoc "`own`: what the vehicle itself says about its events; `asked?`: whether that was read since its boot."
   @type t :: %__MODULE__{}
   @typedoc """
   `:new`: a report that has just come; `:report`: one without a text; `:checks`: all that keeps the vehicle from being armed.
@@ -56,6 +57,14 @@ defmodule Aerie.Vehicle.Reports do
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
+
+  @doc "What the vehicle itself says about its events (`Names.own/1`); `Definitions.none/0` if it says nothing."
+  @spec define(t(), Definitions.t()) :: t()
+  def define(reports, own), do: %{reports | own: own}
+
+  @doc "The vehicle was restarted, maybe with another firmware: what it says about its events is to be read again."
+  @spec rebooted(t()) :: t()
+  def rebooted(reports), do: %{reports | asked?: false}
 
   @doc """
   EVENT, CURRENT_EVENT_SEQUENCE or RESPONSE_EVENT_ERROR of a component. `own`: our ids. `sure?`: certainly not of another
@@ -72,7 +81,7 @@ defmodule Aerie.Vehicle.Reports do
     if Sequence.near?(component(reports, component).sequence, message.sequence) do
       message(reports, component, message, own, at, true)
     else
-      report = read(component, message, at)
+      report = read(reports, component, message, at)
       {if(for_us?(message, own) and report.severity <= 7, do: pair(reports, report), else: reports), []}
     end
   end
@@ -94,13 +103,13 @@ defmodule Aerie.Vehicle.Reports do
     reports = put_component(reports, component, %{state | sequence: sequence})
 
     if verdict == :new and for_us?(message, own),
-      do: event(reports, component, read(component, message, at)),
+      do: event(reports, component, read(reports, component, message, at)),
       else: {reports, []}
   end
 
   defp event(reports, component, report) do
     state = component(reports, component)
-    {what, checks, list} = Checks.event(state.checks, report.sequence, report.id, report, report.at)
+    {what, checks, list} = Checks.event(state.checks, report.sequence, report.name, report, report.at)
     reports = put_component(reports, component, %{state | checks: checks})
     outputs = [{:new, report}] ++ if(list, do: [{:checks, list}], else: [])
     if what == :other and report.severity <= 7, do: {pair(reports, report), outputs}, else: {reports, outputs}
@@ -238,16 +247,16 @@ defmodule Aerie.Vehicle.Reports do
     }
   end
 
-  defp read(component, message, at) do
+  defp read(%{own: own}, component, message, at) do
     %{
       component: component,
       sequence: message.sequence,
       id: message.id,
-      name: Names.name(message.id),
+      name: Names.name(own, message.id),
       severity: message.log_levels &&& 15,
       internal: message.log_levels >>> 4,
       arguments: String.trim_trailing(message.arguments, <<0>>),
-      values: Names.values(message.id, message.arguments),
+      values: Names.values(own, message.id, message.arguments),
       text: nil,
       at: at,
       boot_ms: message.event_time_boot_ms

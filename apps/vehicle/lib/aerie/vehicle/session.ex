@@ -98,6 +98,10 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:demand, forwarded}, state), do: {:noreply, demand(state, forwarded)}
 
+  # What the vehicle itself says about its events.
+  def handle_info({:event_definitions, definitions}, state),
+    do: {:noreply, step(state, {:event_definitions, definitions})}
+
   # Who is in charge of the vehicle changed.
   def handle_info({:operator, fields}, state), do: {:noreply, step(state, {:operator, fields})}
 
@@ -266,6 +270,13 @@ defmodule Aerie.Vehicle.Session do
 
   defp act({:reported, report}, state) do
     tell(state, {:reported, report})
+    state
+  end
+
+  # Not for what is only a recording.
+  defp act(:describe_events, state) do
+    reader = state.live? && Names.whereis(state.gateway, :event_definitions, state.options.key)
+    if reader, do: send(reader, :read)
     state
   end
 

@@ -6,6 +6,7 @@ defmodule Aerie.Ftp.RecordedTest do
   alias Aerie.{Flight, LossyLink}
   alias Aerie.Ftp.Client
   alias Aerie.Params.Unpack
+  alias Aerie.Vehicle.Reports.{Definitions, Names}
   alias MavCodec.Messages.FileTransferProtocol
 
   @fixtures Path.expand("../../fixtures", __DIR__)
@@ -65,7 +66,15 @@ defmodule Aerie.Ftp.RecordedTest do
     assert <<0xFD, "7zXZ", 0, _::binary>> = bytes = LossyLink.bytes(run)
     assert binary_part(bytes, 16_970, 2) == "YZ"
     assert {:ok, text} = Unpack.file("all_events.json.xz", bytes)
-    assert %{"version" => 2, "components" => %{"0" => _common, "1" => _px4}} = JSON.decode!(text)
+    assert {:ok, %{events: events} = definitions} = Definitions.decode(text)
+    assert map_size(events) == 367
+    # Of this one Aerie's own file has only the name.
+    throttle = 0x01000000 + 1_749_061
+    assert {Names.values(throttle, <<0>>), Names.values(Names.own(definitions), throttle, <<0>>)} == {nil, []}
+    # What a version has another label for.
+    disarmed = 0x01F46777
+    assert Names.values(disarmed, <<6>>) == ["landing"]
+    assert Names.values(Names.own(definitions), disarmed, <<6>>) == ["auto_disarm_land"]
     assert run({:read, "/nope.txt"}).result == {:error, :file_not_found}
   end
 end

@@ -210,6 +210,7 @@ defmodule Aerie.Vehicle.ReportsTest do
       start = step(start, {:link, "link", %{high_latency: true}})
       high = heard |> Enum.chunk_every(7) |> Enum.reduce(start, &step(&2, {:frames, "link", &1}))
       assert asked.(high) == []
+      refute :describe_events in high.actions
     end
   end
 
@@ -241,6 +242,35 @@ defmodule Aerie.Vehicle.ReportsTest do
                [{1, 5}, {100, 5}, {1, 6}, {100, 6}]
 
       assert [] = for({:send, %M.RequestEvent{}, _} <- run.actions, do: :asked)
+    end
+
+    test "what the vehicle itself says about its events is asked for once per boot, by its first one" do
+      asked = fn run -> Enum.count(run.actions, &(&1 == :describe_events)) end
+      assert asked.(said([])) == 0
+      assert asked.(said([{1.1, event(5), 100}])) == 0
+      assert asked.(said([{1.1, event(5), 1}, {1.2, event(6), 1}])) == 1
+
+      boot = fn ms -> %M.Attitude{time_boot_ms: ms} end
+      before = [{1.1, boot.(600_000), 1}, {1.2, event(5), 1}, {2.1, boot.(601_000), 1}]
+      later = for n <- 0..10, do: {3 + n, boot.(500 + n * 1000), 1}
+      assert asked.(said(before ++ later ++ [{15, event(6), 1}])) == 2
+      assert asked.(run([frame(@px4, 0, []), frame(event(5), @second, [])], request_streams: false)) == 0
+    end
+
+    test "what the vehicle itself says about its events wins" do
+      definitions = %{events: %{0x01000007 => {"its_own", [{:unsigned, 8}]}}, enums: %{}}
+      run = said([{1.1, event(5, arguments: <<7>>), 1}])
+      run = step(run, {:event_definitions, definitions})
+      run = step(run, {:frames, "link", [frame(event(6, arguments: <<7>>), at(21), seq: 21)]})
+      run = step(run, {:event_definitions, Reports.Definitions.none()})
+      run = step(run, {:frames, "link", [frame(event(7, arguments: <<7>>), at(22), seq: 22)]})
+      run = step(run, {:tick, at(25)})
+
+      assert [{5, nil, nil}, {6, "its_own", [7]}, {7, nil, nil}] =
+               Enum.sort(
+                 for {"report", _, data} <- pick(run, ["report"]),
+                     do: {data["sequence"], data["name"], data["values"]}
+               )
     end
 
     test "reports come in their order, each with the time when it happened and how late it came" do
@@ -348,7 +378,7 @@ defmodule Aerie.Vehicle.ReportsTest do
   end
 
   defp feed({number, id, what}, checks) do
-    {verdict, checks, list} = Checks.event(checks, number, id, what, 0)
+    {verdict, checks, list} = Checks.event(checks, number, Names.name(id), what, 0)
     {{verdict, list}, checks}
   end
 

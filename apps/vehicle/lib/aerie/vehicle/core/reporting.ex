@@ -24,6 +24,10 @@ defmodule Aerie.Vehicle.Core.Reporting do
     outputs({%{core | reports: reports}, actions}, outputs, at)
   end
 
+  @doc "What the vehicle itself says about its events."
+  @spec definitions(Core.t(), Reports.Definitions.t()) :: Core.t()
+  def definitions(core, own), do: %{core | reports: Reports.define(core.reports, own)}
+
   @doc "Complete texts."
   @spec texts(acc(), [StatusText.text()]) :: acc()
   def texts(acc, texts) do
@@ -55,7 +59,8 @@ defmodule Aerie.Vehicle.Core.Reporting do
 
   defp outputs(acc, outputs, at), do: Enum.reduce(outputs, acc, &output(&1, &2, at))
 
-  defp output({:new, report}, {core, actions}, at) do
+  defp output({:new, report}, acc, at) do
+    {core, actions} = describe(acc, report, at)
     fresh? = fresh?(core, report)
     actions = if fresh?, do: [{:reported, report} | actions], else: actions
 
@@ -96,6 +101,19 @@ defmodule Aerie.Vehicle.Core.Reporting do
     {core, actions} = Effects.sample({core, actions}, :health, at)
     Effects.check_digest(core, actions, at)
   end
+
+  # With its first event since its boot, the autopilot is asked what it says about its events.
+  defp describe(
+         {%{reports: %{asked?: false}, component: component} = core, actions},
+         %{component: component},
+         at
+       ) do
+    if core.options.request_streams and Services.requests?(core, at) and not Collisions.suspected?(core, at),
+      do: {%{core | reports: %{core.reports | asked?: true}}, [:describe_events | actions]},
+      else: {core, actions}
+  end
+
+  defp describe(acc, _report, _at), do: acc
 
   # How long after the event the report came, by the autopilot's clock.
   defp late(%{component: component, state: %{boot_ms: boot_ms}}, %{component: component} = report, now)

@@ -108,6 +108,7 @@ defmodule Aerie.Vehicle.Core.Services do
       core
       | streams: Arbiter.rebooted(core.streams, at),
         modes_asked: nil,
+        reports: Reports.rebooted(core.reports),
         timesync: Timesync.restarted(core.timesync),
         gcs: Gcs.rebooted(core.gcs, at)
     }

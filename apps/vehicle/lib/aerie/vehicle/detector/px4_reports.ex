@@ -74,13 +74,15 @@ defmodule Aerie.Vehicle.Detector.Px4Reports do
 
   defp entered("commander_failsafe_enter", [_mode, action, cause]), do: {label(action), nil, cause}
 
-  defp entered("commander_failsafe_enter_hold", [_mode, action, delay, cause]),
+  defp entered("commander_failsafe_enter_hold", [_mode, action, delay, cause]) when is_number(delay),
     do: {label(action), delay, cause}
 
-  defp entered("commander_failsafe_enter_generic_hold", [_mode, action, delay]),
+  defp entered("commander_failsafe_enter_generic_hold", [_mode, action, delay]) when is_number(delay),
     do: {label(action), delay, nil}
 
+  # The vehicle's own file may have other arguments.
   defp entered(_generic, [_mode, action | _]), do: {label(action), nil, nil}
+  defp entered(_generic, _fewer), do: {"unknown", nil, nil}
 
   defp enter(detector, facts, cause, %{at: at} = moment) do
     {type, reason} = cause(detector, cause, at)
@@ -105,5 +107,6 @@ defmodule Aerie.Vehicle.Detector.Px4Reports do
 
   defp label(value) when is_binary(value), do: value
   # A number that has no label.
-  defp label(value), do: to_string(value)
+  defp label(value) when is_number(value), do: to_string(value)
+  defp label(_other), do: "unknown"
 end

@@ -11,8 +11,6 @@ defmodule Aerie.Vehicle.Reports.Checks do
 
   import Bitwise
 
-  alias Aerie.Vehicle.Reports.Names
-
   @max_pieces 64
 
   defstruct [:first, :last, :until, members: %{}, others: 0]
@@ -20,13 +18,13 @@ defmodule Aerie.Vehicle.Reports.Checks do
   @type t :: %__MODULE__{}
 
   @doc """
-  An event of the component with its sequence number. `{:taken, …}`: it is part of a batch and is not shown by itself. The
+  An event of the component with its sequence number and its name, nil if that is unknown. `{:taken, …}`: it is part of a batch and is not shown by itself. The
   list has the reasons of a batch that is complete now, in order; nil if there is none.
   """
-  @spec event(t() | nil, 0..65_535, non_neg_integer(), term(), integer()) ::
+  @spec event(t() | nil, 0..65_535, String.t() | nil, term(), integer()) ::
           {:taken | :other, t() | nil, [term()] | nil}
-  def event(checks, number, id, what, at) do
-    case {checks, Names.name(id)} do
+  def event(checks, number, name, what, at) do
+    case {checks, name} do
       {_before, "commander_arming_check_summary"} ->
         {:taken, %__MODULE__{first: number, until: at + @wait_us}, nil}
 

@@ -5,65 +5,49 @@ defmodule Aerie.Vehicle.Reports.Names do
 
   The upper 8 bits of an id are the namespace (the component that defines it; 0 for common events). In PX4, the lower 24 bits
   are those of the 32-bit FNV-1a hash of the event's name, so a known name is right for every firmware version that has it.
-  Arguments are packed little-endian values without names. An event that is not in the file keeps its number and its bytes.
+  Arguments are packed little-endian values without names. What a vehicle says about its events in a file of its own wins
+  (`own/1`). An event that is in neither file keeps its number and its bytes.
   """
 
   import Bitwise
 
+  alias Aerie.Vehicle.Reports.Definitions
+
   @file_name Path.expand("../../../../priv/px4_events.json", __DIR__)
   @external_resource @file_name
 
-  @sizes %{
-    "int8_t" => {:signed, 8},
-    "uint8_t" => {:unsigned, 8},
-    "int16_t" => {:signed, 16},
-    "uint16_t" => {:unsigned, 16},
-    "int32_t" => {:signed, 32},
-    "uint32_t" => {:unsigned, 32},
-    "int64_t" => {:signed, 64},
-    "uint64_t" => {:unsigned, 64},
-    "float" => {:float, 32}
-  }
+  {:ok, definitions} =
+    @file_name |> File.read!() |> JSON.decode!() |> Map.fetch!("components") |> Definitions.build()
 
-  components = @file_name |> File.read!() |> JSON.decode!() |> Map.fetch!("components")
-
-  # Types are written with and without their namespace.
-  enums =
-    for {_space, component} <- components,
-        {name, enum} <- component["enums"],
-        key <- [name, component["namespace"] <> "::" <> name],
-        into: %{} do
-      {:unsigned, bits} = Map.fetch!(@sizes, enum["type"])
-      values = Map.new(enum["values"], fn {value, label} -> {String.to_integer(value), label} end)
-      {key, {if(enum["bitfield"], do: :flags, else: :enum), bits, values}}
-    end
-
-  type = fn name -> if is_map_key(@sizes, name), do: @sizes[name], else: Map.fetch!(enums, name) end
-
-  events =
-    for {space, component} <- components, {id, event} <- component["events"], into: %{} do
-      layout = if event["arguments"], do: Enum.map(event["arguments"], type)
-      {(String.to_integer(space) <<< 24) + String.to_integer(id), {event["name"], layout}}
-    end
-
-  @names Map.new(events, fn {id, {name, _layout}} -> {id, name} end)
-  @layouts for {id, {_name, layout}} <- events, layout not in [nil, []], into: %{}, do: {id, layout}
-  @empty for({id, {_name, []}} <- events, do: id) |> MapSet.new()
+  @known definitions
 
   @typedoc "A number, the label of an enum's value (its number where it has none), or the labels of a bit field."
   @type value :: integer() | float() | String.t() | [String.t()] | nil
 
+  @doc "What a vehicle's own file has otherwise than Aerie's, or in addition: it wins in `name/2` and `values/3`."
+  @spec own(Definitions.t()) :: Definitions.t()
+  def own(definitions), do: Definitions.differing(definitions, @known)
+
   @doc "The name of an event; nil if unknown."
-  @spec name(non_neg_integer()) :: String.t() | nil
-  def name(id), do: Map.get(@names, id)
+  @spec name(Definitions.t(), non_neg_integer()) :: String.t() | nil
+  def name(own \\ Definitions.none(), id) do
+    with {{name, _layout}, _enums} <- event(own, id), do: name
+  end
 
   @doc "An event's arguments from its bytes (trailing zeros may be missing); nil if the layout is unknown."
-  @spec values(non_neg_integer(), binary()) :: [value()] | nil
-  def values(id, bytes) do
-    case @layouts do
-      %{^id => layout} -> read(layout, bytes)
-      _none -> if id in @empty, do: []
+  @spec values(Definitions.t(), non_neg_integer(), binary()) :: [value()] | nil
+  def values(own \\ Definitions.none(), id, bytes) do
+    with {{_name, layout}, enums} when layout != nil <- event(own, id) do
+      read(Enum.map(layout, &Map.get(enums, &1, &1)), bytes)
+    else
+      _unknown -> nil
     end
+  end
+
+  defp event(%{events: events, enums: enums}, id) when is_map_key(events, id), do: {events[id], enums}
+
+  defp event(_own, id) do
+    with %{^id => event} <- @known.events, do: {event, @known.enums}, else: (_none -> nil)
   end
 
   defp read([], _bytes), do: []

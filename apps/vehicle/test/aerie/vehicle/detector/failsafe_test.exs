@@ -59,6 +59,17 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
       assert %{"found" => true, "type" => "unknown", "action" => nil, "mode" => "RTL"} = data
     end
 
+    test "by a report whose arguments are not as in Aerie's own file harms nothing" do
+      odd = [[], [1], [1, nil], [1, ["a"], ["b"]], [1, 2.5, "soon", 7], ["x", "y", ["z"]]]
+
+      for name <-
+            ~w(commander_failsafe_enter commander_failsafe_enter_hold commander_failsafe_enter_generic_hold
+                     commander_failsafe_enter_generic commander_armed_by commander_rc_lost),
+          values <- odd do
+        assert is_list(events([{1, {name, values}}, {2, [failsafe: true]}, {4, :settle}]))
+      end
+    end
+
     test "by the heartbeat alone waits a second for its cause, then its cause is unknown" do
       assert failsafes([{1, [failsafe: true]}]) == []
 

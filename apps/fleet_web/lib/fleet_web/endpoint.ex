@@ -109,7 +109,7 @@ defmodule FleetWeb.Endpoint do
         gateway: gateway,
         proxies: Enum.map(http.proxies, &Settings.ip/1)
       },
-      middlewares: [Proxy | Utf8Check.middlewares()],
+      middlewares: [Utf8Check, Proxy, :cowboy_router, :cowboy_handler],
       protocols: [:http],
       idle_timeout: 30_000,
       # An unread body closes its connection; a slow one would hold it for ever.

@@ -62,6 +62,17 @@ defmodule FleetWeb.AttackTest do
     assert ask(port, "GET", "/healthz") == 200
   end
 
+  test "behind a proxy of ours, what is forwarded and is not text is refused like everything else" do
+    %{port: port} = start_server(proxies: ["127.0.0.1"])
+
+    for name <- ~w(x-forwarded-for x-forwarded-proto),
+        value <- [<<255>>, <<"203.0.113.7, ", 255>>, <<255, ", 203.0.113.7">>],
+        path <- ["/healthz", "/metrics", "/api/status", <<"/", 255>>],
+        do: assert({name, path, ask(port, "GET", path, [{name, value}])} == {name, path, 400})
+
+    assert ask(port, "GET", "/healthz", [{"x-forwarded-for", "203.0.113.7"}]) == 200
+  end
+
   test "every method on every route has its answer; HEAD is GET without a body, OPTIONS lists the methods" do
     %{port: port} = start_server()
 

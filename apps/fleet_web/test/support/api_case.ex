@@ -16,7 +16,8 @@ defmodule FleetWeb.APICase do
   @spec key() :: String.t()
   def key, do: @key
 
-  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `keys_file: PATH`, `origins: [...]`, `hosts: [...]`, `websocket: %{}`,
+  @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `keys_file: PATH`, `origins: [...]`, `hosts: [...]`, `proxies: [...]`,
+  `websocket: %{}`,
   `links: true`, `recorder: %{}` (keys of that section)."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
@@ -29,7 +30,7 @@ defmodule FleetWeb.APICase do
         keys_file: options[:keys_file],
         origins: options[:origins] || []
       },
-      http: %{port: 0, hosts: options[:hosts] || []},
+      http: %{port: 0, hosts: options[:hosts] || [], proxies: options[:proxies] || []},
       websocket: Keyword.get(options, :websocket, %{enabled: false}),
       recorder: Keyword.get(options, :recorder, %{})
     }

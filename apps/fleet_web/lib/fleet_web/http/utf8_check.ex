@@ -1,7 +1,7 @@
 defmodule FleetWeb.HTTP.Utf8Check do
   @moduledoc """
-  A middleware that answers requests whose path, query or used headers are not UTF-8 with 400, before they are routed. So no
-  handler has to check: an answer or a log that repeated such bytes could not be encoded.
+  A middleware that answers requests whose path, query or used headers are not UTF-8 with 400, before anything else reads them.
+  So nobody has to check: an answer or a log that repeated such bytes could not be encoded.
   """
 
   @behaviour :cowboy_middleware
@@ -9,7 +9,7 @@ defmodule FleetWeb.HTTP.Utf8Check do
   alias Aerie.Store
   alias FleetWeb.API.Error
 
-  @read ~w(host origin x-aerie-key authorization content-type upgrade sec-websocket-protocol)
+  @read ~w(host origin x-aerie-key authorization content-type upgrade sec-websocket-protocol x-forwarded-for x-forwarded-proto)
 
   @doc "Cowboy's middlewares, with this one first."
   @spec middlewares() :: [module()]

@@ -3,14 +3,15 @@ defmodule FleetWeb.Health do
   Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 
   Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
-  autopilot has the gateway's own ids (its vehicle would be invisible), and that no link drops datagrams because they come
+  autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
+  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; that of one vehicle does not count), and that no link drops datagrams because they come
   faster than it reads them (what the gateway shows would be incomplete). Links that are down are listed but do not make it
   unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot be written (the gateway
   then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in force), and a leaf node's
   hub that is away or stores nothing (events are stored aboard).
   """
 
-  alias Aerie.{Names, Store}
+  alias Aerie.{Identity, Names, Store}
 
   @parts [store: :store, vehicles: :vehicles]
 
@@ -22,10 +23,10 @@ defmodule FleetWeb.Health do
     problem = nats_problem(gateway, nats)
     identity = Aerie.Router.identity(gateway)
     links = for link <- Store.links(gateway), do: link(link)
-    overloaded = for %{overload: %{}} = link <- links, do: overloaded(link)
+    problems = silent(gateway) ++ for %{overload: %{}} = link <- links, do: overloaded(link)
 
     ready? =
-      problem == nil and identity.alarm == nil and overloaded == [] and
+      problem == nil and identity.alarm == nil and problems == [] and
         Enum.all?(parts, fn {_name, running?} -> running? end)
 
     {ready?,
@@ -44,9 +45,16 @@ defmodule FleetWeb.Health do
        policy: %{problem: policy_problem(gateway)},
        audit: %{problem: Aerie.Policy.Audit.failing(gateway)},
        links: links,
-       problems: overloaded,
+       problems: problems,
        vehicles: Store.vehicle_count(gateway)
      }}
+  end
+
+  # A process that has never answered counts, too: a gateway that has just started is not ready yet.
+  defp silent(gateway) do
+    for {role, nil} <- Identity.status(gateway).silent,
+        do:
+          "#{role} does not answer, so the gateway sends no heartbeat: if this lasts, restart it and keep its log"
   end
 
   # Of a leaf node; nil without a hub.

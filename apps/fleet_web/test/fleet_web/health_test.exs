@@ -42,4 +42,24 @@ defmodule FleetWeb.HealthTest do
     assert {true, %{nats: %{hub: %{connected: true, stores: false, waiting: 4, problem: "restart it"}}}} =
              Health.ready(gateway)
   end
+
+  test "the gateway's own loops stand still: not ready, with the name of each, until they answer again" do
+    config = %{mavlink: %{heartbeat_deadman_s: 0.6}}
+    gateway = Aerie.GatewayCase.start_gateway(config, without: [])
+    eventually(fn -> match?({true, %{problems: []}}, Health.ready(gateway)) end)
+
+    for role <- [:router_sweeper, :pubsub] do
+      stuck = Aerie.Names.whereis(gateway, role)
+      :ok = :sys.suspend(stuck)
+
+      eventually(fn ->
+        with {false, %{status: "not ready", problems: [text]}} <- Health.ready(gateway),
+             do: text =~ "#{role} does not answer",
+             else: (_yet -> false)
+      end)
+
+      :ok = :sys.resume(stuck)
+      eventually(fn -> match?({true, %{problems: []}}, Health.ready(gateway)) end)
+    end
+  end
 end

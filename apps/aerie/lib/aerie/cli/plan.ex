@@ -46,7 +46,9 @@ defmodule Aerie.CLI.Plan do
   end
 
   defp http(overrides, %{http: nil}), do: overrides
-  defp http(overrides, %{http: port}), do: Map.put(overrides, "http", %{"port" => port})
+  # The option asks for HTTP, whatever a file says about serving it.
+  defp http(overrides, %{http: port}),
+    do: Map.put(overrides, "http", %{"enabled" => true, "port" => port})
 
   defp nats(overrides, %{nats: nil}), do: overrides
   defp nats(overrides, %{nats: "embedded"}), do: Map.put(overrides, "nats", %{"mode" => "embedded"})

@@ -106,7 +106,7 @@ defmodule Aerie.CLI.OptionsTest do
              }
 
       assert plan(["--nats", "embedded"]).overrides["nats"] == %{"mode" => "embedded"}
-      assert plan(["--http", "8080"]).overrides["http"] == %{"port" => 8080}
+      assert plan(["--http", "8080"]).overrides["http"] == %{"enabled" => true, "port" => 8080}
     end
   end
 
@@ -153,6 +153,21 @@ defmodule Aerie.CLI.OptionsTest do
       assert changed(context, ~w(--link tcp:127.0.0.1:5760)) == ["links"]
       assert changed(context, ~w(--replay a.tlog --speed 2)) == ["mavlink.local_addr", "links"]
       assert changed(context, ~w(--sim 2 --quiet)) == []
+    end
+
+    test "--http serves HTTP although the file or the environment says not to", %{tmp_dir: dir} do
+      path = Path.join(dir, "gateway.yaml")
+      {:ok, options} = Options.parse(~w(--http 8080))
+      overrides = Plan.from(options, dir).overrides
+
+      for {text, env} <- [
+            {"http: {enabled: false, port: 4001}", %{}},
+            {"http: {port: 4001}", %{"AERIE_HTTP_ENABLED" => "false"}}
+          ] do
+        File.write!(path, text)
+        assert {:ok, %{http: %{enabled: false, port: 4001}}} = Aerie.Config.load(path, %{}, env: env)
+        assert {:ok, %{http: %{enabled: true, port: 8080}}} = Aerie.Config.load(path, overrides, env: env)
+      end
     end
 
     test "--nats embedded over configured servers keeps the keys that are not about reaching them", context do

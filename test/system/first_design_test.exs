@@ -6,6 +6,8 @@ defmodule Aerie.System.FirstDesignTest do
 
   use Aerie.SystemCase, async: true
 
+  import ExUnit.CaptureLog
+
   @moduletag :tmp_dir
 
   @yaml File.read!(Path.expand("../../apps/aerie/test/fixtures/first_design.yaml", __DIR__))
@@ -26,6 +28,7 @@ defmodule Aerie.System.FirstDesignTest do
     File.write!(file, String.replace(@yaml, "/etc/gateway", dir))
     File.write!(Path.join(dir, "geofence.json"), fence())
     File.write!(Path.join(dir, "vehicle.creds"), credentials())
+    File.chmod!(Path.join(dir, "vehicle.creds"), 0o600)
     mavlink = Map.merge(%{"local_addr" => "127.0.0.1:0"}, context[:mavlink] || %{})
     nats = %{"mode" => "embedded", "port" => 0, "store_dir" => Path.join(dir, "nats")}
     run = start_gateway(dir, config_file: file, overrides: %{"mavlink" => mavlink, "nats" => nats})
@@ -67,8 +70,13 @@ defmodule Aerie.System.FirstDesignTest do
 
   @tag mavlink: %{"component_id" => 190}
   test "an autopilot with the gateway's own ids raises an alarm", %{gateway: gateway} do
-    fly(gateway, component: 190)
-    eventually(fn -> Aerie.Router.identity(gateway).alarm end, "it is noticed")
+    log =
+      capture_log(fn ->
+        fly(gateway, component: 190)
+        eventually(fn -> Aerie.Router.identity(gateway).alarm end, "it is noticed")
+      end)
+
+    assert log =~ "[error]" and log =~ "system 1, component 190"
     assert {false, %{"alarm" => alarm}} = ready(gateway)
     assert alarm =~ "system 1, component 190"
 

@@ -182,28 +182,38 @@ defmodule Aerie.Config.Preflight do
     end
   end
 
-  defp files(%Config{nats: nats, websocket: websocket} = config) do
-    leaf = Leaf.Config.files(nats.leaf)
+  defp files(config) do
+    named = for {_key, _kind, _private?, file} = named <- named_files(config), file != nil, do: named
 
     contents =
-      for {key, kind, file} when file != nil <-
-            for({key, kind, _private, file} <- leaf, do: {key, kind, file}) ++
-              [
-                {"nats.credentials", :credentials, nats.credentials},
-                {"nats.nkey_seed_file", :nkey_seed, nats.nkey_seed_file},
-                {"nats.tls.ca_file", :certificates, nats.tls.ca_file},
-                {"nats.tls.cert_file", :certificates, nats.tls.cert_file},
-                {"nats.tls.key_file", :private_key, nats.tls.key_file},
-                {"websocket.cert_file", :certificates, websocket.cert_file},
-                {"websocket.key_file", :private_key, websocket.key_file}
-              ],
+      for {key, kind, _private?, file} <- named,
           {:error, expected, got} <- [Contents.check(kind, file)],
           do: error(config, key, expected, got)
 
-    private =
-      for {key, _kind, true, file} when file != nil <- leaf, error <- private(config, key, file), do: error
+    private = for {key, _kind, true, file} <- named, error <- private(config, key, file), do: error
 
     contents ++ private ++ policy(config) ++ ledger(config) ++ keys(config)
+  end
+
+  # Each with what it holds, and whether only its owner may read it. Without NATS nothing is passed on that would be signed.
+  defp named_files(%Config{nats: nats, remote: remote, websocket: websocket}) do
+    of_nats = [
+      {"nats.credentials", :credentials, true, nats.credentials},
+      {"nats.nkey_seed_file", :nkey_seed, true, nats.nkey_seed_file},
+      {"nats.tls.ca_file", :certificates, false, nats.tls.ca_file},
+      {"nats.tls.cert_file", :certificates, false, nats.tls.cert_file},
+      {"nats.tls.key_file", :private_key, true, nats.tls.key_file}
+    ]
+
+    remote = if nats.mode == :off, do: nil, else: remote.nkey_seed_file
+
+    Leaf.Config.files(nats.leaf) ++
+      of_nats ++
+      [
+        {"remote.nkey_seed_file", :nkey_seed, true, remote},
+        {"websocket.cert_file", :certificates, false, websocket.cert_file},
+        {"websocket.key_file", :private_key, true, websocket.key_file}
+      ]
   end
 
   defp ledger(%Config{commands: %{ledger: %{required: true, dir: dir}}} = config),

@@ -115,7 +115,7 @@ defmodule Aerie.Config.PreflightTest do
       refute line =~ "hello"
       account = Nkey.seed(Nkey.generate(:account))
       assert refused.("nats.nkey_seed_file", account) =~ "for account, not for a user"
-      File.write!(file, Nkey.seed(Nkey.generate(:user)) <> "\n")
+      write(file, Nkey.seed(Nkey.generate(:user)) <> "\n")
       assert Preflight.check(url(dir, [{"nats.nkey_seed_file", file}])) == {:ok, []}
     end
 
@@ -136,10 +136,10 @@ defmodule Aerie.Config.PreflightTest do
 
       %{cert: der} = :public_key.pkix_test_root_cert(~c"test", [])
       certificate = :public_key.pem_encode([{:Certificate, der, :not_encrypted}])
-      File.write!(file, certificate)
+      write(file, certificate)
       assert Preflight.check(url(dir, [{"nats.tls.ca_file", file}])) == {:ok, []}
 
-      File.write!(Path.join(dir, "key.pem"), pem)
+      write(Path.join(dir, "key.pem"), pem)
       pair = [{"nats.tls.cert_file", file}, {"nats.tls.key_file", Path.join(dir, "key.pem")}]
       assert Preflight.check(url(dir, pair)) == {:ok, []}
       pair = [{"nats.tls.cert_file", file}, {"nats.tls.key_file", file}]
@@ -147,8 +147,87 @@ defmodule Aerie.Config.PreflightTest do
       assert line =~ "nats.tls.key_file: expected a PEM file with a private key"
     end
 
-    defp refused(dir, file, key, content) do
+    test "the seed that signs commands for remote vehicles", %{refused: refused, tmp_dir: dir, path: file} do
+      line = refused.("remote.nkey_seed_file", "hello\n")
+      assert line =~ "remote.nkey_seed_file: expected a file with the nkey seed of a user (SU…)"
+      assert line =~ file <> ": not an nkey seed"
+      refute line =~ "hello"
+      server = Nkey.seed(Nkey.generate(:server))
+      assert refused.("remote.nkey_seed_file", server) =~ "for server, not for a user"
+      write(file, Nkey.seed(Nkey.generate(:user)))
+      assert Preflight.check(url(dir, [{"remote.nkey_seed_file", file}])) == {:ok, []}
+      assert [line] = lines(Preflight.check(url(dir, [{"remote.nkey_seed_file", file <> "s"}])))
+      assert line =~ "no such file"
+      # Without NATS nothing is passed on.
+      assert Preflight.check(config(dir, [{"nats.mode", "off"}, {"remote.nkey_seed_file", file <> "s"}])) ==
+               {:ok, []}
+    end
+
+    for key <-
+          ~w(nats.credentials nats.nkey_seed_file nats.tls.key_file remote.nkey_seed_file websocket.key_file
+             nats.leaf.nkey_seed_file) do
+      @key key
+      test "#{key} that others can read", %{tmp_dir: dir, path: file} do
+        write(file, content(@key))
+        certificate = Path.join(dir, "certificate.pem")
+        File.write!(certificate, certificate())
+        config = config(dir, [{@key, file} | beside(@key, certificate)])
+        assert Preflight.check(config) == {:ok, []}
+
+        for mode <- [0o640, 0o604] do
+          File.chmod!(file, mode)
+          assert [line] = lines(Preflight.check(config))
+
+          assert line =~
+                   "#{@key}: expected a file that only its owner can read, got one that others can read"
+
+          assert line =~ "chmod 600 #{file}"
+        end
+      end
+    end
+
+    defp content("nats.credentials") do
+      """
+      -----BEGIN NATS USER JWT-----
+      eyJ0eXAi
+      ------END NATS USER JWT------
+      -----BEGIN USER NKEY SEED-----
+      #{Nkey.seed(Nkey.generate(:user))}
+      ------END USER NKEY SEED------
+      """
+    end
+
+    defp content(key) do
+      if key =~ "nkey" do
+        Nkey.seed(Nkey.generate(:user))
+      else
+        key = :public_key.generate_key({:namedCurve, :secp256r1})
+        :public_key.pem_encode([:public_key.pem_entry_encode(:ECPrivateKey, key)])
+      end
+    end
+
+    defp certificate do
+      %{cert: der} = :public_key.pkix_test_root_cert(~c"test", [])
+      :public_key.pem_encode([{:Certificate, der, :not_encrypted}])
+    end
+
+    # What a key needs beside it.
+    defp beside("nats.leaf" <> _key, _certificate), do: [{"nats.leaf.url", ["nats://127.0.0.1:7422"]}]
+    defp beside("websocket" <> _key, certificate), do: [{"websocket.cert_file", certificate}]
+
+    defp beside("nats.tls" <> _key, certificate),
+      do: [{"nats.url", "nats://127.0.0.1:4222"}, {"nats.tls.cert_file", certificate}]
+
+    defp beside(_key, _certificate), do: [{"nats.url", "nats://127.0.0.1:4222"}]
+
+    # For its owner only.
+    defp write(file, content) do
       File.write!(file, content)
+      File.chmod!(file, 0o600)
+    end
+
+    defp refused(dir, file, key, content) do
+      write(file, content)
       assert [line] = lines(Preflight.check(url(dir, [{key, file}])))
       line
     end
@@ -192,7 +271,7 @@ defmodule Aerie.Config.PreflightTest do
     {:ok, tcp} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(tcp)
     file = Path.join(dir, "file")
-    File.write!(file, "")
+    write(file, "")
 
     config =
       config(dir, [

@@ -18,7 +18,7 @@ defmodule FleetWeb.APICase do
 
   @doc "Starts a gateway's store and HTTP server; gives its name and port. `key: true`, `keys_file: PATH`, `origins: [...]`, `hosts: [...]`, `proxies: [...]`,
   `websocket: %{}`,
-  `links: true`, `recorder: %{}` (keys of that section)."
+  `links: true`, `recorder: %{}` (keys of that section), `config: %{}` (further sections)."
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
     gateway = make_ref()
@@ -35,6 +35,7 @@ defmodule FleetWeb.APICase do
       recorder: Keyword.get(options, :recorder, %{})
     }
 
+    config = Map.merge(config, options[:config] || %{})
     Aerie.GatewayCase.start_gateway(config, name: gateway, without: without)
     start_endpoint(gateway, config)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}

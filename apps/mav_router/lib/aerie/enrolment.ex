@@ -87,6 +87,19 @@ defmodule Aerie.Enrolment do
     with {:ok, key} <- SecureLink.key(gateway, vehicle), do: KeyStore.discard(gateway, key)
   end
 
+  @doc """
+  The links that are marked secure, by which keys can be given; of `key`'s network, with whether that vehicle is `heard` there, if one
+  is given.
+  """
+  @spec links(Names.gateway(), SecureLink.key() | nil) :: [map]
+  def links(gateway, key \\ nil)
+  def links(gateway, nil), do: SecureLink.all(gateway)
+
+  def links(gateway, {network, _system} = key) do
+    for %{id: id} = link <- SecureLink.all(gateway, network),
+        do: Map.put(link, :heard, SecureLink.heard?(gateway, key, id))
+  end
+
   defp job(gateway, vehicle, options) do
     options = Keyword.validate!(options, @options)
 

@@ -18,6 +18,7 @@ defmodule FleetWeb.API.Actions do
     Resources,
     RuleChanges,
     Shadow,
+    SigningCapability,
     SigningRequest,
     Tickets,
     Transfers,
@@ -62,6 +63,9 @@ defmodule FleetWeb.API.Actions do
   end
 
   def run(:signing, state, request), do: {:ok, 200, View.signing(state.gateway), request}
+
+  def run(:signing_capability, state, request),
+    do: {:ok, 200, SigningCapability.of(state.gateway), request}
 
   def run(:vehicle_signing, state, request) do
     with {:ok, vehicle} <- vehicle(state, request) do

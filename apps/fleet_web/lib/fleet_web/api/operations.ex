@@ -53,6 +53,8 @@ defmodule FleetWeb.API.Operations do
                   {:sign_vehicle,
                    %{summary: "Gives a vehicle a signing key, or takes it away.", body: :signing}},
                   {:signing, %{summary: "Signed links and vehicles."}},
+                  {:signing_capability,
+                   %{summary: "Which vehicles can sign, and by which links they can be given a key."}},
                   {:links, %{summary: "All links."}},
                   {:add_link,
                    %{

@@ -24,6 +24,7 @@ defmodule FleetWeb.API.Resources do
     {"/api/vehicles/:id/recording", :vehicle_recording, %{"PUT" => :record_vehicle}},
     {"/api/vehicles/:id/signing", :vehicle_signing, %{"GET" => :vehicle_signing, "POST" => :sign_vehicle}},
     {"/api/signing", :signing, %{"GET" => :signing}},
+    {"/api/signing/capability", :signing_capability, %{"GET" => :signing_capability}},
     {"/api/links", :links, %{"GET" => :links, "POST" => :add_link}},
     {"/api/links/:id", :link, %{"DELETE" => :remove_link}},
     {"/api/links/:id/recording", :link_recording, %{"PUT" => :record_link}},

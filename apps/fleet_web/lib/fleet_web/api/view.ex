@@ -122,9 +122,11 @@ defmodule FleetWeb.API.View do
   def signing(gateway),
     do: Map.new(Aerie.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
 
-  defp signed(nil), do: nil
+  @doc "The state of a vehicle's signing (`t:Aerie.Signing.status/0`); nil without a key."
+  @spec signed(map() | nil) :: map() | nil
+  def signed(nil), do: nil
 
-  defp signed(signing) do
+  def signed(signing) do
     times = Map.new([:verified_at, :unsigned_at], &{&1, Json.time(signing[&1])})
     Json.plain(Map.merge(signing, times))
   end

@@ -44,6 +44,19 @@ defmodule Aerie.Enrolment.SecureLink do
     end
   end
 
+  @doc "The links that are marked secure, each with its network and status; of one network unless that is nil."
+  @spec all(Names.gateway(), String.t() | nil) :: [%{id: String.t(), network: String.t(), status: atom()}]
+  def all(gateway, network \\ nil) do
+    for %{spec: spec} = link <- Link.list(gateway),
+        network in [nil, link.network],
+        Signing.trust(spec) == :secure,
+        do: Map.take(link, [:id, :network, :status])
+  end
+
+  @doc "Whether a vehicle is heard on a link, which then need not be named to give it a key."
+  @spec heard?(Names.gateway(), key, String.t()) :: boolean()
+  def heard?(gateway, key, id), do: Router.route(gateway, key, link: id) != nil
+
   @doc "The secure link to use, and to which of its peers; `id` is the caller's choice of a link, or nil."
   @spec secure(Names.gateway(), key, String.t() | nil) :: {:ok, String.t(), Link.to()} | {:error, Error.t()}
   def secure(gateway, {network, system} = key, nil) do

@@ -4,14 +4,14 @@ defmodule FleetWeb.Health do
 
   Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
   autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
-  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; that of one vehicle does not count), and that no link drops datagrams because they come
-  faster than it reads them (what the gateway shows would be incomplete). Links that are down are listed but do not make it
-  unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot be written (the gateway
-  then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in force), and a leaf node's
-  hub that is away or stores nothing (events are stored aboard).
+  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), and that no link, no endpoint for clients and no
+  session of a vehicle drops what comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are
+  listed but do not make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot
+  be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in
+  force), and a leaf node's hub that is away or stores nothing (events are stored aboard).
   """
 
-  alias Aerie.{Identity, Names, Store}
+  alias Aerie.{Client, Identity, Names, Store}
 
   @parts [store: :store, vehicles: :vehicles]
 
@@ -23,7 +23,12 @@ defmodule FleetWeb.Health do
     problem = nats_problem(gateway, nats)
     identity = Aerie.Router.identity(gateway)
     links = for link <- Store.links(gateway), do: link(link)
-    problems = silent(gateway) ++ for %{overload: %{}} = link <- links, do: overloaded(link)
+    clients = for client <- Client.endpoints(gateway), do: link(client)
+
+    problems =
+      silent(gateway) ++
+        Enum.flat_map(links, &overloaded(&1, "link")) ++
+        Enum.flat_map(clients, &overloaded(&1, "client endpoint"))
 
     ready? =
       problem == nil and identity.alarm == nil and problems == [] and
@@ -76,16 +81,33 @@ defmodule FleetWeb.Health do
   end
 
   defp link(link),
-    do: %{id: link.id, status: link.status, text: link.text, overload: dropped(link[:overload])}
+    do: %{
+      id: link.id,
+      status: link.status,
+      text: link.text,
+      overload: dated(link[:overload]),
+      behind: dated(link[:behind])
+    }
 
-  defp dropped(nil), do: nil
+  defp dated(nil), do: nil
 
-  defp dropped(%{since: since, datagrams: n}),
-    do: %{since: since |> DateTime.from_unix!(:microsecond) |> DateTime.to_iso8601(), datagrams: n}
+  defp dated(%{since: since} = dropped),
+    do: %{dropped | since: since |> DateTime.from_unix!(:microsecond) |> DateTime.to_iso8601()}
 
-  defp overloaded(%{id: id, overload: %{datagrams: n, since: since}}) do
-    "link #{id} dropped #{n} datagrams since #{since}, because they come faster than it reads them: " <>
-      "give the gateway more CPU, or spread the vehicles over more links"
+  defp overloaded(%{id: id, overload: overload, behind: behind}, kind) do
+    datagrams =
+      with %{datagrams: n, since: since} <- overload,
+           do:
+             "#{kind} #{id} dropped #{n} datagrams since #{since}, because they come faster than it reads them: " <>
+               "give the gateway more CPU, or spread what sends them over more links"
+
+    frames =
+      with %{frames: n, since: since} <- behind,
+           do:
+             "#{kind} #{id} dropped #{n} frames since #{since}, because a vehicle's session does not keep up with them: " <>
+               "give the gateway more CPU, or lower the stream rates"
+
+    Enum.reject([datagrams, frames], &is_nil/1)
   end
 
   # What keeps events from being stored, or nil. A problem of the outbox is shown, but does not keep them.

@@ -20,7 +20,7 @@ defmodule FleetWeb.Metrics do
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), links, System.os_time(:microsecond)) ++
       parts(gateway) ++
-      Clients.families(Aerie.Client.list(gateway), counters) ++
+      Clients.families(Aerie.Client.list(gateway), Aerie.Client.endpoints(gateway), counters) ++
       Policy.families(gateway, counters) ++
       [sent(counters), others(counters)] ++ vm()
   end

@@ -60,6 +60,32 @@ defmodule FleetWeb.EndpointTest do
     assert {200, %{"status" => "ready", "problems" => []}} = json(context.port, "/readyz")
   end
 
+  test "a session that does not keep up, and datagrams of clients that nobody read, make it unready",
+       context do
+    link = eventually(fn -> link_with_port(context.gateway) end)
+    eventually(fn -> match?({200, _report}, json(context.port, "/readyz")) end)
+    since = 1_700_000_000_000_000
+    Store.put_link(context.gateway, "slow", %{link | id: "slow", behind: %{since: since, frames: 8}})
+    counters = %{link.counters | kernel_dropped: 5, shed: 7}
+    client = %{link | id: "gcs", overload: %{since: since, datagrams: 12}, counters: counters}
+    Aerie.Link.Clients.put_link(context.gateway, "gcs", client, [])
+
+    assert {503, %{"problems" => problems, "links" => links}} = json(context.port, "/readyz")
+    assert [frames, datagrams] = Enum.sort_by(problems, &(&1 =~ "gcs"))
+    assert frames =~ "link slow dropped 8 frames since 2023-11-14T22:13:20"
+    assert datagrams =~ "client endpoint gcs dropped 12 datagrams since 2023-11-14T22:13:20"
+    assert %{"behind" => %{"frames" => 8}} = Enum.find(links, &(&1["id"] == "slow"))
+
+    {200, text} = get(context.port, "/metrics")
+    assert text =~ ~r/gateway_link_behind\{link="slow".*\} 1\n/
+    assert text =~ ~r/gateway_link_behind\{link="radio".*\} 0\n/
+    assert text =~ ~s(gateway_client_unread_datagrams{reason="kernel_dropped"} 5\n)
+    assert text =~ ~s(gateway_client_unread_datagrams{reason="shed"} 7\n)
+    assert text =~ "gateway_client_endpoints_overloaded 1\n"
+    assert %{conditions: conditions} = FleetWeb.API.View.diagnosis(context.gateway)
+    assert Enum.any?(conditions, &match?(%{"name" => "overload", "id" => "gcs"}, &1))
+  end
+
   test "a missing gateway is unready, and the report names the missing parts", context do
     stop_supervised!({Aerie.Gateway, context.gateway})
     assert {503, %{"status" => "not ready", "parts" => %{"store" => false}}} = json(context.port, "/readyz")

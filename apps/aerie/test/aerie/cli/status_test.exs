@@ -41,7 +41,15 @@ defmodule Aerie.CLI.StatusTest do
             status: :up,
             text: "listening",
             rates: %{frames_in: 52.0, writes_out: 1.0, bytes_in: 2100.0},
-            counters: %{crc_errors: 3, lost: 7, denied: 0, dropped_out: 0, kernel_dropped: 5, shed: 7}
+            counters: %{
+              crc_errors: 3,
+              lost: 7,
+              denied: 0,
+              dropped_out: 0,
+              kernel_dropped: 5,
+              shed: 7,
+              overload: 0
+            }
           }
         ],
         nats: %{connected: true, url: "nats://127.0.0.1:4222", problem: nil, outbox: %{events: 0}},
@@ -99,7 +107,25 @@ defmodule Aerie.CLI.StatusTest do
     assert Enum.any?(rendered(view), &(&1 =~ "denied=20"))
     view = view(clients: [%{id: "gcs", text: "listening", counters: %{dropped_out: 7}}])
     assert view |> Table.render(140, 40) |> text() =~ "client gcs: 7 frames DROPPED"
-    assert Enum.any?(rendered(view), &(&1 =~ "client=gcs dropped_out=7 text=listening"))
+    assert Enum.any?(rendered(view), &(&1 =~ "client=gcs dropped_out=7 dropped_in=0 text=listening"))
+  end
+
+  test "what came in and was dropped is in the line of its link or client, whoever did not keep up" do
+    [link] = view().links
+    counters = %{link.counters | kernel_dropped: 1, shed: 20, overload: 300}
+    assert Enum.any?(rendered(view(links: [%{link | counters: counters}])), &(&1 =~ "dropped_in=321"))
+
+    clients = [
+      %{id: "gcs", text: "listening", counters: %{dropped_out: 0, kernel_dropped: 4, shed: 5}},
+      %{id: "quiet", text: "listening", counters: %{dropped_out: 0, kernel_dropped: 0, shed: 0}}
+    ]
+
+    table = [clients: clients] |> view() |> Table.render(140, 40) |> text()
+    assert table =~ "client gcs: 9 datagrams DROPPED"
+    refute table =~ "client quiet"
+    lines = rendered(view(clients: clients))
+    assert Enum.any?(lines, &(&1 =~ "client=gcs dropped_out=0 dropped_in=9"))
+    refute Enum.any?(lines, &(&1 =~ "quiet"))
   end
 
   test "the NATS address has its login in a terminal but not in a log" do

@@ -188,13 +188,17 @@ defmodule FleetWeb.API.View do
       since: Json.time(link[:since]),
       last_heard: Json.time(link[:last_heard]),
       recording: Recordings.one(link[:recording]),
-      overload: with(%{} = overload <- link[:overload], do: %{overload | since: Json.time(overload.since)}),
+      overload: dated(link[:overload]),
+      behind: dated(link[:behind]),
       peers: for(peer <- link[:peers] || [], do: Map.take(peer, [:text, :silent_ms, :frames_in, :bytes_in])),
       counters: counters(link[:counters])
     })
     |> Fields.Object.rounded_link()
     |> Json.plain()
   end
+
+  defp dated(nil), do: nil
+  defp dated(%{since: since} = dropped), do: %{dropped | since: Json.time(since)}
 
   # Counters by message id are only for the metrics.
   defp counters(nil), do: %{}

@@ -7,9 +7,12 @@ defmodule FleetWeb.Metrics.Clients do
   alias Aerie.Router.EndpointCounters
   alias FleetWeb.Metrics.Text
 
-  @doc "The families, from the clients (`Aerie.Client.list/1`) and the read model's counters."
-  @spec families([map()], map()) :: [Text.family()]
-  def families(clients, counters) do
+  @doc """
+  The families, from the clients (`Aerie.Client.list/1`), the endpoints to which they connect (`Aerie.Client.endpoints/1`) and the read
+  model's counters.
+  """
+  @spec families([map()], [map()], map()) :: [Text.family()]
+  def families(clients, endpoints, counters) do
     kinds = Enum.group_by(clients, & &1.kind)
 
     sums = fn count ->
@@ -28,6 +31,15 @@ defmodule FleetWeb.Metrics.Clients do
       {"gateway_client_dropped_frames", :gauge,
        "Frames dropped because clients that are connected now read too slowly.",
        sums.(&EndpointCounters.dropped(&1.counters))},
+      {"gateway_client_unread_datagrams", :gauge,
+       "Datagrams from clients dropped before they were read, by reason; of the endpoints that there are now.",
+       for(
+         reason <- [:kernel_dropped, :shed],
+         do: {[reason: reason], endpoints |> Enum.map(&Map.fetch!(&1.counters, reason)) |> Enum.sum()}
+       )},
+      {"gateway_client_endpoints_overloaded", :gauge,
+       "Endpoints for clients to which datagrams come faster than they are read.",
+       [{[], Enum.count(endpoints, &(&1[:overload] != nil))}]},
       {"gateway_api_requests_total", :counter, "Requests to /api, by status of the answer.",
        Enum.sort(requests)},
       {"gateway_clients_refused_total", :counter, "Clients refused or disconnected, by face and reason.",

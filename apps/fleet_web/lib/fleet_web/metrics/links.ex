@@ -50,6 +50,9 @@ defmodule FleetWeb.Metrics.Links do
       {"gateway_link_overloaded", :gauge,
        "1 while datagrams come faster than they are read, and for 10 s after the last that was dropped.",
        Enum.map(links, &{labels(&1), &1[:overload] != nil})},
+      {"gateway_link_behind", :gauge,
+       "1 while a vehicle's session does not keep up with the frames of the link, and for 10 s after the last that was dropped.",
+       Enum.map(links, &{labels(&1), &1[:behind] != nil})},
       {"gateway_link_peers", :gauge, "Peers of the link.", Enum.map(links, &{labels(&1), length(&1.peers)})}
     ] ++
       quality(for %{quality: %{}} = link <- links, do: link) ++

@@ -82,6 +82,7 @@ defmodule Aerie.Link.Core do
     :found,
     :sniff_at,
     :overload,
+    :behind,
     :damage,
     :idle_ms,
     diagnosis: [],
@@ -153,7 +154,9 @@ defmodule Aerie.Link.Core do
       |> phase(:up, nil, now)
 
     up = {:emit, :up, %{reconnects: core.counters.reconnects}, %{local: info[:local]}}
-    {core, [:publish, :settled, up] ++ if(reconnects > 0, do: [:reconnected], else: [])}
+    # Only the first time: a link that connects often would say it often.
+    warn = if reconnects == 0 and info[:warning], do: [{:warn, info[:warning]}], else: []
+    {core, [:publish, :settled, up] ++ warn ++ if(reconnects > 0, do: [:reconnected], else: [])}
   end
 
   def handle(%{phase: :connecting} = core, {:failed, reason}, now) do
@@ -204,6 +207,15 @@ defmodule Aerie.Link.Core do
   def handle(core, {:count, name, n}, now) when name in [:shed, :kernel_dropped],
     do: core |> count(name, n) |> overload(n, now)
 
+  def handle(core, {:count, :overload, n}, now) do
+    {change, behind} = Overload.dropped(core.behind, n, now)
+
+    warn =
+      "a vehicle's session does not keep up: #{n} frames dropped so far. Give the gateway more CPU, or lower the stream rates"
+
+    {%{count(core, :overload, n) | behind: behind}, if(change == :begins, do: [{:warn, warn}], else: [])}
+  end
+
   def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
 
   def handle(core, :tick, now), do: core |> follow_clock(now) |> tick(now)
@@ -230,6 +242,8 @@ defmodule Aerie.Link.Core do
   end
 
   defp relieved(core, mono) do
+    core = if Overload.over?(core.behind, mono), do: %{core | behind: nil}, else: core
+
     if Overload.over?(core.overload, mono),
       do: {%{core | overload: nil}, [{:emit, :relieved, %{datagrams: core.overload.datagrams}, %{}}]},
       else: {core, []}

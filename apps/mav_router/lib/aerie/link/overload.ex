@@ -2,18 +2,19 @@ defmodule Aerie.Link.Overload do
   @quiet_ms 10_000
 
   @moduledoc """
-  Whether datagrams come faster than a link reads them: a value, nil while they do not.
+  Whether datagrams come faster than a link reads them, or frames faster than the sessions of its vehicles take them: a value each, nil
+  while they do not.
 
-  An overload begins with the first datagram that is dropped and ends when none was dropped for #{div(@quiet_ms, 1000)} s.
+  An overload begins with the first datagram or frame that is dropped and ends when none was dropped for #{div(@quiet_ms, 1000)} s.
   """
 
   @enforce_keys [:since, :datagrams, :last]
   defstruct [:since, :datagrams, :last]
 
-  @typedoc "`since`: unix microseconds; `datagrams`: dropped so far; `last`: monotonic ms of the last drop"
+  @typedoc "`since`: unix microseconds; `datagrams` (or frames): dropped so far; `last`: monotonic ms of the last drop"
   @type t :: %__MODULE__{since: integer, datagrams: pos_integer, last: integer}
 
-  @doc "So many datagrams were dropped; whether an overload begins with them."
+  @doc "So many datagrams or frames were dropped; whether an overload begins with them."
   @spec dropped(t | nil, pos_integer, {mono :: integer, at :: integer}) :: {:begins | :lasts, t}
   def dropped(nil, n, {mono, at}), do: {:begins, %__MODULE__{since: at, datagrams: n, last: mono}}
 

@@ -267,7 +267,7 @@ defmodule Aerie.Link.Server do
     outcome = Router.deliver(state.gateway, source, frames)
     egress = state.egress |> Egress.radio(peer, frames) |> Egress.note_requests(peer, frames, mono())
     sessions = if outcome.sessions == [], do: state.sessions, else: outcome.sessions
-    %{state | core: dropped(state.core, outcome), egress: egress, sessions: sessions}
+    dropped(%{state | egress: egress, sessions: sessions}, outcome)
   end
 
   defp act({:join, peer, text}, state) do
@@ -315,13 +315,11 @@ defmodule Aerie.Link.Server do
     %{state | notify: nil}
   end
 
-  defp dropped(core, %{unclaimed: 0, refused: 0, overload: 0, looped: 0}), do: core
+  defp dropped(state, %{unclaimed: 0, refused: 0, overload: 0, looped: 0}), do: state
 
-  defp dropped(core, outcome) do
-    now = now()
-
-    for name <- @drops, n = Map.fetch!(outcome, name), n > 0, reduce: core do
-      core -> elem(Core.handle(core, {:count, name, n}, now), 0)
+  defp dropped(state, outcome) do
+    for name <- @drops, n = Map.fetch!(outcome, name), n > 0, reduce: state do
+      state -> step(state, {:count, name, n})
     end
   end
 

@@ -19,6 +19,7 @@ defmodule Aerie.Link.Snapshot do
   | `:counters` | `Aerie.Link.Counters` |
   | `:rates` | per second: `bytes_in`, `frames_in`, `bytes_out`, `writes_out`, `crc_errors` |
   | `:overload` | `%{since: unix us, datagrams: n}` while datagrams come faster than they are read and for 10 s after, otherwise nil; `datagrams` were dropped |
+  | `:behind` | `%{since: unix us, frames: n}` while a session does not keep up with the frames of its vehicle and for 10 s after, otherwise nil; `frames` were dropped |
   | `:peers` | `[%{peer, text, silent_ms, frames_in, bytes_in}]`, at most 1,024 of them |
   | `:sources` | `%{{system, component} => %{received, lost, ratio, …}}`, loss by sequence numbers (R7, R9) |
   | `:signing` | `Aerie.Signing.link/2`, nil without a key |
@@ -72,6 +73,7 @@ defmodule Aerie.Link.Snapshot do
       diagnosis: core.diagnosis,
       last_heard: core.last_heard,
       overload: core.overload && Map.take(core.overload, [:since, :datagrams]),
+      behind: core.behind && %{since: core.behind.since, frames: core.behind.datagrams},
       counters: Core.counters(core),
       rates: Rates.per_second(core.rates)
     }
@@ -115,6 +117,11 @@ defmodule Aerie.Link.Snapshot do
   def text(%Core{phase: :up, overload: %{datagrams: n}} = core, mono) do
     text(%{core | overload: nil}, mono) <>
       ", overloaded: #{n} datagrams came faster than they could be read and were dropped"
+  end
+
+  def text(%Core{phase: :up, behind: %{datagrams: n}} = core, mono) do
+    text(%{core | behind: nil}, mono) <>
+      ", overloaded: #{n} frames came faster than their vehicle's session took them and were dropped"
   end
 
   def text(%Core{phase: :up, spec: spec} = core, mono) do

@@ -229,6 +229,36 @@ defmodule Aerie.Link.CoreTest do
     assert Snapshot.of(core, 11_001).overload == nil
   end
 
+  test "frames that a session did not take are counted, and shown while that lasts" do
+    core = up("udpin::1")
+    assert Snapshot.of(core, 0).behind == nil
+
+    assert {core, [{:warn, "a vehicle's session does not keep up: 5 frames" <> _}]} =
+             run(core, [{1_000, {:count, :overload, 5}}])
+
+    assert {core, []} = run(core, [{1_001, {:count, :overload, 7}}])
+    {core, _} = run(core, [{1_250, :tick}])
+    assert %{behind: %{since: since, frames: 12}, overload: nil, text: text} = Snapshot.of(core, 1_250)
+    assert since == @at + 1_000_000
+    assert text =~ "12 frames came faster than their vehicle's session took them"
+    assert %{overload: 12} = Core.counters(core)
+    {core, _} = run(core, [{11_000, :tick}])
+    assert %{behind: %{}} = Snapshot.of(core, 11_000)
+    {core, _} = run(core, [{11_001, :tick}])
+    assert Snapshot.of(core, 11_001).behind == nil
+  end
+
+  test "what a transport warns of is logged at the first connection, not at each" do
+    {:ok, spec} = Spec.parse("udpin::1")
+    {core, _} = run(Core.new(spec, []), [{0, :start}])
+    {core, actions} = run(core, [{1, {:opened, %{local: "127.0.0.1:1", warning: "little room"}}}])
+    assert {:warn, "little room"} in actions
+    {core, _} = run(core, [{5_000, {:closed, :closed}}, {60_000, :retry}])
+    {_core, actions} = run(core, [{60_001, {:opened, %{local: "127.0.0.1:1", warning: "little room"}}}])
+    assert :publish in actions
+    refute {:warn, "little room"} in actions
+  end
+
   test "garbage from a thousand addresses makes no peer" do
     reads = for n <- 1..1000, do: {n, <<0xFD, 9, 0, n::16, 1, 2, 3>>}
     {core, actions} = Core.handle(up("udpin::1"), {:read, reads}, now(1))

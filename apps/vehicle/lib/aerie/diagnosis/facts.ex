@@ -8,6 +8,7 @@ defmodule Aerie.Diagnosis.Facts do
   | `:now`, `:mono` | unix microseconds, monotonic ms |
   | `:clock_offset` | `Aerie.HostClock.offset/0` |
   | `:links`, `:vehicles`, `:endpoints` | snapshots (`Aerie.Store.Links`, `Aerie.Store`, `Aerie.Router.endpoints/1`) |
+  | `:clients` | the endpoints for clients (`Aerie.Client.endpoints/1`) |
   | `:identity` | `Aerie.Router.identity/1` |
   | `:nats`, `:nats_off?` | `Aerie.Bridge.info/1` |
   | `:recorder` | `Aerie.Recorder.status/1` or nil |
@@ -17,7 +18,7 @@ defmodule Aerie.Diagnosis.Facts do
   `Aerie.Diagnosis.Trend` adds `:grown`, `:online_ms` and `:clock_steps`.
   """
 
-  alias Aerie.{Bridge, HostClock, Names, Policy, Recorder, Router, Signing, Store}
+  alias Aerie.{Bridge, Client, HostClock, Names, Policy, Recorder, Router, Signing, Store}
 
   @type t :: %{atom() => term()}
 
@@ -31,6 +32,7 @@ defmodule Aerie.Diagnosis.Facts do
       links: Store.Links.all(gateway),
       vehicles: Store.vehicles(gateway),
       endpoints: Router.endpoints(gateway),
+      clients: Client.endpoints(gateway),
       identity: Router.identity(gateway),
       nats: Bridge.info(gateway),
       nats_off?: Bridge.off?(gateway),

@@ -19,6 +19,7 @@ defmodule Aerie.Diagnosis.RulesTest do
         links: [],
         vehicles: [],
         endpoints: [],
+        clients: [],
         identity: %{system: 237, component: 191, alarm: nil},
         nats: nil,
         nats_off?: true,
@@ -158,6 +159,11 @@ defmodule Aerie.Diagnosis.RulesTest do
   test "a link that drops datagrams; one that loses a part of its frames" do
     assert [%{name: :overload, severity: :error}] =
              conditions(facts(%{links: [link(%{overload: %{since: @now, datagrams: 9}})]}))
+
+    gcs = link(%{id: "gcs", overload: %{since: @now, datagrams: 7}})
+
+    assert [%{name: :overload, severity: :error, subject: {:client, "gcs"}, evidence: ["7 datagrams" <> _]}] =
+             conditions(facts(%{clients: [gcs]}))
 
     lossy = link(%{quality: %{loss: 0.25, rtt_ms: 812.0}})
 

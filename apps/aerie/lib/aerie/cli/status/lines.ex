@@ -98,15 +98,23 @@ defmodule Aerie.CLI.Status.Lines do
      lost: link.counters.lost,
      denied: link.counters.denied,
      dropped_out: link.counters.dropped_out,
-     dropped_in: link.counters.kernel_dropped + link.counters.shed,
+     dropped_in: View.dropped_in(link),
      text: link.text}
   end
 
   # Only clients that lost frames; `/api/clients` has the rest.
-  defp client(%{counters: %{dropped_out: 0}}), do: []
+  defp client(%{counters: counters} = client) do
+    dropped_in = View.dropped_in(client)
 
-  defp client(client),
-    do: [{"client", client: client.id, dropped_out: client.counters.dropped_out, text: client.text}]
+    if counters.dropped_out + dropped_in > 0 do
+      [
+        {"client",
+         client: client.id, dropped_out: counters.dropped_out, dropped_in: dropped_in, text: client.text}
+      ]
+    else
+      []
+    end
+  end
 
   defp nats(%{nats: nil}), do: []
 

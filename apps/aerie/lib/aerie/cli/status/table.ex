@@ -218,9 +218,18 @@ defmodule Aerie.CLI.Status.Table do
   end
 
   defp dropped(clients) do
-    for %{counters: %{dropped_out: n}} = client when n > 0 <- clients do
-      {"client #{text(client.id)}: #{n} frames DROPPED because a peer reads too slowly", :yellow}
-    end
+    out =
+      for %{counters: %{dropped_out: n}} = client when n > 0 <- clients do
+        {"client #{text(client.id)}: #{n} frames DROPPED because a peer reads too slowly", :yellow}
+      end
+
+    unread =
+      for client <- clients, n = View.dropped_in(client), n > 0 do
+        {"client #{text(client.id)}: #{n} datagrams DROPPED because they come faster than they are read",
+         :yellow}
+      end
+
+    out ++ unread
   end
 
   defp interfaces([]), do: []

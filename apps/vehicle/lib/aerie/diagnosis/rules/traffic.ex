@@ -24,7 +24,7 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
   @impl true
   def check(facts) do
     links = for link <- facts.links, condition <- link(link, facts), do: condition
-    links ++ clients(facts)
+    links ++ unread(facts) ++ clients(facts)
   end
 
   defp link(%{id: id} = link, facts) do
@@ -97,6 +97,17 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
         mend: "Give the gateway more CPU, or lower the stream rates."
       )
     end)
+  end
+
+  # What clients send is read from a socket like what vehicles send.
+  defp unread(facts) do
+    for %{overload: %{datagrams: datagrams}, id: id} <- facts.clients do
+      Condition.new(:overload, :error, {:client, id},
+        title: "#{id} drops datagrams of clients, because they arrive faster than the gateway reads them",
+        evidence: ["#{datagrams} datagrams since it began"],
+        mend: "Give the gateway more CPU, or find out which client sends so much."
+      )
+    end
   end
 
   defp ids(%{identity: %{system: system, component: component}}), do: "#{system}/#{component}"

@@ -111,6 +111,7 @@ defmodule Aerie.Vehicle.Fields.Object do
     {"signing", nil, nil, "frames rejected for their signature (signing.md)"},
     {"recording", nil, nil, "how it is recorded (recordings.md)"},
     {"overload", nil, nil, "`since` and `datagrams` while datagrams come faster than they are read"},
+    {"behind", nil, nil, "`since` and `frames` while a vehicle's session does not keep up with its frames"},
     {"rates.bytes_in", 1, "B/s", "received in the last second"},
     {"rates.bytes_out", 1, "B/s", "sent"},
     {"rates.frames_in", 1, "1/s", "good frames received"},

@@ -71,12 +71,14 @@ defmodule Aerie.Link.Transport do
   - `:local`: our end, for people (`0.0.0.0:14550`)
   - `:port`: the real port of a server, also if port 0 was configured
   - `:peer`: the other end, for people, if there is only one and it is known
+  - `:warning`: what is worse than it should be, for the log
   - `:baud`: of a serial port; `:finding`: how it was found, if it was searched for
   """
   @type info :: %{
           optional(:local) => String.t(),
           optional(:port) => non_neg_integer,
           optional(:peer) => String.t(),
+          optional(:warning) => String.t() | nil,
           optional(:baud) => pos_integer,
           optional(:finding) => Aerie.Link.Serial.Finding.t()
         }

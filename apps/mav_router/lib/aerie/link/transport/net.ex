@@ -65,6 +65,35 @@ defmodule Aerie.Link.Transport.Net do
     :gen_udp.open(port, options ++ more)
   end
 
+  @doc """
+  What to say of a UDP socket's receive buffer if the system gave less than was asked for, otherwise nil. Linux gives at most
+  `net.core.rmem_max` without a word.
+  """
+  @spec short_buffer(:gen_udp.socket()) :: String.t() | nil
+  def short_buffer(socket) do
+    case :inet.getopts(socket, [:recbuf]) do
+      {:ok, [recbuf: bytes]} -> short(bytes, :os.type())
+      _unknown -> nil
+    end
+  end
+
+  @doc "The same for the bytes that the system says it gave, and the system (`:os.type/0`). Pure."
+  @spec short(non_neg_integer, {atom, atom}) :: String.t() | nil
+  # Linux says twice what it gave, because its own book-keeping counts, too.
+  def short(bytes, {:unix, :linux}) when bytes < 2 * @recbuf do
+    "the kernel keeps only #{kib(div(bytes, 2))} KiB of unread datagrams in place of #{kib(@recbuf)} (about " <>
+      "#{div(bytes, @datagram_bytes)} small ones), so a burst is lost sooner. Allow more before the start: " <>
+      "sysctl -w net.core.rmem_max=#{@recbuf}"
+  end
+
+  def short(bytes, os) when bytes < @recbuf and os != {:unix, :linux} do
+    "the system keeps only #{kib(bytes)} KiB of unread datagrams in place of #{kib(@recbuf)}, so a burst is lost sooner"
+  end
+
+  def short(_bytes, _os), do: nil
+
+  defp kib(bytes), do: div(bytes, 1024)
+
   @doc "Handles what a UDP socket sends besides datagrams, as `c:Aerie.Link.Transport.handle/2`."
   @spec udp_message(conn, term) :: {[{:closed, :closed}], conn} | :unknown
         when conn: %{socket: :gen_udp.socket()}
@@ -188,6 +217,10 @@ defmodule Aerie.Link.Transport.Net do
     _ = if sender, do: :socket.close(sender)
     :ok
   end
+
+  @doc "What a link with a UDP socket tells of it."
+  @spec udp_info(:gen_udp.socket()) :: Aerie.Link.Transport.info()
+  def udp_info(socket), do: Map.put(local(socket), :warning, short_buffer(socket))
 
   @doc "The options of every TCP socket; a half-open connection is noticed within half a minute."
   @spec tcp_options() :: keyword

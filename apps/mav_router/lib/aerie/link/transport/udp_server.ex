@@ -39,7 +39,7 @@ defmodule Aerie.Link.Transport.UdpServer do
   @impl Aerie.Link.Transport
   def activate(%{socket: socket} = conn) do
     with :ok <- :inet.setopts(socket, active: Net.active()),
-         do: {:ok, %{conn | sender: Net.sender(socket)}, Net.local(socket)}
+         do: {:ok, %{conn | sender: Net.sender(socket)}, Net.udp_info(socket)}
   end
 
   @impl Aerie.Link.Transport

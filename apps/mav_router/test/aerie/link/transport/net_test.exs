@@ -40,6 +40,20 @@ defmodule Aerie.Link.Transport.NetTest do
     end
   end
 
+  test "a receive buffer that the system made smaller is told, with what to do about it" do
+    text = Net.short(2 * 212_992, {:unix, :linux})
+    assert text =~ "only 208 KiB of unread datagrams in place of 2048 (about 512 small ones)"
+    assert text =~ "sysctl -w net.core.rmem_max=2097152"
+    assert Net.short(2 * 2 * 1024 * 1024, {:unix, :linux}) == nil
+    assert Net.short(786_896, {:unix, :darwin}) =~ "only 768 KiB"
+    assert Net.short(2 * 1024 * 1024, {:unix, :darwin}) == nil
+
+    {:ok, small} = Net.udp(@loopback, 0, recbuf: 8_192)
+    assert %{local: "127.0.0.1:" <> _, warning: "the " <> _} = Net.udp_info(small)
+    :gen_udp.close(small)
+    assert Net.short_buffer(small) == nil
+  end
+
   # A process that reads and writes a socket.
   defp own(test) do
     {:ok, socket} = Net.udp(@loopback, 0)

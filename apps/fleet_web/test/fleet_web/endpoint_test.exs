@@ -32,6 +32,18 @@ defmodule FleetWeb.EndpointTest do
     assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
   end
 
+  test "without NATS there is no epoch: null in the status, left out of events, no gateway.started",
+       context do
+    event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1_763_800_000_000_000, nil, %{"mode" => "AUTO"})
+    Aerie.Fleet.Journal.commit(context.gateway, "VID-001", 1, [event])
+    assert {200, %{"epoch" => nil}} = json(context.port, "/api/status")
+
+    assert {200, %{"events" => [%{"type" => "armed", "seq" => 1} = shown]}} =
+             json(context.port, "/api/events")
+
+    refute is_map_key(shown, "epoch")
+  end
+
   test "a link that drops datagrams makes the gateway unready, with its name and what to do",
        context do
     link = eventually(fn -> link_with_port(context.gateway) end)

@@ -38,7 +38,8 @@ defmodule Aerie.Bridge.Settings do
         {:enum, [:embedded, :url, :off]},
         """
         embedded: start and supervise a nats-server of our own. url: use the servers at nats.url.
-        off: no NATS; events stay in memory.
+        off: no NATS; events stay in memory. Nothing is kept between two starts then: no epoch, no event gateway.started, and
+        what changed in between is not found.
         Left out: url if nats.url is given, else embedded.
         """,
         example: "embedded"

@@ -86,7 +86,14 @@ defmodule Aerie.Link.Settings do
   section "limits"
 
   setting :max_links, {:integer, 1, 10_000}, "Links.", default: 64
-  setting :max_peers, {:integer, 1, 100_000}, "Peers of one listening link.", default: 1024
+
+  setting :max_peers,
+          {:integer, 1, 100_000},
+          """
+          Peers of one listening link. A known one keeps its place as long as it sends a frame a minute, so that many strangers
+          can lock newcomers out: those are refused and counted (peers_refused). Keep strangers off the port, or raise this.
+          """,
+          default: 1024
 
   defp link_fields do
     [

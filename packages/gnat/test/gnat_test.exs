@@ -124,7 +124,7 @@ defmodule GnatTest do
 
     test "publishes of many processes at once all arrive", %{gnat: gnat, topic: topic} do
       {:ok, _} = Gnat.sub(gnat, self(), topic)
-      1..200 |> Task.async_stream(&Gnat.pub(gnat, topic, "#{&1}"), max_concurrency: 50) |> Stream.run()
+      1..200 |> Task.async_stream(&Gnat.pub(gnat, topic, "#{&1}"), max_concurrency: 50, timeout: 60_000) |> Stream.run()
       got = for _ <- 1..200, do: receive(do: ({:msg, %{body: body}} -> String.to_integer(body)))
       assert Enum.sort(got) == Enum.to_list(1..200)
     end
@@ -279,7 +279,7 @@ defmodule GnatTest do
 
     test "from many processes get each their own answer", %{gnat: gnat, topic: topic} do
       1..100
-      |> Task.async_stream(fn n -> {n, Gnat.request(gnat, topic, "#{n}")} end, max_concurrency: 20)
+      |> Task.async_stream(fn n -> {n, Gnat.request(gnat, topic, "#{n}")} end, max_concurrency: 20, timeout: 60_000)
       |> Enum.each(fn {:ok, {n, {:ok, %{body: body}}}} -> assert body == "#{n}" end)
     end
 

@@ -10,11 +10,11 @@ defmodule Aerie.FolderLockTest do
   test "one owner within this program, until it ends", %{tmp_dir: dir} do
     assert FolderLock.acquire(dir) == :ok
     assert FolderLock.acquire(dir) == :ok
-    assert {:error, text} = Task.await(Task.async(fn -> FolderLock.acquire(dir) end))
+    assert {:error, text} = Task.await(Task.async(fn -> FolderLock.acquire(dir) end), Aerie.Patience.ms())
     assert text =~ "is in use by another gateway in this program"
 
     other = Path.join(dir, "other")
-    assert Task.await(Task.async(fn -> FolderLock.acquire(other) end)) == :ok
+    assert Task.await(Task.async(fn -> FolderLock.acquire(other) end), Aerie.Patience.ms()) == :ok
     Aerie.Patience.eventually(fn -> FolderLock.acquire(other) == :ok end)
   end
 

@@ -238,7 +238,7 @@ defmodule Aerie.LinkTest do
                ~r/connection refused by 127.0.0.1:\d+, next try (now|in 0\.\d s)/
 
       {:ok, listener} = :gen_tcp.listen(port, [:binary, active: false, reuseaddr: true, ip: {127, 0, 0, 1}])
-      {:ok, server} = :gen_tcp.accept(listener, 10_000)
+      {:ok, server} = :gen_tcp.accept(listener, Aerie.Patience.ms())
       assert_receive {:up, _, %{link: ^id}}
       # Bytes are cut anywhere on a stream.
       <<a::binary-size(17), b::binary>> = attitude(1, 1) <> attitude(1, 2)
@@ -251,7 +251,7 @@ defmodule Aerie.LinkTest do
 
       :gen_tcp.close(server)
       assert_receive {:down, _, %{reason: "connection closed by 127.0.0.1:" <> _}}
-      assert {:ok, server} = :gen_tcp.accept(listener, 10_000)
+      assert {:ok, server} = :gen_tcp.accept(listener, Aerie.Patience.ms())
       assert_receive {:up, %{reconnects: 1}, _}
       :ok = :gen_tcp.send(server, attitude(1, 3))
       assert [3] = Enum.map(frames(1), &number/1)

@@ -152,7 +152,7 @@ defmodule Aerie.CommandsTest do
     cancel = Task.async(fn -> Commands.cancel(gateway, "VID-007", "t", operator()) end)
     assert_receive {:"$gen_call", canceller, {:cancel, "t"}}
     GenServer.reply(canceller, :ok)
-    assert Task.await(cancel) == :ok
+    assert Task.await(cancel, Aerie.Patience.ms()) == :ok
     answer(from, "t", :cancelled)
     assert %{status: :cancelled} = result(task)
   end
@@ -443,7 +443,7 @@ defmodule Aerie.CommandsTest do
     eventually(fn -> match?({:denied, "unavailable"}, gateway |> command("arm") |> rule()) end)
     answer(from, "a", :completed)
     assert result(first).status == :completed
-    assert Task.await(drain) == []
+    assert Task.await(drain, Aerie.Patience.ms()) == []
   end
 
   test "what cannot be drained is told as unknown, and stays in the ledger as sent", %{tmp_dir: dir} do

@@ -218,10 +218,10 @@ defmodule Aerie.LedgerTest do
     assert Task.yield(a, 0) == nil
 
     send(first, :written)
-    assert Task.await(a) == :ok
+    assert Task.await(a, Aerie.Patience.ms()) == :ok
     assert_receive {:sync, second}
     send(second, :written)
-    assert Task.await_many(others) == [:ok, :ok]
+    assert Task.await_many(others, Aerie.Patience.ms()) == [:ok, :ok]
     refute_received {:sync, _third}
   end
 

@@ -194,8 +194,8 @@ defmodule Aerie.TransfersTest do
     end)
 
     Process.exit(transfers, :kill)
-    for {:error, result} <- Task.await_many(tasks), do: assert(%Result{status: :unknown} = result)
-    assert {:ok, %Result{status: :unknown}} = Task.await(write)
+    for {:error, result} <- Task.await_many(tasks, Aerie.Patience.ms()), do: assert(%Result{status: :unknown} = result)
+    assert {:ok, %Result{status: :unknown}} = Task.await(write, Aerie.Patience.ms())
     assert Names.whereis(gateway, :session, key) == session
     :ok = SimVehicle.fault(sim, :deaf, false)
     assert {:ok, _table} = eventually(fn -> match_ok(Params.list(gateway, "VID-001")) end)
@@ -212,7 +212,7 @@ defmodule Aerie.TransfersTest do
     admin = Commands.inside()
     assert :ok = eventually(fn -> if Commands.cancel(gateway, "VID-001", "m", admin) == :ok, do: :ok end)
     :ok = SimVehicle.fault(sim, :deaf, false)
-    assert {:ok, %Result{status: :cancelled}} = Task.await(task, 60_000)
+    assert {:ok, %Result{status: :cancelled}} = Task.await(task, Aerie.Patience.ms())
     assert {:error, :unknown, _text} = Commands.cancel(gateway, "VID-001", "m", @viewer)
   end
 

@@ -23,7 +23,7 @@ defmodule Aerie.MissionStation do
     receive do
       {:udp, ^socket, ip, port, _bytes} -> %{station | to: {ip, port}}
     after
-      10_000 -> raise "no vehicle came"
+      Aerie.Patience.ms() -> raise "no vehicle came"
     end
   end
 

@@ -29,12 +29,12 @@ defmodule Aerie.Link.NamesTest do
     {:ok, port} = :inet.port(first)
     {:ok, second} = :gen_tcp.listen(port, [:binary, ip: {127, 0, 0, 3}, active: false])
     {:ok, id} = Link.start(gateway, "tcp:#{@name}:#{port}")
-    {:ok, connection} = :gen_tcp.accept(first, 10_000)
+    {:ok, connection} = :gen_tcp.accept(first, Aerie.Patience.ms())
     eventually(fn -> Link.snapshot(gateway, id).status in [:up, :idle] end)
 
     move({127, 0, 0, 2}, {127, 0, 0, 3})
     :ok = :gen_tcp.close(first)
     :ok = :gen_tcp.close(connection)
-    assert {:ok, _there} = :gen_tcp.accept(second, 20_000)
+    assert {:ok, _there} = :gen_tcp.accept(second, Aerie.Patience.ms())
   end
 end

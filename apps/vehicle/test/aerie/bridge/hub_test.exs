@@ -24,7 +24,7 @@ defmodule Aerie.Bridge.HubTest do
   end
 
   defp ask(conn, subject, body \\ "", headers \\ []),
-    do: Gnat.request(conn, subject, body, headers: headers, receive_timeout: 10_000)
+    do: Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
 
   # All that was sent before on the way from the leaf to the hub has arrived.
   defp flush(client), do: assert({:ok, _info} = ask(client, "hub.info"))

@@ -103,13 +103,13 @@ defmodule Aerie.Client.StateSocketTest do
     path = Path.join(dir, "state.sock")
     [first, _second] = for _ <- 1..2, do: path |> connect(packet: :line) |> tap(&lines/1)
 
-    assert {:error, :closed} = path |> connect() |> :gen_tcp.recv(0, 10_000)
+    assert {:error, :closed} = path |> connect() |> :gen_tcp.recv(0, Aerie.Patience.ms())
     assert Store.counter(gateway, {:clients, :state, :refused}) == 1
 
     :gen_tcp.close(first)
 
     assert eventually(fn ->
-             match?({:ok, _line}, path |> connect(packet: :line) |> :gen_tcp.recv(0, 10_000))
+             match?({:ok, _line}, path |> connect(packet: :line) |> :gen_tcp.recv(0, Aerie.Patience.ms()))
            end)
   end
 
@@ -166,7 +166,7 @@ defmodule Aerie.Client.StateSocketTest do
     Process.exit(Names.whereis(gateway, :unix_listener, :state), :kill)
     # Who was waiting to be let in when it died has to knock again.
     assert eventually(fn ->
-             match?({:ok, _line}, path |> connect(packet: :line) |> :gen_tcp.recv(0, 10_000))
+             match?({:ok, _line}, path |> connect(packet: :line) |> :gen_tcp.recv(0, Aerie.Patience.ms()))
            end)
 
     for _ <- 1..3, do: lines(socket)

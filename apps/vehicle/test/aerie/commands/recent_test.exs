@@ -39,7 +39,7 @@ defmodule Aerie.Commands.RecentTest do
     assert [%{result: %{status: :completed}, at: at, done_at: done_at}] = Commands.recent(gateway, "VID-007")
     assert done_at >= at
 
-    Task.await(command(gateway, "takeoff", id: "t1", params: %{altitude: 20}))
+    Task.await(command(gateway, "takeoff", id: "t1", params: %{altitude: 20}), Aerie.Patience.ms())
     assert_receive {:fleet, {:commands, "VID-007"}, "t1"}
     assert eventually(fn -> match?([%{result: %{}}], Commands.recent(gateway, "VID-007")) end)
     assert Commands.recent(gateway, "VID-008") == []
@@ -58,7 +58,7 @@ defmodule Aerie.Commands.RecentTest do
 
   test "refusals are there with their reason; the latest stand first", %{tmp_dir: dir} do
     gateway = start_door(dir, policy: [max_altitude: 100])
-    Task.await(command(gateway, "takeoff", id: "high", params: %{altitude: 200}))
+    Task.await(command(gateway, "takeoff", id: "high", params: %{altitude: 200}), Aerie.Patience.ms())
     land = command(gateway, "land", id: "land")
     from = executing(%{id: "land"})
 
@@ -67,7 +67,7 @@ defmodule Aerie.Commands.RecentTest do
 
     assert reason =~ "100"
     answer(from, "land", :accepted)
-    Task.await(land)
+    Task.await(land, Aerie.Patience.ms())
     assert [%{id: "land", result: %{status: :accepted}}] = Commands.recent(gateway, "VID-007", 1)
   end
 

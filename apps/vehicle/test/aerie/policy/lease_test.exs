@@ -83,10 +83,13 @@ defmodule Aerie.Policy.LeaseTest do
 
     taken =
       1..20
-      |> Task.async_stream(fn n ->
-        source = %{@olga | name: "source-#{n}"}
-        {source.name, Leases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
-      end)
+      |> Task.async_stream(
+        fn n ->
+          source = %{@olga | name: "source-#{n}"}
+          {source.name, Leases.change(gateway, @key, {:take, nil, nil}, source, "rest", @rules)}
+        end,
+        timeout: Aerie.Patience.ms()
+      )
       |> Enum.flat_map(fn {:ok, {name, answer}} -> if match?({:ok, _lease}, answer), do: [name], else: [] end)
 
     assert [name] = taken

@@ -11,7 +11,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
   alias Aerie.Link.Transport.WebSocket.Handshake
   alias Aerie.Router
 
-  @patience 15_000
+  @patience Aerie.Patience.ms()
 
   ## A minimal server
 

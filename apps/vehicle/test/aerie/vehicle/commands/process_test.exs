@@ -88,7 +88,7 @@ defmodule Aerie.Vehicle.CommandsTest do
     assert_receive {:transmit, [_command]}
 
     assert {:ok, %{status: :rejected, reason: "a command with this id" <> _}} =
-             Task.await(submit(gateway, id: "a", type: "arm"))
+             Task.await(submit(gateway, id: "a", type: "arm"), Aerie.Patience.ms())
 
     send(pid, ack(command: 400, result: 2))
 

@@ -26,9 +26,11 @@ defmodule Aerie.RouterTest do
 
   test "of many that come at once a few are made at once, the others beside the frames' way; all get their first frames" do
     gateway = start_parts(%{limits: %{max_vehicles: 400}})
-    keys = many_vehicles(gateway, &deliver(gateway, &1, %{@origin | network: &2}))
+    deliver = &deliver(gateway, &1, %{@origin | network: &2})
+    keys = many_vehicles(gateway, deliver)
 
     eventually(fn ->
+      heard_again(gateway, keys, deliver)
       Enum.all?(keys, &match?(%{component: 1}, Aerie.Store.vehicle(gateway, &1)))
     end)
 

@@ -115,7 +115,13 @@ defmodule Aerie.Router.DeliverTest do
 
   test "of many vehicles that come together a few are started at once, the others by VehicleStarter; all get their first frames" do
     gateway = gateway()
-    keys = many_vehicles(gateway, &deliver(gateway, &1, %{@origin | network: &2}))
+    deliver = &deliver(gateway, &1, %{@origin | network: &2})
+    keys = many_vehicles(gateway, deliver)
+
+    eventually(fn ->
+      heard_again(gateway, keys, deliver)
+      Enum.all?(keys, &Names.whereis(gateway, :session, &1))
+    end)
 
     for key <- keys, do: assert_receive({:session, ^key, "a", [%{id: 0}]})
     eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)

@@ -25,7 +25,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   end
 
   # The next heartbeat of the gateway that comes to a vehicle's socket within `ms`, or nil.
-  defp heard(socket, ms) do
+  defp heard(socket, ms \\ Aerie.Patience.ms()) do
     case :gen_udp.recv(socket, 0, ms) do
       {:ok, {_from, _port, bytes}} ->
         {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, nil)
@@ -34,6 +34,12 @@ defmodule Aerie.Vehicle.IdentityTest do
       {:error, :timeout} ->
         nil
     end
+  end
+
+  # None comes for so long. One may still be on its way when it is found that there are to be no more.
+  defp unheard(socket, ms) do
+    drain(socket)
+    eventually(fn -> heard(socket, ms) == nil end)
   end
 
   # Everything that waits in the socket is passed over.
@@ -48,9 +54,9 @@ defmodule Aerie.Vehicle.IdentityTest do
 
   test "H1, H2, R10: an on-board computer's heartbeat under our own ids, again and again" do
     {_gateway, _port, socket} = flying()
-    assert %Frame{system: 245, component: 191} = frame = heard(socket, 10_000)
+    assert %Frame{system: 245, component: 191} = frame = heard(socket)
     assert {:ok, %{type: 18, autopilot: 8, system_status: 4}} = MavCodec.decode(frame)
-    assert heard(socket, 10_000)
+    assert heard(socket)
   end
 
   for {role, id} <- [
@@ -64,14 +70,13 @@ defmodule Aerie.Vehicle.IdentityTest do
     @tag loop: {role, id}
     test "H3: no heartbeat while #{role} stands still, and again when it turns", %{loop: {role, id} = tag} do
       {gateway, _port, socket} = flying()
-      assert heard(socket, 10_000)
+      assert heard(socket)
       pid = Names.whereis(gateway, role, id)
       :ok = :sys.suspend(pid)
       silent?(gateway, tag)
-      drain(socket)
-      refute heard(socket, 1_300)
+      unheard(socket, 1_300)
       :ok = :sys.resume(pid)
-      assert heard(socket, 10_000)
+      assert heard(socket)
       eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
     end
   end
@@ -83,15 +88,14 @@ defmodule Aerie.Vehicle.IdentityTest do
       {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
       {:ok, port} = :inet.port(socket)
       add_link(gateway, "udpout:127.0.0.1:#{port}")
-      assert %Frame{component: 191} = heard(socket, 10_000)
+      assert %Frame{component: 191} = heard(socket)
       pid = Names.whereis(gateway, unquote(role))
       :ok = :sys.suspend(pid)
       silent?(gateway, {unquote(role), nil})
-      drain(socket)
-      refute heard(socket, 2_500)
+      unheard(socket, 2_500)
       assert Store.counter(gateway, {:identity, :held}) > 0
       :ok = :sys.resume(pid)
-      assert {:ok, %{system_status: 4}} = socket |> heard(10_000) |> MavCodec.decode()
+      assert {:ok, %{system_status: 4}} = socket |> heard() |> MavCodec.decode()
     end
   end
 
@@ -111,36 +115,39 @@ defmodule Aerie.Vehicle.IdentityTest do
 
   test "a killed loop is asked anew" do
     {gateway, _port, socket} = flying()
-    assert heard(socket, 10_000)
+    assert heard(socket)
     Process.exit(Names.whereis(gateway, :watchdog), :kill)
     Process.exit(Names.whereis(gateway, :router_sweeper), :kill)
     drain(socket)
-    assert heard(socket, 10_000)
+    assert heard(socket)
   end
 
   test "another vehicle's stuck loop does not cost this one its heartbeat, which says critical" do
     {gateway, port, one} = flying()
     two = vehicle(port, 2)
-    assert heard(one, 10_000) && heard(two, 10_000)
+    assert heard(one) && heard(two)
     :ok = :sys.suspend(Names.whereis(gateway, :session, {"main", 2}))
     silent?(gateway, {:session, {"main", 2}})
     drain(one)
-    drain(two)
-    assert {:ok, %{system_status: 5}} = MavCodec.decode(heard(one, 10_000))
-    refute heard(two, 1_300)
-    assert %{alive: true, silent: [{:session, {"main", 2}}]} = Aerie.Identity.status(gateway)
+    eventually(fn -> match?({:ok, %{system_status: 5}}, MavCodec.decode(heard(one))) end)
+    unheard(two, 1_300)
+
+    # Of all other loops each may be silent for a moment on a busy machine.
+    eventually(fn ->
+      match?(%{alive: true, silent: [{:session, {"main", 2}}]}, Aerie.Identity.status(gateway))
+    end)
   end
 
   test "what is held back is counted" do
     {gateway, _port, socket} = flying()
-    assert heard(socket, 10_000)
+    assert heard(socket)
     :ok = :sys.suspend(Names.whereis(gateway, :store))
     eventually(fn -> Store.counter(gateway, {:identity, :held}) > 0 end)
   end
 
   test "a vehicle that is removed is asked no more" do
     {gateway, _port, socket} = flying()
-    assert heard(socket, 10_000)
+    assert heard(socket)
     :ok = :sys.suspend(Names.whereis(gateway, :events, {"main", 1}))
     silent?(gateway, {:events, {"main", 1}})
     :sys.resume(Names.whereis(gateway, :events, {"main", 1}))
@@ -159,7 +166,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     :ok = :telemetry.attach(gateway, [:aerie, :identity, :silent], told, nil)
     on_exit(fn -> :telemetry.detach(gateway) end)
     # Deaf to everything: none of the processes that it asks for is there.
-    options = [gateway: gateway, settings: %Aerie.Identity.Settings{deadman_ms: 400}]
+    options = [gateway: gateway, settings: %Aerie.Identity.Settings{deadman_ms: 2_000}]
     watchdog = start_supervised!({Aerie.Identity.Watchdog, options})
     _asked = :sys.get_state(watchdog)
     refute_received {:silent, _role}

@@ -81,7 +81,7 @@ defmodule FleetWeb.WSClient do
   end
 
   @doc "The next message: `{{opcode, payload}, client}`, or `{{:closed, reason}, client}`."
-  def recv(client, timeout \\ 15_000) do
+  def recv(client, timeout \\ Aerie.Patience.ms()) do
     case client.buffer do
       <<1::1, _::3, opcode::4, 0::1, 127::7, size::64, payload::binary-size(size), rest::binary>> ->
         {{opcode, payload}, %{client | buffer: rest}}

@@ -106,6 +106,7 @@ defmodule Aerie.TransfersTest do
                Params.get(gateway, "VID-001", "CAM_MODE", timeout_ms: 3_000)
 
       name = if unquote(firmware) == :px4, do: "MIS_TAKEOFF_ALT", else: "PILOT_TKOFF_ALT"
+
       assert {:ok, %{name: ^name}} =
                answered(fn -> Params.get(gateway, "VID-001", name, component: 1) end)
 
@@ -207,7 +208,10 @@ defmodule Aerie.TransfersTest do
     end)
 
     Process.exit(transfers, :kill)
-    for {:error, result} <- Task.await_many(tasks, Aerie.Patience.ms()), do: assert(%Result{status: :unknown} = result)
+
+    for {:error, result} <- Task.await_many(tasks, Aerie.Patience.ms()),
+        do: assert(%Result{status: :unknown} = result)
+
     assert {:ok, %Result{status: :unknown}} = Task.await(write, Aerie.Patience.ms())
     assert Names.whereis(gateway, :session, key) == session
     :ok = SimVehicle.fault(sim, :deaf, false)

@@ -92,7 +92,9 @@ defmodule Aerie.Recorder.RingTest do
 
   test "several write at once: nothing is counted that is not there", c do
     1..8
-    |> Task.async_stream(fn task -> for n <- 1..300, do: push(c, @key, attitudes(1, n..n), task) end, timeout: Aerie.Patience.ms())
+    |> Task.async_stream(fn task -> for n <- 1..300, do: push(c, @key, attitudes(1, n..n), task) end,
+      timeout: Aerie.Patience.ms()
+    )
     |> Stream.run()
 
     sizes = :ets.select(c.tables.ring, [{{{@key, :_}, :_, :"$1", :_, :_}, [], [:"$1"]}])

@@ -231,7 +231,10 @@ defmodule Aerie.Signing.RotationTest do
       say(c, bytes)
       eventually(fn -> Aerie.Router.route(c.gateway, @key) end)
       patience = Aerie.Patience.ms()
-      task = Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: patience) end)
+
+      task =
+        Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: patience) end)
+
       {:ok, %{secret_key: key}} = MavCodec.decode(order(c))
 
       assert {:error, %{reason: {:conflict, "another enrolment of this vehicle is in progress"}}} =

@@ -65,10 +65,13 @@ defmodule Aerie.Client.RawMessageTest do
     send(test, :ready)
     question = %M.ParamRequestRead{target_system: 1, target_component: 1, param_id: "X", param_index: -1}
 
-    assert {:ok, %{outcome: :sent, answers: answers}} =
-             RawMessage.send(c.gateway, user(:operator), question, :all)
+    # They are waited for a second and a half, in which a busy machine may not get to the answer.
+    eventually(fn ->
+      assert {:ok, %{outcome: :sent, answers: answers}} =
+               RawMessage.send(c.gateway, user(:operator), question, :all)
 
-    assert [%M.CommandAck{command: 7}] = for(frame <- answers, do: elem(MavCodec.decode(frame), 1))
+      match?([%M.CommandAck{command: 7}], for(frame <- answers, do: elem(MavCodec.decode(frame), 1)))
+    end)
   end
 
   defp answer(socket, port, test) do

@@ -128,7 +128,8 @@ defmodule Aerie.Vehicle.SessionTest do
     PubSub.subscribe(gateway, :events)
     deliver(gateway, [frame(@copter, at(1))])
     assert_receive {:fleet, :events, %{type: "link.lost", time: 1_300_000}}
-    assert %{status: :lost} = Store.vehicle(gateway, "VID-001")
+    # The event is committed just before the status is shown.
+    eventually(fn -> match?(%{status: :lost}, Store.vehicle(gateway, "VID-001")) end)
     deliver(gateway, [frame(@copter, at(100))])
     assert_receive {:fleet, :events, %{type: "link.restored", time: 100_000_000}}
   end

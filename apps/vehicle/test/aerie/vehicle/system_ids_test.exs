@@ -84,7 +84,12 @@ defmodule Aerie.Vehicle.SystemIdsTest do
       assert {frame.system, decoded(frame)} ==
                {unquote(system), %M.CommandAck{command: 511, target_system: 255, target_component: 190}}
 
-      assert %{status: :online} = Store.vehicle(gateway, vehicle.key)
+      # It did not beat for a while.
+      eventually(fn ->
+        beat(vehicle)
+        match?(%{status: :online}, Store.vehicle(gateway, vehicle.key))
+      end)
+
       assert :ok = Router.send(gateway, vehicle.key, "to it")
       refute_received {:DOWN, _, _, _, _}
       assert Names.whereis(gateway, :session, vehicle.key) == vehicle.session
@@ -104,8 +109,10 @@ defmodule Aerie.Vehicle.SystemIdsTest do
     assert {7, 1} = Frame.target(frame)
     beating = start_supervised!({Task, fn -> beats(renamed) end})
     assert_receive {:fleet, :events, %{type: "link.lost", vehicle: "VID-001"}}, @patience
-    assert %{status: :lost} = Store.vehicle(gateway, {"main", 1})
-    assert %{status: :online, collision: nil} = Store.vehicle(gateway, {"main", 7})
+    # The event is committed just before the status is shown.
+    eventually(fn -> match?(%{status: :lost}, Store.vehicle(gateway, {"main", 1})) end)
+    eventually(fn -> match?(%{status: :online}, Store.vehicle(gateway, {"main", 7})) end)
+    assert %{collision: nil} = Store.vehicle(gateway, {"main", 7})
     # Its former id is given back: the vehicle is who it was, and the other one is missed.
     stop_supervised!(Task)
     refute Process.alive?(beating)

@@ -122,7 +122,10 @@ defmodule Aerie.SystemCase do
   @doc "A plain NATS client of the gateway's server."
   def nats_client(gateway) do
     %URI{host: host, port: port, userinfo: token} = URI.parse(Aerie.Bridge.login_url(gateway))
-    {:ok, conn} = Gnat.start_link(%{host: host, port: port, token: token})
+
+    {:ok, conn} =
+      Gnat.start_link(%{host: host, port: port, token: token, connection_timeout: Aerie.Patience.ms()})
+
     conn
   end
 

@@ -176,7 +176,8 @@ defmodule Aerie.BridgeCase do
   def client(url) do
     uri = URI.parse(url)
     login = if uri.userinfo, do: %{token: uri.userinfo}, else: %{}
-    {:ok, conn} = Gnat.start_link(Map.merge(login, %{host: uri.host, port: uri.port}))
+    at = %{host: uri.host, port: uri.port, connection_timeout: Aerie.Patience.ms()}
+    {:ok, conn} = Gnat.start_link(Map.merge(login, at))
     conn
   end
 

@@ -167,7 +167,16 @@ defmodule Aerie.HubServer do
   @doc "A client of a vehicle's own server, at the address with its login, that is told if nobody takes a request."
   def local_client(url) do
     uri = URI.parse(url)
-    {:ok, conn} = Gnat.start_link(%{host: uri.host, port: uri.port, token: uri.userinfo, no_responders: true})
+
+    settings = %{
+      host: uri.host,
+      port: uri.port,
+      token: uri.userinfo,
+      no_responders: true,
+      connection_timeout: Aerie.Patience.ms()
+    }
+
+    {:ok, conn} = Gnat.start_link(settings)
     conn
   end
 

@@ -118,12 +118,15 @@ defmodule Aerie.Router.DeliverTest do
     deliver = &deliver(gateway, &1, %{@origin | network: &2})
     keys = many_vehicles(gateway, deliver)
 
-    eventually(fn ->
-      heard_again(gateway, keys, deliver)
-      Enum.all?(keys, &Names.whereis(gateway, :session, &1))
-    end)
+    for key <- keys do
+      eventually(fn ->
+        heard_again(gateway, keys, deliver)
+        Names.whereis(gateway, :session, key)
+      end)
 
-    for key <- keys, do: assert_receive({:session, ^key, "a", [%{id: 0}]})
+      assert_receive {:session, ^key, "a", [%{id: 0}]}
+    end
+
     eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)
 
     assert Enum.map(frames(300), &number/1) == Enum.to_list(0..299)

@@ -176,7 +176,7 @@ defmodule Aerie.Bridge.CommandsTest do
 
   defp login(gateway) do
     uri = URI.parse(Bridge.login_url(gateway))
-    %{token: uri.userinfo, host: uri.host, port: uri.port}
+    %{token: uri.userinfo, host: uri.host, port: uri.port, connection_timeout: Aerie.Patience.ms()}
   end
 
   test "no command is in a stream", context do

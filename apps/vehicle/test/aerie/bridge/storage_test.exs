@@ -50,7 +50,7 @@ defmodule Aerie.Bridge.StorageTest do
     :file.close(file)
     await.(await, fn -> problem.() == nil end)
     url = URI.parse(Bridge.login_url(:g))
-    {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo})
+    {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo, connection_timeout: 60_000})
     await.(await, fn ->
       {:ok, %{state: state}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
       state.messages == 40 and stored.()

@@ -48,6 +48,8 @@ defmodule Aerie.Shadow.LoopTest do
     assert Store.counter(gateway, {:shadow, :reconciliations}) > 1
   end
 
+  # Long enough for a busy machine to see that nothing is sent in that time.
+  @tag shadow: [{"shadow.hold_s", 5}]
   test "a pilot who takes over while it is being set is not fought; afterwards it goes on", %{
     gateway: gateway
   } do

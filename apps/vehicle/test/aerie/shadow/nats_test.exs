@@ -12,7 +12,7 @@ defmodule Aerie.Shadow.NatsTest do
     key = Nkey.generate(:user)
     policy = [sources: [%{name: "ops", nkey: key.public}]] ++ (context[:policy] || [])
     start_door(dir, gateway: gateway, policy: policy)
-    conn = client(await_up(gateway))
+    conn = Aerie.HubServer.local_client(await_up(gateway))
     start_shadow(gateway, dir, [{"nats.mode", "embedded"}, {"shadow.lease_s", 1}])
     start_loop(gateway)
     eventually(fn -> Documents.authority(gateway, "VID-007") == :mine end)
@@ -29,7 +29,7 @@ defmodule Aerie.Shadow.NatsTest do
     eventually(fn ->
       case Gnat.request(context.conn, subject, body,
              headers: options[:headers] || signature(options, subject, body),
-             receive_timeout: Aerie.Patience.ms()
+             receive_timeout: 20_000
            ) do
         {:ok, %{body: reply}} -> JSON.decode!(reply)
         {:error, _not_yet} -> false

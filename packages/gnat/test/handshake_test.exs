@@ -7,7 +7,7 @@ defmodule Gnat.HandshakeTest do
   setup do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
-    {:ok, listener: listener, settings: %{host: "127.0.0.1", port: port, connection_timeout: 10_000}}
+    {:ok, listener: listener, settings: %{host: "127.0.0.1", port: port, connection_timeout: 60_000}}
   end
 
   # Plays the script: text to send, :recv for something to be read first, :close.

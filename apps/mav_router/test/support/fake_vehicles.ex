@@ -17,7 +17,8 @@ defmodule Aerie.FakeVehicles do
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :vehicles))
 
   @impl Aerie.Router.Vehicles
-  def ensure(gateway, key), do: GenServer.call(Names.via(gateway, :vehicles), {:ensure, key})
+  def ensure(gateway, key),
+    do: GenServer.call(Names.via(gateway, :vehicles), {:ensure, key}, Aerie.Patience.ms())
 
   @impl GenServer
   def init(options) do

@@ -262,7 +262,7 @@ defmodule SimVehicle.ServerTest do
         })
 
       {%{command: 176, result: 0}, _peer} = Peer.await(peer, M.CommandAck)
-      assert {:reply, seconds} = :gen_server.receive_response(request, 30_000)
+      assert {:reply, seconds} = :gen_server.receive_response(request, 60_000)
       assert seconds > 29
     end
   end

@@ -35,21 +35,24 @@ defmodule Gnat.Test.NatsServer do
 
   @doc "Connection settings for it, with patience for a busy machine."
   def settings(server, more \\ %{}) do
-    Map.merge(%{host: "127.0.0.1", port: port(server), connection_timeout: 20_000}, more)
+    Map.merge(%{host: "127.0.0.1", port: port(server), connection_timeout: 60_000}, more)
   end
 
-  def port(server), do: GenServer.call(server, :port)
-  def dir(server), do: GenServer.call(server, :dir)
+  def port(server), do: call(server, :port)
+  def dir(server), do: call(server, :dir)
 
   @doc "kill -9; returns when it is dead."
-  def kill(server), do: GenServer.call(server, :kill)
+  def kill(server), do: call(server, :kill)
 
   @doc "Starts it again after `kill/1`; returns when it is ready."
-  def start(server), do: GenServer.call(server, :start)
+  def start(server), do: call(server, :start)
 
   @doc "SIGSTOP: the connections stay and nothing answers."
-  def freeze(server), do: GenServer.call(server, {:word, "freeze"})
-  def thaw(server), do: GenServer.call(server, {:word, "thaw"})
+  def freeze(server), do: call(server, {:word, "freeze"})
+  def thaw(server), do: call(server, {:word, "thaw"})
+
+  # The server itself gives up what takes a minute, and says what it was.
+  defp call(server, message), do: GenServer.call(server, message, :infinity)
 
   @impl GenServer
   def init(opts) do

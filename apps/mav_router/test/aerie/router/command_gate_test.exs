@@ -8,6 +8,7 @@ defmodule Aerie.Router.GateTest do
   alias Aerie.Router
   alias Aerie.Router.CommandGate
   alias Aerie.Router.ControlMessages
+  alias MavCodec.Dialects.All
   alias MavCodec.Messages
 
   @patience Aerie.Patience.ms()
@@ -260,13 +261,57 @@ defmodule Aerie.Router.GateTest do
     for name <-
           ~w(COMMAND_LONG COMMAND_INT SET_MODE PARAM_SET MISSION_COUNT MISSION_ITEM_INT RC_CHANNELS_OVERRIDE MANUAL_CONTROL
                    SET_POSITION_TARGET_GLOBAL_INT SET_ATTITUDE_TARGET FILE_TRANSFER_PROTOCOL SETUP_SIGNING SERIAL_CONTROL) do
-      id = MavCodec.Dialects.All.message_id(name)
+      id = All.message_id(name)
       assert ControlMessages.kind(%MavCodec.Frame{frame(id) | payload: <<>>}) == :command
     end
 
     for name <-
           ~w(ADSB_VEHICLE FOLLOW_TARGET COLLISION GLOBAL_POSITION_INT ATTITUDE COMMAND_ACK PARAM_VALUE PARAM_REQUEST_LIST),
-        do: assert(ControlMessages.kind(frame(MavCodec.Dialects.All.message_id(name))) == nil)
+        do: assert(ControlMessages.kind(frame(All.message_id(name))) == nil)
+  end
+
+  # Messages with a target that change nothing in who gets them. A new message belongs here or into the table.
+  @questions ~w(PARAM_REQUEST_READ PARAM_REQUEST_LIST PARAM_EXT_REQUEST_READ PARAM_EXT_REQUEST_LIST MISSION_REQUEST_PARTIAL_LIST
+    MISSION_REQUEST MISSION_REQUEST_INT MISSION_REQUEST_LIST LOG_REQUEST_LIST LOG_REQUEST_DATA LOG_REQUEST_END FENCE_FETCH_POINT
+    RALLY_FETCH_POINT AUTOPILOT_VERSION_REQUEST GOPRO_GET_REQUEST REQUEST_EVENT OSD_PARAM_SHOW_CONFIG PING TIMESYNC)
+  @answers ~w(COMMAND_ACK MISSION_ACK PARAM_ERROR LOGGING_ACK RESPONSE_EVENT_ERROR SUPPORTED_TUNES CUBEPILOT_FIRMWARE_UPDATE_RESP)
+  @telemetry ~w(MOUNT_STATUS CAMERA_STATUS CAMERA_FEEDBACK GIMBAL_REPORT GIMBAL_TORQUE_CMD_REPORT GIMBAL_DEVICE_ATTITUDE_STATUS
+    REMOTE_LOG_DATA_BLOCK LOGGING_DATA LOGGING_DATA_ACKED MLRS_RADIO_LINK_INFORMATION)
+
+  test "every message with a target is in the table, or somebody decided that it changes no vehicle" do
+    undecided =
+      for id <- All.ids(),
+          match?({system, _component} when system != nil, All.targets(id)),
+          ControlMessages.kind(%MavCodec.Frame{frame(id) | payload: <<>>}) == nil,
+          do: All.name(id)
+
+    assert Enum.sort(undecided) == Enum.sort(@questions ++ @answers ++ @telemetry)
+  end
+
+  test "sticks, set-ups and what an estimator believes have many names" do
+    kind = &ControlMessages.kind(frame(All.message_id(&1)))
+
+    for name <- ~w(RADIO_RC_CHANNELS CUBEPILOT_RAW_RC ASL_OBCTRL WIFI_CONFIG_AP CELLULAR_CONFIG UAVIONIX_ADSB_OUT_CFG
+                   UAVIONIX_ADSB_OUT_CONTROL AIRLINK_AUTH),
+        do: assert({name, kind.(name)} == {name, :command})
+
+    for name <- ~w(VISION_POSITION_DELTA TARGET_RELATIVE TARGET_ABSOLUTE RANGING_BEACON OPEN_DRONE_ID_MESSAGE_PACK),
+        do: assert({name, kind.(name)} == {name, :input})
+  end
+
+  test "nobody who may not command flies by the channels of a radio", c do
+    stranger = udp(c.port)
+
+    sticks =
+      MavCodec.encode(%Messages.RadioRcChannels{target_system: 1, target_component: 1, count: 4},
+        system: 255,
+        component: 190
+      )
+
+    say(stranger, sticks)
+    say(stranger, mark(255))
+    refute sticks in until(c.one, mark(255))
+    counted(c, :denied, 1)
   end
 
   defp frame(id), do: %{MavCodec.Frame.from_bytes(heartbeat(1), nil) | id: id}

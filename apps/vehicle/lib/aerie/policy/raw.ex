@@ -22,7 +22,7 @@ defmodule Aerie.Policy.Raw do
   alias Aerie.Policy.Facts
   alias Aerie.Policy.Raw.{Commands, Place}
   alias Aerie.Protocol.Modes
-  alias MavCodec.Enums.{MavCmd, MavMissionType}
+  alias MavCodec.Enums.{MavCmd, MavMissionType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
   @typedoc "What is known of the vehicle: its firmware and its kind, as its snapshot has them."
@@ -39,6 +39,11 @@ defmodule Aerie.Policy.Raw do
   # Operations of FTP that create, write, remove or rename.
   @ftp_writes 6..13 |> Enum.to_list()
 
+  @log_orders [
+    MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_STOP),
+    MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_START)
+  ]
+
   # Bits of POSITION_TARGET_TYPEMASK: what is set is not meant.
   @no_position 0b111
   @no_velocity 0b111000
@@ -54,10 +59,15 @@ defmodule Aerie.Policy.Raw do
     M.DigicamControl,
     M.DigicamConfigure,
     M.GoproSetRequest,
+    M.Storm32GimbalManagerControl,
+    M.Storm32GimbalManagerControlPitchyaw,
+    M.Storm32GimbalManagerCorrectRoll,
     M.LedControl,
+    M.LedStripConfig,
     M.PlayTune,
     M.PlayTuneV2
   ]
+  @sticks [M.RcChannelsOverride, M.RcChannelsOverrideV2, M.RadioRcChannels, M.CubepilotRawRc]
   @attitude [M.SetAttitudeTarget, M.SetActuatorControlTarget, M.ManualSetpoint]
 
   @doc "The facts of a message; `:free` for one that only reads."
@@ -115,8 +125,7 @@ defmodule Aerie.Policy.Raw do
   def facts(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),
     do: upload(@rally, path: {:at, [Place.int(lat, lon, {:home, metres})]}, what: "rally point #{n}")
 
-  def facts(%module{}, _vehicle) when module in [M.RcChannelsOverride, M.RcChannelsOverrideV2],
-    do: Facts.named("rc_override")
+  def facts(%module{}, _vehicle) when module in @sticks, do: Facts.named("rc_override")
 
   def facts(%M.ManualControl{}, _vehicle), do: Facts.named("manual_control")
   def facts(%module{}, _vehicle) when module in @attitude, do: Facts.named("setpoint_attitude")
@@ -155,6 +164,9 @@ defmodule Aerie.Policy.Raw do
 
   def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, _::binary>>}, _vehicle),
     do: if(operation in @ftp_writes, do: own("write_file", :maintain), else: :free)
+
+  # It starts and stops the log; its receipts for the blocks of a log change nothing, and are many.
+  def facts(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
 
   def facts(%M.LogErase{}, _vehicle), do: own("write_file", :maintain)
   def facts(%M.RequestDataStream{}, _vehicle), do: Facts.named("set_message_interval")

@@ -206,6 +206,8 @@ defmodule Aerie.Policy.RawTest do
           {local.(8, 0b110111000111), "setpoint_velocity", {:drift, :body, {4.0, 5.0, -6.0}}},
           {%M.SetAttitudeTarget{}, "setpoint_attitude", :none},
           {%M.RcChannelsOverride{}, "rc_override", :none},
+          {%M.RadioRcChannels{}, "rc_override", :none},
+          {%M.CubepilotRawRc{}, "rc_override", :none},
           {%M.ManualControl{}, "manual_control", :none}
         ] do
       assert %Facts{type: ^type, permission: :manual, path: ^path} = message |> wired() |> facts()
@@ -221,7 +223,16 @@ defmodule Aerie.Policy.RawTest do
 
     assert %Facts{permission: :maintain} = facts(%M.ParamSet{})
     assert %Facts{permission: :payload} = facts(%M.MountControl{})
+    assert %Facts{permission: :payload} = facts(%M.Storm32GimbalManagerControl{})
     assert %Facts{type: "raw", permission: :maintain} = facts(%M.SerialControl{})
+    assert %Facts{type: "raw", permission: :maintain} = facts(%M.SecureCommand{})
+  end
+
+  test "a log that is sent: starting and stopping it is an order, the receipts for its blocks are not" do
+    for order <- [2_147_483_645, 2_147_483_646],
+        do: assert(%Facts{type: "raw", permission: :maintain} = facts(%M.RemoteLogBlockStatus{seqno: order}))
+
+    for block <- [0, 7, 100_000], do: assert(facts(%M.RemoteLogBlockStatus{seqno: block}) == :free)
   end
 
   test "every message that changes a vehicle has facts, whatever is in it" do
@@ -231,7 +242,7 @@ defmodule Aerie.Policy.RawTest do
       for vehicle <- [@copter, @px4, %{autopilot: :generic, vehicle_type: "unknown"}] do
         case facts(message, vehicle) do
           %Facts{permission: permission} -> assert permission in Aerie.Command.Type.permissions()
-          :free -> assert %M.FileTransferProtocol{} = message
+          :free -> assert message.__struct__ in [M.FileTransferProtocol, M.RemoteLogBlockStatus]
         end
       end
     end

@@ -108,10 +108,12 @@ defmodule Aerie.Router.Forward do
     end
   end
 
+  @doc "Who a frame is for: a system and a component of it (0 for all), or everybody."
+  @spec target(Frame.t(), Delivery.t()) :: :all | {pos_integer, 0..255}
   # A collided vehicle's frames go to sniffers, whatever their target.
-  defp target(_frame, %{source: %{collided: true}}), do: :all
+  def target(_frame, %{source: %{collided: true}}), do: :all
 
-  defp target(frame, %{path: path, source: source}) do
+  def target(frame, %{path: path, source: source}) do
     case Frame.target(frame) do
       nil ->
         :all

@@ -291,11 +291,13 @@ defmodule Aerie.Router.GateTest do
   test "sticks, set-ups and what an estimator believes have many names" do
     kind = &ControlMessages.kind(frame(All.message_id(&1)))
 
-    for name <- ~w(RADIO_RC_CHANNELS CUBEPILOT_RAW_RC ASL_OBCTRL WIFI_CONFIG_AP CELLULAR_CONFIG UAVIONIX_ADSB_OUT_CFG
+    for name <-
+          ~w(RADIO_RC_CHANNELS CUBEPILOT_RAW_RC ASL_OBCTRL WIFI_CONFIG_AP CELLULAR_CONFIG UAVIONIX_ADSB_OUT_CFG
                    UAVIONIX_ADSB_OUT_CONTROL AIRLINK_AUTH),
         do: assert({name, kind.(name)} == {name, :command})
 
-    for name <- ~w(VISION_POSITION_DELTA TARGET_RELATIVE TARGET_ABSOLUTE RANGING_BEACON OPEN_DRONE_ID_MESSAGE_PACK),
+    for name <-
+          ~w(VISION_POSITION_DELTA TARGET_RELATIVE TARGET_ABSOLUTE RANGING_BEACON OPEN_DRONE_ID_MESSAGE_PACK),
         do: assert({name, kind.(name)} == {name, :input})
   end
 

@@ -34,6 +34,9 @@ defmodule Aerie.Router.PolicyGateTest do
 
           {:refuse, [], Frame.from_bytes(question, MavCodec.Dialects.All.crc_extra(21))}
 
+        %M.Tunnel{payload_type: type} when rem(type, 2) == 1 ->
+          {:refuse, [], nil}
+
         _even ->
           :forward
       end
@@ -127,13 +130,73 @@ defmodule Aerie.Router.PolicyGateTest do
     gcs = client(c)
     say(c.one, attitude(1, 7))
     say(gcs, %M.ParamRequestList{target_system: 1})
-    # An autopilot's own commands go where they did.
-    say(c.one, MavCodec.encode(%M.CommandLong{target_system: 2, command: 407}, system: 1, component: 1))
     assert {%M.ParamRequestList{}, _frame} = next(c.one)
     :ok = Router.configure(c.gateway, "gcs", role: :read_only)
     say(gcs, %M.CommandLong{target_system: 1, command: 409})
     say(c.one, attitude(1, 8))
     assert {%M.Attitude{}, _frame} = next(gcs)
+    refute_received {:asked, _sender, _vehicle, _message}
+  end
+
+  defp command(number, from, to \\ []),
+    do: struct!(%M.CommandLong{command: number}, to) |> MavCodec.encode(from)
+
+  test "who says that it is a vehicle, where anybody may command, is asked about like everybody else", c do
+    liar = udp(c.port)
+    say(liar, heartbeat(77))
+    eventually(fn -> Router.route(c.gateway, {"main", 77}) end)
+
+    # As itself, as somebody behind the same router, and as the vehicle that it commands.
+    for {system, component} <- [{77, 1}, {255, 190}, {1, 190}, {1, 1}], number <- [411, 412] do
+      say(
+        liar,
+        command(number, [system: system, component: component], target_system: 1, target_component: 1)
+      )
+
+      assert_receive {:asked, %{owner: "radio"}, {"main", 1}, %M.CommandLong{command: ^number}}
+    end
+
+    assert {%M.CommandLong{command: 412}, %{system: 77}} = next(c.one)
+    # A real vehicle that commands another one is no different.
+    say(c.one, command(413, [system: 1, component: 1], target_system: 2))
+    assert_receive {:asked, _sender, {"main", 2}, %M.CommandLong{command: 413}}
+  end
+
+  test "what an autopilot says to all and may not say to other vehicles still goes to clients", c do
+    gcs = client(c)
+    say(gcs, heartbeat(255, type: 6, autopilot: 8, component: 190))
+    eventually(fn -> Router.route(c.gateway, {"main", 255}) end)
+
+    tunnel =
+      &MavCodec.encode(%M.Tunnel{payload_type: &1, payload_length: 1, payload: <<1>>},
+        system: 1,
+        component: 1
+      )
+
+    say(c.one, tunnel.(1))
+    assert {%M.Tunnel{payload_type: 1}, _frame} = next(gcs)
+    say(c.one, tunnel.(2))
+    assert {%M.Tunnel{payload_type: 2}, _frame} = next(c.two)
+    assert Link.snapshot(c.gateway, "radio").counters.denied == 1
+    assert {%M.Tunnel{payload_type: 2}, _frame} = next(gcs)
+  end
+
+  test "it is not asked about what a vehicle says to its own parts, to itself and to ground stations", c do
+    gimbal = udp(c.port)
+    say(gimbal, heartbeat(1, type: 26, autopilot: 8, component: 154))
+    eventually(fn -> Router.route(c.gateway, {"main", 1}, component: 154) end)
+    gcs = client(c)
+    say(gcs, heartbeat(255, type: 6, autopilot: 8, component: 190))
+    eventually(fn -> Router.route(c.gateway, {"main", 255}) end)
+
+    say(c.one, command(415, system: 1, component: 1))
+    say(c.one, command(417, [system: 1, component: 191], target_system: 1, target_component: 1))
+    say(c.one, command(421, [system: 1, component: 1], target_system: 1, target_component: 154))
+    say(c.one, command(419, [system: 1, component: 1], target_system: 255))
+    assert {%M.CommandLong{command: 419}, _frame} = next(gcs)
+    # To all its parts, and to this one; what is for the autopilot does not go back to where it came from.
+    assert {%M.CommandLong{command: 415}, _frame} = next(gimbal)
+    assert {%M.CommandLong{command: 421}, _frame} = next(gimbal)
     refute_received {:asked, _sender, _vehicle, _message}
   end
 end

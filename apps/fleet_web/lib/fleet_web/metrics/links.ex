@@ -18,7 +18,10 @@ defmodule FleetWeb.Metrics.Links do
     restarts: {"gateway_link_restarts_total", "Restarts of the link's process."},
     peers_refused:
       {"gateway_link_refused_peers_total",
-       "Connections and datagrams of senders beyond the limit, or of too many new ones at once."}
+       "Connections and datagrams of senders beyond the limit, or of too many new ones at once."},
+    routes_refused:
+      {"gateway_link_refused_routes_total",
+       "Times that a component got no route, because its sender has too many: nothing can be sent to it."}
   ]
 
   @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :kernel_dropped, :shed, :denied, :withheld]

@@ -15,6 +15,7 @@ defmodule Aerie.Link.Counters do
     buffer full)
   - `denied`: commands to vehicles from peers that may not command; `withheld`: heartbeats and measurements that were not
     forwarded to vehicles (`Aerie.Router.CommandGate`)
+  - `routes_refused`: how often a component of its peers got no route, because the peer has too many (`Aerie.Router.Routes`)
   - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
     (they had waited so long that newer ones were read instead, `Aerie.Link.Backlog`)
   - `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are counted under `:other`
@@ -41,7 +42,8 @@ defmodule Aerie.Link.Counters do
     :kernel_dropped,
     :shed,
     :denied,
-    :withheld
+    :withheld,
+    :routes_refused
   ]
 
   defstruct Enum.map(@sums, &{&1, 0}) ++ [messages: %{}]

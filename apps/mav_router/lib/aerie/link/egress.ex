@@ -29,7 +29,7 @@ defmodule Aerie.Link.Egress do
 
   @enforce_keys [:gateway, :owner]
   # What is counted for each peer and added up for the link.
-  @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0}
+  @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0, routes_refused: 0}
 
   defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, gone: @sums]
 
@@ -349,7 +349,8 @@ defmodule Aerie.Link.Egress do
       writes_out: if(direct?, do: EndpointCounters.get(counters, :frames_out), else: 0),
       dropped_out: EndpointCounters.lost(counters),
       denied: EndpointCounters.get(counters, :denied),
-      withheld: EndpointCounters.get(counters, :withheld)
+      withheld: EndpointCounters.get(counters, :withheld),
+      routes_refused: EndpointCounters.get(counters, :routes_refused)
     }
   end
 

@@ -12,6 +12,7 @@ defmodule Aerie.Router.EndpointCounters do
   | `read_only` | from it, and it may only read |
   | `denied` | from it, commands to vehicles that it may not give (`Aerie.Router.CommandGate`) |
   | `withheld` | from it, kept from vehicles: an operator's heartbeats, and input of estimators |
+  | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`Aerie.Router.Routes`) |
   | `held` | from it, kept until another's transfer with the vehicle was over (`Aerie.Router.TransferTurns`) |
   | `out_of_turn` | from it, steps of a transfer while another had the turn, and beginnings that waited in vain |
   | `secret` | from it, SETUP_SIGNING (S8) |
@@ -29,6 +30,7 @@ defmodule Aerie.Router.EndpointCounters do
            [
              :denied,
              :withheld,
+             :routes_refused,
              :held,
              :out_of_turn,
              :filtered_in,

@@ -11,6 +11,9 @@ defmodule Aerie.Router.Routes do
   alias Aerie.Router.Tables
 
   @max_routes 16_384
+  # While half of the routes are free, one endpoint may bring as many as it likes: a router behind it may have a whole fleet.
+  @plenty div(@max_routes, 2)
+  @max_each 256
   @ttl_ms 300_000
 
   @type route :: %{
@@ -24,7 +27,8 @@ defmodule Aerie.Router.Routes do
         }
 
   @doc """
-  Notes that a component was heard. `:new` the first time; `:full` when there are #{@max_routes} routes already.
+  Notes that a component was heard. `:new` the first time; `:full` when there are #{@max_routes} routes already, or more than half of
+  them and #{@max_each} by this endpoint, so that one endpoint leaves room for the vehicles of others.
   """
   @spec learn(Tables.t(), String.t(), non_neg_integer, 0..255, Endpoint.key(), integer) :: :ok | :new | :full
   def learn(tables, network, system, component, {link, peer}, now) do
@@ -32,8 +36,19 @@ defmodule Aerie.Router.Routes do
 
     cond do
       :ets.update_element(tables.routes, key, {2, now}) -> :ok
-      :ets.info(tables.routes, :size) >= @max_routes -> :full
+      full?(tables, :ets.info(tables.routes, :size), link, peer) -> :full
       true -> add(tables, {key, now, now})
+    end
+  end
+
+  defp full?(_tables, size, _link, _peer) when size < @plenty, do: false
+  defp full?(_tables, size, _link, _peer) when size >= @max_routes, do: true
+
+  # Looks at no more of them than it may have.
+  defp full?(tables, _size, link, peer) do
+    case :ets.select(tables.heard_by, [{{{link, peer, :_, :_, :_}}, [], [true]}], @max_each) do
+      {found, _more} -> length(found) >= @max_each
+      :"$end_of_table" -> false
     end
   end
 

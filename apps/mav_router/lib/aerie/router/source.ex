@@ -18,6 +18,7 @@ defmodule Aerie.Router.Source do
 
   alias Aerie.Router.CollisionRoutes
   alias Aerie.Router.Delivery
+  alias Aerie.Router.EndpointCounters
   alias Aerie.Router.ForwardingTable
   alias Aerie.Router.ForwardingTable.Path
   alias Aerie.Router.Renumber
@@ -89,6 +90,7 @@ defmodule Aerie.Router.Source do
   defp learn(source, tables, path, now) do
     for network <- path.networks do
       result = Routes.learn(tables, network, source.system, source.component, path.key, now)
+      _ = if result == :full, do: EndpointCounters.add(path.counters, :routes_refused, 1)
       # Those who hear it by another endpoint have to look for duplicates from now on.
       if result == :new and elsewhere(tables, path, source, network) != [], do: Tables.rerouted(tables)
     end

@@ -54,10 +54,36 @@ defmodule Aerie.Router.RoutesTest do
     assert Routes.list(c.tables, 0) == []
   end
 
-  test "are bounded", c do
-    for n <- 1..16_384, do: :new = learn(c, n, 1, "a", 0)
+  test "are bounded, for each endpoint and together", c do
+    for n <- 1..8_192, do: :new = learn(c, n, 1, "a", 0)
     assert learn(c, 20_000, 1, "a", 0) == :full
     assert learn(c, 5, 1, "a", 7) == :ok
+
+    for other <- 1..32, n <- 1..256, do: :new = learn(c, n, 1, "b#{other}", 0)
+    assert learn(c, 300, 1, "b1", 0) == :full
+    assert learn(c, 1, 1, "c", 0) == :full
+    assert length(Routes.list(c.tables, 0)) == 16_384
+  end
+
+  test "a peer that invents twenty thousand components leaves room for a vehicle of another; the refusals are counted",
+       c do
+    {id, port} = add_link(c.gateway, "tcpin:127.0.0.1:0")
+    connect = fn -> :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false]) end
+    {:ok, liar} = connect.()
+
+    for component <- 1..80 do
+      frames =
+        for system <- 1..250,
+            do: MavCodec.encode(%MavCodec.Messages.Attitude{}, system: system, component: component)
+
+      :ok = :gen_tcp.send(liar, frames)
+    end
+
+    eventually(fn -> Aerie.Link.snapshot(c.gateway, id).counters.frames_in == 20_000 end)
+    {:ok, vehicle} = connect.()
+    :ok = :gen_tcp.send(vehicle, heartbeat(251))
+    assert {^id, _peer} = eventually(fn -> Router.route(c.gateway, {"main", 251}) end)
+    eventually(fn -> Aerie.Link.snapshot(c.gateway, id).counters.routes_refused == 20_000 - 8_192 end)
   end
 
   test "the best way is the newest of a plain list", c do

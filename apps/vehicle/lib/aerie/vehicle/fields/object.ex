@@ -135,6 +135,7 @@ defmodule Aerie.Vehicle.Fields.Object do
     {"counters.reconnects", nil, nil, "connections made after the first"},
     {"counters.restarts", nil, nil, "restarts of the link's process"},
     {"counters.peers_refused", nil, nil, "peers beyond the limit"},
+    {"counters.routes_refused", nil, nil, "components without a route, because their peer has too many"},
     {"counters.unclaimed", nil, nil, "frames of systems without a vehicle"},
     {"counters.overload", nil, nil, "frames that a vehicle's session could not keep up with"},
     {"counters.refused", nil, nil, "frames of vehicles beyond limits.max_vehicles"},

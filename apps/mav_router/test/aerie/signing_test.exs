@@ -97,6 +97,23 @@ defmodule Aerie.SigningTest do
     on_exit(fn -> :telemetry.detach({gateway, :alarms}) end)
   end
 
+  test "an autopilot with the gateway's own ids is an alarm on a link with keys only if it is signed", c do
+    start = &start_parts(Map.put(&1, :mavlink, %{system_id: 245, component_id: 191}), &2)
+    gateway = start_signing(c.tmp_dir, [], start)
+    own = heartbeat(245, component: 191)
+    {forged, _signer} = signed(signer("another"), 245, component: 191)
+
+    for read <- [[own], [forged], [heartbeat(1), own]] do
+      frames = Enum.map(read, &frame/1)
+      assert Router.deliver(gateway, source(), frames).looped == 1
+      assert Router.Echo.alarm(gateway) == nil
+    end
+
+    {proved, _signer} = signed(signer(), 245, component: 191)
+    assert Router.deliver(gateway, source(), [frame(heartbeat(1)), frame(proved)]).looped == 1
+    assert Router.Echo.alarm(gateway) =~ "this gateway's own ids"
+  end
+
   test "without a key nothing is looked at", c do
     gateway = start_parts(%{}, before: [{Signing.Supervisor, []}])
     frames = captured("arducopter_signed")

@@ -79,7 +79,7 @@ defmodule Aerie.Router.Deliver do
   defp by_source([%Frame{system: system, component: component} | rest] = frames, trusted, cache, delivery) do
     cond do
       not same?(rest, system, component) -> several(frames, trusted, delivery)
-      {system, component} == delivery.forwarding.own -> echo(frames, delivery)
+      {system, component} == delivery.forwarding.own -> echo(frames, trusted, delivery)
       true -> one(frames, trusted, {system, component}, cache, delivery)
     end
   end
@@ -88,8 +88,9 @@ defmodule Aerie.Router.Deliver do
   defp same?([%Frame{system: s, component: c} | rest], s, c), do: same?(rest, s, c)
   defp same?(_rest, _system, _component), do: false
 
-  defp echo(frames, delivery) do
-    Echo.look(delivery, frames)
+  # What anybody could have sent on a link with keys is no alarm.
+  defp echo(frames, trusted, delivery) do
+    Echo.look(delivery, trusted)
     %{@nothing | looped: length(frames)}
   end
 
@@ -118,8 +119,8 @@ defmodule Aerie.Router.Deliver do
         {%{sender(delivery) | source: nil, vehicle: false}, vehicles}
       end)
 
-    if looped != [], do: Echo.look(delivery, looped)
-    claimed = Enum.reject(trusted, &({&1.system, &1.component} == own))
+    {echoes, claimed} = Enum.split_with(trusted, &({&1.system, &1.component} == own))
+    if echoes != [], do: Echo.look(delivery, echoes)
 
     outcome =
       if delivery.path.side == :vehicle,

@@ -2,7 +2,8 @@ defmodule Aerie.Router.Echo do
   @moduledoc """
   Frames that carry the gateway's own ids. They are echoes, brought back by a loop between routers, and are dropped. An
   autopilot's heartbeat is no echo, because the gateway sends none: it means that a vehicle has the same ids and is therefore
-  not seen. The log says so, and `alarm/1`, until that vehicle has been silent for ten seconds.
+  not seen. The log says so, and `alarm/1`, until that vehicle has been silent for ten seconds. On a link with keys only a signed
+  one says so, because a sender without a key could otherwise keep the gateway from being ready.
   """
 
   alias Aerie.Mavlink.Heartbeat
@@ -17,7 +18,7 @@ defmodule Aerie.Router.Echo do
   @heartbeat Message.id!("HEARTBEAT")
   @silent_ms 10_000
 
-  @doc "Looks at frames with our own ids."
+  @doc "Looks at frames with our own ids that are trusted (`Aerie.Signing.admit/3`)."
   @spec look(Delivery.t(), [Frame.t()]) :: :ok
   def look(%{tables: tables, path: path, now: now}, frames) do
     with %Frame{} = frame <- Enum.find(frames, &vehicle?/1) do

@@ -16,16 +16,18 @@ defmodule Aerie.Router.Admission do
 
   The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second and #{@at_once}
   in a burst, and while no more than #{@busy} messages wait for that process, since other vehicles' frames are among them.
-  `Aerie.Router.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames, which their sessions take when
-  they start (`first_frames/2`).
+  `Aerie.Router.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames (`Aerie.Router.EarlyFrames`), which
+  their sessions take when they start (`first_frames/2`).
   """
 
   alias Aerie.Names
   alias Aerie.Router.AutoSystemId
   alias Aerie.Router.Delivery
+  alias Aerie.Router.EarlyFrames
   alias Aerie.Router.Tables
   alias Aerie.Router.VehicleStarter
   alias Aerie.TokenBucket
+  alias MavCodec.Frame
 
   @doc """
   The session of a vehicle, started if need be. `:coming`: it is being started and gets the frames that `first` gives.
@@ -65,16 +67,46 @@ defmodule Aerie.Router.Admission do
     end
   end
 
-  # The frames of one read for each vehicle, so the number of those that wait bounds the memory.
   defp ask(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
     waits = :ets.lookup_element(tables.waiting, key, 2, now)
 
     if waits <= now and :ets.info(tables.waiting, :size) < @max_waiting do
-      :ets.insert(tables.waiting, {key, now + @waits_ms, {:frames, delivery.sender, first.()}})
-      VehicleStarter.ask(gateway, key)
+      # In this order: whoever takes the row finds the frames.
+      :ok = EarlyFrames.put(tables, key, first.())
+      :ets.insert(tables.waiting, {key, now + @waits_ms, delivery.sender})
+      if not handed_over?(gateway, tables, key), do: VehicleStarter.ask(gateway, key)
       :coming
     else
       :not_yet
+    end
+  end
+
+  # A session that has just started may have looked for them before they were there.
+  defp handed_over?(gateway, tables, key) do
+    with session when is_pid(session) <- Names.whereis(gateway, :session, key) do
+      with {:frames, _sender, _frames} = first <- take(tables, key), do: send(session, first)
+      true
+    else
+      nil -> false
+    end
+  end
+
+  @doc """
+  Keeps further frames of a vehicle that waits for its session. `{:ok, session}` when it is there after all, `:none` when it does not
+  wait, has as many frames as it may have, or got its first ones by another endpoint: whose frame is older nobody could tell then.
+  """
+  @spec keep(Aerie.Router.vehicle_key(), [Frame.t()], Delivery.t()) :: :kept | {:ok, pid} | :none
+  def keep(key, frames, %{gateway: gateway, tables: tables, sender: sender}) do
+    with ^sender <- :ets.lookup_element(tables.waiting, key, 3, :none),
+         # What it was sent directly is not overtaken.
+         nil <- Names.whereis(gateway, :session, key),
+         :none <- EarlyFrames.keep(tables, key, frames),
+         nil <- Names.whereis(gateway, :session, key) do
+      :none
+    else
+      :kept -> :kept
+      session when is_pid(session) -> {:ok, session}
+      _none_or_another_sender -> :none
     end
   end
 
@@ -99,6 +131,7 @@ defmodule Aerie.Router.Admission do
         {:ok, session}
 
       {:error, reason} ->
+        dropped(gateway, key, first)
         refuse(gateway, tables, key, reason, now)
     end
   end
@@ -114,7 +147,7 @@ defmodule Aerie.Router.Admission do
 
   defp take(tables, key) do
     case :ets.take(tables.waiting, key) do
-      [{_key, _until, frames}] -> frames
+      [{_key, _until, sender}] -> {:frames, sender, EarlyFrames.take(tables, key)}
       [] -> nil
     end
   end
@@ -126,6 +159,13 @@ defmodule Aerie.Router.Admission do
     metadata = %{gateway: gateway, network: network, system: system, reason: reason}
     :telemetry.execute([:aerie, :router, :vehicle_refused], %{}, metadata)
     :refused
+  end
+
+  defp dropped(_gateway, _key, nil), do: :ok
+
+  defp dropped(gateway, {network, system}, {:frames, _sender, frames}) do
+    metadata = %{gateway: gateway, network: network, system: system, reason: :refused}
+    :telemetry.execute([:aerie, :router, :dropped], %{frames: length(frames)}, metadata)
   end
 
   # Vehicles that are being restarted will be there with the next heartbeat.

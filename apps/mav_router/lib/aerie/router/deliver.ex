@@ -177,8 +177,17 @@ defmodule Aerie.Router.Deliver do
 
     case session(key, delivery) do
       nil when delivery.vehicle -> admit(frames, key, delivery)
-      nil -> hold(frames, key, delivery)
+      nil -> keep(frames, key, delivery)
       session -> pass(frames, key, session, delivery)
+    end
+  end
+
+  # It may be a vehicle that is being started.
+  defp keep(frames, key, delivery) do
+    case Admission.keep(key, frames, delivery) do
+      :kept -> %{@nothing | delivered: length(frames)}
+      {:ok, session} -> pass(frames, key, session, delivery)
+      :none -> hold(frames, key, delivery)
     end
   end
 
@@ -219,7 +228,7 @@ defmodule Aerie.Router.Deliver do
       :coming -> %{@nothing | delivered: length(frames)}
       {:ok, session} -> pass(first.(), key, session, delivery)
       :refused -> %{@nothing | refused: length(frames)}
-      :not_yet -> hold(frames, key, delivery)
+      :not_yet -> keep(frames, key, delivery)
     end
   end
 

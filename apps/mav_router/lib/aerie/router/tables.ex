@@ -11,7 +11,8 @@ defmodule Aerie.Router.Tables do
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
-  - `:waiting` `{vehicle_key, until_ms, {:frames, sender, frames}}`: vehicles that are being started, with their first frames
+  - `:waiting` `{vehicle_key, until_ms, sender}`: vehicles that are being started; `:early` `{{vehicle_key, number}, frames}`: what
+    came of them so far, in order
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
@@ -35,6 +36,7 @@ defmodule Aerie.Router.Tables do
           load: :ets.table(),
           refused: :ets.table(),
           waiting: :ets.table(),
+          early: :ets.table(),
           settings: :ets.table(),
           vehicles: module | nil,
           requests: module | nil,
@@ -69,6 +71,8 @@ defmodule Aerie.Router.Tables do
       load: :ets.new(:load, [:set | shared]),
       refused: :ets.new(:refused, [:set | shared]),
       waiting: :ets.new(:waiting, [:set | shared]),
+      # Ordered, so that all frames of a vehicle are one range.
+      early: :ets.new(:early, [:ordered_set | shared]),
       settings: :ets.new(:settings, [:set, :public, read_concurrency: true]),
       vehicles: modules[:vehicles],
       requests: modules[:requests],

@@ -132,7 +132,7 @@ defmodule Aerie.Router.DeliverTest do
     assert Enum.map(frames(300), &number/1) == Enum.to_list(0..299)
   end
 
-  test "a vehicle that is being started is asked for once, and its further frames are unclaimed until it is there" do
+  test "a vehicle that is being started is asked for once, and its session gets what came meanwhile, up to a bound" do
     gateway = gateway()
     starter = Names.whereis(gateway, :vehicle_starter)
     :sys.suspend(starter)
@@ -140,12 +140,85 @@ defmodule Aerie.Router.DeliverTest do
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
     asked = Process.info(starter, :message_queue_len)
-    assert %{unclaimed: 1, delivered: 0} = deliver(gateway, heartbeat(1))
-    assert %{unclaimed: 1, delivered: 0} = deliver(gateway, attitude(1, 1))
+    assert %{delivered: 1, unclaimed: 0, sessions: []} = deliver(gateway, heartbeat(1))
+    for n <- 1..126, do: assert(%{delivered: 1, sessions: []} = deliver(gateway, attitude(1, n)))
+    assert %{unclaimed: 1, delivered: 0} = deliver(gateway, attitude(1, 127))
+    # Nobody could tell in which order the frames of two links came.
+    assert %{unclaimed: 1} = deliver(gateway, attitude(1, 7), %{@origin | id: "b"})
     assert Process.info(starter, :message_queue_len) == asked
     :sys.resume(starter)
-    eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end)
-    assert %{delivered: 1} = deliver(gateway, attitude(1, 2))
+    assert_receive {:session, {"main", 1}, "a", [%{id: 0}, %{id: 0} | attitudes]}
+    assert Enum.map(attitudes, &number/1) == Enum.to_list(1..126)
+    assert %{delivered: 1, sessions: [_session]} = deliver(gateway, attitude(1, 128))
+    assert_receive {:session, {"main", 1}, {"a", :remote}, [last]}
+    assert number(last) == 128
+    assert :ets.tab2list(Tables.of(gateway).early) == []
+  end
+
+  test "each frame of a vehicle that starts while it sends arrives once, in its order" do
+    gateway = gateway()
+    for n <- 1..65, do: send(self(), {:waiting, n})
+
+    for system <- 1..100 do
+      assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(system))
+      sent = speak(gateway, system, 1)
+      # The heartbeat, and then what it said.
+      assert [0 | numbers] = heard(system, sent + 1, [])
+      assert numbers == Enum.to_list(1..sent)
+    end
+
+    assert :ets.tab2list(Tables.of(gateway).early) == []
+    refute_received {:session, _key, _sender, _frames}
+  end
+
+  # Until its session is there, and three more times.
+  defp speak(gateway, system, n) do
+    assert %{delivered: 1, sessions: sessions} = deliver(gateway, attitude(system, n))
+
+    cond do
+      sessions != [] ->
+        for more <- (n + 1)..(n + 3), do: deliver(gateway, attitude(system, more))
+        n + 3
+
+      n > 100 ->
+        eventually(fn -> Names.whereis(gateway, :session, {"main", system}) end)
+        speak(gateway, system, n + 1)
+
+      true ->
+        speak(gateway, system, n + 1)
+    end
+  end
+
+  defp heard(_system, left, got) when left <= 0, do: got
+
+  defp heard(system, left, got) do
+    assert_receive {:session, {"main", ^system}, "a", frames}
+    heard(system, left - length(frames), got ++ Enum.map(frames, &if(&1.id == 0, do: 0, else: number(&1))))
+  end
+
+  test "what was kept of a vehicle for which there is no room is told as dropped" do
+    gateway = gateway(%{}, 0)
+    test = self()
+
+    :telemetry.attach(
+      {gateway, :dropped},
+      [:aerie, :router, :dropped],
+      fn _event, %{frames: n}, metadata, _ ->
+        if metadata.gateway == gateway, do: send(test, {:dropped, n, metadata})
+      end,
+      nil
+    )
+
+    on_exit(fn -> :telemetry.detach({gateway, :dropped}) end)
+    starter = Names.whereis(gateway, :vehicle_starter)
+    :sys.suspend(starter)
+    for n <- 1..65, do: send(self(), {:waiting, n})
+    deliver(gateway, heartbeat(1))
+    for n <- 1..4, do: deliver(gateway, attitude(1, n))
+    :sys.resume(starter)
+    assert_receive {:dropped, 5, %{system: 1, reason: :refused}}
+    assert %{unclaimed: 1} = deliver(gateway, attitude(1, 5))
+    assert :ets.tab2list(Tables.of(gateway).early) == []
   end
 
   test "the frames by which a vehicle was found come before those that its session gets as soon as it is there" do

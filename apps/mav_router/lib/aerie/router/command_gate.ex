@@ -167,7 +167,7 @@ defmodule Aerie.Router.CommandGate do
 
   defp answer(_frame, _everyone, _delivery), do: :ok
 
-  defp tell(frame, target, %{path: %{owner: owner} = path, tables: tables}) do
+  defp tell(frame, target, %{path: %{owner: owner} = path, source: source, tables: tables}) do
     if due?(tables, {:told, owner}, @told_ms) do
       metadata = %{
         gateway: path.gateway,
@@ -183,12 +183,17 @@ defmodule Aerie.Router.CommandGate do
 
       Logger.warning(
         "link #{owner}: #{path.text || "somebody"} (system #{frame.system}) may not command vehicles by this link: " <>
-          "message #{name(frame)} to #{meant(target)} was refused. If that is your ground station, set gcs: allow " <>
-          "for this link, or connect it to one of the clients' endpoints"
+          "message #{name(frame)} to #{meant(target)} was refused. " <> advice(source)
       )
     end
 
     :ok
+  end
+
+  defp advice(%{autopilot: true}), do: "It says that it is a vehicle: what it sends still goes to clients"
+
+  defp advice(_source) do
+    "If that is your ground station, set gcs: allow for this link, or connect it to one of the clients' endpoints"
   end
 
   defp name(%{id: id}), do: MavCodec.Dialects.All.name(id) || id

@@ -316,5 +316,30 @@ defmodule Aerie.Router.GateTest do
     counted(c, :denied, 1)
   end
 
+  test "R4: a message of an unknown dialect passes, and what may come from a link is the link's filter_in",
+       c do
+    unknown = &<<0xFD, 3, 0, 0, 1, 255, 190, 0xABCDEF::24-little, 1, 1, &1, 9, 9>>
+    stranger = udp(c.port)
+    say(stranger, unknown.(5))
+    say(stranger, mark(255))
+    assert unknown.(5) in until(c.one, mark(255))
+
+    :ok = Router.configure(c.gateway, "radio", filter_in: %{allow_messages: ["ADSB_VEHICLE"]})
+    say(stranger, unknown.(6))
+    say(stranger, mark(254))
+    refute unknown.(6) in until(c.one, mark(254))
+  end
+
+  test "the log tells a vehicle from a ground station", c do
+    log =
+      capture_log(fn ->
+        say(c.one, MavCodec.encode(%Messages.Data16{type: 1}, system: 1, component: 1))
+        counted(c, :denied, 1)
+      end)
+
+    assert log =~ "says that it is a vehicle"
+    refute log =~ "gcs: allow"
+  end
+
   defp frame(id), do: %{MavCodec.Frame.from_bytes(heartbeat(1), nil) | id: id}
 end

@@ -281,7 +281,9 @@ defmodule Aerie.System.TransferFacesTest do
     :ok = :gen_tcp.close(socket)
     # Another one has its turn before four million bytes could have come.
     assert {200, _logs} = rest(c, :get, "logs")
-    assert [] = :sys.get_state(Aerie.Names.whereis(c.gateway, :transfers, @key)).core.order
+
+    assert [] =
+             :sys.get_state(Aerie.Names.whereis(c.gateway, :transfers, @key), Aerie.Patience.ms()).core.order
 
     # A clock that falls back by a few seconds is no reboot (R6).
     eventually(

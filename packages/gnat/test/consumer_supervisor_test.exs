@@ -102,7 +102,7 @@ defmodule Gnat.ConsumerSupervisorTest do
     consumer =
       consumer(name, %{consuming_function: {__MODULE__, :consume}, subscription_topics: [%{topic: topic}]})
 
-    eventually(fn -> :sys.get_state(consumer).gnat end)
+    eventually(fn -> :sys.get_state(consumer, 60_000).gnat end)
     # The messages come by another connection: they must not overtake the subscription.
     :ok = Gnat.flush(name)
     me = self() |> :erlang.pid_to_list() |> to_string()

@@ -331,7 +331,7 @@ defmodule GnatTest do
       assert_receive {:msg, %{reply_to: inbox}}
       Process.exit(pid, :kill)
       assert_receive {:DOWN, ^ref, _, _, _}
-      eventually(fn -> :sys.get_state(gnat).session.requests == %{} end)
+      eventually(fn -> :sys.get_state(gnat, 60_000).session.requests == %{} end)
       :ok = Gnat.pub(gnat, inbox, "for nobody")
       assert :ok = Gnat.flush(gnat)
     end

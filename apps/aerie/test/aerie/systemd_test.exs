@@ -52,6 +52,6 @@ defmodule Aerie.SystemdTest do
     assert Systemd.start_link(gateway: make_ref(), environment: %{}) == :ignore
     gateway = make_ref()
     pid = start(gateway, %{"NOTIFY_SOCKET" => "@aerie-nobody-#{System.unique_integer([:positive])}"})
-    assert %{gateway: ^gateway} = :sys.get_state(pid)
+    assert %{gateway: ^gateway} = :sys.get_state(pid, Aerie.Patience.ms())
   end
 end

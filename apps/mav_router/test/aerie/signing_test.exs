@@ -215,8 +215,16 @@ defmodule Aerie.SigningTest do
           name not in [:active, :events],
           do: :ets.tab2list(table)
 
-    shown = inspect([:sys.get_state(key_store), tables], limit: :infinity, printable_limit: :infinity)
-    erlang = :io_lib.format("~p", [[:sys.get_state(key_store), tables]]) |> IO.iodata_to_binary()
+    shown =
+      inspect([:sys.get_state(key_store, Aerie.Patience.ms()), tables],
+        limit: :infinity,
+        printable_limit: :infinity
+      )
+
+    erlang =
+      :io_lib.format("~p", [[:sys.get_state(key_store, Aerie.Patience.ms()), tables]])
+      |> IO.iodata_to_binary()
+
     key = MavCodec.Signing.key(passphrase())
 
     for text <- [shown, erlang],

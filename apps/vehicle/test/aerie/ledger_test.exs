@@ -163,7 +163,7 @@ defmodule Aerie.LedgerTest do
        } do
     {gateway, pid} = start(dir)
     :new = Ledger.admit(gateway, command("a"))
-    %{journal: %{file: file, path: path}} = :sys.get_state(pid)
+    %{journal: %{file: file, path: path}} = :sys.get_state(pid, Aerie.Patience.ms())
     full = fn -> :file.open(~c"/dev/full", [:read, :write, :raw, :binary]) |> elem(1) end
 
     log =
@@ -210,7 +210,7 @@ defmodule Aerie.LedgerTest do
     a = sending.("a")
     assert_receive {:sync, first}
     others = Enum.map(~w(b c), sending)
-    eventually(fn -> length(:sys.get_state(pid).unsynced) == 2 end)
+    eventually(fn -> length(:sys.get_state(pid, Aerie.Patience.ms()).unsynced) == 2 end)
     # Nobody else waits.
     assert :ok = Ledger.sending(gateway, "d", :safe)
     assert :ok = Ledger.finish(gateway, Result.new("d", :accepted))

@@ -39,7 +39,10 @@ defmodule Aerie.RemoteTest do
     start_supervised!({Remote.Supervisor, gateway: gateway, settings: settings})
     conn = client(url)
     # The answer shows that the listener's subscription is known to the server.
-    eventually(fn -> :sys.get_state(Names.whereis(gateway, :remote_listener)).conn != nil end)
+    eventually(fn ->
+      :sys.get_state(Names.whereis(gateway, :remote_listener), Aerie.Patience.ms()).conn != nil
+    end)
+
     %{gateway: gateway, conn: conn}
   end
 

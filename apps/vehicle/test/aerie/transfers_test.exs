@@ -204,7 +204,10 @@ defmodule Aerie.TransfersTest do
     transfers = Names.whereis(gateway, :transfers, key)
 
     eventually(fn ->
-      :sys.get_state(transfers).watchers |> Map.values() |> Enum.map(&map_size/1) |> Enum.sort() == [1, 20]
+      :sys.get_state(transfers, Aerie.Patience.ms()).watchers
+      |> Map.values()
+      |> Enum.map(&map_size/1)
+      |> Enum.sort() == [1, 20]
     end)
 
     Process.exit(transfers, :kill)

@@ -285,7 +285,7 @@ defmodule Aerie.BridgeCase do
   # As it is now: what the bridge shows of it is up to half a second old.
   defp outbox(gateway) do
     with pid when is_pid(pid) <- Aerie.Names.whereis(gateway, :bridge_events),
-         %{outbox: outbox} when outbox != nil <- :sys.get_state(pid),
+         %{outbox: outbox} when outbox != nil <- :sys.get_state(pid, Aerie.Patience.ms()),
          do: Bridge.Outbox.stats(outbox)
   catch
     :exit, _killed -> nil

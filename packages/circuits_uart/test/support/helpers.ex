@@ -28,7 +28,7 @@ defmodule Circuits.UART.Test.Helpers do
   end
 
   @doc "How many callers wait in a queue of the serving process."
-  def waiting(uart, queue), do: :queue.len(Map.fetch!(:sys.get_state(uart).core, queue))
+  def waiting(uart, queue), do: :queue.len(Map.fetch!(:sys.get_state(uart, 60_000).core, queue))
 
   @doc "The operating system's id of the port program."
   def os_pid(uart) do

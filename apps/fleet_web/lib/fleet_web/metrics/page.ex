@@ -45,6 +45,8 @@ defmodule FleetWeb.Metrics.Page do
     {"gateway_recorder_dropped", [:recording]},
     {"gateway_recorder_errors", [:recording]},
     {"gateway_clients_refused_total", [:face, :reason]},
+    {"gateway_client_unread_datagrams", [:reason]},
+    {"gateway_client_endpoints_overloaded", []},
     {"gateway_client", [:kind]},
     {"gateway_api_requests_total", [:status]},
     {"gateway_counter_total", [:name]},

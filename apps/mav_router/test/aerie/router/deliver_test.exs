@@ -233,7 +233,7 @@ defmodule Aerie.Router.DeliverTest do
     :sys.resume(starter)
     assert_receive {:session, {"main", 1}, "a", [%{id: 30}]}
     assert_received {:session, {"main", 1}, "a", [%{id: 0}]}
-    :sys.get_state(starter)
+    :sys.get_state(starter, Aerie.Patience.ms())
     assert :ets.info(Tables.of(gateway).waiting, :size) == 0
     refute_received {:session, _key, _sender, _frames}
   end

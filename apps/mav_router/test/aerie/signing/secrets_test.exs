@@ -50,7 +50,10 @@ defmodule Aerie.Signing.SecretsTest do
 
     for term <- [
           tables
-          | Enum.flat_map([key_store, c.link], &[:sys.get_state(&1), :sys.get_status(&1), Process.info(&1)])
+          | Enum.flat_map(
+              [key_store, c.link],
+              &[:sys.get_state(&1, Aerie.Patience.ms()), :sys.get_status(&1), Process.info(&1)]
+            )
         ],
         do: refute_key(shown(term))
 

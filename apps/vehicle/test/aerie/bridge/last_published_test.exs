@@ -352,13 +352,13 @@ defmodule Aerie.Bridge.LastPublishedTest do
     :ok = Fleet.Journal.offer(gateway, options.id, observation)
     events = Aerie.Names.whereis(gateway, :events, options.key)
     Aerie.Vehicle.Events.wake(events)
-    :sys.get_state(events)
+    :sys.get_state(events, Aerie.Patience.ms())
   end
 
   defp types(gateway, id), do: for(event <- Fleet.Journal.recent(gateway, id), do: event.type)
 
   defp look(memory) do
     send(memory, :look)
-    :sys.get_state(memory)
+    :sys.get_state(memory, Aerie.Patience.ms())
   end
 end

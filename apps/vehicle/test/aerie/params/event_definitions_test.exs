@@ -68,7 +68,8 @@ defmodule Aerie.Params.EventDefinitionsTest do
     Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [frame])
   end
 
-  defp reports(gateway), do: :sys.get_state(Names.via(gateway, :session, @key)).core.reports
+  defp reports(gateway),
+    do: :sys.get_state(Names.via(gateway, :session, @key), Aerie.Patience.ms()).core.reports
 
   defp shown(gateway, sequence) do
     eventually(fn ->
@@ -101,7 +102,7 @@ defmodule Aerie.Params.EventDefinitionsTest do
         gateway = start(dir, [%{type: 4, uri: "mftp://" <> @events}], "not JSON")
         reader = Names.whereis(gateway, :event_definitions, @key)
         eventually(fn -> reports(gateway).asked? end)
-        eventually(fn -> :sys.get_state(reader).reading == nil end)
+        eventually(fn -> :sys.get_state(reader, Aerie.Patience.ms()).reading == nil end)
         event(gateway, 101)
         assert %{name: nil, values: nil} = shown(gateway, 101)
       end)

@@ -124,7 +124,7 @@ defmodule Aerie.Shadow.UplinkTest do
     # Three times as long as others wait.
     kill9(server_pid(Path.join(server.dir, @id)))
     stop_bridge(leaf)
-    renewed = fn -> :sys.get_state(documents(hub)).lease.renewed_at end
+    renewed = fn -> :sys.get_state(documents(hub), Aerie.Patience.ms()).lease.renewed_at end
     from = renewed.()
     eventually(fn -> renewed.() > from + 4_500 end)
     assert {:held, "gateway", _why} = Documents.authority(hub, @id)

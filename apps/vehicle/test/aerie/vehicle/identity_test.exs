@@ -168,7 +168,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     # Deaf to everything: none of the processes that it asks for is there.
     options = [gateway: gateway, settings: %Aerie.Identity.Settings{deadman_ms: 2_000}]
     watchdog = start_supervised!({Aerie.Identity.Watchdog, options})
-    _asked = :sys.get_state(watchdog)
+    _asked = :sys.get_state(watchdog, Aerie.Patience.ms())
     refute_received {:silent, _role}
     refute Aerie.Identity.status(gateway).alive
     assert_receive {:silent, :store}

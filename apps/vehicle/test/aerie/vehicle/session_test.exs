@@ -20,7 +20,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
   # Waits until everything that was delivered is in the journal: session and event loop answer after what came before.
   defp settle(gateway, key) do
-    for role <- [:session, :events], do: :sys.get_state(Names.via(gateway, role, key))
+    for role <- [:session, :events], do: :sys.get_state(Names.via(gateway, role, key), Aerie.Patience.ms())
     :ok
   end
 
@@ -60,7 +60,7 @@ defmodule Aerie.Vehicle.SessionTest do
     assert {:ok, _session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     deliver(gateway, [frame(%{@copter | base_mode: 0xD1}, at(2))])
     :sys.resume(starter)
-    :sys.get_state(starter)
+    :sys.get_state(starter, Aerie.Patience.ms())
     settle(gateway, {"main", 1})
     assert_receive {:fleet, :events, %{type: "armed", seq: 1}}
     assert %{groups: %{mode: %{data: %{armed: true}}}} = Store.vehicle(gateway, {"main", 1})
@@ -80,7 +80,7 @@ defmodule Aerie.Vehicle.SessionTest do
     deliver(gateway, [frame(@copter, at(1))])
     alive(gateway, {"main", 1})
     session = Names.whereis(gateway, :session, {"main", 1})
-    arbiter = fn -> :sys.get_state(session).core.streams end
+    arbiter = fn -> :sys.get_state(session, Aerie.Patience.ms()).core.streams end
     # Its first requests are due two seconds after it was heard.
     deliver(gateway, [frame(@copter, at(4))])
     assert {{:set, id}, _sent} = eventually(fn -> arbiter.().in_flight end)
@@ -185,7 +185,9 @@ defmodule Aerie.Vehicle.SessionTest do
       set_clock(gateway, at(3_600))
       send(Names.whereis(gateway, :session, {"main", 1}), :tick)
       settle(gateway, {"main", 1})
-      assert :sys.get_state(Names.via(gateway, :session, {"main", 1})).core.last_heard == at(2)
+
+      assert :sys.get_state(Names.via(gateway, :session, {"main", 1}), Aerie.Patience.ms()).core.last_heard ==
+               at(2)
     end
   end
 
@@ -267,7 +269,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
           # At once: its entries are in the journal, and frames may be in the session's mailbox.
           events = Names.whereis(gateway, :events, key)
-          :sys.get_state(Names.via(gateway, :session, key))
+          :sys.get_state(Names.via(gateway, :session, key), Aerie.Patience.ms())
           Process.exit(events, :kill)
           ref = Process.monitor(events)
           assert_receive {:DOWN, ^ref, :process, _, _}

@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.StreamsTest do
     gateway
   end
 
-  defp session(gateway), do: :sys.get_state(Names.via(gateway, :session, @key))
+  defp session(gateway), do: :sys.get_state(Names.via(gateway, :session, @key), Aerie.Patience.ms())
   defp wanted(gateway), do: session(gateway).core.streams.demand
 
   defp set(id, hz, target \\ 1) do

@@ -90,7 +90,7 @@ defmodule Circuits.UART.LeakTest do
   end
 
   defp census(uart, program) do
-    server = :sys.get_state(uart)
+    server = :sys.get_state(uart, 60_000)
 
     %{
       descriptors: program |> then(&File.ls!("/proc/#{&1}/fd")) |> length(),

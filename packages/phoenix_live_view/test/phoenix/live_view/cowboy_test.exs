@@ -120,7 +120,7 @@ defmodule Phoenix.LiveView.CowboyTest do
       [before] = views(site)
       monitor = Process.monitor(before)
       # Another process ends it, and may be faster than the monitor; an answer comes after that.
-      :sys.get_state(before)
+      :sys.get_state(before, 60_000)
 
       Wire.push(view.socket, [
         "2",
@@ -400,7 +400,7 @@ defmodule Phoenix.LiveView.CowboyTest do
       :erlang.suspend_process(transport(pid))
       for n <- 1..500, do: send(pid, {:n, n})
       # Answered after the messages before it.
-      %{} = :sys.get_state(pid)
+      %{} = :sys.get_state(pid, 60_000)
       {:messages, waiting} = Process.info(transport(pid), :messages)
       assert Enum.count(waiting, &match?({Channel, _, _}, &1)) <= 4
       :erlang.resume_process(transport(pid))
@@ -420,7 +420,7 @@ defmodule Phoenix.LiveView.CowboyTest do
     end
   end
 
-  defp transport(pid), do: :sys.get_state(pid).transport
+  defp transport(pid), do: :sys.get_state(pid, 60_000).transport
 
   # Messages up to the one with the newest number.
   defp texts(socket) do

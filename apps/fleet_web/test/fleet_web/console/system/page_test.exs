@@ -25,7 +25,11 @@ defmodule FleetWeb.Console.System.PageTest do
   end
 
   test "before the page is connected nothing is measured", %{console: console} do
-    before = Names.whereis(console.gateway, :console_system) |> :sys.get_state() |> Map.fetch!(:measured)
+    before =
+      Names.whereis(console.gateway, :console_system)
+      |> :sys.get_state(Aerie.Patience.ms())
+      |> Map.fetch!(:measured)
+
     assert before == nil
     {:ok, _view, html} = live(conn(console, :viewer), "/system")
     assert html =~ "System"

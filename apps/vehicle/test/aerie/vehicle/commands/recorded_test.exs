@@ -29,7 +29,11 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
     eventually(fn -> Store.vehicle(c.gateway, @key) end)
     {:ok, command} = Command.new(vehicle: "VID-001", type: type, params: params)
     task = Task.async(fn -> Vehicle.Commands.submit(c.gateway, @key, command) end)
-    eventually(fn -> :sys.get_state(Names.via(c.gateway, :session, @key)).listeners != %{} end)
+
+    eventually(fn ->
+      :sys.get_state(Names.via(c.gateway, :session, @key), Aerie.Patience.ms()).listeners != %{}
+    end)
+
     deliver(c.gateway, between(c.frames, from, to))
     Task.await(task, Aerie.Patience.ms())
   end

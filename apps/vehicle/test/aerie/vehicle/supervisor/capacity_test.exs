@@ -89,7 +89,7 @@ defmodule Aerie.Vehicle.Supervisor.CapacityTest do
     defp names(gateway), do: gateway |> Store.vehicles() |> Enum.map(& &1.id)
 
     # The event is committed just before the status is shown and noted.
-    defp await_noted(gateway, key), do: :sys.get_state(Names.via(gateway, :session, key))
+    defp await_noted(gateway, key), do: :sys.get_state(Names.via(gateway, :session, key), Aerie.Patience.ms())
 
     test "a new vehicle displaces a lost one; event, counter and log say so" do
       gateway = gateway(%{})

@@ -1,6 +1,8 @@
 defmodule Aerie.Router.EarlyFrames do
-  @max_frames 128
+  @max_reads 128
   @max_kept 16_384
+  # Of one read: many times those of a datagram or of a radio's read.
+  @max_frames 16
 
   @moduledoc """
   Frames of vehicles whose sessions are being started (`Aerie.Router.Admission`), in the order in which they came, for those to take.
@@ -9,8 +11,8 @@ defmodule Aerie.Router.EarlyFrames do
   for the row afterwards. If it is there, it will be taken later, and what was written will be found. If it is gone, the writer takes
   back what it wrote, unless it was collected in between. So each frame arrives once, whoever is faster.
 
-  At most #{@max_frames} frames of a vehicle are kept besides those of the read in which it was found, and those of #{@max_kept} reads
-  together.
+  The frames of at most #{@max_reads} reads of a vehicle are kept besides those of the read in which it was found, #{@max_frames} of a read, and
+  those of #{@max_kept} reads together: 64 MiB if all are as long as can be.
   """
 
   alias Aerie.Router.Tables
@@ -28,13 +30,19 @@ defmodule Aerie.Router.EarlyFrames do
   @doc "Keeps further frames, `:none` when there is no room or the gate is shut."
   @spec keep(Tables.t(), key, [Frame.t()]) :: :kept | :none
   def keep(tables, key, frames) do
-    if room?(tables, key), do: tables |> write(key, frames) |> checked(tables, key), else: :none
+    if length(frames) <= @max_frames and room?(tables, key),
+      do: tables |> write(key, Enum.map(frames, &own/1)) |> checked(tables, key),
+      else: :none
   end
+
+  # A frame refers to all that was read with it, up to 64 KiB.
+  defp own(frame),
+    do: %{frame | bytes: :binary.copy(frame.bytes), payload: :binary.copy(frame.payload)}
 
   # The key of the frames by number, and the numbers of all that the vehicle has, are one range of the table.
   defp room?(tables, key) do
     :ets.info(tables.early, :size) < @max_kept and
-      :ets.select_count(tables.early, [{{{key, :_}, :_}, [], [true]}]) < @max_frames
+      :ets.select_count(tables.early, [{{{key, :_}, :_}, [], [true]}]) < @max_reads
   end
 
   defp write(tables, key, frames) do

@@ -155,6 +155,22 @@ defmodule Aerie.Router.DeliverTest do
     assert :ets.tab2list(Tables.of(gateway).early) == []
   end
 
+  test "of a vehicle that is being started the frames are kept, but not what was read with them, nor a long read" do
+    gateway = gateway()
+    :sys.suspend(Names.whereis(gateway, :vehicle_starter))
+    for n <- 1..65, do: send(self(), {:waiting, n})
+    assert %{delivered: 1} = deliver(gateway, heartbeat(1))
+
+    frames = for n <- 1..16, do: attitude(1, n)
+    assert %{delivered: 16} = deliver(gateway, [frames | :binary.copy(<<0>>, 60_000)])
+    assert %{unclaimed: 17} = deliver(gateway, [frames | attitude(1, 17)])
+
+    for {_row, [_, _ | _] = kept} <- :ets.tab2list(Tables.of(gateway).early), frame <- kept do
+      assert :binary.referenced_byte_size(frame.bytes) < 300
+      assert :binary.referenced_byte_size(frame.payload) < 300
+    end
+  end
+
   test "each frame of a vehicle that starts while it sends arrives once, in its order" do
     gateway = gateway()
     for n <- 1..65, do: send(self(), {:waiting, n})

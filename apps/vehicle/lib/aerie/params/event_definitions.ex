@@ -57,7 +57,7 @@ defmodule Aerie.Params.EventDefinitions do
 
     Logger.log(
       level,
-      "#{id}: its events are read by Aerie's own file, not by the vehicle's: #{result.reason}"
+      "#{id}: Aerie's own definitions of events are used, because the vehicle's cannot be read: #{result.reason}"
     )
 
     Reports.Definitions.none()

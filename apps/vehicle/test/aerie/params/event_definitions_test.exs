@@ -107,7 +107,7 @@ defmodule Aerie.Params.EventDefinitionsTest do
         assert %{name: nil, values: nil} = shown(gateway, 101)
       end)
 
-    assert [_before, _after] = String.split(log, "VID-001: its events are read by Aerie's own file")
+    assert [_before, _after] = String.split(log, "VID-001: Aerie's own definitions of events are used")
     assert log =~ "the events' metadata is not as MAVLink has it"
   end
 end

@@ -128,7 +128,7 @@ defmodule FleetWeb.API.View do
 
   def signed(signing) do
     times = Map.new([:verified_at, :unsigned_at], &{&1, Json.time(signing[&1])})
-    Json.plain(Map.merge(signing, times))
+    Map.new(Map.merge(signing, times), fn {name, value} -> {name, Json.plain(value)} end)
   end
 
   @doc "The conditions of `Aerie.Diagnosis`, the most serious first."

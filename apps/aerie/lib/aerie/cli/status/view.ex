@@ -57,7 +57,7 @@ defmodule Aerie.CLI.Status.View do
   def armed(vehicle), do: field(vehicle, :mode, :armed)
 
   @doc "Datagrams and frames that came by a link or an endpoint for clients, and were dropped because they came too fast."
-  @spec dropped_in(map()) :: non_neg_integer()
+  @spec dropped_in(map()) :: number()
   def dropped_in(%{counters: counters}),
     do: for(name <- [:kernel_dropped, :shed, :overload], do: Map.get(counters, name, 0)) |> Enum.sum()
 

@@ -79,7 +79,15 @@ defmodule Aerie.System.ToolTest do
     assert text =~ "did you mean rtl?"
     assert {text, status} = aerie(context, ["cmd", "sim-001", "hold"], "y\n")
     assert status in [0, 1] and text =~ ~r/(completed|accepted|rejected|failed|timeout)/
-    assert {text, 0} = aerie(context, ["rpc", "Aerie.Commands.recent(:default, \"sim-001\") |> length()"])
+
+    assert {text, 0} =
+             aerie(
+               context,
+               ["rpc", "Aerie.Commands.recent(:default, \"sim-001\") |> length()"],
+               "",
+               "/dev/null"
+             )
+
     assert text == "1\n"
 
     assert {text, 0} = aerie(context, ["params", "list", "sim-001", "BAT", "--json"])

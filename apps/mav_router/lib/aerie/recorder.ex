@@ -240,7 +240,7 @@ defmodule Aerie.Recorder do
         dir: Tables.settings(tables).dir,
         recordings: Status.all(tables),
         rings: Ring.sizes(tables),
-        space: :ets.lookup_element(tables.settings, :space, 2, nil)
+        space: :ets.lookup_element(tables.notes, :space, 2, nil)
       }
     end
   end

@@ -304,8 +304,7 @@ defmodule Aerie.RecorderTest do
     end
 
     test "it is tried again after growing pauses, of a minute at most" do
-      tables = %{settings: :ets.new(:settings, [:public])}
-      :ets.insert(tables.settings, {:settings, Recorder.Settings.from(%{})})
+      tables = %{notes: :ets.new(:notes, [:public]), settings: Recorder.Settings.from(%{})}
       output = Recorder.Recording.Output.new(make_ref(), tables, {:link, "l"}, "l", nil)
 
       Enum.reduce([5, 10, 20, 40, 60, 60, 60], output, fn pause, output ->

@@ -142,7 +142,7 @@ defmodule Aerie.Recorder.Archive do
 
   # Without a free block a file can be made, but not written.
   defp room(state) do
-    case :ets.lookup(state.tables.settings, :space) do
+    case :ets.lookup(state.tables.notes, :space) do
       [{:space, %{low: true}}] -> {:error, :low}
       [{:space, %{free: free}}] when is_integer(free) and free < @block -> {:error, :enospc}
       _enough_or_unknown -> :ok
@@ -241,7 +241,7 @@ defmodule Aerie.Recorder.Archive do
   defp told(state, free, min_free) do
     low = match?({:ok, bytes} when bytes < min_free, free)
     bytes = with {:ok, bytes} <- free, do: bytes
-    :ets.insert(state.tables.settings, {:space, %{free: bytes, low: low}})
+    :ets.insert(state.tables.notes, {:space, %{free: bytes, low: low}})
     state
   end
 

@@ -39,8 +39,8 @@ defmodule Aerie.Recorder.Ring do
   # The process that takes an entry subtracts it, so that two may trim at once.
   defp trim(tables, key, bytes, limit, oldest) do
     with {^key, _n} = first <- :ets.next(tables.ring, {key, 0}),
-         [{_first, at, _size, _records, _frames}] when bytes > limit or at < oldest <-
-           :ets.lookup(tables.ring, first) do
+         # Only the time: the records would be copied.
+         true <- bytes > limit or :ets.lookup_element(tables.ring, first, 2, :infinity) < oldest do
       case :ets.take(tables.ring, first) do
         [{_first, _at, size, _records, _frames}] ->
           trim(tables, key, subtract(tables, key, size), limit, oldest)

@@ -6,7 +6,9 @@ defmodule Aerie.Recorder.Tables do
   - `:ring` (ordered) `{{vehicle key, n}, monotonic ms, bytes, records, frames}` and `:rings` `{vehicle key, last n, bytes}`
   - `:wanted` `{target, mode}`: modes requested at run time, which replace the configured ones
   - `:status` `{target, status}`
-  - `:settings` `{name, value}`
+  - `:notes` `{name, value}`: the space that is left, and what was logged
+
+  Beside them stand the `:settings`, which do not change.
 
   A target is `{:link, id}`, `{:vehicle, {network, system}}` or, while a ring is being saved, `{:saved, {network, system}}`.
   """
@@ -24,7 +26,8 @@ defmodule Aerie.Recorder.Tables do
           rings: :ets.table(),
           wanted: :ets.table(),
           status: :ets.table(),
-          settings: :ets.table()
+          notes: :ets.table(),
+          settings: Settings.t()
         }
 
   @doc "Makes the tables, owned by the calling process, whose name is `{gateway, :recorder, nil}`."
@@ -38,10 +41,10 @@ defmodule Aerie.Recorder.Tables do
       rings: :ets.new(:rings, [:set, :public, write_concurrency: true]),
       wanted: :ets.new(:wanted, [:set | shared]),
       status: :ets.new(:status, [:set | shared]),
-      settings: :ets.new(:settings, [:set | shared])
+      notes: :ets.new(:notes, [:set | shared]),
+      settings: settings
     }
 
-    :ets.insert(tables.settings, {:settings, settings})
     Names.put_value(gateway, :recorder, tables)
     tables
   end
@@ -52,7 +55,7 @@ defmodule Aerie.Recorder.Tables do
 
   @doc "The settings."
   @spec settings(t) :: Settings.t()
-  def settings(tables), do: :ets.lookup_element(tables.settings, :settings, 2)
+  def settings(tables), do: tables.settings
 
   @doc "What is to be recorded of a target."
   @spec mode(t, target) :: mode

@@ -110,7 +110,7 @@ defmodule Aerie.Serving.Vehicle do
   end
 
   def handle_info(:portion, state), do: {:noreply, portion(%{state | timer: nil})}
-  def handle_info(_snapshot_or_late, state), do: {:noreply, state}
+  def handle_info(_text_or_late, state), do: {:noreply, state}
 
   defp listen(state) do
     case Names.whereis(state.gateway, :session, state.key) do

@@ -174,7 +174,7 @@ defmodule Aerie.Vehicle.Commands do
 
   defp acted(state, actions, from) do
     # Before anything is sent, so that no answer is missed.
-    ids = if Core.size(state.core) > 0, do: Core.listens(state.core)
+    ids = if Core.size(state.core) > 0, do: [:snapshots | Core.listens(state.core)]
     state = CoreProcess.listen(state, ids)
     state = Enum.reduce(actions, state, &act(&1, &2, from))
     CoreProcess.schedule(state, Core.wake_at(state.core))

@@ -48,10 +48,9 @@ defmodule Aerie.Vehicle.Core do
 
   alias Aerie.Mavlink.BootClock
   alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Timesync}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, Timers}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, Shown, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Links.{HighLatency, Reception}
-  alias Aerie.Vehicle.Reports.StatusText
   alias Aerie.Vehicle.Streams.Arbiter
 
   defstruct [
@@ -60,21 +59,16 @@ defmodule Aerie.Vehicle.Core do
     :last_heard,
     :component,
     :expired_at,
-    :shown_at,
     :digest,
-    :heartbeat_at,
-    :collision,
-    :view,
-    :viewed_at,
     :path,
     :settle_at,
     :observed_at,
     :heard_again_at,
     :modes_asked,
-    :show_us,
     status: :online,
     version: 2,
-    heartbeat_version: 1,
+    heartbeat: %{at: nil, version: 1},
+    shown: %Shown{},
     dirty: false,
     confirm_status: false,
     state: %State{},
@@ -83,10 +77,8 @@ defmodule Aerie.Vehicle.Core do
     collision_detector: Collision.Detector.new(),
     owner: Collision.Owner.new(),
     suspicion: Collision.Suspicion.new(),
-    other_paths: [],
-    texts: StatusText.new(),
-    early_texts: [],
-    recent_texts: %{},
+    twin: %{collision: nil, paths: []},
+    texts: %Texts{},
     reports: Reports.new(),
     streams: Arbiter.new(),
     timesync: Timesync.new(0),
@@ -100,13 +92,12 @@ defmodule Aerie.Vehicle.Core do
   @typedoc """
   For this module and those in its folder.
 
-  - `expired_at`, `shown_at`, `viewed_at`, `observed_at`, `heartbeat_at`: when deadlines were last handled, the snapshot was
-    last written, its slow part was renewed, the detector was last given something, our heartbeat was last due
-  - `show_us`: how long a snapshot stands before the next one is written
+  - `expired_at`, `observed_at`: when deadlines were last handled, the detector was last given something
+  - `heartbeat`: when ours was last due, and the version of the last one
   - `heard_again_at`: the first frame after a silence, until the vehicle's clock shows whether it was restarted
   - `settle_at`: when the detector looks again for the cause of a failsafe
   - `confirm_status`: the detector is told the status again, after a crash
-  - `path`: that of the frames at hand; `other_paths`: what the last `:other_vehicle` action said
+  - `path`: that of the frames at hand; `twin`: the last collision, and what the last `:other_vehicle` action said
   """
   @type t :: %__MODULE__{}
   @type status :: :online | :stale | :lost
@@ -148,7 +139,6 @@ defmodule Aerie.Vehicle.Core do
     %__MODULE__{
       options: options,
       samplers: Sampling.new(options.sampling),
-      show_us: Effects.show_us(:many),
       streams: Arbiter.new(options.wants),
       timesync: Timesync.new(options.timesync_us)
     }
@@ -184,7 +174,7 @@ defmodule Aerie.Vehicle.Core do
   def handle(core, {:stations, stations}),
     do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}
 
-  def handle(core, {:vehicles, n}), do: {%{core | show_us: Effects.show_us(n)}, []}
+  def handle(core, {:vehicles, n}), do: {%{core | shown: Shown.vehicles(core.shown, n)}, []}
 
   def handle(core, {:demand, demand, forwarded}),
     do: {%{core | streams: Arbiter.demand(core.streams, demand, forwarded)}, []}
@@ -223,6 +213,9 @@ defmodule Aerie.Vehicle.Core do
           do: Collisions.other_vehicle(core, actions, frame),
           else: Frames.frame(core, actions, link, frame)
       end)
+
+    # Once for all of them: nobody would see those in between.
+    {core, actions} = Effects.show({core, actions}, core.now)
 
     {Timers.observed(core, actions), Enum.reverse(actions)}
   end
@@ -283,7 +276,9 @@ defmodule Aerie.Vehicle.Core do
     |> Map.merge(view)
   end
 
-  defp collision(%{collision: %{at: at} = collision, now: now}) when now - at < @collision_us, do: collision
+  defp collision(%{twin: %{collision: %{at: at} = collision}, now: now}) when now - at < @collision_us,
+    do: collision
+
   defp collision(_core), do: nil
 
   # The status before this step.

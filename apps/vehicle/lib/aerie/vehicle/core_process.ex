@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.CoreProcess do
 
   alias Aerie.Names
 
-  @doc "Asks the session for the messages with these ids, unless it was asked for the same. nil: for nothing, not even snapshots."
-  @spec listen(state, [non_neg_integer()] | :all | nil) :: state when state: map()
+  @doc "Asks the session for the messages with these ids, and `:snapshots`, unless it was asked for the same. nil: for nothing."
+  @spec listen(state, [non_neg_integer() | :snapshots] | nil) :: state when state: map()
   def listen(%{listening: ids} = state, ids), do: state
 
   def listen(state, ids) do

@@ -111,7 +111,8 @@ defmodule Aerie.Vehicle.Session do
     {:noreply, %{state | output: Vehicle.Output.send(state.output, message, state.core.version)}}
   end
 
-  # The executor or the transfers want frames with these ids, snapshots, texts, reports and reboots; nil: nothing any more.
+  # The executor or the transfers want frames with these ids, texts, reports and reboots, and with `:snapshots` among them those as
+  # well; nil: nothing any more.
   def handle_info({:listen, pid, ids}, state) do
     {monitor, _ids} = Map.get_lazy(state.listeners, pid, fn -> {Process.monitor(pid), nil} end)
     if ids == nil, do: Process.demonitor(monitor, [:flush])
@@ -252,7 +253,7 @@ defmodule Aerie.Vehicle.Session do
       })
 
     Store.put_vehicle(state.gateway, key, snapshot)
-    tell(state, {:snapshot, snapshot})
+    for {pid, {_monitor, ids}} <- state.listeners, :snapshots in ids, do: send(pid, {:snapshot, snapshot})
     state
   end
 

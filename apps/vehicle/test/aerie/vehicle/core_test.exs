@@ -370,7 +370,7 @@ defmodule Aerie.Vehicle.CoreTest do
       run = both("a", "b")
       core = Core.new(run.core.options, Core.snapshot(run.core))
       {core, _actions} = Core.handle(core, {:tick, 16 * @second})
-      assert core.other_paths == []
+      assert core.twin.paths == []
     end
   end
 
@@ -475,9 +475,12 @@ defmodule Aerie.Vehicle.CoreTest do
   test "a change of mode is shown at once; the more vehicles there are, the less often other changes are" do
     shown = fn run -> length(for {:snapshot, _} <- run.actions, do: 1) end
     attitudes = for n <- 1..100, do: frame(%M.Attitude{time_boot_ms: 1000 + n}, 10 * @second + n * 1000)
-    assert start() |> beat(10) |> step({:vehicles, 1}) |> frames(attitudes) |> shown.() == 101
-    assert shown.(start() |> beat(10) |> step({:vehicles, 30}) |> frames(attitudes)) in 10..13
-    run = start() |> beat(10) |> step({:vehicles, 1000}) |> frames(attitudes)
+    each = fn run -> Enum.reduce(attitudes, run, &frames(&2, [&1])) end
+    assert start() |> beat(10) |> step({:vehicles, 1}) |> each.() |> shown.() == 101
+    assert shown.(start() |> beat(10) |> step({:vehicles, 10}) |> each.()) in 10..13
+    # Frames that are read together are shown together.
+    assert shown.(start() |> beat(10) |> step({:vehicles, 1}) |> frames(attitudes)) == 2
+    run = start() |> beat(10) |> step({:vehicles, 1000}) |> each.()
     assert shown.(run) <= 4
     before = shown.(run)
     run = frames(run, [frame(%{@copter | custom_mode: 6}, 10 * @second + 100_500)])

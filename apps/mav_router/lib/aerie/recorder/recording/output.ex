@@ -163,14 +163,14 @@ defmodule Aerie.Recorder.Recording.Output do
 
   ## Faults
 
-  defp low?(output), do: match?([{:space, %{low: true}}], :ets.lookup(output.tables.settings, :space))
+  defp low?(output), do: match?([{:space, %{low: true}}], :ets.lookup(output.tables.notes, :space))
   defp low(%Settings{min_free: min_free}), do: "less than #{div(min_free, 1024 * 1024)} MB are free"
 
   defp pause(output, reason) do
     Archive.look(output.gateway)
     tell(output, :paused, %{count: 1}, %{reason: reason})
     # Once, not for each retry of each recording.
-    if reason != output.logged and :ets.insert_new(output.tables.settings, {{:logged, reason}, output.label}),
+    if reason != output.logged and :ets.insert_new(output.tables.notes, {{:logged, reason}, output.label}),
       do: Logger.warning("#{output.label} is not recorded: #{reason}")
 
     min = output.settings.pause_ms
@@ -183,7 +183,7 @@ defmodule Aerie.Recorder.Recording.Output do
   defp well(%{logged: nil} = output), do: output
 
   defp well(output) do
-    :ets.match_delete(output.tables.settings, {{:logged, :_}, :_})
+    :ets.match_delete(output.tables.notes, {{:logged, :_}, :_})
     %{output | logged: nil, pauses: 0}
   end
 

@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   """
 
   alias Aerie.Vehicle.{Collision, Core, Detector, Sampling, State}
-  alias Aerie.Vehicle.Core.{Collisions, Services}
+  alias Aerie.Vehicle.Core.{Collisions, Services, Shown}
   alias Aerie.Vehicle.Detector.Observation
   alias MavCodec.Messages, as: M
 
@@ -28,9 +28,6 @@ defmodule Aerie.Vehicle.Core.Effects do
             )
   # How long a vehicle that was silent may take to show its clock.
   @restarted_us 5_000_000
-  # Of all vehicles together the store is written some three thousand times a second, but of each at least twenty times.
-  @show_each_us 300
-  @show_us 50_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -81,7 +78,9 @@ defmodule Aerie.Vehicle.Core.Effects do
 
     # The snapshot comes first: after a crash between the two, the session shows the detector from the snapshot what it
     # had not shown before. The other way round the snapshot would bring back a state that is over.
-    {core, actions} = show({%{core | digest: digest, shown_at: nil, dirty: true}, actions}, core.now)
+    {core, actions} =
+      show({%{core | digest: digest, shown: Shown.due(core.shown), dirty: true}, actions}, core.now)
+
     {core, [observation(core, :state, at, data) | actions]}
   end
 
@@ -122,23 +121,16 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "The vehicle is online, stale or lost from now on; the snapshot shows it at once."
   @spec status(Core.t(), [Core.action()], Core.status()) :: acc()
   def status(core, actions, status) do
-    show(
-      {%{core | status: status, shown_at: nil, dirty: true}, [{:status, core.status, status} | actions]},
-      core.now
-    )
+    next = %{core | status: status, shown: Shown.due(core.shown), dirty: true}
+    show({next, [{:status, core.status, status} | actions]}, core.now)
   end
-
-  @doc "How long a snapshot stands before the next one is written, if the gateway has so many vehicles (us)."
-  @spec show_us(non_neg_integer() | :many) :: non_neg_integer()
-  def show_us(:many), do: @show_us
-  def show_us(vehicles) when is_integer(vehicles), do: min(vehicles * @show_each_us, @show_us)
 
   @doc "Writes the snapshot, if something changed and the last one is old enough."
   @spec show(acc(), integer()) :: acc()
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
-    if core.shown_at == nil or now - core.shown_at >= core.show_us do
-      core = Services.view(core, now)
-      {%{core | shown_at: now, dirty: false}, [{:snapshot, Core.snapshot(core, core.view)} | actions]}
+    if Shown.due?(core.shown, now) do
+      shown = Shown.write(core.shown, now, fn -> Services.show(core) end)
+      {%{core | shown: shown, dirty: false}, [{:snapshot, Core.snapshot(core, shown.view)} | actions]}
     else
       {core, actions}
     end

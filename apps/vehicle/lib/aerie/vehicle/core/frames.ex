@@ -6,10 +6,9 @@ defmodule Aerie.Vehicle.Core.Frames do
 
   alias Aerie.Mavlink.BootClock
   alias Aerie.Vehicle.{Collision, Core, Kind, Params, State}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Texts}
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Links.Reception
-  alias Aerie.Vehicle.Reports.StatusText
   alias Aerie.Vehicle.Streams.Arbiter
   alias MavCodec.Messages, as: M
 
@@ -22,14 +21,8 @@ defmodule Aerie.Vehicle.Core.Frames do
   # For `Services.message/5`.
   @services [M.Ping.id(), M.CommandAck.id(), M.CommandLong.id(), M.Timesync.id(), M.MessageInterval.id()]
   @decoded [@system_time, @param_value, @statustext | @services]
-  # How long after the first link's copy of a text a second link's copy may come.
-  @copy_us 5_000_000
-  # Within this time, the same text by the same link with the same sequence number is a duplicate.
-  @duplicate_us 1_000_000
   # A vehicle that restarts is silent for longer than this.
   @silence_us 2_000_000
-  # Texts from before the first heartbeat (`Aerie.Router.EarlyTexts` holds as many).
-  @max_early 16
 
   @spec frame(Core.t(), [Core.action()], term(), struct()) :: {Core.t(), [Core.action()]}
   def frame(core, actions, link, frame) do
@@ -45,7 +38,7 @@ defmodule Aerie.Vehicle.Core.Frames do
         autopilot(core, actions, link, frame)
 
       core.component == nil and frame.id == @statustext ->
-        {%{core | early_texts: Enum.take(core.early_texts ++ [{link, frame}], @max_early)}, actions}
+        {%{core | texts: Texts.hold(core.texts, link, frame)}, actions}
 
       core.component == nil and frame.id == @high_latency ->
         autopilot(%{core | component: frame.component}, actions, link, frame)
@@ -83,13 +76,13 @@ defmodule Aerie.Vehicle.Core.Frames do
     end
   end
 
-  defp early_texts({%{early_texts: []}, _actions} = acc), do: acc
-
   # What the autopilot said before its component was known to be one.
-  defp early_texts({%{early_texts: early, component: component} = core, actions}) do
-    for {link, %{component: ^component} = frame} <- early, reduce: {%{core | early_texts: []}, actions} do
-      {core, actions} -> autopilot_message(core, actions, link, frame)
-    end
+  defp early_texts({core, actions}) do
+    {early, texts} = Texts.release(core.texts, core.component)
+
+    Enum.reduce(early, {%{core | texts: texts}, actions}, fn {link, frame}, {core, actions} ->
+      autopilot_message(core, actions, link, frame)
+    end)
   end
 
   defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
@@ -169,14 +162,8 @@ defmodule Aerie.Vehicle.Core.Frames do
   end
 
   defp message(core, actions, link, %{id: @statustext} = frame, message) do
-    {first?, core} = first_copy(core, link, frame)
-
-    if first? do
-      {texts, done} = StatusText.push(core.texts, frame.component, message, frame.at)
-      Reporting.texts({%{core | texts: texts}, actions}, done)
-    else
-      {core, actions}
-    end
+    {texts, done} = Texts.push(core.texts, link, frame, message)
+    Reporting.texts({%{core | texts: texts}, actions}, done)
   end
 
   defp message(core, actions, _link, %{id: @param_value, at: at}, message) do
@@ -201,30 +188,7 @@ defmodule Aerie.Vehicle.Core.Frames do
       {state, groups} ->
         {core, actions} = Collisions.reading(%{core | state: state}, actions, {id, message}, at)
         {core, actions} = Enum.reduce(groups, {core, actions}, &Effects.sample(&2, &1, at))
-        core |> Effects.changed(actions, id, message, at) |> Effects.show(at)
-    end
-  end
-
-  # A second link brings the same frame again, or the network the same datagram: same number, same content. (The number
-  # alone would not do, R7: it repeats after 256 frames.)
-  defp first_copy(core, link, frame) do
-    key = {frame.component, frame.seq, frame.payload}
-
-    case core.recent_texts do
-      %{^key => {other, at}} when other != link and frame.at - at < @copy_us ->
-        {false, core}
-
-      %{^key => {_same, at}} when frame.at - at < @duplicate_us ->
-        {false, core}
-
-      recent ->
-        recent =
-          if map_size(recent) < 64,
-            do: recent,
-            else: Map.filter(recent, fn {_, {_, at}} -> frame.at - at < @copy_us end)
-
-        recent = if map_size(recent) < 256, do: recent, else: %{}
-        {true, %{core | recent_texts: Map.put(recent, key, {link, frame.at})}}
+        Effects.changed(core, actions, id, message, at)
     end
   end
 

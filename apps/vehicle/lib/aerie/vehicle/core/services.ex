@@ -7,14 +7,13 @@ defmodule Aerie.Vehicle.Core.Services do
   alias Aerie.Policy.Arming
   alias Aerie.Protocol.Modes
   alias Aerie.Vehicle.{Core, Gcs, Identity, Params, Reports, State, Timesync}
-  alias Aerie.Vehicle.Core.{Collisions, Effects}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Shown}
   alias Aerie.Vehicle.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Streams.Arbiter
   alias MavCodec.Messages, as: M
 
   @available_modes M.AvailableModes.id()
   @heartbeat_us 1_000_000
-  @view_us 400_000
 
   @type acc :: {Core.t(), [Core.action()]}
 
@@ -119,7 +118,7 @@ defmodule Aerie.Vehicle.Core.Services do
   def rebased(core, now) do
     %{
       core
-      | heartbeat_at: nil,
+      | heartbeat: %{core.heartbeat | at: nil},
         streams: Arbiter.rebased(core.streams, now),
         timesync: Timesync.restarted(core.timesync),
         gcs: Gcs.rebased(core.gcs, now),
@@ -247,7 +246,7 @@ defmodule Aerie.Vehicle.Core.Services do
   defp observe(acc, [], _now), do: acc
 
   defp observe({core, actions}, observed, now) do
-    {core, actions} = Effects.show({%{core | dirty: true, shown_at: nil}, actions}, now)
+    {core, actions} = Effects.show({%{core | dirty: true, shown: Shown.due(core.shown)}, actions}, now)
     {core, Enum.reverse(observed) ++ actions}
   end
 
@@ -255,15 +254,15 @@ defmodule Aerie.Vehicle.Core.Services do
   # that works. To a vehicle that speaks MAVLink 1 every other heartbeat is in version 2, which makes ArduPilot switch (V2).
   defp heartbeat({%{options: %{heartbeat: true}} = core, actions}, now, true) do
     cond do
-      core.heartbeat_at != nil and now - core.heartbeat_at < @heartbeat_us ->
+      core.heartbeat.at != nil and now - core.heartbeat.at < @heartbeat_us ->
         {core, actions}
 
       mistaken?(core) ->
-        {%{core | heartbeat_at: now}, [:withhold | actions]}
+        {put_in(core.heartbeat.at, now), [:withhold | actions]}
 
       true ->
-        version = if core.version == 1, do: 3 - core.heartbeat_version, else: 2
-        {%{core | heartbeat_at: now, heartbeat_version: version}, [{:heartbeat, version} | actions]}
+        version = if core.version == 1, do: 3 - core.heartbeat.version, else: 2
+        {%{core | heartbeat: %{at: now, version: version}}, [{:heartbeat, version} | actions]}
     end
   end
 
@@ -282,17 +281,6 @@ defmodule Aerie.Vehicle.Core.Services do
   def ours?(%{options: options, gcs: gcs}) do
     Gcs.keeps_quiet?(gcs, %{system: options.own_system, type: Identity.type(options)})
   end
-
-  @doc """
-  Renews `view`, the part of a snapshot that is about these services, at most a few times a second: it changes seldom and is
-  as large as the rest. It is renewed at once after an event or a change of the vehicle's status (`shown_at: nil`).
-  """
-  @spec view(Core.t(), integer()) :: Core.t()
-  def view(%{view: view, viewed_at: at, shown_at: shown} = core, now)
-      when view != nil and shown != nil and now >= at and now - at < @view_us,
-      do: core
-
-  def view(core, now), do: %{core | view: show(core), viewed_at: now}
 
   @doc "What a snapshot shows of these services now."
   @spec show(Core.t()) :: map()

@@ -4,9 +4,8 @@ defmodule Aerie.Vehicle.Core.Timers do
   """
 
   alias Aerie.Vehicle.{Collision, Core, Sampling, State}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Shown, Texts}
   alias Aerie.Vehicle.Links.Reception
-  alias Aerie.Vehicle.Reports.StatusText
 
   # Deadlines are checked ten times a second.
   @period_us 100_000
@@ -31,7 +30,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     do: if(due?(core, now) or now < core.expired_at, do: expire(core, [], now), else: {core, []})
 
   defp due?(%{expired_at: nil}, _at), do: true
-  defp due?(core, at), do: at - core.expired_at >= @period_us or overdue?(StatusText.deadline(core.texts), at)
+  defp due?(core, at), do: at - core.expired_at >= @period_us or overdue?(Texts.deadline(core.texts), at)
 
   defp overdue?(nil, _at), do: false
   defp overdue?(deadline, at), do: at >= deadline
@@ -42,19 +41,18 @@ defmodule Aerie.Vehicle.Core.Timers do
   """
   @spec rebase(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def rebase(core, actions, now) do
-    {texts, done} = StatusText.finish(core.texts, now)
+    {texts, done} = Texts.finish(core.texts, now)
 
     core = %{
       core
       | now: now,
         last_heard: core.last_heard && now,
         expired_at: nil,
-        collision: nil,
+        twin: %{core.twin | collision: nil},
         observed_at: core.observed_at && now,
         heard_again_at: nil,
         settle_at: core.settle_at && now,
-        shown_at: nil,
-        recent_texts: %{},
+        shown: Shown.due(core.shown),
         texts: texts,
         reception: Reception.new(Reception.links(core.reception), now),
         collision_detector: Collision.Detector.rebased(core.collision_detector),
@@ -80,7 +78,7 @@ defmodule Aerie.Vehicle.Core.Timers do
     shifted = %{
       rebased
       | last_heard: core.last_heard && core.last_heard + step,
-        collision: core.collision && %{core.collision | at: core.collision.at + step},
+        twin: shifted_twin(core.twin, step),
         reception: Reception.shifted(core.reception, step),
         owner: Collision.Owner.shifted(core.owner, step),
         state: State.shifted(core.state, step),
@@ -90,10 +88,13 @@ defmodule Aerie.Vehicle.Core.Timers do
     Effects.show({Services.shifted(core, shifted, step), actions}, now)
   end
 
+  defp shifted_twin(%{collision: nil} = twin, _step), do: twin
+  defp shifted_twin(twin, step), do: update_in(twin.collision.at, &(&1 + step))
+
   @doc "Handles the deadlines before `now`. Actions are newest first."
   @spec expire(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def expire(core, actions, now) do
-    {texts, done} = StatusText.expire(core.texts, now)
+    {texts, done} = Texts.expire(core.texts, now)
     {samplers, samples} = Sampling.expire(core.samplers, now)
     {core, actions} = Reporting.texts({core, actions}, done)
 

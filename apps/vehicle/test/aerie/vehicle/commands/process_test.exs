@@ -52,7 +52,7 @@ defmodule Aerie.Vehicle.CommandsTest do
        context do
     %{gateway: gateway, pid: pid} = context
     task = submit(gateway, type: "arm")
-    assert_receive {:listen, ^pid, [77]}
+    assert_receive {:listen, ^pid, [:snapshots, 77]}
     assert_receive {:transmit, [%M.CommandLong{command: 400, target_system: 7, target_component: 1}]}
     send(pid, ack(command: 400, result: 0))
     send(pid, {:snapshot, snapshot(%{armed: true}, 2)})

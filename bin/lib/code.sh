@@ -27,12 +27,14 @@ compile_quietly() {
   unlock
 }
 
-# Compiles for the environment $1 and sets AERIE_CODE to a copy of the result, which this process and its children hold.
+# Compiles and sets AERIE_CODE to a copy of the result, which this process and its children hold. It compiles for prod; tests set
+# AERIE_BUILD=test, because their code is compiled already (bin/test --full does as users do).
 # If nothing has changed, it takes the last copy without asking Mix: a gateway that was killed in flight must start again
 # quickly, and Mix takes longer than all the rest.
 code_install() {
-  local stamp="$AERIE_ROOT/_build/code-$1" begun
-  lock "$AERIE_ROOT/_build/compile-$1.lock" "another start is compiling here; waiting for it"
+  local build=${AERIE_BUILD:-prod} stamp begun
+  stamp="$AERIE_ROOT/_build/code-$build"
+  lock "$AERIE_ROOT/_build/compile-$build.lock" "another start is compiling here; waiting for it"
   if AERIE_CODE=$(code_known "$stamp"); then
     export AERIE_CODE
     hold "$AERIE_CODE"
@@ -43,7 +45,7 @@ code_install() {
   unlock
   # Sources that change from here on are newer than the stamp.
   begun=$(date +%s.%N)
-  compile_quietly "$1" code_copy
+  compile_quietly "$build" code_copy
   printf '%s\n%s\n' "$(command -v elixir)" "$AERIE_CODE" >"$stamp.$$"
   touch -d "@$begun" "$stamp.$$"
   mv "$stamp.$$" "$stamp"
@@ -78,7 +80,7 @@ code_copy() {
 # To be called with the lock: a copy that is being made is held by nobody.
 remove_unused_copies() {
   local other
-  for other in "$AERIE_ROOT/_build/run"/*; do
+  for other in "$AERIE_ROOT/_build/run/${AERIE_BUILD:-prod}"-*; do
     if unused "$other"; then rm -rf "$other"; fi
   done
 }

@@ -16,5 +16,6 @@ end
 
 File.cp_r!(Path.join(build, "consolidated"), Path.join(folder, "consolidated"))
 
-config = Config.Reader.read!("config/config.exs", env: Mix.env(), target: Mix.target())
+# As users run it, whatever it was compiled for.
+config = Config.Reader.read!("config/config.exs", env: :prod, target: Mix.target())
 File.write!(Path.join(folder, "sys.config"), :io_lib.format(~c"%% coding: utf-8~n~tp.~n", [config]))

@@ -6,7 +6,7 @@ defmodule Aerie.RunCase do
   import ExUnit.Assertions
 
   @root Path.expand("../..", __DIR__)
-  # The first call compiles with MIX_ENV=prod.
+  # The first call of `bin/test --full` compiles with MIX_ENV=prod.
   @patience 600_000
 
   using do

@@ -277,9 +277,26 @@ defmodule Aerie.BridgeCase do
   @spec await_empty(reference()) :: :ok
   def await_empty(gateway) do
     # In this order: from the journal they go to the outbox.
-    eventually(fn ->
-      Fleet.Journal.pending_size(gateway) == 0 and match?(%{events: 0}, outbox(gateway))
-    end)
+    Aerie.Patience.eventually(
+      fn -> Fleet.Journal.pending_size(gateway) == 0 and match?(%{events: 0}, outbox(gateway)) end,
+      fn -> "all events were confirmed: #{inspect(waiting(gateway), pretty: true, limit: 20)}" end
+    )
+  end
+
+  defp waiting(gateway) do
+    tables = Bridge.Tables.get(gateway)
+
+    state =
+      with pid when is_pid(pid) <- Aerie.Names.whereis(gateway, :bridge_events),
+           do: pid |> :sys.get_state() |> Map.take([:window, :conn, :problem, :refusal, :stall, :silent?])
+
+    %{
+      pending: Fleet.Journal.pending_size(gateway),
+      outbox: outbox(gateway),
+      connection: Bridge.Connection.current(tables),
+      problem: Bridge.Tables.problem(tables),
+      events: state
+    }
   end
 
   # As it is now: what the bridge shows of it is up to half a second old.

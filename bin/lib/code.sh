@@ -58,13 +58,13 @@ code_known() {
   [ "$elixir" = "$(command -v elixir)" ] && [ -d "$code" ] || return 1
   # The system's own toolchain has no such file.
   newer=$(cd "$AERIE_ROOT" && find -L apps packages rel mix.exs config bin/lib "$elixir" "$AERIE_TOOLCHAIN/.complete" \
-    \( -name test -o -name tmp \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
+    \( -name test -o -name tmp -o -name cover -o -name var \) -prune -o \( -newer "$1" -o -cnewer "$1" \) -print -quit 2>/dev/null) || true
   [ -z "$newer" ] && printf '%s\n' "$code"
 }
 
 code_copy() {
   local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key
-  key=$(cd "$build" && find -L . -path ./.mix -prune -o -path './lib/*/.mix' -prune -o -type f -print0 | sort -z |
+  key=$(cd "$build" && find -L . -path ./.mix -prune -o -path './lib/*/.mix' -prune -o -path './lib/*/consolidated' -prune -o -type f -print0 | sort -z |
     xargs -0 sha256sum | cat - "$AERIE_ROOT/config/config.exs" | sha256sum | cut -c 1-16)
   AERIE_CODE="$copies/$1-$key"
   export AERIE_CODE

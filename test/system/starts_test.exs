@@ -19,7 +19,7 @@ defmodule Aerie.System.StartsTest do
     root = Path.join(folder, "root")
     stamp = Path.join(folder, "stamp")
 
-    for path <- ~w(apps/one/lib apps/one/test packages config bin/lib code),
+    for path <- ~w(apps/one/lib apps/one/test apps/one/cover packages config bin/lib code),
         do: File.mkdir_p!(Path.join(root, path))
 
     for path <- ~w(mix.exs apps/one/lib/a.ex apps/one/lib/b.ex), do: File.write!(Path.join(root, path), "")
@@ -50,8 +50,9 @@ defmodule Aerie.System.StartsTest do
     for change <- changes do
       bash.("write")
       assert bash.("known") == code
-      # Tests do not count.
+      # Tests and what they write do not count.
       File.write!(Path.join(root, "apps/one/test/a_test.exs"), "")
+      File.write!(Path.join(root, "apps/one/cover/one.html"), "")
       assert bash.("known") == code
       change.()
       assert bash.("known") == ""

@@ -98,6 +98,8 @@ defmodule Gnat.Jetstream.ConsumerTest do
 
     test "delivers messages with their position", %{gnat: gnat, stream: stream, next: next} do
       publish(gnat, stream, [1, 2])
+      # The server confirms a message before its consumers have counted it.
+      eventually(fn -> match?({:ok, %{num_pending: 2}}, Consumer.info(gnat, stream, "d")) end)
       :ok = next.(batch: 2)
       assert_receive {:msg, %{body: "1"} = first}
       assert_receive {:msg, %{body: "2"} = second}

@@ -283,7 +283,9 @@ defmodule Aerie.BridgeCase do
     )
   end
 
-  defp waiting(gateway) do
+  @doc "What events of a gateway wait for, for a test that failed."
+  @spec waiting(reference()) :: map()
+  def waiting(gateway) do
     tables = Bridge.Tables.get(gateway)
 
     state =

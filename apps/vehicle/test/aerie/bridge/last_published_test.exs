@@ -86,10 +86,13 @@ defmodule Aerie.Bridge.LastPublishedTest do
     conn = connect(second)
 
     found =
-      eventually(fn ->
-        found = for {%{"data" => %{"found" => true}} = body, _subject} <- bodies(conn), do: body
-        length(found) == 3 && found
-      end)
+      Aerie.Patience.eventually(
+        fn ->
+          found = for {%{"data" => %{"found" => true}} = body, _subject} <- bodies(conn), do: body
+          length(found) == 3 && found
+        end,
+        fn -> "three changes were found: #{inspect({bodies(conn), waiting(second)}, limit: 200)}" end
+      )
 
     assert Enum.map(found, & &1["type"]) == ["mode_change", "landed", "disarmed"]
     assert Enum.map(found, & &1["seq"]) == [1, 2, 3]

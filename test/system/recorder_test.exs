@@ -42,7 +42,11 @@ defmodule Aerie.System.RecorderTest do
           files = for %{open: false, file: file} <- Aerie.Recorder.list(gateway), do: file
           files != [] and Enum.take(files, 1)
         end,
-        "its last moments are saved"
+        fn ->
+          events = for event <- Aerie.Fleet.Journal.recent(gateway, "VID-078"), do: event.type
+          told = {Aerie.Recorder.list(gateway), Aerie.Recorder.status(gateway), events}
+          "its last moments are saved: #{inspect(told, limit: 200)}"
+        end
       )
 
     assert Path.basename(file) =~ ~r/\Amain-VID-078-(failsafe|battery\.critical)-/

@@ -43,6 +43,8 @@ defmodule Aerie.Bridge.LastPublishedTest do
       environment: "test",
       nats: %{port: 0, store_dir: Path.join(dir, "nats"), retry_min_ms: 20, retry_max_ms: 200},
       outbox: %{dir: Path.join(dir, "outbox")},
+      # It is not lost, however late a busy machine hears it again.
+      timeouts: %{vehicle_lost_s: 600},
       links: [%{id: "radio", url: "udpin:127.0.0.1:0", enabled: true}]
     }
   end

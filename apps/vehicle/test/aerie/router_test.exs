@@ -14,6 +14,19 @@ defmodule Aerie.RouterTest do
     Router.deliver(gateway, origin, frames)
   end
 
+  # Of a vehicle that was not shown: is it waited for, is there a session, what has that heard, what does the starter do?
+  defp known(gateway, key) do
+    tables = Tables.of(gateway)
+    session = Names.whereis(gateway, :session, key)
+
+    %{
+      waiting: {:ets.lookup(tables.waiting, key), :ets.info(tables.waiting, :size)},
+      session: session && Map.take(:sys.get_state(session).core, [:component, :last_heard, :dirty, :shown]),
+      shown: Aerie.Store.vehicle(gateway, key),
+      starter: gateway |> Names.whereis(:vehicle_starter) |> :sys.get_state()
+    }
+  end
+
   test "an autopilot's heartbeat starts its vehicle, and the read is its first (H2, H4)" do
     gateway = start_parts()
     assert %{unclaimed: 1} = deliver(gateway, attitude(1, 1))
@@ -31,10 +44,13 @@ defmodule Aerie.RouterTest do
 
     # One after the other, because all their starts may take a busy machine longer than a minute.
     for key <- keys do
-      eventually(fn ->
-        heard_again(gateway, keys, deliver)
-        match?(%{component: 1}, Aerie.Store.vehicle(gateway, key))
-      end)
+      Aerie.Patience.eventually(
+        fn ->
+          heard_again(gateway, keys, deliver)
+          match?(%{component: 1}, Aerie.Store.vehicle(gateway, key))
+        end,
+        fn -> "#{inspect(key)} is shown: #{inspect(known(gateway, key), limit: 30)}" end
+      )
     end
 
     eventually(fn -> :ets.info(Tables.of(gateway).waiting, :size) == 0 end)

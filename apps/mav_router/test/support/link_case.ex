@@ -101,23 +101,6 @@ defmodule Aerie.LinkCase do
     for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
   end
 
-  @doc """
-  Gives `deliver` another heartbeat of each of those vehicles that waited for its start for so long that it is asked for no more, as on a
-  busy machine: the vehicle itself sends one every second.
-  """
-  @spec heard_again(term, [{String.t(), pos_integer}], (binary, network :: String.t() -> map)) :: :ok
-  def heard_again(gateway, keys, deliver) do
-    %{waiting: waiting} = Aerie.Router.Tables.of(gateway)
-
-    for {network, system} = key <- keys,
-        # In this order: what waits no more and is not there was given up.
-        not :ets.member(waiting, key),
-        Names.whereis(gateway, :session, key) == nil,
-        do: deliver.(heartbeat(system), network)
-
-    :ok
-  end
-
   @doc "Frames of the calling process's sessions, in order, until there are `n`."
   @spec frames(non_neg_integer, [MavCodec.Frame.t()]) :: [MavCodec.Frame.t()]
   def frames(n, got \\ [])

@@ -6,8 +6,6 @@ defmodule Aerie.Router.Admission do
   @at_once 32
   @busy 64
   @max_waiting 1_024
-  # A vehicle that is not there so long after it was asked for is asked for again.
-  @waits_ms 15_000
 
   @moduledoc """
   Lets a vehicle in when its autopilot is heard: has its processes started, for at most as many vehicles as those allow who have
@@ -67,13 +65,11 @@ defmodule Aerie.Router.Admission do
     end
   end
 
-  defp ask(key, first, %{gateway: gateway, tables: tables, now: now} = delivery) do
-    waits = :ets.lookup_element(tables.waiting, key, 2, now)
-
-    if waits <= now and :ets.info(tables.waiting, :size) < @max_waiting do
+  defp ask(key, first, %{gateway: gateway, tables: tables, sender: sender}) do
+    if not :ets.member(tables.waiting, key) and :ets.info(tables.waiting, :size) < @max_waiting do
       # In this order: whoever takes the row finds the frames.
       :ok = EarlyFrames.put(tables, key, first.())
-      :ets.insert(tables.waiting, {key, now + @waits_ms, delivery.sender})
+      :ets.insert(tables.waiting, {key, sender})
       if not handed_over?(gateway, tables, key), do: VehicleStarter.ask(gateway, key)
       :coming
     else
@@ -97,7 +93,7 @@ defmodule Aerie.Router.Admission do
   """
   @spec keep(Aerie.Router.vehicle_key(), [Frame.t()], Delivery.t()) :: :kept | {:ok, pid} | :none
   def keep(key, frames, %{gateway: gateway, tables: tables, sender: sender}) do
-    with ^sender <- :ets.lookup_element(tables.waiting, key, 3, :none),
+    with ^sender <- :ets.lookup_element(tables.waiting, key, 2, :none),
          # What it was sent directly is not overtaken.
          nil <- Names.whereis(gateway, :session, key),
          :none <- EarlyFrames.keep(tables, key, frames),
@@ -147,7 +143,7 @@ defmodule Aerie.Router.Admission do
 
   defp take(tables, key) do
     case :ets.take(tables.waiting, key) do
-      [{_key, _until, sender}] -> {:frames, sender, EarlyFrames.take(tables, key)}
+      [{_key, sender}] -> {:frames, sender, EarlyFrames.take(tables, key)}
       [] -> nil
     end
   end

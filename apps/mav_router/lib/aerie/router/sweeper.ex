@@ -46,7 +46,6 @@ defmodule Aerie.Router.Sweeper do
   @spec sweep(Tables.t(), integer) :: non_neg_integer
   def sweep(tables, now) do
     :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
-    :ets.select_delete(tables.waiting, [{{:_, :"$1", :_}, [{:<, :"$1", now}], [true]}])
     :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
     limits(tables.limits, now * 1000 - @limit_ttl_us)
     Routes.sweep(tables, now)

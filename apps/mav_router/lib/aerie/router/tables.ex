@@ -11,7 +11,7 @@ defmodule Aerie.Router.Tables do
   - `:clients` `{id, snapshot}` of client endpoints; `:scores` what `Meter` measured
   - `:load` `{vehicle_key, checked_ms, overloaded?}`
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
-  - `:waiting` `{vehicle_key, until_ms, sender}`: vehicles that are being started; `:early` `{{vehicle_key, number}, frames}`: what
+  - `:waiting` `{vehicle_key, sender}`: vehicles that are being started; `:early` `{{vehicle_key, number}, frames}`: what
     came of them so far, in order
   - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times

@@ -5,6 +5,9 @@ defmodule Aerie.Router.VehicleStarter do
   @moduledoc """
   Starts vehicles one after the other when many are heard at once, so that no link has to do it while frames of its other
   vehicles wait in its mailbox. #{div(1_000, @every_ms)} a second, fewer on a busy machine (`pause/1`), where frames come first.
+
+  A vehicle waits in the router's tables until it is started or refused, however long that takes. After a restart of this process
+  those that wait there are started.
   """
   use GenServer
 
@@ -34,7 +37,16 @@ defmodule Aerie.Router.VehicleStarter do
   def init(gateway) do
     Process.flag(:priority, :low)
     Process.set_label({:vehicle_starter, gateway})
-    {:ok, %{gateway: gateway, queue: :queue.new(), timer: nil}}
+    timer = Process.send_after(self(), :next, 0)
+    {:ok, %{gateway: gateway, queue: :queue.from_list(waiting(gateway)), timer: timer}}
+  end
+
+  # Those that the last one was asked for.
+  defp waiting(gateway) do
+    case Tables.of(gateway) do
+      nil -> []
+      tables -> :ets.select(tables.waiting, [{{:"$1", :_}, [], [:"$1"]}])
+    end
   end
 
   @impl GenServer
@@ -53,7 +65,7 @@ defmodule Aerie.Router.VehicleStarter do
     began = System.monotonic_time(:millisecond)
     tables = Tables.of(gateway)
 
-    # One that waits no more was started by a link, or waited for too long and will be asked for again.
+    # One that waits no more was started by a link.
     if tables != nil and :ets.member(tables.waiting, key) do
       _ = Admission.start(gateway, tables, key, began)
       took = System.monotonic_time(:millisecond) - began

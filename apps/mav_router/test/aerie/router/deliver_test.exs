@@ -119,11 +119,7 @@ defmodule Aerie.Router.DeliverTest do
     keys = many_vehicles(gateway, deliver)
 
     for key <- keys do
-      eventually(fn ->
-        heard_again(gateway, keys, deliver)
-        Names.whereis(gateway, :session, key)
-      end)
-
+      eventually(fn -> Names.whereis(gateway, :session, key) end)
       assert_receive {:session, ^key, "a", [%{id: 0}]}
     end
 
@@ -152,6 +148,22 @@ defmodule Aerie.Router.DeliverTest do
     assert %{delivered: 1, sessions: [_session]} = deliver(gateway, attitude(1, 128))
     assert_receive {:session, {"main", 1}, {"a", :remote}, [last]}
     assert number(last) == 128
+    assert :ets.tab2list(Tables.of(gateway).early) == []
+  end
+
+  test "vehicles wait for their start however long it takes, beyond the end of what starts them, and lose nothing" do
+    gateway = gateway()
+    starter = Names.whereis(gateway, :vehicle_starter)
+    :sys.suspend(starter)
+    for n <- 1..65, do: send(self(), {:waiting, n})
+    for system <- 1..3, do: assert(%{delivered: 1, sessions: []} = deliver(gateway, heartbeat(system)))
+    in_an_hour = System.monotonic_time(:millisecond) + 3_600_000
+    Aerie.Router.Sweeper.sweep(Tables.of(gateway), in_an_hour)
+    assert %{delivered: 1, unclaimed: 0} = deliver(gateway, attitude(2, 7))
+    Process.exit(starter, :kill)
+
+    for system <- [1, 3], do: assert_receive({:session, {"main", ^system}, "a", [%{id: 0}]})
+    assert_receive {:session, {"main", 2}, "a", [%{id: 0}, %{id: 30}]}
     assert :ets.tab2list(Tables.of(gateway).early) == []
   end
 

@@ -39,19 +39,28 @@ defmodule Aerie.Store do
     GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :store))
   end
 
-  @doc "Writes a vehicle's snapshot and tells subscribers of `:vehicles` and `{:vehicle, id}` at the next tick."
+  @doc """
+  Writes a vehicle's snapshot and tells subscribers of `:vehicles` and `{:vehicle, id}` at the next tick, those of `:roster` at once
+  that it is new.
+  """
   @spec put_vehicle(Names.gateway(), vehicle_key(), snapshot()) :: :ok
   def put_vehicle(gateway, {_network, _system} = key, %{id: id} = snapshot) do
     :ets.insert(table!(gateway, :vehicles), {key, id, snapshot})
+    if :ets.insert_new(table!(gateway, :vehicle_keys), {id, key}), do: PubSub.publish(gateway, :roster, id)
     PubSub.changed(gateway, {:vehicle, id})
   end
 
-  @doc "Forgets a vehicle."
+  @doc "Forgets a vehicle, and tells subscribers."
   @spec delete_vehicle(Names.gateway(), vehicle_key()) :: :ok
   def delete_vehicle(gateway, key) do
     case :ets.take(table!(gateway, :vehicles), key) do
-      [{^key, id, _snapshot}] -> PubSub.changed(gateway, {:vehicle, id})
-      [] -> :ok
+      [{^key, id, _snapshot}] ->
+        :ets.delete_object(table!(gateway, :vehicle_keys), {id, key})
+        PubSub.publish(gateway, :roster, id)
+        PubSub.changed(gateway, {:vehicle, id})
+
+      [] ->
+        :ok
     end
   end
 
@@ -73,10 +82,8 @@ defmodule Aerie.Store do
   end
 
   def vehicle(gateway, id) when is_binary(id) do
-    case with_table(gateway, :vehicles, [], &:ets.match(&1, {:_, id, :"$1"})) do
-      [[snapshot] | _] -> snapshot
-      [] -> nil
-    end
+    key = with_table(gateway, :vehicle_keys, nil, &:ets.lookup_element(&1, id, 2, nil))
+    key && vehicle(gateway, key)
   end
 
   @doc """
@@ -255,6 +262,7 @@ defmodule Aerie.Store do
 
     tables = %{
       vehicles: :ets.new(:vehicles, [:set | shared]),
+      vehicle_keys: :ets.new(:vehicle_keys, [:set | shared]),
       links: :ets.new(:links, [:set | shared]),
       link_rows: :ets.new(:link_rows, [:ordered_set | shared]),
       counters: :ets.new(:counters, [:set, :public, write_concurrency: true, decentralized_counters: true]),

@@ -32,7 +32,9 @@ defmodule Aerie.StoreTest do
     router =
       gateway |> Aerie.Router.Tables.of() |> Map.take([:routes, :heard_by, :limits, :waiting, :refused])
 
-    store = for name <- [:systems, :stations, :claims], do: {name, Store.table!(gateway, name)}
+    store =
+      for name <- [:vehicles, :vehicle_keys, :systems, :stations, :claims],
+          do: {name, Store.table!(gateway, name)}
 
     for {name, table} <- Enum.concat(router, store),
         do: assert({name, false} == {name, :ets.info(table, :decentralized_counters)})
@@ -57,6 +59,20 @@ defmodule Aerie.StoreTest do
 
     Store.delete_vehicle(gateway, {"main", 1})
     assert_receive {:fleet, {:vehicle, "A"}, nil}
+  end
+
+  test "who asks for the roster is told at once of each vehicle that appears or is forgotten, and of nothing else" do
+    gateway = start_gateway()
+    PubSub.subscribe(gateway, :roster)
+    for n <- 1..500, do: Store.put_vehicle(gateway, {"main", 1}, vehicle("A", %{n: n}))
+    assert_received {:fleet, :roster, "A"}
+    Store.delete_vehicle(gateway, {"main", 1})
+    assert_received {:fleet, :roster, "A"}
+    assert Store.vehicle(gateway, "A") == nil
+    Store.put_vehicle(gateway, {"main", 1}, vehicle("A"))
+    assert_received {:fleet, :roster, "A"}
+    refute_received {:fleet, :roster, _id}
+    assert Store.vehicle(gateway, "A") == vehicle("A")
   end
 
   test "links have snapshots and notices too" do

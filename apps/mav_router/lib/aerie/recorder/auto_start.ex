@@ -26,7 +26,7 @@ defmodule Aerie.Recorder.AutoStart do
     Process.set_label({:recorder_auto_start, gateway})
     tables = Tables.of(gateway)
     settings = Tables.settings(tables)
-    :ok = PubSub.subscribe(gateway, :vehicles)
+    :ok = PubSub.subscribe(gateway, :roster)
     if settings.ring and settings.save_on != [], do: :ok = PubSub.subscribe(gateway, :events)
     Process.send_after(self(), :look, @every_ms)
     {:ok, %{gateway: gateway, tables: tables, settings: settings}, {:continue, :look}}
@@ -39,8 +39,8 @@ defmodule Aerie.Recorder.AutoStart do
   end
 
   @impl GenServer
-  def handle_info({:fleet, :vehicles, ids}, state) do
-    Enum.each(ids, fn id -> with %{key: key} <- Store.vehicle(state.gateway, id), do: ensure(state, key) end)
+  def handle_info({:fleet, :roster, id}, state) do
+    with %{key: key} <- Store.vehicle(state.gateway, id), do: ensure(state, key)
     {:noreply, state}
   end
 

@@ -5,6 +5,7 @@ defmodule Aerie.Store.PubSub do
   | topic           | payload                                     | when                     |
   |-----------------|---------------------------------------------|--------------------------|
   | `:vehicles`     | ids of the vehicles that changed            | coalesced, once per tick |
+  | `:roster`       | id of a vehicle that appeared or was forgotten | at once              |
   | `{:vehicle, id}` | the vehicle's snapshot, nil when it is gone | coalesced, once per tick |
   | `:links`        | ids of the links that changed               | coalesced, once per tick |
   | `{:link, id}`   | the link's snapshot, nil when it is gone    | coalesced, once per tick |
@@ -25,6 +26,7 @@ defmodule Aerie.Store.PubSub do
 
   @type topic ::
           :vehicles
+          | :roster
           | :links
           | :events
           | :journal

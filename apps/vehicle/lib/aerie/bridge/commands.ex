@@ -50,7 +50,7 @@ defmodule Aerie.Bridge.Commands do
   def init(options) do
     gateway = options[:gateway]
     Process.set_label({:bridge_commands, gateway})
-    :ok = PubSub.subscribe(gateway, :vehicles)
+    :ok = PubSub.subscribe(gateway, :roster)
     tables = Tables.get(gateway)
     {:ok, tasks} = Task.Supervisor.start_link()
 
@@ -120,7 +120,7 @@ defmodule Aerie.Bridge.Commands do
   def handle_info({:bridge, :up, conn}, %{conn: conn} = state), do: {:noreply, state}
   def handle_info({:bridge, :up, conn}, state), do: {:noreply, connected(state, conn)}
   def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil, subscribed: %{}}}
-  def handle_info({:fleet, :vehicles, ids}, state), do: {:noreply, Enum.reduce(ids, state, &look/2)}
+  def handle_info({:fleet, :roster, id}, state), do: {:noreply, look(id, state)}
   def handle_info(_late, state), do: {:noreply, state}
 
   defp connected(state, conn) do

@@ -5,6 +5,8 @@ defmodule Aerie.Serving.Starter do
   alias Aerie.{Names, Serving, Store}
   alias Aerie.Store.PubSub
 
+  @again_ms 1_000
+
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
   def start_link(options),
     do:
@@ -15,12 +17,12 @@ defmodule Aerie.Serving.Starter do
   @impl GenServer
   def init(gateway) do
     Process.set_label({:serving_starter, gateway})
-    :ok = PubSub.subscribe(gateway, :vehicles)
+    :ok = PubSub.subscribe(gateway, :roster)
     {:ok, Enum.reduce(Store.vehicles(gateway), %{gateway: gateway, keys: %{}}, &look(&2, &1.id))}
   end
 
   @impl GenServer
-  def handle_info({:fleet, :vehicles, ids}, state), do: {:noreply, Enum.reduce(ids, state, &look(&2, &1))}
+  def handle_info({:fleet, :roster, id}, state), do: {:noreply, look(state, id)}
   def handle_info(_other, state), do: {:noreply, state}
 
   defp look(state, id) do
@@ -32,7 +34,7 @@ defmodule Aerie.Serving.Starter do
             {Serving.Vehicle, gateway: state.gateway, key: key}
           )
 
-        if match?({:ok, _pid}, started), do: put_in(state.keys[id], key), else: state
+        if match?({:ok, _pid}, started), do: put_in(state.keys[id], key), else: again(state, id)
 
       {nil, %{^id => key}} ->
         _ =
@@ -44,6 +46,11 @@ defmodule Aerie.Serving.Starter do
       _as_it_was ->
         state
     end
+  end
+
+  defp again(state, id) do
+    Process.send_after(self(), {:fleet, :roster, id}, @again_ms)
+    state
   end
 
   defp supervisor(state), do: Names.via(state.gateway, :serving_vehicles)

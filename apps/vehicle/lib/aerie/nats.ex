@@ -29,6 +29,24 @@ defmodule Aerie.Nats do
     safely(fn -> with :ok <- fits(conn, body, options), do: Gnat.pub(conn, subject, body, options) end)
   end
 
+  @doc """
+  Publishes several messages, each as by `pub/4`, and gives their results in the same order. The client writes calls that wait for it as
+  one, and a write is most of what a small message costs it and the server.
+  """
+  @spec pub_all(conn(), [{String.t(), iodata()}]) :: [:ok | {:error, reason()}]
+  def pub_all(conn, [{subject, body}]), do: [pub(conn, subject, body)]
+
+  def pub_all(conn, messages) do
+    messages
+    |> Enum.map(fn {subject, body} ->
+      case safely(fn -> fits(conn, body, []) end) do
+        :ok -> Task.async(fn -> safely(fn -> Gnat.pub(conn, subject, body, []) end) end)
+        error -> error
+      end
+    end)
+    |> Enum.map(&with %Task{} <- &1, do: Task.await(&1, :infinity))
+  end
+
   @doc "Subscribes a process, which gets `{:msg, message}`: `queue_group`."
   @spec sub(conn(), pid(), String.t(), queue_group: String.t()) :: {:ok, sid :: term()} | {:error, reason()}
   def sub(conn, subscriber, subject, options \\ []),

@@ -96,12 +96,30 @@ defmodule Aerie.NatsTest do
     assert {:ok, %{}} = JetStream.ask(conn, "$JS.API.INFO", "")
   end
 
+  test "messages that are published together arrive each, and each has its result", %{conn: conn} do
+    {:ok, _sid} = Nats.sub(conn, self(), "together.*")
+    large = :binary.copy("x", 1_048_577)
+    messages = for n <- 1..200, do: {"together.#{n}", if(n == 7, do: large, else: "#{n}")}
+    results = Nats.pub_all(conn, messages)
+    assert [{:error, {:too_large, 1_048_577, _max}}] = results |> Enum.at(6) |> List.wrap()
+    assert List.delete_at(results, 6) == List.duplicate(:ok, 199)
+
+    for n <- 1..200, n != 7 do
+      {topic, body} = {"together.#{n}", "#{n}"}
+      assert_receive {:msg, %{topic: ^topic, body: ^body}}
+    end
+
+    refute_received {:msg, _more}
+    assert Nats.pub_all(conn, []) == []
+  end
+
   test "without a connection nothing exits", %{conn: conn} do
     Process.unlink(conn)
     Process.exit(conn, :kill)
 
     for call <- [
           &Nats.pub(&1, "a", "b"),
+          &List.last(Nats.pub_all(&1, [{"a", "b"}, {"c", "d"}])),
           &Nats.sub(&1, self(), "a"),
           &Nats.request(&1, "a", "b", receive_timeout: 1_000),
           &KV.get(&1, "bucket", "a"),

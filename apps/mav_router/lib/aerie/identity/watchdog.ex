@@ -44,46 +44,36 @@ defmodule Aerie.Identity.Watchdog do
   """
   @spec silent(Names.gateway(), term()) :: [tag()]
   def silent(gateway, key) do
-    case read(gateway) do
-      nil -> [{:watchdog, nil}]
-      {answers, deadman_ms} -> late([{:watchdog, nil}, {:events, key} | @needed], answers, now(), deadman_ms)
-    end
-  end
-
-  @doc "See `Aerie.Identity.status/1`."
-  @spec status(Names.gateway()) :: %{alive: boolean(), silent: [tag()], deadman_ms: pos_integer() | nil}
-  def status(gateway) do
-    case read(gateway) do
-      nil ->
-        %{alive: false, silent: [{:watchdog, nil}], deadman_ms: nil}
-
-      {answers, deadman_ms} ->
-        now = now()
-        needed = late([{:watchdog, nil} | @needed], answers, now, deadman_ms)
-        others = for {tag, {at, _}} <- answers, tag not in needed, now - at > deadman_ms, do: tag
-        %{alive: needed == [], silent: Enum.sort(needed ++ others), deadman_ms: deadman_ms}
-    end
-  end
-
-  @doc "Whether any process has not answered in time."
-  @spec any_silent?(Names.gateway()) :: boolean()
-  def any_silent?(gateway) do
-    case read(gateway) do
-      nil -> true
-      {answers, deadman_ms} -> Enum.any?(answers, fn {_tag, {at, _}} -> now() - at > deadman_ms end)
-    end
-  end
-
-  # All answers; nil while nobody asks.
-  defp read(gateway) do
-    Names.read(gateway, :watchdog, nil, fn {table, deadman_ms} ->
-      {for({tag, at, answered} <- :ets.tab2list(table), into: %{}, do: {tag, {at, answered}}), deadman_ms}
+    Names.read(gateway, :watchdog, [{:watchdog, nil}], fn {table, deadman_ms} ->
+      late([{:watchdog, nil}, {:events, key} | @needed], table, now() - deadman_ms)
     end)
   end
 
   # A process that has never answered is late: a heartbeat says what is known.
-  defp late(tags, answers, now, deadman_ms),
-    do: Enum.reject(tags, &match?(%{^&1 => {at, true}} when now - at <= deadman_ms, answers))
+  defp late(tags, table, since),
+    do: Enum.reject(tags, &match?([{_tag, at, true}] when at >= since, :ets.lookup(table, &1)))
+
+  @doc "See `Aerie.Identity.status/1`."
+  @spec status(Names.gateway()) :: %{alive: boolean(), silent: [tag()], deadman_ms: pos_integer() | nil}
+  def status(gateway) do
+    absent = %{alive: false, silent: [{:watchdog, nil}], deadman_ms: nil}
+
+    Names.read(gateway, :watchdog, absent, fn {table, deadman_ms} ->
+      since = now() - deadman_ms
+      needed = late([{:watchdog, nil} | @needed], table, since)
+      others = for {tag, at, _} <- :ets.tab2list(table), tag not in needed, at < since, do: tag
+      %{alive: needed == [], silent: Enum.sort(needed ++ others), deadman_ms: deadman_ms}
+    end)
+  end
+
+  @doc """
+  Whether any process had not answered in time when they were last asked. Each vehicle's heartbeat wants to know, so that nobody may have
+  to look at all answers.
+  """
+  @spec any_silent?(Names.gateway()) :: boolean()
+  def any_silent?(gateway),
+    do:
+      Names.read(gateway, :watchdog, true, fn {table, _} -> :ets.lookup_element(table, :silent, 2, false) end)
 
   @impl GenServer
   def init(options) do
@@ -156,6 +146,7 @@ defmodule Aerie.Identity.Watchdog do
   # A process that has yet to answer for the first time is waited for, not complained of: a gateway that starts is no fault.
   defp tell(state) do
     %{silent: silent} = status(state.gateway)
+    :ets.insert(state.table, {:silent, silent != []})
     silent = Enum.reject(silent, &awaited?(state, &1))
     execute(state, :silent, silent -- state.silent)
     execute(state, :answering, state.silent -- silent)

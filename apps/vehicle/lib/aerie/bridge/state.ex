@@ -1,12 +1,15 @@
 defmodule Aerie.Bridge.State do
   @doubtful_ms 30_000
+  @gather_ms 10
+  @at_once 64
 
   @moduledoc """
   Publishes vehicles' state: fire and forget, the newest value only.
 
   `put/5` runs in the vehicle's process. It encodes the message, puts it into a table with one entry per subject, and wakes
   this process if the entry is new. So a slow or absent NATS costs one value per subject, never a queue: a newer value
-  replaces the older one, which is counted as superseded. When NATS is back, the last value of each subject is published, also
+  replaces the older one, which is counted as superseded. A value is sent at once, or with all others #{@gather_ms} ms after the last
+  were: many vehicles' values then need few writes. When NATS is back, the last value of each subject is published, also
   if it was sent within the last #{div(@doubtful_ms, 1000)} seconds, because the lost connection may have dropped it. Older
   values are not sent again: another gateway may have published newer ones.
   """
@@ -91,14 +94,29 @@ defmodule Aerie.Bridge.State do
     Names.put_value(gateway, :bridge_state, {options[:settings].environment, origin})
     current = Connection.current(tables)
     conn = current && current.conn
-    {:ok, sweep(%{tables: tables, conn: conn, last_conn: conn})}
+    # `waiting`: subjects that are published together when `timer` ends; `published`: when the last ones were.
+    state = %{tables: tables, conn: conn, last_conn: conn, waiting: [], timer: nil, published: nil}
+    {:ok, sweep(state)}
   end
 
   @impl GenServer
   # Without a connection the mark stays, so that this subject causes no further messages. The sweep removes it.
   def handle_info({:publish, _subject}, %{conn: nil} = state), do: {:noreply, state}
 
-  def handle_info({:publish, subject}, state), do: {:noreply, publish(subject, state)}
+  def handle_info({:publish, subject}, %{timer: nil, published: last} = state) do
+    if last == nil or now() - last >= @gather_ms do
+      {:noreply, publish(state, [subject])}
+    else
+      timer = Process.send_after(self(), :gathered, last + @gather_ms, abs: true)
+      {:noreply, %{state | waiting: [subject], timer: timer}}
+    end
+  end
+
+  def handle_info({:publish, subject}, state),
+    do: {:noreply, %{state | waiting: [subject | state.waiting]}}
+
+  def handle_info(:gathered, %{waiting: waiting} = state),
+    do: {:noreply, publish(%{state | waiting: [], timer: nil}, Enum.reverse(waiting))}
 
   def handle_info({:bridge, :up, conn}, %{last_conn: conn} = state),
     do: {:noreply, sweep(%{state | conn: conn})}
@@ -127,44 +145,43 @@ defmodule Aerie.Bridge.State do
 
   def handle_info(_message, state), do: {:noreply, state}
 
-  defp sweep(%{conn: nil} = state), do: state
+  defp sweep(state),
+    do: publish(state, :ets.select(state.tables.values, [{{{:dirty, :"$1"}}, [], [:"$1"]}]))
 
-  defp sweep(state) do
-    subjects = :ets.select(state.tables.values, [{{{:dirty, :"$1"}}, [], [:"$1"]}])
-    Enum.reduce(subjects, state, &publish/2)
+  # Without a connection the marks stay.
+  defp publish(%{conn: nil} = state, _subjects), do: state
+  defp publish(state, []), do: %{state | published: now()}
+
+  defp publish(%{tables: %{values: values}, conn: conn} = state, subjects) do
+    {some, others} = Enum.split(subjects, @at_once)
+
+    # The mark goes first, so that a value that comes after the take sets a new one.
+    messages =
+      for subject <- some,
+          :ets.delete(values, {:dirty, subject}),
+          message <- :ets.take(values, subject),
+          do: message
+
+    results = Nats.pub_all(conn, for({subject, body, _label} <- messages, do: {subject, body}))
+    messages |> Enum.zip(results) |> Enum.reduce(state, &published/2) |> publish(others)
   end
 
-  defp publish(_subject, %{conn: nil} = state), do: state
+  defp published({{subject, _body, label} = message, :ok}, %{tables: %{sent: sent} = tables} = state) do
+    Tables.count(tables, :published, subject: label)
+    if :ets.info(sent, :size) < @max_subjects, do: :ets.insert(sent, {subject, message, now()})
+    state
+  end
 
-  defp publish(subject, %{tables: %{values: values} = tables, conn: conn} = state) do
-    # The mark goes first, so that a value that comes after the take sets a new one.
-    :ets.delete(values, {:dirty, subject})
+  defp published({_message, {:error, {:too_large, _bytes, _max}}}, state) do
+    Tables.count(state.tables, :publish_errors)
+    state
+  end
 
-    case :ets.take(values, subject) do
-      [{^subject, body, label} = message] ->
-        case pub(conn, subject, body) do
-          :ok ->
-            Tables.count(tables, :published, subject: label)
-
-            if :ets.info(tables.sent, :size) < @max_subjects,
-              do: :ets.insert(tables.sent, {subject, message, now()})
-
-            state
-
-          {:error, :gone} ->
-            put_back(values, message)
-            Tables.count(tables, :publish_errors)
-            Process.send_after(self(), :look_again, @look_again_ms)
-            %{state | conn: nil}
-
-          {:error, :refused} ->
-            Tables.count(tables, :publish_errors)
-            state
-        end
-
-      [] ->
-        state
-    end
+  defp published({message, {:error, _gone}}, %{tables: tables} = state) do
+    put_back(tables.values, message)
+    Tables.count(tables, :publish_errors)
+    if state.conn != nil, do: Process.send_after(self(), :look_again, @look_again_ms)
+    %{state | conn: nil}
   end
 
   defp doubtful(%{sent: sent, values: values}) do
@@ -173,14 +190,6 @@ defmodule Aerie.Bridge.State do
         do: put_back(values, message)
 
     :ets.delete_all_objects(sent)
-  end
-
-  defp pub(conn, subject, body) do
-    case Nats.pub(conn, subject, body) do
-      :ok -> :ok
-      {:error, {:too_large, _bytes, _max}} -> {:error, :refused}
-      {:error, _reason} -> {:error, :gone}
-    end
   end
 
   # Unless there is already a newer value.

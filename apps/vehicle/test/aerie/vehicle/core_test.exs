@@ -480,6 +480,11 @@ defmodule Aerie.Vehicle.CoreTest do
     assert shown.(start() |> beat(10) |> step({:vehicles, 10}) |> each.()) in 10..13
     # Frames that are read together are shown together.
     assert shown.(start() |> beat(10) |> step({:vehicles, 1}) |> frames(attitudes)) == 2
+    # 20 a second until there are 200 vehicles, then 4,000 of all.
+    slowly = Enum.map(attitudes, &%{&1 | at: 10 * @second + 10 * (&1.at - 10 * @second)})
+    a_second = fn run -> Enum.reduce(slowly, run, &frames(&2, [&1])) end
+    assert shown.(start() |> beat(10) |> step({:vehicles, 200}) |> a_second.()) in 20..24
+    assert shown.(start() |> beat(10) |> step({:vehicles, 400}) |> a_second.()) in 10..13
     run = start() |> beat(10) |> step({:vehicles, 1000}) |> each.()
     assert shown.(run) <= 4
     before = shown.(run)

@@ -3,9 +3,11 @@ defmodule Aerie.Vehicle.Core.Shown do
   How often a vehicle's snapshot is written to the store, and what it shows of `Aerie.Vehicle.Core.Services`. A pure value.
   """
 
-  # Of all vehicles together the store is written a thousand times a second, but of each at least twenty times.
+  # Of all vehicles together the store is written a thousand times a second, but of each at least twenty times while that is no more
+  # than four thousand.
   @each_us 1_000
   @longest_us 50_000
+  @many_us 250
   @view_us 400_000
 
   defstruct at: nil, every_us: @longest_us, view: nil, viewed_at: nil
@@ -20,7 +22,8 @@ defmodule Aerie.Vehicle.Core.Shown do
 
   @doc "The gateway has so many vehicles: the more, the less often each is shown."
   @spec vehicles(t(), non_neg_integer()) :: t()
-  def vehicles(shown, n), do: %{shown | every_us: min(max(n, 1) * @each_us, @longest_us)}
+  def vehicles(shown, n),
+    do: %{shown | every_us: (max(n, 1) * @each_us) |> min(@longest_us) |> max(n * @many_us)}
 
   @doc "The next one is due at once."
   @spec due(t()) :: t()

@@ -17,9 +17,12 @@ defmodule Aerie.Vehicle.Links.HighLatency do
   @control_high_latency MavCmd.value(:MAV_CMD_CONTROL_HIGH_LATENCY)
   @max_links 32
 
-  defstruct links: %{}
+  defstruct links: %{}, high: []
 
-  @typedoc "By link: whether it is configured so, and when the vehicle's last summary and last heartbeat came by it."
+  @typedoc """
+  By link: whether it is configured so, and when the vehicle's last summary and last heartbeat came by it. `high` are those that follow from
+  it to be high-latency links, which every tick asks for.
+  """
   @type t :: %__MODULE__{
           links: %{
             term() => %{
@@ -27,17 +30,26 @@ defmodule Aerie.Vehicle.Links.HighLatency do
               summary: integer() | nil,
               heartbeat: integer() | nil
             }
-          }
+          },
+          high: [term()]
         }
 
   @doc "Nothing known, or what a snapshot's `high_latency` showed `at` a time."
   @spec new(map() | nil, integer() | nil) :: t()
   def new(shown \\ nil, at \\ nil)
 
-  def new(%{links: links}, at), do: %__MODULE__{links: Map.new(links, &{&1, %{entry() | summary: at}})}
+  def new(%{links: links}, at), do: with_links(Map.new(links, &{&1, %{entry() | summary: at}}))
   def new(_nothing, _at), do: %__MODULE__{}
 
   defp entry, do: %{configured: false, summary: nil, heartbeat: nil}
+
+  defp with_links(links),
+    do: %__MODULE__{links: links, high: Enum.sort(for {link, entry} <- links, high?(entry), do: link)}
+
+  defp high?(%{configured: true}), do: true
+  defp high?(%{summary: nil}), do: false
+  defp high?(%{heartbeat: nil}), do: true
+  defp high?(%{summary: summary, heartbeat: heartbeat}), do: summary - heartbeat > Rules.silent_us()
 
   @doc "A link is, or is not, configured as a high-latency link."
   @spec configured(t(), term(), boolean()) :: t()
@@ -64,71 +76,61 @@ defmodule Aerie.Vehicle.Links.HighLatency do
   def shifted(high, step), do: times(high, &(&1 + step))
 
   defp times(high, fun) do
-    links =
+    with_links(
       Map.new(high.links, fn {link, %{summary: summary, heartbeat: heartbeat} = entry} ->
         {link, %{entry | summary: summary && fun.(summary), heartbeat: heartbeat && fun.(heartbeat)}}
       end)
-
-    %{high | links: links}
+    )
   end
 
   defp update(%{links: links} = high, link, fun) do
     if is_map_key(links, link) or map_size(links) < @max_links,
-      do: %{high | links: Map.put(links, link, fun.(Map.get(links, link, entry())))},
+      do: with_links(Map.put(links, link, fun.(Map.get(links, link, entry())))),
       else: high
   end
 
   @doc "Whether a link is a high-latency link."
   @spec high_latency?(t(), term()) :: boolean()
-  def high_latency?(%{links: links}, link) do
-    case links do
-      %{^link => %{configured: true}} -> true
-      %{^link => %{summary: nil}} -> false
-      %{^link => %{heartbeat: nil}} -> true
-      %{^link => %{summary: summary, heartbeat: heartbeat}} -> summary - heartbeat > Rules.silent_us()
-      _ordinary -> false
-    end
-  end
+  def high_latency?(%{high: high}, link), do: link in high
 
-  @doc "The high-latency links."
+  @doc "The high-latency links, sorted."
   @spec links(t()) :: [term()]
-  def links(high),
-    do: for({link, _entry} <- high.links, high_latency?(high, link), do: link) |> Enum.sort()
+  def links(%{high: high}), do: high
 
   @doc """
   Whether a vehicle can only be reached by high-latency links: it has one, and no other link has heard it within `lost_us`.
   `heard` has the time at which each link last heard it.
   """
   @spec only?(t(), [{term(), integer() | nil}], integer(), pos_integer()) :: boolean()
+  def only?(%{high: []}, _heard, _now, _lost_us), do: false
+
   def only?(high, heard, now, lost_us) do
-    links(high) != [] and
-      not Enum.any?(heard, fn {link, at} ->
-        at != nil and now - at < lost_us and not high_latency?(high, link)
-      end)
+    not Enum.any?(heard, fn {link, at} ->
+      at != nil and now - at < lost_us and not high_latency?(high, link)
+    end)
   end
 
   @doc "When a high-latency link last heard the vehicle; nil for never."
   @spec last(t()) :: integer() | nil
   def last(high) do
     times =
-      for {link, entry} <- high.links,
-          high_latency?(high, link),
-          do: max(entry.summary || 0, entry.heartbeat || 0)
+      for link <- high.high,
+          %{summary: summary, heartbeat: heartbeat} = high.links[link],
+          do: max(summary || 0, heartbeat || 0)
 
-    if times != [], do: Enum.max(times)
+    Enum.max(times, fn -> nil end)
   end
 
   @doc """
   By which link to send what is not for high-latency links: `:any` if no link is one, `:none` if all are.
   """
   @spec other_link(t(), [{term(), integer() | nil}]) :: :any | {:link, term()} | :none
-  def other_link(high, heard) do
-    others = Enum.reject(heard, fn {link, _at} -> high_latency?(high, link) end)
+  def other_link(%{high: []}, _heard), do: :any
 
-    cond do
-      links(high) == [] -> :any
-      others == [] -> :none
-      true -> {:link, others |> Enum.max_by(fn {_link, at} -> at || 0 end) |> elem(0)}
+  def other_link(high, heard) do
+    case Enum.reject(heard, fn {link, _at} -> high_latency?(high, link) end) do
+      [] -> :none
+      others -> {:link, others |> Enum.max_by(fn {_link, at} -> at || 0 end) |> elem(0)}
     end
   end
 

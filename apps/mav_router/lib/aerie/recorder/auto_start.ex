@@ -40,7 +40,7 @@ defmodule Aerie.Recorder.AutoStart do
 
   @impl GenServer
   def handle_info({:fleet, :roster, id}, state) do
-    with %{key: key} <- Store.vehicle(state.gateway, id), do: ensure(state, key)
+    _ = with %{key: key} <- Store.vehicle(state.gateway, id), do: ensure(state, key)
     {:noreply, state}
   end
 

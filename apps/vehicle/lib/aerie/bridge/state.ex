@@ -180,7 +180,7 @@ defmodule Aerie.Bridge.State do
   defp published({message, {:error, _gone}}, %{tables: tables} = state) do
     put_back(tables.values, message)
     Tables.count(tables, :publish_errors)
-    if state.conn != nil, do: Process.send_after(self(), :look_again, @look_again_ms)
+    _ = if state.conn != nil, do: Process.send_after(self(), :look_again, @look_again_ms)
     %{state | conn: nil}
   end
 

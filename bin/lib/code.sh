@@ -63,14 +63,19 @@ code_known() {
 }
 
 code_copy() {
-  local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key
+  local build="$AERIE_ROOT/_build/$1" copies="$AERIE_ROOT/_build/run" key log
   key=$(cd "$build" && find -L . -path ./.mix -prune -o -path './lib/*/.mix' -prune -o -path './lib/*/consolidated' -prune -o -type f -print0 | sort -z |
     xargs -0 sha256sum | cat - "$AERIE_ROOT/config/config.exs" | sha256sum | cut -c 1-16)
   AERIE_CODE="$copies/$1-$key"
   export AERIE_CODE
   if [ ! -d "$AERIE_CODE" ]; then
     rm -rf "$copies/new"
-    (cd "$AERIE_ROOT" && MIX_ENV=$1 mix run --no-start --no-compile bin/lib/copy_code.exs "$copies/new") >&2
+    # Mix's remarks are not the program's output.
+    log="$AERIE_ROOT/_build/copy-$1.log"
+    (cd "$AERIE_ROOT" && MIX_ENV=$1 mix run --no-start --no-compile bin/lib/copy_code.exs "$copies/new") >"$log" 2>&1 || {
+      cat "$log" >&2
+      fail "the compiled code could not be copied" "see above" "make room on the disk, or remove _build/ and run this again"
+    }
     mv "$copies/new" "$AERIE_CODE"
   fi
   hold "$AERIE_CODE"

@@ -66,7 +66,7 @@ def main(url, firmware, system_id, parameter):
     say("params", len(everything.int_params) + len(everything.float_params))
     before = retried("one parameter", lambda: params.get_param_float(parameter))
     retried("setting it", lambda: params.set_param_float(parameter, before + 1.5))
-    say("set", params.get_param_float(parameter) == before + 1.5)
+    say("set", retried("reading it back", lambda: params.get_param_float(parameter)) == before + 1.5)
 
     missions = MissionRaw(system)
     lat, lon = int(position.latitude_deg * 1e7), int(position.longitude_deg * 1e7)

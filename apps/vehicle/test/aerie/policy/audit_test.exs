@@ -100,7 +100,7 @@ defmodule Aerie.Policy.AuditTest do
 
     capture_log(fn ->
       {second, _pid} = start(dir)
-      assert {:error, text} = Audit.append(second, %{"type" => "decision"})
+      assert {:error, text} = Audit.append(second, %{"type" => "decision"}, Aerie.Patience.ms())
       assert text =~ "in use by another gateway"
     end)
   end

@@ -68,7 +68,9 @@ defmodule Aerie.Vehicle.CommandsTest do
     assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 0}]}
     assert_receive {:transmit, [%M.CommandLong{command: 178, confirmation: 1}]}
     send(pid, ack(command: 178, result: 0))
-    assert {:ok, %{status: :accepted, details: %{"sent" => 2}}} = Task.await(task, Aerie.Patience.ms())
+    # A busy machine is heard later, and it is sent once more.
+    assert {:ok, %{status: :accepted, details: %{"sent" => sent}}} = Task.await(task, Aerie.Patience.ms())
+    assert sent >= 2
   end
 
   test "progress goes to whoever asked for it", %{gateway: gateway, pid: pid} do

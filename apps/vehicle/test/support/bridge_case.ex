@@ -273,14 +273,23 @@ defmodule Aerie.BridgeCase do
     events
   end
 
-  @doc "Waits until nothing is on its way: neither in the journal nor in the outbox."
-  @spec await_empty(reference()) :: :ok
-  def await_empty(gateway) do
-    # In this order: from the journal they go to the outbox.
-    Aerie.Patience.eventually(
-      fn -> Fleet.Journal.pending_size(gateway) == 0 and match?(%{events: 0}, outbox(gateway)) end,
-      fn -> "all events were confirmed: #{inspect(waiting(gateway), pretty: true, limit: 20)}" end
-    )
+  @doc "Waits until nothing is on its way: neither in the journal nor in the outbox. It goes on as long as events are confirmed."
+  @spec await_empty(reference(), left :: non_neg_integer() | :infinity) :: :ok
+  def await_empty(gateway, than \\ :infinity) do
+    fewer = fn ->
+      # In this order: from the journal they go to the outbox.
+      pending = Fleet.Journal.pending_size(gateway)
+
+      with %{events: stored} when pending + stored < than <- outbox(gateway),
+           do: {pending + stored},
+           else: (_ -> nil)
+    end
+
+    what = fn -> "events were confirmed: #{inspect(waiting(gateway), pretty: true, limit: 20)}" end
+
+    with {left} when left > 0 <- Aerie.Patience.eventually(fewer, what),
+         do: await_empty(gateway, left),
+         else: (_none -> :ok)
   end
 
   @doc "What events of a gateway wait for, for a test that failed."
@@ -290,7 +299,11 @@ defmodule Aerie.BridgeCase do
 
     state =
       with pid when is_pid(pid) <- Aerie.Names.whereis(gateway, :bridge_events),
-           do: pid |> :sys.get_state() |> Map.take([:window, :conn, :problem, :refusal, :stall, :silent?])
+           do:
+             pid
+             |> :sys.get_state()
+             |> Map.take([:conn, :problem, :refusal, :stall, :silent?, :window])
+             |> shown()
 
     %{
       pending: Fleet.Journal.pending_size(gateway),
@@ -299,6 +312,16 @@ defmodule Aerie.BridgeCase do
       problem: Bridge.Tables.problem(tables),
       events: state
     }
+  end
+
+  defp shown(%{window: window} = state) do
+    now = System.monotonic_time(:millisecond)
+
+    sent =
+      for {_ref, {{key, _record}, at, tries}} <- window.in_flight,
+          do: %{key: key, ms_ago: now - at, tries: tries}
+
+    %{state | window: %{events: MapSet.size(window.keys), ready: :queue.len(window.ready), in_flight: sent}}
   end
 
   # As it is now: what the bridge shows of it is up to half a second old.

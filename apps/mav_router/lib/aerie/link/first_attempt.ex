@@ -6,8 +6,8 @@ defmodule Aerie.Link.FirstAttempt do
 
   alias Aerie.Link.Spec
 
-  # A slow name server must not hold up who starts the link: it goes on trying.
-  @wait_ms 5_000
+  # A slow name server must not hold up who starts the link: it goes on trying. A busy machine needs seconds to find out who has a port.
+  @wait_ms 15_000
 
   @doc """
   Calls `start` with what `Aerie.Link.Server.start_link/1` takes as `:notify`. `{:failed, id, text}`: the link was started,

@@ -80,6 +80,7 @@ defmodule Aerie.System.OperationsTest do
         case rest(c, :post, "vehicles/#{id}/commands", %{"type" => type, "params" => params}) do
           {200, %{"result" => result}} -> result in ["accepted", "completed"]
           {504, %{"result" => "timeout", "acknowledged" => false}} -> false
+          {410, %{"result" => "expired", "sent" => 0}} -> false
         end
       end,
       "#{id} takes #{type}"

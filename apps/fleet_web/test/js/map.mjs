@@ -90,6 +90,7 @@ const tasks = {
     // Following, until the map is moved.
     await page.keyboard.press("Escape");
     await page.click("#vehicle-VID-1 td[data-label=Mode]");
+    await until("VID-1 alone again", async () => (await selected(page)).join() === "VID-1");
     await page.click("[data-tool=follow]");
     const off = () => page.evaluate(() => {
       const { map, fleet } = document.querySelector("#fleet-map").fleetMap;

@@ -12,8 +12,8 @@ defmodule Aerie.System.SerialTest do
     use GenServer
 
     def start_link(peer_options), do: GenServer.start_link(__MODULE__, peer_options)
-    def port(shovel), do: GenServer.call(shovel, :port)
-    def peer(shovel), do: GenServer.call(shovel, :peer)
+    def port(shovel), do: GenServer.call(shovel, :port, Aerie.Patience.ms())
+    def peer(shovel), do: GenServer.call(shovel, :peer, Aerie.Patience.ms())
 
     @impl GenServer
     def init(peer_options) do

@@ -72,10 +72,10 @@ defmodule Aerie.Link.PortOwner do
 
   defp program(targets) do
     deadline = System.monotonic_time(:millisecond) + @patience_ms
-    in_time? = fn _descriptor -> System.monotonic_time(:millisecond) < deadline end
-    descriptors = pids() |> own_first() |> Stream.flat_map(&descriptors/1) |> Stream.take_while(in_time?)
+    in_time? = fn _pid -> System.monotonic_time(:millisecond) < deadline end
 
-    with {pid, _file} <- Enum.find(descriptors, &(target(&1) in targets)),
+    with pid when pid != nil <-
+           pids() |> own_first() |> Stream.take_while(in_time?) |> Enum.find(&holds?(&1, targets)),
          {:ok, name} <- name(pid) do
       {:ok, name, pid}
     else
@@ -119,17 +119,17 @@ defmodule Aerie.Link.PortOwner do
         do: "socket:[#{inode}]"
   end
 
-  defp holds?(pid, targets), do: Enum.any?(descriptors(pid), &(target(&1) in targets))
+  defp holds?(pid, targets) do
+    folder = "/proc/#{pid}/fd"
 
-  defp descriptors(pid) do
-    case File.ls("/proc/#{pid}/fd") do
-      {:ok, names} -> for name <- names, do: {pid, "/proc/#{pid}/fd/#{name}"}
-      {:error, _gone_or_foreign} -> []
+    case File.ls(folder) do
+      {:ok, names} -> Enum.any?(names, &(target(folder, &1) in targets))
+      {:error, _gone_or_foreign} -> false
     end
   end
 
-  defp target({_pid, file}) do
-    with {:ok, target} <- File.read_link(file),
+  defp target(folder, name) do
+    with {:ok, target} <- File.read_link(Path.join(folder, name)),
          do: target,
          else: (_closed_meanwhile -> nil)
   end

@@ -187,7 +187,15 @@ defmodule Aerie.Router.Deliver do
     case Admission.keep(key, frames, delivery) do
       :kept -> %{@nothing | delivered: length(frames)}
       {:ok, session} -> pass(frames, key, session, delivery)
-      :none -> hold(frames, key, delivery)
+      :none -> hold_or_pass(frames, key, delivery)
+    end
+  end
+
+  # Its session may have taken its name and its first frames since it was looked for.
+  defp hold_or_pass(frames, key, delivery) do
+    case session(key, delivery) do
+      nil -> hold(frames, key, delivery)
+      session -> pass(frames, key, session, delivery)
     end
   end
 

@@ -81,15 +81,16 @@ defmodule Aerie.Vehicle.Session do
   # A link on which the vehicle was heard is connected again (`Aerie.Link.Reconnected`).
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
-  def handle_info({:timeout, _timer, :tick}, state) do
+  def handle_info({:timeout, _timer, {:tick, due}}, state) do
     schedule_tick()
-    handle_info(:tick, state)
+    handle_info({:tick, due}, state)
   end
 
-  def handle_info(:tick, state) do
+  # Time as it was when the tick came: frames that wait behind it came later, so a busy process takes no vehicle for lost.
+  def handle_info({:tick, due}, state) do
     state = check_host_clock(state)
 
-    case expected(state.clock) do
+    case expected(state.clock, due) do
       # Nothing was heard yet, so there is no time.
       nil -> {:noreply, state}
       now -> {:noreply, state |> step({:tick, now}) |> look_around(now)}
@@ -156,7 +157,7 @@ defmodule Aerie.Vehicle.Session do
     do: Enum.each(listeners, fn {pid, _wants} -> send(pid, what) end)
 
   # Not :timer.send_interval/2: all ticks would pass through its one process, a thousand a second for a hundred vehicles.
-  defp schedule_tick, do: :erlang.start_timer(@tick_ms, self(), :tick)
+  defp schedule_tick, do: :erlang.start_timer(@tick_ms, self(), {:tick, monotonic() + @tick_ms * 1_000})
 
   # Once a second: what other processes have written to the tables.
   defp look_around(%{ticks: ticks} = state, _now) when rem(ticks, @look_around_ticks) != 0,
@@ -219,12 +220,13 @@ defmodule Aerie.Vehicle.Session do
   # A live frame should have about the present time. It has not if two links disagree or the process slept. Frames that
   # waited in the mailbox are older, but not by seconds.
   defp check_frame_time(state, at) do
-    expected = expected(state.clock)
+    expected = expected(state.clock, monotonic())
     if expected != nil and abs(at - expected) > @clock_set_us, do: step(state, {:rebase, at}), else: state
   end
 
-  defp expected(nil), do: nil
-  defp expected({at, then, speed}), do: at + round((monotonic() - then) * speed)
+  defp expected(nil, _moment), do: nil
+  # A tick that waited behind a frame is no older than the frame.
+  defp expected({at, then, speed}, moment), do: at + round(max(moment - then, 0) * speed)
 
   defp step(state, event) do
     {core, actions} = Vehicle.Core.handle(state.core, event)

@@ -183,7 +183,7 @@ defmodule Aerie.Vehicle.SessionTest do
       deliver(gateway, [frame(@copter, at(2))])
       settle(gateway, {"main", 1})
       set_clock(gateway, at(3_600))
-      send(Names.whereis(gateway, :session, {"main", 1}), :tick)
+      send(Names.whereis(gateway, :session, {"main", 1}), {:tick, System.monotonic_time(:microsecond)})
       settle(gateway, {"main", 1})
 
       assert :sys.get_state(Names.via(gateway, :session, {"main", 1}), Aerie.Patience.ms()).core.last_heard ==
@@ -199,6 +199,29 @@ defmodule Aerie.Vehicle.SessionTest do
     Process.exit(Names.whereis(gateway, :session, {"main", 1}), :kill)
     assert_receive {:fleet, :events, %{type: "link.lost"}}
     refute_receive {:fleet, :events, %{type: "link.lost"}}, 300
+  end
+
+  test "a session that was kept from running takes no vehicle for lost whose frames wait in its mailbox" do
+    gateway = gateway(%{timeouts: %{vehicle_stale_s: 30.0, vehicle_lost_s: 60.0}})
+    PubSub.subscribe(gateway, :events)
+    deliver(gateway, [frame(@copter, at(1))])
+    settle(gateway, {"main", 1})
+    session = Names.whereis(gateway, :session, {"main", 1})
+    :sys.suspend(session)
+    # A tick waits; the frame after it comes 59.9 s after the first one.
+    eventually(fn -> Process.info(session, :message_queue_len) != {:message_queue_len, 0} end)
+    since = System.monotonic_time(:microsecond) - at(59) - 900_000
+
+    :sys.replace_state(session, fn %{clock: {at, _then, speed}} = state ->
+      %{state | clock: {at, since, speed}}
+    end)
+
+    deliver(gateway, [frame(@copter, at(60) + 900_000)])
+    eventually(fn -> System.monotonic_time(:microsecond) - since > at(60) end)
+    :sys.resume(session)
+    settle(gateway, {"main", 1})
+    assert Store.vehicle(gateway, {"main", 1}).last_heard == at(60) + 900_000
+    refute_received {:fleet, :events, %{type: "link.lost"}}
   end
 
   describe "killed while three vehicles fly" do

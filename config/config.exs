@@ -9,7 +9,7 @@ if config_env() == :test do
 
   # What a test waits for comes at once on an idle machine. This is for busy ones, and guards against hanging: nothing is
   # measured by it, and it costs nothing when what is awaited comes (Aerie.Patience).
-  config :ex_unit, assert_receive_timeout: 60_000, timeout: 1_200_000
+  config :ex_unit, assert_receive_timeout: 180_000, timeout: 1_200_000
 end
 
 if config_env() == :prod do

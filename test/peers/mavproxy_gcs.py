@@ -108,8 +108,11 @@ def flight(p, firmware, system, parameter, folder):
         f.write("QGC WPL 110\n")
         for n, (command, frame, x, y, z) in enumerate(rows):
             f.write("%d\t%d\t%d\t%d\t0\t0\t0\t0\t%.8f\t%.8f\t%.6f\t1\n" % (n, n == 0, frame, command, x, y, z))
-    p.type("wp load %s" % up)
-    p.see(r"Got MISSION_ACK: TYPE_MISSION: ACCEPTED|Sent all \d+ waypoints")
+    # On a busy machine the vehicle repeats its questions, MAVProxy answers each, and the vehicle gives up (C2).
+    for _ in range(10):
+        p.type("wp load %s" % up)
+        if not p.see(r"Got MISSION_ACK: TYPE_MISSION: (ACCEPTED|ERROR|OPERATION_CANCELLED)|Sent all \d+ waypoints").group(1) in ("ERROR", "OPERATION_CANCELLED"):
+            break
     p.type("wp save %s" % down)
     p.see(r"Saved \d+ waypoints")
     with open(down) as f:

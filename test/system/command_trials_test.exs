@@ -35,11 +35,11 @@ defmodule Aerie.System.CommandTrialsTest do
 
     if way.done?.(row) do
       if row.hears && !row.does, do: assert_heard(%{row | hears: way.hears.(row)})
-      if row.does, do: assert(SimVehicle.await(context.sim, row.does, 60_000), row.type)
+      if row.does, do: assert(SimVehicle.await(context.sim, row.does), row.type)
     end
 
     %{seconds: now} = SimVehicle.state(context.sim)
-    SimVehicle.await(context.sim, &(&1.seconds >= now + row.lasts_s), 60_000)
+    SimVehicle.await(context.sim, &(&1.seconds >= now + row.lasts_s))
   end
 
   defp start(context, firmware, speed \\ 5.0) do
@@ -194,7 +194,14 @@ defmodule Aerie.System.CommandTrialsTest do
       flight = start(context, unquote(firmware))
 
       for row <- CommandTrials.rows(unquote(firmware)) do
-        assert %{status: :denied, details: %{"rule" => "role"}} = submit(flight, row, @guest), row.type
+        # On a busy machine its deadline may pass before the door looks at it.
+        result =
+          eventually(fn ->
+            result = submit(flight, row, @guest)
+            result.status != :expired && result
+          end)
+
+        assert %{status: :denied, details: %{"rule" => "role"}} = result, row.type
       end
     end
 

@@ -41,7 +41,10 @@ defmodule Aerie.System.ComponentParamsTest do
 
   defp nats(%{conn: conn}, operation, body) do
     subject = "fleet.test.VID-001.#{operation}"
-    {:ok, %{body: reply}} = Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: 60_000)
+
+    {:ok, %{body: reply}} =
+      Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: Aerie.Patience.ms())
+
     JSON.decode!(reply)
   end
 

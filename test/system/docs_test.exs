@@ -7,7 +7,6 @@ defmodule Aerie.System.DocsTest do
   @root Path.expand("../..", __DIR__)
 
   @tag :long
-  @tag timeout: 600_000
   test "the documentation is made without a warning, and complete in itself", %{tmp_dir: dir} do
     assert {_output, 0} = System.cmd(Path.join(@root, "bin/docs"), [dir], stderr_to_stdout: true)
     pages = Map.new(Path.wildcard(Path.join(dir, "*.html")), &{Path.basename(&1), File.read!(&1)})

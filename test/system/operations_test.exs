@@ -59,7 +59,10 @@ defmodule Aerie.System.OperationsTest do
 
   defp nats(%{conn: conn, gateway: gateway}, action, body) do
     subject = "fleet.test.#{Bridge.name(gateway)}.operation.#{action}"
-    {:ok, %{body: reply}} = Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: 60_000)
+
+    {:ok, %{body: reply}} =
+      Gnat.request(conn, subject, JSON.encode!(body), receive_timeout: Aerie.Patience.ms())
+
     JSON.decode!(reply)
   end
 

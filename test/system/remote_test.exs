@@ -328,7 +328,7 @@ defmodule Aerie.System.RemoteTest do
     results =
       hubs
       |> Enum.map(&Task.async(fn -> command(&1, "arm", %{}, id: "both") end))
-      |> Task.await_many(60_000)
+      |> Task.await_many(Aerie.Patience.ms())
 
     for result <- results, do: assert(%{status: :completed} = result)
     assert [%{"command" => "arm", "decision" => "allow"}] = done(folder, "both")
@@ -369,7 +369,7 @@ defmodule Aerie.System.RemoteTest do
 
     # It falls silent for the hub after lost_s.
     assert %{status: :unknown, reason: "the gateway gateway-VID-001 fell silent" <> _} =
-             Task.await(under_way, 60_000)
+             Task.await(under_way, Aerie.Patience.ms())
 
     # Another one is refused at once.
     assert %{status: :failed, details: %{"rule" => "unreachable"}} = command(hub, "set_mode", %{mode: "RTL"})

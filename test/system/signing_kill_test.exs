@@ -10,7 +10,6 @@ defmodule Aerie.System.SigningKillTest do
     only: [eventually: 2, eventually: 3, free_tcp_port: 0, free_udp_port: 0, short_dir: 0]
 
   @moduletag :tmp_dir
-  @moduletag timeout: 300_000
 
   @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)

@@ -97,7 +97,9 @@ defmodule Aerie.System.TransferFacesTest do
     headers =
       if key, do: [{"Aerie-Signature", Signature.sign(key, subject, body, DateTime.utc_now())}], else: []
 
-    {:ok, %{body: reply}} = Gnat.request(conn, subject, body, headers: headers, receive_timeout: 60_000)
+    {:ok, %{body: reply}} =
+      Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
+
     JSON.decode!(reply)
   end
 
@@ -275,7 +277,7 @@ defmodule Aerie.System.TransferFacesTest do
     assert_receive {:msg, %{body: body}}
     assert %{"phase" => "reading", "total" => 700_000} = JSON.decode!(body)
     assert %{"result" => "accepted"} = nats(c, "cmd.cancel", %{"id" => "r1"})
-    assert %{"result" => "cancelled"} = Task.await(read, 60_000)
+    assert %{"result" => "cancelled"} = Task.await(read, Aerie.Patience.ms())
 
     socket = begun(c)
     :ok = :gen_tcp.close(socket)

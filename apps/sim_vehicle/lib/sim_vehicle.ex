@@ -49,7 +49,7 @@ defmodule SimVehicle do
   `timeout` ms of real time. The function runs in the vehicle's process.
   """
   @spec await(sim, (SimVehicle.View.t() -> term), timeout) :: term
-  def await(sim, fun, timeout \\ 30_000), do: GenServer.call(sim, {:await, fun}, timeout)
+  def await(sim, fun, timeout \\ 180_000), do: GenServer.call(sim, {:await, fun}, timeout)
 
   @doc "Sends `{:sim, pid, event}` (`t:SimVehicle.Vehicle.event/0`) to the caller from now on."
   @spec subscribe(sim) :: :ok

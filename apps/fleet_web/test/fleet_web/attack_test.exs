@@ -246,7 +246,7 @@ defmodule FleetWeb.AttackTest do
         ] do
       Task.async(fn -> assert trickle(port, head, drop) =~ "HTTP/1.1 " end)
     end
-    |> Task.await_many(60_000)
+    |> Task.await_many(Aerie.Patience.ms())
   end
 
   test "connections have a limit; a waiting one is served when another ends" do

@@ -161,7 +161,9 @@ defmodule SimVehicle.ServerTest do
       SimVehicle.subscribe(sim)
       :ok = SimVehicle.reboot(sim)
       assert_receive {:sim, ^sim, :rebooting}
-      assert SimVehicle.state(sim).off
+      # A busy machine looks when that is over already.
+      assert %{off: off?, boots: boots} = SimVehicle.state(sim)
+      assert off? or boots == 2
       assert SimVehicle.await(sim, &(&1.boots == 2))
       {%{time_boot_ms: _ms}, peer} = Peer.await(peer, M.SystemTime, &(&1.time_boot_ms < 1500))
       read = %M.ParamRequestRead{target_system: 1, target_component: 1, param_index: -1, param_id: "RTL_ALT"}
@@ -262,7 +264,7 @@ defmodule SimVehicle.ServerTest do
         })
 
       {%{command: 176, result: 0}, _peer} = Peer.await(peer, M.CommandAck)
-      assert {:reply, seconds} = :gen_server.receive_response(request, 60_000)
+      assert {:reply, seconds} = :gen_server.receive_response(request, 180_000)
       assert seconds > 29
     end
   end

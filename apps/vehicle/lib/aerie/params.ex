@@ -153,7 +153,7 @@ defmodule Aerie.Params do
          {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
       transfer = %{
         lanes: [:params],
-        timeout_ms: @one_ms,
+        timeout_ms: if(component, do: @component_ms, else: @one_ms),
         share: {:param, component, name},
         start: fn context, until ->
           target = Component.target(context, component)

@@ -188,7 +188,7 @@ defmodule Aerie.BridgeCase do
   @spec log_in(map()) :: {:ok, pid()} | {:error, term()}
   def log_in(settings) do
     with {:ok, conn} <- Aerie.Nats.connect(settings),
-         {:ok, _info} <- Aerie.Nats.request(conn, "$JS.API.INFO", "", receive_timeout: 30_000),
+         {:ok, _info} <- Aerie.Nats.request(conn, "$JS.API.INFO", "", receive_timeout: Aerie.Patience.ms()),
          do: {:ok, conn}
   end
 

@@ -189,7 +189,7 @@ defmodule Aerie.HubServer do
       auth_required: true,
       no_responders: true,
       tls: true,
-      connection_timeout: 20_000,
+      connection_timeout: Aerie.Patience.ms(),
       ssl_opts: [verify: :verify_peer, cacertfile: Path.join(hub.set, "ca.pem")]
     }
   end

@@ -32,6 +32,7 @@ defmodule Aerie.LossyVehicle do
             last: %{},
             done: %{},
             history: [],
+            told: [],
             cancelling: false,
             wrong: []
 
@@ -190,8 +191,10 @@ defmodule Aerie.LossyVehicle do
     end
   end
 
-  defp happen(world, {{:to_us, component, message}, _number}),
-    do: step(world, {:message, message, {1, component}, world.now})
+  defp happen(world, {{:to_us, component, %module{} = message}, _number}) do
+    world = %{world | told: [{world.now, module.id()} | world.told]}
+    step(world, {:message, message, {1, component}, world.now})
+  end
 
   defp happen(world, {{:state, changes, groups}, _number}) do
     # What was said before a reboot and comes after it is of another life.
@@ -467,6 +470,9 @@ defmodule Aerie.LossyVehicle do
     boots = world |> states(span) |> Enum.map(& &1.boots)
     Enum.max(boots) > Enum.min(boots)
   end
+
+  defp was_so?(world, %{type: "request_message", params: %{message_id: wanted}}, {from, to}),
+    do: Enum.any?(world.told, fn {at, told} -> told == wanted and at in from..to end)
 
   defp was_so?(world, command, span), do: Enum.any?(states(world, span), &met?(world, command, &1))
 

@@ -7,7 +7,6 @@ defmodule FleetWeb.Console.BrowserTest do
 
   @moduletag :chromium
   @moduletag :tmp_dir
-  @moduletag timeout: 600_000
 
   setup %{tmp_dir: dir} do
     [console: console] = start_console()

@@ -2,7 +2,6 @@ defmodule FleetWeb.Console.OpsBrowserTest do
   use FleetWeb.ConsoleCase, async: true
 
   @moduletag :chromium
-  @moduletag timeout: 300_000
 
   @tag Aerie.Browser.long()
   test "inspector, system and their neighbours, on a phone and on a desk" do

@@ -28,11 +28,11 @@ defmodule Aerie.Recorder.Archive do
 
   @doc """
   A new, empty file for the calling process, named `{label}-{UTC}.tlog`. It is not removed until `closed/2` or the end of the process.
-  `:low`: less than `min_free` is free; any other error is a text.
+  `:low`: less than `min_free` is free; any other error is a text. `wait_ms`: how long a slow disk is waited for.
   """
-  @spec new_file(Names.gateway(), String.t()) :: {:ok, Path.t()} | {:error, String.t() | :low}
-  def new_file(gateway, label) do
-    GenServer.call(Names.via(gateway, :recorder_archive), {:new_file, label}, @call_ms)
+  @spec new_file(Names.gateway(), String.t(), pos_integer) :: {:ok, Path.t()} | {:error, String.t() | :low}
+  def new_file(gateway, label, wait_ms) do
+    GenServer.call(Names.via(gateway, :recorder_archive), {:new_file, label}, wait_ms)
   catch
     :exit, _reason -> {:error, "the folder of recordings does not answer"}
   end

@@ -143,7 +143,7 @@ defmodule Aerie.Link.ClientsTest do
       eventually(fn -> Aerie.Link.snapshot(c.gateway, "radio").counters.frames_in >= last + 1 end)
     end
 
-    assert Task.await(counter, 60_000) == n
+    assert Task.await(counter, Aerie.Patience.ms()) == n
 
     stuck =
       eventually(fn ->

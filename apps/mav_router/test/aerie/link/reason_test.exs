@@ -17,6 +17,9 @@ defmodule Aerie.Link.ReasonTest do
     assert words(:eacces, "/dev/ttyACM0") ==
              "no permission for /dev/ttyACM0 (is the user in the group dialout?)"
 
+    asked = {GenServer, :call, [self(), {:open, "/dev/ttyACM0", 57_600}, 20_000]}
+    assert words({:timeout, asked}, "/dev/ttyACM0,57600") == "opening /dev/ttyACM0 takes too long"
+
     assert words(:eacces, "udpin::14") == "no permission for 0.0.0.0:14 (ports below 1024 need root)"
     assert words(:eaddrnotavail, "udpin:10.9.8.7:1") == "10.9.8.7:1 is not an address of this machine"
     assert words({:shutdown, :closed}, "tcp:1.2.3.4:5") == "connection closed by 1.2.3.4:5"

@@ -7,7 +7,7 @@ defmodule Aerie.Bridge.Server do
   owner can read them. A server that ends is restarted, at first immediately, then with growing pauses. A process that an
   earlier gateway left behind is ended first. A missing program, an unusable folder or a taken port is logged once and retried;
   meanwhile the gateway runs without NATS. A server that runs but stores nothing, as after a full disk, is restarted
-  when the disk has room (`Aerie.Bridge.Server.RestartPolicy`).
+  when the disk has room (`Aerie.Bridge.Server.RestartPolicy`); one that is still reading its store is left alone for five minutes.
 
   `Aerie.Bridge.info/1` has its address and status; changes also go to subscribers of `:bridge` and to
   telemetry (`[:aerie, :bridge, :server, :up | :down]`).
@@ -28,6 +28,10 @@ defmodule Aerie.Bridge.Server do
   @max_port_tries 100
   # How often the disk is checked while the server stores nothing.
   @look_ms 2_000
+  # A server that starts reads its store before it accepts connections, which takes long on a slow disk.
+  @starting_ms 300_000
+  # What has just come up is not to blame for what its clients waited for before.
+  @settled_ms 10_000
 
   @spec start_link(gateway: Names.gateway(), settings: Bridge.Settings.t()) :: GenServer.on_start()
   def start_link(options) do
@@ -64,6 +68,7 @@ defmodule Aerie.Bridge.Server do
        port: nil,
        status: :starting,
        started_at: nil,
+       up_at: nil,
        log: %LogFile{},
        backoff: Backoff.new(settings.nats.retry_min_ms, settings.nats.retry_max_ms),
        restarts: 0,
@@ -96,7 +101,8 @@ defmodule Aerie.Bridge.Server do
     {:noreply, state |> put_info(:down) |> start_later()}
   end
 
-  def handle_info({:stalled, text}, state), do: {:noreply, fault(text, state)}
+  def handle_info({:stalled, text}, state),
+    do: {:noreply, if(settled?(state), do: fault(text, state), else: state)}
 
   def handle_info(:look, %{port: port, restart_policy: %{fault: text}} = state)
       when port != nil and text != nil do
@@ -244,7 +250,7 @@ defmodule Aerie.Bridge.Server do
 
     # Who hears that it is up finds the file.
     write_url(state)
-    state = put_info(%{state | last_problem: nil}, :up)
+    state = put_info(%{state | last_problem: nil, up_at: now()}, :up)
 
     :telemetry.execute([:aerie, :bridge, :server, :up], %{restarts: state.restarts}, %{
       gateway: state.gateway,
@@ -270,6 +276,10 @@ defmodule Aerie.Bridge.Server do
   # Another program took the port between our check and the server's start. The next start checks again.
   defp fact(:port_taken, state), do: state
   defp fact(nil, state), do: state
+
+  defp settled?(%{port: nil}), do: false
+  defp settled?(%{status: :starting} = state), do: now() - state.started_at >= @starting_ms
+  defp settled?(state), do: now() - state.up_at >= @settled_ms
 
   defp fault(_text, %{port: nil} = state), do: state
   defp fault(_text, %{restart_policy: %{fault: known}} = state) when known != nil, do: state

@@ -180,9 +180,9 @@ defmodule Aerie.Bridge.EventsTest do
     assert Fleet.Journal.pending_size(gateway) == 10
     stop_bridge(gateway)
     start_bridge_again(gateway, config(dir, [{"outbox.dir", Path.join(dir, "file")}]))
-    conn = client(await_up(gateway))
+    await_up(gateway)
     eventually(fn -> Fleet.Journal.pending_size(gateway) == 0 end)
-    assert_complete(events(conn), ["A"], 10)
+    assert_complete(events(client(await_up(gateway))), ["A"], 10)
   end
 
   test "a stream that somebody deletes is made again, and what it did not take is sent again", %{tmp_dir: dir} do

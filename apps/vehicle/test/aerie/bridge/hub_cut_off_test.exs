@@ -178,7 +178,6 @@ defmodule Aerie.Bridge.HubCutOffTest do
   end
 
   @tag :long
-  @tag timeout: 300_000
   test "a vehicle is added to a hub of three servers, which are restarted one after the other", %{
     tmp_dir: dir
   } do

@@ -239,7 +239,8 @@ defmodule Aerie.Bridge.LastPublishedTest do
     }
 
     File.write!(file, JSON.encode!(%{"epoch" => 17, "vehicles" => vehicles}))
-    gateway = start_memory(dir, [{"timeouts.vehicle_lost_s", 6.0}, {"timeouts.vehicle_stale_s", 1.0}])
+    # Long enough for C to be heard in time on a busy machine.
+    gateway = start_memory(dir, [{"timeouts.vehicle_lost_s", 15.0}, {"timeouts.vehicle_stale_s", 1.0}])
     memory = Aerie.Names.whereis(gateway, :bridge_last_published)
     # C is heard again in time.
     assert %{vehicle: "C"} = Fleet.Journal.begin(gateway, "C", %{detector() | vehicle: "C"})

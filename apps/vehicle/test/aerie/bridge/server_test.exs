@@ -28,6 +28,23 @@ defmodule Aerie.Bridge.ServerTest do
     assert metric(gateway, "gateway_nats_server_restarts_total") == 1
   end
 
+  test "one that starts slowly is left alone, although it accepts no connection", %{tmp_dir: dir} do
+    gate = Path.join(dir, "gate")
+    {_, 0} = System.cmd("mkfifo", [gate])
+    slow = Path.join(dir, "slow-nats-server")
+    File.write!(slow, ~s(#!/bin/sh\nread -r go < "#{gate}"\nexec #{config(dir).nats.binary} "$@"\n))
+    File.chmod!(slow, 0o700)
+    gateway = start_bridge(config(dir, [{"nats.binary", slow}]))
+    await(gateway, :server, &(&1[:status] == :starting))
+    Bridge.Server.stalled(gateway, "it accepts no connection")
+    # It has taken note of it.
+    _ = :sys.get_state(Aerie.Names.whereis(gateway, :bridge_server), Aerie.Patience.ms())
+    assert %{fault: nil, status: :starting} = Bridge.info(gateway).server
+    File.write!(gate, "go\n")
+    await_up(gateway)
+    assert %{fault: nil, restarts: 0} = Bridge.info(gateway).server
+  end
+
   test "the process that keeps it killed, the old server goes and a new one comes", %{tmp_dir: dir} do
     gateway = start_bridge(config(dir))
     await_up(gateway)

@@ -102,10 +102,10 @@ defmodule Aerie.Bridge.StorageTest do
     # The server is not restarted before the metric was read.
     server = Aerie.Names.whereis(gateway, :bridge_server)
     :sys.suspend(server)
-    assert %{stalled: "NATS does not confirm events"} = await(gateway, :outbox, & &1[:stalled], 60_000)
+    assert %{stalled: "NATS does not confirm events"} = await(gateway, :outbox, & &1[:stalled])
     assert metric(gateway, "gateway_events_stalled_seconds") >= 10
     :sys.resume(server)
-    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up), 60_000)
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
     await_empty(gateway)
     eventually(fn -> Bridge.info(gateway).problem == nil end)
     assert server_pid(dir) != pid
@@ -119,7 +119,7 @@ defmodule Aerie.Bridge.StorageTest do
     %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
     Process.exit(conn, :kill)
     await(gateway, :connection, &(&1[:status] == :down))
-    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up), 60_000)
+    await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
     await(gateway, :connection, &(&1[:status] == :up))
     assert server_pid(dir) != pid
   end

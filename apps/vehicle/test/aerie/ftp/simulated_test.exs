@@ -6,8 +6,6 @@ defmodule Aerie.Ftp.SimulatedTest do
   alias Aerie.{Ftp, Logs, Params, UdpTransfer}
   alias Aerie.Params.Table
 
-  @moduletag timeout: 120_000
-
   @log for i <- 1..20_000, into: "", do: <<rem(i * 7919, 251)>>
 
   setup %{test: test} do

@@ -56,7 +56,11 @@ defmodule Aerie.Policy.AuditTest do
     assert Audit.verdict({:ok, 1}, goto, true) == :allow
 
     swap.(fn -> file end)
-    capture_log(fn -> assert {:ok, 3} = Audit.append(gateway, %{"type" => "decision"}) end)
+
+    capture_log(fn ->
+      assert {:ok, 3} = Audit.append(gateway, %{"type" => "decision"}, Aerie.Patience.ms())
+    end)
+
     assert {:ok, %{failing: nil, missed: 0}} = Audit.status(gateway)
     :ok = stop_supervised!(gateway)
     assert {:ok, %{problems: [], notes: [note]}} = Verify.folder(dir)

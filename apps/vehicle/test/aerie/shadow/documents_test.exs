@@ -114,7 +114,7 @@ defmodule Aerie.Shadow.DocumentsTest do
 
       1..12
       |> Enum.map(&Task.async(fn -> update(gateway, %{"params" => %{"P#{&1}" => &1}}) end))
-      |> Task.await_many(60_000)
+      |> Task.await_many(Aerie.Patience.ms())
 
       assert {:ok, %{"version" => 12, "desired" => %{"params" => params}}} = Shadow.get(gateway, @vehicle)
       assert map_size(params) == 12

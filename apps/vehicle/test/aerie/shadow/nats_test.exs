@@ -29,7 +29,7 @@ defmodule Aerie.Shadow.NatsTest do
     eventually(fn ->
       case Gnat.request(context.conn, subject, body,
              headers: options[:headers] || signature(options, subject, body),
-             receive_timeout: 20_000
+             receive_timeout: Aerie.Patience.ms()
            ) do
         {:ok, %{body: reply}} -> JSON.decode!(reply)
         {:error, _not_yet} -> false

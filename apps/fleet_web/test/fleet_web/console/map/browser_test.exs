@@ -2,7 +2,6 @@ defmodule FleetWeb.Console.Map.BrowserTest do
   use FleetWeb.ConsoleCase, async: true
 
   @moduletag :chromium
-  @moduletag timeout: 900_000
 
   setup do: {:ok, start_console()}
 

@@ -64,7 +64,6 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
   end
 
   @tag :chromium
-  @tag timeout: 300_000
   test "in a browser: arm, take off, go where the map is clicked, land by the key; a refusal has its reason",
        %{tmp_dir: dir} do
     {console, sim} = start(dir, :ardupilot)
@@ -73,7 +72,6 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
   end
 
   @tag :chromium
-  @tag timeout: 300_000
   test "in a browser: a reload while a command is pending sends nothing again; each part on a phone", %{
     tmp_dir: dir
   } do

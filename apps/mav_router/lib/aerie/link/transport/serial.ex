@@ -49,6 +49,9 @@ defmodule Aerie.Link.Transport.Serial do
   def explain(reason, spec) when reason in [:eacces, :eperm],
     do: "no permission for #{place(spec)} (is the user in the group dialout?)"
 
+  def explain({:timeout, {GenServer, :call, [_holder, {:open, _device, _baud}, _ms]}}, spec),
+    do: "opening #{place(spec)} takes too long"
+
   def explain(_reason, _spec), do: nil
 
   @impl Aerie.Link.Transport

@@ -1,6 +1,8 @@
 defmodule Aerie.Recorder.Recording.Output do
   # The longest pause, in times of `pause_ms`.
   @longest 12
+  @slow_disk_ms 10_000
+  @saving_ms 60_000
 
   @moduledoc """
   The files of a recording, one after the other, and what happens when the disk does not take the records.
@@ -8,7 +10,8 @@ defmodule Aerie.Recorder.Recording.Output do
   A file starts with the first records and is followed by the next one when it is long or old enough. A fault of the disk (full,
   read-only, gone, less than `min_free`) ends the file. Records that come then are dropped and counted, until a retry in a new file
   succeeds: after `pause_ms`, then twice that, up to #{@longest} times that. The log has each fault once for all recordings, until one of
-  them writes again. A file grows by whole records only, except for the last one before a fault.
+  them writes again. A disk that does not answer is waited for: #{div(@slow_disk_ms, 1_000)} s, or #{div(@saving_ms, 1_000)} s when a ring is saved, for what came before
+  a failsafe cannot be recorded again. A file grows by whole records only, except for the last one before a fault.
 
   An output belongs to the process that made it, as its files do.
   """
@@ -123,7 +126,7 @@ defmodule Aerie.Recorder.Recording.Output do
   end
 
   defp open(%{settings: settings} = output) do
-    with {:ok, path} <- Archive.new_file(output.gateway, output.label),
+    with {:ok, path} <- Archive.new_file(output.gateway, output.label, wait_ms(output.target)),
          {:ok, device} <- settings.files.open(path) do
       output = %{output | device: device, file: path, size: 0, reason: nil}
       output = %{output | since: System.os_time(:second), opened: now()}
@@ -134,6 +137,9 @@ defmodule Aerie.Recorder.Recording.Output do
       {:error, reason} -> pause(output, words(reason))
     end
   end
+
+  defp wait_ms({:saved, _key}), do: @saving_ms
+  defp wait_ms(_target), do: @slow_disk_ms
 
   defp append(%{device: nil} = output, _records, frames), do: dropped(output, frames)
 

@@ -206,16 +206,16 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert Enum.sort(ports) == ["ttyUSB0", "ttyUSB1"]
   end
 
+  # On a busy machine a search may end before the port could be looked at; the next one follows.
+  defp why_down(id) do
+    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
+    if reason =~ ~r/opening \S+ takes too long/, do: why_down(id), else: reason
+  end
+
   @locker "import fcntl, os, sys; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); " <>
             "fcntl.flock(fd, fcntl.LOCK_EX); print('locked', flush=True); sys.stdin.read()"
 
   @tag :python
-  # On a busy machine a search may end before the port could be looked at; the next one follows.
-  defp why_down(id) do
-    assert_receive {:down, _, %{link: ^id, reason: reason}}, @patience
-    if reason =~ "opening it takes too long", do: why_down(id), else: reason
-  end
-
   test "a port that another program has locked: named, with a fixed rate and with a search", c do
     vehicle = vehicle(name_in: {c.dev, "ttyACM0"})
     device = SerialPeer.path(vehicle)
@@ -226,8 +226,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     assert_receive {^program, {:data, "locked" <> _}}, @patience
     {:os_pid, pid} = Port.info(program, :os_pid)
     {fixed, _} = add_link(c.gateway, "#{device},57600")
-    assert_receive {:down, _, %{link: ^fixed, reason: reason}}, @patience
-    assert reason =~ ~r/^#{device} is in use by .*python\S* \(process #{pid}\)/
+    assert why_down(fixed) =~ ~r/^#{device} is in use by .*python\S* \(process #{pid}\)/
     Link.stop(c.gateway, fixed)
 
     assert c |> auto() |> why_down() =~
@@ -254,8 +253,7 @@ defmodule Aerie.Link.Serial.AutoTest do
     {_first, _} = add_link(c.gateway, "#{SerialPeer.path(vehicle)},57600")
     up(c)
     {again, _} = add_link(c.gateway, "#{c.dev}/ttyACM0,57600")
-    assert_receive {:down, _, %{link: ^again, reason: reason}}, @patience
-    assert reason == "#{c.dev}/ttyACM0 is in use by another link"
+    assert why_down(again) == "#{c.dev}/ttyACM0 is in use by another link"
     Link.stop(c.gateway, again)
     assert c |> auto() |> why_down() == "no vehicle heard: #{c.dev}/ttyACM0: belongs to another link"
   end

@@ -111,12 +111,22 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
     {world, n + 1, seed}
   end
 
+  defp run_all({autopilot, seed, operations}) do
+    {world, _n, _seed} = Enum.reduce(operations, {LossyVehicle.new(autopilot, seed), 0, seed}, &run/2)
+    LossyVehicle.advance(world, 700_000)
+  end
+
+  # An example of a failed property that can be run again, and what is wrong with it.
+  defp counterexample do
+    with [example] <- :proper.counterexample(),
+         do: inspect({example, LossyVehicle.wrong(run_all(example))}, limit: :infinity)
+  end
+
   defp property do
     :proper.forall(
       {:proper_types.oneof([:ardupilot, :px4]), :proper_types.pos_integer(), :proper_types.list(operation())},
-      fn {autopilot, seed, operations} ->
-        {world, _n, _seed} = Enum.reduce(operations, {LossyVehicle.new(autopilot, seed), 0, seed}, &run/2)
-        world = LossyVehicle.advance(world, 700_000)
+      fn example ->
+        world = run_all(example)
 
         LossyVehicle.wrong(world) == [] and map_size(world.results) == map_size(world.commands) and
           Core.size(world.core) == 0 and Core.wake_at(world.core) == nil
@@ -125,7 +135,8 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
   end
 
   test "any commands with any parameters, cancelled, over any link, with reboots: one right answer each" do
-    assert :proper.quickcheck(property(), [:quiet, numtests: 300, max_size: 60])
+    assert :proper.quickcheck(property(), [:quiet, numtests: 300, max_size: 60]) == true,
+           "#{counterexample()}"
   end
 
   test "an acknowledgement that was asked for is not taken from another command" do
@@ -160,8 +171,8 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
   end
 
   @tag :long
-  @tag timeout: 600_000
   test "the same, three thousand times" do
-    assert :proper.quickcheck(property(), [:quiet, numtests: 3_000, max_size: 80])
+    assert :proper.quickcheck(property(), [:quiet, numtests: 3_000, max_size: 80]) == true,
+           "#{counterexample()}"
   end
 end

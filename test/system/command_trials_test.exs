@@ -196,10 +196,13 @@ defmodule Aerie.System.CommandTrialsTest do
       for row <- CommandTrials.rows(unquote(firmware)) do
         # On a busy machine its deadline may pass before the door looks at it.
         result =
-          eventually(fn ->
-            result = submit(flight, row, @guest)
-            result.status != :expired && result
-          end)
+          eventually(
+            fn ->
+              result = submit(flight, row, @guest)
+              result.status != :expired && result
+            end,
+            "it is looked at in time"
+          )
 
         assert %{status: :denied, details: %{"rule" => "role"}} = result, row.type
       end

@@ -20,8 +20,10 @@ defmodule Aerie.System.CommandsTest do
     %{gateway: gateway, sim: sim}
   end
 
+  # A busy machine needs longer than the ten seconds that a command has by itself.
   defp command(gateway, type, params \\ %{}, more \\ []) do
-    {:ok, result} = Commands.submit(gateway, [vehicle: "VID-001", type: type, params: params] ++ more)
+    fields = [vehicle: "VID-001", type: type, params: params, deadline: System.os_time(:second) + 120]
+    {:ok, result} = Commands.submit(gateway, Keyword.merge(fields, more))
     result
   end
 

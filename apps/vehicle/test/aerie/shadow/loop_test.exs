@@ -69,6 +69,8 @@ defmodule Aerie.Shadow.LoopTest do
     answer(from, id, :accepted)
   end
 
+  # Both are to be seen at once, on a busy machine as well.
+  @tag shadow: [{"shadow.hold_s", 60}]
   test "an operator's direct command holds it, and a failsafe does", %{gateway: gateway} do
     task = command(gateway, "set_speed", id: "s", params: %{speed: 3})
     answer(executing(%{id: "s"}), "s", :accepted)

@@ -126,7 +126,7 @@ class Vehicle:
         # OpenFileRO of ArduPilot's parameter file. What does not know FTP says nothing, and parameters go the long way.
         name = b"@PARAM/param.pck"
         payload = bytes([0, 0, 0, 4, len(name), 0, 0, 0, 0, 0, 0, 0]) + name
-        for _ in range(2):
+        for _ in range(10):
             self.mav.file_transfer_protocol_send(0, self.system, 1, list(payload.ljust(251, b"\0")))
             opened = yield Wait(lambda m: m.get_type() == "FILE_TRANSFER_PROTOCOL", 1)
             if opened is not None:
@@ -166,18 +166,20 @@ class Vehicle:
             return self.say(name, (yield from self.down(kind, None)))
         first = [] if self.px4 or kind else [(16, 0, self.at.lat, self.at.lon, 0.0)]
         rows = first + rows
+        uploading = lambda m: m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") and m.mission_type == kind
         self.mav.mission_count_send(self.system, 1, len(rows), kind)
         tries = 0
         while True:
-            x = yield Wait(lambda m: m.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") and m.mission_type == kind, 5)
-            # No answer, or an item that was requested and sent twice (MAV_MISSION_INVALID_SEQUENCE), because on a busy machine
-            # the vehicle repeats its request while the answer is on its way. The upload is repeated when that is over.
-            if x is None or (x.get_type() == "MISSION_ACK" and x.type == 13):
+            x = yield Wait(uploading, 5)
+            # No answer, an item that was requested and sent twice (MAV_MISSION_INVALID_SEQUENCE), or an upload that the vehicle gave
+            # up (ERROR, OPERATION_CANCELLED), because on a busy machine it repeats its request while the answer is on its way. The
+            # upload is repeated when the vehicle has nothing more to say of it.
+            if x is None or (x.get_type() == "MISSION_ACK" and x.type in (1, 13, 15)):
                 tries += 1
                 if tries > 10:
-                    return self.say(name, "no answer" if x is None else "refused 13")
-                if x is not None:
-                    yield Wait(lambda m: False, 2)
+                    return self.say(name, "no answer" if x is None else "refused %d" % x.type)
+                while x is not None:
+                    x = yield Wait(uploading, 3)
                 self.mav.mission_count_send(self.system, 1, len(rows), kind)
             elif x.get_type() == "MISSION_ACK":
                 if x.type != 0:

@@ -13,6 +13,8 @@ defmodule SimVehicle.Server do
 
   # After a pause of the whole machine, a vehicle catches up with at most this much time.
   @catch_up_s 0.5
+  # At high speed that is a long time. Its script and those who wait for something see all of it.
+  @slice_s 1.0
   @tick_min_ms 5
   @tick_max_ms 40
   @reboot_us 1_000_000
@@ -154,6 +156,9 @@ defmodule SimVehicle.Server do
     elapsed = min((now - state.clock) / 1.0e6, @catch_up_s) * state.options.speed
     advance(%{state | clock: now}, elapsed)
   end
+
+  defp advance(state, elapsed) when elapsed > @slice_s,
+    do: state |> advance(@slice_s) |> wake() |> advance(elapsed - @slice_s)
 
   defp advance(%{frozen: true} = state, _elapsed), do: state
 

@@ -21,8 +21,8 @@ defmodule Aerie.CLI.NatsSetupTest do
     end
 
     # Public halves only.
-    refute read(dir, "hub/accounts.conf") =~ ~r/SU[A-Z2-7]{50}/
-    refute read(dir, "fleet.json") =~ ~r/SU[A-Z2-7]{50}/
+    refute read(dir, "hub/accounts.conf") =~ ~r/\bSU[A-Z2-7]{50}/
+    refute read(dir, "fleet.json") =~ ~r/\bSU[A-Z2-7]{50}/
 
     for {name, mode} <- [{"vehicles/VID-2/gateway.yaml", :embedded}, {"hub/gateway.yaml", :url}] do
       assert {:ok, %{nats: %{mode: ^mode}, environment: "prod"}} =

@@ -80,14 +80,33 @@ defmodule Aerie.System.OperationsTest do
   defp command!(c, id, type, params) do
     eventually(
       fn ->
-        case rest(c, :post, "vehicles/#{id}/commands", %{"type" => type, "params" => params}) do
-          {200, %{"result" => result}} -> result in ["accepted", "completed"]
-          {504, %{"result" => "timeout", "acknowledged" => false}} -> false
-          {410, %{"result" => "expired", "sent" => 0}} -> false
+        case result(c, "vehicles/#{id}/commands", %{"type" => type, "params" => params}) do
+          %{"result" => result} when result in ["accepted", "completed"] -> true
+          %{"result" => "timeout", "acknowledged" => false} -> false
+          %{"result" => "expired", "sent" => 0} -> false
         end
       end,
       "#{id} takes #{type}"
     )
+  end
+
+  # A busy machine may take longer than the answer to the request waits.
+  defp result(c, path, command) do
+    case rest(c, :post, path, command) do
+      {202, %{"id" => id}} ->
+        look = fn -> c |> rest(:get, "#{path}/#{id}") |> elem(1) end
+
+        eventually(
+          fn ->
+            now = look.()
+            if now["state"] == "done", do: now
+          end,
+          "it has a result"
+        )
+
+      {_status, result} ->
+        result
+    end
   end
 
   defp altitude(gateway, id) do

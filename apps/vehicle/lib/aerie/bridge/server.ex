@@ -281,7 +281,6 @@ defmodule Aerie.Bridge.Server do
   defp settled?(%{status: :starting} = state), do: now() - state.started_at >= @starting_ms
   defp settled?(state), do: now() - state.up_at >= @settled_ms
 
-  defp fault(_text, %{port: nil} = state), do: state
   defp fault(_text, %{restart_policy: %{fault: known}} = state) when known != nil, do: state
 
   defp fault(text, state) do

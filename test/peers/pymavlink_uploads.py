@@ -1,7 +1,7 @@
 """pymavlink uploads missions again and again: pymavlink_uploads.py CONNECTION SYSTEM ITEMS ROUNDS SOURCE
 
-Repeats an unanswered MISSION_COUNT every 1.5 s, five times, as ground stations do. Prints "results" with the result of each
-upload (0: accepted, None: no answer).
+Repeats an unanswered MISSION_COUNT every 1.5 s, and an upload of which nothing more was heard for 20 s twice, as ground
+stations and their operators do. Prints "results" with the result of each upload (0: accepted, None: no answer).
 """
 import sys
 
@@ -9,6 +9,13 @@ from pymavlink_gcs import Gcs, say
 
 
 def upload(g, items):
+    for _ in range(3):
+        result = attempt(g, items)
+        if result is not None:
+            return result
+
+
+def attempt(g, items):
     for _ in range(30):
         g.m.mav.mission_count_send(g.system, 1, len(items), 0)
         answer = g.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], for_us(g), timeout=1.5, wanted=False)

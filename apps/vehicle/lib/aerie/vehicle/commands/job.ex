@@ -27,6 +27,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     :steps,
     :since,
     :due,
+    :prolonged,
     :first_sent,
     :last_sent,
     :accepted_at,
@@ -53,7 +54,7 @@ defmodule Aerie.Vehicle.Commands.Job do
 
   @typedoc """
     * `:until` - the deadline; `:since` - when it was submitted; `:due` - when something has to be done, all in the time of the
-      events
+      events; `:prolonged` - a time in `:due` that was put off already, because the gateway had stood still
     * `:before` - whether the state showed it before it was sent; nil: not known
     * `:refusal` - what a repetition was answered, or what its result will be in the phase `:refused`
     * `:ambiguous?` - a late answer to another command of the same key may be taken for one to this
@@ -65,6 +66,7 @@ defmodule Aerie.Vehicle.Commands.Job do
           steps: [Step.t(), ...],
           since: integer(),
           due: integer() | nil,
+          prolonged: integer() | nil,
           first_sent: integer() | nil,
           last_sent: integer() | nil,
           accepted_at: integer() | nil,

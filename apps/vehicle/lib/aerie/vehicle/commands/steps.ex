@@ -10,6 +10,9 @@ defmodule Aerie.Vehicle.Commands.Steps do
 
   # Results that the vehicle's own words may explain.
   @explained [:rejected, :failed, :timeout, :unknown]
+  # Time that comes in a larger jump than this is time in which the gateway, or its machine, stood still.
+  @stall 100_000
+  @longest_stall 2_000_000
   @ambiguous "an acknowledgement came that may be for the command whose place it took"
 
   # --- Turns: what waits for its lane and may be sent now
@@ -225,6 +228,12 @@ defmodule Aerie.Vehicle.Commands.Steps do
   @spec due(Core.acc(), Job.t(), now :: integer()) :: Core.acc()
   def due(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
     do: finish(acc, job, {:expired, expired(job)}, now)
+
+  # What the vehicle said while the gateway stood still waits to be read: it is waited for once more, for as long.
+  def due(acc, %{due: due, prolonged: prolonged} = job, now) when now - due > @stall and due != prolonged do
+    due = now + min(now - due, @longest_stall)
+    keep(acc, %{job | due: due, prolonged: due})
+  end
 
   def due(acc, %{phase: :sent} = job, now) do
     cond do

@@ -72,6 +72,25 @@ defmodule Aerie.Vehicle.Commands.CoreTest do
       assert Core.wake_at(core) == nil
     end
 
+    test "what came due while the gateway stood still is waited for once more, and nothing is sent after the deadline" do
+      {core, _sent} = submit(core(), "set_speed", %{speed: 5}, 1, for: 3 * @second)
+      due = Core.wake_at(core)
+      {core, []} = Core.handle(core, {:tick, due + 300 * @ms})
+      assert Core.wake_at(core) == due + 600 * @ms
+      {answered, actions} = ack(core, [command: 178], due + 301 * @ms)
+      assert results(actions) == [{"set_speed", :accepted}]
+      assert Core.wake_at(answered) == nil
+
+      # Once: a machine on which every wake is late gives up, too.
+      {core, actions} = Core.handle(core, {:tick, due + 900 * @ms})
+      assert [%M.CommandLong{command: 178, confirmation: 1}] = sent(actions)
+      {core, []} = Core.handle(core, {:tick, 60 * @second})
+      assert Core.wake_at(core) == 62 * @second
+      {_core, actions} = Core.handle(core, {:tick, 62 * @second})
+      assert sent(actions) == []
+      assert results(actions) == [{"set_speed", :unknown}]
+    end
+
     test "what the state showed before has to be heard again after the vehicle accepted" do
       {core, _sent} = submit(core(:ardupilot, %{mode: "LOITER"}), "set_mode", %{mode: "LOITER"})
       {core, []} = observed(core, %{mode: "LOITER"}, 10 * @ms)

@@ -36,6 +36,10 @@ defmodule Aerie.Vehicle.IdentityTest do
     end
   end
 
+  # A heartbeat says that all is well; on a busy machine some loop may be silent for a moment.
+  defp active(socket),
+    do: eventually(fn -> match?({:ok, %{system_status: 4}}, MavCodec.decode(heard(socket))) end)
+
   # None comes for so long. One may still be on its way when it is found that there are to be no more.
   defp unheard(socket, ms) do
     drain(socket)
@@ -55,8 +59,8 @@ defmodule Aerie.Vehicle.IdentityTest do
   test "H1, H2, R10: an on-board computer's heartbeat under our own ids, again and again" do
     {_gateway, _port, socket} = flying()
     assert %Frame{system: 245, component: 191} = frame = heard(socket)
-    assert {:ok, %{type: 18, autopilot: 8, system_status: 4}} = MavCodec.decode(frame)
-    assert heard(socket)
+    assert {:ok, %{type: 18, autopilot: 8}} = MavCodec.decode(frame)
+    active(socket)
   end
 
   for {role, id} <- [
@@ -95,7 +99,7 @@ defmodule Aerie.Vehicle.IdentityTest do
       unheard(socket, 2_500)
       assert Store.counter(gateway, {:identity, :held}) > 0
       :ok = :sys.resume(pid)
-      assert {:ok, %{system_status: 4}} = socket |> heard() |> MavCodec.decode()
+      active(socket)
     end
   end
 

@@ -82,7 +82,7 @@ defmodule Aerie.System.OperationsTest do
       fn ->
         case result(c, "vehicles/#{id}/commands", %{"type" => type, "params" => params}) do
           %{"result" => result} when result in ["accepted", "completed"] -> true
-          %{"result" => "timeout", "acknowledged" => false} -> false
+          %{"result" => result, "acknowledged" => false} when result in ["timeout", "unknown"] -> false
           %{"result" => "expired", "sent" => 0} -> false
         end
       end,

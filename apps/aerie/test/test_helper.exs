@@ -5,6 +5,6 @@ if :long not in ExUnit.configuration()[:include], do: System.put_env("AERIE_BUIL
 
 # Most tests wait for vehicles and servers rather than compute, so more of them run at once than there are cores.
 ExUnit.start(
-  max_cases: 4 * System.schedulers_online(),
+  max_cases: Aerie.Patience.cases(),
   exclude: [:long, :soak] ++ Aerie.PeerCase.missing() ++ Aerie.Browser.excluded()
 )

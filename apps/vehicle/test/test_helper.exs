@@ -2,7 +2,7 @@
 # environment that bin/setup makes, the other ends of serial cables a C compiler.
 # Most tests wait for vehicles and servers rather than compute, so more of them run at once than there are cores.
 ExUnit.start(
-  max_cases: 4 * System.schedulers_online(),
+  max_cases: Aerie.Patience.cases(),
   exclude:
     [:long, :soak] ++
       if(Aerie.PythonPeer.python(), do: [], else: [:python]) ++

@@ -9,6 +9,24 @@ defmodule Aerie.Patience do
   @spec ms() :: pos_integer()
   def ms, do: Application.fetch_env!(:ex_unit, :assert_receive_timeout)
 
+  @doc """
+  How many tests run at once in a suite that waits for vehicles and servers more than it computes: more than there are cores, but
+  half as many on a machine that is busy with something else, where each would only take longer.
+  """
+  @spec cases() :: pos_integer()
+  def cases do
+    cores = System.schedulers_online()
+    if load() > 4 * cores, do: 2 * cores, else: 4 * cores
+  end
+
+  # Runnable processes in the last minute, where the system tells.
+  defp load do
+    with {:ok, text} <- File.read("/proc/loadavg"),
+         {load, _more} <- Float.parse(text),
+         do: load,
+         else: (_none -> 0.0)
+  end
+
   @doc "Until then, in the time of `System.monotonic_time(:millisecond)`."
   @spec deadline() :: integer()
   def deadline, do: System.monotonic_time(:millisecond) + ms()

@@ -27,14 +27,23 @@ defmodule Aerie.System.SerialTest do
     def handle_call(:peer, _from, state), do: {:reply, state.peer, state}
 
     @impl GenServer
-    def handle_info({:udp, _socket, ip, port, bytes}, state) do
-      :ok = SerialPeer.say(state.peer, bytes)
+    # All that has come, at once: the other end asks the line for its rate each time, and a busy machine has few turns for that.
+    def handle_info({:udp, socket, ip, port, bytes}, state) do
+      :ok = SerialPeer.say(state.peer, IO.iodata_to_binary([bytes | waiting(socket)]))
       {:noreply, %{state | vehicle: {ip, port}}}
     end
 
     def handle_info({:heard, _peer, bytes}, state) do
       if state.vehicle, do: :gen_udp.send(state.socket, state.vehicle, bytes)
       {:noreply, state}
+    end
+
+    defp waiting(socket) do
+      receive do
+        {:udp, ^socket, _ip, _port, bytes} -> [bytes | waiting(socket)]
+      after
+        0 -> []
+      end
     end
   end
 
@@ -62,7 +71,9 @@ defmodule Aerie.System.SerialTest do
     # Found, and its streams requested through the cable.
     eventually(
       fn -> get_in(Store.vehicle(gateway, "VID-001") || %{}, [:groups, :attitude]) end,
-      "attitude comes"
+      fn ->
+        "attitude comes: #{inspect({Aerie.Link.get(gateway, "link-1"), Store.vehicle(gateway, "VID-001")})}"
+      end
     )
 
     assert %{baud: 115_200, local: local} = Aerie.Link.get(gateway, "link-1")

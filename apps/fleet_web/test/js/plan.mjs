@@ -37,6 +37,11 @@ main(async (browser) => {
     return { x: box.x + x, y: box.y + y };
   };
   async function drag(from, to) {
+    // What is to be held is drawn there: after a change the map takes a moment, on a busy machine a long one.
+    await page.waitForFunction(([x, y]) => {
+      const { map } = document.querySelector("#plan-map").fleetMap;
+      return map.queryRenderedFeatures([[x - 5, y - 5], [x + 5, y + 5]], { layers: ["plan-handle", "plan-middle"] }).length > 0;
+    }, [from.x - box.x, from.y - box.y]);
     await page.mouse.move(from.x, from.y);
     await page.mouse.down();
     await page.mouse.move(to.x, to.y, { steps: 5 });

@@ -130,14 +130,15 @@ defmodule Aerie.Link.ClientsTest do
     eventually(fn -> Enum.count(Router.endpoints(c.gateway), &(&1.owner == "tcp")) == 2 end)
     n = 10_000
 
-    # Long frames, so that the buffers of the kernel are full early; in bursts that the socket of the link can hold.
+    # Long frames, so that the buffers of the kernel are full early; in bursts that are no backlog, however long they wait
+    # (`Aerie.Link.Backlog`).
     texts =
       for i <- 1..n,
           do: {i, encode(%Messages.LogData{id: 1, ofs: i, count: 90, data: :binary.copy(<<i::16>>, 45)}, 1)}
 
     counter = Task.async(fn -> count(reads, MavCodec.Parser.new(), 0, n) end)
 
-    for chunk <- Enum.chunk_every(texts, 100) do
+    for chunk <- Enum.chunk_every(texts, 50) do
       for {_i, bytes} <- chunk, do: say(c.vehicle, c.port, bytes)
       {last, _} = List.last(chunk)
       eventually(fn -> Aerie.Link.snapshot(c.gateway, "radio").counters.frames_in >= last + 1 end)

@@ -112,8 +112,8 @@ defmodule Aerie.System.VehicleExchangesTest do
     assert_receive {:fleet, :events, %{type: "stream.contested", data: %{"messages" => [message]}}}
     assert %{"name" => "ATTITUDE", "asked_hz" => 20.0, "found_hz" => found, "yielded" => true} = message
 
-    # The interval that the vehicle answers, or what is measured, which is anything on a machine that stands still at times.
-    assert is_number(found)
+    # The interval that the vehicle answers, or what is measured: on a machine that stands still at times any other rate.
+    assert found >= 0 and round(found) != 20
     assert %{state: :yielded} = line(gateway, @attitude)
   end
 

@@ -32,16 +32,16 @@ defmodule FleetWeb.EndpointTest do
     assert [%{"id" => "radio", "status" => "up", "text" => "listening" <> _}] = report["links"]
   end
 
-  test "without NATS there is no epoch: null in the status, left out of events, no gateway.started",
+  test "without NATS a restart can be told, too: an epoch in the status and in events, and gateway.started",
        context do
     event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1_763_800_000_000_000, nil, %{"mode" => "AUTO"})
     Aerie.Fleet.Journal.commit(context.gateway, "VID-001", 1, [event])
-    assert {200, %{"epoch" => nil}} = json(context.port, "/api/status")
-
-    assert {200, %{"events" => [%{"type" => "armed", "seq" => 1} = shown]}} =
-             json(context.port, "/api/events")
-
-    refute is_map_key(shown, "epoch")
+    assert {200, %{"epoch" => epoch}} = json(context.port, "/api/status")
+    assert_in_delta epoch, System.os_time(:millisecond), 300_000
+    assert {200, %{"events" => shown}} = json(context.port, "/api/events")
+    assert [%{"type" => "armed", "seq" => 1}, %{"type" => "gateway.started", "seq" => 1} = started] = shown
+    assert Enum.map(shown, & &1["epoch"]) == [epoch, epoch]
+    assert %{"previous_epoch" => nil, "ended" => nil, "vehicles" => []} = started["data"]
   end
 
   test "a link that drops datagrams makes the gateway unready, with its name and what to do",

@@ -25,7 +25,7 @@ defmodule Aerie.GatewayCase do
 
   @doc """
   Starts a gateway of vehicles, without bridge, router and links, that ends with the test; gives its name. `config` has some
-  keys of the configuration. Options: `:name`, `:without` (parts), `:pubsub_tick_ms`.
+  keys of the configuration. Options: `:name`, `:without` (parts; without the bridge no start is told either), `:pubsub_tick_ms`.
   """
   @spec start_gateway(map(), keyword()) :: reference()
   def start_gateway(config \\ %{}, options \\ []) do
@@ -48,8 +48,11 @@ defmodule Aerie.GatewayCase do
     defaults = [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor]
     tick = [tick_ms: Keyword.get(options, :pubsub_tick_ms, 5)]
 
+    without = Keyword.get(options, :without, defaults)
+    without = if Aerie.Bridge.Supervisor in without, do: [Aerie.Bridge.LastPublished | without], else: without
+
     children =
-      for part <- @parts -- Keyword.get(options, :without, defaults) do
+      for part <- @parts -- without do
         more = if part == Aerie.Store.PubSub, do: tick, else: []
         Aerie.Successor.child_spec({part, part(part, name, config) ++ more})
       end

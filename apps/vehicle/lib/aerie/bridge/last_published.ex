@@ -10,7 +10,8 @@ defmodule Aerie.Bridge.LastPublished do
 
   A vehicle that was not lost and is not heard again gives `link.lost` (`Aerie.Bridge.LastPublished.Missing`).
 
-  Each start gives an event `gateway.started`, under the gateway's own name.
+  Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and no
+  process: the start is told, the epoch comes from the clock alone, and no offline changes are found.
 
   The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
 
@@ -37,13 +38,20 @@ defmodule Aerie.Bridge.LastPublished do
   @lock_max_ms 10_000
   @begin_ms 10_000
 
-  @doc "`:ignore` if the configuration has no NATS, like the bridge itself."
+  @doc "`:ignore` if the configuration has no NATS, like the bridge itself; the epoch begins all the same."
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options) do
-    if Settings.on?(Keyword.fetch!(options, :settings)),
-      do:
-        GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_last_published)),
-      else: :ignore
+    settings = Keyword.fetch!(options, :settings)
+    gateway = Keyword.fetch!(options, :gateway)
+
+    if Settings.on?(settings) do
+      GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :bridge_last_published))
+    else
+      start = %{gateway: gateway, settings: settings, started_at: now(), former: Kept.none()}
+      epoch(start)
+      begin(start)
+      :ignore
+    end
   end
 
   @doc "What was published of a vehicle before the restart, or nil."

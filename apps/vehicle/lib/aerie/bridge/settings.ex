@@ -38,8 +38,8 @@ defmodule Aerie.Bridge.Settings do
         {:enum, [:embedded, :url, :off]},
         """
         embedded: start and supervise a nats-server of our own. url: use the servers at nats.url.
-        off: no NATS; events stay in memory. Nothing is kept between two starts then: no epoch, no event gateway.started, and
-        what changed in between is not found.
+        off: no NATS; events stay in memory. Nothing is kept between two starts then: what changed in between is not found, and
+        the epoch is the time of the start.
         Left out: url if nats.url is given, else embedded.
         """,
         example: "embedded"

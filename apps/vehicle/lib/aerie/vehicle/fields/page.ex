@@ -42,8 +42,9 @@ defmodule Aerie.Vehicle.Fields.Page do
       milliseconds since its boot. `timestamp` is the unix time of the response in seconds. `age` is in seconds.
     - `gateway` is the name of the gateway that published a value; two may hear the same vehicle.
     - `epoch` increases with each start of the gateway: a new epoch means that it was restarted. An event's `seq` begins at 1 in
-      each epoch. With `nats.mode: off` the gateway keeps nothing between its starts: `epoch` is null in `/api/status` and left out of
-      events, there is no event `gateway.started`, and no event tells what changed while the gateway was off (`found` with `since`).
+      each epoch. With `nats.mode: off` the gateway keeps nothing between its starts: `epoch` is the unix time of the start in
+      milliseconds, which grows as long as the clock is not set back, and no event tells what changed while the gateway was off (`found`
+      with `since`).
     - Numbers are rounded when they are published, not before.
 
     | where | what |

@@ -138,20 +138,22 @@ defmodule Aerie.Link.ClientsTest do
 
     counter = Task.async(fn -> count(reads, MavCodec.Parser.new(), 0, n) end)
 
+    # Looked for meanwhile: its connection is given up when it has taken nothing for half a minute.
+    stuck =
+      Task.async(fn ->
+        eventually(fn ->
+          Enum.find(Router.endpoints(c.gateway), &(&1.owner == "tcp" and &1.counters.dropped_bulk > 0))
+        end)
+      end)
+
     for chunk <- Enum.chunk_every(texts, 50) do
       for {_i, bytes} <- chunk, do: say(c.vehicle, c.port, bytes)
       {last, _} = List.last(chunk)
       eventually(fn -> Aerie.Link.snapshot(c.gateway, "radio").counters.frames_in >= last + 1 end)
     end
 
-    assert Task.await(counter, Aerie.Patience.ms()) == n
-
-    stuck =
-      eventually(fn ->
-        Enum.find(Router.endpoints(c.gateway), &(&1.owner == "tcp" and &1.counters.dropped_bulk > 0))
-      end)
-
-    assert stuck.counters.dropped_control == 0
+    assert Task.await(counter, @patience) == n
+    assert Task.await(stuck, @patience).counters.dropped_control == 0
   end
 
   defp count(_socket, _parser, n, n), do: n

@@ -135,13 +135,13 @@ defmodule Aerie.Router.DeliverTest do
     # With frames waiting a link leaves the making to the starter.
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
-    asked = Process.info(starter, :message_queue_len)
     assert %{delivered: 1, unclaimed: 0, sessions: []} = deliver(gateway, heartbeat(1))
     for n <- 1..126, do: assert(%{delivered: 1, sessions: []} = deliver(gateway, attitude(1, n)))
     assert %{unclaimed: 1, delivered: 0} = deliver(gateway, attitude(1, 127))
     # Nobody could tell in which order the frames of two links came.
     assert %{unclaimed: 1} = deliver(gateway, attitude(1, 7), %{@origin | id: "b"})
-    assert Process.info(starter, :message_queue_len) == asked
+    {:messages, messages} = Process.info(starter, :messages)
+    assert for({:start, key} <- messages, do: key) == [{"main", 1}]
     :sys.resume(starter)
     assert_receive {:session, {"main", 1}, "a", [%{id: 0}, %{id: 0} | attitudes]}
     assert Enum.map(attitudes, &number/1) == Enum.to_list(1..126)

@@ -73,25 +73,38 @@ class Gcs:
                 count = p.param_count
         return values, count
 
+    # A ground station repeats what is not answered.
+    def asked(self, send, kinds, test=lambda _m: True):
+        for _ in range(200):
+            send()
+            answer = self.wait(kinds, test, 1.5, wanted=False)
+            if answer is not None:
+                return answer
+        raise SystemExit("timeout: no %s" % kinds)
+
+    # A vehicle that has heard no item for a while gives up without a word; then the operator tries once more.
     def upload(self, items):
-        self.m.mav.mission_count_send(self.system, 1, len(items), 0)
-        while True:
-            r = self.wait(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], timeout=20)
-            if r.get_type() != "MISSION_ACK":
-                self.m.mav.send(items[r.seq])
-            # On a busy machine an item may be requested and sent twice. The second one is refused
-            # (MAV_MISSION_INVALID_SEQUENCE, 13), and the upload goes on.
-            elif r.type != 13:
-                return r.type
+        kinds = ["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"]
+        for _ in range(2):
+            r = self.asked(lambda: self.m.mav.mission_count_send(self.system, 1, len(items), 0), kinds)
+            while r is not None:
+                if r.get_type() != "MISSION_ACK":
+                    self.m.mav.send(items[r.seq])
+                # On a busy machine an item may be requested and sent twice. The second one is refused
+                # (MAV_MISSION_INVALID_SEQUENCE, 13), and the upload goes on.
+                elif r.type != 13:
+                    return r.type
+                r = self.wait(kinds, timeout=20, wanted=False)
+        raise SystemExit("timeout: no %s" % kinds)
 
     def download(self):
-        self.m.mav.mission_request_list_send(self.system, 1, 0)
-        count = self.wait("MISSION_COUNT", timeout=20).count
+        mav = self.m.mav
+        count = self.asked(lambda: mav.mission_request_list_send(self.system, 1, 0), "MISSION_COUNT").count
         items = []
         for seq in range(count):
-            self.m.mav.mission_request_int_send(self.system, 1, seq, 0)
-            items.append(self.wait("MISSION_ITEM_INT", lambda i: i.seq == seq, 20))
-        self.m.mav.mission_ack_send(self.system, 1, 0, 0)
+            request = lambda: mav.mission_request_int_send(self.system, 1, seq, 0)
+            items.append(self.asked(request, "MISSION_ITEM_INT", lambda i: i.seq == seq))
+        mav.mission_ack_send(self.system, 1, 0, 0)
         return items
 
     def item(self, seq, command, lat, lon, alt, frame=6):

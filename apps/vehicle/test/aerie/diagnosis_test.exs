@@ -111,12 +111,16 @@ defmodule Aerie.DiagnosisTest do
       match?(%{clock: %{samples: n}, firmware: "" <> _} when n > 0, Store.vehicle(c.gateway, {"main", 7}))
     end)
 
-    {_conditions, diagnosis} = Diagnosis.step(Diagnosis.new(), Facts.of(c.gateway))
+    # A busy machine may lose datagrams or send slowly for a moment, which is told rightly, and passes.
+    half_a_minute_later = fn ->
+      {_conditions, diagnosis} = Diagnosis.step(Diagnosis.new(), Facts.of(c.gateway))
+      later = Map.update!(Facts.of(c.gateway), :mono, &(&1 + 30_000))
+      diagnosis |> Diagnosis.step(later) |> elem(0)
+    end
 
-    {conditions, _diagnosis} =
-      Diagnosis.step(diagnosis, Map.update!(Facts.of(c.gateway), :mono, &(&1 + 30_000)))
-
-    assert conditions == []
+    Aerie.Patience.eventually(fn -> half_a_minute_later.() == [] end, fn ->
+      inspect(half_a_minute_later.())
+    end)
   end
 
   test "a vehicle that is heard and hears nothing", c do
@@ -238,7 +242,7 @@ defmodule Aerie.DiagnosisTest do
     of = fn -> Enum.find(Diagnosis.list(c.gateway), &(&1.name == :own_ids_taken)) end
     first = eventually(of)
     assert is_integer(first.since)
-    assert of.().since == first.since
+    assert eventually(of).since == first.since
     assert %{"name" => "own_ids_taken", "subject" => "gateway", "since" => "20" <> _} = Condition.plain(first)
     assert Diagnosis.list(make_ref()) == []
   end

@@ -146,7 +146,7 @@ defmodule Aerie.BridgeCase do
   def await_listening(gateway, vehicles) do
     eventually(fn -> Bridge.Commands.vehicles(gateway) == vehicles end)
     %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
-    {:ok, _info} = Gnat.request(conn, "$JS.API.INFO", "")
+    {:ok, _info} = answered(conn, fn -> Gnat.request(conn, "$JS.API.INFO", "") end)
     :ok
   end
 
@@ -159,6 +159,30 @@ defmodule Aerie.BridgeCase do
     end)
 
     login_url(gateway)
+  end
+
+  @doc "What `Gnat.Jetstream.API.Stream.info/2` says of a stream."
+  @spec stream(pid(), String.t()) :: map()
+  def stream(conn, name) do
+    {:ok, info} = answered(conn, fn -> Gnat.Jetstream.API.Stream.info(conn, name) end)
+    info
+  end
+
+  @doc "The last message of a stream on a subject."
+  @spec last(pid(), String.t(), String.t()) :: map()
+  def last(conn, stream, subject) do
+    by = %{last_by_subj: subject}
+    {:ok, message} = answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, stream, by) end)
+    message
+  end
+
+  @doc "Deletes a stream; one that is gone was deleted by a request whose answer was late."
+  @spec delete_stream(pid(), String.t()) :: :ok
+  def delete_stream(conn, name) do
+    :ok =
+      answered(conn, fn ->
+        with {:error, %{"code" => 404}} <- Gnat.Jetstream.API.Stream.delete(conn, name), do: :ok
+      end)
   end
 
   @doc "The TCP port of a nats-server that was started as an operating system process, from its output."
@@ -187,7 +211,8 @@ defmodule Aerie.BridgeCase do
   """
   @spec log_in(map()) :: {:ok, pid()} | {:error, term()}
   def log_in(settings) do
-    with {:ok, conn} <- Aerie.Nats.connect(settings),
+    with {:ok, conn} <-
+           settings |> Map.put_new(:connection_timeout, Aerie.Patience.ms()) |> Aerie.Nats.connect(),
          {:ok, _info} <- Aerie.Nats.request(conn, "$JS.API.INFO", "", receive_timeout: Aerie.Patience.ms()),
          do: {:ok, conn}
   end
@@ -248,7 +273,7 @@ defmodule Aerie.BridgeCase do
           do: String.replace_prefix(line, mark, ""),
           else: marked_pid(port, mark)
     after
-      60_000 -> ExUnit.Assertions.flunk("the other VM did not say #{mark}")
+      Aerie.Patience.ms() -> ExUnit.Assertions.flunk("the other VM did not say #{mark}")
     end
   end
 
@@ -346,8 +371,12 @@ defmodule Aerie.BridgeCase do
     end
   end
 
-  # On a busy machine a server may take longer than the five seconds that a client waits; reading again does no harm.
-  defp answered(conn, request) do
+  @doc """
+  The answer to a request that does no harm when it is made again: on a busy machine a server may take longer than the five
+  seconds that a client waits.
+  """
+  @spec answered(pid(), (-> answer)) :: answer when answer: term()
+  def answered(conn, request) do
     eventually(fn ->
       with {:error, :timeout} <- Aerie.Nats.call(conn, request), do: nil
     end)

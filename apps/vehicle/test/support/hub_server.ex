@@ -228,11 +228,17 @@ defmodule Aerie.HubServer do
   @doc "Waits until a bridge's hub is there."
   def await_hub(gateway), do: BridgeCase.await(gateway, :hub, &(&1[:status] == :up))
 
-  @doc "A port that is free on all loopback addresses at the moment."
+  @doc "A port that is free on all loopback addresses, and none that the system gives to others meanwhile (32,768 and above)."
   def free_port do
-    {:ok, socket} = :gen_tcp.listen(0, [])
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
+    port = Enum.random(12_000..32_000)
+
+    case :gen_tcp.listen(port, []) do
+      {:ok, socket} ->
+        :gen_tcp.close(socket)
+        port
+
+      {:error, :eaddrinuse} ->
+        free_port()
+    end
   end
 end

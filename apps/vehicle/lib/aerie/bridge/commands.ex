@@ -38,7 +38,7 @@ defmodule Aerie.Bridge.Commands do
 
   @doc "The vehicles whose commands it listens to."
   @spec vehicles(Names.gateway()) :: [String.t()]
-  def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles)
+  def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles, :infinity)
 
   @doc """
   Leaves vehicles to other gateways, by their ids: this one's links have lost them, and others hear them. Until it is told otherwise.

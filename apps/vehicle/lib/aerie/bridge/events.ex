@@ -11,7 +11,8 @@ defmodule Aerie.Bridge.Events do
 
   `Aerie.Bridge.Events.Source` brings the events into the window, and `Aerie.Bridge.Events.Window` decides what may be in flight.
   """
-  use GenServer
+  # Its end writes to the disk.
+  use GenServer, shutdown: 30_000
 
   alias Aerie.Bridge.{Connection, Outbox, Server, Settings, Tables}
   alias Aerie.Bridge.Events.{Disk, Gaps, PubAck, Source, StallDetector, Window}

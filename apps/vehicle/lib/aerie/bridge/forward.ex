@@ -29,8 +29,8 @@ defmodule Aerie.Bridge.Forward do
   @answer_ms 2_000
   # After so many sendings without a confirmation, that is told.
   @patience 3
-  # A connection that lasts longer was not refused.
-  @refused_ms 2_000
+  # A connection that lasts longer was not refused. A busy hub needs a while to refuse one.
+  @refused_ms 30_000
   @batch 64
   # What was published so long before this process started is taken for delivered.
   @unknown_ms 30_000
@@ -139,13 +139,24 @@ defmodule Aerie.Bridge.Forward do
   defp ask(%{conn: nil} = state), do: state
 
   defp ask(state) do
-    state = if now() - state.heard_at > @silence_ms, do: down(state, "it does not answer"), else: state
+    state = if now() - state.heard_at > @silence_ms, do: silent(state), else: state
 
     if state.asked_at == nil or now() - state.asked_at >= @ask_ms do
       _lost = Nats.pub(state.conn, "hub.info", "", reply_to: state.inbox <> ".hub")
       %{state | asked_at: now()}
     else
       state
+    end
+  end
+
+  # After a pause of this machine the answer waits here.
+  defp silent(%{inbox: inbox} = state) do
+    topic = "#{inbox}.hub"
+
+    receive do
+      {:msg, %{topic: ^topic} = message} -> heard(state, message)
+    after
+      0 -> down(state, "it does not answer")
     end
   end
 

@@ -19,7 +19,8 @@ defmodule Aerie.Bridge.LastPublished do
   retried with back-off. Vehicles that were heard meanwhile are compared late (`Aerie.Bridge.LastPublished.Late`), and
   `gateway.started` waits up to ten seconds.
   """
-  use GenServer
+  # Its end writes to the disk.
+  use GenServer, shutdown: 30_000
 
   alias Aerie.Backoff
   alias Aerie.Bridge.LastPublished.File, as: Kept
@@ -109,7 +110,7 @@ defmodule Aerie.Bridge.LastPublished do
 
       {:error, text} ->
         Logger.error("changes during a restart will not be found until this is mended: #{text}")
-        Process.send_after(self(), :begin, @begin_ms)
+        Process.send_after(self(), :begin, Keyword.get(options, :begin_ms, @begin_ms))
         {:ok, again(%{state | epoch: epoch(state)})}
     end
   end

@@ -19,7 +19,7 @@ defmodule Aerie.Client.StateClient do
   def init(gateway) do
     Process.set_label({:state_client, gateway})
     # A connection that never comes must not leave a process behind.
-    {:ok, %{gateway: gateway, socket: nil, reader: nil, heard: 0}, 5_000}
+    {:ok, %{gateway: gateway, socket: nil, reader: nil, heard: 0}, @patience_ms}
   end
 
   @impl GenServer

@@ -17,8 +17,8 @@ defmodule Aerie.Commands.Desk do
   @reserve 64
   # Of one command; whoever came first is told that it is under way, and may ask again.
   @max_waiting 8
-  # For the answer, after the grace time.
-  @drained_ms 2_000
+  # For the answer, after the grace time: an answer that is late on a busy machine must not read as "nothing is left".
+  @drained_ms 30_000
 
   @typedoc """
     * `:source` - who commands, as authentication found out; the command's source is its name
@@ -265,8 +265,9 @@ defmodule Aerie.Commands.Desk do
   defp ended(state, task, result) do
     {id, tasks} = Map.pop!(state.tasks, task)
     {job, jobs} = Map.pop!(state.jobs, id)
-    for caller <- job.waiting, do: GenServer.reply(caller, {:ok, result})
+    # Whoever has the result finds the command among those that are done.
     Recent.done(state.gateway, result)
+    for caller <- job.waiting, do: GenServer.reply(caller, {:ok, result})
     drained(%{state | tasks: tasks, jobs: jobs})
   end
 

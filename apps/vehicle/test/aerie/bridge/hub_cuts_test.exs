@@ -8,7 +8,7 @@ defmodule Aerie.Bridge.HubCutsTest do
   import Aerie.HubCase
 
   alias Aerie.HubServer
-  alias Gnat.Jetstream.API.{KV, Stream}
+  alias Gnat.Jetstream.API.KV
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -38,7 +38,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     # The vehicle's own NATS goes on, and says how much waits.
     for {_id, leaf} <- leaves do
       await(leaf, :hub, &(&1[:status] == :down and &1[:waiting] >= 40))
-      assert Bridge.info(leaf).problem == nil
+      eventually(fn -> Bridge.info(leaf).problem == nil end)
     end
 
     HubServer.restart(hub)
@@ -47,21 +47,30 @@ defmodule Aerie.Bridge.HubCutsTest do
     converged = now() - begun
     conn = conn(hub)
     await_all(conn, leaves, 50)
+    forget_news()
     make(leaves, 51..51)
     await_all(conn, leaves, 51)
+    # Unless the hub was away for its gateway once more, which happens on a busy machine.
+    steady = for {id, leaf} <- leaves, not away?(leaf), do: id
 
     for {id, rows} <- arrived(conn, names(vehicles)) do
       late = for {seq, true} <- rows, do: seq
       assert {id, Enum.to_list(11..50) -- late} == {id, []}
-      refute 51 in late
-
-      assert {:ok, %{hdrs: hdrs}} =
-               Stream.get_message(conn, "FLEET_STATE", %{last_by_subj: "fleet.test.#{id}.state.mode"})
-
-      assert hdrs =~ "Aerie-Backfill: true"
+      if id in steady, do: refute(51 in late)
+      assert last(conn, "FLEET_STATE", "fleet.test.#{id}.state.mode").hdrs =~ "Aerie-Backfill: true"
     end
 
     converged
+  end
+
+  defp away?(leaf) do
+    receive do
+      {:news, ^leaf, :hub, %{status: :down}} -> true
+      {:news, ^leaf, :outbox, %{events: n}} when n > 0 -> true
+      {:news, ^leaf, _part, _info} -> away?(leaf)
+    after
+      0 -> false
+    end
   end
 
   test "the hub is gone: events wait aboard, arrive once, in order and marked; the last value too", %{
@@ -111,7 +120,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     make(leaves, 1..10)
     conn = conn(hub)
     await_all(conn, leaves, 10)
-    :ok = Stream.delete(conn, "FLEET_EVENTS")
+    delete_stream(conn, "FLEET_EVENTS")
     make(leaves, 11..20)
     await_aboard(leaves)
     # The gateway looks after its streams when one of its own events is refused, and now and then.
@@ -149,9 +158,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     assert [first | rest] == Enum.to_list(first..100)
     assert lost == first - 6 and lost > 0
 
-    {:ok, %{data: marker}} =
-      Stream.get_message(conn, "FLEET_EVENTS", %{last_by_subj: "fleet.test.V1.event.events.lost"})
-
+    %{data: marker} = last(conn, "FLEET_EVENTS", "fleet.test.V1.event.events.lost")
     to = first - 1
 
     assert %{"type" => "events.lost", "seq" => nil, "data" => %{"from" => 6, "to" => ^to, "lost" => ^lost}} =
@@ -166,7 +173,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     %{hub: hub, leaves: [{id, leaf}] = leaves} = start(dir, 1)
     hour = 3_600_000_000
 
-    for {seq, jump} <- Enum.zip(1..30, Elixir.Stream.cycle([0, hour, -hour])) do
+    for {seq, jump} <- Enum.zip(1..30, Stream.cycle([0, hour, -hour])) do
       event = Event.new(id, "statustext", seq, 1_700_000_000_000_000 + seq + jump, seq, %{"n" => seq})
       :ok = Fleet.Journal.commit(leaf, id, :some_state, [event])
     end
@@ -187,7 +194,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     # Both gateways are connected, and say which server is to be restarted.
     assert %{status: :up, waiting: waiting, stalled: aboard} = await(leaf, :hub, & &1[:stalled])
     assert waiting > 0 and aboard =~ "disk of the hub's nats-server was full, make room and restart it"
-    assert Bridge.info(leaf).problem == nil
+    eventually(fn -> Bridge.info(leaf).problem == nil end)
     await(fleet, :outbox, & &1[:silent?])
     %{problem: problem, url: url} = Bridge.info(fleet)
     assert problem =~ "NATS does not confirm events: if the disk of nats-server at #{url} was full"
@@ -227,7 +234,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     end
 
     await_all(conn, leaves, 20)
-    {:ok, %{cluster: %{"leader" => leader}, config: %{num_replicas: 3}}} = Stream.info(conn, "FLEET_EVENTS")
+    %{cluster: %{"leader" => leader}, config: %{num_replicas: 3}} = stream(conn, "FLEET_EVENTS")
     make(leaves, 21..40)
     HubServer.kill(hub, leader)
     make(leaves, 41..60)
@@ -237,7 +244,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     for {_id, leaf} <- leaves, do: await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
     await_all(conn, leaves, 60)
     assert now() >= begun
-    {:ok, %{cluster: %{"leader" => other}}} = Stream.info(conn, "FLEET_EVENTS")
+    %{cluster: %{"leader" => other}} = stream(conn, "FLEET_EVENTS")
     refute other == leader
   end
 end

@@ -16,7 +16,7 @@ defmodule Aerie.Bridge.HubTest do
     {:ok, fleet} = HubServer.client(hub)
 
     for bucket <- ~w(fleet_desired fleet_reported fleet_leases),
-        do: {:ok, _} = Stream.create(fleet, Aerie.Nats.KV.stream(bucket, []))
+        do: {:ok, _} = answered(fleet, fn -> Stream.create(fleet, Aerie.Nats.KV.stream(bucket, [])) end)
 
     a = start_bridge(HubServer.leaf(hub, "A"))
     HubServer.await_hub(a)
@@ -34,7 +34,7 @@ defmodule Aerie.Bridge.HubTest do
 
   test "a companion is itself: state, events, commands, its own keys", %{fleet: fleet, client: client, a: a} do
     {:ok, _} = Gnat.sub(fleet, self(), "fleet.test.A.>")
-    :ok = KV.put_value(fleet, "fleet_desired", "test.A", "wish")
+    :ok = answered(fleet, fn -> KV.put_value(fleet, "fleet_desired", "test.A", "wish") end)
     :ok = Bridge.publish_state(a, "A", :mode, %{name: "HOLD"}, 1_700_000_000_000_000)
     assert_receive {:msg, %{topic: "fleet.test.A.state.mode"}}
     commit(a, "A", 1..3)
@@ -120,10 +120,12 @@ defmodule Aerie.Bridge.HubTest do
     for stream <- ["FLEET_STATE", "FLEET_EVENTS"],
         do:
           assert(
-            {:error, %{"code" => 404}} = Stream.get_message(fleet, stream, %{last_by_subj: "fleet.test.B.>"})
+            {:error, %{"code" => 404}} =
+              answered(fleet, fn -> Stream.get_message(fleet, stream, %{last_by_subj: "fleet.test.B.>"}) end)
           )
 
-    assert {:error, %{"code" => 404}} = KV.get_value(fleet, "fleet_desired", "test.B")
+    assert {:error, %{"code" => 404}} =
+             answered(fleet, fn -> KV.get_value(fleet, "fleet_desired", "test.B") end)
   end
 
   test "of the leases it has its own vehicle's only: nobody's sign of life, and no other vehicle's owner",
@@ -131,7 +133,7 @@ defmodule Aerie.Bridge.HubTest do
     %{fleet: fleet, client: client} = context
 
     for key <- ~w(test.gateways.f00d test.vehicles.B test.vehicles.A),
-        do: :ok = KV.put_value(fleet, "fleet_leases", key, "true")
+        do: :ok = answered(fleet, fn -> KV.put_value(fleet, "fleet_leases", key, "true") end)
 
     for key <-
           ~w(test.gateways.f00d test.gateways.gateway-A test.gateways.new test.vehicles.B prod.vehicles.A) do
@@ -144,7 +146,7 @@ defmodule Aerie.Bridge.HubTest do
     assert ask(client, "hub.kv.get.fleet_reported.test.B") == @nobody
     assert {:ok, _stored} = ask(client, "hub.kv.put.fleet_leases.test.vehicles.A", "gateway-A")
     flush(client)
-    {:ok, leases} = KV.contents(fleet, "fleet_leases")
+    {:ok, leases} = answered(fleet, fn -> KV.contents(fleet, "fleet_leases") end)
 
     assert leases == %{
              "test.gateways.f00d" => "true",
@@ -174,7 +176,7 @@ defmodule Aerie.Bridge.HubTest do
     answering(client, "fleet.test.B.>", "mine")
     answering(client, "hub.kv.new.>", "mine")
     answering(client_b, "fleet.test.B.cmd.*", "of B")
-    :ok = KV.put_value(fleet, "fleet_desired", "test.B", "secret")
+    :ok = answered(fleet, fn -> KV.put_value(fleet, "fleet_desired", "test.B", "secret") end)
     eventually(fn -> match?({:ok, %{body: "of B"}}, try_to_ask(fleet, "fleet.test.B.cmd.arm")) end)
     for _ <- 1..20, do: assert({:ok, %{body: "of B"}} = ask(fleet, "fleet.test.B.cmd.arm"))
 
@@ -196,7 +198,7 @@ defmodule Aerie.Bridge.HubTest do
     commit(b, "B", 1..2)
     eventually(fn -> length(for {"B", _, _} <- events(fleet), do: 1) == 2 end)
     # What is its own arrives, so what is not would have.
-    :ok = KV.put_value(fleet, "fleet_desired", "test.A", "own")
+    :ok = answered(fleet, fn -> KV.put_value(fleet, "fleet_desired", "test.A", "own") end)
     assert_receive {:seen, "hub.kv.new.fleet_desired.test.A"}
     refute Enum.any?(seen(), &(&1 =~ "test.B.event" or &1 == "hub.kv.new.fleet_desired.test.B"))
   end

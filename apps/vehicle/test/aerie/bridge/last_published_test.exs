@@ -56,11 +56,14 @@ defmodule Aerie.Bridge.LastPublishedTest do
 
   # All events of the stream as their bodies.
   defp bodies(conn) do
-    {:ok, %{state: %{first_seq: first, last_seq: last}}} =
-      Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+    %{state: %{first_seq: first, last_seq: last}} = stream(conn, "FLEET_EVENTS")
 
     for seq <- max(first, 1)..last//1 do
-      {:ok, message} = Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})
+      by = %{seq: seq}
+
+      {:ok, message} =
+        answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", by) end)
+
       {JSON.decode!(message.data), message.subject}
     end
   end
@@ -110,11 +113,7 @@ defmodule Aerie.Bridge.LastPublishedTest do
     assert Enum.all?(found, &(&1["epoch"] == two["epoch"]))
 
     # The state says it too.
-    {:ok, message} =
-      Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_STATE", %{
-        last_by_subj: "fleet.test.#{id}.state.mode"
-      })
-
+    message = last(conn, "FLEET_STATE", "fleet.test.#{id}.state.mode")
     assert JSON.decode!(message.data)["epoch"] == two["epoch"]
   end
 
@@ -289,7 +288,8 @@ defmodule Aerie.Bridge.LastPublishedTest do
 
     {second, log} =
       ExUnit.CaptureLog.with_log(fn ->
-        second = start_memory(dir)
+        # Its start is not told before it has the folder, however long that takes.
+        second = start_memory(dir, [], begin_ms: 3_600_000)
         memory = Aerie.Names.whereis(second, :bridge_last_published)
         assert %{"epoch" => ^before} = kept(dir)
         # One vehicle is heard before the folder is free. It has landed, and was seen to be disarmed.
@@ -342,11 +342,12 @@ defmodule Aerie.Bridge.LastPublishedTest do
     assert Fleet.Journal.epoch(start_memory(dir)) == far + 1
   end
 
-  defp start_memory(dir, settings \\ []) do
+  defp start_memory(dir, settings \\ [], more \\ []) do
     gateway = make_ref()
     start_supervised!({Store, [gateway: gateway] ++ Aerie.GatewayCase.plugs(%{})}, id: {:store, gateway})
     start_supervised!({PubSub, gateway: gateway}, id: {:pubsub, gateway})
-    start_supervised!({LastPublished, gateway: gateway, settings: config(dir, settings)}, id: gateway)
+    options = [gateway: gateway, settings: config(dir, settings)] ++ more
+    start_supervised!({LastPublished, options}, id: gateway)
     gateway
   end
 

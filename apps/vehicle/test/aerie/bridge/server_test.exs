@@ -196,6 +196,8 @@ defmodule Aerie.Bridge.ServerTest do
 
           commit(gateway, "A", 1..5)
           await(gateway, :outbox, &(&1[:events] == 5))
+          # It was refused, and the log says so.
+          await(gateway, :connection, &(&1[:status] == :down and is_binary(&1[:problem])))
           refute Bridge.info(gateway).connected
         end)
 

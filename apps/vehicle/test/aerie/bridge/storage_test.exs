@@ -45,15 +45,16 @@ defmodule Aerie.Bridge.StorageTest do
     {:ok, file} = :file.open(Path.join(disk, "filler"), [:write, :raw])
     fill.(fill, file)
     commit.(11..40)
-    IO.puts("told " <> await.(await, problem))
+    IO.puts("told " <> await.(await, fn -> text = problem.(); text && text =~ "cannot store" && text end))
     File.rm!(Path.join(disk, "filler"))
     :file.close(file)
     await.(await, fn -> problem.() == nil end)
     url = URI.parse(Bridge.login_url(:g))
     {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo, connection_timeout: 60_000})
     await.(await, fn ->
-      {:ok, %{state: state}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
-      state.messages == 40 and stored.()
+      with {:ok, %{state: state}} <- Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS"),
+           do: state.messages == 40 and stored.(),
+           else: (_late -> false)
     end)
     IO.puts("restarts \#{Bridge.info(:g).server.restarts} \#{System.pid()}")
     Process.sleep(:infinity)
@@ -86,8 +87,8 @@ defmodule Aerie.Bridge.StorageTest do
     start_bridge_again(gateway, config(dir, [{"nats.url", url}, {"nats.streams.event_max_mb", 20}]))
     await_up(gateway)
     await_empty(gateway)
-    assert Bridge.info(gateway).problem == nil
-    assert metric(gateway, "gateway_nats_ready") == 1
+    eventually(fn -> Bridge.info(gateway).problem == nil end)
+    eventually(fn -> metric(gateway, "gateway_nats_ready") == 1 end)
     Bridge.Server.OsProcess.stop(server)
     assert_receive {^server, {:exit_status, _}}
   end

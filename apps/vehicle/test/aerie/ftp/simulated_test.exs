@@ -23,12 +23,12 @@ defmodule Aerie.Ftp.SimulatedTest do
       )
 
     for direction <- [:in, :out], do: :ok = SimVehicle.fault(sim, :loss, 0.1, direction)
-    %{socket: socket, until: UdpTransfer.now() + 100_000_000}
+    %{socket: socket, until: UdpTransfer.now() + 900_000_000}
   end
 
   for {name, encoding, hash} <- [{"ArduPilot", :c_cast, false}, {"PX4", :bytewise, true}] do
     test "#{name}: list, set, files and logs", %{socket: socket, until: until} do
-      options = [encoding: unquote(encoding), hash: unquote(hash), rtt_us: 5_000]
+      options = [encoding: unquote(encoding), hash: unquote(hash), rtt_us: 300_000]
       fetch = Params.Fetch.new({1, 1}, until, [file: unquote(name == "ArduPilot")] ++ options)
       assert {{:ok, %Table{} = table}, ""} = UdpTransfer.run(socket, Params.Fetch, fetch)
       assert table.params["MORE_300"].value == 300
@@ -43,13 +43,13 @@ defmodule Aerie.Ftp.SimulatedTest do
       set = Params.Set.new("MORE_7", -5, {1, 1}, until, options)
       assert {{:ok, %{value: -5}}, ""} = UdpTransfer.run(socket, Params.Set, set)
 
-      read = Ftp.Client.new({:read, "/log.bin"}, {1, 1}, until, rtt_us: 5_000)
+      read = Ftp.Client.new({:read, "/log.bin"}, {1, 1}, until, rtt_us: 300_000)
       assert UdpTransfer.run(socket, Ftp.Client, read) == {{:ok, 20_000}, @log}
 
       assert {{:ok, [entry]}, ""} =
-               UdpTransfer.run(socket, Logs.List, Logs.List.new({1, 1}, until, rtt_us: 5_000))
+               UdpTransfer.run(socket, Logs.List, Logs.List.new({1, 1}, until, rtt_us: 300_000))
 
-      log = Logs.Download.new(entry, {1, 1}, until, rtt_us: 5_000)
+      log = Logs.Download.new(entry, {1, 1}, until, rtt_us: 300_000)
       assert UdpTransfer.run(socket, Logs.Download, log) == {{:ok, 20_000}, @log}
     end
   end

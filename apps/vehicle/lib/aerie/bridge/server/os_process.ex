@@ -13,12 +13,15 @@ defmodule Aerie.Bridge.Server.OsProcess do
   # ("Killed") are suppressed.
   @script """
   exec 3<&0 2>/dev/null
+  tries=$1
+  shift
   "$@" </dev/null 2>&1 3<&- &
   program=$!
   (
     read -r line <&3
     kill -TERM $program 2>/dev/null
-    for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15; do
+    while [ "$tries" -gt 0 ]; do
+      tries=$((tries - 1))
       kill -0 $program 2>/dev/null || exit 0
       sleep 0.2
     done
@@ -34,16 +37,16 @@ defmodule Aerie.Bridge.Server.OsProcess do
 
   @doc """
   Starts `program` with `args`. The caller gets `{port, {:data, {:eol | :noeol, line}}}` for its output and
-  `{port, {:exit_status, status}}` at its end.
+  `{port, {:exit_status, status}}` at its end. `tries`: fifths of a second from TERM to KILL.
   """
-  @spec start(Path.t(), [String.t()]) :: port()
-  def start(program, args) do
+  @spec start(Path.t(), [String.t()], tries :: pos_integer()) :: port()
+  def start(program, args, tries \\ 15) do
     Port.open({:spawn_executable, "/bin/sh"}, [
       :binary,
       :exit_status,
       :hide,
       line: 4096,
-      args: ["-c", @script, "aerie-nats", program | args]
+      args: ["-c", @script, "aerie-nats", "#{tries}", program | args]
     ])
   end
 

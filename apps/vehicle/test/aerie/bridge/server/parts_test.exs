@@ -117,7 +117,11 @@ defmodule Aerie.Bridge.Server.PartsTest do
   describe "a program" do
     test "ends on request, and returns its status" do
       port =
-        OsProcess.start("/bin/sh", ["-c", "trap 'exit 7' TERM; echo ready; while :; do sleep 0.05; done"])
+        OsProcess.start(
+          "/bin/sh",
+          ["-c", "trap 'exit 7' TERM; echo ready; while :; do sleep 0.05; done"],
+          1_000
+        )
 
       assert_receive {^port, {:data, {:eol, "ready"}}}
       OsProcess.stop(port)

@@ -57,6 +57,7 @@ defmodule SimVehicle.Plans do
   @give_up_us %{ardupilot: 8_000_000, px4: 5_000_000}
 
   defstruct style: :ardupilot,
+            speed: 1.0,
             capacity: %{0 => 724, 1 => 70, 2 => 70},
             items: %{0 => [], 1 => [], 2 => []},
             opaque: %{0 => 0, 1 => 0, 2 => 0},
@@ -79,11 +80,11 @@ defmodule SimVehicle.Plans do
   @typedoc "Messages to send, and `{:stored, type}` or `{:cleared, type}` when a plan was replaced."
   @type reply :: struct | {:stored, 0..2} | {:cleared, 0..2} | {:text, 0..7, String.t()}
 
-  @doc "No plans."
-  @spec new(:ardupilot | :px4) :: t
-  def new(style) do
+  @doc "No plans. `speed`: of the vehicle's time against that in which the ground station answers."
+  @spec new(:ardupilot | :px4, speed :: number) :: t
+  def new(style, speed \\ 1.0) do
     capacity = if style == :px4, do: %{0 => 2000, 1 => 128, 2 => 64}, else: %__MODULE__{}.capacity
-    %__MODULE__{style: style, capacity: capacity}
+    %__MODULE__{style: style, capacity: capacity, speed: max(speed, 1.0)}
   end
 
   @doc "The items of a plan by `mission_type`: 0 mission, 1 fence, 2 rally."
@@ -147,7 +148,7 @@ defmodule SimVehicle.Plans do
 
   def tick(%{upload: upload} = plans, now) do
     cond do
-      now - upload.progress_at > @give_up_us[plans.style] ->
+      now - upload.progress_at > @give_up_us[plans.style] * plans.speed ->
         {%{plans | upload: nil}, [ack(plans, upload.from, @cancelled, upload.type)]}
 
       now - upload.asked_at > @retry_us[plans.style] ->

@@ -104,7 +104,7 @@ defmodule SimVehicle.Vehicle do
       battery: Battery.new(opts.battery),
       battery_opts: opts.battery,
       params: params,
-      plans: Plans.new(personality.plan_style()),
+      plans: Plans.new(personality.plan_style(), opts.speed),
       ftp: Ftp.new(personality.plan_style(), opts.files),
       logs: Logs.new(personality.plan_style(), opts.logs),
       camera: opts.camera && Camera.new(opts.camera),

@@ -203,6 +203,13 @@ defmodule SimVehicle.ArdupilotFlightTest do
       assert vehicle(flight).plans.upload == nil
     end
 
+    test "at five times the speed it is not given up sooner: the ground station lives in real time" do
+      count = %M.MissionCount{target_system: 1, target_component: 1, count: 3}
+      flight = :ardupilot |> ready(speed: 5.0) |> hear(count) |> run(38)
+      assert vehicle(flight).plans.upload != nil
+      assert [%{type: 15}] = flight |> run(5) |> sent(M.MissionAck)
+    end
+
     test "clear and a count of 0 empty the plan (W4)", %{flight: flight} do
       for message <- [
             %M.MissionClearAll{target_system: 1, target_component: 1},

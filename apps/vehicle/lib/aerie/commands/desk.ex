@@ -229,6 +229,7 @@ defmodule Aerie.Commands.Desk do
         gateway: state.gateway,
         desk: self(),
         ledger_required?: state.settings.ledger.required,
+        urgent_ms: state.settings.urgent_ms,
         elsewhere: state.elsewhere
       }
 

@@ -4,7 +4,7 @@ defmodule Aerie.Commands.Passage do
   audit log. Runs in a task of its own; the deadline is checked between steps.
 
   `unrecorded/3` decides what happens if ledger or audit log cannot be written: the command is denied, unless it holds the
-  vehicle or brings it down, or the configuration says otherwise. Such a command waits only half a second for either of them.
+  vehicle or brings it down, or the configuration says otherwise. Such a command waits only `commands.urgent_s` for either of them.
   """
 
   alias Aerie.{Command, Fleet, Ledger, Names, Policy, Store, Vehicle}
@@ -13,16 +13,16 @@ defmodule Aerie.Commands.Passage do
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
 
   @patience_ms 5_000
-  @urgent_ms 500
 
   @typedoc """
-  Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `elsewhere`: the way to vehicles of
-  other gateways.
+  Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
+  vehicle or brings it down waits for the ledger and the audit log. `elsewhere`: the way to vehicles of other gateways.
   """
   @type environment :: %{
           gateway: Names.gateway(),
           desk: pid(),
           ledger_required?: boolean(),
+          urgent_ms: pos_integer(),
           elsewhere: module() | nil
         }
 
@@ -30,7 +30,7 @@ defmodule Aerie.Commands.Passage do
   @spec run(Desk.request(), environment()) :: Result.t()
   def run(%{command: command} = request, environment) do
     facts = facts(request)
-    patience = if facts.ends_flight?, do: @urgent_ms, else: @patience_ms
+    patience = if facts.ends_flight?, do: environment.urgent_ms, else: @patience_ms
 
     way =
       Map.merge(environment, %{

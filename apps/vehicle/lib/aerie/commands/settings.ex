@@ -17,6 +17,16 @@ defmodule Aerie.Commands.Settings do
           default: 5.0,
           times: 1000
 
+  setting :urgent_ms,
+          {:number, 0.05, 60},
+          """
+          How long a command that holds a vehicle or brings it down waits for the ledger and for the audit log, each time it needs
+          them. Then it goes on without them, and one that was carried out before is carried out again.
+          """,
+          key: "urgent_s",
+          default: 0.5,
+          times: 1000
+
   setting :ledger, {:section, ledger_fields()}, "The ids of commands and their results, on disk."
 
   defp ledger_fields do

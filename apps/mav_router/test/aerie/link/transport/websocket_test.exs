@@ -27,9 +27,14 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     {:gen_tcp, socket}
   end
 
-  defp accept({:ssl, listener, _port}) do
+  defp accept({:ssl, listener, _port} = server) do
     {:ok, socket} = :ssl.transport_accept(listener, @patience)
-    with {:ok, socket} <- :ssl.handshake(socket, @patience), do: {:ssl, socket}
+
+    # A link that has waited for five seconds calls again.
+    case :ssl.handshake(socket, @patience) do
+      {:ok, socket} -> {:ssl, socket}
+      {:error, _gave_up} -> accept(server)
+    end
   end
 
   defp upgrade(server, early \\ "") do
@@ -71,7 +76,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     {opcode, :crypto.exor(payload, pad)}
   end
 
-  defp up(gateway, id), do: eventually(fn -> Link.snapshot(gateway, id).status in [:up, :idle] end)
+  defp up(gateway, id), do: eventually(fn -> snapshot(gateway, id).status in [:up, :idle] end)
 
   describe "a link" do
     setup do
@@ -94,9 +99,16 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       say(client, {:binary, attitude(1, 1) <> attitude(1, 2)})
       <<head::binary-size(9), tail::binary>> = attitude(1, 3)
       {by, socket, _request} = client
-      :ok = by.send(socket, <<2, byte_size(head), head::binary>>)
-      say(client, {:ping, "alive?"})
-      :ok = by.send(socket, <<0x80, byte_size(tail), tail::binary>>)
+
+      pieces =
+        for frame <- [
+              <<2, byte_size(head), head::binary>>,
+              IO.iodata_to_binary(:cow_ws.frame({:ping, "alive?"}, %{})),
+              <<0x80, byte_size(tail), tail::binary>>
+            ],
+            do: {byte_size(frame), fn -> by.send(socket, frame) end}
+
+      in_pieces(c.gateway, id, pieces)
       assert Enum.map(frames(3), &number/1) == [1, 2, 3]
       assert hear(client) == {10, "alive?"}
 
@@ -105,7 +117,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       assert [hear(client), hear(client)] == [{2, ours}, {2, ours}]
 
       # The server's options are not shown.
-      snapshot = Link.snapshot(c.gateway, id)
+      snapshot = snapshot(c.gateway, id)
       assert snapshot.url == "ws://127.0.0.1:#{port}/mavlink?…&network=main"
       assert snapshot.peer == "127.0.0.1:#{port}"
     end
@@ -168,10 +180,15 @@ defmodule Aerie.Link.Transport.WebSocketTest do
             {"misnamed", "wss://127.0.0.1:#{port}/?ca=#{ca}", ~r/hostname|host name/i}
           ] do
         {:ok, ^id} = Link.start(c.gateway, url, id: id)
-        assert_receive {:down, _wait, %{link: ^id, reason: reason}}, @patience
-        assert reason =~ why
+        assert why_down(id) =~ why
         :ok = Link.stop(c.gateway, id)
       end
+    end
+
+    # On a busy machine the link may give an attempt up after five seconds.
+    defp why_down(id) do
+      assert_receive {:down, _wait, %{link: ^id, reason: reason}}, @patience
+      if reason =~ "no answer from", do: why_down(id), else: reason
     end
   end
 

@@ -216,13 +216,18 @@ defmodule Gnat do
 
   @doc "The server's INFO. Exits without a connection."
   @spec server_info(t()) :: server_info()
-  def server_info(gnat), do: GenServer.call(gnat, :server_info)
+  def server_info(gnat), do: GenServer.call(gnat, :server_info, answer_ms())
 
   @doc """
   Waits until the server has taken everything sent so far. Not in the Hex package.
   """
   @spec flush(t(), timeout()) :: :ok | {:error, Error.t()}
-  def flush(gnat, timeout \\ 5_000), do: call(gnat, :flush, timeout)
+  def flush(gnat, timeout \\ answer_ms()), do: call(gnat, :flush, timeout)
+
+  @doc false
+  # How long an answer may take where nothing else is said; tests give it more.
+  @spec answer_ms() :: pos_integer()
+  def answer_ms, do: Application.get_env(:gnat, :answer_ms, 5_000)
 
   @doc "Does nothing: the connection pings by itself."
   @deprecated "The connection pings by itself"

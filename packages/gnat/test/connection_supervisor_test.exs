@@ -97,7 +97,7 @@ defmodule Gnat.ConnectionSupervisorTest do
 
   test "notices a server that lives but answers nothing", %{name: name} do
     server = start_supervised!(NatsServer)
-    supervise(name, [NatsServer.settings(server, %{ping_interval: 30, connection_timeout: 50})])
+    supervise(name, [NatsServer.settings(server, %{ping_interval: 30, connection_timeout: 1_000})])
     await(:up, name)
     :ok = NatsServer.freeze(server)
     assert %{reason: %Error{reason: :unresponsive}} = await(:down, name)
@@ -128,7 +128,7 @@ defmodule Gnat.ConnectionSupervisorTest do
       supervise(name, [%{host: "127.0.0.1", port: free_port(), username: "joe", password: "s3cr3t"}])
 
     await(:failed, name)
-    refute inspect(:sys.get_status(supervisor), limit: :infinity) =~ "s3cr3t"
+    refute inspect(:sys.get_status(supervisor, 60_000), limit: :infinity) =~ "s3cr3t"
   end
 
   test "can be stopped while it connects", %{name: name} do

@@ -23,6 +23,7 @@ defmodule Aerie.Inspector do
   # Of frames of one link that wait for this process.
   @queue 256 * 1024
   @every_ms 1_000
+  @call_ms 30_000
 
   @typedoc "One row: a message of a component by a link, received (`:in`) or sent (`:out`)."
   @type key ::
@@ -42,7 +43,7 @@ defmodule Aerie.Inspector do
   @doc "Looks for the calling process until it ends, or until `unwatch/1`."
   @spec watch(Names.gateway()) :: :ok | {:error, :not_running | :no_recorder}
   def watch(gateway) do
-    GenServer.call(Names.via(gateway, :inspector), :watch)
+    GenServer.call(Names.via(gateway, :inspector), :watch, @call_ms)
   catch
     :exit, _gone -> {:error, :not_running}
   end
@@ -50,7 +51,7 @@ defmodule Aerie.Inspector do
   @doc "Ends `watch/1`."
   @spec unwatch(Names.gateway()) :: :ok
   def unwatch(gateway) do
-    GenServer.call(Names.via(gateway, :inspector), :unwatch)
+    GenServer.call(Names.via(gateway, :inspector), :unwatch, @call_ms)
   catch
     :exit, _gone -> :ok
   end

@@ -31,6 +31,7 @@ defmodule Aerie.Link do
 
   alias Aerie.Error
   alias Aerie.Store
+  alias Aerie.Link.Clients
   alias Aerie.Link.Configured
   alias Aerie.Link.FirstAttempt
   alias Aerie.Link.Spec
@@ -133,15 +134,15 @@ defmodule Aerie.Link do
   def get(gateway, id), do: Store.Links.whole(gateway, id)
 
   @doc """
-  The snapshot of this moment, from the link's process; nil if it does not run. If it is too busy to answer within a second, the
-  one that it published last.
+  The snapshot of this moment, from the link's process; nil if it does not run. If it is too busy to answer within `wait_ms`, a
+  second, the one that it published last. A client has one, too.
   """
-  @spec snapshot(Names.gateway(), String.t()) :: map | nil
-  def snapshot(gateway, id) do
+  @spec snapshot(Names.gateway(), String.t(), pos_integer) :: map | nil
+  def snapshot(gateway, id, wait_ms \\ @snapshot_ms) do
     with pid when is_pid(pid) <- Names.whereis(gateway, :link, id),
-         do: GenServer.call(pid, :snapshot, @snapshot_ms)
+         do: GenServer.call(pid, :snapshot, wait_ms)
   catch
-    :exit, {:timeout, _call} -> get(gateway, id)
+    :exit, {:timeout, _call} -> get(gateway, id) || Clients.link(gateway, id)
     :exit, _ended -> nil
   end
 

@@ -75,11 +75,11 @@ defmodule Aerie.InspectorTest do
   test "what it does not take in time is left out and counted, and the link never waits", c do
     assert Inspector.watch(c.gateway) == :ok
     inspector = Aerie.Names.whereis(c.gateway, :inspector)
-    :sys.suspend(inspector)
+    :sys.suspend(inspector, Aerie.Patience.ms())
     for n <- 1..40, do: heard(c.gateway, attitudes(1, (n * 100)..(n * 100 + 99)))
     {:message_queue_len, waiting} = Process.info(inspector, :message_queue_len)
     assert waiting < 40
-    :sys.resume(inspector)
+    :sys.resume(inspector, Aerie.Patience.ms())
 
     skipped =
       eventually(fn ->

@@ -37,18 +37,23 @@ defmodule Aerie.LinkTest do
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0")
       [a, b, noise] = [socket(), socket(), socket()]
 
-      for n <- 1..300 do
-        say(a, port, attitude(1, n))
-        # The start of a frame that never ends, and plain noise.
-        say(noise, port, <<0xFD, 255, 0, 0, 7>>)
-        say(a, port, <<0xFD, 200, 0>>)
-        say(b, port, :binary.copy(<<0x55>>, 100) <> attitude(2, n))
-      end
+      # No burst is a backlog (`Aerie.Link.Backlog`), however long a busy machine lets the link stand still.
+      frames =
+        Enum.flat_map(Enum.chunk_every(1..300, 15), fn chunk ->
+          for n <- chunk do
+            say(a, port, attitude(1, n))
+            # The start of a frame that never ends, and plain noise.
+            say(noise, port, <<0xFD, 255, 0, 0, 7>>)
+            say(a, port, <<0xFD, 200, 0>>)
+            say(b, port, :binary.copy(<<0x55>>, 100) <> attitude(2, n))
+          end
 
-      frames = frames(600)
+          frames(2 * length(chunk))
+        end)
+
       for system <- [1, 2], do: assert(numbers(frames, system) == Enum.to_list(1..300))
 
-      snapshot = Link.snapshot(c.gateway, id)
+      snapshot = snapshot(c.gateway, id)
       assert length(snapshot.peers) == 2
       assert snapshot.counters.frames_in == 600
       assert snapshot.counters.resync_bytes > 0
@@ -58,10 +63,16 @@ defmodule Aerie.LinkTest do
     test "peers are bounded; a refused one is counted", c do
       be_session(c.gateway, 1)
       {id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", options: [max_peers: 2])
-      for _ <- 1..4, do: say(socket(), port, attitude(1, 1))
+      known = for _ <- 1..2, do: socket()
+      for one <- known, do: say(one, port, attitude(1, 1))
       frames(2)
-      eventually(fn -> Link.snapshot(c.gateway, id).counters.peers_refused == 2 end)
-      assert length(Link.snapshot(c.gateway, id).peers) == 2
+      # Heard for half a second they are known, and are not replaced, however late the others come.
+      Process.sleep(600)
+      for one <- known, do: say(one, port, attitude(1, 2))
+      frames(2)
+      for _ <- 1..2, do: say(socket(), port, attitude(1, 1))
+      eventually(fn -> snapshot(c.gateway, id).counters.peers_refused == 2 end)
+      assert length(snapshot(c.gateway, id).peers) == 2
     end
 
     @tag :capture_log
@@ -73,17 +84,17 @@ defmodule Aerie.LinkTest do
       frames(1)
       link = Aerie.Names.whereis(c.gateway, :link, id)
 
-      :sys.suspend(link)
+      :sys.suspend(link, Aerie.Patience.ms())
       frame = attitude(1, 1)
       for _ <- 1..20_000, do: say(socket, port, frame)
-      :sys.resume(link)
+      :sys.resume(link, Aerie.Patience.ms())
 
-      eventually(fn ->
-        counters = Link.snapshot(c.gateway, id).counters
-        counters.frames_in + counters.kernel_dropped + counters.shed == 20_001
-      end)
+      snapshot =
+        eventually(fn ->
+          %{counters: counters} = snapshot = snapshot(c.gateway, id)
+          counters.frames_in + counters.kernel_dropped + counters.shed == 20_001 && snapshot
+        end)
 
-      snapshot = Link.snapshot(c.gateway, id)
       assert snapshot.counters.kernel_dropped > 0
       assert %{datagrams: dropped} = snapshot.overload
       assert dropped == snapshot.counters.kernel_dropped + snapshot.counters.shed
@@ -115,12 +126,12 @@ defmodule Aerie.LinkTest do
       end
 
       eventually(fn ->
-        counters = Link.snapshot(c.gateway, id).counters
+        counters = snapshot(c.gateway, id).counters
         assert counters.kernel_dropped + counters.shed == 0
         counters.frames_in + counters.peers_refused == 2_201
       end)
 
-      snapshot = Link.snapshot(c.gateway, id)
+      snapshot = snapshot(c.gateway, id)
       assert snapshot.counters.peers_refused > 0
       assert Enum.count(Aerie.Router.endpoints(c.gateway)) < 1_024
       # Few of the other senders receive the vehicle's frames.
@@ -159,7 +170,8 @@ defmodule Aerie.LinkTest do
       assert Link.send_bytes(c.gateway, "nobody", "x", :all) == {:error, :no_link}
 
       :ok = Aerie.Router.broadcast(c.gateway, "to all", "main")
-      assert {:ok, {_, _, "to all"}} = :gen_udp.recv(b, 0, Aerie.Patience.ms())
+      # Of what was sent to it before, some may come late.
+      eventually(fn -> match?({:ok, {_, _, "to all"}}, :gen_udp.recv(b, 0, Aerie.Patience.ms())) end)
     end
 
     test "IPv6", c do
@@ -168,7 +180,7 @@ defmodule Aerie.LinkTest do
       socket = socket([:inet6])
       :ok = :gen_udp.send(socket, {0, 0, 0, 0, 0, 0, 0, 1}, port, attitude(1, 1))
       frames(1)
-      assert [%{text: "[::1]:" <> _}] = Link.snapshot(c.gateway, id).peers
+      assert [%{text: "[::1]:" <> _}] = snapshot(c.gateway, id).peers
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "six")
       assert {:ok, {_, _, "six"}} = :gen_udp.recv(socket, 0, Aerie.Patience.ms())
     end
@@ -189,7 +201,7 @@ defmodule Aerie.LinkTest do
       server = socket()
       {:ok, port} = :inet.port(server)
       {id, _} = add_link(c.gateway, "udpout:localhost:#{port}")
-      eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
+      eventually(fn -> snapshot(c.gateway, id).status in [:up, :idle] end)
       :ok = Link.send_bytes(c.gateway, id, "hello", :all)
       assert {:ok, {address, client, "hello"}} = :gen_udp.recv(server, 0, Aerie.Patience.ms())
 
@@ -222,11 +234,11 @@ defmodule Aerie.LinkTest do
     test "datagrams of other hosts are ignored", c do
       be_session(c.gateway, 1)
       {id, _} = add_link(c.gateway, "udpout:127.0.0.2:14550")
-      eventually(fn -> Link.snapshot(c.gateway, id).status == :up end)
-      "0.0.0.0:" <> port = Link.snapshot(c.gateway, id).local
+      eventually(fn -> snapshot(c.gateway, id).status in [:up, :idle] end)
+      "0.0.0.0:" <> port = snapshot(c.gateway, id).local
       say(socket(), String.to_integer(port), attitude(1, 1))
       refute_receive {:frames, _, _}, 50
-      assert Link.snapshot(c.gateway, id).counters.frames_in == 0
+      assert snapshot(c.gateway, id).counters.frames_in == 0
     end
   end
 
@@ -253,8 +265,8 @@ defmodule Aerie.LinkTest do
       assert_receive {:up, _, %{link: ^id}}
       # Bytes are cut anywhere on a stream.
       <<a::binary-size(17), b::binary>> = attitude(1, 1) <> attitude(1, 2)
-      :ok = :gen_tcp.send(server, a)
-      :ok = :gen_tcp.send(server, b)
+      pieces = for piece <- [a, b], do: {byte_size(piece), fn -> :gen_tcp.send(server, piece) end}
+      in_pieces(c.gateway, id, pieces)
       assert [1, 2] = Enum.map(frames(2), &number/1)
 
       :ok = Aerie.Router.send(c.gateway, {"main", 1}, "hello")
@@ -266,7 +278,7 @@ defmodule Aerie.LinkTest do
       assert_receive {:up, %{reconnects: 1}, _}
       :ok = :gen_tcp.send(server, attitude(1, 3))
       assert [3] = Enum.map(frames(1), &number/1)
-      assert %{reconnects: 1, frames_in: 3} = Link.snapshot(c.gateway, id).counters
+      assert %{reconnects: 1, frames_in: 3} = snapshot(c.gateway, id).counters
     end
 
     test "a server accepts many connections, each with its own parser; a closed one takes its routes along",
@@ -277,22 +289,27 @@ defmodule Aerie.LinkTest do
       listen(c.gateway, [:peer_down])
       {:ok, a} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
       {:ok, b} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
+      # Sockets are read once the link has accepted them.
+      eventually(fn -> length(snapshot(c.gateway, id).peers) == 2 end)
       <<half::binary-size(10), rest::binary>> = attitude(1, 1)
-      :ok = :gen_tcp.send(a, half)
-      :ok = :gen_tcp.send(b, attitude(2, 1))
-      :ok = :gen_tcp.send(a, rest)
+
+      pieces =
+        for {socket, piece} <- [{a, half}, {b, attitude(2, 1)}, {a, rest}],
+            do: {byte_size(piece), fn -> :gen_tcp.send(socket, piece) end}
+
+      in_pieces(c.gateway, id, pieces)
       assert [1, 2] = frames(2) |> Enum.map(& &1.system) |> Enum.sort()
 
       {:ok, refused} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
       assert {:error, :closed} = :gen_tcp.recv(refused, 0, Aerie.Patience.ms())
-      assert Link.snapshot(c.gateway, id).counters.peers_refused == 1
+      assert snapshot(c.gateway, id).counters.peers_refused == 1
 
       assert :ok = Aerie.Router.send(c.gateway, {"main", 2}, "b")
       assert read_until(b, "b")
       :gen_tcp.close(a)
       assert_receive {:peer_down, _, _}
       assert Aerie.Router.send(c.gateway, {"main", 1}, "a") == {:error, :no_route}
-      assert [%{frames_in: 1}] = Link.snapshot(c.gateway, id).peers
+      assert [%{frames_in: 1}] = snapshot(c.gateway, id).peers
     end
 
     test "a peer that does not read affects nobody else", c do
@@ -308,7 +325,7 @@ defmodule Aerie.LinkTest do
       for _ <- 1..200, do: :ok = Aerie.Router.send(c.gateway, {"main", 1}, block)
       :ok = Aerie.Router.send(c.gateway, {"main", 2}, "still here")
       assert read_until(reads, "still here")
-      assert Link.snapshot(c.gateway, id).counters.dropped_out > 0
+      assert snapshot(c.gateway, id).counters.dropped_out > 0
     end
   end
 
@@ -331,27 +348,37 @@ defmodule Aerie.LinkTest do
       [a, b] = [socket(), socket()]
       supervisors = for role <- [:links, :link_trees], do: Names.whereis(c.gateway, role)
 
-      for n <- 1..50 do
-        pid = eventually(fn -> Names.whereis(c.gateway, :link, victim) end)
-        say(a, port, attitude(1, n))
+      got =
+        Enum.reduce(1..50, [], fn n, got ->
+          # Killed before it has started, it would not be counted.
+          before = n - 1
 
-        for m <- (n * 20 - 19)..(n * 20) do
-          say(b, udp_port, attitude(2, m))
-          :ok = :gen_tcp.send(stream, attitude(3, m))
-        end
+          pid =
+            eventually(fn ->
+              match?(%{counters: %{restarts: ^before}}, Link.get(c.gateway, victim)) &&
+                Names.whereis(c.gateway, :link, victim)
+            end)
 
-        Process.exit(pid, :kill)
-      end
+          say(a, port, attitude(1, n))
 
-      got = collect(%{2 => 1000, 3 => 1000})
+          for m <- (n * 20 - 19)..(n * 20) do
+            say(b, udp_port, attitude(2, m))
+            :ok = :gen_tcp.send(stream, attitude(3, m))
+          end
+
+          Process.exit(pid, :kill)
+
+          # Many at once would be a backlog (`Aerie.Link.Backlog`) of a link that a busy machine lets stand still.
+          got ++ collect(%{2 => 20, 3 => 20})
+        end)
+
       for system <- [2, 3], do: assert(numbers(got, system) == Enum.to_list(1..1000))
 
-      eventually(fn -> match?(%{status: :up}, Link.get(c.gateway, victim)) end)
+      eventually(fn -> match?(%{status: up} when up in [:up, :idle], snapshot(c.gateway, victim)) end)
       say(a, port, attitude(1, 99))
       eventually(fn -> Enum.any?(frames(1), &(number(&1) == 99)) end)
-      # Killing a process before it has started does not count.
-      assert Link.snapshot(c.gateway, victim).counters.restarts in 40..50
-      for id <- [udp, tcp], do: assert(Link.snapshot(c.gateway, id).counters.restarts == 0)
+      assert snapshot(c.gateway, victim).counters.restarts == 50
+      for id <- [udp, tcp], do: assert(snapshot(c.gateway, id).counters.restarts == 0)
       assert supervisors == for(role <- [:links, :link_trees], do: Names.whereis(c.gateway, role))
     end
 
@@ -368,7 +395,10 @@ defmodule Aerie.LinkTest do
         eventually(fn -> Names.whereis(c.gateway, :link_tree, id) not in [nil, tree] end)
       end
 
-      eventually(fn -> match?(%{status: :up, port: ^port}, Link.snapshot(c.gateway, id)) end)
+      eventually(fn ->
+        match?(%{status: up, port: ^port} when up in [:up, :idle], snapshot(c.gateway, id))
+      end)
+
       assert Names.whereis(c.gateway, :link_trees) == trees
     end
 
@@ -401,7 +431,7 @@ defmodule Aerie.LinkTest do
 
       eventually(fn ->
         Names.whereis(c.gateway, :link_trees) not in [nil, trees] and
-          match?(%{status: :up}, Link.snapshot(c.gateway, id))
+          match?(%{status: up} when up in [:up, :idle], snapshot(c.gateway, id))
       end)
 
       assert [%{id: "kept"}] = Link.list(c.gateway)
@@ -428,7 +458,7 @@ defmodule Aerie.LinkTest do
 
     again =
       eventually(fn ->
-        match?(%{status: :up}, Link.snapshot(c.gateway, id)) && Link.snapshot(c.gateway, id)
+        match?(%{status: up} when up in [:up, :idle], snapshot(c.gateway, id)) && snapshot(c.gateway, id)
       end)
 
     assert again.counters.frames_in == 1
@@ -470,7 +500,7 @@ defmodule Aerie.LinkTest do
     :ok = Link.stop(c.gateway, id)
     :ok = Link.stop(c.gateway, id)
     assert Link.list(c.gateway) == []
-    assert Link.snapshot(c.gateway, id) == nil
+    assert snapshot(c.gateway, id) == nil
   end
 
   test "the id of a client is taken, and the client stays", c do

@@ -122,7 +122,36 @@ defmodule Aerie.LinkCase do
   @spec add_link(term, String.t(), keyword) :: {String.t(), non_neg_integer | nil}
   def add_link(gateway, text, options \\ []) do
     {:ok, id} = Link.start(gateway, text, options)
-    {id, Link.snapshot(gateway, id).port}
+    {id, snapshot(gateway, id).port}
+  end
+
+  @doc "The snapshot of this moment, however late the link is: after a second `Aerie.Link.snapshot/2` gives an older one."
+  @spec snapshot(term, String.t()) :: map | nil
+  def snapshot(gateway, id), do: Link.snapshot(gateway, id, Aerie.Patience.ms())
+
+  @doc """
+  Sends a link something in pieces, each by a function that is given with the piece's size, so that it gets them in these pieces and
+  reads all of them at once. A busy machine makes pauses of any length, and after a short silence a link gives up half a frame.
+  """
+  @spec in_pieces(term, String.t(), [{pos_integer, (-> term)}]) :: :ok
+  def in_pieces(gateway, id, pieces) do
+    link = Names.whereis(gateway, :link, id)
+    :ok = :sys.suspend(link, Aerie.Patience.ms())
+
+    Enum.reduce(pieces, waiting(link), fn {size, send}, before ->
+      send.()
+      eventually(fn -> waiting(link) >= before + size end)
+      before + size
+    end)
+
+    :ok = :sys.resume(link, Aerie.Patience.ms())
+  end
+
+  # The bytes in a link's mailbox.
+  defp waiting(link) do
+    {:messages, messages} = Process.info(link, :messages)
+
+    Enum.sum(for m <- messages, is_tuple(m), b = elem(m, tuple_size(m) - 1), is_binary(b), do: byte_size(b))
   end
 
   @doc "Sends the link's telemetry events to the calling process, as `{event, measurements, metadata}`."

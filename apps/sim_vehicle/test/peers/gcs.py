@@ -48,11 +48,19 @@ class Gcs:
 
     def command(self, command, *params, acks=1):
         p = list(params) + [0] * (7 - len(params))
-        send = lambda: self.m.mav.command_long_send(self.system, 1, command, 0, *p)
+        sent = []
+
+        def send():
+            sent.append(1)
+            self.m.mav.command_long_send(self.system, 1, command, 0, *p)
+
         ours = lambda a: a.command == command
         results = [self.ask(send, "COMMAND_ACK", ours).result]
         while len(results) < acks:
             results.append(self.wait("COMMAND_ACK", ours, 60).result)
+        # What was asked twice is answered twice, unless it was lost; the next command must not get that answer.
+        for _ in range((len(sent) - 1) * acks):
+            self.wait("COMMAND_ACK", ours, 10, wanted=False)
         return results
 
     def params(self):

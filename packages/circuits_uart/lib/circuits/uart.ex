@@ -45,7 +45,7 @@ defmodule Circuits.UART do
 
   # Limits of the port program for requests that have no time-out of their own. A caller waits longer than the limit, so that
   # the serving process always ends the wait with an answer.
-  @slack 3_000
+  @slack 20_000
   @open_limit 10_000
   @drain_limit 10_000
   @default_limit 5_000

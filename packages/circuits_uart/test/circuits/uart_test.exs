@@ -161,7 +161,7 @@ defmodule Circuits.UARTTest do
       assert UART.open(uart, pty.path) == :ok
       Pty.write(pty, all)
       assert gather(pty.path, 256) == all
-      assert UART.write(uart, all) == :ok
+      assert UART.write(uart, all, 60_000) == :ok
       assert Pty.read(pty, 256) == all
     end
 
@@ -177,13 +177,13 @@ defmodule Circuits.UARTTest do
     test "and passive mode take turns without losing a byte", %{uart: uart, pty: %{path: path} = pty} do
       assert UART.open(uart, path, active: false) == :ok
       Pty.write(pty, "a")
-      assert UART.read(uart) == {:ok, "a"}
+      assert UART.read(uart, 60_000) == {:ok, "a"}
       assert UART.configure(uart, active: true) == :ok
       Pty.write(pty, "b")
       assert_receive {:circuits_uart, ^path, "b"}
       assert UART.configure(uart, active: false) == :ok
       Pty.write(pty, "c")
-      assert UART.read(uart) == {:ok, "c"}
+      assert UART.read(uart, 60_000) == {:ok, "c"}
       refute_received {:circuits_uart, _, _}
       Pty.write(pty, "d")
       assert UART.configure(uart, active: true) == :ok
@@ -200,7 +200,7 @@ defmodule Circuits.UARTTest do
       assert UART.read(uart, 0) == {:ok, ""}
       assert UART.read(uart, 20) == {:ok, ""}
       Pty.write(pty, "hello")
-      assert UART.read(uart) == {:ok, "hello"}
+      assert UART.read(uart, 60_000) == {:ok, "hello"}
     end
 
     test "a read that waits does not keep others waiting", %{uart: uart, pty: pty} do
@@ -239,7 +239,7 @@ defmodule Circuits.UARTTest do
       Process.exit(reader, :kill)
       assert_receive {:DOWN, ^ref, _, _, :killed}
       Pty.write(pty, "its own\nnot its own\n")
-      assert UART.read(uart) == {:ok, "not its own"}
+      assert UART.read(uart, 60_000) == {:ok, "not its own"}
     end
 
     test "closing ends the waiting", %{uart: uart} do
@@ -286,7 +286,7 @@ defmodule Circuits.UARTTest do
       eventually(fn -> waiting(uart, :senders) == 1 end)
       assert UART.write(uart, "behind", 10) == {:error, :eagain}
       Pty.write(pty, "incoming")
-      assert UART.read(uart) == {:ok, "incoming"}
+      assert UART.read(uart, 60_000) == {:ok, "incoming"}
       assert UART.configure(uart, speed: 115_200) == :ok
 
       Pty.resume(pty)
@@ -311,19 +311,19 @@ defmodule Circuits.UARTTest do
     test "drops what was received, with parts of frames and messages nobody read", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, active: false, framing: Framing.Line) == :ok
       Pty.write(pty, "one\ntwo\nthr")
-      assert UART.read(uart) == {:ok, "one"}
+      assert UART.read(uart, 60_000) == {:ok, "one"}
       assert UART.flush(uart, :receive) == :ok
       assert UART.read(uart, 0) == {:ok, ""}
       Pty.write(pty, "ee\n")
-      assert UART.read(uart) == {:ok, "ee"}
+      assert UART.read(uart, 60_000) == {:ok, "ee"}
     end
 
     test "of the transmit direction leaves the received alone", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, active: false, framing: Framing.Line) == :ok
       Pty.write(pty, "one\ntwo\n")
-      assert UART.read(uart) == {:ok, "one"}
+      assert UART.read(uart, 60_000) == {:ok, "one"}
       assert UART.flush(uart, :transmit) == :ok
-      assert UART.read(uart) == {:ok, "two"}
+      assert UART.read(uart, 60_000) == {:ok, "two"}
       assert UART.flush(uart, :sideways) == {:error, :einval}
     end
   end
@@ -362,14 +362,14 @@ defmodule Circuits.UARTTest do
 
       assert UART.configure(uart, active: false, framing: Framing.FourByte) == :ok
       Pty.write(pty, "123456")
-      assert UART.read(uart) == {:ok, "1234"}
-      assert UART.read(uart) == {:ok, "56"}
+      assert UART.read(uart, 60_000) == {:ok, "1234"}
+      assert UART.read(uart, 60_000) == {:ok, "56"}
     end
 
     test "may be changed; what nobody read comes first", %{uart: uart, pty: %{path: path} = pty} do
       assert UART.open(uart, path, active: false, framing: {Framing.Line, max_length: 4}) == :ok
       Pty.write(pty, "first\nsecond\n")
-      assert UART.read(uart) == {:ok, {:partial, "firs"}}
+      assert UART.read(uart, 60_000) == {:ok, {:partial, "firs"}}
       assert UART.configure(uart, active: true, framing: Framing.None) == :ok
       assert_receive {:circuits_uart, ^path, "t"}
       assert_receive {:circuits_uart, ^path, {:partial, "seco"}}
@@ -384,7 +384,7 @@ defmodule Circuits.UARTTest do
       assert UART.read(uart, 50) == {:ok, ""}
       assert UART.configure(uart, speed: 115_200) == :ok
       Pty.write(pty, "gun\n")
-      assert UART.read(uart) == {:ok, "begun"}
+      assert UART.read(uart, 60_000) == {:ok, "begun"}
     end
 
     test "an error of a framing is the caller's, not the process's", %{uart: uart, pty: pty} do

@@ -2,8 +2,6 @@ defmodule Mix.Tasks.Compile.CircuitsUartTest do
   use ExUnit.Case, async: true
 
   @moduletag :tmp_dir
-  # A mix of its own each time.
-  @moduletag timeout: 120_000
 
   test "builds the port program once, and again when asked to differ", %{tmp_dir: dir} do
     program = Path.join(dir, "lib/circuits_uart/priv/circuits_uart")

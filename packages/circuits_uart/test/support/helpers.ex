@@ -22,7 +22,7 @@ defmodule Circuits.UART.Test.Helpers do
   def read_all(_uart, count, sofar) when byte_size(sofar) >= count, do: sofar
 
   def read_all(uart, count, sofar) do
-    assert {:ok, data} = UART.read(uart)
+    assert {:ok, data} = UART.read(uart, @patience)
     assert data != ""
     read_all(uart, count, sofar <> data)
   end

@@ -168,7 +168,8 @@ defmodule Gnat.Jetstream.PullConsumerTest do
     %{name: name, stream: stream, options: options} = c
     telemetry([:gnat, :jetstream, :pull_consumer, :heartbeat_expired])
     {:ok, _} = Gnat.sub(name, self(), "$JS.ACK.#{stream}.d.>")
-    start_supervised!({Forward, {self(), options ++ [request_expires: 4_000_000_000]}})
+    # Heartbeats at half of it; a silence of all of it is a fault.
+    start_supervised!({Forward, {self(), options ++ [request_expires: 16_000_000_000]}})
     assert_receive {:connected, "d"}
 
     for body <- ["a", "b"] do

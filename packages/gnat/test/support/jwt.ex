@@ -14,7 +14,7 @@ defmodule Gnat.Test.Jwt do
     leaf: -1
   }
 
-  @doc "`%{config: server configuration, seed: , jwt: }`."
+  @doc "`%{config: server configuration, seed: , jwt: , again: }`; `again` makes another JWT of the same user, with other claims."
   def deployment(user_claims \\ %{}) do
     operator = Nkey.generate(:operator)
     account = Nkey.generate(:account)
@@ -22,7 +22,8 @@ defmodule Gnat.Test.Jwt do
 
     operator_jwt = sign(operator, operator.public, "operator", %{})
     account_jwt = sign(operator, account.public, "account", %{limits: @unlimited})
-    jwt = sign(account, user.public, "user", %{subs: -1, data: -1, payload: -1}, user_claims)
+
+    again = &sign(account, user.public, "user", %{subs: -1, data: -1, payload: -1}, &1)
 
     config = """
     operator: #{operator_jwt}
@@ -30,7 +31,7 @@ defmodule Gnat.Test.Jwt do
     resolver_preload: { #{account.public}: #{account_jwt} }
     """
 
-    %{config: config, jwt: jwt, seed: Nkey.seed(user)}
+    %{config: config, jwt: again.(user_claims), again: again, seed: Nkey.seed(user)}
   end
 
   defp sign(signer, subject, type, nats, claims \\ %{}) do

@@ -39,7 +39,7 @@ export async function open(html, { url, transport, params = {}, hooks = {}, opti
 }
 
 // Waits until a condition holds. The limit only guards against hanging.
-export async function until(what, holds, limit = 20_000) {
+export async function until(what, holds, limit = 180_000) {
   const end = Date.now() + limit;
   for (;;) {
     const value = holds();

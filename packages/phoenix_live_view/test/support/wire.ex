@@ -3,7 +3,8 @@ defmodule Phoenix.LiveViewTest.Wire do
 
   alias Phoenix.LiveViewTest.DOM
 
-  @timeout 20_000
+  # It only guards against hanging.
+  @timeout 180_000
 
   @doc "GETs a path: status, headers (lower case, in order), body."
   def get(port, path, headers \\ []) do

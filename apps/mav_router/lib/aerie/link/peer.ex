@@ -15,7 +15,7 @@ defmodule Aerie.Link.Peer do
   @typedoc """
   - `text`: for people (`10.0.0.7:14551`)
   - `since`, `heard`: monotonic ms of the first and the last bytes; `framed`: of the last good frame, nil before it
-  - `flushed`: whether the parser holds no bytes that only silence can decide
+  - `flushed`: whether the parser holds no bytes that only silence can decide; `:due` if one tick has found silence
   - `known`: whether it has sent good frames for at least #{@known_ms} ms
   - `stats`: those of the parser, nil if something was read since `measure/1`; `counted`: its part of the sum of all peers
     (`Aerie.Link.Peers`), nil for none
@@ -27,7 +27,7 @@ defmodule Aerie.Link.Peer do
           since: integer,
           heard: integer,
           framed: integer | nil,
-          flushed: boolean,
+          flushed: boolean | :due,
           known: boolean,
           stats: Parser.stats() | nil,
           counted: %{atom => non_neg_integer} | nil

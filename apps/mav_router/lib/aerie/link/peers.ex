@@ -23,7 +23,7 @@ defmodule Aerie.Link.Peers do
 
   @idle_ms 60_000
   @yields_ms 5_000
-  # After this silence, the parser decides about bytes that might have been the beginning of a frame.
+  # After this silence, found at two ticks, the parser decides about bytes that might have been the beginning of a frame.
   @quiet_ms 200
 
   @enforce_keys [:framing, :parser, :unknown]
@@ -164,8 +164,11 @@ defmodule Aerie.Link.Peers do
   def tick(peers, now) do
     idle = if peers.framing == :datagram, do: idle(peers, now), else: []
     peers = Enum.reduce(idle, peers, fn peer, peers -> elem(remove(peers, peer.id), 1) end)
-    quiet = for {_id, peer} <- peers.map, not peer.flushed, now - peer.heard >= @quiet_ms, do: peer
-    {deliveries, peers} = Enum.flat_map_reduce(quiet, peers, &flush/2)
+    quiet = for {_id, peer} <- peers.map, peer.flushed != true, now - peer.heard >= @quiet_ms, do: peer
+    # A link that stood still finds its tick before the bytes that came meanwhile, so the next tick decides.
+    {due, first} = Enum.split_with(quiet, &(&1.flushed == :due))
+    peers = Enum.reduce(first, peers, &put(&2, %{&1 | flushed: :due}))
+    {deliveries, peers} = Enum.flat_map_reduce(due, peers, &flush/2)
     {deliveries, Enum.map(idle, &{:down, &1}), peers}
   end
 

@@ -72,10 +72,11 @@ defmodule Aerie.Link.PortOwner do
 
   defp program(targets) do
     deadline = System.monotonic_time(:millisecond) + @patience_ms
-    in_time? = fn _pid -> System.monotonic_time(:millisecond) < deadline end
+    own = String.to_integer(System.pid())
+    in_time? = fn pid -> pid == own or System.monotonic_time(:millisecond) < deadline end
 
     with pid when pid != nil <-
-           pids() |> own_first() |> Stream.take_while(in_time?) |> Enum.find(&holds?(&1, targets)),
+           pids() |> own_first(own) |> Stream.take_while(in_time?) |> Enum.find(&holds?(&1, targets)),
          {:ok, name} <- name(pid) do
       {:ok, name, pid}
     else
@@ -84,10 +85,7 @@ defmodule Aerie.Link.PortOwner do
   end
 
   # Two links with the same port are the commonest case, and all other processes take a while.
-  defp own_first(pids) do
-    own = String.to_integer(System.pid())
-    [own | List.delete(pids, own)]
-  end
+  defp own_first(pids, own), do: [own | List.delete(pids, own)]
 
   defp pids do
     case File.ls("/proc") do

@@ -20,6 +20,8 @@ defmodule Aerie.Recorder.Recording do
   alias MavCodec.Tlog
 
   @second_ms 1_000
+  # It may have to wait for a slow disk itself.
+  @call_ms 30_000
   # A recording up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
 
@@ -42,7 +44,7 @@ defmodule Aerie.Recorder.Recording do
 
   @doc "The mode of the target was changed in the tables."
   @spec changed(pid) :: :ok
-  def changed(pid), do: GenServer.call(pid, :changed)
+  def changed(pid), do: GenServer.call(pid, :changed, @call_ms)
 
   @doc "Records up to a later time (unix microseconds of frames)."
   @spec extend(pid, integer) :: :ok
@@ -54,7 +56,7 @@ defmodule Aerie.Recorder.Recording do
 
   @doc "Writes the collected records; gives the file, nil when there is none."
   @spec flush(pid) :: Path.t() | nil
-  def flush(pid), do: GenServer.call(pid, :flush)
+  def flush(pid), do: GenServer.call(pid, :flush, @call_ms)
 
   @impl GenServer
   def init(options) do

@@ -12,7 +12,7 @@ defmodule Aerie.Router.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings` (`Aerie.Router.Settings`); `:vehicles` (`Aerie.Router.Vehicles`), `:requests`
-  (`Aerie.Router.Requests`), `:policy` (`Aerie.Router.Policy`) and `:readings` (`Aerie.Router.Readings`), modules, none by default; `:children`, child specifications of what is supervised beside the
+  (`Aerie.Router.Requests`), `:policy` (`Aerie.Router.Policy`) and `:readings` (`Aerie.Router.Readings`), modules, none by default; `:turns_clock`, see `Aerie.Router.TransferTurns`; `:children`, child specifications of what is supervised beside the
   router's own processes.
   """
   @spec start_link(keyword) :: Supervisor.on_start()
@@ -38,7 +38,7 @@ defmodule Aerie.Router.Supervisor do
       {Aerie.Router.VehicleStarter, gateway: gateway},
       {Aerie.Router.Sweeper, gateway: gateway},
       {Aerie.Router.Meter, gateway: gateway},
-      {Aerie.Router.TransferTurns, gateway: gateway}
+      {Aerie.Router.TransferTurns, gateway: gateway, clock: Keyword.get(options, :turns_clock)}
     ]
 
     further = Keyword.get(options, :children, [])

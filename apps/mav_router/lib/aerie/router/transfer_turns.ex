@@ -33,7 +33,9 @@ defmodule Aerie.Router.TransferTurns do
   alias MavCodec.Frame
 
   @tick_ms 100
-  @call_ms 1_000
+  # A process that is gone is noticed at once. One that is only late decides all the same: what passed meanwhile would be
+  # forwarded a second time.
+  @call_ms 30_000
   # Vehicles and kinds of transfer; those beyond it are not serialised.
   @max_turns 4_096
 
@@ -44,11 +46,12 @@ defmodule Aerie.Router.TransferTurns do
   @spec kinds() :: [kind()]
   defdelegate kinds, to: Transfer
 
-  @doc "Options: `:gateway`."
-  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  @doc "Options: `:gateway`; `:clock`, a function that gives the monotonic time of turns in ms, for tests."
+  @spec start_link(gateway: Names.gateway(), clock: (-> integer) | nil) :: GenServer.on_start()
   def start_link(options) do
     gateway = Keyword.fetch!(options, :gateway)
-    GenServer.start_link(__MODULE__, gateway, name: server(gateway))
+    clock = options[:clock] || (&now/0)
+    GenServer.start_link(__MODULE__, {gateway, clock}, name: server(gateway))
   end
 
   defp server(gateway), do: Names.via(gateway, :transfer_turns)
@@ -146,16 +149,17 @@ defmodule Aerie.Router.TransferTurns do
   end
 
   @impl GenServer
-  def init(gateway) do
+  def init({gateway, clock}) do
     Process.set_label({:transfer_turns, gateway})
     tables = Tables.of(gateway)
     if tables, do: :ets.match_delete(tables.settings, {{:transfer, :_}, :_})
-    {:ok, %{gateway: gateway, turns: %{}, own: %{}, timer: nil}}
+    {:ok, %{gateway: gateway, clock: clock, turns: %{}, own: %{}, timer: nil}}
   end
 
   @impl GenServer
   def handle_call({:ask, key, who, step, part, frame}, _from, state) do
-    {answer, turn} = state.turns |> Map.get(key, Turn.new()) |> Turn.ask(who, step, part, {who, frame}, now())
+    {answer, turn} =
+      state.turns |> Map.get(key, Turn.new()) |> Turn.ask(who, step, part, {who, frame}, state.clock.())
 
     if map_size(state.turns) >= @max_turns and not is_map_key(state.turns, key),
       do: {:reply, :go, state},
@@ -165,7 +169,10 @@ defmodule Aerie.Router.TransferTurns do
   def handle_call({:take, {vehicle, kind} = key}, {pid, _tag}, state) do
     turn = Map.get(state.turns, key, Turn.new())
     whose = with {_path, system, component} <- turn.who, do: {system, component}, else: (_own -> nil)
-    {answer, turn} = Turn.take(turn, {:gateway, pid}, {:tell, pid, {:transfer_turn, vehicle, kind}}, now())
+
+    {answer, turn} =
+      Turn.take(turn, {:gateway, pid}, {:tell, pid, {:transfer_turn, vehicle, kind}}, state.clock.())
+
     own = Map.put_new_lazy(state.own, {key, pid}, fn -> Process.monitor(pid) end)
     state = %{state | own: own} |> keep(key, turn) |> let_go(key)
     {:reply, if(answer == :go, do: :go, else: {:hold, whose}), state}
@@ -177,7 +184,7 @@ defmodule Aerie.Router.TransferTurns do
   def handle_cast({:answered, key, to, step, part}, state) do
     case state.turns do
       %{^key => turn} ->
-        {:noreply, state |> keep(key, Turn.answered(turn, to, step, part, now())) |> let_go(key)}
+        {:noreply, state |> keep(key, Turn.answered(turn, to, step, part, state.clock.())) |> let_go(key)}
 
       _over ->
         {:noreply, state}
@@ -205,7 +212,7 @@ defmodule Aerie.Router.TransferTurns do
   defp let_go(state, key) do
     case state.turns do
       %{^key => turn} ->
-        {items, gave_up, turn} = Turn.next(turn, now())
+        {items, gave_up, turn} = Turn.next(turn, state.clock.())
         Enum.each(gave_up, &count(state.gateway, &1))
         Enum.each(items, &forward(state.gateway, &1))
         keep(state, key, turn)

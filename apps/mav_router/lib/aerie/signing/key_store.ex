@@ -77,11 +77,11 @@ defmodule Aerie.Signing.KeyStore do
 
   @doc "Reads all keys again. A key that cannot be read now does not replace one that could."
   @spec reload(Names.gateway()) :: [{Scope.id(), :same | :changed | {:error, String.t()}}]
-  def reload(gateway), do: GenServer.call(Names.via(gateway, :key_store), :reload)
+  def reload(gateway), do: GenServer.call(Names.via(gateway, :key_store), :reload, @call_ms)
 
   @doc "Writes the file now."
   @spec save(Names.gateway()) :: :ok | {:error, String.t()}
-  def save(gateway), do: GenServer.call(Names.via(gateway, :key_store), :save)
+  def save(gateway), do: GenServer.call(Names.via(gateway, :key_store), :save, @call_ms)
 
   @impl GenServer
   def init(options) do

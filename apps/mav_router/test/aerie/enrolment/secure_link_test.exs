@@ -55,7 +55,7 @@ defmodule Aerie.Enrolment.SecureLinkTest do
     assert {:error, error} = SecureLink.secure(gateway, @key, nil)
     assert Exception.message(error) =~ "(only on radio)"
 
-    :ok = :gen_udp.send(socket, {127, 0, 0, 1}, Aerie.Link.snapshot(gateway, "usb").port, heartbeat(1))
+    :ok = :gen_udp.send(socket, {127, 0, 0, 1}, snapshot(gateway, "usb").port, heartbeat(1))
     assert {:ok, "usb", {:peer, _peer}} = eventually(fn -> heard(SecureLink.secure(gateway, @key, nil)) end)
   end
 

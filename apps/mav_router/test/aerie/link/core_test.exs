@@ -116,6 +116,19 @@ defmodule Aerie.Link.CoreTest do
     assert Core.counters(core).resync_bytes == 3
   end
 
+  test "half a frame is given up after a silence, but not by a link that stood still and has not read the rest yet" do
+    <<a::binary-size(12), b::binary>> = attitude(1, 1)
+    {core, _} = run(up("tcp:127.0.0.1:1"), [{1, {:read, [{:remote, a}]}}])
+    # Its timer was first.
+    {late, actions} = run(core, [{1_000, :tick}, {1_001, {:read, [{:remote, b}]}}])
+    assert delivered(actions) == [remote: [1]]
+    assert Core.counters(late).resync_bytes == 0
+
+    {core, actions} = run(core, [{250, :tick}, {500, :tick}, {501, {:read, [{:remote, b}]}}])
+    assert delivered(actions) == []
+    assert Core.counters(core).resync_bytes > 0
+  end
+
   test "datagram peers are forgotten after a minute of silence, with their routes; counters stay" do
     {core, _} = run(up("udpin::1"), [{1, {:read, [{:x, attitude(1, 1)}, {:y, attitude(1, 1)}]}}])
     {core, actions} = run(core, [{50_000, {:read, [{:x, attitude(1, 2)}]}}, {60_001, :tick}])

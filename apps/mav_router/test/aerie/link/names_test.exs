@@ -30,7 +30,7 @@ defmodule Aerie.Link.NamesTest do
     {:ok, second} = :gen_tcp.listen(port, [:binary, ip: {127, 0, 0, 3}, active: false])
     {:ok, id} = Link.start(gateway, "tcp:#{@name}:#{port}")
     {:ok, connection} = :gen_tcp.accept(first, Aerie.Patience.ms())
-    eventually(fn -> Link.snapshot(gateway, id).status in [:up, :idle] end)
+    eventually(fn -> snapshot(gateway, id).status in [:up, :idle] end)
 
     move({127, 0, 0, 2}, {127, 0, 0, 3})
     :ok = :gen_tcp.close(first)

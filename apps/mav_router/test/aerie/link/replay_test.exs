@@ -23,11 +23,11 @@ defmodule Aerie.Link.ReplayTest do
     refute_received {:frames, _, _}
 
     assert reason == "end of #{c.path} after #{length(frames)} frames"
-    assert %{status: :ended, text: ^reason} = Link.snapshot(c.gateway, id)
-    assert Link.snapshot(c.gateway, id).counters.frames_in == length(frames)
+    assert %{status: :ended, text: ^reason} = snapshot(c.gateway, id)
+    assert snapshot(c.gateway, id).counters.frames_in == length(frames)
     # A recording is read-only.
     :ok = Link.send_bytes(c.gateway, id, "x", :all)
-    assert Link.snapshot(c.gateway, id).counters.dropped_out == 1
+    assert snapshot(c.gateway, id).counters.dropped_out == 1
   end
 
   test "a gzipped recording, in a loop", c do

@@ -4,7 +4,6 @@ defmodule Aerie.Router.GateTest do
 
   import ExUnit.CaptureLog
 
-  alias Aerie.Link
   alias Aerie.Router
   alias Aerie.Router.CommandGate
   alias Aerie.Router.ControlMessages
@@ -56,7 +55,7 @@ defmodule Aerie.Router.GateTest do
   defp mark(system),
     do: MavCodec.encode(%Messages.AdsbVehicle{icao_address: 7}, system: system, component: 190)
 
-  defp counters(c), do: Link.snapshot(c.gateway, "radio").counters
+  defp counters(c), do: snapshot(c.gateway, "radio").counters
 
   defp counted(c, name, n), do: eventually(fn -> Map.fetch!(counters(c), name) == n end)
 
@@ -84,14 +83,17 @@ defmodule Aerie.Router.GateTest do
 
   test "the first command that is refused is answered with DENIED, and no more than one a second", c do
     stranger = udp(c.port)
+    began = System.monotonic_time(:millisecond)
     for _times <- 1..5, do: say(stranger, disarm(1))
     {:ok, {_address, _port, bytes}} = :gen_udp.recv(stranger, 0, @patience)
     frame = MavCodec.Frame.from_bytes(bytes, nil)
     assert {:ok, %Messages.CommandAck{command: 400, result: 2, target_system: 255}} = MavCodec.decode(frame)
     assert {frame.system, frame.component} == {1, 1}
     counted(c, :denied, 5)
+    # One more for each second that the five took.
+    more = div(System.monotonic_time(:millisecond) - began, 1_000)
     say(c.one, mark(1))
-    assert until(stranger, mark(1)) == []
+    assert length(until(stranger, mark(1))) <= more
   end
 
   test "its heartbeat reaches no vehicle's failsafe, nor does one that poses as a vehicle's", c do
@@ -183,7 +185,7 @@ defmodule Aerie.Router.GateTest do
   test "clients may command, and so may callers of a link with gcs: allow, from the next frame on",
        c do
     {:ok, "gcs"} = Aerie.Client.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
-    client = udp(Link.snapshot(c.gateway, "gcs").port)
+    client = udp(snapshot(c.gateway, "gcs").port)
     say(client, gcs(254))
     say(client, disarm(1, 254))
     assert gcs(254) in until(c.one, disarm(1, 254))

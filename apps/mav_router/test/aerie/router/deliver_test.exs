@@ -131,7 +131,7 @@ defmodule Aerie.Router.DeliverTest do
   test "a vehicle that is being started is asked for once, and its session gets what came meanwhile, up to a bound" do
     gateway = gateway()
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     # With frames waiting a link leaves the making to the starter.
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
@@ -142,7 +142,7 @@ defmodule Aerie.Router.DeliverTest do
     assert %{unclaimed: 1} = deliver(gateway, attitude(1, 7), %{@origin | id: "b"})
     {:messages, messages} = Process.info(starter, :messages)
     assert for({:start, key} <- messages, do: key) == [{"main", 1}]
-    :sys.resume(starter)
+    :sys.resume(starter, Aerie.Patience.ms())
     assert_receive {:session, {"main", 1}, "a", [%{id: 0}, %{id: 0} | attitudes]}
     assert Enum.map(attitudes, &number/1) == Enum.to_list(1..126)
     assert %{delivered: 1, sessions: [_session]} = deliver(gateway, attitude(1, 128))
@@ -154,7 +154,7 @@ defmodule Aerie.Router.DeliverTest do
   test "vehicles wait for their start however long it takes, beyond the end of what starts them, and lose nothing" do
     gateway = gateway()
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     for n <- 1..65, do: send(self(), {:waiting, n})
     for system <- 1..3, do: assert(%{delivered: 1, sessions: []} = deliver(gateway, heartbeat(system)))
     in_an_hour = System.monotonic_time(:millisecond) + 3_600_000
@@ -169,7 +169,7 @@ defmodule Aerie.Router.DeliverTest do
 
   test "of a vehicle that is being started the frames are kept, but not what was read with them, nor a long read" do
     gateway = gateway()
-    :sys.suspend(Names.whereis(gateway, :vehicle_starter))
+    :sys.suspend(Names.whereis(gateway, :vehicle_starter), Aerie.Patience.ms())
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1} = deliver(gateway, heartbeat(1))
 
@@ -239,11 +239,11 @@ defmodule Aerie.Router.DeliverTest do
 
     on_exit(fn -> :telemetry.detach({gateway, :dropped}) end)
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     for n <- 1..65, do: send(self(), {:waiting, n})
     deliver(gateway, heartbeat(1))
     for n <- 1..4, do: deliver(gateway, attitude(1, n))
-    :sys.resume(starter)
+    :sys.resume(starter, Aerie.Patience.ms())
     assert_receive {:dropped, 5, %{system: 1, reason: :refused}}
     assert %{unclaimed: 1} = deliver(gateway, attitude(1, 5))
     assert :ets.tab2list(Tables.of(gateway).early) == []
@@ -252,13 +252,13 @@ defmodule Aerie.Router.DeliverTest do
   test "the frames by which a vehicle was found come before those that its session gets as soon as it is there" do
     gateway = gateway()
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
     # Another link that hears it, or the starter's own work while it waits for a processor.
     assert {:ok, _session} = Aerie.FakeVehicles.ensure(gateway, {"main", 1})
     assert %{delivered: 1} = deliver(gateway, attitude(1, 1))
-    :sys.resume(starter)
+    :sys.resume(starter, Aerie.Patience.ms())
     assert_receive {:session, {"main", 1}, "a", [%{id: 30}]}
     assert_received {:session, {"main", 1}, "a", [%{id: 0}]}
     :sys.get_state(starter, Aerie.Patience.ms())
@@ -269,11 +269,11 @@ defmodule Aerie.Router.DeliverTest do
   test "a link with many messages in its mailbox starts no vehicle itself" do
     gateway = gateway(%{})
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     for n <- 1..65, do: send(self(), {:waiting, n})
     assert %{delivered: 1, sessions: []} = deliver(gateway, heartbeat(1))
     assert Names.whereis(gateway, :session, {"main", 1}) == nil
-    :sys.resume(starter)
+    :sys.resume(starter, Aerie.Patience.ms())
     eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end)
     for n <- 1..65, do: assert_received({:waiting, ^n})
     deliver(gateway, heartbeat(2))

@@ -2,7 +2,7 @@ defmodule Aerie.Router.PolicyGateTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Aerie.{Link, Router, Store}
+  alias Aerie.{Router, Store}
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
@@ -68,7 +68,7 @@ defmodule Aerie.Router.PolicyGateTest do
 
   defp client(c, settings \\ %{}) do
     {:ok, "gcs"} = Aerie.Client.add(c.gateway, Map.merge(%{url: "udpin:127.0.0.1:0", id: "gcs"}, settings))
-    udp(Link.snapshot(c.gateway, "gcs").port)
+    udp(snapshot(c.gateway, "gcs").port)
   end
 
   defp udp(port) do
@@ -101,7 +101,7 @@ defmodule Aerie.Router.PolicyGateTest do
     assert_receive {:asked, %{owner: "gcs", peer: "127.0.0.1:" <> _}, {"main", 1},
                     %M.CommandLong{command: 401}}
 
-    assert Link.snapshot(c.gateway, "gcs").counters.denied == 2
+    assert snapshot(c.gateway, "gcs").counters.denied == 2
   end
 
   test "it is asked for each vehicle of a command to all, and refusing it for one refuses it for all", c do
@@ -177,7 +177,7 @@ defmodule Aerie.Router.PolicyGateTest do
     assert {%M.Tunnel{payload_type: 1}, _frame} = next(gcs)
     say(c.one, tunnel.(2))
     assert {%M.Tunnel{payload_type: 2}, _frame} = next(c.two)
-    assert Link.snapshot(c.gateway, "radio").counters.denied == 1
+    assert snapshot(c.gateway, "radio").counters.denied == 1
     assert {%M.Tunnel{payload_type: 2}, _frame} = next(gcs)
   end
 

@@ -4,7 +4,6 @@ defmodule Aerie.Router.AskedTest do
 
   import :proper_types, only: [list: 1, elements: 1, range: 2, oneof: 1]
 
-  alias Aerie.Link
   alias Aerie.Router
   alias Aerie.Router.RequestedData
   alias Aerie.Router.ClassQueue
@@ -40,7 +39,7 @@ defmodule Aerie.Router.AskedTest do
       :ok = :gen_tcp.send(vehicle, heartbeat(1))
       eventually(fn -> Router.route(gateway, {"main", 1}) end)
       {:ok, "gcs"} = Aerie.Client.add(gateway, %{url: "tcpin:127.0.0.1:0", id: "gcs"})
-      {:ok, gateway: gateway, vehicle: vehicle, port: Link.snapshot(gateway, "gcs").port}
+      {:ok, gateway: gateway, vehicle: vehicle, port: snapshot(gateway, "gcs").port}
     end
 
     # Little beside the log, but more than a segment of loopback (64 KiB). With less, a reader that goes on after a while
@@ -73,24 +72,24 @@ defmodule Aerie.Router.AskedTest do
 
     test "a log of 3 MB arrives whole at a client that reads slower than the vehicle sends; who did not ask is told of its loss",
          c do
+      # Made before anybody waits: who takes nothing for half a minute is let go.
+      chunks =
+        for chunk <- Enum.chunk_every(0..(@pieces - 1), 500) do
+          Enum.map(chunk, &[piece(&1), if(rem(&1, 10) == 0, do: attitude(1, &1), else: [])])
+        end
+
       [asks, looks_on] = for system <- [255, 254], do: client(c, system)
       :ok = :gen_tcp.send(asks, request())
       hears(c.vehicle, request())
 
       # The client reads nothing until the vehicle is done: slower than any.
-      for chunk <- Enum.chunk_every(0..(@pieces - 1), 500) do
-        :ok =
-          :gen_tcp.send(
-            c.vehicle,
-            Enum.map(chunk, &[piece(&1), if(rem(&1, 10) == 0, do: attitude(1, &1), else: [])])
-          )
-      end
+      for chunk <- chunks, do: :ok = :gen_tcp.send(c.vehicle, chunk)
 
       # Before a client that takes nothing for long is let go.
       eventually(fn -> dropped(c, looks_on) > 0 end)
       assert pieces(asks) == Enum.to_list(0..(@pieces - 1))
       assert dropped(c, asks) == 0
-      eventually(fn -> Link.snapshot(c.gateway, "gcs").counters.dropped_out > 0 end)
+      eventually(fn -> snapshot(c.gateway, "gcs").counters.dropped_out > 0 end)
     end
   end
 

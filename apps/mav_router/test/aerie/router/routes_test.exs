@@ -79,11 +79,11 @@ defmodule Aerie.Router.RoutesTest do
       :ok = :gen_tcp.send(liar, frames)
     end
 
-    eventually(fn -> Aerie.Link.snapshot(c.gateway, id).counters.frames_in == 20_000 end)
+    eventually(fn -> snapshot(c.gateway, id).counters.frames_in == 20_000 end)
     {:ok, vehicle} = connect.()
     :ok = :gen_tcp.send(vehicle, heartbeat(251))
     assert {^id, _peer} = eventually(fn -> Router.route(c.gateway, {"main", 251}) end)
-    eventually(fn -> Aerie.Link.snapshot(c.gateway, id).counters.routes_refused == 20_000 - 8_192 end)
+    eventually(fn -> snapshot(c.gateway, id).counters.routes_refused == 20_000 - 8_192 end)
   end
 
   test "the best way is the newest of a plain list", c do

@@ -2,7 +2,6 @@ defmodule Aerie.Router.TurnsTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
-  alias Aerie.Link
   alias Aerie.Router
   alias Aerie.Router.TransferTurns.Transfer
   alias Aerie.Router.TransferTurns.Turn
@@ -156,14 +155,17 @@ defmodule Aerie.Router.TurnsTest do
 
   describe "through a gateway" do
     setup do
-      gateway = start_parts(%{mavlink: %{system_id: 245, component_id: 191}})
+      # No turn is over because a busy machine takes long from one step to the next.
+      gateway =
+        start_parts(%{mavlink: %{system_id: 245, component_id: 191}}, options: [turns_clock: fn -> 0 end])
+
       {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
       vehicle = udp(port)
       say(vehicle, heartbeat(1))
       tables = Router.Tables.of(gateway)
       eventually(fn -> Enum.any?(Router.Endpoints.list(tables), & &1.heard_vehicle) end)
       {:ok, "gcs"} = Aerie.Client.add(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
-      client = Link.snapshot(gateway, "gcs").port
+      client = snapshot(gateway, "gcs").port
       {:ok, gateway: gateway, vehicle: vehicle, a: udp(client), b: udp(client)}
     end
 
@@ -201,6 +203,26 @@ defmodule Aerie.Router.TurnsTest do
       say(c.vehicle, ack(255))
       until(c.a, ack(255))
       until(c.vehicle, count(254, 5))
+      assert Enum.sum_by(Router.endpoints(c.gateway), & &1.counters.held) == 1
+    end
+
+    test "who asks while nobody decides waits until somebody does, and passes once", c do
+      say(c.a, count(255, 3))
+      until(c.vehicle, count(255, 3))
+      turns = Aerie.Names.whereis(c.gateway, :transfer_turns)
+      :ok = :sys.suspend(turns, @patience)
+      say(c.b, count(254, 5))
+      own = Task.async(fn -> Router.TransferTurns.take(c.gateway, {"main", 1}, :mission) end)
+      # As a busy machine lets it stand still.
+      Process.sleep(1_500)
+      :ok = :sys.resume(turns, @patience)
+      assert {:hold, {255, 190}} = Task.await(own, @patience)
+      say(c.b, mark(254, 7))
+      refute count(254, 5) in until(c.vehicle, mark(254, 7))
+      say(c.vehicle, ack(255))
+      until(c.vehicle, count(254, 5))
+      say(c.b, mark(254, 8))
+      refute count(254, 5) in until(c.vehicle, mark(254, 8))
       assert Enum.sum_by(Router.endpoints(c.gateway), & &1.counters.held) == 1
     end
 

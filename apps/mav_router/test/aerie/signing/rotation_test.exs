@@ -187,12 +187,9 @@ defmodule Aerie.Signing.RotationTest do
       {bytes, signer} = signed(signer(), 1)
       say(c, bytes)
       eventually(fn -> Aerie.Router.route(c.gateway, @key) end)
-      task = Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: 2_000) end)
-      setup_signing = order(c)
+      {setup_signing, error} = enrolled_in_vain(c, signer)
       # Signed with the key in force.
       assert {:signed, _} = MavCodec.Signing.check(signer, setup_signing)
-
-      assert {:error, %Aerie.Error{} = error} = says_until_done(task, c, signer)
       assert Exception.message(error) =~ "it still signs with its former key"
       assert Signing.list(c.gateway).pending == ["main/1"]
 
@@ -202,6 +199,17 @@ defmodule Aerie.Signing.RotationTest do
       say(c, bytes)
       eventually(fn -> Signing.list(c.gateway).pending == [] end)
       assert "main/1" in keys(c.gateway)
+    end
+
+    # On a busy machine two seconds may be over before anything of the vehicle was heard: then once more.
+    defp enrolled_in_vain(c, signer) do
+      task = Task.async(fn -> Aerie.Enrolment.enrol(c.gateway, @key, key: :generate, timeout_ms: 2_000) end)
+      setup_signing = order(c)
+      assert {:error, %Aerie.Error{} = error} = says_until_done(task, c, signer)
+
+      if Exception.message(error) =~ "nothing from component",
+        do: enrolled_in_vain(c, signer),
+        else: {setup_signing, error}
     end
 
     # Signed frames, from now until the answer is there.

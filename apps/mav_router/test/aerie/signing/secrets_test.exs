@@ -52,7 +52,11 @@ defmodule Aerie.Signing.SecretsTest do
           tables
           | Enum.flat_map(
               [key_store, c.link],
-              &[:sys.get_state(&1, Aerie.Patience.ms()), :sys.get_status(&1), Process.info(&1)]
+              &[
+                :sys.get_state(&1, Aerie.Patience.ms()),
+                :sys.get_status(&1, Aerie.Patience.ms()),
+                Process.info(&1)
+              ]
             )
         ],
         do: refute_key(shown(term))

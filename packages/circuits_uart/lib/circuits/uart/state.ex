@@ -6,8 +6,9 @@ defmodule Circuits.UART.State do
   alias Circuits.UART.{Options, Wire}
   alias Circuits.UART.Framing.None
 
-  # How much longer than its limit the port program may take to answer before it is given up.
-  @slack 1_000
+  # How much longer than its limit the port program may take to answer before it is given up. A busy machine may let
+  # a healthy one stand still for seconds.
+  @slack 10_000
 
   defstruct phase: :closed,
             # The open or close whose answer decides the phase: the latest one.

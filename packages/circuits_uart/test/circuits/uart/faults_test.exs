@@ -66,11 +66,11 @@ defmodule Circuits.UART.FaultsTest do
     test "comes after messages that were there before it", %{uart: uart, pty: pty} do
       assert UART.open(uart, pty.path, active: false, framing: Framing.Line) == :ok
       Pty.write(pty, "one\ntwo\nthree\n")
-      assert UART.read(uart) == {:ok, "one"}
+      assert UART.read(uart, 60_000) == {:ok, "one"}
       Pty.hang_up(pty)
       eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
-      assert UART.read(uart) == {:ok, "two"}
-      assert UART.read(uart) == {:ok, "three"}
+      assert UART.read(uart, 60_000) == {:ok, "two"}
+      assert UART.read(uart, 60_000) == {:ok, "three"}
       assert UART.read(uart) == {:error, :eio}
     end
 
@@ -124,6 +124,18 @@ defmodule Circuits.UART.FaultsTest do
       eventually(fn -> match?({:closed, _}, UART.configuration(uart)) end)
       assert UART.read(uart) == {:error, :epipe}
       assert UART.read(uart) == {:error, :ebadf}
+    end
+
+    test "or stopped for a moment, as on a busy machine: it is waited for", %{uart: uart, pty: pty} do
+      assert UART.open(uart, pty.path, active: false) == :ok
+      program = os_pid(uart)
+      kill("STOP", program)
+      writer = Task.async(fn -> UART.write(uart, "x", 0) end)
+      Process.sleep(1_500)
+      kill("CONT", program)
+      assert Task.await(writer, 60_000) == :ok
+      assert Pty.read(pty, 1) == "x"
+      assert os_pid(uart) == program
     end
 
     test "or stopped: it is given up, the call answered", %{uart: uart, pty: %{path: path} = pty} do

@@ -46,7 +46,7 @@ defmodule Circuits.UART.LeakTest do
   defp pulled(uart, _round, %{path: path} = pty) do
     assert UART.open(uart, path, speed: 57_600) == :ok
     Pty.write(pty, "telemetry")
-    assert UART.write(uart, "commands") == :ok
+    assert UART.write(uart, "commands", 60_000) == :ok
     assert_receive {:circuits_uart, ^path, data} when is_binary(data)
     Pty.hang_up(pty)
     await_error(path, :eio)
@@ -56,7 +56,7 @@ defmodule Circuits.UART.LeakTest do
 
   defp opened_and_closed(uart, pty) do
     assert UART.open(uart, pty.path, active: false) == :ok
-    assert UART.write(uart, "x") == :ok
+    assert UART.write(uart, "x", 60_000) == :ok
     assert UART.close(uart) == :ok
     assert Pty.read(pty, 1) == "x"
   end

@@ -61,7 +61,7 @@ defmodule Gnat.Jetstream.Pager do
          sid: sid,
          batch: opts[:batch] || 10,
          total: info.num_pending,
-         timeout: opts[:timeout] || 5_000
+         timeout: opts[:timeout] || Gnat.answer_ms()
        }}
     end
   end

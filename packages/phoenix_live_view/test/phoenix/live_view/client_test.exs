@@ -8,7 +8,6 @@ defmodule Phoenix.LiveView.ClientTest do
   @moduletag :node
   @moduletag :tmp_dir
   @moduletag :capture_log
-  @moduletag timeout: 180_000
 
   @pages 26
   @changes 100

@@ -188,7 +188,7 @@ defmodule Phoenix.LiveView.CowboyTest do
     test "is told to come back when the server is drained", %{port: port, site: site} do
       view = joined(port)
       :ok = :ranch.suspend_listener(site.listener)
-      assert Cowboy.drain(site.server) == 0
+      assert Cowboy.drain(site.server, 60_000) == 0
       assert last(view.socket) == {:close, 1012}
       assert views(site) == []
     end

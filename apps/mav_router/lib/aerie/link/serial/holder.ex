@@ -21,6 +21,7 @@ defmodule Aerie.Link.Serial.Holder do
   @pty_majors 136..143
   @write_ms 2_000
   @open_ms 20_000
+  @call_ms 30_000
 
   @doc "Starts a holder without a port, linked to the calling process."
   @spec start_link() :: GenServer.on_start()
@@ -51,11 +52,11 @@ defmodule Aerie.Link.Serial.Holder do
 
   @doc "The process that will send messages after `go/1`."
   @spec uart(pid) :: pid
-  def uart(holder), do: GenServer.call(holder, :uart)
+  def uart(holder), do: GenServer.call(holder, :uart, @call_ms)
 
   @doc "Makes `link` the owner."
   @spec give(pid, pid) :: :ok
-  def give(holder, link), do: GenServer.call(holder, {:give, link})
+  def give(holder, link), do: GenServer.call(holder, {:give, link}, @call_ms)
 
   @doc "Sends received bytes to the link from now on, beginning with those since the last `read/2`."
   @spec go(pid) :: :ok

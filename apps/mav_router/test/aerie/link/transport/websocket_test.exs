@@ -12,6 +12,8 @@ defmodule Aerie.Link.Transport.WebSocketTest do
   alias Aerie.Router
 
   @patience Aerie.Patience.ms()
+  # A link that is answered late would call again, and the test would go on with the former call.
+  @patient %{connect_ms: @patience}
 
   ## A minimal server
 
@@ -71,7 +73,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     {opcode, :crypto.exor(payload, pad)}
   end
 
-  defp up(gateway, id), do: eventually(fn -> Link.snapshot(gateway, id).status in [:up, :idle] end)
+  defp up(gateway, id), do: eventually(fn -> snapshot(gateway, id).status in [:up, :idle] end)
 
   describe "a link" do
     setup do
@@ -84,7 +86,10 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       {_by, _listener, port} = server = serve()
 
       {:ok, id} =
-        Link.start(c.gateway, "ws://127.0.0.1:#{port}/mavlink?token=secret&network=main", id: "agent")
+        Link.start(c.gateway, "ws://127.0.0.1:#{port}/mavlink?token=secret&network=main",
+          id: "agent",
+          options: @patient
+        )
 
       client = upgrade(server, :cow_ws.frame({:binary, heartbeat(1)}, %{}))
       assert {_by, _socket, "GET /mavlink?token=secret HTTP/1.1\r\nHost: 127.0.0.1:" <> _} = client
@@ -94,9 +99,16 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       say(client, {:binary, attitude(1, 1) <> attitude(1, 2)})
       <<head::binary-size(9), tail::binary>> = attitude(1, 3)
       {by, socket, _request} = client
-      :ok = by.send(socket, <<2, byte_size(head), head::binary>>)
-      say(client, {:ping, "alive?"})
-      :ok = by.send(socket, <<0x80, byte_size(tail), tail::binary>>)
+
+      pieces =
+        for frame <- [
+              <<2, byte_size(head), head::binary>>,
+              IO.iodata_to_binary(:cow_ws.frame({:ping, "alive?"}, %{})),
+              <<0x80, byte_size(tail), tail::binary>>
+            ],
+            do: {byte_size(frame), fn -> by.send(socket, frame) end}
+
+      in_pieces(c.gateway, id, pieces)
       assert Enum.map(frames(3), &number/1) == [1, 2, 3]
       assert hear(client) == {10, "alive?"}
 
@@ -105,7 +117,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       assert [hear(client), hear(client)] == [{2, ours}, {2, ours}]
 
       # The server's options are not shown.
-      snapshot = Link.snapshot(c.gateway, id)
+      snapshot = snapshot(c.gateway, id)
       assert snapshot.url == "ws://127.0.0.1:#{port}/mavlink?…&network=main"
       assert snapshot.peer == "127.0.0.1:#{port}"
     end
@@ -113,7 +125,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     test "the server closes with a reason and comes back: so does the link", c do
       {_by, _listener, port} = server = serve()
       listen(c.gateway, [:down])
-      {:ok, id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent")
+      {:ok, id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent", options: @patient)
       client = upgrade(server)
       up(c.gateway, id)
       say(client, {:close, 1012, "restart"})
@@ -126,7 +138,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
     test "a server that is no WebSocket is reported in words", c do
       {_by, _listener, port} = server = serve()
       listen(c.gateway, [:down])
-      {:ok, _id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent")
+      {:ok, _id} = Link.start(c.gateway, "ws://127.0.0.1:#{port}", id: "agent", options: @patient)
       {by, socket} = accept(server)
       _request = request(by, socket, "")
       :ok = by.send(socket, "HTTP/1.1 403 Forbidden\r\ncontent-length: 0\r\n\r\n")
@@ -151,7 +163,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
       {_by, _listener, port} = server = serve(:ssl, options)
       listen(c.gateway, [:down])
 
-      {:ok, id} = Link.start(c.gateway, "wss://localhost:#{port}/?ca=#{ca}", id: "good")
+      {:ok, id} = Link.start(c.gateway, "wss://localhost:#{port}/?ca=#{ca}", id: "good", options: @patient)
       client = upgrade(server)
       up(c.gateway, id)
       say(client, {:binary, heartbeat(1)})
@@ -167,7 +179,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
             {"unknown", "wss://localhost:#{port}", ~r/Unknown CA|no certificate authorities/i},
             {"misnamed", "wss://127.0.0.1:#{port}/?ca=#{ca}", ~r/hostname|host name/i}
           ] do
-        {:ok, ^id} = Link.start(c.gateway, url, id: id)
+        {:ok, ^id} = Link.start(c.gateway, url, id: id, options: @patient)
         assert_receive {:down, _wait, %{link: ^id, reason: reason}}, @patience
         assert reason =~ why
         :ok = Link.stop(c.gateway, id)

@@ -182,7 +182,7 @@ defmodule Gnat.Jetstream.API.KV do
   def prefix(bucket), do: "$KV." <> bucket <> "."
 
   defp write(conn, bucket, key, value, headers, opts) do
-    options = [headers: headers, receive_timeout: opts[:timeout] || 5_000]
+    options = [headers: headers, receive_timeout: opts[:timeout] || Gnat.answer_ms()]
 
     with :ok <- check(bucket, key),
          {:ok, %{"seq" => _revision}} <- Util.request(conn, prefix(bucket) <> key, value, options) do

@@ -8,8 +8,6 @@ defmodule Gnat.Jetstream.API.Util do
   """
   @type api_error :: %{String.t() => term()}
 
-  @timeout 5_000
-
   @doc "The prefix of the API of a domain; nil or \"\" for the server's own."
   @spec api(nil | String.t()) :: String.t()
   def api(domain) when domain in [nil, ""], do: "$JS.API"
@@ -19,7 +17,7 @@ defmodule Gnat.Jetstream.API.Util do
   @spec request(Gnat.t(), String.t(), iodata(), keyword()) ::
           {:ok, map()} | {:error, api_error() | :timeout | :no_responders | Error.t()}
   def request(conn, topic, payload, opts \\ []) do
-    opts = Keyword.put_new(opts, :receive_timeout, @timeout)
+    opts = Keyword.put_new_lazy(opts, :receive_timeout, &Gnat.answer_ms/0)
     with {:ok, %{body: body}} <- Gnat.request(conn, topic, payload, opts), do: answer(body)
   end
 

@@ -34,8 +34,8 @@ defmodule Aerie.Router.TransferTurns do
 
   @tick_ms 100
   # A process that is gone is noticed at once. One that is only late decides all the same: what passed meanwhile would be
-  # forwarded a second time.
-  @call_ms 30_000
+  # forwarded a second time. No longer, because the link that asks stands still meanwhile.
+  @call_ms 5_000
   # Vehicles and kinds of transfer; those beyond it are not serialised.
   @max_turns 4_096
 

@@ -49,8 +49,11 @@ defmodule Aerie.OperationsTest do
     |> elem(1)
   end
 
-  defp begin(gateway, object, source \\ %{name: "ops", role: :operator, permissions: []}),
-    do: Operations.begin(gateway, Map.put_new(object, "command", %{"type" => "rtl"}), source)
+  # A command has time to be sent on a busy machine.
+  defp begin(gateway, object, source \\ %{name: "ops", role: :operator, permissions: []}) do
+    object = Map.merge(%{"command" => %{"type" => "rtl"}, "timeout_s" => 300}, object)
+    Operations.begin(gateway, object, source)
+  end
 
   test "a command for several vehicles, with what became of each", %{gateway: gateway} do
     ids = ["VID-011", "VID-012", "VID-013", "VID-404"]

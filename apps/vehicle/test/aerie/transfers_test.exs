@@ -20,7 +20,7 @@ defmodule Aerie.TransfersTest do
     %Plan{items: items, rally: [{{-353_632_000, 1_491_652_000}, 30.0}]}
   end
 
-  # Of a thousand requests with such a loss one goes unanswered for all its eight repetitions: then it is asked again.
+  # With such a loss one request in a great many goes unanswered for all its repetitions: then it is asked again.
   defp answered(ask) do
     eventually(fn ->
       answer = ask.()

@@ -50,6 +50,13 @@ defmodule Aerie.LossyLink do
     state |> step({:start, 0}) |> loop()
   end
 
+  @doc "`answer` for `run/5` of a vehicle that stands still until `us`, and loses what comes before."
+  @spec still(non_neg_integer(), answer) :: answer
+        when answer: (term(), struct(), integer() -> {term(), list()})
+  def still(us, answer) do
+    fn vehicle, message, now -> if now < us, do: {vehicle, []}, else: answer.(vehicle, message, now) end
+  end
+
   defp loop(%{result: result} = s) when result != nil, do: finish(s)
   defp loop(%{steps: @max_steps}), do: raise("the machine does not come to an end")
 

@@ -19,7 +19,8 @@ defmodule Aerie.TransferCase do
   @doc "A gateway with links, vehicles and a door; gives its name and the port of its link. `policy` is that section."
   @spec start(Path.t(), map()) :: {reference(), :inet.port_number()}
   def start(dir, policy \\ %{}) do
-    gateway = VehicleCase.start_parts(%{})
+    # A vehicle that a busy machine keeps from running is not lost.
+    gateway = VehicleCase.start_parts(%{timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}})
     audit = %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}
     config = %{policy: Map.merge(%{audit: audit}, policy), commands: DoorCase.commands(dir)}
     config = Map.put(config, :params, %{dir: Path.join(dir, "params")})

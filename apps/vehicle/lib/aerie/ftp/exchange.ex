@@ -11,6 +11,7 @@ defmodule Aerie.Ftp.Exchange do
   @repeats 24
   # A vehicle that has answered before is likely to do so again.
   @first_repeats 8
+  @silence RoundTrip.silence()
   @burst_numbers 4_096
   # The vehicle reads the whole file before it answers.
   @crc_wait 300_000
@@ -73,7 +74,11 @@ defmodule Aerie.Ftp.Exchange do
   @doc "Repeats the request, because no answer came in time."
   @spec again(t(), integer()) :: {t(), struct()} | :give_up
   def again(%{repeats: @repeats}, _now), do: :give_up
-  def again(%{repeats: @first_repeats, heard?: false}, _now), do: :give_up
+
+  def again(%{repeats: repeats, heard?: false, sent_at: at}, now)
+      when repeats >= @first_repeats and now - at >= @silence,
+      do: :give_up
+
   def again(exchange, now), do: transmit(%{exchange | repeats: exchange.repeats + 1}, now)
 
   @doc """

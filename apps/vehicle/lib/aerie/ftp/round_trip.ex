@@ -9,6 +9,7 @@ defmodule Aerie.Ftp.RoundTrip do
   @unmeasured 1_000_000
   @shortest 100_000
   @longest 10_000_000
+  @silence 8_000_000
 
   defstruct [:smooth, :spread]
 
@@ -29,6 +30,13 @@ defmodule Aerie.Ftp.RoundTrip do
   @doc "The longest wait, whatever was measured."
   @spec longest() :: pos_integer()
   def longest, do: @longest
+
+  @doc """
+  How long a vehicle may be silent before it is given up, however often it was asked: on a fast link the repetitions are over in a
+  second or two, for which a radio roams or a computer stands still.
+  """
+  @spec silence() :: pos_integer()
+  def silence, do: @silence
 
   @doc "How long to wait for an answer after `repeats` repetitions; the wait doubles up to three times."
   @spec timeout(t(), non_neg_integer()) :: pos_integer()

@@ -26,6 +26,7 @@ defmodule Aerie.Logs.Download do
   @few 4
   @repeats 24
   @first_repeats 8
+  @silence RoundTrip.silence()
 
   @enforce_keys [:id, :size, :target, :deadline, :trip, :ranges, :max_bytes]
   defstruct [
@@ -38,6 +39,7 @@ defmodule Aerie.Logs.Download do
     :max_bytes,
     :due,
     :asked_at,
+    :since,
     request: {0, 0},
     repeats: 0,
     heard?: false,
@@ -94,7 +96,7 @@ defmodule Aerie.Logs.Download do
   def handle(%{phase: :idle, size: size, max_bytes: max} = d, {:start, _now}) when size > max,
     do: finish(d, {:error, :too_large})
 
-  def handle(%{phase: :idle} = d, {:start, now}), do: next(%{d | phase: :asked}, now)
+  def handle(%{phase: :idle} = d, {:start, now}), do: next(%{d | phase: :asked, since: now}, now)
   def handle(%{phase: :asked, due: due} = d, {:tick, now}) when now >= due, do: late(d, now)
 
   def handle(
@@ -131,7 +133,11 @@ defmodule Aerie.Logs.Download do
   end
 
   defp late(%{repeats: @repeats} = d, _now), do: finish(d, {:error, :no_answer})
-  defp late(%{repeats: @first_repeats, heard?: false} = d, _now), do: finish(d, {:error, :no_answer})
+
+  defp late(%{repeats: repeats, heard?: false, since: since} = d, now)
+       when repeats >= @first_repeats and now - since >= @silence,
+       do: finish(d, {:error, :no_answer})
+
   defp late(d, now), do: next(%{d | repeats: d.repeats + 1}, now)
 
   defp next(d, now) do

@@ -10,10 +10,23 @@ defmodule Aerie.Logs.List do
   alias MavCodec.Messages, as: M
 
   @repeats 12
+  @silence RoundTrip.silence()
   @max 10_000
 
   @enforce_keys [:target, :deadline, :trip]
-  defstruct [:target, :deadline, :trip, :due, :count, :last, :only, entries: %{}, repeats: 0, phase: :idle]
+  defstruct [
+    :target,
+    :deadline,
+    :trip,
+    :due,
+    :since,
+    :count,
+    :last,
+    :only,
+    entries: %{},
+    repeats: 0,
+    phase: :idle
+  ]
 
   @type t :: %__MODULE__{}
 
@@ -43,7 +56,7 @@ defmodule Aerie.Logs.List do
   def handle(%{deadline: deadline} = list, {_event, now}) when now >= deadline,
     do: finish(list, {:error, :deadline})
 
-  def handle(%{phase: :idle} = list, {:start, now}), do: ask_all(%{list | phase: :asked}, now)
+  def handle(%{phase: :idle} = list, {:start, now}), do: ask_all(%{list | phase: :asked, since: now}, now)
   # After a restart the list may have changed.
   def handle(%{phase: :asked} = list, {:rebooted, now}),
     do: ask_all(%{list | entries: %{}, count: nil}, now)
@@ -79,6 +92,7 @@ defmodule Aerie.Logs.List do
       | entries: Map.put(entries, m.id, entry),
         count: m.num_logs,
         last: m.last_log_num,
+        since: now,
         repeats: 0
     }
 
@@ -87,10 +101,11 @@ defmodule Aerie.Logs.List do
       else: {%{list | due: now + RoundTrip.timeout(list.trip)}, []}
   end
 
-  defp late(%{repeats: @repeats, count: nil} = list, _now), do: finish(list, {:error, :no_answer})
-
-  defp late(%{repeats: @repeats} = list, _now),
-    do: finish(list, {:error, {:missing, list.count - map_size(list.entries)}})
+  defp late(%{repeats: repeats, since: since} = list, now)
+       when repeats >= @repeats and now - since >= @silence do
+    why = if list.count, do: {:missing, list.count - map_size(list.entries)}, else: :no_answer
+    finish(list, {:error, why})
+  end
 
   defp late(list, now) do
     list = %{list | repeats: list.repeats + 1}

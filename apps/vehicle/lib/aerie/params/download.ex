@@ -30,6 +30,7 @@ defmodule Aerie.Params.Download do
   @repeats 12
   @resyncs 5
   @hash_reads 6
+  @silence RoundTrip.silence()
   @strikes 2
   @silence_shortest 300_000
   @silence_longest 3_000_000
@@ -220,7 +221,11 @@ defmodule Aerie.Params.Download do
     do: finish(d, {:error, Message.silence(d.target, d.encoding)})
 
   defp tick(%{phase: :start} = d, now), do: request_list(d, now)
-  defp tick(%{phase: :hash, sent: @hash_reads} = d, _now), do: finish(d, {:ok, table(%{d | first_hash: nil})})
+
+  defp tick(%{phase: :hash, sent: sent, heard_at: heard} = d, now)
+       when sent >= @hash_reads and now - heard >= @silence,
+       do: finish(d, {:ok, table(%{d | first_hash: nil})})
+
   defp tick(%{phase: :hash} = d, now), do: request_hash(d, now)
 
   defp tick(%{phase: :list} = d, now) do

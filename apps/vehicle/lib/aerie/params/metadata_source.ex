@@ -10,9 +10,10 @@ defmodule Aerie.Params.MetadataSource do
 
   @request MavCmd.value(:MAV_CMD_REQUEST_MESSAGE)
   @sends 5
+  @silence RoundTrip.silence()
 
   @enforce_keys [:target, :deadline, :trip]
-  defstruct [:target, :deadline, :trip, :due, sent: 0, phase: :idle]
+  defstruct [:target, :deadline, :trip, :due, :since, sent: 0, phase: :idle]
 
   @type t :: %__MODULE__{}
 
@@ -33,13 +34,15 @@ defmodule Aerie.Params.MetadataSource do
   def handle(%{deadline: deadline} = source, {_event, now}) when now >= deadline,
     do: finish(source, {:error, :deadline})
 
-  def handle(%{phase: :idle} = source, {:start, now}), do: ask(%{source | phase: :asked}, now)
+  def handle(%{phase: :idle} = source, {:start, now}), do: ask(%{source | phase: :asked, since: now}, now)
 
   def handle(%{phase: :asked, target: from} = source, {:message, %M.ComponentMetadata{uri: uri}, from, _now}),
     do: finish(source, {:ok, uri})
 
-  def handle(%{phase: :asked, sent: @sends, due: due} = source, {:tick, now}) when now >= due,
-    do: finish(source, {:error, {:failed, "the vehicle does not say where metadata is (COMPONENT_METADATA)"}})
+  def handle(%{phase: :asked, sent: sent, due: due, since: since} = source, {:tick, now})
+      when now >= due and sent >= @sends and now - since >= @silence,
+      do:
+        finish(source, {:error, {:failed, "the vehicle does not say where metadata is (COMPONENT_METADATA)"}})
 
   def handle(%{phase: :asked, due: due} = source, {:tick, now}) when now >= due, do: ask(source, now)
   def handle(source, _other), do: {source, []}

@@ -14,6 +14,7 @@ defmodule Aerie.Params.Set do
 
   @sends 8
   @denials 3
+  @silence RoundTrip.silence()
 
   @enforce_keys [:name, :value, :target, :encoding, :deadline, :trip]
   defstruct [
@@ -26,6 +27,7 @@ defmodule Aerie.Params.Set do
     :trip,
     :wire,
     :due,
+    :since,
     :shown,
     sent: 0,
     denials: 0,
@@ -105,8 +107,9 @@ defmodule Aerie.Params.Set do
       else: {%{set | shown: param.value}, []}
   end
 
-  defp late(%{shown: nil, sent: @sends} = set, _now),
-    do: finish(set, {:error, Message.silence(set.target, set.encoding)})
+  defp late(%{shown: nil, sent: sent, since: since} = set, now)
+       when sent >= @sends and now - since >= @silence,
+       do: finish(set, {:error, Message.silence(set.target, set.encoding)})
 
   defp late(%{shown: nil} = set, now), do: again(set, now)
 
@@ -131,7 +134,9 @@ defmodule Aerie.Params.Set do
         do: Message.set(set.target, set.name, set.wire, set.type, set.encoding),
         else: Message.read(set.target, set.name, set.encoding)
 
-    {%{set | sent: set.sent + 1, due: now + RoundTrip.timeout(set.trip, set.sent)}, [{:send, [message]}]}
+    since = if set.sent == 0, do: now, else: set.since
+    due = now + RoundTrip.timeout(set.trip, set.sent)
+    {%{set | sent: set.sent + 1, since: since, due: due}, [{:send, [message]}]}
   end
 
   defp finish(set, result), do: {%{set | phase: :done}, [{:done, result}]}

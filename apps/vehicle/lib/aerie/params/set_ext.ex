@@ -17,6 +17,7 @@ defmodule Aerie.Params.SetExt do
 
   @sends 8
   @denials 3
+  @silence RoundTrip.silence()
   @progress_us 2_000_000
   @verdicts %{
     ParamAck.value(:PARAM_ACK_ACCEPTED) => :accepted,
@@ -35,6 +36,7 @@ defmodule Aerie.Params.SetExt do
     :trip,
     :wire,
     :due,
+    :since,
     :verdict,
     :shown,
     sent: 0,
@@ -134,10 +136,11 @@ defmodule Aerie.Params.SetExt do
   defp late(%{phase: :check, shown: shown} = set, now) when shown != nil,
     do: enter(%{set | shown: nil, denials: set.denials + 1}, :check, now)
 
-  defp late(%{phase: :check, sent: @sends} = set, _now), do: not_set(set, :not_shown)
-
-  defp late(%{sent: @sends} = set, _now),
-    do: finish(set, {:error, Message.silence(set.target, :extended)})
+  defp late(%{sent: sent, since: since} = set, now) when sent >= @sends and now - since >= @silence do
+    if set.phase == :check,
+      do: not_set(set, :not_shown),
+      else: finish(set, {:error, Message.silence(set.target, :extended)})
+  end
 
   defp late(set, now), do: again(set, now)
 
@@ -156,7 +159,9 @@ defmodule Aerie.Params.SetExt do
         do: Message.set(set.target, set.name, set.wire, set.type, :extended),
         else: Message.read(set.target, set.name, :extended)
 
-    {%{set | sent: set.sent + 1, due: now + RoundTrip.timeout(set.trip, set.sent)}, [{:send, [message]}]}
+    since = if set.sent == 0, do: now, else: set.since
+    due = now + RoundTrip.timeout(set.trip, set.sent)
+    {%{set | sent: set.sent + 1, since: since, due: due}, [{:send, [message]}]}
   end
 
   defp not_set(set, shown), do: finish(set, {:error, {:not_set, set.verdict, shown}})

@@ -139,12 +139,17 @@ defmodule Aerie.Shadow.Buckets do
     end
   end
 
-  @doc "Writes a document if `revision` is still the last one of its key."
+  @doc """
+  Writes a document if `revision` is still the last one of its key. The time for it is short, because the gateway's lease is renewed by the
+  process that repairs a bucket.
+  """
   @spec write(Nats.conn(), kept(), Document.t(), revision :: non_neg_integer()) ::
           :ok | :lost_race | {:error, String.t()}
-  def write(conn, kept, document, revision) do
+  def write(conn, kept, document, revision), do: write(conn, kept, document, revision, timeout: @timeout_ms)
+
+  defp write(conn, kept, document, revision, options) do
     text = SealedDocument.encode(document, kept.environment, kept.key)
-    options = [expected: revision, timeout: @timeout_ms]
+    options = [expected: revision] ++ options
 
     with {:error, reason} <- KV.put(conn, @desired, "#{kept.environment}.#{document.vehicle}", text, options),
          do: {:error, Nats.text(reason)}
@@ -165,7 +170,8 @@ defmodule Aerie.Shadow.Buckets do
   defp change(conn, kept, copy, fun, on_race, races) do
     with {:ok, base, revision} <- base(conn, kept, copy),
          {:ok, document} <- fun.(base) do
-      case write(conn, kept, document, revision) do
+      # No lease waits for it.
+      case write(conn, kept, document, revision, []) do
         :ok ->
           {:ok, document}
 
@@ -174,8 +180,25 @@ defmodule Aerie.Shadow.Buckets do
           change(conn, kept, copy, fun, on_race, races - 1)
 
         {:error, why} ->
-          {:error, {:unavailable, "NATS did not store it: #{why}"}}
+          if stored?(conn, kept, document),
+            do: {:ok, document},
+            else: {:error, {:unavailable, "NATS did not store it: #{why}"}}
       end
+    end
+  end
+
+  # The answer may have come too late, and who is told to try again would make the change twice.
+  defp stored?(conn, kept, document) do
+    %{environment: environment, key: key} = kept
+    text = SealedDocument.encode(document, environment, key)
+
+    # As it is read: times are stored in milliseconds.
+    with {:ok, %{history: history} = ours} <- SealedDocument.decode(text, environment, document.vehicle, key),
+         {:ok, found, _revision} <- read(conn, kept, document.vehicle) do
+      # Others may have changed it since.
+      found == ours or (history != [] and hd(history) in found.history)
+    else
+      _refused_or_none -> false
     end
   end
 

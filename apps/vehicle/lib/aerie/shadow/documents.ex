@@ -12,6 +12,8 @@ defmodule Aerie.Shadow.Documents do
 
   # For how long an answer waits to be shown here.
   @shown_ms 1_000
+  # The change is made however long it takes: who were told "try again" would make it twice.
+  @change_ms 30_000
 
   ## For loops
 
@@ -101,7 +103,7 @@ defmodule Aerie.Shadow.Documents do
   def change(gateway, vehicle, fun) do
     case place(gateway) do
       {:local, _kept} ->
-        GenServer.call(Names.via(gateway, :shadow_documents), {:change, vehicle, fun})
+        GenServer.call(Names.via(gateway, :shadow_documents), {:change, vehicle, fun}, @change_ms)
 
       {:nats, conn, kept} ->
         copy = document(gateway, vehicle)

@@ -7,9 +7,9 @@ defmodule Aerie.Vehicle.Session do
 
   Between frames, time is that of the last frame plus what has passed since by the monotonic clock, at the link's speed: a
   vehicle is lost after the same silence whether its frames come from a radio or from a recording that is played ten times as
-  fast. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock starts in
-  another year), all times that the session keeps of a live vehicle move with it: nothing becomes older or newer, and no
-  vehicle is lost by it.
+  fast. A recording that is played as fast as it can be read has no time between its frames until its end. When the machine's
+  clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock starts in another year), all times that
+  the session keeps of a live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
   """
   use GenServer
 
@@ -37,12 +37,14 @@ defmodule Aerie.Vehicle.Session do
     schedule_tick()
 
     {core, []} = options |> Vehicle.Core.new(snapshot) |> count_vehicles(gateway)
+    {link, speed} = recording(gateway, snapshot)
 
     state = %{
       gateway: gateway,
       options: options,
       core: core,
-      clock: snapshot && {snapshot.last_heard, monotonic(), 1.0},
+      clock: snapshot && {snapshot.last_heard, monotonic(), speed},
+      link: link,
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
       speeds: %{},
@@ -70,8 +72,9 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:frames, path, frames}, state) do
     Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
-    {speed, state} = speed(state, Vehicle.Collision.Owner.link(path))
-    state = check_host_clock(%{state | live?: speed == :live})
+    link = Vehicle.Collision.Owner.link(path)
+    {speed, state} = speed(state, link)
+    state = check_host_clock(%{state | live?: speed == :live, link: link})
     state = if speed == :live, do: check_frame_time(state, hd(frames).at), else: state
     clock = {List.last(frames).at, monotonic(), if(speed == :live, do: 1.0, else: speed)}
     hand_over(state.listeners, frames)
@@ -88,7 +91,7 @@ defmodule Aerie.Vehicle.Session do
 
   # Time as it was when the tick came: frames that wait behind it came later, so a busy process takes no vehicle for lost.
   def handle_info({:tick, due}, state) do
-    state = check_host_clock(state)
+    state = state |> check_host_clock() |> past_end()
 
     case expected(state.clock, due) do
       # Nothing was heard yet, so there is no time.
@@ -193,12 +196,42 @@ defmodule Aerie.Vehicle.Session do
 
   defp link_speed(gateway, link) do
     case Store.link(gateway, link) do
-      %{spec: %{recorded: true, speed: speed}} when is_number(speed) -> speed
-      %{spec: %{recorded: true}} -> 1.0
-      %{} -> :live
-      nil -> :unknown
+      %{spec: %{recorded: true, speed: speed}} when is_number(speed) ->
+        speed
+
+      %{spec: %{recorded: true, speed: :max}, status: status} ->
+        if status in [:down, :ended], do: 1.0, else: 0.0
+
+      %{spec: %{recorded: true}} ->
+        1.0
+
+      %{} ->
+        :live
+
+      nil ->
+        :unknown
     end
   end
+
+  # The recording by which the last session heard the vehicle, and its speed; 1.0 without one.
+  defp recording(_gateway, nil), do: {nil, 1.0}
+
+  defp recording(gateway, %{links: links}) do
+    Enum.find_value(links, {nil, 1.0}, fn link ->
+      speed = link_speed(gateway, link)
+      is_number(speed) && {link, speed}
+    end)
+  end
+
+  # Time stands still between the frames of a recording that is read as fast as it can be, but not after its end: the vehicle is
+  # lost then.
+  defp past_end(%{clock: {at, _then, speed}, link: link} = state) when speed == 0 do
+    if link_speed(state.gateway, link) == 0,
+      do: state,
+      else: %{state | clock: {at, monotonic(), 1.0}}
+  end
+
+  defp past_end(state), do: state
 
   defp configured(state, link) do
     configured = %{high_latency: Vehicle.Links.HighLatency.link?(state.gateway, link)}

@@ -164,6 +164,18 @@ defmodule Aerie.Ftp.ClientTest do
     assert run(v, {:read, "/a"}, [], max_bytes: 500).result == {:error, :too_large}
   end
 
+  test "on a fast link a vehicle may stand still for seconds before it is given up" do
+    client = Client.new({:read, "/a"}, {1, 1}, @deadline, rtt_us: 5_000)
+    v = FtpVehicle.new(:px4, %{"/a" => bytes(1000)})
+    asleep = LossyLink.still(7_000_000, &FtpVehicle.answer/3)
+    assert LossyLink.run(Client, client, v, asleep).result == {:ok, 1000}
+
+    run = LossyLink.run(Client, client, v, fn v, _message, _now -> {v, []} end)
+    assert run.result == {:error, :no_answer}
+    # 100 ms, 200 ms and 400 ms four times each, then 800 ms.
+    assert {run.at, length(run.sent)} == {8_400_000, 19}
+  end
+
   test "an answer to somebody else, or of another vehicle, is not heard" do
     {client, _actions} =
       Client.handle(Client.new({:crc, "/a"}, {1, 1}, @deadline, us: {245, 190}), {:start, 0})

@@ -129,6 +129,22 @@ defmodule Aerie.Logs.DownloadTest do
     assert get(vehicle([bytes(50_000)]), %{id: 1, size: 50_000}, script: reboot).result == {:error, :rebooted}
   end
 
+  test "on a fast link a vehicle may stand still for seconds before it is given up" do
+    silent = fn v, _message, _now -> {v, []} end
+    asleep = LossyLink.still(7_000_000, &FtpVehicle.answer/3)
+
+    list = Logs.List.new({1, 1}, @deadline, rtt_us: 5_000)
+    assert {:ok, [%{size: 500}]} = LossyLink.run(Logs.List, list, vehicle([bytes(500)]), asleep).result
+    run = LossyLink.run(Logs.List, list, nil, silent)
+    assert {run.result, run.at, length(run.sent)} == {{:error, :no_answer}, 8_400_000, 19}
+
+    download = Logs.Download.new(%{id: 1, size: 500}, {1, 1}, @deadline, rtt_us: 5_000)
+    assert LossyLink.run(Logs.Download, download, vehicle([bytes(500)]), asleep).result == {:ok, 500}
+    run = LossyLink.run(Logs.Download, download, nil, silent)
+    # The last one ends it.
+    assert {run.result, run.at, length(run.sent)} == {{:error, :no_answer}, 8_400_000, 20}
+  end
+
   test "whatever the link does, the log is whole or there is an error" do
     property =
       :proper.forall(scenario(), fn {n, seed, loss, duplicate, jitter} ->

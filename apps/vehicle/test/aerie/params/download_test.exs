@@ -85,6 +85,15 @@ defmodule Aerie.Params.DownloadTest do
     assert hash != nil
     set = &ParamsVehicle.put(&1, "P1", 99)
     assert {:ok, %Table{hash: nil}} = run(v, script: [{150_000, set}]).result
+
+    # On a fast link the vehicle may stand still for seconds before the second one.
+    still = fn
+      v, %M.ParamRequestRead{}, now when now in 100_000..7_000_000 -> {v, []}
+      v, message, now -> ParamsVehicle.answer(v, message, now)
+    end
+
+    download = Download.new({1, 1}, @deadline, encoding: :bytewise, hash: true, rtt_us: 5_000)
+    assert {:ok, %Table{hash: ^hash}} = LossyLink.run(Download, download, v, still).result
   end
 
   test "a vehicle that restarts is read anew" do

@@ -167,4 +167,18 @@ defmodule Aerie.Params.MetadataTest do
     assert {:error, {:failed, _why}} = run.result
     assert length(run.sent) == 5
   end
+
+  test "on a fast link a vehicle may stand still for seconds before it is given up" do
+    source = MetadataSource.new({1, 1}, 60_000_000, rtt_us: 5_000)
+
+    answer = fn v, %M.CommandLong{command: 512}, _now ->
+      {v, [{1_000, %M.ComponentMetadata{uri: "mftp://x"}}]}
+    end
+
+    asleep = LossyLink.still(7_000_000, answer)
+    assert {:ok, "mftp://x"} = LossyLink.run(MetadataSource, source, nil, asleep).result
+    run = LossyLink.run(MetadataSource, source, nil, fn v, _m, _now -> {v, []} end)
+    assert {:error, {:failed, _why}} = run.result
+    assert {run.at, length(run.sent)} == {8_700_000, 13}
+  end
 end

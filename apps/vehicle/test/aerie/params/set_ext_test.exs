@@ -136,6 +136,27 @@ defmodule Aerie.Params.SetExtTest do
     assert {:accepted, "it accepted the value" <> _, %{}} = Outcome.of(result)
   end
 
+  test "on a fast link a component may stand still for seconds before it is given up" do
+    set = SetExt.new("CAM_MODE", 2, {1, 1}, @deadline, rtt_us: 5_000)
+    asleep = LossyLink.still(7_000_000, &ParamsCamera.answer/3)
+    assert {:ok, %{value: 2}} = LossyLink.run(SetExt, set, ParamsCamera.new(), asleep).result
+    run = LossyLink.run(SetExt, set, nil, fn v, _message, _now -> {v, []} end)
+    assert run.result == {:error, {:silent, 1}}
+    assert {run.at, length(run.sent)} == {8_700_000, 13}
+
+    # It accepts the value, and then stands still.
+    stops = fn
+      {camera, still}, message, now when now >= still ->
+        still = if is_struct(message, M.ParamExtSet), do: now + 7_000_000, else: still
+        with {camera, answers} <- ParamsCamera.answer(camera, message, now), do: {{camera, still}, answers}
+
+      standing, _message, _now ->
+        {standing, []}
+    end
+
+    assert {:ok, %{value: 2}} = LossyLink.run(SetExt, set, {ParamsCamera.new(), 0}, stops).result
+  end
+
   test "what does not fit is not sent" do
     for {name, value} <- [
           {"CAM_MODE", 256},

@@ -65,6 +65,21 @@ defmodule Aerie.Params.SetTest do
     assert run.result == {:error, {:refused, "MAV_PARAM_ERROR_DOES_NOT_EXIST"}}
   end
 
+  test "on a fast link a vehicle may stand still for seconds before it is given up" do
+    v = ParamsVehicle.new(@params)
+    asleep = LossyLink.still(7_000_000, &ParamsVehicle.answer/3)
+    mute = fn v, _message, _now -> {v, []} end
+
+    for type <- [nil, 4] do
+      set = Set.new("A", 7, {1, 1}, @deadline, type: type, rtt_us: 5_000)
+      assert {:ok, %{value: 7}} = LossyLink.run(Set, set, v, asleep).result
+      run = LossyLink.run(Set, set, v, mute)
+      assert run.result == {:error, :no_answer}
+      # 100, 200 and 400 ms, then 800 ms.
+      assert {run.at, length(run.sent)} == {8_700_000, 13}
+    end
+  end
+
   test "an old value that comes late is not a refusal" do
     old = %M.ParamValue{param_id: "A", param_value: 1.0, param_type: 4, param_count: 3, param_index: 0}
     script = [{5_000, fn _v -> {:say, {:message, old, {1, 1}, 5_000}} end}]

@@ -276,13 +276,22 @@ defmodule Aerie.Policy.GuardTest do
       alt: 20.0
     }
 
+    begun = System.monotonic_time(:millisecond)
     for _times <- 1..20, do: say(gcs, setpoint)
     assert [] = reached(gcs, c)
+    again = div(System.monotonic_time(:millisecond) - begun, 5_000)
     assert [%M.Statustext{}, %M.Statustext{}] = answers(gcs, 2)
     assert Link.snapshot(c.gateway, "operator").counters.denied == 21
-    # Nothing more: the next thing that it hears is the vehicle.
+    # Nothing more, unless all this took so long: the next thing that it hears is the vehicle.
     say(c.vehicle, heartbeat(1))
-    assert [%M.Heartbeat{}] = answers(gcs, 1)
+
+    texts =
+      fn -> hd(answers(gcs, 1)) end
+      |> Stream.repeatedly()
+      |> Enum.take_while(&(not match?(%M.Heartbeat{}, &1)))
+
+    assert length(texts) <= 2 * again
+    assert Enum.all?(texts, &match?(%M.Statustext{}, &1))
 
     # PX4's OFFBOARD needs those that pass (X7).
     assert Commanded.setpoints_ms(c.gateway, "VID-001") == nil
@@ -353,9 +362,11 @@ defmodule Aerie.Policy.GuardTest do
 
   test "decisions are in the audit log; while it cannot be written, what must be recorded is refused", c do
     gcs = client(c.gateway, "operator")
+    begun = System.monotonic_time(:millisecond)
     say(gcs, goto(47.01, 50.0))
     for _times <- 1..3, do: say(gcs, goto(47.03, 50.0))
     reached(gcs, c)
+    again = div(System.monotonic_time(:millisecond) - begun, 5_000)
     {:ok, _status} = Audit.status(c.gateway)
 
     records =
@@ -365,7 +376,9 @@ defmodule Aerie.Policy.GuardTest do
       |> Enum.flat_map(&File.stream!/1)
       |> Enum.map(&JSON.decode!/1)
 
-    assert [%{"type" => "opened"}, allowed, refused] = records
+    # A refusal is recorded once in five seconds.
+    assert [%{"type" => "opened"}, allowed, refused | repeated] = records
+    assert length(repeated) <= again
 
     assert %{
              "decision" => "allow",
@@ -392,7 +405,7 @@ defmodule Aerie.Policy.GuardTest do
   end
 
   test "a flood is refused, but never what brings the vehicle down", c do
-    :ok = Policy.Store.put(c.gateway, Map.put(c.section, :rates, [%{per_minute: 60, burst: 5}]))
+    :ok = Policy.Store.put(c.gateway, Map.put(c.section, :rates, [%{per_minute: 1, burst: 5}]))
     gcs = client(c.gateway, "operator")
     for _times <- 1..20, do: say(gcs, goto(47.01, 50.0))
     for _times <- 1..20, do: say(gcs, long("NAV_LAND"))

@@ -145,7 +145,8 @@ defmodule Aerie.Router.WishesTest do
     assert link.().counters.spared == 3
 
     {:ok, {_address, port}} = :inet.sockname(vehicle)
-    {frames, _} = Parser.push_datagram(Parser.new(), heartbeat(1), System.os_time(:microsecond))
+    now = System.os_time(:microsecond)
+    {frames, _} = Parser.push_datagram(Parser.new(), heartbeat(1), now)
     %{id: {id, peer}} = link.()
     assert {_address, ^port} = peer
     Aerie.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
@@ -155,7 +156,7 @@ defmodule Aerie.Router.WishesTest do
 
     # One summary among heartbeats changes nothing; one that comes long after the last of them does.
     again = fn us ->
-      {frames, _} = Parser.push_datagram(Parser.new(), summary(), System.os_time(:microsecond) + us)
+      {frames, _} = Parser.push_datagram(Parser.new(), summary(), now + us)
       Aerie.Router.deliver(gateway, %{id: id, network: "main", peer: peer}, frames)
       link.().high_latency
     end

@@ -19,7 +19,8 @@ defmodule Aerie.Signing.AlarmTest do
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end)
     assert Store.vehicle(gateway, {"main", 1}).signing.state == :verified
 
-    for n <- 1..30, do: Router.deliver(gateway, source(), [frame(heartbeat(1, seq: n), @then + n)])
+    # So many that a pause between any two leaves an alarm's twenty on one side.
+    for n <- 1..40, do: Router.deliver(gateway, source(), [frame(heartbeat(1, seq: n), @then + n)])
 
     assert_receive {:fleet, :events, %{type: "signing.rejected", data: data}}
     assert %{"link" => "radio", "component" => 1, "reasons" => %{"unsigned" => 20}} = data

@@ -45,21 +45,24 @@ defmodule Aerie.Signing.PymavlinkTest do
     peer = start("signing_peer.py", ["udpout:127.0.0.1:#{port}", "7", "3"])
     eventually(fn -> Store.vehicle(gateway, {"main", 7}) end)
     assert state(gateway) == :unsigned
+    patient = [timeout_ms: Aerie.Patience.ms()]
 
-    assert {:ok, %{link: "usb", key: nil}} = Aerie.Enrolment.enrol(gateway, {"main", 7})
+    assert {:ok, %{link: "usb", key: nil}} = Aerie.Enrolment.enrol(gateway, {"main", 7}, patient)
     await(peer, "key taken")
     # A frame that it sent before may come in between.
     eventually(fn -> state(gateway) == :verified end)
     hears(peer, "HEARTBEAT 237 signed")
 
     # Rotation: the order is signed with the old key, what follows with the new one.
-    assert {:ok, %{link: "usb", key: key}} = Aerie.Enrolment.enrol(gateway, {"main", 7}, key: :generate)
+    assert {:ok, %{link: "usb", key: key}} =
+             Aerie.Enrolment.enrol(gateway, {"main", 7}, [key: :generate] ++ patient)
+
     assert %Aerie.Secret{} = key
     await(peer, "key taken")
     hears(peer, "HEARTBEAT 237 signed")
     assert Signing.vehicle(gateway, {"main", 7}).key == "main/7"
 
-    assert {:ok, %{link: "usb"}} = Aerie.Enrolment.revoke(gateway, {"main", 7})
+    assert {:ok, %{link: "usb"}} = Aerie.Enrolment.revoke(gateway, {"main", 7}, patient)
     await(peer, "key given up")
   end
 

@@ -30,7 +30,8 @@ defmodule Aerie.Vehicle.CommandsTest do
       autopilot: :ardupilot,
       vehicle_type: "copter",
       status: :online,
-      clock: %{rtt_us: 20_000},
+      # A repetition after two seconds: the test that answers may be held up.
+      clock: %{rtt_us: 600_000},
       groups: %{mode: %{data: Map.merge(%{mode: "GUIDED", armed: false, in_air: false}, mode)}},
       memory: %{sources: %{0 => beat}, mode_names: %{}}
     }

@@ -7,8 +7,11 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
   alias Aerie.{Command, Names, Router, Store, Vehicle}
 
   @key {"main", 1}
-  # As pymavlink, which was refused, so that the acknowledgements are ours.
-  @us %{mavlink: %{system_id: 255, component_id: 190}}
+  # As pymavlink, which was refused, so that the acknowledgements are ours. A vehicle that a busy machine delays is not lost.
+  @us %{
+    mavlink: %{system_id: 255, component_id: 190},
+    timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}
+  }
 
   setup do
     gateway = start_gateway(@us, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
@@ -26,6 +29,8 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
 
   defp refused(c, type, params, {from, to}) do
     deliver(c.gateway, between(c.frames, 0, from))
+    # Its answers have to come before the command is given up.
+    answers = between(c.frames, from, to)
     eventually(fn -> Store.vehicle(c.gateway, @key) end)
     {:ok, command} = Command.new(vehicle: "VID-001", type: type, params: params)
     task = Task.async(fn -> Vehicle.Commands.submit(c.gateway, @key, command) end)
@@ -34,7 +39,7 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
       :sys.get_state(Names.via(c.gateway, :session, @key), Aerie.Patience.ms()).listeners != %{}
     end)
 
-    deliver(c.gateway, between(c.frames, from, to))
+    deliver(c.gateway, answers)
     Task.await(task, Aerie.Patience.ms())
   end
 

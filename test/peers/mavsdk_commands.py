@@ -56,7 +56,7 @@ def call(system, plugins, order):
     results = queue.Queue()
     getattr(instance, method + "_async")(*args, lambda result, *_: results.put(result.name))
     while True:
-        result = results.get(timeout=60)
+        result = results.get(timeout=300)
         if result not in ("NEXT", "INSTRUCTION", "IN_PROGRESS"):
             return result
 

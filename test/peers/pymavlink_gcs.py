@@ -142,7 +142,7 @@ def main(address, firmware, system, parameter, source=255):
     say("mission", [i.command for i in back])
     say("same", all((a.x, a.y, a.z) == (b.x, b.y, b.z) for a, b in list(zip(items, back))[n:]))
 
-    g.wait("SYS_STATUS", lambda s: s.onboard_control_sensors_health & 0x10000000, 90)
+    g.wait("SYS_STATUS", lambda s: s.onboard_control_sensors_health & 0x10000000)
     if not g.px4:
         g.command(SET_MODE, 1, 4)
     g.command(ARM, 1)
@@ -157,7 +157,7 @@ def main(address, firmware, system, parameter, source=255):
     g.wait("GLOBAL_POSITION_INT", lambda p: p.relative_alt > 8500)
     say("takeoff", "ten metres")
     g.command(LAND, 0, 0, 0, nan if g.px4 else 0)
-    g.wait("HEARTBEAT", lambda h: not h.base_mode & 128, 90)
+    g.wait("HEARTBEAT", lambda h: not h.base_mode & 128)
     say("land", "disarmed")
 
 

@@ -59,7 +59,8 @@ class Vehicle:
         print("%d.%s %s" % (self.system, name, value), flush=True)
 
     def talk(self):
-        yield from self.message("version", VERSION, "AUTOPILOT_VERSION")
+        # Every vehicle has it, on a busy machine later than its acknowledgement.
+        yield from self.message("version", VERSION, "AUTOPILOT_VERSION", 60)
         yield from self.message("protocol", PROTOCOL, "PROTOCOL_VERSION")
         yield from self.message("modes", MODES, "AVAILABLE_MODES")
         yield from self.message("metadata", METADATA, "COMPONENT_METADATA")
@@ -88,14 +89,17 @@ class Vehicle:
     def acks(self, m, command):
         return m.get_type() == "COMMAND_ACK" and m.command == command and m.target_system in (0, self.source)
 
-    def message(self, name, id, kind):
-        """The answer and the message may come in any order; what is accepted and does not come is not asked for again."""
+    def message(self, name, id, kind, late=3):
+        """The answer and the message may come in any order; what is accepted and does not come is not asked for again.
+
+        `late`: how long (s) after its acceptance the message is waited for.
+        """
         p = [id, 0, 0, 0, 0, 0, 0]
         ack = message = None
         for n in range(3):
             self.mav.command_long_send(self.system, 1, REQUEST_MESSAGE, n, *p)
             while ack is None or (ack.result == 0 and message is None):
-                x = yield Wait(lambda m: m.get_type() == kind or self.acks(m, REQUEST_MESSAGE), 3)
+                x = yield Wait(lambda m: m.get_type() == kind or self.acks(m, REQUEST_MESSAGE), 3 if ack is None else late)
                 if x is None:
                     break
                 if x.get_type() == "COMMAND_ACK":

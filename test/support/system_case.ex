@@ -131,14 +131,29 @@ defmodule Aerie.SystemCase do
 
   @doc "All events of the stream, in order, decoded."
   def stream_events(conn) do
-    {:ok, %{state: %{first_seq: first, last_seq: last}}} =
-      Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+    %{state: %{first_seq: first, last_seq: last}} =
+      jetstream(fn -> Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS") end)
 
     # An empty stream has first 0 or 1 and last 0.
     for seq <- max(first, 1)..last//1 do
-      {:ok, message} = Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})
+      message = jetstream(fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) end)
       JSON.decode!(message.data)
     end
+  end
+
+  @doc "The answer of JetStream. A nats-server that stands still for longer than a request waits answers the next time."
+  @spec jetstream((-> {:ok, answer} | {:error, term()})) :: answer when answer: term()
+  def jetstream(request) do
+    eventually(
+      fn ->
+        case request.() do
+          {:ok, answer} -> answer
+          {:error, :timeout} -> nil
+          {:error, reason} -> ExUnit.Assertions.flunk("JetStream: #{inspect(reason)}")
+        end
+      end,
+      "JetStream answers"
+    )
   end
 
   @doc "See `Aerie.Patience.eventually/3`."

@@ -60,7 +60,10 @@ defmodule Aerie.System.CommandFacesTest do
       subject = "fleet.test.VID-001.cmd.#{type}"
       body = JSON.encode!(%{"id" => Aerie.Command.id(), "params" => params, "deadline" => deadline()})
       headers = [{"Aerie-Signature", Signature.sign(nkey, subject, body, DateTime.utc_now())}]
-      {:ok, %{body: reply}} = Gnat.request(conn, subject, body, headers: headers)
+
+      {:ok, %{body: reply}} =
+        Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
+
       JSON.decode!(reply)
     end
   end
@@ -78,7 +81,8 @@ defmodule Aerie.System.CommandFacesTest do
 
   defp post(url, body, key \\ @rest_key) do
     request =
-      {to_charlist(url), [{~c"x-aerie-key", to_charlist(key)}], ~c"application/json", JSON.encode!(body)}
+      {to_charlist(url), [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}],
+       ~c"application/json", JSON.encode!(body)}
 
     {:ok, {{_version, status, _reason}, _headers, reply}} =
       :httpc.request(:post, request, [], body_format: :binary)
@@ -137,7 +141,10 @@ defmodule Aerie.System.CommandFacesTest do
 
     stands_armed(flight)
     [_all, subject, body] = Regex.run(~r/nats request fleet\.dev\.(\S+) '(.+)' --timeout/, @page)
-    {:ok, %{body: reply}} = Gnat.request(flight.conn, "fleet.test." <> subject, body)
+
+    {:ok, %{body: reply}} =
+      Gnat.request(flight.conn, "fleet.test." <> subject, body, receive_timeout: Aerie.Patience.ms())
+
     assert_shown(JSON.decode!(reply))
 
     stands_armed(flight)
@@ -253,7 +260,8 @@ defmodule Aerie.System.CommandFacesTest do
   defp answered(url, id), do: with({200, _body} = answer <- look(url, id), do: answer, else: (_other -> nil))
 
   defp look(url, id) do
-    request = {to_charlist("#{url}/#{id}"), [{~c"x-aerie-key", to_charlist(@rest_key)}]}
+    request =
+      {to_charlist("#{url}/#{id}"), [{~c"x-aerie-key", to_charlist(@rest_key)}, {~c"connection", ~c"close"}]}
 
     case :httpc.request(:get, request, [], body_format: :binary) do
       {:ok, {{_version, status, _reason}, _headers, reply}} -> {status, JSON.decode!(reply)}

@@ -30,7 +30,7 @@ defmodule Aerie.System.ComponentParamsTest do
 
   defp rest(%{gateway: gateway}, method, path, body \\ nil, key \\ @chief) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}"
-    headers = [{~c"x-aerie-key", to_charlist(key)}]
+    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
     request = if body, do: {url, headers, ~c"application/json", JSON.encode!(body)}, else: {url, headers}
 
     {:ok, {{_version, status, _reason}, _headers, reply}} =

@@ -64,7 +64,11 @@ defmodule Aerie.System.FirstDesignTest do
 
     eventually(fn -> SimVehicle.stats(sim).received > 0 end, "and hears us")
 
-    assert {true, %{"system" => 1, "component" => 191, "alarm" => nil}} = ready(gateway)
+    eventually(
+      fn -> match?({true, %{"system" => 1, "component" => 191, "alarm" => nil}}, ready(gateway)) end,
+      fn -> "it is ready: #{inspect(FleetWeb.Health.ready(gateway))}" end
+    )
+
     assert %{identity: %{system: 1, component: 191}} = FleetWeb.API.View.status(gateway)
   end
 

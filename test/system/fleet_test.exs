@@ -31,11 +31,9 @@ defmodule Aerie.System.FleetTest do
         assert is_number(data["alt_rel"])
       end
 
-      # No more than one a second (the default of position_hz), by the times in the messages. On a busy machine the vehicle,
-      # which is simulated on it, is late now and then, but not most of the time.
-      gaps = for [a, b] <- Enum.chunk_every(times(positions), 2, 1, :discard), do: b - a
+      # No more than one a second (the default of position_hz), by the times in the messages.
+      gaps = gaps(positions)
       assert Enum.sum(gaps) / length(gaps) > 800
-      assert gaps |> Enum.sort() |> Enum.at(div(length(gaps), 2)) < 2_000
 
       for type <- ["armed", "takeoff"] do
         assert [%{"vehicle" => ^name, "type" => ^type, "id" => id, "seq" => seq} | _] =
@@ -63,8 +61,8 @@ defmodule Aerie.System.FleetTest do
       assert Enum.map(events, & &1["seq"]) == Enum.to_list(1..length(events))
     end
 
-    {:ok, %{state: %{num_subjects: subjects, messages: messages}}} =
-      Gnat.Jetstream.API.Stream.info(context.conn, "FLEET_STATE")
+    %{state: %{num_subjects: subjects, messages: messages}} =
+      jetstream(fn -> Gnat.Jetstream.API.Stream.info(context.conn, "FLEET_STATE") end)
 
     assert messages == subjects
   end
@@ -111,10 +109,18 @@ defmodule Aerie.System.FleetTest do
 
   defp complete?(seen) do
     Enum.all?(["VID-001", "VID-002", "VID-003"], fn name ->
-      length(located(seen, name)) >= 5 and
+      regular?(located(seen, name)) and
         Map.has_key?(seen, {name, "event.armed"}) and Map.has_key?(seen, {name, "event.takeoff"})
     end)
   end
+
+  # The last five came about once a second. A vehicle that is simulated on a busy machine is late now and then.
+  defp regular?(newest_first) do
+    gaps = newest_first |> Enum.take(5) |> Enum.reverse() |> gaps() |> Enum.sort()
+    length(gaps) == 4 and Enum.at(gaps, 2) < 2_000
+  end
+
+  defp gaps(messages), do: for([a, b] <- Enum.chunk_every(times(messages), 2, 1, :discard), do: b - a)
 
   # Before its first GPS fix a vehicle reports no latitude: null.
   defp located(seen, name),
@@ -150,7 +156,8 @@ defmodule Aerie.System.FleetTest do
 
   defp request(method, port, path) do
     url = ~c"http://127.0.0.1:#{port}#{path}"
-    request = if method == :get, do: {url, []}, else: {url, [], ~c"text/plain", ""}
+    headers = [{~c"connection", ~c"close"}]
+    request = if method == :get, do: {url, headers}, else: {url, headers, ~c"text/plain", ""}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
       :httpc.request(method, request, [], body_format: :binary)

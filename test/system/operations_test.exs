@@ -45,7 +45,7 @@ defmodule Aerie.System.OperationsTest do
 
   defp rest(%{gateway: gateway}, method, path, body \\ nil, key \\ @chief) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/#{path}"
-    headers = [{~c"x-aerie-key", to_charlist(key)}]
+    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
     request = if body, do: {url, headers, ~c"application/json", body(body)}, else: {url, headers}
 
     {:ok, {{_version, status, _reason}, _headers, reply}} =
@@ -83,6 +83,8 @@ defmodule Aerie.System.OperationsTest do
         case result(c, "vehicles/#{id}/commands", %{"type" => type, "params" => params}) do
           %{"result" => result} when result in ["accepted", "completed"] -> true
           %{"result" => result, "acknowledged" => false} when result in ["timeout", "unknown"] -> false
+          # The vehicle took it; that it does it is waited for afterwards.
+          %{"result" => result, "acknowledged" => true} when result in ["timeout", "unknown"] -> true
           %{"result" => "expired", "sent" => 0} -> false
         end
       end,
@@ -172,6 +174,7 @@ defmodule Aerie.System.OperationsTest do
       "vehicles" => @ids,
       "step" => 1,
       "pause_s" => 600,
+      "timeout_s" => 120,
       "command" => %{"type" => "rtl"}
     }
 
@@ -249,7 +252,8 @@ defmodule Aerie.System.OperationsTest do
     assert {200, _done} = rest(c, :patch, "vehicles/VID-003/shadow", ~s({"desired": #{desired}}))
 
     for operation <- ["get", "delta"] do
-      {:ok, %{body: reply}} = Gnat.request(c.conn, "fleet.test.VID-001.shadow.#{operation}", "")
+      subject = "fleet.test.VID-001.shadow.#{operation}"
+      {:ok, %{body: reply}} = Gnat.request(c.conn, subject, "", receive_timeout: Aerie.Patience.ms())
       assert %{"result" => "ok"} = JSON.decode!(reply)
     end
 
@@ -259,7 +263,7 @@ defmodule Aerie.System.OperationsTest do
 
   defp metrics(gateway) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/metrics"
-    headers = [{~c"x-aerie-key", to_charlist(@chief)}]
+    headers = [{~c"x-aerie-key", to_charlist(@chief)}, {~c"connection", ~c"close"}]
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
       :httpc.request(:get, {url, headers}, [], body_format: :binary)

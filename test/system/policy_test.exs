@@ -45,7 +45,7 @@ defmodule Aerie.System.PolicyTest do
 
   defp rest(gateway, method, path, key) do
     url = to_charlist("http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}#{path}")
-    headers = [{~c"x-aerie-key", to_charlist(key)}]
+    headers = [{~c"x-aerie-key", to_charlist(key)}, {~c"connection", ~c"close"}]
     request = if method == :get, do: {url, headers}, else: {url, headers, ~c"", ""}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
@@ -84,8 +84,15 @@ defmodule Aerie.System.PolicyTest do
 
     assert %{result: 2} = command(socket, "NAV_TAKEOFF", param7: 150.0)
 
+    # Among the telemetry of a busy machine it may be lost, or late; then the command is given again.
     assert %{text: "refused: the height to climb to is 150" <> _} =
-             answer(socket, 200, &match?(%M.Statustext{text: "refused" <> _}, &1))
+             eventually(
+               fn ->
+                 answer(socket, 200, &match?(%M.Statustext{text: "refused" <> _}, &1)) ||
+                   (command(socket, "NAV_TAKEOFF", param7: 150.0) && nil)
+               end,
+               "it is told why"
+             )
 
     assert %{result: 2} = command(socket, "PREFLIGHT_REBOOT_SHUTDOWN", param1: 1.0)
 

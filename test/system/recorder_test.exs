@@ -97,8 +97,9 @@ defmodule Aerie.System.RecorderTest do
 
       told = written.()
       kill_9(config)
-      assert await_exit(port) != 0
+      # Before anything else: nobody hears what it sends from here on.
       sent = SimVehicle.stats(sim).sent
+      assert await_exit(port) != 0
       stop_supervised!(:sim)
 
       assert [file] = Path.wildcard(c.recordings <> "/*.tlog")

@@ -13,7 +13,7 @@ defmodule Aerie.System.ReportsTest do
 
     Aerie.Store.PubSub.subscribe(gateway, :events)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
-    {:ok, sim} = SimVehicle.start_link(firmware: :px4, ready_s: 60.0, link: link)
+    {:ok, sim} = SimVehicle.start_link(firmware: :px4, ready_s: 3600.0, link: link)
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
 
     # It is not ready and says why it does not arm; by EVENT only, because there is no ground station.

@@ -95,7 +95,8 @@ defmodule Aerie.System.SerialTest do
     peer = Shovel.peer(shovel)
     session = Aerie.Names.whereis(gateway, :session, {"main", 1})
     :ok = SerialPeer.unplug(peer)
-    eventually(fn -> match?(%{status: :stale}, Store.vehicle(gateway, "VID-001")) end, "it is stale")
+    # It is lost two seconds later, and a busy machine may see only that.
+    eventually(fn -> Store.vehicle(gateway, "VID-001").status in [:stale, :lost] end, "it is stale or lost")
     assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
 
     SerialPeer.plug_in(peer, name_in: {dev, "ttyACM0"})

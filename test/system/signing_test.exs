@@ -162,16 +162,21 @@ defmodule Aerie.System.SigningTest do
     assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
     assert Exception.message(error) =~ "key: :generate"
 
-    assert {:ok, %{key: first}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate, by: "a test")
+    # Longer than the ten seconds that an operator waits.
+    patient = [timeout_ms: Aerie.Patience.ms()]
+
+    assert {:ok, %{key: first}} =
+             Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :generate, by: "a test"] ++ patient)
+
     assert state(c.gateway) == :verified
     assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}
 
     # The vehicle answers the gateway's requests, so it accepts its signatures.
     eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
 
-    assert {:ok, %{key: second}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :generate)
+    assert {:ok, %{key: second}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :generate] ++ patient)
     refute Aerie.Signing.Key.same?(first, second)
-    assert {:ok, %{key: nil}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", key: :previous)
+    assert {:ok, %{key: nil}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :previous] ++ patient)
     assert state(c.gateway) == :verified
     # The same by HTTP, without any key in it.
     assert {200, %{"result" => "enrolled", "link" => "link-1"}} =
@@ -181,7 +186,7 @@ defmodule Aerie.System.SigningTest do
              post(c.gateway, %{"action" => "enrol", "key" => "0123"})
 
     assert text =~ "configured, generate, previous"
-    assert {:ok, _} = Aerie.Enrolment.revoke(c.gateway, "VID-001")
+    assert {:ok, _} = Aerie.Enrolment.revoke(c.gateway, "VID-001", patient)
     assert Signing.list(c.gateway).keys == []
 
     events =
@@ -205,7 +210,7 @@ defmodule Aerie.System.SigningTest do
 
   defp post(gateway, body) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/signing"
-    request = {url, [], ~c"application/json", JSON.encode!(body)}
+    request = {url, [{~c"connection", ~c"close"}], ~c"application/json", JSON.encode!(body)}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
       :httpc.request(:post, request, [], body_format: :binary)
@@ -227,14 +232,29 @@ defmodule Aerie.System.SigningTest do
     port = link_port(c.gateway, "link-1")
     forger = MavCodec.Signing.new(MavCodec.Signing.key("another"))
 
-    Enum.reduce(1..2_000, forger, fn n, forger ->
-      heartbeat =
-        MavCodec.encode(%M.Heartbeat{type: 2, autopilot: 3, base_mode: 209}, system: 1, seq: rem(n, 256))
+    read = fn -> Aerie.Link.snapshot(c.gateway, "link-1").counters.bytes_in end
 
-      {bytes, forger} = MavCodec.Signing.sign(forger, heartbeat, 50)
-      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, bytes)
-      forger
-    end)
+    # No more at once than a link that does not keep up would read.
+    for part <- Enum.chunk_every(1..1_200, 50), reduce: forger do
+      forger ->
+        before = read.()
+
+        {sent, forger} =
+          Enum.reduce(part, {0, forger}, fn n, {sent, forger} ->
+            heartbeat =
+              MavCodec.encode(%M.Heartbeat{type: 2, autopilot: 3, base_mode: 209},
+                system: 1,
+                seq: rem(n, 256)
+              )
+
+            {bytes, forger} = MavCodec.Signing.sign(forger, heartbeat, 50)
+            :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, bytes)
+            {sent + byte_size(bytes), forger}
+          end)
+
+        eventually(fn -> read.() >= before + sent end, "they are read")
+        forger
+    end
 
     assert_receive {:fleet, :events, %{type: "signing.rejected", data: data}}
     assert %{"link" => "link-1", "reasons" => %{"wrong_signature" => n}} = data

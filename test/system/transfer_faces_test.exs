@@ -77,7 +77,7 @@ defmodule Aerie.System.TransferFacesTest do
 
   defp rest(%{gateway: gateway}, method, path, body \\ nil, options \\ []) do
     url = to_charlist("http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}")
-    headers = [{~c"x-aerie-key", to_charlist(options[:key] || @chief)}]
+    headers = [{~c"x-aerie-key", to_charlist(options[:key] || @chief)}, {~c"connection", ~c"close"}]
     type = to_charlist(options[:type] || "application/json")
     body = if is_map(body), do: JSON.encode!(body), else: body
     request = if body, do: {url, headers, type, body}, else: {url, headers}
@@ -342,7 +342,10 @@ defmodule Aerie.System.TransferFacesTest do
 
   defp fetch(%{gateway: gateway}, id, headers, method) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/logs/#{id}"
-    headers = for {name, value} <- [{"x-aerie-key", @chief} | headers], do: {~c"#{name}", ~c"#{value}"}
+
+    headers =
+      for {name, value} <- [{"x-aerie-key", @chief}, {"connection", "close"} | headers],
+          do: {~c"#{name}", ~c"#{value}"}
 
     {:ok, {{_version, status, _reason}, headers, body}} =
       :httpc.request(method, {url, headers}, [timeout: :infinity], body_format: :binary)

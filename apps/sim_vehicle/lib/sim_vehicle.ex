@@ -31,18 +31,18 @@ defmodule SimVehicle do
 
   @doc "What the vehicle is doing (`t:SimVehicle.View.t/0`)."
   @spec state(sim) :: SimVehicle.View.t()
-  def state(sim), do: GenServer.call(sim, :state)
+  def state(sim), do: GenServer.call(sim, :state, :infinity)
 
   @doc "The local port of its link."
   @spec port(sim) :: :inet.port_number()
-  def port(sim), do: GenServer.call(sim, :port)
+  def port(sim), do: GenServer.call(sim, :port, :infinity)
 
   @doc """
   Counters: `sent` and `received` frames, `refused` ones (not signed with its key), `unsent` (no peer), `faults` by direction
   and kind (`offered`, `passed`, `lost`, `duplicated`, `reordered`, `corrupted`, `silenced`, `overflow`), `parser`.
   """
   @spec stats(sim) :: map
-  def stats(sim), do: GenServer.call(sim, :stats)
+  def stats(sim), do: GenServer.call(sim, :stats, :infinity)
 
   @doc """
   Waits until `fun`, called with the vehicle's view, returns something other than false or nil, and returns that. Exits after
@@ -53,7 +53,7 @@ defmodule SimVehicle do
 
   @doc "Sends `{:sim, pid, event}` (`t:SimVehicle.Vehicle.event/0`) to the caller from now on."
   @spec subscribe(sim) :: :ok
-  def subscribe(sim), do: GenServer.call(sim, {:subscribe, self()})
+  def subscribe(sim), do: GenServer.call(sim, {:subscribe, self()}, :infinity)
 
   @doc """
   Sets a fault of the link (`SimVehicle.Faults`) or of the vehicle:
@@ -63,19 +63,20 @@ defmodule SimVehicle do
   - `:drop` true: its connection is lost once
   """
   @spec fault(sim, atom, term, :out | :in) :: :ok | {:error, String.t()}
-  def fault(sim, name, value, direction \\ :out), do: GenServer.call(sim, {:fault, name, value, direction})
+  def fault(sim, name, value, direction \\ :out),
+    do: GenServer.call(sim, {:fault, name, value, direction}, :infinity)
 
   @doc "Begins a failsafe: `:battery`, `:battery_critical`, `:gcs`, `:rc`, `:fence`, `:ekf` or `:gps`; false ends it."
   @spec failsafe(sim, atom, boolean) :: :ok
   def failsafe(sim, kind, on? \\ true)
       when kind in [:battery, :battery_critical, :gcs, :rc, :fence, :ekf, :gps] and is_boolean(on?),
-      do: GenServer.call(sim, {:handle, {:failsafe, kind, on?}})
+      do: GenServer.call(sim, {:handle, {:failsafe, kind, on?}}, :infinity)
 
   @doc "Power is lost and comes back a second later; in the air the vehicle falls."
   @spec reboot(sim) :: :ok
-  def reboot(sim), do: GenServer.call(sim, :reboot)
+  def reboot(sim), do: GenServer.call(sim, :reboot, :infinity)
 
   @doc "Gives the vehicle any event of `SimVehicle.Simulation.handle/2`."
   @spec happen(sim, term) :: :ok
-  def happen(sim, event), do: GenServer.call(sim, {:handle, event})
+  def happen(sim, event), do: GenServer.call(sim, {:handle, event}, :infinity)
 end

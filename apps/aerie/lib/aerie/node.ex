@@ -13,6 +13,7 @@ defmodule Aerie.Node do
   alias Aerie.Node.{Directory, Entry, Settings}
 
   @host "127.0.0.1"
+  @setup_s 30
 
   @doc "Options: `:settings`, and `:http` and `:config` for the file."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -56,6 +57,8 @@ defmodule Aerie.Node do
 
   defp start(name, cookie, listen?) do
     Directory.put_cookie(cookie)
+    # Both sides give a connection up after so long. The usual seven seconds are too few on a busy machine.
+    Application.put_env(:kernel, :net_setuptime, @setup_s)
     options = %{name_domain: :longnames, hidden: true, dist_listen: listen?}
 
     with {:ok, _pid} <- :net_kernel.start(:"#{name}@#{@host}", options) do

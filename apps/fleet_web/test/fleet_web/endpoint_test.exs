@@ -69,7 +69,10 @@ defmodule FleetWeb.EndpointTest do
     assert text =~ ~r/gateway_link_dropped_total\{link="busy".*reason="shed"\} 7\n/
 
     Store.put_link(context.gateway, "busy", %{busy | overload: nil})
-    assert {200, %{"status" => "ready", "problems" => []}} = json(context.port, "/readyz")
+    # On a busy machine its own loops are late for a moment.
+    eventually(fn ->
+      match?({200, %{"status" => "ready", "problems" => []}}, json(context.port, "/readyz"))
+    end)
   end
 
   test "a session that does not keep up, and datagrams of clients that nobody read, make it unready",
@@ -82,7 +85,14 @@ defmodule FleetWeb.EndpointTest do
     client = %{link | id: "gcs", overload: %{since: since, datagrams: 12}, counters: counters}
     Aerie.Link.Clients.put_link(context.gateway, "gcs", client, [])
 
-    assert {503, %{"problems" => problems, "links" => links}} = json(context.port, "/readyz")
+    # Its own loops, late on a busy machine, would be further problems.
+    %{"problems" => problems, "links" => links} =
+      eventually(fn ->
+        with {503, %{"problems" => [_, _]} = report} <- json(context.port, "/readyz"),
+             do: report,
+             else: (_more -> nil)
+      end)
+
     assert [frames, datagrams] = Enum.sort_by(problems, &(&1 =~ "gcs"))
     assert frames =~ "link slow dropped 8 frames since 2023-11-14T22:13:20"
     assert datagrams =~ "client endpoint gcs dropped 12 datagrams since 2023-11-14T22:13:20"
@@ -205,7 +215,7 @@ defmodule FleetWeb.EndpointTest do
 
   defp get(port, path) do
     {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(:get, {url(port, path), []}, [], body_format: :binary)
+      :httpc.request(:get, {url(port, path), [{~c"connection", ~c"close"}]}, [], body_format: :binary)
 
     {status, body}
   end

@@ -57,7 +57,7 @@ defmodule FleetWeb.APICase do
     headers = Enum.uniq_by(Enum.reverse(headers ++ length), &elem(&1, 0))
     lines = for {name, value} <- headers, do: [name, ": ", value, "\r\n"]
 
-    answer = raw(port, [method, " ", path, " HTTP/1.1\r\n", lines, "\r\n", body])
+    answer = answer(port, [method, " ", path, " HTTP/1.1\r\n", lines, "\r\n", body])
     [head, body] = String.split(answer, "\r\n\r\n", parts: 2)
     ["HTTP/1.1 " <> <<status::binary-3, _reason::binary>> | lines] = String.split(head, "\r\n")
     headers = Map.new(lines, fn line -> line |> String.split(": ", parts: 2) |> List.to_tuple() end)
@@ -71,6 +71,13 @@ defmodule FleetWeb.APICase do
     _ = :gen_tcp.send(socket, bytes)
     all(socket, "")
   end
+
+  @doc """
+  The same until there is an answer. On a busy machine the server may give up a connection before the request is sent,
+  which is then never read.
+  """
+  @spec answer(:inet.port_number(), iodata()) :: binary()
+  def answer(port, bytes), do: eventually(fn -> with "" <- raw(port, bytes), do: nil end)
 
   defp all(socket, got) do
     case :gen_tcp.recv(socket, 0, Aerie.Patience.ms()) do

@@ -1,7 +1,7 @@
 defmodule FleetWeb.HTTPClient do
   @moduledoc "Requests as a browser makes them: with a jar of cookies, and forms."
 
-  import FleetWeb.APICase, only: [raw: 2]
+  import FleetWeb.APICase, only: [answer: 2]
 
   alias FleetWeb.ConsoleCase
 
@@ -48,7 +48,7 @@ defmodule FleetWeb.HTTPClient do
         headers ++ if(List.keymember?(headers, "host", 0), do: [], else: [{"host", "127.0.0.1:#{port}"}])
 
     lines = for {name, value} <- headers, do: [name, ": ", value, "\r\n"]
-    answer = raw(port, [method, " ", path, " HTTP/1.1\r\n", lines, "\r\n", body])
+    answer = answer(port, [method, " ", path, " HTTP/1.1\r\n", lines, "\r\n", body])
     [head, body] = String.split(answer, "\r\n\r\n", parts: 2)
     ["HTTP/1.1 " <> <<status::binary-3, _reason::binary>> | lines] = String.split(head, "\r\n")
     pairs = for line <- lines, do: line |> String.split(": ", parts: 2) |> List.to_tuple()

@@ -5,8 +5,14 @@ defmodule FleetWeb.WSClient do
 
   defstruct [:module, :socket, :protocol, buffer: ""]
 
-  @doc "Opens a WebSocket: the client, or the status and body of the refusal. Options: `:headers`, `:tls`."
-  def open(port, path, options \\ []) do
+  @doc """
+  Opens a WebSocket: the client, or the status and body of the refusal. Options: `:headers`, `:tls`.
+
+  On a busy machine the server may give up a connection before the request is sent; then once more.
+  """
+  def open(port, path, options \\ []), do: Aerie.Patience.eventually(fn -> try_open(port, path, options) end)
+
+  defp try_open(port, path, options) do
     {module, connect} =
       if options[:tls],
         do:
@@ -28,8 +34,11 @@ defmodule FleetWeb.WSClient do
       |> Map.merge(Map.new(options[:headers] || []))
 
     lines = for {name, value} <- headers, value != nil, do: [name, ": ", value, "\r\n"]
-    :ok = module.send(socket, ["GET ", path, " HTTP/1.1\r\n", lines, "\r\n"])
-    {head, rest} = head(module, socket, "")
+    _ = module.send(socket, ["GET ", path, " HTTP/1.1\r\n", lines, "\r\n"])
+    with {head, rest} <- head(module, socket, ""), do: opened(module, socket, head, rest)
+  end
+
+  defp opened(module, socket, head, rest) do
     ["HTTP/1.1 " <> <<status::binary-3, _::binary>> | lines] = String.split(head, "\r\n")
     headers = Map.new(lines, fn line -> line |> String.split(": ", parts: 2) |> List.to_tuple() end)
 
@@ -49,8 +58,10 @@ defmodule FleetWeb.WSClient do
         {head, rest}
 
       [_more] ->
-        {:ok, bytes} = module.recv(socket, 0, Aerie.Patience.ms())
-        head(module, socket, got <> bytes)
+        case module.recv(socket, 0, Aerie.Patience.ms()) do
+          {:ok, bytes} -> head(module, socket, got <> bytes)
+          {:error, _closed} when got == "" -> nil
+        end
     end
   end
 

@@ -4,7 +4,8 @@ defmodule Aerie.Identity.Watchdog do
 
   A process is asked by a message in its mailbox, `{:watchdog, pid, tag}`, which it answers with `answer/2`: only a process that
   handles its messages does that. (A system message would not do: a suspended process answers those.) A process that owes an answer
-  is not asked again, so a stuck one gathers no more than one message.
+  is not asked again, so a stuck one gathers no more than one message. Its time counts from the question:
+  while the machine stands still nobody asks, so nobody is late.
 
   Asked are the store, the notices, the router and, for each vehicle, its session and its events process. The session reads the
   answers before it sends a heartbeat (`silent/2`), which needs the first three and its own two. If a process of another vehicle is
@@ -85,7 +86,7 @@ defmodule Aerie.Identity.Watchdog do
     Names.put_value(gateway, :watchdog, {table, deadman_ms})
     # Often enough that one late answer is no missed one.
     {:ok, _timer} = :timer.send_interval(min(@max_every_ms, div(deadman_ms, 4)), :ask)
-    state = %{gateway: gateway, table: table, deadman_ms: deadman_ms, owing: %{}, silent: []}
+    state = %{gateway: gateway, table: table, deadman_ms: deadman_ms, asked: now(), owing: %{}, silent: []}
     {:ok, state, {:continue, :ask}}
   end
 
@@ -108,19 +109,24 @@ defmodule Aerie.Identity.Watchdog do
   end
 
   defp ask(state) do
+    # The machine stood still, and with it those that owe an answer.
+    stood_still? = now() - state.asked > state.deadman_ms
     :ets.insert(state.table, {{:watchdog, nil}, now(), true})
     loops = loops(state.gateway)
     forget(state.table, loops)
 
-    owing =
-      for {tag, pid} <- loops, pid != nil, into: %{} do
-        if state.owing[tag] != pid, do: send(pid, {:watchdog, self(), tag})
-        # From here on it has had its time to answer.
-        :ets.insert_new(state.table, {tag, now(), false})
-        {tag, pid}
-      end
+    for {tag, pid} <- loops do
+      # One that takes the place of another that died without an answer has no more time than that one had.
+      if stood_still? or not is_map_key(state.owing, tag), do: restart_time(state.table, tag)
+      if pid != nil and state.owing[tag] != pid, do: send(pid, {:watchdog, self(), tag})
+    end
 
-    tell(%{state | owing: owing})
+    tell(%{state | asked: now(), owing: loops})
+  end
+
+  defp restart_time(table, tag) do
+    answered? = match?([{_tag, _at, true}], :ets.lookup(table, tag))
+    :ets.insert(table, {tag, now(), answered?})
   end
 
   defp loops(gateway) do

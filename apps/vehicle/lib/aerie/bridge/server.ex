@@ -24,7 +24,9 @@ defmodule Aerie.Bridge.Server do
 
   # A server that was up for this long was healthy: its end is a new fault, so the pauses start over.
   @healthy_ms 5_000
-  @stop_ms 5_000
+  # It is told to end, killed after three seconds, and on a busy machine gone some seconds later. The VM must not leave
+  # it behind.
+  @stop_ms 15_000
   @max_port_tries 100
   # How often the disk is checked while the server stores nothing.
   @look_ms 2_000

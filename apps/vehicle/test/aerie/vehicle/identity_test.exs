@@ -159,8 +159,8 @@ defmodule Aerie.Vehicle.IdentityTest do
     eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
   end
 
-  test "a gateway that starts is given its time before anyone complains" do
-    gateway = make_ref()
+  # Sends the test the role of each process that is said to be silent.
+  defp complaints(gateway) do
     test = self()
 
     told = fn _event, _count, told, _config ->
@@ -169,6 +169,37 @@ defmodule Aerie.Vehicle.IdentityTest do
 
     :ok = :telemetry.attach(gateway, [:aerie, :identity, :silent], told, nil)
     on_exit(fn -> :telemetry.detach(gateway) end)
+  end
+
+  test "a machine that stood still is no silence of its loops, which nobody asked" do
+    {gateway, _port, _socket} = flying(%{heartbeat_deadman_s: 60})
+    complaints(gateway)
+    tag = {:session, {"main", 1}}
+    :ok = eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end) |> :sys.suspend()
+    watchdog = Names.whereis(gateway, :watchdog)
+    # All have answered but for one, which owes an answer as well.
+    eventually(fn -> :sys.get_state(watchdog, Aerie.Patience.ms()).owing |> Map.keys() == [tag] end)
+
+    # All of it two minutes ago.
+    :sys.replace_state(
+      watchdog,
+      fn %{table: table} = state ->
+        for {tag, at, answered?} <- :ets.tab2list(table),
+            do: :ets.insert(table, {tag, at - 120_000, answered?})
+
+        {:noreply, state} = Aerie.Identity.Watchdog.handle_info(:ask, %{state | asked: state.asked - 120_000})
+        state
+      end,
+      Aerie.Patience.ms()
+    )
+
+    refute_received {:silent, _role}
+    assert Aerie.Identity.status(gateway).silent == []
+  end
+
+  test "a gateway that starts is given its time before anyone complains" do
+    gateway = make_ref()
+    complaints(gateway)
     # Deaf to everything: none of the processes that it asks for is there.
     options = [gateway: gateway, settings: %Aerie.Identity.Settings{deadman_ms: 2_000}]
     begun = System.monotonic_time(:millisecond)

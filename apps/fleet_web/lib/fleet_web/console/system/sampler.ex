@@ -49,6 +49,7 @@ defmodule FleetWeb.Console.System.Sampler do
        facts: nil,
        reductions: %{},
        sample: nil,
+       begun: nil,
        measured: nil
      }}
   end
@@ -57,7 +58,7 @@ defmodule FleetWeb.Console.System.Sampler do
   def handle_call(:sample, _from, state) do
     now = System.monotonic_time(:millisecond)
     fresh? = state.measured != nil and now - state.measured < state.fresh_ms
-    state = if fresh?, do: state, else: measure(state, now)
+    state = if fresh?, do: state, else: measure(state)
     {:reply, state.sample, state}
   end
 
@@ -92,9 +93,10 @@ defmodule FleetWeb.Console.System.Sampler do
     {tree, %{state | restarts: restarts}}
   end
 
-  defp measure(state, now) do
+  defp measure(state) do
+    now = System.monotonic_time(:millisecond)
     {tree, state} = look(state)
-    {top, reductions} = Top.of(state.reductions, state.measured && now - state.measured)
+    {top, reductions} = Top.of(state.reductions, state.begun && now - state.begun)
     facts = Facts.of(state.gateway, state.facts)
 
     sample = %{
@@ -104,6 +106,8 @@ defmodule FleetWeb.Console.System.Sampler do
       top: top
     }
 
-    %{state | sample: sample, measured: now, facts: facts, reductions: reductions}
+    # Two seconds from its end: whoever asked during a long measurement gets this one, not another one.
+    measured = System.monotonic_time(:millisecond)
+    %{state | sample: sample, begun: now, measured: measured, facts: facts, reductions: reductions}
   end
 end

@@ -49,8 +49,9 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     assert has_element?(view, "#field-mode", "ends 20")
     assert has_element?(view, "#change-1", "mode")
 
-    answer(from, id, :accepted)
+    # The vehicle shows it first: a mode that is late would be asked for again.
     Aerie.DoorCase.put_vehicle(console.gateway, %{in_air: true, mode: "LOITER"})
+    answer(from, id, :accepted)
     standing(console.gateway, "mode", :converged)
     eventually(fn -> shown?(view, "#field-mode", "converged") end)
 

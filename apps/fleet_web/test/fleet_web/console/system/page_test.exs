@@ -61,6 +61,9 @@ defmodule FleetWeb.Console.System.PageTest do
   end
 
   test "however many look, the processes are looked at once in two seconds", %{console: console} do
+    # As long as a busy machine may take for twenty callers.
+    sampler = Names.whereis(console.gateway, :console_system)
+    :sys.replace_state(sampler, &%{&1 | fresh_ms: 600_000}, Aerie.Patience.ms())
     [first | rest] = for _viewer <- 1..20, do: Task.async(fn -> Sampler.sample(console.gateway) end)
     sample = Task.await(first, Aerie.Patience.ms())
     for task <- rest, do: assert(Task.await(task, Aerie.Patience.ms()) == sample)

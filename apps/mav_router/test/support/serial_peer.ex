@@ -122,21 +122,30 @@ defmodule Aerie.SerialPeer do
 
     case after_heard(state, ?t) do
       # As a line that nobody has opened yet: a PTY would echo it, a serial port does not even receive it.
-      <<_cflag::32, _iflag::32, lflag::32, _rest::binary>> when lflag != 0 -> state
-      <<_flags::96, speed::32, _rest::binary>> when baud in [:any, speed] -> write(state, bytes)
-      <<_flags::96, speed::32, _rest::binary>> -> write(state, BaudModel.receive(bytes, baud, speed))
+      <<_cflag::32, _iflag::32, lflag::32, _rest::binary>> when lflag != 0 ->
+        state
+
+      _settings when baud == :any ->
+        write(state, "w", bytes)
+
+      <<_flags::96, ^baud::32, _rest::binary>> ->
+        write(state, ["s", <<baud::32>>], bytes)
+
+      <<_flags::96, speed::32, _rest::binary>> ->
+        write(state, ["s", <<speed::32>>], BaudModel.receive(bytes, baud, speed))
     end
   end
 
-  defp write(state, bytes) when byte_size(bytes) > 8_000 do
+  # What was meant for one rate must not arrive at the next one, however late a busy machine writes it.
+  defp write(state, how, bytes) when byte_size(bytes) > 8_000 do
     <<piece::binary-size(8_000), rest::binary>> = bytes
-    state |> write(piece) |> write(rest)
+    state |> write(how, piece) |> write(how, rest)
   end
 
-  defp write(state, ""), do: state
+  defp write(state, _how, ""), do: state
 
-  defp write(state, bytes) do
-    command(state, ["w", bytes])
+  defp write(state, how, bytes) do
+    command(state, [how, bytes])
     state
   end
 

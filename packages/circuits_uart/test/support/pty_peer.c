@@ -2,6 +2,7 @@
  * The other side of a serial line, for tests: a PTY's master. Packets of a 16-bit length and then
  *
  *   in:   'w' bytes     write them (what the line does not take yet is kept)
+ *         's' ispeed:32 bytes   the same, as long as the line has this speed; what is left at another speed is lost
  *         'p', 'r'      stop reading, go on reading
  *         't'           tell the line's settings as the slave side has them
  *         'x'           close the master: the slave is hung up
@@ -31,6 +32,8 @@ static int master = -1, slave = -1;
 static bool paused;
 static uint8_t *unsent;
 static size_t unsent_length;
+/* The line's speed for which the unsent bytes are meant; 0 for any. */
+static uint32_t unsent_speed;
 
 static void send_packet(char type, const void *bytes, size_t length)
 {
@@ -90,6 +93,14 @@ static void tell_settings(void)
     send_packet('t', result, sizeof(result));
 }
 
+static bool still_meant(void)
+{
+    struct termios2 t;
+    if (unsent_speed != 0 && ioctl(master, TCGETS2, &t) < 0)
+        exit(5);
+    return unsent_speed == 0 || t.c_ispeed == unsent_speed;
+}
+
 static void keep(const uint8_t *bytes, size_t length)
 {
     unsent = realloc(unsent, unsent_length + length + 1);
@@ -102,7 +113,13 @@ static void keep(const uint8_t *bytes, size_t length)
 static void dispatch(const uint8_t *packet, size_t length)
 {
     switch (length > 0 ? packet[0] : 0) {
-    case 'w': keep(packet + 1, length - 1); break;
+    case 'w': unsent_speed = 0, keep(packet + 1, length - 1); break;
+    case 's':
+        if (length < 5)
+            exit(7);
+        unsent_speed = (uint32_t)packet[1] << 24 | (uint32_t)packet[2] << 16 | (uint32_t)packet[3] << 8 | packet[4];
+        keep(packet + 5, length - 5);
+        break;
     case 'p': paused = true; break;
     case 'r': paused = false; break;
     case 't': tell_settings(); break;
@@ -132,7 +149,7 @@ int main(void)
                 send_packet('d', bytes, (size_t)n);
         }
         if (fds[1].revents & POLLOUT) {
-            ssize_t n = write(master, unsent, unsent_length);
+            ssize_t n = still_meant() ? write(master, unsent, unsent_length) : (ssize_t)unsent_length;
             if (n > 0) {
                 memmove(unsent, unsent + n, unsent_length - (size_t)n);
                 unsent_length -= (size_t)n;

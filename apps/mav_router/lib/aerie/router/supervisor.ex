@@ -12,8 +12,9 @@ defmodule Aerie.Router.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings` (`Aerie.Router.Settings`); `:vehicles` (`Aerie.Router.Vehicles`), `:requests`
-  (`Aerie.Router.Requests`), `:policy` (`Aerie.Router.Policy`) and `:readings` (`Aerie.Router.Readings`), modules, none by default; `:turns_clock`, see `Aerie.Router.TransferTurns`; `:children`, child specifications of what is supervised beside the
-  router's own processes.
+  (`Aerie.Router.Requests`), `:policy` (`Aerie.Router.Policy`) and `:readings` (`Aerie.Router.Readings`), modules, none by default;
+  `:turns_clock`, see `Aerie.Router.TransferTurns`; `:children`, child specifications of what is supervised beside the router's own
+  processes.
   """
   @spec start_link(keyword) :: Supervisor.on_start()
   def start_link(options) do

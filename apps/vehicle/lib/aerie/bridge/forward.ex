@@ -18,7 +18,7 @@ defmodule Aerie.Bridge.Forward do
 
   alias Aerie.Bridge.{Connection, Readiness, Settings, State, Tables}
   alias Aerie.Bridge.Events.{Gaps, PubAck, Window}
-  alias Aerie.Bridge.Forward.{Local, Position}
+  alias Aerie.Bridge.Forward.{Hub, Local, Position}
   alias Aerie.{Names, Nats, PrivateFile}
 
   require Logger
@@ -29,8 +29,6 @@ defmodule Aerie.Bridge.Forward do
   @answer_ms 2_000
   # After so many sendings without a confirmation, that is told.
   @patience 3
-  # A connection that lasts longer was not refused. A busy hub needs a while to refuse one.
-  @refused_ms 30_000
   @batch 64
   # What was published so long before this process started is taken for delivered.
   @unknown_ms 30_000
@@ -160,20 +158,16 @@ defmodule Aerie.Bridge.Forward do
     end
   end
 
-  defp heard(state, %{status: "503"}), do: down(%{state | heard_at: now()}, "there is no connection to it")
-
-  defp heard(state, %{body: body}) do
+  defp heard(state, message) do
     state = %{state | heard_at: now()}
 
-    case JSON.decode(IO.iodata_to_binary(body)) do
-      {:ok, %{"error" => %{"description" => text}}} -> down(state, text)
-      {:ok, %{}} -> up(state)
-      _other -> down(state, "it answers what is not understood")
+    case Hub.answer(message) do
+      :there -> up(state)
+      {:away, why} -> down(state, why)
     end
   end
 
   defp up(%{hub: :up} = state), do: %{state | good_at: now()}
-
   defp up(%{conn: nil} = state), do: state
 
   # Without the local stream's end nobody knows what is history for the hub: then the next answer counts.
@@ -385,19 +379,13 @@ defmodule Aerie.Bridge.Forward do
       lost: state.lost,
       stalled: state.stalled,
       problem:
-        if(state.hub == :down, do: leaf_problem(Tables.info(state.tables, :leaf))) || state.stalled ||
+        if(state.hub == :down, do: Hub.refusal(Tables.info(state.tables, :leaf), now())) || state.stalled ||
           state.problem
     }
 
     if info != Tables.info(state.tables, :hub), do: Tables.put_info(state.gateway, state.tables, :hub, info)
     state
   end
-
-  defp leaf_problem(%{problem: text, connected_at: at}) do
-    if at == nil or now() - at < @refused_ms, do: text
-  end
-
-  defp leaf_problem(_never_tried), do: nil
 
   defp flush_pumps do
     receive do

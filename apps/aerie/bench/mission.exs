@@ -35,7 +35,7 @@ end
 ours = fn loss ->
   station = MissionStation.open()
   sim = vehicle.(station.port, loss)
-  station = MissionStation.meet(station)
+  station = MissionStation.meet(station, sim)
   ms = options[:seconds] * 1000
 
   {up, station} = MissionStation.transfer(station, {:upload, items}, 0, Aerie.Protocol.Ardupilot, ms: ms)

@@ -43,7 +43,10 @@ aerie = fn module, more ->
     {socket, port} = UdpTransfer.open()
     sim = vehicle.(port, loss, seed)
     machine = module.new({1, 1}, UdpTransfer.now() + minutes, more)
-    {us, {{:ok, table}, _bytes}} = :timer.tc(fn -> UdpTransfer.run(socket, module, machine) end)
+
+    {us, {{:ok, table}, _bytes}} =
+      :timer.tc(fn -> UdpTransfer.run({socket, SimVehicle.port(sim)}, module, machine) end)
+
     GenServer.stop(sim)
     :gen_udp.close(socket)
     Table.count(table) / us * 1.0e6

@@ -18,10 +18,12 @@ defmodule Aerie.MissionStation do
     %__MODULE__{socket: socket, port: port, parser: Parser.new(dialects: [@dialect])}
   end
 
-  @doc "Waits for the vehicle's first frame, and so for its address."
-  def meet(%{socket: socket} = station) do
+  @doc "Waits for the vehicle's first frame. What others send, who take the port for one that was here before, is not heard."
+  def meet(%{socket: socket} = station, sim) do
+    port = SimVehicle.port(sim)
+
     receive do
-      {:udp, ^socket, ip, port, _bytes} -> %{station | to: {ip, port}}
+      {:udp, ^socket, ip, ^port, _bytes} -> %{station | to: {ip, port}}
     after
       Aerie.Patience.ms() -> raise "no vehicle came"
     end
@@ -74,14 +76,14 @@ defmodule Aerie.MissionStation do
 
   defp act({:result, _result}, station, _during), do: station
 
-  defp wait(%{socket: socket} = station, transfer, during) do
+  defp wait(%{socket: socket, to: {ip, port}} = station, transfer, during) do
     left = max(Transfer.wake_at(transfer) - now(), 0)
 
     receive do
       :cancel ->
         loop(station, Transfer.handle(transfer, {:cancel, now()}), during)
 
-      {:udp, ^socket, _ip, _port, bytes} ->
+      {:udp, ^socket, ^ip, ^port, bytes} ->
         {frames, parser} = Parser.push_datagram(station.parser, bytes, nil)
 
         frames

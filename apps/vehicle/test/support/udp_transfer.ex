@@ -14,17 +14,15 @@ defmodule Aerie.UdpTransfer do
     {socket, port}
   end
 
-  @doc "Runs a machine to its end: its result, and the bytes that it read. The vehicle has to have sent something before."
-  @spec run(:gen_udp.socket(), module(), struct()) :: {term(), binary()}
-  def run(socket, module, machine) do
-    peer =
-      receive do
-        {:udp, ^socket, ip, port, _bytes} -> {ip, port}
-      end
-
+  @doc """
+  Runs a machine to its end: its result, and the bytes that it read. `port` is the vehicle's; what others send, who take ours for one
+  that was here before, is not heard.
+  """
+  @spec run({:gen_udp.socket(), :inet.port_number()}, module(), struct()) :: {term(), binary()}
+  def run({socket, port}, module, machine) do
     state = %{
       socket: socket,
-      peer: peer,
+      port: port,
       parser: Parser.new(dialects: [@dialect]),
       module: module,
       machine: machine,
@@ -40,11 +38,11 @@ defmodule Aerie.UdpTransfer do
   @spec now() :: integer()
   def now, do: System.monotonic_time(:microsecond)
 
-  defp loop(%{result: nil, socket: socket} = state) do
+  defp loop(%{result: nil, socket: socket, port: port} = state) do
     wait = max(div(state.module.wake_at(state.machine) - now() + 999, 1000), 0)
 
     receive do
-      {:udp, ^socket, _ip, _port, bytes} -> state |> heard(bytes) |> loop()
+      {:udp, ^socket, _ip, ^port, bytes} -> state |> heard(bytes) |> loop()
     after
       wait -> state |> event({:tick, now()}) |> loop()
     end
@@ -78,10 +76,10 @@ defmodule Aerie.UdpTransfer do
   defp act({:progress, _done, _total}, state), do: state
   defp act({:done, result}, state), do: %{state | result: result}
 
-  defp transmit(message, %{peer: {ip, port}} = state) do
+  defp transmit(message, state) do
     {system, component} = @us
     bytes = MavCodec.encode(message, system: system, component: component, seq: state.seq, dialect: @dialect)
-    :ok = :gen_udp.send(state.socket, ip, port, bytes)
+    :ok = :gen_udp.send(state.socket, {127, 0, 0, 1}, state.port, bytes)
     %{state | seq: Bitwise.band(state.seq + 1, 0xFF)}
   end
 end

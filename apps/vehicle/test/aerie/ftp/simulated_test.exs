@@ -23,7 +23,7 @@ defmodule Aerie.Ftp.SimulatedTest do
       )
 
     for direction <- [:in, :out], do: :ok = SimVehicle.fault(sim, :loss, 0.1, direction)
-    %{socket: socket, until: UdpTransfer.now() + 900_000_000}
+    %{socket: {socket, SimVehicle.port(sim)}, until: UdpTransfer.now() + 900_000_000}
   end
 
   for {name, encoding, hash} <- [{"ArduPilot", :c_cast, false}, {"PX4", :bytewise, true}] do

@@ -51,7 +51,7 @@ defmodule Aerie.Mission.SimulatedTest do
         seed: 7
       )
 
-    station = MissionStation.meet(station)
+    station = MissionStation.meet(station, sim)
 
     for {name, value} <- faults,
         direction <- [:in, :out],

@@ -1,7 +1,8 @@
 defmodule Aerie.Recorder.Recording.Output do
   # The longest pause, in times of `pause_ms`.
   @longest 12
-  @slow_disk_ms 10_000
+  # Less than callers wait for a recording (`Recording`), so that they learn what became of it.
+  @slow_disk_ms 25_000
   @saving_ms 60_000
 
   @moduledoc """

@@ -47,7 +47,10 @@ defmodule Circuits.UART.PortProgramTest do
     property =
       :proper.forall(:proper_types.list(request(pty.path)), fn requests ->
         requests = for {request, id} <- Enum.with_index(requests), do: numbered(request, id)
-        port = start("exec #{PortProgram.path()} 2>/dev/null", packet: 2)
+        # What comes after its end is read by another program, or the port ends with :epipe.
+        port =
+          start("exec 3<&0; #{PortProgram.path()} 2>/dev/null; s=$?; cat <&3 >/dev/null & exit $s", packet: 2)
+
         for request <- requests, do: Port.command(port, request)
         Port.command(port, "")
         {status, answered} = await_end(port, MapSet.new())

@@ -89,7 +89,7 @@ defmodule FleetBench do
 
     with_node(context, [port, links, 0], fn node, conn ->
       none = report(node)
-      before = until_known(context, node, port, vehicles, links)
+      before = until_known(context, node, port, vehicles, links, 20)
       looker = look(conn, before["watched"])
       cpu = OSProcess.cpus(node)
       sent = load(context, port, vehicles, links, context.seconds)
@@ -130,10 +130,20 @@ defmodule FleetBench do
   end
 
   # Frames that waited for their vehicle's start are old, and would be counted as late.
-  defp until_known(context, node, port, vehicles, links) do
+  defp until_known(context, node, port, vehicles, links, rounds) do
     load(context, port, vehicles, links, 5)
-    report = report(node)
-    if report["heard"] == vehicles, do: report, else: until_known(context, node, port, vehicles, links)
+    %{"heard" => heard} = report = report(node)
+
+    cond do
+      heard == vehicles ->
+        report
+
+      rounds > 1 ->
+        until_known(context, node, port, vehicles, links, rounds - 1)
+
+      true ->
+        raise "only #{heard} of #{vehicles} vehicles are known after 20 rounds of 5 s; ask for fewer"
+    end
   end
 
   defp each(vehicles, none, after_, what), do: round((after_[what] - none[what]) / vehicles / 1000)

@@ -18,7 +18,7 @@ defmodule Aerie.MissionStation do
     %__MODULE__{socket: socket, port: port, parser: Parser.new(dialects: [@dialect])}
   end
 
-  @doc "Waits for the vehicle's first frame. What others send, who take the port for one that was here before, is not heard."
+  @doc "Waits for the vehicle's first frame. Other senders are ignored: one may still send to the former owner of our port."
   def meet(%{socket: socket} = station, sim) do
     port = SimVehicle.port(sim)
 

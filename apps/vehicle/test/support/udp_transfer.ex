@@ -15,8 +15,8 @@ defmodule Aerie.UdpTransfer do
   end
 
   @doc """
-  Runs a machine to its end: its result, and the bytes that it read. `port` is the vehicle's; what others send, who take ours for one
-  that was here before, is not heard.
+  Runs a machine to its end: its result, and the bytes that it read. `port` is the vehicle's. Other senders are ignored: one may
+  still send to the former owner of our port.
   """
   @spec run({:gen_udp.socket(), :inet.port_number()}, module(), struct()) :: {term(), binary()}
   def run({socket, port}, module, machine) do

@@ -395,6 +395,45 @@ defmodule Aerie.RecorderTest do
       assert Tap.waiting(counters) == 0
     end
 
+    # Longer than OTP's 5 s for the end of a process.
+    test "that is slow at the end: what was collected is written all the same", c do
+      FaultyDisk.new(c.tmp_dir)
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, flush_ms: 60_000})
+      recording = vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+
+      _its_queue_is_empty = :sys.get_state(recording)
+      FaultyDisk.set(c.tmp_dir, :gate, self())
+      stopping = Task.async(fn -> Supervisor.stop(Names.via(gateway, :recorder)) end)
+      assert_receive {:at_the_gate, ^recording}
+      Process.send_after(recording, :pass, 5_500)
+      Task.await(stopping, 30_000)
+      assert [file] = tlogs(c.tmp_dir)
+      assert numbers(file) == Enum.to_list(1..10)
+    end
+
+    test "that hangs while its link is removed: other links start", c do
+      FaultyDisk.new(c.tmp_dir)
+      gateway = start_recorder(c.tmp_dir, %{files: FaultyDisk, links: :always})
+      be_session(gateway, 7)
+      {id, port} = add_link(gateway, "udpin:127.0.0.1:0")
+      recording = Names.whereis(gateway, :recording, {:link, id})
+      FaultyDisk.set(c.tmp_dir, :gate, self())
+      {:ok, socket} = :gen_udp.open(0, [:binary])
+      :ok = :gen_udp.send(socket, {127, 0, 0, 1}, port, attitude(7, 1))
+      assert_receive {:at_the_gate, ^recording}
+
+      server = Process.monitor(Names.whereis(gateway, :link, id))
+      removal = Task.async(fn -> Aerie.Link.stop(gateway, id) end)
+      assert_receive {:DOWN, ^server, :process, _pid, :shutdown}
+      {"other", _port} = add_link(gateway, "udpin:127.0.0.1:0", id: "other")
+      assert Process.alive?(recording)
+      send(recording, :pass)
+      assert Task.await(removal, 30_000) == :ok
+      assert [file] = tlogs(c.tmp_dir)
+      assert numbers(file) == [1]
+    end
+
     test "a file that somebody removes while it is written: told, and a new one is begun", c do
       gateway = start_recorder(c.tmp_dir)
       recording = vehicle(gateway)

@@ -44,7 +44,7 @@ defmodule Aerie.Link.Supervisor do
   def stop_tree(gateway, id) do
     case Names.whereis(gateway, :link_tree, id) do
       nil -> :ok
-      tree -> terminate(Names.via(gateway, :link_trees), tree)
+      tree -> terminate(Names.via(gateway, :link_trees), tree, id)
     end
   end
 
@@ -63,7 +63,8 @@ defmodule Aerie.Link.Supervisor do
     :exit, _gone -> {:error, :unknown}
   end
 
-  defp terminate(trees, tree) do
+  defp terminate(trees, tree, id) do
+    :ok = Tree.drain(tree, id)
     _ = DynamicSupervisor.terminate_child(trees, tree)
     :ok
   catch

@@ -9,6 +9,7 @@ defmodule Aerie.Link.Tree do
 
   alias Aerie.Link.Server
   alias Aerie.Names
+  alias Aerie.Recorder.Recording
   alias Aerie.Successor
 
   @doc "Its start waits for the processes of a tree that was killed (`Aerie.Successor`). Options: as `start_link/1`."
@@ -22,13 +23,23 @@ defmodule Aerie.Link.Tree do
     Supervisor.start_link(__MODULE__, options, name: name)
   end
 
+  @doc """
+  Ends the processes of a tree, first the link. It is the caller who waits, half a minute for a recording whose disk hangs, not the
+  supervisor of all trees.
+  """
+  @spec drain(pid, String.t()) :: :ok
+  def drain(tree, id) do
+    for child <- [Server, {Recording, {:link, id}}], do: Supervisor.terminate_child(tree, child)
+    :ok
+  end
+
   @impl Supervisor
   def init(options) do
     %{id: id, network: network} = Keyword.fetch!(options, :spec)
     Process.set_label({:link_tree, id})
     recording = [gateway: options[:gateway], target: {:link, id}, label: "#{network}-#{id}"]
     # Clients are not recorded: what they receive came from the vehicles.
-    recorders = if options[:home] == nil, do: [{Aerie.Recorder.Recording, recording}], else: []
+    recorders = if options[:home] == nil, do: [{Recording, recording}], else: []
 
     Supervisor.init(recorders ++ [{Server, options}],
       strategy: :one_for_one,

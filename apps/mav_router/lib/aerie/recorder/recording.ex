@@ -22,6 +22,8 @@ defmodule Aerie.Recorder.Recording do
   @second_ms 1_000
   # It may have to wait for a slow disk itself.
   @call_ms 30_000
+  # As long for its end: a disk that is only slow gets what was collected.
+  @stop_ms 30_000
   # A recording up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
 
@@ -39,7 +41,8 @@ defmodule Aerie.Recorder.Recording do
   def child_spec(options) do
     target = Keyword.fetch!(options, :target)
     restart = if match?({:link, _id}, target), do: :permanent, else: :temporary
-    %{id: {__MODULE__, target}, start: {__MODULE__, :start_link, [options]}, restart: restart}
+    start = {__MODULE__, :start_link, [options]}
+    %{id: {__MODULE__, target}, start: start, restart: restart, shutdown: @stop_ms}
   end
 
   @doc "The mode of the target was changed in the tables."

@@ -84,9 +84,20 @@ defmodule Aerie.System.ReplayTest do
     end
 
     assert exact.(replayed) == exact.(live)
-    gcs = fn events -> for e <- events, e.type in ["gcs.lost", "gcs.restored"], do: {e.type, e.data} end
+    gcs = fn events -> for e <- lasting(events), do: {e.type, e.data} end
     assert gcs.(replayed) == gcs.(live)
   end
+
+  # Of a silence that ends within a second of its limit one of the two may know nothing, because each looks once a second.
+  defp lasting(events),
+    do: events |> Enum.filter(&(&1.type in ["gcs.lost", "gcs.restored"])) |> without_brief()
+
+  defp without_brief([%{type: "gcs.lost"} = lost, %{type: "gcs.restored"} = back | more])
+       when back.time - lost.time < 1_000_000,
+       do: without_brief(more)
+
+  defp without_brief([event | more]), do: [event | without_brief(more)]
+  defp without_brief([]), do: []
 
   # Waits until all of these have come, in any order.
   defp await(events, types) do

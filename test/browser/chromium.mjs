@@ -36,7 +36,7 @@ export const contains = (page, selector, text) =>
   until(page, ([selector, text]) => document.querySelector(selector)?.textContent.includes(text), [selector, text]);
 
 // What a button of FleetWeb.Console.UI.HoldButton went through: its presses that ended, and the one that is on. Null if there is no such button.
-const presses = (page, selector) =>
+export const presses = (page, selector) =>
   page.evaluate((selector) => {
     const { heldCount, slippedCount, state } = document.querySelector(selector)?.dataset ?? {};
     return document.querySelector(selector) && { held: Number(heldCount ?? 0), ended: Number(heldCount ?? 0) + Number(slippedCount ?? 0), on: state === "holding" };
@@ -58,20 +58,44 @@ export async function press(page, selector, { brief = false } = {}) {
   }
 }
 
-// The same until the button has sent its event; what ended the press on the way starts it again.
-export async function hold(page, selector) {
+// Presses it until it has sent its event; what ended the press on the way starts it again. `meanwhile` is done after each press.
+export async function hold(page, selector, meanwhile = async () => {}) {
   await page.waitForSelector(selector);
+  await untilHeld(page, selector, async () => { await press(page, selector); await meanwhile(); }, () => page.mouse.up());
+}
+
+// The same by its key.
+export async function holdKey(page, selector, key) {
+  await page.waitForSelector(selector);
+  const down = async () => { await page.waitForSelector("html:not(.gateway-lost)"); await page.keyboard.down(key); };
+  await untilHeld(page, selector, down, () => page.keyboard.up(key));
+}
+
+async function untilHeld(page, selector, down, up) {
   const before = (await presses(page, selector)).held;
   for (;;) {
-    await press(page, selector);
+    await down();
     const outcome = await until(page, ([selector, before]) => {
       const { dataset } = document.querySelector(selector) ?? {};
       if (!dataset || Number(dataset.heldCount ?? 0) > before) return "held";
       return dataset.state === "holding" ? false : "let go";
     }, [selector, before]);
-    await page.mouse.up();
+    await up();
     if ((await outcome.jsonValue()) === "held") return;
   }
+}
+
+// Presses it too short: briefly, or until `meanwhile` ends the press. A busy machine may be so slow that it sends its event all the same.
+export async function slip(page, selector, meanwhile) {
+  for (let times = 10; times > 0; times -= 1) {
+    const { held } = await presses(page, selector);
+    await press(page, selector, { brief: !meanwhile });
+    await meanwhile?.();
+    await until(page, (selector) => document.querySelector(selector).dataset.state !== "holding", selector);
+    await page.mouse.up();
+    if ((await presses(page, selector)).held === held) return;
+  }
+  throw new Error(`${selector} has sent its event each time`);
 }
 
 export function equal(what, found, expected) {

@@ -1,5 +1,5 @@
 // A flight by the page of a vehicle. Argument: the console's address.
-import { contains, equal, hold, main, open } from "../../../../test/browser/chromium.mjs";
+import { contains, equal, hold, holdKey, main, open, press } from "../../../../test/browser/chromium.mjs";
 import { signIn } from "./sign_in.mjs";
 
 const base = process.argv[2];
@@ -23,7 +23,7 @@ main(async (browser) => {
   await contains(page, ".vehicle-air", "in the air");
 
   // A short press does nothing.
-  await page.click("#action-rtl");
+  await press(page, "#action-rtl", { brief: true });
   await page.click("button:has-text('Click to go')");
   await page.waitForSelector("#vehicle-map.map-ready[data-tool=point]");
   await page.waitForFunction(() => document.querySelector("#vehicle-map").fleetMap?.fleet.size === 1);
@@ -42,9 +42,7 @@ main(async (browser) => {
   await page.click("a.tab:has-text('Events')");
   await page.waitForSelector("#events");
   await page.locator("h1").click();
-  await page.keyboard.down("l");
-  await page.waitForSelector("#action-land[data-state=held]");
-  await page.keyboard.up("l");
+  await holdKey(page, "#action-land", "l");
   await contains(page, ".vehicle-air", "on the ground");
   await page.waitForFunction(() => !document.querySelector("#events").textContent.includes("RTL"));
   equal("complaints of the browser", JSON.stringify(page.complaints), "[]");

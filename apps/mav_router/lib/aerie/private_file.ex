@@ -1,31 +1,33 @@
 defmodule Aerie.PrivateFile do
   @moduledoc "Files and folders for their owner only (modes 0600 and 0700), whatever the umask is."
 
+  alias Aerie.RawFile
+
   @doc "Makes a folder, and those above it. An existing one is closed to others, if it is ours."
   @spec folder(Path.t()) :: :ok | {:error, File.posix()}
   def folder(dir) do
-    with :ok <- File.mkdir_p(dir) do
-      _ = File.chmod(dir, 0o700)
+    with :ok <- RawFile.mkdir_p(dir) do
+      _ = RawFile.chmod(dir, 0o700)
       :ok
     end
   end
 
   @doc "The same, but an existing folder stays as it is: somebody may have opened it to others on purpose."
   @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}
-  def new_folder(dir), do: if(File.dir?(dir), do: :ok, else: folder(dir))
+  def new_folder(dir), do: if(RawFile.dir?(dir), do: :ok, else: folder(dir))
 
   @doc "Writes a file. Readers find the old or the new text, never a part of it, and others can never read it."
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, text) do
     new = path <> ".new"
-    _ = File.rm(new)
+    _ = RawFile.rm(new)
 
     with {:ok, result} <- File.open(new, [:write, :exclusive, :raw], &fill(&1, new, text)),
          :ok <- result do
-      File.rename(new, path)
+      RawFile.rename(new, path)
     end
   end
 
   # The mode comes before the text.
-  defp fill(file, path, text), do: with(:ok <- File.chmod(path, 0o600), do: :file.write(file, text))
+  defp fill(file, path, text), do: with(:ok <- RawFile.chmod(path, 0o600), do: :file.write(file, text))
 end

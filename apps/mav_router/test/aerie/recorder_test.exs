@@ -3,7 +3,7 @@ defmodule Aerie.RecorderTest do
   use Aerie.RecorderCase
 
   alias Aerie.Store
-  alias Aerie.{Error, Names, Recorder, Router}
+  alias Aerie.{Error, Names, RawFile, Recorder, Router}
   alias Aerie.Recorder.{Recording, Tap}
   alias Aerie.RecorderCase.{FaultyDisk, FullDisk}
   alias MavCodec.Messages
@@ -410,6 +410,30 @@ defmodule Aerie.RecorderTest do
       Task.await(stopping, 30_000)
       assert [file] = tlogs(c.tmp_dir)
       assert numbers(file) == Enum.to_list(1..10)
+    end
+
+    # A pipe that nobody reads or writes is what a disk is whose bus is gone.
+    test "that hangs when a file is begun: everybody else's files are read and written meanwhile", c do
+      gateway = start_recorder(c.tmp_dir)
+      File.mkdir_p!(dir = Path.join(c.tmp_dir, "recordings"))
+      {"", 0} = System.cmd("mkfifo", [index = Path.join(dir, "recordings.index")])
+      archive = Names.whereis(gateway, :recorder_archive)
+      vehicle(gateway)
+      give(gateway, attitudes(1, 1..10))
+
+      eventually(fn ->
+        match?({:current_stacktrace, [{:prim_file, _, _, _} | _]}, Process.info(archive, :current_stacktrace))
+      end)
+
+      # Not by this process, which waits for an answer without end.
+      task = Task.async(fn -> File.write!(Path.join(c.tmp_dir, "other"), "written") end)
+      written = Task.yield(task, Aerie.Patience.ms())
+
+      {:ok, pipe} = :file.open(index, [:read, :write, :raw])
+      :ok = RawFile.rm(index)
+      :ok = :file.close(pipe)
+      assert written == {:ok, :ok}
+      assert archive |> :sys.get_state(Aerie.Patience.ms()) |> is_map()
     end
 
     test "that hangs while its link is removed: other links start", c do

@@ -5,6 +5,8 @@ defmodule Aerie.Link.PortOwner do
   Only processes of the same user are visible (to root: all); otherwise, and on other systems, the answer is `:unknown`.
   """
 
+  alias Aerie.RawFile
+
   @tables %{udp: ["/proc/net/udp", "/proc/net/udp6"], tcp: ["/proc/net/tcp", "/proc/net/tcp6"]}
   @listening "0A"
 
@@ -39,7 +41,7 @@ defmodule Aerie.Link.PortOwner do
   @doc "Those of the programs that have the file open which also have a lock on it (`flock`), according to the kernel."
   @spec lockers(Path.t(), [{String.t(), pos_integer}]) :: [{String.t(), pos_integer}]
   def lockers(path, holders) do
-    with {:ok, %File.Stat{inode: inode}} <- File.stat(path), {:ok, text} <- File.read("/proc/locks") do
+    with {:ok, %File.Stat{inode: inode}} <- RawFile.stat(path), {:ok, text} <- RawFile.read("/proc/locks") do
       # number: FLOCK ADVISORY WRITE pid major:minor:inode …
       pids =
         for line <- String.split(text, "\n"),
@@ -62,7 +64,7 @@ defmodule Aerie.Link.PortOwner do
 
   defp ours?(pid, own, generations) do
     # State and parent follow the program's name, which stands in parentheses and may contain anything.
-    with {:ok, stat} <- File.read("/proc/#{pid}/stat"),
+    with {:ok, stat} <- RawFile.read("/proc/#{pid}/stat"),
          [_state, parent | _] <- stat |> String.split(")") |> List.last() |> String.split() do
       ours?(parent, own, generations - 1)
     else
@@ -88,18 +90,18 @@ defmodule Aerie.Link.PortOwner do
   defp own_first(pids, own), do: [own | List.delete(pids, own)]
 
   defp pids do
-    case File.ls("/proc") do
+    case RawFile.ls("/proc") do
       {:ok, names} -> for name <- names, {pid, ""} <- [Integer.parse(name)], do: pid
       {:error, _no_proc} -> []
     end
   end
 
-  defp name(pid), do: with({:ok, name} <- File.read("/proc/#{pid}/comm"), do: {:ok, String.trim(name)})
+  defp name(pid), do: with({:ok, name} <- RawFile.read("/proc/#{pid}/comm"), do: {:ok, String.trim(name)})
 
   defp real(path, 0), do: path
 
   defp real(path, hops) do
-    case File.read_link(path) do
+    case RawFile.read_link(path) do
       {:ok, target} -> target |> Path.expand(Path.dirname(path)) |> real(hops - 1)
       {:error, _no_link} -> path
     end
@@ -107,7 +109,7 @@ defmodule Aerie.Link.PortOwner do
 
   defp inodes(protocol, port) do
     for file <- @tables[protocol],
-        {:ok, text} <- [File.read(file)],
+        {:ok, text} <- [RawFile.read(file)],
         line <- text |> String.split("\n", trim: true) |> Enum.drop(1),
         # sl local rem st queues timer retransmits uid timeout inode …
         [_, local, _, state, _, _, _, _, _, inode | _] <- [String.split(line)],
@@ -120,14 +122,14 @@ defmodule Aerie.Link.PortOwner do
   defp holds?(pid, targets) do
     folder = "/proc/#{pid}/fd"
 
-    case File.ls(folder) do
+    case RawFile.ls(folder) do
       {:ok, names} -> Enum.any?(names, &(target(folder, &1) in targets))
       {:error, _gone_or_foreign} -> false
     end
   end
 
   defp target(folder, name) do
-    with {:ok, target} <- File.read_link(Path.join(folder, name)),
+    with {:ok, target} <- RawFile.read_link(Path.join(folder, name)),
          do: target,
          else: (_closed_meanwhile -> nil)
   end

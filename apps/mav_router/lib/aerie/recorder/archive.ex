@@ -11,7 +11,7 @@ defmodule Aerie.Recorder.Archive do
   """
   use GenServer
 
-  alias Aerie.{Names, PrivateFile}
+  alias Aerie.{Names, PrivateFile, RawFile}
   alias Aerie.Recorder.{Archive, Tables}
 
   @index "recordings.index"
@@ -127,18 +127,18 @@ defmodule Aerie.Recorder.Archive do
   def handle_info(:space, state) do
     Process.send_after(self(), :space, state.settings.space_ms)
     # Without an index nothing was ever recorded here.
-    if File.exists?(index(state)), do: {:noreply, make_room(state)}, else: {:noreply, state}
+    if RawFile.exists?(index(state)), do: {:noreply, make_room(state)}, else: {:noreply, state}
   end
 
   # The index is corrected when room is made.
   defp removed(path) do
-    with {:error, reason} <- File.rm(path), do: {:error, "#{path}: #{words(reason)}"}
+    with {:error, reason} <- RawFile.rm(path), do: {:error, "#{path}: #{words(reason)}"}
   end
 
-  defp stat(path), do: File.stat(path, time: :posix)
+  defp stat(path), do: RawFile.stat(path)
 
   # No record was written to it. The index is corrected when room is made.
-  defp without_empty(path), do: with({:ok, %{size: 0}} <- stat(path), do: File.rm(path))
+  defp without_empty(path), do: with({:ok, %{size: 0}} <- stat(path), do: RawFile.rm(path))
 
   # Without a free block a file can be made, but not written.
   defp room(state) do
@@ -166,13 +166,13 @@ defmodule Aerie.Recorder.Archive do
   end
 
   defp noted(state, path, file) do
-    with :ok <- File.write(index(state), file <> "\n", [:append]),
-         :ok <- File.chmod(index(state), 0o600) do
+    with :ok <- RawFile.append(index(state), file <> "\n"),
+         :ok <- RawFile.chmod(index(state), 0o600) do
       :ok
     else
       {:error, reason} ->
         # A file that is not in the index would never be removed.
-        _ = File.rm(path)
+        _ = RawFile.rm(path)
         {:error, reason}
     end
   end
@@ -182,7 +182,7 @@ defmodule Aerie.Recorder.Archive do
   # Only names of files beside the index: whatever somebody did to the index, no file elsewhere is ours.
   defp ours(state) do
     with {:ok, %{size: size}} when size <= @max_index <- stat(index(state)),
-         {:ok, text} <- File.read(index(state)) do
+         {:ok, text} <- RawFile.read(index(state)) do
       text |> String.split("\n", trim: true) |> Enum.filter(&Archive.Name.ours?/1) |> Enum.uniq()
     else
       _none -> []
@@ -197,7 +197,7 @@ defmodule Aerie.Recorder.Archive do
     found =
       for name <- names,
           path = Path.join(dir, name),
-          {:ok, %{type: :regular, size: size}} <- [File.lstat(path)] do
+          {:ok, %{type: :regular, size: size}} <- [RawFile.lstat(path)] do
         {path, size, path in open}
       end
 
@@ -223,7 +223,7 @@ defmodule Aerie.Recorder.Archive do
     do: remove(rest, too_many, too_full, gateway)
 
   defp remove([{path, size, false} | rest], too_many, too_full, gateway) do
-    case File.rm(path) do
+    case RawFile.rm(path) do
       :ok ->
         :telemetry.execute([:aerie, :recorder, :removed], %{bytes: size}, %{gateway: gateway, file: path})
         [path | remove(rest, too_many - size, too_full - size, gateway)]

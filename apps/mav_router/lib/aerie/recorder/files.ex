@@ -3,6 +3,8 @@ defmodule Aerie.Recorder.Files do
   The recorder's access to files and disks, all in one place, so that a test can replace it by a disk that fails.
   """
 
+  alias Aerie.RawFile
+
   @type device :: :file.io_device()
 
   @doc "Makes a new file for its owner only."
@@ -23,7 +25,7 @@ defmodule Aerie.Recorder.Files do
   def create(path) do
     with {:ok, file} <- :file.open(path, [:write, :exclusive, :raw]),
          :ok <- :file.close(file),
-         do: File.chmod(path, 0o600)
+         do: RawFile.chmod(path, 0o600)
   end
 
   @impl __MODULE__

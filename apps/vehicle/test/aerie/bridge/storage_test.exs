@@ -98,6 +98,10 @@ defmodule Aerie.Bridge.StorageTest do
     gateway = start_bridge(config(dir))
     await_up(gateway)
     pid = server_pid(dir)
+    # A connection that has just begun stands for twenty seconds more, an older one for ten.
+    former = connection(gateway)
+    Process.exit(former, :kill)
+    eventually(fn -> connection(gateway) not in [nil, former] end)
     {_, 0} = System.cmd("kill", ["-STOP", pid])
     commit(gateway, "A", 1..3)
     # The server is not restarted before the metric was read.
@@ -117,13 +121,15 @@ defmodule Aerie.Bridge.StorageTest do
     await_up(gateway)
     pid = server_pid(dir)
     {_, 0} = System.cmd("kill", ["-STOP", pid])
-    %{conn: conn} = gateway |> Bridge.Tables.get() |> Bridge.Connection.current()
-    Process.exit(conn, :kill)
+    Process.exit(connection(gateway), :kill)
     await(gateway, :connection, &(&1[:status] == :down))
     await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
     await(gateway, :connection, &(&1[:status] == :up))
     assert server_pid(dir) != pid
   end
+
+  defp connection(gateway),
+    do: with(%{conn: conn} <- gateway |> Bridge.Tables.get() |> Bridge.Connection.current(), do: conn)
 
   defp start_server(dir, limits) do
     conf = Path.join(dir, "server.conf")

@@ -233,7 +233,7 @@ defmodule Aerie.Bridge.HubTest do
     {:ok, _} = Gnat.sub(context.fleet, self(), "fleet.test.A.>")
     :ok = Gnat.pub(context.client, "fleet.test.A.state.mode", "forged")
     kill9(server_pid(Path.join(dir, "A")))
-    await(a, :hub, &(&1[:problem] =~ ~r/authoriz/i))
+    await(a, :hub, &((&1[:problem] || "") =~ ~r/authoriz/i))
     refute_received {:msg, _message}
     # The vehicle's own NATS works on.
     commit(a, "A", 1..2)

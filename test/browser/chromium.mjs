@@ -2,6 +2,8 @@
 import { chromium } from "playwright-core";
 
 export const PATIENCE_MS = 300_000;
+// How often a press is made again that did not end as it was meant.
+const TIMES = 30;
 // What is drawn without a graphics card costs by the pixel.
 export const SMALL = { width: 1024, height: 700 };
 
@@ -73,7 +75,7 @@ export async function holdKey(page, selector, key) {
 
 async function untilHeld(page, selector, down, up) {
   const before = (await presses(page, selector)).held;
-  for (;;) {
+  for (let times = TIMES; times > 0; times -= 1) {
     await down();
     const outcome = await until(page, ([selector, before]) => {
       const { dataset } = document.querySelector(selector) ?? {};
@@ -83,11 +85,12 @@ async function untilHeld(page, selector, down, up) {
     await up();
     if ((await outcome.jsonValue()) === "held") return;
   }
+  throw new Error(`${selector} was let go each time`);
 }
 
 // Presses it too short: briefly, or until `meanwhile` ends the press. A busy machine may be so slow that it sends its event all the same.
 export async function slip(page, selector, meanwhile) {
-  for (let times = 10; times > 0; times -= 1) {
+  for (let times = TIMES; times > 0; times -= 1) {
     const { held } = await presses(page, selector);
     await press(page, selector, { brief: !meanwhile });
     await meanwhile?.();

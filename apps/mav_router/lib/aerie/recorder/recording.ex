@@ -20,10 +20,8 @@ defmodule Aerie.Recorder.Recording do
   alias MavCodec.Tlog
 
   @second_ms 1_000
-  # It may have to wait for a slow disk itself.
+  # It may have to wait for a slow disk itself, at its end too.
   @call_ms 30_000
-  # As long for its end: a disk that is only slow gets what was collected.
-  @stop_ms 30_000
   # A recording up to a time ends by the clock too, if nothing more comes.
   @grace_ms 2_000
 
@@ -42,7 +40,7 @@ defmodule Aerie.Recorder.Recording do
     target = Keyword.fetch!(options, :target)
     restart = if match?({:link, _id}, target), do: :permanent, else: :temporary
     start = {__MODULE__, :start_link, [options]}
-    %{id: {__MODULE__, target}, start: start, restart: restart, shutdown: @stop_ms}
+    %{id: {__MODULE__, target}, start: start, restart: restart, shutdown: @call_ms}
   end
 
   @doc "The mode of the target was changed in the tables."

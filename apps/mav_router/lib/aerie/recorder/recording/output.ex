@@ -21,6 +21,7 @@ defmodule Aerie.Recorder.Recording.Output do
 
   alias Aerie.Backoff
   alias Aerie.Names
+  alias Aerie.RawFile
   alias Aerie.Recorder.{Archive, Settings, Tables}
 
   @enforce_keys [:gateway, :target, :label, :settings, :tables]
@@ -103,9 +104,9 @@ defmodule Aerie.Recorder.Recording.Output do
 
   # The file or its disk was removed: records would be lost.
   defp there(%{file: file} = output) when file != nil do
-    if match?({:error, _reason}, :file.read_file_info(file, [:raw])),
-      do: output |> close() |> fault("#{file} was removed while it was written"),
-      else: output
+    if RawFile.exists?(file),
+      do: output,
+      else: output |> close() |> fault("#{file} was removed while it was written")
   end
 
   defp there(output), do: output

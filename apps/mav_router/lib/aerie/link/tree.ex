@@ -29,8 +29,7 @@ defmodule Aerie.Link.Tree do
   """
   @spec drain(pid, String.t()) :: :ok
   def drain(tree, id) do
-    for child <- [Server, {Recording, {:link, id}}], do: Supervisor.terminate_child(tree, child)
-    :ok
+    Enum.each([Server, {Recording, {:link, id}}], &Supervisor.terminate_child(tree, &1))
   end
 
   @impl Supervisor

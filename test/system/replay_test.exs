@@ -10,6 +10,7 @@ defmodule Aerie.System.ReplayTest do
   # An unusual id: frames that another program sends to this port by mistake make another vehicle.
   @key {"main", 77}
   @vehicle "VID-077"
+  @lost_us 5_000_000
   @silences [~w(gcs.lost gcs.restored), ~w(link.lost link.restored)]
   @flight [:ready, {:wait, 1}, :arm, {:takeoff, 6}, {:wait, 1}, :land, :landed, {:wait, 60}]
 
@@ -85,6 +86,8 @@ defmodule Aerie.System.ReplayTest do
 
     assert exact.(replayed) == exact.(live)
     assert lasting(replayed) == lasting(live)
+    # A replay makes up no silence.
+    assert Enum.count(replayed, &(&1.type == "link.lost")) <= silences(recording.file, to)
   end
 
   # The gateway checks for silence once a second, so those events come up to a second later, and of a silence that is over one of the
@@ -94,6 +97,15 @@ defmodule Aerie.System.ReplayTest do
         %{type: type} = last <- [events |> Enum.filter(&(&1.type in silence)) |> List.last()],
         type == hd(silence),
         do: {type, last.data}
+  end
+
+  # The silences of the vehicle in a recording that ends at `to`.
+  defp silences(file, to) do
+    heard = for %{system: 77, at: at} <- MavCodec.Tlog.Reader.frames!(file), do: at
+
+    (heard ++ [to])
+    |> Enum.chunk_every(2, 1, :discard)
+    |> Enum.count(fn [last, at] -> at - last >= @lost_us end)
   end
 
   # Waits until all of these have come, in any order.

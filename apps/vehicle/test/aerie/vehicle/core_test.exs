@@ -137,6 +137,16 @@ defmodule Aerie.Vehicle.CoreTest do
       assert event_times(run) == [{"disarmed", 23}]
     end
 
+    test "that did not happen: what was held has its own time, although another change comes before the next tick" do
+      other_mode = %{@copter | custom_mode: 5}
+      run = frames(flown(), [down(23), clock(23.02, 123.02), frame(other_mode, round(23.04 * @second))])
+
+      assert Enum.map(run.events, &{&1.type, &1.time}) == [
+               {"mode_change", 23_040_000},
+               {"disarmed", 23_000_000}
+             ]
+    end
+
     test "does not hold back events for ever if the vehicle shows no clock any more" do
       run = frames(flown(), [down(23), down(24), down(25), down(26), down(27), down(28), down(29)])
       assert event_times(run) == [{"disarmed", 23}]

@@ -20,7 +20,8 @@ defmodule Aerie.Vehicle.Core.Timers do
     cond do
       core.now != nil and at < core.now - @back_us -> rebase(core, actions, at)
       due?(core, at) -> expire(core, actions, at)
-      true -> {core, actions}
+      # What has waited long enough counts before the frame changes it, whether or not a tick came in between.
+      true -> {core, actions} |> Effects.held(at) |> Effects.settled(at)
     end
   end
 

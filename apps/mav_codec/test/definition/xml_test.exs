@@ -89,6 +89,6 @@ defmodule MavCodec.Definition.XMLTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 end

@@ -75,7 +75,7 @@ defmodule MavCodec.IdentityTest do
           (frame.id > 255 or v1(message, options) == {:ok, base(message)})
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1000]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 1000]) == true, inspect(:proper.counterexample())
   end
 
   defp v1(message, options) do
@@ -97,7 +97,7 @@ defmodule MavCodec.IdentityTest do
           stats.lost == 0 and stats.resync_bytes == 0
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
   end
 
   test "R7: numbers count per source and wrap" do

@@ -112,6 +112,7 @@ defmodule MavCodec.ParserWorkTest do
           work(fn -> datagrams(parser, data, cut) end) < bound
       end)
 
-    assert :proper.quickcheck(property, [:quiet, {:numtests, 300}, {:max_size, 40}]) == true
+    assert :proper.quickcheck(property, [:quiet, {:numtests, 300}, {:max_size, 40}]) == true,
+           inspect(:proper.counterexample())
   end
 end

@@ -33,7 +33,7 @@ defmodule MavCodec.SigningModelTest do
 
   test "S2, S3, S4, S5, S6: verdicts are the model's, time stamps only go up, nothing passes twice in any life" do
     property = :proper.forall(vector(60, step()), &holds?/1)
-    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 
   test "S3: what was accepted after the clock was set back is not accepted again after a crash" do

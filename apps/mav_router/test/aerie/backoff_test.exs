@@ -38,7 +38,7 @@ defmodule Aerie.BackoffTest do
           Enum.zip(rest, ceilings) |> Enum.all?(fn {wait, top} -> wait <= top and 2 * wait >= top end)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 
   test "a wait stays within its limits after any number of attempts" do
@@ -59,6 +59,6 @@ defmodule Aerie.BackoffTest do
         elem(Backoff.next(backoff, random), 0) in min..(min + more)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

@@ -41,9 +41,13 @@ defmodule SimVehicle.Battery do
     battery.cells * max(cell, 0.0)
   end
 
-  @doc "The same pack with `left` (0.0..1.0) of its charge: a swap (1.0) or a failure on demand."
+  @doc """
+  The same pack with `left` of its charge: a swap (1.0) or a failure on demand. It is kept within 0.0..1.0, because a
+  threshold that `left` comes from may be set to anything.
+  """
   @spec set_remaining(t, float) :: t
-  def set_remaining(battery, left), do: %{battery | used_mah: (1.0 - left) * battery.capacity_mah}
+  def set_remaining(battery, left),
+    do: %{battery | used_mah: (1.0 - (left |> max(0.0) |> min(1.0))) * battery.capacity_mah}
 
   defp load(false, _throttle), do: @off_a
   defp load(true, throttle) when throttle <= 0.1, do: @idle_a

@@ -102,7 +102,7 @@ defmodule SimVehicle.FtpTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     assert {_ftp, []} = Ftp.handle(Ftp.new(:px4), "short", {255, 190}, @params)
   end
 end

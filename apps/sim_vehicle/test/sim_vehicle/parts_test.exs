@@ -126,6 +126,9 @@ defmodule SimVehicle.PartsTest do
     empty = Battery.step(battery, true, 1.0, 3600.0)
     assert Battery.remaining(empty) == 0.0
     assert Battery.percent(empty) == 0
+    # A threshold that somebody set to -1 mAh.
+    assert %{used_mah: 1000.0} = beneath = Battery.set_remaining(battery, -0.001)
+    assert Battery.voltage(beneath) > 0
   end
 
   describe "options" do

@@ -51,7 +51,8 @@ defmodule SimVehicle.PropertiesTest do
           Enum.reduce_while(events, {true, start}, &check/2) |> elem(0)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 150, max_size: 40])
+      assert :proper.quickcheck(property, [:quiet, numtests: 150, max_size: 40]) == true,
+             inspect(:proper.counterexample())
     end
   end
 
@@ -70,8 +71,12 @@ defmodule SimVehicle.PropertiesTest do
     if ok, do: {:cont, {true, now}}, else: {:halt, {false, now}}
   end
 
-  # Going up without motors is flying; falling is not.
-  defp rises?(before, now), do: not before.armed and not now.armed and now.kin.d < before.kin.d - 0.01
+  # Going up without motors is flying. Falling is not, nor is going on up for a moment after they stop.
+  defp rises?(before, now) do
+    climbed = before.kin.d - now.kin.d
+    highest = :math.pow(min(before.kin.vd, 0.0), 2) / (2 * 9.8)
+    not before.armed and not now.armed and climbed > highest + 0.01
+  end
 
   defp recharges?({:failsafe, :battery_critical, false}), do: true
   defp recharges?({:command, 420, _params}), do: true

@@ -399,7 +399,7 @@ defmodule Aerie.PolicyTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1000]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 1000]) == true, inspect(:proper.counterexample())
   end
 
   defp envelope(type, seed) do

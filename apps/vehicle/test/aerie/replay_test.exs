@@ -80,7 +80,7 @@ defmodule Aerie.ReplayTest do
           exact(Replay.run({:chunks, cut(beginning, cuts)})) == expected
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 40])
+      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true, inspect(:proper.counterexample())
     end
 
     defp cut(bytes, cuts) do
@@ -103,7 +103,7 @@ defmodule Aerie.ReplayTest do
             part.summary.damaged_parts <= 1 and part.summary.bytes + part.summary.damaged_bytes == length
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 40])
+      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true, inspect(:proper.counterexample())
     end
 
     test "damaged anywhere cost themselves and are counted", %{beginning: beginning} do
@@ -120,7 +120,7 @@ defmodule Aerie.ReplayTest do
           end
         )
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 40])
+      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true, inspect(:proper.counterexample())
     end
   end
 
@@ -139,7 +139,8 @@ defmodule Aerie.ReplayTest do
           flight.summary.frames == length(frames) + 1
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 60])
+      assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 60]) == true,
+             inspect(:proper.counterexample())
     end
 
     @declared Map.new(Aerie.Vehicle.Event.Types.all(), &{&1.type, Enum.map(&1.fields, fn f -> f.name end)})

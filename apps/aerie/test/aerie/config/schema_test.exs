@@ -97,7 +97,7 @@ defmodule Aerie.Config.SchemaTest do
         is_map(values) and Enum.all?(problems, &is_list(&1.path))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 
   defp tree(0, scalar, _name), do: scalar

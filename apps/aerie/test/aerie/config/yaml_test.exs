@@ -58,6 +58,6 @@ defmodule Aerie.Config.YamlTest do
         match?({tag, _} when tag in [:ok, :error], Yaml.parse(:erlang.list_to_binary(bytes)))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 end

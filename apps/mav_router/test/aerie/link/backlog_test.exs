@@ -65,6 +65,6 @@ defmodule Aerie.Link.BacklogTest do
         same?
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

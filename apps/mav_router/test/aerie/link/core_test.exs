@@ -425,7 +425,7 @@ defmodule Aerie.Link.CoreTest do
           |> Enum.all?(&elem(&1, 2))
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
     end
 
     # What the process would know about the connection.

@@ -44,7 +44,7 @@ defmodule Aerie.Link.PacerTest do
         not early?
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp wait(pacer, at, now) do

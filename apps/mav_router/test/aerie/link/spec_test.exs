@@ -181,6 +181,6 @@ defmodule Aerie.Link.SpecTest do
         |> Enum.all?()
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

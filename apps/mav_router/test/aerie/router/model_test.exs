@@ -193,6 +193,7 @@ defmodule Aerie.Router.ModelTest do
         result == :ok
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 60, max_size: 60])
+    assert :proper.quickcheck(property, [:quiet, numtests: 60, max_size: 60]) == true,
+           inspect(:proper.counterexample())
   end
 end

@@ -17,7 +17,7 @@ defmodule Aerie.Router.PureTest do
   alias Aerie.Router.Tables
   alias MavCodec.Frame
 
-  defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]))
+  defp check(property, n \\ 200), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]) == true)
 
   describe "ForwardingTable" do
     alias Aerie.Router.{Endpoint, Endpoints, ForwardingTable, Routes}

@@ -9,7 +9,7 @@ defmodule Aerie.Router.RenumberTest do
   @way %Path{key: {"r", :self}, owner: "r", side: :vehicle, networks: ["north"]}
   @offsets %{"north" => 10}
 
-  defp check(property, n \\ 300), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]))
+  defp check(property, n \\ 300), do: assert(:proper.quickcheck(property, [:quiet, numtests: n]) == true)
 
   defp parse(bytes) do
     {[frame], parser} = Parser.push(Parser.new(), bytes, 7)

@@ -178,7 +178,7 @@ defmodule Aerie.Router.AskedTest do
             List.starts_with?(sent, got)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 200])
+      assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
     end
   end
 end

@@ -103,6 +103,6 @@ defmodule Aerie.Router.RoutesTest do
         end)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 end

@@ -108,7 +108,7 @@ defmodule Aerie.Router.TurnsTest do
           Turn.idle?(turn)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 500])
+      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
     end
 
     defp step({{:ask, who, said, part}, dt}, {turn, now}) do

@@ -20,7 +20,7 @@ defmodule Aerie.UnixSocket.LengthPrefixTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp pieces("", _size, {got, rest}), do: {got, rest}

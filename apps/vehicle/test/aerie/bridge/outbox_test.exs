@@ -225,7 +225,7 @@ defmodule Aerie.Bridge.OutboxTest do
         got == wanted and Outbox.empty?(done) and Outbox.stats(outbox).dropped == 0
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp reopen(dir), do: open!(dir, segment_bytes: 150, max_bytes: 1_000_000)

@@ -124,6 +124,6 @@ defmodule Aerie.Command.TypesTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 2000])
+    assert :proper.quickcheck(property, [:quiet, numtests: 2000]) == true, inspect(:proper.counterexample())
   end
 end

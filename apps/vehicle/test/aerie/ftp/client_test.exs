@@ -210,7 +210,7 @@ defmodule Aerie.Ftp.ClientTest do
           write.result == {:ok, :verified} and FtpVehicle.file(write.vehicle, "/b") == bytes(n)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 150]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 150]) == true, inspect(:proper.counterexample())
   end
 
   defp scenario do

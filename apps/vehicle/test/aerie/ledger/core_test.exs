@@ -116,7 +116,7 @@ defmodule Aerie.Ledger.CoreTest do
         Enum.reduce(events, start, &model/2).ok
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   defp model(:kill, state) do

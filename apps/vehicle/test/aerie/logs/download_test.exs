@@ -62,7 +62,7 @@ defmodule Aerie.Logs.DownloadTest do
         IO.iodata_to_binary(out) == Enum.map_join(pieces, &elem(&1, 1)) and order == InOrder.new(7 + 3 * n)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp shuffled(piece, rand) do
@@ -153,7 +153,7 @@ defmodule Aerie.Logs.DownloadTest do
         run.result == {:ok, n} and LossyLink.bytes(run) == bytes(n) and length(run.sent) < 1000
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 100]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
   end
 
   defp scenario do

@@ -99,7 +99,7 @@ defmodule Aerie.Operations.CoreTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   defp handle(core, {:ended, n, ok?}), do: Core.ended(core, "V-#{n}", if(ok?, do: @ok, else: @failed))

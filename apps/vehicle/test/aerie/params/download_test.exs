@@ -213,7 +213,7 @@ defmodule Aerie.Params.DownloadTest do
         end and length(run.sent) < 4000
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp listed(changes), do: Enum.count(changes, &match?({_at, what} when what != :put, &1))

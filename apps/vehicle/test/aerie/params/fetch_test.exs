@@ -194,6 +194,6 @@ defmodule Aerie.Params.FetchTest do
     property =
       :proper.forall(:proper_types.binary(), fn bytes -> match?({:error, _why}, Packed.decode(bytes)) end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 end

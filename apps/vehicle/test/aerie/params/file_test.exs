@@ -36,7 +36,7 @@ defmodule Aerie.Params.FileTest do
         ParamValue.same?(entry.value, float)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1000]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 1000]) == true, inspect(:proper.counterexample())
   end
 
   test "every error has the number of its line" do
@@ -60,7 +60,7 @@ defmodule Aerie.Params.FileTest do
     property =
       :proper.forall(:proper_types.binary(), fn bytes -> elem(File.parse(bytes), 0) in [:ok, :error] end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   test "differences: changed, missing on either side; rounding is none" do

@@ -115,7 +115,7 @@ defmodule Aerie.Params.SetTest do
         end and length(run.sent) <= 60
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   defp scenario do

@@ -105,6 +105,6 @@ defmodule Aerie.Policy.RateTest do
         end)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 end

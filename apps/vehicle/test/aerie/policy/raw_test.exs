@@ -267,7 +267,7 @@ defmodule Aerie.Policy.RawTest do
         end
       )
 
-    assert :proper.quickcheck(random, [:quiet, numtests: 200]) == true
+    assert :proper.quickcheck(random, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   test "every refusal has the answer of its own protocol" do

@@ -70,7 +70,7 @@ defmodule Aerie.Policy.SignatureTest do
         match?({:error, _}, Signature.verify(header, @subject, body, @now))
       end)
 
-    assert :proper.quickcheck(random, [:quiet, numtests: 200]) == true
+    assert :proper.quickcheck(random, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   test "a signature counts for a minute, and not before its time" do

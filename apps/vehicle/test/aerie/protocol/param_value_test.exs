@@ -12,7 +12,7 @@ defmodule Aerie.Protocol.ParamValueTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 2000]), inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 2000]) == true, inspect(:proper.counterexample())
   end
 
   defp typed do

@@ -47,7 +47,7 @@ defmodule Aerie.ProtocolTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 3000])
+    assert :proper.quickcheck(property, [:quiet, numtests: 3000]) == true, inspect(:proper.counterexample())
   end
 
   defp sound?(step, protocol, vehicle) do

@@ -204,7 +204,7 @@ defmodule Aerie.Shadow.DocumentTest do
         |> Enum.all?()
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp json do

@@ -73,7 +73,7 @@ defmodule Aerie.Shadow.LeaseTest do
         world.ok? and length(acting(world)) == 1
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp gateway(n, offset),

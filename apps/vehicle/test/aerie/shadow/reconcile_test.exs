@@ -192,7 +192,7 @@ defmodule Aerie.Shadow.ReconcileTest do
           actions == [] and Enum.all?(last, fn {_path, status} -> status.state == :converged end)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
     end
 
     test "it sets each field once when the vehicle obeys, in the order of the stages" do
@@ -204,7 +204,7 @@ defmodule Aerie.Shadow.ReconcileTest do
           set == Enum.uniq(set) and stages == Enum.sort(stages)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
     end
 
     test "it never acts on the vehicle while somebody is in charge, and for the configured time after" do
@@ -226,7 +226,7 @@ defmodule Aerie.Shadow.ReconcileTest do
           end)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
     end
 
     test "after the last disturbance it settles: everything agrees or is given up, and nothing is done any more" do
@@ -238,7 +238,7 @@ defmodule Aerie.Shadow.ReconcileTest do
           quiet? and Enum.all?(last, fn {_path, status} -> status.state in [:converged, :refused] end)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 40]) == true, inspect(:proper.counterexample())
     end
 
     test "it ends: a vehicle that refuses or changes everything back is left alone after six tries" do
@@ -254,7 +254,7 @@ defmodule Aerie.Shadow.ReconcileTest do
           |> Enum.all?(fn {_path, tries} -> tries <= 6 end)
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 20]) == true
+      assert :proper.quickcheck(property, [:quiet, numtests: 20]) == true, inspect(:proper.counterexample())
     end
   end
 

@@ -614,7 +614,7 @@ defmodule Aerie.Vehicle.CoreTest do
                run.events == [])
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
 
     test "killed and restored at any time, the events are the same" do
@@ -629,7 +629,7 @@ defmodule Aerie.Vehicle.CoreTest do
           pick.(fly(messages, true)) == pick.(fly(messages, false))
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
   end
 end

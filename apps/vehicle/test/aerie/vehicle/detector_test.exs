@@ -438,7 +438,7 @@ defmodule Aerie.Vehicle.DetectorTest do
             length(Enum.uniq_by(events, & &1.id)) == length(events) and same == events
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
   end
 end

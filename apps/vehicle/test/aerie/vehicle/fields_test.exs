@@ -72,7 +72,7 @@ defmodule Aerie.Vehicle.FieldsTest do
         abs(rounded - x) <= max(0.005000001, abs(x) * 1.0e-15)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
 
     for x <- [1.7e308, -1.7e308, 5.0e-324, -0.0],
         do: assert(is_float(Fields.rounded(:position, %{lat: x}).lat))

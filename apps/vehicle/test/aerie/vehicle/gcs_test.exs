@@ -182,6 +182,6 @@ defmodule Aerie.Vehicle.GcsTest do
         log == Enum.take(Stream.cycle([:lost, :back]), length(log))
       end)
 
-    assert :proper.quickcheck(prop, [:quiet, numtests: 200])
+    assert :proper.quickcheck(prop, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 end

@@ -66,7 +66,7 @@ defmodule Aerie.Vehicle.ReportsTest do
           is_list(Names.values(id, bytes)) or Names.values(id, "") == nil
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 500])
+      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
     end
 
     test "no two names have the same id" do

@@ -209,7 +209,7 @@ defmodule Aerie.Vehicle.SamplingTest do
           mean(:a, values) >= Enum.min(values) and mean(:a, values) <= Enum.max(values)
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
 
     test "a mean angle turns with its values and is an angle" do
@@ -227,7 +227,7 @@ defmodule Aerie.Vehicle.SamplingTest do
           mean >= 0.0 and mean <= 360.0 and (x * x + y * y < 1.0e-3 or abs(difference) < 1.0e-3)
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
 
     test "no strategy gives more than its rate, and none gives a value of another time" do
@@ -256,7 +256,7 @@ defmodule Aerie.Vehicle.SamplingTest do
           end
         )
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
     end
   end
 end

@@ -344,6 +344,7 @@ defmodule Aerie.Vehicle.StateTest do
         end
       )
 
-    assert :proper.quickcheck(prop, [:quiet, numtests: 3000, max_size: 60])
+    assert :proper.quickcheck(prop, [:quiet, numtests: 3000, max_size: 60]) == true,
+           inspect(:proper.counterexample())
   end
 end

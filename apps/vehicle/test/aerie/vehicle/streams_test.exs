@@ -169,6 +169,6 @@ defmodule Aerie.Vehicle.StreamsTest do
         end
       )
 
-    assert :proper.quickcheck(prop, [:quiet, numtests: 500])
+    assert :proper.quickcheck(prop, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 end

@@ -220,6 +220,6 @@ defmodule Aerie.Vehicle.TimesyncTest do
         end
       )
 
-    assert :proper.quickcheck(prop, [:quiet, numtests: 300])
+    assert :proper.quickcheck(prop, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

@@ -234,7 +234,8 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
             Selection.size(kept) == length(Selection.among(kept, @order))
         end)
 
-      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true
+      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
+             inspect(:proper.counterexample())
     end
   end
 
@@ -312,7 +313,8 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
           map == expected
         end)
 
-      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true
+      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
+             inspect(:proper.counterexample())
     end
 
     test "each home once" do

@@ -117,7 +117,8 @@ defmodule FleetWeb.Console.Plan.DraftTest do
             (changes >= 100 or first.plan == %Plan{})
         end)
 
-      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true
+      assert :proper.quickcheck(property, [:quiet, {:numtests, 200}]) == true,
+             inspect(:proper.counterexample())
     end
 
     test "a change that changes nothing is no step" do

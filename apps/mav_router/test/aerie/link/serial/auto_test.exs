@@ -110,13 +110,12 @@ defmodule Aerie.Link.Serial.AutoTest do
     id = auto(c)
     up(c)
     frames(5)
-    port = Path.join(c.dev, "ttyUSB0")
+    unplugged = Path.join(c.dev, "ttyUSB0") <> " was unplugged"
     SerialPeer.unplug(vehicle)
-    assert_receive {:down, _, %{reason: reason}}, @patience
-    assert reason == "#{port} was unplugged"
+    assert_receive {:down, _, %{reason: ^unplugged}}, @patience
     other = SerialPeer.plug_in(vehicle, name_in: {c.dev, "ttyUSB1"})
     assert File.read_link!(Path.join(c.dev, "ttyUSB1")) == other
-    assert_receive {:up, %{reconnects: 1}, _}, @patience
+    assert_receive {:up, %{reconnects: times}, _} when times > 0, @patience
     assert snapshot(c.gateway, id).local == Path.join(c.dev, "ttyUSB1")
     frames(5)
   end

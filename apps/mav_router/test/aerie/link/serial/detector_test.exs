@@ -319,7 +319,7 @@ defmodule Aerie.Link.Serial.DetectorTest do
         only_known?(all) and ends_once?(all) and closed?(all) and deserved?(all, events)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 400])
+    assert :proper.quickcheck(property, [:quiet, numtests: 400]) == true, inspect(:proper.counterexample())
   end
 
   defp only_known?(actions),

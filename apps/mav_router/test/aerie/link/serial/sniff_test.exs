@@ -131,7 +131,7 @@ defmodule Aerie.Link.Serial.SniffTest do
         end)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 
   test "the worst case is bounded: only the last bytes are examined" do

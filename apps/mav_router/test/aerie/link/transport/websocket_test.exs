@@ -258,7 +258,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
           frames == Frames.new() and :bad not in events
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 100])
+    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
   end
 
   defp pieces(<<>>, _cuts), do: []
@@ -275,7 +275,7 @@ defmodule Aerie.Link.Transport.WebSocketTest do
         byte_size(frames.buffer) <= byte_size(Enum.join(pieces))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
     # A terabyte of a message.
     assert {[{:data, "abc"}], %{buffer: ""}} =
              Frames.push(Frames.new(), <<130, 127, 1_099_511_627_776::64, "abc">>)

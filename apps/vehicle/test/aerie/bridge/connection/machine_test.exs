@@ -101,6 +101,6 @@ defmodule Aerie.Bridge.Connection.MachineTest do
         |> elem(1)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

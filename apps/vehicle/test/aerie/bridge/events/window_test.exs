@@ -82,7 +82,7 @@ defmodule Aerie.Bridge.Events.WindowTest do
         end) and Window.size(state.window) == 0
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 
   defp run({:put, vehicle}, state) do

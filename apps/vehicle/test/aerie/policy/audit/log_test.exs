@@ -111,7 +111,7 @@ defmodule Aerie.Policy.Audit.LogTest do
         report(dir).problems != []
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
 
     # Lines that are swapped, removed or repeated, and an end that is cut off at a line.
     lines = String.split(whole, "\n", trim: true)

@@ -121,6 +121,6 @@ defmodule Aerie.Policy.Fence.GeoJsonTest do
         match?({tag, [_ | _]} when tag in [:ok, :error], features |> collection() |> GeoJson.parse())
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

@@ -93,7 +93,7 @@ defmodule Aerie.Policy.Fence.PolygonTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true
+    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
   end
 
   defp swap({lat, lon}), do: {lon, lat}

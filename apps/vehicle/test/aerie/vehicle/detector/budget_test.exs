@@ -137,7 +137,7 @@ defmodule Aerie.Vehicle.Detector.BudgetTest do
           verdicts |> Enum.filter(&(elem(&1, 3) == :ok)) |> Enum.group_by(&kind/1) |> Enum.all?(&within?/1)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 100])
+    assert :proper.quickcheck(property, [:quiet, numtests: 100]) == true, inspect(:proper.counterexample())
   end
 
   defp kind({_at, "statustext", %{"severity" => severity}, _}) when severity <= 2, do: :urgent

@@ -461,7 +461,7 @@ defmodule Aerie.Vehicle.Detector.FailsafeTest do
                   alternate?(types, "kill_switch.engaged", "kill_switch.released")))
         end)
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 400])
+      assert :proper.quickcheck(property, [:quiet, numtests: 400]) == true, inspect(:proper.counterexample())
     end
   end
 

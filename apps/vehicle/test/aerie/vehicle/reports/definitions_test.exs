@@ -134,6 +134,6 @@ defmodule Aerie.Vehicle.Reports.DefinitionsTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1_000])
+    assert :proper.quickcheck(property, [:quiet, numtests: 1_000]) == true, inspect(:proper.counterexample())
   end
 end

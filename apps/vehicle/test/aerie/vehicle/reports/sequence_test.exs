@@ -120,6 +120,6 @@ defmodule Aerie.Vehicle.Reports.SequenceTest do
         fine
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 300])
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
   end
 end

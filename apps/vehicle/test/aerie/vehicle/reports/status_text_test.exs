@@ -102,7 +102,8 @@ defmodule Aerie.Vehicle.Reports.StatusTextTest do
         texts.open == %{} and given == [text]
       end)
 
-    assert :proper.quickcheck(prop, [:quiet, numtests: 200, max_size: 400])
+    assert :proper.quickcheck(prop, [:quiet, numtests: 200, max_size: 400]) == true,
+           inspect(:proper.counterexample())
   end
 
   # As the firmwares cut: the last chunk is shorter than 50, empty if need be.

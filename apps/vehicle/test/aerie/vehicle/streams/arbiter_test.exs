@@ -372,7 +372,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
           length(Sim.sent(quiet)) == length(Sim.sent(vehicle)) and Enum.all?(gaps, &(&1 > 0))
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60]) == true, inspect(:proper.counterexample())
     end
 
     test "a vehicle that obeys, without other programs, finally sends what is wanted" do
@@ -390,7 +390,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
           end
         )
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60]) == true, inspect(:proper.counterexample())
     end
 
     test "M2: whatever clients wanted of a vehicle that obeys: when they are gone, it sends what it sent before" do
@@ -416,7 +416,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
           end
         )
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 60])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 60]) == true, inspect(:proper.counterexample())
     end
 
     test "a program that sets a rate again and again is corrected at most once" do
@@ -427,7 +427,7 @@ defmodule Aerie.Vehicle.Streams.ArbiterTest do
           length(sets(vehicle, id)) <= 3 and state(vehicle, id) == :yielded
         end)
 
-      assert :proper.quickcheck(prop, [:quiet, numtests: 30])
+      assert :proper.quickcheck(prop, [:quiet, numtests: 30]) == true, inspect(:proper.counterexample())
     end
   end
 end

@@ -65,7 +65,7 @@ defmodule Aerie.Vehicle.Supervisor.CapacityTest do
           end
         )
 
-      assert :proper.quickcheck(property, [:quiet, numtests: 200])
+      assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
     end
   end
 

@@ -160,7 +160,7 @@ defmodule Aerie.Vehicle.Transfers.CoreTest do
           Enum.all?([:mission, :file], &(count.({:take, &1}) <= count.({:give_back, &1})))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   defp step({event, dt}, {core, now, log}) do

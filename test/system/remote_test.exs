@@ -477,10 +477,11 @@ defmodule Aerie.System.RemoteTest do
   defp ready(gateway) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/readyz"
 
-    {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(:get, {url, [{~c"connection", ~c"close"}]}, [], body_format: :binary)
-
-    {status, JSON.decode!(body)}
+    case :httpc.request(:get, {url, [{~c"connection", ~c"close"}]}, [], body_format: :binary) do
+      {:ok, {{_version, status, _reason}, _headers, body}} -> {status, JSON.decode!(body)}
+      # A request that stood still together with the machine for longer than the server waits for it.
+      {:error, :socket_closed_remotely} -> ready(gateway)
+    end
   end
 
   # The hub has what there is.

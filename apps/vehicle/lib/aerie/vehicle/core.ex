@@ -8,7 +8,8 @@ defmodule Aerie.Vehicle.Core do
       link's id, or `{link, peer}` if several peers bring the system
     * `{:link_reconnected, link}` - a link on which the vehicle was heard was interrupted and is connected again
     * `{:tick, now}` - it is `now` (unix microseconds), and nothing has come
-    * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began anew
+    * `{:rebase, now}` - time goes on from `now`, which is not comparable with the time before: a recording began anew. What was
+      waited for before is not waited for again
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
     * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
@@ -20,8 +21,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Streams.Arbiter.demand/3`)
 
   Time is that of the frames, so a recorded flight gives the same result at any speed. Before a frame is applied, every
-  earlier deadline is handled. A frame that is more than two seconds older than the one before means that a clock was set
-  back or that a recording began anew; what was waited for before is not waited for again.
+  earlier deadline is handled. A frame that is older than the one before came late, which changes nothing of what is waited for.
 
   Actions, to be carried out in order:
 

@@ -10,6 +10,9 @@ defmodule Aerie.Vehicle.Session do
   fast. A recording that is played as fast as it can be read has no time between its frames until its end. When the machine's
   clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock starts in another year), all times that
   the session keeps of a live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
+
+  Time begins anew when a recording does, and with the first frames after a restart. A live frame that is late by seconds, as
+  after a pause of the whole machine, is only late.
   """
   use GenServer
 
@@ -18,8 +21,9 @@ defmodule Aerie.Vehicle.Session do
   alias Aerie.Router.Stations
 
   @tick_ms 100
-  # A larger difference between a frame's time and the expected one means that a clock was set.
+  # A larger difference between a frame's time and the expected one means that a clock was set, or that a recording begins anew.
   @clock_set_us 3_000_000
+  @back_us 2_000_000
   @look_around_ticks 10
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -44,6 +48,7 @@ defmodule Aerie.Vehicle.Session do
       options: options,
       core: core,
       clock: snapshot && {snapshot.last_heard, monotonic(), speed},
+      timed_by: nil,
       link: link,
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
@@ -75,7 +80,7 @@ defmodule Aerie.Vehicle.Session do
     link = Vehicle.Collision.Owner.link(path)
     {speed, state} = speed(state, link)
     state = check_host_clock(%{state | live?: speed == :live, link: link})
-    state = if speed == :live, do: check_frame_time(state, hd(frames).at), else: state
+    state = check_frame_time(state, hd(frames).at, if(speed == :live, do: :host, else: :recording))
     clock = {List.last(frames).at, monotonic(), if(speed == :live, do: 1.0, else: speed)}
     hand_over(state.listeners, frames)
     {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
@@ -250,11 +255,25 @@ defmodule Aerie.Vehicle.Session do
 
   defp shift(state, _step), do: state
 
-  # A live frame should have about the present time. It has not if two links disagree or the process slept. Frames that
-  # waited in the mailbox are older, but not by seconds.
-  defp check_frame_time(state, at) do
+  # Time begins anew with frames whose time is not comparable with that of the last ones.
+  defp check_frame_time(state, at, by) do
+    anew? = state.core.now != nil and anew?(state, at, by)
+    state = %{state | timed_by: by}
+    if anew?, do: step(state, {:rebase, at}), else: state
+  end
+
+  # Another recording, or the same once more. Two links may deliver a little out of order.
+  defp anew?(%{core: %{now: now}}, at, :recording), do: at < now - @back_us
+
+  # What the machine's clock has not reached was stamped before it was set back. A frame that is late by seconds waited for a busy link,
+  # or the machine stood still: what was waited for meanwhile is waited for still.
+  defp anew?(%{timed_by: :host, core: %{now: now}} = state, at, :host),
+    do: max(now, at) > monotonic() + state.host + @clock_set_us
+
+  # The first frames since this process was started, or since those of a recording.
+  defp anew?(state, at, :host) do
     expected = expected(state.clock, monotonic())
-    if expected != nil and abs(at - expected) > @clock_set_us, do: step(state, {:rebase, at}), else: state
+    expected != nil and abs(at - expected) > @clock_set_us
   end
 
   defp expected(nil, _moment), do: nil

@@ -419,8 +419,8 @@ defmodule Aerie.Vehicle.CoreTest do
   end
 
   describe "another time" do
-    test "a clock that was set back, or a recording that begins anew, stops nothing and is no event" do
-      run = start() |> beat(1000) |> beat(1001)
+    test "a recording that begins anew stops nothing and is no event" do
+      run = start() |> beat(1000) |> beat(1001) |> step({:rebase, 10 * @second})
       shown = length(for {:snapshot, _} <- run.actions, do: 1)
       run = Enum.reduce(1..20, run, &beat(&2, 10 + &1 / 2))
       assert types(run) == []
@@ -477,8 +477,18 @@ defmodule Aerie.Vehicle.CoreTest do
       on_ground = frame(%M.ExtendedSysState{landed_state: 1}, 11 * @second)
       half = frame(%M.Statustext{severity: 6, id: 3, text: String.duplicate("a", 50)}, 11 * @second)
       active = frame(%{@copter | base_mode: 0xD1, system_status: 4}, 1 * @second)
-      run = start() |> beat(10) |> frames([on_ground, half]) |> frames([active])
+      run = start() |> beat(10) |> frames([on_ground, half]) |> step({:rebase, @second}) |> frames([active])
       assert types(run) == ["statustext", "armed"]
+    end
+
+    test "a frame that is late by seconds: a ground station that was heard meanwhile is missed all the same (H5)" do
+      station = %{system: 250, component: 190, type: 6, via: "radio", last_heard: 10 * @second}
+      # PX4's failsafe waits for ten seconds.
+      beat = fn run, at -> frames(run, [frame(%{@copter | autopilot: 12}, round(at * @second))]) end
+      run = start() |> beat.(10) |> tick(11) |> step({:stations, [station]}) |> tick(12) |> tick(14.5)
+      run = Enum.reduce(15..20, beat.(run, 11.5), &beat.(&2, &1 + 0.1))
+      assert [%{type: "gcs.lost", time: 20_000_000}] = run.events
+      assert Core.snapshot(run.core).last_heard == round(20.1 * @second)
     end
   end
 

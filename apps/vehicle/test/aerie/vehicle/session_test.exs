@@ -185,6 +185,24 @@ defmodule Aerie.Vehicle.SessionTest do
       end
     end
 
+    test "a live frame that is late by seconds, and one after a silence of seconds, begin no time anew" do
+      gateway = gateway()
+      PubSub.subscribe(gateway, :events)
+      now = System.os_time(:microsecond)
+      live(gateway, [frame(@copter, now - at(30))])
+      live(gateway, [frame(@copter, now - at(20))])
+      assert_receive {:fleet, :events, %{type: "link.lost", time: lost}}
+      assert lost == now - at(25)
+      assert_receive {:fleet, :events, %{type: "link.restored"}}
+      live(gateway, [frame(@copter, now - at(24))])
+      assert Store.vehicle(gateway, "VID-001").last_heard == now - at(20)
+      # One from a time that the machine's clock has not reached: the clock was set back since.
+      live(gateway, [frame(@copter, now + at(3_600))])
+      live(gateway, [frame(@copter, now)])
+      eventually(fn -> Store.vehicle(gateway, "VID-001").last_heard in now..(now + at(60)) end)
+      refute_received {:fleet, :events, %{type: "link.lost"}}
+    end
+
     test "a recording's time is its own" do
       gateway = gateway()
       link = %{id: "radio", network: "main", spec: %{recorded: true, speed: 1.0}}

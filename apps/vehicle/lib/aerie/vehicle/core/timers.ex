@@ -11,18 +11,14 @@ defmodule Aerie.Vehicle.Core.Timers do
   @period_us 100_000
   # How long after the last observation the detector is told that there was none since.
   @quiet_us 3_000_000
-  # Two links may deliver a little out of order; a larger step back is a clock that was set.
-  @back_us 2_000_000
 
   @doc "Does what is due before a frame that came `at`."
   @spec before(Core.t(), [Core.action()], integer()) :: {Core.t(), [Core.action()]}
   def before(core, actions, at) do
-    cond do
-      core.now != nil and at < core.now - @back_us -> rebase(core, actions, at)
-      due?(core, at) -> expire(core, actions, at)
-      # What has waited long enough counts before the frame changes it, whether or not a tick came in between.
-      true -> {core, actions} |> Effects.held(at) |> Effects.settled(at)
-    end
+    # What has waited long enough counts before the frame changes it, whether or not a tick came in between.
+    if due?(core, at),
+      do: expire(core, actions, at),
+      else: {core, actions} |> Effects.held(at) |> Effects.settled(at)
   end
 
   @doc "Does what is due at `now` without a frame; nothing if a frame has just done it."

@@ -459,7 +459,7 @@ defmodule Aerie.System.RemoteTest do
     eventually(fn -> "hub_not_confirming" in conditions(companion.gateway) end, "diagnosed aboard")
     eventually(fn -> "nats_not_confirming" in conditions(hub) end, "diagnosed at the hub")
 
-    HubServer.signal(server, "TERM")
+    HubServer.end_and_start(server)
     eventually(fn -> stores?(companion.gateway) end, "the companion's events are confirmed")
 
     eventually(

@@ -58,12 +58,17 @@ defmodule Aerie.HubCase do
 
   @doc "Waits until the hub's stream has `n` events, whatever its servers say meanwhile."
   def await_stored(conn, n) do
-    eventually(fn ->
-      case Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) do
-        {:ok, %{state: %{messages: messages}}} -> messages >= n
-        {:error, _not_now} -> false
-      end
-    end)
+    info = fn -> Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) end
+
+    Aerie.Patience.eventually(
+      fn ->
+        case info.() do
+          {:ok, %{state: %{messages: messages}}} -> messages >= n
+          {:error, _not_now} -> false
+        end
+      end,
+      fn -> "the stream has #{n} events: #{inspect(info.())}" end
+    )
   end
 
   @doc "The conditions of this name in a gateway's diagnosis."

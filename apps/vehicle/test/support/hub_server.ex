@@ -137,6 +137,15 @@ defmodule Aerie.HubServer do
     await(hub, host)
   end
 
+  @doc """
+  Ends a server that has a disk of its own, which is then started again; returns when that one is ready. Who connects before may
+  reach the one that is about to end.
+  """
+  def end_and_start(hub, host \\ "127.0.0.1") do
+    signal(hub, "TERM", host)
+    await(hub, host)
+  end
+
   @doc "Sends a signal: STOP and CONT freeze and thaw it, HUP reloads its configuration."
   def signal(hub, name, host \\ "127.0.0.1") do
     BridgeCase.forget_news()

@@ -205,7 +205,7 @@ defmodule Aerie.Bridge.HubCutsTest do
     assert [%{mend: "If the disk of nats-server at tls://" <> _}] = told(fleet, :nats_not_confirming)
     File.rm!(filler)
     # A server whose write failed stores nothing until it is started again.
-    HubServer.signal(hub, "TERM")
+    HubServer.end_and_start(hub)
     conn = conn(hub)
     await_stored(conn, 603)
     assert %{"V1" => rows, "G" => late} = arrived(conn, ["V1", "G"])

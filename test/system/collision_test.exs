@@ -92,17 +92,14 @@ defmodule Aerie.System.CollisionTest do
       # From here on everybody sees one vehicle only.
       {:ok, client} = Endpoint.attach(gateway, id: "gcs", side: :client)
       says(client, %M.Heartbeat{type: 6, autopilot: 8})
-      before = Enum.find(Router.endpoints(gateway), &(&1.counters.collided > 0)).counters.collided
-
-      eventually(
-        fn ->
-          Enum.any?(Router.endpoints(gateway), &(&1.counters.collided > before + 50)) and lat(gateway)
-        end,
-        "the other one goes on"
-      )
+      collided = fn -> for %{counters: counters} <- Router.endpoints(gateway), do: counters.collided end
+      before = Enum.sum(collided.())
+      eventually(fn -> Enum.sum(collided.()) > before + 50 end, "the other one goes on")
+      eventually(fn -> lat(gateway) end, "the first one goes on")
+      seen = eventually(fn -> with [] <- seen(client), do: nil end, "the client sees the first one")
 
       assert lat(gateway) == home(@first)
-      assert Enum.uniq(seen(client)) == [home(@first)]
+      assert Enum.uniq(seen) == [home(@first)]
 
       # And only one obeys.
       SimVehicle.await(first, & &1.ready)

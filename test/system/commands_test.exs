@@ -13,8 +13,8 @@ defmodule Aerie.System.CommandsTest do
   setup %{tmp_dir: folder} = context do
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
-    options = [firmware: context[:firmware] || :ardupilot, ready_s: 1.0, link: link]
-    {:ok, sim} = SimVehicle.start_link([speed: context[:speed] || 5.0] ++ options)
+    fast = fast_vehicle(context[:firmware] || :ardupilot)
+    {:ok, sim} = SimVehicle.start_link(Keyword.merge(fast, link: link, speed: context[:speed] || 5.0))
     SimVehicle.await(sim, & &1.ready)
     await_standing(gateway)
     %{gateway: gateway, sim: sim}

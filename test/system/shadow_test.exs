@@ -204,8 +204,14 @@ defmodule Aerie.System.ShadowTest do
     session = Names.whereis(gateway, :session, @key)
     Process.exit(Names.whereis(gateway, :shadow, @key), :kill)
     eventually(fn -> Names.whereis(gateway, :session, @key) not in [nil, session] end, "the tree restarted")
-    Process.exit(Names.whereis(gateway, :shadow_documents), :kill)
-    eventually(fn -> Names.whereis(gateway, :shadow_documents) != nil end, "the documents restarted")
+    documents = Names.whereis(gateway, :shadow_documents)
+    Process.exit(documents, :kill)
+
+    eventually(
+      fn -> Names.whereis(gateway, :shadow_documents) not in [nil, documents] end,
+      "the documents restarted"
+    )
+
     desire(gateway, %{"mode" => "LOITER"})
     eventually(fn -> SimVehicle.state(sim).mode == "LOITER" end, "it is in LOITER")
     standing(gateway, "mode", :converged)

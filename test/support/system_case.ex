@@ -42,7 +42,7 @@ defmodule Aerie.SystemCase do
           "outbox" => %{"dir" => Path.join(folder, "outbox")},
           "recorder" => %{"dir" => Path.join(folder, "recordings")},
           "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}},
-          "commands" => %{"ledger" => %{"dir" => Path.join(folder, "ledger")}},
+          "commands" => %{"ledger" => %{"dir" => Path.join(folder, "ledger")}, "record_s" => 60.0},
           "params" => %{"dir" => Path.join(folder, "params")},
           "shadow" => %{"dir" => Path.join(folder, "shadow")}
         },

@@ -118,11 +118,13 @@ defmodule Aerie.TransfersTest do
       fly(gateway, port, firmware: unquote(firmware), loss: 0.05, duplicate: 0.05)
       plan = plan(12)
 
-      assert {:ok, %Result{status: :completed, details: %{"on_board" => "new"}}} =
+      assert {:ok, %Result{status: status, details: %{"on_board" => "new"}}} =
                Missions.upload(gateway, "VID-001", :mission, plan, id: "m1", progress: {self(), :up})
 
+      # Whether it can be flown PX4 says within a second or so; for a busy machine that may be too late.
+      assert status in if(unquote(firmware) == :px4, do: [:completed, :accepted], else: [:completed])
       assert_received {:command_progress, :up, "m1", %{"phase" => "sending"}}
-      assert {:ok, %Result{status: :completed}} = Commands.look(gateway, "VID-001", "m1")
+      assert {:ok, %Result{status: ^status}} = Commands.look(gateway, "VID-001", "m1")
       assert {:ok, %Result{status: :completed}} = Missions.upload(gateway, "VID-001", :rally, plan)
       assert {:ok, %{plan: %{items: [_, _ | _] = items}}} = Missions.download(gateway, "VID-001", :mission)
       assert Enum.map(items, & &1.x) == Enum.map(plan.items, & &1.x)

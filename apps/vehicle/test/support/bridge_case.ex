@@ -168,11 +168,15 @@ defmodule Aerie.BridgeCase do
     info
   end
 
-  @doc "The last message of a stream on a subject."
+  @doc "The last message of a stream on a subject, as soon as there is one."
   @spec last(pid(), String.t(), String.t()) :: map()
   def last(conn, stream, subject) do
     by = %{last_by_subj: subject}
-    {:ok, message} = answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, stream, by) end)
+    get = fn -> Gnat.Jetstream.API.Stream.get_message(conn, stream, by) end
+
+    {:ok, message} =
+      eventually(fn -> with {:error, %{"code" => 404}} <- answered(conn, get), do: nil end)
+
     message
   end
 
@@ -378,7 +382,12 @@ defmodule Aerie.BridgeCase do
   @spec answered(pid(), (-> answer)) :: answer when answer: term()
   def answered(conn, request) do
     eventually(fn ->
-      with {:error, :timeout} <- Aerie.Nats.call(conn, request), do: nil
+      # 503: servers that stood still elect their leaders anew.
+      case Aerie.Nats.call(conn, request) do
+        {:error, :timeout} -> nil
+        {:error, %{"code" => 503}} -> nil
+        answer -> answer
+      end
     end)
   end
 

@@ -49,8 +49,8 @@ defmodule Aerie.DoorCase do
   @spec commands(Path.t(), keyword()) :: map()
   def commands(dir, sections \\ []) do
     ledger = %{dir: Path.join(dir, "ledger"), max_entries: 1000, max_age_s: 3600.0, required: true}
-    # A busy machine may stand still for longer than half a second.
-    Map.merge(%{ledger: ledger, urgent_s: 60.0}, Map.new(sections[:commands] || []))
+    # A busy machine may stand still for longer than half a second, and than five.
+    Map.merge(%{ledger: ledger, urgent_s: 60.0, record_s: 60.0}, Map.new(sections[:commands] || []))
   end
 
   @doc "The vehicle VID-007 as it is in the store: a copter that stands armed at its home."

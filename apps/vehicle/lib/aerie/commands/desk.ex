@@ -230,6 +230,7 @@ defmodule Aerie.Commands.Desk do
         desk: self(),
         ledger_required?: state.settings.ledger.required,
         urgent_ms: state.settings.urgent_ms,
+        record_ms: state.settings.record_ms,
         elsewhere: state.elsewhere
       }
 

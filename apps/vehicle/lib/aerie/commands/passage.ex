@@ -12,17 +12,16 @@ defmodule Aerie.Commands.Passage do
   alias Aerie.Commands.{Desk, Elsewhere, Record, SetpointsFirst}
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
 
-  @patience_ms 5_000
-
   @typedoc """
   Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
-  vehicle or brings it down waits for the ledger and the audit log. `elsewhere`: the way to vehicles of other gateways.
+  vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to vehicles of other gateways.
   """
   @type environment :: %{
           gateway: Names.gateway(),
           desk: pid(),
           ledger_required?: boolean(),
           urgent_ms: pos_integer(),
+          record_ms: pos_integer(),
           elsewhere: module() | nil
         }
 
@@ -30,7 +29,7 @@ defmodule Aerie.Commands.Passage do
   @spec run(Desk.request(), environment()) :: Result.t()
   def run(%{command: command} = request, environment) do
     facts = facts(request)
-    patience = if facts.ends_flight?, do: environment.urgent_ms, else: @patience_ms
+    patience = if facts.ends_flight?, do: environment.urgent_ms, else: environment.record_ms
 
     way =
       Map.merge(environment, %{

@@ -27,6 +27,15 @@ defmodule Aerie.Commands.Settings do
           default: 0.5,
           times: 1000
 
+  setting :record_ms,
+          {:number, 0.5, 600},
+          """
+          How long any other command waits for them, each time. It is denied if they do not answer in that time, as on a disk that hangs.
+          """,
+          key: "record_s",
+          default: 5.0,
+          times: 1000
+
   setting :ledger, {:section, ledger_fields()}, "The ids of commands and their results, on disk."
 
   defp ledger_fields do

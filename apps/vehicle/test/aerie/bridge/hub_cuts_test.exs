@@ -57,7 +57,8 @@ defmodule Aerie.Bridge.HubCutsTest do
       late = for {seq, true} <- rows, do: seq
       assert {id, Enum.to_list(11..50) -- late} == {id, []}
       if id in steady, do: refute(51 in late)
-      assert last(conn, "FLEET_STATE", "fleet.test.#{id}.state.mode").hdrs =~ "Aerie-Backfill: true"
+      state = "fleet.test.#{id}.state.mode"
+      eventually(fn -> (last(conn, "FLEET_STATE", state).hdrs || "") =~ "Aerie-Backfill: true" end)
     end
 
     converged
@@ -144,13 +145,13 @@ defmodule Aerie.Bridge.HubCutsTest do
     end
 
     :ok = Fleet.Journal.commit(leaf, "V1", :some_state, Enum.map(1..5, big))
-    await(leaf, :hub, &(&1[:waiting] == 0))
+    eventually(fn -> metric(leaf, "gateway_hub_events_confirmed_total") >= 5 end)
     HubServer.kill(hub)
     await(leaf, :hub, &(&1[:status] == :down))
     for n <- 6..100, do: :ok = Fleet.Journal.commit(leaf, "V1", :some_state, [big.(n)])
     await_empty(leaf)
     HubServer.restart(hub)
-    %{lost: lost} = await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0))
+    %{lost: lost} = await(leaf, :hub, &(&1[:status] == :up and &1[:waiting] == 0 and &1[:lost] > 0))
     conn = conn(hub)
     rows = for({"V1", seq, _} <- events(conn), do: seq)
 
@@ -234,7 +235,8 @@ defmodule Aerie.Bridge.HubCutsTest do
     end
 
     await_all(conn, leaves, 20)
-    %{cluster: %{"leader" => leader}, config: %{num_replicas: 3}} = stream(conn, "FLEET_EVENTS")
+    assert %{config: %{num_replicas: 3}} = stream(conn, "FLEET_EVENTS")
+    leader = eventually(fn -> with "" <- stream(conn, "FLEET_EVENTS").cluster["leader"], do: nil end)
     make(leaves, 21..40)
     HubServer.kill(hub, leader)
     make(leaves, 41..60)

@@ -229,7 +229,7 @@ defmodule Aerie.Bridge.HubTest do
 
     HubServer.revoke(hub, ["A"])
     # The open connection leads nowhere any more, and a new one is refused.
-    assert %{problem: "it does not answer"} = await(a, :hub, &(&1[:status] == :down))
+    await(a, :hub, &(&1[:status] == :down and &1[:problem] == "it does not answer"))
     {:ok, _} = Gnat.sub(context.fleet, self(), "fleet.test.A.>")
     :ok = Gnat.pub(context.client, "fleet.test.A.state.mode", "forged")
     kill9(server_pid(Path.join(dir, "A")))
@@ -238,6 +238,6 @@ defmodule Aerie.Bridge.HubTest do
     # The vehicle's own NATS works on.
     commit(a, "A", 1..2)
     await_empty(a)
-    assert Bridge.info(a).problem == nil
+    eventually(fn -> Bridge.info(a).problem == nil end)
   end
 end

@@ -113,8 +113,8 @@ defmodule Aerie.Bridge.LastPublishedTest do
     assert Enum.all?(found, &(&1["epoch"] == two["epoch"]))
 
     # The state says it too.
-    message = last(conn, "FLEET_STATE", "fleet.test.#{id}.state.mode")
-    assert JSON.decode!(message.data)["epoch"] == two["epoch"]
+    state = "fleet.test.#{id}.state.mode"
+    eventually(fn -> JSON.decode!(last(conn, "FLEET_STATE", state).data)["epoch"] == two["epoch"] end)
   end
 
   test "kill -9 keeps it too, and is reported", %{tmp_dir: dir} do

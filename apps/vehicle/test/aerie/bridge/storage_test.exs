@@ -77,10 +77,11 @@ defmodule Aerie.Bridge.StorageTest do
     commit(gateway, "A", 1..5)
     await(gateway, :streams, &match?(%{"FLEET_EVENTS" => {:error, _}}, &1[:report]))
     await(gateway, :outbox, &(&1[:events] == 5))
-    assert %{connected: true, problem: problem} = Bridge.info(gateway)
 
-    assert problem ==
-             "stream FLEET_EVENTS: insufficient storage resources available for 512 MB (nats.streams.event_max_mb)"
+    refused =
+      "stream FLEET_EVENTS: insufficient storage resources available for 512 MB (nats.streams.event_max_mb)"
+
+    eventually(fn -> match?(%{connected: true, problem: ^refused}, Bridge.info(gateway)) end)
 
     assert metric(gateway, "gateway_nats_ready") == 0
     stop_bridge(gateway)
@@ -106,10 +107,10 @@ defmodule Aerie.Bridge.StorageTest do
     commit(gateway, "A", 1..3)
     # The server is not restarted before the metric was read.
     server = Aerie.Names.whereis(gateway, :bridge_server)
-    :sys.suspend(server)
+    :sys.suspend(server, Aerie.Patience.ms())
     assert %{stalled: "NATS does not confirm events"} = await(gateway, :outbox, & &1[:stalled])
     assert metric(gateway, "gateway_events_stalled_seconds") >= 10
-    :sys.resume(server)
+    :sys.resume(server, Aerie.Patience.ms())
     await(gateway, :server, &(&1[:restarts] == 1 and &1[:status] == :up))
     await_empty(gateway)
     eventually(fn -> Bridge.info(gateway).problem == nil end)

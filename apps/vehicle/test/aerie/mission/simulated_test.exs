@@ -63,6 +63,10 @@ defmodule Aerie.Mission.SimulatedTest do
   defp protocol(:px4), do: Protocol.Px4
   defp protocol(_ardupilot), do: Protocol.Ardupilot
 
+  # Whether it can be flown PX4 says within a second or so; for a busy machine, or at a bad link, that may be too late.
+  defp taken(:px4, 0), do: [:completed, :accepted]
+  defp taken(_firmware, _type), do: [:completed]
+
   for firmware <- [:ardupilot, :px4] do
     test "#{firmware}: mission, fence and rally points are sent, read and cleared" do
       {_sim, station} = start(unquote(firmware), loss: 0.05, duplicate: 0.05)
@@ -73,7 +77,8 @@ defmodule Aerie.Mission.SimulatedTest do
         Enum.reduce(0..2, {%Plan{home: plan.home}, station}, fn type, {stored, station} ->
           items = Onboard.items(plan, type, protocol)
           {result, station} = MissionStation.transfer(station, {:upload, items}, type, protocol)
-          assert %{status: :completed, on_board: :new} = result
+          assert %{status: status, on_board: :new} = result
+          assert status in taken(unquote(firmware), type)
           assert result.opaque_id != nil == (unquote(firmware) == :px4)
 
           {result, station} = MissionStation.transfer(station, :download, type, protocol)
@@ -104,7 +109,8 @@ defmodule Aerie.Mission.SimulatedTest do
         protocol = protocol(unquote(firmware))
         items = Onboard.items(plan(unquote(count)), 0, protocol)
         {result, station} = MissionStation.transfer(station, {:upload, items}, 0, protocol)
-        assert %{status: :completed, on_board: :new} = result
+        assert %{status: status, on_board: :new} = result
+        assert status in taken(unquote(firmware), 0)
         assert SimVehicle.state(sim).mission.items == length(items)
 
         {result, _station} = MissionStation.transfer(station, :download, 0, protocol)

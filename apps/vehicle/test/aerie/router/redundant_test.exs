@@ -137,7 +137,7 @@ defmodule Aerie.Router.RedundantTest do
       gateway = start_parts()
       tables = Tables.of(gateway)
       # Here it is the test that measures.
-      :ok = :sys.suspend(Aerie.Names.whereis(gateway, :router_meter))
+      :ok = :sys.suspend(Aerie.Names.whereis(gateway, :router_meter), Aerie.Patience.ms())
       {:ok, gateway: gateway, tables: tables}
     end
 

@@ -428,13 +428,13 @@ defmodule Aerie.Shadow.DocumentsTest do
       assert {:ok, %{"reported" => %{"by" => "one"}}} = Shadow.get(other, @vehicle)
 
       # Without a word, as by a kill -9: its lease is not given back.
-      :sys.suspend(documents(gateway))
+      :sys.suspend(documents(gateway), Aerie.Patience.ms())
       eventually(fn -> Documents.authority(other, @vehicle) == :mine end)
 
       assert {:held, "nats", "the lease could not be renewed in time"} =
                Documents.authority(gateway, @vehicle)
 
-      :sys.resume(documents(gateway))
+      :sys.resume(documents(gateway), Aerie.Patience.ms())
       eventually(fn -> match?({:held, "gateway", _why}, Documents.authority(gateway, @vehicle)) end)
       eventually(fn -> Documents.authority(other, @vehicle) == :mine end)
     end

@@ -45,7 +45,8 @@ defmodule Aerie.Shadow.LoopTest do
              "desired_version" => 1
            } = reported
 
-    assert Store.counter(gateway, {:shadow, :commands_issued}) == 1
+    # An attempt has three seconds; on a busy machine another may follow.
+    assert Store.counter(gateway, {:shadow, :commands_issued}) >= 1
     assert Store.counter(gateway, {:shadow, :reconciliations}) > 1
   end
 
@@ -109,15 +110,12 @@ defmodule Aerie.Shadow.LoopTest do
     desire(gateway, %{"mode" => "ACRO"})
 
     # Two seconds later the next attempt begins, so all is seen at once.
-    why =
-      eventually(fn ->
-        with %{"mode" => %{state: :pending, why: "tried again later" <> _ = why, until: _until}} <-
-               Shadow.report(gateway, @vehicle),
-             do: why,
-             else: (_other -> false)
-      end)
-
-    assert why =~ "ACRO"
+    eventually(fn ->
+      with %{"mode" => %{state: :pending, why: "tried again later" <> _ = why, until: _until}} <-
+             Shadow.report(gateway, @vehicle),
+           do: why =~ "ACRO",
+           else: (_other -> false)
+    end)
 
     assert {:ok, %{"delta" => %{"mode" => "ACRO"}, "fields" => %{"mode" => %{"state" => "pending"}}}} =
              Shadow.delta(gateway, @vehicle)

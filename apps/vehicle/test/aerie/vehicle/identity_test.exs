@@ -76,10 +76,10 @@ defmodule Aerie.Vehicle.IdentityTest do
       {gateway, _port, socket} = flying()
       assert heard(socket)
       pid = Names.whereis(gateway, role, id)
-      :ok = :sys.suspend(pid)
+      :ok = :sys.suspend(pid, Aerie.Patience.ms())
       silent?(gateway, tag)
       unheard(socket, 1_300)
-      :ok = :sys.resume(pid)
+      :ok = :sys.resume(pid, Aerie.Patience.ms())
       assert heard(socket)
       eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
     end
@@ -94,11 +94,11 @@ defmodule Aerie.Vehicle.IdentityTest do
       add_link(gateway, "udpout:127.0.0.1:#{port}")
       assert %Frame{component: 191} = heard(socket)
       pid = Names.whereis(gateway, unquote(role))
-      :ok = :sys.suspend(pid)
+      :ok = :sys.suspend(pid, Aerie.Patience.ms())
       silent?(gateway, {unquote(role), nil})
       unheard(socket, 2_500)
       eventually(fn -> Store.counter(gateway, {:identity, :held}) > 0 end)
-      :ok = :sys.resume(pid)
+      :ok = :sys.resume(pid, Aerie.Patience.ms())
       active(socket)
     end
   end
@@ -130,7 +130,7 @@ defmodule Aerie.Vehicle.IdentityTest do
     {gateway, port, one} = flying()
     two = vehicle(port, 2)
     assert heard(one) && heard(two)
-    :ok = :sys.suspend(Names.whereis(gateway, :session, {"main", 2}))
+    :ok = :sys.suspend(Names.whereis(gateway, :session, {"main", 2}), Aerie.Patience.ms())
     silent?(gateway, {:session, {"main", 2}})
     drain(one)
     eventually(fn -> match?({:ok, %{system_status: 5}}, MavCodec.decode(heard(one))) end)
@@ -145,16 +145,16 @@ defmodule Aerie.Vehicle.IdentityTest do
   test "what is held back is counted" do
     {gateway, _port, socket} = flying()
     assert heard(socket)
-    :ok = :sys.suspend(Names.whereis(gateway, :store))
+    :ok = :sys.suspend(Names.whereis(gateway, :store), Aerie.Patience.ms())
     eventually(fn -> Store.counter(gateway, {:identity, :held}) > 0 end)
   end
 
   test "a vehicle that is removed is asked no more" do
     {gateway, _port, socket} = flying()
     assert heard(socket)
-    :ok = :sys.suspend(Names.whereis(gateway, :events, {"main", 1}))
+    :ok = :sys.suspend(Names.whereis(gateway, :events, {"main", 1}), Aerie.Patience.ms())
     silent?(gateway, {:events, {"main", 1}})
-    :sys.resume(Names.whereis(gateway, :events, {"main", 1}))
+    :sys.resume(Names.whereis(gateway, :events, {"main", 1}), Aerie.Patience.ms())
     :ok = Vehicle.Supervisor.remove(gateway, {"main", 1})
     eventually(fn -> Aerie.Identity.status(gateway).silent == [] end)
   end
@@ -175,7 +175,10 @@ defmodule Aerie.Vehicle.IdentityTest do
     {gateway, _port, _socket} = flying(%{heartbeat_deadman_s: 60})
     complaints(gateway)
     tag = {:session, {"main", 1}}
-    :ok = eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end) |> :sys.suspend()
+
+    :ok =
+      eventually(fn -> Names.whereis(gateway, :session, {"main", 1}) end) |> :sys.suspend(Aerie.Patience.ms())
+
     watchdog = Names.whereis(gateway, :watchdog)
     # All have answered but for one, which owes an answer as well.
     eventually(fn -> :sys.get_state(watchdog, Aerie.Patience.ms()).owing |> Map.keys() == [tag] end)
@@ -193,7 +196,7 @@ defmodule Aerie.Vehicle.IdentityTest do
       Aerie.Patience.ms()
     )
 
-    refute_received {:silent, _role}
+    refute_received {:silent, _role, _at}
     assert Aerie.Identity.status(gateway).silent == []
   end
 

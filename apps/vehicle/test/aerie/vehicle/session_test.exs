@@ -53,13 +53,13 @@ defmodule Aerie.Vehicle.SessionTest do
     gateway = gateway()
     PubSub.subscribe(gateway, :events)
     starter = Names.whereis(gateway, :vehicle_starter)
-    :sys.suspend(starter)
+    :sys.suspend(starter, Aerie.Patience.ms())
     # With frames waiting a link leaves the start to the starter.
     for n <- 1..65, do: send(self(), {:waiting, n})
     deliver(gateway, [frame(@copter, at(1))])
     assert {:ok, _session} = Vehicle.Supervisor.ensure(gateway, {"main", 1})
     deliver(gateway, [frame(%{@copter | base_mode: 0xD1}, at(2))])
-    :sys.resume(starter)
+    :sys.resume(starter, Aerie.Patience.ms())
     :sys.get_state(starter, Aerie.Patience.ms())
     settle(gateway, {"main", 1})
     assert_receive {:fleet, :events, %{type: "armed", seq: 1}}
@@ -186,16 +186,16 @@ defmodule Aerie.Vehicle.SessionTest do
     end
 
     test "a live frame that is late by seconds, and one after a silence of seconds, begin no time anew" do
-      gateway = gateway()
+      gateway = gateway(%{timeouts: %{vehicle_stale_s: 300.0, vehicle_lost_s: 600.0}})
       PubSub.subscribe(gateway, :events)
       now = System.os_time(:microsecond)
-      live(gateway, [frame(@copter, now - at(30))])
-      live(gateway, [frame(@copter, now - at(20))])
+      live(gateway, [frame(@copter, now - at(3_000))])
+      live(gateway, [frame(@copter, now - at(2_000))])
       assert_receive {:fleet, :events, %{type: "link.lost", time: lost}}
-      assert lost == now - at(25)
+      assert lost == now - at(2_400)
       assert_receive {:fleet, :events, %{type: "link.restored"}}
-      live(gateway, [frame(@copter, now - at(24))])
-      assert Store.vehicle(gateway, "VID-001").last_heard == now - at(20)
+      live(gateway, [frame(@copter, now - at(2_500))])
+      assert Store.vehicle(gateway, "VID-001").last_heard == now - at(2_000)
       # One from a time that the machine's clock has not reached: the clock was set back since.
       live(gateway, [frame(@copter, now + at(3_600))])
       live(gateway, [frame(@copter, now)])
@@ -255,7 +255,7 @@ defmodule Aerie.Vehicle.SessionTest do
     deliver(gateway, [frame(@copter, at(1))])
     settle(gateway, {"main", 1})
     session = Names.whereis(gateway, :session, {"main", 1})
-    :sys.suspend(session)
+    :sys.suspend(session, Aerie.Patience.ms())
     # A tick waits; the frame after it comes 59.9 s after the first one.
     eventually(fn -> Process.info(session, :message_queue_len) != {:message_queue_len, 0} end)
     since = System.monotonic_time(:microsecond) - at(59) - 900_000
@@ -266,7 +266,7 @@ defmodule Aerie.Vehicle.SessionTest do
 
     deliver(gateway, [frame(@copter, at(60) + 900_000)])
     eventually(fn -> System.monotonic_time(:microsecond) - since > at(60) end)
-    :sys.resume(session)
+    :sys.resume(session, Aerie.Patience.ms())
     settle(gateway, {"main", 1})
     assert Store.vehicle(gateway, {"main", 1}).last_heard == at(60) + 900_000
     refute_received {:fleet, :events, %{type: "link.lost"}}

@@ -149,12 +149,28 @@ defmodule Aerie.SystemCase do
         case request.() do
           {:ok, answer} -> answer
           {:error, :timeout} -> nil
+          # Its leaders are elected anew.
+          {:error, %{"code" => 503}} -> nil
           {:error, reason} -> ExUnit.Assertions.flunk("JetStream: #{inspect(reason)}")
         end
       end,
       "JetStream answers"
     )
   end
+
+  @doc """
+  As `:httpc.request/4`. A request that was not read in time, because one of the two stood still, is repeated: the server closes
+  its connection unread after five seconds.
+  """
+  def http(method, request, options \\ []) do
+    case :httpc.request(method, request, options, body_format: :binary) do
+      {:error, :socket_closed_remotely} -> http(method, request, options)
+      answer -> answer
+    end
+  end
+
+  @doc "The section `timeouts` of a gateway whose vehicles nobody is to lose: a busy machine may be silent for five seconds."
+  def patient, do: %{"vehicle_stale_s" => 60.0, "vehicle_lost_s" => 120.0}
 
   @doc "See `Aerie.Patience.eventually/3`."
   @spec eventually((-> result), String.t() | (-> String.t()), integer()) :: result when result: term()

@@ -11,7 +11,9 @@ defmodule Aerie.System.CommandsTest do
   @moduletag :tmp_dir
 
   setup %{tmp_dir: folder} = context do
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    %{gateway: gateway} =
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"timeouts" => patient()})
+
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     fast = fast_vehicle(context[:firmware] || :ardupilot)
     {:ok, sim} = SimVehicle.start_link(Keyword.merge(fast, link: link, speed: context[:speed] || 5.0))

@@ -20,11 +20,11 @@ defmodule Aerie.System.ComponentParamsTest do
     File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
     File.chmod!(keys, 0o600)
     policy = Map.merge(%{"audit" => %{"dir" => Path.join(folder, "audit")}}, context[:policy] || %{})
-    overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}}
+    overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     start_supervised!({SimVehicle, firmware: :px4, camera: 100, ready_s: 1.0, link: link})
-    eventually(fn -> Aerie.Bridge.Commands.vehicles(gateway) == ["VID-001"] end, "it is listened to")
+    Aerie.BridgeCase.await_listening(gateway, ["VID-001"])
     %{gateway: gateway, conn: nats_client(gateway)}
   end
 
@@ -34,7 +34,7 @@ defmodule Aerie.System.ComponentParamsTest do
     request = if body, do: {url, headers, ~c"application/json", JSON.encode!(body)}, else: {url, headers}
 
     {:ok, {{_version, status, _reason}, _headers, reply}} =
-      :httpc.request(method, request, [timeout: :infinity], body_format: :binary)
+      http(method, request, timeout: :infinity)
 
     {status, JSON.decode!(reply)}
   end

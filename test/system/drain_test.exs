@@ -29,7 +29,8 @@ defmodule Aerie.System.DrainTest do
     policy: {audit: {dir: "#{folder}/audit"}}
     params: {dir: "#{folder}/params"}
     shadow: {dir: "#{folder}/shadow"}
-    commands: {ledger: {dir: "#{folder}/ledger"}, grace_s: GRACE}
+    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60, grace_s: GRACE}
+    timeouts: {vehicle_stale_s: 60, vehicle_lost_s: 120}
     """)
 
     File.chmod!(config, 0o600)
@@ -82,7 +83,10 @@ defmodule Aerie.System.DrainTest do
     {port, task} = commanded(context, 120)
 
     refuses? = fn ->
-      case post(context.url, %{"type" => "arm"}) do
+      # It neither waits nor moves anything.
+      probe = %{"type" => "request_message", "params" => %{"message_id" => 148}}
+
+      case post(context.url <> "?wait=0", probe) do
         {503, %{"error" => %{"message" => text}}} -> text =~ "ending"
         _other -> false
       end
@@ -103,10 +107,19 @@ defmodule Aerie.System.DrainTest do
   end
 
   test "answered within the grace time: its result is told, and nothing new is taken", context do
+    answered(context)
+  end
+
+  # On a busy machine the vehicle's time may be over before it is heard again.
+  defp answered(context, tries \\ 5) do
     {port, task} = draining(context)
     :ok = SimVehicle.fault(context.sim, :silence, false)
-    assert {200, %{"result" => "completed"}} = Task.await(task, :infinity)
+    result = Task.await(task, :infinity)
     await_end(port)
+
+    if match?({504, %{"result" => "unknown"}}, result) and tries > 1,
+      do: answered(context, tries - 1),
+      else: assert({200, %{"result" => "completed"}} = result)
   end
 
   test "not answered: told as unknown, and the program ends", context do

@@ -160,7 +160,7 @@ defmodule Aerie.System.FleetTest do
     request = if method == :get, do: {url, headers}, else: {url, headers, ~c"text/plain", ""}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(method, request, [], body_format: :binary)
+      http(method, request)
 
     {status, body}
   end

@@ -22,7 +22,7 @@ defmodule Aerie.System.LogTest do
   defp crash(gateway, kind, id) do
     pid = eventually(fn -> Names.whereis(gateway, kind, id) end, "#{kind} runs")
     # As a bug would end it: with a report, which an exit signal does not give.
-    spawn(fn -> :sys.terminate(pid, {:crash_of_the_test, gateway}) end)
+    spawn(fn -> :sys.terminate(pid, {:crash_of_the_test, gateway}, :infinity) end)
   end
 
   test "the report of a crash is one line with the link's or the vehicle's id", %{tmp_dir: folder} do

@@ -25,6 +25,7 @@ defmodule Aerie.System.OperationsTest do
     overrides = %{
       "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}, "unsigned" => "admin"},
       "api" => %{"keys_file" => keys},
+      "timeouts" => patient(),
       "shadow" => %{"dir" => Path.join(folder, "shadow"), "hold_s" => 1, "lease_s" => 2}
     }
 
@@ -49,7 +50,7 @@ defmodule Aerie.System.OperationsTest do
     request = if body, do: {url, headers, ~c"application/json", body(body)}, else: {url, headers}
 
     {:ok, {{_version, status, _reason}, _headers, reply}} =
-      :httpc.request(method, request, [timeout: :infinity], body_format: :binary)
+      http(method, request, timeout: :infinity)
 
     case JSON.decode!(reply) do
       # A machine that stands still for seconds.
@@ -272,7 +273,7 @@ defmodule Aerie.System.OperationsTest do
     headers = [{~c"x-aerie-key", to_charlist(@chief)}, {~c"connection", ~c"close"}]
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(:get, {url, headers}, [], body_format: :binary)
+      http(:get, {url, headers})
 
     {status, body}
   end

@@ -133,7 +133,7 @@ defmodule Aerie.System.PeersTest do
     request = {url, [{~c"x-aerie-key", String.to_charlist(@key)}], ~c"application/json", "{}"}
 
     {:ok, {{_version, 201, _reason}, _headers, body}} =
-      :httpc.request(:post, request, [], body_format: :binary)
+      http(:post, request)
 
     JSON.decode!(body)["ticket"]
   end

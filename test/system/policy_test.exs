@@ -49,7 +49,7 @@ defmodule Aerie.System.PolicyTest do
     request = if method == :get, do: {url, headers}, else: {url, headers, ~c"", ""}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(method, request, [], body_format: :binary)
+      http(method, request)
 
     {status, JSON.decode!(body)}
   end

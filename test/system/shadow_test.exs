@@ -12,6 +12,7 @@ defmodule Aerie.System.ShadowTest do
 
   setup %{tmp_dir: folder} = context do
     overrides = %{
+      "timeouts" => patient(),
       "shadow" => %{"dir" => Path.join(folder, "shadow"), "hold_s" => 1, "lease_s" => 2},
       "signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys(folder, context[:key])}
     }

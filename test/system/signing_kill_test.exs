@@ -13,8 +13,8 @@ defmodule Aerie.System.SigningKillTest do
 
   @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)
-  # Frames of two seconds; the half minute that is not in the file would be more than a thousand.
-  @few 150
+  # Frames of ten seconds, for a busy machine; the half minute that is not in the file would be four thousand.
+  @few 1_500
 
   setup %{tmp_dir: folder} do
     File.write!(Path.join(folder, "main.key"), @passphrase)

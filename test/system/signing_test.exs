@@ -213,7 +213,7 @@ defmodule Aerie.System.SigningTest do
     request = {url, [{~c"connection", ~c"close"}], ~c"application/json", JSON.encode!(body)}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
-      :httpc.request(:post, request, [], body_format: :binary)
+      http(:post, request)
 
     {status, JSON.decode!(body)}
   end

@@ -31,7 +31,12 @@ defmodule Aerie.System.ToolInsideTest do
 
   test "it shows, commands and changes a vehicle, and the shell does", %{tmp_dir: folder} do
     # The one that the program and the shell mean; no other test has it.
-    start_gateway(folder, gateway: :default, links: ["udpin:127.0.0.1:0"])
+    start_gateway(folder,
+      gateway: :default,
+      links: ["udpin:127.0.0.1:0"],
+      overrides: %{"timeouts" => patient()}
+    )
+
     assert {text, _not_ready} = aerie(["status"])
     assert text =~ "no vehicle was heard"
     link = "udpout:127.0.0.1:#{link_port(:default, "link-1")}"

@@ -26,7 +26,8 @@ defmodule Aerie.System.ToolTest do
     clients: []
     links: [{id: radio, url: "udpin:127.0.0.1:#{radio}"}]
     sockets: {enabled: false}
-    commands: {ledger: {dir: "#{folder}/ledger"}}
+    commands: {ledger: {dir: "#{folder}/ledger"}, record_s: 60}
+    timeouts: {vehicle_stale_s: 60, vehicle_lost_s: 120}
     policy: {audit: {dir: "#{folder}/audit"}}
     mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
     shell: {dir: "#{folder}/shell"}
@@ -87,7 +88,7 @@ defmodule Aerie.System.ToolTest do
     assert {text, 2} = aerie(context, ["cmd", "sim-001", "rtll"])
     assert text =~ "did you mean rtl?"
     assert {text, status} = aerie(context, ["cmd", "sim-001", "hold"], "y\n")
-    assert status in [0, 1] and text =~ ~r/(completed|accepted|rejected|failed|timeout)/
+    assert status in [0, 1] and text =~ ~r/(completed|accepted|rejected|failed|timeout|unknown|expired)/
 
     assert {text, 0} =
              aerie(context, ["rpc", "Aerie.Commands.recent(:default, \"sim-001\") |> length()"])

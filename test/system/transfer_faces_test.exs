@@ -43,7 +43,7 @@ defmodule Aerie.System.TransferFacesTest do
         policy
       )
 
-    overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}}
+    overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
     %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
@@ -71,9 +71,7 @@ defmodule Aerie.System.TransferFacesTest do
     %{gateway: gateway, sim: sim, nkey: nkey, wall: wall, conn: nats_client(gateway)}
   end
 
-  defp await_listening(gateway) do
-    eventually(fn -> Aerie.Bridge.Commands.vehicles(gateway) == ["VID-001"] end, "it is listened to")
-  end
+  defp await_listening(gateway), do: Aerie.BridgeCase.await_listening(gateway, ["VID-001"])
 
   defp rest(%{gateway: gateway}, method, path, body \\ nil, options \\ []) do
     url = to_charlist("http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/#{path}")
@@ -83,7 +81,7 @@ defmodule Aerie.System.TransferFacesTest do
     request = if body, do: {url, headers, type, body}, else: {url, headers}
 
     {:ok, {{_version, status, _reason}, headers, reply}} =
-      :httpc.request(method, request, [timeout: :infinity], body_format: :binary)
+      http(method, request, timeout: :infinity)
 
     json? = Enum.any?(headers, &match?({~c"content-type", ~c"application/json" ++ _}, &1))
     {status, if(json? and reply != "", do: JSON.decode!(reply), else: reply)}
@@ -348,7 +346,7 @@ defmodule Aerie.System.TransferFacesTest do
           do: {~c"#{name}", ~c"#{value}"}
 
     {:ok, {{_version, status, _reason}, headers, body}} =
-      :httpc.request(method, {url, headers}, [timeout: :infinity], body_format: :binary)
+      http(method, {url, headers}, timeout: :infinity)
 
     {status, Map.new(headers, fn {name, value} -> {"#{name}", "#{value}"} end), body}
   end

@@ -81,7 +81,12 @@ defmodule Gnat.AuthTest do
     {:ok, port} = :inet.port(listener)
 
     for {more, sent?} <- [{%{}, false}, {%{auth_required: true}, true}] do
-      settings = Map.merge(%{host: "127.0.0.1", port: port, username: "joe", password: "secret"}, more)
+      settings =
+        Map.merge(
+          %{host: "127.0.0.1", port: port, username: "joe", password: "secret"},
+          Map.put(more, :connection_timeout, 60_000)
+        )
+
       client = Task.async(fn -> Gnat.start_link(settings) end)
       {:ok, socket} = :gen_tcp.accept(listener)
       :ok = :gen_tcp.send(socket, "INFO {\"headers\":true}\r\n")
@@ -95,7 +100,14 @@ defmodule Gnat.AuthTest do
   test "an nkey at a server without nkeys is an error that says so" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
-    settings = %{host: "127.0.0.1", port: port, nkey_seed: Nkey.seed(Nkey.generate(:user))}
+
+    settings = %{
+      host: "127.0.0.1",
+      port: port,
+      nkey_seed: Nkey.seed(Nkey.generate(:user)),
+      connection_timeout: 60_000
+    }
+
     client = Task.async(fn -> Gnat.start_link(settings) end)
     {:ok, socket} = :gen_tcp.accept(listener)
     :ok = :gen_tcp.send(socket, "INFO {\"headers\":true,\"auth_required\":true}\r\n")

@@ -47,7 +47,7 @@ defmodule GnatTest do
       end)
 
       assert {:error, %Error{reason: {:protocol, text}}} =
-               Gnat.start_link(%{host: {127, 0, 0, 1}, port: port})
+               Gnat.start_link(%{host: {127, 0, 0, 1}, port: port, connection_timeout: 60_000})
 
       assert text =~ "SSH-2.0"
     end

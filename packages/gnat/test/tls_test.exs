@@ -76,7 +76,10 @@ defmodule Gnat.TlsTest do
   test "injected bytes before TLS are refused" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
-    client = Task.async(fn -> Gnat.start_link(%{host: "127.0.0.1", port: port}) end)
+
+    client =
+      Task.async(fn -> Gnat.start_link(%{host: "127.0.0.1", port: port, connection_timeout: 60_000}) end)
+
     {:ok, socket} = :gen_tcp.accept(listener)
     :ok = :gen_tcp.send(socket, "INFO {\"tls_required\":true}\r\nMSG a 1 5")
     assert {:error, %Error{reason: {:protocol, "bytes between" <> _}}} = Task.await(client, 60_000)

@@ -33,9 +33,9 @@ defmodule Aerie.SystemdTest do
 
     # A process that the heartbeat needs is stuck: no word to the watchdog, and the reason.
     stuck = Names.whereis(gateway, :pubsub)
-    :ok = :sys.suspend(stuck)
-    assert await(socket, "does not answer") =~ ~r/\ASTATUS=does not answer: pubsub\n/
-    :ok = :sys.resume(stuck)
+    :ok = :sys.suspend(stuck, Aerie.Patience.ms())
+    assert await(socket, "does not answer: pubsub") =~ ~r/\ASTATUS=does not answer: pubsub\n/
+    :ok = :sys.resume(stuck, Aerie.Patience.ms())
     await(socket, "WATCHDOG=1")
 
     monitor = Process.monitor(pid)

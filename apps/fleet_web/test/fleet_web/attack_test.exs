@@ -37,7 +37,7 @@ defmodule FleetWeb.AttackTest do
       for {name, value} <- [{"connection", "close"}, length | headers], do: [name, ": ", value, "\r\n"]
 
     host = if List.keymember?(headers, "host", 0), do: "", else: "host: 127.0.0.1\r\n"
-    status(raw(port, [method, " ", path, " HTTP/1.1\r\n", host, lines, "\r\n", body]))
+    status(answer(port, [method, " ", path, " HTTP/1.1\r\n", host, lines, "\r\n", body]))
   end
 
   test "a path, a query or a header that is not UTF-8 is refused with 400, on every route, with every method" do
@@ -84,8 +84,8 @@ defmodule FleetWeb.AttackTest do
     end
 
     for path <- paths("x") do
-      get = raw(port, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
-      head = raw(port, ["HEAD ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+      get = answer(port, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+      head = answer(port, ["HEAD ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
       assert {path, status(head)} == {path, status(get)}
       assert [_head, ""] = String.split(head, "\r\n\r\n", parts: 2)
     end
@@ -161,7 +161,11 @@ defmodule FleetWeb.AttackTest do
               Path.join(dir, "secret.tlog") |> URI.encode_www_form()
             ] do
       answer =
-        raw(port, ["GET /api/recordings/", name, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+        answer(port, [
+          "GET /api/recordings/",
+          name,
+          " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"
+        ])
 
       assert {name, status(answer)} == {name, 404}
       refute answer =~ "secret" and not (answer =~ "error")
@@ -203,7 +207,7 @@ defmodule FleetWeb.AttackTest do
     head =
       "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ntransfer-encoding: chunked\r\n\r\n"
 
-    assert status(raw(port, [head, List.duplicate(chunk, 100)])) == 413
+    assert status(answer(port, [head, List.duplicate(chunk, 100)])) == 413
   end
 
   test "headers and request lines have limits; only HTTP/1.1 is spoken" do
@@ -223,7 +227,7 @@ defmodule FleetWeb.AttackTest do
           {"TRACE / HTTP/1.1", "", 501},
           {"PRI * HTTP/2.0", "", 501}
         ] do
-      answer = raw(port, [line, "\r\nhost: 127.0.0.1\r\n", headers, "\r\n"])
+      answer = answer(port, [line, "\r\nhost: 127.0.0.1\r\n", headers, "\r\n"])
 
       assert {String.slice(line, 0, 40), String.slice(headers, 0, 40), status(answer)} ==
                {String.slice(line, 0, 40), String.slice(headers, 0, 40), expected}

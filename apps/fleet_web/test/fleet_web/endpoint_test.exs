@@ -14,7 +14,8 @@ defmodule FleetWeb.EndpointTest do
     config = %{
       http: %{port: 0},
       websocket: %{port: 0},
-      links: [%{id: "radio", url: "udpin:127.0.0.1:0", enabled: true}]
+      links: [%{id: "radio", url: "udpin:127.0.0.1:0", enabled: true}],
+      timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}
     }
 
     Aerie.GatewayCase.start_gateway(config, name: gateway, without: [])

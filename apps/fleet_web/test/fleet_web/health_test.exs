@@ -18,6 +18,9 @@ defmodule FleetWeb.HealthTest do
     # And says why, once it has tried.
     why = "cannot connect to NATS at nats://127.0.0.1:1: "
     eventually(fn -> match?({false, %{nats: %{problem: ^why <> _reason}}}, Health.ready(gateway)) end)
+    # The first retry is at once; the next one is a minute later.
+    connection = Aerie.Names.whereis(gateway, :bridge_connection)
+    eventually(fn -> :sys.get_state(connection, Aerie.Patience.ms()).machine.attempts >= 2 end)
 
     tables = Tables.get(gateway)
     put = &Tables.put_info(gateway, tables, &1, &2)
@@ -58,7 +61,7 @@ defmodule FleetWeb.HealthTest do
 
     for role <- [:router_sweeper, :pubsub] do
       stuck = Aerie.Names.whereis(gateway, role)
-      :ok = :sys.suspend(stuck)
+      :ok = :sys.suspend(stuck, Aerie.Patience.ms())
 
       eventually(fn ->
         with {false, %{status: "not ready", problems: [text]}} <- Health.ready(gateway),
@@ -66,7 +69,7 @@ defmodule FleetWeb.HealthTest do
              else: (_yet -> false)
       end)
 
-      :ok = :sys.resume(stuck)
+      :ok = :sys.resume(stuck, Aerie.Patience.ms())
       eventually(fn -> match?({true, %{problems: []}}, Health.ready(gateway)) end)
     end
   end

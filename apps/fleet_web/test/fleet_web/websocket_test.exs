@@ -287,7 +287,7 @@ defmodule FleetWeb.WebSocketTest do
             {"/", <<"sec-websocket-protocol: mavlink, ticket.", 255, "\r\n">>},
             {"/", <<"origin: http://", 255, "\r\n">>}
           ] do
-        answer = raw(c.ws, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\n", upgrade, header, "\r\n"])
+        answer = answer(c.ws, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\n", upgrade, header, "\r\n"])
         assert answer =~ ~r/\AHTTP\/1.1 400 /
         refute answer =~ ~r/\.erl|\.ex\b|Elixir\./
       end

@@ -17,8 +17,12 @@ defmodule SimVehicle.PythonTest do
     port
   end
 
+  # Its ten seconds on the ground until it disarms are one of ours.
+  @stays_armed %{ardupilot: %{"DISARM_DELAY" => 0}, px4: %{"COM_DISARM_PRFLT" => 0}}
+
   defp fly(firmware, link, address) do
-    sim = start_supervised!({SimVehicle, firmware: firmware, link: link, system: 7, speed: 10, ready_s: 5.0})
+    options = [firmware: firmware, link: link, system: 7, speed: 10, ready_s: 5.0]
+    sim = start_supervised!({SimVehicle, [params: @stays_armed[firmware]] ++ options})
     {findings, code, output} = PythonPeer.run("gcs.py", [address.(sim), "#{firmware}"])
     assert code == 0, output
     findings

@@ -31,7 +31,7 @@ defmodule SimVehicle.ServerTest do
 
   describe "transports" do
     test "udpout: sends by itself, one frame a datagram, and hears answers" do
-      {sim, peer} = udp(system: 9)
+      {sim, peer} = udp(system: 9, params: %{"DISARM_DELAY" => 0})
       {%{autopilot: 3}, peer} = Peer.await(peer, M.Heartbeat)
       SimVehicle.await(sim, & &1.ready)
       {%{command: 400, result: 0}, _peer} = peer |> arm(9) |> Peer.await(M.CommandAck)
@@ -126,7 +126,7 @@ defmodule SimVehicle.ServerTest do
     end
 
     test "silence sends nothing while the vehicle lives, deafness hears nothing" do
-      {sim, peer} = udp()
+      {sim, peer} = udp(params: %{"DISARM_DELAY" => 0})
       {_heartbeat, peer} = Peer.await(peer, M.Heartbeat)
       SimVehicle.await(sim, & &1.ready)
       :ok = SimVehicle.fault(sim, :silence, true)

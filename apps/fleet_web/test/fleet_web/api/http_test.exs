@@ -135,7 +135,7 @@ defmodule FleetWeb.API.HTTPTest do
           ["GET /api HTTP/1.1\r\nhost: localhost\r\n", List.duplicate("a: b\r\n", 500), "\r\n"],
           "GET /api/vehicles/%zz HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n"
         ] do
-      assert raw(port, bytes) =~ ~r/\AHTTP\/1.1 4\d\d /
+      assert answer(port, bytes) =~ ~r/\AHTTP\/1.1 4\d\d /
     end
 
     assert {200, _headers, _body} = request(port, "GET", "/api/status")

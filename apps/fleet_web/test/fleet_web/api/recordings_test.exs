@@ -36,9 +36,9 @@ defmodule FleetWeb.API.RecordingsTest do
              send_json(port, "POST", "/api/vehicles/VID-001/save", %{"reason" => "near miss"})
 
     assert name =~ ~r/\Amain-VID-001-near_miss-\d{8}T\d{6}Z\.tlog\z/
-    answer = raw(port, "GET #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
+    answer = answer(port, "GET #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
     assert [head, bytes] = String.split(answer, "\r\n\r\n", parts: 2)
-    only_head = raw(port, "HEAD #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
+    only_head = answer(port, "HEAD #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
     assert String.ends_with?(only_head, "\r\n\r\n") and only_head =~ "content-length: #{byte_size(bytes)}\r\n"
     assert head =~ "200 OK"
     assert head =~ "content-type: application/octet-stream"

@@ -85,7 +85,7 @@ defmodule FleetWeb.API.SigningCapabilityTest do
       match?([%{"id" => "usb", "heard" => true}], hd(ask(port)["vehicles"])["secure_links"])
     end)
 
-    body = raw(port, ["GET ", @path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
+    body = answer(port, ["GET ", @path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
     key = MavCodec.Signing.key(passphrase)
 
     for secret <- [passphrase, key, Base.encode16(key), Base.encode16(key, case: :lower), Base.encode64(key)],

@@ -29,6 +29,8 @@ defmodule Aerie.Signing.WakeTest do
 
     gateway = start_parts(config, before: [{Signing.Supervisor, []}])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    # There are no heartbeats before all loops have answered.
+    eventually(fn -> Aerie.Identity.status(gateway).alive end)
     %{gateway: gateway, port: port}
   end
 

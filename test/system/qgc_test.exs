@@ -35,8 +35,9 @@ defmodule Aerie.System.QGCTest do
       assert found == firmware |> expected(found) |> Map.merge(more.(found)),
              "system #{system}: #{inspect(found)}"
 
-      # Ten a second, as requested, or more if another client wants more.
-      assert String.to_integer(found["attitude_ms"]) in 10..120
+      # Ten a second, as requested, or more if another client wants more; four without a request. A vehicle that gets too little time
+      # sends a little less.
+      assert String.to_integer(found["attitude_ms"]) in 10..200
     end
 
     assert findings["strangers"] == "0"

@@ -81,12 +81,8 @@ defmodule Gnat.AuthTest do
     {:ok, port} = :inet.port(listener)
 
     for {more, sent?} <- [{%{}, false}, {%{auth_required: true}, true}] do
-      settings =
-        Map.merge(
-          %{host: "127.0.0.1", port: port, username: "joe", password: "secret"},
-          Map.put(more, :connection_timeout, 60_000)
-        )
-
+      login = %{username: "joe", password: "secret", connection_timeout: 60_000}
+      settings = login |> Map.merge(%{host: "127.0.0.1", port: port}) |> Map.merge(more)
       client = Task.async(fn -> Gnat.start_link(settings) end)
       {:ok, socket} = :gen_tcp.accept(listener)
       :ok = :gen_tcp.send(socket, "INFO {\"headers\":true}\r\n")

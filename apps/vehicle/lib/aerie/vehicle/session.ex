@@ -5,25 +5,20 @@ defmodule Aerie.Vehicle.Session do
   The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer}, [frame]}`
   while several endpoints of a link bring the system.
 
-  Between frames, time is that of the last frame plus what has passed since by the monotonic clock, at the link's speed: a
-  vehicle is lost after the same silence whether its frames come from a radio or from a recording that is played ten times as
-  fast. A recording that is played as fast as it can be read has no time between its frames until its end. When the machine's
-  clock is set (`Aerie.HostClock`; a companion computer without a battery-backed clock starts in another year), all times that
-  the session keeps of a live vehicle move with it: nothing becomes older or newer, and no vehicle is lost by it.
-
-  Time begins anew when a recording does, and with the first frames after a restart. A live frame that is late by seconds, as
-  after a pause of the whole machine, is only late.
+  Between frames time goes on by `Aerie.Vehicle.Clock`: a vehicle is lost after the same silence whether its frames come from a
+  radio or from a recording that is played ten times as fast. A recording that is played as fast as it can be read has no time
+  between its frames until its end. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a
+  battery-backed clock starts in another year), all times that the session keeps of a live vehicle move with it: nothing becomes
+  older or newer, and no vehicle is lost by it.
   """
   use GenServer
 
   alias Aerie.{Fleet, HostClock, Identity, Names, Store, Vehicle}
   alias Aerie.Policy.Arming
   alias Aerie.Router.Stations
+  alias Aerie.Vehicle.Clock
 
   @tick_ms 100
-  # A larger difference between a frame's time and the expected one means that a clock was set, or that a recording begins anew.
-  @clock_set_us 3_000_000
-  @back_us 2_000_000
   @look_around_ticks 10
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
@@ -47,8 +42,7 @@ defmodule Aerie.Vehicle.Session do
       gateway: gateway,
       options: options,
       core: core,
-      clock: snapshot && {snapshot.last_heard, monotonic(), speed},
-      timed_by: nil,
+      clock: snapshot && Clock.new(snapshot.last_heard, monotonic(), speed),
       link: link,
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
@@ -80,8 +74,10 @@ defmodule Aerie.Vehicle.Session do
     link = Vehicle.Collision.Owner.link(path)
     {speed, state} = speed(state, link)
     state = check_host_clock(%{state | live?: speed == :live, link: link})
-    state = check_frame_time(state, hd(frames).at, if(speed == :live, do: :host, else: :recording))
-    clock = {List.last(frames).at, monotonic(), if(speed == :live, do: 1.0, else: speed)}
+    moment = monotonic()
+    anew? = Clock.anew?(state.clock, speed, state.core.now, hd(frames).at, moment, state.host)
+    state = if anew?, do: step(state, {:rebase, hd(frames).at}), else: state
+    clock = Clock.heard(List.last(frames).at, moment, speed)
     hand_over(state.listeners, frames)
     {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
   end
@@ -98,7 +94,7 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:tick, due}, state) do
     state = state |> check_host_clock() |> past_end()
 
-    case expected(state.clock, due) do
+    case Clock.expected(state.clock, due) do
       # Nothing was heard yet, so there is no time.
       nil -> {:noreply, state}
       now -> {:noreply, state |> step({:tick, now}) |> look_around(now)}
@@ -230,10 +226,10 @@ defmodule Aerie.Vehicle.Session do
 
   # Time stands still between the frames of a recording that is read as fast as it can be, but not after its end: the vehicle is
   # lost then.
-  defp past_end(%{clock: {at, _then, speed}, link: link} = state) when speed == 0 do
+  defp past_end(%{clock: %{speed: speed} = clock, link: link} = state) when speed == 0 do
     if link_speed(state.gateway, link) == 0,
       do: state,
-      else: %{state | clock: {at, monotonic(), 1.0}}
+      else: %{state | clock: %{clock | moment: monotonic(), speed: 1.0}}
   end
 
   defp past_end(state), do: state
@@ -250,35 +246,10 @@ defmodule Aerie.Vehicle.Session do
     shift(%{state | host: offset}, HostClock.step(state.host, offset))
   end
 
-  defp shift(%{clock: {at, then, speed}, live?: true} = state, step) when step != 0,
-    do: step(%{state | clock: {at + step, then, speed}}, {:shift, step})
+  defp shift(%{clock: %{} = clock, live?: true} = state, step) when step != 0,
+    do: step(%{state | clock: %{clock | at: clock.at + step}}, {:shift, step})
 
   defp shift(state, _step), do: state
-
-  # Time begins anew with frames whose time is not comparable with that of the last ones.
-  defp check_frame_time(state, at, by) do
-    anew? = state.core.now != nil and anew?(state, at, by)
-    state = %{state | timed_by: by}
-    if anew?, do: step(state, {:rebase, at}), else: state
-  end
-
-  # Another recording, or the same once more. Two links may deliver a little out of order.
-  defp anew?(%{core: %{now: now}}, at, :recording), do: at < now - @back_us
-
-  # What the machine's clock has not reached was stamped before it was set back. A frame that is late by seconds waited for a busy link,
-  # or the machine stood still: what was waited for meanwhile is waited for still.
-  defp anew?(%{timed_by: :host, core: %{now: now}} = state, at, :host),
-    do: max(now, at) > monotonic() + state.host + @clock_set_us
-
-  # The first frames since this process was started, or since those of a recording.
-  defp anew?(state, at, :host) do
-    expected = expected(state.clock, monotonic())
-    expected != nil and abs(at - expected) > @clock_set_us
-  end
-
-  defp expected(nil, _moment), do: nil
-  # A tick that waited behind a frame is no older than the frame.
-  defp expected({at, then, speed}, moment), do: at + round(max(moment - then, 0) * speed)
 
   defp step(state, event) do
     {core, actions} = Vehicle.Core.handle(state.core, event)

@@ -147,8 +147,8 @@ defmodule Aerie.Vehicle.SessionTest do
   describe "the machine's clock is set" do
     # The session counts from its last frame, so no time has to be waited for.
     defp pass(gateway, us) do
-      :sys.replace_state(Names.via(gateway, :session, {"main", 1}), fn %{clock: {at, since, pace}} = state ->
-        %{state | clock: {at, since - us, pace}}
+      :sys.replace_state(Names.via(gateway, :session, {"main", 1}), fn %{clock: clock} = state ->
+        %{state | clock: %{clock | moment: clock.moment - us}}
       end)
     end
 
@@ -260,8 +260,8 @@ defmodule Aerie.Vehicle.SessionTest do
     eventually(fn -> Process.info(session, :message_queue_len) != {:message_queue_len, 0} end)
     since = System.monotonic_time(:microsecond) - at(59) - 900_000
 
-    :sys.replace_state(session, fn %{clock: {at, _then, speed}} = state ->
-      %{state | clock: {at, since, speed}}
+    :sys.replace_state(session, fn %{clock: clock} = state ->
+      %{state | clock: %{clock | moment: since}}
     end)
 
     deliver(gateway, [frame(@copter, at(60) + 900_000)])

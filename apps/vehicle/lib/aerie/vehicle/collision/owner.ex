@@ -6,22 +6,28 @@ defmodule Aerie.Vehicle.Collision.Owner do
   keeps the id. Frames by the other one's paths do not change this vehicle's state and are not forwarded, and nothing
   addressed to the id is sent there (`other?/3`, `others/2`). So a vehicle that is switched on beside one that flies can
   neither be mistaken for it nor obey its commands. That lasts for a minute after the last sign of a collision, provided
-  that the owner is still heard: when it falls silent, the id goes to the other vehicle.
+  that the owner is still heard: when the other vehicle has been heard for five seconds without it, the id goes to the other
+  one. Time in which neither is heard does not count, because then it may be this machine that stood still.
   """
 
   alias Aerie.Router.CollisionRoutes
 
   @hold_us 60_000_000
   @silent_us 5_000_000
+  # A vehicle sends more often than that: a longer gap may be this machine's.
+  @gap_us 2_000_000
   @max_paths 32
 
   defstruct paths: %{}, others: [], kept: [], until: nil
 
   @typedoc "How a vehicle is heard: a link's id, or `{link, peer}` where several peers of a link bring the system."
   @type path :: term()
-  @typedoc "`kept`: the owner's own paths; `others`: those of the other vehicle; `until`: how long that holds."
+  @typedoc """
+  `paths`: when a path was heard first, since when without a gap, and last; `kept`: the owner's own paths; `others`: those of the
+  other vehicle; `until`: how long that holds.
+  """
   @type t :: %__MODULE__{
-          paths: %{path() => {first :: integer(), last :: integer()}},
+          paths: %{path() => {first :: integer(), since :: integer(), last :: integer()}},
           others: [path()],
           kept: [path()],
           until: integer() | nil
@@ -34,19 +40,20 @@ defmodule Aerie.Vehicle.Collision.Owner do
   @spec heard(t(), path(), integer()) :: t()
   def heard(%{paths: paths} = owner, path, at) do
     case paths do
-      %{^path => {first, last}} when at - last <= @silent_us ->
-        %{owner | paths: %{paths | path => {first, max(at, last)}}}
+      %{^path => {first, since, last}} when at - last <= @silent_us ->
+        since = if at - last > @gap_us, do: at, else: since
+        %{owner | paths: %{paths | path => {first, since, max(at, last)}}}
 
       %{^path => _silent} ->
         # A vehicle that lost the id by its silence does not get it back when it returns.
-        %{if(holds?(owner, at), do: owner, else: none(owner)) | paths: %{paths | path => {at, at}}}
+        %{if(holds?(owner, at), do: owner, else: none(owner)) | paths: %{paths | path => {at, at, at}}}
 
       _new when map_size(paths) < @max_paths ->
-        %{owner | paths: Map.put(paths, path, {at, at})}
+        %{owner | paths: Map.put(paths, path, {at, at, at})}
 
       _full ->
-        recent = Map.filter(paths, fn {_path, {_first, last}} -> at - last <= @silent_us end)
-        %{owner | paths: Map.put(recent, path, {at, at})}
+        recent = Map.filter(paths, fn {_path, {_first, _since, last}} -> at - last <= @silent_us end)
+        %{owner | paths: Map.put(recent, path, {at, at, at})}
     end
   end
 
@@ -55,7 +62,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
   def new_path?(%{paths: paths}, _now, _us) when map_size(paths) < 2, do: false
 
   def new_path?(%{paths: paths}, now, us) do
-    firsts = for {_path, {first, last}} <- paths, now - last <= us, do: first
+    firsts = for {_path, {first, _since, last}} <- paths, now - last <= us, do: first
     firsts != [] and now - Enum.max(firsts) <= us and Enum.max(firsts) != Enum.min(firsts)
   end
 
@@ -88,7 +95,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
 
   defp first(owner, paths) do
     # nil, an atom, is greater than any number.
-    paths |> Enum.map(&with({first, _last} <- owner.paths[&1], do: first)) |> Enum.min(fn -> nil end)
+    paths |> Enum.map(&with({first, _since, _last} <- owner.paths[&1], do: first)) |> Enum.min(fn -> nil end)
   end
 
   @doc "Whether a path is another vehicle's at this time."
@@ -103,17 +110,31 @@ defmodule Aerie.Vehicle.Collision.Owner do
 
   defp holds?(%{until: nil}, _now), do: false
 
-  defp holds?(owner, now) do
-    now < owner.until and
-      Enum.any?(owner.kept, fn path ->
-        match?({_first, last} when now - last <= @silent_us, owner.paths[path])
-      end)
+  defp holds?(owner, now), do: now < owner.until and not outlived?(owner)
+
+  # Whether the other vehicle has been heard for long enough without the owner.
+  defp outlived?(%{paths: paths} = owner) do
+    case for path <- owner.kept, {_first, _since, last} <- [paths[path]], do: last do
+      [] ->
+        true
+
+      lasts ->
+        kept = Enum.max(lasts)
+
+        Enum.any?(owner.others, fn path ->
+          match?({_first, since, last} when last - max(kept, since) > @silent_us, paths[path])
+        end)
+    end
   end
 
   @doc "The clock was set by `step` (us): every path was heard as long ago as before."
   @spec shifted(t(), integer()) :: t()
   def shifted(owner, step) do
-    paths = Map.new(owner.paths, fn {path, {first, last}} -> {path, {first + step, last + step}} end)
+    paths =
+      Map.new(owner.paths, fn {path, {first, since, last}} ->
+        {path, {first + step, since + step, last + step}}
+      end)
+
     %{owner | paths: paths, until: owner.until && owner.until + step}
   end
 

@@ -35,13 +35,28 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
     heard = heard(found, ["a", "b"], 2..60)
     assert Owner.others(heard, 60 * @second) == ["b"]
     assert Owner.others(heard, 61 * @second) == []
+    assert found |> heard(["b"], 2..6) |> Owner.others(6 * @second) == ["b"]
+    assert found |> heard(["b"], 2..7) |> Owner.others(7 * @second) == []
     alone = heard(found, ["b"], 2..20)
-    assert Owner.others(alone, 6 * @second) == ["b"]
-    assert Owner.others(alone, 7 * @second) == []
     # It comes back as the second one.
     back = heard(alone, ["a", "b"], 21..22)
     {back, ["b"], ["a"]} = Owner.decide(back, ["a"], ["b"], 22 * @second)
     assert Owner.others(back, 22 * @second) == ["a"]
+  end
+
+  test "a machine that stands still does not hand the id over, whoever is heard first afterwards" do
+    owner = heard(Owner.new(), ["a", "b"], 0..1)
+    {owner, ["a"], ["b"]} = Owner.decide(owner, ["a"], ["b"], @second)
+
+    for still <- [2.5, 4.8, 6, 30, 50], {one, two} <- [{"a", "b"}, {"b", "a"}] do
+      for owner <- [heard(owner, [one], [1 + still]), heard(owner, [one], [1 + still, 1.9 + still])] do
+        assert Owner.others(owner, round((1 + still) * @second)) == ["b"]
+        both = heard(owner, [two], [2 + still])
+        assert Owner.others(both, round((2 + still) * @second)) == ["b"]
+        # And the first one can still fall silent.
+        assert both |> heard(["b"], [3, 4, 5, 6, 7, 8] |> Enum.map(&(&1 + still))) |> Owner.others(0) == []
+      end
+    end
   end
 
   test "paths stay bounded" do

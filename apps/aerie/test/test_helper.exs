@@ -3,6 +3,8 @@
 # bin/run and its like: from the code that is compiled already, but as users have it in the long run, which has time.
 if :long not in ExUnit.configuration()[:include], do: System.put_env("AERIE_BUILD", "test")
 
+Aerie.Patience.load_code()
+
 # Most tests wait for vehicles and servers rather than compute, so more of them run at once than there are cores.
 ExUnit.start(
   max_cases: Aerie.Patience.cases(),

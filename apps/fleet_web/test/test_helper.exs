@@ -1,3 +1,5 @@
+Aerie.Patience.load_code()
+
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`.
 # A browser that draws maps without a graphics card keeps a core busy.
 ExUnit.start(max_cases: System.schedulers_online(), exclude: [:long, :soak] ++ Aerie.Browser.excluded())

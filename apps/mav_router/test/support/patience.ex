@@ -19,6 +19,22 @@ defmodule Aerie.Patience do
     if load() > 4 * cores, do: 2 * cores, else: 4 * cores
   end
 
+  @doc """
+  Loads the code of all applications, as a release does when it boots. Where each module is loaded when it is first called, the
+  first frames of a link wait for dozens of them, and beside the compiler of the test files for seconds.
+  """
+  @spec load_code() :: :ok
+  def load_code do
+    modules =
+      for {app, _description, _version} <- Application.loaded_applications(),
+          module <- Application.spec(app, :modules),
+          do: module
+
+    # Some that nothing uses cannot be loaded without an application that is not there.
+    _ = :code.ensure_modules_loaded(modules)
+    :ok
+  end
+
   # Runnable processes in the last minute, where the system tells.
   defp load do
     with {:ok, text} <- File.read("/proc/loadavg"),

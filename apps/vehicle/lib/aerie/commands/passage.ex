@@ -14,7 +14,8 @@ defmodule Aerie.Commands.Passage do
 
   @typedoc """
   Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
-  vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to vehicles of other gateways.
+  vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to
+  vehicles of other gateways.
   """
   @type environment :: %{
           gateway: Names.gateway(),

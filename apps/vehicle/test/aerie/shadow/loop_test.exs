@@ -45,8 +45,8 @@ defmodule Aerie.Shadow.LoopTest do
              "desired_version" => 1
            } = reported
 
-    # An attempt has three seconds; on a busy machine another may follow.
-    assert Store.counter(gateway, {:shadow, :commands_issued}) >= 1
+    # An attempt has three seconds; on a busy machine another may follow, but not one with each look.
+    assert Store.counter(gateway, {:shadow, :commands_issued}) in 1..5
     assert Store.counter(gateway, {:shadow, :reconciliations}) > 1
   end
 

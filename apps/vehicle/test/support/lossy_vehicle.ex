@@ -31,6 +31,8 @@ defmodule Aerie.LossyVehicle do
             results: %{},
             last: %{},
             done: %{},
+            done_at: %{},
+            heard: nil,
             history: [],
             told: [],
             cancelling: false,
@@ -127,7 +129,7 @@ defmodule Aerie.LossyVehicle do
 
   defp act({:result, result}, world) do
     world = if world.results[result.id], do: wrong(world, result.id, "two results"), else: world
-    put_in(world.results[result.id], {result, world.now})
+    put_in(world.results[result.id], {result, world.now, world.heard})
   end
 
   defp act({:progress, _id, %{"progress" => _share, "text" => _text}}, world), do: world
@@ -196,10 +198,10 @@ defmodule Aerie.LossyVehicle do
     step(world, {:message, message, {1, component}, world.now})
   end
 
-  defp happen(world, {{:state, changes, groups}, _number}) do
+  defp happen(world, {{:state, left, changes, groups}, _number}) do
     # What was said before a reboot and comes after it is of another life.
     if changes.boots >= world.core.vehicle.boots,
-      do: step(world, {:observed, changes, groups, world.now}),
+      do: step(%{world | heard: {left, changes}}, {:observed, changes, groups, world.now}),
       else: world
   end
 
@@ -212,7 +214,7 @@ defmodule Aerie.LossyVehicle do
     changes =
       Map.take(world.true_state, [:armed, :in_air, :mode, :home, :mission_seq, :boots, :booted_at, :lat, :lon])
 
-    transmit(world, {:state, changes, [:mode, :in_air, :home, :mission, :position]})
+    transmit(world, {:state, world.now, changes, [:mode, :in_air, :home, :mission, :position]})
   end
 
   # --- The vehicle
@@ -324,6 +326,7 @@ defmodule Aerie.LossyVehicle do
 
   defp effect(world, id, message) do
     world = update_in(world.done[{id, number(message)}], &((&1 || 0) + 1))
+    world = put_in(world.done_at[id], world.now)
     state = world.true_state
     px4? = state.autopilot == :px4
 
@@ -401,12 +404,12 @@ defmodule Aerie.LossyVehicle do
       nil ->
         ["no result"]
 
-      {result, answered_at} ->
+      {result, answered_at, heard} ->
         times = times(world, command)
 
         [
           Command.type(command).retry == :never and times > 1 and "done #{times} times",
-          false?(result, times, world, command, {at, answered_at}) and
+          false?(result, times, world, command, {at, answered_at, heard}) and
             "#{command.type}: #{result.status} (#{result.reason}), but it was done #{times} times"
         ]
         |> Enum.filter(& &1)
@@ -447,15 +450,15 @@ defmodule Aerie.LossyVehicle do
     end
   end
 
-  defp false?(%{status: :completed}, times, world, command, span),
-    do: times == 0 and not was_so?(world, command, span)
+  defp false?(%{status: :completed}, times, world, command, {from, to, _heard}),
+    do: times == 0 and not was_so?(world, command, {from, to})
 
   defp false?(%{status: :accepted} = result, times, _world, command, _span),
     do: times == 0 and result.details["acknowledged"] and Command.type(command).group != :manual
 
   # Done, and undone by another command before its state was heard.
-  defp false?(%{status: :failed} = result, times, world, command, {_at, answered_at}),
-    do: times > 0 and not (result.details["acknowledged"] and not stayed_so?(world, command, answered_at))
+  defp false?(%{status: :failed} = result, times, world, command, {_from, _to, heard}),
+    do: times > 0 and not (result.details["acknowledged"] and undone?(world, command, heard))
 
   defp false?(%{status: :cancelled, details: %{"sent" => sent}}, times, _world, _command, _span),
     do: times > 0 and sent == 0
@@ -476,9 +479,12 @@ defmodule Aerie.LossyVehicle do
 
   defp was_so?(world, command, span), do: Enum.any?(states(world, span), &met?(world, command, &1))
 
-  # For so long that the vehicle must have been heard with it.
-  defp stayed_so?(world, command, at),
-    do: Enum.all?(states(world, {at - 2_000 * @ms, at}), &met?(world, command, &1))
+  # What was heard last left the vehicle when it had done it, and does not show it.
+  defp undone?(_world, _command, nil), do: false
+
+  defp undone?(world, command, {left, changes}) do
+    left >= world.done_at[command.id] and not met?(world, command, struct!(world.true_state, changes))
+  end
 
   defp met?(world, command, state) do
     {:ok, steps} = plan(command, world.true_state)

@@ -80,7 +80,9 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
       world = check(autopilot, 5_000, seed, [1_700, 3_300])
       # That they are right is not because nothing is known.
       known =
-        Enum.count(world.results, fn {_id, {result, _at}} -> result.status not in [:unknown, :timeout] end)
+        Enum.count(world.results, fn {_id, {result, _at, _heard}} ->
+          result.status not in [:unknown, :timeout]
+        end)
 
       assert known > 3_500
     end

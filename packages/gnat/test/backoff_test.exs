@@ -37,7 +37,7 @@ defmodule Gnat.BackoffTest do
         end
       )
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp waits(backoff, random, count) do

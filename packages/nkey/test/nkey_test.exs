@@ -72,7 +72,7 @@ defmodule NkeyTest do
         match?({:error, _}, Nkey.from_seed(text)) and match?({:error, _}, Nkey.from_public(text))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   describe "credentials" do

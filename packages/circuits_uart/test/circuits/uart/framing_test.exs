@@ -22,7 +22,7 @@ defmodule Circuits.UART.FramingTest do
             same?(unquote(framing), whole, pieces)
           end)
 
-        assert :proper.quickcheck(property, [:quiet, numtests: 500])
+        assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
       end
     end
   end
@@ -46,7 +46,7 @@ defmodule Circuits.UART.FramingTest do
           end)
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 500])
+    assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
   end
 
   test "Line: messages" do

@@ -58,7 +58,7 @@ defmodule Circuits.UART.PortProgramTest do
         status == 2 and MapSet.subset?(answered, MapSet.new(0..length(requests)//1))
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 200])
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
   end
 
   defp start(command, options) do

@@ -21,7 +21,7 @@ defmodule Circuits.UART.WireTest do
         end
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 2_000])
+    assert :proper.quickcheck(property, [:quiet, numtests: 2_000]) == true, inspect(:proper.counterexample())
     assert Wire.decode("") == :malformed
   end
 

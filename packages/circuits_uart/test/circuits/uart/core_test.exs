@@ -25,7 +25,8 @@ defmodule Circuits.UART.CoreTest do
           run.core.phase == :closed
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1_000, max_size: 120]) == true, inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 1_000, max_size: 120]) == true,
+           inspect(:proper.counterexample())
   end
 
   test "however modes, reads and bytes mix, every byte arrives, in order" do
@@ -56,7 +57,8 @@ defmodule Circuits.UART.CoreTest do
         run.sent |> Enum.reverse() |> Enum.join() == produced <> ""
       end)
 
-    assert :proper.quickcheck(property, [:quiet, numtests: 1_000, max_size: 120]) == true, inspect(:proper.counterexample())
+    assert :proper.quickcheck(property, [:quiet, numtests: 1_000, max_size: 120]) == true,
+           inspect(:proper.counterexample())
   end
 
   test "an answer that comes after its request was given up is not taken for another one's" do

@@ -22,7 +22,8 @@ defmodule Circuits.UART.FramingTest do
             same?(unquote(framing), whole, pieces)
           end)
 
-        assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true, inspect(:proper.counterexample())
+        assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true,
+               inspect(:proper.counterexample())
       end
     end
   end

@@ -144,14 +144,20 @@ defmodule Aerie.System.CollisionTest do
         "they are apart for a while"
       )
 
-      # On a busy machine a simulator is late or silent at times.
-      late = ["link.lost", "link.restored", "stream.contested"]
-      assert told() -- (["armed", "mode_change", "statustext", "param_changed"] ++ late) == []
-      assert %{armed: true, in_air: true} = Store.vehicle(gateway, @key).groups.mode.data
+      # Texts and parameters do not show which of the two sent them. On a busy machine a simulator is late or silent at times.
+      either = ["statustext", "param_changed", "link.lost", "link.restored", "stream.contested"]
+      assert told() -- (["armed", "mode_change"] ++ either) == []
+
+      # The second one's heartbeat may have been the last before they were separated: until the first one's next.
+      eventually(
+        fn -> match?(%{armed: true, in_air: true}, Store.vehicle(gateway, @key).groups.mode.data) end,
+        fn -> "the state is the first one's: #{inspect(Store.vehicle(gateway, @key).groups.mode.data)}" end
+      )
+
+      assert told() -- either == []
     end
   end
 
-  # Texts and parameters do not show which of the two sent them.
   defp told do
     receive do
       {:fleet, :events, %{type: type}} -> Enum.uniq([type | told()])

@@ -152,7 +152,13 @@ defmodule Aerie.Ledger do
     step(Core.finish(state.core, result, now()), state)
   end
 
-  def handle_call(:interrupted, _from, state), do: {:reply, state.interrupted, state}
+  # Until the file was read, nobody knows.
+  def handle_call(:interrupted, _from, state) do
+    case reopen(state) do
+      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
+      state -> {:reply, state.interrupted, state}
+    end
+  end
 
   def handle_call(:status, _from, state) do
     bytes = if state.journal, do: state.journal.bytes

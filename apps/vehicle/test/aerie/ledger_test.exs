@@ -5,7 +5,7 @@ defmodule Aerie.LedgerTest do
   import Aerie.Patience
   import ExUnit.CaptureLog
 
-  alias Aerie.{Command, Ledger}
+  alias Aerie.{Command, FolderLock, Ledger}
   alias Aerie.Command.Result
 
   @moduletag :tmp_dir
@@ -52,7 +52,7 @@ defmodule Aerie.LedgerTest do
     # happened.
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Command, Ledger}
+    alias Aerie.{Command, FolderLock, Ledger}
     alias Aerie.Command.Result
     {:ok, _} = Ledger.start_link(gateway: :g, dir: #{inspect(dir)}, max_entries: 100_000, max_age_s: 3600)
     for n <- Stream.iterate(1, &(&1 + 1)) do
@@ -112,6 +112,28 @@ defmodule Aerie.LedgerTest do
     assert :ok = Ledger.finish(gateway, Result.new("a", :completed, "seen"))
     assert {:stored, %Result{status: :completed}} = Ledger.admit(gateway, command("a"))
     assert Ledger.interrupted(gateway) == []
+  end
+
+  # Whoever looks after them would take an empty list for the truth, and never look again.
+  test "what was under way is not known, rather than nothing, while the folder is another gateway's", %{
+    tmp_dir: dir
+  } do
+    {gateway, _pid} = start(dir)
+    :new = Ledger.admit(gateway, command("a"))
+    :ok = Ledger.sending(gateway, "a", :never)
+    stop_supervised!(gateway)
+    :ok = FolderLock.acquire(dir)
+
+    log =
+      capture_log(fn ->
+        {gateway, _pid} = start(dir)
+        assert {:error, reason} = Ledger.interrupted(gateway)
+        assert reason =~ "in use by another gateway"
+        :ok = Registry.unregister(Aerie.Registry, {FolderLock, Path.expand(dir)})
+        eventually(fn -> match?([%{"id" => "a"}], Ledger.interrupted(gateway)) end)
+      end)
+
+    assert log =~ "in use by another gateway"
   end
 
   test "a torn end is cut off, damage in between is told and kept, another format is left alone", %{

@@ -71,14 +71,7 @@ defmodule Aerie.Commands.Recovery do
         {:noreply, state}
 
       envelopes ->
-        case Ledger.status(state.gateway) do
-          %{bytes: nil} ->
-            Process.send_after(self(), :ask, @retry_ms)
-            {:noreply, state}
-
-          _read ->
-            {:noreply, again(%{state | waiting: Map.new(envelopes, &{&1["id"], {read(&1), nil}})})}
-        end
+        {:noreply, again(%{state | waiting: Map.new(envelopes, &{&1["id"], {read(&1), nil}})})}
     end
   end
 

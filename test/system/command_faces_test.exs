@@ -237,6 +237,8 @@ defmodule Aerie.System.CommandFacesTest do
     )
 
     kill9(pid)
+    kept = File.read!(ledger)
+    refute kept =~ ~r/\["done","(mode|arm)"/, "they ended before the gateway was killed: #{kept}"
     for fault <- [:silence, :half_open], do: :ok = SimVehicle.fault(sim, fault, false)
 
     other_vm(script, "running ")
@@ -246,12 +248,12 @@ defmodule Aerie.System.CommandFacesTest do
 
     eventually(
       fn -> match?({200, %{"result" => "completed", "interrupted" => true}}, look(url, "mode")) end,
-      "its state shows it"
+      fn -> "its state shows it: #{inspect(look(url, "mode"))}, #{inspect(SimVehicle.state(sim).mode)}" end
     )
 
     eventually(
       fn -> match?({200, %{"result" => "unknown", "interrupted" => true}}, look(url, "arm")) end,
-      "it is not shown"
+      fn -> "it is not shown: #{inspect(look(url, "arm"))}" end
     )
 
     assert {504, %{"result" => "unknown", "reason" => reason}} = post(url, %{"type" => "arm", "id" => "arm"})

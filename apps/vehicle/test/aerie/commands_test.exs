@@ -436,6 +436,8 @@ defmodule Aerie.CommandsTest do
     assert judge.("disarm", %{}) == :not_shown
     assert judge.("reboot", %{}) == :cannot_tell
     assert judge.("gripper", %{action: "release"}) == :cannot_tell
+    # A mode whose name is not known yet: the vehicle may tell its modes.
+    assert judge.("set_mode", %{mode: "EXTERNAL1"}) == :not_shown
   end
 
   test "drained: no new command, those under way are waited for, what is left is unknown and stays in the ledger",

@@ -248,7 +248,9 @@ defmodule Aerie.System.CommandFacesTest do
 
     eventually(
       fn -> match?({200, %{"result" => "completed", "interrupted" => true}}, look(url, "mode")) end,
-      fn -> "its state shows it: #{inspect(look(url, "mode"))}, #{inspect(SimVehicle.state(sim).mode)}" end
+      fn ->
+        "its state shows it: #{inspect(look(url, "mode"))}; it is in #{SimVehicle.state(sim).mode}; the gateway: #{written()}"
+      end
     )
 
     eventually(
@@ -259,6 +261,12 @@ defmodule Aerie.System.CommandFacesTest do
     assert {504, %{"result" => "unknown", "reason" => reason}} = post(url, %{"type" => "arm", "id" => "arm"})
     assert reason =~ "it is not sent again"
     refute SimVehicle.state(sim).armed
+  end
+
+  # By the gateways, since they were up.
+  defp written do
+    {:messages, messages} = Process.info(self(), :messages)
+    for {_port, {:data, {_end, line}}} <- messages, into: "", do: line <> "\n"
   end
 
   defp answered(url, id), do: with({200, _body} = answer <- look(url, id), do: answer, else: (_other -> nil))

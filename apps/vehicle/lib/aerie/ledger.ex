@@ -76,7 +76,7 @@ defmodule Aerie.Ledger do
 
   @doc """
   The commands that were under way when the gateway stopped, as plain envelopes. Their result is `unknown` until somebody
-  has observed the vehicle and calls `finish/3`.
+  has observed the vehicle and calls `finish/3`. `{:error, reason}` until the file has been read.
   """
   @spec interrupted(Names.gateway()) :: [%{String.t() => term()}] | {:error, String.t()}
   def interrupted(gateway), do: call(gateway, :interrupted)
@@ -123,19 +123,11 @@ defmodule Aerie.Ledger do
   end
 
   @impl GenServer
-  def handle_call({:admit, command}, _from, state) do
-    case reopen(state) do
-      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
-      state -> step(Core.admit(state.core, command, now()), state)
-    end
-  end
+  def handle_call({:admit, command}, _from, state),
+    do: opened(state, &step(Core.admit(&1.core, command, now()), &1))
 
-  def handle_call({what, of}, _from, state) when what in [:known, :lookup] do
-    case reopen(state) do
-      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
-      state -> {:reply, apply(Core, what, [state.core, of]), state}
-    end
-  end
+  def handle_call({what, of}, _from, state) when what in [:known, :lookup],
+    do: opened(state, &{:reply, apply(Core, what, [&1.core, of]), &1})
 
   def handle_call({:sending, id, retry}, from, state) do
     case step(Core.sending(state.core, id, retry, now()), state) do
@@ -152,13 +144,7 @@ defmodule Aerie.Ledger do
     step(Core.finish(state.core, result, now()), state)
   end
 
-  # Until the file was read, nobody knows.
-  def handle_call(:interrupted, _from, state) do
-    case reopen(state) do
-      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
-      state -> {:reply, state.interrupted, state}
-    end
-  end
+  def handle_call(:interrupted, _from, state), do: opened(state, &{:reply, &1.interrupted, &1})
 
   def handle_call(:status, _from, state) do
     bytes = if state.journal, do: state.journal.bytes
@@ -262,6 +248,14 @@ defmodule Aerie.Ledger do
       end
     else
       {:error, reason} -> failed(%{state | tried_at: monotonic()}, reason)
+    end
+  end
+
+  # Until the file was read, nobody knows which commands there are.
+  defp opened(state, answer) do
+    case reopen(state) do
+      %{journal: nil} = state -> {:reply, {:error, state.failing}, state}
+      state -> answer.(state)
     end
   end
 

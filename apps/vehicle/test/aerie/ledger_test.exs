@@ -52,7 +52,7 @@ defmodule Aerie.LedgerTest do
     # happened.
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Command, FolderLock, Ledger}
+    alias Aerie.{Command, Ledger}
     alias Aerie.Command.Result
     {:ok, _} = Ledger.start_link(gateway: :g, dir: #{inspect(dir)}, max_entries: 100_000, max_age_s: 3600)
     for n <- Stream.iterate(1, &(&1 + 1)) do

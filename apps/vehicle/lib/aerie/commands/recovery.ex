@@ -26,8 +26,8 @@ defmodule Aerie.Commands.Recovery do
       )
 
   @doc """
-  What a vehicle's snapshot says about a command: its state shows it (`:shown`), does not (`:not_shown`), or cannot show
-  it (`:cannot_tell`).
+  What a vehicle's snapshot says about a command: its state shows it (`:shown`), does not or not yet (`:not_shown`), or can
+  never show it (`:cannot_tell`).
   """
   @spec judge(Command.t(), map()) :: :shown | :not_shown | :cannot_tell
   def judge(command, snapshot) do

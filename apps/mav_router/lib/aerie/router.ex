@@ -17,7 +17,7 @@ defmodule Aerie.Router do
   | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time started over (R6) |
   | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`Aerie.Router.CollisionRoutes`); none: it is over |
   | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of the group carries |
-  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: a command from an endpoint that may not command (`Aerie.Router.CommandGate`); at most one a minute for each link |
+  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`Aerie.Router.Refusal`); at most one a minute for each link |
   | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload`, or `:refused` for what was kept of a vehicle that could not be started |
   """
 
@@ -148,7 +148,7 @@ defmodule Aerie.Router do
   @spec changes(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
   defdelegate changes(gateway), to: Rules, as: :list
 
-  @doc "Which endpoints of a link may command vehicles now (`Aerie.Router.CommandGate`)."
+  @doc "Which endpoints of a link count as clients now (`Aerie.Router.Access`)."
   @spec gcs(Names.gateway(), String.t()) :: :auto | :allow | :deny
   def gcs(gateway, link) do
     with tables when is_map(tables) <- Tables.of(gateway), %{gcs: gcs} <- Endpoints.owner(tables, link) do
@@ -171,6 +171,15 @@ defmodule Aerie.Router do
     tables = Tables.of(gateway)
     {system, component} = (tables && Tables.setting(tables, :own, nil)) || {nil, nil}
     %{system: system, component: component, alarm: Echo.alarm(gateway)}
+  end
+
+  @doc "Whether an endpoint is there."
+  @spec connected?(Names.gateway(), Aerie.Router.Endpoint.key()) :: boolean
+  def connected?(gateway, key) do
+    case Tables.of(gateway) do
+      nil -> false
+      tables -> Endpoints.get(tables, key) != nil
+    end
   end
 
   @doc "All systems that sent a heartbeat, vehicles or not (`Aerie.Router.Systems`)."

@@ -11,6 +11,7 @@ defmodule Aerie.Policy do
   needs to know denies. `docs/policy.md` describes the rules with examples.
   """
 
+  alias Aerie.Authority.Principal
   alias Aerie.Command
   alias Aerie.Policy.{Compile, Context, Facts, Fence, Lease, Rate, Roles, Rules, Sources}
 
@@ -28,6 +29,8 @@ defmodule Aerie.Policy do
     conditions: %{},
     windows: [],
     rates: [],
+    unknown: :refuse,
+    open: [],
     clients: [],
     sources: []
   ]
@@ -42,6 +45,8 @@ defmodule Aerie.Policy do
           conditions: %{String.t() => Rules.Condition.condition()},
           windows: [Rules.Window.window()],
           rates: [Rate.rule()],
+          unknown: :refuse | :maintain,
+          open: [{:message | :command, non_neg_integer()}],
           clients: [client()],
           sources: [Sources.listed()],
           unsigned: Roles.role() | nil,
@@ -89,11 +94,56 @@ defmodule Aerie.Policy do
     end)
   end
 
-  @doc "The identity of a client that sends raw MAVLink. A client without configured roles may do everything, because the operator opened it."
-  @spec client(t(), String.t()) :: Roles.source()
-  def client(policy, id) do
-    found = Enum.find(policy.clients, &(&1.id == id)) || Enum.find(policy.clients, &(&1.id == nil))
-    %{role: role, permissions: permissions} = found || %{role: :admin, permissions: Roles.own()}
-    %{name: id, role: role, permissions: permissions}
+  @typedoc "What the policy must know of where a frame came from: a `Aerie.Router.ForwardingTable.Path`."
+  @type origin :: %{
+          :owner => String.t(),
+          :text => String.t() | nil,
+          :principal => Principal.t() | nil,
+          :commands => boolean(),
+          :local => boolean(),
+          :side => :vehicle | :client,
+          :auto => boolean(),
+          optional(term()) => term()
+        }
+
+  @doc """
+  Who sends raw MAVLink from somewhere. In this order: who proved it by a key or by signing in; an entry of `policy.clients` with the
+  client's or link's id; the entry without an id. Without any of these it is an operator on this machine, and on a link with
+  `gcs: allow`; elsewhere a viewer. Who does not count as a client on a link is a viewer, whatever is listed.
+  """
+  @spec principal(t(), origin()) :: Principal.t()
+  def principal(_policy, %{commands: false} = origin),
+    do: made(:stranger, origin, %{role: :viewer, permissions: []})
+
+  def principal(_policy, %{principal: %Principal{role: role} = proved}) when role != nil,
+    do: %{proved | may: Roles.may(proved)}
+
+  # A key without a role.
+  def principal(policy, %{principal: %Principal{} = proved}) do
+    found = listed(policy, nil) || %{role: :admin, permissions: []}
+    proved = %{proved | role: found.role, permissions: Enum.uniq(found.permissions ++ proved.permissions)}
+    %{proved | may: Roles.may(proved)}
+  end
+
+  def principal(policy, %{owner: owner} = origin),
+    do: made(:client, origin, listed(policy, owner) || listed(policy, nil) || unlisted(origin))
+
+  defp listed(policy, id), do: Enum.find(policy.clients, &(&1.id == id))
+
+  defp unlisted(%{local: true}), do: %{role: :operator, permissions: []}
+  defp unlisted(%{side: :vehicle}), do: %{role: :operator, permissions: []}
+  defp unlisted(%{auto: true}), do: %{role: :operator, permissions: []}
+  defp unlisted(_beyond), do: %{role: :viewer, permissions: []}
+
+  defp made(kind, %{owner: owner, text: text} = origin, %{role: role, permissions: permissions} = found) do
+    %Principal{
+      kind: kind,
+      name: owner,
+      role: role,
+      permissions: permissions,
+      may: Roles.may(found),
+      program: if(text, do: "#{owner} #{text}"),
+      endpoint: Map.get(origin, :key)
+    }
   end
 end

@@ -16,10 +16,10 @@ defmodule FleetWeb.WebSocket.Handler do
 
   @behaviour :cowboy_websocket
 
+  alias Aerie.Authority.Principal
   alias Aerie.Router.Pipe
   alias Aerie.Address
   alias Aerie.Names
-  alias Aerie.Policy.Guard
   alias Aerie.Store
   alias Aerie.Store.PubSub
   alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
@@ -43,7 +43,8 @@ defmodule FleetWeb.WebSocket.Handler do
       state = %{
         gateway: gateway,
         requester: requester,
-        options: [text: text, kind: :websocket, sign: settings.sign] ++ options,
+        options:
+          [text: text, kind: :websocket, principal: principal(requester), sign: settings.sign] ++ options,
         pipe: nil
       }
 
@@ -145,7 +146,6 @@ defmodule FleetWeb.WebSocket.Handler do
     id = "ws-#{System.unique_integer([:positive])}"
 
     :ok = Names.register(state.gateway, :websocket_client, id)
-    identify(state.requester)
     :ok = PubSub.subscribe(state.gateway, {:notice, :api_keys})
 
     case Pipe.open(state.gateway, [id: id] ++ state.options) do
@@ -158,10 +158,11 @@ defmodule FleetWeb.WebSocket.Handler do
     end
   end
 
-  # A key without a role, and this machine, are judged by `policy.clients` like any other client.
-  defp identify(%{role: nil}), do: :ok
-  defp identify(%{role: :viewer}), do: :ok
-  defp identify(owner), do: Guard.identify(Map.take(owner, [:name, :role, :permissions]))
+  # A program of this machine, without any key, is judged by `policy.clients` like any other client.
+  defp principal(%{name: "local", changes?: true, role: :viewer}), do: nil
+
+  defp principal(owner),
+    do: struct!(%Principal{kind: :key, name: owner.name}, Map.take(owner, [:role, :permissions]))
 
   @impl :cowboy_websocket
   def websocket_handle({:binary, bytes}, state), do: {[], %{state | pipe: Pipe.read(state.pipe, bytes)}}

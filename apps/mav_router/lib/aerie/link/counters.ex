@@ -14,7 +14,7 @@ defmodule Aerie.Link.Counters do
     `refused` (the limit of vehicles is reached), `looped` (our own frames came back), `dropped_out` (link down, peer gone,
     buffer full)
   - `denied`: commands to vehicles from peers that may not command; `withheld`: heartbeats and measurements that were not
-    forwarded to vehicles (`Aerie.Router.CommandGate`)
+    forwarded to vehicles (`Aerie.Router.Access`)
   - `routes_refused`: how often a component of its peers got no route, because the peer has too many (`Aerie.Router.Routes`)
   - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
     (they had waited so long that newer ones were read instead, `Aerie.Link.Backlog`)

@@ -121,6 +121,15 @@ defmodule Aerie.Link.Settings do
         default: struct(Aerie.Router.Owner).gcs
       ),
       field(
+        :parts,
+        :boolean,
+        """
+        Cameras, gimbals and companions of the vehicles are on this link, and what they measure goes to their autopilots. Only for
+        a link that nobody else reaches: a sender on it is taken for the part that it says it is.
+        """,
+        default: false
+      ),
+      field(
         :group,
         Types.token(),
         "Redundant links to the same vehicles share a group, of which the best one is used."

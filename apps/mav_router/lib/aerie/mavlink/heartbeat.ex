@@ -12,6 +12,7 @@ defmodule Aerie.Mavlink.Heartbeat do
 
   @id Message.id!("HEARTBEAT")
   @high_latency2 Message.id!("HIGH_LATENCY2")
+  @gcs MavType.value(:MAV_TYPE_GCS)
   @autopilot_invalid MavAutopilot.value(:MAV_AUTOPILOT_INVALID)
 
   # Every MAV_TYPE that is a part of a vehicle or no vehicle at all.
@@ -26,6 +27,9 @@ defmodule Aerie.Mavlink.Heartbeat do
 
   @typedoc "`type`: MAV_TYPE, `autopilot`: MAV_AUTOPILOT, both as numbers: unknown values survive"
   @type t :: %__MODULE__{type: 0..255, autopilot: 0..255}
+
+  @doc "Whether a system id is a ground station's by convention. ArduPilot takes any heartbeat from its SYSID_MYGCS for its operator's."
+  defguard is_station(system) when system >= 240
 
   @doc "The message id of HEARTBEAT."
   @spec id() :: non_neg_integer
@@ -49,6 +53,11 @@ defmodule Aerie.Mavlink.Heartbeat do
   @spec vehicle?(t) :: boolean
   def vehicle?(%__MODULE__{autopilot: @autopilot_invalid}), do: false
   def vehicle?(%__MODULE__{type: type}), do: not is_map_key(@not_vehicles, type)
+
+  @doc "Whether a vehicle may take the sender of a frame for its operator's ground station, and a failsafe stays quiet because of it."
+  @spec station?(Frame.t()) :: boolean
+  def station?(%Frame{system: system}) when is_station(system), do: true
+  def station?(%Frame{} = frame), do: match?(%__MODULE__{type: @gcs}, read(frame))
 
   @doc "What the sender is, in a word: `autopilot`, `gcs`, `gimbal` …; `component` if nothing else is known."
   @spec role(t) :: String.t()

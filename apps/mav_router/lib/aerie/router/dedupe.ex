@@ -12,17 +12,24 @@ defmodule Aerie.Router.Dedupe do
   entries: when time or room is over, the older one is emptied and becomes the newer one. A frame that came from *another* endpoint
   is a duplicate. One that comes again from the same endpoint is not, up to #{@repeats} times: more often than that it goes round in
   a loop that began before anybody looked for duplicates.
+
+  Frames are compared only with those that had the same scope (`Aerie.Router.Gate`): what somebody sends who may not command
+  cannot suppress a command, and what a client sends cannot suppress a vehicle's telemetry. What is for clients only is compared with
+  what vehicles sent as well, because another router may bring their frames back.
   """
 
   alias Aerie.Router.Tables
 
-  @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."
-  @spec duplicate?(Tables.t(), binary, term, integer) :: boolean
-  def duplicate?(tables, bytes, from, now) do
-    {newer, older} = pair(tables, now)
-    hash = hash(bytes)
+  @typedoc "What a frame may reach: see `Aerie.Router.Gate`."
+  @type scope :: :cleared | :clients | :related
 
-    case known(newer, hash) || known(older, hash) do
+  @doc "Notes a frame's bytes from an endpoint (monotonic ms); whether it is a duplicate."
+  @spec duplicate?(Tables.t(), binary, term, scope, integer) :: boolean
+  def duplicate?(tables, bytes, from, scope, now) do
+    {newer, older} = pair(tables, now)
+    hash = hash(bytes, scope)
+
+    case known(newer, hash) || known(older, hash) || brought_back({newer, older}, bytes, scope) do
       nil -> not :ets.insert_new(newer, {hash, from, 1}) and known(newer, hash) not in [nil, from]
       ^from -> :ets.update_counter(newer, hash, {3, 1}, {hash, from, before(older, hash)}) > @repeats
       _other -> true
@@ -33,20 +40,27 @@ defmodule Aerie.Router.Dedupe do
   Notes a frame of a component that is heard by one endpoint only, in case it comes back by another: a command must not be given
   twice because of a loop that nobody knew of.
   """
-  @spec note(Tables.t(), binary, term, integer) :: :ok
-  def note(tables, bytes, from, now) do
+  @spec note(Tables.t(), binary, term, scope, integer) :: :ok
+  def note(tables, bytes, from, scope, now) do
     {newer, _older} = pair(tables, now)
-    _ = :ets.insert_new(newer, {hash(bytes), from, 1})
+    _ = :ets.insert_new(newer, {hash(bytes, scope), from, 1})
     :ok
   end
+
+  defp brought_back({newer, older}, bytes, :clients) do
+    hash = hash(bytes, :related)
+    known(newer, hash) || known(older, hash)
+  end
+
+  defp brought_back(_tables, _bytes, _scope), do: nil
 
   defp known(table, hash), do: :ets.lookup_element(table, hash, 2, nil)
   defp before(table, hash), do: :ets.lookup_element(table, hash, 3, 1)
 
-  @doc "The hash by which bytes are remembered: two independent ones of 32 bits."
-  @spec hash(binary) :: non_neg_integer
-  def hash(bytes),
-    do: Bitwise.bor(Bitwise.bsl(:erlang.crc32(bytes), 32), :erlang.phash2(bytes, 4_294_967_296))
+  @doc "The hash by which bytes are remembered: two independent ones of 32 bits, apart for each scope."
+  @spec hash(binary, scope) :: non_neg_integer
+  def hash(bytes, scope),
+    do: Bitwise.bor(Bitwise.bsl(:erlang.crc32(bytes), 32), :erlang.phash2({scope, bytes}, 4_294_967_296))
 
   # The newer of the two follows from the number of turns, by time or because a table was full.
   defp pair(%{seen: {a, b}, settings: settings} = tables, now) do

@@ -12,9 +12,9 @@ defmodule Aerie.Router.Deliver do
   alias Aerie.Router.Forward
   alias Aerie.Router.ForwardCache
   alias Aerie.Router.ForwardingTable
+  alias Aerie.Router.Gate
   alias Aerie.Router.Intake
   alias Aerie.Router.Load
-  alias Aerie.Router.PolicyGate
   alias Aerie.Router.ServedReadings
   alias Aerie.Router.Source
   alias Aerie.Router.StreamRequests
@@ -156,12 +156,17 @@ defmodule Aerie.Router.Deliver do
       if delivery.source !== before,
         do: ForwardCache.put_source(delivery.gateway, cache, path.key, delivery.source)
 
-    frames = PolicyGate.pass(frames, delivery)
+    for {scope, frames} <- Gate.sort(frames, delivery),
+        do: forward(frames, trusted, %{delivery | scope: scope})
+
+    delivery
+  end
+
+  defp forward(frames, trusted, delivery) do
     frames = StreamRequests.pass(frames, trusted, delivery)
     frames = ServedReadings.pass(frames, trusted, delivery)
     frames = TransferTurns.pass(frames, delivery)
     Forward.frames(frames, delivery)
-    delivery
   end
 
   defp known?([]), do: false

@@ -11,7 +11,7 @@ defmodule Aerie.Router.Delivery do
   | `now` | monotonic ms |
   | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
   | `vehicle` | whether one of the frames was the heartbeat of a vehicle's autopilot |
-  | `guarded` | the frames change a vehicle, and come from an endpoint that may not command (`Aerie.Router.CommandGate`) |
+  | `scope` | whom the frames may reach (`Aerie.Router.Gate`): clients only, unless the gate says more |
   """
 
   alias Aerie.Router.ForwardingTable
@@ -19,7 +19,7 @@ defmodule Aerie.Router.Delivery do
   alias Aerie.Router.Tables
 
   @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
-  defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender, vehicle: false, guarded: false]
+  defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender, vehicle: false, scope: :clients]
 
   @type t :: %__MODULE__{
           gateway: Aerie.Names.gateway(),
@@ -30,6 +30,6 @@ defmodule Aerie.Router.Delivery do
           now: integer,
           sender: String.t() | Aerie.Router.Endpoint.key() | nil,
           vehicle: boolean,
-          guarded: boolean
+          scope: :cleared | :clients | :related
         }
 end

@@ -48,6 +48,7 @@ defmodule Aerie.Router.Endpoint do
     :waiting,
     :pid,
     :since,
+    :principal,
     heard_vehicle: false,
     listens: true,
     high_latency: false
@@ -60,6 +61,7 @@ defmodule Aerie.Router.Endpoint do
   - `waiting`: 1, frames in the mailbox of that process; 2, the end of a transfer that it requested (ms since the start of the
     virtual machine)
   - `since`: unix microseconds
+  - `principal`: who is at the other end, if that was proved by a key or by signing in
   - `listens`: it gets broadcasts although it is no vehicle's (`Aerie.Router.Endpoints.listens?/3`)
   - `high_latency`: summaries of vehicles come by it and no heartbeats (X6)
   """
@@ -74,6 +76,7 @@ defmodule Aerie.Router.Endpoint do
           waiting: :atomics.atomics_ref(),
           pid: pid | nil,
           since: integer,
+          principal: Aerie.Authority.Principal.t() | nil,
           heard_vehicle: boolean,
           listens: boolean,
           high_latency: boolean
@@ -121,11 +124,11 @@ defmodule Aerie.Router.Endpoint do
   Makes the calling process an endpoint.
 
   Options: `:id` (of its owner; required, unique among links and clients), `:text` (who is at the other end, for people),
-  `:kind` (an atom, for people: `:websocket`) and those of `Aerie.Router.Owner`, of which `:side` is `:client` by default.
+  `:kind` (an atom, for people: `:websocket`), `:principal` (who proved to be at the other end) and those of `Aerie.Router.Owner`, of which `:side` is `:client` by default.
   """
   @spec attach(Names.gateway(), keyword) :: {:ok, t} | {:error, String.t() | :not_running}
   def attach(gateway, options) do
-    {own, rules} = Keyword.split(options, [:id, :text, :kind])
+    {own, rules} = Keyword.split(options, [:id, :text, :kind, :principal])
     id = Keyword.fetch!(own, :id)
 
     with tables when is_map(tables) <- Tables.of(gateway),

@@ -10,8 +10,8 @@ defmodule Aerie.Router.EndpointCounters do
   | `duplicates` | from it, after they had come from another endpoint |
   | `collided` | from it, by another vehicle with the id of one that was there before (`Aerie.Router.CollisionRoutes`) |
   | `read_only` | from it, and it may only read |
-  | `denied` | from it, commands to vehicles that it may not give (`Aerie.Router.CommandGate`) |
-  | `withheld` | from it, kept from vehicles: an operator's heartbeats, and input of estimators |
+  | `denied` | from it, orders to vehicles that it may not give (`Aerie.Router.Gate`) |
+  | `withheld` | from it, kept from vehicles: heartbeats, questions, telemetry, input of estimators, messages without a row in `Aerie.Authority.Messages` |
   | `routes_refused` | components heard from it that got no route, four times a second each while they speak (`Aerie.Router.Routes`) |
   | `held` | from it, kept until another's transfer with the vehicle was over (`Aerie.Router.TransferTurns`) |
   | `out_of_turn` | from it, steps of a transfer while another had the turn, and beginnings that waited in vain |

@@ -7,7 +7,7 @@ defmodule Aerie.Router.Forward do
   | R1 | a frame without a target, or with target 0, goes to every other endpoint of the network; any other one to the endpoints where its target was heard |
   | R2 | no frame goes back to the endpoint that it came from, and a frame for an unknown target goes nowhere |
   | R3, S10 | frames go out as they came in, signature and all; only what a client with `sign` sends unsigned is signed, by the link that needs it |
-  | R4 | an unknown message goes to everyone |
+  | R4 | an unknown message goes to every client; to vehicles only if the policy opens it |
   | R6 | a boot time that starts over clears the system's routes |
   | R9 | a component that never spoke is reached where its system is |
   | S8 | SETUP_SIGNING goes nowhere |
@@ -16,18 +16,20 @@ defmodule Aerie.Router.Forward do
   Runs in the process that received the frames. Each receiver gets its frames in their order.
   """
 
+  alias Aerie.Authority.Messages
   alias Aerie.Mavlink.HighLatency
   alias Aerie.Mavlink.Message
   alias Aerie.Router.Batch
   alias Aerie.Router.Carrier
   alias Aerie.Router.Classify
-  alias Aerie.Router.CommandGate
   alias Aerie.Router.Dedupe
   alias Aerie.Router.Delivery
   alias Aerie.Router.EndpointCounters
   alias Aerie.Router.Filter
   alias Aerie.Router.Output
   alias Aerie.Router.RateLimit
+  alias Aerie.Router.Reach
+  alias Aerie.Router.Refusal
   alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.TokenBucket
@@ -54,15 +56,8 @@ defmodule Aerie.Router.Forward do
 
     case admitted(frames, delivery) do
       [] -> :ok
-      frames -> guarded(frames, delivery)
+      frames -> run(frames, [], delivery)
     end
-  end
-
-  # From an endpoint that may not command, vehicles get only what changes nothing.
-  defp guarded(frames, %{path: path} = delivery) do
-    if path.commands or CommandGate.free?(frames),
-      do: run(frames, [], delivery),
-      else: Enum.each(frames, &run([&1], [], %{delivery | guarded: not CommandGate.free?([&1])}))
   end
 
   # Nearly always there is nothing to look at.
@@ -88,9 +83,9 @@ defmodule Aerie.Router.Forward do
 
   defp duplicate?(_frame, %{source: %{redundant: false}}), do: false
 
-  defp duplicate?(frame, %{tables: tables, path: path, now: now}),
+  defp duplicate?(frame, %{tables: tables, path: path, scope: scope, now: now}),
     do:
-      Dedupe.duplicate?(tables, frame.bytes, path.key, now) and
+      Dedupe.duplicate?(tables, frame.bytes, path.key, scope, now) and
         EndpointCounters.add(path.counters, :duplicates, 1) == :ok
 
   # Broadcasts are gathered until a frame has a target, so that each receiver gets everything in its order.
@@ -131,33 +126,84 @@ defmodule Aerie.Router.Forward do
 
   defp broadcast([], _delivery), do: :ok
 
-  defp broadcast([frame], %{guarded: true} = delivery),
-    do: broadcast([frame], %{CommandGate.narrow(frame, delivery) | guarded: false})
-
   defp broadcast(gathered, %{source: source} = delivery) do
     batch = emit_all(source.receivers, gathered |> :lists.reverse() |> Batch.new(), delivery)
-    _ = if source.groups != [], do: to_groups(source.groups, batch, delivery)
+    _ = if source.vehicles != [] or source.groups != [], do: to_vehicles(batch, delivery)
     _ = if source.heartbeat_receivers != [], do: heartbeats_only(batch, delivery)
+    refused(batch.frames, delivery)
+  end
+
+  defp to_vehicles(_batch, %{scope: :clients}), do: :ok
+
+  defp to_vehicles(batch, %{scope: :cleared, source: source} = delivery) do
+    _batch = source.vehicles |> Enum.map(&elem(&1, 1)) |> emit_all(batch, delivery)
+    for {group, _relation, paths} <- source.groups, do: to_group({group, paths}, batch.frames, delivery)
+  end
+
+  # A vehicle's telemetry is not for other vehicles.
+  defp to_vehicles(batch, %{source: source} = delivery) do
+    for {relation, to} <- source.vehicles,
+        [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
+        do: emit(to, Batch.new(frames), delivery)
+
+    for {group, relation, paths} <- source.groups,
+        [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
+        do: to_group({group, paths}, frames, delivery)
+  end
+
+  defp passing(relation, frames, %{forwarding: %{between: between}}),
+    do: Enum.filter(frames, &Reach.passes?(relation, &1, between))
+
+  # What a client or a stranger said to all, and an order of a vehicle, that did not reach every vehicle.
+  defp refused(_frames, %{scope: :cleared}), do: :ok
+
+  defp refused(frames, %{source: %{vehicle: true}} = delivery) do
+    for frame <- frames,
+        Messages.order?(frame.id),
+        refused?(frame, delivery),
+        do: Refusal.withheld(frame, delivery)
+
     :ok
+  end
+
+  defp refused(frames, delivery) do
+    for frame <- frames, refused?(frame, delivery), do: Refusal.withheld(frame, delivery)
+    :ok
+  end
+
+  defp refused?(frame, %{source: source, scope: scope, forwarding: %{between: between}}) do
+    others =
+      if source.heartbeat_receivers == [], do: [], else: [if(source.vehicle, do: :vehicle, else: :stranger)]
+
+    relations =
+      Enum.map(source.vehicles, &elem(&1, 0)) ++ Enum.map(source.groups, &elem(&1, 1)) ++ others
+
+    Enum.any?(relations, &(scope == :clients or not Reach.passes?(&1, frame, between)))
   end
 
   defp emit_all([], batch, _delivery), do: batch
   defp emit_all([to | rest], batch, delivery), do: emit_all(rest, emit(to, batch, delivery), delivery)
 
-  defp to_groups(groups, batch, %{tables: tables} = delivery) do
-    for {group, paths} <- groups,
-        {class, frames} <- classes(batch.frames),
-        to <- carriers(tables, group, paths, class) do
+  defp to_group({group, paths}, frames, %{tables: tables} = delivery) do
+    for {class, frames} <- classes(frames), to <- carriers(tables, group, paths, class) do
       emit(to, Batch.new(frames), delivery)
     end
   end
 
   defp heartbeats_only(batch, %{source: source} = delivery) do
-    case Enum.filter(batch.frames, &(&1.id == @heartbeat and heartbeat_due?(delivery))) do
+    case Enum.filter(batch.frames, &heartbeat?(&1, delivery)) do
       [] -> :ok
       heartbeats -> emit_all(source.heartbeat_receivers, Batch.new(heartbeats), delivery)
     end
   end
+
+  defp heartbeat?(
+         %{id: @heartbeat} = frame,
+         %{source: %{vehicle: true}, forwarding: %{between: between}} = delivery
+       ),
+       do: Reach.passes?(:vehicle, frame, between) and heartbeat_due?(delivery)
+
+  defp heartbeat?(_frame, _delivery), do: false
 
   # Each goes out as often as there are vehicles, so their rate is limited by sender.
   defp heartbeat_due?(%{tables: tables, path: path, source: source}) do
@@ -177,14 +223,40 @@ defmodule Aerie.Router.Forward do
   defp send_to(target, frame, delivery) do
     {system, keys} = addressed(target, delivery)
 
-    case CommandGate.open(keys, frame, target, delivery) do
+    case open(keys, frame, delivery) do
       :shut -> :ok
       keys -> send_by(frame, system, keys, delivery)
     end
   end
 
+  # Those of the endpoints by which a target is reached that are open to a frame; `:shut` when there were some and none is left.
+  defp open(keys, _frame, %{scope: :cleared}), do: keys
+
+  defp open(keys, frame, %{path: path} = delivery) do
+    case Enum.split_with(keys, &(&1 == path.key or open?(&1, frame, delivery))) do
+      {keys, []} ->
+        keys
+
+      {open, _shut} ->
+        Refusal.withheld(frame, delivery)
+        if open -- [path.key] == [], do: :shut, else: open
+    end
+  end
+
+  defp open?(key, frame, %{forwarding: forwarding, path: path, source: source, tables: tables} = delivery) do
+    case forwarding.paths do
+      %{^key => %{side: :vehicle} = to} ->
+        delivery.scope == :related and
+          Reach.passes?(Reach.relation(source, path, to, tables), frame, forwarding.between)
+
+      _client_or_gone ->
+        true
+    end
+  end
+
   defp send_by(frame, system, keys, %{path: path} = delivery) do
-    if not delivery.source.redundant, do: Dedupe.note(delivery.tables, frame.bytes, path.key, delivery.now)
+    if not delivery.source.redundant,
+      do: Dedupe.note(delivery.tables, frame.bytes, path.key, delivery.scope, delivery.now)
 
     case renumbered_in(frame, system, path) do
       {:ok, frame} -> reach(frame, system, keys, delivery)

@@ -52,10 +52,18 @@ defmodule Aerie.Router.Intake do
     %{
       delivery
       | path: path,
-        source: %{source | autopilot: vehicle?},
+        source: source(source, vehicle?, path),
         vehicle: delivery.vehicle or vehicle?
     }
   end
+
+  # The first heartbeat of an autopilot changes what its frames reach.
+  defp source(%{autopilot: vehicle?} = source, vehicle?, _path), do: source
+
+  defp source(source, true, %{side: :vehicle}),
+    do: %{source | autopilot: true, vehicle: true, looked: nil, marks: nil}
+
+  defp source(source, vehicle?, _path), do: %{source | autopilot: vehicle?}
 
   # A ground station on a link to vehicles is a client for as long as no autopilot is heard from there.
   defp vehicle(%{side: :client, heard_vehicle: false, role: :full, auto: true} = path, tables),

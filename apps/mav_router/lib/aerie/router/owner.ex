@@ -17,7 +17,8 @@ defmodule Aerie.Router.Owner do
   | `:queue` | `[max_frames:, max_bytes:, max_asked:]` of what waits for one peer (`Aerie.Router.ClassQueue`) |
   | `:coalesce` | frames may share a datagram when many wait (`Aerie.Router.Output`); default true |
   | `:sign` | of a client, true: its unsigned frames are trusted, and signed for vehicles that require it (`Aerie.Signing`) |
-  | `:gcs` | of a link: which of its endpoints may command vehicles, `:auto`, `:allow` or `:deny` (`Aerie.Router.CommandGate`) |
+  | `:gcs` | of a link: which of its endpoints count as clients, `:auto`, `:allow` or `:deny` (`Aerie.Router.Access`) |
+  | `:parts` | of a link, true: cameras, gimbals and companions of its vehicles are on it, and tell their autopilots what they have to tell (`Aerie.Router.Reach`) |
   | `:broadcasts` | false: it gets only frames with its ids as target; default true |
   | `:id_offsets` | for a client, what is added to the system ids of a network: `%{network => n}` (`Aerie.Router.Renumber`) |
   | `:high_latency` | true: it gets only what a link of high latency carries (X6), unless `:out` lists the messages |
@@ -45,6 +46,7 @@ defmodule Aerie.Router.Owner do
     sniffer: false,
     served: false,
     sign: false,
+    parts: false,
     queue: [],
     coalesce: true,
     broadcasts: true,
@@ -92,7 +94,7 @@ defmodule Aerie.Router.Owner do
           :bytes_per_s,
           :queue
         ] ++
-          [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets, :gcs]
+          [:coalesce, :broadcasts, :high_latency, :sign, :id_offsets, :gcs, :parts]
 
   @doc "Checks and compiles options; the error is a text."
   @spec new(String.t(), keyword | map) :: {:ok, t} | {:error, String.t()}
@@ -122,7 +124,8 @@ defmodule Aerie.Router.Owner do
   defp option(:bytes_per_s, n) when is_integer(n) and n > 0, do: {:ok, bytes_per_s: n}
 
   defp option(key, flag)
-       when key in [:sniffer, :served, :coalesce, :broadcasts, :high_latency, :sign] and is_boolean(flag),
+       when key in [:sniffer, :served, :coalesce, :broadcasts, :high_latency, :sign, :parts] and
+              is_boolean(flag),
        do: {:ok, [{key, flag}]}
 
   defp option(key, spec) when key in [:in, :out],

@@ -1,17 +1,26 @@
 defmodule Aerie.Router.Policy do
   @moduledoc """
-  The module that decides which commands of clients reach a vehicle, given to `Aerie.Router.Supervisor` (`:policy`). Without one
-  every endpoint that may command (`Aerie.Router.CommandGate`) may send every command.
+  The module that knows who clients are and decides which of their frames reach a vehicle, given to `Aerie.Router.Supervisor`
+  (`:policy`). Without one every client may send everything that `Aerie.Authority.Messages` has a row for.
 
-  It is asked for messages of `Aerie.Router.ControlMessages` that a vehicle would obey, from endpoints where no autopilot is
-  heard; never for telemetry. It runs in the process that received the frame: it must not wait.
+  It runs in the process that received the frame: it must not wait. It is never asked about telemetry of vehicles.
   """
 
+  alias Aerie.Authority.Principal
   alias Aerie.Names
+  alias Aerie.Router.ForwardingTable.Path
   alias MavCodec.Frame
 
-  @typedoc "Who sends: the endpoint, its client or link, and its address in words."
-  @type sender :: %{endpoint: Aerie.Router.Endpoint.key(), owner: String.t(), peer: String.t() | nil}
+  @typedoc "Who sends: the endpoint, its client or link, its address in words, and who that is."
+  @type sender :: %{
+          endpoint: Aerie.Router.Endpoint.key(),
+          owner: String.t(),
+          peer: String.t() | nil,
+          principal: Principal.t()
+        }
+
+  @doc "Who sends from an endpoint that counts as a client (`Aerie.Router.Access`), or from one that does not."
+  @callback principal(Names.gateway(), Path.t()) :: Principal.t()
 
   @doc """
   A frame on its way to a vehicle. Its target is the one that the sender uses, which may be 0 for all, or another number for the
@@ -23,4 +32,13 @@ defmodule Aerie.Router.Policy do
               :forward
               | {:answer, answers :: [iodata]}
               | {:refuse, answers :: [iodata], instead :: Frame.t() | nil}
+
+  @doc """
+  Whether telemetry, input of estimators or an answer of somebody who has the permission may go to a vehicle now: not while somebody
+  else is in charge of it.
+  """
+  @callback permits?(Names.gateway(), Principal.t(), Aerie.Router.vehicle_key()) :: boolean
+
+  @doc "Whether a message without a row may go to vehicles (`policy.unknown`, `policy.open`)."
+  @callback open?(Names.gateway(), Principal.t(), message :: non_neg_integer) :: boolean
 end

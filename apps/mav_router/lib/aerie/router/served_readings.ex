@@ -1,7 +1,7 @@
 defmodule Aerie.Router.ServedReadings do
   @moduledoc """
   Requests of clients for parameters and plans, which `Aerie.Router.Readings` may answer in the vehicle's name, so that a vehicle is read
-  once and not once per screen. The rule `served` of a client turns it on.
+  once and not once per screen. The rule `served` of a client turns it on; for clients that may not ask the vehicle it is always on.
   """
 
   alias Aerie.Names
@@ -11,6 +11,7 @@ defmodule Aerie.Router.ServedReadings do
   alias Aerie.Router.Filter
   alias Aerie.Router.Forward
   alias Aerie.Router.ForwardCache
+  alias Aerie.Router.Gate
   alias Aerie.Router.Output
   alias Aerie.Router.Source
   alias Aerie.Router.Tables
@@ -23,9 +24,9 @@ defmodule Aerie.Router.ServedReadings do
   def pass(
         frames,
         trusted,
-        %{tables: %{readings: readings}, path: %{side: :client, role: :full, served: true}} = delivery
+        %{tables: %{readings: readings}, path: %{side: :client, role: :full} = path} = delivery
       )
-      when readings != nil do
+      when readings != nil and (path.served or delivery.scope == :clients) do
     # Nearly always there is none.
     if Enum.any?(frames, &readings.reading?/1),
       do: Enum.reject(frames, &(readings.reading?(&1) and &1 in trusted and absorbed?(&1, delivery))),
@@ -73,7 +74,7 @@ defmodule Aerie.Router.ServedReadings do
     :ok
   end
 
-  @doc "A request that was absorbed goes on to the vehicle, as if it came now."
+  @doc "A request that was absorbed goes on to the vehicle, as if it came now; that of a client that may not ask goes nowhere."
   @spec forward(Names.gateway(), Endpoint.key(), Frame.t()) :: :ok
   def forward(gateway, key, frame) do
     with %{} = delivery <- delivery(gateway, key) do
@@ -83,7 +84,10 @@ defmodule Aerie.Router.ServedReadings do
         cache |> ForwardCache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
 
       delivery = %{delivery | source: source}
-      [frame] |> TransferTurns.pass(delivery) |> Forward.frames(delivery)
+
+      for {scope, frames} <- Gate.sort([frame], delivery), delivery = %{delivery | scope: scope} do
+        frames |> TransferTurns.pass(delivery) |> Forward.frames(delivery)
+      end
     end
 
     :ok

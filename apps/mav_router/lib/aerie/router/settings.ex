@@ -20,7 +20,8 @@ defmodule Aerie.Router.Settings do
     :coalesce,
     :id_offsets,
     :sign,
-    :gcs
+    :gcs,
+    :parts
   ]
 
   part :identity, Aerie.Identity.Settings
@@ -30,8 +31,9 @@ defmodule Aerie.Router.Settings do
   setting :between_vehicles,
           {:enum, [:auto, :all, :heartbeats, :none]},
           """
-          Which broadcasts of other vehicles a vehicle gets: all, heartbeats, none; auto: all in networks of at most 8
-          vehicles, heartbeats up to 32, else none. Frames with a vehicle as their target always go there.
+          Which broadcasts of other vehicles a vehicle gets: heartbeats, none; auto: heartbeats in networks of at most 32
+          vehicles, else none; all: their telemetry as well, such as positions for following and avoidance. Commands,
+          sticks and input of estimators never go from one vehicle to another.
           """,
           default: :auto
 

@@ -5,9 +5,11 @@ defmodule Aerie.Router.Source do
 
   | field | |
   |---|---|
-  | `receivers` | paths that get its broadcasts (R1) |
+  | `receivers` | paths of clients and sniffers, which get its broadcasts (R1) |
+  | `vehicles` | paths on the side of vehicles, with the sender's relation to each (`Aerie.Router.Reach`) |
   | `groups` | the same for groups of redundant links, of which one carries |
-  | `heartbeat_receivers` | paths that get its heartbeats and nothing else |
+  | `heartbeat_receivers` | paths of other vehicles, which get a vehicle's heartbeats and nothing else |
+  | `vehicle` | it is part of a vehicle whose autopilot is heard by the same endpoint |
   | `redundant` | other endpoints bring it too, so its frames are checked for duplicates |
   | `collided` | it is another vehicle with a system id that was taken before (`Aerie.Router.CollisionRoutes`) |
   | `clock` | its boot time, which tells reboots (R6) |
@@ -21,6 +23,7 @@ defmodule Aerie.Router.Source do
   alias Aerie.Router.EndpointCounters
   alias Aerie.Router.ForwardingTable
   alias Aerie.Router.ForwardingTable.Path
+  alias Aerie.Router.Reach
   alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.Router.Tables
@@ -28,8 +31,8 @@ defmodule Aerie.Router.Source do
   # How long it may take until what another process learned is seen here. A change of rules is seen at once.
   @fresh_ms 1_000
   @learn_ms 250
-  # Up to this number, the vehicles of a network hear everything of each other.
-  @team 8
+  # The component id of nearly every autopilot.
+  @autopilot 1
 
   @enforce_keys [:system, :component]
   defstruct [
@@ -41,11 +44,13 @@ defmodule Aerie.Router.Source do
     :clock,
     :session,
     receivers: [],
+    vehicles: [],
     groups: [],
     heartbeat_receivers: [],
     redundant: false,
     collided: false,
-    autopilot: false
+    autopilot: false,
+    vehicle: false
   ]
 
   @type t :: %__MODULE__{}
@@ -123,6 +128,7 @@ defmodule Aerie.Router.Source do
       | collided: true,
         learned: nil,
         receivers: sniffers,
+        vehicles: [],
         groups: [],
         heartbeat_receivers: [],
         redundant: false
@@ -131,6 +137,8 @@ defmodule Aerie.Router.Source do
 
   defp of_known(source, %{tables: tables, forwarding: forwarding, path: path} = delivery) do
     others = path.networks |> Enum.flat_map(&elsewhere(tables, path, source, &1)) |> Enum.uniq()
+
+    source = %{source | vehicle: vehicle?(source, path, tables)}
 
     {all, heartbeats} =
       cond do
@@ -149,27 +157,44 @@ defmodule Aerie.Router.Source do
 
     all = for {_key, to} <- all, receives?.(to), do: to
     heartbeats = for {_key, to} <- heartbeats, receives?.(to), do: to
-    {grouped, single} = Enum.split_with(all, &(&1.side == :vehicle and &1.group != nil))
+    {vehicles, clients} = Enum.split_with(all, &(&1.side == :vehicle and not &1.sniffer))
+    related = for to <- vehicles, do: {Reach.relation(source, path, to, tables), to}
+    {grouped, single} = Enum.split_with(related, fn {_relation, to} -> to.group != nil end)
 
     %{
       source
-      | receivers: single,
-        groups: Enum.group_by(grouped, & &1.group) |> Map.to_list(),
+      | receivers: clients,
+        vehicles: single,
+        groups: grouped |> Enum.group_by(fn {_relation, to} -> to.group end) |> Enum.map(&group(&1, source)),
         heartbeat_receivers: heartbeats,
         redundant: others != []
     }
   end
 
-  # What other vehicles hear of a vehicle, or of who may be one: everything in a small team, heartbeats in a larger one, nothing
-  # in a crowd. Each of these costs the receivers' radios, and us, in proportion to the number of senders. The vehicle's own
-  # other parts, and clients, get everything.
+  # One of the group's links carries, so what reaches one of them must be allowed to reach each.
+  defp group({name, related}, source) do
+    strictest = if source.vehicle, do: :vehicle, else: :stranger
+    relations = related |> Enum.map(&elem(&1, 0)) |> Enum.uniq()
+    {name, if(match?([_one], relations), do: hd(relations), else: strictest), Enum.map(related, &elem(&1, 1))}
+  end
+
+  defp vehicle?(source, path, tables) do
+    path.side == :vehicle and path.heard_vehicle == true and
+      (source.autopilot or
+         Enum.any?(path.networks, &Routes.talks?(tables, {&1, source.system, @autopilot}, path.key)))
+  end
+
+  # What other vehicles hear of a vehicle: heartbeats, in a crowd nothing. Of a client that a router brings by the vehicle's
+  # endpoint they hear what the gate clears. Each of these costs the receivers' radios, and us, in
+  # proportion to the number of senders. The vehicle's own other parts, and clients, get everything.
   defp of_vehicle(%{forwarding: forwarding, path: path} = delivery, source) do
     others = Enum.reduce(path.networks, %{}, &Map.merge(&2, Map.get(forwarding.vehicles, &1, %{})))
     count = map_size(others)
 
-    case forwarding.between do
+    between = if path.commands and not source.vehicle, do: :all, else: forwarding.between
+
+    case between do
       :all -> {Map.merge(others, forwarding.listeners), %{}}
-      :auto when count <= @team -> {Map.merge(others, forwarding.listeners), %{}}
       :auto -> own_parts(delivery, source, if(count <= ForwardingTable.crowd(), do: others, else: %{}))
       :heartbeats -> own_parts(delivery, source, others)
       :none -> own_parts(delivery, source, %{})

@@ -11,8 +11,7 @@ defmodule Aerie.Router.TransferTurns do
   give it back by `give_back/3`. It is in the router, because the frames of clients are held and forwarded here, and because it
   outlives the processes of a vehicle.
 
-  An endpoint that may not command vehicles (`Aerie.Router.CommandGate`) gets no turn, so that it keeps nobody waiting: it may
-  read a mission while nobody else has a transfer.
+  A client that may not ask vehicles (`Aerie.Router.Gate`) gets no turn, so that it keeps nobody waiting.
   """
   use GenServer
 
@@ -102,6 +101,9 @@ defmodule Aerie.Router.TransferTurns do
     true
   end
 
+  # What reaches no vehicle keeps nobody waiting.
+  defp passes?(_frame, %{scope: scope}) when scope != :cleared, do: true
+
   defp passes?(frame, %{path: path} = delivery) do
     with true <- Filter.pass?(path.in, frame, path.owner),
          {kind, step, part} <- Transfer.asked(frame),
@@ -110,12 +112,6 @@ defmodule Aerie.Router.TransferTurns do
     else
       _no_transfer -> true
     end
-  end
-
-  defp ask(_frame, {vehicle, _kind}, _step, _part, %{path: %{commands: false} = path} = delivery) do
-    free? = not turn?(delivery, vehicle)
-    if not free?, do: EndpointCounters.add(path.counters, :withheld, 1)
-    free?
   end
 
   defp ask(frame, key, step, part, %{path: path} = delivery) do
@@ -268,7 +264,7 @@ defmodule Aerie.Router.TransferTurns do
       source =
         cache |> ForwardCache.source(key, frame.system, frame.component) |> Source.refresh(delivery, false)
 
-      Forward.frames([frame], %{delivery | source: source})
+      Forward.frames([frame], %{delivery | source: source, scope: :cleared})
     else
       _gone -> :ok
     end

@@ -22,11 +22,11 @@ defmodule Aerie.Router.ForwardTest do
       {:ok, v1: v1, v2: v2, g1: g1, g2: g2, all: all}
     end
 
-    test "R1, R2: a frame without a target, or with target 0, goes to everyone but the sender, with the same bytes (R3)",
+    test "R1, R2: a client's frame with target 0 goes to everyone but the sender, telemetry to clients, with the same bytes (R3)",
          c do
       bytes = attitude(1, 7)
       say(c.v1, bytes)
-      assert got(c.all) == %{"v1" => [], "v2" => [bytes], "g1" => [bytes], "g2" => [bytes]}
+      assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [bytes], "g2" => [bytes]}
       to_all = message(command(0, 0), 255, 190)
       say(c.g1, to_all)
       assert got(c.all) == %{"v1" => [to_all], "v2" => [to_all], "g1" => [], "g2" => [to_all]}
@@ -67,10 +67,13 @@ defmodule Aerie.Router.ForwardTest do
       assert %{"camera" => [^log], "v1" => [^log]} = got([camera | c.all])
     end
 
-    test "R4: an unknown message goes to everyone", c do
+    test "R4: an unknown message goes to every client, and to no vehicle", c do
       unknown = <<0xFD, 3, 0, 0, 1, 1, 1, 0xABCDEF::24-little, 1, 1, 5, 9, 9>>
       say(c.v1, unknown)
-      assert got(c.all) == %{"v1" => [], "v2" => [unknown], "g1" => [unknown], "g2" => [unknown]}
+      assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [unknown], "g2" => [unknown]}
+      say(c.g1, unknown)
+      assert got(c.all) == %{"v1" => [], "v2" => [], "g1" => [], "g2" => [unknown]}
+      assert counted(c.gateway, "g1").counters.withheld == 1
     end
 
     test "F10: a target that was cut off is everyone", c do

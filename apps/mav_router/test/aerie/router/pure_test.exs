@@ -412,48 +412,65 @@ defmodule Aerie.Router.PureTest do
     end
 
     test "the same bytes from another endpoint are a duplicate, from the same one they are not (R7)", c do
-      refute Dedupe.duplicate?(c.tables, "frame", :a, c.now)
-      assert Dedupe.duplicate?(c.tables, "frame", :b, c.now + 100)
-      refute Dedupe.duplicate?(c.tables, "frame", :a, c.now + 100)
-      refute Dedupe.duplicate?(c.tables, "other", :b, c.now + 100)
+      refute Dedupe.duplicate?(c.tables, "frame", :a, :related, c.now)
+      assert Dedupe.duplicate?(c.tables, "frame", :b, :related, c.now + 100)
+      refute Dedupe.duplicate?(c.tables, "frame", :a, :related, c.now + 100)
+      refute Dedupe.duplicate?(c.tables, "other", :b, :related, c.now + 100)
     end
 
     test "from the same one again and again it goes round in a loop", c do
-      passed = for n <- 0..40, do: not Dedupe.duplicate?(c.tables, "frame", :a, c.now + n * 100)
+      passed = for n <- 0..40, do: not Dedupe.duplicate?(c.tables, "frame", :a, :related, c.now + n * 100)
       # Also after what is remembered was turned over.
       assert passed == List.duplicate(true, 16) ++ List.duplicate(false, 25)
       # Not for ever: an hour later it is news.
-      refute Dedupe.duplicate?(c.tables, "tick", :a, c.now + 10_000)
-      refute Dedupe.duplicate?(c.tables, "tick", :a, c.now + 20_000)
-      refute Dedupe.duplicate?(c.tables, "frame", :a, c.now + 30_000)
+      refute Dedupe.duplicate?(c.tables, "tick", :a, :related, c.now + 10_000)
+      refute Dedupe.duplicate?(c.tables, "tick", :a, :related, c.now + 20_000)
+      refute Dedupe.duplicate?(c.tables, "frame", :a, :related, c.now + 30_000)
     end
 
     test "what was only noted is a duplicate from elsewhere, and none from where it came", c do
-      :ok = Dedupe.note(c.tables, "order", :a, c.now)
-      :ok = Dedupe.note(c.tables, "order", :a, c.now)
-      refute Dedupe.duplicate?(c.tables, "order", :a, c.now)
-      assert Dedupe.duplicate?(c.tables, "order", :b, c.now)
+      :ok = Dedupe.note(c.tables, "order", :a, :related, c.now)
+      :ok = Dedupe.note(c.tables, "order", :a, :related, c.now)
+      refute Dedupe.duplicate?(c.tables, "order", :a, :related, c.now)
+      assert Dedupe.duplicate?(c.tables, "order", :b, :related, c.now)
     end
 
     test "is forgotten after a second, remembered for half of one", c do
-      refute Dedupe.duplicate?(c.tables, "frame", :a, c.now)
-      assert Dedupe.duplicate?(c.tables, "frame", :b, c.now + 499)
-      for ms <- [600, 1_200, 1_800], do: Dedupe.duplicate?(c.tables, "tick", :a, c.now + ms)
-      refute Dedupe.duplicate?(c.tables, "frame", :b, c.now + 1_900)
+      refute Dedupe.duplicate?(c.tables, "frame", :a, :related, c.now)
+      assert Dedupe.duplicate?(c.tables, "frame", :b, :related, c.now + 499)
+      for ms <- [600, 1_200, 1_800], do: Dedupe.duplicate?(c.tables, "tick", :a, :related, c.now + ms)
+      refute Dedupe.duplicate?(c.tables, "frame", :b, :related, c.now + 1_900)
+    end
+
+    test "what somebody sends who may not command suppresses no command, nor a client a vehicle's telemetry",
+         c do
+      refute Dedupe.duplicate?(c.tables, "frame", :stranger, :clients, c.now)
+      refute Dedupe.duplicate?(c.tables, "frame", :operator, :cleared, c.now)
+      refute Dedupe.duplicate?(c.tables, "frame", :vehicle, :related, c.now)
+
+      for scope <- [:clients, :cleared, :related],
+          do: assert(Dedupe.duplicate?(c.tables, "frame", :other, scope, c.now))
+
+      # Another router brings a vehicle's frame back.
+      refute Dedupe.duplicate?(c.tables, "telemetry", :vehicle, :related, c.now)
+      assert Dedupe.duplicate?(c.tables, "telemetry", :router, :clients, c.now)
     end
 
     test "is bounded", c do
-      for n <- 1..50_000, do: Dedupe.duplicate?(c.tables, <<n::32>>, :a, c.now)
+      for n <- 1..50_000, do: Dedupe.duplicate?(c.tables, <<n::32>>, :a, :related, c.now)
       {a, b} = c.tables.seen
       assert :ets.info(a, :size) <= 8_193 and :ets.info(b, :size) <= 8_193
-      assert Dedupe.duplicate?(c.tables, <<50_000::32>>, :b, c.now)
+      assert Dedupe.duplicate?(c.tables, <<50_000::32>>, :b, :related, c.now)
     end
 
     test "each frame of two links passes once, whichever was first", c do
       :proper.forall(list({elements([:a, :b]), binary(4)}), fn heard ->
         {x, y} = c.tables.seen
         for table <- [x, y], do: :ets.delete_all_objects(table)
-        passed = Enum.reject(heard, fn {from, bytes} -> Dedupe.duplicate?(c.tables, bytes, from, c.now) end)
+
+        passed =
+          Enum.reject(heard, fn {from, bytes} -> Dedupe.duplicate?(c.tables, bytes, from, :related, c.now) end)
+
         firsts = Enum.uniq_by(heard, &elem(&1, 1)) |> Map.new(fn {from, bytes} -> {bytes, from} end)
         passed == Enum.filter(heard, fn {from, bytes} -> firsts[bytes] == from end)
       end)

@@ -9,7 +9,8 @@ defmodule Aerie.Client.RawMessage do
   #{@component}, so that answers find their way back.
   """
 
-  alias Aerie.Policy.{Guard, Roles}
+  alias Aerie.Authority.Principal
+  alias Aerie.Policy.Roles
   alias Aerie.Router
   alias Aerie.Router.{Endpoint, EndpointCounters}
   alias MavCodec.{EncodeError, Frame, Parser}
@@ -56,14 +57,15 @@ defmodule Aerie.Client.RawMessage do
 
   defp exchange(gateway, source, bytes, network, wait_ms) do
     Process.set_label({:raw_message, gateway})
-    Guard.identify(Map.take(source, [:name, :role, :permissions]))
+    principal = struct!(%Principal{kind: :user, name: source.name}, Map.take(source, [:role, :permissions]))
     networks = if network == :all, do: [], else: [networks: [network]]
     id = "message-#{System.unique_integer([:positive])}"
 
     # Broadcasts are not for us: only what has our ids as target is an answer.
     case Endpoint.attach(
            gateway,
-           [id: id, kind: :message, text: source.name, broadcasts: false, sign: true] ++ networks
+           [id: id, kind: :message, text: source.name, principal: principal, broadcasts: false, sign: true] ++
+             networks
          ) do
       {:ok, endpoint} ->
         {frames, _parser} = Parser.push_datagram(Parser.new(), bytes, System.os_time(:microsecond))
@@ -82,7 +84,7 @@ defmodule Aerie.Client.RawMessage do
   end
 
   defp outcome(%{no_route: n}, _answers) when n > 0, do: :no_route
-  defp outcome(%{denied: n}, _answers) when n > 0, do: :denied
+  defp outcome(%{denied: n, withheld: k, unknown: u}, _answers) when n + k + u > 0, do: :denied
   defp outcome(_counters, _answers), do: :sent
 
   defp answers(endpoint, found, until) do

@@ -20,7 +20,8 @@ defmodule Aerie.Command.Type do
     moves_vehicle?: false
   ]
 
-  @permissions [:arm, :fly, :mission, :manual, :payload, :maintain, :telemetry, :force_disarm, :terminate]
+  @permissions [:arm, :fly, :mission, :manual, :payload, :sensors, :maintain, :protection, :telemetry] ++
+                 [:force_disarm, :terminate]
 
   @typedoc """
   What a source must be allowed to do:
@@ -37,7 +38,9 @@ defmodule Aerie.Command.Type do
           | :mission
           | :manual
           | :payload
+          | :sensors
           | :maintain
+          | :protection
           | :telemetry
           | :force_disarm
           | :terminate

@@ -12,12 +12,14 @@ defmodule Aerie.Policy.Guard do
 
   @behaviour Aerie.Router.Policy
 
+  alias Aerie.Authority.Principal
   alias Aerie.{Policy, Store}
-  alias Aerie.Policy.{Audit, Commanded, Context, Leases, Rate, Raw, Roles}
+  alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases, Rate, Raw, Rules}
   alias MavCodec.Dialects.All
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
 
+  @input %Facts{type: "sensor_input", permission: :sensors}
   @told_us 5_000_000
   @max_told 500
   # Frames of streams and of uploads are too many for the log; what they begin with is in it.
@@ -31,12 +33,38 @@ defmodule Aerie.Policy.Guard do
     M.MissionClearAll
   ]
 
-  @doc "Who the client of the calling process is, as it proved by a key: that counts in place of `policy.clients`."
-  @spec identify(Roles.source()) :: :ok
-  def identify(source) do
-    Process.put({__MODULE__, :source}, source)
-    :ok
+  @impl Aerie.Router.Policy
+  def principal(gateway, path) do
+    case Policy.Store.get(gateway) do
+      nil ->
+        %Principal{kind: :client, name: path.owner, role: :admin, may: if(path.commands, do: :all, else: [])}
+
+      policy ->
+        Policy.principal(policy, path)
+    end
   end
+
+  @impl Aerie.Router.Policy
+  def permits?(gateway, principal, key) do
+    case Policy.Store.get(gateway) do
+      nil ->
+        true
+
+      policy ->
+        context = %Context{source: principal, lease: Leases.of(gateway, key)}
+        Rules.Lease.check(policy, @input, context) == :ok
+    end
+  end
+
+  @impl Aerie.Router.Policy
+  def open?(gateway, principal, message) do
+    case Policy.Store.get(gateway) do
+      nil -> true
+      policy -> opened?(policy, message) and Principal.may?(principal, :maintain)
+    end
+  end
+
+  defp opened?(policy, message), do: policy.unknown == :maintain or {:message, message} in policy.open
 
   @impl Aerie.Router.Policy
   def decide(gateway, sender, key, frame) do
@@ -46,17 +74,18 @@ defmodule Aerie.Policy.Guard do
     end
   end
 
-  defp judge(policy, gateway, sender, key, frame) do
+  defp judge(policy, gateway, %{principal: source} = sender, key, frame) do
     snapshot = Store.vehicle(gateway, key)
     message = message(frame)
 
     case message |> facts(snapshot) |> on_the_way(message, key) do
       :free ->
-        :forward
+        if Principal.may?(source, :telemetry),
+          do: :forward,
+          else: {:refuse, answers(message, frame, snapshot, key), nil}
 
       facts ->
         now = System.os_time(:microsecond)
-        source = Process.get({__MODULE__, :source}) || Policy.client(policy, sender.owner)
         vehicle = name(snapshot, key)
 
         entry = %{
@@ -97,7 +126,15 @@ defmodule Aerie.Policy.Guard do
     end
   end
 
+  defp answers(message, frame, snapshot, {_network, system}) do
+    ids = [system: system, component: component(frame, snapshot)]
+    message |> Raw.Answer.messages(frame, nil) |> Enum.map(&MavCodec.encode(&1, ids))
+  end
+
   defp facts(nil, _snapshot), do: Raw.unreadable()
+  # What is no order when a vehicle sends it.
+  defp facts(%M.RcChannels{}, _snapshot), do: Facts.named("rc_override")
+  defp facts(%M.FollowTarget{} = m, _snapshot), do: Raw.Place.follow(m)
   defp facts(message, nil), do: Raw.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
   defp facts(message, snapshot), do: Raw.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
 

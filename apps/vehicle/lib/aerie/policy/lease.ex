@@ -1,6 +1,7 @@
 defmodule Aerie.Policy.Lease do
   @moduledoc """
-  Who is in charge of a vehicle: one source at a time, by its name. A pure value; `Aerie.Policy.Leases` keeps those of a gateway,
+  Who is in charge of a vehicle: one source at a time, by its name; of a client with several programs, one program by its address
+  (`who/1`). A pure value; `Aerie.Policy.Leases` keeps those of a gateway,
   and the rule `Aerie.Policy.Rules.Lease` asks them.
 
   | change | who may |
@@ -13,13 +14,14 @@ defmodule Aerie.Policy.Lease do
   alias Aerie.Policy.Roles
 
   @enforce_keys [:holder, :via, :since]
-  defstruct [:holder, :via, :since, :reason, :offered_to, :before]
+  defstruct [:holder, :via, :since, :reason, :offered_to, :before, :endpoint]
 
   @typedoc """
     * `:holder` - the name of the source in charge, by `:via` (`nats`, `rest`, `elixir` or `mavlink`) since then (unix microseconds)
     * `:reason` - why it was taken over; nil if it was free or offered
     * `:offered_to` - who may take it without a reason; `:anyone`, or nil for nobody
     * `:before` - who was in charge before
+    * `:endpoint` - where the program in charge is connected; nil if it has a name of its own
   """
   @type t :: %__MODULE__{
           holder: String.t(),
@@ -27,7 +29,8 @@ defmodule Aerie.Policy.Lease do
           since: integer(),
           reason: String.t() | nil,
           offered_to: String.t() | :anyone | nil,
-          before: String.t() | nil
+          before: String.t() | nil,
+          endpoint: {String.t(), term()} | nil
         }
 
   @typedoc "What a command asks for. Who takes it may offer it in the same breath, as MAVLink's allow-takeover flag does."
@@ -39,29 +42,30 @@ defmodule Aerie.Policy.Lease do
   @typedoc "`:required`: whether nobody may command before taking charge; `:take_over`: the lowest role that may take over."
   @type rules :: %{required: boolean(), take_over: :operator | :admin}
 
+  @doc "By which name a source is in charge: a program's own, or the source's."
+  @spec who(%{:name => String.t(), optional(term()) => term()}) :: String.t()
+  def who(source), do: Map.get(source, :program) || source.name
+
   @doc "The lease after a change, nil for nobody in charge, or why the source may not change it."
   @spec change(t() | nil, change(), Roles.source(), via :: String.t(), rules(), now :: integer()) ::
           {:ok, t() | nil} | {:deny, String.t()}
-  def change(nil, {:take, _reason, offer}, source, via, _rules, now),
-    do: {:ok, %__MODULE__{holder: source.name, via: via, since: now, offered_to: offer}}
+  def change(lease, change, source, via, rules, now) do
+    changed(lease, change, %{name: who(source), source: source, via: via, now: now}, rules)
+  end
 
-  def change(%{holder: name} = lease, {:take, _reason, offer}, %{name: name}, _via, _rules, _now),
+  defp changed(nil, {:take, _reason, offer}, who, _rules), do: {:ok, taken(who, offer)}
+
+  defp changed(%{holder: name} = lease, {:take, _reason, offer}, %{name: name}, _rules),
     do: {:ok, %{lease | offered_to: offer}}
 
-  def change(lease, {:take, reason, offer}, source, via, rules, now) do
-    taken = %__MODULE__{
-      holder: source.name,
-      via: via,
-      since: now,
-      offered_to: offer,
-      before: lease.holder
-    }
+  defp changed(lease, {:take, reason, offer}, who, rules) do
+    taken = %{taken(who, offer) | before: lease.holder}
 
     cond do
-      lease.offered_to in [:anyone, source.name] ->
+      lease.offered_to in [:anyone, who.name, who.source.name] ->
         {:ok, taken}
 
-      rules.take_over == :admin and source.role != :admin ->
+      rules.take_over == :admin and who.source.role != :admin ->
         {:deny, "#{in_charge(lease)}; only an admin may take over (policy.lease.take_over)"}
 
       reason == nil ->
@@ -72,18 +76,24 @@ defmodule Aerie.Policy.Lease do
     end
   end
 
-  def change(nil, _offer_or_release, _source, _via, _rules, _now), do: {:deny, "nobody is in charge"}
+  defp changed(nil, _offer_or_release, _who, _rules), do: {:deny, "nobody is in charge"}
 
-  def change(%{holder: name} = lease, {:offer, to}, %{name: name}, _via, _rules, _now),
+  defp changed(%{holder: name} = lease, {:offer, to}, %{name: name}, _rules),
     do: {:ok, %{lease | offered_to: to}}
 
-  def change(lease, {:offer, _to}, _source, _via, _rules, _now), do: {:deny, in_charge(lease)}
+  defp changed(%{holder: name}, :release, %{name: name}, _rules), do: {:ok, nil}
+  defp changed(_lease, :release, %{source: %{role: :admin}}, _rules), do: {:ok, nil}
+  defp changed(lease, _offer_or_release, _who, _rules), do: {:deny, in_charge(lease)}
 
-  def change(%{holder: holder}, :release, source, _via, _rules, _now)
-      when holder == source.name or source.role == :admin,
-      do: {:ok, nil}
-
-  def change(lease, :release, _source, _via, _rules, _now), do: {:deny, in_charge(lease)}
+  defp taken(who, offer) do
+    %__MODULE__{
+      holder: who.name,
+      via: who.via,
+      since: who.now,
+      offered_to: offer,
+      endpoint: Map.get(who.source, :endpoint)
+    }
+  end
 
   @doc "Who is in charge, as a sentence."
   @spec in_charge(t()) :: String.t()

@@ -6,7 +6,7 @@ defmodule Aerie.Policy.Leases do
   The table ends with the gateway: after its restart nobody is in charge.
   """
 
-  alias Aerie.{Names, Store}
+  alias Aerie.{Names, Router, Store}
   alias Aerie.Policy.{Lease, Roles}
   alias Aerie.Store.PubSub
 
@@ -14,9 +14,22 @@ defmodule Aerie.Policy.Leases do
   @spec table() :: Store.table()
   def table, do: {:leases, [:set, read_concurrency: true], []}
 
-  @doc "Who is in charge of a vehicle; nil for nobody."
+  @doc """
+  Who is in charge of a vehicle; nil for nobody. A program that is gone cannot hand over, so anybody who may fly may take it then.
+  """
   @spec of(Names.gateway(), Store.vehicle_key()) :: Lease.t() | nil
-  def of(gateway, key), do: Store.with_table(gateway, :leases, nil, &:ets.lookup_element(&1, key, 2, nil))
+  def of(gateway, key) do
+    case row(gateway, key) do
+      %Lease{endpoint: endpoint} = lease when endpoint != nil ->
+        if Router.connected?(gateway, endpoint), do: lease, else: %{lease | offered_to: :anyone}
+
+      lease ->
+        lease
+    end
+  end
+
+  defp row(gateway, key),
+    do: Store.with_table(gateway, :leases, nil, &:ets.lookup_element(&1, key, 2, nil))
 
   @doc "All vehicles that somebody is in charge of."
   @spec all(Names.gateway()) :: %{Store.vehicle_key() => Lease.t()}
@@ -33,9 +46,10 @@ defmodule Aerie.Policy.Leases do
         ) ::
           {:ok, Lease.t() | nil} | {:deny, String.t()}
   def change(gateway, key, change, source, via, rules) do
-    before = of(gateway, key)
+    before = row(gateway, key)
 
-    with {:ok, lease} <- Lease.change(before, change, source, via, rules, System.os_time(:microsecond)) do
+    with {:ok, lease} <-
+           Lease.change(of(gateway, key), change, source, via, rules, System.os_time(:microsecond)) do
       cond do
         lease == before ->
           {:ok, lease}

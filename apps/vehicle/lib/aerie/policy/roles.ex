@@ -14,8 +14,8 @@ defmodule Aerie.Policy.Roles do
 
   alias Aerie.Command.Type
 
-  @operator [:arm, :fly, :mission, :manual, :payload, :telemetry]
-  @roles %{viewer: [], operator: @operator, admin: [:maintain | @operator]}
+  @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
+  @roles %{viewer: [], operator: @operator, admin: [:maintain, :protection | @operator]}
   @own [:force_disarm, :terminate]
 
   @type role :: :viewer | :operator | :admin
@@ -34,6 +34,13 @@ defmodule Aerie.Policy.Roles do
   @doc "The permissions of a role."
   @spec permissions(role()) :: [Type.permission()]
   def permissions(role), do: Map.fetch!(@roles, role)
+
+  @doc "All that somebody with a role and permissions beyond it may do."
+  @spec may(%{:role => role(), :permissions => [Type.permission()], optional(term()) => term()}) :: [
+          Type.permission()
+        ]
+  def may(%{role: :viewer}), do: []
+  def may(%{role: role, permissions: more}), do: permissions(role) ++ more
 
   @doc "Whether a source has a permission. One that is not known has none; a viewer has none, whatever it was given."
   @spec allowed?(source() | nil, Type.permission()) :: boolean()

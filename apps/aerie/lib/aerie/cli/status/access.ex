@@ -5,7 +5,7 @@ defmodule Aerie.CLI.Status.Access do
   """
 
   alias Aerie.Link.Spec
-  alias Aerie.Router.CommandGate
+  alias Aerie.Router.Access
 
   @typedoc "`wide`: other machines may do more here than look on"
   @type interface :: %{address: String.t(), who: String.t(), wide: boolean}
@@ -63,7 +63,7 @@ defmodule Aerie.CLI.Status.Access do
   end
 
   defp local?(link),
-    do: CommandGate.loopback?(link[:local]) or CommandGate.loopback?(link[:peer] || Spec.place(link.spec))
+    do: Access.loopback?(link[:local]) or Access.loopback?(link[:peer] || Spec.place(link.spec))
 
   defp servers(nil), do: []
 
@@ -121,11 +121,11 @@ defmodule Aerie.CLI.Status.Access do
       cond do
         keys? -> "anyone with a key"
         # Without keys /api is for this machine, whatever the address (FleetWeb.API.Access).
-        scheme == "http" or CommandGate.loopback?(address) -> "programs of this machine"
+        scheme == "http" or Access.loopback?(address) -> "programs of this machine"
         true -> "anyone who reaches it"
       end
 
-    wide? = not keys? and scheme != "http" and not CommandGate.loopback?(address)
+    wide? = not keys? and scheme != "http" and not Access.loopback?(address)
     interface("#{scheme}://#{address}", "#{who}: #{may}", wide?)
   end
 

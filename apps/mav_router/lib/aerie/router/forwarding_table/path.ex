@@ -5,7 +5,10 @@ defmodule Aerie.Router.ForwardingTable.Path do
   | field | |
   |---|---|
   | `plain` | it has no rules of what goes out: every frame passes |
-  | `commands` | frames from it may command vehicles (`Aerie.Router.CommandGate`) |
+  | `commands` | who sends by it counts as a client, whose principal decides (`Aerie.Router.Gate`) |
+  | `local` | only this machine can send by it |
+  | `parts` | cameras, gimbals and companions of its vehicles are on it (`Aerie.Router.Reach`) |
+  | `principal` | who it is, as it proved by a key or by signing in; nil: the policy knows its owner |
   | `auto` | it was found out that it is not of its owner's side: a ground station on a link to vehicles |
   | `recorded` | the gateway, for a path to vehicles whose frames go past its link's process, which would record them |
   | `pid` | the process of the link or client |
@@ -13,7 +16,8 @@ defmodule Aerie.Router.ForwardingTable.Path do
   The others are as in `Aerie.Router.Endpoint` and `Aerie.Router.Owner`, of which `filter` is `out`.
   """
 
-  alias Aerie.Router.CommandGate
+  alias Aerie.Authority.Principal
+  alias Aerie.Router.Access
   alias Aerie.Router.Endpoint
   alias Aerie.Router.EndpointCounters
   alias Aerie.Router.Filter
@@ -23,10 +27,12 @@ defmodule Aerie.Router.ForwardingTable.Path do
 
   @enforce_keys [:key, :owner, :side, :networks]
   defstruct [:key, :owner, :side, :networks, :out, :counters, :waiting, :group, :in, :filter, :limits] ++
-              [:renumber, :heard_vehicle, :recorded, :pid, :gateway, :text] ++
+              [:renumber, :heard_vehicle, :recorded, :pid, :gateway, :text, :principal] ++
               [
                 plain: true,
                 commands: false,
+                local: false,
+                parts: false,
                 auto: false,
                 carry: %{},
                 role: :full,
@@ -57,7 +63,10 @@ defmodule Aerie.Router.ForwardingTable.Path do
           gateway: Aerie.Names.gateway() | nil,
           text: String.t() | nil,
           plain: boolean,
+          principal: Principal.t() | nil,
           commands: boolean,
+          local: boolean,
+          parts: boolean,
           auto: boolean,
           carry: map,
           role: :full | :read_only,
@@ -102,7 +111,10 @@ defmodule Aerie.Router.ForwardingTable.Path do
       pid: endpoint.pid,
       gateway: endpoint.gateway,
       text: endpoint.text,
-      commands: CommandGate.open?(endpoint, owner),
+      principal: endpoint.principal,
+      commands: Access.commands?(endpoint, owner),
+      local: Access.local?(endpoint),
+      parts: owner.parts,
       coalesce: owner.coalesce,
       listens: endpoint.listens,
       broadcasts: owner.broadcasts and (endpoint.listens or endpoint.heard_vehicle == true)

@@ -46,6 +46,18 @@ defmodule Aerie.Policy.Raw.Place do
     if frame in @local, do: {:offset, metres}, else: {:shift, axes(frame), metres}
   end
 
+  @doc "The facts of FOLLOW_TARGET: a vehicle that follows goes there."
+  @spec follow(struct()) :: Facts.t()
+  def follow(%M.FollowTarget{lat: lat, lon: lon, alt: metres}) do
+    %Facts{
+      type: "follow_target",
+      permission: :fly,
+      moves?: true,
+      path: {:to, [int(lat, lon, {:msl, number(metres)})]},
+      what: "the place of who is followed"
+    }
+  end
+
   @doc "Whether x is to the north or ahead."
   @spec axes(integer()) :: :north | :body
   def axes(frame) when frame in @body, do: :body

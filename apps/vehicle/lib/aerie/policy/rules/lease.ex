@@ -24,8 +24,9 @@ defmodule Aerie.Policy.Rules.Lease do
       {:deny,
        "nobody is in charge of the vehicle; #{facts.type} needs take_control first (policy.lease.required)"}
 
-  def check(_policy, _facts, %{lease: %{holder: name}, source: %{name: name}}), do: :ok
-
-  def check(_policy, _facts, %{lease: lease}),
-    do: {:deny, Lease.in_charge(lease) <> "; take_control takes over"}
+  def check(_policy, _facts, %{lease: lease, source: source}) do
+    if source != nil and Lease.who(source) == lease.holder,
+      do: :ok,
+      else: {:deny, Lease.in_charge(lease) <> "; take_control takes over"}
+  end
 end

@@ -1,4 +1,4 @@
-defmodule Aerie.Router.PolicyGateTest do
+defmodule Aerie.Router.GatePolicyTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
@@ -12,6 +12,19 @@ defmodule Aerie.Router.PolicyGateTest do
   # asked.
   defmodule Odd do
     @behaviour Aerie.Router.Policy
+
+    @impl Aerie.Router.Policy
+    def principal(_gateway, path) do
+      may = if path.commands, do: [:telemetry, :sensors, :manual], else: []
+      %Aerie.Authority.Principal{kind: :client, name: path.owner, may: may}
+    end
+
+    # Somebody is in charge of vehicle 2.
+    @impl Aerie.Router.Policy
+    def permits?(_gateway, _principal, {_network, system}), do: system != 2
+
+    @impl Aerie.Router.Policy
+    def open?(_gateway, _principal, message), do: message == 0xABCDEF
 
     @impl Aerie.Router.Policy
     def decide(gateway, sender, vehicle, frame) do
@@ -87,6 +100,11 @@ defmodule Aerie.Router.PolicyGateTest do
     if match?(%M.Heartbeat{}, message), do: next(socket), else: {message, frame}
   end
 
+  defp first_unlike(socket, other) do
+    {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+    if bytes == other, do: first_unlike(socket, other), else: bytes
+  end
+
   test "a refused command is answered and counted, and its place is taken by what the policy sends", c do
     gcs = client(c)
 
@@ -98,7 +116,7 @@ defmodule Aerie.Router.PolicyGateTest do
     assert {%M.ParamRequestList{target_system: 1}, %{system: 255, component: 190}} = next(c.one)
     assert {%M.CommandAck{command: 401, result: 2}, %{system: 1}} = next(gcs)
 
-    assert_receive {:asked, %{owner: "gcs", peer: "127.0.0.1:" <> _}, {"main", 1},
+    assert_receive {:asked, %{owner: "gcs", peer: "127.0.0.1:" <> _, principal: %{name: "gcs"}}, {"main", 1},
                     %M.CommandLong{command: 401}}
 
     assert snapshot(c.gateway, "gcs").counters.denied == 2
@@ -112,6 +130,9 @@ defmodule Aerie.Router.PolicyGateTest do
 
     for system <- [1, 2],
         do: assert_receive({:asked, _sender, {"main", ^system}, %M.CommandLong{command: 404}})
+
+    # The client itself is none, although it listens.
+    refute_received {:asked, _sender, {"main", 0}, _message}
 
     for vehicle <- [c.one, c.two], do: assert({%M.CommandLong{command: 404}, _frame} = next(vehicle))
   end
@@ -136,6 +157,44 @@ defmodule Aerie.Router.PolicyGateTest do
     say(c.one, attitude(1, 8))
     assert {%M.Attitude{}, _frame} = next(gcs)
     refute_received {:asked, _sender, _vehicle, _message}
+  end
+
+  test "a command to all is judged for vehicles that were not heard yet, too", c do
+    silent = udp(c.port)
+    say(silent, attitude(9, 1))
+    eventually(fn -> Router.route(c.gateway, {"main", 9}) end)
+    gcs = client(c)
+    say(gcs, %M.CommandLong{command: 404})
+    assert_receive {:asked, _sender, {"main", 0}, %M.CommandLong{command: 404}}
+  end
+
+  test "input of estimators needs a permission, and goes to no vehicle that somebody else is in charge of",
+       c do
+    gcs = client(c)
+    input = fn system -> %M.GpsInjectData{target_system: system, target_component: 1, len: 1} end
+    say(gcs, input.(2))
+    say(gcs, %M.GpsRtcmData{len: 1})
+    say(gcs, input.(1))
+    assert {%M.GpsInjectData{target_system: 1}, _frame} = next(c.one)
+    assert snapshot(c.gateway, "gcs").counters.withheld == 2
+    refute_received {:asked, _sender, _vehicle, _message}
+  end
+
+  test "a client's sticks are judged by whichever message, telemetry of vehicles included", c do
+    gcs = client(c)
+    say(gcs, %M.RcChannels{chancount: 16})
+    for system <- [1, 2], do: assert_receive({:asked, _sender, {"main", ^system}, %M.RcChannels{}})
+    say(c.one, MavCodec.encode(%M.RcChannels{chancount: 16}, system: 1, component: 1))
+    assert {%M.RcChannels{}, %{system: 1}} = next(gcs)
+    refute_received {:asked, _sender, {"main", 2}, %M.RcChannels{}}
+  end
+
+  test "a message without a row reaches vehicles if the policy opens it", c do
+    unknown = &<<0xFD, 3, 0, 0, 1, 255, 190, &1::24-little, 1, 1, 5, 9, 9>>
+    gcs = client(c)
+    for id <- [0xABCDEE, 0xABCDEF], do: say(gcs, unknown.(id))
+    assert first_unlike(c.one, heartbeat(2)) == unknown.(0xABCDEF)
+    assert snapshot(c.gateway, "gcs").counters.withheld == 1
   end
 
   defp command(number, from, to \\ []),
@@ -176,9 +235,8 @@ defmodule Aerie.Router.PolicyGateTest do
     say(c.one, tunnel.(1))
     assert {%M.Tunnel{payload_type: 1}, _frame} = next(gcs)
     say(c.one, tunnel.(2))
-    assert {%M.Tunnel{payload_type: 2}, _frame} = next(c.two)
-    assert snapshot(c.gateway, "radio").counters.denied == 1
     assert {%M.Tunnel{payload_type: 2}, _frame} = next(gcs)
+    assert snapshot(c.gateway, "radio").counters.denied == 1
   end
 
   test "it is not asked about what a vehicle says to its own parts, to itself and to ground stations", c do

@@ -1,0 +1,112 @@
+defmodule Aerie.Router.Refusal do
+  @moduledoc """
+  What is done about frames that did not reach a vehicle because their sender may not send them there.
+
+  - Orders are counted as `denied` and told in the log once a minute for each link or client. A COMMAND_LONG or COMMAND_INT is
+    answered with DENIED, once a second for each: so a lost answer costs nothing, and an invented sender gains nothing (the answer is
+    shorter than the command).
+  - Everything else is counted as `withheld`. Messages that nobody has decided about are told in the log as well.
+  """
+
+  alias Aerie.Authority.Messages
+  alias Aerie.Mavlink.CommandNumber
+  alias Aerie.Router.Delivery
+  alias Aerie.Router.EndpointCounters
+  alias Aerie.Router.Output
+  alias MavCodec.Enums.MavResult
+  alias MavCodec.Frame
+  alias MavCodec.Messages.CommandAck
+
+  require Logger
+
+  @told_ms 60_000
+  @answered_ms 1_000
+  @denied MavResult.value(:MAV_RESULT_DENIED)
+
+  @doc "A frame was kept from vehicles; `target` is the one that it has."
+  @spec withheld(Frame.t(), Delivery.t()) :: :ok
+  def withheld(frame, %{path: path} = delivery) do
+    if Messages.order?(frame.id) do
+      EndpointCounters.add(path.counters, :denied, 1)
+      answer(frame, Frame.target(frame), delivery)
+      tell(frame, delivery)
+    else
+      EndpointCounters.add(path.counters, :withheld, 1)
+    end
+  end
+
+  @doc "A message without a row came."
+  @spec unknown(Frame.t(), Delivery.t()) :: :ok
+  def unknown(frame, %{path: path, tables: tables}) do
+    if due?(tables, {:unknown, path.owner}, @told_ms) do
+      Logger.warning(
+        "#{path.owner}: message #{name(frame)} from #{path.text || "a sender"} reached no vehicle, because nothing says what it does; " <>
+          "policy.open lets single messages pass"
+      )
+    end
+
+    :ok
+  end
+
+  defp answer(frame, {system, component}, %{path: path, tables: tables}) when system != 0 do
+    command = CommandNumber.of(frame)
+
+    if command != nil and path.out != nil and due?(tables, {:answered, path.owner}, @answered_ms) do
+      ack = %CommandAck{
+        command: command,
+        result: @denied,
+        target_system: frame.system,
+        target_component: frame.component
+      }
+
+      Output.bytes(path, MavCodec.encode(ack, system: system, component: max(component, 1)), :ack, 1)
+    end
+
+    :ok
+  end
+
+  defp answer(_frame, _everyone, _delivery), do: :ok
+
+  defp tell(frame, %{path: %{owner: owner} = path, source: source, tables: tables}) do
+    if due?(tables, {:told, owner}, @told_ms) do
+      metadata = %{
+        gateway: path.gateway,
+        link: owner,
+        network: hd(path.networks),
+        peer: path.text,
+        system: frame.system,
+        component: frame.component,
+        message: frame.id
+      }
+
+      :telemetry.execute([:aerie, :router, :denied], %{frames: 1}, metadata)
+
+      Logger.warning(
+        "link #{owner}: #{path.text || "somebody"} (system #{frame.system}) may not command vehicles by this link: " <>
+          "message #{name(frame)} to #{meant(Frame.target(frame))} was refused. " <> advice(source)
+      )
+    end
+
+    :ok
+  end
+
+  defp advice(%{autopilot: true}), do: "It says that it is a vehicle: what it sends still goes to clients"
+
+  defp advice(_source) do
+    "If that is your ground station, set gcs: allow for this link, or connect it to one of the clients' endpoints"
+  end
+
+  defp name(%{id: id}), do: MavCodec.Dialects.All.name(id) || id
+
+  defp meant(nil), do: "all vehicles"
+  defp meant({0, _component}), do: "all vehicles"
+  defp meant({system, component}), do: "#{system}/#{component}"
+
+  # One entry for each link and purpose. Two at the same moment may both be due, which only says it twice.
+  defp due?(%{settings: settings}, what, every_ms) do
+    now = System.monotonic_time(:millisecond)
+    key = {__MODULE__, what}
+    last = :ets.lookup_element(settings, key, 2, nil)
+    (last == nil or now - last >= every_ms) and :ets.insert(settings, {key, now})
+  end
+end

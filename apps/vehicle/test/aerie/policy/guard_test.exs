@@ -2,6 +2,7 @@ defmodule Aerie.Policy.GuardTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
+  alias Aerie.Authority.Principal
   alias Aerie.{Link, Names, Policy, Router, Store}
   alias Aerie.Policy.{Audit, Commanded, Guard, Leases}
   alias Aerie.Policy.Audit.Verify
@@ -98,10 +99,24 @@ defmodule Aerie.Policy.GuardTest do
     end
   end
 
+  # A viewer's mark would not pass: what it sent has been read before somebody else's goes out.
+  defp reached_of_viewer(c, id, n) do
+    eventually(fn -> Link.snapshot(c.gateway, id).counters.frames_in >= n end)
+    reached(client(c.gateway, "marker"), c)
+  end
+
   defp reached(socket, c) do
     mark = System.unique_integer([:positive])
     say(socket, %M.AdsbVehicle{icao_address: mark})
     c.vehicle |> until_mark(mark) |> Enum.reject(&match?(%M.Heartbeat{}, &1))
+  end
+
+  # The next acknowledgement, and the texts before it.
+  defp acknowledged(socket, texts \\ "") do
+    case answers(socket, 1) do
+      [%M.Statustext{text: text}] -> acknowledged(socket, texts <> text)
+      [%M.CommandAck{} = ack] -> {ack, texts}
+    end
   end
 
   defp answers(socket, n) do
@@ -158,14 +173,19 @@ defmodule Aerie.Policy.GuardTest do
         do: assert(Store.counter(c.gateway, counter) == n)
   end
 
-  test "roles: a viewer commands nothing and reads everything, an operator maintains nothing", c do
+  test "roles: a viewer reaches no vehicle with anything, an operator maintains nothing", c do
     viewer = client(c.gateway, "viewer")
     say(viewer, long("COMPONENT_ARM_DISARM", param1: 1.0))
     say(viewer, %M.SetMode{target_system: 1, base_mode: 1, custom_mode: 6})
     say(viewer, %M.RcChannelsOverride{target_system: 1, chan3_raw: 1900})
     say(viewer, %M.ParamRequestList{target_system: 1, target_component: 1})
     say(viewer, %M.MissionSetCurrent{target_system: 1, target_component: 1, seq: 9})
-    assert [%M.ParamRequestList{}] = reached(viewer, c)
+    say(viewer, %M.FileTransferProtocol{target_system: 1, target_component: 1})
+    say(viewer, %M.GpsInput{lat: 7})
+    say(viewer, %M.SystemTime{time_unix_usec: 7})
+    say(viewer, heartbeat(255, type: 6, autopilot: 8, component: 190))
+    # The gateway asks for it.
+    assert [%M.ParamRequestList{}] = reached_of_viewer(c, "viewer", 9)
     got = answers(viewer, 9)
     assert Enum.any?(got, &match?(%M.CommandAck{command: 400, result: 2}, &1))
     assert Enum.any?(got, &match?(%M.CommandAck{command: 11, result: 2}, &1))
@@ -191,27 +211,28 @@ defmodule Aerie.Policy.GuardTest do
     request = &long("REQUEST_OPERATOR_CONTROL", param1: &1, param2: &2)
     arm = long("COMPONENT_ARM_DISARM", param1: 1.0)
     say(one, request.(1.0, 0.0))
-    assert [%M.CommandAck{command: 32_100, result: 0, target_system: 255}] = answers(one, 1)
-    assert %{holder: "operator", via: "mavlink"} = Leases.of(c.gateway, {"main", 1})
+    assert {%M.CommandAck{command: 32_100, result: 0, target_system: 255}, ""} = acknowledged(one)
+    assert %{holder: "operator 127.0.0.1:" <> _, via: "mavlink"} = Leases.of(c.gateway, {"main", 1})
     assert Link.snapshot(c.gateway, "operator").counters.denied == 0
     say(other, request.(1.0, 0.0))
     say(other, arm)
-    assert [%M.CommandAck{command: 32_100, result: 2} | texts] = answers(other, 3)
-    assert Enum.map_join(texts, & &1.text) =~ "refused: operator is in charge of the vehicle since"
-    assert [%M.CommandAck{command: 400, result: 2} | _texts] = answers(other, 3)
+    assert {%M.CommandAck{command: 32_100, result: 2}, _texts} = acknowledged(other)
+    assert {%M.CommandAck{command: 400, result: 2}, texts} = acknowledged(other)
+    assert texts =~ ~r/refused: operator 127.0.0.1:\d+ is in charge of the vehicle since/
 
     # It may be taken over from now on.
     say(one, request.(1.0, 1.0))
-    assert [%M.CommandAck{result: 0}] = answers(one, 1)
+    assert {%M.CommandAck{result: 0}, _texts} = acknowledged(one)
     say(other, request.(1.0, 0.0))
-    assert [%M.CommandAck{command: 32_100, result: 0}] = answers(other, 1)
+    assert {%M.CommandAck{command: 32_100, result: 0}, _texts} = acknowledged(other)
     say(other, arm)
     # What brings it down is free.
     say(one, arm)
     say(one, long("NAV_LAND"))
-    assert [%M.CommandAck{command: 400, result: 2} | _texts] = answers(one, 3)
+    assert {%M.CommandAck{command: 400, result: 2}, _texts} = acknowledged(one)
     # Each client has a process of its own, so each has to be waited for.
-    reached = reached(one, c) ++ reached(other, c)
+    eventually(fn -> Link.snapshot(c.gateway, "operator").counters.frames_in >= 4 end)
+    reached = reached(other, c)
     assert Enum.sort(for %M.CommandLong{command: command} <- reached, do: command) == [21, 400]
 
     # A vehicle that keeps it itself is asked by the client.
@@ -221,24 +242,73 @@ defmodule Aerie.Policy.GuardTest do
     assert Leases.of(c.gateway, {"main", 1}) == nil
   end
 
-  test "a client that nobody said anything about may do what it could before", c do
+  test "programs of one client are not each other: one is in charge, and nobody is once it is gone", c do
+    one = client(c.gateway, "operator")
+    other = udp(Link.snapshot(c.gateway, "operator").port)
+    take = long("REQUEST_OPERATOR_CONTROL", param1: 1.0)
+    arm = long("COMPONENT_ARM_DISARM", param1: 1.0)
+    say(one, take)
+    assert [%M.CommandAck{result: 0}] = answers(one, 1)
+    for message <- [arm, long("REQUEST_OPERATOR_CONTROL"), %M.GpsInput{lat: 7}], do: say(other, message)
+    assert [%M.CommandAck{command: 400, result: 2} | _] = answers(other, 3)
+    assert [] = reached(one, c)
+
+    {"operator", peer} = Leases.of(c.gateway, {"main", 1}).endpoint
+    Router.Endpoints.remove(Router.Tables.of(c.gateway), {"operator", peer})
+    say(other, take)
+
+    assert eventually(fn ->
+             match?(%{endpoint: {"operator", other}} when other != peer, Leases.of(c.gateway, {"main", 1}))
+           end)
+  end
+
+  test "a client that is not listed is an operator on this machine and a viewer beyond it, and never more",
+       c do
     gcs = client(c.gateway, "someone")
     say(gcs, long("COMPONENT_ARM_DISARM", param2: 21_196.0))
     say(gcs, %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT"})
     say(gcs, %M.SerialControl{})
-    assert [%M.CommandLong{}, %M.ParamSet{}, %M.SerialControl{}] = reached(gcs, c)
+    say(gcs, long("COMPONENT_ARM_DISARM", param1: 1.0))
+    assert [%M.ParamRequestRead{}, %M.CommandLong{param1: 1.0}] = reached(gcs, c)
+
+    policy = Policy.Store.get(c.gateway)
+    path = %{owner: "new", text: "10.0.0.9:5000", key: {"new", 1}, principal: nil, side: :client, auto: false}
+    role = &Policy.principal(policy, Map.merge(path, &1)).role
+    assert role.(%{commands: true, local: true}) == :operator
+    assert role.(%{commands: true, local: false}) == :viewer
+    # gcs: allow is a decision for all who reach the link.
+    assert role.(%{commands: true, local: false, side: :vehicle}) == :operator
+    assert role.(%{commands: true, local: false, auto: true}) == :operator
+    # Who may not command by a link is a viewer, whatever is listed for it.
+    assert role.(%{owner: "operator", commands: false, local: false, side: :vehicle}) == :viewer
+    assert role.(%{owner: "operator", commands: true, local: false}) == :operator
   end
 
-  test "who proved by a key who he is, is that in his process, whatever the client's entry says", c do
+  test "who proved by a key who he is, is that, whatever the client's entry says", c do
+    path =
+      %{owner: "operator", text: "olga@10.0.0.9:5000", key: {"ws-1", 1}, side: :client, auto: false}
+      |> Map.merge(%{commands: true, local: false})
+
+    policy = Policy.Store.get(c.gateway)
+
+    who =
+      &Policy.principal(policy, Map.put(path, :principal, struct!(%Principal{kind: :key, name: "olga"}, &1)))
+
+    assert %{kind: :key, name: "olga", role: :viewer, may: []} = who.(role: :viewer, permissions: [:fly])
+    assert %{role: :admin} = admin = who.(role: nil)
+    assert Principal.may?(admin, :maintain)
+    refute Principal.may?(admin, :force_disarm)
+    assert Principal.may?(who.(role: :operator, permissions: [:force_disarm]), :force_disarm)
+
     frame =
       %M.ParamSet{target_system: 1, param_id: "RTL_ALT"}
       |> MavCodec.encode(system: 255)
       |> Frame.from_bytes(nil)
 
-    sender = %{endpoint: {"ws-1", 1}, owner: "ws-1", peer: "10.0.0.9:5000"}
+    sender = %{endpoint: {"ws-1", 1}, owner: "ws-1", peer: "10.0.0.9:5000", principal: who.(role: nil)}
     assert Guard.decide(c.gateway, sender, {"main", 1}, frame) == :forward
-    :ok = Guard.identify(%{name: "olga", role: :operator, permissions: []})
-    assert {:refuse, _answers, _instead} = Guard.decide(c.gateway, sender, {"main", 1}, frame)
+    operator = %{sender | principal: who.(role: :operator)}
+    assert {:refuse, _answers, _instead} = Guard.decide(c.gateway, operator, {"main", 1}, frame)
   end
 
   test "a command for all systems is judged for each vehicle that it would reach", c do

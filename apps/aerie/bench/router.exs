@@ -9,12 +9,14 @@
 #
 # Prints a table in Markdown, as the README of the router has one. Columns: frames/s that were sent for three seconds (in
 # bursts, every 200 us) and arrived at every client without loss and within 50 ms; p50 and p99 of the added latency at 1,000 and 10,000 frames/s, in microseconds; CPU
-# seconds per 100,000 frames that came in, at 10,000 frames/s; memory for each further client.
+# seconds per 100,000 frames that came in, at 10,000 frames/s; memory for each further client. Before it a small table: what it
+# costs to decide whether a frame may reach vehicles.
 #
 # Beside it run, where they are there: mavp2p (on the path, or built with go into a folder that goes with this run), mavlink-router (mavlink-routerd on the path) and MAVProxy (mavproxy.py in the Python environment or on the path).
 # What is not there is said and left out.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
+Code.require_file("support/decision.exs", __DIR__)
 
 defmodule RouterBench do
   @clients "1,5,20"
@@ -28,6 +30,7 @@ defmodule RouterBench do
       MavCodec.Bench.Options.read(__ENV__.file, argv, seconds: :integer, clients: @clients, quick: false)
 
     seconds = options[:seconds] || if(options[:quick], do: 1, else: 4)
+    DecisionBench.main()
     dir = Path.join(System.tmp_dir!(), "router-bench-#{System.pid()}")
     File.mkdir_p!(dir)
 

@@ -84,7 +84,7 @@ defmodule Aerie.Client.RawMessage do
   end
 
   defp outcome(%{no_route: n}, _answers) when n > 0, do: :no_route
-  defp outcome(%{denied: n, withheld: k, unknown: u}, _answers) when n + k + u > 0, do: :denied
+  defp outcome(%{denied: n, withheld: k}, _answers) when n + k > 0, do: :denied
   defp outcome(_counters, _answers), do: :sent
 
   defp answers(endpoint, found, until) do

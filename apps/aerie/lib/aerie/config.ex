@@ -18,13 +18,14 @@ defmodule Aerie.Config do
       their rules (`Aerie.Router.Settings`)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
-    * `warnings` are settings that are allowed but probably not intended; `given` has the keys that were set, and where
+    * `warnings` are settings that are allowed but probably not intended; `given` has the keys that were set, and where;
+      `lines` has the lines of the file's keys
   """
 
   alias Aerie.Config.{Environment, Error, Keys, Resolve, Yaml}
   alias Aerie.Settings.{Field, Schema}
 
-  defstruct Keys.order() ++ [file: nil, given: %{}, warnings: []]
+  defstruct Keys.order() ++ [file: nil, given: %{}, lines: %{}, warnings: []]
 
   @type link :: %{
           id: String.t(),
@@ -71,6 +72,7 @@ defmodule Aerie.Config do
           limits: map(),
           file: String.t() | nil,
           given: %{String.t() => String.t()},
+          lines: Yaml.Lines.t(),
           warnings: [String.t()]
         }
 
@@ -89,10 +91,10 @@ defmodule Aerie.Config do
   def load(path \\ nil, overrides \\ [], opts \\ []) do
     env = Keyword.get_lazy(opts, :env, &System.get_env/0)
 
-    with {:ok, file} <- read(path) do
+    with {:ok, file, lines} <- read(path) do
       layers = Environment.overrides(env) ++ override_list(overrides)
 
-      case build(file, layers, path) do
+      case build(file, layers, {path, lines}) do
         {:ok, config} -> {:ok, %{config | warnings: Environment.warnings(env) ++ config.warnings}}
         error -> error
       end
@@ -119,11 +121,11 @@ defmodule Aerie.Config do
   @spec format_errors([Error.t()]) :: String.t()
   def format_errors(errors), do: Enum.map_join(errors, "\n", &Error.format/1)
 
-  defp read(nil), do: {:ok, %{}}
+  defp read(nil), do: {:ok, %{}, %{}}
 
   defp read(path) do
     with {:ok, text} <- read_bounded(path), {:ok, map} <- Yaml.parse(text) do
-      {:ok, map}
+      {:ok, map, Yaml.lines(text)}
     else
       {:error, %{expected: expected} = reason} ->
         {:error, [%Error{file: path, path: "", line: reason.line, expected: expected, got: reason.got}]}
@@ -168,25 +170,23 @@ defmodule Aerie.Config do
     end
   end
 
-  defp build(file, layers, path) do
+  defp build(file, layers, {path, lines}) do
     raw = Enum.reduce(layers, file, fn {keys, value, _source}, raw -> put(raw, keys, value) end)
     {values, problems} = Schema.validate(Keys.fields(), raw)
     source = &source(&1, layers, path)
 
-    case problems do
-      [] ->
-        config = struct!(%__MODULE__{file: path, given: given(raw, source)}, values)
-
-        case Resolve.run(config) do
-          {config, []} -> {:ok, config}
-          {_config, problems} -> {:error, Enum.map(problems, &error(&1, source))}
-        end
-
-      problems ->
-        {:error, Enum.map(problems, &error(&1, source))}
+    with [] <- problems,
+         config = struct!(%__MODULE__{file: path, given: given(raw, source), lines: lines}, values),
+         {config, []} <- Resolve.run(config) do
+      {:ok, config}
+    else
+      {_config, problems} -> {:error, Enum.map(problems, &error(&1, source, {path, lines}))}
+      problems -> {:error, Enum.map(problems, &error(&1, source, {path, lines}))}
     end
   end
 
+  # A caller in Elixir that has no value for it.
+  defp put(raw, [key], nil) when is_map(raw), do: Map.delete(raw, key)
   defp put(raw, [key], value) when is_map(raw), do: Map.put(raw, key, value)
 
   defp put(raw, [key | below], value) when is_map(raw) do
@@ -218,10 +218,13 @@ defmodule Aerie.Config do
     end)
   end
 
-  defp error(problem, source) do
+  defp error(problem, source, {path, lines}) do
+    file = source.(problem.path)
+
     %Error{
-      file: source.(problem.path),
+      file: file,
       path: Error.path(problem.path),
+      line: if(file == path, do: Yaml.Lines.at(lines, problem.path)),
       expected: problem.expected,
       got: problem.got,
       hint: problem.hint

@@ -4,7 +4,7 @@ defmodule Aerie.Config.Error do
 
     * `file` - where the value came from: a file name, `environment variable AERIE_…`, `command line`
     * `path` - the key, as `nats.port` or `links[2].url`; `""` means the whole file
-    * `line` - line of the file for a syntax error, otherwise nil
+    * `line` - line of the file, nil if it is not known
     * `expected` - what was expected, in words
     * `got` - the value as it would be written in YAML; nil if it is secret or missing
     * `hint` - a suggestion (`did you mean "nats"?`), or nil
@@ -32,6 +32,17 @@ defmodule Aerie.Config.Error do
     got = if error.got, do: ", got #{error.got}", else: ""
     hint = if error.hint, do: " (#{error.hint})", else: ""
     "#{where}: #{key}expected #{error.expected}#{got}#{hint}"
+  end
+
+  @doc "A path in words as its segments: `links[2].url` is `[\"links\", 2, \"url\"]`."
+  @spec segments(String.t()) :: [String.t() | non_neg_integer()]
+  def segments(key) do
+    for [_all | groups] <- Regex.scan(~r/([^.\[\]]+)|\[(\d+)\]/, key) do
+      case groups do
+        [name] -> name
+        ["", index] -> String.to_integer(index)
+      end
+    end
   end
 
   @doc "A key's path in words: `[\"links\", 2, \"url\"]` is `links[2].url`."

@@ -12,6 +12,7 @@ defmodule Aerie.Config.Preflight do
   alias Aerie.{Config, DiskFormat}
   alias Aerie.Config.Error
   alias Aerie.Config.Preflight.Contents
+  alias Aerie.Config.Yaml.Lines
   alias Aerie.Ledger.Journal
   alias Aerie.Link.Spec
   alias Aerie.Policy.Compile
@@ -325,6 +326,7 @@ defmodule Aerie.Config.Preflight do
   defp error(config, key, expected, got) do
     top = key |> String.split("[") |> hd()
     source = config.given[key] || config.given[top] || config.file || "defaults"
-    %Error{file: source, path: key, expected: expected, got: got}
+    line = if source == config.file, do: Lines.at(config.lines, Error.segments(key))
+    %Error{file: source, path: key, line: line, expected: expected, got: got}
   end
 end

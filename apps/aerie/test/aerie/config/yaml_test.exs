@@ -31,8 +31,59 @@ defmodule Aerie.Config.YamlTest do
     assert {:error, %{expected: "one YAML document"}} = Yaml.parse("a: 1\n---\nb: 2\n")
   end
 
-  test "a key given twice is an error" do
-    assert {:error, %{expected: "each key once", got: ~s("a" twice)}} = Yaml.parse("a: 1\na: 2\n")
+  test "a key given twice is an error, with the line of the second one" do
+    for {text, key, line} <- [
+          {"a: 1\na: 2\n", "a", 2},
+          {"policy:\n  max_altitude: 50\n  # max_altitude: 70\n  max_altitude: 500\n", "max_altitude", 4},
+          {"policy: {max_altitude: 50}\nlabel: 'policy: x'\npolicy: {}\n", "policy", 3},
+          {"links:\n  - {id: a, url: b}\n  - id: b\n    url: c\n    id: d\n", "id", 5},
+          {"a: {b: 1, 'b': 2}\n", "b", 1},
+          {"1: x\n\"1\": y\n", "1", 2},
+          {"a: {b: 1}\nc: {b: 1, d: {b: 2}}\ne:\n  b: 1\n  b: 2\n", "b", 5}
+        ] do
+      got = ~s("#{key}" twice)
+      assert {:error, %{expected: "each key once", got: ^got, line: ^line}} = Yaml.parse(text)
+    end
+  end
+
+  test "a number that the parser cuts is an error: a key of many digits would be another one" do
+    for digits <- ["12345678901234567890123", "-12345678901234567890123"] do
+      assert {:error, %{line: 2, expected: "numbers of at most 18 digits" <> _}} = Yaml.parse("b: 1\na: #{digits}\n")
+      assert {:ok, %{"a" => ^digits}} = Yaml.parse("a: '#{digits}'\n")
+    end
+  end
+
+  test "keys have the line on which they stand; in doubt none" do
+    text = """
+    # policy: 1
+    policy:
+      max_altitude: 50 # max_altitude: 3
+      "rates":
+        - {types: [arm], per_minute: 3}
+        - types: [takeoff]
+          per_minute: 6
+    label: "url: x"
+    links: [{url: "tcp:a:1"},
+            {url: "tcp:b:2"}]
+    """
+
+    lines = Yaml.lines(text)
+
+    for {path, line} <- [
+          {["policy"], 2},
+          {["policy", "max_altitude"], 3},
+          {["policy", "rates", 0, "types"], 5},
+          {["policy", "rates", 1], 6},
+          {["policy", "rates", 1, "per_minute"], 7},
+          {["policy", "rates", 1, "types", 0], 6},
+          {["policy", "no_such_key"], 2},
+          {["links", 1, "url"], 10},
+          {["nothing"], nil}
+        ],
+        do: assert(Yaml.Lines.at(lines, path) == line, inspect(path))
+
+    assert Yaml.lines("a: |\n  b: 1\nb: 2\n") == %{["a"] => 1}
+    assert Yaml.lines("a: [") == %{}
   end
 
   test "syntax errors and bytes that are no text give the line" do

@@ -12,11 +12,12 @@ defmodule Aerie.Settings.Field do
     * `{:section, fields}` - keys below this one
     * `{:list, type}`, `{:one_or_list, type}` (a single value means a list of one), `{:map, type}` (free names)
 
-  A key that may be left out without a default has the default nil.
+  A key that may be left out without a default has the default nil. A list that is `filled` has an item: left out it means
+  all, so an empty one would mean the opposite of what it says.
   """
 
   @enforce_keys [:key, :type, :doc]
-  defstruct [:key, :type, :doc, :default, :example, required: false]
+  defstruct [:key, :type, :doc, :default, :example, required: false, filled: false]
 
   @type type ::
           :string
@@ -38,10 +39,11 @@ defmodule Aerie.Settings.Field do
           doc: String.t(),
           default: term(),
           example: String.t() | nil,
-          required: boolean()
+          required: boolean(),
+          filled: boolean()
         }
 
-  @doc "A leaf. Options: `:default`, `:example` (YAML text shown when there is no default), `:required`."
+  @doc "A leaf. Options: `:default`, `:example` (YAML text shown when there is no default), `:required`, `:filled`."
   @spec field(atom(), type(), String.t(), keyword()) :: t()
   def field(key, type, doc, opts \\ []), do: struct!(%__MODULE__{key: key, type: type, doc: doc}, opts)
 
@@ -55,8 +57,8 @@ defmodule Aerie.Settings.Field do
 
   @doc "What a value of this type must be, in words."
   @spec expected(type()) :: String.t()
-  def expected(:string), do: "text"
-  def expected(:secret), do: "text"
+  def expected(:string), do: "text that is not empty"
+  def expected(:secret), do: "text that is not empty"
   def expected(:path), do: "a file or folder name"
   def expected(:boolean), do: "true or false"
   def expected({:integer, min, max}), do: "an integer from #{min} to #{max}"

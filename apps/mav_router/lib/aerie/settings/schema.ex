@@ -38,10 +38,13 @@ defmodule Aerie.Settings.Schema do
   defp completed(%Field{type: {:list, {:section, fields}}}, items), do: Enum.map(items, &complete(fields, &1))
   defp completed(_field, value), do: value
 
-  @doc "What callers in Elixir write, as the schema reads it: names of keys and values of enumerations are strings there."
+  @doc """
+  What callers in Elixir write, as the schema reads it: names of keys and values of enumerations are strings there, and a key
+  that is nil is left out.
+  """
   @spec plain(term()) :: term()
   def plain(map) when is_map(map) and not is_struct(map),
-    do: Map.new(map, fn {key, value} -> {to_string(key), plain(value)} end)
+    do: for({key, value} <- map, value != nil, into: %{}, do: {to_string(key), plain(value)})
 
   def plain(list) when is_list(list), do: Enum.map(list, &plain/1)
   def plain(value) when is_boolean(value) or is_nil(value), do: value
@@ -82,7 +85,7 @@ defmodule Aerie.Settings.Schema do
 
     {values, problems} =
       Enum.map_reduce(fields, [], fn field, problems ->
-        {value, more} = key(field, Map.get(raw, Field.name(field)), path ++ [Field.name(field)])
+        {value, more} = key(field, Map.fetch(raw, Field.name(field)), path ++ [Field.name(field)])
         {{field.key, value}, problems ++ more}
       end)
 
@@ -98,22 +101,36 @@ defmodule Aerie.Settings.Schema do
     "known here: #{shown}#{if length(names) > 12, do: ", ..."}"
   end
 
-  defp key(%Field{type: {:section, fields}}, raw, path) do
+  # A section without keys is one whose keys are all left out.
+  defp key(%Field{type: {:section, _fields}} = field, :error, path), do: key(field, {:ok, nil}, path)
+
+  defp key(%Field{type: {:section, fields}}, {:ok, raw}, path) do
     case structured(raw) do
       {:ok, raw} -> section(fields, raw, path)
       {:error, reason} -> {defaults(fields), [syntax(path, reason)]}
     end
   end
 
-  # A key that is there without a value (`url:`) means its default, like a key that is not there.
-  defp key(%Field{required: true} = field, nil, path),
+  defp key(%Field{required: true} = field, absent, path) when absent in [:error, {:ok, nil}],
     do: {nil, [problem(path, Field.expected(field.type), nil) |> Map.put(:got, "nothing (it is required)")]}
 
-  defp key(field, nil, _path), do: {field.default, []}
-  defp key(field, raw, path), do: value(field.type, raw, path)
+  defp key(field, :error, _path), do: {field.default, []}
+
+  # Whoever writes `max_altitude:` means a limit. The default would be none.
+  defp key(field, {:ok, nil}, path),
+    do: {field.default, [problem(path, Field.expected(field.type), nil, "leave the key out for its default")]}
+
+  defp key(%Field{filled: true} = field, {:ok, raw}, path) do
+    case value(field.type, raw, path) do
+      {[], []} -> {[], [problem(path, Field.expected(field.type), [], "leave the key out for all")]}
+      result -> result
+    end
+  end
+
+  defp key(field, {:ok, raw}, path), do: value(field.type, raw, path)
 
   defp value({:section, fields}, raw, path),
-    do: key(%Field{key: :_, type: {:section, fields}, doc: ""}, raw, path)
+    do: key(%Field{key: :_, type: {:section, fields}, doc: ""}, {:ok, raw}, path)
 
   defp value({:one_or_list, type}, raw, path) do
     case comma_list(raw) do
@@ -172,16 +189,25 @@ defmodule Aerie.Settings.Schema do
     case scalar(type, raw) do
       {:ok, value} -> {value, []}
       {:error, expected} -> {nil, [problem(path, expected, raw)]}
-      :error -> {nil, [problem(path, Field.expected(type), if(type == :secret, do: :hidden, else: raw))]}
+      :error -> {nil, [refused(type, raw, path)]}
     end
   end
 
+  defp refused(:secret, "", path), do: problem(path, Field.expected(:secret), "")
+
+  defp refused(:secret, number, path) when is_number(number) do
+    # The YAML reader drops leading zeros and cuts long numbers.
+    %{problem(path, Field.expected(:secret), :hidden, "write it in quotes") | got: "a number"}
+  end
+
+  defp refused(:secret, _hidden, path), do: problem(path, Field.expected(:secret), :hidden)
+  defp refused(type, raw, path), do: problem(path, Field.expected(type), raw)
+
   defp scalar(type, {:text, text}) when type in [:string, :secret, :path], do: scalar(type, text)
-  defp scalar(:string, text) when is_binary(text), do: {:ok, text}
-  # A version, a call sign or a token that happens to look like a number is still text to its writer.
+  defp scalar(:string, text) when is_binary(text), do: if(blank?(text), do: :error, else: {:ok, text})
+  # A version or a call sign that happens to look like a number is still text to its writer.
   defp scalar(:string, number) when is_integer(number), do: {:ok, Integer.to_string(number)}
-  defp scalar(:secret, text) when is_binary(text), do: {:ok, Secret.new(text)}
-  defp scalar(:secret, number) when is_integer(number), do: {:ok, Secret.new(Integer.to_string(number))}
+  defp scalar(:secret, text) when is_binary(text), do: if(blank?(text), do: :error, else: {:ok, Secret.new(text)})
   defp scalar(:path, text) when is_binary(text) and text != "", do: {:ok, text}
   defp scalar(:boolean, bool) when is_boolean(bool), do: {:ok, bool}
   defp scalar(:boolean, {:text, text}) when text in ~w(true 1 yes on), do: {:ok, true}
@@ -209,6 +235,8 @@ defmodule Aerie.Settings.Schema do
   defp scalar({:parse, fun, _}, number) when is_integer(number), do: fun.(Integer.to_string(number))
   defp scalar({:parse, _, _} = type, {:text, text}), do: scalar(type, text)
   defp scalar(_type, _raw), do: :error
+
+  defp blank?(text), do: String.trim(text) == ""
 
   # Text given for a key with structure is YAML (and so JSON too): AERIE_LINKS='[{id: a, url: "tcp:10.0.0.2:5760"}]'
   defp structured({:text, text, decode}), do: decode.(text)
@@ -238,6 +266,7 @@ defmodule Aerie.Settings.Schema do
   def show(nil), do: "nothing"
   def show(value) when is_binary(value), do: "\"#{printable(value)}\""
   def show(value) when is_map(value), do: "a section (#{map_size(value)} keys)"
+  def show([]), do: "an empty list"
   def show(value) when is_list(value), do: "a list (#{length(value)} items)"
   def show(value) when is_number(value) or is_boolean(value), do: to_string(value)
   def show(_value), do: "something else"

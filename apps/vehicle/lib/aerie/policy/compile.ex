@@ -6,6 +6,7 @@ defmodule Aerie.Policy.Compile do
 
   alias Aerie.Command.Types
   alias Aerie.Policy
+  alias Aerie.Policy.Compile.Modes
   alias Aerie.Policy.{Facts, Fence, Settings}
   alias Aerie.Policy.Rules.Window
   alias Aerie.Settings.Schema
@@ -28,7 +29,7 @@ defmodule Aerie.Policy.Compile do
   def policy(section) do
     section = Schema.complete(Enum.map(Settings.settings(), & &1.field), section)
     {fence, fence_errors} = fence(section.geofence_file)
-    {modes, mode_errors} = modes(section.modes)
+    {modes, mode_errors} = Modes.compile(section.modes)
     {conditions, condition_errors} = list(section, :conditions, &condition/2)
     {windows, window_errors} = list(section, :windows, &window/2)
     {rates, rate_errors} = list(section, :rates, &rate/2)
@@ -44,8 +45,10 @@ defmodule Aerie.Policy.Compile do
       rate_errors,
       client_errors,
       source_errors,
-      twice(sources, :name),
-      twice(sources, :nkey)
+      conditions_twice(conditions),
+      clients_twice(clients),
+      twice("policy.sources", sources, :name),
+      twice("policy.sources", sources, :nkey)
     ]
 
     case Enum.concat(errors) do
@@ -90,25 +93,6 @@ defmodule Aerie.Policy.Compile do
       {:ok, fence} -> {fence, []}
       {:error, lines} -> {nil, Enum.map(lines, &{"policy.geofence_file", "a fence", &1})}
     end
-  end
-
-  defp modes(section) do
-    transitions =
-      for {from, to} <- section.transitions,
-          into: %{},
-          do: {String.upcase(from), Enum.map(to, &String.upcase/1)}
-
-    denied = Enum.map(section.denied, &String.upcase/1)
-
-    errors =
-      for {from, to} <- Enum.sort(transitions),
-          mode <- to,
-          mode in denied,
-          do:
-            {"policy.modes.transitions.#{from}", "modes that may be asked for",
-             "#{mode}, which modes.denied denies"}
-
-    {%{denied: denied, transitions: transitions}, errors}
   end
 
   defp list(section, key, fun) do
@@ -190,12 +174,22 @@ defmodule Aerie.Policy.Compile do
     end
   end
 
-  defp twice(items, key) do
-    values = Enum.map(items, &Map.fetch!(&1, key))
-
-    for value <- Enum.uniq(values -- Enum.uniq(values)),
-        do: {"policy.sources", "each #{key} once", "#{value} twice"}
+  # A second entry would silently take the place of the first.
+  defp conditions_twice(conditions) do
+    types = for entry <- conditions, {type, _condition} <- entry, do: type
+    for type <- repeated(types), do: {"policy.conditions", "one entry for each command", "#{type} twice"}
   end
+
+  defp clients_twice(clients) do
+    others = Enum.count(clients, &(&1.id == nil))
+    catch_all = if others > 1, do: [{"policy.clients", "one entry without an id, for all others", "#{others}"}], else: []
+    catch_all ++ twice("policy.clients", Enum.reject(clients, &(&1.id == nil)), :id)
+  end
+
+  defp twice(path, items, key),
+    do: for(value <- items |> Enum.map(&Map.fetch!(&1, key)) |> repeated(), do: {path, "each #{key} once", "#{value} twice"})
+
+  defp repeated(values), do: Enum.uniq(values -- Enum.uniq(values))
 
   defp types(path, nil, _check), do: [{path, "names of commands", "nothing"}]
   defp types(path, types, check), do: Enum.flat_map(types, &check.(path, &1))

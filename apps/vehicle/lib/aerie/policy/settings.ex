@@ -111,7 +111,7 @@ defmodule Aerie.Policy.Settings do
 
   defp condition_fields do
     [
-      field(:types, {:one_or_list, :string}, "Names of commands.", required: true),
+      field(:types, {:one_or_list, :string}, "Names of commands.", required: true, filled: true),
       field(:armed, :boolean, "Whether it must be armed."),
       field(:in_air, :boolean, "Whether it must be in the air.")
     ]
@@ -119,8 +119,12 @@ defmodule Aerie.Policy.Settings do
 
   defp window_fields do
     [
-      field(:types, {:one_or_list, :string}, "Names of commands; all that may move a vehicle if left out."),
-      field(:days, {:one_or_list, {:enum, Rules.Window.days()}}, "Days on which it begins; all if left out."),
+      field(:types, {:one_or_list, :string}, "Names of commands; all that may move a vehicle if left out.",
+        filled: true
+      ),
+      field(:days, {:one_or_list, {:enum, Rules.Window.days()}}, "Days on which it begins; all if left out.",
+        filled: true
+      ),
       field(:from, :string, "HH:MM, UTC.", required: true),
       field(:to, :string, "HH:MM, UTC; before from: on the next day.", required: true)
     ]
@@ -128,9 +132,9 @@ defmodule Aerie.Policy.Settings do
 
   defp rate_fields do
     [
-      field(:types, {:one_or_list, :string}, "Names of commands; all but streams if left out."),
-      field(:sources, {:one_or_list, :string}, "Who commands; each one if left out."),
-      field(:vehicles, {:one_or_list, :string}, "Vehicles; each one if left out."),
+      field(:types, {:one_or_list, :string}, "Names of commands; all but streams if left out.", filled: true),
+      field(:sources, {:one_or_list, :string}, "Who commands; each one if left out.", filled: true),
+      field(:vehicles, {:one_or_list, :string}, "Vehicles; each one if left out.", filled: true),
       field(:per_minute, {:number, 0.001, 1_000_000}, "How often.", required: true),
       field(:burst, {:integer, 1, 100_000}, "How many at once.", default: 1)
     ]

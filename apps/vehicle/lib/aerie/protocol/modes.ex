@@ -62,6 +62,23 @@ defmodule Aerie.Protocol.Modes do
   def all(:px4, _kind), do: Px4.Modes.all()
   def all(:generic, _kind), do: []
 
+  @doc """
+  What a name may mean: the numbers of the modes that the firmwares have under it, by autopilot and kind of vehicle. Empty for a
+  name that no firmware knows.
+  """
+  @spec meanings(String.t()) :: [{autopilot(), kind :: String.t(), non_neg_integer()}]
+  def meanings(name) do
+    for {autopilot, kind} <- firmwares(), {:ok, number} <- [number(autopilot, kind, name)], do: {autopilot, kind, number}
+  end
+
+  @doc "The names of all modes of all firmwares."
+  @spec known() :: [String.t()]
+  def known,
+    do: firmwares() |> Enum.flat_map(fn {autopilot, kind} -> all(autopilot, kind) end) |> Enum.uniq() |> Enum.sort()
+
+  # PX4 has the same modes for all kinds.
+  defp firmwares, do: [{:px4, "any"} | for(kind <- Ardupilot.Modes.kinds(), do: {:ardupilot, kind})]
+
   @doc "The mode to be set first, if the firmware refuses to be armed in the present one; nil if it does not, or tells by itself (PX4)."
   @spec arm_first(autopilot(), String.t(), mode :: String.t() | nil) :: String.t() | nil
   def arm_first(:ardupilot, kind, mode), do: Ardupilot.Modes.arm_first(kind, mode)

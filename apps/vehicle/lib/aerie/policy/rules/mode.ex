@@ -41,17 +41,17 @@ defmodule Aerie.Policy.Rules.Mode do
   defp transition(transitions, wanted, context) do
     mode = known_as(context.mode, context)
 
-    case Enum.find(transitions, fn {from, _to} -> known_as(from, context) == mode end) do
-      {_from, allowed} ->
-        if wanted == mode or named?(allowed, wanted, context),
-          do: :ok,
-          else:
-            {:deny, "from #{mode} the mode may change to #{Enum.join(allowed, ", ")} only, not to #{wanted}"}
+    # Several names may mean the mode (`LOITER` is PX4's AUTO_LOITER): what each of them allows.
+    allowed = for {from, to} <- Enum.sort(transitions), known_as(from, context) == mode, do: to
 
-      nil ->
-        :ok
+    case Enum.reject(allowed, &(wanted == mode or named?(&1, wanted, context))) do
+      [] -> :ok
+      [to | _] -> {:deny, "from #{mode} the mode may change to #{listed(to)}, not to #{wanted}"}
     end
   end
+
+  defp listed([]), do: "no other one"
+  defp listed(names), do: Enum.join(names, ", ") <> " only"
 
   defp named?(names, wanted, context), do: Enum.any?(names, &(known_as(&1, context) == wanted))
 

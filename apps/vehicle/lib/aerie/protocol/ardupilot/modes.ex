@@ -59,6 +59,10 @@ defmodule Aerie.Protocol.Ardupilot.Modes do
   @spec standard(String.t()) :: %{String.t() => String.t()}
   def standard(kind), do: for({name, %{^kind => mode}} <- @standard, into: %{}, do: {name, mode})
 
+  @doc "The kinds of vehicles with a firmware."
+  @spec kinds() :: [String.t()]
+  def kinds, do: ~w(copter plane vtol rover boat sub tracker blimp)
+
   @doc "Number to name for a kind of vehicle (`Aerie.Vehicle.Kind.name/1`); empty for a kind without a firmware."
   @spec names(String.t()) :: %{non_neg_integer() => String.t()}
   def names("copter"), do: @copter

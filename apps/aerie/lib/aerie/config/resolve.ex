@@ -9,7 +9,7 @@ defmodule Aerie.Config.Resolve do
   import Aerie.Settings.Rules
 
   alias Aerie.{Bridge, Config, Identity}
-  alias Aerie.Config.Keys
+  alias Aerie.Config.{Keys, Names}
   alias Aerie.Link.Spec
   alias Aerie.Settings.Schema
 
@@ -26,9 +26,10 @@ defmodule Aerie.Config.Resolve do
       |> sampling()
       |> nats()
 
-    problems = Enum.flat_map(Keys.parts(), & &1.problems(config)) ++ ports(config)
+    {names, doubts} = Names.check(config)
+    problems = Enum.flat_map(Keys.parts(), & &1.problems(config)) ++ ports(config) ++ names
     warnings = Enum.flat_map(Keys.parts(), & &1.warnings(config))
-    {%{config | warnings: config.warnings ++ warnings}, problems}
+    {%{config | warnings: config.warnings ++ warnings ++ doubts}, problems}
   end
 
   defp identity(%{mavlink: mavlink} = config) do

@@ -38,9 +38,12 @@ defmodule Aerie.Router.RuleKeys do
           components: {:integer, 0, 255}
         ],
         kind <- ["allow", "block"],
-        do: field(:"#{kind}_#{name}", {:one_or_list, type}, "", default: [])
+        do: field(:"#{kind}_#{name}", {:one_or_list, type}, "", default: [], filled: kind == "allow")
   end
 
   defp sources,
-    do: for(key <- [:allow_sources, :block_sources], do: field(key, {:one_or_list, :string}, "", default: []))
+    do: [
+      field(:allow_sources, {:one_or_list, :string}, "", default: [], filled: true),
+      field(:block_sources, {:one_or_list, :string}, "", default: [])
+    ]
 end

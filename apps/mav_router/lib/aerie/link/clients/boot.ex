@@ -18,6 +18,11 @@ defmodule Aerie.Link.Clients.Boot do
   require Logger
 
   @booted {:clients, :booted}
+  @default "gcs-tcp"
+
+  @doc "The id of the client that is started without `clients` in the configuration."
+  @spec default_id() :: String.t()
+  def default_id, do: @default
 
   @doc "Options: `:gateway`, `:settings` (`Aerie.Link.Clients.Settings`)."
   @spec start_link(keyword) :: GenServer.on_start()
@@ -67,7 +72,7 @@ defmodule Aerie.Link.Clients.Boot do
         []
 
       port ->
-        [%{id: "gcs-tcp", url: "tcpin:127.0.0.1:#{port}"}]
+        [%{id: @default, url: "tcpin:127.0.0.1:#{port}"}]
     end
   end
 

@@ -40,7 +40,8 @@ defmodule Aerie.Link.Clients.Settings do
         :networks,
         {:one_or_list, Types.token()},
         "Networks that it sees, all if left out. If two have the same system id, it sees that of the network named first.",
-        default: []
+        default: [],
+        filled: true
       ),
       field(
         :id_offsets,

@@ -10,12 +10,14 @@ defmodule Aerie.Config.Resolve do
 
   alias Aerie.{Bridge, Config, Identity}
   alias Aerie.Config.{Keys, Names}
-  alias Aerie.Link.Spec
+  alias Aerie.Link.{Configured, Spec}
   alias Aerie.Settings.Schema
 
   @doc "Fills in the derived values; returns the remaining problems."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
   def run(%Config{} = config) do
+    contradictions = contradictions(config.links) ++ Bridge.Settings.contradictions(config.nats)
+
     config =
       config
       |> identity()
@@ -27,7 +29,7 @@ defmodule Aerie.Config.Resolve do
       |> nats()
 
     {names, doubts} = Names.check(config)
-    problems = Enum.flat_map(Keys.parts(), & &1.problems(config)) ++ ports(config) ++ names
+    problems = Enum.flat_map(Keys.parts(), & &1.problems(config)) ++ ports(config) ++ names ++ contradictions
     warnings = Enum.flat_map(Keys.parts(), & &1.warnings(config))
     {%{config | warnings: config.warnings ++ warnings ++ doubts}, problems}
   end
@@ -82,12 +84,19 @@ defmodule Aerie.Config.Resolve do
     link(config, keys, given)
   end
 
-  # A connection string may contain its id and network (`udpin::14550?network=field`); the keys of the list take precedence.
+  defp contradictions(links) do
+    for {link, index} <- Enum.with_index(links), {key, words} <- Configured.contradictions(link) do
+      problem(["links", index, Atom.to_string(key)], "the same in the key and in the url, or one of them", words)
+    end
+  end
+
+  # A connection string may contain its id and network (`udpin::14550?network=field`).
   defp link(config, link, given) do
     names_network? = String.contains?(link.url, ["?network=", "&network="])
     network = link.network || if(names_network?, do: nil, else: config.network)
     {:ok, spec} = Spec.parse(link.url, id: link.id, network: network)
-    Map.merge(link, %{id: spec.id, network: spec.network, given: given, spec: spec})
+    secure = link.secure || spec.options[:secure] == true
+    Map.merge(link, %{id: spec.id, network: spec.network, secure: secure, given: given, spec: spec})
   end
 
   defp clients(%{clients: nil} = config), do: %{config | clients: :default}

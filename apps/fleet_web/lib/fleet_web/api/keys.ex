@@ -10,7 +10,7 @@ defmodule FleetWeb.API.Keys do
       NAME KEY role=operator permissions=force_disarm expires=2027-12-31
       NAME sha256:DIGEST role=viewer
 
-  `#` begins a comment. `sha256:` and 64 hexadecimal digits stand for the key with this digest (`printf %s KEY | sha256sum`), so
+  `#` begins a comment, at the start of a line or behind a space. Each name and each key is there once. `sha256:` and 64 hexadecimal digits stand for the key with this digest (`printf %s KEY | sha256sum`), so
   that the file does not reveal it. A file that others than its owner can read is refused, as in ssh. A key has at least 16
   characters, so that guessing is hopeless at any rate; make keys random.
 
@@ -53,7 +53,13 @@ defmodule FleetWeb.API.Keys do
   @spec load(%{key: Secret.t() | nil, keys_file: Path.t() | nil}) :: {:ok, [key()]} | {:error, String.t()}
   def load(%{key: key, keys_file: file}) do
     own = if key, do: [new("api.key", digest(Secret.reveal(key)))], else: []
-    with {:ok, listed} <- read(file), do: {:ok, own ++ listed}
+
+    with {:ok, listed} <- read(file), nil <- twice(own ++ listed) do
+      {:ok, own ++ listed}
+    else
+      {:error, text} -> {:error, text}
+      what -> {:error, "#{file}: #{what}"}
+    end
   end
 
   @doc "The keys of a file; `[]` for no file at all (nil)."
@@ -148,7 +154,7 @@ defmodule FleetWeb.API.Keys do
     |> String.split(["\r\n", "\n"])
     |> Enum.with_index(1)
     |> Enum.reduce_while({:ok, []}, fn {line, n}, {:ok, keys} ->
-      case line |> String.replace(~r/#.*/, "") |> String.split() do
+      case line |> String.replace(~r/(^|\s)#.*/u, "") |> String.split() do
         [] -> {:cont, {:ok, keys}}
         [key] -> one(path, n, "line #{n}", key, [], keys)
         [name, key | fields] -> one(path, n, name, key, fields, keys)
@@ -161,13 +167,30 @@ defmodule FleetWeb.API.Keys do
   end
 
   defp one(path, n, name, key, fields, keys) do
-    with {:ok, digest} <- key_digest(key),
-         {:ok, fields} <- fields(fields, %{}) do
-      {:cont, {:ok, [new(name, digest, fields) | keys]}}
+    with :ok <- name(name),
+         {:ok, digest} <- key_digest(key),
+         {:ok, fields} <- fields(fields, %{}),
+         key = new(name, digest, fields),
+         nil <- twice([key | keys]) do
+      {:cont, {:ok, [key | keys]}}
     else
       {:error, what} -> {:halt, {:error, "#{path} line #{n}: #{what}"}}
+      what -> {:halt, {:error, "#{path} line #{n}: #{what}"}}
     end
   end
+
+  # Which of two counts, nobody could tell.
+  defp twice(keys) do
+    cond do
+      keys |> Enum.uniq_by(& &1.name) |> length() < length(keys) -> "each name once; this one is there already"
+      keys |> Enum.uniq_by(& &1.digest) |> length() < length(keys) -> "each key once; this one is there already"
+      true -> nil
+    end
+  end
+
+  # It is in the log, and two names with the same beginning must not be taken for one.
+  defp name(name) when byte_size(name) <= 64, do: :ok
+  defp name(_name), do: {:error, "a name has at most 64 bytes"}
 
   defp key_digest("sha256:" <> hex) do
     case Base.decode16(hex, case: :mixed) do
@@ -176,16 +199,41 @@ defmodule FleetWeb.API.Keys do
     end
   end
 
-  defp key_digest(key) when byte_size(key) in @shortest..@longest, do: {:ok, digest(key)}
-  defp key_digest(_key), do: {:error, "a key has #{@shortest} to #{@longest} characters"}
+  defp key_digest(key) do
+    cond do
+      # `KEY role=viewer` without a name: the field would be the key, and anybody could guess it.
+      field?(key) -> {:error, "expected KEY, or NAME KEY and then role=, permissions= or expires=; here a field is where the key should be"}
+      String.contains?(key, "#") -> {:error, "# is not allowed in a key; a comment begins behind a space"}
+      true -> plain_digest(key)
+    end
+  end
+
+  defp plain_digest(key) when byte_size(key) in @shortest..@longest, do: {:ok, digest(key)}
+  defp plain_digest(_key), do: {:error, "a key has #{@shortest} to #{@longest} characters"}
+
+  @fields ~w(role permissions expires)
+  @alike 0.8
+
+  # Misspelt or in capitals too.
+  defp field?(word) do
+    case String.split(word, "=", parts: 2) do
+      [name, value] when value != "" ->
+        Enum.any?(@fields, &(String.jaro_distance(String.downcase(name), &1) >= @alike))
+
+      _no_field ->
+        false
+    end
+  end
 
   defp fields([], known), do: {:ok, known}
 
   defp fields([word | rest], known) do
     with [name, value] <- String.split(word, "=", parts: 2),
-         {:ok, field, value} <- field(name, value) do
+         {:ok, field, value} <- field(name, value),
+         false <- is_map_key(known, field) do
       fields(rest, Map.put(known, field, value))
     else
+      true -> {:error, "each of role=, permissions= and expires= once"}
       {:error, text} -> {:error, text}
       _no_field -> {:error, "expected KEY, NAME KEY, or NAME KEY with role=, permissions= and expires="}
     end

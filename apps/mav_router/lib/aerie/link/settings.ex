@@ -108,17 +108,14 @@ defmodule Aerie.Link.Settings do
         default: false
       ),
       field(:enabled, :boolean, "Open it.", default: true),
-      field(:secure, :boolean, "A cable that nobody else can hear: signing keys may go over it.",
-        default: false
-      ),
+      field(:secure, :boolean, "A cable that nobody else can hear: signing keys may go over it; not if left out."),
       field(
         :gcs,
         {:enum, [:auto, :allow, :deny]},
         """
-        Who may command vehicles by this link: auto, only programs of this machine (loopback); allow, everybody who reaches the
-        link; deny, nobody. Ground stations belong to clients.
-        """,
-        default: struct(Aerie.Router.Owner).gcs
+        Who may command vehicles by this link: auto (if left out), only programs of this machine (loopback); allow, everybody who
+        reaches the link; deny, nobody. Ground stations belong to clients.
+        """
       ),
       field(
         :parts,

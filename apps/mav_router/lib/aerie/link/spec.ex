@@ -131,6 +131,21 @@ defmodule Aerie.Link.Spec do
     end
   end
 
+  @doc """
+  The options that every string takes, as far as this one has them. A key of the configuration that says something else
+  contradicts it. Empty for what is not a connection string.
+  """
+  @spec said(String.t()) :: %{optional(:id | :network | :secure | :gcs) => term}
+  def said(text) do
+    with [body, query] <- text |> String.trim() |> String.split("?", parts: 2),
+         {transport, form} = Transport.form(body),
+         {:ok, options, _foreign} <- Query.parse(query, transport, form) do
+      Map.take(options, [:id, :network, :secure, :gcs])
+    else
+      _none -> %{}
+    end
+  end
+
   @doc "Whether a link with the option `:secure` can be secure; the error is words."
   @spec secure(t) :: :ok | {:error, String.t()}
   def secure(%__MODULE__{options: %{secure: true}} = spec) do

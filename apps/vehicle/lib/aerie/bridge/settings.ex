@@ -9,7 +9,7 @@ defmodule Aerie.Bridge.Settings do
 
   alias Aerie.Bridge.Leaf
   alias Aerie.Secret
-  alias Aerie.Settings.Types
+  alias Aerie.Settings.{Schema, Types}
 
   part :fleet, Aerie.Fleet.Settings
   part :vehicle, Aerie.Vehicle.Settings
@@ -81,7 +81,9 @@ defmodule Aerie.Bridge.Settings do
         ),
         field(:verify, :boolean, "Check the server's certificate.", default: true)
       ]),
-      field(:address, Types.ip(), "Embedded: address to listen on.", default: "127.0.0.1"),
+      field(:address, Types.ip(), "Embedded: loopback address to listen on, because the server has no TLS.",
+        default: "127.0.0.1"
+      ),
       field(
         :port,
         {:integer, 0, 65_535},
@@ -212,8 +214,55 @@ defmodule Aerie.Bridge.Settings do
   @spec on?(t()) :: boolean()
   def on?(%__MODULE__{nats: %{mode: mode}}), do: mode != :off
 
+  @doc """
+  Logins in the addresses that contradict each other or the keys: of the section as it is written, because `derive/1` puts the login
+  of an address in place of the keys.
+  """
+  @spec contradictions(map()) :: [Schema.problem()]
+  def contradictions(nats) do
+    logins = for url <- nats.url, info = URI.parse(url).userinfo, uniq: true, do: info
+    keys = for key <- [:credentials, :nkey_seed_file, :token, :user, :password], Map.fetch!(nats, key), do: "nats.#{key}"
+
+    failed([
+      {match?([_, _ | _], logins), ["nats", "url"], "the same login in all addresses", "#{length(logins)} different ones"},
+      {logins != [] and keys != [], ["nats", "url"], "one way to sign in",
+       "a login in the address and #{Enum.join(keys, ", ")}"}
+    ])
+  end
+
+  # The embedded server has neither TLS nor other logins than its token.
+  defp of_embedded(%{nats: %{mode: :embedded} = nats} = config) do
+    given = for key <- [:credentials, :nkey_seed_file, :user], Map.fetch!(nats, key), do: "nats.#{key}"
+    # `--nats embedded` with the configuration of a real gateway.
+    told? = config.given["nats.mode"] != "command line"
+
+    failed([
+      {not Aerie.Address.loopback?(ip(nats.address)), ["nats", "address"],
+       "a loopback address: the embedded server has no TLS, so its token could be read on the way (for others run a server of " <>
+         "your own, nats.mode url)", nats.address},
+      {told? and given != [], ["nats", "mode"], "url for #{Enum.join(given, ", ")}",
+       "embedded, whose server knows nats.token only"},
+      {told? and tls_keys(nats) != [], ["nats", "tls"], "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}", "embedded"}
+    ])
+  end
+
+  defp of_embedded(%{nats: nats}) do
+    failed([
+      {nats.mode == :url and not nats.tls.enabled and tls_keys(nats) != [], ["nats", "tls", "enabled"],
+       "true, or a tls:// address, for #{Enum.join(tls_keys(nats), ", ")}", "false"}
+    ])
+  end
+
+  defp tls_keys(%{tls: tls}),
+    do: for(key <- [:ca_file, :cert_file, :key_file, :server_name], Map.fetch!(tls, key), do: "nats.tls.#{key}")
+
+  defp ip(address) do
+    {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))
+    ip
+  end
+
   @impl Aerie.Settings
-  def problems(%{nats: nats, outbox: outbox}) do
+  def problems(%{nats: nats, outbox: outbox} = config) do
     logins =
       [:credentials, :nkey_seed_file, :token, :user]
       |> Enum.filter(&Map.fetch!(nats, &1))
@@ -222,6 +271,7 @@ defmodule Aerie.Bridge.Settings do
     streams_mb = nats.streams.state_max_mb + nats.streams.event_max_mb
 
     Leaf.Config.problems(nats.leaf, nats.mode) ++
+      of_embedded(config) ++
       failed([
         {String.contains?(logins, ","), ["nats"], "one way to sign in", logins},
         {nats.password != nil and nats.user == nil, ["nats", "user"], "a user name for nats.password",

@@ -54,11 +54,14 @@ defmodule Aerie.Link.Transport.Query do
       value = pair |> String.split("=", parts: 2) |> Enum.at(1, "")
 
       case option(key(pair), value, transport, form) do
+        {:ok, name, _value} when is_map_key(options, name) -> {:halt, {:error, twice(key(pair), form)}}
         {:ok, name, value} -> {:cont, {:ok, Map.put(options, name, value)}}
         {:error, reasons} -> {:halt, {:error, Keyword.put_new(reasons, :example, form.example)}}
       end
     end)
   end
+
+  defp twice(key, form), do: [reason: "#{key} is given twice", expected: "each option once", example: form.example]
 
   defp key(pair), do: pair |> String.split("=") |> hd()
 

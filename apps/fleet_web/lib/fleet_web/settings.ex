@@ -124,7 +124,10 @@ defmodule FleetWeb.Settings do
   defp websocket_fields do
     [
       field(:enabled, :boolean, "Serve it.", default: true),
-      field(:address, Types.ip(), "Address to listen on. Beyond loopback only with a key (api); give it TLS there (cert_file).",
+      field(
+        :address,
+        Types.ip(),
+        "Address to listen on. Beyond loopback only with a key (api); give it TLS there (cert_file).",
         default: "127.0.0.1"
       ),
       field(

@@ -24,26 +24,51 @@ defmodule Aerie.Config.Names do
     own? = not Enum.any?(["links", "clients"], &(config.given[&1] == "command line"))
 
     clients =
-      unknown(clients(config), &(&1 in ends), "the id of a client or link", ends, "one that is added later has the entry without an id")
+      unknown(
+        clients(config),
+        &(&1 in ends),
+        "the id of a client or link",
+        ends,
+        "one that is added later has the entry without an id"
+      )
 
     filters = unknown(filters(config), &(&1 in ends), "the id of a link or client", ends, nil)
     sources = sources(config, ends)
-    rates = unknown(rates(config, :sources), &(&1 in sources), "the name of a source of commands", sources, nil)
+
+    rates =
+      unknown(rates(config, :sources), &(&1 in sources), "the name of a source of commands", sources, nil)
+
     vehicles = Enum.map(config.vehicles, & &1.id)
 
     fleet =
-      unknown(rates(config, :vehicles), &vehicle?(config, &1), "the name of a vehicle", vehicles, "others are VID- and three digits")
+      unknown(
+        rates(config, :vehicles),
+        &vehicle?(config, &1),
+        "the name of a vehicle",
+        vehicles,
+        "others are VID- and three digits"
+      )
 
-    {problems, doubts} = if own?, do: {clients ++ filters ++ rates, []}, else: {[], clients ++ filters ++ rates}
-    if config.remote.enabled, do: {problems, texts_of(doubts ++ fleet)}, else: {problems ++ fleet, texts_of(doubts)}
+    {problems, doubts} =
+      if own?, do: {clients ++ filters ++ rates, []}, else: {[], clients ++ filters ++ rates}
+
+    if config.remote.enabled,
+      do: {problems, texts_of(doubts ++ fleet)},
+      else: {problems ++ fleet, texts_of(doubts)}
   end
 
   defp texts_of(problems),
-    do: for(%{path: path} = problem <- problems, do: "#{Config.Error.path(path)}: #{problem.got} is not #{problem.expected}")
+    do:
+      for(
+        %{path: path} = problem <- problems,
+        do: "#{Config.Error.path(path)}: #{problem.got} is not #{problem.expected}"
+      )
 
   # Whose frames come in, by the ids that the policy and filters see.
   defp ends(config) do
-    clients = if config.clients == :default, do: [Aerie.Link.Clients.Boot.default_id()], else: ids(config.clients)
+    clients =
+      if config.clients == :default, do: [Aerie.Link.Clients.Boot.default_id()], else: ids(config.clients)
+
     Enum.uniq(ids(config.links) ++ clients)
   end
 
@@ -52,7 +77,11 @@ defmodule Aerie.Config.Names do
   # All who may sign a command, or give one by a key or as a user.
   defp sources(config, ends) do
     keys = with {:ok, keys} <- Keys.load(config.api), do: keys, else: (_reported -> [])
-    users = with {:ok, users} <- config.console.dir |> Users.file() |> Users.read(), do: users, else: (_reported -> [])
+
+    users =
+      with {:ok, users} <- config.console.dir |> Users.file() |> Users.read(),
+           do: users,
+           else: (_reported -> [])
 
     Enum.uniq(
       ends ++
@@ -63,7 +92,9 @@ defmodule Aerie.Config.Names do
 
   @spec clients(Config.t()) :: [named()]
   defp clients(%{policy: %{clients: clients}}) do
-    for {%{id: id}, index} <- Enum.with_index(clients), id != nil, do: {["policy", "clients", index, "id"], id}
+    for {%{id: id}, index} <- Enum.with_index(clients),
+        id != nil,
+        do: {["policy", "clients", index, "id"], id}
   end
 
   defp rates(%{policy: %{rates: rates}}, key) do
@@ -94,7 +125,9 @@ defmodule Aerie.Config.Names do
     end
   end
 
-  @spec unknown([named()], (String.t() -> boolean()), String.t(), [String.t()], String.t() | nil) :: [Schema.problem()]
+  @spec unknown([named()], (String.t() -> boolean()), String.t(), [String.t()], String.t() | nil) :: [
+          Schema.problem()
+        ]
   defp unknown(named, known?, expected, names, hint) do
     for {path, name} <- named, not known?.(name) do
       hints = [Schema.did_you_mean(name, names), known(names), hint]

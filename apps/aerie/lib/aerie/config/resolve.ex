@@ -86,7 +86,11 @@ defmodule Aerie.Config.Resolve do
 
   defp contradictions(links) do
     for {link, index} <- Enum.with_index(links), {key, words} <- Configured.contradictions(link) do
-      problem(["links", index, Atom.to_string(key)], "the same in the key and in the url, or one of them", words)
+      problem(
+        ["links", index, Atom.to_string(key)],
+        "the same in the key and in the url, or one of them",
+        words
+      )
     end
   end
 

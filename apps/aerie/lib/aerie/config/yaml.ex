@@ -35,9 +35,10 @@ defmodule Aerie.Config.Yaml do
   @doc "The line of each key of a text, by its path; of what cannot be parsed, none."
   @spec lines(binary()) :: Lines.t()
   def lines(text) do
-    with :ok <- limits(text), {:ok, [document]} <- decode(text),
-      do: Lines.of(document, text),
-      else: (_unreadable -> %{})
+    with :ok <- limits(text),
+         {:ok, [document]} <- decode(text),
+         do: Lines.of(document, text),
+         else: (_unreadable -> %{})
   end
 
   @doc "Parses one YAML document of any shape; for values given as text (environment, command line)."
@@ -116,7 +117,8 @@ defmodule Aerie.Config.Yaml do
 
   # The reader gives the same for every longer number.
   defp value(number, path) when number in [@longest, @shortest],
-    do: throw({:bad_key, Enum.reverse(path), "numbers of at most 18 digits (a text in quotes)", "a longer one"})
+    do:
+      throw({:bad_key, Enum.reverse(path), "numbers of at most 18 digits (a text in quotes)", "a longer one"})
 
   defp value(scalar, _path), do: scalar
 

@@ -48,7 +48,9 @@ defmodule Aerie.Config.YamlTest do
 
   test "a number that the parser cuts is an error: a key of many digits would be another one" do
     for digits <- ["12345678901234567890123", "-12345678901234567890123"] do
-      assert {:error, %{line: 2, expected: "numbers of at most 18 digits" <> _}} = Yaml.parse("b: 1\na: #{digits}\n")
+      assert {:error, %{line: 2, expected: "numbers of at most 18 digits" <> _}} =
+               Yaml.parse("b: 1\na: #{digits}\n")
+
       assert {:ok, %{"a" => ^digits}} = Yaml.parse("a: '#{digits}'\n")
     end
   end

@@ -182,9 +182,14 @@ defmodule FleetWeb.API.Keys do
   # Which of two counts, nobody could tell.
   defp twice(keys) do
     cond do
-      keys |> Enum.uniq_by(& &1.name) |> length() < length(keys) -> "each name once; this one is there already"
-      keys |> Enum.uniq_by(& &1.digest) |> length() < length(keys) -> "each key once; this one is there already"
-      true -> nil
+      keys |> Enum.uniq_by(& &1.name) |> length() < length(keys) ->
+        "each name once; this one is there already"
+
+      keys |> Enum.uniq_by(& &1.digest) |> length() < length(keys) ->
+        "each key once; this one is there already"
+
+      true ->
+        nil
     end
   end
 
@@ -202,9 +207,15 @@ defmodule FleetWeb.API.Keys do
   defp key_digest(key) do
     cond do
       # `KEY role=viewer` without a name: the field would be the key, and anybody could guess it.
-      field?(key) -> {:error, "expected KEY, or NAME KEY and then role=, permissions= or expires=; here a field is where the key should be"}
-      String.contains?(key, "#") -> {:error, "# is not allowed in a key; a comment begins behind a space"}
-      true -> plain_digest(key)
+      field?(key) ->
+        {:error,
+         "expected KEY, or NAME KEY and then role=, permissions= or expires=; here a field is where the key should be"}
+
+      String.contains?(key, "#") ->
+        {:error, "# is not allowed in a key; a comment begins behind a space"}
+
+      true ->
+        plain_digest(key)
     end
   end
 

@@ -108,7 +108,11 @@ defmodule Aerie.Link.Settings do
         default: false
       ),
       field(:enabled, :boolean, "Open it.", default: true),
-      field(:secure, :boolean, "A cable that nobody else can hear: signing keys may go over it; not if left out."),
+      field(
+        :secure,
+        :boolean,
+        "A cable that nobody else can hear: signing keys may go over it; not if left out."
+      ),
       field(
         :gcs,
         {:enum, [:auto, :allow, :deny]},

@@ -207,7 +207,10 @@ defmodule Aerie.Settings.Schema do
   defp scalar(:string, text) when is_binary(text), do: if(blank?(text), do: :error, else: {:ok, text})
   # A version or a call sign that happens to look like a number is still text to its writer.
   defp scalar(:string, number) when is_integer(number), do: {:ok, Integer.to_string(number)}
-  defp scalar(:secret, text) when is_binary(text), do: if(blank?(text), do: :error, else: {:ok, Secret.new(text)})
+
+  defp scalar(:secret, text) when is_binary(text),
+    do: if(blank?(text), do: :error, else: {:ok, Secret.new(text)})
+
   defp scalar(:path, text) when is_binary(text) and text != "", do: {:ok, text}
   defp scalar(:boolean, bool) when is_boolean(bool), do: {:ok, bool}
   defp scalar(:boolean, {:text, text}) when text in ~w(true 1 yes on), do: {:ok, true}

@@ -221,10 +221,15 @@ defmodule Aerie.Bridge.Settings do
   @spec contradictions(map()) :: [Schema.problem()]
   def contradictions(nats) do
     logins = for url <- nats.url, info = URI.parse(url).userinfo, uniq: true, do: info
-    keys = for key <- [:credentials, :nkey_seed_file, :token, :user, :password], Map.fetch!(nats, key), do: "nats.#{key}"
+
+    keys =
+      for key <- [:credentials, :nkey_seed_file, :token, :user, :password],
+          Map.fetch!(nats, key),
+          do: "nats.#{key}"
 
     failed([
-      {match?([_, _ | _], logins), ["nats", "url"], "the same login in all addresses", "#{length(logins)} different ones"},
+      {match?([_, _ | _], logins), ["nats", "url"], "the same login in all addresses",
+       "#{length(logins)} different ones"},
       {logins != [] and keys != [], ["nats", "url"], "one way to sign in",
        "a login in the address and #{Enum.join(keys, ", ")}"}
     ])
@@ -242,7 +247,8 @@ defmodule Aerie.Bridge.Settings do
          "your own, nats.mode url)", nats.address},
       {told? and given != [], ["nats", "mode"], "url for #{Enum.join(given, ", ")}",
        "embedded, whose server knows nats.token only"},
-      {told? and tls_keys(nats) != [], ["nats", "tls"], "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}", "embedded"}
+      {told? and tls_keys(nats) != [], ["nats", "tls"],
+       "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}", "embedded"}
     ])
   end
 
@@ -254,7 +260,8 @@ defmodule Aerie.Bridge.Settings do
   end
 
   defp tls_keys(%{tls: tls}),
-    do: for(key <- [:ca_file, :cert_file, :key_file, :server_name], Map.fetch!(tls, key), do: "nats.tls.#{key}")
+    do:
+      for(key <- [:ca_file, :cert_file, :key_file, :server_name], Map.fetch!(tls, key), do: "nats.tls.#{key}")
 
   defp ip(address) do
     {:ok, ip} = :inet.parse_strict_address(String.to_charlist(address))

@@ -182,12 +182,21 @@ defmodule Aerie.Policy.Compile do
 
   defp clients_twice(clients) do
     others = Enum.count(clients, &(&1.id == nil))
-    catch_all = if others > 1, do: [{"policy.clients", "one entry without an id, for all others", "#{others}"}], else: []
+
+    catch_all =
+      if others > 1,
+        do: [{"policy.clients", "one entry without an id, for all others", "#{others}"}],
+        else: []
+
     catch_all ++ twice("policy.clients", Enum.reject(clients, &(&1.id == nil)), :id)
   end
 
   defp twice(path, items, key),
-    do: for(value <- items |> Enum.map(&Map.fetch!(&1, key)) |> repeated(), do: {path, "each #{key} once", "#{value} twice"})
+    do:
+      for(
+        value <- items |> Enum.map(&Map.fetch!(&1, key)) |> repeated(),
+        do: {path, "each #{key} once", "#{value} twice"}
+      )
 
   defp repeated(values), do: Enum.uniq(values -- Enum.uniq(values))
 

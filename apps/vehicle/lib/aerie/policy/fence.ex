@@ -22,7 +22,33 @@ defmodule Aerie.Policy.Fence do
 
   @doc "The fence of a GeoJSON text, or all that is wrong with it."
   @spec parse(binary()) :: {:ok, t()} | {:error, [String.t(), ...]}
-  def parse(text), do: with({:ok, zones} <- GeoJson.parse(text), do: {:ok, %__MODULE__{zones: zones}})
+  def parse(text) do
+    with {:ok, zones} <- GeoJson.parse(text), [] <- astray(zones) do
+      {:ok, %__MODULE__{zones: zones}}
+    else
+      {:error, errors} -> {:error, errors}
+      errors -> {:error, errors}
+    end
+  end
+
+  # Nothing that is in an inclusion zone gets there: longitude and latitude are swapped, most likely.
+  defp astray(zones) do
+    with [_ | _] = inclusions <- inclusions(zones) do
+      for %{kind: :exclusion} = zone <- zones, Enum.any?(zone.polygons, &far_from_all?(&1, inclusions)) do
+        ~s(expected exclusion zones within #{km(@max_way)} of an inclusion zone, got: "#{zone.name}", which is farther away ) <>
+          "(longitude comes before latitude)"
+      end
+    end
+  end
+
+  defp far_from_all?(%{centre: centre}, inclusions) do
+    middle = Earth.surface(centre)
+
+    Enum.all?(inclusions, fn zone ->
+      # `:far` is more than any number.
+      not Zone.over?(zone, middle) and Zone.distance(zone, middle) > @max_way
+    end)
+  end
 
   @doc "The fence of a file, or all that is wrong with it, each line with the file's name."
   @spec read(Path.t()) :: {:ok, t()} | {:error, [String.t(), ...]}

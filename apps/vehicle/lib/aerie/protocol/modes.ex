@@ -68,13 +68,19 @@ defmodule Aerie.Protocol.Modes do
   """
   @spec meanings(String.t()) :: [{autopilot(), kind :: String.t(), non_neg_integer()}]
   def meanings(name) do
-    for {autopilot, kind} <- firmwares(), {:ok, number} <- [number(autopilot, kind, name)], do: {autopilot, kind, number}
+    for {autopilot, kind} <- firmwares(),
+        {:ok, number} <- [number(autopilot, kind, name)],
+        do: {autopilot, kind, number}
   end
 
   @doc "The names of all modes of all firmwares."
   @spec known() :: [String.t()]
   def known,
-    do: firmwares() |> Enum.flat_map(fn {autopilot, kind} -> all(autopilot, kind) end) |> Enum.uniq() |> Enum.sort()
+    do:
+      firmwares()
+      |> Enum.flat_map(fn {autopilot, kind} -> all(autopilot, kind) end)
+      |> Enum.uniq()
+      |> Enum.sort()
 
   # PX4 has the same modes for all kinds.
   defp firmwares, do: [{:px4, "any"} | for(kind <- Ardupilot.Modes.kinds(), do: {:ardupilot, kind})]

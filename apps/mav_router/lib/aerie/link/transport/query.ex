@@ -61,7 +61,8 @@ defmodule Aerie.Link.Transport.Query do
     end)
   end
 
-  defp twice(key, form), do: [reason: "#{key} is given twice", expected: "each option once", example: form.example]
+  defp twice(key, form),
+    do: [reason: "#{key} is given twice", expected: "each option once", example: form.example]
 
   defp key(pair), do: pair |> String.split("=") |> hd()
 

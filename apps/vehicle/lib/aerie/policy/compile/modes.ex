@@ -15,7 +15,9 @@ defmodule Aerie.Policy.Compile.Modes do
   @doc "The modes in capitals, and what is wrong."
   @spec compile(map()) :: {Rules.Mode.modes(), [Compile.error()]}
   def compile(%{denied: denied, transitions: transitions}) do
-    listed = for {from, to} <- Enum.sort(transitions), do: {String.upcase(from), Enum.map(to, &String.upcase/1)}
+    listed =
+      for {from, to} <- Enum.sort(transitions), do: {String.upcase(from), Enum.map(to, &String.upcase/1)}
+
     denied = Enum.map(denied, &String.upcase/1)
 
     errors =
@@ -46,7 +48,9 @@ defmodule Aerie.Policy.Compile.Modes do
   defp denied(listed, denied) do
     meanings = Enum.flat_map(denied, &Modes.meanings/1)
 
-    for {from, to} <- listed, mode <- to, Modes.meanings(mode) != [] and Modes.meanings(mode) -- meanings == [] do
+    for {from, to} <- listed,
+        mode <- to,
+        Modes.meanings(mode) != [] and Modes.meanings(mode) -- meanings == [] do
       {"#{@path}.transitions.#{from}", "modes that may be asked for", "#{mode}, which modes.denied denies"}
     end
   end

@@ -11,18 +11,19 @@ defmodule Aerie.Policy.Fence.GeoJson do
   | `min_altitude`, `max_altitude` | the band of heights that the zone is about, metres; all heights if left out |
   | `altitude_reference` | what they are above: `home` (default) or `msl` |
 
-  Other properties are left to other programs, but for those that look like a misspelt one of these: a limit that is not
-  read is worse than none. All errors are given at once, each with its place in the file.
+  Other properties are left to other programs, but for those that look as if they limited something
+  (`Aerie.Policy.Fence.Foreign`): a limit that is not read is worse than none. All errors are given at once, each with its place in the file.
   """
 
-  alias Aerie.Policy.Fence.{Polygon, Zone}
+  alias Aerie.Policy.Fence.{Foreign, Json, Polygon, Zone}
 
   @max_bytes 1_048_576
   @max_zones 100
   @max_positions 10_000
   @max_ring 2_000
-  @keys ~w(fence name radius min_altitude max_altitude altitude_reference)
-  @alike 0.87
+  @keys Foreign.keys()
+  # The only coordinates of GeoJSON; older files may still say so.
+  @wgs84 ~w(urn:ogc:def:crs:OGC:1.3:CRS84 urn:ogc:def:crs:OGC::CRS84 OGC:CRS84 EPSG:4326 urn:ogc:def:crs:EPSG::4326)
 
   @doc "The largest file in bytes."
   @spec max_bytes() :: pos_integer()
@@ -36,26 +37,13 @@ defmodule Aerie.Policy.Fence.GeoJson do
   def parse(text) do
     with {:ok, json} <- decode(text),
          {:ok, features} <- features(json),
+         :ok <- members(json),
          :ok <- count(features) do
       features |> Enum.with_index(1) |> Enum.map(&feature/1) |> collect()
     end
   end
 
-  defp decode(text) do
-    case JSON.decode(text) do
-      {:ok, json} ->
-        {:ok, json}
-
-      {:error, {_kind, offset, _byte}} ->
-        {:error, ["line #{line(text, offset)}: expected JSON, got a character that does not fit there"]}
-
-      {:error, {_kind, offset}} ->
-        {:error, ["line #{line(text, offset)}: expected JSON, got the end of the file"]}
-    end
-  end
-
-  defp line(text, offset),
-    do: text |> binary_part(0, min(offset, byte_size(text))) |> String.split("\n") |> length()
+  defp decode(text), do: with({:error, line} <- Json.decode(text), do: {:error, [line]})
 
   defp features(%{"type" => "FeatureCollection", "features" => features}) when is_list(features),
     do: {:ok, for({feature, n} <- Enum.with_index(features), do: {"features[#{n}]", feature})}
@@ -67,6 +55,26 @@ defmodule Aerie.Policy.Fence.GeoJson do
 
   defp features(other) do
     {:error, ["expected a GeoJSON FeatureCollection, Feature, Polygon or MultiPolygon, got: #{got(other)}"]}
+  end
+
+  # Beside features and geometries nothing is read.
+  defp members(%{"crs" => %{"properties" => %{"name" => name}}} = json) when name in @wgs84,
+    do: json |> Map.delete("crs") |> members()
+
+  defp members(%{"crs" => crs}) when crs != nil,
+    do: {:error, ["crs: expected longitude and latitude (WGS 84), got: #{got(crs)}"]}
+
+  defp members(%{"type" => "FeatureCollection"} = json),
+    do: foreign(json, ~w(type features bbox crs), & &1)
+
+  defp members(%{"type" => "Feature"}), do: :ok
+  defp members(geometry), do: foreign(geometry, ~w(type coordinates bbox crs), & &1)
+
+  defp foreign(object, own, at) do
+    case Foreign.problems(object, own, at, false) do
+      [] -> :ok
+      errors -> {:error, errors}
+    end
   end
 
   defp count([]),
@@ -93,6 +101,12 @@ defmodule Aerie.Policy.Fence.GeoJson do
     case feature["properties"] || %{} do
       %{} = properties ->
         {zone, errors} = properties(path, properties, n)
+        beside = Foreign.problems(feature, ~w(type geometry properties id bbox crs), &join(path, &1), false)
+
+        inside =
+          Foreign.problems(geometry, ~w(type coordinates bbox crs), &join(path, "geometry.#{&1}"), false)
+
+        errors = Enum.reverse(beside ++ inside) ++ errors
         geometry(join(path, "geometry"), geometry, properties, zone, errors)
 
       other ->
@@ -121,10 +135,22 @@ defmodule Aerie.Policy.Fence.GeoJson do
         do: ["#{at.("max_altitude")}: expected more than min_altitude (#{floor}), got: #{ceiling}" | errors],
         else: errors
 
-    unread =
-      for key <- Map.keys(properties), key not in @keys, like = like(key) do
-        "#{at.(key)}: expected a known property, got one that looks like \"#{like}\""
-      end
+    unread = properties |> Foreign.problems(@keys, at, true) |> Enum.reverse()
+
+    errors =
+      if Map.has_key?(properties, "fence") or unread != [],
+        do: errors,
+        else: undecided(at, properties) ++ errors
+
+    heights? = Map.has_key?(properties, "min_altitude") or Map.has_key?(properties, "max_altitude")
+
+    errors =
+      if Map.has_key?(properties, "altitude_reference") and not heights?,
+        do: [
+          "#{at.("altitude_reference")}: expected min_altitude or max_altitude beside it, got neither"
+          | errors
+        ],
+        else: errors
 
     zone = %Zone{
       name: name,
@@ -138,7 +164,11 @@ defmodule Aerie.Policy.Fence.GeoJson do
     {zone, unread ++ errors}
   end
 
-  defp like(key), do: Enum.find(@keys, &(String.jaro_distance(String.downcase(key), &1) >= @alike))
+  defp undecided(at, properties) do
+    for {key, value} <- properties, Foreign.excludes?(value) do
+      "#{at.("fence")}: expected inclusion or exclusion, because #{key} is #{got(value)}, got: nothing"
+    end
+  end
 
   # The first of the values is the default.
   defp one_of(at, properties, key, values, errors) do

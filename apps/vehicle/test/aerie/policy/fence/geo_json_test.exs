@@ -81,6 +81,101 @@ defmodule Aerie.Policy.Fence.GeoJsonTest do
            ]
   end
 
+  test "a member that looks as if it limited something is refused, wherever it stands" do
+    point = %{"type" => "Point", "coordinates" => [8.05, 47.05]}
+
+    for {properties, key} <- [
+          {%{"type" => "exclusion"}, "type"},
+          {%{"kind" => "No-Fly"}, "kind"},
+          {%{"description" => "exclusion"}, "description"},
+          {%{"exclusion" => true}, "exclusion"},
+          {%{"inclusion" => false}, "inclusion"},
+          {%{"Fence" => "exclusion"}, "Fence"},
+          {%{"geofence" => "out"}, "geofence"},
+          {%{"maxAltitude" => 30}, "maxAltitude"},
+          {%{"max_alt" => 30}, "max_alt"},
+          {%{"maxAlt" => 30}, "maxAlt"},
+          {%{"MAXALT" => "30 m"}, "MAXALT"},
+          {%{"ceiling" => 30}, "ceiling"},
+          {%{"height" => 30}, "height"},
+          {%{"upper_limit_m" => 30}, "upper_limit_m"},
+          {%{"max" => 30}, "max"},
+          {%{"altitude_ref" => "msl"}, "altitude_ref"},
+          {%{"buffer" => 50}, "buffer"},
+          {%{"allowed" => false}, "allowed"},
+          {%{"aerie" => %{"fence" => "exclusion"}}, "aerie"},
+          {%{"tags" => [%{"type" => "keep-out"}]}, "tags"}
+        ] do
+      assert [error] = errors([square(properties)])
+      assert error =~ "features[0].properties.#{key}: expected "
+    end
+
+    assert ["features[0].fence: expected it in the properties of a Feature"] =
+             errors([Map.put(square(), "fence", "exclusion")])
+
+    assert ["features[0].geometry.max_altitude: expected it in the properties" <> _] =
+             errors([put_in(square()["geometry"]["max_altitude"], 30)])
+
+    assert ["features[0].properties.altitude_reference: expected min_altitude or max_altitude beside it" <> _] =
+             errors([square(%{"altitude_reference" => "msl"})])
+
+    for {more, place} <- [
+          {%{"fence" => "exclusion"}, "fence"},
+          {%{"properties" => %{"fence" => "exclusion"}}, "properties"}
+        ] do
+      for whole <- [
+            %{"type" => "FeatureCollection", "features" => [square()]},
+            %{"type" => "Polygon", "coordinates" => @square}
+          ] do
+        assert {:error, [error]} = whole |> Map.merge(more) |> JSON.encode!() |> GeoJson.parse()
+        assert error =~ place <> ": expected "
+      end
+    end
+
+    # What other programs write.
+    assert [_zone] =
+             zones([
+               square(%{
+                 "stroke" => "#f00",
+                 "fill-opacity" => 0.5,
+                 "marker-size" => "small",
+                 "title" => "Field of the club",
+                 "id" => 7,
+                 "alt_name" => "Feld",
+                 "note" => nil,
+                 "tags" => ["a", %{"b" => 1}]
+               })
+               |> Map.put("id", "x")
+             ])
+
+    assert [_zone] = zones([feature(point, %{"radius" => 10})])
+  end
+
+  test "a member that stands twice is refused, and coordinates that are not degrees" do
+    text = ~s({"type": "Polygon", "coordinates": #{JSON.encode!(@square)}, "type": "Polygon"})
+    assert {:error, [~s(expected each member of an object once, got "type" twice)]} = GeoJson.parse(text)
+
+    crs = fn name -> %{"type" => "name", "properties" => %{"name" => name}} end
+    whole = %{"type" => "FeatureCollection", "features" => [square()]}
+
+    assert {:error, ["crs: expected longitude" <> _]} =
+             GeoJson.parse(JSON.encode!(Map.put(whole, "crs", crs.("EPSG:3857"))))
+
+    assert {:ok, [_zone]} =
+             GeoJson.parse(JSON.encode!(Map.put(whole, "crs", crs.("urn:ogc:def:crs:OGC:1.3:CRS84"))))
+  end
+
+  test "an exclusion zone that no vehicle of the inclusion zones can reach is refused" do
+    swapped = [[[47.0, 8.0], [47.1, 8.0], [47.1, 8.1], [47.0, 8.1]]]
+
+    exclusion =
+      feature(%{"type" => "Polygon", "coordinates" => swapped}, %{"fence" => "exclusion", "name" => "tower"})
+
+    assert {:error, [error]} = [square(), exclusion] |> collection() |> Aerie.Policy.Fence.parse()
+    assert error =~ "within 1000.0 km of an inclusion zone" and error =~ "tower"
+    assert {:ok, _fence} = [exclusion] |> collection() |> Aerie.Policy.Fence.parse()
+  end
+
   test "what is no GeoJSON is refused with its line, and a fence without zones" do
     assert {:error, ["line 3: expected JSON" <> _]} = GeoJson.parse("{\n\"type\":\n oops")
     assert {:error, ["line 1: expected JSON, got the end" <> _]} = GeoJson.parse("{")

@@ -94,9 +94,12 @@ defmodule Aerie.Config do
     with {:ok, file, lines} <- read(path) do
       layers = Environment.overrides(env) ++ override_list(overrides)
 
-      case build(file, layers, {path, lines}) do
-        {:ok, config} -> {:ok, %{config | warnings: Environment.warnings(env) ++ config.warnings}}
-        error -> error
+      with {:ok, config} <- build(file, layers, {path, lines}),
+           [] <- Environment.errors(env, for(%{key_env: name} <- config.signing.keys, name, do: name)) do
+        {:ok, config}
+      else
+        {:error, errors} -> {:error, errors ++ Environment.errors(env, [])}
+        errors -> {:error, errors}
       end
     end
   end

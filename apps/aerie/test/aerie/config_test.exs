@@ -147,14 +147,30 @@ defmodule Aerie.ConfigTest do
       assert config.sampling.groups.position.hz == 2.0
     end
 
-    test "an AERIE_ variable below a section that is no key is warned about, others are left alone",
+    test "an AERIE_ variable below a section that is no key is refused, and an empty one of a key; others are left alone",
          context do
-      env = %{"AERIE_NATS_PROT" => "1", "AERIE_TOOLCHAIN" => "x", "PATH" => "y"}
-      assert {:ok, %{warnings: [warning]}} = load(context, "", [], env)
-      assert warning =~ ~s(AERIE_NATS_PROT) and warning =~ ~s(did you mean "AERIE_NATS_PORT"?)
+      env = %{"AERIE_NATS_PROT" => "1", "AERIE_TOOLCHAIN" => "x", "AERIE_LOG_DIR" => "/tmp", "PATH" => "y"}
+
+      assert lines(load(context, "", [], env), context) == [
+               "environment variable AERIE_NATS_PROT: expected a variable of a key, got an unknown one " <>
+                 ~s|(did you mean "AERIE_NATS_PORT"?)|
+             ]
+
       # A section is no key: its keys are given one by one, and leave each other alone.
-      assert {:ok, %{warnings: [warning]}} = load(context, "", [], %{"AERIE_NATS" => "{url: 'nats://a'}"})
-      assert warning =~ "AERIE_NATS does not match a key"
+      assert [error] = lines(load(context, "", [], %{"AERIE_NATS" => "{url: 'nats://a'}"}), context)
+      assert error =~ "AERIE_NATS: expected a variable of a key"
+
+      for text <- ["", " "] do
+        assert lines(load(context, "", [], %{"AERIE_POLICY_MAX_ALTITUDE" => text}), context) == [
+                 "environment variable AERIE_POLICY_MAX_ALTITUDE: policy.max_altitude: expected a value, got an empty text " <>
+                   "(take the variable away for the default)"
+               ]
+      end
+
+      # The configuration itself names this one.
+      env = %{"AERIE_SIGNING_KEY_7" => String.duplicate("a", 64)}
+      text = "signing: {keys: [{system_id: 7, key_env: AERIE_SIGNING_KEY_7}]}"
+      assert {:ok, _config} = load(context, text, [], env)
     end
 
     test "overrides may be nested maps with atoms", context do
@@ -229,7 +245,7 @@ defmodule Aerie.ConfigTest do
       text = """
       network: field
       links:
-        - {url: "udpin::1?network=a&id=x", network: b}
+        - {url: "udpin::1?network=b&id=x", network: b}
         - {url: "udpin::2?network=a"}
         - {url: "udpin::3"}
       """
@@ -305,7 +321,7 @@ defmodule Aerie.ConfigTest do
     assert line =~ "nats.tls.enabled: expected false with nats.mode embedded"
 
     text = """
-    nats: {credentials: a.creds, token: t, retry_min_ms: 500, retry_max_ms: 400}
+    nats: {url: "nats://a", credentials: a.creds, token: t, retry_min_ms: 500, retry_max_ms: 400}
     timeouts: {vehicle_stale_s: 20}
     """
 

@@ -216,7 +216,7 @@ defmodule Aerie.Config.PreflightTest do
     defp beside("websocket" <> _key, certificate), do: [{"websocket.cert_file", certificate}]
 
     defp beside("nats.tls" <> _key, certificate),
-      do: [{"nats.url", "nats://127.0.0.1:4222"}, {"nats.tls.cert_file", certificate}]
+      do: [{"nats.url", "tls://127.0.0.1:4222"}, {"nats.tls.cert_file", certificate}]
 
     defp beside(_key, _certificate), do: [{"nats.url", "nats://127.0.0.1:4222"}]
 
@@ -232,7 +232,13 @@ defmodule Aerie.Config.PreflightTest do
       line
     end
 
-    defp url(dir, overrides), do: config(dir, [{"nats.url", "nats://127.0.0.1:4222"} | overrides])
+    defp url(dir, overrides) do
+      tls? = Enum.any?(overrides, fn {key, _value} -> String.starts_with?(key, "nats.tls") end)
+
+      config(dir, [
+        {"nats.url", if(tls?, do: "tls://127.0.0.1:4222", else: "nats://127.0.0.1:4222")} | overrides
+      ])
+    end
   end
 
   test "nothing stays open, and what was checked can be opened", %{tmp_dir: dir} do

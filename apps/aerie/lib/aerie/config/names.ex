@@ -32,7 +32,9 @@ defmodule Aerie.Config.Names do
         "one that is added later has the entry without an id"
       )
 
-    filters = unknown(filters(config), &(&1 in ends), "the id of a link or client", ends, nil)
+    filters =
+      unknown(filters(config) ++ carried(config), &(&1 in ends), "the id of a link or client", ends, nil)
+
     sources = sources(config, ends)
 
     rates =
@@ -109,6 +111,14 @@ defmodule Aerie.Config.Names do
         key <- [:allow_sources, :block_sources],
         name <- filter[key] || [],
         do: {[section, index, "filter_out", Atom.to_string(key)], name}
+  end
+
+  # Of a group; `all` is for all of its links.
+  defp carried(config) do
+    for {link, index} <- Enum.with_index(config.links),
+        {class, name} <- link[:carry] || %{},
+        name != "all",
+        do: {["links", index, "carry", class], name}
   end
 
   # By the name that a vehicle of one of the networks has or would have.

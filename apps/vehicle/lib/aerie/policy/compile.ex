@@ -137,7 +137,7 @@ defmodule Aerie.Policy.Compile do
   defp rate(path, item) do
     missing = if item.per_minute, do: [], else: [{"#{path}.per_minute", "a number", "nothing"}]
 
-    with :ok <- ok(types("#{path}.types", item.types || [], &known/2) ++ missing) do
+    with :ok <- ok(types("#{path}.types", item.types || [], &may_wait/2) ++ missing) do
       {:ok,
        %{
          types: item.types || :all,
@@ -161,7 +161,8 @@ defmodule Aerie.Policy.Compile do
     expires = expires("#{path}.expires", item.expires)
     wrong = for {_key, _expected, _got} = error <- [expires], do: error
 
-    with :ok <- ok(nkey ++ wrong), do: {:ok, %{item | expires: expires}}
+    # Signatures name it without spaces.
+    with :ok <- ok(nkey ++ wrong), do: {:ok, %{item | expires: expires, nkey: String.trim(item.nkey)}}
   end
 
   # The day is its last one.

@@ -54,7 +54,7 @@ defmodule Aerie.Policy.Facts do
     * `:mode` - the mode that it asks for, by its name; `:standard_mode` - by that of MAVLink's standard modes
     * `:control` - how it changes who is in charge of the vehicle
     * `:moves?` - the vehicle may move because of it
-    * `:ends_flight?` - it holds the vehicle or brings it down; only roles and rates keep such a command from it
+    * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command from it
     * `:what` - what refusals call the place that it names
   """
   @type t :: %__MODULE__{

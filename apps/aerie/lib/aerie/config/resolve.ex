@@ -134,12 +134,12 @@ defmodule Aerie.Config.Resolve do
       else: put_in(groups, path, value)
   end
 
-  # TLS is for the servers at nats.url. In one file with mode embedded it is a contradiction, which is an error. But
-  # `--nats embedded` with the configuration of a real gateway means the embedded server without TLS.
+  # TLS and logins other than a token are for the servers at nats.url. In one file with mode embedded they are a contradiction, which
+  # is an error. But `--nats embedded` with the configuration of a real gateway means the embedded server without them.
   defp nats(config) do
     %{nats: nats} = Bridge.Settings.from(config)
     told? = nats.mode != :embedded or config.given["nats.mode"] != "command line"
-    %{config | nats: %{nats | tls: %{nats.tls | enabled: nats.tls.enabled and told?}}}
+    %{config | nats: if(told?, do: nats, else: Bridge.Settings.embedded(nats))}
   end
 
   defp ports(%{http: http, nats: nats}) do

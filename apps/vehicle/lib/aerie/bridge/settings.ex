@@ -235,24 +235,29 @@ defmodule Aerie.Bridge.Settings do
     ])
   end
 
+  @doc "A section without what is for servers at `nats.url`."
+  @spec embedded(map()) :: map()
+  def embedded(nats) do
+    tls = %{nats.tls | enabled: false, ca_file: nil, cert_file: nil, key_file: nil, server_name: nil}
+    %{nats | credentials: nil, nkey_seed_file: nil, user: nil, password: nil, tls: tls}
+  end
+
   # The embedded server has neither TLS nor other logins than its token.
-  defp of_embedded(%{nats: %{mode: :embedded} = nats} = config) do
+  defp of_embedded(%{mode: :embedded} = nats) do
     given = for key <- [:credentials, :nkey_seed_file, :user], Map.fetch!(nats, key), do: "nats.#{key}"
-    # `--nats embedded` with the configuration of a real gateway.
-    told? = config.given["nats.mode"] != "command line"
 
     failed([
       {not Aerie.Address.loopback?(ip(nats.address)), ["nats", "address"],
        "a loopback address: the embedded server has no TLS, so its token could be read on the way (for others run a server of " <>
          "your own, nats.mode url)", nats.address},
-      {told? and given != [], ["nats", "mode"], "url for #{Enum.join(given, ", ")}",
+      {given != [], ["nats", "mode"], "url for #{Enum.join(given, ", ")}",
        "embedded, whose server knows nats.token only"},
-      {told? and tls_keys(nats) != [], ["nats", "tls"],
-       "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}", "embedded"}
+      {tls_keys(nats) != [], ["nats", "tls"], "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}",
+       "embedded"}
     ])
   end
 
-  defp of_embedded(%{nats: nats}) do
+  defp of_embedded(nats) do
     failed([
       {nats.mode == :url and not nats.tls.enabled and tls_keys(nats) != [], ["nats", "tls", "enabled"],
        "true, or a tls:// address, for #{Enum.join(tls_keys(nats), ", ")}", "false"}
@@ -269,7 +274,7 @@ defmodule Aerie.Bridge.Settings do
   end
 
   @impl Aerie.Settings
-  def problems(%{nats: nats, outbox: outbox} = config) do
+  def problems(%{nats: nats, outbox: outbox}) do
     logins =
       [:credentials, :nkey_seed_file, :token, :user]
       |> Enum.filter(&Map.fetch!(nats, &1))
@@ -278,7 +283,7 @@ defmodule Aerie.Bridge.Settings do
     streams_mb = nats.streams.state_max_mb + nats.streams.event_max_mb
 
     Leaf.Config.problems(nats.leaf, nats.mode) ++
-      of_embedded(config) ++
+      of_embedded(nats) ++
       failed([
         {String.contains?(logins, ","), ["nats"], "one way to sign in", logins},
         {nats.password != nil and nats.user == nil, ["nats", "user"], "a user name for nats.password",

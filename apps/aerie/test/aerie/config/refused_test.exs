@@ -141,6 +141,10 @@ defmodule Aerie.Config.RefusedTest do
     {"policy: {clients: [{role: veiwer}]}", "1: policy.clients[0].role: "},
     {"policy: {clients: [{role: operator, permissions: [forcedisarm]}]}",
      "1: policy.clients[0].permissions[0]: "},
+    {"policy: {clients: [{role: viewer, permissions: [force_disarm]}]}",
+     "1: policy.clients[0].permissions: expected none for a viewer"},
+    {"policy: {sources: [{name: a, nkey: #{@nkey}, role: viewer, permissions: [terminate]}]}",
+     "1: policy.sources[0].permissions: expected none for a viewer"},
     {"policy: {sources: [{name: a, nkey: UABC}]}", "1: policy.sources[0].nkey: "},
     {"policy: {sources: [{name: a, nkey: #{@nkey}}, {name: b, nkey: #{@nkey}}]}",
      "1: policy.sources: expected each nkey once"},
@@ -319,6 +323,7 @@ defmodule Aerie.Config.RefusedTest do
           {"a #{@key} expires=2026-13-40", 1, "expires= expects"},
           {"a sha256:abcd", 1, "sha256: is followed by"},
           {"a short", 1, "a key has 16"},
+          {"a #{@key} role=viewer permissions=terminate", 1, "role=viewer has no permissions="},
           # The field would be the key.
           {"#{@key} expires=2027-12-31", 1, "expected KEY, or NAME KEY and then"},
           {"#{@key} permissions=force_disarm", 1, "expected KEY, or NAME KEY and then"},

@@ -236,6 +236,9 @@ defmodule FleetWeb.API.Keys do
     end
   end
 
+  defp fields([], %{role: :viewer, permissions: [_ | _]}),
+    do: {:error, "role=viewer has no permissions=: a viewer may do nothing; give role=operator"}
+
   defp fields([], known), do: {:ok, known}
 
   defp fields([word | rest], known) do

@@ -149,7 +149,16 @@ defmodule Aerie.Policy.Compile do
     end
   end
 
-  defp client(_path, item), do: {:ok, item}
+  defp client(path, item), do: with(:ok <- ok(looks_on(path, item)), do: {:ok, item})
+
+  # A viewer has no permission, whatever it was given (`Aerie.Policy.Roles.allowed?/2`).
+  defp looks_on(path, %{role: :viewer, permissions: [permission | _]}),
+    do: [
+      {"#{path}.permissions", "none for a viewer, which may do nothing; give the role operator",
+       "#{permission}"}
+    ]
+
+  defp looks_on(_path, _item), do: []
 
   defp source(path, item) do
     nkey =
@@ -162,7 +171,8 @@ defmodule Aerie.Policy.Compile do
     wrong = for {_key, _expected, _got} = error <- [expires], do: error
 
     # Signatures name it without spaces.
-    with :ok <- ok(nkey ++ wrong), do: {:ok, %{item | expires: expires, nkey: String.trim(item.nkey)}}
+    with :ok <- ok(nkey ++ looks_on(path, item) ++ wrong),
+         do: {:ok, %{item | expires: expires, nkey: String.trim(item.nkey)}}
   end
 
   # The day is its last one.

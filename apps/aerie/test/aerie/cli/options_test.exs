@@ -171,7 +171,8 @@ defmodule Aerie.CLI.OptionsTest do
     end
 
     test "--nats embedded over configured servers keeps the keys that are not about reaching them", context do
-      assert changed(context, ~w(--nats embedded)) == ["nats.mode", "nats.tls.enabled"]
+      assert changed(context, ~w(--nats embedded)) ==
+               ~w(nats.mode nats.credentials nats.tls.enabled nats.tls.ca_file nats.tls.cert_file nats.tls.key_file nats.tls.server_name)
     end
   end
 

@@ -30,4 +30,27 @@ defmodule Aerie.Tool.ConfigTest do
     assert {1, text} = Tool.call(["config", "check", "none.yaml"], folder)
     assert IO.iodata_to_binary(text) =~ "none.yaml"
   end
+
+  test "config check shows where the zones of the fence are", %{tmp_dir: folder} do
+    ring = [[8.0, 47.0], [8.1, 47.0], [8.1, 47.1], [8.0, 47.1]]
+    zone = %{"type" => "Polygon", "coordinates" => [ring]}
+    properties = %{"name" => "field", "max_altitude" => 100}
+    fence = %{"type" => "Feature", "properties" => properties, "geometry" => zone}
+    File.write!(Path.join(folder, "fence.json"), JSON.encode!(fence))
+
+    File.write!(Path.join(folder, "g.yaml"), """
+    policy: {geofence_file: "#{folder}/fence.json", audit: {dir: "#{folder}/audit"}}
+    nats: {mode: "off"}
+    console: {enabled: false}
+    commands: {ledger: {dir: "#{folder}/ledger"}}
+    """)
+
+    assert {0, text} = Tool.call(["config", "check", "g.yaml"], folder)
+    text = IO.iodata_to_binary(text)
+
+    assert text =~
+             ~r/fence: inclusion zone "field" around 47\.0[45]\d+, 8\.0[45]\d+ \(latitude, longitude\), up to 100 m above home/
+
+    assert text =~ "a gateway can start with it"
+  end
 end

@@ -75,6 +75,20 @@ defmodule Aerie.Policy.Fence do
     end
   end
 
+  @doc "Each zone in a line, with its middle, so that a person sees whether latitude and longitude are swapped."
+  @spec lines(t()) :: [String.t()]
+  def lines(fence) do
+    for %{polygons: [%{centre: centre} | _]} = zone <- fence.zones do
+      {lat, lon} = centre |> Earth.surface() |> Earth.degrees()
+
+      "#{zone.kind} zone \"#{zone.name}\" around #{at(%{lat: lat, lon: lon})} (latitude, longitude)" <>
+        heights(zone)
+    end
+  end
+
+  defp heights(%{floor: nil, ceiling: nil}), do: ""
+  defp heights(zone), do: ", #{limits(zone)} #{above(zone)}"
+
   @doc "Whether a position is allowed. `what` is what the sentence calls it: `the target`."
   @spec check_position(t(), position(), String.t()) :: :ok | {:deny, String.t()}
   def check_position(fence, position, what) do
@@ -199,20 +213,18 @@ defmodule Aerie.Policy.Fence do
   defp band(%{floor: nil, ceiling: nil}, _place), do: ""
 
   defp band(zone, place) do
-    above = if zone.reference == :home, do: "above home", else: "above mean sea level"
-
-    limits =
-      case {zone.floor, zone.ceiling} do
-        {nil, ceiling} -> "up to #{number(ceiling)} m"
-        {floor, nil} -> "from #{number(floor)} m"
-        {floor, ceiling} -> "from #{number(floor)} to #{number(ceiling)} m"
-      end
-
     case Map.fetch!(place, zone.reference) do
-      nil -> " (#{limits} #{above}; its height #{above} is not known)"
-      height -> " (#{limits} #{above}; it is at #{number(height)} m)"
+      nil -> " (#{limits(zone)} #{above(zone)}; its height #{above(zone)} is not known)"
+      height -> " (#{limits(zone)} #{above(zone)}; it is at #{number(height)} m)"
     end
   end
+
+  defp above(%{reference: :home}), do: "above home"
+  defp above(_msl), do: "above mean sea level"
+
+  defp limits(%{floor: nil, ceiling: ceiling}), do: "up to #{number(ceiling)} m"
+  defp limits(%{floor: floor, ceiling: nil}), do: "from #{number(floor)} m"
+  defp limits(%{floor: floor, ceiling: ceiling}), do: "from #{number(floor)} to #{number(ceiling)} m"
 
   defp named([zone]), do: "the zone \"#{zone.name}\""
   defp named(zones), do: "all #{length(zones)} inclusion zones"

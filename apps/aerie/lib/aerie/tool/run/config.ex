@@ -2,7 +2,7 @@ defmodule Aerie.Tool.Run.Config do
   @moduledoc "`aerie config check` and `aerie config show`."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Config
+  alias Aerie.{Config, Policy}
   alias Aerie.Config.{Keys, Preflight}
   alias Aerie.Settings.Schema
   alias Aerie.Tool.Columns
@@ -11,7 +11,10 @@ defmodule Aerie.Tool.Run.Config do
   def run(%{name: "config check"} = request) do
     with {:ok, config} <- load(request), {:ok, warnings} <- Preflight.check(config) do
       lines = for warning <- config.warnings ++ warnings, do: "warning: #{warning}\n"
-      {0, [lines, "#{config.file || "the defaults and the environment"}: a gateway can start with it\n"]}
+      fence = for line <- fence(config), do: "fence: #{line}\n"
+
+      {0,
+       [lines, fence, "#{config.file || "the defaults and the environment"}: a gateway can start with it\n"]}
     else
       {:error, errors} -> {1, for(error <- errors, do: ["error: ", Config.Error.format(error), ?\n])}
     end
@@ -37,6 +40,14 @@ defmodule Aerie.Tool.Run.Config do
     case arguments["FILE"] || options[:config] || System.get_env("AERIE_CONFIG", "") do
       "" -> nil
       file -> Path.expand(file, folder)
+    end
+  end
+
+  # Where it is, nobody but a person can check.
+  defp fence(config) do
+    case Policy.compile(config.policy) do
+      {:ok, %{fence: %Policy.Fence{} = fence}} -> Policy.Fence.lines(fence)
+      _none -> []
     end
   end
 

@@ -153,10 +153,13 @@ defmodule FleetWeb.Settings do
   @impl Aerie.Settings
   def problems(%{api: api, http: http, console: console, websocket: websocket}) do
     short? = api.key != nil and byte_size(Secret.reveal(api.key)) < Keys.shortest()
+    spaced? = api.key != nil and Secret.reveal(api.key) =~ ~r/\s/u
     keyless? = api.key == nil and api.keys_file == nil
 
     failed([
       {short?, ["api", "key"], "#{Keys.shortest()} characters or more", "a shorter one"},
+      {spaced?, ["api", "key"], "a key without spaces: a header cannot carry them at its ends",
+       "one with spaces"},
       {websocket.cert_file == nil != (websocket.key_file == nil), ["websocket"],
        "cert_file and key_file together", "one of them"},
       {http.enabled and keyless? and not local?(http.address) and not users?(console), ["http", "address"],

@@ -16,7 +16,7 @@ defmodule Aerie.Config.Resolve do
   @doc "Fills in the derived values; returns the remaining problems."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}
   def run(%Config{} = config) do
-    contradictions = contradictions(config.links) ++ Bridge.Settings.contradictions(config.nats)
+    contradictions = contradictions(config.links) ++ Bridge.Settings.contradictions(config.nats, config.given)
 
     config =
       config

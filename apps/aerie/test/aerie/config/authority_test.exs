@@ -163,7 +163,7 @@ defmodule Aerie.Config.AuthorityTest do
     [
       {"nats.mode", %{}, "embedded", "off", &(&1 |> Bridge.Settings.from() |> Bridge.Settings.on?())},
       {"nats.url", %{}, "nats://a:4222", "tls://b:4222", &connection/1},
-      {"nats.token", %{}, "one", "two", &server/1},
+      {"nats.token", %{}, @key, @key2, &server/1},
       {"nats.token", url, "one", "two", &connection/1},
       {"nats.user", put_in(url["nats"]["password"], "p"), "u", "v", &connection/1},
       {"nats.password", user, "p", "q", &connection/1},
@@ -230,7 +230,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"shadow.hold_s", %{}, 10, 20, &Shadow.Settings.from(&1).hold_us},
       {"shadow.allow_arming", %{}, true, false, &shadow/1},
       {"shadow.without_nats", %{}, "hold", "act", &Shadow.Settings.from(&1).without_nats},
-      {"shadow.key", %{}, "one", "two", &Secret.reveal(Shadow.Settings.from(&1).key)},
+      {"shadow.key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).key)},
       {"sockets.enabled", %{}, true, false, &Aerie.Client.Settings.from(&1).enabled},
       {"sockets.sign", %{}, true, false, &Aerie.Client.Settings.from(&1).sign},
       {"shell.enabled", %{}, true, false, &Aerie.Node.Settings.from(&1).enabled}

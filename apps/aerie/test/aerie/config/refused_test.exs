@@ -210,6 +210,23 @@ defmodule Aerie.Config.RefusedTest do
     {~s(nats: {url: "nats://u:p@a", token: t}), "1: nats.url: expected one way to sign in"},
     {~s(nats: {url: ["nats://u:p@a", "nats://v:q@b"]}),
      "1: nats.url: expected the same login in all addresses"},
+    {~s(nats: {url: ["nats://u:@a"]}),
+     "1: nats.url: expected a user and a password, or a token, in front of the @"},
+    {~s(nats: {url: "nats://:p@a"}), "1: nats.url: expected a user and a password"},
+    {~s(nats: {url: "nats://@a"}), "1: nats.url: expected a user and a password"},
+    {~s(nats: {url: "nats://a", user: u}), "1: nats.password: expected a password for nats.user"},
+    {~s(nats: {mode: embedded, url: "nats://a"}), "1: nats.mode: expected url for nats.url, got embedded"},
+    {~s(nats: {url: "tls://a", tls: {enabled: false}}),
+     "1: nats.tls.enabled: expected true for a tls:// address"},
+    {"nats: {token: a}", "1: nats.token: expected 16 characters or more for the embedded server"},
+    {"shadow: {key: a}", "1: shadow.key: expected 16 characters or more"},
+    {~s(api: {key: " #{@key}"}), "1: api.key: expected a key without spaces"},
+    {"policy: {sources: [{name: shadow, nkey: #{@nkey}}]}",
+     "1: policy.sources[0].name: expected a name that the gateway"},
+    {~s(links: [{id: a, url: "ws://127.0.0.1:1/?Gcs=deny"}]),
+     "1: links[0].url: expected gcs (Gcs is no option)"},
+    {"clients: [{id: a, #{@client}, rate_limits: {ATTITUDE: 1, attitude: 50}}]",
+     "1: clients[0]: expected rules that make sense"},
     {~s(api: {key: #{@key}, origins: ["*"]}), "1: api.origins[0]: "},
     {~s(http: {hosts: ["*"]}), "1: http.hosts[0]: "},
     {~s(http: {proxies: ["0.0.0.0/0"]}), "1: http.proxies[0]: "},
@@ -273,7 +290,10 @@ defmodule Aerie.Config.RefusedTest do
 
   test "what would not do what it says is refused, with its line and key", %{tmp_dir: dir} do
     for {text, expected} <- @refused do
-      assert {:error, lines} = check(dir, text), text
+      lines =
+        with {:ok, _warnings} <- check(dir, text),
+             do: flunk("taken: " <> text),
+             else: ({:error, lines} -> lines)
 
       assert Enum.any?(lines, &String.starts_with?(String.trim_leading(&1), expected)),
              "#{text}\nexpected #{expected}\ngot #{Enum.join(lines, "\n")}"

@@ -22,10 +22,12 @@ defmodule Aerie.Router.RateLimit do
   def compile(rates) when is_map(rates) do
     Enum.reduce_while(rates, {:ok, %{}}, fn {message, hz}, {:ok, done} ->
       with {:id, {:ok, id}} <- {:id, Filter.message(message)},
+           {:once, false} <- {:once, is_map_key(done, id)},
            {:hz, true} <- {:hz, is_number(hz) and hz >= 0 and hz <= 10_000} do
         {:cont, {:ok, Map.put(done, id, interval(hz))}}
       else
         {:id, :error} -> {:halt, {:error, "#{inspect(message, limit: 5)} is not a message"}}
+        {:once, true} -> {:halt, {:error, "#{inspect(message, limit: 5)} has two rates, by its name or id"}}
         {:hz, false} -> {:halt, {:error, "#{inspect(hz)} is not a rate (0 to 10000 a second)"}}
       end
     end)

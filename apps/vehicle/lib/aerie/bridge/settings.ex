@@ -11,6 +11,10 @@ defmodule Aerie.Bridge.Settings do
   alias Aerie.Secret
   alias Aerie.Settings.{Schema, Types}
 
+  @logins [:credentials, :nkey_seed_file, :token, :user]
+  # As a key of REST.
+  @shortest 16
+
   part :fleet, Aerie.Fleet.Settings
   part :vehicle, Aerie.Vehicle.Settings
 
@@ -215,23 +219,29 @@ defmodule Aerie.Bridge.Settings do
   def on?(%__MODULE__{nats: %{mode: mode}}), do: mode != :off
 
   @doc """
-  Logins in the addresses that contradict each other or the keys: of the section as it is written, because `derive/1` puts the login
-  of an address in place of the keys.
+  What contradicts itself in the section as it is written, before `derive/1` puts the login of an address in place of the keys. `given`
+  says what was set, and where.
   """
-  @spec contradictions(map()) :: [Schema.problem()]
-  def contradictions(nats) do
+  @spec contradictions(map(), given :: %{String.t() => String.t()}) :: [Schema.problem()]
+  def contradictions(nats, given) do
     logins = for url <- nats.url, info = URI.parse(url).userinfo, uniq: true, do: info
-
-    keys =
-      for key <- [:credentials, :nkey_seed_file, :token, :user, :password],
-          Map.fetch!(nats, key),
-          do: "nats.#{key}"
+    keys = for key <- @logins ++ [:password], Map.fetch!(nats, key), do: "nats.#{key}"
+    # `--nats embedded` and AERIE_NATS_MODE put another mode over a file.
+    beside? = nats.url != [] and given["nats.mode"] == given["nats.url"]
 
     failed([
       {match?([_, _ | _], logins), ["nats", "url"], "the same login in all addresses",
        "#{length(logins)} different ones"},
+      {Enum.any?(logins, &("" in String.split(&1, ":", parts: 2))) or Enum.any?(nats.url, &(&1 =~ "://@")),
+       ["nats", "url"], "a user and a password, or a token, in front of the @", "an empty one"},
       {logins != [] and keys != [], ["nats", "url"], "one way to sign in",
-       "a login in the address and #{Enum.join(keys, ", ")}"}
+       "a login in the address and #{Enum.join(keys, ", ")}"},
+      {nats.user != nil and nats.password == nil, ["nats", "password"], "a password for nats.user",
+       "nothing"},
+      {nats.mode == :embedded and beside?, ["nats", "mode"], "url for nats.url", "embedded"},
+      {is_map_key(given, "nats.tls.enabled") and not nats.tls.enabled and
+         Enum.any?(nats.url, &String.starts_with?(&1, "tls://")), ["nats", "tls", "enabled"],
+       "true for a tls:// address", "false"}
     ])
   end
 
@@ -250,6 +260,8 @@ defmodule Aerie.Bridge.Settings do
       {not Aerie.Address.loopback?(ip(nats.address)), ["nats", "address"],
        "a loopback address: the embedded server has no TLS, so its token could be read on the way (for others run a server of " <>
          "your own, nats.mode url)", nats.address},
+      {nats.token != nil and byte_size(Secret.reveal(nats.token)) < @shortest, ["nats", "token"],
+       "#{@shortest} characters or more for the embedded server", "a shorter one"},
       {given != [], ["nats", "mode"], "url for #{Enum.join(given, ", ")}",
        "embedded, whose server knows nats.token only"},
       {tls_keys(nats) != [], ["nats", "tls"], "nats.mode url for #{Enum.join(tls_keys(nats), ", ")}",
@@ -276,7 +288,7 @@ defmodule Aerie.Bridge.Settings do
   @impl Aerie.Settings
   def problems(%{nats: nats, outbox: outbox}) do
     logins =
-      [:credentials, :nkey_seed_file, :token, :user]
+      @logins
       |> Enum.filter(&Map.fetch!(nats, &1))
       |> Enum.map_join(", ", &"nats.#{&1}")
 

@@ -20,6 +20,8 @@ defmodule Aerie.Policy.Compile do
   # Fifty a second and a hundred at once: more than any stream of set-points, less than a flood.
   @rates [%{types: :all, sources: :all, vehicles: :all, interval_us: 20_000, burst: 100}]
   @max_items 100
+  # Who is in charge, and how often somebody commands, goes by names.
+  @own ~w(elixir shadow unsigned)
 
   @typedoc "Where it is, what was expected there, and what was found."
   @type error :: {key :: String.t(), expected :: String.t(), got :: String.t()}
@@ -167,11 +169,16 @@ defmodule Aerie.Policy.Compile do
         _other -> [{"#{path}.nkey", "the public nkey of a user (U…)", item.nkey || "nothing"}]
       end
 
+    own =
+      if item.name in @own,
+        do: [{"#{path}.name", "a name that the gateway itself does not use", item.name}],
+        else: []
+
     expires = expires("#{path}.expires", item.expires)
     wrong = for {_key, _expected, _got} = error <- [expires], do: error
 
     # Signatures name it without spaces.
-    with :ok <- ok(nkey ++ looks_on(path, item) ++ wrong),
+    with :ok <- ok(own ++ nkey ++ looks_on(path, item) ++ wrong),
          do: {:ok, %{item | expires: expires, nkey: String.trim(item.nkey)}}
   end
 

@@ -60,7 +60,8 @@ defmodule Aerie.Shadow.Settings do
   setting :key,
           :secret,
           """
-          Gateways heed desired states only of gateways with the same key. Left out: a random one of this gateway, in shadow.dir.
+          Gateways heed desired states only of gateways with the same key, of 16 characters or more. Left out: a random one of this
+          gateway, in shadow.dir.
           """,
           example: "a long random text"
 
@@ -103,6 +104,17 @@ defmodule Aerie.Shadow.Settings do
         default: 0.0
       )
     ]
+  end
+
+  @shortest 16
+
+  # Who reads what is sealed may try keys at leisure.
+  @impl Aerie.Settings
+  def problems(%{shadow: %{key: key}}) do
+    failed([
+      {key != nil and byte_size(Aerie.Secret.reveal(key)) < @shortest, ["shadow", "key"],
+       "#{@shortest} characters or more", "a shorter one"}
+    ])
   end
 
   @impl Aerie.Settings

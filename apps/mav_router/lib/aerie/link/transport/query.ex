@@ -20,7 +20,21 @@ defmodule Aerie.Link.Transport.Query do
     {ours, theirs} = Enum.split_with(pairs, &(not form.passes_query or key(&1) in (@common ++ form.options)))
     foreign = if theirs == [], do: "", else: "?" <> Enum.join(theirs, "&")
 
-    with {:ok, options} <- options(ours, transport, form), do: {:ok, options, foreign}
+    with :ok <- small(theirs, form),
+         {:ok, options} <- options(ours, transport, form),
+         do: {:ok, options, foreign}
+  end
+
+  # `Gcs=deny` would go to the other end, and mean nothing there.
+  defp small(theirs, form) do
+    case Enum.find(theirs, &(String.downcase(key(&1)) in (@common ++ form.options))) do
+      nil ->
+        :ok
+
+      pair ->
+        {:error,
+         reason: "#{key(pair)} is no option", expected: String.downcase(key(pair)), example: form.example}
+    end
   end
 
   @doc "A connection string without what belongs to the other end: that may be a password."

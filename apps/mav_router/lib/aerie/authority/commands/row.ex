@@ -1,0 +1,52 @@
+defmodule Aerie.Authority.Commands.Row do
+  @moduledoc "What the gateway knows of one MAV_CMD: a row of `Aerie.Authority.Commands`."
+
+  alias Aerie.Authority.Commands.Numbers
+
+  @enforce_keys [:id, :name, :class, :permission, :type, :as_command, :as_item, :numbers]
+  defstruct @enforce_keys
+
+  @typedoc """
+  What a source must be allowed to do, as `t:Aerie.Command.Type.permission/0` lists it. It is the least that any form of the command
+  needs; its parameters may make it need more (`Aerie.Policy.Raw.Commands`).
+  """
+  @type permission ::
+          :arm
+          | :fly
+          | :mission
+          | :manual
+          | :payload
+          | :maintain
+          | :telemetry
+          | :sensors
+          | :protection
+          | :force_disarm
+          | :terminate
+
+  @typedoc """
+  What the parameters 5 to 7 name:
+
+    * `:flown` - a place to which the vehicle flies; `:stored` - a place that it keeps, such as a home
+    * `:height` - a height to which it flies, at whatever place it is
+    * `:anywhere` - nobody can tell where the command leads
+    * `:none` - no place of the vehicle
+  """
+  @type place :: :flown | :stored | :height | :anywhere | :none
+
+  @typedoc """
+    * `:class` - whether it only asks for something
+    * `:type` - the type of Aerie's table of commands as which it is judged, or `mav_cmd_N`
+    * `:as_command`, `:as_item` - what place it names as COMMAND_LONG or COMMAND_INT, and as an item of a mission
+    * `:numbers` - its parameters that are enumerations, flags and indices
+  """
+  @type t :: %__MODULE__{
+          id: 0..65_535,
+          name: String.t(),
+          class: :command | :question,
+          permission: permission(),
+          type: String.t(),
+          as_command: place(),
+          as_item: place(),
+          numbers: [{1..7, Numbers.kind()}]
+        }
+end

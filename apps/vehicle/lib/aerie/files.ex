@@ -77,7 +77,7 @@ defmodule Aerie.Files do
 
   @doc """
   Creates or replaces a file of at most 16 MiB, and compares checksums: `:completed`; `:accepted` if the vehicle has no checksums. Needs the
-  permission `maintain`.
+  permission `maintain`, and `protection` for files that hold parameters, missions or scripts.
   """
   @spec write(Names.gateway(), vehicle :: String.t(), Path.t(), binary(), [Transfers.option()]) ::
           Commands.answer()
@@ -92,7 +92,7 @@ defmodule Aerie.Files do
     change(gateway, vehicle, {:write, path, bytes}, params, options)
   end
 
-  @doc "Removes a file. Needs the permission `maintain`."
+  @doc "Removes a file. Needs the permissions of `write/5`."
   @spec remove(Names.gateway(), vehicle :: String.t(), Path.t(), [Transfers.option()]) :: Commands.answer()
   def remove(gateway, vehicle, path, options \\ []),
     do: change(gateway, vehicle, {:remove, path}, %{action: "remove", path: path}, options)
@@ -107,7 +107,7 @@ defmodule Aerie.Files do
 
   defp change(gateway, vehicle, operation, params, options) do
     if String.valid?(params.path) and byte_size(params.path) <= 239 do
-      change = %{facts: %Facts{type: "write_file", permission: :maintain}, params: params}
+      change = %{facts: Facts.write_file(params.path), params: params}
       Transfers.change(gateway, vehicle, change, transfer(operation, [], @long_ms), options)
     else
       {:error, [Error.new("path", "text of at most 239 bytes", params.path)]}

@@ -122,7 +122,7 @@ defmodule Aerie.Missions do
       else: send_items(gateway, vehicle, kind, items, {"upload", asked("put", kind, plan)}, options)
   end
 
-  @doc "Removes a kind of plan from the vehicle, and reads back that it is gone. Needs the permission `mission`."
+  @doc "Removes a kind of plan from the vehicle, and reads back that it is gone. Needs the permission `mission`, and for a fence `protection`."
   @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
   def clear(gateway, vehicle, kind, options \\ []),
     do: send_items(gateway, vehicle, kind, [], {"clear", asked("clear", kind, nil)}, options)
@@ -171,7 +171,7 @@ defmodule Aerie.Missions do
     params = %{action: action, items: length(items), digest: Plan.digest(items)}
 
     change = %{
-      facts: Raw.facts(%M.MissionCount{mission_type: type}, %{autopilot: :generic, vehicle_type: "unknown"}),
+      facts: facts(type, length(items)),
       params: params,
       elsewhere: asked,
       review: &review(&1, &2, &3, items, type)
@@ -180,6 +180,13 @@ defmodule Aerie.Missions do
     op = if items == [], do: :clear, else: {:upload, items}
     Transfers.change(gateway, vehicle, change, transfer(op, type), options)
   end
+
+  defp facts(type, count),
+    do:
+      Raw.facts(%M.MissionCount{mission_type: type, count: count}, %{
+        autopilot: :generic,
+        vehicle_type: "unknown"
+      })
 
   defp review(policy, context, snapshot, items, type) do
     with {:deny, rule, _seq, reason} <-

@@ -32,7 +32,7 @@ defmodule Aerie.Params do
     Table
   }
 
-  alias Aerie.Policy.Raw
+  alias Aerie.Policy.Facts
   alias Aerie.Protocol.ParamValue
   alias MavCodec.Enums.MavProtocolCapability
 
@@ -171,7 +171,7 @@ defmodule Aerie.Params do
 
   @doc """
   Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
-  permission `maintain`. Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+  permission `maintain`, and `protection` for what protects the vehicle (`Aerie.Policy.Protection`). Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
 
   A component that says that it works on it (PARAM_ACK_IN_PROGRESS) is waited for, up to `:timeout_ms`. `:failed` if it says so, or if it accepted the
   value and does not have it.
@@ -193,7 +193,7 @@ defmodule Aerie.Params do
       }
 
       asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
-      change = Map.put(change(Map.merge(%{name: name, value: value}, whose)), :elsewhere, asked)
+      change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :elsewhere, asked)
 
       Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
         %{"name" => param.name, "value" => param.value}
@@ -216,7 +216,8 @@ defmodule Aerie.Params do
     entries = for entry <- values, do: entry(entry)
 
     with :ok <- check_all(entries) do
-      change = change(%{count: length(entries), digest: digest(entries)})
+      names = for {name, _value, _type} <- entries, do: name
+      change = change(names, %{count: length(entries), digest: digest(entries)})
 
       transfer = %{
         lanes: [:params],
@@ -285,10 +286,7 @@ defmodule Aerie.Params do
 
   defp common(context), do: Component.options(context, nil)
 
-  defp change(params) do
-    facts = Raw.facts(%MavCodec.Messages.ParamSet{}, %{autopilot: :generic, vehicle_type: "unknown"})
-    %{facts: facts, params: params}
-  end
+  defp change(names, params), do: %{facts: Facts.set_parameters(names), params: params}
 
   defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
   defp entry({name, value}), do: {name, value, nil}

@@ -26,6 +26,8 @@ defmodule Aerie.Policy do
     :unsigned,
     :lease,
     :audit_required,
+    unknown: :refuse,
+    open: [],
     conditions: %{},
     windows: [],
     rates: [],
@@ -42,6 +44,8 @@ defmodule Aerie.Policy do
           takeoff_battery: number() | nil,
           fence: Fence.t() | nil,
           modes: Rules.Mode.modes(),
+          unknown: :refuse | :maintain,
+          open: [Facts.unknown()],
           conditions: %{String.t() => Rules.Condition.condition()},
           windows: [Rules.Window.window()],
           rates: [Rate.rule()],
@@ -57,8 +61,10 @@ defmodule Aerie.Policy do
   @typedoc "What a client that sends raw MAVLink may do: one by its id, all others by nil."
   @type client :: %{id: String.t() | nil, role: Roles.role(), permissions: [Command.Type.permission()]}
 
-  # In the order in which they are asked: who, when, in which state, where.
+  # In the order in which they are asked: what, who, when, in which state, where.
   @rules [
+    unknown: Rules.Unknown,
+    number: Rules.Number,
     role: Rules.Role,
     lease: Rules.Lease,
     window: Rules.Window,
@@ -69,7 +75,17 @@ defmodule Aerie.Policy do
     geofence: Rules.Geofence
   ]
 
-  @type rule :: :role | :lease | :window | :condition | :battery | :mode | :altitude | :geofence
+  @type rule ::
+          :unknown
+          | :number
+          | :role
+          | :lease
+          | :window
+          | :condition
+          | :battery
+          | :mode
+          | :altitude
+          | :geofence
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
   @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Policy.Rate`)."

@@ -65,7 +65,7 @@ defmodule Aerie.Authority.CommandsTest do
     end
 
     assert Commands.check(row("COMPONENT_ARM_DISARM"), %{1 => 0.6}) ==
-             {:error, "parameter 1 is 0.6, not an integer with bits of 1"}
+             {:error, "parameter 1 is 0.6, not 0 or 1"}
   end
 
   test "what is measured may have any value, but none is infinite" do

@@ -20,8 +20,19 @@ defmodule Aerie.Command.Type do
     moves_vehicle?: false
   ]
 
-  @permissions [:arm, :fly, :mission, :manual, :payload, :sensors, :maintain, :protection, :telemetry] ++
-                 [:force_disarm, :terminate]
+  @permissions [
+    :arm,
+    :fly,
+    :mission,
+    :manual,
+    :payload,
+    :telemetry,
+    :sensors,
+    :maintain,
+    :protection,
+    :force_disarm,
+    :terminate
+  ]
 
   @typedoc """
   What a source must be allowed to do:
@@ -30,7 +41,9 @@ defmodule Aerie.Command.Type do
     * `:fly` - move the vehicle, change its mode and home; `:mission` - start and steer a mission, fences
     * `:manual` - steer it by hand or by a stream of set-points
     * `:payload` - cameras, gimbals, grippers, servos; the parachute belongs to `:terminate`
-    * `:maintain` - calibrate, test motors, reboot, reset parameters; `:telemetry` - ask for messages
+    * `:maintain` - calibrate, test motors, reboot, parameters; `:telemetry` - ask for messages
+    * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
+    * `:sensors` - tell its estimators what they shall believe: positions, corrections
   """
   @type permission ::
           :arm
@@ -38,10 +51,10 @@ defmodule Aerie.Command.Type do
           | :mission
           | :manual
           | :payload
+          | :telemetry
           | :sensors
           | :maintain
           | :protection
-          | :telemetry
           | :force_disarm
           | :terminate
 

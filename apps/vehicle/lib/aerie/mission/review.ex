@@ -10,8 +10,8 @@ defmodule Aerie.Mission.Review do
   alias Aerie.Mission.Item
   alias Aerie.Policy
   alias Aerie.Policy.{Context, Facts, FlightPath, Raw}
-  alias Aerie.Policy.Raw.{Commands, Place}
   alias MavCodec.Enums.MavCmd
+  alias MavCodec.Messages.MissionCount
 
   @rtl MavCmd.value(:MAV_CMD_NAV_RETURN_TO_LAUNCH)
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
@@ -32,7 +32,7 @@ defmodule Aerie.Mission.Review do
   def plan(policy, items, type, vehicle, context) do
     # A minimum altitude does not forbid landing.
     policy = %{policy | min_altitude: nil}
-    whole = Raw.facts(%MavCodec.Messages.MissionCount{mission_type: type}, vehicle)
+    whole = Raw.facts(%MissionCount{mission_type: type, count: length(items)}, vehicle)
 
     with :allow <- decide(policy, whole, context, nil),
          :allow <- each(policy, items, type, vehicle, context) do
@@ -43,16 +43,21 @@ defmodule Aerie.Mission.Review do
   # Each item by itself, as if a ground station had sent it.
   defp each(policy, items, type, vehicle, context) do
     first(Enum.with_index(items), fn {item, seq} ->
-      facts = item |> placeless() |> Item.message(seq, type, {0, 0}) |> Raw.facts(vehicle)
-      # An item without a position is where the previous one is.
-      if match?({_, [%{lat: nil}]}, facts.path), do: :allow, else: decide(policy, facts, context, seq)
+      case asked(item, seq, type, vehicle) do
+        # An item without a position is where the previous one is.
+        %{path: {_kind, [%{lat: nil}]}} = facts -> decide(policy, %{facts | path: :none}, context, seq)
+        facts -> decide(policy, facts, context, seq)
+      end
     end)
   end
+
+  defp asked(item, seq, type, vehicle),
+    do: item |> placeless() |> Item.message(seq, type, {0, 0}) |> Raw.facts(vehicle)
 
   # A mission's legs: from each position to the next one.
   defp ways(policy, items, vehicle, context) do
     indexed = Enum.with_index(items)
-    places = for {item, seq} <- indexed, flown?(item, seq, vehicle), do: {item, seq}
+    places = for {item, seq} <- indexed, place = flown(item, seq, vehicle), place.lat != nil, do: {place, seq}
     home = context.home && Map.put(context.home, :alt_rel, 0.0)
 
     indexed
@@ -68,12 +73,9 @@ defmodule Aerie.Mission.Review do
   # Where the vehicle is after an item, or the refusal of it.
   defp step(policy, %{command: @jump, params: {target, _, _, _}}, seq, from, {places, _, context})
        when is_number(target) do
-    case Enum.find(places, fn {_item, n} -> n >= target end) do
-      nil ->
-        from
-
-      {item, _n} ->
-        with :allow <- way(policy, Place.of(place(item)), "mission item #{seq}", seq, from, context), do: from
+    case Enum.find(places, fn {_place, n} -> n >= target end) do
+      nil -> from
+      {place, _n} -> with :allow <- way(policy, place, "mission item #{seq}", seq, from, context), do: from
     end
   end
 
@@ -84,24 +86,28 @@ defmodule Aerie.Mission.Review do
   end
 
   defp step(policy, item, seq, from, {_places, vehicle, context}) do
-    if flown?(item, seq, vehicle) do
-      place = item |> placeless() |> place() |> Place.of() |> here(from)
-      what = "mission item #{seq}"
+    case flown(item, seq, vehicle) do
+      nil ->
+        from
 
-      with :allow <- way(policy, place, what, seq, from, context),
-           to = reached(place, from, context),
-           :allow <- circle(policy, item, place, what, seq, to, context),
-           do: to
-    else
-      from
+      place ->
+        place = here(place, from)
+        what = "mission item #{seq}"
+
+        with :allow <- way(policy, place, what, seq, from, context),
+             to = reached(place, from, context),
+             :allow <- circle(policy, item, place, what, seq, to, context),
+             do: to
     end
   end
 
-  defp flown?(_item, 0, %{autopilot: :ardupilot}), do: false
-  defp flown?(item, _seq, _vehicle), do: Commands.place?(item.command) and not Item.local?(item.frame)
-
-  defp place(item),
-    do: Item.message(item, 0, 0, {0, 0}) |> Map.update!(:z, &if(is_number(&1), do: &1, else: nil))
+  # The place or the height to which the vehicle flies, nil if it does not.
+  defp flown(item, seq, vehicle) do
+    with false <- Item.local?(item.frame),
+         %{path: {:at, [place]}} <- asked(item, seq, 0, vehicle),
+         do: place,
+         else: (_other -> nil)
+  end
 
   # Both firmwares take 0, 0 for the present position.
   defp placeless(%{x: 0, y: 0} = item), do: %{item | x: nil, y: nil}
@@ -110,7 +116,10 @@ defmodule Aerie.Mission.Review do
   defp here(%{lat: nil} = place, %{lat: lat, lon: lon}), do: %{place | lat: lat, lon: lon}
   defp here(place, _from), do: place
 
-  defp way(_policy, %{lat: nil}, _what, _seq, _from, _context), do: :allow
+  defp way(_policy, %{lat: nil, height: :same}, _what, _seq, _from, _context), do: :allow
+
+  defp way(policy, %{lat: nil, height: height}, what, seq, _from, context),
+    do: decide(policy, facts({:level, height}, what), context, seq)
 
   defp way(policy, place, what, seq, nil, context),
     do: decide(policy, facts({:at, [place]}, what), context, seq)

@@ -4,6 +4,7 @@ defmodule Aerie.Policy.Compile do
   that contradicts itself or names what does not exist, at once.
   """
 
+  alias Aerie.Authority.Commands
   alias Aerie.Command.Types
   alias Aerie.Policy
   alias Aerie.Policy.Compile.Modes
@@ -22,6 +23,8 @@ defmodule Aerie.Policy.Compile do
   @max_items 100
   # Who is in charge, and how often somebody commands, goes by names.
   @own ~w(elixir shadow unsigned)
+  # Commands of MAV_CMD that have no name in Aerie's table.
+  @by_number for %{type: "mav_cmd_" <> _id = type} <- Commands.all(), do: type
 
   @typedoc "Where it is, what was expected there, and what was found."
   @type error :: {key :: String.t(), expected :: String.t(), got :: String.t()}
@@ -35,6 +38,7 @@ defmodule Aerie.Policy.Compile do
     {conditions, condition_errors} = list(section, :conditions, &condition/2)
     {windows, window_errors} = list(section, :windows, &window/2)
     {rates, rate_errors} = list(section, :rates, &rate/2)
+    {open, open_errors} = list(section, :open, &open/2)
     {clients, client_errors} = list(section, :clients, &client/2)
     {sources, source_errors} = list(section, :sources, &source/2)
 
@@ -45,6 +49,7 @@ defmodule Aerie.Policy.Compile do
       condition_errors,
       window_errors,
       rate_errors,
+      open_errors,
       client_errors,
       source_errors,
       conditions_twice(conditions),
@@ -66,6 +71,8 @@ defmodule Aerie.Policy.Compile do
            conditions: conditions |> Enum.concat() |> Enum.into(@conditions),
            windows: windows,
            rates: if(section.rates == nil, do: @rates, else: rates),
+           unknown: section.unknown,
+           open: open,
            clients: clients,
            sources: sources,
            unsigned: section.unsigned,
@@ -161,6 +168,21 @@ defmodule Aerie.Policy.Compile do
     ]
 
   defp looks_on(_path, _item), do: []
+  # A command with a row is judged by it, whatever is opened.
+  defp open(path, %{command: id, message: nil}) when id != nil do
+    case Commands.get(id) do
+      nil ->
+        {:ok, {:command, id}}
+
+      row ->
+        {:error, [{"#{path}.command", "a command that the gateway does not know", "#{id} (#{row.name})"}]}
+    end
+  end
+
+  defp open(_path, %{command: nil, message: id}) when id != nil, do: {:ok, {:message, id}}
+  defp open(path, %{command: nil}), do: {:error, [{path, "command or message", "neither"}]}
+  defp open(path, _both), do: {:error, [{path, "either command or message", "both"}]}
+
 
   defp source(path, item) do
     nkey =
@@ -222,7 +244,7 @@ defmodule Aerie.Policy.Compile do
   defp types(path, types, check), do: Enum.flat_map(types, &check.(path, &1))
 
   defp known(path, type) do
-    if type in Types.names() or type in Facts.raw(),
+    if type in Types.names() or type in Facts.raw() or type in @by_number,
       do: [],
       else: [{path, "names of commands (docs/commands.md lists them)", type <> hint(type)}]
   end

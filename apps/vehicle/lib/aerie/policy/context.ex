@@ -8,7 +8,7 @@ defmodule Aerie.Policy.Context do
   alias Aerie.Protocol.Modes
 
   defstruct [:source, :now, :lease, :position, :home, :armed, :in_air, :mode, :battery, :autopilot] ++
-              [:vehicle_type, standard_modes: %{}]
+              [:vehicle_type, standard_modes: %{}, mode_names: %{}]
 
   # A position that is older than this is none: the vehicle has moved since.
   @fresh_us 10_000_000
@@ -22,6 +22,7 @@ defmodule Aerie.Policy.Context do
     * `:mode` - its name; `:battery` - the share of its charge that is left, 0..1
     * `:autopilot`, `:vehicle_type` - the firmware and the kind of vehicle, as its snapshot has them
     * `:standard_modes` - the firmware's names for MAVLink's standard modes, as far as they are known
+    * `:mode_names` - names of modes that the vehicle itself has told
   """
   @type t :: %__MODULE__{
           source: Roles.source() | nil,
@@ -44,7 +45,8 @@ defmodule Aerie.Policy.Context do
           battery: number() | nil,
           autopilot: :ardupilot | :px4 | :generic | nil,
           vehicle_type: String.t() | nil,
-          standard_modes: %{String.t() => String.t()}
+          standard_modes: %{String.t() => String.t()},
+          mode_names: %{non_neg_integer() => String.t()}
         }
 
   @doc """
@@ -79,6 +81,7 @@ defmodule Aerie.Policy.Context do
       autopilot: snapshot.autopilot,
       vehicle_type: snapshot.vehicle_type,
       standard_modes: standard_modes(snapshot),
+      mode_names: (snapshot[:memory] || %{})[:mode_names] || %{},
       lease: Leases.of(gateway, snapshot.key)
     })
   end

@@ -6,7 +6,7 @@ defmodule Aerie.Policy.Facts do
 
   alias Aerie.Command
   alias Aerie.Command.{Type, Types}
-  alias Aerie.Policy.Lease
+  alias Aerie.Policy.{Context, Lease, Protection}
 
   @enforce_keys [:type, :permission]
   defstruct [
@@ -15,6 +15,11 @@ defmodule Aerie.Policy.Facts do
     :mode,
     :standard_mode,
     :control,
+    :unknown,
+    :number,
+    also: [],
+    modes: [],
+    implies: [],
     path: :none,
     moves?: false,
     ends_flight?: false,
@@ -37,21 +42,34 @@ defmodule Aerie.Policy.Facts do
     * `{:from, place, place}` - from one place to another
     * `{:at, places}` - places that are stored: a home, corners of a fence
     * `{:around, place, metres}` - to the nearest point of a circle, and around on it
-    * `{:offset, {north, east, down}}` - so many metres from home
+    * `{:offset, {north, east, down}}` - so many metres from home; nil: on that axis it stays where it is
     * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the frame
       `:body`, ahead and to the right; `{:drift, frame, {x, y, down}}` - so many metres a second
+    * `{:level, height}` - to a height, wherever it is then
+    * `{:all, paths}` - to each of them, because firmwares read the message in different ways
+    * `:anywhere` - where it leads, nobody can tell: no fence and no limit of height allows it
   """
   @type path ::
           :none
+          | :anywhere
+          | {:all, [path()]}
+          | {:level, height()}
           | {:to | :along | :at, [place()]}
           | {:from, place(), place()}
           | {:around, place(), number()}
-          | {:offset, {number(), number(), number()}}
+          | {:offset, {number() | nil, number() | nil, number() | nil}}
           | {:shift | :drift, :north | :body, {number(), number(), number()}}
+
+  @typedoc "A message by its id, or a command of MAV_CMD."
+  @type unknown :: {:message, non_neg_integer()} | {:command, non_neg_integer()}
 
   @typedoc """
     * `:permission` - what a source must be allowed to do (`t:Aerie.Command.Type.permission/0`)
-    * `:mode` - the mode that it asks for, by its name; `:standard_mode` - by that of MAVLink's standard modes
+    * `:also` - permissions that it needs besides
+    * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
+    * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
+      `:standard_mode` - the mode by the name of MAVLink's standard modes
+    * `:implies` - the types that it amounts to while the vehicle is on the ground: what may make it take off or arm
     * `:control` - how it changes who is in charge of the vehicle
     * `:moves?` - the vehicle may move because of it
     * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command from it
@@ -60,6 +78,11 @@ defmodule Aerie.Policy.Facts do
   @type t :: %__MODULE__{
           type: String.t(),
           permission: Type.permission(),
+          also: [Type.permission()],
+          unknown: unknown() | nil,
+          number: String.t() | nil,
+          modes: [String.t()],
+          implies: [String.t()],
           mode: String.t() | nil,
           standard_mode: String.t() | nil,
           control: Lease.change() | nil,
@@ -76,15 +99,48 @@ defmodule Aerie.Policy.Facts do
     BRAKE HOLD SURFACE)
   @ending_standard ~w(position_hold safe_recovery land)
 
-  @raw ~w(mission_upload fence_upload rally_upload set_parameter write_file payload raw)
+  # What may make a vehicle leave the ground, or arm (PX4 does with a mission's start).
+  @implies Map.merge(
+             Map.new(~w(resume jump mission_set_current land_start goto orbit), &{&1, ["takeoff"]}),
+             %{"mission_start" => ["takeoff", "arm"]}
+           )
+  @lifting_modes ~w(AUTO AUTO_MISSION AUTO_READY MISSION TAKEOFF AUTO_TAKEOFF AUTO_VTOL_TAKEOFF GUIDED GUIDED_NOGPS
+    GUIDED_COURSE OFFBOARD FOLLOW FOLLOWME AUTO_FOLLOW_TARGET THROW AVOID_ADSB AUTO_RTL)
+  @lifting_standard ~w(mission takeoff)
+  # They are never in the air.
+  @grounded ~w(rover boat sub tracker)
+
+  # PX4's mode that is the end of a flight.
+  @termination "TERMINATION"
+
+  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file payload raw)
 
   @doc "Types that are no command of the table: what raw MAVLink asks for besides (`Aerie.Policy.Raw`)."
   @spec raw() :: [String.t()]
-  def raw, do: @raw
+  def raw, do: ["aux_function" | @transfers]
+
+  @doc "Those of them that come as fast as the vehicle asks for them."
+  @spec transfers() :: [String.t()]
+  def transfers, do: @transfers
 
   @doc "Commands that hold a vehicle or bring it down."
   @spec ending() :: [String.t()]
   def ending, do: @ending
+
+  @doc "The facts of parameters that are set, by their names; nil for one whose name is not known."
+  @spec set_parameters([String.t() | nil]) :: t()
+  def set_parameters(names) do
+    guarded? = Enum.any?(names, &(&1 == nil or Protection.parameter?(&1)))
+    %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?)}
+  end
+
+  @doc "The facts of a file that is written, moved or removed, by its path."
+  @spec write_file(String.t()) :: t()
+  def write_file(path),
+    do: %__MODULE__{type: "write_file", permission: :maintain, also: protection(Protection.file?(path))}
+
+  defp protection(true), do: [:protection]
+  defp protection(false), do: []
 
   @doc "The facts of a command that was checked by the table (`Aerie.Command.parse/2`)."
   @spec of(Command.t()) :: t()
@@ -102,19 +158,39 @@ defmodule Aerie.Policy.Facts do
       ends_flight?: type.name in @ending
     }
 
-    facts |> struct!(fields) |> ending_mode()
+    %{facts | implies: Map.get(@implies, name, [])} |> struct!(fields) |> by_mode()
   end
 
-  defp ending_mode(%{mode: nil, standard_mode: nil} = facts), do: facts
+  @doc "The types by which a command is judged: its own, and on the ground those that it amounts to."
+  @spec types(t(), Context.t()) :: [String.t(), ...]
+  def types(%{implies: []} = facts, _context), do: [facts.type]
+  def types(facts, %{in_air: true}), do: [facts.type]
 
-  defp ending_mode(facts) do
+  def types(facts, %{vehicle_type: kind}) when kind in @grounded,
+    do: [facts.type | facts.implies -- ["takeoff"]]
+
+  def types(facts, _context), do: [facts.type | facts.implies]
+
+  defp by_mode(%{mode: nil, standard_mode: nil} = facts), do: facts
+
+  defp by_mode(facts) do
+    modes = for mode <- [facts.mode | facts.modes], mode != nil, do: String.upcase(mode)
+    standard = facts.standard_mode
+    ends? = if modes == [], do: standard in @ending_standard, else: Enum.all?(modes, &(&1 in @ending_modes))
+    lifts? = Enum.any?(modes, &lifts?/1) or standard in @lifting_standard
+
     %{
       facts
-      | ends_flight?:
-          (facts.mode || "") |> String.upcase() |> Kernel.in(@ending_modes) or
-            facts.standard_mode in @ending_standard
+      | ends_flight?: ends?,
+        implies: Enum.uniq(facts.implies ++ if(lifts?, do: ["takeoff"], else: [])),
+        also: Enum.uniq(facts.also ++ if(@termination in modes, do: [:terminate], else: []))
     }
   end
+
+  # What a mode does that has no name here, nobody knows.
+  defp lifts?("MODE(" <> _number), do: true
+  defp lifts?("EXTERNAL" <> _number), do: true
+  defp lifts?(mode), do: mode in @lifting_modes
 
   defp asked("takeoff", %{altitude: metres}),
     do: [path: {:to, [here({:home, metres})]}, what: "the height to climb to"]
@@ -138,6 +214,9 @@ defmodule Aerie.Policy.Facts do
   defp asked("take_control", params), do: [control: {:take, params[:reason], nil}]
   defp asked("hand_over_control", params), do: [control: {:offer, params[:to] || :anyone}]
   defp asked("release_control", _params), do: [control: :release]
+  defp asked("set_geofence", %{enabled: false}), do: [also: [:protection]]
+  # The fence and the failsafes are reset, too.
+  defp asked("reset_params", _params), do: [also: [:protection]]
   # Only a release brings it down.
   defp asked("parachute", params), do: [ends_flight?: params.action == "release"]
   defp asked(_other, _params), do: []

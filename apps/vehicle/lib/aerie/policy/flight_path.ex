@@ -10,6 +10,7 @@ defmodule Aerie.Policy.FlightPath do
   # A velocity set-point is repeated or ends within this time, which limits how far the vehicle gets.
   @drift_s 3
   @corners 36
+  @anywhere "where it leads, nobody can tell"
 
   @typedoc """
   `{from, to}` is a straight way; `from` nil: only the place counts. `given`: what its height was given above, or `:same`.
@@ -19,6 +20,9 @@ defmodule Aerie.Policy.FlightPath do
   @doc "The ways and places of a command, or what of the vehicle is not known and would have to be."
   @spec legs(Facts.t(), Context.t()) :: {:ok, [leg()]} | {:unknown, String.t()}
   def legs(%{path: :none}, _context), do: {:ok, []}
+  def legs(%{path: {:level, _height}}, _context), do: {:ok, []}
+  def legs(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def legs(%{path: {:all, paths}} = facts, context), do: all(paths, &legs(%{facts | path: &1}, context))
 
   def legs(%{path: {:at, places}}, context) do
     with {:ok, positions} <- positions(places, context),
@@ -52,8 +56,9 @@ defmodule Aerie.Policy.FlightPath do
   def legs(%{path: {:offset, {north, east, down}}}, context) do
     with {:ok, here} <- here(context),
          {:ok, home} <- home(context) do
-      there = moved(home, north, east)
-      {:ok, [{here, Map.merge(there, heights({:home, -down}, here, context)), :home}]}
+      from = %{lat: if(north, do: home.lat, else: here.lat), lon: if(east, do: home.lon, else: here.lon)}
+      there = moved(from, north || 0, east || 0)
+      {:ok, [{here, Map.merge(there, heights(up(down), here, context)), given(up(down))}]}
     end
   end
 
@@ -82,8 +87,14 @@ defmodule Aerie.Policy.FlightPath do
   def heights(%{path: {:around, %{height: {above, _} = height}, _metres}}, context),
     do: {:ok, [level(height, above, context)]}
 
+  def heights(%{path: {:offset, {_north, _east, nil}}}, _context), do: {:ok, []}
+
   def heights(%{path: {:offset, {_north, _east, down}}}, context),
     do: {:ok, [level({:home, -down}, :home, context)]}
+
+  def heights(%{path: {:level, {above, _} = height}}, context), do: {:ok, [level(height, above, context)]}
+  def heights(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
+  def heights(%{path: {:all, paths}} = facts, context), do: all(paths, &heights(%{facts | path: &1}, context))
 
   def heights(%{path: {kind, _frame, {_x, _y, down}}}, _context) when kind in [:shift, :drift] and down == 0,
     do: {:ok, []}
@@ -93,6 +104,18 @@ defmodule Aerie.Policy.FlightPath do
   end
 
   def heights(_level, _context), do: {:ok, []}
+
+  defp up(nil), do: :same
+  defp up(down), do: {:home, -down}
+
+  defp all(paths, fun) do
+    Enum.reduce_while(paths, {:ok, []}, fn path, {:ok, done} ->
+      case fun.(path) do
+        {:ok, found} -> {:cont, {:ok, done ++ found}}
+        unknown -> {:halt, unknown}
+      end
+    end)
+  end
 
   defp level(height, above, context) do
     %{home: home, msl: msl} = heights(height, nil, context)
@@ -113,14 +136,20 @@ defmodule Aerie.Policy.FlightPath do
     |> then(fn result -> with {:ok, done} <- result, do: {:ok, Enum.reverse(done)} end)
   end
 
+  defp position(%{lat: lat, lon: lon}, _context)
+       when is_number(lat) and is_number(lon) and (abs(lat) > 90 or abs(lon) > 180),
+       do: {:unknown, "#{lat}, #{lon} is not a place on earth"}
+
   defp position(%{lat: lat, lon: lon, height: height}, context) when is_number(lat) and is_number(lon) do
     here = with {:ok, here} <- here(context), do: here, else: (_unknown -> %{home: nil, msl: nil})
     {:ok, {Map.merge(%{lat: lat, lon: lon}, heights(height, here, context)), given(height)}}
   end
 
-  defp position(%{height: height}, context) do
-    with {:ok, here} <- here(context),
-         do: {:ok, {Map.merge(here, heights(height, here, context)), given(height)}}
+  defp position(%{lat: lat, lon: lon, height: height}, context) do
+    with {:ok, here} <- here(context) do
+      there = %{here | lat: lat || here.lat, lon: lon || here.lon}
+      {:ok, {Map.merge(there, heights(height, here, context)), given(height)}}
+    end
   end
 
   defp given(:same), do: :same

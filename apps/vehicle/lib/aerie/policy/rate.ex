@@ -14,7 +14,7 @@ defmodule Aerie.Policy.Rate do
   alias Aerie.TokenBucket
 
   # Set-points and sticks come many times a second, and a transfer as fast as the vehicle asks for its parts.
-  @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Facts.raw()
+  @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Facts.transfers()
 
   @max_buckets 20_000
 

@@ -10,18 +10,20 @@ defmodule Aerie.Policy.Raw do
   | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
   | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain` |
   | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes; LOG_ERASE | `maintain` |
-  | `mav_cmd_N` | a command that nothing here knows | `fly`; `maintain` beyond the commands of MAVLink's own |
+  | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Policy.Raw.AuxFunctions`) | by function |
+  | `mav_cmd_N` | a command that has no type of its own | by its row (`Aerie.Authority.Commands`) |
   | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
+
+  An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and files that protect
+  a vehicle, and a fence that is removed, need `protection` besides (`Aerie.Policy.Protection`).
 
   Items of a mission come one by one: `Aerie.Policy.Raw.Upload` remembers where the last one was, so that the way from it is
   judged, too.
   """
 
-  import Bitwise
-
+  alias Aerie.Authority
   alias Aerie.Policy.Facts
-  alias Aerie.Policy.Raw.{Commands, Place}
-  alias Aerie.Protocol.Modes
+  alias Aerie.Policy.Raw.{Commands, Place, Request, Setpoints}
   alias MavCodec.Enums.{MavCmd, MavMissionType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
@@ -30,23 +32,21 @@ defmodule Aerie.Policy.Raw do
 
   @fence MavMissionType.value(:MAV_MISSION_TYPE_FENCE)
   @rally MavMissionType.value(:MAV_MISSION_TYPE_RALLY)
+  @all_types MavMissionType.value(:MAV_MISSION_TYPE_ALL)
   # Where the vehicle may be. Exclusions may lie anywhere.
   @fence_inside [
     MavCmd.value(:MAV_CMD_NAV_FENCE_RETURN_POINT),
     MavCmd.value(:MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION),
     MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
   ]
-  # Operations of FTP that create, write, remove or rename.
-  @ftp_writes 6..13 |> Enum.to_list()
+  # Operations of FTP that create, write, remove or rename, and of those the one whose data are no path.
+  @ftp_writes Enum.to_list(6..13)
+  @ftp_write 7
 
   @log_orders [
     MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_STOP),
     MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_START)
   ]
-
-  # Bits of POSITION_TARGET_TYPEMASK: what is set is not meant.
-  @no_position 0b111
-  @no_velocity 0b111000
 
   @payload [
     M.GimbalControl,
@@ -78,18 +78,20 @@ defmodule Aerie.Policy.Raw do
   def facts(%M.CommandCancel{command: command}, _vehicle),
     do: own("mav_cmd_#{command}", :fly, ends_flight?: true)
 
-  def facts(%M.SetMode{} = m, vehicle) do
-    Facts.named("set_mode",
-      mode: Modes.name(vehicle.autopilot, vehicle.vehicle_type, m.base_mode, m.custom_mode)
-    )
-  end
+  def facts(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
 
-  def facts(%module{}, _vehicle) when module in [M.ParamSet, M.ParamExtSet, M.ParamMapRc],
-    do: own("set_parameter", :maintain)
+  def facts(%module{param_id: name}, _vehicle) when module in [M.ParamSet, M.ParamExtSet],
+    do: Facts.set_parameters([name])
 
-  def facts(%M.MissionCount{mission_type: type}, _vehicle), do: upload(type)
+  # A number other than -1 counts in place of the name.
+  def facts(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Facts.set_parameters([name])
+  def facts(%M.ParamMapRc{}, _vehicle), do: Facts.set_parameters([nil])
+
+  def facts(%M.MissionCount{mission_type: type, count: count}, _vehicle),
+    do: upload(type, removed(type, count))
+
   def facts(%M.MissionWritePartialList{mission_type: type}, _vehicle), do: upload(type)
-  def facts(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type)
+  def facts(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
   def facts(%M.MissionSetCurrent{}, _vehicle), do: Facts.named("mission_set_current")
 
   # ArduPilot's way to say "go there now" and "be that high now".
@@ -112,15 +114,12 @@ defmodule Aerie.Policy.Raw do
   def facts(%module{mission_type: @rally} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
     do: upload(@rally, path: {:at, [Place.of(m)]}, what: "rally point #{m.seq}")
 
-  def facts(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt] do
-    # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.
-    if Commands.place?(m.command) and not (vehicle.autopilot == :ardupilot and m.seq == 0),
-      do: upload(0, path: {:at, [Place.item(m)]}, what: "mission item #{m.seq}"),
-      else: upload(0)
-  end
+  def facts(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
 
-  def facts(%M.FencePoint{lat: lat, lng: lon, idx: n}, _vehicle),
-    do: upload(@fence, path: {:at, [%{lat: lat, lon: lon, height: :same}]}, what: "fence point #{n}")
+  def facts(%M.FencePoint{lat: lat, lng: lon, idx: n, count: count}, _vehicle) do
+    place = %{lat: lat, lon: lon, height: :same}
+    upload(@fence, [path: {:at, [place]}, what: "fence point #{n}"] ++ removed(@fence, count))
+  end
 
   def facts(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),
     do: upload(@rally, path: {:at, [Place.int(lat, lon, {:home, metres})]}, what: "rally point #{n}")
@@ -130,30 +129,9 @@ defmodule Aerie.Policy.Raw do
   def facts(%M.ManualControl{}, _vehicle), do: Facts.named("manual_control")
   def facts(%module{}, _vehicle) when module in @attitude, do: Facts.named("setpoint_attitude")
 
-  def facts(%M.SetPositionTargetGlobalInt{type_mask: mask} = m, _vehicle)
-      when band(mask, @no_position) != @no_position do
-    Facts.named("setpoint_position",
-      path: {:to, [Place.int(m.lat_int, m.lon_int, Place.height(m.coordinate_frame, m.alt))]}
-    )
-  end
-
-  def facts(%M.SetPositionTargetLocalNed{type_mask: mask} = m, _vehicle)
-      when band(mask, @no_position) != @no_position do
-    Facts.named("setpoint_local", path: Place.local(m.coordinate_frame, {m.x, m.y, m.z}))
-  end
-
-  def facts(%module{type_mask: mask} = m, _vehicle)
-      when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed] and
-             band(mask, @no_velocity) != @no_velocity do
-    Facts.named("setpoint_velocity",
-      path:
-        {:drift, Place.axes(m.coordinate_frame), {Place.number(m.vx), Place.number(m.vy), Place.number(m.vz)}},
-      what: "where that velocity leads within 3 s"
-    )
-  end
-
-  def facts(%module{}, _vehicle) when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed],
-    do: Facts.named("setpoint_attitude")
+  def facts(%module{} = m, _vehicle)
+      when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed],
+      do: Setpoints.facts(m)
 
   def facts(%M.SetHomePosition{} = m, _vehicle) do
     place = Place.int(m.latitude, m.longitude, {:msl, m.altitude / 1000})
@@ -162,8 +140,13 @@ defmodule Aerie.Policy.Raw do
 
   def facts(%M.SetGpsGlobalOrigin{}, _vehicle), do: Facts.named("set_origin")
 
-  def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, _::binary>>}, _vehicle),
-    do: if(operation in @ftp_writes, do: own("write_file", :maintain), else: :free)
+  def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
+    case {operation, rest} do
+      {@ftp_write, _bytes} -> Facts.write_file("")
+      {writes, <<_header::binary-size(8), path::binary>>} when writes in @ftp_writes -> Facts.write_file(path)
+      _reads -> :free
+    end
+  end
 
   # It starts and stops the log; its receipts for the blocks of a log change nothing, and are many.
   def facts(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
@@ -176,6 +159,62 @@ defmodule Aerie.Policy.Raw do
   @doc "The facts of what cannot be read, or is not known: only who may do everything may send it."
   @spec unreadable() :: Facts.t()
   def unreadable, do: own("raw", :maintain)
+
+  @doc "The facts of a message without a row, by its id: it is refused, unless the policy opens it."
+  @spec unknown(message :: non_neg_integer()) :: Facts.t()
+  def unknown(message), do: own("raw", :maintain, unknown: {:message, message})
+
+  # What its command needs beyond `mission`. An operator may put the rest into a mission.
+  @strong [:terminate, :force_disarm, :protection, :maintain]
+
+  defp item(m, vehicle) do
+    case Authority.Commands.get(m.command) do
+      nil ->
+        upload(0, unknown: {:command, m.command}, also: [:maintain])
+
+      row ->
+        request = Request.of(m, vehicle)
+        command = Commands.read(request, row, vehicle)
+
+        upload(0,
+          also: Enum.filter(Enum.uniq([command.permission | command.also]), &(&1 in @strong)),
+          number: command.number,
+          mode: command.mode,
+          modes: command.modes,
+          standard_mode: command.standard_mode,
+          path: stop(row.as_item, m, row, request, vehicle),
+          what: "mission item #{m.seq}"
+        )
+    end
+  end
+
+  # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.
+  defp stop(_place, %{seq: 0}, _row, _request, %{autopilot: :ardupilot}), do: :none
+  defp stop(:none, _m, _row, _request, _vehicle), do: :none
+  defp stop(:anywhere, _m, _row, _request, _vehicle), do: :anywhere
+
+  # Its height is the first parameter, and its frame the second.
+  defp stop(:height, m, %{name: "DO_CHANGE_ALTITUDE"}, request, _vehicle) do
+    frame = Request.int(request, 2) || -1
+    {:at, [%{lat: nil, lon: nil, height: Place.height(frame, m.param1)}]}
+  end
+
+  defp stop(:height, m, _row, _request, _vehicle), do: {:at, [%{Place.item(m) | lat: nil, lon: nil}]}
+
+  defp stop(:stored, m, row, request, _vehicle) do
+    here? = row.name == "DO_SET_HOME" and Request.int(request, 1) == 1
+
+    case Place.item(m) do
+      %{lat: lat} when lat == nil or here? -> :none
+      # A mark, or a home: no way leads there.
+      place -> {:along, [%{place | height: :same}]}
+    end
+  end
+
+  defp stop(:flown, m, _row, _request, _vehicle), do: {:at, [Place.item(m)]}
+
+  defp removed(type, 0) when type in [@fence, @all_types], do: [also: [:protection]]
+  defp removed(_type, _count), do: []
 
   defp upload(mission_type, fields \\ [])
   defp upload(@fence, fields), do: own("fence_upload", :mission, fields)

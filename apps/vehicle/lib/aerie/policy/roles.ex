@@ -5,8 +5,8 @@ defmodule Aerie.Policy.Roles do
   | role | may |
   |---|---|
   | `viewer` | look on |
-  | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry` |
-  | `admin` | the same, and `maintain` |
+  | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry`, `sensors` |
+  | `admin` | the same, and `maintain` and `protection` |
 
   No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody: they are given by name, to an
   operator or an admin.

@@ -31,7 +31,7 @@ defmodule Aerie.Policy.Settings do
 
   setting :takeoff_battery,
           {:number, 0, 1},
-          "Share of its charge that a battery must have for taking off, arming and starting a mission on the ground.",
+          "Share of its charge that a battery must have for arming, and for whatever may make the vehicle take off.",
           example: "0.3"
 
   setting :modes, {:section, mode_fields()}, "Which modes may be asked for."
@@ -61,6 +61,20 @@ defmodule Aerie.Policy.Settings do
           Set-points, sticks and transfers are limited only by an entry that names them.
           """,
           example: ~S([{types: [takeoff], per_minute: 6, burst: 2}])
+
+  setting :unknown,
+          {:enum, [:refuse, :maintain]},
+          """
+          What happens to messages and commands (MAV_CMD) of clients that the gateway has no row for: they are refused, or need the
+          permission maintain.
+          """,
+          default: :refuse
+
+  setting :open,
+          {:list, {:section, open_fields()}},
+          "Single ones of them that whoever has the permission maintain may send nevertheless.",
+          default: [],
+          example: ~S([{command: 43999}, {message: 60000}])
 
   setting :clients,
           {:list, {:section, client_fields()}},
@@ -137,6 +151,13 @@ defmodule Aerie.Policy.Settings do
       field(:vehicles, {:one_or_list, :string}, "Vehicles; each one if left out.", filled: true),
       field(:per_minute, {:number, 0.001, 1_000_000}, "How often.", required: true),
       field(:burst, {:integer, 1, 100_000}, "How many at once.", default: 1)
+    ]
+  end
+
+  defp open_fields do
+    [
+      field(:command, {:integer, 0, 65_535}, "Id of a command (MAV_CMD)."),
+      field(:message, {:integer, 0, 16_777_215}, "Id of a message.")
     ]
   end
 

@@ -48,13 +48,63 @@ defmodule Aerie.Protocol.Modes do
     name = String.upcase(name)
 
     with :error <- by_name(autopilot, kind, name),
-         [_, digits] <- Regex.run(~r/\AMODE\((\d{1,10})\)\z/, name) do
-      {:ok, String.to_integer(digits)}
+         [_, digits] <- Regex.run(~r/\AMODE\((\d{1,10})\)\z/, name),
+         number = String.to_integer(digits),
+         nil <- wrong(autopilot, number) do
+      {:ok, number}
     else
       {:ok, number} -> {:ok, number}
-      nil -> :error
+      _no_mode -> :error
     end
   end
+
+  @doc """
+  The modes for which a firmware may take a request (SET_MODE, DO_SET_MODE), its own name for it first, or why the number
+  cannot be one: ArduPilot keeps one byte of it, and PX4 takes no notice of its lower half.
+  """
+  @spec asked(autopilot(), String.t(), base_mode :: integer(), custom_mode :: integer()) ::
+          [String.t(), ...] | {:error, String.t()}
+  def asked(autopilot, kind, base, custom) do
+    case wrong(autopilot, custom) do
+      nil -> Enum.uniq(asked(autopilot, kind, base, custom, band(base, @custom) != 0))
+      reason -> {:error, reason}
+    end
+  end
+
+  defp asked(:ardupilot, kind, _base, custom, true), do: [name(:ardupilot, kind, @custom, custom)]
+  # It refuses what is not a mode of its own; older ones had modes for the flags.
+  defp asked(:ardupilot, _kind, base, _custom, false), do: [name(:generic, "", base, 0)]
+
+  defp asked(:px4, kind, _base, custom, true) do
+    case {Px4.Modes.name(custom), Px4.Modes.effect(custom)} do
+      {nil, [_ | _] = effect} -> effect
+      {_named, effect} -> [name(:px4, kind, @custom, custom) | effect]
+    end
+  end
+
+  # Without the flag it goes by the others, and the number does not count.
+  defp asked(:px4, _kind, base, 0, false), do: [flags(base)]
+  defp asked(:px4, kind, base, custom, false), do: [flags(base), name(:px4, kind, @custom, custom)]
+  defp asked(_generic, _kind, base, custom, true), do: [name(:generic, "", base, custom), unknown(custom)]
+  defp asked(_generic, _kind, base, _custom, false), do: [name(:generic, "", base, 0)]
+
+  # PX4's reading of the flags.
+  defp flags(base) do
+    cond do
+      band(base, @auto) != 0 -> "AUTO_MISSION"
+      band(base, @manual) == 0 -> "PREFLIGHT"
+      band(base, @guided) != 0 -> "POSCTL"
+      band(base, @stabilize) != 0 -> "STABILIZED"
+      true -> "MANUAL"
+    end
+  end
+
+  defp wrong(:ardupilot, mode) when mode not in 0..255, do: "the mode #{mode} is not an integer from 0 to 255"
+
+  defp wrong(:px4, mode) when mode not in 0..0xFFFFFFFF or band(mode, 0xFFFF) != 0,
+    do: "the mode #{mode} is not a main mode and a sub mode of PX4"
+
+  defp wrong(_autopilot, _mode), do: nil
 
   @doc "The names of all modes that can be requested, in the order of their numbers."
   @spec all(autopilot(), String.t()) :: [String.t()]

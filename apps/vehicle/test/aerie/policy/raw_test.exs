@@ -33,9 +33,13 @@ defmodule Aerie.Policy.RawTest do
           {long("COMPONENT_ARM_DISARM", param2: 21_196.0), @copter, "force_disarm", :force_disarm, :none},
           {long("NAV_TAKEOFF", param7: 20.0), @copter, "takeoff", :fly,
            {:to, [place(nil, nil, {:home, 20.0})]}},
+          # PX4 flies to 0, 0 if it is told to.
           {long("NAV_TAKEOFF", param7: 520.0), @px4, "takeoff", :fly,
+           {:to, [place(0.0, 0.0, {:msl, 520.0})]}},
+          {long("NAV_TAKEOFF", param5: :nan, param6: :nan, param7: 520.0), @px4, "takeoff", :fly,
            {:to, [place(nil, nil, {:msl, 520.0})]}},
-          {long("NAV_TAKEOFF", param7: :nan), @px4, "takeoff", :fly, {:to, [place(nil, nil, :same)]}},
+          {long("NAV_TAKEOFF", param5: :nan, param6: :nan, param7: :nan), @px4, "takeoff", :fly,
+           {:to, [place(nil, nil, :same)]}},
           {int("DO_REPOSITION", frame: 6, x: 471_000_000, y: -81_000_000, z: 30.0), @copter, "goto", :fly,
            {:to, [place(47.1, -8.1, {:home, 30.0})]}},
           {int("DO_REPOSITION", frame: 5, x: 0x7FFFFFFF, y: 0x7FFFFFFF, z: 530.0), @copter, "goto", :fly,
@@ -63,7 +67,7 @@ defmodule Aerie.Policy.RawTest do
           {long("DO_FLIGHTTERMINATION", param1: 1.0), @copter, "terminate", :terminate, :none},
           {long("PREFLIGHT_REBOOT_SHUTDOWN", param1: 1.0), @copter, "reboot", :maintain, :none},
           {%M.CommandLong{command: 31_010}, @copter, "mav_cmd_31010", :maintain, :none},
-          {long("DO_FOLLOW"), @copter, "mav_cmd_32", :fly, {:to, [place(0.0, 0.0, {:home, 0.0})]}}
+          {long("DO_FOLLOW"), @copter, "mav_cmd_32", :fly, :anywhere}
         ] do
       assert %Facts{type: ^type, permission: ^permission, path: found} = message |> wired() |> facts(vehicle)
       assert near?(found, path), inspect({type, found, path})

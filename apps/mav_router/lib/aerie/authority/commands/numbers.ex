@@ -68,6 +68,7 @@ defmodule Aerie.Authority.Commands.Numbers do
   @doc "What a parameter has to be, in words."
   @spec text(kind()) :: String.t()
   def text({:values, values}), do: "one of #{Enum.join(values, ", ")}"
+  def text({:flags, 1}), do: "0 or 1"
   def text({:flags, mask}), do: "an integer with bits of #{mask}"
   def text({:index, min, max}), do: "an integer from #{min} to #{max}"
 end

@@ -1,191 +1,237 @@
 defmodule Aerie.Policy.Raw.Commands do
-  @moduledoc "COMMAND_LONG and COMMAND_INT: which command of the table each command of MAV_CMD is, and where it leads."
+  @moduledoc """
+  What a command of MAV_CMD asks for, whichever message carries it: by its row of `Aerie.Authority.Commands`, and for some by their
+  parameters.
+  """
+
+  alias Aerie.Authority
+  alias Aerie.Authority.Commands.Row
+  alias Aerie.Command.Types
+  alias Aerie.Policy.Facts
+  alias Aerie.Policy.Raw.{AuxFunctions, Place, Request}
+  alias Aerie.Protocol.Modes
+  alias MavCodec.Enums.{MavGoto, MavStandardMode, RebootShutdownConditions}
 
   import Bitwise
 
-  alias Aerie.Policy.Facts
-  alias Aerie.Policy.Raw.Place
-  alias Aerie.Protocol.Modes
-  alias MavCodec.Enums.{MavCmd, MavStandardMode}
-  alias MavCodec.Messages, as: M
-
-  id = fn name -> MavCmd.value(:"MAV_CMD_#{name}") || raise("no command #{name}") end
-
-  # Those that mean the same whatever their parameters are.
-  @plain Map.new(
-           [
-             {"land", ~w(NAV_LAND NAV_VTOL_LAND NAV_LAND_LOCAL)},
-             {"rtl", ~w(NAV_RETURN_TO_LAUNCH)},
-             {"land_start", ~w(DO_LAND_START)},
-             {"mission_start", ~w(MISSION_START)},
-             {"mission_set_current", ~w(DO_SET_MISSION_CURRENT)},
-             {"jump", ~w(DO_JUMP DO_JUMP_TAG)},
-             {"set_speed", ~w(DO_CHANGE_SPEED)},
-             {"set_yaw", ~w(CONDITION_YAW)},
-             {"set_roi", ~w(DO_SET_ROI DO_SET_ROI_LOCATION DO_SET_ROI_WPNEXT_OFFSET DO_SET_ROI_SYSID)},
-             {"clear_roi", ~w(DO_SET_ROI_NONE)},
-             {"vtol_transition", ~w(DO_VTOL_TRANSITION)},
-             {"gripper", ~w(DO_GRIPPER)},
-             {"servo", ~w(DO_SET_SERVO DO_REPEAT_SERVO DO_SET_ACTUATOR)},
-             {"relay", ~w(DO_SET_RELAY DO_REPEAT_RELAY)},
-             {"camera_photo",
-              ~w(IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE DO_DIGICAM_CONTROL DO_DIGICAM_CONFIGURE)},
-             {"camera_video", ~w(VIDEO_START_CAPTURE VIDEO_STOP_CAPTURE)},
-             {"camera_trigger", ~w(DO_TRIGGER_CONTROL SET_CAMERA_MODE SET_CAMERA_ZOOM SET_CAMERA_FOCUS)},
-             {"camera_trigger_distance", ~w(DO_SET_CAM_TRIGG_DIST)},
-             {"gimbal",
-              ~w(DO_MOUNT_CONTROL DO_MOUNT_CONFIGURE DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE)},
-             {"motor_test", ~w(DO_MOTOR_TEST ACTUATOR_TEST)},
-             {"calibrate",
-              ~w(PREFLIGHT_CALIBRATION PREFLIGHT_SET_SENSOR_OFFSETS DO_START_MAG_CAL FIXED_MAG_CAL_YAW)},
-             {"reboot", ~w(PREFLIGHT_REBOOT_SHUTDOWN)},
-             {"save_params", ~w(PREFLIGHT_STORAGE)},
-             {"prearm_check", ~w(RUN_PREARM_CHECKS)},
-             {"rx_pair", ~w(START_RX_PAIR)},
-             {"set_geofence", ~w(DO_FENCE_ENABLE)},
-             {"set_message_interval", ~w(SET_MESSAGE_INTERVAL)},
-             {"request_message", ~w(REQUEST_MESSAGE)},
-             {"high_latency", ~w(CONTROL_HIGH_LATENCY)}
-           ]
-           |> Enum.flat_map(fn {type, names} -> Enum.map(names, &{id.(&1), type}) end)
-         )
-
-  @arm id.("COMPONENT_ARM_DISARM")
   # What makes it disarm in flight, or arm without its checks.
   @force [21_196, 2989]
-  @takeoff Enum.map(~w(NAV_TAKEOFF NAV_VTOL_TAKEOFF NAV_TAKEOFF_LOCAL), id)
-  @reposition id.("DO_REPOSITION")
-  @orbit id.("DO_ORBIT")
-  @set_mode id.("DO_SET_MODE")
-  @standard_mode id.("DO_SET_STANDARD_MODE")
-  @altitude id.("DO_CHANGE_ALTITUDE")
-  @set_home id.("DO_SET_HOME")
-  @pause id.("DO_PAUSE_CONTINUE")
-  @override id.("OVERRIDE_GOTO")
-  @parachute id.("DO_PARACHUTE")
-  @terminate id.("DO_FLIGHTTERMINATION")
-  @control id.("REQUEST_OPERATOR_CONTROL")
-
-  # Of missions: those without a place of their own among the NAV commands, and those with one beyond.
-  @nav 16..95
-  @no_place Enum.map(
-              ~w(NAV_RETURN_TO_LAUNCH NAV_CONTINUE_AND_CHANGE_ALT NAV_LAST NAV_DELAY NAV_GUIDED_ENABLE),
-              id
-            )
-  # Behind them vendors have commands of their own.
-  @last_own 30_999
+  # Forces a reboot while it is armed.
+  @force_reboot Enum.map(RebootShutdownConditions.all(), &elem(&1, 1)) -- [0]
 
   @doc "Whether a mission item of this command is a place to which the vehicle flies."
   @spec place?(non_neg_integer()) :: boolean()
-  def place?(command), do: command in @nav and command not in @no_place
+  defdelegate place?(command), to: Authority.Commands
 
-  @doc "The facts of a command."
+  @doc "The facts of COMMAND_LONG and COMMAND_INT."
   @spec facts(struct(), Aerie.Policy.Raw.vehicle()) :: Facts.t()
-  def facts(%{command: command}, _vehicle) when is_map_key(@plain, command), do: Facts.named(@plain[command])
-
-  def facts(%{command: @arm} = m, _vehicle) do
-    cond do
-      m.param1 == 1 and trunc(Place.number(m.param2)) in @force -> Facts.named("arm", permission: :maintain)
-      m.param1 == 1 -> Facts.named("arm")
-      trunc(Place.number(m.param2)) in @force -> Facts.named("force_disarm")
-      true -> Facts.named("disarm")
+  def facts(%{command: command} = message, vehicle) do
+    case Authority.Commands.get(command) do
+      nil -> unknown(command)
+      row -> message |> Request.of(vehicle) |> read(row, vehicle)
     end
   end
 
-  def facts(%{command: command} = m, vehicle) when command in @takeoff do
-    place = %{place(m, vehicle) | lat: nil, lon: nil}
-    Facts.named("takeoff", path: {:to, [place]}, what: "the height to climb to")
+  @doc "The facts of a command that has no row."
+  @spec unknown(non_neg_integer()) :: Facts.t()
+  def unknown(command) do
+    %Facts{type: "mav_cmd_#{command}", permission: :maintain, moves?: true, unknown: {:command, command}}
   end
 
-  def facts(%{command: @reposition} = m, vehicle), do: Facts.named("goto", path: to(m, vehicle))
+  @doc "The facts of a request for a command that has a row."
+  @spec read(Request.t(), Row.t(), Aerie.Policy.Raw.vehicle()) :: Facts.t()
+  def read(request, row, vehicle) do
+    facts = asked(row.name, request, row, vehicle)
 
-  def facts(%{command: @orbit, param1: radius} = m, vehicle),
-    do: Facts.named("orbit", path: {:around, place(m, vehicle), Place.number(radius)}, what: "the circle")
-
-  def facts(%{command: @set_mode} = m, %{autopilot: autopilot, vehicle_type: kind}) do
-    [base, main, sub] = for value <- [m.param1, m.param2, m.param3], do: trunc(Place.number(value))
-    custom = if autopilot == :px4, do: bsl(main, 16) ||| bsl(sub, 24), else: main
-    Facts.named("set_mode", mode: Modes.name(autopilot, kind, base, custom))
+    # What cannot be read in one way only, is nothing that may pass whatever happens.
+    case Authority.Commands.check(row, request.params) do
+      :ok -> facts
+      {:error, reason} -> %{facts | number: facts.number || reason, ends_flight?: false}
+    end
   end
 
-  def facts(%{command: @standard_mode, param1: mode}, _vehicle) do
-    name =
-      case MavStandardMode.name(trunc(Place.number(mode))) do
-        nil ->
-          "#{mode}"
+  defp asked("COMPONENT_ARM_DISARM", request, _row, _vehicle) do
+    case {Request.int(request, 1), Request.int(request, 2)} do
+      {0, force} when force in @force -> Facts.named("force_disarm")
+      {0, 0} -> Facts.named("disarm")
+      {1, force} when force in @force -> Facts.named("arm", permission: :maintain, also: [:protection])
+      {1, 0} -> Facts.named("arm")
+      _unreadable -> Facts.named("force_disarm")
+    end
+  end
 
-        name ->
-          name |> Atom.to_string() |> String.replace_prefix("MAV_STANDARD_MODE_", "") |> String.downcase()
-      end
+  defp asked("SOLO_BTN_FLY_HOLD", _request, _row, _vehicle),
+    do: Facts.named("takeoff", implies: ["arm"], path: :anywhere)
 
+  defp asked(name, request, row, vehicle) when name in ["NAV_TAKEOFF", "NAV_VTOL_TAKEOFF"],
+    do: Facts.named(row.type, path: takeoff(request.path, vehicle), what: "the place to climb to")
+
+  defp asked("DO_ORBIT", request, _row, _vehicle) do
+    path = {:around, Request.place(request), Request.number(request, 1)}
+    Facts.named("orbit", path: path, what: "the circle")
+  end
+
+  defp asked("DO_SET_MODE", request, _row, %{autopilot: autopilot} = vehicle) do
+    [base, main, sub] = for index <- 1..3, do: Request.int(request, index) || 0
+    # It makes each of them a byte.
+    large? = autopilot == :px4 and (main > 255 or sub > 255)
+    custom = if autopilot == :px4, do: bsl(main, 16) + bsl(sub, 24), else: main
+    facts = set_mode(base, custom, vehicle)
+    if large?, do: %{facts | number: "the mode #{main} #{sub} is not two bytes"}, else: facts
+  end
+
+  defp asked("DO_SET_STANDARD_MODE", request, _row, _vehicle) do
+    name = MavStandardMode.name(Request.int(request, 1) || 0) || :unknown
+    name = name |> Atom.to_string() |> String.replace_prefix("MAV_STANDARD_MODE_", "") |> String.downcase()
     Facts.named("set_mode", standard_mode: name)
   end
 
-  def facts(%{command: @altitude, param1: metres, param2: frame}, _vehicle) do
-    height = Place.height(trunc(Place.number(frame)), metres)
-
-    Facts.named("set_altitude",
-      path: {:to, [%{lat: nil, lon: nil, height: height}]},
-      what: "the height to fly at"
-    )
+  defp asked("DO_CHANGE_ALTITUDE", request, _row, vehicle) do
+    metres = Request.number(request, 1)
+    heights = [Place.height(Request.int(request, 2) || -1, metres)]
+    # PX4 takes it as above mean sea level, whatever the frame says.
+    heights = if vehicle.autopilot == :px4, do: Enum.uniq(heights ++ [{:msl, metres}]), else: heights
+    set_altitude(for height <- heights, do: %{lat: nil, lon: nil, height: height})
   end
 
-  def facts(%{command: @set_home} = m, vehicle) do
+  defp asked("GUIDED_CHANGE_ALTITUDE", request, _row, _vehicle),
+    do: set_altitude([%{Request.place(request) | lat: nil, lon: nil}])
+
+  defp asked("DO_SET_HOME", request, _row, _vehicle) do
     here = %{lat: nil, lon: nil, height: :same}
-    place = if m.param1 == 1, do: here, else: above_sea(place(m, vehicle))
+    place = if Request.int(request, 1) == 1, do: here, else: above_sea(Request.place(request))
     Facts.named("set_home", path: {:at, [place]}, what: "the new home")
   end
 
-  def facts(%{command: @pause, param1: go_on}, _vehicle),
-    do: Facts.named(if(go_on == 1, do: "resume", else: "mission_pause"))
+  defp asked("DO_PAUSE_CONTINUE", request, _row, _vehicle),
+    do: Facts.named(if(Request.int(request, 1) == 0, do: "mission_pause", else: "resume"))
 
-  def facts(%{command: @override, param1: action}, _vehicle) when action == 0, do: Facts.named("hold")
-  def facts(%{command: @override} = m, vehicle), do: Facts.named("goto", path: to(m, vehicle))
+  defp asked("OVERRIDE_GOTO", request, _row, _vehicle) do
+    orders = [Request.int(request, 1), Request.int(request, 2)]
 
-  def facts(%{command: @parachute, param1: action}, _vehicle),
-    do: Facts.named("parachute", ends_flight?: action == 2)
-
-  # A station that is refused may ask the one in charge to offer it (X15).
-  def facts(%{command: @control, param1: action}, _vehicle) when action == 0,
-    do: Facts.named("release_control", control: :release)
-
-  def facts(%{command: @control, param2: allow}, _vehicle),
-    do: Facts.named("take_control", control: {:take, nil, if(allow == 1, do: :anyone)})
-
-  # 0 ends the termination, which is no less of a decision.
-  def facts(%{command: @terminate}, _vehicle), do: Facts.named("terminate")
-
-  def facts(%{command: command} = m, vehicle) do
-    %Facts{
-      type: "mav_cmd_#{command}",
-      permission: if(command <= @last_own, do: :fly, else: :maintain),
-      moves?: true,
-      path: if(place?(command), do: to(m, vehicle), else: :none)
-    }
-  end
-
-  defp to(m, vehicle) do
-    case m do
-      %M.CommandInt{frame: 1} -> Place.local(1, {m.x / 1.0e4, m.y / 1.0e4, m.z})
-      _global -> {:to, [place(m, vehicle)]}
+    cond do
+      goto("HOLD_AT_SPECIFIED_POSITION") in orders -> Facts.named("goto", path: request.path)
+      goto("DO_CONTINUE") in orders -> Facts.named("resume")
+      true -> Facts.named("hold")
     end
   end
 
-  defp place(%M.CommandInt{} = m, _vehicle), do: Place.of(m)
+  # Rovers drive by it: a speed in a direction.
+  defp asked("NAV_SET_YAW_SPEED", request, _row, _vehicle) do
+    {angle, speed} = {Request.number(request, 1) * :math.pi() / 180, Request.number(request, 2)}
+    frame = if Request.int(request, 3) == 0, do: :north, else: :body
 
-  # COMMAND_LONG has no frame: PX4 takes its height above mean sea level, ArduPilot above home.
-  defp place(%M.CommandLong{param5: lat, param6: lon, param7: metres}, vehicle) do
-    height =
-      cond do
-        not is_number(metres) -> :same
-        vehicle.autopilot == :px4 -> {:msl, metres}
-        true -> {:home, metres}
-      end
-
-    %{lat: Place.finite(lat), lon: Place.finite(lon), height: height}
+    Facts.named("setpoint_velocity",
+      path: {:drift, frame, {speed * :math.cos(angle), speed * :math.sin(angle), 0.0}},
+      what: "where that velocity leads within 3 s"
+    )
   end
+
+  defp asked("DO_PARACHUTE", request, _row, _vehicle),
+    do: Facts.named("parachute", ends_flight?: Request.int(request, 1) == 2)
+
+  # Taking it away, or its floor, takes a protection away.
+  defp asked("DO_FENCE_ENABLE", request, _row, _vehicle),
+    do: Facts.named("set_geofence", also: if(Request.int(request, 1) == 1, do: [], else: [:protection]))
+
+  # Safe: the outputs are off, and the motors stop.
+  defp asked("DO_SET_SAFETY_SWITCH_STATE", request, row, _vehicle),
+    do: %{plain(row) | also: if(Request.int(request, 1) == 1, do: [], else: [:force_disarm])}
+
+  # Without its engine it falls, or glides.
+  defp asked("DO_ENGINE_CONTROL", request, row, _vehicle),
+    do: %{plain(row) | also: if(Request.int(request, 1) == 1, do: [], else: [:force_disarm])}
+
+  defp asked("DO_AUX_FUNCTION", request, _row, _vehicle),
+    do: AuxFunctions.facts(Request.int(request, 1), Request.int(request, 2))
+
+  # By its number, which says nothing here.
+  defp asked("DO_SET_PARAMETER", _request, _row, _vehicle), do: Facts.set_parameters([nil])
+
+  # Besides 0 and 1, which read and write, all of them reset something.
+  defp asked("PREFLIGHT_STORAGE", request, _row, _vehicle) do
+    if Request.int(request, 1) in [0, 1] and Request.int(request, 2) in [0, 1],
+      do: Facts.named("save_params"),
+      else: Facts.named("reset_params", also: [:protection])
+  end
+
+  defp asked("PREFLIGHT_REBOOT_SHUTDOWN", request, _row, _vehicle),
+    do:
+      Facts.named("reboot", also: if(Request.int(request, 6) in @force_reboot, do: [:force_disarm], else: []))
+
+  # A station that is refused may ask the one in charge to offer it (X15).
+  defp asked("REQUEST_OPERATOR_CONTROL", request, _row, _vehicle) do
+    if Request.int(request, 1) == 0 do
+      Facts.named("release_control", control: :release)
+    else
+      Facts.named("take_control", control: {:take, nil, if(Request.int(request, 2) == 1, do: :anyone)})
+    end
+  end
+
+  defp asked(_other, request, row, _vehicle), do: %{plain(row) | path: path(row.as_command, request)}
+
+  @doc "The facts of SET_MODE and DO_SET_MODE."
+  @spec set_mode(integer(), non_neg_integer(), Aerie.Policy.Raw.vehicle()) :: Facts.t()
+  def set_mode(base, custom, vehicle) do
+    case Modes.asked(vehicle.autopilot, vehicle.vehicle_type, base, custom) do
+      [mode | others] ->
+        "set_mode"
+        |> Facts.named([mode: mode, modes: others] ++ armed(base, vehicle))
+        |> safety(base, vehicle)
+
+      {:error, reason} ->
+        Facts.named("set_mode", mode: "MODE(#{custom})", number: reason)
+    end
+  end
+
+  @safety_armed 0x80
+
+  # Alone, the flag is ArduPilot's safety switch: with 0 it takes it away, and else it stops the motors.
+  defp safety(facts, @safety_armed, %{autopilot: autopilot}) when autopilot != :px4,
+    do: %{facts | also: [:protection, :force_disarm], ends_flight?: false}
+
+  defp safety(facts, _base, _vehicle), do: facts
+
+  # Up to 1.11, PX4 armed by it.
+  defp armed(base, %{autopilot: :px4}) when band(base, @safety_armed) != 0, do: [implies: ["arm"]]
+  defp armed(_base, _vehicle), do: []
+
+  defp set_altitude(places),
+    do: Facts.named("set_altitude", path: {:to, places}, what: "the height to fly at")
+
+  # PX4 flies to 0, 0 if it is told to.
+  defp takeoff({:to, places}, %{autopilot: :px4}), do: {:to, places}
+  defp takeoff({:to, places}, _vehicle), do: {:to, Enum.map(places, &here/1)}
+  defp takeoff(local, _vehicle), do: local
+
+  defp here(%{lat: lat, lon: lon} = place) when lat == 0 and lon == 0, do: %{place | lat: nil, lon: nil}
+  defp here(place), do: place
 
   # In whatever frame: a home's height is above mean sea level.
   defp above_sea(%{height: {:home, metres}} = place), do: %{place | height: {:msl, metres}}
   defp above_sea(place), do: place
+
+  defp path(:flown, request), do: request.path
+  defp path(:height, request), do: {:to, [%{Request.place(request) | lat: nil, lon: nil}]}
+  defp path(:anywhere, _request), do: :anywhere
+  defp path(_none, _request), do: :none
+
+  # By its type of the table, or by its row alone.
+  defp plain(row) do
+    case Types.fetch(row.type) do
+      {:ok, _type} ->
+        Facts.named(row.type)
+
+      :error ->
+        %Facts{
+          type: row.type,
+          permission: row.permission,
+          moves?: row.permission in [:arm, :fly, :mission, :manual, :terminate, :force_disarm],
+          implies:
+            if(row.permission == :fly and row.as_command in [:flown, :anywhere], do: ["takeoff"], else: [])
+        }
+    end
+  end
+
+  defp goto(name), do: MavGoto.value(:"MAV_GOTO_#{name}")
 end

@@ -9,13 +9,14 @@ defmodule Aerie.Policy.Raw.Place do
   frames = fn names -> Enum.map(names, &MavFrame.value(:"MAV_FRAME_#{&1}")) end
   @msl frames.(~w(GLOBAL GLOBAL_INT))
   @home frames.(~w(GLOBAL_RELATIVE_ALT GLOBAL_RELATIVE_ALT_INT))
+  @terrain frames.(~w(GLOBAL_TERRAIN_ALT GLOBAL_TERRAIN_ALT_INT))
   @local frames.(~w(LOCAL_NED))
   @body frames.(~w(BODY_NED BODY_OFFSET_NED BODY_FRD))
+  @shift frames.(~w(LOCAL_OFFSET_NED))
 
   @doc "The place of a mission item or of COMMAND_INT."
   @spec of(struct()) :: Facts.place()
-  def of(%M.MissionItem{x: lat, y: lon} = m),
-    do: %{lat: finite(lat), lon: finite(lon), height: height(m.frame, m.z)}
+  def of(%M.MissionItem{x: lat, y: lon} = m), do: floats(lat, lon, height(m.frame, m.z))
 
   def of(%{x: lat, y: lon} = m), do: int(lat, lon, height(m.frame, m.z))
 
@@ -30,7 +31,16 @@ defmodule Aerie.Policy.Raw.Place do
 
   @doc "A place in 1e-7 degrees; the largest number means where the vehicle is."
   @spec int(integer(), integer(), Facts.height()) :: Facts.place()
-  def int(lat, lon, height), do: %{lat: degrees(lat), lon: degrees(lon), height: height}
+  def int(@unset, @unset, height), do: %{lat: nil, lon: nil, height: height}
+  def int(lat, lon, height), do: %{lat: lat / 1.0e7, lon: lon / 1.0e7, height: height}
+
+  @doc "A place in degrees; two NaNs mean where the vehicle is, and one counts as 0."
+  @spec floats(term(), term(), Facts.height()) :: Facts.place()
+  def floats(lat, lon, height) do
+    if is_number(lat) or is_number(lon),
+      do: %{lat: number(lat), lon: number(lon), height: height},
+      else: %{lat: nil, lon: nil, height: height}
+  end
 
   @doc "A height in a frame. What it is above in any other frame is not known, as above the ground."
   @spec height(integer(), term()) :: Facts.height()
@@ -39,11 +49,15 @@ defmodule Aerie.Policy.Raw.Place do
   def height(frame, metres) when frame in @home, do: {:home, metres}
   def height(_frame, metres), do: {:terrain, metres}
 
-  @doc "The path of a local set-point: from home, or from where the vehicle is."
-  @spec local(integer(), {term(), term(), term()}) :: tuple()
+  @doc "The path of a local set-point: from home, or from where the vehicle is. An axis that is nil stays as it is."
+  @spec local(integer(), {term(), term(), term()}) :: Facts.path()
+  def local(frame, {x, y, z}) when frame in @local, do: {:offset, {axis(x), axis(y), axis(z)}}
+
   def local(frame, {x, y, z}) do
-    metres = {number(x), number(y), number(z)}
-    if frame in @local, do: {:offset, metres}, else: {:shift, axes(frame), metres}
+    case axes(frame) do
+      nil -> :anywhere
+      axes -> {:shift, axes, {number(x), number(y), number(z)}}
+    end
   end
 
   @doc "The facts of FOLLOW_TARGET: a vehicle that follows goes there."
@@ -58,21 +72,29 @@ defmodule Aerie.Policy.Raw.Place do
     }
   end
 
-  @doc "Whether x is to the north or ahead."
-  @spec axes(integer()) :: :north | :body
-  def axes(frame) when frame in @body, do: :body
-  def axes(_frame), do: :north
+  @doc "The path of a velocity."
+  @spec drift(integer(), {term(), term(), term()}) :: Facts.path()
+  def drift(frame, {x, y, z}) do
+    case axes(frame) do
+      nil -> :anywhere
+      axes -> {:drift, axes, {number(x), number(y), number(z)}}
+    end
+  end
+
+  # Whether x is to the north or ahead. What it is in other frames, each firmware has its own opinion.
+  defp axes(frame) when frame in @body, do: :body
+
+  defp axes(frame)
+       when frame in @local or frame in @shift or frame in @msl or frame in @home or frame in @terrain,
+       do: :north
+
+  defp axes(_frame), do: nil
+
+  defp axis(value) when is_number(value), do: value
+  defp axis(_not_finite), do: nil
 
   @doc "A number, 0 for what is none."
   @spec number(term()) :: number()
   def number(value) when is_number(value), do: value
   def number(_not_finite), do: 0.0
-
-  @doc "A number, nil for what is none."
-  @spec finite(term()) :: number() | nil
-  def finite(value) when is_number(value), do: value
-  def finite(_not_finite), do: nil
-
-  defp degrees(@unset), do: nil
-  defp degrees(value), do: value / 1.0e7
 end

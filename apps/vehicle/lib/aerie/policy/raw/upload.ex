@@ -26,6 +26,10 @@ defmodule Aerie.Policy.Raw.Upload do
         _first -> nil
       end
 
+    # Without a place of its own it is where the one before it is.
+    place =
+      if place.lat == nil and before != nil, do: %{place | lat: before.lat, lon: before.lon}, else: place
+
     uploads = if map_size(uploads) >= @max_vehicles, do: %{}, else: uploads
     path = if before, do: {:from, before, place}, else: facts.path
     {%{facts | path: path}, Map.put(uploads, vehicle, %{seq: seq, place: place, before: before})}

@@ -1,15 +1,26 @@
 defmodule Aerie.Policy.Rules.Battery do
-  @moduledoc "No take-off with less charge than `takeoff_battery`. Arming and starting a mission on the ground are judged like it."
+  @moduledoc """
+  No take-off with less charge than `takeoff_battery`. Arming is judged like it, and on the ground whatever else may make
+  the vehicle take off (`Aerie.Policy.Facts`, `implies`).
+  """
 
   @behaviour Aerie.Policy.Rule
 
-  @types ~w(takeoff arm mission_start)
+  alias Aerie.Policy.Facts
+
+  @types ~w(takeoff arm)
 
   @impl Aerie.Policy.Rule
   def check(%{takeoff_battery: nil}, _facts, _context), do: :ok
-  def check(_policy, %{type: "mission_start"}, %{in_air: true}), do: :ok
+  def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
-  def check(%{takeoff_battery: floor}, %{type: type}, context) when type in @types do
+  def check(policy, facts, context) do
+    if Enum.any?(Facts.types(facts, context), &(&1 in @types)),
+      do: charge(policy.takeoff_battery, facts.type, context),
+      else: :ok
+  end
+
+  defp charge(floor, type, context) do
     case context.battery do
       nil ->
         {:deny, "#{type} needs #{percent(floor)} of the battery's charge; how much is left is not known"}
@@ -21,8 +32,6 @@ defmodule Aerie.Policy.Rules.Battery do
         :ok
     end
   end
-
-  def check(_policy, _facts, _context), do: :ok
 
   # Not rounded up: 29.9 % is not 30 %.
   defp percent(share),

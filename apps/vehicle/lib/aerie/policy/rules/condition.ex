@@ -1,17 +1,24 @@
 defmodule Aerie.Policy.Rules.Condition do
-  @moduledoc "Some commands are allowed only while the vehicle is armed or not, in the air or not."
+  @moduledoc """
+  Some commands are allowed only while the vehicle is armed or not, in the air or not. On the ground, what may make the vehicle
+  take off or arm must meet the conditions of `takeoff` and `arm`, too.
+  """
 
   @behaviour Aerie.Policy.Rule
+
+  alias Aerie.Policy.Facts
 
   @typedoc "What must be so; nil: either."
   @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
 
   @impl Aerie.Policy.Rule
   def check(policy, facts, context) do
-    condition = Map.get(policy.conditions, facts.type, %{armed: nil, in_air: nil})
-
-    with :ok <- state(facts, :armed, condition.armed, context.armed),
-         do: state(facts, :in_air, condition.in_air, context.in_air)
+    for(type <- Facts.types(facts, context), condition = policy.conditions[type], do: condition)
+    |> Enum.find_value(:ok, fn condition ->
+      with :ok <- state(facts, :armed, condition.armed, context.armed),
+           :ok <- state(facts, :in_air, condition.in_air, context.in_air),
+           do: nil
+    end)
   end
 
   defp state(_facts, _what, nil, _is), do: :ok

@@ -1,8 +1,11 @@
 defmodule Aerie.Policy.Rules.Mode do
   @moduledoc """
   Modes that may not be asked for, and from which mode which others may be. Only changes of mode by their name are judged
-  (`set_mode`, SET_MODE, DO_SET_MODE); that `goto` makes ArduPilot change to GUIDED is `goto`'s matter. A mode with several
-  names (`HOLD` is PX4's AUTO_LOITER, `MODE(4)` ArduPilot's GUIDED) is the same mode under each of them.
+  (`set_mode`, SET_MODE, DO_SET_MODE, and a switch's function); that `goto` makes ArduPilot change to GUIDED is `goto`'s matter. A mode
+  with several names (`HOLD` is PX4's AUTO_LOITER, `MODE(4)` ArduPilot's GUIDED) is the same mode under each of them. A mode without a name
+  counts as denied if anything is.
+
+  In a mission only `denied` counts: from which mode the vehicle will change then, is not known.
   """
 
   @behaviour Aerie.Policy.Rule
@@ -16,21 +19,34 @@ defmodule Aerie.Policy.Rules.Mode do
   def check(_policy, %{mode: nil, standard_mode: nil}, _context), do: :ok
   def check(%{modes: %{denied: [], transitions: none}}, _facts, _context) when none == %{}, do: :ok
 
-  def check(policy, %{mode: nil, standard_mode: name}, context) do
+  def check(policy, %{mode: nil, standard_mode: name} = facts, context) do
     case context.standard_modes do
-      %{^name => mode} -> wanted(policy.modes, mode, context)
+      %{^name => mode} -> wanted(policy.modes, [known_as(mode, context)], facts, context)
       _unknown -> {:deny, "which of its modes the standard mode #{name} is for this vehicle is not known"}
     end
   end
 
-  def check(policy, facts, context), do: wanted(policy.modes, facts.mode, context)
+  def check(policy, facts, context) do
+    names = Enum.flat_map([facts.mode | facts.modes], &[known_as(&1, context) | effects(&1, context)])
+    wanted(policy.modes, Enum.uniq(names), facts, context)
+  end
 
-  defp wanted(modes, wanted, context) do
-    wanted = known_as(wanted, context)
+  defp wanted(modes, names, facts, context) do
+    Enum.find_value(names, :ok, fn name ->
+      cond do
+        nameless?(name, context) ->
+          {:deny, "what the mode #{name} does is not known, and modes are limited (policy.modes)"}
 
-    if named?(modes.denied, wanted, context),
-      do: {:deny, "the mode #{wanted} may not be asked for (modes.denied)"},
-      else: transition(modes.transitions, wanted, context)
+        named?(modes.denied, name, context) ->
+          {:deny, "the mode #{name} may not be asked for (modes.denied)"}
+
+        facts.type == "mission_upload" ->
+          nil
+
+        true ->
+          with :ok <- transition(modes.transitions, name, context), do: nil
+      end
+    end)
   end
 
   defp transition(transitions, _wanted, _context) when transitions == %{}, do: :ok
@@ -55,14 +71,36 @@ defmodule Aerie.Policy.Rules.Mode do
 
   defp named?(names, wanted, context), do: Enum.any?(names, &(known_as(&1, context) == wanted))
 
-  # The firmware's own name for it.
-  defp known_as(name, %{autopilot: autopilot, vehicle_type: kind}) do
-    with true <- autopilot != nil and is_binary(kind),
-         {:ok, number} <- Modes.number(autopilot, kind, name) do
-      # The flag says that the number counts.
-      Modes.name(autopilot, kind, 1, number)
+  # The firmware's own name for it, or the one that the vehicle has told.
+  defp known_as(name, %{autopilot: autopilot, vehicle_type: kind} = context) do
+    with true <- known_firmware?(context),
+         {:ok, number} <- Modes.number(autopilot, kind, name),
+         # The flag says that the number counts.
+         [own | _] <- Modes.asked(autopilot, kind, 1, number) do
+      if Modes.unnamed?(own), do: String.upcase(context.mode_names[number] || own), else: own
     else
       _no_such_mode -> String.upcase(name)
     end
   end
+
+  # What the firmware makes of the number: PX4 takes no notice of some sub modes.
+  defp effects(name, %{autopilot: autopilot, vehicle_type: kind} = context) do
+    with true <- known_firmware?(context),
+         {:ok, number} <- Modes.number(autopilot, kind, name),
+         [_own | others] <- Modes.asked(autopilot, kind, 1, number) do
+      others
+    else
+      _no_such_mode -> []
+    end
+  end
+
+  defp nameless?("MODE(" <> _number, _context), do: true
+
+  defp nameless?(name, %{autopilot: autopilot, vehicle_type: kind} = context) do
+    known_firmware?(context) and Modes.number(autopilot, kind, name) == :error and
+      not Enum.any?(context.mode_names, fn {_number, told} -> String.upcase(told) == name end)
+  end
+
+  defp known_firmware?(context),
+    do: context.autopilot in [:ardupilot, :px4] and is_binary(context.vehicle_type)
 end

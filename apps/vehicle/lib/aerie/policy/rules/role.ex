@@ -7,21 +7,17 @@ defmodule Aerie.Policy.Rules.Role do
 
   @impl Aerie.Policy.Rule
   def check(_policy, facts, %{source: source}) do
-    cond do
-      Roles.allowed?(source, facts.permission) ->
-        :ok
-
-      source == nil ->
-        {:deny, "#{facts.type} needs the permission #{facts.permission}, and nobody is signed in"}
-
-      facts.permission in Roles.own() ->
-        {:deny,
-         "#{facts.type} needs the permission #{facts.permission}, which no role includes; #{source.name} (#{source.role}) was " <>
-           "not given it"}
-
-      true ->
-        {:deny,
-         "#{facts.type} needs the permission #{facts.permission}; #{source.name} is #{source.role}, which does not include it"}
+    case Enum.find([facts.permission | facts.also], &(not Roles.allowed?(source, &1))) do
+      nil -> :ok
+      lacking -> {:deny, "#{facts.type} needs the permission #{lacking}" <> why(lacking, source)}
     end
+  end
+
+  defp why(_lacking, nil), do: ", and nobody is signed in"
+
+  defp why(lacking, source) do
+    if lacking in Roles.own(),
+      do: ", which no role includes; #{source.name} (#{source.role}) was not given it",
+      else: "; #{source.name} is #{source.role}, which does not include it"
   end
 end

@@ -1,10 +1,13 @@
 defmodule Aerie.Policy.Rules.Window do
   @moduledoc """
   Some commands are allowed at some times only: where windows name a type, one of them must be open. Times are UTC; a window
-  whose end is before its start goes over midnight and belongs to the day on which it starts.
+  whose end is before its start goes over midnight and belongs to the day on which it starts. On the ground, what may make the
+  vehicle take off or arm needs the windows of `takeoff` and `arm`, too.
   """
 
   @behaviour Aerie.Policy.Rule
+
+  alias Aerie.Policy.Facts
 
   @days {:mon, :tue, :wed, :thu, :fri, :sat, :sun}
 
@@ -18,18 +21,25 @@ defmodule Aerie.Policy.Rules.Window do
   @impl Aerie.Policy.Rule
   def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
-  def check(policy, facts, %{now: now}) do
-    windows = Enum.filter(policy.windows, &names?(&1, facts))
+  def check(%{windows: []}, _facts, _context), do: :ok
 
-    if windows == [] or Enum.any?(windows, &open?(&1, now)),
-      do: :ok,
-      else:
+  def check(policy, facts, %{now: now} = context) do
+    facts
+    |> Facts.types(context)
+    |> Enum.map(fn type -> Enum.filter(policy.windows, &names?(&1, type, facts)) end)
+    |> Enum.find(&(&1 != [] and not Enum.any?(&1, fn window -> open?(window, now) end)))
+    |> case do
+      nil ->
+        :ok
+
+      windows ->
         {:deny,
          "#{facts.type} is allowed #{Enum.map_join(windows, " or ", &text/1)} only; it is #{clock(now)}"}
+    end
   end
 
-  defp names?(%{types: :moving}, facts), do: facts.moves?
-  defp names?(%{types: types}, facts), do: facts.type in types
+  defp names?(%{types: :moving}, type, facts), do: facts.moves? and type == facts.type
+  defp names?(%{types: types}, type, _facts), do: type in types
 
   defp open?(window, now) do
     minute = Integer.mod(div(now, 60_000_000), 1440)

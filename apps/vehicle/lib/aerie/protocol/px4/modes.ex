@@ -71,6 +71,18 @@ defmodule Aerie.Protocol.Px4.Modes do
 
   def name(_mode), do: nil
 
+  @doc "The modes that PX4 makes of a custom mode: it takes no notice of most sub modes, and AUTO without one is the mission."
+  @spec effect(non_neg_integer()) :: [String.t()]
+  def effect(mode) do
+    case {mode >>> 16 &&& 0xFF, mode >>> 24 &&& 0xFF} do
+      {3, 2} -> []
+      {3, _sub} -> ["POSCTL"]
+      {4, 0} -> ["AUTO_MISSION"]
+      {4, _sub} -> []
+      {main, _sub} -> List.wrap(Map.get(@names, {main, 0}))
+    end
+  end
+
   @doc "The custom mode of a name in capitals; the common short names are known too."
   @spec number(String.t()) :: {:ok, non_neg_integer()} | :error
   def number(name), do: Map.fetch(@numbers, Map.get(@aliases, name, name))

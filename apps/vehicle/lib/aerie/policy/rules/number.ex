@@ -1,0 +1,12 @@
+defmodule Aerie.Policy.Rules.Number do
+  @moduledoc """
+  A number that firmwares read in different ways is refused: an enumeration, a flag or an index that is no integer, or out of
+  its range (`Aerie.Authority.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
+  """
+
+  @behaviour Aerie.Policy.Rule
+
+  @impl Aerie.Policy.Rule
+  def check(_policy, %{number: nil}, _context), do: :ok
+  def check(_policy, facts, _context), do: {:deny, "#{facts.type}: #{facts.number}"}
+end

@@ -12,7 +12,6 @@ defmodule Aerie.Policy.Rules.Battery do
 
   @impl Aerie.Policy.Rule
   def check(%{takeoff_battery: nil}, _facts, _context), do: :ok
-  def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
   def check(policy, facts, context) do
     if Enum.any?(Facts.types(facts, context), &(&1 in @types)),

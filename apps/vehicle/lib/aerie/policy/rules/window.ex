@@ -19,13 +19,12 @@ defmodule Aerie.Policy.Rules.Window do
   def days, do: Tuple.to_list(@days)
 
   @impl Aerie.Policy.Rule
-  def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
   def check(%{windows: []}, _facts, _context), do: :ok
 
   def check(policy, facts, %{now: now} = context) do
     facts
-    |> Facts.types(context)
+    |> types(context)
     |> Enum.map(fn type -> Enum.filter(policy.windows, &names?(&1, type, facts)) end)
     |> Enum.find(&(&1 != [] and not Enum.any?(&1, fn window -> open?(window, now) end)))
     |> case do
@@ -37,6 +36,10 @@ defmodule Aerie.Policy.Rules.Window do
          "#{facts.type} is allowed #{Enum.map_join(windows, " or ", &text/1)} only; it is #{clock(now)}"}
     end
   end
+
+  # What holds the vehicle or brings it down does not wait, but what arms it besides does.
+  defp types(%{ends_flight?: true} = facts, context), do: facts |> Facts.types(context) |> List.delete(facts.type)
+  defp types(facts, context), do: Facts.types(facts, context)
 
   defp names?(%{types: :moving}, type, facts), do: facts.moves? and type == facts.type
   defp names?(%{types: types}, type, _facts), do: type in types

@@ -141,13 +141,19 @@ defmodule Aerie.Shadow do
 
   defp permitted(document, update, source) do
     all? = Enum.all?(Field.all(), &(Map.get(update.changes, &1.name, :kept) == nil))
-    paths = if all?, do: Map.keys(document.fields), else: Map.keys(update.changes)
-    lacking = Enum.find(paths, &(not Roles.allowed?(source, Field.fetch!(&1).permission)))
+
+    changes =
+      if all?, do: Map.new(document.fields, fn {path, _field} -> {path, nil} end), else: update.changes
+
+    needed =
+      for {path, value} <- changes, permission <- Field.permissions(path, value), do: {path, permission}
+
+    lacking = Enum.find(needed, fn {_path, permission} -> not Roles.allowed?(source, permission) end)
 
     cond do
       lacking != nil ->
-        permission = Field.fetch!(lacking).permission
-        {:error, {:role, "#{lacking} needs the permission #{permission}, which #{source.name} does not have"}}
+        {path, permission} = lacking
+        {:error, {:role, "#{path} needs the permission #{permission}, which #{source.name} does not have"}}
 
       source.role == :viewer ->
         {:error, {:role, "a viewer may not change anything"}}

@@ -15,13 +15,6 @@ defmodule Aerie.Mission.Review do
 
   @rtl MavCmd.value(:MAV_CMD_NAV_RETURN_TO_LAUNCH)
   @jump MavCmd.value(:MAV_CMD_DO_JUMP)
-  @loiter [
-    MavCmd.value(:MAV_CMD_NAV_LOITER_UNLIM),
-    MavCmd.value(:MAV_CMD_NAV_LOITER_TURNS),
-    MavCmd.value(:MAV_CMD_NAV_LOITER_TIME)
-  ]
-  @loiter_to_altitude MavCmd.value(:MAV_CMD_NAV_LOITER_TO_ALT)
-
   @type refusal :: {:deny, Policy.rule(), seq :: non_neg_integer() | nil, reason :: String.t()}
 
   @doc """
@@ -43,10 +36,14 @@ defmodule Aerie.Mission.Review do
   # Each item by itself, as if a ground station had sent it.
   defp each(policy, items, type, vehicle, context) do
     first(Enum.with_index(items), fn {item, seq} ->
-      case asked(item, seq, type, vehicle) do
-        # An item without a position is where the previous one is.
-        %{path: {_kind, [%{lat: nil}]}} = facts -> decide(policy, %{facts | path: :none}, context, seq)
-        facts -> decide(policy, facts, context, seq)
+      facts = asked(item, seq, type, vehicle)
+
+      # An item without a position is where the previous one is; circles are judged with the ways.
+      case facts.path do
+        {_kind, [%{lat: nil}]} -> decide(policy, %{facts | path: :none}, context, seq)
+        {:all, [{_kind, [%{lat: nil}]}, _circle]} -> decide(policy, %{facts | path: :none}, context, seq)
+        {:all, [place, _circle]} -> decide(policy, %{facts | path: place}, context, seq)
+        _path -> decide(policy, facts, context, seq)
       end
     end)
   end
@@ -57,7 +54,12 @@ defmodule Aerie.Mission.Review do
   # A mission's legs: from each position to the next one.
   defp ways(policy, items, vehicle, context) do
     indexed = Enum.with_index(items)
-    places = for {item, seq} <- indexed, place = flown(item, seq, vehicle), place.lat != nil, do: {place, seq}
+
+    places =
+      for {item, seq} <- indexed,
+          {%{lat: lat} = place, _radius} when lat != nil <- [flown(item, seq, vehicle)],
+          do: {place, seq}
+
     home = context.home && Map.put(context.home, :alt_rel, 0.0)
 
     indexed
@@ -90,23 +92,24 @@ defmodule Aerie.Mission.Review do
       nil ->
         from
 
-      place ->
+      {place, radius} ->
         place = here(place, from)
         what = "mission item #{seq}"
 
         with :allow <- way(policy, place, what, seq, from, context),
              to = reached(place, from, context),
-             :allow <- circle(policy, item, place, what, seq, to, context),
+             :allow <- circle(policy, radius, place, what, seq, to, context),
              do: to
     end
   end
 
-  # The place or the height to which the vehicle flies, nil if it does not.
+  # The place or the height to which the vehicle flies, with the radius of its circle there; nil if it does not.
   defp flown(item, seq, vehicle) do
-    with false <- Item.local?(item.frame),
-         %{path: {:at, [place]}} <- asked(item, seq, 0, vehicle),
-         do: place,
-         else: (_other -> nil)
+    case not Item.local?(item.frame) and asked(item, seq, 0, vehicle).path do
+      {:at, [place]} -> {place, nil}
+      {:all, [{:at, [place]}, {:ring, _place, metres}]} -> {place, metres}
+      _not_flown -> nil
+    end
   end
 
   # Both firmwares take 0, 0 for the present position.
@@ -127,24 +130,10 @@ defmodule Aerie.Mission.Review do
   defp way(policy, place, what, seq, from, context),
     do: decide(policy, facts({:to, [place]}, what), at(context, from), seq)
 
-  defp circle(policy, item, place, what, seq, to, context) do
-    case radius(item) do
-      nil ->
-        :allow
+  defp circle(_policy, radius, _place, _what, _seq, to, _context) when radius == nil or to == nil, do: :allow
 
-      _metres when to == nil ->
-        :allow
-
-      metres ->
-        decide(policy, facts({:around, place, metres}, "the circle of " <> what), at(context, to), seq)
-    end
-  end
-
-  defp radius(%{command: command, params: {_, _, r, _}}) when command in @loiter and is_number(r) and r != 0,
-    do: abs(r)
-
-  defp radius(%{command: @loiter_to_altitude, params: {_, r, _, _}}) when is_number(r) and r != 0, do: abs(r)
-  defp radius(_item), do: nil
+  defp circle(policy, metres, place, what, seq, to, context),
+    do: decide(policy, facts({:around, place, metres}, "the circle of " <> what), at(context, to), seq)
 
   defp reached(%{lat: nil}, from, _context), do: from
 

@@ -41,7 +41,8 @@ defmodule Aerie.Policy.Facts do
     * `{:along, places}` - from place to place; how it gets to the first one is not known
     * `{:from, place, place}` - from one place to another
     * `{:at, places}` - places that are stored: a home, corners of a fence
-    * `{:around, place, metres}` - to the nearest point of a circle, and around on it
+    * `{:around, place, metres}` - to the nearest point of a circle, and around on it; `{:ring, place, metres}` - around on it,
+      however it gets there
     * `{:offset, {north, east, down}}` - so many metres from home; nil: on that axis it stays where it is
     * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the frame
       `:body`, ahead and to the right; `{:drift, frame, {x, y, down}}` - so many metres a second
@@ -56,7 +57,7 @@ defmodule Aerie.Policy.Facts do
           | {:level, height()}
           | {:to | :along | :at, [place()]}
           | {:from, place(), place()}
-          | {:around, place(), number()}
+          | {:around | :ring, place(), number()}
           | {:offset, {number() | nil, number() | nil, number() | nil}}
           | {:shift | :drift, :north | :body, {number(), number(), number()}}
 

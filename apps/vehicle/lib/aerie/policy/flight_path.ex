@@ -45,6 +45,13 @@ defmodule Aerie.Policy.FlightPath do
          do: {:ok, ways([{here, :same} | positions])}
   end
 
+  def legs(%{path: {:ring, place, metres}}, context) do
+    with {:ok, [{middle, given}]} <- positions([place], context) do
+      [start | more] = for corner <- circle(middle, metres, middle), do: {corner, given}
+      {:ok, [{nil, elem(start, 0), given} | ways([start | more])]}
+    end
+  end
+
   def legs(%{path: {:around, place, metres}}, context) do
     with {:ok, here} <- here(context),
          {:ok, [{middle, given}]} <- positions([place], context) do
@@ -84,8 +91,9 @@ defmodule Aerie.Policy.FlightPath do
   def heights(%{path: {:from, _start, %{height: {above, _} = height}}}, context),
     do: {:ok, [level(height, above, context)]}
 
-  def heights(%{path: {:around, %{height: {above, _} = height}, _metres}}, context),
-    do: {:ok, [level(height, above, context)]}
+  def heights(%{path: {kind, %{height: {above, _} = height}, _metres}}, context)
+      when kind in [:around, :ring],
+      do: {:ok, [level(height, above, context)]}
 
   def heights(%{path: {:offset, {_north, _east, nil}}}, _context), do: {:ok, []}
 

@@ -201,17 +201,29 @@ defmodule Aerie.Policy.Raw do
 
   defp stop(:height, m, _row, _request, _vehicle), do: {:at, [%{Place.item(m) | lat: nil, lon: nil}]}
 
-  defp stop(:stored, m, row, request, _vehicle) do
-    here? = row.name == "DO_SET_HOME" and Request.int(request, 1) == 1
+  # A mark, or a home: no way leads there.
+  defp stop(:stored, _m, %{name: "DO_SET_HOME"}, request, _vehicle) do
+    case Enum.reject(Commands.homes(request), &(&1.lat == nil)) do
+      [] -> :none
+      homes -> {:along, homes}
+    end
+  end
 
+  defp stop(:stored, m, _row, _request, _vehicle) do
     case Place.item(m) do
-      %{lat: lat} when lat == nil or here? -> :none
-      # A mark, or a home: no way leads there.
+      %{lat: nil} -> :none
       place -> {:along, [%{place | height: :same}]}
     end
   end
 
-  defp stop(:flown, m, _row, _request, _vehicle), do: {:at, [Place.item(m)]}
+  defp stop(:flown, m, _row, request, _vehicle) do
+    place = Place.item(m)
+
+    case Request.radius(request) do
+      nil -> {:at, [place]}
+      metres -> {:all, [{:at, [place]}, {:ring, place, metres}]}
+    end
+  end
 
   defp removed(type, 0) when type in [@fence, @all_types], do: [also: [:protection]]
   defp removed(_type, _count), do: []

@@ -17,15 +17,15 @@ defmodule Aerie.Shadow.Actuator do
 
   @doc "Sets a field, and waits until the vehicle has answered."
   @spec set(vehicle(), Field.path(), value :: term()) :: Core.outcome()
-  def set(vehicle, "mode" = path, mode), do: command(vehicle, path, "set_mode", %{mode: mode})
+  def set(vehicle, "mode" = path, mode), do: command(vehicle, {path, mode}, "set_mode", %{mode: mode})
 
   def set(vehicle, "armed" = path, armed?),
-    do: command(vehicle, path, if(armed?, do: "arm", else: "disarm"), %{})
+    do: command(vehicle, {path, armed?}, if(armed?, do: "arm", else: "disarm"), %{})
 
   def set(vehicle, "geofence.enabled" = path, on?),
-    do: command(vehicle, path, "set_geofence", %{enabled: on?})
+    do: command(vehicle, {path, on?}, "set_geofence", %{enabled: on?})
 
-  def set(vehicle, "home" = path, place), do: command(vehicle, path, "set_home", place)
+  def set(vehicle, "home" = path, place), do: command(vehicle, {path, place}, "set_home", place)
   def set(vehicle, "params." <> name = path, value), do: param(vehicle, path, name, value)
   def set(vehicle, "intervals." <> name, hz), do: outcome(want(vehicle, name, hz))
   def set(vehicle, "recorder", true), do: outcome(Recorder.start(vehicle.gateway, {:vehicle, vehicle.key}))
@@ -52,7 +52,9 @@ defmodule Aerie.Shadow.Actuator do
         if Field.equal?(path, value, there),
           do: :done,
           else:
-            vehicle.gateway |> Params.set(vehicle.id, name, value, [type: param.type] ++ by(path)) |> answer()
+            vehicle.gateway
+            |> Params.set(vehicle.id, name, value, [type: param.type] ++ by({path, value}))
+            |> answer()
 
       {:error, result} ->
         {:refused, reason(result)}
@@ -63,7 +65,7 @@ defmodule Aerie.Shadow.Actuator do
   defp plan(vehicle, path, kind, hash) do
     with {:ok, plan} <- Plans.fetch(vehicle.gateway, hash),
          {:ok, {:differs, _seq, _how}} <- Missions.verify(vehicle.gateway, vehicle.id, kind, plan) do
-      vehicle.gateway |> Missions.upload(vehicle.id, kind, plan, by(path)) |> answer()
+      vehicle.gateway |> Missions.upload(vehicle.id, kind, plan, by({path, hash})) |> answer()
     else
       {:ok, :same} -> :done
       {:error, %Result{} = result} -> {:refused, reason(result)}
@@ -71,16 +73,16 @@ defmodule Aerie.Shadow.Actuator do
     end
   end
 
-  defp command(vehicle, path, type, params) do
+  defp command(vehicle, field, type, params) do
     deadline = System.os_time(:millisecond) / 1000 + @command_s
 
     vehicle.gateway
-    |> Commands.submit([vehicle: vehicle.id, type: type, params: params, deadline: deadline] ++ by(path))
+    |> Commands.submit([vehicle: vehicle.id, type: type, params: params, deadline: deadline] ++ by(field))
     |> answer()
   end
 
-  defp by(path) do
-    source = %{name: "shadow", role: :operator, permissions: [Field.fetch!(path).permission]}
+  defp by({path, value}) do
+    source = %{name: "shadow", role: :operator, permissions: Field.permissions(path, value)}
     [as: source, via: "shadow"]
   end
 

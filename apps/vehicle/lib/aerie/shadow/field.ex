@@ -7,6 +7,7 @@ defmodule Aerie.Shadow.Field do
   """
 
   alias Aerie.Command.{Error, Param, Type}
+  alias Aerie.Policy.Protection
   alias MavCodec.Dialects.All
 
   @enforce_keys [:name, :permission, :check, :stage, :meaning]
@@ -168,6 +169,18 @@ defmodule Aerie.Shadow.Field do
         field
     end
   end
+
+  @doc """
+  All permissions that setting a field to a value needs: its own, and `protection` for what takes a protection away. A field is removed with
+  its own alone (nil).
+  """
+  @spec permissions(path(), value :: term()) :: [Type.permission(), ...]
+  def permissions(path, value), do: [fetch!(path).permission | besides(path, value)]
+
+  defp besides("geofence.enabled", false), do: [:protection]
+  defp besides("params." <> _name, nil), do: []
+  defp besides("params." <> name, _value), do: if(Protection.parameter?(name), do: [:protection], else: [])
+  defp besides(_path, _value), do: []
 
   @doc "Checks a value from outside."
   @spec check(t(), path(), term()) :: {:ok, term()} | {:error, [Error.t(), ...]}

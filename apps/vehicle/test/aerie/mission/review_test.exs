@@ -73,6 +73,48 @@ defmodule Aerie.Mission.ReviewTest do
     assert reason =~ "the circle of mission item 0"
   end
 
+  test "items are judged by what their commands need and lead to, as when a ground station sends them" do
+    operator = context(%{source: %{name: "olga", role: :operator, permissions: []}})
+    denied = policy(%{max_altitude: 50, modes: %{denied: ["ACRO"]}})
+    operator = %{operator | autopilot: :px4, vehicle_type: "copter"}
+    nowhere = &%Item{command: &1, frame: 2, params: &2}
+    far = &at(47.5, 8.004, 20.0, command: &1)
+
+    for {rule, item} <- [
+          role: nowhere.(208, {2.0, 0.0, 0.0, 0.0}),
+          number: nowhere.(208, {2.3, 0.0, 0.0, 0.0}),
+          role: nowhere.(185, {1.0, 0.0, 0.0, 0.0}),
+          role: nowhere.(218, {31.0, 2.0, 0.0, 0.0}),
+          role: nowhere.(207, {0.0, 0.0, 0.0, 0.0}),
+          role: nowhere.(180, {7.0, 0.0, 0.0, 0.0}),
+          role: nowhere.(42_702, {0.0, 0.0, 0.0, 0.0}),
+          unknown: nowhere.(43_999, {0.0, 0.0, 0.0, 0.0}),
+          mode: nowhere.(176, {1.0, 5.0, 0.0, 0.0}),
+          altitude: %Item{command: 30, frame: 3, z: 500.0},
+          altitude: %Item{command: 113, frame: 3, z: 500.0},
+          altitude: nowhere.(186, {500.0, 3.0, 0.0, 0.0}),
+          altitude: at(47.01, 8.004, 500.0, command: 31),
+          altitude: at(47.01, 8.004, 500.0, command: 179),
+          geofence: far.(22),
+          geofence: far.(84),
+          geofence: far.(189),
+          geofence: far.(192),
+          geofence: at(47.01, 8.004, 20.0, command: 34, params: {500.0, 0.0, 0.0, 0.0})
+        ] do
+      found = review([at(47.01, 8.004), item], denied, operator)
+      assert match?({:deny, ^rule, 1, _reason}, found), inspect({item, found})
+    end
+
+    # Nothing tells where it is, and its height counts nevertheless.
+    lost = %{operator | home: nil}
+    assert {:deny, :altitude, 0, _reason} = review([%Item{command: 30, frame: 3, z: 500.0}], denied, lost)
+
+    assert review([at(47.01, 8.004), %Item{command: 30, frame: 3, z: 40.0}], denied, operator) == :allow
+    assert review([], denied, operator, 2) == :allow
+    assert {:deny, :role, nil, reason} = review([], denied, operator, 1)
+    assert reason =~ "protection"
+  end
+
   test "heights" do
     policy = policy(%{max_altitude: 50.0, min_altitude: 5.0})
     assert review([at(47.01, 8.004, 49.0), at(47.01, 8.005, 0.0, command: 21)], policy) == :allow

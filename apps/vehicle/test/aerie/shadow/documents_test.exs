@@ -73,6 +73,18 @@ defmodule Aerie.Shadow.DocumentsTest do
       assert {:error, {:role, "params.A needs the permission maintain, which op does not have"}} =
                change.(operator, %{"mode" => "RTL", "params" => %{"A" => 1}})
 
+      off = %{"geofence" => %{"enabled" => false}}
+
+      assert {:error, {:role, "geofence.enabled needs the permission protection" <> _}} =
+               change.(operator, off)
+
+      maintainer = %{operator | permissions: [:maintain]}
+      fence = %{"params" => %{"FENCE_ENABLE" => 0}}
+
+      assert {:error, {:role, "params.FENCE_ENABLE needs the permission protection" <> _}} =
+               change.(maintainer, fence)
+
+      assert {:ok, _done} = change.(@admin, Map.merge(off, fence))
       assert {:error, {:role, "mode needs" <> _}} = change.(viewer, %{"mode" => "RTL"})
       assert {:error, {:role, "mode needs" <> _}} = change.(viewer, %{"mode" => nil})
       assert {:error, {:role, _why}} = Shadow.delete(gateway, @vehicle, %{}, viewer)

@@ -97,11 +97,8 @@ defmodule Aerie.Policy.Raw.Commands do
   defp asked("GUIDED_CHANGE_ALTITUDE", request, _row, _vehicle),
     do: set_altitude([%{Request.place(request) | lat: nil, lon: nil}])
 
-  defp asked("DO_SET_HOME", request, _row, _vehicle) do
-    here = %{lat: nil, lon: nil, height: :same}
-    place = if Request.int(request, 1) == 1, do: here, else: above_sea(Request.place(request))
-    Facts.named("set_home", path: {:at, [place]}, what: "the new home")
-  end
+  defp asked("DO_SET_HOME", request, _row, _vehicle),
+    do: Facts.named("set_home", path: {:at, homes(request)}, what: "the new home")
 
   defp asked("DO_PAUSE_CONTINUE", request, _row, _vehicle),
     do: Facts.named(if(Request.int(request, 1) == 0, do: "mission_pause", else: "resume"))
@@ -207,11 +204,26 @@ defmodule Aerie.Policy.Raw.Commands do
   defp here(%{lat: lat, lon: lon} = place) when lat == 0 and lon == 0, do: %{place | lat: nil, lon: nil}
   defp here(place), do: place
 
-  # In whatever frame: a home's height is above mean sea level.
-  defp above_sea(%{height: {:home, metres}} = place), do: %{place | height: {:msl, metres}}
-  defp above_sea(place), do: place
+  @doc "The places of a new home. Without a frame, its height is above mean sea level; with one, firmwares differ about it."
+  @spec homes(Request.t()) :: [Facts.place(), ...]
+  def homes(request) do
+    place = Request.place(request)
 
-  defp path(:flown, request), do: request.path
+    case {Request.int(request, 1), place.height} do
+      {1, _height} -> [%{lat: nil, lon: nil, height: :same}]
+      {_elsewhere, {:home, metres}} when request.frame? -> [place, %{place | height: {:msl, metres}}]
+      {_elsewhere, {:home, metres}} -> [%{place | height: {:msl, metres}}]
+      _known -> [place]
+    end
+  end
+
+  defp path(:flown, request) do
+    case Request.radius(request) do
+      nil -> request.path
+      metres -> {:all, [request.path, {:ring, Request.place(request), metres}]}
+    end
+  end
+
   defp path(:height, request), do: {:to, [%{Request.place(request) | lat: nil, lon: nil}]}
   defp path(:anywhere, _request), do: :anywhere
   defp path(_none, _request), do: :none

@@ -4,19 +4,24 @@ defmodule Aerie.Policy.Raw.Request do
   alias Aerie.Authority.Commands.Numbers
   alias Aerie.Policy.Facts
   alias Aerie.Policy.Raw.Place
+  alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 
   @unset 0x7FFFFFFF
   @local_ned 1
 
-  @enforce_keys [:command, :params, :path]
-  defstruct [:command, :params, :path]
+  @enforce_keys [:command, :params, :path, :frame?]
+  defstruct [:command, :params, :path, :frame?]
 
-  @typedoc "`:params` by their number, as they came; `:path` leads to the place that the parameters 5 to 7 name."
+  @typedoc """
+  `:params` by their number, as they came; `:path` leads to the place that the parameters 5 to 7 name; `:frame?` - whether the message says
+  what its height is above.
+  """
   @type t :: %__MODULE__{
           command: non_neg_integer(),
           params: %{(1..7) => term()},
-          path: {:to, [Facts.place(), ...]} | Facts.path()
+          path: Facts.path(),
+          frame?: boolean()
         }
 
   @doc "The request of a message."
@@ -37,7 +42,7 @@ defmodule Aerie.Policy.Raw.Request do
 
   defp new(m, {p5, p6, p7}, path) do
     params = %{1 => m.param1, 2 => m.param2, 3 => m.param3, 4 => m.param4, 5 => p5, 6 => p6, 7 => p7}
-    %__MODULE__{command: m.command, params: params, path: path}
+    %__MODULE__{command: m.command, params: params, path: path, frame?: not is_struct(m, M.CommandLong)}
   end
 
   # COMMAND_LONG has no frame: PX4 takes its height above mean sea level, ArduPilot above home.
@@ -66,6 +71,25 @@ defmodule Aerie.Policy.Raw.Request do
   @doc "A parameter as a number, 0 for what is none."
   @spec number(t(), 1..7) :: number()
   def number(request, index), do: Place.number(request.params[index])
+
+  # Which of its parameters is the radius of a circle around its place.
+  @radius for {names, index} <- [
+                {~w(NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME), 3},
+                {~w(NAV_LOITER_TO_ALT), 2},
+                {~w(DO_ORBIT DO_FIGURE_EIGHT SET_GUIDED_SUBMODE_CIRCLE), 1}
+              ],
+              name <- names,
+              into: %{},
+              do: {MavCmd.value(:"MAV_CMD_#{name}"), index}
+
+  @doc "The radius of the circle that the vehicle flies around its place, nil if it flies none that is given."
+  @spec radius(t()) :: float() | nil
+  def radius(%{command: command} = request) do
+    with index when index != nil <- @radius[command],
+         metres when metres != 0 <- number(request, index),
+         do: abs(metres) * 1.0,
+         else: (_none -> nil)
+  end
 
   @doc "The first place that it names."
   @spec place(t()) :: Facts.place()

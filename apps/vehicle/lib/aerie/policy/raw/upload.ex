@@ -17,8 +17,28 @@ defmodule Aerie.Policy.Raw.Upload do
 
   @doc "The facts of a message of an upload, with the way from the item before it if there is one."
   @spec next(t(), vehicle :: term(), struct(), Facts.t()) :: {Facts.t(), t()}
-  def next(uploads, vehicle, %module{seq: seq}, %{path: {:at, [place]}} = facts)
+  def next(uploads, vehicle, %module{} = item, %{path: {:at, [place]}} = facts)
       when module in [M.MissionItem, M.MissionItemInt] do
+    {way, _place, uploads} = way(uploads, vehicle, item.seq, place)
+    {%{facts | path: way}, uploads}
+  end
+
+  def next(
+        uploads,
+        vehicle,
+        %module{} = item,
+        %{path: {:all, [{:at, [place]}, {:ring, place, metres}]}} = facts
+      )
+      when module in [M.MissionItem, M.MissionItemInt] do
+    {way, place, uploads} = way(uploads, vehicle, item.seq, place)
+    {%{facts | path: {:all, [way, {:ring, place, metres}]}}, uploads}
+  end
+
+  def next(uploads, vehicle, %M.MissionCount{}, facts), do: {facts, Map.delete(uploads, vehicle)}
+  def next(uploads, _vehicle, _other, facts), do: {facts, uploads}
+
+  # The way to an item, and its place.
+  defp way(uploads, vehicle, seq, place) do
     before =
       case uploads do
         %{^vehicle => %{seq: ^seq, before: before}} -> before
@@ -31,10 +51,7 @@ defmodule Aerie.Policy.Raw.Upload do
       if place.lat == nil and before != nil, do: %{place | lat: before.lat, lon: before.lon}, else: place
 
     uploads = if map_size(uploads) >= @max_vehicles, do: %{}, else: uploads
-    path = if before, do: {:from, before, place}, else: facts.path
-    {%{facts | path: path}, Map.put(uploads, vehicle, %{seq: seq, place: place, before: before})}
+    way = if before, do: {:from, before, place}, else: {:at, [place]}
+    {way, place, Map.put(uploads, vehicle, %{seq: seq, place: place, before: before})}
   end
-
-  def next(uploads, vehicle, %M.MissionCount{}, facts), do: {facts, Map.delete(uploads, vehicle)}
-  def next(uploads, _vehicle, _other, facts), do: {facts, uploads}
 end

@@ -22,7 +22,10 @@ defmodule Aerie.Policy.Rules.Geofence do
     end
   end
 
-  defp numbered(legs, %{path: {:around, _, _}} = facts), do: for(leg <- legs, do: {leg, facts.what})
+  defp numbered(legs, %{path: {kind, _}} = facts) when kind not in [:to, :along, :at],
+    do: for(leg <- legs, do: {leg, facts.what})
+
+  defp numbered(legs, %{path: {_kind, _, _}} = facts), do: for(leg <- legs, do: {leg, facts.what})
   defp numbered(legs, facts), do: for({leg, n} <- Enum.with_index(legs, 1), do: {leg, "#{facts.what} #{n}"})
 
   defp refused(fence, {{from, to, _given}, what}) do

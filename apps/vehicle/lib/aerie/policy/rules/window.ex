@@ -38,7 +38,9 @@ defmodule Aerie.Policy.Rules.Window do
   end
 
   # What holds the vehicle or brings it down does not wait, but what arms it besides does.
-  defp types(%{ends_flight?: true} = facts, context), do: facts |> Facts.types(context) |> List.delete(facts.type)
+  defp types(%{ends_flight?: true} = facts, context),
+    do: facts |> Facts.types(context) |> List.delete(facts.type)
+
   defp types(facts, context), do: Facts.types(facts, context)
 
   defp names?(%{types: :moving}, type, facts), do: facts.moves? and type == facts.type

@@ -82,6 +82,88 @@ defmodule Aerie.PolicyTest do
     ])
   end
 
+  test "protection: what takes one away needs it besides" do
+    maintainer = %{@operator | permissions: [:maintain]}
+    admin = %{name: "ada", role: :admin, permissions: []}
+    lacking = "; olga is operator, which does not include it"
+
+    table([
+      {%{}, command("set_geofence", %{enabled: true}), context(), :allow},
+      {%{}, command("set_geofence", %{enabled: false}), context(),
+       {:deny, :role, "set_geofence needs the permission protection" <> lacking}},
+      {%{}, command("set_geofence", %{enabled: false}), context(%{}, admin), :allow},
+      {%{}, command("reset_params"), context(%{}, maintainer),
+       {:deny, :role, "reset_params needs the permission protection" <> lacking}},
+      {%{}, command("reset_params"), context(%{}, admin), :allow},
+      {%{}, command("set_mode", %{mode: "TERMINATION"}), context(%{}, admin),
+       {:deny, :role,
+        "set_mode needs the permission terminate, which no role includes; ada (admin) was not given it"}}
+    ])
+  end
+
+  test "on the ground, whatever may make it take off is a take-off" do
+    ground = &context(%{mode: %{in_air: false}, battery: &1})
+    battery = %{takeoff_battery: 0.3}
+    condition = %{conditions: [%{types: ["takeoff"], armed: false, in_air: nil}]}
+    window = %{windows: [%{types: ["takeoff"], days: [:mon], from: "08:00", to: "18:00"}]}
+
+    for command <- [
+          command("mission_start"),
+          command("resume"),
+          command("jump", %{tag: 1}),
+          command("mission_set_current", %{seq: 1}),
+          command("land_start"),
+          command("orbit", %{radius: 50}),
+          goto(47.001, 8.001),
+          command("set_mode", %{mode: "AUTO"}),
+          command("set_mode", %{mode: "guided"}),
+          command("set_mode", %{mode: "OFFBOARD"}),
+          command("set_mode", %{mode: "MODE(77)"}),
+          command("set_mode", %{standard_mode: "mission"}),
+          command("set_mode", %{standard_mode: "takeoff"})
+        ] do
+      assert {:deny, :battery, _} = Policy.decide(policy(battery), command, ground.(%{remaining: 0.2}))
+      assert Policy.decide(policy(battery), command, ground.(%{remaining: 0.4})) == :allow
+      assert Policy.decide(policy(battery), command, context(%{battery: %{remaining: 0.2}})) == :allow
+      assert {:deny, :condition, _} = Policy.decide(policy(condition), command, ground.(%{remaining: 0.4}))
+      assert Policy.decide(policy(condition), command, context()) == :allow
+      assert {:deny, :window, _} = Policy.decide(policy(window), command, ground.(%{remaining: 0.4}))
+      assert Policy.decide(policy(window), command, context()) == :allow
+    end
+
+    for mode <- ~w(RTL LAND LOITER STABILIZE),
+        do:
+          assert(
+            Policy.decide(policy(battery), command("set_mode", %{mode: mode}), ground.(%{remaining: 0.2})) ==
+              :allow
+          )
+  end
+
+  test "mode: a number is the mode that the firmware makes of it, and what has no name counts as denied" do
+    copter = &%{context() | autopilot: &1, vehicle_type: "copter"}
+    acro = %{modes: %{denied: ["ACRO"]}}
+
+    decide = fn section, mode, context ->
+      Policy.decide(policy(section), command("set_mode", %{mode: mode}), context)
+    end
+
+    for mode <- ["MODE(1)", "acro", "MODE(257)", "MODE(200)", "NO_SUCH_MODE"],
+        do: assert({:deny, :mode, _} = decide.(acro, mode, copter.(:ardupilot)))
+
+    for mode <- [
+          "MODE(#{Bitwise.bsl(5, 16)})",
+          "MODE(#{Bitwise.bsl(5, 16) + 1})",
+          "MODE(#{Bitwise.bsl(5, 16) + Bitwise.bsl(9, 24)})"
+        ],
+        do: assert({:deny, :mode, _} = decide.(acro, mode, copter.(:px4)))
+
+    transitions = %{modes: %{transitions: %{"AUTO" => ["RTL"]}}}
+    assert {:deny, :mode, _} = decide.(transitions, "MODE(200)", copter.(:ardupilot))
+    assert decide.(acro, "MODE(4)", copter.(:ardupilot)) == :allow
+    assert decide.(acro, "MODE(#{Bitwise.bsl(4, 16) + Bitwise.bsl(3, 24)})", copter.(:px4)) == :allow
+    assert decide.(%{}, "MODE(200)", copter.(:ardupilot)) == :allow
+  end
+
   test "every permission of the table belongs to a role or stands alone" do
     given = Roles.permissions(:admin) ++ Roles.own()
     assert Enum.sort(given) == Enum.sort(Command.Type.permissions())

@@ -317,6 +317,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
       {:geofence, @ap, int("DO_FIGURE_EIGHT", [], outside)},
       {:geofence, @ap, int("PAYLOAD_PREPARE_DEPLOY", [], outside)},
       {:geofence, @ap, int("DO_SET_HOME", [], msl)},
+      {:altitude, @ap, int("DO_SET_HOME", [], x: @lat, y: @lon, z: 400.0, frame: 3)},
       {:altitude, @ap, long("DO_FOLLOW", [7])},
       {:altitude, @ap, long("GUIDED_CHANGE_HEADING", [0, 90])},
       {:altitude, @ap, int("GUIDED_CHANGE_ALTITUDE", [], z: 500.0, frame: 3)},
@@ -428,7 +429,12 @@ defmodule Aerie.Policy.FirmwareReadingTest do
           geofence: item("DO_REPOSITION", x: @far),
           geofence: item("OVERRIDE_GOTO", param1: 1.0, x: @far),
           geofence: item("DO_ORBIT", param1: 20.0, x: @far),
-          geofence: item("SET_GUIDED_SUBMODE_CIRCLE", x: @far)
+          geofence: item("SET_GUIDED_SUBMODE_CIRCLE", x: @far),
+          geofence: item("NAV_LOITER_TURNS", param1: 2.0, param3: 5000.0),
+          geofence: item("NAV_LOITER_TIME", param1: 2.0, param3: -5000.0, x: 0, y: 0),
+          geofence: item("DO_FIGURE_EIGHT", param1: 5000.0),
+          # A home that is higher lifts the limit.
+          altitude: item("DO_SET_HOME", z: 400.0)
         ] do
       for vehicle <- [@ap, @px4] do
         decision =

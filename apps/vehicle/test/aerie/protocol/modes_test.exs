@@ -30,6 +30,34 @@ defmodule Aerie.Protocol.ModesTest do
     assert Modes.number(:ardupilot, "copter", "mode(99)") == {:ok, 99}
   end
 
+  test "a number that the firmware would read as another mode is none" do
+    for number <- [256, 257, 65_536],
+        do: assert(Modes.number(:ardupilot, "copter", "MODE(#{number})") == :error)
+
+    for number <- [1, 65_535, 0x50001, 0x100000000],
+        do: assert(Modes.number(:px4, "copter", "MODE(#{number})") == :error)
+  end
+
+  test "what a firmware makes of a request" do
+    assert Modes.asked(:ardupilot, "copter", 1, 4) == ["GUIDED"]
+    assert Modes.asked(:ardupilot, "copter", 1, 200) == ["MODE(200)"]
+
+    assert {:error, "the mode 257 is not an integer from 0 to 255"} =
+             Modes.asked(:ardupilot, "copter", 1, 257)
+
+    assert Modes.asked(:px4, "copter", 1, 0x03040000) == ["AUTO_LOITER"]
+    # Without a sub mode it is the mission, and of most main modes PX4 takes no notice of the sub mode.
+    assert Modes.asked(:px4, "copter", 1, 0x00040000) == ["AUTO_MISSION"]
+    assert Modes.asked(:px4, "copter", 1, 0x09050000) == ["ACRO"]
+    assert Modes.asked(:px4, "copter", 1, 0x01030000) == ["POSCTL_ORBIT", "POSCTL"]
+    assert Modes.asked(:px4, "copter", 1, 0x63040000) == ["MODE(1661206528)"]
+    assert {:error, _reason} = Modes.asked(:px4, "copter", 1, 0x00050001)
+    # Without the flag for its own modes it goes by the others.
+    assert Modes.asked(:px4, "copter", 64, 0x03040000) == ["MANUAL", "AUTO_LOITER"]
+    assert Modes.asked(:px4, "copter", 4, 0) == ["AUTO_MISSION"]
+    assert Modes.asked(:generic, "unknown", 5, 7) == ["AUTO", "MODE(7)"]
+  end
+
   test "an autopilot without modes of its own has those of the heartbeat's flags" do
     assert Modes.name(:generic, "copter", 0x04, 7) == "AUTO"
     assert Modes.name(:generic, "copter", 0x40, 0) == "MANUAL"

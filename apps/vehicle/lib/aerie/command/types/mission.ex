@@ -49,7 +49,7 @@ defmodule Aerie.Command.Types.Mission do
       %Type{
         name: "set_geofence",
         group: :mission,
-        meaning: "Switches the vehicle's own fence on or off.",
+        meaning: "Switches the vehicle's own fence on or off; off needs `protection`, too.",
         permission: :mission,
         params: [Param.boolean(:enabled, "whether the fence is on", required: true)]
       }

@@ -63,8 +63,14 @@ defmodule Aerie.Policy.Raw.Commands do
   defp asked("SOLO_BTN_FLY_HOLD", _request, _row, _vehicle),
     do: Facts.named("takeoff", implies: ["arm"], path: :anywhere)
 
-  defp asked(name, request, row, vehicle) when name in ["NAV_TAKEOFF", "NAV_VTOL_TAKEOFF"],
-    do: Facts.named(row.type, path: takeoff(request.path, vehicle), what: "the place to climb to")
+  defp asked(name, request, _row, vehicle) when name in ["NAV_TAKEOFF", "NAV_VTOL_TAKEOFF"] do
+    path = takeoff(request.path, vehicle)
+
+    what =
+      if match?({:to, [%{lat: nil} | _]}, path), do: "the height to climb to", else: "the place to climb to"
+
+    Facts.named("takeoff", path: path, what: what)
+  end
 
   defp asked("DO_ORBIT", request, _row, _vehicle) do
     path = {:around, Request.place(request), Request.number(request, 1)}

@@ -39,8 +39,8 @@ defmodule Aerie.Policy.Raw do
     MavCmd.value(:MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION),
     MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
   ]
-  # Operations of FTP that create, write, remove or rename, and of those the one whose data are no path.
-  @ftp_writes Enum.to_list(6..13)
+  # Operations of FTP that only read, or end what is read, and its answers; the one of the others whose data are no path.
+  @ftp_reads [0, 1, 2, 3, 4, 5, 14, 15, 128, 129]
   @ftp_write 7
 
   @log_orders [
@@ -142,9 +142,9 @@ defmodule Aerie.Policy.Raw do
 
   def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
     case {operation, rest} do
+      {reads, _bytes} when reads in @ftp_reads -> :free
       {@ftp_write, _bytes} -> Facts.write_file("")
-      {writes, <<_header::binary-size(8), path::binary>>} when writes in @ftp_writes -> Facts.write_file(path)
-      _reads -> :free
+      {_writes, <<_header::binary-size(8), path::binary>>} -> Facts.write_file(path)
     end
   end
 
@@ -192,6 +192,7 @@ defmodule Aerie.Policy.Raw do
   defp stop(_place, %{seq: 0}, _row, _request, %{autopilot: :ardupilot}), do: :none
   defp stop(:none, _m, _row, _request, _vehicle), do: :none
   defp stop(:anywhere, _m, _row, _request, _vehicle), do: :anywhere
+  defp stop(:climb, _m, _row, request, _vehicle), do: Request.climb(request)
 
   # Its height is the first parameter, and its frame the second.
   defp stop(:height, m, %{name: "DO_CHANGE_ALTITUDE"}, request, _vehicle) do

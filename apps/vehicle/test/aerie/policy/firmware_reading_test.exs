@@ -322,6 +322,8 @@ defmodule Aerie.Policy.FirmwareReadingTest do
       {:altitude, @ap, long("GUIDED_CHANGE_HEADING", [0, 90])},
       {:altitude, @ap, int("GUIDED_CHANGE_ALTITUDE", [], z: 500.0, frame: 3)},
       {:altitude, @ap, long("SOLO_BTN_FLY_HOLD", [10])},
+      {:altitude, @px4, long("DO_GO_AROUND", [500])},
+      {:altitude, @ap, long("DO_RALLY_LAND", [500])},
       # Beyond the ends of latitudes.
       {:geofence, @ap, long("DO_REPOSITION", [0, 0, 0, 0, 132.999, -171.999, 20])},
       # One coordinate is 0 if it is NaN.
@@ -353,6 +355,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
       {@px4, long("NAV_TAKEOFF", [-1, :nan, :nan, :nan, :nan, :nan, :nan])},
       {@ap, long("NAV_TAKEOFF", [0, 0, 0, 0, 0, 0, 20])},
       {@ap, int("OVERRIDE_GOTO", [0, 2], outside)},
+      {@px4, long("DO_GO_AROUND", [0])},
       {@ap, global(0xDF8)},
       {@px4, local(0xDC0, x: 10.0, vx: 1.0)},
       {@px4, local(0xDE3, z: -20.0, vx: 1.0)},
@@ -418,6 +421,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
           altitude: item("NAV_WAYPOINT", z: 500.0),
           altitude: item("NAV_TAKEOFF", x: 0, y: 0, z: 500.0),
           altitude: item("NAV_ATTITUDE_TIME", nowhere),
+          altitude: item("DO_GO_AROUND", [param1: 500.0] ++ nowhere),
           altitude: item("NAV_FOLLOW", nowhere),
           altitude: item("NAV_SET_YAW_SPEED", [param2: 5.0] ++ nowhere),
           geofence: item("NAV_WAYPOINT", x: @far),

@@ -24,14 +24,15 @@ defmodule Aerie.Authority.Commands.Row do
           | :terminate
 
   @typedoc """
-  What the parameters 5 to 7 name:
+  What the parameters name, mostly 5 to 7:
 
     * `:flown` - a place to which the vehicle flies; `:stored` - a place that it keeps, such as a home
     * `:height` - a height to which it flies, at whatever place it is
+    * `:climb` - a height above home, in parameter 1
     * `:anywhere` - nobody can tell where the command leads
     * `:none` - no place of the vehicle
   """
-  @type place :: :flown | :stored | :height | :anywhere | :none
+  @type place :: :flown | :stored | :height | :climb | :anywhere | :none
 
   @typedoc """
     * `:class` - whether it only asks for something

@@ -57,7 +57,8 @@ defmodule Aerie.Command.Types.Maintenance do
       %Type{
         name: "reset_params",
         group: :maintenance,
-        meaning: "Resets all parameters to the firmware's defaults, calibration included; needs `protection`, too.",
+        meaning:
+          "Resets all parameters to the firmware's defaults, calibration included; needs `protection`, too.",
         permission: :maintain,
         retry: :never
       },

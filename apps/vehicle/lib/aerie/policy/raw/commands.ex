@@ -231,6 +231,7 @@ defmodule Aerie.Policy.Raw.Commands do
   end
 
   defp path(:height, request), do: {:to, [%{Request.place(request) | lat: nil, lon: nil}]}
+  defp path(:climb, request), do: Request.climb(request)
   defp path(:anywhere, _request), do: :anywhere
   defp path(_none, _request), do: :none
 

@@ -91,6 +91,13 @@ defmodule Aerie.Policy.Raw.Request do
          else: (_none -> nil)
   end
 
+  @doc "The path to the height in its first parameter; 0 leaves it to the vehicle."
+  @spec climb(t()) :: Facts.path()
+  def climb(request) do
+    metres = number(request, 1)
+    if metres == 0, do: :none, else: {:level, {:home, metres}}
+  end
+
   @doc "The first place that it names."
   @spec place(t()) :: Facts.place()
   def place(%{path: {:to, [place | _]}}), do: place

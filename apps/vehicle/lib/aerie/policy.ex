@@ -31,8 +31,6 @@ defmodule Aerie.Policy do
     conditions: %{},
     windows: [],
     rates: [],
-    unknown: :refuse,
-    open: [],
     clients: [],
     sources: []
   ]
@@ -49,8 +47,6 @@ defmodule Aerie.Policy do
           conditions: %{String.t() => Rules.Condition.condition()},
           windows: [Rules.Window.window()],
           rates: [Rate.rule()],
-          unknown: :refuse | :maintain,
-          open: [{:message | :command, non_neg_integer()}],
           clients: [client()],
           sources: [Sources.listed()],
           unsigned: Roles.role() | nil,

@@ -403,10 +403,13 @@ defmodule Aerie.System.RemoteTest do
   # All modes that the vehicle was in, by its events.
   defp modes(hub) do
     conn = Bridge.connection(hub)
-    {:ok, %{state: %{last_seq: last}}} = Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS")
+    # Together, or at a hub in a stream of each vehicle.
+    {:ok, %{streams: streams}} = Gnat.Jetstream.API.Stream.list(conn)
 
-    for seq <- 1..last//1,
-        {:ok, %{data: text}} <- [Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq})],
+    for "FLEET_EVENTS" <> _vehicle = name <- streams,
+        {:ok, %{state: %{last_seq: last}}} = Gnat.Jetstream.API.Stream.info(conn, name),
+        seq <- 1..last//1,
+        {:ok, %{data: text}} <- [Gnat.Jetstream.API.Stream.get_message(conn, name, %{seq: seq})],
         %{"type" => "mode_change", "data" => %{"to" => mode}} <- [JSON.decode!(text)],
         do: mode
   end

@@ -362,17 +362,27 @@ defmodule Aerie.BridgeCase do
     :exit, _killed -> nil
   end
 
-  @doc "All messages of FLEET_EVENTS in their order, as `{vehicle, seq, headers}`."
+  @doc """
+  All events in the streams of a server, `FLEET_EVENTS` or at a hub one of each vehicle, in each one's order, as `{vehicle, seq, headers}`.
+  """
   @spec events(pid()) :: [{String.t(), pos_integer(), String.t()}]
   def events(conn) do
-    {:ok, %{state: %{first_seq: first, last_seq: last}}} =
-      answered(conn, fn -> Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS") end)
-
-    # An empty stream has first 0 or 1 and last 0.
-    for seq <- max(first, 1)..last//1, message = message(conn, seq) do
+    for stream <- event_streams(conn),
+        {:ok, %{state: %{first_seq: first, last_seq: last}}} =
+          answered(conn, fn -> Gnat.Jetstream.API.Stream.info(conn, stream) end),
+        # An empty stream has first 0 or 1 and last 0.
+        seq <- max(first, 1)..last//1,
+        message = message(conn, stream, seq) do
       body = JSON.decode!(message.data)
       {body["vehicle"], body["seq"], message.hdrs || ""}
     end
+  end
+
+  @doc "The names of the streams of events that a server has."
+  @spec event_streams(pid()) :: [String.t()]
+  def event_streams(conn) do
+    {:ok, %{streams: streams}} = answered(conn, fn -> Gnat.Jetstream.API.Stream.list(conn) end)
+    for "FLEET_EVENTS" <> _vehicle = name <- Enum.sort(streams || []), do: name
   end
 
   @doc """
@@ -391,8 +401,8 @@ defmodule Aerie.BridgeCase do
     end)
   end
 
-  defp message(conn, seq) do
-    case answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, "FLEET_EVENTS", %{seq: seq}) end) do
+  defp message(conn, stream, seq) do
+    case answered(conn, fn -> Gnat.Jetstream.API.Stream.get_message(conn, stream, %{seq: seq}) end) do
       {:ok, message} -> message
       {:error, %{"code" => 404}} -> nil
     end

@@ -58,17 +58,21 @@ defmodule Aerie.HubCase do
 
   @doc "Waits until the hub's stream has `n` events, whatever its servers say meanwhile."
   def await_stored(conn, n) do
-    info = fn -> Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) end
-
     Aerie.Patience.eventually(
-      fn ->
-        case info.() do
-          {:ok, %{state: %{messages: messages}}} -> messages >= n
-          {:error, _not_now} -> false
-        end
-      end,
-      fn -> "the stream has #{n} events: #{inspect(info.())}" end
+      fn -> stored(conn) >= n end,
+      fn -> "the streams have #{n} events: #{inspect(stored(conn))}" end
     )
+  end
+
+  defp stored(conn) do
+    with {:ok, %{streams: streams}} <- Aerie.Nats.call(conn, fn -> Stream.list(conn) end) do
+      for "FLEET_EVENTS" <> _vehicle = name <- streams || [],
+          {:ok, %{state: %{messages: messages}}} <- [Aerie.Nats.call(conn, fn -> Stream.info(conn, name) end)],
+          reduce: 0,
+          do: (sum -> sum + messages)
+    else
+      {:error, _not_now} -> 0
+    end
   end
 
   @doc "The conditions of this name in a gateway's diagnosis."

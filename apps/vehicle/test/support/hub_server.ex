@@ -226,6 +226,8 @@ defmodule Aerie.HubServer do
         {"nats.url", for(host <- hub.hosts, do: "tls://#{host}:#{hub.ports.client}")},
         {"nats.nkey_seed_file", Path.join(hub.set, "hub/gateway.nk")},
         {"nats.tls.ca_file", Path.join(hub.set, "ca.pem")},
+        {"nats.streams.events_per_vehicle", true},
+        {"nats.streams.event_max_mb", 64},
         {"nats.streams.replicas", if(length(hub.hosts) >= 3, do: 3, else: 1)},
         {"nats.retry_min_ms", 20},
         {"nats.retry_max_ms", 200},

@@ -16,10 +16,10 @@ defmodule Aerie.Bridge.Forward do
   """
   use GenServer
 
-  alias Aerie.Bridge.{Connection, Readiness, Settings, State, Tables}
+  alias Aerie.Bridge.{Connection, Message, Readiness, Settings, State, Tables}
   alias Aerie.Bridge.Events.{Gaps, PubAck, Window}
   alias Aerie.Bridge.Forward.{Hub, Local, Position}
-  alias Aerie.{Names, Nats, PrivateFile}
+  alias Aerie.{Names, Nats, PrivateFile, Store}
 
   require Logger
 
@@ -30,6 +30,7 @@ defmodule Aerie.Bridge.Forward do
   # After so many sendings without a confirmation, that is told.
   @patience 3
   @batch 64
+  @told_ms 60_000
   # What was published so long before this process started is taken for delivered.
   @unknown_ms 30_000
 
@@ -238,9 +239,22 @@ defmodule Aerie.Bridge.Forward do
     end
   end
 
-  defp take(state, %{seq: seq, place: place} = message) do
+  # A program aboard made it. The hub takes what is listed (`Aerie.Bridge.Hub.Accounts`), and others must not wait for this one.
+  defp take(state, %{seq: seq, record: %{subject: subject}} = message) do
+    if Message.event?(subject) do
+      wait(state, message)
+    else
+      if Store.claim(state.gateway, {__MODULE__, :unlisted}, @told_ms),
+        do: Logger.warning("an event on #{subject} is not sent to the hub: there is no such type")
+
+      Tables.count(state.tables, :events_dropped)
+      %{state | position: state.position |> Position.read(seq) |> Position.confirm(seq)}
+    end
+  end
+
+  defp wait(state, %{seq: seq, place: place} = message) do
     {missing, gaps} = Gaps.observe(state.gaps, place, true)
-    if missing, do: tell(missing)
+    if missing, do: Logger.error(Gaps.text(missing))
 
     marker =
       if missing,
@@ -255,18 +269,9 @@ defmodule Aerie.Bridge.Forward do
         places: Map.put(state.places, seq, place),
         position: Position.read(state.position, seq),
         window: Window.put(state.window, items),
-        lost: state.lost + lost(missing)
+        lost: state.lost + Gaps.size(missing)
     }
   end
-
-  defp lost(nil), do: 0
-  defp lost({_vehicle, _epoch, from, to}), do: to - from + 1
-
-  defp tell({vehicle, _epoch, from, to}),
-    do:
-      Logger.error(
-        "events #{from} to #{to} of #{vehicle} are lost: the local stream had no room (nats.streams.event_max_mb)"
-      )
 
   defp send_ready(state) do
     case Window.next(state.window, now()) do
@@ -387,13 +392,7 @@ defmodule Aerie.Bridge.Forward do
     state
   end
 
-  defp flush_pumps do
-    receive do
-      :pump -> flush_pumps()
-    after
-      0 -> :ok
-    end
-  end
+  defp flush_pumps, do: receive(do: (:pump -> flush_pumps()), after: (0 -> :ok))
 
   defp now, do: System.monotonic_time(:millisecond)
   defp os_now, do: System.os_time(:microsecond)

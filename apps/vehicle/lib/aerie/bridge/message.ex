@@ -12,7 +12,32 @@ defmodule Aerie.Bridge.Message do
   """
 
   alias Aerie.Fleet.Json
+  alias Aerie.Bridge.Events.Gaps
   alias Aerie.Vehicle.{Event, Fields}
+
+  @max_state_bytes 32_768
+
+  @doc "The largest body of a state group that streams and readers take."
+  @spec max_state_bytes() :: pos_integer()
+  def max_state_bytes, do: @max_state_bytes
+
+  @doc "The groups of a vehicle's state, the last tokens of its subjects. What a gateway says of a vehicle is one, too (`Aerie.Remote`)."
+  @spec state_groups() :: [String.t()]
+  def state_groups,
+    do: for({group, _title, _fields} <- Fields.all(), do: Atom.to_string(group)) ++ ["gateway"]
+
+  @doc "The types of events, of a vehicle or of a gateway."
+  @spec event_types() :: [String.t()]
+  def event_types, do: Event.Types.names() ++ [Gaps.type()]
+
+  @doc "Whether a subject is that of an event that there is."
+  @spec event?(String.t()) :: boolean()
+  def event?(subject) do
+    case String.split(subject, ".", parts: 5) do
+      ["fleet", _environment, _vehicle, "event", type] -> type in event_types()
+      _other -> false
+    end
+  end
 
   @doc "Subject of a state group."
   @spec state_subject(String.t(), String.t(), String.t()) :: String.t()

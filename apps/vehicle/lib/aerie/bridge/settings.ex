@@ -142,6 +142,15 @@ defmodule Aerie.Bridge.Settings do
           default: 512
         ),
         field(
+          :events_per_vehicle,
+          :boolean,
+          """
+          For the gateway of a hub, with nats.url: each vehicle's events in a stream of their own, FLEET_EVENTS_{vehicle}, of
+          event_max_mb, so that none takes another one's room. bin/nats-setup sets it. Else all are in FLEET_EVENTS.
+          """,
+          default: false
+        ),
+        field(
           :event_max_age_days,
           {:number, 0, 3650},
           "Age at which events go; 0 keeps them until size decides.",
@@ -309,6 +318,8 @@ defmodule Aerie.Bridge.Settings do
            "(#{nats.streams.event_max_mb}), which the server reserves", "#{nats.max_store_mb}"},
         {nats.mode == :embedded and nats.streams.replicas > 1, ["nats", "streams", "replicas"],
          "1 with nats.mode embedded, which is one server", "#{nats.streams.replicas}"},
+        {nats.mode != :url and nats.streams.events_per_vehicle, ["nats", "streams", "events_per_vehicle"],
+         "false without nats.url: a server of our own has the stream FLEET_EVENTS", "true"},
         {nats.mode != :embedded and nats.domain != nil, ["nats", "domain"], "nats.mode embedded",
          "#{nats.mode}"},
         {nats.retry_max_ms < nats.retry_min_ms, ["nats", "retry_max_ms"], "at least nats.retry_min_ms",

@@ -7,26 +7,35 @@ defmodule Aerie.Bridge.Streams do
   | `FLEET_STATE` | `fleet.*.*.state.>` | the last message of each subject |
   | `FLEET_EVENTS` | `fleet.*.*.event.>` | events, up to an age and a size, the oldest go first |
 
+  At a hub each vehicle's events have a stream of their own in the place of the second one (`Aerie.Bridge.EventStreams`).
+
   A missing stream is created. A stream that differs from the configuration is changed on the embedded server. On another
-  server it is left as it is and the difference is reported, because another gateway or an operator may have set it.
+  server it is left as it is and the difference is reported, because another gateway or an operator may have set it, except for what keeps vehicles
+  from having an effect on each other (`guarded/2`): that is changed everywhere.
   """
 
-  alias Aerie.Bridge.Settings
+  alias Aerie.Bridge.{Message, Settings}
   alias Aerie.Nats
+  alias Aerie.Nats.JetStream
   alias Gnat.Jetstream.API.Stream, as: Api
 
   @compared [
     :subjects,
     :max_msgs_per_subject,
     :max_bytes,
+    :max_msg_size,
     :max_age,
     :duplicate_window,
     :num_replicas,
     :allow_direct,
     :discard,
     :retention,
-    :storage
+    :storage,
+    :allow_rollup_hdrs
   ]
+  @guarded [:max_msg_size, :duplicate_window, :allow_rollup_hdrs]
+  # Name, headers and subject of a message beside its body.
+  @beside 1_024
 
   # insufficient storage resources available, insufficient memory, no resources of the account
   @no_room [10_047, 10_028, 10_023]
@@ -35,32 +44,63 @@ defmodule Aerie.Bridge.Streams do
 
   @doc "The streams as configured."
   @spec wanted(Settings.t()) :: [struct()]
-  def wanted(%Settings{nats: %{streams: streams}}) do
-    common = %{retention: :limits, storage: :file, discard: :old, num_replicas: streams.replicas}
-
-    # Without its own duplicate window, the stream gets the server's two minutes. State messages have no ids anyway.
+  def wanted(%Settings{nats: %{streams: streams}} = settings) do
+    # State messages have no ids; with one, they would be dropped as copies of others.
     state = %{
       name: "FLEET_STATE",
       subjects: ["fleet.*.*.state.>"],
       description: "Last value of each state group of each vehicle",
       max_msgs_per_subject: 1,
+      max_msg_size: Message.max_state_bytes() + @beside,
       max_bytes: streams.state_max_mb * 1_048_576,
       max_age: nanoseconds(streams.state_max_age_days),
+      duplicate_window: JetStream.no_window(),
       allow_direct: true
     }
 
+    [
+      stream(streams, state)
+      | if(streams.events_per_vehicle, do: [], else: [events(settings, "FLEET_EVENTS", "*")])
+    ]
+  end
+
+  @doc "A stream of the events of a vehicle, `*` for all."
+  @spec events(Settings.t(), name :: String.t(), vehicle :: String.t()) :: struct()
+  def events(%Settings{nats: %{streams: streams}}, name, vehicle) do
     max_age = nanoseconds(streams.event_max_age_days)
 
-    events = %{
-      name: "FLEET_EVENTS",
-      subjects: ["fleet.*.*.event.>"],
-      description: "Events of vehicles",
+    stream(streams, %{
+      name: name,
+      subjects: ["fleet.*.#{vehicle}.event.>"],
+      description: if(vehicle == "*", do: "Events of vehicles", else: "Events of #{vehicle}"),
       max_bytes: streams.event_max_mb * 1_048_576,
       max_age: max_age,
       duplicate_window: duplicate_window(streams.duplicate_window_s * 1_000_000_000, max_age)
+    })
+  end
+
+  defp stream(streams, fields) do
+    common = %{
+      retention: :limits,
+      storage: :file,
+      discard: :old,
+      num_replicas: streams.replicas,
+      allow_rollup_hdrs: false
     }
 
-    for stream <- [state, events], do: struct!(Api, Map.merge(common, stream))
+    struct!(Api, Map.merge(common, fields))
+  end
+
+  @doc """
+  A stream as it is, but for what must be as wanted whoever made it: roll-up, the size of a message, and the window in which the server
+  looks for copies where messages have no ids.
+  """
+  @spec guarded(there :: struct(), wanted :: struct()) :: struct()
+  def guarded(there, wanted) do
+    keys =
+      if wanted.duplicate_window == JetStream.no_window(), do: @guarded, else: @guarded -- [:duplicate_window]
+
+    struct!(there, for({key, value} <- Map.take(wanted, keys), value != nil, do: {key, value}))
   end
 
   defp nanoseconds(days), do: round(days * 86_400 * 1_000_000_000)
@@ -104,7 +144,22 @@ defmodule Aerie.Bridge.Streams do
     case {differences(wanted, there), mode} do
       {[], _mode} -> :ok
       {differences, :embedded} -> update(conn, wanted, differences)
-      {differences, :url} -> {:differs, differences}
+      {differences, :url} -> guard(conn, wanted, there, differences)
+    end
+  end
+
+  # On another server only what guards vehicles from each other is changed.
+  defp guard(conn, wanted, there, differences) do
+    guarded = guarded(there, wanted)
+
+    with false <- differences(guarded, there) == [],
+         :updated <- update(conn, guarded, differences),
+         [_ | _] = others <- differences(wanted, guarded) do
+      {:differs, others}
+    else
+      true -> {:differs, differences}
+      [] -> :updated
+      differs -> differs
     end
   end
 

@@ -9,6 +9,7 @@ defmodule Aerie.Bridge.Supervisor do
   | `Connection` | the connection; events in flight are sent again |
   | `State` | nothing: last values are in the tables |
   | `Events` | events in flight are sent again; their ids make that harmless |
+  | `EventStreams` (hub) | new vehicles' events wait for their stream |
   | `Forward` (leaf node) | events in flight to the hub are sent again |
   | `Commands` | answers to commands under way; the commands go on |
   """
@@ -18,6 +19,7 @@ defmodule Aerie.Bridge.Supervisor do
     Commands,
     Connection,
     Events,
+    EventStreams,
     Forward,
     LastPublished,
     Leaf,
@@ -50,10 +52,13 @@ defmodule Aerie.Bridge.Supervisor do
     server = if nats.mode == :embedded, do: [{Server, options}], else: []
     forward = if Leaf.Config.on?(nats.leaf), do: [{Forward, options}], else: []
 
+    apart = if nats.streams.events_per_vehicle, do: [{EventStreams, options}], else: []
+
     children =
       [{Tables, gateway: options[:gateway]}] ++
         server ++
-        [{Connection, options}, {State, options}, {Events, options}] ++ forward ++ [{Commands, options}]
+        [{Connection, options}, {State, options}, {Events, options}] ++
+        apart ++ forward ++ [{Commands, options}]
 
     # The children handle a misbehaving server with pauses of their own; this limits unforeseen crashes.
     Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 30)

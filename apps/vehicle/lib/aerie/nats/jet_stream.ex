@@ -10,6 +10,10 @@ defmodule Aerie.Nats.JetStream do
   @typedoc "A stored message; `headers` is their text."
   @type stored :: %{seq: pos_integer(), subject: String.t(), headers: binary(), body: binary()}
 
+  @doc "The shortest window in which a stream may look for copies (`Nats-Msg-Id`), in nanoseconds: for messages that have no ids."
+  @spec no_window() :: pos_integer()
+  def no_window, do: 100_000_000
+
   @doc "Asks the API or a stream: the answer's object, or an error, which is a map if JetStream answered one. `timeout` (ms), `headers`."
   @spec ask(Nats.conn(), String.t(), iodata(), timeout: pos_integer(), headers: Nats.headers()) ::
           {:ok, map()} | {:error, Nats.reason()}

@@ -8,8 +8,6 @@ defmodule Aerie.Nats.KV do
   alias Aerie.Nats.{JetStream, Reader}
   alias Gnat.Jetstream.API.Stream
 
-  @two_minutes 120_000_000_000
-
   @doc "A bucket as a stream. Fields of the stream that are not those of every bucket: history, sizes, age, copies."
   @spec stream(bucket :: String.t(), keyword()) :: struct()
   def stream(bucket, fields) do
@@ -20,9 +18,11 @@ defmodule Aerie.Nats.KV do
       retention: :limits,
       discard: :new,
       max_msgs_per_subject: 1,
-      duplicate_window: @two_minutes,
+      # Values have no ids; with one, they would be dropped as copies of others.
+      duplicate_window: JetStream.no_window(),
       deny_delete: true,
-      allow_rollup_hdrs: true,
+      # A roll-up of one key could empty the bucket (`Nats-Rollup: all`). A key is removed with a delete, not with a purge.
+      allow_rollup_hdrs: false,
       # A vehicle's leaf node reads with direct requests.
       allow_direct: true
     }

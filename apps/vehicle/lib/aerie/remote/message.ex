@@ -6,10 +6,10 @@ defmodule Aerie.Remote.Message do
   `gateway` is what a gateway says of the vehicle: who it is, and whether it is heard.
   """
 
+  alias Aerie.Bridge
   alias Aerie.Fleet.Remote
   alias Aerie.Vehicle.Fields
 
-  @max_bytes 32_768
   @max_text 256
   @max_list 64
   @fields Map.new(Fields.all(), fn {group, _title, fields} ->
@@ -48,8 +48,9 @@ defmodule Aerie.Remote.Message do
 
   @doc "Reads a body; `:error` for what no gateway publishes."
   @spec parse(vehicle :: String.t(), group :: String.t(), body :: binary()) :: {:ok, t()} | :error
-  def parse(vehicle, group, body) when byte_size(body) <= @max_bytes do
-    with {:ok, %{"vehicle" => ^vehicle, "group" => ^group, "data" => %{} = data, "time" => time} = object} <-
+  def parse(vehicle, group, body) do
+    with true <- byte_size(body) <= Bridge.Message.max_state_bytes(),
+         {:ok, %{"vehicle" => ^vehicle, "group" => ^group, "data" => %{} = data, "time" => time} = object} <-
            JSON.decode(body),
          {:ok, time} <- time(time) do
       {:ok,
@@ -65,8 +66,6 @@ defmodule Aerie.Remote.Message do
       _other -> :error
     end
   end
-
-  def parse(_vehicle, _group, _large), do: :error
 
   @doc "The facts about a vehicle's snapshot, as `parse/3` reads them, at `now` (unix microseconds)."
   @spec facts(snapshot :: map(), now :: integer()) :: map()

@@ -26,6 +26,8 @@ defmodule Aerie.Shadow.Buckets do
   @leases "fleet_leases"
   @plans "fleet_plans"
   @mb 1_048_576
+  # A name, with the headers of the message.
+  @lease_bytes 1_024
   @timeout_ms 2_000
   # Attempts at one update while others keep writing to the same document.
   @races 20
@@ -54,7 +56,7 @@ defmodule Aerie.Shadow.Buckets do
            max_bytes: limits.reported_max_mb * @mb,
            max_msg_size: 2 * Report.max_bytes(),
            max_age: nanoseconds(limits.reported_max_age_days)},
-          {@leases, max_bytes: @mb},
+          {@leases, max_bytes: 4 * @mb, max_msg_size: @lease_bytes},
           {@plans, max_bytes: limits.plans_max_mb * @mb, max_age: nanoseconds(limits.plans_max_age_days)}
         ],
         do: KV.stream(bucket, [num_replicas: replicas] ++ limits)
@@ -98,20 +100,25 @@ defmodule Aerie.Shadow.Buckets do
   end
 
   defp compare(conn, wanted, there, mode) do
-    with [_ | _] = differences <- Streams.differences(wanted, there),
-         false <-
-           mode == :embedded and match?({:ok, _info}, Nats.call(conn, fn -> Stream.update(conn, wanted) end)) do
-      differences
+    # On another server only what guards vehicles from each other is changed.
+    change = if mode == :embedded, do: wanted, else: Streams.guarded(there, wanted)
+
+    with [_ | _] <- Streams.differences(wanted, there),
+         false <- change == there,
+         {:ok, _info} <- Nats.call(conn, fn -> Stream.update(conn, change) end) do
+      Streams.differences(wanted, change)
     else
-      _same_or_changed -> []
+      [] -> []
+      _unchanged -> Streams.differences(wanted, there)
     end
   end
 
-  # What is not configured stays as it is. The server refuses a window that is longer than the age limit.
-  defp adapted(there, %{max_age: max_age} = wanted) do
-    window = if max_age > 0, do: min(there.duplicate_window, max_age), else: there.duplicate_window
-    keys = [:max_msgs_per_subject, :max_bytes, :max_age, :num_replicas, :allow_direct]
-    struct!(%{there | duplicate_window: window}, Map.take(wanted, keys))
+  # What is not configured stays as it is.
+  defp adapted(there, wanted) do
+    keys =
+      ~w(max_msgs_per_subject max_bytes max_msg_size max_age num_replicas allow_direct allow_rollup_hdrs duplicate_window)a
+
+    struct!(there, for({key, value} <- Map.take(wanted, keys), value != nil, do: {key, value}))
   end
 
   @doc """

@@ -213,9 +213,15 @@ defmodule Aerie.Bridge.HubCutOffTest do
   end
 
   defp in_step?(conn) do
-    case Aerie.Nats.call(conn, fn -> Stream.info(conn, "FLEET_EVENTS") end) do
-      {:ok, %{cluster: %{"leader" => _, "replicas" => copies}}} -> Enum.all?(copies, & &1["current"])
-      _not_now -> false
+    with {:ok, %{streams: streams}} <- Aerie.Nats.call(conn, fn -> Stream.list(conn) end) do
+      Enum.all?(streams, fn name ->
+        case Aerie.Nats.call(conn, fn -> Stream.info(conn, name) end) do
+          {:ok, %{cluster: %{"leader" => _, "replicas" => copies}}} -> Enum.all?(copies, & &1["current"])
+          _not_now -> false
+        end
+      end)
+    else
+      {:error, _not_now} -> false
     end
   end
 

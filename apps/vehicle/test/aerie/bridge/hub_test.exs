@@ -117,7 +117,7 @@ defmodule Aerie.Bridge.HubTest do
     refute_received {:msg, %{topic: "fleet.test.B" <> _}}
     refute_received {:msg, %{topic: "fleet.other" <> _}}
 
-    for stream <- ["FLEET_STATE", "FLEET_EVENTS"],
+    for stream <- ["FLEET_STATE" | event_streams(fleet)],
         do:
           assert(
             {:error, %{"code" => 404}} =
@@ -185,7 +185,7 @@ defmodule Aerie.Bridge.HubTest do
     for subject <- [
           "hub.kv.get.fleet_desired.test.B",
           "$JS.hub.API.STREAM.MSG.GET.KV_fleet_desired",
-          "$JS.hub.API.CONSUMER.CREATE.FLEET_EVENTS",
+          "$JS.hub.API.CONSUMER.CREATE.FLEET_EVENTS_B",
           "$JS.hub.API.STREAM.NAMES"
         ],
         do:

@@ -22,6 +22,21 @@ defmodule Aerie.Bridge.Events.Gaps do
   @type last :: %{String.t() => {epoch :: pos_integer(), seq :: pos_integer()}}
   @type t :: %__MODULE__{seen: last(), confirmed: last()}
 
+  @doc "The type of a marker."
+  @spec type() :: String.t()
+  def type, do: @type_name
+
+  @doc "How many events are missing at a place."
+  @spec size(place() | nil) :: non_neg_integer()
+  def size(nil), do: 0
+  def size({_vehicle, _epoch, from, to}), do: to - from + 1
+
+  @doc "What is missing, for the log."
+  @spec text(place()) :: String.t()
+  def text({vehicle, _epoch, from, to}),
+    do:
+      "events #{from} to #{to} of #{vehicle} are lost: the local stream had no room (nats.streams.event_max_mb)"
+
   @doc "`confirmed`: the last event of each vehicle that has arrived."
   @spec new(last()) :: t()
   def new(confirmed \\ %{}), do: %__MODULE__{seen: confirmed, confirmed: confirmed}

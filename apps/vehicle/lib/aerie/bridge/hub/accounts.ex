@@ -7,8 +7,8 @@ defmodule Aerie.Bridge.Hub.Accounts do
 
   | from a vehicle to the fleet, on the leaf's subject | in the fleet |
   |---|---|
-  | `fleet.E.V.state.>`, `fleet.E.V.raw`, progress of commands | the same |
-  | `hub.fleet.E.V.event.>`, confirmed by the stream | `fleet.E.V.event.>` |
+  | `fleet.E.V.state.GROUP` of each group that there is, progress of requests | the same |
+  | `hub.fleet.E.V.event.TYPE` of each type that there is, confirmed by the stream | `fleet.E.V.event.TYPE` |
   | `hub.kv.get.BUCKET.KEY`, `hub.kv.put.BUCKET.KEY` of its own keys | the bucket |
   | `hub.info` | whether JetStream is up |
 
@@ -20,6 +20,10 @@ defmodule Aerie.Bridge.Hub.Accounts do
   Permissions within one account would not be enough: the answer to a request goes to the subject that the request names, so a
   vehicle could have JetStream publish its own text in another one's name. Between accounts, answers have subjects of the server's.
 
+  Headers pass from one account to another, so the streams and buckets are such that none has an effect on other vehicles:
+  roll-up is off, each vehicle's events have a stream of their own (`Aerie.Bridge.EventStreams`), in which it knows its ids, and sizes are
+  limited. What a vehicle can fill is its listed subjects times the size of a message, for which the hub has room (`Aerie.Bridge.Hub.Room`).
+
   Of the leases a vehicle has only that of who acts on itself. The desired state is asked of the hub's gateway: documents aboard and at the
   hub are kept the same (`Aerie.Shadow.Uplink`).
 
@@ -28,6 +32,8 @@ defmodule Aerie.Bridge.Hub.Accounts do
   """
 
   @areas ~w(cmd params mission files logs)
+  alias Aerie.Bridge.Message
+
   @get "$JS.API.DIRECT.GET.KV_"
 
   @type vehicle :: {id :: String.t(), public :: String.t()}
@@ -83,18 +89,22 @@ defmodule Aerie.Bridge.Hub.Accounts do
 
   # What the fleet takes from a vehicle, or shows it: `{kind, subject of the fleet, subject on the leaf, nil for the same}`.
   defp granted(environment, id) do
-    own = for name <- [id, "gateway-" <> id], do: "fleet.#{environment}.#{name}"
+    vehicle = "fleet.#{environment}.#{id}"
 
-    Enum.flat_map(
-      own,
-      &[{:service, &1 <> ".state.>", nil}, {:service, &1 <> ".event.>", "hub.#{&1}.event.>"}]
-    ) ++
-      [
-        {:service, "fleet.#{environment}.#{id}.raw", nil},
-        {:service, "fleet.#{environment}.#{id}.*.*.progress.>", nil},
-        {:service, "$JS.API.INFO", "hub.info"}
-      ] ++ buckets(environment, id)
+    for(group <- Message.state_groups(), do: {:service, "#{vehicle}.state.#{group}", nil}) ++
+      events(vehicle) ++
+      events("fleet.#{environment}.gateway-#{id}") ++
+      for(area <- @areas, do: {:service, "#{vehicle}.#{area}.*.progress.>", nil}) ++
+      [{:service, "$JS.API.INFO", "hub.info"}] ++ buckets(environment, id)
   end
+
+  defp events(publisher),
+    do:
+      for(
+        type <- Message.event_types(),
+        subject = "#{publisher}.event.#{type}",
+        do: {:service, subject, "hub." <> subject}
+      )
 
   defp buckets(environment, id) do
     document = "#{environment}.#{id}"

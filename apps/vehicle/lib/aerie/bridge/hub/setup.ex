@@ -13,7 +13,7 @@ defmodule Aerie.Bridge.Hub.Setup do
   only its public key is needed here.
   """
 
-  alias Aerie.Bridge.Hub.{Accounts, Certificates}
+  alias Aerie.Bridge.Hub.{Accounts, Certificates, Room}
   alias Aerie.PrivateFile
   alias Aerie.Settings.Types
 
@@ -196,7 +196,10 @@ defmodule Aerie.Bridge.Hub.Setup do
 
     hub = [{"hub/hub.conf", @hub_conf}, {"hub/accounts.conf", accounts}, {"hub/ca.pem", authority}]
     urls = fn port -> for host <- hosts, do: "tls://#{address(host)}:#{port}" end
-    gateway = {"hub/gateway.yaml", hub_yaml(environment, urls.(ports["client"]), length(hosts), key)}
+
+    gateway =
+      {"hub/gateway.yaml",
+       hub_yaml(environment, urls.(ports["client"]), length(hosts), Room.of(map_size(fleet["vehicles"])), key)}
 
     own =
       for {host, _folder} <- servers,
@@ -245,7 +248,7 @@ defmodule Aerie.Bridge.Hub.Setup do
 
   defp address(host), do: if(String.contains?(host, ":"), do: "[#{host}]", else: host)
 
-  defp hub_yaml(environment, urls, servers, key) do
+  defp hub_yaml(environment, urls, servers, room, key) do
     """
     # The gateway of the hub: files beside this one.
     environment: #{environment}
@@ -256,8 +259,15 @@ defmodule Aerie.Bridge.Hub.Setup do
         ca_file: ca.pem
       streams:
         replicas: #{if servers >= 3, do: 3, else: 1}
+        # Room for whatever each vehicle can fill, so that none takes another one's.
+        events_per_vehicle: true
+        event_max_mb: #{room.event_mb}
+        state_max_mb: #{room.state_mb}
     shadow:
       key: #{JSON.encode!(key)}
+      buckets:
+        desired_max_mb: #{room.desired_mb}
+        reported_max_mb: #{room.reported_mb}
     """
   end
 

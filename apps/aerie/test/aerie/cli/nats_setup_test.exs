@@ -29,14 +29,23 @@ defmodule Aerie.CLI.NatsSetupTest do
                Config.load(Path.join([dir, "set", name]), [], env: %{})
     end
 
-    # One key for all desired states, in no file of a server.
-    keys =
-      for name <- ["vehicles/VID-1/gateway.yaml", "vehicles/VID-2/gateway.yaml", "hub/gateway.yaml"] do
-        {:ok, %{shadow: %{key: key}}} = Config.load(Path.join([dir, "set", name]), [], env: %{})
-        Aerie.Secret.reveal(key)
-      end
+    # The hub has the key from which those of the vehicles are derived, a vehicle its own, and no server any.
+    common = String.trim(read(dir, "shadow.key"))
 
-    assert Enum.uniq(keys) == [String.trim(read(dir, "shadow.key"))]
+    {:ok, %{shadow: %{key: key, former_key: nil}}} =
+      Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
+
+    assert Aerie.Secret.reveal(key) == common
+
+    for id <- ["VID-1", "VID-2"] do
+      file = "vehicles/#{id}/gateway.yaml"
+
+      {:ok, %{shadow: %{key: nil, vehicle_key: own}}} =
+        Config.load(Path.join([dir, "set", file]), [], env: %{})
+
+      assert Aerie.Secret.reveal(own) == Aerie.Shadow.Keys.derive(common, "prod", id)
+      refute read(dir, file) =~ common
+    end
 
     pem = read(dir, "hub/hub.example.org/server.pem")
     [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(pem)
@@ -55,12 +64,22 @@ defmodule Aerie.CLI.NatsSetupTest do
     assert text =~ "B: its key opens nothing"
     assert {read(dir, "vehicles/A/leaf.nk"), read(dir, "ca.key")} == {seed, ca}
     refute text =~ "shadow.key"
-    # A set of before there was such a key.
-    File.rm!(Path.join(dir, "set/shadow.key"))
+    # A set of before each vehicle had a key of its own: the hub gets another one, and those aboard are told.
+    old = read(dir, "shadow.key")
+    fleet = dir |> read("fleet.json") |> JSON.decode!()
+    File.write!(Path.join(dir, "set/fleet.json"), JSON.encode!(Map.delete(fleet, "sealing")))
     assert {:ok, text} = setup_in(dir, ~w(--vehicle D))
-    assert text =~ ~r"A: put shadow.key of \S+/hub/gateway.yaml" and not (text =~ "D: put")
+    assert text =~ ~r"A: shadow.vehicle_key in its gateway.yaml is what \S+/vehicles/A/shadow.key has"
+    refute text =~ "D: shadow.vehicle_key"
+
+    assert read(dir, "vehicles/A/shadow.key") ==
+             Aerie.Shadow.Keys.derive(String.trim(read(dir, "shadow.key")), "test", "A") <> "\n"
+
+    refute read(dir, "shadow.key") == old
+    {:ok, %{shadow: shadow}} = Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
+    assert Aerie.Secret.reveal(shadow.former_key) == String.trim(old)
     accounts = read(dir, "hub/accounts.conf")
-    assert accounts =~ ~s("vehicle-C") and accounts =~ "fleet.test.A.event.>"
+    assert accounts =~ ~s("vehicle-C") and accounts =~ "fleet.test.A.event.armed"
     refute accounts =~ "vehicle-B"
   end
 

@@ -5,8 +5,8 @@ defmodule Aerie.Bridge.EventStreams do
   In a common stream a vehicle that sends many events would push out those of the others, and one that uses another one's id
   (`Nats-Msg-Id`) would have the server drop that one's event as a copy.
 
-  This process listens to all events, and makes the stream of a vehicle with its first one. That one is confirmed by nobody, so
-  its sender sends it again. Every 15 seconds it makes what somebody deleted.
+  This process listens to all events, makes the stream of a vehicle with its first one, and publishes that one once more, which the
+  stream confirms to its sender. Every 15 seconds it makes what somebody deleted.
 
   A stream `FLEET_EVENTS` from before keeps what it has until its age or size ends it, and gets no more.
   """
@@ -23,6 +23,7 @@ defmodule Aerie.Bridge.EventStreams do
   @look_ms 15_000
   @again_ms 2_000
   @max_streams 10_000
+  @headers ["Nats-Msg-Id", "Aerie-Backfill"]
   @common "FLEET_EVENTS"
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
@@ -46,9 +47,16 @@ defmodule Aerie.Bridge.EventStreams do
   def handle_continue(:connect, state), do: {:noreply, connect(state)}
 
   @impl GenServer
-  def handle_info({:msg, %{topic: topic}}, state) do
+  def handle_info({:msg, %{topic: topic} = message}, state) do
     ["fleet", _environment, vehicle | _type] = String.split(topic, ".", parts: 4)
-    {:noreply, if(MapSet.member?(state.known, vehicle), do: state, else: make(state, vehicle))}
+
+    if MapSet.member?(state.known, vehicle) do
+      {:noreply, state}
+    else
+      state = make(state, vehicle)
+      _ = if MapSet.member?(state.known, vehicle), do: again(message)
+      {:noreply, state}
+    end
   end
 
   def handle_info({:fleet, :bridge, {:connection, _info}}, state), do: {:noreply, connect(state)}
@@ -59,6 +67,17 @@ defmodule Aerie.Bridge.EventStreams do
   end
 
   def handle_info(_late, state), do: {:noreply, state}
+
+  # The stream's answer is passed on. Without one, its sender sends it again.
+  defp again(%{gnat: conn} = message) do
+    given = Map.new(Map.get(message, :headers, []))
+    headers = for name <- @headers, value = given[String.downcase(name)], do: {name, value}
+
+    with {:ok, %{body: answer}} <-
+           Nats.request(conn, message.topic, message.body, headers: headers, receive_timeout: @again_ms),
+         reply when reply != nil <- message.reply_to,
+         do: Nats.pub(conn, reply, answer)
+  end
 
   defp connect(%{conn: before} = state) do
     state = Subscriber.follow(state, "fleet.#{state.settings.environment}.*.event.>")

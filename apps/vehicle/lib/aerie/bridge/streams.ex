@@ -184,6 +184,7 @@ defmodule Aerie.Bridge.Streams do
   defp normal(list) when is_list(list), do: Enum.sort(list)
   defp normal(0), do: nil
   defp normal(-1), do: nil
+  defp normal(false), do: nil
   defp normal(atom) when is_atom(atom) and not is_nil(atom), do: Atom.to_string(atom)
   defp normal(value), do: value
 

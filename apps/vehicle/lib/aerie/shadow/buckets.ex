@@ -17,8 +17,7 @@ defmodule Aerie.Shadow.Buckets do
   alias Aerie.Bridge.Streams
   alias Aerie.Nats
   alias Aerie.Nats.KV
-  alias Aerie.Secret
-  alias Aerie.Shadow.{Document, Report, SealedDocument}
+  alias Aerie.Shadow.{Document, Keys, Report, SealedDocument}
   alias Gnat.Jetstream.API.Stream
 
   @desired "fleet_desired"
@@ -32,7 +31,7 @@ defmodule Aerie.Shadow.Buckets do
   # Attempts at one update while others keep writing to the same document.
   @races 20
 
-  @type kept :: %{environment: String.t(), key: Secret.t()}
+  @type kept :: %{environment: String.t(), keys: Keys.t()}
 
   @doc "The buckets of desired documents and of leases."
   @spec desired() :: String.t()
@@ -133,8 +132,9 @@ defmodule Aerie.Shadow.Buckets do
   def read(conn, kept, vehicle) do
     case KV.get(conn, @desired, "#{kept.environment}.#{vehicle}") do
       {:ok, value, revision} ->
-        case SealedDocument.decode(value, kept.environment, vehicle, kept.key) do
+        case SealedDocument.decode(value, kept.environment, vehicle, kept.keys) do
           {:ok, document} -> {:ok, document, revision}
+          {:former, document} -> reseal(conn, kept, document, revision)
           {:error, why} -> {:refused, why, revision}
         end
 
@@ -143,6 +143,14 @@ defmodule Aerie.Shadow.Buckets do
 
       {:error, reason} ->
         {:error, Nats.text(reason)}
+    end
+  end
+
+  # Sealed with the vehicle's own key it has another revision. If somebody else was faster, it is read again.
+  defp reseal(conn, kept, document, revision) do
+    case write(conn, kept, document, revision) do
+      {:error, _why} -> {:ok, document, revision}
+      _written_or_lost_race -> read(conn, kept, document.vehicle)
     end
   end
 
@@ -155,7 +163,7 @@ defmodule Aerie.Shadow.Buckets do
   def write(conn, kept, document, revision), do: write(conn, kept, document, revision, timeout: @timeout_ms)
 
   defp write(conn, kept, document, revision, options) do
-    text = SealedDocument.encode(document, kept.environment, kept.key)
+    text = SealedDocument.encode(document, kept.environment, kept.keys)
     options = [expected: revision] ++ options
 
     with {:error, reason} <- KV.put(conn, @desired, "#{kept.environment}.#{document.vehicle}", text, options),
@@ -196,11 +204,11 @@ defmodule Aerie.Shadow.Buckets do
 
   # The answer may have come too late, and who is told to try again would make the change twice.
   defp stored?(conn, kept, document) do
-    %{environment: environment, key: key} = kept
-    text = SealedDocument.encode(document, environment, key)
+    %{environment: environment, keys: keys} = kept
+    text = SealedDocument.encode(document, environment, keys)
 
     # As it is read: times are stored in milliseconds.
-    with {:ok, %{history: history} = ours} <- SealedDocument.decode(text, environment, document.vehicle, key),
+    with {:ok, %{history: history} = ours} <- SealedDocument.decode(text, environment, document.vehicle, keys),
          {:ok, found, _revision} <- read(conn, kept, document.vehicle) do
       # Others may have changed it since.
       found == ours or (history != [] and hd(history) in found.history)

@@ -60,8 +60,22 @@ defmodule Aerie.Shadow.Settings do
   setting :key,
           :secret,
           """
-          Gateways heed desired states only of gateways with the same key, of 16 characters or more. Left out: a random one of this
-          gateway, in shadow.dir.
+          Gateways heed desired states only of gateways with the same key, of 16 characters or more, from which each vehicle's own is derived. It opens all
+          vehicles' desired states, so it belongs at the hub; a companion has a vehicle_key. Left out: a random one of this gateway,
+          in shadow.dir.
+          """,
+          example: "a long random text"
+
+  setting :vehicle_key,
+          :secret,
+          "Aboard: the key of the vehicle of vehicle_id alone, in the place of key. bin/nats-setup derives it.",
+          example: "a long random text"
+
+  setting :former_key,
+          :secret,
+          """
+          The key of before another one: desired states that an earlier version sealed with it are read, and sealed anew. Take it out when
+          all of them were.
           """,
           example: "a long random text"
 
@@ -110,11 +124,22 @@ defmodule Aerie.Shadow.Settings do
 
   # Who reads what is sealed may try keys at leisure.
   @impl Aerie.Settings
-  def problems(%{shadow: %{key: key}}) do
-    failed([
-      {key != nil and byte_size(Aerie.Secret.reveal(key)) < @shortest, ["shadow", "key"],
-       "#{@shortest} characters or more", "a shorter one"}
-    ])
+  def problems(%{shadow: shadow, vehicle_id: id}) do
+    short =
+      for name <- [:key, :vehicle_key, :former_key],
+          key = Map.fetch!(shadow, name),
+          key != nil and byte_size(Aerie.Secret.reveal(key)) < @shortest,
+          do: {true, ["shadow", "#{name}"], "#{@shortest} characters or more", "a shorter one"}
+
+    failed(
+      short ++
+        [
+          {shadow.vehicle_key != nil and shadow.key != nil, ["shadow", "vehicle_key"],
+           "shadow.key, from which all keys are derived, or shadow.vehicle_key, not both", "both"},
+          {shadow.vehicle_key != nil and id == nil, ["shadow", "vehicle_key"],
+           "vehicle_id, the vehicle whose key it is", "no vehicle_id"}
+        ]
+    )
   end
 
   @impl Aerie.Settings

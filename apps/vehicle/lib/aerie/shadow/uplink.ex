@@ -174,12 +174,12 @@ defmodule Aerie.Shadow.Uplink do
   defp desire(%{desired?: false} = state), do: state
 
   defp desire(state) do
-    with %{key: key, dir: dir} <- Names.value(state.gateway, :shadow_documents),
-         state = %{state | base: state.base || base(dir, key, state)},
-         {:ok, hub, revision} <- at_hub(state, key),
+    with %{keys: keys, dir: dir} <- Names.value(state.gateway, :shadow_documents),
+         state = %{state | base: state.base || base(dir, keys, state)},
+         {:ok, hub, revision} <- at_hub(state, keys),
          {:ok, aboard} <- aboard(state) do
       merged = Merge.merge(state.base, aboard, hub, System.os_time(:microsecond))
-      seal = &SealedDocument.encode(&1, state.environment, key)
+      seal = &SealedDocument.encode(&1, state.environment, keys)
 
       with :ok <- up(state, hub, merged, revision, seal),
            # The hub's document now has all of ours, which is what the next one is compared with if the way back fails.
@@ -197,22 +197,23 @@ defmodule Aerie.Shadow.Uplink do
     end
   end
 
-  defp base(dir, key, state) do
+  defp base(dir, keys, state) do
     with text when text != nil <- Copy.read(folder(dir), state.vehicle),
-         {:ok, document} <- SealedDocument.decode(text, state.environment, state.vehicle, key) do
+         {_kind, %Document{} = document} <-
+           SealedDocument.decode(text, state.environment, state.vehicle, keys) do
       document
     else
       _none -> Document.new(state.vehicle)
     end
   end
 
-  defp at_hub(state, key) do
+  defp at_hub(state, keys) do
     case HubBuckets.get(state.conn, @desired, state.key) do
       {:ok, text, revision} ->
-        with {:ok, document} <- SealedDocument.decode(text, state.environment, state.vehicle, key),
-             do: {:ok, document, revision},
-             else: ({:error, why} ->
-                      {:error, "the hub's desired state of #{state.vehicle} is not heeded: #{why}"})
+        case SealedDocument.decode(text, state.environment, state.vehicle, keys) do
+          {:error, why} -> {:error, "the hub's desired state of #{state.vehicle} is not heeded: #{why}"}
+          {_kind, document} -> {:ok, document, revision}
+        end
 
       {:none, revision} ->
         {:ok, Document.new(state.vehicle), revision}

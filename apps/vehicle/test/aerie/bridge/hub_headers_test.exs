@@ -38,13 +38,17 @@ defmodule Aerie.Bridge.HubHeadersTest do
     HubCase.await_stored(fleet, 3)
     aboard = fn leaf -> leaf |> await_up() |> HubServer.local_client() end
     conns = %{fleet: fleet, a: aboard.(a), b: aboard.(b)}
-    {:ok, _} = ask(conns.b, "fleet.test.B.state.mode", "mode of B", [])
-    {:ok, _} = ask(conns.a, "fleet.test.A.state.mode", "mode of A", [])
+
+    for {id, conn} <- [{"A", conns.a}, {"B", conns.b}] do
+      :ok = Gnat.pub(conn, "fleet.test.#{id}.state.mode", "mode of " <> id)
+      eventually(fn -> state(fleet, id) == "mode of " <> id end)
+    end
+
     conns
   end
 
   defp ask(conn, subject, body, headers),
-    do: Gnat.request(conn, subject, body, headers: headers, receive_timeout: Aerie.Patience.ms())
+    do: Gnat.request(conn, subject, body, headers: headers, receive_timeout: 5_000)
 
   # All that B and C have.
   defp theirs(fleet) do
@@ -57,10 +61,19 @@ defmodule Aerie.Bridge.HubHeadersTest do
     {values, state(fleet, "B"), for({"B", seq, _} <- events(fleet), do: seq)}
   end
 
-  defp state(fleet, id) do
+  # The subjects of FLEET_STATE below one.
+  defp subjects(fleet, filter) do
+    body = JSON.encode!(%{subjects_filter: filter})
+
+    with {:ok, %{body: text}} <- Gnat.request(fleet, "$JS.API.STREAM.INFO.FLEET_STATE", body),
+         %{"state" => %{"subjects" => subjects}} <- JSON.decode!(text),
+         do: {:ok, %{state: %{subjects: subjects}}}
+  end
+
+  defp state(fleet, id, group \\ "mode") do
     with {:ok, %{data: text}} <-
            answered(fleet, fn ->
-             Stream.get_message(fleet, "FLEET_STATE", %{last_by_subj: "fleet.test.#{id}.state.mode"})
+             Stream.get_message(fleet, "FLEET_STATE", %{last_by_subj: "fleet.test.#{id}.state.#{group}"})
            end),
          do: text
   end
@@ -96,34 +109,41 @@ defmodule Aerie.Bridge.HubHeadersTest do
     {"Status", "503"}
   ]
 
-  for {{name, value} = header, n} <- Enum.with_index(@headers) do
-    test "#{n}: #{name}: #{value} on all that a vehicle may send leaves what others have", context do
-      %{fleet: fleet, a: a} = context
-      before = theirs(fleet)
+  @text ~s({"vehicle":"A","seq":1})
 
-      for subject <- @own do
-        more = if unquote(name) =~ "Schedule", do: [{"Nats-Schedule", "@at 2020-01-01T00:00:00Z"}], else: []
+  test "no header on anything that a vehicle may send changes what others have", context do
+    %{fleet: fleet, a: a, b: b} = context
+    before = theirs(fleet)
 
-        more =
-          if unquote(name) == "Nats-Batch-Id",
-            do: [{"Nats-Batch-Sequence", "1"}, {"Nats-Batch-Commit", "1"}],
-            else: more
+    for {{name, value} = header, n} <- Enum.with_index(@headers) do
+      headers = Enum.uniq([header | beside(name)])
+      for subject <- @own, do: assert({:ok, _stored_or_refused} = ask(a, subject, @text, headers), name)
+      assert {header, theirs(fleet)} == {header, before}
 
-        assert {:ok, _stored_or_refused} =
-                 ask(a, subject, "of A", Enum.uniq([unquote(Macro.escape(header)) | more]))
+      # What B sends now is taken.
+      for {subject, stream} <- [
+            {"hub.kv.put.fleet_leases.test.vehicles.B", "KV_fleet_leases"},
+            {"hub.fleet.test.gateway-B.event.gateway.started", "FLEET_EVENTS_gateway-B"}
+          ] do
+        body = if subject =~ "leases", do: "gw", else: ~s({"vehicle":"gateway-B","seq":#{n}})
+        assert {:ok, %{body: answer}} = ask(b, subject, body, [])
+        assert %{"stream" => ^stream, "seq" => _} = JSON.decode!(answer), "#{name}: #{value}"
       end
 
-      assert theirs(fleet) == before
-      # What B sends now is taken.
-      assert {:ok, %{body: ~s({"stream":"KV_fleet_reported") <> _}} =
-               ask(context.b, "hub.kv.put.fleet_reported.test.B", "new", [])
-
-      assert {:ok, %{body: ~s({"stream":"FLEET_STATE") <> _}} =
-               ask(context.b, "fleet.test.B.state.mode", "new", [])
-
-      assert state(fleet, "B") == "new"
+      # Its own server answers for its state.
+      :ok = Gnat.pub(b, "fleet.test.B.state.attitude", "#{n}")
+      eventually(fn -> state(fleet, "B", "attitude") == "#{n}" end)
     end
   end
+
+  # What the server wants beside a header.
+  defp beside("Nats-Schedule-Target"), do: [{"Nats-Schedule", "@at 2020-01-01T00:00:00Z"}]
+  defp beside("Nats-Batch-Id"), do: [{"Nats-Batch-Sequence", "1"}, {"Nats-Batch-Commit", "1"}]
+
+  defp beside("Nats-Expected-Last-Subject-Sequence-Subject"),
+    do: [{"Nats-Expected-Last-Subject-Sequence", "0"}]
+
+  defp beside(_other), do: []
 
   test "an id that another vehicle will use (Nats-Msg-Id): its message is stored all the same", context do
     for n <- 1..5,
@@ -145,26 +165,36 @@ defmodule Aerie.Bridge.HubHeadersTest do
     %{fleet: fleet, a: a} = context
     before = theirs(fleet)
     big = String.duplicate("x", 900_000)
-    nobody = {:error, :no_responders}
 
-    for subject <- ["fleet.test.A.state.invented", "hub.fleet.test.A.event.invented", "fleet.test.A.raw"],
-        do: assert(ask(a, subject, "x", []) == nobody)
+    assert ask(a, "hub.fleet.test.A.event.invented", "x", []) == {:error, :no_responders}
 
-    # By progress nobody reaches a stream either.
-    for area <- ~w(state event), do: assert(ask(a, "fleet.test.A.#{area}.x.progress.y", "x", []) == nobody)
+    # Its own server has those, the hub has not; by progress nobody reaches a stream either.
+    for subject <- ["state.invented", "state.x.progress.y", "event.x.progress.y", "raw"],
+        do: :ok = Gnat.pub(a, "fleet.test.A." <> subject, "x")
 
     for group <- Bridge.Message.state_groups() do
-      assert {:ok, %{body: refused}} = ask(a, "fleet.test.A.state.#{group}", big, [])
-      assert refused =~ "maximum"
-      {:ok, _} = ask(a, "fleet.test.A.state.#{group}", String.duplicate("x", 32_768), [])
+      :ok = Gnat.pub(a, "fleet.test.A.state.#{group}", String.duplicate("x", 32_768))
+      :ok = Gnat.pub(a, "fleet.test.A.state.#{group}", big)
     end
+
+    # What was sent before it has arrived.
+    {:ok, _info} = ask(a, "hub.info", "", [])
+    {:ok, %{state: %{subjects: subjects}}} = answered(fleet, fn -> subjects(fleet, "fleet.test.A.>") end)
+
+    assert Enum.sort(Map.keys(subjects)) ==
+             Enum.sort(for group <- Bridge.Message.state_groups(), do: "fleet.test.A.state." <> group)
+
+    {:ok, %{state: %{bytes: bytes}}} = answered(fleet, fn -> Stream.info(fleet, "FLEET_STATE") end)
+    assert bytes < 1_048_576 * Bridge.Hub.Room.of(1).state_mb
 
     for bucket <- ["desired.test.A", "reported.test.A", "leases.test.vehicles.A"] do
       assert {:ok, %{body: refused}} = ask(a, "hub.kv.put.fleet_" <> bucket, big, [])
       assert refused =~ "maximum"
     end
 
-    for _ <- 1..90, do: {:ok, _} = ask(a, "hub.fleet.test.A.event.statustext", big, [])
+    for _ <- 1..90,
+        do:
+          {:ok, _} = ask(a, "hub.fleet.test.A.event.statustext", ~s({"vehicle":"A","seq":1,"x":"#{big}"}), [])
 
     {:ok, %{state: %{bytes: bytes}, config: %{max_bytes: max}}} =
       answered(fleet, fn -> Stream.info(fleet, "FLEET_EVENTS_A") end)

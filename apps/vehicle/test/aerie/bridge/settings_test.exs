@@ -68,7 +68,7 @@ defmodule Aerie.Bridge.SettingsTest do
   describe "streams" do
     test "differences are texts; defaults that the server fills in are no differences" do
       [state, events] = Streams.wanted(Aerie.BridgeCase.settings())
-      assert Streams.differences(state, %{state | duplicate_window: 120_000_000_000, max_age: 0}) == []
+      assert Streams.differences(state, %{state | max_age: 0, allow_rollup_hdrs: nil}) == []
 
       assert Streams.differences(events, %{events | max_bytes: -1, subjects: ["a", "b"]}) == [
                "subjects is a b, configured fleet.*.*.event.>",

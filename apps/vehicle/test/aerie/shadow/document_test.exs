@@ -4,12 +4,12 @@ defmodule Aerie.Shadow.DocumentTest do
 
   alias Aerie.Command.Error
   alias Aerie.Secret
-  alias Aerie.Shadow.{Document, Field, SealedDocument, Update}
+  alias Aerie.Shadow.{Document, Field, Keys, SealedDocument, Update}
 
   @now 1_800_000_000_000_000
   @second 1_000_000
   @author %{actor: "ops", via: "rest"}
-  defp key, do: Secret.new("a key of these tests")
+  defp key(text \\ "a key of these tests"), do: %Keys{common: Secret.new(text)}
 
   defp update(desired, more \\ %{}) do
     {:ok, update} = Update.parse(Map.put(more, "desired", desired), @now)
@@ -178,16 +178,77 @@ defmodule Aerie.Shadow.DocumentTest do
     assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(text, "dev", "VID-007", key())
 
     assert {:error, "its seal does not fit" <> _} =
-             SealedDocument.decode(text, "prod", "VID-007", Secret.new("another"))
+             SealedDocument.decode(text, "prod", "VID-007", key("another"))
 
-    assert {:error, "it is no document of this vehicle"} =
-             SealedDocument.decode(text, "prod", "VID-008", key())
+    assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(text, "prod", "VID-008", key())
 
     forged = String.replace(text, "AUTO", "RTL!")
     assert {:error, "its seal does not fit" <> _} = SealedDocument.decode(forged, "prod", "VID-007", key())
 
     for junk <- ["", "[]", "{}", ~s({"seal": 1}), <<255>>],
         do: assert({:error, "it has no seal" <> _} = SealedDocument.decode(junk, "prod", "V", key()))
+  end
+
+  test "a companion's key opens and seals its own vehicle's documents and no other one's" do
+    common = "the hub's"
+    hub = key(common)
+
+    aboard = fn id ->
+      %Keys{common: Secret.new("random"), own: %{id => Secret.new(Keys.derive(common, "prod", id))}}
+    end
+
+    of = fn id -> apply!(Document.new(id), %{"mode" => "AUTO"}) end
+
+    for {own, other} <- [{"A", "B"}, {"B", "A"}] do
+      assert {:ok, _} =
+               of.(own)
+               |> SealedDocument.encode("prod", hub)
+               |> SealedDocument.decode("prod", own, aboard.(own))
+
+      assert {:ok, _} =
+               of.(own)
+               |> SealedDocument.encode("prod", aboard.(own))
+               |> SealedDocument.decode("prod", own, hub)
+
+      theirs = SealedDocument.encode(of.(other), "prod", hub)
+      assert {:error, "its seal" <> _} = SealedDocument.decode(theirs, "prod", other, aboard.(own))
+
+      # Whatever is made of what it has: its key in the place of the other's, or of the common one, in the old form too.
+      stolen = Secret.new(Keys.derive(common, "prod", own))
+
+      for keys <- [aboard.(own), %Keys{common: stolen}, %Keys{common: stolen, own: %{other => stolen}}],
+          seal <- [&SealedDocument.encode/3, &former/3] do
+        assert {:error, "its seal" <> _} =
+                 of.(other) |> seal.("prod", keys) |> SealedDocument.decode("prod", other, hub)
+      end
+    end
+
+    refute Keys.derive(common, "prod", "A") == Keys.derive(common, "dev", "A")
+    refute Keys.derive(common, "a", "b-c") == Keys.derive(common, "a-b", "c")
+  end
+
+  # As earlier versions sealed all vehicles' documents.
+  defp former(document, environment, %Keys{common: key}) do
+    plain = Document.plain(document)
+    text = JSON.encode!(["aerie-shadow-1", environment, sorted(plain)])
+    seal = :hmac |> :crypto.mac(:sha256, Secret.reveal(key), text) |> Base.encode16(case: :lower)
+    JSON.encode!(Map.put(plain, "seal", seal))
+  end
+
+  defp sorted(map) when is_map(map), do: for({key, value} <- Enum.sort(map), do: [key, sorted(value)])
+  defp sorted(list) when is_list(list), do: Enum.map(list, &sorted/1)
+  defp sorted(value), do: value
+
+  test "documents of earlier versions are read, by the common key of then or the one that is named as the former" do
+    document = apply!(Document.new("A"), %{"mode" => "AUTO"})
+    before = former(document, "prod", key("old"))
+    assert {:former, %{version: 1}} = SealedDocument.decode(before, "prod", "A", key("old"))
+    assert {:error, "its seal" <> _} = SealedDocument.decode(before, "prod", "A", key("new"))
+    both = %{key("new") | former: Secret.new("old")}
+    assert {:former, %{version: 1}} = SealedDocument.decode(before, "prod", "A", both)
+    # The former key seals nothing of today.
+    today = SealedDocument.encode(document, "prod", key("old"))
+    assert {:error, "its seal" <> _} = SealedDocument.decode(today, "prod", "A", both)
   end
 
   test "whatever JSON comes, an update is taken or refused, and never raises" do

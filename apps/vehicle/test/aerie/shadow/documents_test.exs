@@ -342,7 +342,7 @@ defmodule Aerie.Shadow.DocumentsTest do
       assert %{
                "desired" => {64, 5, 0},
                "reported" => {32, 1, 0},
-               "leases" => {1, 1, 0},
+               "leases" => {4, 1, 0},
                "plans" => {32, 1, 0}
              } = limits(conn)
 
@@ -354,7 +354,7 @@ defmodule Aerie.Shadow.DocumentsTest do
         limits(conn) == %{
           "desired" => {3, 2, 0},
           "reported" => {2, 1, 12 * @hour},
-          "leases" => {1, 1, 0},
+          "leases" => {4, 1, 0},
           "plans" => {4, 1, 7 * 24 * @hour}
         }
       end)

@@ -9,7 +9,8 @@ defmodule Aerie.Shadow.UplinkTest do
   @moduletag :capture_log
   @id "A"
   @ops %{name: "ops", role: :admin, permissions: []}
-  @key {"shadow.key", "the key of the whole fleet"}
+  @common "the key of the whole fleet"
+  @key {"shadow.key", @common}
 
   setup %{tmp_dir: dir} = context do
     Process.flag(:trap_exit, true)
@@ -20,9 +21,12 @@ defmodule Aerie.Shadow.UplinkTest do
     start_shadow(hub, Path.join(dir, "hub"), [@key | url])
     leaf = start_bridge(HubServer.leaf(server, @id))
     HubServer.await_hub(leaf)
-    start_aboard(leaf, server, context[:key] || @key)
+    start_aboard(leaf, server, context[:key] || own_key())
     %{server: server, hub: hub, leaf: leaf}
   end
+
+  # The hub has the common key, a vehicle its own.
+  defp own_key, do: {"shadow.vehicle_key", Shadow.Keys.derive(@common, "test", @id)}
 
   defp start_aboard(leaf, server, key) do
     own = Path.join([server.set, "vehicles", @id])
@@ -92,7 +96,7 @@ defmodule Aerie.Shadow.UplinkTest do
     assert {:ok, %{"version" => 3}} = desire(leaf, %{"tags" => nil})
     # A restart of the gateway aboard does not forget what both had.
     stop_supervised!({:shadow, leaf})
-    start_aboard(leaf, server, @key)
+    start_aboard(leaf, server, own_key())
     # The leaf stays away while the hub is back.
     pid = server_pid(Path.join(server.dir, @id))
     {_text, 0} = System.cmd("kill", ["-STOP", pid])

@@ -4,7 +4,7 @@ defmodule Aerie.Bridge.Hub.Setup do
 
       DIR/fleet.json             who is in the fleet (public keys only)
       DIR/ca.key                 the authority's key; keep it where no server is
-      DIR/shadow.key             seals desired states (`shadow.key`); it is in each gateway.yaml
+      DIR/shadow.key             from which the keys are derived that seal desired states; it is in the hub's gateway.yaml
       DIR/hub/                   for the hub: hub.conf, accounts.conf, ca.pem, gateway.nk, gateway.yaml
       DIR/hub/HOST/              for each of its servers: server.conf, server.pem, server.key
       DIR/vehicles/ID/           for a vehicle: leaf.nk, ca.pem, gateway.yaml
@@ -13,7 +13,7 @@ defmodule Aerie.Bridge.Hub.Setup do
   only its public key is needed here.
   """
 
-  alias Aerie.Bridge.Hub.{Accounts, Certificates, Room}
+  alias Aerie.Bridge.Hub.{Accounts, Certificates, Room, VehicleKey}
   alias Aerie.PrivateFile
   alias Aerie.Settings.Types
 
@@ -50,10 +50,10 @@ defmodule Aerie.Bridge.Hub.Setup do
          :ok <- folders(dir, fleet),
          {:ok, fleet, gateway} <- gateway(dir, fleet, wish),
          {:ok, fleet, made} <- vehicles(dir, fleet, wish),
-         {:ok, key, told} <- shadow_key(dir, Map.keys(fleet["vehicles"]) -- made),
+         {:ok, keys, fleet, told} <- shadow_keys(dir, fleet, Map.keys(fleet["vehicles"]) -- made),
          :ok <- Certificates.authority(dir),
          {:ok, servers} <- servers(dir, fleet),
-         :ok <- files(dir, fleet, servers, made, key),
+         :ok <- files(dir, fleet, servers, made, keys),
          :ok <- save(dir, fleet) do
       {:ok, gateway ++ lines(dir, made, Map.get(wish, :revoked, [])) ++ told}
     end
@@ -139,22 +139,55 @@ defmodule Aerie.Bridge.Hub.Setup do
     end
   end
 
-  # Gateways heed desired states only of gateways with the same key.
-  defp shadow_key(dir, without) do
-    file = Path.join(dir, "shadow.key")
+  # Sets of before each vehicle had a key of its own have one for all. The hub reads by it what was sealed till then.
+  defp shadow_keys(dir, %{"sealing" => "vehicle"} = fleet, _without) do
+    with {:ok, key} <- key(Path.join(dir, "shadow.key")),
+         {:ok, former} <- kept(Path.join(dir, "shadow-former.key")),
+         do: {:ok, %{key: key, former: former}, fleet, []}
+  end
 
-    with {:error, :enoent} <- File.read(file),
+  defp shadow_keys(dir, fleet, without) do
+    former = Path.join(dir, "shadow-former.key")
+
+    with :ok <- moved(Path.join(dir, "shadow.key"), former),
+         {:ok, keys, fleet, []} <- shadow_keys(dir, Map.put(fleet, "sealing", "vehicle"), []),
+         :ok <- all(without, &own_key(dir, fleet["environment"], &1, keys.key)) do
+      told =
+        for id <- without,
+            do:
+              "#{id}: shadow.vehicle_key in its gateway.yaml is what #{Path.join([dir, "vehicles", id, "shadow.key"])} has, in the " <>
+                "place of shadow.key, which opened the desired states of all vehicles"
+
+      {:ok, keys, fleet, told}
+    end
+  end
+
+  defp moved(file, former) do
+    case File.rename(file, former) do
+      {:error, :enoent} -> :ok
+      result -> said(result, former)
+    end
+  end
+
+  defp own_key(dir, environment, id, common) do
+    file = Path.join([dir, "vehicles", id, "shadow.key"])
+
+    with :ok <- said(PrivateFile.folder(Path.dirname(file)), file),
+         do: said(PrivateFile.write(file, VehicleKey.derive(common, environment, id) <> "\n"), file)
+  end
+
+  defp key(file) do
+    with {:ok, nil} <- kept(file),
          key = Base.encode16(:crypto.strong_rand_bytes(32), case: :lower),
-         :ok <- said(PrivateFile.write(file, key <> "\n"), file) do
-      {:ok, key,
-       for(
-         id <- without,
-         do: "#{id}: put shadow.key of #{Path.join(dir, "hub")}/gateway.yaml into its gateway.yaml, too"
-       )}
-    else
-      {:ok, text} -> {:ok, String.trim(text), []}
-      {:error, reason} when is_atom(reason) -> {:error, "cannot read #{file}: #{:file.format_error(reason)}"}
-      error -> error
+         :ok <- said(PrivateFile.write(file, key <> "\n"), file),
+         do: {:ok, key}
+  end
+
+  defp kept(file) do
+    case File.read(file) do
+      {:ok, text} -> {:ok, String.trim(text)}
+      {:error, :enoent} -> {:ok, nil}
+      {:error, reason} -> {:error, "cannot read #{file}: #{:file.format_error(reason)}"}
     end
   end
 
@@ -189,7 +222,7 @@ defmodule Aerie.Bridge.Hub.Setup do
          do: {:ok, folders}
   end
 
-  defp files(dir, fleet, servers, made, key) do
+  defp files(dir, fleet, servers, made, keys) do
     %{"environment" => environment, "hosts" => hosts, "ports" => ports} = fleet
     {:ok, authority} = File.read(Path.join(dir, "ca.pem"))
     accounts = Accounts.render(environment, fleet["gateway"], Enum.sort(fleet["vehicles"]))
@@ -199,7 +232,13 @@ defmodule Aerie.Bridge.Hub.Setup do
 
     gateway =
       {"hub/gateway.yaml",
-       hub_yaml(environment, urls.(ports["client"]), length(hosts), Room.of(map_size(fleet["vehicles"])), key)}
+       hub_yaml(
+         environment,
+         urls.(ports["client"]),
+         length(hosts),
+         Room.of(map_size(fleet["vehicles"])),
+         keys
+       )}
 
     own =
       for {host, _folder} <- servers,
@@ -209,7 +248,8 @@ defmodule Aerie.Bridge.Hub.Setup do
       for id <- made,
           {name, text} <- [
             {"ca.pem", authority},
-            {"gateway.yaml", vehicle_yaml(environment, id, urls.(ports["leaf"]), key)}
+            {"gateway.yaml",
+             vehicle_yaml(environment, id, urls.(ports["leaf"]), VehicleKey.derive(keys.key, environment, id))}
           ],
           do: {"vehicles/#{id}/#{name}", text}
 
@@ -248,7 +288,7 @@ defmodule Aerie.Bridge.Hub.Setup do
 
   defp address(host), do: if(String.contains?(host, ":"), do: "[#{host}]", else: host)
 
-  defp hub_yaml(environment, urls, servers, room, key) do
+  defp hub_yaml(environment, urls, servers, room, keys) do
     """
     # The gateway of the hub: files beside this one.
     environment: #{environment}
@@ -264,7 +304,8 @@ defmodule Aerie.Bridge.Hub.Setup do
         event_max_mb: #{room.event_mb}
         state_max_mb: #{room.state_mb}
     shadow:
-      key: #{JSON.encode!(key)}
+      key: #{JSON.encode!(keys.key)}
+      #{if keys.former, do: "former_key: #{JSON.encode!(keys.former)}"}
       buckets:
         desired_max_mb: #{room.desired_mb}
         reported_max_mb: #{room.reported_mb}
@@ -283,7 +324,7 @@ defmodule Aerie.Bridge.Hub.Setup do
         tls:
           ca_file: ca.pem
     shadow:
-      key: #{JSON.encode!(key)}
+      vehicle_key: #{JSON.encode!(key)}
     """
   end
 

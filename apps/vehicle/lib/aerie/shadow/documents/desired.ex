@@ -28,8 +28,9 @@ defmodule Aerie.Shadow.Documents.Desired do
 
   defp load_copy(%{kept: kept} = state, vehicle) do
     with text when is_binary(text) <- Copy.read(state.dir, vehicle),
-         {:ok, document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.key) do
+         {kind, %Document{} = document} <- SealedDocument.decode(text, kept.environment, vehicle, kept.keys) do
       :ets.insert(state.table, {{:document, vehicle}, document})
+      state = if kind == :former, do: copy(state, document), else: state
       tagged(state, document)
     else
       {:error, why} -> problem(state, "the copy of #{vehicle}'s desired state is not used: #{why}")
@@ -71,13 +72,7 @@ defmodule Aerie.Shadow.Documents.Desired do
       document.version > known.version ->
         :ets.insert(state.table, {{:document, document.vehicle}, document})
         if loop = state.loops[document.vehicle], do: send(loop, {:desired, document})
-        text = SealedDocument.encode(document, state.kept.environment, state.kept.key)
-        state = tagged(state, document)
-
-        case Copy.write(state.dir, document.vehicle, text) do
-          :ok -> state
-          {:error, why} -> problem(state, why)
-        end
+        state |> tagged(document) |> copy(document)
 
       document.version < known.version ->
         Metrics.count(state.gateway, :documents_refused)
@@ -85,6 +80,15 @@ defmodule Aerie.Shadow.Documents.Desired do
 
       true ->
         state
+    end
+  end
+
+  defp copy(%{kept: kept} = state, document) do
+    text = SealedDocument.encode(document, kept.environment, kept.keys)
+
+    case Copy.write(state.dir, document.vehicle, text) do
+      :ok -> state
+      {:error, why} -> problem(state, why)
     end
   end
 
@@ -109,12 +113,19 @@ defmodule Aerie.Shadow.Documents.Desired do
   end
 
   defp received(state, vehicle, value, heard_here?) do
-    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.key) do
+    case SealedDocument.decode(value, state.kept.environment, vehicle, state.kept.keys) do
       {:ok, document} when heard_here? -> accept(state, document)
       {:ok, document} -> tagged(state, document)
+      {:former, document} -> former(state, document, heard_here?)
       {:error, why} when heard_here? -> refused(state, vehicle, why)
       {:error, _no_gateway_of_ours} -> state
     end
+  end
+
+  # Reading it seals it anew.
+  defp former(state, document, heard_here?) do
+    _ = if state.conn, do: Buckets.read(state.conn, state.kept, document.vehicle)
+    if heard_here?, do: accept(state, document), else: tagged(state, document)
   end
 
   defp refused(state, vehicle, why) do

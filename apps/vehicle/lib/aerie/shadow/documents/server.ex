@@ -10,7 +10,7 @@ defmodule Aerie.Shadow.Documents.Server do
 
   alias Aerie.{Bridge, Names, Nats}
   alias Aerie.Bridge.LastPublished
-  alias Aerie.Shadow.{Buckets, Copy, Lease, Settings}
+  alias Aerie.Shadow.{Buckets, Copy, Keys, Lease, Settings}
   alias Aerie.Shadow.Documents.{Desired, Ownership}
   alias Aerie.Store.PubSub
   alias Aerie.TokenBucket
@@ -34,10 +34,11 @@ defmodule Aerie.Shadow.Documents.Server do
     Logger.metadata(gateway: inspect(gateway))
     dir = Path.expand(settings.dir)
     {folder, problem} = open(dir, settings.key)
+    keys = %Keys{common: folder.key, former: settings.former_key, own: own(settings)}
     table = :ets.new(:shadow, [:set, :protected, read_concurrency: true])
     local? = bridge.nats.mode == :off
 
-    kept = %{table: table, local?: local?, environment: bridge.environment, key: folder.key, dir: dir}
+    kept = %{table: table, local?: local?, environment: bridge.environment, keys: keys, dir: dir}
     Names.put_value(gateway, :shadow_documents, kept)
     :ok = PubSub.subscribe(gateway, :bridge)
 
@@ -62,6 +63,9 @@ defmodule Aerie.Shadow.Documents.Server do
     schedule(state)
     {:ok, state |> Desired.problem(problem) |> Ownership.authorities(), {:continue, :connect}}
   end
+
+  defp own(%{vehicle_key: nil}), do: %{}
+  defp own(%{vehicle_key: key, bridge: %{vehicle: %{identity: %{vehicle_id: id}}}}), do: %{id => key}
 
   defp open(dir, key) do
     case Copy.open(dir, key) do

@@ -39,14 +39,16 @@ defmodule Aerie.Bridge.HubCutOffTest do
     %{hub: hub, fleet: fleet, leaves: leaves} = start(dir, 1)
     client = conn(hub)
     commit(fleet, "G", 1..10)
-    await_stored(client, 10)
+    # The gateway makes a vehicle's stream with its first event.
+    make(leaves, 1..1)
+    await_stored(client, 11)
     slow = Bridge.connection(fleet)
     {:ok, _} = Gnat.sub(slow, self(), "fleet.test.*.raw.in")
     :sys.suspend(slow, Aerie.Patience.ms())
     # What it publishes goes nowhere now, and what the others do goes on.
     commit(fleet, "G", 11..60)
     flood(client)
-    make(leaves, 1..100)
+    make(leaves, 2..100)
     await_stored(client, 110)
     await_log(hub, "Slow Consumer")
     :sys.resume(slow, Aerie.Patience.ms())

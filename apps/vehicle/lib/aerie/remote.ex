@@ -100,14 +100,20 @@ defmodule Aerie.Remote do
         {:unknown, "the connection to NATS was lost while it was under way"}
     after
       @look_ms ->
-        case Fleet.Remote.vehicle(gateway, snapshot.id, System.os_time(:microsecond)) do
-          %{status: status} when status != :lost ->
-            wait(task, gateway, snapshot, progress)
-
-          _cut ->
-            {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
-        end
+        if there?(gateway, snapshot),
+          do: wait(task, gateway, snapshot, progress),
+          else: {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
     end
+  end
+
+  # This gateway hears the vehicle, too, and the other one holds it (`Aerie.Commands.Held`).
+  defp there?(_gateway, %{holds?: holds?}), do: holds?.()
+
+  defp there?(gateway, snapshot) do
+    match?(
+      %{status: status} when status != :lost,
+      Fleet.Remote.vehicle(gateway, snapshot.id, System.os_time(:microsecond))
+    )
   end
 
   defp answer({:ok, %{body: text}}, snapshot) do

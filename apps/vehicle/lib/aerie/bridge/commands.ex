@@ -3,7 +3,7 @@ defmodule Aerie.Bridge.Commands do
   Commands by NATS: request and reply on `fleet.{environment}.{vehicle}.cmd.{type}`, in no stream.
 
   The gateway listens for the vehicles that it has heard, so a request for any other one is answered by the server (no
-  responders). Gateways that hear the same vehicle share its subject (queue group): one of them gets each message.
+  responders). Of several gateways that hear the same vehicle the one that holds it listens (`Aerie.Shadow.Holder`); the others leave it.
 
   So are requests for parameters, plans, files and logs (`Aerie.Bridge.Commands.Transfers`), on subjects with their own area in the place of
   `cmd`.
@@ -41,10 +41,12 @@ defmodule Aerie.Bridge.Commands do
   def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles, :infinity)
 
   @doc """
-  Leaves vehicles to other gateways, by their ids: this one's links have lost them, and others hear them. Until it is told otherwise.
+  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, this one's links have lost them, and
+  others hear them; `:holder`, this one does not hold them.
   """
-  @spec leave(Names.gateway(), MapSet.t(String.t())) :: :ok
-  def leave(gateway, ids), do: GenServer.cast(Names.via(gateway, :bridge_commands), {:leave, ids})
+  @spec leave(Names.gateway(), :heard | :holder, MapSet.t(String.t())) :: :ok
+  def leave(gateway, why, ids),
+    do: GenServer.cast(Names.via(gateway, :bridge_commands), {:leave, why, ids})
 
   @impl GenServer
   def init(options) do
@@ -62,7 +64,7 @@ defmodule Aerie.Bridge.Commands do
       running: %{},
       conn: nil,
       subscribed: %{},
-      left: MapSet.new()
+      left: %{}
     }
 
     case Connection.current(tables) do
@@ -75,9 +77,9 @@ defmodule Aerie.Bridge.Commands do
   def handle_call(:vehicles, _from, state), do: {:reply, Enum.sort(Map.keys(state.subscribed)), state}
 
   @impl GenServer
-  def handle_cast({:leave, ids}, %{left: left} = state) do
-    changed = MapSet.symmetric_difference(ids, left)
-    {:noreply, Enum.reduce(changed, %{state | left: ids}, &look/2)}
+  def handle_cast({:leave, why, ids}, %{left: left} = state) do
+    changed = MapSet.symmetric_difference(ids, Map.get(left, why, MapSet.new()))
+    {:noreply, Enum.reduce(changed, %{state | left: Map.put(left, why, ids)}, &look/2)}
   end
 
   @impl GenServer
@@ -131,7 +133,9 @@ defmodule Aerie.Bridge.Commands do
   defp look(_id, %{conn: nil} = state), do: state
 
   defp look(id, state) do
-    case {if(id not in state.left, do: Store.vehicle(state.gateway, id)), state.subscribed} do
+    left? = Enum.any?(state.left, fn {_why, ids} -> id in ids end)
+
+    case {if(not left?, do: Store.vehicle(state.gateway, id)), state.subscribed} do
       {nil, %{^id => sids}} ->
         for sid <- sids, do: _ = Nats.unsub(state.conn, sid)
         %{state | subscribed: Map.delete(state.subscribed, id)}

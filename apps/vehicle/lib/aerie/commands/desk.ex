@@ -50,9 +50,16 @@ defmodule Aerie.Commands.Desk do
           work?: boolean()
         }
 
-  @doc "`:elsewhere`: the way to vehicles of other gateways (`Aerie.Commands.Elsewhere`)."
-  @spec start_link(gateway: Names.gateway(), settings: Settings.t(), elsewhere: module() | nil) ::
-          GenServer.on_start()
+  @doc """
+  `:elsewhere`: the way to vehicles of other gateways (`Aerie.Commands.Elsewhere`); `:holder`: who holds a vehicle
+  (`Aerie.Commands.Holder`).
+  """
+  @spec start_link(
+          gateway: Names.gateway(),
+          settings: Settings.t(),
+          elsewhere: module() | nil,
+          holder: module() | nil
+        ) :: GenServer.on_start()
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_desk))
 
@@ -98,7 +105,8 @@ defmodule Aerie.Commands.Desk do
   end
 
   @impl GenServer
-  def init(gateway: gateway, settings: settings, elsewhere: elsewhere) do
+  def init(options) do
+    %{gateway: gateway, settings: settings, elsewhere: elsewhere, holder: holder} = Map.new(options)
     Process.set_label({:command_desk, gateway})
     Recent.abandoned(gateway)
     Names.put_value(gateway, :command_desk, %{elsewhere: elsewhere, grace_ms: settings.grace_ms})
@@ -108,6 +116,7 @@ defmodule Aerie.Commands.Desk do
        gateway: gateway,
        settings: settings,
        elsewhere: elsewhere,
+       holder: holder,
        jobs: %{},
        tasks: %{},
        rate: Rate.new(),
@@ -231,7 +240,8 @@ defmodule Aerie.Commands.Desk do
         ledger_required?: state.settings.ledger.required,
         urgent_ms: state.settings.urgent_ms,
         record_ms: state.settings.record_ms,
-        elsewhere: state.elsewhere
+        elsewhere: state.elsewhere,
+        holder: state.holder
       }
 
       task = Task.Supervisor.async_nolink(tasks(state), Passage, :run, [request, environment])

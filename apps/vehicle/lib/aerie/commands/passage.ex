@@ -1,7 +1,7 @@
 defmodule Aerie.Commands.Passage do
   @moduledoc """
-  The way of one command through the door: known id, rate, vehicle, ledger, policy, audit log, ledger again, executor, ledger,
-  audit log. Runs in a task of its own; the deadline is checked between steps.
+  The way of one command through the door: known id, rate, vehicle, who holds it, ledger, policy, audit log, claim of the id, ledger
+  again, executor, ledger, audit log. Runs in a task of its own; the deadline is checked between steps.
 
   `unrecorded/3` decides what happens if ledger or audit log cannot be written: the command is denied, unless it holds the
   vehicle or brings it down, or the configuration says otherwise. Such a command waits only `commands.urgent_s` for either of them.
@@ -9,13 +9,13 @@ defmodule Aerie.Commands.Passage do
 
   alias Aerie.{Command, Fleet, Ledger, Names, Policy, Store, Vehicle}
   alias Aerie.Command.Result
-  alias Aerie.Commands.{Desk, Elsewhere, Record, SetpointsFirst}
+  alias Aerie.Commands.{Desk, Elsewhere, Held, Record, SetpointsFirst}
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
 
   @typedoc """
   Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
   vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to
-  vehicles of other gateways.
+  vehicles of other gateways; `holder`: how it is known which gateway holds a vehicle, nil if this one is alone.
   """
   @type environment :: %{
           gateway: Names.gateway(),
@@ -23,7 +23,8 @@ defmodule Aerie.Commands.Passage do
           ledger_required?: boolean(),
           urgent_ms: pos_integer(),
           record_ms: pos_integer(),
-          elsewhere: module() | nil
+          elsewhere: module() | nil,
+          holder: module() | nil
         }
 
   @doc "Brings a command to its result, which is in ledger, audit log and metrics then."
@@ -44,14 +45,17 @@ defmodule Aerie.Commands.Passage do
     with :new <- known(way),
          :ok <- rate(way),
          {:ok, snapshot} <- vehicle(way),
+         {:ok, snapshot, holding} <- Held.look(way, snapshot),
+         {:ok, snapshot} <- reachable(way, snapshot),
          :ok <- in_time(way),
          :ok <- admit(way),
-         {:admitted, :ok} <- {:admitted, allowed(way, snapshot)} do
+         {:admitted, {:ok, promise}} <- {:admitted, allowed(way, snapshot, holding)} do
       commanded(way)
-      way |> carry_out(snapshot) |> finish(way)
+      way |> carry_out(snapshot) |> Held.done(way, promise) |> finish(way)
     else
       {:stored, result} -> result
       {:stop, status, rule, reason} -> Record.refused(way.gateway, request, status, rule, reason)
+      {:admitted, {:known, result}} -> finish(result, way)
       {:admitted, {:stop, status, rule, reason}} -> stop(way, status, rule, reason)
     end
   end
@@ -113,16 +117,15 @@ defmodule Aerie.Commands.Passage do
 
   defp vehicle(way) do
     case known_vehicle(way) do
-      nil ->
-        {:stop, :rejected, :vehicle, "there is no vehicle #{way.command.vehicle}"}
-
-      %{via: via} when via != nil and way.request.work != nil and way.request.work.elsewhere == nil ->
-        {:stop, :rejected, :elsewhere, Elsewhere.only(via)}
-
-      snapshot ->
-        {:ok, snapshot}
+      nil -> {:stop, :rejected, :vehicle, "there is no vehicle #{way.command.vehicle}"}
+      snapshot -> {:ok, snapshot}
     end
   end
+
+  defp reachable(%{request: %{work: %{elsewhere: nil}}}, %{via: via}) when via != nil,
+    do: {:stop, :rejected, :elsewhere, Elsewhere.only(via)}
+
+  defp reachable(_way, snapshot), do: {:ok, snapshot}
 
   # What another gateway passed on is not passed on again.
   defp known_vehicle(%{elsewhere: elsewhere, request: %{via: via}} = way)
@@ -146,8 +149,13 @@ defmodule Aerie.Commands.Passage do
     end
   end
 
-  defp allowed(way, snapshot) do
-    with :ok <- decide(way, snapshot), :ok <- setpoints(way, snapshot), :ok <- in_time(way), do: sending(way)
+  defp allowed(way, snapshot, holding) do
+    with :ok <- decide(way, snapshot),
+         :ok <- setpoints(way, snapshot),
+         :ok <- in_time(way),
+         {:ok, holding} <- Held.claim(way, holding),
+         :ok <- sending(way),
+         do: Held.send?(way, holding)
   end
 
   defp setpoints(_way, %{via: via}) when via != nil, do: :ok

@@ -10,8 +10,11 @@ defmodule Aerie.Commands.Supervisor do
   alias Aerie.Commands.{Control, Desk, Recovery, Settings}
   alias Aerie.{Ledger, Names}
 
-  @doc "`:elsewhere`: the way to vehicles of other gateways (`Aerie.Commands.Elsewhere`); without one there are none."
-  @spec start_link(gateway: Names.gateway(), settings: Settings.t(), elsewhere: module()) ::
+  @doc """
+  `:elsewhere`: the way to vehicles of other gateways (`Aerie.Commands.Elsewhere`); without one there are none. `:holder`: who holds
+  a vehicle (`Aerie.Commands.Holder`); without one this gateway is alone.
+  """
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t(), elsewhere: module(), holder: module()) ::
           Supervisor.on_start()
   def start_link(options),
     do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_door))
@@ -30,7 +33,8 @@ defmodule Aerie.Commands.Supervisor do
          max_entries: ledger.max_entries,
          max_age_s: round(ledger.max_age_s)},
         {Task.Supervisor, name: Names.via(gateway, :command_tasks)},
-        {Desk, gateway: gateway, settings: settings, elsewhere: options[:elsewhere]},
+        {Desk,
+         gateway: gateway, settings: settings, elsewhere: options[:elsewhere], holder: options[:holder]},
         {Recovery, gateway: gateway},
         {Control, gateway: gateway}
       ],

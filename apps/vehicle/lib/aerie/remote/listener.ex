@@ -217,7 +217,7 @@ defmodule Aerie.Remote.Listener do
           into: MapSet.new(),
           do: id
 
-    if elsewhere != state.elsewhere, do: Commands.leave(state.gateway, elsewhere)
+    if elsewhere != state.elsewhere, do: Commands.leave(state.gateway, :heard, elsewhere)
     %{state | own: own, elsewhere: elsewhere}
   end
 

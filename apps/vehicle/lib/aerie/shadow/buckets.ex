@@ -8,6 +8,7 @@ defmodule Aerie.Shadow.Buckets do
   | `fleet_reported` | `{env}.{vehicle}` | the reported document (`Aerie.Shadow.Report`) |
   | `fleet_leases` | `{env}.gateways.{name}` | the heartbeat of a gateway |
   | | `{env}.vehicles.{vehicle}` | the name of the gateway that acts on it |
+  | `fleet_commands` | `{env}.{vehicle}.{id}` | the gateway that sends a command, and what became of it (`Aerie.Shadow.Holder`) |
   | `fleet_plans` | SHA-256 of the file | a `.plan` file |
 
   Sizes, ages, history and copies are in the configuration (`shadow.buckets`, `nats.streams.replicas`). A bucket that differs is changed on
@@ -24,6 +25,7 @@ defmodule Aerie.Shadow.Buckets do
   @reported "fleet_reported"
   @leases "fleet_leases"
   @plans "fleet_plans"
+  @commands "fleet_commands"
   @mb 1_048_576
   # A name, with the headers of the message.
   @lease_bytes 1_024
@@ -56,6 +58,9 @@ defmodule Aerie.Shadow.Buckets do
            max_msg_size: 2 * Report.max_bytes(),
            max_age: nanoseconds(limits.reported_max_age_days)},
           {@leases, max_bytes: 4 * @mb, max_msg_size: @lease_bytes},
+          # As long as a ledger knows a command. The oldest go if there are too many.
+          {@commands,
+           discard: :old, max_bytes: 16 * @mb, max_msg_size: @lease_bytes * 2, max_age: nanoseconds(1)},
           {@plans, max_bytes: limits.plans_max_mb * @mb, max_age: nanoseconds(limits.plans_max_age_days)}
         ],
         do: KV.stream(bucket, [num_replicas: replicas] ++ limits)
@@ -295,6 +300,34 @@ defmodule Aerie.Shadow.Buckets do
       {:error, reason} -> {:error, Nats.text(reason)}
     end
   end
+
+  @doc "Claims a command by its vehicle and id: `{:taken, value}` if somebody did before."
+  @spec claim_command(
+          Nats.conn(),
+          String.t(),
+          {String.t(), String.t()},
+          iodata(),
+          timeout_ms :: pos_integer()
+        ) ::
+          :ok | {:taken, binary()} | {:error, String.t()}
+  def claim_command(conn, environment, command, value, timeout_ms) do
+    "$KV.#{@commands}." <> key = command_subject(environment, command)
+
+    case KV.put(conn, @commands, key, value, expected: 0, timeout: timeout_ms) do
+      :ok -> :ok
+      :lost_race -> claimed(KV.get(conn, @commands, key, timeout: timeout_ms))
+      {:error, reason} -> {:error, Nats.text(reason)}
+    end
+  end
+
+  defp claimed({:ok, value, _revision}), do: {:taken, value}
+  defp claimed({:none, _revision}), do: {:taken, ""}
+  defp claimed({:error, reason}), do: {:error, Nats.text(reason)}
+
+  @doc "The subject of a command's key. An id is any text."
+  @spec command_subject(String.t(), {vehicle :: String.t(), id :: String.t()}) :: String.t()
+  def command_subject(environment, {vehicle, id}),
+    do: "$KV.#{@commands}.#{environment}.#{vehicle}.#{Base.url_encode64(id, padding: false)}"
 
   @doc "Gives a vehicle up if this gateway owns it."
   @spec release(Nats.conn(), String.t(), String.t(), instance :: String.t()) :: :ok

@@ -50,6 +50,29 @@ defmodule Aerie.Shadow.Documents do
     end
   end
 
+  @doc "Who holds a vehicle (`Aerie.Commands.Holding`): by both clocks, because a machine that was suspended counts too little on one of them."
+  @spec holder(Names.gateway(), String.t()) :: Aerie.Commands.Holding.holder()
+  def holder(gateway, vehicle), do: if(Bridge.off?(gateway), do: :alone, else: held(gateway, vehicle))
+
+  defp held(gateway, vehicle) do
+    case row(gateway, {:holder, vehicle}) do
+      {:mine, until, wall} ->
+        if System.os_time(:millisecond) < wall,
+          do: {:mine, until},
+          else: {:unknown, "its lease has to be renewed"}
+
+      nil ->
+        {:unknown, "it is not known yet which gateway holds the vehicle"}
+
+      other ->
+        other
+    end
+  end
+
+  @doc "The name by which this gateway claims vehicles and commands; nil while the shadow does not run."
+  @spec instance(Names.gateway()) :: String.t() | nil
+  def instance(gateway), do: row(gateway, :instance)
+
   ## For readers and writers
 
   @doc "The desired document of a vehicle as known here, without asking NATS; version 0 if there is none."

@@ -39,8 +39,8 @@ defmodule Aerie.Shadow.Settings do
   setting :without_nats,
           {:enum, [:hold, :act]},
           """
-          What the shadow does while the servers of NATS cannot be reached: hold, because another gateway may have taken over, or act,
-          for a gateway that is the only one to hear its vehicles.
+          What the shadow does while the servers at nats.url cannot be reached, and what becomes of commands: hold, because another
+          gateway may have taken over, so no command is sent; or act, for a gateway that is the only one to hear its vehicles.
           """,
           default: :hold
 

@@ -4,6 +4,7 @@ defmodule Aerie.Shadow.Documents.Ownership do
   `Aerie.Shadow.Documents.Server`, their only caller.
   """
 
+  alias Aerie.Bridge
   alias Aerie.Shadow.{Buckets, Lease}
 
   @max_claims 50
@@ -72,9 +73,61 @@ defmodule Aerie.Shadow.Documents.Ownership do
   @doc "Records who may act; loops read this before they act."
   @spec authorities(state()) :: state()
   def authorities(state) do
-    rows = for vehicle <- Map.keys(state.loops), do: {{:authority, vehicle}, may_act(state, vehicle)}
-    :ets.insert(state.table, rows)
+    vehicles = Map.keys(state.loops)
+    rows = for vehicle <- vehicles, do: {{:authority, vehicle}, may_act(state, vehicle)}
+    holders = for vehicle <- vehicles, do: {{:holder, vehicle}, held(state, vehicle)}
+    :ets.insert(state.table, rows ++ holders)
+
+    # Requests by NATS are answered by the gateway that holds the vehicle, and by no other one.
+    others =
+      for {{:holder, vehicle}, holder} <- holders,
+          holder != :alone and not match?({:mine, _until, _wall}, holder),
+          into: MapSet.new(),
+          do: vehicle
+
+    unless state.kept.local?, do: Bridge.Commands.leave(state.gateway, :holder, others)
     state
+  end
+
+  # Who holds a vehicle, for commands (`Aerie.Shadow.Holder`).
+  defp held(%{kept: %{local?: true}}, _vehicle), do: :alone
+  defp held(%{conn: nil, settings: %{without_nats: :act}}, _vehicle), do: :alone
+
+  defp held(state, vehicle) do
+    now = monotonic()
+    own_server? = state.settings.bridge.nats.mode == :embedded
+
+    case holder(state, vehicle) do
+      {:mine, until} ->
+        if own_server?, do: :alone, else: {:mine, until, System.os_time(:millisecond) + until - now}
+
+      {:other, id} ->
+        # Whoever uses this server cannot renew its lease while it is away.
+        if own_server? and state.conn == nil and Lease.gone?(state.lease, id, now),
+          do: :alone,
+          else: {:other, Map.get(state.names, id, id)}
+
+      :none ->
+        unheld(state, vehicle, own_server?)
+    end
+  end
+
+  # Of a server of our own we know who else uses it, once we have asked for the lease.
+  defp unheld(state, vehicle, true) do
+    if state.conn != nil and MapSet.member?(state.lease.wanted, vehicle),
+      do: {:unknown, "the lease of the vehicle is being asked for"},
+      else: :alone
+  end
+
+  defp unheld(%{conn: nil}, _vehicle, false),
+    do:
+      {:unknown,
+       "NATS is away, so another gateway may hold the vehicle (shadow.without_nats: act, for a gateway that is the only one to hear it)"}
+
+  defp unheld(state, vehicle, false) do
+    if MapSet.member?(state.lease.wanted, vehicle),
+      do: {:unknown, "it is not known yet which gateway holds the vehicle"},
+      else: {:unknown, "this gateway does not hear the vehicle, so it does not hold it"}
   end
 
   # nil, an atom, is greater than any number, and means without end.

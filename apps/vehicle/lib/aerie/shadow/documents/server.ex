@@ -39,6 +39,7 @@ defmodule Aerie.Shadow.Documents.Server do
     local? = bridge.nats.mode == :off
 
     kept = %{table: table, local?: local?, environment: bridge.environment, keys: keys, dir: dir}
+    :ets.insert(table, {:instance, folder.instance})
     Names.put_value(gateway, :shadow_documents, kept)
     :ok = PubSub.subscribe(gateway, :bridge)
 
@@ -263,7 +264,7 @@ defmodule Aerie.Shadow.Documents.Server do
   defp left(state, vehicle) do
     lease = Lease.want(state.lease, vehicle, false)
     state = give_up(%{state | lease: lease}, vehicle)
-    for what <- [:document, :reported, :authority], do: :ets.delete(state.table, {what, vehicle})
+    for what <- [:document, :reported, :authority, :holder], do: :ets.delete(state.table, {what, vehicle})
     %{state | loops: Map.delete(state.loops, vehicle), reports: Map.delete(state.reports, vehicle)}
   end
 

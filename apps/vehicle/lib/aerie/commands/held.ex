@@ -1,0 +1,92 @@
+defmodule Aerie.Commands.Held do
+  @moduledoc """
+  The steps of `Aerie.Commands.Passage` that concern other gateways which hear the same vehicle: asks what `Aerie.Commands.Holding` wants to
+  know, of `Aerie.Commands.Holder`, and does what it decides.
+  """
+
+  alias Aerie.Command.Result
+  alias Aerie.Commands.Holding
+
+  # For a claim that nobody needs.
+  @alone_ms 500
+
+  @type way :: map()
+  @type stop :: {:stop, Result.status(), rule :: atom(), reason :: String.t()}
+
+  @doc """
+  Finds out who holds the vehicle. If another gateway does, the snapshot is that of a vehicle which is reached by that one (`:via`); such a
+  command, and one for a vehicle that is not heard here, needs no claim of this gateway (nil).
+  """
+  @spec look(way(), snapshot :: map()) :: {:ok, map(), Holding.t() | nil} | stop()
+  def look(%{holder: nil}, snapshot), do: {:ok, snapshot, nil}
+  def look(_way, %{via: via} = snapshot) when via != nil, do: {:ok, snapshot, nil}
+
+  def look(%{request: request, patience: patience} = way, snapshot),
+    do: look(way, snapshot, Holding.new(now() + patience, request.via == "nats"))
+
+  defp look(way, snapshot, holding) do
+    case Holding.handle(holding, {:holder, holder(way), now()}) do
+      {holding, :go_on} -> {:ok, snapshot, holding}
+      {_over, {:pass_on, name}} -> pass_on(way, snapshot, name)
+      {_over, {:refuse, rule, why}} -> refuse(rule, why)
+      {holding, {:again, ms}} -> receive(do: (:never -> nil), after: (ms -> look(way, snapshot, holding)))
+    end
+  end
+
+  defp pass_on(%{elsewhere: nil}, _snapshot, name),
+    do: refuse(:holder, "the gateway #{name} holds the vehicle")
+
+  # It goes on being its way for as long as the other one holds it.
+  defp pass_on(%{holder: holder, gateway: gateway}, %{id: id} = snapshot, name) do
+    holds? = fn -> match?({:other, ^name}, holder.holder(gateway, id)) end
+    {:ok, Map.merge(snapshot, %{via: name, holds?: holds?}), nil}
+  end
+
+  @doc "Claims the id of a command that this gateway is to send."
+  @spec claim(way(), Holding.t() | nil) :: {:ok, Holding.t() | nil} | {:known, Result.t()} | stop()
+  def claim(_way, nil), do: {:ok, nil}
+
+  def claim(%{holder: holder, command: command} = way, holding) do
+    with {holding, :claim} <- Holding.handle(holding, {:holder, holder(way), now()}),
+         patience = if(holding.lease == :alone, do: min(@alone_ms, way.patience), else: way.patience),
+         claimed = holder.claim(way.gateway, command.vehicle, command.id, patience),
+         {holding, :go_on} <- Holding.handle(holding, {:claimed, claimed}) do
+      {:ok, holding}
+    else
+      {_over, {:known, %{result: %Result{} = result}}} -> {:known, result}
+      {_over, {:known, %{by: by}}} -> {:known, unknown(command, by)}
+      {_over, {:refuse, rule, why}} -> refuse(rule, why)
+    end
+  end
+
+  defp unknown(%{id: id}, by),
+    do:
+      Result.new(id, :unknown, "the gateway #{by} had this command, and what became of it is not known here")
+
+  @doc "Whether it may be sent now, and what then holds: that no gateway of the fleet sends it again, or that this one does not."
+  @spec send?(way(), Holding.t() | nil) :: {:ok, :fleet | :gateway | nil} | stop()
+  def send?(_way, nil), do: {:ok, nil}
+
+  def send?(way, holding) do
+    case Holding.handle(holding, {:send?, holder(way), now()}) do
+      {_over, {:send, promise}} -> {:ok, promise}
+      {_over, {:refuse, rule, why}} -> refuse(rule, why)
+    end
+  end
+
+  @doc "Tells the others of the result, and says in it what holds."
+  @spec done(Result.t(), way(), :fleet | :gateway | nil) :: Result.t()
+  def done(result, _way, nil), do: result
+
+  def done(result, %{holder: holder} = way, promise) do
+    result = %{result | details: Map.put(result.details, "once", Atom.to_string(promise))}
+    :ok = holder.done(way.gateway, way.command.vehicle, result)
+    result
+  end
+
+  defp holder(%{holder: holder, gateway: gateway, command: command}),
+    do: holder.holder(gateway, command.vehicle)
+
+  defp refuse(rule, why), do: {:stop, :denied, rule, why <> "; nothing was sent"}
+  defp now, do: System.monotonic_time(:millisecond)
+end

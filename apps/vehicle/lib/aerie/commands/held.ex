@@ -74,6 +74,25 @@ defmodule Aerie.Commands.Held do
     end
   end
 
+  @doc """
+  Whether the vehicle is still held, for the executor of a command that sends more than one message; nil if no other gateway can hold it.
+  `:promise` of the way is what `send?/2` said.
+  """
+  @spec still?(way()) :: (-> boolean()) | nil
+  def still?(%{promise: nil}), do: nil
+  # Its shadow may be restarting, so that it knows nothing for a moment.
+  def still?(%{promise: :gateway} = way), do: fn -> not match?({:other, _name}, holder(way)) end
+
+  def still?(way) do
+    fn ->
+      case holder(way) do
+        :alone -> true
+        {:mine, until} -> now() < until
+        _other_or_unknown -> false
+      end
+    end
+  end
+
   @doc "Tells the others of the result, and says in it what holds."
   @spec done(Result.t(), way(), :fleet | :gateway | nil) :: Result.t()
   def done(result, _way, nil), do: result

@@ -51,7 +51,7 @@ defmodule Aerie.Commands.Passage do
          :ok <- admit(way),
          {:admitted, {:ok, promise}} <- {:admitted, allowed(way, snapshot, holding)} do
       commanded(way)
-      way |> carry_out(snapshot) |> Held.done(way, promise) |> finish(way)
+      way |> Map.put(:promise, promise) |> carry_out(snapshot) |> Held.done(way, promise) |> finish(way)
     else
       {:stored, result} -> result
       {:stop, status, rule, reason} -> Record.refused(way.gateway, request, status, rule, reason)
@@ -218,7 +218,11 @@ defmodule Aerie.Commands.Passage do
   defp asked?(snapshot), do: get_in(snapshot.groups, [:operator, :data, :system]) != nil
 
   defp execute(%{request: %{work: nil}} = way, snapshot),
-    do: Vehicle.Commands.submit(way.gateway, snapshot.key, way.command, progress: way.desk)
+    do:
+      Vehicle.Commands.submit(way.gateway, snapshot.key, way.command,
+        progress: way.desk,
+        still?: Held.still?(way)
+      )
 
   defp execute(%{request: %{work: work}, desk: desk, command: command}, snapshot) do
     work.run.(snapshot, fn progress ->

@@ -28,13 +28,17 @@ defmodule Aerie.Vehicle.Commands do
 
   @doc """
   Carries out a command and waits for its result, until `command.deadline` and for as long as the vehicle may then need to
-  answer. With `progress: pid` that process gets `{:command_progress, id, %{"progress" => share, "text" => text}}`.
+  answer. With `progress: pid` that process gets `{:command_progress, id, %{"progress" => share, "text" => text}}`. `still?` is asked before
+  each message whether this gateway may still send; if not, no more is sent, and the result is `unknown`.
 
   Nothing here asks whether the source may do it.
   """
-  @spec submit(Names.gateway(), Store.vehicle_key(), Command.t(), progress: pid()) :: Result.t()
+  @spec submit(Names.gateway(), Store.vehicle_key(), Command.t(),
+          progress: pid(),
+          still?: (-> boolean()) | nil
+        ) :: Result.t()
   def submit(gateway, key, command, options \\ []) do
-    call(gateway, key, command.id, {:submit, command, options[:progress]})
+    call(gateway, key, command.id, {:submit, command, Map.new(options)})
   end
 
   @doc "Asks a command to cease; its result goes to whoever submitted it. `:error` when nothing can cancel it."
@@ -61,18 +65,27 @@ defmodule Aerie.Vehicle.Commands do
     Process.set_label({:commands, options.id})
 
     {:ok,
-     %{gateway: gateway, options: options, core: nil, sources: %{}, callers: %{}, listening: nil, timer: nil}}
+     %{
+       gateway: gateway,
+       options: options,
+       core: nil,
+       sources: %{},
+       callers: %{},
+       stream: nil,
+       listening: nil,
+       timer: nil
+     }}
   end
 
   @impl GenServer
-  def handle_call({:submit, command, progress}, from, state) do
+  def handle_call({:submit, command, options}, from, state) do
     case ready(state) do
       {:ok, state} ->
         now = now()
         # By our own clock from here on: the machine's may be set meanwhile.
         until = now + command.deadline - System.os_time(:microsecond)
         known? = is_map_key(state.callers, command.id)
-        state = if known?, do: state, else: put_in(state.callers[command.id], {from, progress})
+        state = if known?, do: state, else: put_in(state.callers[command.id], {from, options})
         {:noreply, step(state, {:submit, command, until, now}, from)}
 
       {:error, reason} ->
@@ -180,10 +193,18 @@ defmodule Aerie.Vehicle.Commands do
     CoreProcess.schedule(state, Core.wake_at(state.core))
   end
 
-  defp act({:send, messages, _id}, state, _from) do
-    session = Names.whereis(state.gateway, :session, state.options.key)
-    if session, do: send(session, {:transmit, messages})
-    state
+  defp act({:send, messages, id}, state, _from) do
+    case state do
+      %{callers: %{^id => {from, %{still?: still?}}}} when still? != nil ->
+        if still?.(), do: transmit(state, messages), else: withheld(state, id, from)
+
+      # A set-point is repeated after its result.
+      %{stream: {^id, still?}} ->
+        if still?.(), do: transmit(state, messages), else: state
+
+      _anybody ->
+        transmit(state, messages)
+    end
   end
 
   defp act({:alone, wanted?}, state, _from) do
@@ -194,9 +215,9 @@ defmodule Aerie.Vehicle.Commands do
 
   defp act({:result, result}, state, _from) do
     case Map.pop(state.callers, result.id) do
-      {{from, _progress}, callers} ->
-        GenServer.reply(from, result)
-        %{state | callers: callers}
+      {{from, options}, callers} ->
+        if from, do: GenServer.reply(from, result)
+        stream(%{state | callers: callers}, result.id, options[:still?])
 
       {nil, _callers} ->
         state
@@ -205,7 +226,7 @@ defmodule Aerie.Vehicle.Commands do
 
   defp act({:progress, id, progress}, state, _from) do
     case state.callers do
-      %{^id => {_from, pid}} when is_pid(pid) -> send(pid, {:command_progress, id, progress})
+      %{^id => {_from, %{progress: pid}}} when is_pid(pid) -> send(pid, {:command_progress, id, progress})
       _nobody -> :ok
     end
 
@@ -218,4 +239,24 @@ defmodule Aerie.Vehicle.Commands do
   end
 
   defp act({:not_cancelled, _id, _reason}, state, _from), do: state
+
+  defp stream(%{core: %{repeater: %{id: id}}} = state, id, still?) when still? != nil,
+    do: %{state | stream: {id, still?}}
+
+  defp stream(state, _id, _still?), do: state
+
+  defp transmit(state, messages) do
+    session = Names.whereis(state.gateway, :session, state.options.key)
+    if session, do: send(session, {:transmit, messages})
+    state
+  end
+
+  # Its job comes to its end without a message; whoever waits is told now.
+  defp withheld(state, _id, nil), do: state
+
+  defp withheld(state, id, from) do
+    reason = "another gateway may hold the vehicle now; no more was sent"
+    GenServer.reply(from, Result.new(id, :unknown, reason, %{"rule" => "holder"}))
+    put_in(state.callers[id], {nil, %{still?: fn -> false end}})
+  end
 end

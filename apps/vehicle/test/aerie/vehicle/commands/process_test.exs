@@ -38,9 +38,9 @@ defmodule Aerie.Vehicle.CommandsTest do
   end
 
   defp submit(gateway, fields) do
-    {progress, fields} = Keyword.pop(fields, :progress)
+    {options, fields} = Keyword.split(fields, [:progress, :still?])
     {:ok, command} = Command.new([vehicle: "VID-007"] ++ fields)
-    Task.async(fn -> {:ok, Vehicle.Commands.submit(gateway, @key, command, progress: progress)} end)
+    Task.async(fn -> {:ok, Vehicle.Commands.submit(gateway, @key, command, options)} end)
   end
 
   defp ack(fields) do
@@ -72,6 +72,44 @@ defmodule Aerie.Vehicle.CommandsTest do
     # A busy machine is heard later, and it is sent once more.
     assert {:ok, %{status: :accepted, details: %{"sent" => sent}}} = Task.await(task, Aerie.Patience.ms())
     assert sent >= 2
+  end
+
+  test "who no longer holds the vehicle sends nothing more: no repetition, no stream", context do
+    %{gateway: gateway} = context
+    holds = :counters.new(1, [])
+    still? = fn -> :counters.get(holds, 1) == 0 end
+
+    task = submit(gateway, id: "l", type: "set_speed", params: %{speed: 3}, still?: still?)
+    assert_receive {:transmit, [%M.CommandLong{confirmation: 0}]}
+    :counters.put(holds, 1, 1)
+    # The answer follows a repetition that was withheld.
+    result = Task.await(task, Aerie.Patience.ms())
+    assert {:ok, %{status: :unknown, reason: reason, details: %{"rule" => "holder"}}} = result
+    assert reason =~ "no more was sent"
+    flush()
+
+    :counters.put(holds, 1, 0)
+    setpoint = [type: "setpoint_velocity", params: %{vx: 1.0, vy: 0.0, vz: 0.0, hold: 1}]
+    task = submit(gateway, [id: "s", still?: still?] ++ setpoint)
+    assert {:ok, %{status: :accepted}} = Task.await(task, Aerie.Patience.ms())
+    assert_receive {:transmit, [%M.SetPositionTargetLocalNed{}]}
+    assert_receive {:transmit, [%M.SetPositionTargetLocalNed{}]}
+    :counters.put(holds, 1, 1)
+    # What it had asked before.
+    _known = :sys.get_state(context.pid)
+    flush()
+    # Until it ends, and its process waits for nothing more.
+    eventually(fn -> Vehicle.Commands.Core.wake_at(:sys.get_state(context.pid).core) == nil end)
+    refute_received {:transmit, _messages}
+  end
+
+  # What was sent before.
+  defp flush do
+    receive do
+      {:transmit, _messages} -> flush()
+    after
+      0 -> :ok
+    end
   end
 
   test "progress goes to whoever asked for it", %{gateway: gateway, pid: pid} do

@@ -248,15 +248,18 @@ defmodule Aerie.System.RemoteTest do
     assert %{status: :failed, details: %{"rule" => "unreachable"}} = command(hub, "rtl")
   end
 
-  test "heard both ways it is one vehicle: by the hub's own link while that hears it, else by the companion",
+  test "heard both ways it is one vehicle: shown by the hub's own link while that hears it, commanded by who holds it",
        %{hub: hub, sim: remote} do
     shown(hub, "the companion tells of it", &(&1.via == @companion and &1.status == :online))
     near = fly(hub, "hub-sim")
     shown(hub, "the own link", &(&1.via == nil and &1.status == :online and &1.gateways == [@companion]))
     assert [%{id: @vehicle}] = Fleet.vehicles(hub)
-    assert %{status: :completed} = command(hub, "set_mode", %{mode: "LOITER"})
-    assert SimVehicle.state(near).mode == "LOITER"
-    refute SimVehicle.state(remote).mode == "LOITER"
+    # It is shown as heard here, but the companion holds it, so a command goes by that one.
+    assert %{status: :completed, details: %{"gateway" => @companion}} =
+             command(hub, "set_mode", %{mode: "LOITER"})
+
+    assert SimVehicle.state(remote).mode == "LOITER"
+    refute SimVehicle.state(near).mode == "LOITER"
 
     stop_supervised!("hub-sim")
     shown(hub, "the companion again", &(&1.via == @companion and &1.status == :online))

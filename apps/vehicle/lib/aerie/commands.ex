@@ -10,7 +10,7 @@ defmodule Aerie.Commands do
 
   alias Aerie.{Command, Fleet, Ledger, Names, Policy, Protocol, Vehicle}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Commands.{Desk, Metrics, Recent, Record, SetpointsFirst, Work}
+  alias Aerie.Commands.{Desk, Held, Metrics, Recent, Record, SetpointsFirst, Work}
   alias Aerie.Policy.{Audit, Context, Roles}
   alias Aerie.Vehicle.Commands.Observed
 
@@ -169,6 +169,7 @@ defmodule Aerie.Commands do
       })
 
       with %{} = snapshot <- Fleet.vehicle(gateway, vehicle),
+           snapshot = Held.by(Desk.holder(gateway), gateway, snapshot),
            :ok <- cease(gateway, snapshot, job, id) do
         :ok
       else

@@ -142,7 +142,7 @@ defmodule Aerie.CommandsTest do
   test "progress and cancelling, for who may give the command", %{tmp_dir: dir} do
     gateway = start_door(dir)
     task = command(gateway, "takeoff", id: "t", params: %{altitude: 9}, progress: {self(), :mine})
-    assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, %{progress: desk}}}
+    assert_receive {:"$gen_call", from, {:submit, %{id: "t"}, desk}}
     send(desk, {:command_progress, "t", %{"progress" => 0.5, "text" => nil}})
     assert_receive {:command_progress, :mine, "t", %{"progress" => 0.5}}
     assert {:under_way, %{progress: %{"progress" => 0.5}}} = Commands.look(gateway, "VID-007", "t")

@@ -71,6 +71,19 @@ defmodule Aerie.ShadowCase do
     end)
   end
 
+  @doc "A document as earlier versions sealed those of all vehicles: with the common key."
+  @spec sealed_before(Shadow.Document.t(), environment :: String.t(), Shadow.Keys.t()) :: String.t()
+  def sealed_before(document, environment, %Shadow.Keys{common: key}) do
+    plain = Shadow.Document.plain(document)
+    text = JSON.encode!(["aerie-shadow-1", environment, sorted(plain)])
+    seal = :hmac |> :crypto.mac(:sha256, Aerie.Secret.reveal(key), text) |> Base.encode16(case: :lower)
+    JSON.encode!(Map.put(plain, "seal", seal))
+  end
+
+  defp sorted(map) when is_map(map), do: for({key, value} <- Enum.sort(map), do: [key, sorted(value)])
+  defp sorted(list) when is_list(list), do: Enum.map(list, &sorted/1)
+  defp sorted(value), do: value
+
   @doc "The documents of a gateway."
   @spec documents(reference()) :: pid()
   def documents(gateway), do: Names.whereis(gateway, :shadow_documents)

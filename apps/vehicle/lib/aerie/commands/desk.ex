@@ -109,7 +109,12 @@ defmodule Aerie.Commands.Desk do
     %{gateway: gateway, settings: settings, elsewhere: elsewhere, holder: holder} = Map.new(options)
     Process.set_label({:command_desk, gateway})
     Recent.abandoned(gateway)
-    Names.put_value(gateway, :command_desk, %{elsewhere: elsewhere, grace_ms: settings.grace_ms})
+
+    Names.put_value(gateway, :command_desk, %{
+      elsewhere: elsewhere,
+      holder: holder,
+      grace_ms: settings.grace_ms
+    })
 
     {:ok,
      %{
@@ -128,6 +133,10 @@ defmodule Aerie.Commands.Desk do
   @spec elsewhere(Names.gateway()) :: module() | nil
   def elsewhere(gateway),
     do: with(%{elsewhere: module} <- Names.value(gateway, :command_desk), do: module)
+
+  @doc "How it is known who holds a vehicle; nil if this gateway is alone."
+  @spec holder(Names.gateway()) :: module() | nil
+  def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_desk), do: module)
 
   @impl GenServer
   def handle_call({:submit, %{command: %{id: id} = command} = request}, from, state) do

@@ -6,6 +6,7 @@ defmodule Aerie.Commands.Held do
 
   alias Aerie.Command.Result
   alias Aerie.Commands.Holding
+  alias Aerie.Names
 
   # For a claim that nobody needs.
   @alone_ms 500
@@ -36,11 +37,24 @@ defmodule Aerie.Commands.Held do
   defp pass_on(%{elsewhere: nil}, _snapshot, name),
     do: refuse(:holder, "the gateway #{name} holds the vehicle")
 
-  # It goes on being its way for as long as the other one holds it.
-  defp pass_on(%{holder: holder, gateway: gateway}, %{id: id} = snapshot, name) do
+  defp pass_on(%{holder: holder, gateway: gateway}, snapshot, name),
+    do: {:ok, by(holder, gateway, snapshot, {:other, name}), nil}
+
+  @doc """
+  A vehicle's snapshot as that of one which is reached by another gateway (`:via`), if another one holds it. `:holds?` says whether it still
+  does.
+  """
+  @spec by(module() | nil, Names.gateway(), snapshot :: map()) :: map()
+  def by(nil, _gateway, snapshot), do: snapshot
+  def by(_holder, _gateway, %{via: via} = snapshot) when via != nil, do: snapshot
+  def by(holder, gateway, snapshot), do: by(holder, gateway, snapshot, holder.holder(gateway, snapshot.id))
+
+  defp by(holder, gateway, %{id: id} = snapshot, {:other, name}) do
     holds? = fn -> match?({:other, ^name}, holder.holder(gateway, id)) end
-    {:ok, Map.merge(snapshot, %{via: name, holds?: holds?}), nil}
+    Map.merge(snapshot, %{via: name, holds?: holds?})
   end
+
+  defp by(_holder, _gateway, snapshot, _mine_or_unknown), do: snapshot
 
   @doc "Claims the id of a command that this gateway is to send."
   @spec claim(way(), Holding.t() | nil) :: {:ok, Holding.t() | nil} | {:known, Result.t()} | stop()

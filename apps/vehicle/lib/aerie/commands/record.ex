@@ -18,7 +18,7 @@ defmodule Aerie.Commands.Record do
   alias Aerie.Policy.{Audit, Facts}
 
   @quiet_ms 5_000
-  @floods [:rate, :busy, :id, :vehicle, :deadline, :malformed, :signature, :size]
+  @floods [:rate, :busy, :id, :vehicle, :holder, :deadline, :malformed, :signature, :size]
 
   @doc "A command has come."
   @spec received(Names.gateway(), type :: term()) :: :ok

@@ -74,6 +74,10 @@ defmodule Aerie.Shadow.Lease do
     %{lease | owners: owners, peers: Map.new(lease.peers, fn {id, _seen} -> {id, now} end)}
   end
 
+  @doc "The bucket was lost, and with it what it said of owners: this gateway owns nothing until it has claimed it again."
+  @spec forget(t()) :: t()
+  def forget(lease), do: %{lease | owners: %{}}
+
   @doc "The vehicles to claim: wanted, and without a living owner."
   @spec claims(t(), now :: integer()) :: [String.t()]
   def claims(lease, now) do

@@ -38,7 +38,13 @@ defmodule Aerie.Vehicle.Commands do
           still?: (-> boolean()) | nil
         ) :: Result.t()
   def submit(gateway, key, command, options \\ []) do
-    call(gateway, key, command.id, {:submit, command, Map.new(options)})
+    request =
+      case options[:still?] do
+        nil -> {:submit, command, options[:progress]}
+        still? -> {:submit, command, options[:progress], still?}
+      end
+
+    call(gateway, key, command.id, request)
   end
 
   @doc "Asks a command to cease; its result goes to whoever submitted it. `:error` when nothing can cancel it."
@@ -78,14 +84,17 @@ defmodule Aerie.Vehicle.Commands do
   end
 
   @impl GenServer
-  def handle_call({:submit, command, options}, from, state) do
+  def handle_call({:submit, command, progress}, from, state),
+    do: handle_call({:submit, command, progress, nil}, from, state)
+
+  def handle_call({:submit, command, progress, still?}, from, state) do
     case ready(state) do
       {:ok, state} ->
         now = now()
         # By our own clock from here on: the machine's may be set meanwhile.
         until = now + command.deadline - System.os_time(:microsecond)
         known? = is_map_key(state.callers, command.id)
-        state = if known?, do: state, else: put_in(state.callers[command.id], {from, options})
+        state = if known?, do: state, else: put_in(state.callers[command.id], {from, progress, still?})
         {:noreply, step(state, {:submit, command, until, now}, from)}
 
       {:error, reason} ->
@@ -195,7 +204,7 @@ defmodule Aerie.Vehicle.Commands do
 
   defp act({:send, messages, id}, state, _from) do
     case state do
-      %{callers: %{^id => {from, %{still?: still?}}}} when still? != nil ->
+      %{callers: %{^id => {from, _progress, still?}}} when still? != nil ->
         if still?.(), do: transmit(state, messages), else: withheld(state, id, from)
 
       # A set-point is repeated after its result.
@@ -215,9 +224,9 @@ defmodule Aerie.Vehicle.Commands do
 
   defp act({:result, result}, state, _from) do
     case Map.pop(state.callers, result.id) do
-      {{from, options}, callers} ->
+      {{from, _progress, still?}, callers} ->
         if from, do: GenServer.reply(from, result)
-        stream(%{state | callers: callers}, result.id, options[:still?])
+        stream(%{state | callers: callers}, result.id, still?)
 
       {nil, _callers} ->
         state
@@ -226,7 +235,7 @@ defmodule Aerie.Vehicle.Commands do
 
   defp act({:progress, id, progress}, state, _from) do
     case state.callers do
-      %{^id => {_from, %{progress: pid}}} when is_pid(pid) -> send(pid, {:command_progress, id, progress})
+      %{^id => {_from, pid, _still}} when is_pid(pid) -> send(pid, {:command_progress, id, progress})
       _nobody -> :ok
     end
 
@@ -257,6 +266,6 @@ defmodule Aerie.Vehicle.Commands do
   defp withheld(state, id, from) do
     reason = "another gateway may hold the vehicle now; no more was sent"
     GenServer.reply(from, Result.new(id, :unknown, reason, %{"rule" => "holder"}))
-    put_in(state.callers[id], {nil, %{still?: fn -> false end}})
+    put_in(state.callers[id], {nil, nil, fn -> false end})
   end
 end

@@ -2,6 +2,8 @@ defmodule Aerie.Shadow.DocumentTest do
   @moduledoc "Updates and documents: merge by field, versions, expiry, history, bounds, seal."
   use ExUnit.Case, async: true
 
+  import Aerie.ShadowCase, only: [sealed_before: 3]
+
   alias Aerie.Command.Error
   alias Aerie.Secret
   alias Aerie.Shadow.{Document, Field, Keys, SealedDocument, Update}
@@ -217,7 +219,7 @@ defmodule Aerie.Shadow.DocumentTest do
       stolen = Secret.new(Keys.derive(common, "prod", own))
 
       for keys <- [aboard.(own), %Keys{common: stolen}, %Keys{common: stolen, own: %{other => stolen}}],
-          seal <- [&SealedDocument.encode/3, &former/3] do
+          seal <- [&SealedDocument.encode/3, &sealed_before/3] do
         assert {:error, "its seal" <> _} =
                  of.(other) |> seal.("prod", keys) |> SealedDocument.decode("prod", other, hub)
       end
@@ -227,21 +229,9 @@ defmodule Aerie.Shadow.DocumentTest do
     refute Keys.derive(common, "a", "b-c") == Keys.derive(common, "a-b", "c")
   end
 
-  # As earlier versions sealed all vehicles' documents.
-  defp former(document, environment, %Keys{common: key}) do
-    plain = Document.plain(document)
-    text = JSON.encode!(["aerie-shadow-1", environment, sorted(plain)])
-    seal = :hmac |> :crypto.mac(:sha256, Secret.reveal(key), text) |> Base.encode16(case: :lower)
-    JSON.encode!(Map.put(plain, "seal", seal))
-  end
-
-  defp sorted(map) when is_map(map), do: for({key, value} <- Enum.sort(map), do: [key, sorted(value)])
-  defp sorted(list) when is_list(list), do: Enum.map(list, &sorted/1)
-  defp sorted(value), do: value
-
   test "documents of earlier versions are read, by the common key of then or the one that is named as the former" do
     document = apply!(Document.new("A"), %{"mode" => "AUTO"})
-    before = former(document, "prod", key("old"))
+    before = sealed_before(document, "prod", key("old"))
     assert {:former, %{version: 1}} = SealedDocument.decode(before, "prod", "A", key("old"))
     assert {:error, "its seal" <> _} = SealedDocument.decode(before, "prod", "A", key("new"))
     both = %{key("new") | former: Secret.new("old")}

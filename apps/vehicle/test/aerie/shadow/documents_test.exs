@@ -303,6 +303,38 @@ defmodule Aerie.Shadow.DocumentsTest do
                eventually(fn -> with {:error, _why} <- update(gateway, %{"tags" => ["x"]}), do: false end)
     end
 
+    test "what an earlier version sealed with the common key is read, and sealed anew with the vehicle's", %{
+      tmp_dir: dir
+    } do
+      %{gateway: gateway, conn: conn} =
+        with_nats(dir, [{"shadow.key", "new"}, {"shadow.former_key", "old"}])
+
+      key = fn text -> %Shadow.Keys{common: Aerie.Secret.new(text)} end
+
+      now = System.os_time(:microsecond)
+      {:ok, update} = Shadow.Update.parse(%{"desired" => %{"mode" => "LOITER"}}, now)
+      {:ok, document} = Document.apply(Document.new(@vehicle), update, %{actor: "ops", via: "rest"}, now)
+
+      for id <- [@vehicle, "VID-008"] do
+        text = sealed_before(%{document | vehicle: id}, "test", key.("old"))
+        :ok = KV.put_value(conn, "fleet_desired", "test.#{id}", text)
+
+        eventually(fn ->
+          {:ok, %{data: text}} =
+            Gnat.Jetstream.API.Stream.get_message(conn, "KV_fleet_desired", %{
+              last_by_subj: "$KV.fleet_desired.test.#{id}"
+            })
+
+          # With this vehicle's key, and nothing else.
+          own = Shadow.Keys.derive("new", "test", id)
+          aboard = %Shadow.Keys{common: Aerie.Secret.new("none"), own: %{id => Aerie.Secret.new(own)}}
+          match?({:ok, %{version: 1}}, Shadow.SealedDocument.decode(text, "test", id, aboard))
+        end)
+      end
+
+      eventually(fn -> Documents.document(gateway, @vehicle).version == 1 end)
+    end
+
     test "a killed documents comes back with the document and the lease", %{tmp_dir: dir} do
       %{gateway: gateway} = with_nats(dir)
       {:ok, _one} = update(gateway, %{"mode" => "LOITER"})

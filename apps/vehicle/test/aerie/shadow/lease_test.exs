@@ -40,6 +40,12 @@ defmodule Aerie.Shadow.LeaseTest do
     refute lease |> Lease.peer("b", 0) |> Lease.renewed(30_000) |> Lease.gone?("b", 30_001)
   end
 
+  test "what the bucket said of owners is forgotten with it, and has to be claimed again" do
+    lease = Lease.new("a", @ttl) |> Lease.want("V", true) |> Lease.renewed(0) |> Lease.owner("V", "a", 0)
+    forgotten = Lease.forget(lease)
+    assert {Lease.holder(forgotten, "V", 1), Lease.claims(forgotten, 1)} == {:none, ["V"]}
+  end
+
   test "an owner that was never seen to renew gets the full time" do
     lease = Lease.new("b", @ttl) |> Lease.want("V", true) |> Lease.renewed(0) |> Lease.owner("V", "a", 0)
     assert Lease.claims(lease, 9_000) == []

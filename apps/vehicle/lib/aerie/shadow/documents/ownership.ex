@@ -122,7 +122,7 @@ defmodule Aerie.Shadow.Documents.Ownership do
   defp unheld(%{conn: nil}, _vehicle, false),
     do:
       {:unknown,
-       "NATS is away, so another gateway may hold the vehicle (shadow.without_nats: act, for a gateway that is the only one to hear it)"}
+       "NATS is away or has no room for the buckets, so another gateway may hold the vehicle (shadow.without_nats: act, for the only gateway that hears it)"}
 
   defp unheld(state, vehicle, false) do
     if MapSet.member?(state.lease.wanted, vehicle),

@@ -255,6 +255,7 @@ defmodule Aerie.Shadow.Documents.Server do
          :ok <- Buckets.renew(state.conn, state.kept.environment, state.lease.me, state.name) do
       state = %{state | lease: Lease.renewed(state.lease, sent_at)}
       # Somebody deleted a bucket.
+      state = if Buckets.leases() in made, do: %{state | lease: Lease.forget(state.lease)}, else: state
       if made == [], do: state, else: all(state)
     else
       {:error, why} -> Desired.problem(disconnected(state), why)

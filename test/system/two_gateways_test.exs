@@ -5,7 +5,7 @@ defmodule Aerie.System.TwoGatewaysTest do
   """
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Commands, HubServer, Shadow}
+  alias Aerie.{Bridge, BridgeCase, Commands, HubServer, Shadow}
   alias Aerie.Policy.Signature
 
   @moduletag :tmp_dir
@@ -57,17 +57,26 @@ defmodule Aerie.System.TwoGatewaysTest do
     )
   end
 
+  # One holds it and listens, the other one knows. Both are connected.
   defp held(a, b) do
-    eventually(
-      fn ->
-        case {holder(a), holder(b)} do
-          {{:mine, _until}, {:other, _name}} -> {a, b}
-          {{:other, _name}, {:mine, _until}} -> {b, a}
-          _not_yet -> nil
-        end
-      end,
-      fn -> "one holds it: #{inspect({holder(a), holder(b)})}" end
-    )
+    {holder, other} =
+      eventually(
+        fn ->
+          case {holder(a), holder(b)} do
+            {{:mine, _until}, {:other, _name}} -> {a, b}
+            {{:other, _name}, {:mine, _until}} -> {b, a}
+            _not_yet -> nil
+          end
+        end,
+        fn -> "one holds it: #{inspect({holder(a), holder(b)})}" end
+      )
+
+    for %{gateway: gateway} <- [a, b],
+        do: eventually(fn -> Bridge.connection(gateway) != nil end, "it is connected")
+
+    BridgeCase.await_listening(holder.gateway, [@vehicle])
+    BridgeCase.await_listening(other.gateway, [])
+    {holder, other}
   end
 
   defp holder(%{gateway: gateway}), do: Shadow.Holder.holder(gateway, @vehicle)

@@ -152,6 +152,8 @@ defmodule FleetWeb.API.Error do
     "ledger" => :unavailable,
     "audit" => :unavailable,
     "policy" => :unavailable,
+    "holder" => :unavailable,
+    "claim" => :unavailable,
     "unavailable" => :unavailable
   }
 

@@ -23,6 +23,11 @@ defmodule FleetWeb.API.ErrorTest do
     elsewhere = Aerie.Command.Result.new("a", :rejected, "ask that one", %{"rule" => "elsewhere"})
     assert %Error{status: 421, code: :misdirected, message: "ask that one"} = Error.of_result(elsewhere)
 
+    for rule <- ~w(holder claim) do
+      denied = Aerie.Command.Result.new("a", :denied, "nothing was sent", %{"rule" => rule})
+      assert %Error{status: 503} = Error.of_result(denied)
+    end
+
     refused = Error.new(:forbidden, "no")
     assert Error.from(refused) == refused
   end

@@ -265,7 +265,7 @@ defmodule Aerie.Vehicle.Commands do
 
   defp withheld(state, id, from) do
     reason = "another gateway may hold the vehicle now; no more was sent"
-    GenServer.reply(from, Result.new(id, :unknown, reason, %{"rule" => "holder"}))
+    GenServer.reply(from, Result.new(id, :unknown, reason))
     put_in(state.callers[id], {nil, nil, fn -> false end})
   end
 end

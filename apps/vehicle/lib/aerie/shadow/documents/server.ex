@@ -170,7 +170,7 @@ defmodule Aerie.Shadow.Documents.Server do
     conn = Bridge.connection(state.gateway)
 
     cond do
-      conn == nil -> disconnected(state)
+      conn == nil -> state |> disconnected() |> Ownership.authorities()
       conn == state.conn and length(state.watchers) == 2 -> state
       true -> begin(disconnected(state), conn)
     end

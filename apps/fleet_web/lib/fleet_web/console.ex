@@ -3,7 +3,7 @@ defmodule FleetWeb.Console do
   The console: pages for operators. `console/README.md` describes how it is put together.
 
       defmodule FleetWeb.Console.Links.Page do
-        use FleetWeb.Console, {:page, events: [viewer: ~w(sort), admin: ~w(remove)]}
+        use FleetWeb.Console, {:page, events: [viewer: ~w(sort)], changes: [remove_link: ~w(remove)]}
 
         @impl Phoenix.LiveView
         def mount(_params, _session, socket), do: {:ok, socket |> subscribe([:links]) |> load()}
@@ -16,12 +16,14 @@ defmodule FleetWeb.Console do
   its `mount/3`. Its options:
 
     * `:role` - the least role that may open the page, `:viewer` unless given
-    * `:events` - the least role for events by name. An event that is not named needs `:operator`
+    * `:changes` - events by the change of `FleetWeb.Rights` that they cause, which says their least role
+    * `:events` - the least role for other events by name. An event that is not named needs `:operator`
 
   Both are enforced in the server, before `mount/3` and before each `handle_event/3`.
   """
 
   alias Aerie.Policy.Roles
+  alias FleetWeb.Rights
 
   @doc "`use FleetWeb.Console, :page`, `{:page, options}` or `:component`."
   defmacro __using__(:component), do: component()
@@ -51,8 +53,16 @@ defmodule FleetWeb.Console do
   @doc false
   @spec options(keyword()) :: %{role: Roles.role(), events: %{String.t() => Roles.role()}}
   def options(options) do
-    options = Keyword.validate!(options, role: :viewer, events: [])
+    options = Keyword.validate!(options, role: :viewer, events: [], changes: [])
     events = for {role, names} <- options[:events], name <- names, into: %{}, do: {name, role}
-    %{role: options[:role], events: events}
+
+    changes =
+      for {change, names} <- options[:changes],
+          role = Map.fetch!(Rights.all(), change),
+          name <- names,
+          into: %{},
+          do: {name, role}
+
+    %{role: options[:role], events: Map.merge(events, changes)}
   end
 end

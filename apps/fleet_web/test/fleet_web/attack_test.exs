@@ -17,11 +17,10 @@ defmodule FleetWeb.AttackTest do
   ]
 
   defp paths(segment) do
-    api =
-      for {path, _resource} <- Resources.paths(), do: String.replace(path, ~r/:id|:name|\[\.\.\.\]/, segment)
-
-    @pages ++ api
+    @pages ++ for {path, _resource} <- Resources.paths(), do: filled(path, segment)
   end
+
+  defp filled(path, segment), do: String.replace(path, ~r/:id|:name|\[\.\.\.\]/, segment)
 
   # The status of an answer; nothing in it is about our code.
   defp status(answer) do
@@ -76,12 +75,25 @@ defmodule FleetWeb.AttackTest do
   test "every method on every route has its answer; HEAD is GET without a body, OPTIONS lists the methods" do
     %{port: port} = start_server()
 
-    for path <- paths("x"), method <- @methods do
-      status = ask(port, method, path, [@json], "{}")
+    admins =
+      for {path, method, action} <- Resources.actions(),
+          FleetWeb.Rights.least(action, method) == :admin,
+          do: {method, path}
 
-      assert status in [200, 204, 404, 405, 422, 503] or {method, path, status} in @others,
-             "#{method} #{path}: #{status}"
+    for {path, _resource} <- Resources.paths(), method <- @methods do
+      status = ask(port, method, path |> filled("x"), [@json], "{}")
+
+      cond do
+        # Without a key nobody is an admin.
+        {method, path} in admins -> assert {method, path, status} == {method, path, 403}
+        {method, filled(path, "x"), status} in @others -> :ok
+        true -> assert status in [200, 204, 404, 405, 422, 503], "#{method} #{path}: #{status}"
+      end
     end
+
+    for path <- @pages,
+        method <- @methods,
+        do: assert(ask(port, method, path, [@json], "{}") in [200, 204, 404, 405, 503])
 
     for path <- paths("x") do
       get = answer(port, ["GET ", path, " HTTP/1.1\r\nhost: 127.0.0.1\r\nconnection: close\r\n\r\n"])
@@ -173,8 +185,9 @@ defmodule FleetWeb.AttackTest do
   end
 
   test "a body that is too long, not JSON, or of another type is refused with its own status" do
-    %{port: port} = start_server()
-    post = &ask(port, "POST", "/api/clients", &1, &2)
+    %{port: port} = start_server(key: true)
+    admin = {"x-aerie-key", key()}
+    post = &ask(port, "POST", "/api/clients", [admin | &1], &2)
 
     for type <- [
           "text/plain",
@@ -205,7 +218,7 @@ defmodule FleetWeb.AttackTest do
     chunk = ["4000\r\n", String.duplicate("a", 0x4000), "\r\n"]
 
     head =
-      "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ntransfer-encoding: chunked\r\n\r\n"
+      "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\nx-aerie-key: #{key()}\r\ncontent-type: application/json\r\ntransfer-encoding: chunked\r\n\r\n"
 
     assert status(answer(port, [head, List.duplicate(chunk, 100)])) == 413
   end
@@ -237,8 +250,10 @@ defmodule FleetWeb.AttackTest do
   end
 
   test "a slow sender, or one with an unexpected body, is disconnected" do
-    %{port: port} = start_server()
-    post = "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\n"
+    %{port: port} = start_server(key: true)
+
+    post =
+      "POST /api/clients HTTP/1.1\r\nhost: 127.0.0.1\r\nx-aerie-key: #{key()}\r\ncontent-type: application/json\r\n"
 
     # Not asked to close, the server does: nothing of such a connection can be trusted to end.
     for {head, drop} <- [

@@ -12,8 +12,11 @@ defmodule FleetWeb.API.Access do
   """
 
   alias Aerie.Address
+  alias Aerie.Command.Type
+  alias Aerie.Policy.Roles
   alias FleetWeb.API.Keys
   alias FleetWeb.API.Error
+  alias FleetWeb.Rights
 
   @typedoc """
   * `peer` - address of the other end
@@ -41,14 +44,15 @@ defmodule FleetWeb.API.Access do
         }
 
   @typedoc """
-  Who asks: the owner of a key, or a program of this machine (`local`). `changes?`: it may do more than read. A program of this
-  machine may change the gateway, but is nobody who may command vehicles.
+  Who asks: the owner of a key, or a program of this machine (`local`). `may`: the role in which it changes the gateway
+  (`FleetWeb.Rights`). Any user of this machine may be behind `local`, so it is never more than an operator there, and nobody who may
+  command vehicles.
   """
   @type requester :: %{
           name: String.t(),
-          role: Aerie.Policy.Roles.role() | nil,
-          permissions: [Aerie.Command.Type.permission()],
-          changes?: boolean()
+          role: Roles.role() | nil,
+          permissions: [Type.permission()],
+          may: Roles.role()
         }
 
   @doc "Who asks, or why access is refused."
@@ -56,6 +60,27 @@ defmodule FleetWeb.API.Access do
   def decide(policy, facts) do
     with :ok <- origin(policy, facts), do: key(policy, facts)
   end
+
+  @doc "Whether somebody may run an action of `FleetWeb.API.Resources`, by a method."
+  @spec may(requester(), Rights.change(), method :: String.t()) :: :ok | {:error, Error.t()}
+  def may(%{may: role} = requester, action, method) do
+    least = Rights.least(action, method)
+
+    if Rights.at_least?(role, least),
+      do: :ok,
+      else: {:error, Error.new(:forbidden, refusal(requester, least))}
+  end
+
+  # No key has this name (`FleetWeb.API.KeyRing`), and no program is called so while there are keys.
+  defp refusal(%{name: "local"}, least),
+    do:
+      "this needs the role #{least}, and while no key is configured programs of this machine are operators at most. Make a key in the " <>
+        "console (Settings, Keys of programs; bin/run prints its address), or set api.key or api.keys_file, and send it as X-Aerie-Key"
+
+  defp refusal(%{name: name, may: :viewer}, _least), do: "the key #{name} may only read (role=viewer)"
+
+  defp refusal(%{name: name, may: role}, least),
+    do: "the key #{name} has the role #{role}; this needs #{least}"
 
   @doc "Whether a page of this origin may use the server. A request without an origin comes from no page."
   @spec origin(policy(), facts()) :: :ok | {:error, Error.t()}
@@ -105,14 +130,14 @@ defmodule FleetWeb.API.Access do
 
   defp key(%{keys: []}, facts) do
     if Address.loopback?(facts.peer) and not facts.forwarded and local_name?(facts.host),
-      do: {:ok, %{name: "local", role: :viewer, permissions: [], changes?: true}},
+      do: {:ok, %{name: "local", role: :viewer, permissions: [], may: :operator}},
       else:
         {:error, Error.new(:forbidden, "no key is configured, so only this machine has access; set api.key")}
   end
 
   defp key(%{keys: keys}, facts) do
     case Keys.check(keys, facts.key) do
-      {:ok, owner} -> {:ok, Map.put(owner, :changes?, owner.role != :viewer)}
+      {:ok, owner} -> {:ok, Map.put(owner, :may, owner.role || :admin)}
       {:error, {:expired, day}} -> unauthorized("this key was good until #{day}")
       {:error, :unknown} when facts.key == nil -> unauthorized("the header X-Aerie-Key is missing")
       {:error, :unknown} -> unauthorized("this key is unknown")

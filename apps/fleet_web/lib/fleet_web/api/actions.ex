@@ -25,8 +25,6 @@ defmodule FleetWeb.API.Actions do
     View
   }
 
-  # What an operator may not do.
-  @admins [:reload_policy, :reload_config, :change_log, :add_link, :remove_link]
   @signing_results %{enrol: "enrolled", revoke: "revoked", discard: "discarded"}
 
   @typedoc "A body is an object, a file as `{:file, path, bytes}`, text or bytes as `{:text, content_type, text, name}`, nothing, or `:sent` already."
@@ -179,14 +177,6 @@ defmodule FleetWeb.API.Actions do
       |> View.policy()
       |> found(Error.new(:not_found, "the gateway has no policy"))
       |> answer(200, request)
-
-  def run(what, %{requester: %{role: :operator, name: name}}, request) when what in @admins,
-    do:
-      answer(
-        {:error, Error.new(:forbidden, "the key #{name} is an operator's; this is an admin's")},
-        200,
-        request
-      )
 
   def run(:add_link, state, request) do
     with {:ok, object, request} <- Request.object(request) do

@@ -8,8 +8,9 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Store
+  alias Aerie.{Policy, Store}
   alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Resources}
+  alias FleetWeb.Rights
 
   @json "application/json; charset=utf-8"
   @binary "application/octet-stream"
@@ -51,20 +52,31 @@ defmodule FleetWeb.API.Handler do
   defp answer(method, resource, facts, state, request) do
     with {:ok, requester} <- Access.decide(state.policy, facts),
          {:ok, action} <- Resources.action(resource, method),
-         :ok <- may(requester, action, method),
+         :ok <- Access.may(requester, action, method),
          :ok <- Misdirected.check(action, state.gateway, request) do
-      Actions.run(action, Map.merge(state, %{name: requester.name, requester: requester}), request)
+      action
+      |> Actions.run(Map.merge(state, %{name: requester.name, requester: requester}), request)
+      |> recorded(action, method, requester, state.gateway)
     else
       {:error, error} -> {:error, error, request}
     end
   end
 
-  # If the key may only read, so may the WebSocket that the ticket opens.
-  defp may(%{changes?: false, name: name}, action, method)
-       when method not in ["GET", "HEAD"] and action != :issue_ticket,
-       do: {:error, Error.new(:forbidden, "the key #{name} may only read (role=viewer)")}
+  # What an admin changed stands in the audit log, as it does for the console. A policy that is read again says so itself.
+  defp recorded({:ok, _status, body, request} = answer, action, method, requester, gateway)
+       when action != :reload_policy do
+    if Rights.least(action, method) == :admin do
+      id = if is_map(body) and is_binary(body[:id]), do: body.id, else: :cowboy_req.binding(:id, request, nil)
+      url = if is_map(body), do: body[:url]
+      entry = %{"type" => "change", "action" => Atom.to_string(action), "source" => "http:" <> requester.name}
+      entry = for {key, text} <- [{"target", id}, {"url", url}], is_binary(text), into: entry, do: {key, text}
+      Policy.Audit.note(gateway, entry)
+    end
 
-  defp may(_requester, _action, _method), do: :ok
+    answer
+  end
+
+  defp recorded(answer, _action, _method, _requester, _gateway), do: answer
 
   defp reply(_status, _headers, :sent, request), do: request
   defp reply(204, headers, nil, request), do: :cowboy_req.reply(204, headers, request)

@@ -5,6 +5,7 @@ defmodule FleetWeb.API.OpenAPI do
   """
 
   alias FleetWeb.API.{Error, Operations, Resources}
+  alias FleetWeb.Rights
 
   # Every answer may be one of these; those of commands only where a vehicle is asked.
   @errors [400, 401, 403, 404, 405, 409, 413, 415, 422, 429, 503]
@@ -64,13 +65,16 @@ defmodule FleetWeb.API.OpenAPI do
     %{
       operationId:
         "#{String.downcase(method)}#{path |> String.replace(~r/[^a-z]+/, "_") |> String.trim_trailing("_")}",
-      summary: about.summary <> if(about[:admin], do: " Only for an admin.", else: ""),
+      summary: about.summary <> for_whom(Rights.least(action, method)),
       tags: [path |> String.split("/", trim: true) |> Enum.at(1, "api")],
       parameters: in_path(path) ++ Enum.map(about[:query] || [], &in_query/1),
       responses: responses(path, about)
     }
     |> with_body(about[:body])
   end
+
+  defp for_whom(:viewer), do: ""
+  defp for_whom(role), do: " For the role #{role}#{if role == :admin, do: "", else: " or a higher one"}."
 
   defp in_path(path) do
     for [name] <- Regex.scan(~r/\{([a-z]+)\}/, template(path), capture: :all_but_first),

@@ -9,7 +9,8 @@ defmodule FleetWeb.API.Operations do
   | `query` | names of parameters (`parameters/0`) |
   | `status` | of the answer, 200 if left out; with `later: true` also 202: the command goes on |
   | `answer` | the answer's schema (`:object` if left out), `nil` for none, or `{:bytes, media types}` beside JSON |
-  | `admin` | only an admin's key, or this machine while there is no key |
+
+  Who may run it is said by `FleetWeb.Rights`.
   """
 
   @plan_types ["application/json", "text/plain", "application/octet-stream"]
@@ -60,11 +61,9 @@ defmodule FleetWeb.API.Operations do
                    %{
                      summary: "Adds a link; it lives until it is removed, or the gateway ends.",
                      body: :link,
-                     status: 201,
-                     admin: true
+                     status: 201
                    }},
-                  {:remove_link,
-                   %{summary: "Closes and forgets a link.", status: 204, answer: nil, admin: true}},
+                  {:remove_link, %{summary: "Closes and forgets a link.", status: 204, answer: nil}},
                   {:record_link, %{summary: "Records a link, or stops that.", body: :mode}},
                   {:recorder, %{summary: "What is recorded, and the files that there are."}},
                   {:download, %{summary: "A recording.", answer: {:bytes, ["application/octet-stream"]}}},
@@ -99,8 +98,7 @@ defmodule FleetWeb.API.Operations do
                   {:operation, %{summary: "An operation, and what became of each vehicle."}},
                   {:stop_operation, %{summary: "Nothing of an operation begins any more."}},
                   {:policy, %{summary: "The policy in force."}},
-                  {:reload_policy,
-                   %{summary: "Reads the policy and its fences again.", body: :nothing, admin: true}},
+                  {:reload_policy, %{summary: "Reads the policy and its fences again.", body: :nothing}},
                   {:store_plan,
                    %{
                      summary: "Stores a .plan file for desired states.",
@@ -109,13 +107,12 @@ defmodule FleetWeb.API.Operations do
                    }},
                   {:command_types, %{summary: "The commands with their parameters."}},
                   {:log, %{summary: "The levels of the log."}},
-                  {:change_log, %{summary: "Changes the levels of the log.", body: :log, admin: true}},
+                  {:change_log, %{summary: "Changes the levels of the log.", body: :log}},
                   {:reload_config,
                    %{
                      summary:
                        "Reads the configuration again and puts in force what can change without a restart.",
-                     body: :nothing,
-                     admin: true
+                     body: :nothing
                    }},
                   {:issue_ticket,
                    %{summary: "A ticket that opens one WebSocket.", body: :nothing, status: 201}},

@@ -38,7 +38,7 @@ defmodule FleetWeb.WebSocket.Handler do
          :ok <- reserve(request, gateway) do
       {address, port} = :cowboy_req.peer(request)
       text = "#{requester.name}@#{Address.format(address, port)}"
-      options = if requester.changes?, do: options, else: Keyword.put(options, :role, :read_only)
+      options = if requester.may == :viewer, do: Keyword.put(options, :role, :read_only), else: options
 
       state = %{
         gateway: gateway,

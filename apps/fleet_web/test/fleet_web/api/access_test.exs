@@ -47,7 +47,7 @@ defmodule FleetWeb.API.AccessTest do
 
   describe "with a key" do
     test "the key gives access, from anywhere and by any name" do
-      assert {:ok, %{name: "api.key", role: nil, changes?: true}} =
+      assert {:ok, %{name: "api.key", role: nil, may: :admin}} =
                decide(keyed(), %{peer: {10, 0, 0, 2}, host: "gw.example", key: "the-right-key-of-all"})
     end
 

@@ -6,11 +6,14 @@ defmodule FleetWeb.API.ClientsTest do
 
   @json {"content-type", "application/json"}
 
-  defp post(port, body, headers \\ [@json]),
+  defp admin, do: {"x-aerie-key", key()}
+  defp post(port, body), do: post(port, body, [@json, admin()])
+
+  defp post(port, body, headers),
     do: request(port, "POST", "/api/clients", headers, if(is_map(body), do: JSON.encode!(body), else: body))
 
   test "an endpoint for clients is added, carries frames both ways, is listed and removed, while the gateway runs" do
-    %{gateway: gateway, port: port} = start_server(links: true)
+    %{gateway: gateway, port: port} = start_server(key: true, links: true)
     {:ok, radio} = Endpoint.attach(gateway, id: "radio", side: :vehicle)
     {:ok, gcs} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, gcs_port} = :inet.port(gcs)
@@ -43,7 +46,7 @@ defmodule FleetWeb.API.ClientsTest do
     assert Store.vehicle(gateway, {"main", 77}) == nil
 
     assert {200, _headers, %{"endpoints" => [%{"id" => "field"}], "clients" => [client]}} =
-             request(port, "GET", "/api/clients")
+             request(port, "GET", "/api/clients", [admin()])
 
     assert %{"id" => "field", "kind" => "link", "access" => "full", "frames_in" => 2, "dropped" => 0} = client
 
@@ -51,20 +54,22 @@ defmodule FleetWeb.API.ClientsTest do
             %{"error" => %{"code" => "conflict", "message" => "there is already a client field"}}} =
              post(port, %{"url" => "udpout:127.0.0.1:9", "id" => "field"})
 
-    assert {204, _headers, nil} = request(port, "DELETE", "/api/clients/field")
-    assert {404, _headers, _body} = request(port, "DELETE", "/api/clients/field")
-    assert {200, _headers, %{"endpoints" => [], "clients" => []}} = request(port, "GET", "/api/clients")
+    assert {204, _headers, nil} = request(port, "DELETE", "/api/clients/field", [admin()])
+    assert {404, _headers, _body} = request(port, "DELETE", "/api/clients/field", [admin()])
+
+    assert {200, _headers, %{"endpoints" => [], "clients" => []}} =
+             request(port, "GET", "/api/clients", [admin()])
   end
 
   test "a link to vehicles cannot be removed here" do
-    %{gateway: gateway, port: port} = start_server(links: true)
+    %{gateway: gateway, port: port} = start_server(key: true, links: true)
     {:ok, "sim"} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "sim")
-    assert {409, _headers, _body} = request(port, "DELETE", "/api/clients/sim")
+    assert {409, _headers, _body} = request(port, "DELETE", "/api/clients/sim", [admin()])
     assert %{id: "sim"} = Store.link(gateway, "sim")
   end
 
   test "invalid requests are refused with what is expected, and change nothing" do
-    %{gateway: gateway, port: port} = start_server(links: true)
+    %{gateway: gateway, port: port} = start_server(key: true, links: true)
 
     for {body, word} <- [
           {%{}, "udpout:"},
@@ -88,8 +93,8 @@ defmodule FleetWeb.API.ClientsTest do
         do: assert({400, _headers, %{"error" => %{"code" => "bad_request"}}} = post(port, body))
 
     form = {"content-type", "application/x-www-form-urlencoded"}
-    assert {415, _headers, _body} = post(port, "url=udpin", [form])
-    assert {415, _headers, _body} = post(port, "{}", [])
+    assert {415, _headers, _body} = post(port, "url=udpin", [form, admin()])
+    assert {415, _headers, _body} = post(port, "{}", [admin()])
     large = ["{\"url\": \"", String.duplicate("x", 20_000), "\"}"]
     assert {413, _headers, %{"error" => %{"code" => "too_large"}}} = post(port, IO.iodata_to_binary(large))
 
@@ -99,7 +104,7 @@ defmodule FleetWeb.API.ClientsTest do
 
   test "if there is a key, it is required" do
     %{port: port} = start_server(key: true, links: true)
-    assert {401, _headers, _body} = post(port, %{"url" => "udpin:127.0.0.1:0"})
+    assert {401, _headers, _body} = post(port, %{"url" => "udpin:127.0.0.1:0"}, [@json])
     assert {401, _headers, _body} = request(port, "DELETE", "/api/clients/x")
 
     assert {201, _headers, _body} =

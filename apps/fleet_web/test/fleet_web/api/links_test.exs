@@ -7,8 +7,9 @@ defmodule FleetWeb.API.LinksTest do
   @json {"content-type", "application/json"}
 
   test "a link to vehicles is added and removed while the gateway runs" do
-    %{gateway: gateway, port: port} = start_server(links: true)
-    add = &request(port, "POST", "/api/links", [@json], JSON.encode!(&1))
+    %{gateway: gateway, port: port} = start_server(key: true, links: true)
+    admin = {"x-aerie-key", key()}
+    add = &request(port, "POST", "/api/links", [@json, admin], JSON.encode!(&1))
 
     assert {201, _headers, %{"id" => "field"}} =
              add.(%{
@@ -24,9 +25,9 @@ defmodule FleetWeb.API.LinksTest do
     assert {409, _headers, %{"error" => %{"message" => "there is already a link field"}}} =
              add.(%{"url" => "udpin:127.0.0.1:0", "id" => "field"})
 
-    assert {200, _headers, %{"links" => [%{"id" => "field"}]}} = request(port, "GET", "/api/links")
-    assert {204, _headers, nil} = request(port, "DELETE", "/api/links/field")
-    assert {404, _headers, _body} = request(port, "DELETE", "/api/links/field")
+    assert {200, _headers, %{"links" => [%{"id" => "field"}]}} = request(port, "GET", "/api/links", [admin])
+    assert {204, _headers, nil} = request(port, "DELETE", "/api/links/field", [admin])
+    assert {404, _headers, _body} = request(port, "DELETE", "/api/links/field", [admin])
     assert Store.link(gateway, "field") == nil
   end
 

@@ -8,12 +8,19 @@ defmodule FleetWeb.API.RecordingsTest do
   @key {"main", 1}
 
   setup %{tmp_dir: dir} do
-    server = start_server(links: true, recorder: %{dir: dir, min_free_mb: 0, flush_ms: 5, after_s: 60})
+    server =
+      start_server(key: true, links: true, recorder: %{dir: dir, min_free_mb: 0, flush_ms: 5, after_s: 60})
+
     put_vehicle(server.gateway, "VID-001", 1)
     server
   end
 
-  defp send_json(port, method, path, object), do: request(port, method, path, [@json], JSON.encode!(object))
+  defp send_json(port, method, path, object),
+    do: request(port, method, path, [@json, admin()], JSON.encode!(object))
+
+  defp admin, do: {"x-aerie-key", key()}
+  defp get(port, path), do: request(port, "GET", path, [admin()])
+  defp raw_head(port), do: "host: 127.0.0.1:#{port}\r\nx-aerie-key: #{key()}\r\nconnection: close\r\n\r\n"
 
   defp hear(gateway, numbers), do: Recorder.vehicle_frames(gateway, @key, Enum.map(numbers, &frame/1))
 
@@ -36,9 +43,9 @@ defmodule FleetWeb.API.RecordingsTest do
              send_json(port, "POST", "/api/vehicles/VID-001/save", %{"reason" => "near miss"})
 
     assert name =~ ~r/\Amain-VID-001-near_miss-\d{8}T\d{6}Z\.tlog\z/
-    answer = answer(port, "GET #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
+    answer = answer(port, "GET #{url} HTTP/1.1\r\n" <> raw_head(port))
     assert [head, bytes] = String.split(answer, "\r\n\r\n", parts: 2)
-    only_head = answer(port, "HEAD #{url} HTTP/1.1\r\nhost: 127.0.0.1:#{port}\r\nconnection: close\r\n\r\n")
+    only_head = answer(port, "HEAD #{url} HTTP/1.1\r\n" <> raw_head(port))
     assert String.ends_with?(only_head, "\r\n\r\n") and only_head =~ "content-length: #{byte_size(bytes)}\r\n"
     assert head =~ "200 OK"
     assert head =~ "content-type: application/octet-stream"
@@ -46,7 +53,7 @@ defmodule FleetWeb.API.RecordingsTest do
     {frames, _decoder} = MavCodec.Tlog.Decoder.push(MavCodec.Tlog.Decoder.new(), bytes)
     assert Enum.map(frames, & &1.at) == for(n <- 1..50, do: 1_000_000_000_000_000 + n)
 
-    assert {200, _headers, %{"files" => [file], "rings" => [ring]}} = request(port, "GET", "/api/recorder")
+    assert {200, _headers, %{"files" => [file], "rings" => [ring]}} = get(port, "/api/recorder")
     assert %{"name" => ^name, "open" => true, "bytes" => size} = file
     assert size == byte_size(bytes)
     assert %{"network" => "main", "system" => 1, "entries" => 1} = ring
@@ -56,12 +63,12 @@ defmodule FleetWeb.API.RecordingsTest do
     assert {200, _headers, %{"recording" => %{"state" => "recording", "mode" => "always"}}} =
              begin(gateway, port)
 
-    assert {200, _headers, status} = request(port, "GET", "/api/status")
+    assert {200, _headers, status} = get(port, "/api/status")
 
     assert %{"recording" => 1, "paused" => 0, "dropped" => 0, "error" => nil, "low" => false} =
              status["recorder"]
 
-    assert {200, _headers, %{"recordings" => [recording]}} = request(port, "GET", "/api/recorder")
+    assert {200, _headers, %{"recordings" => [recording]}} = get(port, "/api/recorder")
     assert %{"kind" => "vehicle", "frames" => 10, "since" => _, "file" => "main-VID-001-" <> _} = recording
 
     assert {200, _headers, %{"recording" => %{"state" => "off", "frames" => 10, "file" => nil}}} =
@@ -85,7 +92,7 @@ defmodule FleetWeb.API.RecordingsTest do
 
     assert %{"mode" => "armed", "state" => "waiting"} =
              eventually(fn ->
-               {200, _headers, %{"links" => [link]}} = request(port, "GET", "/api/links")
+               {200, _headers, %{"links" => [link]}} = get(port, "/api/links")
                link["recording"]["mode"] == "armed" && link["recording"]
              end)
   end
@@ -109,6 +116,6 @@ defmodule FleetWeb.API.RecordingsTest do
     end
 
     for name <- ["secret", "..%2Fsecret", "recordings.index", "foreign-20260101T000000Z.tlog"],
-        do: assert({404, _headers, _body} = request(port, "GET", "/api/recordings/#{name}"))
+        do: assert({404, _headers, _body} = get(port, "/api/recordings/#{name}"))
   end
 end

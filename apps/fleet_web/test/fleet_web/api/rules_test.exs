@@ -4,10 +4,10 @@ defmodule FleetWeb.API.RulesTest do
   alias FleetWeb.API.RuleChanges
 
   test "rules are changed, listed beside the configured ones, and reset" do
-    %{gateway: gateway, port: port} = start_server()
+    %{gateway: gateway, port: port} = start_server(key: true)
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
     {:ok, "gcs"} = Aerie.Client.add(gateway, client)
-    assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules")
+    assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules", [admin()])
 
     change = %{
       "rate_limits" => nil,
@@ -24,11 +24,11 @@ defmodule FleetWeb.API.RulesTest do
     }
 
     assert {200, _, %{"changed" => ^expected}} = patch(port, "/api/rules/gcs", change)
-    assert {200, _, %{"changed" => ^expected}} = request(port, "GET", "/api/rules")
-    assert {204, _, nil} = request(port, "DELETE", "/api/rules/gcs")
-    assert {200, _, %{"changed" => changed}} = request(port, "GET", "/api/rules")
+    assert {200, _, %{"changed" => ^expected}} = request(port, "GET", "/api/rules", [admin()])
+    assert {204, _, nil} = request(port, "DELETE", "/api/rules/gcs", [admin()])
+    assert {200, _, %{"changed" => changed}} = request(port, "GET", "/api/rules", [admin()])
     assert changed == %{}
-    assert {404, _, _} = request(port, "DELETE", "/api/rules/nobody")
+    assert {404, _, _} = request(port, "DELETE", "/api/rules/nobody", [admin()])
 
     assert {404, _, %{"error" => %{"message" => "there is no link and no client nobody"}}} =
              patch(port, "/api/rules/nobody", change)
@@ -66,5 +66,7 @@ defmodule FleetWeb.API.RulesTest do
   end
 
   defp patch(port, path, object),
-    do: request(port, "PATCH", path, [{"content-type", "application/json"}], JSON.encode!(object))
+    do: request(port, "PATCH", path, [{"content-type", "application/json"}, admin()], JSON.encode!(object))
+
+  defp admin, do: {"x-aerie-key", key()}
 end

@@ -36,15 +36,16 @@ defmodule FleetWeb.API.SigningRequestTest do
   end
 
   test "the resources list keys by name, refuse to enrol an unknown vehicle, and say if a vehicle has no key" do
-    %{gateway: gateway, port: port} = start_server(links: true)
-    assert {200, _, %{"keys" => [], "pending" => []}} = request(port, "GET", "/api/signing")
-    json = [{"content-type", "application/json"}]
+    %{gateway: gateway, port: port} = start_server(key: true, links: true)
+    admin = {"x-aerie-key", key()}
+    assert {200, _, %{"keys" => [], "pending" => []}} = request(port, "GET", "/api/signing", [admin])
+    json = [{"content-type", "application/json"}, admin]
     body = JSON.encode!(%{"action" => "enrol"})
     assert {404, _, _} = request(port, "POST", "/api/vehicles/VID-001/signing", json, body)
     put_vehicle(gateway, "VID-001", 1)
 
     assert {404, _, %{"error" => %{"message" => text}}} =
-             request(port, "GET", "/api/vehicles/VID-001/signing")
+             request(port, "GET", "/api/vehicles/VID-001/signing", [admin])
 
     assert text =~ "no key"
 

@@ -3,11 +3,9 @@ defmodule FleetWeb.Console.Access.Role do
 
   alias Aerie.Policy.Roles
 
-  @rank Roles.all() |> Enum.with_index() |> Map.new()
-
   @doc "Whether a role may do what `least` may."
   @spec at_least?(Roles.role(), Roles.role()) :: boolean()
-  def at_least?(role, least), do: Map.fetch!(@rank, role) >= Map.fetch!(@rank, least)
+  defdelegate at_least?(role, least), to: FleetWeb.Rights
 
   @doc "The role with a name from outside."
   @spec parse(term()) :: {:ok, Roles.role()} | :error

@@ -1,6 +1,15 @@
 defmodule FleetWeb.Console.Links.Page do
   @moduledoc "The page of links, networks, clients, routes and rules. Admins add, remove and restart links."
-  use FleetWeb.Console, {:page, events: [admin: ~w(ask add remove restart reset remove-client cancel)]}
+  use FleetWeb.Console,
+      {:page,
+       events: [admin: ~w(ask cancel)],
+       changes: [
+         add_link: ~w(add),
+         remove_link: ~w(remove),
+         restart_link: ~w(restart),
+         remove_client: ~w(remove-client),
+         reset_rules: ~w(reset)
+       ]}
 
   import FleetWeb.Console.Links.Parts
 

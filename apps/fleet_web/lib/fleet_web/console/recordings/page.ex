@@ -4,7 +4,14 @@ defmodule FleetWeb.Console.Recordings.Page do
   its own network, where its vehicles fly again beside the real ones.
   """
   use FleetWeb.Console,
-      {:page, events: [viewer: ~w(events close), operator: ~w(save), admin: ~w(play stop ask cancel delete)]}
+      {:page,
+       events: [viewer: ~w(events close), admin: ~w(ask cancel)],
+       changes: [
+         save: ~w(save),
+         play_recording: ~w(play),
+         remove_link: ~w(stop),
+         delete_recording: ~w(delete)
+       ]}
 
   alias Aerie.{Link, Policy, Recorder, Store}
   alias FleetWeb.Console.Access.Role

@@ -4,8 +4,12 @@ defmodule FleetWeb.Console.Settings.Page do
       {:page,
        events: [
          viewer: ~w(own-password),
-         admin:
-           ~w(ask cancel add change-role change-password remove add-key key-copied revoke-key configuration)
+         admin: ~w(ask cancel key-copied configuration)
+       ],
+       changes: [
+         change_users: ~w(add change-role change-password remove),
+         make_key: ~w(add-key),
+         revoke_key: ~w(revoke-key)
        ]}
 
   import FleetWeb.Console.Settings.Configuration, only: [configuration: 1]

@@ -8,29 +8,30 @@ defmodule Aerie.Bridge.Commands do
   So are requests for parameters, plans, files and logs (`Aerie.Bridge.Commands.Transfers`), on subjects with their own area in the place of
   `cmd`.
 
-  Each message is handled in a task; `Aerie.Bridge.Commands.Request` says who commands what, `Aerie.Commands` does the rest. The type
-  `cancel` with the id of a command, or of a reading, cancels that one. Progress is published on `….cmd.{type}.progress.{id}`.
+  Each message is handled in a task, once `Aerie.Bridge.Commands.Lanes` has a place for it; `Aerie.Bridge.Commands.Request` says who commands
+  what, `Aerie.Commands` does the rest. The type `cancel` with the id of a command, or of a reading, cancels that one. Progress is published
+  on `….cmd.{type}.progress.{id}`.
 
   | what | limit | beyond it |
   |---|---|---|
-  | messages that wait here | 1000 | dropped, counted in `gateway_nats_commands_dropped_total` |
-  | tasks | 512, and 64 for what holds a vehicle or brings it down | answered with rule `busy` |
+  | messages that wait here | 1000, and 10,000 for those that claim the signature of a listed key | dropped, counted in `gateway_nats_commands_dropped_total` |
+  | tasks | those of `Aerie.Bridge.Commands.Lanes` | answered with rule `busy` |
+  | what nobody has signed who may | a rate (`Lanes`) | dropped, counted in `gateway_nats_commands_unread_total` |
   | a message | 16 KiB, of other areas 1 MB | answered with rule `size` |
   """
   use GenServer
 
-  alias Aerie.Bridge.Commands.{Request, Transfers}
+  alias Aerie.Bridge.Commands.{Lanes, Request, Transfers}
   alias Aerie.Bridge.{Connection, Settings, Tables}
   alias Aerie.{Command, Commands, Names, Nats, Policy, Store}
   alias Aerie.Command.{Error, Result}
   alias Aerie.Commands.Record
-  alias Aerie.Policy.Facts
+  alias Aerie.Policy.{Facts, Sources}
   alias Aerie.Store.PubSub
 
   @queue "aerie-commands"
   @max_waiting 1_000
-  @max_tasks 512
-  @reserve 64
+  @max_waiting_signed 10_000
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -61,7 +62,9 @@ defmodule Aerie.Bridge.Commands do
       environment: options[:settings].environment,
       tables: tables,
       tasks: tasks,
+      lanes: Lanes.new(now()),
       running: %{},
+      tasks_of: %{},
       conn: nil,
       subscribed: %{},
       left: %{}
@@ -76,6 +79,23 @@ defmodule Aerie.Bridge.Commands do
   @impl GenServer
   def handle_call(:vehicles, _from, state), do: {:reply, Enum.sort(Map.keys(state.subscribed)), state}
 
+  # Of a task whose message's signature was good: whether it may go on.
+  def handle_call({:verified, type, signature}, {pid, _tag}, state) do
+    task = Map.fetch!(state.tasks_of, pid)
+
+    case Map.fetch!(state.running, task) do
+      %{phase: {:checking, key}} = entry ->
+        {phase, next, lanes} = Lanes.verified(state.lanes, key, signature, type in Facts.ending(), now())
+        state = put_in(%{state | lanes: lanes}.running[task], %{entry | phase: phase})
+        answer = if phase, do: :ok, else: {:busy, map_size(state.running)}
+        {:reply, answer, turn(state, next, {:checking, key})}
+
+      # Its time, or the policy, changed since it was told apart: it goes on in the lane that it is in.
+      _another_lane ->
+        {:reply, :ok, state}
+    end
+  end
+
   @impl GenServer
   def handle_cast({:leave, why, ids}, %{left: left} = state) do
     changed = MapSet.symmetric_difference(ids, Map.get(left, why, MapSet.new()))
@@ -84,19 +104,8 @@ defmodule Aerie.Bridge.Commands do
 
   @impl GenServer
   def handle_info({:msg, message}, state) do
-    {_vehicle, type} = Request.subject(message.topic)
-    Tables.count(state.tables, :received, subject: label(type))
     {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
-
-    cond do
-      waiting > @max_waiting -> Tables.count(state.tables, :commands_dropped)
-      map_size(state.running) >= @max_tasks + reserve(type) -> busy(state, message)
-      true -> :run
-    end
-    |> case do
-      :run -> {:noreply, run(state, message)}
-      :ok -> {:noreply, state}
-    end
+    {:noreply, arrived(state, message, waiting)}
   end
 
   def handle_info({:command_progress, topic, id, progress}, state) do
@@ -108,14 +117,15 @@ defmodule Aerie.Bridge.Commands do
 
   def handle_info({task, _done}, state) when is_map_key(state.running, task) do
     Process.demonitor(task, [:flush])
-    {:noreply, %{state | running: Map.delete(state.running, task)}}
+    {%{phase: phase}, state} = ended(state, task)
+    {:noreply, left(state, phase)}
   end
 
   def handle_info({:DOWN, task, :process, _pid, _crash}, state) when is_map_key(state.running, task) do
-    {message, running} = Map.pop!(state.running, task)
+    {%{message: message, phase: phase}, state} = ended(state, task)
     reason = "a fault of the gateway ended its work on the message; the command may have been sent"
     reply(state.tables, message, %{"id" => nil, "result" => "unknown", "reason" => reason})
-    {:noreply, %{state | running: running}}
+    {:noreply, left(state, phase)}
   end
 
   # Told again after each look at the streams.
@@ -157,7 +167,64 @@ defmodule Aerie.Bridge.Commands do
     end
   end
 
-  defp reserve(type), do: if(type in Facts.ending(), do: @reserve, else: 0)
+  # The cheapest look first: a flood must cost this process less than it costs the connection.
+  defp arrived(state, message, waiting) do
+    signature = Request.signature(message)
+    now = System.os_time(:microsecond)
+
+    case Sources.claim(Policy.Store.get(state.gateway), signature, now) do
+      _any when waiting > @max_waiting_signed ->
+        drop(state, :commands_dropped)
+
+      {:listed, key} = claim ->
+        cond do
+          not Lanes.room?(state.lanes, key) -> drop(state, :commands_dropped)
+          Sources.fresh?(signature, now) -> arrived(state, message, waiting, claim)
+          true -> arrived(state, message, waiting, :refused)
+        end
+
+      claim ->
+        arrived(state, message, waiting, claim)
+    end
+  end
+
+  defp arrived(state, _message, waiting, claim) when waiting > @max_waiting and not is_tuple(claim),
+    do: drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
+
+  defp arrived(state, message, _waiting, claim) do
+    {_vehicle, type} = Request.subject(message.topic)
+
+    case Lanes.arrive(state.lanes, claim, message, type in Facts.ending(), now()) do
+      :drop -> drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
+      {:run, phase, lanes} -> %{state | lanes: lanes} |> received(type) |> run(message, phase)
+      {:wait, lanes} -> received(%{state | lanes: lanes}, type)
+    end
+  end
+
+  defp received(state, type) do
+    Tables.count(state.tables, :received, subject: label(type))
+    state
+  end
+
+  defp drop(state, counter) do
+    Tables.count(state.tables, counter)
+    state
+  end
+
+  defp ended(state, task) do
+    {entry, running} = Map.pop!(state.running, task)
+    {entry, %{state | running: running, tasks_of: Map.delete(state.tasks_of, entry.pid)}}
+  end
+
+  defp left(state, nil), do: state
+
+  defp left(state, phase) do
+    {next, lanes} = Lanes.left(state.lanes, phase)
+    turn(%{state | lanes: lanes}, next, phase)
+  end
+
+  defp turn(state, {:ok, message}, phase), do: run(state, message, phase)
+  defp turn(state, :none, _phase), do: state
 
   # Of what is counted by its subject.
   defp label("cancel"), do: "cmd.cancel"
@@ -172,27 +239,51 @@ defmodule Aerie.Bridge.Commands do
     end
   end
 
-  defp run(state, message) do
+  defp run(state, message, phase) do
     %{gateway: gateway, tables: tables} = state
     face = self()
-    task = Task.Supervisor.async_nolink(state.tasks, fn -> answer(gateway, tables, face, message) end)
-    %{state | running: Map.put(state.running, task.ref, message)}
+    under_way = map_size(state.running)
+
+    # This process never waits for the connection, which may be busy with a flood.
+    task =
+      Task.Supervisor.async_nolink(state.tasks, fn ->
+        if phase == :busy,
+          do: reply(tables, message, busy(under_way)),
+          else: answer(gateway, tables, face, message)
+      end)
+
+    entry = %{message: message, phase: phase, pid: task.pid}
+
+    %{
+      state
+      | running: Map.put(state.running, task.ref, entry),
+        tasks_of: Map.put(state.tasks_of, task.pid, task.ref)
+    }
   end
 
-  defp busy(state, message) do
-    reason = "#{map_size(state.running)} commands by NATS are under way, as many as there may be; try again"
-    reply(state.tables, message, refusal(%{}, :busy, reason))
+  defp busy(number) do
+    reason = "#{number} commands by NATS are under way, as many as there may be; try again"
+    refusal(%{}, :busy, reason)
   end
 
   defp answer(gateway, tables, face, message) do
     body =
-      case Request.read(message, Policy.Store.get(gateway), System.os_time(:microsecond)) do
-        {:ok, request} -> obey(gateway, face, message.topic, request)
+      with {:ok, request} <- Request.read(message, Policy.Store.get(gateway), System.os_time(:microsecond)),
+           :ok <- admitted(face, request, Request.signature(message)) do
+        obey(gateway, face, message.topic, request)
+      else
         {:refused, envelope, {rule, reason}} -> turn_away(gateway, envelope, rule, reason)
+        {:busy, number} -> busy(number)
       end
 
     reply(tables, message, body)
   end
+
+  # An unsigned one has its place already.
+  defp admitted(_face, _request, nil), do: :ok
+
+  defp admitted(face, request, signature),
+    do: GenServer.call(face, {:verified, request.type, signature}, :infinity)
 
   defp obey(gateway, _face, _topic, %{type: "cancel", envelope: %{"id" => id}} = request)
        when is_binary(id) do
@@ -260,4 +351,6 @@ defmodule Aerie.Bridge.Commands do
 
     :ok
   end
+
+  defp now, do: System.monotonic_time(:microsecond)
 end

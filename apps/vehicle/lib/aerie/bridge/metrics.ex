@@ -31,6 +31,9 @@ defmodule Aerie.Bridge.Metrics do
       {"gateway_nats_events_dropped_total", "Events dropped because the stream can never take them."},
     commands_dropped:
       {"gateway_nats_commands_dropped_total", "Commands dropped because too many came at once."},
+    commands_unread:
+      {"gateway_nats_commands_unread_total",
+       "Requests without the signature of a listed key that were not answered, because more of them came than are answered."},
     connects: {"gateway_nats_connects_total", "Connections made to NATS."},
     disconnects: {"gateway_nats_disconnects_total", "Connections to NATS lost."},
     server_restarts: {"gateway_nats_server_restarts_total", "Restarts of the embedded NATS server."},
@@ -41,7 +44,7 @@ defmodule Aerie.Bridge.Metrics do
   ]
 
   # Always present, so that a rate starts at zero and not at the first failure.
-  @unlabelled ~w(publish_errors event_retries event_duplicates events_dropped commands_dropped connects disconnects server_restarts
+  @unlabelled ~w(publish_errors event_retries event_duplicates events_dropped commands_dropped commands_unread connects disconnects server_restarts
                  outbox_written outbox_errors)a
 
   @doc "All of them; without samples if there are no tables, because no bridge runs."

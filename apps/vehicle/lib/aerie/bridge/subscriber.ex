@@ -4,7 +4,8 @@ defmodule Aerie.Bridge.Subscriber do
   answers to requests.
   """
 
-  alias Aerie.{Bridge, Nats}
+  alias Aerie.{Bridge, Names, Nats, Policy}
+  alias Aerie.Policy.Sources
 
   @doc """
   Subscribes this process to a subject, or several, with each new connection. `state` has `:gateway` and `:conn`, the connection that is subscribed, nil for
@@ -29,6 +30,18 @@ defmodule Aerie.Bridge.Subscriber do
     Enum.find_value(subjects, :ok, fn subject ->
       with {:ok, _sid} <- subscribe.(subject), do: nil
     end)
+  end
+
+  @doc "Whether a message claims the signature of a listed key, which floods of others must not keep away."
+  @spec signed?(Names.gateway(), Nats.message()) :: boolean()
+  def signed?(gateway, message) do
+    with {_name, header} <- List.keyfind(message[:headers] || [], "aerie-signature", 0),
+         now = System.os_time(:microsecond),
+         {:listed, _key} <- Sources.claim(Policy.Store.get(gateway), header, now) do
+      Sources.fresh?(header, now)
+    else
+      _not_listed -> false
+    end
   end
 
   @doc "The answer that refuses a request."

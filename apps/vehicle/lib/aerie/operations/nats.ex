@@ -4,7 +4,8 @@ defmodule Aerie.Operations.Nats do
   the gateway's own events have.
 
   To begin or stop one takes a signature as a command does (`Aerie.Policy.Signature`), and an `id`: so a copy that is sent again is the
-  same operation. Requests are handled one by one, because none of them waits for a vehicle; 200 may wait, further ones are dropped.
+  same operation. Requests are handled one by one, because none of them waits for a vehicle; 200 may wait, and 5,000 for those that
+  claim the signature of a listed key. Further ones are dropped.
   """
   use GenServer
 
@@ -13,9 +14,10 @@ defmodule Aerie.Operations.Nats do
   alias Aerie.Policy.Sources
   alias Aerie.Store.PubSub
 
-  import Subscriber, only: [refusal: 2, reply: 2]
+  import Subscriber, only: [refusal: 2, reply: 2, signed?: 2]
 
   @max_waiting 200
+  @max_waiting_signed 5_000
   @max_bytes 131_072
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
@@ -32,7 +34,10 @@ defmodule Aerie.Operations.Nats do
   @impl GenServer
   def handle_info({:msg, message}, state) do
     {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
-    if waiting <= @max_waiting, do: reply(message, answer(state.gateway, message))
+
+    if waiting <= @max_waiting or (waiting <= @max_waiting_signed and signed?(state.gateway, message)),
+      do: reply(message, answer(state.gateway, message))
+
     {:noreply, state}
   end
 

@@ -40,6 +40,28 @@ defmodule Aerie.Policy.Sources do
          do: {:ok, Map.take(listed, [:name, :role, :permissions])}
   end
 
+  @doc """
+  What a request claims to be, before anything is spent on it: by a listed key, without a signature where that may do something, or what is
+  refused whatever its body says. A claim proves nothing; `fresh?/2` says whether it is worth the work of checking it.
+  """
+  @spec claim(Policy.t() | nil, header :: String.t() | nil, now :: integer()) ::
+          {:listed, nkey :: String.t()} | :unsigned | :refused
+  def claim(nil, _header, _now), do: :refused
+  def claim(%{unsigned: nil}, nil, _now), do: :refused
+  def claim(_policy, nil, _now), do: :unsigned
+
+  def claim(policy, header, now) do
+    with [key, _more] <- String.split(header, " ", parts: 2), {:ok, _listed} <- listed(policy, key, now) do
+      {:listed, key}
+    else
+      _unlisted -> :refused
+    end
+  end
+
+  @doc "Whether a header is well-formed and its time counts."
+  @spec fresh?(header :: String.t(), now :: integer()) :: boolean()
+  def fresh?(header, now), do: match?({:ok, _key}, Signature.claim(header, now))
+
   defp listed(policy, key, now) do
     case Enum.find(policy.sources, &(&1.nkey == key)) do
       nil ->

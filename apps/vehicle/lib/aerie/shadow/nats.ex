@@ -7,8 +7,9 @@ defmodule Aerie.Shadow.Nats do
 
   | what | limit | beyond it |
   |---|---|---|
-  | messages that wait here | 1000 | dropped, counted in `gateway_shadow_requests_dropped_total` |
+  | messages that wait here | 1000, and 10,000 for those that claim the signature of a listed key | dropped, counted in `gateway_shadow_requests_dropped_total` |
   | tasks | 64 | answered with rule `busy` |
+  | tasks for what claims no signature of a listed key | 32 of them | dropped and counted |
   | a message | 60 KiB | answered with rule `size` |
   """
   use GenServer
@@ -19,11 +20,13 @@ defmodule Aerie.Shadow.Nats do
   alias Aerie.Shadow.{Metrics, Settings}
   alias Aerie.Store.PubSub
 
-  import Subscriber, only: [refusal: 2, reply: 2]
+  import Subscriber, only: [refusal: 2, reply: 2, signed?: 2]
 
   @queue "aerie-shadow"
   @max_waiting 1_000
+  @max_waiting_signed 10_000
   @max_tasks 64
+  @signed_tasks 32
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -50,8 +53,15 @@ defmodule Aerie.Shadow.Nats do
   def handle_info({:msg, message}, state) do
     {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
 
+    signed? = waiting <= @max_waiting_signed and signed?(state.gateway, message)
+
     cond do
-      waiting > @max_waiting ->
+      waiting > @max_waiting and not signed? ->
+        Metrics.count(state.gateway, :dropped)
+        {:noreply, state}
+
+      # Nobody waits here for the connection: in a flood that would keep the signed ones waiting, too.
+      not signed? and map_size(state.running) >= @max_tasks - @signed_tasks ->
         Metrics.count(state.gateway, :dropped)
         {:noreply, state}
 

@@ -12,10 +12,11 @@ defmodule Aerie.Bridge.CommandsTest do
   setup %{tmp_dir: dir} = context do
     gateway = start_bridge(config(dir))
     key = Nkey.generate(:user)
+    wall = Nkey.generate(:user)
 
     sources = [
       %{name: "ops", nkey: key.public},
-      %{name: "wall", nkey: Nkey.generate(:user).public, role: :viewer}
+      %{name: "wall", nkey: wall.public, role: :viewer}
     ]
 
     policy =
@@ -24,7 +25,7 @@ defmodule Aerie.Bridge.CommandsTest do
     start_door(dir, gateway: gateway, policy: policy)
     conn = client(await_up(gateway))
     await_listening(gateway, ["VID-007"])
-    %{gateway: gateway, conn: conn, key: key}
+    %{gateway: gateway, conn: conn, key: key, wall: wall}
   end
 
   defp subject(type), do: "fleet.test.VID-007.cmd.#{type}"
@@ -182,6 +183,67 @@ defmodule Aerie.Bridge.CommandsTest do
   defp login(gateway) do
     uri = URI.parse(Bridge.login_url(gateway))
     %{token: uri.userinfo, host: uri.host, port: uri.port, connection_timeout: Aerie.Patience.ms()}
+  end
+
+  # Three connections that publish as fast as the server takes it, until the test ends.
+  defp flood(context, headers, body) do
+    for _n <- 1..3 do
+      {:ok, conn} = Gnat.start_link(login(context.gateway))
+
+      start_supervised!(
+        {Task, fn -> Stream.repeatedly(fn -> burst(conn, headers, body) end) |> Stream.run() end},
+        id: make_ref()
+      )
+    end
+
+    # It has begun to be more than is answered.
+    eventually(fn -> unread(context.gateway) > 100 end)
+  end
+
+  # The ping that waits for its pong is what bounds the sender's own queue.
+  defp burst(conn, headers, body) do
+    for n <- 1..200, do: Gnat.pub(conn, subject("set_yaw"), body, headers: headers, reply_to: "_Z.#{n}")
+    with {:error, _the_test_has_ended} <- Gnat.active_subscriptions(conn), do: exit(:normal)
+  end
+
+  defp unread(gateway) do
+    for %{name: name, samples: [{[], n}]} <- Bridge.metrics(gateway),
+        name in ["gateway_nats_commands_unread_total", "gateway_nats_commands_dropped_total"],
+        reduce: 0,
+        do: (sum -> sum + n)
+  end
+
+  # Each is carried out; none is told that there is no place.
+  defp seven(context) do
+    for n <- 1..7 do
+      task = ask(context, "hold", %{"id" => "h#{n}"})
+      id = "h#{n}"
+      answer(executing(%{id: id}), id, :completed)
+      assert %{"id" => ^id, "result" => "completed"} = reply(task)
+    end
+  end
+
+  test "a flood without a signature keeps no signed command away", context do
+    flood(context, [], ~s({"id": "flood", "params": {"yaw": 1}}))
+    seven(context)
+  end
+
+  test "nor does one by a key that is not listed", context do
+    body = ~s({"id": "flood", "params": {"yaw": 1}})
+    signature = Signature.sign(Nkey.generate(:user), subject("set_yaw"), body, DateTime.utc_now())
+    flood(context, [{"Aerie-Signature", signature}], body)
+    seven(context)
+  end
+
+  test "nor do forged ones that name another listed key", context do
+    body = ~s({"id": "flood", "params": {"yaw": 1}})
+
+    [signer, at, _signature] =
+      String.split(Signature.sign(context.wall, subject("set_yaw"), body, DateTime.utc_now()))
+
+    forged = Base.url_encode64(:crypto.strong_rand_bytes(64), padding: false)
+    flood(context, [{"Aerie-Signature", Enum.join([signer, at, forged], " ")}], body)
+    seven(context)
   end
 
   test "no command is in a stream", context do

@@ -35,6 +35,15 @@ defmodule Aerie.Bridge.Commands.Request do
     end
   end
 
+  @doc "The header `Aerie-Signature` of a message; nil without one."
+  @spec signature(Aerie.Nats.message()) :: String.t() | nil
+  def signature(message) do
+    case List.keyfind(message[:headers] || [], "aerie-signature", 0) do
+      {_name, text} -> text
+      nil -> nil
+    end
+  end
+
   @doc "Reads a message at `now` (unix microseconds). A refusal comes with what could be read of the envelope."
   @spec read(Aerie.Nats.message(), Policy.t() | nil, now :: integer()) ::
           {:ok, t()} | {:refused, map(), refusal()}
@@ -43,36 +52,50 @@ defmodule Aerie.Bridge.Commands.Request do
     headers = Map.new(message[:headers] || [])
     named = %{"vehicle" => vehicle, "type" => type}
 
-    with {:ok, given} <- decode(body, max_bytes(type)),
-         named = Map.put(given, "vehicle", vehicle) |> Map.put("type", type),
-         {:ok, source} <- identify(policy, headers["aerie-signature"], topic, body, now, named),
+    # The signature first: a forged body is not even parsed, but for its id.
+    with :ok <- short(body, max_bytes(type)),
+         {:ok, source} <- identify(policy, signature(message), topic, body, now),
+         {:ok, given} <- decode(body),
+         named = Map.merge(given, named),
          {:ok, envelope} <- envelope(given, named, headers) do
       {:ok, %{vehicle: vehicle, type: type, envelope: envelope, source: source}}
     else
       {:wrong, rule, reason} -> {:refused, named, {rule, reason}}
+      {:nobody, rule, reason} -> {:refused, Map.merge(id(body), named), {rule, reason}}
       refused -> refused
     end
   end
 
+  defp id(body) when byte_size(body) <= @max_bytes do
+    case decode(body) do
+      {:ok, given} -> Map.take(given, ["id"])
+      _unreadable -> %{}
+    end
+  end
+
+  defp id(_long), do: %{}
+
   # No command has a dot in its name.
   defp max_bytes(type), do: if(String.contains?(type, "."), do: Transfers.max_bytes(), else: @max_bytes)
 
-  defp decode(body, max) when byte_size(body) > max,
+  defp short(body, max) when byte_size(body) > max,
     do: {:wrong, :size, "the body has more than #{max} bytes"}
 
-  defp decode(body, _max) do
+  defp short(_body, _max), do: :ok
+
+  defp decode(body) do
     case JSON.decode(body) do
       {:ok, %{} = object} -> {:ok, object}
       _other -> {:wrong, :malformed, "the body is not a JSON object"}
     end
   end
 
-  defp identify(nil, _header, _topic, _body, _now, named),
-    do: {:refused, named, {:policy, "the gateway has no policy, so nobody may command anything"}}
+  defp identify(nil, _header, _topic, _body, _now),
+    do: {:nobody, :policy, "the gateway has no policy, so nobody may command anything"}
 
-  defp identify(policy, header, topic, body, now, named) do
+  defp identify(policy, header, topic, body, now) do
     with {:error, reason} <- Sources.identify(policy, header, topic, body, now),
-         do: {:refused, named, {:signature, reason}}
+         do: {:nobody, :signature, reason}
   end
 
   defp envelope(given, named, headers) do

@@ -19,7 +19,9 @@ defmodule FleetWeb.Console do
     * `:changes` - events by the change of `FleetWeb.Rights` that they cause, which says their least role
     * `:events` - the least role for other events by name. An event that is not named needs `:operator`
 
-  Both are enforced in the server, before `mount/3` and before each `handle_event/3`.
+    * `:costly` - events that cost as much as several others: tables that are sorted, files that are read (`FleetWeb.Costly`)
+
+  They are enforced in the server, before `mount/3` and before each `handle_event/3`.
   """
 
   alias Aerie.Policy.Roles
@@ -51,9 +53,13 @@ defmodule FleetWeb.Console do
   end
 
   @doc false
-  @spec options(keyword()) :: %{role: Roles.role(), events: %{String.t() => Roles.role()}}
+  @spec options(keyword()) :: %{
+          role: Roles.role(),
+          events: %{String.t() => Roles.role()},
+          costly: [String.t()]
+        }
   def options(options) do
-    options = Keyword.validate!(options, role: :viewer, events: [], changes: [])
+    options = Keyword.validate!(options, role: :viewer, events: [], changes: [], costly: [])
     events = for {role, names} <- options[:events], name <- names, into: %{}, do: {name, role}
 
     changes =
@@ -63,6 +69,6 @@ defmodule FleetWeb.Console do
           into: %{},
           do: {name, role}
 
-    %{role: options[:role], events: Map.merge(events, changes)}
+    %{role: options[:role], events: Map.merge(events, changes), costly: options[:costly]}
   end
 end

@@ -55,6 +55,7 @@ defmodule FleetWeb.Endpoint do
         [
           {API.KeyRing, key_ring(gateway, settings, keys)},
           {API.Tickets, gateway: gateway},
+          {FleetWeb.Costly, gateway: gateway},
           {Aerie.Diagnosis.Server, gateway: gateway}
         ] ++
           console ++

@@ -108,7 +108,7 @@ defmodule FleetWeb.ConsoleCase do
   @spec conn(t(), :viewer | :operator | :admin | nil, module()) :: Phoenix.LiveViewTest.conn()
   def conn(console, role \\ :operator, router \\ Console.Router) do
     user = role && Users.find(console.gateway, Atom.to_string(role))
-    session = if user, do: Session.of_user(user), else: %{}
+    session = if user, do: Session.of_user(console.gateway, user), else: %{}
 
     Phoenix.LiveViewTest.conn(
       %{console.server | router: router},

@@ -183,6 +183,11 @@ defmodule FleetWeb.API.Error do
   @spec invalid(String.t()) :: {:error, t()}
   def invalid(message), do: {:error, new(:invalid, message)}
 
+  @doc "The error for what would be too much at once."
+  @spec busy(seconds :: pos_integer()) :: t()
+  def busy(seconds),
+    do: new(:too_many, "too much at once: try again in #{seconds} s", %{"retry-after" => "#{seconds}"})
+
   @doc "Answers a request with an error and closes its connection."
   @spec refuse(t(), :cowboy_req.req()) :: :cowboy_req.req()
   def refuse(%__MODULE__{} = error, request) do

@@ -3,6 +3,7 @@ defmodule FleetWeb.API.Shadow do
 
   alias Aerie.Shadow
   alias FleetWeb.API.{Access, Commands, Error}
+  alias FleetWeb.Costly
 
   @codes %{
     role: :forbidden,
@@ -40,9 +41,12 @@ defmodule FleetWeb.API.Shadow do
   @doc "Stores a `.plan` file; returns the hash by which a desired state refers to it."
   @spec store_plan(term(), binary(), Access.requester()) :: {:ok, map()} | {:error, Error.t()}
   def store_plan(gateway, text, requester) do
-    case Shadow.put_plan(gateway, text, Commands.source(requester)) do
-      {:ok, hash} -> {:ok, %{"plan" => hash}}
-      refused -> answer(refused)
+    work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end
+
+    case Costly.run(gateway, :parse, {:name, requester.name}, work) do
+      {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
+      {:ok, refused} -> answer(refused)
+      {:busy, seconds} -> {:error, Error.busy(seconds)}
     end
   end
 

@@ -11,6 +11,7 @@ defmodule FleetWeb.API.Transfers do
   alias Aerie.{Files, Logs, Missions, Params}
   alias Aerie.Params.{Param, Table}
   alias FleetWeb.API.{Commands, Error, Format, LogDownload, Request}
+  alias FleetWeb.Costly
 
   @max_timeout_s Aerie.Transfers.max_timeout_s()
   @plan_bytes 4_194_304
@@ -70,7 +71,7 @@ defmodule FleetWeb.API.Transfers do
 
       case format do
         "json" ->
-          with {:ok, object} <- Request.decode(text),
+          with {:ok, object} <- parsed(gateway, options, fn -> Request.decode(text) end),
                :ok <- Request.known(object, ["id", "values"]),
                %{} = values <-
                  object["values"] || Error.invalid("values: expected an object of names and numbers") do
@@ -78,7 +79,11 @@ defmodule FleetWeb.API.Transfers do
           end
 
         _file ->
-          Params.load(gateway, vehicle, text, [unknown: unknown] ++ with_id(options, %{}, parameters))
+          options = [unknown: unknown] ++ with_id(options, %{}, parameters)
+
+          # The file is read where it is loaded; here is seen that not too many are.
+          with {:ok, _entries} <- parsed(gateway, options, fn -> Params.parse(text) end),
+               do: Params.load(gateway, vehicle, text, options)
       end
       |> changed(vehicle, request)
     else
@@ -136,7 +141,7 @@ defmodule FleetWeb.API.Transfers do
   defp act({:put_plan, kind}, {gateway, vehicle}, options, parameters, request) do
     with {:ok, format} <- given(parameters, request, formats(kind)),
          {:ok, text, request} <- Request.bytes(request, @plan_bytes) do
-      case plan(format, text) do
+      case parsed(gateway, options, fn -> plan(format, text) end) do
         {:ok, plan, object} ->
           Missions.upload(gateway, vehicle, kind, plan, with_id(options, object, parameters))
 
@@ -239,6 +244,14 @@ defmodule FleetWeb.API.Transfers do
     case Missions.import(text, plan_format(format)) do
       {:ok, plan} -> {:ok, plan, %{}}
       {:error, reason} -> Error.invalid(reason)
+    end
+  end
+
+  # What somebody sends is read in the places that there are for that.
+  defp parsed(gateway, options, parse) do
+    case Costly.run(gateway, :parse, {:name, options[:as].name}, parse) do
+      {:ok, result} -> result
+      {:busy, seconds} -> {:error, Error.busy(seconds)}
     end
   end
 

@@ -48,6 +48,16 @@ defmodule FleetWeb.Console.Layout do
     """
   end
 
+  @doc "The page for somebody who has opened too many at once."
+  @spec too_many() :: String.t()
+  def too_many do
+    """
+    <!DOCTYPE html>
+    <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>Too many requests · Aerie</title></head>
+    <body><h1>Too many pages at once</h1><p>Wait a moment, and then load <a href="/">the fleet</a>.</p></body></html>
+    """
+  end
+
   @doc "Header, navigation and messages around a page."
   def app(assigns) do
     ~H"""

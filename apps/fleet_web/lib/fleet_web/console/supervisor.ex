@@ -6,6 +6,7 @@ defmodule FleetWeb.Console.Supervisor do
   FleetWeb.Console.Supervisor   one_for_one
   ├─ Assets                     owns the table of scripts, styles and images
   ├─ Access.Users               owns the table of users, writes their file
+  ├─ Access.Sessions            owns the table of open sessions, writes their file
   ├─ Access.Limiter             counts failed sign-ins
   ├─ Map.Tiles                  knows the file or folder of map tiles
   ├─ Access.Launch              the token of the address that `bin/run` prints
@@ -39,6 +40,7 @@ defmodule FleetWeb.Console.Supervisor do
       [
         {Assets, gateway: gateway},
         {Access.Users, gateway: gateway, file: Access.Users.file(dir)},
+        {Access.Sessions, gateway: gateway, file: Path.join(dir, "sessions.json")},
         {Access.Limiter, gateway: gateway},
         {Console.Map.Tiles, gateway: gateway, path: settings.tiles, attribution: settings.tiles_attribution},
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
@@ -62,7 +64,12 @@ defmodule FleetWeb.Console.Supervisor do
       cookie: Access.Session.cookie(secret),
       session: &Map.put(Access.Session.extra(&1), "gateway", gateway),
       origin?: &own?(policy, &1),
-      not_found: Layout.not_found()
+      not_found: Layout.not_found(),
+      too_many: Layout.too_many(),
+      # Telemetry goes first.
+      priority: :low,
+      opened: fn _session -> Access.OnMount.watch(gateway) end,
+      over?: &Access.OnMount.over?(gateway, &1, &2)
     )
   end
 

@@ -96,7 +96,7 @@ defmodule FleetWeb.Console.AccessTest do
   test "a page is left when its user gets another role or password, or is removed", %{console: console} do
     for change <- [
           &Users.set_role(&1, "operator", "viewer"),
-          &Users.set_password(&1, "operator", "another-password"),
+          &Users.set_password(&1, "operator", "another-password", "boss"),
           &Users.remove(&1, "operator")
         ] do
       {:ok, view, _html} = live(conn(console, :operator), "/")

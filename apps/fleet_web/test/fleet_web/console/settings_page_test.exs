@@ -12,14 +12,14 @@ defmodule FleetWeb.Console.Settings.PageTest do
 
     fields = %{"name" => "ann", "role" => "viewer", "password" => "a-password-of-ann"}
     assert view |> form("#add-user", fields) |> render_submit() =~ "The user was added and may sign in now."
-    assert {:ok, %{role: :viewer}} = Users.check(console.gateway, "ann", "a-password-of-ann")
+    assert {:ok, %{role: :viewer}} = Users.check(console.gateway, "ann", "a-password-of-ann", {:name, "test"})
 
     view |> form("#role-ann", %{"role" => "operator"}) |> render_change()
     assert Users.find(console.gateway, "ann").role == :operator
 
     view |> element("#user-ann button", "Password") |> render_click()
     view |> form("#change-password", %{"password" => "another-of-ann"}) |> render_submit()
-    assert {:ok, _user} = Users.check(console.gateway, "ann", "another-of-ann")
+    assert {:ok, _user} = Users.check(console.gateway, "ann", "another-of-ann", {:name, "test"})
 
     view |> element("#user-ann button", "Remove") |> render_click()
     assert view |> element("#remove-user button.danger") |> render_click() =~ "The user was removed"
@@ -56,7 +56,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     # It ends all sessions, this one too.
     view |> form("#own-password", own) |> render_submit()
     assert_redirect(view, "/settings")
-    assert {:ok, _user} = Users.check(console.gateway, "operator", "my-new-password")
+    assert {:ok, _user} = Users.check(console.gateway, "operator", "my-new-password", {:name, "test"})
   end
 
   test "a key is made, shown once, opens what its role may, and is revoked", %{console: console} do

@@ -9,7 +9,7 @@ defmodule Aerie.Shadow.Nats do
   |---|---|---|
   | messages that wait here | 1000, and 10,000 for those that claim the signature of a listed key | dropped, counted in `gateway_shadow_requests_dropped_total` |
   | tasks | 64 | answered with rule `busy` |
-  | tasks for what claims no signature of a listed key | 32 of them | dropped and counted |
+  | tasks for what claims no signature of a listed key | 32 of them | answered with rule `busy`, unless more than 100 messages wait: then dropped and counted |
   | a message | 60 KiB | answered with rule `size` |
   """
   use GenServer
@@ -27,6 +27,7 @@ defmodule Aerie.Shadow.Nats do
   @max_waiting_signed 10_000
   @max_tasks 64
   @signed_tasks 32
+  @most_answered 100
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -60,16 +61,11 @@ defmodule Aerie.Shadow.Nats do
         Metrics.count(state.gateway, :dropped)
         {:noreply, state}
 
-      # Nobody waits here for the connection: in a flood that would keep the signed ones waiting, too.
-      not signed? and map_size(state.running) >= @max_tasks - @signed_tasks ->
-        Metrics.count(state.gateway, :dropped)
-        {:noreply, state}
-
-      map_size(state.running) >= @max_tasks ->
-        reply(
-          message,
-          refusal("busy", "#{@max_tasks} requests are under way, as many as there may be; try again")
-        )
+      map_size(state.running) >= if(signed?, do: @max_tasks, else: @max_tasks - @signed_tasks) ->
+        # In a flood nobody waits here for the connection: that would keep the signed ones waiting, too.
+        if signed? or waiting <= @most_answered,
+          do: reply(message, busy(map_size(state.running))),
+          else: Metrics.count(state.gateway, :dropped)
 
         {:noreply, state}
 
@@ -94,6 +90,9 @@ defmodule Aerie.Shadow.Nats do
 
   defp connect(state),
     do: Subscriber.follow(state, "fleet.#{state.environment}.*.shadow.*", queue_group: @queue)
+
+  defp busy(number),
+    do: refusal("busy", "#{number} requests are under way, as many as there may be; try again")
 
   defp run(state, message) do
     gateway = state.gateway

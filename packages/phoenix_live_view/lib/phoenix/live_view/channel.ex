@@ -19,13 +19,14 @@ defmodule Phoenix.LiveView.Channel do
 
   @typedoc """
   `:transport` and `:topic`, `:join_ref`; `:join`, a function that gives the outcome of the join; `:encode`, what the transport gets of a
-  message, the text of a frame unless it is given.
+  message, the text of a frame unless it is given; `:priority` of the process.
   """
   @type option ::
           {:transport, pid()}
           | {:topic, String.t()}
           | {:join_ref, String.t()}
           | {:join, (pid() -> joined())}
+          | {:priority, :low | :normal}
           | {:encode, (String.t() | nil, String.t() | nil, String.t(), String.t(), map() -> term())}
   @type joined :: {:ok, map(), View.t()} | {:error, map()}
 
@@ -64,6 +65,7 @@ defmodule Phoenix.LiveView.Channel do
   def init(options) do
     Process.set_label({:live_view, options[:topic]})
     _monitor = Process.monitor(options[:transport])
+    _normal = Process.flag(:priority, Keyword.get(options, :priority, :normal))
 
     state =
       Map.merge(

@@ -11,7 +11,10 @@ defmodule Phoenix.LiveView.Server do
     * `:hosts`: the host names that requests may use, or `:any`. A list prevents pages of another site whose
       name points to this server's address from using it
     * `:supervisor`: the `DynamicSupervisor` of the views' processes
-    * `:cookie`: the name of the session cookie; `:not_found`: the HTML of the answer 404
+    * `:cookie`: the name of the session cookie; `:not_found`: the HTML of the answer 404, `:too_many` that of 429
+    * `:opened`: a function of the session, called in the process of each WebSocket when it opens, to subscribe to what ends a session;
+      `:over?`: a function of a message to that process and the session: `{:close, ms}` if it means that the session is over, else false
+    * `:priority`: the priority of the views' processes, `:normal`
     * `:max_channels` of one WebSocket, 8; `:max_frame` in bytes, 262,144; `:max_events` a second, 100; `:idle_ms` without a heartbeat, 90,000
     * `:render_ms`: the shortest time between two renderings that no event asked for, 50
     * `:csp`: the Content-Security-Policy of pages
@@ -25,9 +28,13 @@ defmodule Phoenix.LiveView.Server do
     :supervisor,
     :root_layout,
     :not_found,
+    :too_many,
     hosts: :any,
     cookie: "_live_view",
     session: &__MODULE__.no_session/1,
+    opened: &__MODULE__.no_session/1,
+    over?: &__MODULE__.never_over/2,
+    priority: :normal,
     origin?: &__MODULE__.same_origin?/1,
     max_channels: 8,
     max_frame: 262_144,
@@ -64,6 +71,9 @@ defmodule Phoenix.LiveView.Server do
 
   @doc false
   def no_session(_request), do: %{}
+
+  @doc false
+  def never_over(_message, _session), do: false
 
   @doc "Whether the `Origin` of a request is the server's own. A request without one comes from no page."
   @spec same_origin?(:cowboy_req.req()) :: boolean()

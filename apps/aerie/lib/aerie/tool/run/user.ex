@@ -10,7 +10,9 @@ defmodule Aerie.Tool.Run.User do
     case IO.gets("password: ") do
       text when is_binary(text) ->
         done(
-          fn -> Users.add(:default, name, options[:role] || "operator", String.trim_trailing(text, "\n")) end,
+          fn ->
+            Users.add(:default, name, options[:role] || "operator", String.trim_trailing(text, "\n"), "aerie")
+          end,
           "added #{name}"
         )
 

@@ -9,7 +9,7 @@ defmodule FleetWeb.Console.Access.Handler do
   alias Aerie.{Address, Store}
   alias FleetWeb.API
   alias FleetWeb.API.Request
-  alias FleetWeb.Console.Access.{Launch, Limiter, Session, SignIn, Users}
+  alias FleetWeb.Console.Access.{Attempts, Launch, Limiter, Session, Sessions, SignIn, Users}
   alias Phoenix.LiveView.{Cookie, Query}
 
   @max_body 4_096
@@ -40,8 +40,12 @@ defmodule FleetWeb.Console.Access.Handler do
 
   defp answer(:sign_out, "POST", request, _facts, state) do
     case fields(request, state) do
-      {:ok, _fields, request} -> signed(request, %{}, "/sign-in", state)
-      {:error, request} -> text(request, 400, "the form was too old; load the page again")
+      {:ok, _fields, request} ->
+        Sessions.finish(state.gateway, Cookie.read(request, state.server.secret, state.server.cookie)["id"])
+        signed(request, %{}, "/sign-in", state)
+
+      {:error, request} ->
+        text(request, 400, "the form was too old; load the page again")
     end
   end
 
@@ -53,13 +57,10 @@ defmodule FleetWeb.Console.Access.Handler do
       not Address.loopback?(facts.peer) or facts.forwarded ->
         form(request, 403, "That address is for this machine only. Sign in here.", state)
 
-      match?({:wait, _s}, Limiter.try(state.gateway, facts.peer)) ->
-        form(request, 429, "Too many attempts. Please wait a minute.", state)
-
       Launch.valid?(state.gateway, query["token"]) ->
+        # Never limited: the token cannot be guessed, and this way in must be open while somebody tries passwords.
         count(state, :launched)
-        Limiter.succeeded(state.gateway, facts.peer)
-        signed(request, Session.of_launch(), "/", state)
+        signed(request, Session.of_launch(state.gateway), "/", state)
 
       true ->
         count(state, :refused)
@@ -75,22 +76,40 @@ defmodule FleetWeb.Console.Access.Handler do
 
   defp answer(_what, _method, request, _facts, _state), do: text(request, 405, "method not allowed")
 
-  defp sign_in(request, fields, peer, %{gateway: gateway} = state) do
-    with :ok <- Limiter.try(gateway, peer),
-         {:ok, user} <- Users.check(gateway, fields["name"], fields["password"]) do
-      Limiter.succeeded(gateway, peer)
+  defp sign_in(request, %{"name" => name, "password" => password}, peer, %{gateway: gateway} = state) do
+    with {:ok, known?} <- Limiter.try(gateway, peer, name),
+         {:ok, user} <- Users.check(gateway, name, password, {:place, Attempts.place(peer), known?}) do
+      Limiter.outcome(gateway, peer, name, :right)
       count(state, :signed_in)
-      signed(request, Session.of_user(user), "/", state)
+      signed(request, Session.of_user(gateway, user), "/", state)
     else
       {:wait, seconds} ->
-        count(state, :limited)
-        request = :cowboy_req.set_resp_header("retry-after", "#{seconds}", request)
-        form(request, 429, "Too many attempts. Please wait #{seconds} seconds.", state)
+        wait(request, seconds, "Too many attempts. Please wait #{seconds} seconds.", state)
+
+      {:busy, seconds} ->
+        Limiter.outcome(gateway, peer, name, :none)
+
+        wait(
+          request,
+          seconds,
+          "Others are signing in just now. Please try again in #{seconds} seconds.",
+          state
+        )
 
       :error ->
+        Limiter.outcome(gateway, peer, name, :wrong)
         count(state, :refused)
         form(request, 403, "The name or the password is wrong.", state)
     end
+  end
+
+  defp sign_in(request, _no_fields, _peer, state),
+    do: form(request, 400, "Name or password is missing.", state)
+
+  defp wait(request, seconds, words, state) do
+    count(state, :limited)
+    request = :cowboy_req.set_resp_header("retry-after", "#{seconds}", request)
+    form(request, 429, words, state)
   end
 
   # The CSRF token changes with every sign-in and sign-out.

@@ -1,58 +1,78 @@
 defmodule FleetWeb.Console.Access.Limiter do
   @moduledoc """
-  Limits attempts to sign in: five a minute from one address, sixty a minute from all. A success resets the
-  address' attempts. They are counted before the password is checked, so that refusing them is cheap.
+  Limits attempts to sign in, by `FleetWeb.Console.Access.Attempts`. An attempt is counted before its password is looked at, so that
+  refusing it is cheap. One that is to be delayed waits here; of each account 32 may.
   """
   use GenServer
 
   alias Aerie.Names
+  alias FleetWeb.Console.Access.Attempts
 
-  @window_ms 60_000
-  @each 5
-  @all 60
+  @most_delayed 32
 
   @doc "Options: `:gateway`; for tests `:now`, a function that returns monotonic milliseconds."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_limiter))
 
-  @doc "Counts an attempt of an address, or returns how many seconds to wait."
-  @spec try(Names.gateway(), :inet.ip_address()) :: :ok | {:wait, pos_integer()}
-  def try(gateway, address), do: GenServer.call(Names.via(gateway, :console_limiter), {:try, address})
+  @doc """
+  Counts an attempt of an address for an account, a name as somebody typed it. Returns when the password may be looked at, and whether the
+  address is known; or how many seconds to wait.
+  """
+  @spec try(Names.gateway(), :inet.ip_address(), term()) ::
+          {:ok, known? :: boolean()} | {:wait, pos_integer()}
+  def try(gateway, address, account),
+    do:
+      GenServer.call(Names.via(gateway, :console_limiter), {:try, Attempts.place(address), account(account)})
 
-  @doc "Records that an address signed in successfully."
-  @spec succeeded(Names.gateway(), :inet.ip_address()) :: :ok
-  def succeeded(gateway, address), do: GenServer.cast(Names.via(gateway, :console_limiter), {:right, address})
+  @doc "What became of an attempt."
+  @spec outcome(Names.gateway(), :inet.ip_address(), term(), :right | :wrong | :none) :: :ok
+  def outcome(gateway, address, account, outcome) do
+    message = {:outcome, Attempts.place(address), account(account), outcome}
+    GenServer.cast(Names.via(gateway, :console_limiter), message)
+  end
+
+  # However long a name is, it takes the same room.
+  defp account(name), do: :erlang.phash2(name, 4_294_967_296)
 
   @impl GenServer
   def init(options) do
     now = Keyword.get(options, :now, fn -> System.monotonic_time(:millisecond) end)
-    {:ok, %{now: now, tries: []}}
+    {:ok, %{now: now, attempts: %Attempts{}, delayed: %{}}}
   end
 
-  # At most @all attempts are kept.
   @impl GenServer
-  def handle_call({:try, address}, _from, %{now: now} = state) do
-    time = now.()
-    tries = Enum.filter(state.tries, fn {at, _address} -> time - at < @window_ms end)
-    own = Enum.filter(tries, fn {_at, from} -> from == address end)
+  def handle_call({:try, place, account}, from, %{now: now, delayed: delayed} = state) do
+    known? = Attempts.known?(state.attempts, place)
+    waiting = Map.get(delayed, account, 0)
 
-    case {full(own, @each, time), full(tries, @all, time)} do
-      {0, 0} -> {:reply, :ok, %{state | tries: [{time, address} | tries]}}
-      {own, all} -> {:reply, {:wait, max(own, all)}, %{state | tries: tries}}
+    case Attempts.try(state.attempts, place, account, now.()) do
+      {:ok, 0, attempts} ->
+        {:reply, {:ok, known?}, %{state | attempts: attempts}}
+
+      {:ok, _delay, _attempts} when waiting >= @most_delayed ->
+        {:reply, {:wait, 5}, state}
+
+      {:ok, delay, attempts} ->
+        Process.send_after(self(), {:delayed, account, from}, delay)
+        {:noreply, %{state | attempts: attempts, delayed: Map.put(delayed, account, waiting + 1)}}
+
+      {:wait, seconds} ->
+        {:reply, {:wait, seconds}, state}
     end
   end
 
   @impl GenServer
-  def handle_cast({:right, address}, state) do
-    {:noreply, %{state | tries: Enum.reject(state.tries, fn {_at, from} -> from == address end)}}
-  end
+  def handle_cast({:outcome, place, account, outcome}, %{now: now} = state),
+    do: {:noreply, %{state | attempts: Attempts.outcome(state.attempts, place, account, outcome, now.())}}
 
-  # Seconds until another attempt is allowed; newest first.
-  defp full(tries, most, time) do
-    case Enum.at(tries, most - 1) do
-      nil -> 0
-      {at, _address} -> div(@window_ms - (time - at) + 999, 1000)
+  @impl GenServer
+  def handle_info({:delayed, account, from}, %{delayed: delayed} = state) do
+    GenServer.reply(from, {:ok, false})
+
+    case delayed do
+      %{^account => 1} -> {:noreply, %{state | delayed: Map.delete(delayed, account)}}
+      %{^account => n} -> {:noreply, %{state | delayed: %{delayed | account => n - 1}}}
     end
   end
 end

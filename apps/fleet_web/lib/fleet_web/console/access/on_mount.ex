@@ -2,22 +2,45 @@ defmodule FleetWeb.Console.Access.OnMount do
   @moduledoc """
   Checks before every page who is signed in and whether they may see it, and before each of its events whether they may cause it.
 
-  Without a signed-in user it redirects to the sign-in page. If the user is removed, or gets another role or password, the page ends at once.
+  Without a signed-in user it redirects to the sign-in page. If the session ends, because somebody signs out, the user is removed or gets another
+  role or password, or its time is over, its pages end at once, and so does the WebSocket that carried them.
+
+  What a user's pages do is paid for from the user's events (`FleetWeb.Costly.spend/3`): a page, a change of the address and what a page names as
+  costly (`costly:` of `FleetWeb.Console`) cost more. When none are left, events are refused, and pages are answered with 429.
   """
 
   import Phoenix.Component
   import Phoenix.LiveView
 
+  alias Aerie.Names
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Access.{Role, Session}
+  alias FleetWeb.Costly
+
+  @page_cost 4
+  @costly 5
+  # A refusal is shown this seldom, because showing it is a rendering.
+  @told_ms 2_000
+  # Pages that end tell their browser where to go before its WebSocket is closed.
+  @close_ms 1_000
+
+  defmodule TooMany do
+    @moduledoc "Too many pages and events of one user: answered with 429."
+    defexception message: "too many pages and events of one user", plug_status: 429
+  end
 
   @doc false
   def on_mount(:default, _params, session, socket) do
     gateway = session["gateway"]
 
     case Session.user(gateway, session) do
-      nil -> {:halt, redirect(socket, to: "/sign-in")}
-      user -> admit(socket, gateway, user, session)
+      nil ->
+        {:halt, redirect(socket, to: "/sign-in")}
+
+      user ->
+        if Costly.spend(gateway, user.name, @page_cost),
+          do: admit(socket, gateway, user, session),
+          else: raise(TooMany)
     end
   end
 
@@ -25,7 +48,7 @@ defmodule FleetWeb.Console.Access.OnMount do
     page = socket.view.__console__()
 
     if Role.at_least?(user.role, page.role) do
-      if connected?(socket), do: PubSub.subscribe(gateway, {:notice, :console_users})
+      if connected?(socket), do: watch(gateway)
 
       {:cont,
        socket
@@ -37,34 +60,71 @@ defmodule FleetWeb.Console.Access.OnMount do
          csrf_token: session["_csrf_token"]
        )
        |> attach_hook(:console_path, :handle_params, &path/3)
-       |> attach_hook(:console_role, :handle_event, fn event, _value, socket -> event(page, event, socket) end)
+       |> attach_hook(:console_role, :handle_event, fn event, _value, socket ->
+         event(page, event, session, socket)
+       end)
        |> attach_hook(:console_users, :handle_info, fn message, socket -> told(message, session, socket) end)}
     else
       {:halt, socket |> put_flash(:error, "This page is for #{page.role}s.") |> redirect(to: "/")}
     end
   end
 
-  defp path(_params, uri, socket), do: {:cont, assign(socket, :path, URI.parse(uri).path || "/")}
-
-  defp event(page, event, %{assigns: %{user: user}} = socket) do
-    least = Map.get(page.events, event, :operator)
-
-    if Role.at_least?(user.role, least),
-      do: {:cont, socket},
-      else:
-        {:halt, put_flash(socket, :error, "As #{user.role} you may not do this: it needs the role #{least}.")}
+  defp path(_params, uri, %{assigns: %{gateway: gateway, user: user}} = socket) do
+    if Costly.spend(gateway, user.name, @page_cost),
+      do: {:cont, assign(socket, :path, URI.parse(uri).path || "/")},
+      else: {:halt, socket}
   end
 
-  defp told(
-         {:fleet, {:notice, :console_users}, name},
-         session,
-         %{assigns: %{user: %{name: name} = user}} = socket
-       ) do
+  # Who is signed in now, not when the page began.
+  defp event(page, event, session, %{assigns: %{user: user, gateway: gateway}} = socket) do
+    least = Map.get(page.events, event, :operator)
+    cost = if event in page.costly, do: @costly, else: 1
+
+    cond do
+      not Costly.spend(gateway, user.name, cost) ->
+        {:halt, tell(socket, "That was too much at once. Wait a moment, and try again.")}
+
+      Session.user(gateway, session) != user ->
+        {:halt, redirect(socket, to: socket.assigns.path)}
+
+      Role.at_least?(user.role, least) ->
+        {:cont, socket}
+
+      true ->
+        {:halt, tell(socket, "As #{user.role} you may not do this: it needs the role #{least}.")}
+    end
+  end
+
+  defp tell(socket, words) do
+    now = System.monotonic_time(:millisecond)
+    told = socket.private[:console_told]
+
+    if told == nil or now - told >= @told_ms,
+      do: socket |> put_private(:console_told, now) |> put_flash(:error, words),
+      else: socket
+  end
+
+  @doc "Tells this process when sessions end (`over?/3`)."
+  @spec watch(Names.gateway()) :: :ok
+  def watch(gateway) do
+    :ok = PubSub.subscribe(gateway, {:notice, :console_users})
+    :ok = PubSub.subscribe(gateway, {:notice, :console_sessions})
+  end
+
+  @doc "Whether a message to a WebSocket means that its session is over: in how many milliseconds it is closed."
+  @spec over?(Names.gateway(), message :: term(), session :: map()) :: {:close, pos_integer()} | false
+  def over?(gateway, {:fleet, {:notice, notice}, _who}, session)
+      when notice in [:console_users, :console_sessions],
+      do: if(Session.user(gateway, session) == nil, do: {:close, @close_ms}, else: false)
+
+  def over?(_gateway, _message, _session), do: false
+
+  defp told({:fleet, {:notice, notice}, _who}, session, %{assigns: %{user: user}} = socket)
+       when notice in [:console_users, :console_sessions] do
     if Session.user(socket.assigns.gateway, session) == user,
       do: {:halt, socket},
       else: {:halt, redirect(socket, to: socket.assigns.path)}
   end
 
-  defp told({:fleet, {:notice, :console_users}, _other}, _session, socket), do: {:halt, socket}
   defp told(_message, _session, socket), do: {:cont, socket}
 end

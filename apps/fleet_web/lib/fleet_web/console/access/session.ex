@@ -2,16 +2,17 @@ defmodule FleetWeb.Console.Access.Session do
   @moduledoc """
   The signed cookie's statement of who is signed in, and who that is now. Pure, except for looking a user up.
 
-  A session belongs either to a user (`"user"`, and `"stamp"`, which a new password invalidates), or to the address that `bin/run`
-  prints (`"launch"`, the unix time of the click): an admin, for a day.
+  A session is open as long as its `"id"` is listed (`FleetWeb.Console.Access.Sessions`). It belongs either to a user (`"user"`, and `"stamp"`,
+  which another password or role invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
   """
 
   alias Aerie.Names
   alias Aerie.Policy.Roles
-  alias FleetWeb.Console.Access.Users
+  alias FleetWeb.Console.Access.{Sessions, Users}
   alias Phoenix.LiveView.Cookie
 
   @launch_s 24 * 3600
+  @user_s 30 * 24 * 3600
   @themes ~w(dark light)
   @theme_cookie "aerie_theme"
 
@@ -31,32 +32,39 @@ defmodule FleetWeb.Console.Access.Session do
     end
   end
 
-  @doc "The session of a user who has signed in."
-  @spec of_user(Users.user()) :: map()
-  def of_user(user), do: %{"user" => user.name, "stamp" => stamp(user)}
+  @doc "Opens a session of a user who has signed in."
+  @spec of_user(Names.gateway(), Users.user()) :: map()
+  def of_user(gateway, user),
+    do: %{"user" => user.name, "stamp" => stamp(user), "id" => Sessions.open(gateway, user.name, @user_s)}
 
-  @doc "The session of the printed address."
-  @spec of_launch() :: map()
-  def of_launch, do: %{"launch" => System.system_time(:second)}
+  @doc "Opens a session of the printed address."
+  @spec of_launch(Names.gateway()) :: map()
+  def of_launch(gateway), do: %{"launch" => true, "id" => Sessions.open(gateway, nil, @launch_s)}
 
   @doc "The signed-in user, or nil."
   @spec user(Names.gateway(), map(), now :: integer()) :: Roles.source() | nil
-  def user(gateway, session, now \\ System.system_time(:second))
+  def user(gateway, session, now \\ System.system_time(:second)) do
+    with {:ok, owner} <- Sessions.owner(gateway, session["id"], now),
+         do: of(gateway, owner, session),
+         else: (:error -> nil)
+  end
 
-  def user(gateway, %{"user" => name, "stamp" => stamp}, _now) do
+  defp of(gateway, name, %{"user" => name, "stamp" => stamp}) when name != nil do
     case Users.find(gateway, name) do
       %{role: role} = user -> if stamp(user) == stamp, do: source(name, role)
       nil -> nil
     end
   end
 
-  def user(_gateway, %{"launch" => at}, now) when now - at < @launch_s, do: source("local", :admin)
-  def user(_gateway, _session, _now), do: nil
+  defp of(_gateway, nil, %{"launch" => _signed}), do: source("local", :admin)
+  defp of(_gateway, _owner, _session), do: nil
 
   defp source(name, role), do: %{name: name, role: role, permissions: []}
 
-  defp stamp(%{password: stored}) do
-    <<stamp::binary-9, _rest::binary>> = :crypto.hash(:sha256, ["session: ", stored])
+  defp stamp(%{password: stored, role: role}) do
+    <<stamp::binary-9, _rest::binary>> =
+      :crypto.hash(:sha256, ["session: ", Atom.to_string(role), " ", stored])
+
     Base.url_encode64(stamp)
   end
 end

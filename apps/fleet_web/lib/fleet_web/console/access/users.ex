@@ -17,6 +17,7 @@ defmodule FleetWeb.Console.Access.Users do
   alias Aerie.Policy.Roles
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Access.{Password, Role}
+  alias FleetWeb.Costly
 
   @most 100
   @max_file 65_536
@@ -39,32 +40,53 @@ defmodule FleetWeb.Console.Access.Users do
   def find(gateway, name),
     do: Names.read(gateway, :console_users, nil, &:ets.lookup_element(&1, name, 2, nil))
 
-  @doc "The user with this name and password. An unknown name takes as long to check."
-  @spec check(Names.gateway(), term(), term()) :: {:ok, user()} | :error
-  def check(gateway, name, password) do
+  @doc """
+  The user with this name and password. An unknown name takes as long to check. Passwords are hashed in the places of `FleetWeb.Costly`, in
+  the name of `asker`.
+  """
+  @spec check(Names.gateway(), term(), term(), Costly.asker()) :: {:ok, user()} | :error | Costly.refusal()
+  def check(gateway, name, password, asker) do
     user = if is_binary(name), do: find(gateway, name)
-    if Password.match?(password, user[:password]), do: {:ok, user}, else: :error
-  end
 
-  @doc "Adds a user."
-  @spec add(Names.gateway(), term(), term(), term()) :: :ok | {:error, String.t()}
-  def add(gateway, name, role, password) do
-    with :ok <- name(name), {:ok, role} <- role(role), :ok <- Password.check(password) do
-      change(gateway, {:add, %{name: name, role: role, password: Password.hash(password)}})
+    case Costly.run(gateway, :password, asker, fn -> Password.match?(password, user[:password]) end) do
+      {:ok, true} -> {:ok, user}
+      {:ok, false} -> :error
+      busy -> busy
     end
   end
 
-  @doc "Changes a user's role."
+  @doc "Adds a user, in the name of `by`."
+  @spec add(Names.gateway(), term(), term(), term(), by :: String.t()) :: :ok | {:error, String.t()}
+  def add(gateway, name, role, password, by) do
+    with :ok <- name(name),
+         {:ok, role} <- role(role),
+         :ok <- Password.check(password),
+         {:ok, stored} <- hash(gateway, password, by) do
+      change(gateway, {:add, %{name: name, role: role, password: stored}})
+    end
+  end
+
+  defp hash(gateway, password, by) do
+    with {:busy, seconds} <- Costly.run(gateway, :users, {:name, by}, fn -> Password.hash(password) end),
+         do: {:error, busy(seconds)}
+  end
+
+  @doc "What is said to whoever has to ask again later."
+  @spec busy(seconds :: pos_integer()) :: String.t()
+  def busy(seconds), do: "too many passwords at once: try again in #{seconds} s"
+
+  @doc "Changes a user's role, which ends the user's sessions."
   @spec set_role(Names.gateway(), String.t(), term()) :: :ok | {:error, String.t()}
   def set_role(gateway, name, role) do
     with {:ok, role} <- role(role), do: change(gateway, {:update, name, %{role: role}})
   end
 
-  @doc "Changes a user's password, which ends the user's sessions."
-  @spec set_password(Names.gateway(), String.t(), term()) :: :ok | {:error, String.t()}
-  def set_password(gateway, name, password) do
+  @doc "Changes a user's password, in the name of `by`, which ends the user's sessions."
+  @spec set_password(Names.gateway(), String.t(), term(), by :: String.t()) :: :ok | {:error, String.t()}
+  def set_password(gateway, name, password, by) do
     with :ok <- Password.check(password),
-         do: change(gateway, {:update, name, %{password: Password.hash(password)}})
+         {:ok, stored} <- hash(gateway, password, by),
+         do: change(gateway, {:update, name, %{password: stored}})
   end
 
   @doc "The new password if both inputs are equal."

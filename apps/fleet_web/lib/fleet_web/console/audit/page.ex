@@ -1,10 +1,15 @@
 defmodule FleetWeb.Console.Audit.Page do
   @moduledoc "The page of the audit log: all decisions about commands and their results, filtered, in pages, verified, exported."
-  use FleetWeb.Console, {:page, role: :operator, events: [operator: ~w(filter older newest verify)]}
+  use FleetWeb.Console,
+      {:page,
+       role: :operator,
+       events: [operator: ~w(filter older newest verify)],
+       costly: ~w(filter older newest verify)}
 
   alias Aerie.Policy.Audit
   alias Aerie.Policy.Audit.{Reader, Verify}
   alias FleetWeb.Console.Access.Role
+  alias FleetWeb.Costly
 
   @limit 50
   @own ~w(n at prev hash type decision source vehicle command reason)
@@ -43,7 +48,8 @@ defmodule FleetWeb.Console.Audit.Page do
   def handle_event("newest", _value, socket), do: {:noreply, socket |> assign(:before, nil) |> read()}
 
   def handle_event("verify", _value, %{assigns: %{verifying: nil, status: %{dir: dir}}} = socket) do
-    task = Task.async(fn -> Verify.folder(dir) end)
+    %{gateway: gateway, user: user} = socket.assigns
+    task = Task.async(fn -> Costly.run(gateway, :read, {:name, user.name}, fn -> Verify.folder(dir) end) end)
     {:noreply, assign(socket, verifying: task.ref, report: nil)}
   end
 
@@ -67,7 +73,15 @@ defmodule FleetWeb.Console.Audit.Page do
 
   def handle_info({ref, result}, %{assigns: %{verifying: ref}} = socket) do
     Process.demonitor(ref, [:flush])
-    {:noreply, assign(socket, verifying: nil, report: result)}
+    socket = assign(socket, :verifying, nil)
+
+    case result do
+      {:ok, report} ->
+        {:noreply, assign(socket, :report, report)}
+
+      {:busy, seconds} ->
+        {:noreply, put_flash(socket, :error, "Other files are being read: try again in #{seconds} s.")}
+    end
   end
 
   def handle_info(_stray, socket), do: {:noreply, socket}

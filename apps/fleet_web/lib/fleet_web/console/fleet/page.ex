@@ -9,7 +9,8 @@ defmodule FleetWeb.Console.Fleet.Page do
       {:page,
        events: [
          viewer: ~w(select all none again filter flag sort plans map_select map_follow map_menu map_escape)
-       ]}
+       ],
+       costly: ~w(all filter flag sort plans)}
 
   import FleetWeb.Console.Fleet.{Actions, Table, Toolbar}
   import FleetWeb.Console.Map, only: [map: 1]

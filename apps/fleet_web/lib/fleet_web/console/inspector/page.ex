@@ -5,7 +5,8 @@ defmodule FleetWeb.Console.Inspector.Page do
   """
   use FleetWeb.Console,
       {:page,
-       events: [viewer: ~w(filter sort choose close freeze), operator: ~w(compose composed send discard)]}
+       events: [viewer: ~w(filter sort choose close freeze), operator: ~w(compose composed send discard)],
+       costly: ~w(filter sort)}
 
   import FleetWeb.Console.Inspector.Parts
 

@@ -8,7 +8,8 @@ defmodule FleetWeb.Console.Params.Page do
   """
   use FleetWeb.Console,
       {:page,
-       events: [viewer: ~w(vehicle filter read describe stop_reading open_file close_file save close_param)]}
+       events: [viewer: ~w(vehicle filter read describe stop_reading open_file close_file save close_param)],
+       costly: ~w(filter read open_file close_file save)}
 
   import FleetWeb.Console.Params.Parts
 
@@ -18,6 +19,7 @@ defmodule FleetWeb.Console.Params.Page do
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Commands.{Life, Lives}
   alias FleetWeb.Console.Params.{Components, Listing, Reading}
+  alias FleetWeb.Costly
 
   @all %{search: "", only: "all"}
   # The command type of a change.
@@ -154,15 +156,20 @@ defmodule FleetWeb.Console.Params.Page do
         %{assigns: %{table: %{}, component: nil}} = socket
       )
       when is_binary(name) and is_binary(text) do
-    case Params.parse(text) do
-      {:ok, entries} ->
+    case Costly.run(socket.assigns.gateway, :parse, {:name, socket.assigns.user.name}, fn ->
+           Params.parse(text)
+         end) do
+      {:ok, {:ok, entries}} ->
         file = %{name: String.slice(name, 0, 100), entries: entries}
 
         {:noreply,
          socket |> assign(file: file, filter: %{socket.assigns.filter | only: "differs"}) |> relist()}
 
-      {:error, errors} ->
+      {:ok, {:error, errors}} ->
         {:noreply, put_flash(socket, :error, Error.text(errors))}
+
+      {:busy, seconds} ->
+        {:noreply, put_flash(socket, :error, "Too many files at once: try again in #{seconds} s.")}
     end
   end
 

@@ -11,7 +11,8 @@ defmodule FleetWeb.Console.Plan.Page do
          viewer:
            ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part action vehicle home
               import export restore download verify close_transfer map_select map_follow map_menu map_escape)
-       ]}
+       ],
+       costly: ~w(import export restore download verify)}
 
   import FleetWeb.Console.Map, only: [map: 1]
   import FleetWeb.Console.Plan.Panel
@@ -20,6 +21,7 @@ defmodule FleetWeb.Console.Plan.Page do
   alias Aerie.Mission.Plan
   alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
   alias FleetWeb.Console.Plan.{Check, Draft, Edit, Profile, Shown, Transfer}
+  alias FleetWeb.Costly
 
   @map "plan-map"
   # A larger copy would not fit into the browser's frame.
@@ -163,7 +165,7 @@ defmodule FleetWeb.Console.Plan.Page do
       when is_binary(name) and is_binary(text) do
     format = if String.ends_with?(name, [".waypoints", ".txt"]), do: :waypoints, else: :plan
 
-    case Missions.import(text, format) do
+    case imported(socket, text, format) do
       {:ok, plan} -> {:noreply, socket |> replace(plan) |> push_event("map:fit", %{map: @map, ids: []})}
       {:error, reason} -> {:noreply, assign(socket, :error, "#{String.slice(name, 0, 80)}: #{reason}")}
     end
@@ -181,7 +183,7 @@ defmodule FleetWeb.Console.Plan.Page do
   # The copy of an earlier page; it never replaces a newer drawing.
   def handle_event("restore", %{"text" => text}, %{assigns: %{draft: %{undo: []}}} = socket)
       when is_binary(text) do
-    case Missions.import(text, :plan) do
+    case imported(socket, text, :plan) do
       {:ok, plan} -> {:noreply, replace(socket, plan)}
       {:error, _reason} -> {:noreply, socket}
     end
@@ -245,6 +247,13 @@ defmodule FleetWeb.Console.Plan.Page do
 
   defp zones(%{assigns: %{gateway: gateway}} = socket),
     do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(gateway))})
+
+  defp imported(%{assigns: %{gateway: gateway, user: user}}, text, format) do
+    case Costly.run(gateway, :parse, {:name, user.name}, fn -> Missions.import(text, format) end) do
+      {:ok, result} -> result
+      {:busy, seconds} -> {:error, "too many files at once: try again in #{seconds} s"}
+    end
+  end
 
   defp read(%{assigns: %{gateway: gateway}} = socket) do
     vehicles = Fleet.vehicles(gateway)

@@ -11,12 +11,14 @@ defmodule FleetWeb.Console.Recordings.Page do
          play_recording: ~w(play),
          remove_link: ~w(stop),
          delete_recording: ~w(delete)
-       ]}
+       ],
+       costly: ~w(events save)}
 
   alias Aerie.{Link, Policy, Recorder, Store}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Recordings.TimeLine
   alias FleetWeb.Console.UI.Age
+  alias FleetWeb.Costly
 
   @max_files 200
   @speeds ~w(1 5 20 max)
@@ -47,7 +49,7 @@ defmodule FleetWeb.Console.Recordings.Page do
         {:noreply, socket}
 
       file ->
-        task = Task.async(fn -> TimeLine.read(file.path, file.bytes) end)
+        task = Task.async(fn -> read(socket.assigns, file) end)
         {:noreply, assign(socket, reading: {task.ref, name}, line: nil)}
     end
   end
@@ -99,6 +101,13 @@ defmodule FleetWeb.Console.Recordings.Page do
   end
 
   def handle_event(_event, _value, socket), do: {:noreply, socket}
+
+  defp read(%{gateway: gateway, user: user}, file) do
+    case Costly.run(gateway, :read, {:name, user.name}, fn -> TimeLine.read(file.path, file.bytes) end) do
+      {:ok, result} -> result
+      {:busy, seconds} -> {:error, "other files are being read: try again in #{seconds} s"}
+    end
+  end
 
   defp file(%{assigns: %{files: files}}, name), do: Enum.find(files, &(&1.name == name))
 

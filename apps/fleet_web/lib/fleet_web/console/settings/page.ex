@@ -55,12 +55,20 @@ defmodule FleetWeb.Console.Settings.Page do
   def handle_event("own-password", %{"old" => old, "new" => new} = form, socket) do
     %{gateway: gateway, user: user} = socket.assigns
 
-    case Users.check(gateway, user.name, old) do
+    case Users.check(gateway, user.name, old, {:name, user.name}) do
       {:ok, _user} ->
-        change(socket, :own, Users.same(new, form["again"]), &Users.set_password(gateway, user.name, &1))
+        change(
+          socket,
+          :own,
+          Users.same(new, form["again"]),
+          &Users.set_password(gateway, user.name, &1, user.name)
+        )
 
       :error ->
         {:noreply, assign(socket, :errors, %{own: "the old password is wrong"})}
+
+      {:busy, seconds} ->
+        {:noreply, assign(socket, :errors, %{own: Users.busy(seconds)})}
     end
   end
 
@@ -70,13 +78,25 @@ defmodule FleetWeb.Console.Settings.Page do
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, asking: nil, errors: %{})}
 
   def handle_event("add", %{"name" => name, "role" => role, "password" => password}, socket),
-    do: change(socket, :add, {:ok, password}, &Users.add(socket.assigns.gateway, name, role, &1))
+    do:
+      change(
+        socket,
+        :add,
+        {:ok, password},
+        &Users.add(socket.assigns.gateway, name, role, &1, socket.assigns.user.name)
+      )
 
   def handle_event("change-role", %{"name" => name, "role" => role}, socket),
     do: change(socket, :role, {:ok, role}, &Users.set_role(socket.assigns.gateway, name, &1))
 
   def handle_event("change-password", %{"name" => name, "password" => password}, socket),
-    do: change(socket, :password, {:ok, password}, &Users.set_password(socket.assigns.gateway, name, &1))
+    do:
+      change(
+        socket,
+        :password,
+        {:ok, password},
+        &Users.set_password(socket.assigns.gateway, name, &1, socket.assigns.user.name)
+      )
 
   def handle_event("remove", %{"name" => name}, socket),
     do: change(socket, :remove, {:ok, name}, &Users.remove(socket.assigns.gateway, &1))

@@ -1,6 +1,6 @@
 defmodule FleetWeb.Console.System.Page do
   @moduledoc "The page of the gateway as a program: its supervision tree with restarts, the busiest processes, memory, run queues, NATS, versions."
-  use FleetWeb.Console, {:page, events: [viewer: ~w(sort)]}
+  use FleetWeb.Console, {:page, events: [viewer: ~w(sort)], costly: ~w(sort)}
 
   import FleetWeb.Console.System.Parts
 

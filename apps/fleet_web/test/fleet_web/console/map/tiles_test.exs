@@ -97,7 +97,10 @@ defmodule FleetWeb.Console.Map.TilesTest do
 
   defp signed_in(console) do
     session =
-      FleetWeb.Console.Access.Session.of_user(FleetWeb.Console.Access.Users.find(console.gateway, "viewer"))
+      FleetWeb.Console.Access.Session.of_user(
+        console.gateway,
+        FleetWeb.Console.Access.Users.find(console.gateway, "viewer")
+      )
 
     %{secret: secret, cookie: name} = console.server
     [{~c"cookie", ~c"#{name}=#{Phoenix.LiveView.Token.sign(secret, "cookie", session)}"}]

@@ -67,7 +67,7 @@ defmodule Phoenix.LiveView.Cowboy.Page do
       # Used once: the page's next request is a new one.
       {:refused, status} ->
         request = :cowboy_req.set_resp_cookie(@status_cookie, "", request, %{max_age: 0, path: "/"})
-        {:ok, :cowboy_req.reply(status, headers, not_found(server), request), server}
+        {:ok, :cowboy_req.reply(status, headers, refused(status, server), request), server}
     end
   end
 
@@ -80,6 +80,9 @@ defmodule Phoenix.LiveView.Cowboy.Page do
       _none -> nil
     end
   end
+
+  defp refused(429, %{too_many: page}) when page != nil, do: page
+  defp refused(_status, server), do: not_found(server)
 
   defp not_found(%{not_found: nil}),
     do: "<!DOCTYPE html>\n<title>Not found</title><p>There is no such page.</p>\n"

@@ -3,7 +3,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   The process of one WebSocket: reads frames, starts a channel for each view that joins, and writes the channels' messages.
 
   A request is refused before it becomes a WebSocket if its `Origin` is not allowed, its CSRF token is not the session's, or it
-  uses another version of the protocol. An invalid frame, or more events a second than a person can cause,
+  uses another version of the protocol. The end of its session closes it (`:over?` of the server). An invalid frame, or more events a second than a person can cause,
   closes the connection, never with code 1000, which makes the client reload the page.
   """
   @behaviour :cowboy_websocket
@@ -64,6 +64,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
   def websocket_init(state) do
     Process.set_label(:live_view_socket)
     Process.send_after(self(), :watch, state.server.idle_ms)
+    _ = state.server.opened.(state.info.session)
     {[], state}
   end
 
@@ -124,7 +125,7 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
 
   defp join(join_ref, topic, payload, %{server: server, info: info} = state) do
     join = fn transport -> Join.join(server, topic, payload, info, transport) end
-    options = [transport: self(), topic: topic, join_ref: join_ref, join: join]
+    options = [transport: self(), topic: topic, join_ref: join_ref, join: join, priority: server.priority]
 
     case DynamicSupervisor.start_child(server.supervisor, {Channel, options}) do
       {:ok, pid} ->
@@ -191,7 +192,15 @@ defmodule Phoenix.LiveView.Cowboy.Socket do
     end
   end
 
-  def websocket_info(_other, state), do: {[], state}
+  def websocket_info({__MODULE__, :over}, state), do: {[{:close, @refused, "the session is over"}], state}
+
+  # Views that end with the session say so to the browser first.
+  def websocket_info(message, %{server: server, info: %{session: session}} = state) do
+    with {:close, ms} <- server.over?.(message, session),
+         do: Process.send_after(self(), {__MODULE__, :over}, ms)
+
+    {[], state}
+  end
 
   # A refused view has been answered; one that left is closed; after a crash the client joins again.
   defp over(_topic, _channel, {:shutdown, :refused}), do: []

@@ -82,6 +82,13 @@ defmodule Aerie.CLI.Status do
 
   def handle_info(_other, state), do: {:noreply, state}
 
+  defp listed(gateway) do
+    case Aerie.Policy.Store.get(gateway) do
+      nil -> []
+      policy -> policy.clients
+    end
+  end
+
   defp view(state) do
     links = state.gateway |> Store.links() |> Enum.sort_by(& &1.id)
     commands = Map.new(links, &{&1.id, Aerie.Router.gcs(state.gateway, &1.id)})
@@ -93,7 +100,7 @@ defmodule Aerie.CLI.Status do
       started: state.started,
       vehicles: state.gateway |> Fleet.vehicles() |> Enum.sort_by(& &1.id),
       links: links,
-      interfaces: Access.list(links, commands, clients, bound(state)),
+      interfaces: Access.list(links, commands, clients, bound(state), listed(state.gateway)),
       clients: clients,
       nats: Aerie.Bridge.info(state.gateway),
       nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),

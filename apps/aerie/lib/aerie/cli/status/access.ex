@@ -5,48 +5,93 @@ defmodule Aerie.CLI.Status.Access do
   """
 
   alias Aerie.Link.Spec
+  alias Aerie.Policy
   alias Aerie.Router.Access
+
+  # Whom no entry of `policy.clients` names: on this machine, and on a link with `gcs: allow`.
+  @unlisted %{role: :operator, permissions: []}
 
   @typedoc "`wide`: other machines may do more here than look on"
   @type interface :: %{address: String.t(), who: String.t(), wide: boolean}
 
   @doc """
-  Lists the interfaces: links (`commands` maps a link's id to its `gcs` setting), clients, and the servers of the
-  configuration (`config` nil: no servers).
+  Lists the interfaces: links (`commands` maps a link's id to its `gcs` setting), clients, and the servers of the configuration (`config`
+  nil: no servers). `listed` are the clients of the policy in force.
   """
-  @spec list([map], %{String.t() => :auto | :allow | :deny}, [map], Aerie.Config.t() | nil) :: [interface]
-  def list(links, commands, clients, config) do
-    Enum.map(links, &link(&1, Map.get(commands, &1.id, :auto))) ++
-      Enum.map(clients, &client/1) ++ servers(config)
+  @spec list([map], %{String.t() => :auto | :allow | :deny}, [map], Aerie.Config.t() | nil, [Policy.client()]) ::
+          [
+            interface
+          ]
+  def list(links, commands, clients, config, listed \\ []) do
+    Enum.map(links, &link(&1, Map.get(commands, &1.id, :auto), listed)) ++
+      Enum.map(clients, &client(&1, listed)) ++ servers(config, listed)
   end
 
-  defp link(%{spec: %{recorded: true}} = link, _gcs),
+  defp link(%{spec: %{recorded: true}} = link, _gcs, _listed),
     do: interface(address(link), "a recording: no commands", false)
 
-  defp link(link, gcs) do
+  defp link(link, gcs, listed) do
     who = who(link)
     local? = local?(link)
+    source = source(listed, link.id)
+    commands? = source.role != :viewer
 
     case gcs do
-      :allow ->
-        interface(address(link), "#{who}: vehicles, and commands to vehicles (gcs: allow)", not local?)
+      :allow when commands? ->
+        interface(
+          address(link),
+          "#{who}: vehicles, and commands to vehicles (gcs: allow; #{named(source)})",
+          not local?
+        )
 
-      :auto when local? ->
-        interface(address(link), "#{who}: vehicles, and commands to vehicles", false)
+      :auto when commands? and local? ->
+        interface(address(link), "#{who}: vehicles, and commands to vehicles (#{named(source)})", false)
 
-      :auto when link.spec.server ->
-        interface(address(link), "#{who}: vehicles; commands from this machine only", false)
+      :auto when commands? and link.spec.server ->
+        interface(
+          address(link),
+          "#{who}: vehicles; commands from this machine only (#{named(source)})",
+          false
+        )
 
       _closed ->
         interface(address(link), "#{who}: vehicles; no commands", false)
     end
   end
 
-  defp client(client) do
+  defp client(client, listed) do
     router = client.spec.options[:router] || []
-    may = if router[:role] == :read_only, do: "look on", else: "look on and command vehicles"
-    interface(address(client), "#{who(client)}: #{may}", router[:role] != :read_only and not local?(client))
+    who = who(client)
+    found = entry(listed, client.id)
+
+    cond do
+      router[:role] == :read_only ->
+        interface(address(client), "#{who}: look on (read_only)", false)
+
+      found != nil or local?(client) ->
+        source = found || @unlisted
+        interface(address(client), "#{who}: #{may(source)}", source.role != :viewer and not local?(client))
+
+      # Without an entry only this machine commands.
+      client.spec.server ->
+        words = "#{who}: look on (viewer); programs of this machine: #{may(@unlisted)}"
+        interface(address(client), words, false)
+
+      true ->
+        interface(address(client), "#{who}: look on (viewer)", false)
+    end
   end
+
+  # An entry of `policy.clients` by the id, or the one for all others.
+  defp entry(listed, id), do: Enum.find(listed, &(&1.id == id)) || Enum.find(listed, &(&1.id == nil))
+  defp source(listed, id), do: entry(listed, id) || @unlisted
+
+  defp may(%{role: :viewer}), do: "look on (viewer)"
+  defp may(%{role: :operator} = source), do: "look on and command vehicles (#{named(source)})"
+  defp may(%{role: :admin} = source), do: "look on, command and maintain vehicles (#{named(source)})"
+
+  # What a role does not have is said by name.
+  defp named(%{role: role, permissions: permissions}), do: Enum.join([role | permissions], ", ")
 
   # A server shows the port that it really got.
   defp address(%{spec: %{server: true}, local: local} = link) when is_binary(local),
@@ -62,42 +107,50 @@ defmodule Aerie.CLI.Status.Access do
     end
   end
 
-  defp local?(link),
-    do: Access.loopback?(link[:local]) or Access.loopback?(link[:peer] || Spec.place(link.spec))
+  defp local?(link), do: loopback?(link[:local]) or loopback?(link[:peer] || Spec.place(link.spec))
+  defp loopback?(place), do: Access.loopback?(place)
 
-  defp servers(nil), do: []
+  defp servers(nil, _listed), do: []
 
-  defp servers(config) do
+  defp servers(config, listed) do
     http =
       if config.http.enabled,
-        do: [
-          server("http", config.http, config.api, "look on, and change what /api changes") | console(config)
-        ],
+        do: [interface("http://#{place(config.http)}", rest(config.api), false) | console(config)],
         else: []
 
-    ws =
-      if config.websocket.enabled,
-        do: [server("ws", config.websocket, config.api, "look on and command vehicles")],
-        else: []
+    ws = if config.websocket.enabled, do: [websocket(config, listed)], else: []
 
     sockets =
       if config.sockets.enabled,
         do: [
           interface(
             "mavlink.sock",
-            "users whom its file permissions admit: look on and command vehicles",
+            "users whom its file permissions admit: #{may(source(listed, nil))}",
             false
           )
         ],
         else: []
 
-    nats =
-      if config.nats.mode == :embedded,
-        do: [interface("nats (embedded)", "anyone with its login: read, and change what is stored", false)],
-        else: []
-
-    http ++ ws ++ sockets ++ nats
+    http ++ ws ++ sockets ++ nats(config)
   end
+
+  defp nats(%{nats: %{mode: :embedded}} = config) do
+    unsigned =
+      case config.policy.unsigned do
+        nil -> "commands with a signature of policy.sources only"
+        role -> "commands without a signature as #{role} (policy.unsigned)"
+      end
+
+    [
+      interface(
+        "nats (embedded)",
+        "anyone with its login: read, and change what is stored; #{unsigned}",
+        config.policy.unsigned not in [nil, :viewer]
+      )
+    ]
+  end
+
+  defp nats(_other), do: []
 
   defp console(%{console: %{enabled: true}, http: http}),
     do: [
@@ -113,20 +166,31 @@ defmodule Aerie.CLI.Status.Access do
   defp place(%{address: address, port: port}),
     do: if(String.contains?(address, ":"), do: "[#{address}]:#{port}", else: "#{address}:#{port}")
 
-  defp server(scheme, listener, api, may) do
-    keys? = api[:key] != nil or api[:keys_file] != nil
+  defp keys?(api), do: api[:key] != nil or api[:keys_file] != nil
+
+  # Without keys /api is for this machine, whatever the address, and nobody there is an admin (FleetWeb.Rights).
+  defp rest(api) do
+    if keys?(api),
+      do: "anyone with a key: by its role, look on, command vehicles, and change what /api changes",
+      else:
+        "programs of this machine: look on, and save recordings; no commands, no changes of links, clients and rules"
+  end
+
+  # A key without a role, and no key, are judged like a client that connects by UDP or TCP.
+  defp websocket(%{websocket: listener, api: api}, listed) do
     address = place(listener)
+    source = source(listed, nil)
 
-    who =
-      cond do
-        keys? -> "anyone with a key"
-        # Without keys /api is for this machine, whatever the address (FleetWeb.API.Access).
-        scheme == "http" or Access.loopback?(address) -> "programs of this machine"
-        true -> "anyone who reaches it"
-      end
+    cond do
+      keys?(api) ->
+        interface("ws://#{address}", "anyone with a key: by its role, look on and command vehicles", false)
 
-    wide? = not keys? and scheme != "http" and not Access.loopback?(address)
-    interface("#{scheme}://#{address}", "#{who}: #{may}", wide?)
+      loopback?(address) ->
+        interface("ws://#{address}", "programs of this machine: #{may(source)}", false)
+
+      true ->
+        interface("ws://#{address}", "anyone who reaches it: #{may(source)}", source.role != :viewer)
+    end
   end
 
   defp interface(address, who, wide), do: %{address: address, who: who, wide: wide}

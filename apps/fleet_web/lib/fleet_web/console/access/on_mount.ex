@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.Access.OnMount do
         {:halt, tell(socket, "That was too much at once. Wait a moment, and try again.")}
 
       Session.user(gateway, session) != user ->
-        {:halt, redirect(socket, to: socket.assigns.path)}
+        {:halt, leave(socket)}
 
       Role.at_least?(user.role, least) ->
         {:cont, socket}
@@ -123,8 +123,12 @@ defmodule FleetWeb.Console.Access.OnMount do
        when notice in [:console_users, :console_sessions] do
     if Session.user(socket.assigns.gateway, session) == user,
       do: {:halt, socket},
-      else: {:halt, redirect(socket, to: socket.assigns.path)}
+      else: {:halt, leave(socket)}
   end
 
   defp told(_message, _session, socket), do: {:cont, socket}
+
+  # The user and the session are told of one after the other, and the first leads away already.
+  defp leave(%{redirected: nil} = socket), do: redirect(socket, to: socket.assigns.path)
+  defp leave(socket), do: socket
 end

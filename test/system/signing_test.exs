@@ -15,6 +15,7 @@ defmodule Aerie.System.SigningTest do
   @moduletag :tmp_dir
   @moduletag :capture_log
 
+  @api_key "an-admins-key-of-the-test"
   # A single word, because MAVProxy takes only one.
   @passphrase "a-passphrase-of-the-system-tests"
   @key MavCodec.Signing.key(@passphrase)
@@ -29,6 +30,7 @@ defmodule Aerie.System.SigningTest do
     sockets = short_dir()
 
     overrides = %{
+      "api" => %{"key" => @api_key},
       "signing" => %{"dir" => Path.join(folder, "signing"), "keys" => keys},
       "sockets" => %{"dir" => sockets, "sign" => true}
     }
@@ -199,7 +201,7 @@ defmodule Aerie.System.SigningTest do
       )
 
     assert Enum.map(events, & &1["type"]) == List.duplicate("signing.enrolled", 4) ++ ["signing.revoked"]
-    assert Enum.at(events, 3)["data"]["by"] == "http:local"
+    assert Enum.at(events, 3)["data"]["by"] == "http:api.key"
 
     for secret <- [first, second] do
       key = Aerie.Secret.reveal(secret)
@@ -210,7 +212,8 @@ defmodule Aerie.System.SigningTest do
 
   defp post(gateway, body) do
     url = ~c"http://127.0.0.1:#{FleetWeb.Endpoint.port(gateway)}/api/vehicles/VID-001/signing"
-    request = {url, [{~c"connection", ~c"close"}], ~c"application/json", JSON.encode!(body)}
+    headers = [{~c"connection", ~c"close"}, {~c"x-aerie-key", String.to_charlist(@api_key)}]
+    request = {url, headers, ~c"application/json", JSON.encode!(body)}
 
     {:ok, {{_version, status, _reason}, _headers, body}} =
       http(:post, request)

@@ -10,6 +10,8 @@ defmodule FleetWeb.Console.PageHandler do
   def init(request, %{policy: policy, server: server} = state) do
     case Access.host(policy, Request.facts(request)) do
       :ok ->
+        # Telemetry goes first. Each request has a process of its own.
+        _normal = Process.flag(:priority, :low)
         {:ok, request, _server} = Page.init(request, server)
         {:ok, request, state}
 

@@ -33,7 +33,9 @@ defmodule DecisionBench do
     row(
       "telemetry of a vehicle, from this machine",
       telemetry,
-      path(side: :vehicle, heard_vehicle: true, commands: true, local: true), vehicle: true)
+      path(side: :vehicle, heard_vehicle: true, commands: true, local: true),
+      vehicle: true
+    )
 
     heartbeat = [%M.Heartbeat{type: 6, autopilot: 8}]
     row("an operator's heartbeat", heartbeat, path(side: :client, commands: true, owner: "operator"), [])

@@ -55,15 +55,23 @@ defmodule Aerie.PolicyDocTest do
 
     {:ok, policy} = Policy.compile(section)
 
-    assert Policy.client(policy, "field-laptop") == %{
-             name: "field-laptop",
-             role: :operator,
-             permissions: [:force_disarm]
-           }
+    path = %{
+      owner: "field-laptop",
+      text: "10.0.0.9:5000",
+      principal: nil,
+      side: :client,
+      auto: false,
+      commands: true,
+      local: false
+    }
 
-    assert Policy.client(policy, "another") == %{name: "another", role: :viewer, permissions: []}
+    assert %{name: "field-laptop", role: :operator, permissions: [:force_disarm]} =
+             Policy.principal(policy, path)
+
+    assert %{role: :viewer} = Policy.principal(policy, %{path | owner: "another"})
     {:ok, open} = Policy.compile(%{})
-    assert %{role: :admin, permissions: [_ | _]} = Policy.client(open, "another")
+    assert %{role: :viewer} = Policy.principal(open, path)
+    assert %{role: :operator} = Policy.principal(open, %{path | local: true})
   end
 
   defp write(dir, text) do

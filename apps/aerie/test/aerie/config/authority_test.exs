@@ -9,9 +9,9 @@ defmodule Aerie.Config.AuthorityTest do
   alias Aerie.Config.Keys
   alias Aerie.Link.{Clients, Configured, Egress}
   alias Aerie.Policy.{Audit, Context, Facts, Lease, Rate, Signature, Sources}
-  alias Aerie.Router.{CommandGate, Endpoint, Filter}
+  alias Aerie.Router.{Access, Endpoint, Filter}
   alias Aerie.Settings.Field
-  alias FleetWeb.API.Access
+  alias FleetWeb.API
   alias FleetWeb.HTTP.Proxy
 
   @moduletag :tmp_dir
@@ -30,7 +30,7 @@ defmodule Aerie.Config.AuthorityTest do
     signing.dir
     nats.port nats.store_dir nats.max_memory_mb nats.max_store_mb nats.binary nats.domain nats.connect_timeout_s nats.retry_min_ms
     nats.retry_max_ms nats.streams.state_max_mb nats.streams.state_max_age_days nats.streams.event_max_mb
-    nats.streams.event_max_age_days nats.streams.duplicate_window_s nats.streams.replicas
+    nats.streams.event_max_age_days nats.streams.events_per_vehicle nats.streams.duplicate_window_s nats.streams.replicas
     remote.max_vehicles remote.lost_s remote.announce_s
     commands.max_in_flight commands.grace_s commands.urgent_s commands.record_s commands.ledger.dir commands.ledger.max_entries
     commands.ledger.max_age_s
@@ -87,6 +87,9 @@ defmodule Aerie.Config.AuthorityTest do
       {"policy.sources[].permissions", listed(), [], ["terminate"], &source/1},
       {"policy.sources[].expires", listed(), "2026-01-01", "2099-01-01", &source/1},
       {"policy.unsigned", %{}, "viewer", "operator", &Sources.identify(compiled(&1), nil, "s", "b", @now)},
+      {"policy.unknown", %{}, "refuse", "maintain", &decide_unknown/1},
+      {"policy.open[].message", %{}, 16_000_000, 16_000_001, &compiled(&1).open},
+      {"policy.open[].command", %{}, 60_000, 60_001, &decide_unknown/1},
       {"policy.lease.required", %{}, true, false, takeoff},
       {"policy.lease.take_over", %{}, "operator", "admin", &take_over/1},
       {"policy.audit.required", %{}, true, false,
@@ -100,6 +103,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"links[].network", link(), "main", "north", & &1.networks},
       {"links[].gcs", link(), "allow", "deny", &commands?/1},
       {"links[].gcs", link(), "auto", "allow", &commands?/1},
+      {"links[].parts", link(), true, false, & &1.parts},
       {"links[].high_latency", link(), true, false, & &1.high_latency},
       {"clients[].networks", end_client(), ["main"], :none, & &1.networks},
       {"clients[].id_offsets", end_client(), %{"main" => 10}, :none, & &1.renumber},
@@ -198,7 +202,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"api.keys_file", %{}, one, two, &request(&1, key: @key)},
       {"api.origins", key, ["https://a"], ["https://b"], &request(&1, key: @key, origin: "https://a")},
       {"http.hosts", %{}, ["a.example"], ["b.example"],
-       &Access.host(access(&1), %{facts([]) | host: "a.example", peer: {10, 0, 0, 1}})},
+       &API.Access.host(access(&1), %{facts([]) | host: "a.example", peer: {10, 0, 0, 1}})},
       {"http.proxies", %{}, ["10.0.0.1"], ["10.0.0.2"],
        fn config ->
          proxies = Enum.map(config.http.proxies, &FleetWeb.Settings.ip/1)
@@ -231,6 +235,9 @@ defmodule Aerie.Config.AuthorityTest do
       {"shadow.allow_arming", %{}, true, false, &shadow/1},
       {"shadow.without_nats", %{}, "hold", "act", &Shadow.Settings.from(&1).without_nats},
       {"shadow.key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).key)},
+      {"shadow.former_key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).former_key)},
+      {"shadow.vehicle_key", %{"vehicle_id" => "VID-001"}, @key, @key2,
+       &Secret.reveal(Shadow.Settings.from(&1).vehicle_key)},
       {"sockets.enabled", %{}, true, false, &Aerie.Client.Settings.from(&1).enabled},
       {"sockets.sign", %{}, true, false, &Aerie.Client.Settings.from(&1).sign},
       {"shell.enabled", %{}, true, false, &Aerie.Node.Settings.from(&1).enabled}
@@ -250,8 +257,8 @@ defmodule Aerie.Config.AuthorityTest do
     decided = dir |> rows() |> Enum.map(&elem(&1, 0)) |> Enum.uniq()
     keys = for key <- leaves(Keys.fields(), ""), hd(String.split(key, ".")) not in @neutral, do: key
 
-    assert keys -- (decided ++ @without) == [], "neither in a table above nor in @without"
-    assert (decided ++ @without) -- keys == [], "no such key, or twice"
+    assert keys -- (decided ++ @without) == []
+    assert (decided ++ @without) -- keys == []
   end
 
   defp leaves(fields, above) do
@@ -326,6 +333,20 @@ defmodule Aerie.Config.AuthorityTest do
     with {:deny, rule, _reason} <- Policy.decide(compiled(config), command, context), do: {:deny, rule}
   end
 
+  # A command that has no row.
+  defp decide_unknown(config) do
+    facts =
+      Policy.Raw.facts(%MavCodec.Messages.CommandLong{command: 60_000}, %{
+        autopilot: :generic,
+        vehicle_type: "copter"
+      })
+
+    source = %{name: "ops", role: :admin, permissions: []}
+
+    with {:deny, rule, _reason} <- Policy.decide(compiled(config), facts, Context.new(%{}, source, @now)),
+         do: {:deny, rule}
+  end
+
   # Two at once, and one after a second.
   defp rate(config) do
     policy = compiled(config)
@@ -341,7 +362,19 @@ defmodule Aerie.Config.AuthorityTest do
     answers
   end
 
-  defp client(config), do: config |> compiled() |> Policy.client("gcs-tcp") |> Map.take([:role, :permissions])
+  defp client(config) do
+    path = %{
+      owner: "gcs-tcp",
+      text: "127.0.0.1:5000",
+      principal: nil,
+      side: :client,
+      auto: false,
+      commands: true,
+      local: true
+    }
+
+    config |> compiled() |> Policy.principal(path) |> Map.take([:role, :permissions])
+  end
 
   defp source(config) do
     header = Signature.sign(@nkey, "s", "b", DateTime.from_unix!(@now, :microsecond))
@@ -374,7 +407,7 @@ defmodule Aerie.Config.AuthorityTest do
         listens: false
       )
 
-    CommandGate.open?(endpoint, owner)
+    Access.commands?(endpoint, owner)
   end
 
   defp heartbeat, do: %MavCodec.Frame{id: 0, system: 7, component: 1, version: 2, seq: 0, payload: ""}
@@ -415,7 +448,7 @@ defmodule Aerie.Config.AuthorityTest do
     %{keys: keys, origins: config.api.origins, ports: [], hosts: config.http.hosts}
   end
 
-  defp request(config, more), do: Access.decide(access(config), facts(more))
+  defp request(config, more), do: API.Access.decide(access(config), facts(more))
 
   defp facts(more),
     do:

@@ -159,7 +159,7 @@ defmodule FleetWeb.WebSocket.Handler do
   end
 
   # A program of this machine, without any key, is judged by `policy.clients` like any other client.
-  defp principal(%{name: "local", changes?: true, role: :viewer}), do: nil
+  defp principal(%{name: "local", role: :viewer, may: :operator}), do: nil
 
   defp principal(owner),
     do: struct!(%Principal{kind: :key, name: owner.name}, Map.take(owner, [:role, :permissions]))

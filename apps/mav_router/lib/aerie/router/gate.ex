@@ -114,8 +114,8 @@ defmodule Aerie.Router.Gate do
               do: [{:cleared, frame}],
               else: asked(frame, row, delivery)
 
-          # Nobody commands from here: `Aerie.Router.Forward` keeps it from vehicles, and says so.
-          not path.commands ->
+          # Nobody commands from here, or nobody may send it: `Aerie.Router.Forward` keeps it from vehicles, and says so.
+          not path.commands or permission == nil ->
             [{:clients, frame}]
 
           not order? and not Principal.may?(principal, permission) ->

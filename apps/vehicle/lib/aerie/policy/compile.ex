@@ -4,13 +4,14 @@ defmodule Aerie.Policy.Compile do
   that contradicts itself or names what does not exist, at once.
   """
 
-  alias Aerie.Authority.Commands
+  alias Aerie.Authority.{Commands, Messages}
   alias Aerie.Command.Types
   alias Aerie.Policy
   alias Aerie.Policy.Compile.Modes
   alias Aerie.Policy.{Facts, Fence, Settings}
   alias Aerie.Policy.Rules.Window
   alias Aerie.Settings.Schema
+  alias MavCodec.Dialects.All
 
   # What a vehicle must not be told in flight, unless the configuration says otherwise.
   @conditions %{
@@ -179,10 +180,15 @@ defmodule Aerie.Policy.Compile do
     end
   end
 
-  defp open(_path, %{command: nil, message: id}) when id != nil, do: {:ok, {:message, id}}
+  defp open(path, %{command: nil, message: id}) when id != nil do
+    if Messages.row(id) == nil,
+      do: {:ok, {:message, id}},
+      else:
+        {:error, [{"#{path}.message", "a message that the gateway does not know", "#{id} (#{All.name(id)})"}]}
+  end
+
   defp open(path, %{command: nil}), do: {:error, [{path, "command or message", "neither"}]}
   defp open(path, _both), do: {:error, [{path, "either command or message", "both"}]}
-
 
   defp source(path, item) do
     nkey =

@@ -132,9 +132,6 @@ defmodule Aerie.Policy.Guard do
   end
 
   defp facts(nil, _snapshot), do: Raw.unreadable()
-  # What is no order when a vehicle sends it.
-  defp facts(%M.RcChannels{}, _snapshot), do: Facts.named("rc_override")
-  defp facts(%M.FollowTarget{} = m, _snapshot), do: Raw.Place.follow(m)
   defp facts(message, nil), do: Raw.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
   defp facts(message, snapshot), do: Raw.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
 

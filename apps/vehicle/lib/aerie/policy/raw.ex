@@ -140,6 +140,18 @@ defmodule Aerie.Policy.Raw do
 
   def facts(%M.SetGpsGlobalOrigin{}, _vehicle), do: Facts.named("set_origin")
 
+  # PX4 takes those of somebody else for its pilot's sticks.
+  def facts(%M.RcChannels{}, _vehicle), do: Facts.named("rc_override")
+
+  # A vehicle that follows goes there.
+  def facts(%M.FollowTarget{lat: lat, lon: lon, alt: metres}, _vehicle) do
+    own("follow_target", :fly,
+      moves?: true,
+      path: {:to, [Place.int(lat, lon, {:msl, Place.number(metres)})]},
+      what: "the place of who is followed"
+    )
+  end
+
   def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
     case {operation, rest} do
       {reads, _bytes} when reads in @ftp_reads -> :free

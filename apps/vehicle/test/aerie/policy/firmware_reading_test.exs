@@ -297,7 +297,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
     told = %{context(@ap) | mode_names: %{200 => "Script"}}
     script = %M.SetMode{base_mode: 1, custom_mode: 200}
     assert judge(policy(c.section), script, @ap, told) == :allow
-    assert {:deny, :mode, _} = judge(policy(%{modes: %{denied: ["SCRIPT"]}}), script, @ap, told)
+    assert {:deny, :mode, _} = judge(policy(%{modes: %{denied: ["MODE(200)"]}}), script, @ap, told)
   end
 
   test "places are judged in whatever command or set-point they are", c do
@@ -495,9 +495,11 @@ defmodule Aerie.Policy.FirmwareReadingTest do
       assert judge(all, message, @ap, context(@ap, %{}, @admin)) == :allow
     end
 
-    assert {:deny, :unknown, _} = Policy.decide(policy(%{}), Raw.unknown(60_000), context(@ap, %{}, @admin))
-    opened = policy(%{open: [%{message: 60_000}]})
-    assert Policy.decide(opened, Raw.unknown(60_000), context(@ap, %{}, @admin)) == :allow
+    assert {:deny, :unknown, _} =
+             Policy.decide(policy(%{}), Raw.unknown(16_000_000), context(@ap, %{}, @admin))
+
+    opened = policy(%{open: [%{message: 16_000_000}]})
+    assert Policy.decide(opened, Raw.unknown(16_000_000), context(@ap, %{}, @admin)) == :allow
 
     assert {:error,
             [

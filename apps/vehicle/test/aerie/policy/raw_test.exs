@@ -3,7 +3,7 @@ defmodule Aerie.Policy.RawTest do
 
   alias Aerie.Policy.{Facts, Raw}
   alias Aerie.Policy.Raw.Answer
-  alias Aerie.Router.ControlMessages
+  alias Aerie.Authority.Messages
   alias MavCodec.Dialects.All
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
@@ -242,12 +242,20 @@ defmodule Aerie.Policy.RawTest do
 
   test "every message that changes a vehicle has facts, whatever is in it" do
     for id <- All.ids(),
-        ControlMessages.kind(%Frame{id: id}) == :command,
+        Messages.order?(id),
         message = struct(All.module_for(id)) do
       for vehicle <- [@copter, @px4, %{autopilot: :generic, vehicle_type: "unknown"}] do
         case facts(message, vehicle) do
-          %Facts{permission: permission} -> assert permission in Aerie.Command.Type.permissions()
-          :free -> assert message.__struct__ in [M.FileTransferProtocol, M.RemoteLogBlockStatus]
+          # The table says what is needed at least, and the facts never ask for less.
+          %Facts{permission: permission} ->
+            least = Messages.row(id).permission
+            assert permission in Aerie.Command.Type.permissions()
+
+            assert permission == least or least in [:telemetry, nil] or id in [256, 11],
+                   "#{All.name(id)}: #{permission}, not #{least}"
+
+          :free ->
+            assert message.__struct__ in [M.FileTransferProtocol, M.RemoteLogBlockStatus]
         end
       end
     end

@@ -60,18 +60,6 @@ defmodule Aerie.Policy.Raw.Place do
     end
   end
 
-  @doc "The facts of FOLLOW_TARGET: a vehicle that follows goes there."
-  @spec follow(struct()) :: Facts.t()
-  def follow(%M.FollowTarget{lat: lat, lon: lon, alt: metres}) do
-    %Facts{
-      type: "follow_target",
-      permission: :fly,
-      moves?: true,
-      path: {:to, [int(lat, lon, {:msl, number(metres)})]},
-      what: "the place of who is followed"
-    }
-  end
-
   @doc "The path of a velocity."
   @spec drift(integer(), {term(), term(), term()}) :: Facts.path()
   def drift(frame, {x, y, z}) do

@@ -118,7 +118,8 @@ defmodule Aerie.Router.Gate do
           not path.commands or permission == nil ->
             [{:clients, frame}]
 
-          not order? and not Principal.may?(principal, permission) ->
+          # What nobody may send, the policy is not asked about.
+          permission == nil or (not order? and not Principal.may?(principal, permission)) ->
             [{:clients, frame}]
 
           true ->
@@ -207,7 +208,8 @@ defmodule Aerie.Router.Gate do
         {:refuse, answers, instead} ->
           EndpointCounters.add(path.counters, :denied, 1)
           answer(answers, path, network)
-          for frame <- List.wrap(instead), do: {:cleared, frame}
+          # A question, which needs its own permission.
+          instead |> List.wrap() |> Enum.flat_map(&judged(&1, principal, delivery))
       end
     end)
   end

@@ -189,6 +189,16 @@ defmodule Aerie.Router.GatePolicyTest do
     refute_received {:asked, _sender, {"main", 2}, %M.RcChannels{}}
   end
 
+  test "an order that nobody may send reaches no vehicle, and the policy is not asked about it", c do
+    gcs = client(c)
+    for test <- [%M.TestTypes{u8: 7}, %M.ArrayTest3{}], do: say(gcs, test)
+    say(gcs, %M.Tunnel{payload_type: 2, payload_length: 1, payload: <<1>>})
+    assert {%M.Tunnel{}, _frame} = next(c.one)
+    assert_receive {:asked, _sender, {"main", 1}, message}
+    assert %M.Tunnel{} = message
+    assert snapshot(c.gateway, "gcs").counters.denied == 2
+  end
+
   test "a message without a row reaches vehicles if the policy opens it", c do
     unknown = &<<0xFD, 3, 0, 0, 1, 255, 190, &1::24-little, 1, 1, 5, 9, 9>>
     gcs = client(c)

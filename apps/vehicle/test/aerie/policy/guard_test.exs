@@ -205,6 +205,36 @@ defmodule Aerie.Policy.GuardTest do
            ] = reached(operator, c)
   end
 
+  test "a viewer's refused write is no question of the viewer to the vehicle: the gateway asks", c do
+    viewer = client(c.gateway, "viewer")
+    say(viewer, %M.ParamSet{target_system: 1, target_component: 1, param_id: "RTL_ALT", param_value: 0.0})
+    say(viewer, %M.ParamExtSet{target_system: 1, target_component: 1, param_id: "CAM_MODE"})
+    eventually(fn -> Link.snapshot(c.gateway, "viewer").counters.frames_in >= 2 end)
+    mark = MavCodec.encode(%M.AdsbVehicle{icao_address: 7}, system: 254, component: 190)
+    say(client(c.gateway, "marker"), mark)
+    assert [{245, M.ParamRequestRead}] = until_bytes(c.vehicle, mark)
+  end
+
+  # Who sent what, up to these bytes.
+  defp until_bytes(socket, last, before \\ []) do
+    {:ok, {_address, _port, bytes}} = :gen_udp.recv(socket, 0, @patience)
+    frame = Frame.from_bytes(bytes, nil)
+
+    if bytes == last,
+      do: Enum.reverse(before),
+      else:
+        until_bytes(
+          socket,
+          last,
+          before ++
+            for(
+              {:ok, %module{}} <- [MavCodec.decode(frame)],
+              module != M.Heartbeat,
+              do: {frame.system, module}
+            )
+        )
+  end
+
   test "who is in charge (X15): a client asks for control, and is answered by the gateway", c do
     one = client(c.gateway, "operator")
     other = client(c.gateway, "someone")

@@ -118,8 +118,7 @@ defmodule Aerie.Router.Gate do
           not path.commands or permission == nil ->
             [{:clients, frame}]
 
-          # What nobody may send, the policy is not asked about.
-          permission == nil or (not order? and not Principal.may?(principal, permission)) ->
+          not order? and not Principal.may?(principal, permission) ->
             [{:clients, frame}]
 
           true ->

@@ -15,7 +15,7 @@ defmodule Aerie.Commands do
   alias Aerie.Vehicle.Commands.Observed
 
   # Whoever calls from Elixir runs inside the gateway.
-  @inside %{name: "elixir", role: :admin, permissions: []}
+  @inside Aerie.Policy.Roles.principal(:gateway, "elixir", :admin)
 
   @typedoc """
     * `:via` - the way that it came, for the audit log; `"elixir"` unless given

@@ -15,7 +15,7 @@ defmodule Aerie.Operations do
   alias Aerie.Operations.{Core, Request, Server}
   alias Aerie.Policy.Roles
 
-  @inside %{name: "elixir", role: :admin, permissions: []}
+  @inside Aerie.Policy.Roles.principal(:gateway, "elixir", :admin)
 
   @type refusal ::
           {:malformed, [Error.t(), ...]}

@@ -14,7 +14,7 @@ defmodule Aerie.Shadow do
   alias Aerie.Policy.Roles
   alias Aerie.Shadow.{Buckets, Document, Field, Documents, Metrics, Plans, Tags, Update}
 
-  @inside %{name: "elixir", role: :admin, permissions: []}
+  @inside Aerie.Policy.Roles.principal(:gateway, "elixir", :admin)
 
   @typedoc """
   Why a request was refused: `:malformed` with all errors; `:role`: the source lacks a permission; `:conflict`: another

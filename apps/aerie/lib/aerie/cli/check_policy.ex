@@ -9,7 +9,7 @@ defmodule Aerie.CLI.CheckPolicy do
 
   alias Aerie.{Command, Config, Policy}
   alias Aerie.CLI.Options
-  alias Aerie.Policy.Context
+  alias Aerie.Policy.{Context, Roles}
 
   @doc "`{:finish, text}` for an allowed command, `{:denied, text}` with rule and reason, `{:fail, text}` for what cannot be judged."
   @spec run(Options.t(), folder :: String.t()) :: {:finish | :denied | :fail, String.t()}
@@ -19,7 +19,7 @@ defmodule Aerie.CLI.CheckPolicy do
     with {:ok, policy} <- policy(Path.expand(options.check_policy, folder)),
          {:ok, command} <- command(options.command, folder, now),
          {:ok, vehicle} <- json("--vehicle", options.vehicle || "{}", folder),
-         source = %{name: command.source, role: options.role, permissions: options.permissions},
+         source = Roles.principal(:user, command.source, options.role, options.permissions),
          {:ok, context} <- context(vehicle, source, now) do
       case Policy.decide(policy, command, context) do
         :allow -> {:finish, "allow\n"}

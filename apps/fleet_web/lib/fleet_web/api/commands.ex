@@ -9,7 +9,7 @@ defmodule FleetWeb.API.Commands do
   alias Aerie.Command.Result
   alias Aerie.{Commands, Policy}
   alias Aerie.Commands.Record
-  alias Aerie.Policy.Sources
+  alias Aerie.Policy.{Roles, Sources}
   alias FleetWeb.API.{Access, Error}
 
   @typedoc "The header `Aerie-Signature` (nil: none), and the body as it was sent."
@@ -108,9 +108,9 @@ defmodule FleetWeb.API.Commands do
   end
 
   @doc "The source of a command."
-  @spec source(Access.requester()) :: Aerie.Policy.Roles.source()
+  @spec source(Access.requester()) :: Roles.source()
   def source(requester),
-    do: %{name: requester.name, role: requester.role || :admin, permissions: requester.permissions}
+    do: Roles.principal(:key, requester.name, requester.role || :admin, requester.permissions)
 
   @doc "How long to wait for a result, from the query's text."
   @spec wait_ms(String.t() | nil) :: {:ok, non_neg_integer()} | {:error, Error.t()}

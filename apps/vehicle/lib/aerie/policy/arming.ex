@@ -6,7 +6,7 @@ defmodule Aerie.Policy.Arming do
   """
 
   alias Aerie.{Names, Policy}
-  alias Aerie.Policy.{Audit, Context, Facts, Lease}
+  alias Aerie.Policy.{Audit, Context, Facts, Lease, Roles}
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages.CommandAck
 
@@ -45,7 +45,7 @@ defmodule Aerie.Policy.Arming do
   # As whoever is in charge: the rule about that asks only whether somebody has to be.
   defp judge(policy, context) do
     name = with %Lease{holder: holder} <- context.lease, do: holder
-    source = %{name: name || "the vehicle", role: :admin, permissions: []}
+    source = Roles.principal(:vehicle, name || "the vehicle", :admin)
     Policy.decide(policy, Facts.named("arm"), %{context | source: source})
   end
 

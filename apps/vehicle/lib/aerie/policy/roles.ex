@@ -12,6 +12,7 @@ defmodule Aerie.Policy.Roles do
   operator or an admin.
   """
 
+  alias Aerie.Authority.Principal
   alias Aerie.Command.Type
 
   @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
@@ -21,7 +22,7 @@ defmodule Aerie.Policy.Roles do
   @type role :: :viewer | :operator | :admin
 
   @typedoc "Who commands, as authentication found out: a name for people, a role, and permissions beyond the role."
-  @type source :: %{name: String.t(), role: role(), permissions: [Type.permission()]}
+  @type source :: Principal.t()
 
   @doc "All roles, from the one that may least."
   @spec all() :: [role(), ...]
@@ -34,6 +35,18 @@ defmodule Aerie.Policy.Roles do
   @doc "The permissions of a role."
   @spec permissions(role()) :: [Type.permission()]
   def permissions(role), do: Map.fetch!(@roles, role)
+
+  @doc "Somebody with a role, and permissions beyond it."
+  @spec principal(Principal.kind(), String.t(), role(), [Type.permission()]) :: Principal.t()
+  def principal(kind, name, role, permissions \\ []) do
+    %Principal{
+      kind: kind,
+      name: name,
+      role: role,
+      permissions: permissions,
+      may: may(%{role: role, permissions: permissions})
+    }
+  end
 
   @doc "All that somebody with a role and permissions beyond it may do."
   @spec may(%{:role => role(), :permissions => [Type.permission()], optional(term()) => term()}) :: [

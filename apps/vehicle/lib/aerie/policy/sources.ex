@@ -32,12 +32,12 @@ defmodule Aerie.Policy.Sources do
     do: {:error, "the command is not signed, and unsigned commands may do nothing here (policy.unsigned)"}
 
   def identify(%{unsigned: role}, nil, _subject, _body, _now),
-    do: {:ok, %{name: "unsigned", role: role, permissions: []}}
+    do: {:ok, Roles.principal(:stranger, "unsigned", role)}
 
   def identify(policy, header, subject, body, now) do
     with {:ok, key} <- Signature.verify(header, subject, body, now),
          {:ok, listed} <- listed(policy, key, now),
-         do: {:ok, Map.take(listed, [:name, :role, :permissions])}
+         do: {:ok, Roles.principal(:key, listed.name, listed.role, listed.permissions)}
   end
 
   @doc """

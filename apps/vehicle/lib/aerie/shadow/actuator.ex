@@ -6,6 +6,7 @@ defmodule Aerie.Shadow.Actuator do
 
   alias Aerie.{Commands, Enrolment, Missions, Names, Params, Recorder, Store}
   alias Aerie.Command.{Error, Result}
+  alias Aerie.Policy.Roles
   alias Aerie.Shadow.{Core, Field, Plans}
   alias Aerie.Vehicle.Streams
   alias MavCodec.Dialects.All
@@ -82,7 +83,7 @@ defmodule Aerie.Shadow.Actuator do
   end
 
   defp by({path, value}) do
-    source = %{name: "shadow", role: :operator, permissions: Field.permissions(path, value)}
+    source = Roles.principal(:gateway, "shadow", :operator, Field.permissions(path, value))
     [as: source, via: "shadow"]
   end
 

@@ -1,6 +1,7 @@
 defmodule Aerie.Policy.SignatureTest do
   use ExUnit.Case, async: true
 
+  alias Aerie.Authority.Principal
   alias Aerie.Policy
   alias Aerie.Policy.{Signature, Sources}
 
@@ -22,8 +23,8 @@ defmodule Aerie.Policy.SignatureTest do
 
     header = Signature.sign(key, @subject, @body, @time)
 
-    assert Sources.identify(policy, header, @subject, @body, @now) ==
-             {:ok, %{name: "olga", role: :operator, permissions: [:force_disarm]}}
+    assert {:ok, %Principal{kind: :key, name: "olga", role: :operator, permissions: [:force_disarm]}} =
+             Sources.identify(policy, header, @subject, @body, @now)
   end
 
   test "is what NATS's own library for Python makes of the same bytes" do

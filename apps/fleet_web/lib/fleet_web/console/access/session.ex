@@ -59,7 +59,7 @@ defmodule FleetWeb.Console.Access.Session do
   defp of(_gateway, nil, %{"launch" => _signed}), do: source("local", :admin)
   defp of(_gateway, _owner, _session), do: nil
 
-  defp source(name, role), do: %{name: name, role: role, permissions: []}
+  defp source(name, role), do: Roles.principal(:user, name, role)
 
   defp stamp(%{password: stored, role: role}) do
     <<stamp::binary-9, _rest::binary>> =

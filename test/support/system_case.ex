@@ -41,7 +41,10 @@ defmodule Aerie.SystemCase do
           "nats" => %{"port" => 0, "store_dir" => Path.join(folder, "nats")},
           "outbox" => %{"dir" => Path.join(folder, "outbox")},
           "recorder" => %{"dir" => Path.join(folder, "recordings")},
-          "policy" => %{"audit" => %{"dir" => Path.join(folder, "audit")}},
+          "policy" => %{
+            "audit" => %{"dir" => Path.join(folder, "audit")},
+            "clients" => stations(options[:stations])
+          },
           "commands" => %{"ledger" => %{"dir" => Path.join(folder, "ledger")}, "record_s" => 60.0},
           "params" => %{"dir" => Path.join(folder, "params")},
           "shadow" => %{"dir" => Path.join(folder, "shadow")}
@@ -55,6 +58,9 @@ defmodule Aerie.SystemCase do
     eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
     Map.put(run, :top, supervisor)
   end
+
+  defp stations(nil), do: []
+  defp stations(permissions), do: [%{"role" => "operator", "permissions" => permissions}]
 
   @doc "Ends the gateway of `start_gateway/2` in order; it does not come back."
   def stop_gateway(%{top: top, gateway: gateway}),

@@ -21,7 +21,10 @@ defmodule Aerie.System.ComponentParamsTest do
     File.chmod!(keys, 0o600)
     policy = Map.merge(%{"audit" => %{"dir" => Path.join(folder, "audit")}}, context[:policy] || %{})
     overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
+
+    %{gateway: gateway} =
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"], overrides: overrides)
+
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     start_supervised!({SimVehicle, firmware: :px4, camera: 100, ready_s: 1.0, link: link})
     Aerie.BridgeCase.await_listening(gateway, ["VID-001"])

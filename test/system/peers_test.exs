@@ -19,7 +19,7 @@ defmodule Aerie.System.PeersTest do
   @px4 ["px4", 2, "MIS_TAKEOFF_ALT"]
 
   setup %{tmp_dir: folder} = context do
-    options = [links: ["udpin:127.0.0.1:0"], overrides: context[:config] || %{}]
+    options = [links: ["udpin:127.0.0.1:0"], stations: ["maintain"], overrides: context[:config] || %{}]
     %{gateway: gateway} = run = start_gateway(folder, options)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     copter = vehicle(:ardupilot, [link: link, system: 1], context)
@@ -169,7 +169,8 @@ defmodule Aerie.System.OneIdTest do
       for network <- ["main", "north"],
           do: %{"id" => network, "url" => "udpin:127.0.0.1:0", "network" => network}
 
-    %{gateway: gateway} = start_gateway(folder, overrides: %{"links" => links, "clients" => clients})
+    %{gateway: gateway} =
+      start_gateway(folder, stations: ["maintain"], overrides: %{"links" => links, "clients" => clients})
 
     sims =
       for {firmware, network} <- [ardupilot: "main", px4: "north"] do

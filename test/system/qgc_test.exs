@@ -14,7 +14,7 @@ defmodule Aerie.System.QGCTest do
   @moduletag :python
 
   setup %{tmp_dir: folder} do
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"])
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
     for {firmware, system} <- [ardupilot: 1, px4: 2, ardupilot: 3] do

@@ -19,7 +19,7 @@ defmodule Aerie.System.RoutersTest do
   @px4 ["px4", 2, "MIS_TAKEOFF_ALT"]
 
   setup %{tmp_dir: folder} do
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"])
+    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"])
     {:ok, gateway: gateway, link: link_port(gateway, "link-1"), folder: folder}
   end
 

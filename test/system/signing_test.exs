@@ -35,7 +35,13 @@ defmodule Aerie.System.SigningTest do
       "sockets" => %{"dir" => sockets, "sign" => true}
     }
 
-    run = start_gateway(folder, links: [context[:link] || "udpin:127.0.0.1:0"], overrides: overrides)
+    run =
+      start_gateway(folder,
+        links: [context[:link] || "udpin:127.0.0.1:0"],
+        stations: ["maintain"],
+        overrides: overrides
+      )
+
     gateway = run.gateway
     Aerie.Store.PubSub.subscribe(gateway, :events)
 

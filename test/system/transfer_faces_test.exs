@@ -44,7 +44,10 @@ defmodule Aerie.System.TransferFacesTest do
       )
 
     overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
-    %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
+
+    %{gateway: gateway} =
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"], overrides: overrides)
+
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
     options = [

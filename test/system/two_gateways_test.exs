@@ -48,7 +48,11 @@ defmodule Aerie.System.TwoGatewaysTest do
         },
         "timeouts" => patient(),
         "remote" => %{"nkey_seed_file" => seed},
-        "shadow" => %{"dir" => Path.join(dir, "shadow"), "lease_s" => @lease_s, "key" => "of both"},
+        "shadow" => %{
+          "dir" => Path.join(dir, "shadow"),
+          "lease_s" => @lease_s,
+          "key" => "the key of both gateways"
+        },
         "policy" => %{
           "audit" => %{"dir" => Path.join(dir, "audit")},
           "sources" => [%{"name" => "gateways", "nkey" => public, "role" => "admin"}]

@@ -7,6 +7,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
   alias Aerie.{Missions, Names}
   alias Aerie.Command.{Error, Result}
   alias Aerie.Mission.Plan
+  alias Aerie.Policy.Roles
 
   @kinds Missions.kinds()
 
@@ -52,15 +53,17 @@ defmodule FleetWeb.Console.Plan.Transfer do
     %__MODULE__{ref: ref, what: what, vehicle: vehicle}
   end
 
-  defp part(:upload, gateway, vehicle, kind, plan, options) do
-    case Missions.upload(gateway, vehicle, kind, plan, options) do
-      {:ok, %Result{status: :completed}} -> {:ok, "on board, and read back"}
-      {:ok, %Result{status: :accepted}} -> {:ok, "on board"}
-      {:ok, result} -> {:error, sentence(result)}
-      {:pending, _id} -> {:error, "it is still under way"}
-      {:error, errors} -> {:error, Error.text(errors)}
-    end
+  # Sending no fence removes the one on board. Who may not do that sends the rest.
+  defp part(:upload, gateway, vehicle, :fence, %Plan{fence: [], fence_return: nil} = plan, options) do
+    if Roles.allowed?(options[:as], :protection),
+      do: upload(gateway, vehicle, :fence, plan, options),
+      else:
+        {:ok,
+         "not sent: the plan has no fence, and to remove the one on board needs the permission protection"}
   end
+
+  defp part(:upload, gateway, vehicle, kind, plan, options),
+    do: upload(gateway, vehicle, kind, plan, options)
 
   defp part(:download, gateway, vehicle, kind, _plan, options) do
     case Missions.download(gateway, vehicle, kind, options) do
@@ -74,6 +77,16 @@ defmodule FleetWeb.Console.Plan.Transfer do
       {:ok, :same} -> {:ok, "the same on board"}
       {:ok, {:differs, seq, how}} -> {:error, "differs at item #{seq} of the vehicle: #{how}"}
       {:error, result} -> {:error, sentence(result)}
+    end
+  end
+
+  defp upload(gateway, vehicle, kind, plan, options) do
+    case Missions.upload(gateway, vehicle, kind, plan, options) do
+      {:ok, %Result{status: :completed}} -> {:ok, "on board, and read back"}
+      {:ok, %Result{status: :accepted}} -> {:ok, "on board"}
+      {:ok, result} -> {:error, sentence(result)}
+      {:pending, _id} -> {:error, "it is still under way"}
+      {:error, errors} -> {:error, Error.text(errors)}
     end
   end
 

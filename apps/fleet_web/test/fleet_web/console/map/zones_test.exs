@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Map.ZonesTest do
           features: [
             %{
               type: "Feature",
-              properties: %{name: "field", kind: "inclusion"},
+              properties: %{name: "field", fence: "inclusion"},
               geometry: %{type: "Polygon", coordinates: [border, hole]}
             }
           ]

@@ -13,7 +13,7 @@ defmodule Aerie.ServingTest do
   @moduletag :capture_log
 
   defp served(dir, firmware, options \\ []) do
-    {gateway, port} = start(dir)
+    {gateway, port} = start(dir, %{clients: [%{role: :operator, permissions: [:maintain]}]})
     start_supervised!({Aerie.Serving.Supervisor, gateway: gateway})
     {client, options} = Keyword.pop(options, :client, %{served: true})
     sim = fly(gateway, port, [firmware: firmware] ++ options)

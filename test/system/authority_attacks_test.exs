@@ -1,0 +1,266 @@
+defmodule Aerie.System.AuthorityAttacksTest do
+  @moduledoc "Ways around authority that once led to a vehicle, each against a whole gateway. What arrived is counted at the vehicle."
+
+  use Aerie.SystemCase, async: true
+
+  import Aerie.AuthorityCase
+
+  alias Aerie.{CountingVehicle, Program}
+  alias Aerie.Policy.Leases
+  alias MavCodec.Enums.MavCmd
+  alias MavCodec.Messages, as: M
+
+  @moduletag :tmp_dir
+  @moduletag capture_log: true
+
+  @vehicle {"main", 1}
+  @force 21_196.0
+
+  defp encode(message, system, component \\ 190, seq \\ 0),
+    do: MavCodec.encode(message, system: system, component: component, seq: seq)
+
+  defp count(counts, id, system), do: Enum.sum(for {{^id, ^system, _command, _seq}, n} <- counts, do: n)
+
+  defp commands(counts, name, system) do
+    number = MavCmd.value(:"MAV_CMD_#{name}")
+    Enum.sum(for {{_id, ^system, ^number, _seq}, n} <- counts, do: n)
+  end
+
+  # From an address that is not this machine's own for the gateway.
+  defp stranger(c),
+    do: program(c, {:link, lan_address() || flunk("this machine has no IPv4 address but loopback")})
+
+  # What reaches every vehicle that listens, if it gets through.
+  defp orders_to_all(system) do
+    [
+      command("COMPONENT_ARM_DISARM", system,
+        param1: 1.0,
+        param2: @force,
+        target_system: 0,
+        target_component: 0
+      ),
+      command("COMPONENT_ARM_DISARM", system, param2: @force, target_system: 9),
+      command("COMPONENT_ARM_DISARM", system, param2: @force),
+      encode(%M.SetMode{base_mode: 1, custom_mode: 9}, system),
+      encode(%M.ParamSet{param_id: "ARMING_CHECK", param_type: 9}, system),
+      encode(%M.ManualControl{z: 1_000}, system),
+      encode(%M.RcChannelsOverride{chan3_raw: 1_900}, system),
+      encode(%M.SetAttitudeTarget{thrust: 1.0}, system),
+      encode(%M.GpsInput{lat: 7}, system)
+    ]
+  end
+
+  test "a viewer's heartbeat does not keep a vehicle's failsafe quiet", %{tmp_dir: folder} do
+    c = start_authority(folder, [:viewer])
+
+    for {way, system} <- [udp: 201, tcp: 202] do
+      viewer = program(c, {way, "viewer-#{way}"})
+      Program.deliver(viewer, List.duplicate(station(system), 10))
+      # As an autopilot of its own.
+      Program.deliver(viewer, [encode(%M.Heartbeat{type: 2, autopilot: 3, mavlink_version: 3}, system, 1)])
+    end
+
+    operator = program(c, {:tcp, "operator-tcp"})
+    Program.deliver(operator, [station(211)])
+    counts = settle(c)
+    reached_nothing(counts, [201, 202], "a viewer")
+    assert count(counts, M.Heartbeat.id(), 211) >= 1
+  end
+
+  test "a viewer reaches no vehicle that has not spoken yet, by an order to all or to any id", %{
+    tmp_dir: folder
+  } do
+    silent = start_vehicle([])
+    links = ["udpout:127.0.0.1:#{CountingVehicle.port(silent)}"]
+    c = start_authority(folder, [:viewer], links: links, clients: [%{"role" => "viewer"}])
+    viewer = program(c, {:tcp, "viewer-tcp"})
+    Program.deliver(viewer, [station(201) | orders_to_all(201)])
+    # On this machine, by the link to vehicles: nobody named it but the entry for all.
+    local = program(c, {:link, {127, 0, 0, 1}})
+    Program.deliver(local, [station(202) | orders_to_all(202)])
+    stranger = stranger(c)
+    Program.deliver(stranger, [station(203) | orders_to_all(203)])
+
+    for vehicle <- [silent, c.vehicle],
+        do: c |> settle(vehicle) |> reached_nothing([201, 202, 203], "somebody who may nothing")
+  end
+
+  test "an operator's orders to all, which nobody may give, reach no vehicle that has not spoken yet", %{
+    tmp_dir: folder
+  } do
+    silent = start_vehicle([])
+    c = start_authority(folder, [], links: ["udpout:127.0.0.1:#{CountingVehicle.port(silent)}"])
+    operator = program(c, {:tcp, "operator-tcp"})
+
+    for target <- [0, 1, 9],
+        order <- [
+          command("COMPONENT_ARM_DISARM", 211, param2: @force, target_system: target),
+          command("DO_FLIGHTTERMINATION", 211, param1: 1.0, target_system: target),
+          encode(%M.ParamSet{param_id: "ARMING_CHECK", target_system: target}, 211)
+        ],
+        do: Program.deliver(operator, [order])
+
+    for vehicle <- [silent, c.vehicle] do
+      counts = settle(c, vehicle)
+      assert count(counts, M.CommandLong.id(), 211) == 0
+      assert count(counts, M.ParamSet.id(), 211) == 0
+    end
+  end
+
+  test "who may not command cannot suppress an operator's commands by sending them first", %{tmp_dir: folder} do
+    c = start_authority(folder, [:viewer])
+    operator = program(c, {:tcp, "operator-tcp"})
+    copiers = [stranger(c), program(c, {:udp, "viewer-udp"})]
+    all = for seq <- 0..255, do: command("NAV_RETURN_TO_LAUNCH", 255, seq: seq)
+    # The sender of the copies is known by another way, too.
+    for program <- [operator | copiers], do: Program.deliver(program, [station(255)])
+
+    for n <- 1..40 do
+      for copier <- copiers, do: Program.deliver(copier, [station(255) | all])
+      Program.say(operator, [Enum.at(all, n)])
+
+      eventually(
+        fn -> commands(CountingVehicle.counts(c.vehicle), "NAV_RETURN_TO_LAUNCH", 255) >= n end,
+        "the operator's #{n}. command reaches the vehicle"
+      )
+    end
+
+    assert commands(settle(c), "NAV_RETURN_TO_LAUNCH", 255) == 40
+  end
+
+  test "what somebody from another address says as a part, a pilot, a battery, an aircraft or the gateway reaches no vehicle",
+       %{tmp_dir: folder} do
+    c = start_authority(folder, [])
+    stranger = stranger(c)
+    other = stranger(c)
+    Program.deliver(other, [encode(%M.Heartbeat{type: 2, autopilot: 3, mavlink_version: 3}, 77, 1)])
+
+    approvals =
+      for {system, component} <- [{237, 191}, {250, 1}, {1, 191}, {77, 1}] do
+        encode(%M.CommandAck{command: 3_001, target_system: 1, target_component: 1}, system, component)
+      end
+
+    said = fn system ->
+      [
+        encode(%M.RcChannels{chancount: 16, chan3_raw: 1_900, rssi: 100}, system, 250),
+        encode(%M.BatteryStatus{battery_remaining: 1}, system, 190),
+        encode(%M.FollowTarget{lat: 473_970_000, lon: 85_460_000}, system),
+        encode(%M.AdsbVehicle{icao_address: 7}, system),
+        encode(%M.UtmGlobalPosition{lat: 473_970_000}, system),
+        encode(%M.Collision{id: 7, threat_level: 2}, system),
+        encode(%M.OpenDroneIdArmStatus{status: 1}, system),
+        encode(%M.GlobalPositionInt{lat: 473_970_000}, system, 191),
+        encode(%M.Timesync{ts1: 7}, system),
+        encode(%M.SystemTime{time_unix_usec: 7}, system)
+      ]
+    end
+
+    for {program, systems} <- [{stranger, [255, 1, 237]}, {other, [77, 1, 237]}],
+        system <- systems,
+        do: Program.deliver(program, said.(system) ++ approvals)
+
+    lists =
+      for {system, component} <- [{1, 1}, {1, 0}, {0, 0}],
+          do: encode(%M.ParamRequestList{target_system: system, target_component: component}, 255)
+
+    asked = count(CountingVehicle.counts(c.vehicle), M.ParamRequestList.id(), 237)
+    Program.deliver(stranger, Enum.take(Stream.cycle(lists), 1_000))
+
+    counts = settle(c)
+    own? = &match?({{_id, 237, _command, _seq}, _n}, &1)
+    # A heartbeat is all that vehicles hear of each other.
+    heartbeat? = &match?({{0, 77, _command, _seq}, _n}, &1)
+    assert Map.reject(counts, &(own?.(&1) or heartbeat?.(&1))) == %{}
+
+    for message <- [
+          M.CommandAck,
+          M.RcChannels,
+          M.BatteryStatus,
+          M.FollowTarget,
+          M.GlobalPositionInt,
+          M.AdsbVehicle
+        ],
+        do: assert(count(counts, message.id(), 237) == 0)
+
+    assert count(counts, M.ParamRequestList.id(), 237) - asked <= 5
+  end
+
+  describe "while a program is in charge" do
+    setup %{tmp_dir: folder} do
+      c = start_authority(folder, [])
+      one = program(c, {:tcp, "operator-tcp"})
+      two = program(c, {:tcp, "operator-tcp"})
+      for {program, system} <- [{one, 255}, {two, 250}], do: Program.deliver(program, [station(system)])
+      Program.deliver(one, [command("REQUEST_OPERATOR_CONTROL", 255, param1: 1.0)])
+      lease = eventually(fn -> Leases.of(c.gateway, @vehicle) end, "the first one is in charge")
+      {:ok, Map.merge(c, %{one: one, two: two, lease: lease})}
+    end
+
+    test "a second one at the same endpoint commands nothing, releases nothing, and is told apart from it",
+         c do
+      arm = command("COMPONENT_ARM_DISARM", 250, param1: 1.0)
+      Program.deliver(c.two, [command("REQUEST_OPERATOR_CONTROL", 250), arm])
+      # By another name for itself, which is the first one's.
+      as_first = command("COMPONENT_ARM_DISARM", 255, param1: 1.0)
+      Program.deliver(c.two, [command("REQUEST_OPERATOR_CONTROL", 255), as_first])
+      # And at the link to vehicles, from this machine.
+      Program.deliver(program(c, {:link, {127, 0, 0, 1}}), [station(255), as_first])
+      counts = settle(c)
+      assert commands(counts, "COMPONENT_ARM_DISARM", 250) == 0
+      assert commands(counts, "COMPONENT_ARM_DISARM", 255) == 0
+      assert Leases.of(c.gateway, @vehicle).holder == c.lease.holder
+
+      Program.deliver(c.one, [as_first])
+      assert commands(settle(c), "COMPONENT_ARM_DISARM", 255) >= 1
+    end
+
+    test "others neither steer nor feed the estimators; they may hold the vehicle, and not resume", c do
+      other = program(c, {:udp, "operator-udp"})
+
+      for {program, system} <- [{c.two, 250}, {other, 251}] do
+        Program.deliver(program, [
+          station(system),
+          encode(%M.GpsInput{lat: 7}, system),
+          encode(%M.Odometry{x: 1.0}, system),
+          encode(%M.RcChannels{chancount: 16, chan3_raw: 1_900}, system, 250),
+          encode(%M.RcChannelsOverride{target_system: 1, target_component: 1, chan3_raw: 1_900}, system),
+          encode(%M.FollowTarget{lat: 473_970_000, lon: 85_450_000}, system),
+          encode(%M.BatteryStatus{battery_remaining: 1}, system),
+          command("DO_PAUSE_CONTINUE", system, param1: 1.0)
+        ])
+
+        kept = Map.keys(settle(c)) |> Enum.filter(&(elem(&1, 1) == system)) |> Enum.map(&elem(&1, 0))
+        assert Enum.uniq(kept) -- [M.Heartbeat.id()] == []
+
+        Program.deliver(program, [command("DO_PAUSE_CONTINUE", system, param1: 0.0)])
+        assert commands(settle(c), "DO_PAUSE_CONTINUE", system) >= 1
+      end
+
+      Program.deliver(c.one, [encode(%M.GpsInput{lat: 7}, 255)])
+      assert count(settle(c), M.GpsInput.id(), 255) >= 1
+    end
+
+    test "who is gone is not in charge for ever: another one may take over then, and not before", c do
+      take = command("REQUEST_OPERATOR_CONTROL", 250, param1: 1.0)
+      arm = command("COMPONENT_ARM_DISARM", 250, param1: 1.0)
+      Program.deliver(c.two, [take, arm])
+      assert Leases.of(c.gateway, @vehicle).holder == c.lease.holder
+      Program.close(c.one)
+
+      lease =
+        eventually(
+          fn ->
+            Program.deliver(c.two, [take])
+            lease = Leases.of(c.gateway, @vehicle)
+            if lease.holder != c.lease.holder, do: lease
+          end,
+          "the second one has taken over"
+        )
+
+      assert lease.endpoint != c.lease.endpoint
+      assert commands(settle(c), "COMPONENT_ARM_DISARM", 250) == 0
+      Program.deliver(c.two, [arm])
+      assert commands(settle(c), "COMPONENT_ARM_DISARM", 250) >= 1
+    end
+  end
+end

@@ -54,7 +54,8 @@ defmodule Aerie.Router.AskedFor do
   end
 
   defp send_on(message, {_id, component}, {_network, system} = vehicle, {own_system, own_component}, delivery) do
-    bytes = MavCodec.encode(%{message | target_system: system}, system: own_system, component: own_component)
+    ids = [system: own_system, component: own_component, sysid32: true]
+    bytes = MavCodec.encode(%{message | target_system: system}, ids)
     options = if component > 0, do: [component: component], else: []
     Dispatch.send(delivery.gateway, vehicle, bytes, options)
   end
@@ -79,7 +80,8 @@ defmodule Aerie.Router.AskedFor do
         target_component: frame.component
       }
 
-      Output.bytes(path, MavCodec.encode(ack, system: system, component: max(component, 1)), :ack, 1)
+      bytes = MavCodec.encode(ack, system: system, component: max(component, 1), sysid32: true)
+      Output.bytes(path, bytes, :ack, 1)
     end
   end
 end

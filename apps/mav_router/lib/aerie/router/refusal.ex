@@ -59,7 +59,8 @@ defmodule Aerie.Router.Refusal do
         target_component: frame.component
       }
 
-      Output.bytes(path, MavCodec.encode(ack, system: system, component: max(component, 1)), :ack, 1)
+      bytes = MavCodec.encode(ack, system: system, component: max(component, 1), sysid32: true)
+      Output.bytes(path, bytes, :ack, 1)
     end
 
     :ok

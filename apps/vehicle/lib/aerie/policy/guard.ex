@@ -126,9 +126,15 @@ defmodule Aerie.Policy.Guard do
     end
   end
 
-  defp answers(message, frame, snapshot, {_network, system}) do
-    ids = [system: system, component: component(frame, snapshot)]
-    message |> Raw.Answer.messages(frame, nil) |> Enum.map(&MavCodec.encode(&1, ids))
+  defp answers(message, frame, snapshot, key),
+    do: message |> Raw.Answer.messages(frame, nil) |> encoded(frame, snapshot, key)
+
+  # In the vehicle's name. Nobody answers for those that were not heard yet.
+  defp encoded(_messages, _frame, _snapshot, {_network, 0}), do: []
+
+  defp encoded(messages, frame, snapshot, {_network, system}) do
+    options = [system: system, component: component(frame, snapshot), sysid32: true]
+    Enum.map(messages, &MavCodec.encode(&1, options))
   end
 
   defp facts(nil, _snapshot), do: Raw.unreadable()
@@ -181,14 +187,13 @@ defmodule Aerie.Policy.Guard do
     end
   end
 
-  defp conclude(:allow, gateway, entry, {%module{} = message, frame, {_network, system}, snapshot})
+  defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot})
        when module in @recorded do
     Audit.note(gateway, Map.put(entry, "decision", "allow"))
 
     if entry["command"] in ["take_control", "release_control"] and
          get_in(groups(snapshot), [:operator, :data, :system]) == nil do
-      ids = [system: system, component: component(frame, snapshot)]
-      {:answer, [MavCodec.encode(Raw.Answer.accepted(message, frame), ids)]}
+      {:answer, encoded([Raw.Answer.accepted(message, frame)], frame, snapshot, key)}
     else
       :forward
     end
@@ -196,7 +201,7 @@ defmodule Aerie.Policy.Guard do
 
   defp conclude(:allow, _gateway, _entry, _refused), do: :forward
 
-  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, {_network, system}, snapshot}) do
+  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, key, snapshot}) do
     metadata = %{
       gateway: gateway,
       vehicle: entry["vehicle"],
@@ -217,8 +222,7 @@ defmodule Aerie.Policy.Guard do
 
     current = get_in(groups(snapshot), [:mission, :data, :seq])
     answers = if message, do: Raw.Answer.messages(message, frame, current), else: []
-    ids = [system: system, component: component(frame, snapshot)]
-    {:refuse, Enum.map(answers ++ texts, &MavCodec.encode(&1, ids)), instead(message, frame)}
+    {:refuse, encoded(answers ++ texts, frame, snapshot, key), instead(message, frame)}
   end
 
   defp component(frame, snapshot) do
@@ -230,10 +234,13 @@ defmodule Aerie.Policy.Guard do
 
   # In the sender's name, so that the vehicle answers to it.
   defp instead(nil, _frame), do: nil
+  # It has no name.
+  defp instead(_message, %{system: 0}), do: nil
 
   defp instead(message, frame) do
     with %_module{} = question <- Raw.Answer.instead(message) do
-      bytes = MavCodec.encode(question, system: frame.system, component: frame.component, seq: frame.seq)
+      ids = [system: frame.system, component: frame.component, seq: frame.seq, sysid32: true]
+      bytes = MavCodec.encode(question, ids)
       question = Frame.from_bytes(bytes, nil, frame.at)
       %{question | crc_extra: All.crc_extra(question.id)}
     end

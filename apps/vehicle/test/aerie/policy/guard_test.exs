@@ -341,6 +341,40 @@ defmodule Aerie.Policy.GuardTest do
     assert {:refuse, _answers, _instead} = Guard.decide(c.gateway, operator, {"main", 1}, frame)
   end
 
+  test "a refusal can be answered whatever ids the sender and the vehicle have", c do
+    who =
+      Policy.principal(Policy.Store.get(c.gateway), %{
+        owner: "operator",
+        text: nil,
+        principal: nil,
+        commands: true,
+        local: true,
+        side: :client,
+        auto: false
+      })
+
+    sender = %{endpoint: {"operator", 1}, owner: "operator", peer: nil, principal: who}
+    write = MavCodec.encode(%M.ParamSet{target_system: 1, param_id: "RTL_ALT"}, system: 255)
+    force = &%M.CommandLong{target_system: &1, command: 400, param2: 21_196.0}
+    decide = &Guard.decide(c.gateway, sender, {"main", &1}, %{Frame.from_bytes(&2, nil) | system: &3})
+
+    # Long ids.
+    assert {:refuse, [_ | _], %Frame{system: 300}} = decide.(300, write, 300)
+    long = MavCodec.encode(force.(300), system: 300, sysid32: true)
+    assert {:refuse, [ack | _], nil} = decide.(300, long, 300)
+
+    assert {[%Frame{system: 300, target_system: 300}], _parser} =
+             MavCodec.Parser.push(MavCodec.Parser.new(sysid32: true), ack)
+
+    # None.
+    assert {:refuse, [_ | _], nil} = decide.(1, write, 0)
+    # Nobody answers for vehicles that were not heard yet.
+    all = MavCodec.encode(force.(0), system: 255)
+    assert {:refuse, [], nil} = decide.(0, all, 255)
+    control = MavCodec.encode(long("REQUEST_OPERATOR_CONTROL", param1: 1.0), system: 255)
+    assert {:answer, []} = decide.(0, control, 255)
+  end
+
   test "a command for all systems is judged for each vehicle that it would reach", c do
     gcs = client(c.gateway, "operator")
     say(gcs, %{goto(47.03, 50.0) | target_system: 0, target_component: 0})

@@ -19,7 +19,7 @@ defmodule Aerie.AuthorityCase do
   @doc """
   Starts a gateway with a link that listens on all addresses, a counting vehicle on it, and a UDP and a TCP endpoint for each of `roles`, with
   ids such as `viewer-udp`. `options`: `overrides`, `clients` (further entries of `policy.clients`), `policy`, `links` (further
-  ones), `key` (with which the vehicle signs).
+  ones), `key` (with which the vehicle signs), `silent` (a vehicle that listens at one of `links`, instead of one that speaks).
   """
   @spec start_authority(Path.t(), [atom()], keyword()) :: map()
   def start_authority(folder, roles, options \\ []) do
@@ -57,10 +57,15 @@ defmodule Aerie.AuthorityCase do
     links = ["udpin:0.0.0.0:0" | options[:links] || []]
     %{gateway: gateway} = start_gateway(folder, links: links, overrides: overrides)
     link = link_port(gateway, "link-1")
-    vehicle = start_vehicle(to: link, key: options[:key])
-    eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
+    vehicle = options[:silent] || heard(gateway, link, options[:key])
     c = %{gateway: gateway, link: link, vehicle: vehicle, sockets: sockets}
     Map.put(c, :marker, program(c, {:udp, "marker"}))
+  end
+
+  defp heard(gateway, link, key) do
+    vehicle = start_vehicle(to: link, key: key)
+    eventually(fn -> Store.vehicle(gateway, @vehicle) end, "the vehicle is known")
+    vehicle
   end
 
   @doc "A vehicle that counts; see `Aerie.CountingVehicle.start_link/1`."
@@ -101,10 +106,9 @@ defmodule Aerie.AuthorityCase do
     end)
   end
 
-  @doc "Waits until all that was sent to the vehicle before (another one, if given) has arrived; gives what was counted."
-  @spec settle(map(), pid() | nil) :: map()
-  def settle(c, vehicle \\ nil) do
-    vehicle = vehicle || c.vehicle
+  @doc "Waits until all that was sent to the vehicle before has arrived; gives what was counted."
+  @spec settle(map()) :: map()
+  def settle(%{vehicle: vehicle} = c) do
     before = marks(vehicle)
 
     # UDP may lose it where much is on its way.

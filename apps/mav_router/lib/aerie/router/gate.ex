@@ -17,7 +17,7 @@ defmodule Aerie.Router.Gate do
   - A message without a row reaches no vehicle, unless the policy opens it.
 
   A command for all systems is judged for each vehicle that it would reach, and goes to none if it is refused for one. A peer of
-  a link that was not heard yet is a vehicle of which nothing is known.
+  a link that was not heard yet, and a vehicle without a session, is one of which nothing is known.
 
   A vehicle on a link by which its sender counts as a client is judged as such when it commands: saying a vehicle's heartbeat costs
   nothing, and a router on this machine brings vehicles and ground stations by one endpoint. Not judged is what it says to
@@ -255,8 +255,18 @@ defmodule Aerie.Router.Gate do
               network in path.networks,
               do: {network, system}
 
-        known ++ not_heard_yet(delivery)
+        known ++ Enum.uniq(not_heard_yet(delivery) ++ not_known_yet(known, delivery))
     end
+  end
+
+  # Those whose sessions have not begun or never will, because there are too many of them: one for each network.
+  defp not_known_yet(known, %{tables: tables, path: path, forwarding: %{vehicles: heard}}) do
+    reached = known |> Enum.flat_map(&Routes.endpoints(tables, &1)) |> MapSet.new()
+
+    for network <- path.networks,
+        keys = heard |> Map.get(network, %{}) |> Map.delete(path.key) |> Map.keys(),
+        not Enum.all?(keys, &(&1 in reached)),
+        do: {network, 0}
   end
 
   # Peers of links that may be vehicles, one for each network.

@@ -36,7 +36,10 @@ defmodule Aerie.Router.GatePolicyTest do
           {_network, system} = vehicle
 
           {:refuse,
-           [MavCodec.encode(%M.CommandAck{command: command, result: 2}, system: system, component: 1)], nil}
+           for(
+             _heard <- 1..min(system, 1)//1,
+             do: MavCodec.encode(%M.CommandAck{command: command, result: 2}, system: system, component: 1)
+           ), nil}
 
         %M.SetMode{target_system: target} ->
           question =
@@ -166,6 +169,20 @@ defmodule Aerie.Router.GatePolicyTest do
     gcs = client(c)
     say(gcs, %M.CommandLong{command: 404})
     assert_receive {:asked, _sender, {"main", 0}, %M.CommandLong{command: 404}}
+  end
+
+  test "a command to all is judged for a vehicle whose session has not begun, too", c do
+    {_id, port} = add_link(c.gateway, "udpin:127.0.0.1:0", id: "lab", network: "lab")
+    starting = udp(port)
+    say(starting, heartbeat(5))
+    eventually(fn -> Router.route(c.gateway, {"lab", 5}) end)
+    gcs = client(c, %{networks: ["lab"]})
+    for command <- [403, 404], do: say(gcs, %M.CommandLong{command: command})
+
+    for command <- [403, 404],
+        do: assert_receive({:asked, _sender, {"lab", 0}, %M.CommandLong{command: ^command}})
+
+    assert {%M.CommandLong{command: 404}, _frame} = next(starting)
   end
 
   test "input of estimators needs a permission, and goes to no vehicle that somebody else is in charge of",

@@ -83,17 +83,24 @@ defmodule Aerie.Router.Refusal do
       :telemetry.execute([:aerie, :router, :denied], %{frames: 1}, metadata)
 
       Logger.warning(
-        "link #{owner}: #{path.text || "somebody"} (system #{frame.system}) may not command vehicles by this link: " <>
-          "message #{name(frame)} to #{meant(Frame.target(frame))} was refused. " <> advice(source)
+        "#{kind(path)} #{owner}: #{path.text || "somebody"} (system #{frame.system}) may not command vehicles by this #{kind(path)}: " <>
+          "message #{name(frame)} to #{meant(Frame.target(frame))} was refused. " <> advice(path, source)
       )
     end
 
     :ok
   end
 
-  defp advice(%{autopilot: true}), do: "It says that it is a vehicle: what it sends still goes to clients"
+  defp kind(%{side: :client, auto: false}), do: "client"
+  defp kind(_peer_of_a_link), do: "link"
 
-  defp advice(_source) do
+  defp advice(%{side: :client, auto: false}, _source),
+    do: "policy.clients gives clients roles and permissions"
+
+  defp advice(_path, %{autopilot: true}),
+    do: "It says that it is a vehicle: what it sends still goes to clients"
+
+  defp advice(_path, _source) do
     "If that is your ground station, set gcs: allow for this link, or connect it to one of the clients' endpoints"
   end
 

@@ -193,7 +193,7 @@ defmodule Aerie.Router.GateTest do
     assert until_marked(c, c.one) -- [heartbeat(2)] == []
 
     :ok = Router.configure(c.gateway, "radio", parts: true)
-    Enum.each([sticks, approval, gcs(255), hello, status, battery], &say(gimbal, &1))
+    Enum.each([sticks, approval, hello, status, battery], &say(gimbal, &1))
     assert until(c.one, battery) == [hello, status]
   end
 

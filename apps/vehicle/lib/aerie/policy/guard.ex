@@ -103,7 +103,7 @@ defmodule Aerie.Policy.Guard do
           with :ok <- rate(policy, gateway, source.name, vehicle, facts),
                :allow <- Policy.decide(policy, facts, Context.of(gateway, snapshot, source, now)),
                :allow <- recorded(gateway, facts, policy.audit_required),
-               do: in_charge(policy, gateway, key, facts, source)
+               do: in_charge(policy, gateway, key, facts, {source, snapshot})
 
         count(gateway, decision)
         if decision == :allow and snapshot != nil, do: commanded(gateway, vehicle, source.name, facts)
@@ -178,9 +178,12 @@ defmodule Aerie.Policy.Guard do
   end
 
   # The gateway itself keeps who is in charge; a vehicle that does so, too, is asked in the client's name (X15).
-  defp in_charge(_policy, _gateway, _key, %{control: nil}, _source), do: :allow
+  defp in_charge(_policy, _gateway, _key, %{control: nil}, _whose), do: :allow
 
-  defp in_charge(policy, gateway, key, %{control: change}, source) do
+  defp in_charge(_policy, _gateway, _key, _facts, {_source, nil}),
+    do: {:deny, :lease, "nobody can be in charge of a vehicle that was not heard yet"}
+
+  defp in_charge(policy, gateway, key, %{control: change}, {source, _snapshot}) do
     case Leases.change(gateway, key, change, source, "mavlink", policy.lease) do
       {:ok, _lease} -> :allow
       {:deny, reason} -> {:deny, :lease, reason}

@@ -292,6 +292,13 @@ defmodule Aerie.Policy.GuardTest do
            end)
   end
 
+  test "nobody takes charge of a vehicle that was not heard", c do
+    one = client(c.gateway, "operator")
+    say(one, %{long("REQUEST_OPERATOR_CONTROL", param1: 1.0) | target_system: 77})
+    eventually(fn -> Link.snapshot(c.gateway, "operator").counters.denied == 1 end)
+    assert Leases.all(c.gateway) == %{}
+  end
+
   test "a client that is not listed is an operator on this machine and a viewer beyond it, and never more",
        c do
     gcs = client(c.gateway, "someone")
@@ -372,7 +379,7 @@ defmodule Aerie.Policy.GuardTest do
     all = MavCodec.encode(force.(0), system: 255)
     assert {:refuse, [], nil} = decide.(0, all, 255)
     control = MavCodec.encode(long("REQUEST_OPERATOR_CONTROL", param1: 1.0), system: 255)
-    assert {:answer, []} = decide.(0, control, 255)
+    assert {:refuse, [], nil} = decide.(0, control, 255)
   end
 
   test "a command for all systems is judged for each vehicle that it would reach", c do

@@ -19,11 +19,13 @@ defmodule Aerie.System.ComponentParamsTest do
     keys = Path.join(folder, "keys")
     File.write!(keys, "chief #{@chief} role=admin\nwall #{@wall} role=viewer\n")
     File.chmod!(keys, 0o600)
-    policy = Map.merge(%{"audit" => %{"dir" => Path.join(folder, "audit")}}, context[:policy] || %{})
+    clients = [%{"role" => "operator", "permissions" => ["maintain"]}]
+    audit = %{"dir" => Path.join(folder, "audit")}
+    policy = Map.merge(%{"audit" => audit, "clients" => clients}, context[:policy] || %{})
     overrides = %{"policy" => policy, "api" => %{"keys_file" => keys}, "timeouts" => patient()}
 
     %{gateway: gateway} =
-      start_gateway(folder, links: ["udpin:127.0.0.1:0"], stations: ["maintain"], overrides: overrides)
+      start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: overrides)
 
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     start_supervised!({SimVehicle, firmware: :px4, camera: 100, ready_s: 1.0, link: link})

@@ -69,8 +69,9 @@ defmodule FleetWeb.Costly do
 
     case TokenBucket.take(full, now, interval, burst) do
       {:ok, full} ->
-        if :ets.info(table, :size) >= @most_buckets,
-          do: :ets.select_delete(table, [{{:_, :"$1"}, [{:"=<", :"$1", now}], [true]}])
+        _ =
+          if :ets.info(table, :size) >= @most_buckets,
+            do: :ets.select_delete(table, [{{:_, :"$1"}, [{:"=<", :"$1", now}], [true]}])
 
         :ets.insert(table, {{kind, name}, full})
         :ok

@@ -38,8 +38,11 @@ defmodule Aerie.Router.AskedFor do
          {:ok, message} <- MavCodec.decode(frame),
          {_system, _component} = own <- Tables.setting(delivery.tables, :own, nil) do
       room? = room?(delivery.tables, {vehicle, frame.id}, per_minute)
-      if room?, do: send_on(message, target, vehicle, own, delivery)
-      if command, do: acknowledge(command, if(room?, do: @accepted, else: @later), target, frame, delivery)
+      _ = if room?, do: send_on(message, target, vehicle, own, delivery)
+
+      _ =
+        if command, do: acknowledge(command, if(room?, do: @accepted, else: @later), target, frame, delivery)
+
       if room?, do: :asked, else: :too_often
     else
       _no -> :not_askable

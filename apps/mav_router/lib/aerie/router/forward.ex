@@ -144,7 +144,7 @@ defmodule Aerie.Router.Forward do
   defp to_vehicles(batch, %{source: source} = delivery) do
     for {relation, to} <- source.vehicles,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],
-        do: emit(to, Batch.new(frames), delivery)
+        do: _ = emit(to, Batch.new(frames), delivery)
 
     for {group, relation, paths} <- source.groups,
         [_ | _] = frames <- [passing(relation, batch.frames, delivery)],

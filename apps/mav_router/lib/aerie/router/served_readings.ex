@@ -85,9 +85,10 @@ defmodule Aerie.Router.ServedReadings do
 
       delivery = %{delivery | source: source}
 
-      for {scope, frames} <- Gate.sort([frame], delivery), delivery = %{delivery | scope: scope} do
+      Enum.each(Gate.sort([frame], delivery), fn {scope, frames} ->
+        delivery = %{delivery | scope: scope}
         frames |> TransferTurns.pass(delivery) |> Forward.frames(delivery)
-      end
+      end)
     end
 
     :ok

@@ -30,7 +30,14 @@ defmodule Aerie.Commands.Held do
       {holding, :go_on} -> {:ok, snapshot, holding}
       {_over, {:pass_on, name}} -> pass_on(way, snapshot, name)
       {_over, {:refuse, rule, why}} -> refuse(rule, why)
-      {holding, {:again, ms}} -> receive(do: (:never -> nil), after: (ms -> look(way, snapshot, holding)))
+      {holding, {:again, ms}} -> again(ms, way, snapshot, holding)
+    end
+  end
+
+  defp again(ms, way, snapshot, holding) do
+    receive do
+    after
+      ms -> look(way, snapshot, holding)
     end
   end
 

@@ -58,20 +58,20 @@ defmodule Aerie.Shadow.Holder do
   # Without it another gateway says `unknown`.
   @impl Aerie.Commands.Holder
   def done(gateway, vehicle, result) do
-    with {conn, environment} <- Documents.nats(gateway) do
-      claim = %{
-        "by" => Documents.instance(gateway),
-        "result" => Atom.to_string(result.status),
-        "reason" => result.reason && String.slice(result.reason, 0, 256)
-      }
+    _ =
+      with {conn, environment} <- Documents.nats(gateway) do
+        claim = %{
+          "by" => Documents.instance(gateway),
+          "result" => Atom.to_string(result.status),
+          "reason" => result.reason && String.slice(result.reason, 0, 256)
+        }
 
-      _ =
         Nats.pub(
           conn,
           Buckets.command_subject(environment, {vehicle, result.id}),
           JSON.encode_to_iodata!(claim)
         )
-    end
+      end
 
     :ok
   end

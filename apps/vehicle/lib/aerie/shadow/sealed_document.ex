@@ -28,11 +28,11 @@ defmodule Aerie.Shadow.SealedDocument do
   def decode(text, environment, vehicle, keys) do
     with {:ok, %{"seal" => seal} = object} when is_binary(seal) <- JSON.decode(text),
          plain = Map.delete(object, "seal"),
-         kind when kind != nil <- kind(plain, seal, environment, vehicle, keys),
+         {:sealed, kind} <- kind(plain, seal, environment, vehicle, keys),
          {:ok, document} <- Document.parse(plain, vehicle) do
       {kind, document}
     else
-      nil ->
+      :forged ->
         {:error,
          "its seal does not fit: it was written by something else than a gateway with this vehicle's key (shadow.key, shadow.vehicle_key)"}
 
@@ -46,9 +46,9 @@ defmodule Aerie.Shadow.SealedDocument do
 
   defp kind(plain, seal, environment, vehicle, keys) do
     cond do
-      equal?(mac(plain, @context, environment, Keys.of(keys, environment, vehicle)), seal) -> :ok
-      Enum.any?(Keys.former(keys), &equal?(mac(plain, @former, environment, &1), seal)) -> :former
-      true -> nil
+      equal?(mac(plain, @context, environment, Keys.of(keys, environment, vehicle)), seal) -> {:sealed, :ok}
+      Enum.any?(Keys.former(keys), &equal?(mac(plain, @former, environment, &1), seal)) -> {:sealed, :former}
+      true -> :forged
     end
   end
 

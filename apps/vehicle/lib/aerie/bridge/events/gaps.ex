@@ -29,7 +29,7 @@ defmodule Aerie.Bridge.Events.Gaps do
   @doc "How many events are missing at a place."
   @spec size(place() | nil) :: non_neg_integer()
   def size(nil), do: 0
-  def size({_vehicle, _epoch, from, to}), do: to - from + 1
+  def size({_vehicle, _epoch, from, to}) when is_integer(from) and is_integer(to), do: to - from + 1
 
   @doc "What is missing, for the log."
   @spec text(place()) :: String.t()

@@ -14,7 +14,7 @@ defmodule Aerie.Config.Names do
   alias FleetWeb.API.Keys
   alias FleetWeb.Console.Access.Users
 
-  # Parts of the gateway that command in their own name, and commands by NATS that nobody signed.
+  # Parts of the gateway that command in their own name, and commands over NATS that nobody signed.
   @own ["bin/aerie", "shadow", "unsigned"]
 
   @typep named :: {Schema.path(), name :: String.t()}

@@ -224,7 +224,7 @@ defmodule Aerie.Config.RefusedTest do
     {"policy: {sources: [{name: shadow, nkey: #{@nkey}}]}",
      "1: policy.sources[0].name: expected a name that the gateway"},
     {~s(links: [{id: a, url: "ws://127.0.0.1:1/?Gcs=deny"}]),
-     "1: links[0].url: expected gcs (Gcs is no option)"},
+     "1: links[0].url: expected gcs (Gcs is not an option)"},
     {"clients: [{id: a, #{@client}, rate_limits: {ATTITUDE: 1, attitude: 50}}]",
      "1: clients[0]: expected rules that make sense"},
     {~s(api: {key: #{@key}, origins: ["*"]}), "1: api.origins[0]: "},

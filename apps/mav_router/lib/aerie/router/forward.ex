@@ -16,7 +16,6 @@ defmodule Aerie.Router.Forward do
   Runs in the process that received the frames. Each receiver gets its frames in their order.
   """
 
-  alias Aerie.Authority.Messages
   alias Aerie.Mavlink.HighLatency
   alias Aerie.Mavlink.Message
   alias Aerie.Router.Batch
@@ -130,7 +129,7 @@ defmodule Aerie.Router.Forward do
     batch = emit_all(source.receivers, gathered |> :lists.reverse() |> Batch.new(), delivery)
     _ = if source.vehicles != [] or source.groups != [], do: to_vehicles(batch, delivery)
     _ = if source.heartbeat_receivers != [], do: heartbeats_only(batch, delivery)
-    refused(batch.frames, delivery)
+    Refusal.of_broadcast(batch.frames, delivery)
   end
 
   defp to_vehicles(_batch, %{scope: :clients}), do: :ok
@@ -153,33 +152,6 @@ defmodule Aerie.Router.Forward do
 
   defp passing(relation, frames, %{forwarding: %{between: between}}),
     do: Enum.filter(frames, &Reach.passes?(relation, &1, between))
-
-  # What a client or a stranger said to all, and an order of a vehicle, that did not reach every vehicle.
-  defp refused(_frames, %{scope: :cleared}), do: :ok
-
-  defp refused(frames, %{source: %{vehicle: true}} = delivery) do
-    for frame <- frames,
-        Messages.order?(frame.id),
-        refused?(frame, delivery),
-        do: Refusal.withheld(frame, delivery)
-
-    :ok
-  end
-
-  defp refused(frames, delivery) do
-    for frame <- frames, refused?(frame, delivery), do: Refusal.withheld(frame, delivery)
-    :ok
-  end
-
-  defp refused?(frame, %{source: source, scope: scope, forwarding: %{between: between}}) do
-    others =
-      if source.heartbeat_receivers == [], do: [], else: [if(source.vehicle, do: :vehicle, else: :stranger)]
-
-    relations =
-      Enum.map(source.vehicles, &elem(&1, 0)) ++ Enum.map(source.groups, &elem(&1, 1)) ++ others
-
-    Enum.any?(relations, &(scope == :clients or not Reach.passes?(&1, frame, between)))
-  end
 
   defp emit_all([], batch, _delivery), do: batch
   defp emit_all([to | rest], batch, delivery), do: emit_all(rest, emit(to, batch, delivery), delivery)

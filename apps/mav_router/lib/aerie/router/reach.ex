@@ -62,7 +62,7 @@ defmodule Aerie.Router.Reach do
   defp listed?(:part, %{part: part?}, %{id: @heartbeat} = frame, _between),
     do: part? and not Heartbeat.station?(frame)
 
-  # A part that says whether its vehicle may arm is no sensor.
+  # Whether a vehicle may arm is not for its parts to say.
   defp listed?(:part, _row, %{id: @command_ack} = frame, _between), do: not authorizes?(frame)
   defp listed?(:part, %{part: part?}, _frame, _between), do: part?
 

@@ -13,6 +13,7 @@ defmodule Aerie.Router.Refusal do
   alias Aerie.Router.Delivery
   alias Aerie.Router.EndpointCounters
   alias Aerie.Router.Output
+  alias Aerie.Router.Reach
   alias MavCodec.Enums.MavResult
   alias MavCodec.Frame
   alias MavCodec.Messages.CommandAck
@@ -33,6 +34,30 @@ defmodule Aerie.Router.Refusal do
     else
       EndpointCounters.add(path.counters, :withheld, 1)
     end
+  end
+
+  @doc "Frames to all: what a client or a stranger said, and an order of a vehicle, that did not reach every vehicle."
+  @spec of_broadcast([Frame.t()], Delivery.t()) :: :ok
+  def of_broadcast(_frames, %{scope: :cleared}), do: :ok
+
+  # Telemetry of a vehicle is not for other vehicles, which nobody has to be told.
+  def of_broadcast(frames, %{source: %{vehicle: vehicle?}} = delivery) do
+    for frame <- frames,
+        not vehicle? or Messages.order?(frame.id),
+        refused?(frame, delivery),
+        do: withheld(frame, delivery)
+
+    :ok
+  end
+
+  defp refused?(frame, %{source: source, scope: scope, forwarding: %{between: between}}) do
+    others =
+      if source.heartbeat_receivers == [], do: [], else: [if(source.vehicle, do: :vehicle, else: :stranger)]
+
+    relations =
+      Enum.map(source.vehicles, &elem(&1, 0)) ++ Enum.map(source.groups, &elem(&1, 1)) ++ others
+
+    Enum.any?(relations, &(scope == :clients or not Reach.passes?(&1, frame, between)))
   end
 
   @doc "A message without a row came."

@@ -47,7 +47,7 @@ defmodule Aerie.Link.SpecTest do
             {"ws://host:0/", "is not a port"},
             {"ws://host/a b", "its path has characters"},
             {"ws://host/#top", "no fragment"},
-            {"ws://host/?ca=/etc/ca.pem", "is no option"},
+            {"ws://host/?ca=/etc/ca.pem", "is not an option"},
             {"ws://host/?network=a b", "is no network"},
             {"http://host/", "another program's form"}
           ] do
@@ -148,7 +148,7 @@ defmodule Aerie.Link.SpecTest do
           {"replay:", "the file is missing"},
           {"replay:x?speed=0", "\"0\" is no speed"},
           {"replay:x?loop=maybe", "\"maybe\" is neither true nor false"},
-          {"udpin::1?speed=2", "\"speed\" is no option"},
+          {"udpin::1?speed=2", "\"speed\" is not an option"},
           {"udpin::1?network=a b", "\"a b\" is no network"},
           {"udp://:14540", "udp:// is another program's form"},
           {"127.0.0.1:14550", "write udpin:127.0.0.1:14550 to listen there"}

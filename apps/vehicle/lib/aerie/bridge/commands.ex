@@ -262,7 +262,7 @@ defmodule Aerie.Bridge.Commands do
   end
 
   defp busy(number) do
-    reason = "#{number} commands by NATS are under way, as many as there may be; try again"
+    reason = "#{number} commands over NATS are under way, which is the limit; try again"
     refusal(%{}, :busy, reason)
   end
 

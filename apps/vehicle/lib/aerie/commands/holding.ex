@@ -19,7 +19,7 @@ defmodule Aerie.Commands.Holding do
   @enforce_keys [:until, :relayed?]
   defstruct [:until, :relayed?, :lease, stage: :look]
 
-  @typedoc "`:until` - until when it waits to know who holds the vehicle; `:relayed?` - it came by NATS, so it is not passed on."
+  @typedoc "`:until` - until when it waits to know who holds the vehicle; `:relayed?` - it came over NATS, so it is not passed on."
   @type t :: %__MODULE__{
           until: integer(),
           relayed?: boolean(),

@@ -5,7 +5,7 @@ defmodule Aerie.Shadow.SealedDocument do
 
   The seal is an HMAC-SHA-256 over environment, vehicle and content by the vehicle's key (`Aerie.Shadow.Keys`), so that neither the document
   nor the key of one vehicle is valid for another. Earlier versions sealed all vehicles' documents with the common key; these are still
-  read, and whoever reads one seals it anew.
+  read, and whoever reads one seals it again.
   """
 
   alias Aerie.Secret
@@ -22,7 +22,7 @@ defmodule Aerie.Shadow.SealedDocument do
     JSON.encode!(Map.put(plain, "seal", mac(plain, @context, environment, key)))
   end
 
-  @doc "Reads a document that `encode/3` wrote for this vehicle; `:former` if an earlier version sealed it: seal it anew."
+  @doc "Reads a document that `encode/3` wrote for this vehicle; `:former` if an earlier version sealed it: seal it again."
   @spec decode(binary(), environment :: String.t(), vehicle :: String.t(), Keys.t()) ::
           {:ok, Document.t()} | {:former, Document.t()} | {:error, String.t()}
   def decode(text, environment, vehicle, keys) do

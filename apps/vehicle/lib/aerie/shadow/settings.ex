@@ -74,8 +74,8 @@ defmodule Aerie.Shadow.Settings do
   setting :former_key,
           :secret,
           """
-          The key of before another one: desired states that an earlier version sealed with it are read, and sealed anew. Take it out when
-          all of them were.
+          The key before the present one: desired states that were sealed with it are read and sealed again. Remove it once all of
+          them have been.
           """,
           example: "a long random text"
 

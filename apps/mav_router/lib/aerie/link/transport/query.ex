@@ -33,7 +33,7 @@ defmodule Aerie.Link.Transport.Query do
 
       pair ->
         {:error,
-         reason: "#{key(pair)} is no option", expected: String.downcase(key(pair)), example: form.example}
+         reason: "#{key(pair)} is not an option", expected: String.downcase(key(pair)), example: form.example}
     end
   end
 
@@ -96,7 +96,7 @@ defmodule Aerie.Link.Transport.Query do
       transport.option(form.prefix, key, value)
     else
       {:error,
-       reason: "#{inspect(key)} is no option",
+       reason: "#{inspect(key)} is not an option",
        expected: "the options #{Enum.join(form.options ++ @common, ", ")}",
        example: form.example <> if(form.example =~ "?", do: "&", else: "?") <> "network=radio-a"}
     end

@@ -1,6 +1,6 @@
 defmodule Aerie.Bridge.Commands.Lanes do
   @moduledoc """
-  Which request by NATS is worked on, which waits, and which is not even read. Pure: requests are told apart by what they claim
+  Which request over NATS is worked on, which waits, and which is not even read. Pure: requests are told apart by what they claim
   (`Aerie.Policy.Sources.claim/3`), which costs microseconds, before they cost a place.
 
   | lane | requests | limit | beyond it |

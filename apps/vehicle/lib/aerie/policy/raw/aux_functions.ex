@@ -86,7 +86,7 @@ defmodule Aerie.Policy.Raw.AuxFunctions do
   @mission [7, 24, 58, 61, 93]
   @fly [3, 13, 29, 39, 63, 83, 86, 87, 88, 89, 95, 152, 160, 173, 178]
 
-  @doc "The facts of a function and the position of its switch; nil for what is no integer."
+  @doc "The facts of a function and the position of its switch; nil for what is not an integer."
   @spec facts(integer() | nil, integer() | nil) :: Facts.t()
   def facts(function, @high) when is_map_key(@modes, function),
     do: Facts.named("set_mode", mode: Map.fetch!(@modes, function))

@@ -1,6 +1,6 @@
 defmodule Aerie.Policy.Rules.Number do
   @moduledoc """
-  A number that firmwares read in different ways is refused: an enumeration, a flag or an index that is no integer, or out of
+  A number that firmwares read in different ways is refused: an enumeration, a flag or an index that is not an integer, or out of
   its range (`Aerie.Authority.Commands`). PX4 takes 0.6 for 1, and ArduPilot 257 as well.
   """
 

@@ -122,7 +122,7 @@ defmodule Aerie.Shadow.Documents.Desired do
     end
   end
 
-  # Reading it seals it anew.
+  # Reading it seals it again.
   defp former(state, document, heard_here?) do
     _ = if state.conn, do: Buckets.read(state.conn, state.kept, document.vehicle)
     if heard_here?, do: accept(state, document), else: tagged(state, document)

@@ -78,7 +78,7 @@ defmodule Aerie.Shadow.Documents.Ownership do
     holders = for vehicle <- vehicles, do: {{:holder, vehicle}, held(state, vehicle)}
     :ets.insert(state.table, rows ++ holders)
 
-    # Requests by NATS are answered by the gateway that holds the vehicle, and by no other one.
+    # Only the gateway that holds the vehicle answers requests over NATS.
     others =
       for {{:holder, vehicle}, holder} <- holders,
           holder != :alone and not match?({:mine, _until, _wall}, holder),

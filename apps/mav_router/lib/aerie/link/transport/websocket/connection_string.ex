@@ -40,7 +40,7 @@ defmodule Aerie.Link.Transport.WebSocket.ConnectionString do
 
   def option(_prefix, "ca", _file) do
     {:error,
-     reason: ~s("ca" is no option without TLS and a file),
+     reason: ~s("ca" is not an option without TLS and a file),
      expected: "wss://HOST?ca=FILE",
      example: "wss://agent.example.org/mavlink?ca=/etc/ca.pem"}
   end

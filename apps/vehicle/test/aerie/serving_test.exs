@@ -13,7 +13,8 @@ defmodule Aerie.ServingTest do
   @moduletag :capture_log
 
   defp served(dir, firmware, options \\ []) do
-    {gateway, port} = start(dir, %{clients: [%{role: :operator, permissions: [:maintain]}]})
+    {entry, options} = Keyword.pop(options, :entry, %{role: :operator, permissions: [:maintain]})
+    {gateway, port} = start(dir, %{clients: [entry]})
     start_supervised!({Aerie.Serving.Supervisor, gateway: gateway})
     {client, options} = Keyword.pop(options, :client, %{served: true})
     sim = fly(gateway, port, [firmware: firmware] ++ options)
@@ -73,6 +74,15 @@ defmodule Aerie.ServingTest do
 
   defp asks(c, type),
     do: for({{:sent, id}, n} <- Store.counters(c.gateway), id == type.id(), do: n) |> Enum.sum()
+
+  test "viewers, who may not ask the vehicle, are always served", %{tmp_dir: dir} do
+    c = served(dir, :ardupilot, client: %{}, entry: %{role: :viewer})
+    [one, two] = for system <- [201, 202], do: station(c, system)
+    for station <- [one, two], do: say(station, %M.ParamRequestList{target_system: 1, target_component: 1})
+    assert map_size(list(one)) > 150
+    assert map_size(list(two)) > 150
+    assert asks(c, M.ParamRequestList) <= 5
+  end
 
   for firmware <- [:ardupilot, :px4] do
     test "#{firmware}: twenty stations at once cost one reading; a value that changed is not given", %{

@@ -49,6 +49,9 @@ defmodule Phoenix.LiveViewTest do
       {:redirect, to, flash} ->
         {:error, {:redirect, %{to: to, flash: flash}}}
 
+      {:refused, status} ->
+        {:error, {:refused, status}}
+
       :not_found ->
         {:error, :not_found}
     end

@@ -15,10 +15,12 @@ defmodule FleetWeb.Console.Diagnosis.PageTest do
     put_link(console, "serial", %{kind: :serial, status: :down, diagnosis: [finding]})
   end
 
-  # The server looks again after two seconds; a new page after that shows it.
+  # The server looks again after two seconds, and the page follows.
   defp shown(console, text) do
+    {:ok, view, _html} = live(conn(console, :viewer), "/diagnosis")
+
     eventually(fn ->
-      {:ok, view, html} = live(conn(console, :viewer), "/diagnosis")
+      html = render(view)
       html =~ text && {view, html}
     end)
   end

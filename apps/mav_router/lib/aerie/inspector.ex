@@ -139,8 +139,10 @@ defmodule Aerie.Inspector do
   defp finish(state) do
     _ = if state.timer, do: Process.cancel_timer(state.timer)
 
-    with tables when is_map(tables) <- Tables.of(state.gateway),
-         do: Enum.each(state.taps, fn {link, _tap} -> Tap.close(tables, {:link, link}) end)
+    _ =
+      with_tables(state.gateway, :ok, fn tables ->
+        Enum.each(state.taps, fn {link, _tap} -> Tap.close(tables, {:link, link}) end)
+      end)
 
     flush()
     Rows.clear(state.rows)
@@ -158,16 +160,24 @@ defmodule Aerie.Inspector do
 
   # Links come and go; after a restart of the recorder its taps are new.
   defp follow(state) do
-    case Tables.of(state.gateway) do
-      nil ->
-        %{state | taps: %{}}
-
-      tables ->
+    taps =
+      with_tables(state.gateway, %{}, fn tables ->
         links = for %{id: id} <- Store.links(state.gateway), do: id
         for {link, _tap} <- state.taps, link not in links, do: Tap.close(tables, {:link, link})
+        Map.new(links, &{&1, tap(state.taps, tables, &1)})
+      end)
 
-        %{state | taps: Map.new(links, &{&1, tap(state.taps, tables, &1)})}
+    %{state | taps: taps}
+  end
+
+  defp with_tables(gateway, none, fun) do
+    case Tables.of(gateway) do
+      nil -> none
+      tables -> fun.(tables)
     end
+  rescue
+    # The tables go with the recorder, which may be ending just now.
+    ArgumentError -> none
   end
 
   defp tap(taps, tables, link) do

@@ -96,6 +96,16 @@ defmodule Aerie.InspectorTest do
     assert count > 0
   end
 
+  test "a recorder that is ending takes its tables along, and not the inspector", c do
+    assert Inspector.watch(c.gateway) == :ok
+    pid = Aerie.Names.whereis(c.gateway, :inspector)
+    :ets.delete(Tables.of(c.gateway).taps)
+    send(pid, :measure)
+    assert %{taps: taps} = :sys.get_state(pid)
+    assert taps == %{}
+    assert Inspector.unwatch(c.gateway) == :ok
+  end
+
   test "the rows are bounded; silent ones are forgotten" do
     rows = Rows.new()
     for system <- 1..9_000, do: Rows.add(rows, "radio", :in, [beat(1, false, 5) |> Map.put(:system, system)])

@@ -49,6 +49,14 @@ defmodule MavCodec.EnumsTest do
     assert MavCmd.params(-1) == []
   end
 
+  test "whether a command has a position" do
+    assert MavCmd.location?(MavCmd.value(:MAV_CMD_NAV_WAYPOINT)) == true
+    assert MavCmd.location?(MavCmd.value(:MAV_CMD_DO_DIGICAM_CONTROL)) == false
+    assert MavCmd.location?(MavCmd.value(:MAV_CMD_INJECT_FAILURE)) == nil
+    assert MavCmd.location?(-1) == nil
+    refute function_exported?(MavSysStatusSensor, :location?, 1)
+  end
+
   test "every enum of every source: value, name and label agree" do
     catalog = Catalog.load!(Shard.definitions())
     assert length(catalog.enums) > 250

@@ -47,6 +47,7 @@ defmodule MavCodec.Definition.Generator.Enums do
 
       unquote(if enum.bitmask, do: flags())
       unquote(if Enum.any?(enum.entries, &(&1.params != [])), do: params(enum))
+      unquote(if Enum.any?(enum.entries, &location/1), do: locations(enum))
     end
   end
 
@@ -73,6 +74,22 @@ defmodule MavCodec.Definition.Generator.Enums do
       def params(value) when is_integer(value), do: []
     end
   end
+
+  defp locations(enum) do
+    known = for entry <- enum.entries, location = location(entry), do: {entry.value, location == "true"}
+
+    quote do
+      @doc "Whether parameters 5 to 7 of a command are a position, or `nil` if its definition does not say."
+      @spec location?(integer()) :: boolean() | nil
+      unquote_splicing(
+        for {value, location?} <- known, do: quote(do: def(location?(unquote(value)), do: unquote(location?)))
+      )
+
+      def location?(value) when is_integer(value), do: nil
+    end
+  end
+
+  defp location(%{facts: facts}), do: List.keyfind(facts, "hasLocation", 0, {nil, nil}) |> elem(1)
 
   defp param({index, facts}) do
     facts = Map.new(facts)

@@ -3,7 +3,7 @@ defmodule SimVehicle.Plans do
   Mission, fence and rally points on board, and the vehicle's side of the mission protocol (rules W1-W7).
 
   A plan is replaced only when an upload is complete. In a stalled upload, items are requested again until it is given up.
-  `style` is what the two firmwares do differently:
+  Each item is stored as the firmware does it (`SimVehicle.Plans.Storage`). `style` is what the two firmwares do differently besides:
 
   - `:ardupilot`: requests with MISSION_REQUEST; item 0 of the mission is the home position; refuses an item out of sequence and a
     position beyond the globe
@@ -13,6 +13,7 @@ defmodule SimVehicle.Plans do
   import Bitwise
 
   alias MavCodec.Messages, as: M
+  alias SimVehicle.Plans.Storage
   alias SimVehicle.Real32
 
   @accepted 0
@@ -20,6 +21,7 @@ defmodule SimVehicle.Plans do
   @unsupported_frame 2
   @unsupported 3
   @no_space 4
+  @invalid_param1 6
   @invalid_x 10
   @invalid_sequence 13
   @denied 14
@@ -28,30 +30,17 @@ defmodule SimVehicle.Plans do
   @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6]}
   @px4_frames %{0 => [0, 2, 3, 5, 6], 1 => [0, 2, 3, 5, 6], 2 => [0, 3, 5, 6]}
 
-  @nav [16, 17, 18, 19, 20, 21, 22, 82, 84, 85, 93]
-  @actions [
-    112,
-    114,
-    115,
-    177,
-    178,
-    179,
-    181,
-    183,
-    189,
-    195,
-    197,
-    201,
-    203,
-    205,
-    206,
-    2000,
-    2001,
-    2500,
-    2501,
-    3000
-  ]
-  @commands %{0 => @nav ++ @actions, 1 => [5000, 5001, 5002, 5003, 5004], 2 => [5100]}
+  @nav [16, 17, 18, 19, 20, 21, 22, 31, 82, 84, 85, 93]
+  @conditions [112, 114, 115]
+  @actions [177, 178, 179, 181, 182, 183, 184, 189, 195, 197, 201, 203, 205, 206, 211]
+  @cameras [1000, 2000, 2001, 2500, 2501, 3000]
+  @commands %{
+    0 => @nav ++ @conditions ++ @actions ++ @cameras,
+    1 => [5000, 5001, 5002, 5003, 5004],
+    2 => [5100]
+  }
+  # Their x and y are no degrees in MISSION_ITEM, either (AP_Mission.cpp: `convert_MISSION_ITEM_to_MISSION_ITEM_INT`).
+  @plain_xy [202, 203, 1000, 42_703]
 
   @retry_us %{ardupilot: 1_000_000, px4: 250_000}
   @give_up_us %{ardupilot: 8_000_000, px4: 5_000_000}
@@ -93,7 +82,10 @@ defmodule SimVehicle.Plans do
 
   @doc "Replaces a plan without the protocol (a plan that was on board from the start)."
   @spec put(t, 0..2, [item]) :: t
-  def put(plans, type, items), do: %{plans | items: Map.put(plans.items, type, items)} |> fresh_opaque(type)
+  def put(plans, type, items) do
+    items = Enum.map(items, &Storage.kept(&1, plans.style, type))
+    %{plans | items: Map.put(plans.items, type, items)} |> fresh_opaque(type)
+  end
 
   @doc """
   Handles a message of the mission protocol that is addressed to this vehicle. `home` is the item that ArduPilot shows
@@ -117,7 +109,7 @@ defmodule SimVehicle.Plans do
     do: take(plans, item(m, 1), m.mission_type, from, now)
 
   def handle(plans, %M.MissionItem{} = m, from, _home, now),
-    do: take(plans, item(m, 1.0e7), m.mission_type, from, now)
+    do: take(plans, item(m, if(degrees?(m), do: 1.0e7, else: 1.0)), m.mission_type, from, now)
 
   def handle(plans, %M.MissionClearAll{} = m, from, _home, _now) do
     types = if m.mission_type == 255, do: [0, 1, 2], else: [m.mission_type]
@@ -235,10 +227,27 @@ defmodule SimVehicle.Plans do
     cond do
       item.command not in @commands[type] -> @unsupported
       item.frame not in frames[type] -> @unsupported_frame
-      plans.style == :ardupilot and item.frame != 2 and beyond_globe?(item) -> @invalid_x
+      (unset = unset_param(plans, type, item)) != nil -> @invalid_param1 + unset
+      plans.style == :ardupilot and place?(type, item) and beyond_globe?(item) -> @invalid_x
       true -> nil
     end
   end
+
+  # AP_Mission.cpp, `sanity_check_params`: which parameters may be NaN.
+  @unset %{16 => [3], 21 => [3], 22 => [3], 84 => [3], 85 => [2, 3]}
+
+  defp unset_param(%{style: :ardupilot}, 0, item) do
+    params = item.params |> Tuple.to_list() |> Enum.with_index()
+
+    Enum.find_value(params, fn {value, index} ->
+      if Real32.number(value) == nil and index not in Map.get(@unset, item.command, []), do: index
+    end)
+  end
+
+  defp unset_param(_plans, _type, _item), do: nil
+
+  defp place?(0, item), do: item.frame != 2 and Storage.place?(item.command)
+  defp place?(_fence_or_rally, _item), do: true
 
   defp beyond_globe?(item), do: abs(item.x) > 900_000_000 or abs(item.y) > 1_800_000_000
 
@@ -320,7 +329,8 @@ defmodule SimVehicle.Plans do
 
   defp item_message(item, seq, type, from, :float) do
     int = item_message(item, seq, type, from, :int)
-    fields = int |> Map.from_struct() |> Map.merge(%{x: item.x / 1.0e7, y: item.y / 1.0e7})
+    scale = if degrees?(item), do: 1.0e7, else: 1.0
+    fields = int |> Map.from_struct() |> Map.merge(%{x: item.x / scale, y: item.y / scale})
     struct!(M.MissionItem, fields)
   end
 
@@ -337,6 +347,8 @@ defmodule SimVehicle.Plans do
       z: Real32.number(m.z) || 0.0
     }
   end
+
+  defp degrees?(item), do: item.command not in @plain_xy and item.frame != 2
 
   defp coordinate(value, 1), do: value
   defp coordinate(value, scale) when is_number(value) and abs(value) < 200, do: round(value * scale)

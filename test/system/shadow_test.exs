@@ -57,7 +57,18 @@ defmodule Aerie.System.ShadowTest do
   end
 
   defp plan do
-    point = fn north -> %Item{command: 16, frame: 3, x: 473_977_420 + north, y: 85_455_940, z: 20.0} end
+    # Neither firmware keeps all of it.
+    point = fn north ->
+      %Item{
+        command: 16,
+        frame: 3,
+        x: 473_977_420 + north,
+        y: 85_455_940,
+        z: 20.125,
+        params: {2.5, 5.0, 1.0, 123.4}
+      }
+    end
+
     take_off = %{point.(0) | command: 22}
 
     corners =

@@ -83,7 +83,7 @@ defmodule Aerie.Missions do
     type = Map.fetch!(@kinds, kind)
 
     with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
-      transfer = Map.put(transfer(:download, type), :share, {:plan, type})
+      transfer = Map.put(transfer(:download, type, snapshot.vehicle_type), :share, {:plan, type})
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
       result
     end
@@ -109,7 +109,8 @@ defmodule Aerie.Missions do
   @doc """
   Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it cannot fly it
   where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the vehicle refused it, possibly after acknowledging it. Needs the
-  permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`.
+  permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does
+  not keep of it.
   """
   @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
           Commands.answer()
@@ -133,14 +134,19 @@ defmodule Aerie.Missions do
 
   defp asked("clear", kind, nil), do: {"mission", "clear", %{"kind" => Atom.to_string(kind)}}
 
-  @doc "Compares a kind of plan with the vehicle's: `:same`, or the first item that differs, and how."
+  @doc "Compares a kind of plan with the vehicle's, by what its firmware keeps: `:same`, or the first item that differs, and how."
   @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
           {:ok, :same | {:differs, seq :: non_neg_integer(), how :: String.t()}} | {:error, Result.t()}
   def verify(gateway, vehicle, kind, plan, options \\ []) do
     with {:ok, stored} <- download(gateway, vehicle, kind, options) do
       type = Map.fetch!(@kinds, kind)
       protocol = protocol(gateway, vehicle)
-      {:ok, Compare.plans(Onboard.items(plan, type, protocol), stored.items, type, protocol)}
+      items = Onboard.items(plan, type, protocol)
+
+      case Compare.plans(items, stored.items, type, protocol, kind_of(gateway, vehicle)) do
+        {:same, _remarks} -> {:ok, :same}
+        difference -> {:ok, difference}
+      end
     end
   end
 
@@ -178,7 +184,8 @@ defmodule Aerie.Missions do
     }
 
     op = if items == [], do: :clear, else: {:upload, items}
-    Transfers.change(gateway, vehicle, change, transfer(op, type), options)
+    transfer = transfer(op, type, kind_of(gateway, vehicle))
+    Transfers.change(gateway, vehicle, change, transfer, options)
   end
 
   defp facts(type, count),
@@ -194,13 +201,14 @@ defmodule Aerie.Missions do
          do: {:deny, rule, reason}
   end
 
-  defp transfer(op, type) do
+  defp transfer(op, type, kind) do
     %{
       lanes: [:mission],
       timeout_ms: @timeout_ms,
       start: fn context, until ->
         Transfer.new(op, type,
           protocol: context.protocol,
+          kind: kind,
           target: context.target,
           us: context.us,
           until: until,
@@ -208,6 +216,13 @@ defmodule Aerie.Missions do
         )
       end
     }
+  end
+
+  defp kind_of(gateway, vehicle) do
+    case Fleet.vehicle(gateway, vehicle) do
+      nil -> "unknown"
+      snapshot -> snapshot.vehicle_type
+    end
   end
 
   defp protocol(gateway, vehicle) do

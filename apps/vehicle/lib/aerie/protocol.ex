@@ -10,7 +10,7 @@ defmodule Aerie.Protocol do
 
   alias Aerie.Command
   alias Aerie.Command.Types
-  alias Aerie.Protocol.{Step, Vehicle}
+  alias Aerie.Protocol.{Kept, Step, Vehicle}
 
   @type plan :: [Step.t(), ...]
   @type message :: term()
@@ -68,10 +68,10 @@ defmodule Aerie.Protocol do
   @callback home_is_item_0?() :: boolean()
 
   @doc """
-  An item of a mission, fence or list of rally points as the firmware returns it when it is read back (W8). Two items are the
-  same if this makes them equal. They are maps with the fields of `Aerie.Mission.Item`.
+  What the firmware keeps of an item of a mission, fence or list of rally points (W8). The item is a map with the fields of
+  `Aerie.Mission.Item`; `kind` is that of the vehicle.
   """
-  @callback stored_item(item :: map()) :: map()
+  @callback kept(item :: map(), mission_type :: 0..2, kind :: String.t()) :: Kept.t()
 
   @doc "The offset from an item's number, counted from 1, to the firmware's number."
   @callback item_offset() :: 0 | -1

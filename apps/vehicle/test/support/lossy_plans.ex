@@ -50,6 +50,7 @@ defmodule Aerie.LossyPlans do
     {:ok, transfer} =
       Transfer.new(op, type,
         protocol: Protocol.of(world.style),
+        kind: "copter",
         target: @vehicle,
         us: @us,
         until: world.now + (options[:ms] || 600_000) * @ms,

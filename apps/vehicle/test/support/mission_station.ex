@@ -36,6 +36,7 @@ defmodule Aerie.MissionStation do
     {:ok, transfer} =
       Transfer.new(op, type,
         protocol: protocol,
+        kind: "copter",
         target: {options[:system] || 1, 1},
         us: @us,
         until: now + (options[:ms] || 120_000) * 1000,

@@ -4,10 +4,11 @@ defmodule Aerie.Mission.Item do
   list.
   """
 
-  alias MavCodec.Enums.MavFrame
+  alias MavCodec.Enums.{MavCmd, MavFrame}
   alias MavCodec.Messages, as: M
 
   @unset 0x7FFFFFFF
+  @mission MavFrame.value(:MAV_FRAME_MISSION)
   # LOCAL_*, BODY_* and reserved ones.
   @local for {name, value} <- MavFrame.all(),
              not String.starts_with?(to_string(name), ["MAV_FRAME_GLOBAL", "MAV_FRAME_MISSION"]),
@@ -19,8 +20,8 @@ defmodule Aerie.Mission.Item do
   @typedoc """
     * `:command` - MAV_CMD; `:frame` - MAV_FRAME
     * `:params` - the first four; nil is "unset", NaN on the wire
-    * `:x`, `:y` - latitude and longitude in 1e-7 degrees, metres times 1e4 in a local frame, parameters 5 and 6 in the frame
-      MISSION; nil is "unset"
+    * `:x`, `:y` - latitude and longitude in 1e-7 degrees, or metres times 1e4 in a local frame; nil is "unset". Parameters 5 and 6 as
+      they are if the item has no place (`place?/2`)
     * `:z` - metres, or parameter 7
     * `:autocontinue` - 0 or 1
   """
@@ -37,6 +38,13 @@ defmodule Aerie.Mission.Item do
   @doc "Whether positions in a frame (MAV_FRAME) are in metres."
   @spec local?(integer()) :: boolean()
   def local?(frame), do: frame in @local
+
+  @doc """
+  Whether `x` and `y` of an item are a place. Its command decides, whatever the frame; the frame MISSION has no places.
+  """
+  @spec place?(command :: integer(), frame :: integer()) :: boolean()
+  def place?(_command, @mission), do: false
+  def place?(command, _frame), do: MavCmd.location?(command) != false
 
   @doc "The message for an item with its number (W5). The first item of a mission is the current one."
   @spec message(t(), non_neg_integer(), 0..2, {0..255, 0..255}) :: struct()

@@ -7,7 +7,8 @@ defmodule Aerie.Mission.Result do
   alias Aerie.Mission.Item
 
   @enforce_keys [:status]
-  defstruct [:status, :reason, :items, :opaque_id, :mismatch, :read_at, on_board: :unknown, sent: 0, ms: 0]
+  defstruct [:status, :reason, :items, :opaque_id, :mismatch, :read_at] ++
+              [on_board: :unknown, remarks: [], sent: 0, ms: 0]
 
   @typedoc """
   The plan on board, if it was read back:
@@ -26,6 +27,7 @@ defmodule Aerie.Mission.Result do
     * `:items` - the items that were last read completely, or nil
     * `:opaque_id` - the vehicle's id for the plan (W7), or nil
     * `:mismatch` - the number of the first item that differs from what was sent
+    * `:remarks` - what the firmware does not keep of the plan that it has, in sentences
     * `:read_at` - when the last read began, by the clock of the events
     * `:sent` - how many messages were sent; `:ms` - how long it took
   """
@@ -37,6 +39,7 @@ defmodule Aerie.Mission.Result do
           mismatch: non_neg_integer() | nil,
           read_at: integer() | nil,
           on_board: on_board(),
+          remarks: [String.t()],
           sent: non_neg_integer(),
           ms: non_neg_integer()
         }

@@ -31,11 +31,12 @@ defmodule Aerie.Mission.Transfer do
   @listens [M.MissionRequest, M.MissionRequestInt, M.MissionCount, M.MissionItemInt, M.MissionAck] ++
              [M.MissionCurrent, M.Event, M.Statustext]
 
-  @enforce_keys [:op, :type, :protocol, :target, :us, :until]
+  @enforce_keys [:op, :type, :protocol, :kind, :target, :us, :until]
   defstruct [
     :op,
     :type,
     :protocol,
+    :kind,
     :target,
     :us,
     :until,
@@ -48,6 +49,7 @@ defmodule Aerie.Mission.Transfer do
     :started,
     :read_at,
     items: [],
+    remarks: [],
     phase: :new,
     heard?: false,
     changed?: false,
@@ -78,7 +80,7 @@ defmodule Aerie.Mission.Transfer do
   @doc """
   A transfer of `type` 0 (mission), 1 (fence) or 2 (rally points). Items are those of the wire (`Aerie.Mission.Onboard`).
 
-    * `:protocol` - the firmware's adapter
+    * `:protocol` - the firmware's adapter; `:kind` - the kind of vehicle, as `t:Aerie.Protocol.Vehicle.t/0` has it
     * `:target` - system and component of the vehicle; `:us` - ours
     * `:until` - the deadline, by the clock of the events
     * `:rtt` - the measured round trip in microseconds, or nil
@@ -96,6 +98,7 @@ defmodule Aerie.Mission.Transfer do
          type: type,
          items: items,
          protocol: Keyword.fetch!(options, :protocol),
+         kind: Keyword.fetch!(options, :kind),
          target: Keyword.fetch!(options, :target),
          us: Keyword.fetch!(options, :us),
          until: Keyword.fetch!(options, :until),
@@ -307,14 +310,15 @@ defmodule Aerie.Mission.Transfer do
   defp was_read({%{op: :download}, _actions} = acc, items, now),
     do: finish(acc, {:completed, nil, :read}, now, items: items)
 
-  defp was_read({t, actions} = acc, items, now) do
-    comparison = Compare.plans(t.items, items, t.type, t.protocol)
-    mismatch = with {:differs, seq, _how} <- comparison, do: seq, else: (:same -> nil)
+  defp was_read({t, actions}, items, now) do
+    comparison = Compare.plans(t.items, items, t.type, t.protocol, t.kind)
+    mismatch = with {:same, _remarks} <- comparison, do: nil, else: ({:differs, seq, _how} -> seq)
+    t = with {:same, remarks} <- comparison, do: %{t | remarks: remarks}, else: (_differs -> t)
 
     case Outcome.read_back(comparison, t.cause, t.looks == 0) do
-      :check -> watch(acc, items, now)
+      :check -> watch({t, actions}, items, now)
       :again -> settle({%{t | looks: 1}, actions}, now)
-      outcome -> finish(acc, outcome, now, items: items, mismatch: mismatch)
+      outcome -> finish({t, actions}, outcome, now, items: items, mismatch: mismatch)
     end
   end
 
@@ -366,6 +370,7 @@ defmodule Aerie.Mission.Transfer do
           status: status,
           reason: reason,
           on_board: on_board,
+          remarks: t.remarks,
           opaque_id: t.opaque_id,
           read_at: t.read_at,
           sent: t.sent,

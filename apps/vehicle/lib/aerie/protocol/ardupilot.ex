@@ -11,13 +11,11 @@ defmodule Aerie.Protocol.Ardupilot do
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
 
   alias Aerie.Protocol.{Mavlink, Modes, Vehicle}
-  alias Aerie.Protocol.Ardupilot.Calibration
+  alias Aerie.Protocol.Ardupilot.{Calibration, Kept}
   alias Aerie.Protocol.Mavlink.{Commands, Streams}
 
   # The frames that heights in COMMAND_LONG refer to.
   @long_frames [3, 6]
-  @frame_global 0
-  @frame_mission 2
   @copter "copter"
   @winged ["plane", "vtol"]
 
@@ -269,13 +267,8 @@ defmodule Aerie.Protocol.Ardupilot do
   @impl true
   def item_offset, do: 0
 
-  # ArduPilot does not store autocontinue, "unset", or the frame of items without a position.
   @impl true
-  def stored_item(item) do
-    params = item.params |> Tuple.to_list() |> Enum.map(&(&1 || 0.0)) |> List.to_tuple()
-    frame = if item.frame == @frame_mission, do: @frame_global, else: Mavlink.plain_frame(item.frame)
-    %{item | params: params, frame: frame, x: item.x || 0, y: item.y || 0, z: item.z || 0.0, autocontinue: 1}
-  end
+  defdelegate kept(item, mission_type, kind), to: Kept, as: :item
 
   @impl true
   def plan_watch_us(_mission_type), do: 0

@@ -13,7 +13,7 @@ defmodule Aerie.Protocol.Px4 do
   import Bitwise
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Protocol.{Mavlink, Modes, Vehicle}
+  alias Aerie.Protocol.{Mavlink, Modes, Px4, Vehicle}
   alias Aerie.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Protocol.Px4.{Calibration, Plans}
   alias MavCodec.Messages, as: M
@@ -249,7 +249,7 @@ defmodule Aerie.Protocol.Px4 do
   def item_offset, do: -1
 
   @impl true
-  defdelegate stored_item(item), to: Plans
+  defdelegate kept(item, mission_type, kind), to: Px4.Kept, as: :item
 
   @impl true
   defdelegate plan_watch_us(mission_type), to: Plans, as: :watch_us

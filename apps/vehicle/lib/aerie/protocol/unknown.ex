@@ -40,7 +40,7 @@ defmodule Aerie.Protocol.Unknown do
   def item_offset, do: -1
 
   @impl true
-  def stored_item(item), do: %{item | frame: Aerie.Protocol.Mavlink.plain_frame(item.frame)}
+  def kept(_item, _mission_type, _kind), do: %{}
 
   @impl true
   def plan_watch_us(_mission_type), do: 0

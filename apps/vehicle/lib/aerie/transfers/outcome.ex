@@ -25,6 +25,7 @@ defmodule Aerie.Transfers.Outcome do
       "on_board" => Atom.to_string(result.on_board),
       "items" => result.items && length(result.items),
       "mismatch" => result.mismatch,
+      "remarks" => result.remarks,
       "opaque_id" => result.opaque_id,
       "sent" => result.sent,
       "ms" => result.ms

@@ -48,6 +48,7 @@ defmodule Aerie.Mission.RecordedTest do
     {:ok, transfer} =
       Transfer.new({:upload, items(exchange)}, type,
         protocol: protocol,
+        kind: "copter",
         target: @vehicle,
         us: @station,
         until: 60_000_000

@@ -26,7 +26,10 @@ defmodule Aerie.Mission.TransferTest do
       Transfer.new(
         op,
         type,
-        Keyword.merge([protocol: Protocol.of(style), target: @vehicle, us: @us, until: 60_000_000], options)
+        Keyword.merge(
+          [protocol: Protocol.of(style), kind: "copter", target: @vehicle, us: @us, until: 60_000_000],
+          options
+        )
       )
 
     Transfer.handle(transfer, {:start, 0})
@@ -269,7 +272,15 @@ defmodule Aerie.Mission.TransferTest do
       assert Transfer.wake_at(t) == nil
       assert {_t, []} = heard(t, %M.MissionRequestInt{seq: 0}, 1_000_001)
 
-      {:ok, late} = Transfer.new(:download, 0, protocol: Protocol.Px4, target: @vehicle, us: @us, until: 5)
+      {:ok, late} =
+        Transfer.new(:download, 0,
+          protocol: Protocol.Px4,
+          kind: "copter",
+          target: @vehicle,
+          us: @us,
+          until: 5
+        )
+
       assert {_t, [{:result, %{status: :expired}}]} = Transfer.handle(late, {:start, 5})
     end
 
@@ -284,6 +295,7 @@ defmodule Aerie.Mission.TransferTest do
       assert {:error, "the plan has 5001 items; at most 5000" <> _} =
                Transfer.new({:upload, items(5001)}, 0,
                  protocol: Protocol.Px4,
+                 kind: "copter",
                  target: @vehicle,
                  us: @us,
                  until: 5

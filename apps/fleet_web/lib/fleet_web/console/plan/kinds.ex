@@ -35,6 +35,8 @@ defmodule FleetWeb.Console.Plan.Kinds do
   @kinds Enum.map(@kinds, &put_elem(&1, 0, MavCmd.value(elem(&1, 0))))
   @by_command Map.new(@kinds, fn {command, name, place?, params} -> {command, {name, place?, params}} end)
   @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
+  # Its fifth parameter is the shutter.
+  @picture MavCmd.value(:MAV_CMD_DO_DIGICAM_CONTROL)
   @looks [MavCmd.value(:MAV_CMD_DO_SET_ROI_LOCATION)]
 
   @type param :: {1..4, label :: String.t(), unit :: String.t() | nil, default :: float()}
@@ -86,6 +88,12 @@ defmodule FleetWeb.Console.Plan.Kinds do
   def item(command) do
     values = for {n, _label, _unit, default} <- params(command), into: %{}, do: {n, default}
     params = for n <- 1..4, do: Map.get(values, n, 0.0)
-    %Item{command: command, frame: 3, params: List.to_tuple(params)}
+
+    %Item{
+      command: command,
+      frame: 3,
+      params: List.to_tuple(params),
+      x: if(command == @picture, do: 1, else: 0)
+    }
   end
 end

@@ -2,6 +2,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   @moduledoc "The parts of the plan page beside the map."
   use FleetWeb.Console, :component
 
+  alias Aerie.Mission.Item
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
 
@@ -318,7 +319,8 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   defp corner?(_draft, _n), do: false
 
-  defp placed?(%{x: x, y: y, frame: frame}), do: frame != 2 and is_integer(x) and is_integer(y)
+  defp placed?(%{x: x, y: y} = item),
+    do: Item.place?(item.command, item.frame) and is_integer(x) and is_integer(y)
 
   # The frames with 1e-7 degrees mean the same as those with floats.
   defp plain(frame), do: Integer.to_string(Aerie.Protocol.Mavlink.plain_frame(frame))

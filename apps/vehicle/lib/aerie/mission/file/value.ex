@@ -2,7 +2,7 @@ defmodule Aerie.Mission.File.Value do
   @moduledoc "Checks the values of plan files. Errors say where a value is and what was expected."
 
   alias Aerie.Mission.Item
-  alias MavCodec.Enums.MavFrame
+  alias MavCodec.Enums.{MavCmd, MavFrame}
 
   @mission_frame MavFrame.value(:MAV_FRAME_MISSION)
   @int32 2_147_483_646
@@ -18,8 +18,8 @@ defmodule Aerie.Mission.File.Value do
     with {:ok, frame} <- integer(frame, 0..255, at <> " frame"),
          {:ok, command} <- integer(command, 0..65_535, at <> " command"),
          {:ok, params} <- all([p1, p2, p3, p4], &float(&1, "#{at} param#{&2}")),
-         {:ok, x} <- place(p5, frame, 90, at <> " param5"),
-         {:ok, y} <- place(p6, frame, 180, at <> " param6"),
+         {:ok, x} <- place(p5, 5, command, frame, at),
+         {:ok, y} <- place(p6, 6, command, frame, at),
          {:ok, z} <- float(p7, at <> " param7") do
       {:ok,
        %Item{
@@ -37,7 +37,7 @@ defmodule Aerie.Mission.File.Value do
   @doc "The numbers of an item as files store them."
   @spec numbers(Item.t()) :: [number() | nil]
   def numbers(item) do
-    Tuple.to_list(item.params) ++ [shown(item.x, item.frame), shown(item.y, item.frame), item.z]
+    Tuple.to_list(item.params) ++ [shown(item.x, item), shown(item.y, item), item.z]
   end
 
   @doc "A position from degrees."
@@ -91,21 +91,44 @@ defmodule Aerie.Mission.File.Value do
     {:error, "#{at}: expected #{expected}, got #{inspect(got, limit: 5, printable_limit: 40)}"}
   end
 
-  # Parameters 5 and 6 are integers on the wire, so without a position they must be whole numbers.
-  defp place(nil, @mission_frame, _most, _at), do: {:ok, 0}
-  defp place(nil, _frame, _most, _at), do: {:ok, nil}
+  @most %{5 => 90, 6 => 180}
 
-  defp place(value, @mission_frame, _most, at) do
-    if is_number(value) and abs(value) <= @int32 and trunc(value) == value,
-      do: {:ok, trunc(value)},
-      else: error(at, "a whole number, because the frame is MISSION", value)
-  end
+  defp place(value, index, command, frame, at) do
+    at = "#{at} param#{index}"
 
-  defp place(value, frame, most, at) do
     cond do
-      not Item.local?(frame) -> degrees(value, most, at)
+      not Item.place?(command, frame) -> whole(value, index, {command, frame}, at)
+      value == nil -> {:ok, nil}
+      not Item.local?(frame) -> degrees(value, @most[index], at)
       is_number(value) and abs(value) <= 200_000 -> {:ok, round(value * 1.0e4)}
       true -> error(at, "metres up to 200000", value)
+    end
+  end
+
+  # Parameters 5 and 6 are integers on the wire, so without a place they must be whole numbers.
+  defp whole(nil, _index, _of, _at), do: {:ok, 0}
+
+  defp whole(value, index, {command, frame}, at) do
+    cond do
+      is_number(value) and abs(value) <= @int32 and trunc(value) == value ->
+        {:ok, trunc(value)}
+
+      frame == @mission_frame ->
+        error(at, "a whole number, because the frame is MISSION", value)
+
+      degrees?(command, index) ->
+        degrees(value, @most[index], at)
+
+      true ->
+        error(at, "a whole number, because the command has no place", value)
+    end
+  end
+
+  # Some programs write a place into parameters that the command does not have: a fraction can only be degrees.
+  defp degrees?(command, index) do
+    case Enum.find(MavCmd.params(command), &(&1.index == index)) do
+      %{label: label} -> label in [nil, "Latitude", "Longitude"]
+      nil -> true
     end
   end
 
@@ -115,7 +138,13 @@ defmodule Aerie.Mission.File.Value do
       else: error(at, "degrees from -#{most} to #{most}", value)
   end
 
-  defp shown(nil, _frame), do: nil
-  defp shown(value, @mission_frame), do: value
-  defp shown(value, frame), do: value / if(Item.local?(frame), do: 1.0e4, else: 1.0e7)
+  defp shown(nil, _item), do: nil
+
+  defp shown(value, item) do
+    cond do
+      not Item.place?(item.command, item.frame) -> value
+      Item.local?(item.frame) -> value / 1.0e4
+      true -> value / 1.0e7
+    end
+  end
 end

@@ -1,29 +1,44 @@
 defmodule Aerie.Mission.Transfer.Compare do
   @moduledoc """
-  Compares the plan that was read back with the one that was sent (W8): floats as 32 bits, without `current`, and only fields that the
-  firmware stores.
+  Compares the plan that was read back with the one that was sent (W8), by what the firmware keeps of it (`c:Aerie.Protocol.kept/3`), without
+  `current`. What the firmware does not keep is a remark if it was sent; everything else that differs is a difference. What comes back as it
+  was sent is right whatever is known of the firmware: a later version may keep more.
   """
 
   alias Aerie.Mission.Item
+  alias Aerie.Protocol.{Kept, Mavlink}
 
   @mission 0
+  @max_remarks 20
 
-  @doc "`:same`, or the number of the first item that differs, and how."
-  @spec plans([Item.t()], [Item.t()], 0..2, module()) :: :same | {:differs, non_neg_integer(), String.t()}
-  def plans(sent, read, type, protocol) do
+  @typedoc "A sentence on what the firmware does not keep."
+  @type remark :: String.t()
+  @type t :: {:same, [remark()]} | {:differs, non_neg_integer(), String.t()}
+
+  @doc """
+  `{:same, remarks}`, or the number of the first item that differs, and how. `kind` is that of the vehicle
+  (`t:Aerie.Protocol.Vehicle.t/0`).
+  """
+  @spec plans([Item.t()], [Item.t()], 0..2, module(), kind :: String.t()) :: t()
+  def plans(sent, read, type, protocol, kind) do
     # The vehicle sets home when it is armed, whatever was sent; a cleared mission may keep it.
     first = if type == @mission and protocol.home_is_item_0?(), do: 1, else: 0
     {sent, read} = {Enum.drop(sent, first), Enum.drop(read, first)}
 
-    difference =
+    compared =
       sent
       |> Enum.zip(read)
       |> Enum.with_index(first)
-      |> Enum.find_value(fn {{a, b}, seq} -> item(a, b, seq, protocol) end)
+      |> Enum.reduce_while([], fn {{a, b}, seq}, remarks ->
+        case item(a, b, seq, protocol.kept(a, type, kind)) do
+          {:differs, _seq, _how} = difference -> {:halt, difference}
+          more -> {:cont, Enum.reverse(more, remarks)}
+        end
+      end)
 
     cond do
-      difference -> difference
-      length(sent) == length(read) -> :same
+      is_tuple(compared) -> compared
+      length(sent) == length(read) -> {:same, compared |> Enum.reverse() |> bounded()}
       true -> shorter(length(sent) + first, length(read) + first)
     end
   end
@@ -31,23 +46,49 @@ defmodule Aerie.Mission.Transfer.Compare do
   defp shorter(sent, read),
     do: {:differs, min(sent, read), "the vehicle has #{read} items and not #{sent}"}
 
-  defp item(a, b, seq, protocol) do
-    [a, b] = for item <- [a, b], do: item |> protocol.stored_item() |> Item.rounded()
-
-    if a == b do
-      nil
-    else
-      {name, sent, read} = field(a, b)
-      {:differs, seq, "item #{seq} has #{name} #{inspect(read)} and not #{inspect(sent)}"}
+  defp bounded(remarks) do
+    case Enum.split(remarks, @max_remarks) do
+      {remarks, []} -> remarks
+      {remarks, more} -> remarks ++ ["and #{length(more)} more"]
     end
   end
 
-  defp field(a, b) do
-    names =
-      [:command, :frame, :x, :y, :z, :autocontinue]
-      |> Enum.map(&{Atom.to_string(&1), Map.fetch!(a, &1), Map.fetch!(b, &1)})
+  defp item(sent, read, seq, kept) do
+    fields = for {{name, a}, {name, b}} <- Enum.zip(fields(sent), fields(read)), do: {name, a, b}
 
-    params = for n <- 0..3, do: {"param#{n + 1}", elem(a.params, n), elem(b.params, n)}
-    Enum.find(names ++ params, fn {_name, sent, read} -> sent != read end)
+    case Enum.find(fields, fn {name, a, b} -> not right?(kept[name], a, b) end) do
+      nil ->
+        for {name, a, b} <- fields,
+            not Kept.same?(Map.get(kept, name, [a]), a, b),
+            do: "item #{seq}: the vehicle keeps #{name} #{shown(b)} and not #{shown(a)}"
+
+      {name, a, b} ->
+        {:differs, seq, "item #{seq} has #{name} #{shown(b)} and not #{shown(a)}"}
+    end
+  end
+
+  defp right?(nil, a, b), do: Kept.match?([a], b)
+  defp right?(expected, a, b), do: Kept.match?([a], b) or Kept.match?(expected, b)
+
+  # 20.119998931884766 m are 2012 cm.
+  defp shown(value) when is_float(value) and abs(value) < 1.0e6, do: "#{Float.round(value, 4)}"
+  defp shown(nil), do: "unset"
+  defp shown(value), do: "#{value}"
+
+  defp fields(item) do
+    %{params: {p1, p2, p3, p4}} = item = Item.rounded(item)
+
+    [
+      command: item.command,
+      frame: Mavlink.plain_frame(item.frame),
+      x: item.x,
+      y: item.y,
+      z: item.z,
+      autocontinue: item.autocontinue,
+      param1: p1,
+      param2: p2,
+      param3: p3,
+      param4: p4
+    ]
   end
 end

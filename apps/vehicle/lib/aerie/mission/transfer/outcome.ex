@@ -6,6 +6,7 @@ defmodule Aerie.Mission.Transfer.Outcome do
 
   alias Aerie.Command
   alias Aerie.Mission.Result
+  alias Aerie.Mission.Transfer.Compare
   alias MavCodec.Enums.MavMissionResult
 
   @typedoc """
@@ -39,13 +40,13 @@ defmodule Aerie.Mission.Transfer.Outcome do
   The outcome after the plan was read back. `:check` if it is the one that was sent and the firmware may still reject it; `:again` if it has to be
   read a second time, because a late message may have interfered.
   """
-  @spec read_back(:same | {:differs, non_neg_integer(), String.t()}, cause(), first_look? :: boolean()) ::
+  @spec read_back(Compare.t(), cause(), first_look? :: boolean()) ::
           t() | :check | :again
-  def read_back(:same, :cancelled, _first?),
+  def read_back({:same, _remarks}, :cancelled, _first?),
     do: {:cancelled, "the vehicle had the whole plan already", :new}
 
-  def read_back(:same, {:refused, result}, _first?), do: {:rejected, refusal(result), :new}
-  def read_back(:same, _cause, _first?), do: :check
+  def read_back({:same, _remarks}, {:refused, result}, _first?), do: {:rejected, refusal(result), :new}
+  def read_back({:same, _remarks}, _cause, _first?), do: :check
   def read_back({:differs, _seq, _how}, :acked, true), do: :again
 
   def read_back({:differs, _seq, how}, cause, _first?) do

@@ -5,8 +5,7 @@ defmodule Aerie.Protocol.Px4.Plans do
   home within a second.
   """
 
-  alias Aerie.Protocol.Mavlink
-  alias MavCodec.Enums.{MavCmd, MavMissionType, MissionState}
+  alias MavCodec.Enums.{MavMissionType, MissionState}
   alias MavCodec.Messages, as: M
 
   @mission MavMissionType.value(:MAV_MISSION_TYPE_MISSION)
@@ -49,29 +48,6 @@ defmodule Aerie.Protocol.Px4.Plans do
     26_209_321 => "the fence does not contain the vehicle's position",
     27_750_677 => "the fence does not contain home"
   }
-
-  # In parameter 4 of these commands, the yaw, "unset" is a value with a meaning.
-  @yaw [
-    MavCmd.value(:MAV_CMD_NAV_WAYPOINT),
-    MavCmd.value(:MAV_CMD_NAV_LAND),
-    MavCmd.value(:MAV_CMD_NAV_TAKEOFF),
-    MavCmd.value(:MAV_CMD_NAV_VTOL_TAKEOFF),
-    MavCmd.value(:MAV_CMD_NAV_VTOL_LAND)
-  ]
-  # NAV_FENCE_*: they have no height.
-  @fence_items 5000..5099
-
-  @doc "`c:Aerie.Protocol.stored_item/1`, as recorded with 1.17."
-  @spec stored_item(map()) :: map()
-  def stored_item(%{command: command} = item) when command in @fence_items,
-    do: %{set(item) | frame: 0, z: 0.0, autocontinue: 0}
-
-  def stored_item(item), do: %{set(item) | frame: Mavlink.plain_frame(item.frame)}
-
-  defp set(%{command: command, params: {p1, p2, p3, p4}} = item) do
-    yaw = if command in @yaw, do: p4, else: p4 || 0.0
-    %{item | params: {p1 || 0.0, p2 || 0.0, p3 || 0.0, yaw}}
-  end
 
   @doc "For how long after its acknowledgement PX4 may still reject a plan."
   @spec watch_us(0..2) :: non_neg_integer()

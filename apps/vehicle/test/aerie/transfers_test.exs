@@ -137,6 +137,26 @@ defmodule Aerie.TransfersTest do
     end
   end
 
+  @plans Path.expand("../fixtures/plans", __DIR__)
+
+  test "plans as ground stations write them are completed and the same, under a policy", %{tmp_dir: dir} do
+    {gateway, port} = start(dir, %{max_altitude: 100})
+    fly(gateway, port, firmware: :ardupilot)
+
+    for name <- Enum.sort(File.ls!(@plans)) do
+      format = if Path.extname(name) == ".plan", do: :plan, else: :waypoints
+      {:ok, plan} = @plans |> Path.join(name) |> File.read!() |> Missions.import(format)
+      assert {:ok, %Result{} = result} = Missions.upload(gateway, "VID-001", :mission, plan)
+
+      assert %{status: :completed, details: %{"on_board" => "new", "mismatch" => nil, "remarks" => remarks}} =
+               result,
+             name
+
+      assert is_list(remarks) and Enum.all?(remarks, &is_binary/1)
+      assert {:ok, :same} = Missions.verify(gateway, "VID-001", :mission, plan), name
+    end
+  end
+
   test "a component without parameters, and what is no component", %{tmp_dir: dir} do
     {gateway, port} = start(dir)
     fly(gateway, port, firmware: :px4)

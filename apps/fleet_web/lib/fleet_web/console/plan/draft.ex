@@ -171,11 +171,11 @@ defmodule FleetWeb.Console.Plan.Draft do
   defp swapped(two, one, two), do: one
   defp swapped(n, _one, _two), do: n
 
-  @doc "Changes an item's command, frame, parameters or height. A number beyond a 32-bit float is refused."
+  @doc "Changes an item's command, frame, parameters, position or height. A number beyond a 32-bit float is refused."
   @spec set_item(t(), index :: non_neg_integer(), map()) :: result()
   def set_item(%{plan: plan} = draft, index, changes) do
     with {:ok, item} <- fetch(plan.items, index, "item"),
-         item = struct!(item, Map.take(changes, [:command, :frame, :params, :z, :autocontinue])),
+         item = struct!(item, Map.take(changes, [:command, :frame, :params, :x, :y, :z, :autocontinue])),
          :ok <- numbers(item) do
       done(draft, %{plan | items: List.replace_at(plan.items, index, item)}, {index, nil})
     end

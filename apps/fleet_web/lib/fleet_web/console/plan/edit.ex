@@ -1,6 +1,7 @@
 defmodule FleetWeb.Console.Plan.Edit do
   @moduledoc "Converts what a browser sends about a plan into arguments for `FleetWeb.Console.Plan.Draft`. Pure; no input is trusted."
 
+  alias Aerie.Mission.Item
   alias FleetWeb.Console.Plan.{Draft, Kinds}
 
   @parts %{"mission" => :mission, "fence" => :fence, "rally" => :rally}
@@ -108,7 +109,12 @@ defmodule FleetWeb.Console.Plan.Edit do
     with {:ok, index} <- found(value),
          {:ok, item} <- item(draft, index),
          {:ok, draft} <- Draft.set_item(draft, index, changes(item, value)),
-         do: place(draft, {:mission, index, nil}, value)
+         {:ok, item} <- item(draft, index) do
+      # The form may still have the position of the previous kind.
+      if Item.place?(item.command, item.frame),
+        do: place(draft, {:mission, index, nil}, value),
+        else: {:ok, draft}
+    end
   end
 
   def set(draft, %{"part" => "fence"} = value) do
@@ -150,12 +156,24 @@ defmodule FleetWeb.Console.Plan.Edit do
         if command == item.command, do: optional(value["p#{n}"], old), else: old
       end
 
+    frame = Map.get(@frames, value["frame"], item.frame)
+
     %{
       command: command,
-      frame: Map.get(@frames, value["frame"], item.frame),
+      frame: frame,
       z: optional(value["z"], item.z),
       params: List.to_tuple(params)
     }
+    |> Map.merge(moved(item, command, frame))
+  end
+
+  # A position means nothing to a kind that has none, and the other way round.
+  defp moved(%{command: command}, command, _frame), do: %{}
+
+  defp moved(item, command, frame) do
+    if Item.place?(command, frame) and Item.place?(item.command, item.frame),
+      do: %{},
+      else: Map.take(Kinds.item(command), [:x, :y])
   end
 
   defp optional(nil, old), do: old

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Plan.DraftTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Mission.Plan
-  alias FleetWeb.Console.Plan.{Draft, Kinds, Profile}
+  alias FleetWeb.Console.Plan.{Draft, Edit, Kinds, Profile}
 
   @place {47.397742, 8.545594}
 
@@ -48,6 +48,18 @@ defmodule FleetWeb.Console.Plan.DraftTest do
       draft = %Draft{} |> added(22, @place, 55.0) |> added(16)
       {:ok, draft} = Draft.insert(draft, {:mission, 1, nil}, @place)
       assert Enum.map(draft.plan.items, & &1.z) == [55.0, 55.0, 30.0]
+    end
+
+    test "an item that becomes one without a position loses it, and a picture has its shutter" do
+      form = %{"part" => "mission", "index" => "0", "lat" => "47.397742", "lon" => "8.545594"}
+      {:ok, draft} = %Draft{} |> added() |> Edit.set(Map.put(form, "command", "20"))
+      assert [%{command: 20, x: 0, y: 0}] = draft.plan.items
+      {:ok, draft} = Edit.set(draft, Map.put(form, "command", "203"))
+      assert [%{command: 203, x: 1, y: 0}] = draft.plan.items
+      {:ok, draft} = Edit.set(added(%Draft{}), Map.put(form, "command", "203"))
+      assert [%{command: 203, x: 1, y: 0}] = draft.plan.items
+      {:ok, draft} = Edit.set(draft, Map.put(form, "command", "16"))
+      assert [%{command: 16}] = draft.plan.items
     end
 
     test "what cannot be is refused" do

@@ -302,6 +302,55 @@ defmodule Aerie.Mission.KeptTest do
         do: assert({:same, []} = compare(item(16, frame: sent), item(16, frame: read), Protocol.Px4))
   end
 
+  # Two tables from the same source, made apart: the simulator's storage, and what the gateway expects of it.
+  for {firmware, frames} <- [ardupilot: [0, 3, 5, 6, 10, 11], px4: [0, 3, 5, 6]] do
+    test "#{firmware}: whatever is sent, the vehicle's storage keeps what is expected, and another place or height is seen" do
+      commands =
+        [16, 17, 18, 19, 20, 21, 22, 31, 82, 84, 93, 112, 114, 115, 177, 178, 179, 181] ++
+          [182, 183, 184, 189, 195, 201, 203, 205, 206, 211, 1000, 2000, 2001, 2500, 3000]
+
+      number = :proper_types.oneof([:proper_types.float(0.0, 120.0), :proper_types.integer(0, 120)])
+      radius = :proper_types.oneof([:proper_types.float(-3000.0, 3000.0), number])
+      height = :proper_types.float(-500.0, 8_000.0)
+
+      property =
+        :proper.forall(
+          {:proper_types.oneof(commands), :proper_types.oneof(unquote(frames)),
+           {number, number, number, number}, radius, height},
+          fn {command, frame, {p1, p2, p3, p4}, radius, height} ->
+            {p2, p3} =
+              {if(command == 31, do: radius, else: p2), if(command in [17, 18, 19], do: radius, else: p3)}
+
+            p2 = if unquote(firmware) == :px4 and command == 21, do: rem(trunc(p2), 4), else: p2
+            z = if command == 1000, do: 1.0, else: height
+            place? = command in [16, 17, 18, 19, 21, 22, 31, 82, 84, 179, 189, 195, 201]
+            # PX4 has commands without a place in the frame MISSION only.
+            frame = if unquote(firmware) == :px4 and not place?, do: 2, else: frame
+            sent = params(command, {p1 / 1, p2 / 1, p3 / 1, p4 / 1}, frame: frame, x: 120, y: 7, z: z)
+            kept = stored(unquote(firmware), sent)
+            protocol = Protocol.of(unquote(firmware))
+
+            match?({:same, _}, compare(sent, kept, protocol)) and
+              (not place? or
+                 (match?({:differs, _, _}, compare(sent, %{kept | x: kept.x + 1}, protocol)) and
+                    match?({:differs, _, _}, compare(sent, %{kept | z: kept.z + 0.02}, protocol))))
+          end
+        )
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 2_000]) == true,
+             inspect(:proper.counterexample())
+    end
+  end
+
+  defp stored(firmware, item) do
+    fields = item |> Item.rounded() |> Map.from_struct() |> Map.merge(%{seq: 0, current: 0})
+
+    [kept] =
+      firmware |> PlanExchange.plans() |> SimVehicle.Plans.put(0, [fields]) |> SimVehicle.Plans.items(0)
+
+    struct!(Item, Map.drop(kept, [:seq, :current])) |> Item.rounded()
+  end
+
   test "many remarks are counted" do
     sent = for _n <- 1..50, do: params(16, {0.0, 0.0, 0.0, 90.0})
     read = for _n <- 1..50, do: item(16)

@@ -29,18 +29,20 @@ defmodule Aerie.Replay do
   @type output :: {:event, Event.t()} | {:sample, map} | {:send, map} | {:status, map}
 
   @typedoc """
-  - `from`, `to`: times of the first and the last frame (unix microseconds)
+  - `from`, `to`: times of the first frame (with a time after 2000, if there is one) and the last (unix microseconds)
+  - `duration_us`: how long it is, without steps of its clock and gaps of more than a day
   - `vehicles`: their names; `stations`: what else sent heartbeats (`t:Aerie.Router.Stations.station/0`)
   - `frames`, `bytes`: read from the recording
   - `own`: frames with our own ids; `copies`: texts that came by two links; `unclaimed`: frames of systems without a vehicle;
     `refused`: heartbeats of vehicles beyond `limits.max_vehicles`
-  - `jumps_back`: how often the time went back
+  - `jumps`: how often the time went back, or a recorder that had no clock got one
   - `unknown_ids`, `lost`, `sources`: as in `MavCodec.Parser.stats/1`
   - `damaged_parts`, `damaged_bytes`, `damage`: what is not a valid record, with the first hundred parts
   """
   @type summary :: %{
           from: integer,
           to: integer,
+          duration_us: non_neg_integer,
           vehicles: [String.t()],
           stations: [Aerie.Router.Stations.station()],
           frames: pos_integer,
@@ -49,7 +51,7 @@ defmodule Aerie.Replay do
           copies: non_neg_integer,
           unclaimed: non_neg_integer,
           refused: non_neg_integer,
-          jumps_back: non_neg_integer,
+          jumps: non_neg_integer,
           unknown_ids: non_neg_integer,
           lost: non_neg_integer,
           sources: map,
@@ -120,12 +122,15 @@ defmodule Aerie.Replay do
     end
 
     case Source.reduce(source, Machine.parser(settings), {machine, acc}, step) do
-      {:ok, {%{counts: %{frames: 0}}, _acc}} ->
-        {:error, "#{name(source)}no MAVLink record found (is it a tlog?)"}
-
       {:ok, {machine, acc}} ->
-        {machine, outputs} = Machine.finish(machine)
-        {:ok, Enum.reduce(outputs, acc, fun), machine}
+        case Machine.unreadable(machine) do
+          nil ->
+            {machine, outputs} = Machine.finish(machine)
+            {:ok, Enum.reduce(outputs, acc, fun), machine}
+
+          text ->
+            {:error, name(source) <> text}
+        end
 
       {:error, text} ->
         {:error, text}

@@ -283,7 +283,7 @@ defmodule Aerie.ReplayTest do
       assert {:ok, flight} = play(later ++ earlier)
       assert [%{type: "armed", time: time}] = flight.events
       assert time == at(0)
-      assert flight.summary.jumps_back == 1
+      assert flight.summary.jumps == 1
     end
   end
 
@@ -323,7 +323,7 @@ defmodule Aerie.ReplayTest do
       own = fn second -> beat(second, [type: 18, autopilot: 8], system: 237, component: 191) end
       late = Enum.map(2..30, &beat/1)
       assert {:ok, %{events: [], statuses: [], summary: summary}} = play([beat(0), beat(1), own.(30) | late])
-      assert %{jumps_back: 0, own: 1} = summary
+      assert %{jumps: 0, own: 1} = summary
     end
 
     test "a recording that ends with our own frames has the silence before its end" do

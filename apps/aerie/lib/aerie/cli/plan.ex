@@ -2,13 +2,27 @@ defmodule Aerie.CLI.Plan do
   @moduledoc """
   Decides from the options what `bin/run` starts. Pure.
 
-  Two rules hold for users. Simulated vehicles fly only without `--link`, `--replay` and `--config`, or if `--sim` asks
-  for them. The command line overrides the environment, and the environment overrides the file.
+  Three rules hold for users. Simulated vehicles fly only without `--link`, `--replay` and `--config`, or if `--sim` asks
+  for them. The command line overrides the environment, and the environment overrides the file. A replay has NATS and folders of its own
+  (`var/replay`), because what is recorded is not the fleet's: a gateway beside it, or the next one, must not find it among its own.
+  With `--nats URL` it publishes there, in the environment `replay`.
   """
 
   alias Aerie.CLI.Options
 
   @demo_vehicles 3
+  @apart %{
+    "outbox" => %{"dir" => "var/replay/outbox"},
+    "shadow" => %{"dir" => "var/replay/shadow"},
+    "commands" => %{"ledger" => %{"dir" => "var/replay/ledger"}},
+    "policy" => %{"audit" => %{"dir" => "var/replay/audit"}}
+  }
+  @own_nats %{
+    "mode" => "embedded",
+    "store_dir" => "var/replay/nats",
+    "port" => 0,
+    "leaf" => %{"url" => []}
+  }
 
   @type t :: %{
           config_file: String.t() | nil,
@@ -25,7 +39,7 @@ defmodule Aerie.CLI.Plan do
   def from(%Options{} = options, folder, demo? \\ true) do
     %{
       config_file: options.config && Path.expand(options.config, folder),
-      overrides: %{} |> links(options, folder) |> http(options) |> nats(options),
+      overrides: %{} |> links(options, folder) |> http(options) |> nats(options) |> apart(options),
       sim: sim(options, demo?),
       sim_speed: if(options.replay, do: 1.0, else: options.speed)
     }
@@ -53,6 +67,17 @@ defmodule Aerie.CLI.Plan do
   defp nats(overrides, %{nats: nil}), do: overrides
   defp nats(overrides, %{nats: "embedded"}), do: Map.put(overrides, "nats", %{"mode" => "embedded"})
   defp nats(overrides, %{nats: url}), do: Map.put(overrides, "nats", %{"mode" => "url", "url" => url})
+
+  # Another gateway's server is not asked for its port, and its hub is not reached by a leaf of ours.
+  defp apart(overrides, %{replay: nil}), do: overrides
+
+  defp apart(overrides, %{nats: nats}) do
+    overrides = Map.merge(overrides, @apart)
+
+    if nats in [nil, "embedded"],
+      do: Map.put(overrides, "nats", @own_nats),
+      else: Map.put(overrides, "environment", "replay")
+  end
 
   defp sim(%{sim: count}, _demo?) when is_integer(count), do: count
   defp sim(%{links: [], replay: nil, config: nil}, true), do: @demo_vehicles

@@ -71,7 +71,7 @@ defmodule Aerie.CLI.ReplayEvents do
   defp note(%{vehicles: []} = summary), do: "no vehicle in #{summary.frames} frames#{damage(summary)}"
 
   defp note(summary) do
-    seconds = div(summary.to - summary.from, 1_000_000)
+    seconds = div(summary.duration_us, 1_000_000)
     "#{Enum.join(summary.vehicles, ", ")}: #{summary.frames} frames in #{seconds} s#{damage(summary)}"
   end
 

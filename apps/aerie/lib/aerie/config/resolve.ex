@@ -135,11 +135,14 @@ defmodule Aerie.Config.Resolve do
   end
 
   # TLS and logins other than a token are for the servers at nats.url. In one file with mode embedded they are a contradiction, which
-  # is an error. But `--nats embedded` with the configuration of a real gateway means the embedded server without them.
+  # is an error. But `--nats embedded` with the configuration of a real gateway means the embedded server without them, and a replay
+  # (`Aerie.CLI.Plan`) one without the hub.
   defp nats(config) do
     %{nats: nats} = Bridge.Settings.from(config)
     told? = nats.mode != :embedded or config.given["nats.mode"] != "command line"
-    %{config | nats: if(told?, do: nats, else: Bridge.Settings.embedded(nats))}
+    nats = if told?, do: nats, else: Bridge.Settings.embedded(nats)
+    hub? = config.given["nats.leaf.url"] != "command line" or nats.leaf.url != []
+    %{config | nats: if(hub?, do: nats, else: Bridge.Settings.without_hub(nats))}
   end
 
   defp ports(%{http: http, nats: nats}) do

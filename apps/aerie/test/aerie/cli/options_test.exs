@@ -151,8 +151,35 @@ defmodule Aerie.CLI.OptionsTest do
       assert changed(context, ~w(--nats nats://other:4222)) == ["nats.url"]
       assert changed(context, ~w(--http 8080)) == ["http.port"]
       assert changed(context, ~w(--link tcp:127.0.0.1:5760)) == ["links"]
-      assert changed(context, ~w(--replay a.tlog --speed 2)) == ["mavlink.local_addr", "links"]
       assert changed(context, ~w(--sim 2 --quiet)) == []
+    end
+
+    # What is recorded is not the fleet's.
+    @apart ~w(nats.store_dir outbox.dir commands.ledger.dir policy.audit.dir shadow.dir)
+
+    test "--replay has its own NATS and folders, and no hub", context do
+      for words <- [~w(--replay a.tlog --speed 2), ~w(--replay a.tlog --nats embedded)] do
+        changed = changed(context, words)
+        assert "nats.mode" in changed and "nats.port" in changed
+        assert [] == ["mavlink.local_addr", "links" | @apart] -- changed
+        refute "environment" in changed
+      end
+
+      {:ok, options} = Options.parse(~w(--replay a.tlog))
+      path = Path.join(context.tmp_dir, "leaf.yaml")
+
+      File.write!(path, """
+      nats: {leaf: {url: "tls://hub:7422", nkey_seed_file: a.nk, tls: {ca_file: ca.pem}}}
+      """)
+
+      assert {:ok, config} = Aerie.Config.load(path, Plan.from(options, context.tmp_dir).overrides, env: %{})
+      assert %{mode: :embedded, port: 0, leaf: %{url: [], nkey_seed_file: nil}} = config.nats
+    end
+
+    test "--replay with --nats URL publishes there, where nobody takes it for the fleet's", context do
+      changed = changed(context, ~w(--replay a.tlog --nats nats://other:4222))
+      assert "nats.url" in changed and "environment" in changed
+      assert [] == (@apart -- ["nats.store_dir"]) -- changed
     end
 
     test "--http serves HTTP although the file or the environment says not to", %{tmp_dir: dir} do

@@ -6,19 +6,22 @@ defmodule MavCodec.Tlog.Decoder do
   (time, magic) or the end of the data follows it. Anything else is damage: the search continues at the next byte, and the
   skipped bytes are reported as one `MavCodec.Tlog.Damage` before the next frame.
 
-  An impossible time (before 2000 or after 2100, and more than a day from the previous one) is damaged: the frame gets the
-  previous frame's time.
+  Times are those of `MavCodec.Tlog.Stamp`. Records before the first possible time are skipped, and so are all of a file whose
+  times are in nanoseconds.
+
+  A file that begins with frames without times is a raw log: one `MavCodec.Tlog.Damage` of the kind `:raw` stands for all of it.
   """
 
   alias MavCodec.{Frame, Tlog}
   alias MavCodec.Parser.{Candidate, Known}
 
-  @year_2000 946_684_800_000_000
-  @year_2100 4_102_444_800_000_000
   @day 86_400_000_000
+  # The end of a raw log's frame can look like a time. After this many records a file is known to have times.
+  @undecided 16
 
   @enforce_keys [:known, :accepted]
-  defstruct @enforce_keys ++ [held: <<>>, offset: 0, skipped: 0, last: nil]
+  defstruct @enforce_keys ++
+              [held: <<>>, offset: 0, skipped: 0, taken: 0, stamp: nil, untimed: false, raw: false]
 
   @type t :: %__MODULE__{
           known: Known.t(),
@@ -26,7 +29,10 @@ defmodule MavCodec.Tlog.Decoder do
           held: binary(),
           offset: non_neg_integer(),
           skipped: non_neg_integer(),
-          last: integer() | nil
+          taken: non_neg_integer(),
+          stamp: Tlog.Stamp.t() | nil,
+          untimed: boolean(),
+          raw: boolean()
         }
   @type item :: Frame.t() | Tlog.Damage.t()
 
@@ -39,6 +45,8 @@ defmodule MavCodec.Tlog.Decoder do
 
   @doc "The frames and damage that the next bytes of the file complete."
   @spec push(t(), binary()) :: {[item()], t()}
+  def push(%__MODULE__{raw: true} = decoder, _data), do: {[], decoder}
+
   def push(%__MODULE__{held: held} = decoder, data) do
     {items, rest, decoder} = records(held <> data, [], decoder, :stream)
     {Enum.reverse(items), %{decoder | held: :binary.copy(rest)}}
@@ -48,7 +56,7 @@ defmodule MavCodec.Tlog.Decoder do
   @spec finish(t()) :: [item()]
   def finish(%__MODULE__{held: held} = decoder) do
     {items, <<>>, decoder} = records(held, [], decoder, :final)
-    Enum.reverse(damage(items, decoder, :cut_off))
+    if decoder.raw, do: items, else: Enum.reverse(damage(items, decoder, :cut_off))
   end
 
   defp records(<<at::64, frame::binary>> = data, items, decoder, mode) do
@@ -56,7 +64,7 @@ defmodule MavCodec.Tlog.Decoder do
       {:good, size, extra} -> take(at, frame, size, extra, items, decoder, mode)
       {:unknown, size} -> unknown(data, at, frame, size, items, decoder, mode)
       :more when mode == :stream -> {items, data, decoder}
-      _no_record -> skip(data, items, decoder, mode)
+      _no_record -> no_record(data, items, decoder, mode)
     end
   end
 
@@ -86,10 +94,43 @@ defmodule MavCodec.Tlog.Decoder do
 
   defp take(at, data, size, extra, items, decoder, mode) do
     <<bytes::binary-size(^size), rest::binary>> = data
-    items = damage(items, decoder, :damaged)
-    at = time(at, decoder.last)
-    decoder = %{decoder | offset: decoder.offset + decoder.skipped + 8 + size, skipped: 0, last: at}
-    records(rest, [Frame.from_bytes(bytes, extra, at) | items], decoder, mode)
+
+    case Tlog.Stamp.next(decoder.stamp, at) do
+      nil ->
+        records(rest, items, %{decoder | skipped: decoder.skipped + 8 + size, untimed: true}, mode)
+
+      stamp ->
+        items = damage(items, decoder, :damaged)
+        frame = Frame.from_bytes(bytes, extra, stamp.time)
+        records(rest, [frame | items], taken(decoder, stamp, 8 + size), mode)
+    end
+  end
+
+  defp taken(decoder, stamp, size) do
+    offset = decoder.offset + decoder.skipped + size
+    %{decoder | offset: offset, skipped: 0, untimed: false, stamp: stamp, taken: decoder.taken + 1}
+  end
+
+  defp no_record(data, items, %{taken: taken} = decoder, mode) when taken < @undecided do
+    case raw(data, decoder, mode) do
+      true -> {[%Tlog.Damage{kind: :raw, offset: 0, bytes: byte_size(data)}], <<>>, %{decoder | raw: true}}
+      false -> skip(data, items, decoder, mode)
+      :more -> {items, data, decoder}
+    end
+  end
+
+  defp no_record(data, items, decoder, mode), do: skip(data, items, decoder, mode)
+
+  # Two frames in succession, without a time before either.
+  defp raw(data, decoder, mode) do
+    with {:good, size, _extra} <- Candidate.judge(data, decoder.known, decoder.accepted),
+         <<_::binary-size(^size), next::binary>> = data,
+         {:good, _size, _extra} <- Candidate.judge(next, decoder.known, decoder.accepted) do
+      true
+    else
+      :more when mode == :stream -> :more
+      _no_frame -> false
+    end
   end
 
   defp skip(<<_, rest::binary>>, items, decoder, mode),
@@ -97,11 +138,9 @@ defmodule MavCodec.Tlog.Decoder do
 
   defp damage(items, %{skipped: 0}, _kind), do: items
 
+  defp damage(items, %{untimed: true} = decoder, _kind),
+    do: damage(items, %{decoder | untimed: false}, :untimed)
+
   defp damage(items, decoder, kind),
     do: [%Tlog.Damage{kind: kind, offset: decoder.offset, bytes: decoder.skipped} | items]
-
-  defp time(at, nil), do: at
-  defp time(at, _last) when at in @year_2000..@year_2100, do: at
-  defp time(at, last) when abs(at - last) <= @day, do: at
-  defp time(_at, last), do: last
 end

@@ -20,6 +20,7 @@ defmodule Aerie.Link.Core do
   | `{:records, [{at, bytes}]}` | replayed |
   | `{:peer_up, peer, text}`, `{:peer_down, peer, reason}` | connections of a server |
   | `{:closed, reason}`, `{:ended, text}` | the connection ended: connect again, or never again |
+  | `{:warning, text}` | for the log |
   | `:retry` | the back-off is over, or what was missing may have come |
   | `{:sniffed, place, baud, sniffed}` | what bytes without frames are: the result of `:sniff` |
   | `{:count, name, n}` | something to count (`Aerie.Link.Counters`) |
@@ -176,6 +177,8 @@ defmodule Aerie.Link.Core do
     {last, core} = end_peers(core)
     {phase(core, :ended, text, now), last ++ [:close, :publish, {:emit, :ended, %{}, %{reason: text}}]}
   end
+
+  def handle(core, {:warning, text}, _now), do: {core, [{:warn, text}]}
 
   def handle(%{phase: :up} = core, {:peer_up, peer, text}, {mono, _at}) do
     if Peers.room?(core.peers) do

@@ -90,6 +90,7 @@ defmodule Aerie.Link.Transport do
   - `:redirected`: writes to the other end go to another address from now on
   - `{:closed, reason}`: the connection ended, and is to be made again
   - `{:ended, text}`: nothing more will ever come
+  - `{:warning, text}`: for the log
   - `{:sniffed, place, baud, sniffed}`: what bytes without frames are (`Aerie.Link.Serial.Sniff`)
   - `{:count, name, n}`: something to count (`Aerie.Link.Counters`)
   - `{:written, result}`: the late result of a write, `{:ok, bytes} | {:error, reason}`
@@ -101,7 +102,7 @@ defmodule Aerie.Link.Transport do
           | {:peer_down, peer, term}
           | :redirected
           | {:closed, term}
-          | {:ended, String.t()}
+          | {:ended | :warning, String.t()}
           | {:sniffed, String.t(), pos_integer, Aerie.Link.Serial.Sniff.t()}
           | {:count, atom, pos_integer}
           | {:written, {:ok, non_neg_integer} | {:error, term}}

@@ -24,9 +24,18 @@ defmodule Aerie.Link.PacerTest do
     assert {:due, _} = Pacer.judge(Pacer.new(:max), 9_999_999_999, 0)
   end
 
+  test "a long gap, or a clock that was set, is not waited for" do
+    {:due, pacer} = Pacer.judge(Pacer.new(1.0), 1_000_000, 0)
+    assert {600_000, pacer} = Pacer.judge(pacer, 601_000_000, 0)
+    assert {{:jump, 601_000_000}, pacer} = Pacer.judge(pacer, 602_000_000, 10)
+    assert {1000, pacer} = Pacer.judge(pacer, 603_000_000, 10)
+    assert {{:jump, back}, _pacer} = Pacer.judge(pacer, 1_000_000, 10)
+    assert back < 0
+  end
+
   test "a step back in time does not stall the replay" do
     {:due, pacer} = Pacer.judge(Pacer.new(1.0), 5_000_000, 0)
-    {:due, pacer} = Pacer.judge(pacer, 1_000, 10)
+    {{:jump, _back}, pacer} = Pacer.judge(pacer, 1_000, 10)
     assert {1000, _} = Pacer.judge(pacer, 1_001_000, 10)
   end
 

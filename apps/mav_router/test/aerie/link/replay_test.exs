@@ -2,6 +2,8 @@ defmodule Aerie.Link.ReplayTest do
   use ExUnit.Case, async: true
   use Aerie.LinkCase
 
+  import ExUnit.CaptureLog
+
   alias Aerie.Link
 
   @moduletag :tmp_dir
@@ -60,6 +62,44 @@ defmodule Aerie.Link.ReplayTest do
     assert length(frames(length(c.recorded) - 1)) == length(c.recorded) - 1
     assert_receive {:ended, _, %{reason: reason}}
     assert reason =~ "the file ends in the middle of a record"
+  end
+
+  describe "times that are none" do
+    @times Path.expand("../../../../mav_codec/test/fixtures/recordings", __DIR__)
+
+    for name <- ["clock-set.tlog", "first-zero.tlog"] do
+      test "#{name}: what was recorded before the clock was set is played, and then at once what came after",
+           c do
+        be_session(c.gateway, 1)
+        listen(c.gateway, [:ended])
+        path = Path.join(@times, unquote(name))
+
+        log =
+          capture_log(fn ->
+            add_link(c.gateway, "replay:#{path}?speed=100")
+            assert length(frames(41)) == 41
+          end)
+
+        assert log =~ "the recording's time goes on by 1"
+        assert_receive {:ended, _, %{reason: reason}}
+        assert reason == "end of #{path} after 41 frames"
+      end
+    end
+
+    for {name, text} <- [
+          {"nanoseconds.tlog", "not nanoseconds"},
+          {"all-2pow63.tlog", "not nanoseconds"},
+          {"raw.rlog", "raw MAVLink log, not a tlog"}
+        ] do
+      test "#{name} is not played, and says why", c do
+        be_session(c.gateway, 1)
+        listen(c.gateway, [:ended])
+        {id, _} = add_link(c.gateway, "replay:#{Path.join(@times, unquote(name))}")
+        assert_receive {:ended, _, %{reason: reason}}
+        assert reason =~ unquote(text)
+        assert snapshot(c.gateway, id).counters.frames_in == 0
+      end
+    end
   end
 
   test "what cannot be replayed is an error", c do

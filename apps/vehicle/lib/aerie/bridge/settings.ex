@@ -261,6 +261,13 @@ defmodule Aerie.Bridge.Settings do
     %{nats | credentials: nil, nkey_seed_file: nil, user: nil, password: nil, tls: tls}
   end
 
+  @doc "A section without what is for a hub."
+  @spec without_hub(map()) :: map()
+  def without_hub(%{leaf: leaf} = nats) do
+    tls = Map.new(leaf.tls, fn {key, _value} -> {key, nil} end)
+    %{nats | leaf: %{leaf | url: [], credentials: nil, nkey_seed_file: nil, tls: tls}}
+  end
+
   # The embedded server has neither TLS nor other logins than its token.
   defp of_embedded(%{mode: :embedded} = nats) do
     given = for key <- [:credentials, :nkey_seed_file, :user], Map.fetch!(nats, key), do: "nats.#{key}"

@@ -8,7 +8,7 @@ defmodule Aerie.Replay.Clock do
   ticks.
 
   A frame that is more than two seconds older than the one before means that a clock was set back or that another recording
-  begins: time goes on from that frame.
+  begins: time begins anew with that frame. So it does when a recorder without a clock, whose time began in 1970, gets one.
   """
 
   @tick_us 100_000
@@ -16,33 +16,44 @@ defmodule Aerie.Replay.Clock do
   @patience_us 10_000_000
   @silence_us 600_000_000
   @back_us 2_000_000
+  @year_2000 946_684_800_000_000
+  @day_us 86_400_000_000
 
-  defstruct [:now, :next]
+  defstruct [:now, :next, passed: 0]
 
-  @typedoc "`now`: the newest time of a frame; `next`: the tick after it (unix microseconds), nil before the first frame"
-  @type t :: %__MODULE__{now: integer | nil, next: integer | nil}
+  @typedoc """
+  - `now`: the newest time of a frame; `next`: the tick after it (unix microseconds), nil before the first frame
+  - `passed`: how long the recording is (microseconds), without what lies between its parts
+  """
+  @type t :: %__MODULE__{now: integer | nil, next: integer | nil, passed: non_neg_integer}
 
   @doc "A clock that has seen no frame."
   @spec new() :: t
   def new, do: %__MODULE__{}
 
   @doc """
-  A frame came `at`: the ticks before it, oldest first, or `:back` if time begins anew. A frame that is only a little older
+  A frame came `at`: the ticks before it, oldest first, or `:anew` if time begins anew. A frame that is only a little older
   than the one before gives no ticks.
   """
-  @spec advance(t, integer) :: {[integer] | :back, t}
-  def advance(%__MODULE__{now: nil}, at), do: {[], begin(at)}
-  def advance(%__MODULE__{now: now}, at) when at < now - @back_us, do: {:back, begin(at)}
+  @spec advance(t, integer) :: {[integer] | :anew, t}
+  def advance(%__MODULE__{now: nil} = clock, at), do: {[], begin(clock, at)}
+  def advance(%__MODULE__{now: now} = clock, at) when at < now - @back_us, do: {:anew, begin(clock, at)}
+
+  def advance(%__MODULE__{now: now} = clock, at) when now < @year_2000 and at - now > @day_us,
+    do: {:anew, begin(clock, at)}
 
   def advance(%__MODULE__{next: next} = clock, at) when at < next,
-    do: {[], %{clock | now: max(clock.now, at)}}
+    do: {[], pass(clock, max(clock.now, at))}
 
-  def advance(%__MODULE__{now: now, next: next}, at) do
+  def advance(%__MODULE__{now: now, next: next} = clock, at) do
     {ticks, next} = ticks(next, at, now, [])
-    {Enum.reverse(ticks), %__MODULE__{now: at, next: next}}
+    {Enum.reverse(ticks), %{pass(clock, at) | next: next}}
   end
 
-  defp begin(at), do: %__MODULE__{now: at, next: at + @tick_us}
+  defp begin(clock, at), do: %{clock | now: at, next: at + @tick_us}
+
+  defp pass(%{now: now} = clock, at) when at - now > @day_us, do: %{clock | now: at}
+  defp pass(%{now: now} = clock, at), do: %{clock | now: at, passed: clock.passed + at - now}
 
   defp ticks(next, at, _heard, ticks) when next > at, do: {ticks, next}
 

@@ -31,6 +31,7 @@ defmodule Aerie.Replay.Machine do
   @copies 64
   @stations_every 10
   @max_damage 100
+  @year_2000 946_684_800_000_000
 
   @enforce_keys [:settings, :network, :link, :own, :max, :parser]
   defstruct @enforce_keys ++
@@ -52,7 +53,7 @@ defmodule Aerie.Replay.Machine do
                   copies: 0,
                   unclaimed: 0,
                   refused: 0,
-                  jumps_back: 0,
+                  jumps: 0,
                   damaged_parts: 0,
                   damaged_bytes: 0
                 }
@@ -97,7 +98,7 @@ defmodule Aerie.Replay.Machine do
   end
 
   defp frame(%{system: system, component: component} = frame, {machine, outputs}) do
-    machine = count(%{machine | first: machine.first || frame.at, last: frame.at}, :frames, 1)
+    machine = count(%{machine | first: first(machine.first, frame.at), last: frame.at}, :frames, 1)
 
     if machine.own == {system, component} do
       ours(count(machine, :own, 1), frame, outputs)
@@ -106,6 +107,11 @@ defmodule Aerie.Replay.Machine do
       route(machine, frame, outputs)
     end
   end
+
+  # What a recorder without a clock wrote before it got one says nothing about when that was.
+  defp first(nil, at), do: at
+  defp first(first, at) when first < @year_2000 and at >= @year_2000, do: at
+  defp first(first, _at), do: first
 
   @doc "The end of a recording: the time after its last frame of somebody else, in which it has our own only."
   @spec finish(t) :: {t, [Aerie.Replay.output()]}
@@ -120,8 +126,8 @@ defmodule Aerie.Replay.Machine do
 
   defp time(machine, at, outputs) do
     case Clock.advance(machine.clock, at) do
-      {:back, clock} ->
-        machine = count(%{machine | clock: clock}, :jumps_back, 1)
+      {:anew, clock} ->
+        machine = count(%{machine | clock: clock}, :jumps, 1)
         each(machine, {:rebase, at}, at, outputs)
 
       {ticks, clock} ->
@@ -244,6 +250,17 @@ defmodule Aerie.Replay.Machine do
 
   ## Result
 
+  @doc "Why this was not a recording, as text; nil if it was."
+  @spec unreadable(t) :: String.t() | nil
+  def unreadable(%{damage: damage, counts: %{frames: frames}}) do
+    case {Enum.find(damage, &(&1.kind == :raw)), frames, damage} do
+      {%Tlog.Damage{} = raw, _frames, _damage} -> Tlog.Damage.format(raw)
+      {nil, 0, [%{kind: :untimed} = untimed | _]} -> Tlog.Damage.format(untimed)
+      {nil, 0, _damage} -> "no MAVLink record found (is it a tlog?)"
+      _recording -> nil
+    end
+  end
+
   @doc "The vehicles' snapshots by name."
   @spec snapshots(t) :: %{String.t() => map}
   def snapshots(machine) do
@@ -264,6 +281,7 @@ defmodule Aerie.Replay.Machine do
       stations: Stations.list(machine.stations),
       from: machine.first,
       to: machine.last,
+      duration_us: machine.clock.passed,
       unknown_ids: parser.unknown_ids,
       lost: parser.lost,
       sources: parser.sources,

@@ -41,23 +41,33 @@ defmodule Aerie.Replay.Source do
   def recording(path),
     do: with({:ok, _found} <- opened(path, &first(&1, Tlog.Decoder.new([]), @looked_at)), do: :ok)
 
-  defp first(_device, _decoder, 0), do: {:error, "not a recording: no MAVLink frame found"}
+  defp first(_device, decoder, 0), do: none(Tlog.Decoder.finish(decoder))
 
   defp first(device, decoder, left) do
     case :file.read(device, @chunk) do
       {:ok, bytes} ->
         {items, decoder} = Tlog.Decoder.push(decoder, bytes)
-        if frame?(items), do: {:ok, :found}, else: first(device, decoder, left - 1)
+        decided(items) || first(device, decoder, left - 1)
 
       :eof ->
-        if frame?(Tlog.Decoder.finish(decoder)), do: {:ok, :found}, else: first(device, decoder, 0)
+        items = Tlog.Decoder.finish(decoder)
+        decided(items) || none(items)
 
       {:error, reason} ->
         {:error, reason}
     end
   end
 
-  defp frame?(items), do: Enum.any?(items, &is_struct(&1, Frame))
+  defp decided(items) do
+    Enum.find_value(items, fn
+      %Tlog.Damage{kind: :raw} = raw -> {:error, Tlog.Damage.format(raw)}
+      %Frame{} -> {:ok, :found}
+      %Tlog.Damage{} -> nil
+    end)
+  end
+
+  defp none([%Tlog.Damage{kind: :untimed} = untimed | _]), do: {:error, Tlog.Damage.format(untimed)}
+  defp none(_items), do: {:error, "not a recording: no MAVLink frame found"}
 
   # `:compressed` also reads files that are not gzipped.
   defp opened(path, fun) do

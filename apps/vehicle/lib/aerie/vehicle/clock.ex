@@ -12,6 +12,8 @@ defmodule Aerie.Vehicle.Clock do
   @clock_set_us 3_000_000
   # Two links may deliver a little out of order.
   @back_us 2_000_000
+  # No flight has such a silence.
+  @day_us 86_400_000_000
 
   @enforce_keys [:at, :moment, :speed]
   defstruct [:at, :moment, :speed, :by]
@@ -70,6 +72,6 @@ defmodule Aerie.Vehicle.Clock do
     expected != nil and abs(at - expected) > @clock_set_us
   end
 
-  # Another recording, or the same once more.
-  def anew?(_clock, _recording, now, at, _moment, _host), do: at < now - @back_us
+  # Another recording, the same once more, or one whose clock was set.
+  def anew?(_clock, _recording, now, at, _moment, _host), do: at < now - @back_us or at > now + @day_us
 end

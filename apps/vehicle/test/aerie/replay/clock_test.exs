@@ -21,16 +21,25 @@ defmodule Aerie.Replay.ClockTest do
     assert {ticks, _clock} = Clock.advance(at(0), 20 * @second)
     assert length(ticks) == 100 + 10
     assert {ten_minutes, _clock} = Clock.advance(at(0), 600 * @second)
-    assert {year, clock} = Clock.advance(at(0), 365 * 86_400 * @second)
-    assert year == ten_minutes
+    now = 1_795_000_000 * @second
+    assert {year, clock} = Clock.advance(at(now), now + 365 * 86_400 * @second)
+    assert length(year) == length(ten_minutes)
     assert length(year) < 700
-    assert {[], _clock} = Clock.advance(clock, 365 * 86_400 * @second + 1)
+    assert clock.passed == 0
+    assert {[], _clock} = Clock.advance(clock, now + 365 * 86_400 * @second + 1)
+  end
+
+  test "a recorder that gets the time begins anew, and has not recorded for decades" do
+    {[_ | _], clock} = Clock.advance(at(0), 5 * @second)
+    assert {:anew, clock} = Clock.advance(clock, 1_795_000_000 * @second)
+    assert {[_ | _], clock} = Clock.advance(clock, 1_795_000_002 * @second)
+    assert clock.passed == 7 * @second
   end
 
   test "frames that overtake each other stop time, an older recording begins it anew" do
     clock = at(10 * @second)
     assert {[], %{now: 10_000_000}} = Clock.advance(clock, 8 * @second)
-    assert {:back, clock} = Clock.advance(clock, 8 * @second - 1)
+    assert {:anew, clock} = Clock.advance(clock, 8 * @second - 1)
     assert {[8_099_999], _clock} = Clock.advance(clock, 8 * @second + 100_000)
   end
 end

@@ -35,7 +35,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
 
     %{
       from: Json.time(from),
-      seconds: Float.round(length_us / 1_000_000, 1),
+      seconds: Float.round(summary.duration_us / 1_000_000, 1),
       frames: summary.frames,
       vehicles: summary.vehicles,
       damaged: summary.damaged_parts,

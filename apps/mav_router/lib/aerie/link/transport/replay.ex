@@ -4,7 +4,7 @@ defmodule Aerie.Link.Transport.Replay do
 
   Frames have the times of their records. As fast as possible means that a batch is read when the vehicles' sessions have
   handled the one before, so that neither a large file nor a slow session costs memory. At its end the link stays, and says
-  how the recording ended and what was damaged or cut off; with `loop=true` it starts over.
+  how the recording ended and what was damaged or cut off; with `loop=true` it starts over. What is no tlog is not played.
   """
   @behaviour Aerie.Link.Transport
 
@@ -35,6 +35,7 @@ defmodule Aerie.Link.Transport.Replay do
     items: [],
     frames: 0,
     damage: nil,
+    jump: nil,
     busy: false
   ]
 
@@ -116,25 +117,36 @@ defmodule Aerie.Link.Transport.Replay do
 
   def handle(%{ref: ref} = conn, {:replay, ref, :read}) do
     {records, conn, outcome} = take(conn, @batch, [], System.monotonic_time(:microsecond))
-    records = {:records, Enum.reverse(records)}
+    events = jumped(conn.jump) ++ [{:records, Enum.reverse(records)}]
+    conn = %{conn | jump: nil}
 
     case outcome do
       :more ->
-        {[records], %{conn | busy: true}}
+        {events, %{conn | busy: true}}
 
       {:wait, ms} ->
         remind(conn, :read, min(ms, @most_ms))
-        {[records], %{conn | busy: false}}
+        {events, %{conn | busy: false}}
 
       :over ->
-        {[records, {:ended, ending(conn)}], %{conn | busy: false}}
+        {events ++ [{:ended, ending(conn)}], %{conn | busy: false}}
 
       {:error, reason} ->
-        {[records, {:closed, reason}], %{conn | busy: false}}
+        {events ++ [{:closed, reason}], %{conn | busy: false}}
     end
   end
 
   def handle(_conn, _message), do: :unknown
+
+  # A step back is usual: two recordings in one file.
+  defp jumped(us) when us == nil or us < 0, do: []
+
+  defp jumped(us) do
+    text =
+      "the recording's time goes on by #{div(us, 1_000_000)} s at once (a gap, or its clock was set): not waited for"
+
+    [{:warning, text}]
+  end
 
   defp take(conn, 0, records, _now), do: {records, conn, :more}
 
@@ -144,10 +156,20 @@ defmodule Aerie.Link.Transport.Replay do
         conn = %{conn | pacer: pacer, items: rest, frames: conn.frames + 1}
         take(conn, room - 1, [{frame.at, frame.bytes} | records], now)
 
+      # A batch ends here, so that the sessions find the jump where they look for it: at the first frame of a batch.
+      {{:jump, us}, pacer} when records == [] ->
+        take(%{conn | pacer: pacer, jump: us}, room, [], now)
+
+      {{:jump, _us}, _pacer} ->
+        {records, conn, :more}
+
       {ms, pacer} ->
         {records, %{conn | pacer: pacer}, {:wait, ms}}
     end
   end
+
+  defp take(%{items: [%Damage{kind: :raw} = damage | _none]} = conn, _room, records, _now),
+    do: {records, %{conn | items: [], decoder: nil, damage: damage}, :over}
 
   defp take(%{items: [%Damage{} = damage | rest]} = conn, room, records, now) do
     take(%{conn | items: rest, damage: damage}, room, records, now)

@@ -6,12 +6,13 @@ defmodule Aerie.Files do
       {:ok, bytes} = Aerie.Files.read(gateway, "VID-001", "/APM/LOGS/LASTLOG.TXT")
 
   The options of all functions are those of `t:Aerie.Transfers.option/0`. A path has at most 239 bytes; the vehicle defines
-  what its beginning means. A refusal is `:failed` or `:rejected`; for a file that the vehicle does not have, with the rule `"file"`.
+  what its beginning means. Names that are not UTF-8 on board are text as `Aerie.Ftp.Name` writes it (`caf\\xE9.txt`), in both
+  directions. A refusal is `:failed` or `:rejected`; for a file that the vehicle does not have, with the rule `"file"`.
   """
 
   alias Aerie.{Commands, Names, Transfers}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Ftp.Client
+  alias Aerie.Ftp.{Client, Name}
   alias Aerie.Policy.Facts
   alias Aerie.Transfers.Spool
 
@@ -106,8 +107,10 @@ defmodule Aerie.Files do
   end
 
   defp change(gateway, vehicle, operation, params, options) do
-    if String.valid?(params.path) and byte_size(params.path) <= 239 do
-      change = %{facts: Facts.write_file(params.path), params: params}
+    path = Name.bytes(params.path)
+
+    if String.valid?(params.path) and byte_size(path) <= 239 do
+      change = %{facts: Facts.write_file(path), params: params}
       Transfers.change(gateway, vehicle, change, transfer(operation, [], @long_ms), options)
     else
       {:error, [Error.new("path", "text of at most 239 bytes", params.path)]}

@@ -105,7 +105,7 @@ defmodule Aerie.Params do
         start: fn context, until ->
           more = [
             hash: context.autopilot == :px4,
-            file: file?,
+            file: file? and context.ftp?,
             stored: stored,
             us: context.us,
             seq: context.seq

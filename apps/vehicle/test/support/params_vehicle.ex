@@ -75,7 +75,7 @@ defmodule Aerie.ParamsVehicle do
 
   defp value(v, index) do
     {name, value, type} = Enum.at(v.params, index)
-    {:ok, wire} = ParamValue.encode(value, type, v.encoding)
+    wire = wire(value, type, v.encoding)
 
     %M.ParamValue{
       param_id: name,
@@ -84,6 +84,13 @@ defmodule Aerie.ParamsVehicle do
       param_count: length(v.params),
       param_index: index
     }
+  end
+
+  defp wire(value, _type, _encoding) when value in [:nan, :infinity, :neg_infinity], do: value
+
+  defp wire(value, type, encoding) do
+    {:ok, wire} = ParamValue.encode(value, type, encoding)
+    wire
   end
 
   @doc "`_HASH_CHECK` as a message."

@@ -11,6 +11,8 @@ defmodule Aerie.Ftp.Client do
     * `{:crc, path}` - `{:ok, crc}`
     * `:reset` - ends all sessions of the vehicle
 
+  Paths and names are text as `Aerie.Ftp.Name` writes it, whatever bytes the vehicle has.
+
   `Aerie.Ftp.Exchange` repeats each request until it is answered (T2). A vehicle without a free session is asked to end them all: one
   owner serialises the transfers of a vehicle, so none of them is in use (T4). If the vehicle has lost a session, it is opened
   again, and the transfer continues where it was.
@@ -23,7 +25,7 @@ defmodule Aerie.Ftp.Client do
   vehicle reported, which is too large for a generated file); `{:done, {:ok, value} | {:error, reason}}` once.
   """
 
-  alias Aerie.Ftp.{Exchange, Listing, Packet, Reading, Writing}
+  alias Aerie.Ftp.{Exchange, Listing, Name, Packet, Reading, Writing}
   alias MavCodec.Messages.FileTransferProtocol
 
   @reopenings 8
@@ -69,7 +71,7 @@ defmodule Aerie.Ftp.Client do
 
   Options: `:seq` (`seq/1` of the previous transfer, so that its late answers are not taken for new ones), `:offset` (where a read or write
   continues), `:max_bytes` (of a read; #{div(@max_bytes, 1024 * 1024)} MiB), `:us` (`{system, component}` of the gateway; answers to others are
-  ignored), `:rtt_us`; or, for `:seq` and `:rtt_us`, `:former`: the transfer with the same vehicle that has just ended.
+  ignored), `:rtt_us`, `:silent_us` (for how long the first request is repeated; #{div(Exchange.silence(), 1_000_000)} s and longer, as its answers may take); or, for `:seq` and `:rtt_us`, `:former`: the transfer with the same vehicle that has just ended.
   """
   @spec new(operation(), Packet.target(), deadline :: integer(), keyword()) :: t()
   def new(operation, target, deadline, options \\ []) do
@@ -86,17 +88,21 @@ defmodule Aerie.Ftp.Client do
     exchange =
       case options[:former] do
         %__MODULE__{exchange: former} -> Exchange.without_session(former)
-        nil -> Exchange.new(target, options[:rtt_us], Keyword.get(options, :seq, 0))
+        nil -> Exchange.new(target, options[:rtt_us], Keyword.get(options, :seq, 0), options[:silent_us])
       end
 
     %__MODULE__{
-      operation: operation,
+      operation: bytes(operation),
       us: options[:us],
       deadline: deadline,
       exchange: exchange,
       state: state
     }
   end
+
+  defp bytes({operation, path}), do: {operation, Name.bytes(path)}
+  defp bytes({:write, path, bytes}), do: {:write, Name.bytes(path), bytes}
+  defp bytes(:reset), do: :reset
 
   @doc "The largest file that is read unless `:max_bytes` says otherwise, or written."
   @spec max_bytes() :: pos_integer()
@@ -110,6 +116,10 @@ defmodule Aerie.Ftp.Client do
   @doc "The number with which the next transfer with this vehicle has to begin."
   @spec seq(t()) :: 0..65_535
   def seq(client), do: client.exchange.seq
+
+  @doc "Whether the vehicle has answered anything."
+  @spec heard?(t()) :: boolean()
+  def heard?(client), do: client.exchange.heard?
 
   @doc "How many bytes from the beginning were read or written: where another transfer can continue."
   @spec offset(t()) :: non_neg_integer()

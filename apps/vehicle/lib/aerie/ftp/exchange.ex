@@ -25,6 +25,7 @@ defmodule Aerie.Ftp.Exchange do
     :due,
     :sent_at,
     :first_seq,
+    :silent,
     patience: 0,
     seq: 0,
     session: 0,
@@ -38,13 +39,25 @@ defmodule Aerie.Ftp.Exchange do
     * `patience` - the shortest wait, because the last answer took so long that its request was repeated (0: it was not)
     * `seq` - the number of the next request
     * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for reading
+    * `silent` - for how long a vehicle that has answered nothing is asked; nil for as long as on any link
     * `heard?` - whether the vehicle has answered anything
   """
   @type t :: %__MODULE__{}
 
   @doc "An exchange that has sent nothing; the first request has the number `seq`."
-  @spec new(Packet.target(), rtt_us :: non_neg_integer() | nil, seq :: 0..65_535) :: t()
-  def new(target, rtt, seq), do: %__MODULE__{target: target, trip: RoundTrip.new(rtt), seq: seq}
+  @spec new(
+          Packet.target(),
+          rtt_us :: non_neg_integer() | nil,
+          seq :: 0..65_535,
+          silent_us :: pos_integer() | nil
+        ) ::
+          t()
+  def new(target, rtt, seq, silent \\ nil),
+    do: %__MODULE__{target: target, trip: RoundTrip.new(rtt), seq: seq, silent: silent}
+
+  @doc "The shortest time for which a vehicle is asked that does not answer."
+  @spec silence() :: pos_integer()
+  def silence, do: @silence
 
   @doc "Records the session that the vehicle opened."
   @spec opened(t(), byte()) :: t()
@@ -78,6 +91,9 @@ defmodule Aerie.Ftp.Exchange do
   def again(%{repeats: repeats, heard?: false, sent_at: at}, now)
       when repeats >= @first_repeats and now - at >= @silence,
       do: :give_up
+
+  def again(%{silent: silent, heard?: false, sent_at: at}, now) when silent != nil and now - at >= silent,
+    do: :give_up
 
   def again(exchange, now), do: transmit(%{exchange | repeats: exchange.repeats + 1}, now)
 
@@ -138,8 +154,16 @@ defmodule Aerie.Ftp.Exchange do
   defp packet(exchange, opcode),
     do: %Packet{seq: exchange.seq, session: exchange.session, opcode: Packet.opcode(opcode)}
 
-  defp transmit(exchange, now),
-    do: {wait(exchange, now), Packet.message(exchange.request, exchange.target)}
+  defp transmit(exchange, now) do
+    exchange = wait(exchange, now)
+
+    {%{exchange | due: min(exchange.due, patient_until(exchange))},
+     Packet.message(exchange.request, exchange.target)}
+  end
+
+  # nil is greater than any number.
+  defp patient_until(%{silent: silent, heard?: false, sent_at: at}) when silent != nil, do: at + silent
+  defp patient_until(_exchange), do: nil
 
   defp timeout(%{request: %{opcode: @crc}} = exchange),
     do: max(@crc_wait, RoundTrip.timeout(exchange.trip)) * Integer.pow(2, min(exchange.repeats, 5))

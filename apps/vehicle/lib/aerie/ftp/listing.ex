@@ -1,11 +1,18 @@
 defmodule Aerie.Ftp.Listing do
-  @moduledoc "The entries of a directory received so far. The vehicle sends as many as fit into each answer."
+  @moduledoc """
+  The entries of a directory received so far. The vehicle sends as many as fit into each answer.
+
+  Fields of an entry are separated by tabs: the name, the size (of a folder some firmware sends one, too), and what newer firmware adds.
+  The folder itself and the one above it are left out.
+  """
+
+  alias Aerie.Ftp.Name
 
   @max 10_000
 
   defstruct entries: [], offset: 0
 
-  @typedoc "`offset`: the number of the entry to ask for next"
+  @typedoc "`offset`: the number of the entry to ask for next; `name`: as `Aerie.Ftp.Name` writes it"
   @type t :: %__MODULE__{entries: [entry()], offset: non_neg_integer()}
   @type entry :: %{kind: :file | :directory, name: String.t(), size: non_neg_integer() | nil}
 
@@ -16,7 +23,7 @@ defmodule Aerie.Ftp.Listing do
   @doc "Adds the entries of one answer; `:ended` if it has none. Names end with NUL; `S` is an entry that is left out, but counted."
   @spec took(t(), binary()) :: {:more, t()} | :ended | :too_large
   def took(listing, data) do
-    case String.split(data, <<0>>, trim: true) do
+    case :binary.split(data, <<0>>, [:global, :trim_all]) do
       [] ->
         :ended
 
@@ -33,17 +40,17 @@ defmodule Aerie.Ftp.Listing do
   @spec entries(t()) :: [entry()]
   def entries(listing), do: Enum.reverse(listing.entries)
 
-  defp entry("D" <> name), do: [%{kind: :directory, name: name, size: nil}]
-
-  defp entry("F" <> file) do
-    case String.split(file, "\t") do
-      [name, size | _time] -> [%{kind: :file, name: name, size: size(Integer.parse(size))}]
-      [name] -> [%{kind: :file, name: name, size: nil}]
+  defp entry(<<kind, entry::binary>>) when kind in [?D, ?F] do
+    case :binary.split(entry, "\t", [:global]) do
+      [name | _fields] when name in ["", ".", ".."] -> []
+      [name | _fields] when kind == ?D -> [%{kind: :directory, name: Name.text(name), size: nil}]
+      [name, size | _fields] -> [%{kind: :file, name: Name.text(name), size: size(Integer.parse(size))}]
+      [name] -> [%{kind: :file, name: Name.text(name), size: nil}]
     end
   end
 
   defp entry(_skipped), do: []
 
-  defp size({size, ""}), do: size
+  defp size({size, ""}) when size >= 0, do: size
   defp size(_unreadable), do: nil
 end

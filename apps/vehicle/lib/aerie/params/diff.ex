@@ -8,7 +8,7 @@ defmodule Aerie.Params.Diff do
   Names in their order: `changed` with both values, `only_left` and `only_right` with the value there.
   """
   @type t :: %{
-          changed: [{String.t(), left :: number(), right :: number()}],
+          changed: [{String.t(), left :: number() | nil, right :: number() | nil}],
           only_left: [{String.t(), number()}],
           only_right: [{String.t(), number()}]
         }

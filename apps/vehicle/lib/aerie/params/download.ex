@@ -62,7 +62,7 @@ defmodule Aerie.Params.Download do
     pending: %{}
   ]
 
-  @typedoc "`ignored`: PARAM_VALUEs without a valid name, index or number"
+  @typedoc "`ignored`: PARAM_VALUEs without a valid name or index"
   @type t :: %__MODULE__{}
 
   @typedoc """

@@ -1,7 +1,8 @@
 defmodule Aerie.Params.Fetch do
   @moduledoc """
   Reads the whole list in the best way that the vehicle offers: ArduPilot's parameter file by MAVLink FTP; otherwise, or if that fails,
-  `Aerie.Params.Download`.
+  `Aerie.Params.Download`. A vehicle that says that it has FTP and does not answer is asked for eight seconds; `heard?/1` says so to
+  whoever remembers it.
 
   A stored list (`:stored`) is returned, and nothing else is read, if the vehicle's checksum or `_HASH_CHECK` is still the
   list's.
@@ -13,11 +14,25 @@ defmodule Aerie.Params.Fetch do
   of a list.
   """
 
-  alias Aerie.Ftp.Client
+  alias Aerie.Ftp.{Client, RoundTrip}
   alias Aerie.Params.{Cache, Download, Get, Packed, Table}
 
+  @silent_us RoundTrip.silence()
+
   @enforce_keys [:target, :deadline, :options]
-  defstruct [:target, :deadline, :options, :machine, :crc, :crc_after, :table, phase: :idle, seq: 0, data: []]
+  defstruct [
+    :target,
+    :deadline,
+    :options,
+    :machine,
+    :crc,
+    :crc_after,
+    :table,
+    :heard?,
+    phase: :idle,
+    seq: 0,
+    data: []
+  ]
 
   @type t :: %__MODULE__{}
 
@@ -37,6 +52,10 @@ defmodule Aerie.Params.Fetch do
   @doc "The number that the next FTP transfer with this vehicle has to begin with."
   @spec seq(t()) :: 0..65_535
   def seq(fetch), do: fetch.seq
+
+  @doc "Whether FTP was answered; nil if it was not asked for."
+  @spec heard?(t()) :: boolean() | nil
+  def heard?(fetch), do: fetch.heard?
 
   @spec handle(t(), Download.event()) :: {t(), [Download.action()]}
   def handle(%{phase: :done} = fetch, _event), do: {fetch, []}
@@ -70,7 +89,9 @@ defmodule Aerie.Params.Fetch do
 
   defp act(action, {fetch, actions}, _now), do: {fetch, actions ++ [action]}
 
-  defp seq_of(%{machine: %Client{} = client} = fetch), do: %{fetch | seq: Client.seq(client)}
+  defp seq_of(%{machine: %Client{} = client} = fetch),
+    do: %{fetch | seq: Client.seq(client), heard?: Client.heard?(client)}
+
   defp seq_of(fetch), do: fetch
 
   defp ended(%{phase: :list} = fetch, result, _now), do: finish(fetch, result)
@@ -119,7 +140,7 @@ defmodule Aerie.Params.Fetch do
     operation = if phase == :read, do: {:read, path}, else: {:crc, path}
 
     options =
-      [former: fetch.machine, seq: fetch.seq, max_bytes: Packed.max_bytes()] ++
+      [former: fetch.machine, seq: fetch.seq, max_bytes: Packed.max_bytes(), silent_us: @silent_us] ++
         Keyword.take(fetch.options, [:us, :rtt_us])
 
     start(%{fetch | phase: phase}, Client.new(operation, fetch.target, fetch.deadline, options), now)

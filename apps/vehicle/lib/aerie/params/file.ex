@@ -134,26 +134,36 @@ defmodule Aerie.Params.File do
   end
 
   @doc "Whether an entry of a file matches a vehicle's value: the same 32-bit float, or the same digits if the file has it rounded."
-  @spec says?(entry(), number()) :: boolean()
+  @spec says?(entry(), number() | nil) :: boolean()
   def says?(%{value: value, decimals: decimals}, actual) do
     ParamValue.same?(value, actual) or
       (decimals >= @rounded and is_float(actual) and
          abs(value - actual) <= 0.500001 * :math.pow(10, -decimals))
   end
 
-  @doc "A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl. Ordered by name."
+  @doc """
+  A file of a list: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl. Ordered by name. A value that is not a
+  number is a comment.
+  """
   @spec format(Table.t(), :param | :params, {system :: non_neg_integer(), component :: 0..255}) :: String.t()
   def format(table, :param, _source),
-    do: Enum.map_join(Table.sorted(table), &"#{&1.name},#{text(&1.value)}\n")
+    do:
+      Enum.map_join(
+        Table.sorted(table),
+        &unless_unusable(&1, fn param -> "#{param.name},#{text(param.value)}\n" end)
+      )
 
   def format(table, :params, {system, component}) do
     header = "# Onboard parameters for Vehicle #{system}\n#\n# Vehicle-Id Component-Id Name Value Type\n"
 
     header <>
       Enum.map_join(Table.sorted(table), fn param ->
-        "#{system}\t#{component}\t#{param.name}\t#{text(param.value)}\t#{param.type}\n"
+        unless_unusable(param, &"#{system}\t#{component}\t#{&1.name}\t#{text(&1.value)}\t#{&1.type}\n")
       end)
   end
+
+  defp unless_unusable(%{value: nil} = param, _line), do: "# #{param.name} is not a number on board\n"
+  defp unless_unusable(param, line), do: line.(param)
 
   # The fewest digits that give the same 32-bit float; without an exponent if possible, because some readers do not know exponents.
   defp text(value) when is_integer(value), do: Integer.to_string(value)

@@ -44,7 +44,10 @@ defmodule Aerie.Params.Message do
     )
   end
 
-  @doc "A parameter's value: `:garbage` without a valid name or number, `:other` for any other message."
+  @doc """
+  A parameter's value: `:garbage` without a valid name, `:other` for any other message. A value that is not a number (NaN, infinite) is nil:
+  the vehicle has the parameter all the same.
+  """
   @spec value(struct(), encoding()) :: {:ok, Param.t()} | :garbage | :other
   def value(%M.ParamExtValue{} = m, :extended) do
     value = ExtValue.decode(m.param_value, m.param_type)
@@ -55,11 +58,15 @@ defmodule Aerie.Params.Message do
   end
 
   def value(%M.ParamValue{} = m, encoding) when encoding != :extended do
-    with true <- ParamValue.name?(m.param_id),
-         {:ok, value, exact?} <- ParamValue.decode(m.param_value, m.param_type, encoding) do
-      {:ok, %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}}
-    else
-      _invalid -> :garbage
+    case {ParamValue.name?(m.param_id), ParamValue.decode(m.param_value, m.param_type, encoding)} do
+      {false, _value} ->
+        :garbage
+
+      {true, :error} ->
+        {:ok, %Param{name: m.param_id, value: nil, type: m.param_type, exact: false}}
+
+      {true, {:ok, value, exact?}} ->
+        {:ok, %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}}
     end
   end
 

@@ -131,5 +131,7 @@ defmodule Aerie.Params.Packed do
   defp value(2, <<value::little-signed-16, rest::binary>>), do: {value, rest}
   defp value(3, <<value::little-signed-32, rest::binary>>), do: {value, rest}
   defp value(4, <<value::float-little-32, rest::binary>>), do: {value, rest}
-  defp value(_type, _short_or_no_number), do: :error
+  # NaN or infinite.
+  defp value(4, <<_no_number::binary-size(4), rest::binary>>), do: {nil, rest}
+  defp value(_type, _short), do: :error
 end

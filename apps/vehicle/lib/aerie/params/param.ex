@@ -4,7 +4,7 @@ defmodule Aerie.Params.Param do
 
   `type` is its MAV_PARAM_TYPE; for a parameter of PARAM_EXT the MAV_PARAM_EXT_TYPE, which has the same numbers and 11 for text or bytes, and
   whose values are those of `Aerie.Protocol.ExtValue`. `exact` is false for an integer that came as a float too large to be exact
-  (`Aerie.Protocol.ParamValue`). `default` is the firmware's default, nil if the vehicle did not say.
+  (`Aerie.Protocol.ParamValue`). `value` is nil if it is not a number on board (NaN, infinite), which `plain/1` remarks. `default` is the firmware's default, nil if the vehicle did not say.
   """
 
   @enforce_keys [:name, :value, :type]
@@ -33,5 +33,10 @@ defmodule Aerie.Params.Param do
 
   @doc "The parameter as NATS and REST show it."
   @spec plain(t()) :: %{atom() => String.t() | number() | boolean() | nil}
-  def plain(param), do: Map.take(param, [:name, :value, :type, :default, :exact])
+  def plain(%{value: nil} = param),
+    do: Map.put(fields(param), :remark, "not a number on board (NaN or infinite)")
+
+  def plain(param), do: fields(param)
+
+  defp fields(param), do: Map.take(param, [:name, :value, :type, :default, :exact])
 end

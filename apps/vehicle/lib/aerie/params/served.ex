@@ -97,6 +97,8 @@ defmodule Aerie.Params.Served do
     differs? = Enum.any?(seen, fn {name, value} -> not same?(table, name, value) end)
 
     cond do
+      # What is not a number is not kept as it came.
+      Enum.any?(table.params, fn {_name, param} -> param.value == nil end) -> handle(served, {:unlisted, now})
       differs? and not served.again? -> {%{served | seen: %{}, again?: true}, [:fetch]}
       differs? -> handle(served, {:unlisted, now})
       true -> known(served, table, now)

@@ -104,7 +104,7 @@ defmodule Aerie.Params.Set do
   defp shown(set, param, _now) do
     if ParamValue.same?(param.value, sent_value(set)),
       do: finish(set, {:ok, param}),
-      else: {%{set | shown: param.value}, []}
+      else: {%{set | shown: param.value || "it keeps a value that is not a number"}, []}
   end
 
   defp late(%{shown: nil, sent: sent, since: since} = set, now)

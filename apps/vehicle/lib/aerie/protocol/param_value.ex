@@ -70,8 +70,9 @@ defmodule Aerie.Protocol.ParamValue do
   def encode(_value, type, _encoding),
     do: {:error, "parameters of type #{type} do not fit into PARAM_SET"}
 
-  @doc "Whether two values are the same for a vehicle: floats with 32 bits, integers exactly."
-  @spec same?(number(), number()) :: boolean()
+  @doc "Whether two values are the same for a vehicle: floats with 32 bits, integers exactly. nil is no number."
+  @spec same?(number() | nil, number() | nil) :: boolean()
+  def same?(a, b) when a == nil or b == nil, do: a == b
   def same?(a, b) when is_integer(a) and is_integer(b), do: a == b
   def same?(a, b), do: a == b or float32(a) == float32(b)
 

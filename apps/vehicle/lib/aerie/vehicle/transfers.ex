@@ -177,7 +177,8 @@ defmodule Aerie.Vehicle.Transfers do
            protocol: Protocol.of(snapshot.autopilot),
            autopilot: snapshot.autopilot,
            capabilities: snapshot[:capabilities],
-           rtt_us: get_in(snapshot, [:clock, :rtt_us])
+           rtt_us: get_in(snapshot, [:clock, :rtt_us]),
+           links: snapshot.links
          }}
     end
   end

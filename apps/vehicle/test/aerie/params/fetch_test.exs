@@ -10,8 +10,12 @@ defmodule Aerie.Params.FetchTest do
 
   # Both sides of one vehicle: its FTP server and its parameters.
   defp vehicle(params, style \\ :ardupilot) do
-    {FtpVehicle.new(style, %{}, params: SimVehicle.Params.new(params, :c_cast)), ParamsVehicle.new(params)}
+    {FtpVehicle.new(style, %{}, params: SimVehicle.Params.new(numbers(params), :c_cast)),
+     ParamsVehicle.new(params)}
   end
+
+  # The simulator's file has numbers only.
+  defp numbers(params), do: Enum.filter(params, &is_number(elem(&1, 1)))
 
   defp answer({ftp, params}, %FileTransferProtocol{} = message, now),
     do: with({ftp, said} <- FtpVehicle.answer(ftp, message, now), do: {{ftp, params}, said})
@@ -117,6 +121,42 @@ defmodule Aerie.Params.FetchTest do
     refute FileTransferProtocol in kinds(run(vehicle(params), [], file: false))
   end
 
+  test "a vehicle that says it has FTP and does not answer costs seconds, whatever was measured of the link" do
+    params = ParamsVehicle.some(1349)
+
+    deaf = fn v, message, now ->
+      if is_struct(message, FileTransferProtocol), do: {v, []}, else: answer(v, message, now)
+    end
+
+    for rtt <- [nil, 5_000, 900_000] do
+      fetch = Fetch.new({1, 1}, @deadline, file: true, rtt_us: rtt)
+      run = LossyLink.run(Fetch, fetch, vehicle(params), deaf)
+      assert {:ok, table} = run.result
+      assert values(table) == values_of(params)
+      assert [first, _second | _more] = for({at, %FileTransferProtocol{}} <- run.sent, do: at)
+      assert run.at - first < 15_000_000
+      assert Fetch.heard?(run.machine) == false
+    end
+
+    assert Fetch.heard?(run(vehicle(params)).machine)
+    assert Fetch.heard?(run(vehicle(params), [], file: false).machine) == nil
+  end
+
+  for value <- [:nan, :infinity, :neg_infinity] do
+    test "a value that is #{value} does not cost the list" do
+      params = List.replace_at(ParamsVehicle.some(100), 7, {"BROKEN", unquote(value), 9})
+      run = run(vehicle(params, :px4), [], file: false)
+      assert {:ok, table} = run.result
+      assert Table.count(table) == 100
+      assert %{value: nil, exact: false} = table.params["BROKEN"]
+
+      assert %{value: nil, remark: "not a number" <> _} =
+               Enum.find(Table.plain(table).params, &(&1.name == "BROKEN"))
+
+      assert run.at < 5_000_000
+    end
+  end
+
   test "a file that changes while it is read has no checksum to be trusted by" do
     params = ParamsVehicle.some(400)
 
@@ -190,6 +230,15 @@ defmodule Aerie.Params.FetchTest do
     for n <- 0..(byte_size(file) - 1), do: assert({:error, _why} = Packed.decode(binary_part(file, 0, n)))
     assert {:error, "the file goes on after 50 parameters"} = Packed.decode(file <> <<1, 0, ?X, 1>>)
     assert {:error, _why} = Packed.decode(<<0x671B::little-16, 9000::little-16, 9000::little-16>>)
+
+    # NaN and the infinities are values of one parameter, not damage of the file.
+    for bits <- [0x7FC00000, 0x7F800000, 0xFF800000] do
+      assert {:ok, [%{name: "X", value: nil}, %{name: "Y", value: 1.0}]} =
+               Packed.decode(
+                 <<0x671B::little-16, 2::little-16, 2::little-16, 4, 0, "X", bits::little-32, 4, 0, "Y",
+                   1.0::float-little-32>>
+               )
+    end
 
     property =
       :proper.forall(:proper_types.binary(), fn bytes -> match?({:error, _why}, Packed.decode(bytes)) end)

@@ -112,7 +112,7 @@ defmodule FleetWeb.Console.Params.Listing do
 
   @doc "A value as text, with only the digits that its 32-bit float has."
   @spec text(number() | String.t() | nil) :: String.t()
-  def text(nil), do: "no number"
+  def text(nil), do: "not a number"
   def text(text) when is_binary(text), do: text
   def text(number) when is_integer(number), do: Integer.to_string(number)
 

@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Transfers.Core do
     * `{:cancel, id, now}`
     * `{:turn, kind, now}` - it is our turn; `{:held, kind, whose}` - it is that of a ground station, whose ids are given, or nil
     * `{:message, id, message, source, now}` - a message of the vehicle's system, with its MAVLink id
-    * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Vehicle.Transfers.Job.context/0` but `seq` and `now`
+    * `{:vehicle, facts}` - what is known of the vehicle: the fields of `t:Aerie.Vehicle.Transfers.Job.context/0` but `seq`, `ftp?` and `now`
     * `{:rebooted, now}` - the vehicle has rebooted
     * `{:tick, now}` - at `wake_at/1` at the latest
 
@@ -44,11 +44,14 @@ defmodule Aerie.Vehicle.Transfers.Core do
   }
   @ids Map.new(@listens, fn {lane, modules} -> {lane, Enum.map(modules, & &1.id())} end)
 
-  defstruct vehicle: nil, seq: 0, jobs: %{}, order: []
+  defstruct vehicle: nil, seq: 0, silent: nil, jobs: %{}, order: []
+
+  @typedoc "`silent`: the links by which FTP was not answered; until the vehicle reboots or answers, it is not asked for parameters by them"
 
   @type t :: %__MODULE__{
           vehicle: map() | nil,
           seq: 0..65_535,
+          silent: [term()] | nil,
           jobs: %{String.t() => Job.t()},
           order: [String.t()]
         }
@@ -148,7 +151,7 @@ defmodule Aerie.Vehicle.Transfers.Core do
   end
 
   def handle(core, {:rebooted, now}),
-    do: core |> each(& &1.machine, &step(&1, &2, {:rebooted, now}, now)) |> next(now)
+    do: %{core | silent: nil} |> each(& &1.machine, &step(&1, &2, {:rebooted, now}, now)) |> next(now)
 
   def handle(core, {:tick, now}) do
     core
@@ -213,7 +216,9 @@ defmodule Aerie.Vehicle.Transfers.Core do
   # --- Under way
 
   defp begin(core, job, now) do
-    case job.start.(Map.merge(core.vehicle, %{seq: core.seq, now: now})) do
+    ftp? = core.silent == nil or core.silent != core.vehicle.links
+
+    case job.start.(Map.merge(core.vehicle, %{seq: core.seq, ftp?: ftp?, now: now})) do
       {:ok, machine} ->
         job = %{job | phase: :running, machine: machine}
         step(put(core, job), job, {:start, now}, now)
@@ -252,10 +257,17 @@ defmodule Aerie.Vehicle.Transfers.Core do
      for(kind <- job.turns ++ job.asked, do: {:give_back, kind}) ++ [{:done, job.id, result}]}
   end
 
-  defp seq_of(core, %{machine: %module{} = machine, lanes: lanes}),
-    do: if(:file in lanes, do: %{core | seq: module.seq(machine)}, else: core)
+  defp seq_of(core, %{machine: %module{} = machine, lanes: lanes}) do
+    if :file in lanes,
+      do: %{core | seq: module.seq(machine), silent: silent(module.heard?(machine), core)},
+      else: core
+  end
 
   defp seq_of(core, _not_begun), do: core
+
+  defp silent(true, _core), do: nil
+  defp silent(false, core), do: core.vehicle.links
+  defp silent(nil, core), do: core.silent
 
   defp put(core, job), do: %{core | jobs: Map.put(core.jobs, job.id, job)}
 end

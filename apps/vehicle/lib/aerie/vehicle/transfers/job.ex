@@ -31,6 +31,8 @@ defmodule Aerie.Vehicle.Transfers.Job do
           autopilot: :ardupilot | :px4 | :generic,
           capabilities: non_neg_integer() | nil,
           rtt_us: non_neg_integer() | nil,
+          links: [term()],
+          ftp?: boolean(),
           seq: 0..65_535,
           now: integer()
         }

@@ -7,9 +7,10 @@ defmodule Aerie.Vehicle.Transfers.CoreTest do
 
   # Sends when it starts, ends with what it hears, is silent for a second.
   defmodule Toy do
-    defstruct [:name, :due, :seq, at: []]
+    defstruct [:name, :due, :seq, :heard?, at: []]
     def wake_at(toy), do: toy.due
     def seq(toy), do: toy.seq + 1
+    def heard?(toy), do: toy.heard?
 
     def handle(toy, {:start, now}),
       do: {%{toy | due: now + 1_000_000}, [{:send, [toy.name]}, {:progress, 0, 2}]}
@@ -22,7 +23,7 @@ defmodule Aerie.Vehicle.Transfers.CoreTest do
       do: {toy, [{:data, 0, "x"}, {:done, {:ok, toy.name}}]}
   end
 
-  @facts %{target: {1, 1}}
+  @facts %{target: {1, 1}, links: ["link-1"]}
 
   defp job(id, lanes, more \\ []) do
     start = fn context -> {:ok, %Toy{name: id, seq: context.seq}} end
@@ -118,6 +119,27 @@ defmodule Aerie.Vehicle.Transfers.CoreTest do
     {_actions, core} = run(core(), [{:submit, job("a", [:params]), 0}, {:submit, job("b", [:params]), 0}])
     {actions, _core} = run(core, [{:rebooted, 5}])
     assert [{:done, "a", {:error, :rebooted}}, {:send, ["b"]}, _progress] = actions
+  end
+
+  test "that FTP is not answered is remembered for the links by which it was asked" do
+    job = fn id, heard? ->
+      start = fn context -> {:ok, %Toy{name: context.ftp?, seq: context.seq, heard?: heard?}} end
+      %Job{id: id, lanes: [:file], start: start, until: 100_000_000}
+    end
+
+    trial = fn core, heard? ->
+      {actions, core} = run(core, [{:submit, job.("a", heard?), 0}, {:turn, :file, 0}, {:cancel, "a", 1}])
+      [asked?] = for {:send, [asked?]} <- actions, do: asked?
+      {asked?, core}
+    end
+
+    {true, core} = trial.(core(), false)
+    assert {false, core} = trial.(core, nil)
+    # By another link it may be; after a reboot, too.
+    assert {true, _core} = trial.(elem(Core.handle(core, {:vehicle, %{@facts | links: ["link-2"]}}), 0), nil)
+    assert {true, _core} = trial.(elem(Core.handle(core, {:rebooted, 2}), 0), nil)
+    {false, core} = trial.(core, true)
+    assert {true, _core} = trial.(core, nil)
   end
 
   test "what cannot be made a machine ends at once" do

@@ -1,0 +1,48 @@
+defmodule Aerie.Ftp.Name do
+  @moduledoc """
+  The names of files on a vehicle, as text. A vehicle's names are bytes: those of a card that was written elsewhere may be in Latin-1,
+  or cut in the middle of a character.
+
+  What is not UTF-8 is written as `\\xE9`, byte by byte, and read back so that the file can be asked for. A name that has such
+  characters itself has its backslash as `\\x5C`. ASCII has no other form, so that nothing can be hidden from who looks at the text.
+  """
+
+  @doc "The text of a name or path."
+  @spec text(binary()) :: String.t()
+  def text(bytes), do: text(bytes, [])
+
+  defp text(<<"\\x", high, low, rest::binary>> = bytes, text) do
+    if byte(high, low), do: text(<<"x", high, low, rest::binary>>, [text, "\\x5C"]), else: plain(bytes, text)
+  end
+
+  defp text(bytes, text), do: plain(bytes, text)
+
+  defp plain(<<character::utf8, rest::binary>>, text), do: text(rest, [text, <<character::utf8>>])
+  defp plain(<<byte, rest::binary>>, text), do: text(rest, [text, "\\x", Base.encode16(<<byte>>)])
+  defp plain(<<>>, text), do: IO.iodata_to_binary(text)
+
+  @doc "The bytes of a text."
+  @spec bytes(String.t()) :: binary()
+  def bytes(text), do: bytes(text, [])
+
+  defp bytes(<<"\\x", high, low, rest::binary>>, bytes) do
+    case byte(high, low) do
+      nil -> bytes(<<"x", high, low, rest::binary>>, [bytes, "\\"])
+      byte -> bytes(rest, [bytes, byte])
+    end
+  end
+
+  defp bytes(<<byte, rest::binary>>, bytes), do: bytes(rest, [bytes, byte])
+  defp bytes(<<>>, bytes), do: IO.iodata_to_binary(bytes)
+
+  # A byte of no character of ASCII, or the backslash.
+  defp byte(high, low) when high in ?8..?9 or high in ?A..?F do
+    if low in ?0..?9 or low in ?A..?F, do: digit(high) * 16 + digit(low)
+  end
+
+  defp byte(?5, ?C), do: ?\\
+  defp byte(_high, _low), do: nil
+
+  defp digit(digit) when digit in ?0..?9, do: digit - ?0
+  defp digit(digit), do: digit - ?A + 10
+end

@@ -20,7 +20,7 @@ defmodule Aerie.Shell do
   has started, `:default`; for anything else the shell has the whole of `Aerie`.
   """
 
-  alias Aerie.{Fleet, Inspector, Link, Shadow, Store}
+  alias Aerie.{Fleet, Inspector, Link, Printable, Shadow, Store}
   alias Aerie.Fleet.Age
   alias Aerie.Shell.Text
   alias Aerie.Tool.{Ask, Columns, Run}
@@ -122,8 +122,8 @@ defmodule Aerie.Shell do
            Map.new(params, fn {name, value} -> {to_string(name), value} end),
            %{}
          ) do
-      {:error, text} -> IO.puts("error: " <> text)
-      {_status, text} -> IO.write(text)
+      {:error, text} -> IO.puts("error: " <> Printable.lines(text))
+      {_status, text} -> IO.write(Printable.lines(text))
     end
   end
 

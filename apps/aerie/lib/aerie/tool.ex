@@ -5,6 +5,7 @@ defmodule Aerie.Tool do
   """
 
   alias Aerie.CLI.Output
+  alias Aerie.Printable
   alias Aerie.Tool.{Gateway, Help, Parse}
 
   @doc "For a release, whose words come after `-extra`."
@@ -47,11 +48,13 @@ defmodule Aerie.Tool do
 
   # The status of an error, nil when it was printed.
   defp print(text) do
-    IO.write(text)
+    IO.write(Printable.lines(text))
     nil
   rescue
     ErlangError ->
-      with {:error, why} <- Output.repeat(text), do: complain(why), else: (_written_or_closed -> nil)
+      with {:error, why} <- Output.repeat(Printable.lines(text)),
+           do: complain(why),
+           else: (_written_or_closed -> nil)
   end
 
   # What was printed on the way may have ended the device, and so what printed it.
@@ -69,7 +72,7 @@ defmodule Aerie.Tool do
 
   # Its status says it, too, if nobody can be told.
   defp complain(text) do
-    IO.puts(:stderr, "error: " <> text)
+    IO.puts(:stderr, "error: " <> Printable.lines(text))
     2
   rescue
     _full in [ArgumentError, ErlangError] -> 2

@@ -162,6 +162,10 @@ defmodule MavCodec.Parser do
   def flush(%__MODULE__{held: <<>>} = parser), do: {[], parser}
   def flush(%__MODULE__{held: held, at: at} = parser), do: read(parser, held, 0, at, :final)
 
+  @doc "Whether it keeps bytes that may be the beginning of a frame."
+  @spec waiting?(t()) :: boolean()
+  def waiting?(%__MODULE__{held: held}), do: held != <<>>
+
   defp read(parser, data, new_bytes, at, mode) when byte_size(data) >= @large do
     before = Process.flag(:min_heap_size, min(byte_size(data) * @words, @most_words))
     _ = :erlang.garbage_collect()

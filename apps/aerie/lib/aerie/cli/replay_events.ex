@@ -7,7 +7,7 @@ defmodule Aerie.CLI.ReplayEvents do
   """
 
   alias Aerie.Bridge.Message
-  alias Aerie.{Config, Replay}
+  alias Aerie.{Config, Printable, Replay}
   alias Aerie.CLI.{Options, Output, Plan}
   alias MavCodec.Tlog.Damage
 
@@ -55,7 +55,7 @@ defmodule Aerie.CLI.ReplayEvents do
   defp line(_other, :ok, _what, _device), do: :ok
 
   defp put(device, json) do
-    IO.puts(device, json |> JSON.decode!() |> JSON.encode!(&in_order/2))
+    IO.puts(device, json |> JSON.decode!() |> JSON.encode!(&in_order/2) |> Printable.lines())
   rescue
     _ended in [ArgumentError, ErlangError] ->
       throw(with :ok <- Output.repeat("\n"), do: {:error, "standard output has ended"})

@@ -57,7 +57,7 @@ defmodule Aerie.Config.Error do
   end
 
   defp printable(text) do
-    text = text |> String.replace_invalid() |> String.replace(~r/[[:cntrl:]]/u, "?")
+    text = Aerie.Printable.line(text)
     if String.length(text) > 60, do: String.slice(text, 0, 57) <> "...", else: text
   end
 

@@ -25,8 +25,7 @@ defmodule Aerie.Tool.Columns do
   @spec cell(term()) :: String.t()
   def cell(nil), do: "-"
 
-  def cell(text) when is_binary(text),
-    do: text |> String.replace_invalid("?") |> String.replace(~r/[\x00-\x1f\x7f-\x9f]/u, "?")
+  def cell(text) when is_binary(text), do: Aerie.Printable.line(text)
 
   def cell(number) when is_float(number), do: :erlang.float_to_binary(number, [:compact, decimals: 7])
   def cell(other), do: cell(to_string(other))

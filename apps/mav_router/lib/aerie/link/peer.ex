@@ -50,6 +50,10 @@ defmodule Aerie.Link.Peer do
     {frames, %{peer | parser: parser, heard: now, framed: framed, flushed: false, stats: nil}}
   end
 
+  @doc "Whether the parser keeps what may be the beginning of a frame."
+  @spec waiting?(t) :: boolean
+  def waiting?(%__MODULE__{parser: parser}), do: Parser.waiting?(parser)
+
   @doc "Whether its last frame made it known."
   @spec proven?(t) :: boolean
   def proven?(%__MODULE__{since: since, framed: framed}), do: framed != nil and framed - since >= @known_ms

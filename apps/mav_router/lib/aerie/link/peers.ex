@@ -9,7 +9,8 @@ defmodule Aerie.Link.Peers do
   The sender of a datagram becomes a peer with its first good frame, never by garbage, however much of it comes from however
   many addresses. Only #{div(1000, @newcomer_ms)} unknown senders per second, in bursts of up to #{@newcomers}, are parsed; the datagrams of the others cost two
   look-ups, are counted (`peers_refused`) and discarded. So forged senders take nothing away from real peers. Datagrams that do
-  not begin like a frame get at most half of that allowance.
+  not begin like a frame get at most half of that allowance. What may be the beginning of a frame is kept for a few seconds
+  (`Aerie.Link.Fragments`): some senders cut their frames over several datagrams.
 
   When the limit of peers is reached, a newcomer replaces the earliest peer that has not become known in 5 s
   (`Aerie.Link.Peer`); if there is none, the newcomer is refused. Known peers are never replaced. A datagram peer is forgotten
@@ -17,6 +18,7 @@ defmodule Aerie.Link.Peers do
   """
 
   alias Aerie.TokenBucket
+  alias Aerie.Link.Fragments
   alias Aerie.Link.Peer
   alias Aerie.Address
   alias MavCodec.Parser
@@ -28,7 +30,7 @@ defmodule Aerie.Link.Peers do
 
   @enforce_keys [:framing, :parser, :unknown]
   defstruct [:framing, :parser, :newcomers, :unknown] ++
-              [:max, map: %{}, retired: %{}, sum: %{}, sources: %{}]
+              [:max, fragments: Fragments.new(), map: %{}, retired: %{}, sum: %{}, sources: %{}]
 
   @typedoc """
   - `retired`, `sources`: counts of the parsers of former peers; `sum`: counts of the current ones, as of `measure/1`
@@ -39,6 +41,7 @@ defmodule Aerie.Link.Peers do
           framing: :stream | :datagram,
           parser: Parser.t(),
           newcomers: TokenBucket.t(),
+          fragments: Fragments.t(),
           max: pos_integer,
           map: %{term => Peer.t()},
           unknown: :gb_sets.set({integer, term}),
@@ -119,11 +122,16 @@ defmodule Aerie.Link.Peers do
   end
 
   defp newcomer(peers, id, bytes, now, at) do
-    keep = if frame?(bytes), do: 0, else: div(@newcomers, 2)
+    {begun, fragments} = Fragments.take(peers.fragments, id)
+    keep = if begun != nil or frame?(bytes), do: 0, else: div(@newcomers, 2)
 
     case TokenBucket.take(peers.newcomers, now, @newcomer_ms, @newcomers, keep) do
-      {:ok, newcomers} -> parse(%{peers | newcomers: newcomers}, id, bytes, now, at)
-      :none -> {[], [], refused(peers, bytes)}
+      {:ok, newcomers} ->
+        peer = begun || Peer.new(id, text(id), peers.parser, now)
+        parse(%{peers | newcomers: newcomers, fragments: fragments}, peer, bytes, now, at)
+
+      :none ->
+        {[], [], refused(peers, bytes)}
     end
   end
 
@@ -134,15 +142,25 @@ defmodule Aerie.Link.Peers do
     %{peers | retired: sum(retired, %{peers_refused: 1, bytes_in: byte_size(bytes)})}
   end
 
-  defp parse(peers, id, bytes, now, at) do
-    {frames, peer} = id |> Peer.new(text(id), peers.parser, now) |> Peer.push(peers.framing, bytes, now, at)
+  defp parse(peers, peer, bytes, now, at) do
+    {frames, peer} = Peer.push(peer, peers.framing, bytes, now, at)
 
     cond do
-      frames == [] -> {[], [], %{peers | retired: sum(peers.retired, counted(Peer.measure(peer).stats))}}
+      frames == [] and Peer.waiting?(peer) -> {[], [], begun(peers, peer)}
+      frames == [] -> {[], [], retire(peers, [peer])}
       room?(peers) -> {frames, [{:up, peer}], put_unknown(peers, peer)}
       true -> replace(peers, peer, frames, bytes, now)
     end
   end
+
+  defp begun(peers, peer) do
+    {gone, fragments} = Fragments.put(peers.fragments, peer)
+    retire(%{peers | fragments: fragments}, gone)
+  end
+
+  # Counts what senders sent that never became peers.
+  defp retire(peers, gone),
+    do: Enum.reduce(gone, peers, &%{&2 | retired: sum(&2.retired, counted(Peer.measure(&1).stats))})
 
   defp put_unknown(peers, peer) do
     put(%{peers | unknown: :gb_sets.add_element({peer.since, peer.id}, peers.unknown)}, peer)
@@ -164,6 +182,8 @@ defmodule Aerie.Link.Peers do
   def tick(peers, now) do
     idle = if peers.framing == :datagram, do: idle(peers, now), else: []
     peers = Enum.reduce(idle, peers, fn peer, peers -> elem(remove(peers, peer.id), 1) end)
+    {gone, fragments} = Fragments.expire(peers.fragments, now)
+    peers = retire(%{peers | fragments: fragments}, gone)
     quiet = for {_id, peer} <- peers.map, peer.flushed != true, now - peer.heard >= @quiet_ms, do: peer
     # A link that stood still finds its tick before the bytes that came meanwhile, so the next tick decides.
     {due, first} = Enum.split_with(quiet, &(&1.flushed == :due))
@@ -208,7 +228,8 @@ defmodule Aerie.Link.Peers do
 
   @doc "The counts of all parsers, those of former peers included, by the names of `Aerie.Link.Counters`."
   @spec totals(t) :: %{atom => non_neg_integer}
-  def totals(peers), do: sum(peers.retired, measure(peers).sum)
+  def totals(peers),
+    do: peers |> retire(Map.values(peers.fragments.peers)) |> Map.fetch!(:retired) |> sum(measure(peers).sum)
 
   @doc """
   Sequence loss by `{system, component}`, as `MavCodec.Parser` keeps it, former peers included. If several peers carry one

@@ -10,6 +10,7 @@ defmodule Aerie.Log.Formatter do
   """
 
   alias Aerie.Log.Redact
+  alias Aerie.Printable
 
   @type format :: :logfmt | :json
 
@@ -67,7 +68,7 @@ defmodule Aerie.Log.Formatter do
     members =
       Enum.map_intersperse(pairs, ",", fn {key, value} -> [JSON.encode!(key), ":", JSON.encode!(value)] end)
 
-    ["{", members, "}\n"]
+    [Printable.lines(["{", members, "}"]), "\n"]
   end
 
   defp subject(meta) do
@@ -127,9 +128,9 @@ defmodule Aerie.Log.Formatter do
   defp quoted(value) when not is_binary(value), do: to_string(value)
 
   defp quoted(value) do
-    if value =~ ~r/\A[^\s"=\\[:cntrl:]]+\z/u,
+    if value =~ ~r/\A[^\s"=\\[:cntrl:]]+\z/u and Printable.line(value) == value,
       do: value,
-      else: [?", Regex.replace(~r/["\\]|[[:cntrl:]]/u, value, &escape/1), ?"]
+      else: [?", ~r/["\\]|[[:cntrl:]]/u |> Regex.replace(value, &escape/1) |> Printable.lines(), ?"]
   end
 
   defp escape("\n"), do: "\\n"
@@ -137,6 +138,5 @@ defmodule Aerie.Log.Formatter do
   defp escape("\t"), do: "\\t"
   defp escape(sign) when sign in ["\"", "\\"], do: "\\" <> sign
 
-  defp escape(<<control::utf8>>),
-    do: "\\u" <> (control |> Integer.to_string(16) |> String.downcase() |> String.pad_leading(4, "0"))
+  defp escape(control), do: Printable.escape(control)
 end

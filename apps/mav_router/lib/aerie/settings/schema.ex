@@ -275,7 +275,7 @@ defmodule Aerie.Settings.Schema do
   def show(_value), do: "something else"
 
   defp printable(text) do
-    text = text |> String.replace_invalid() |> String.replace(~r/[[:cntrl:]]/u, "?")
+    text = Aerie.Printable.line(text)
     if String.length(text) > 60, do: String.slice(text, 0, 57) <> "...", else: text
   end
 end

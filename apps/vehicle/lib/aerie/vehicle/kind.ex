@@ -45,8 +45,9 @@ defmodule Aerie.Vehicle.Kind do
   def autopilot(_other), do: :generic
 
   @doc "Whether a heartbeat with this MAV_TYPE and MAV_AUTOPILOT is that of a vehicle's autopilot (H2, `Aerie.Mavlink.Heartbeat.vehicle?/1`)."
-  @spec vehicle?(integer(), integer()) :: boolean()
-  def vehicle?(type, autopilot), do: Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot})
+  @spec vehicle?(integer(), integer(), component :: 0..255) :: boolean()
+  def vehicle?(type, autopilot, component \\ 0),
+    do: Heartbeat.vehicle?(%Heartbeat{type: type, autopilot: autopilot, component: component})
 
   @doc "Whether this kind of vehicle takes off and lands."
   @spec flies?(String.t()) :: boolean()

@@ -89,5 +89,5 @@ defmodule Aerie.Tool.Run.Tail do
   defp text(value), do: inspect(value, limit: 20, width: :infinity)
 
   # Standard output is aerie's own; when it is closed, this process ends, too.
-  defp put(line), do: IO.puts(line)
+  defp put(line), do: line |> Aerie.Printable.lines() |> IO.puts()
 end

@@ -63,7 +63,7 @@ defmodule Aerie.Vehicle.Core.Frames do
     {:ok, message} = MavCodec.decode(frame)
     known = core.component
 
-    if Kind.vehicle?(message.type, message.autopilot) and
+    if Kind.vehicle?(message.type, message.autopilot, frame.component) and
          (known in [nil, frame.component] or frame.component == 1) do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
       core = core |> Services.heartbeat_heard(link, frame.at) |> Services.heard(link, frame.id, frame.at)

@@ -45,7 +45,7 @@ defmodule Aerie.Vehicle.State.Health do
      }}
   end
 
-  def read(%M.RcChannels{} = m, _state, _at) do
+  def read(%M.RcChannels{} = m, state, _at) do
     channels = [
       m.chan1_raw,
       m.chan2_raw,
@@ -67,10 +67,14 @@ defmodule Aerie.Vehicle.State.Health do
       m.chan18_raw
     ]
 
-    {[], rc: %{channels: channels |> Enum.take(m.chancount) |> Enum.map(&channel/1), rssi: rssi(m.rssi)}}
+    {[],
+     rc: %{
+       channels: channels |> Enum.take(m.chancount) |> Enum.map(&channel/1),
+       rssi: rssi(m.rssi, state.autopilot)
+     }}
   end
 
-  def read(%M.RcChannelsRaw{port: 0} = m, _state, _at) do
+  def read(%M.RcChannelsRaw{port: 0} = m, state, _at) do
     channels = [
       m.chan1_raw,
       m.chan2_raw,
@@ -82,7 +86,7 @@ defmodule Aerie.Vehicle.State.Health do
       m.chan8_raw
     ]
 
-    {[], rc: %{channels: Enum.map(channels, &channel/1), rssi: rssi(m.rssi)}}
+    {[], rc: %{channels: Enum.map(channels, &channel/1), rssi: rssi(m.rssi, state.autopilot)}}
   end
 
   # RC_CHANNELS has the other ports, too.
@@ -121,6 +125,7 @@ defmodule Aerie.Vehicle.State.Health do
   defp channel(0xFFFF), do: nil
   defp channel(microseconds), do: microseconds
 
-  defp rssi(255), do: nil
-  defp rssi(value), do: value / 254
+  # PX4 sends percent (input_rc.rssi, 0 to 100; -1 for unknown), where the definition has 0 to 254.
+  defp rssi(value, :px4), do: Value.up_to(value, 100, 100)
+  defp rssi(value, _autopilot), do: Value.up_to(value, 254, 254)
 end

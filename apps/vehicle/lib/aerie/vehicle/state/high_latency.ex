@@ -28,12 +28,12 @@ defmodule Aerie.Vehicle.State.HighLatency do
       {[autopilot: autopilot, type: m.type, kind: kind, high_latency: true],
        [
          mode: armed(%{mode: Modes.name(autopilot, kind, 1, mode), custom_mode: mode}, autopilot, m),
-         position: %{lat: lat, lon: lon, alt_msl: m.altitude * 1.0, heading: m.heading * 2.0},
+         position: %{lat: lat, lon: lon, alt_msl: m.altitude * 1.0, heading: heading(m.heading)},
          velocity: %{
            groundspeed: m.groundspeed / 5,
            airspeed: m.airspeed / 5,
            climb: m.climb_rate / 10,
-           throttle: if(m.throttle <= 100, do: m.throttle / 100)
+           throttle: Value.up_to(m.throttle, 100, 100)
          },
          gps: %{
            lat: lat,
@@ -67,6 +67,10 @@ defmodule Aerie.Vehicle.State.HighLatency do
     named = for name <- names, do: name |> Atom.to_string() |> String.replace_prefix("HL_FAILURE_FLAG_", "")
     named ++ if(unknown == 0, do: [], else: ["FLAGS(#{unknown})"])
   end
+
+  # In two degrees. What is more than a circle is none.
+  defp heading(half) when half <= 180, do: rem(half * 2, 360) * 1.0
+  defp heading(_unknown), do: nil
 
   defp decimetres(value), do: Value.unsigned(value, 8, 10)
 end

@@ -98,5 +98,5 @@ defmodule Aerie.Vehicle.State.Mode do
   defp named(name, mode, names), do: if(Modes.unnamed?(name), do: Map.get(names, mode, name), else: name)
 
   defp known(_enum, 0), do: nil
-  defp known(enum, value), do: enum.label(value) || Integer.to_string(value)
+  defp known(enum, value), do: enum.label(value)
 end

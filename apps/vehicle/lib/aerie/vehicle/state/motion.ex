@@ -16,12 +16,13 @@ defmodule Aerie.Vehicle.State.Motion do
       place ->
         {lat, lon} = place || {nil, nil}
 
-        # Before an autopilot knows its position, it sends zeros for all of these.
+        none? = m.alt == 0 and m.relative_alt == 0
+
         position = %{
           lat: lat,
           lon: lon,
-          alt_msl: place && Value.millimetres(m.alt),
-          alt_rel: place && Value.millimetres(m.relative_alt),
+          alt_msl: Value.height(place, m.alt, none?),
+          alt_rel: Value.height(place, m.relative_alt, none?),
           heading: heading(m.hdg)
         }
 
@@ -45,7 +46,7 @@ defmodule Aerie.Vehicle.State.Motion do
        groundspeed: Value.float(m.groundspeed),
        airspeed: Value.float(m.airspeed),
        climb: Value.float(m.climb),
-       throttle: Value.unsigned(m.throttle, 16, 100)
+       throttle: Value.up_to(m.throttle, 100, 100)
      }}
   end
 
@@ -76,13 +77,13 @@ defmodule Aerie.Vehicle.State.Motion do
            fix: m.fix_type,
            fix_name: GpsFixType.label(m.fix_type) || "FIX(#{m.fix_type})",
            satellites: Value.unsigned(m.satellites_visible, 8),
-           hdop: Value.unsigned(m.eph, 16, 100),
-           vdop: Value.unsigned(m.epv, 16, 100),
+           hdop: dilution(m.eph),
+           vdop: dilution(m.epv),
            lat: lat,
            lon: lon,
-           alt_msl: place && Value.millimetres(m.alt),
-           h_acc: Value.or_zero(m.h_acc, 1000),
-           v_acc: Value.or_zero(m.v_acc, 1000)
+           alt_msl: Value.height(place, m.alt, m.alt == 0),
+           h_acc: accuracy(m.h_acc),
+           v_acc: accuracy(m.v_acc)
          }}
     end
   end
@@ -107,6 +108,14 @@ defmodule Aerie.Vehicle.State.Motion do
     }
   end
 
-  defp heading(hdg) when hdg in 0..36_000, do: hdg / 100
+  # Receivers without a fix, and both firmwares with them, say 99.99.
+  defp dilution(9_999), do: nil
+  defp dilution(value), do: Value.unsigned(value, 16, 100)
+
+  # An extension: zero if the sender does not know it.
+  defp accuracy(0), do: nil
+  defp accuracy(value), do: Value.unsigned(value, 32, 1000)
+
+  defp heading(hdg) when hdg in 0..36_000, do: rem(hdg, 36_000) / 100
   defp heading(_unknown), do: nil
 end

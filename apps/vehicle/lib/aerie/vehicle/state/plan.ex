@@ -9,10 +9,10 @@ defmodule Aerie.Vehicle.State.Plan do
 
   @impl State
   def read(%M.MissionCurrent{} = m, _state, _at) do
-    {[], mission: %{seq: m.seq, total: total(m), state: mission_state(m.mission_state)}}
+    {[], mission: %{seq: Value.unsigned(m.seq, 16), total: total(m), state: mission_state(m.mission_state)}}
   end
 
-  def read(%M.MissionItemReached{} = m, _state, _at), do: {[], mission: %{reached: m.seq}}
+  def read(%M.MissionItemReached{} = m, _state, _at), do: {[], mission: %{reached: Value.unsigned(m.seq, 16)}}
 
   def read(%M.NavControllerOutput{} = m, _state, _at) do
     {[], mission: %{wp_distance: Value.unsigned(m.wp_dist, 16)}}

@@ -91,7 +91,7 @@ defmodule Aerie.Vehicle.State.Power do
     failing = m.onboard_control_sensors_present &&& enabled &&& bnot(m.onboard_control_sensors_health)
 
     %{
-      load: m.load / 1000,
+      load: Value.up_to(m.load, 1000, 1000),
       unhealthy: names(failing &&& bnot(@prearm_check)),
       rc_receiver: rc_receiver(m),
       fence_enabled: fence_enabled(m),
@@ -132,12 +132,17 @@ defmodule Aerie.Vehicle.State.Power do
   defp total_voltage(m) do
     case Enum.reject(m.voltages, &(&1 == 0xFFFF)) ++ Enum.reject(m.voltages_ext, &(&1 in [0, 0xFFFF])) do
       [] -> nil
-      cells -> Enum.sum(cells) / 1000
+      cells -> voltage_of(Enum.sum(cells))
     end
   end
 
-  # PX4 scales its "unknown" of -1 A before sending it.
+  # A monitor without a voltage.
+  defp voltage_of(0), do: nil
+  defp voltage_of(millivolts), do: millivolts / 1000
+
+  # PX4 scales its "unknown" of -1 A before sending it. The lowest number is what did not fit.
   defp current(-100, :px4), do: nil
+  defp current(-0x8000, _autopilot), do: nil
   defp current(centiamperes, _autopilot), do: Value.or_minus_one(centiamperes, 100)
 
   defp remaining(percent) when percent in 0..100, do: percent / 100

@@ -14,12 +14,20 @@ defmodule Aerie.Vehicle.State.Value do
   def unsigned(0xFFFFFFFF, 32, _scale), do: nil
   def unsigned(value, _bits, scale), do: scaled(value, scale)
 
-  @doc "A signed field whose largest value means unknown, scaled."
+  @doc "A signed field whose largest value means unknown, scaled. So is its lowest, which no sender measures."
   @spec signed(integer(), 16 | 32, number()) :: number() | nil
   def signed(value, bits, scale \\ 1)
-  def signed(0x7FFF, 16, _scale), do: nil
-  def signed(0x7FFFFFFF, 32, _scale), do: nil
+  def signed(value, 16, _scale) when value in [0x7FFF, -0x8000], do: nil
+  def signed(value, 32, _scale) when value in [0x7FFFFFFF, -0x80000000], do: nil
   def signed(value, _bits, scale), do: scaled(value, scale)
+
+  @doc """
+  A height in millimetres beside a place: before an autopilot knows where it is, it sends zeros, but a barometer may know the height
+  without a receiver. nil for 0 without a place.
+  """
+  @spec height({float(), float()} | nil, integer(), zero? :: boolean()) :: float() | nil
+  def height(nil, _value, true), do: nil
+  def height(_place, value, _zero?), do: millimetres(value)
 
   @doc "A field in which -1 means unknown, scaled."
   @spec or_minus_one(integer(), number()) :: number() | nil
@@ -32,6 +40,10 @@ defmodule Aerie.Vehicle.State.Value do
   def or_zero(value, scale \\ 1)
   def or_zero(0, _scale), do: nil
   def or_zero(value, scale), do: scaled(value, scale)
+
+  @doc "A number up to `most`, scaled; more is unknown."
+  @spec up_to(non_neg_integer(), pos_integer(), number()) :: number() | nil
+  def up_to(value, most, scale), do: if(value <= most, do: value / scale)
 
   @doc "A float; NaN and the infinities are unknown."
   @spec float(term()) :: float() | nil

@@ -52,7 +52,7 @@ defmodule Aerie.System.TransferFacesTest do
 
     options = [
       firmware: context[:firmware] || :ardupilot,
-      files: Map.merge(%{"/notes.txt" => "as found"}, context[:files] || %{}),
+      files: Map.merge(%{"/notes.txt" => "as found", <<"/caf", 0xE9>> => "latin"}, context[:files] || %{}),
       logs: context[:logs] || [],
       ready_s: 1.0,
       link: link
@@ -154,6 +154,8 @@ defmodule Aerie.System.TransferFacesTest do
 
       assert {200, "as found"} = rest(c, :get, "files/notes.txt")
       assert {200, %{"entries" => entries}} = rest(c, :get, "files/?list")
+      assert "caf\\xE9" in Enum.map(entries, & &1["name"])
+      assert {200, "latin"} = rest(c, :get, "files/caf%5CxE9")
       assert %{"kind" => "file", "size" => 8} = Enum.find(entries, &(&1["name"] == "notes.txt"))
 
       assert {200, %{"result" => "completed"}} =

@@ -8,7 +8,6 @@ defmodule FleetWeb.API.Transfers do
   """
 
   alias Aerie.Command.Result
-  alias Aerie.Ftp.Name
   alias Aerie.{Files, Logs, Missions, Params}
   alias Aerie.Params.{Param, Table}
   alias FleetWeb.API.{Commands, Error, Format, LogDownload, Request}
@@ -280,11 +279,8 @@ defmodule FleetWeb.API.Transfers do
   defp given(parameters, request, formats),
     do: Format.choose(parameters["format"], Request.header(request, "content-type"), formats)
 
-  # Empty segments do not belong to a path on board. `%E9` is a name's byte as much as the text that stands for it.
-  defp path(request) do
-    path = "/" <> Enum.join(:cowboy_req.path_info(request), "/")
-    if String.valid?(path), do: path, else: Name.text(path)
-  end
+  # Empty segments do not belong to a path on board.
+  defp path(request), do: "/" <> Enum.join(:cowboy_req.path_info(request), "/")
 
   defp with_id(options, object, parameters) do
     case object["id"] || parameters["id"] do

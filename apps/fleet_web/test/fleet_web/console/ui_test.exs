@@ -20,6 +20,30 @@ defmodule FleetWeb.Console.UITest do
     assert_raise KeyError, fn -> html(~H|<.icon name="nothing" />|) end
   end
 
+  test "what is not seen of a vehicle's text, and changes what is, has a sign" do
+    unseen = [
+      "\e",
+      "\u009B",
+      "\u061C",
+      "\u200E",
+      "\u200F",
+      "\u202E",
+      "\u2066",
+      "\u2067",
+      "\u2068",
+      "\u2069",
+      "\u2028"
+    ]
+
+    for sign <- unseen do
+      assigns = %{text: "gpj#{sign}exe"}
+      assert html(~H|<b title={@text}>{@text}</b>|) == ~s|<b title="gpj\uFFFDexe">gpj\uFFFDexe</b>|
+    end
+
+    assigns = %{text: "Flüge\t東\n\u{1F681} & <b>"}
+    assert html(~H|{@text}|) == "Flüge\t東\n\u{1F681} &amp; &lt;b&gt;"
+  end
+
   test "an age is shown when it matters, in words that keep their length" do
     assert Age.text(nil) == "never"
     assert Age.text(0) == "0 s"

@@ -1,0 +1,66 @@
+defmodule Aerie.System.ReplayBesideTest do
+  @moduledoc """
+  A replay beside a running gateway of the same checkout and configuration: what is recorded must not come among what the gateway
+  publishes, neither while both run nor when the gateway has ended and its folders are free.
+  """
+  use Aerie.SystemCase, async: true
+  use Aerie.RunCase
+
+  @moduletag :tmp_dir
+  @flight Path.expand("../../apps/mav_codec/test/fixtures/captures/px4_flight_start.tlog.gz", __DIR__)
+  @vehicle "VID-001"
+
+  test "it has NATS and folders of its own", %{tmp_dir: folder} do
+    config = Path.join(folder, "gateway.yaml")
+
+    File.write!(config, """
+    nats: {port: 0, store_dir: "#{folder}/nats"}
+    outbox: {dir: "#{folder}/outbox"}
+    commands: {ledger: {dir: "#{folder}/ledger"}}
+    policy: {audit: {dir: "#{folder}/audit"}}
+    shadow: {dir: "#{folder}/shadow"}
+    console: {dir: "#{folder}/console"}
+    http: {port: 0}
+    websocket: {port: 0}
+    mavlink: {local_addr: "127.0.0.1:#{free_udp_port()}"}
+    """)
+
+    gateway = open(["--config", config, "--quiet"])
+    await_output(gateway, "", ["connected to NATS at"])
+    owners = owners(folder)
+
+    replay = open(["--config", config, "--replay", @flight, "--speed", "max", "--quiet"])
+
+    words =
+      await_output(replay, "", ["connected to NATS at", "link ended", "vehicle=#{@vehicle}", "nats=connected"])
+
+    assert words =~ "var/replay/nats/url"
+    refute words =~ "in use by another gateway"
+
+    finish(gateway)
+    words = await_output(replay, "", ["vehicle=#{@vehicle}", "nats=connected"])
+    refute words =~ "written again"
+    finish(replay)
+
+    assert owners(folder) == owners
+
+    assert {_none, 1} =
+             System.cmd("grep", [
+               "-r",
+               "-a",
+               "-l",
+               @vehicle,
+               Path.join(folder, "nats"),
+               Path.join(folder, "outbox")
+             ])
+  end
+
+  defp owners(folder),
+    do: for(dir <- ~w(nats outbox ledger audit), do: File.read!(Path.join([folder, dir, "owner"])))
+
+  defp finish(port) do
+    {:os_pid, os_pid} = Port.info(port, :os_pid)
+    {_output, 0} = System.cmd("kill", ["-INT", "#{os_pid}"])
+    assert await_exit(port) == 0
+  end
+end

@@ -39,7 +39,8 @@ defmodule Aerie.Ftp.Exchange do
     * `patience` - the shortest wait, because the last answer took so long that its request was repeated (0: it was not)
     * `seq` - the number of the next request
     * `first_seq` - burst packets with numbers from here on belong to this session; nil before a file is open for reading
-    * `silent` - for how long a vehicle that has answered nothing is asked; nil for as long as on any link
+    * `silent` - for how long a vehicle that has answered nothing is asked; one that has answered something, twice as long for each
+      request, or longer on a slow link. nil for as long as the repetitions take
     * `heard?` - whether the vehicle has answered anything
   """
   @type t :: %__MODULE__{}
@@ -92,10 +93,18 @@ defmodule Aerie.Ftp.Exchange do
       when repeats >= @first_repeats and now - at >= @silence,
       do: :give_up
 
-  def again(%{silent: silent, heard?: false, sent_at: at}, now) when silent != nil and now - at >= silent,
-    do: :give_up
+  def again(%{silent: silent, sent_at: at} = exchange, now) when silent != nil and at != nil do
+    if now - at >= patience(exchange), do: :give_up, else: repeat(exchange, now)
+  end
 
-  def again(exchange, now), do: transmit(%{exchange | repeats: exchange.repeats + 1}, now)
+  def again(exchange, now), do: repeat(exchange, now)
+
+  defp repeat(exchange, now), do: transmit(%{exchange | repeats: exchange.repeats + 1}, now)
+
+  defp patience(%{heard?: false, silent: silent}), do: silent
+
+  defp patience(exchange),
+    do: Enum.max([2 * exchange.silent, 4 * RoundTrip.timeout(exchange.trip), 4 * exchange.patience])
 
   @doc """
   Gives up on the rest of a burst, which is lost or late. The number of the next request must not be among those of the burst: a late EOF

@@ -150,7 +150,8 @@ defmodule Aerie.Vehicle.Fields do
        [
          {:channels, 0, "µs", "a list of pulse widths, null for an unused channel",
           "RC_CHANNELS, RC_CHANNELS_RAW"},
-         {:rssi, 2, "0..1", "signal strength", "RC_CHANNELS, RC_CHANNELS_RAW"}
+         {:rssi, 2, "0..1", "signal strength; PX4 sends percent, others 0 to 254",
+          "RC_CHANNELS, RC_CHANNELS_RAW"}
        ]},
     operator:
       {"Who is in charge of the vehicle.",

@@ -138,6 +138,21 @@ defmodule Aerie.Params.FetchTest do
       assert Fetch.heard?(run.machine) == false
     end
 
+    # One that gives a checksum, and then nothing, is not waited for for minutes either.
+    half = fn
+      v, %FileTransferProtocol{payload: <<_seq::16, _session, opcode, _rest::binary>>}, _now
+      when opcode != 14 ->
+        {v, []}
+
+      v, message, now ->
+        answer(v, message, now)
+    end
+
+    run = LossyLink.run(Fetch, Fetch.new({1, 1}, @deadline, file: true), vehicle(params), half)
+    assert {:ok, table} = run.result
+    assert values(table) == values_of(params)
+    assert run.at < 30_000_000
+
     assert Fetch.heard?(run(vehicle(params)).machine)
     assert Fetch.heard?(run(vehicle(params), [], file: false).machine) == nil
   end

@@ -9,13 +9,14 @@ defmodule Aerie.Link.Fragments do
   @max 256
   @wait_ms 5_000
 
-  defstruct peers: %{}, order: :gb_sets.new()
+  @enforce_keys [:order]
+  defstruct [:order, peers: %{}]
 
   @type t :: %__MODULE__{peers: %{term => Peer.t()}, order: :gb_sets.set({integer, term})}
 
   @doc "None."
   @spec new() :: t
-  def new, do: %__MODULE__{}
+  def new, do: %__MODULE__{order: :gb_sets.new()}
 
   @doc "The sender, which is kept no longer; nil if it is not kept."
   @spec take(t, term) :: {Peer.t() | nil, t}

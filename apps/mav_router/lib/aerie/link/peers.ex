@@ -30,7 +30,7 @@ defmodule Aerie.Link.Peers do
 
   @enforce_keys [:framing, :parser, :unknown]
   defstruct [:framing, :parser, :newcomers, :unknown] ++
-              [:max, fragments: Fragments.new(), map: %{}, retired: %{}, sum: %{}, sources: %{}]
+              [:max, :fragments, map: %{}, retired: %{}, sum: %{}, sources: %{}]
 
   @typedoc """
   - `retired`, `sources`: counts of the parsers of former peers; `sum`: counts of the current ones, as of `measure/1`
@@ -55,7 +55,13 @@ defmodule Aerie.Link.Peers do
   @doc "No peers yet. The parser options are those of `MavCodec.Parser.new/1`."
   @spec new(:stream | :datagram, max :: pos_integer, keyword) :: t
   def new(framing, max, parser_options \\ []) do
-    %__MODULE__{framing: framing, parser: Parser.new(parser_options), unknown: :gb_sets.new(), max: max}
+    %__MODULE__{
+      framing: framing,
+      parser: Parser.new(parser_options),
+      unknown: :gb_sets.new(),
+      fragments: Fragments.new(),
+      max: max
+    }
   end
 
   @doc "Whether one more connection is allowed."

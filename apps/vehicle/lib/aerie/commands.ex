@@ -193,7 +193,7 @@ defmodule Aerie.Commands do
       do: :ok,
       else:
         {:error, :role,
-         "to cancel #{job.type} needs the permission #{permission}, which #{source.name} does not have"}
+         "cancelling #{job.type} needs the permission #{permission}, which #{source.name} does not have"}
   end
 
   @doc "What is known of a command: under way with its last progress, its result, or nothing."

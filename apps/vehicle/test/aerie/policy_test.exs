@@ -244,8 +244,8 @@ defmodule Aerie.PolicyTest do
     auto = context(%{mode: %{mode: "AUTO"}})
 
     table([
-      {modes, set.("ACRO"), context(), {:deny, :mode, "the mode ACRO may not be asked for (modes.denied)"}},
-      {modes, set.("Acro"), context(), {:deny, :mode, "the mode ACRO may not be asked for (modes.denied)"}},
+      {modes, set.("ACRO"), context(), {:deny, :mode, "the mode ACRO is not allowed (modes.denied)"}},
+      {modes, set.("Acro"), context(), {:deny, :mode, "the mode ACRO is not allowed (modes.denied)"}},
       {modes, set.("STABILIZE"), context(), :allow},
       {modes, set.("LOITER"), auto, :allow},
       {modes, set.("AUTO"), auto, :allow},
@@ -262,10 +262,10 @@ defmodule Aerie.PolicyTest do
       {%{}, command("set_mode", %{standard_mode: "orbit"}), context(), :allow},
       # By whatever name.
       {modes, set.("MODE(1)"), %{context() | autopilot: :ardupilot, vehicle_type: "copter"},
-       {:deny, :mode, "the mode ACRO may not be asked for (modes.denied)"}},
+       {:deny, :mode, "the mode ACRO is not allowed (modes.denied)"}},
       {%{modes: %{denied: ["HOLD"]}}, set.("auto_loiter"),
        %{context() | autopilot: :px4, vehicle_type: "copter"},
-       {:deny, :mode, "the mode AUTO_LOITER may not be asked for (modes.denied)"}}
+       {:deny, :mode, "the mode AUTO_LOITER is not allowed (modes.denied)"}}
     ])
 
     # Modes that hold the vehicle or bring it down are not kept waiting by a window.

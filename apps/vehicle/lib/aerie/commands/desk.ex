@@ -148,10 +148,10 @@ defmodule Aerie.Commands.Desk do
         {:noreply, join(state, job, request, from)}
 
       %{^id => _other} ->
-        refuse(request, :id, "the id #{id} is that of another command", state)
+        refuse(request, :id, "the id #{id} belongs to another command", state)
 
       _new when state.draining != nil ->
-        refuse(request, :unavailable, "the gateway is ending; nothing was sent", state)
+        refuse(request, :unavailable, "the gateway is stopping; nothing was sent", state)
 
       _new ->
         admit(request, digest, from, state)
@@ -230,7 +230,7 @@ defmodule Aerie.Commands.Desk do
 
   # The ledger knows that it was sent; the next life looks after it.
   defp unknown(%{request: %{command: %{id: id}}}),
-    do: Result.new(id, :unknown, "the gateway ended before the vehicle's last word")
+    do: Result.new(id, :unknown, "the gateway ended before the end was known")
 
   defp drained(%{draining: {_pid, _tag} = from, jobs: jobs} = state) when jobs == %{} do
     GenServer.reply(from, [])

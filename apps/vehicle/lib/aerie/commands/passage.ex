@@ -86,7 +86,7 @@ defmodule Aerie.Commands.Passage do
   def lost(command),
     do:
       complete(
-        Result.new(command.id, :unknown, "a fault of the gateway ended its work on the command"),
+        Result.new(command.id, :unknown, "a fault in the gateway interrupted the command"),
         command
       )
 

@@ -99,6 +99,14 @@ defmodule Aerie.Policy.Lease do
   @spec in_charge(t()) :: String.t()
   def in_charge(lease) do
     time = lease.since |> DateTime.from_unix!(:microsecond) |> Calendar.strftime("%H:%M:%S")
-    "#{lease.holder} is in charge of the vehicle since #{time} UTC"
+    "#{lease.holder} is in charge of the vehicle (since #{time} UTC)"
   end
+
+  @doc "What to do about it. The console says it in words of its pages."
+  @spec take_over() :: String.t()
+  def take_over, do: "take_control takes over"
+
+  @doc "The same where nobody is in charge."
+  @spec take_first() :: String.t()
+  def take_first, do: "needs take_control first"
 end

@@ -248,7 +248,7 @@ defmodule Aerie.Policy.GuardTest do
     say(other, arm)
     assert {%M.CommandAck{command: 32_100, result: 2}, _texts} = acknowledged(other)
     assert {%M.CommandAck{command: 400, result: 2}, texts} = acknowledged(other)
-    assert texts =~ ~r/refused: operator 127.0.0.1:\d+ is in charge of the vehicle since/
+    assert texts =~ ~r/refused: operator 127.0.0.1:\d+ is in charge of the vehicle \(since/
 
     # It may be taken over from now on.
     say(one, request.(1.0, 1.0))

@@ -25,7 +25,7 @@ defmodule Aerie.Policy.LeaseTest do
     # Again: since then, and no longer offered.
     assert change(lease(offered_to: "omar"), {:take, nil, nil}, @olga) == {:ok, lease()}
 
-    assert {:deny, "olga is in charge of the vehicle since " <> rest} =
+    assert {:deny, "olga is in charge of the vehicle (since " <> rest} =
              change(lease(), {:take, nil, nil}, @omar)
 
     assert rest =~ "taking over needs a reason"

@@ -82,7 +82,7 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
   defp overload(%{overload: %{datagrams: datagrams}, id: id}, new, _n, _facts) do
     [
       new.(:overload, :error,
-        title: "#{id} drops datagrams, because they arrive faster than the gateway reads them",
+        title: "Link #{id} is overloaded: data lost",
         evidence: ["#{datagrams} datagrams since it began"],
         mend: "Give the gateway more CPU, lower the stream rates, or spread the vehicles over several links."
       )
@@ -92,7 +92,7 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
   defp overload(%{id: id}, new, n, facts) do
     when_any(n.(:overload), fn frames ->
       new.(:overload, :warning,
-        title: "a vehicle on #{id} sends faster than its session can handle",
+        title: "A vehicle on #{id} sends too fast: data lost",
         evidence: ["#{frames} frames in #{facts.seconds} s were dropped"],
         mend: "Give the gateway more CPU, or lower the stream rates."
       )
@@ -103,7 +103,7 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
   defp unread(facts) do
     for %{overload: %{datagrams: datagrams}, id: id} <- facts.clients do
       Condition.new(:overload, :error, {:client, id},
-        title: "#{id} drops datagrams of clients, because they arrive faster than the gateway reads them",
+        title: "Endpoint #{id} is overloaded: data from clients lost",
         evidence: ["#{datagrams} datagrams since it began"],
         mend: "Give the gateway more CPU, or find out which client sends so much."
       )

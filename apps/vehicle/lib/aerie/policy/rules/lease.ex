@@ -22,11 +22,11 @@ defmodule Aerie.Policy.Rules.Lease do
   def check(_policy, facts, %{lease: nil}),
     do:
       {:deny,
-       "nobody is in charge of the vehicle; #{facts.type} needs take_control first (policy.lease.required)"}
+       "nobody is in charge of the vehicle; #{facts.type} #{Lease.take_first()} (policy.lease.required)"}
 
   def check(_policy, _facts, %{lease: lease, source: source}) do
     if source != nil and Lease.who(source) == lease.holder,
       do: :ok,
-      else: {:deny, Lease.in_charge(lease) <> "; take_control takes over"}
+      else: {:deny, "#{Lease.in_charge(lease)}; #{Lease.take_over()}"}
   end
 end

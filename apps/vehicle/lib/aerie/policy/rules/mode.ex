@@ -38,7 +38,7 @@ defmodule Aerie.Policy.Rules.Mode do
           {:deny, "what the mode #{name} does is not known, and modes are limited (policy.modes)"}
 
         named?(modes.denied, name, context) ->
-          {:deny, "the mode #{name} may not be asked for (modes.denied)"}
+          {:deny, "the mode #{name} is not allowed (modes.denied)"}
 
         facts.type == "mission_upload" ->
           nil

@@ -218,7 +218,7 @@ defmodule Aerie.Vehicle.Commands.Core do
   # --- Cancelling
 
   defp cancel(acc, %{phase: phase} = job, now) when phase in [:queued, :turn],
-    do: acc |> Steps.finish(job, {:cancelled, "it had not been sent"}, now) |> Steps.turns(now)
+    do: acc |> Steps.finish(job, {:cancelled, "cancelled before it was sent"}, now) |> Steps.turns(now)
 
   defp cancel(acc, %{phase: :refused} = job, now),
     do: acc |> Steps.finish(job, job.refusal, now) |> Steps.turns(now)
@@ -226,7 +226,7 @@ defmodule Aerie.Vehicle.Commands.Core do
   defp cancel({core, actions} = acc, job, now) do
     case core.protocol.cancel(Job.step(job), core.vehicle) do
       [] ->
-        {core, [{:not_cancelled, Job.id(job), "nothing cancels it"} | actions]}
+        {core, [{:not_cancelled, Job.id(job), "it cannot be cancelled"} | actions]}
 
       messages ->
         # Where it is cancelled by the command itself, the answers to both look alike.

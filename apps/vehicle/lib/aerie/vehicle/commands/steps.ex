@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
   # Time that comes in a larger jump than this is time in which the gateway, or its machine, stood still.
   @stall 100_000
   @longest_stall 2_000_000
-  @ambiguous "an acknowledgement came that may be for the command whose place it took"
+  @ambiguous "the acknowledgement may belong to the command it replaced"
 
   # --- Turns: what waits for its lane and may be sent now
 
@@ -158,7 +158,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
   end
 
   def answer(acc, job, {:failed, reason}, now), do: finish(acc, job, {:failed, reason}, now)
-  def answer(acc, job, :cancelled, now), do: finish(acc, job, {:cancelled, "the vehicle ceased"}, now)
+  def answer(acc, job, :cancelled, now), do: finish(acc, job, {:cancelled, "the vehicle stopped"}, now)
   def answer(acc, job, :done, now), do: step_done(acc, job, :completed, nil, now)
 
   def answer({core, _actions} = acc, job, {:instead, step}, now) do
@@ -205,7 +205,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
           finish(acc, job, job.refusal, now)
 
         Job.sent?(job) ->
-          reason = "the vehicle rebooted before it was known to be done"
+          reason = "the vehicle rebooted before the end was known"
           finish(acc, %{job | phase: :given_up}, {:unknown, reason}, now)
 
         job.done > 0 ->
@@ -255,8 +255,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
   end
 
   def due(acc, %{phase: :cancelling} = job, now),
-    do:
-      finish(acc, %{job | phase: :given_up}, {:unknown, "it was asked to cease, and said nothing more"}, now)
+    do: finish(acc, %{job | phase: :given_up}, {:unknown, "cancel was sent; the vehicle did not answer"}, now)
 
   def due(acc, %{phase: :refused} = job, now), do: finish(acc, job, job.refusal, now)
   def due(acc, job, now), do: judge(acc, job, now)

@@ -29,7 +29,7 @@ defmodule Aerie.Vehicle.Commands.Verdict do
       when condition in [nil, :told] do
     cond do
       job.refusal != nil -> {:unknown, "a repetition was refused: " <> elem(job.refusal, 1)}
-      answered?(job) -> {:timeout, "the vehicle accepted it and did not tell of its end"}
+      answered?(job) -> {:timeout, "the vehicle accepted it but did not report the end"}
       true -> {:unknown, "no acknowledgement came"}
     end
   end

@@ -33,6 +33,11 @@ const liveSocket = new LiveSocket("/live", Socket, {
   rejoinAfterMs: pause,
 });
 
+// After a link or a key has led to another page, the keyboard goes on from its content, and not from the top of the document.
+window.addEventListener("phx:page-loading-stop", ({ detail }) => {
+  if (detail?.kind === "redirect" && document.activeElement === document.body) document.getElementById("main")?.focus({ preventScroll: true });
+});
+
 liveSocket.connect();
 watch(liveSocket);
 actions();

@@ -1,6 +1,7 @@
 // Charts of chosen fields, one for each unit, with a common time. The server sends a row of samples at a time (`chart`). Pausing
 // keeps the picture while samples go on being collected; dragging zooms; a double click, or Live, goes back to the present.
 import { Samples } from "./chart/samples.js";
+import { time, ZONE } from "../lib/clock.js";
 import { save } from "../lib/files.js";
 import { color } from "../lib/theme.js";
 
@@ -61,7 +62,7 @@ export default {
     span.setAttribute("aria-label", "time shown");
     for (const [seconds, label] of WINDOWS) span.add(new Option(label, seconds));
     span.addEventListener("change", () => { this.window = Number(span.value); this.live(); });
-    this.pause = button("Pause", "keep the picture; samples go on being collected", () => this.hold(!this.paused));
+    this.pause = button("Pause", "freeze the picture; samples are still collected", () => this.hold(!this.paused));
     this.pause.setAttribute("aria-pressed", "false");
     const bar = document.createElement("div");
     bar.className = "chart-tools";
@@ -93,8 +94,11 @@ export default {
     const plot = new this.uPlot({
       width: this.place.clientWidth || 320, height: HEIGHT,
       scales: { x: { time: true, range: () => this.range() } },
-      series: [{ label: "time" }, ...lines],
-      axes: [{ stroke: axis, grid, ticks: grid }, { stroke: axis, grid, ticks: grid, label: unit || undefined, labelSize: unit ? 18 : 0, size: 56 }],
+      tzDate: (seconds) => this.uPlot.tzDate(new Date(seconds * 1000), ZONE),
+      series: [{ label: ZONE, value: (_plot, v) => (v === null ? "–" : time(v)) }, ...lines],
+      // uPlot's own labels have the browser's language: 2:39pm, 1,5.
+      axes: [{ stroke: axis, grid, ticks: grid, values: (_plot, times, _axis, _space, step) => times.map((at) => time(at, step >= 60)) },
+        { stroke: axis, grid, ticks: grid, values: (_plot, values) => values.map(number), label: unit || undefined, labelSize: unit ? 18 : 0, size: 56 }],
       cursor: { sync: { key: this.el.id }, drag: { x: true, y: false, setScale: false } },
       hooks: { setSelect: [(plot) => this.select(plot)] },
     }, this.samples.data(keys), this.list);
@@ -118,7 +122,7 @@ export default {
 
   hold(paused) {
     this.paused = paused;
-    this.pause.textContent = paused ? "Go on" : "Pause";
+    this.pause.textContent = paused ? "Resume" : "Pause";
     this.pause.setAttribute("aria-pressed", String(paused));
     if (paused) this.zoom ??= this.range();
     else this.live();

@@ -9,7 +9,7 @@ export async function chosen(input) {
   if (!file) return null;
   if (file.size > MOST) {
     input.value = "";
-    return { error: `${file.name} is larger than ${MOST / 1000} kB; send it by REST instead` };
+    return { error: `${file.name} is larger than ${MOST / 1000} kB; send it over REST instead` };
   }
   const text = await file.text();
   input.value = "";

@@ -1,13 +1,19 @@
 // A command without an end, and a reload; then each part of the page on a phone and on a desk. Argument: the console's address.
 import { equal, hold, live, main, open } from "../../../../test/browser/chromium.mjs";
+import { time } from "../../assets/lib/clock.js";
 import { signIn } from "./sign_in.mjs";
 
 const base = process.argv[2];
 const parts = ["", "/commands?c=goto", "/events", "/charts?f=battery.voltage,position.alt_rel", "/health", "/links"];
 const folder = process.env.AERIE_SCREENSHOTS;
 
+equal("a time of a chart", time(1795790345), "14:39:05");
+equal("a time of a chart without seconds", time(1795790345, true), "14:39");
+
 main(async (browser) => {
-  const page = await open(browser, { viewport: { width: 390, height: 844 }, hasTouch: true });
+  // The zone and the language of the browser change nothing about times.
+  const elsewhere = { timezoneId: "America/New_York", locale: "de-DE" };
+  const page = await open(browser, { viewport: { width: 390, height: 844 }, hasTouch: true, ...elsewhere });
   await signIn(page, base, "operator", "/vehicles/VID-007");
   await hold(page, "#action-rtl");
   await page.waitForSelector("#commands-now .life[data-state=pending]");
@@ -23,7 +29,10 @@ main(async (browser) => {
       await live(page);
       await page.waitForSelector("#action-land");
       if (part === "") await page.waitForSelector("#vehicle-map.map-ready, #vehicle-map.map-failed");
-      if (part.startsWith("/charts")) await page.waitForSelector(".uplot");
+      if (part.startsWith("/charts")) {
+        await page.waitForSelector(".uplot");
+        equal("the chart's clock", await page.textContent(".u-legend .u-series .u-label"), "UTC");
+      }
       const wide = await page.evaluate(() => document.querySelector("#main").scrollWidth - document.querySelector("#main").clientWidth);
       equal(`${part} is as wide as the ${name}`, wide <= 0, true);
       if (folder) await page.screenshot({ path: `${folder}/vehicle${part.replace(/\?.*/, "").replace("/", "_")}_${name}.png` });

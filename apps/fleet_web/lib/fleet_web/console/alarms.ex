@@ -27,6 +27,7 @@ defmodule FleetWeb.Console.Alarms do
   @type severity :: :critical | :warning | :notice
   @typedoc "The kind of condition, and the vehicle, link or other subject that it concerns."
   @type key :: {kind :: atom(), subject :: term()}
+  @typedoc "`:vehicle` is the one that it is about, and its page's name; the text does not name it again."
   @type condition :: %{key: key(), severity: severity(), text: String.t(), vehicle: String.t() | nil}
   @type alarm :: %{
           id: String.t(),
@@ -70,6 +71,15 @@ defmodule FleetWeb.Console.Alarms do
       _new_or_again ->
         alarm = Map.merge(condition, %{id: "a#{alarms.next}", source: source, since: now, over: nil, by: nil})
         %{alarms | next: alarms.next + 1} |> store(alarm) |> bound()
+    end
+  end
+
+  @doc "Gives a condition that holds another text, made from the alarm."
+  @spec reword(t(), key(), (alarm() -> String.t())) :: t()
+  def reword(%__MODULE__{} = alarms, key, text) do
+    case alarms.alarms do
+      %{^key => %{over: nil} = alarm} -> store(alarms, %{alarm | text: text.(alarm)})
+      _none -> alarms
     end
   end
 

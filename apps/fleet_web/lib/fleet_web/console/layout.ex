@@ -64,13 +64,14 @@ defmodule FleetWeb.Console.Layout do
     <div id="app" class="app">
       <header class="top">
         <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
-        <.alarm_strip alarms={@alarms} />
+        <.alarm_strip alarms={@alarms} age={@alarm_age} />
+        <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>
           <summary aria-label={"#{@user.name}, #{@user.role}: account and look"}>
             <.icon name="user" /><span class="wide-only">{@user.name}</span><.icon name="chevron-down" />
           </summary>
           <div class="menu-list">
-            <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge></p>
+            <p class="menu-head">{@user.name} <.badge>{@user.role}</.badge> <span class="clock phone-only">{@clock}</span></p>
             <.nav_link :for={entry <- Navigation.entries(@user.role)} :if={not entry.main} entry={entry} path={@path} class="phone-only" />
             <button type="button" data-action="theme"><.icon name="contrast" /> Dark or light</button>
             <button type="button" data-action="help"><.icon name="keyboard" /> Keyboard shortcuts <kbd>?</kbd></button>

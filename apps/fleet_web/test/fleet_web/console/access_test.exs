@@ -87,7 +87,7 @@ defmodule FleetWeb.Console.AccessTest do
   test "a role is enforced at each event, not only in what is shown", %{console: console} do
     put_vehicle(console, "VID-001")
     {:ok, view, _html} = live(conn(console, :viewer), "/alarms")
-    refute has_element?(view, "button", "All seen")
+    refute has_element?(view, "button", "Acknowledge all")
 
     assert render_click(view, "alarm-acknowledge", %{"all" => "yes"}) =~
              "As viewer you may not do this"

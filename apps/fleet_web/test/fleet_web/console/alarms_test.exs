@@ -88,7 +88,7 @@ defmodule FleetWeb.Console.AlarmsTest do
             {"battery.low", "reboot", %{"remaining" => 0.2}}
           ] do
         alarms = Edges.apply(Alarms.new(), event(begins, data))
-        assert [%{over: nil, text: "V-1: " <> _, vehicle: "V-1"}] = Alarms.list(alarms)
+        assert [%{over: nil, text: <<_first, _rest::binary>>, vehicle: "V-1"}] = Alarms.list(alarms)
         assert [%{over: 5_000}] = alarms |> Edges.apply(event(ends, data)) |> Alarms.list()
 
         assert alarms |> Edges.apply(event("statustext", %{"text" => "x"})) |> Alarms.list() ==
@@ -103,8 +103,23 @@ defmodule FleetWeb.Console.AlarmsTest do
             alarms |> Edges.apply(event(type, %{"remaining" => 0.1})) |> Alarms.acknowledge(:all, "ann")
         end
 
-      assert [%{severity: :critical, text: "V-1: battery nearly empty, 10 % left"}] = Alarms.list(alarms)
+      assert [%{severity: :critical, text: "Battery nearly empty, 10 % left"}] = Alarms.list(alarms)
     end
+  end
+
+  test "an alarm's text follows the value, and keeps the last one of a lost vehicle (F13)" do
+    alarms = Edges.apply(Alarms.new(), event("battery.critical", %{"remaining" => 0.1}))
+    battery = fn status, data -> [%{id: "V-1", status: status, groups: %{battery: %{data: data}}}] end
+    text = fn vehicles -> alarms |> Edges.follow(vehicles) |> Alarms.list() |> hd() |> Map.fetch!(:text) end
+
+    assert text.(battery.(:online, %{remaining: 0.06})) == "Battery nearly empty, 6 % left"
+    assert text.(battery.(:online, %{remaining: nil, voltage: 9.61})) == "Battery nearly empty, 9.6 V"
+
+    assert text.(battery.(:online, %{remaining: 0.9, batteries: [%{remaining: 0.9}, %{remaining: 0.04}]})) =~
+             "4 %"
+
+    for vehicles <- [[], battery.(:lost, %{remaining: 0.06}), battery.(:online, %{})],
+        do: assert(text.(vehicles) == "Battery nearly empty, 10 % left")
   end
 
   describe "snapshots" do
@@ -173,11 +188,14 @@ defmodule FleetWeb.Console.AlarmsTest do
       for view <- [one, other],
           do:
             eventually(fn ->
-              view |> element("#alarm-strip") |> render() =~ "VID-009: not heard any more, last seen armed"
+              has_element?(view, "#alarm-strip .alarm-text", "Lost contact while armed") and
+                has_element?(view, "#alarm-strip a[href='/vehicles/VID-009']", "VID-009") and
+                has_element?(view, "#alarm-strip .alarm-age", ~r/\A\s*\d+ s\s*\z/)
             end)
 
       eventually(fn -> render(other) =~ "alarm-row active" end)
-      one |> element("#alarm-strip button", "Seen") |> render_click()
+      assert has_element?(other, "#alarms a[href='/vehicles/VID-009']", "VID-009")
+      one |> element("#alarm-strip button", "Acknowledge") |> render_click()
       eventually(fn -> other |> element("#alarms") |> render() =~ "operator" end)
 
       put_vehicle(console, "VID-009")
@@ -199,7 +217,7 @@ defmodule FleetWeb.Console.AlarmsTest do
         Event.new("VID-001", "gps.lost", 1, System.os_time(:microsecond), nil, %{"fix_name" => "NO_FIX"})
 
       PubSub.publish(console.gateway, :events, event)
-      eventually(fn -> render(view) =~ "VID-001: GNSS position lost" end)
+      eventually(fn -> render(view) =~ "GNSS position lost" end)
       assert %{sound: :critical} = Server.summary(console.gateway)
     end
   end

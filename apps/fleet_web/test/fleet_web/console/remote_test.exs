@@ -50,7 +50,7 @@ defmodule FleetWeb.Console.RemoteTest do
     end
 
     {_view, html} = open(console, "/vehicles/#{@id}")
-    assert html =~ "Its events are at the gateway #{@via}."
+    assert html =~ "The gateway #{@via} has its events."
 
     for {section, words} <- [
           {"events", "Its events are shown there"},
@@ -60,7 +60,7 @@ defmodule FleetWeb.Console.RemoteTest do
       {view, html} = open(console, "/vehicles/#{@id}/#{section}")
       assert has_element?(view, "[data-elsewhere=#{@via}]", words)
       refute html =~ "No link hears this vehicle"
-      refute html =~ "Nothing has happened yet"
+      refute html =~ "No events yet"
     end
   end
 
@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.RemoteTest do
 
   test "parameters and plan: it can be chosen; the shadow leads back to it", %{console: console} do
     {view, _html} = open(console, "/params?vehicle=#{@id}")
-    assert has_element?(view, "[data-elsewhere=#{@via}]", "setting those of a file, is only there")
+    assert has_element?(view, "[data-elsewhere=#{@via}]", "Descriptions and setting parameters from a file")
     assert has_element?(view, "#params-vehicle-choice option[selected]", @id)
     # Without NATS that gateway cannot be asked, and the page says so.
     eventually(fn -> render(view) =~ "The parameters could not be read" end)
@@ -110,8 +110,8 @@ defmodule FleetWeb.Console.RemoteTest do
     })
 
     {view, _html} = open(console, "/alarms")
-    eventually(fn -> render(view) =~ "#{@id}: the vehicle reports an emergency" end)
+    eventually(fn -> has_element?(view, "#alarms td", "Emergency reported by the vehicle") end)
     Remote.heard(console.gateway, @id, @via, %{context.facts | status: :lost}, now)
-    eventually(fn -> render(view) =~ "#{@id}: not heard any more, last seen armed" end)
+    eventually(fn -> has_element?(view, "#alarms td", "Lost contact while armed") end)
   end
 end

@@ -11,7 +11,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     assert html =~ "operator"
 
     fields = %{"name" => "ann", "role" => "viewer", "password" => "a-password-of-ann"}
-    assert view |> form("#add-user", fields) |> render_submit() =~ "The user was added and may sign in now."
+    assert view |> form("#add-user", fields) |> render_submit() =~ "User added. They can sign in now."
     assert {:ok, %{role: :viewer}} = Users.check(console.gateway, "ann", "a-password-of-ann", {:name, "test"})
 
     view |> form("#role-ann", %{"role" => "operator"}) |> render_change()
@@ -22,7 +22,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     assert {:ok, _user} = Users.check(console.gateway, "ann", "another-of-ann", {:name, "test"})
 
     view |> element("#user-ann button", "Remove") |> render_click()
-    assert view |> element("#remove-user button.danger") |> render_click() =~ "The user was removed"
+    assert view |> element("#remove-user button.danger") |> render_click() =~ "User removed"
     assert Users.find(console.gateway, "ann") == nil
   end
 
@@ -30,7 +30,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     {:ok, view, _html} = live(conn(console, :admin), "/settings")
     fields = %{"name" => "ann", "role" => "viewer", "password" => "short"}
     assert view |> form("#add-user", fields) |> render_submit() =~ "10 characters or more"
-    assert render_click(view, "add", %{"name" => "x"}) =~ "The form is not complete."
+    assert render_click(view, "add", %{"name" => "x"}) =~ "Fill in all fields."
     assert length(Users.list(console.gateway)) == 3
   end
 
@@ -83,7 +83,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     again |> element("#keys button", "Revoke") |> render_click()
 
     assert again |> element("#revoke-key button.danger") |> render_click() =~
-             "The key was revoked."
+             "Key revoked."
 
     assert status(console, text) == 200
     refute has_element?(again, "#keys")
@@ -142,7 +142,7 @@ defmodule FleetWeb.Console.Settings.PageTest do
     refute has_element?(view, "[id='key-http.hosts']")
 
     assert view |> form("#configuration-filter", %{search: "nothing like it"}) |> render_change() =~
-             "No key is like this"
+             "No match"
 
     {:ok, _view, html} = live(conn(console, :operator), "/settings?part=configuration")
     refute html =~ "aerie.yaml"

@@ -22,15 +22,15 @@ defmodule FleetWeb.Console.Alarms.Conditions do
 
     silent(vehicle.status, id, flying?) ++
       if emergency?,
-        do: [condition(:emergency, id, :critical, "the vehicle reports an emergency", id)],
+        do: [condition(:emergency, id, :critical, "Emergency reported by the vehicle", id)],
         else: []
   end
 
   defp silent(:lost, id, true),
-    do: [condition(:vehicle, id, :critical, "not heard any more, last seen armed", id)]
+    do: [condition(:vehicle, id, :critical, "Lost contact while armed", id)]
 
-  defp silent(:lost, id, false), do: [condition(:vehicle, id, :notice, "not heard any more", id)]
-  defp silent(:stale, id, true), do: [condition(:vehicle, id, :warning, "silent while armed", id)]
+  defp silent(:lost, id, false), do: [condition(:vehicle, id, :notice, "Lost contact", id)]
+  defp silent(:stale, id, true), do: [condition(:vehicle, id, :warning, "No contact while armed", id)]
   defp silent(_status, _id, _flying?), do: []
 
   @doc "Conditions of a link's snapshot."
@@ -43,12 +43,12 @@ defmodule FleetWeb.Console.Alarms.Conditions do
         :link,
         id,
         :warning,
-        "link is #{status}" <> if(link[:text], do: ": #{link.text}", else: ""),
+        "Link #{id} is #{status}" <> if(link[:text], do: ": #{link.text}", else: ""),
         nil
       )
     ]
 
-  @doc "Those of the diagnosis' conditions that are alarms: collisions of ids, overload, damaged frames, a hub that stores nothing."
+  @doc "Those of the diagnosis' conditions that are alarms: duplicate system ids, overload, damaged frames, a hub that stores nothing."
   @spec diagnosed([Condition.t()]) :: [Alarms.condition()]
   def diagnosed(conditions) do
     for %{name: name, subject: subject, severity: severity, title: title} <- conditions,
@@ -74,13 +74,13 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   def gateway(identity, nats, audit) do
     for {kind, severity, text} <- [
           {:identity, :critical, identity.alarm},
-          {:events, :warning, nats && "events are not stored: #{nats}"},
-          {:audit, :warning, audit && "commands are refused: the audit log #{audit}"}
+          {:events, :warning, nats && "Events are not stored: #{nats}"},
+          {:audit, :warning, audit && "Commands are refused: the audit log #{audit}"}
         ],
         text != nil,
         do: %{key: {kind, :gateway}, severity: severity, text: text, vehicle: nil}
   end
 
-  defp condition(kind, id, severity, words, vehicle),
-    do: %{key: {kind, id}, severity: severity, text: "#{id}: #{words}", vehicle: vehicle}
+  defp condition(kind, id, severity, text, vehicle),
+    do: %{key: {kind, id}, severity: severity, text: text, vehicle: vehicle}
 end

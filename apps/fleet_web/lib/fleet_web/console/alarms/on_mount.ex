@@ -1,31 +1,53 @@
 defmodule FleetWeb.Console.Alarms.OnMount do
-  @moduledoc "Gives every page the summary of the alarms (`@alarms`), and handles *Seen*."
+  @moduledoc "Gives every page the summary of the alarms (`@alarms`), the time (`@clock`) and the age of the first alarm (`@alarm_age`); handles *Acknowledge*."
 
   import Phoenix.Component
   import Phoenix.LiveView
 
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Alarms.Server
+  alias FleetWeb.Console.Clock
+  alias FleetWeb.Console.UI.Age
+
+  @tick_ms 1_000
 
   @doc false
   def on_mount(:default, _params, _session, %{assigns: %{gateway: gateway}} = socket) do
-    if connected?(socket), do: PubSub.subscribe(gateway, {:notice, :console_alarms})
+    _timer =
+      if connected?(socket) do
+        PubSub.subscribe(gateway, {:notice, :console_alarms})
+        tick()
+      end
 
     {:cont,
      socket
      |> assign(:alarms, Server.summary(gateway))
+     |> clock()
      |> attach_hook(:console_alarms, :handle_info, &told/2)
      |> attach_hook(:console_acknowledge, :handle_event, &asked/3)}
   end
 
   # The page that lists them reads the whole list now.
   defp told({:fleet, {:notice, :console_alarms}, summary}, socket) do
-    socket = assign(socket, :alarms, summary)
+    socket = socket |> assign(:alarms, summary) |> clock()
     if socket.private[:console_refresh], do: send(self(), :refresh)
     {:halt, socket}
   end
 
+  defp told(:console_clock, socket) do
+    _timer = tick()
+    {:halt, clock(socket)}
+  end
+
   defp told(_message, socket), do: {:cont, socket}
+
+  defp tick, do: Process.send_after(self(), :console_clock, @tick_ms)
+
+  # Texts, so that what looks the same is not sent again.
+  defp clock(%{assigns: %{alarms: %{first: first}}} = socket) do
+    now = System.os_time(:microsecond)
+    assign(socket, clock: Clock.minute(now), alarm_age: first && Age.text(now - first.since))
+  end
 
   # `Access.OnMount` has already refused anybody below an operator.
   defp asked("alarm-acknowledge", value, %{assigns: %{user: user, gateway: gateway}} = socket) do

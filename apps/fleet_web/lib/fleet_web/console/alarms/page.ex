@@ -1,10 +1,13 @@
 defmodule FleetWeb.Console.Alarms.Page do
-  @moduledoc "The page of all alarms: what they are about, since when, and who has seen them."
+  @moduledoc "The page of all alarms: which vehicle, what, how old, and who has acknowledged them."
   use FleetWeb.Console, :page
 
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Alarms
   alias FleetWeb.Console.Alarms.{Server, Strip}
+  alias FleetWeb.Console.Clock
+  alias FleetWeb.Console.UI.Age
+  alias FleetWeb.Console.Vehicle.Sections
 
   @impl Phoenix.LiveView
   def mount(_params, _session, socket),
@@ -25,25 +28,26 @@ defmodule FleetWeb.Console.Alarms.Page do
     ~H"""
     <div class="spread page-title">
       <h1>Alarms</h1>
-      <.button :if={@may?} phx-click="alarm-acknowledge" phx-value-all="yes" icon="check" disabled={@alarms.waiting == 0}>All seen</.button>
+      <.button :if={@may?} phx-click="alarm-acknowledge" phx-value-all="yes" icon="check" disabled={@alarms.waiting == 0}>Acknowledge all</.button>
     </div>
-    <.stale :if={@dropped > 0}>{@dropped} more alarms did not fit into this list.</.stale>
+    <.stale :if={@dropped > 0}>{@dropped} more alarms did not fit in this list.</.stale>
     <.empty :if={@rows == []} icon="check" title="No alarms">
-      Lost vehicles and links, failsafes, batteries, fences and collisions of ids appear here.
+      Lost vehicles and links, failsafes, batteries, fences and duplicate system ids appear here.
     </.empty>
     <.data_table :if={@rows != []} id="alarms" label="Alarms" rows={@rows} row_id={&"alarm-#{&1.id}"} row_class={&"alarm-row #{&1.state}"}>
       <:col :let={row} label="Severity"><.badge kind={Strip.kind_of(row)}>{row.severity}</.badge></:col>
+      <:col :let={row} label="Vehicle"><.link :if={row.vehicle} navigate={Sections.path(row.vehicle, "fly")}>{row.vehicle}</.link></:col>
       <:col :let={row} label="What" class="grow">{row.text}</:col>
-      <:col :let={row} label="Since" number>{FleetWeb.Console.UI.Age.text(row.age)}</:col>
+      <:col :let={row} label="Age" number><time title={Clock.full(row.since)}>{Age.text(row.age)}</time></:col>
       <:col :let={row} label="State">{state(row)}</:col>
-      <:col :let={row} label="Seen">
+      <:col :let={row} label="Acknowledged by">
         <span :if={row.by}>{row.by}</span>
-        <.button :if={row.by == nil && @may?} small phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Seen</.button>
+        <.button :if={row.by == nil && @may?} small phx-click="alarm-acknowledge" phx-value-alarm={row.id}>Acknowledge</.button>
       </:col>
     </.data_table>
     """
   end
 
-  defp state(%{over: over}) when over != nil, do: "over"
-  defp state(_alarm), do: "holds"
+  defp state(%{over: over}) when over != nil, do: "Cleared"
+  defp state(_alarm), do: "Active"
 end

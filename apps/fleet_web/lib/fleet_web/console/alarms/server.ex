@@ -84,12 +84,13 @@ defmodule FleetWeb.Console.Alarms.Server do
   defp look(%{gateway: gateway} = state) do
     now = System.os_time(:microsecond)
     state = %{state | problem_since: problem_since(state, now)}
-    vehicles = gateway |> Fleet.vehicles() |> Enum.flat_map(&Conditions.vehicle/1)
+    vehicles = Fleet.vehicles(gateway)
     links = gateway |> Store.links() |> Enum.flat_map(&Conditions.link/1)
 
     alarms =
       state.alarms
-      |> Alarms.put(:vehicles, vehicles, now)
+      |> Alarms.put(:vehicles, Enum.flat_map(vehicles, &Conditions.vehicle/1), now)
+      |> Edges.follow(vehicles)
       |> Alarms.put(:links, links, now)
       |> Alarms.put(:gateway, own(gateway, now - state.problem_since > @settle_us), now)
       |> diagnosed(gateway, now)

@@ -1,13 +1,15 @@
 defmodule FleetWeb.Console.Alarms.Strip do
   @moduledoc """
-  The alarms in the header of every page: the first alarm, how many there are, and the switch for sound. It takes the same space with and
+  The alarms in the header of every page: the first alarm with its vehicle and age, how many there are, and the switch for sound. It takes the same space with and
   without alarms, so that the page does not move when one appears.
   """
   use FleetWeb.Console, :component
 
   alias FleetWeb.Console.Alarms
+  alias FleetWeb.Console.Vehicle.Sections
 
   attr :alarms, :map, required: true
+  attr :age, :string, required: true, doc: "of the first alarm, nil without one"
 
   @doc "The strip."
   def alarm_strip(assigns) do
@@ -23,22 +25,23 @@ defmodule FleetWeb.Console.Alarms.Strip do
       phx-hook="AlarmSound"
       data-sound={@alarms.sound}
     >
+      <.icon name={if(@alarms.first, do: "alert", else: "check")} />
+      <.link :if={@alarms.first && @alarms.first.vehicle} navigate={Sections.path(@alarms.first.vehicle, "fly")} class="alarm-vehicle">{@alarms.first.vehicle}</.link>
       <.link navigate="/alarms" class="alarm-first">
-        <.icon name={if(@alarms.first, do: "alert", else: "check")} />
         <span :if={@alarms.first} class="alarm-text">{@alarms.first.text}</span>
+        <span :if={@alarms.first} class="alarm-age">{@age}</span>
         <span :if={!@alarms.first} class="alarm-text">No alarms</span>
         <.badge :if={@total > 1} kind={@kind}>{@total}<span class="visually-hidden"> alarms</span></.badge>
-        <span :if={@alarms.first && Alarms.state(@alarms.first) == :over} class="muted">over</span>
+        <span :if={@alarms.first && Alarms.state(@alarms.first) == :over} class="muted">Cleared</span>
       </.link>
       <button
         :if={@alarms.first && @alarms.first.by == nil}
         type="button"
         class="button small"
+        aria-label="Acknowledge"
         phx-click="alarm-acknowledge"
         phx-value-alarm={@alarms.first.id}
-      >
-        Seen
-      </button>
+      ><.icon name="check" class="phone-only" /><span class="wide-only">Acknowledge</span></button>
       <button
         type="button"
         id="alarm-sound"

@@ -9,6 +9,7 @@ defmodule FleetWeb.Console.Audit.Page do
   alias Aerie.Policy.Audit
   alias Aerie.Policy.Audit.{Reader, Verify}
   alias FleetWeb.Console.Access.Role
+  alias FleetWeb.Console.Clock
   alias FleetWeb.Costly
 
   @limit 50
@@ -130,7 +131,7 @@ defmodule FleetWeb.Console.Audit.Page do
     </div>
     <.error :if={@error} title="The audit log cannot be read">{@error}</.error>
     <p :if={@status && @status.failing} class="notice bad" role="alert">
-      <.icon name="alert" /> <span>It cannot be written ({@status.failing}): {@status.missed} records are missing, and commands that must be recorded are denied.</span>
+      <.icon name="alert" /> <span>The audit log cannot be written ({@status.failing}): {@status.missed} records are missing. Commands that must be recorded are refused.</span>
     </p>
     <p :if={@status && @status.n} class="muted">
       Record {@status.n}, {div(@status.bytes, 1024)} KiB in <code>{@status.dir}</code>, hash <code title={@status.hash}>{String.slice(@status.hash, 0, 16)}…</code>
@@ -142,10 +143,10 @@ defmodule FleetWeb.Console.Audit.Page do
       <.field id="audit-type" name="type" label="Type" value={@filter["type"]} hint="decision, result, raw, link …" phx-debounce="300" />
     </form>
     <.loading :if={@page == nil && @error == nil} />
-    <.empty :if={@page && @page.records == []} icon="audit" title="No record matches">{@page.searched} records were searched.</.empty>
+    <.empty :if={@page && @page.records == []} icon="audit" title="No record matches">{@page.searched} records searched</.empty>
     <.data_table :if={@page && @page.records != []} id="records" label="Records of the audit log" rows={@page.records} row_id={&"record-#{&1["n"]}"}>
       <:col :let={record} label="No." number>{record["n"]}</:col>
-      <:col :let={record} label="Time"><span class="mono">{time(record["at"])}</span></:col>
+      <:col :let={record} label="Time"><time class="mono" title={record["at"]}>{Clock.stamp(record["at"])}</time></:col>
       <:col :let={record} label="Type">{record["type"]}</:col>
       <:col :let={record} label="Decision"><.badge :if={record["decision"]} kind={if(record["decision"] == "allow", do: "ok", else: "bad")}>{record["decision"]}</.badge></:col>
       <:col :let={record} label="Who">{value(record["source"])}</:col>
@@ -156,7 +157,7 @@ defmodule FleetWeb.Console.Audit.Page do
     <div :if={@page} class="row section">
       <.button :if={@before} phx-click="newest">Newest</.button>
       <.button :if={@page.next} phx-click="older" disabled={@reading != nil}>Older</.button>
-      <span :if={@before} class="muted">Older records: this page does not follow the log.</span>
+      <span :if={@before} class="muted">Older records: not updated live</span>
     </div>
     """
   end
@@ -167,7 +168,7 @@ defmodule FleetWeb.Console.Audit.Page do
     assigns = assign(assigns, :text, text)
 
     ~H"""
-    <p id="audit-report" class="notice bad" role="alert"><.icon name="alert" /> <span>It cannot be verified: {@text}</span></p>
+    <p id="audit-report" class="notice bad" role="alert"><.icon name="alert" /> <span>Cannot be verified: {@text}</span></p>
     """
   end
 
@@ -178,18 +179,15 @@ defmodule FleetWeb.Console.Audit.Page do
     <div id="audit-report" class={["notice", if(@report.problems == [], do: "info", else: "bad")]} role="status">
       <.icon name={if(@report.problems == [], do: "check", else: "alert")} />
       <div>
-        <p>{if @report.problems == [], do: "The log is whole: #{@report.records} records, each follows the one before.", else: "The log is not what was written:"}</p>
+        <p>{if @report.problems == [], do: "The log is intact: #{@report.records} records in an unbroken chain.", else: "The log was changed:"}</p>
         <ul><li :for={line <- @report.problems ++ @report.notes}>{line}</li></ul>
-        <p class="muted">Last hash <code>{@report.hash}</code>. Keep it elsewhere to prove that nothing is cut off later.</p>
+        <p class="muted">Last hash <code>{@report.hash}</code>. Keep a copy elsewhere to prove later that nothing was cut off.</p>
       </div>
     </div>
     """
   end
 
   defp decisions, do: for(decision <- @decisions, do: {decision, decision})
-
-  defp time(at) when is_binary(at), do: at |> String.slice(0, 23) |> String.replace("T", " ")
-  defp time(_none), do: "–"
 
   defp value(nil), do: ""
   defp value(value), do: Reader.shown(value)

@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Commands.Catalog do
     navigation: "Navigation",
     mission: "Mission",
     payload: "Payload",
-    manual: "By hand and set-points",
+    manual: "Manual control and set-points",
     maintenance: "Maintenance",
     telemetry: "Telemetry",
     control: "In charge"
@@ -60,17 +60,19 @@ defmodule FleetWeb.Console.Commands.Catalog do
   @spec title(String.t()) :: String.t()
   def title("rtl"), do: "Return to launch"
   def title("goto"), do: "Go to"
+  def title("jump"), do: "Jump to item"
+  def title("prearm_check"), do: "Pre-arm check"
   def title("takeoff"), do: "Take off"
   def title("rc_override"), do: "RC override"
   def title("rx_pair"), do: "Bind receiver"
-  def title("set_roi"), do: "Set point of interest"
-  def title("clear_roi"), do: "Clear point of interest"
+  def title("set_roi"), do: "Set region of interest"
+  def title("clear_roi"), do: "Clear region of interest"
   def title("vtol_transition"), do: "VTOL transition"
   def title(name), do: name |> String.replace("_", " ") |> String.capitalize()
 
   defp denied(type, user) do
     unless Roles.allowed?(user, type.permission),
-      do: "#{user.name} (#{user.role}) does not have the permission #{type.permission}"
+      do: "#{user.name} (#{user.role}) needs the permission #{type.permission}"
   end
 
   defp found?(%{name: name}, _title, []), do: name not in @stream

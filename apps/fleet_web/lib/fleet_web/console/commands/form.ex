@@ -12,6 +12,17 @@ defmodule FleetWeb.Console.Commands.Form do
   @max_text 256
   @max_items 64
 
+  # Names that are no words.
+  @labels %{
+    "lat" => "latitude",
+    "lon" => "longitude",
+    "altitude_msl" => "altitude (MSL)",
+    "altitude_reference" => "altitude above",
+    "seq" => "item",
+    "pwm" => "pulse width",
+    "setpoints_elsewhere" => "set-points from elsewhere"
+  }
+
   @typedoc """
     * `:input` - the kind of control; a boolean with one allowed value is a `:tick`
     * `:value` - the initial text
@@ -48,7 +59,7 @@ defmodule FleetWeb.Console.Commands.Form do
 
     %{
       name: name,
-      label: String.replace(name, "_", " "),
+      label: @labels[name] || String.replace(name, "_", " "),
       input: input(param),
       value: Map.get(given, name) || text(param.default),
       values: Enum.map(param.values || [], &to_string/1),

@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.Commands.Give do
   alias Aerie.Command.{Error, Types}
   alias Aerie.{Commands, Names}
   alias Aerie.Policy.Roles
-  alias FleetWeb.Console.Commands.Form
+  alias FleetWeb.Console.Commands.{Form, Life}
 
   @doc "Gives the command. `{:invalid, type, errors}`: its parameters are wrong; `{:refused, text}`: it was refused."
   @spec give(Names.gateway(), vehicle :: String.t(), Roles.source(), event :: map()) ::
@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Commands.Give do
       envelope = %{"id" => id, "vehicle" => vehicle, "type" => name, "params" => params}
       gateway |> Commands.submit(envelope, user, via: "console", wait_ms: 0) |> answer()
     else
-      :error -> {:refused, "there is no such command"}
+      :error -> {:refused, "this command does not exist"}
       {:error, errors} -> {:invalid, name, errors}
     end
   end
@@ -34,8 +34,8 @@ defmodule FleetWeb.Console.Commands.Give do
   defp answer({:pending, id}), do: {:ok, id}
 
   defp answer({:ok, %{status: status, reason: reason}}) when status in [:denied, :rejected],
-    do: {:refused, reason}
+    do: {:refused, Life.advice(reason)}
 
   defp answer({:ok, %{id: id}}), do: {:ok, id}
-  defp answer({:error, errors}), do: {:refused, Error.text(errors)}
+  defp answer({:error, errors}), do: {:refused, Life.advice(Error.text(errors))}
 end

@@ -1,13 +1,15 @@
 defmodule FleetWeb.Console.Commands.Life do
   @moduledoc "The state of a command in words, with a tone and an icon, so that states differ by more than colour. Pure."
 
-  alias Aerie.Command.{Param, Result, Types}
+  alias Aerie.Command.{Result, Types}
   alias Aerie.Commands.Recent
-  alias FleetWeb.Console.Commands.Catalog
+  alias Aerie.Policy.Lease
+  alias FleetWeb.Console.Commands.{Catalog, Course, Wording}
 
   @typedoc """
     * `:state` - `:pending` (no answer yet), `:progress`, or a result's status
-    * `:tone` - `:busy`, `:good`, `:plain`, `:bad`, `:unsure`
+    * `:tone` - `:busy`, `:going`, `:good`, `:plain`, `:bad`, `:unsure`
+    * `:going` - whether the vehicle is still carrying it out (`FleetWeb.Console.Commands.Course`)
     * `:share` - 0..100, nil if the vehicle does not report it
     * `:cancel` - whether it can be cancelled
   """
@@ -20,8 +22,9 @@ defmodule FleetWeb.Console.Commands.Life do
           via: String.t(),
           at: integer(),
           done_at: integer() | nil,
+          going: boolean(),
           state: :pending | :progress | Result.status(),
-          tone: :busy | :good | :plain | :bad | :unsure,
+          tone: :busy | :going | :good | :plain | :bad | :unsure,
           label: String.t(),
           text: String.t() | nil,
           share: 0..100 | nil,
@@ -41,20 +44,21 @@ defmodule FleetWeb.Console.Commands.Life do
     expired: {:bad, "Too late"}
   }
 
-  @doc "How to show a command."
-  @spec of(Recent.entry()) :: t()
-  def of(entry) do
-    {state, tone, label, text, share} = state(entry)
+  @doc "How to show a command. `course`: how far the vehicle is with what it completed by beginning it, nil where that is not known."
+  @spec of(Recent.entry(), Course.t() | nil) :: t()
+  def of(entry, course \\ nil) do
+    {state, tone, label, text, share} = entry |> state() |> with_course(course)
 
     %{
       id: entry.id,
       name: entry.type,
       title: Catalog.title(entry.type),
-      params: params(entry.params),
+      params: Wording.params(entry.type, entry.params),
       source: entry.source,
       via: entry.via,
       at: entry.at,
-      done_at: entry.done_at,
+      done_at: (course && course.at) || entry.done_at,
+      going: course != nil and course.stage == :going,
       state: state,
       tone: tone,
       label: label,
@@ -63,6 +67,13 @@ defmodule FleetWeb.Console.Commands.Life do
       cancel: entry.result == nil and cancel?(Types.fetch(entry.type))
     }
   end
+
+  @courses %{going: :going, there: :good, ended: :plain}
+
+  defp with_course({:completed, _tone, _label, text, share}, %{stage: stage} = course),
+    do: {:completed, @courses[stage], course.label, course.text || text, share}
+
+  defp with_course(state, _none), do: state
 
   defp state(%{result: nil, progress: nil}), do: {:pending, :busy, "Pending", nil, nil}
 
@@ -76,35 +87,31 @@ defmodule FleetWeb.Console.Commands.Life do
 
   defp state(%{result: result}) do
     {tone, label} = Map.fetch!(@results, result.status)
-    {result.status, tone, label, result.reason || meaning(result.status), nil}
+    {result.status, tone, label, reason(result) || meaning(result.status), nil}
+  end
+
+  defp reason(%{reason: nil}), do: nil
+  defp reason(%{reason: reason}), do: advice(reason)
+
+  @doc "A refusal's reason with what to do on these pages, where the policy names a command."
+  @spec advice(String.t()) :: String.t()
+  def advice(reason) do
+    reason
+    |> String.replace(Lease.take_over(), "take over under “in charge”")
+    |> String.replace(Lease.take_first(), "needs somebody in charge: take charge first")
   end
 
   # The meaning of an uncertain end is shown beside it.
-  defp meaning(:accepted), do: "the vehicle accepted it; nothing in its state shows more"
-  defp meaning(:timeout), do: "the vehicle may have done it"
-  defp meaning(:unknown), do: "the vehicle may have done it"
+  defp meaning(:accepted), do: "The vehicle accepted it. Its state does not show whether it acted."
+  defp meaning(:timeout), do: "The vehicle may have done it."
+  defp meaning(:unknown), do: "The vehicle may have done it."
   defp meaning(_status), do: nil
 
   # Transfers are in the list too, but not in the table of commands. All of them can be cancelled.
   defp cancel?({:ok, type}), do: type.cancel?
   defp cancel?(:error), do: true
 
-  @doc "Parameters in one line: `altitude 20, speed 5`."
-  @spec params(map()) :: String.t()
-  def params(params) do
-    params
-    |> Enum.sort()
-    |> Enum.map_join(", ", fn {name, value} ->
-      "#{String.replace(to_string(name), "_", " ")} #{value(value)}"
-    end)
-  end
-
-  defp value(number) when is_float(number), do: number |> Float.round(7) |> Param.shown()
-  defp value(list) when is_list(list), do: Enum.map_join(list, " ", &value/1)
-  defp value(other) when is_binary(other) or is_atom(other) or is_integer(other), do: to_string(other)
-  defp value(other), do: inspect(other, limit: 5, printable_limit: 60)
-
-  @doc "Whether a command is under way."
+  @doc "Whether a command has no result yet."
   @spec under_way?(t()) :: boolean()
-  def under_way?(life), do: life.tone == :busy
+  def under_way?(life), do: life.state in [:pending, :progress]
 end

@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Commands.Lives do
     ~H"""
     <ul id={@id} class={["lives", @class]} aria-live="polite">
       <li :for={life <- @lives} :key={life.id} id={"#{@id}-#{life.id}"} class={["life", Atom.to_string(life.tone)]} data-state={life.state}>
-        <.icon name={sign(life.state)} />
+        <.icon name={if life.going, do: "refresh", else: sign(life.state)} />
         <span class="life-name"><strong>{life.title}</strong> <span class="muted">{life.params}</span></span>
         <.badge kind={frame(life.tone)}>{life.label}{if(life.share, do: " #{life.share} %")}</.badge>
         <span :if={life.text} class="life-text">{life.text}</span>
@@ -35,6 +35,7 @@ defmodule FleetWeb.Console.Commands.Lives do
   defp sign(_refused), do: "alert"
 
   defp frame(:busy), do: "info"
+  defp frame(:going), do: "info"
   defp frame(:good), do: "ok"
   defp frame(:plain), do: "plain"
   defp frame(:bad), do: "bad"

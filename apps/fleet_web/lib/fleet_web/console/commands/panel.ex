@@ -10,6 +10,8 @@ defmodule FleetWeb.Console.Commands.Panel do
     default: :allow,
     doc: "what `Aerie.Commands.check/2` says, nil while the form is not filled in"
 
+  attr :obstacles, :list, default: [], doc: "what the vehicle's state says against it, in words"
+
   @doc "The name, meaning and form of a command, or why it cannot be given."
   def panel(assigns) do
     ~H"""
@@ -17,7 +19,7 @@ defmodule FleetWeb.Console.Commands.Panel do
       <h2 id="command-title">{@entry.title}</h2>
       <p>{@entry.type.meaning}</p>
       <p class="hint">{nature(@entry.type)}</p>
-      <p :if={@entry.gap} class="notice warn" role="note"><.icon name="info" /> <span>This vehicle cannot: {@entry.gap}.</span></p>
+      <p :if={@entry.gap} class="notice warn" role="note"><.icon name="info" /> <span>Not available on this vehicle: {@entry.gap}.</span></p>
       <p :if={@entry.denied} class="notice info" role="note"><.icon name="lock" /> <span>{@entry.denied}.</span></p>
       <form
         :if={@entry.gap == nil and @entry.denied == nil}
@@ -30,7 +32,7 @@ defmodule FleetWeb.Console.Commands.Panel do
       >
         <.command_field :for={field <- @fields} :key={field.name} field={field} error={@errors.fields[field.name]} />
         <p :for={text <- @errors.general} class="field-error" role="alert">{text}</p>
-        <.answer :if={@answer != nil} answer={@answer} />
+        <.answer :if={@answer != nil} answer={@answer} obstacles={@obstacles} />
         <.hold_button
           :if={@entry.type.moves_vehicle?}
           id={"command-send-#{@entry.type.name}"}
@@ -39,29 +41,36 @@ defmodule FleetWeb.Console.Commands.Panel do
           hold_ms={hold(@entry.type)}
           phx-value-type={@entry.type.name}
         >
-          Hold: {String.downcase(@entry.title)}
+          {@entry.title} (press and hold)
         </.hold_button>
-        <.button :if={not @entry.type.moves_vehicle?} type="submit" kind="primary">Send: {String.downcase(@entry.title)}</.button>
+        <.button :if={not @entry.type.moves_vehicle?} type="submit" kind="primary">{@entry.title}</.button>
       </form>
     </section>
     """
   end
 
   attr :answer, :any, required: true
+  attr :obstacles, :list, default: []
 
-  @doc "The policy's and the firmware's answer to a command before it is sent."
+  @doc "The policy's and the firmware's answer to a command before it is sent, and what the vehicle's state says against it."
   def answer(assigns) do
     ~H"""
     <p class={["policy-answer", if(@answer == :allow, do: "ok", else: "bad")]} role="status" data-answer={if(@answer == :allow, do: "allow", else: "deny")}>
       <.icon name={if(@answer == :allow, do: "check", else: "alert")} />
       <span>{words(@answer)}</span>
     </p>
+    <ul :if={@answer == :allow and @obstacles != []} class="reasons obstacles" aria-label="What speaks against it">
+      <li :for={text <- @obstacles}><.icon name="alert" /> {text}</li>
+    </ul>
     """
   end
 
-  defp words(:allow), do: "Would be allowed"
-  defp words({:deny, :firmware, reason}), do: "The vehicle would not do it: #{reason}"
-  defp words({:deny, _rule, reason}), do: "Would be refused: #{reason}"
+  defp words(:allow), do: "The policy allows it"
+  defp words({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
+
+  defp words({:deny, _rule, reason}),
+    do: "The policy refuses it: #{FleetWeb.Console.Commands.Life.advice(reason)}"
+
   defp words({:error, errors}), do: "Not complete: #{Aerie.Command.Error.text(errors)}"
 
   attr :field, :map, required: true
@@ -128,13 +137,13 @@ defmodule FleetWeb.Console.Commands.Panel do
 
   defp nature(type) do
     [
-      if(type.moves_vehicle?, do: "It may move the vehicle."),
-      if(type.retry == :never, do: "It is sent only once."),
+      if(type.moves_vehicle?, do: "May move the vehicle."),
+      if(type.retry == :never, do: "Sent once, never repeated."),
       if(type.confirmed_by,
         do: "Done when #{type.confirmed_by}.",
-        else: "Only the vehicle's answer shows the outcome."
+        else: "Only the vehicle's answer is known, not whether it acted."
       ),
-      if(type.cancel?, do: "It can be cancelled."),
+      if(type.cancel?, do: "Can be cancelled."),
       "Permission: #{type.permission}."
     ]
     |> Enum.reject(&is_nil/1)
@@ -159,7 +168,7 @@ defmodule FleetWeb.Console.Commands.Panel do
       <form id="command-search" phx-change="command_search" phx-submit="command_search">
         <.field id="command-search-text" name="search" type="search" label="Search commands" label_hidden={true} placeholder="Search commands" value={@search} autocomplete="off" phx-debounce="150" />
       </form>
-      <p :if={@groups == []} class="muted">No command has these words.</p>
+      <p :if={@groups == []} class="muted">No match</p>
       <div :for={{title, entries} <- @groups} :key={title}>
         <h3>{title}</h3>
         <ul>

@@ -45,10 +45,10 @@ defmodule FleetWeb.Console.Diagnosis.Page do
         </.button>
       </div>
     </div>
-    <.error :if={!@running?} title="The diagnosis is not running">It restarts by itself; if this message stays, check the gateway's log.</.error>
-    <.empty :if={@running? && @conditions == []} icon="check" title={if(@total == 0, do: "Nothing is wrong", else: "Nothing of this kind")}>
-      Wrong baud rates, one-way links, two vehicles with one id, full disks and other faults appear here with their evidence. Faults that
-      only counters reveal take up to half a minute.
+    <.error :if={!@running?} title="The diagnosis is not running">It restarts by itself. If this message stays, check the gateway's log.</.error>
+    <.empty :if={@running? && @conditions == []} icon="check" title={if(@total == 0, do: "No problems", else: "No match")}>
+      Wrong baud rates, one-way links, duplicate system ids, full disks and other faults appear here with their evidence, some after up to
+      half a minute.
     </.empty>
     <ol class="conditions">
       <li :for={condition <- @conditions} :key={id(condition)} id={id(condition)} class={["card condition", kind(condition.severity)]}>

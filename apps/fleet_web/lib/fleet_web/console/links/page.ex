@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Links.Page do
         {:noreply,
          socket
          |> assign(asking: nil)
-         |> put_flash(:info, "Link #{id} was added. It stays until it is removed or the gateway ends.")
+         |> put_flash(:info, "Link #{id} added. It is temporary: gone when the gateway stops.")
          |> load()}
 
       {:error, text} ->
@@ -82,7 +82,7 @@ defmodule FleetWeb.Console.Links.Page do
     note(socket, "remove", id, nil)
 
     {:noreply,
-     socket |> assign(:asking, nil) |> put_flash(:info, "Link #{id} was removed.") |> push_patch(to: "/links")}
+     socket |> assign(:asking, nil) |> put_flash(:info, "Link #{id} removed.") |> push_patch(to: "/links")}
   end
 
   def handle_event(
@@ -90,12 +90,10 @@ defmodule FleetWeb.Console.Links.Page do
         _value,
         %{assigns: %{asking: {"remove-client", id}, gateway: gateway}} = socket
       ),
-      do:
-        {:noreply,
-         answer(socket, Client.remove(gateway, id), "remove-client", id, "Client #{id} was removed.")}
+      do: {:noreply, answer(socket, Client.remove(gateway, id), "remove-client", id, "Client #{id} removed.")}
 
   def handle_event("restart", _value, %{assigns: %{asking: {"restart", id}, gateway: gateway}} = socket),
-    do: {:noreply, answer(socket, Link.restart(gateway, id), "restart", id, "Link #{id} was restarted.")}
+    do: {:noreply, answer(socket, Link.restart(gateway, id), "restart", id, "Link #{id} restarted.")}
 
   def handle_event("reset", %{"id" => id}, %{assigns: %{gateway: gateway}} = socket) when is_binary(id),
     do:
@@ -105,14 +103,14 @@ defmodule FleetWeb.Console.Links.Page do
          Router.reset(gateway, id),
          "reset-rules",
          id,
-         "The rules of #{id} are the configured ones again."
+         "The rules of #{id} are as configured again."
        )}
 
   def handle_event(_event, _value, socket), do: {:noreply, socket}
 
   # Recordings are played from their own page: here the address could be any file of this machine.
   defp add(_gateway, "replay:" <> _file, _options),
-    do: {:error, "recordings are played from the page Recordings"}
+    do: {:error, "play recordings from the page Recordings"}
 
   defp add(gateway, url, options) do
     with {:error, error} <- Link.start(gateway, url, options), do: {:error, Exception.message(error)}
@@ -187,10 +185,10 @@ defmodule FleetWeb.Console.Links.Page do
     <.tabs label="Parts of the links">
       <:tab :for={{id, label} <- parts()} patch={"/links?part=#{id}"} current={@part == id}>{label}</:tab>
     </.tabs>
-    <.error :if={@chosen && @link == nil} title={"There is no link #{@chosen}"}>It was removed, or its name has changed.</.error>
+    <.error :if={@chosen && @link == nil} title={"No link #{@chosen}"}>It was removed or renamed.</.error>
     <.link_detail :if={@link} link={@link} samples={@samples} admin?={@admin?} now={@now} endpoints={Enum.filter(@endpoints, &(&1.owner == @link.id))} />
     <div :if={@part == "links" && @link == nil}>
-      <.empty :if={@rows == []} icon="link" title="No links">Links are configured under <code>links</code>, or added here by an admin.</.empty>
+      <.empty :if={@rows == []} icon="link" title="No links">Configure links under <code>links</code>; an admin can add one here.</.empty>
       <.link_table :if={@rows != []} rows={@rows} />
       <.networks :if={@networks != []} networks={@networks} />
     </div>

@@ -20,7 +20,7 @@ defmodule FleetWeb.Console.Links.Parts do
       <:col :let={row} label="In, out" number>{rate(row.bytes_in)}, {rate(row.bytes_out)}</:col>
       <:col :let={row} label="Loss" number>{percent(row.loss)}</:col>
       <:col :let={row} label="Round trip" number>{ms(row.rtt)}</:col>
-      <:col :let={row} label="Group">{row.group}<.badge :if={row.carries} kind="ok">carries</.badge></:col>
+      <:col :let={row} label="Group">{row.group}<.badge :if={row.carries} kind="ok">active</.badge></:col>
       <:col :let={row} label="Dropped" number>{row.dropped}</:col>
     </.data_table>
     """
@@ -66,7 +66,7 @@ defmodule FleetWeb.Console.Links.Parts do
           <.button icon="trash" phx-click="ask" phx-value-what="remove" phx-value-id={@row.id}>Remove</.button>
         </div>
       </div>
-      <.stale :if={@row.age_us && @row.age_us > 10_000_000}>Nothing heard for {Age.text(@row.age_us)}.</.stale>
+      <.stale :if={@row.age_us && @row.age_us > 10_000_000}>Not heard for {Age.text(@row.age_us)}.</.stale>
       <p :for={finding <- @link.diagnosis || []} class="notice bad"><.icon name="alert" /> <span>{Aerie.Link.Serial.Finding.format(finding)}{if finding.advice, do: ": #{finding.advice}"}</span></p>
       <div class="cards">
         <div class="card">
@@ -75,9 +75,9 @@ defmodule FleetWeb.Console.Links.Parts do
             <dd>{@link.text}</dd>
             <dt>Address</dt>
             <dd class="mono">{@link.url}</dd>
-            <dt>Our end</dt>
+            <dt>Local address</dt>
             <dd>{@link[:local] || "–"}</dd>
-            <dt>Other end</dt>
+            <dt>Remote address</dt>
             <dd>{@link[:peer] || "–"}</dd>
             <dt>Network</dt>
             <dd>{@link.network}{if @row.group, do: ", group #{@row.group}"}</dd>
@@ -130,8 +130,8 @@ defmodule FleetWeb.Console.Links.Parts do
     <figure class="card">
       <figcaption class="spread"><h3>{@title}</h3><strong>{@text}</strong></figcaption>
       <svg :if={@line} class="spark" viewBox="0 0 120 30" preserveAspectRatio="none" role="img" aria-label={"#{@title} of the last two minutes, at most #{@top.(@line.top)}"}><polyline points={@line.points} /></svg>
-      <p :if={@line} class="muted">up to {@top.(@line.top)}, while this page is open, two minutes at most</p>
-      <p :if={@line == nil} class="muted">Not measured.</p>
+      <p :if={@line} class="muted">Maximum {@top.(@line.top)}; since this page was opened, up to two minutes</p>
+      <p :if={@line == nil} class="muted">No data</p>
     </figure>
     """
   end
@@ -166,7 +166,7 @@ defmodule FleetWeb.Console.Links.Parts do
       <:col :let={row} label="Client"><strong>{row.owner}</strong></:col>
       <:col :let={row} label="Peer" class="grow">{row.peer}</:col>
       <:col :let={row} label="Kind">{row.kind}</:col>
-      <:col :let={row} label="Access">{if row.role == :read_only, do: "looks on", else: "may send"}</:col>
+      <:col :let={row} label="Access">{if row.role == :read_only, do: "read only", else: "may send"}</:col>
       <:col :let={row} label="Networks">{networks_text(row.networks)}</:col>
       <:col :let={row} label="In, out" number>{round(row.in)}/s, {round(row.out)}/s</:col>
       <:col :let={row} label="Waiting" number>{row.waiting}</:col>
@@ -184,7 +184,7 @@ defmodule FleetWeb.Console.Links.Parts do
   def client_endpoints(assigns) do
     ~H"""
     <section :if={@rows != []} class="section">
-      <h2>Where clients connect</h2>
+      <h2>Endpoints for clients</h2>
       <.data_table id="client-endpoints" label="Endpoints for clients" rows={@rows} row_id={&"client-endpoint-#{:erlang.phash2(&1.id)}"}>
         <:col :let={row} label="Endpoint"><strong>{row.id}</strong></:col>
         <:col :let={row} label="State"><.badge kind={kind(row.status)}>{row.status}</.badge></:col>
@@ -201,7 +201,7 @@ defmodule FleetWeb.Console.Links.Parts do
   @doc "The routes: which component is reached by which link."
   def route_table(assigns) do
     ~H"""
-    <.empty :if={@routes == []} icon="link" title="No routes">A route is learned from the first frame of a component.</.empty>
+    <.empty :if={@routes == []} icon="link" title="No routes">The gateway learns a route from the first frame of a component.</.empty>
     <.data_table :if={@routes != []} id="routes" label="Routes" rows={@routes} row_id={& &1.id}>
       <:col :let={row} label="Network">{row.network}</:col>
       <:col :let={row} label="System/component">{row.system}/{row.component}</:col>
@@ -220,15 +220,15 @@ defmodule FleetWeb.Console.Links.Parts do
   @doc "Rules that were changed at run time, with the configured ones."
   def rule_table(assigns) do
     ~H"""
-    <.empty :if={@rules == []} icon="filter" title="No rule was changed">
-      Filters, rate limits and budgets are those of the configuration. They are changed by <code>PATCH /api/rules/ID</code>.
+    <.empty :if={@rules == []} icon="filter" title="No changed rules">
+      Filters, rate limits and budgets are as configured. <code>PATCH /api/rules/ID</code> changes them.
     </.empty>
     <.data_table :if={@rules != []} id="rules" label="Changed rules" rows={@rules} row_id={&"rule-#{:erlang.phash2({&1.owner, &1.key})}"}>
-      <:col :let={row} label="Of"><strong>{row.owner}</strong></:col>
+      <:col :let={row} label="Link or client"><strong>{row.owner}</strong></:col>
       <:col :let={row} label="Rule">{row.key}</:col>
       <:col :let={row} label="Now" class="grow"><code>{value(row.change.now)}</code></:col>
       <:col :let={row} label="Configured"><code>{value(row.change.configured)}</code></:col>
-      <:col :let={row} label=""><.button :if={@admin?} small phx-click="reset" phx-value-id={row.owner}>Undo all of {row.owner}</.button></:col>
+      <:col :let={row} label=""><.button :if={@admin?} small phx-click="reset" phx-value-id={row.owner}>Reset all of {row.owner}</.button></:col>
     </.data_table>
     """
   end
@@ -244,9 +244,9 @@ defmodule FleetWeb.Console.Links.Parts do
     <.dialog id="add-link" title="Add a link" cancel="cancel">
       <form id="add-link-form" class="stack" phx-submit="add" phx-auto-recover="ignore" autocomplete="off">
         <.field id="add-url" name="url" label="Address" value={@form["url"]} required autofocus spellcheck="false" hint="udpin:0.0.0.0:14551, tcp:HOST:5760, serial:auto, /dev/ttyUSB0,57600, ws://HOST/PATH" errors={List.wrap(@error)} />
-        <.field id="add-id" name="id" label="Name" value={@form["id"]} hint="left out: the address" />
-        <.field id="add-network" name="network" label="Network" value={@form["network"]} hint="left out: main" />
-        <p class="muted">It lives until it is removed or the gateway ends. Links that are to stay belong into the configuration.</p>
+        <.field id="add-id" name="id" label="Name" value={@form["id"]} hint="Default: the address" />
+        <.field id="add-network" name="network" label="Network" value={@form["network"]} hint="Default: main" />
+        <p class="muted">Temporary: gone when the gateway stops. For a permanent link, edit the configuration.</p>
         <.button type="submit" kind="primary">Add</.button>
       </form>
     </.dialog>
@@ -273,14 +273,14 @@ defmodule FleetWeb.Console.Links.Parts do
 
   defp consequence("remove"),
     do:
-      "It no longer hears its vehicles, even those that are flying. A configured link returns with the next start of the gateway."
+      "The gateway no longer hears the vehicles on this link, even those in the air. A configured link returns when the gateway starts again."
 
   defp consequence("restart"),
     do:
-      "It closes its connection and connects again; frames that arrive meanwhile are lost. Its counters and routes stay."
+      "The connection is closed and opened again. Frames that arrive meanwhile are lost; counters and routes stay."
 
   defp consequence("remove-client"),
-    do: "Its connections end. A ground station that reconnects by itself returns."
+    do: "Its connections are closed. A ground station may reconnect by itself."
 
   defp kind(status) when status in [:up], do: "ok"
   defp kind(status) when status in [:idle, :connecting], do: "warn"

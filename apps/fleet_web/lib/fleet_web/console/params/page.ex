@@ -295,11 +295,11 @@ defmodule FleetWeb.Console.Params.Page do
     <h1 class="page-title">Parameters</h1>
     <div class="stack">
       <.toolbar vehicles={@vehicles} vehicle={@vehicle} components={@components} component={@component} described={@about != %{}} filter={@filter} reading={@reading} table={@table} file={@file} via={@via} />
-      <.elsewhere :if={@via} via={@via}>It is asked for them. What the parameters mean, and setting those of a file, is only there.</.elsewhere>
+      <.elsewhere :if={@via} via={@via}>It reads them. Descriptions and setting parameters from a file are available only there.</.elsewhere>
       <.progress :if={@reading} reading={@reading} />
       <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
-      <.empty :if={@vehicle == nil} icon="params" title="No vehicle is chosen">{if @vehicles == [], do: "No vehicle has been heard yet.", else: "Choose one above."}</.empty>
+      <.empty :if={@vehicle == nil} icon="params" title="No vehicle chosen">{if @vehicles == [], do: "No vehicles yet", else: "Choose one above."}</.empty>
       <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} via={@via} />
       <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
       <.editor :if={@row} row={@row} able={@able} error={@error} />

@@ -21,7 +21,7 @@ defmodule FleetWeb.Console.Params.Parts do
     <div class="params-tools" id="params-tools" phx-hook="ParamsFile">
       <form id="params-vehicle" class="row" phx-change="vehicle" phx-submit="vehicle">
         <.field id="params-vehicle-choice" name="vehicle" type="select" label="Vehicle" options={[{"choose", ""} | Enum.map(@vehicles, &{&1, &1})]} value={@vehicle} />
-        <.field :if={@components != []} id="params-component" name="component" type="select" label="Of" options={[{"autopilot", ""} | @components]} value={@component} />
+        <.field :if={@components != []} id="params-component" name="component" type="select" label="Component" options={[{"autopilot", ""} | @components]} value={@component} />
       </form>
       <form :if={@table} id="params-filter" class="row filters" phx-change="filter" phx-submit="filter">
         <.field id="params-search" name="search" type="search" label="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
@@ -76,7 +76,7 @@ defmodule FleetWeb.Console.Params.Parts do
       </div>
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
       <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
-      <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
+      <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
     </section>
     """
   end
@@ -129,7 +129,7 @@ defmodule FleetWeb.Console.Params.Parts do
       <p :if={@row.about} id="param-about">{@row.about.long || @row.about.short}</p>
       <dl class="facts">
         <div class="fact"><dt>Value</dt><dd><strong>{@row.value}</strong>{unit(@row.about)}</dd></div>
-        <div class="fact"><dt>Default</dt><dd>{@row.default || "the vehicle does not tell it"}</dd></div>
+        <div class="fact"><dt>Default</dt><dd>{@row.default || "not reported by the vehicle"}</dd></div>
         <div class="fact"><dt>Type</dt><dd>{@row.type}</dd></div>
         <div :if={@row.file} class="fact"><dt>In the file</dt><dd>{@row.file}</dd></div>
         <div :for={{label, text} <- about(@row.about)} class="fact"><dt>{label}</dt><dd>{text}</dd></div>
@@ -139,7 +139,7 @@ defmodule FleetWeb.Console.Params.Parts do
         <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
         <.button type="submit" kind="primary">Set</.button>
       </form>
-      <p :if={not @able} class="hint">To set parameters needs the permission maintain.</p>
+      <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
     </.dialog>
     """
   end

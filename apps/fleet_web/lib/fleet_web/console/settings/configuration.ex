@@ -70,14 +70,14 @@ defmodule FleetWeb.Console.Settings.Configuration do
     <section class="stack" aria-labelledby="configuration-title">
       <h2 id="configuration-title" class="visually-hidden">Configuration</h2>
       <p class="muted">
-        What is in force. To change it, edit the file or the environment and restart the gateway; links, clients, the policy and the log can be
-        reloaded without a restart (<code>POST /api/config/reload</code>).
+        The configuration in use. To change it, edit the file or the environment and restart the gateway. Links, clients, the policy and the log can
+        be reloaded without a restart (<code>POST /api/config/reload</code>).
       </p>
       <form id="configuration-filter" class="form-row" phx-change="configuration" phx-submit="configuration">
         <.field id="configuration-search" name="search" type="search" label="Search" value={@filter.search} phx-debounce="150" autocomplete="off" />
-        <.field id="configuration-given" name="given" type="checkbox" label="Only what was set" value={@filter.given} />
+        <.field id="configuration-given" name="given" type="checkbox" label="Only changed keys" value={@filter.given} />
       </form>
-      <.empty :if={@shown == []} icon="search" title="No key is like this" />
+      <.empty :if={@shown == []} icon="search" title="No match" />
       <section :for={section <- @shown} :key={section.name} class="card" aria-labelledby={"section-#{section.name}"}>
         <h3 id={"section-#{section.name}"}>{section.name}</h3>
         <p :if={section.meaning != ""} class="muted">{section.meaning}</p>
@@ -93,7 +93,7 @@ defmodule FleetWeb.Console.Settings.Configuration do
   end
 
   defp from(%{source: nil, value: same, default: same}), do: "default"
-  defp from(%{source: nil}), do: "chosen at start"
+  defp from(%{source: nil}), do: "set at start"
   defp from(%{source: source}), do: source
 
   defp limits(%{source: nil, value: same, default: same} = key), do: "Must be #{key.expected}."

@@ -125,7 +125,7 @@ defmodule FleetWeb.Console.Settings.Page do
     do: {:noreply, assign(socket, :filter, Configuration.filter(form))}
 
   def handle_event(_event, _value, socket),
-    do: {:noreply, put_flash(socket, :error, "The form is not complete.")}
+    do: {:noreply, put_flash(socket, :error, "Fill in all fields.")}
 
   defp change(socket, what, value, fun) do
     case with({:ok, value} <- value, do: fun.(value)) do
@@ -137,11 +137,11 @@ defmodule FleetWeb.Console.Settings.Page do
     end
   end
 
-  defp done(:add), do: "The user was added and may sign in now."
-  defp done(:remove), do: "The user was removed and signed out."
-  defp done(:revoke), do: "The key was revoked."
-  defp done(:role), do: "The role was changed."
-  defp done(_password), do: "The password was changed. Sign in with it."
+  defp done(:add), do: "User added. They can sign in now."
+  defp done(:remove), do: "User removed and signed out."
+  defp done(:revoke), do: "Key revoked."
+  defp done(:role), do: "Role changed."
+  defp done(_password), do: "Password changed. Sign in with the new one."
 
   @impl Phoenix.LiveView
   def render(assigns) do
@@ -156,7 +156,7 @@ defmodule FleetWeb.Console.Settings.Page do
       <section :if={@admin?} class="card" aria-labelledby="users-title">
         <h2 id="users-title">Users</h2>
         <p :if={@users == []} class="muted">
-          Nobody has a password yet, so the console can be used at the gateway's own machine only.
+          No users yet: the console works only on the gateway's own machine.
         </p>
         <.data_table :if={@users != []} id="users" label="Users" rows={@users} row_id={&"user-#{&1.name}"}>
           <:col :let={user} label="Name"><strong>{user.name}</strong></:col>
@@ -182,12 +182,12 @@ defmodule FleetWeb.Console.Settings.Page do
           <.button type="submit" kind="primary" icon="plus">Add</.button>
         </form>
         <p :if={@errors[:add]} class="notice bad" role="alert">{@errors[:add]}</p>
-        <p class="hint">A viewer looks on. An operator commands vehicles. An admin also changes vehicles, the gateway, and users.</p>
+        <p class="hint">Viewers can only watch. Operators command vehicles. Admins also maintain vehicles and change the gateway and its users.</p>
       </section>
 
       <section class="card" aria-labelledby="own-title">
         <h2 id="own-title">Your password</h2>
-        <p :if={!@own?} class="muted">You came by the address that <code>bin/run</code> printed, and have none.</p>
+        <p :if={!@own?} class="muted">You signed in with the start link; this account has no password.</p>
         <form :if={@own?} id="own-password" class="form-row" phx-submit="own-password" phx-auto-recover="ignore">
           <.field id="own-old" name="old" type="password" label="Old password" autocomplete="current-password" required />
           <.field id="own-new" name="new" type="password" label="New password" autocomplete="new-password" minlength={"#{Password.shortest()}"} required />
@@ -201,13 +201,13 @@ defmodule FleetWeb.Console.Settings.Page do
     </div>
 
     <.dialog :if={match?({"remove", _}, @asking)} id="remove-user" title={"Remove #{elem(@asking, 1)}?"} cancel="cancel" kind="danger">
-      <p>The user is signed out at once and cannot sign in any more.</p>
+      <p>The user is signed out at once and cannot sign in again.</p>
       <p :if={@errors[:remove]} class="notice bad" role="alert">{@errors[:remove]}</p>
       <:action><.button phx-click="cancel">Keep</.button></:action>
       <:action><.button kind="danger" phx-click="remove" phx-value-name={elem(@asking, 1)}>Remove</.button></:action>
     </.dialog>
     <.dialog :if={match?({"revoke", _}, @asking)} id="revoke-key" title={"Revoke the key #{elem(@asking, 1)}?"} cancel="cancel" kind="danger">
-      <p>Whatever uses it is refused at once, and its WebSockets are closed.</p>
+      <p>Programs that use it are refused at once, and their WebSockets are closed.</p>
       <p :if={@errors[:revoke]} class="notice bad" role="alert">{@errors[:revoke]}</p>
       <:action><.button phx-click="cancel">Keep</.button></:action>
       <:action><.button kind="danger" phx-click="revoke-key" phx-value-name={elem(@asking, 1)}>Revoke</.button></:action>

@@ -65,7 +65,7 @@ defmodule FleetWeb.Console.Shadow.Input do
 
   defp field(path) do
     with :error <- Field.fetch(path),
-         do: {:error, "#{String.slice(path, 0, 60)} is no field: see docs/shadow.md"}
+         do: {:error, "#{String.slice(path, 0, 60)} is not a field: see docs/shadow.md"}
   end
 
   defp value("tags", text), do: text |> String.split(",") |> Aerie.Shadow.Tags.tidy()

@@ -8,6 +8,7 @@ defmodule FleetWeb.Console.Shadow.Page do
   import FleetWeb.Console.Shadow.Parts
 
   alias Aerie.{Fleet, Shadow}
+  alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Shadow.{Input, Shown}
   alias FleetWeb.Console.Vehicle.Sections
 
@@ -130,14 +131,14 @@ defmodule FleetWeb.Console.Shadow.Page do
       <p :if={holds(@shadow) != []} class="notice info" role="status">
         <.icon name="lock" /> <span>Held: {Enum.map_join(holds(@shadow), "; ", &hold/1)}</span>
       </p>
-      <.empty :if={@rows == []} icon="check" title="Nothing is desired of it">The vehicle is left as it is.</.empty>
+      <.empty :if={@rows == []} icon="check" title="No desired state">The gateway leaves the vehicle as it is.</.empty>
       <.fields :if={@rows != []} rows={@rows} />
-      <p :if={@rows != []} class="muted">Version {@shadow["version"]}, changed {Shown.clock(@shadow["updated_at"])}{by(@shadow)}.</p>
+      <p :if={@rows != []} class="muted">Version {@shadow["version"]}, changed {Clock.full(@shadow["updated_at"])}{by(@shadow)}.</p>
       <.desire :if={@names != []} form={@form} names={@names} error={@error} />
       <.history history={@shadow["history"]} />
     </div>
-    <.dialog :if={@asking} id="remove-all" title={"Desire nothing of #{@id}?"} cancel="cancel" kind="danger">
-      <p>All {length(@rows)} fields are removed. The vehicle stays as it is.</p>
+    <.dialog :if={@asking} id="remove-all" title={"Remove the desired state of #{@id}?"} cancel="cancel" kind="danger">
+      <p>This removes all {length(@rows)} fields. The vehicle stays as it is.</p>
       <:action><.button phx-click="cancel">Keep</.button></:action>
       <:action><.button kind="danger" phx-click="remove_all">Remove</.button></:action>
     </.dialog>
@@ -150,7 +151,7 @@ defmodule FleetWeb.Console.Shadow.Page do
   defp hold(hold),
     do:
       Enum.join(
-        [hold["by"], hold["why"] | List.wrap(hold["until"] && "until #{Shown.clock(hold["until"])}")],
+        [hold["by"], hold["why"] | List.wrap(hold["until"] && "until #{Clock.full(hold["until"])}")],
         ", "
       )
 

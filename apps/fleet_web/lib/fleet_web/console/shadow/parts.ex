@@ -43,17 +43,17 @@ defmodule FleetWeb.Console.Shadow.Parts do
 
     ~H"""
     <section class="card" aria-labelledby="desire-title">
-      <h2 id="desire-title">Desire something</h2>
+      <h2 id="desire-title">Set a desired value</h2>
       <form id="desire" class="form-row" phx-change="form" phx-submit="desire" phx-auto-recover="ignore">
         <.field id="desire-field" name="field" type="select" label="Field" options={[{"choose", ""} | Enum.map(@names, &{&1, &1})]} value={@form["field"]} hint={@field && @field.meaning} />
         <.field :if={@named} id="desire-name" name="name" label={if @form["field"] == "params.*", do: "Parameter", else: "Message"} value={@form["name"]} autocomplete="off" />
         <.field :if={@field} id="desire-value" name="value" label="Value" value={@form["value"]} hint={hint(@field)} autocomplete="off" />
         <.field :if={@field} id="desire-expires" name="expires" type="select" label="Ends" options={Input.expiries()} value={@form["expires"]} />
         <.field :if={@field} id="desire-reason" name="reason" label="Reason" maxlength="200" value={@form["reason"]} autocomplete="off" />
-        <.button :if={@field} type="submit" kind="primary">Desire</.button>
+        <.button :if={@field} type="submit" kind="primary">Set</.button>
       </form>
       <p :if={@error} class="notice bad" role="alert">{@error}</p>
-      <p class="hint">The vehicle is made to agree as soon as nobody else is in charge of it, under the policy. It is never taken off the ground.</p>
+      <p class="hint">The gateway brings the vehicle to this state as the policy allows, once nobody else is in charge of it. It never makes a vehicle take off.</p>
     </section>
     """
   end
@@ -76,7 +76,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
     ~H"""
     <section class="card" aria-labelledby="history-title">
       <h2 id="history-title">Changes</h2>
-      <p :if={@history == []} class="muted">Nothing was ever desired of it.</p>
+      <p :if={@history == []} class="muted">No changes yet</p>
       <ol :if={@history != []} class="stack" id="shadow-history">
         <li :for={change <- @history} :key={change["version"]} id={"change-#{change["version"]}"}>
           <strong>{change["version"]}</strong> {Shown.set(change)}

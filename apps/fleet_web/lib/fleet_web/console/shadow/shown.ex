@@ -3,6 +3,7 @@ defmodule FleetWeb.Console.Shadow.Shown do
 
   alias Aerie.Policy.Roles
   alias Aerie.Shadow.Field
+  alias FleetWeb.Console.Clock
 
   @typedoc """
     * `:desired`, `:actual` - as text; `:actual` is nil where it is not known
@@ -44,7 +45,7 @@ defmodule FleetWeb.Console.Shadow.Shown do
         state: status["state"],
         why: why(status),
         set: set(set),
-        expires: clock(set["expires_at"]),
+        expires: set["expires_at"] && Clock.full(set["expires_at"]),
         able: match?({:ok, _field}, Field.fetch(path)) and Roles.allowed?(user, Field.fetch!(path).permission)
       }
     end
@@ -66,7 +67,7 @@ defmodule FleetWeb.Console.Shadow.Shown do
     parts = [
       status["by"] && "by #{status["by"]}",
       status["why"],
-      status["until"] && "until #{clock(status["until"])}"
+      status["until"] && "until #{Clock.full(status["until"])}"
     ]
 
     with [_ | _] = parts <- Enum.filter(parts, & &1), do: Enum.join(parts, ", "), else: ([] -> nil)
@@ -75,12 +76,7 @@ defmodule FleetWeb.Console.Shadow.Shown do
   @doc "By whom and why something was changed."
   @spec set(map()) :: String.t()
   def set(%{"actor" => actor, "via" => via, "at" => at, "reason" => reason}),
-    do: "#{actor} (#{via}), #{clock(at)}#{if reason, do: ": " <> reason}"
-
-  @doc "A time as people read it."
-  @spec clock(String.t() | nil) :: String.t() | nil
-  def clock(nil), do: nil
-  def clock(text), do: String.slice(text, 0, 10) <> " " <> String.slice(text, 11, 8) <> " UTC"
+    do: "#{actor} (#{via}), #{Clock.full(at)}#{if reason, do: ": " <> reason}"
 
   @doc "A value as it is typed (`FleetWeb.Console.Shadow.Input`)."
   @spec text(term()) :: String.t()

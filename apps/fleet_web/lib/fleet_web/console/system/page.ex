@@ -56,7 +56,7 @@ defmodule FleetWeb.Console.System.Page do
       <:tab :for={{id, label} <- parts()} patch={"/system?part=#{id}"} current={@part == id}>{label}</:tab>
     </.tabs>
     <.loading :if={@sample == nil && !@failed?} />
-    <.error :if={@sample == nil && @failed?} title="The system cannot be measured now">The next attempt is in two seconds.</.error>
+    <.error :if={@sample == nil && @failed?} title="No measurement">Next try in two seconds.</.error>
     <.stale :if={@sample && @failed?}>Measured {Age.text(@now - @sample.at)} ago; the gateway is too busy to measure again.</.stale>
     <div :if={@sample && @part == "overview"} id="system-overview" class="cards">
       <.machine facts={@sample.facts} />
@@ -66,19 +66,19 @@ defmodule FleetWeb.Console.System.Page do
       <.versions facts={@sample.facts} />
     </div>
     <section :if={@sample && @part == "tree"} id="system-tree" aria-label="Supervision tree">
-      <p class="muted">Restarts count from the start of the console. Of many children the first fifty are shown.</p>
+      <p class="muted">Restarts since the console started. At most fifty children are shown.</p>
       <.empty :if={@sample.tree == nil} icon="system" title="The gateway is not running" />
       <ul :if={@sample.tree} class="tree" role="tree"><.tree_node :for={node <- @sample.tree.children} node={node} now={@now} depth={1} /></ul>
     </section>
     <section :if={@sample && @part == "processes"} id="system-processes">
-      <p class="muted">Of {@sample.top.looked_at} processes of the virtual machine, those that use most.</p>
+      <p class="muted">The busiest of {@sample.top.looked_at} processes.</p>
       <.data_table id="processes" label="Processes" rows={Map.fetch!(@sample.top, @sort)} row_id={&row_id/1} sort={{to_string(@sort), :desc}}>
         <:col :let={row} label="Process" class="grow"><span class="mono">{row.name}</span></:col>
         <:col :let={row} label="Memory" sort="memory" number>{bytes(row.memory)}</:col>
         <:col :let={row} label="Reductions/s" sort="reductions" number>{reductions(row.reductions)}</:col>
         <:col :let={row} label="Queue" sort="queue" number>{row.queue}</:col>
       </.data_table>
-      <.empty :if={Map.fetch!(@sample.top, @sort) == []} icon="check" title="None">No messages wait anywhere.</.empty>
+      <.empty :if={Map.fetch!(@sample.top, @sort) == []} icon="check" title="None">No process has messages waiting.</.empty>
     </section>
     """
   end

@@ -19,8 +19,8 @@ defmodule FleetWeb.Console.System.Parts do
         <dd>{Age.text(@facts.uptime_ms * 1000)}</dd>
         <dt>Processor time</dt>
         <dd>{cpu(@facts)}</dd>
-        <dt>Run queues</dt>
-        <dd>{@facts.run_queues |> Enum.sum()} waiting: <span class="mono">{Enum.join(@facts.run_queues, " ")}</span></dd>
+        <dt>Run queue</dt>
+        <dd>{Enum.sum(@facts.run_queues)}</dd>
         <dt>Schedulers</dt>
         <dd>{@facts.schedulers}</dd>
         <dt>Read, written</dt>
@@ -75,7 +75,7 @@ defmodule FleetWeb.Console.System.Parts do
     ~H"""
     <section class="card">
       <h2>NATS</h2>
-      <p class="muted">{if @facts.nats_off?, do: "Switched off by the configuration (nats.mode: off).", else: "The bridge is not running."}</p>
+      <p class="muted">{if @facts.nats_off?, do: "Off in the configuration (nats.mode: off).", else: "The bridge is not running."}</p>
     </section>
     """
   end
@@ -89,7 +89,7 @@ defmodule FleetWeb.Console.System.Parts do
         <dd :if={@facts.nats.problem}>{@facts.nats.problem}</dd>
         <dt>Server</dt>
         <dd>{@facts.nats.url || "–"} ({@facts.nats.mode})</dd>
-        <dt :if={@facts.nats.server}>Its restarts</dt>
+        <dt :if={@facts.nats.server}>Restarts</dt>
         <dd :if={@facts.nats.server}>{@facts.nats.server[:restarts] || 0}</dd>
         <dt>Outbox</dt>
         <dd>{@facts.nats.outbox[:events] || 0} events, {bytes(@facts.nats.outbox[:bytes] || 0)}, {@facts.nats.outbox[:dropped] || 0} dropped</dd>
@@ -156,14 +156,14 @@ defmodule FleetWeb.Console.System.Parts do
     <span class="tree-name">{@node.name}</span>
     <.badge :if={@node.pid == nil} kind="off">not running</.badge>
     <span :if={@node.memory} class="muted">{bytes(@node.memory)}</span>
-    <.badge :if={(@node.queue || 0) > 100} kind="warn">{@node.queue} messages wait</.badge>
+    <.badge :if={(@node.queue || 0) > 100} kind="warn">{@node.queue} messages waiting</.badge>
     <.badge :if={@node.restarts} kind="bad">{restarted(@node.restarts, @now)}</.badge>
     <span :if={@node.restarts} class="muted">{@node.restarts.reason}</span>
     """
   end
 
   defp restarted(%{count: 1, at: at}, now), do: "restarted #{Age.text(now - at)} ago"
-  defp restarted(%{count: n, at: at}, now), do: "#{n} restarts, the last #{Age.text(now - at)} ago"
+  defp restarted(%{count: n, at: at}, now), do: "#{n} restarts, last #{Age.text(now - at)} ago"
 
   @doc "A number of bytes in words."
   @spec bytes(non_neg_integer()) :: String.t()
@@ -173,10 +173,10 @@ defmodule FleetWeb.Console.System.Parts do
   def bytes(n), do: "#{div(n, 1_073_741_824)} GiB"
 
   defp cpu(%{cpu: cpu, schedulers: n}) when is_number(cpu), do: "#{round(cpu)} % of one core (there are #{n})"
-  defp cpu(_first), do: "not measured yet"
+  defp cpu(_first), do: "measuring…"
 
-  defp heartbeat(%{alive: true}), do: "all loops answer"
-  defp heartbeat(%{silent: []}), do: "the loops are not being checked"
+  defp heartbeat(%{alive: true}), do: "OK"
+  defp heartbeat(%{silent: []}), do: "not checked"
 
   defp heartbeat(%{silent: silent}),
     do: "no answer from #{Enum.map_join(silent, ", ", fn {role, _id} -> "#{role}" end)}"

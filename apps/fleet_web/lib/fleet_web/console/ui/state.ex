@@ -45,7 +45,7 @@ defmodule FleetWeb.Console.UI.State do
   @doc "Another gateway hears the vehicle: says which, and what is only there."
   def elsewhere(assigns) do
     ~H"""
-    <p class="notice info" role="status" data-elsewhere={@via}><.icon name="info" /> <span>This vehicle is heard by the gateway <strong>{@via}</strong>. {render_slot(@inner_block)}</span></p>
+    <p class="notice info" role="status" data-elsewhere={@via}><.icon name="info" /> <span>The gateway <strong>{@via}</strong> hears this vehicle. {render_slot(@inner_block)}</span></p>
     """
   end
 

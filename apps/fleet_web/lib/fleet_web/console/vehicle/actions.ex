@@ -40,6 +40,7 @@ defmodule FleetWeb.Console.Vehicle.Actions do
     assigns =
       assign(assigns,
         armed: View.get(assigns.view, [:mode, :armed]),
+        in_air: View.get(assigns.view, [:mode, :in_air]),
         first: arm_first(assigns.view),
         able: for(name <- ~w(arm disarm takeoff set_mode), able?(name, assigns), do: name)
       )
@@ -47,17 +48,17 @@ defmodule FleetWeb.Console.Vehicle.Actions do
     ~H"""
     <section class="card" aria-labelledby="flight-title">
       <h2 id="flight-title">Control</h2>
-      <p :if={@able == []} class="muted"><.icon name="eye" /> You look on: {@user.name} may not command this vehicle.</p>
+      <p :if={@able == []} class="muted"><.icon name="eye" /> {@user.name} can only watch this vehicle.</p>
       <div class="controls">
         <.hold_button :if={"arm" in @able and @armed != true} id="action-arm" event="command" icon="arm" phx-value-type="arm">Arm</.hold_button>
         <div :if={"arm" in @able and "set_mode" in @able and @armed == false and @first != nil} class="control">
-          <p class="hint">It refuses to be armed in {View.get(@view, [:mode, :mode])}.</p>
+          <p class="hint">It cannot be armed in {View.get(@view, [:mode, :mode])}.</p>
           <.hold_button id="action-arm-first" event="command" kind="plain" phx-value-type="set_mode" phx-value-mode={@first}>Set {@first} first</.hold_button>
         </div>
         <.hold_button :if={"disarm" in @able and @armed != false} id="action-disarm" event="command" icon="stop" kind="plain" phx-value-type="disarm">Disarm</.hold_button>
-        <form :if={"takeoff" in @able} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
-          <.field id="takeoff-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
-          <.hold_button id="action-takeoff" event="command" icon="takeoff" phx-value-type="takeoff">Take off</.hold_button>
+        <form :if={"takeoff" in @able and @in_air != true} id="takeoff-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
+          <.field id="takeoff-altitude" name="altitude" label="Take-off height" unit="m" inputmode="decimal" autocomplete="off" value={@inputs["altitude"]} />
+          <.hold_button id="action-takeoff" event="command" icon="takeoff" kind={if @in_air == false, do: "primary", else: "plain"} phx-value-type="takeoff">Take off</.hold_button>
         </form>
         <form :if={"set_mode" in @able and @modes != []} id="mode-form" class="control" phx-change="input" phx-auto-recover="ignore" phx-submit="noop">
           <.field id="mode-choice" name="mode" type="select" label="Mode" options={[{"choose", ""} | Enum.map(@modes, &{&1, &1})]} value={@inputs["mode"]} />
@@ -74,6 +75,7 @@ defmodule FleetWeb.Console.Vehicle.Actions do
   attr :view, View, required: true
   attr :target, :map, required: true
   attr :answer, :any, required: true
+  attr :obstacles, :list, required: true
 
   @doc "A position that was clicked on the map, with the policy's answer, before anything is sent."
   def target(assigns) do
@@ -81,15 +83,15 @@ defmodule FleetWeb.Console.Vehicle.Actions do
     <section class="card goto-panel" aria-labelledby="goto-title">
       <div class="spread">
         <h2 id="goto-title">Go to a place</h2>
-        <.button kind="quiet" small={true} icon="x" label="Do not go there" phx-click="aim_end" />
+        <.button kind="quiet" small={true} icon="x" label="Cancel" phx-click="aim_end" />
       </div>
       <p class="mono">{View.number(@target.lat, 6)}, {View.number(@target.lon, 6)}<span :if={far(@target, @view)}>, {far(@target, @view)} away</span></p>
       <form id="goto-form" class="control" phx-change="aim_altitude" phx-auto-recover="ignore" phx-submit="noop">
         <.field id="goto-altitude" name="altitude" label="Height above home" unit="m" inputmode="decimal" autocomplete="off" value={@target.altitude} />
         <input :for={{name, text} <- place(@target)} type="hidden" name={name} value={text} />
-        <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused">Go there</.hold_button>
+        <.hold_button id="action-goto" event="command" icon="goto" phx-value-type="goto" disabled={@answer != :allow} reason="It would be refused: see below">Go there</.hold_button>
       </form>
-      <Panel.answer answer={@answer} />
+      <Panel.answer answer={@answer} obstacles={@obstacles} />
     </section>
     """
   end

@@ -2,6 +2,7 @@ defmodule FleetWeb.Console.Vehicle.Charge do
   @moduledoc "Shows who is in charge of a vehicle (`Aerie.Policy.Lease`), with forms to take, take over, hand over and release it."
   use FleetWeb.Console, :component
 
+  alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Vehicle.{Actions, View}
 
   attr :view, View, required: true
@@ -22,24 +23,30 @@ defmodule FleetWeb.Console.Vehicle.Charge do
         <.icon name={if @relation == :other, do: "lock", else: "user"} />
         <span>{words(@relation, @lease)}</span>
         <span :if={@lease != nil and @lease.reason != nil} class="muted">({@lease.reason})</span>
+        <span :if={@able} class="charge-open">{offer(@relation)}</span>
       </summary>
       <div :if={@able} class="charge-forms">
         <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control">
-          <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason, shown to whoever is in charge" maxlength="200" required={true} autocomplete="off" />
+          <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason (the operator in charge sees it)" maxlength="200" required={true} autocomplete="off" />
           <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take charge"}</.button>
         </form>
         <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control">
-          <.field id="charge-to" name="to" label="Hand over to (empty: anybody)" maxlength="64" autocomplete="off" />
+          <.field id="charge-to" name="to" label="Hand over to (blank = anyone)" maxlength="64" autocomplete="off" />
           <.button type="submit">Hand over</.button>
         </form>
         <form :if={@relation == :own or (@relation == :other and @user.role == :admin)} id="charge-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control">
           <.button type="submit">Release</.button>
         </form>
       </div>
-      <p class="hint">Hold, return and land stay free for all whose role allows them.</p>
+      <p class="hint">Everyone allowed to may still hold, return or land it.</p>
     </details>
     """
   end
+
+  # A summary has no other sign that it opens.
+  defp offer(:own), do: "Hand over or release"
+  defp offer(:other), do: "Take over"
+  defp offer(_free), do: "Take charge"
 
   defp relation(nil, _user), do: :free
   defp relation(%{holder: name}, %{name: name}), do: :own
@@ -47,13 +54,14 @@ defmodule FleetWeb.Console.Vehicle.Charge do
   defp relation(_lease, _user), do: :other
 
   defp words(:free, _lease), do: "Nobody is in charge"
-  defp words(:own, %{offered_to: nil} = lease), do: "You have been in charge since #{clock(lease)}"
-  defp words(:own, lease), do: "You are in charge, and offer the charge to #{to(lease)}"
-  defp words(:offered, lease), do: "#{lease.holder} offers the charge"
-  defp words(:other, lease), do: "#{lease.holder} has been in charge since #{clock(lease)}"
 
-  defp to(%{offered_to: :anyone}), do: "anybody"
+  defp words(:own, %{offered_to: nil} = lease),
+    do: "You have been in charge since #{Clock.minute(lease.since)}"
+
+  defp words(:own, lease), do: "You are in charge and offer to hand over to #{to(lease)}"
+  defp words(:offered, lease), do: "#{lease.holder} offers to hand over"
+  defp words(:other, lease), do: "#{lease.holder} has been in charge since #{Clock.minute(lease.since)}"
+
+  defp to(%{offered_to: :anyone}), do: "anyone"
   defp to(%{offered_to: name}), do: name
-
-  defp clock(lease), do: lease.since |> Aerie.Fleet.Json.time() |> String.slice(11, 5) |> Kernel.<>(" UTC")
 end

@@ -22,9 +22,9 @@ defmodule FleetWeb.Console.Vehicle.Charts do
       <h2 id="charts-title" class="visually-hidden">Charts</h2>
       <.elsewhere :if={@via} via={@via}>Its state can be charted here, its messages there.</.elsewhere>
       <form id="chart-add" class="row filters" phx-change="chart_add" phx-submit="noop">
-        <.field id="chart-message" name="message" type="select" label="Of" options={[{"the vehicle's state", ""} | Enum.map(@heard, &{&1, &1})]} value={@message} />
+        <.field id="chart-message" name="message" type="select" label="Source" options={[{"vehicle state", ""} | Enum.map(@heard, &{&1, &1})]} value={@message} />
         <.field id="chart-field" name="key" type="select" label="Add a field" options={options(@series, @message)} value="" disabled={length(@series) >= Series.max()} />
-        <span class="hint">Sampled at most 5 times a second, up to {Series.max()} fields, the last 10 minutes.</span>
+        <span class="hint">Since this page was opened, up to 10 minutes; at most {Series.max()} fields, 5 samples a second.</span>
       </form>
       <ul class="row chips" aria-label="Charted fields">
         <li :for={one <- @series} :key={one.key} class="chip" title={one.meaning}>
@@ -32,7 +32,7 @@ defmodule FleetWeb.Console.Vehicle.Charts do
           <.link patch={@path.(List.delete(keys(@series), one.key))} aria-label={"Remove #{one.label}"}><.icon name="x" /></.link>
         </li>
       </ul>
-      <.empty :if={@series == []} icon="chart" title="No field is chosen">Add one above: battery voltage, height, vibration …</.empty>
+      <.empty :if={@series == []} icon="chart" title="No field chosen">Add one above: battery voltage, height, vibration …</.empty>
       <div id="charts" class="card" hidden={@series == []} phx-hook="Chart" data-vehicle={@vehicle} data-series={JSON.encode!(drawn(@series))}>
         <div id="charts-place" phx-update="ignore" data-plots></div>
       </div>

@@ -2,6 +2,7 @@ defmodule FleetWeb.Console.Vehicle.Events do
   @moduledoc "A vehicle's events and texts as a filtered time line."
   use FleetWeb.Console, :component
 
+  alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Vehicle.Timeline
 
   attr :lines, :list, required: true
@@ -16,24 +17,24 @@ defmodule FleetWeb.Console.Vehicle.Events do
     ~H"""
     <section aria-labelledby="events-title">
       <h2 id="events-title" class="visually-hidden">Events</h2>
-      <.elsewhere :if={@via} via={@via}>Its events are shown there, and are in the stream FLEET_EVENTS. Here is what happened while this gateway heard it.</.elsewhere>
+      <.elsewhere :if={@via} via={@via}>Its events are shown there and are in the stream FLEET_EVENTS. This list has the events from when this gateway heard it.</.elsewhere>
       <form id="events-filter" class="row filters" phx-change="events_filter" phx-submit="events_filter">
         <.field id="events-level" name="level" type="select" label="Severity" options={levels()} value={@level} />
         <.field id="events-search" name="search" type="search" label="Search" value={@search} phx-debounce="150" autocomplete="off" />
-        <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Go on", else: "Pause"}</.button>
+        <.button icon={if @paused, do: "play", else: "pause"} phx-click="events_pause" aria-pressed={to_string(@paused)}>{if @paused, do: "Resume", else: "Pause"}</.button>
         <span class="muted" role="status">{length(@lines)} of the last {@total}</span>
       </form>
       <.empty :if={@lines == []} icon="list" title={nothing(@total, @via)}>
-        Texts of the vehicle, changes of its mode, failsafes and so on stand here as they come.
+        Texts from the vehicle, mode changes, failsafes and other events appear here.
       </.empty>
       <.lines id="events" lines={@lines} />
     </section>
     """
   end
 
-  defp nothing(0, nil), do: "Nothing has happened yet"
-  defp nothing(0, _via), do: "This gateway has no events of it"
-  defp nothing(_total, _via), do: "Nothing of this kind"
+  defp nothing(0, nil), do: "No events yet"
+  defp nothing(0, _via), do: "This gateway has no events from it"
+  defp nothing(_total, _via), do: "No match"
 
   attr :id, :string, required: true
   attr :lines, :list, required: true, doc: "`t:FleetWeb.Console.Vehicle.Timeline.line/0`"
@@ -43,7 +44,7 @@ defmodule FleetWeb.Console.Vehicle.Events do
     ~H"""
     <ol id={@id} class="timeline">
       <li :for={line <- @lines} :key={line.id} class={["event", Atom.to_string(line.tone)]}>
-        <time datetime={Aerie.Fleet.Json.time(line.time)} title={Aerie.Fleet.Json.time(line.time)}>{clock(line.time)}</time>
+        <time datetime={Clock.iso(line.time)} title={Clock.full(line.time)}>{Clock.time(line.time)}</time>
         <span class="event-severity">{line.name}</span>
         <span class="event-text">{line.text}</span>
       </li>
@@ -61,7 +62,4 @@ defmodule FleetWeb.Console.Vehicle.Events do
 
     for level <- Timeline.levels(), do: {labels[level], level}
   end
-
-  # The time of day in UTC, as in logs.
-  defp clock(us), do: us |> Aerie.Fleet.Json.time() |> String.slice(11, 8)
 end

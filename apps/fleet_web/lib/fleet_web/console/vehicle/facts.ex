@@ -34,7 +34,7 @@ defmodule FleetWeb.Console.Vehicle.Facts do
         <h2 id={"#{@id}-title"}>{@title}</h2>
         <.age us={View.age(@view, @group)} limit_us={@old_us} />
       </div>
-      <p :if={@known == []} class="muted">The vehicle has not told it.</p>
+      <p :if={@known == []} class="muted">Not reported by the vehicle</p>
       <dl :if={@known != []} class="facts">
         <div :for={{path, name} <- @known} :key={name} class="fact"><dt>{name}</dt><dd>{View.text(@view, path)}</dd></div>
       </dl>

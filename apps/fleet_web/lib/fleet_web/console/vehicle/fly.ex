@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Vehicle.Fly do
   import FleetWeb.Console.Vehicle.Facts
 
   alias FleetWeb.Console.Map, as: ConsoleMap
-  alias FleetWeb.Console.Vehicle.{Actions, Events, View}
+  alias FleetWeb.Console.Vehicle.{Actions, Events, Route, View}
 
   attr :view, View, required: true
   attr :user, :map, required: true
@@ -13,6 +13,8 @@ defmodule FleetWeb.Console.Vehicle.Fly do
   attr :modes, :list, required: true
   attr :target, :map, required: true, doc: "nil without one"
   attr :answer, :any, required: true
+  attr :obstacles, :list, required: true
+  attr :route, :map, required: true, doc: "`t:FleetWeb.Console.Fleet.Plans.t/0` of this vehicle"
   attr :aiming, :boolean, required: true
   attr :following, :boolean, required: true
   attr :lines, :list, required: true
@@ -44,12 +46,13 @@ defmodule FleetWeb.Console.Vehicle.Fly do
         />
         <div :if={Actions.able?("goto", assigns)} class="fly-aim">
           <.button small={true} icon="goto" phx-click="aim" aria-pressed={to_string(@aiming)}>Click to go</.button>
-          <span :if={@aiming} class="hint">Nothing is sent before you confirm.</span>
+          <span :if={@aiming} class="hint">Click the map. Nothing is sent until you confirm.</span>
         </div>
       </div>
       <div class="fly-side">
         <Actions.flight view={@view} user={@user} inputs={@inputs} modes={@modes} />
-        <Actions.target :if={@target} view={@view} target={@target} answer={@answer} />
+        <Actions.target :if={@target} view={@view} target={@target} answer={@answer} obstacles={@obstacles} />
+        <Route.mission view={@view} user={@user} route={@route} />
       </div>
       <div class="cards fly-cards">
         <.facts id="battery" title="Battery" view={@view} group={:battery} old_us={15_000_000} fields={battery()}>
@@ -63,7 +66,7 @@ defmodule FleetWeb.Console.Vehicle.Fly do
         <.facts id="gps" title="GPS" view={@view} group={:gps} fields={gps()} />
         <section class="card" aria-labelledby="latest-title">
           <div class="spread"><h2 id="latest-title">Latest</h2><.link patch={@events_path}>All events</.link></div>
-          <p :if={@lines == []} class="muted">{if @view.vehicle[:via], do: "Its events are at the gateway #{@view.vehicle[:via]}.", else: "Nothing has happened yet."}</p>
+          <p :if={@lines == []} class="muted">{if @view.vehicle[:via], do: "The gateway #{@view.vehicle[:via]} has its events.", else: "No events yet"}</p>
           <Events.lines id="latest" lines={@lines} />
         </section>
       </div>
@@ -75,7 +78,7 @@ defmodule FleetWeb.Console.Vehicle.Fly do
   defp readout do
     [
       {"Height", [:position, :alt_rel], 1},
-      {"Above sea", [:position, :alt_msl], 0},
+      {"Altitude (MSL)", [:position, :alt_msl], 0},
       {"Speed", [:velocity, :groundspeed], 1},
       {"Climb", [:velocity, :climb], 1},
       {"Heading", [:position, :heading], 0},
@@ -116,8 +119,8 @@ defmodule FleetWeb.Console.Vehicle.Fly do
       satellites: "Satellites",
       hdop: "HDOP",
       vdop: "VDOP",
-      h_acc: "Horizontal ±",
-      v_acc: "Vertical ±",
+      h_acc: "Horizontal accuracy",
+      v_acc: "Vertical accuracy",
       lat: "Latitude",
       lon: "Longitude"
     ]

@@ -30,9 +30,9 @@ defmodule FleetWeb.Console.Vehicle.Header do
     </header>
     <p :if={@status == :lost} class="notice bad" role="alert">
       <.icon name="link-off" />
-      <span><strong>Vehicle lost.</strong> Nothing was heard of it for {UI.Age.text(@view.silent_us)}. All that is shown is the last that it said; commands may not reach it.</span>
+      <span><strong>Vehicle lost.</strong> Not heard for {UI.Age.text(@view.silent_us)}. Last known values. Commands are refused until it is heard.</span>
     </p>
-    <.stale :if={@status == :stale}>Nothing was heard of it for {UI.Age.text(@view.silent_us)}.</.stale>
+    <.stale :if={@status == :stale}>Not heard for {UI.Age.text(@view.silent_us)}.</.stale>
     """
   end
 
@@ -49,7 +49,7 @@ defmodule FleetWeb.Console.Vehicle.Header do
 
   defp armed(true), do: "ARMED"
   defp armed(false), do: "disarmed"
-  defp armed(_unknown), do: "armed?"
+  defp armed(_unknown), do: "armed state unknown"
 
   defp armed_kind(true), do: "warn"
   defp armed_kind(_other), do: "plain"

@@ -31,7 +31,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
       </section>
       <section id="sensors" class="card" aria-labelledby="sensors-title">
         <h2 id="sensors-title">Sensors</h2>
-        <p :if={@sensors == nil} class="muted">The vehicle has not told it.</p>
+        <p :if={@sensors == nil} class="muted">Not reported by the vehicle</p>
         <p :if={@sensors == []}><.badge kind="ok">all healthy</.badge></p>
         <ul :if={@sensors not in [nil, []]} class="reasons"><li :for={name <- @sensors} :key={name}><.icon name="alert" /> {Arming.sensor(name)}</li></ul>
         <dl class="facts">
@@ -42,38 +42,38 @@ defmodule FleetWeb.Console.Vehicle.Health do
       </section>
       <section id="ekf" class="card" aria-labelledby="ekf-title">
         <h2 id="ekf-title">Estimator</h2>
-        <p :if={@ekf == nil} class="muted">The vehicle has not told it.</p>
+        <p :if={@ekf == nil} class="muted">Not reported by the vehicle</p>
         <dl :if={@ekf} class="facts">
           <div :for={{key, name} <- ratios()} :key={name} class="fact">
             <dt>{name}</dt>
             <dd><.meter value={@ekf[key] && @ekf[key] / 1} label={name} text={View.number(@ekf[key], 2)} kind={ratio(@ekf[key])} /></dd>
           </div>
         </dl>
-        <p class="hint">Innovation test ratios: below 0.5 is good, from 1 on the measurement is rejected.</p>
+        <p class="hint">Innovation test ratios: below 0.5 is good; at 1 or more the estimator rejects the measurement.</p>
       </section>
       <section id="rc" class="card" aria-labelledby="rc-title">
         <div class="spread"><h2 id="rc-title">Remote control</h2><.age us={View.age(@view, :rc)} limit_us={5_000_000} /></div>
-        <p :if={View.get(@view, [:rc, :channels]) in [nil, []]} class="muted">No channels are received.</p>
-        <p>Signal {View.text(@view, [:rc, :rssi])}, receiver {receiver(View.get(@view, [:health, :rc_receiver]))}</p>
+        <p :if={View.get(@view, [:rc, :channels]) in [nil, []]} class="muted">No channels received</p>
+        <p>{signal(View.get(@view, [:rc, :rssi]) && View.text(@view, [:rc, :rssi]))}; receiver {receiver(View.get(@view, [:health, :rc_receiver]))}</p>
         <ol class="channels">
           <li :for={{pwm, n} <- channels(@view)} :key={n}><span>{n}</span> <.meter value={(pwm - 900) / 1200} label={"Channel #{n}"} text={Integer.to_string(pwm)} /></li>
         </ol>
       </section>
-      <.facts id="home" title="Home" view={@view} group={:home} old_us={3_600_000_000} fields={[lat: "Latitude", lon: "Longitude", alt_msl: "Height above sea"]} />
+      <.facts id="home" title="Home" view={@view} group={:home} old_us={3_600_000_000} fields={[lat: "Latitude", lon: "Longitude", alt_msl: "Altitude (MSL)"]} />
       <section :if={Actions.able?("calibrate", assigns)} id="calibration" class="card calibration" aria-labelledby="calibration-title">
         <h2 id="calibration-title">Calibration</h2>
-        <p class="hint">On the ground, disarmed, still. What the vehicle asks for stands below as it asks.</p>
+        <p class="hint">Vehicle on the ground, disarmed and still. Its instructions appear below.</p>
         <Lives.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
         <div class="row">
           <.hold_button :for={sensor <- Calibration.sensors()} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
         </div>
-        <div :if={Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="How it lies">
-          <span class="muted">It lies</span>
+        <div :if={Actions.able?("calibrate_position", assigns)} class="row" role="group" aria-label="Position">
+          <span class="muted">Position:</span>
           <.hold_button :for={position <- Calibration.positions()} id={"lies-#{position}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate_position" phx-value-position={position}>{String.replace(position, "_", " ")}</.hold_button>
         </div>
         <div class="row">
-          <.hold_button :if={Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Store the magnetometers'</.hold_button>
-          <.hold_button id="calibrate-cancel" event="command" kind="plain" hold_ms={500} icon="x" phx-value-type="calibrate_cancel">End a calibration</.hold_button>
+          <.hold_button :if={Actions.able?("calibrate_accept", assigns)} id="calibrate-accept" event="command" kind="plain" hold_ms={500} icon="check" phx-value-type="calibrate_accept">Save compass calibration</.hold_button>
+          <.hold_button id="calibrate-cancel" event="command" kind="plain" hold_ms={500} icon="x" phx-value-type="calibrate_cancel">Cancel calibration</.hold_button>
         </div>
       </section>
     </div>
@@ -84,7 +84,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
   defp ready(%{ready: true}), do: "ready to arm"
   defp ready(%{ready: false}), do: "not ready to arm"
   defp ready(%{reasons: [_ | _]}), do: "not ready to arm"
-  defp ready(_unknown), do: "the vehicle does not report it"
+  defp ready(_unknown), do: "not reported by the vehicle"
 
   defp ready_kind(%{armed: true}), do: "warn"
   defp ready_kind(%{ready: true}), do: "ok"
@@ -106,9 +106,12 @@ defmodule FleetWeb.Console.Vehicle.Health do
   defp ratio(ratio) when ratio >= 0.5, do: "warn"
   defp ratio(_ratio), do: "ok"
 
+  defp signal(nil), do: "Signal strength not reported"
+  defp signal(strength), do: "Signal strength #{strength}"
+
   defp receiver(true), do: "healthy"
   defp receiver(false), do: "not heard"
-  defp receiver(nil), do: "not known"
+  defp receiver(nil), do: "state unknown"
 
   defp channels(view),
     do: for({pwm, n} <- Enum.with_index(View.get(view, [:rc, :channels]) || [], 1), pwm != nil, do: {pwm, n})

@@ -27,13 +27,13 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
         <:col :let={row} label="Use">{use_of(row)}</:col>
       </.data_table>
       <div class="cards">
-        <.facts id="hearing" title="Hearing" view={@view} group={:link} fields={[frames_per_s: "Frames", bytes_per_s: "Bytes"]} />
+        <.facts id="hearing" title="Reception" view={@view} group={:link} fields={[frames_per_s: "Frames", bytes_per_s: "Bytes"]} />
         <section :if={@view.vehicle[:via] == nil} class="card">
           <h2>Clock</h2>
           <dl class="facts">
             <div class="fact"><dt>Round trip</dt><dd>{ms(@clock[:rtt_us])}</dd></div>
-            <div class="fact"><dt>Known to</dt><dd>{ms(@clock[:error_us])}</dd></div>
-            <div class="fact"><dt>Running for</dt><dd>{boot(@view.vehicle[:time_boot_ms])}</dd></div>
+            <div class="fact"><dt>Accurate to</dt><dd>{ms(@clock[:error_us])}</dd></div>
+            <div class="fact"><dt>Up</dt><dd>{boot(@view.vehicle[:time_boot_ms])}</dd></div>
           </dl>
         </section>
         <section :if={@gcs} class="card">
@@ -52,9 +52,9 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
   defp loss(%{loss: nil}), do: "–"
   defp loss(row), do: "#{View.number(row.loss * 100, 2)} % (#{row.lost})"
 
-  defp use_of(%{carries: true}), do: "sends and hears"
-  defp use_of(%{carries: false}), do: "hears, stands by"
-  defp use_of(%{latest: true}), do: "heard last"
+  defp use_of(%{carries: true}), do: "sends and receives"
+  defp use_of(%{carries: false}), do: "receives, standby"
+  defp use_of(%{latest: true}), do: "received last"
   defp use_of(_row), do: ""
 
   defp ms(nil), do: "–"
@@ -63,11 +63,11 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
   defp boot(nil), do: "–"
   defp boot(ms), do: FleetWeb.Console.UI.Age.text(ms * 1000)
 
-  defp station(%{enabled?: false}), do: "Its failsafe for a lost ground station is switched off."
-  defp station(%{quiet?: true}), do: "A ground station that it listens to is heard."
+  defp station(%{enabled?: false}), do: "Its ground station failsafe is off."
+  defp station(%{quiet?: true}), do: "The vehicle hears its ground station."
 
   defp station(%{quiet?: false}),
-    do: "The ground station that it listens to is not heard: its failsafe triggers, or soon will."
+    do: "The vehicle does not hear its ground station: its failsafe is active or about to start."
 
-  defp station(_unknown), do: "Which ground station it listens to is not known."
+  defp station(_unknown), do: "Not known which ground station it listens to."
 end

@@ -10,24 +10,28 @@ defmodule FleetWeb.Console.Vehicle.Page do
       {:page,
        events: [
          viewer:
-           ~w(noop input events_filter events_pause chart_add command_search map_select map_follow map_menu map_escape map_point)
+           ~w(noop input events_filter events_pause chart_add command_search map_select map_follow map_menu map_escape map_point route)
        ]}
 
   alias Aerie.{Commands, Fleet, Inspector, Link, Store}
   alias Aerie.Command.Types
   alias Aerie.Fleet.Journal
   alias Aerie.Policy.Leases
-  alias FleetWeb.Console.Commands.{Give, Life, Lives}
+  alias FleetWeb.Console.Commands.{Course, Give, Life, Lives}
+  alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Map.Payload
 
   alias FleetWeb.Console.Vehicle.{
     Actions,
     Answer,
+    Arming,
     Charge,
     Header,
     Instruments,
     Links,
     MessageSeries,
+    Obstacles,
+    Route,
     Section,
     Sections,
     Series,
@@ -63,13 +67,21 @@ defmodule FleetWeb.Console.Vehicle.Page do
         series: [],
         command: nil,
         target: nil,
-        answer: nil
+        answer: nil,
+        obstacles: []
       )
       |> assign(
         aiming: false,
         following: true,
         map: %{},
         homes: nil,
+        marked: nil,
+        route: %Plans{},
+        route_shown: nil,
+        route_asked: false,
+        view: nil,
+        entries: [],
+        courses: %{},
         listening: false,
         heard: [],
         message: "",
@@ -93,7 +105,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
     errors = if command == socket.assigns.command, do: socket.assigns.errors, else: @no_errors
     socket = assign(socket, section: section, series: series, command: command, form: form, errors: errors)
     # The map is new when its section is shown again.
-    {:noreply, socket |> assign(map: %{}, homes: nil) |> listen() |> load()}
+    {:noreply, socket |> assign(map: %{}, homes: nil, marked: nil, route_shown: nil) |> listen() |> load()}
   end
 
   # Messages are watched only while they are charted, because watching costs the links time.
@@ -113,6 +125,10 @@ defmodule FleetWeb.Console.Vehicle.Page do
     do: {:noreply, update(socket, :events, &Enum.take(&1 ++ [event], -@max_events))}
 
   def handle_info({:fleet, :leases, _change}, socket), do: {:noreply, load(socket)}
+
+  def handle_info({:plan, id, ref, message}, socket),
+    do: {:noreply, socket |> update(:route, &Plans.update(&1, id, ref, message)) |> route()}
+
   def handle_info(_other, socket), do: {:noreply, socket}
 
   @impl Phoenix.LiveView
@@ -184,6 +200,12 @@ defmodule FleetWeb.Console.Vehicle.Page do
 
   def handle_event("map_escape", _value, socket), do: {:noreply, socket |> assign(:aiming, false) |> aim(nil)}
 
+  def handle_event("route", _value, %{assigns: %{view: %View{} = view, route: plans}} = socket) do
+    %{gateway: gateway, id: id} = socket.assigns
+    plans = Plans.toggle(plans, gateway, [id], %{id => View.get(view, [:mission, :total])})
+    {:noreply, socket |> assign(route: plans, route_asked: true) |> route()}
+  end
+
   def handle_event("map_follow", value, socket),
     do: {:noreply, assign(socket, :following, value["id"] != nil)}
 
@@ -212,20 +234,45 @@ defmodule FleetWeb.Console.Vehicle.Page do
   end
 
   defp aim(socket, target) do
-    socket
-    |> assign(:target, target)
-    |> push_event("map:target", %{
-      map: "vehicle-map",
-      place: target && %{lat: target.lat, lon: target.lon, text: "go here"}
-    })
-    |> judge()
+    socket |> assign(:target, target) |> mark() |> judge()
   end
 
-  defp judge(socket), do: assign(socket, :answer, Answer.of(socket.assigns))
+  # What is prepared goes first; then where the vehicle is on its way to.
+  defp mark(%{assigns: %{target: target, marked: marked, entries: entries, courses: courses}} = socket) do
+    place =
+      if target,
+        do: %{lat: target.lat, lon: target.lon, text: "go here"},
+        else: Target.on_its_way(entries, courses)
 
-  defp commands(%{assigns: %{gateway: gateway, id: id}} = socket) do
-    lives = gateway |> Commands.recent(id, 20) |> Enum.map(&Life.of/1)
-    assign(socket, lives: lives, now: System.os_time(:microsecond))
+    if place == marked,
+      do: socket,
+      else: socket |> assign(:marked, place) |> push_event("map:target", %{map: "vehicle-map", place: place})
+  end
+
+  defp judge(%{assigns: assigns} = socket) do
+    type = Obstacles.prepared(assigns)
+
+    obstacles =
+      with %View{} = view <- type && assigns.view,
+           do: Obstacles.of(type, view, Arming.of(view.vehicle, assigns.events, view.now)),
+           else: (_none -> [])
+
+    assign(socket, answer: Answer.of(assigns), obstacles: obstacles)
+  end
+
+  defp commands(%{assigns: %{gateway: gateway, id: id}} = socket),
+    do:
+      socket
+      |> assign(entries: Commands.recent(gateway, id, 20), now: System.os_time(:microsecond))
+      |> lives()
+
+  # How far commands are that have only begun, as the vehicle's state shows it now.
+  defp lives(%{assigns: %{entries: entries, courses: courses, view: view, events: events, now: now}} = socket) do
+    courses = if view, do: Course.keep(courses, entries, view.vehicle, {events, now}), else: courses
+
+    socket
+    |> assign(courses: courses, lives: Enum.map(entries, &Life.of(&1, courses[&1.id])))
+    |> mark()
   end
 
   defp load(%{assigns: %{gateway: gateway, id: id}} = socket) do
@@ -239,6 +286,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
       vehicle ->
         socket
         |> assign(view: View.new(vehicle, Store.links(gateway), now), lease: Leases.of(gateway, vehicle.key))
+        |> lives()
         |> part()
         |> judge()
     end
@@ -254,6 +302,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
     |> push_event("instruments", Instruments.sample(view.vehicle, view.now))
     |> onto_map(changes)
     |> homes(Payload.homes([view.vehicle]))
+    |> follow_mission()
   end
 
   defp part(%{assigns: %{section: "charts", series: series, view: view, gateway: gateway}} = socket) do
@@ -271,6 +320,28 @@ defmodule FleetWeb.Console.Vehicle.Page do
     do: assign(socket, :link_rows, Links.of(view.vehicle, Link.list(gateway)))
 
   defp part(socket), do: socket
+
+  defp follow_mission(%{assigns: %{gateway: gateway, view: view, route: plans, route_asked: asked}} = socket) do
+    if connected?(socket) do
+      route = Route.keep(plans, gateway, view, asked)
+      socket |> assign(route: route, route_asked: asked or route != plans) |> route()
+    else
+      socket
+    end
+  end
+
+  defp route(%{assigns: %{route: route, route_shown: shown, id: id, view: view}} = socket) do
+    case Plans.payload(route, %{id => view && View.get(view, [:mission, :seq])}) do
+      ^shown ->
+        socket
+
+      [] when shown == nil ->
+        socket
+
+      plans ->
+        socket |> assign(:route_shown, plans) |> push_event("map:plans", %{map: "vehicle-map", plans: plans})
+    end
+  end
 
   defp onto_map(socket, nil), do: socket
 
@@ -315,5 +386,6 @@ defmodule FleetWeb.Console.Vehicle.Page do
     """
   end
 
-  defp in_sight(lives, now), do: Enum.filter(lives, &(Life.under_way?(&1) or now - &1.done_at < @shown_us))
+  defp in_sight(lives, now),
+    do: Enum.filter(lives, &(Life.under_way?(&1) or &1.going or now - &1.done_at < @shown_us))
 end

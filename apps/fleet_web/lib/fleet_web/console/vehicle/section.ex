@@ -29,6 +29,8 @@ defmodule FleetWeb.Console.Vehicle.Section do
       modes={modes(@view.vehicle)}
       target={@target}
       answer={@answer}
+      obstacles={@obstacles}
+      route={@route}
       aiming={@aiming}
       following={@following}
       lines={@events |> Timeline.lines() |> Enum.take(6)}
@@ -48,10 +50,10 @@ defmodule FleetWeb.Console.Vehicle.Section do
     <div class="commands">
       <Panel.catalog groups={Catalog.groups(@view.vehicle, @user, @search)} search={@search} chosen={@command} path={&Sections.command_path(@id, &1)} />
       <div class="stack">
-        <Panel.panel :if={@entry} entry={@entry} fields={Form.fields(@entry.type, @view.vehicle, @form)} errors={@errors} answer={@answer} />
+        <Panel.panel :if={@entry} entry={@entry} fields={Form.fields(@entry.type, @view.vehicle, @form)} errors={@errors} answer={@answer} obstacles={@obstacles} />
         <section class="card" aria-labelledby="history-title">
           <h2 id="history-title">Commands of all operators</h2>
-          <p :if={@lives == []} class="muted">None has been given yet.</p>
+          <p :if={@lives == []} class="muted">No commands yet</p>
           <Lives.lives id="history" lives={@lives} now={@now} user={@user} />
         </section>
       </div>

@@ -17,6 +17,54 @@ defmodule FleetWeb.Console.Vehicle.Series do
           path: [atom() | non_neg_integer()] | tuple()
         }
 
+  # What the names of the state do not say well.
+  labels = %{
+    "position.lat" => "Latitude",
+    "position.lon" => "Longitude",
+    "position.alt_msl" => "Altitude (MSL)",
+    "position.alt_rel" => "Height above home",
+    "position.heading" => "Heading",
+    "attitude.roll" => "Roll",
+    "attitude.pitch" => "Pitch",
+    "attitude.yaw" => "Yaw",
+    "attitude.rollspeed" => "Roll rate",
+    "attitude.pitchspeed" => "Pitch rate",
+    "attitude.yawspeed" => "Yaw rate",
+    "velocity.vn" => "Velocity north",
+    "velocity.ve" => "Velocity east",
+    "velocity.vd" => "Velocity down",
+    "velocity.groundspeed" => "Ground speed",
+    "velocity.airspeed" => "Airspeed",
+    "velocity.climb" => "Climb rate",
+    "velocity.throttle" => "Throttle",
+    "battery.consumed_mah" => "Battery used",
+    "battery.remaining" => "Battery remaining",
+    "gps.lat" => "GPS latitude",
+    "gps.lon" => "GPS longitude",
+    "gps.alt_msl" => "GPS altitude (MSL)",
+    "gps.h_acc" => "GPS horizontal accuracy",
+    "gps.v_acc" => "GPS vertical accuracy",
+    "gps.hdop" => "GPS HDOP",
+    "gps.vdop" => "GPS VDOP",
+    "home.lat" => "Home latitude",
+    "home.lon" => "Home longitude",
+    "home.alt_msl" => "Home altitude (MSL)",
+    "mission.seq" => "Mission item",
+    "mission.total" => "Mission items",
+    "mission.reached" => "Mission item reached",
+    "mission.wp_distance" => "Distance to mission item",
+    "rc.rssi" => "RC signal strength"
+  }
+
+  words = fn names ->
+    names
+    |> Enum.join(" ")
+    |> String.replace("_", " ")
+    |> String.capitalize()
+    |> String.replace(~r/\A(Gps|Rc)\b/, &String.upcase/1)
+    |> String.replace(" ekf ", " EKF ")
+  end
+
   fields =
     for {group, _title, fields} <- Fields.all(),
         %{path: path, decimals: decimals} = field when decimals != nil <- fields,
@@ -38,7 +86,7 @@ defmodule FleetWeb.Console.Vehicle.Series do
 
         %{
           key: Enum.join(names, "."),
-          label: names |> Enum.join(" ") |> String.replace("_", " "),
+          label: Map.get(labels, Enum.join(names, "."), words.(names)),
           unit: field.unit || "",
           meaning: field.meaning,
           path: [group | path]

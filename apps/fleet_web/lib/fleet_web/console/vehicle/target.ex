@@ -10,6 +10,18 @@ defmodule FleetWeb.Console.Vehicle.Target do
   @typedoc "`:altitude` is the text of its field, metres above home."
   @type t :: %{lat: float(), lon: float(), altitude: String.t()}
 
+  @doc "The place that the vehicle is on its way to (`FleetWeb.Console.Commands.Course`), for the map; nil without one."
+  @spec on_its_way([map()], %{String.t() => map()}) :: %{lat: float(), lon: float(), text: String.t()} | nil
+  def on_its_way(entries, courses) do
+    Enum.find_value(entries, fn
+      %{id: id, type: "goto", params: %{lat: lat, lon: lon}} ->
+        courses[id][:stage] == :going && %{lat: lat, lon: lon, text: "on its way"}
+
+      _other ->
+        nil
+    end)
+  end
+
   @doc "A position that was clicked, at the vehicle's height, but at least #{@lowest_m} m."
   @spec new(View.t(), term()) :: t() | nil
   def new(view, %{"lat" => lat, "lon" => lon})

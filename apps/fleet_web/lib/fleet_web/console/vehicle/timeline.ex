@@ -100,12 +100,48 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp text("landed", _data), do: "landed"
 
   defp text("failsafe", data),
-    do: join("failsafe #{words(data["reason"] || data["type"])}", [action(data["action"]), data["text"]])
+    do:
+      join("failsafe: #{words(data["reason"] || data["type"])}", [
+        action(data["action"]),
+        brackets(data["text"])
+      ])
+
+  defp text("failsafe.cleared", data), do: "failsafe over: #{words(data["reason"] || data["type"])}"
+
+  defp text("geofence", data),
+    do: join("outside the fence", [brackets(data["breach"]), brackets(data["text"])])
+
+  defp text("geofence.cleared", _data), do: "inside the fence again, or the fence is off"
+  defp text("rc.lost", _data), do: "remote control lost"
+  defp text("rc.restored", _data), do: "remote control restored"
+  defp text("gps.lost", data), do: join("GNSS position lost", [brackets(data["fix_name"])])
+  defp text("gps.restored", _data), do: "GNSS position restored"
+  defp text("position.lost", _data), do: "position estimate lost"
+  defp text("position.restored", _data), do: "position estimate restored"
+  defp text("kill_switch.engaged", _data), do: "kill switch engaged"
+  defp text("kill_switch.released", _data), do: "kill switch released"
+  defp text("collision", _data), do: "two vehicles use this system id"
+  defp text("gcs.lost", data), do: join("ground station", [data["system"], "lost"])
+  defp text("gcs.restored", data), do: join("ground station", [data["system"], "restored"])
+  defp text("gcs_failsafe", _data), do: "the vehicle lost its ground station"
+  defp text("stream.contested", _data), do: "another program changes the message rates"
+  defp text("displaced", data), do: "removed to make room for #{shown(data["by"])}"
+  defp text("gateway.started", _data), do: "the gateway started"
+  defp text("operator.changed", data), do: charge_of(data["operator"], data["before"], data["reason"])
+
+  defp text("signing.rejected", data),
+    do: join("frames without a valid signature rejected", [on(data["link"])])
+
+  defp text("signing.enrolled", data), do: join("signing key set", [by_whom(data["by"])])
+  defp text("signing.revoked", data), do: join("signing key removed", [by_whom(data["by"])])
+
+  defp text("signing.failed", data),
+    do: join("signing key not changed", [brackets(data["reason"]), by_whom(data["by"])])
 
   defp text("link.lost", data),
-    do: join("not heard any more", [data["silent_s"] && "for #{round(data["silent_s"])} s"])
+    do: join("contact lost", [data["silent_s"] && "for #{round(data["silent_s"])} s"])
 
-  defp text("link.restored", _data), do: "heard again"
+  defp text("link.restored", _data), do: "contact restored"
   defp text("battery.low", data), do: "battery low" <> charge(data)
   defp text("battery.critical", data), do: "battery critical" <> charge(data)
   defp text("param_changed", data), do: "#{data["name"]}: #{shown(data["from"])} → #{shown(data["to"])}"
@@ -115,6 +151,21 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp text("reboot", _data), do: "the vehicle restarted"
   defp text(type, %{"text" => text}) when is_binary(text) and text != "", do: "#{words(type)}: #{text}"
   defp text(type, data), do: join(words(type), [plain(data)])
+
+  defp charge_of(nil, before, _reason), do: "#{before || "the operator"} is no longer in charge"
+  defp charge_of(operator, nil, _reason), do: "#{operator} took charge"
+
+  defp charge_of(operator, before, reason),
+    do: join("#{operator} took over from #{before}", [brackets(reason)])
+
+  defp brackets(text) when is_binary(text) and text != "", do: "(#{words(text)})"
+  defp brackets(_none), do: nil
+
+  defp on(link) when is_binary(link), do: "on #{link}"
+  defp on(_unknown), do: nil
+
+  defp by_whom(name) when is_binary(name), do: "by #{name}"
+  defp by_whom(_unknown), do: nil
 
   defp by(%{"reason" => reason}) when is_binary(reason), do: " (#{words(reason)})"
   defp by(_data), do: ""

@@ -86,7 +86,7 @@ defmodule FleetWeb.Console.Audit.PageTest do
     write(console, [decision("allow", "arm"), decision("allow", "land")])
     view = open(console)
     view |> element("button", "Verify") |> render_click()
-    eventually(fn -> has_element?(view, "#audit-report", "The log is whole") end)
+    eventually(fn -> has_element?(view, "#audit-report", "The log is intact") end)
     [file] = Path.wildcard(Path.join(dir, "*.jsonl"))
     File.write!(file, file |> File.read!() |> String.replace(~s("arm"), ~s("hug")))
     view |> element("button", "Verify") |> render_click()

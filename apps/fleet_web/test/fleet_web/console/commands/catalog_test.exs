@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Commands.CatalogTest do
     assert %{gap: "PX4 has no relays"} = Catalog.entry("relay", @copter, @operator)
     assert %{gap: nil, denied: nil, title: "Take off"} = Catalog.entry("takeoff", @copter, @operator)
 
-    assert %{denied: "ann (operator) does not have the permission terminate"} =
+    assert %{denied: "ann (operator) needs the permission terminate"} =
              Catalog.entry("terminate", @copter, @operator)
 
     assert %{denied: denied} =

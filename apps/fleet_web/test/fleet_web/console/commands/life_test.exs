@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Commands.LifeTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Command.Result
-  alias FleetWeb.Console.Commands.Life
+  alias FleetWeb.Console.Commands.{Life, Wording}
 
   @entry %{
     id: "a",
@@ -34,7 +34,7 @@ defmodule FleetWeb.Console.Commands.LifeTest do
 
     assert shown |> Enum.map(& &1.label) |> Enum.uniq() |> length() == length(Result.table())
     assert [:timeout, :unknown] == for(%{tone: :unsure, state: state} <- shown, do: state)
-    assert %{text: "the vehicle may have done it"} = Enum.find(shown, &(&1.state == :unknown))
+    assert %{text: "The vehicle may have done it."} = Enum.find(shown, &(&1.state == :unknown))
 
     assert %{text: "not so high", cancel: false} =
              Life.of(%{@entry | result: Result.new("a", :denied, "not so high")})
@@ -47,10 +47,34 @@ defmodule FleetWeb.Console.Commands.LifeTest do
              Life.of(upload)
   end
 
-  test "parameters in one line" do
-    assert "altitude 20, altitude reference home, lat 47.1234568" ==
-             Life.params(%{lat: 47.12345678, altitude: 20.0, altitude_reference: "home"})
+  test "parameters as an operator would say them" do
+    for {type, params, words} <- [
+          {"goto", %{lat: 47.398331, lon: 8.5443, altitude: 10.0, altitude_reference: "home"},
+           "47.39833, 8.54430 at 10 m above home"},
+          {"goto", %{lat: 47.0, lon: 8.0, altitude: 500, altitude_reference: "msl", speed: 5.0},
+           "47.00000, 8.00000 at 500 m above mean sea level, speed 5"},
+          {"set_mode", %{mode: "AUTO_LOITER", setpoints_elsewhere: false}, "AUTO_LOITER"},
+          {"takeoff", %{altitude: 10.0}, "10 m above home"},
+          {"set_geofence", %{enabled: false}, "off"},
+          {"calibrate", %{sensor: "compass_motor"}, "compass motor"},
+          {"plan", %{action: "upload", items: 5, digest: String.duplicate("a", 64)}, "upload, items 5"},
+          {"rc_override", %{channels: [1500, 0]}, "channels 1500 0"},
+          {"hold", %{}, ""}
+        ],
+        do: assert({type, Wording.params(type, params)} == {type, words})
+  end
 
-    assert "channels 1500 0" == Life.params(%{channels: [1500, 0]})
+  test "a refusal because another one is in charge names the form of these pages" do
+    lease = %Aerie.Policy.Lease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
+
+    assert {:deny, reason} =
+             Aerie.Policy.Rules.Lease.check(
+               %{lease: %{required: false}},
+               %{control: nil, ends_flight?: false, permission: :fly},
+               %{lease: lease, source: %{name: "bob", role: :operator}}
+             )
+
+    assert %{text: text} = Life.of(%{@entry | result: Result.new("a", :denied, reason), done_at: 2})
+    assert text =~ ~r/\Aann is in charge of the vehicle .* UTC\); take over under “in charge”\z/
   end
 end

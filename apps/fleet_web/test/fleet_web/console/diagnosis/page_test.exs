@@ -27,7 +27,7 @@ defmodule FleetWeb.Console.Diagnosis.PageTest do
 
   test "nothing is wrong, and what would be shown", %{console: console} do
     {:ok, _view, html} = live(conn(console, :viewer), "/diagnosis")
-    assert html =~ "Nothing is wrong"
+    assert html =~ "No problems"
   end
 
   test "conditions with evidence and mend, the serious ones first; a filter by severity", %{console: console} do
@@ -39,7 +39,7 @@ defmodule FleetWeb.Console.Diagnosis.PageTest do
     assert view |> element("button", "Errors 1") |> render_click() =~ "is in use"
     html = view |> element("button", "Notices 0") |> render_click()
     refute html =~ "is in use"
-    assert html =~ "Nothing of this kind"
+    assert html =~ "No match"
     assert view |> element("button", "All 1") |> render_click() =~ "is in use"
   end
 

@@ -51,9 +51,9 @@ defmodule FleetWeb.Console.Links.PageTest do
     udp(c.gateway)
     assert has_element?(open(c.console, "/links?part=routes"), "#routes td", "7/1")
     assert c.console |> open("/links?part=clients") |> render() =~ "No clients"
-    assert c.console |> open("/links?part=rules") |> render() =~ "No rule was changed"
+    assert c.console |> open("/links?part=rules") |> render() =~ "No changed rules"
     assert c.console |> open("/links?part=nonsense&link%5B%5D=x") |> render() =~ "Networks"
-    assert c.console |> open("/links?link=gone") |> render() =~ "There is no link gone"
+    assert c.console |> open("/links?link=gone") |> render() =~ "No link gone"
   end
 
   test "viewers and operators can change nothing, whatever the browser says", c do
@@ -74,10 +74,10 @@ defmodule FleetWeb.Console.Links.PageTest do
     view |> element("button", "Add a link") |> render_click()
     form = fn params -> view |> element("#add-link-form") |> render_submit(params) end
     assert form.(%{"url" => "nonsense:1", "id" => "", "network" => ""}) =~ "field-error"
-    assert form.(%{"url" => "replay:/etc/passwd"}) =~ "recordings are played from"
+    assert form.(%{"url" => "replay:/etc/passwd"}) =~ "play recordings from"
 
     assert form.(%{"url" => "udpin:127.0.0.1:0", "id" => "second", "network" => "field"}) =~
-             "Link second was added"
+             "Link second added"
 
     assert %{network: "field"} = Link.get(c.gateway, "second")
     eventually(fn -> has_element?(view, "#links a", "second") end)
@@ -88,11 +88,11 @@ defmodule FleetWeb.Console.Links.PageTest do
     view = open(c.console, "/links?link=radio", :admin)
     before = Aerie.Names.whereis(c.gateway, :link, "radio")
     view |> element("#link button", "Restart") |> render_click()
-    assert has_element?(view, "dialog", "Its counters and routes stay")
+    assert has_element?(view, "dialog", "counters and routes stay")
     render_click(view, "cancel", %{})
     assert Aerie.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Restart") |> render_click()
-    assert view |> element("dialog button", "Restart link radio") |> render_click() =~ "was restarted"
+    assert view |> element("dialog button", "Restart link radio") |> render_click() =~ "restarted"
     refute Aerie.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Remove") |> render_click()
     view |> element("dialog button", "Remove link radio") |> render_click()
@@ -109,7 +109,7 @@ defmodule FleetWeb.Console.Links.PageTest do
     :ok = Router.configure(c.gateway, "radio", bytes_per_s: 1_000)
     view = open(c.console, "/links?part=rules", :admin)
     assert has_element?(view, "#rules td", "1000")
-    assert view |> element("#rules button", "Undo") |> render_click() =~ "are the configured ones again"
+    assert view |> element("#rules button", "Reset") |> render_click() =~ "are as configured again"
     assert Router.changes(c.gateway) == %{}
   end
 
@@ -123,7 +123,7 @@ defmodule FleetWeb.Console.Links.PageTest do
     })
 
     html = c.console |> open("/links?link=old") |> render()
-    assert html =~ ~r/Nothing heard for \d+ s/
+    assert html =~ ~r/Not heard for \d+ s/
     assert html =~ "/dev/ttyUSB0: nothing in 5 s"
   end
 

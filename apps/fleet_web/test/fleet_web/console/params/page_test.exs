@@ -139,6 +139,6 @@ defmodule FleetWeb.Console.Params.PageTest do
     refute view |> element("#params-progress button") |> render_click() =~ "params-progress"
     assert has_element?(view, "button", "Read")
     {:ok, _view, html} = live(conn(console, :viewer), "/params?vehicle=VID-999")
-    assert html =~ "No vehicle is chosen"
+    assert html =~ "No vehicle chosen"
   end
 end

@@ -40,7 +40,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
 
   test "what is desired, how it stands, who set it, until it agrees; then it is removed", %{console: console} do
     view = open(console)
-    assert render(view) =~ "Nothing is desired of it"
+    assert render(view) =~ "No desired state"
     desire(view, %{field: "mode", value: "LOITER", reason: "storm", expires: "3600"})
     from = executing(%{type: "set_mode", source: "shadow", id: id})
     eventually(fn -> shown?(view, "#field-mode", "pending") end)
@@ -66,7 +66,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     assert desire(view, %{field: "params.*", name: "RTL_ALT", value: "high"}) =~ "expected a number"
     assert desire(view, %{field: "home", value: "47.1"}) =~ "desired.home"
     assert desire(view, %{field: "mission.plan", value: "abc"}) =~ "64 hexadecimal digits"
-    assert render_hook(view, "desire", %{"field" => "__proto__"}) =~ "is no field"
+    assert render_hook(view, "desire", %{"field" => "__proto__"}) =~ "is not a field"
     assert {:ok, %{"version" => 0}} = Shadow.get(console.gateway, @id)
   end
 
@@ -94,7 +94,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
 
   test "a vehicle that nobody has heard of", %{console: console} do
     {:ok, view, _html} = live(conn(console, :admin), "/vehicles/VID-999/shadow")
-    assert render(view) =~ "Nothing is desired of it"
+    assert render(view) =~ "No desired state"
     desire(view, %{field: "tags", value: "later"})
     assert Shadow.tags(console.gateway)["VID-999"] == ["later"]
   end

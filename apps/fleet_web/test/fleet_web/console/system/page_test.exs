@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.System.PageTest do
   test "the figures of the virtual machine, and NATS", %{console: console} do
     html = console |> open("overview") |> render()
 
-    for word <- ["Virtual machine", "Run queues", "processes", "binary", "Elixir", System.version(), "NATS"],
+    for word <- ["Virtual machine", "Run queue", "processes", "binary", "Elixir", System.version(), "NATS"],
         do: assert(html =~ word)
 
     # Each value stands behind its name.
@@ -69,14 +69,14 @@ defmodule FleetWeb.Console.System.PageTest do
     for task <- rest, do: assert(Task.await(task, Aerie.Patience.ms()) == sample)
   end
 
-  test "when it cannot be measured, it says so, and what is shown is old", %{console: console} do
+  test "when it No measurement, it says so, and what is shown is old", %{console: console} do
     view = open(console, "overview")
     sampler = Names.whereis(console.gateway, :console_system)
     ref = Process.monitor(sampler)
     :ok = Supervisor.terminate_child(Names.via(console.gateway, :console), Sampler)
     assert_receive {:DOWN, ^ref, :process, _pid, _reason}
     eventually(fn -> has_element?(view, ".notice.warn", "too busy to measure") end)
-    assert console |> open("overview") |> render() =~ "cannot be measured"
+    assert console |> open("overview") |> render() =~ "No measurement"
   end
 
   test "the first look at the work of processes has nothing to compare with" do

@@ -43,7 +43,7 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
       assert give(view, "arm") =~ "Done"
       eventually(fn -> has_element?(view, ".vehicle-armed", "ARMED") end)
       assert give(view, "takeoff", %{"altitude" => "150"}) =~ "Not allowed"
-      assert give(view, "takeoff", %{"altitude" => "10"}) =~ "Done"
+      assert give(view, "takeoff", %{"altitude" => "10"}) =~ ~r/Climbing|At height/
       SimVehicle.await(sim, &(&1.alt_rel > 8))
       eventually(fn -> has_element?(view, ".vehicle-air", "in the air") end)
       eventually(fn -> has_element?(view, "#latest", "took off") end)
@@ -53,11 +53,13 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
       assert has_element?(view, ".goto-panel [data-answer=allow]")
 
       assert give(view, "goto", %{"lat" => "#{lat + 0.0003}", "lon" => "#{lon}", "altitude" => "12"}) =~
-               "Done"
+               ~r/On its way|Arrived/
 
       SimVehicle.await(sim, &(&1.lat > lat + 0.0002))
-      assert give(view, "land") =~ "Done"
+      eventually(fn -> has_element?(view, "#commands-now .good", "Arrived") end)
+      assert give(view, "land") =~ ~r/Landing|Landed/
       SimVehicle.await(sim, &(not &1.armed))
+      eventually(fn -> has_element?(view, "#commands-now .good", "Landed") end)
       eventually(fn -> has_element?(view, ".vehicle-air", "on the ground") end)
       assert view |> element("a.tab", "Events") |> render_click() =~ "took off"
     end

@@ -116,7 +116,10 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     answer(from, "r1", :completed)
 
     for view <- [one, other],
-        do: eventually(fn -> has_element?(view, "#commands-now-r1[data-state=completed]", "Done") end)
+        do:
+          eventually(fn ->
+            has_element?(view, "#commands-now-r1[data-state=completed].going", "Returning")
+          end)
 
     assert [%{via: "console", source: "operator"}] = Aerie.Commands.recent(console.gateway, @id)
   end
@@ -151,7 +154,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert give(view, "takeoff", "t2", %{"fields" => %{"altitude" => "high"}}) =~
              "Not sent: altitude: expected a number"
 
-    assert give(view, "nonsense", "n") =~ "there is no such command"
+    assert give(view, "nonsense", "n") =~ "this command does not exist"
     assert render_hook(view, "command", %{"type" => "land"}) =~ "needs an id"
     assert give(view, "land", "not an id!") =~ "expected 1 to 64 letters"
   end
@@ -187,10 +190,10 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert has_element?(view, "#command-altitude")
 
     fields = %{"lat" => "47.0001", "lon" => "8.0", "altitude" => "500"}
-    assert view |> element("#command-form-goto") |> render_change(fields) =~ "Would be refused"
+    assert view |> element("#command-form-goto") |> render_change(fields) =~ "The policy refuses it"
 
     assert view |> element("#command-form-goto") |> render_change(%{fields | "altitude" => "50"}) =~
-             "Would be allowed"
+             "The policy allows it"
 
     assert give(view, "goto", "g1", %{"fields" => %{fields | "altitude" => "high"}}) =~
              "expected a number from -11000"
@@ -202,7 +205,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
                     {:submit, %{id: "g2", params: %{altitude: 50.0, altitude_reference: "home"}}, _desk}}
 
     answer(from, "g2", :completed)
-    eventually(fn -> has_element?(view, "#history-g2", "altitude 50") end)
+    eventually(fn -> has_element?(view, "#history-g2", "47.00010, 8.00000 at 50 m above home") end)
   end
 
   test "a gap has its reason among all commands, and no button anywhere", %{console: console} do
@@ -234,7 +237,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert has_element?(view, ".goto-panel [data-answer=allow]")
     assert has_element?(view, ".goto-panel", "33 m away")
 
-    assert view |> element("#goto-form") |> render_change(%{"altitude" => "300"}) =~ "Would be refused"
+    assert view |> element("#goto-form") |> render_change(%{"altitude" => "300"}) =~ "The policy refuses it"
     assert has_element?(view, "#action-goto[disabled]")
     assert view |> element("#goto-form") |> render_change(%{"altitude" => "x"}) =~ "expected a number"
     view |> element("#goto-form") |> render_change(%{"altitude" => "30"})
@@ -256,6 +259,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     {:ok, view, html} = live(conn(console), @path)
     assert html =~ "Vehicle lost."
     assert html =~ "34 min"
+    assert html =~ "Commands are refused until it is heard."
     assert has_element?(view, "#instruments[data-status=lost]")
 
     at = System.os_time(:microsecond) - 90 * 60_000_000
@@ -266,15 +270,15 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
 
     eventually(fn -> has_element?(view, "#battery .age.old", "90 min") end)
     assert has_element?(view, "#battery", "12.34 V")
-    assert has_element?(view, "#gps", "The vehicle has not told it")
+    assert has_element?(view, "#gps", "Not reported by the vehicle")
   end
 
   test "what happens stands on the time line; it can be filtered and paused", %{console: console} do
     view = open(console, :viewer, @path <> "/events")
-    assert render(view) =~ "Nothing has happened yet"
+    assert render(view) =~ "No events yet"
     happened(console, "statustext", %{"text" => "EKF3 IMU0 is using GPS", "severity" => 6}, 1)
     happened(console, "failsafe", %{"type" => "battery", "action" => "rtl"}, 2)
-    eventually(fn -> has_element?(view, "#events .event.bad", "failsafe battery → rtl") end)
+    eventually(fn -> has_element?(view, "#events .event.bad", "failsafe: battery → rtl") end)
     assert has_element?(view, "#events .event", "EKF3")
 
     refute view |> element("#events-filter") |> render_change(%{"level" => "error", "search" => ""}) =~ "EKF3"
@@ -287,7 +291,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     happened(console, "statustext", %{"text" => "later", "severity" => 6}, 3)
     eventually(fn -> length(Journal.recent(console.gateway, @id)) == 3 end)
     refute render(view) =~ "later"
-    assert view |> element("button", "Go on") |> render_click() =~ "later"
+    assert view |> element("button", "Resume") |> render_click() =~ "later"
   end
 
   test "charts: chosen by the address, samples as events", %{console: console} do
@@ -304,9 +308,9 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     )
 
     view |> element("#chart-add") |> render_change(%{"key" => "no.such"})
-    assert has_element?(view, ".chip", "battery voltage")
+    assert has_element?(view, ".chip", "Battery voltage")
     view |> element(".chip a") |> render_click()
-    assert render(view) =~ "No field is chosen"
+    assert render(view) =~ "No field chosen"
   end
 
   test "charts of messages' fields, which are heard only meanwhile", %{console: console} do
@@ -319,7 +323,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
         @path <> "/charts?f=ATTITUDE.roll,BATTERY_STATUS.voltages.1,NO_SUCH.field,battery.voltage"
       )
 
-    for label <- ["ATTITUDE roll", "BATTERY_STATUS voltages 1", "battery voltage"],
+    for label <- ["ATTITUDE roll", "BATTERY_STATUS voltages 1", "Battery voltage"],
         do: assert(has_element?(view, ".chip", label))
 
     refute render(view) =~ "NO_SUCH"
@@ -375,54 +379,6 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     assert_push_event(view, "map:homes", %{homes: [[47.3975, 8.545]]}, Aerie.Patience.ms())
     put(console, attitude: %{roll: -20.0})
     assert_push_event(view, "instruments", %{roll: -20.0}, Aerie.Patience.ms())
-  end
-
-  test "one operator is in charge; another one takes over with a reason", %{console: console} do
-    {one, other} = {open(console), open(console, :admin)}
-    assert has_element?(one, "#charge.free", "Nobody is in charge")
-    give(one, "take_control", "t1")
-
-    eventually(fn ->
-      has_element?(one, "#charge.own") and has_element?(other, "#charge.other", "operator has been in charge")
-    end)
-
-    give(other, "set_mode", "m1", %{"mode" => "GUIDED"})
-    eventually(fn -> has_element?(other, "#commands-now-m1[data-state=denied]", "operator is in charge") end)
-    give(other, "take_control", "t2")
-    eventually(fn -> has_element?(other, "#commands-now-t2[data-state=denied]", "needs a reason") end)
-    give(other, "take_control", "t3", %{"fields" => %{"reason" => "battery of the tablet"}})
-    eventually(fn -> has_element?(one, "#charge.other", "battery of the tablet") end)
-    refute open(console, :viewer) |> has_element?("#charge form")
-  end
-
-  test "a mode in which the firmware does not arm offers the one to be set first", %{console: console} do
-    put(console, mode: %{armed: false, in_air: false, mode: "LAND"})
-    view = open(console)
-    assert has_element?(view, "#action-arm-first", "Set GUIDED first")
-    assert has_element?(view, "#action-arm-first[phx-value-type=set_mode][phx-value-mode=GUIDED]")
-    assert has_element?(view, "#action-arm")
-    give(view, "set_mode", "m1", %{"mode" => "GUIDED"})
-    from = executing(%{type: "set_mode", params: %{mode: "GUIDED"}, id: "m1"})
-    answer(from, "m1", :completed)
-
-    put(console, mode: %{armed: false, in_air: false, mode: "GUIDED"})
-    send(view.pid, :refresh)
-    refute has_element?(view, "#action-arm-first")
-    put(console, mode: %{armed: false, mode: "LAND"})
-    refute open(console, :viewer) |> has_element?("#action-arm-first")
-  end
-
-  test "what keeps it from arming", %{console: console} do
-    put(console,
-      mode: %{armed: false},
-      health: %{ready_to_arm: false, unhealthy: ["3d_mag"], vibration: [1.0, 2.0, 3.0]}
-    )
-
-    view = open(console, :viewer, @path <> "/health")
-    assert has_element?(view, "#arming", "not ready to arm")
-    assert has_element?(view, "#arming", "3D mag is unhealthy")
-    happened(console, "statustext", %{"text" => "PreArm: Compass not calibrated", "severity" => 2}, 1)
-    eventually(fn -> has_element?(view, "#arming", "Compass not calibrated") end)
   end
 
   test "links of this vehicle, with loss", %{console: console} do

@@ -127,7 +127,7 @@ defmodule FleetWeb.Console.Vehicle.PartsTest do
     assert [
              "RTL_ALT: 1500 → 2000",
              "battery low: 20 %",
-             "failsafe critical battery level → rtl",
+             "failsafe: critical battery level → rtl",
              "mode unknown → GUIDED",
              "EKF3 IMU0 is using GPS"
            ] ==

@@ -1,0 +1,165 @@
+defmodule FleetWeb.Console.Vehicle.ControlTest do
+  @moduledoc "What a vehicle's page offers by the vehicle's state, and how it tells what becomes of it. As `PageTest`, with a store that is filled by hand."
+  use FleetWeb.ConsoleCase, async: true
+
+  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+
+  alias Aerie.Fleet.Journal
+  alias Aerie.Store
+  alias Aerie.Vehicle.Event
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @id "VID-007"
+  @ahead_us 600_000_000
+  @path "/vehicles/VID-007"
+
+  setup %{tmp_dir: dir} = context do
+    [console: console] = start_console()
+    start_door(dir, gateway: console.gateway, policy: context[:policy] || [max_altitude: 100])
+    put(console)
+    %{console: console}
+  end
+
+  # As the executor's vehicle: in the air above its home. Its values stay fresh, however long a test takes.
+  defp put(console, groups \\ [], fields \\ %{}) do
+    put_vehicle(
+      console,
+      @id,
+      groups,
+      Map.merge(
+        %{
+          key: {"main", 7},
+          system_id: 7,
+          component: 1,
+          clock: %{rtt_us: 20_000},
+          memory: %{sources: %{}, mode_names: %{}}
+        },
+        fields
+      )
+    )
+
+    unless fields[:groups] do
+      vehicle = Store.vehicle(console.gateway, @id)
+      groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: group.at + @ahead_us}} end)
+      Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | groups: groups})
+    end
+  end
+
+  defp open(console, role \\ :operator, path \\ @path) do
+    {:ok, view, _html} = live(conn(console, role), path)
+    view
+  end
+
+  defp give(view, type, id, more \\ %{}),
+    do: render_hook(view, "command", Map.merge(%{"type" => type, "id" => id}, more))
+
+  defp happened(console, type, data, seq) do
+    event = Event.new(@id, type, seq, System.os_time(:microsecond), nil, data)
+    Journal.commit(console.gateway, @id, %{seq: seq}, [event])
+  end
+
+  test "where it is sent stays on the map until it is there (F7)", %{console: console} do
+    view = open(console)
+    give(view, "goto", "g1", %{"fields" => %{"lat" => "47.3987", "lon" => "8.5456", "altitude" => "20"}})
+    answer(executing(%{id: "g1"}), "g1", :completed)
+    eventually(fn -> has_element?(view, "#commands-now-g1.going[data-state=completed]", "On its way") end)
+    assert has_element?(view, "#commands-now-g1", "111 m, 37 s")
+    marked = %{map: "vehicle-map", place: %{lat: 47.3987, lon: 8.5456, text: "on its way"}}
+    assert_push_event(view, "map:target", ^marked, Aerie.Patience.ms())
+
+    # A page that is opened later shows the same.
+    assert_push_event(open(console, :viewer), "map:target", ^marked, Aerie.Patience.ms())
+
+    put(console, position: %{lat: 47.3987})
+    eventually(fn -> has_element?(view, "#commands-now-g1.good", "Arrived") end)
+    assert_push_event(view, "map:target", %{place: nil}, Aerie.Patience.ms())
+  end
+
+  test "take off is offered on the ground, and is the first choice only there (F6)", %{console: console} do
+    refute console |> open() |> has_element?("#action-takeoff")
+    put(console, mode: %{armed: true, in_air: false})
+    assert console |> open() |> has_element?("#action-takeoff.primary")
+    put(console, mode: %{armed: true, in_air: nil})
+    assert console |> open() |> has_element?("#action-takeoff.plain")
+  end
+
+  test "what the policy allows and the vehicle's state speaks against (F12)", %{console: console} do
+    obstacles = fn type ->
+      {:ok, view, _html} = live(conn(console), @path <> "/commands?c=#{type}")
+      view |> element("#command-form-#{type}") |> render_change(%{"altitude" => "10"})
+    end
+
+    assert obstacles.("takeoff") =~ "It is in the air."
+    put(console, mode: %{failsafe: true, system_status: "CRITICAL"}, battery: %{charge_state: "CRITICAL"})
+    html = obstacles.("mission_start")
+    for words <- ["The policy allows it", "Battery critical.", "Failsafe active"], do: assert(html =~ words)
+    refute obstacles.("land") =~ "obstacles"
+    put(console, mode: %{armed: false, in_air: false, failsafe: false}, mission: %{total: 0})
+    assert obstacles.("mission_start") =~ "It has no mission."
+    assert obstacles.("takeoff") =~ "It is not armed."
+  end
+
+  test "a vehicle with a mission: the current item, start, pause, resume; its route is read when it flies it (F11)",
+       %{console: console} do
+    refute console |> open() |> has_element?("#mission")
+    put(console, mission: %{seq: 3, total: 7})
+    view = open(console)
+    assert has_element?(view, "#mission", "Item 3 of 7")
+    for name <- ~w(mission_start mission_pause resume), do: assert(has_element?(view, "#action-#{name}"))
+    assert has_element?(view, "#mission button[phx-click=route][aria-pressed=false]")
+    put(console, mission: %{seq: 3, total: 7}, mode: %{mode: "AUTO"})
+    eventually(fn -> has_element?(view, "#mission button[phx-click=route][aria-pressed=true]") end)
+    view |> element("#mission button[phx-click=route]") |> render_click()
+    assert has_element?(view, "#mission button[phx-click=route][aria-pressed=false]")
+    refute console |> open(:viewer) |> has_element?("#mission .hold")
+  end
+
+  test "a mode in which the firmware does not arm offers the one to be set first", %{console: console} do
+    put(console, mode: %{armed: false, in_air: false, mode: "LAND"})
+    view = open(console)
+    assert has_element?(view, "#action-arm-first", "Set GUIDED first")
+    assert has_element?(view, "#action-arm-first[phx-value-type=set_mode][phx-value-mode=GUIDED]")
+    assert has_element?(view, "#action-arm")
+    give(view, "set_mode", "m1", %{"mode" => "GUIDED"})
+    from = executing(%{type: "set_mode", params: %{mode: "GUIDED"}, id: "m1"})
+    answer(from, "m1", :completed)
+
+    put(console, mode: %{armed: false, in_air: false, mode: "GUIDED"})
+    send(view.pid, :refresh)
+    refute has_element?(view, "#action-arm-first")
+    put(console, mode: %{armed: false, mode: "LAND"})
+    refute open(console, :viewer) |> has_element?("#action-arm-first")
+  end
+
+  test "what keeps it from arming", %{console: console} do
+    put(console,
+      mode: %{armed: false},
+      health: %{ready_to_arm: false, unhealthy: ["3d_mag"], vibration: [1.0, 2.0, 3.0]}
+    )
+
+    view = open(console, :viewer, @path <> "/health")
+    assert has_element?(view, "#arming", "not ready to arm")
+    assert has_element?(view, "#arming", "3D mag is unhealthy")
+    happened(console, "statustext", %{"text" => "PreArm: Compass not calibrated", "severity" => 2}, 1)
+    eventually(fn -> has_element?(view, "#arming", "Compass not calibrated") end)
+  end
+
+  test "one operator is in charge; another one takes over with a reason", %{console: console} do
+    {one, other} = {open(console), open(console, :admin)}
+    assert has_element?(one, "#charge.free", "Nobody is in charge")
+    give(one, "take_control", "t1")
+
+    eventually(fn ->
+      has_element?(one, "#charge.own") and has_element?(other, "#charge.other", "operator has been in charge")
+    end)
+
+    give(other, "set_mode", "m1", %{"mode" => "GUIDED"})
+    eventually(fn -> has_element?(other, "#commands-now-m1[data-state=denied]", "operator is in charge") end)
+    give(other, "take_control", "t2")
+    eventually(fn -> has_element?(other, "#commands-now-t2[data-state=denied]", "needs a reason") end)
+    give(other, "take_control", "t3", %{"fields" => %{"reason" => "battery of the tablet"}})
+    eventually(fn -> has_element?(one, "#charge.other", "battery of the tablet") end)
+    refute open(console, :viewer) |> has_element?("#charge form")
+  end
+end

@@ -230,7 +230,8 @@ defmodule Aerie.Recorder do
   end
 
   @doc """
-  The whole status: `recordings` (the statuses of all that are or were made), `rings` (`%{vehicle key => %{bytes, entries}}`), `space`
+  The whole status: `recordings` (the statuses of all that are or were made), `rings` (`%{vehicle key => %{bytes, entries}}`), `ring_ms` (how
+  far back they go at most), `space`
   (`%{free: bytes or :unknown, low: boolean}`, nil before the first recording), `dir`.
   """
   @spec status(Names.gateway()) :: map | nil
@@ -240,6 +241,7 @@ defmodule Aerie.Recorder do
         dir: Tables.settings(tables).dir,
         recordings: Status.all(tables),
         rings: Ring.sizes(tables),
+        ring_ms: Tables.settings(tables).ring_ms,
         space: :ets.lookup_element(tables.notes, :space, 2, nil)
       }
     end

@@ -15,6 +15,7 @@ defmodule FleetWeb.Console.Inspector.Page do
   alias Aerie.Inspector.{Compose, Fields}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Inspector.Shown
+  alias FleetWeb.Console.UI.Age
 
   @sorts %{"name" => :name, "hz" => :hz, "vehicle" => :vehicle, "link" => :link}
   @max_log 20
@@ -29,7 +30,7 @@ defmodule FleetWeb.Console.Inspector.Page do
        page_title: "Inspector",
        watch: watch,
        frozen?: false,
-       filter: Shown.all(),
+       filter: Shown.received(),
        sort: {:name, :asc},
        chosen: nil,
        detail: nil,
@@ -209,22 +210,22 @@ defmodule FleetWeb.Console.Inspector.Page do
     <div class="spread page-title">
       <h1>Inspector</h1>
       <div class="row">
-        <span :if={@skipped > 0} class="muted" id="inspector-skipped">{@skipped} frames left out</span>
+        <span :if={@skipped > 0} class="muted" id="inspector-skipped">{@skipped} frames skipped</span>
         <.button phx-click="freeze" icon={if(@frozen?, do: "play", else: "pause")} aria-pressed={to_string(@frozen?)}>
-          {if @frozen?, do: "Go on", else: "Freeze"}
+          {if @frozen?, do: "Resume", else: "Freeze"}
         </.button>
         <.button :if={@may_send?} kind="primary" phx-click="compose" icon="upload">Send a message</.button>
       </div>
     </div>
-    <.error :if={@watch == {:error, :no_recorder}} title="Nothing to look through">
-      The inspector looks through the recorder, which does not run.
+    <.error :if={@watch == {:error, :no_recorder}} title="No messages">
+      The inspector needs the recorder, which is not running.
     </.error>
     <.error :if={@watch == {:error, :not_running}} title="The inspector is not running">It restarts by itself.</.error>
-    <.stale :if={@frozen?}>Frozen: what you see does not change until you go on.</.stale>
+    <.stale :if={@frozen?}>Frozen: values do not change until you resume.</.stale>
     <.filters filter={@filter} choices={@choices} />
     <.loading :if={@watch == nil} />
     <.empty :if={@watch == :ok && @rows == []} icon="inspector" title="No messages yet">
-      Each message of each component on each link to vehicles appears here with its first frame.
+      Messages appear here as soon as they are received.
     </.empty>
     <.empty :if={@rows != [] && @shown == []} icon="filter" title="No message matches the filter" />
     <div class={["inspector", @detail && "split"]}>
@@ -237,9 +238,10 @@ defmodule FleetWeb.Console.Inspector.Page do
           <:col :let={row} label="Link" sort="link"><.direction direction={elem(row.key, 1)} /> {elem(row.key, 0)}</:col>
           <:col :let={row} label="Rate" sort="hz" number>{hz(row.hz)}</:col>
           <:col :let={row} label="Count" number>{row.count}</:col>
-          <:col :let={row} label="Age"><.age us={row.age_us} /></:col>
+          <:col :let={row} label="Age" number>{Age.text(row.age_us)}</:col>
         </.data_table>
         <p :if={@more > 0} class="muted">{@more} more: filter by name, vehicle or link.</p>
+        <p class="muted">Counts start when the first inspector page is opened.</p>
       </div>
       <.message :if={@detail} detail={@detail} />
     </div>

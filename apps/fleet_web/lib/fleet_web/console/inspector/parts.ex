@@ -40,11 +40,11 @@ defmodule FleetWeb.Console.Inspector.Parts do
         <h2 class="mono">{Fields.name(@detail.frame.id)}</h2>
         <.button kind="quiet" icon="x" label="Close" phx-click="close" />
       </div>
-      <.stale :if={@detail.gone?}>It has not come for a minute.</.stale>
+      <.stale :if={@detail.gone?}>Not received for a minute</.stale>
       <p class="muted">
         Message {@detail.frame.id}, MAVLink {@detail.frame.version}, from {@detail.frame.system}/{@detail.frame.component}, sequence {@detail.frame.seq}{if @detail.frame.signature, do: ", signed"}
       </p>
-      <.empty :if={@detail.fields == nil} title="Unknown message">It is in no dialect of the gateway, so only its bytes are known.</.empty>
+      <.empty :if={@detail.fields == nil} title="Unknown message">The gateway's dialects do not define it, so only its bytes are shown.</.empty>
       <.data_table :if={@detail.fields} id="fields" label="Fields" rows={@detail.fields} row_id={&"field-#{&1.name}"}>
         <:col :let={field} label="Field"><span class="mono">{field.name}</span></:col>
         <:col :let={field} label="Value" class="grow"><span class="mono">{field.value}</span> {field.units}</:col>
@@ -72,7 +72,7 @@ defmodule FleetWeb.Console.Inspector.Parts do
             <span><.badge kind={kind(entry.outcome)}>{words(entry.outcome)}</.badge> <span class="muted">{Age.text(max(@now - entry.at, 0))} ago</span></span>
           </div>
           <p :if={entry.text}>{entry.text}</p>
-          <p :if={entry.answers == [] && entry.outcome == :sent} class="muted">Nothing was answered within a second and a half.</p>
+          <p :if={entry.answers == [] && entry.outcome == :sent} class="muted">No answer within 1.5 s</p>
           <dl :for={{name, fields} <- entry.answers} class="facts">
             <dt class="mono">{name}</dt>
             <dd>{summary(fields)}</dd>
@@ -93,7 +93,7 @@ defmodule FleetWeb.Console.Inspector.Parts do
     <.dialog id="compose" title="Send a message" cancel="discard">
       <p class="notice warn">
         <.icon name="alert" />
-        <span>It goes the way of every client's messages: the policy decides about commands, and the audit log has them. Prefer the vehicle's page for commands.</span>
+        <span>The policy checks commands sent here, and the audit log records them. Prefer the vehicle's page for commands.</span>
       </p>
       <form id="compose-form" class="stack" phx-change="composed" phx-submit="send" phx-auto-recover="ignore" autocomplete="off">
         <.field id="compose-message" name="message" label="Message" type="select" value={@compose.name} options={Compose.names()} errors={List.wrap(@compose.errors["message"])} />
@@ -142,6 +142,6 @@ defmodule FleetWeb.Console.Inspector.Parts do
 
   defp words(:sent), do: "sent"
   defp words(:denied), do: "denied"
-  defp words(:no_route), do: "nobody has these ids"
+  defp words(:no_route), do: "no vehicle with these ids"
   defp words(:failed), do: "not sent"
 end

@@ -24,6 +24,10 @@ defmodule FleetWeb.Console.Inspector.Shown do
   @spec all() :: filter()
   def all, do: %{"text" => "", "link" => "", "vehicle" => "", "component" => "", "direction" => ""}
 
+  @doc "The filter of a page that is opened: what is received. What the gateway forwards would list every message twice."
+  @spec received() :: filter()
+  def received, do: %{all() | "direction" => "in"}
+
   @doc "A filter from what a browser sent: only known keys, short texts."
   @spec filter(map()) :: filter()
   def filter(params) do

@@ -16,7 +16,8 @@ defmodule FleetWeb.Console.Recordings.Page do
 
   alias Aerie.{Link, Policy, Recorder, Store}
   alias FleetWeb.Console.Access.Role
-  alias FleetWeb.Console.Recordings.TimeLine
+  alias FleetWeb.Console.Clock
+  alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.Console.UI.Age
   alias FleetWeb.Costly
 
@@ -69,7 +70,7 @@ defmodule FleetWeb.Console.Recordings.Page do
          id = "replay-" <> name,
          {:ok, ^id} <- Link.start(gateway, "replay:#{path}?speed=#{speed}", id: id, network: @network) do
       note(socket, "play", name)
-      {:noreply, socket |> put_flash(:info, "#{name} is played on the network #{@network}.") |> load(:now)}
+      {:noreply, socket |> put_flash(:info, "Playing #{name} on the network #{@network}.") |> load(:now)}
     else
       nil -> {:noreply, socket}
       {:error, error} -> {:noreply, put_flash(socket, :error, Exception.message(error))}
@@ -93,7 +94,7 @@ defmodule FleetWeb.Console.Recordings.Page do
     case Recorder.delete(gateway, name) do
       :ok ->
         note(socket, "delete", name)
-        {:noreply, socket |> put_flash(:info, "#{name} was deleted.") |> load(:now)}
+        {:noreply, socket |> put_flash(:info, "#{name} deleted.") |> load(:now)}
 
       {:error, error} ->
         {:noreply, put_flash(socket, :error, Exception.message(error))}
@@ -147,18 +148,22 @@ defmodule FleetWeb.Console.Recordings.Page do
       assign(socket, status: status, playing: playing, vehicles: vehicles, now: System.os_time(:microsecond))
 
     if when_due == :now or listed == nil or now - listed >= 2_000,
-      do: socket |> assign(files: files(gateway), listed: now),
+      do: socket |> assign(files: files(gateway, socket.assigns[:files] || []), listed: now),
       else: socket
   end
 
-  defp files(gateway) do
-    for file <- gateway |> Recorder.list() |> Enum.reverse() |> Enum.take(@max_files),
+  # Only files that were not listed before are read.
+  defp files(gateway, before) do
+    starts = for %{start: start, path: path} when start != nil <- before, into: %{}, do: {path, start}
+
+    for %{file: path} = file <- gateway |> Recorder.list() |> Enum.reverse() |> Enum.take(@max_files),
         do: %{
-          name: Path.basename(file.file),
-          path: file.file,
+          name: Path.basename(path),
+          path: path,
           bytes: file.bytes,
           at: file.at,
-          open: file.open
+          open: file.open,
+          start: starts[path] || TlogFile.start(path)
         }
   end
 
@@ -166,8 +171,8 @@ defmodule FleetWeb.Console.Recordings.Page do
   def render(assigns) do
     ~H"""
     <h1 class="page-title">Recordings</h1>
-    <.error :if={@status == nil} title="The recorder is not running">It is switched off, or is being restarted.</.error>
-    <p :if={@status && match?(%{low: true}, @status.space)} class="notice bad" role="alert"><.icon name="alert" /> <span>Too little room on the disk of {@status.dir}: nothing is recorded.</span></p>
+    <.error :if={@status == nil} title="The recorder is not running">It is off or is being restarted.</.error>
+    <p :if={@status && match?(%{low: true}, @status.space)} class="notice bad" role="alert"><.icon name="alert" /> <span>Disk full ({@status.dir}): nothing is recorded.</span></p>
     <section :if={@playing != []}>
       <h2>Playing</h2>
       <ul class="stack"><li :for={link <- @playing} :key={link.id} id={"playing-#{:erlang.phash2(link.id)}"} class="card spread"><span><strong>{link.id}</strong> <span class="muted">{link.text}</span></span><.button :if={@admin?} small icon="stop" phx-click="stop" phx-value-id={link.id}>Stop</.button></li></ul>
@@ -176,18 +181,19 @@ defmodule FleetWeb.Console.Recordings.Page do
     <.loading :if={@reading} title="Reading the recording" />
     <section class="section">
       <h2>Files</h2>
-      <.empty :if={@files == []} icon="record" title="No recordings yet">Flights are recorded while vehicles are armed, if <code>recorder.vehicles</code> says so.</.empty>
+      <.empty :if={@files == []} icon="record" title="No recordings yet">Set <code>recorder.vehicles</code> to record vehicles while they are armed.</.empty>
       <.data_table :if={@files != []} id="files" label="Recordings" rows={@files} row_id={&"file-#{:erlang.phash2(&1.name)}"}>
-        <:col :let={file} label="File" class="grow"><span class="mono">{file.name}</span> <.badge :if={file.open} kind="bad">recording</.badge></:col>
-        <:col :let={file} label="Size" number>{size(file.bytes)}</:col>
-        <:col :let={file} label="Written" number>{Age.text(@now - file.at * 1_000_000)} ago</:col>
+        <:col :let={file} label="Recorded" class="grow"><strong>{TlogFile.label(file.name)}</strong> <.badge :if={file.open} kind="ok">recording</.badge> <span class="mono muted file-name">{file.name}</span></:col>
+        <:col :let={file} label="Start" number>{Clock.stamp(file.start)}</:col>
+        <:col :let={file} label="Duration" number>{duration(file)}</:col>
+        <:col :let={file} label="Size" number>{TlogFile.size(file.bytes)}</:col>
         <:col :let={file} label="">
-          <span class="row">
+          <span class="row actions">
             <.button small phx-click="events" phx-value-name={file.name} disabled={@reading != nil}>Events</.button>
             <.button small icon="download" label={"Download #{file.name}"} href={"/download/recordings/" <> URI.encode(file.name)} download={file.name} />
             <form :if={@admin? && !file.open} phx-submit="play" phx-auto-recover="ignore" class="row" id={"play-#{:erlang.phash2(file.name)}"}>
               <input type="hidden" name="name" value={file.name} />
-              <.field id={"speed-#{:erlang.phash2(file.name)}"} name="speed" label="Speed" label_hidden type="select" options={Enum.map(speeds(), &{"#{&1}×", &1})} />
+              <.field id={"speed-#{:erlang.phash2(file.name)}"} name="speed" label="Speed" label_hidden type="select" options={Enum.map(speeds(), &{speed(&1), &1})} />
               <.button small type="submit" icon="play" label={"Play #{file.name}"} />
             </form>
             <.button :if={@admin? && !file.open} small icon="trash" label={"Delete #{file.name}"} phx-click="ask" phx-value-name={file.name} />
@@ -206,12 +212,12 @@ defmodule FleetWeb.Console.Recordings.Page do
         <:col :let={row} label="Dropped" number>{row.dropped}</:col>
       </.data_table>
       <div :if={@may_save? && @vehicles != [] && @status.rings != %{}} class="row section">
-        <span>Save the last minutes of</span>
+        <span>Save the last {Age.text(round(@status.ring_ms * 1000))} of</span>
         <.button :for={id <- Enum.take(@vehicles, 50)} small phx-click="save" phx-value-id={id}>{id}</.button>
       </div>
     </section>
     <.dialog :if={@asking && @admin?} id="delete-recording" title={"Delete #{@asking}"} cancel="cancel" kind="danger">
-      <p>The file is removed from the disk and cannot be had back.</p>
+      <p>The file is deleted from the disk. This cannot be undone.</p>
       <:action><.button phx-click="cancel">Cancel</.button><.button kind="danger" phx-click="delete">Delete</.button></:action>
     </.dialog>
     """
@@ -232,21 +238,24 @@ defmodule FleetWeb.Console.Recordings.Page do
       <svg class="track" viewBox="0 0 1000 20" preserveAspectRatio="none" role="img" aria-label={"#{length(@line.events)} events over #{@line.seconds} s"}>
         <line :for={event <- @line.events} x1={event.x} x2={event.x} y1="2" y2="18" class={event.kind}><title>{event.type} at {event.at} s</title></line>
       </svg>
-      <.empty :if={@line.events == []} title="No events">Nothing happened in this recording that is an event.</.empty>
+      <.empty :if={@line.events == []} title="No events">This recording has no events.</.empty>
       <ol class="timeline-list">
-        <li :for={event <- @line.events} :key={event.n} id={"event-#{event.n}"}><span class="mono">{event.at} s</span><strong>{event.type}</strong><span>{event.vehicle} <span class="muted">{event.text}</span></span></li>
+        <li :for={event <- @line.events} :key={event.n} id={"event-#{event.n}"}><span class="mono">{event.at} s</span><strong>{event.vehicle}</strong><span>{event.text} <span class="muted mono">{event.type}</span></span></li>
       </ol>
-      <p :if={@line.more > 0} class="muted">{@line.more} more events; <code>bin/run --replay FILE --events</code> gives all.</p>
+      <p :if={@line.more > 0} class="muted">{@line.more} more events: <code>bin/run --replay FILE --events</code> lists all.</p>
     </section>
     """
   end
 
   defp speeds, do: @speeds
 
-  defp size(bytes) when bytes < 1_048_576, do: "#{div(bytes, 1024)} KiB"
-  defp size(bytes), do: "#{div(bytes, 1_048_576)} MiB"
+  defp speed("max"), do: "Maximum"
+  defp speed(times), do: times <> "×"
 
-  defp free(%{free: bytes}) when is_integer(bytes), do: ", #{size(bytes)} free"
+  defp duration(%{start: nil}), do: "–"
+  defp duration(file), do: Age.text(file.at * 1_000_000 - file.start)
+
+  defp free(%{free: bytes}) when is_integer(bytes), do: ", #{TlogFile.size(bytes)} free"
   defp free(_unknown), do: ""
 
   defp kind(:recording), do: "ok"

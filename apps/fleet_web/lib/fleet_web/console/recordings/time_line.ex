@@ -1,8 +1,9 @@
 defmodule FleetWeb.Console.Recordings.TimeLine do
   @moduledoc "The events of a recording on a time line, as `Aerie.Replay` finds them."
 
-  alias Aerie.Fleet.Json
   alias Aerie.Replay
+  alias FleetWeb.Console.Clock
+  alias FleetWeb.Console.Vehicle.Timeline
 
   @max_events 500
   # Ten megabytes of a file take about a second and a few megabytes of memory.
@@ -23,7 +24,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
   @doc "The time line of a file of this size."
   @spec read(Path.t(), non_neg_integer()) :: {:ok, t()} | {:error, String.t()}
   def read(_path, bytes) when bytes > @max_bytes,
-    do: {:error, "it is too large to be read here; bin/run --replay FILE --events does"}
+    do: {:error, "it is too large for this page: use bin/run --replay FILE --events"}
 
   def read(path, _bytes) do
     with {:ok, %{events: events, summary: summary}} <- Replay.run(path), do: {:ok, of(events, summary)}
@@ -34,7 +35,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
     shown = events |> Enum.take(@max_events) |> Enum.with_index()
 
     %{
-      from: Json.time(from),
+      from: Clock.full(from),
       seconds: Float.round(summary.duration_us / 1_000_000, 1),
       frames: summary.frames,
       vehicles: summary.vehicles,
@@ -54,18 +55,7 @@ defmodule FleetWeb.Console.Recordings.TimeLine do
       at: :erlang.float_to_binary(since / 1_000_000, decimals: 1),
       x: "#{min(round(since * 1000 / length_us), 1000)}",
       kind: if(event.type in @bad, do: "bad"),
-      text: text(event.data)
+      text: Timeline.line(event).text
     }
-  end
-
-  defp text(data) do
-    data
-    |> Map.take(~w(text from to mode reason type name battery remaining))
-    |> Enum.reject(fn {_key, value} -> value == nil end)
-    |> Enum.sort()
-    |> Enum.map_join(", ", fn {key, value} ->
-      "#{key} #{if is_binary(value), do: Json.text(value), else: inspect(value)}"
-    end)
-    |> String.slice(0, 200)
   end
 end

@@ -26,7 +26,8 @@ defmodule FleetWeb.Console.UI.Table do
   """
   def data_table(assigns) do
     ~H"""
-    <div class={["table-box", @class]}>
+    <%!-- A box that scrolls has to be reached by the keyboard. --%>
+    <div class={["table-box", @class]} tabindex="0" role="group" aria-label={@label}>
       <table id={@id} class="table">
         <caption class="visually-hidden">{@label}</caption>
         <thead>

@@ -59,6 +59,17 @@ defmodule FleetWeb.Console.Inspector.PageTest do
     refute has_element?(view, "#message")
   end
 
+  test "what is received is shown, with its age from the start; what is forwarded, when asked for", %{
+    console: console
+  } do
+    view = open(console)
+    assert has_element?(view, "#filter-direction option[selected]", "received")
+    heard(console, attitude(0.5))
+    row(view, "ATTITUDE")
+    assert has_element?(view, "#messages td[data-label=Age]", ~r/\A\d+ s\z/)
+    assert render(view) =~ "Counts start when"
+  end
+
   test "the fields follow; frozen, nothing changes until it goes on", %{console: console} do
     view = open(console)
     heard(console, attitude(0.5))
@@ -73,7 +84,7 @@ defmodule FleetWeb.Console.Inspector.PageTest do
     send(view.pid, :refresh)
     assert has_element?(view, "#field-roll", "14.32 °")
     refute has_element?(view, "#messages button", "PING")
-    view |> element("button", "Go on") |> render_click()
+    view |> element("button", "Resume") |> render_click()
     assert has_element?(view, "#field-roll", "42.97 °")
     row(view, "PING")
   end
@@ -123,7 +134,7 @@ defmodule FleetWeb.Console.Inspector.PageTest do
     }
 
     view |> element("#compose-form") |> render_submit(params)
-    eventually(fn -> has_element?(view, "#sent .badge.bad", "nobody has these ids") end)
+    eventually(fn -> has_element?(view, "#sent .badge.bad", "no vehicle with these ids") end)
     render_click(view, "discard", %{})
     refute has_element?(view, "#compose-form")
   end

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Recordings.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
   alias Aerie.{Link, Recorder}
-  alias FleetWeb.Console.Recordings.TimeLine
+  alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.HTTPClient
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
@@ -52,6 +52,29 @@ defmodule FleetWeb.Console.Recordings.PageTest do
     view
   end
 
+  test "what a name and the first bytes say", %{tmp_dir: dir} do
+    assert TlogFile.label("main-radio-20261121T013005Z-2.tlog") == "main-radio"
+    assert TlogFile.label("flight.tlog") == "flight.tlog"
+    path = Path.join(dir, "a.tlog")
+
+    for {bytes, start} <- [
+          {<<@start::64, 1, 2>>, @start},
+          {<<@start * 1000::64>>, nil},
+          {<<0::64>>, nil},
+          {"abc", nil},
+          {"", nil}
+        ] do
+      File.write!(path, bytes)
+      assert TlogFile.start(path) == start
+    end
+
+    assert TlogFile.start(dir) == nil
+    assert TlogFile.start(path <> "x") == nil
+
+    for {bytes, words} <- [{412, "412 B"}, {1_048_576, "1048 kB"}, {72_208_089_088, "72 GB"}],
+        do: assert(TlogFile.size(bytes) == words)
+  end
+
   test "no recordings yet", %{console: console} do
     assert console |> open() |> render() =~ "No recordings yet"
   end
@@ -61,8 +84,11 @@ defmodule FleetWeb.Console.Recordings.PageTest do
     view = open(c.console)
     assert has_element?(view, "#files td", name)
     assert has_element?(view, "#recordings td", "VID-007")
+    assert has_element?(view, "#files strong", "VID-007")
+    # Since its first frame, not since its file was made.
+    assert has_element?(view, "#files td", FleetWeb.Console.Clock.stamp(@start))
     view |> element("#files button", "Events") |> render_click()
-    eventually(fn -> has_element?(view, "#time-line strong", "armed") end)
+    eventually(fn -> has_element?(view, "#time-line li", "armed") end)
     assert has_element?(view, "#time-line .track line")
     assert has_element?(view, "#time-line li", "10.0 s")
     view |> element("#time-line button", "") |> render_click()
@@ -101,7 +127,7 @@ defmodule FleetWeb.Console.Recordings.PageTest do
     view = open(c.console, :admin)
     view |> element("button[aria-label='Delete #{name}']") |> render_click()
     assert File.exists?(file)
-    assert view |> element("dialog button", "Delete") |> render_click() =~ "was deleted"
+    assert view |> element("dialog button", "Delete") |> render_click() =~ "deleted"
     refute File.exists?(file)
     assert render(view) =~ "No recordings yet"
   end

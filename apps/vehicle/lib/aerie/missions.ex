@@ -10,16 +10,19 @@ defmodule Aerie.Missions do
   is sent (`Aerie.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
   """
 
-  alias Aerie.{Commands, Fleet, Mission, Names, Protocol, Transfers}
+  alias Aerie.{Commands, Fleet, Mission, Names, Protocol, TextFile, Transfers}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Mission.{Item, Onboard, Plan, Review, Transfer}
+  alias Aerie.Mission.{Item, Onboard, OwnFence, Plan, Review, Transfer}
   alias Aerie.Mission.File.{QgcPlan, Waypoints}
   alias Aerie.Mission.Transfer.Compare
   alias Aerie.Policy.Raw
   alias MavCodec.Messages, as: M
 
   @kinds %{mission: 0, fence: 1, rally: 2}
+  @names %{mission: "a mission", fence: "a fence", rally: "rally points"}
   @timeout_ms 300_000
+  # Of a file, to see whether it is JSON.
+  @looked_at 1_000
 
   @type kind :: :mission | :fence | :rally
 
@@ -110,29 +113,100 @@ defmodule Aerie.Missions do
   Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it cannot fly it
   where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the vehicle refused it, possibly after acknowledging it. Needs the
   permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does
-  not keep of it.
+  not keep of it, and what is wrong with the plan by its own fence (`Aerie.Mission.OwnFence`).
+
+  A plan that has nothing of this kind is refused: what is aboard is removed by `clear/4` only. Refused as well, unless the option `force: true` is given, is a fence
+  that the vehicle, which is known to fly with its fence on, would breach at once.
   """
-  @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
+  @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [
+          Transfers.option() | {:force, boolean()}
+        ]) ::
           Commands.answer()
   def upload(gateway, vehicle, kind, %Plan{} = plan, options \\ []) do
-    type = Map.fetch!(@kinds, kind)
-    items = Onboard.items(plan, type, protocol(gateway, vehicle))
+    {force, options} = Keyword.pop(options, :force, false)
+    items = Onboard.items(plan, @kinds[kind], protocol(gateway, vehicle))
 
-    if length(items) > Transfer.limit(),
-      do: {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]},
-      else: send_items(gateway, vehicle, kind, items, {"upload", asked("put", kind, plan)}, options)
+    cond do
+      Plan.contents(plan, kind) == nil ->
+        {:error,
+         [
+           Error.new(
+             "plan",
+             "#{@names[kind]} (there is none in it; to remove what is aboard, clear it)",
+             :rule
+           )
+         ]}
+
+      length(items) > Transfer.limit() ->
+        {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]}
+
+      true ->
+        forced = if force, do: %{forced: true}, else: %{}
+
+        change = %{
+          params: Map.merge(sent("upload", items), forced),
+          elsewhere: put(kind, plan, force),
+          review: &review(&1, &2, &3, items, {kind, plan, force}),
+          before: &remark(&1, kind, plan)
+        }
+
+        send_items(gateway, vehicle, kind, {:upload, items}, change, options)
+    end
   end
 
-  @doc "Removes a kind of plan from the vehicle, and reads back that it is gone. Needs the permission `mission`, and for a fence `protection`."
+  @doc """
+  Removes a kind of plan from the vehicle, and reads back that it is gone. The details have `"removed"`: what was aboard, such as `"4 corners"`, if it
+  could be read before. Needs the permission `mission`, and for a fence `protection`.
+  """
   @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
-  def clear(gateway, vehicle, kind, options \\ []),
-    do: send_items(gateway, vehicle, kind, [], {"clear", asked("clear", kind, nil)}, options)
+  def clear(gateway, vehicle, kind, options \\ []) do
+    change = %{
+      params: sent("clear", []),
+      elsewhere: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
+      review: &review(&1, &2, &3, [], {kind, %Plan{}, true}),
+      before: &removing(gateway, &1, kind)
+    }
+
+    send_items(gateway, vehicle, kind, :clear, change, options)
+  end
+
+  defp sent(action, items), do: %{action: action, items: length(items), digest: Plan.digest(items)}
+
+  defp remark(snapshot, kind, plan) do
+    remarks = plan |> OwnFence.check(OwnFence.vehicle(snapshot, now())) |> OwnFence.remarks(kind)
+    &Result.remark(&1, remarks)
+  end
+
+  # Who removes something is told what it was.
+  defp removing(gateway, snapshot, kind) do
+    case Transfers.read(gateway, snapshot, transfer(:download, @kinds[kind], snapshot.vehicle_type), []) do
+      {{:ok, %{items: items}}, nil} ->
+        removed = contents(items, kind, Protocol.of(snapshot.autopilot))
+
+        fn
+          %{status: :completed} = result -> put_in(result.details["removed"], removed)
+          result -> result
+        end
+
+      {{:error, _result}, nil} ->
+        & &1
+    end
+  end
+
+  @doc "What a vehicle has of a kind, for people, from its items: `\"4 corners\"`, `\"nothing\"`."
+  @spec contents([Item.t()], kind(), module()) :: String.t()
+  def contents(items, kind, protocol) do
+    case Onboard.put(%Plan{}, @kinds[kind], items, protocol) do
+      {:ok, plan} -> Plan.contents(plan, kind) || "nothing"
+      {:error, _not_understood} -> "#{length(items)} items"
+    end
+  end
 
   # What another gateway is asked for, if it is that which hears the vehicle.
-  defp asked("put", kind, plan),
-    do: {"mission", "put", %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}}
-
-  defp asked("clear", kind, nil), do: {"mission", "clear", %{"kind" => Atom.to_string(kind)}}
+  defp put(kind, plan, force) do
+    asked = %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}
+    {"mission", "put", if(force, do: Map.put(asked, "force", true), else: asked)}
+  end
 
   @doc "Compares a kind of plan with the vehicle's, by what its firmware keeps: `:same`, or the first item that differs, and how."
   @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
@@ -150,10 +224,21 @@ defmodule Aerie.Missions do
     end
   end
 
-  @doc "Reads a plan from a file's content: `:plan` (QGroundControl) or `:waypoints` (`QGC WPL 110`)."
-  @spec import(binary(), :plan | :waypoints) :: {:ok, Plan.t()} | {:error, String.t()}
+  @doc "Reads a plan from a file's content: `:plan` (QGroundControl), `:waypoints` (`QGC WPL 110`), or `:any` of them, by how it begins."
+  @spec import(binary(), :plan | :waypoints | :any) :: {:ok, Plan.t()} | {:error, String.t()}
   def import(text, :plan), do: QgcPlan.read(text)
   def import(text, :waypoints), do: Waypoints.read(text)
+
+  def import(text, :any) do
+    json? =
+      text
+      |> TextFile.unmarked()
+      |> binary_slice(0, @looked_at)
+      |> String.trim_leading()
+      |> String.starts_with?(["{", "["])
+
+    __MODULE__.import(text, if(json?, do: :plan, else: :waypoints))
+  end
 
   @doc "A plan as a file's content; `:waypoints` has the mission only."
   @spec export(Plan.t(), :plan | :waypoints) :: binary()
@@ -172,20 +257,10 @@ defmodule Aerie.Missions do
     }
   end
 
-  defp send_items(gateway, vehicle, kind, items, {action, asked}, options) do
-    type = Map.fetch!(@kinds, kind)
-    params = %{action: action, items: length(items), digest: Plan.digest(items)}
-
-    change = %{
-      facts: facts(type, length(items)),
-      params: params,
-      elsewhere: asked,
-      review: &review(&1, &2, &3, items, type)
-    }
-
-    op = if items == [], do: :clear, else: {:upload, items}
-    transfer = transfer(op, type, kind_of(gateway, vehicle))
-    Transfers.change(gateway, vehicle, change, transfer, options)
+  defp send_items(gateway, vehicle, kind, op, change, options) do
+    type = @kinds[kind]
+    change = Map.put(change, :facts, facts(type, change.params.items))
+    Transfers.change(gateway, vehicle, change, transfer(op, type, kind_of(gateway, vehicle)), options)
   end
 
   defp facts(type, count),
@@ -195,11 +270,26 @@ defmodule Aerie.Missions do
         vehicle_type: "unknown"
       })
 
-  defp review(policy, context, snapshot, items, type) do
-    with {:deny, rule, _seq, reason} <-
-           Review.plan(policy, items, type, Map.take(snapshot, [:autopilot, :vehicle_type]), context),
-         do: {:deny, rule, reason}
+  defp review(policy, context, snapshot, items, {kind, plan, force}) do
+    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+
+    case Review.plan(policy, items, @kinds[kind], vehicle, context) do
+      :allow when kind == :fence and not force -> breach(plan, snapshot)
+      :allow -> :allow
+      {:deny, rule, _seq, reason} -> {:deny, rule, reason}
+    end
   end
+
+  defp breach(plan, snapshot) do
+    findings = OwnFence.check(plan, OwnFence.vehicle(snapshot, now()))
+
+    case Enum.find(findings, & &1.breach?) do
+      nil -> :allow
+      %{text: text} -> {:deny, :geofence, "#{text}; force sends it nevertheless"}
+    end
+  end
+
+  defp now, do: System.os_time(:microsecond)
 
   defp transfer(op, type, kind) do
     %{

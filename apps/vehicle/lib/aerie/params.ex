@@ -14,7 +14,7 @@ defmodule Aerie.Params do
   `Aerie.Command.Result`.
   """
 
-  alias Aerie.{Commands, Names, Transfers}
+  alias Aerie.{Commands, Fleet, Names, Transfers}
   alias Aerie.Command.{Error, Result}
 
   alias Aerie.Params.{
@@ -211,13 +211,16 @@ defmodule Aerie.Params do
           [File.entry()] | %{String.t() => number()},
           [Transfers.option()]
         ) :: Commands.answer()
-  def set_all(gateway, vehicle, values, options \\ []) do
-    options = Component.none!(options)
+  def set_all(gateway, vehicle, values, options \\ []),
+    do: set_all(gateway, vehicle, values, Component.none!(options), [])
+
+  defp set_all(gateway, vehicle, values, options, remarks) do
     entries = for entry <- values, do: entry(entry)
 
     with :ok <- check_all(entries) do
       names = for {name, _value, _type} <- entries, do: name
       change = change(names, %{count: length(entries), digest: digest(entries)})
+      change = Map.put(change, :before, fn _snapshot -> &Result.remark(&1, remarks) end)
 
       transfer = %{
         lanes: [:params],
@@ -239,7 +242,7 @@ defmodule Aerie.Params do
   def load(gateway, vehicle, text, options \\ []) do
     {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
 
-    with {:ok, entries} <- parse(text),
+    with {:ok, entries, remarks} <- read_file(text, Fleet.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
          :ok <- present(entries, table, unknown) do
       differ =
@@ -247,7 +250,7 @@ defmodule Aerie.Params do
           %{entry | type: param.type}
         end
 
-      set_all(gateway, vehicle, differ, options)
+      set_all(gateway, vehicle, differ, options, remarks)
     end
   end
 
@@ -266,7 +269,7 @@ defmodule Aerie.Params do
   def diff(gateway, vehicle, other, options \\ [])
 
   def diff(gateway, vehicle, text, options) when is_binary(text) do
-    with {:ok, entries} <- parse(text),
+    with {:ok, entries, _remarks} <- read_file(text, Fleet.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, Diff.diff(entries, table)}
   end
@@ -277,11 +280,19 @@ defmodule Aerie.Params do
 
   @doc "The parameters of a file, or errors with their lines."
   @spec parse(binary()) :: {:ok, [File.entry()]} | {:error, [Error.t(), ...]}
-  def parse(text) do
-    with {:error, errors} <- File.parse(text) do
-      {:error,
-       for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
-    end
+  def parse(text), do: with({:error, errors} <- File.parse(text), do: wrong(errors))
+
+  @doc "The parameters of a file for the autopilot of a snapshot, nil for any vehicle, with remarks (`Aerie.Params.File.read/2`)."
+  @spec read_file(binary(), map() | nil) ::
+          {:ok, [File.entry()], remarks :: [String.t()]} | {:error, [Error.t(), ...]}
+  def read_file(text, snapshot) do
+    owner = {snapshot[:system_id], snapshot[:component] || 1}
+    with {:error, errors} <- File.read(text, owner), do: wrong(errors)
+  end
+
+  defp wrong(errors) do
+    {:error,
+     for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
   end
 
   defp common(context), do: Component.options(context, nil)

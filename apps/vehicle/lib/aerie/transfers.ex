@@ -41,10 +41,14 @@ defmodule Aerie.Transfers do
           optional(:share) => term()
         }
 
-  @typedoc "What a transfer changes: its type for the policy, what the audit log records, and `review` of `t:Aerie.Commands.Work.t/0`."
+  @typedoc """
+  What a transfer changes: its type for the policy, what the audit log records, `review` of `t:Aerie.Commands.Work.t/0`, and `before`: what is
+  found out, when the change was allowed, before it begins; gives a function that adds it to the result.
+  """
   @type change :: %{
           required(:facts) => Facts.t(),
           required(:params) => %{atom() => term()},
+          optional(:before) => (snapshot :: map() -> (Result.t() -> Result.t())),
           optional(:review) => term(),
           optional(:elsewhere) => Elsewhere.request()
         }
@@ -133,12 +137,14 @@ defmodule Aerie.Transfers do
       review: change[:review],
       elsewhere: change[:elsewhere],
       run: fn snapshot, tell ->
+        complete = Map.get(change, :before, fn _snapshot -> & &1 end).(snapshot)
         {result, nil} = run(gateway, snapshot, command.id, transfer, options, tell, nil, fn _, acc -> acc end)
 
         case Outcome.of(result) do
           {:ok, value} -> Result.new(command.id, :completed, nil, finish.(value))
           {status, reason, details} -> Result.new(command.id, status, reason, details)
         end
+        |> complete.()
       end
     }
 

@@ -28,7 +28,7 @@ defmodule FleetWeb.API.Operations do
       {{:transfer, {:put_plan, kind}},
        %{
          summary: "Writes the #{name} of a vehicle.",
-         query: [:format, :timeout, :wait, :id],
+         query: [:format, :timeout, :wait, :id, :force],
          body: {:bytes, @plan_types},
          later: true
        }},
@@ -259,6 +259,8 @@ defmodule FleetWeb.API.Operations do
       {@texts, "The form of the text: json, plan, waypoints, param or params, whichever the resource has."},
     id: {@texts, "Id of the command, for asking for it again."},
     unknown: {%{enum: ~w(skip refuse)}, "What to do with parameters that the vehicle does not have."},
+    force:
+      {%{type: :boolean, default: false}, "Sends a fence that the vehicle, which flies, breaches at once."},
     component:
       {%{type: :integer, minimum: 1, maximum: 255},
        "The component whose parameters are meant, such as 100, a camera; without it the autopilot."},

@@ -141,12 +141,10 @@ defmodule FleetWeb.API.Transfers do
   defp act({:put_plan, kind}, {gateway, vehicle}, options, parameters, request) do
     with {:ok, format} <- given(parameters, request, formats(kind)),
          {:ok, text, request} <- Request.bytes(request, @plan_bytes) do
-      case parsed(gateway, options, fn -> plan(format, text) end) do
-        {:ok, plan, object} ->
-          Missions.upload(gateway, vehicle, kind, plan, with_id(options, object, parameters))
-
-        error ->
-          error
+      with {:ok, plan, object} <- parsed(gateway, options, fn -> plan(format, text) end),
+           {:ok, force} <- force(object["force"] || parameters["force"]) do
+        options = [force: force] ++ with_id(options, object, parameters)
+        Missions.upload(gateway, vehicle, kind, plan, options)
       end
       |> changed(vehicle, request)
     else
@@ -235,7 +233,7 @@ defmodule FleetWeb.API.Transfers do
   # In JSON the plan is beside the id.
   defp plan("json", text) do
     with {:ok, object} <- Request.decode(text),
-         :ok <- Request.known(object, ["id", "plan"]),
+         :ok <- Request.known(object, ["id", "plan", "force"]),
          {:ok, plan, _none} <- plan("plan", JSON.encode!(object["plan"])),
          do: {:ok, plan, object}
   end
@@ -246,6 +244,11 @@ defmodule FleetWeb.API.Transfers do
       {:error, reason} -> Error.invalid(reason)
     end
   end
+
+  defp force(nil), do: {:ok, false}
+  defp force(value) when value in [true, "true"], do: {:ok, true}
+  defp force(value) when value in [false, "false"], do: {:ok, false}
+  defp force(_other), do: Error.invalid("force: expected true or false")
 
   # What somebody sends is read in the places that there are for that.
   defp parsed(gateway, options, parse) do

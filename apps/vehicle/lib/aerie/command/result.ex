@@ -39,13 +39,13 @@ defmodule Aerie.Command.Result do
 
   @typedoc """
     * `:reason` - a sentence for people; nil only for a plain success
-    * `:details` - plain values beside it, such as `mav_result`, `retries` or `ms`
+    * `:details` - plain values beside it, such as `mav_result`, `retries` or `ms`; `remarks` are sentences
   """
   @type t :: %__MODULE__{
           id: String.t(),
           status: status(),
           reason: String.t() | nil,
-          details: %{optional(String.t()) => String.t() | number() | boolean() | nil}
+          details: %{optional(String.t()) => String.t() | number() | boolean() | nil | [String.t()]}
         }
 
   @doc "All results with their meaning, and whether the vehicle may have done it."
@@ -59,6 +59,13 @@ defmodule Aerie.Command.Result do
   @spec new(String.t(), status(), String.t() | nil, map()) :: t()
   def new(id, status, reason \\ nil, details \\ %{}) when status in @statuses,
     do: %__MODULE__{id: id, status: status, reason: reason, details: details}
+
+  @doc "The result with remarks after those that it has."
+  @spec remark(t(), [String.t()]) :: t()
+  def remark(result, []), do: result
+
+  def remark(result, remarks),
+    do: %{result | details: Map.update(result.details, "remarks", remarks, &(&1 ++ remarks))}
 
   @doc "The result as NATS and REST have it."
   @spec plain(t()) :: %{String.t() => term()}

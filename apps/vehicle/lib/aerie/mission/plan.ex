@@ -31,6 +31,24 @@ defmodule Aerie.Mission.Plan do
           rally: [{position(), float()}]
         }
 
+  @doc "What a plan has of a kind, for people: `\"3 items\"`, `\"4 corners and 1 circle\"`, `\"2 rally points\"`; nil for nothing."
+  @spec contents(t(), :mission | :fence | :rally) :: String.t() | nil
+  def contents(%{items: items}, :mission), do: counted([{length(items), "item"}])
+  def contents(%{rally: points}, :rally), do: counted([{length(points), "rally point"}])
+
+  def contents(%{fence: zones, fence_return: back}, :fence) do
+    polygons = for {_kind, {:polygon, corners}} <- zones, do: length(corners)
+    circles = Enum.count(zones, &match?({_kind, {:circle, _centre, _radius}}, &1))
+    counted([{Enum.sum(polygons), "corner"}, {circles, "circle"}, {length(List.wrap(back)), "return point"}])
+  end
+
+  defp counted(numbers) do
+    case for {n, word} <- numbers, n > 0, do: "#{n} #{word}#{if n > 1, do: "s"}" do
+      [] -> nil
+      texts -> Enum.join(texts, " and ")
+    end
+  end
+
   @doc """
   A digest of the items' content (64 hexadecimal digits), the same for equal items on every machine: floats as 32 bits, -0.0 as 0.0.
   """

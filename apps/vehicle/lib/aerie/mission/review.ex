@@ -33,6 +33,15 @@ defmodule Aerie.Mission.Review do
     end
   end
 
+  @doc "The place, in degrees, to which a vehicle flies for an item of a plan (not its home); nil if there is none."
+  @spec place(Item.t(), Raw.vehicle()) :: {number(), number()} | nil
+  def place(item, vehicle) do
+    case flown(item, 1, vehicle) do
+      {%{lat: lat, lon: lon}, _radius} when lat != nil -> {lat, lon}
+      _nowhere -> nil
+    end
+  end
+
   # Each item by itself, as if a ground station had sent it.
   defp each(policy, items, type, vehicle, context) do
     first(Enum.with_index(items), fn {item, seq} ->

@@ -130,8 +130,8 @@ defmodule Aerie.Mission.PlanTest do
 
     test "errors say in which line" do
       for {text, error} <- [
-            {"", "the file is empty; it must begin with \"QGC WPL 110\""},
-            {"QGC WPL 120\n", ~s(line 1: expected "QGC WPL 110", got "QGC WPL 120")},
+            {"", ~s(the file is empty; it must begin with "QGC WPL 110" or "QGC WPL 120")},
+            {"QGC WPL 130\n", ~s(line 1: expected "QGC WPL 110" or "QGC WPL 120", got "QGC WPL 130")},
             {"QGC WPL 110\n\n0 1 0\n", "line 3: expected 12 columns, got 3"},
             {"QGC WPL 110\n5\t1\t0\t16\t0\t0\t0\t0\t1\t1\t584\t1\n", "line 2: expected item 0, got 5"},
             {"QGC WPL 110\n0\t1\t0\t16\t0\t0\t0\tx\t1\t1\t584\t1\n",

@@ -14,8 +14,7 @@ defmodule Aerie.Tool.Run.MissionFile do
 
     with {:ok, kind} <- Run.Mission.kind(request),
          {:ok, text} <- read(path),
-         {:ok, plan} <-
-           Missions.import(text, if(String.starts_with?(text, "QGC WPL"), do: :waypoints, else: :plan)),
+         {:ok, plan} <- Missions.import(text, :any),
          {:ok, node, _entry} <- Gateway.connect(request),
          :ok <- Ask.first("send the #{kind} of #{path} to #{vehicle}", options) do
       Gateway.call(node, Run.Mission, :upload, [vehicle, kind, plan])

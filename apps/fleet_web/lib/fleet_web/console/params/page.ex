@@ -153,14 +153,14 @@ defmodule FleetWeb.Console.Params.Page do
   def handle_event(
         "open_file",
         %{"name" => name, "text" => text},
-        %{assigns: %{table: %{}, component: nil}} = socket
+        %{assigns: %{table: %{}, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when is_binary(name) and is_binary(text) do
-    case Costly.run(socket.assigns.gateway, :parse, {:name, socket.assigns.user.name}, fn ->
-           Params.parse(text)
+    case Costly.run(gateway, :parse, {:name, socket.assigns.user.name}, fn ->
+           Params.read_file(text, Fleet.vehicle(gateway, id))
          end) do
-      {:ok, {:ok, entries}} ->
-        file = %{name: String.slice(name, 0, 100), entries: entries}
+      {:ok, {:ok, entries, remarks}} ->
+        file = %{name: String.slice(name, 0, 100), entries: entries, remarks: remarks}
 
         {:noreply,
          socket |> assign(file: file, filter: %{socket.assigns.filter | only: "differs"}) |> relist()}

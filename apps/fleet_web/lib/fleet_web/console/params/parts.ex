@@ -30,7 +30,7 @@ defmodule FleetWeb.Console.Params.Parts do
       <div :if={@vehicle} class="row">
         <.button icon="refresh" phx-click="read" disabled={@reading != nil}>Read</.button>
         <.button :if={@table && @component == nil && @via == nil && not @described} icon="info" phx-click="describe" disabled={@reading != nil} title="Reads what the vehicle says about its parameters, once for each firmware">Descriptions</.button>
-        <label :if={@table && @component == nil} class="button" for="params-open"><.icon name="upload" />Open a file<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
+        <label :if={@table && @component == nil} class="button" for="params-open"><.icon name="upload" />Open file…<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
         <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="param">.param</.button>
         <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="params">.params</.button>
       </div>
@@ -75,6 +75,7 @@ defmodule FleetWeb.Console.Params.Parts do
         <.button kind="quiet" small={true} icon="x" label="Close the file" phx-click="close_file" />
       </div>
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
+      <p :for={remark <- @file.remarks} class="notice warn"><.icon name="alert" /> <span>{remark}</span></p>
       <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
       <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
     </section>

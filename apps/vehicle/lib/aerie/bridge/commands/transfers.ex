@@ -137,10 +137,11 @@ defmodule Aerie.Bridge.Commands.Transfers do
   end
 
   defp run({"mission", "put"}, {gateway, vehicle}, request, options) do
-    with :ok <- known(request, ["kind", "plan"]),
+    with :ok <- known(request, ["kind", "plan", "force"]),
+         {:ok, force} <- force(request["force"]),
          {:ok, kind} <- kind(request) do
       case Missions.import(JSON.encode!(request["plan"]), :plan) do
-        {:ok, plan} -> Missions.upload(gateway, vehicle, kind, plan, options)
+        {:ok, plan} -> Missions.upload(gateway, vehicle, kind, plan, [force: force] ++ options)
         {:error, text} -> {:error, [Error.new("plan", text, :rule)]}
       end
     end
@@ -220,6 +221,10 @@ defmodule Aerie.Bridge.Commands.Transfers do
     with :error <- Map.fetch(@kinds, request["kind"] || "mission"),
          do: wrong("kind", "mission, fence or rally", request["kind"])
   end
+
+  defp force(nil), do: {:ok, false}
+  defp force(force) when is_boolean(force), do: {:ok, force}
+  defp force(other), do: wrong("force", "true or false", other)
 
   defp names(nil), do: {:ok, nil}
 

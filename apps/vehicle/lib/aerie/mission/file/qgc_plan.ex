@@ -2,21 +2,32 @@ defmodule Aerie.Mission.File.QgcPlan do
   @moduledoc """
   QGroundControl's `.plan` files (JSON): mission, fence and rally points.
 
-  SimpleItems are read as they are. From ComplexItems (surveys, corridor scans) the items are read that QGroundControl stored in
-  them. A ComplexItem without stored items, such as a landing pattern, is an error: only QGroundControl can generate its items.
-  Files are written with SimpleItems only.
+  A file may lack sections: then its plan has nothing of that kind. A section that is there and not understood (an unknown version, a
+  misspelt or missing key, null) is an error: read as empty, it would look like a plan without a fence. Fences of version 1 have one
+  polygon to stay in. Items are those of `Aerie.Mission.File.QgcItems`. Files are written with SimpleItems only.
   """
 
-  alias Aerie.Mission.File.Value
-  alias Aerie.Mission.{Item, Plan, Transfer}
-  alias MavCodec.Enums.MavCmd
+  alias Aerie.Mission.File.{QgcItems, Value}
+  alias Aerie.Mission.Plan
+  alias Aerie.TextFile
 
   @max_bytes 4 * 1024 * 1024
   @max_zones 200
   @max_corners 2_000
   @max_rally 500
-  @jump MavCmd.value(:MAV_CMD_DO_JUMP)
-  @stored ["TransectStyleComplexItem", "StructureScan"]
+  @sections ["mission", "geoFence", "rallyPoints"]
+  # What people write by hand, without capitals and the plural's s.
+  @misspelt %{
+    "mission" => "mission",
+    "geofence" => "geoFence",
+    "fence" => "geoFence",
+    "rallypoint" => "rallyPoints",
+    "rally" => "rallyPoints"
+  }
+  # The versions of each section that are read, and the keys of the sections that have no others.
+  @versions %{"mission" => [1, 2], "geoFence" => [1, 2], "rallyPoints" => [1, 2]}
+  @fence_keys %{1 => ["polygon", "breachReturn", "parameters"], 2 => ["polygons", "circles", "breachReturn"]}
+  @advice "open it in a current QGroundControl and save it again"
 
   @doc "The largest numbers of polygons, of circles, and of rally points in a file."
   @spec limits() :: %{zones: pos_integer(), rally: pos_integer()}
@@ -27,7 +38,7 @@ defmodule Aerie.Mission.File.QgcPlan do
   def read(text) when byte_size(text) > @max_bytes, do: {:error, "the file is larger than 4 MiB"}
 
   def read(text) do
-    case JSON.decode(text) do
+    case text |> TextFile.unmarked() |> JSON.decode() do
       {:ok, %{"fileType" => "Plan"} = file} -> plan(file)
       {:ok, _other} -> {:error, "fileType: expected \"Plan\": this is not a plan of QGroundControl"}
       {:error, {:invalid_byte, at, _byte}} -> {:error, "this is not JSON: wrong character at byte #{at}"}
@@ -55,7 +66,7 @@ defmodule Aerie.Mission.File.QgcPlan do
         "plannedHomePosition" => Value.degrees(position) ++ [altitude],
         "items" => for({item, n} <- Enum.with_index(plan.items, 1), do: simple(item, n))
       },
-      "geoFence" => fence(plan),
+      "geoFence" => written(plan),
       "rallyPoints" => %{
         "version" => 2,
         "points" => for({position, altitude} <- plan.rally, do: Value.degrees(position) ++ [altitude])
@@ -66,38 +77,109 @@ defmodule Aerie.Mission.File.QgcPlan do
   # --- Reading
 
   defp plan(file) do
-    with {:ok, mission} <- object(file, "mission"),
-         {:ok, fence} <- object(file, "geoFence"),
-         {:ok, rally} <- object(file, "rallyPoints"),
-         {:ok, home} <- home(mission["plannedHomePosition"]),
-         {:ok, items} <- items(mission["items"]),
-         {:ok, polygons} <- list(fence["polygons"], @max_zones, "geoFence.polygons", &polygon/2),
-         {:ok, circles} <- list(fence["circles"], @max_zones, "geoFence.circles", &circle/2),
+    with :ok <- version(file, [1], ""),
+         :ok <- spelt(Map.keys(file)),
+         {:ok, mission} <- section(file, "mission"),
+         {:ok, fence} <- section(file, "geoFence"),
+         {:ok, rally} <- section(file, "rallyPoints"),
+         {:ok, plan} <- mission(mission, %Plan{}),
+         {:ok, plan} <- fence(fence, plan),
+         do: rally(rally, plan)
+  end
+
+  defp section(file, name) do
+    case Map.fetch(file, name) do
+      :error -> {:ok, nil}
+      {:ok, %{} = section} -> with :ok <- version(section, @versions[name], name <> "."), do: {:ok, section}
+      {:ok, other} -> Value.error(name, "an object", other)
+    end
+  end
+
+  # Where it is missing, the keys tell.
+  defp version(section, known, at) do
+    version = Map.get(section, "version", List.last(known))
+
+    if Enum.any?(known, &(&1 == version)),
+      do: :ok,
+      else:
+        {:error,
+         "#{at}version: expected #{Enum.join(known, " or ")}, got #{inspect(version, limit: 5)}: #{@advice}"}
+  end
+
+  defp spelt(keys) do
+    Enum.find_value(keys -- @sections, :ok, fn key ->
+      name =
+        @misspelt[key |> String.downcase() |> String.replace(~r/[^a-z]/, "") |> String.trim_trailing("s")]
+
+      if name, do: {:error, "#{inspect(key, printable_limit: 40)}: expected \"#{name}\""}
+    end)
+  end
+
+  defp mission(nil, plan), do: {:ok, plan}
+
+  defp mission(mission, plan) do
+    with {:ok, home} <- home(mission["plannedHomePosition"]),
+         {:ok, items} <- QgcItems.read(mission),
+         do: {:ok, %{plan | home: home, items: items}}
+  end
+
+  defp fence(nil, plan), do: {:ok, plan}
+
+  defp fence(fence, plan) do
+    version = if fence["version"] == 1, do: 1, else: 2
+
+    with :ok <- only(fence, @fence_keys[version], "geoFence"),
+         {:ok, zones} <- zones(version, fence),
          {:ok, back} <- back(fence["breachReturn"]),
-         {:ok, points} <- list(rally["points"], @max_rally, "rallyPoints.points", &place/2) do
-      {:ok, %Plan{home: home, items: items, fence: polygons ++ circles, fence_return: back, rally: points}}
+         do: {:ok, %{plan | fence: zones, fence_return: back}}
+  end
+
+  defp zones(1, fence) do
+    case fence do
+      %{"polygon" => []} ->
+        {:ok, []}
+
+      %{"polygon" => _corners} ->
+        with {:ok, zone} <- corners(:inclusion, fence, "geoFence"), do: {:ok, [zone]}
+
+      _none ->
+        Value.error("geoFence.polygon", "a list", nil)
     end
   end
 
-  defp object(file, name) do
-    case Map.get(file, name) || %{} do
-      %{} = object -> {:ok, object}
-      other -> Value.error(name, "an object", other)
+  defp zones(2, fence) when not is_map_key(fence, "polygons") and not is_map_key(fence, "circles"),
+    do: {:error, "geoFence: expected polygons or circles: #{@advice}"}
+
+  defp zones(2, fence) do
+    with {:ok, polygons} <-
+           Value.list(Map.get(fence, "polygons", []), @max_zones, "geoFence.polygons", &polygon/2),
+         {:ok, circles} <-
+           Value.list(Map.get(fence, "circles", []), @max_zones, "geoFence.circles", &circle/2),
+         do: {:ok, polygons ++ circles}
+  end
+
+  defp rally(nil, plan), do: {:ok, plan}
+
+  defp rally(rally, plan) do
+    with :ok <- only(rally, ["points"], "rallyPoints"),
+         {:ok, points} <- Value.list(rally["points"], @max_rally, "rallyPoints.points", &place/2),
+         do: {:ok, %{plan | rally: points}}
+  end
+
+  defp only(section, keys, at) do
+    case Map.keys(section) -- ["version" | keys] do
+      [] ->
+        :ok
+
+      [key | _] ->
+        {:error, "#{at}: expected only #{Enum.join(keys, ", ")}, got #{inspect(key, printable_limit: 40)}"}
     end
   end
-
-  defp list(nil, _most, _at, _fun), do: {:ok, []}
-
-  defp list(values, most, at, fun) when is_list(values) do
-    if length(values) <= most,
-      do: Value.all(values, &fun.(&1, "#{at}[#{&2 - 1}]")),
-      else: {:error, "#{at}: #{length(values)} entries; at most #{most} are read"}
-  end
-
-  defp list(other, _most, at, _fun), do: Value.error(at, "a list", other)
 
   # QGroundControl writes 0, 0 if there is none.
   defp home(nil), do: {:ok, nil}
+  # As old files have it: an item.
+  defp home(%{"coordinate" => place}), do: home(place)
 
   defp home(value) do
     with {:ok, {position, altitude}} <- place(value, "mission.plannedHomePosition"),
@@ -118,16 +200,18 @@ defmodule Aerie.Mission.File.QgcPlan do
   defp corner([lat, lon | _altitude], at), do: Value.position(lat, lon, at)
   defp corner(other, at), do: Value.error(at, "[latitude, longitude]", other)
 
-  defp polygon(%{"polygon" => corners} = zone, at) do
-    with {:ok, kind} <- kind(zone, at),
-         {:ok, corners} <- list(corners, @max_corners, at <> ".polygon", &corner/2) do
+  defp polygon(%{"polygon" => _corners} = zone, at),
+    do: with({:ok, kind} <- kind(zone, at), do: corners(kind, zone, at))
+
+  defp polygon(other, at), do: Value.error(at, "an object with polygon", other)
+
+  defp corners(kind, %{"polygon" => corners}, at) do
+    with {:ok, corners} <- Value.list(corners, @max_corners, at <> ".polygon", &corner/2) do
       if length(corners) >= 3,
         do: {:ok, {kind, {:polygon, corners}}},
         else: {:error, "#{at}.polygon: expected three corners or more, got #{length(corners)}"}
     end
   end
-
-  defp polygon(other, at), do: Value.error(at, "an object with polygon", other)
 
   defp circle(%{"circle" => %{"center" => center, "radius" => radius}} = zone, at) do
     with {:ok, kind} <- kind(zone, at),
@@ -145,69 +229,6 @@ defmodule Aerie.Mission.File.QgcPlan do
   defp kind(%{"inclusion" => false}, _at), do: {:ok, :exclusion}
   defp kind(zone, at), do: Value.error(at <> ".inclusion", "true or false", zone["inclusion"])
 
-  # Each item with the id that DO_JUMP refers to.
-  defp items(values) do
-    with {:ok, nested} <- list(values, Transfer.limit(), "mission.items", &item/2) do
-      items = Enum.concat(nested)
-      limit = Transfer.limit()
-
-      if length(items) <= limit,
-        do: jumps(items),
-        else:
-          {:error,
-           "mission.items: #{length(items)} items with those of ComplexItems; at most #{limit} are read"}
-    end
-  end
-
-  defp item(%{"type" => "SimpleItem"} = value, at) do
-    with [_, _, _, _, _, _, _] = params <- value["params"],
-         {:ok, item} <-
-           Value.item(value["frame"], value["command"], params, value["autoContinue"] != false, at) do
-      {:ok, [{value["doJumpId"], item, at}]}
-    else
-      {:error, reason} -> {:error, reason}
-      other -> Value.error(at <> ".params", "seven numbers", other)
-    end
-  end
-
-  defp item(%{"type" => "ComplexItem"} = value, at) do
-    stored = Enum.find_value(@stored, &if(is_map(value[&1]), do: {&1, value[&1]["Items"]}))
-
-    case stored do
-      {name, [_ | _] = items} ->
-        with {:ok, nested} <- list(items, Transfer.limit(), "#{at}.#{name}.Items", &item/2),
-             do: {:ok, Enum.concat(nested)}
-
-      _none ->
-        Value.error(at, "the items of the ComplexItem in the file", value["complexItemType"])
-    end
-  end
-
-  defp item(%{"type" => type}, at), do: Value.error(at <> ".type", "\"SimpleItem\" or \"ComplexItem\"", type)
-  defp item(other, at), do: Value.error(at, "an item", other)
-
-  # From ids to numbers.
-  defp jumps(items) do
-    numbers = for {{id, _item, _at}, n} <- Enum.with_index(items, 1), is_integer(id), into: %{}, do: {id, n}
-
-    Value.all(items, fn {_id, item, at}, _n ->
-      case item do
-        %Item{command: @jump, params: {target, repeat, p3, p4}} ->
-          jump(item, target, {repeat, p3, p4}, numbers, at)
-
-        item ->
-          {:ok, item}
-      end
-    end)
-  end
-
-  defp jump(item, target, {repeat, p3, p4}, numbers, at) do
-    case target && numbers[trunc(target)] do
-      nil -> Value.error(at <> ".params[0]", "the doJumpId of an item", target)
-      number -> {:ok, %{item | params: {number / 1, repeat, p3, p4}}}
-    end
-  end
-
   # --- Writing
 
   defp simple(item, number) do
@@ -221,7 +242,7 @@ defmodule Aerie.Mission.File.QgcPlan do
     }
   end
 
-  defp fence(plan) do
+  defp written(plan) do
     polygons =
       for {kind, {:polygon, corners}} <- plan.fence,
           do: %{

@@ -86,6 +86,17 @@ defmodule Aerie.Mission.File.Value do
     |> then(&if is_list(&1), do: {:ok, Enum.reverse(&1)}, else: &1)
   end
 
+  @doc "Maps a list of at most `most` values, each with its place."
+  @spec list(term(), pos_integer(), String.t(), (term(), String.t() -> {:ok, term()} | error())) ::
+          {:ok, [term()]} | error()
+  def list(values, most, at, fun) when is_list(values) do
+    if length(values) <= most,
+      do: all(values, &fun.(&1, "#{at}[#{&2 - 1}]")),
+      else: {:error, "#{at}: #{length(values)} entries; at most #{most} are read"}
+  end
+
+  def list(other, _most, at, _fun), do: error(at, "a list", other)
+
   @spec error(String.t(), String.t(), term()) :: error()
   def error(at, expected, got) do
     {:error, "#{at}: expected #{expected}, got #{inspect(got, limit: 5, printable_limit: 40)}"}

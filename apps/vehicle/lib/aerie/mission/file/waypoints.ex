@@ -1,33 +1,31 @@
 defmodule Aerie.Mission.File.Waypoints do
   @moduledoc """
   Waypoint files, `QGC WPL 110`: a line per item with twelve numbers; the first line is home. Mission Planner,
-  QGroundControl and MAVProxy read and write them. They hold the mission only.
+  QGroundControl and MAVProxy read and write them. They hold the mission only. In the older `QGC WPL 120` the first line is the
+  first item: there is no home.
   """
 
   alias Aerie.Mission.File.Value
   alias Aerie.Mission.{Item, Plan, Transfer}
+  alias Aerie.TextFile
   alias MavCodec.Enums.MavCmd
 
   @header "QGC WPL 110"
+  @without_home "QGC WPL 120"
   @max_bytes 4 * 1024 * 1024
   @waypoint MavCmd.value(:MAV_CMD_NAV_WAYPOINT)
+  @jump MavCmd.value(:MAV_CMD_DO_JUMP)
 
   @doc "The plan of a text, or an error with the line."
   @spec read(binary()) :: {:ok, Plan.t()} | {:error, String.t()}
   def read(text) when byte_size(text) > @max_bytes, do: {:error, "the file is larger than 4 MiB"}
 
   def read(text) do
-    lines =
-      for {line, n} <- text |> String.split(["\r\n", "\n"]) |> Enum.with_index(1),
-          line = String.trim(line),
-          line != "",
-          do: {line, n}
-
-    with :ok <- readable(text),
-         {:ok, lines} <- header(lines),
+    with {:ok, lines} <- TextFile.lines(text),
+         {:ok, header, lines} <- header(lines),
          :ok <- few(lines),
          {:ok, items} <- Value.all(lines, fn {line, at}, seq -> item(line, "line #{at}", seq - 1) end) do
-      {:ok, plan(items)}
+      {:ok, plan(header, items)}
     end
   end
 
@@ -50,11 +48,15 @@ defmodule Aerie.Mission.File.Waypoints do
     Enum.join([@header | lines], "\n") <> "\n"
   end
 
-  defp readable(text), do: if(String.valid?(text), do: :ok, else: {:error, "the file is not text in UTF-8"})
+  defp header([{header, _at}]) when header in [@header, @without_home],
+    do: {:error, "the file has no items after its first line"}
 
-  defp header([{@header, _at} | lines]), do: {:ok, lines}
-  defp header([{line, at} | _]), do: Value.error("line #{at}", inspect(@header), line)
-  defp header([]), do: {:error, "the file is empty; it must begin with #{inspect(@header)}"}
+  defp header([{header, _at} | lines]) when header in [@header, @without_home], do: {:ok, header, lines}
+
+  defp header([{line, at} | _]), do: Value.error("line #{at}", expected(), line)
+  defp header([]), do: {:error, "the file is empty; it must begin with #{expected()}"}
+
+  defp expected, do: "#{inspect(@header)} or #{inspect(@without_home)}"
 
   defp few(lines) do
     limit = Transfer.limit()
@@ -82,27 +84,25 @@ defmodule Aerie.Mission.File.Waypoints do
   defp whole(value), do: value
 
   defp parsed(text, at) do
-    case {Integer.parse(text), float(text), String.downcase(text)} do
-      {{value, ""}, _float, _text} -> {:ok, value}
-      {_integer, {value, ""}, _text} -> {:ok, value}
-      {_integer, _float, text} when text in ["nan", "-nan"] -> {:ok, nil}
-      _neither -> Value.error(at, "a number", text)
+    case {TextFile.number(text), String.downcase(text)} do
+      {{:ok, value}, _text} -> {:ok, value}
+      {:error, text} when text in ["nan", "-nan"] -> {:ok, nil}
+      {:error, text} -> Value.error(at, "a number", text)
     end
   end
 
-  # `Float.parse/1` raises for exponents beyond a float's range.
-  defp float(text) do
-    Float.parse(text)
-  rescue
-    ArgumentError -> :error
-  end
-
-  defp plan([]), do: %Plan{}
-
-  defp plan([home | items]) do
+  defp plan(@header, [home | items]) do
     known? = home.x not in [nil, 0] or home.y not in [nil, 0]
     %Plan{home: if(known?, do: {{home.x || 0, home.y || 0}, home.z || 0.0}), items: items}
   end
+
+  # A plan counts its items from 1, this file from 0.
+  defp plan(@without_home, items), do: %Plan{items: Enum.map(items, &jump/1)}
+
+  defp jump(%{command: @jump, params: {target, repeat, p3, p4}} = item) when is_number(target),
+    do: %{item | params: {target + 1, repeat, p3, p4}}
+
+  defp jump(item), do: item
 
   defp number(nil), do: "nan"
   defp number(value), do: "#{value}"

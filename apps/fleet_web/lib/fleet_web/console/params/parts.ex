@@ -31,8 +31,8 @@ defmodule FleetWeb.Console.Params.Parts do
         <.button icon="refresh" phx-click="read" disabled={@reading != nil}>Read</.button>
         <.button :if={@table && @component == nil && @via == nil && not @described} icon="info" phx-click="describe" disabled={@reading != nil} title="Reads what the vehicle says about its parameters, once for each firmware">Descriptions</.button>
         <label :if={@table && @component == nil} class="button" for="params-open"><.icon name="upload" />Open file…<input id="params-open" class="visually-hidden" type="file" accept=".param,.params,.parm,.txt" /></label>
-        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="param">.param</.button>
-        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="params">.params</.button>
+        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="param">Save as .param</.button>
+        <.button :if={@table && @component == nil} icon="download" phx-click="save" phx-value-format="params">Save as .params</.button>
       </div>
     </div>
     """

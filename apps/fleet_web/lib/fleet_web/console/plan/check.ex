@@ -1,10 +1,10 @@
 defmodule FleetWeb.Console.Plan.Check do
   @moduledoc """
-  Checks a plan while it is drawn: by itself, and against the policy for a vehicle.
+  Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Mission.OwnFence`), and against the policy for a vehicle.
   """
 
-  alias Aerie.Mission.{Onboard, Plan, Review}
-  alias Aerie.{Names, Policy, Protocol}
+  alias Aerie.Mission.{Onboard, OwnFence, Plan, Review}
+  alias Aerie.{Missions, Names, Policy, Protocol}
   alias Aerie.Policy.{Context, Roles}
   alias FleetWeb.Console.Plan.Profile
   alias MavCodec.Enums.MavCmd
@@ -60,9 +60,21 @@ defmodule FleetWeb.Console.Plan.Check do
           )
   end
 
-  @doc "Asks the policy about sending the plan to the vehicle of a snapshot."
-  @spec policy(Names.gateway(), Plan.t(), map(), Roles.source()) :: [problem()]
-  def policy(gateway, plan, snapshot, user) do
+  @doc "Checks the plan against its own fence, and the fence, if it is sent, against the vehicle of a snapshot; nil for none."
+  @spec own(Plan.t(), map() | nil, fence_sent? :: boolean()) :: [problem()]
+  def own(plan, snapshot, fence_sent?) do
+    for found <- OwnFence.check(plan, OwnFence.vehicle(snapshot, System.os_time(:microsecond))),
+        do:
+          Map.put(
+            Map.delete(found, :breach?),
+            :kind,
+            if(found.breach? and fence_sent?, do: :bad, else: :warn)
+          )
+  end
+
+  @doc "Asks the policy about sending parts of the plan to the vehicle of a snapshot."
+  @spec policy(Names.gateway(), Plan.t(), [Missions.kind()], map(), Roles.source()) :: [problem()]
+  def policy(gateway, plan, parts, snapshot, user) do
     protocol = Protocol.of(snapshot.autopilot)
     context = Context.of(gateway, snapshot, user, System.os_time(:microsecond))
     vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
@@ -73,6 +85,7 @@ defmodule FleetWeb.Console.Plan.Check do
 
       policy ->
         for {type, part} <- [{0, :mission}, {1, :fence}, {2, :rally}],
+            part in parts,
             [_ | _] = items <- [Onboard.items(plan, type, protocol)],
             {:deny, _rule, seq, reason} <- [Review.plan(policy, items, type, vehicle, context)] do
           %{bad(index(part, seq, protocol), reason) | part: part}

@@ -23,13 +23,13 @@ defmodule FleetWeb.Console.Plan.Kinds do
     {:MAV_CMD_CONDITION_DELAY, "Wait", false, [{1, "Time", "s", 10.0}]},
     {:MAV_CMD_DO_CHANGE_SPEED, "Change speed", false,
      [{1, "Kind (0 air, 1 ground)", nil, 1.0}, {2, "Speed", "m/s", 5.0}]},
-    {:MAV_CMD_DO_JUMP, "Jump", false, [{1, "To item", nil, 1.0}, {2, "Times", nil, 1.0}]},
-    {:MAV_CMD_DO_SET_ROI_LOCATION, "Look at", true, []},
-    {:MAV_CMD_DO_SET_ROI_NONE, "Look ahead", false, []},
+    {:MAV_CMD_DO_JUMP, "Jump to item", false, [{1, "To item", nil, 1.0}, {2, "Times", nil, 1.0}]},
+    {:MAV_CMD_DO_SET_ROI_LOCATION, "Region of interest", true, []},
+    {:MAV_CMD_DO_SET_ROI_NONE, "Clear region of interest", false, []},
     {:MAV_CMD_DO_DIGICAM_CONTROL, "Take a picture", false, []},
     {:MAV_CMD_DO_SET_CAM_TRIGG_DIST, "Pictures by distance", false, [{1, "Every", "m", 10.0}]},
     {:MAV_CMD_IMAGE_START_CAPTURE, "Pictures by time", false,
-     [{2, "Every", "s", 2.0}, {3, "How many (0 for ever)", nil, 0.0}]},
+     [{2, "Every", "s", 2.0}, {3, "Count (0 for unlimited)", nil, 0.0}]},
     {:MAV_CMD_IMAGE_STOP_CAPTURE, "Stop pictures", false, []}
   ]
   @kinds Enum.map(@kinds, &put_elem(&1, 0, MavCmd.value(elem(&1, 0))))

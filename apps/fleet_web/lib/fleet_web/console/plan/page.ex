@@ -12,10 +12,10 @@ defmodule FleetWeb.Console.Plan.Page do
            ~w(plan_add plan_move plan_insert plan_pick part what altitude undo redo remove shift set clear_part action vehicle home
               import export restore download verify close_transfer map_select map_follow map_menu map_escape)
        ],
-       costly: ~w(import export restore download verify)}
+       costly: ~w(import export restore download verify look)}
 
   import FleetWeb.Console.Map, only: [map: 1]
-  import FleetWeb.Console.Plan.Panel
+  import FleetWeb.Console.Plan.{Outcome, Panel}
 
   alias Aerie.{Fleet, Missions, Policy}
   alias Aerie.Mission.Plan
@@ -32,8 +32,8 @@ defmodule FleetWeb.Console.Plan.Page do
     {:ok,
      socket
      |> assign(page_title: "Plan", draft: %Draft{}, problems: [], vehicle: nil, vehicles: [], transfer: nil)
-     |> assign(what: %{mission: 16, fence: {:inclusion, :polygon}}, altitude: 30.0, error: nil)
-     |> put_private(:plan, %{sent: %{}})
+     |> assign(what: %{mission: 16, fence: {:inclusion, :polygon}}, altitude: 30.0, error: nil, parts: [])
+     |> put_private(:plan, %{sent: %{}, judged: {[], []}, read: nil})
      |> subscribe()
      |> read()
      |> zones()}
@@ -46,14 +46,19 @@ defmodule FleetWeb.Console.Plan.Page do
   end
 
   @impl Phoenix.LiveView
-  def handle_info(:refresh, socket), do: {:noreply, read(socket)}
+  def handle_info(:refresh, socket), do: {:noreply, socket |> read() |> stand()}
 
   def handle_info({:transfer, ref, message}, %{assigns: %{transfer: %{ref: ref} = transfer}} = socket) do
     transfer = Transfer.update(transfer, message)
     socket = assign(socket, :transfer, transfer)
 
     if message == :done and transfer.what == :download and transfer.plan != nil,
-      do: {:noreply, socket |> replace(transfer.plan) |> push_event("map:fit", %{map: @map, ids: []})},
+      do:
+        {:noreply,
+         socket
+         |> was_read({transfer.vehicle, transfer.plan})
+         |> replace(transfer.plan)
+         |> push_event("map:fit", %{map: @map, ids: []})},
       else: {:noreply, socket}
   end
 
@@ -163,11 +168,12 @@ defmodule FleetWeb.Console.Plan.Page do
 
   def handle_event("import", %{"name" => name, "text" => text}, socket)
       when is_binary(name) and is_binary(text) do
-    format = if String.ends_with?(name, [".waypoints", ".txt"]), do: :waypoints, else: :plan
+    case imported(socket, text, :any) do
+      {:ok, plan} ->
+        {:noreply, socket |> was_read(nil) |> replace(plan) |> push_event("map:fit", %{map: @map, ids: []})}
 
-    case imported(socket, text, format) do
-      {:ok, plan} -> {:noreply, socket |> replace(plan) |> push_event("map:fit", %{map: @map, ids: []})}
-      {:error, reason} -> {:noreply, assign(socket, :error, "#{String.slice(name, 0, 80)}: #{reason}")}
+      {:error, reason} ->
+        {:noreply, assign(socket, :error, "#{String.slice(name, 0, 80)}: #{reason}")}
     end
   end
 
@@ -192,14 +198,14 @@ defmodule FleetWeb.Console.Plan.Page do
   def handle_event("restore", _value, socket), do: {:noreply, socket}
 
   def handle_event(what, value, %{assigns: %{vehicle: vehicle, transfer: transfer}} = socket)
-      when what in ["upload", "download", "verify"] do
+      when what in ["upload", "download", "verify", "look", "remove_aboard"] do
     press = if match?(%{"id" => id} when is_binary(id), value), do: value["id"], else: Aerie.Command.id()
 
     cond do
       vehicle == nil -> {:noreply, assign(socket, :error, "choose a vehicle first")}
       transfer != nil and not Transfer.over?(transfer) -> {:noreply, socket}
       not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) -> {:noreply, socket}
-      true -> {:noreply, begin(socket, Edit.transfer(what), press)}
+      true -> {:noreply, begin(socket, job(what, value, socket.assigns), press)}
     end
   end
 
@@ -210,14 +216,40 @@ defmodule FleetWeb.Console.Plan.Page do
 
   def handle_event("map_" <> _event, _value, socket), do: {:noreply, socket}
 
+  defp job("look", _value, %{draft: draft}), do: {:look, draft.part}
+
+  # What the button named is removed, and nothing that was looked at since.
+  defp job("remove_aboard", value, %{vehicle: vehicle, transfer: transfer}) do
+    case transfer do
+      %{vehicle: ^vehicle, aboard: %{digest: digest} = aboard} when digest != nil ->
+        if value["digest"] == digest and value["vehicle"] == vehicle, do: {:remove, aboard}
+
+      _nothing_seen ->
+        nil
+    end
+  end
+
+  defp job(what, _value, _assigns), do: Edit.transfer(what)
+
+  defp begin(socket, nil, _press), do: assign(socket, :error, "what is to be removed has changed: look again")
+
   defp begin(
          %{assigns: %{gateway: gateway, vehicle: vehicle, draft: draft, user: user}} = socket,
          what,
          press
        ) do
-    transfer = Transfer.start(what, gateway, vehicle, draft.plan, press, as: user, via: "console")
+    options = [as: user, via: "console", read: was_read(socket)]
+    transfer = Transfer.start(what, gateway, vehicle, draft.plan, press, options)
+    # What is aboard is about to change.
+    socket = if what == :upload or match?({:remove, _}, what), do: was_read(socket, nil), else: socket
     assign(socket, transfer: transfer, error: nil)
   end
+
+  # The plan as it was read from the chosen vehicle.
+  defp was_read(%{assigns: %{vehicle: vehicle}, private: %{plan: %{read: read}}}),
+    do: with({^vehicle, plan} <- read, do: plan, else: (_other -> nil))
+
+  defp was_read(socket, read), do: put_private(socket, :plan, %{socket.private.plan | read: read})
 
   defp result(socket, {:ok, draft}), do: changed(socket, draft)
   defp result(socket, {:error, text}), do: socket |> assign(:error, text) |> draw()
@@ -238,8 +270,28 @@ defmodule FleetWeb.Console.Plan.Page do
 
   defp check(%{assigns: %{gateway: gateway, draft: %{plan: plan}, vehicle: vehicle, user: user}} = socket) do
     snapshot = vehicle && Fleet.vehicle(gateway, vehicle)
-    denied = if snapshot && plan != %Plan{}, do: Check.policy(gateway, plan, snapshot, user), else: []
-    assign(socket, :problems, denied ++ Check.alone(plan))
+    parts = Transfer.parts(plan, was_read(socket))
+    sent = for {kind, :send} <- parts, do: kind
+    denied = if snapshot && plan != %Plan{}, do: Check.policy(gateway, plan, sent, snapshot, user), else: []
+    own = Check.own(plan, snapshot, :fence in sent)
+
+    socket
+    |> put_private(:plan, %{socket.private.plan | judged: {denied, Check.alone(plan)}})
+    |> assign(parts: parts, problems: denied ++ own ++ Check.alone(plan))
+  end
+
+  # The vehicle moves: whether it is inside the fence that is drawn is checked again.
+  defp stand(%{assigns: %{vehicle: nil}} = socket), do: socket
+  defp stand(%{assigns: %{draft: %{plan: %{fence: []}}}} = socket), do: socket
+
+  defp stand(
+         %{
+           assigns: %{gateway: gateway, vehicle: vehicle, draft: %{plan: plan}, parts: parts, problems: known}
+         } = socket
+       ) do
+    {denied, alone} = socket.private.plan.judged
+    problems = denied ++ Check.own(plan, Fleet.vehicle(gateway, vehicle), {:fence, :send} in parts) ++ alone
+    if problems == known, do: socket, else: socket |> assign(:problems, problems) |> draw()
   end
 
   defp draw(%{assigns: %{draft: draft, problems: problems}} = socket),
@@ -258,7 +310,7 @@ defmodule FleetWeb.Console.Plan.Page do
   defp read(%{assigns: %{gateway: gateway}} = socket) do
     vehicles = Fleet.vehicles(gateway)
     {payload, sent} = Payload.changes(socket.private.plan.sent, Enum.flat_map(vehicles, &List.wrap(row(&1))))
-    socket = put_private(socket, :plan, %{sent: sent})
+    socket = put_private(socket, :plan, %{socket.private.plan | sent: sent})
     socket = assign(socket, :vehicles, for(vehicle <- vehicles, do: Map.take(vehicle, [:id, :status])))
 
     if payload && connected?(socket),
@@ -280,10 +332,10 @@ defmodule FleetWeb.Console.Plan.Page do
         <.profile points={@profile} problems={@problems} />
       </div>
       <section class="plan-panel" aria-label="The plan">
-        <.head vehicle={@vehicle} vehicles={@vehicles} draft={@draft} user={@user} transfer={@transfer} problems={@problems} />
-        <.outcome :if={@transfer} transfer={@transfer} />
+        <.head vehicle={@vehicle} vehicles={@vehicles} parts={@parts} draft={@draft} user={@user} transfer={@transfer} problems={@problems} />
+        <.outcome :if={@transfer} transfer={@transfer} vehicle={@vehicle} user={@user} />
         <p :if={@error} class="notice bad" role="alert"><.icon name="alert" /> <span>{@error}</span></p>
-        <.tools draft={@draft} what={@what} altitude={@altitude} vehicle={@vehicle} />
+        <.tools draft={@draft} what={@what} altitude={@altitude} vehicle={@vehicle} user={@user} transfer={@transfer} />
         <.problems problems={@problems} />
         <.items :if={@draft.part == :mission} draft={@draft} problems={@problems} />
         <.fences :if={@draft.part == :fence} draft={@draft} />

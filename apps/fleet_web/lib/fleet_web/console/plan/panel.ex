@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   @moduledoc "The parts of the plan page beside the map."
   use FleetWeb.Console, :component
 
-  alias Aerie.Mission.Item
+  alias Aerie.Mission.{Item, Plan}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
 
@@ -11,6 +11,7 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   attr :vehicle, :string, required: true
   attr :vehicles, :list, required: true
+  attr :parts, :list, required: true
   attr :draft, :map, required: true
   attr :user, :map, required: true
   attr :transfer, :map, required: true
@@ -18,9 +19,19 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   @doc "The choice of vehicle, and the buttons to send, read, open and save a plan."
   def head(assigns) do
-    busy? = assigns.transfer != nil and not Transfer.over?(assigns.transfer)
-    bad? = Enum.any?(assigns.problems, &(&1.kind == :bad))
-    assigns = assign(assigns, busy?: busy?, bad?: bad?)
+    sent =
+      for {kind, :send} <- assigns.parts,
+          do: "#{Transfer.label(kind)} (#{Plan.contents(assigns.draft.plan, kind)})"
+
+    why =
+      why(
+        assigns.vehicle,
+        busy?(assigns.transfer),
+        sent == [],
+        Enum.any?(assigns.problems, &(&1.kind == :bad))
+      )
+
+    assigns = assign(assigns, busy?: busy?(assigns.transfer), sent: sent, why: why)
 
     ~H"""
     <div class="plan-head">
@@ -43,97 +54,77 @@ defmodule FleetWeb.Console.Plan.Panel do
           id="plan-upload"
           event="upload"
           icon="upload"
-          disabled={@vehicle == nil or @busy? or @bad?}
-          reason={why(@vehicle, @busy?, @bad?)}
+          disabled={@why != nil}
+          reason={@why}
         >Send</.hold_button>
       </div>
       <span class="plan-files">
-        <label class="button" for="plan-import"><.icon name="upload" />Open<input
+        <label class="button" for="plan-import"><.icon name="upload" />Open file…<input
             id="plan-import"
             class="visually-hidden"
             type="file"
             accept=".plan,.waypoints,.txt,.json"
           /></label>
-        <.button icon="download" phx-click="export" phx-value-format="plan">.plan</.button>
-        <.button icon="download" phx-click="export" phx-value-format="waypoints">.waypoints</.button>
+        <.button icon="download" phx-click="export" phx-value-format="plan">Save as .plan</.button>
+        <.button icon="download" phx-click="export" phx-value-format="waypoints">Save as .waypoints</.button>
       </span>
+      <p :if={@vehicle && @sent != [] && Role.at_least?(@user.role, :operator)} id="plan-sends" class="muted">Send sends: {Enum.join(@sent, ", ")}. What is aboard otherwise stays.</p>
     </div>
     """
   end
 
-  defp why(nil, _busy?, _bad?), do: "Choose a vehicle"
-  defp why(_vehicle, true, _bad?), do: "Another transfer is under way"
-  defp why(_vehicle, _busy?, true), do: "The plan has errors"
-  defp why(_vehicle, _busy?, _bad?), do: nil
+  defp busy?(transfer), do: transfer != nil and not Transfer.over?(transfer)
 
-  attr :transfer, :map, required: true
-
-  @doc "The progress of a transfer, and the result of each part."
-  def outcome(assigns) do
-    ~H"""
-    <section id="plan-transfer" class="card plan-transfer" aria-label="Transfer">
-      <header class="spread">
-        <h2>{title(@transfer)}</h2>
-        <.button :if={Transfer.over?(@transfer)} kind="quiet" icon="x" label="Close" phx-click="close_transfer" />
-      </header>
-      <ul aria-live="polite">
-        <li :for={{kind, {outcome, text}} <- @transfer.results} :key={kind}>
-          <.badge kind={if outcome == :ok, do: "ok", else: "bad"}>{kind}</.badge> {text}
-        </li>
-      </ul>
-      <p :if={@transfer.kind}>
-        <.badge kind="info">{@transfer.kind}</.badge> <.meter value={Transfer.share(@transfer)} label="Progress" text={phase(@transfer.progress)} />
-      </p>
-    </section>
-    """
-  end
-
-  defp title(%{what: :upload, vehicle: vehicle}), do: "Sending to #{vehicle}"
-  defp title(%{what: :download, vehicle: vehicle}), do: "Reading from #{vehicle}"
-  defp title(%{what: :verify, vehicle: vehicle}), do: "Comparing with #{vehicle}"
-
-  defp phase(%{"phase" => phase, "done" => done, "total" => total})
-       when is_integer(total) and is_integer(done),
-       do: "#{phase} #{done} of #{total}"
-
-  defp phase(%{"phase" => phase}) when is_binary(phase), do: phase
-  defp phase(_nothing), do: "waiting"
+  defp why(nil, _busy?, _nothing?, _bad?), do: "Choose a vehicle"
+  defp why(_vehicle, true, _nothing?, _bad?), do: "Another transfer is under way"
+  defp why(_vehicle, _busy?, true, _bad?), do: "Nothing to send: the plan is empty, or as it was read"
+  defp why(_vehicle, _busy?, _nothing?, true), do: "The plan has errors"
+  defp why(_vehicle, _busy?, _nothing?, _bad?), do: nil
 
   attr :draft, :map, required: true
   attr :what, :map, required: true
   attr :altitude, :float, required: true
   attr :vehicle, :string, required: true
+  attr :user, :map, required: true
+  attr :transfer, :map, required: true
 
   @doc "The choice of part, what a click adds, undo and redo."
   def tools(assigns) do
     ~H"""
     <div class="plan-parts" role="group" aria-label="What is drawn">
       <.button
-        :for={{part, label, n} <- parts(@draft.plan)}
+        :for={{part, n} <- parts(@draft.plan)}
         phx-click="part"
         phx-value-part={part}
-        aria-pressed={if Atom.to_string(@draft.part) == part, do: "true", else: "false"}
-      >{label} ({n})</.button>
+        aria-pressed={if @draft.part == part, do: "true", else: "false"}
+      >{Transfer.label(part)} ({n})</.button>
     </div>
     <div class="plan-tools">
       <form :if={@draft.part == :mission} id="plan-what" phx-change="what" phx-submit="what">
-        <.field id="plan-command" type="select" name="command" label="A click adds" value={@what.mission} options={Kinds.options(true)} />
+        <.field id="plan-command" type="select" name="command" label="Click to add" value={@what.mission} options={Kinds.options(true)} />
       </form>
       <form :if={@draft.part == :fence} id="plan-shape" phx-change="what" phx-submit="what">
-        <.field id="plan-zone" type="select" name="shape" label="A click adds" value={Edit.shape(@what.fence)} options={Edit.shapes()} />
+        <.field id="plan-zone" type="select" name="shape" label="Click to add" value={Edit.shape(@what.fence)} options={Edit.shapes()} />
       </form>
       <form :if={@draft.part != :fence} id="plan-altitude" phx-change="altitude" phx-submit="altitude">
-        <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="at a height of" unit="m" value={number(@altitude)} phx-debounce="300" />
+        <.field id="plan-altitude-field" type="number" step="any" name="altitude" label="Altitude" unit="m" value={number(@altitude)} phx-debounce="300" />
       </form>
       <form :if={@draft.part == :mission} id="plan-action" phx-submit="action">
-        <.field id="plan-action-field" type="select" name="command" label="Without a place" options={Kinds.options(false)} />
+        <.field id="plan-action-field" type="select" name="command" label="Add command without a position" options={Kinds.options(false)} />
         <.button type="submit" icon="plus" label="Add" />
       </form>
       <div class="row">
         <.button small phx-click="undo" disabled={@draft.undo == []}>Undo</.button>
         <.button small phx-click="redo" disabled={@draft.redo == []}>Redo</.button>
-        <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Home of the vehicle</.button>
+        <.button :if={@draft.part == :mission} small icon="home" phx-click="home" disabled={@vehicle == nil}>Use vehicle's home</.button>
         <.button small icon="trash" phx-click="clear_part">Clear</.button>
+        <.button
+          :if={@vehicle && Role.at_least?(@user.role, :operator)}
+          small
+          phx-click="look"
+          disabled={busy?(@transfer)}
+          title="Reads what the vehicle has, to remove it"
+        >Remove from vehicle…</.button>
       </div>
     </div>
     """
@@ -141,9 +132,9 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   defp parts(plan) do
     [
-      {"mission", "Mission", length(plan.items)},
-      {"fence", "Fence", length(plan.fence)},
-      {"rally", "Rally points", length(plan.rally)}
+      {:mission, length(plan.items)},
+      {:fence, length(plan.fence)},
+      {:rally, length(plan.rally)}
     ]
   end
 
@@ -184,8 +175,8 @@ defmodule FleetWeb.Console.Plan.Panel do
         <form :if={picked?(@draft, n)} id={"plan-item-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
           <input type="hidden" name="part" value="mission" /><input type="hidden" name="index" value={n} />
           <.field id={"item-#{n}-command"} type="select" name="command" label="Kind" value={item.command} options={kinds(item)} />
-          <.field :if={item.frame != 2} id={"item-#{n}-z"} type="number" step="any" name="z" label="Height" unit="m" value={number(item.z)} phx-debounce="500" />
-          <.field :if={item.frame != 2} id={"item-#{n}-frame"} type="select" name="frame" label="measured" value={plain(item.frame)} options={frames(item)} />
+          <.field :if={item.frame != 2} id={"item-#{n}-z"} type="number" step="any" name="z" label="Altitude" unit="m" value={number(item.z)} phx-debounce="500" />
+          <.field :if={item.frame != 2} id={"item-#{n}-frame"} type="select" name="frame" label="Reference" value={plain(item.frame)} options={frames(item)} />
           <.field :if={placed?(item)} id={"item-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(item.x)} phx-debounce="500" />
           <.field :if={placed?(item)} id={"item-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(item.y)} phx-debounce="500" />
           <.field
@@ -261,7 +252,7 @@ defmodule FleetWeb.Console.Plan.Panel do
         </div>
         <form :if={picked?(@draft, n)} id={"plan-rally-#{n}"} class="plan-fields" phx-change="set" phx-submit="set" phx-auto-recover="ignore">
           <input type="hidden" name="part" value="rally" /><input type="hidden" name="index" value={n} />
-          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label="Height above home" unit="m" value={number(altitude)} phx-debounce="500" />
+          <.field id={"rally-#{n}-z"} type="number" step="any" name="z" label="Altitude above home" unit="m" value={number(altitude)} phx-debounce="500" />
           <.field id={"rally-#{n}-lat"} type="number" step="any" name="lat" label="Latitude" unit="°" value={degrees(lat)} phx-debounce="500" />
           <.field id={"rally-#{n}-lon"} type="number" step="any" name="lon" label="Longitude" unit="°" value={degrees(lon)} phx-debounce="500" />
         </form>
@@ -302,7 +293,7 @@ defmodule FleetWeb.Console.Plan.Panel do
 
   defp summary(drawing),
     do:
-      "#{kilometres(drawing.length)} over the ground, from #{round(drawing.low)} to #{round(drawing.high)} m above home; the ground is not known"
+      "Length #{kilometres(drawing.length)}, #{round(drawing.low)} to #{round(drawing.high)} m above home; no terrain data"
 
   defp kilometres(metres) when metres < 1000, do: "#{round(metres)} m"
   defp kilometres(metres), do: "#{:erlang.float_to_binary(metres / 1000, decimals: 1)} km"

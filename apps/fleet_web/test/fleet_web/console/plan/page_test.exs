@@ -139,12 +139,11 @@ defmodule FleetWeb.Console.Plan.PageTest do
       add(view, 20)
       plan = plan_of(view)
 
-      render_hook(view, "upload", %{"id" => "web-0001"})
-      eventually(fn -> view |> render() |> String.contains?("on board") && over?(view) end)
-      sent = view |> element("#plan-transfer") |> render()
-      assert sent |> String.split("on board, and read back") |> length() == 3
-      # An operator does not remove the fence by a plan that has none.
-      assert sent =~ "not sent: the plan has no fence"
+      assert view |> element("#plan-sends") |> render() =~ "Mission (3 items), Rally points (1 rally point)"
+      sent = send_plan(view, "web-0001")
+      assert sent =~ "3 items, verified" and sent =~ "1 rally point, verified"
+      # No plan without a fence removes the fence.
+      assert sent =~ "not sent: the plan has none. What is aboard stays."
 
       view |> element("button", "Compare") |> render_click()
       eventually(fn -> view |> render() |> String.contains?("the same on board") && over?(view) end)
@@ -165,6 +164,98 @@ defmodule FleetWeb.Console.Plan.PageTest do
       assert read.rally == plan.rally
     end
 
+    for role <- [:operator, :admin] do
+      test "sending removes nothing: not by a mission drawn by hand, and not by an empty part (#{role})", c do
+        fence(c.gateway, c.vehicle)
+        view = open(c.console, "/plan?vehicle=#{c.vehicle}", unquote(role))
+        add(view, 0)
+        sent = send_plan(view, "web-0001")
+        assert sent =~ "1 item, verified" and sent =~ "not sent: the plan has none"
+        assert {:ok, %{plan: %{fence: [_]}}} = Missions.download(c.gateway, c.vehicle, :fence)
+
+        # What is read and cleared in the drawing is not removed aboard; the rest is as it was read.
+        read(view)
+        view |> element("button", "Fence (1)") |> render_click()
+        render_hook(view, "clear_part", %{})
+        refute has_element?(view, "#plan-sends")
+        assert has_element?(view, "#plan-upload[disabled]")
+        sent = send_plan(view, "web-0002")
+        assert sent =~ "not sent: it is as it was read." and sent =~ "not sent: the plan has none"
+        refute sent =~ "verified"
+        assert {:ok, %{plan: %{fence: [_]}}} = Missions.download(c.gateway, c.vehicle, :fence)
+      end
+    end
+
+    test "what was read and changed is sent, and nothing else", c do
+      fence(c.gateway, c.vehicle)
+      view = open(c.console, "/plan?vehicle=#{c.vehicle}")
+      read(view)
+      add(view, 0)
+      assert view |> element("#plan-sends") |> render() =~ "Mission (1 item). What"
+      sent = send_plan(view, "web-0001")
+      assert sent =~ "1 item, verified" and sent =~ "not sent: it is as it was read."
+      # After that the gateway no longer relies on what was read.
+      assert view |> add(50) |> send_plan("web-0002") =~ "4 corners, verified"
+    end
+
+    test "a part aboard is removed by an act of its own that names it", c do
+      fence(c.gateway, c.vehicle)
+      view = open(c.console, "/plan?vehicle=#{c.vehicle}", :admin)
+      view |> element("button", "Fence (0)") |> render_click()
+      view |> element("button", "Remove from vehicle") |> render_click()
+      eventually(fn -> over?(view) end)
+      button = view |> element("#plan-remove") |> render()
+      assert button =~ "Remove the fence aboard #{c.vehicle}: 4 corners"
+      [_, digest] = Regex.run(~r/phx-value-digest="(\w+)"/, button)
+
+      # A press names what it removes.
+      render_hook(view, "remove_aboard", %{"id" => "web-1", "digest" => "other", "vehicle" => c.vehicle})
+      assert render(view) =~ "look again"
+
+      # What came aboard since is not removed.
+      press = %{"digest" => digest, "vehicle" => c.vehicle}
+      fence(c.gateway, c.vehicle, 5)
+      render_hook(view, "remove_aboard", Map.put(press, "id", "web-2"))
+      eventually(fn -> over?(view) end)
+      assert render(view) =~ "not removed: meanwhile 5 corners on board"
+
+      view |> element("button", "Remove from vehicle") |> render_click()
+      eventually(fn -> over?(view) && has_element?(view, "#plan-remove") end)
+      [_, digest] = Regex.run(~r/phx-value-digest="(\w+)"/, render(view))
+      render_hook(view, "remove_aboard", %{press | "digest" => digest} |> Map.put("id", "web-3"))
+      eventually(fn -> over?(view) end)
+      assert render(view) =~ "removed: 5 corners"
+      assert {:ok, %{plan: %{fence: []}}} = Missions.download(c.gateway, c.vehicle, :fence)
+    end
+
+    test "an operator without the permission sees that the fence aboard is not theirs to remove", c do
+      fence(c.gateway, c.vehicle)
+      view = open(c.console, "/plan?vehicle=#{c.vehicle}")
+      view |> element("button", "Fence (0)") |> render_click()
+      view |> element("button", "Remove from vehicle") |> render_click()
+      eventually(fn -> over?(view) && has_element?(view, "#plan-remove[disabled]") end)
+      [_, digest] = Regex.run(~r/phx-value-digest="(\w+)"/, render(view))
+      render_hook(view, "remove_aboard", %{"id" => "web-1", "digest" => digest, "vehicle" => c.vehicle})
+      eventually(fn -> over?(view) end)
+      assert render(view) =~ "denied"
+      assert {:ok, %{plan: %{fence: [_]}}} = Missions.download(c.gateway, c.vehicle, :fence)
+    end
+
+    test "a plan that does not fit its own fence, and a vehicle outside of it, are told before Send", c do
+      view = open(c.console, "/plan?vehicle=#{c.vehicle}")
+      add(view, 500)
+      view |> element("button", "Fence (0)") |> render_click()
+      add(view, 0)
+      view |> element("button", "Rally points (0)") |> render_click()
+      add(view, 500)
+      problems = view |> element("#plan-problems") |> render()
+      assert problems =~ "item 1 is outside the plan&#39;s stay-inside zone 1"
+      assert problems =~ "rally point 1 is outside the plan&#39;s stay-inside zone 1"
+      assert problems =~ "the vehicle is outside the plan&#39;s stay-inside zone 1"
+      # It stands on the ground: that is told, and does not stop.
+      assert send_plan(view, "web-0001") =~ "4 corners, verified; but the vehicle is outside"
+    end
+
     test "a viewer cannot send", %{console: console, vehicle: vehicle} do
       view = open(console, "/plan?vehicle=#{vehicle}", :viewer)
       add(view, 0)
@@ -172,6 +263,35 @@ defmodule FleetWeb.Console.Plan.PageTest do
       render_hook(view, "upload", %{"id" => "web-0001"})
       refute has_element?(view, "#plan-transfer")
     end
+  end
+
+  # The vehicle has such a fence.
+  defp fence(gateway, vehicle, corners \\ 4) do
+    ring =
+      Enum.take(
+        [
+          {473_900_000, 85_400_000},
+          {473_900_000, 85_500_000},
+          {474_000_000, 85_500_000},
+          {474_010_000, 85_450_000},
+          {474_000_000, 85_400_000}
+        ],
+        corners
+      )
+
+    plan = %Plan{fence: [{:inclusion, {:polygon, ring}}]}
+    assert {:ok, %{status: :completed}} = Missions.upload(gateway, vehicle, :fence, plan)
+  end
+
+  defp read(view) do
+    view |> element("button", "Read") |> render_click()
+    eventually(fn -> over?(view) end)
+  end
+
+  defp send_plan(view, id) do
+    render_hook(view, "upload", %{"id" => id})
+    eventually(fn -> over?(view) && view |> element("#plan-transfer") |> render() =~ "Sent to" end)
+    view |> element("#plan-transfer") |> render()
   end
 
   defp over?(view), do: has_element?(view, "#plan-transfer button[aria-label=Close]")

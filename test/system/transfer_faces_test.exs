@@ -148,7 +148,25 @@ defmodule Aerie.System.TransferFacesTest do
 
       assert {422, _refused} = rest(c, :put, "mission?format=plan", "{}")
       assert {422, _refused} = rest(c, :get, "fence?format=waypoints")
-      assert {200, %{"result" => "completed"}} = rest(c, :delete, "mission")
+
+      # What is not understood, or has nothing of the kind, leaves what is aboard.
+      for {kind, name} <- [
+            {"fence?format=plan", "no-fence-key.plan"},
+            {"fence?format=plan", "version-99.plan"},
+            {"rally?format=plan", "no-fence-key.plan"},
+            {"mission?format=plan", "no-fence-key.plan"},
+            {"mission?format=plan", "mission-version-9.plan"},
+            {"mission?format=waypoints", "header-only.waypoints"}
+          ] do
+        text = File.read!(Path.expand("../../apps/vehicle/test/fixtures/others/#{name}", __DIR__))
+
+        assert {422, %{"error" => %{"code" => _code}}} =
+                 rest(c, :put, kind, text, type: "application/octet-stream")
+      end
+
+      assert {422, _refused} = rest(c, :put, "mission?force=perhaps", @waypoints, type: "text/plain")
+      assert {200, %{"plan" => %{"mission" => %{"items" => [_, _, _]}}}} = rest(c, :get, "mission")
+      assert {200, %{"result" => "completed", "removed" => "3 items"}} = rest(c, :delete, "mission")
       assert {200, %{"plan" => %{"mission" => %{"items" => []}}}} = rest(c, :get, "mission")
       assert {405, _refused} = rest(c, :delete, "params")
 
@@ -200,7 +218,14 @@ defmodule Aerie.System.TransferFacesTest do
       assert %{"result" => "completed", "plan" => %{"mission" => %{"items" => [_, _, _]}}} =
                nats(c, "mission.get", %{})
 
-      assert %{"result" => "completed"} = nats(c, "mission.clear", %{"id" => "m2", "kind" => "mission"})
+      for {id, change} <- [{"e1", %{"geofence" => plan["geoFence"]}}, {"e2", %{}}] do
+        put = %{"id" => id, "kind" => "fence", "plan" => Map.merge(plan, change)}
+        assert %{"result" => "rejected", "errors" => [%{"key" => "plan"}]} = nats(c, "mission.put", put)
+      end
+
+      assert %{"result" => "completed", "removed" => "3 items"} =
+               nats(c, "mission.clear", %{"id" => "m2", "kind" => "mission"})
+
       assert %{"errors" => [%{"key" => "kind"}]} = nats(c, "mission.get", %{"kind" => "route"})
       assert %{"errors" => [%{"key" => "subject"}]} = nats(c, "mission.fly", %{})
 

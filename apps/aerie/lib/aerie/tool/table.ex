@@ -6,6 +6,7 @@ defmodule Aerie.Tool.Table do
   @vehicle {"VEHICLE", "its name in the fleet, as aerie status shows it"}
   @json {:json, :boolean, nil, "print JSON"}
   @yes {:yes, :boolean, nil, "do not ask for confirmation"}
+  @force {:force, :boolean, nil, "send a fence that the vehicle, which flies, breaches at once"}
   @component {:component, :integer, "ID",
               "of the camera, gimbal or companion with this component id, not of the autopilot"}
   @config {:config, :string, "FILE",
@@ -191,7 +192,7 @@ defmodule Aerie.Tool.Table do
           {"FILE", "a plan of QGroundControl or Mission Planner"},
           {"[KIND]", "mission, fence or rally"}
         ],
-        options: [@yes | common(%{where: :gateway})]
+        options: [@yes, @force | common(%{where: :gateway})]
       },
       %Subcommand{
         name: "record",

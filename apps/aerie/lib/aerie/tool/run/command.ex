@@ -66,8 +66,11 @@ defmodule Aerie.Tool.Run.Command do
   def answer({:pending, id}, _options), do: {1, "command #{id} is under way\n"}
   def answer({:error, errors}, _options), do: {:error, Error.text(errors)}
 
-  defp words(%{reason: nil, status: status}), do: Atom.to_string(status)
-  defp words(%{reason: reason, status: status}), do: "#{status}: #{Columns.cell(reason)}"
+  defp words(%{reason: reason, status: status, details: details}) do
+    removed = if details["removed"], do: "removed: #{details["removed"]}"
+    said = for text <- [reason, removed | details["remarks"] || []], text != nil, do: Columns.cell(text)
+    Enum.join([status | said], ": ")
+  end
 
   defp hint(type) do
     best = Enum.max_by(Types.names(), &String.jaro_distance(&1, type))

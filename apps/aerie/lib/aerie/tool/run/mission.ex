@@ -33,10 +33,11 @@ defmodule Aerie.Tool.Run.Mission do
   end
 
   @doc "Sends a kind of a plan; runs in the gateway."
-  @spec upload(String.t(), Missions.kind(), Plan.t()) :: {0..1, iodata()} | {:error, String.t()}
-  def upload(vehicle, kind, plan) do
+  @spec upload(String.t(), Missions.kind(), Plan.t(), force :: boolean()) ::
+          {0..1, iodata()} | {:error, String.t()}
+  def upload(vehicle, kind, plan, force) do
     :default
-    |> Missions.upload(vehicle, kind, plan, as: Run.Command.source(), via: "bin/aerie")
+    |> Missions.upload(vehicle, kind, plan, force: force, as: Run.Command.source(), via: "bin/aerie")
     |> Run.Command.answer(%{})
   end
 

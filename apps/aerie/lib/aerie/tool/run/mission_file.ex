@@ -17,7 +17,7 @@ defmodule Aerie.Tool.Run.MissionFile do
          {:ok, plan} <- Missions.import(text, :any),
          {:ok, node, _entry} <- Gateway.connect(request),
          :ok <- Ask.first("send the #{kind} of #{path} to #{vehicle}", options) do
-      Gateway.call(node, Run.Mission, :upload, [vehicle, kind, plan])
+      Gateway.call(node, Run.Mission, :upload, [vehicle, kind, plan, options[:force] == true])
     end
   end
 

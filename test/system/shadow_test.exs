@@ -152,6 +152,23 @@ defmodule Aerie.System.ShadowTest do
     end
   end
 
+  test "a plan without a fence does not remove the fence aboard", %{gateway: gateway} do
+    {:ok, plan} = Missions.import(plan(), :plan)
+    {:ok, %{status: :completed}} = Missions.upload(gateway, @vehicle, :fence, plan)
+    {:ok, hash} = Shadow.put_plan(gateway, Missions.export(%{plan | fence: []}, :plan))
+    desire(gateway, %{"geofence" => %{"plan" => hash}})
+
+    eventually(
+      fn -> to_string(Shadow.report(gateway, @vehicle)["geofence.plan"][:why]) =~ "there is none in it" end,
+      fn -> "it is refused; it is #{inspect(Shadow.report(gateway, @vehicle)["geofence.plan"])}" end
+    )
+
+    assert {:ok, %{plan: %{fence: [_zone]}}} = Missions.download(gateway, @vehicle, :fence)
+    misspelt = String.replace(plan(), "geoFence", "geofence")
+    assert {:error, {:invalid, text}} = Shadow.put_plan(gateway, misspelt)
+    assert text =~ ~s(expected "geoFence")
+  end
+
   test "the fence is switched on, and off again", %{gateway: gateway, sim: sim} do
     for {on?, value} <- [{true, 1.0}, {false, 0.0}] do
       desire(gateway, %{"geofence" => %{"enabled" => on?}})

@@ -127,7 +127,7 @@ defmodule Aerie.Missions do
     items = Onboard.items(plan, @kinds[kind], protocol(gateway, vehicle))
 
     cond do
-      Plan.contents(plan, kind) == nil ->
+      Plan.empty?(plan, kind) ->
         {:error,
          [
            Error.new(

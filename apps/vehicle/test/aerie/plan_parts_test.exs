@@ -44,7 +44,9 @@ defmodule Aerie.PlanPartsTest do
 
     {:ok, empty} = Missions.import(File.read!(Path.join(@files, "no-fence-key.plan")), :plan)
 
+    # A place to return to is no fence.
     for kind <- Missions.kinds() do
+      empty = %{empty | fence_return: {near(0, 0), 20.0}}
       assert {:error, [error]} = Missions.upload(gateway, "VID-001", kind, empty)
       assert error.expected =~ "there is none in it; to remove what is aboard, clear it"
     end

@@ -31,6 +31,12 @@ defmodule Aerie.Mission.Plan do
           rally: [{position(), float()}]
         }
 
+  @doc "Whether a plan has nothing of a kind. A fence without zones is none, even if it has a return point."
+  @spec empty?(t(), :mission | :fence | :rally) :: boolean()
+  def empty?(plan, :mission), do: plan.items == []
+  def empty?(plan, :fence), do: plan.fence == []
+  def empty?(plan, :rally), do: plan.rally == []
+
   @doc "What a plan has of a kind, for people: `\"3 items\"`, `\"4 corners and 1 circle\"`, `\"2 rally points\"`; nil for nothing."
   @spec contents(t(), :mission | :fence | :rally) :: String.t() | nil
   def contents(%{items: items}, :mission), do: counted([{length(items), "item"}])

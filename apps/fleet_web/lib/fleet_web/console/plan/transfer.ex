@@ -42,7 +42,7 @@ defmodule FleetWeb.Console.Plan.Transfer do
   def parts(plan, read) do
     for kind <- @kinds do
       cond do
-        Plan.contents(plan, kind) == nil ->
+        Plan.empty?(plan, kind) ->
           {kind, {:skip, "not sent: the plan has none. What is aboard stays."}}
 
         read != nil and part(plan, kind) == part(read, kind) ->

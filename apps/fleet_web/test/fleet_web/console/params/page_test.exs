@@ -77,6 +77,15 @@ defmodule FleetWeb.Console.Params.PageTest do
     eventually(fn -> has_element?(view, "#params-commands-l1[data-state=completed]") end)
     eventually(fn -> has_element?(view, "#params-file", "0 differ") end)
 
+    # Of QGroundControl's file only the autopilot's rows; the rest is told. Another vehicle's file is refused.
+    rows = "1\t1\tPILOT_TKOFF_ALT\t250\t4\n1\t154\tMNT_ANGLE\t2\t6\n"
+    render_hook(view, "open_file", %{"name" => "qgc.params", "text" => rows})
+    assert has_element?(view, "#params-file", "1 parameters, 1 differ from the vehicle.")
+    assert has_element?(view, "#params-file", "component 154 and not of the autopilot: MNT_ANGLE")
+
+    assert render_hook(view, "open_file", %{"name" => "b", "text" => "7\t1\tA\t1\t6\n"}) =~
+             "system id 7, not of 1"
+
     render_hook(view, "save", %{"format" => "param"})
     assert_push_event(view, "params:file", %{name: "VID-001.param", text: text}, Aerie.Patience.ms())
     assert text =~ ~r/PILOT_TKOFF_ALT,200/

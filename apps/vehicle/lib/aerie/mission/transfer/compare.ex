@@ -30,7 +30,7 @@ defmodule Aerie.Mission.Transfer.Compare do
       |> Enum.zip(read)
       |> Enum.with_index(first)
       |> Enum.reduce_while([], fn {{a, b}, seq}, remarks ->
-        case item(a, b, seq, protocol.kept(a, type, kind)) do
+        case item(compared(a, type), compared(b, type), seq, protocol.kept(a, type, kind)) do
           {:differs, _seq, _how} = difference -> {:halt, difference}
           more -> {:cont, Enum.reverse(more, remarks)}
         end
@@ -52,6 +52,10 @@ defmodule Aerie.Mission.Transfer.Compare do
       {remarks, more} -> remarks ++ ["and #{length(more)} more"]
     end
   end
+
+  # Only a mission has a next item.
+  defp compared(item, @mission), do: item
+  defp compared(item, _fence_or_rally), do: %{item | autocontinue: 1}
 
   defp item(sent, read, seq, kept) do
     fields = for {{name, a}, {name, b}} <- Enum.zip(fields(sent), fields(read)), do: {name, a, b}

@@ -386,6 +386,7 @@ defmodule Aerie.System.RemoteTest do
     eventually(fn -> System.os_time(:second) > deadline end, "the deadline has passed")
     signal.("CONT")
     shown(hub, "online again", &(&1.status == :online))
+
     # What comes after it on the same way is done, so the late one has arrived. Until the gateway aboard has renewed its lease, which it
     # could not while its server was frozen, it refuses, and says that nothing was sent.
     eventually(fn -> after_thaw(hub).status == :completed end, "a command is completed again")

@@ -18,7 +18,7 @@ defmodule Bench do
     {:ok, _} = Aerie.Router.Supervisor.start_link(gateway: gateway, settings: Aerie.Router.Settings.from(%{}))
     {:ok, _} = Link.Supervisor.start_link(gateway: gateway, settings: Link.Settings.from(%{}))
 
-    {:ok, _} = Registry.register(Aerie.Registry, {gateway, :session, {"main", 1}}, nil)
+    :ok = Aerie.Names.register(gateway, :session, {"main", 1})
     gateway
   end
 

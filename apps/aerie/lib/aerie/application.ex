@@ -4,22 +4,40 @@ defmodule Aerie.Application do
 
   require Logger
 
-  alias Aerie.{CLI, Commands, Store}
-  alias Aerie.CLI.{Output, Ports}
+  alias Aerie.{CLI, Commands, Store, Successor}
+  alias Aerie.CLI.{LogKeeper, Output, Ports}
+
+  # The application ends with its top process, and the VM with the application. So that one does nothing but restart the supervisor below
+  # which everything runs.
+  @impl Application
+  def start(_type, _args) do
+    child = %{id: CLI.Supervisor, start: {__MODULE__, :start_run, []}, type: :supervisor, shutdown: :infinity}
+    Supervisor.start_link([child], strategy: :one_for_one)
+  end
 
   # `Aerie.CLI.Run` starts the parts of a run below this supervisor, so that an orderly stop of the VM (SIGTERM) ends them
   # in reverse order, the devices last.
-  @impl Application
-  def start(_type, _args) do
+  @doc false
+  @spec start_run() :: Supervisor.on_start()
+  def start_run do
+    :ok = Successor.await_end_below(CLI.Supervisor)
+
     children = [
       {Output, fd: 1, name: Output.stdout(), lost: &count_lost/1},
       {Output, fd: 2, name: Output.stderr(), lost: &count_lost/1},
+      LogKeeper,
       Ports
     ]
 
-    with {:ok, top} <- Supervisor.start_link(children, strategy: :one_for_one, name: CLI.Supervisor),
+    with {:ok, run} <-
+           Supervisor.start_link(children,
+             strategy: :one_for_one,
+             name: CLI.Supervisor,
+             max_restarts: 10,
+             max_seconds: 10
+           ),
          :ok <- gateway(Application.get_env(:aerie, :start)),
-         do: {:ok, top}
+         do: {:ok, run}
   end
 
   # Who starts the VM says whether it is to have a gateway: `bin/run` puts its words there, a release those after -extra.

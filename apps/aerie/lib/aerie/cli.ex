@@ -7,12 +7,12 @@ defmodule Aerie.CLI do
   program with status 2 and a message that says where the error is and how to correct it.
   """
 
-  alias Aerie.CLI.{CheckAudit, CheckPolicy, Options, Output, Plan, Run, ReplayEvents}
+  alias Aerie.CLI.{CheckAudit, CheckPolicy, LogKeeper, Options, Output, Plan, Run, ReplayEvents}
 
   @doc "Entry point of `bin/run`. Returns once everything is started; the VM runs until it is told to end."
   @spec main([String.t()]) :: :ok
   def main(words) do
-    :ok = Output.take_log(Output.stdout())
+    :ok = LogKeeper.take(Output.stdout())
 
     case call(words, System.get_env(), log: true) do
       :ok -> :ok

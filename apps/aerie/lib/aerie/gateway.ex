@@ -126,8 +126,9 @@ defmodule Aerie.Gateway do
         Successor.child_spec({module, [gateway: name] ++ options ++ tick})
       end
 
-    # Any of these dying is rare and serious: three times within a minute means that starting again does not help.
-    Supervisor.init(children, strategy: :rest_for_one, max_restarts: 3, max_seconds: 60)
+    # A part that fails at once each time ends the gateway, and then the VM, for the service manager to start them; single deaths,
+    # even one of each part within a minute, do not.
+    Supervisor.init(children, strategy: :rest_for_one, max_restarts: 10, max_seconds: 10)
   end
 
   @doc """

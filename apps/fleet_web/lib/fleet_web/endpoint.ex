@@ -63,7 +63,7 @@ defmodule FleetWeb.Endpoint do
           told(gateway, settings) ++
           WebSocket.listener(gateway, settings.websocket, policy)
 
-      Supervisor.init(children, strategy: :one_for_one)
+      Supervisor.init(children, strategy: :one_for_one, max_restarts: 20, max_seconds: 10)
     else
       {:error, text} ->
         # Without readable keys the server would admit nobody, or everybody, so it does not start.
@@ -118,7 +118,7 @@ defmodule FleetWeb.Endpoint do
       max_keepalive: 1000
     }
 
-    :ranch.child_spec(Listener.ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol)
+    {Listener, {Listener.ref(gateway), :ranch_tcp, transport, :cowboy_clear, protocol}}
   end
 
   # Who decides about a request takes the keys of that moment.

@@ -16,7 +16,7 @@ defmodule FleetWeb.WebSocket do
 
   @doc "Child specifications of a gateway's listener; `[]` if `websocket.enabled` is false."
   @spec listener(term(), map(), Access.policy()) :: [
-          Supervisor.child_spec() | :supervisor.child_spec() | {module(), keyword()}
+          {module(), keyword() | tuple()}
         ]
   def listener(gateway, %{enabled: true} = settings, policy) do
     ref = ref(gateway)
@@ -51,7 +51,7 @@ defmodule FleetWeb.WebSocket do
 
     [
       {Capacity, gateway: gateway, max_clients: settings.max_clients},
-      :ranch.child_spec(ref, transport, limits, connection, protocol)
+      {Listener, {ref, transport, limits, connection, protocol}}
     ]
   end
 

@@ -2,11 +2,12 @@ defmodule Aerie.FolderLock do
   @moduledoc """
   Gives a folder of data one owner, because two gateways that write into one store or outbox would destroy it.
 
-  Within this VM, the calling process owns the folder through `Aerie.Registry` until it ends. Between VMs, a file `owner`
+  Within this VM, the calling process owns the folder through `Aerie.Names.Book` until it ends. Between VMs, a file `owner`
   holds the owner's process id and, where `/proc` has it, its start time: a killed owner leaves the file behind, and
   another process may have got its pid since.
   """
 
+  alias Aerie.Names.Book
   alias Aerie.PrivateFile
 
   @doc """
@@ -29,8 +30,8 @@ defmodule Aerie.FolderLock do
   end
 
   defp register(dir) do
-    case Registry.register(Aerie.Registry, {__MODULE__, dir}, nil) do
-      {:ok, _pid} ->
+    case Book.register({__MODULE__, dir}, nil) do
+      :ok ->
         :ok
 
       {:error, {:already_registered, pid}} when pid == self() ->
@@ -45,7 +46,7 @@ defmodule Aerie.FolderLock do
     with {:ok, text} <- File.read(owner_file(dir)),
          [pid, started] <- text |> String.trim() |> String.split(" ", parts: 2),
          true <- pid != System.pid() and started != "" and started == start_time(pid) do
-      Registry.unregister(Aerie.Registry, {__MODULE__, dir})
+      Book.unregister({__MODULE__, dir})
       {:error, "folder #{dir} is in use by another gateway (process #{pid})"}
     else
       # No file, an unreadable one, an owner that is gone, or ourselves.

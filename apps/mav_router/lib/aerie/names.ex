@@ -2,7 +2,7 @@ defmodule Aerie.Names do
   @moduledoc """
   Finds the processes of a gateway.
 
-  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in `Aerie.Registry`
+  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in `Aerie.Names.Book`
   under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does, and what tells processes of one role
   apart (`nil` when there is only one).
 
@@ -35,46 +35,51 @@ defmodule Aerie.Names do
   Links, router and bridge add their own roles.
   """
 
+  alias Aerie.Names.Book
+
   @type gateway :: term()
   @type role :: atom()
 
   @doc "The `:via` name to start or call a process by."
   @spec via(gateway(), role(), term()) :: {:via, module(), term()}
-  def via(gateway, role, id \\ nil), do: {:via, Registry, {Aerie.Registry, {gateway, role, id}}}
+  def via(gateway, role, id \\ nil), do: {:via, Book, {gateway, role, id}}
 
   @doc "The process registered under a role, or nil when there is none just now."
   @spec whereis(gateway(), role(), term()) :: pid() | nil
-  def whereis(gateway, role, id \\ nil) do
-    # A dead process stays registered for a moment, although its name is free already.
-    case Registry.whereis_name({Aerie.Registry, {gateway, role, id}}) do
-      :undefined -> nil
-      pid -> pid
-    end
-  end
+  def whereis(gateway, role, id \\ nil),
+    do: with({pid, _value} <- Book.lookup({gateway, role, id}), do: pid)
 
   @doc "Registers the calling process, for one that somebody else started (Cowboy, say)."
   @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
   def register(gateway, role, id) do
-    case Registry.register(Aerie.Registry, {gateway, role, id}, nil) do
-      {:ok, _owner} -> changed()
+    case Book.register({gateway, role, id}, nil) do
+      :ok -> changed()
       {:error, {:already_registered, _pid}} -> {:error, :taken}
     end
   end
 
   @doc "The processes that have a role. Looks at all names, so it is not for every frame."
   @spec processes(gateway(), role()) :: [pid()]
-  def processes(gateway, role) do
-    Registry.select(Aerie.Registry, [
-      {{{:"$1", role, :_}, :"$2", :_}, [{:"=:=", :"$1", {:const, gateway}}], [:"$2"]}
-    ])
+  def processes(gateway, role), do: for({_id, pid, _value} <- all(gateway, role), do: pid)
+
+  @doc "The same, each with its id and the value of its name."
+  @spec all(gateway(), role()) :: [{id :: term(), pid(), value :: term()}]
+  def all(gateway, role) do
+    for {{_gateway, _role, id}, pid, value} <-
+          Book.rows({:"$1", role, :_}, [{:"=:=", :"$1", {:const, gateway}}]),
+        do: {id, pid, value}
   end
+
+  @doc "The roles that a process has in a gateway, each with its id."
+  @spec roles(gateway(), pid()) :: [{role(), id :: term()}]
+  def roles(gateway, pid), do: for({^gateway, role, id} <- Book.keys(pid), do: {role, id})
 
   @doc """
   Attaches a value to the name that the calling process has, for others to read with `value/3` without a call.
   """
   @spec put_value(gateway(), role(), term(), term()) :: :ok
   def put_value(gateway, role, id \\ nil, value) do
-    {_new, _old} = Registry.update_value(Aerie.Registry, {gateway, role, id}, fn _old -> value end)
+    :ok = Book.put_value({gateway, role, id}, value)
     # Afterwards, so that nobody remembers the old value under the new number.
     changed()
   end
@@ -90,10 +95,7 @@ defmodule Aerie.Names do
   @doc "The value a process attached to its name, or nil."
   @spec value(gateway(), role(), term()) :: term() | nil
   def value(gateway, role, id \\ nil) do
-    case Registry.lookup(Aerie.Registry, {gateway, role, id}) do
-      [{_pid, value}] -> value
-      [] -> nil
-    end
+    with {_pid, value} <- Book.lookup({gateway, role, id}), do: value
   end
 
   @doc """
@@ -103,8 +105,8 @@ defmodule Aerie.Names do
   @spec read(gateway(), role(), absent, (term() -> result)) :: absent | result
         when absent: term(), result: term()
   def read(gateway, role, absent, fun) do
-    case Registry.lookup(Aerie.Registry, {gateway, role, nil}) do
-      [{owner, value}] when value != nil -> read_of(owner, value, absent, fun)
+    case Book.lookup({gateway, role, nil}) do
+      {owner, value} when value != nil -> read_of(owner, value, absent, fun)
       _none -> absent
     end
   end
@@ -134,11 +136,11 @@ defmodule Aerie.Names do
 
   defp hold(gateway, role, key, epoch) do
     {owner, value} =
-      case Registry.lookup(Aerie.Registry, {gateway, role, nil}) do
+      case Book.lookup({gateway, role, nil}) do
         # The owner of the name is still starting.
-        [{_owner, nil}] -> {nil, nil}
-        [found] -> found
-        [] -> {nil, nil}
+        {_owner, nil} -> {nil, nil}
+        nil -> {nil, nil}
+        found -> found
       end
 
     Process.put(key, {epoch, owner, value})
@@ -146,7 +148,10 @@ defmodule Aerie.Names do
   end
 
   @doc false
-  # The number of `epoch/0`; made once, before there is any name.
+  # The tables, which belong to the calling process, and the number of `epoch/0`; made once, before there is any name.
   @spec prepare() :: :ok
-  def prepare, do: :persistent_term.put(__MODULE__, :atomics.new(1, signed: false))
+  def prepare do
+    :ok = Book.create()
+    :persistent_term.put(__MODULE__, :atomics.new(1, signed: false))
+  end
 end

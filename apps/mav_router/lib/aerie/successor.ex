@@ -38,6 +38,19 @@ defmodule Aerie.Successor do
     end
   end
 
+  @doc """
+  Waits until all processes below a supervisor that has died have ended, for the start of the next one of its name.
+  """
+  @spec await_end_below(atom) :: :ok
+  def await_end_below(supervisor) do
+    for pid <- Process.list(),
+        {_key, [_ | _] = ancestors} <- [:erlang.process_info(pid, {:dictionary, :"$ancestors"})],
+        supervisor in ancestors,
+        do: await_end(pid)
+
+    :ok
+  end
+
   defp orphan?(pid) do
     case :erlang.process_info(pid, {:dictionary, :"$ancestors"}) do
       {_key, ancestors} when is_list(ancestors) ->

@@ -129,7 +129,7 @@ defmodule Aerie.LedgerTest do
         {gateway, _pid} = start(dir)
         assert {:error, reason} = Ledger.interrupted(gateway)
         assert reason =~ "in use by another gateway"
-        :ok = Registry.unregister(Aerie.Registry, {FolderLock, Path.expand(dir)})
+        :ok = Aerie.Names.Book.unregister({FolderLock, Path.expand(dir)})
         eventually(fn -> match?([%{"id" => "a"}], Ledger.interrupted(gateway)) end)
       end)
 

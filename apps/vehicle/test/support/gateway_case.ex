@@ -96,7 +96,7 @@ defmodule Aerie.GatewayCase do
 
   @doc "The keys of the vehicles that have a supervision tree."
   @spec trees(term()) :: [Aerie.Store.vehicle_key()]
-  def trees(gateway), do: Registry.select(Aerie.Registry, [{{{gateway, :tree, :"$1"}, :_, :_}, [], [:"$1"]}])
+  def trees(gateway), do: for({key, _pid, _options} <- Aerie.Names.all(gateway, :tree), do: key)
 
   @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()

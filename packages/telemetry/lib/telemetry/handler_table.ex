@@ -1,8 +1,8 @@
 defmodule Telemetry.HandlerTable do
   @moduledoc """
-  The ETS table of attached handlers and the process that owns it.
+  The ETS table of attached handlers, and the process that changes it.
 
-  The process that executes an event reads the table directly. Attaching and detaching go through the owner, one at a time, so
+  The process that executes an event reads the table directly. Attaching and detaching go through this one, one at a time, so
   that no two handlers share an id, and a handler of several events is attached and detached as a whole.
   """
 
@@ -48,11 +48,15 @@ defmodule Telemetry.HandlerTable do
     end
   end
 
-  @impl GenServer
-  def init(nil) do
-    _ = :ets.new(@table, [:duplicate_bag, :protected, :named_table, read_concurrency: true])
-    {:ok, nil}
+  @doc "Makes the table, which belongs to the calling process."
+  @spec create() :: :ok
+  def create do
+    _ = :ets.new(@table, [:duplicate_bag, :public, :named_table, read_concurrency: true])
+    :ok
   end
+
+  @impl GenServer
+  def init(nil), do: {:ok, nil}
 
   @impl GenServer
   def handle_call({:insert, id, event_names, function, config}, _from, state) do

@@ -31,21 +31,6 @@ defmodule Aerie.CLI.Output do
   @spec stderr() :: atom()
   def stderr, do: :aerie_stderr
 
-  @doc "Sends the log to a device instead of the BEAM's standard output."
-  @spec take_log(atom()) :: :ok
-  def take_log(device) do
-    handler =
-      case :logger.get_handler_config(:default) do
-        {:ok, handler} -> handler
-        # It ended with the BEAM's own device.
-        {:error, _} -> %{}
-      end
-
-    _ = :logger.remove_handler(:default)
-    handler = Map.merge(handler, %{config: %{type: {:device, device}}, formatter: Aerie.Log.Formatter.new()})
-    :ok = :logger.add_handler(:default, :logger_std_h, handler)
-  end
-
   @doc """
   Writes to standard output what the BEAM's own device did not take, which does not say why it has ended: `:closed` if the reader of a
   pipe has seen enough (`| head`), else an error for the user.

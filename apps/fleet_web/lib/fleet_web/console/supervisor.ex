@@ -49,7 +49,9 @@ defmodule FleetWeb.Console.Supervisor do
         {FleetWeb.Console.System.Sampler, gateway: gateway},
         {DynamicSupervisor, name: pages(gateway), max_children: max_pages}
       ],
-      strategy: :one_for_one
+      strategy: :one_for_one,
+      max_restarts: 20,
+      max_seconds: 10
     )
   end
 

@@ -131,13 +131,12 @@ defmodule Aerie.Identity.Watchdog do
 
   defp loops(gateway) do
     vehicles =
-      for role <- @per_vehicle, {id, pid} <- registered(gateway, role), into: %{}, do: {{role, id}, pid}
+      for role <- @per_vehicle,
+          {id, pid, _value} <- Names.all(gateway, role),
+          into: %{},
+          do: {{role, id}, pid}
 
     for {role, id} <- @needed, into: vehicles, do: {{role, id}, Names.whereis(gateway, role, id)}
-  end
-
-  defp registered(gateway, role) do
-    Registry.select(Aerie.Registry, [{{{gateway, role, :"$1"}, :"$2", :_}, [], [{{:"$1", :"$2"}}]}])
   end
 
   # Vehicles that are no more. The needed ones stay, dead or alive.

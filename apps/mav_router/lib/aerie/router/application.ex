@@ -1,20 +1,17 @@
 defmodule Aerie.Router.Application do
   @moduledoc false
   use Application
+  use Supervisor
+
+  alias Aerie.Names
 
   @impl Application
-  def start(_type, _args) do
-    :ok = Aerie.Names.prepare()
+  def start(_type, _args), do: Supervisor.start_link(__MODULE__, nil)
 
-    children = [
-      # Names of all processes of all gateways (Aerie.Names).
-      {Registry, keys: :unique, name: Aerie.Registry},
-      # Who listens to which change notices (Aerie.Store.PubSub).
-      {Registry, keys: :duplicate, name: Aerie.Store.PubSub.Subscribers}
-    ]
-
-    # A gateway's names are worth nothing without the registries, but gateways are not children of this supervisor:
-    # each is started where it is needed (bin/run, a release's own child, a test).
-    Supervisor.start_link(children, strategy: :one_for_all)
+  # The tables of names are this process's: as a supervisor it has no code that could fail, and it ends with the application.
+  @impl Supervisor
+  def init(nil) do
+    :ok = Names.prepare()
+    Supervisor.init([Names.Cleaner], strategy: :one_for_one, max_restarts: 100, max_seconds: 10)
   end
 end

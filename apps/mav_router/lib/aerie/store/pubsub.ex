@@ -22,7 +22,7 @@ defmodule Aerie.Store.PubSub do
   use GenServer
 
   alias Aerie.{Names, Store}
-  alias Aerie.Store.PubSub.Subscribers
+  alias Aerie.Names.Book
 
   @type topic ::
           :vehicles
@@ -44,14 +44,11 @@ defmodule Aerie.Store.PubSub do
 
   @doc "Sends the calling process the notices of a topic from now on. Ends with `unsubscribe/2` or the process."
   @spec subscribe(Names.gateway(), topic()) :: :ok
-  def subscribe(gateway, topic) do
-    {:ok, _owner} = Registry.register(Subscribers, {gateway, topic}, nil)
-    :ok
-  end
+  def subscribe(gateway, topic), do: Book.join({gateway, topic}, nil)
 
   @doc "Ends all subscriptions of the calling process to a topic."
   @spec unsubscribe(Names.gateway(), topic()) :: :ok
-  def unsubscribe(gateway, topic), do: Registry.unregister(Subscribers, {gateway, topic})
+  def unsubscribe(gateway, topic), do: Book.leave({gateway, topic})
 
   @doc "Notes that a vehicle or a link changed; its subscribers are told at the next tick."
   @spec changed(Names.gateway(), {:vehicle | :link, term()}) :: :ok
@@ -77,9 +74,8 @@ defmodule Aerie.Store.PubSub do
   @doc "Sends a payload to all subscribers of a topic at once."
   @spec publish(Names.gateway(), topic(), term()) :: :ok
   def publish(gateway, topic, payload) do
-    Registry.dispatch(Subscribers, {gateway, topic}, fn subscribers ->
-      for {pid, _} <- subscribers, do: send(pid, {:fleet, topic, payload})
-    end)
+    for {pid, _value} <- Book.members({gateway, topic}), do: send(pid, {:fleet, topic, payload})
+    :ok
   end
 
   @impl GenServer
@@ -117,7 +113,7 @@ defmodule Aerie.Store.PubSub do
 
   defp notify(gateway, all, one, ids) do
     publish(gateway, all, ids)
-    for id <- ids, Registry.lookup(Subscribers, {gateway, {one, id}}) != [], do: notify_one(gateway, one, id)
+    for id <- ids, Book.members({gateway, {one, id}}) != [], do: notify_one(gateway, one, id)
     :ok
   end
 

@@ -8,7 +8,7 @@ defmodule Aerie.Recorder.RingTest do
   @key {"main", 1}
 
   setup do
-    {:ok, _} = Registry.register(Aerie.Registry, {gateway = make_ref(), :recorder, nil}, nil)
+    :ok = Aerie.Names.register(gateway = make_ref(), :recorder, nil)
     settings = %{Settings.from(%{}) | ring_ms: 1000, ring_bytes: 20_000, ring_total: 100_000}
     {:ok, tables: Tables.create(gateway, settings), settings: settings}
   end

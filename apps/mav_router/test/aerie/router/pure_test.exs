@@ -25,7 +25,7 @@ defmodule Aerie.Router.PureTest do
     defp tables do
       # Where endpoints tell that they are there is not needed here.
       name = {__MODULE__, make_ref()}
-      {:ok, _} = Registry.register(Aerie.Registry, {name, :router, nil}, nil)
+      :ok = Aerie.Names.register(name, :router, nil)
       {name, Tables.create(name, [])}
     end
 
@@ -405,9 +405,9 @@ defmodule Aerie.Router.PureTest do
 
   describe "Dedupe" do
     setup do
-      {:ok, _} = Registry.register(Aerie.Registry, {make_ref(), :router, nil}, nil)
+      :ok = Aerie.Names.register(make_ref(), :router, nil)
       gateway = make_ref()
-      {:ok, _} = Registry.register(Aerie.Registry, {gateway, :router, nil}, nil)
+      :ok = Aerie.Names.register(gateway, :router, nil)
       {:ok, tables: Tables.create(gateway, []), now: System.monotonic_time(:millisecond)}
     end
 

@@ -50,8 +50,8 @@ defmodule Aerie.Bridge.State do
   end
 
   defp publisher(gateway) do
-    case Registry.lookup(Aerie.Registry, {gateway, :bridge_state, nil}) do
-      [{pid, {_environment, _origin} = value}] -> {pid, value}
+    case Names.Book.lookup({gateway, :bridge_state, nil}) do
+      {pid, {_environment, _origin} = value} -> {pid, value}
       _ -> nil
     end
   end

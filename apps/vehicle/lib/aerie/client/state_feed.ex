@@ -9,7 +9,6 @@ defmodule Aerie.Client.StateFeed do
 
   alias Aerie.Client.StateForm
   alias Aerie.Fleet
-  alias Aerie.Store.PubSub
   alias Aerie.Store
   alias Aerie.Names
 
@@ -29,7 +28,7 @@ defmodule Aerie.Client.StateFeed do
   @spec join(Names.gateway()) :: reader()
   def join(gateway) do
     told = :atomics.new(1, [])
-    {:ok, _owner} = Registry.register(PubSub.Subscribers, {gateway, @topic}, told)
+    :ok = Names.Book.join({gateway, @topic}, told)
     {gateway, told}
   end
 
@@ -53,7 +52,7 @@ defmodule Aerie.Client.StateFeed do
 
   @impl GenServer
   def handle_info(:tick, state) do
-    case Registry.lookup(PubSub.Subscribers, {state.gateway, @topic}) do
+    case Names.Book.members({state.gateway, @topic}) do
       [] -> :ets.delete(state.table, :text)
       readers -> tell(state, readers)
     end

@@ -60,7 +60,7 @@ defmodule FleetWeb.Console.System.Tree do
   end
 
   defp node(id, pid, type, path, gateway, left) do
-    names = if is_pid(pid), do: registered(pid, gateway), else: []
+    names = if is_pid(pid), do: Names.roles(gateway, pid), else: []
     # All children of a dynamic supervisor have the same id, so their names distinguish them.
     id = if id == :undefined, do: List.first(names) || pid, else: id
     path = path ++ [id]
@@ -92,9 +92,6 @@ defmodule FleetWeb.Console.System.Tree do
   end
 
   defp below(_restarting, _path, _gateway, left), do: {[], left}
-
-  defp registered(pid, gateway),
-    do: for({^gateway, role, id} <- Registry.keys(Aerie.Registry, pid), do: {role, id})
 
   defp name(_id, [{role, nil} | _]), do: "#{role}"
   defp name(_id, [{role, id} | _]), do: "#{role} #{text(id)}"

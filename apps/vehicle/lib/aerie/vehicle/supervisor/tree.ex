@@ -20,11 +20,7 @@ defmodule Aerie.Vehicle.Supervisor.Tree do
 
   @doc "All trees of a gateway, with the options that they were started with."
   @spec all(Names.gateway()) :: [{Store.vehicle_key(), pid(), keyword()}]
-  def all(gateway) do
-    Registry.select(Aerie.Registry, [
-      {{{gateway, :tree, :"$1"}, :"$2", :"$3"}, [], [{{:"$1", :"$2", :"$3"}}]}
-    ])
-  end
+  def all(gateway), do: Names.all(gateway, :tree)
 
   @impl Supervisor
   def init(options) do

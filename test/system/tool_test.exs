@@ -143,6 +143,9 @@ defmodule Aerie.System.ToolTest do
       "its messages are seen"
     )
 
+    # The end of a pipe ends nothing; the gateway answers the next one.
+    assert {text, 2} = aerie(context, ["remote"], "fleet()\n")
+    assert text =~ "aerie rpc"
     assert {text, 2} = aerie(context, ["rpc", "raise \"no\""])
     assert text =~ "no"
 

@@ -19,6 +19,7 @@ defmodule Aerie.Link.Core do
   | `{:read, [{peer, bytes}]}` | received |
   | `{:records, [{at, bytes}]}` | replayed |
   | `{:peer_up, peer, text}`, `{:peer_down, peer, reason}` | connections of a server |
+  | `{:peer_stuck, peer}`, `{:refused, n, text}` | a peer that takes nothing; connections beyond a limit |
   | `{:closed, reason}`, `{:ended, text}` | the connection ended: connect again, or never again |
   | `{:warning, text}` | for the log |
   | `:retry` | the back-off is over, or what was missing may have come |
@@ -58,6 +59,7 @@ defmodule Aerie.Link.Core do
   alias Aerie.Link.Settings
   alias Aerie.Link.Snapshot
   alias Aerie.Link.Spec
+  alias Aerie.Link.Stall
 
   @tick_ms 250
   # After a connection that lasted this long the link connects again at once.
@@ -70,8 +72,12 @@ defmodule Aerie.Link.Core do
   # After this silence a UDP client resolves its name again, and a detected serial port is searched for again.
   @silent_ms 30_000
 
+  # Between two warnings of refused connections.
+  @refused_ms 60_000
+
   @enforce_keys [:spec, :peers]
   defstruct [
+    :refused_at,
     :spec,
     :peers,
     :reason,
@@ -195,6 +201,22 @@ defmodule Aerie.Link.Core do
     end
   end
 
+  # Only a server can do without one peer: another link's only one may come back.
+  def handle(%{phase: :up, spec: %{server: true, framing: :stream}} = core, {:peer_stuck, id}, now) do
+    case handle(core, {:peer_down, id, "took nothing for #{Stall.stuck_s()} s"}, now) do
+      {core, []} -> {core, []}
+      {core, actions} -> {core, [{:drop, id} | actions]}
+    end
+  end
+
+  def handle(%{phase: :up, spec: %{server: true}} = core, {:refused, n, text}, {mono, _at}) do
+    core = count(core, :peers_refused, n)
+
+    if core.refused_at != nil and mono - core.refused_at < @refused_ms,
+      do: {core, []},
+      else: {%{core | refused_at: mono}, [{:warn, text}]}
+  end
+
   # A detected port that no longer speaks MAVLink is searched for again; for a configured one the diagnosis says so.
   def handle(%{phase: :up} = core, {:sniffed, place, baud, sniffed}, {mono, _at} = now) do
     finding = Finding.heard(place, baud, sniffed)
@@ -208,16 +230,10 @@ defmodule Aerie.Link.Core do
   end
 
   def handle(core, {:count, name, n}, now) when name in [:shed, :kernel_dropped],
-    do: core |> count(name, n) |> overload(n, now)
+    do: core |> count(name, n) |> Overload.datagrams(n, now)
 
-  def handle(core, {:count, :overload, n}, now) do
-    {change, behind} = Overload.dropped(core.behind, n, now)
-
-    warn =
-      "a vehicle's session does not keep up: #{n} frames dropped so far. Give the gateway more CPU, or lower the stream rates"
-
-    {%{count(core, :overload, n) | behind: behind}, if(change == :begins, do: [{:warn, warn}], else: [])}
-  end
+  def handle(core, {:count, :overload, n}, now),
+    do: core |> count(:overload, n) |> Overload.frames(n, now)
 
   def handle(core, {:count, name, n}, _now), do: {count(core, name, n), []}
 
@@ -238,26 +254,12 @@ defmodule Aerie.Link.Core do
   defp moved(%{spec: %{recorded: true}} = core, _step), do: core.last_heard
   defp moved(core, step), do: core.last_heard && core.last_heard + step
 
-  defp overload(core, n, now) do
-    {change, overload} = Overload.dropped(core.overload, n, now)
-    actions = if change == :begins, do: [{:emit, :overload, %{datagrams: n}, %{}}], else: []
-    {%{core | overload: overload}, actions}
-  end
-
-  defp relieved(core, mono) do
-    core = if Overload.over?(core.behind, mono), do: %{core | behind: nil}, else: core
-
-    if Overload.over?(core.overload, mono),
-      do: {%{core | overload: nil}, [{:emit, :relieved, %{datagrams: core.overload.datagrams}, %{}}]},
-      else: {core, []}
-  end
-
   defp tick(%{phase: :up} = core, {mono, _at} = now) do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
     peers = Peers.measure(peers)
     {core, more} = changes(%{core | peers: peers}, changes)
     {core, sniff} = garbled(core, mono)
-    {core, relieved} = relieved(core, mono)
+    {core, relieved} = Overload.relieved(core, mono)
     {core, publish} = sample(core, mono)
     actions = deliver(deliveries) ++ more ++ sniff ++ relieved ++ publish
 
@@ -272,7 +274,7 @@ defmodule Aerie.Link.Core do
   end
 
   defp tick(core, {mono, _at}) do
-    {core, relieved} = relieved(core, mono)
+    {core, relieved} = Overload.relieved(core, mono)
     {core, publish} = sample(core, mono)
     {core, relieved ++ publish}
   end

@@ -8,6 +8,7 @@ defmodule Aerie.Link.Egress do
   """
 
   alias Aerie.Link.Spec
+  alias Aerie.Link.Stall
   alias Aerie.Names
   alias Aerie.Router.Batch
   alias Aerie.Router.Budget
@@ -21,8 +22,9 @@ defmodule Aerie.Link.Egress do
 
   require Logger
 
-  # A socket without room is tried again after this time.
-  @retry_ms 10
+  # Frames of all peers in the mailbox of the link's process, and what each may have at least.
+  @max_waiting 16_384
+  @least 64
 
   # Both have txbuf at the same place.
   @radio [MavCodec.Messages.RadioStatus.id(), MavCodec.Messages.Radio.id()]
@@ -31,7 +33,7 @@ defmodule Aerie.Link.Egress do
   # What is counted for each peer and added up for the link.
   @sums %{bytes_out: 0, writes_out: 0, dropped_out: 0, denied: 0, withheld: 0, routes_refused: 0}
 
-  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, gone: @sums]
+  defstruct [:gateway, :owner, :baud, :datagrams?, peers: %{}, room: nil, gone: @sums]
 
   @type t :: %__MODULE__{gateway: Names.gateway(), owner: Owner.t(), peers: %{term => map}}
   @typedoc "Writes to the peer; takes and returns the state of the link's process."
@@ -131,6 +133,7 @@ defmodule Aerie.Link.Egress do
       endpoint: Endpoint.new(egress.gateway, {egress.owner.id, id}, fields),
       send_queue: SendQueue.new(rules(egress), now),
       timer: nil,
+      stall: nil,
       seen: %{}
     }
   end
@@ -154,8 +157,22 @@ defmodule Aerie.Link.Egress do
     kept = Endpoints.get(tables, peer.endpoint.key)
     endpoint = if kept, do: %{kept | out: peer.endpoint.out}, else: peer.endpoint
     Endpoints.put(egress.gateway, tables, endpoint)
-    %{egress | peers: Map.put(egress.peers, id, %{peer | endpoint: endpoint})}
+    share(%{egress | peers: Map.put(egress.peers, id, %{peer | endpoint: endpoint})})
   end
+
+  # The room in the mailbox is shared among the peers. It changes when their number has doubled or halved.
+  defp share(egress) do
+    case room(map_size(egress.peers)) do
+      room when room == egress.room ->
+        egress
+
+      room ->
+        for {_id, %{stall: nil, endpoint: endpoint}} <- egress.peers, do: :ok = Endpoint.limit(endpoint, room)
+        %{egress | room: room}
+    end
+  end
+
+  defp room(peers), do: @max_waiting |> div(Integer.pow(2, length(Integer.digits(peers, 2)))) |> max(@least)
 
   @doc """
   The device and baud rate of the serial line, if there is one: the rate is the budget of links without one of their own. A
@@ -198,7 +215,7 @@ defmodule Aerie.Link.Egress do
   defp drop(egress, id) do
     case Map.pop(egress.peers, id) do
       {nil, _peers} -> egress
-      {peer, peers} -> keep_counts(%{egress | peers: peers}, peer)
+      {peer, peers} -> share(keep_counts(%{egress | peers: peers}, peer))
     end
   end
 
@@ -229,7 +246,7 @@ defmodule Aerie.Link.Egress do
     case egress.peers do
       %{^id => peer} ->
         Endpoint.taken(peer.endpoint, length(frames))
-        {peer, state} = take(peer, class, frames, now, write, state, id)
+        {peer, state} = take({peer, egress.room}, class, frames, now, write, state, id)
         {%{egress | peers: %{egress.peers | id => peer}}, state}
 
       _gone ->
@@ -237,16 +254,30 @@ defmodule Aerie.Link.Egress do
     end
   end
 
-  defp take(peer, class, frames, now, write, state, id) do
+  defp take({peer, room}, class, frames, now, write, state, id) do
     with true <- SendQueue.free?(peer.send_queue),
          {:busy, state} <- write.(state, frames) do
-      wait(queue(peer, class, frames, now), @retry_ms, id, state)
+      busy(queue(peer, class, frames, now), id, now, state)
     else
       {_written_or_dropped, state} ->
         {%{peer | send_queue: SendQueue.passed(peer.send_queue, class, frames, now)}, state}
 
       false ->
-        drain(queue(peer, class, frames, now), id, now, write, state)
+        drain(queue(peer, class, frames, now), room, id, now, write, state)
+    end
+  end
+
+  defp busy(peer, id, now, state) do
+    {stall, ms} = Stall.busy(peer.stall, peer.endpoint, now)
+    wait(%{peer | stall: stall}, ms, id, state)
+  end
+
+  @doc "Whether a peer has taken nothing for so long that its connection is to be ended."
+  @spec stuck?(t, term, integer) :: boolean
+  def stuck?(egress, id, now) do
+    case egress.peers do
+      %{^id => %{stall: stall}} -> Stall.stuck?(stall, now)
+      _gone -> false
     end
   end
 
@@ -266,7 +297,7 @@ defmodule Aerie.Link.Egress do
   def pump(egress, id, now, write, state) do
     case egress.peers do
       %{^id => peer} ->
-        {peer, state} = drain(%{peer | timer: nil}, id, now, write, state)
+        {peer, state} = drain(%{peer | timer: nil}, egress.room, id, now, write, state)
         {%{egress | peers: %{egress.peers | id => peer}}, state}
 
       _gone ->
@@ -274,9 +305,9 @@ defmodule Aerie.Link.Egress do
     end
   end
 
-  defp drain(%{timer: timer} = peer, _id, _now, _write, state) when timer != nil, do: {peer, state}
+  defp drain(%{timer: timer} = peer, _room, _id, _now, _write, state) when timer != nil, do: {peer, state}
 
-  defp drain(%{send_queue: send_queue} = peer, id, now, write, state) do
+  defp drain(%{send_queue: send_queue} = peer, room, id, now, write, state) do
     case SendQueue.next(send_queue, now) do
       :empty ->
         {peer, state}
@@ -286,8 +317,12 @@ defmodule Aerie.Link.Egress do
 
       {:send, bytes, rest} ->
         case write.(state, bytes) do
-          {:busy, state} -> wait(peer, @retry_ms, id, state)
-          {_written_or_dropped, state} -> drain(%{peer | send_queue: rest}, id, now, write, state)
+          {:busy, state} ->
+            busy(peer, id, now, state)
+
+          {_written_or_dropped, state} ->
+            peer = %{peer | send_queue: rest, stall: Stall.took(peer.stall, peer.endpoint, room)}
+            drain(peer, room, id, now, write, state)
         end
     end
   end

@@ -25,4 +25,35 @@ defmodule Aerie.Link.Overload do
   @spec over?(t | nil, mono :: integer) :: boolean
   def over?(nil, _mono), do: false
   def over?(%__MODULE__{last: last}, mono), do: mono - last >= @quiet_ms
+
+  # For `Aerie.Link.Core`: its actions.
+
+  @doc "Datagrams of a link were dropped before they were read."
+  @spec datagrams(core, pos_integer, {integer, integer}) :: {core, [term]} when core: %{overload: t() | nil}
+  def datagrams(core, n, now) do
+    {change, overload} = dropped(core.overload, n, now)
+    actions = if change == :begins, do: [{:emit, :overload, %{datagrams: n}, %{}}], else: []
+    {%{core | overload: overload}, actions}
+  end
+
+  @doc "Frames of a link were dropped because a vehicle's session is behind."
+  @spec frames(core, pos_integer, {integer, integer}) :: {core, [term]} when core: %{behind: t() | nil}
+  def frames(core, n, now) do
+    {change, behind} = dropped(core.behind, n, now)
+
+    warn =
+      "a vehicle's session does not keep up: #{n} frames dropped so far. Give the gateway more CPU, or lower the stream rates"
+
+    {%{core | behind: behind}, if(change == :begins, do: [{:warn, warn}], else: [])}
+  end
+
+  @doc "What is over by now."
+  @spec relieved(core, integer) :: {core, [term]} when core: %{overload: t() | nil, behind: t() | nil}
+  def relieved(core, mono) do
+    core = if over?(core.behind, mono), do: %{core | behind: nil}, else: core
+
+    if over?(core.overload, mono),
+      do: {%{core | overload: nil}, [{:emit, :relieved, %{datagrams: core.overload.datagrams}, %{}}]},
+      else: {core, []}
+  end
 end

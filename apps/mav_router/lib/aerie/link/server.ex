@@ -138,8 +138,10 @@ defmodule Aerie.Link.Server do
   end
 
   def handle_info({:pump, peer}, state) do
-    {egress, state} = Egress.pump(state.egress, peer, mono(), &Writer.forward(&1, peer, &2), state)
-    {:noreply, %{state | egress: egress}}
+    now = mono()
+    {egress, state} = Egress.pump(state.egress, peer, now, &Writer.forward(&1, peer, &2), state)
+    state = %{state | egress: egress}
+    {:noreply, if(Egress.stuck?(egress, peer, now), do: step(state, {:peer_stuck, peer}), else: state)}
   end
 
   def handle_info({:rules, owner}, state) do

@@ -87,6 +87,7 @@ defmodule Aerie.Link.Transport do
   - `{:read, [{peer, bytes}]}`: received, in order
   - `{:records, [{at, bytes}]}`: replayed, with their recorded times (unix microseconds)
   - `{:peer_up, peer, text}`, `{:peer_down, peer, reason}`: connections of a server
+  - `{:refused, n, text}`: connections of a server that were beyond its limits
   - `:redirected`: writes to the other end go to another address from now on
   - `{:closed, reason}`: the connection ended, and is to be made again
   - `{:ended, text}`: nothing more will ever come
@@ -100,6 +101,7 @@ defmodule Aerie.Link.Transport do
           | {:records, [{integer, binary}]}
           | {:peer_up, peer, String.t()}
           | {:peer_down, peer, term}
+          | {:refused, pos_integer, String.t()}
           | :redirected
           | {:closed, term}
           | {:ended | :warning, String.t()}

@@ -59,7 +59,7 @@ defmodule Aerie.Router.Endpoint do
   - `out`: `{:udp, socket, address}` (the forwarding process writes to it directly) or `{:pid, pid, tag}`, which gets
     `{:forward, bytes, class}`, or `{:forward, tag, bytes, class}` when the tag is not nil
   - `waiting`: 1, frames in the mailbox of that process; 2, the end of a transfer that it requested (ms since the start of the
-    virtual machine)
+    virtual machine); 3, how many frames may wait there (`limit/2`)
   - `since`: unix microseconds
   - `principal`: who is at the other end, if that was proved by a key or by signing in
   - `listens`: it gets broadcasts although it is no vehicle's (`Aerie.Router.Endpoints.listens?/3`)
@@ -93,12 +93,19 @@ defmodule Aerie.Router.Endpoint do
   (`requested/2`) has room when other frames have none any more.
   """
   @spec room?(:atomics.atomics_ref(), Aerie.Router.Classify.class(), integer) :: boolean
-  def room?(_waiting, _class, n) when n <= @max_waiting, do: true
+  def room?(waiting, class, n) do
+    limit = :atomics.get(waiting, 3)
+    n <= limit or (limit > 0 and requested?(waiting, class, n))
+  end
 
-  def room?(waiting, class, n) when class in [:transfer, :bulk] and n <= @max_requested,
+  defp requested?(waiting, class, n) when class in [:transfer, :bulk] and n <= @max_requested,
     do: :atomics.get(waiting, 2) > clock(System.monotonic_time(:millisecond))
 
-  def room?(_waiting, _class, _n), do: false
+  defp requested?(_waiting, _class, _n), do: false
+
+  @doc "From now on so many frames may wait in the mailbox; 0 for an endpoint that takes nothing."
+  @spec limit(t, non_neg_integer) :: :ok
+  def limit(%__MODULE__{waiting: waiting}, n), do: :atomics.put(waiting, 3, min(n, @max_waiting))
 
   @doc "The endpoint requests data of a vehicle, or gets what it requested, at `now` (monotonic ms)."
   @spec requested(t, integer) :: :ok
@@ -114,10 +121,10 @@ defmodule Aerie.Router.Endpoint do
   def new(gateway, key, fields) do
     fields = [gateway: gateway, key: key, pid: self(), since: System.os_time(:microsecond)] ++ fields
 
-    struct!(
-      %__MODULE__{key: key, gateway: gateway, counters: EndpointCounters.new(), waiting: :atomics.new(2, [])},
-      fields
-    )
+    waiting = :atomics.new(3, [])
+    endpoint = %__MODULE__{key: key, gateway: gateway, counters: EndpointCounters.new(), waiting: waiting}
+    :ok = limit(endpoint, @max_waiting)
+    struct!(endpoint, fields)
   end
 
   @doc """

@@ -276,6 +276,15 @@ defmodule Aerie.Link.Transport.Net do
     :gen_tcp.close(socket)
   end
 
+  @doc """
+  The same by a process of its own: closing looks through the mailbox of who closes, which is the path of frames in a link's process.
+  """
+  @spec tcp_discard(:gen_tcp.socket()) :: :ok
+  def tcp_discard(socket) do
+    _pid = spawn(fn -> tcp_close(socket) end)
+    :ok
+  end
+
   @doc "The address of our end, for people, and its port."
   @spec local(port) :: %{local: String.t(), port: :inet.port_number()}
   def local(socket) do

@@ -2,14 +2,14 @@ defmodule Aerie.Link.Transport.TcpServer do
   @moduledoc """
   A TCP server: every connection is a peer of its own, numbered from 1.
 
-  Accepting blocks, so a process of its own does it, linked to the link's process. The link's process reads the
-  connections.
+  `Aerie.Link.Transport.TcpAcceptor` accepts and limits them. The link's process reads the connections.
   """
   @behaviour Aerie.Link.Transport
 
   alias Aerie.Link.Transport.Form
   alias Aerie.Address
   alias Aerie.Link.Transport.Net
+  alias Aerie.Link.Transport.TcpAcceptor
 
   @enforce_keys [:listener]
   defstruct [:listener, :acceptor, next: 1, sockets: %{}, peers: %{}]
@@ -36,36 +36,8 @@ defmodule Aerie.Link.Transport.TcpServer do
 
   @impl Aerie.Link.Transport
   def activate(conn) do
-    link = self()
     listener = conn.listener
-
-    acceptor =
-      spawn_link(fn ->
-        Process.set_label({:acceptor, Net.local(listener).local})
-        accept(listener, link)
-      end)
-
-    {:ok, %{conn | acceptor: acceptor}, Net.local(listener)}
-  end
-
-  defp accept(listener, link) do
-    case :gen_tcp.accept(listener) do
-      {:ok, socket} ->
-        # A connection may already be closed again; that is no reason to stop.
-        if :gen_tcp.controlling_process(socket, link) == :ok, do: send(link, {:accepted, listener, socket})
-        accept(listener, link)
-
-      # A limit of the machine: wait, so that the other links live on.
-      {:error, reason} when reason in [:emfile, :enfile, :enobufs, :enomem] ->
-        Process.sleep(200)
-        accept(listener, link)
-
-      {:error, :econnaborted} ->
-        accept(listener, link)
-
-      {:error, reason} ->
-        exit({:shutdown, reason})
-    end
+    {:ok, %{conn | acceptor: TcpAcceptor.start(listener)}, Net.local(listener)}
   end
 
   @impl Aerie.Link.Transport
@@ -82,34 +54,38 @@ defmodule Aerie.Link.Transport.TcpServer do
     do: gone(conn, socket, :closed)
 
   def handle(conn, {:tcp_error, socket, reason}) when is_map_key(conn.sockets, socket) do
-    Net.tcp_close(socket)
+    Net.tcp_discard(socket)
     gone(conn, socket, reason)
   end
 
-  def handle(%{listener: listener} = conn, {:accepted, listener, socket}) do
-    with {:ok, {address, port}} <- :inet.peername(socket),
+  def handle(%{listener: listener} = conn, {:accepted, listener, socket, address}) do
+    with {:ok, {_address, port}} <- :inet.peername(socket),
          :ok <- :inet.setopts(socket, active: Net.active()) do
       peer = conn.next
       conn = %{conn | next: peer + 1, sockets: Map.put(conn.sockets, socket, peer)}
-      {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], socket)}
+      {[{:peer_up, peer, Address.format(address, port)}], put_in(conn.peers[peer], {socket, address})}
     else
       {:error, _already_closed} ->
-        Net.tcp_close(socket)
+        Net.tcp_discard(socket)
+        TcpAcceptor.gone(conn.acceptor, address)
         {[], conn}
     end
   end
 
+  def handle(%{listener: listener} = conn, {:refused, listener, n, text}), do: {[{:refused, n, text}], conn}
   def handle(%{acceptor: acceptor} = conn, {:EXIT, acceptor, reason}), do: {[{:closed, reason}], conn}
   def handle(_conn, _message), do: :unknown
 
   defp gone(conn, socket, reason) do
     {peer, sockets} = Map.pop!(conn.sockets, socket)
-    {[{:peer_down, peer, reason}], %{conn | sockets: sockets, peers: Map.delete(conn.peers, peer)}}
+    {{_socket, address}, peers} = Map.pop!(conn.peers, peer)
+    TcpAcceptor.gone(conn.acceptor, address)
+    {[{:peer_down, peer, reason}], %{conn | sockets: sockets, peers: peers}}
   end
 
   @impl Aerie.Link.Transport
   def write(conn, peer, bytes) do
-    with {:ok, socket} <- Map.fetch(conn.peers, peer),
+    with {:ok, {socket, _address}} <- Map.fetch(conn.peers, peer),
          :ok <- Net.tcp_write(socket, bytes) do
       {:ok, conn}
     else
@@ -126,8 +102,9 @@ defmodule Aerie.Link.Transport.TcpServer do
       {nil, _peers} ->
         conn
 
-      {socket, peers} ->
-        Net.tcp_close(socket)
+      {{socket, address}, peers} ->
+        Net.tcp_discard(socket)
+        TcpAcceptor.gone(conn.acceptor, address)
         %{conn | peers: peers, sockets: Map.delete(conn.sockets, socket)}
     end
   end
@@ -139,7 +116,7 @@ defmodule Aerie.Link.Transport.TcpServer do
       Process.exit(conn.acceptor, :kill)
     end
 
-    Enum.each(Map.values(conn.peers), &Net.tcp_close/1)
+    for {_peer, {socket, _address}} <- conn.peers, do: Net.tcp_discard(socket)
     :gen_tcp.close(conn.listener)
   end
 end

@@ -1,0 +1,34 @@
+defmodule Aerie.Tool.RemoteTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Patience
+  alias Aerie.Tool.Run.Remote
+
+  test "without a terminal it says what to use" do
+    assert Remote.terminal(true) == :ok
+
+    for stdin <- [false, :ebadf],
+        do: assert({:error, "aerie remote needs a terminal" <> _} = Remote.terminal(stdin))
+  end
+
+  @tag :tmp_dir
+  test "the end of its input ends the shell, and not the node that it runs on", %{tmp_dir: dir} do
+    {:ok, _apps} = Application.ensure_all_started(:iex)
+    file = Path.join(dir, "shell.exs")
+    File.write!(file, "")
+    {:ok, input} = StringIO.open("1 + 41\n")
+    test = self()
+
+    spawn_link(fn ->
+      Process.group_leader(self(), input)
+      send(test, {:shell, Remote.shell(file)})
+    end)
+
+    assert_receive {:shell, shell}, Patience.ms()
+    monitor = Process.monitor(shell)
+    assert_receive {:DOWN, ^monitor, :process, ^shell, _reason}, Patience.ms()
+    assert {_left, printed} = StringIO.contents(input)
+    assert printed =~ "42"
+    assert Remote.leave(node()) == :ok
+  end
+end

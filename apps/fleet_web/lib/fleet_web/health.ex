@@ -4,7 +4,8 @@ defmodule FleetWeb.Health do
 
   Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
   autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
-  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), and that no link, no endpoint for clients and no
+  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
+  (`Aerie.Ledger.problem/1`), and that no link, no endpoint for clients and no
   session of a vehicle drops what comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are
   listed but do not make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot
   be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in
@@ -27,6 +28,7 @@ defmodule FleetWeb.Health do
 
     problems =
       silent(gateway) ++
+        ledger(Aerie.Ledger.problem(gateway)) ++
         Enum.flat_map(links, &overloaded(&1, "link")) ++
         Enum.flat_map(clients, &overloaded(&1, "client endpoint"))
 
@@ -61,6 +63,9 @@ defmodule FleetWeb.Health do
         do:
           "#{role} does not answer, so the gateway sends no heartbeat: if this lasts, restart it and keep its log"
   end
+
+  defp ledger(nil), do: []
+  defp ledger(reason), do: ["no command is accepted, because the ledger fails: #{reason}"]
 
   # Of a leaf node; nil without a hub.
   defp hub(nil), do: nil

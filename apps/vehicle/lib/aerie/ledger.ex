@@ -19,12 +19,15 @@ defmodule Aerie.Ledger do
   disk has room, so a command that is sent nevertheless, because it brings a vehicle down, is protected until a restart. Until the
   file has been read once, nothing is admitted: only the file knows which ids were used before.
 
+  A file that is no ledger any more is set aside (`Aerie.Damaged`), as is a copy of one with damaged lines. What ids it had
+  is not known, so from then on an unknown command that was issued before is refused: it may have been executed.
+
   Telemetry: `[:aerie, :ledger, :failing]` (`count` 1; `gateway`, `reason`), once until the ledger can be written again.
   """
 
   use GenServer
 
-  alias Aerie.{Command, Disk, FolderLock, Names}
+  alias Aerie.{Command, Damaged, Disk, FolderLock, Names}
   alias Aerie.Command.Result
   alias Aerie.Ledger.{Core, Journal}
 
@@ -34,6 +37,8 @@ defmodule Aerie.Ledger do
   @call_ms 5_000
   # A smaller file is not worth rewriting.
   @compact_bytes 4_194_304
+
+  @lost "what commands it had is not known any more, so those that were issued before now are refused"
 
   @typedoc """
     * `:dir` - its folder; `:max_entries`, `:max_age_s` - how many commands it keeps, and for how long
@@ -91,6 +96,10 @@ defmodule Aerie.Ledger do
           }
           | {:error, String.t()}
   def status(gateway), do: call(gateway, :status)
+
+  @doc "Why no command is admitted at this moment, or nil. Waits for nobody."
+  @spec problem(Names.gateway()) :: String.t() | nil
+  def problem(gateway), do: Names.value(gateway, :ledger)
 
   defp call(gateway, message, timeout \\ @call_ms) do
     GenServer.call(Names.via(gateway, :ledger), message, timeout)
@@ -225,17 +234,21 @@ defmodule Aerie.Ledger do
     end
   end
 
-  defp open(state) do
+  defp open(state, set_aside? \\ false) do
     with :ok <- FolderLock.acquire(state.dir),
          {:ok, journal, core, damaged} <- Journal.open(state.dir, state.core, &Core.replay(&2, &1)) do
       if damaged > 0 do
-        Logger.error(
-          "ledger: #{damaged} lines of #{journal.path} were damaged; their commands are not known any more. The file is " <>
-            "kept as #{journal.path}.damaged"
+        Damaged.note(
+          state.gateway,
+          journal.path,
+          "#{journal.path}.damaged",
+          "#{damaged} lines were damaged; " <> @lost
         )
       end
 
+      {blind, core} = if damaged > 0 or set_aside?, do: Core.blind(core, now()), else: {[], core}
       {interrupted, records, core} = Core.interrupted(core, now())
+      records = blind ++ records
       state = %{state | journal: journal, core: core, interrupted: interrupted, damaged: damaged}
 
       # On the disk before anything of this run is admitted.
@@ -247,7 +260,17 @@ defmodule Aerie.Ledger do
         {:error, reason} -> failed(state, reason)
       end
     else
+      {:error, :damaged} when not set_aside? -> set_aside(state)
       {:error, reason} -> failed(%{state | tried_at: monotonic()}, reason)
+    end
+  end
+
+  defp set_aside(state) do
+    path = Journal.path(state.dir)
+
+    case Damaged.set_aside(state.gateway, path, @lost) do
+      {:ok, _kept} -> open(state, true)
+      {:error, reason} -> failed(%{state | tried_at: monotonic()}, "#{path}: #{:file.format_error(reason)}")
     end
   end
 
@@ -267,16 +290,22 @@ defmodule Aerie.Ledger do
   defp failed(%{failing: nil} = state, reason) do
     Logger.error("ledger: #{reason}. Commands are refused until it can be written")
     :telemetry.execute([:aerie, :ledger, :failing], %{count: 1}, %{gateway: state.gateway, reason: reason})
-    %{state | failing: reason}
+    told(%{state | failing: reason})
   end
 
-  defp failed(state, reason), do: %{state | failing: reason}
+  defp failed(state, reason), do: told(%{state | failing: reason})
 
   defp works(%{failing: nil} = state), do: state
 
   defp works(state) do
     Logger.warning("ledger: written again")
-    %{state | failing: nil}
+    told(%{state | failing: nil})
+  end
+
+  # For `problem/1`.
+  defp told(state) do
+    Names.put_value(state.gateway, :ledger, state.failing)
+    state
   end
 
   defp now, do: System.os_time(:microsecond)

@@ -159,23 +159,64 @@ defmodule Aerie.LedgerTest do
         {gateway, _pid} = start(dir)
         assert %{damaged: 1, entries: 3} = Ledger.status(gateway)
         assert {:stored, %Result{}} = Ledger.admit(gateway, command("b"))
+        assert {:refused, reason} = Ledger.admit(gateway, issued(command("d"), -1))
+        assert reason =~ "may have been executed"
         stop_supervised!(gateway)
       end)
 
-    assert log =~ "1 lines of #{path} were damaged"
+    assert log =~ path and log =~ "1 lines were damaged"
     assert File.read!(path <> ".damaged") =~ ~s("sent","x")
 
-    for text <- ["aerie-ledger 2\n", "something else\n"] do
-      File.write!(path, text)
+    File.write!(path, "aerie-ledger 2\n")
 
-      capture_log(fn ->
-        {gateway, _pid} = start(dir)
-        assert {:error, reason} = Ledger.admit(gateway, command("a"))
-        assert reason =~ "Remove the file" or reason =~ "newer version"
-        stop_supervised!(gateway)
-      end)
+    capture_log(fn ->
+      {gateway, _pid} = start(dir)
+      assert {:error, reason} = Ledger.admit(gateway, command("a"))
+      assert reason =~ "newer version"
+      assert Ledger.problem(gateway) == reason
+      stop_supervised!(gateway)
+    end)
 
-      assert File.read!(path) == text
+    assert File.read!(path) == "aerie-ledger 2\n"
+  end
+
+  defp issued(command, seconds),
+    do: %{command | issued_at: System.os_time(:microsecond) + seconds * 1_000_000}
+
+  test "garbage is set aside: commands go on, but none that may have been executed before", %{tmp_dir: dir} do
+    path = Path.join(dir, "ledger")
+
+    for {garbage, n} <-
+          Enum.with_index(
+            [:crypto.strong_rand_bytes(4_000), "something else\n", "aerie-ledger x\n", <<0>>],
+            1
+          ) do
+      {gateway, _pid} = start(dir)
+      run(gateway, "a#{n}")
+      stop_supervised!(gateway)
+      before = issued(command("a#{n}"), 0)
+      File.write!(path, garbage)
+
+      log =
+        capture_log(fn ->
+          {gateway, _pid} = start(dir)
+          # The resent envelope, and what a client sends next.
+          assert {:refused, reason} = Ledger.admit(gateway, before)
+          assert reason =~ "may have been executed"
+          assert :new = Ledger.admit(gateway, issued(command("b#{n}"), 1))
+          assert Ledger.problem(gateway) == nil
+          stop_supervised!(gateway)
+        end)
+
+      assert log =~ "is damaged and was kept as #{path}.damaged-"
+      kept = Path.wildcard(path <> ".damaged-*")
+      assert length(kept) == n
+      assert garbage in Enum.map(kept, &File.read!/1)
+
+      # That holds after further restarts.
+      {gateway, _pid} = start(dir)
+      assert {:refused, _reason} = Ledger.admit(gateway, before)
+      stop_supervised!(gateway)
     end
   end
 

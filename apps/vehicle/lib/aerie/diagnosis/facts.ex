@@ -13,12 +13,14 @@ defmodule Aerie.Diagnosis.Facts do
   | `:nats`, `:nats_off?` | `Aerie.Bridge.info/1` |
   | `:recorder` | `Aerie.Recorder.status/1` or nil |
   | `:audit` | why the audit log cannot be written, or nil |
+  | `:ledger` | why no command is admitted, or nil (`Aerie.Ledger.problem/1`) |
+  | `:damaged` | files that were set aside (`Aerie.Damaged.list/1`) |
   | `:signing` | `Aerie.Signing.list/1` |
 
   `Aerie.Diagnosis.Trend` adds `:grown`, `:online_ms` and `:clock_steps`.
   """
 
-  alias Aerie.{Bridge, Client, HostClock, Names, Policy, Recorder, Router, Signing, Store}
+  alias Aerie.{Bridge, Client, Damaged, HostClock, Ledger, Names, Policy, Recorder, Router, Signing, Store}
 
   @type t :: %{atom() => term()}
 
@@ -38,6 +40,8 @@ defmodule Aerie.Diagnosis.Facts do
       nats_off?: Bridge.off?(gateway),
       recorder: Recorder.status(gateway),
       audit: Policy.Audit.failing(gateway),
+      ledger: Ledger.problem(gateway),
+      damaged: Damaged.list(gateway),
       signing: Signing.list(gateway)
     }
   end

@@ -16,10 +16,10 @@ defmodule Aerie.Ledger.Core do
   # Envelopes may be 10 minutes old, with 5 more until their deadline; the rest is a margin for clocks.
   @keep_us 20 * 60 * 1_000_000
 
-  defstruct [:max_entries, :max_age_us, :by_age, :denied, entries: %{}]
+  defstruct [:max_entries, :max_age_us, :by_age, :denied, :blind, entries: %{}]
 
   @typedoc """
-  `:received` is not sent yet; `:sent` may be under way; a `t:Result.t/0` is the end. `command` is the envelope as
+  `blind`: when records were found to be lost, nil if never. `:received` is not sent yet; `:sent` may be under way; a `t:Result.t/0` is the end. `command` is the envelope as
   plain values, nil once there is a result other than the `unknown` of a restart.
   """
   @type entry :: %{
@@ -31,6 +31,7 @@ defmodule Aerie.Ledger.Core do
   @type t :: %__MODULE__{
           max_entries: pos_integer(),
           max_age_us: pos_integer(),
+          blind: integer() | nil,
           entries: %{String.t() => entry()},
           by_age: :gb_sets.set({integer(), String.t()}),
           denied: :gb_sets.set({integer(), String.t()})
@@ -69,7 +70,7 @@ defmodule Aerie.Ledger.Core do
   @spec known(t(), Command.t()) :: :new | :in_flight | {:stored, Result.t()} | {:refused, String.t()}
   def known(core, command), do: known(core, command, Command.digest(command))
 
-  defp known(core, %{id: id}, digest) do
+  defp known(core, %{id: id} = command, digest) do
     case core.entries do
       %{^id => %{digest: ^digest, state: %Result{} = result}} ->
         {:stored, result}
@@ -80,10 +81,19 @@ defmodule Aerie.Ledger.Core do
       %{^id => _other} ->
         {:refused, "the id #{id} was used for another command; every command needs an id of its own"}
 
+      _unknown when core.blind != nil and command.issued_at <= core.blind ->
+        {:refused,
+         "the ledger was damaged after #{id} was issued, so the command may have been executed already; look at the vehicle, and give " <>
+           "a new command with a new id"}
+
       _unknown ->
         :new
     end
   end
+
+  @doc "Records were lost: unknown commands that were issued until `now` are refused."
+  @spec blind(t(), now :: integer()) :: {[line()], t()}
+  def blind(core, now), do: {[["blind", now]], %{core | blind: now}}
 
   @doc "What became of an id, or nil."
   @spec lookup(t(), String.t()) :: :in_flight | Result.t() | nil
@@ -190,12 +200,16 @@ defmodule Aerie.Ledger.Core do
   end
 
   def replay(core, ["gone", id]), do: drop(core, id)
+  def replay(core, ["blind", at]) when is_integer(at), do: %{core | blind: max(at, core.blind || at)}
   def replay(core, _other), do: core
 
   @doc "The records of this state, for a new file."
   @spec records(t()) :: Enumerable.t(line())
   def records(core) do
-    Stream.flat_map(core.entries, fn {id, entry} ->
+    blind = if core.blind, do: [["blind", core.blind]], else: []
+
+    core.entries
+    |> Stream.flat_map(fn {id, entry} ->
       new = ["new", id, entry.digest, entry.at, entry.command]
 
       case entry.state do
@@ -206,6 +220,7 @@ defmodule Aerie.Ledger.Core do
         result -> [new, done(result, entry.at)]
       end
     end)
+    |> then(&Stream.concat(blind, &1))
   end
 
   @doc "The number of commands in the ledger."

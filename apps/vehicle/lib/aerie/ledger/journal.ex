@@ -6,7 +6,7 @@ defmodule Aerie.Ledger.Journal do
       8f2a90c1 ["new","a1","…",1795339800000000,{…}]
 
   An incomplete last line was never answered and is cut off. A line that is damaged in any other way is left out, and the
-  damaged file is kept beside the new one. The file is rewritten (`compact/2`) when most of it is out of date.
+  damaged file is kept beside the new one. A file without such a beginning is not a ledger any more: whoever opens it sets it aside. The file is rewritten (`compact/2`) when most of it is out of date.
   """
 
   alias Aerie.{Disk, DiskFormat, PrivateFile}
@@ -23,13 +23,13 @@ defmodule Aerie.Ledger.Journal do
 
   @doc """
   Opens the file of a folder; `fun` gets each record. Returns how many damaged lines were left out. A file of a newer format is
-  refused and left alone.
+  refused and left alone; `{:error, :damaged}` if the file is none of a ledger.
   """
   @spec open(Path.t(), acc, ([term()], acc -> acc)) ::
-          {:ok, t(), acc, damaged :: non_neg_integer()} | {:error, String.t()}
+          {:ok, t(), acc, damaged :: non_neg_integer()} | {:error, String.t() | :damaged}
         when acc: term()
   def open(dir, acc, fun) do
-    path = Path.join(dir, "ledger")
+    path = path(dir)
 
     with :ok <- PrivateFile.folder(dir),
          {:ok, good, acc, damaged} <- read(path, acc, fun),
@@ -38,18 +38,25 @@ defmodule Aerie.Ledger.Journal do
       {:ok, journal, acc, damaged}
     else
       {:error, text} when is_binary(text) -> {:error, text}
+      {:error, :damaged} -> {:error, :damaged}
       {:error, reason} -> {:error, text(path, reason)}
     end
   end
 
+  @doc "The file of a folder."
+  @spec path(Path.t()) :: Path.t()
+  def path(dir), do: Path.join(dir, "ledger")
+
   @doc "Whether the file of a folder, if there is one, is of a format that this version reads."
   @spec check(Path.t()) :: :ok | {:error, String.t()}
   def check(dir) do
-    path = Path.join(dir, "ledger")
+    path = path(dir)
 
-    case File.open(path, [:read, :raw, :binary], &:file.read(&1, byte_size(@head))) do
-      {:ok, {:ok, "aerie-ledger " <> _ = head}} when byte_size(head) == byte_size(@head) and head != @head ->
-        {:error, DiskFormat.newer(path, "ledger", "of another format", @format)}
+    case File.open(path, [:read, :raw, :binary], &:file.read(&1, 64)) do
+      {:ok, {:ok, bytes}} ->
+        if other_format?(bytes |> String.split("\n", parts: 2) |> hd()),
+          do: {:error, DiskFormat.newer(path, "ledger", "of another format", @format)},
+          else: :ok
 
       # None, a torn one, or what reading it will say.
       _other ->
@@ -149,19 +156,22 @@ defmodule Aerie.Ledger.Journal do
   defp head({:ok, @head}, _path, file, acc, fun), do: lines(file, byte_size(@head), acc, 0, fun)
   defp head(:eof, _path, _file, acc, _fun), do: {:ok, 0, acc, 0}
 
-  defp head({:ok, "aerie-ledger " <> _other}, path, _file, _acc, _fun) do
-    {:error, DiskFormat.newer(path, "ledger", "of another format", @format)}
-  end
-
   # The file was torn when it was created, so nothing can follow.
   defp head({:ok, text}, _path, _file, acc, _fun)
        when binary_part(@head, 0, byte_size(text)) == text and byte_size(text) < byte_size(@head),
        do: {:ok, 0, acc, 0}
 
-  defp head({:ok, _other}, path, _file, _acc, _fun),
-    do: {:error, "#{path}: expected a ledger, got something else. Remove the file"}
+  defp head({:ok, other}, path, _file, _acc, _fun) do
+    if other_format?(String.trim_trailing(other, "\n")),
+      do: {:error, DiskFormat.newer(path, "ledger", "of another format", @format)},
+      else: {:error, :damaged}
+  end
 
   defp head({:error, reason}, _path, _file, _acc, _fun), do: {:error, reason}
+
+  # A whole number, and not this one: not damage.
+  defp other_format?("aerie-ledger " <> version), do: match?({n, ""} when n > @format, Integer.parse(version))
+  defp other_format?(_other), do: false
 
   defp lines(file, good, acc, damaged, fun) do
     case :file.read_line(file) do

@@ -13,6 +13,8 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
       clock_jump: "this machine's clock was set",
       recordings_stopped: "recordings cannot be written: the disk is full or does not work",
       audit_failing: "the audit log cannot be written, so commands are denied",
+      ledger_failing: "the ledger fails, so no command is accepted",
+      files_damaged: "files of the gateway were damaged, and set aside",
       outbox_failing: "the outbox cannot be written",
       signing_not_stored: "the time stamps of signatures cannot be stored",
       nats_unreachable: "there is no connection to NATS",
@@ -30,6 +32,8 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
       clock(facts),
       recorder(facts),
       audit(facts),
+      ledger(facts),
+      damaged(facts),
       outbox(facts),
       stamps(facts),
       keys(facts),
@@ -92,6 +96,24 @@ defmodule Aerie.Diagnosis.Rules.Gateway do
       mend: "Free space on its disk, or repair the folder (policy.audit.dir)."
     )
   end
+
+  defp ledger(%{ledger: reason}) when is_binary(reason) do
+    new(:ledger_failing, :error, "the ledger fails, so no command is accepted",
+      evidence: [reason],
+      mend: "Free space on its disk, or repair the folder (commands.ledger.dir)."
+    )
+  end
+
+  defp ledger(_facts), do: []
+
+  defp damaged(%{damaged: [_ | _] = damaged}) do
+    new(:files_damaged, :warning, "files of the gateway were damaged, and set aside",
+      evidence: for(file <- Enum.take(damaged, 8), do: "#{file.kept}: #{file.words}"),
+      mend: "Check the disk, and restore the files from a backup if you need what they had."
+    )
+  end
+
+  defp damaged(_facts), do: []
 
   defp outbox(%{nats: %{outbox: %{problem: problem}}}) when is_binary(problem) do
     new(:outbox_failing, :error, "the outbox cannot be written, so events wait in memory",

@@ -75,7 +75,7 @@ defmodule FleetWeb.Endpoint do
   defp console(_gateway, %Settings{console: %{enabled: false}}, _policy, _configuration), do: {:ok, [], []}
 
   defp console(gateway, %Settings{console: console}, policy, configuration) do
-    with {:ok, secret} <- Console.Access.Secret.load(console.dir) do
+    with {:ok, secret} <- Console.Access.Secret.load(gateway, console.dir) do
       {:ok, [{Console.Supervisor, gateway: gateway, settings: console, configuration: configuration}],
        Console.Supervisor.routes(gateway, policy, secret)}
     end

@@ -2,7 +2,7 @@ defmodule FleetWeb.Health do
   @moduledoc """
   Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 
-  Ready means that the gateway's parts run, that NATS stores events (or is switched off by the configuration), that no
+  Ready means that the gateway's parts run and its code is loaded (`Aerie.Store.starting?/1`), that NATS stores events (or is switched off by the configuration), that no
   autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
   (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
   (`Aerie.Ledger.problem/1`), and that no link, no endpoint for clients and no
@@ -29,6 +29,7 @@ defmodule FleetWeb.Health do
     problems =
       silent(gateway) ++
         ledger(Aerie.Ledger.problem(gateway)) ++
+        starting(Store.starting?(gateway)) ++
         Enum.flat_map(links, &overloaded(&1, "link")) ++
         Enum.flat_map(clients, &overloaded(&1, "client endpoint"))
 
@@ -63,6 +64,9 @@ defmodule FleetWeb.Health do
         do:
           "#{role} does not answer, so the gateway sends no heartbeat: if this lasts, restart it and keep its log"
   end
+
+  defp starting(true), do: ["the gateway still starts: its code is loaded, which delays frames"]
+  defp starting(false), do: []
 
   defp ledger(nil), do: []
   defp ledger(reason), do: ["no command is accepted, because the ledger fails: #{reason}"]

@@ -183,7 +183,7 @@ defmodule FleetWeb.Settings do
   end
 
   # Who may sign in stands in a file, which the console itself writes.
-  defp users?(%{enabled: true, dir: dir}), do: match?({:ok, [_ | _]}, dir |> Users.file() |> Users.read())
+  defp users?(%{enabled: true, dir: dir}), do: Users.any?(dir)
   defp users?(_off), do: false
 
   defp local?(address), do: address |> ip() |> Aerie.Address.loopback?()

@@ -30,6 +30,13 @@ defmodule FleetWeb.HealthTest do
       match?({true, %{status: "ready", nats: %{connected: true, problem: nil}}}, Health.ready(gateway))
     end)
 
+    # Ready means ready: not while code is loaded, which delays frames.
+    loader = spawn_link(fn -> receive(do: (:loaded -> :ok)) end)
+    :ok = Aerie.Store.starting(gateway, loader)
+    assert {false, %{problems: ["the gateway still starts" <> _]}} = Health.ready(gateway)
+    send(loader, :loaded)
+    eventually(fn -> match?({true, _report}, Health.ready(gateway)) end)
+
     put.(:connection, %{status: :up, conn: nil, streams: :error, url: "nats://127.0.0.1:1"})
     put.(:streams, %{result: :error, report: %{"FLEET_EVENTS" => {:error, "no room"}}})
 

@@ -61,7 +61,7 @@ defmodule FleetWeb.ConsoleCase do
     )
 
     port = FleetWeb.Endpoint.port(gateway)
-    {:ok, secret} = Console.Access.Secret.load(dir)
+    {:ok, secret} = Console.Access.Secret.load(make_ref(), dir)
     policy = %{keys: [], origins: [], ports: [], hosts: []}
 
     [

@@ -22,6 +22,17 @@ defmodule Aerie.Damaged do
     end
   end
 
+  @doc """
+  Whether a file that was refused is damaged. One that others can read is not: its owner has to decide what that means.
+  """
+  @spec damaged?(Path.t()) :: boolean()
+  def damaged?(path) do
+    case File.stat(path) do
+      {:ok, %File.Stat{type: :regular, mode: mode}} -> Bitwise.band(mode, 0o077) == 0
+      _other -> false
+    end
+  end
+
   @doc "Names damage that is kept under another name already."
   @spec note(Names.gateway(), Path.t(), kept :: Path.t(), String.t()) :: :ok
   def note(gateway, path, kept, words) do

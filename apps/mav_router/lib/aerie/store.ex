@@ -224,6 +224,15 @@ defmodule Aerie.Store do
   def recall(gateway, key, absent \\ nil),
     do: with_table(gateway, :notes, absent, &:ets.lookup_element(&1, key, 2, absent))
 
+  @doc "The gateway is not ready before this process has ended."
+  @spec starting(Names.gateway(), pid()) :: :ok
+  def starting(gateway, pid), do: remember(gateway, :starting, pid)
+
+  @doc "Whether there is such a process."
+  @spec starting?(Names.gateway()) :: boolean()
+  def starting?(gateway),
+    do: with(pid when is_pid(pid) <- recall(gateway, :starting, false), do: Process.alive?(pid))
+
   @doc "All values that are kept, in the order of their keys."
   @spec remembered(Names.gateway()) :: [{term(), term()}]
   def remembered(gateway), do: Enum.sort(with_table(gateway, :notes, [], &:ets.tab2list/1))

@@ -3,24 +3,44 @@ defmodule Aerie.CLI.ModuleLoader do
   Loads all modules of the gateway and its dependencies after the start. The BEAM otherwise reads a module's file at the
   first call, which fails when file descriptors have run out or the files are gone.
 
-  Loading takes some seconds, so it runs in the background: a flying vehicle must not wait for it. One process of low
-  priority loads one module after the other; a batch would delay modules that are needed at once.
+  Loading takes a second or two, and links and vehicles do not wait for it. But frames that come meanwhile are late, so the gateway
+  says that it is ready only when all is loaded (`Aerie.Store.starting/2`). Modules are loaded in small batches: a large one would
+  delay modules that are needed at once, and one by one takes twice the time.
   """
 
   require Logger
 
+  alias Aerie.{Names, Store}
+
+  @batch 32
+
+  @doc false
+  # As a part of a run, so that the gateway is not said to be ready by a part after it.
+  @spec start(Names.gateway()) :: :ignore
+  def start(gateway) do
+    _pid = load(gateway)
+    :ignore
+  end
+
   @doc "Starts loading. Returns the pid of the loading process, which ends when all modules are loaded."
-  @spec load() :: pid()
-  def load do
+  @spec load(Names.gateway()) :: pid()
+  def load(gateway) do
     {:ok, pid} =
       Task.start(fn ->
         Process.set_label(:module_loader)
-        Process.flag(:priority, :low)
-        failed = for module <- all(), {:error, reason} <- [:code.ensure_loaded(module)], do: {module, reason}
+        failed = all() |> Enum.chunk_every(@batch) |> Enum.flat_map(&batch/1)
         if failed != [], do: Logger.warning("some modules cannot be loaded: #{inspect(failed)}")
       end)
 
+    :ok = Store.starting(gateway, pid)
     pid
+  end
+
+  defp batch(modules) do
+    case :code.ensure_modules_loaded(modules) do
+      :ok -> []
+      {:error, failed} -> failed
+    end
   end
 
   @doc "The modules of the gateway's applications and of their dependencies; Aerie's own come first."

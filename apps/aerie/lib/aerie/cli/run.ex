@@ -3,13 +3,14 @@ defmodule Aerie.CLI.Run do
   Starts the parts of a plan below `Aerie.CLI.Supervisor`, each after the ones that it depends on:
 
   1. `Aerie.Gateway` with the checked configuration
-  2. `FleetWeb.Endpoint`
-  3. `Aerie.Reload`, which puts a changed configuration in force
-  4. `SimVehicle.Fleet`, if simulated vehicles were asked for. They use a loopback link and a network of their own
+  2. `Aerie.CLI.ModuleLoader`, whose end the readiness waits for
+  3. `FleetWeb.Endpoint`
+  4. `Aerie.Reload`, which puts a changed configuration in force
+  5. `SimVehicle.Fleet`, if simulated vehicles were asked for. They use a loopback link and a network of their own
      (`sim`), so that they cannot collide with a real vehicle of the same system id.
-  5. `Aerie.Systemd`, if systemd started the program
-  6. `Aerie.Node`, the way in for `bin/aerie`
-  7. `Aerie.CLI.Status`
+  6. `Aerie.Systemd`, if systemd started the program
+  7. `Aerie.Node`, the way in for `bin/aerie`
+  8. `Aerie.CLI.Status`
 
   If a part fails to start, the parts before it are stopped and the error messages are returned.
   """
@@ -161,6 +162,7 @@ defmodule Aerie.CLI.Run do
 
     parts =
       [{:gateway, {Aerie.Gateway, name: gateway, config: config, read_config: read}}] ++
+        [{:modules, %{id: ModuleLoader, start: {ModuleLoader, :start, [gateway]}}}] ++
         http_part(gateway, config) ++
         [{:reload, {Reload, gateway: gateway, config: loaded, read: read, log?: options[:log] == true}}] ++
         sim_part(plan, sim_port) ++
@@ -179,7 +181,6 @@ defmodule Aerie.CLI.Run do
     end)
     |> case do
       {:ok, _started} ->
-        _pid = ModuleLoader.load()
         {:ok, %{gateway: gateway, config: config, http: http}}
 
       {:error, messages} ->

@@ -9,7 +9,7 @@ defmodule Aerie.Config.Preflight do
   import Bitwise
 
   alias Aerie.Bridge.{Leaf, Outbox}
-  alias Aerie.{Config, DiskFormat}
+  alias Aerie.{Config, Damaged, DiskFormat}
   alias Aerie.Config.Error
   alias Aerie.Config.Preflight.Contents
   alias Aerie.Config.Yaml.Lines
@@ -142,17 +142,21 @@ defmodule Aerie.Config.Preflight do
 
   defp console(%Config{http: %{enabled: true}, console: %{enabled: true, dir: dir}} = config) do
     case writable(config, "console.dir", dir) do
-      [] -> users(config, Users.read(Users.file(dir)))
+      [] -> users(config, Users.file(dir))
       errors -> errors
     end
   end
 
   defp console(_config), do: []
 
-  defp users(_config, {:ok, _users}), do: []
-
-  defp users(config, {:error, text}),
-    do: [error(config, "console.dir", "a folder with a sound file of users, or none", text)]
+  # A damaged file is set aside when the console starts.
+  defp users(config, file) do
+    with {:error, text} <- Users.read(file), false <- Damaged.damaged?(file) do
+      [error(config, "console.dir", "a folder with a file of users for its owner only, or none", text)]
+    else
+      _sound_or_damaged -> []
+    end
+  end
 
   # Without NATS nothing is written there.
   defp outbox(%Config{nats: %{mode: :off}}), do: []

@@ -10,7 +10,7 @@ defmodule FleetWeb.API.KeyRing do
 
   require Logger
 
-  alias Aerie.{Names, PrivateFile}
+  alias Aerie.{Damaged, Names, PrivateFile}
   alias Aerie.Store.PubSub
   alias FleetWeb.API.{Access, Keys}
 
@@ -109,13 +109,38 @@ defmodule FleetWeb.API.KeyRing do
     Process.set_label(:api_keys)
     file = options[:file]
 
-    case if(File.exists?(file), do: Keys.read(file), else: {:ok, []}) do
+    case if(File.exists?(file), do: read(options[:gateway], file), else: {:ok, []}) do
       {:ok, made} ->
         {:ok, share(%{gateway: options[:gateway], file: file, configured: options[:configured], made: made})}
 
       {:error, text} ->
         {:stop, text}
     end
+  end
+
+  # In the place of damaged keys comes one that nothing opens: no key at all would let in every program of this machine.
+  defp read(gateway, file) do
+    with {:error, text} <- Keys.read(file),
+         true <- Damaged.damaged?(file) || {:error, text},
+         {:ok, _kept} <-
+           Damaged.set_aside(
+             gateway,
+             file,
+             "the keys that were made in the console open nothing any more; make new ones"
+           ),
+         made = [%{hd(@nobody) | name: "damaged"}],
+         :ok <- write(file, made) do
+      {:ok, made}
+    else
+      {:ok, made} -> {:ok, made}
+      {:error, reason} when is_atom(reason) -> {:error, "#{file}: #{:file.format_error(reason)}"}
+      {:error, text} -> {:error, text}
+    end
+  end
+
+  defp write(file, made) do
+    with :ok <- PrivateFile.new_folder(Path.dirname(file)),
+         do: PrivateFile.write(file, [@head | Enum.map(made, &[Keys.line(&1), ?\n])])
   end
 
   defp share(state) do
@@ -151,13 +176,13 @@ defmodule FleetWeb.API.KeyRing do
 
   # It holds once it is on the disk.
   defp change(new, old, words) do
-    lines = [@head | Enum.map(new.made, &[Keys.line(&1), ?\n])]
+    case write(new.file, new.made) do
+      :ok ->
+        Logger.info(words)
+        {:reply, :ok, share(new)}
 
-    with :ok <- PrivateFile.new_folder(Path.dirname(new.file)), :ok <- PrivateFile.write(new.file, lines) do
-      Logger.info(words)
-      {:reply, :ok, share(new)}
-    else
-      {:error, reason} -> {:reply, {:error, "#{new.file}: #{:file.format_error(reason)}"}, old}
+      {:error, reason} ->
+        {:reply, {:error, "#{new.file}: #{:file.format_error(reason)}"}, old}
     end
   end
 end

@@ -69,7 +69,8 @@ defmodule FleetWeb.API.Keys do
   def read(path) do
     with {:ok, stat} <- File.stat(path),
          :ok <- private(path, stat),
-         {:ok, text} <- File.read(path) do
+         {:ok, text} <- File.read(path),
+         true <- String.valid?(text) || {:error, "#{path}: expected text, got other bytes"} do
       lines(path, text)
     else
       {:error, text} when is_binary(text) -> {:error, text}

@@ -1,21 +1,27 @@
 defmodule FleetWeb.Console.Access.Secret do
   @moduledoc "The secret that signs sessions: 32 random bytes in a file that only its owner can read, so that a restart signs nobody out."
 
-  alias Aerie.PrivateFile
+  alias Aerie.{Damaged, Names, PrivateFile}
 
   @bytes 32
 
   @doc "The secret of a folder, created if there is none."
-  @spec load(Path.t()) :: {:ok, binary()} | {:error, String.t()}
-  def load(dir) do
+  @spec load(Names.gateway(), Path.t()) :: {:ok, binary()} | {:error, String.t()}
+  def load(gateway, dir) do
     path = Path.join(dir, "secret")
 
     case File.read(path) do
       {:ok, <<_::binary-size(@bytes)>> = secret} -> {:ok, secret}
-      {:ok, _other} -> {:error, "#{path}: expected #{@bytes} bytes; remove it, and a new one is made"}
+      {:ok, _damaged} -> renew(gateway, dir, path)
       {:error, :enoent} -> make(dir, path)
       {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}
     end
+  end
+
+  defp renew(gateway, dir, path) do
+    with {:ok, _kept} <- Damaged.set_aside(gateway, path, "everybody has to sign in again"),
+         do: make(dir, path),
+         else: ({:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"})
   end
 
   defp make(dir, path) do

@@ -7,13 +7,14 @@ defmodule FleetWeb.Console.Access.Users do
   ```
 
   A change is on disk before it takes effect, and open pages of the user are notified (`{:notice, :console_users}` of `Aerie.Store.PubSub`). The file is
-  read only at start; the console does not start with an invalid one.
+  read only at start. A damaged one is set aside (`Aerie.Damaged`), and then nobody can sign in by name until an admin adds users; one
+  that others can read is refused, and the console does not start.
   """
   use GenServer
 
   import Bitwise
 
-  alias Aerie.{Names, PrivateFile}
+  alias Aerie.{Damaged, Names, PrivateFile}
   alias Aerie.Policy.Roles
   alias Aerie.Store.PubSub
   alias FleetWeb.Console.Access.{Password, Role}
@@ -182,7 +183,7 @@ defmodule FleetWeb.Console.Access.Users do
   def init(options) do
     Process.set_label(:console_users)
 
-    case read(options[:file]) do
+    case open(options[:gateway], options[:file]) do
       {:ok, users} ->
         table = :ets.new(:console_users, [:ordered_set, :protected, read_concurrency: true])
         true = :ets.insert(table, Enum.map(users, &{&1.name, &1}))
@@ -191,6 +192,30 @@ defmodule FleetWeb.Console.Access.Users do
 
       {:error, text} ->
         {:stop, text}
+    end
+  end
+
+  defp open(gateway, file) do
+    with {:error, text} <- read(file),
+         true <- Damaged.damaged?(file) || {:error, text},
+         {:ok, _kept} <-
+           Damaged.set_aside(gateway, file, "nobody can sign in by name until users are added again") do
+      {:ok, []}
+    else
+      {:ok, users} -> {:ok, users}
+      {:error, text} -> {:error, text}
+    end
+  end
+
+  @doc "Whether there are users, or were before their file was damaged: then the console is open to nobody, rather than to all."
+  @spec any?(Path.t()) :: boolean()
+  def any?(dir) do
+    path = file(dir)
+
+    case read(path) do
+      {:ok, []} -> Path.wildcard(path <> ".damaged-*") != []
+      {:ok, _users} -> true
+      {:error, _text} -> Damaged.damaged?(path)
     end
   end
 

@@ -19,8 +19,10 @@ defmodule Aerie.Tool.RemoteTest do
     {:ok, input} = StringIO.open("1 + 41\n")
     test = self()
 
+    terminal = spawn_link(fn -> terminal(input) end)
+
     spawn_link(fn ->
-      Process.group_leader(self(), input)
+      Process.group_leader(self(), terminal)
       send(test, {:shell, Remote.shell(file)})
     end)
 
@@ -30,5 +32,15 @@ defmodule Aerie.Tool.RemoteTest do
     assert {_left, printed} = StringIO.contents(input)
     assert printed =~ "42"
     assert Remote.leave(node()) == :ok
+  end
+
+  # A device with the options of a terminal, which a StringIO does not have.
+  defp terminal(input) do
+    receive do
+      {:io_request, from, ref, {:setopts, _options}} -> send(from, {:io_reply, ref, :ok})
+      request -> send(input, request)
+    end
+
+    terminal(input)
   end
 end

@@ -33,10 +33,10 @@ defmodule Aerie.Damaged do
     end
   end
 
-  @doc "Names damage that is kept under another name already."
+  @doc "Names damage that is kept under another name already, or where it is."
   @spec note(Names.gateway(), Path.t(), kept :: Path.t(), String.t()) :: :ok
   def note(gateway, path, kept, words) do
-    Logger.error("#{path} is damaged and was kept as #{kept}: #{words}")
+    Logger.error("#{path} is damaged#{if kept != path, do: " and was kept as #{kept}"}: #{words}")
     Store.remember(gateway, {__MODULE__, path}, %{path: path, kept: kept, words: words})
   rescue
     # The store is restarting, or there is none: the log has it.

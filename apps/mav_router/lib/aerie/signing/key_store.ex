@@ -17,6 +17,7 @@ defmodule Aerie.Signing.KeyStore do
   """
   use GenServer
 
+  alias Aerie.Damaged
   alias Aerie.Error
   alias Aerie.Secret
   alias Aerie.Names
@@ -123,6 +124,12 @@ defmodule Aerie.Signing.KeyStore do
 
       {:error, reason} ->
         Logger.error("the time stamps of signed links are lost, the clock is used instead: #{reason}")
+        path = file(state)
+
+        # Never overwritten: the clock may be behind them.
+        _ =
+          if Damaged.damaged?(path),
+            do: Damaged.set_aside(state.gateway, path, "the clock is used for time stamps of signatures")
     end
 
     Enum.each(Scope.in_force(configured, given), &Tables.put_scope(state.tables, &1))

@@ -13,8 +13,8 @@ defmodule Aerie.Policy.Audit do
 
   use GenServer
 
-  alias Aerie.{Disk, FolderLock, Names, Store}
-  alias Aerie.Policy.Audit.Log
+  alias Aerie.{Damaged, Disk, FolderLock, Names, Store}
+  alias Aerie.Policy.Audit.{Log, Verify}
   alias Aerie.Policy.Facts
 
   require Logger
@@ -118,7 +118,22 @@ defmodule Aerie.Policy.Audit do
       syncing: nil
     }
 
-    {:ok, open(state)}
+    state = open(state)
+    _ = Task.start(fn -> verify(state.gateway, state.dir) end)
+    {:ok, state}
+  end
+
+  # The head is checked when the log is opened. All the rest takes time, and nobody waits for it.
+  defp verify(gateway, dir) do
+    Process.set_label({:audit_verify, gateway})
+    Process.flag(:priority, :low)
+
+    with {:ok, %{problems: [_ | _] = problems}} <- Verify.folder(dir),
+         # What is being written meanwhile.
+         [_ | _] = problems <- Enum.reject(problems, &(&1 =~ "ends within a line")) do
+      words = "records of the audit log are not what was written: " <> Enum.join(Enum.take(problems, 3), "; ")
+      Damaged.note(gateway, dir, dir, words)
+    end
   end
 
   @impl GenServer

@@ -1,6 +1,7 @@
 defmodule Aerie.Policy.AuditTest do
   use ExUnit.Case, async: true
 
+  import Aerie.Patience, only: [eventually: 1]
   import ExUnit.CaptureLog
 
   alias Aerie.Policy.{Audit, Facts}
@@ -30,6 +31,26 @@ defmodule Aerie.Policy.AuditTest do
     assert {:ok, 4} = append(gateway, %{"type" => "decision", "id" => "b"})
     :ok = stop_supervised!(gateway)
     assert {:ok, %{problems: [], records: 4}} = Verify.folder(dir, {2, hash})
+  end
+
+  test "a flipped byte anywhere in the log is told at the start", %{tmp_dir: dir} do
+    {gateway, _pid} = start(dir)
+    for n <- 1..20, do: {:ok, _n} = append(gateway, %{"type" => "decision", "id" => "id-#{n}"})
+    :ok = stop_supervised!(gateway)
+
+    [file] = Path.wildcard(Path.join(dir, "*.jsonl"))
+    File.write!(file, String.replace(File.read!(file), "id-3\"", "id-4\""))
+
+    log =
+      capture_log(fn ->
+        {gateway, _pid} = start(dir)
+
+        eventually(fn ->
+          Process.list() |> Enum.all?(&(Process.info(&1, :label) != {:label, {:audit_verify, gateway}}))
+        end)
+      end)
+
+    assert log =~ "#{dir} is damaged: records of the audit log are not what was written"
   end
 
   test "a full disk: entries are refused, what must be recorded is denied, and the log tells it afterwards",

@@ -1,6 +1,6 @@
 defmodule Aerie.Names.Book do
   @moduledoc """
-  The tables behind `Aerie.Names` and the subscriptions of `Aerie.Store.PubSub`: which process has which key.
+  The tables behind `Aerie.Names` and the subscriptions of change notices: which process has which key.
 
   Unlike with Elixir's `Registry`, no process depends on another here. The tables belong to the top supervisor of the application,
   which runs no code; entries are made by the registered process itself, which is linked to nobody; and an entry of a dead process counts
@@ -11,7 +11,7 @@ defmodule Aerie.Names.Book do
 
   # Rows: {key, pid, value}. A key has one owner in @names, any number in @topics.
   @names Aerie.Names
-  @topics Aerie.Store.PubSub
+  @topics Aerie.Names.Topics
   # {pid, table, key}
   @owned __MODULE__
 

@@ -11,7 +11,8 @@ defmodule Aerie.ReplayTest do
 
   @fixtures Path.expand("../fixtures", __DIR__)
   @recordings ~w(arducopter_flight arducopter_mavlink1 ardurover_drive px4_flight px4_refusals
-                 px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes)
+                 px4_118_failsafes_a px4_118_failsafes_b arducopter_48_failsafes ardurover_47_failsafes
+                 arduplane_47_quadplane_vtol)
   @second 1_000_000
   @start 1_795_000_000 * @second
 

@@ -169,11 +169,11 @@ defmodule Aerie.Vehicle.Detector do
   defp step(detector, %{kind: :state, at: at} = observation, _known) do
     {beside, digest} = Map.split(observation.data, [:where, :voltages])
     last = detector.last
-    now = Map.merge(last, Map.reject(digest, fn {_key, value} -> is_nil(value) end))
+    now = last |> Map.merge(Map.reject(digest, fn {_key, value} -> is_nil(value) end)) |> fence_off(last)
     {published, missed} = OfflineChanges.steps(detector.published, now, at)
     steps = missed ++ Changes.steps(last, Map.merge(now, beside), detector, at)
     {detector, events} = emit({%{detector | last: now, published: published}, steps}, observation)
-    {detector, losses} = detector |> Losses.changed(last, now, at) |> emit(observation)
+    {detector, losses} = detector |> Losses.changed(last, now, moment(observation)) |> emit(observation)
 
     facts = Map.put(facts(detector), :where, beside[:where])
     {failsafe, steps} = Failsafe.changed(detector.failsafe, last, facts, moment(observation))
@@ -335,6 +335,12 @@ defmodule Aerie.Vehicle.Detector do
   @doc "What the detector knows of the vehicle: the last digest, and what is wrong with it (`:troubles`)."
   @spec facts(t()) :: map()
   def facts(detector), do: Map.put(detector.last, :troubles, Losses.troubles(detector))
+
+  # ArduPilot sends no FENCE_STATUS of a fence that is off. On again, it may be broken again.
+  defp fence_off(%{fence_on: false, fence_breach: true} = now, %{fence_on: true}),
+    do: %{now | fence_breach: false}
+
+  defp fence_off(now, _last), do: now
 
   # After all failsafes are over, the ground station can be lost again even if no message said that it came back.
   defp failsafes_over?(%{failsafe: true}, %{failsafe: false}), do: true

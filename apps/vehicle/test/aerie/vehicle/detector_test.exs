@@ -254,7 +254,7 @@ defmodule Aerie.Vehicle.DetectorTest do
       assert {StatusTexts.rc(on), StatusTexts.rc(off)} == {:lost, :back}, on
       assert {StatusTexts.activation(on), StatusTexts.activation(off)} == {{:begins, "rc"}, {:over, "rc"}}, on
 
-      assert without_texts([state(0, []), text(1, on), text(3, off)]) ==
+      assert without_texts([state(0, []), text(1, on), text(4, off)]) ==
                ~w(rc.lost failsafe rc.restored failsafe.cleared)
     end
   end

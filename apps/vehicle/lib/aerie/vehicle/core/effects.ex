@@ -74,7 +74,8 @@ defmodule Aerie.Vehicle.Core.Effects do
 
   defp show_digest(core, actions, digest, at) do
     data = Map.merge(digest, Detector.Digest.beside(core.state))
-    core = if failsafe_may_begin?(core.digest, digest), do: settle(core, at), else: core
+    sign = failsafe_sign(core.digest, digest)
+    core = if sign, do: settle(core, sign, at), else: core
 
     # The snapshot comes first: after a crash between the two, the session shows the detector from the snapshot what it
     # had not shown before. The other way round the snapshot would bring back a state that is over.
@@ -97,12 +98,17 @@ defmodule Aerie.Vehicle.Core.Effects do
   def held({%{suspicion: %{held: nil}}, _actions} = acc, _now), do: acc
   def held({core, actions}, now), do: check_digest(core, actions, now)
 
-  defp failsafe_may_begin?(nil, _digest), do: true
-  defp failsafe_may_begin?(last, now), do: last.failsafe != now.failsafe or last.mode != now.mode
+  # What may be the sign of a failsafe.
+  defp failsafe_sign(last, %{fence_breach: true}) when last == nil or last.fence_breach != true, do: :fence
+  defp failsafe_sign(nil, _digest), do: :status
+
+  defp failsafe_sign(last, now),
+    do: if(last.failsafe != now.failsafe or last.mode != now.mode, do: :status)
 
   @doc "Makes the detector look again when there was time to learn the cause of what began `at`."
-  @spec settle(Core.t(), integer()) :: Core.t()
-  def settle(core, at), do: %{core | settle_at: at + Detector.Failsafe.settle_us()}
+  @spec settle(Core.t(), Detector.Failsafe.sign(), integer()) :: Core.t()
+  def settle(core, kind, at),
+    do: %{core | settle_at: max(core.settle_at || 0, at + Detector.Failsafe.settle_us(kind))}
 
   @doc "Makes the detector look again, if that time is over."
   @spec settled(acc(), integer()) :: acc()

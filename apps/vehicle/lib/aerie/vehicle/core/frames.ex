@@ -168,8 +168,15 @@ defmodule Aerie.Vehicle.Core.Frames do
 
   defp message(core, actions, _link, %{id: @param_value, at: at}, message) do
     case Params.read(message, core.state.autopilot) do
-      {:ok, value} -> {Services.param(core, value), add_param(actions, at, core.state.boot_ms, value)}
-      :ignore -> {core, actions}
+      {:ok, value} ->
+        fence_param(
+          {Services.param(core, value), add_param(actions, at, core.state.boot_ms, value)},
+          value,
+          at
+        )
+
+      :ignore ->
+        {core, actions}
     end
   end
 
@@ -191,6 +198,14 @@ defmodule Aerie.Vehicle.Core.Frames do
         Effects.changed(core, actions, id, message, at)
     end
   end
+
+  # See `State.Power`: the parameter may come before the SYS_STATUS that shows it.
+  defp fence_param({core, actions}, {"FENCE_ENABLE", off, _index}, at) when off == 0 do
+    state = State.put(core.state, :mission, State.Plan.fence_unknown(), at)
+    Effects.check_digest(%{core | state: state}, actions, at)
+  end
+
+  defp fence_param(acc, _value, _at), do: acc
 
   # Parameters of one read are one observation: a list of a thousand is not a thousand steps.
   defp add_param(

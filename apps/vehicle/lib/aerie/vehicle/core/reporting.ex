@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
   def texts(acc, texts) do
     Enum.reduce(texts, acc, fn text, {core, actions} ->
       observe = Effects.observation(core, :text, text.at, Map.take(text, [:severity, :text]))
-      core = if StatusTexts.activation(text.text), do: Effects.settle(core, text.at), else: core
+      core = if StatusTexts.may_act?(text.text), do: Effects.settle(core, :text, text.at), else: core
       {%{core | reports: Reports.text(core.reports, text)}, [observe | actions]}
     end)
   end
@@ -67,7 +67,7 @@ defmodule Aerie.Vehicle.Core.Reporting do
     if Px4Reports.known?(report.name) and fresh? do
       data = %{name: report.name, values: report.values, where: Detector.Digest.position(core.state)}
       observation = Observation.new(:px4_report, at, report.boot_ms, data)
-      {Effects.settle(core, at), [{:observe, observation} | actions]}
+      {Effects.settle(core, :report, at), [{:observe, observation} | actions]}
     else
       {core, actions}
     end

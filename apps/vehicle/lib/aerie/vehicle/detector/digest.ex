@@ -32,6 +32,7 @@ defmodule Aerie.Vehicle.Detector.Digest do
       in_air: mode.in_air,
       failsafe: mode.failsafe,
       system_status: mode.system_status,
+      fence_on: health.fence_enabled,
       fence_breach: mission.fence_breach,
       fence_breach_type: mission.fence_breach_type,
       mission_seq: mission.seq,

@@ -10,13 +10,33 @@ defmodule Aerie.Vehicle.Detector.Losses do
   alias Aerie.Vehicle.Detector.{Failsafe, Step}
 
   @doc "What follows from the difference of two digests."
-  @spec changed(Detector.t(), map(), map(), integer()) :: {Detector.t(), [Step.t()]}
-  def changed(detector, last, now, at) do
-    Enum.reduce([&gps/4, &position/4, &receiver/4, &fence_end/4], {detector, []}, fn part,
-                                                                                     {detector, steps} ->
+  @spec changed(Detector.t(), map(), map(), Step.moment()) :: {Detector.t(), [Step.t()]}
+  def changed(detector, last, now, %{at: at} = moment) do
+    parts = [&gps/4, &position/4, &receiver/4, &fence_end/4]
+
+    Enum.reduce(parts, fence_begin(detector, last, now, moment), fn part, {detector, steps} ->
       {detector, more} = part.(detector, last, now, at)
       {detector, steps ++ more}
     end)
+  end
+
+  defp fence_begin(detector, last, %{fence_breach: true} = now, moment) do
+    if last[:fence_breach] == true,
+      do: {detector, []},
+      else: fence_acts(detector, now[:fence_breach_type], nil, moment)
+  end
+
+  defp fence_begin(detector, _last, _now, _moment), do: {detector, []}
+
+  @doc "A fence is broken: if the vehicle acts on it (FENCE_ACTION), that is a failsafe. PX4 reports it as one itself."
+  @spec fence_acts(Detector.t(), String.t() | nil, String.t() | nil, Step.moment()) ::
+          {Detector.t(), [Step.t()]}
+  def fence_acts(%{reports: true} = detector, _breach, _text, _moment), do: {detector, []}
+
+  def fence_acts(detector, breach, text, moment) do
+    facts = %{by: :fence, type: "fence", reason: breach || "fence", text: text, needs_action: true}
+    {failsafe, steps} = Failsafe.start(detector.failsafe, facts, Detector.facts(detector), moment)
+    {%{detector | failsafe: failsafe}, steps}
   end
 
   defp gps(%{gps_lost: nil} = detector, %{gps: "OK"}, %{gps: fix, armed: true}, at) when fix != "OK",
@@ -49,13 +69,27 @@ defmodule Aerie.Vehicle.Detector.Losses do
 
   defp fence_over(%{fence_open: {since, breach}} = detector, at) do
     data = Map.put(duration(since, at), "breach", breach)
-    {%{detector | fence_open: nil}, [Step.event("geofence.cleared", data)]}
+    {failsafe, ended} = fence_failsafe_over(detector, at)
+
+    {%{detector | fence_open: nil, failsafe: failsafe}, [Step.event("geofence.cleared", data) | ended]}
+  end
+
+  # PX4 goes on with it, and says when it is over.
+  defp fence_failsafe_over(%{reports: true} = detector, _at), do: {detector.failsafe, []}
+
+  defp fence_failsafe_over(detector, at) do
+    moment = %{at: at, boot_ms: nil, where: nil, received: at}
+    Failsafe.clear(detector.failsafe, {:type, "fence"}, "fence", Detector.facts(detector), moment)
   end
 
   @doc "Parameters with new values: of a fence that is switched off, ArduPilot sends no FENCE_STATUS."
   @spec params(Detector.t(), %{String.t() => term()}, integer()) :: {Detector.t(), [Step.t()]}
-  def params(%{fence_open: {_since, _breach}} = detector, %{"FENCE_ENABLE" => 0}, at),
-    do: fence_over(detector, at)
+  def params(detector, %{"FENCE_ENABLE" => off}, at) when off == 0 do
+    # Switched on again outside, it is broken again.
+    last = if detector.last[:fence_breach], do: %{detector.last | fence_breach: false}, else: detector.last
+    detector = %{detector | last: last}
+    if detector.fence_open, do: fence_over(detector, at), else: {detector, []}
+  end
 
   def params(detector, _values, _at), do: {detector, []}
 

@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
     {"rc", ~r/\b(radio|rc|manual control|throttle)\b.*(fail-?safe|lost|loss)|\b(short|long) fail-?safe/i},
     {"battery",
      ~r/batter(y|ies)\b.*(fail-?safe|low|critical|emergency|is )|(low|critical|emergency) battery/i},
-    {"ekf", ~r/\b(ekf|dead ?reckoning|position estimate|velocity estimate|attitude estimate)\b/i},
+    {"ekf", ~r/\b(ekf\d?|dead ?reckon(ing)?|position estimate|velocity estimate|attitude estimate)\b/i},
     {"fence", ~r/fence/i},
     {"terrain", ~r/terrain/i},
     {"vibration", ~r/vibration/i},
@@ -21,9 +21,13 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
     {"offboard", ~r/offboard/i}
   ]
 
-  @about_failsafe ~r/fail-?safe|lost|loss|batter|emergency|critical|breach|violat|exceed|leak|crash|terminat/i
+  @about_failsafe ~r/fail-?safe|lost|loss|batter|emergency|critical|breach|violat|exceed|leak|crash|terminat|\bekf variance/i
   # Complaints about a plan ("Geofence violation for waypoint 19") are not failsafes either.
   @not_a_failsafe ~r/\A(pre-?arm|arm|preflight|mission|plan)\b|denied|cleared|regained|restored|recovered|reject|waypoint|\bwp\b|disabled|\boff\b/i
+  # AP_BattMonitor::check_failsafes and the ekf_check of each vehicle say so when their failsafe begins. The vehicle's own text
+  # about it may follow (ArduCopter) or not (Rover, ArduPlane).
+  @battery_text ~r/\Abattery \d{1,2} is (low|critical)\b/i
+  @ekf_text ~r/\Aekf variance\b/i
   @failsafe ~r/fail-?safe/i
   @over ~r/cleared|recovered|restored|\boff\b|ended/i
   @gcs ~r/\bgcs\b.*(fail-?safe|lost|loss)|lost connection to gcs|(ground (control )?station|data ?link).*(lost|loss)|failsafe.*\bgcs\b/i
@@ -58,10 +62,19 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
     end
   end
 
-  @doc "Whether a text says that a failsafe of some type begins or is over; nil for other texts."
-  @spec activation(String.t()) :: {:begins | :over, reason()} | nil
+  @doc "Whether the vehicle may do something because of what a text says."
+  @spec may_act?(String.t()) :: boolean()
+  def may_act?(text), do: activation(text) != nil or fence?(text)
+
+  @doc """
+  Whether a text says that a failsafe of some type begins or is over; `:announces` if the vehicle may say more about it in a
+  second text; nil for other texts.
+  """
+  @spec activation(String.t()) :: {:announces | :begins | :over, reason()} | nil
   def activation(text) do
     cond do
+      text =~ @battery_text -> {:announces, "battery"}
+      text =~ @ekf_text -> {:announces, "ekf"}
       not (text =~ @failsafe) or text =~ ~r/\A(pre-?arm|arm|preflight)\b/i -> nil
       text =~ @over -> {:over, Enum.find_value(@reasons, "unknown", &named(&1, text))}
       reason = failsafe(text) -> {:begins, reason}
@@ -74,11 +87,15 @@ defmodule Aerie.Vehicle.Detector.StatusTexts do
   def precisely("battery", text), do: Enum.find_value(@levels, "battery", &named(&1, text))
   def precisely(reason, _text), do: reason
 
-  @doc "`%{action: \"hold\", delay: seconds}` if a text says that PX4 waits before it acts."
-  @spec hold(String.t()) :: %{optional(:action) => String.t(), optional(:delay) => pos_integer()}
-  def hold(text) do
-    case Regex.run(~r/entering hold for (\d{1,4}) seconds/i, text) do
+  @doc """
+  What a text says that the vehicle does: `%{action: \"hold\", delay: seconds}` if PX4 waits before it acts, the action alone for
+  ArduPlane ("RC Long Failsafe On: switched to RTL").
+  """
+  @spec action(String.t()) :: %{optional(:action) => String.t(), optional(:delay) => pos_integer()}
+  def action(text) do
+    case Regex.run(~r/entering hold for (\d{1,4}) seconds|: switched to (?:mode )?(\w{1,16})/i, text) do
       [_all, seconds] -> %{action: "hold", delay: String.to_integer(seconds)}
+      [_all, "", mode] -> %{action: String.downcase(mode)}
       nil -> %{}
     end
   end

@@ -16,7 +16,8 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
     {detector, gcs} = gcs(detector, text)
     {detector, losses} = losses(detector, text, at)
     {detector, failsafe} = failsafe(detector, text, moment)
-    {detector, gcs ++ losses ++ failsafe ++ fence(detector, text, at) ++ mission(detector, text)}
+    {detector, fence} = fence(detector, text, moment)
+    {detector, gcs ++ losses ++ failsafe ++ fence ++ mission(detector, text)}
   end
 
   # The text may name the cause of a failsafe. A general "failsafe activated" does not replace a cause named just before.
@@ -72,12 +73,17 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
     {failsafe, steps} =
       case StatusTexts.activation(text) do
         # The report says more (`Detector.Px4Reports`).
-        {:begins, _type} when detector.reports ->
+        {begins, _type} when begins != :over and detector.reports ->
           {detector.failsafe, []}
 
-        {:begins, type} ->
+        # ArduPilot says so of an armed vehicle; disarmed it has nothing to act on.
+        {:announces, _type} when facts.armed == false ->
+          {detector.failsafe, []}
+
+        {begins, type} when begins != :over ->
           named = %{by: :text, type: type, reason: StatusTexts.precisely(type, text), text: text}
-          named = named |> Map.merge(StatusTexts.hold(text)) |> with_cause(detector, moment.at)
+          named = named |> Map.merge(StatusTexts.action(text)) |> with_cause(detector, moment.at)
+          named = if begins == :announces, do: Map.put(named, :more, true), else: named
           Failsafe.start(detector.failsafe, named, facts, moment)
 
         {:over, type} ->
@@ -98,15 +104,22 @@ defmodule Aerie.Vehicle.Detector.TextConditions do
 
   defp with_cause(facts, _detector, _at), do: facts
 
+  defp fence(detector, text, moment) do
+    if StatusTexts.fence?(text) do
+      {detector, steps} = Losses.fence_acts(detector, nil, text, moment)
+      {detector, fence_event(detector, text, moment.at) ++ steps}
+    else
+      {detector, []}
+    end
+  end
+
   # FENCE_STATUS and PX4's checks are better sources, if they come.
-  defp fence(detector, text, at) do
+  defp fence_event(detector, text, at) do
     reported? =
       is_map_key(detector.last, :fence_breach) or is_map_key(detector.last, :fence_check) or
         Detector.fence_reported?(detector, at)
 
-    if not reported? and StatusTexts.fence?(text),
-      do: [Step.event("geofence", %{"text" => text}, fence_event_at: at)],
-      else: []
+    if reported?, do: [], else: [Step.event("geofence", %{"text" => text}, fence_event_at: at)]
   end
 
   defp mission(detector, text) do

@@ -57,7 +57,7 @@ defmodule Aerie.Vehicle.Event.Types do
      "EXTENDED_SYS_STATE; without it ArduPilot's system status, or the height", [@mode | @found]},
     {"landed", "the vehicle is on the ground again", "as `takeoff`", [@mode | @found]},
     {"failsafe", "a failsafe begins, or is active when the vehicle is first heard",
-     "whichever comes first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle itself chooses",
+     "whichever comes first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle itself chooses, a broken fence with a change of the mode",
      [
        {"type", :string, nil, "what it is about: " <> @failsafe_types},
        {"reason", :string, nil,
@@ -72,12 +72,12 @@ defmodule Aerie.Vehicle.Event.Types do
        {"found", :boolean, nil, "true: it was active when the vehicle was first heard"}
      ]},
     {"failsafe.cleared", "a failsafe is over",
-     "system status, a text (… Cleared), a report; disarming, if the system status never showed the failsafe",
+     "system status, a text (… Cleared), a report, the end of a breach; disarming, if the system status never showed the failsafe",
      [
        {"type", :string, nil, "type of the failsafe"},
        {"reason", :string, nil, "reason of the failsafe"},
        {"duration", :number, "s", "how long it was active"},
-       {"by", :string, nil, "what shows the end: status, text, report, disarmed, reboot"}
+       {"by", :string, nil, "what shows the end: status, text, report, fence, disarmed, reboot"}
      ]},
     {"geofence", "the vehicle breaches a fence",
      "FENCE_STATUS, PX4's checks (EVENT); a text if neither comes",

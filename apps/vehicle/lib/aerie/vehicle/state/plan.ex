@@ -22,6 +22,10 @@ defmodule Aerie.Vehicle.State.Plan do
     {[], mission: %{fence_breach: m.breach_status != 0, fence_breach_type: breach(m)}}
   end
 
+  @doc "What is known of a breach when the fence is off: nothing."
+  @spec fence_unknown() :: map()
+  def fence_unknown, do: %{fence_breach: nil, fence_breach_type: nil}
+
   # The extension fields are zero if the sender does not know them (MAVLink 1, older firmware).
   defp total(%{total: 0, mission_state: 0}), do: nil
   defp total(%{total: total}), do: Value.unsigned(total, 16)

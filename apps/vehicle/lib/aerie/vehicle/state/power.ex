@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.State.Power do
       remaining: remaining(m.battery_remaining)
     }
 
-    {[], summary(battery, state, at) ++ [health: health(m)]}
+    {[], summary(battery, state, at) ++ [health: health(m)] ++ fence_off(m, State.data(state, :health))}
   end
 
   def read(%M.BatteryStatus{} = m, state, _at) do
@@ -106,6 +106,12 @@ defmodule Aerie.Vehicle.State.Power do
     if (m.onboard_control_sensors_enabled &&& @rc_receiver) != 0,
       do: (m.onboard_control_sensors_present &&& m.onboard_control_sensors_health &&& @rc_receiver) != 0
   end
+
+  # ArduPilot sends FENCE_STATUS only of a fence that is on: what the last one said is not known any more.
+  defp fence_off(m, %{fence_enabled: true}),
+    do: if(fence_enabled(m), do: [], else: [mission: State.Plan.fence_unknown()])
+
+  defp fence_off(_m, _health), do: []
 
   # A vehicle without a fence shows it as not present.
   defp fence_enabled(m) do

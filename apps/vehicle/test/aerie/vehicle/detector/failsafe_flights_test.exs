@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.Detector.FailsafeFlightsTest do
   @moduledoc """
-  Failsafes that real firmware flew (PX4 1.18, ArduCopter 4.8): each with what it is about, why, what the vehicle does, and
+  Failsafes that real firmware flew (PX4 1.18, ArduCopter 4.8, Rover 4.7): each with what it is about, why, what the vehicle does, and
   when it is over. Times are seconds since the recording's first frame.
   """
   use ExUnit.Case, async: true
@@ -109,5 +109,23 @@ defmodule Aerie.Vehicle.Detector.FailsafeFlightsTest do
       for {_at, %{type: "failsafe", data: data}} <- events("arducopter_48_failsafes"), do: data["text"]
 
     assert "Battery 1 is critical 9.80V used 211 mAh; Battery Failsafe" in texts
+  end
+
+  test "Rover: the battery's failsafe shows in a text and the mode, not in the status; the estimator's is not the GNSS's" do
+    assert story(events("ardurover_47_failsafes")) == [
+             {2.8, "rc.lost", nil},
+             {4.5, "failsafe", "rc", "rc", "hold", nil},
+             {10.0, "cleared", "rc", "status", 5.5},
+             {10.0, "rc.restored", 7.2},
+             {36.4, "failsafe", "battery", "low_battery_level", "hold", nil},
+             {45.6, "gps.lost", "NO_FIX"},
+             {53.2, "failsafe", "ekf", "ekf", "none", nil},
+             {55.6, "gps.restored", 10.0},
+             {56.4, "cleared", "ekf", "text", 3.2}
+           ]
+  end
+
+  test "a quadplane's transitions and landings are no failsafes" do
+    assert story(events("arduplane_47_quadplane_vtol")) == []
   end
 end

@@ -13,7 +13,7 @@ defmodule SimVehicle.Ardupilot do
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Params, Requests, Setpoints, Telemetry, Vehicle}
-  alias SimVehicle.Ardupilot.{Arming, Boot, Commands, Events, Failsafes, Modes}
+  alias SimVehicle.Ardupilot.{Arming, Boot, Calibration, Commands, Events, Failsafes, Modes}
   alias SimVehicle.Flight.Mission
 
   @groups %{
@@ -180,6 +180,7 @@ defmodule SimVehicle.Ardupilot do
     end
   end
 
+  def message(v, %M.CommandAck{} = m, _source), do: Calibration.acknowledged(v, m)
   def message(v, %M.Timesync{} = m, source), do: Requests.timesync(v, m, source)
 
   def message(v, _message, _source), do: v

@@ -49,8 +49,8 @@ defmodule Aerie.Protocol do
   @doc "The messages that send a step after `attempt` earlier attempts (C1)."
   @callback encode(Step.t(), attempt :: non_neg_integer(), Vehicle.t()) :: [message()]
 
-  @doc "The messages that cancel a step; none if it cannot be cancelled."
-  @callback cancel(Step.t(), Vehicle.t()) :: [message()]
+  @doc "The messages that cancel a step; none, or the reason, if it cannot be cancelled."
+  @callback cancel(Step.t(), Vehicle.t()) :: [message()] | {:error, String.t()}
 
   @doc "The messages that end a stream and release what it controlled."
   @callback release(Step.t(), Vehicle.t()) :: [message()]

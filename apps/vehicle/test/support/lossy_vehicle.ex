@@ -36,6 +36,7 @@ defmodule Aerie.LossyVehicle do
             history: [],
             told: [],
             cancelling: false,
+            ceasing: %{},
             wrong: []
 
   @ms 1_000
@@ -109,11 +110,15 @@ defmodule Aerie.LossyVehicle do
 
   # To cease is another order: it may come after the deadline, and is not the command once more.
   defp act({:send, messages, id}, %{cancelling: true} = world) do
-    Enum.reduce(messages, world, fn
+    Enum.reduce(messages, put_in(world.ceasing[id], messages), fn
       %M.CommandCancel{} = message, world -> transmit(world, {:to_vehicle, id, message})
       message, world -> transmit(world, {:to_vehicle, "cancel of " <> id, message})
     end)
   end
+
+  # Asked once more.
+  defp act({:send, messages, id}, %{ceasing: ceasing} = world) when :erlang.map_get(id, ceasing) == messages,
+    do: act({:send, messages, id}, %{world | cancelling: true}) |> Map.put(:cancelling, false)
 
   defp act({:send, messages, id}, world) do
     {_command, until, _at} = world.commands[id]

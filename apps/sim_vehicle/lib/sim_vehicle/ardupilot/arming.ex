@@ -7,7 +7,7 @@ defmodule SimVehicle.Ardupilot.Arming do
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Battery, Flight, Geo, Params, Telemetry, Vehicle}
-  alias SimVehicle.Ardupilot.Modes
+  alias SimVehicle.Ardupilot.{Calibration, Modes}
 
   @accepted 0
   @failed 4
@@ -62,7 +62,7 @@ defmodule SimVehicle.Ardupilot.Arming do
 
   @doc "Reports every 30 seconds why the vehicle cannot be armed, and disarms it when it is idle."
   @spec tick(Vehicle.t()) :: Vehicle.t()
-  def tick(%{armed: true} = v), do: idle(v)
+  def tick(%{armed: true} = v), do: if(Calibration.holds?(v), do: v, else: idle(v))
 
   def tick(v) do
     if v.now >= Vehicle.own(v, :prearm_at, @prearm_every_us) do

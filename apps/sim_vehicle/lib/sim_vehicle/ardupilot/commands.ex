@@ -7,7 +7,7 @@ defmodule SimVehicle.Ardupilot.Commands do
   import MavCodec.MessageId
 
   alias SimVehicle.{Ardupilot, Command, Flight, Geo, Requests, Telemetry, Vehicle}
-  alias SimVehicle.Ardupilot.{Arming, Boot, Modes}
+  alias SimVehicle.Ardupilot.{Arming, Boot, Calibration, Modes}
   alias SimVehicle.Flight.{Goal, Mission}
 
   @accepted 0
@@ -26,7 +26,10 @@ defmodule SimVehicle.Ardupilot.Commands do
 
   @doc "Carries out a command that is addressed to the vehicle."
   @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
-  def command(v, command), do: run(v, command, command.id)
+  def command(v, command) do
+    # It cannot be disarmed or rebooted then.
+    if Calibration.holds?(v), do: Vehicle.ack(v, command, @failed), else: run(v, command, command.id)
+  end
 
   # COMPONENT_ARM_DISARM: the acknowledgement comes before the texts, which wait in a queue.
   defp run(v, c, 400) do
@@ -147,8 +150,10 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # PREFLIGHT_CALIBRATION
-  defp run(v, c, 241), do: Vehicle.ack(v, c, if(v.armed, do: @failed, else: @accepted))
+  # PREFLIGHT_CALIBRATION, ACCELCAL_VEHICLE_POS; DO_CANCEL_MAG_CAL, whether magnetometers are calibrated or not
+  defp run(v, c, 241), do: Calibration.command(v, c)
+  defp run(v, c, 42_429), do: Calibration.position(v, c)
+  defp run(v, c, 42_426), do: Vehicle.ack(v, c, @accepted)
 
   # PREFLIGHT_REBOOT_SHUTDOWN: acknowledged first
   defp run(v, c, 246) do

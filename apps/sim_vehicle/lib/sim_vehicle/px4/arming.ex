@@ -15,6 +15,9 @@ defmodule SimVehicle.Px4.Arming do
   @by_landing 6
   @by_preflight 7
   @calibration_us 1_050_000
+  # How often a calibration looks whether it is cancelled.
+  @look_us 2_000_000
+  @preflight_calibration 241
 
   @doc "COMPONENT_ARM_DISARM with 1. Forcing does not help against failing checks in this version."
   @spec arm(Vehicle.t(), Command.t()) :: Vehicle.t()
@@ -57,13 +60,24 @@ defmodule SimVehicle.Px4.Arming do
 
   def disarm(v, c, _force), do: v |> Vehicle.ack(c, @accepted) |> stop(@by_command)
 
-  @doc "Starts a calibration of the gyros."
-  @spec calibrate(Vehicle.t()) :: Vehicle.t()
-  def calibrate(v) do
+  @doc "Starts a calibration of the gyros or the accelerometer."
+  @spec calibrate(Vehicle.t(), String.t()) :: Vehicle.t()
+  def calibrate(v, sensor) do
+    over = if sensor == "gyro", do: v.now + @calibration_us, else: :never
+
     v
-    |> Vehicle.put_own(:calibrating, v.now + @calibration_us)
-    |> Vehicle.text(6, "[cal] calibration started: 2 gyro")
+    |> Vehicle.put_own(:calibrating, {sensor, over, v.now + @look_us})
+    |> Vehicle.put_own(:last_command, nil)
+    |> Vehicle.text(6, "[cal] calibration started: 2 #{sensor}")
   end
+
+  @doc """
+  A command came. The worker of a calibration sees only the last one when it looks, now and then, whether it is cancelled
+  (`calibrate_cancel_check`, calibration_routines.cpp).
+  """
+  @spec heard(Vehicle.t(), Command.t()) :: Vehicle.t()
+  def heard(v, c),
+    do: if(calibrating?(v), do: Vehicle.put_own(v, :last_command, {c.id, c.params}), else: v)
 
   @doc "True while a calibration runs."
   @spec calibrating?(Vehicle.t()) :: boolean
@@ -107,13 +121,25 @@ defmodule SimVehicle.Px4.Arming do
 
   def tick(v) do
     case Vehicle.own(v, :calibrating) do
-      over when over != nil and v.now >= over ->
-        v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(6, "[cal] calibration done: gyro")
+      {sensor, over, _look_at} when is_integer(over) and v.now >= over ->
+        v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(6, "[cal] calibration done: #{sensor}")
+
+      {sensor, over, look_at} when v.now >= look_at ->
+        look(v, {sensor, over, v.now + @look_us}, Vehicle.own(v, :last_command))
 
       _none_or_running ->
         v
     end
   end
+
+  defp look(v, calibration, {@preflight_calibration, params}) do
+    if Enum.all?(Tuple.to_list(params), &(&1 == 0)),
+      do: v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(2, "[cal] calibration cancelled"),
+      else: look(v, calibration, nil)
+  end
+
+  defp look(v, calibration, _other),
+    do: v |> Vehicle.put_own(:calibrating, calibration) |> Vehicle.put_own(:last_command, nil)
 
   defp idle_for(%{flight: :idle} = v), do: v.now - v.armed_at
   defp idle_for(_v), do: 0

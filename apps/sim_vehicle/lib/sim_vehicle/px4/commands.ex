@@ -27,7 +27,7 @@ defmodule SimVehicle.Px4.Commands do
 
   @doc "Carries out a command that is addressed to the vehicle."
   @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
-  def command(v, command), do: run(v, command, command.id)
+  def command(v, command), do: v |> Arming.heard(command) |> run(command, command.id)
 
   # COMPONENT_ARM_DISARM
   defp run(v, c, 400) do
@@ -133,10 +133,19 @@ defmodule SimVehicle.Px4.Commands do
       else: v |> Vehicle.ack(c, @accepted) |> Arming.stop(1)
   end
 
-  # PREFLIGHT_CALIBRATION of the gyros takes a second; others are over at once
+  # PREFLIGHT_CALIBRATION of the gyros takes a second, that of the accelerometer waits to be turned; others are over at once
   defp run(%{armed: false} = v, c, 241) do
-    v = Vehicle.ack(v, c, @accepted)
-    if Command.p(c, 1) == 1.0, do: Arming.calibrate(v), else: v
+    if Arming.calibrating?(v) do
+      Vehicle.ack(v, c, @temporarily_rejected)
+    else
+      v = Vehicle.ack(v, c, @accepted)
+
+      cond do
+        Command.p(c, 1) == 1.0 -> Arming.calibrate(v, "gyro")
+        Command.p(c, 5) == 1.0 -> Arming.calibrate(v, "accel")
+        true -> v
+      end
+    end
   end
 
   # PREFLIGHT_STORAGE

@@ -180,7 +180,7 @@ defmodule Aerie.Protocol.Ardupilot do
       })
     ]
 
-  defp special("calibrate" <> _what = type, params, _vehicle), do: Calibration.steps(type, params)
+  defp special("calibrate" <> _what = type, params, vehicle), do: Calibration.steps(type, params, vehicle)
 
   defp special("setpoint_position", params, _vehicle),
     do: Streams.position(params, Streams.frame(params.altitude_reference), params.altitude)

@@ -96,8 +96,10 @@ defmodule Aerie.Protocol.Mavlink do
   def encode(%Step{forms: [form | _others]} = step, attempt, vehicle),
     do: [put(form, attempt, vehicle.system, step.component || vehicle.component)]
 
-  @doc "The messages that cancel a step: its own, or COMMAND_CANCEL (C5)."
-  @spec cancel(Step.t(), Vehicle.t()) :: [struct()]
+  @doc "The messages that cancel a step: its own, or COMMAND_CANCEL (C5); the reason if nothing does."
+  @spec cancel(Step.t(), Vehicle.t()) :: [struct()] | {:error, String.t()}
+  def cancel(%Step{cancel: {:never, reason}}, _vehicle), do: {:error, reason}
+
   def cancel(%Step{cancel: nil, acked?: true} = step, vehicle),
     do: encode_form({:message, %M.CommandCancel{command: command(step)}}, step, vehicle)
 

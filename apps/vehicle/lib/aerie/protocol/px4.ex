@@ -175,7 +175,7 @@ defmodule Aerie.Protocol.Px4 do
     ]
 
   defp special("save_params", _params, _vehicle), do: [Mavlink.long(:MAV_CMD_PREFLIGHT_STORAGE, %{1 => 1})]
-  defp special("calibrate" <> _what = type, params, _vehicle), do: Calibration.steps(type, params)
+  defp special("calibrate" <> _what = type, params, vehicle), do: Calibration.steps(type, params, vehicle)
 
   defp special("setpoint_position", params, vehicle) do
     with {:ok, msl} <- amsl(params, vehicle), do: Streams.position(params, @amsl, msl)
@@ -229,7 +229,7 @@ defmodule Aerie.Protocol.Px4 do
     do: Commands.read(step, message, source, vehicle, Calibration, @long_frames)
 
   @impl true
-  def listens(step), do: Commands.listens(step)
+  def listens(step), do: Commands.listens(step) ++ Calibration.listens(step)
 
   @impl true
   def param_encoding, do: :bytewise

@@ -15,6 +15,8 @@ defmodule Aerie.Protocol.Step do
     :watch,
     :stream,
     :cancel,
+    :ends,
+    :holds,
     repeat: :safe,
     acked?: true,
     urgent?: false,
@@ -36,7 +38,10 @@ defmodule Aerie.Protocol.Step do
     * `:confirm`, `:within_ms` - the condition that shows that it was done, and how long that may take after the acceptance
     * `:watch` - for the adapter: which texts and messages report its progress and end
     * `:stream` - it is repeated at `hz` for `ms`, then `release` is sent; the vehicle answers none of these
-    * `:cancel` - the message that cancels it; nil: it cannot be cancelled
+    * `:cancel` - the message that cancels it, sent again until the vehicle says something; nil: MAVLink's COMMAND_CANCEL;
+      `{:never, reason}`: nothing does
+    * `:ends` - the key of steps in flight that the vehicle ends because of this one
+    * `:holds` - what the vehicle is busy with from the acceptance until it tells the end (`busy_with` in `Aerie.Protocol.Vehicle`)
   """
   @type t :: %__MODULE__{
           key: term(),
@@ -51,7 +56,9 @@ defmodule Aerie.Protocol.Step do
           within_ms: pos_integer(),
           watch: term(),
           stream: %{hz: pos_integer(), ms: pos_integer(), release: form() | nil} | nil,
-          cancel: form() | nil
+          cancel: form() | {:never, String.t()} | nil,
+          ends: term(),
+          holds: String.t() | nil
         }
 
   @typedoc "Only the adapter knows what it means."

@@ -21,6 +21,7 @@ defmodule Aerie.Protocol.Vehicle do
     :home,
     :mission_seq,
     :booted_at,
+    :busy_with,
     component: 1,
     us: {237, 191},
     mode_names: %{},
@@ -41,6 +42,7 @@ defmodule Aerie.Protocol.Vehicle do
     * `:arming_checks` - names of the checks that keep it from being armed, if it reports them (PX4)
     * heights in metres, `:heading` in degrees from north; `:home` with `lat`, `lon`, `alt_msl`
     * `:boots` - how many reboots were observed; `:booted_at` - when the last one was, by its own clock, in the time of `:seen`
+    * `:busy_with` - what it accepted and has not told the end of: the sensor that it calibrates
     * `:seen` - when each group was last heard, in the time of the frames (microseconds)
   """
   @type t :: %__MODULE__{
@@ -65,6 +67,7 @@ defmodule Aerie.Protocol.Vehicle do
           mission_seq: non_neg_integer() | nil,
           boots: non_neg_integer(),
           booted_at: integer() | nil,
+          busy_with: String.t() | nil,
           seen: %{group() => integer()}
         }
 

@@ -108,7 +108,8 @@ defmodule Aerie.Command.Types.Maintenance do
       %Type{
         name: "calibrate_cancel",
         group: :maintenance,
-        meaning: "Ends a calibration without a result.",
+        meaning:
+          "Ends a calibration without a result. ArduPilot cannot end that of the accelerometer, and stores what that of compass and motors has found until then.",
         permission: :maintain
       }
     ]

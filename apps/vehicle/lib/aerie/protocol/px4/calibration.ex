@@ -6,34 +6,52 @@ defmodule Aerie.Protocol.Px4.Calibration do
 
   alias Aerie.Protocol.{Mavlink, Step, Vehicle}
   alias Aerie.Protocol.Mavlink.Commands
-  alias MavCodec.Enums.MavCmd
+  alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages, as: M
 
   @lasts_ms 300_000
+  @preflight MavCmd.value(:MAV_CMD_PREFLIGHT_CALIBRATION)
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @busy MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
 
   @doc "The steps of `calibrate` and `calibrate_cancel`."
-  @spec steps(String.t(), map()) :: [Step.t()] | {:error, String.t()}
-  def steps("calibrate", %{sensor: "compass_motor"}),
+  @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:error, String.t()}
+  def steps("calibrate", %{sensor: "compass_motor"}, _vehicle),
     do: {:error, "PX4 has no calibration of compass and motors"}
 
   # PX4 sends no texts about these.
-  def steps("calibrate", %{sensor: sensor}) when sensor in ["rc", "barometer"],
+  def steps("calibrate", %{sensor: sensor}, _vehicle) when sensor in ["rc", "barometer"],
     do: [Commands.preflight(sensor, [])]
 
-  def steps("calibrate", %{sensor: sensor}) do
+  def steps("calibrate", %{sensor: sensor}, _vehicle) do
     [
       Commands.preflight(sensor,
         confirm: :told,
         watch: :texts,
         within_ms: @lasts_ms,
-        cancel: {:long, MavCmd.value(:MAV_CMD_PREFLIGHT_CALIBRATION), [0, 0, 0, 0, 0, 0, 0]}
+        cancel: {:long, @preflight, [0, 0, 0, 0, 0, 0, 0]}
       )
     ]
   end
 
-  # It must not wait for the calibration that it cancels.
-  def steps("calibrate_cancel", _params),
-    do: [Mavlink.long(:MAV_CMD_PREFLIGHT_CALIBRATION, %{}, urgent?: true)]
+  # The worker of a calibration looks for it between two readings, and then at the last command only that came
+  # (calibrate_cancel_check in calibration_routines.cpp): it is sent until a text says that it was seen. It does not wait for
+  # the calibration that it cancels.
+  def steps("calibrate_cancel", _params, %{armed: true}),
+    do: {:error, "it is armed, and PX4 calibrates nothing then"}
+
+  def steps("calibrate_cancel", _params, _vehicle) do
+    [
+      Mavlink.long(:MAV_CMD_PREFLIGHT_CALIBRATION, %{},
+        key: {nil, :calibrate_cancel},
+        ends: {nil, {:command, @preflight}},
+        acked?: false,
+        confirm: :told,
+        watch: :cancel,
+        answer_ms: 3_000
+      )
+    ]
+  end
 
   @doc "What a text says about the calibration under way."
   @spec read(Step.t(), struct(), Aerie.Protocol.source(), Vehicle.t()) :: Aerie.Protocol.answer()
@@ -49,7 +67,34 @@ defmodule Aerie.Protocol.Px4.Calibration do
     end
   end
 
+  def read(%Step{watch: :cancel}, %M.Statustext{text: "[cal] calibration " <> text}, {system, _component}, %{
+        system: system
+      }) do
+    if String.starts_with?(text, ["cancelled", "done", "failed"]), do: :done, else: :ignore
+  end
+
+  # Commander accepts it if nothing is calibrated, and is busy while something is; the text comes later.
+  def read(%Step{watch: :cancel}, %M.CommandAck{command: @preflight} = ack, {system, _component}, %{
+        system: system
+      }) do
+    case ack.result do
+      @accepted ->
+        :done
+
+      @busy ->
+        :ignore
+
+      other ->
+        {:refused, :rejected, "the vehicle answered #{MavResult.label(other) || "with result #{other}"}"}
+    end
+  end
+
   def read(_step, _message, _source, _vehicle), do: :ignore
+
+  @doc "The ids of the messages that `read/4` wants besides texts."
+  @spec listens(Step.t()) :: [non_neg_integer()]
+  def listens(%Step{watch: :cancel}), do: [M.CommandAck.id()]
+  def listens(_step), do: []
 
   defp share(percent) do
     case Integer.parse(percent) do

@@ -228,10 +228,13 @@ defmodule Aerie.Vehicle.Commands.Core do
       [] ->
         {core, [{:not_cancelled, Job.id(job), "it cannot be cancelled"} | actions]}
 
+      {:error, reason} ->
+        {core, [{:not_cancelled, Job.id(job), reason} | actions]}
+
       messages ->
         # Where it is cancelled by the command itself, the answers to both look alike.
         ambiguous? = job.ambiguous? or Job.step(job).cancel != nil
-        job = %{job | phase: :cancelling, ambiguous?: ambiguous?, due: now + Timing.cancel()}
+        job = %{job | phase: :cancelling, ambiguous?: ambiguous?, cancels: 1, due: now + Timing.cancel()}
         {core, actions} = Steps.keep(acc, job)
         {core, [{:send, messages, Job.id(job)} | actions]}
     end

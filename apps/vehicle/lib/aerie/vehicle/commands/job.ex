@@ -37,6 +37,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     phase: :queued,
     sends: 0,
     all_sends: 0,
+    cancels: 0,
     done: 0
   ]
 
@@ -58,7 +59,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     * `:before` - whether the state showed it before it was sent; nil: not known
     * `:refusal` - what a repetition was answered, or what its result will be in the phase `:refused`
     * `:ambiguous?` - a late answer to another command of the same key may be taken for one to this
-    * `:sends` - of this step, `:all_sends` of the command; `:done` - how many steps are behind it
+    * `:sends` - of this step, `:all_sends` of the command; `:cancels` - how often it was asked to cease; `:done` - how many steps are behind it
   """
   @type t :: %__MODULE__{
           command: Command.t(),
@@ -76,6 +77,7 @@ defmodule Aerie.Vehicle.Commands.Job do
           phase: phase(),
           sends: non_neg_integer(),
           all_sends: non_neg_integer(),
+          cancels: non_neg_integer(),
           done: non_neg_integer()
         }
 

@@ -83,10 +83,23 @@ defmodule Aerie.Vehicle.Commands.Steps do
     step = Job.step(job)
     messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
-    acc = {put(core, job), [{:send, messages, Job.id(job)} | actions]}
+    acc = {core |> ceasing(step, now) |> put(job), [{:send, messages, Job.id(job)} | actions]}
 
     # Nothing will ever be heard of it.
     if step.acked? or step.confirm != nil, do: acc, else: step_done(acc, job, :accepted, nil, now)
+  end
+
+  # What this step ends is waited for: the vehicle's last word about it counts, and its answers to this one do not.
+  defp ceasing(core, %{ends: nil}, _now), do: core
+
+  defp ceasing(core, %{ends: key}, now) do
+    for {_id, job} <- core.jobs,
+        Job.key(job) == key,
+        Job.sent?(job),
+        job.phase not in [:refused, :cancelling],
+        reduce: core do
+      core -> put(core, %{job | phase: :cancelling, ambiguous?: true, due: now + Timing.ended()})
+    end
   end
 
   defp patience(core, %{repeat: :safe} = step), do: Timing.answer(core.rtt, step.answer_ms * 1000)
@@ -116,6 +129,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
         step_done(acc, %{job | accepted_at: now}, :accepted, nil, now)
 
       step ->
+        acc = busy_with(acc, step.holds)
         phase = if job.phase == :cancelling, do: :cancelling, else: :accepted
         due = if phase == :cancelling, do: job.due, else: now + step.within_ms * 1000
         job = %{job | phase: phase, accepted_at: now, due: due}
@@ -157,14 +171,23 @@ defmodule Aerie.Vehicle.Commands.Steps do
     end
   end
 
-  def answer(acc, job, {:failed, reason}, now), do: finish(acc, job, {:failed, reason}, now)
-  def answer(acc, job, :cancelled, now), do: finish(acc, job, {:cancelled, "the vehicle stopped"}, now)
-  def answer(acc, job, :done, now), do: step_done(acc, job, :completed, nil, now)
+  def answer(acc, job, {:failed, reason}, now), do: acc |> idle(job) |> finish(job, {:failed, reason}, now)
+
+  def answer(acc, job, :cancelled, now),
+    do: acc |> idle(job) |> finish(job, {:cancelled, "the vehicle stopped"}, now)
+
+  def answer(acc, job, :done, now), do: acc |> idle(job) |> step_done(job, :completed, nil, now)
 
   def answer({core, _actions} = acc, job, {:instead, step}, now) do
     steps = [%{step | repeat: Job.step(job).repeat} | tl(job.steps)]
     keep(acc, %{job | phase: :instead, steps: steps, due: now + Timing.quiet(core.rtt)})
   end
+
+  defp busy_with(acc, nil), do: acc
+  defp busy_with({core, actions}, what), do: {put_in(core.vehicle.busy_with, what), actions}
+
+  defp idle(acc, %{steps: [%{holds: nil} | _others]}), do: acc
+  defp idle({core, actions}, _job), do: {put_in(core.vehicle.busy_with, nil), actions}
 
   # ArduPilot says why in texts, PX4 in reports and texts: before the acknowledgement or after it.
   defp explain({core, _actions} = acc, job, refusal, now) do
@@ -197,7 +220,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
   @doc "The vehicle has booted. What was in flight may have been done or lost; nothing is as it was when the others were given."
   @spec rebooted(Core.acc(), now :: integer()) :: Core.acc()
   def rebooted({core, actions}, now) do
-    acc = {%{core | repeater: Repeater.new()}, actions}
+    acc = {put_in(%{core | repeater: Repeater.new()}.vehicle.busy_with, nil), actions}
 
     each(acc, fn _all -> true end, fn acc, job ->
       cond do
@@ -252,6 +275,14 @@ defmodule Aerie.Vehicle.Commands.Steps do
     if now < job.until,
       do: transmit(acc, %{job | sends: 0}, now),
       else: finish(acc, job, {:expired, "its deadline passed before it could be sent in the other form"}, now)
+  end
+
+  # PX4 looks for a cancellation from time to time, and then at the last command only that it got.
+  def due({core, actions}, %{phase: :cancelling, cancels: sent} = job, now)
+      when sent in 1..4 and not is_nil(hd(job.steps).cancel) do
+    messages = core.protocol.cancel(Job.step(job), core.vehicle)
+    job = %{job | cancels: sent + 1, due: now + Timing.cancel()}
+    {put(core, job), [{:send, messages, Job.id(job)} | actions]}
   end
 
   def due(acc, %{phase: :cancelling} = job, now),

@@ -16,6 +16,7 @@ defmodule Aerie.Vehicle.Commands.Timing do
   # Two heartbeats and a little.
   @observe 2_500 * @ms
   @cancel 5 * @second
+  @ended 20 * @second
 
   @type rtt :: non_neg_integer() | nil
 
@@ -55,6 +56,10 @@ defmodule Aerie.Vehicle.Commands.Timing do
 
   @spec cancel() :: pos_integer()
   def cancel, do: @cancel
+
+  @doc "How long to wait for the last word about what another command ends."
+  @spec ended() :: pos_integer()
+  def ended, do: @ended
 
   defp measured(nil), do: @unmeasured
   defp measured(us) when is_integer(us), do: us

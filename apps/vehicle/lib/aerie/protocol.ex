@@ -20,7 +20,7 @@ defmodule Aerie.Protocol do
   What a message says about a step:
 
     * `:ignore` - nothing
-    * `:accepted` - the vehicle will try (C3)
+    * `:accepted` - the vehicle will try (C3); `{:accepted, reason}`: nothing more will come
     * `{:progress, share, text}` - under way; the share is 0..1, and both may be nil (C4)
     * `{:refused, :rejected | :failed, reason}` - the vehicle refuses, or could not do it
     * `{:failed, reason}` - the vehicle tried, and its texts say why it failed
@@ -32,6 +32,7 @@ defmodule Aerie.Protocol do
   @type answer ::
           :ignore
           | :accepted
+          | {:accepted, String.t()}
           | {:progress, float() | nil, String.t() | nil}
           | {:refused, :rejected | :failed, String.t()}
           | {:failed, String.t()}

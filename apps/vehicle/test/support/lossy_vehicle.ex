@@ -436,7 +436,7 @@ defmodule Aerie.LossyVehicle do
     able = %{
       vehicle
       | mode: nil,
-        armed: true,
+        armed: command.type != "calibrate_cancel",
         in_air: true,
         home: vehicle.home || %{lat: 0.0, lon: 0.0, alt_msl: 0.0}
     }

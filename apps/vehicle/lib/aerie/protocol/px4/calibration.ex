@@ -12,7 +12,6 @@ defmodule Aerie.Protocol.Px4.Calibration do
   @lasts_ms 300_000
   @preflight MavCmd.value(:MAV_CMD_PREFLIGHT_CALIBRATION)
   @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
-  @busy MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
 
   @doc "The steps of `calibrate` and `calibrate_cancel`."
   @spec steps(String.t(), map(), Vehicle.t()) :: [Step.t()] | {:error, String.t()}
@@ -73,20 +72,11 @@ defmodule Aerie.Protocol.Px4.Calibration do
     if String.starts_with?(text, ["cancelled", "done", "failed"]), do: :done, else: :ignore
   end
 
-  # Commander accepts it if nothing is calibrated, and is busy while something is; the text comes later.
+  # Commander accepts it if nothing is calibrated, and answers TEMPORARILY_REJECTED while something is; the text comes later.
   def read(%Step{watch: :cancel}, %M.CommandAck{command: @preflight} = ack, {system, _component}, %{
         system: system
       }) do
-    case ack.result do
-      @accepted ->
-        :done
-
-      @busy ->
-        :ignore
-
-      other ->
-        {:refused, :rejected, "the vehicle answered #{MavResult.label(other) || "with result #{other}"}"}
-    end
+    if ack.result == @accepted, do: {:accepted, "it calibrated nothing"}, else: :ignore
   end
 
   def read(_step, _message, _source, _vehicle), do: :ignore

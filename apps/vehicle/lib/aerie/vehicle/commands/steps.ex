@@ -139,6 +139,9 @@ defmodule Aerie.Vehicle.Commands.Steps do
 
   def answer(acc, _job, :accepted, _now), do: acc
 
+  def answer(acc, job, {:accepted, reason}, now),
+    do: step_done(acc, %{job | accepted_at: now}, :accepted, reason, now)
+
   def answer({core, actions}, job, {:progress, share, text}, now) do
     progress = {:progress, Job.id(job), %{"progress" => share, "text" => text}}
 

@@ -142,7 +142,7 @@ defmodule Aerie.Vehicle.Commands.CalibrationTest do
 
       {core, [_sent]} = submit(core(:px4), "calibrate_cancel", 1)
       {_core, actions} = ack(core, 0, @second)
-      assert results(actions) == [{"calibrate_cancel", :completed}]
+      assert results(actions) == [{"calibrate_cancel", :accepted}]
 
       {core, _actions} = Core.handle(core(:px4), {:observed, %{armed: true}, [:mode], 1})
       {_core, actions} = submit(core, "calibrate_cancel", 2)

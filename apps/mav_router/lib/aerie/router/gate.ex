@@ -21,7 +21,8 @@ defmodule Aerie.Router.Gate do
 
   A vehicle on a link by which its sender counts as a client is judged as such when it commands: saying a vehicle's heartbeat costs
   nothing, and a router on this machine brings vehicles and ground stations by one endpoint. Not judged is what it says to
-  ground stations, and to its own system while no other endpoint has an autopilot of that id.
+  ground stations, to this gateway (the items of a plan that is read are orders, too), and to its own system while no other
+  endpoint has an autopilot of that id.
   """
 
   import Aerie.Mavlink.Heartbeat, only: [is_station: 1]
@@ -38,6 +39,7 @@ defmodule Aerie.Router.Gate do
   alias Aerie.Router.Renumber
   alias Aerie.Router.Routes
   alias Aerie.Router.StreamRequests
+  alias Aerie.Router.Tables
   alias Aerie.Store
   alias MavCodec.Frame
 
@@ -218,7 +220,12 @@ defmodule Aerie.Router.Gate do
 
   defp own?(:all, _frame, %{source: source}), do: source.collided
   defp own?({system, _component}, %{system: system}, delivery), do: not elsewhere?(system, delivery)
-  defp own?({system, _component}, _frame, delivery), do: station?(system, delivery)
+
+  defp own?({system, _component}, _frame, delivery),
+    do: gateway?(system, delivery) or station?(system, delivery)
+
+  defp gateway?(system, %{tables: tables}),
+    do: match?({^system, _component}, Tables.setting(tables, :own, nil))
 
   # A vehicle has two links, or somebody has taken its id.
   defp elsewhere?(system, %{tables: tables, path: path, forwarding: %{paths: paths}}) do

@@ -125,6 +125,33 @@ defmodule Aerie.Router.GatePolicyTest do
     assert snapshot(c.gateway, "gcs").counters.denied == 2
   end
 
+  test "W: a plan that a vehicle on this machine sends is no order to the gateway, nor to a ground station" do
+    gateway = start_parts(%{mavlink: %{system_id: 237, component_id: 191}}, options: [policy: Odd])
+    :persistent_term.put({Odd, gateway}, self())
+    on_exit(fn -> :persistent_term.erase({Odd, gateway}) end)
+    {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
+    [one, _two] = for system <- [1, 2], do: vehicle(gateway, port, system)
+
+    for {target, component} <- [{237, 191}, {237, 190}, {255, 190}] do
+      say_as(one, %M.MissionItemInt{
+        target_system: target,
+        target_component: component,
+        frame: 0,
+        command: 16,
+        z: 50.0
+      })
+
+      say_as(one, %M.MissionCount{target_system: target, target_component: component, count: 1})
+    end
+
+    # Another vehicle's plan is judged.
+    say_as(one, %M.MissionItemInt{target_system: 2, target_component: 1, frame: 0, command: 16, z: 50.0})
+    assert_receive {:asked, _sender, {"main", 2}, %M.MissionItemInt{}}
+    refute_received {:asked, _sender, _vehicle, _message}
+  end
+
+  defp say_as(socket, message), do: say(socket, MavCodec.encode(message, system: 1, component: 1))
+
   test "it is asked for each vehicle of a command to all, and refusing it for one refuses it for all", c do
     gcs = client(c)
     say(gcs, %M.CommandLong{command: 403})

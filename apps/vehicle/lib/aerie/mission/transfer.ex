@@ -234,25 +234,35 @@ defmodule Aerie.Mission.Transfer do
 
   defp due({t, actions}, now) do
     case Retry.again(t.retry, now) do
-      {:again, retry} -> repeat({%{t | retry: retry}, actions})
+      {:again, retry} -> repeat({%{t | retry: retry}, actions}, now)
       :give_up -> silent({t, actions}, now)
     end
   end
 
-  defp repeat({%{phase: :writing} = t, actions}) do
+  defp repeat({%{phase: :writing} = t, actions}, _now) do
     {part, message} = Write.again(t.part, t.retry.tries)
     send_it({%{t | part: part}, actions}, message)
   end
 
-  defp repeat({t, _actions} = acc), do: send_it(acc, Read.request(t.part))
+  # A vehicle that has ended the transfer ignores requests for items.
+  defp repeat({t, actions} = acc, now) do
+    case Retry.stalled?(t.retry, now) && Read.begin_again(t.part) do
+      {:ok, part} ->
+        t = %{t | part: part, retry: Retry.sent(t.retry, :first, now)}
+        send_it({t, actions}, Read.request(part))
+
+      :too_often ->
+        finish(acc, Outcome.stalled(t.op, t.cause), now)
+
+      _answers_or_not_begun ->
+        send_it(acc, Read.request(t.part))
+    end
+  end
 
   defp silent({%{phase: :writing, heard?: false}, _actions} = acc, now),
     do: finish(acc, {:timeout, "the vehicle does not answer", :unknown}, now)
 
-  defp silent({%{phase: :writing}, _actions} = acc, now) do
-    {t, actions} = acc
-    settle({%{t | cause: :silent}, actions}, now)
-  end
+  defp silent({%{phase: :writing} = t, actions}, now), do: settle({%{t | cause: :silent}, actions}, now)
 
   defp silent({%{op: :download}, _actions} = acc, now),
     do: finish(acc, {:timeout, "the vehicle does not answer", :unknown}, now)

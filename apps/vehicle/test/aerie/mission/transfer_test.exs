@@ -314,6 +314,58 @@ defmodule Aerie.Mission.TransferTest do
     assert %{status: :completed, opaque_id: 6, items: [_one]} = result(actions)
   end
 
+  describe "W1: a vehicle that has ended the transfer ignores requests for items" do
+    # Time passes to `at`.
+    defp idle(transfer, at, sent \\ []) do
+      case Transfer.wake_at(transfer) do
+        wake when wake != nil and wake <= at ->
+          {transfer, actions} = Transfer.handle(transfer, {:tick, wake})
+          idle(transfer, at, sent ++ actions)
+
+        _later ->
+          {transfer, sent}
+      end
+    end
+
+    defp begun(transfer, now) do
+      {transfer, actions} = heard(transfer, %M.MissionCount{count: 2}, now)
+      assert [%M.MissionRequestInt{seq: 0}] = sent(actions)
+      transfer
+    end
+
+    test "the plan is read from its start" do
+      {transfer, _list} = transfer(:download)
+      transfer = begun(transfer, 10_000)
+
+      # PX4 after an error acknowledgement of somebody, or after five seconds in which the link lost everything.
+      {transfer, actions} = idle(transfer, 7_000_000)
+
+      assert [%M.MissionRequestList{} | _again] =
+               actions |> sent() |> Enum.reject(&is_struct(&1, M.MissionRequestInt))
+
+      transfer = begun(transfer, 7_100_000)
+      {transfer, [_next]} = heard(transfer, %M.MissionItemInt{seq: 0, command: 16}, 7_200_000)
+      {_transfer, actions} = heard(transfer, %M.MissionItemInt{seq: 1, command: 16}, 7_300_000)
+      assert %{status: :completed, items: [_zero, _one]} = result(actions)
+    end
+
+    test "and, if that happens again and again, the transfer fails with the reason" do
+      {transfer, _list} = transfer(:download, :px4, 0, until: 300_000_000)
+
+      {_transfer, result, at} =
+        Enum.reduce_while(1..10, {transfer, nil, 0}, fn n, {transfer, nil, at} ->
+          {transfer, actions} = transfer |> begun(at + 10_000) |> idle(at + 8_000_000)
+
+          if result(actions),
+            do: {:halt, {transfer, result(actions), n}},
+            else: {:cont, {transfer, nil, at + 8_000_000}}
+        end)
+
+      assert %{status: :timeout, reason: reason} = result
+      assert reason =~ "begun again" and at == 4
+    end
+  end
+
   test "progress is told at most once per per cent" do
     {t, start} = transfer({:upload, items(1000)})
 

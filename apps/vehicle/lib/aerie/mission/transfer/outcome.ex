@@ -75,6 +75,13 @@ defmodule Aerie.Mission.Transfer.Outcome do
     {:unknown, "#{said}, and what it has could not be read back: #{reason}", :unknown}
   end
 
+  @stalls "the vehicle ceased to answer in the middle of it, however often it was begun again"
+
+  @doc "The outcome if reading was begun again and again, and never came to its end."
+  @spec stalled(:upload | :download | :clear, cause() | nil) :: t()
+  def stalled(:download, _cause), do: {:timeout, @stalls, :unknown}
+  def stalled(_change, cause), do: unreadable(cause, @stalls)
+
   @doc "The outcome if the plan is on board. `announced?`: whether the firmware reports that such a plan is valid."
   @spec checked(verdict(), announced? :: boolean()) :: t()
   def checked({_invalid_or_doubtful, reason}, _announced?), do: {:rejected, reason, :new}

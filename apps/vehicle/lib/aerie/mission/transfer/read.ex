@@ -55,6 +55,15 @@ defmodule Aerie.Mission.Transfer.Read do
   @spec stop(t()) :: struct()
   def stop(read), do: addressed(%M.MissionAck{type: Enum.at(@stale, 1)}, read)
 
+  @doc """
+  Begins again, because the vehicle does not answer any more: it may have ended the transfer. `:too_often` if that was done before;
+  `:not_begun` before it was asked for an item.
+  """
+  @spec begin_again(t()) :: {:ok, t()} | :too_often | :not_begun
+  def begin_again(%{count: nil}), do: :not_begun
+  def begin_again(%{restarts: @restarts}), do: :too_often
+  def begin_again(read), do: {:ok, fresh(read)}
+
   @doc "Handles a message of the vehicle to the reader."
   @spec handle(t(), struct()) :: outcome()
   def handle(%{type: type, count: nil} = read, %M.MissionCount{mission_type: type} = m), do: begin(read, m)
@@ -106,8 +115,9 @@ defmodule Aerie.Mission.Transfer.Read do
   defp restart(%{restarts: @restarts}, _fun),
     do: {:refused, "the plan changed again and again while it was read"}
 
-  defp restart(read, fun),
-    do: fun.(%{read | count: nil, opaque_id: nil, next: 0, items: [], restarts: read.restarts + 1})
+  defp restart(read, fun), do: read |> fresh() |> fun.()
+
+  defp fresh(read), do: %{read | count: nil, opaque_id: nil, next: 0, items: [], restarts: read.restarts + 1}
 
   defp addressed(message, %{target: {system, component}, type: type}),
     do: %{message | target_system: system, target_component: component, mission_type: type}

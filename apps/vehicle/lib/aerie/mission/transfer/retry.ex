@@ -14,6 +14,7 @@ defmodule Aerie.Mission.Transfer.Retry do
   @longest 30_000_000
   @own_repetition 900_000
   @retries 5
+  @stall 6_000_000
   @silence 15_000_000
 
   defstruct [:srtt, :var, :sent_at, :since, :due, kind: :first, tries: 0]
@@ -54,6 +55,10 @@ defmodule Aerie.Mission.Transfer.Retry do
   end
 
   def heard(retry, now), do: %{retry | since: now}
+
+  @doc "Whether nothing was heard for so long that the other side has ended the transfer by itself: PX4 does after five seconds."
+  @spec stalled?(t(), integer()) :: boolean()
+  def stalled?(retry, now), do: now - retry.since >= max(@stall, 5 * timeout(retry))
 
   @doc "For how long messages under way may still arrive."
   @spec quiet(t()) :: pos_integer()

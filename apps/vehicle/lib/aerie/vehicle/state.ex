@@ -82,6 +82,7 @@ defmodule Aerie.Vehicle.State do
             standard_modes: %{},
             modes_seq: nil,
             landed: nil,
+            quadplane: false,
             high_latency: false,
             groups: %{},
             sources: %{}
@@ -101,6 +102,7 @@ defmodule Aerie.Vehicle.State do
           standard_modes: %{String.t() => non_neg_integer()},
           modes_seq: 0..255 | nil,
           landed: {integer(), at :: integer()} | nil,
+          quadplane: boolean(),
           high_latency: boolean(),
           groups: %{group() => entry()},
           sources: %{non_neg_integer() => integer()}
@@ -193,7 +195,17 @@ defmodule Aerie.Vehicle.State do
   end
 
   # What the next message needs besides the groups.
-  @memory [:landed, :sources, :boot_ms, :high_latency, :base_mode, :mode_names, :standard_modes, :modes_seq]
+  @memory [
+    :landed,
+    :quadplane,
+    :sources,
+    :boot_ms,
+    :high_latency,
+    :base_mode,
+    :mode_names,
+    :standard_modes,
+    :modes_seq
+  ]
 
   @doc "What a snapshot keeps for `restore/1` besides what it shows."
   @spec memory(t()) :: map()

@@ -344,8 +344,8 @@ defmodule Aerie.Mission.TransferTest do
                actions |> sent() |> Enum.reject(&is_struct(&1, M.MissionRequestInt))
 
       transfer = begun(transfer, 7_100_000)
-      {transfer, [_next]} = heard(transfer, %M.MissionItemInt{seq: 0, command: 16}, 7_200_000)
-      {_transfer, actions} = heard(transfer, %M.MissionItemInt{seq: 1, command: 16}, 7_300_000)
+      {transfer, _next} = heard(transfer, Item.message(hd(items(1)), 0, 0, @us), 7_200_000)
+      {_transfer, actions} = heard(transfer, Item.message(hd(items(1)), 1, 0, @us), 7_300_000)
       assert %{status: :completed, items: [_zero, _one]} = result(actions)
     end
 

@@ -169,7 +169,7 @@ defmodule Aerie.Vehicle.Core.Frames do
   defp message(core, actions, _link, %{id: @param_value, at: at}, message) do
     case Params.read(message, core.state.autopilot) do
       {:ok, value} ->
-        fence_param(
+        learn(
           {Services.param(core, value), add_param(actions, at, core.state.boot_ms, value)},
           value,
           at
@@ -200,12 +200,16 @@ defmodule Aerie.Vehicle.Core.Frames do
   end
 
   # See `State.Power`: the parameter may come before the SYS_STATUS that shows it.
-  defp fence_param({core, actions}, {"FENCE_ENABLE", off, _index}, at) when off == 0 do
+  defp learn({core, actions}, {"FENCE_ENABLE", off, _index}, at) when off == 0 do
     state = State.put(core.state, :mission, State.Plan.fence_unknown(), at)
     Effects.check_digest(%{core | state: state}, actions, at)
   end
 
-  defp fence_param(acc, _value, _at), do: acc
+  # Without EXTENDED_SYS_STATE, which comes on request only.
+  defp learn({core, actions}, {"Q_ENABLE", on, _index}, _at) when on != 0,
+    do: {%{core | state: struct!(core.state, State.Mode.quadplane(core.state))}, actions}
+
+  defp learn(acc, _value, _at), do: acc
 
   # Parameters of one read are one observation: a list of a thousand is not a thousand steps.
   defp add_param(

@@ -25,15 +25,29 @@ defmodule Aerie.Vehicle.State.Mode do
   # Both firmwares show an active failsafe by these.
   @failsafe [MavState.value(:MAV_STATE_CRITICAL), MavState.value(:MAV_STATE_EMERGENCY)]
   @max_names 64
+  # QSTABILIZE to QACRO.
+  @q_modes 17..23
   @manages_system GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER)
   @takeover_allowed GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED)
 
   @impl State
   def read(%M.Heartbeat{} = m, state, _at) do
     autopilot = Kind.autopilot(m.autopilot)
-    kind = Kind.name(m.type)
+    named = Kind.name(m.type)
+    # Only a quadplane enters one of these.
+    quadplane =
+      state.quadplane or (autopilot == :ardupilot and named == "plane" and m.custom_mode in @q_modes)
 
-    fields = [autopilot: autopilot, type: m.type, kind: kind, base_mode: m.base_mode, high_latency: false]
+    kind = kind(named, quadplane)
+
+    fields = [
+      autopilot: autopilot,
+      type: m.type,
+      kind: kind,
+      quadplane: quadplane,
+      base_mode: m.base_mode,
+      high_latency: false
+    ]
 
     {fields,
      mode: %{
@@ -45,8 +59,8 @@ defmodule Aerie.Vehicle.State.Mode do
      }}
   end
 
-  def read(%M.ExtendedSysState{} = m, _state, at) do
-    {[landed: {m.landed_state, at}],
+  def read(%M.ExtendedSysState{} = m, state, at) do
+    {[{:landed, {m.landed_state, at}} | if(m.vtol_state == 0, do: [], else: quadplane(state))],
      mode: %{
        landed_state: known(MavLandedState, m.landed_state),
        vtol_state: known(MavVtolState, m.vtol_state)
@@ -71,6 +85,15 @@ defmodule Aerie.Vehicle.State.Mode do
   def read(%M.CurrentMode{}, _state, _at), do: {[], []}
   def read(%M.AvailableModesMonitor{seq: seq}, %{modes_seq: seq}, _at), do: {[], []}
   def read(%M.AvailableModesMonitor{seq: seq}, _state, _at), do: {[modes_seq: seq, standard_modes: %{}], []}
+
+  @doc "It has rotors besides its wings, as its parameter, its state or a mode say: ArduPlane's heartbeat says FIXED_WING unless Q_MAV_TYPE is set."
+  @spec quadplane(State.t()) :: keyword()
+  def quadplane(%{quadplane: true}), do: []
+  def quadplane(%{autopilot: :ardupilot, kind: "plane" = kind}), do: [quadplane: true, kind: kind(kind, true)]
+  def quadplane(_state), do: []
+
+  defp kind("plane", true), do: "vtol"
+  defp kind(kind, _quadplane), do: kind
 
   defp standard_modes(%{standard_mode: 0}, known), do: known
 

@@ -219,6 +219,11 @@ defmodule SimVehicle.Simulation do
     end)
   end
 
+  # ArduPilot does not speak of its logs while it is armed (AP_Logger::should_handle_log_message).
+  defp other(%{armed: true, plans: %{style: :ardupilot}} = vehicle, %module{}, _source)
+       when module in [M.LogRequestList, M.LogRequestData, M.LogRequestEnd],
+       do: vehicle
+
   defp other(vehicle, message, source) do
     case Logs.handle(vehicle.logs, message) do
       nil -> vehicle.personality.message(vehicle, message, source)

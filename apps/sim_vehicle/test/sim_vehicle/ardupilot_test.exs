@@ -33,6 +33,12 @@ defmodule SimVehicle.ArdupilotTest do
     end
   end
 
+  test "its logs are not listed while it is armed" do
+    request = %M.LogRequestList{target_system: 1, target_component: 1, start: 0, end: 0xFFFF}
+    assert [%M.LogEntry{}] = :ardupilot |> ready(logs: ["log"]) |> hear(request) |> sent(M.LogEntry)
+    assert :ardupilot |> flying(20, logs: ["log"]) |> hear(request) |> sent(M.LogEntry) == []
+  end
+
   describe "refusals" do
     test "takeoff while disarmed is 4 FAILED, an unknown command 3 UNSUPPORTED" do
       flight = :ardupilot |> ready() |> takeoff(20) |> command(31_999)

@@ -11,7 +11,7 @@ defmodule Aerie.Logs do
   whether the id is still that of the same log.
   """
 
-  alias Aerie.{Command, Names, Transfers}
+  alias Aerie.{Command, Fleet, Names, Transfers}
   alias Aerie.Command.Result
   alias Aerie.Logs.{Download, List}
   alias Aerie.Transfers.{InOrder, Spool}
@@ -128,9 +128,20 @@ defmodule Aerie.Logs do
       }
 
       {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
-      result
+      silent(result, snapshot)
     end
   end
+
+  # AP_Logger::should_handle_log_message.
+  defp silent({:error, %{status: :timeout} = result}, %{autopilot: :ardupilot} = snapshot) do
+    if Fleet.data(snapshot, :mode)[:armed],
+      do:
+        {:error,
+         %{result | reason: "ArduPilot does not speak of its logs while it is armed: disarm it first"}},
+      else: {:error, result}
+  end
+
+  defp silent(result, _snapshot), do: result
 
   defp refused(options, reason),
     do: {:error, Result.new(options[:id] || Command.id(), :rejected, reason, %{"rule" => "log"})}

@@ -183,7 +183,8 @@ defmodule Aerie.Params do
     {type, options} = Keyword.pop(options, :type)
     {component, options} = Keyword.pop(options, :component)
 
-    with :ok <- check(name, value, component) do
+    with :ok <- check(name, value, component),
+         :ok <- if(component, do: :ok, else: known(gateway, vehicle, [name])) do
       whose = if component, do: %{component: component}, else: %{}
 
       transfer = %{
@@ -217,8 +218,9 @@ defmodule Aerie.Params do
   defp set_all(gateway, vehicle, values, options, remarks) do
     entries = for entry <- values, do: entry(entry)
 
-    with :ok <- check_all(entries) do
-      names = for {name, _value, _type} <- entries, do: name
+    names = for {name, _value, _type} <- entries, do: name
+
+    with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
       change = change(names, %{count: length(entries), digest: digest(entries)})
       change = Map.put(change, :before, fn _snapshot -> &Result.remark(&1, remarks) end)
 
@@ -345,17 +347,30 @@ defmodule Aerie.Params do
 
   defp present(_entries, _table, :skip), do: :ok
 
-  defp present(entries, table, :refuse) do
-    case Enum.reject(entries, &is_map_key(table.params, &1.name)) do
+  defp present(entries, table, :refuse), do: entries |> Enum.map(& &1.name) |> in_table(table)
+
+  # Neither firmware answers for a parameter that it does not have. A name that is not in a list that was read before is looked
+  # up in the list as it is now: a parameter may have been added since.
+  defp known(gateway, vehicle, names) do
+    with {:ok, %{component: component} = snapshot} when component != nil <-
+           Transfers.vehicle(gateway, vehicle),
+         %Table{} = stored <- CacheWriter.stored(gateway, snapshot),
+         {:error, _unknown} <- in_table(names, stored),
+         {:ok, table} <- list(gateway, vehicle) do
+      in_table(names, table)
+    else
+      _not_known_or_all_in_it -> :ok
+    end
+  end
+
+  defp in_table(names, table) do
+    case Enum.reject(names, &is_map_key(table.params, &1)) do
       [] ->
         :ok
 
       missing ->
         {:error,
-         for(
-           entry <- Enum.take(missing, 20),
-           do: Error.new(entry.name, "a parameter of this vehicle", :unknown)
-         )}
+         for(name <- Enum.take(missing, 20), do: Error.new(name, "a parameter of this vehicle", :unknown))}
     end
   end
 end

@@ -56,6 +56,14 @@ defmodule Aerie.TransfersTest do
       assert {:ok, diff} = Params.diff(gateway, "VID-001", table)
       assert [{^name, _old, ^shown}] = diff.changed
 
+      # Neither firmware answers for a parameter that it does not have; the list is known.
+      assert {:error, [%{key: "NO_SUCH"}]} = Params.set(gateway, "VID-001", "NO_SUCH", 1)
+
+      assert {:error, [%{key: "NO_SUCH"}, %{key: "NOR_THIS"}]} =
+               Params.set_all(gateway, "VID-001", for(n <- ["NO_SUCH", name, "NOR_THIS"], do: {n, 9}))
+
+      assert {:ok, %{value: ^shown}} = Params.get(gateway, "VID-001", name)
+
       # What was saved before is loaded again.
       old = table.params[name].value
       text = Params.File.format(table, :params, {1, 1})

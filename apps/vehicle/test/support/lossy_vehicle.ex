@@ -437,7 +437,7 @@ defmodule Aerie.LossyVehicle do
       vehicle
       | mode: nil,
         armed: command.type != "calibrate_cancel",
-        in_air: true,
+        in_air: command.type != "takeoff",
         home: vehicle.home || %{lat: 0.0, lon: 0.0, alt_msl: 0.0}
     }
 

@@ -51,6 +51,9 @@ defmodule Aerie.Protocol.Ardupilot do
   def gap(type, kind) when type in ["mission_start", "mission_pause", "resume"] and kind not in @missions,
     do: "this firmware has no missions"
 
+  def gap("mission_pause", kind) when kind in ["rover", "boat", "sub"],
+    do: "this firmware does not pause a mission: use hold, and then resume"
+
   def gap("orbit", kind) when kind not in @winged,
     do: "only ArduPlane circles around a place that it is told; set_mode CIRCLE does so in front of a copter"
 
@@ -72,6 +75,10 @@ defmodule Aerie.Protocol.Ardupilot do
       steps -> {:ok, steps}
     end
   end
+
+  # Each of these it refuses after the mode was changed, which may have ended a return.
+  defp special("takeoff", _params, %{in_air: true}), do: {:error, "it is in the air"}
+  defp special("takeoff", _params, %{armed: false}), do: {:error, "it is not armed"}
 
   # It takes off in GUIDED only.
   defp special("takeoff", params, vehicle) do
@@ -96,6 +103,9 @@ defmodule Aerie.Protocol.Ardupilot do
   defp special("hold", _params, vehicle), do: mode(Map.fetch!(@hold, vehicle.kind), vehicle)
 
   # A mission that is paused stays in AUTO.
+  defp special("resume", _params, %{mode: "AUTO", kind: kind}) when kind in ["rover", "boat", "sub"],
+    do: {:error, "its mission is not paused: it is in AUTO"}
+
   defp special("resume", _params, %{mode: "AUTO", kind: kind}) when kind not in @winged,
     do: [Mavlink.long(:MAV_CMD_DO_PAUSE_CONTINUE, %{1 => 1})]
 

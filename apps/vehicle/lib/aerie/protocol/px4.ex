@@ -13,7 +13,7 @@ defmodule Aerie.Protocol.Px4 do
   import Bitwise
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
 
-  alias Aerie.Protocol.{Mavlink, Modes, Px4, Vehicle}
+  alias Aerie.Protocol.{Mavlink, Modes, Px4, Step, Vehicle}
   alias Aerie.Protocol.Mavlink.{Commands, Streams}
   alias Aerie.Protocol.Px4.{Calibration, Plans}
   alias MavCodec.Messages, as: M
@@ -66,6 +66,9 @@ defmodule Aerie.Protocol.Px4 do
     end
   end
 
+  # It would end a return or a mission, and fly to the height of take-off.
+  defp special("takeoff", _params, %{in_air: true}), do: {:error, "it is in the air"}
+
   defp special("takeoff", _params, %{armed: armed}) when armed != true,
     do: {:error, "it is not armed, and PX4 would take off as soon as it is: arm it first"}
 
@@ -76,9 +79,15 @@ defmodule Aerie.Protocol.Px4 do
     end
   end
 
+  # Without a position it descends instead.
   defp special("land", _params, _vehicle) do
     here = %{4 => :nan, 5 => :nan, 6 => :nan, 7 => :nan}
-    [Mavlink.long(:MAV_CMD_NAV_LAND, here, confirm: {:any, [{:mode, ["AUTO_LAND"]}, {:in_air, false}]})]
+
+    [
+      Mavlink.long(:MAV_CMD_NAV_LAND, here,
+        confirm: {:any, [{:mode, ["AUTO_LAND", "AUTO_DESCEND"]}, {:in_air, false}]}
+      )
+    ]
   end
 
   defp special("rtl", _params, _vehicle),
@@ -93,7 +102,12 @@ defmodule Aerie.Protocol.Px4 do
 
   # DO_SET_MISSION_CURRENT is not supported.
   defp special("mission_set_current", params, _vehicle),
-    do: [Mavlink.message(%M.MissionSetCurrent{seq: params.seq}, confirm: {:mission_seq, params.seq})]
+    do: [
+      Mavlink.message(%M.MissionSetCurrent{seq: params.seq},
+        confirm: {:mission_seq, params.seq},
+        watch: :mission_current
+      )
+    ]
 
   defp special("set_mode", %{mode: name}, vehicle), do: mode(name, vehicle)
 
@@ -225,6 +239,17 @@ defmodule Aerie.Protocol.Px4 do
   defdelegate release(step, vehicle), to: Mavlink
 
   @impl true
+  # It acknowledges MISSION_SET_CURRENT by this text alone (MavlinkMissionManager::handle_mission_set_current).
+  def read(
+        %Step{watch: :mission_current},
+        %M.Statustext{text: "WPM: WP CURR CMD:" <> _ = text},
+        {system, _id},
+        %{
+          system: system
+        }
+      ),
+      do: {:refused, :rejected, "the vehicle said: " <> text}
+
   def read(step, message, source, vehicle),
     do: Commands.read(step, message, source, vehicle, Calibration, @long_frames)
 

@@ -110,9 +110,11 @@ defmodule Aerie.ProtocolTest do
              message(:ardupilot, "goto", %{lat: 1, lon: 2, altitude: 20, altitude_reference: "terrain"})
 
     assert %{frame: 5, z: 509.566} = message(:px4, "goto", %{lat: 1, lon: 2, altitude: 20})
-    assert %{param7: 20.0} = message(:ardupilot, "takeoff", %{altitude: 20})
-    assert %{param7: 509.566} = message(:px4, "takeoff", %{altitude: 20})
-    assert {:error, "the height of its home" <> _} = steps(:px4, "takeoff", %{altitude: 20}, %{home: nil})
+    assert %{param7: 20.0} = message(:ardupilot, "takeoff", %{altitude: 20}, %{in_air: false})
+    assert %{param7: 509.566} = message(:px4, "takeoff", %{altitude: 20}, %{in_air: false})
+
+    assert {:error, "the height of its home" <> _} =
+             steps(:px4, "takeoff", %{altitude: 20}, %{home: nil, in_air: false})
 
     assert {:error, "it takes no heights" <> _} =
              steps(:px4, "goto", %{lat: 1, lon: 2, altitude: 20, altitude_reference: "terrain"})
@@ -159,7 +161,8 @@ defmodule Aerie.ProtocolTest do
         ],
         do: assert({:error, "it is on the ground"} = steps(:px4, name, params, %{in_air: false}))
 
-    assert {:error, "it is not armed" <> _} = steps(:px4, "takeoff", %{altitude: 5}, %{armed: false})
+    assert {:error, "it is not armed" <> _} =
+             steps(:px4, "takeoff", %{altitude: 5}, %{armed: false, in_air: false})
   end
 
   test "ArduPilot's steps before the last are repeated, the dangerous last one is not" do
@@ -168,7 +171,7 @@ defmodule Aerie.ProtocolTest do
               %Step{repeat: :safe, confirm: {:mode, ["GUIDED"]}},
               %Step{repeat: :never, confirm: {:in_air, true}}
             ]} =
-             steps(:ardupilot, "takeoff", %{altitude: 5}, %{mode: "STABILIZE"})
+             steps(:ardupilot, "takeoff", %{altitude: 5}, %{mode: "STABILIZE", in_air: false})
   end
 
   test "COMMAND_LONG counts its repetitions (C1)" do
@@ -255,6 +258,42 @@ defmodule Aerie.ProtocolTest do
 
     assert [%M.ManualControl{target: 1, x: 500, z: 0}] =
              Protocol.Px4.encode(first(:px4, "manual_control", %{pitch: 0.5}), 0, vehicle(:px4))
+  end
+
+  test "what a take-off would be refused for after its first step is known before it" do
+    for autopilot <- [:ardupilot, :px4], mode <- ["RTL", "GUIDED"] do
+      assert {:error, "it is in the air"} = steps(autopilot, "takeoff", %{altitude: 20}, %{mode: mode})
+      on_ground = %{mode: mode, in_air: false, armed: false}
+      assert {:error, "it is not armed" <> _} = steps(autopilot, "takeoff", %{altitude: 20}, on_ground)
+    end
+
+    # What is not known is left to the vehicle.
+    assert {:ok, [_mode, _takeoff]} =
+             steps(:ardupilot, "takeoff", %{altitude: 20}, %{mode: "RTL", in_air: nil, armed: nil})
+  end
+
+  # Rover's and Sub's GCS_MAVLink know no DO_PAUSE_CONTINUE.
+  test "a rover, a boat and a submarine do not pause; their missions go on by the mode" do
+    for kind <- ~w(rover boat sub) do
+      assert {:gap, "this firmware does not pause" <> _} =
+               steps(:ardupilot, "mission_pause", %{}, %{kind: kind})
+
+      assert {:error, "its mission is not paused" <> _} =
+               steps(:ardupilot, "resume", %{}, %{kind: kind, mode: "AUTO"})
+
+      assert {:ok, [step]} = steps(:ardupilot, "resume", %{}, %{kind: kind, mode: "MANUAL"})
+      assert step.confirm == {:mode, ["AUTO"]}
+    end
+  end
+
+  test "PX4 lands by descending when it has no position, and says in a text that an item is not in its mission" do
+    assert {:any, [{:mode, modes}, {:in_air, false}]} = first(:px4, "land").confirm
+    assert "AUTO_DESCEND" in modes
+    jump = first(:px4, "mission_set_current", %{seq: 99})
+    read = &Protocol.of(:px4).read(jump, %M.Statustext{text: &1}, {1, 1}, vehicle(:px4))
+    assert {:refused, :rejected, reason} = read.("WPM: WP CURR CMD: Not in list")
+    assert reason =~ "Not in list"
+    assert read.("Mission: 3 WP") == :ignore
   end
 
   test "prompts of a calibration, as PX4 and ArduPilot give them" do

@@ -175,7 +175,7 @@ defmodule Aerie.Vehicle.Commands.Core do
         stream({core, actions}, command, step, until, now)
 
       {:ok, steps} ->
-        job = %Job{command: command, until: until, steps: steps, since: now}
+        job = %Job{command: command, until: until, steps: steps, since: now, mode: core.vehicle.mode}
 
         {job, {core, actions}} =
           if hd(steps).urgent?, do: seize({core, actions}, job, now), else: {job, {core, actions}}

@@ -33,6 +33,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     :accepted_at,
     :before,
     :refusal,
+    :mode,
     ambiguous?: false,
     phase: :queued,
     sends: 0,
@@ -57,6 +58,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     * `:until` - the deadline; `:since` - when it was submitted; `:due` - when something has to be done, all in the time of the
       events; `:prolonged` - a time in `:due` that was put off already, because the gateway had stood still
     * `:before` - whether the state showed it before it was sent; nil: not known
+    * `:mode` - the vehicle's mode when it was submitted
     * `:refusal` - what a repetition was answered, or what its result will be in the phase `:refused`
     * `:ambiguous?` - a late answer to another command of the same key may be taken for one to this
     * `:sends` - of this step, `:all_sends` of the command; `:cancels` - how often it was asked to cease; `:done` - how many steps are behind it
@@ -72,6 +74,7 @@ defmodule Aerie.Vehicle.Commands.Job do
           last_sent: integer() | nil,
           accepted_at: integer() | nil,
           before: boolean() | nil,
+          mode: String.t() | nil,
           refusal: {Result.status() | :busy, String.t()} | nil,
           ambiguous?: boolean(),
           phase: phase(),

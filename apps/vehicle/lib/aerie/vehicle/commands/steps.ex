@@ -321,9 +321,19 @@ defmodule Aerie.Vehicle.Commands.Steps do
       if job.done > 0 and status != :expired and reason, do: "step #{job.done + 1}: " <> reason, else: reason
 
     reason = if status in @explained and Job.sent?(job), do: why(core, job, reason), else: reason
+
+    reason =
+      if job.done > 0 and status not in [:completed, :accepted], do: changed(core, job, reason), else: reason
+
     core = %{core | jobs: Map.delete(core.jobs, Job.id(job)), lanes: leave(core.lanes, job, core, now)}
     {core, [{:result, Job.result(job, status, reason, now)} | actions]}
   end
+
+  # What the steps before it have changed.
+  defp changed(%{vehicle: %{mode: now}}, %{mode: before}, reason) when before != nil and now != before,
+    do: "#{reason}; its mode is now #{now}, and was #{before}"
+
+  defp changed(_core, _job, reason), do: reason
 
   # What the vehicle said since the step was sent, in its own words.
   defp why(core, job, reason) do

@@ -132,7 +132,7 @@ defmodule Aerie.Vehicle.Commands.CoreTest do
     test "a gap and a command that cannot be are answered at once, without a word to the vehicle" do
       for {autopilot, name, params, more} <- [
             {:px4, "relay", %{relay: 1, on: true}, %{}},
-            {:px4, "takeoff", %{altitude: 5}, %{armed: false}},
+            {:px4, "takeoff", %{altitude: 5}, %{armed: false, in_air: false}},
             {:ardupilot, "set_mode", %{mode: "NONE"}, %{}}
           ] do
         assert {core, [{:result, %{status: :rejected, reason: reason}}]} =
@@ -287,6 +287,16 @@ defmodule Aerie.Vehicle.Commands.CoreTest do
       {_core, actions} = Core.handle(core, text.("[cal] calibration failed: timeout", 400 * @second))
       assert %{status: :failed, reason: "calibration failed: timeout"} = result(actions)
     end
+  end
+
+  test "a later step that fails says what the earlier ones have changed" do
+    core = core(:ardupilot, %{mode: "RTL", in_air: nil})
+    {core, [_mode]} = submit(core, "takeoff", %{altitude: 20})
+    {core, []} = ack(core, [command: 176], 20 * @ms)
+    {core, [_takeoff]} = observed(core, %{mode: "GUIDED", in_air: true}, 500 * @ms)
+    {_core, actions} = refused(core, [command: 22, result: 4], 600 * @ms)
+    assert %{status: :failed, reason: reason} = result(actions)
+    assert reason =~ "step 2: the vehicle answered FAILED" and reason =~ "its mode is now GUIDED, and was RTL"
   end
 
   describe "cancelling (C5)" do

@@ -1,6 +1,7 @@
 defmodule Aerie.Vehicle.Kind do
   @moduledoc """
   The kind of a vehicle, by MAV_TYPE and MAV_AUTOPILOT of its autopilot's heartbeat, never by the component id (R10).
+  ArduPlane with rotors says FIXED_WING there by default: `Aerie.Vehicle.State.Mode` tells it from its other signs.
   """
 
   alias Aerie.Mavlink.Heartbeat

@@ -13,7 +13,7 @@ defmodule SimVehicle.Ardupilot do
 
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Params, Requests, Setpoints, Telemetry, Vehicle}
-  alias SimVehicle.Ardupilot.{Arming, Boot, Calibration, Commands, Events, Failsafes, Modes}
+  alias SimVehicle.Ardupilot.{Arming, Boot, Calibration, Commands, Events, Failsafes, Modes, Sticks}
   alias SimVehicle.Flight.Mission
 
   @groups %{
@@ -174,13 +174,17 @@ defmodule SimVehicle.Ardupilot do
 
   def message(%{mode: "GUIDED"} = v, %module{} = m, _source)
       when module in [M.SetPositionTargetLocalNed, M.SetPositionTargetGlobalInt] do
-    case Setpoints.goal(v, m, round(Params.get(v.params, "GUID_TIMEOUT") * 1.0e6)) do
+    case Setpoints.whole(v, m, round(Params.get(v.params, "GUID_TIMEOUT") * 1.0e6)) do
       {:ok, goal} when v.airborne and v.armed -> v |> SimVehicle.Flight.go(goal) |> Map.put(:landed, :in_air)
-      _grounded_or_ignored -> v
+      :stop when v.airborne and v.armed -> SimVehicle.Flight.hold(v)
+      _grounded -> v
     end
   end
 
   def message(v, %M.CommandAck{} = m, _source), do: Calibration.acknowledged(v, m)
+  def message(v, %module{} = m, {system, _component}) when module in [M.RcChannelsOverride, M.ManualControl],
+    do: Sticks.take(v, m, system, {"FLTMODE_CH", "FLTMODE"}, &elem(Modes.request(&1, 1, &2), 1))
+
   def message(v, %M.Timesync{} = m, source), do: Requests.timesync(v, m, source)
 
   def message(v, _message, _source), do: v

@@ -3,13 +3,13 @@ defmodule SimVehicle.Options do
   The options of one simulated vehicle, checked once.
   """
 
-  alias SimVehicle.{Ardupilot, Link, Params, Px4}
+  alias SimVehicle.{Ardupilot, Ardurover, Link, Params, Px4}
 
-  @personalities %{ardupilot: Ardupilot, px4: Px4}
-  @ready_s %{ardupilot: 41.4, px4: 4.0}
+  @personalities %{ardupilot: Ardupilot, ardurover: Ardurover, px4: Px4}
+  @ready_s %{ardupilot: 41.4, ardurover: 41.4, px4: 4.0}
 
   @spec_table [
-    firmware: {:ardupilot, "`:ardupilot` or `:px4`"},
+    firmware: {:ardupilot, "`:ardupilot` (a copter), `:ardurover` or `:px4`"},
     link: {"udpout:127.0.0.1:14550", "an address as in `SimVehicle.Link`"},
     system: {1, "MAVLink system id, 1..255"},
     component: {1, "component id, 1..255"},

@@ -212,7 +212,7 @@ defmodule SimVehicle.Px4 do
 
   def message(v, %module{} = m, _source)
       when module in [M.SetPositionTargetLocalNed, M.SetPositionTargetGlobalInt] do
-    case Setpoints.goal(v, m, 60_000_000) do
+    case Setpoints.by_axis(v, m, 60_000_000) do
       {:ok, goal} -> v |> setpoint_heard() |> offboard(goal)
       :ignored -> v
     end

@@ -20,7 +20,11 @@ defmodule SimVehicle.Server do
   @reboot_us 1_000_000
   @boot_bytes_max 4096
 
-  @dialects %{ardupilot: MavCodec.Dialects.Ardupilot, px4: MavCodec.Dialects.Upstream}
+  @dialects %{
+    ardupilot: MavCodec.Dialects.Ardupilot,
+    ardurover: MavCodec.Dialects.Ardupilot,
+    px4: MavCodec.Dialects.Upstream
+  }
 
   defstruct [
     :vehicle,

@@ -17,6 +17,7 @@ defmodule SimVehicle.Vehicle do
   alias SimVehicle.{Battery, Camera, Command, Ftp, Geo, Kinematics, Logs, Params, Plans, Wind}
 
   @later_max 200
+  @override_us 3_000_000
 
   defstruct personality: nil,
             system: 1,
@@ -165,6 +166,15 @@ defmodule SimVehicle.Vehicle do
 
   @doc false
   def put_own(vehicle, key, value), do: %{vehicle | own: Map.put(vehicle.own, key, value)}
+
+  @doc "The pulse width of a channel that a ground station overrides (`:overrides` of its own, with their times), nil for another."
+  @spec overridden(t, 1..18) :: integer | nil
+  def overridden(vehicle, n) do
+    case own(vehicle, :overrides, %{}) do
+      %{^n => {us, at}} when vehicle.now - at < @override_us -> us
+      _pilots -> nil
+    end
+  end
 
   @doc "Seconds since boot."
   @spec seconds(t) :: float

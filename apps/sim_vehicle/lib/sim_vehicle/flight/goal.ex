@@ -3,7 +3,7 @@ defmodule SimVehicle.Flight.Goal do
   What a vehicle can be doing, and the motion that each asks for.
 
   `:off` motors stopped, `:idle` motors turn on the ground, else a map with `do:` one of `:hold`, `:takeoff`, `:goto`,
-  `:velocity`, `:orbit`, `:land`, `:sink`, `:settle`, `:wait` or `:steps` (several in a row). Heights are `d`, metres
+  `:velocity`, `:moving`, `:axes`, `:orbit`, `:land`, `:sink`, `:settle`, `:wait` or `:steps` (several in a row). Heights are `d`, metres
   down of the origin. A goal ends by returning an event and what to do next.
   """
 
@@ -23,9 +23,19 @@ defmodule SimVehicle.Flight.Goal do
   @spec goto(float, float, float, keyword) :: t
   def goto(n, e, d, opts \\ []), do: Map.merge(%{do: :goto, n: n, e: e, d: d, yaw: nil}, Map.new(opts))
 
-  @doc "Keep a velocity (m/s north, east, down) until vehicle time `until`, then hold."
-  @spec velocity({float, float, float}, term, integer) :: t
-  def velocity({vn, ve, vd}, yaw, until), do: %{do: :velocity, vn: vn, ve: ve, vd: vd, yaw: yaw, until: until}
+  @doc "Keep a velocity (m/s north, east, down), to which an acceleration adds since a time, until vehicle time `until`, then hold."
+  @spec velocity({float, float, float}, term, integer, {{float, float, float}, since :: integer}) :: t
+  def velocity({vn, ve, vd}, yaw, until, added),
+    do: %{do: :velocity, vn: vn, ve: ve, vd: vd, yaw: yaw, until: until, added: added}
+
+  @doc "Fly to a place that moves with a velocity until vehicle time `until`."
+  @spec moving({float, float, float}, {float, float, float}, term, since :: integer, until :: integer) :: t
+  def moving(place, velocity, yaw, since, until),
+    do: %{do: :moving, place: place, velocity: velocity, yaw: yaw, since: since, until: until}
+
+  @doc "By axis: a place, a velocity or an acceleration, horizontally and vertically, until vehicle time `until`, then hold."
+  @spec axes(tuple, tuple, term, integer) :: t
+  def axes(xy, z, yaw, until), do: %{do: :axes, xy: xy, z: z, yaw: yaw, until: until}
 
   @doc "Circle around a point, looking at it; `turns` nil = for ever."
   @spec orbit(float, float, float, float, float, float | nil) :: t
@@ -91,11 +101,25 @@ defmodule SimVehicle.Flight.Goal do
     end
   end
 
-  def advance(%{do: :velocity, until: until}, v) when v.now >= until,
+  def advance(%{do: what, until: until}, v) when what in [:velocity, :axes] and v.now >= until,
     do: {:done, :velocity_timeout, hold(v.kin)}
 
-  def advance(%{do: :velocity} = g, v),
-    do: {:cont, g, setpoint(v, {:vel, g.vn, g.ve}, {:vel, g.vd}, g.yaw), []}
+  def advance(%{do: :velocity, added: {{an, ae, ad}, since}} = g, v) do
+    s = (v.now - since) / 1.0e6
+    {:cont, g, setpoint(v, {:vel, g.vn + an * s, g.ve + ae * s}, {:vel, g.vd + ad * s}, g.yaw), []}
+  end
+
+  def advance(%{do: :moving, place: {n, e, d}, velocity: {vn, ve, vd}} = g, v) do
+    s = (min(v.now, g.until) - g.since) / 1.0e6
+    {:cont, g, setpoint(v, {:pos, n + vn * s, e + ve * s}, {:pos, d + vd * s}, g.yaw), []}
+  end
+
+  # An acceleration is the velocity that it leads to within a second.
+  def advance(%{do: :axes} = g, v) do
+    xy = with {:acc, an, ae} <- g.xy, do: {:vel, v.kin.vn + an, v.kin.ve + ae}
+    z = with {:acc, ad} <- g.z, do: {:vel, v.kin.vd + ad}
+    {:cont, g, setpoint(v, xy, z, g.yaw), []}
+  end
 
   def advance(%{do: :orbit, turns: turns, swept: swept} = g, _v)
       when turns != nil and swept >= turns * 6.2832,

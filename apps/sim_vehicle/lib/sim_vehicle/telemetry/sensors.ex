@@ -118,14 +118,14 @@ defmodule SimVehicle.Telemetry.Sensors do
     %M.RcChannels{
       time_boot_ms: Telemetry.boot_ms(v),
       chancount: if(lost?, do: 0, else: 8),
-      chan1_raw: 1500,
-      chan2_raw: 1500,
-      chan3_raw: if(lost?, do: 900, else: 1000),
-      chan4_raw: 1500,
-      chan5_raw: 1800,
-      chan6_raw: 1000,
-      chan7_raw: 1000,
-      chan8_raw: 1800,
+      chan1_raw: Vehicle.overridden(v, 1) || 1500,
+      chan2_raw: Vehicle.overridden(v, 2) || 1500,
+      chan3_raw: Vehicle.overridden(v, 3) || if(lost?, do: 900, else: 1000),
+      chan4_raw: Vehicle.overridden(v, 4) || 1500,
+      chan5_raw: Vehicle.overridden(v, 5) || 1800,
+      chan6_raw: Vehicle.overridden(v, 6) || 1000,
+      chan7_raw: Vehicle.overridden(v, 7) || 1000,
+      chan8_raw: Vehicle.overridden(v, 8) || 1800,
       rssi: if(lost?, do: 0, else: 255)
     }
   end

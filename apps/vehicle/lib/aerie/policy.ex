@@ -68,7 +68,8 @@ defmodule Aerie.Policy do
     battery: Rules.Battery,
     mode: Rules.Mode,
     altitude: Rules.Altitude,
-    geofence: Rules.Geofence
+    geofence: Rules.Geofence,
+    disarmed: Rules.Disarmed
   ]
 
   @type rule ::
@@ -82,6 +83,7 @@ defmodule Aerie.Policy do
           | :mode
           | :altitude
           | :geofence
+          | :disarmed
   @type decision :: :allow | {:deny, rule(), reason :: String.t()}
 
   @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Policy.Rate`)."

@@ -9,7 +9,7 @@ defmodule Aerie.Protocol do
   """
 
   alias Aerie.Command
-  alias Aerie.Command.Types
+  alias Aerie.Command.{Type, Types}
   alias Aerie.Protocol.{Kept, Step, Vehicle}
 
   @type plan :: [Step.t(), ...]
@@ -107,12 +107,22 @@ defmodule Aerie.Protocol do
     case protocol.gap(command.type, vehicle.kind) do
       nil ->
         with {:ok, steps} <- protocol.steps(command, vehicle),
+             :ok <- armed(Command.type(command), vehicle),
              do: {:ok, repeats(steps, Command.type(command).retry)}
 
       reason ->
         {:gap, reason}
     end
   end
+
+  # It would be stored, and the vehicle set off as soon as it is armed.
+  defp armed(type, %{armed: false} = vehicle) do
+    if Type.taken_disarmed?(type, vehicle.autopilot, vehicle.kind),
+      do: :ok,
+      else: {:error, "it is disarmed, and #{type.name} would move it as soon as it is armed: arm it first"}
+  end
+
+  defp armed(_type, _armed), do: :ok
 
   # Steps before the last one, such as a mode, may be repeated.
   defp repeats(steps, retry), do: List.update_at(steps, -1, &%{&1 | repeat: retry})

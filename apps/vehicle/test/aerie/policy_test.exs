@@ -7,6 +7,8 @@ defmodule Aerie.PolicyTest do
   # Sunday, 22 November 2026, 09:30 UTC
   @now DateTime.to_unix(~U[2026-11-22 09:30:00Z], :microsecond)
   @operator %{name: "olga", role: :operator, permissions: []}
+  # Who may move home in flight.
+  @keeper %{@operator | permissions: [:protection]}
   @fence """
   {"type": "Feature", "properties": {"name": "field"},
    "geometry": {"type": "Polygon", "coordinates": [[[8.0, 47.0], [8.02, 47.0], [8.02, 47.02], [8.0, 47.02]],
@@ -312,12 +314,12 @@ defmodule Aerie.PolicyTest do
        {:deny, :altitude, "the target is 130 m above home; at most 120 m is allowed"}},
       {limits, command("setpoint_velocity", %{vx: 0, vy: 0, vz: -35}), context(),
        {:deny, :altitude,
-        "where that velocity leads within 3 s is 125 m above home; at most 120 m is allowed"}},
+        "where that velocity leads before the vehicle stands is 195 m above home; at most 120 m is allowed"}},
       {limits, command("setpoint_velocity", %{vx: 0, vy: 0, vz: -5}), context(), :allow},
       # Who sets home higher would lift the limit.
-      {limits, command("set_home", %{lat: 47, lon: 8, altitude_msl: 700}), context(),
+      {limits, command("set_home", %{lat: 47, lon: 8, altitude_msl: 700}), context(%{}, @keeper),
        {:deny, :altitude, "the new home is 200 m above home; at most 120 m is allowed"}},
-      {limits, command("set_home", %{lat: 47, lon: 8, altitude_msl: 500}), context(), :allow},
+      {limits, command("set_home", %{lat: 47, lon: 8, altitude_msl: 500}), context(%{}, @keeper), :allow},
       {limits, command("land"), context(), :allow},
       {msl, goto(47.0, 8.0, 101), context(),
        {:deny, :altitude, "the target is 601 m above mean sea level; at most 600 m is allowed"}},
@@ -352,10 +354,11 @@ defmodule Aerie.PolicyTest do
        {:deny, :geofence, "a fence applies to takeoff, and the vehicle's position is not known"}},
       {fence, command("takeoff", %{altitude: 50}), context(%{position: %{lat: 47.01, lon: 8.01}}),
        {:deny, :geofence, ~s|the height to climb to 47.010000, 8.010000 is 76 m outside the zone "field"|}},
-      {fence, command("set_home", %{lat: 47.03, lon: 8.001, altitude_msl: 500}), context(),
+      {fence, command("set_home", %{lat: 47.03, lon: 8.001, altitude_msl: 500}), context(%{}, @keeper),
        {:deny, :geofence, ~s|the new home 47.030000, 8.001000 is 1112 m outside the zone "field"|}},
       # Home may be anywhere inside, no way leads there.
-      {fence, command("set_home", %{lat: 47.019, lon: 8.019, altitude_msl: 500}), context(), :allow},
+      {fence, command("set_home", %{lat: 47.019, lon: 8.019, altitude_msl: 500}), context(%{}, @keeper),
+       :allow},
       {fence, command("setpoint_position", %{lat: 47.03, lon: 8.001, altitude: 20}), context(),
        {:deny, :geofence, ~s|the target 47.030000, 8.001000 is 1112 m outside the zone "field"|}},
       {fence, command("setpoint_local", %{north: 50, east: 50, down: -20}), context(), :allow},
@@ -363,14 +366,21 @@ defmodule Aerie.PolicyTest do
        {:deny, :geofence, ~s|the target 46.999653, 8.000500 is 39 m outside the zone "field"|}},
       {fence, command("setpoint_local", %{north: 5, east: 0, down: -20}), without(:home),
        {:deny, :geofence, "a fence applies to setpoint_local, and the vehicle's home is not known"}},
-      # 30 m/s to the west are 90 m in 3 s, and the border is 76 m away; ahead is east.
-      {fence, command("setpoint_velocity", %{vx: 0, vy: -30, vz: 0}), context(),
+      # The border is 76 m to the west. 10 m/s are flown for 1 s by the gateway, 3 s more by the vehicle, and braking takes 33 m.
+      {fence, command("setpoint_velocity", %{vx: 0, vy: -10, vz: 0}), context(),
        {:deny, :geofence,
-        ~s|where that velocity leads within 3 s 47.001000, 7.999815 is 14 m outside the zone "field"|}},
+        ~s|where that velocity leads before the vehicle stands 47.001000, 7.999902 is 7.4 m outside the zone "field"|}},
+      {fence, command("setpoint_velocity", %{vx: 0, vy: -8, vz: 0}), context(), :allow},
+      {fence, command("setpoint_velocity", %{vx: 0, vy: -8, vz: 0, hold: 6}), context(),
+       {:deny, :geofence,
+        ~s|where that velocity leads before the vehicle stands 47.001000, 7.999946 is 4.1 m outside the zone "field"|}},
       {fence, command("setpoint_velocity", %{vx: 30, vy: 0, vz: 0, frame: "body"}), context(), :allow},
-      {fence, command("setpoint_velocity", %{vx: -30, vy: 0, vz: 0, frame: "body"}), context(),
+      # Sideways and backwards its nose may turn, so it may go anywhere.
+      {fence, command("setpoint_velocity", %{vx: 0, vy: 10, vz: 0, frame: "body"}), context(),
        {:deny, :geofence,
-        ~s|where that velocity leads within 3 s 47.001000, 7.999815 is 14 m outside the zone "field"|}},
+        ~s|where that velocity leads before the vehicle stands 47.000744, 7.999969 is 2.4 m outside the zone "field"|}},
+      {fence, command("setpoint_attitude", %{roll: 0, pitch: 5, yaw: 0, thrust: 0.5}), context(),
+       {:deny, :geofence, "a fence applies to setpoint_attitude, and where it leads, nobody can tell"}},
       {fence, command("setpoint_velocity", %{vx: 1, vy: 0, vz: 0, frame: "body"}),
        context(%{position: %{heading: nil}}),
        {:deny, :geofence, "a fence applies to setpoint_velocity, and the vehicle's heading is not known"}},

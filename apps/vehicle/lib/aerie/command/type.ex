@@ -17,7 +17,8 @@ defmodule Aerie.Command.Type do
     retry: :safe,
     long?: false,
     cancel?: false,
-    moves_vehicle?: false
+    moves_vehicle?: false,
+    disarmed: :taken
   ]
 
   @permissions [
@@ -69,6 +70,8 @@ defmodule Aerie.Command.Type do
     * `:long?` - the vehicle may take seconds or minutes, and tell its progress (C4)
     * `:cancel?` - it can be cancelled while it runs (C5)
     * `:moves_vehicle?` - the vehicle or its propellers may move because of it
+    * `:disarmed` - whether it is taken while the vehicle is disarmed. A vehicle may store it then, and drive off when it is armed:
+      `:refused`; `:refused_on_wheels` - only by what drives or swims; `:refused_by_ardupilot` - PX4 wants it before it is armed (X7)
   """
   @type t :: %__MODULE__{
           name: String.t(),
@@ -81,10 +84,20 @@ defmodule Aerie.Command.Type do
           retry: :safe | :never,
           long?: boolean(),
           cancel?: boolean(),
-          moves_vehicle?: boolean()
+          moves_vehicle?: boolean(),
+          disarmed: :taken | :refused | :refused_on_wheels | :refused_by_ardupilot
         }
 
   @max_unknown 8
+
+  @wheels ["rover", "boat", "sub"]
+
+  @doc "Whether a disarmed vehicle of a firmware and a kind may be given the command."
+  @spec taken_disarmed?(t(), autopilot :: atom(), kind :: String.t() | nil) :: boolean()
+  def taken_disarmed?(%{disarmed: :taken}, _autopilot, _kind), do: true
+  def taken_disarmed?(%{disarmed: :refused}, _autopilot, _kind), do: false
+  def taken_disarmed?(%{disarmed: :refused_on_wheels}, _autopilot, kind), do: kind not in @wheels
+  def taken_disarmed?(%{disarmed: :refused_by_ardupilot}, autopilot, _kind), do: autopilot == :px4
 
   @doc "All permissions that a command may need."
   @spec permissions() :: [permission()]

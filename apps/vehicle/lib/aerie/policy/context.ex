@@ -7,18 +7,23 @@ defmodule Aerie.Policy.Context do
   alias Aerie.Policy.{Lease, Leases, Roles}
   alias Aerie.Protocol.Modes
 
-  defstruct [:source, :now, :lease, :position, :home, :armed, :in_air, :mode, :battery, :autopilot] ++
-              [:vehicle_type, standard_modes: %{}, mode_names: %{}]
+  defstruct [:source, :now, :lease, :position, :home, :origin, :armed, :in_air, :mode, :battery, :autopilot] ++
+              [:vehicle_type, datums: [], params: %{}, standard_modes: %{}, mode_names: %{}]
 
   # A position that is older than this is none: the vehicle has moved since.
   @fresh_us 10_000_000
+  # What home moves by itself at a take-off, and what a barometer drifts on the ground.
+  @home_m 1.0
+  @ground_m 5.0
 
   @typedoc """
     * `:source` - who commands, nil for nobody that is known
     * `:now` - unix microseconds; `:lease` - who is in charge of the vehicle, nil for nobody
     * `:position` - degrees, metres above home (`alt_rel`) and above mean sea level (`alt_msl`), where its nose points, and
       when that was heard
-    * `:home` - degrees and metres above mean sea level
+    * `:home` - degrees and metres above mean sea level; `:origin` - the same of its local coordinates
+    * `:datums` - where it took off, in metres above mean sea level: its home then, and the ground, as far as home is another height now
+    * `:params` - values of parameters that rules depend on (`Aerie.Vehicle.Switches`), by their names
     * `:mode` - its name; `:battery` - the share of its charge that is left, 0..1
     * `:autopilot`, `:vehicle_type` - the firmware and the kind of vehicle, as its snapshot has them
     * `:standard_modes` - the firmware's names for MAVLink's standard modes, as far as they are known
@@ -39,6 +44,9 @@ defmodule Aerie.Policy.Context do
             }
             | nil,
           home: %{lat: number(), lon: number(), alt_msl: number() | nil} | nil,
+          origin: %{lat: number(), lon: number(), alt_msl: number() | nil} | nil,
+          datums: [number()],
+          params: %{String.t() => number()},
           armed: boolean() | nil,
           in_air: boolean() | nil,
           mode: String.t() | nil,
@@ -77,13 +85,33 @@ defmodule Aerie.Policy.Context do
   def of(_gateway, nil, source, now), do: new(%{}, source, now)
 
   def of(gateway, snapshot, source, now) do
-    struct!(new(snapshot.groups, source, now), %{
+    memory = snapshot[:memory] || %{}
+    context = new(snapshot.groups, source, now)
+
+    struct!(context, %{
+      origin: memory[:origin] || get_in(memory, [:liftoff, :home]),
+      datums: datums(context.home, memory[:liftoff]),
+      params: snapshot[:params] || %{},
       autopilot: snapshot.autopilot,
       vehicle_type: snapshot.vehicle_type,
       standard_modes: standard_modes(snapshot),
-      mode_names: (snapshot[:memory] || %{})[:mode_names] || %{},
+      mode_names: memory[:mode_names] || %{},
       lease: Leases.of(gateway, snapshot.key)
     })
+  end
+
+  defp datums(_home, nil), do: []
+
+  defp datums(nil, %{home: then, ground: ground}),
+    do: for(msl <- [then && then.alt_msl, ground], msl != nil, do: msl)
+
+  defp datums(home, %{home: then, ground: ground}) do
+    then = then && then.alt_msl
+
+    for {msl, from, metres} <- [{then, home.alt_msl, @home_m}, {ground, then || home.alt_msl, @ground_m}],
+        msl != nil,
+        from == nil or abs(msl - from) > metres,
+        do: msl
   end
 
   defp standard_modes(snapshot) do

@@ -4,6 +4,8 @@ defmodule Aerie.Policy.Facts do
   means the same have the same facts.
   """
 
+  import Bitwise
+
   alias Aerie.Command
   alias Aerie.Command.{Type, Types}
   alias Aerie.Policy.{Context, Lease, Protection}
@@ -17,11 +19,13 @@ defmodule Aerie.Policy.Facts do
     :control,
     :unknown,
     :number,
+    :switches,
     also: [],
     modes: [],
     implies: [],
     path: :none,
     moves?: false,
+    stored?: false,
     ends_flight?: false,
     what: "the target"
   ]
@@ -43,9 +47,10 @@ defmodule Aerie.Policy.Facts do
     * `{:at, places}` - places that are stored: a home, corners of a fence
     * `{:around, place, metres}` - to the nearest point of a circle, and around on it; `{:ring, place, metres}` - around on it,
       however it gets there
-    * `{:offset, {north, east, down}}` - so many metres from home; nil: on that axis it stays where it is
+    * `{:offset, {north, east, down}}` - so many metres from the origin of its local coordinates; nil: on that axis it stays where it is
     * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the frame
-      `:body`, ahead and to the right; `{:drift, frame, {x, y, down}}` - so many metres a second
+      `:body`, ahead and to the right
+    * `{:drift, drift}` - a velocity (`t:drift/0`); `{:onward, path, drift}` - from the end of a path on
     * `{:level, height}` - to a height, wherever it is then
     * `{:all, paths}` - to each of them, because firmwares read the message in different ways
     * `:anywhere` - where it leads, nobody can tell: no fence and no limit of height allows it
@@ -59,7 +64,27 @@ defmodule Aerie.Policy.Facts do
           | {:from, place(), place()}
           | {:around | :ring, place(), number()}
           | {:offset, {number() | nil, number() | nil, number() | nil}}
-          | {:shift | :drift, :north | :body, {number(), number(), number()}}
+          | {:shift, :north | :body, {number(), number(), number()}}
+          | {:drift, drift()}
+          | {:onward, path(), drift()}
+
+  @typedoc """
+  A velocity in m/s and an acceleration in m/s². `:frame` - `:any`: in whichever direction; `:hold` - for how many seconds the gateway
+  repeats it; `:vertical?` - whether it changes the height.
+  """
+  @type drift :: %{
+          frame: :north | :body | :any,
+          velocity: {number(), number(), number()},
+          acceleration: {number(), number(), number()},
+          hold: number(),
+          vertical?: boolean()
+        }
+
+  @typedoc """
+  Pulse widths of channels in µs by their numbers, and the numbers of buttons that are pressed, from 0; `:unknown` for a message that says
+  neither in a way that is known here.
+  """
+  @type switches :: %{channels: %{(1..18) => integer()}, buttons: [0..31]} | :unknown
 
   @typedoc "A message by its id, or a command of MAV_CMD."
   @type unknown :: {:message, non_neg_integer()} | {:command, non_neg_integer()}
@@ -72,7 +97,8 @@ defmodule Aerie.Policy.Facts do
       `:standard_mode` - the mode by the name of MAVLink's standard modes
     * `:implies` - the types that it amounts to while the vehicle is on the ground: what may make it take off or arm
     * `:control` - how it changes who is in charge of the vehicle
-    * `:moves?` - the vehicle may move because of it
+    * `:moves?` - the vehicle may move because of it; `:stored?` - it comes as raw MAVLink, and a disarmed vehicle may keep it until it is armed
+    * `:switches` - channels of the remote control, and buttons, that it works (`t:switches/0`)
     * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command from it
     * `:what` - what refusals call the place that it names
   """
@@ -89,6 +115,8 @@ defmodule Aerie.Policy.Facts do
           control: Lease.change() | nil,
           path: path(),
           moves?: boolean(),
+          stored?: boolean(),
+          switches: switches() | nil,
           ends_flight?: boolean(),
           what: String.t()
         }
@@ -162,6 +190,28 @@ defmodule Aerie.Policy.Facts do
     %{facts | implies: Map.get(@implies, name, [])} |> struct!(fields) |> by_mode()
   end
 
+  @doc "The numbers of the buttons that are pressed, from 0."
+  @spec pressed(non_neg_integer()) :: [0..31]
+  def pressed(bits), do: for(n <- 0..31, (bits >>> n &&& 1) == 1, do: n)
+
+  @doc "A velocity as a drift. Options: `:hold`, `:acceleration`."
+  @spec drift(:north | :body | :any, {number(), number(), number()}, keyword()) :: drift()
+  def drift(frame, {_x, _y, down} = velocity, options \\ []) do
+    {_ax, _ay, faster} = acceleration = Keyword.get(options, :acceleration, {0, 0, 0})
+
+    %{
+      frame: frame,
+      velocity: velocity,
+      acceleration: acceleration,
+      hold: Keyword.get(options, :hold, 0),
+      vertical?: down != 0 or faster != 0
+    }
+  end
+
+  @doc "What refusals call the place to which a velocity leads."
+  @spec drift_what() :: String.t()
+  def drift_what, do: "where that velocity leads before the vehicle stands"
+
   @doc "The types by which a command is judged: its own, and on the ground those that it amounts to."
   @spec types(t(), Context.t()) :: [String.t(), ...]
   def types(%{implies: []} = facts, _context), do: [facts.type]
@@ -200,12 +250,24 @@ defmodule Aerie.Policy.Facts do
   defp asked("setpoint_position", params), do: [path: {:to, [place(params)]}]
   defp asked("set_altitude", params), do: [path: {:to, [place(params)]}, what: "the height to fly at"]
   defp asked("orbit", params), do: [path: {:around, place(params), params.radius}, what: "the circle"]
+  defp asked("setpoint_attitude", _params), do: [path: :anywhere]
   defp asked("setpoint_local", params), do: [path: {:offset, {params.north, params.east, params.down}}]
 
+  # The vehicle turns a velocity ahead and to the right into one to the north and the east each time it comes, and its nose may turn with it.
   defp asked("setpoint_velocity", params) do
-    frame = if params.frame == "body", do: :body, else: :north
-    [path: {:drift, frame, {params.vx, params.vy, params.vz}}, what: "where that velocity leads within 3 s"]
+    straight? = params.vy == 0 and params.vx >= 0 and (params[:yaw_rate] || 0) == 0
+    frame = if params.frame == "body", do: if(straight?, do: :body, else: :any), else: :north
+    drift = drift(frame, {params.vx, params.vy, params.vz}, hold: params.hold)
+    [path: {:drift, drift}, what: drift_what()]
   end
+
+  # 0 leaves a channel to the pilot.
+  defp asked("rc_override", params) do
+    channels = for {us, n} <- Enum.with_index(params.channels, 1), us != 0, into: %{}, do: {n, us}
+    [switches: %{channels: channels, buttons: []}]
+  end
+
+  defp asked("manual_control", params), do: [switches: %{channels: %{}, buttons: pressed(params.buttons)}]
 
   defp asked("set_home", %{lat: lat, lon: lon, altitude_msl: metres}),
     do: [path: {:at, [%{lat: lat, lon: lon, height: {:msl, metres}}]}, what: "the new home"]

@@ -4,11 +4,9 @@ defmodule Aerie.Policy.FlightPath do
   for heights and fences judge.
   """
 
-  alias Aerie.Policy.{Context, Facts, Fence}
+  alias Aerie.Policy.{Context, Drift, Facts, Fence}
   alias Aerie.Policy.Fence.Earth
 
-  # A velocity set-point is repeated or ends within this time, which limits how far the vehicle gets.
-  @drift_s 3
   @corners 36
   @anywhere "where it leads, nobody can tell"
 
@@ -16,6 +14,29 @@ defmodule Aerie.Policy.FlightPath do
   `{from, to}` is a straight way; `from` nil: only the place counts. `given`: what its height was given above, or `:same`.
   """
   @type leg :: {Fence.position() | nil, Fence.position(), given :: :home | :msl | :terrain | :same}
+
+  @doc """
+  The ways and places of a command with each of their heights above home: above the vehicle's home, and above where it took off if its home
+  has been moved since.
+  """
+  @spec judged(Facts.t(), Context.t()) :: {:ok, [[leg()]]} | {:unknown, String.t()}
+  def judged(facts, context) do
+    with {:ok, legs} <- legs(facts, context) do
+      above = fn
+        nil, _datum -> nil
+        position, datum -> %{position | home: minus(position.msl, datum) || position.home}
+      end
+
+      {:ok,
+       [
+         legs
+         | for(
+             datum <- context.datums,
+             do: for({from, to, given} <- legs, do: {above.(from, datum), above.(to, datum), given})
+           )
+       ]}
+    end
+  end
 
   @doc "The ways and places of a command, or what of the vehicle is not known and would have to be."
   @spec legs(Facts.t(), Context.t()) :: {:ok, [leg()]} | {:unknown, String.t()}
@@ -62,22 +83,35 @@ defmodule Aerie.Policy.FlightPath do
 
   def legs(%{path: {:offset, {north, east, down}}}, context) do
     with {:ok, here} <- here(context),
-         {:ok, home} <- home(context) do
-      from = %{lat: if(north, do: home.lat, else: here.lat), lon: if(east, do: home.lon, else: here.lon)}
-      there = moved(from, north || 0, east || 0)
-      {:ok, [{here, Map.merge(there, heights(up(down), here, context)), given(up(down))}]}
+         {:ok, origins} <- origins(context) do
+      {:ok,
+       for origin <- origins do
+         from = %{
+           lat: if(north, do: origin.lat, else: here.lat),
+           lon: if(east, do: origin.lon, else: here.lon)
+         }
+
+         height = if down, do: below(origin, down, context), else: Map.take(here, [:home, :msl])
+         {here, Map.merge(moved(from, north || 0, east || 0), height), if(down, do: :home, else: :same)}
+       end}
     end
   end
 
-  def legs(%{path: {:drift, frame, {x, y, down}}} = facts, context),
-    do: legs(%{facts | path: {:shift, frame, {x * @drift_s, y * @drift_s, down * @drift_s}}}, context)
+  def legs(%{path: {:drift, drift}}, context) do
+    with {:ok, here} <- here(context), do: drift(here, drift, context)
+  end
+
+  def legs(%{path: {:onward, path, drift}} = facts, context) do
+    with {:ok, legs} <- legs(%{facts | path: path}, context),
+         {_from, to, _given} = List.last(legs),
+         {:ok, more} <- drift(to, drift, context),
+         do: {:ok, legs ++ more}
+  end
 
   def legs(%{path: {:shift, frame, {x, y, down}}}, context) do
     with {:ok, here} <- here(context),
          {:ok, {north, east}} <- turned(frame, x, y, context) do
-      there = moved(here, north, east)
-      climb = fn height -> height && height - down end
-      {:ok, [{here, %{there | home: climb.(here.home), msl: climb.(here.msl)}, :same}]}
+      {:ok, [{here, shifted(here, {north, east, down}), :same}]}
     end
   end
 
@@ -97,24 +131,35 @@ defmodule Aerie.Policy.FlightPath do
 
   def heights(%{path: {:offset, {_north, _east, nil}}}, _context), do: {:ok, []}
 
-  def heights(%{path: {:offset, {_north, _east, down}}}, context),
-    do: {:ok, [level({:home, -down}, :home, context)]}
+  def heights(%{path: {:offset, {_north, _east, down}}}, context) do
+    with {:ok, origins} <- origins(context) do
+      {:ok,
+       for origin <- origins do
+         %{home: home, msl: msl} = below(origin, down, context)
+         {home, msl, :home}
+       end}
+    else
+      # On the ground where it started both are the same.
+      {:unknown, _home} -> {:ok, [level({:home, -down}, :home, context)]}
+    end
+  end
 
   def heights(%{path: {:level, {above, _} = height}}, context), do: {:ok, [level(height, above, context)]}
   def heights(%{path: :anywhere}, _context), do: {:unknown, @anywhere}
   def heights(%{path: {:all, paths}} = facts, context), do: all(paths, &heights(%{facts | path: &1}, context))
 
-  def heights(%{path: {kind, _frame, {_x, _y, down}}}, _context) when kind in [:shift, :drift] and down == 0,
-    do: {:ok, []}
+  def heights(%{path: {:shift, _frame, {_x, _y, down}}}, _context) when down == 0, do: {:ok, []}
+  def heights(%{path: {:drift, drift}}, _context) when drift.vertical? == false, do: {:ok, []}
 
-  def heights(%{path: {kind, _frame, _offset}} = facts, context) when kind in [:shift, :drift] do
-    with {:ok, [{_from, to, _given}]} <- legs(facts, context), do: {:ok, [{to.home, to.msl, :own}]}
+  def heights(%{path: {:onward, path, %{vertical?: false}}} = facts, context),
+    do: heights(%{facts | path: path}, context)
+
+  def heights(%{path: path} = facts, context) when elem(path, 0) in [:shift, :drift, :onward] do
+    with {:ok, legs} <- legs(facts, context),
+         do: {:ok, for({_from, to, _given} <- legs, uniq: true, do: {to.home, to.msl, :own})}
   end
 
   def heights(_level, _context), do: {:ok, []}
-
-  defp up(nil), do: :same
-  defp up(down), do: {:home, -down}
 
   defp all(paths, fun) do
     Enum.reduce_while(paths, {:ok, []}, fn path, {:ok, done} ->
@@ -173,7 +218,7 @@ defmodule Aerie.Policy.FlightPath do
   defp home_msl(%{home: home}), do: home.alt_msl
 
   defp plus(a, b), do: b && a + b
-  defp minus(a, b), do: b && a - b
+  defp minus(a, b), do: a && b && a - b
 
   defp here(context) do
     with {:ok, position} <- Context.position(context),
@@ -182,19 +227,37 @@ defmodule Aerie.Policy.FlightPath do
 
   defp turned(:north, north, east, _context), do: {:ok, {north, east}}
 
-  defp turned(:body, ahead, right, context) do
-    case context.position.heading do
-      nil ->
-        {:unknown, "the vehicle's heading is not known"}
+  defp turned(:body, _ahead, _right, %{position: %{heading: nil}}),
+    do: {:unknown, "the vehicle's heading is not known"}
 
-      heading ->
-        {sin, cos} = {:math.sin(heading * :math.pi() / 180), :math.cos(heading * :math.pi() / 180)}
-        {:ok, {ahead * cos - right * sin, ahead * sin + right * cos}}
+  defp turned(:body, ahead, right, %{position: %{heading: heading}}) do
+    {north, east, _down} = Drift.turned({ahead, right, 0}, heading * :math.pi() / 180)
+    {:ok, {north, east}}
+  end
+
+  # From a place, along each way that the drift may take.
+  defp drift(start, drift, context) do
+    with {:ok, ways} <- Drift.ways(drift, context) do
+      {:ok,
+       for(way <- ways, leg <- ways([{start, :same} | Enum.map(way, &{shifted(start, &1), :same})]), do: leg)}
     end
   end
 
-  defp home(%{home: nil}), do: {:unknown, "the vehicle's home is not known"}
-  defp home(%{home: home}), do: {:ok, home}
+  defp shifted(from, {north, east, down}) do
+    climb = fn height -> height && height - down end
+    %{moved(from, north, east) | home: climb.(from.home), msl: climb.(from.msl)}
+  end
+
+  # Local coordinates begin where the vehicle was when it first knew its place, which is not its home any more when that was moved.
+  defp origins(%{home: nil, origin: nil}), do: {:unknown, "the vehicle's home is not known"}
+
+  defp origins(%{home: home, origin: origin}),
+    do: {:ok, [origin, home] |> Enum.reject(&is_nil/1) |> Enum.uniq()}
+
+  defp below(origin, down, context) do
+    msl = minus(origin.alt_msl, down)
+    %{home: minus(msl, home_msl(context)) || -down, msl: msl}
+  end
 
   # Degrees from metres, for the short distances that set-points are about.
   defp moved(from, north, east) do

@@ -22,8 +22,9 @@ defmodule Aerie.Policy.Raw do
   """
 
   alias Aerie.Authority
+  alias Aerie.Command.{Type, Types}
   alias Aerie.Policy.Facts
-  alias Aerie.Policy.Raw.{Commands, Place, Request, Setpoints}
+  alias Aerie.Policy.Raw.{Commands, Place, Request, Setpoints, Sticks}
   alias MavCodec.Enums.{MavCmd, MavMissionType, MavRemoteLogDataBlockCommands}
   alias MavCodec.Messages, as: M
 
@@ -67,84 +68,105 @@ defmodule Aerie.Policy.Raw do
     M.PlayTune,
     M.PlayTuneV2
   ]
-  @sticks [M.RcChannelsOverride, M.RcChannelsOverrideV2, M.RadioRcChannels, M.CubepilotRawRc]
+  @sticks [M.RcChannelsOverrideV2, M.RadioRcChannels, M.CubepilotRawRc]
   @attitude [M.SetAttitudeTarget, M.SetActuatorControlTarget, M.ManualSetpoint]
 
   @doc "The facts of a message; `:free` for one that only reads."
   @spec facts(struct(), vehicle()) :: Facts.t() | :free
-  def facts(%M.CommandLong{} = m, vehicle), do: Commands.facts(m, vehicle)
-  def facts(%M.CommandInt{} = m, vehicle), do: Commands.facts(m, vehicle)
+  def facts(message, vehicle) do
+    with %Facts{} = facts <- read(message, vehicle), do: %{facts | stored?: stored?(facts, vehicle)}
+  end
 
-  def facts(%M.CommandCancel{command: command}, _vehicle),
+  # PX4 arms with it.
+  defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false
+
+  defp stored?(facts, vehicle) do
+    case Types.fetch(facts.type) do
+      {:ok, type} -> not Type.taken_disarmed?(type, vehicle.autopilot, vehicle.vehicle_type)
+      :error -> facts.permission == :fly and "takeoff" in facts.implies
+    end
+  end
+
+  defp read(%M.CommandLong{} = m, vehicle), do: Commands.facts(m, vehicle)
+  defp read(%M.CommandInt{} = m, vehicle), do: Commands.facts(m, vehicle)
+
+  defp read(%M.CommandCancel{command: command}, _vehicle),
     do: own("mav_cmd_#{command}", :fly, ends_flight?: true)
 
-  def facts(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
+  defp read(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
 
-  def facts(%module{param_id: name}, _vehicle) when module in [M.ParamSet, M.ParamExtSet],
+  defp read(%module{param_id: name}, _vehicle) when module in [M.ParamSet, M.ParamExtSet],
     do: Facts.set_parameters([name])
 
   # A number other than -1 counts in place of the name.
-  def facts(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Facts.set_parameters([name])
-  def facts(%M.ParamMapRc{}, _vehicle), do: Facts.set_parameters([nil])
+  defp read(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Facts.set_parameters([name])
+  defp read(%M.ParamMapRc{}, _vehicle), do: Facts.set_parameters([nil])
 
-  def facts(%M.MissionCount{mission_type: type, count: count}, _vehicle),
+  defp read(%M.MissionCount{mission_type: type, count: count}, _vehicle),
     do: upload(type, removed(type, count))
 
-  def facts(%M.MissionWritePartialList{mission_type: type}, _vehicle), do: upload(type)
-  def facts(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
-  def facts(%M.MissionSetCurrent{}, _vehicle), do: Facts.named("mission_set_current")
+  defp read(%M.MissionWritePartialList{mission_type: type}, _vehicle), do: upload(type)
+  defp read(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
+  defp read(%M.MissionSetCurrent{}, _vehicle), do: Facts.named("mission_set_current")
 
   # ArduPilot's way to say "go there now" and "be that high now".
-  def facts(%module{current: 2} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+  defp read(%module{current: 2} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
     do: Facts.named("goto", path: {:to, [Place.of(m)]})
 
-  def facts(%module{current: 3} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+  defp read(%module{current: 3} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
     do:
       Facts.named("set_altitude",
         path: {:to, [%{Place.of(m) | lat: nil, lon: nil}]},
         what: "the height to fly at"
       )
 
-  def facts(%module{mission_type: @fence} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt] do
+  defp read(%module{mission_type: @fence} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt] do
     if m.command in @fence_inside,
       do: upload(@fence, path: {:at, [%{Place.of(m) | height: :same}]}, what: "fence item #{m.seq}"),
       else: upload(@fence)
   end
 
-  def facts(%module{mission_type: @rally} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+  defp read(%module{mission_type: @rally} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
     do: upload(@rally, path: {:at, [Place.of(m)]}, what: "rally point #{m.seq}")
 
-  def facts(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
+  defp read(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
 
-  def facts(%M.FencePoint{lat: lat, lng: lon, idx: n, count: count}, _vehicle) do
+  defp read(%M.FencePoint{lat: lat, lng: lon, idx: n, count: count}, _vehicle) do
     place = %{lat: lat, lon: lon, height: :same}
     upload(@fence, [path: {:at, [place]}, what: "fence point #{n}"] ++ removed(@fence, count))
   end
 
-  def facts(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),
+  defp read(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),
     do: upload(@rally, path: {:at, [Place.int(lat, lon, {:home, metres})]}, what: "rally point #{n}")
 
-  def facts(%module{}, _vehicle) when module in @sticks, do: Facts.named("rc_override")
+  defp read(%M.RcChannelsOverride{} = m, _vehicle),
+    do: Facts.named("rc_override", switches: %{channels: Sticks.channels(m), buttons: []})
 
-  def facts(%M.ManualControl{}, _vehicle), do: Facts.named("manual_control")
-  def facts(%module{}, _vehicle) when module in @attitude, do: Facts.named("setpoint_attitude")
+  defp read(%module{}, _vehicle) when module in @sticks, do: Facts.named("rc_override", switches: :unknown)
 
-  def facts(%module{} = m, _vehicle)
-      when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed],
-      do: Setpoints.facts(m)
+  defp read(%M.ManualControl{} = m, _vehicle),
+    do: Facts.named("manual_control", switches: %{channels: %{}, buttons: Sticks.buttons(m)})
 
-  def facts(%M.SetHomePosition{} = m, _vehicle) do
+  # Where an attitude leads, nobody can tell.
+  defp read(%module{}, _vehicle) when module in @attitude,
+    do: Facts.named("setpoint_attitude", path: :anywhere)
+
+  defp read(%module{} = m, vehicle)
+       when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed],
+       do: Setpoints.facts(m, vehicle)
+
+  defp read(%M.SetHomePosition{} = m, _vehicle) do
     place = Place.int(m.latitude, m.longitude, {:msl, m.altitude / 1000})
     Facts.named("set_home", path: {:at, [place]}, what: "the new home")
   end
 
-  def facts(%M.SetGpsGlobalOrigin{}, _vehicle), do: Facts.named("set_origin")
+  defp read(%M.SetGpsGlobalOrigin{}, _vehicle), do: Facts.named("set_origin")
 
   # PX4 takes those of somebody else for its pilot's sticks.
-  def facts(%M.RcChannels{}, _vehicle), do: Facts.named("rc_override")
+  defp read(%M.RcChannels{}, _vehicle), do: Facts.named("rc_override", switches: :unknown)
 
   # A vehicle that follows goes there.
-  def facts(%M.FollowTarget{lat: lat, lon: lon, alt: metres}, _vehicle) do
+  defp read(%M.FollowTarget{lat: lat, lon: lon, alt: metres}, _vehicle) do
     own("follow_target", :fly,
       moves?: true,
       path: {:to, [Place.int(lat, lon, {:msl, Place.number(metres)})]},
@@ -152,7 +174,7 @@ defmodule Aerie.Policy.Raw do
     )
   end
 
-  def facts(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
+  defp read(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
     case {operation, rest} do
       {reads, _bytes} when reads in @ftp_reads -> :free
       {@ftp_write, _bytes} -> Facts.write_file("")
@@ -161,12 +183,12 @@ defmodule Aerie.Policy.Raw do
   end
 
   # It starts and stops the log; its receipts for the blocks of a log change nothing, and are many.
-  def facts(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
+  defp read(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
 
-  def facts(%M.LogErase{}, _vehicle), do: own("write_file", :maintain)
-  def facts(%M.RequestDataStream{}, _vehicle), do: Facts.named("set_message_interval")
-  def facts(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
-  def facts(_other, _vehicle), do: unreadable()
+  defp read(%M.LogErase{}, _vehicle), do: own("write_file", :maintain)
+  defp read(%M.RequestDataStream{}, _vehicle), do: Facts.named("set_message_interval")
+  defp read(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
+  defp read(_other, _vehicle), do: unreadable()
 
   @doc "The facts of what cannot be read, or is not known: only who may do everything may send it."
   @spec unreadable() :: Facts.t()
@@ -189,7 +211,7 @@ defmodule Aerie.Policy.Raw do
         command = Commands.read(request, row, vehicle)
 
         upload(0,
-          also: Enum.filter(Enum.uniq([command.permission | command.also]), &(&1 in @strong)),
+          also: Enum.filter(Enum.uniq([command.permission | command.also]), &(&1 in @strong)) ++ moved(row),
           number: command.number,
           mode: command.mode,
           modes: command.modes,
@@ -199,6 +221,10 @@ defmodule Aerie.Policy.Raw do
         )
     end
   end
+
+  # A mission moves home, or the origin, in flight.
+  defp moved(%{type: type}) when type in ["set_home", "set_origin"], do: [:protection]
+  defp moved(_row), do: []
 
   # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.
   defp stop(_place, %{seq: 0}, _row, _request, %{autopilot: :ardupilot}), do: :none

@@ -11,13 +11,14 @@ defmodule Aerie.Protocol.Ardupilot do
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
 
   alias Aerie.Protocol.{Mavlink, Modes, Vehicle}
-  alias Aerie.Protocol.Ardupilot.{Calibration, Kept}
+  alias Aerie.Protocol.Ardupilot.{Calibration, Kept, Steering}
   alias Aerie.Protocol.Mavlink.{Commands, Streams}
 
   # The frames that heights in COMMAND_LONG refer to.
   @long_frames [3, 6]
   @copter "copter"
   @winged ["plane", "vtol"]
+  @grounded ["rover", "boat"]
 
   # Each kind has its own firmware with its own modes.
   @hold %{
@@ -53,6 +54,12 @@ defmodule Aerie.Protocol.Ardupilot do
 
   def gap("mission_pause", kind) when kind in ["rover", "boat", "sub"],
     do: "this firmware does not pause a mission: use hold, and then resume"
+
+  def gap("set_altitude", kind) when kind in @grounded, do: "it has no height to change"
+
+  def gap(type, kind)
+      when type in ["setpoint_position", "setpoint_local", "setpoint_velocity"] and kind in @winged,
+      do: "ArduPlane takes only the height of a set-point: use goto or set_altitude"
 
   def gap("orbit", kind) when kind not in @winged,
     do: "only ArduPlane circles around a place that it is told; set_mode CIRCLE does so in front of a copter"
@@ -192,10 +199,23 @@ defmodule Aerie.Protocol.Ardupilot do
 
   defp special("calibrate" <> _what = type, params, vehicle), do: Calibration.steps(type, params, vehicle)
 
-  defp special("setpoint_position", params, _vehicle),
-    do: Streams.position(params, Streams.frame(params.altitude_reference), params.altitude)
+  defp special("setpoint_" <> _what = type, params, vehicle) do
+    with :ok <- Steering.setpoint(type, vehicle),
+         do: type |> setpoint(params, vehicle) |> noted(Steering.note(vehicle))
+  end
+
+  defp special(type, params, vehicle) when type in ["rc_override", "manual_control"] do
+    with {:ok, note} <- Steering.sticks(vehicle), do: type |> Streams.steps(params, vehicle) |> noted(note)
+  end
 
   defp special(_type, _params, _vehicle), do: :common
+
+  defp setpoint("setpoint_position", params, _vehicle),
+    do: Streams.position(params, Streams.frame(params.altitude_reference), params.altitude)
+
+  defp setpoint(type, params, vehicle), do: Streams.steps(type, params, vehicle)
+
+  defp noted(steps, note), do: Enum.map(steps, &%{&1 | note: note})
 
   defp guided(%{mode: "GUIDED"}), do: []
   defp guided(vehicle), do: mode("GUIDED", vehicle)

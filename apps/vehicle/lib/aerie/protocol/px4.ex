@@ -42,6 +42,7 @@ defmodule Aerie.Protocol.Px4 do
   def gap(type, kind) when type in ["orbit", "set_yaw"] and kind in ["plane", "rover", "boat"],
     do: "only what can stay in one place does so"
 
+  def gap("set_altitude", kind) when kind in ["rover", "boat"], do: "it has no height to change"
   def gap("vtol_transition", kind) when kind != "vtol", do: "it has no wings and rotors to change between"
   def gap("land_start", kind) when kind not in @winged, do: "only what has wings lands so"
 
@@ -60,11 +61,24 @@ defmodule Aerie.Protocol.Px4 do
   @impl true
   def steps(%{type: type, params: params}, vehicle) do
     case special(type, params, vehicle) do
-      :common -> {:ok, Commands.steps(type, params, vehicle)}
+      :common -> {:ok, type |> Commands.steps(params, vehicle) |> noted(type, vehicle)}
       {:error, reason} -> {:error, reason}
-      steps -> {:ok, steps}
+      steps -> {:ok, noted(steps, type, vehicle)}
     end
   end
+
+  # They have to come before the mode (X7).
+  defp noted(steps, "setpoint_" <> _what, %{mode: mode}) when mode not in [nil, "OFFBOARD"],
+    do: Enum.map(steps, &%{&1 | note: "it is in #{mode}, and obeys set-points in OFFBOARD only"})
+
+  defp noted(steps, _type, _vehicle), do: steps
+
+  # COM_RC_IN_MODE: 0 a receiver only, 1 a joystick only, 4 no sticks at all.
+  defp special("rc_override", _params, %{params: %{"COM_RC_IN_MODE" => mode}}) when mode in [1, 4],
+    do: {:error, "its parameter COM_RC_IN_MODE is #{trunc(mode)}, so it takes no channels"}
+
+  defp special("manual_control", _params, %{params: %{"COM_RC_IN_MODE" => mode}}) when mode in [0, 4],
+    do: {:error, "its parameter COM_RC_IN_MODE is #{trunc(mode)}, so it takes no joystick"}
 
   # It would end a return or a mission, and fly to the height of take-off.
   defp special("takeoff", _params, %{in_air: true}), do: {:error, "it is in the air"}

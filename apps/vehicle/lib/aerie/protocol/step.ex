@@ -17,6 +17,7 @@ defmodule Aerie.Protocol.Step do
     :cancel,
     :ends,
     :holds,
+    :note,
     repeat: :safe,
     acked?: true,
     urgent?: false,
@@ -38,6 +39,7 @@ defmodule Aerie.Protocol.Step do
     * `:confirm`, `:within_ms` - the condition that shows that it was done, and how long that may take after the acceptance
     * `:watch` - for the adapter: which texts and messages report its progress and end
     * `:stream` - it is repeated at `hz` for `ms`, then `release` is sent; the vehicle answers none of these
+    * `:note` - what the result of a stream says besides
     * `:cancel` - the message that cancels it, sent again until the vehicle says something; nil: MAVLink's COMMAND_CANCEL;
       `{:never, reason}`: nothing does
     * `:ends` - the key of steps in flight that the vehicle ends because of this one
@@ -56,6 +58,7 @@ defmodule Aerie.Protocol.Step do
           within_ms: pos_integer(),
           watch: term(),
           stream: %{hz: pos_integer(), ms: pos_integer(), release: form() | nil} | nil,
+          note: String.t() | nil,
           cancel: form() | {:never, String.t()} | nil,
           ends: term(),
           holds: String.t() | nil

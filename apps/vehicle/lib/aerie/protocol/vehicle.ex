@@ -22,7 +22,9 @@ defmodule Aerie.Protocol.Vehicle do
     :mission_seq,
     :booted_at,
     :busy_with,
+    :gcs,
     component: 1,
+    params: %{},
     us: {237, 191},
     mode_names: %{},
     standard_modes: %{},
@@ -41,6 +43,7 @@ defmodule Aerie.Protocol.Vehicle do
     * `:standard_modes` - the numbers of its modes for MAVLink's standard modes, if it reported them (X4)
     * `:arming_checks` - names of the checks that keep it from being armed, if it reports them (PX4)
     * heights in metres, `:heading` in degrees from north; `:home` with `lat`, `lon`, `alt_msl`
+    * `:gcs` - lowest and highest system id of the ground stations that ArduPilot obeys; `:params` - `Aerie.Vehicle.Switches`
     * `:boots` - how many reboots were observed; `:booted_at` - when the last one was, by its own clock, in the time of `:seen`
     * `:busy_with` - what it accepted and has not told the end of: the sensor that it calibrates
     * `:seen` - when each group was last heard, in the time of the frames (microseconds)
@@ -65,6 +68,8 @@ defmodule Aerie.Protocol.Vehicle do
           heading: float() | nil,
           home: %{lat: float(), lon: float(), alt_msl: float()} | nil,
           mission_seq: non_neg_integer() | nil,
+          gcs: {integer(), integer()} | nil,
+          params: %{String.t() => number()},
           boots: non_neg_integer(),
           booted_at: integer() | nil,
           busy_with: String.t() | nil,

@@ -47,7 +47,7 @@ defmodule Aerie.Vehicle.Core do
   """
 
   alias Aerie.Mavlink.BootClock
-  alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Timesync}
+  alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, Shown, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Links.{HighLatency, Reception}
@@ -83,6 +83,7 @@ defmodule Aerie.Vehicle.Core do
     streams: Arbiter.new(),
     timesync: Timesync.new(0),
     gcs: Gcs.new(),
+    switches: Switches.new(),
     high_latency: HighLatency.new(),
     samplers: nil
   ]
@@ -158,6 +159,7 @@ defmodule Aerie.Vehicle.Core do
         reception: Reception.new(snapshot.links, snapshot.last_heard),
         boot_clock: BootClock.new(Enum.max(boots, fn -> nil end)),
         gcs: Gcs.new(snapshot[:gcs]),
+        switches: Switches.new(snapshot[:params]),
         high_latency: HighLatency.new(snapshot[:high_latency], snapshot.last_heard),
         # Digest and status are shown to the detector again: the crash may have come between writing the snapshot and
         # telling the detector, and the detector knows what it has seen.

@@ -50,7 +50,8 @@ defmodule Aerie.Vehicle.Settings do
   setting :read_gcs_parameters,
           :boolean,
           """
-          Read once from each vehicle which ground station its failsafe listens to (a handful of parameters).
+          Read once from each vehicle which ground station it listens to, and what its mode switch, channels and buttons do (some
+          thirty parameters).
           """,
           default: true
 

@@ -36,7 +36,8 @@ defmodule Aerie.Vehicle.State do
               M.LocalPositionNed,
               M.GlobalPositionInt,
               M.VfrHud,
-              M.HomePosition
+              M.HomePosition,
+              M.GpsGlobalOrigin
             ],
             & &1.id()
           )
@@ -83,9 +84,14 @@ defmodule Aerie.Vehicle.State do
             modes_seq: nil,
             landed: nil,
             quadplane: false,
+            liftoff: nil,
+            origin: nil,
             high_latency: false,
             groups: %{},
             sources: %{}
+
+  @typedoc "Degrees, and metres above mean sea level."
+  @type place :: %{lat: float(), lon: float(), alt_msl: float() | nil}
 
   @type group :: atom()
   @type entry :: %{at: integer(), time_boot_ms: non_neg_integer() | nil, data: map()}
@@ -103,6 +109,8 @@ defmodule Aerie.Vehicle.State do
           modes_seq: 0..255 | nil,
           landed: {integer(), at :: integer()} | nil,
           quadplane: boolean(),
+          liftoff: State.Liftoff.t() | nil,
+          origin: place() | nil,
           high_latency: boolean(),
           groups: %{group() => entry()},
           sources: %{non_neg_integer() => integer()}
@@ -153,10 +161,13 @@ defmodule Aerie.Vehicle.State do
   defp reader(@high_latency), do: State.HighLatency
 
   defp fly(state, id, groups, at) when id in @flight do
-    case State.Flight.in_air(state, at) do
-      :same -> {state, groups}
-      in_air -> {merge(state, {:mode, %{in_air: in_air}}, at), Enum.uniq(groups ++ [:mode])}
-    end
+    {state, groups} =
+      case State.Flight.in_air(state, at) do
+        :same -> {state, groups}
+        in_air -> {merge(state, {:mode, %{in_air: in_air}}, at), Enum.uniq(groups ++ [:mode])}
+      end
+
+    {%{state | liftoff: State.Liftoff.next(state.liftoff, state)}, groups}
   end
 
   defp fly(state, _id, groups, _at), do: {state, groups}
@@ -198,6 +209,8 @@ defmodule Aerie.Vehicle.State do
   @memory [
     :landed,
     :quadplane,
+    :liftoff,
+    :origin,
     :sources,
     :boot_ms,
     :high_latency,

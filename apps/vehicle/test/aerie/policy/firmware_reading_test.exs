@@ -16,6 +16,8 @@ defmodule Aerie.Policy.FirmwareReadingTest do
   @px4 %{autopilot: :px4, vehicle_type: "copter"}
   @rover %{autopilot: :ardupilot, vehicle_type: "rover"}
   @operator %{name: "olga", role: :operator, permissions: []}
+  # Who may move home in flight.
+  @keeper %{@operator | permissions: [:protection]}
   @admin %{name: "ada", role: :admin, permissions: []}
   @now DateTime.to_unix(~U[2026-11-22 09:30:00Z], :microsecond)
 
@@ -95,11 +97,11 @@ defmodule Aerie.Policy.FirmwareReadingTest do
   defp local(mask, fields),
     do: struct!(%M.SetPositionTargetLocalNed{coordinate_frame: 1, type_mask: mask, z: -20.0}, fields)
 
-  defp refusals(section, rows) do
+  defp refusals(section, rows, source \\ @operator) do
     policy = policy(section)
 
     for {rule, vehicle, message} <- rows do
-      case judge(policy, message, vehicle, context(vehicle)) do
+      case judge(policy, message, vehicle, context(vehicle, %{}, source)) do
         {:deny, ^rule, reason} -> assert is_binary(reason)
         other -> flunk("#{inspect(message)}: #{inspect(other)}, not a refusal by #{rule}")
       end
@@ -304,6 +306,15 @@ defmodule Aerie.Policy.FirmwareReadingTest do
     outside = [x: @far, y: @lon, z: 20.0, frame: 3]
     msl = [x: @far, y: @lon, z: 510.0, frame: 0]
 
+    refusals(
+      c.section,
+      [
+        {:geofence, @ap, int("DO_SET_HOME", [], msl)},
+        {:altitude, @ap, int("DO_SET_HOME", [], x: @lat, y: @lon, z: 400.0, frame: 3)}
+      ],
+      @keeper
+    )
+
     refusals(c.section, [
       {:geofence, @ap, int("DO_REPOSITION", [], outside)},
       {:geofence, @px4, int("NAV_VTOL_TAKEOFF", [], msl)},
@@ -316,8 +327,6 @@ defmodule Aerie.Policy.FirmwareReadingTest do
       {:geofence, @ap, int("NAV_WAYPOINT", [], outside)},
       {:geofence, @ap, int("DO_FIGURE_EIGHT", [], outside)},
       {:geofence, @ap, int("PAYLOAD_PREPARE_DEPLOY", [], outside)},
-      {:geofence, @ap, int("DO_SET_HOME", [], msl)},
-      {:altitude, @ap, int("DO_SET_HOME", [], x: @lat, y: @lon, z: 400.0, frame: 3)},
       {:altitude, @ap, long("DO_FOLLOW", [7])},
       {:altitude, @ap, long("GUIDED_CHANGE_HEADING", [0, 90])},
       {:altitude, @ap, int("GUIDED_CHANGE_ALTITUDE", [], z: 500.0, frame: 3)},
@@ -427,7 +436,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
           geofence: item("NAV_WAYPOINT", x: @far),
           geofence: item("NAV_TAKEOFF", x: @far),
           geofence: item("NAV_VTOL_TAKEOFF", x: @far),
-          geofence: item("DO_SET_HOME", x: @far, z: 0.0),
+          role: item("DO_SET_HOME", z: 0.0),
           geofence: item("DO_LAND_START", x: @far),
           geofence: item("DO_RETURN_PATH_START", x: @far),
           geofence: item("DO_REPOSITION", x: @far),
@@ -436,9 +445,7 @@ defmodule Aerie.Policy.FirmwareReadingTest do
           geofence: item("SET_GUIDED_SUBMODE_CIRCLE", x: @far),
           geofence: item("NAV_LOITER_TURNS", param1: 2.0, param3: 5000.0),
           geofence: item("NAV_LOITER_TIME", param1: 2.0, param3: -5000.0, x: 0, y: 0),
-          geofence: item("DO_FIGURE_EIGHT", param1: 5000.0),
-          # A home that is higher lifts the limit.
-          altitude: item("DO_SET_HOME", z: 400.0)
+          geofence: item("DO_FIGURE_EIGHT", param1: 5000.0)
         ] do
       for vehicle <- [@ap, @px4] do
         decision =
@@ -447,6 +454,18 @@ defmodule Aerie.Policy.FirmwareReadingTest do
         assert match?({:deny, ^rule, _reason}, decision), inspect({item, vehicle, decision})
       end
     end
+
+    # A home that is higher lifts the limit.
+    for {rule, item} <- [
+          geofence: item("DO_SET_HOME", x: @far, z: 0.0),
+          altitude: item("DO_SET_HOME", z: 400.0)
+        ],
+        vehicle <- [@ap, @px4],
+        do:
+          assert(
+            {:deny, ^rule, _reason} =
+              upload(policy, [item("NAV_WAYPOINT"), item], vehicle, context(vehicle, %{}, @keeper))
+          )
 
     for {vehicle, acro} <- [{@ap, 1.0}, {@px4, 5.0}] do
       item = item("DO_SET_MODE", [param1: 1.0, param2: acro] ++ nowhere)

@@ -200,15 +200,17 @@ defmodule Aerie.Policy.RawTest do
         vz: -6.0
       }
 
+    drift = &{:drift, Facts.drift(&1, &2, acceleration: {0, 0, 0})}
+
     for {message, type, path} <- [
           {global.(0b110111111000), "setpoint_position", {:to, [place(47.0, 8.0, {:home, 9.0})]}},
-          {global.(0b110111000111), "setpoint_velocity", {:drift, :north, {3.0, 0.0, 0.0}}},
+          {global.(0b110111000111), "setpoint_velocity", drift.(:north, {3.0, 0.0, 0.0})},
           {global.(0b110111111111), "setpoint_attitude", :none},
           {local.(1, 0b110111111000), "setpoint_local", {:offset, {1.0, 2.0, -3.0}}},
           {local.(7, 0b110111111000), "setpoint_local", {:shift, :north, {1.0, 2.0, -3.0}}},
           {local.(9, 0b110111111000), "setpoint_local", {:shift, :body, {1.0, 2.0, -3.0}}},
-          {local.(8, 0b110111000111), "setpoint_velocity", {:drift, :body, {4.0, 5.0, -6.0}}},
-          {%M.SetAttitudeTarget{}, "setpoint_attitude", :none},
+          {local.(8, 0b110111000111), "setpoint_velocity", drift.(:body, {4.0, 5.0, -6.0})},
+          {%M.SetAttitudeTarget{}, "setpoint_attitude", :anywhere},
           {%M.RcChannelsOverride{}, "rc_override", :none},
           {%M.RadioRcChannels{}, "rc_override", :none},
           {%M.CubepilotRawRc{}, "rc_override", :none},

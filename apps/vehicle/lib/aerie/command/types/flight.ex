@@ -67,6 +67,7 @@ defmodule Aerie.Command.Types.Flight do
       },
       %Type{
         name: "rtl",
+        disarmed: :refused_on_wheels,
         group: :flight,
         meaning: "Returns to home or to a rally point, and then does what its parameters say, usually land.",
         permission: :fly,
@@ -83,6 +84,7 @@ defmodule Aerie.Command.Types.Flight do
       },
       %Type{
         name: "resume",
+        disarmed: :refused,
         group: :flight,
         meaning: "Continues the mission after hold or mission_pause.",
         permission: :mission,

@@ -73,6 +73,8 @@ defmodule Aerie.Command.Types.Manual do
       permission: :manual,
       moves_vehicle?: true,
       cancel?: true,
+      # Sticks also arm; a set-point may be stored.
+      disarmed: if(String.starts_with?(name, "setpoint_"), do: :refused_by_ardupilot, else: :taken),
       params:
         params ++
           [

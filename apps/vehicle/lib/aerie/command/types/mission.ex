@@ -9,6 +9,7 @@ defmodule Aerie.Command.Types.Mission do
     [
       %Type{
         name: "mission_start",
+        disarmed: :refused,
         group: :mission,
         meaning: "Starts the mission, or continues it. It does not arm the vehicle.",
         permission: :mission,
@@ -36,6 +37,7 @@ defmodule Aerie.Command.Types.Mission do
       },
       %Type{
         name: "jump",
+        disarmed: :refused,
         group: :mission,
         meaning: "Continues the mission at the item with a tag.",
         permission: :mission,

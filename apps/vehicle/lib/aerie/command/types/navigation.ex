@@ -11,6 +11,7 @@ defmodule Aerie.Command.Types.Navigation do
     [
       %Type{
         name: "goto",
+        disarmed: :refused,
         group: :navigation,
         meaning: "Flies to a place and stays there.",
         permission: :fly,
@@ -26,6 +27,7 @@ defmodule Aerie.Command.Types.Navigation do
       },
       %Type{
         name: "orbit",
+        disarmed: :refused,
         group: :navigation,
         meaning: "Circles around a place, or around its present position, until the next command.",
         permission: :fly,
@@ -62,6 +64,7 @@ defmodule Aerie.Command.Types.Navigation do
       },
       %Type{
         name: "set_altitude",
+        disarmed: :refused,
         group: :navigation,
         meaning: "Climbs or descends to a height above its present position.",
         permission: :fly,
@@ -71,6 +74,7 @@ defmodule Aerie.Command.Types.Navigation do
       },
       %Type{
         name: "set_yaw",
+        disarmed: :refused,
         group: :navigation,
         meaning: "Turns the nose while staying in place.",
         permission: :fly,
@@ -106,6 +110,7 @@ defmodule Aerie.Command.Types.Navigation do
       },
       %Type{
         name: "land_start",
+        disarmed: :refused,
         group: :navigation,
         meaning: "Flies to the start of the mission's landing sequence and lands with it.",
         permission: :mission,

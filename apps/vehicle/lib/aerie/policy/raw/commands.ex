@@ -123,11 +123,8 @@ defmodule Aerie.Policy.Raw.Commands do
   defp asked("NAV_SET_YAW_SPEED", request, _row, _vehicle) do
     {angle, speed} = {Request.number(request, 1) * :math.pi() / 180, Request.number(request, 2)}
     frame = if Request.int(request, 3) == 0, do: :north, else: :body
-
-    Facts.named("setpoint_velocity",
-      path: {:drift, frame, {speed * :math.cos(angle), speed * :math.sin(angle), 0.0}},
-      what: "where that velocity leads within 3 s"
-    )
+    drift = Facts.drift(frame, {speed * :math.cos(angle), speed * :math.sin(angle), 0})
+    Facts.named("setpoint_velocity", path: {:drift, drift}, what: Facts.drift_what())
   end
 
   defp asked("DO_PARACHUTE", request, _row, _vehicle),

@@ -60,23 +60,15 @@ defmodule Aerie.Policy.Raw.Place do
     end
   end
 
-  @doc "The path of a velocity."
-  @spec drift(integer(), {term(), term(), term()}) :: Facts.path()
-  def drift(frame, {x, y, z}) do
-    case axes(frame) do
-      nil -> :anywhere
-      axes -> {:drift, axes, {number(x), number(y), number(z)}}
-    end
-  end
+  @doc "Whether x is to the north or ahead in a frame, nil for one in which each firmware has its own opinion."
+  @spec axes(integer()) :: :north | :body | nil
+  def axes(frame) when frame in @body, do: :body
 
-  # Whether x is to the north or ahead. What it is in other frames, each firmware has its own opinion.
-  defp axes(frame) when frame in @body, do: :body
+  def axes(frame)
+      when frame in @local or frame in @shift or frame in @msl or frame in @home or frame in @terrain,
+      do: :north
 
-  defp axes(frame)
-       when frame in @local or frame in @shift or frame in @msl or frame in @home or frame in @terrain,
-       do: :north
-
-  defp axes(_frame), do: nil
+  def axes(_frame), do: nil
 
   defp axis(value) when is_number(value), do: value
   defp axis(_not_finite), do: nil

@@ -1,7 +1,8 @@
 defmodule Aerie.Policy.Rules.Altitude do
   @moduledoc """
   Heights that a command may ask for: at most `max_altitude` and at least `min_altitude` above home, at most
-  `max_altitude_msl` above mean sea level. A command that leaves the vehicle at its height is not judged.
+  `max_altitude_msl` above mean sea level. Above home means above where the vehicle took off, too, so that nobody lifts a limit by moving
+  home. A command that leaves the vehicle at its height is not judged.
   """
 
   @behaviour Aerie.Policy.Rule
@@ -14,19 +15,28 @@ defmodule Aerie.Policy.Rules.Altitude do
 
   def check(policy, facts, context) do
     case FlightPath.heights(facts, context) do
-      {:ok, heights} -> heights |> Enum.map(&height(policy, facts, &1)) |> Enum.find(:ok, &(&1 != :ok))
+      {:ok, heights} -> Enum.find_value(heights, :ok, &refused(policy, facts, &1, context))
       {:unknown, why} -> {:deny, "a limit of altitude applies to #{facts.type}, and #{why}"}
     end
   end
 
-  defp height(policy, facts, {home, msl, given}) do
+  defp refused(policy, facts, {home, msl, given}, context) do
+    floor = floor(policy, facts)
+
+    started =
+      for datum <- context.datums,
+          msl != nil,
+          {limit, side} <- [{policy.max_altitude, :max}, {floor, :min}],
+          do: {limit, side, msl - datum, "above where it took off"}
+
     limits = [
       {policy.max_altitude, :max, home, "above home"},
-      {floor(policy, facts), :min, home, "above home"},
+      {floor, :min, home, "above home"},
       {policy.max_altitude_msl, :max, msl, "above mean sea level"}
+      | started
     ]
 
-    Enum.find_value(limits, :ok, fn {limit, side, height, above} ->
+    Enum.find_value(limits, fn {limit, side, height, above} ->
       (limit != nil and not within?(side, height, limit)) &&
         {:deny, text(side, height, limit, above, facts, given)}
     end)

@@ -10,10 +10,13 @@ defmodule Aerie.Policy.Rules.Geofence do
   def check(_policy, %{ends_flight?: true}, _context), do: :ok
 
   def check(policy, facts, context) do
-    case FlightPath.legs(facts, context) do
-      {:ok, legs} ->
+    case FlightPath.judged(facts, context) do
+      {:ok, readings} ->
         targets =
-          if(length(legs) > 1, do: numbered(legs, facts), else: for(leg <- legs, do: {leg, facts.what}))
+          for legs <- readings,
+              target <-
+                if(length(legs) > 1, do: numbered(legs, facts), else: for(leg <- legs, do: {leg, facts.what})),
+              do: target
 
         Enum.find_value(targets, :ok, &refused(policy.fence, &1))
 

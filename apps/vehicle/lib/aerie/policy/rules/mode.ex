@@ -5,19 +5,30 @@ defmodule Aerie.Policy.Rules.Mode do
   with several names (`HOLD` is PX4's AUTO_LOITER, `MODE(4)` ArduPilot's GUIDED) is the same mode under each of them. A mode without a name
   counts as denied if anything is.
 
+  Channels and buttons that change the mode are judged by the mode that they change to (`Aerie.Policy.Switches`); while that is not known they
+  are refused.
+
   In a mission only `denied` counts: from which mode the vehicle will change then, is not known.
   """
 
   @behaviour Aerie.Policy.Rule
 
+  alias Aerie.Policy.Switches
   alias Aerie.Protocol.Modes
 
   @typedoc "Names in capitals. A mode that is not in `transitions` may be left for any other."
   @type modes :: %{denied: [String.t()], transitions: %{String.t() => [String.t()]}}
 
   @impl Aerie.Policy.Rule
-  def check(_policy, %{mode: nil, standard_mode: nil}, _context), do: :ok
+  def check(_policy, %{mode: nil, standard_mode: nil, switches: nil}, _context), do: :ok
   def check(%{modes: %{denied: [], transitions: none}}, _facts, _context) when none == %{}, do: :ok
+
+  def check(policy, %{mode: nil, standard_mode: nil} = facts, context) do
+    case Switches.modes(facts, context) do
+      {:ok, names} -> wanted(policy.modes, Enum.map(names, &known_as(&1, context)), facts, context)
+      {:unknown, why} -> {:deny, "#{facts.type}: #{why}, and modes are limited (policy.modes)"}
+    end
+  end
 
   def check(policy, %{mode: nil, standard_mode: name} = facts, context) do
     case context.standard_modes do

@@ -244,7 +244,8 @@ defmodule Aerie.Vehicle.Commands.Core do
 
   defp stream({core, actions}, command, step, until, now) do
     {repeater, given_back} = Repeater.start(core.repeater, command, step, until, now)
-    reason = "it is repeated #{step.stream.hz} times a second for #{step.stream.ms} ms"
+    note = if step.note, do: "; " <> step.note, else: ""
+    reason = "it is repeated #{step.stream.hz} times a second for #{step.stream.ms} ms" <> note
     details = %{"ms" => 0, "sent" => 1, "acknowledged" => false}
     result = {:result, Result.new(command.id, :accepted, reason, details)}
 

@@ -54,6 +54,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
       home: home(Fleet.data(snapshot, :home)),
       mission_seq: Fleet.data(snapshot, :mission)[:seq],
       arming_checks: checks(snapshot),
+      gcs: get_in(snapshot, [:gcs, :failsafe_range]),
+      params: snapshot[:params] || %{},
       mode_names: get_in(snapshot, [:memory, :mode_names]) || %{},
       standard_modes: get_in(snapshot, [:memory, :standard_modes]) || %{}
     }

@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Core.Services do
 
   alias Aerie.Policy.Arming
   alias Aerie.Protocol.Modes
-  alias Aerie.Vehicle.{Core, Gcs, Identity, Params, Reports, State, Timesync}
+  alias Aerie.Vehicle.{Core, Gcs, Identity, Params, Reports, State, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Shown}
   alias Aerie.Vehicle.Links.{HighLatency, Reception}
   alias Aerie.Vehicle.Streams.Arbiter
@@ -84,7 +84,9 @@ defmodule Aerie.Vehicle.Core.Services do
 
   @doc "A parameter has this value."
   @spec param(Core.t(), Params.value()) :: Core.t()
-  def param(core, {name, value, _index}), do: %{core | gcs: Gcs.param(core.gcs, name, value)}
+  def param(core, {name, value, _index}) do
+    %{core | gcs: Gcs.param(core.gcs, name, value), switches: Switches.param(core.switches, name, value)}
+  end
 
   @doc "A message of the autopilot came by a link."
   @spec heard(Core.t(), term(), non_neg_integer(), integer()) :: Core.t()
@@ -109,7 +111,8 @@ defmodule Aerie.Vehicle.Core.Services do
         modes_asked: nil,
         reports: Reports.rebooted(core.reports),
         timesync: Timesync.restarted(core.timesync),
-        gcs: Gcs.rebooted(core.gcs, at)
+        gcs: Gcs.rebooted(core.gcs, at),
+        switches: Switches.rebooted(core.switches, at)
     }
   end
 
@@ -122,6 +125,7 @@ defmodule Aerie.Vehicle.Core.Services do
         streams: Arbiter.rebased(core.streams, now),
         timesync: Timesync.restarted(core.timesync),
         gcs: Gcs.rebased(core.gcs, now),
+        switches: Switches.rebased(core.switches, now),
         reports: Reports.rebased(core.reports, now),
         high_latency: HighLatency.rebased(core.high_latency, now)
     }
@@ -134,6 +138,7 @@ defmodule Aerie.Vehicle.Core.Services do
       rebased
       | timesync: Timesync.shifted(core.timesync, step),
         gcs: Gcs.shifted(core.gcs, step),
+        switches: Switches.shifted(core.switches, step),
         high_latency: HighLatency.shifted(core.high_latency, step)
     }
   end
@@ -174,7 +179,13 @@ defmodule Aerie.Vehicle.Core.Services do
     # None of this is for a high-latency link (X6), and requests only go to a vehicle that is heard.
     reachable = link(core) != :none
     ask = core.status == :online and requests?(core, now)
-    {core, actions} |> streams(now, ask) |> clock(now, ask) |> gcs(now, ask) |> heartbeat(now, reachable)
+
+    {core, actions}
+    |> streams(now, ask)
+    |> clock(now, ask)
+    |> gcs(now, ask)
+    |> switches(now, ask)
+    |> heartbeat(now, reachable)
   end
 
   defp streams({%{options: %{request_streams: true}} = core, actions}, now, true) do
@@ -242,6 +253,14 @@ defmodule Aerie.Vehicle.Core.Services do
     observe({%{core | gcs: gcs}, sent(core, messages) ++ actions}, observed, now)
   end
 
+  defp switches({%{options: %{read_gcs_parameters: true}} = core, actions}, now, true) do
+    firmware = {core.state.autopilot, core.state.kind}
+    {switches, messages} = Switches.due(core.switches, now, target(core), firmware)
+    {%{core | switches: switches}, sent(core, messages) ++ actions}
+  end
+
+  defp switches(acc, _now, _ask), do: acc
+
   # The snapshot comes first: readers of the event look at it.
   defp observe(acc, [], _now), do: acc
 
@@ -291,6 +310,7 @@ defmodule Aerie.Vehicle.Core.Services do
       streams: if(core.options.request_streams, do: Arbiter.show(core.streams), else: %{}),
       clock: Timesync.show(core.timesync, now),
       gcs: Map.merge(Gcs.show(core.gcs, now), %{by_us?: ours?(core), withheld?: mistaken?(core)}),
+      params: core.switches.params,
       reports: Reports.show(core.reports),
       high_latency: %{only?: only_high_latency?(core, now), links: HighLatency.links(core.high_latency)}
     }

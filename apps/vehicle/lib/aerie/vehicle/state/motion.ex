@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.State.Motion do
-  @moduledoc "The groups position, attitude, velocity, gps and home."
+  @moduledoc "The groups position, attitude, velocity, gps and home, and the origin of local coordinates."
   @behaviour Aerie.Vehicle.State
 
   alias Aerie.Vehicle.State
@@ -94,6 +94,15 @@ defmodule Aerie.Vehicle.State.Motion do
       {lat, lon} -> {[], home: %{lat: lat, lon: lon, alt_msl: Value.millimetres(m.altitude)}}
       nil -> {[], []}
       :invalid -> {:invalid, :home_position}
+    end
+  end
+
+  # Where its local coordinates begin.
+  def read(%M.GpsGlobalOrigin{} = m, _state, _at) do
+    case Value.lat_lon(m.latitude, m.longitude) do
+      {lat, lon} -> {[origin: %{lat: lat, lon: lon, alt_msl: Value.millimetres(m.altitude)}], []}
+      nil -> {[], []}
+      :invalid -> {:invalid, :gps_global_origin}
     end
   end
 

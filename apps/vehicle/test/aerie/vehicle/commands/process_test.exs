@@ -89,11 +89,11 @@ defmodule Aerie.Vehicle.CommandsTest do
     flush()
 
     :counters.put(holds, 1, 0)
-    setpoint = [type: "setpoint_velocity", params: %{vx: 1.0, vy: 0.0, vz: 0.0, hold: 1}]
-    task = submit(gateway, [id: "s", still?: still?] ++ setpoint)
+    stream = [type: "rc_override", params: %{channels: [1500], hold: 1}]
+    task = submit(gateway, [id: "s", still?: still?] ++ stream)
     assert {:ok, %{status: :accepted}} = Task.await(task, Aerie.Patience.ms())
-    assert_receive {:transmit, [%M.SetPositionTargetLocalNed{}]}
-    assert_receive {:transmit, [%M.SetPositionTargetLocalNed{}]}
+    assert_receive {:transmit, [%M.RcChannelsOverride{}]}
+    assert_receive {:transmit, [%M.RcChannelsOverride{}]}
     :counters.put(holds, 1, 1)
     # What it had asked before.
     _known = :sys.get_state(context.pid)

@@ -58,9 +58,13 @@ defmodule Aerie.System.CommandTrialsTest do
     %{gateway: gateway} = start_gateway(context.tmp_dir, links: ["udpin:127.0.0.1:0"], overrides: overrides)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
-    # ArduPilot obeys sticks of the gateway only if it names its system id.
+    # Each obeys our sticks only if a parameter says so.
     # A peer that stands still for a moment is none that has gone, although time passes faster for the vehicle (X7).
-    patient = if firmware == :px4, do: %{"COM_OF_LOSS_T" => 60.0}, else: %{"GUID_TIMEOUT" => 60.0, "SYSID_MYGCS" => 245}
+    patient =
+      if firmware == :px4,
+        do: %{"COM_OF_LOSS_T" => 60.0, "COM_RC_IN_MODE" => 2},
+        else: %{"GUID_TIMEOUT" => 60.0, "SYSID_MYGCS" => 237}
+
     fast = Keyword.put(fast_vehicle(firmware, patient), :speed, speed)
     sim = start_supervised!({SimVehicle, [link: link] ++ fast})
     SimVehicle.await(sim, & &1.ready)

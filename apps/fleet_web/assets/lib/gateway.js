@@ -1,6 +1,8 @@
 // Says within two seconds when the gateway does not answer, whatever the reason: a question every 600 ms, and lost when two of them are open
 // at the third. The socket's process answers, so the page itself is not troubled. Questions are counted and not the time, because a browser
 // that held the page still has asked nothing meanwhile, and may have the answer waiting.
+//
+// A page that was loaded and is not live yet says so itself: its buttons are disabled (FleetWeb.Console.Layout) until it is.
 const ASK_MS = 600;
 const OPEN = 2;
 
@@ -11,6 +13,7 @@ export function watch(liveSocket) {
   const socket = liveSocket.getSocket();
   let answered = performance.now();
   let open = 0;
+  let live = false;
 
   function hear() {
     answered = performance.now();
@@ -19,13 +22,23 @@ export function watch(liveSocket) {
   }
 
   function look() {
+    begin();
     show();
     open += 1;
     socket.ping?.(hear);
   }
 
+  // The hooks of a page are mounted when it is connected.
+  function begin() {
+    if (live || !document.querySelector("[data-phx-main].phx-connected")) return;
+    live = true;
+    document.getElementById("controls").disabled = false;
+    root.classList.remove("connecting");
+    hear();
+  }
+
   function show() {
-    const lost = open >= OPEN;
+    const lost = live && open >= OPEN;
     if (lost) age.textContent = words(performance.now() - answered);
     if (lost === !banner.hidden) return;
     banner.hidden = !lost;
@@ -33,6 +46,7 @@ export function watch(liveSocket) {
     window.dispatchEvent(new CustomEvent("gateway", { detail: { lost } }));
   }
 
+  window.addEventListener("phx:page-loading-stop", begin);
   socket.onOpen(hear);
   setInterval(look, ASK_MS);
 }

@@ -6,12 +6,15 @@ defmodule FleetWeb.Console.Layout do
 
   alias FleetWeb.Console.{Assets, Navigation}
 
-  @doc "The document. The banner for a lost gateway is outside the live page, because it shows when that is dead."
+  @doc """
+  The document. The banner for a lost gateway is outside the live page, because it shows when that is dead. Until the page is live, all its
+  buttons and fields are disabled, because nothing would answer them (`assets/lib/gateway.js` enables them); its links work.
+  """
   def root(assigns) do
     assigns = Map.merge(%{theme: nil, live: true, page_title: nil}, assigns)
 
     ~H"""
-    <html lang="en" data-theme={@theme}>
+    <html lang="en" data-theme={@theme} class={@live && "connecting"}>
       <head>
         <meta charset="utf-8" />
         <meta name="viewport" content="width=device-width, initial-scale=1, viewport-fit=cover" />
@@ -26,17 +29,26 @@ defmodule FleetWeb.Console.Layout do
         <a class="skip" href="#main">Skip to the content</a>
         <div id="gateway-lost" class="banner bad" role="alert" hidden>
           <.icon name="link-off" /> <strong>Gateway lost.</strong>
-          <span>What you see is <b id="gateway-lost-age"></b> old. Nothing is sent. It comes back by itself.</span>
+          <span>What you see is <b id="gateway-lost-age"></b> old. Commands are off. Reconnecting…</span>
         </div>
         <div :if={Assets.missing(@gateway) != []} class="banner bad" role="alert">
           The pages' JavaScript packages are not installed: run <code>bin/setup</code> and start the gateway again.
         </div>
         <noscript><div class="banner bad">The console needs JavaScript.</div></noscript>
-        {@inner_content}
+        <.content live={@live}>{@inner_content}</.content>
+        <p id="hint" class="toast" role="status" hidden></p>
       </body>
     </html>
     """
   end
+
+  attr :live, :boolean, required: true
+  slot :inner_block, required: true
+
+  defp content(%{live: false} = assigns), do: ~H"{render_slot(@inner_block)}"
+
+  defp content(assigns),
+    do: ~H[<fieldset id="controls" role="presentation" disabled>{render_slot(@inner_block)}</fieldset>]
 
   @doc "The page for an unknown address."
   @spec not_found() :: String.t()
@@ -64,6 +76,7 @@ defmodule FleetWeb.Console.Layout do
     <div id="app" class="app">
       <header class="top">
         <.link navigate="/" class="brand" aria-label="Aerie, to the fleet"><.logo /><span>Aerie</span></.link>
+        <p :if={@connecting} class="badge warn" role="status">Connecting…, values of {@connecting}</p>
         <.alarm_strip alarms={@alarms} age={@alarm_age} />
         <span id="clock" class="clock wide-only" title="All times are UTC">{@clock}</span>
         <details class="menu" id="user-menu" phx-mounted={JS.ignore_attributes("open")}>

@@ -56,6 +56,7 @@ defmodule FleetWeb.Console.Access.OnMount do
          gateway: gateway,
          user: user,
          path: "/",
+         connecting: unless(connected?(socket), do: clock()),
          theme: session["theme"],
          csrf_token: session["_csrf_token"]
        )
@@ -68,6 +69,9 @@ defmodule FleetWeb.Console.Access.OnMount do
       {:halt, socket |> put_flash(:error, "This page is for #{page.role}s.") |> redirect(to: "/")}
     end
   end
+
+  # Of a page that is not live yet: how old its values are.
+  defp clock, do: Calendar.strftime(DateTime.utc_now(), "%H:%M:%S UTC")
 
   defp path(_params, uri, %{assigns: %{gateway: gateway, user: user}} = socket) do
     if Costly.spend(gateway, user.name, @page_cost),

@@ -1,26 +1,35 @@
 // A button that does something only after it was held for `data-hold` milliseconds, by pointer, Space or Enter, or by the key of
-// `data-shortcut` wherever the focus is.
+// `data-shortcut` wherever the focus is. What it is for is taken when the press begins; if that changes, the press ends.
 import { commandId } from "../lib/command_id.js";
+import { hint } from "../lib/hint.js";
+import { shown } from "../lib/shown.js";
 
 const lost = () => document.documentElement.classList.contains("gateway-lost");
 const TREMBLE_PX = 8;
-const typing = (target) => target.closest?.("input, select, textarea, [contenteditable]");
+const SLIPPED_MS = 1500;
+const field = (target) => target.closest?.("input, select, textarea, [contenteditable]");
+const text = (target) => !target.matches("select, [type=checkbox], [type=radio], [type=range], [type=button], [type=submit], [type=file]");
+const called = (target) => target.getAttribute("aria-label") ?? target.labels?.[0]?.textContent.trim() ?? "a field";
 
 export default {
   mounted() {
     const { el } = this;
     this.listen(el, "pointerdown", (event) => { if (event.button === 0) this.grab(event); });
     this.listen(el, "pointermove", (event) => this.moved(event));
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.listen(el, name, () => this.end("pointer"));
+    this.listen(el, "pointerup", (event) => this.release("pointer", event));
+    for (const name of ["pointercancel", "lostpointercapture"]) this.listen(el, name, () => this.end("pointer"));
     this.listen(el, "contextmenu", (event) => event.preventDefault());
     this.listen(el, "blur", () => this.end());
     this.listen(el, "keydown", (event) => this.press(event, ["Enter", " "]));
     this.listen(window, "keydown", (event) => this.shortcut(event));
-    this.listen(window, "keyup", (event) => this.end(event.key));
+    this.listen(window, "keyup", (event) => this.release(event.key, event));
     this.listen(window, "blur", () => this.end());
     this.listen(window, "gateway", () => this.end());
   },
-  updated() { if (this.el.disabled) this.end(); },
+  updated() {
+    if (this.el.disabled) this.end();
+    else if (this.timer && this.changed()) this.end(undefined, "Changed");
+  },
   destroyed() {
     this.end();
     for (const remove of this.listeners) remove();
@@ -33,7 +42,7 @@ export default {
   grab(event) {
     this.el.setPointerCapture(event.pointerId);
     this.from = event;
-    this.begin("pointer");
+    this.begin("pointer", event);
   },
   moved({ clientX: x, clientY: y }) {
     if (!this.timer || this.by !== "pointer" || Math.hypot(x - this.from.clientX, y - this.from.clientY) < TREMBLE_PX) return;
@@ -44,38 +53,56 @@ export default {
     if (event.key === "Escape") return this.end();
     if (!keys.includes(event.key)) return;
     event.preventDefault();
-    if (!event.repeat) this.begin(event.key);
+    if (!event.repeat) this.begin(event.key, event);
   },
   shortcut(event) {
-    const key = this.el.dataset.shortcut;
-    if (!key || event.ctrlKey || event.metaKey || event.altKey || typing(event.target)) return;
+    const { shortcut: key, refusal } = this.el.dataset;
+    if (!key || event.ctrlKey || event.metaKey || event.altKey || event.key.toLowerCase() !== key.toLowerCase()) return;
     // A dialog in front of the button keeps its keys to itself.
     if (document.querySelector("dialog[open]") && !this.el.closest("dialog[open]")) return;
-    if (event.key.toLowerCase() === key.toLowerCase()) this.press(event, [event.key]);
+    const target = field(event.target);
+    // A letter that somebody types is none that is held.
+    if (target && text(target) && !event.repeat) return;
+    if (target) return hint(`${key} does nothing while “${called(target)}” has the focus. Move the focus away, then hold ${key}.`);
+    if (refusal) return hint(refusal);
+    this.press(event, [event.key]);
   },
-  begin(by) {
-    if (this.timer || this.el.disabled || lost()) return;
+  begin(by, event) {
+    if (this.timer || this.el.matches(":disabled") || lost()) return;
     this.by = by;
+    this.since = Math.min(event.timeStamp, performance.now());
+    this.value = JSON.stringify(shown(this.el));
     this.show("holding");
-    this.timer = setTimeout(() => this.done(), Number(this.el.dataset.hold));
+    this.timer = setTimeout(() => this.ripe(), this.since + this.ms() - performance.now());
+  },
+  ms() {
+    return Number(this.el.dataset.hold);
+  },
+  // A busy page may have the release waiting behind this timer: releases come first, and are judged by their own time.
+  ripe() {
+    const again = navigator.scheduling?.isInputPending?.() ? () => this.ripe() : () => this.done();
+    this.timer = setTimeout(again);
+  },
+  // The hand's own times count, not when the page came to deal with them.
+  release(by, { timeStamp }) {
+    if (this.timer && by === this.by && timeStamp - this.since >= this.ms()) this.done();
+    else this.end(by);
   },
   // Let go too early: says what to do instead.
-  end(by) {
+  end(by, words = "Keep pressing") {
     if (!this.timer || (by && by !== this.by)) return;
     this.clear();
-    this.show("slipped", 900);
+    this.el.dataset.slip = words;
+    this.show("slipped", SLIPPED_MS);
+  },
+  changed() {
+    return JSON.stringify(shown(this.el)) !== this.value;
   },
   done() {
+    if (this.changed()) return this.end(undefined, "Changed");
     this.clear();
     this.show("held", 600);
-    const value = { id: commandId() };
-    for (const { name, value: text } of this.el.attributes) {
-      if (name.startsWith("phx-value-")) value[name.slice("phx-value-".length)] = text;
-    }
-    // What the form around it says, as the operator sees it.
-    const form = this.el.closest("form");
-    if (form) value.fields = Object.fromEntries(new FormData(form));
-    this.pushEvent(this.el.dataset.event, value);
+    this.pushEvent(this.el.dataset.event, { id: commandId(), ...JSON.parse(this.value) });
   },
   clear() {
     clearTimeout(this.timer);

@@ -3,8 +3,10 @@ defmodule FleetWeb.Console.UI.HoldButton do
   A button that has to be held down, for everything that moves a vehicle, so that a slip of the hand does nothing. Space and Enter are held like the
   pointer; Escape and leaving the button stop it.
 
-  The event's value has the `phx-value-*` attributes and `"id"`, which the browser makes for each press: the id of the command, by
-  which the gateway recognises a duplicate. While there is no gateway, a press is dropped, not queued.
+  The event's value has the `phx-value-*` attributes, `value`, the fields of the form around it, and `"id"`, which the browser makes for each press: the
+  id of the command, by which the gateway recognises a duplicate. All are taken when the press begins, and a press during which they change
+  sends nothing. A page that acts on more than the event says compares: what it has may have changed since the press was made. While there is
+  no gateway, a press is dropped, not queued.
   """
   use Phoenix.Component
 
@@ -18,6 +20,8 @@ defmodule FleetWeb.Console.UI.HoldButton do
   attr :icon, :string, default: nil
   attr :hold_ms, :integer, default: 800, values: [500, 800, 1500]
   attr :shortcut, :string, default: nil, doc: "a key that is held instead, wherever the focus is"
+  attr :refusal, :string, default: nil, doc: "why the key does nothing now"
+  attr :value, :map, default: %{}, doc: "what it is for, as the operator sees it"
   attr :disabled, :boolean, default: false
   attr :reason, :string, default: nil, doc: "why it is disabled"
   attr :class, :string, default: nil
@@ -32,13 +36,15 @@ defmodule FleetWeb.Console.UI.HoldButton do
       id={@id}
       class={["button hold", @kind, "hold-#{@hold_ms}", @class]}
       phx-hook="HoldButton"
-      phx-mounted={JS.ignore_attributes(~w(data-state data-held-count data-slipped-count))}
+      phx-mounted={JS.ignore_attributes(~w(data-state data-slip data-held-count data-slipped-count))}
       data-event={@event}
       data-hold={@hold_ms}
       data-shortcut={@shortcut}
+      data-refusal={@refusal}
+      data-value={JSON.encode!(@value)}
       disabled={@disabled}
-      title={if(@disabled, do: @reason, else: "Hold to confirm")}
-      aria-description="Hold to confirm"
+      title={if(@disabled, do: @reason, else: "Press and hold")}
+      aria-description="Press and hold"
       {@rest}
     ><.icon :if={@icon} name={@icon} /><span>{render_slot(@inner_block)}</span><kbd :if={@shortcut}>{@shortcut}</kbd></button>
     """

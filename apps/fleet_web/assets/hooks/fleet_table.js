@@ -1,17 +1,58 @@
-// Selects vehicles in the table: a click one, with Ctrl one more, with Shift a range; the same with arrows and Space.
+// Selects vehicles in the table: a click one, with Ctrl one more, with Shift a range; the same with arrows and Space. Tells the page when a hand
+// is on the table, by pointer or focus, so that its rows keep their places.
+const AWAY_MS = 500;
+// What was selected when the gateway went away, for the page that may be loaded again because of it.
+const KEPT = "aerie:selected";
+const loadedAgain = () => performance.getEntriesByType("navigation")[0]?.type === "reload";
+
 export default {
   mounted() {
     this.el.addEventListener("click", (event) => this.click(event));
     this.el.addEventListener("keydown", (event) => this.key(event));
+    this.el.addEventListener("pointerenter", () => { this.over = true; this.hand(); });
+    this.el.addEventListener("pointerleave", () => { this.over = false; this.hand(); });
+    for (const name of ["focusin", "focusout"]) this.el.addEventListener(name, () => setTimeout(() => this.hand()));
+    this.again(loadedAgain());
+  },
+
+  destroyed() {
+    this.gone = true;
+    clearTimeout(this.away);
   },
 
   // A server that comes back does not know what was selected.
   disconnected() {
-    this.kept = [...this.el.querySelectorAll("tbody tr[aria-selected=true]")].map((row) => row.dataset.id);
+    const selected = [...this.el.querySelectorAll("tbody tr[aria-selected=true]")].map((row) => row.dataset.id);
+    if (selected.length > 0) sessionStorage.setItem(KEPT, JSON.stringify(selected));
   },
 
   reconnected() {
-    if (this.kept?.length) this.pushEvent("again", { ids: this.kept });
+    this.again(true);
+    if (this.told) this.tell(true);
+  },
+
+  again(wanted) {
+    const kept = sessionStorage.getItem(KEPT);
+    sessionStorage.removeItem(KEPT);
+    if (kept && wanted) this.pushEvent("again", { ids: JSON.parse(kept) });
+  },
+
+  // A hand that leaves may come back at once.
+  hand() {
+    clearTimeout(this.away);
+    const on = !this.gone && (this.over || this.el.contains(document.activeElement));
+    if (on && !this.told) this.tell(true);
+    if (!on && this.told) this.away = setTimeout(() => this.tell(false), AWAY_MS);
+  },
+
+  // With the places that the operator sees: the page may have sorted the rows meanwhile.
+  tell(over) {
+    this.told = over;
+    this.pushEvent("pointer", { over, ids: over ? this.rows().map((row) => row.dataset.id) : [] });
+  },
+
+  rows() {
+    return [...this.el.querySelectorAll("tbody tr")];
   },
 
   click(event) {
@@ -40,7 +81,7 @@ export default {
   },
 
   move(row, step, extend) {
-    const rows = [...row.parentElement.children];
+    const rows = this.rows();
     const to = rows[Math.min(rows.length - 1, Math.max(0, rows.indexOf(row) + step))];
     to.focus();
     to.scrollIntoView({ block: "nearest" });

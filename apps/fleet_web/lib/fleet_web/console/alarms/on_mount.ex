@@ -52,7 +52,8 @@ defmodule FleetWeb.Console.Alarms.OnMount do
   # `Access.OnMount` has already refused anybody below an operator.
   defp asked("alarm-acknowledge", value, %{assigns: %{user: user, gateway: gateway}} = socket) do
     case value do
-      %{"all" => _all} -> Server.acknowledge(gateway, :all, user.name)
+      # Those that the page showed: one that came since nobody has seen.
+      %{"alarms" => ids} when is_list(ids) -> Server.acknowledge(gateway, ids, user.name)
       %{"alarm" => id} when is_binary(id) -> Server.acknowledge(gateway, [id], user.name)
       _neither -> :ok
     end

@@ -28,7 +28,7 @@ defmodule FleetWeb.Console.Alarms.Page do
     ~H"""
     <div class="spread page-title">
       <h1>Alarms</h1>
-      <.button :if={@may?} phx-click="alarm-acknowledge" phx-value-all="yes" icon="check" disabled={@alarms.waiting == 0}>Acknowledge all</.button>
+      <.button :if={@may?} phx-click={JS.push("alarm-acknowledge", value: %{alarms: Enum.map(@rows, & &1.id)})} icon="check" disabled={@alarms.waiting == 0}>Acknowledge all</.button>
     </div>
     <.stale :if={@dropped > 0}>{@dropped} more alarms did not fit in this list.</.stale>
     <.empty :if={@rows == []} icon="check" title="No alarms">

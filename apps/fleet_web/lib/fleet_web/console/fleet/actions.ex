@@ -1,58 +1,89 @@
 defmodule FleetWeb.Console.Fleet.Actions do
-  @moduledoc "The actions for the selected vehicles, with the result for each."
+  @moduledoc "The actions for the selected vehicles, with the result for each. Their events say for which vehicles the operator saw them."
   use FleetWeb.Console, :component
 
   import FleetWeb.Console.Fleet.Charge, only: [charge: 1]
 
   alias FleetWeb.Console.Access.Role
+  alias FleetWeb.Console.Commands.Catalog
   alias FleetWeb.Console.Fleet.{Batch, Plans, Selection}
 
   attr :selection, :map, required: true
   attr :all, :list, required: true
+  attr :rows, :list, required: true
   attr :user, :map, required: true
-  attr :batch, :map, default: nil
   attr :plans, Plans, required: true
 
-  @doc "Hold, return and land for the selection, who is in charge of it, its plans on the map, its tags, and the results of the last action."
+  @doc "Hold, return and land for the selection, who is in charge of it, its plans on the map and its tags. It takes the same room without a selection."
   def actions(assigns) do
-    assigns = assign(assigns, :chosen, Enum.filter(assigns.all, &(&1.id in assigns.selection.ids)))
+    chosen = Enum.filter(assigns.all, &(&1.id in assigns.selection.ids))
+    ids = Enum.map(chosen, & &1.id)
+    {seen, hidden} = Selection.words(assigns.selection, ids, Enum.map(assigns.rows, & &1.id))
+    assigns = assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden)
 
     ~H"""
-    <div :if={Selection.size(@selection) > 0} id="fleet-actions" class="fleet-actions" role="group" aria-label="For the selected vehicles">
-      <strong class="fleet-selected">{names(@selection, @all)}</strong>
-      <div :if={Role.at_least?(@user.role, :operator)} class="row">
-        <.hold_button :for={{type, label, icon, key} <- types()} id={"fleet-#{type}"} event="command" icon={icon} shortcut={key} phx-value-type={type}>{label}</.hold_button>
-        <.button icon="tag" phx-click="tag">Tags</.button>
+    <div class="fleet-dock">
+      <p :if={@chosen == []} class="muted">Select vehicles in the table or on the map.</p>
+      <div :if={@chosen != []} id="fleet-actions" class="fleet-actions" role="group" aria-label="For the selected vehicles">
+        <p class="fleet-selected">
+          <strong :if={@seen}>{@seen}</strong>
+          <strong :if={@hidden} class="fleet-hidden" role="status"><.icon name="alert" /> {@hidden}</strong>
+        </p>
+        <div :if={Role.at_least?(@user.role, :operator)} class="row">
+          <.hold_button
+            :for={{type, label, icon, key} <- types()}
+            id={"fleet-#{type}"}
+            event="command"
+            icon={icon}
+            shortcut={key}
+            refusal={@hidden && "#{key} does nothing: #{@hidden}."}
+            value={@value}
+            phx-value-type={type}
+          >{label}</.hold_button>
+          <.button icon="tag" phx-click={JS.push("tag", value: @value)}>Tags</.button>
+        </div>
+        <.button icon="plan" phx-click={JS.push("plans", value: @value)} aria-pressed={to_string(Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
+        <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
+        <.charge :if={Role.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
       </div>
-      <.button icon="plan" phx-click="plans" aria-pressed={to_string(@chosen != [] and Enum.all?(@chosen, &Plans.on?(@plans, &1.id)))}>Missions</.button>
-      <.button kind="quiet" icon="x" label="Select none" phx-click="none" />
-      <.charge :if={Role.at_least?(@user.role, :operator)} rows={@chosen} user={@user} />
     </div>
-    <p :for={words <- Plans.words(@plans)} class="hint fleet-plans" role="status">{words}</p>
-    <section :if={@batch} id="fleet-batch" class="fleet-batch card" aria-label="Results">
-      <header class="spread">
-        <h2>{title(@batch.type)}: {Batch.done(@batch)} of {length(@batch.entries)} done</h2>
-        <.button kind="quiet" icon="x" label="Close" phx-click="close_batch" />
-      </header>
-      <ul aria-live="polite">
-        <li :for={entry <- @batch.entries} :key={entry.id}>
-          <span>{entry.vehicle}</span>
-          <.badge kind={kind(entry.state)}>{word(entry.state)}</.badge>
-          <span class="muted">{reason(entry.state)}</span>
-        </li>
-      </ul>
-    </section>
+    """
+  end
+
+  attr :batch, :map, required: true
+  attr :plans, Plans, required: true
+
+  @doc "The results of the last action, and what is said of plans, over the map's lower part."
+  def results(assigns) do
+    assigns = assign(assigns, :words, Plans.words(assigns.plans))
+
+    ~H"""
+    <div :if={@batch != nil or @words != []} class="fleet-results">
+      <section :if={@batch} id="fleet-batch" class="fleet-batch card" aria-label="Results">
+        <header class="spread">
+          <h2>{title(@batch)}</h2>
+          <.button kind="quiet" icon="x" label="Close" phx-click="close_batch" />
+        </header>
+        <ul aria-live="polite">
+          <li :for={entry <- Batch.by_need(@batch)} :key={entry.id}>
+            <span>{entry.vehicle}</span>
+            <.badge kind={kind(@batch, entry)}>{word(@batch, entry)}</.badge>
+            <span class="muted">{reason(entry.state)}</span>
+          </li>
+        </ul>
+      </section>
+      <p :for={words <- @words} class="hint fleet-plans" role="status">{words}</p>
+    </div>
     """
   end
 
   attr :tagging, :map, required: true
-  attr :count, :integer, required: true
   attr :words, :list, required: true
 
-  @doc "The dialog for the tags of the selected vehicles."
+  @doc "The dialog for the tags of the vehicles that were selected when it was opened."
   def tag_dialog(assigns) do
     ~H"""
-    <.dialog id="tags" title={"Tags of #{@count} #{if @count == 1, do: "vehicle", else: "vehicles"}"} cancel="close_tags">
+    <.dialog id="tags" title={"Tags of #{Selection.names(@tagging.ids)}"} cancel="close_tags">
       <form id="tags-form" phx-submit="save_tags">
         <.field
           id="tags-field"
@@ -70,9 +101,11 @@ defmodule FleetWeb.Console.Fleet.Actions do
     """
   end
 
-  defp title("take_control"), do: "TAKE CHARGE"
-  defp title("release_control"), do: "RELEASE"
-  defp title(type), do: String.upcase(type)
+  defp title(batch) do
+    {over, not_done} = Batch.count(batch)
+    failed = if not_done > 0, do: ", #{not_done} not done"
+    "#{Catalog.title(batch.type)}: #{over} of #{length(batch.entries)} ended#{failed}"
+  end
 
   defp save([]), do: "Save"
   defp save(left), do: "Saving, #{length(left)} left"
@@ -80,16 +113,8 @@ defmodule FleetWeb.Console.Fleet.Actions do
   defp types,
     do: [{"hold", "Hold", "hold", "H"}, {"rtl", "Return", "rtl", "R"}, {"land", "Land", "land", "L"}]
 
-  defp names(selection, all) do
-    case Selection.among(selection, Enum.map(all, & &1.id)) do
-      [id] -> id
-      ids when length(ids) <= 3 -> Enum.join(ids, ", ")
-      ids -> "#{length(ids)} vehicles"
-    end
-  end
-
-  defp kind(state), do: state |> Batch.shown() |> elem(0)
-  defp word(state), do: state |> Batch.shown() |> elem(1)
+  defp kind(batch, entry), do: batch.type |> Batch.shown(entry.state) |> elem(0)
+  defp word(batch, entry), do: batch.type |> Batch.shown(entry.state) |> elem(1)
   defp reason({:done, _status, reason}), do: reason
   defp reason(_state), do: nil
 end

@@ -58,20 +58,34 @@ defmodule FleetWeb.Console.Fleet.Batch do
   def find(nil, _id), do: nil
   def find(batch, id), do: Enum.find(batch.entries, &(&1.id == id))
 
-  @doc "How many commands have a result."
-  @spec done(t()) :: non_neg_integer()
-  def done(batch), do: Enum.count(batch.entries, &match?({:done, _status, _reason}, &1.state))
+  @doc "How many commands have a result, and how many of these are not what was wanted."
+  @spec count(t()) :: {over :: non_neg_integer(), not_done :: non_neg_integer()}
+  def count(batch) do
+    over = for %{state: {:done, status, _reason}} <- batch.entries, do: status
+    {length(over), Enum.count(over, &(&1 not in [:completed, :accepted]))}
+  end
 
-  @doc "The kind of badge and the word for a state."
-  @spec shown(state()) :: {String.t(), String.t()}
-  def shown(:waiting), do: {"plain", "waiting"}
-  def shown(:under_way), do: {"info", "under way"}
+  @doc "The commands and their results, those that need somebody first."
+  @spec by_need(t()) :: [entry()]
+  def by_need(batch), do: Enum.sort_by(batch.entries, &need(shown(batch.type, &1.state)))
 
-  def shown({:done, status, _reason}) when status in [:completed, :accepted],
-    do: {"ok", Atom.to_string(status)}
+  defp need({kind, _word}), do: Enum.find_index(~w(bad warn plain info ok), &(&1 == kind))
 
-  def shown({:done, status, _reason}) when status in [:unknown, :timeout],
-    do: {"warn", Atom.to_string(status)}
-
-  def shown({:done, status, _reason}), do: {"bad", Atom.to_string(status)}
+  @doc "The kind of badge and the word for the state of a command of a type."
+  @spec shown(type :: String.t(), state()) :: {String.t(), String.t()}
+  def shown(_type, :waiting), do: {"plain", "Waiting"}
+  def shown(_type, :under_way), do: {"info", "Pending"}
+  # A command is completed when the vehicle shows that it has begun.
+  def shown("hold", {:done, :completed, _reason}), do: {"ok", "Holding"}
+  def shown("rtl", {:done, :completed, _reason}), do: {"ok", "Returning"}
+  def shown("land", {:done, :completed, _reason}), do: {"ok", "Landing"}
+  def shown(_type, {:done, :completed, _reason}), do: {"ok", "Done"}
+  def shown(_type, {:done, :accepted, _reason}), do: {"ok", "Accepted"}
+  def shown(_type, {:done, :timeout, _reason}), do: {"warn", "No answer"}
+  def shown(_type, {:done, :unknown, _reason}), do: {"warn", "Unknown"}
+  def shown(_type, {:done, :rejected, _reason}), do: {"bad", "Refused"}
+  def shown(_type, {:done, :denied, _reason}), do: {"bad", "Not allowed"}
+  def shown(_type, {:done, :expired, _reason}), do: {"bad", "Too late"}
+  def shown(_type, {:done, :cancelled, _reason}), do: {"bad", "Cancelled"}
+  def shown(_type, {:done, :failed, _reason}), do: {"bad", "Failed"}
 end

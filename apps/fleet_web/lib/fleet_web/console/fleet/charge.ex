@@ -10,23 +10,37 @@ defmodule FleetWeb.Console.Fleet.Charge do
   @doc "One line, with the forms of what the user may change."
   def charge(assigns) do
     {own, others, free} = split(assigns.rows, assigns.user.name)
-    assigns = assign(assigns, own: own, others: others, free: free)
+    assigns = assign(assigns, own: own, others: others, free: free, value: JSON.encode!(value(assigns.rows)))
 
     ~H"""
     <details class={["charge", if(@others != [], do: "other", else: "free")]} id="fleet-charge" phx-mounted={JS.ignore_attributes("open")}>
       <summary><.icon name={if @others != [], do: "lock", else: "user"} /> <span>{words(@own, @others, @free)}</span></summary>
       <div class="charge-forms">
-        <form :if={@others != [] or @free != []} id="fleet-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control">
+        <form :if={@others != [] or @free != []} id="fleet-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
           <.field :if={@others != []} id="fleet-take-reason" name="reason" label="Reason, told to who is in charge" maxlength="200" required={true} autocomplete="off" />
           <.button type="submit" kind="primary">{if @others != [], do: "Take over", else: "Take charge"}</.button>
         </form>
-        <form :if={@own != []} id="fleet-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control">
+        <form :if={@own != []} id="fleet-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control" data-value={@value}>
           <.button type="submit">Release</.button>
         </form>
       </div>
     </details>
     """
   end
+
+  @doc "What its forms show: the vehicles, and who is in charge of which."
+  @spec value([Row.t()]) :: %{ids: [String.t()], holders: %{String.t() => String.t()}}
+  def value(rows), do: %{ids: Enum.map(rows, & &1.id), holders: holders(rows)}
+
+  defp holders(rows),
+    do: for(%{id: id, holder: holder} when holder != nil <- rows, into: %{}, do: {id, holder})
+
+  @doc "Whether a press was made while these were in charge. Other commands do not depend on it."
+  @spec meant?(event :: map(), [Row.t()]) :: boolean()
+  def meant?(%{"type" => type} = event, rows) when type in ~w(take_control release_control),
+    do: event["holders"] == holders(rows)
+
+  def meant?(_event, _rows), do: true
 
   @doc "The vehicles that a command about the charge is for: releasing is for one's own, taking for the others."
   @spec concerned(String.t(), [Row.t()], name :: String.t()) :: [String.t()]

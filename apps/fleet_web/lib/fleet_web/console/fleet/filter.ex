@@ -24,7 +24,7 @@ defmodule FleetWeb.Console.Fleet.Filter do
 
   @doc "The flags with their labels."
   @spec flags() :: [{String.t(), String.t()}]
-  def flags, do: [{"armed", "Armed"}, {"air", "In air"}, {"stale", "Stale"}, {"problem", "Problem"}]
+  def flags, do: [{"armed", "Armed"}, {"air", "In air"}, {"stale", "Stale"}, {"problem", "Has problems"}]
 
   @doc "The filter in an address. Unknown parameters are ignored."
   @spec parse(map()) :: t()

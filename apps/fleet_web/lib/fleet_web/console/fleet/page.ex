@@ -8,9 +8,10 @@ defmodule FleetWeb.Console.Fleet.Page do
   use FleetWeb.Console,
       {:page,
        events: [
-         viewer: ~w(select all none again filter flag sort plans map_select map_follow map_menu map_escape)
+         viewer:
+           ~w(select all none again pointer sort_now filter flag sort plans map_select map_follow map_menu map_escape)
        ],
-       costly: ~w(all filter flag sort plans)}
+       costly: ~w(all filter flag sort sort_now plans)}
 
   import FleetWeb.Console.Fleet.{Actions, Table, Toolbar}
   import FleetWeb.Console.Map, only: [map: 1]
@@ -19,11 +20,25 @@ defmodule FleetWeb.Console.Fleet.Page do
   alias Aerie.Policy.Leases
   alias Aerie.Shadow.Tags
   alias Aerie.Store.PubSub
-  alias FleetWeb.Console.Fleet.{Batch, Charge, Filter, Order, Plans, Row, Selection}
+
+  alias FleetWeb.Console.Fleet.{
+    Address,
+    Batch,
+    Charge,
+    Filter,
+    Order,
+    Plans,
+    Row,
+    Selection,
+    Sequence,
+    Tagging
+  }
+
   alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
 
   @map "fleet-map"
   @rows_each_time 50
+  @changed "The selection changed; nothing was sent."
   # Desired states take ten changes a second from one user.
   @tag_again_ms 200
 
@@ -34,6 +49,8 @@ defmodule FleetWeb.Console.Fleet.Page do
      |> assign(page_title: "Fleet", view: "map", filter: %Filter{}, order: {"id", :asc}, follow: nil)
      |> assign(
        selection: %Selection{},
+       sequence: %Sequence{},
+       hand: false,
        batch: nil,
        tagging: nil,
        plans: %Plans{},
@@ -49,12 +66,11 @@ defmodule FleetWeb.Console.Fleet.Page do
   end
 
   @impl Phoenix.LiveView
-  def handle_params(params, _uri, socket) do
-    {:noreply,
-     socket
-     |> assign(filter: Filter.parse(params), order: Order.parse(params["sort"]))
-     |> assign(view: if(params["view"] == "table", do: "table", else: "map"))
-     |> show()}
+  def handle_params(params, _uri, %{assigns: %{filter: filter, order: order}} = socket) do
+    view = if params["view"] == "table", do: "table", else: "map"
+    socket = assign(socket, filter: Filter.parse(params), order: Order.parse(params["sort"]), view: view)
+    same? = {socket.assigns.filter, socket.assigns.order} == {filter, order}
+    {:noreply, if(same?, do: show(socket), else: sort(socket))}
   end
 
   @impl Phoenix.LiveView
@@ -146,6 +162,14 @@ defmodule FleetWeb.Console.Fleet.Page do
     {:noreply, assign(socket, :selection, %Selection{ids: MapSet.new(known)})}
   end
 
+  def handle_event("pointer", %{"over" => over} = event, socket) do
+    shown = if is_list(event["ids"]), do: event["ids"], else: []
+    sequence = Sequence.adopt(socket.assigns.sequence, shown)
+    {:noreply, socket |> assign(hand: over == true, sequence: sequence) |> show()}
+  end
+
+  def handle_event("sort_now", _value, socket), do: {:noreply, sort(socket)}
+
   def handle_event("filter", value, socket),
     do: {:noreply, patch(socket, filter: %{Filter.parse(value) | flags: socket.assigns.filter.flags})}
 
@@ -162,66 +186,70 @@ defmodule FleetWeb.Console.Fleet.Page do
   def handle_event("map_menu", _place, socket), do: {:noreply, socket}
 
   # The missions of those that are selected, on the map.
-  def handle_event("plans", _value, %{assigns: %{gateway: gateway, selection: selection, all: all}} = socket) do
-    case Selection.among(selection, ids(all)) do
-      [] ->
-        {:noreply, socket}
+  def handle_event("plans", event, socket) do
+    %{assigns: %{gateway: gateway}, private: %{fleet: %{counts: counts}}} = socket
 
-      ids ->
-        counts = socket.private.fleet.counts
-        {:noreply, socket |> update(:plans, &Plans.toggle(&1, gateway, ids, counts)) |> tell_plans()}
-    end
+    {:noreply,
+     meant(socket, event, fn chosen ->
+       socket |> update(:plans, &Plans.toggle(&1, gateway, ids(chosen), counts)) |> tell_plans()
+     end)}
   end
 
-  def handle_event("command", %{"type" => type, "id" => press} = event, socket) do
-    %{selection: selection, all: all, gateway: gateway, batch: last, user: user} = socket.assigns
-    chosen = for row <- all, row.id in selection.ids, do: row
-
-    case Batch.new(press, type, Charge.concerned(type, chosen, user.name), params(event)) do
-      {:ok, %{press: press} = batch} when last == nil or last.press != press ->
-        forget(gateway, last)
-        for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
-        send(self(), {:submit, press})
-        {:noreply, assign(socket, :batch, batch)}
-
-      _twice_or_wrong ->
-        {:noreply, socket}
-    end
-  end
+  def handle_event("command", %{"type" => _type} = event, socket),
+    do: {:noreply, meant(socket, event, &command(socket, event, &1))}
 
   def handle_event("close_batch", _value, socket) do
     forget(socket.assigns.gateway, socket.assigns.batch)
     {:noreply, assign(socket, :batch, nil)}
   end
 
-  def handle_event("tag", _value, socket) do
-    chosen = for row <- socket.assigns.all, row.id in socket.assigns.selection.ids, do: row
-
-    case Enum.map(chosen, &MapSet.new(&1.tags)) do
-      [] ->
-        {:noreply, socket}
-
-      tags ->
-        common = tags |> Enum.reduce(&MapSet.intersection/2) |> Enum.sort()
-        text = Enum.join(common, ", ")
-        {:noreply, assign(socket, :tagging, %{text: text, common: common, error: nil, left: []})}
-    end
-  end
+  def handle_event("tag", event, socket),
+    do: {:noreply, meant(socket, event, &assign(socket, :tagging, Tagging.new(&1)))}
 
   def handle_event("close_tags", _value, socket), do: {:noreply, assign(socket, :tagging, nil)}
 
   def handle_event("save_tags", %{"tags" => text}, %{assigns: %{tagging: %{left: []} = tagging}} = socket)
       when is_binary(text) do
-    %{all: all, selection: selection} = socket.assigns
-    words = text |> String.split(",") |> Tags.tidy()
-
-    # Tags that only some of the vehicles have stay theirs.
-    left = for row <- all, row.id in selection.ids, do: {row.id, words ++ (row.tags -- tagging.common)}
     send(self(), :tag)
-    {:noreply, assign(socket, :tagging, %{tagging | text: text, error: nil, left: left})}
+    {:noreply, assign(socket, :tagging, Tagging.save(tagging, text, socket.assigns.all))}
   end
 
   def handle_event("save_tags", _value, socket), do: {:noreply, socket}
+
+  # A press is for the vehicles that its operator saw: what is selected by now may be others.
+  defp meant(%{assigns: %{all: all, selection: selection}} = socket, event, act) do
+    chosen = Enum.filter(all, &(&1.id in selection.ids))
+
+    cond do
+      not Selection.meant?(event, ids(chosen)) ->
+        put_flash(socket, :error, @changed)
+
+      not Charge.meant?(event, chosen) ->
+        put_flash(socket, :error, "Who is in charge changed; nothing was sent.")
+
+      chosen == [] ->
+        socket
+
+      true ->
+        act.(chosen)
+    end
+  end
+
+  defp command(socket, event, chosen) do
+    %{gateway: gateway, batch: last, user: user} = socket.assigns
+    type = event["type"]
+
+    case Batch.new(event["id"], type, Charge.concerned(type, chosen, user.name), params(event)) do
+      {:ok, %{press: press} = batch} when last == nil or last.press != press ->
+        forget(gateway, last)
+        for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
+        send(self(), {:submit, press})
+        socket |> clear_flash() |> assign(:batch, batch)
+
+      _twice_or_wrong ->
+        socket
+    end
+  end
 
   # The table of commands checks them.
   defp params(%{"fields" => %{"reason" => reason}}) when is_binary(reason), do: %{"reason" => reason}
@@ -248,19 +276,7 @@ defmodule FleetWeb.Console.Fleet.Page do
 
   defp patch(socket, changes) do
     %{filter: filter, order: order, view: view} = Map.merge(socket.assigns, Map.new(changes))
-    push_patch(socket, to: address(filter, order, view), replace: true)
-  end
-
-  @doc false
-  @spec address(Filter.t(), Order.t(), String.t()) :: String.t()
-  def address(filter, order, view) do
-    sort = if column = Order.param(order), do: [{"sort", column}], else: []
-    view = if view == "table", do: [{"view", view}], else: []
-
-    case Filter.params(filter) ++ sort ++ view do
-      [] -> "/"
-      params -> "/?" <> URI.encode_query(params)
-    end
+    push_patch(socket, to: Address.of(filter, order, view), replace: true)
   end
 
   # Reads the read model and updates the map.
@@ -312,7 +328,7 @@ defmodule FleetWeb.Console.Fleet.Page do
       {payload, sent} =
         Payload.changes(
           socket.private.fleet.sent,
-          Enum.flat_map(vehicles, &List.wrap(maybe(Payload.row(&1))))
+          for(vehicle <- vehicles, row = Payload.row(vehicle), do: row)
         )
 
       homes = Payload.homes(vehicles)
@@ -329,15 +345,29 @@ defmodule FleetWeb.Console.Fleet.Page do
     end
   end
 
-  defp maybe(nil), do: nil
-  defp maybe(row), do: [row]
+  # As somebody asked for.
+  defp sort(%{assigns: %{sequence: sequence}} = socket),
+    do: put_rows(socket, Sequence.sort(sequence, ids(sorted(socket)), now_ms()))
 
-  # Filters and sorts the rows for the table.
-  defp show(%{assigns: %{all: all, filter: filter, order: order}} = socket) do
-    socket
-    |> assign(:rows, all |> Enum.filter(&Filter.shows?(filter, &1)) |> Order.sort(order))
-    |> assign(:selection, Selection.keep(socket.assigns.selection, ids(all)))
+  # Filters and sorts the rows for the table, but for those that keep their places.
+  defp show(%{assigns: %{all: all, hand: hand} = assigns} = socket) do
+    selection = Selection.keep(assigns.selection, ids(all))
+    held? = hand or Selection.size(selection) > 0
+    sequence = Sequence.follow(assigns.sequence, ids(sorted(socket)), ids(all), held?, now_ms())
+    socket |> assign(:selection, selection) |> put_rows(sequence)
   end
+
+  # A table that disappears takes the hand along.
+  defp put_rows(%{assigns: %{all: all, hand: hand}} = socket, sequence) do
+    by_id = Map.new(all, &{&1.id, &1})
+    rows = for id <- sequence.ids, row = by_id[id], do: row
+    assign(socket, sequence: sequence, rows: rows, hand: hand and rows != [])
+  end
+
+  defp sorted(%{assigns: %{all: all, filter: filter, order: order}}),
+    do: all |> Enum.filter(&Filter.shows?(filter, &1)) |> Order.sort(order)
+
+  defp now_ms, do: System.monotonic_time(:millisecond)
 
   defp due?(%{assigns: %{rows: rows}, private: %{fleet: %{round: round}}}),
     do: rem(round, max(1, div(length(rows), @rows_each_time))) == 0
@@ -355,24 +385,25 @@ defmodule FleetWeb.Console.Fleet.Page do
       <h1 class="visually-hidden">Fleet</h1>
       <div class="fleet-tabs">
         <.tabs label="Map or table">
-          <:tab patch={address(@filter, @order, "map")} current={@view == "map"} icon="map">Map</:tab>
-          <:tab patch={address(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
+          <:tab patch={Address.of(@filter, @order, "map")} current={@view == "map"} icon="map">Map</:tab>
+          <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
         </.tabs>
       </div>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.shown(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
       <section class="fleet-list" aria-label="Vehicles">
         <.toolbar filter={@filter} all={@all} shown={length(@rows)} selected={Selection.size(@selection)} words={@words} />
-        <.actions selection={@selection} all={@all} user={@user} batch={@batch} plans={@plans} />
+        <.status all={@all} sequence={@sequence} now={now_ms()} />
         <.empty :if={@all == []} icon="vehicle" title="No vehicle has been heard yet">
           Vehicles appear by themselves when their first heartbeat arrives. <.link navigate="/links">Links</.link> shows what is connected.
         </.empty>
         <.empty :if={@all != [] and @rows == []} icon="filter" title="No vehicle matches">
-          <:action><.button patch={address(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
+          <:action><.button patch={Address.of(%Filter{}, @order, @view)}>Show all {length(@all)}</.button></:action>
         </.empty>
-        <.stale :if={@all != [] and Enum.all?(@all, &(&1.status != :online))}>No vehicle is heard. What you see is what was last known.</.stale>
-        <.vehicles :if={@rows != []} rows={@rows} order={@order} selection={@selection} />
+        <.vehicles :if={@rows != []} rows={@rows} order={@order} selection={@selection} filter={@filter} />
+        <.actions selection={@selection} all={@all} rows={@rows} user={@user} plans={@plans} />
       </section>
-      <.tag_dialog :if={@tagging} tagging={@tagging} count={Selection.size(@selection)} words={@words} />
+      <.results batch={@batch} plans={@plans} />
+      <.tag_dialog :if={@tagging} tagging={@tagging} words={@words} />
     </div>
     """
   end

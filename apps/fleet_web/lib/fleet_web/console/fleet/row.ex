@@ -123,7 +123,8 @@ defmodule FleetWeb.Console.Fleet.Row do
   defp whole(number) when is_integer(number) and number < 255, do: number
   defp whole(_unknown), do: nil
 
-  defp rounded(value, decimals) when is_number(value), do: Float.round(value / 1, decimals)
+  # Nothing is shown as -0.0.
+  defp rounded(value, decimals) when is_number(value), do: Float.round(value / 1, decimals) + 0.0
   defp rounded(_unknown, _decimals), do: nil
 
   defp quality(links) do

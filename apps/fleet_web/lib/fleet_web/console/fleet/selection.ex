@@ -49,6 +49,28 @@ defmodule FleetWeb.Console.Fleet.Selection do
   @spec size(t()) :: non_neg_integer()
   def size(selection), do: MapSet.size(selection.ids)
 
+  @doc """
+  Whether a press was made for the vehicles that are selected now (`ids`). The browser may show an earlier selection than the server has.
+  """
+  @spec meant?(event :: map(), [String.t()]) :: boolean()
+  def meant?(%{"ids" => meant}, ids) when is_list(meant), do: Enum.sort(meant) == Enum.sort(ids)
+  def meant?(_event, _ids), do: false
+
+  @doc "The selected vehicles in words, and those of them that the table does not list, nil for none. `all` and `listed`: ids."
+  @spec words(t(), all :: [String.t()], listed :: [String.t()]) :: {String.t() | nil, String.t() | nil}
+  def words(selection, all, listed) do
+    listed = MapSet.new(listed)
+    {seen, hidden} = selection |> among(all) |> Enum.split_with(&(&1 in listed))
+
+    {if(seen != [], do: names(seen)),
+     if(hidden != [], do: "#{length(hidden)} selected, not in this list: #{names(hidden)}")}
+  end
+
+  @doc "Vehicles in a few words."
+  @spec names([String.t()]) :: String.t()
+  def names(ids) when length(ids) <= 3, do: Enum.join(ids, ", ")
+  def names(ids), do: "#{length(ids)} vehicles (#{ids |> Enum.take(3) |> Enum.join(", ")} …)"
+
   @doc "The selected vehicles of a list, in its order."
   @spec among(t(), [String.t()]) :: [String.t()]
   def among(selection, ids), do: Enum.filter(ids, &(&1 in selection.ids))

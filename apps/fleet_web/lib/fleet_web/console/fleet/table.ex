@@ -5,9 +5,12 @@ defmodule FleetWeb.Console.Fleet.Table do
   """
   use FleetWeb.Console, :component
 
+  alias FleetWeb.Console.Fleet.Filter
+
   attr :rows, :list, required: true
   attr :order, :any, required: true
   attr :selection, :map, required: true
+  attr :filter, Filter, required: true
 
   @doc "The table. Its rows are keyed by vehicle, so that a row that moves is not rendered anew."
   def vehicles(assigns) do
@@ -17,6 +20,7 @@ defmodule FleetWeb.Console.Fleet.Table do
     ~H"""
     <div class="table-box fleet-table" id="fleet-table" phx-hook="FleetTable">
       <table class="table" role="grid" aria-label="Vehicles" aria-multiselectable="true">
+        <colgroup><col :for={name <- ~w(check name state problems mode battery gps height speed link)} class={"fleet-col-#{name}"} /></colgroup>
         <thead>
           <tr>
             <th scope="col" class="fleet-check">
@@ -39,25 +43,30 @@ defmodule FleetWeb.Console.Fleet.Table do
             :key={row.id}
             id={"vehicle-#{row.id}"}
             data-id={row.id}
-            class={row.status != :online && "fleet-old"}
+            class={[row.status != :online && "fleet-old", not Filter.shows?(@filter, row) && "fleet-left"]}
+            title={if(not Filter.shows?(@filter, row), do: "No longer matches the filter")}
             aria-selected={if row.id in @selection.ids, do: "true", else: "false"}
             tabindex={if row.id == @first, do: "0", else: "-1"}
           >
             <td class="fleet-check"><input type="checkbox" tabindex="-1" aria-label={"Select #{row.id}"} checked={row.id in @selection.ids} /></td>
             <th scope="row" data-label="Vehicle" class="fleet-name">
-              <.link navigate={"/vehicles/#{URI.encode(row.id, &URI.char_unreserved?/1)}"} tabindex="-1">{row.id}</.link>
-              <span class="fleet-kind muted">{row.kind} {row.firmware}</span>
-              <span :if={row.via} class="fleet-via muted">via {row.via}</span>
-              <.badge :if={row.holder} kind="info" title="In charge"><.icon name="lock" />{row.holder}</.badge>
-              <span :for={tag <- row.tags} class="badge">{tag}</span>
+              <div class="fleet-line">
+                <.link navigate={"/vehicles/#{URI.encode(row.id, &URI.char_unreserved?/1)}"} tabindex="-1">{row.id}</.link>
+                <.badge :if={row.holder} kind="info" title={"In charge: #{row.holder}"}><.icon name="lock" />{row.holder}</.badge>
+              </div>
+              <div class="fleet-line muted" title={Enum.join(row.tags, ", ")}>
+                <span class="fleet-kind">{row.kind} {row.firmware}</span>
+                <span :if={row.via} class="fleet-via">via {row.via}</span>
+                <span :for={tag <- row.tags} class="badge">{tag}</span>
+              </div>
             </th>
             <td data-label="State" class="fleet-state">
               <.badge kind={kind(row.state)}>{word(row)}</.badge><.age us={row.silent_us} />
             </td>
-            <td data-label="Alarms" class="fleet-problems">
+            <td data-label="Alarms" class="fleet-problems" title={Enum.map_join(row.problems, ", ", &elem(&1, 1))}>
               <.badge :for={{severity, text} <- row.problems} kind={Atom.to_string(severity)}>{text}</.badge>
             </td>
-            <td data-label="Mode">{row.mode || "–"}</td>
+            <td data-label="Mode" title={row.mode}>{row.mode || "–"}</td>
             <td data-label="Battery"><.meter value={row.battery} label="Battery" kind={battery(row.battery)} text={charge(row)} /></td>
             <td data-label="GPS" class={gps(row.fix)}>{fix(row)}</td>
             <td data-label="Height" class="number">{unit(row.height, "m")}</td>

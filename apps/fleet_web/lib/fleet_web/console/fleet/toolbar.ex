@@ -2,7 +2,8 @@ defmodule FleetWeb.Console.Fleet.Toolbar do
   @moduledoc "The search and the filters above the table."
   use FleetWeb.Console, :component
 
-  alias FleetWeb.Console.Fleet.Filter
+  alias FleetWeb.Console.Fleet.{Filter, Sequence}
+  alias FleetWeb.Console.UI.Age
 
   attr :filter, :map, required: true
   attr :all, :list, required: true
@@ -25,12 +26,29 @@ defmodule FleetWeb.Console.Fleet.Toolbar do
         value={@filter.firmware}
         options={options("All firmware", @filter.firmware, Enum.map(@all, &Atom.to_string(&1.autopilot)))}
       />
-      <.field :if={@words != [] or @filter.tag} id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @words)} />
+      <.field id="fleet-tag" type="select" name="tag" label="Tag" label_hidden value={@filter.tag} options={options("All tags", @filter.tag, @words)} />
       <div class="fleet-flags" role="group" aria-label="Only those that are">
         <.button :for={{name, label} <- Filter.flags()} small phx-click="flag" phx-value-flag={name} aria-pressed={pressed(@filter, name)}>{label}</.button>
       </div>
       <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
     </form>
+    """
+  end
+
+  attr :all, :list, required: true
+  attr :sequence, Sequence, required: true
+  attr :now, :integer, required: true, doc: "as of `Sequence`"
+
+  @doc "One line that is always there: whether anybody is heard, and how old the order of rows is that keep their places."
+  def status(assigns) do
+    ~H"""
+    <div class="fleet-status">
+      <span :if={@all != [] and Enum.all?(@all, &(&1.status != :online))} class="fleet-bad" role="status"><.icon name="clock" /> No vehicle is heard. What you see is what was last known.</span>
+      <span :if={@sequence.differs} class="fleet-order muted">
+        Order from {Age.text((@now - @sequence.at) * 1000)} ago
+        <.button small phx-click="sort_now">Sort now</.button>
+      </span>
+    </div>
     """
   end
 

@@ -190,11 +190,11 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     test "each vehicle has its own, and its own result", %{console: console} do
       view = open(console)
       for id <- ["V1", "V3"], do: render_hook(view, "select", %{"id" => id, "how" => "toggle"})
-      render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001"})
+      render_hook(view, "command", %{"type" => "rtl", "id" => "web-0001", "ids" => ["V1", "V3"]})
 
       # This gateway has no door for commands, so each is denied, with the reason.
-      html = eventually(fn -> (html = render(view)) =~ "2 of 2 done" && html end)
-      assert html =~ "RTL"
+      html = eventually(fn -> (html = render(view)) =~ "2 of 2 ended, 2 not done" && html end)
+      assert html =~ "Return to launch"
       assert html |> String.split("the gateway takes no commands just now") |> length() == 3
 
       # The same press again is no second one.
@@ -214,8 +214,8 @@ defmodule FleetWeb.Console.Fleet.PageTest do
     test "what is no command of this page does nothing", %{console: console} do
       view = open(console)
       render_hook(view, "select", %{"id" => "V1", "how" => "only"})
-      render_hook(view, "command", %{"type" => "terminate", "id" => "web-0001"})
-      render_hook(view, "command", %{"type" => "rtl", "id" => "not an id"})
+      render_hook(view, "command", %{"type" => "terminate", "id" => "web-0001", "ids" => ["V1"]})
+      render_hook(view, "command", %{"type" => "rtl", "id" => "not an id", "ids" => ["V1"]})
       refute has_element?(view, "#fleet-batch")
     end
   end
@@ -295,13 +295,18 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       render_click(view, "all")
       assert has_element?(view, "#fleet-take input[name=reason][required]")
 
+      shown = %{"ids" => ~w(V1 V2 V3), "holders" => %{"V1" => "olga", "V2" => "operator"}}
       take = %{"type" => "take_control", "id" => "press-1", "fields" => %{"reason" => "storm"}}
-      render_hook(view, "command", take)
+      # Whoever pressed it saw that nobody was in charge of V1.
+      earlier = Map.merge(take, %{shown | "holders" => %{"V2" => "operator"}})
+      assert render_hook(view, "command", earlier) =~ "Who is in charge changed; nothing was sent."
+      render_hook(view, "command", Map.merge(take, shown))
       assert has_element?(view, "#fleet-batch", "V1")
       assert has_element?(view, "#fleet-batch", "V3")
       refute has_element?(view, "#fleet-batch li", "V2")
 
-      render_hook(view, "command", %{"type" => "release_control", "id" => "press-2", "fields" => %{}})
+      release = %{"type" => "release_control", "id" => "press-2", "fields" => %{}}
+      render_hook(view, "command", Map.merge(release, shown))
       assert has_element?(view, "#fleet-batch li", "V2")
       refute has_element?(view, "#fleet-batch li", "V1")
     end

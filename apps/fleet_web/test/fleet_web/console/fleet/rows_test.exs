@@ -262,7 +262,7 @@ defmodule FleetWeb.Console.Fleet.RowsTest do
       %{id: id} = Batch.next(batch)
       batch = batch |> Batch.put(id, {:done, :completed, nil}) |> Batch.put(id, :under_way)
       assert Batch.find(batch, id).state == {:done, :completed, nil}
-      assert Batch.done(batch) == 1
+      assert Batch.count(batch) == {1, 0}
       assert Batch.next(batch).vehicle == "B"
     end
   end

@@ -55,6 +55,8 @@ defmodule FleetWeb.Console.Links.Page do
 
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, asking: nil, error: nil)}
 
+  # What is confirmed is what the dialog named (`id`), and not what was asked since.
+
   def handle_event("add", %{"url" => url} = form, %{assigns: %{gateway: gateway}} = socket)
       when is_binary(url) do
     options =
@@ -77,7 +79,7 @@ defmodule FleetWeb.Console.Links.Page do
     end
   end
 
-  def handle_event("remove", _value, %{assigns: %{asking: {"remove", id}, gateway: gateway}} = socket) do
+  def handle_event("remove", %{"id" => id}, %{assigns: %{asking: {"remove", id}, gateway: gateway}} = socket) do
     :ok = Link.stop(gateway, id)
     note(socket, "remove", id, nil)
 
@@ -87,13 +89,17 @@ defmodule FleetWeb.Console.Links.Page do
 
   def handle_event(
         "remove-client",
-        _value,
+        %{"id" => id},
         %{assigns: %{asking: {"remove-client", id}, gateway: gateway}} = socket
       ),
       do: {:noreply, answer(socket, Client.remove(gateway, id), "remove-client", id, "Client #{id} removed.")}
 
-  def handle_event("restart", _value, %{assigns: %{asking: {"restart", id}, gateway: gateway}} = socket),
-    do: {:noreply, answer(socket, Link.restart(gateway, id), "restart", id, "Link #{id} restarted.")}
+  def handle_event(
+        "restart",
+        %{"id" => id},
+        %{assigns: %{asking: {"restart", id}, gateway: gateway}} = socket
+      ),
+      do: {:noreply, answer(socket, Link.restart(gateway, id), "restart", id, "Link #{id} restarted.")}
 
   def handle_event("reset", %{"id" => id}, %{assigns: %{gateway: gateway}} = socket) when is_binary(id),
     do:

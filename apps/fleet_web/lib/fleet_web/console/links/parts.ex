@@ -261,7 +261,7 @@ defmodule FleetWeb.Console.Links.Parts do
       <p>{consequence(@what)}</p>
       <:action>
         <.button phx-click="cancel">Cancel</.button>
-        <.button kind="danger" phx-click={@what}>{title(@what, @id)}</.button>
+        <.button kind="danger" phx-click={@what} phx-value-id={@id}>{title(@what, @id)}</.button>
       </:action>
     </.dialog>
     """

@@ -93,6 +93,11 @@ defmodule FleetWeb.Console.Params.Listing do
     {differing, Enum.map(missing, & &1.name)}
   end
 
+  @doc "What a button that sets parameters is for: the vehicle, its component (nil: the autopilot), and the entries of a file that it would set."
+  @spec shown(vehicle :: String.t(), 1..255 | nil, [File.entry()] | nil) :: String.t()
+  def shown(vehicle, component, entries),
+    do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(entries)], " ")
+
   @doc "The value of such a type in the text of a field: of a component's text (MAV_PARAM_EXT_TYPE_CUSTOM) the text, else a number."
   @spec value(String.t(), type :: 1..11) :: {:ok, number() | String.t()} | :error
   def value(text, @text), do: {:ok, text}

@@ -202,15 +202,18 @@ defmodule FleetWeb.Console.Params.Page do
   # The page's table is what the operator saw; the vehicle itself reports whether it accepted a value.
   def handle_event(
         "command",
-        %{"type" => "set", "id" => press, "fields" => %{"name" => name, "value" => text}},
+        %{"type" => "set", "id" => press, "fields" => %{"name" => name, "value" => text}} = event,
         %{assigns: %{table: %{}}} = socket
       )
       when is_binary(text) do
-    with %{} = param <- socket.assigns.table.params[name], {:ok, value} <- Listing.value(text, param.type) do
+    with :ok <- meant(event, socket, nil),
+         %{} = param <- socket.assigns.table.params[name],
+         {:ok, value} <- Listing.value(text, param.type) do
       %{gateway: gateway, vehicle: id, component: component} = socket.assigns
       options = [type: param.type, component: component] ++ options(socket, press)
       gateway |> Params.set(id, name, value, options) |> answered(socket)
     else
+      :changed -> changed(socket)
       nil -> {:noreply, put_flash(socket, :error, "The vehicle has no parameter of this name.")}
       :error -> {:noreply, assign(socket, :error, "expected a number")}
     end
@@ -218,12 +221,15 @@ defmodule FleetWeb.Console.Params.Page do
 
   def handle_event(
         "command",
-        %{"type" => "load", "id" => press},
+        %{"type" => "load", "id" => press} = event,
         %{assigns: %{table: %{} = table, file: %{} = file}} = socket
       ) do
     {differing, _missing} = Listing.differing(file.entries, table)
     %{gateway: gateway, vehicle: id} = socket.assigns
-    gateway |> Params.set_all(id, differing, options(socket, press)) |> answered(socket)
+
+    if meant(event, socket, differing) == :ok,
+      do: gateway |> Params.set_all(id, differing, options(socket, press)) |> answered(socket),
+      else: changed(socket)
   end
 
   def handle_event("cancel", %{"id" => command}, %{assigns: %{vehicle: id}} = socket) when is_binary(id) do
@@ -234,6 +240,13 @@ defmodule FleetWeb.Console.Params.Page do
   end
 
   def handle_event(_other, _value, socket), do: {:noreply, socket}
+
+  # A press is for the vehicle and the values that its operator saw: another one may be chosen by now, or other values read.
+  defp meant(event, %{assigns: %{vehicle: id, component: component}}, differing),
+    do: if(event["shown"] == Listing.shown(id, component, differing), do: :ok, else: :changed)
+
+  defp changed(socket),
+    do: {:noreply, put_flash(socket, :error, "The vehicle or its values changed; nothing was sent.")}
 
   defp options(socket, press), do: [id: press, as: socket.assigns.user, via: "console", wait_ms: 0]
 
@@ -300,9 +313,9 @@ defmodule FleetWeb.Console.Params.Page do
       <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle chosen">{if @vehicles == [], do: "No vehicles yet", else: "Choose one above."}</.empty>
-      <.file :if={@file && @table} file={@file} differing={@differing} missing={@missing} able={@able} via={@via} />
+      <.file :if={@file && @table} file={@file} vehicle={@vehicle} differing={@differing} missing={@missing} able={@able} via={@via} />
       <.table :if={@table} rows={@rows} total={@total} path={&path(@vehicle, @component, &1)} file={@file} />
-      <.editor :if={@row} row={@row} able={@able} error={@error} />
+      <.editor :if={@row} row={@row} vehicle={@vehicle} component={@component} able={@able} error={@error} />
     </div>
     """
   end

@@ -87,7 +87,7 @@ defmodule FleetWeb.Console.Recordings.Page do
 
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, :asking, nil)}
 
-  def handle_event("delete", _value, %{assigns: %{asking: name, gateway: gateway}} = socket)
+  def handle_event("delete", %{"name" => name}, %{assigns: %{asking: name, gateway: gateway}} = socket)
       when name != nil do
     socket = assign(socket, :asking, nil)
 
@@ -218,7 +218,7 @@ defmodule FleetWeb.Console.Recordings.Page do
     </section>
     <.dialog :if={@asking && @admin?} id="delete-recording" title={"Delete #{@asking}"} cancel="cancel" kind="danger">
       <p>The file is deleted from the disk. This cannot be undone.</p>
-      <:action><.button phx-click="cancel">Cancel</.button><.button kind="danger" phx-click="delete">Delete</.button></:action>
+      <:action><.button phx-click="cancel">Cancel</.button><.button kind="danger" phx-click="delete" phx-value-name={@asking}>Delete</.button></:action>
     </.dialog>
     """
   end

@@ -71,8 +71,8 @@ defmodule FleetWeb.Console.Shadow.Page do
   def handle_event("ask", _value, socket), do: {:noreply, assign(socket, :asking, true)}
   def handle_event("cancel", _value, socket), do: {:noreply, assign(socket, :asking, false)}
 
-  def handle_event("remove_all", _value, %{assigns: %{shadow: shadow}} = socket) do
-    request = %{"version" => shadow["version"]}
+  def handle_event("remove_all", %{"version" => version}, socket) do
+    request = %{"version" => version}
     socket |> assign(:asking, false) |> change(&Shadow.delete(&1, &2, request, &3, "console"))
   end
 
@@ -140,7 +140,7 @@ defmodule FleetWeb.Console.Shadow.Page do
     <.dialog :if={@asking} id="remove-all" title={"Remove the desired state of #{@id}?"} cancel="cancel" kind="danger">
       <p>This removes all {length(@rows)} fields. The vehicle stays as it is.</p>
       <:action><.button phx-click="cancel">Keep</.button></:action>
-      <:action><.button kind="danger" phx-click="remove_all">Remove</.button></:action>
+      <:action><.button kind="danger" phx-click={JS.push("remove_all", value: %{version: @shadow["version"]})}>Remove</.button></:action>
     </.dialog>
     """
   end

@@ -14,7 +14,8 @@ defmodule FleetWeb.Console.Vehicle.Charge do
     assigns =
       assign(assigns,
         able: Actions.able?("take_control", assigns),
-        relation: relation(assigns.lease, assigns.user)
+        relation: relation(assigns.lease, assigns.user),
+        value: JSON.encode!(%{holder: holder(assigns.lease)})
       )
 
     ~H"""
@@ -26,15 +27,15 @@ defmodule FleetWeb.Console.Vehicle.Charge do
         <span :if={@able} class="charge-open">{offer(@relation)}</span>
       </summary>
       <div :if={@able} class="charge-forms">
-        <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control">
+        <form :if={@relation != :own} id="charge-take" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="take_control" data-value={@value}>
           <.field :if={@relation == :other} id="charge-reason" name="reason" label="Reason (the operator in charge sees it)" maxlength="200" required={true} autocomplete="off" />
           <.button type="submit" kind="primary">{if @relation == :other, do: "Take over", else: "Take charge"}</.button>
         </form>
-        <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control">
+        <form :if={@relation == :own} id="charge-offer" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="hand_over_control" data-value={@value}>
           <.field id="charge-to" name="to" label="Hand over to (blank = anyone)" maxlength="64" autocomplete="off" />
           <.button type="submit">Hand over</.button>
         </form>
-        <form :if={@relation == :own or (@relation == :other and @user.role == :admin)} id="charge-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control">
+        <form :if={@relation == :own or (@relation == :other and @user.role == :admin)} id="charge-release" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="release_control" data-value={@value}>
           <.button type="submit">Release</.button>
         </form>
       </div>
@@ -42,6 +43,17 @@ defmodule FleetWeb.Console.Vehicle.Charge do
     </details>
     """
   end
+
+  @doc "Whether a press was made while this one was in charge. Other commands do not depend on it."
+  @spec meant?(event :: map(), Aerie.Policy.Lease.t() | nil) :: boolean()
+  def meant?(%{"type" => type} = event, lease)
+      when type in ~w(take_control hand_over_control release_control),
+      do: event["holder"] == holder(lease)
+
+  def meant?(_event, _lease), do: true
+
+  defp holder(nil), do: nil
+  defp holder(lease), do: lease.holder
 
   # A summary has no other sign that it opens.
   defp offer(:own), do: "Hand over or release"

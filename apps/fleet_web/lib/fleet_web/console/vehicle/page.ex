@@ -135,7 +135,8 @@ defmodule FleetWeb.Console.Vehicle.Page do
   def handle_event("command", event, socket) do
     %{gateway: gateway, id: id, user: user} = socket.assigns
 
-    case Give.give(gateway, id, user, event) do
+    case charge_meant?(socket, event) && Give.give(gateway, id, user, event) do
+      false -> {:noreply, put_flash(socket, :error, "Who is in charge changed; nothing was sent.")}
       {:ok, _id} -> {:noreply, socket |> clear_flash() |> assign(errors: @no_errors) |> sent(event["type"])}
       {:invalid, type, errors} -> {:noreply, invalid(socket, type, errors)}
       {:refused, text} -> {:noreply, put_flash(socket, :error, "Not sent: #{text}")}
@@ -210,6 +211,12 @@ defmodule FleetWeb.Console.Vehicle.Page do
     do: {:noreply, assign(socket, :following, value["id"] != nil)}
 
   def handle_event(_other, _value, socket), do: {:noreply, socket}
+
+  # The page may show an earlier lease than there is.
+  defp charge_meant?(%{assigns: %{gateway: gateway, view: %View{vehicle: vehicle}}}, event),
+    do: Charge.meant?(event, Leases.of(gateway, vehicle.key))
+
+  defp charge_meant?(_no_vehicle, _event), do: true
 
   defp texts(fields, names),
     do:

@@ -92,12 +92,15 @@ defmodule FleetWeb.Console.Links.PageTest do
     render_click(view, "cancel", %{})
     assert Aerie.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Restart") |> render_click()
+    # The answer to an earlier question, about another link.
+    render_click(view, "restart", %{"id" => "other"})
+    assert Aerie.Names.whereis(c.gateway, :link, "radio") == before
     assert view |> element("dialog button", "Restart link radio") |> render_click() =~ "restarted"
     refute Aerie.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Remove") |> render_click()
     view |> element("dialog button", "Remove link radio") |> render_click()
     assert Link.list(c.gateway) == []
-    assert render_click(view, "restart", %{}) =~ "Links"
+    assert render_click(view, "restart", %{"id" => "none"}) =~ "Links"
     assert render_click(view, "ask", %{"what" => "remove-client", "id" => "none"}) =~ "Remove client none"
 
     assert view |> element("dialog button", "Remove client none") |> render_click() =~

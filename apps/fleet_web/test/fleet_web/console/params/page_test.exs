@@ -4,6 +4,8 @@ defmodule FleetWeb.Console.Params.PageTest do
 
   import Aerie.TransferCase, only: [fly: 3]
 
+  alias FleetWeb.Console.Params.Listing
+
   @moduletag :tmp_dir
   @moduletag :capture_log
   @path "/params?vehicle=VID-001"
@@ -45,8 +47,9 @@ defmodule FleetWeb.Console.Params.PageTest do
     view
   end
 
-  defp command(view, type, id, fields),
-    do: render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields})
+  # As the form or the button says for what it is.
+  defp command(view, type, id, fields, shown \\ Listing.shown("VID-001", nil, nil)),
+    do: render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields, "shown" => shown})
 
   @tag :chromium
   test("in a browser: a parameter is found, set, and is so after a reload", %{console: console},
@@ -73,7 +76,9 @@ defmodule FleetWeb.Console.Params.PageTest do
     render_hook(view, "open_file", %{"name" => "mine.param", "text" => "PILOT_TKOFF_ALT,200\nNO_SUCH,1\n"})
     assert has_element?(view, "#params-file", "1 differ from the vehicle; the vehicle does not have NO_SUCH")
     assert has_element?(view, "#params-load")
-    command(view, "load", "l1", %{})
+    assert command(view, "load", "l0", %{}) =~ "The vehicle or its values changed; nothing was sent."
+    [shown] = Regex.run(~r/VID-001 autopilot \d+/, view |> element("#params-load") |> render())
+    command(view, "load", "l1", %{}, shown)
     eventually(fn -> has_element?(view, "#params-commands-l1[data-state=completed]") end)
     eventually(fn -> has_element?(view, "#params-file", "0 differ") end)
 
@@ -114,11 +119,14 @@ defmodule FleetWeb.Console.Params.PageTest do
     refute has_element?(view, "label[for=params-open]")
     refute has_element?(view, "button", "Descriptions")
     view |> element("#param-CAM_NAME a") |> render_click()
-    command(view, "set", "c1", %{"name" => "CAM_NAME", "value" => "Rear"})
+    # A press that was made while the autopilot's were shown.
+    assert command(view, "set", "c0", %{"name" => "CAM_NAME", "value" => "Front"}) =~ "nothing was sent"
+    camera = Listing.shown("VID-001", 100, nil)
+    command(view, "set", "c1", %{"name" => "CAM_NAME", "value" => "Rear"}, camera)
     eventually(fn -> has_element?(view, "#params-commands-c1[data-state=completed]") end)
     eventually(fn -> has_element?(view, "#param-CAM_NAME strong", "Rear") end)
     view |> element("#param-CAM_MODE a") |> render_click()
-    assert command(view, "set", "c2", %{"name" => "CAM_MODE", "value" => "x"}) =~ "expected a number"
+    assert command(view, "set", "c2", %{"name" => "CAM_MODE", "value" => "x"}, camera) =~ "expected a number"
 
     # Events that belong to what this page does not show now.
     render_hook(view, "save", %{"format" => "param"})

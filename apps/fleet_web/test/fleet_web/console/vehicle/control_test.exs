@@ -156,9 +156,18 @@ defmodule FleetWeb.Console.Vehicle.ControlTest do
 
     give(other, "set_mode", "m1", %{"mode" => "GUIDED"})
     eventually(fn -> has_element?(other, "#commands-now-m1[data-state=denied]", "operator is in charge") end)
-    give(other, "take_control", "t2")
+    # Whoever pressed it saw that nobody was in charge.
+    assert give(other, "take_control", "t0", %{"fields" => %{"reason" => "it is free"}}) =~
+             "Who is in charge changed; nothing was sent."
+
+    give(other, "take_control", "t2", %{"holder" => "operator"})
     eventually(fn -> has_element?(other, "#commands-now-t2[data-state=denied]", "needs a reason") end)
-    give(other, "take_control", "t3", %{"fields" => %{"reason" => "battery of the tablet"}})
+
+    give(other, "take_control", "t3", %{
+      "fields" => %{"reason" => "battery of the tablet"},
+      "holder" => "operator"
+    })
+
     eventually(fn -> has_element?(one, "#charge.other", "battery of the tablet") end)
     refute open(console, :viewer) |> has_element?("#charge form")
   end

@@ -202,10 +202,20 @@ defmodule FleetWeb.Console.Plan.Page do
     press = if match?(%{"id" => id} when is_binary(id), value), do: value["id"], else: Aerie.Command.id()
 
     cond do
-      vehicle == nil -> {:noreply, assign(socket, :error, "choose a vehicle first")}
-      transfer != nil and not Transfer.over?(transfer) -> {:noreply, socket}
-      not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) -> {:noreply, socket}
-      true -> {:noreply, begin(socket, job(what, value, socket.assigns), press)}
+      vehicle == nil ->
+        {:noreply, assign(socket, :error, "choose a vehicle first")}
+
+      transfer != nil and not Transfer.over?(transfer) ->
+        {:noreply, socket}
+
+      what == "upload" and value["shown"] != Transfer.shown(vehicle, socket.assigns.draft.plan) ->
+        {:noreply, assign(socket, :error, "the plan or the vehicle changed; nothing was sent")}
+
+      not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) ->
+        {:noreply, socket}
+
+      true ->
+        {:noreply, begin(socket, job(what, value, socket.assigns), press)}
     end
   end
 

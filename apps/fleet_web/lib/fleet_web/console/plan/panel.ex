@@ -53,6 +53,7 @@ defmodule FleetWeb.Console.Plan.Panel do
           :if={Role.at_least?(@user.role, :operator)}
           id="plan-upload"
           event="upload"
+          value={%{shown: Transfer.shown(@vehicle, @draft.plan)}}
           icon="upload"
           disabled={@why != nil}
           reason={@why}

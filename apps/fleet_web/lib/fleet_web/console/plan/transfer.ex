@@ -58,6 +58,10 @@ defmodule FleetWeb.Console.Plan.Transfer do
   defp part(plan, :fence), do: {plan.fence, plan.fence_return}
   defp part(plan, :rally), do: plan.rally
 
+  @doc "What a button that sends is for: the vehicle and the plan that it shows."
+  @spec shown(vehicle :: String.t() | nil, Plan.t()) :: String.t()
+  def shown(vehicle, plan), do: "#{vehicle} #{:erlang.phash2(plan)}"
+
   @doc """
   Starts a transfer. The calling process gets `{:transfer, ref, message}` for `update/2`. `press` is the id of the button press; each part has
   an id made from it. The option `:read` is that of `parts/2`.

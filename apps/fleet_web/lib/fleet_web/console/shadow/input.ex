@@ -42,6 +42,17 @@ defmodule FleetWeb.Console.Shadow.Input do
     end
   end
 
+  @doc "The version that a form names; one that never was for anything else, so that its change is refused."
+  @spec version(term()) :: integer()
+  def version(text) when is_binary(text) do
+    case Integer.parse(text) do
+      {version, ""} -> version
+      _other -> -1
+    end
+  end
+
+  def version(_other), do: -1
+
   @doc "The request to remove a field."
   @spec removal(String.t(), version :: integer()) :: map()
   def removal(path, version), do: %{"desired" => Field.nested(%{path => nil}), "version" => version}

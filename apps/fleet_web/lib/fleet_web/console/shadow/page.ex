@@ -49,10 +49,12 @@ defmodule FleetWeb.Console.Shadow.Page do
     end
   end
 
-  def handle_event("desire", form, socket) do
+  # Of the version that the page showed, which may not be the latest.
+  def handle_event("desire", %{"version" => version} = form, socket) do
+    version = Input.version(version)
     form = texts(socket, form)
 
-    case Input.request(form, socket.assigns.shadow["version"]) do
+    case Input.request(form, version) do
       {:ok, request} ->
         socket |> assign(:form, form) |> change(&Shadow.update(&1, &2, request, &3, "console"))
 
@@ -61,10 +63,10 @@ defmodule FleetWeb.Console.Shadow.Page do
     end
   end
 
-  def handle_event("remove", %{"path" => path}, %{assigns: %{shadow: shadow}} = socket)
+  def handle_event("remove", %{"path" => path, "version" => version}, %{assigns: %{shadow: shadow}} = socket)
       when is_binary(path) do
     if is_map_key(shadow["set"], path),
-      do: change(socket, &Shadow.update(&1, &2, Input.removal(path, shadow["version"]), &3, "console")),
+      do: change(socket, &Shadow.update(&1, &2, Input.removal(path, version), &3, "console")),
       else: {:noreply, socket}
   end
 
@@ -132,9 +134,9 @@ defmodule FleetWeb.Console.Shadow.Page do
         <.icon name="lock" /> <span>Held: {Enum.map_join(holds(@shadow), "; ", &hold/1)}</span>
       </p>
       <.empty :if={@rows == []} icon="check" title="No desired state">The gateway leaves the vehicle as it is.</.empty>
-      <.fields :if={@rows != []} rows={@rows} />
+      <.fields :if={@rows != []} rows={@rows} version={@shadow["version"]} />
       <p :if={@rows != []} class="muted">Version {@shadow["version"]}, changed {Clock.full(@shadow["updated_at"])}{by(@shadow)}.</p>
-      <.desire :if={@names != []} form={@form} names={@names} error={@error} />
+      <.desire :if={@names != []} form={@form} names={@names} version={@shadow["version"]} error={@error} />
       <.history history={@shadow["history"]} />
     </div>
     <.dialog :if={@asking} id="remove-all" title={"Remove the desired state of #{@id}?"} cancel="cancel" kind="danger">

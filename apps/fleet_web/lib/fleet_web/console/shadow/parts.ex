@@ -6,6 +6,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
   alias FleetWeb.Console.Shadow.{Input, Shown}
 
   attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Shadow.Shown.row/0`"
+  attr :version, :integer, required: true, doc: "that is shown: a change is one of it"
 
   @doc "What is desired, and how each field stands."
   def fields(assigns) do
@@ -19,7 +20,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
       <:col :let={row} label="">
         <div :if={row.able} class="row">
           <.button small icon="params" phx-click="edit" phx-value-path={row.path}>Change</.button>
-          <.button small icon="trash" phx-click="remove" phx-value-path={row.path} label={"Remove #{row.path}"} />
+          <.button small icon="trash" phx-click={JS.push("remove", value: %{path: row.path, version: @version})} label={"Remove #{row.path}"} />
         </div>
       </:col>
     </.data_table>
@@ -34,6 +35,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
 
   attr :form, :map, required: true
   attr :names, :list, required: true
+  attr :version, :integer, required: true, doc: "that is shown: a change is one of it"
   attr :error, :string, required: true
 
   @doc "The form to desire something."
@@ -45,6 +47,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
     <section class="card" aria-labelledby="desire-title">
       <h2 id="desire-title">Set a desired value</h2>
       <form id="desire" class="form-row" phx-change="form" phx-submit="desire" phx-auto-recover="ignore">
+        <input type="hidden" name="version" value={@version} />
         <.field id="desire-field" name="field" type="select" label="Field" options={[{"choose", ""} | Enum.map(@names, &{&1, &1})]} value={@form["field"]} hint={@field && @field.meaning} />
         <.field :if={@named} id="desire-name" name="name" label={if @form["field"] == "params.*", do: "Parameter", else: "Message"} value={@form["name"]} autocomplete="off" />
         <.field :if={@field} id="desire-value" name="value" label="Value" value={@form["value"]} hint={hint(@field)} autocomplete="off" />

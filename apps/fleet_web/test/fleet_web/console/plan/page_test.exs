@@ -139,6 +139,8 @@ defmodule FleetWeb.Console.Plan.PageTest do
       add(view, 20)
       plan = plan_of(view)
 
+      # A press on the plan that was shown before.
+      assert render_hook(view, "upload", %{"id" => "web-0000", "shown" => shown(view) <> "0"}) =~ "nothing was sent"
       assert view |> element("#plan-sends") |> render() =~ "Mission (3 items), Rally points (1 rally point)"
       sent = send_plan(view, "web-0001")
       assert sent =~ "3 items, verified" and sent =~ "1 rally point, verified"
@@ -289,9 +291,15 @@ defmodule FleetWeb.Console.Plan.PageTest do
   end
 
   defp send_plan(view, id) do
-    render_hook(view, "upload", %{"id" => id})
+    render_hook(view, "upload", %{"id" => id, "shown" => shown(view)})
     eventually(fn -> over?(view) && view |> element("#plan-transfer") |> render() =~ "Sent to" end)
     view |> element("#plan-transfer") |> render()
+  end
+
+  # The plan and the vehicle of the button.
+  defp shown(view) do
+    [shown] = Regex.run(~r/VID-\d+ \d+/, view |> element("#plan-upload") |> render())
+    shown
   end
 
   defp over?(view), do: has_element?(view, "#plan-transfer button[aria-label=Close]")

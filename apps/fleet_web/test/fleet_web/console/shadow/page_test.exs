@@ -55,7 +55,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     standing(console.gateway, "mode", :converged)
     eventually(fn -> shown?(view, "#field-mode", "converged") end)
 
-    view |> element("#field-mode button[phx-click=remove]") |> render_click()
+    view |> element("#field-mode button.icon-only") |> render_click()
     eventually(fn -> not shown?(view, "#field-mode", "LOITER") end)
     assert has_element?(view, "#change-2", "removed")
   end
@@ -66,7 +66,7 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     assert desire(view, %{field: "params.*", name: "RTL_ALT", value: "high"}) =~ "expected a number"
     assert desire(view, %{field: "home", value: "47.1"}) =~ "desired.home"
     assert desire(view, %{field: "mission.plan", value: "abc"}) =~ "64 hexadecimal digits"
-    assert render_hook(view, "desire", %{"field" => "__proto__"}) =~ "is not a field"
+    assert render_hook(view, "desire", %{"field" => "__proto__", "version" => "0"}) =~ "is not a field"
     assert {:ok, %{"version" => 0}} = Shadow.get(console.gateway, @id)
   end
 
@@ -78,8 +78,15 @@ defmodule FleetWeb.Console.Shadow.PageTest do
     eventually(fn -> shown?(view, "[id='field-params.RTL_ALT']", "80") end)
     refute has_element?(view, "[id='field-params.RTL_ALT'] button")
 
-    assert render_hook(view, "desire", %{"field" => "params.*", "name" => "RTL_ALT", "value" => "1"}) =~
-             "maintain"
+    form = %{"field" => "params.*", "name" => "RTL_ALT", "value" => "1", "version" => "1"}
+    assert render_hook(view, "desire", form) =~ "maintain"
+    # A press on what was shown before that change.
+    mode = %{"field" => "mode", "value" => "LOITER"}
+
+    for earlier <- ["0", "x"],
+        do: assert(render_hook(view, "desire", Map.put(mode, "version", earlier)) =~ "version")
+
+    assert {:ok, %{"version" => 1}} = Shadow.get(console.gateway, @id)
 
     viewer = open(console, :viewer)
     refute has_element?(viewer, "#desire")

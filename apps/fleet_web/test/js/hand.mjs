@@ -103,6 +103,16 @@ const tasks = {
     await page.waitForSelector(`${row("V2")} .fleet-problems .badge:nth-child(2)`);
     await page.waitForSelector(`${row("V2")} .fleet-name .badge`);
     equal("with alarms and somebody in charge", await places(page), where);
+    // On a phone the boxes and the dock are in reach.
+    await page.setViewportSize({ width: 390, height: 844 });
+    await page.click(".fleet-tabs .tab >> nth=1");
+    await page.waitForSelector(".fleet[data-view=table]");
+    await page.click(`${row("V4")} td.fleet-check input`);
+    await until(page, () => document.querySelectorAll("#fleet-table tr[aria-selected=true]").length === 2);
+    equal("the dock is in sight", await page.locator("#fleet-actions").evaluate((dock) => {
+      const { top, bottom } = dock.getBoundingClientRect();
+      return dock.contains(document.elementFromPoint(195, (top + bottom) / 2));
+    }), true);
     // Sorting is up to the operator.
     await page.click(".fleet-order button");
     await until(page, () => !document.querySelector(".fleet-order"));

@@ -391,8 +391,8 @@ defmodule FleetWeb.Console.Fleet.Page do
       </div>
       <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.shown(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
       <section class="fleet-list" aria-label="Vehicles">
-        <.toolbar filter={@filter} all={@all} shown={length(@rows)} selected={Selection.size(@selection)} words={@words} />
-        <.status all={@all} sequence={@sequence} now={now_ms()} />
+        <.toolbar filter={@filter} all={@all} words={@words} />
+        <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />
         <.empty :if={@all == []} icon="vehicle" title="No vehicle has been heard yet">
           Vehicles appear by themselves when their first heartbeat arrives. <.link navigate="/links">Links</.link> shows what is connected.
         </.empty>

@@ -7,11 +7,9 @@ defmodule FleetWeb.Console.Fleet.Toolbar do
 
   attr :filter, :map, required: true
   attr :all, :list, required: true
-  attr :shown, :integer, required: true
-  attr :selected, :integer, required: true
   attr :words, :list, required: true
 
-  @doc "Search, filters, and the number of matching vehicles."
+  @doc "Search and filters."
   def toolbar(assigns) do
     ~H"""
     <form id="fleet-filter" class="fleet-filter" phx-change="filter" phx-submit="filter" role="search">
@@ -30,19 +28,21 @@ defmodule FleetWeb.Console.Fleet.Toolbar do
       <div class="fleet-flags" role="group" aria-label="Only those that are">
         <.button :for={{name, label} <- Filter.flags()} small phx-click="flag" phx-value-flag={name} aria-pressed={pressed(@filter, name)}>{label}</.button>
       </div>
-      <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
     </form>
     """
   end
 
   attr :all, :list, required: true
+  attr :shown, :integer, required: true
+  attr :selected, :integer, required: true
   attr :sequence, Sequence, required: true
   attr :now, :integer, required: true, doc: "as of `Sequence`"
 
-  @doc "One line that is always there: whether anybody is heard, and how old the order of rows is that keep their places."
+  @doc "One line that is always there: the number of matching vehicles, whether anybody is heard, and how old the order of rows is that keep their places."
   def status(assigns) do
     ~H"""
     <div class="fleet-status">
+      <p class="fleet-count muted" aria-live="polite">{count(@shown, length(@all), @selected)}</p>
       <span :if={@all != [] and Enum.all?(@all, &(&1.status != :online))} class="fleet-bad" role="status"><.icon name="clock" /> No vehicle is heard. What you see is what was last known.</span>
       <span :if={@sequence.differs} class="fleet-order muted">
         Order from {Age.text((@now - @sequence.at) * 1000)} ago

@@ -26,6 +26,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     Batch,
     Charge,
     Filter,
+    OnMap,
     Order,
     Plans,
     Row,
@@ -34,7 +35,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     Tagging
   }
 
-  alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
+  alias FleetWeb.Console.Map.{Tiles, Zones}
 
   @map "fleet-map"
   @rows_each_time 50
@@ -290,7 +291,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     socket
     |> assign(:all, for(vehicle <- vehicles, do: Row.new(vehicle, links, tags, now, leases)))
     |> assign(:words, Tags.words(tags))
-    |> tell_map(vehicles)
+    |> OnMap.tell(@map, vehicles)
     |> missions(vehicles)
   end
 
@@ -320,28 +321,6 @@ defmodule FleetWeb.Console.Fleet.Page do
         socket
         |> update_private(&%{&1 | plans: payload})
         |> push_event("map:plans", %{map: @map, plans: payload})
-    end
-  end
-
-  defp tell_map(socket, vehicles) do
-    if connected?(socket) do
-      {payload, sent} =
-        Payload.changes(
-          socket.private.fleet.sent,
-          for(vehicle <- vehicles, row = Payload.row(vehicle), do: row)
-        )
-
-      homes = Payload.homes(vehicles)
-      socket = if payload, do: push_event(socket, "map:vehicles", Map.put(payload, :map, @map)), else: socket
-
-      socket =
-        if homes != socket.private.fleet.homes,
-          do: push_event(socket, "map:homes", %{map: @map, homes: homes}),
-          else: socket
-
-      update_private(socket, &%{&1 | sent: sent, homes: homes})
-    else
-      socket
     end
   end
 

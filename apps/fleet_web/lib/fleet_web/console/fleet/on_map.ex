@@ -1,0 +1,29 @@
+defmodule FleetWeb.Console.Fleet.OnMap do
+  @moduledoc "Tells the page's map what has changed. What it was told is in `socket.private.fleet`: `:sent`, `:homes`."
+
+  import Phoenix.LiveView
+
+  alias FleetWeb.Console.Map.Payload
+  alias Phoenix.LiveView.Socket
+
+  @doc "Pushes the vehicles and homes that differ from those of the last time; nothing before the page is connected."
+  @spec tell(Socket.t(), map_id :: String.t(), [map()]) :: Socket.t()
+  def tell(%{private: %{fleet: fleet}} = socket, map, vehicles) do
+    if connected?(socket) do
+      {payload, sent} =
+        Payload.changes(fleet.sent, for(vehicle <- vehicles, row = Payload.row(vehicle), do: row))
+
+      homes = Payload.homes(vehicles)
+
+      socket
+      |> push(payload != nil, "map:vehicles", payload, map)
+      |> push(homes != fleet.homes, "map:homes", %{homes: homes}, map)
+      |> put_private(:fleet, %{fleet | sent: sent, homes: homes})
+    else
+      socket
+    end
+  end
+
+  defp push(socket, true, event, payload, map), do: push_event(socket, event, Map.put(payload, :map, map))
+  defp push(socket, false, _event, _payload, _map), do: socket
+end

@@ -182,6 +182,7 @@ defmodule SimVehicle.Ardupilot do
   end
 
   def message(v, %M.CommandAck{} = m, _source), do: Calibration.acknowledged(v, m)
+
   def message(v, %module{} = m, {system, _component}) when module in [M.RcChannelsOverride, M.ManualControl],
     do: Sticks.take(v, m, system, {"FLTMODE_CH", "FLTMODE"}, &elem(Modes.request(&1, 1, &2), 1))
 

@@ -140,7 +140,9 @@ defmodule FleetWeb.Console.Plan.PageTest do
       plan = plan_of(view)
 
       # A press on the plan that was shown before.
-      assert render_hook(view, "upload", %{"id" => "web-0000", "shown" => shown(view) <> "0"}) =~ "nothing was sent"
+      assert render_hook(view, "upload", %{"id" => "web-0000", "shown" => shown(view) <> "0"}) =~
+               "nothing was sent"
+
       assert view |> element("#plan-sends") |> render() =~ "Mission (3 items), Rally points (1 rally point)"
       sent = send_plan(view, "web-0001")
       assert sent =~ "3 items, verified" and sent =~ "1 rally point, verified"

@@ -196,8 +196,11 @@ defmodule Aerie.Missions do
   @doc "What a vehicle has of a kind, for people, from its items: `\"4 corners\"`, `\"nothing\"`."
   @spec contents([Item.t()], kind(), module()) :: String.t()
   def contents(items, kind, protocol) do
-    case Onboard.put(%Plan{}, @kinds[kind], items, protocol) do
-      {:ok, plan} -> Plan.contents(plan, kind) || "nothing"
+    with {:ok, plan} <- Onboard.put(%Plan{}, @kinds[kind], items, protocol),
+         text when is_binary(text) <- Plan.contents(plan, kind) do
+      text
+    else
+      nil -> "nothing"
       {:error, _not_understood} -> "#{length(items)} items"
     end
   end

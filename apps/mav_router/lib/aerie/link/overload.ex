@@ -29,7 +29,8 @@ defmodule Aerie.Link.Overload do
   # For `Aerie.Link.Core`: its actions.
 
   @doc "Datagrams of a link were dropped before they were read."
-  @spec datagrams(core, pos_integer, {integer, integer}) :: {core, [term]} when core: %{overload: t() | nil}
+  @spec datagrams(core, pos_integer, {integer, integer}) :: {core, [term]}
+        when core: %{:overload => t() | nil, optional(atom) => term}
   def datagrams(core, n, now) do
     {change, overload} = dropped(core.overload, n, now)
     actions = if change == :begins, do: [{:emit, :overload, %{datagrams: n}, %{}}], else: []
@@ -37,7 +38,8 @@ defmodule Aerie.Link.Overload do
   end
 
   @doc "Frames of a link were dropped because a vehicle's session is behind."
-  @spec frames(core, pos_integer, {integer, integer}) :: {core, [term]} when core: %{behind: t() | nil}
+  @spec frames(core, pos_integer, {integer, integer}) :: {core, [term]}
+        when core: %{:behind => t() | nil, optional(atom) => term}
   def frames(core, n, now) do
     {change, behind} = dropped(core.behind, n, now)
 
@@ -48,7 +50,8 @@ defmodule Aerie.Link.Overload do
   end
 
   @doc "What is over by now."
-  @spec relieved(core, integer) :: {core, [term]} when core: %{overload: t() | nil, behind: t() | nil}
+  @spec relieved(core, integer) :: {core, [term]}
+        when core: %{:overload => t() | nil, :behind => t() | nil, optional(atom) => term}
   def relieved(core, mono) do
     core = if over?(core.behind, mono), do: %{core | behind: nil}, else: core
 

@@ -134,7 +134,12 @@ defmodule Aerie.Names.Book do
 
   @doc false
   @spec whereis_name(key()) :: pid() | :undefined
-  def whereis_name(key), do: with({pid, _value} <- lookup(key), do: pid) || :undefined
+  def whereis_name(key) do
+    case lookup(key) do
+      {pid, _value} -> pid
+      nil -> :undefined
+    end
+  end
 
   @doc false
   @spec send(key(), term()) :: pid()

@@ -122,9 +122,12 @@ defmodule Aerie.Router.Endpoint do
     fields = [gateway: gateway, key: key, pid: self(), since: System.os_time(:microsecond)] ++ fields
 
     waiting = :atomics.new(3, [])
-    endpoint = %__MODULE__{key: key, gateway: gateway, counters: EndpointCounters.new(), waiting: waiting}
-    :ok = limit(endpoint, @max_waiting)
-    struct!(endpoint, fields)
+    :ok = :atomics.put(waiting, 3, @max_waiting)
+
+    struct!(
+      %__MODULE__{key: key, gateway: gateway, counters: EndpointCounters.new(), waiting: waiting},
+      fields
+    )
   end
 
   @doc """

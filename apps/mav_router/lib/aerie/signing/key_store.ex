@@ -130,6 +130,8 @@ defmodule Aerie.Signing.KeyStore do
         _ =
           if Damaged.damaged?(path),
             do: Damaged.set_aside(state.gateway, path, "the clock is used for time stamps of signatures")
+
+        :ok
     end
 
     Enum.each(Scope.in_force(configured, given), &Tables.put_scope(state.tables, &1))

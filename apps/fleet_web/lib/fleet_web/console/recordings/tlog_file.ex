@@ -7,12 +7,7 @@ defmodule FleetWeb.Console.Recordings.TlogFile do
 
   @doc "The vehicle or link that was recorded: `main-radio` of `main-radio-20261121T013005Z.tlog`."
   @spec label(String.t()) :: String.t()
-  def label(name) do
-    case Regex.run(@name, name) do
-      [_all, label] -> label
-      nil -> name
-    end
-  end
+  def label(name), do: Regex.replace(@name, name, "\\1")
 
   @doc "When a recording begins (unix microseconds), by its first frame; nil if it cannot be read."
   @spec start(Path.t()) :: integer() | nil

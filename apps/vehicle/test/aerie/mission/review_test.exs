@@ -94,7 +94,8 @@ defmodule Aerie.Mission.ReviewTest do
           altitude: %Item{command: 113, frame: 3, z: 500.0},
           altitude: nowhere.(186, {500.0, 3.0, 0.0, 0.0}),
           altitude: at(47.01, 8.004, 500.0, command: 31),
-          altitude: at(47.01, 8.004, 500.0, command: 179),
+          # A home that moves in flight.
+          role: at(47.01, 8.004, 20.0, command: 179),
           geofence: far.(22),
           geofence: far.(84),
           geofence: far.(189),
@@ -104,6 +105,10 @@ defmodule Aerie.Mission.ReviewTest do
       found = review([at(47.01, 8.004), item], denied, operator)
       assert match?({:deny, ^rule, 1, _reason}, found), inspect({item, found})
     end
+
+    admin = %{operator | source: %{name: "ada", role: :admin, permissions: []}}
+    home = at(47.01, 8.004, 500.0, command: 179)
+    assert {:deny, :altitude, 1, _reason} = review([at(47.01, 8.004), home], denied, admin)
 
     # Nothing tells where it is, and its height counts nevertheless.
     lost = %{operator | home: nil}

@@ -55,6 +55,8 @@ defmodule Aerie.Shadow.LoopTest do
   test "a pilot who takes over while it is being set is not fought; afterwards it goes on", %{
     gateway: gateway
   } do
+    # In flight the shadow may not move a home.
+    put_vehicle(gateway)
     rc = fn roll -> %{rc: %{at: 0, data: %{channels: [roll, 1500, 1500, 1500, 1000]}}} end
     groups(gateway, rc.(1500))
     desire(gateway, %{"mode" => "LOITER", "home" => %{"lat" => 47.0, "lon" => 8.1, "altitude_msl" => 500}})

@@ -70,11 +70,11 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       assert press(view, "rtl", ["V1", "V2"]) =~ @changed
     end
 
-    test "on All seen is for the alarms that were shown", %{console: console} do
+    test "on Acknowledge all is for the alarms that were shown", %{console: console} do
       server = Aerie.Names.whereis(console.gateway, :console_alarms)
       put_vehicle(console, "V1", [mode: %{failsafe: true}], %{key: {"main", 1}, system_id: 1})
       {:ok, alarms, _html} = live(conn(console, :operator), "/alarms")
-      button = eventually(fn -> has_element?(alarms, "tr", "V1") && element(alarms, "button", "All seen") end)
+      button = eventually(fn -> has_element?(alarms, "tr", "V1") && element(alarms, "button", "Acknowledge all") end)
       assert render(button) =~ ~r/alarms.*a1/
       assert is_pid(server)
       render_click(button)
@@ -84,7 +84,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       eventually(fn -> has_element?(alarms, "tr", "V2") end)
       render_click(alarms, "alarm-acknowledge", %{"all" => "yes"})
       render_click(alarms, "alarm-acknowledge", %{"alarms" => []})
-      assert has_element?(alarms, "tr button", "Seen")
+      assert has_element?(alarms, "tr button", "Acknowledge")
     end
   end
 

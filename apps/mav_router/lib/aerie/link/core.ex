@@ -66,7 +66,6 @@ defmodule Aerie.Link.Core do
   @good_ms 2_000
   # Bytes without a frame for this long: no longer MAVLink, or a wrong baud rate.
   @garbled_ms 5_000
-  @sniff_every_ms 10_000
   # A search that fails takes five seconds, so that one begins every ten.
   @search_ms 5_000
   # After this silence a UDP client resolves its name again, and a detected serial port is searched for again.
@@ -156,7 +155,7 @@ defmodule Aerie.Link.Core do
 
     core =
       %{core | info: info, opened: mono, heard: nil, connected_before: true, retry_at: nil}
-      |> found(info)
+      |> Hearing.found(info)
       |> count(:reconnects, reconnects)
       |> phase(:up, nil, now)
 
@@ -220,7 +219,7 @@ defmodule Aerie.Link.Core do
   # A detected port that no longer speaks MAVLink is searched for again; for a configured one the diagnosis says so.
   def handle(%{phase: :up} = core, {:sniffed, place, baud, sniffed}, {mono, _at} = now) do
     finding = Finding.heard(place, baud, sniffed)
-    core = %{core | sniff_at: mono + @sniff_every_ms}
+    core = Hearing.sniffed(core, mono)
 
     cond do
       finding.condition == :vehicle or not Hearing.garbled?(core, mono) -> {core, []}
@@ -229,7 +228,7 @@ defmodule Aerie.Link.Core do
     end
   end
 
-  def handle(core, {:count, name, n}, now) when name in [:shed, :kernel_dropped],
+  def handle(core, {:count, name, n}, now) when name in [:shed, :shed_new, :kernel_dropped],
     do: core |> count(name, n) |> Overload.datagrams(n, now)
 
   def handle(core, {:count, :overload, n}, now),
@@ -258,7 +257,7 @@ defmodule Aerie.Link.Core do
     {deliveries, changes, peers} = Peers.tick(core.peers, mono)
     peers = Peers.measure(peers)
     {core, more} = changes(%{core | peers: peers}, changes)
-    {core, sniff} = garbled(core, mono)
+    {core, sniff} = Hearing.sniff(core, mono)
     {core, relieved} = Overload.relieved(core, mono)
     {core, publish} = sample(core, mono)
     actions = deliver(deliveries) ++ more ++ sniff ++ relieved ++ publish
@@ -363,23 +362,6 @@ defmodule Aerie.Link.Core do
   defp count(core, name, n), do: %{core | counters: Counters.add(core.counters, name, n)}
 
   defp place(core), do: core.info[:peer] || Spec.place(core.spec)
-
-  defp garbled(%{spec: %{sniffed: true}} = core, mono) do
-    cond do
-      not Hearing.garbled?(core, mono) -> {%{core | diagnosis: [], sniff_at: nil}, []}
-      core.sniff_at == nil or mono >= core.sniff_at -> {%{core | sniff_at: mono + @sniff_every_ms}, [:sniff]}
-      true -> {core, []}
-    end
-  end
-
-  defp garbled(core, _mono), do: {core, []}
-
-  # The next search begins with what was found.
-  defp found(core, %{finding: finding}) when finding != nil do
-    %{core | found: %{path: finding.path, baud: finding.baud}, diagnosis: []}
-  end
-
-  defp found(core, _info), do: %{core | diagnosis: []}
 
   # A link on which nothing happens is not published, unless its rates have yet to fall to 0.
   defp sample(core, mono) do

@@ -3,6 +3,8 @@ defmodule Aerie.Link.Hearing do
 
   alias Aerie.Link.Core
 
+  @sniff_every_ms 10_000
+
   @doc "Whether the silence is long enough to connect or search again."
   @spec silent?(Core.t(), mono :: integer) :: boolean
   def silent?(%{spec: %{announced: true}} = core, mono), do: mono - heard_at(core) >= core.silent_ms
@@ -18,6 +20,29 @@ defmodule Aerie.Link.Hearing do
   def garbled?(core, mono) do
     bytes_at(core) - heard_at(core) >= core.garbled_ms and mono - bytes_at(core) < core.garbled_ms
   end
+
+  @doc "Has it found out what the bytes are, every #{div(@sniff_every_ms, 1000)} s while no frame is among them."
+  @spec sniff(Core.t(), mono :: integer) :: {Core.t(), [:sniff]}
+  def sniff(%{spec: %{sniffed: true}} = core, mono) do
+    cond do
+      not garbled?(core, mono) -> {%{core | diagnosis: [], sniff_at: nil}, []}
+      core.sniff_at == nil or mono >= core.sniff_at -> {sniffed(core, mono), [:sniff]}
+      true -> {core, []}
+    end
+  end
+
+  def sniff(core, _mono), do: {core, []}
+
+  @doc "That was done, or begins, now."
+  @spec sniffed(Core.t(), mono :: integer) :: Core.t()
+  def sniffed(core, mono), do: %{core | sniff_at: mono + @sniff_every_ms}
+
+  @doc "A link that is open has nothing to complain of; its next search begins with what was found."
+  @spec found(Core.t(), info :: map) :: Core.t()
+  def found(core, %{finding: finding}) when finding != nil,
+    do: %{core | found: %{path: finding.path, baud: finding.baud}, diagnosis: []}
+
+  def found(core, _info), do: %{core | diagnosis: []}
 
   defp heard_at(core), do: core.heard || core.opened
 

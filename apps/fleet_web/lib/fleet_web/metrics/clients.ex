@@ -34,7 +34,7 @@ defmodule FleetWeb.Metrics.Clients do
       {"gateway_client_unread_datagrams", :gauge,
        "Datagrams from clients dropped before they were read, by reason; of the endpoints that there are now.",
        for(
-         reason <- [:kernel_dropped, :shed],
+         reason <- [:kernel_dropped, :shed, :shed_new],
          do: {[reason: reason], endpoints |> Enum.map(&Map.fetch!(&1.counters, reason)) |> Enum.sum()}
        )},
       {"gateway_client_endpoints_overloaded", :gauge,

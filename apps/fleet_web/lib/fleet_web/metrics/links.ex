@@ -24,7 +24,18 @@ defmodule FleetWeb.Metrics.Links do
        "Times that a component got no route, because its sender has too many: nothing can be sent to it."}
   ]
 
-  @drops [:unclaimed, :overload, :refused, :looped, :dropped_out, :kernel_dropped, :shed, :denied, :withheld]
+  @drops [
+    :unclaimed,
+    :overload,
+    :refused,
+    :looped,
+    :dropped_out,
+    :kernel_dropped,
+    :shed,
+    :shed_new,
+    :denied,
+    :withheld
+  ]
 
   @signing [
     verified: {"gateway_link_signing_verified_frames_total", "Frames received with a valid signature."},

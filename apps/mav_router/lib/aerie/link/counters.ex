@@ -17,7 +17,7 @@ defmodule Aerie.Link.Counters do
     forwarded to vehicles (`Aerie.Router.Access`)
   - `routes_refused`: how often a component of its peers got no route, because the peer has too many (`Aerie.Router.Routes`)
   - datagrams that came faster than the link could read: `kernel_dropped` (the kernel had no room; known on Linux only), `shed`
-    (they had waited so long that newer ones were read instead, `Aerie.Link.Backlog`)
+    (too many waited, `Aerie.Link.Backlog`), `shed_new` (the same, of senders that were not heard before the overload)
   - `messages`: frames by message id; ids beyond the first #{@max_ids} different ones are counted under `:other`
   """
 
@@ -41,6 +41,7 @@ defmodule Aerie.Link.Counters do
     :dropped_out,
     :kernel_dropped,
     :shed,
+    :shed_new,
     :denied,
     :withheld,
     :routes_refused

@@ -292,8 +292,8 @@ defmodule Aerie.Link.Server do
   defp act({:emit, event, measurements, metadata}, state) do
     if event == :overload do
       Logger.warning(
-        "link #{state.spec.id} receives more than it can read: #{measurements.datagrams} datagrams dropped so far. " <>
-          "Give the gateway more CPU, or spread the vehicles over more links"
+        "link #{state.spec.id} receives more than it can read: #{measurements.datagrams} datagrams dropped so far, " <>
+          "those of senders that were not heard before first. Give the gateway more CPU, or spread the vehicles over more links"
       )
     end
 

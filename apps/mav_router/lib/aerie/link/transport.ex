@@ -20,7 +20,7 @@ defmodule Aerie.Link.Transport do
   ## Back-pressure
 
   Sockets deliver a limited number of messages (`{:active, n}`), then wait to be asked again; a link that does not keep up
-  leaves the rest in the kernel. Datagrams that waited there too long are discarded and counted (`Aerie.Link.Backlog`), as
+  leaves the rest in the kernel. If too many wait there, some are discarded and counted (`Aerie.Link.Backlog`), as
   are those for which the kernel had no room. A write never blocks: what does not fit into a bounded buffer is refused with
   `:busy`.
   """

@@ -160,6 +160,9 @@ defmodule Aerie.Diagnosis.RulesTest do
     assert [%{name: :overload, severity: :error}] =
              conditions(facts(%{links: [link(%{overload: %{since: @now, datagrams: 9}})]}))
 
+    busy = &facts(%{links: [link(%{overload: %{since: @now, datagrams: 9}, counters: %{shed_new: &1}})]})
+    assert [%{name: :overload, evidence: ["9 datagrams" <> _, "5 in " <> _]}] = conditions(busy.(0), busy.(5))
+
     gcs = link(%{id: "gcs", overload: %{since: @now, datagrams: 7}})
 
     assert [%{name: :overload, severity: :error, subject: {:client, "gcs"}, evidence: ["7 datagrams" <> _]}] =

@@ -35,7 +35,7 @@ defmodule FleetWeb.Console.Links.View do
     }
   end
 
-  @drops [:unclaimed, :overload, :refused, :dropped_out, :kernel_dropped, :shed, :peers_refused]
+  @drops [:unclaimed, :overload, :refused, :dropped_out, :kernel_dropped, :shed, :shed_new, :peers_refused]
 
   defp dropped(nil), do: 0
   defp dropped(counters), do: @drops |> Enum.map(&(Map.get(counters, &1) || 0)) |> Enum.sum()

@@ -131,10 +131,10 @@ defmodule Aerie.Link.Transport.Net do
   end
 
   @doc """
-  A datagram and those that wait behind it in the mailbox, without those that waited too long (`Aerie.Link.Backlog`), and
+  A datagram and those that wait behind it in the mailbox, without those that are too many (`Aerie.Link.Backlog`), and
   how many those were.
   """
-  @spec take(:gen_udp.socket(), Backlog.t(), datagram) :: {[datagram], non_neg_integer, Backlog.t()}
+  @spec take(:gen_udp.socket(), Backlog.t(), datagram) :: {[datagram], Backlog.discarded(), Backlog.t()}
         when datagram: {{:inet.ip_address(), :inet.port_number()}, binary}
   def take(socket, backlog, first) do
     datagrams = [first | drain(socket)]
@@ -145,10 +145,11 @@ defmodule Aerie.Link.Transport.Net do
   end
 
   @doc "Datagrams, and how many were discarded, as events of a transport."
-  @spec events([{term, binary}], non_neg_integer) :: [Aerie.Link.Transport.event()]
-  def events([], 0), do: []
-  def events(reads, 0), do: [{:read, reads}]
-  def events(reads, shed), do: [{:count, :shed, shed} | events(reads, 0)]
+  @spec events([{term, binary}], Backlog.discarded()) :: [Aerie.Link.Transport.event()]
+  def events(reads, discarded) do
+    counts = for {name, n} when n > 0 <- Map.to_list(discarded), do: {:count, name, n}
+    if reads == [], do: counts, else: counts ++ [{:read, reads}]
+  end
 
   defp waiting(socket) do
     {:message_queue_len, messages} = Process.info(self(), :message_queue_len)

@@ -79,11 +79,17 @@ defmodule Aerie.Diagnosis.Rules.Traffic do
     ])
   end
 
-  defp overload(%{overload: %{datagrams: datagrams}, id: id}, new, _n, _facts) do
+  defp overload(%{overload: %{datagrams: datagrams}, id: id}, new, n, facts) do
     [
       new.(:overload, :error,
         title: "Link #{id} is overloaded: data lost",
-        evidence: ["#{datagrams} datagrams since it began"],
+        evidence: [
+          "#{datagrams} datagrams since it began"
+          | when_any(
+              n.(:shed_new),
+              &"#{&1} in #{facts.seconds} s from senders that were not heard before it; theirs go first"
+            )
+        ],
         mend: "Give the gateway more CPU, lower the stream rates, or spread the vehicles over several links."
       )
     ]

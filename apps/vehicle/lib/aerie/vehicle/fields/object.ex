@@ -142,7 +142,8 @@ defmodule Aerie.Vehicle.Fields.Object do
     {"counters.looped", nil, nil, "our own frames that came back"},
     {"counters.dropped_out", nil, nil, "writes that could not be sent"},
     {"counters.kernel_dropped", nil, nil, "datagrams that the kernel's buffer had no room for"},
-    {"counters.shed", nil, nil, "datagrams dropped because they were too old when read"},
+    {"counters.shed", nil, nil, "datagrams dropped because too many waited"},
+    {"counters.shed_new", nil, nil, "the same, of senders that were not heard before the overload"},
     {"counters.denied", nil, nil, "commands of endpoints that may not send them"},
     {"counters.withheld", nil, nil, "heartbeats and measurements withheld from vehicles"}
   ]

@@ -96,7 +96,7 @@ defmodule Aerie.LinkCase do
       end
 
     true = Enum.all?(outcomes, &match?(%{delivered: 1, refused: 0, unclaimed: 0}, &1))
-    # Twenty more for each second that this takes.
+    # Four more for each second that this takes.
     true = Enum.count(outcomes, &(&1.sessions != [])) in 32..200
     for n <- 0..299, do: {"net #{div(n, 200)}", rem(n, 200) + 1}
   end

@@ -2,7 +2,7 @@ defmodule Aerie.Router.Admission do
   @again_ms 5_000
   @max_refused 4_096
   # Started at once: one in so many ms, so many in a burst.
-  @at_once_ms 50
+  @at_once_ms 250
   @at_once 32
   @busy 64
   @max_waiting 1_024
@@ -12,7 +12,7 @@ defmodule Aerie.Router.Admission do
   them (`Aerie.Router.Vehicles`). A vehicle that was refused is not tried again for #{div(@again_ms, 1_000)} s, so that a flood
   of invented system ids does not keep their supervisor busy.
 
-  The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second and #{@at_once}
+  The process that has a vehicle's frames starts it at once as long as few come, #{div(1_000, @at_once_ms)} a second of a link and #{@at_once}
   in a burst, and while no more than #{@busy} messages wait for that process, since other vehicles' frames are among them.
   `Aerie.Router.VehicleStarter` starts the others; at most #{@max_waiting} wait, with their first frames (`Aerie.Router.EarlyFrames`), which
   their sessions take when they start (`first_frames/2`).
@@ -45,7 +45,7 @@ defmodule Aerie.Router.Admission do
         :refused
 
       _free ->
-        if not busy?() and at_once?(tables, now),
+        if not busy?() and at_once?(tables, delivery),
           do: start(gateway, tables, key, now),
           else: ask(key, first, delivery)
     end
@@ -57,10 +57,12 @@ defmodule Aerie.Router.Admission do
     waiting > @busy
   end
 
-  # Two links that ask at the same moment may both be let in.
-  defp at_once?(tables, now) do
-    case TokenBucket.take(Tables.setting(tables, :admission, nil), now, @at_once_ms, @at_once) do
-      {:ok, full} -> :ets.insert(tables.settings, {:admission, full})
+  # What a link's process spends on new vehicles, the frames of the others wait for.
+  defp at_once?(tables, %{sender: sender, now: now}) do
+    owner = brought_by(sender)
+
+    case TokenBucket.take(Tables.setting(tables, {:admission, owner}, nil), now, @at_once_ms, @at_once) do
+      {:ok, full} -> :ets.insert(tables.settings, {{:admission, owner}, full})
       :none -> false
     end
   end
@@ -105,6 +107,11 @@ defmodule Aerie.Router.Admission do
       _none_or_another_sender -> :none
     end
   end
+
+  @doc "The link that brought a vehicle, of the sender that its session is told."
+  @spec brought_by(sender :: term) :: term
+  def brought_by({owner, _peer}), do: owner
+  def brought_by(owner), do: owner
 
   @doc "Starts the vehicle now."
   @spec start(Names.gateway(), Tables.t(), {String.t(), non_neg_integer}, integer) :: {:ok, pid} | :refused

@@ -36,6 +36,8 @@ defmodule Aerie.Router.Endpoints do
   end
 
   defp delete_owner(tables, id) do
+    :ets.delete(tables.settings, {:admission, id})
+
     case :ets.take(tables.owners, id) do
       [{^id, %Owner{networks: names}}] when is_list(names) ->
         kept =

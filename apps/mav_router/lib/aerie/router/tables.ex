@@ -13,7 +13,7 @@ defmodule Aerie.Router.Tables do
   - `:refused` `{vehicle_key, until_ms}`: vehicles for which there was no room
   - `:waiting` `{vehicle_key, sender}`: vehicles that are being started; `:early` `{{vehicle_key, number}, frames}`: what
     came of them so far, in order
-  - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`
+  - `:settings` `{name, value}`, `{{:network, name}, order in which it came}`, `{{:admission, owner}, token bucket}`
   - `:changes` `{generation, endpoint's key | :all}`: what moved the generation, the last #{@max_changes} times
   - `:heard_by` `{{owner, peer, network, system, component}}`: the routes, by endpoint
 

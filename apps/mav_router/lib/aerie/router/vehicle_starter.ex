@@ -1,10 +1,11 @@
 defmodule Aerie.Router.VehicleStarter do
   @every_ms 10
-  @at_most_ms 50
+  @at_most_ms 250
 
   @moduledoc """
   Starts vehicles one after the other when many are heard at once, so that no link has to do it while frames of its other
-  vehicles wait in its mailbox. #{div(1_000, @every_ms)} a second, fewer on a busy machine (`pause/1`), where frames come first.
+  vehicles wait in its mailbox. #{div(1_000, @every_ms)} a second, #{div(1_000, @at_most_ms)} on a machine that is too busy (`pause/1`): the frames of those that are there come
+  first. Links have turns (`Aerie.Router.StartQueue`).
 
   A vehicle waits in the router's tables until it is started or refused, however long that takes. After a restart of this process
   those that wait there are started.
@@ -13,6 +14,7 @@ defmodule Aerie.Router.VehicleStarter do
 
   alias Aerie.Names
   alias Aerie.Router.Admission
+  alias Aerie.Router.StartQueue
   alias Aerie.Router.Tables
 
   @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
@@ -38,26 +40,35 @@ defmodule Aerie.Router.VehicleStarter do
     Process.flag(:priority, :low)
     Process.set_label({:vehicle_starter, gateway})
     timer = Process.send_after(self(), :next, 0)
-    {:ok, %{gateway: gateway, queue: :queue.from_list(waiting(gateway)), timer: timer}}
+    {:ok, %{gateway: gateway, queue: waiting(gateway), timer: timer}}
   end
 
   # Those that the last one was asked for.
   defp waiting(gateway) do
     case Tables.of(gateway) do
-      nil -> []
-      tables -> :ets.select(tables.waiting, [{{:"$1", :_}, [], [:"$1"]}])
+      nil -> StartQueue.new()
+      tables -> Enum.reduce(:ets.tab2list(tables.waiting), StartQueue.new(), &put/2)
     end
   end
 
+  defp put({key, sender}, queue), do: StartQueue.put(queue, Admission.brought_by(sender), key)
+
   @impl GenServer
   def handle_info({:start, key}, %{timer: nil} = state), do: {:noreply, start(state, key)}
-  def handle_info({:start, key}, state), do: {:noreply, %{state | queue: :queue.in(key, state.queue)}}
+
+  def handle_info({:start, key}, state) do
+    tables = Tables.of(state.gateway)
+    # None for one that a link has started meanwhile.
+    rows = if tables, do: :ets.lookup(tables.waiting, key), else: []
+    {:noreply, %{state | queue: Enum.reduce(rows, state.queue, &put/2)}}
+  end
+
   def handle_info(:next, state), do: {:noreply, next(state)}
 
   defp next(state) do
-    case :queue.out(state.queue) do
-      {:empty, _queue} -> %{state | timer: nil}
-      {{:value, key}, queue} -> start(%{state | queue: queue}, key)
+    case StartQueue.take(state.queue) do
+      nil -> %{state | timer: nil}
+      {key, queue} -> start(%{state | queue: queue}, key)
     end
   end
 

@@ -266,6 +266,15 @@ defmodule Aerie.Router.DeliverTest do
     refute_received {:session, _key, _sender, _frames}
   end
 
+  test "new vehicles of one link cost another link nothing: each has its own allowance" do
+    gateway = gateway()
+    :sys.suspend(Names.whereis(gateway, :vehicle_starter), Aerie.Patience.ms())
+    # However long this takes, some have to wait.
+    flood = Stream.map(1..200, &deliver(gateway, heartbeat(&1)))
+    assert Enum.any?(flood, &match?(%{delivered: 1, sessions: []}, &1))
+    assert %{delivered: 1, sessions: [_session]} = deliver(gateway, heartbeat(201), %{@origin | id: "b"})
+  end
+
   test "a link with many messages in its mailbox starts no vehicle itself" do
     gateway = gateway(%{})
     starter = Names.whereis(gateway, :vehicle_starter)
@@ -281,7 +290,7 @@ defmodule Aerie.Router.DeliverTest do
   end
 
   test "the longer the start of a vehicle takes, the longer is the pause before the next" do
-    assert Enum.map([0, 2, 5, 10, 20, 5_000], &Router.VehicleStarter.pause/1) == [10, 10, 20, 40, 50, 50]
+    assert Enum.map([0, 2, 5, 10, 20, 5_000], &Router.VehicleStarter.pause/1) == [10, 10, 20, 40, 80, 250]
   end
 
   test "a session that does not keep up gets no frames until it does", c do

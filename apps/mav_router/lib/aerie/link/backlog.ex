@@ -22,6 +22,7 @@ defmodule Aerie.Link.Backlog do
   @relief_ms 5_000
   # Fewer datagrams than this are no backlog.
   @some 64
+  @many 256
 
   # How long a sender was heard before the overload, for each rank.
   @known_ms [5_000, 60_000]
@@ -63,25 +64,30 @@ defmodule Aerie.Link.Backlog do
   @spec new() :: t
   def new, do: %__MODULE__{}
 
-  @doc "Whether to measure what waits. At every read while datagrams are discarded, so that not more are than necessary."
+  @doc "Whether to measure what waits. At every read while there are too many: one read more than necessary is 128 datagrams."
   @spec due?(t, integer) :: boolean
   def due?(%__MODULE__{measured: nil}, _now), do: true
-  def due?(%__MODULE__{measured: at, shed: shed}, now), do: shed > 0 or now - at >= @every_ms
 
-  @doc "Takes the measurement that so many wait at `now`."
+  def due?(%__MODULE__{measured: at, shed: shed} = backlog, now),
+    do: shed > 0 or now - at >= @every_ms or (backlog.strained != nil and backlog.waiting > some(backlog))
+
+  @doc "Takes the measurement that so many wait at `now`, those included that are taken next."
   @spec measure(t, non_neg_integer, integer) :: t
-  # Discarded datagrams are not read: the pace is known again after the next measurement.
   def measure(%__MODULE__{shed: shed} = backlog, waiting, now) when shed > 0 do
-    left = if waiting > @some, do: min(shed, waiting), else: 0
-    %{backlog | measured: now, waiting: 0, done: 0, shed: left}
+    left = if waiting > some(backlog), do: min(shed, waiting), else: 0
+    %{backlog | measured: now, waiting: waiting, done: 0, shed: left}
   end
 
   # How much was read is the pace only if datagrams waited all the time.
   def measure(%__MODULE__{measured: at, waiting: before} = backlog, waiting, now) do
-    busy? = at != nil and before > @some and waiting > @some
+    busy? = at != nil and before > some(backlog) and waiting > some(backlog)
     excess = if busy?, do: excess(waiting, backlog.done / max(now - at, 1))
     judge(%{backlog | measured: now, waiting: waiting, done: 0}, excess, now)
   end
+
+  # In an overload a link may be so slow that these few are seconds.
+  defp some(%{strained: nil}), do: @some
+  defp some(_strained), do: 0
 
   defp judge(%{strained: strained} = backlog, nil, now) do
     if strained != nil and now - strained < @relief_ms,
@@ -111,8 +117,11 @@ defmodule Aerie.Link.Backlog do
     # The same part of each read, so that what is kept is not of one moment; rounded up.
     keep = ceil(n * keep / of)
     {kept, lost} = datagrams |> ranked(backlog) |> Enum.split(keep)
-    # Senders that were there before, if they are few, do not pay for a pace that was low for a moment.
-    {more, lost} = lost |> Enum.split(min(keep, max(div(n, 4) - keep, 0))) |> known()
+
+    # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very many wait it was low
+    # for longer.
+    extra = if of <= @many, do: n, else: keep
+    {more, lost} = lost |> Enum.split(min(extra, max(div(n, 4) - keep, 0))) |> known()
     kept = for {_order, datagram} <- Enum.sort_by(more ++ kept, fn {{_, _, i}, _} -> -i end), do: datagram
     new = Enum.count(lost, &new?/1)
     lost = length(lost)

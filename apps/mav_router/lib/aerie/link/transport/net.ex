@@ -140,7 +140,11 @@ defmodule Aerie.Link.Transport.Net do
     datagrams = [first | drain(socket)]
     now = :erlang.monotonic_time(:millisecond)
 
-    backlog = if Backlog.due?(backlog, now), do: Backlog.measure(backlog, waiting(socket), now), else: backlog
+    backlog =
+      if Backlog.due?(backlog, now),
+        do: Backlog.measure(backlog, waiting(socket) + length(datagrams), now),
+        else: backlog
+
     Backlog.take(backlog, datagrams)
   end
 

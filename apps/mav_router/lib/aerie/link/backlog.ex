@@ -106,7 +106,7 @@ defmodule Aerie.Link.Backlog do
   defp excess(waiting, per_ms) when waiting > per_ms * @late_ms, do: {round(per_ms * @keep_ms), waiting}
   defp excess(_waiting, _per_ms), do: nil
 
-  @doc "What is kept of the datagrams that were read behind the last measurement, in their order, and how many were discarded."
+  @doc "What is kept of the datagrams that were read, in their order, and how many were discarded."
   @spec take(t, [{term, binary}]) :: {[{term, binary}], discarded, t}
   def take(%__MODULE__{shed: 0} = backlog, datagrams),
     do: {datagrams, @none, noted(%{backlog | done: backlog.done + length(datagrams)}, datagrams)}
@@ -121,7 +121,7 @@ defmodule Aerie.Link.Backlog do
     # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very many wait it was low
     # for longer.
     extra = if of <= @many, do: n, else: keep
-    {more, lost} = lost |> Enum.split(min(extra, max(div(n, 4) - keep, 0))) |> known()
+    {more, lost} = lost |> Enum.split(min(extra, max(div(n + 3, 4) - keep, 0))) |> known()
     kept = for {_order, datagram} <- Enum.sort_by(more ++ kept, fn {{_, _, i}, _} -> -i end), do: datagram
     new = Enum.count(lost, &new?/1)
     lost = length(lost)

@@ -134,7 +134,7 @@ defmodule Aerie.Link.Peers do
     case TokenBucket.take(peers.newcomers, now, @newcomer_ms, @newcomers, keep) do
       {:ok, newcomers} ->
         peer = begun || Peer.new(id, text(id), peers.parser, now)
-        parse(%{peers | newcomers: newcomers, fragments: fragments}, peer, bytes, now, at)
+        parse(%{peers | newcomers: newcomers, fragments: fragments}, {begun, peer}, bytes, now, at)
 
       :none ->
         {[], [], refused(peers, bytes)}
@@ -148,14 +148,14 @@ defmodule Aerie.Link.Peers do
     %{peers | retired: sum(retired, %{peers_refused: 1, bytes_in: byte_size(bytes)})}
   end
 
-  defp parse(peers, peer, bytes, now, at) do
+  defp parse(peers, {begun, peer}, bytes, now, at) do
     {frames, peer} = Peer.push(peer, peers.framing, bytes, now, at)
 
     cond do
       frames == [] and Peer.waiting?(peer) -> {[], [], begun(peers, peer)}
       frames == [] -> {[], [], retire(peers, [peer])}
       room?(peers) -> {frames, [{:up, peer}], put_unknown(peers, peer)}
-      true -> replace(peers, peer, frames, bytes, now)
+      true -> replace(peers, {begun, peer}, frames, bytes, now)
     end
   end
 
@@ -172,14 +172,14 @@ defmodule Aerie.Link.Peers do
     put(%{peers | unknown: :gb_sets.add_element({peer.since, peer.id}, peers.unknown)}, peer)
   end
 
-  defp replace(peers, peer, frames, bytes, now) do
+  defp replace(peers, {begun, peer}, frames, bytes, now) do
     with false <- :gb_sets.is_empty(peers.unknown),
          {_since, id} = :gb_sets.smallest(peers.unknown),
          %{framed: framed} = earliest when now - framed >= @yields_ms <- Map.fetch!(peers.map, id) do
       {_earliest, peers} = remove(peers, id)
       {frames, [{:down, earliest}, {:up, peer}], put_unknown(peers, peer)}
     else
-      _none_to_replace -> {[], [], refused(peers, bytes)}
+      _none_to_replace -> {[], [], peers |> retire(List.wrap(begun)) |> refused(bytes)}
     end
   end
 

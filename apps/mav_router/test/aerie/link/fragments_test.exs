@@ -62,6 +62,15 @@ defmodule Aerie.Link.FragmentsTest do
     assert map_size(peers.map) == 2
   end
 
+  test "what a sender sent counts, although there is no place for it when its frame is whole" do
+    [first, second] = pieces(beat(1), 11)
+    {[], [], peers} = Peers.push(Peers.new(:datagram, 1), @sender, first, 0, 0)
+    {[_frame], _changes, peers} = Peers.push(peers, {{10, 0, 0, 8}, 14_550}, beat(1), 0, 0)
+    {[], [], peers} = Peers.push(peers, @sender, second, 0, 0)
+    assert %{bytes_in: bytes, peers_refused: 1} = Peers.totals(peers)
+    assert bytes == 2 * byte_size(beat(1))
+  end
+
   test "what never becomes a frame is kept for seconds, of few senders, and counted" do
     # A hundred newcomers a second are let in.
     peers =

@@ -48,7 +48,9 @@ export default {
   // With the places that the operator sees: the page may have sorted the rows meanwhile.
   tell(over) {
     this.told = over;
-    this.pushEvent("pointer", { over, ids: over ? this.rows().map((row) => row.dataset.id) : [] });
+    const ids = over ? this.rows().map((row) => row.dataset.id) : [];
+    // A page that is being left needs no answer: with a callback, what could not be sent is not an error.
+    this.pushEvent("pointer", { over, ids }, () => {});
   },
 
   rows() {

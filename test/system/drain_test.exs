@@ -87,7 +87,7 @@ defmodule Aerie.System.DrainTest do
       probe = %{"type" => "request_message", "params" => %{"message_id" => 148}}
 
       case post(context.url <> "?wait=0", probe) do
-        {503, %{"error" => %{"message" => text}}} -> text =~ "ending"
+        {503, %{"error" => %{"message" => text}}} -> text =~ "stopping"
         _other -> false
       end
     end

@@ -74,7 +74,10 @@ defmodule FleetWeb.Console.Fleet.HandTest do
       server = Aerie.Names.whereis(console.gateway, :console_alarms)
       put_vehicle(console, "V1", [mode: %{failsafe: true}], %{key: {"main", 1}, system_id: 1})
       {:ok, alarms, _html} = live(conn(console, :operator), "/alarms")
-      button = eventually(fn -> has_element?(alarms, "tr", "V1") && element(alarms, "button", "Acknowledge all") end)
+
+      button =
+        eventually(fn -> has_element?(alarms, "tr", "V1") && element(alarms, "button", "Acknowledge all") end)
+
       assert render(button) =~ ~r/alarms.*a1/
       assert is_pid(server)
       render_click(button)

@@ -39,7 +39,7 @@ defmodule SimVehicle.Plans do
     1 => [5000, 5001, 5002, 5003, 5004],
     2 => [5100]
   }
-  # Their x and y are no degrees in MISSION_ITEM, either (AP_Mission.cpp: `convert_MISSION_ITEM_to_MISSION_ITEM_INT`).
+  # Their x and y are not degrees in MISSION_ITEM, either (AP_Mission.cpp: `convert_MISSION_ITEM_to_MISSION_ITEM_INT`).
   @plain_xy [202, 203, 1000, 42_703]
 
   @retry_us %{ardupilot: 1_000_000, px4: 250_000}

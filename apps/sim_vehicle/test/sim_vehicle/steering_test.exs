@@ -29,7 +29,7 @@ defmodule SimVehicle.SteeringTest do
     # Nothing is left of it: it stops.
     moving = stream(flight, local(0xDC7, vx: 5.0), 2)
     assert abs(vehicle(moving |> hear(local(0xDC9, x: -50.0, vx: 5.0, z: -20.0)) |> run(10)).kin.vn) < 0.5
-    # The height alone is no position either.
+    # The height alone is not a position either.
     assert abs(vehicle(stream(flight, local(0xDFB, z: -60.0), 4)).kin.d + 20) < 2
   end
 

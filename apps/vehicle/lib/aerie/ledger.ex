@@ -19,7 +19,7 @@ defmodule Aerie.Ledger do
   disk has room, so a command that is sent nevertheless, because it brings a vehicle down, is protected until a restart. Until the
   file has been read once, nothing is admitted: only the file knows which ids were used before.
 
-  A file that is no ledger any more is set aside (`Aerie.Damaged`), as is a copy of one with damaged lines. What ids it had
+  A file that can no longer be read as a ledger is set aside (`Aerie.Damaged`), as is a copy of one with damaged lines. What ids it had
   is not known, so from then on an unknown command that was issued before is refused: it may have been executed.
 
   Telemetry: `[:aerie, :ledger, :failing]` (`count` 1; `gateway`, `reason`), once until the ledger can be written again.

@@ -7,7 +7,7 @@ defmodule Aerie.TextFile do
   """
 
   @bom <<0xEF, 0xBB, 0xBF>>
-  # Longer digits are no number of a vehicle, and cost much time to convert.
+  # A vehicle has no numbers with more digits, and they take long to convert.
   @max_number 64
   @decimal ~r/\A([+-]?)(\d*)(?:\.(\d*))?([eE][+-]?\d+)?\z/
 

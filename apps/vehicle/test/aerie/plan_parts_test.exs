@@ -44,7 +44,7 @@ defmodule Aerie.PlanPartsTest do
 
     {:ok, empty} = Missions.import(File.read!(Path.join(@files, "no-fence-key.plan")), :plan)
 
-    # A place to return to is no fence.
+    # A place to return to is not a fence.
     for kind <- Missions.kinds() do
       empty = %{empty | fence_return: {near(0, 0), 20.0}}
       assert {:error, [error]} = Missions.upload(gateway, "VID-001", kind, empty)

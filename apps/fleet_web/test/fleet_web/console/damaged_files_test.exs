@@ -33,7 +33,7 @@ defmodule FleetWeb.Console.DamagedFilesTest do
     end
 
     assert length(kept(path = Path.join(dir, "users.json"))) == length(@garbage)
-    # One that others can read is no damage.
+    # One that others can read is not damaged.
     File.chmod!(file(dir, "users.json", "{"), 0o644)
     assert {:error, _text} = capture_exit(fn -> Users.start_link(gateway: make_ref(), file: path) end)
   end

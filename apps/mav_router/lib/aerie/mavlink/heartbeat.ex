@@ -3,7 +3,7 @@ defmodule Aerie.Mavlink.Heartbeat do
   What a HEARTBEAT or HIGH_LATENCY2 says about its sender, read straight from the payload.
 
   A vehicle is recognised by the field `autopilot` (H2), not by the component id (R10). Some ground stations and payloads set that
-  field as well, so their types are no vehicles either. Where neither says anything (both GENERIC, as a Herelink's air unit sends, 42/250),
+  field as well, so their types are not vehicles either. Where neither says anything (both GENERIC, as a Herelink's air unit sends, 42/250),
   only the component of an autopilot is one.
   """
 

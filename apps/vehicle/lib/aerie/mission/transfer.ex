@@ -322,8 +322,12 @@ defmodule Aerie.Mission.Transfer do
 
   defp was_read({t, actions}, items, now) do
     comparison = Compare.plans(t.items, items, t.type, t.protocol, t.kind)
-    mismatch = with {:same, _remarks} <- comparison, do: nil, else: ({:differs, seq, _how} -> seq)
-    t = with {:same, remarks} <- comparison, do: %{t | remarks: remarks}, else: (_differs -> t)
+
+    {mismatch, t} =
+      case comparison do
+        {:same, remarks} -> {nil, %{t | remarks: remarks}}
+        {:differs, seq, _how} -> {seq, t}
+      end
 
     case Outcome.read_back(comparison, t.cause, t.looks == 0) do
       :check -> watch({t, actions}, items, now)
@@ -374,21 +378,9 @@ defmodule Aerie.Mission.Transfer do
   # --- Ends
 
   defp finish({t, actions}, {status, reason, on_board}, now, more \\ []) do
-    result =
-      struct!(
-        %Result{
-          status: status,
-          reason: reason,
-          on_board: on_board,
-          remarks: t.remarks,
-          opaque_id: t.opaque_id,
-          read_at: t.read_at,
-          sent: t.sent,
-          ms: div(now - t.started, 1000)
-        },
-        more
-      )
-
+    result = %Result{status: status, reason: reason, on_board: on_board, ms: div(now - t.started, 1000)}
+    known = t |> Map.take([:remarks, :opaque_id, :read_at, :sent]) |> Map.to_list()
+    result = struct!(result, known ++ more)
     {%{t | phase: :done, part: nil, items: []}, [{:result, result} | actions]}
   end
 

@@ -70,7 +70,7 @@ defmodule Aerie.Protocol.ParamValue do
   def encode(_value, type, _encoding),
     do: {:error, "parameters of type #{type} do not fit into PARAM_SET"}
 
-  @doc "Whether two values are the same for a vehicle: floats with 32 bits, integers exactly. nil is no number."
+  @doc "Whether two values are the same for a vehicle: floats with 32 bits, integers exactly. nil is not a number."
   @spec same?(number() | nil, number() | nil) :: boolean()
   def same?(a, b) when a == nil or b == nil, do: a == b
   def same?(a, b) when is_integer(a) and is_integer(b), do: a == b

@@ -8,7 +8,7 @@ defmodule Aerie.Replay.Clock do
   ticks.
 
   A frame that is more than two seconds older than the one before means that a clock was set back or that another recording
-  begins: time begins anew with that frame. So it does when a recorder without a clock, whose time began in 1970, gets one.
+  begins: time starts again with that frame. So it does when a recorder without a clock, whose time began in 1970, gets one.
   """
 
   @tick_us 100_000
@@ -32,15 +32,15 @@ defmodule Aerie.Replay.Clock do
   def new, do: %__MODULE__{}
 
   @doc """
-  A frame came `at`: the ticks before it, oldest first, or `:anew` if time begins anew. A frame that is only a little older
+  A frame came `at`: the ticks before it, oldest first, or `:restarted` if time starts again. A frame that is only a little older
   than the one before gives no ticks.
   """
-  @spec advance(t, integer) :: {[integer] | :anew, t}
+  @spec advance(t, integer) :: {[integer] | :restarted, t}
   def advance(%__MODULE__{now: nil} = clock, at), do: {[], begin(clock, at)}
-  def advance(%__MODULE__{now: now} = clock, at) when at < now - @back_us, do: {:anew, begin(clock, at)}
+  def advance(%__MODULE__{now: now} = clock, at) when at < now - @back_us, do: {:restarted, begin(clock, at)}
 
   def advance(%__MODULE__{now: now} = clock, at) when now < @year_2000 and at - now > @day_us,
-    do: {:anew, begin(clock, at)}
+    do: {:restarted, begin(clock, at)}
 
   def advance(%__MODULE__{next: next} = clock, at) when at < next,
     do: {[], pass(clock, max(clock.now, at))}

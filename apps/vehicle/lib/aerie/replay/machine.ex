@@ -126,7 +126,7 @@ defmodule Aerie.Replay.Machine do
 
   defp time(machine, at, outputs) do
     case Clock.advance(machine.clock, at) do
-      {:anew, clock} ->
+      {:restarted, clock} ->
         machine = count(%{machine | clock: clock}, :jumps, 1)
         each(machine, {:rebase, at}, at, outputs)
 

@@ -1,5 +1,5 @@
 defmodule Aerie.Mission.KeptTest do
-  @moduledoc "What a firmware keeps of a plan is no difference, and everything else is (W8)."
+  @moduledoc "What a firmware keeps of a plan counts as the same, and everything else as a difference (W8)."
   use ExUnit.Case, async: true
 
   alias Aerie.Mission.{Item, Onboard, Plan}

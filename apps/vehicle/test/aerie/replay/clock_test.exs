@@ -29,9 +29,9 @@ defmodule Aerie.Replay.ClockTest do
     assert {[], _clock} = Clock.advance(clock, now + 365 * 86_400 * @second + 1)
   end
 
-  test "a recorder that gets the time begins anew, and has not recorded for decades" do
+  test "a recorder that gets the time starts again, and has not recorded for decades" do
     {[_ | _], clock} = Clock.advance(at(0), 5 * @second)
-    assert {:anew, clock} = Clock.advance(clock, 1_795_000_000 * @second)
+    assert {:restarted, clock} = Clock.advance(clock, 1_795_000_000 * @second)
     assert {[_ | _], clock} = Clock.advance(clock, 1_795_000_002 * @second)
     assert clock.passed == 7 * @second
   end
@@ -39,7 +39,7 @@ defmodule Aerie.Replay.ClockTest do
   test "frames that overtake each other stop time, an older recording begins it anew" do
     clock = at(10 * @second)
     assert {[], %{now: 10_000_000}} = Clock.advance(clock, 8 * @second)
-    assert {:anew, clock} = Clock.advance(clock, 8 * @second - 1)
+    assert {:restarted, clock} = Clock.advance(clock, 8 * @second - 1)
     assert {[8_099_999], _clock} = Clock.advance(clock, 8 * @second + 100_000)
   end
 end

@@ -12,7 +12,7 @@ defmodule FleetWeb.Console.Commands.Form do
   @max_text 256
   @max_items 64
 
-  # Names that are no words.
+  # Names that are not words.
   @labels %{
     "lat" => "latitude",
     "lon" => "longitude",

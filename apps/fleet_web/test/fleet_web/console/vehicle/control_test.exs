@@ -1,63 +1,8 @@
 defmodule FleetWeb.Console.Vehicle.ControlTest do
   @moduledoc "What a vehicle's page offers by the vehicle's state, and how it tells what becomes of it. As `PageTest`, with a store that is filled by hand."
-  use FleetWeb.ConsoleCase, async: true
+  use FleetWeb.VehiclePageCase, async: true
 
-  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
-
-  alias Aerie.Fleet.Journal
-  alias Aerie.Store
-  alias Aerie.Vehicle.Event
-
-  @moduletag :tmp_dir
-  @moduletag :capture_log
-  @id "VID-007"
-  @ahead_us 600_000_000
   @path "/vehicles/VID-007"
-
-  setup %{tmp_dir: dir} = context do
-    [console: console] = start_console()
-    start_door(dir, gateway: console.gateway, policy: context[:policy] || [max_altitude: 100])
-    put(console)
-    %{console: console}
-  end
-
-  # As the executor's vehicle: in the air above its home. Its values stay fresh, however long a test takes.
-  defp put(console, groups \\ [], fields \\ %{}) do
-    put_vehicle(
-      console,
-      @id,
-      groups,
-      Map.merge(
-        %{
-          key: {"main", 7},
-          system_id: 7,
-          component: 1,
-          clock: %{rtt_us: 20_000},
-          memory: %{sources: %{}, mode_names: %{}}
-        },
-        fields
-      )
-    )
-
-    unless fields[:groups] do
-      vehicle = Store.vehicle(console.gateway, @id)
-      groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: group.at + @ahead_us}} end)
-      Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | groups: groups})
-    end
-  end
-
-  defp open(console, role \\ :operator, path \\ @path) do
-    {:ok, view, _html} = live(conn(console, role), path)
-    view
-  end
-
-  defp give(view, type, id, more \\ %{}),
-    do: render_hook(view, "command", Map.merge(%{"type" => type, "id" => id}, more))
-
-  defp happened(console, type, data, seq) do
-    event = Event.new(@id, type, seq, System.os_time(:microsecond), nil, data)
-    Journal.commit(console.gateway, @id, %{seq: seq}, [event])
-  end
 
   test "where it is sent stays on the map until it is there (F7)", %{console: console} do
     view = open(console)

@@ -1,63 +1,11 @@
 defmodule FleetWeb.Console.Vehicle.PageTest do
   @moduledoc "The page of one vehicle. The store is filled by hand, and the test is the vehicle's executor."
-  use FleetWeb.ConsoleCase, async: true
-
-  import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
+  use FleetWeb.VehiclePageCase, async: true
 
   alias Aerie.Fleet.Journal
-  alias Aerie.Store
-  alias Aerie.Vehicle.Event
 
-  @moduletag :tmp_dir
-  @moduletag :capture_log
   @id "VID-007"
-  @ahead_us 600_000_000
   @path "/vehicles/VID-007"
-
-  setup %{tmp_dir: dir} = context do
-    [console: console] = start_console()
-    start_door(dir, gateway: console.gateway, policy: context[:policy] || [max_altitude: 100])
-    put(console)
-    %{console: console}
-  end
-
-  # As the executor's vehicle: in the air above its home. Its values stay fresh, however long a test takes.
-  defp put(console, groups \\ [], fields \\ %{}) do
-    put_vehicle(
-      console,
-      @id,
-      groups,
-      Map.merge(
-        %{
-          key: {"main", 7},
-          system_id: 7,
-          component: 1,
-          clock: %{rtt_us: 20_000},
-          memory: %{sources: %{}, mode_names: %{}}
-        },
-        fields
-      )
-    )
-
-    unless fields[:groups] do
-      vehicle = Store.vehicle(console.gateway, @id)
-      groups = Map.new(vehicle.groups, fn {name, group} -> {name, %{group | at: group.at + @ahead_us}} end)
-      Store.put_vehicle(console.gateway, vehicle.key, %{vehicle | groups: groups})
-    end
-  end
-
-  defp open(console, role \\ :operator, path \\ @path) do
-    {:ok, view, _html} = live(conn(console, role), path)
-    view
-  end
-
-  defp give(view, type, id, more \\ %{}),
-    do: render_hook(view, "command", Map.merge(%{"type" => type, "id" => id}, more))
-
-  defp happened(console, type, data, seq) do
-    event = Event.new(@id, type, seq, System.os_time(:microsecond), nil, data)
-    Journal.commit(console.gateway, @id, %{seq: seq}, [event])
-  end
 
   test "a vehicle that was never heard of", %{console: console} do
     {:ok, _view, html} = live(conn(console), "/vehicles/VID-999")
@@ -354,7 +302,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     bytes = MavCodec.encode(message, system: 7, component: 1)
 
     {frames, _parser} =
-      MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond) + @ahead_us)
+      MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond) + ahead_us())
 
     Aerie.Recorder.link_frames(console.gateway, "radio", frames)
   end

@@ -4,7 +4,7 @@ defmodule Aerie.Link.Transport.Replay do
 
   Frames have the times of their records. As fast as possible means that a batch is read when the vehicles' sessions have
   handled the one before, so that neither a large file nor a slow session costs memory. At its end the link stays, and says
-  how the recording ended and what was damaged or cut off; with `loop=true` it starts over. What is no tlog is not played.
+  how the recording ended and what was damaged or cut off; with `loop=true` it starts over. Anything but a tlog is refused.
   """
   @behaviour Aerie.Link.Transport
 

@@ -97,7 +97,7 @@ defmodule Aerie.Link.Transport.TcpAcceptor do
         :gen_tcp.close(socket)
         %{state | refused: state.refused + 1, text: text}
 
-      # A connection may already be closed again; that is no reason to stop.
+      # A connection may already be closed again; the acceptor goes on.
       {:error, _closed} ->
         :gen_tcp.close(socket)
         state

@@ -2,7 +2,7 @@ defmodule Aerie.Mission.File.Waypoints do
   @moduledoc """
   Waypoint files, `QGC WPL 110`: a line per item with twelve numbers; the first line is home. Mission Planner,
   QGroundControl and MAVProxy read and write them. They hold the mission only. In the older `QGC WPL 120` the first line is the
-  first item: there is no home.
+  first item: no home is given.
   """
 
   alias Aerie.Mission.File.Value

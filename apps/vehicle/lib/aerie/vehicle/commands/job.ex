@@ -61,7 +61,7 @@ defmodule Aerie.Vehicle.Commands.Job do
     * `:mode` - the vehicle's mode when it was submitted
     * `:refusal` - what a repetition was answered, or what its result will be in the phase `:refused`
     * `:ambiguous?` - a late answer to another command of the same key may be taken for one to this
-    * `:sends` - of this step, `:all_sends` of the command; `:cancels` - how often it was asked to cease; `:done` - how many steps are behind it
+    * `:sends` - of this step, `:all_sends` of the command; `:cancels` - how often a cancellation was sent; `:done` - how many steps are behind it
   """
   @type t :: %__MODULE__{
           command: Command.t(),

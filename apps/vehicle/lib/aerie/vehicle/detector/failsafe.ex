@@ -37,7 +37,7 @@ defmodule Aerie.Vehicle.Detector.Failsafe do
 
   @typedoc """
   What is known of a failsafe: `:type`, `:reason`, `:action`, `:delay`, `:text`, `:report`, `:found`; `:more`: another text
-  about it may follow; `:needs_action`: without an action it is no failsafe.
+  about it may follow; `:needs_action`: only with an action is it a failsafe.
   """
   @type facts :: %{optional(atom()) => term()}
   @typedoc "What shows a failsafe: the system status, a text, a report, a mode or a broken fence."

@@ -55,6 +55,16 @@ defmodule Aerie.Vehicle.Commands.Lanes do
     end
   end
 
+  @doc "Whether an answer to a command of this key may still come: one is in flight, or was a moment ago."
+  @spec answers?(t(), key :: term(), now :: integer()) :: boolean()
+  def answers?(%{lanes: lanes}, key, now) do
+    case lanes do
+      %{^key => %{active: nil, quiet: quiet}} -> quiet != nil and now < quiet
+      %{^key => _in_flight} -> true
+      _idle -> false
+    end
+  end
+
   @doc "The times at which the quiet of a lane ends that somebody waits for."
   @spec wakes(t()) :: [integer()]
   def wakes(%{lanes: lanes}),

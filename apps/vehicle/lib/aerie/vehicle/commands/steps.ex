@@ -83,6 +83,12 @@ defmodule Aerie.Vehicle.Commands.Steps do
     step = Job.step(job)
     messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
+    # An answer to what it ends may still come, and looks like one to this.
+    job = %{
+      job
+      | ambiguous?: job.ambiguous? or (step.ends != nil and Lanes.answers?(core.lanes, step.ends, now))
+    }
+
     acc = {core |> ceasing(step, now) |> put(job), [{:send, messages, Job.id(job)} | actions]}
 
     # Nothing will ever be heard of it.
@@ -138,6 +144,8 @@ defmodule Aerie.Vehicle.Commands.Steps do
   end
 
   def answer(acc, _job, :accepted, _now), do: acc
+
+  def answer(acc, %{ambiguous?: true}, {:accepted, _reason}, _now), do: acc
 
   def answer(acc, job, {:accepted, reason}, now),
     do: step_done(acc, %{job | accepted_at: now}, :accepted, reason, now)

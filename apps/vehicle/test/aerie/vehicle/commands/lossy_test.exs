@@ -88,6 +88,12 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
     end
   end
 
+  defp command(type, params, id) do
+    fields = %{"id" => id, "vehicle" => "V", "type" => type, "params" => params, "source" => "test"}
+    {:ok, command} = Command.parse(fields, 1_795_000_000_000_000)
+    command
+  end
+
   defp operation do
     :proper_types.frequency([
       {10, {:submit, CommandSamples.any(), :proper_types.range(1, 12_000)}},
@@ -153,19 +159,23 @@ defmodule Aerie.Vehicle.Commands.LossyTest do
             ],
             reduce: world do
           world ->
-            {:ok, command} =
-              Command.parse(
-                %{
-                  "id" => "s#{seed}n#{n}",
-                  "vehicle" => "V",
-                  "type" => type,
-                  "params" => params,
-                  "source" => "test"
-                },
-                1_795_000_000_000_000
-              )
+            LossyVehicle.submit(world, command(type, params, "s#{seed}n#{n}"), 5_000)
+        end
 
-            LossyVehicle.submit(world, command, 5_000)
+      assert world |> LossyVehicle.advance(700_000) |> LossyVehicle.wrong() == []
+    end
+  end
+
+  test "an acknowledgement of a calibration is not taken for one of its cancellation" do
+    for seed <- 1..300 do
+      # PX4 calibrates nothing while it is armed.
+      disarmed =
+        LossyVehicle.submit(LossyVehicle.new(:px4, seed), command("force_disarm", %{}, "s#{seed}n0"), 7_000)
+
+      world =
+        for {type, params, n} <- [{"calibrate", %{"sensor" => "esc"}, 1}, {"calibrate_cancel", %{}, 2}],
+            reduce: LossyVehicle.advance(disarmed, 2_500) do
+          world -> LossyVehicle.submit(world, command(type, params, "s#{seed}n#{n}"), 5_000)
         end
 
       assert world |> LossyVehicle.advance(700_000) |> LossyVehicle.wrong() == []

@@ -482,6 +482,10 @@ defmodule Aerie.LossyVehicle do
   defp was_so?(world, %{type: "request_message", params: %{message_id: wanted}}, {from, to}),
     do: Enum.any?(world.told, fn {at, told} -> told == wanted and at in from..to end)
 
+  # ArduPilot's calibration of compass and motors, the only one that is confirmed, is over when it is disarmed.
+  defp was_so?(%{true_state: %{autopilot: :ardupilot}} = world, %{type: "calibrate_cancel"}, span),
+    do: Enum.any?(states(world, span), &(&1.armed == false))
+
   defp was_so?(world, command, span), do: Enum.any?(states(world, span), &met?(world, command, &1))
 
   # What was heard last left the vehicle when it had done it, and does not show it.

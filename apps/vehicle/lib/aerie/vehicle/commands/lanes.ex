@@ -43,6 +43,11 @@ defmodule Aerie.Vehicle.Commands.Lanes do
     end)
   end
 
+  @doc "The next of a key has its turn at `quiet` at the earliest, because of a command of another key; nil: of none."
+  @spec hush(t(), key :: term() | nil, quiet :: integer()) :: t()
+  def hush(lanes, nil, _quiet), do: lanes
+  def hush(lanes, key, quiet), do: update(lanes, key, &%{&1 | quiet: max(&1.quiet || quiet, quiet)})
+
   @doc "Empties a lane without a quiet after it. Gives whether there was to be one, and who was in flight or waited."
   @spec seize(t(), key :: term()) :: {quiet? :: boolean(), ids :: [String.t()], t()}
   def seize(%{lanes: lanes} = all, key) do

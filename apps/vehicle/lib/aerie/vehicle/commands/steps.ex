@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
 
   alias Aerie.Command.Result
   alias Aerie.Protocol
-  alias Aerie.Vehicle.Commands.{Core, Job, Lanes, Repeater, Timing, Verdict}
+  alias Aerie.Vehicle.Commands.{Core, Ending, Job, Lanes, Repeater, Timing, Verdict}
 
   # Results that the vehicle's own words may explain.
   @explained [:rejected, :failed, :timeout, :unknown]
@@ -83,29 +83,11 @@ defmodule Aerie.Vehicle.Commands.Steps do
     step = Job.step(job)
     messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
-    # An answer to what it ends may still come, and looks like one to this.
-    job = %{
-      job
-      | ambiguous?: job.ambiguous? or (step.ends != nil and Lanes.answers?(core.lanes, step.ends, now))
-    }
-
-    acc = {core |> ceasing(step, now) |> put(job), [{:send, messages, Job.id(job)} | actions]}
+    job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core, step, now)}
+    acc = {core |> Ending.begun(step, now) |> put(job), [{:send, messages, Job.id(job)} | actions]}
 
     # Nothing will ever be heard of it.
     if step.acked? or step.confirm != nil, do: acc, else: step_done(acc, job, :accepted, nil, now)
-  end
-
-  # What this step ends is waited for: the vehicle's last word about it counts, and its answers to this one do not.
-  defp ceasing(core, %{ends: nil}, _now), do: core
-
-  defp ceasing(core, %{ends: key}, now) do
-    for {_id, job} <- core.jobs,
-        Job.key(job) == key,
-        Job.sent?(job),
-        job.phase not in [:refused, :cancelling],
-        reduce: core do
-      core -> put(core, %{job | phase: :cancelling, ambiguous?: true, due: now + Timing.ended()})
-    end
   end
 
   defp patience(core, %{repeat: :safe} = step), do: Timing.answer(core.rtt, step.answer_ms * 1000)
@@ -372,7 +354,7 @@ defmodule Aerie.Vehicle.Commands.Steps do
         true -> max(now + Timing.quiet(core.rtt), job.last_sent + Timing.answer(core.rtt))
       end
 
-    Lanes.leave(lanes, Job.key(job), Job.id(job), quiet)
+    lanes |> Lanes.leave(Job.key(job), Job.id(job), quiet) |> Lanes.hush(Job.step(job).ends, quiet)
   end
 
   # --- Jobs

@@ -6,26 +6,26 @@ defmodule Aerie.Vehicle.Commands.Ending do
   alias Aerie.Protocol.Step
   alias Aerie.Vehicle.Commands.{Job, Lanes, Timing}
 
-  @doc "What a step ends is waited for: the vehicle's last word about it counts, and its answers to this step do not."
-  @spec begun(core, Step.t(), now :: integer()) :: core when core: map()
-  def begun(core, %{ends: nil}, _now), do: core
-
-  def begun(%{jobs: jobs} = core, %{ends: key}, now) do
-    ended =
-      for {id, job} <- jobs,
-          Job.key(job) == key,
-          Job.sent?(job),
-          job.phase not in [:refused, :cancelling],
-          into: %{},
-          do: {id, %{job | phase: :cancelling, ambiguous?: true, due: now + Timing.ended()}}
-
-    %{core | jobs: Map.merge(jobs, ended)}
+  @doc """
+  The jobs while a step is sent. What it ends is waited for: the vehicle's last word about it counts, and its answers to this step do not.
+  What is to end it may take the answer to it for its own.
+  """
+  @spec begun(jobs, Step.t(), now :: integer()) :: jobs when jobs: %{String.t() => Job.t()}
+  def begun(jobs, step, now) do
+    Map.new(jobs, fn {id, job} ->
+      cond do
+        not Job.sent?(job) -> {id, job}
+        Job.step(job).ends == step.key -> {id, %{job | ambiguous?: true}}
+        step.ends == nil or Job.key(job) != step.ends or job.phase in [:refused, :cancelling] -> {id, job}
+        true -> {id, %{job | phase: :cancelling, ambiguous?: true, due: now + Timing.ended()}}
+      end
+    end)
   end
 
   @doc "Whether an answer to what this step ends, or to what is to end this step, may still come."
-  @spec mistakable?(map(), Step.t(), now :: integer()) :: boolean()
-  def mistakable?(core, step, now) do
-    (step.ends != nil and Lanes.answers?(core.lanes, step.ends, now)) or
-      Enum.any?(Map.values(core.jobs), &(Job.sent?(&1) and Job.step(&1).ends == step.key))
+  @spec mistakable?(%{String.t() => Job.t()}, Lanes.t(), Step.t(), now :: integer()) :: boolean()
+  def mistakable?(jobs, lanes, step, now) do
+    (step.ends != nil and Lanes.answers?(lanes, step.ends, now)) or
+      Enum.any?(Map.values(jobs), &(Job.sent?(&1) and Job.step(&1).ends == step.key))
   end
 end

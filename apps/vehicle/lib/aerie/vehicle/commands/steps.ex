@@ -83,8 +83,11 @@ defmodule Aerie.Vehicle.Commands.Steps do
     step = Job.step(job)
     messages = core.protocol.encode(step, job.sends, core.vehicle)
     job = Job.sent(job, core.vehicle, now, now + patience(core, step))
-    job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core, step, now)}
-    acc = {core |> Ending.begun(step, now) |> put(job), [{:send, messages, Job.id(job)} | actions]}
+    job = %{job | ambiguous?: job.ambiguous? or Ending.mistakable?(core.jobs, core.lanes, step, now)}
+
+    acc =
+      {put(%{core | jobs: Ending.begun(core.jobs, step, now)}, job),
+       [{:send, messages, Job.id(job)} | actions]}
 
     # Nothing will ever be heard of it.
     if step.acked? or step.confirm != nil, do: acc, else: step_done(acc, job, :accepted, nil, now)

@@ -4,13 +4,14 @@ defmodule Aerie.Router.StartQueue do
   waiting. A value; who asks bounds it (`Aerie.Router.Admission`).
   """
 
-  defstruct turns: :queue.new(), waiting: %{}
+  @enforce_keys [:turns]
+  defstruct [:turns, waiting: %{}]
 
-  @opaque t :: %__MODULE__{turns: :queue.queue(term), waiting: %{term => :queue.queue(term)}}
+  @type t :: %__MODULE__{turns: :queue.queue(term), waiting: %{term => :queue.queue(term)}}
 
   @doc "Nobody waits."
   @spec new() :: t
-  def new, do: %__MODULE__{}
+  def new, do: %__MODULE__{turns: :queue.new()}
 
   @doc "One more, brought by `owner`."
   @spec put(t, owner :: term, term) :: t

@@ -15,8 +15,8 @@ defmodule Aerie.Program do
           | {:websocket, :inet.port_number(), [{String.t(), String.t()}]}
           | {:unix, Path.t()}
 
-  # No more at once than a socket of UDP takes on a busy machine.
-  @batch 100
+  # Fewer at once than a link that does not keep up takes for a backlog (`Aerie.Link.Backlog`): nothing of them is discarded.
+  @batch 50
 
   @doc "Connects."
   @spec start_link({Aerie.Names.gateway(), way()}) :: GenServer.on_start()

@@ -13,6 +13,8 @@ defmodule FleetWeb.Listener.Watch do
   end
 
   @impl GenServer
-  def handle_info({:DOWN, _monitor, :process, _pid, reason}, ref), do: {:stop, {:connections, reason}, ref}
+  def handle_info({:DOWN, _monitor, :process, _pid, reason}, ref),
+    do: {:stop, {:shutdown, {:connections, reason}}, ref}
+
   def handle_info(_other, ref), do: {:noreply, ref}
 end

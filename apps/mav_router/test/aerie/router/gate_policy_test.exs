@@ -125,7 +125,7 @@ defmodule Aerie.Router.GatePolicyTest do
     assert snapshot(c.gateway, "gcs").counters.denied == 2
   end
 
-  test "W: a plan that a vehicle on this machine sends is no order to the gateway, nor to a ground station" do
+  test "W: a plan that a vehicle on this machine sends is not an order to the gateway, nor to a ground station" do
     gateway = start_parts(%{mavlink: %{system_id: 237, component_id: 191}}, options: [policy: Odd])
     :persistent_term.put({Odd, gateway}, self())
     on_exit(fn -> :persistent_term.erase({Odd, gateway}) end)

@@ -93,7 +93,7 @@ defmodule Aerie.Vehicle.Commands.CalibrationTest do
       assert [%M.CommandAck{command: 241}] = sent(actions)
     end
 
-    test "an armed vehicle that ignores it is no success" do
+    test "an armed vehicle that ignores it is not a success" do
       core = calibrating(:ardupilot, "compass_motor")
       {core, []} = Core.handle(core, {:observed, %{armed: true}, [:mode], 2 * @second})
       {core, _sent} = submit(core, "calibrate_cancel", 3 * @second)
@@ -149,7 +149,7 @@ defmodule Aerie.Vehicle.Commands.CalibrationTest do
       assert results(actions) == [{"calibrate_cancel", :rejected}]
     end
 
-    test "a calibration that is cancelled by its id is asked to cease until it says so" do
+    test "a calibration that is cancelled by its id is asked to stop until it says so" do
       core = calibrating(:px4, "accelerometer")
       {core, [_first]} = Core.handle(core, {:cancel, "calibrate", 2 * @second})
       {core, actions} = until(core, 13 * @second)

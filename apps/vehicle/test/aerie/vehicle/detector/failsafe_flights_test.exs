@@ -125,7 +125,7 @@ defmodule Aerie.Vehicle.Detector.FailsafeFlightsTest do
            ]
   end
 
-  test "a quadplane's transitions and landings are no failsafes" do
+  test "a quadplane's transitions and landings are not failsafes" do
     assert story(events("arduplane_47_quadplane_vtol")) == []
   end
 end

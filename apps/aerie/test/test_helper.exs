@@ -4,6 +4,7 @@
 if :long not in ExUnit.configuration()[:include], do: System.put_env("AERIE_BUILD", "test")
 
 Aerie.Patience.load_code()
+Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts, Aerie.FleetParts])
 
 # Most tests wait for vehicles and servers rather than compute, so more of them run at once than there are cores.
 ExUnit.start(

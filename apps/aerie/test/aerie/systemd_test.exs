@@ -24,7 +24,7 @@ defmodule Aerie.SystemdTest do
   end
 
   test "it says that it is ready, feeds the watchdog while the tree is alive, and says that it ends" do
-    gateway = GatewayCase.start_gateway(%{}, without: [Aerie.Bridge.Supervisor])
+    gateway = GatewayCase.start_gateway(%{}, with: [:router, :links])
     {socket, path} = listen()
     pid = start(gateway, %{"NOTIFY_SOCKET" => path, "WATCHDOG_USEC" => "200000"})
     assert await(socket, "") == "READY=1\n"

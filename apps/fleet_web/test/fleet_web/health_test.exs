@@ -13,8 +13,12 @@ defmodule FleetWeb.HealthTest do
     gateway = make_ref()
     # Nobody listens there.
     nats = %{url: ["nats://127.0.0.1:1"], retry_min_ms: 60_000, retry_max_ms: 60_000}
-    without = [Aerie.Link.Supervisor, Aerie.Client.Supervisor]
-    Aerie.GatewayCase.start_gateway(%{nats: nats, outbox: %{dir: dir}}, name: gateway, without: without)
+
+    Aerie.GatewayCase.start_gateway(%{nats: nats, outbox: %{dir: dir}},
+      name: gateway,
+      with: [:bridge, :router]
+    )
+
     # And says why, once it has tried.
     why = "cannot connect to NATS at nats://127.0.0.1:1: "
     eventually(fn -> match?({false, %{nats: %{problem: ^why <> _reason}}}, Health.ready(gateway)) end)
@@ -63,7 +67,7 @@ defmodule FleetWeb.HealthTest do
 
   test "the gateway's own loops stand still: not ready, with the name of each, until they answer again" do
     config = %{mavlink: %{heartbeat_deadman_s: 0.6}}
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:bridge, :router, :links])
     eventually(fn -> match?({true, %{problems: []}}, Health.ready(gateway)) end)
 
     for role <- [:router_sweeper, :pubsub] do

@@ -22,7 +22,7 @@ defmodule FleetWeb.APICase do
   @spec start_server(keyword()) :: %{gateway: reference(), port: :inet.port_number()}
   def start_server(options \\ []) do
     gateway = make_ref()
-    without = [Aerie.Bridge.Supervisor] ++ if(options[:links], do: [], else: [Aerie.Link.Supervisor])
+    parts = if options[:links], do: [:router, :links], else: [:router]
 
     config = %{
       api: %{
@@ -36,7 +36,7 @@ defmodule FleetWeb.APICase do
     }
 
     config = Map.merge(config, options[:config] || %{})
-    Aerie.GatewayCase.start_gateway(config, name: gateway, without: without)
+    Aerie.GatewayCase.start_gateway(config, name: gateway, with: parts)
     start_endpoint(gateway, config)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}
   end

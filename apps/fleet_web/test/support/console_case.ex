@@ -76,8 +76,7 @@ defmodule FleetWeb.ConsoleCase do
   end
 
   defp start_gateway(config) do
-    without = [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor]
-    Aerie.GatewayCase.start_gateway(config, name: make_ref(), without: without)
+    Aerie.GatewayCase.start_gateway(config, name: make_ref(), with: [:router])
   end
 
   @doc "Ends the console and its HTTP server; the gateway goes on."

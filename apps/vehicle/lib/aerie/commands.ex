@@ -8,9 +8,9 @@ defmodule Aerie.Commands do
   order, and has exactly one result. `docs/commands.md` describes it for users, the README in `commands/` the processes.
   """
 
-  alias Aerie.{Command, Fleet, Ledger, Names, Policy, Protocol, Vehicle}
+  alias Aerie.{Command, Ledger, Names, Policy, Protocol, Vehicle}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Commands.{Desk, Held, Metrics, Recent, Record, SetpointsFirst, Work}
+  alias Aerie.Commands.{Desk, Elsewhere, Held, Metrics, Recent, Record, SetpointsFirst, Work}
   alias Aerie.Policy.{Audit, Context, Roles}
   alias Aerie.Vehicle.Commands.Observed
 
@@ -127,7 +127,7 @@ defmodule Aerie.Commands do
 
     with {:ok, command} <- Command.new(fields),
          {:policy, %Policy{} = policy} <- {:policy, Policy.Store.get(gateway)},
-         %{} = snapshot <- Fleet.vehicle(gateway, command.vehicle),
+         %{} = snapshot <- Elsewhere.vehicle(gateway, command.vehicle),
          context = Context.of(gateway, snapshot, source, System.os_time(:microsecond)),
          :allow <- Policy.decide(policy, command, context),
          {:ok, _steps} <- plan(command, snapshot),
@@ -168,7 +168,7 @@ defmodule Aerie.Commands do
         "via" => via
       })
 
-      with %{} = snapshot <- Fleet.vehicle(gateway, vehicle),
+      with %{} = snapshot <- Elsewhere.vehicle(gateway, vehicle),
            snapshot = Held.by(Desk.holder(gateway), gateway, snapshot),
            :ok <- cease(gateway, snapshot, job, id) do
         :ok
@@ -180,7 +180,7 @@ defmodule Aerie.Commands do
   end
 
   defp cease(gateway, %{via: via} = snapshot, _job, id) when via != nil,
-    do: Desk.elsewhere(gateway).cancel(gateway, snapshot, id)
+    do: Elsewhere.module(gateway).cancel(gateway, snapshot, id)
 
   defp cease(gateway, %{key: key}, %{work?: true}, id), do: Vehicle.Transfers.cancel(gateway, key, id)
   defp cease(gateway, %{key: key}, _command, id), do: Vehicle.Commands.cancel(gateway, key, id)

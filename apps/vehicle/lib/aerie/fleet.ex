@@ -34,15 +34,6 @@ defmodule Aerie.Fleet do
   def vehicle(gateway, id),
     do: merge(Store.vehicle(gateway, id), Remote.vehicle(gateway, id, now()))
 
-  @doc "The data of a group of a snapshot; empty if the group was never heard."
-  @spec data(map(), atom()) :: map()
-  def data(%{groups: groups}, group) do
-    case groups do
-      %{^group => %{data: data}} -> data
-      _unheard -> %{}
-    end
-  end
-
   @doc "The snapshot of a vehicle that may be heard here (local), there (remote), or both."
   @spec merge(local :: map() | nil, remote :: map() | nil) :: map() | nil
   def merge(nil, remote), do: remote

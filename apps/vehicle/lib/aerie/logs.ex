@@ -11,10 +11,11 @@ defmodule Aerie.Logs do
   whether the id is still that of the same log.
   """
 
-  alias Aerie.{Command, Fleet, Names, Transfers}
+  alias Aerie.{Command, Names, Transfers}
   alias Aerie.Command.Result
   alias Aerie.Logs.{Download, List}
   alias Aerie.Transfers.{InOrder, Spool}
+  alias Aerie.Vehicle.Snapshot
 
   @list_ms 60_000
   @log_ms 14_400_000
@@ -134,7 +135,7 @@ defmodule Aerie.Logs do
 
   # AP_Logger::should_handle_log_message.
   defp silent({:error, %{status: :timeout} = result}, %{autopilot: :ardupilot} = snapshot) do
-    if Fleet.data(snapshot, :mode)[:armed],
+    if Snapshot.data(snapshot, :mode)[:armed],
       do:
         {:error,
          %{result | reason: "ArduPilot does not speak of its logs while it is armed: disarm it first"}},

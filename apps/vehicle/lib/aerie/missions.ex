@@ -10,7 +10,8 @@ defmodule Aerie.Missions do
   is sent (`Aerie.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
   """
 
-  alias Aerie.{Commands, Fleet, Mission, Names, Protocol, TextFile, Transfers}
+  alias Aerie.Commands.Elsewhere
+  alias Aerie.{Commands, Mission, Names, Protocol, TextFile, Transfers}
   alias Aerie.Command.{Error, Result}
   alias Aerie.Mission.{Item, Onboard, OwnFence, Plan, Review, Transfer}
   alias Aerie.Mission.File.{QgcPlan, Waypoints}
@@ -312,14 +313,14 @@ defmodule Aerie.Missions do
   end
 
   defp kind_of(gateway, vehicle) do
-    case Fleet.vehicle(gateway, vehicle) do
+    case Elsewhere.vehicle(gateway, vehicle) do
       nil -> "unknown"
       snapshot -> snapshot.vehicle_type
     end
   end
 
   defp protocol(gateway, vehicle) do
-    case Fleet.vehicle(gateway, vehicle) do
+    case Elsewhere.vehicle(gateway, vehicle) do
       nil -> Protocol.of(:generic)
       snapshot -> Protocol.of(snapshot.autopilot)
     end

@@ -14,7 +14,8 @@ defmodule Aerie.Params do
   `Aerie.Command.Result`.
   """
 
-  alias Aerie.{Commands, Fleet, Names, Transfers}
+  alias Aerie.{Commands, Names, Transfers}
+  alias Aerie.Commands.Elsewhere
   alias Aerie.Command.{Error, Result}
 
   alias Aerie.Params.{
@@ -244,7 +245,7 @@ defmodule Aerie.Params do
   def load(gateway, vehicle, text, options \\ []) do
     {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
 
-    with {:ok, entries, remarks} <- read_file(text, Fleet.vehicle(gateway, vehicle)),
+    with {:ok, entries, remarks} <- read_file(text, Elsewhere.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
          :ok <- present(entries, table, unknown) do
       differ =
@@ -271,7 +272,7 @@ defmodule Aerie.Params do
   def diff(gateway, vehicle, other, options \\ [])
 
   def diff(gateway, vehicle, text, options) when is_binary(text) do
-    with {:ok, entries, _remarks} <- read_file(text, Fleet.vehicle(gateway, vehicle)),
+    with {:ok, entries, _remarks} <- read_file(text, Elsewhere.vehicle(gateway, vehicle)),
          {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
          do: {:ok, Diff.diff(entries, table)}
   end

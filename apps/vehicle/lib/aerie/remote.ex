@@ -26,6 +26,9 @@ defmodule Aerie.Remote do
   @progress ~w(progress text phase done total)
 
   @impl Aerie.Commands.Elsewhere
+  defdelegate vehicle(gateway, id), to: Fleet
+
+  @impl Aerie.Commands.Elsewhere
   def submit(gateway, snapshot, command, request, progress) do
     timeout = max(div(command.deadline - System.os_time(:microsecond), 1000) + @after_deadline_ms, 0)
     what = "cmd.#{command.type}"

@@ -7,9 +7,9 @@ defmodule Aerie.Transfers do
   the policy's roles and rules, the audit log, and the ledger by its id.
   """
 
-  alias Aerie.{Command, Commands, Fleet, Names, Store, Vehicle}
+  alias Aerie.{Command, Commands, Names, Store, Vehicle}
   alias Aerie.Command.{Error, Result}
-  alias Aerie.Commands.{Desk, Elsewhere, Work}
+  alias Aerie.Commands.{Elsewhere, Work}
   alias Aerie.Policy.{Facts, Roles}
   alias Aerie.Transfers.{Outcome, Progress}
   alias Aerie.Vehicle.Transfers.Job
@@ -60,7 +60,7 @@ defmodule Aerie.Transfers do
   @doc "The present snapshot of a vehicle by its name, if this gateway's links hear it: what asks for this is not passed on."
   @spec vehicle(Names.gateway(), String.t()) :: {:ok, map()} | {:error, Result.t()}
   def vehicle(gateway, id) do
-    case Fleet.vehicle(gateway, id) do
+    case Elsewhere.vehicle(gateway, id) do
       nil ->
         {:error, Result.new(Command.id(), :rejected, "there is no vehicle #{id}", %{"rule" => "vehicle"})}
 
@@ -86,8 +86,8 @@ defmodule Aerie.Transfers do
           :here | {:ok, %{String.t() => term()}} | {:error, Result.t()}
   def read_elsewhere(gateway, vehicle, request, options, timeout_ms) do
     with true <- options[:via] != "nats",
-         %{via: via} = snapshot when via != nil <- Fleet.vehicle(gateway, vehicle),
-         module when module != nil <- Desk.elsewhere(gateway) do
+         %{via: via} = snapshot when via != nil <- Elsewhere.vehicle(gateway, vehicle),
+         module when module != nil <- Elsewhere.module(gateway) do
       id = options[:id] || Command.id()
       who = "#{source(options).name} by #{options[:via] || "elixir"}"
       tell = teller(options[:progress], id)

@@ -384,8 +384,9 @@ defmodule Aerie.CommandsTest do
        %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
+    Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts])
     alias Aerie.{Command, Commands, DoorCase, GatewayCase, LinkCase, Names, Policy}
-    {:ok, _} = GatewayCase.start_link(%{}, name: :g, without: [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor])
+    {:ok, _} = GatewayCase.start_link(%{}, name: :g, with: [])
     dir = #{inspect(dir)}
     config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: DoorCase.commands(dir)}
     for part <- [Policy.Supervisor, Commands.Supervisor], do: {:ok, _} = part.start_link(LinkCase.options(part, :g, config))

@@ -11,21 +11,32 @@ defmodule Aerie.GatewayCase do
   end
 
   @parts [
-    Aerie.Store,
-    Aerie.Store.PubSub,
-    Aerie.Bridge.LastPublished,
-    Aerie.Bridge.Supervisor,
-    Aerie.Signing.Supervisor,
-    Aerie.Recorder.Supervisor,
-    Aerie.Router.Supervisor,
-    Aerie.Vehicle.Supervisor,
-    Aerie.Link.Supervisor,
-    Aerie.Client.Supervisor
+    {:always, Aerie.Store},
+    {:always, Aerie.Store.PubSub},
+    {:always, Aerie.Signing.Supervisor},
+    {:always, Aerie.Recorder.Supervisor},
+    {:router, Aerie.Router.Supervisor},
+    {:always, Aerie.Vehicle.Supervisor},
+    {:links, Aerie.Link.Supervisor}
   ]
+
+  # Modules of higher apps with `parts/0` and `plugs/1`; test_helper.exs of an app names them.
+  defp above, do: Application.get_env(:vehicle, :gateway_parts, [])
+
+  defp parts(kinds) do
+    all =
+      for module <- above(), {kind, part, before} <- module.parts(), reduce: @parts do
+        parts ->
+          at = Enum.find_index(parts, fn {_kind, other} -> other == before end) || length(parts)
+          List.insert_at(parts, at, {kind, part})
+      end
+
+    for {kind, part} <- all, kind in [:always | kinds], do: part
+  end
 
   @doc """
   Starts a gateway of vehicles, without bridge, router and links, that ends with the test; gives its name. `config` has some
-  keys of the configuration. Options: `:name`, `:without` (parts; without the bridge no start is told either), `:pubsub_tick_ms`.
+  keys of the configuration. Options: `:name`, `:with` (what it has besides: `:router`, `:links`, `:bridge`), `:pubsub_tick_ms`.
   """
   @spec start_gateway(map(), keyword()) :: reference()
   def start_gateway(config \\ %{}, options \\ []) do
@@ -45,14 +56,10 @@ defmodule Aerie.GatewayCase do
   @spec start_link(map(), keyword()) :: Supervisor.on_start()
   def start_link(config, options) do
     name = Keyword.fetch!(options, :name)
-    defaults = [Aerie.Bridge.Supervisor, Aerie.Router.Supervisor, Aerie.Link.Supervisor]
     tick = [tick_ms: Keyword.get(options, :pubsub_tick_ms, 5)]
 
-    without = Keyword.get(options, :without, defaults)
-    without = if Aerie.Bridge.Supervisor in without, do: [Aerie.Bridge.LastPublished | without], else: without
-
     children =
-      for part <- @parts -- without do
+      for part <- parts(Keyword.get(options, :with, [])) do
         more = if part == Aerie.Store.PubSub, do: tick, else: []
         Aerie.Successor.child_spec({part, part(part, name, config) ++ more})
       end
@@ -76,22 +83,19 @@ defmodule Aerie.GatewayCase do
   @doc "What parts are given of those above them, as options of all of them: each takes its own."
   @spec plugs(map()) :: keyword()
   def plugs(config) do
-    [
+    own = [
       tables: [
-        Aerie.Fleet.Journal.table(Aerie.Fleet.Settings.from(config)),
-        Aerie.Fleet.StreamDemand.table(),
-        Aerie.Fleet.Remote.table(),
-        Aerie.Commands.Recent.table(),
-        Aerie.Policy.Leases.table()
+        Aerie.Fleet.Journal.table(Aerie.Fleet.Journal.Settings.from(config)),
+        Aerie.Fleet.StreamDemand.table()
       ],
       vehicles: Aerie.Vehicle.Supervisor,
       requests: Aerie.Vehicle.Streams,
-      policy: Aerie.Policy.Guard,
-      readings: Aerie.Serving,
-      events: Aerie.Vehicle.Events.External,
-      publisher: Aerie.Bridge,
-      loops: [Aerie.Shadow.Loop]
+      events: Aerie.Vehicle.Events.External
     ]
+
+    for module <- above(), reduce: own do
+      plugs -> Keyword.merge(plugs, module.plugs(config), fn _key, lower, higher -> lower ++ higher end)
+    end
   end
 
   @doc "The keys of the vehicles that have a supervision tree."

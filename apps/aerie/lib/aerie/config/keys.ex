@@ -16,7 +16,7 @@ defmodule Aerie.Config.Keys do
     Aerie.Recorder.Settings,
     Aerie.Vehicle.Settings,
     Aerie.Vehicle.Sampling.Settings,
-    Aerie.Fleet.Settings,
+    Aerie.Fleet.Journal.Settings,
     Aerie.Bridge.Settings,
     Aerie.Remote.Settings,
     Aerie.Commands.Settings,

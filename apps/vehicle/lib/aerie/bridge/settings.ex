@@ -15,7 +15,7 @@ defmodule Aerie.Bridge.Settings do
   # As a key of REST.
   @shortest 16
 
-  part :fleet, Aerie.Fleet.Settings
+  part :fleet, Aerie.Fleet.Journal.Settings
   part :vehicle, Aerie.Vehicle.Settings
 
   section ""

@@ -22,9 +22,9 @@ defmodule Aerie.Client.StateForm do
   a recording are those in the recording.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Fleet.{Age, Json}
   alias Aerie.Vehicle.Fields
+  alias Aerie.Vehicle.Snapshot
 
   @parts [
     attitude: [:roll, :pitch, :yaw],
@@ -48,7 +48,7 @@ defmodule Aerie.Client.StateForm do
   @doc "The object of a vehicle's snapshot at a unix time in microseconds; `links` are snapshots of links by id."
   @spec of(map(), %{optional(term()) => map()}, integer()) :: map()
   def of(vehicle, links, now) do
-    mode = Fleet.data(vehicle, :mode)
+    mode = Snapshot.data(vehicle, :mode)
     heard_by = for id <- vehicle.links, link = links[id], do: link
     clock = Age.now(vehicle, heard_by, now)
 
@@ -69,7 +69,9 @@ defmodule Aerie.Client.StateForm do
       ages: for({part, _keys} <- @parts, into: %{}, do: {part, age(at(vehicle, part), clock)})
     }
     |> Map.merge(port(vehicle.links, links))
-    |> Map.merge(Map.new(@parts, fn {part, keys} -> {part, part(part, keys, Fleet.data(vehicle, part))} end))
+    |> Map.merge(
+      Map.new(@parts, fn {part, keys} -> {part, part(part, keys, Snapshot.data(vehicle, part))} end)
+    )
   end
 
   @doc """

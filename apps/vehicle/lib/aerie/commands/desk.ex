@@ -129,11 +129,6 @@ defmodule Aerie.Commands.Desk do
      }}
   end
 
-  @doc "The way to vehicles of other gateways; nil without one."
-  @spec elsewhere(Names.gateway()) :: module() | nil
-  def elsewhere(gateway),
-    do: with(%{elsewhere: module} <- Names.value(gateway, :command_desk), do: module)
-
   @doc "How it is known who holds a vehicle; nil if this gateway is alone."
   @spec holder(Names.gateway()) :: module() | nil
   def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_desk), do: module)

@@ -6,7 +6,7 @@ defmodule Aerie.Commands.Elsewhere do
   A command that came from another gateway, by NATS, is never passed on.
   """
 
-  alias Aerie.{Command, Names}
+  alias Aerie.{Command, Names, Store}
   alias Aerie.Command.Result
   alias Aerie.Commands.Desk
 
@@ -39,6 +39,22 @@ defmodule Aerie.Commands.Elsewhere do
               timeout_ms :: pos_integer(),
               progress :: (map() -> term())
             ) :: {:ok, %{String.t() => term()}} | {:error, Result.t()}
+
+  @doc "The snapshot of a vehicle that this gateway or another one hears; nil if it is not known."
+  @callback vehicle(Names.gateway(), id :: String.t()) :: map() | nil
+
+  @doc "The module that reaches vehicles of other gateways; nil if there is none."
+  @spec module(Names.gateway()) :: module() | nil
+  def module(gateway), do: with(%{elsewhere: module} <- Names.value(gateway, :command_desk), do: module)
+
+  @doc "The snapshot of a vehicle, wherever it is heard; nil if it is not known."
+  @spec vehicle(Names.gateway(), id :: String.t()) :: map() | nil
+  def vehicle(gateway, id) do
+    case module(gateway) do
+      nil -> Store.vehicle(gateway, id)
+      module -> module.vehicle(gateway, id)
+    end
+  end
 
   @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
   @spec only(via :: String.t()) :: String.t()

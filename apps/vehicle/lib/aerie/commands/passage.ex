@@ -7,7 +7,7 @@ defmodule Aerie.Commands.Passage do
   vehicle or brings it down, or the configuration says otherwise. Such a command waits only `commands.urgent_s` for either of them.
   """
 
-  alias Aerie.{Command, Fleet, Ledger, Names, Policy, Store, Vehicle}
+  alias Aerie.{Command, Ledger, Names, Policy, Store, Vehicle}
   alias Aerie.Command.Result
   alias Aerie.Commands.{Desk, Elsewhere, Held, Record, SetpointsFirst}
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
@@ -132,7 +132,7 @@ defmodule Aerie.Commands.Passage do
        when elsewhere == nil or via == "nats",
        do: Store.vehicle(way.gateway, way.command.vehicle)
 
-  defp known_vehicle(way), do: Fleet.vehicle(way.gateway, way.command.vehicle)
+  defp known_vehicle(way), do: Elsewhere.vehicle(way.gateway, way.command.vehicle)
 
   defp in_time(way) do
     if Command.expired?(way.command, System.os_time(:microsecond)),

@@ -168,8 +168,8 @@ defmodule Aerie.Fleet.Journal do
   defp all_pending, do: [{{{:pending, :_}, :"$1"}, [], [:"$1"]}]
 
   @doc "The table that the store owns for the journal."
-  @spec table(Aerie.Fleet.Settings.t()) :: Store.table()
-  def table(%Aerie.Fleet.Settings{max_pending_events: max}),
+  @spec table(Aerie.Fleet.Journal.Settings.t()) :: Store.table()
+  def table(%Aerie.Fleet.Journal.Settings{max_pending_events: max}),
     do: {:journal, [:ordered_set, write_concurrency: true], [{:max_pending, max}]}
 
   @doc "How many events wait for acknowledgement."

@@ -14,8 +14,8 @@ defmodule Aerie.Shadow.Holds do
   Changes within ten seconds of a known command are taken for its effect.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Policy.Commanded
+  alias Aerie.Vehicle.Snapshot
 
   defstruct hold_us: 30_000_000, seen: nil, sticks: nil, expected_until: nil, commanded_at: nil, until: %{}
 
@@ -57,14 +57,14 @@ defmodule Aerie.Shadow.Holds do
   @doc "Takes the vehicle's snapshot at `now` (unix microseconds), and who commanded it last."
   @spec observe(t(), map(), Commanded.t() | nil, now :: integer()) :: t()
   def observe(holds, snapshot, commanded, now) do
-    mode = Fleet.data(snapshot, :mode)
+    mode = Snapshot.data(snapshot, :mode)
 
     holds
     |> commanded(commanded)
     |> changed({mode[:mode], mode[:armed]}, now)
     |> failsafe(mode[:failsafe] == true, now)
-    |> sticks(Fleet.data(snapshot, :rc)[:channels], now)
-    |> flown(mode, Fleet.data(snapshot, :health)[:rc_receiver], now)
+    |> sticks(Snapshot.data(snapshot, :rc)[:channels], now)
+    |> flown(mode, Snapshot.data(snapshot, :health)[:rc_receiver], now)
   end
 
   @doc "Records that the shadow itself sends something: changes that follow are its effect."

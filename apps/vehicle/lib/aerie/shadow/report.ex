@@ -4,9 +4,9 @@ defmodule Aerie.Shadow.Report do
   the gateway writes it (Z2); `docs/shadow.md` describes its keys.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Fleet.Json
   alias Aerie.Shadow.{Actual, Core, Field}
+  alias Aerie.Vehicle.Snapshot
 
   # The parts of the health that are states, not measured values that change all the time.
   @health [:unhealthy, :ready_to_arm, :arming_checks, :rc_receiver]
@@ -33,7 +33,7 @@ defmodule Aerie.Shadow.Report do
         "firmware" => snapshot[:firmware],
         "capabilities" => snapshot[:capabilities],
         "links" => Enum.sort(for link <- snapshot.links, do: "#{link}"),
-        "health" => snapshot |> Fleet.data(:health) |> Map.take(@health),
+        "health" => snapshot |> Snapshot.data(:health) |> Map.take(@health),
         "fields" => fields(core),
         "holds" => for(hold <- core.active, do: plain(hold))
       })

@@ -31,7 +31,7 @@ defmodule Aerie.Vehicle.Core do
     * `{:publish, group, %{data: map, time_boot_ms: ms}, at}` - a sample of a state group for the fleet
     * `{:send, message, version}` - a message to the vehicle, in the MAVLink version that it speaks
     * `{:send, message, version, link}` - the same, by this link
-    * `{:authorise_arming, from}` - the vehicle asks whether it may arm (`Aerie.Policy.Arming`)
+    * `{:authorise_arming, from}` - the vehicle asks whether it may arm (`Aerie.Vehicle.ArmAuthorization`)
     * `{:round_trip, link, us}` - a measured round trip by a link
     * `{:heartbeat, version}` - our heartbeat is due on the vehicle's path
     * `:withhold` - our heartbeat is due and must not be sent there, not by other vehicles' sessions either

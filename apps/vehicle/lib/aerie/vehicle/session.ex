@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Session do
   use GenServer
 
   alias Aerie.{Fleet, HostClock, Identity, Names, Store, Vehicle}
-  alias Aerie.Policy.Arming
+  alias Aerie.Vehicle.ArmAuthorization
   alias Aerie.Router.Stations
   alias Aerie.Vehicle.Clock
 
@@ -325,8 +325,8 @@ defmodule Aerie.Vehicle.Session do
         state
 
       snapshot ->
-        decision = Arming.decide(state.gateway, snapshot, System.os_time(:microsecond))
-        answers = Arming.answers(decision, system, component)
+        decision = may_arm(Vehicle.Settings.arming(state.gateway), state.gateway, snapshot)
+        answers = ArmAuthorization.answers(decision, system, component)
         Enum.reduce(answers, state, &act({:send, &1, &2.core.version}, &2))
     end
   end
@@ -361,6 +361,9 @@ defmodule Aerie.Vehicle.Session do
     Vehicle.Supervisor.Capacity.note(state.gateway, state.options.key, new)
     state
   end
+
+  defp may_arm(nil, _gateway, _snapshot), do: {:deny, :policy, "the gateway has no policy"}
+  defp may_arm(module, gateway, snapshot), do: module.decide(gateway, snapshot, System.os_time(:microsecond))
 
   defp wake(state, actions) do
     if Enum.any?(actions, &match?({:observe, _observation}, &1)) do

@@ -109,29 +109,35 @@ defmodule Aerie.Vehicle.Settings do
   end
 
   @doc """
-  Keeps the settings of a gateway, its publisher and the further loops of each vehicle's tree; the calling process is the
-  vehicles' supervisor.
+  Keeps the settings of a gateway, and the modules that are plugged in from above (`:publisher`, `:arming`, `:loops`); the calling
+  process is the vehicles' supervisor.
   """
-  @spec put(Names.gateway(), t(), publisher :: module() | nil, loops :: [module()]) :: :ok
-  def put(gateway, settings, publisher, loops),
-    do: Names.put_value(gateway, :vehicles, {settings, publisher, loops})
+  @spec put(Names.gateway(), t(), %{
+          optional(:publisher | :arming) => module(),
+          optional(:loops) => [module()]
+        }) :: :ok
+  def put(gateway, settings, plugs), do: Names.put_value(gateway, :vehicles, {settings, plugs})
 
   @doc "The settings of a gateway, with its own system id if that was found out; the defaults when it is not running."
   @spec of(Names.gateway()) :: t()
   def of(gateway) do
-    {settings, _publisher, _loops} = Names.value(gateway, :vehicles) || {from(%{}), nil, []}
+    {settings, _plugs} = Names.value(gateway, :vehicles) || {from(%{}), %{}}
     %{settings | identity: Aerie.Identity.resolve(settings.identity, gateway)}
   end
 
   @doc "The gateway's `Aerie.Vehicle.Publisher`, or nil."
   @spec publisher(Names.gateway()) :: module() | nil
-  def publisher(gateway),
-    do: with({_settings, publisher, _loops} <- Names.value(gateway, :vehicles), do: publisher)
+  def publisher(gateway), do: plug(gateway, :publisher)
+
+  @doc "The gateway's `Aerie.Vehicle.ArmAuthorization`, or nil."
+  @spec arming(Names.gateway()) :: module() | nil
+  def arming(gateway), do: plug(gateway, :arming)
 
   @doc "Modules of processes that each vehicle's tree has besides its own, started with `:gateway` and `:options`."
   @spec loops(Names.gateway()) :: [module()]
-  def loops(gateway),
-    do: with({_settings, _publisher, loops} <- Names.value(gateway, :vehicles), do: loops, else: (nil -> []))
+  def loops(gateway), do: plug(gateway, :loops) || []
+
+  defp plug(gateway, name), do: with({_settings, plugs} <- Names.value(gateway, :vehicles), do: plugs[name])
 
   @impl Aerie.Settings
   def problems(%{vehicles: vehicles, timeouts: timeouts, events: events, limits: limits} = config) do

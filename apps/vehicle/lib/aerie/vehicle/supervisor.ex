@@ -19,13 +19,15 @@ defmodule Aerie.Vehicle.Supervisor do
 
   @doc """
   Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Publisher`; none when absent), `:loops` (modules
-  of further processes of each vehicle's tree, which are linked to the others; none when absent).
+  of further processes of each vehicle's tree, which are linked to the others; none when absent), `:arming` (the module of
+  `Aerie.Vehicle.ArmAuthorization`; without one no vehicle that asks may arm).
   """
   @spec start_link(
           gateway: Names.gateway(),
           settings: Vehicle.Settings.t(),
           publisher: module(),
-          loops: [module()]
+          loops: [module()],
+          arming: module()
         ) :: Supervisor.on_start()
   def start_link(options) do
     Supervisor.start_link(__MODULE__, options, name: Names.via(Keyword.fetch!(options, :gateway), :vehicles))
@@ -81,7 +83,7 @@ defmodule Aerie.Vehicle.Supervisor do
     gateway = Keyword.fetch!(options, :gateway)
     Process.set_label({:vehicles, gateway})
     %Vehicle.Settings{} = settings = Keyword.fetch!(options, :settings)
-    Vehicle.Settings.put(gateway, settings, options[:publisher], Keyword.get(options, :loops, []))
+    Vehicle.Settings.put(gateway, settings, Map.new(Keyword.take(options, [:publisher, :arming, :loops])))
 
     children = [
       {DynamicSupervisor, name: Names.via(gateway, :vehicle_trees), max_children: settings.max_vehicles},

@@ -24,6 +24,15 @@ defmodule Aerie.Vehicle.Transfers do
   @type event :: {:progress, term()} | {:data, non_neg_integer(), binary()}
 
   @doc false
+  # A fault in a transfer costs the transfers under way; only one that comes again and again costs the tree a restart.
+  @spec child_spec(keyword()) :: Supervisor.child_spec()
+  def child_spec(arguments) do
+    worker = %{id: __MODULE__, start: {__MODULE__, :start_link, [arguments]}}
+    limits = [strategy: :one_for_one, max_restarts: 5, max_seconds: 10]
+    %{id: __MODULE__, type: :supervisor, start: {Supervisor, :start_link, [[worker], limits]}}
+  end
+
+  @doc false
   @spec start_link(gateway: Names.gateway(), options: Aerie.Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
     name = Names.via(arguments[:gateway], :transfers, arguments[:options].key)

@@ -4,6 +4,7 @@ defmodule Aerie.Policy.ArmingTest do
 
   import Aerie.Flight, only: [frame: 3]
 
+  alias Aerie.Vehicle.ArmAuthorization
   alias Aerie.Policy.{Arming, Leases}
   alias Aerie.Vehicle.Core
   alias MavCodec.Messages, as: M
@@ -38,10 +39,10 @@ defmodule Aerie.Policy.ArmingTest do
 
   test "it is answered at once that it is looked at, then with the decision, and only what is for us" do
     assert [%{command: 3001, result: 5, target_system: 1}, %{result: 0, result_param2: 10}] =
-             Arming.answers(:allow, 1, 1)
+             ArmAuthorization.answers(:allow, 1, 1)
 
     assert [%{result: 5}, %{command: 3001, result: 1, target_component: 1}] =
-             Arming.answers({:deny, :battery, "low"}, 1, 1)
+             ArmAuthorization.answers({:deny, :battery, "low"}, 1, 1)
 
     beat = frame(%M.Heartbeat{type: 2, autopilot: 12, base_mode: 81}, 1_000_000, [])
     core = Core.new(Aerie.Flight.options(own_system: 245, own_component: 191))

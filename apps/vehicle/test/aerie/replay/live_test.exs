@@ -22,7 +22,7 @@ defmodule Aerie.Replay.LiveTest do
       )
 
       {:ok, flight} = Replay.run(path)
-      gateway = start_gateway(%{}, without: [Aerie.Bridge.Supervisor])
+      gateway = start_gateway(%{}, with: [:router, :links])
       :ok = PubSub.subscribe(gateway, :events)
       {:ok, _id} = Link.start(gateway, "replay:#{path}?speed=max", id: "replay", network: "main")
       assert live(length(flight.events)) == flight.events

@@ -34,7 +34,7 @@ defmodule Aerie.Router.AutoSystemIdOnBoardTest do
   defp c_none, do: make_ref()
 
   test "aboard: nothing of ours is said before, and afterwards it is said as a part of the vehicle" do
-    gateway = Aerie.GatewayCase.start_gateway(@config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(@config, with: [:router, :links])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}, active: true])
 

@@ -76,7 +76,7 @@ defmodule Aerie.Router.RedundantTest do
       mavlink: %{system_id: 245, component_id: 191, read_gcs_parameters: false, request_streams: false}
     }
 
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:router, :links])
     radio = fn id -> add_link(gateway, "udpin:127.0.0.1:0", id: id, options: [router: [group: "mast"]]) end
     # By name the slow one would come first.
     {"a-slow", slow} = radio.("a-slow")

@@ -8,8 +8,7 @@ defmodule Aerie.Router.RulesTest do
 
   @tag :capture_log
   test "what was changed of the rules survives the process and the router, is listed, and can be undone" do
-    without = [Aerie.Bridge.Supervisor]
-    gateway = Aerie.GatewayCase.start_gateway(%{}, without: without)
+    gateway = Aerie.GatewayCase.start_gateway(%{}, with: [:router, :links])
     add_link(gateway, "udpin:127.0.0.1:0", id: "radio")
     limits = %{"ATTITUDE" => 4}
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: limits, queue_kb: 64}

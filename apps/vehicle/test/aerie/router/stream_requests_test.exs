@@ -22,7 +22,7 @@ defmodule Aerie.Router.WishesTest do
     }
 
     config = %{mavlink: Map.merge(mavlink, more)}
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:router, :links])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0", options)
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
     :ok = :gen_udp.send(socket, @loopback, port, first)

@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   defp flying(config \\ %{}) do
     mavlink = Map.merge(%{heartbeat_deadman_s: @deadman_s, request_streams: false}, config)
     config = %{mavlink: Map.merge(%{system_id: 245, component_id: 191}, mavlink)}
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:router, :links])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {gateway, port, vehicle(port, 1)}
   end
@@ -88,7 +88,7 @@ defmodule Aerie.Vehicle.IdentityTest do
   for role <- [:store, :router_sweeper, :watchdog] do
     test "H3: nor does one that calls and hears nothing get any while #{role} stands still" do
       mavlink = %{heartbeat_deadman_s: @deadman_s, system_id: 245, component_id: 191}
-      gateway = Aerie.GatewayCase.start_gateway(%{mavlink: mavlink}, without: [Aerie.Bridge.Supervisor])
+      gateway = Aerie.GatewayCase.start_gateway(%{mavlink: mavlink}, with: [:router, :links])
       {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
       {:ok, port} = :inet.port(socket)
       add_link(gateway, "udpout:127.0.0.1:#{port}")

@@ -12,7 +12,7 @@ defmodule Aerie.Vehicle.SessionTest do
   @second 1_000_000
 
   defp gateway(config \\ %{}) do
-    start_gateway(config, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
+    start_gateway(config, with: [:router])
   end
 
   defp deliver(gateway, frames),

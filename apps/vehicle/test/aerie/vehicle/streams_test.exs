@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.StreamsTest do
   @second 1_000_000
 
   defp gateway do
-    gateway = start_gateway(%{}, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
+    gateway = start_gateway(%{}, with: [:router])
     heartbeat = frame(%M.Heartbeat{type: 2, autopilot: 3}, @second)
     Router.deliver(gateway, %{id: "radio", network: "main", peer: :one}, [heartbeat])
     eventually(fn -> Store.vehicle(gateway, @key) end)

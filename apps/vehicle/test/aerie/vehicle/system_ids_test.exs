@@ -17,7 +17,7 @@ defmodule Aerie.Vehicle.SystemIdsTest do
       mavlink: Map.merge(%{system_id: 245, component_id: 191, dialects: [:all], sysid32: true}, mavlink)
     }
 
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:router, :links])
     {_id, port} = add_link(gateway, "udpin:127.0.0.1:0")
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: @loopback, active: false])
     vehicle = %{gateway: gateway, socket: socket, port: port, system: system, key: {"main", system}}

@@ -5,9 +5,9 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   What the diagnosis judges (`Aerie.Diagnosis`) is not judged a second time here.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Diagnosis.Condition
   alias FleetWeb.Console.Alarms
+  alias Aerie.Vehicle.Snapshot
 
   # Which conditions of the diagnosis are alarms, too, and how severe.
   @diagnosed [:two_vehicles_one_id, :overload, :noisy_link, :hub_not_confirming]
@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   @doc "Conditions of a vehicle's snapshot."
   @spec vehicle(map()) :: [Alarms.condition()]
   def vehicle(%{id: id} = vehicle) do
-    mode = Fleet.data(vehicle, :mode)
+    mode = Snapshot.data(vehicle, :mode)
     flying? = mode[:armed] == true or mode[:in_air] == true
     emergency? = mode[:failsafe] == true and vehicle.status != :lost
 

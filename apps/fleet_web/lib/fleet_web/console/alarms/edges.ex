@@ -1,9 +1,9 @@
 defmodule FleetWeb.Console.Alarms.Edges do
   @moduledoc "Turns events of vehicles into alarms: which condition begins, which is over. Pure."
 
-  alias Aerie.Fleet
   alias Aerie.Vehicle.Event
   alias FleetWeb.Console.Alarms
+  alias Aerie.Vehicle.Snapshot
 
   # Event that begins a condition => kind, severity, text.
   @begins %{
@@ -63,7 +63,7 @@ defmodule FleetWeb.Console.Alarms.Edges do
   @spec follow(Alarms.t(), [map()]) :: Alarms.t()
   def follow(alarms, vehicles) do
     for %{id: id, status: :online} = vehicle <- vehicles,
-        charge = charge(Fleet.data(vehicle, :battery)),
+        charge = charge(Snapshot.data(vehicle, :battery)),
         reduce: alarms,
         do: (alarms -> Alarms.reword(alarms, {:battery, id}, &(words_of_battery(&1.severity) <> charge)))
   end

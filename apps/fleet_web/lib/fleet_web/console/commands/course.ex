@@ -7,11 +7,12 @@ defmodule FleetWeb.Console.Commands.Course do
   ended stays so: `keep/4` keeps it, whatever the vehicle does later.
   """
 
-  alias Aerie.{Commands.Recent, Fleet}
+  alias Aerie.Commands.Recent
   alias Aerie.Policy.Fence.Earth
   alias Aerie.Vehicle.{Event, Kind}
   alias FleetWeb.Console.Commands.Catalog
   alias FleetWeb.Console.UI.Age
+  alias Aerie.Vehicle.Snapshot
 
   @typedoc "`:at`: when it ended, nil while it is going or where the time is not known."
   @type t :: %{
@@ -124,7 +125,7 @@ defmodule FleetWeb.Console.Commands.Course do
 
   defp ending(_entry, _event), do: nil
 
-  defp arrived?(%{type: "land"}, vehicle), do: Fleet.data(vehicle, :mode)[:in_air] == false
+  defp arrived?(%{type: "land"}, vehicle), do: Snapshot.data(vehicle, :mode)[:in_air] == false
 
   # What flies goes on to land at home; that is told by an event.
   defp arrived?(%{type: "rtl"} = entry, vehicle) do
@@ -148,7 +149,7 @@ defmodule FleetWeb.Console.Commands.Course do
 
   # Metres between the height that is asked for and the present one, 0 when it is reached; nil where one of them is not known.
   defp height_left(%{params: %{altitude: wanted} = params}, vehicle) when is_number(wanted) do
-    position = Fleet.data(vehicle, :position)
+    position = Snapshot.data(vehicle, :position)
 
     height =
       case params[:altitude_reference] do
@@ -171,7 +172,7 @@ defmodule FleetWeb.Console.Commands.Course do
   def progress(%{type: type} = entry, vehicle) when type in ["goto", "rtl"] do
     case distance(target(entry, vehicle), vehicle) do
       nil -> nil
-      metres -> metres(metres) <> time(metres, Fleet.data(vehicle, :velocity)[:groundspeed])
+      metres -> metres(metres) <> time(metres, Snapshot.data(vehicle, :velocity)[:groundspeed])
     end
   end
 
@@ -183,7 +184,7 @@ defmodule FleetWeb.Console.Commands.Course do
   end
 
   def progress(%{type: type}, vehicle) when type in ["mission_start", "resume"],
-    do: item(Fleet.data(vehicle, :mission))
+    do: item(Snapshot.data(vehicle, :mission))
 
   def progress(_entry, _vehicle), do: nil
 
@@ -196,7 +197,7 @@ defmodule FleetWeb.Console.Commands.Course do
   def item(_unknown), do: nil
 
   defp now_at(vehicle) do
-    with height when is_number(height) <- Fleet.data(vehicle, :position)[:alt_rel],
+    with height when is_number(height) <- Snapshot.data(vehicle, :position)[:alt_rel],
          do: "#{round(height)} m above home",
          else: (_unknown -> nil)
   end
@@ -215,7 +216,7 @@ defmodule FleetWeb.Console.Commands.Course do
     do: {lat, lon}
 
   def target(%{type: "rtl"}, vehicle) do
-    case Fleet.data(vehicle, :home) do
+    case Snapshot.data(vehicle, :home) do
       %{lat: lat, lon: lon} when is_number(lat) and is_number(lon) -> {lat, lon}
       _unknown -> nil
     end
@@ -224,7 +225,7 @@ defmodule FleetWeb.Console.Commands.Course do
   def target(_entry, _vehicle), do: nil
 
   defp distance({lat, lon}, vehicle) do
-    case Fleet.data(vehicle, :position) do
+    case Snapshot.data(vehicle, :position) do
       %{lat: own_lat, lon: own_lon} when is_number(own_lat) and is_number(own_lon) ->
         Earth.distance(Earth.point(own_lat, own_lon), Earth.point(lat, lon))
 

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Fleet.Problems do
   @moduledoc "The problems of a vehicle, in a few words each, the worst first. Pure."
 
-  alias Aerie.Fleet
+  alias Aerie.Vehicle.Snapshot
 
   @type problem :: {:bad | :warn, String.t()}
 
@@ -13,12 +13,12 @@ defmodule FleetWeb.Console.Fleet.Problems do
   def of(vehicle) do
     [
       status(vehicle.status),
-      failsafe(Fleet.data(vehicle, :mode)),
+      failsafe(Snapshot.data(vehicle, :mode)),
       collision(vehicle[:collision]),
-      fence(Fleet.data(vehicle, :mission)),
-      battery(Fleet.data(vehicle, :battery)),
-      gps(Fleet.data(vehicle, :gps), Fleet.data(vehicle, :mode)),
-      health(Fleet.data(vehicle, :health))
+      fence(Snapshot.data(vehicle, :mission)),
+      battery(Snapshot.data(vehicle, :battery)),
+      gps(Snapshot.data(vehicle, :gps), Snapshot.data(vehicle, :mode)),
+      health(Snapshot.data(vehicle, :health))
     ]
     |> List.flatten()
     |> Enum.sort_by(fn {severity, _text} -> severity == :warn end)

@@ -3,12 +3,12 @@ defmodule FleetWeb.Console.Fleet.Row do
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Policy.Lease
   alias Aerie.Store
   alias Aerie.Fleet.Age
   alias FleetWeb.Console.Fleet.Problems
   alias FleetWeb.Console.Map.Payload
+  alias Aerie.Vehicle.Snapshot
 
   @enforce_keys [:id, :network, :system_id, :kind, :autopilot, :status, :state]
   defstruct [
@@ -80,9 +80,9 @@ defmodule FleetWeb.Console.Fleet.Row do
           t()
   def new(vehicle, links, tags, now, leases \\ %{}) do
     own = for link <- links, link.id in vehicle.links, do: link
-    mode = Fleet.data(vehicle, :mode)
-    battery = Fleet.data(vehicle, :battery)
-    gps = Fleet.data(vehicle, :gps)
+    mode = Snapshot.data(vehicle, :mode)
+    battery = Snapshot.data(vehicle, :battery)
+    gps = Snapshot.data(vehicle, :gps)
 
     %__MODULE__{
       id: vehicle.id,
@@ -100,8 +100,8 @@ defmodule FleetWeb.Console.Fleet.Row do
       voltage: rounded(battery[:voltage], 1),
       fix: whole(gps[:fix]),
       satellites: whole(gps[:satellites]),
-      height: height(Fleet.data(vehicle, :position)[:alt_rel]),
-      speed: rounded(Fleet.data(vehicle, :velocity)[:groundspeed], 1),
+      height: height(Snapshot.data(vehicle, :position)[:alt_rel]),
+      speed: rounded(Snapshot.data(vehicle, :velocity)[:groundspeed], 1),
       link: quality(own),
       silent_us: seconds(Age.silent_us(vehicle, own, now)),
       via: vehicle[:via],

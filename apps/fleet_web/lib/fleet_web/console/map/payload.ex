@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Map.Payload do
   The vehicles for the map: short rows, and of those only the changed ones. Pure.
   """
 
-  alias Aerie.Fleet
+  alias Aerie.Vehicle.Snapshot
 
   @typedoc """
   `[id, lat, lon, heading, course, speed, height, kind, state, in_air]`: degrees, m/s, metres above home; nil where not known.
@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Map.Payload do
   def row(%{groups: groups} = vehicle) do
     with %{position: %{data: %{lat: lat, lon: lon} = position}} when is_number(lat) and is_number(lon) <-
            groups do
-      velocity = Fleet.data(vehicle, :velocity)
+      velocity = Snapshot.data(vehicle, :velocity)
       {course, speed} = over_ground(velocity)
 
       [
@@ -29,7 +29,7 @@ defmodule FleetWeb.Console.Map.Payload do
         rounded(position[:alt_rel], 1),
         vehicle.vehicle_type,
         state(vehicle),
-        Fleet.data(vehicle, :mode)[:in_air] == true
+        Snapshot.data(vehicle, :mode)[:in_air] == true
       ]
     else
       _no_position -> nil
@@ -43,7 +43,7 @@ defmodule FleetWeb.Console.Map.Payload do
   def state(%{status: status}) when status in [:lost, :stale], do: status
 
   def state(vehicle) do
-    case Fleet.data(vehicle, :mode) do
+    case Snapshot.data(vehicle, :mode) do
       %{failsafe: true} -> :failsafe
       %{armed: true} -> :armed
       _other -> :disarmed

@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Links.PageTest do
 
   # With links that are real.
   setup do
-    gateway = Aerie.GatewayCase.start_gateway(%{}, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(%{}, with: [:router, :links])
     [console: console] = start_console(gateway: gateway)
     {:ok, console: console, gateway: gateway}
   end

@@ -13,7 +13,7 @@ defmodule FleetWeb.Console.Recordings.PageTest do
 
   setup %{tmp_dir: dir} do
     config = %{recorder: %{dir: Path.join(dir, "recordings"), min_free_mb: 0, flush_ms: 5}}
-    gateway = Aerie.GatewayCase.start_gateway(config, without: [Aerie.Bridge.Supervisor])
+    gateway = Aerie.GatewayCase.start_gateway(config, with: [:router, :links])
     [console: console] = start_console(gateway: gateway)
     {:ok, console: console, gateway: gateway}
   end

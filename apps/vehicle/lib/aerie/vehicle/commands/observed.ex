@@ -6,8 +6,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
   too, which says nothing about the mode.
   """
 
-  alias Aerie.Fleet
   alias Aerie.Protocol.Vehicle
+  alias Aerie.Vehicle.Snapshot
 
   # Message id: HEARTBEAT, GLOBAL_POSITION_INT, MISSION_CURRENT, HIGH_LATENCY2, HOME_POSITION, EXTENDED_SYS_STATE.
   @told_by %{
@@ -38,8 +38,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
   @doc "The fields that a snapshot shows."
   @spec changes(map()) :: map()
   def changes(snapshot) do
-    mode = Fleet.data(snapshot, :mode)
-    position = Fleet.data(snapshot, :position)
+    mode = Snapshot.data(snapshot, :mode)
+    position = Snapshot.data(snapshot, :position)
 
     %{
       mode: mode[:mode],
@@ -51,8 +51,8 @@ defmodule Aerie.Vehicle.Commands.Observed do
       alt_msl: position[:alt_msl],
       alt_rel: position[:alt_rel],
       heading: position[:heading],
-      home: home(Fleet.data(snapshot, :home)),
-      mission_seq: Fleet.data(snapshot, :mission)[:seq],
+      home: home(Snapshot.data(snapshot, :home)),
+      mission_seq: Snapshot.data(snapshot, :mission)[:seq],
       arming_checks: checks(snapshot),
       gcs: get_in(snapshot, [:gcs, :failsafe_range]),
       params: snapshot[:params] || %{},
@@ -74,7 +74,7 @@ defmodule Aerie.Vehicle.Commands.Observed do
 
   # Those of lower severity keep it from being armed in other modes only.
   defp checks(snapshot) do
-    checks = Fleet.data(snapshot, :health)[:arming_checks] || []
+    checks = Snapshot.data(snapshot, :health)[:arming_checks] || []
 
     for(%{name: "check_" <> _ = name, severity: level} <- checks, level <= @error, do: name)
     |> Enum.take(@max_checks)

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Core.Services do
   failsafe listens to, our heartbeat, and what must not be sent by a high-latency link.
   """
 
-  alias Aerie.Policy.Arming
+  alias Aerie.Vehicle.ArmAuthorization
   alias Aerie.Protocol.Modes
   alias Aerie.Vehicle.{Core, Gcs, Identity, Params, Reports, State, Switches, Timesync}
   alias Aerie.Vehicle.Core.{Collisions, Effects, Shown}
@@ -33,7 +33,7 @@ defmodule Aerie.Vehicle.Core.Services do
   def message(core, actions, _link, frame, %M.CommandLong{} = asked) do
     {system, component} = own(core)
 
-    if asked.command == Arming.request() and asked.target_system == system and
+    if asked.command == ArmAuthorization.request() and asked.target_system == system and
          asked.target_component in [0, component],
        do: {core, [{:authorise_arming, {frame.system, frame.component}} | actions]},
        else: {core, actions}

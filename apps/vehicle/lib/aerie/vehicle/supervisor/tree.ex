@@ -1,8 +1,8 @@
 defmodule Aerie.Vehicle.Supervisor.Tree do
   @moduledoc """
   The processes of one vehicle, `one_for_all`: session and event loop keep state about each other, so they restart
-  together. Both recover from the store; a restart costs the frames in their mailboxes and no event. Transfers have a supervisor of
-  their own in it, because their death concerns nobody else.
+  together. Both recover from the store; a restart costs the frames in their mailboxes and no event. Further loops, such as the executor of
+  commands, are plugged in.
 
   After ten restarts in ten seconds the tree dies, and `Aerie.Vehicle.Supervisor.TreeRestarter` starts it with growing
   delays.
@@ -38,24 +38,11 @@ defmodule Aerie.Vehicle.Supervisor.Tree do
     Supervisor.init(
       [
         {Vehicle.Events, arguments},
-        {Vehicle.Session, arguments},
-        {Vehicle.Commands, arguments},
-        transfers(arguments)
+        {Vehicle.Session, arguments}
       ] ++ loops,
       strategy: :one_for_all,
       max_restarts: 10,
       max_seconds: 10
     )
-  end
-
-  # A fault in a transfer costs the transfers under way; only one that comes again and again costs the tree a restart.
-  defp transfers(arguments) do
-    %{
-      id: Vehicle.Transfers,
-      type: :supervisor,
-      start:
-        {Supervisor, :start_link,
-         [[{Vehicle.Transfers, arguments}], [strategy: :one_for_one, max_restarts: 5, max_seconds: 10]]}
-    }
   end
 end

@@ -14,7 +14,7 @@ defmodule Aerie.Vehicle.Commands.RecordedTest do
   }
 
   setup do
-    gateway = start_gateway(@us, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
+    gateway = start_gateway(@us, with: [:router])
     {:ok, gateway: gateway, frames: frames("px4_refusals_acks")}
   end
 

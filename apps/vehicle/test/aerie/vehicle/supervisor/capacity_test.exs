@@ -73,7 +73,7 @@ defmodule Aerie.Vehicle.Supervisor.CapacityTest do
     defp gateway(limits, more \\ %{}) do
       limits = Map.merge(%{max_vehicles: 2, displace_lost_s: 0}, limits)
       config = Map.merge(%{limits: limits, timeouts: %{vehicle_stale_s: 0.1, vehicle_lost_s: 0.2}}, more)
-      gateway = start_gateway(config, without: [Aerie.Bridge.Supervisor, Aerie.Link.Supervisor])
+      gateway = start_gateway(config, with: [:router])
       PubSub.subscribe(gateway, :events)
       gateway
     end

@@ -1,4 +1,4 @@
-defmodule Aerie.Fleet.Settings do
+defmodule Aerie.Fleet.Journal.Settings do
   @moduledoc "What bounds the journal of events."
   use Aerie.Settings
 

@@ -1,0 +1,18 @@
+defmodule Aerie.FleetParts do
+  @moduledoc "What `Aerie.GatewayCase` plugs in of this app."
+
+  @doc "Parts of a test's gateway besides those of vehicles: when it has them, and the part before which it starts (nil: at the end)."
+  @spec parts() :: [{:always | :bridge, module(), before :: module() | nil}]
+  def parts do
+    [
+      {:bridge, Aerie.Bridge.LastPublished, Aerie.Signing.Supervisor},
+      {:bridge, Aerie.Bridge.Supervisor, Aerie.Signing.Supervisor},
+      {:always, Aerie.Client.Supervisor, nil}
+    ]
+  end
+
+  @doc "See `Aerie.GatewayCase.plugs/1`."
+  @spec plugs(map()) :: keyword()
+  def plugs(_config),
+    do: [tables: [Aerie.Fleet.Remote.table()], publisher: Aerie.Bridge, loops: [Aerie.Shadow.Loop]]
+end

@@ -385,21 +385,20 @@ defmodule Aerie.CommandsTest do
     script = """
     Application.ensure_all_started(:vehicle)
     Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts])
-    alias Aerie.{Command, Commands, DoorCase, GatewayCase, LinkCase, Names, Policy}
-    {:ok, _} = GatewayCase.start_link(%{}, name: :g, with: [])
+    {:ok, _} = Aerie.GatewayCase.start_link(%{}, name: :g, with: [])
     dir = #{inspect(dir)}
-    config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: DoorCase.commands(dir)}
-    for part <- [Policy.Supervisor, Commands.Supervisor], do: {:ok, _} = part.start_link(LinkCase.options(part, :g, config))
-    Names.register(:g, :commands, {"main", 7})
-    DoorCase.put_vehicle(:g)
+    config = %{policy: %{audit: %{dir: Path.join(dir, "audit"), max_mb: 8, required: true}}, commands: Aerie.DoorCase.commands(dir)}
+    for part <- [Aerie.Policy.Supervisor, Aerie.Commands.Supervisor], do: {:ok, _} = part.start_link(Aerie.LinkCase.options(part, :g, config))
+    Aerie.Names.register(:g, :commands, {"main", 7})
+    Aerie.DoorCase.put_vehicle(:g)
     for {id, type} <- [{"done", "land"}, {"arm", "arm"}, {"off", "disarm"}, {"drop", "gripper"}] do
       params = if type == "gripper", do: %{action: "release"}, else: %{}
-      Task.start(fn -> Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: DoorCase.operator()) end)
+      Task.start(fn -> Aerie.Commands.submit(:g, vehicle: "VID-007", id: id, type: type, params: params, as: Aerie.DoorCase.operator()) end)
       receive do
-        {:"$gen_call", from, {:submit, %{id: ^id}, _}} -> if id == "done", do: DoorCase.answer(from, id, :completed)
+        {:"$gen_call", from, {:submit, %{id: ^id}, _}} -> if id == "done", do: Aerie.DoorCase.answer(from, id, :completed)
       end
     end
-    {:ok, %{status: :completed}} = Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: DoorCase.operator())
+    {:ok, %{status: :completed}} = Aerie.Commands.submit(:g, vehicle: "VID-007", id: "done", type: "land", as: Aerie.DoorCase.operator())
     IO.puts("under way \#{System.pid()}")
     Process.sleep(:infinity)
     """

@@ -52,16 +52,15 @@ defmodule Aerie.LedgerTest do
     # happened.
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Command, Ledger}
     alias Aerie.Command.Result
-    {:ok, _} = Ledger.start_link(gateway: :g, dir: #{inspect(dir)}, max_entries: 100_000, max_age_s: 3600)
+    {:ok, _} = Aerie.Ledger.start_link(gateway: :g, dir: #{inspect(dir)}, max_entries: 100_000, max_age_s: 3600)
     for n <- Stream.iterate(1, &(&1 + 1)) do
       id = "c\#{n}"
-      {:ok, command} = Command.new(id: id, vehicle: "VID-001", type: "arm")
-      :new = Ledger.admit(:g, command)
-      :ok = Ledger.sending(:g, id, :never)
+      {:ok, command} = Aerie.Command.new(id: id, vehicle: "VID-001", type: "arm")
+      :new = Aerie.Ledger.admit(:g, command)
+      :ok = Aerie.Ledger.sending(:g, id, :never)
       IO.puts("sent \#{n}")
-      :ok = Ledger.finish(:g, Result.new(id, :completed))
+      :ok = Aerie.Ledger.finish(:g, Result.new(id, :completed))
       IO.puts("done \#{n}")
       if n == 20, do: IO.puts("busy \#{System.pid()}")
     end

@@ -138,17 +138,16 @@ defmodule Aerie.Bridge.EventsTest do
   test "kill -9 of the whole gateway while NATS is away: all events are on disk", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Fleet, Store}
     alias Aerie.Store.PubSub
     config = Aerie.BridgeCase.settings([{"nats.url", "nats://127.0.0.1:1"}, {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
+    {:ok, _} = Aerie.Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
     {:ok, _} = PubSub.start_link(gateway: :g)
-    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: config)
+    {:ok, _} = Aerie.Bridge.Supervisor.start_link(gateway: :g, settings: config)
     PubSub.subscribe(:g, :bridge)
     # Of one vehicle, one event at a time goes to NATS.
     for n <- 1..10, vehicle = "V\#{n}" do
       events = for seq <- 1..100, do: Aerie.Vehicle.Event.new(vehicle, "statustext", seq, seq, nil, %{"n" => seq})
-      Fleet.Journal.commit(:g, vehicle, :state, events)
+      Aerie.Fleet.Journal.commit(:g, vehicle, :state, events)
     end
     wait = fn wait ->
       receive do

@@ -120,10 +120,9 @@ defmodule Aerie.Bridge.LastPublishedTest do
   test "kill -9 keeps it too, and is reported", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Fleet, Store}
     alias Aerie.Store.PubSub
     {:ok, _} = Aerie.GatewayCase.start_link(#{inspect(gateway_config(dir))}, name: :g, without: [])
-    await = fn await -> case Store.link(:g, "radio") do
+    await = fn await -> case Aerie.Store.link(:g, "radio") do
       %{port: port} when is_integer(port) -> port
       _ -> Process.sleep(20); await.(await)
     end end

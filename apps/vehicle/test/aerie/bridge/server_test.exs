@@ -77,14 +77,13 @@ defmodule Aerie.Bridge.ServerTest do
   test "kill -9 of the whole gateway ends its server", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Store}
     alias Aerie.Store.PubSub
     config = Aerie.BridgeCase.settings([{"nats.port", 0}, {"nats.store_dir", #{inspect(Path.join(dir, "nats"))}},
                              {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
+    {:ok, _} = Aerie.Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
     {:ok, _} = PubSub.start_link(gateway: :g)
     PubSub.subscribe(:g, :bridge)
-    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: config)
+    {:ok, _} = Aerie.Bridge.Supervisor.start_link(gateway: :g, settings: config)
     wait = fn wait ->
       receive do
         {:fleet, :bridge, {:connection, %{status: :up}}} -> IO.puts("up \#{System.pid()}")

@@ -16,22 +16,21 @@ defmodule Aerie.Bridge.StorageTest do
 
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.{Bridge, Fleet, Store}
     alias Aerie.Store.PubSub
     alias Aerie.Vehicle.Event
     disk = #{inspect(disk)}
     config = Aerie.BridgeCase.settings([{"nats.port", 0}, {"nats.store_dir", Path.join(disk, "nats")},
                              {"outbox.dir", #{inspect(Path.join(dir, "outbox"))}}])
-    {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
+    {:ok, _} = Aerie.Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
     {:ok, _} = PubSub.start_link(gateway: :g)
-    {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: config)
+    {:ok, _} = Aerie.Bridge.Supervisor.start_link(gateway: :g, settings: config)
     await = fn await, fun -> fun.() || (Process.sleep(20); await.(await, fun)) end
-    problem = fn -> Bridge.info(:g).problem end
-    stored = fn -> Fleet.Journal.pending_size(:g) == 0 and Bridge.info(:g).outbox[:events] == 0 end
+    problem = fn -> Aerie.Bridge.info(:g).problem end
+    stored = fn -> Aerie.Fleet.Journal.pending_size(:g) == 0 and Aerie.Bridge.info(:g).outbox[:events] == 0 end
     commit = fn seqs ->
       for seq <- seqs do
         event = Event.new("A", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 4000)})
-        Fleet.Journal.commit(:g, "A", :state, [event])
+        Aerie.Fleet.Journal.commit(:g, "A", :state, [event])
       end
     end
 
@@ -49,14 +48,14 @@ defmodule Aerie.Bridge.StorageTest do
     File.rm!(Path.join(disk, "filler"))
     :file.close(file)
     await.(await, fn -> problem.() == nil end)
-    url = URI.parse(Bridge.login_url(:g))
+    url = URI.parse(Aerie.Bridge.login_url(:g))
     {:ok, conn} = Gnat.start_link(%{host: url.host, port: url.port, token: url.userinfo, connection_timeout: 60_000})
     await.(await, fn ->
       with {:ok, %{state: state}} <- Gnat.Jetstream.API.Stream.info(conn, "FLEET_EVENTS"),
            do: state.messages == 40 and stored.(),
            else: (_late -> false)
     end)
-    IO.puts("restarts \#{Bridge.info(:g).server.restarts} \#{System.pid()}")
+    IO.puts("restarts \#{Aerie.Bridge.info(:g).server.restarts} \#{System.pid()}")
     Process.sleep(:infinity)
     """
 

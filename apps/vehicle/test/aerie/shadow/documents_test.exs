@@ -492,20 +492,19 @@ defmodule Aerie.Shadow.DocumentsTest do
 
       script = """
       Application.ensure_all_started(:vehicle)
-      alias Aerie.{Bridge, Shadow, Store}
       alias Aerie.Store.PubSub
       dir = #{inspect(Path.join(dir, "third"))}
       url = [{"nats.mode", "url"}, {"nats.url", [#{inspect(bare(context.url))}]}, {"nats.token", #{inspect(uri.userinfo)}}]
-      {:ok, _} = Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
+      {:ok, _} = Aerie.Store.start_link([gateway: :g] ++ Aerie.GatewayCase.plugs(%{}))
       {:ok, _} = PubSub.start_link(gateway: :g)
-      {:ok, _} = Bridge.Supervisor.start_link(gateway: :g, settings: Aerie.BridgeCase.config(dir, url))
+      {:ok, _} = Aerie.Bridge.Supervisor.start_link(gateway: :g, settings: Aerie.BridgeCase.config(dir, url))
       settings = Aerie.ShadowCase.shadow_settings(dir, url ++ #{inspect(@shared)})
-      {:ok, _} = Shadow.Supervisor.start_link(gateway: :g, settings: settings)
-      Shadow.Documents.join(Aerie.ShadowCase.documents(:g), "VID-007")
-      Shadow.Documents.heard(Aerie.ShadowCase.documents(:g), "VID-007", true)
-      wait = fn wait -> if Shadow.Documents.authority(:g, "VID-007") == :mine, do: :ok, else: (Process.sleep(20); wait.(wait)) end
+      {:ok, _} = Aerie.Shadow.Supervisor.start_link(gateway: :g, settings: settings)
+      Aerie.Shadow.Documents.join(Aerie.ShadowCase.documents(:g), "VID-007")
+      Aerie.Shadow.Documents.heard(Aerie.ShadowCase.documents(:g), "VID-007", true)
+      wait = fn wait -> if Aerie.Shadow.Documents.authority(:g, "VID-007") == :mine, do: :ok, else: (Process.sleep(20); wait.(wait)) end
       wait.(wait)
-      {:ok, _} = Shadow.update(:g, "VID-007", %{"desired" => %{"mode" => "LOITER"}})
+      {:ok, _} = Aerie.Shadow.update(:g, "VID-007", %{"desired" => %{"mode" => "LOITER"}})
       IO.puts("acts \#{System.pid()}")
       Process.sleep(:infinity)
       """

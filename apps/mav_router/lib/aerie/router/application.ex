@@ -12,6 +12,11 @@ defmodule Aerie.Router.Application do
   @impl Supervisor
   def init(nil) do
     :ok = Names.prepare()
-    Supervisor.init([Names.Cleaner], strategy: :one_for_one, max_restarts: 100, max_seconds: 10)
+
+    Supervisor.init([{Names.Cleaner, owners: &Names.Book.owners/0, forget: &Names.Book.forget/1}],
+      strategy: :one_for_one,
+      max_restarts: 100,
+      max_seconds: 10
+    )
   end
 end

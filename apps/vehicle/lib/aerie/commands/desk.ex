@@ -94,10 +94,6 @@ defmodule Aerie.Commands.Desk do
   @spec under_way(Names.gateway(), String.t()) :: under_way() | nil
   def under_way(gateway, id), do: call(gateway, {:under_way, id}, nil)
 
-  @doc "Takes a token for a command of a source."
-  @spec rate(pid(), Command.t()) :: :ok | {:deny, :rate, String.t()}
-  def rate(desk, command), do: GenServer.call(desk, {:rate, command})
-
   defp call(gateway, message, absent) do
     GenServer.call(Names.via(gateway, :command_desk), message)
   catch
@@ -241,6 +237,7 @@ defmodule Aerie.Commands.Desk do
       environment = %{
         gateway: state.gateway,
         desk: self(),
+        rate: rate(self()),
         ledger_required?: state.settings.ledger.required,
         urgent_ms: state.settings.urgent_ms,
         record_ms: state.settings.record_ms,
@@ -258,6 +255,9 @@ defmodule Aerie.Commands.Desk do
       refuse(request, :busy, reason, state)
     end
   end
+
+  # Takes a token for a command of its source; for the task.
+  defp rate(desk), do: fn command -> GenServer.call(desk, {:rate, command}) end
 
   defp join(state, job, request, from) do
     id = request.command.id

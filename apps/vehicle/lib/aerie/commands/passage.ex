@@ -9,17 +9,18 @@ defmodule Aerie.Commands.Passage do
 
   alias Aerie.{Command, Ledger, Names, Policy, Store, Vehicle}
   alias Aerie.Command.Result
-  alias Aerie.Commands.{Desk, Elsewhere, Held, Record, SetpointsFirst}
+  alias Aerie.Commands.{Elsewhere, Held, Record, SetpointsFirst}
   alias Aerie.Policy.{Audit, Commanded, Context, Facts, Leases}
 
   @typedoc """
-  Where it runs. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
+  Where it runs. `rate` takes a token of the source. `ledger_required?`: nothing is commanded while the ledger cannot be written. `urgent_ms`: how long what holds a
   vehicle or brings it down waits for the ledger and the audit log, `record_ms`: how long others do. `elsewhere`: the way to
   vehicles of other gateways; `holder`: how it is known which gateway holds a vehicle, nil if this one is alone.
   """
   @type environment :: %{
           gateway: Names.gateway(),
           desk: pid(),
+          rate: (Command.t() -> :ok | {:deny, :rate, String.t()}),
           ledger_required?: boolean(),
           urgent_ms: pos_integer(),
           record_ms: pos_integer(),
@@ -28,7 +29,7 @@ defmodule Aerie.Commands.Passage do
         }
 
   @doc "Brings a command to its result, which is in ledger, audit log and metrics then."
-  @spec run(Desk.request(), environment()) :: Result.t()
+  @spec run(Aerie.Commands.Desk.request(), environment()) :: Result.t()
   def run(%{command: command} = request, environment) do
     facts = facts(request)
     patience = if facts.ends_flight?, do: environment.urgent_ms, else: environment.record_ms
@@ -77,7 +78,7 @@ defmodule Aerie.Commands.Passage do
   end
 
   @doc "What the rules judge a request by."
-  @spec facts(Desk.request()) :: Facts.t()
+  @spec facts(Aerie.Commands.Desk.request()) :: Facts.t()
   def facts(%{work: nil, command: command}), do: Facts.of(command)
   def facts(%{work: work}), do: work.facts
 
@@ -91,7 +92,7 @@ defmodule Aerie.Commands.Passage do
       )
 
   @doc "Writes down the end of a command whose task died."
-  @spec broken(Desk.request(), Names.gateway()) :: :ok
+  @spec broken(Aerie.Commands.Desk.request(), Names.gateway()) :: :ok
   def broken(%{command: command}, gateway) do
     result = lost(command)
     _ = Ledger.finish(gateway, result)
@@ -112,7 +113,7 @@ defmodule Aerie.Commands.Passage do
   defp rate(%{facts: %{ends_flight?: true}}), do: :ok
 
   defp rate(way) do
-    with {:deny, :rate, reason} <- Desk.rate(way.desk, way.command), do: {:stop, :denied, :rate, reason}
+    with {:deny, :rate, reason} <- way.rate.(way.command), do: {:stop, :denied, :rate, reason}
   end
 
   defp vehicle(way) do

@@ -8,7 +8,7 @@ defmodule Aerie.Shadow.Documents do
   """
 
   alias Aerie.{Bridge, Names}
-  alias Aerie.Shadow.{Buckets, Document, Metrics, Tags, Uplink}
+  alias Aerie.Shadow.{Buckets, Document, Metrics, Tags}
 
   # For how long an answer waits to be shown here.
   @shown_ms 1_000
@@ -97,7 +97,7 @@ defmodule Aerie.Shadow.Documents do
 
   @doc "Why desired states cannot be stored, or do not agree with the hub's; or nil."
   @spec problem(Names.gateway()) :: String.t() | nil
-  def problem(gateway), do: row(gateway, :problem) || Uplink.problem(gateway)
+  def problem(gateway), do: row(gateway, :problem) || Names.value(gateway, :shadow_uplink)
 
   @doc "The document of a vehicle in NATS, also of one that this gateway does not hear."
   @spec fetch(Names.gateway(), String.t()) :: {:ok, Document.t()} | {:error, {:unavailable, String.t()}}

@@ -11,7 +11,7 @@ defmodule Aerie.Shadow.Uplink do
   Both buckets are written with compare-and-set, the hub's first. The last document that both had is in `hub/` in the shadow's folder,
   so that a change is told from the lack of one after a restart.
 
-  It works for the vehicle of `vehicle_id`: the hub lets nobody read or write other keys.
+  The value of its name is why the documents differ, or nil (`Aerie.Shadow.Documents.problem/1`). It works for the vehicle of `vehicle_id`: the hub lets nobody read or write other keys.
   """
   use GenServer
 
@@ -37,10 +37,6 @@ defmodule Aerie.Shadow.Uplink do
     do: id
 
   def vehicle(_no_leaf), do: nil
-
-  @doc "Why the hub's documents and those aboard are not the same, or nil."
-  @spec problem(Names.gateway()) :: String.t() | nil
-  def problem(gateway), do: Names.value(gateway, :shadow_uplink)
 
   @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
   def start_link(options),
@@ -263,7 +259,7 @@ defmodule Aerie.Shadow.Uplink do
   defp later(state, why), do: told(%{state | again_at: now() + @again_ms}, why)
 
   defp told(state, why) do
-    if why != nil and why != problem(state.gateway), do: Logger.warning("shadow: " <> why)
+    if why != nil and why != Names.value(state.gateway, :shadow_uplink), do: Logger.warning("shadow: " <> why)
     Names.put_value(state.gateway, :shadow_uplink, why)
     state
   end

@@ -247,6 +247,11 @@ defmodule Aerie.Vehicle.Core do
 
   defp own(options), do: {options.own_system, options.own_component}
 
+  @doc false
+  # For `Aerie.Vehicle.Core.Effects`, which the services use.
+  @spec view(t()) :: map()
+  defdelegate view(core), to: Services, as: :show
+
   @doc "The vehicle as the read model shows it."
   @spec snapshot(t()) :: map()
   def snapshot(core), do: snapshot(core, Services.show(core))

@@ -132,7 +132,7 @@ defmodule Aerie.Shadow.UplinkTest do
     from = renewed.()
     eventually(fn -> renewed.() > from + 4_500 end)
     assert {:held, "gateway", _why} = Documents.authority(hub, @id)
-    assert Uplink.problem(hub) == nil
+    assert Aerie.Shadow.Documents.problem(hub) == nil
   end
 
   test "when the gateway aboard hears its vehicle no more, the hub takes it at once", context do

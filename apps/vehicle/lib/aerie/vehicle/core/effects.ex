@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   """
 
   alias Aerie.Vehicle.{Collision, Core, Detector, Sampling, State}
-  alias Aerie.Vehicle.Core.{Collisions, Services, Shown}
+  alias Aerie.Vehicle.Core.{Collisions, Shown}
   alias Aerie.Vehicle.Detector.Observation
   alias MavCodec.Messages, as: M
 
@@ -135,7 +135,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   @spec show(acc(), integer()) :: acc()
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
     if Shown.due?(core.shown, now) do
-      shown = Shown.write(core.shown, now, fn -> Services.show(core) end)
+      shown = Shown.write(core.shown, now, fn -> Core.view(core) end)
       {%{core | shown: shown, dirty: false}, [{:snapshot, Core.snapshot(core, shown.view)} | actions]}
     else
       {core, actions}

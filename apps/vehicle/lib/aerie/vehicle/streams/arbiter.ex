@@ -221,6 +221,21 @@ defmodule Aerie.Vehicle.Streams.Arbiter do
   def enqueue(arbiter, what),
     do: if(what in arbiter.queue, do: arbiter, else: %{arbiter | queue: arbiter.queue ++ [what]})
 
+  @doc false
+  # A request that sets a message to this rate goes out now.
+  @spec sent(t(), WantedMessage.t(), number(), integer()) :: t()
+  def sent(arbiter, wanted, hz, now) do
+    state = if wanted.state == :ok, do: :ok, else: :asked
+    tries = max(wanted.tries, 1)
+    wanted = WantedMessage.asked(wanted, hz, Meter.last(arbiter.meter, wanted.id))
+    wanted = %{wanted | state: state, tries: tries, faster: false}
+
+    put(
+      %{arbiter | meter: Meter.watch(arbiter.meter, wanted.id, now)},
+      %{wanted | next: now + WantedMessage.wait(wanted)}
+    )
+  end
+
   # Makes `messages` follow the demand.
   defp update_messages(arbiter) do
     rates = Map.merge(arbiter.gateway, arbiter.demand, fn _id, a, b -> max(a, b) end)

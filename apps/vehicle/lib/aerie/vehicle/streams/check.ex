@@ -9,7 +9,6 @@ defmodule Aerie.Vehicle.Streams.Check do
   # A new demand is measured only briefly before it is requested.
   @first_us 1_500_000
   @again_us 500_000
-  @retries_us [3_000_000, 10_000_000]
   @tries 3
   @contest_us 120_000_000
   @queries 3
@@ -44,16 +43,12 @@ defmodule Aerie.Vehicle.Streams.Check do
 
   # If another program has raised the rate further than we did, it stays.
   defp reset(arbiter, id, wanted) do
-    hz = least(wanted)
+    hz = WantedMessage.least(wanted)
 
     if wanted.set not in [nil, hz] and (wanted.set > hz or wanted.initial != nil) and not wanted.faster,
       do: ask(arbiter, %{wanted | ask: hz, tries: 0}, id),
       else: arbiter
   end
-
-  @doc "The rate of a message that is reset: what is wanted of it, but not less than it had before the first request."
-  @spec least(WantedMessage.t()) :: number()
-  def least(wanted), do: max(wanted.hz || 0, wanted.initial || wanted.ask)
 
   defp messages(arbiter, now) do
     Enum.reduce(arbiter.messages, arbiter, fn
@@ -158,10 +153,6 @@ defmodule Aerie.Vehicle.Streams.Check do
     arbiter |> Arbiter.put(%{wanted | state: :asked, tries: wanted.tries + 1}) |> Arbiter.enqueue({:set, id})
   end
 
-  @doc "How long after a request its effect is judged (us)."
-  @spec wait(WantedMessage.t()) :: pos_integer()
-  def wait(wanted), do: max(Enum.at(@retries_us, wanted.tries - 1, 0), WantedMessage.window(wanted))
-
   defp legacy(arbiter) do
     ids = for {id, %{state: state}} <- arbiter.messages, state in [:asked, :missing, :short], do: id
     Enum.reduce(ids, %{arbiter | legacy: true}, &Arbiter.enqueue(&2, {:set, &1}))
@@ -215,7 +206,7 @@ defmodule Aerie.Vehicle.Streams.Check do
   defp once(arbiter, now) do
     Enum.reduce(arbiter.once, arbiter, fn
       {id, {tries, next}}, arbiter when tries < @tries and (next == nil or now >= next) ->
-        next = now + Enum.at(@retries_us, tries, 0)
+        next = now + WantedMessage.retry_us(tries)
         Arbiter.enqueue(%{arbiter | once: Map.put(arbiter.once, id, {tries + 1, next})}, {:once, id})
 
       _known_or_later, arbiter ->

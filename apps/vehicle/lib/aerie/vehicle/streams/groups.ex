@@ -9,7 +9,7 @@ defmodule Aerie.Vehicle.Streams.Groups do
   back with their own request.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Check, Meter, Request, Sender}
+  alias Aerie.Vehicle.Streams.{Arbiter, Meter, Request, WantedMessage}
 
   # Long enough for the whole number of messages per second that a group can have.
   @measure_us 3_000_000
@@ -88,7 +88,7 @@ defmodule Aerie.Vehicle.Streams.Groups do
     case arbiter.groups do
       %{^group => hz} ->
         {more, less} = Enum.split_with(members(arbiter, group), &more?(&1, hz))
-        arbiter = Enum.reduce(less, arbiter, &Sender.sent(&2, &1, hz, now))
+        arbiter = Enum.reduce(less, arbiter, &Arbiter.sent(&2, &1, hz, now))
         arbiter = Enum.reduce(more, arbiter, &Arbiter.enqueue(&2, {:set, &1.id}))
         {done(arbiter, group), Request.group(target, group, hz)}
 
@@ -110,7 +110,7 @@ defmodule Aerie.Vehicle.Streams.Groups do
     {same, other} = Enum.split_with(members, &restored?(&1, hz))
     # One that came fast enough with the group was never requested.
     same = for %{set: set} = wanted when set != nil and hz != nil <- same, do: wanted
-    arbiter = Enum.reduce(same, done(arbiter, group), &Sender.sent(&2, &1, hz, now))
+    arbiter = Enum.reduce(same, done(arbiter, group), &Arbiter.sent(&2, &1, hz, now))
     {Enum.reduce(other, arbiter, &own(&2, &1)), hz && Request.group(target, group, hz)}
   end
 
@@ -142,7 +142,7 @@ defmodule Aerie.Vehicle.Streams.Groups do
   defp set_all(arbiter, group, hz, now, target) do
     members = members(arbiter, group)
     arbiter = %{arbiter | queue: arbiter.queue -- Enum.map(members, &{:set, &1.id})}
-    arbiter = Enum.reduce(members, arbiter, &Sender.sent(&2, &1, hz, now))
+    arbiter = Enum.reduce(members, arbiter, &Arbiter.sent(&2, &1, hz, now))
     {done(arbiter, group), Request.group(target, group, hz)}
   end
 
@@ -164,7 +164,7 @@ defmodule Aerie.Vehicle.Streams.Groups do
 
   # The rate that a message has without the group.
   defp due(%{set: nil} = wanted), do: wanted.hz || 0
-  defp due(wanted), do: Check.least(wanted)
+  defp due(wanted), do: WantedMessage.least(wanted)
 
   defp same?(a, b), do: abs(a - b) <= max(@same_hz, b * @same)
   defp more?(wanted, hz), do: (wanted.hz || 0) > hz or (wanted.set || 0) > hz

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   which of several it is for (C8). The next one follows the acknowledgement, or a short wait without one.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Check, Groups, Meter, Request, WantedMessage}
+  alias Aerie.Vehicle.Streams.{Arbiter, Groups, Request, WantedMessage}
   alias MavCodec.Enums.{MavCmd, MavResult}
 
   @set_message_interval MavCmd.value(:MAV_CMD_SET_MESSAGE_INTERVAL)
@@ -39,8 +39,11 @@ defmodule Aerie.Vehicle.Streams.Sender do
 
   defp message(arbiter, {:set, id}, now, target) do
     case arbiter.messages do
-      %{^id => wanted} -> {sent(arbiter, wanted, wanted.ask, now), Request.set(target, id, wanted.ask)}
-      _not_wanted -> {arbiter, nil}
+      %{^id => wanted} ->
+        {Arbiter.sent(arbiter, wanted, wanted.ask, now), Request.set(target, id, wanted.ask)}
+
+      _not_wanted ->
+        {arbiter, nil}
     end
   end
 
@@ -50,7 +53,7 @@ defmodule Aerie.Vehicle.Streams.Sender do
   defp message(arbiter, {:query, id}, now, target) do
     case arbiter.messages do
       %{^id => %{state: :query} = wanted} ->
-        wanted = %{wanted | next: now + Check.wait(%{wanted | tries: 1})}
+        wanted = %{wanted | next: now + WantedMessage.wait(%{wanted | tries: 1})}
         {Arbiter.put(arbiter, wanted), Request.query(target, id)}
 
       _no_more ->
@@ -66,21 +69,6 @@ defmodule Aerie.Vehicle.Streams.Sender do
 
   defp message(arbiter, {:once, id}, _now, target) do
     if arbiter.once[id] == :known, do: {arbiter, nil}, else: {arbiter, Request.once(target, id)}
-  end
-
-  @doc false
-  # A request that sets a message to this rate goes out now.
-  @spec sent(Arbiter.t(), WantedMessage.t(), number(), integer()) :: Arbiter.t()
-  def sent(arbiter, wanted, hz, now) do
-    state = if wanted.state == :ok, do: :ok, else: :asked
-    tries = max(wanted.tries, 1)
-    wanted = WantedMessage.asked(wanted, hz, Meter.last(arbiter.meter, wanted.id))
-    wanted = %{wanted | state: state, tries: tries, faster: false}
-
-    Arbiter.put(
-      %{arbiter | meter: Meter.watch(arbiter.meter, wanted.id, now)},
-      %{wanted | next: now + Check.wait(wanted)}
-    )
   end
 
   @doc "See `Aerie.Vehicle.Streams.Arbiter.ack/3`."

@@ -14,6 +14,7 @@ defmodule Aerie.Vehicle.Streams.WantedMessage do
   """
 
   # A lower share of the wanted rate is too slow: schedulers round, and radios lose some.
+  @retries_us [3_000_000, 10_000_000]
   @enough 0.7
   # The threshold for a message that came as wanted is lower, so that a rate at the limit does not alternate.
   @too_slow 0.6
@@ -118,6 +119,18 @@ defmodule Aerie.Vehicle.Streams.WantedMessage do
     do: 1_000_000 / interval >= set * @enough
 
   def as_set?(_line, _interval), do: false
+
+  @doc "The rate of a message that is reset: what is wanted of it, but not less than it had before the first request."
+  @spec least(t()) :: number()
+  def least(wanted), do: max(wanted.hz || 0, wanted.initial || wanted.ask)
+
+  @doc "How long after a request its effect is judged (us)."
+  @spec wait(t()) :: pos_integer()
+  def wait(wanted), do: max(retry_us(wanted.tries - 1), window(wanted))
+
+  @doc "How long after the request of this number (from 0) it is repeated (us)."
+  @spec retry_us(non_neg_integer()) :: non_neg_integer()
+  def retry_us(tries), do: Enum.at(@retries_us, tries, 0)
 
   @doc "For the snapshot."
   @spec show(t()) :: map()

@@ -18,7 +18,7 @@ defmodule FleetWeb.EndpointTest do
       timeouts: %{vehicle_stale_s: 60.0, vehicle_lost_s: 120.0}
     }
 
-    Aerie.GatewayCase.start_gateway(config, name: gateway, without: [])
+    Aerie.GatewayCase.start_gateway(config, name: gateway, with: [:bridge, :router, :links])
     FleetWeb.APICase.start_endpoint(gateway, config)
     %{gateway: gateway, port: FleetWeb.Endpoint.port(gateway)}
   end

@@ -16,7 +16,7 @@ defmodule Aerie.Bridge.LastPublishedTest do
     do: %Heartbeat{type: 2, autopilot: 3, base_mode: 0x51, custom_mode: 9, system_status: 3}
 
   defp start_gateway(config) do
-    Aerie.GatewayCase.start_gateway(config, without: [], pubsub_tick_ms: 10)
+    Aerie.GatewayCase.start_gateway(config, with: [:bridge, :router, :links], pubsub_tick_ms: 10)
   end
 
   defp hear(gateway, what) do
@@ -120,8 +120,8 @@ defmodule Aerie.Bridge.LastPublishedTest do
   test "kill -9 keeps it too, and is reported", %{tmp_dir: dir} do
     script = """
     Application.ensure_all_started(:vehicle)
-    alias Aerie.Store.PubSub
-    {:ok, _} = Aerie.GatewayCase.start_link(#{inspect(gateway_config(dir))}, name: :g, without: [])
+    Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts, Aerie.FleetParts])
+    {:ok, _} = Aerie.GatewayCase.start_link(#{inspect(gateway_config(dir))}, name: :g, with: [:bridge, :router, :links])
     await = fn await -> case Aerie.Store.link(:g, "radio") do
       %{port: port} when is_integer(port) -> port
       _ -> Process.sleep(20); await.(await)

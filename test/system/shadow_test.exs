@@ -137,8 +137,7 @@ defmodule Aerie.System.ShadowTest do
 
       eventually(
         fn ->
-          with text when is_binary(text) <-
-                 Gnat.Jetstream.API.KV.get_value(conn, "fleet_reported", "test.#{@vehicle}") do
+          with {:ok, text, _revision} <- Aerie.Nats.KV.get(conn, "fleet_reported", "test.#{@vehicle}") do
             match?(
               %{"fields" => %{"mission.plan" => %{"state" => "converged"}}, "tags" => ["survey"]},
               JSON.decode!(text)

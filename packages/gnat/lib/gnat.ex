@@ -10,9 +10,8 @@ defmodule Gnat do
         {:msg, %{topic: "fleet.news", body: "hello"}} -> :ok
       end
 
-  One connection is one process. It ends when the connection does, with the reason `{:shutdown, %Gnat.Error{}}`;
-  `Gnat.ConnectionSupervisor` keeps one under a name and reconnects. Functions called without a connection
-  return `{:error, %Gnat.Error{reason: :not_connected}}`.
+  One connection is one process. It ends when the connection does, with the reason `{:shutdown, %Gnat.Error{}}`. Functions called
+  without a connection return `{:error, %Gnat.Error{reason: :not_connected}}`.
 
   Telemetry events, each after the function has returned; `latency` in native units:
 
@@ -96,7 +95,7 @@ defmodule Gnat do
 
   @type sid :: non_neg_integer()
 
-  @doc "A connection as a child of a supervisor. If it may be away for a while, use `Gnat.ConnectionSupervisor`."
+  @doc "A connection as a child of a supervisor."
   @spec child_spec(connection_settings()) :: Supervisor.child_spec()
   def child_spec(settings), do: %{id: __MODULE__, start: {__MODULE__, :start_link, [settings]}}
 

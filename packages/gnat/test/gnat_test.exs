@@ -376,6 +376,23 @@ defmodule GnatTest do
       :ok = Gnat.stop(gnat)
       assert Task.await(task, 60_000) == {:error, Error.new(:not_connected)}
     end
+
+    test "a server that lives but answers nothing is given up" do
+      Process.flag(:trap_exit, true)
+      server = start_supervised!(NatsServer, id: :frozen)
+      {:ok, gnat} = Gnat.start_link(NatsServer.settings(server, %{ping_interval: 30}))
+      :ok = NatsServer.freeze(server)
+      assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: :unresponsive}}}
+    end
+
+    test "a server that is killed" do
+      Process.flag(:trap_exit, true)
+      server = start_supervised!(NatsServer, id: :killed)
+      {:ok, gnat} = Gnat.start_link(NatsServer.settings(server))
+      :ok = NatsServer.kill(server)
+      assert_receive {:EXIT, ^gnat, {:shutdown, %Error{reason: reason}}}
+      assert reason == :closed or match?({:transport, _}, reason)
+    end
   end
 
   describe "telemetry" do

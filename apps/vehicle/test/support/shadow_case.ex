@@ -11,7 +11,7 @@ defmodule Aerie.ShadowCase do
       import Aerie.ShadowCase
       alias Aerie.{Bridge, Shadow, Store}
       alias Aerie.Shadow.Documents
-      alias Gnat.Jetstream.API.KV
+      alias Aerie.TestBucket, as: KV
     end
   end
 

@@ -3,8 +3,7 @@ defmodule Gnat.Connection do
   The process of one connection: reads the socket and executes the actions of `Gnat.Session`.
 
   It starts with a connection that the server has accepted (`Gnat.Handshake`), so starting is quick and does
-  not depend on the network. It stops with `{:shutdown, %Gnat.Error{}}` when the connection is lost;
-  `Gnat.ConnectionSupervisor` reconnects.
+  not depend on the network. It stops with `{:shutdown, %Gnat.Error{}}` when the connection is lost.
   """
 
   use GenServer

@@ -1,8 +1,6 @@
 defmodule Gnat.Test do
   @moduledoc "Helpers of the tests."
 
-  import ExUnit.Assertions
-
   @doc "Polls until a condition is true, for facts that send no message; the limit only guards against hanging."
   def eventually(check, deadline \\ System.monotonic_time(:millisecond) + 60_000) do
     cond do
@@ -20,31 +18,11 @@ defmodule Gnat.Test do
     end
   end
 
-  @doc """
-  Starts a supervised connection to a server under a new name, and waits for it. The test gets the telemetry events `:up` and
-  `:down` of the connection.
-  """
-  def supervised_connection(server) do
-    name = :"#{unique("gnat")}"
-    for event <- [:up, :down], do: telemetry([:gnat, :connection, event])
-
-    settings = %{
-      name: name,
-      connection_settings: [Gnat.Test.NatsServer.settings(server)],
-      backoff_period: 10
-    }
-
-    ExUnit.Callbacks.start_supervised!({Gnat.ConnectionSupervisor, settings})
-
-    assert_receive {:telemetry, [:gnat, :connection, :up], _measurements, %{name: ^name}}
-    name
-  end
-
   @doc "Publishes into a stream, and waits until it has the message; gives the server's answer."
   def store(gnat, topic, body, headers \\ []),
     do: Gnat.Jetstream.API.Util.request(gnat, topic, body, headers: headers)
 
-  @doc "A unique name for subjects, streams and buckets."
+  @doc "A unique name for subjects and streams."
   def unique(prefix), do: "#{prefix}_#{System.unique_integer([:positive])}"
 
   @doc "Sends telemetry events of this name to the test as `{:telemetry, event, measurements, metadata}`."

@@ -8,7 +8,7 @@ defmodule Aerie.Bridge.HubCutsTest do
   import Aerie.HubCase
 
   alias Aerie.HubServer
-  alias Gnat.Jetstream.API.KV
+  alias Aerie.TestBucket, as: KV
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -8,7 +8,8 @@ defmodule Aerie.Bridge.HubHeadersTest do
   import Aerie.ShadowCase, only: [start_shadow: 3]
 
   alias Aerie.{HubCase, HubServer}
-  alias Gnat.Jetstream.API.{KV, Stream}
+  alias Aerie.TestBucket, as: KV
+  alias Gnat.Jetstream.API.Stream
 
   @moduletag :tmp_dir
   @moduletag :capture_log

@@ -3,7 +3,8 @@ defmodule Aerie.Bridge.HubTest do
   use Aerie.BridgeCase, async: true
 
   alias Aerie.HubServer
-  alias Gnat.Jetstream.API.{KV, Stream}
+  alias Aerie.TestBucket, as: KV
+  alias Gnat.Jetstream.API.Stream
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -124,8 +125,7 @@ defmodule Aerie.Bridge.HubTest do
               answered(fleet, fn -> Stream.get_message(fleet, stream, %{last_by_subj: "fleet.test.B.>"}) end)
           )
 
-    assert {:error, %{"code" => 404}} =
-             answered(fleet, fn -> KV.get_value(fleet, "fleet_desired", "test.B") end)
+    assert {:none, 0} = answered(fleet, fn -> Aerie.Nats.KV.get(fleet, "fleet_desired", "test.B") end)
   end
 
   test "of the leases it has its own vehicle's only: nobody's sign of life, and no other vehicle's owner",

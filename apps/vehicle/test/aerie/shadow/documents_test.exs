@@ -400,7 +400,7 @@ defmodule Aerie.Shadow.DocumentsTest do
       embedded = start_bridge(config(dir))
       url = await_up(embedded)
       conn = client(url)
-      {:ok, _} = KV.create_bucket(conn, "fleet_desired", history: 9, max_bucket_size: 1_048_576)
+      {:ok, _} = KV.create_bucket(conn, "fleet_desired", max_msgs_per_subject: 9, max_bytes: 1_048_576)
       nats = [{"nats.mode", "url"}, {"nats.url", [bare(url)]}, {"nats.token", URI.parse(url).userinfo}]
       gateway = start_bridge(config(Path.join(dir, "other"), nats))
       await_up(gateway)

@@ -1,5 +1,5 @@
 defmodule Gnat.Jetstream.API.Util do
-  @moduledoc "Shared by the modules of the JetStream API: requests, answers as JSON, names, times."
+  @moduledoc "Requests to the JetStream API, answers as JSON, names, times."
 
   alias Gnat.Error
 
@@ -73,11 +73,4 @@ defmodule Gnat.Jetstream.API.Util do
   end
 
   defp bad_name(what), do: "invalid #{what}: cannot contain '.', '>', '*', '/', '\\' or blanks"
-
-  @doc "A unique subject."
-  @spec reply_inbox(String.t() | nil) :: String.t()
-  def reply_inbox(prefix \\ nil), do: (prefix || "_INBOX.") <> unique()
-
-  @spec unique() :: String.t()
-  def unique, do: 12 |> :crypto.strong_rand_bytes() |> Base.url_encode64()
 end

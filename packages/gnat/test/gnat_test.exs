@@ -347,6 +347,49 @@ defmodule GnatTest do
     end
   end
 
+  describe "pub_all/2" do
+    test "publishes each message in its order, and gives each its result", %{gnat: gnat, topic: topic} do
+      {:ok, _} = Gnat.sub(gnat, self(), topic)
+      large = :binary.copy("x", 1_048_577)
+      messages = [{topic, "1"}, {"not one", "2"}, {topic, large}, {topic, ["4"]}]
+
+      assert [:ok, {:error, %Error{reason: {:invalid_subject, "not one"}}}, {:error, too_large}, :ok] =
+               Gnat.pub_all(gnat, messages)
+
+      assert too_large == Error.new({:payload_too_large, 1_048_577, 1_048_576})
+      assert_receive {:msg, %{body: "1"}}
+      assert_receive {:msg, %{body: "4"}}
+      assert Gnat.pub_all(gnat, []) == []
+      assert [{:error, %Error{}}] = Gnat.pub_all(gnat, [{"not one", "2"}])
+    end
+
+    test "of many processes at once loses and mixes nothing", %{gnat: gnat, topic: topic} do
+      {:ok, _} = Gnat.sub(gnat, self(), topic)
+
+      1..100
+      |> Task.async_stream(fn n -> Gnat.pub_all(gnat, for(m <- 1..5, do: {topic, "#{n} #{m}"})) end,
+        max_concurrency: 100
+      )
+      |> Enum.each(&assert(&1 == {:ok, List.duplicate(:ok, 5)}))
+
+      for n <- 1..100 do
+        assert for(_ <- 1..5, do: next("#{n} ")) == for(m <- 1..5, do: "#{n} #{m}")
+      end
+    end
+
+    test "without a connection is an error of each", %{gnat: gnat} do
+      :ok = Gnat.stop(gnat)
+      error = {:error, Error.new(:not_connected)}
+      assert Gnat.pub_all(gnat, [{"a", "b"}, {"c", "d"}]) == [error, error]
+    end
+
+    defp next(prefix) do
+      size = byte_size(prefix)
+      assert_receive {:msg, %{body: <<^prefix::binary-size(^size), _rest::binary>> = body}}
+      body
+    end
+  end
+
   describe "the end of a connection" do
     test "stop/1 closes it, twice is fine", %{gnat: gnat} do
       assert :ok = Gnat.stop(gnat)

@@ -29,22 +29,12 @@ defmodule Aerie.Nats do
     safely(fn -> with :ok <- fits(conn, body, options), do: Gnat.pub(conn, subject, body, options) end)
   end
 
-  @doc """
-  Publishes several messages, each as by `pub/4`, and gives their results in the same order. The client writes calls that wait for it as
-  one, and a write is most of what a small message costs it and the server.
-  """
+  @doc "Publishes several messages, each as by `pub/4`, in one write if the client can. Gives their results in the same order."
   @spec pub_all(conn(), [{String.t(), iodata()}]) :: [:ok | {:error, reason()}]
-  def pub_all(conn, [{subject, body}]), do: [pub(conn, subject, body)]
-
-  def pub_all(conn, messages) do
-    messages
-    |> Enum.map(fn {subject, body} ->
-      case safely(fn -> fits(conn, body, []) end) do
-        :ok -> Task.async(fn -> safely(fn -> Gnat.pub(conn, subject, body, []) end) end)
-        error -> error
-      end
-    end)
-    |> Enum.map(&with %Task{} <- &1, do: Task.await(&1, :infinity))
+  if Code.ensure_loaded?(Gnat) and function_exported?(Gnat, :pub_all, 2) do
+    def pub_all(conn, messages), do: conn |> Gnat.pub_all(messages) |> Enum.map(&result/1)
+  else
+    def pub_all(conn, messages), do: Enum.map(messages, fn {subject, body} -> pub(conn, subject, body) end)
   end
 
   @doc "Subscribes a process, which gets `{:msg, message}`: `queue_group`."
@@ -96,14 +86,14 @@ defmodule Aerie.Nats do
   end
 
   defp safely(fun) do
-    case fun.() do
-      {:error, %{reason: {:payload_too_large, bytes, max}}} -> {:error, {:too_large, bytes, max}}
-      result -> result
-    end
+    result(fun.())
   catch
     :exit, {reason, {GenServer, :call, _call}} -> {:error, lost(reason)}
     :exit, reason -> {:error, lost(reason)}
   end
+
+  defp result({:error, %{reason: {:payload_too_large, bytes, max}}}), do: {:error, {:too_large, bytes, max}}
+  defp result(result), do: result
 
   defp lost(reason) when reason in [:noproc, :normal, :killed, :shutdown],
     do: "the connection to NATS was lost"

@@ -12,7 +12,7 @@ defmodule Gnat.Connection do
 
   require Logger
 
-  # At most so many waiting publishes are written together.
+  # At most so many waiting calls that publish are written together.
   @batch 64
 
   @doc "Starts the process on an accepted connection that the caller owns, and hands it over."
@@ -61,15 +61,18 @@ defmodule Gnat.Connection do
   def handle_cast({:unsub, sid}, state), do: session({:unsub, sid, nil}, state)
 
   @impl GenServer
-  def handle_call({:pub, iodata, size, headers?}, from, state) do
-    {writes, froms} = collect([], [], state, {from, iodata, size, headers?}, @batch)
-    result = if writes == [], do: :ok, else: Transport.send(state.transport, Enum.reverse(writes))
-    Enum.each(froms, &GenServer.reply(&1, result))
+  def handle_call({:pub, commands}, from, state) do
+    calls =
+      for {from, commands} <- [{from, commands} | waiting(@batch - 1)],
+          do: {from, Enum.map(commands, &{elem(&1, 0), sendable(state, &1)})}
 
-    case result do
-      :ok -> {:noreply, state}
-      {:error, error} -> stop(error, state)
-    end
+    writes = for {_from, commands} <- calls, {iodata, :ok} <- commands, do: iodata
+    sent = if writes == [], do: :ok, else: Transport.send(state.transport, writes)
+
+    for {from, commands} <- calls,
+        do: GenServer.reply(from, for({_iodata, result} <- commands, do: with(:ok <- result, do: sent)))
+
+    with {:error, error} <- sent, do: stop(error, state), else: (:ok -> {:noreply, state})
   end
 
   def handle_call({:sub, pid, subject, queue_group}, from, state) do
@@ -84,7 +87,7 @@ defmodule Gnat.Connection do
     {session, inbox, actions} = Session.request(state.session, to, pid, count)
 
     with {:ok, command, size} <- Command.pub(topic, body, inbox, headers),
-         :ok <- sendable(state, size, headers != []) do
+         :ok <- sendable(state, {command, size, headers != []}) do
       with {:noreply, state} <-
              perform(actions ++ [{:write, command}], %{state | session: session}, &{:noreply, &1}) do
         {:reply, {:ok, inbox}, state}
@@ -214,27 +217,19 @@ defmodule Gnat.Connection do
 
   defp stop(error, state), do: {:stop, {:shutdown, error}, state}
 
-  defp collect(writes, froms, state, {from, iodata, size, headers?}, left) do
-    {writes, froms} =
-      case sendable(state, size, headers?) do
-        :ok ->
-          {[iodata | writes], [from | froms]}
+  # Calls that publish and are next in the mailbox.
+  defp waiting(0), do: []
 
-        {:error, _} = error ->
-          GenServer.reply(from, error)
-          {writes, froms}
-      end
-
+  defp waiting(left) do
     receive do
-      {:"$gen_call", from, {:pub, iodata, size, headers?}} when left > 1 ->
-        collect(writes, froms, state, {from, iodata, size, headers?}, left - 1)
+      {:"$gen_call", from, {:pub, commands}} -> [{from, commands} | waiting(left - 1)]
     after
-      0 -> {writes, froms}
+      0 -> []
     end
   end
 
-  defp sendable(%{headers: false}, _size, true), do: {:error, Error.new(:headers_not_supported)}
-  defp sendable(state, size, _headers?), do: Session.check_size(state.session, size)
+  defp sendable(%{headers: false}, {_iodata, _size, true}), do: {:error, Error.new(:headers_not_supported)}
+  defp sendable(state, {_iodata, size, _headers?}), do: Session.check_size(state.session, size)
 
   defp schedule_tick(state), do: Process.send_after(self(), :tick, state.ping_interval)
 end

@@ -8,6 +8,7 @@ defmodule Aerie.DiskFormatsTest do
   alias Aerie.Bridge.{LastPublished, Outbox}
   alias Aerie.{Command, Ledger, Secret}
   alias Aerie.Params.Cache
+  alias Aerie.Policy.Audit
   alias Aerie.Shadow.{Copy, Document, Keys, SealedDocument}
 
   @moduletag :tmp_dir
@@ -60,6 +61,17 @@ defmodule Aerie.DiskFormatsTest do
         assert :new = known.("admitted")
       end
 
+      test "the audit log: it goes on, and the chain holds", %{tmp_dir: dir, version: version} do
+        folder = Path.join(copy(version, dir), "audit")
+        {:ok, %{first: first, last: last, problems: []}} = Audit.Verify.folder(folder)
+        assert first == 1
+        {:ok, log} = Audit.Log.open(folder, 131_072, 1_795_339_800_000_000)
+        assert {n, _hash} = Audit.Log.head(log)
+        assert n == last + 1
+        Audit.Log.close(log)
+        assert {:ok, %{first: ^first, last: ^n, problems: [], notes: []}} = Audit.Verify.folder(folder)
+      end
+
       test "lists of parameters", %{tmp_dir: dir, version: version} do
         assert {:ok, table} = Cache.load(Path.join(copy(version, dir), "params"), {:uid, "ab12"})
         assert %{hash: 77, params: %{"A" => %{value: 5, default: 3}, "B" => %{value: 0.5}}} = table
@@ -77,6 +89,51 @@ defmodule Aerie.DiskFormatsTest do
         assert {:former, %Document{version: 1, fields: %{"mode" => %{value: "GUIDED", actor: "ops"}}}} =
                  SealedDocument.decode(text, "test", "VID-001", keys)
       end
+    end
+  end
+
+  describe "stores that a kill or a bad disk has left" do
+    test "the outbox: what can be read is sent, and it goes on behind it", %{tmp_dir: dir} do
+      folder = Path.join(copy("cut", dir), "outbox")
+      {:ok, outbox} = Outbox.open(folder, max_bytes: 1_048_576, segment_bytes: 200)
+      assert %{events: 5, segments: 3, damaged: 1, dropped: 0} = Outbox.stats(outbox)
+      record = %Outbox.Record{id: "new", vehicle: "V", subject: "s", body: "b"}
+      {:ok, outbox} = Outbox.append(outbox, [record])
+      {records, outbox} = Outbox.read(outbox, 20)
+
+      assert for({seq, record} <- records, do: {seq, record.id}) == [
+               {2, "event-2"},
+               {3, "event-3"},
+               {4, "event-4"},
+               {5, "event-5"},
+               {9, "event-9"},
+               {10, "new"}
+             ]
+
+      assert Outbox.empty?(Outbox.ack(outbox, for({seq, _record} <- records, do: seq)))
+      assert Path.wildcard(folder <> "/*.log") == []
+    end
+
+    test "the ledger: a damaged end is unknown, and what was never admitted may come again", %{tmp_dir: dir} do
+      gateway = make_ref()
+      folder = Path.join(copy("cut", dir), "ledger")
+      options = [gateway: gateway, dir: folder, max_entries: 1000, max_age_s: 1_000_000_000]
+      start_supervised!({Ledger, options})
+      assert %{status: :completed} = Ledger.lookup(gateway, "done")
+      assert %{status: :unknown} = Ledger.lookup(gateway, "damaged")
+      assert Ledger.lookup(gateway, "cut") == nil
+      assert %{damaged: 1} = Ledger.status(gateway)
+      assert File.exists?(Path.join(folder, "ledger.damaged"))
+    end
+
+    test "the audit log: the line is set aside in a record", %{tmp_dir: dir} do
+      folder = Path.join(copy("cut", dir), "audit")
+      {:ok, log} = Audit.Log.open(folder, 1_048_576, 1_795_339_800_000_000)
+      assert {6, _hash} = Audit.Log.head(log)
+      Audit.Log.close(log)
+      assert {:ok, %{problems: [missing], notes: [note]}} = Audit.Verify.folder(folder)
+      assert missing =~ "the log had been shortened; it had reached record 4"
+      assert note =~ "record 4: a line of 179 bytes was torn and set aside"
     end
   end
 

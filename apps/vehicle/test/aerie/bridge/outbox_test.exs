@@ -138,7 +138,8 @@ defmodule Aerie.Bridge.OutboxTest do
   } do
     File.ln_s!("/dev/full", Path.join(dir, "0000000000000003.log"))
     # Without the full one among what is read at the start.
-    outbox = %{(dir |> Path.join("x") |> open!(segment_bytes: 100)) | dir: dir}
+    outbox = dir |> Path.join("x") |> open!(segment_bytes: 100)
+    outbox = put_in(outbox.store.dir, dir)
     large = record(9, 200_000)
     records = [record(1), large, record(2), record(3), large, record(4)]
     assert {:error, :enospc, outbox, 3} = Outbox.append(outbox, records)

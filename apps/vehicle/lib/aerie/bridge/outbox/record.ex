@@ -6,6 +6,8 @@ defmodule Aerie.Bridge.Outbox.Record do
   byte, and the body. A record that is cut off or damaged ends the readable part of its file.
   """
 
+  alias Aerie.Segments.Segment
+
   @enforce_keys [:id, :vehicle, :subject, :body]
   defstruct [:id, :vehicle, :subject, :body]
 
@@ -32,31 +34,28 @@ defmodule Aerie.Bridge.Outbox.Record do
 
   def encode(%__MODULE__{}), do: :too_large
 
-  @doc "The records at the start of `bytes`, at most `limit`, each with its size on disk; and why decoding stopped."
-  @spec decode(binary(), non_neg_integer() | :all) ::
-          {[{t(), pos_integer()}], :limit | :end | :cut | :damaged}
-  def decode(bytes, limit), do: decode(bytes, limit, [])
-
-  defp decode(_bytes, 0, records), do: {Enum.reverse(records), :limit}
-  defp decode(<<>>, _limit, records), do: {Enum.reverse(records), :end}
-
-  defp decode(<<length::32, crc::32, rest::binary-size(length), more::binary>>, limit, records)
-       when length <= @max_bytes do
-    with true <- :erlang.crc32(rest) == crc,
-         <<i, id::binary-size(i), v, vehicle::binary-size(v), s, subject::binary-size(s), body::binary>> <-
-           rest do
-      record = %__MODULE__{id: id, vehicle: vehicle, subject: subject, body: body}
-      decode(more, less(limit), [{record, length + 8} | records])
-    else
-      _ -> {Enum.reverse(records), :damaged}
+  @doc "Reads the next record of a file (`t:Aerie.Segments.Segment.codec/0`)."
+  @spec read(:file.fd()) :: {:ok, t(), pos_integer()} | Segment.ending() | {:error, term()}
+  def read(file) do
+    case :file.read(file, 8) do
+      {:ok, <<length::32, _::binary>>} when length > @max_bytes -> :damaged
+      {:ok, <<length::32, _crc::32>> = head} -> rest(:file.read(file, length), head)
+      {:ok, cut} -> {:torn, cut}
+      eof_or_error -> eof_or_error
     end
   end
 
-  defp decode(<<length::32, _::binary>>, _limit, records) when length > @max_bytes,
-    do: {Enum.reverse(records), :damaged}
+  defp rest({:ok, rest}, <<length::32, crc::32>>) when byte_size(rest) == length do
+    with true <- :erlang.crc32(rest) == crc,
+         <<i, id::binary-size(i), v, vehicle::binary-size(v), s, subject::binary-size(s), body::binary>> <-
+           rest do
+      {:ok, %__MODULE__{id: id, vehicle: vehicle, subject: subject, body: body}, length + 8}
+    else
+      _other -> :damaged
+    end
+  end
 
-  defp decode(_cut, _limit, records), do: {Enum.reverse(records), :cut}
-
-  defp less(:all), do: :all
-  defp less(limit), do: limit - 1
+  defp rest({:ok, rest}, head), do: {:torn, head <> rest}
+  defp rest(:eof, head), do: {:torn, head}
+  defp rest(error, _head), do: error
 end

@@ -9,17 +9,14 @@ defmodule Aerie.Ledger.Journal do
   damaged file is kept beside the new one. A file without such a beginning is not a ledger any more: whoever opens it sets it aside. The file is rewritten (`compact/2`) when most of it is out of date.
   """
 
-  alias Aerie.{Disk, DiskFormat, PrivateFile}
+  alias Aerie.{Disk, DiskFormat, PrivateFile, RawFile}
+  alias Aerie.Segments.Segment
 
   @format 1
-  @head "aerie-ledger #{@format}\n"
+  @head "aerie-ledger #{@format}"
   @max_line 65_536
-  @max_bytes 1_073_741_824
 
-  @enforce_keys [:path, :file, :bytes]
-  defstruct @enforce_keys
-
-  @type t :: %__MODULE__{path: Path.t(), file: :file.fd(), bytes: non_neg_integer()}
+  @type t :: Segment.t()
 
   @doc """
   Opens the file of a folder; `fun` gets each record. Returns how many damaged lines were left out. A file of a newer format is
@@ -32,13 +29,12 @@ defmodule Aerie.Ledger.Journal do
     path = path(dir)
 
     with :ok <- PrivateFile.folder(dir),
-         {:ok, good, acc, damaged} <- read(path, acc, fun),
+         :ok <- head(path),
+         {:ok, journal, {acc, damaged}} <- read(path, acc, fun),
          :ok <- keep(path, damaged),
-         {:ok, journal} <- writer(path, good) do
+         {:ok, journal} <- begin(journal) do
       {:ok, journal, acc, damaged}
     else
-      {:error, text} when is_binary(text) -> {:error, text}
-      {:error, :damaged} -> {:error, :damaged}
       {:error, reason} -> {:error, text(path, reason)}
     end
   end
@@ -50,17 +46,27 @@ defmodule Aerie.Ledger.Journal do
   @doc "Whether the file of a folder, if there is one, is of a format that this version reads."
   @spec check(Path.t()) :: :ok | {:error, String.t()}
   def check(dir) do
-    path = path(dir)
+    # What else is wrong is found when it is opened.
+    with {:error, text} when is_binary(text) <- dir |> path() |> head(),
+         do: {:error, text},
+         else: (_other -> :ok)
+  end
 
-    case File.open(path, [:read, :raw, :binary], &:file.read(&1, 64)) do
-      {:ok, {:ok, bytes}} ->
-        if other_format?(bytes |> String.split("\n", parts: 2) |> hd()),
-          do: {:error, DiskFormat.newer(path, "ledger", "of another format", @format)},
-          else: :ok
-
-      # None, a torn one, or what reading it will say.
-      _other ->
-        :ok
+  # None, or one that was torn when it was created, is a ledger too.
+  defp head(path) do
+    with {:ok, result} <- File.open(path, [:read, :raw, :binary], &:file.read(&1, 64)),
+         {:ok, bytes} <- result,
+         [first | _] = String.split(bytes, "\n", parts: 2),
+         false <- first == @head or String.starts_with?(@head, bytes) do
+      # A whole number, and not this one, is not damage.
+      with "aerie-ledger " <> version <- first, {n, ""} when n > @format <- Integer.parse(version) do
+        {:error, DiskFormat.newer(path, "ledger", "of another format", @format)}
+      else
+        _other -> {:error, :damaged}
+      end
+    else
+      {:error, reason} when reason != :enoent -> {:error, reason}
+      _none_empty_or_ours -> :ok
     end
   end
 
@@ -69,19 +75,8 @@ defmodule Aerie.Ledger.Journal do
   def append(journal, []), do: {:ok, journal}
 
   def append(journal, records) do
-    lines = Enum.map(records, &line/1)
-
-    case :file.pwrite(journal.file, journal.bytes, lines) do
-      :ok ->
-        {:ok, %{journal | bytes: journal.bytes + IO.iodata_length(lines)}}
-
-      {:error, reason} ->
-        _ =
-          with {:ok, _position} <- :file.position(journal.file, journal.bytes),
-               do: :file.truncate(journal.file)
-
-        {:error, text(journal.path, reason), journal}
-    end
+    with {:error, reason, journal} <- Segment.append(journal, Enum.map(records, &line/1), length(records)),
+         do: {:error, text(journal.path, reason), journal}
   end
 
   @doc "Returns when everything written to the file would survive a power cut. Any process may call it."
@@ -95,41 +90,35 @@ defmodule Aerie.Ledger.Journal do
     new = journal.path <> ".new"
     _ = File.rm(new)
 
-    with {:ok, file} <- :file.open(new, [:read, :write, :exclusive, :raw, :binary]),
-         :ok <- File.chmod(new, 0o600),
-         {:ok, bytes} <- fill(file, records),
-         :ok <- :file.datasync(file),
+    with {:ok, file} <- begin(%Segment{path: new}),
+         {:ok, file} <- fill(file, records),
+         :ok <- Segment.sync(file),
          :ok <- File.rename(new, journal.path) do
-      _ = :file.close(journal.file)
-      {:ok, %{journal | file: file, bytes: bytes}}
+      _ = Segment.close(journal)
+      {:ok, %{file | path: journal.path}}
     else
-      {:error, reason} ->
+      failed ->
         _ = File.rm(new)
-        {:error, text(new, reason), journal}
+        {:error, text(new, elem(failed, 1)), journal}
     end
   end
 
   @spec close(t()) :: :ok
   def close(journal) do
-    _ = :file.datasync(journal.file)
-    _ = :file.close(journal.file)
+    _ = Segment.sync(journal)
+    _ = Segment.close(journal)
     :ok
   end
 
   defp fill(file, records) do
     records
-    |> Stream.map(&line/1)
     |> Stream.chunk_every(500)
-    |> Enum.reduce_while({:file.write(file, @head), byte_size(@head)}, fn lines, {:ok, bytes} ->
-      case :file.write(file, lines) do
-        :ok -> {:cont, {:ok, bytes + IO.iodata_length(lines)}}
-        error -> {:halt, {error, bytes}}
+    |> Enum.reduce_while({:ok, file}, fn some, {:ok, file} ->
+      case Segment.append(file, Enum.map(some, &line/1), length(some)) do
+        {:ok, file} -> {:cont, {:ok, file}}
+        failed -> {:halt, failed}
       end
     end)
-    |> case do
-      {:ok, bytes} -> {:ok, bytes}
-      {error, _bytes} -> error
-    end
   end
 
   defp line(record) do
@@ -141,65 +130,25 @@ defmodule Aerie.Ledger.Journal do
     do: json |> :erlang.crc32() |> Integer.to_string(16) |> String.pad_leading(8, "0") |> String.downcase()
 
   defp read(path, acc, fun) do
-    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path),
-         {:ok, file} <- :file.open(path, [:read, :raw, :binary, {:read_ahead, 65_536}]) do
-      result = file |> :file.read_line() |> head(path, file, acc, fun)
-      _ = :file.close(file)
-      result
-    else
-      {:error, :enoent} -> {:ok, 0, acc, 0}
-      {:ok, _too_large} -> {:error, :efbig}
+    file = %Segment{path: path}
+
+    case Segment.fold(file, &Segment.line/1, {acc, 0}, &record(&1, &2, fun)) do
+      {:ok, journal, _ending, result} -> {:ok, journal, result}
+      {:error, :enoent} -> {:ok, file, {acc, 0}}
       error -> error
     end
   end
 
-  defp head({:ok, @head}, _path, file, acc, fun), do: lines(file, byte_size(@head), acc, 0, fun)
-  defp head(:eof, _path, _file, acc, _fun), do: {:ok, 0, acc, 0}
+  defp record(@head, result, _fun), do: result
 
-  # The file was torn when it was created, so nothing can follow.
-  defp head({:ok, text}, _path, _file, acc, _fun)
-       when binary_part(@head, 0, byte_size(text)) == text and byte_size(text) < byte_size(@head),
-       do: {:ok, 0, acc, 0}
-
-  defp head({:ok, other}, path, _file, _acc, _fun) do
-    if other_format?(String.trim_trailing(other, "\n")),
-      do: {:error, DiskFormat.newer(path, "ledger", "of another format", @format)},
-      else: {:error, :damaged}
-  end
-
-  defp head({:error, reason}, _path, _file, _acc, _fun), do: {:error, reason}
-
-  # A whole number, and not this one: not damage.
-  defp other_format?("aerie-ledger " <> version), do: match?({n, ""} when n > @format, Integer.parse(version))
-  defp other_format?(_other), do: false
-
-  defp lines(file, good, acc, damaged, fun) do
-    case :file.read_line(file) do
-      :eof ->
-        {:ok, good, acc, damaged}
-
-      {:error, reason} ->
-        {:error, reason}
-
-      {:ok, line} ->
-        case record(line) do
-          {:ok, record} -> lines(file, good + byte_size(line), fun.(record, acc), damaged, fun)
-          :torn -> {:ok, good, acc, damaged}
-          :damaged -> lines(file, good + byte_size(line), acc, damaged + 1, fun)
-        end
-    end
-  end
-
-  defp record(line) do
-    with true <- String.ends_with?(line, "\n") or :torn,
-         true <- byte_size(line) <= @max_line,
-         <<crc::binary-size(8), " ", json::binary>> <- String.trim_trailing(line, "\n"),
+  defp record(line, {acc, damaged}, fun) do
+    with true <- byte_size(line) < @max_line,
+         <<crc::binary-size(8), " ", json::binary>> <- line,
          ^crc <- crc(json),
          {:ok, [_ | _] = record} <- JSON.decode(json) do
-      {:ok, record}
+      {fun.(record, acc), damaged}
     else
-      :torn -> :torn
-      _other -> :damaged
+      _other -> {acc, damaged + 1}
     end
   end
 
@@ -210,15 +159,18 @@ defmodule Aerie.Ledger.Journal do
     with {:ok, _bytes} <- File.copy(path, path <> ".damaged"), do: File.chmod(path <> ".damaged", 0o600)
   end
 
-  defp writer(path, good) do
-    with {:ok, file} <- :file.open(path, [:read, :write, :raw, :binary]),
-         :ok <- File.chmod(path, 0o600),
-         {:ok, ^good} <- :file.position(file, good),
-         :ok <- :file.truncate(file),
-         :ok <- if(good == 0, do: :file.write(file, @head), else: :ok) do
-      {:ok, %__MODULE__{path: path, file: file, bytes: max(good, byte_size(@head))}}
-    end
+  # With the mode of its own, whoever made it.
+  defp begin(journal) do
+    with {:ok, journal} <- Segment.writer(journal),
+         :ok <- RawFile.chmod(journal.path, 0o600),
+         do: first_line(journal)
   end
 
+  defp first_line(%{bytes: 0} = journal),
+    do: with({:error, reason, _journal} <- Segment.append(journal, [@head, "\n"]), do: {:error, reason})
+
+  defp first_line(journal), do: {:ok, journal}
+
+  defp text(_path, said) when is_binary(said) or said == :damaged, do: said
   defp text(path, reason), do: "#{path}: #{:file.format_error(reason)}"
 end

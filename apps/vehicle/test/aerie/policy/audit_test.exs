@@ -56,10 +56,19 @@ defmodule Aerie.Policy.AuditTest do
   test "a full disk: entries are refused, what must be recorded is denied, and the log tells it afterwards",
        %{tmp_dir: dir} do
     {gateway, pid} = start(dir)
-    %{log: %{file: file}} = :sys.get_state(pid, Aerie.Patience.ms())
+    %{log: %{store: %{segments: [%{file: file}]}}} = :sys.get_state(pid, Aerie.Patience.ms())
     # /dev/full says "no space left" to every write; a raw file belongs to the process that opened it.
     full = fn -> :file.open(~c"/dev/full", [:read, :write, :raw, :binary]) |> elem(1) end
-    swap = fn open -> :sys.replace_state(pid, &put_in(&1.log.file, open.())) end
+
+    in_log = [
+      Access.key!(:log),
+      Access.key!(:store),
+      Access.key!(:segments),
+      Access.all(),
+      Access.key!(:file)
+    ]
+
+    swap = fn open -> :sys.replace_state(pid, &put_in(&1, in_log, open.())) end
 
     log =
       capture_log(fn ->

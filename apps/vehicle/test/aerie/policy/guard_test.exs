@@ -538,7 +538,16 @@ defmodule Aerie.Policy.GuardTest do
 
     pid = Names.whereis(c.gateway, :audit)
     full = fn -> :file.open(~c"/dev/full", [:read, :write, :raw, :binary]) |> elem(1) end
-    :sys.replace_state(pid, &put_in(&1.log.file, full.()))
+
+    in_log = [
+      Access.key!(:log),
+      Access.key!(:store),
+      Access.key!(:segments),
+      Access.all(),
+      Access.key!(:file)
+    ]
+
+    :sys.replace_state(pid, &put_in(&1, in_log, full.()))
     assert {:error, _full} = Audit.append(c.gateway, %{"type" => "decision"})
     assert Store.counter(c.gateway, {:audit, :missed}) == 1
     say(gcs, goto(47.01, 51.0))

@@ -16,11 +16,12 @@ defmodule Aerie.Policy.Audit.Log do
     * `missed` - so many `records` could not be written `since` then, for the `reason`
   """
 
-  alias Aerie.{Disk, PrivateFile}
-  alias Aerie.Policy.Audit.{Record, Segment}
+  alias Aerie.{Disk, PrivateFile, RawFile, Segments}
+  alias Aerie.Policy.Audit.{Chain, Record}
+  alias Aerie.Segments.Segment
 
-  @enforce_keys [:dir, :max_bytes, :segment_bytes]
-  defstruct [:dir, :max_bytes, :segment_bytes, :file, segments: [], bytes: 0, n: 0, hash: nil]
+  @enforce_keys [:store, :max_bytes, :segment_bytes]
+  defstruct [:store, :max_bytes, :segment_bytes, n: 0, hash: nil]
 
   @opaque t :: %__MODULE__{}
   @format 1
@@ -28,15 +29,11 @@ defmodule Aerie.Policy.Audit.Log do
   @doc "Opens the log of a folder, for its owner alone; `max_bytes` is the most that it may take on the disk."
   @spec open(Path.t(), pos_integer(), now :: integer()) :: {:ok, t()} | {:error, String.t()}
   def open(dir, max_bytes, now) do
-    log = %__MODULE__{
-      dir: dir,
-      max_bytes: max_bytes,
-      segment_bytes: max(div(max_bytes, 8), Record.max_bytes())
-    }
-
     with :ok <- PrivateFile.folder(dir),
-         {:ok, segments} <- Segment.all(dir),
-         {:ok, log, found} <- load(%{log | segments: segments}),
+         {:ok, store} <- Chain.files(dir),
+         segment_bytes = max(div(max_bytes, 8), Record.max_bytes()),
+         log = %__MODULE__{store: store, max_bytes: max_bytes, segment_bytes: segment_bytes},
+         {:ok, log, found} <- load(log),
          entries = found ++ missing(log, found) ++ [%{"type" => "opened", "format" => @format}],
          {:ok, log} <- write_all(log, entries, now) do
       {:ok, log}
@@ -52,7 +49,7 @@ defmodule Aerie.Policy.Audit.Log do
 
   @doc "The bytes that the log takes on the disk."
   @spec bytes(t()) :: non_neg_integer()
-  def bytes(log), do: total(log)
+  def bytes(log), do: Segments.bytes(log.store)
 
   @doc "Writes an entry. A write that fails half way (a full disk) is taken back, and the log is as it was."
   @spec append(t(), %{String.t() => term()}, now :: integer()) :: {:ok, t()} | {:error, String.t(), t()}
@@ -61,18 +58,18 @@ defmodule Aerie.Policy.Audit.Log do
          {:ok, log} <- write(log, entry, now) do
       {:ok, log}
     else
-      {:error, reason, log} -> {:error, text(log.dir, reason), log}
+      {:error, reason, log} -> {:error, text(log.store.dir, reason), log}
     end
   end
 
   @doc "Brings what was written to the disk. Any process may call it, one at a time."
   @spec sync(t(), (Path.t() -> :ok | {:error, File.posix()})) :: :ok | {:error, String.t()}
   def sync(log, sync \\ &Disk.sync/1) do
-    with :ok <- sync.(Segment.path(log.dir, List.last(log.segments))),
-         :ok <- PrivateFile.write(head_file(log.dir), "#{log.n} #{log.hash}\n") do
+    with :ok <- sync.(Segments.last(log.store).path),
+         :ok <- PrivateFile.write(head_file(log.store.dir), "#{log.n} #{log.hash}\n") do
       :ok
     else
-      {:error, reason} -> {:error, text(log.dir, reason)}
+      {:error, reason} -> {:error, text(log.store.dir, reason)}
     end
   end
 
@@ -80,14 +77,14 @@ defmodule Aerie.Policy.Audit.Log do
   @spec close(t()) :: :ok
   def close(log) do
     _ = sync(log)
-    _ = :file.close(log.file)
+    _ = Segments.close(log.store)
     :ok
   end
 
   @doc "The number and the hash that were safe last; nil when the folder has no head."
   @spec safe(Path.t()) :: {pos_integer(), String.t()} | nil
   def safe(dir) do
-    with {:ok, text} <- File.read(head_file(dir)),
+    with {:ok, text} <- RawFile.read(head_file(dir)),
          [_, n, hash] <- Regex.run(~r/\A(\d{1,16}) ([0-9a-f]{64})\n\z/, text) do
       {String.to_integer(n), hash}
     else
@@ -97,72 +94,48 @@ defmodule Aerie.Policy.Audit.Log do
 
   defp head_file(dir), do: Path.join(dir, "head")
 
-  defp load(%{segments: []} = log) do
-    with {:ok, log} <- begin(%{log | hash: Record.start()}, 1), do: {:ok, log, []}
-  end
+  defp load(%{store: %{segments: []}} = log), do: begin(%{log | hash: Record.start()}, 1, [])
 
   defp load(log) do
-    first = List.last(log.segments)
-    path = Segment.path(log.dir, first)
+    with {:ok, segment, {n, hash}, ending, nil} <- log.store |> Segments.last() |> Chain.read() do
+      store = Segments.put_last(log.store, segment)
+      log = %{log | store: store, n: n || segment.first - 1, hash: hash || Record.start()}
 
-    with {:ok, {last, good, ending}, _acc} <- Segment.read(path, {nil, nil}, nil, fn _record, acc -> acc end) do
-      case {last, ending} do
+      case ending do
+        # Behind all that may have had a number.
+        {:damaged, line, lines} ->
+          damaged = %{"type" => "damaged", "file" => Path.basename(segment.path), "line" => line}
+          begin(%{log | n: log.n + lines}, log.n + lines + 1, [damaged])
+
         # Begun and never written to: the one before it is the last.
-        {{nil, nil}, :whole} ->
-          with :ok <- File.rm(path), do: load(%{log | segments: List.delete(log.segments, first)})
+        _other when n == nil ->
+          with {:ok, store} <- Segments.drop(store, segment),
+               {:ok, log, found} <- load(%{log | store: store}),
+               do: {:ok, log, found ++ repaired(ending)}
 
-        {{nil, nil}, {:torn, bytes}} ->
-          with :ok <- File.rm(path),
-               {:ok, log, found} <- load(%{log | segments: List.delete(log.segments, first)}),
-               do: {:ok, log, found ++ [repaired(bytes)]}
-
-        {{n, hash}, :whole} ->
-          with {:ok, log} <- reopen(%{log | n: n, hash: hash}, path, good), do: {:ok, log, []}
-
-        {{n, hash}, {:torn, bytes}} ->
-          with {:ok, log} <- reopen(%{log | n: n, hash: hash}, path, good), do: {:ok, log, [repaired(bytes)]}
-
-        {{n, hash}, {:damaged, line, lines}} ->
-          # Behind all that may have had a number.
-          {n, hash} = {n || first - 1, hash || Record.start()}
-          damaged = %{"type" => "damaged", "file" => Path.basename(path), "line" => line}
-
-          with {:ok, log} <- begin(%{log | n: n + lines, hash: hash}, n + lines + 1),
-               do: {:ok, log, [damaged]}
+        # The torn end is cut off when the file is written; the record that is appended next has it.
+        _other ->
+          {:ok, log, repaired(ending)}
       end
     end
   end
 
-  defp repaired(bytes),
-    do: %{
-      "type" => "repaired",
-      "bytes" => byte_size(bytes),
-      "torn" => bytes |> String.slice(0, 8192) |> Base.encode64()
-    }
+  defp repaired(:whole), do: []
 
-  # The torn end is cut off; the record that is appended next has it.
-  defp reopen(log, path, good) do
-    with {:ok, file} <- :file.open(path, [:read, :write, :raw, :binary]),
-         {:ok, ^good} <- :file.position(file, good),
-         :ok <- :file.truncate(file) do
-      {:ok, %{log | file: file, bytes: good}}
-    end
+  defp repaired({:torn, bytes}) do
+    torn = bytes |> String.slice(0, 8192) |> Base.encode64()
+    [%{"type" => "repaired", "bytes" => byte_size(bytes), "torn" => torn}]
   end
 
-  defp begin(log, first) do
-    path = Segment.path(log.dir, first)
-
-    with {:ok, file} <- :file.open(path, [:read, :write, :exclusive, :raw, :binary]),
-         :ok <- File.chmod(path, 0o600) do
-      {:ok, %{log | file: file, bytes: 0, segments: log.segments ++ [first]}}
-    end
+  defp begin(log, first, found) do
+    with {:ok, store} <- Segments.begin(log.store, first), do: {:ok, %{log | store: store}, found}
   end
 
   # A damaged end has hashes of its own.
   defp missing(log, found) do
     damaged? = Enum.any?(found, &(&1["type"] == "damaged"))
 
-    case safe(log.dir) do
+    case safe(log.store.dir) do
       {n, hash} when n > log.n or (n == log.n and hash != log.hash and not damaged?) ->
         [%{"type" => "missing", "n_before" => n, "hash_before" => hash}]
 
@@ -183,64 +156,41 @@ defmodule Aerie.Policy.Audit.Log do
   defp write(log, entry, now) do
     {line, hash} = Record.encode(entry, log.n + 1, log.hash, now)
 
-    case :file.pwrite(log.file, log.bytes, line) do
-      :ok ->
-        {:ok, %{log | n: log.n + 1, hash: hash, bytes: log.bytes + byte_size(line)}}
-
-      {:error, reason} ->
-        # Where even that fails, the next line is written over it.
-        _ = with {:ok, _position} <- :file.position(log.file, log.bytes), do: :file.truncate(log.file)
-        {:error, reason, log}
+    case Segments.append(log.store, line) do
+      {:ok, store} -> {:ok, %{log | store: store, n: log.n + 1, hash: hash}}
+      {:error, reason, store} -> {:error, reason, %{log | store: store}}
     end
   end
 
-  defp rotate(%{bytes: bytes, segment_bytes: most} = log, _now) when bytes < most, do: {:ok, log}
-
-  defp rotate(log, now) do
-    with :ok <- :file.datasync(log.file),
-         old = log.file,
-         {:ok, log} <- begin(log, log.n + 1) do
-      _ = :file.close(old)
+  defp rotate(%{store: store, segment_bytes: most} = log, now) do
+    with %Segment{bytes: bytes} when bytes >= most <- Segments.last(store),
+         :ok <- Segments.sync(store),
+         {:ok, log, []} <- begin(log, log.n + 1, []) do
       prune(log, now)
     else
+      %Segment{} -> {:ok, log}
       {:error, reason} -> {:error, reason, log}
     end
   end
 
   # The record about it is written first, so that a kill in between leaves a log that explains itself.
-  defp prune(log, now) do
-    case log.segments do
-      [oldest, second | _rest] when oldest != second ->
-        if total(log) > log.max_bytes - log.segment_bytes,
-          do: prune(log, oldest, second, now),
-          else: {:ok, log}
-
-      _one ->
-        {:ok, log}
-    end
-  end
-
-  defp prune(log, oldest, second, now) do
-    path = Segment.path(log.dir, oldest)
-
-    with {:ok, {{n, hash}, _good, _ending}, _acc} <-
-           Segment.read(path, {nil, nil}, nil, fn _record, acc -> acc end),
-         {:ok, log} <-
-           write(log, %{"type" => "pruned", "n_before" => n || second - 1, "hash_before" => hash}, now),
-         :ok <- File.rm(path) do
-      prune(%{log | segments: List.delete(log.segments, oldest)}, now)
+  defp prune(%{store: %{segments: [oldest, second | _rest]}} = log, now) do
+    with true <- Segments.bytes(log.store) > log.max_bytes - log.segment_bytes,
+         {:ok, _segment, {n, hash}, _ending, nil} <- Chain.read(oldest),
+         pruned = %{"type" => "pruned", "n_before" => n || second.first - 1, "hash_before" => hash},
+         {:ok, log} <- write(log, pruned, now) do
+      case Segments.drop(log.store, oldest) do
+        {:ok, store} -> prune(%{log | store: store}, now)
+        {:error, reason} -> {:error, reason, log}
+      end
     else
+      false -> {:ok, log}
       {:error, reason} -> {:error, reason, log}
-      {:error, reason, log} -> {:error, reason, log}
+      error -> error
     end
   end
 
-  defp total(log) do
-    for first <- Enum.drop(log.segments, -1),
-        {:ok, stat} <- [File.stat(Segment.path(log.dir, first))],
-        reduce: log.bytes,
-        do: (bytes when is_integer(bytes) -> bytes + stat.size)
-  end
+  defp prune(log, _now), do: {:ok, log}
 
   defp text(dir, reason), do: "#{dir}: #{:file.format_error(reason)}"
 end

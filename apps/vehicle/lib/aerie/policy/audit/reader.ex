@@ -4,7 +4,7 @@ defmodule Aerie.Policy.Audit.Reader do
   a whole is `Aerie.Policy.Audit.Verify`'s.
   """
 
-  alias Aerie.Policy.Audit.Segment
+  alias Aerie.Policy.Audit.Chain
 
   # Of one page: what is searched before the page is given as it is, with `more?` set.
   @max_searched 20_000
@@ -33,33 +33,35 @@ defmodule Aerie.Policy.Audit.Reader do
   @doc "A page of the log in a folder."
   @spec page(Path.t(), query()) :: {:ok, page()} | {:error, String.t()}
   def page(dir, query) do
-    case Segment.all(dir) do
-      {:ok, firsts} ->
+    case Chain.files(dir) do
+      {:ok, %{segments: segments}} ->
         before = query[:before]
-        firsts = firsts |> Enum.reverse() |> Enum.filter(&(before == nil or &1 < before))
-        {:ok, read(firsts, dir, Map.put_new(query, :limit, 100), %{records: [], next: nil, searched: 0})}
+        segments = segments |> Enum.reverse() |> Enum.filter(&(before == nil or &1.first < before))
+        {:ok, read(segments, Map.put_new(query, :limit, 100), %{records: [], next: nil, searched: 0})}
 
       {:error, reason} ->
         {:error, "#{dir}: #{:file.format_error(reason)}"}
     end
   end
 
-  defp read([], _dir, _query, page), do: %{page | records: Enum.reverse(page.records), next: nil}
+  defp read([], _query, page), do: %{page | records: Enum.reverse(page.records), next: nil}
 
-  defp read([first | older], dir, query, page) do
-    page =
-      dir |> Segment.path(first) |> lines(query[:before]) |> Enum.reduce_while(page, &take(&1, &2, query))
+  defp read([segment | older], query, page) do
+    page = segment |> records(query[:before]) |> Enum.reduce_while(page, &take(&1, &2, query))
 
     if page.next,
       do: %{page | records: Enum.reverse(page.records)},
-      else: read(older, dir, query, page)
+      else: read(older, query, page)
   end
 
   # The newest first. A segment is an eighth of policy.audit.max_mb at most.
-  defp lines(path, before) do
-    case Segment.read(path, {nil, nil}, [], &[&1 | &2]) do
-      {:ok, _ending, records} -> if before, do: Enum.drop_while(records, &(&1.n >= before)), else: records
-      {:error, _gone} -> []
+  defp records(segment, before) do
+    case Chain.read(segment, {nil, nil}, [], &[&1 | &2]) do
+      {:ok, _segment, _last, _ending, records} ->
+        if before, do: Enum.drop_while(records, &(&1.n >= before)), else: records
+
+      {:error, _gone} ->
+        []
     end
   end
 
@@ -102,13 +104,8 @@ defmodule Aerie.Policy.Audit.Reader do
   @doc "The files of a log, oldest first, for an export: one record a line."
   @spec files(Path.t()) :: [{Path.t(), non_neg_integer()}]
   def files(dir) do
-    with {:ok, firsts} <- Segment.all(dir) do
-      for first <- firsts,
-          path = Segment.path(dir, first),
-          {:ok, %{size: size}} <- [File.stat(path)],
-          do: {path, size}
-    else
-      {:error, _reason} -> []
-    end
+    with {:ok, %{segments: segments}} <- Chain.files(dir),
+         do: for(segment <- segments, do: {segment.path, segment.bytes}),
+         else: ({:error, _reason} -> [])
   end
 end

@@ -7,7 +7,7 @@ defmodule Aerie.Policy.Audit.Verify do
   the head with them. For that, keep the head (`Aerie.Policy.Audit.status/1`) somewhere else, and give it here.
   """
 
-  alias Aerie.Policy.Audit.{Log, Record, Segment}
+  alias Aerie.Policy.Audit.{Chain, Log, Record}
 
   @max_problems 20
 
@@ -24,7 +24,7 @@ defmodule Aerie.Policy.Audit.Verify do
   @doc "A report on a folder; it is intact if there are no problems. `known` is a head that was kept elsewhere."
   @spec folder(Path.t(), {pos_integer(), String.t()} | nil) :: {:ok, report()} | {:error, String.t()}
   def folder(dir, known \\ nil) do
-    with {:ok, segments} <- Segment.all(dir) do
+    with {:ok, %{segments: segments}} <- Chain.files(dir) do
       start = %{
         records: 0,
         first: nil,
@@ -36,27 +36,26 @@ defmodule Aerie.Policy.Audit.Verify do
         problems: []
       }
 
-      {:ok, segments |> Enum.reduce(start, &segment(dir, &1, &2)) |> beginning() |> ends() |> report()}
+      {:ok, segments |> Enum.reduce(start, &segment/2) |> beginning() |> ends() |> report()}
     else
       {:error, reason} -> {:error, "#{dir}: #{:file.format_error(reason)}"}
     end
   end
 
-  defp segment(dir, first, state) do
-    path = Segment.path(dir, first)
-    name = Path.basename(path)
+  defp segment(segment, state) do
+    name = Path.basename(segment.path)
 
-    case Segment.read(path, state.last, state, &record/2) do
-      {:ok, {last, _good, :whole}, state} ->
+    case Chain.read(segment, state.last, state, &record/2) do
+      {:ok, _segment, last, :whole, state} ->
         %{state | last: last}
 
-      {:ok, {last, _good, {:torn, bytes}}, state} ->
+      {:ok, _segment, last, {:torn, bytes}, state} ->
         problem(
           %{state | last: last},
           "#{name}: ends within a line (#{byte_size(bytes)} bytes); the log repairs that when it is opened"
         )
 
-      {:ok, {last, _good, {:damaged, line, lines}}, state} ->
+      {:ok, _segment, last, {:damaged, line, lines}, state} ->
         # The records behind it, if there are any, begin a file of their own.
         problem(
           %{state | last: skip(last, lines)},

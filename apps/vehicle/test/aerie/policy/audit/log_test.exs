@@ -3,7 +3,8 @@ defmodule Aerie.Policy.Audit.LogTest do
 
   import Aerie.BridgeCase, only: [other_vm: 2, kill9: 1]
 
-  alias Aerie.Policy.Audit.{Log, Record, Segment, Verify}
+  alias Aerie.Policy.Audit.{Chain, Log, Record, Verify}
+  alias Aerie.Segments
 
   @moduletag :tmp_dir
   @now 1_795_339_800_000_000
@@ -31,8 +32,8 @@ defmodule Aerie.Policy.Audit.LogTest do
   end
 
   defp files(dir) do
-    {:ok, segments} = Segment.all(dir)
-    Enum.map(segments, &Segment.path(dir, &1))
+    {:ok, %{segments: segments}} = Chain.files(dir)
+    Enum.map(segments, & &1.path)
   end
 
   defp change(path, fun), do: File.write!(path, path |> File.read!() |> fun.())
@@ -205,9 +206,15 @@ defmodule Aerie.Policy.Audit.LogTest do
     log = open(dir)
     # /dev/full says "no space left" to every write, as a full disk does.
     {:ok, full} = :file.open(~c"/dev/full", [:read, :write, :raw, :binary])
-    assert {:error, text, failed} = Log.append(%{log | file: full}, %{"type" => "decision"}, @now)
+    segment = Segments.last(log.store)
+
+    on = fn log, file ->
+      %{log | store: Segments.put_last(log.store, %{Segments.last(log.store) | file: file})}
+    end
+
+    assert {:error, text, failed} = Log.append(on.(log, full), %{"type" => "decision"}, @now)
     assert text == "#{dir}: no space left on device"
-    log = append(%{failed | file: log.file}, %{"type" => "decision"})
+    log = append(on.(failed, segment.file), %{"type" => "decision"})
     Log.close(log)
     assert %{records: 2, problems: []} = report(dir)
   end

@@ -129,7 +129,8 @@ back =
 
 IO.puts("kill -9 of nats-server: connected again with streams after #{round(back)} ms")
 
-{:ok, outbox} = Bridge.Outbox.open(Path.join(dir, "outbox-alone"))
+{:ok, outbox} =
+  Bridge.Outbox.open(Path.join(dir, "outbox-alone"), max_bytes: 67_108_864, segment_bytes: 1_048_576)
 
 record = %Bridge.Outbox.Record{
   id: String.duplicate("a", 32),

@@ -13,7 +13,7 @@ defmodule Aerie.Vehicle.Event do
   @typedoc """
   * `:id` - 32 hexadecimal digits, unique
   * `:vehicle` - the vehicle's public name
-  * `:type` - one of `types/0`
+  * `:type` - one of `Aerie.Vehicle.Event.Types`
   * `:seq` - 1, 2, 3 … per vehicle, for the lifetime of the gateway's store
   * `:time` - unix microseconds at which the gateway received what shows the event
   * `:vehicle_time_ms` - the vehicle's own clock (milliseconds since its boot) as last heard, or nil
@@ -30,10 +30,6 @@ defmodule Aerie.Vehicle.Event do
         }
 
   @types Aerie.Vehicle.Event.Types.names()
-
-  @doc "All event types; `Aerie.Vehicle.Event.Types` describes them."
-  @spec types() :: [String.t()]
-  def types, do: @types
 
   @doc "An event with its id."
   @spec new(String.t(), String.t(), pos_integer(), integer(), non_neg_integer() | nil, map()) :: t()

@@ -5,56 +5,30 @@ defmodule FleetWeb.Console.Alarms.Edges do
   alias FleetWeb.Console.Alarms
   alias Aerie.Vehicle.Snapshot
 
-  # Event that begins a condition => kind, severity, text.
-  @begins %{
-    "geofence" => {:fence, :critical, "Fence breached"},
-    "battery.low" => {:battery, :warning, "Battery low"},
-    "battery.critical" => {:battery, :critical, "Battery nearly empty"},
-    "rc.lost" => {:rc, :warning, "Remote control lost"},
-    "gps.lost" => {:gps, :critical, "GNSS position lost"},
-    "position.lost" => {:position, :critical, "Position estimate lost"},
-    "kill_switch.engaged" => {:kill_switch, :critical, "Kill switch engaged"},
-    "gcs.lost" => {:gcs, :warning, "Ground station lost"}
-  }
-  @ends %{
-    "geofence.cleared" => :fence,
-    "rc.restored" => :rc,
-    "gps.restored" => :gps,
-    "position.restored" => :position,
-    "kill_switch.released" => :kill_switch,
-    "gcs.restored" => :gcs
-  }
-
-  @doc "The alarms after an event. Events of other types change nothing."
+  @doc "The alarms after an event. Events that neither begin nor end one (`Aerie.Vehicle.Event.Types`) change nothing."
   @spec apply(Alarms.t(), Event.t()) :: Alarms.t()
-  def apply(alarms, %Event{type: "failsafe", vehicle: vehicle, data: data, time: at}) do
-    kind = data["type"] || "unknown"
-    action = if data["action"] in [nil, "none"], do: "", else: " → #{words(data["action"])}"
-    reason = data["reason"] || kind
-    text = "Failsafe: #{words(reason)}#{action}"
-    condition = %{key: {:failsafe, {vehicle, kind}}, severity: :critical, text: text, vehicle: vehicle}
-    Alarms.raise_alarm(alarms, :events, condition, at)
+  def apply(alarms, %Event{type: type, vehicle: vehicle, data: data, time: at}) do
+    case Event.Types.get(type) do
+      %{begins: {kind, severity, text}} ->
+        key = key(kind, vehicle, data)
+        condition = %{key: key, severity: severity, text: text <> detail(kind, data), vehicle: vehicle}
+        Alarms.raise_alarm(alarms, :events, condition, at)
+
+      # A restarted vehicle reports no end of earlier conditions, and its battery has probably been changed.
+      %{ends: :all} ->
+        Alarms.clear_all(alarms, &by_event?(&1, vehicle), at)
+
+      %{ends: kind} when kind != nil ->
+        Alarms.clear(alarms, key(kind, vehicle, data), at)
+
+      _other ->
+        alarms
+    end
   end
 
-  def apply(alarms, %Event{type: "failsafe.cleared", vehicle: vehicle, data: data, time: at}),
-    do: Alarms.clear(alarms, {:failsafe, {vehicle, data["type"] || "unknown"}}, at)
-
-  # A restarted vehicle reports no end of earlier conditions, and its battery has probably been changed.
-  def apply(alarms, %Event{type: "reboot", vehicle: vehicle, time: at}),
-    do: Alarms.clear_all(alarms, &by_event?(&1, vehicle), at)
-
-  def apply(alarms, %Event{type: type, vehicle: vehicle, data: data, time: at})
-      when is_map_key(@begins, type) do
-    {kind, severity, words} = Map.fetch!(@begins, type)
-    text = words <> detail(kind, data)
-    condition = %{key: {kind, vehicle}, severity: severity, text: text, vehicle: vehicle}
-    Alarms.raise_alarm(alarms, :events, condition, at)
-  end
-
-  def apply(alarms, %Event{type: type, vehicle: vehicle, time: at}) when is_map_key(@ends, type),
-    do: Alarms.clear(alarms, {Map.fetch!(@ends, type), vehicle}, at)
-
-  def apply(alarms, _other), do: alarms
+  # A vehicle may have several failsafes at once.
+  defp key(:failsafe, vehicle, data), do: {:failsafe, {vehicle, data["type"] || "unknown"}}
+  defp key(kind, vehicle, _data), do: {kind, vehicle}
 
   @doc """
   The alarms with their texts as the vehicles' snapshots have the values now: an event tells only what a value was when it began.
@@ -65,7 +39,7 @@ defmodule FleetWeb.Console.Alarms.Edges do
     for %{id: id, status: :online} = vehicle <- vehicles,
         charge = charge(Snapshot.data(vehicle, :battery)),
         reduce: alarms,
-        do: (alarms -> Alarms.reword(alarms, {:battery, id}, &(words_of_battery(&1.severity) <> charge)))
+        do: (alarms -> Alarms.reword(alarms, {:battery, id}, &(battery_text(&1.severity) <> charge)))
   end
 
   # Of several batteries the emptiest.
@@ -79,8 +53,8 @@ defmodule FleetWeb.Console.Alarms.Edges do
     end
   end
 
-  defp words_of_battery(:critical), do: @begins |> Map.fetch!("battery.critical") |> elem(2)
-  defp words_of_battery(_low), do: @begins |> Map.fetch!("battery.low") |> elem(2)
+  defp battery_text(:critical), do: elem(Event.Types.get("battery.critical").begins, 2)
+  defp battery_text(_low), do: elem(Event.Types.get("battery.low").begins, 2)
 
   defp detail(:battery, %{"remaining" => remaining}) when is_number(remaining),
     do: ", #{round(remaining * 100)} % left"
@@ -88,12 +62,20 @@ defmodule FleetWeb.Console.Alarms.Edges do
   defp detail(:battery, %{"voltage" => voltage}) when is_number(voltage),
     do: ", #{Float.round(voltage / 1, 1)} V"
 
+  defp detail(:failsafe, data) do
+    action = if data["action"] in [nil, "none"], do: "", else: " → #{words(data["action"])}"
+    ": #{words(data["reason"] || data["type"] || "unknown")}#{action}"
+  end
+
   defp detail(:fence, %{"breach" => breach}) when is_binary(breach), do: " (#{words(breach)})"
   defp detail(_kind, _data), do: ""
 
   defp words(name), do: name |> to_string() |> String.replace("_", " ")
 
   defp by_event?({:failsafe, {vehicle, _type}}, vehicle), do: true
-  defp by_event?({kind, vehicle}, vehicle), do: kind in [:battery | Map.values(@ends)]
+
+  defp by_event?({kind, vehicle}, vehicle),
+    do: Enum.any?(Event.Types.all(), &match?(%{begins: {^kind, _severity, _text}}, &1))
+
   defp by_event?(_other, _vehicle), do: false
 end

@@ -5,36 +5,6 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
 
   @max 200
   @levels [all: 7, notice: 5, warning: 4, error: 3]
-
-  # MAV_SEVERITY of events that are not texts; all others are information.
-  @severity %{
-    "failsafe" => 2,
-    "kill_switch.engaged" => 1,
-    "battery.critical" => 2,
-    "position.lost" => 2,
-    "collision" => 2,
-    "geofence" => 3,
-    "link.lost" => 3,
-    "gps.lost" => 3,
-    "rc.lost" => 3,
-    "signing.rejected" => 3,
-    "signing.failed" => 3,
-    "battery.low" => 4,
-    "gcs.lost" => 4,
-    "gcs_failsafe" => 4,
-    "reboot" => 4,
-    "events.suppressed" => 4,
-    "stream.contested" => 4,
-    "armed" => 5,
-    "disarmed" => 5,
-    "takeoff" => 5,
-    "landed" => 5,
-    "mode_change" => 5,
-    "failsafe.cleared" => 5,
-    "geofence.cleared" => 5,
-    "link.restored" => 5,
-    "mission.completed" => 5
-  }
   @names ~w(emergency alert critical error warning notice info debug)
 
   @typedoc "`:tone` of `severity` (0 emergency to 7 debug): `:bad` to 3, `:warn` for 4, `:plain` for the rest."
@@ -70,7 +40,8 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   @doc "The line of an event."
   @spec line(Event.t()) :: line()
   def line(%{type: type, data: data} = event) do
-    severity = severity(type, data)
+    row = Event.Types.get(type)
+    severity = severity(row, data)
 
     %{
       id: event.id,
@@ -79,78 +50,70 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
       severity: severity,
       name: Enum.at(@names, severity),
       tone: tone(severity),
-      text: text(type, data)
+      text: text(type, row[:text], data)
     }
   end
 
-  defp severity(type, %{"severity" => severity}) when type in ["statustext", "report"] and severity in 0..7,
-    do: severity
-
-  defp severity(type, _data), do: Map.get(@severity, type, 6)
+  defp severity(row, data) do
+    case {row, data} do
+      {%{severity: :data}, %{"severity" => severity}} when severity in 0..7 -> severity
+      {%{severity: severity}, _data} when is_integer(severity) -> severity
+      _unknown -> 6
+    end
+  end
 
   defp tone(severity) when severity <= 3, do: :bad
   defp tone(4), do: :warn
   defp tone(_severity), do: :plain
 
-  defp text("statustext", data), do: data["text"] || ""
-  defp text("mode_change", data), do: "mode #{data["from"] || "unknown"} → #{data["to"]}"
-  defp text("armed", data), do: "armed" <> by(data)
-  defp text("disarmed", data), do: "disarmed" <> by(data)
-  defp text("takeoff", _data), do: "took off"
-  defp text("landed", _data), do: "landed"
+  defp text("statustext", _row, data), do: data["text"] || ""
 
-  defp text("failsafe", data),
-    do:
-      join("failsafe: #{words(data["reason"] || data["type"])}", [
-        action(data["action"]),
-        brackets(data["text"])
-      ])
+  defp text("report", _row, data),
+    do: join(words(data["name"] || "report #{data["id"]}"), [values(data["values"])])
 
-  defp text("failsafe.cleared", data), do: "failsafe over: #{words(data["reason"] || data["type"])}"
+  defp text("failsafe", _row, data) do
+    join("failsafe: #{words(data["reason"] || data["type"])}", [
+      action(data["action"]),
+      brackets(data["text"])
+    ])
+  end
 
-  defp text("geofence", data),
-    do: join("outside the fence", [brackets(data["breach"]), brackets(data["text"])])
+  defp text("failsafe.cleared", _row, data), do: "failsafe over: #{words(data["reason"] || data["type"])}"
 
-  defp text("geofence.cleared", _data), do: "inside the fence again, or the fence is off"
-  defp text("rc.lost", _data), do: "remote control lost"
-  defp text("rc.restored", _data), do: "remote control restored"
-  defp text("gps.lost", data), do: join("GNSS position lost", [brackets(data["fix_name"])])
-  defp text("gps.restored", _data), do: "GNSS position restored"
-  defp text("position.lost", _data), do: "position estimate lost"
-  defp text("position.restored", _data), do: "position estimate restored"
-  defp text("kill_switch.engaged", _data), do: "kill switch engaged"
-  defp text("kill_switch.released", _data), do: "kill switch released"
-  defp text("collision", _data), do: "two vehicles use this system id"
-  defp text("gcs.lost", data), do: join("ground station", [data["system"], "lost"])
-  defp text("gcs.restored", data), do: join("ground station", [data["system"], "restored"])
-  defp text("gcs_failsafe", _data), do: "the vehicle lost its ground station"
-  defp text("stream.contested", _data), do: "another program changes the message rates"
-  defp text("displaced", data), do: "removed to make room for #{shown(data["by"])}"
-  defp text("gateway.started", _data), do: "the gateway started"
-  defp text("operator.changed", data), do: charge_of(data["operator"], data["before"], data["reason"])
+  defp text("operator.changed", _row, data),
+    do: charge_of(data["operator"], data["before"], data["reason"])
 
-  defp text("signing.rejected", data),
-    do: join("frames without a valid signature rejected", [on(data["link"])])
+  defp text(type, template, data) when template != nil, do: render(template, data) <> amount(type, data)
 
-  defp text("signing.enrolled", data), do: join("signing key set", [by_whom(data["by"])])
-  defp text("signing.revoked", data), do: join("signing key removed", [by_whom(data["by"])])
+  defp text(type, _row, %{"text" => text}) when is_binary(text) and text != "", do: "#{words(type)}: #{text}"
+  defp text(type, _row, data), do: join(words(type), [plain(data)])
 
-  defp text("signing.failed", data),
-    do: join("signing key not changed", [brackets(data["reason"]), by_whom(data["by"])])
+  # As `t:Aerie.Vehicle.Event.Types.t/0` describes it. In one pass: a value may have braces.
+  defp render(template, data) do
+    Regex.replace(~r/\[(.+?)\]|[^\[]+/, template, fn
+      part, "" -> insert(part, data)
+      _all, part -> if known?(part, data), do: insert(part, data), else: ""
+    end)
+  end
 
-  defp text("link.lost", data),
-    do: join("contact lost", [data["silent_s"] && "for #{round(data["silent_s"])} s"])
+  defp known?(part, data),
+    do: Enum.all?(Regex.scan(~r/{(\w+)}/, part), fn [_all, name] -> data[name] not in [nil, ""] end)
 
-  defp text("link.restored", _data), do: "contact restored"
-  defp text("battery.low", data), do: "battery low" <> charge(data)
-  defp text("battery.critical", data), do: "battery critical" <> charge(data)
-  defp text("param_changed", data), do: "#{data["name"]}: #{shown(data["from"])} → #{shown(data["to"])}"
-  defp text("report", data), do: join(words(data["name"] || "report #{data["id"]}"), [values(data["values"])])
-  defp text("mission.reached", data), do: "item #{data["seq"]}#{of(data["total"])} reached"
-  defp text("mission.completed", _data), do: "mission completed"
-  defp text("reboot", _data), do: "the vehicle restarted"
-  defp text(type, %{"text" => text}) when is_binary(text) and text != "", do: "#{words(type)}: #{text}"
-  defp text(type, data), do: join(words(type), [plain(data)])
+  defp insert(part, data) do
+    Regex.replace(~r/(\(?){(\w+)}/, part, fn
+      _all, "(", name -> "(" <> words(shown(data[name]))
+      _all, "", name -> shown(data[name])
+    end)
+  end
+
+  defp amount("battery." <> _level, %{"remaining" => share}) when is_number(share),
+    do: ": #{round(share * 100)} %"
+
+  defp amount("battery." <> _level, %{"voltage" => volts}) when is_number(volts),
+    do: ": #{shown(volts * 1.0)} V"
+
+  defp amount("link.lost", %{"silent_s" => seconds}) when is_number(seconds), do: " for #{round(seconds)} s"
+  defp amount(_type, _data), do: ""
 
   defp charge_of(nil, before, _reason), do: "#{before || "the operator"} is no longer in charge"
   defp charge_of(operator, nil, _reason), do: "#{operator} took charge"
@@ -161,24 +124,8 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp brackets(text) when is_binary(text) and text != "", do: "(#{words(text)})"
   defp brackets(_none), do: nil
 
-  defp on(link) when is_binary(link), do: "on #{link}"
-  defp on(_unknown), do: nil
-
-  defp by_whom(name) when is_binary(name), do: "by #{name}"
-  defp by_whom(_unknown), do: nil
-
-  defp by(%{"reason" => reason}) when is_binary(reason), do: " (#{words(reason)})"
-  defp by(_data), do: ""
-
   defp action(action) when action in [nil, "none"], do: nil
   defp action(action), do: "→ #{words(action)}"
-
-  defp charge(%{"remaining" => remaining}) when is_number(remaining), do: ": #{round(remaining * 100)} %"
-  defp charge(%{"voltage" => volts}) when is_number(volts), do: ": #{shown(volts * 1.0)} V"
-  defp charge(_data), do: ""
-
-  defp of(total) when is_integer(total), do: " of #{total}"
-  defp of(_unknown), do: ""
 
   defp values(list) when is_list(list) and list != [],
     do: list |> Enum.take(6) |> Enum.map_join(" ", &shown/1)

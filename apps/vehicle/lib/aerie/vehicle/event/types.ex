@@ -1,7 +1,8 @@
 defmodule Aerie.Vehicle.Event.Types do
   @moduledoc """
-  All event types of a vehicle, as a table: when each occurs, what shows it, and the fields of its data with unit and meaning.
-  `Aerie.Vehicle.Event.types/0`, `docs/telemetry.md` and the table in `vehicle/README.md` are made from it.
+  All event types of a vehicle, one a row: when each occurs, what shows it, the fields of its data, how severe it is, the text
+  that people read, and the alarm that it begins or ends. `docs/telemetry.md` (`mix aerie.telemetry`), NATS and the console are
+  made from it. A new event is a row here and a step of a detector (`Aerie.Vehicle.Detector`).
 
   Any field may be null if nothing is known. An event that the vehicle's state shows may also have `position`: where the vehicle
   was then.
@@ -14,7 +15,22 @@ defmodule Aerie.Vehicle.Event.Types do
           unit: String.t() | nil,
           meaning: String.t()
         }
-  @type t :: %{type: String.t(), when: String.t(), source: String.t(), fields: [field()]}
+  @typedoc """
+    * `severity` - MAV_SEVERITY, 6 (information) if the row has none; `:data`: its data has a `severity`
+    * `text` - its text for people. `{name}` is a value of its data, `({name})` the same with spaces for underscores; what is in
+      square brackets is left out if that value is not known. nil: the type and its data
+    * `begins` - the alarm that it raises; `ends` - the alarm that it clears; `:all`: all that events raised
+  """
+  @type t :: %{
+          type: String.t(),
+          when: String.t(),
+          source: String.t(),
+          fields: [field()],
+          severity: 0..7 | :data,
+          text: String.t() | nil,
+          begins: {kind :: atom(), :warning | :critical, text :: String.t()} | nil,
+          ends: atom()
+        }
 
   @mode {"mode", :string, nil, "the mode at that time"}
   @text {"text", :string, nil, "the vehicle's text"}
@@ -43,19 +59,22 @@ defmodule Aerie.Vehicle.Event.Types do
        @mode,
        {"reason", :string, nil, "who or what armed it, if the vehicle says so: command_external, rc_switch …"}
        | @found
-     ]},
+     ], severity: 5, text: "armed[ ({reason})]"},
     {"disarmed", "the vehicle is disarmed", "as `armed`",
      [
        @mode,
        {"reason", :string, nil,
         "who or what disarmed it, if the vehicle says so: landing, kill_switch, command_external …"}
        | @found
-     ]},
+     ], severity: 5, text: "disarmed[ ({reason})]"},
     {"mode_change", "the flight mode changes, whatever the cause", "HEARTBEAT, HIGH_LATENCY2",
-     [{"from", :string, nil, "the old mode"}, {"to", :string, nil, "the new mode"} | @found]},
+     [{"from", :string, nil, "the old mode"}, {"to", :string, nil, "the new mode"} | @found],
+     severity: 5, text: "mode {from} → {to}"},
     {"takeoff", "the vehicle leaves the ground",
-     "EXTENDED_SYS_STATE; without it ArduPilot's system status, or the height", [@mode | @found]},
-    {"landed", "the vehicle is on the ground again", "as `takeoff`", [@mode | @found]},
+     "EXTENDED_SYS_STATE; without it ArduPilot's system status, or the height", [@mode | @found],
+     severity: 5, text: "took off"},
+    {"landed", "the vehicle is on the ground again", "as `takeoff`", [@mode | @found],
+     severity: 5, text: "landed"},
     {"failsafe", "a failsafe begins, or is active when the vehicle is first heard",
      "whichever comes first: system status (HEARTBEAT), a status text, a report (EVENT), a mode that only the vehicle itself chooses, a broken fence with a change of the mode",
      [
@@ -70,7 +89,7 @@ defmodule Aerie.Vehicle.Event.Types do
        @mode,
        {"system_status", :string, nil, "MAV_STATE at that time"},
        {"found", :boolean, nil, "true: it was active when the vehicle was first heard"}
-     ]},
+     ], severity: 2, begins: {:failsafe, :critical, "Failsafe"}},
     {"failsafe.cleared", "a failsafe is over",
      "system status, a text (… Cleared), a report, the end of a breach; disarming, if the system status never showed the failsafe",
      [
@@ -78,57 +97,70 @@ defmodule Aerie.Vehicle.Event.Types do
        {"reason", :string, nil, "reason of the failsafe"},
        {"duration", :number, "s", "how long it was active"},
        {"by", :string, nil, "what shows the end: status, text, report, fence, disarmed, reboot"}
-     ]},
+     ], severity: 5, ends: :failsafe},
     {"geofence", "the vehicle breaches a fence",
      "FENCE_STATUS, PX4's checks (EVENT); a text if neither comes",
      [
        {"breach", :string, nil, "FENCE_BREACH; for PX4 MAX_HOR_DIST, MAX_ALT, CUSTOM_GF"},
        @text
-     ]},
+     ],
+     severity: 3,
+     text: "outside the fence[ ({breach})][ ({text})]",
+     begins: {:fence, :critical, "Fence breached"}},
     {"geofence.cleared", "the vehicle is inside its fence again, or the fence is disabled",
      "as `geofence`, but never a text; the parameter FENCE_ENABLE",
      [
        {"breach", :string, nil, "as in `geofence`"},
        {"duration", :number, "s", "how long the breach lasted"}
-     ]},
+     ], severity: 5, text: "inside the fence again, or the fence is off", ends: :fence},
     {"battery.low", "a battery is low",
      "BATTERY_STATUS of each battery; without it SYS_STATUS and HIGH_LATENCY2; with the thresholds of the configuration",
-     @battery},
-    {"battery.critical", "a battery is nearly empty", "as `battery.low`", @battery},
+     @battery, severity: 4, text: "battery low", begins: {:battery, :warning, "Battery low"}},
+    {"battery.critical", "a battery is nearly empty", "as `battery.low`", @battery,
+     severity: 2, text: "battery critical", begins: {:battery, :critical, "Battery nearly empty"}},
     {"rc.lost", "the remote control is lost", "reports, texts, and the receiver's health in SYS_STATUS",
-     [@text]},
-    {"rc.restored", "the remote control is back", "as `rc.lost`", [@text, @lasted]},
+     [@text], severity: 3, text: "remote control lost", begins: {:rc, :warning, "Remote control lost"}},
+    {"rc.restored", "the remote control is back", "as `rc.lost`", [@text, @lasted],
+     text: "remote control restored", ends: :rc},
     {"gps.lost", "an armed vehicle loses its GNSS position", "GPS_RAW_INT: a fix of 3 or more becomes less",
-     [{"fix_name", :string, nil, "the present GPS_FIX_TYPE"}]},
-    {"gps.restored", "the GNSS position is back", "GPS_RAW_INT", [@lasted]},
+     [{"fix_name", :string, nil, "the present GPS_FIX_TYPE"}],
+     severity: 3, text: "GNSS position lost[ ({fix_name})]", begins: {:gps, :critical, "GNSS position lost"}},
+    {"gps.restored", "the GNSS position is back", "GPS_RAW_INT", [@lasted],
+     text: "GNSS position restored", ends: :gps},
     {"position.lost", "in the air, the estimator loses the position",
-     "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", []},
-    {"position.restored", "the estimator knows the position again", "as `position.lost`", [@lasted]},
+     "EKF_STATUS_REPORT, ESTIMATOR_STATUS: neither an absolute nor a relative horizontal position", [],
+     severity: 2, text: "position estimate lost", begins: {:position, :critical, "Position estimate lost"}},
+    {"position.restored", "the estimator knows the position again", "as `position.lost`", [@lasted],
+     text: "position estimate restored", ends: :position},
     {"kill_switch.engaged", "the kill switch stops the motors", "PX4's reports, texts of both firmwares",
-     [@text]},
-    {"kill_switch.released", "the kill switch is released", "as `kill_switch.engaged`", [@text]},
+     [@text],
+     severity: 1, text: "kill switch engaged", begins: {:kill_switch, :critical, "Kill switch engaged"}},
+    {"kill_switch.released", "the kill switch is released", "as `kill_switch.engaged`", [@text],
+     text: "kill switch released", ends: :kill_switch},
     {"link.lost", "the vehicle was not heard for timeouts.vehicle_lost_s", "silence",
      [
        {"silent_s", :number, "s", "how long it was silent"},
        {"found", :boolean, nil, "true: it was heard before the gateway was started, and not since"},
        {"since", :string, nil, "with `found`: the last time at which it was not lost"}
-     ]},
-    {"link.restored", "a lost vehicle is heard again", "any frame of its autopilot", []},
+     ], severity: 3, text: "contact lost"},
+    {"link.restored", "a lost vehicle is heard again", "any frame of its autopilot", [],
+     severity: 5, text: "contact restored"},
     {"reboot", "the vehicle was restarted", "`time_boot_ms` begins anew",
-     [{"time_boot_ms", :integer, "ms", "the vehicle's clock"}]},
+     [{"time_boot_ms", :integer, "ms", "the vehicle's clock"}],
+     severity: 4, text: "the vehicle restarted", ends: :all},
     {"collision", "two vehicles use one system id",
      "boot times, positions, types or unique ids that alternate",
      [
        {"sign", :string, nil, "what alternates: time_boot_ms, position, type, uid"},
        {"links", :list, nil,
         "two lists: the links of the vehicle that keeps the id, and those of the other one"}
-     ]},
+     ], severity: 2, text: "two vehicles use this system id"},
     {"statustext", "the vehicle sends a text", "STATUSTEXT",
      [
        {"severity", :integer, nil, "0 emergency to 7 debug"},
        {"severity_name", :string, nil, "MAV_SEVERITY"},
        {"text", :string, nil, "the whole text"}
-     ]},
+     ], severity: :data},
     {"report", "the vehicle sends a report that is not also a text", "EVENT",
      [
        {"id", :string, nil, "id of the report, hexadecimal"},
@@ -143,7 +175,7 @@ defmodule Aerie.Vehicle.Event.Types do
        {"sequence", :integer, nil, "its number there; a component's reports come in this order"},
        {"late_s", :number, "s",
         "how long after it happened (the event's time) it was received, if that is more than two seconds"}
-     ]},
+     ], severity: :data},
     {"events.suppressed", "more events of a type occurred than are published",
      "`Aerie.Vehicle.Detector.Budget`: of each type 60 at once and two a second, texts by their urgency",
      [
@@ -153,19 +185,19 @@ defmodule Aerie.Vehicle.Event.Types do
        {"last", :string, nil, "time of the last one"},
        {"last_data", :object, nil, "data of the last one: what is true now"},
        {"text", :string, nil, "a summary: 440 more texts"}
-     ]},
+     ], severity: 4},
     {"param_changed", "a parameter has a new value", "PARAM_VALUE",
      [
        {"name", :string, nil, "the parameter"},
        {"from", :any, nil, "the old value"},
        {"to", :any, nil, "the new value"},
        {"index", :integer, nil, "index in the parameter list"}
-     ]},
+     ], text: "{name}: {from} → {to}"},
     {"mission.reached", "the vehicle reaches a mission item", "MISSION_ITEM_REACHED",
      [
        {"seq", :integer, nil, "number of the item"},
        {"total", :integer, nil, "number of items"}
-     ]},
+     ], text: "item {seq}[ of {total}] reached"},
     {"mission.completed", "the mission is over", "MISSION_CURRENT, a text, or inferred",
      [
        {"seq", :integer, nil, "number of the last item"},
@@ -174,30 +206,32 @@ defmodule Aerie.Vehicle.Event.Types do
        @text,
        {"inferred", :boolean, nil,
         "true: the vehicle did not say so, but landed and disarmed at its last item"}
-     ]},
+     ], severity: 5, text: "mission completed"},
     {"gcs_failsafe", "the vehicle reports that it lost its ground station",
      "PX4's report commander_gcs_lost, a text",
-     [@text, {"report", :string, nil, "name of the report (EVENT)"}]},
+     [@text, {"report", :string, nil, "name of the report (EVENT)"}],
+     severity: 4, text: "the vehicle lost its ground station"},
     {"gcs.lost", "the ground station that the vehicle's failsafe listens to falls silent",
      "heartbeats on the vehicle's network, and the vehicle's parameters",
      [
        {"system", :integer, nil, "system id of the ground station"},
        {"timeout_s", :number, "s", "the silence after which the failsafe acts"},
        {"failsafe_enabled", :boolean, nil, "whether the failsafe is enabled"}
-     ]},
+     ], severity: 4, text: "ground station[ {system}] lost", begins: {:gcs, :warning, "Ground station lost"}},
     {"gcs.restored", "that ground station is heard again", "as `gcs.lost`",
-     [{"system", :integer, nil, "system id of the ground station"}]},
+     [{"system", :integer, nil, "system id of the ground station"}],
+     text: "ground station[ {system}] restored", ends: :gcs},
     {"stream.contested", "another program changes message rates that the gateway requested",
      "measured rates, MESSAGE_INTERVAL",
      [
        {"messages", :list, nil,
         "for each message: id, name, asked_hz, found_hz, yielded (whether the gateway leaves the rate to the other program)"}
-     ]},
+     ], severity: 4, text: "another program changes the message rates"},
     {"displaced", "a lost vehicle makes room for another one", "limits.max_vehicles",
      [
        {"by", :string, nil, "the vehicle that takes its place"},
        {"lost_s", :number, "s", "how long it was lost"}
-     ]},
+     ], text: "removed to make room for {by}"},
     {"gateway.started", "a gateway starts; `vehicle` is the gateway's name",
      "the start, and what was stored on disk before it",
      [
@@ -206,7 +240,7 @@ defmodule Aerie.Vehicle.Event.Types do
        {"ended", :string, nil, "how the gateway ended before: orderly, killed"},
        {"vehicles", :list, nil,
         "the vehicles whose state was stored; changes since then are published when they are heard"}
-     ]},
+     ], text: "the gateway started"},
     {"operator.changed", "another one is in charge of the vehicle, or nobody any more",
      "`take_control`, `release_control`",
      [
@@ -214,32 +248,47 @@ defmodule Aerie.Vehicle.Event.Types do
        {"before", :string, nil, "who was in charge before"},
        {"via", :string, nil, "the way that it was taken: nats, rest, elixir, mavlink"},
        {"reason", :string, nil, "why it was taken over"}
-     ]},
+     ], []},
     {"signing.rejected", "frames of the vehicle are rejected", "signatures",
      [
        {"link", :string, nil, "the link that they came by"},
        {"component", :integer, nil, "the component that sent them"},
        {"reasons", :object, nil, "how many for each reason"}
-     ]},
-    {"signing.enrolled", "the vehicle was given its signing key", "an operator's request", @signing},
-    {"signing.revoked", "the vehicle's signing key was removed", "an operator's request", @signing},
+     ], severity: 3, text: "frames without a valid signature rejected[ on {link}]"},
+    {"signing.enrolled", "the vehicle was given its signing key", "an operator's request", @signing,
+     text: "signing key set[ by {by}]"},
+    {"signing.revoked", "the vehicle's signing key was removed", "an operator's request", @signing,
+     text: "signing key removed[ by {by}]"},
     {"signing.failed", "the vehicle's signing key could not be set or removed", "an operator's request",
      [
        {"what", :string, nil, "enrolled or revoked"},
        {"reason", :string, nil, "why it failed"}
        | @signing
-     ]}
+     ], severity: 3, text: "signing key not changed[ ({reason})][ by {by}]"}
   ]
 
   all =
-    for {type, moment, source, fields} <- table do
+    for {type, moment, source, fields, options} <- table do
       fields =
         for {name, kind, unit, meaning} <- fields, do: %{name: name, type: kind, unit: unit, meaning: meaning}
 
-      %{type: type, when: moment, source: source, fields: fields}
+      Map.merge(
+        %{
+          type: type,
+          when: moment,
+          source: source,
+          fields: fields,
+          severity: 6,
+          text: nil,
+          begins: nil,
+          ends: nil
+        },
+        Map.new(options)
+      )
     end
 
   @all all
+  @by_name Map.new(all, &{&1.type, &1})
   @names Enum.map(all, & &1.type)
 
   @doc "All types, in the order of the documentation."
@@ -250,16 +299,7 @@ defmodule Aerie.Vehicle.Event.Types do
   @spec names() :: [String.t()]
   def names, do: @names
 
-  @doc "The table as Markdown, for the README of `vehicle/`."
-  @spec markdown() :: String.t()
-  def markdown do
-    rows =
-      for t <- @all,
-          do: "| `#{t.type}` | #{t.when} | #{Enum.map_join(t.fields, "; ", &field/1)} | #{t.source} |\n"
-
-    IO.iodata_to_binary(["| event | when | data | shown by |\n|---|---|---|---|\n", rows])
-  end
-
-  defp field(%{unit: nil} = field), do: "`#{field.name}`: #{field.meaning}"
-  defp field(field), do: "`#{field.name}` (#{field.unit}): #{field.meaning}"
+  @doc "The row of a type; nil for one that this version does not know."
+  @spec get(String.t()) :: t() | nil
+  def get(type), do: Map.get(@by_name, type)
 end

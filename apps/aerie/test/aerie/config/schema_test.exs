@@ -65,7 +65,7 @@ defmodule Aerie.Config.SchemaTest do
 
   test "the state groups are those of a vehicle" do
     assert Enum.sort(Map.keys(Aerie.Vehicle.Sampling.Settings.groups(%{}))) ==
-             Enum.sort(Keyword.keys(Aerie.Vehicle.Fields.keys()))
+             Enum.sort(Keyword.keys(Aerie.Vehicle.State.Groups.keys()))
   end
 
   test "no problem is a bare inspect of something" do

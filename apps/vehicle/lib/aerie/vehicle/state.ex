@@ -3,67 +3,18 @@ defmodule Aerie.Vehicle.State do
   The state of a vehicle, built from its autopilot's messages. A pure value.
 
   State comes in groups. Each has `at` (unix us), when its last message arrived, `time_boot_ms`, the vehicle's own clock at that
-  time (nil if unknown), and `data`. All keys of a group are always present; unknown values are nil. `Aerie.Vehicle.Fields` lists
-  the groups and their fields.
+  time (nil if unknown), and `data`. All keys of a group are always present; unknown values are nil. `Aerie.Vehicle.State.Groups`
+  lists the groups; the module of each has its fields and reads its messages.
 
   If several messages carry the same values, the best one is used while it comes (`wants?/3`): a stream of ATTITUDE_QUATERNION
   is not even decoded while ATTITUDE arrives.
   """
 
-  alias Aerie.Vehicle.{Fields, Kind, State}
+  alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.State.Groups
   alias MavCodec.Messages, as: M
 
-  @groups Fields.keys()
-  @empty Map.new(@groups, fn {group, keys} -> {group, Map.new(keys, &{&1, nil})} end)
-
-  # The messages that each part of the state is read from.
-  @mode Enum.map(
-          [
-            M.Heartbeat,
-            M.ExtendedSysState,
-            M.AvailableModes,
-            M.AvailableModesMonitor,
-            M.CurrentMode,
-            M.ControlStatus
-          ],
-          & &1.id()
-        )
-  @motion Enum.map(
-            [
-              M.GpsRawInt,
-              M.Attitude,
-              M.AttitudeQuaternion,
-              M.LocalPositionNed,
-              M.GlobalPositionInt,
-              M.VfrHud,
-              M.HomePosition,
-              M.GpsGlobalOrigin
-            ],
-            & &1.id()
-          )
-  @power Enum.map([M.SysStatus, M.BatteryStatus], & &1.id())
-  @plan Enum.map([M.MissionCurrent, M.MissionItemReached, M.NavControllerOutput, M.FenceStatus], & &1.id())
-  @health Enum.map(
-            [
-              M.RcChannelsRaw,
-              M.RcChannels,
-              M.AutopilotVersion,
-              M.EkfStatusReport,
-              M.EstimatorStatus,
-              M.Vibration
-            ],
-            & &1.id()
-          )
-  @high_latency M.HighLatency2.id()
-  @ids [@high_latency | @mode ++ @motion ++ @power ++ @plan ++ @health]
-
-  # Second choice => first choice: the second is used only while the first has not come for this long.
-  @second_choice %{
-    M.AttitudeQuaternion.id() => M.Attitude.id(),
-    M.LocalPositionNed.id() => M.GlobalPositionInt.id(),
-    M.RcChannelsRaw.id() => M.RcChannels.id(),
-    M.EstimatorStatus.id() => M.EkfStatusReport.id()
-  }
+  @empty Map.new(Groups.keys(), fn {group, keys} -> {group, Map.from_keys(keys, nil)} end)
   @fresh_us 2_000_000
   # Only these can show that the vehicle left the ground or came back to it.
   @flight Enum.map(
@@ -116,28 +67,19 @@ defmodule Aerie.Vehicle.State do
           sources: %{non_neg_integer() => integer()}
         }
 
-  @typedoc "What a message says: fields of this struct, and changes of groups."
-  @type said :: {fields :: keyword(), changes :: [{group(), map()}]} | {:invalid, atom()}
-
-  @doc "Reads a message, given the state so far."
-  @callback read(message :: struct(), t(), at :: integer()) :: said()
-
   @doc "The keys of a group's data."
   @spec keys(group()) :: [atom()]
-  def keys(group), do: Keyword.fetch!(@groups, group)
+  def keys(group), do: Keyword.fetch!(Groups.keys(), group)
 
   @doc "Whether a message that came `at` is worth decoding."
   @spec wants?(t(), non_neg_integer(), integer()) :: boolean()
-  def wants?(state, id, at) when is_map_key(@second_choice, id) do
-    first = Map.fetch!(@second_choice, id)
-
-    case state.sources do
-      %{^first => heard} -> at - heard > @fresh_us
-      _never -> true
+  def wants?(state, id, at) do
+    case {Groups.first_choice(id), state.sources} do
+      {nil, _sources} -> Groups.reads?(id)
+      {first, %{} = sources} when is_map_key(sources, first) -> at - sources[first] > @fresh_us
+      _never_heard -> true
     end
   end
-
-  def wants?(_state, id, _at), do: id in @ids
 
   @doc """
   Applies a message of the autopilot that came `at`, and returns the groups that it updated; `{:invalid, field}` for an
@@ -145,20 +87,13 @@ defmodule Aerie.Vehicle.State do
   """
   @spec apply(t(), non_neg_integer(), struct(), integer()) :: {t(), [group()]} | {:invalid, atom()}
   def apply(state, id, message, at) do
-    with {fields, changes} when is_list(fields) <- reader(id).read(message, state, at) do
+    with {fields, changes} when is_list(fields) <- Groups.reader(id).read(message, state, at) do
       state = %{state | sources: Map.put(state.sources, id, at)}
       state = if fields == [], do: state, else: struct!(state, fields)
       state = Enum.reduce(changes, state, &merge(&2, &1, at))
       fly(state, id, Keyword.keys(changes), at)
     end
   end
-
-  defp reader(id) when id in @mode, do: State.Mode
-  defp reader(id) when id in @motion, do: State.Motion
-  defp reader(id) when id in @power, do: State.Power
-  defp reader(id) when id in @plan, do: State.Plan
-  defp reader(id) when id in @health, do: State.Health
-  defp reader(@high_latency), do: State.HighLatency
 
   defp fly(state, id, groups, at) when id in @flight do
     {state, groups} =

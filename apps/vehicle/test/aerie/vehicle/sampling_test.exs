@@ -185,7 +185,7 @@ defmodule Aerie.Vehicle.SamplingTest do
 
   test "every group has a strategy by default; settings change parts of it" do
     samplers = Sampling.new(%{position: %{hz: 5.0}})
-    assert Enum.sort(Map.keys(samplers)) == Enum.sort(Keyword.keys(Aerie.Vehicle.Fields.keys()))
+    assert Enum.sort(Map.keys(samplers)) == Enum.sort(Keyword.keys(Aerie.Vehicle.State.Groups.keys()))
     assert {Sampling.Time, %{period_us: 200_000}} = samplers.position
     assert {Sampling.Change, _} = samplers.mode
     assert {Sampling.Threshold, {[remaining: _], _}} = samplers.battery

@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
   """
   use ExUnit.Case, async: true
 
-  alias Aerie.Vehicle.{Fields, State}
+  alias Aerie.Vehicle.State
   alias MavCodec.Definition.Facts
   alias MavCodec.Messages, as: M
 
@@ -213,7 +213,7 @@ defmodule Aerie.Vehicle.StateUnknownTest do
       {:ok, message} = MavCodec.Dialects.All.decode(module.id(), :rand.bytes(60))
 
       with {%State{} = state, _groups} <- State.apply(%State{autopilot: autopilot}, module.id(), message, 1) do
-        for {group, keys} <- Fields.keys(), key <- keys, {low, high} <- [limits[key]] do
+        for {group, keys} <- State.Groups.keys(), key <- keys, {low, high} <- [limits[key]] do
           value = State.data(state, group)[key]
 
           assert value == nil or (value >= low and value <= high),

@@ -199,9 +199,9 @@ defmodule Aerie.Vehicle.Core.Frames do
     end
   end
 
-  # See `State.Power`: the parameter may come before the SYS_STATUS that shows it.
+  # See `State.Health`: the parameter may come before the SYS_STATUS that shows it.
   defp learn({core, actions}, {"FENCE_ENABLE", off, _index}, at) when off == 0 do
-    state = State.put(core.state, :mission, State.Plan.fence_unknown(), at)
+    state = State.put(core.state, :mission, State.Mission.fence_unknown(), at)
     Effects.check_digest(%{core | state: state}, actions, at)
   end
 

@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.Detector.Batteries do
   @spec digest(State.t()) :: map()
   def digest(state) do
     group = State.data(state, :battery)
-    first = State.Power.first(group.batteries || [])
+    first = State.Battery.first(group.batteries || [])
 
     others =
       for one <- group.batteries || [], one != first, do: Map.take(one, [:id, :remaining, :charge_state])

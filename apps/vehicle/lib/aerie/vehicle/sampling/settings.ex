@@ -2,20 +2,7 @@ defmodule Aerie.Vehicle.Sampling.Settings do
   @moduledoc "How often each group of a vehicle's state is published."
   use Aerie.Settings
 
-  @groups [
-    position: {:time, 1.0, %{}, 30.0},
-    attitude: {:time, 1.0, %{}, 30.0},
-    velocity: {:time, 1.0, %{}, 30.0},
-    battery: {:threshold, 1.0, %{"remaining" => 0.01}, 30.0},
-    gps: {:change, 0.5, %{}, 30.0},
-    mode: {:change, 10.0, %{}, 30.0},
-    health: {:change, 1.0, %{}, 30.0},
-    home: {:change, 1.0, %{}, 60.0},
-    mission: {:change, 1.0, %{}, 60.0},
-    rc: {:time, 0.2, %{}, 60.0},
-    operator: {:change, 10.0, %{}, 60.0},
-    link: {:aggregate, 0.2, %{}, 60.0}
-  ]
+  alias Aerie.Vehicle.State.Groups
 
   section "sampling", "How often each group of a vehicle's state is published. Full rate stays inside."
 
@@ -31,14 +18,14 @@ defmodule Aerie.Vehicle.Sampling.Settings do
           example: "0.01"
 
   setting :groups,
-          {:section, Enum.map(@groups, &group/1)},
+          {:section, Enum.map(Groups.all(), &group/1)},
           """
           Strategies: time (mean over each period), change (when a value differs), threshold (when a value named under
           threshold has moved by its amount), aggregate (min, max and mean over each period). hz is the rate, for change
           and threshold the highest one. After refresh_s seconds a value is published even if nothing moved; 0: never.
           """
 
-  defp group({name, {strategy, hz, threshold, refresh}}) do
+  defp group(%{name: name, sampling: {strategy, hz, threshold, refresh}}) do
     fields = [
       field(:strategy, {:enum, [:time, :change, :threshold, :aggregate]}, "", default: strategy),
       field(:hz, {:number, 0.001, 100}, "", default: hz),

@@ -1,14 +1,54 @@
 defmodule Aerie.Vehicle.State.Health do
-  @moduledoc "Estimator, vibration, remote control, and the autopilot's version and unique id."
-  @behaviour Aerie.Vehicle.State
-
+  @moduledoc "The health of sensors (SYS_STATUS, which has a battery, too), estimator and vibration; and the autopilot's version and unique id."
   import Bitwise
 
-  alias Aerie.Vehicle.State
-  alias Aerie.Vehicle.State.Value
+  alias Aerie.Vehicle.State.{Battery, Group, Mission, Value}
+  alias MavCodec.Enums.MavSysStatusSensor
   alias MavCodec.Messages, as: M
 
-  @impl State
+  @ekf "EKF_STATUS_REPORT, ESTIMATOR_STATUS"
+  @prearm_check MavSysStatusSensor.value(:MAV_SYS_STATUS_PREARM_CHECK)
+  @fence MavSysStatusSensor.value(:MAV_SYS_STATUS_GEOFENCE)
+  @rc_receiver MavSysStatusSensor.value(:MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
+
+  use Group,
+    name: :health,
+    title: "The health of sensors and estimator.",
+    sampling: {:change, 1.0, %{}, 30.0},
+    messages: [
+      M.SysStatus,
+      M.EkfStatusReport,
+      {M.EstimatorStatus, M.EkfStatusReport},
+      M.Vibration,
+      M.AutopilotVersion
+    ],
+    fields: [
+      {:load, 3, "0..1", "processor load", "SYS_STATUS"},
+      {:unhealthy, nil, nil, "a list of the sensors and functions that are present, enabled and unhealthy",
+       "SYS_STATUS, HIGH_LATENCY2"},
+      {:ready_to_arm, nil, nil, "whether the pre-arm checks pass", "SYS_STATUS"},
+      {:arming_checks, nil, nil, "PX4: a list of the failing arming checks", "EVENT"},
+      {:rc_receiver, nil, nil, "whether the remote control receiver is healthy", "SYS_STATUS"},
+      {:fence_enabled, nil, nil, "whether the vehicle's fence is on; null for a vehicle without one",
+       "SYS_STATUS"},
+      {:drop_rate, 4, "0..1", "ratio of frames that the vehicle did not receive", "SYS_STATUS"},
+      {:errors, 0, nil, "communication errors", "SYS_STATUS"},
+      {:ekf, 3, nil, "the estimator; ratios below 1 are good:", @ekf},
+      {[:ekf, :flags], 0, nil, "flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS", @ekf},
+      {[:ekf, :velocity], 3, nil, "innovation test ratio of the velocity", @ekf},
+      {[:ekf, :position_horizontal], 3, nil, "… of the horizontal position", @ekf},
+      {[:ekf, :position_vertical], 3, nil, "… of the height", @ekf},
+      {[:ekf, :compass], 3, nil, "… of the compass", @ekf},
+      {[:ekf, :terrain], 3, nil, "… of the height above the ground", @ekf},
+      {:vibration, 2, "m/s²", "a list: x, y, z", "VIBRATION"},
+      {:clipping, 0, nil, "how often an accelerometer clipped, sum of all", "VIBRATION"}
+    ]
+
+  @impl Group
+  def read(%M.SysStatus{} = m, state, at) do
+    {[], Battery.sys_status(m, state, at) ++ [health: health(m)] ++ fence_off(m, Group.data(state, :health))}
+  end
+
   def read(%M.EkfStatusReport{} = m, _state, _at) do
     {[],
      health: %{
@@ -45,62 +85,58 @@ defmodule Aerie.Vehicle.State.Health do
      }}
   end
 
-  def read(%M.RcChannels{} = m, state, _at) do
-    channels = [
-      m.chan1_raw,
-      m.chan2_raw,
-      m.chan3_raw,
-      m.chan4_raw,
-      m.chan5_raw,
-      m.chan6_raw,
-      m.chan7_raw,
-      m.chan8_raw,
-      m.chan9_raw,
-      m.chan10_raw,
-      m.chan11_raw,
-      m.chan12_raw,
-      m.chan13_raw,
-      m.chan14_raw,
-      m.chan15_raw,
-      m.chan16_raw,
-      m.chan17_raw,
-      m.chan18_raw
-    ]
-
-    {[],
-     rc: %{
-       channels: channels |> Enum.take(m.chancount) |> Enum.map(&channel/1),
-       rssi: rssi(m.rssi, state.autopilot)
-     }}
-  end
-
-  def read(%M.RcChannelsRaw{port: 0} = m, state, _at) do
-    channels = [
-      m.chan1_raw,
-      m.chan2_raw,
-      m.chan3_raw,
-      m.chan4_raw,
-      m.chan5_raw,
-      m.chan6_raw,
-      m.chan7_raw,
-      m.chan8_raw
-    ]
-
-    {[], rc: %{channels: Enum.map(channels, &channel/1), rssi: rssi(m.rssi, state.autopilot)}}
-  end
-
-  # RC_CHANNELS has the other ports, too.
-  def read(%M.RcChannelsRaw{}, _state, _at), do: {[], []}
-
   def read(%M.AutopilotVersion{} = m, _state, _at) do
     {[firmware: version(m.flight_sw_version), uid: uid(m), capabilities: m.capabilities], []}
   end
 
-  @doc "A firmware version as it is written, `\"4.6.3\"`, `\"1.18.0-beta\"`; nil for none."
-  @spec version(non_neg_integer()) :: String.t() | nil
-  def version(0), do: nil
+  defp health(m) do
+    enabled = m.onboard_control_sensors_enabled
+    failing = m.onboard_control_sensors_present &&& enabled &&& bnot(m.onboard_control_sensors_health)
 
-  def version(number) do
+    %{
+      load: Value.up_to(m.load, 1000, 1000),
+      unhealthy: names(failing &&& bnot(@prearm_check)),
+      rc_receiver: rc_receiver(m),
+      fence_enabled: fence_enabled(m),
+      ready_to_arm: if((enabled &&& @prearm_check) != 0, do: (failing &&& @prearm_check) == 0),
+      drop_rate: Value.unsigned(m.drop_rate_comm, 16, 10_000),
+      errors: m.errors_comm
+    }
+  end
+
+  # PX4 shows a lost receiver as not present.
+  defp rc_receiver(m) do
+    if (m.onboard_control_sensors_enabled &&& @rc_receiver) != 0,
+      do: (m.onboard_control_sensors_present &&& m.onboard_control_sensors_health &&& @rc_receiver) != 0
+  end
+
+  # ArduPilot sends FENCE_STATUS only of a fence that is on: what the last one said is not known any more.
+  defp fence_off(m, %{fence_enabled: true}),
+    do: if(fence_enabled(m), do: [], else: [mission: Mission.fence_unknown()])
+
+  defp fence_off(_m, _health), do: []
+
+  # A vehicle without a fence shows it as not present.
+  defp fence_enabled(m) do
+    if (m.onboard_control_sensors_present &&& @fence) != 0,
+      do: (m.onboard_control_sensors_enabled &&& @fence) != 0
+  end
+
+  defp names(0), do: []
+
+  defp names(bits) do
+    {flags, unknown} = MavSysStatusSensor.flags(bits)
+    named = for flag <- flags, do: flag |> Atom.to_string() |> short()
+    if unknown == 0, do: named, else: named ++ ["bits 0x#{Integer.to_string(unknown, 16)}"]
+  end
+
+  defp short("MAV_SYS_STATUS_SENSOR_" <> name), do: String.downcase(name)
+  defp short("MAV_SYS_STATUS_" <> name), do: String.downcase(name)
+
+  # As it is written: 4.6.3, 1.18.0-beta.
+  defp version(0), do: nil
+
+  defp version(number) do
     plain = "#{number >>> 24 &&& 0xFF}.#{number >>> 16 &&& 0xFF}.#{number >>> 8 &&& 0xFF}"
 
     case number &&& 0xFF do
@@ -120,12 +156,4 @@ defmodule Aerie.Vehicle.State.Health do
       true -> nil
     end
   end
-
-  defp channel(0), do: nil
-  defp channel(0xFFFF), do: nil
-  defp channel(microseconds), do: microseconds
-
-  # PX4 sends percent (input_rc.rssi, 0 to 100; -1 for unknown), where the definition has 0 to 254.
-  defp rssi(value, :px4), do: Value.up_to(value, 100, 100)
-  defp rssi(value, _autopilot), do: Value.up_to(value, 254, 254)
 end

@@ -4,20 +4,20 @@ defmodule Aerie.Vehicle.State.HighLatency do
 
   Only ArduPilot says in it whether the vehicle is armed: it puts the base mode into `custom0`.
   """
-  @behaviour Aerie.Vehicle.State
+  @behaviour Aerie.Vehicle.State.Group
 
   import Bitwise
 
   alias Aerie.Protocol.Modes
-  alias Aerie.Vehicle.{Kind, State}
-  alias Aerie.Vehicle.State.Value
+  alias Aerie.Vehicle.Kind
+  alias Aerie.Vehicle.State.{Battery, Group, Value}
   alias MavCodec.Enums.{HlFailureFlag, MavModeFlag}
   alias MavCodec.Messages, as: M
 
   @safety_armed MavModeFlag.value(:MAV_MODE_FLAG_SAFETY_ARMED)
   @geofence HlFailureFlag.value(:HL_FAILURE_FLAG_GEOFENCE)
 
-  @impl State
+  @impl Group
   def read(%M.HighLatency2{} = m, state, at) do
     with {lat, lon} <- Value.lat_lon(m.latitude, m.longitude) || {nil, nil} do
       autopilot = Kind.autopilot(m.autopilot)
@@ -44,7 +44,7 @@ defmodule Aerie.Vehicle.State.HighLatency do
          },
          mission: mission(m),
          health: %{unhealthy: failures(m.failure_flags)}
-       ] ++ State.Power.summary(%{remaining: if(m.battery in 0..100, do: m.battery / 100)}, state, at)}
+       ] ++ Battery.summary(%{remaining: if(m.battery in 0..100, do: m.battery / 100)}, state, at)}
     else
       :invalid -> {:invalid, :high_latency2}
     end

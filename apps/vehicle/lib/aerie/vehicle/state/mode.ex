@@ -1,17 +1,15 @@
 defmodule Aerie.Vehicle.State.Mode do
   @moduledoc """
   What the autopilot does: mode, arming and failsafe from HEARTBEAT, landed state from EXTENDED_SYS_STATE, names of modes from
-  AVAILABLE_MODES; who is in control of it from CONTROL_STATUS.
+  AVAILABLE_MODES.
   """
-  @behaviour Aerie.Vehicle.State
-
   import Bitwise
 
   alias Aerie.Protocol.Modes
   alias Aerie.Vehicle.{Kind, State}
+  alias Aerie.Vehicle.State.Group
 
   alias MavCodec.Enums.{
-    GcsControlStatusFlags,
     MavLandedState,
     MavModeFlag,
     MavStandardMode,
@@ -27,10 +25,26 @@ defmodule Aerie.Vehicle.State.Mode do
   @max_names 64
   # QSTABILIZE to QACRO.
   @q_modes 17..23
-  @manages_system GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER)
-  @takeover_allowed GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED)
 
-  @impl State
+  use Group,
+    name: :mode,
+    title: "Mode, arming and flight state.",
+    sampling: {:change, 10.0, %{}, 30.0},
+    messages: [M.Heartbeat, M.ExtendedSysState, M.AvailableModes, M.AvailableModesMonitor, M.CurrentMode],
+    fields: [
+      {:mode, nil, nil, "name of the flight mode, which depends on firmware and type",
+       "HEARTBEAT, HIGH_LATENCY2"},
+      {:custom_mode, 0, nil, "the firmware's number of the mode", "HEARTBEAT, HIGH_LATENCY2"},
+      {:armed, nil, nil, "true while the motors may turn", "HEARTBEAT, HIGH_LATENCY2 (ArduPilot)"},
+      {:in_air, nil, nil, "true while the vehicle flies",
+       "EXTENDED_SYS_STATE, HEARTBEAT, else height and speed"},
+      {:landed_state, nil, nil, "MAV_LANDED_STATE", "EXTENDED_SYS_STATE"},
+      {:vtol_state, nil, nil, "MAV_VTOL_STATE", "EXTENDED_SYS_STATE"},
+      {:system_status, nil, nil, "MAV_STATE", "HEARTBEAT"},
+      {:failsafe, nil, nil, "true while MAV_STATE is CRITICAL or EMERGENCY", "HEARTBEAT"}
+    ]
+
+  @impl Group
   def read(%M.Heartbeat{} = m, state, _at) do
     autopilot = Kind.autopilot(m.autopilot)
     named = Kind.name(m.type)
@@ -66,12 +80,6 @@ defmodule Aerie.Vehicle.State.Mode do
        vtol_state: known(MavVtolState, m.vtol_state)
      }}
   end
-
-  # Who is in control (X15); only the component that manages the system says it of the whole of it.
-  def read(%M.ControlStatus{flags: flags} = m, _state, _at) when (flags &&& @manages_system) != 0,
-    do: {[], operator: %{system: m.gcs_main, takeover_allowed: (flags &&& @takeover_allowed) != 0}}
-
-  def read(%M.ControlStatus{}, _state, _at), do: {[], []}
 
   # A mode that an application registered (PX4's external modes, ArduPilot's scripts) has its own name.
   def read(%M.AvailableModes{custom_mode: mode} = m, state, _at) do
@@ -112,9 +120,9 @@ defmodule Aerie.Vehicle.State.Mode do
       {[], []}
     else
       names = Map.put(state.mode_names, mode, name)
-      now = State.data(state, :mode)
-      shown = if now.custom_mode == mode, do: named(now.mode, mode, names)
-      {[mode_names: names], if(shown != nil and shown != now.mode, do: [mode: %{mode: shown}], else: [])}
+      now = Group.data(state, :mode)
+      shown = if now[:custom_mode] == mode, do: named(now.mode, mode, names)
+      {[mode_names: names], if(shown != nil and shown != now[:mode], do: [mode: %{mode: shown}], else: [])}
     end
   end
 

@@ -1,13 +1,26 @@
-defmodule Aerie.Vehicle.State.Plan do
+defmodule Aerie.Vehicle.State.Mission do
   @moduledoc "Mission progress and fence."
-  @behaviour Aerie.Vehicle.State
 
-  alias Aerie.Vehicle.State
-  alias Aerie.Vehicle.State.Value
+  alias Aerie.Vehicle.State.{Group, Value}
   alias MavCodec.Enums.{FenceBreach, MissionState}
   alias MavCodec.Messages, as: M
 
-  @impl State
+  use Group,
+    name: :mission,
+    title: "Mission progress and fence.",
+    sampling: {:change, 1.0, %{}, 60.0},
+    messages: [M.MissionCurrent, M.MissionItemReached, M.NavControllerOutput, M.FenceStatus],
+    fields: [
+      {:seq, 0, nil, "the current item", "MISSION_CURRENT, HIGH_LATENCY2"},
+      {:total, 0, nil, "number of items", "MISSION_CURRENT"},
+      {:state, nil, nil, "MISSION_STATE", "MISSION_CURRENT"},
+      {:reached, 0, nil, "the last item that was reached", "MISSION_ITEM_REACHED"},
+      {:wp_distance, 0, "m", "distance to the current item", "NAV_CONTROLLER_OUTPUT, HIGH_LATENCY2"},
+      {:fence_breach, nil, nil, "true while the vehicle breaches its fence", "FENCE_STATUS, HIGH_LATENCY2"},
+      {:fence_breach_type, nil, nil, "FENCE_BREACH", "FENCE_STATUS"}
+    ]
+
+  @impl Group
   def read(%M.MissionCurrent{} = m, _state, _at) do
     {[], mission: %{seq: Value.unsigned(m.seq, 16), total: total(m), state: mission_state(m.mission_state)}}
   end

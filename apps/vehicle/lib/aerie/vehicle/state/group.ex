@@ -1,0 +1,72 @@
+defmodule Aerie.Vehicle.State.Group do
+  @moduledoc """
+  A group of a vehicle's state, as its module declares it with `use Aerie.Vehicle.State.Group`.
+
+    * `fields` - `{name, decimals, unit, meaning, source}`; a list of names for a nested field
+    * `sampling` - how it is published unless the configuration says otherwise: `{strategy, hz, threshold, refresh_s}`
+      (`Aerie.Vehicle.Sampling`)
+    * `messages` - the messages that the module reads, whichever groups they change. `{second, first}`: the second is read only
+      while the first has not come for two seconds
+  """
+
+  alias Aerie.Vehicle.State
+
+  @enforce_keys [:name, :title, :sampling, :messages, :fields]
+  defstruct @enforce_keys
+
+  @typedoc "`path`: its name, or the names that lead to it. `decimals`: 0 for whole numbers, nil for anything but a number."
+  @type field :: %{
+          path: [atom()],
+          decimals: non_neg_integer() | nil,
+          unit: String.t() | nil,
+          meaning: String.t(),
+          source: String.t()
+        }
+  @type t :: %__MODULE__{
+          name: State.group(),
+          title: String.t(),
+          sampling: {atom(), float(), %{String.t() => number()}, float()},
+          messages: [module() | {second :: module(), first :: module()}],
+          fields: [field()]
+        }
+
+  @typedoc "What a message says: fields of the state's struct, and changes of groups."
+  @type said :: {fields :: keyword(), changes :: [{State.group(), map()}]} | {:invalid, atom()}
+
+  @doc "The group."
+  @callback group() :: t()
+  @doc "Reads one of its messages, given the state so far."
+  @callback read(message :: struct(), State.t(), at :: integer()) :: said()
+  @optional_callbacks group: 0, read: 3
+
+  @doc false
+  defmacro __using__(group) do
+    quote do
+      @behaviour unquote(__MODULE__)
+      @group unquote(__MODULE__).new(unquote(group))
+
+      @doc false
+      @impl unquote(__MODULE__)
+      def group, do: @group
+    end
+  end
+
+  @doc false
+  @spec new(keyword()) :: t()
+  def new(group) do
+    fields =
+      for {path, decimals, unit, meaning, source} <- group[:fields],
+          do: %{path: List.wrap(path), decimals: decimals, unit: unit, meaning: meaning, source: source}
+
+    struct!(__MODULE__, Keyword.put(group, :fields, fields))
+  end
+
+  @doc "What the state has of a group so far; empty before its first message."
+  @spec data(State.t(), State.group()) :: map()
+  def data(%{groups: groups}, name) do
+    case groups do
+      %{^name => %{data: data}} -> data
+      _unheard -> %{}
+    end
+  end
+end

@@ -1,0 +1,33 @@
+defmodule Aerie.Vehicle.State.Operator do
+  @moduledoc "Who is in charge of the vehicle: as the gateway knows it (`Aerie.Vehicle.Core.Services`), and as CONTROL_STATUS says."
+  import Bitwise
+
+  alias Aerie.Vehicle.State.Group
+  alias MavCodec.Enums.GcsControlStatusFlags
+  alias MavCodec.Messages, as: M
+
+  @manages_system GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_SYSTEM_MANAGER)
+  @takeover_allowed GcsControlStatusFlags.value(:GCS_CONTROL_STATUS_FLAGS_TAKEOVER_ALLOWED)
+
+  use Group,
+    name: :operator,
+    title: "Who is in charge of the vehicle.",
+    sampling: {:change, 10.0, %{}, 60.0},
+    messages: [M.ControlStatus],
+    fields: [
+      {:name, nil, nil, "who alone commands it through the gateway; null for nobody", "`take_control`"},
+      {:via, nil, nil, "by which way: nats, rest, elixir, mavlink", "`take_control`"},
+      {:since, nil, nil, "since when", "`take_control`"},
+      {:reason, nil, nil, "why it was taken over", "`take_control`"},
+      {:offered_to, nil, nil, "who may take it without a reason; `*` for anybody", "`hand_over_control`"},
+      {:system, 0, nil, "the ground station in control as the vehicle tells; 0 for none", "CONTROL_STATUS"},
+      {:takeover_allowed, nil, nil, "whether the vehicle gives control to whoever asks", "CONTROL_STATUS"}
+    ]
+
+  # Who is in control (X15); only the component that manages the system says it of the whole of it.
+  @impl Group
+  def read(%M.ControlStatus{flags: flags} = m, _state, _at) when (flags &&& @manages_system) != 0,
+    do: {[], operator: %{system: m.gcs_main, takeover_allowed: (flags &&& @takeover_allowed) != 0}}
+
+  def read(%M.ControlStatus{}, _state, _at), do: {[], []}
+end

@@ -3,6 +3,7 @@ defmodule Aerie.Command.Type do
   One row of the table of commands (`Aerie.Command.Types`), and the check of a command's parameters by it.
   """
 
+  alias Aerie.Authority.Commands.Row
   alias Aerie.Command.{Error, Param}
 
   @enforce_keys [:name, :group, :meaning, :permission]
@@ -21,20 +22,6 @@ defmodule Aerie.Command.Type do
     disarmed: :taken
   ]
 
-  @permissions [
-    :arm,
-    :fly,
-    :mission,
-    :manual,
-    :payload,
-    :telemetry,
-    :sensors,
-    :maintain,
-    :protection,
-    :force_disarm,
-    :terminate
-  ]
-
   @typedoc """
   What a source must be allowed to do:
 
@@ -46,18 +33,7 @@ defmodule Aerie.Command.Type do
     * `:protection` - take away what protects a vehicle: its fence, its safety switch, its failsafes and checks
     * `:sensors` - tell its estimators what they shall believe: positions, corrections
   """
-  @type permission ::
-          :arm
-          | :fly
-          | :mission
-          | :manual
-          | :payload
-          | :telemetry
-          | :sensors
-          | :maintain
-          | :protection
-          | :force_disarm
-          | :terminate
+  @type permission :: Row.permission()
 
   @typedoc """
   A rule about several parameters: all or none of them; exactly one of them; at least one of them.
@@ -101,7 +77,7 @@ defmodule Aerie.Command.Type do
 
   @doc "All permissions that a command may need."
   @spec permissions() :: [permission()]
-  def permissions, do: @permissions
+  defdelegate permissions, to: Row
 
   @doc """
   Checks parameters from outside, a map with text keys. Gives them by name with the defaults filled in, or all that is

@@ -6,22 +6,13 @@ defmodule Aerie.Authority.Commands.Row do
   @enforce_keys [:id, :name, :class, :permission, :type, :as_command, :as_item, :numbers]
   defstruct @enforce_keys
 
+  @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate)a
+
   @typedoc """
-  What a source must be allowed to do, as `t:Aerie.Command.Type.permission/0` lists it. It is the least that any form of the command
+  What a source must be allowed to do, as `t:Aerie.Command.Type.permission/0` describes it. It is the least that any form of the command
   needs; its parameters may make it need more (`Aerie.Policy.Raw.Commands`).
   """
-  @type permission ::
-          :arm
-          | :fly
-          | :mission
-          | :manual
-          | :payload
-          | :maintain
-          | :telemetry
-          | :sensors
-          | :protection
-          | :force_disarm
-          | :terminate
+  @type permission :: unquote(Enum.reduce(@permissions, &{:|, [], [&1, &2]}))
 
   @typedoc """
   What the parameters name, mostly 5 to 7:
@@ -50,4 +41,8 @@ defmodule Aerie.Authority.Commands.Row do
           as_item: place(),
           numbers: [{1..7, Numbers.kind()}]
         }
+
+  @doc "All permissions."
+  @spec permissions() :: [permission(), ...]
+  def permissions, do: @permissions
 end

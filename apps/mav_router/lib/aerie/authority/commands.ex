@@ -22,7 +22,6 @@ defmodule Aerie.Authority.Commands do
       name: Atom.to_string(name),
       class: Keyword.get(options, :class, :command),
       permission: permission,
-      type: Keyword.get(options, :type, "mav_cmd_#{id}"),
       as_command: Keyword.get(options, :as_command, place),
       as_item: Keyword.get(options, :as_item, place),
       numbers: Numbers.of(id, Keyword.get(options, :numbers, []))

@@ -13,6 +13,7 @@ defmodule Aerie.Command.Type do
     :meaning,
     :permission,
     :confirmed_by,
+    mav_cmds: [],
     params: [],
     rules: [],
     retry: :safe,
@@ -41,6 +42,7 @@ defmodule Aerie.Command.Type do
   @type rule :: {:together, [atom()]} | {:one_of, [atom()]} | {:any_of, [atom()]}
 
   @typedoc """
+    * `:mav_cmds` - the commands of MAV_CMD, without the prefix, that policy treats as this one when they come as raw MAVLink
     * `:retry` - `:safe`: sent again when no answer comes (C1); `:never`: sent once, because doing it twice is not the same
     * `:confirmed_by` - what of the vehicle's state shows that it was done; nil: nothing does, the vehicle's word is all there is
     * `:long?` - the vehicle may take seconds or minutes, and tell its progress (C4)
@@ -55,6 +57,7 @@ defmodule Aerie.Command.Type do
           meaning: String.t(),
           permission: permission(),
           confirmed_by: String.t() | nil,
+          mav_cmds: [atom()],
           params: [Param.t()],
           rules: [rule()],
           retry: :safe | :never,

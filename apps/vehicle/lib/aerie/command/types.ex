@@ -1,11 +1,12 @@
 defmodule Aerie.Command.Types do
   @moduledoc """
   The table of all commands, one `Aerie.Command.Type` a row, in the files of `types/`. Validation, `docs/commands.md`
-  (`mix aerie.commands`) and forms are made from it. A new command is a row here and, where the firmware differs, a clause in
-  an adapter (`Aerie.Protocol`).
+  (`mix aerie.commands`), forms and the policy's reading of raw MAVLink are made from it. A new command is a row here and its steps
+  in `Aerie.Protocol.Mavlink.Commands`, or in the adapter of a firmware that differs (`Aerie.Protocol`).
   """
 
   alias Aerie.Command.{Param, Type, Types}
+  alias MavCodec.Enums.MavCmd
 
   @all Types.Flight.rows() ++
          Types.Navigation.rows() ++
@@ -13,6 +14,10 @@ defmodule Aerie.Command.Types do
          Types.Payload.rows() ++
          Types.Manual.rows() ++ Types.Maintenance.rows() ++ Types.Control.rows()
   @by_name Map.new(@all, &{&1.name, &1})
+  @by_mav_cmd for type <- @all,
+                  name <- type.mav_cmds,
+                  into: %{},
+                  do: {MavCmd.value(:"MAV_CMD_#{name}") || raise("no command #{name}"), type.name}
 
   @doc "All rows, in an order for people."
   @spec all() :: [Type.t()]
@@ -29,6 +34,10 @@ defmodule Aerie.Command.Types do
   @doc "The row of a name that is known."
   @spec fetch!(String.t()) :: Type.t()
   def fetch!(name), do: Map.fetch!(@by_name, name)
+
+  @doc "The name of the row that a command of MAV_CMD belongs to, nil if it has none of its own."
+  @spec name_of_mav_cmd(integer()) :: String.t() | nil
+  def name_of_mav_cmd(id), do: Map.get(@by_mav_cmd, id)
 
   @doc "The table as JSON has it: for forms, and for programs that want to know what can be commanded."
   @spec plain() :: [%{String.t() => term()}]

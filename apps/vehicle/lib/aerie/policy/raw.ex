@@ -223,7 +223,7 @@ defmodule Aerie.Policy.Raw do
   end
 
   # A mission moves home, or the origin, in flight.
-  defp moved(%{type: type}) when type in ["set_home", "set_origin"], do: [:protection]
+  defp moved(%{name: name}) when name in ["DO_SET_HOME", "DO_SET_GLOBAL_ORIGIN"], do: [:protection]
   defp moved(_row), do: []
 
   # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.

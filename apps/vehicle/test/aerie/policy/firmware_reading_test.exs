@@ -607,10 +607,11 @@ defmodule Aerie.Policy.FirmwareReadingTest do
     assert judge(policy(%{takeoff_battery: 0.3}), drive, @rover, context(@rover, ground)) == :allow
   end
 
-  test "a row and the type as which it is judged need the same permission" do
-    for %{type: type} = row <- Authority.Commands.all(),
-        {:ok, known} <- [Types.fetch(type)],
-        do: assert({row.name, row.permission} == {row.name, known.permission})
+  test "a command of MAV_CMD belongs to one type at most, and needs the same permission" do
+    for %{mav_cmds: names, permission: permission} = type <- Types.all(), name <- names do
+      row = Authority.Commands.get(MavCmd.value(:"MAV_CMD_#{name}"))
+      assert {name, row.permission, Types.name_of_mav_cmd(row.id)} == {name, permission, type.name}
+    end
 
     for row <- Authority.Commands.all(), do: assert(row.permission in Aerie.Command.Type.permissions())
   end

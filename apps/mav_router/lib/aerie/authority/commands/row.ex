@@ -3,7 +3,7 @@ defmodule Aerie.Authority.Commands.Row do
 
   alias Aerie.Authority.Commands.Numbers
 
-  @enforce_keys [:id, :name, :class, :permission, :type, :as_command, :as_item, :numbers]
+  @enforce_keys [:id, :name, :class, :permission, :as_command, :as_item, :numbers]
   defstruct @enforce_keys
 
   @permissions ~w(arm fly mission manual payload telemetry sensors maintain protection force_disarm terminate)a
@@ -27,7 +27,6 @@ defmodule Aerie.Authority.Commands.Row do
 
   @typedoc """
     * `:class` - whether it only asks for something
-    * `:type` - the type of Aerie's table of commands as which it is judged, or `mav_cmd_N`
     * `:as_command`, `:as_item` - what place it names as COMMAND_LONG or COMMAND_INT, and as an item of a mission
     * `:numbers` - its parameters that are enumerations, flags and indices
   """
@@ -36,7 +35,6 @@ defmodule Aerie.Authority.Commands.Row do
           name: String.t(),
           class: :command | :question,
           permission: permission(),
-          type: String.t(),
           as_command: place(),
           as_item: place(),
           numbers: [{1..7, Numbers.kind()}]

@@ -13,17 +13,17 @@ defmodule Aerie.Authority.Commands.Upkeep do
     [
       {:GET_HOME_POSITION, :telemetry, class: :question},
       {:GET_MESSAGE_INTERVAL, :telemetry, class: :question},
-      {:REQUEST_MESSAGE, :telemetry, class: :question, type: "request_message"},
+      {:REQUEST_MESSAGE, :telemetry, class: :question},
       {:REQUEST_PROTOCOL_VERSION, :telemetry, class: :question},
       {:REQUEST_AUTOPILOT_CAPABILITIES, :telemetry, class: :question},
       {:REQUEST_FLIGHT_INFORMATION, :telemetry, class: :question},
       {:UAVCAN_GET_NODE_INFO, :telemetry, class: :question},
       {:DO_SEND_BANNER, :telemetry, class: :question},
-      {:SET_MESSAGE_INTERVAL, :telemetry, type: "set_message_interval"},
-      {:CONTROL_HIGH_LATENCY, :telemetry, type: "high_latency"},
+      {:SET_MESSAGE_INTERVAL, :telemetry, []},
+      {:CONTROL_HIGH_LATENCY, :telemetry, []},
       {:LOGGING_START, :telemetry, []},
       {:LOGGING_STOP, :telemetry, []},
-      {:RUN_PREARM_CHECKS, :telemetry, type: "prearm_check"}
+      {:RUN_PREARM_CHECKS, :telemetry, []}
     ]
   end
 
@@ -36,7 +36,7 @@ defmodule Aerie.Authority.Commands.Upkeep do
       {:SET_HAGL, :sensors, []},
       {:ESTIMATOR_SENSOR_ENABLE, :protection, []},
       {:SET_EKF_SOURCE_SET, :maintain, []},
-      {:DO_SET_GLOBAL_ORIGIN, :maintain, type: "set_origin"},
+      {:DO_SET_GLOBAL_ORIGIN, :maintain, []},
       # A charge that is made up keeps the battery's failsafe away.
       {:BATTERY_RESET, :protection, []}
     ]
@@ -44,32 +44,32 @@ defmodule Aerie.Authority.Commands.Upkeep do
 
   defp calibration do
     [
-      {:PREFLIGHT_CALIBRATION, :maintain, type: "calibrate"},
-      {:PREFLIGHT_SET_SENSOR_OFFSETS, :maintain, type: "calibrate"},
-      {:FIXED_MAG_CAL, :maintain, type: "calibrate"},
-      {:FIXED_MAG_CAL_FIELD, :maintain, type: "calibrate"},
-      {:FIXED_MAG_CAL_YAW, :maintain, type: "calibrate"},
-      {:DO_START_MAG_CAL, :maintain, type: "calibrate"},
-      {:DO_ACCEPT_MAG_CAL, :maintain, type: "calibrate_accept"},
-      {:DO_CANCEL_MAG_CAL, :maintain, type: "calibrate_cancel"},
-      {:ACCELCAL_VEHICLE_POS, :maintain, type: "calibrate_position", numbers: [{1, :any}]}
+      {:PREFLIGHT_CALIBRATION, :maintain, []},
+      {:PREFLIGHT_SET_SENSOR_OFFSETS, :maintain, []},
+      {:FIXED_MAG_CAL, :maintain, []},
+      {:FIXED_MAG_CAL_FIELD, :maintain, []},
+      {:FIXED_MAG_CAL_YAW, :maintain, []},
+      {:DO_START_MAG_CAL, :maintain, []},
+      {:DO_ACCEPT_MAG_CAL, :maintain, []},
+      {:DO_CANCEL_MAG_CAL, :maintain, []},
+      {:ACCELCAL_VEHICLE_POS, :maintain, numbers: [{1, :any}]}
     ]
   end
 
   defp workshop do
     [
-      {:DO_MOTOR_TEST, :maintain, type: "motor_test"},
+      {:DO_MOTOR_TEST, :maintain, []},
       # Ground stations add 1000 to functions of PX4's own.
-      {:ACTUATOR_TEST, :maintain, type: "motor_test", numbers: [{5, {:index, 0, 65_535}}]},
-      {:ACTUATOR_GROUP_TEST, :maintain, type: "motor_test"},
-      {:CONFIGURE_ACTUATOR, :maintain, type: "motor_test", numbers: [{5, {:index, 0, 65_535}}]},
-      {:PREFLIGHT_UAVCAN, :maintain, type: "motor_test"},
-      {:PREFLIGHT_STORAGE, :maintain, type: "save_params", numbers: [{2, {:index, 0, 4}}]},
+      {:ACTUATOR_TEST, :maintain, numbers: [{5, {:index, 0, 65_535}}]},
+      {:ACTUATOR_GROUP_TEST, :maintain, []},
+      {:CONFIGURE_ACTUATOR, :maintain, numbers: [{5, {:index, 0, 65_535}}]},
+      {:PREFLIGHT_UAVCAN, :maintain, []},
+      {:PREFLIGHT_STORAGE, :maintain, numbers: [{2, {:index, 0, 4}}]},
       {:PREFLIGHT_STORAGE_ADVANCED, :protection, []},
-      {:PREFLIGHT_REBOOT_SHUTDOWN, :maintain, type: "reboot"},
-      {:FLASH_BOOTLOADER, :maintain, type: "reboot"},
-      {:START_RX_PAIR, :maintain, type: "rx_pair"},
-      {:DO_SET_PARAMETER, :maintain, type: "set_parameter"},
+      {:PREFLIGHT_REBOOT_SHUTDOWN, :maintain, []},
+      {:FLASH_BOOTLOADER, :maintain, []},
+      {:START_RX_PAIR, :maintain, []},
+      {:DO_SET_PARAMETER, :maintain, []},
       {:DO_SET_SYS_CMP_ID, :maintain, []},
       {:SET_FACTORY_TEST_MODE, :maintain, []},
       # It stops the autopilot where it is.

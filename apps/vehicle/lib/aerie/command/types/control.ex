@@ -14,6 +14,7 @@ defmodule Aerie.Command.Types.Control do
         group: :control,
         meaning:
           "Takes charge of the vehicle: from now on nobody else commands it. If somebody else is in charge, a reason is needed, unless they offered it.",
+        mav_cmds: ~w(REQUEST_OPERATOR_CONTROL)a,
         permission: :fly,
         confirmed_by: @by,
         params: [

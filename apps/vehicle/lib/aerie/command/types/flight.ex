@@ -16,6 +16,7 @@ defmodule Aerie.Command.Types.Flight do
         group: :flight,
         meaning:
           "Arms the vehicle, so that its motors may turn. The vehicle's own checks decide whether it arms.",
+        mav_cmds: ~w(COMPONENT_ARM_DISARM)a,
         permission: :arm,
         retry: :never,
         confirmed_by: "it is armed",
@@ -41,6 +42,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "terminate",
         group: :flight,
         meaning: "Ends the flight for good (flight termination): the vehicle falls, or opens its parachute.",
+        mav_cmds: ~w(DO_FLIGHTTERMINATION)a,
         permission: :terminate,
         retry: :never,
         moves_vehicle?: true
@@ -49,6 +51,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "takeoff",
         group: :flight,
         meaning: "Takes off. The vehicle must be armed.",
+        mav_cmds: ~w(NAV_TAKEOFF NAV_TAKEOFF_LOCAL NAV_VTOL_TAKEOFF SOLO_BTN_FLY_HOLD)a,
         permission: :fly,
         retry: :never,
         confirmed_by: "it is in the air",
@@ -61,6 +64,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "land",
         group: :flight,
         meaning: "Lands at its present position.",
+        mav_cmds: ~w(NAV_LAND NAV_LAND_LOCAL NAV_VTOL_LAND)a,
         permission: :fly,
         confirmed_by: "it is in the landing mode, or on the ground",
         moves_vehicle?: true
@@ -70,6 +74,7 @@ defmodule Aerie.Command.Types.Flight do
         disarmed: :refused_on_wheels,
         group: :flight,
         meaning: "Returns to home or to a rally point, and then does what its parameters say, usually land.",
+        mav_cmds: ~w(NAV_RETURN_TO_LAUNCH)a,
         permission: :fly,
         confirmed_by: "it is in the return mode",
         moves_vehicle?: true
@@ -96,6 +101,7 @@ defmodule Aerie.Command.Types.Flight do
         group: :flight,
         meaning:
           "Changes the flight mode: to a mode of the firmware, by the name that the vehicle's state shows, or to one of MAVLink's standard modes.",
+        mav_cmds: ~w(DO_SET_MODE DO_SET_STANDARD_MODE)a,
         permission: :fly,
         confirmed_by: "it is in this mode",
         moves_vehicle?: true,
@@ -114,6 +120,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "vtol_transition",
         group: :flight,
         meaning: "Switches between fixed-wing and multicopter flight.",
+        mav_cmds: ~w(DO_VTOL_TRANSITION)a,
         permission: :fly,
         retry: :never,
         confirmed_by: "its VTOL state shows it",
@@ -127,6 +134,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "parachute",
         group: :flight,
         meaning: "Releases the parachute, or switches its automatic release on or off.",
+        mav_cmds: ~w(DO_PARACHUTE)a,
         permission: :terminate,
         retry: :never,
         moves_vehicle?: true,
@@ -138,6 +146,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "set_home",
         group: :flight,
         meaning: "Sets home to the vehicle's position, or to a place.",
+        mav_cmds: ~w(DO_SET_HOME)a,
         permission: :fly,
         confirmed_by: "it reports this home",
         rules: [{:together, [:lat, :lon, :altitude_msl]}, {:one_of, [:here, :lat]}],
@@ -152,6 +161,7 @@ defmodule Aerie.Command.Types.Flight do
         name: "set_origin",
         group: :flight,
         meaning: "Sets the origin of the local coordinates, for a vehicle without GNSS.",
+        mav_cmds: ~w(DO_SET_GLOBAL_ORIGIN)a,
         permission: :maintain,
         confirmed_by: "it sends GPS_GLOBAL_ORIGIN",
         params: place(required: true) ++ [altitude_msl(required: true)]

@@ -17,12 +17,14 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "prearm_check",
         group: :maintenance,
         meaning: "Runs the checks before arming; what they find comes as texts and reports.",
+        mav_cmds: ~w(RUN_PREARM_CHECKS)a,
         permission: :telemetry
       },
       %Type{
         name: "motor_test",
         group: :maintenance,
         meaning: "Turns one motor. Take the propellers off.",
+        mav_cmds: ~w(DO_MOTOR_TEST ACTUATOR_TEST ACTUATOR_GROUP_TEST CONFIGURE_ACTUATOR PREFLIGHT_UAVCAN)a,
         permission: :maintain,
         retry: :never,
         moves_vehicle?: true,
@@ -36,6 +38,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "reboot",
         group: :maintenance,
         meaning: "Restarts the autopilot. An armed vehicle refuses.",
+        mav_cmds: ~w(PREFLIGHT_REBOOT_SHUTDOWN FLASH_BOOTLOADER)a,
         permission: :maintain,
         retry: :never,
         confirmed_by: "its clock starts again",
@@ -52,6 +55,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "save_params",
         group: :maintenance,
         meaning: "Stores the parameters where they survive a power cut.",
+        mav_cmds: ~w(PREFLIGHT_STORAGE)a,
         permission: :maintain
       },
       %Type{
@@ -66,6 +70,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "rx_pair",
         group: :maintenance,
         meaning: "Makes the remote control receiver ready to be bound.",
+        mav_cmds: ~w(START_RX_PAIR)a,
         permission: :maintain,
         retry: :never,
         params: [
@@ -82,6 +87,8 @@ defmodule Aerie.Command.Types.Maintenance do
         group: :maintenance,
         meaning:
           "Calibrates a sensor. The vehicle's instructions, such as how to place it, come as progress.",
+        mav_cmds: ~w(PREFLIGHT_CALIBRATION PREFLIGHT_SET_SENSOR_OFFSETS FIXED_MAG_CAL
+          FIXED_MAG_CAL_FIELD FIXED_MAG_CAL_YAW DO_START_MAG_CAL)a,
         permission: :maintain,
         retry: :never,
         confirmed_by: "what the vehicle reports",
@@ -93,6 +100,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "calibrate_position",
         group: :maintenance,
         meaning: "Tells the vehicle that it is in the position that the accelerometer calibration asked for.",
+        mav_cmds: ~w(ACCELCAL_VEHICLE_POS)a,
         permission: :maintain,
         retry: :never,
         params: [
@@ -103,6 +111,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "calibrate_accept",
         group: :maintenance,
         meaning: "Stores what the calibration of the magnetometers found.",
+        mav_cmds: ~w(DO_ACCEPT_MAG_CAL)a,
         permission: :maintain
       },
       %Type{
@@ -110,6 +119,7 @@ defmodule Aerie.Command.Types.Maintenance do
         group: :maintenance,
         meaning:
           "Ends a calibration without a result. ArduPilot cannot end that of the accelerometer, and stores what that of compass and motors has found until then.",
+        mav_cmds: ~w(DO_CANCEL_MAG_CAL)a,
         permission: :maintain
       }
     ]
@@ -121,6 +131,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "request_message",
         group: :telemetry,
         meaning: "Asks for a message once.",
+        mav_cmds: ~w(REQUEST_MESSAGE)a,
         permission: :telemetry,
         confirmed_by: "the message arrives",
         params: [
@@ -136,6 +147,7 @@ defmodule Aerie.Command.Types.Maintenance do
         group: :telemetry,
         meaning:
           "Sets how often a message comes by the link that the vehicle is commanded by. What the gateway and its clients want besides may change it again.",
+        mav_cmds: ~w(SET_MESSAGE_INTERVAL)a,
         permission: :telemetry,
         rules: [{:one_of, [:rate, :action]}],
         params: [
@@ -148,6 +160,7 @@ defmodule Aerie.Command.Types.Maintenance do
         name: "high_latency",
         group: :telemetry,
         meaning: "Starts or stops sending only a summary, for high-latency links.",
+        mav_cmds: ~w(CONTROL_HIGH_LATENCY)a,
         permission: :telemetry,
         params: [Param.boolean(:enabled, "whether only the summary is sent", required: true)]
       }

@@ -47,7 +47,7 @@ defmodule Aerie.Command.Types.Manual do
           heading(:yaw, "heading of the nose; without it, the vehicle decides")
         ]
       ),
-      row("setpoint_velocity", "Off-board set-point: a velocity.", [
+      row("setpoint_velocity", [:NAV_SET_YAW_SPEED], "Off-board set-point: a velocity.", [
         speed(:vx, "to the north, or forward"),
         speed(:vy, "to the east, or to the right"),
         speed(:vz, "down"),
@@ -56,7 +56,7 @@ defmodule Aerie.Command.Types.Manual do
         ),
         Param.number(:yaw_rate, "°/s", -360, 360, "turn to the right at this rate; without it, do not turn")
       ]),
-      row("setpoint_attitude", "Off-board set-point: an attitude and a thrust.", [
+      row("setpoint_attitude", [:NAV_ATTITUDE_TIME], "Off-board set-point: an attitude and a thrust.", [
         Param.number(:roll, "°", -180, 180, "right side down is positive", required: true),
         Param.number(:pitch, "°", -90, 90, "nose up is positive", required: true),
         Param.number(:yaw, "°", -180, 360, "from north", required: true),
@@ -65,9 +65,10 @@ defmodule Aerie.Command.Types.Manual do
     ]
   end
 
-  defp row(name, meaning, params) do
+  defp row(name, mav_cmds \\ [], meaning, params) do
     %Type{
       name: name,
+      mav_cmds: mav_cmds,
       group: :manual,
       meaning: meaning,
       permission: :manual,

@@ -12,6 +12,7 @@ defmodule Aerie.Command.Types.Mission do
         disarmed: :refused,
         group: :mission,
         meaning: "Starts the mission, or continues it. It does not arm the vehicle.",
+        mav_cmds: ~w(MISSION_START)a,
         permission: :mission,
         confirmed_by: "it is in the mission mode",
         moves_vehicle?: true
@@ -20,6 +21,7 @@ defmodule Aerie.Command.Types.Mission do
         name: "mission_pause",
         group: :mission,
         meaning: "Stops and waits in place; resume continues the mission.",
+        mav_cmds: ~w(DO_PAUSE_CONTINUE)a,
         permission: :mission,
         confirmed_by: "its mode has changed, if the firmware changes it",
         moves_vehicle?: true
@@ -28,6 +30,7 @@ defmodule Aerie.Command.Types.Mission do
         name: "mission_set_current",
         group: :mission,
         meaning: "Makes an item of the mission the current one.",
+        mav_cmds: ~w(DO_SET_MISSION_CURRENT)a,
         permission: :mission,
         confirmed_by: "it is the current item",
         moves_vehicle?: true,
@@ -40,6 +43,7 @@ defmodule Aerie.Command.Types.Mission do
         disarmed: :refused,
         group: :mission,
         meaning: "Continues the mission at the item with a tag.",
+        mav_cmds: ~w(DO_JUMP DO_JUMP_TAG)a,
         permission: :mission,
         retry: :never,
         moves_vehicle?: true,
@@ -52,6 +56,7 @@ defmodule Aerie.Command.Types.Mission do
         name: "set_geofence",
         group: :mission,
         meaning: "Switches the vehicle's own fence on or off; off needs `protection`, too.",
+        mav_cmds: ~w(DO_FENCE_ENABLE)a,
         permission: :mission,
         params: [Param.boolean(:enabled, "whether the fence is on", required: true)]
       }

@@ -14,6 +14,7 @@ defmodule Aerie.Command.Types.Navigation do
         disarmed: :refused,
         group: :navigation,
         meaning: "Flies to a place and stays there.",
+        mav_cmds: ~w(DO_REPOSITION OVERRIDE_GOTO)a,
         permission: :fly,
         confirmed_by: "it is in the mode for flying to a place",
         moves_vehicle?: true,
@@ -30,6 +31,7 @@ defmodule Aerie.Command.Types.Navigation do
         disarmed: :refused,
         group: :navigation,
         meaning: "Circles around a place, or around its present position, until the next command.",
+        mav_cmds: ~w(DO_ORBIT)a,
         permission: :fly,
         confirmed_by: "it is in the circling mode",
         moves_vehicle?: true,
@@ -55,6 +57,7 @@ defmodule Aerie.Command.Types.Navigation do
         name: "set_speed",
         group: :navigation,
         meaning: "Sets the speed at which it flies to its targets.",
+        mav_cmds: ~w(DO_CHANGE_SPEED GUIDED_CHANGE_SPEED)a,
         permission: :fly,
         moves_vehicle?: true,
         params: [
@@ -67,6 +70,7 @@ defmodule Aerie.Command.Types.Navigation do
         disarmed: :refused,
         group: :navigation,
         meaning: "Climbs or descends to a height above its present position.",
+        mav_cmds: ~w(DO_CHANGE_ALTITUDE GUIDED_CHANGE_ALTITUDE)a,
         permission: :fly,
         confirmed_by: "it is in the mode for flying to a place",
         moves_vehicle?: true,
@@ -77,6 +81,7 @@ defmodule Aerie.Command.Types.Navigation do
         disarmed: :refused,
         group: :navigation,
         meaning: "Turns the nose while staying in place.",
+        mav_cmds: ~w(CONDITION_YAW)a,
         permission: :fly,
         retry: :never,
         moves_vehicle?: true,
@@ -97,6 +102,7 @@ defmodule Aerie.Command.Types.Navigation do
         name: "set_roi",
         group: :navigation,
         meaning: "Keeps camera and nose pointed at a place.",
+        mav_cmds: ~w(NAV_ROI DO_SET_ROI_LOCATION DO_SET_ROI_WPNEXT_OFFSET DO_SET_ROI_SYSID DO_SET_ROI)a,
         permission: :payload,
         moves_vehicle?: true,
         params: place(required: true) ++ altitude("height of the place", default: 0.0)
@@ -105,6 +111,7 @@ defmodule Aerie.Command.Types.Navigation do
         name: "clear_roi",
         group: :navigation,
         meaning: "Stops pointing at a place.",
+        mav_cmds: ~w(DO_SET_ROI_NONE)a,
         permission: :payload,
         moves_vehicle?: true
       },
@@ -113,6 +120,7 @@ defmodule Aerie.Command.Types.Navigation do
         disarmed: :refused,
         group: :navigation,
         meaning: "Flies to the start of the mission's landing sequence and lands with it.",
+        mav_cmds: ~w(DO_LAND_START)a,
         permission: :mission,
         moves_vehicle?: true
       }

@@ -13,6 +13,8 @@ defmodule Aerie.Command.Types.Payload do
         name: "camera_photo",
         group: :payload,
         meaning: "Takes photos, or stops taking them.",
+        mav_cmds:
+          ~w(DO_DIGICAM_CONFIGURE DO_DIGICAM_CONTROL DO_SET_CAM_TRIGG_INTERVAL IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE)a,
         permission: :payload,
         retry: :never,
         long?: true,
@@ -28,6 +30,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "camera_video",
         group: :payload,
         meaning: "Starts or stops recording a video.",
+        mav_cmds: ~w(VIDEO_START_CAPTURE VIDEO_STOP_CAPTURE)a,
         permission: :payload,
         params: [
           Param.choice(:action, ~w(start stop), "start or stop recording", default: "start"),
@@ -39,6 +42,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "camera_trigger",
         group: :payload,
         meaning: "Releases the shutter once.",
+        mav_cmds: ~w(DO_TRIGGER_CONTROL SET_CAMERA_MODE SET_CAMERA_ZOOM SET_CAMERA_FOCUS)a,
         permission: :payload,
         retry: :never
       },
@@ -46,6 +50,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "camera_trigger_distance",
         group: :payload,
         meaning: "Takes a photo each time the vehicle has flown this distance.",
+        mav_cmds: ~w(DO_SET_CAM_TRIGG_DIST)a,
         permission: :payload,
         params: [
           Param.number(:distance, "m", 0, 10_000, "distance between two photos; 0: stop", required: true)
@@ -55,6 +60,8 @@ defmodule Aerie.Command.Types.Payload do
         name: "gimbal",
         group: :payload,
         meaning: "Points the gimbal.",
+        mav_cmds: ~w(DO_MOUNT_CONFIGURE DO_MOUNT_CONTROL DO_MOUNT_CONTROL_QUAT DO_GIMBAL_MANAGER_PITCHYAW
+          DO_GIMBAL_MANAGER_CONFIGURE)a,
         permission: :payload,
         rules: [{:together, [:pitch, :yaw]}],
         params: [
@@ -69,6 +76,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "gripper",
         group: :payload,
         meaning: "Opens or closes the gripper.",
+        mav_cmds: ~w(DO_GRIPPER)a,
         permission: :payload,
         retry: :never,
         long?: true,
@@ -81,6 +89,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "servo",
         group: :payload,
         meaning: "Moves a servo output that nothing else steers.",
+        mav_cmds: ~w(DO_SET_SERVO DO_REPEAT_SERVO)a,
         permission: :payload,
         moves_vehicle?: true,
         params: [
@@ -92,6 +101,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "actuator",
         group: :payload,
         meaning: "Moves an output of an actuator set.",
+        mav_cmds: ~w(DO_SET_ACTUATOR)a,
         permission: :payload,
         moves_vehicle?: true,
         params: [
@@ -103,6 +113,7 @@ defmodule Aerie.Command.Types.Payload do
         name: "relay",
         group: :payload,
         meaning: "Switches a relay.",
+        mav_cmds: ~w(DO_SET_RELAY DO_REPEAT_RELAY)a,
         permission: :payload,
         params: [
           Param.integer(:relay, nil, 0, 15, "which relay", required: true),

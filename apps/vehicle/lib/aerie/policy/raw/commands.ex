@@ -232,15 +232,15 @@ defmodule Aerie.Policy.Raw.Commands do
   defp path(:anywhere, _request), do: :anywhere
   defp path(_none, _request), do: :none
 
-  # By its type of the table, or by its row alone.
+  # By its type of the table of commands, or by its row alone.
   defp plain(row) do
-    case Types.fetch(row.type) do
-      {:ok, _type} ->
-        Facts.named(row.type)
+    case Types.name_of_mav_cmd(row.id) do
+      name when name != nil ->
+        Facts.named(name)
 
-      :error ->
+      nil ->
         %Facts{
-          type: row.type,
+          type: "mav_cmd_#{row.id}",
           permission: row.permission,
           moves?: row.permission in [:arm, :fly, :mission, :manual, :terminate, :force_disarm],
           implies:

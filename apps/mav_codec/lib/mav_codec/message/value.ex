@@ -33,6 +33,18 @@ defmodule MavCodec.Message.Value do
   defp special32(0xFF800000), do: :neg_infinity
   defp special32(bits), do: {:nan, bits}
 
+  @doc "The 32 bits of a float or of a number that 32 bits have; the inverse of `float32/1`."
+  @spec bits32(extended_float() | integer()) :: 0..0xFFFFFFFF
+  def bits32(:nan), do: @nan32
+  def bits32(:infinity), do: @infinity32
+  def bits32(:neg_infinity), do: 0xFF800000
+  def bits32({:nan, bits}), do: bits
+
+  def bits32(number) do
+    <<bits::32>> = <<number::float-32>>
+    bits
+  end
+
   @doc "The double of 64 bits given as an integer."
   @spec float64(0..0xFFFFFFFFFFFFFFFF) :: extended_float()
   def float64(bits) do

@@ -7,25 +7,22 @@ defmodule SimVehicle.Ftp do
   (T2). Sessions do not survive a reboot; files do.
   """
 
+  alias MavCodec.{CRC, PackedParams}
+  alias MavCodec.Ftp.Packet
   alias SimVehicle.Params
-  alias SimVehicle.Ftp.Pack
 
-  @max_data 239
+  @max_data Packet.max_data()
   @burst_packets 60
   @burst_us 1_000
   @sessions %{px4: 1, ardupilot: 5}
   @max_file 4_000_000
   @max_files 100
 
-  @ack 128
-  @nak 129
-  @fail 1
-  @errno 2
-  @invalid_session 4
-  @no_sessions 5
-  @eof 6
-  @unknown 7
-  @not_found 10
+  # Whether the parameter file has defaults, by its path.
+  @packed Map.new([false, true], &{PackedParams.path(&1), &1})
+  @enoent {:errno, 2}
+  @einval {:errno, 22}
+  @enospc {:errno, 28}
 
   defstruct style: :ardupilot, files: %{}, sessions: %{}, last: nil
 
@@ -45,46 +42,35 @@ defmodule SimVehicle.Ftp do
   @spec handle(t, binary, term, Params.t()) :: {t, [answer]}
   def handle(%{last: {source, payload, answer}} = ftp, payload, source, _params), do: {ftp, [{0, answer}]}
 
-  def handle(
-        ftp,
-        <<seq::little-16, session, opcode, size, _request, _complete, _padding, offset::little-32,
-          data::binary>> = payload,
-        source,
-        params
-      )
-      when size <= @max_data do
-    request = %{
-      seq: seq,
-      session: session,
-      opcode: opcode,
-      size: size,
-      offset: offset,
-      data: binary_part(data, 0, min(size, byte_size(data))),
-      params: params
-    }
+  def handle(ftp, payload, source, params) do
+    case Packet.decode(payload) do
+      {:ok, %{size: size} = request} when size <= @max_data ->
+        {ftp, answers} = on(ftp, Packet.operation(request), request, params)
 
-    {ftp, answers} = on(ftp, opcode, request)
+        payloads =
+          for {answer, n} <- Enum.with_index(answers, 1),
+              do: Packet.encode(%{answer | seq: Bitwise.band(request.seq + n, 0xFFFF)})
 
-    answers =
-      for {{kind, fields}, n} <- Enum.with_index(answers),
-          do: {n * @burst_us, answer(request, kind, fields, n)}
+        last = if match?([_only], payloads) and not burst?(request), do: {source, payload, hd(payloads)}
+        {%{ftp | last: last}, Enum.with_index(payloads, &{&2 * @burst_us, &1})}
 
-    case answers do
-      [{_now, only}] when opcode != 15 -> {%{ftp | last: {source, payload, only}}, answers}
-      _burst -> {%{ftp | last: nil}, answers}
+      _malformed ->
+        {ftp, []}
     end
   end
 
-  def handle(ftp, _malformed, _source, _params), do: {ftp, []}
+  defp burst?(request), do: Packet.operation(request) == :burst
 
   # --- sessions ---
 
-  defp on(ftp, 1, r), do: {%{ftp | sessions: Map.delete(ftp.sessions, r.session)}, [ack()]}
-  defp on(ftp, 2, _r), do: {%{ftp | sessions: %{}}, [ack()]}
+  defp on(ftp, :terminate, r, _params),
+    do: {%{ftp | sessions: Map.delete(ftp.sessions, r.session)}, [Packet.ack(r, "")]}
+
+  defp on(ftp, :reset, r, _params), do: {%{ftp | sessions: %{}}, [Packet.ack(r, "")]}
 
   # --- directories ---
 
-  defp on(ftp, 3, r) do
+  defp on(ftp, :list, r, _params) do
     folder = "/" <> String.trim(r.data, "/")
 
     entries =
@@ -94,92 +80,95 @@ defmodule SimVehicle.Ftp do
       |> Enum.uniq()
       |> Enum.drop(r.offset)
 
-    {ftp, [if(entries == [], do: nak(@eof), else: ack(data: fitting(entries)))]}
+    {ftp, [if(entries == [], do: Packet.nak(r, :eof), else: Packet.ack(r, fitting(entries)))]}
   end
 
   # --- opening ---
 
-  defp on(ftp, 4, r) do
-    case content(ftp, r.data, r.params) do
-      nil -> {ftp, [nak(@not_found)]}
-      bytes -> open(ftp, %{path: r.data, bytes: bytes, write?: false, piece: nil}, told_size(r.data, bytes))
+  defp on(ftp, :open, r, params) do
+    case content(ftp, r.data, params) do
+      nil ->
+        refused(ftp, r, :file_not_found)
+
+      bytes ->
+        open(ftp, r, %{path: r.data, bytes: bytes, write?: false, piece: nil}, told_size(r.data, bytes))
     end
   end
 
-  defp on(%{files: files} = ftp, opcode, r) when opcode in [6, 11] do
+  defp on(%{files: files} = ftp, operation, r, _params) when operation in [:create, :open_to_write] do
     cond do
       String.starts_with?(r.data, "@") ->
-        {ftp, [nak(@fail)]}
+        refused(ftp, r, :failed)
 
-      opcode == 11 and not is_map_key(files, r.data) ->
-        {ftp, [{:nak, [data: <<@errno, 2>>]}]}
+      operation == :open_to_write and not is_map_key(files, r.data) ->
+        refused(ftp, r, @enoent)
 
       map_size(files) >= @max_files and not is_map_key(files, r.data) ->
-        {ftp, [{:nak, [data: <<@errno, 28>>]}]}
+        refused(ftp, r, @enospc)
 
       true ->
-        write_open(ftp, r, if(opcode == 6, do: "", else: files[r.data]))
+        open_to_write(ftp, r, if(operation == :create, do: "", else: files[r.data]))
     end
   end
 
   # --- contents ---
 
-  defp on(ftp, 5, r) do
+  defp on(ftp, :read, r, _params) do
     with_session(ftp, r, fn ftp, file ->
       case piece(ftp, file, r) do
-        {:ok, ftp, ""} -> {ftp, [nak(@eof) |> at(r)]}
-        {:ok, ftp, bytes} -> {ftp, [ack(data: bytes) |> at(r)]}
-        :error -> {ftp, [{:nak, [data: <<@errno, 22>>]}]}
+        {:ok, ftp, ""} -> refused(ftp, r, :eof)
+        {:ok, ftp, bytes} -> {ftp, [Packet.ack(r, bytes)]}
+        :error -> refused(ftp, r, @einval)
       end
     end)
   end
 
-  defp on(ftp, 7, r) do
+  defp on(ftp, :write, r, _params) do
     with_session(ftp, r, fn ftp, file ->
       if file.write? and r.offset + byte_size(r.data) <= @max_file do
-        old = Map.get(ftp.files, file.path, "")
-        {ftp, [ack(size: byte_size(r.data)) |> at(r)]} |> put_file(file.path, splice(old, r.offset, r.data))
+        bytes = ftp.files |> Map.get(file.path, "") |> splice(r.offset, r.data)
+        {put_file(ftp, file.path, bytes), [%{Packet.ack(r, "") | size: byte_size(r.data)}]}
       else
-        {ftp, [nak(@fail)]}
+        refused(ftp, r, :failed)
       end
     end)
   end
 
-  defp on(ftp, 8, r) do
+  defp on(ftp, :remove, r, _params) do
     if is_map_key(ftp.files, r.data),
-      do: {%{ftp | files: Map.delete(ftp.files, r.data)}, [ack()]},
-      else: {ftp, [{:nak, [data: <<@errno, 2>>]}]}
+      do: {%{ftp | files: Map.delete(ftp.files, r.data)}, [Packet.ack(r, "")]},
+      else: refused(ftp, r, @enoent)
   end
 
-  defp on(ftp, 14, r) do
-    case content(ftp, r.data, r.params) do
-      nil -> {ftp, [nak(@not_found)]}
-      bytes -> {ftp, [ack(data: <<crc32(bytes)::little-32>>)]}
+  defp on(ftp, :crc, r, params) do
+    case content(ftp, r.data, params) do
+      nil -> refused(ftp, r, :file_not_found)
+      bytes -> {ftp, [Packet.ack(r, <<CRC.crc32(bytes)::little-32>>)]}
     end
   end
 
-  defp on(ftp, 15, r), do: with_session(ftp, r, &burst(&1, &2, r, 0, []))
-  defp on(ftp, _opcode, _r), do: {ftp, [nak(@unknown)]}
+  defp on(ftp, :burst, r, _params), do: with_session(ftp, r, &burst(&1, &2, r, 0, []))
+  defp on(ftp, nil, r, _params), do: refused(ftp, r, :unknown_command)
 
-  defp burst(ftp, _file, _r, @burst_packets, [{:ack, fields} | before]),
-    do: {ftp, Enum.reverse([{:ack, [complete: 1] ++ fields} | before])}
+  defp refused(ftp, r, error), do: {ftp, [Packet.nak(r, error)]}
+
+  defp burst(ftp, _file, _r, @burst_packets, [last | before]),
+    do: {ftp, Enum.reverse([%{last | complete: true} | before])}
 
   # ArduPilot ends with a short packet, PX4 with EOF.
   defp burst(ftp, file, r, n, answers) do
     case piece(ftp, file, r) do
       {:ok, ftp, ""} ->
-        {ftp, Enum.reverse([nak(@eof) |> at(r) | answers])}
+        {ftp, Enum.reverse([Packet.nak(r, :eof) | answers])}
 
       {:ok, %{style: :ardupilot} = ftp, bytes} when byte_size(bytes) < r.size ->
-        {ftp, Enum.reverse([ack(data: bytes, complete: 1) |> at(r) | answers])}
+        {ftp, Enum.reverse([%{Packet.ack(r, bytes) | complete: true} | answers])}
 
       {:ok, ftp, bytes} ->
-        burst(ftp, file, %{r | offset: r.offset + byte_size(bytes)}, n + 1, [
-          ack(data: bytes) |> at(r) | answers
-        ])
+        burst(ftp, file, %{r | offset: r.offset + byte_size(bytes)}, n + 1, [Packet.ack(r, bytes) | answers])
 
       :error ->
-        {ftp, [{:nak, [data: <<@errno, 22>>]}]}
+        refused(ftp, r, @einval)
     end
   end
 
@@ -205,19 +194,26 @@ defmodule SimVehicle.Ftp do
     head <> <<0::size(gap * 8)>> <> data <> tail
   end
 
-  defp put_file({ftp, answers}, path, bytes), do: {%{ftp | files: Map.put(ftp.files, path, bytes)}, answers}
+  defp put_file(ftp, path, bytes), do: %{ftp | files: Map.put(ftp.files, path, bytes)}
 
   # PX4 uses session 0 alone.
-  defp open(ftp, file, size) do
+  defp open(ftp, r, file, size) do
     case Enum.find(0..(@sessions[ftp.style] - 1), &(not is_map_key(ftp.sessions, &1))) do
-      nil -> {ftp, [nak(@no_sessions)]}
-      session -> {put_session(ftp, session, file), [ack(session: session, data: <<size::little-32>>)]}
+      nil ->
+        refused(ftp, r, :no_sessions)
+
+      session ->
+        {put_session(ftp, session, file), [%{Packet.ack(r, <<size::little-32>>) | session: session}]}
     end
   end
 
-  defp write_open(ftp, r, bytes) do
-    {after_open, [answer]} = open(ftp, %{path: r.data, bytes: "", write?: true, piece: nil}, byte_size(bytes))
-    if elem(answer, 0) == :ack, do: put_file({after_open, [answer]}, r.data, bytes), else: {ftp, [answer]}
+  defp open_to_write(ftp, r, bytes) do
+    file = %{path: r.data, bytes: "", write?: true, piece: nil}
+
+    case open(ftp, r, file, byte_size(bytes)) do
+      {^ftp, refused} -> {ftp, refused}
+      {ftp, opened} -> {put_file(ftp, r.data, bytes), opened}
+    end
   end
 
   defp put_session(ftp, session, file), do: %{ftp | sessions: Map.put(ftp.sessions, session, file)}
@@ -225,7 +221,7 @@ defmodule SimVehicle.Ftp do
   defp with_session(ftp, r, fun) do
     case Map.fetch(ftp.sessions, r.session) do
       {:ok, file} -> fun.(ftp, file)
-      :error -> {ftp, [nak(@invalid_session)]}
+      :error -> refused(ftp, r, :invalid_session)
     end
   end
 
@@ -233,9 +229,8 @@ defmodule SimVehicle.Ftp do
   defp told_size("@" <> _generated, _bytes), do: 16_704
   defp told_size(_path, bytes), do: byte_size(bytes)
 
-  defp content(%{style: :ardupilot}, "@PARAM/param.pck" <> query, params) do
-    if query in ["", "?withdefaults=1"], do: Pack.file(params, @max_data, query != "")
-  end
+  defp content(%{style: :ardupilot}, path, params) when is_map_key(@packed, path),
+    do: params |> Params.packed() |> PackedParams.encode(@packed[path], @max_data)
 
   defp content(ftp, path, _params), do: ftp.files[path]
 
@@ -260,26 +255,5 @@ defmodule SimVehicle.Ftp do
       next = data <> entry <> <<0>>
       if byte_size(next) <= @max_data, do: {:cont, next}, else: {:halt, data}
     end)
-  end
-
-  @doc "CRC-32 without inversions."
-  @spec crc32(binary) :: non_neg_integer
-  def crc32(bytes), do: Bitwise.bxor(:erlang.crc32(0xFFFF_FFFF, bytes), 0xFFFF_FFFF)
-
-  defp ack(fields \\ []), do: {:ack, fields}
-  defp nak(code), do: {:nak, [data: <<code>>]}
-  defp at({kind, fields}, r), do: {kind, [offset: r.offset] ++ fields}
-
-  defp answer(r, kind, fields, n) do
-    data = Keyword.get(fields, :data, "")
-    opcode = if kind == :ack, do: @ack, else: @nak
-    session = Keyword.get(fields, :session, r.session)
-    size = Keyword.get(fields, :size, byte_size(data))
-    seq = Bitwise.band(r.seq + 1 + n, 0xFFFF)
-    complete = Keyword.get(fields, :complete, 0)
-    padding = <<0::size((@max_data - byte_size(data)) * 8)>>
-
-    <<seq::little-16, session, opcode, size, r.opcode, complete, 0,
-      Keyword.get(fields, :offset, r.offset)::little-32, data::binary, padding::binary>>
   end
 end

@@ -6,6 +6,7 @@ defmodule SimVehicle.Params do
   PX4 copies the bytes (`:bytewise`: 5 -> 7.0e-45).
   """
 
+  alias MavCodec.CRC
   alias SimVehicle.Real32
 
   @real32 9
@@ -105,7 +106,7 @@ defmodule SimVehicle.Params do
     {encode(params.encoding, value, type), type}
   end
 
-  @doc "PX4's `_HASH_CHECK`: CRC-32 without inversions over all names and values in the order of the list (rule P6)."
+  @doc "PX4's `_HASH_CHECK`: MAVLink's CRC-32 over all names and values in the order of the list (rule P6)."
   @spec hash(t) :: non_neg_integer
   def hash(params) do
     data =
@@ -114,7 +115,16 @@ defmodule SimVehicle.Params do
         [name, if(type == @real32, do: <<value::float-little-32>>, else: <<value::little-signed-32>>)]
       end
 
-    Bitwise.bxor(:erlang.crc32(0xFFFF_FFFF, data), 0xFFFF_FFFF)
+    CRC.crc32(data)
+  end
+
+  @doc "The table for ArduPilot's parameter file. Every value is its own default but odd ones, which have one of 0."
+  @spec packed(t) :: [MavCodec.PackedParams.param()]
+  def packed(params) do
+    for name <- Tuple.to_list(params.names) do
+      {value, type} = Map.fetch!(params.values, name)
+      {name, type, value, if(is_integer(value) and rem(value, 2) == 1, do: 0)}
+    end
   end
 
   defp accept(%{encoding: :bytewise}, _name, _wire, wire_type, type) when wire_type != type,

@@ -3,9 +3,8 @@ defmodule Aerie.ServingTest do
   use Aerie.TransferCase, async: true
 
   alias Aerie.{Client, Link, Missions}
-  alias Aerie.Ftp.Packet
   alias Aerie.Mission.{Item, Plan}
-  alias Aerie.Params.Packed
+  alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
@@ -201,8 +200,8 @@ defmodule Aerie.ServingTest do
     assert %{opcode: 128, session: 7} = ack
     {bytes, n} = pieces(station, n + 1, 0, "")
     ftp(station, :terminate, n + 1, [])
-    {:ok, params} = Packed.decode(bytes)
-    Map.new(params, &{&1.name, &1.value})
+    {:ok, params} = MavCodec.PackedParams.decode(bytes, 5_000)
+    Map.new(params, fn {name, _type, value, _default} -> {name, value} end)
   end
 
   defp pieces(station, n, offset, bytes) do
@@ -226,7 +225,7 @@ defmodule Aerie.ServingTest do
 
           Enum.find_value(frames, fn frame ->
             with {:ok, %M.FileTransferProtocol{target_system: ^system} = m} <- MavCodec.decode(frame),
-                 {_kind, %{seq: at} = packet} when at == seq + 1 <- Packet.read(m),
+                 {_kind, %{seq: at} = packet} when at == seq + 1 <- Packet.answer(m),
                  do: packet,
                  else: (_other -> nil)
           end)

@@ -287,7 +287,7 @@ defmodule Aerie.TransfersTest do
       assert {:ok, @log} = Files.read(gateway, "VID-001", "/log.bin", progress: self())
       assert_received {:command_progress, nil, _id, %{"phase" => "reading"}}
       assert {:ok, crc} = Files.crc(gateway, "VID-001", "/log.bin")
-      assert crc == Aerie.Ftp.Packet.crc32(@log)
+      assert crc == MavCodec.CRC.crc32(@log)
 
       # The first half was there, of this file, of another one, and damaged.
       into = Path.join(dir, "copy.bin")

@@ -25,7 +25,9 @@ defmodule Aerie.Ftp.Client do
   vehicle reported, which is too large for a generated file); `{:done, {:ok, value} | {:error, reason}}` once.
   """
 
-  alias Aerie.Ftp.{Exchange, Listing, Name, Packet, Reading, Writing}
+  alias Aerie.Ftp.{Exchange, Listing, Name, Reading, Writing}
+  alias MavCodec.CRC
+  alias MavCodec.Ftp.Packet
   alias MavCodec.Messages.FileTransferProtocol
 
   @reopenings 8
@@ -142,7 +144,7 @@ defmodule Aerie.Ftp.Client do
 
   def handle(%{exchange: %{target: from}} = client, {:message, %FileTransferProtocol{} = m, from, now}) do
     with true <- client.us in [nil, {m.target_system, m.target_component}],
-         {kind, packet} <- Packet.read(m),
+         {kind, packet} <- Packet.answer(m),
          true <- Exchange.answer?(client.exchange, packet) do
       answered(%{client | exchange: Exchange.heard(client.exchange, packet, now)}, kind, packet, now)
     else
@@ -379,7 +381,7 @@ defmodule Aerie.Ftp.Client do
   defp closed(%{operation: {:write, path, _bytes}} = client, now), do: ask(client, :crc, [data: path], now)
 
   defp checked(%{operation: {:write, _path, bytes}} = client, crc),
-    do: finish(client, if(crc == Packet.crc32(bytes), do: {:ok, :verified}, else: {:error, :damaged}))
+    do: finish(client, if(crc == CRC.crc32(bytes), do: {:ok, :verified}, else: {:error, :damaged}))
 
   defp checked(client, crc), do: finish(client, {:ok, crc})
 

@@ -6,7 +6,8 @@ defmodule Aerie.Ftp.Exchange do
   is answered by many packets, whose numbers continue from the request's.
   """
 
-  alias Aerie.Ftp.{Packet, RoundTrip}
+  alias Aerie.Ftp.RoundTrip
+  alias MavCodec.Ftp.Packet
 
   @repeats 24
   # A vehicle that has answered before is likely to do so again.

@@ -9,7 +9,8 @@ defmodule Aerie.Ftp.Reading do
   All requests are for 239 bytes: ArduPilot's parameter file can be read only in pieces of one size.
   """
 
-  alias Aerie.Ftp.{Packet, Ranges}
+  alias Aerie.Ftp.Ranges
+  alias MavCodec.Ftp.Packet
 
   @chunk Packet.max_data()
   @many 8

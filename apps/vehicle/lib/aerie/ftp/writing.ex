@@ -1,7 +1,7 @@
 defmodule Aerie.Ftp.Writing do
   @moduledoc "How much of a file has been written. Pieces are written in order, and each is acknowledged."
 
-  alias Aerie.Ftp.Packet
+  alias MavCodec.Ftp.Packet
 
   @enforce_keys [:bytes, :offset]
   defstruct [:bytes, :offset]

@@ -15,9 +15,11 @@ defmodule Aerie.Params.Fetch do
   """
 
   alias Aerie.Ftp.{Client, RoundTrip}
-  alias Aerie.Params.{Cache, Download, Get, Packed, Table}
+  alias Aerie.Params.{Cache, Download, Get, Param, Table}
+  alias MavCodec.PackedParams
 
   @silent_us RoundTrip.silence()
+  @max_file_bytes 262_144
 
   @enforce_keys [:target, :deadline, :options]
   defstruct [
@@ -118,9 +120,9 @@ defmodule Aerie.Params.Fetch do
   defp ended(%{phase: :read} = fetch, {:ok, _size}, now) do
     bytes = fetch.data |> Enum.sort() |> Enum.map(&elem(&1, 1)) |> IO.iodata_to_binary()
 
-    case Packed.decode(bytes) do
+    case PackedParams.decode(bytes, Table.max()) do
       {:ok, params} ->
-        fetch = %{fetch | table: Table.new(params), data: []}
+        fetch = %{fetch | table: Table.new(Enum.map(params, &Param.unpack/1)), data: []}
         if fetch.crc, do: transfer(fetch, :crc_after, now), else: finish(fetch, {:ok, fetch.table})
 
       {:error, _damaged} ->
@@ -136,11 +138,11 @@ defmodule Aerie.Params.Fetch do
   defp ended(fetch, {:error, _reason}, now), do: list(fetch, now)
 
   defp transfer(fetch, phase, now) do
-    path = Packed.path(Keyword.get(fetch.options, :defaults, true))
+    path = PackedParams.path(Keyword.get(fetch.options, :defaults, true))
     operation = if phase == :read, do: {:read, path}, else: {:crc, path}
 
     options =
-      [former: fetch.machine, seq: fetch.seq, max_bytes: Packed.max_bytes(), silent_us: @silent_us] ++
+      [former: fetch.machine, seq: fetch.seq, max_bytes: @max_file_bytes, silent_us: @silent_us] ++
         Keyword.take(fetch.options, [:us, :rtt_us])
 
     start(%{fetch | phase: phase}, Client.new(operation, fetch.target, fetch.deadline, options), now)

@@ -7,9 +7,9 @@ defmodule Aerie.Params.MetadataReader do
 
   alias Aerie.{Command, Files, Names, PrivateFile, Transfers}
   alias Aerie.Command.Result
-  alias Aerie.Ftp.Packet
   alias Aerie.Params.{Metadata, MetadataSource, Unpack}
   alias Aerie.Vehicle.Reports.Definitions
+  alias MavCodec.CRC
 
   @source_ms 30_000
   @max_bytes 4_194_304
@@ -76,7 +76,7 @@ defmodule Aerie.Params.MetadataReader do
   defp fetched(gateway, vehicle, uri, crc, options) do
     with {:ok, packed, text} <- file(gateway, vehicle, uri, options) do
       # Firmwares differ in whether they mean the file or its content. What is damaged is not kept.
-      if crc in [Packet.crc32(packed), Packet.crc32(text), :erlang.crc32(packed), :erlang.crc32(text)],
+      if crc in [CRC.crc32(packed), CRC.crc32(text), :erlang.crc32(packed), :erlang.crc32(text)],
         do: keep(gateway, crc, text)
 
       {:ok, text}

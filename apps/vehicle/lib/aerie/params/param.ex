@@ -31,6 +31,15 @@ defmodule Aerie.Params.Param do
 
   def parse(_other), do: :error
 
+  @doc "A parameter of ArduPilot's parameter file."
+  @spec unpack(MavCodec.PackedParams.param()) :: t()
+  def unpack({name, type, value, default}),
+    do: %__MODULE__{name: name, value: value, type: type, default: default}
+
+  @doc "A parameter for ArduPilot's parameter file."
+  @spec pack(t()) :: MavCodec.PackedParams.param()
+  def pack(param), do: {param.name, param.type, param.value, param.default}
+
   @doc "The parameter as NATS and REST show it."
   @spec plain(t()) :: %{atom() => String.t() | number() | boolean() | nil}
   def plain(%{value: nil} = param),

@@ -19,7 +19,7 @@ defmodule Aerie.Params.Served do
 
   Actions:
 
-    * `{:reply, from, messages}` - to the station, in the vehicle's name; for files `Aerie.Ftp.Packet`s
+    * `{:reply, from, messages}` - to the station, in the vehicle's name; for files `MavCodec.Ftp.Packet`s
     * `{:forward, from}` - forward its last request to the vehicle
     * `:fetch` - read the list
   """

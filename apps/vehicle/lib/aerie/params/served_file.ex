@@ -1,27 +1,19 @@
 defmodule Aerie.Params.ServedFile do
   @moduledoc """
   ArduPilot's parameter file, served to ground stations by MAVLink FTP from a list that is known to be the vehicle's, as the vehicle serves it
-  (`Aerie.Params.Packed`). Pure.
+  (`MavCodec.PackedParams`). Pure.
 
   A station's session lasts until it ends it or opens another file, or until the list may be wrong: then its next read is refused, and it
   begins again. Sessions have the number of the request, and only that station's requests with this number are answered.
   """
 
-  alias Aerie.Ftp.Packet
-  alias Aerie.Params.{Packed, Table}
+  alias Aerie.Params.{Param, Table}
+  alias MavCodec.Ftp.Packet
+  alias MavCodec.PackedParams
 
   @max_sessions 64
   @burst_packets 60
-  @ack 128
-  @nak 129
-  # MAV_FTP_ERR_FAIL, MAV_FTP_ERR_EOF
-  @fail 1
-  @eof 6
-  @open Packet.opcode(:open)
-  @read Packet.opcode(:read)
-  @burst Packet.opcode(:burst)
-  @terminate Packet.opcode(:terminate)
-  @files %{Packed.path(false) => false, Packed.path(true) => true}
+  @files %{PackedParams.path(false) => false, PackedParams.path(true) => true}
   # ArduPilot says so of every file that it makes while it is read.
   @told 16_704
 
@@ -33,10 +25,12 @@ defmodule Aerie.Params.ServedFile do
   @doc "What a station asks for: to open the file, something in an open session, or nothing of the sort."
   @spec request(struct()) :: {:open, Packet.t()} | {:more, Packet.t()} | :other
   def request(message) do
-    case Packet.request(message) do
-      {:ok, %{opcode: @open, data: path} = packet} when is_map_key(@files, path) -> {:open, packet}
-      {:ok, %{opcode: opcode} = packet} when opcode in [@read, @burst, @terminate] -> {:more, packet}
-      _other -> :other
+    with {:ok, packet} <- Packet.request(message),
+         operation when operation in [:open, :read, :burst, :terminate] <- Packet.operation(packet),
+         true <- operation != :open or is_map_key(@files, packet.data) do
+      {if(operation == :open, do: :open, else: :more), packet}
+    else
+      _none -> :other
     end
   end
 
@@ -47,7 +41,7 @@ defmodule Aerie.Params.ServedFile do
       do: :full
 
   def open(served, station, packet, table) do
-    answer = %{answer(packet, <<@told::little-32>>) | offset: 0}
+    answer = %{Packet.ack(packet, <<@told::little-32>>) | offset: 0}
 
     session = %{
       number: packet.session,
@@ -75,7 +69,7 @@ defmodule Aerie.Params.ServedFile do
         {answers, served}
 
       session ->
-        {answers, session} = act(session, packet)
+        {answers, session} = act(session, Packet.operation(packet), packet)
         session = session && %{session | last: {packet, answers}}
         {answers, %{served | sessions: put(served.sessions, station, session)}}
     end
@@ -96,30 +90,31 @@ defmodule Aerie.Params.ServedFile do
   defp put(sessions, station, nil), do: Map.delete(sessions, station)
   defp put(sessions, station, session), do: %{sessions | station => session}
 
-  defp act(_session, %{opcode: @terminate} = packet), do: {[answer(packet, "")], nil}
+  defp act(_session, :terminate, packet), do: {[Packet.ack(packet, "")], nil}
   # Not the vehicle: the number may be that of another session there.
-  defp act(%{table: nil} = session, packet), do: {[refusal(packet, @fail)], session}
+  defp act(%{table: nil} = session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
 
   # Read in pieces of one size at its multiples, as from the vehicle, because no value lies in two pieces.
-  defp act(%{size: nil} = session, %{size: size} = packet) when size in 32..239,
-    do: act(%{session | size: size, bytes: Packed.encode(session.table, session.defaults?, size)}, packet)
+  defp act(%{size: nil} = session, read, %{size: size} = packet) when size in 32..239 do
+    params = for name <- session.table.order, do: Param.pack(session.table.params[name])
+    bytes = PackedParams.encode(params, session.defaults?, size)
+    act(%{session | size: size, bytes: bytes}, read, packet)
+  end
 
   # The last piece may be a short one: where it ends is no multiple.
-  defp act(%{bytes: bytes} = session, %{offset: offset} = packet)
+  defp act(%{bytes: bytes} = session, _read, %{offset: offset} = packet)
        when bytes != nil and offset >= byte_size(bytes),
-       do: {[refusal(packet, @eof)], session}
+       do: {[Packet.nak(packet, :eof)], session}
 
-  defp act(%{size: size} = session, %{size: size, offset: offset} = packet) when rem(offset, size) == 0,
-    do: {if(packet.opcode == @burst, do: burst(session, packet, 0), else: [piece(session, packet)]), session}
+  defp act(%{size: size} = session, read, %{size: size, offset: offset} = packet)
+       when rem(offset, size) == 0 do
+    pieces =
+      if read == :burst, do: burst(session, packet, 0), else: [Packet.ack(packet, part(session, offset))]
 
-  defp act(session, packet), do: {[refusal(packet, @fail)], session}
-
-  defp piece(session, packet) do
-    case part(session, packet.offset) do
-      "" -> refusal(packet, @eof)
-      bytes -> answer(packet, bytes)
-    end
+    {pieces, session}
   end
+
+  defp act(session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
 
   defp burst(session, packet, n) do
     at = packet.offset + n * session.size
@@ -128,27 +123,12 @@ defmodule Aerie.Params.ServedFile do
     seq = Bitwise.band(packet.seq + 1 + n, 0xFFFF)
 
     cond do
-      bytes == "" -> [%{refusal(packet, @eof) | seq: seq, offset: at}]
-      last? -> [%{answer(packet, bytes) | seq: seq, offset: at, complete: true}]
-      true -> [%{answer(packet, bytes) | seq: seq, offset: at} | burst(session, packet, n + 1)]
+      bytes == "" -> [%{Packet.nak(packet, :eof) | seq: seq, offset: at}]
+      last? -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at, complete: true}]
+      true -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at} | burst(session, packet, n + 1)]
     end
   end
 
   defp part(%{bytes: bytes}, at) when at >= byte_size(bytes), do: ""
   defp part(%{bytes: bytes, size: size}, at), do: binary_part(bytes, at, min(size, byte_size(bytes) - at))
-
-  defp answer(packet, data), do: reply(packet, @ack, data)
-  defp refusal(packet, code), do: reply(packet, @nak, <<code>>)
-
-  defp reply(packet, opcode, data) do
-    %Packet{
-      seq: Bitwise.band(packet.seq + 1, 0xFFFF),
-      session: packet.session,
-      opcode: opcode,
-      size: byte_size(data),
-      request: packet.opcode,
-      offset: packet.offset,
-      data: data
-    }
-  end
 end

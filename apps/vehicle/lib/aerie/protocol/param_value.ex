@@ -26,7 +26,8 @@ defmodule Aerie.Protocol.ParamValue do
 
   @doc "The value and whether it is exact; `:error` for NaN and infinity."
   @spec decode(wire(), type :: integer(), encoding()) :: {:ok, number(), exact? :: boolean()} | :error
-  def decode(wire, type, :bytewise) when type in @integers, do: {:ok, integer(bits(wire), type), true}
+  def decode(wire, type, :bytewise) when type in @integers,
+    do: {:ok, integer(<<Value.bits32(wire)::32>>, type), true}
 
   def decode(wire, type, :c_cast) when type in @integers and is_float(wire) do
     value = round(wire)
@@ -91,18 +92,9 @@ defmodule Aerie.Protocol.ParamValue do
   @spec range(integer()) :: {integer(), integer()} | nil
   def range(type), do: @ranges[type]
 
-  @doc "Whether a name can be one: 1 to 16 printable ASCII characters without spaces (P1). PX4 has sent random memory as names."
+  @doc "Whether a name can be one (P1). PX4 has sent random memory as names."
   @spec name?(term()) :: boolean()
-  def name?(name) when is_binary(name) and byte_size(name) in 1..16,
-    do: for(<<byte <- name>>, byte not in 33..126, do: byte) == []
-
-  def name?(_other), do: false
-
-  defp bits(value) when is_float(value), do: <<value::float-32>>
-  defp bits({:nan, bits}), do: <<bits::32>>
-  defp bits(:nan), do: <<0x7FC00000::32>>
-  defp bits(:infinity), do: <<0x7F800000::32>>
-  defp bits(:neg_infinity), do: <<0xFF800000::32>>
+  defdelegate name?(name), to: MavCodec.PackedParams
 
   defp integer(<<_::24, value::unsigned-8>>, 1), do: value
   defp integer(<<_::24, value::signed-8>>, 2), do: value

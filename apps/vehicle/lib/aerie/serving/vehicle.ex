@@ -5,9 +5,9 @@ defmodule Aerie.Serving.Vehicle do
   """
   use GenServer, restart: :transient
 
-  alias Aerie.Ftp.Packet
   alias Aerie.{Mission, Missions, Names, Params, Protocol, Serving, Store}
   alias Aerie.Router.ServedReadings
+  alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 
   @listens Enum.map([M.ParamValue, M.MissionCurrent, M.MissionAck, M.MissionCount, M.HomePosition], & &1.id())

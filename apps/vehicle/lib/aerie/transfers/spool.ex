@@ -6,8 +6,9 @@ defmodule Aerie.Transfers.Spool do
 
   alias Aerie.Command
   alias Aerie.Command.Result
-  alias Aerie.Ftp.{Packet, Ranges}
+  alias Aerie.Ftp.Ranges
   alias Aerie.PrivateFile
+  alias MavCodec.CRC
 
   @max_bytes 1_073_741_824
 
@@ -18,7 +19,7 @@ defmodule Aerie.Transfers.Spool do
   @doc """
   Fills a file by `reading`, which gets the offset to begin at and folds the pieces (`Aerie.Transfers.read/6`). Returns the size, or why it is incomplete.
 
-  `same` is the vehicle's checksum (`Aerie.Ftp.Packet.crc32/1`); nil if there is none, so that nothing is continued; `:asks` if `reading`
+  `same` is the vehicle's checksum (`MavCodec.CRC.crc32/2`); nil if there is none, so that nothing is continued; `:asks` if `reading`
   itself finds out whether it is the same.
   """
   @spec fill(Path.t(), non_neg_integer() | nil | :asks, (non_neg_integer(), acc, (term(), acc -> acc) ->
@@ -60,7 +61,7 @@ defmodule Aerie.Transfers.Spool do
 
   # A part may be damaged too: by what ended it, or by somebody else.
   defp compared({:ok, _size} = done, part, crc) when is_integer(crc) do
-    if part |> File.stream!(65_536) |> Enum.reduce(0, &Packet.crc32/2) == crc do
+    if part |> File.stream!(65_536) |> Enum.reduce(0, &CRC.crc32/2) == crc do
       done
     else
       _ = File.rm(part)

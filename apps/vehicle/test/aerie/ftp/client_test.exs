@@ -2,7 +2,7 @@ defmodule Aerie.Ftp.ClientTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{FtpVehicle, LossyLink}
-  alias Aerie.Ftp.{Client, Packet}
+  alias Aerie.Ftp.Client
   alias MavCodec.Messages.FileTransferProtocol
 
   @deadline 600_000_000
@@ -84,7 +84,7 @@ defmodule Aerie.Ftp.ClientTest do
 
   test "remove, checksum, and refusals in words" do
     v = FtpVehicle.new(:px4, %{"/a" => bytes(1000)})
-    assert run(v, {:crc, "/a"}).result == {:ok, Packet.crc32(bytes(1000))}
+    assert run(v, {:crc, "/a"}).result == {:ok, MavCodec.CRC.crc32(bytes(1000))}
     run = run(v, {:remove, "/a"})
     assert run.result == {:ok, nil}
     assert FtpVehicle.file(run.vehicle, "/a") == nil

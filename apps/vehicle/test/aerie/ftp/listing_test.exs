@@ -4,7 +4,8 @@ defmodule Aerie.Ftp.ListingTest do
 
   import :proper_types
 
-  alias Aerie.Ftp.{Client, Listing, Name, Packet}
+  alias Aerie.Ftp.{Client, Listing, Name}
+  alias MavCodec.Ftp.Packet
   alias MavCodec.Messages.FileTransferProtocol
 
   @fixtures Path.expand("../../fixtures/ftp", __DIR__)

@@ -1,9 +1,9 @@
 defmodule Aerie.Params.ServedTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Ftp.Packet
-  alias Aerie.Params.{Packed, Param, Served, Table}
+  alias Aerie.Params.{Param, Served, Table}
   alias Aerie.Protocol.ParamValue
+  alias MavCodec.Ftp.Packet
   alias MavCodec.Messages, as: M
 
   @second 1_000_000
@@ -86,7 +86,8 @@ defmodule Aerie.Params.ServedTest do
       for {path, defaults?} <- [{@path, false}, {@path <> "?withdefaults=1", true}], size <- [239, 110, 80] do
         {served, [{:reply, :a, [%{opcode: 128, request: 4, session: 3, seq: 2}]}]} = open(served(@made), path)
         file = all(served, :a, size)
-        assert {:ok, params} = Packed.decode(file)
+        assert {:ok, packed} = MavCodec.PackedParams.decode(file, 5_000)
+        params = Enum.map(packed, &Param.unpack/1)
 
         for {param, known} <- Enum.zip(params, Enum.map(@made.order, &@made.params[&1])) do
           assert {param.name, param.value, param.type} == {known.name, known.value, known.type}

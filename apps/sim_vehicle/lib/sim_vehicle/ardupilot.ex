@@ -160,7 +160,7 @@ defmodule SimVehicle.Ardupilot do
 
     # The acknowledgement carries the id of the message SET_MODE in place of a command.
     Vehicle.emit(v, %M.CommandAck{
-      command: 11,
+      command: id(SetMode),
       result: result,
       target_system: system,
       target_component: component

@@ -7,8 +7,10 @@ defmodule SimVehicle.Ardurover do
 
   @behaviour SimVehicle.Personality
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Ardupilot, Command, Geo, Vehicle}
   alias SimVehicle.Ardupilot.Sticks
@@ -16,9 +18,10 @@ defmodule SimVehicle.Ardurover do
   @modes %{0 => "MANUAL", 3 => "STEERING", 4 => "HOLD", 10 => "AUTO", 11 => "RTL", 15 => "GUIDED"}
   @numbers Map.new(@modes, fn {number, name} -> {name, number} end)
   @m_s 5.0
-  @accepted 0
-  @denied 2
-  @failed 4
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @denied MavResult.value(:MAV_RESULT_DENIED)
+  @unsupported MavResult.value(:MAV_RESULT_UNSUPPORTED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
 
   @impl true
   defdelegate params, to: Ardupilot
@@ -48,16 +51,14 @@ defmodule SimVehicle.Ardurover do
   defdelegate mission_rtl(v), to: Ardupilot
 
   @impl true
-  # DO_SET_MODE
-  def command(v, %{id: 176} = c) do
+  def command(v, %{id: cmd(:DO_SET_MODE)} = c) do
     case @modes[trunc(Command.p(c, 2))] do
       nil -> Vehicle.ack(v, c, @failed)
       name -> v |> enter(name) |> Vehicle.ack(c, @accepted)
     end
   end
 
-  # DO_REPOSITION
-  def command(v, %{id: 192} = c) do
+  def command(v, %{id: cmd(:DO_REPOSITION)} = c) do
     {lat, lon, _height} = Command.location(c)
 
     if lat == nil or lon == nil or (v.mode != "GUIDED" and trunc(Command.p(c, 2)) != 1),
@@ -69,8 +70,9 @@ defmodule SimVehicle.Ardurover do
         |> Vehicle.ack(c, @accepted)
   end
 
-  # NAV_TAKEOFF, NAV_LAND
-  def command(v, %{id: id} = c) when id in [21, 22], do: Vehicle.ack(v, c, 3)
+  def command(v, %{id: id} = c) when id in cmds(~w(NAV_LAND NAV_TAKEOFF)a),
+    do: Vehicle.ack(v, c, @unsupported)
+
   def command(v, c), do: Ardupilot.command(v, c)
 
   @impl true

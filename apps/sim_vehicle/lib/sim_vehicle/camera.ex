@@ -12,6 +12,7 @@ defmodule SimVehicle.Camera do
   A set of another type than the parameter's is FAILED. A parameter that it does not have is not answered.
   """
 
+  alias MavCodec.Enums.ParamAck
   alias MavCodec.Messages, as: M
 
   @heartbeat_us 1_000_000
@@ -20,10 +21,10 @@ defmodule SimVehicle.Camera do
   @work_us 3_000_000
   @camera 30
   @invalid 8
-  @accepted 0
-  @unsupported 1
-  @failed 2
-  @in_progress 3
+  @accepted ParamAck.value(:PARAM_ACK_ACCEPTED)
+  @unsupported ParamAck.value(:PARAM_ACK_VALUE_UNSUPPORTED)
+  @failed ParamAck.value(:PARAM_ACK_FAILED)
+  @in_progress ParamAck.value(:PARAM_ACK_IN_PROGRESS)
   @custom 11
 
   @params [

@@ -12,6 +12,8 @@ defmodule SimVehicle.Pilot do
   the ground and disarmed for five minutes: nobody who looks around after a landing is to be surprised by a take-off. It also stops during any failsafe.
   """
 
+  import MavCodec.CommandId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Geo, Vehicle}
 
@@ -136,15 +138,18 @@ defmodule SimVehicle.Pilot do
   defp done?(:landed, _pilot, v), do: not v.armed and not v.airborne
   defp done?(:swap_battery, pilot, _v), do: pilot.ordered_at != nil
 
-  defp orders(:arm, %{plans: %{style: :ardupilot}}), do: [command(176, [1.0, 4.0]), command(400, [1.0])]
-  defp orders(:arm, _v), do: [command(176, [1.0, 4.0, 3.0]), command(400, [1.0])]
+  defp orders(:arm, %{plans: %{style: :ardupilot}}),
+    do: [command(cmd(:DO_SET_MODE), [1.0, 4.0]), command(cmd(:COMPONENT_ARM_DISARM), [1.0])]
+
+  defp orders(:arm, _v),
+    do: [command(cmd(:DO_SET_MODE), [1.0, 4.0, 3.0]), command(cmd(:COMPONENT_ARM_DISARM), [1.0])]
 
   defp orders({:takeoff, height}, %{plans: %{style: :ardupilot}}),
-    do: [command(22, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height * 1.0])]
+    do: [command(cmd(:NAV_TAKEOFF), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height * 1.0])]
 
   defp orders({:takeoff, height}, v) do
     nan = List.duplicate(:nan, 3)
-    [command(22, [0.0, 0.0, 0.0] ++ nan ++ [(v.home || v.origin).alt + height])]
+    [command(cmd(:NAV_TAKEOFF), [0.0, 0.0, 0.0] ++ nan ++ [(v.home || v.origin).alt + height])]
   end
 
   defp orders({:goto, n, e, up}, v) do
@@ -152,7 +157,7 @@ defmodule SimVehicle.Pilot do
     alt = (v.home || v.origin).alt + up
 
     order = %{
-      Command.pilot(192, [-1.0, 1.0, 0.0, :nan, 0.0, 0.0, alt])
+      Command.pilot(cmd(:DO_REPOSITION), [-1.0, 1.0, 0.0, :nan, 0.0, 0.0, alt])
       | int?: true,
         frame: 0,
         x: lat,
@@ -162,8 +167,8 @@ defmodule SimVehicle.Pilot do
     [{:command, order}]
   end
 
-  defp orders(:rtl, _v), do: [command(20, [])]
-  defp orders(:land, _v), do: [command(21, [0.0, 0.0, 0.0, :nan, :nan, :nan, :nan])]
+  defp orders(:rtl, _v), do: [command(cmd(:NAV_RETURN_TO_LAUNCH), [])]
+  defp orders(:land, _v), do: [command(cmd(:NAV_LAND), [0.0, 0.0, 0.0, :nan, :nan, :nan, :nan])]
   defp orders(:swap_battery, _v), do: [:swap_battery]
   defp orders(_waiting, _v), do: []
 

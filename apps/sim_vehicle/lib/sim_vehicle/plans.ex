@@ -11,36 +11,51 @@ defmodule SimVehicle.Plans do
   """
 
   import Bitwise
+  import MavCodec.CommandId
 
+  alias MavCodec.Enums.MavMissionResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.Plans.Storage
   alias SimVehicle.Real32
 
-  @accepted 0
-  @error 1
-  @unsupported_frame 2
-  @unsupported 3
-  @no_space 4
-  @invalid_param1 6
-  @invalid_x 10
-  @invalid_sequence 13
-  @denied 14
-  @cancelled 15
+  @accepted MavMissionResult.value(:MAV_MISSION_ACCEPTED)
+  @error MavMissionResult.value(:MAV_MISSION_ERROR)
+  @unsupported_frame MavMissionResult.value(:MAV_MISSION_UNSUPPORTED_FRAME)
+  @unsupported MavMissionResult.value(:MAV_MISSION_UNSUPPORTED)
+  @no_space MavMissionResult.value(:MAV_MISSION_NO_SPACE)
+  @invalid_param1 MavMissionResult.value(:MAV_MISSION_INVALID_PARAM1)
+  @invalid_x MavMissionResult.value(:MAV_MISSION_INVALID_PARAM5_X)
+  @invalid_sequence MavMissionResult.value(:MAV_MISSION_INVALID_SEQUENCE)
+  @denied MavMissionResult.value(:MAV_MISSION_DENIED)
+  @cancelled MavMissionResult.value(:MAV_MISSION_OPERATION_CANCELLED)
 
   @frames %{0 => [0, 2, 3, 5, 6, 10, 11], 1 => [0, 3, 5, 6], 2 => [0, 3, 5, 6]}
   @px4_frames %{0 => [0, 2, 3, 5, 6], 1 => [0, 2, 3, 5, 6], 2 => [0, 3, 5, 6]}
 
-  @nav [16, 17, 18, 19, 20, 21, 22, 31, 82, 84, 85, 93]
-  @conditions [112, 114, 115]
-  @actions [177, 178, 179, 181, 182, 183, 184, 189, 195, 197, 201, 203, 205, 206, 211]
-  @cameras [1000, 2000, 2001, 2500, 2501, 3000]
+  @nav cmds(~w(
+    NAV_WAYPOINT NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_RETURN_TO_LAUNCH NAV_LAND
+    NAV_TAKEOFF NAV_LOITER_TO_ALT NAV_SPLINE_WAYPOINT NAV_VTOL_TAKEOFF NAV_VTOL_LAND NAV_DELAY
+  )a)
+  @conditions cmds(~w(CONDITION_DELAY CONDITION_DISTANCE CONDITION_YAW)a)
+  @actions cmds(~w(
+    DO_JUMP DO_CHANGE_SPEED DO_SET_HOME DO_SET_RELAY DO_REPEAT_RELAY DO_SET_SERVO DO_REPEAT_SERVO
+    DO_LAND_START DO_SET_ROI_LOCATION DO_SET_ROI_NONE DO_SET_ROI DO_DIGICAM_CONTROL DO_MOUNT_CONTROL
+    DO_SET_CAM_TRIGG_DIST DO_GRIPPER
+  )a)
+  @cameras cmds(~w(
+    DO_GIMBAL_MANAGER_PITCHYAW IMAGE_START_CAPTURE IMAGE_STOP_CAPTURE VIDEO_START_CAPTURE
+    VIDEO_STOP_CAPTURE DO_VTOL_TRANSITION
+  )a)
   @commands %{
     0 => @nav ++ @conditions ++ @actions ++ @cameras,
-    1 => [5000, 5001, 5002, 5003, 5004],
-    2 => [5100]
+    1 => cmds(~w(
+      NAV_FENCE_RETURN_POINT NAV_FENCE_POLYGON_VERTEX_INCLUSION NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+      NAV_FENCE_CIRCLE_INCLUSION NAV_FENCE_CIRCLE_EXCLUSION
+    )a),
+    2 => [cmd(:NAV_RALLY_POINT)]
   }
   # Their x and y are not degrees in MISSION_ITEM, either (AP_Mission.cpp: `convert_MISSION_ITEM_to_MISSION_ITEM_INT`).
-  @plain_xy [202, 203, 1000, 42_703]
+  @plain_xy cmds(~w(DO_DIGICAM_CONFIGURE DO_DIGICAM_CONTROL DO_GIMBAL_MANAGER_PITCHYAW NAV_ATTITUDE_TIME)a)
 
   @retry_us %{ardupilot: 1_000_000, px4: 250_000}
   @give_up_us %{ardupilot: 8_000_000, px4: 5_000_000}
@@ -234,7 +249,13 @@ defmodule SimVehicle.Plans do
   end
 
   # AP_Mission.cpp, `sanity_check_params`: which parameters may be NaN.
-  @unset %{16 => [3], 21 => [3], 22 => [3], 84 => [3], 85 => [2, 3]}
+  @unset %{
+    cmd(:NAV_WAYPOINT) => [3],
+    cmd(:NAV_LAND) => [3],
+    cmd(:NAV_TAKEOFF) => [3],
+    cmd(:NAV_VTOL_TAKEOFF) => [3],
+    cmd(:NAV_VTOL_LAND) => [2, 3]
+  }
 
   defp unset_param(%{style: :ardupilot}, 0, item) do
     params = item.params |> Tuple.to_list() |> Enum.with_index()

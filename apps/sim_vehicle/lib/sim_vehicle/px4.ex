@@ -9,6 +9,7 @@ defmodule SimVehicle.Px4 do
 
   @behaviour SimVehicle.Personality
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
 
   alias MavCodec.Messages, as: M
@@ -202,7 +203,12 @@ defmodule SimVehicle.Px4 do
     main = Bitwise.band(Bitwise.bsr(custom, 16), 0xFF)
     sub = Bitwise.band(Bitwise.bsr(custom, 24), 0xFF)
     params = {1.0, main * 1.0, sub * 1.0, 0.0, 0.0, 0.0, 0.0}
-    Commands.command(v, %SimVehicle.Command{id: 176, params: params, source: {system, component}})
+
+    Commands.command(v, %SimVehicle.Command{
+      id: cmd(:DO_SET_MODE),
+      params: params,
+      source: {system, component}
+    })
   end
 
   def message(v, %M.MissionSetCurrent{seq: seq}, _source) do

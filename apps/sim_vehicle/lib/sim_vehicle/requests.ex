@@ -4,13 +4,14 @@ defmodule SimVehicle.Requests do
   time. The codes are given by the personality that calls.
   """
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Params, Streams, Vehicle}
 
-  @failed 4
+  @failed MavResult.value(:MAV_RESULT_FAILED)
   # The largest value of MESSAGE_INTERVAL: 35 minutes.
   @interval_max_us 2_147_483_647
-  @accepted 0
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
 
   @doc "SET_MESSAGE_INTERVAL (511); `known` are the ids that the firmware can stream."
   @spec set_interval(Vehicle.t(), Command.t(), [non_neg_integer]) :: Vehicle.t()

@@ -4,6 +4,7 @@ defmodule SimVehicle.Telemetry do
   personality; the rest, the same for both, from the modules below this one.
   """
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
 
   alias MavCodec.Messages, as: M
@@ -26,7 +27,7 @@ defmodule SimVehicle.Telemetry do
     %{
       seq: 0,
       frame: 0,
-      command: 16,
+      command: cmd(:NAV_WAYPOINT),
       current: 0,
       autocontinue: 1,
       params: {0.0, 0.0, 0.0, 0.0},

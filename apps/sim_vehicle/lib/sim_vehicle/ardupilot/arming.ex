@@ -5,12 +5,13 @@ defmodule SimVehicle.Ardupilot.Arming do
 
   import MavCodec.MessageId
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Battery, Flight, Geo, Params, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.{Calibration, Modes}
 
-  @accepted 0
-  @failed 4
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
   @force 21_196
   @prearm_every_us 30_000_000
 

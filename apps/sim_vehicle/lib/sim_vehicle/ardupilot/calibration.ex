@@ -7,12 +7,13 @@ defmodule SimVehicle.Ardupilot.Calibration do
   (`Copter::mavlink_compassmot`) holds the main loop, armed, until any COMMAND_ACK comes.
   """
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Command, Vehicle}
 
-  @accepted 0
-  @temporarily_rejected 1
-  @failed 4
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
   @positions {"level", "on its LEFT side", "on its RIGHT side", "nose DOWN", "nose UP", "on its BACK"}
 
   @doc "PREFLIGHT_CALIBRATION."

@@ -4,25 +4,30 @@ defmodule SimVehicle.Ardupilot.Commands do
   with UNSUPPORTED.
   """
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
 
+  alias MavCodec.Enums.MavResult
   alias SimVehicle.{Ardupilot, Command, Flight, Geo, Requests, Telemetry, Vehicle}
   alias SimVehicle.Ardupilot.{Arming, Boot, Calibration, Modes}
   alias SimVehicle.Flight.{Goal, Mission}
 
-  @accepted 0
-  @temporarily_rejected 1
-  @denied 2
-  @unsupported 3
-  @failed 4
-  @unsupported_frame 9
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
+  @denied MavResult.value(:MAV_RESULT_DENIED)
+  @unsupported MavResult.value(:MAV_RESULT_UNSUPPORTED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
+  @unsupported_frame MavResult.value(:MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME)
 
   @change_mode 1
   @global_frames [0, 3, 5, 6, 10, 11]
   @relative_frames [3, 6]
 
   # Accepted without an effect: regions of interest, mounts, cameras, servos, relays, grippers, sprayers.
-  @shrugged [183, 181, 195, 197, 201, 205, 216, 1000, 1001]
+  @shrugged cmds(~w(
+    DO_SET_SERVO DO_SET_RELAY DO_SET_ROI_LOCATION DO_SET_ROI_NONE DO_SET_ROI DO_MOUNT_CONTROL
+    DO_SPRAYER DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE
+  )a)
 
   @doc "Carries out a command that is addressed to the vehicle."
   @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
@@ -31,8 +36,8 @@ defmodule SimVehicle.Ardupilot.Commands do
     if Calibration.holds?(v), do: Vehicle.ack(v, command, @failed), else: run(v, command, command.id)
   end
 
-  # COMPONENT_ARM_DISARM: the acknowledgement comes before the texts, which wait in a queue.
-  defp run(v, c, 400) do
+  # The acknowledgement comes before the texts, which wait in a queue.
+  defp run(v, c, cmd(:COMPONENT_ARM_DISARM)) do
     decision =
       case {Command.p(c, 1, nil), Command.p(c, 2)} do
         {p1, force} when p1 == 1.0 -> Arming.arm(v, force)
@@ -44,12 +49,12 @@ defmodule SimVehicle.Ardupilot.Commands do
     v |> Vehicle.ack(c, result) |> then.()
   end
 
-  defp run(v, c, 176) do
+  defp run(v, c, cmd(:DO_SET_MODE)) do
     {result, v} = Modes.request(v, trunc(Command.p(c, 1)), trunc(Command.p(c, 2)))
     Vehicle.ack(v, c, result)
   end
 
-  defp run(v, c, 22) do
+  defp run(v, c, cmd(:NAV_TAKEOFF)) do
     if c.int? and c.frame not in @relative_frames do
       Vehicle.ack(v, c, @denied)
     else
@@ -58,20 +63,18 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  defp run(v, c, 17), do: mode(v, c, "LOITER")
-  defp run(v, c, 20), do: mode(v, c, "RTL")
-  defp run(v, c, 21), do: mode(v, c, "LAND")
+  defp run(v, c, cmd(:NAV_LOITER_UNLIM)), do: mode(v, c, "LOITER")
+  defp run(v, c, cmd(:NAV_RETURN_TO_LAUNCH)), do: mode(v, c, "RTL")
+  defp run(v, c, cmd(:NAV_LAND)), do: mode(v, c, "LAND")
 
-  # MISSION_START
-  defp run(v, c, 300) do
+  defp run(v, c, cmd(:MISSION_START)) do
     case Modes.change(v, "AUTO") do
       {@accepted, %{armed: true} = v} -> v |> Flight.mission() |> Vehicle.ack(c, @accepted)
       {result, v} -> Vehicle.ack(v, c, result)
     end
   end
 
-  # CONDITION_YAW
-  defp run(v, c, 115) do
+  defp run(v, c, cmd(:CONDITION_YAW)) do
     [angle, relative] = [Command.p(c, 1, nil), Command.p(c, 4)]
 
     if angle != nil and angle >= 0 and angle <= 360 and relative in [0.0, 1.0] do
@@ -81,8 +84,8 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # DO_CHANGE_SPEED: ground speed, climb, descent
-  defp run(v, c, 178) do
+  # Ground speed, climb, descent.
+  defp run(v, c, cmd(:DO_CHANGE_SPEED)) do
     speed = Command.p(c, 2)
     key = %{0.0 => :speed, 1.0 => :speed, 2.0 => :up, 3.0 => :down}[Command.p(c, 1) * 1.0]
 
@@ -93,10 +96,9 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  defp run(v, c, 179), do: set_home(v, c, Command.p(c, 1))
+  defp run(v, c, cmd(:DO_SET_HOME)), do: set_home(v, c, Command.p(c, 1))
 
-  # DO_REPOSITION
-  defp run(v, c, 192) do
+  defp run(v, c, cmd(:DO_REPOSITION)) do
     {lat, lon, alt} = Command.location(c)
     change? = Bitwise.band(trunc(Command.p(c, 2)), @change_mode) != 0
 
@@ -108,8 +110,7 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # DO_PAUSE_CONTINUE
-  defp run(v, c, 193) do
+  defp run(v, c, cmd(:DO_PAUSE_CONTINUE)) do
     case {Command.p(c, 1), v.mode} do
       {p1, mode} when p1 == 0.0 and mode in ["AUTO", "GUIDED"] -> v |> pause() |> Vehicle.ack(c, @accepted)
       {p1, "AUTO"} when p1 == 1.0 -> v |> resume() |> Vehicle.ack(c, @accepted)
@@ -119,8 +120,7 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # DO_SET_MISSION_CURRENT
-  defp run(v, c, 224) do
+  defp run(v, c, cmd(:DO_SET_MISSION_CURRENT)) do
     {ok?, v} = Mission.set_current(v, trunc(Command.p(c, 1)))
 
     if ok?,
@@ -128,18 +128,16 @@ defmodule SimVehicle.Ardupilot.Commands do
       else: Vehicle.ack(v, c, @failed)
   end
 
-  # DO_FLIGHTTERMINATION
-  defp run(v, c, 185) do
+  defp run(v, c, cmd(:DO_FLIGHTTERMINATION)) do
     if Command.p(c, 1) > 0.5,
       do: v |> Arming.stop() |> Vehicle.ack(c, @accepted),
       else: Vehicle.ack(v, c, @failed)
   end
 
-  # DO_PARACHUTE: not fitted
-  defp run(v, c, 208), do: Vehicle.ack(v, c, @failed)
+  # Not fitted.
+  defp run(v, c, cmd(:DO_PARACHUTE)), do: Vehicle.ack(v, c, @failed)
 
-  # DO_FENCE_ENABLE
-  defp run(v, c, 207) do
+  defp run(v, c, cmd(:DO_FENCE_ENABLE)) do
     if Command.p(c, 1) in [0.0, 1.0, 2.0] do
       {:ok, params} =
         SimVehicle.Params.put(v.params, "FENCE_ENABLE", if(Command.p(c, 1) == 1.0, do: 1, else: 0))
@@ -150,13 +148,13 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # PREFLIGHT_CALIBRATION, ACCELCAL_VEHICLE_POS; DO_CANCEL_MAG_CAL, whether magnetometers are calibrated or not
-  defp run(v, c, 241), do: Calibration.command(v, c)
-  defp run(v, c, 42_429), do: Calibration.position(v, c)
-  defp run(v, c, 42_426), do: Vehicle.ack(v, c, @accepted)
+  defp run(v, c, cmd(:PREFLIGHT_CALIBRATION)), do: Calibration.command(v, c)
+  defp run(v, c, cmd(:ACCELCAL_VEHICLE_POS)), do: Calibration.position(v, c)
+  # Whether magnetometers are calibrated or not.
+  defp run(v, c, cmd(:DO_CANCEL_MAG_CAL)), do: Vehicle.ack(v, c, @accepted)
 
-  # PREFLIGHT_REBOOT_SHUTDOWN: acknowledged first
-  defp run(v, c, 246) do
+  # Acknowledged first.
+  defp run(v, c, cmd(:PREFLIGHT_REBOOT_SHUTDOWN)) do
     cond do
       v.armed -> Vehicle.ack(v, c, @failed)
       Command.p(c, 1) in [1.0, 3.0] -> v |> Vehicle.ack(c, @accepted) |> Vehicle.reboot()
@@ -164,27 +162,25 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # RUN_PREARM_CHECKS
-  defp run(%{armed: true} = v, c, 401), do: Vehicle.ack(v, c, @temporarily_rejected)
+  defp run(%{armed: true} = v, c, cmd(:RUN_PREARM_CHECKS)), do: Vehicle.ack(v, c, @temporarily_rejected)
 
-  defp run(v, c, 401) do
+  defp run(v, c, cmd(:RUN_PREARM_CHECKS)) do
     v = Vehicle.ack(v, c, @accepted)
     Enum.reduce(Arming.reasons(v), v, &Vehicle.text(&2, 2, "PreArm: " <> &1))
   end
 
-  # GET_HOME_POSITION
-  defp run(%{home: nil} = v, c, 410), do: Vehicle.ack(v, c, @failed)
+  defp run(%{home: nil} = v, c, cmd(:GET_HOME_POSITION)), do: Vehicle.ack(v, c, @failed)
 
-  defp run(v, c, 410),
+  defp run(v, c, cmd(:GET_HOME_POSITION)),
     do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, id(HomePosition)))
 
-  defp run(v, c, 511), do: Requests.set_interval(v, c, Ardupilot.streamed())
+  defp run(v, c, cmd(:SET_MESSAGE_INTERVAL)), do: Requests.set_interval(v, c, Ardupilot.streamed())
 
-  defp run(v, c, 510),
+  defp run(v, c, cmd(:GET_MESSAGE_INTERVAL)),
     do: v |> Vehicle.emit(Requests.interval(v, c, Ardupilot.streamed())) |> Vehicle.ack(c, @accepted)
 
-  # REQUEST_MESSAGE: the acknowledgement first; a message that is not there yet does not come
-  defp run(v, c, 512) do
+  # The acknowledgement first; a message that is not there yet does not come.
+  defp run(v, c, cmd(:REQUEST_MESSAGE)) do
     id = trunc(Command.p(c, 1))
 
     if id in Ardupilot.streamed() do
@@ -199,12 +195,10 @@ defmodule SimVehicle.Ardupilot.Commands do
     end
   end
 
-  # REQUEST_AUTOPILOT_CAPABILITIES
-  defp run(v, c, 520),
+  defp run(v, c, cmd(:REQUEST_AUTOPILOT_CAPABILITIES)),
     do: v |> Vehicle.ack(c, @accepted) |> Vehicle.emit(Telemetry.message(v, id(AutopilotVersion)))
 
-  # DO_SEND_BANNER
-  defp run(v, c, 42_428), do: v |> Vehicle.ack(c, @accepted) |> Boot.banner()
+  defp run(v, c, cmd(:DO_SEND_BANNER)), do: v |> Vehicle.ack(c, @accepted) |> Boot.banner()
   defp run(v, c, id) when id in @shrugged, do: Vehicle.ack(v, c, @accepted)
   defp run(v, c, _unknown), do: Vehicle.ack(v, c, @unsupported)
 

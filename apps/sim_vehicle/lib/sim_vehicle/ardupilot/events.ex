@@ -3,26 +3,28 @@ defmodule SimVehicle.Ardupilot.Events do
   ArduCopter's texts and actions on events in flight.
   """
 
+  import MavCodec.CommandId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.Vehicle
   alias SimVehicle.Ardupilot.Arming
 
   @names %{
-    16 => "WP",
-    17 => "LoitUnlim",
-    18 => "LoitTurns",
-    19 => "LoitTime",
-    20 => "RTL",
-    21 => "Land",
-    22 => "Takeoff",
-    82 => "SplineWP",
-    93 => "Delay",
-    112 => "CondDelay",
-    115 => "CondYaw",
-    177 => "DoJump",
-    178 => "DoSpeed",
-    179 => "DoSetHome",
-    201 => "DoROI"
+    cmd(:NAV_WAYPOINT) => "WP",
+    cmd(:NAV_LOITER_UNLIM) => "LoitUnlim",
+    cmd(:NAV_LOITER_TURNS) => "LoitTurns",
+    cmd(:NAV_LOITER_TIME) => "LoitTime",
+    cmd(:NAV_RETURN_TO_LAUNCH) => "RTL",
+    cmd(:NAV_LAND) => "Land",
+    cmd(:NAV_TAKEOFF) => "Takeoff",
+    cmd(:NAV_SPLINE_WAYPOINT) => "SplineWP",
+    cmd(:NAV_DELAY) => "Delay",
+    cmd(:CONDITION_DELAY) => "CondDelay",
+    cmd(:CONDITION_YAW) => "CondYaw",
+    cmd(:DO_JUMP) => "DoJump",
+    cmd(:DO_CHANGE_SPEED) => "DoSpeed",
+    cmd(:DO_SET_HOME) => "DoSetHome",
+    cmd(:DO_SET_ROI) => "DoROI"
   }
 
   @doc "See `SimVehicle.Flight`."

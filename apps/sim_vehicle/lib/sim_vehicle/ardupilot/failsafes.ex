@@ -3,6 +3,8 @@ defmodule SimVehicle.Ardupilot.Failsafes do
   ArduCopter's failsafes: on demand, and by themselves for the battery and a lost ground station.
   """
 
+  import MavCodec.CommandId
+
   alias SimVehicle.{Battery, Geo, Params, Plans, Vehicle}
   alias SimVehicle.Ardupilot.{Arming, Modes}
 
@@ -68,7 +70,8 @@ defmodule SimVehicle.Ardupilot.Failsafes do
   # Only the first inclusion polygon of the plan counts.
   defp outside_polygon?(v) do
     corners =
-      for %{command: 5001} = item <- Plans.items(v.plans, 1), do: Geo.to_local(v.origin, item.x, item.y)
+      for %{command: cmd(:NAV_FENCE_POLYGON_VERTEX_INCLUSION)} = item <- Plans.items(v.plans, 1),
+          do: Geo.to_local(v.origin, item.x, item.y)
 
     length(corners) >= 3 and not Geo.inside?(corners, {v.kin.n, v.kin.e})
   end

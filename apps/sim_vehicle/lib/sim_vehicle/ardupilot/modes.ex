@@ -3,9 +3,11 @@ defmodule SimVehicle.Ardupilot.Modes do
   ArduCopter's flight modes: numbers, when they can be entered, and what the vehicle then does.
   """
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
   import Bitwise
 
+  alias MavCodec.Enums.MavResult
   alias SimVehicle.{Flight, Plans, Telemetry, Vehicle}
   alias SimVehicle.Flight.{Goal, Mission}
 
@@ -33,9 +35,9 @@ defmodule SimVehicle.Ardupilot.Modes do
   @not_armable ["AUTO", "RTL", "LAND", "CIRCLE", "BRAKE", "SMART_RTL"]
 
   @custom_mode_enabled 1
-  @denied 2
-  @failed 4
-  @accepted 0
+  @denied MavResult.value(:MAV_RESULT_DENIED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
 
   # With the throttle stick down, as the simulated receiver has it.
   @manual_sink 3.0
@@ -112,7 +114,7 @@ defmodule SimVehicle.Ardupilot.Modes do
     end
   end
 
-  defp takeoff_first?(v), do: match?([_home, %{command: 22} | _rest], Plans.items(v.plans, 0))
+  defp takeoff_first?(v), do: match?([_home, %{command: cmd(:NAV_TAKEOFF)} | _rest], Plans.items(v.plans, 0))
 
   defp start(%{armed: false} = v, _name), do: Flight.hold(v)
   defp start(%{airborne: false} = v, "AUTO"), do: Flight.go(v, :idle)

@@ -5,6 +5,8 @@ defmodule SimVehicle.Flight.Mission do
   States are those of MISSION_CURRENT: `:none`, `:not_started`, `:active`, `:paused`, `:complete`.
   """
 
+  import MavCodec.CommandId
+
   alias SimVehicle.{Geo, Plans, Real32, Vehicle}
   alias SimVehicle.Flight.Goal
 
@@ -124,17 +126,18 @@ defmodule SimVehicle.Flight.Mission do
   # --- items ---
 
   # In the air PX4 flies to the place of the take-off item, ArduPilot only looks at its height.
-  defp goal(%{airborne: true, plans: %{style: :px4}} = v, %{command: 22} = item) do
+  defp goal(%{airborne: true, plans: %{style: :px4}} = v, %{command: cmd(:NAV_TAKEOFF)} = item) do
     {n, e} = place(v, item)
     {:goal, goto(v, n, e, down(v, item))}
   end
 
-  defp goal(v, %{command: 22} = item) do
+  defp goal(v, %{command: cmd(:NAV_TAKEOFF)} = item) do
     from = if v.armed_at, do: max(v.now, v.armed_at + round(v.limits.spool * 1.0e6)), else: v.now
     {:goal, Goal.takeoff(v.kin, down(v, item), from)}
   end
 
-  defp goal(v, %{command: command} = item) when command in [16, 82, 19] do
+  defp goal(v, %{command: command} = item)
+       when command in cmds(~w(NAV_WAYPOINT NAV_SPLINE_WAYPOINT NAV_LOITER_TIME)a) do
     {n, e} = place(v, item)
     hold = Real32.number(elem(item.params, 0)) || 0.0
     flight = goto(v, n, e, down(v, item))
@@ -144,32 +147,32 @@ defmodule SimVehicle.Flight.Mission do
       else: {:goal, flight}
   end
 
-  defp goal(v, %{command: 17} = item) do
+  defp goal(v, %{command: cmd(:NAV_LOITER_UNLIM)} = item) do
     {n, e} = place(v, item)
 
     {:goal,
      Goal.steps([{:fly, goto(v, n, e, down(v, item))}, {:stay, %{do: :hold, n: n, e: e, d: down(v, item)}}])}
   end
 
-  defp goal(v, %{command: 18} = item) do
+  defp goal(v, %{command: cmd(:NAV_LOITER_TURNS)} = item) do
     {n, e} = place(v, item)
     turns = Real32.number(elem(item.params, 0)) || 1.0
     {:goal, Goal.orbit(n, e, down(v, item), v.limits.orbit, v.limits.speed / 2, max(turns, 0.0))}
   end
 
-  defp goal(v, %{command: 20}), do: v.personality.mission_rtl(v)
+  defp goal(v, %{command: cmd(:NAV_RETURN_TO_LAUNCH)}), do: v.personality.mission_rtl(v)
 
-  defp goal(v, %{command: 21} = item) do
+  defp goal(v, %{command: cmd(:NAV_LAND)} = item) do
     {n, e} = place(v, item)
     {:goal, Goal.steps([{:fly, goto(v, n, e, v.kin.d)}, {:land, Goal.land(n, e)}])}
   end
 
-  defp goal(v, %{command: 93} = item) do
+  defp goal(v, %{command: cmd(:NAV_DELAY)} = item) do
     seconds = max(Real32.number(elem(item.params, 0)) || 0.0, 0.0)
     {:goal, Goal.wait(v.kin.n, v.kin.e, v.kin.d, round(seconds * 1.0e6))}
   end
 
-  defp goal(v, %{command: 177, params: {to, times, _p3, _p4}} = item) do
+  defp goal(v, %{command: cmd(:DO_JUMP), params: {to, times, _p3, _p4}} = item) do
     done = Map.get(v.mission.jumps, item.seq, 0)
     {to, times} = {trunc(Real32.number(to) || 0), trunc(Real32.number(times) || 0)}
 
@@ -178,7 +181,7 @@ defmodule SimVehicle.Flight.Mission do
       else: {:jump, v.mission.current + 1, v}
   end
 
-  defp goal(v, %{command: 178, params: {_type, speed, _p3, _p4}}) do
+  defp goal(v, %{command: cmd(:DO_CHANGE_SPEED), params: {_type, speed, _p3, _p4}}) do
     case Real32.number(speed) do
       speed when is_number(speed) and speed > 0 ->
         {:pass, %{v | mission: %{v.mission | speed: min(speed, 20.0)}}}

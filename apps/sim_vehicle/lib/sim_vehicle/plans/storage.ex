@@ -11,38 +11,45 @@ defmodule SimVehicle.Plans.Storage do
   """
 
   import Bitwise
+  import MavCodec.CommandId
 
   alias SimVehicle.Real32
 
   # Commands whose content is a place; what they keep in the 16-bit number.
-  @places [16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201]
+  @places cmds(~w(
+    NAV_WAYPOINT NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF
+    NAV_CONTINUE_AND_CHANGE_ALT NAV_LOITER_TO_ALT NAV_SPLINE_WAYPOINT NAV_VTOL_TAKEOFF NAV_VTOL_LAND
+    NAV_GUIDED_ENABLE NAV_PAYLOAD_PLACE DO_SET_HOME DO_RETURN_PATH_START DO_LAND_START DO_GO_AROUND
+    DO_SET_ROI_LOCATION DO_SET_ROI
+  )a)
   # Fields in the order of the structure: a parameter by its number, or x, y, z.
   @structures %{
-    83 => [f32: 1, f32: 2, u8: 3],
-    93 => [f32: 1, i8: 2, i8: 3, i8: 4],
-    112 => [f32: 1],
-    114 => [f32: 1],
-    115 => [f32: 1, f32: 2, i8: 3, u8: 4],
-    177 => [u16: 1, i16: 2],
-    178 => [u8: 1, f32: 2, f32: 3],
-    181 => [u8: 1, u8: 2],
-    182 => [u8: 1, i16: 2, f32: 3],
-    183 => [u8: 1, u16: 2],
-    184 => [u8: 1, u16: 2, i16: 3, f32: 4],
-    202 => [u8: 1, u16: 2, u8: 3, u16: 4, u8: :x, u8: :y, f32: :z],
-    203 => [u8: 1, u8: 2, i8: 3, u8: 4, u8: :x, u8: :y],
-    205 => [f32: 1, f32: 2, f32: 3],
-    206 => [f32: 1, u8: 3],
-    211 => [u8: 1, u8: 2],
-    213 => [f32: 1, f32: 2, u8: 3],
-    218 => [u16: 1, u8: 2],
-    1000 => [i8: 1, i16: 2, i8: 3, i8: 4, u8: :x, u8: :z],
-    2000 => [u8: 1, f32: 2, u16: 3, u16: 4],
-    2001 => [u8: 1],
-    2500 => [u8: 1],
-    2501 => [u8: 1],
-    3000 => [u8: 1]
+    cmd(:NAV_ALTITUDE_WAIT) => [f32: 1, f32: 2, u8: 3],
+    cmd(:NAV_DELAY) => [f32: 1, i8: 2, i8: 3, i8: 4],
+    cmd(:CONDITION_DELAY) => [f32: 1],
+    cmd(:CONDITION_DISTANCE) => [f32: 1],
+    cmd(:CONDITION_YAW) => [f32: 1, f32: 2, i8: 3, u8: 4],
+    cmd(:DO_JUMP) => [u16: 1, i16: 2],
+    cmd(:DO_CHANGE_SPEED) => [u8: 1, f32: 2, f32: 3],
+    cmd(:DO_SET_RELAY) => [u8: 1, u8: 2],
+    cmd(:DO_REPEAT_RELAY) => [u8: 1, i16: 2, f32: 3],
+    cmd(:DO_SET_SERVO) => [u8: 1, u16: 2],
+    cmd(:DO_REPEAT_SERVO) => [u8: 1, u16: 2, i16: 3, f32: 4],
+    cmd(:DO_DIGICAM_CONFIGURE) => [u8: 1, u16: 2, u8: 3, u16: 4, u8: :x, u8: :y, f32: :z],
+    cmd(:DO_DIGICAM_CONTROL) => [u8: 1, u8: 2, i8: 3, u8: 4, u8: :x, u8: :y],
+    cmd(:DO_MOUNT_CONTROL) => [f32: 1, f32: 2, f32: 3],
+    cmd(:DO_SET_CAM_TRIGG_DIST) => [f32: 1, u8: 3],
+    cmd(:DO_GRIPPER) => [u8: 1, u8: 2],
+    cmd(:NAV_SET_YAW_SPEED) => [f32: 1, f32: 2, u8: 3],
+    cmd(:DO_AUX_FUNCTION) => [u16: 1, u8: 2],
+    cmd(:DO_GIMBAL_MANAGER_PITCHYAW) => [i8: 1, i16: 2, i8: 3, i8: 4, u8: :x, u8: :z],
+    cmd(:IMAGE_START_CAPTURE) => [u8: 1, f32: 2, u16: 3, u16: 4],
+    cmd(:IMAGE_STOP_CAPTURE) => [u8: 1],
+    cmd(:VIDEO_START_CAPTURE) => [u8: 1],
+    cmd(:VIDEO_STOP_CAPTURE) => [u8: 1],
+    cmd(:DO_VTOL_TRANSITION) => [u8: 1]
   }
+  @polygons cmds(~w(NAV_FENCE_POLYGON_VERTEX_INCLUSION NAV_FENCE_POLYGON_VERTEX_EXCLUSION)a)
   @global 0
   @relative 3
   @terrain 10
@@ -74,13 +81,13 @@ defmodule SimVehicle.Plans.Storage do
     case @structures do
       %{^command => fields} -> unpacked(empty, fields, packed(item, fields)) |> mount()
       # RETURN_TO_LAUNCH has nothing.
-      _number_only when command == 20 -> empty
+      _number_only when command == cmd(:NAV_RETURN_TO_LAUNCH) -> empty
       _number_only -> put(empty, 1, (whole(item, 1) &&& 0xFFFF) / 1)
     end
   end
 
   def kept(item, :ardupilot, 1) do
-    p1 = if item.command == 5000, do: 0.0, else: value(item, 1)
+    p1 = if item.command == cmd(:NAV_FENCE_RETURN_POINT), do: 0.0, else: value(item, 1)
     %{item | frame: @global, params: {p1, 0.0, 0.0, 0.0}, z: 0.0, autocontinue: 0}
   end
 
@@ -90,32 +97,38 @@ defmodule SimVehicle.Plans.Storage do
   end
 
   def kept(item, :px4, 1) do
-    p1 = value(item, 1)
-    p1 = if item.command in [5001, 5002], do: trunc(p1 + 0.5) / 1, else: p1
-    p1 = if item.command == 5000, do: 0.0, else: p1
+    p1 =
+      case item.command do
+        cmd(:NAV_FENCE_RETURN_POINT) -> 0.0
+        polygon when polygon in @polygons -> trunc(value(item, 1) + 0.5) / 1
+        _circle -> value(item, 1)
+      end
+
     %{item | frame: @global, params: {p1, 0.0, 0.0, 0.0}, z: 0.0, autocontinue: 0}
   end
 
   def kept(item, :px4, 2), do: %{item | params: {0.0, 0.0, 0.0, 0.0}}
   # The kind of delay is lost.
-  def kept(%{command: 112} = item, :px4, 0), do: %{item | command: 93}
+  def kept(%{command: cmd(:CONDITION_DELAY)} = item, :px4, 0), do: %{item | command: cmd(:NAV_DELAY)}
 
-  def kept(%{command: 177, params: {to, times, p3, p4}} = item, :px4, 0) do
+  def kept(%{command: cmd(:DO_JUMP), params: {to, times, p3, p4}} = item, :px4, 0) do
     <<to::signed-16, times::16>> = <<whole(to)::16, whole(times)::16>>
     %{item | params: {to / 1, times / 1, p3, p4}}
   end
 
-  def kept(%{params: {p1, p2, p3, p4}} = item, :px4, 0) do
-    case item.command do
-      16 -> %{item | params: {p1, p2, 0.0, yaw(p4)}}
-      17 -> %{item | params: {0.0, 0.0, p3, yaw(p4)}}
-      19 -> %{item | params: {p1, flag(p2), p3, flag(p4)}}
-      21 -> %{item | params: {0.0, (whole(p2) &&& 3) / 1, 0.0, yaw(p4)}}
-      31 -> %{item | params: {flag(p1), p2, 0.0, flag(p4)}}
-      command when command in [22, 84, 85] -> %{item | params: {0.0, 0.0, 0.0, yaw(p4)}}
-      _all_parameters -> item
-    end
-  end
+  def kept(item, :px4, 0), do: %{item | params: params_px4(item.command, item.params)}
+
+  defp params_px4(cmd(:NAV_WAYPOINT), {p1, p2, _p3, p4}), do: {p1, p2, 0.0, yaw(p4)}
+  defp params_px4(cmd(:NAV_LOITER_UNLIM), {_p1, _p2, p3, p4}), do: {0.0, 0.0, p3, yaw(p4)}
+  defp params_px4(cmd(:NAV_LOITER_TIME), {p1, p2, p3, p4}), do: {p1, flag(p2), p3, flag(p4)}
+  defp params_px4(cmd(:NAV_LAND), {_p1, p2, _p3, p4}), do: {0.0, (whole(p2) &&& 3) / 1, 0.0, yaw(p4)}
+  defp params_px4(cmd(:NAV_LOITER_TO_ALT), {p1, p2, _p3, p4}), do: {flag(p1), p2, 0.0, flag(p4)}
+
+  defp params_px4(command, {_p1, _p2, _p3, p4})
+       when command in cmds(~w(NAV_TAKEOFF NAV_VTOL_TAKEOFF NAV_VTOL_LAND)a),
+       do: {0.0, 0.0, 0.0, yaw(p4)}
+
+  defp params_px4(_command, params), do: params
 
   # --- ArduPilot
 
@@ -125,7 +138,7 @@ defmodule SimVehicle.Plans.Storage do
   @far 4
   @part 8
 
-  defp number(18, item) do
+  defp number(cmd(:NAV_LOITER_TURNS), item) do
     turns = value(item, 1)
     part? = turns > 0 and turns < 1
     low = if part?, do: trunc(turns * 256), else: min(255, trunc(turns))
@@ -142,32 +155,36 @@ defmodule SimVehicle.Plans.Storage do
      ])}
   end
 
-  defp number(17, item), do: {trunc(abs(value(item, 3))), bits([{@ccw, value(item, 3) < 0}])}
+  defp number(cmd(:NAV_LOITER_UNLIM), item),
+    do: {trunc(abs(value(item, 3))), bits([{@ccw, value(item, 3) < 0}])}
 
-  defp number(19, item),
+  defp number(cmd(:NAV_LOITER_TIME), item),
     do: {whole(item, 1), bits([{@ccw, value(item, 3) < 0}, {@xtrack, value(item, 4) > 0}])}
 
-  defp number(21, item), do: {whole(item, 1), bits([{@ccw, value(item, 4) < 0}])}
+  defp number(cmd(:NAV_LAND), item), do: {whole(item, 1), bits([{@ccw, value(item, 4) < 0}])}
 
-  defp number(31, item),
+  defp number(cmd(:NAV_LOITER_TO_ALT), item),
     do: {trunc(abs(value(item, 2))), bits([{@ccw, value(item, 2) < 0}, {@xtrack, value(item, 4) > 0}])}
 
-  defp number(94, item), do: {trunc(value(item, 1) * 100), 0}
-  defp number(command, _item) when command in [84, 188, 189, 191], do: {0, 0}
+  defp number(cmd(:NAV_PAYLOAD_PLACE), item), do: {trunc(value(item, 1) * 100), 0}
+
+  defp number(command, _item)
+       when command in cmds(~w(NAV_VTOL_TAKEOFF DO_RETURN_PATH_START DO_LAND_START DO_GO_AROUND)a), do: {0, 0}
+
   # The delay of a copter.
   defp number(_command, item), do: {whole(item, 1), 0}
 
-  defp params(18, p1, flags) do
+  defp params(cmd(:NAV_LOITER_TURNS), p1, flags) do
     radius = (p1 >>> 8) * if(set?(flags, @far), do: 10, else: 1)
     turns = (p1 &&& 0xFF) / if(set?(flags, @part), do: 256, else: 1)
     {turns, 0.0, sign(flags) * radius, xtrack(flags)}
   end
 
-  defp params(17, p1, flags), do: {0.0, 0.0, sign(flags) * p1, 0.0}
-  defp params(19, p1, flags), do: {p1 / 1, 0.0, sign(flags), xtrack(flags)}
-  defp params(21, p1, flags), do: {p1 / 1, 0.0, 0.0, sign(flags)}
-  defp params(31, p1, flags), do: {0.0, sign(flags) * p1, 0.0, xtrack(flags)}
-  defp params(94, p1, _flags), do: {Real32.round32(p1 / 100), 0.0, 0.0, 0.0}
+  defp params(cmd(:NAV_LOITER_UNLIM), p1, flags), do: {0.0, 0.0, sign(flags) * p1, 0.0}
+  defp params(cmd(:NAV_LOITER_TIME), p1, flags), do: {p1 / 1, 0.0, sign(flags), xtrack(flags)}
+  defp params(cmd(:NAV_LAND), p1, flags), do: {p1 / 1, 0.0, 0.0, sign(flags)}
+  defp params(cmd(:NAV_LOITER_TO_ALT), p1, flags), do: {0.0, sign(flags) * p1, 0.0, xtrack(flags)}
+  defp params(cmd(:NAV_PAYLOAD_PLACE), p1, _flags), do: {Real32.round32(p1 / 100), 0.0, 0.0, 0.0}
   defp params(_command, p1, _flags), do: {p1 / 1, 0.0, 0.0, 0.0}
 
   defp bits(flags), do: for({bit, true} <- flags, reduce: 0, do: (all -> all ||| bit))
@@ -204,7 +221,7 @@ defmodule SimVehicle.Plans.Storage do
     unpacked(put(item, to, value), fields, rest)
   end
 
-  defp mount(%{command: 205} = item), do: %{item | z: @targeting}
+  defp mount(%{command: cmd(:DO_MOUNT_CONTROL)} = item), do: %{item | z: @targeting}
   defp mount(item), do: item
 
   defp value(item, from) when is_integer(from), do: Real32.number(elem(item.params, from - 1)) || 0.0

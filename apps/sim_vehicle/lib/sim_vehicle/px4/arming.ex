@@ -3,11 +3,14 @@ defmodule SimVehicle.Px4.Arming do
   PX4's arming and disarming, with its events.
   """
 
+  import MavCodec.CommandId
+
+  alias MavCodec.Enums.MavResult
   alias SimVehicle.{Command, Flight, Params, Vehicle}
   alias SimVehicle.Px4.{Events, Modes}
 
-  @accepted 0
-  @temporarily_rejected 1
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
   @force 21_196
 
   # Reasons of commander_disarmed_by.
@@ -17,7 +20,6 @@ defmodule SimVehicle.Px4.Arming do
   @calibration_us 1_050_000
   # How often a calibration looks whether it is cancelled.
   @look_us 2_000_000
-  @preflight_calibration 241
 
   @doc "COMPONENT_ARM_DISARM with 1. Forcing does not help against failing checks in this version."
   @spec arm(Vehicle.t(), Command.t()) :: Vehicle.t()
@@ -132,7 +134,7 @@ defmodule SimVehicle.Px4.Arming do
     end
   end
 
-  defp look(v, calibration, {@preflight_calibration, params}) do
+  defp look(v, calibration, {cmd(:PREFLIGHT_CALIBRATION), params}) do
     if Enum.all?(Tuple.to_list(params), &(&1 == 0)),
       do: v |> Vehicle.put_own(:calibrating, nil) |> Vehicle.text(2, "[cal] calibration cancelled"),
       else: look(v, calibration, nil)

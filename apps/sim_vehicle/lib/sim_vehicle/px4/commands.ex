@@ -3,23 +3,29 @@ defmodule SimVehicle.Px4.Commands do
   COMMAND_LONG and COMMAND_INT as PX4 1.17.0 answers them: mode changes twice, some commands never, refusals with an event.
   """
 
+  import MavCodec.CommandId
   import MavCodec.MessageId
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Battery, Command, Flight, Geo, Params, Px4, Requests, Telemetry, Vehicle}
   alias SimVehicle.Flight.Goal
   alias SimVehicle.Px4.{Arming, Events, Modes}
 
-  @accepted 0
-  @temporarily_rejected 1
-  @denied 2
-  @unsupported 3
-  @failed 4
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
+  @denied MavResult.value(:MAV_RESULT_DENIED)
+  @unsupported MavResult.value(:MAV_RESULT_UNSUPPORTED)
+  @failed MavResult.value(:MAV_RESULT_FAILED)
 
   # Known to PX4 1.17 and never answered: a gimbal's control and a VTOL's transition without either.
-  @silent [205, 3000]
+  @silent cmds(~w(DO_MOUNT_CONTROL DO_VTOL_TRANSITION)a)
   # Accepted without a visible effect.
-  @shrugged [401, 519, 195, 197, 1000, 1001, 2003, 183, 187]
+  @shrugged cmds(~w(
+    RUN_PREARM_CHECKS REQUEST_PROTOCOL_VERSION DO_SET_ROI_LOCATION DO_SET_ROI_NONE
+    DO_GIMBAL_MANAGER_PITCHYAW DO_GIMBAL_MANAGER_CONFIGURE DO_TRIGGER_CONTROL DO_SET_SERVO
+    DO_SET_ACTUATOR
+  )a)
   # The circuit breaker that disables flight termination.
   @termination_off 121_212
   # The commander runs in a thread of its own.
@@ -29,8 +35,7 @@ defmodule SimVehicle.Px4.Commands do
   @spec command(Vehicle.t(), Command.t()) :: Vehicle.t()
   def command(v, command), do: v |> Arming.heard(command) |> run(command, command.id)
 
-  # COMPONENT_ARM_DISARM
-  defp run(v, c, 400) do
+  defp run(v, c, cmd(:COMPONENT_ARM_DISARM)) do
     case {Command.p(c, 1, nil), Command.p(c, 2)} do
       {p1, _force} when p1 == 1.0 -> Arming.arm(v, c)
       {p1, force} when p1 == 0.0 -> Arming.disarm(v, c, force)
@@ -38,17 +43,17 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # DO_SET_MODE: 1.17.0 accepts at once, and sends the commander's result some milliseconds later. An unknown main mode
+  # 1.17.0 accepts at once, and sends the commander's result some milliseconds later. An unknown main mode
   # changes nothing, and so is "accepted" the second time as well.
-  defp run(v, c, 176) do
+  defp run(v, c, cmd(:DO_SET_MODE)) do
     {main, sub} = {trunc(Command.p(c, 2)), trunc(Command.p(c, 3))}
     v = Vehicle.ack(v, c, @accepted)
     {result, v} = if Modes.main?(main), do: Modes.request(v, main, sub), else: {@accepted, v}
     ack_later(v, c, result)
   end
 
-  # NAV_TAKEOFF: the altitude is above the sea
-  defp run(v, c, 22) do
+  # The altitude is above the sea.
+  defp run(v, c, cmd(:NAV_TAKEOFF)) do
     if Vehicle.positioned?(v) do
       {_lat, _lon, alt} = Command.location(c)
       v = Vehicle.ack(v, c, @accepted)
@@ -58,8 +63,7 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # NAV_LAND
-  defp run(v, c, 21) do
+  defp run(v, c, cmd(:NAV_LAND)) do
     if Modes.available?(v, "AUTO_LAND") do
       v
       |> Events.tell(:landing_here, [], {6, "Landing at current position"})
@@ -70,11 +74,10 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  defp run(v, c, 17), do: mode(v, c, "AUTO_LOITER")
-  defp run(v, c, 20), do: mode(v, c, "AUTO_RTL")
+  defp run(v, c, cmd(:NAV_LOITER_UNLIM)), do: mode(v, c, "AUTO_LOITER")
+  defp run(v, c, cmd(:NAV_RETURN_TO_LAUNCH)), do: mode(v, c, "AUTO_RTL")
 
-  # DO_REPOSITION
-  defp run(v, c, 192) do
+  defp run(v, c, cmd(:DO_REPOSITION)) do
     {lat, lon, alt} = Command.location(c)
 
     cond do
@@ -84,8 +87,7 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # DO_ORBIT
-  defp run(%{airborne: true} = v, c, 34) do
+  defp run(%{airborne: true} = v, c, cmd(:DO_ORBIT)) do
     {lat, lon, alt} = Command.location(c)
     {n, e} = if lat && lon, do: Geo.to_local(v.origin, lat, lon), else: {v.kin.n, v.kin.e}
     radius = min(max(abs(Command.p(c, 1, 10.0)), 1.0), 1000.0)
@@ -95,10 +97,9 @@ defmodule SimVehicle.Px4.Commands do
     v |> Flight.go(goal) |> Vehicle.put_own(:orbit, goal)
   end
 
-  defp run(v, c, 34), do: Vehicle.ack(v, c, @temporarily_rejected)
+  defp run(v, c, cmd(:DO_ORBIT)), do: Vehicle.ack(v, c, @temporarily_rejected)
 
-  # DO_CHANGE_SPEED
-  defp run(v, c, 178) do
+  defp run(v, c, cmd(:DO_CHANGE_SPEED)) do
     speed = Command.p(c, 2, -1.0)
     v = Vehicle.ack(v, c, @accepted)
 
@@ -107,8 +108,8 @@ defmodule SimVehicle.Px4.Commands do
       else: v
   end
 
-  # DO_SET_HOME: any latitude is accepted, and shown
-  defp run(v, c, 179) do
+  # Any latitude is accepted, and shown.
+  defp run(v, c, cmd(:DO_SET_HOME)) do
     {lat, lon, alt} = if Command.p(c, 1) == 1.0, do: here(v), else: Command.location(c)
 
     if lat && lon && alt,
@@ -116,8 +117,7 @@ defmodule SimVehicle.Px4.Commands do
       else: Vehicle.ack(v, c, @denied)
   end
 
-  # MISSION_START
-  defp run(v, c, 300) do
+  defp run(v, c, cmd(:MISSION_START)) do
     if Modes.mission?(v),
       do: mode(v, c, "AUTO_MISSION"),
       else:
@@ -126,15 +126,14 @@ defmodule SimVehicle.Px4.Commands do
         |> Events.tell(:mission_denied, [], {2, "Mission start denied! No valid mission"})
   end
 
-  # DO_FLIGHTTERMINATION
-  defp run(v, c, 185) do
+  defp run(v, c, cmd(:DO_FLIGHTTERMINATION)) do
     if Params.get(v.params, "CBRK_FLIGHTTERM") == @termination_off or Command.p(c, 1) <= 0.5,
       do: Vehicle.ack(v, c, @denied),
       else: v |> Vehicle.ack(c, @accepted) |> Arming.stop(1)
   end
 
-  # PREFLIGHT_CALIBRATION of the gyros takes a second, that of the accelerometer waits to be turned; others are over at once
-  defp run(%{armed: false} = v, c, 241) do
+  # Calibration of the gyros takes a second, that of the accelerometer waits to be turned; others are over at once.
+  defp run(%{armed: false} = v, c, cmd(:PREFLIGHT_CALIBRATION)) do
     if Arming.calibrating?(v) do
       Vehicle.ack(v, c, @temporarily_rejected)
     else
@@ -148,13 +147,10 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # PREFLIGHT_STORAGE
-  defp run(v, c, id) when id in [241, 245],
+  defp run(v, c, id) when id in cmds(~w(PREFLIGHT_CALIBRATION PREFLIGHT_STORAGE)a),
     do: Vehicle.ack(v, c, if(v.armed, do: @temporarily_rejected, else: @accepted))
 
-  # PREFLIGHT_REBOOT_SHUTDOWN
-
-  defp run(v, c, 246) do
+  defp run(v, c, cmd(:PREFLIGHT_REBOOT_SHUTDOWN)) do
     cond do
       v.armed -> Vehicle.ack(v, c, @denied)
       Command.p(c, 1) == 1.0 -> v |> Vehicle.ack(c, @accepted) |> Vehicle.reboot()
@@ -162,11 +158,10 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # DO_MOTOR_TEST
-  defp run(v, c, 310), do: Vehicle.ack(v, c, @denied)
+  defp run(v, c, cmd(:ACTUATOR_TEST)), do: Vehicle.ack(v, c, @denied)
 
-  # INJECT_FAILURE: the answer for the battery is broadcast; other units give no answer
-  defp run(v, c, 420) do
+  # The answer for the battery is broadcast; other units give no answer.
+  defp run(v, c, cmd(:INJECT_FAILURE)) do
     case {trunc(Command.p(c, 1)), trunc(Command.p(c, 2))} do
       {100, 1} -> v |> broadcast_ack(c) |> empty() |> Px4.failsafe(:battery_critical, true)
       {100, 0} -> v |> broadcast_ack(c) |> Px4.failsafe(:battery_critical, false)
@@ -176,13 +171,13 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  defp run(v, c, 511), do: Requests.set_interval(v, c, Px4.streamed())
+  defp run(v, c, cmd(:SET_MESSAGE_INTERVAL)), do: Requests.set_interval(v, c, Px4.streamed())
 
-  defp run(v, c, 510),
+  defp run(v, c, cmd(:GET_MESSAGE_INTERVAL)),
     do: v |> Vehicle.emit(Requests.interval(v, c, Px4.streamed())) |> Vehicle.ack(c, @accepted)
 
-  # REQUEST_MESSAGE: the message comes before the acknowledgement
-  defp run(v, c, 512) do
+  # The message comes before the acknowledgement.
+  defp run(v, c, cmd(:REQUEST_MESSAGE)) do
     id = trunc(Command.p(c, 1))
 
     case requested(v, c, id) do
@@ -194,8 +189,7 @@ defmodule SimVehicle.Px4.Commands do
     end
   end
 
-  # REQUEST_AUTOPILOT_CAPABILITIES
-  defp run(v, c, 520),
+  defp run(v, c, cmd(:REQUEST_AUTOPILOT_CAPABILITIES)),
     do: v |> Vehicle.emit(Telemetry.message(v, id(AutopilotVersion))) |> Vehicle.ack(c, @accepted)
 
   defp run(v, _c, id) when id in @silent, do: v

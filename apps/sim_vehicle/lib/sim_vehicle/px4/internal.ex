@@ -4,13 +4,12 @@ defmodule SimVehicle.Px4.Internal do
   confirmation. A router that sends them back to the vehicle makes a loop.
   """
 
+  import MavCodec.CommandId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.Vehicle
 
   @repeats [{0, 0}, {1_000_000, 1}, {1_512_000, 2}, {2_024_000, 3}]
-
-  @gimbal_configure 1001
-  @gimbal_pitch_yaw 1000
 
   @doc "Sends a command to itself, and again three times in the next two seconds."
   @spec send(Vehicle.t(), non_neg_integer, [number | atom]) :: Vehicle.t()
@@ -25,9 +24,9 @@ defmodule SimVehicle.Px4.Internal do
   @spec gimbal(Vehicle.t(), String.t()) :: Vehicle.t()
   def gimbal(%{airborne: true} = v, mode) when mode in ["AUTO_RTL", "AUTO_LAND", "AUTO_LOITER"] do
     v
-    |> __MODULE__.send(@gimbal_configure, [1.0, 1.0, -1.0, -1.0])
-    |> Vehicle.emit(message(v, @gimbal_pitch_yaw, [:nan, :nan, :nan, :nan, 2.0], 0))
-    |> Vehicle.emit(message(v, @gimbal_configure, [-3.0, -3.0, -1.0, -1.0], 0))
+    |> __MODULE__.send(cmd(:DO_GIMBAL_MANAGER_CONFIGURE), [1.0, 1.0, -1.0, -1.0])
+    |> Vehicle.emit(message(v, cmd(:DO_GIMBAL_MANAGER_PITCHYAW), [:nan, :nan, :nan, :nan, 2.0], 0))
+    |> Vehicle.emit(message(v, cmd(:DO_GIMBAL_MANAGER_CONFIGURE), [-3.0, -3.0, -1.0, -1.0], 0))
   end
 
   def gimbal(v, _mode), do: v

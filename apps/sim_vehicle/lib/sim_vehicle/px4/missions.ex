@@ -4,6 +4,8 @@ defmodule SimVehicle.Px4.Missions do
   mission.
   """
 
+  import MavCodec.CommandId
+
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Geo, Params, Plans, Vehicle}
   alias SimVehicle.Flight.Mission
@@ -12,6 +14,7 @@ defmodule SimVehicle.Px4.Missions do
   @repeat_us 1_010_000
   @repeat_for_us 10_200_000
   @far_m 10_000
+  @nav cmds(~w(NAV_WAYPOINT NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME NAV_LAND NAV_TAKEOFF)a)
 
   @doc "A plan was replaced or cleared. An accepted mission may still be rejected, which only an event reports."
   @spec plan_changed(Vehicle.t(), :stored | :cleared, 0..2) :: Vehicle.t()
@@ -28,7 +31,8 @@ defmodule SimVehicle.Px4.Missions do
 
   def plan_changed(v, :stored, 1) do
     corners =
-      for %{command: 5002} = item <- Plans.items(v.plans, 1), do: Geo.to_local(v.origin, item.x, item.y)
+      for %{command: cmd(:NAV_FENCE_POLYGON_VERTEX_EXCLUSION)} = item <- Plans.items(v.plans, 1),
+          do: Geo.to_local(v.origin, item.x, item.y)
 
     home = v.home && Geo.to_local(v.origin, v.home.lat, v.home.lon)
 
@@ -96,7 +100,7 @@ defmodule SimVehicle.Px4.Missions do
     {:vehicle,
      v
      |> Events.tell(:mission_finished, [], {6, "Mission finished, loitering"})
-     |> Internal.send(20, [])
+     |> Internal.send(cmd(:NAV_RETURN_TO_LAUNCH), [])
      |> Modes.enter("AUTO_RTL")}
   end
 
@@ -107,7 +111,7 @@ defmodule SimVehicle.Px4.Missions do
       Enum.any?(items, &(nav?(&1) and (abs(&1.x) > 900_000_000 or abs(&1.y) > 1_800_000_000))) ->
         infeasible(Events.tell(v, :mission_item_invalid, [], {2, "IGN MISSION_ITEM: Invalid item"}))
 
-      Params.get(v.params, "MIS_TKO_LAND_REQ") == 1 and first.command != 22 ->
+      Params.get(v.params, "MIS_TKO_LAND_REQ") == 1 and first.command != cmd(:NAV_TAKEOFF) ->
         infeasible(
           Events.tell(v, :mission_takeoff_missing, [], {2, "Mission rejected: Takeoff waypoint required"})
         )
@@ -135,5 +139,5 @@ defmodule SimVehicle.Px4.Missions do
     end
   end
 
-  defp nav?(item), do: item.command in [16, 17, 18, 19, 21, 22] and item.frame != 2
+  defp nav?(item), do: item.command in @nav and item.frame != 2
 end

@@ -5,6 +5,7 @@ defmodule SimVehicle.Px4.Modes do
 
   import Bitwise
 
+  alias MavCodec.Enums.MavResult
   alias MavCodec.Messages, as: M
   alias SimVehicle.{Flight, Geo, Params, Vehicle}
   alias SimVehicle.Flight.{Goal, Mission}
@@ -31,8 +32,8 @@ defmodule SimVehicle.Px4.Modes do
   # There is no RC in the simulator, so modes that need a pilot cannot be flown.
   @manual ["MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED"]
 
-  @accepted 0
-  @temporarily_rejected 1
+  @accepted MavResult.value(:MAV_RESULT_ACCEPTED)
+  @temporarily_rejected MavResult.value(:MAV_RESULT_TEMPORARILY_REJECTED)
 
   @doc "custom_mode of HEARTBEAT."
   @spec number(String.t()) :: non_neg_integer

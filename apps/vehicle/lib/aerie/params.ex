@@ -25,10 +25,10 @@ defmodule Aerie.Params do
     Download,
     Fetch,
     File,
-    Get,
     Metadata,
     MetadataReader,
     Param,
+    Set,
     SetAll,
     Table
   }
@@ -158,7 +158,7 @@ defmodule Aerie.Params do
         share: {:param, component, name},
         start: fn context, until ->
           target = Component.target(context, component)
-          {:ok, Get.new(name, target, until, Component.options(context, component))}
+          {:ok, Set.read(name, target, until, Component.options(context, component))}
         end
       }
 

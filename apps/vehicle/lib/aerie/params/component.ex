@@ -5,7 +5,7 @@ defmodule Aerie.Params.Component do
   """
 
   alias Aerie.Command.Error
-  alias Aerie.Params.{Message, Set, SetExt}
+  alias Aerie.Params.{Message, Set}
   alias Aerie.Vehicle.Transfers.Job
 
   # 128 bytes in base64, and what stands before it.
@@ -51,15 +51,12 @@ defmodule Aerie.Params.Component do
 
   @doc "The machine that sets a parameter."
   @spec set(String.t(), number() | String.t(), 1..11 | nil, Job.context(), until :: integer(), t()) ::
-          {:ok, Set.t() | SetExt.t()} | {:error, {:invalid, String.t()}}
+          {:ok, Set.t()} | {:error, {:invalid, String.t()}}
   def set(name, value, type, context, until, component) do
     options = [type: type] ++ options(context, component)
-    target = target(context, component)
 
-    cond do
-      options[:encoding] == :extended -> {:ok, SetExt.new(name, value, target, until, options)}
-      is_number(value) -> {:ok, Set.new(name, value, target, until, options)}
-      true -> {:error, {:invalid, "expected a number: component #{component} is the autopilot"}}
-    end
+    if is_number(value) or options[:encoding] == :extended,
+      do: {:ok, Set.new(name, value, target(context, component), until, options)},
+      else: {:error, {:invalid, "expected a number: component #{component} is the autopilot"}}
   end
 end

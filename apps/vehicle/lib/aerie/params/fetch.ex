@@ -15,7 +15,7 @@ defmodule Aerie.Params.Fetch do
   """
 
   alias Aerie.Ftp.{Client, RoundTrip}
-  alias Aerie.Params.{Cache, Download, Get, Param, Table}
+  alias Aerie.Params.{Cache, Download, Param, Set, Table}
   alias MavCodec.PackedParams
 
   @silent_us RoundTrip.silence()
@@ -78,8 +78,7 @@ defmodule Aerie.Params.Fetch do
     Enum.reduce(actions, {%{fetch | machine: machine}, []}, &act(&1, &2, time(event)))
   end
 
-  defp time({:message, _message, _source, now}), do: now
-  defp time({_event, now}), do: now
+  defp time(event), do: elem(event, tuple_size(event) - 1)
 
   defp act({:data, offset, bytes}, {fetch, actions}, _now),
     do: {%{fetch | data: [{offset, bytes} | fetch.data]}, actions}
@@ -154,8 +153,8 @@ defmodule Aerie.Params.Fetch do
   end
 
   defp hash(fetch, now) do
-    get = Get.new("_HASH_CHECK", fetch.target, fetch.deadline, fetch.options)
-    start(%{fetch | phase: :hash}, get, now)
+    read = Set.read("_HASH_CHECK", fetch.target, fetch.deadline, fetch.options)
+    start(%{fetch | phase: :hash}, read, now)
   end
 
   defp list(fetch, now),

@@ -12,36 +12,56 @@ defmodule Aerie.Params.Message do
   @type target :: {system :: non_neg_integer(), component :: 0..255}
   @type encoding :: ParamValue.encoding() | :extended
 
+  @type value :: number() | String.t() | nil
+  @type wire :: ParamValue.wire() | binary()
+
+  @autopilot %{
+    list: M.ParamRequestList,
+    read: M.ParamRequestRead,
+    set: M.ParamSet,
+    value: M.ParamValue
+  }
+  @extended %{
+    list: M.ParamExtRequestList,
+    read: M.ParamExtRequestRead,
+    set: M.ParamExtSet,
+    value: M.ParamExtValue
+  }
+
   @doc "Asks for the whole list."
   @spec list(target(), encoding()) :: struct()
-  def list({system, component}, encoding) do
-    module = if encoding == :extended, do: M.ParamExtRequestList, else: M.ParamRequestList
-    struct!(module, target_system: system, target_component: component)
-  end
+  def list(target, encoding), do: message(:list, target, [], encoding)
 
   @doc "Asks for a parameter by its name, or by its index."
   @spec read(target(), String.t() | 0..65_535, encoding()) :: struct()
-  def read({system, component}, which, encoding) do
-    module = if encoding == :extended, do: M.ParamExtRequestRead, else: M.ParamRequestRead
+  def read(target, index, encoding) when is_integer(index),
+    do: message(:read, target, [param_index: index], encoding)
 
-    which =
-      if is_integer(which), do: [param_index: which], else: [param_index: -1, param_id: which]
+  def read(target, name, encoding), do: message(:read, target, [param_index: -1, param_id: name], encoding)
 
-    struct!(module, [target_system: system, target_component: component] ++ which)
-  end
+  @doc "Sets a parameter to a value as it is on the wire (`encode/3`)."
+  @spec set(target(), String.t(), wire(), type :: integer(), encoding()) :: struct()
+  def set(target, name, wire, type, encoding),
+    do: message(:set, target, [param_id: name, param_value: wire, param_type: type], encoding)
 
-  @doc "Sets a parameter to a value as it is on the wire, for which `encode/3` is."
-  @spec set(target(), String.t(), ParamValue.wire() | binary(), type :: integer(), encoding()) :: struct()
-  def set({system, component}, name, wire, type, encoding) do
-    module = if encoding == :extended, do: M.ParamExtSet, else: M.ParamSet
+  defp message(kind, {system, component}, fields, encoding),
+    do: struct!(module(kind, encoding), [target_system: system, target_component: component] ++ fields)
 
-    struct!(module,
-      target_system: system,
-      target_component: component,
-      param_id: name,
-      param_value: wire,
-      param_type: type
-    )
+  defp module(kind, :extended), do: Map.fetch!(@extended, kind)
+  defp module(kind, _encoding), do: Map.fetch!(@autopilot, kind)
+
+  @doc "A value as it is on the wire, or why it cannot be sent unchanged."
+  @spec encode(value(), type :: integer(), encoding()) :: {:ok, wire()} | {:error, String.t()}
+  def encode(value, type, :extended), do: ExtValue.encode(value, type)
+  def encode(value, type, encoding), do: ParamValue.encode(value, type, encoding)
+
+  @doc "Whether a reported value is the one that was sent as `wire`."
+  @spec same?(value(), wire(), type :: integer(), encoding()) :: boolean()
+  def same?(value, wire, type, :extended), do: value == ExtValue.decode(wire, type)
+
+  def same?(value, wire, type, encoding) do
+    {:ok, sent, _exact?} = ParamValue.decode(wire, type, encoding)
+    ParamValue.same?(value, sent)
   end
 
   @doc """
@@ -49,28 +69,26 @@ defmodule Aerie.Params.Message do
   the vehicle has the parameter all the same.
   """
   @spec value(struct(), encoding()) :: {:ok, Param.t()} | :garbage | :other
-  def value(%M.ParamExtValue{} = m, :extended) do
-    value = ExtValue.decode(m.param_value, m.param_type)
-
-    if ParamValue.name?(m.param_id),
-      do: {:ok, %Param{name: m.param_id, value: value, type: m.param_type}},
-      else: :garbage
-  end
-
-  def value(%M.ParamValue{} = m, encoding) when encoding != :extended do
-    case {ParamValue.name?(m.param_id), ParamValue.decode(m.param_value, m.param_type, encoding)} do
-      {false, _value} ->
-        :garbage
-
-      {true, :error} ->
-        {:ok, %Param{name: m.param_id, value: nil, type: m.param_type, exact: false}}
-
-      {true, {:ok, value, exact?}} ->
-        {:ok, %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}}
+  def value(%module{} = m, encoding) do
+    cond do
+      module != module(:value, encoding) -> :other
+      not ParamValue.name?(m.param_id) -> :garbage
+      true -> {:ok, param(m, encoding)}
     end
   end
 
-  def value(_message, _encoding), do: :other
+  defp param(m, :extended),
+    do: %Param{name: m.param_id, value: ExtValue.decode(m.param_value, m.param_type), type: m.param_type}
+
+  defp param(m, encoding) do
+    {value, exact?} =
+      case ParamValue.decode(m.param_value, m.param_type, encoding) do
+        {:ok, value, exact?} -> {value, exact?}
+        :error -> {nil, false}
+      end
+
+    %Param{name: m.param_id, value: value, type: m.param_type, exact: exact?}
+  end
 
   @doc "What a message says about the parameter of a name."
   @spec about(struct(), String.t(), encoding()) :: {:value, Param.t()} | {:refused, String.t()} | :other

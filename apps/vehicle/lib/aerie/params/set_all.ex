@@ -51,8 +51,7 @@ defmodule Aerie.Params.SetAll do
     end
   end
 
-  defp time({:message, _message, _source, now}), do: now
-  defp time({_event, now}), do: now
+  defp time(event), do: elem(event, tuple_size(event) - 1)
 
   defp ended(all, {:ok, _param}, actions, now), do: more(all, actions, now)
 
@@ -83,11 +82,8 @@ defmodule Aerie.Params.SetAll do
   defp next(%{refused: []} = all, _now), do: {all, [{:done, {:ok, all.total}}]}
 
   defp next(%{refused: refused} = all, _now) do
-    shown =
-      refused
-      |> Enum.reverse()
-      |> Enum.take(@shown)
-      |> Enum.map_join("; ", fn {name, why} -> "#{name}: #{says(why)}" end)
+    first = refused |> Enum.reverse() |> Enum.take(@shown)
+    shown = Enum.map_join(first, "; ", fn {name, why} -> "#{name}: #{says(why)}" end)
 
     {all, [{:done, {:error, {:failed, "#{length(refused)} of #{all.total} were not set: #{shown}"}}}]}
   end

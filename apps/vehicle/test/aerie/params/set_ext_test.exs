@@ -3,15 +3,15 @@ defmodule Aerie.Params.SetExtTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{LossyLink, ParamsCamera}
-  alias Aerie.Params.{Download, Get, SetExt, Table}
+  alias Aerie.Params.{Download, Set, Table}
   alias Aerie.Transfers.Outcome
   alias MavCodec.Messages, as: M
 
   @deadline 120_000_000
 
   defp set(name, value, options \\ [], more \\ []) do
-    set = SetExt.new(name, value, {1, 1}, @deadline, more)
-    LossyLink.run(SetExt, set, ParamsCamera.new(), &ParamsCamera.answer/3, options)
+    set = Set.new(name, value, {1, 1}, @deadline, [encoding: :extended] ++ more)
+    LossyLink.run(Set, set, ParamsCamera.new(), &ParamsCamera.answer/3, options)
   end
 
   defp list(options) do
@@ -20,8 +20,8 @@ defmodule Aerie.Params.SetExtTest do
   end
 
   defp get(name) do
-    get = Get.new(name, {1, 1}, @deadline, encoding: :extended)
-    LossyLink.run(Get, get, ParamsCamera.new(), &ParamsCamera.answer/3)
+    get = Set.read(name, {1, 1}, @deadline, encoding: :extended)
+    LossyLink.run(Set, get, ParamsCamera.new(), &ParamsCamera.answer/3)
   end
 
   @values %{
@@ -101,7 +101,14 @@ defmodule Aerie.Params.SetExtTest do
       {camera, Enum.reject(answers, &match?({_after, %M.ParamExtAck{param_result: 0}}, &1))}
     end
 
-    run = LossyLink.run(SetExt, SetExt.new("CAM_FORMAT", 7, {1, 1}, @deadline), ParamsCamera.new(), mute)
+    run =
+      LossyLink.run(
+        Set,
+        Set.new("CAM_FORMAT", 7, {1, 1}, @deadline, encoding: :extended),
+        ParamsCamera.new(),
+        mute
+      )
+
     assert {:ok, %{value: 7}} = run.result
   end
 
@@ -121,8 +128,8 @@ defmodule Aerie.Params.SetExtTest do
       {camera, answers}
     end
 
-    start = SetExt.new("CAM_ISO", 3, {1, 1}, @deadline)
-    result = LossyLink.run(SetExt, start, ParamsCamera.new(), keeps).result
+    start = Set.new("CAM_ISO", 3, {1, 1}, @deadline, encoding: :extended)
+    result = LossyLink.run(Set, start, ParamsCamera.new(), keeps).result
     assert result == {:error, {:not_set, :accepted, {:keeps, 0x01000200}}}
     assert {:failed, "the component accepted the value and does not have it" <> _, _} = Outcome.of(result)
 
@@ -131,16 +138,16 @@ defmodule Aerie.Params.SetExtTest do
       camera, _read, _now -> {camera, []}
     end
 
-    start = SetExt.new("CAM_ISO", 3, {1, 1}, @deadline, type: 5)
-    result = LossyLink.run(SetExt, start, ParamsCamera.new(), shows_nothing).result
+    start = Set.new("CAM_ISO", 3, {1, 1}, @deadline, encoding: :extended, type: 5)
+    result = LossyLink.run(Set, start, ParamsCamera.new(), shows_nothing).result
     assert {:accepted, "it accepted the value" <> _, %{}} = Outcome.of(result)
   end
 
   test "on a fast link a component may stand still for seconds before it is given up" do
-    set = SetExt.new("CAM_MODE", 2, {1, 1}, @deadline, rtt_us: 5_000)
+    set = Set.new("CAM_MODE", 2, {1, 1}, @deadline, encoding: :extended, rtt_us: 5_000)
     asleep = LossyLink.still(7_000_000, &ParamsCamera.answer/3)
-    assert {:ok, %{value: 2}} = LossyLink.run(SetExt, set, ParamsCamera.new(), asleep).result
-    run = LossyLink.run(SetExt, set, nil, fn v, _message, _now -> {v, []} end)
+    assert {:ok, %{value: 2}} = LossyLink.run(Set, set, ParamsCamera.new(), asleep).result
+    run = LossyLink.run(Set, set, nil, fn v, _message, _now -> {v, []} end)
     assert run.result == {:error, {:silent, 1}}
     assert {run.at, length(run.sent)} == {8_700_000, 13}
 
@@ -154,7 +161,7 @@ defmodule Aerie.Params.SetExtTest do
         {standing, []}
     end
 
-    assert {:ok, %{value: 2}} = LossyLink.run(SetExt, set, {ParamsCamera.new(), 0}, stops).result
+    assert {:ok, %{value: 2}} = LossyLink.run(Set, set, {ParamsCamera.new(), 0}, stops).result
   end
 
   test "what does not fit is not sent" do
@@ -177,8 +184,8 @@ defmodule Aerie.Params.SetExtTest do
     assert set("CAM_ISO", 1, script: [{5_000, fn _v -> {:say, {:cancel, 5_000}} end}]).result ==
              {:error, :cancelled}
 
-    start = SetExt.new("CAM_FORMAT", 7, {1, 1}, 1_000_000)
-    run = LossyLink.run(SetExt, start, ParamsCamera.new(), &ParamsCamera.answer/3)
+    start = Set.new("CAM_FORMAT", 7, {1, 1}, 1_000_000, encoding: :extended)
+    run = LossyLink.run(Set, start, ParamsCamera.new(), &ParamsCamera.answer/3)
     assert run.result == {:error, :deadline}
   end
 

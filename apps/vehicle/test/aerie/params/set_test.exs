@@ -2,7 +2,7 @@ defmodule Aerie.Params.SetTest do
   use ExUnit.Case, async: true
 
   alias Aerie.{LossyLink, ParamsVehicle}
-  alias Aerie.Params.{Get, Set}
+  alias Aerie.Params.Set
   alias MavCodec.Messages, as: M
 
   @deadline 120_000_000
@@ -14,8 +14,8 @@ defmodule Aerie.Params.SetTest do
   end
 
   defp get(vehicle, name, options \\ []) do
-    get = Get.new(name, {1, 1}, @deadline, encoding: vehicle.encoding)
-    LossyLink.run(Get, get, vehicle, &ParamsVehicle.answer/3, options)
+    get = Set.read(name, {1, 1}, @deadline, encoding: vehicle.encoding)
+    LossyLink.run(Set, get, vehicle, &ParamsVehicle.answer/3, options)
   end
 
   for encoding <- [:c_cast, :bytewise] do
@@ -61,7 +61,7 @@ defmodule Aerie.Params.SetTest do
       {v, [{0, %M.ParamError{param_id: name, error: 1}}]}
     end
 
-    run = LossyLink.run(Get, Get.new("NONE", {1, 1}, @deadline), nil, tells)
+    run = LossyLink.run(Set, Set.read("NONE", {1, 1}, @deadline), nil, tells)
     assert run.result == {:error, {:refused, "MAV_PARAM_ERROR_DOES_NOT_EXIST"}}
   end
 
@@ -92,8 +92,7 @@ defmodule Aerie.Params.SetTest do
     machine = Set.new("A", 7, {1, 1}, 100_000, type: 4)
     run = LossyLink.run(Set, machine, ParamsVehicle.new(@params), &ParamsVehicle.answer/3, loss: 1.0)
     assert run.result == {:error, :deadline}
-    {set, _actions} = Set.handle(machine, {:start, 0})
-    assert Set.sent?(set)
+    assert {_set, [{:send, [%M.ParamSet{}]}]} = Set.handle(machine, {:start, 0})
   end
 
   test "whatever the link does: ok means that the vehicle had the value, refused that it showed another" do

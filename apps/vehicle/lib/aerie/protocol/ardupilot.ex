@@ -6,7 +6,8 @@ defmodule Aerie.Protocol.Ardupilot do
   its reason comes as a STATUSTEXT. Vehicles fly to positions in GUIDED, and item 0 of a mission is home (W8).
   """
 
-  @behaviour Aerie.Protocol
+  # Heights in COMMAND_LONG are above home.
+  use Aerie.Protocol.Mavlink.Commands, calibration: Aerie.Protocol.Ardupilot.Calibration, long_frames: [3, 6]
 
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
 
@@ -14,8 +15,6 @@ defmodule Aerie.Protocol.Ardupilot do
   alias Aerie.Protocol.Ardupilot.{Calibration, Kept, Steering}
   alias Aerie.Protocol.Mavlink.{Commands, Streams}
 
-  # The frames that heights in COMMAND_LONG refer to.
-  @long_frames [3, 6]
   @copter "copter"
   @winged ["plane", "vtol"]
   @grounded ["rover", "boat"]
@@ -268,22 +267,6 @@ defmodule Aerie.Protocol.Ardupilot do
   defp placed(%{lat: lat, lon: lon, altitude: altitude}, steps) do
     if lat && lon && altitude, do: steps.(), else: {:error, "its position is not known yet"}
   end
-
-  @impl true
-  defdelegate encode(step, attempt, vehicle), to: Mavlink
-
-  @impl true
-  defdelegate cancel(step, vehicle), to: Mavlink
-
-  @impl true
-  defdelegate release(step, vehicle), to: Mavlink
-
-  @impl true
-  def read(step, message, source, vehicle),
-    do: Commands.read(step, message, source, vehicle, Calibration, @long_frames)
-
-  @impl true
-  def listens(step), do: Commands.listens(step) ++ Calibration.listens(step)
 
   @impl true
   def param_encoding, do: :c_cast

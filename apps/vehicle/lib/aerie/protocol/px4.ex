@@ -8,7 +8,7 @@ defmodule Aerie.Protocol.Px4 do
   a take-off would wait for arming: both are refused here.
   """
 
-  @behaviour Aerie.Protocol
+  use Aerie.Protocol.Mavlink.Commands, calibration: Aerie.Protocol.Px4.Calibration, long_frames: [0, 5]
 
   import Bitwise
   import Aerie.Protocol.Vehicle, only: [airborne: 2]
@@ -18,7 +18,6 @@ defmodule Aerie.Protocol.Px4 do
   alias Aerie.Protocol.Px4.{Calibration, Plans}
   alias MavCodec.Messages, as: M
 
-  @long_frames [0, 5]
   @amsl 5
   @radians :math.pi() / 180
   # MAV_COMP_ID_CAMERA: the autopilot itself has no camera.
@@ -244,15 +243,6 @@ defmodule Aerie.Protocol.Px4 do
   defp wrap(degrees), do: :math.fmod(degrees + 900.0, 360.0) - 180.0
 
   @impl true
-  defdelegate encode(step, attempt, vehicle), to: Mavlink
-
-  @impl true
-  defdelegate cancel(step, vehicle), to: Mavlink
-
-  @impl true
-  defdelegate release(step, vehicle), to: Mavlink
-
-  @impl true
   # It acknowledges MISSION_SET_CURRENT by this text alone (MavlinkMissionManager::handle_mission_set_current).
   def read(
         %Step{watch: :mission_current},
@@ -264,11 +254,7 @@ defmodule Aerie.Protocol.Px4 do
       ),
       do: {:refused, :rejected, "the vehicle said: " <> text}
 
-  def read(step, message, source, vehicle),
-    do: Commands.read(step, message, source, vehicle, Calibration, @long_frames)
-
-  @impl true
-  def listens(step), do: Commands.listens(step) ++ Calibration.listens(step)
+  def read(step, message, source, vehicle), do: super(step, message, source, vehicle)
 
   @impl true
   def param_encoding, do: :bytewise

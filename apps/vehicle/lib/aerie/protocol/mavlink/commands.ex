@@ -1,5 +1,8 @@
 defmodule Aerie.Protocol.Mavlink.Commands do
-  @moduledoc "Commands that are the same for ArduPilot and PX4: the steps made of their parameters."
+  @moduledoc """
+  Commands that are the same for ArduPilot and PX4: the steps made of their parameters. `use` it in the adapter of a firmware for the callbacks
+  that are the same in both; `:calibration` is the module of its calibrations, `:long_frames` those that heights in COMMAND_LONG refer to.
+  """
 
   alias Aerie.Protocol.{Mavlink, Step}
   alias MavCodec.Enums.MavCmd
@@ -29,6 +32,27 @@ defmodule Aerie.Protocol.Mavlink.Commands do
     "airspeed" => {6, 2},
     "esc" => {7, 1}
   }
+
+  @doc false
+  defmacro __using__(calibration: calibration, long_frames: frames) do
+    quote do
+      @behaviour Aerie.Protocol
+      @impl true
+      defdelegate encode(step, attempt, vehicle), to: Mavlink
+      @impl true
+      defdelegate cancel(step, vehicle), to: Mavlink
+      @impl true
+      defdelegate release(step, vehicle), to: Mavlink
+      @impl true
+      def read(step, message, source, vehicle),
+        do: unquote(__MODULE__).read(step, message, source, vehicle, unquote(calibration), unquote(frames))
+
+      @impl true
+      def listens(step), do: unquote(__MODULE__).listens(step) ++ unquote(calibration).listens(step)
+
+      defoverridable read: 4
+    end
+  end
 
   @doc "The steps of a command; nil for one that differs between the firmwares."
   @spec steps(String.t(), map(), Aerie.Protocol.Vehicle.t()) :: [Step.t()] | nil

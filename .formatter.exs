@@ -2,7 +2,7 @@
   inputs: ["mix.exs", "config/*.exs", "packages/packages.exs", "{apps,packages}/*/{lib,test,bench}/**/*.{ex,exs}", "{apps,packages}/*/mix.exs", "test/**/*.{ex,exs}"],
   line_length: 110,
   locals_without_parens: [
-    # Aerie.Settings
+    # Aerie.Base.Settings
     setting: 3,
     setting: 4,
     section: 1,

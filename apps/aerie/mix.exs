@@ -1,3 +1,5 @@
+Code.require_file("../../packages/packages.exs", __DIR__)
+
 defmodule Aerie.MixProject do
   use Mix.Project
 
@@ -50,10 +52,16 @@ defmodule Aerie.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp deps,
-    do: [
-      {:vehicle, in_umbrella: true},
-      {:fleet_web, in_umbrella: true},
-      # In the checkout only: a release has no simulated vehicles.
-      {:sim_vehicle, in_umbrella: true, runtime: false}
-    ]
+    do:
+      [
+        {:mav_codec, in_umbrella: true},
+        {:base, in_umbrella: true},
+        {:mav_router, in_umbrella: true},
+        {:vehicle, in_umbrella: true},
+        {:control, in_umbrella: true},
+        {:fleet, in_umbrella: true},
+        {:fleet_web, in_umbrella: true},
+        # In the checkout only: a release has no simulated vehicles.
+        {:sim_vehicle, in_umbrella: true, runtime: false}
+      ] ++ Aerie.Packages.deps([:telemetry, :nkey])
 end

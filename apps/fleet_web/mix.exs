@@ -30,5 +30,14 @@ defmodule FleetWeb.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support", Path.expand("../../test/browser", __DIR__)]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:vehicle, in_umbrella: true}] ++ Aerie.Packages.deps([:phoenix_live_view])
+  defp deps,
+    do:
+      [
+        {:mav_codec, in_umbrella: true},
+        {:base, in_umbrella: true},
+        {:mav_router, in_umbrella: true},
+        {:vehicle, in_umbrella: true},
+        {:control, in_umbrella: true},
+        {:fleet, in_umbrella: true}
+      ] ++ Aerie.Packages.deps([:telemetry, :phoenix_live_view])
 end

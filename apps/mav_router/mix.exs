@@ -1,6 +1,6 @@
 Code.require_file("../../packages/packages.exs", __DIR__)
 
-defmodule Aerie.MavRouter.MixProject do
+defmodule MavRouter.MixProject do
   use Mix.Project
 
   def project do
@@ -21,7 +21,6 @@ defmodule Aerie.MavRouter.MixProject do
 
   def application do
     [
-      mod: {Aerie.Router.Application, []},
       extra_applications: [:logger, :crypto, :ssl, :cowlib] ++ test_applications(Mix.env())
     ]
   end
@@ -33,5 +32,8 @@ defmodule Aerie.MavRouter.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp deps, do: [{:mav_codec, in_umbrella: true}] ++ Aerie.Packages.deps([:telemetry, :circuits_uart])
+  defp deps,
+    do:
+      [{:mav_codec, in_umbrella: true}, {:base, in_umbrella: true}] ++
+        Aerie.Packages.deps([:telemetry, :circuits_uart])
 end

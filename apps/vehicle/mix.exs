@@ -21,7 +21,7 @@ defmodule Aerie.Vehicle.MixProject do
 
   def application do
     [
-      extra_applications: [:logger, :crypto, :ssl] ++ test_applications(Mix.env())
+      extra_applications: [:logger, :crypto] ++ test_applications(Mix.env())
     ]
   end
 
@@ -36,9 +36,10 @@ defmodule Aerie.Vehicle.MixProject do
     do:
       [
         {:mav_codec, in_umbrella: true},
+        {:base, in_umbrella: true},
         {:mav_router, in_umbrella: true},
         # Transfers are tested against what the simulated vehicles answer.
         {:sim_vehicle, in_umbrella: true, only: :test, runtime: false}
       ] ++
-        Aerie.Packages.deps([:telemetry, :gnat, :nkey])
+        Aerie.Packages.deps([:telemetry])
 end

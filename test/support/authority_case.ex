@@ -7,7 +7,9 @@ defmodule Aerie.AuthorityCase do
   import Aerie.SystemCase
   import ExUnit.Assertions
 
-  alias Aerie.{CountingVehicle, Link, Program, Store}
+  alias Aerie.{CountingVehicle, Program}
+  alias Aerie.Base.Store
+  alias MavRouter.Link
   alias MavCodec.Messages, as: M
 
   @vehicle {"main", 1}

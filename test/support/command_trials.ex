@@ -1,11 +1,11 @@
 defmodule Aerie.CommandTrials do
   @moduledoc """
-  Every command of the table (`Aerie.Command.Types`), as it is tried on the simulated vehicles by Aerie's own door, by pymavlink and by
+  Every command of the table (`Aerie.Vehicle.Command.Types`), as it is tried on the simulated vehicles by Aerie's own door, by pymavlink and by
   MAVSDK, and what each answers. The rows are one flight, in this order; `test/system/command_trials_test.exs` flies it,
   and a table of `docs/commands.md` is made from it.
   """
 
-  alias Aerie.Command.Page
+  alias Aerie.Vehicle.Command.Page
   alias Aerie.CommandTrials.{Flying, Row, Standing}
 
   @page Path.expand("../../docs/commands.md", __DIR__)

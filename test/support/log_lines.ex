@@ -1,7 +1,7 @@
 defmodule Aerie.LogLines do
   @moduledoc "The lines of the log as a running gateway writes them, as messages to the test."
 
-  alias Aerie.Log.Formatter
+  alias Aerie.Base.Log.Formatter
 
   @doc "Sends `{:line, line}` to the calling process for each event from now on, until the test ends."
   @spec collect(Formatter.format()) :: :ok

@@ -5,7 +5,8 @@ defmodule Aerie.Program do
 
   use GenServer
 
-  alias Aerie.{Patience, Router}
+  alias Aerie.Patience
+  alias MavRouter.Router
   alias FleetWeb.WSClient
 
   @typedoc "How it is connected: UDP (its own address, the gateway's port), TCP, a WebSocket with headers, `mavlink.sock`."
@@ -15,11 +16,11 @@ defmodule Aerie.Program do
           | {:websocket, :inet.port_number(), [{String.t(), String.t()}]}
           | {:unix, Path.t()}
 
-  # Fewer at once than a link that does not keep up takes for a backlog (`Aerie.Link.Backlog`): nothing of them is discarded.
+  # Fewer at once than a link that does not keep up takes for a backlog (`MavRouter.Link.Backlog`): nothing of them is discarded.
   @batch 50
 
   @doc "Connects."
-  @spec start_link({Aerie.Names.gateway(), way()}) :: GenServer.on_start()
+  @spec start_link({Aerie.Base.Names.gateway(), way()}) :: GenServer.on_start()
   def start_link({gateway, way}), do: GenServer.start_link(__MODULE__, {gateway, way})
 
   @doc "Sends frames without waiting for them."

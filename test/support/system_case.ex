@@ -11,7 +11,7 @@ defmodule Aerie.SystemCase do
   using do
     quote do
       import Aerie.SystemCase
-      alias Aerie.Store
+      alias Aerie.Base.Store
     end
   end
 
@@ -55,7 +55,7 @@ defmodule Aerie.SystemCase do
     overrides = Map.drop(overrides, options[:without] || [])
     plan = %{config_file: options[:config_file], overrides: overrides, sim: 0}
     {:ok, run} = Run.start(plan, gateway: gateway, supervisor: supervisor, status: false)
-    eventually(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end, "NATS is connected")
+    eventually(fn -> match?(%{connected: true}, Aerie.Fleet.Bridge.info(gateway)) end, "NATS is connected")
     Map.put(run, :top, supervisor)
   end
 
@@ -78,7 +78,7 @@ defmodule Aerie.SystemCase do
 
   @doc "What the store has of a group of a vehicle's state; an empty map before it was heard."
   def data(gateway, group, key \\ {"main", 1}) do
-    case Aerie.Store.vehicle(gateway, key) do
+    case Aerie.Base.Store.vehicle(gateway, key) do
       %{groups: %{^group => %{data: data}}} -> data
       _unheard -> %{}
     end
@@ -96,7 +96,7 @@ defmodule Aerie.SystemCase do
   def link_port(gateway, id) do
     eventually(
       fn ->
-        case Aerie.Store.link(gateway, id) do
+        case Aerie.Base.Store.link(gateway, id) do
           %{port: port, status: status} when is_integer(port) and status in [:up, :idle] -> port
           _not_yet -> nil
         end
@@ -127,7 +127,7 @@ defmodule Aerie.SystemCase do
 
   @doc "A plain NATS client of the gateway's server."
   def nats_client(gateway) do
-    %URI{host: host, port: port, userinfo: token} = URI.parse(Aerie.Bridge.login_url(gateway))
+    %URI{host: host, port: port, userinfo: token} = URI.parse(Aerie.Fleet.Bridge.login_url(gateway))
 
     {:ok, conn} =
       Gnat.start_link(%{host: host, port: port, token: token, connection_timeout: Aerie.Patience.ms()})

@@ -1,9 +1,9 @@
 defmodule Aerie.Victims do
   @moduledoc "The processes of a gateway that has a VM of its own, for a test that ends each of them. Called in that VM."
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
 
-  @apps [:aerie, :mav_router, :vehicle, :fleet_web, :telemetry, :ranch, :cowboy]
+  @apps [:aerie, :base, :mav_router, :vehicle, :control, :fleet, :fleet_web, :telemetry, :ranch, :cowboy]
 
   @doc "The port of HTTP, nil while it does not listen."
   @spec port() :: :inet.port_number() | nil
@@ -52,7 +52,7 @@ defmodule Aerie.Victims do
 
   defp name(pid) do
     registered = with {:registered_name, name} <- Process.info(pid, :registered_name), do: name
-    roles = Aerie.Names.roles(:default, pid)
+    roles = Aerie.Base.Names.roles(:default, pid)
 
     inspect(
       {registered, roles, :proc_lib.translate_initial_call(pid),

@@ -4,7 +4,7 @@ defmodule Aerie.System.AloneTest do
 
   import Aerie.BridgeCase, only: [server_pid: 1]
 
-  alias Aerie.Commands
+  alias Aerie.Control.Commands
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -30,7 +30,7 @@ defmodule Aerie.System.AloneTest do
 
     # The shadow says when it has noticed.
     eventually(
-      fn -> match?({:held, "nats", _why}, Aerie.Shadow.Documents.authority(gateway, @vehicle)) end,
+      fn -> match?({:held, "nats", _why}, Aerie.Fleet.Shadow.Documents.authority(gateway, @vehicle)) end,
       "the lease has ended"
     )
 

@@ -18,7 +18,7 @@ defmodule Aerie.System.AnyProcessTest do
     killed = kill_each(vm, MapSet.new())
 
     for name <-
-          ~w(Aerie.CLI.Supervisor Aerie.Names.Cleaner Telemetry.HandlerTable store: pubsub: router: session: link: link_tree:
+          ~w(Aerie.CLI.Supervisor Aerie.Base.Names.Cleaner Telemetry.HandlerTable store: pubsub: router: session: link: link_tree:
           logger_std_h_default aerie_stdout Listener.Watch),
         do: assert(Enum.any?(killed, &(&1 =~ name)), "#{name} was not among them")
 

@@ -6,7 +6,7 @@ defmodule Aerie.System.AuthorityAttacksTest do
   import Aerie.AuthorityCase
 
   alias Aerie.{CountingVehicle, Program}
-  alias Aerie.Policy.Leases
+  alias Aerie.Control.Policy.Leases
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 

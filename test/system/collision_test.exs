@@ -3,8 +3,8 @@ defmodule Aerie.System.CollisionTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Router
-  alias Aerie.Router.Endpoint
+  alias MavRouter.Router
+  alias MavRouter.Router.Endpoint
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -64,7 +64,7 @@ defmodule Aerie.System.CollisionTest do
            tmp_dir: folder
          } do
       %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
-      Aerie.Store.PubSub.subscribe(gateway, :events)
+      Aerie.Base.PubSub.subscribe(gateway, :events)
       first = sim(gateway, "link-1", @first)
       eventually(fn -> lat(gateway) == home(@first) end, "the first is there")
 
@@ -122,7 +122,7 @@ defmodule Aerie.System.CollisionTest do
   for {where, link} <- [{"two links", "link-2"}, {"two peers of one link", "link-1"}] do
     test "#{where}: no event of the second vehicle is reported for the flying one", %{tmp_dir: folder} do
       %{gateway: gateway} = start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"])
-      Aerie.Store.PubSub.subscribe(gateway, :events)
+      Aerie.Base.PubSub.subscribe(gateway, :events)
       first = sim(gateway, "link-1", @first)
       SimVehicle.await(first, & &1.ready)
 

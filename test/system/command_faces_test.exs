@@ -8,7 +8,7 @@ defmodule Aerie.System.CommandFacesTest do
 
   import Aerie.BridgeCase, only: [await_listening: 2, kill9: 1, other_vm: 2]
 
-  alias Aerie.Policy.Signature
+  alias Aerie.Control.Policy.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -58,7 +58,7 @@ defmodule Aerie.System.CommandFacesTest do
   defp nats(%{conn: conn, nkey: nkey}) do
     fn type, params ->
       subject = "fleet.test.VID-001.cmd.#{type}"
-      body = JSON.encode!(%{"id" => Aerie.Command.id(), "params" => params, "deadline" => deadline()})
+      body = JSON.encode!(%{"id" => Aerie.Vehicle.Command.id(), "params" => params, "deadline" => deadline()})
       headers = [{"Aerie-Signature", Signature.sign(nkey, subject, body, DateTime.utc_now())}]
 
       {:ok, %{body: reply}} =

@@ -9,8 +9,9 @@ defmodule Aerie.System.CommandTrialsTest do
 
   import Aerie.PeerCase, only: [ask: 2, start_peer: 2]
 
-  alias Aerie.{Commands, CommandTrials, Missions}
-  alias Aerie.Command.Types
+  alias Aerie.CommandTrials
+  alias Aerie.Control.{Commands, Missions}
+  alias Aerie.Vehicle.Command.Types
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -73,7 +74,7 @@ defmodule Aerie.System.CommandTrialsTest do
   end
 
   defp address(gateway, id, scheme) do
-    port = eventually(fn -> Aerie.Link.snapshot(gateway, id).port end, "the endpoint #{id} is open")
+    port = eventually(fn -> MavRouter.Link.snapshot(gateway, id).port end, "the endpoint #{id} is open")
     "#{scheme}127.0.0.1:#{port}"
   end
 

@@ -1,12 +1,12 @@
 defmodule Aerie.System.CommandsTest do
   @moduledoc """
-  Commands from `Aerie.Commands.submit/2` to simulated autopilots through the whole gateway. The simulators answer as the recorded
+  Commands from `Aerie.Control.Commands.submit/2` to simulated autopilots through the whole gateway. The simulators answer as the recorded
   firmwares do, refusals and false acknowledgements included.
   """
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Commands
+  alias Aerie.Control.Commands
 
   @moduletag :tmp_dir
 

@@ -8,7 +8,7 @@ defmodule Aerie.System.ComponentParamsTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
-  alias Aerie.Client
+  alias MavRouter.Client
 
   @moduletag :tmp_dir
   @chief "key-of-the-chief-0001"
@@ -105,7 +105,7 @@ defmodule Aerie.System.ComponentParamsTest do
     findings = findings(start_peer("pymavlink_camera.py", ["tcp:127.0.0.1:#{port}", 1, 100]))
 
     # As the gateway reads them.
-    {:ok, table} = Aerie.Params.list(gateway, "VID-001", component: 100)
+    {:ok, table} = Aerie.Control.Params.list(gateway, "VID-001", component: 100)
     changed = ["CAM_ISO", "CAM_FORMAT", "CAM_NAME", "CAM_SERIAL"]
 
     for {name, %{value: value}} <- table.params,
@@ -129,6 +129,8 @@ defmodule Aerie.System.ComponentParamsTest do
     findings = findings(start_peer("pymavlink_camera.py", ["tcp:127.0.0.1:#{port}", 1, 100, "refused"]))
     # PARAM_ACK_FAILED, of the type that was set.
     assert %{"set" => "2 5", "has" => "16777728"} = findings
-    assert {:ok, %{value: 16_777_728}} = Aerie.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
+
+    assert {:ok, %{value: 16_777_728}} =
+             Aerie.Control.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
   end
 end

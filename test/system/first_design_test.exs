@@ -77,7 +77,7 @@ defmodule Aerie.System.FirstDesignTest do
     log =
       capture_log(fn ->
         fly(gateway, component: 190)
-        eventually(fn -> Aerie.Router.identity(gateway).alarm end, "it is noticed")
+        eventually(fn -> MavRouter.Router.identity(gateway).alarm end, "it is noticed")
       end)
 
     assert log =~ "[error]" and log =~ "system 1, component 190"
@@ -92,6 +92,6 @@ defmodule Aerie.System.FirstDesignTest do
 
   defp view(gateway) do
     now = System.os_time(:microsecond)
-    struct!(%Aerie.CLI.Status.View{now: now, started: now}, identity: Aerie.Router.identity(gateway))
+    struct!(%Aerie.CLI.Status.View{now: now, started: now}, identity: MavRouter.Router.identity(gateway))
   end
 end

@@ -3,7 +3,7 @@ defmodule Aerie.System.FloodTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -19,8 +19,8 @@ defmodule Aerie.System.FloodTest do
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")
 
     begun = System.monotonic_time(:second)
-    session = Aerie.Names.whereis(gateway, :session, {"main", 1})
-    link = fn -> Aerie.Link.snapshot(gateway, "link-1").counters end
+    session = Aerie.Base.Names.whereis(gateway, :session, {"main", 1})
+    link = fn -> MavRouter.Link.snapshot(gateway, "link-1").counters end
 
     # As fast as they are taken: what a link or an inbox that is full drops is another test's. In between it is armed and disarmed, and
     # reports an emergency.

@@ -6,7 +6,7 @@ defmodule Aerie.System.KillTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @moduletag :tmp_dir
   # Killed processes are logged; the log is captured.
@@ -84,7 +84,7 @@ defmodule Aerie.System.KillTest do
       eventually(
         fn ->
           nats_os_pid(gateway) not in [nil, os_pid] and
-            match?(%{connected: true, server: %{status: :up}}, Aerie.Bridge.info(gateway))
+            match?(%{connected: true, server: %{status: :up}}, Aerie.Fleet.Bridge.info(gateway))
         end,
         "nats-server is back and connected"
       )
@@ -100,12 +100,13 @@ defmodule Aerie.System.KillTest do
     # First: what a vehicle that is lost just now adds is not awaited.
     recent =
       for n <- 1..3, name = "VID-00#{n}", into: %{} do
-        {name, for(e <- Aerie.Fleet.Journal.recent(gateway, name), do: {e.seq, e.id, e.type})}
+        {name, for(e <- Aerie.Vehicle.Journal.recent(gateway, name), do: {e.seq, e.id, e.type})}
       end
 
     eventually(
       fn ->
-        Aerie.Fleet.Journal.pending_size(gateway) == 0 and Aerie.Bridge.info(gateway).outbox.events == 0
+        Aerie.Vehicle.Journal.pending_size(gateway) == 0 and
+          Aerie.Fleet.Bridge.info(gateway).outbox.events == 0
       end,
       "every event is confirmed"
     )
@@ -134,7 +135,7 @@ defmodule Aerie.System.KillTest do
   end
 
   defp nats_os_pid(gateway) do
-    case File.read(Path.join(Aerie.Bridge.info(gateway).server.store_dir, "nats-server.pid")) do
+    case File.read(Path.join(Aerie.Fleet.Bridge.info(gateway).server.store_dir, "nats-server.pid")) do
       {:ok, text} -> String.trim(text)
       {:error, :enoent} -> nil
     end
@@ -153,7 +154,8 @@ defmodule Aerie.System.KillTest do
   end
 
   defp published(gateway, subject) do
-    for %{name: "gateway_nats_messages_published_total", samples: samples} <- Aerie.Bridge.metrics(gateway),
+    for %{name: "gateway_nats_messages_published_total", samples: samples} <-
+          Aerie.Fleet.Bridge.metrics(gateway),
         {[subject: ^subject], n} <- samples,
         reduce: 0,
         do: (sum -> sum + n)

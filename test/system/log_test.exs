@@ -3,7 +3,8 @@ defmodule Aerie.System.LogTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{EventLog, LogLines, Names, Secret}
+  alias Aerie.{EventLog, LogLines}
+  alias Aerie.Base.{Names, Secret}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -114,7 +115,7 @@ defmodule Aerie.System.LogTest do
   end
 
   test "every line of the event log is of an event that exists" do
-    known = for {event, _module} <- Aerie.Telemetry.events(), do: event
+    known = for {event, _module} <- Aerie.Fleet.Telemetry.events(), do: event
     assert for({event, _level} <- EventLog.events(), event not in known, do: event) == []
   end
 

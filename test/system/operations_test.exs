@@ -6,7 +6,8 @@ defmodule Aerie.System.OperationsTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Bridge, Params}
+  alias Aerie.Control.Params
+  alias Aerie.Fleet.Bridge
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -150,7 +151,7 @@ defmodule Aerie.System.OperationsTest do
     assert %{"state" => "halted", "counts" => %{"failed" => 1, "waiting" => 2, "ok" => 0}} = halted
     assert %{"VID-001" => %{"state" => "failed", "reason" => reason}} = halted["vehicles"]
     assert is_binary(reason)
-    assert {:ok, %{"desired" => untouched}} = Aerie.Shadow.get(c.gateway, "VID-002")
+    assert {:ok, %{"desired" => untouched}} = Aerie.Fleet.Shadow.get(c.gateway, "VID-002")
     assert untouched == %{}
 
     # The same operation again begins nothing; what was wished is taken back.
@@ -255,7 +256,7 @@ defmodule Aerie.System.OperationsTest do
     for [object] <- Regex.scan(~r/(?<=`)\{"desired": .+?\}(?=`)/, @shadow),
         do: assert({200, _done} = rest(c, :patch, "vehicles/VID-002/shadow", object))
 
-    plan = Aerie.Missions.export(%Aerie.Mission.Plan{}, :plan)
+    plan = Aerie.Control.Missions.export(%Aerie.Control.Mission.Plan{}, :plan)
     hash = :crypto.hash(:sha256, plan) |> Base.encode16(case: :lower)
     assert @shadow =~ "http://127.0.0.1:4000/api/plans"
     assert {_status, %{"plan" => ^hash}} = rest(c, :post, "plans", plan)

@@ -9,7 +9,7 @@ defmodule Aerie.System.PeersTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
-  alias Aerie.Client
+  alias MavRouter.Client
 
   @moduletag :tmp_dir
   @moduletag :python
@@ -71,7 +71,7 @@ defmodule Aerie.System.PeersTest do
   @tag config: %{"mavlink" => %{"local_addr" => "off", "system_id" => 245}}, params: %{"SYSID_MYGCS" => 245}
   test "MAVSDK by TCP with ArduPilot, MAVProxy with PX4 by UDP called by the gateway; the gateway tells its own system id from MAVSDK's",
        c do
-    Aerie.Store.PubSub.subscribe(c.gateway, :events)
+    Aerie.Base.PubSub.subscribe(c.gateway, :events)
     tcp = endpoint(c.gateway, "tcpin:127.0.0.1:0")
     port = free_udp_port()
     mavproxy = start_peer("mavproxy_gcs.py", ["udpin:127.0.0.1:#{port}" | @px4])
@@ -180,7 +180,7 @@ defmodule Aerie.System.OneIdTest do
       end
 
     eventually(fn -> length(Store.vehicles(gateway)) == 2 end, "both vehicles are known")
-    port = Aerie.Link.snapshot(gateway, "both").port
+    port = MavRouter.Link.snapshot(gateway, "both").port
 
     peers =
       for arguments <- [["ardupilot", 1, "PILOT_TKOFF_ALT"], ["px4", 11, "MIS_TAKEOFF_ALT", 254]],

@@ -3,8 +3,8 @@ defmodule Aerie.System.PolicyTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Policy.Audit
-  alias Aerie.Policy.Audit.Verify
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Audit.Verify
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Frame
   alias MavCodec.Messages, as: M
@@ -25,20 +25,20 @@ defmodule Aerie.System.PolicyTest do
     policy = %{"geofence_file" => fence, "audit" => %{"dir" => Path.join(folder, "audit")}}
     overrides = %{"policy" => policy, "api" => %{"keys_file" => file}}
     %{gateway: gateway} = start_gateway(folder, overrides: overrides)
-    first = Aerie.Policy.Store.get(gateway)
+    first = Aerie.Control.Policy.Store.get(gateway)
     chief = "key-of-the-chief-0001"
     assert {200, %{"problem" => nil}} = rest(gateway, :get, "/api/policy", chief)
     assert {403, _error} = rest(gateway, :post, "/api/policy/reload", "key-of-the-operator-1")
     File.write!(fence, square.(47))
     assert {200, %{"problem" => nil}} = rest(gateway, :post, "/api/policy/reload", chief)
-    second = Aerie.Policy.Store.get(gateway)
+    second = Aerie.Control.Policy.Store.get(gateway)
     assert second != first
     File.write!(fence, "{}")
 
     assert {422, %{"errors" => ["policy.geofence_file: " <> _]}} =
              rest(gateway, :post, "/api/policy/reload", chief)
 
-    assert Aerie.Policy.Store.get(gateway) == second
+    assert Aerie.Control.Policy.Store.get(gateway) == second
     assert {200, %{"problem" => %{"errors" => [line]}}} = rest(gateway, :get, "/api/policy", chief)
     assert {200, %{"policy" => %{"problem" => ^line}}} = rest(gateway, :get, "/readyz", chief)
   end
@@ -79,7 +79,10 @@ defmodule Aerie.System.PolicyTest do
     )
 
     {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
-    port = eventually(fn -> Aerie.Link.snapshot(gateway, "laptop").port end, "the client's endpoint is open")
+
+    port =
+      eventually(fn -> MavRouter.Link.snapshot(gateway, "laptop").port end, "the client's endpoint is open")
+
     :ok = :gen_udp.connect(socket, {127, 0, 0, 1}, port)
 
     assert %{result: 2} = command(socket, "NAV_TAKEOFF", param7: 150.0)

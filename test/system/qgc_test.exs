@@ -8,7 +8,7 @@ defmodule Aerie.System.QGCTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2]
 
-  alias Aerie.Client
+  alias MavRouter.Client
 
   @moduletag :tmp_dir
   @moduletag :python

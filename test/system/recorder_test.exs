@@ -6,7 +6,7 @@ defmodule Aerie.System.RecorderTest do
   use Aerie.SystemCase, async: true
   use Aerie.RunCase
 
-  alias Aerie.Replay
+  alias Aerie.Fleet.Replay
   alias MavCodec.{Frame, Tlog}
 
   @moduletag :tmp_dir
@@ -39,12 +39,12 @@ defmodule Aerie.System.RecorderTest do
     [file] =
       eventually(
         fn ->
-          files = for %{open: false, file: file} <- Aerie.Recorder.list(gateway), do: file
+          files = for %{open: false, file: file} <- MavRouter.Recorder.list(gateway), do: file
           files != [] and Enum.take(files, 1)
         end,
         fn ->
-          events = for event <- Aerie.Fleet.Journal.recent(gateway, "VID-078"), do: event.type
-          told = {Aerie.Recorder.list(gateway), Aerie.Recorder.status(gateway), events}
+          events = for event <- Aerie.Vehicle.Journal.recent(gateway, "VID-078"), do: event.type
+          told = {MavRouter.Recorder.list(gateway), MavRouter.Recorder.status(gateway), events}
           "its last moments are saved: #{inspect(told, limit: 200)}"
         end
       )

@@ -104,7 +104,10 @@ defmodule Aerie.System.ReleaseTest do
     assert {"true\n", 0} =
              eventually(
                fn ->
-                 with({_text, 3} <- aerie(context, ["rpc", "Aerie.Bridge.info(:default).connected"]), do: nil)
+                 with(
+                   {_text, 3} <- aerie(context, ["rpc", "Aerie.Fleet.Bridge.info(:default).connected"]),
+                   do: nil
+                 )
                end,
                "it is found"
              )
@@ -126,7 +129,9 @@ defmodule Aerie.System.ReleaseTest do
 
     eventually(
       fn ->
-        if(match?({"true\n", 0}, aerie(context, ["rpc", "Aerie.Bridge.info(:default).connected"])), do: true)
+        if(match?({"true\n", 0}, aerie(context, ["rpc", "Aerie.Fleet.Bridge.info(:default).connected"])),
+          do: true
+        )
       end,
       "it runs"
     )
@@ -202,7 +207,7 @@ defmodule Aerie.System.ReleaseTest do
     {packed, 0} = System.cmd("sh", ["-c", "printf text | xz --stdout"])
 
     code = """
-    {:ok, "text"} = Aerie.Params.Unpack.file("a.xz", Base.decode64!("#{Base.encode64(packed)}"))
+    {:ok, "text"} = Aerie.Control.Params.Unpack.file("a.xz", Base.decode64!("#{Base.encode64(packed)}"))
     System.find_executable("xz")
     """
 

@@ -3,7 +3,9 @@ defmodule Aerie.System.ReloadTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Link, Names, Reload, Store}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Reload
+  alias MavRouter.Link
 
   @moduletag :tmp_dir
   @moduletag :capture_log

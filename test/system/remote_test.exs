@@ -2,7 +2,10 @@ defmodule Aerie.System.RemoteTest do
   @moduledoc "A hub and a companion with real nats-servers: the hub shows and commands a vehicle that only the companion hears."
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Bridge, Commands, DoorCase, Files, Fleet, HubServer, Missions, Params}
+  alias Aerie.{DoorCase, Fleet, HubServer}
+  alias Aerie.Control.{Commands, Files, Missions, Params}
+  alias Aerie.Fleet.Bridge
+  alias Aerie.Vehicle.Journal
   alias Aerie.Vehicle.Event
 
   @moduletag :tmp_dir
@@ -203,7 +206,7 @@ defmodule Aerie.System.RemoteTest do
     # What is not passed on is said at once.
     for refused <- [
           Files.list(hub, @vehicle, "/"),
-          Aerie.Logs.list(hub, @vehicle),
+          Aerie.Control.Logs.list(hub, @vehicle),
           Params.metadata(hub, @vehicle),
           Params.set_all(hub, @vehicle, %{"RTL_ALT" => 1})
         ] do
@@ -273,8 +276,8 @@ defmodule Aerie.System.RemoteTest do
        %{hub: hub, companion: companion} do
     shown(hub, "what it is, and a position", &(&1.autopilot == :ardupilot and is_map(&1.groups[:position])))
     stop_gateway(companion)
-    for {id, _name, _what} <- Fleet.Remote.gateways(hub), do: Fleet.Remote.forget(hub, id)
-    Process.exit(Aerie.Names.whereis(hub, :remote_listener), :kill)
+    for {id, _name, _what} <- Fleet.RemoteTable.gateways(hub), do: Fleet.RemoteTable.forget(hub, id)
+    Process.exit(Aerie.Base.Names.whereis(hub, :remote_listener), :kill)
 
     vehicle =
       shown(
@@ -444,7 +447,7 @@ defmodule Aerie.System.RemoteTest do
 
     for seq <- 1..10 do
       event = Event.new("G", "statustext", seq, seq, nil, %{"text" => String.duplicate("x", 4_000)})
-      :ok = Fleet.Journal.commit(hub, "G", :some_state, [event])
+      :ok = Journal.commit(hub, "G", :some_state, [event])
     end
 
     # Room alone does not help.

@@ -3,7 +3,8 @@ defmodule Aerie.System.ReplayTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Recorder, Replay}
+  alias Aerie.Fleet.Replay
+  alias MavRouter.Recorder
   alias MavCodec.Messages
 
   @moduletag :tmp_dir
@@ -29,7 +30,7 @@ defmodule Aerie.System.ReplayTest do
           }
         )
 
-      :ok = Aerie.Store.PubSub.subscribe(gateway, :events)
+      :ok = Aerie.Base.PubSub.subscribe(gateway, :events)
       link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
       station = station(gateway)
 
@@ -56,8 +57,8 @@ defmodule Aerie.System.ReplayTest do
   # What comes before the vehicle has its processes, or while they are full, is in the link's recording, and reaches nobody: on a busy
   # machine some texts of its start, without which reports are told, and the report of who armed it. It is counted.
   defp unheard(gateway) do
-    %{unclaimed: unclaimed, overload: overload} = Aerie.Store.link(gateway, "link-1").counters
-    dropped = Aerie.Store.counter(gateway, {:vehicle, @vehicle, :inbox_dropped})
+    %{unclaimed: unclaimed, overload: overload} = Aerie.Base.Store.link(gateway, "link-1").counters
+    dropped = Aerie.Base.Store.counter(gateway, {:vehicle, @vehicle, :inbox_dropped})
     if unclaimed + overload + dropped > 0, do: ["statustext", "report"], else: []
   end
 
@@ -75,7 +76,7 @@ defmodule Aerie.System.ReplayTest do
     assert ~w(armed takeoff landed disarmed) -- types == [], inspect({types, recording})
 
     # What waits is looked at ten times a second, so that a report and what came meanwhile may change places. What clients asked for is
-    # in no recording, so that a replay may take it for another program's doing (README of Aerie.Replay).
+    # in no recording, so that a replay may take it for another program's doing (README of Aerie.Fleet.Replay).
     exact = fn events ->
       exact =
         for e <- events,

@@ -11,7 +11,7 @@ defmodule Aerie.System.ReportsTest do
     %{gateway: gateway} =
       start_gateway(folder, links: ["udpin:127.0.0.1:0"], overrides: %{"mavlink" => %{"local_addr" => "off"}})
 
-    Aerie.Store.PubSub.subscribe(gateway, :events)
+    Aerie.Base.PubSub.subscribe(gateway, :events)
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
     {:ok, sim} = SimVehicle.start_link(firmware: :px4, ready_s: 3600.0, link: link)
     eventually(fn -> Store.vehicle(gateway, {"main", 1}) end, "the vehicle is known")

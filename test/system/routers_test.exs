@@ -10,7 +10,7 @@ defmodule Aerie.System.RoutersTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 2, start_program: 2]
 
-  alias Aerie.Client
+  alias MavRouter.Client
 
   @moduletag :tmp_dir
   @moduletag :python

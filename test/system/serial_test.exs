@@ -72,11 +72,11 @@ defmodule Aerie.System.SerialTest do
     eventually(
       fn -> get_in(Store.vehicle(gateway, "VID-001") || %{}, [:groups, :attitude]) end,
       fn ->
-        "attitude comes: #{inspect({Aerie.Link.get(gateway, "link-1"), Store.vehicle(gateway, "VID-001")})}"
+        "attitude comes: #{inspect({MavRouter.Link.get(gateway, "link-1"), Store.vehicle(gateway, "VID-001")})}"
       end
     )
 
-    assert %{baud: 115_200, local: local} = Aerie.Link.get(gateway, "link-1")
+    assert %{baud: 115_200, local: local} = MavRouter.Link.get(gateway, "link-1")
     assert Path.basename(local) == "ttyUSB0"
 
     {:ok, client} =
@@ -93,7 +93,7 @@ defmodule Aerie.System.SerialTest do
     assert frame(gcs, 30)
 
     peer = Shovel.peer(shovel)
-    session = Aerie.Names.whereis(gateway, :session, {"main", 1})
+    session = Aerie.Base.Names.whereis(gateway, :session, {"main", 1})
     :ok = SerialPeer.unplug(peer)
     # It is lost two seconds later, and a busy machine may see only that.
     eventually(fn -> Store.vehicle(gateway, "VID-001").status in [:stale, :lost] end, "it is stale or lost")
@@ -101,10 +101,10 @@ defmodule Aerie.System.SerialTest do
 
     SerialPeer.plug_in(peer, name_in: {dev, "ttyACM0"})
     eventually(fn -> match?(%{status: :online}, Store.vehicle(gateway, "VID-001")) end, "it is back")
-    assert %{counters: %{reconnects: again}, local: back} = Aerie.Link.snapshot(gateway, "link-1")
+    assert %{counters: %{reconnects: again}, local: back} = MavRouter.Link.snapshot(gateway, "link-1")
     assert again in 1..3
     assert Path.basename(back) == "ttyACM0"
-    assert Aerie.Names.whereis(gateway, :session, {"main", 1}) == session
+    assert Aerie.Base.Names.whereis(gateway, :session, {"main", 1}) == session
     # Neither client was disconnected: the frames before the gap have been read, so the next ones are new.
     assert {:ok, _line} = :gen_tcp.recv(client, 0, Aerie.Patience.ms())
     boot = Store.vehicle(gateway, "VID-001").groups.attitude.time_boot_ms

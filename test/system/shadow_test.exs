@@ -2,8 +2,10 @@ defmodule Aerie.System.ShadowTest do
   @moduledoc "The shadow through the whole gateway: simulated vehicles are made to agree, and nobody in charge of them is disturbed."
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Commands, Missions, Names, Params, Shadow}
-  alias Aerie.Mission.{Item, Plan}
+  alias Aerie.Base.Names
+  alias Aerie.Control.{Commands, Missions, Params}
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Control.Mission.{Item, Plan}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -137,7 +139,7 @@ defmodule Aerie.System.ShadowTest do
 
       eventually(
         fn ->
-          with {:ok, text, _revision} <- Aerie.Nats.KV.get(conn, "fleet_reported", "test.#{@vehicle}") do
+          with {:ok, text, _revision} <- Aerie.Fleet.Nats.KV.get(conn, "fleet_reported", "test.#{@vehicle}") do
             match?(
               %{"fields" => %{"mission.plan" => %{"state" => "converged"}}, "tags" => ["survey"]},
               JSON.decode!(text)
@@ -183,10 +185,10 @@ defmodule Aerie.System.ShadowTest do
 
   @tag key: "a long passphrase of the network", link: "udpin:127.0.0.1:0?secure=true"
   test "a vehicle without a key gets the one that is kept for it, over a secure link", %{gateway: gateway} do
-    refute match?(%{state: :verified}, Aerie.Signing.vehicle(gateway, @key))
+    refute match?(%{state: :verified}, MavRouter.Signing.vehicle(gateway, @key))
     desire(gateway, %{"signing" => true})
     standing(gateway, "signing", :converged)
-    assert %{state: :verified} = Aerie.Signing.vehicle(gateway, @key)
+    assert %{state: :verified} = MavRouter.Signing.vehicle(gateway, @key)
   end
 
   test "armed on the ground it is not sent off; in the air it agrees when the operator has let go, and a failsafe holds it",

@@ -8,7 +8,7 @@ defmodule Aerie.System.SigningTest do
 
   import Aerie.PeerCase, only: [findings: 1, start_peer: 3]
 
-  alias Aerie.{Client, Router, Signing}
+  alias MavRouter.{Client, Router, Signing}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 
@@ -43,7 +43,7 @@ defmodule Aerie.System.SigningTest do
       )
 
     gateway = run.gateway
-    Aerie.Store.PubSub.subscribe(gateway, :events)
+    Aerie.Base.PubSub.subscribe(gateway, :events)
 
     link = "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"
 
@@ -55,7 +55,7 @@ defmodule Aerie.System.SigningTest do
   end
 
   defp client(gateway, options) do
-    {:ok, id} = Aerie.Client.add(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
+    {:ok, id} = MavRouter.Client.add(gateway, Map.merge(%{url: "tcpin:127.0.0.1:0"}, Map.new(options)))
     Enum.find(Client.endpoints(gateway), &(&1.id == id)).port
   end
 
@@ -102,7 +102,7 @@ defmodule Aerie.System.SigningTest do
 
   @tag :mavproxy
   test "MAVProxy with the key, by UDP; its SETUP_SIGNING is not forwarded (S8)", c do
-    {:ok, "gcs"} = Aerie.Client.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
+    {:ok, "gcs"} = MavRouter.Client.add(c.gateway, %{url: "udpin:127.0.0.1:0", id: "gcs"})
     port = Enum.find(Client.endpoints(c.gateway), &(&1.id == "gcs")).port
     # The operator types the key at its prompt.
     arguments = ["udpout:127.0.0.1:#{port}", "ardupilot", 1, "PILOT_TKOFF_ALT"]
@@ -167,14 +167,14 @@ defmodule Aerie.System.SigningTest do
   test "a key is given, changed, restored and revoked; each step is an event, and no event contains a key",
        c do
     conn = nats_client(c.gateway)
-    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, "VID-001")
+    assert {:error, %Aerie.Base.Error{} = error} = Aerie.Vehicle.Enrolment.enrol(c.gateway, "VID-001")
     assert Exception.message(error) =~ "key: :generate"
 
     # Longer than the ten seconds that an operator waits.
     patient = [timeout_ms: Aerie.Patience.ms()]
 
     assert {:ok, %{key: first}} =
-             Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :generate, by: "a test"] ++ patient)
+             Aerie.Vehicle.Enrolment.enrol(c.gateway, "VID-001", [key: :generate, by: "a test"] ++ patient)
 
     assert state(c.gateway) == :verified
     assert_receive {:fleet, :events, %{type: "signing.enrolled", data: %{"by" => "a test"}}}
@@ -182,9 +182,14 @@ defmodule Aerie.System.SigningTest do
     # The vehicle answers the gateway's requests, so it accepts its signatures.
     eventually(fn -> Store.vehicle(c.gateway, @vehicle).clock.samples > 0 end, "it answers")
 
-    assert {:ok, %{key: second}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :generate] ++ patient)
-    refute Aerie.Signing.Key.same?(first, second)
-    assert {:ok, %{key: nil}} = Aerie.Enrolment.enrol(c.gateway, "VID-001", [key: :previous] ++ patient)
+    assert {:ok, %{key: second}} =
+             Aerie.Vehicle.Enrolment.enrol(c.gateway, "VID-001", [key: :generate] ++ patient)
+
+    refute MavRouter.Signing.Key.same?(first, second)
+
+    assert {:ok, %{key: nil}} =
+             Aerie.Vehicle.Enrolment.enrol(c.gateway, "VID-001", [key: :previous] ++ patient)
+
     assert state(c.gateway) == :verified
     # The same by HTTP, without any key in it.
     assert {200, %{"result" => "enrolled", "link" => "link-1"}} =
@@ -194,7 +199,7 @@ defmodule Aerie.System.SigningTest do
              post(c.gateway, %{"action" => "enrol", "key" => "0123"})
 
     assert text =~ "configured, generate, previous"
-    assert {:ok, _} = Aerie.Enrolment.revoke(c.gateway, "VID-001", patient)
+    assert {:ok, _} = Aerie.Vehicle.Enrolment.revoke(c.gateway, "VID-001", patient)
     assert Signing.list(c.gateway).keys == []
 
     events =
@@ -210,7 +215,7 @@ defmodule Aerie.System.SigningTest do
     assert Enum.at(events, 3)["data"]["by"] == "http:api.key"
 
     for secret <- [first, second] do
-      key = Aerie.Secret.reveal(secret)
+      key = Aerie.Base.Secret.reveal(secret)
       refute inspect(events) =~ Base.encode16(key, case: :lower)
       refute inspect(events, limit: :infinity) =~ inspect(key)
     end
@@ -228,11 +233,16 @@ defmodule Aerie.System.SigningTest do
   end
 
   test "S8: nothing is sent over a link that is not secure, and the error says what to do", c do
-    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, {"main", 1})
+    assert {:error, %Aerie.Base.Error{} = error} = Aerie.Vehicle.Enrolment.enrol(c.gateway, {"main", 1})
     assert Exception.message(error) =~ "secure"
-    assert {:error, %Aerie.Error{} = error} = Aerie.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")
+
+    assert {:error, %Aerie.Base.Error{} = error} =
+             Aerie.Vehicle.Enrolment.enrol(c.gateway, {"main", 1}, link: "link-1")
+
     assert Exception.message(error) =~ "secure=true"
-    assert {:error, %{reason: {:unknown, :vehicle, "VID-077"}}} = Aerie.Enrolment.enrol(c.gateway, "VID-077")
+
+    assert {:error, %{reason: {:unknown, :vehicle, "VID-077"}}} =
+             Aerie.Vehicle.Enrolment.enrol(c.gateway, "VID-077")
   end
 
   test "one event for a flood of wrong signatures, in the snapshot, the metrics and NATS; the vehicle is not disturbed",
@@ -241,7 +251,7 @@ defmodule Aerie.System.SigningTest do
     port = link_port(c.gateway, "link-1")
     forger = MavCodec.Signing.new(MavCodec.Signing.key("another"))
 
-    read = fn -> Aerie.Link.snapshot(c.gateway, "link-1").counters.bytes_in end
+    read = fn -> MavRouter.Link.snapshot(c.gateway, "link-1").counters.bytes_in end
 
     # No more at once than a link that does not keep up would read.
     for part <- Enum.chunk_every(1..1_200, 50), reduce: forger do
@@ -277,7 +287,7 @@ defmodule Aerie.System.SigningTest do
     refute_received {:fleet, :events, %{type: "signing.rejected"}}
 
     eventually(
-      fn -> Aerie.Link.get(c.gateway, "link-1").signing.alarms == 1 end,
+      fn -> MavRouter.Link.get(c.gateway, "link-1").signing.alarms == 1 end,
       "it is in the link's snapshot"
     )
 

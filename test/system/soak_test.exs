@@ -10,8 +10,10 @@ defmodule Aerie.System.SoakTest do
   # The census covers the whole node, so no other test may run meanwhile.
   use Aerie.SystemCase, async: false
 
-  alias Aerie.{Census, Client, Link, Names, SerialPeer}
-  alias Aerie.Vehicle.Streams
+  alias Aerie.{Census, SerialPeer}
+  alias Aerie.Base.Names
+  alias MavRouter.{Client, Link}
+  alias Aerie.Vehicle.Services.Streams
 
   @moduletag :soak
   @moduletag :tmp_dir

@@ -6,7 +6,7 @@ defmodule Aerie.System.SteeringTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Commands
+  alias Aerie.Control.Commands
   alias MavCodec.Enums.MavCmd
   alias MavCodec.Messages, as: M
 
@@ -47,7 +47,10 @@ defmodule Aerie.System.SteeringTest do
     await_standing(gateway)
 
     {:ok, socket} = :gen_udp.open(0, [:binary, active: false, ip: {127, 0, 0, 1}])
-    port = eventually(fn -> Aerie.Link.snapshot(gateway, "laptop").port end, "the client's endpoint is open")
+
+    port =
+      eventually(fn -> MavRouter.Link.snapshot(gateway, "laptop").port end, "the client's endpoint is open")
+
     :ok = :gen_udp.connect(socket, {127, 0, 0, 1}, port)
     %{gateway: gateway, sim: sim, socket: socket}
   end
@@ -73,12 +76,12 @@ defmodule Aerie.System.SteeringTest do
 
   # Until so many of them were refused, so that it is known that they came.
   defp refused(c, message, rule) do
-    before = Aerie.Store.counter(c.gateway, {:policy, :deny, rule})
+    before = Aerie.Base.Store.counter(c.gateway, {:policy, :deny, rule})
 
     eventually(
       fn ->
         say(c, message)
-        Aerie.Store.counter(c.gateway, {:policy, :deny, rule}) >= before + 5
+        Aerie.Base.Store.counter(c.gateway, {:policy, :deny, rule}) >= before + 5
       end,
       "it is refused by #{rule}"
     )
@@ -113,7 +116,7 @@ defmodule Aerie.System.SteeringTest do
 
     # It obeys system 255 only, and this gateway is not it.
     eventually(
-      fn -> Aerie.Store.vehicle(c.gateway, {"main", 1})[:gcs][:failsafe_range] == {255, 255} end,
+      fn -> Aerie.Base.Store.vehicle(c.gateway, {"main", 1})[:gcs][:failsafe_range] == {255, 255} end,
       "whom it obeys is known"
     )
 
@@ -128,7 +131,7 @@ defmodule Aerie.System.SteeringTest do
 
     refused(c, switch.(1400), :mode)
     assert SimVehicle.state(c.sim).mode == "GUIDED"
-    known = fn -> is_map_key(Aerie.Store.vehicle(c.gateway, {"main", 1})[:params], "FLTMODE6") end
+    known = fn -> is_map_key(Aerie.Base.Store.vehicle(c.gateway, {"main", 1})[:params], "FLTMODE6") end
     eventually(known, "what its switch does is known")
     refused(c, switch.(1400), :mode)
     assert SimVehicle.state(c.sim).mode == "GUIDED"

@@ -6,7 +6,7 @@ defmodule Aerie.System.SupervisionTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @moduletag :tmp_dir
   # Killed processes are logged; the log is captured.
@@ -84,7 +84,7 @@ defmodule Aerie.System.SupervisionTest do
   end
 
   defp info(gateway) do
-    Aerie.Bridge.info(gateway)
+    Aerie.Fleet.Bridge.info(gateway)
   rescue
     ArgumentError -> nil
   catch

@@ -91,7 +91,7 @@ defmodule Aerie.System.ToolTest do
     assert status in [0, 1] and text =~ ~r/(completed|accepted|rejected|failed|timeout|unknown|expired)/
 
     assert {text, 0} =
-             aerie(context, ["rpc", "Aerie.Commands.recent(:default, \"sim-001\") |> length()"])
+             aerie(context, ["rpc", "Aerie.Control.Commands.recent(:default, \"sim-001\") |> length()"])
 
     assert text == "1\n"
 
@@ -175,7 +175,7 @@ defmodule Aerie.System.ToolTest do
     assert {_ok, 0} =
              aerie(context, [
                "rpc",
-               ~s|Aerie.Fleet.Remote.heard(:default, "far-1", "gateway-far-1", nil, #{now})|
+               ~s|Aerie.Fleet.RemoteTable.put_gateway(:default, "far-1", "gateway-far-1", nil, #{now})|
              ])
 
     assert {text, 0} = aerie(context, ["status"])

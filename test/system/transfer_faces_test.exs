@@ -6,7 +6,7 @@ defmodule Aerie.System.TransferFacesTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Policy.Signature
+  alias Aerie.Control.Policy.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -158,7 +158,7 @@ defmodule Aerie.System.TransferFacesTest do
             {"mission?format=plan", "mission-version-9.plan"},
             {"mission?format=waypoints", "header-only.waypoints"}
           ] do
-        text = File.read!(Path.expand("../../apps/vehicle/test/fixtures/others/#{name}", __DIR__))
+        text = File.read!(Path.expand("../../apps/control/test/fixtures/others/#{name}", __DIR__))
 
         assert {422, %{"error" => %{"code" => _code}}} =
                  rest(c, :put, kind, text, type: "application/octet-stream")
@@ -209,8 +209,8 @@ defmodule Aerie.System.TransferFacesTest do
 
       assert %{"rule" => "signature"} = nats(c, "params.list", %{}, key: nil)
 
-      {:ok, plan} = Aerie.Missions.import(@waypoints, :waypoints)
-      plan = plan |> Aerie.Missions.export(:plan) |> JSON.decode!()
+      {:ok, plan} = Aerie.Control.Missions.import(@waypoints, :waypoints)
+      plan = plan |> Aerie.Control.Missions.export(:plan) |> JSON.decode!()
 
       assert %{"result" => "completed", "on_board" => "new"} =
                nats(c, "mission.put", %{"id" => "m1", "plan" => plan})
@@ -313,7 +313,7 @@ defmodule Aerie.System.TransferFacesTest do
     assert {200, _logs} = rest(c, :get, "logs")
 
     assert [] =
-             :sys.get_state(Aerie.Names.whereis(c.gateway, :transfers, @key), Aerie.Patience.ms()).core.order
+             :sys.get_state(Aerie.Base.Names.whereis(c.gateway, :transfers, @key), Aerie.Patience.ms()).core.order
 
     # A clock that falls back by a few seconds is no reboot (R6).
     eventually(

@@ -5,8 +5,10 @@ defmodule Aerie.System.TwoGatewaysTest do
   """
   use Aerie.SystemCase, async: true
 
-  alias Aerie.{Bridge, BridgeCase, Commands, HubServer, Shadow}
-  alias Aerie.Policy.Signature
+  alias Aerie.{BridgeCase, HubServer}
+  alias Aerie.Control.Commands
+  alias Aerie.Fleet.{Bridge, Shadow}
+  alias Aerie.Control.Policy.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -83,7 +85,7 @@ defmodule Aerie.System.TwoGatewaysTest do
     {holder, other}
   end
 
-  defp holder(%{gateway: gateway}), do: Shadow.Holder.holder(gateway, @vehicle)
+  defp holder(%{gateway: gateway}), do: Shadow.Ownership.holder(gateway, @vehicle)
 
   # Between the vehicle and both gateways. It counts the commands that pass to the vehicle, by their numbers.
   defp wire(ports) do

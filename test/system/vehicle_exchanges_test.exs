@@ -3,7 +3,7 @@ defmodule Aerie.System.VehicleExchangesTest do
 
   use Aerie.SystemCase, async: true
 
-  alias Aerie.Vehicle.Streams
+  alias Aerie.Vehicle.Services.Streams
   alias MavCodec.Messages, as: M
 
   @moduletag :tmp_dir
@@ -17,7 +17,7 @@ defmodule Aerie.System.VehicleExchangesTest do
     %{gateway: gateway} =
       start_gateway(folder, links: ["udpin:127.0.0.1:0", "udpin:127.0.0.1:0"], overrides: overrides)
 
-    Aerie.Store.PubSub.subscribe(gateway, :events)
+    Aerie.Base.PubSub.subscribe(gateway, :events)
 
     options = [firmware: :ardupilot, ready_s: 1.0, link: "udpout:127.0.0.1:#{link_port(gateway, "link-1")}"]
     {:ok, sim} = SimVehicle.start_link(Keyword.merge(options, context[:sim] || []))

@@ -5,8 +5,11 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 [] = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), [])
 
-alias Aerie.{Bridge, Config, Fleet, Store}
-alias Aerie.Store.PubSub
+alias Aerie.Base.Store
+alias Aerie.Config
+alias Aerie.Fleet.Bridge
+alias Aerie.Vehicle.Journal
+alias Aerie.Base.PubSub
 alias Aerie.Vehicle.Event
 
 Logger.configure(level: :none)
@@ -92,12 +95,12 @@ events = fn vehicles, each, offset ->
       for n <- 1..each,
           do: Event.new("V#{v}", "statustext", offset + n, n, n, %{"text" => "PreArm: check #{n}"})
 
-    Fleet.Journal.commit(gateway, "V#{v}", :state, made)
+    Journal.commit(gateway, "V#{v}", :state, made)
   end
 end
 
 empty = fn empty ->
-  if Fleet.Journal.pending_size(gateway) == 0,
+  if Journal.pending_size(gateway) == 0,
     do: :ok,
     else:
       (
@@ -149,5 +152,5 @@ time =
 
 IO.puts("outbox: #{Float.round(time * 1000 / 20_000, 1)} us for each event written alone (no fsync)")
 
-Supervisor.stop(Aerie.Names.via(gateway, :bridge))
+Supervisor.stop(Aerie.Base.Names.via(gateway, :bridge))
 File.rm_rf!(dir)

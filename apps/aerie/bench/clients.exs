@@ -129,7 +129,7 @@ Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
   end
 
 defmodule ClientsBench do
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias ClientsBench.Load
 
   @rates [5_000, 10_000, 20_000, 30_000, 40_000, 50_000, 60_000, 80_000]
@@ -181,8 +181,8 @@ defmodule ClientsBench do
       ])
 
     measured =
-      [Aerie.Store, Aerie.Store.PubSub, Aerie.Router.Supervisor, Aerie.Link.Supervisor] ++
-        [Aerie.Client.Supervisor]
+      [Aerie.Base.Store, Aerie.Base.PubSub, MavRouter.Router.Supervisor, MavRouter.Link.Supervisor] ++
+        [Aerie.Fleet.Client.Supervisor]
 
     for {module, options} <- Aerie.Gateway.parts(gateway, config),
         module in measured,
@@ -196,9 +196,9 @@ defmodule ClientsBench do
       discard()
     end)
 
-    {:ok, link} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "source")
-    {:ok, tcp} = Aerie.Client.add(gateway, "tcpin:127.0.0.1:0")
-    port = Enum.find(Aerie.Client.endpoints(gateway), &(&1.id == tcp)).port
+    {:ok, link} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "source")
+    {:ok, tcp} = MavRouter.Client.add(gateway, "tcpin:127.0.0.1:0")
+    port = Enum.find(MavRouter.Client.endpoints(gateway), &(&1.id == tcp)).port
 
     ways = [
       {"WebSocket", {:websocket, FleetWeb.WebSocket.port(gateway)}},
@@ -207,7 +207,7 @@ defmodule ClientsBench do
     ]
 
     true = is_pid(Names.whereis(gateway, :link, link))
-    {Aerie.Link.snapshot(gateway, link).port, ways}
+    {MavRouter.Link.snapshot(gateway, link).port, ways}
   end
 
   defp discard, do: receive(do: (_frames -> discard()))

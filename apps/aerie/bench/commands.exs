@@ -11,8 +11,10 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("support/stations.exs", __DIR__)
 
-alias Aerie.{Command, Commands, Ledger, Names, Policy, Store, Vehicle}
-alias Aerie.Policy.{Audit, Context}
+alias Aerie.Base.{Names, PubSub, Store}
+alias Aerie.Control.{CommandExecutor, Commands, Ledger, Policy}
+alias Aerie.Vehicle.Command
+alias Aerie.Control.Policy.{Audit, Context}
 alias MavCodec.Messages, as: M
 
 options = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), commands: 5_000, dir: System.tmp_dir!())
@@ -71,7 +73,7 @@ section = %{geofence_file: fence, max_altitude: 120, takeoff_battery: 0.3, rates
 start = fn gateway ->
   tables = [Commands.Recent.table(), Policy.Leases.table()]
   {:ok, _} = Store.start_link(gateway: gateway, tables: tables)
-  {:ok, _} = Store.PubSub.start_link(gateway: gateway)
+  {:ok, _} = PubSub.start_link(gateway: gateway)
   config = %{policy: Map.put(section, :audit, %{dir: Path.join(dir, "audit")})}
   {:ok, _} = Policy.Supervisor.start_link(gateway: gateway, settings: Policy.Settings.from(config), read: nil)
   # More than it keeps of 20 minutes by default.
@@ -155,7 +157,7 @@ end)
 _session = register.(:session, session)
 
 {:ok, executor} =
-  Vehicle.Commands.start_link(
+  CommandExecutor.start_link(
     gateway: gateway,
     options: %{id: "VID-007", key: key, own_system: 237, own_component: 191}
   )
@@ -174,7 +176,7 @@ measure.(
     {component, type, action} = Enum.at(media, n - 1)
     command.(type, %{action: action, component: component})
   end,
-  fn command -> %{status: :accepted} = Vehicle.Commands.submit(gateway, key, command) end
+  fn command -> %{status: :accepted} = CommandExecutor.submit(gateway, key, command) end
 )
 
 GenServer.stop(executor)

@@ -14,7 +14,7 @@ Code.require_file("../../../test/browser/browser.ex", __DIR__)
 
 defmodule ConsoleBench do
   @moduledoc false
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias FleetWeb.Console.Access
 
   # Each vehicle changes once in a round, a slice of them at a time.

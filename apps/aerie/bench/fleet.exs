@@ -274,7 +274,9 @@ defmodule FleetBench do
     }
 
     for {group, data} <- groups do
-      body = Aerie.Bridge.Message.state(id, group, data, nil, now, %{epoch: 1, gateway: "gateway-#{id}"})
+      body =
+        Aerie.Fleet.Bridge.Message.state(id, group, data, nil, now, %{epoch: 1, gateway: "gateway-#{id}"})
+
       :ok = Gnat.pub(conn, "fleet.dev.#{id}.state.#{group}", body)
     end
 

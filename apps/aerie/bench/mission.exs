@@ -9,7 +9,7 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("../../vehicle/test/support/mission_station.ex", __DIR__)
 
-alias Aerie.Mission.Item
+alias Aerie.Control.Mission.Item
 alias Aerie.MissionStation
 
 options = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), items: 200, seconds: 120)
@@ -38,8 +38,10 @@ ours = fn loss ->
   station = MissionStation.meet(station, sim)
   ms = options[:seconds] * 1000
 
-  {up, station} = MissionStation.transfer(station, {:upload, items}, 0, Aerie.Protocol.Ardupilot, ms: ms)
-  {down, _station} = MissionStation.transfer(station, :download, 0, Aerie.Protocol.Ardupilot, ms: ms)
+  {up, station} =
+    MissionStation.transfer(station, {:upload, items}, 0, Aerie.Vehicle.Protocol.Ardupilot, ms: ms)
+
+  {down, _station} = MissionStation.transfer(station, :download, 0, Aerie.Vehicle.Protocol.Ardupilot, ms: ms)
   GenServer.stop(sim)
   for result <- [up, down], do: if(result.status == :completed, do: result.ms / 1000, else: nil)
 end

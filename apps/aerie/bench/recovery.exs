@@ -8,8 +8,8 @@
 Code.require_file("support/restart.ex", __DIR__)
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
-alias Aerie.Store
-alias Aerie.Names
+alias Aerie.Base.Store
+alias Aerie.Base.Names
 alias Aerie.CLI.Run
 
 rounds = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), rounds: 5)[:rounds]
@@ -79,7 +79,7 @@ in_air = fn n ->
 end
 
 Await.until(fn -> Enum.all?(1..3, in_air) end)
-Await.until(fn -> match?(%{connected: true}, Aerie.Bridge.info(gateway)) end)
+Await.until(fn -> match?(%{connected: true}, Aerie.Fleet.Bridge.info(gateway)) end)
 
 heard = fn -> Store.vehicle(gateway, "VID-001").last_heard end
 
@@ -125,9 +125,9 @@ nats =
     fn ->
       pid_file = Path.join(folder, "nats/nats-server.pid")
       System.cmd("kill", ["-KILL", String.trim(File.read!(pid_file))])
-      Await.until(fn -> match?(%{connected: false}, Aerie.Bridge.info(gateway)) end)
+      Await.until(fn -> match?(%{connected: false}, Aerie.Fleet.Bridge.info(gateway)) end)
     end,
-    fn -> match?(%{connected: true, server: %{status: :up}}, Aerie.Bridge.info(gateway)) end
+    fn -> match?(%{connected: true, server: %{status: :up}}, Aerie.Fleet.Bridge.info(gateway)) end
   )
 
 rows = [

@@ -12,7 +12,8 @@ Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("support/config.ex", __DIR__)
 
 defmodule ShadowBench do
-  alias Aerie.{Shadow, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.Shadow
 
   @gateway :bench
 
@@ -43,7 +44,7 @@ defmodule ShadowBench do
   defp start(folder) do
     config = Aerie.Bench.Config.new(folder, [{"nats.mode", "off"}, {"shadow.hold_s", 0}])
     {:ok, _gateway} = Aerie.Gateway.start_link(name: @gateway, config: config)
-    {:ok, _link} = Aerie.Link.start(@gateway, "udpin:127.0.0.1:0", network: "main")
+    {:ok, _link} = MavRouter.Link.start(@gateway, "udpin:127.0.0.1:0", network: "main")
     until(fn -> port() end)
   end
 
@@ -93,7 +94,7 @@ defmodule ShadowBench do
 
     for id <- ids do
       params = Map.new(1..fields, &{"BENCH_#{&1}", &1 * 1.0})
-      Aerie.Fleet.Journal.commit(@gateway, id, nil, [], params)
+      Aerie.Vehicle.Journal.commit(@gateway, id, nil, [], params)
       desire(id, %{"mode" => mode, "params" => params})
     end
 

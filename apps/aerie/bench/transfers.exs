@@ -11,7 +11,7 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 Code.require_file("../../vehicle/test/support/udp_transfer.ex", __DIR__)
 
-alias Aerie.Params.{Download, Fetch, Table}
+alias Aerie.Control.Params.{Download, Fetch, Table}
 alias Aerie.UdpTransfer
 
 options = MavCodec.Bench.Options.read(__ENV__.file, System.argv(), rounds: 5, params: 1400)

@@ -9,16 +9,20 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
 defmodule Bench do
-  alias Aerie.{Link, Names}
+  alias Aerie.Base.Names
+  alias MavRouter.Link
 
   def gateway do
     gateway = make_ref()
-    {:ok, _} = Aerie.Store.start_link(gateway: gateway)
-    {:ok, _} = Aerie.Store.PubSub.start_link(gateway: gateway)
-    {:ok, _} = Aerie.Router.Supervisor.start_link(gateway: gateway, settings: Aerie.Router.Settings.from(%{}))
+    {:ok, _} = Aerie.Base.Store.start_link(gateway: gateway)
+    {:ok, _} = Aerie.Base.PubSub.start_link(gateway: gateway)
+
+    {:ok, _} =
+      MavRouter.Router.Supervisor.start_link(gateway: gateway, settings: MavRouter.Router.Settings.from(%{}))
+
     {:ok, _} = Link.Supervisor.start_link(gateway: gateway, settings: Link.Settings.from(%{}))
 
-    :ok = Aerie.Names.register(gateway, :session, {"main", 1})
+    :ok = Aerie.Base.Names.register(gateway, :session, {"main", 1})
     gateway
   end
 

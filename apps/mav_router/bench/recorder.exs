@@ -10,9 +10,10 @@
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
 defmodule Bench do
-  alias Aerie.{Names, Recorder, Store}
-  alias Aerie.Store.PubSub
-  alias Aerie.Recorder.{Ring, Tables}
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Recorder
+  alias Aerie.Base.PubSub
+  alias MavRouter.Recorder.{Ring, Tables}
 
   @key {"main", 1}
 

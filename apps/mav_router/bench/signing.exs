@@ -2,14 +2,14 @@
 #
 #     bin/bench signing [--frames 20000]
 #
-# Each line is one function of Aerie.Signing or MavCodec.Signing, called that many times on ATTITUDE frames (28 bytes of
+# Each line is one function of MavRouter.Signing or MavCodec.Signing, called that many times on ATTITUDE frames (28 bytes of
 # payload) that were made before: median and p99 of single calls in microseconds (the clock's own reading, which stands in the
 # first line, is in each), and reductions. `admit` is what a link does with each read, `sign` and `fill` with each write.
 
 Code.require_file("../../mav_codec/bench/support/options.ex", __DIR__)
 
-alias Aerie.Signing
-alias Aerie.Signing.{Verifiers, Tables}
+alias MavRouter.Signing
+alias MavRouter.Signing.{Tables, Verifiers}
 alias MavCodec.{Messages, Parser}
 
 Logger.configure(level: :none)
@@ -24,8 +24,8 @@ File.chmod!(file, 0o600)
 start = fn keys ->
   gateway = make_ref()
   config = %{signing: %{keys: keys, dir: Path.join(dir, "#{System.unique_integer([:positive])}")}}
-  {:ok, _} = Aerie.Store.start_link(gateway: gateway)
-  {:ok, _} = Aerie.Store.PubSub.start_link(gateway: gateway)
+  {:ok, _} = Aerie.Base.Store.start_link(gateway: gateway)
+  {:ok, _} = Aerie.Base.PubSub.start_link(gateway: gateway)
   {:ok, _} = Signing.Supervisor.start_link(gateway: gateway, settings: Signing.Settings.from(config))
   gateway
 end
@@ -124,7 +124,7 @@ measure.("admit, keys of another network only, 1 frame", plain, fn frame, _ ->
   Signing.admit(other, source, [frame])
 end)
 
-spec = Aerie.Link.Spec.parse!("udpin:127.0.0.1:0", id: "radio")
+spec = MavRouter.Link.Spec.parse!("udpin:127.0.0.1:0", id: "radio")
 
 measure.("fill, a write without anything to sign, 1 frame", plain, fn frame, _ ->
   Signing.fill(none, spec, :a, [frame.bytes])

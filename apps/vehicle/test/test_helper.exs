@@ -1,5 +1,4 @@
 Aerie.Patience.load_code()
-Application.put_env(:vehicle, :gateway_parts, [Aerie.ControlParts, Aerie.FleetParts])
 
 # Long suites run with `bin/test --full`, hour-long ones with `bin/test --soak`; peers written in Python need the
 # environment that bin/setup makes, the other ends of serial cables a C compiler.

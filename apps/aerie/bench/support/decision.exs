@@ -1,12 +1,12 @@
 defmodule DecisionBench do
   @moduledoc """
-  What it costs to decide whether a frame may reach vehicles (`Aerie.Router.Gate`), in nanoseconds a frame: reads of 16 frames, the
+  What it costs to decide whether a frame may reach vehicles (`MavRouter.Router.Gate`), in nanoseconds a frame: reads of 16 frames, the
   median of 15 rounds, in this process alone.
   """
 
-  alias Aerie.Policy
-  alias Aerie.Policy.Guard
-  alias Aerie.Router.{Delivery, EndpointCounters, ForwardingTable, Gate, Source}
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.MavlinkPolicy
+  alias MavRouter.Router.{Delivery, EndpointCounters, ForwardingTable, Gate, Source}
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 
@@ -65,7 +65,7 @@ defmodule DecisionBench do
 
     delivery = %Delivery{
       gateway: @gateway,
-      tables: %{policy: Guard, readings: nil},
+      tables: %{policy: MavlinkPolicy, readings: nil},
       forwarding: %{paths: %{path.key => path}, listeners: %{}},
       path: path,
       source: struct!(Source.new(1, 1), source),

@@ -7,7 +7,9 @@
 Code.require_file("config.ex", __DIR__)
 
 defmodule FleetNode do
-  alias Aerie.{Bridge, Fleet, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Bridge
 
   @gateway :bench
   # Vehicles that are looked at.
@@ -27,7 +29,7 @@ defmodule FleetNode do
     {:ok, _gateway} = Aerie.Gateway.start_link(name: @gateway, config: config)
 
     for n <- 0..(links - 1),
-        do: {:ok, _} = Aerie.Link.start(@gateway, "udpin:127.0.0.1:#{port + n}", network: "n#{n}")
+        do: {:ok, _} = MavRouter.Link.start(@gateway, "udpin:127.0.0.1:#{port + n}", network: "n#{n}")
 
     await_nats()
     store = spawn_link(fn -> watch(for(n <- 1..@watched, do: {"n0", n}), &boot/1, &clock/0, %{}, []) end)
@@ -82,7 +84,7 @@ defmodule FleetNode do
 
   # What the recorder keeps of the last minutes of each vehicle.
   defp ring do
-    %{ring: ring} = Aerie.Recorder.Tables.of(@gateway)
+    %{ring: ring} = MavRouter.Recorder.Tables.of(@gateway)
     :ets.info(ring, :memory) * :erlang.system_info(:wordsize)
   end
 
@@ -147,7 +149,8 @@ defmodule FleetNode do
   defp clock, do: div(:os.perf_counter(:microsecond), 1000)
 
   defp position(id) do
-    with %{groups: %{position: %{at: at}}} <- Fleet.Remote.vehicle(@gateway, id, System.os_time(:microsecond)),
+    with %{groups: %{position: %{at: at}}} <-
+           Fleet.RemoteTable.vehicle(@gateway, id, System.os_time(:microsecond)),
          do: div(at, 1000)
   end
 

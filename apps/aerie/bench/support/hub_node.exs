@@ -5,7 +5,7 @@
 # Says "ready" when it listens; at each line of its standard input what was counted since the last one, as JSON; ends with
 # it. The age of a frame when its state is shown is measured by looking, every millisecond, at a few of the vehicles.
 defmodule HubNode do
-  alias Aerie.Store
+  alias Aerie.Base.Store
 
   @gateway :bench
   # Vehicles that are looked at.
@@ -22,10 +22,10 @@ defmodule HubNode do
 
     measured = [
       Store,
-      Aerie.Store.PubSub,
-      Aerie.Router.Supervisor,
+      Aerie.Base.PubSub,
+      MavRouter.Router.Supervisor,
       Aerie.Vehicle.Supervisor,
-      Aerie.Link.Supervisor
+      MavRouter.Link.Supervisor
     ]
 
     for {module, options} <- Aerie.Gateway.parts(@gateway, config),
@@ -33,7 +33,7 @@ defmodule HubNode do
         do: {:ok, _pid} = module.start_link([gateway: @gateway] ++ options)
 
     for n <- 0..(links - 1),
-        do: {:ok, _} = Aerie.Link.start(@gateway, "udpin:127.0.0.1:#{port + n}", network: "n#{n}")
+        do: {:ok, _} = MavRouter.Link.start(@gateway, "udpin:127.0.0.1:#{port + n}", network: "n#{n}")
 
     watch = spawn_link(fn -> watch(for(n <- 1..@watched, do: {"n0", n}), %{}, []) end)
     IO.puts("ready")

@@ -20,18 +20,18 @@ config =
   ])
 
 measured = [
-  Aerie.Store,
-  Aerie.Store.PubSub,
-  Aerie.Router.Supervisor,
+  Aerie.Base.Store,
+  Aerie.Base.PubSub,
+  MavRouter.Router.Supervisor,
   Aerie.Vehicle.Supervisor,
-  Aerie.Link.Supervisor
+  MavRouter.Link.Supervisor
 ]
 
 for {module, options} <- Aerie.Gateway.parts(gateway, config),
     module in measured,
     do: {:ok, _pid} = module.start_link([gateway: gateway] ++ options)
 
-for url <- links, do: {:ok, _id} = Aerie.Link.start(gateway, url)
-{:ok, _id} = Aerie.Client.add(gateway, client)
+for url <- links, do: {:ok, _id} = MavRouter.Link.start(gateway, url)
+{:ok, _id} = MavRouter.Client.add(gateway, client)
 IO.puts("ready")
 IO.read(:stdio, :line)

@@ -5,18 +5,19 @@ defmodule StationsBench do
   until the last station had them all. All that ask at once hear one list even without `served`, because the vehicle sends it to everybody.
   """
 
-  alias Aerie.{Client, Link, Store}
+  alias Aerie.Base.Store
+  alias MavRouter.{Client, Link}
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
   @parts [
            Store,
-           Aerie.Store.PubSub,
-           Aerie.Policy.Supervisor,
-           Aerie.Router.Supervisor,
+           Aerie.Base.PubSub,
+           Aerie.Control.Policy.Supervisor,
+           MavRouter.Router.Supervisor,
            Aerie.Vehicle.Supervisor
          ] ++
-           [Aerie.Link.Supervisor, Aerie.Params.CacheWriter, Aerie.Serving.Supervisor]
+           [MavRouter.Link.Supervisor, Aerie.Control.Params.CacheWriter, Aerie.Control.ReadCache.Supervisor]
   @counted [M.ParamValue.id(), M.FileTransferProtocol.id()]
   # What ground stations wait until they ask for what is missing.
   @silence_ms 1_000
@@ -64,7 +65,7 @@ defmodule StationsBench do
     known? = &match?(%{capabilities: bits, clock: %{rtt_us: us}} when is_integer(bits) and is_integer(us), &1)
     until(fn -> known?.(Store.vehicle(gateway, {"main", 1})) end)
     {:ok, "gcs"} = Client.add(gateway, %{url: "udpin:127.0.0.1:0", id: "gcs", served: served?})
-    until(fn -> Aerie.Names.whereis(gateway, :serving, {"main", 1}) end)
+    until(fn -> Aerie.Base.Names.whereis(gateway, :serving, {"main", 1}) end)
     to = Link.snapshot(gateway, "gcs").port
     before = count(wire)
     started = System.monotonic_time(:millisecond)

@@ -4,7 +4,9 @@ defmodule Aerie.Application do
 
   require Logger
 
-  alias Aerie.{CLI, Commands, Store, Successor}
+  alias Aerie.Base.{Store, Successor}
+  alias Aerie.CLI
+  alias Aerie.Control.Commands
   alias Aerie.CLI.{LogKeeper, Output, Ports}
 
   # The application ends with its top process, and the VM with the application. So that one does nothing but restart the supervisor below

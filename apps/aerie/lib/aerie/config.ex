@@ -11,11 +11,11 @@ defmodule Aerie.Config do
   are filled in, so that readers need no rules of their own:
 
     * `nats.mode` is `:embedded`, `:url` or `:off`; `nats.url` is a list of URLs without passwords
-    * `mavlink.system_id` is set, a number or `:auto` (`Aerie.Router.AutoSystemId`)
+    * `mavlink.system_id` is set, a number or `:auto` (`MavRouter.Router.AutoSystemId`)
     * `links` has `id`, `url`, `network`, `label`, `enabled`, `secure` for each, the one of `mavlink.local_addr` included; `spec` is
-      the parsed `Aerie.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
+      the parsed `MavRouter.Link.Spec`, `given` says whether somebody asked for it (a taken port is then an error)
     * `clients` is `:default` if they are not configured, otherwise a list of maps with `id`, `url`, `networks` and
-      their rules (`Aerie.Router.Settings`)
+      their rules (`MavRouter.Router.Settings`)
     * `vehicles` has `id`, `network`, `system_id` for each, the one of `vehicle_id` included
     * `sampling.groups` has `position_hz`, `attitude_hz` and `battery_change_threshold` worked in
     * `warnings` are settings that are allowed but probably not intended; `given` has the keys that were set, and where;
@@ -23,7 +23,7 @@ defmodule Aerie.Config do
   """
 
   alias Aerie.Config.{Environment, Error, Keys, Resolve, Yaml}
-  alias Aerie.Settings.{Field, Schema}
+  alias Aerie.Base.Settings.{Field, Schema}
 
   defstruct Keys.order() ++ [file: nil, given: %{}, lines: %{}, warnings: []]
 
@@ -35,7 +35,7 @@ defmodule Aerie.Config do
           enabled: boolean(),
           secure: boolean(),
           given: boolean(),
-          spec: Aerie.Link.Spec.t()
+          spec: MavRouter.Link.Spec.t()
         }
 
   @type vehicle :: %{id: String.t(), network: String.t(), system_id: pos_integer()}

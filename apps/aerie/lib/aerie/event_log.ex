@@ -1,7 +1,7 @@
 defmodule Aerie.EventLog do
   @moduledoc """
   Writes one line of the log for each thing that happens to a gateway and matters to who runs it: links, vehicles, commands,
-  desired states, recordings. It listens to `:telemetry` (`Aerie.Telemetry`), so no part has to log for it; what a part logs
+  desired states, recordings. It listens to `:telemetry` (`Aerie.Fleet.Telemetry`), so no part has to log for it; what a part logs
   itself, with more words, is not in the table here.
 
   What somebody could cause in a flood (refused commands) is a line once in five seconds for each cause.
@@ -9,7 +9,7 @@ defmodule Aerie.EventLog do
 
   require Logger
 
-  alias Aerie.{Names, Store}
+  alias Aerie.Base.{Names, Store}
 
   @quiet_ms 5_000
 

@@ -4,23 +4,23 @@ defmodule Aerie.Gateway do
 
   ```
   Aerie.Gateway                    rest_for_one
-  ├─ Aerie.Store             owns the ETS read model and the journal of events
-  ├─ Aerie.Store.PubSub            change notices, coalesced
-  ├─ Aerie.Bridge.LastPublished      what was published last of each vehicle, over restarts
-  ├─ Aerie.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
-  ├─ Aerie.Signing.Supervisor      keys, time stamps of signed links
-  ├─ Aerie.Recorder.Supervisor     recordings of vehicles, the last moments of each
-  ├─ Aerie.Policy.Supervisor       the policy for commands, the audit log
-  ├─ Aerie.Router.Supervisor       routes, client endpoints
+  ├─ Aerie.Base.Store             owns the ETS read model and the journal of events
+  ├─ Aerie.Base.PubSub            change notices, coalesced
+  ├─ Aerie.Fleet.Bridge.LastPublished      what was published last of each vehicle, over restarts
+  ├─ Aerie.Fleet.Bridge.Supervisor       NATS server (embedded mode), connection, outbox
+  ├─ MavRouter.Signing.Supervisor      keys, time stamps of signed links
+  ├─ MavRouter.Recorder.Supervisor     recordings of vehicles, the last moments of each
+  ├─ Aerie.Control.Policy.Supervisor       the policy for commands, the audit log
+  ├─ MavRouter.Router.Supervisor       routes, client endpoints
   ├─ Aerie.Vehicle.Supervisor      one tree per vehicle, made when its autopilot is first heard
-  ├─ Aerie.Remote.Supervisor       vehicles of other gateways, and telling them of ours
-  ├─ Aerie.Commands.Supervisor     the door for commands: ledger, what is under way
-  ├─ Aerie.Params.CacheWriter           lists of parameters, over restarts
-  ├─ Aerie.Serving.Supervisor      answers ground stations that read parameters and plans
-  ├─ Aerie.Shadow.Supervisor       desired states, which of several gateways acts
-  ├─ Aerie.Operations.Supervisor   one command or desired state for many vehicles
-  ├─ Aerie.Link.Supervisor         one tree per physical link
-  └─ Aerie.Client.Supervisor       unix sockets of programs on this machine
+  ├─ Aerie.Fleet.Remote.Supervisor       vehicles of other gateways, and telling them of ours
+  ├─ Aerie.Control.Commands.Supervisor     the door for commands: ledger, what is under way
+  ├─ Aerie.Control.Params.CacheWriter           lists of parameters, over restarts
+  ├─ Aerie.Control.ReadCache.Supervisor      answers ground stations that read parameters and plans
+  ├─ Aerie.Fleet.Shadow.Supervisor       desired states, which of several gateways acts
+  ├─ Aerie.Fleet.Operations.Supervisor   one command or desired state for many vehicles
+  ├─ MavRouter.Link.Supervisor         one tree per physical link
+  └─ Aerie.Fleet.Client.Supervisor       unix sockets of programs on this machine
   ```
 
   A child depends only on those before it, and a restart also restarts those after it. What a restart costs:
@@ -49,41 +49,28 @@ defmodule Aerie.Gateway do
 
   The store therefore does nothing but own tables: it has no code that could fail on input.
 
-  The configuration ends here: each part gets the settings that it declares (`Aerie.Settings`) and sees nothing else of it.
+  The configuration ends here: each part gets the settings that it declares (`Aerie.Base.Settings`) and sees nothing else of it.
 
-  A gateway is addressed by its name everywhere: `Aerie.Store.vehicles(name)`. Tests give each their own
+  A gateway is addressed by its name everywhere: `Aerie.Base.Store.vehicles(name)`. Tests give each their own
   (`make_ref()`), a node that runs only one uses `:default`.
   """
   use Supervisor
 
-  alias Aerie.{
-    Bridge,
-    Client,
-    Commands,
-    Config,
-    Fleet,
-    Link,
-    Names,
-    Operations,
-    Params,
-    Policy,
-    Recorder,
-    Remote,
-    Router,
-    Serving,
-    Shadow,
-    Signing,
-    Successor,
-    Vehicle
-  }
+  alias Aerie.{Config, Fleet, Vehicle}
+  alias Aerie.Base.{Names, Successor}
+  alias Aerie.Control.{CommandExecutor, Commands, Params, Policy, ReadCache, TransferExecutor}
+  alias Aerie.Fleet.{Bridge, Operations, Remote, Shadow}
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Services.StreamDemand
+  alias MavRouter.{Link, Recorder, Router, Signing}
 
-  alias Aerie.Link.Clients
+  alias MavRouter.Link.Clients
 
   @typedoc """
   * `:name` - any term, `:default` when absent
   * `:config` - an `%Aerie.Config{}`; required
-  * `:pubsub_tick_ms` - the shortest time between change notices; `Aerie.Store.PubSub` has the default
-  * `:read_config` - reads the configuration again, for `Aerie.Policy.Store.reload/2`; without it only the fence file is read again
+  * `:pubsub_tick_ms` - the shortest time between change notices; `Aerie.Base.PubSub` has the default
+  * `:read_config` - reads the configuration again, for `Aerie.Control.Policy.Store.reload/2`; without it only the fence file is read again
   * `:without` - children that are left out, as modules: for a gateway that only has vehicles, say
   """
   @type option ::
@@ -122,7 +109,7 @@ defmodule Aerie.Gateway do
     children =
       for {module, options} <- parts(name, config, given[:read_config]),
           module not in without do
-        tick = if module == Aerie.Store.PubSub, do: tick(given), else: []
+        tick = if module == Aerie.Base.PubSub, do: tick(given), else: []
         Successor.child_spec({module, [gateway: name] ++ options ++ tick})
       end
 
@@ -147,15 +134,15 @@ defmodule Aerie.Gateway do
       Successor.child_spec({Clients.Supervisor, gateway: name, settings: Clients.Settings.from(config)})
 
     [
-      {Aerie.Store,
+      {Aerie.Base.Store,
        tables: [
-         Fleet.Journal.table(bridge.fleet),
-         Fleet.StreamDemand.table(),
-         Fleet.Remote.table(),
+         Journal.table(bridge.fleet),
+         StreamDemand.table(),
+         Fleet.RemoteTable.table(),
          Commands.Recent.table(),
          Policy.Leases.table()
        ]},
-      {Aerie.Store.PubSub, []},
+      {Aerie.Base.PubSub, []},
       {Bridge.LastPublished, settings: bridge},
       {Bridge.Supervisor, settings: bridge},
       {Signing.Supervisor, settings: Signing.Settings.from(config), events: Vehicle.Events.External},
@@ -164,24 +151,24 @@ defmodule Aerie.Gateway do
       {Router.Supervisor,
        settings: Router.Settings.from(config),
        vehicles: Vehicle.Supervisor,
-       requests: Vehicle.Streams,
-       policy: Policy.Guard,
-       readings: Serving,
+       requests: Vehicle.Services.Streams,
+       policy: Policy.MavlinkPolicy,
+       readings: ReadCache,
        children: [clients]},
       {Vehicle.Supervisor,
        settings: Vehicle.Settings.from(config),
        publisher: Bridge,
        arming: Policy.Arming,
-       loops: [Vehicle.Commands, Vehicle.Transfers, Shadow.Loop, Params.EventDefinitions]},
+       loops: [CommandExecutor, TransferExecutor, Shadow.Loop, Params.EventDefinitions]},
       {Remote.Supervisor, settings: Remote.Settings.from(config)},
       {Commands.Supervisor,
-       settings: Commands.Settings.from(config), elsewhere: Remote, holder: Shadow.Holder},
+       settings: Commands.Settings.from(config), elsewhere: Remote, holder: Shadow.Ownership},
       {Params.CacheWriter, settings: Params.Settings.from(config)},
-      {Serving.Supervisor, []},
+      {ReadCache.Supervisor, []},
       {Shadow.Supervisor, settings: Shadow.Settings.from(config)},
       {Operations.Supervisor, []},
       {Link.Supervisor, settings: Link.Settings.from(config)},
-      {Client.Supervisor, settings: Client.Settings.from(config)}
+      {Aerie.Fleet.Client.Supervisor, settings: Aerie.Fleet.Client.Settings.from(config)}
     ]
   end
 

@@ -12,8 +12,11 @@ defmodule Aerie.Reload do
 
   require Logger
 
-  alias Aerie.{Client, Config, Link, Log, Names, Policy}
-  alias Aerie.Policy.Audit
+  alias Aerie.Base.{Log, Names}
+  alias Aerie.Config
+  alias Aerie.Control.Policy
+  alias MavRouter.{Client, Link}
+  alias Aerie.Control.Policy.Audit
   alias Aerie.Reload.Changes
 
   # Links are stopped and started one after the other; each waits for its first attempt.

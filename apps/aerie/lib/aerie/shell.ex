@@ -20,7 +20,10 @@ defmodule Aerie.Shell do
   has started, `:default`; for anything else the shell has the whole of `Aerie`.
   """
 
-  alias Aerie.{Fleet, Inspector, Link, Printable, Shadow, Store}
+  alias Aerie.Base.{Printable, Store}
+  alias Aerie.Fleet
+  alias Aerie.Fleet.{Inspector, Shadow}
+  alias MavRouter.Link
   alias Aerie.Fleet.Age
   alias Aerie.Shell.Text
   alias Aerie.Tool.{Ask, Columns, Run}

@@ -3,14 +3,15 @@ defmodule Aerie.Systemd do
   Tells systemd how the gateway is (`sd_notify(3)`): that it is ready, what it does (`systemctl status`), that it is ending, and,
   with `WatchdogSec=` in the unit, that its supervision tree is alive. systemd restarts a gateway that has stopped saying so.
 
-  Alive means what the gateway's own heartbeat needs (`Aerie.Identity.status/1`), and that its supervisor answers. A vehicle whose
+  Alive means what the gateway's own heartbeat needs (`MavRouter.Identity.status/1`), and that its supervisor answers. A vehicle whose
   process is stuck does not count: a restart of everything would cost all other vehicles.
 
   It does nothing if no service manager started the gateway, which is when `NOTIFY_SOCKET` is not set.
   """
   use GenServer
 
-  alias Aerie.{Identity, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Identity
 
   # Without a watchdog, how often the text for `systemctl status` is renewed.
   @status_ms 10_000

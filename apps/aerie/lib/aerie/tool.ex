@@ -5,7 +5,7 @@ defmodule Aerie.Tool do
   """
 
   alias Aerie.CLI.Output
-  alias Aerie.Printable
+  alias Aerie.Base.Printable
   alias Aerie.Tool.{Gateway, Help, Parse}
 
   @doc "For a release, whose words come after `-extra`."

@@ -3,7 +3,7 @@ defmodule Aerie.ConfigTest do
 
   alias Aerie.Config
   alias Aerie.Config.Error
-  alias Aerie.Secret
+  alias Aerie.Base.Secret
 
   @moduletag :tmp_dir
 
@@ -183,7 +183,9 @@ defmodule Aerie.ConfigTest do
   end
 
   test "an override of one key leaves every other key as the layers below have it, in whatever form it comes" do
-    leaves = for {path, field} <- Aerie.Settings.Schema.leaves(Aerie.Config.Keys.fields()), do: {path, field}
+    leaves =
+      for {path, field} <- Aerie.Base.Settings.Schema.leaves(Aerie.Config.Keys.fields()), do: {path, field}
+
     sections = for {[section, _key | _], _field} <- leaves, uniq: true, do: section
 
     key = fn config, path ->

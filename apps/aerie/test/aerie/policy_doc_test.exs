@@ -3,8 +3,10 @@ defmodule Aerie.PolicyDocTest do
 
   use ExUnit.Case, async: true
 
-  alias Aerie.{Command, Config, Policy}
-  alias Aerie.Policy.Context
+  alias Aerie.Config
+  alias Aerie.Control.Policy
+  alias Aerie.Vehicle.Command
+  alias Aerie.Control.Policy.Context
 
   @moduletag :tmp_dir
   @page Path.expand("../../../../docs/policy.md", __DIR__)

@@ -1,7 +1,8 @@
 defmodule Aerie.SystemdTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.{GatewayCase, Names, ShortDir, Systemd}
+  alias Aerie.{GatewayCase, ShortDir, Systemd}
+  alias Aerie.Base.Names
 
   @moduletag :capture_log
 

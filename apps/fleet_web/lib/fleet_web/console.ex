@@ -19,12 +19,12 @@ defmodule FleetWeb.Console do
     * `:changes` - events by the change of `FleetWeb.Rights` that they cause, which says their least role
     * `:events` - the least role for other events by name. An event that is not named needs `:operator`
 
-    * `:costly` - events that cost as much as several others: tables that are sorted, files that are read (`FleetWeb.Costly`)
+    * `:costly` - events that cost as much as several others: tables that are sorted, files that are read (`FleetWeb.WorkLimit`)
 
   They are enforced in the server, before `mount/3` and before each `handle_event/3`.
   """
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Rights
 
   @doc "`use FleetWeb.Console, :page`, `{:page, options}` or `:component`."

@@ -55,8 +55,8 @@ defmodule FleetWeb.Endpoint do
         [
           {API.KeyRing, key_ring(gateway, settings, keys)},
           {API.Tickets, gateway: gateway},
-          {FleetWeb.Costly, gateway: gateway},
-          {Aerie.Diagnosis.Server, gateway: gateway}
+          {FleetWeb.WorkLimit, gateway: gateway},
+          {Aerie.Fleet.Diagnosis.Server, gateway: gateway}
         ] ++
           console ++
           [listener(gateway, settings, options[:max_connections], routes)] ++

@@ -2,17 +2,18 @@ defmodule FleetWeb.Health do
   @moduledoc """
   Says whether a gateway is ready, part by part from the read model, so that a failing probe gives the reason.
 
-  Ready means that the gateway's parts run and its code is loaded (`Aerie.Store.starting?/1`), that NATS stores events (or is switched off by the configuration), that no
+  Ready means that the gateway's parts run and its code is loaded (`Aerie.Base.Store.starting?/1`), that NATS stores events (or is switched off by the configuration), that no
   autopilot has the gateway's own ids (its vehicle would be invisible), that the processes which its own heartbeat needs answer
-  (`Aerie.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
-  (`Aerie.Ledger.problem/1`), and that no link, no endpoint for clients and no
+  (`MavRouter.Identity.status/1`, as for `Aerie.Systemd`; those of one vehicle do not count), that the ledger admits commands
+  (`Aerie.Control.Ledger.problem/1`), and that no link, no endpoint for clients and no
   session of a vehicle drops what comes faster than it takes it (what the gateway shows would be incomplete). Links that are down are
   listed but do not make it unready, because a gateway that waits for a radio to return does its work. Nor do an audit log that cannot
   be written (the gateway then refuses commands, and shows everything), a policy that could not be loaded anew (the old one is in
   force), and a leaf node's hub that is away or stores nothing (events are stored aboard).
   """
 
-  alias Aerie.{Client, Identity, Names, Store}
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.{Client, Identity}
 
   @parts [store: :store, vehicles: :vehicles]
 
@@ -20,15 +21,15 @@ defmodule FleetWeb.Health do
   @spec ready(Names.gateway()) :: {boolean(), map()}
   def ready(gateway) do
     parts = for {name, role} <- @parts, into: %{}, do: {name, Names.whereis(gateway, role) != nil}
-    nats = Aerie.Bridge.info(gateway)
+    nats = Aerie.Fleet.Bridge.info(gateway)
     problem = nats_problem(gateway, nats)
-    identity = Aerie.Router.identity(gateway)
+    identity = MavRouter.Router.identity(gateway)
     links = for link <- Store.links(gateway), do: link(link)
     clients = for client <- Client.endpoints(gateway), do: link(client)
 
     problems =
       silent(gateway) ++
-        ledger(Aerie.Ledger.problem(gateway)) ++
+        ledger(Aerie.Control.Ledger.problem(gateway)) ++
         starting(Store.starting?(gateway)) ++
         Enum.flat_map(links, &overloaded(&1, "link")) ++
         Enum.flat_map(clients, &overloaded(&1, "client endpoint"))
@@ -51,7 +52,7 @@ defmodule FleetWeb.Health do
          hub: hub(nats[:hub])
        },
        policy: %{problem: policy_problem(gateway)},
-       audit: %{problem: Aerie.Policy.Audit.failing(gateway)},
+       audit: %{problem: Aerie.Control.Policy.Audit.failing(gateway)},
        links: links,
        problems: problems,
        vehicles: Store.vehicle_count(gateway)
@@ -84,7 +85,7 @@ defmodule FleetWeb.Health do
 
   # A policy that could not be loaded anew: the old one is in force.
   defp policy_problem(gateway) do
-    with %{problem: %{errors: lines}} <- Aerie.Policy.Store.status(gateway),
+    with %{problem: %{errors: lines}} <- Aerie.Control.Policy.Store.status(gateway),
          do: Enum.join(lines, "; "),
          else: (_none -> nil)
   end
@@ -121,7 +122,7 @@ defmodule FleetWeb.Health do
 
   # What keeps events from being stored, or nil. A problem of the outbox is shown, but does not keep them.
   defp nats_problem(gateway, nil),
-    do: if(not Aerie.Bridge.off?(gateway), do: "the bridge to NATS does not run")
+    do: if(not Aerie.Fleet.Bridge.off?(gateway), do: "the bridge to NATS does not run")
 
   defp nats_problem(_gateway, nats), do: nats.problem
 end

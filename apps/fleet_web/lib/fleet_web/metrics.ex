@@ -8,25 +8,25 @@ defmodule FleetWeb.Metrics do
   add time series.
   """
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias FleetWeb.Metrics.{Clients, Links, Policy, Text, Vehicles}
 
   @doc "The metric families of a gateway; those of parts that do not run have no samples."
   @spec families(term()) :: [Text.family()]
   def families(gateway) do
-    links = Aerie.Link.list(gateway)
+    links = MavRouter.Link.list(gateway)
     counters = Store.counters(gateway)
 
     Links.families(links) ++
       Vehicles.families(Store.vehicles(gateway), links, System.os_time(:microsecond)) ++
       parts(gateway) ++
-      Clients.families(Aerie.Client.list(gateway), Aerie.Client.endpoints(gateway), counters) ++
+      Clients.families(MavRouter.Client.list(gateway), MavRouter.Client.endpoints(gateway), counters) ++
       Policy.families(gateway, counters) ++
       [sent(counters), others(counters)] ++ vm()
   end
 
   defp parts(gateway) do
-    for part <- [Aerie.Bridge, Aerie.Recorder, Aerie.Commands, Aerie.Shadow],
+    for part <- [Aerie.Fleet.Bridge, MavRouter.Recorder, Aerie.Control.Commands, Aerie.Fleet.Shadow],
         %{name: name, type: type, help: help, samples: samples} <- part.metrics(gateway),
         do: {name, type, help, samples}
   end
@@ -42,7 +42,7 @@ defmodule FleetWeb.Metrics do
     samples =
       for {name, n} <- counters,
           not match?({:sent, _id}, name) and not Clients.own?(name) and not Policy.own?(name) and
-            not Aerie.Commands.Metrics.own?(name) and not Aerie.Shadow.Metrics.own?(name),
+            not Aerie.Control.Commands.Metrics.own?(name) and not Aerie.Fleet.Shadow.Metrics.own?(name),
           do: {[name: counter_name(name)], n}
 
     {"gateway_counter_total", :counter, "Drops and refusals, by name.", Enum.sort(samples)}

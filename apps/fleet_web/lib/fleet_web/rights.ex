@@ -5,12 +5,12 @@ defmodule FleetWeb.Rights do
   `docs/openapi.json` says it of each operation.
 
   What decides who may command, who is heard, or what is known of it later is an admin's. What a vehicle is asked to do is an
-  operator's here, and the policy's beyond that (`Aerie.Policy`). Requests over NATS change nothing of the gateway.
+  operator's here, and the policy's beyond that (`Aerie.Control.Policy`). Requests over NATS change nothing of the gateway.
 
   A way to change something that has no row is an admin's.
   """
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
 
   @admin [
     # Links, clients, rules, keys.

@@ -1,11 +1,11 @@
 defmodule FleetWeb.Settings do
   @moduledoc "The console, REST, metrics and health; MAVLink over WebSocket; who may use them."
-  use Aerie.Settings
+  use Aerie.Base.Settings
 
-  import Aerie.Settings.Rules
+  import Aerie.Base.Settings.Rules
 
-  alias Aerie.Secret
-  alias Aerie.Settings.Types
+  alias Aerie.Base.Secret
+  alias Aerie.Base.Settings.Types
   alias FleetWeb.API.Keys
   alias FleetWeb.Console.Access.Users
 
@@ -150,7 +150,7 @@ defmodule FleetWeb.Settings do
     ]
   end
 
-  @impl Aerie.Settings
+  @impl Aerie.Base.Settings
   def problems(%{api: api, http: http, console: console, websocket: websocket}) do
     short? = api.key != nil and byte_size(Secret.reveal(api.key)) < Keys.shortest()
     spaced? = api.key != nil and Secret.reveal(api.key) =~ ~r/\s/u
@@ -172,7 +172,7 @@ defmodule FleetWeb.Settings do
     ])
   end
 
-  @impl Aerie.Settings
+  @impl Aerie.Base.Settings
   def warnings(%{http: http, websocket: websocket}) do
     texts([
       {http.enabled and http.proxies == [] and not local?(http.address),
@@ -186,7 +186,7 @@ defmodule FleetWeb.Settings do
   defp users?(%{enabled: true, dir: dir}), do: Users.any?(dir)
   defp users?(_off), do: false
 
-  defp local?(address), do: address |> ip() |> Aerie.Address.loopback?()
+  defp local?(address), do: address |> ip() |> Aerie.Base.Address.loopback?()
 
   @doc "An address of the settings, which was checked."
   @spec ip(String.t()) :: :inet.ip_address()

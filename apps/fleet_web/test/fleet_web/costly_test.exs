@@ -1,17 +1,17 @@
-defmodule FleetWeb.CostlyTest do
+defmodule FleetWeb.WorkLimitTest do
   @moduledoc "What costs much is done a few at a time, and refused beyond that."
   use FleetWeb.ConsoleCase, async: true
 
   import FleetWeb.HTTPClient
 
   alias FleetWeb.Console.Access.Users
-  alias FleetWeb.Costly
-  alias FleetWeb.Costly.Places
+  alias FleetWeb.WorkLimit
+  alias FleetWeb.WorkLimit.Places
 
   defp pool do
     gateway = make_ref()
     clock = :counters.new(1, [])
-    start_supervised!({Costly, gateway: gateway, now: fn -> :counters.get(clock, 1) end})
+    start_supervised!({WorkLimit, gateway: gateway, now: fn -> :counters.get(clock, 1) end})
     %{gateway: gateway, clock: clock}
   end
 
@@ -25,7 +25,7 @@ defmodule FleetWeb.CostlyTest do
 
   defp ask(gateway, kind, asker, n) do
     test = self()
-    Task.async(fn -> Costly.run(gateway, kind, asker, held(test, n)) end)
+    Task.async(fn -> WorkLimit.run(gateway, kind, asker, held(test, n)) end)
   end
 
   test "of a kind so many are done at once, by low processes, and the others in their turn" do
@@ -34,9 +34,9 @@ defmodule FleetWeb.CostlyTest do
     tasks = for n <- 1..(half + 2), do: ask(gateway, :password, {:place, n, false}, n)
     first = for _n <- 1..half, do: assert_receive({:working, _n, _pid, {:priority, :low}})
     # The pool has heard of all of them: who asks again is refused at once.
-    pool = Aerie.Names.whereis(gateway, :costly)
+    pool = Aerie.Base.Names.whereis(gateway, :costly)
     eventually(fn -> MapSet.size(:sys.get_state(pool).places.askers) == half + 2 end)
-    assert {:busy, 2} = Costly.run(gateway, :password, {:place, half + 2, false}, fn -> :never end)
+    assert {:busy, 2} = WorkLimit.run(gateway, :password, {:place, half + 2, false}, fn -> :never end)
     refute_received {:working, _n, _pid, _priority}
 
     for {:working, _n, pid, _priority} <- first, do: send(pid, :go)
@@ -71,22 +71,22 @@ defmodule FleetWeb.CostlyTest do
   test "a user has so many of a kind, and then one in a while; what fails is nobody else's fault" do
     %{gateway: gateway, clock: clock} = pool()
     me = {:name, "vic"}
-    for n <- 1..5, do: assert(Costly.run(gateway, :password, me, fn -> n end) == {:ok, n})
-    assert {:busy, 12} = Costly.run(gateway, :password, me, fn -> 6 end)
-    assert {:ok, 1} = Costly.run(gateway, :password, {:name, "ann"}, fn -> 1 end)
-    assert {:ok, 1} = Costly.run(gateway, :parse, me, fn -> 1 end)
+    for n <- 1..5, do: assert(WorkLimit.run(gateway, :password, me, fn -> n end) == {:ok, n})
+    assert {:busy, 12} = WorkLimit.run(gateway, :password, me, fn -> 6 end)
+    assert {:ok, 1} = WorkLimit.run(gateway, :password, {:name, "ann"}, fn -> 1 end)
+    assert {:ok, 1} = WorkLimit.run(gateway, :parse, me, fn -> 1 end)
     :counters.add(clock, 1, 12_000)
-    assert {:ok, 7} = Costly.run(gateway, :password, me, fn -> 7 end)
+    assert {:ok, 7} = WorkLimit.run(gateway, :password, me, fn -> 7 end)
 
     assert {:shutdown, :broken} =
-             catch_exit(Costly.run(gateway, :parse, me, fn -> exit({:shutdown, :broken}) end))
+             catch_exit(WorkLimit.run(gateway, :parse, me, fn -> exit({:shutdown, :broken}) end))
 
-    assert {:ok, 8} = Costly.run(gateway, :parse, me, fn -> 8 end)
+    assert {:ok, 8} = WorkLimit.run(gateway, :parse, me, fn -> 8 end)
 
-    assert Enum.count(1..1_000, fn _n -> Costly.spend(gateway, "vic", 1) end) == 400
-    refute Costly.spend(gateway, "vic", 1)
-    assert Costly.spend(gateway, "ann", 5)
-    assert {:busy, 1} = Costly.run(make_ref(), :parse, me, fn -> :never end)
+    assert Enum.count(1..1_000, fn _n -> WorkLimit.spend(gateway, "vic", 1) end) == 400
+    refute WorkLimit.spend(gateway, "vic", 1)
+    assert WorkLimit.spend(gateway, "ann", 5)
+    assert {:busy, 1} = WorkLimit.run(make_ref(), :parse, me, fn -> :never end)
   end
 
   test "a flood of own-password events costs five hashes; the page says so, and the right one waits as well" do
@@ -114,7 +114,7 @@ defmodule FleetWeb.CostlyTest do
     jar = sign_in(console, "viewer", password(:viewer)).jar
 
     spend = fn ->
-      Stream.repeatedly(fn -> Costly.spend(console.gateway, "viewer", 1) end) |> Enum.find(&(not &1))
+      Stream.repeatedly(fn -> WorkLimit.spend(console.gateway, "viewer", 1) end) |> Enum.find(&(not &1))
     end
 
     answer =
@@ -129,7 +129,9 @@ defmodule FleetWeb.CostlyTest do
 
   test "imports by REST have limits, and say when to ask again" do
     [console: console] =
-      start_console(config: %{http: %{port: 0}, api: %{key: Aerie.Secret.new("a-key-for-the-tests-0123")}})
+      start_console(
+        config: %{http: %{port: 0}, api: %{key: Aerie.Base.Secret.new("a-key-for-the-tests-0123")}}
+      )
 
     headers = [{"x-aerie-key", "a-key-for-the-tests-0123"}, {"content-type", "application/json"}]
 

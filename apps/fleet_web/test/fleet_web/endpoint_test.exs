@@ -5,7 +5,7 @@ defmodule FleetWeb.EndpointTest do
 
   import Aerie.Patience, only: [eventually: 1]
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias MavCodec.Messages
 
   setup do
@@ -36,7 +36,7 @@ defmodule FleetWeb.EndpointTest do
   test "without NATS a restart can be told, too: an epoch in the status and in events, and gateway.started",
        context do
     event = Aerie.Vehicle.Event.new("VID-001", "armed", 1, 1_763_800_000_000_000, nil, %{"mode" => "AUTO"})
-    Aerie.Fleet.Journal.commit(context.gateway, "VID-001", 1, [event])
+    Aerie.Vehicle.Journal.commit(context.gateway, "VID-001", 1, [event])
     assert {200, %{"epoch" => epoch}} = json(context.port, "/api/status")
     assert_in_delta epoch, System.os_time(:millisecond), 300_000
     assert {200, %{"events" => shown}} = json(context.port, "/api/events")
@@ -84,7 +84,7 @@ defmodule FleetWeb.EndpointTest do
     Store.put_link(context.gateway, "slow", %{link | id: "slow", behind: %{since: since, frames: 8}})
     counters = %{link.counters | kernel_dropped: 5, shed: 7}
     client = %{link | id: "gcs", overload: %{since: since, datagrams: 12}, counters: counters}
-    Aerie.Link.Clients.put_link(context.gateway, "gcs", client, [])
+    MavRouter.Link.Clients.put_link(context.gateway, "gcs", client, [])
 
     # Its own loops, late on a busy machine, would be further problems.
     %{"problems" => problems, "links" => links} =

@@ -3,7 +3,7 @@ defmodule FleetWeb.HealthTest do
 
   import Aerie.Patience, only: [eventually: 1]
 
-  alias Aerie.Bridge.Tables
+  alias Aerie.Fleet.Bridge.Tables
   alias FleetWeb.Health
 
   @moduletag :tmp_dir
@@ -23,7 +23,7 @@ defmodule FleetWeb.HealthTest do
     why = "cannot connect to NATS at nats://127.0.0.1:1: "
     eventually(fn -> match?({false, %{nats: %{problem: ^why <> _reason}}}, Health.ready(gateway)) end)
     # The first retry is at once; the next one is a minute later.
-    connection = Aerie.Names.whereis(gateway, :bridge_connection)
+    connection = Aerie.Base.Names.whereis(gateway, :bridge_connection)
     eventually(fn -> :sys.get_state(connection, Aerie.Patience.ms()).machine.attempts >= 2 end)
 
     tables = Tables.get(gateway)
@@ -36,7 +36,7 @@ defmodule FleetWeb.HealthTest do
 
     # Ready means ready: not while code is loaded, which delays frames.
     loader = spawn_link(fn -> receive(do: (:loaded -> :ok)) end)
-    :ok = Aerie.Store.starting(gateway, loader)
+    :ok = Aerie.Base.Store.starting(gateway, loader)
     assert {false, %{problems: ["the gateway still starts" <> _]}} = Health.ready(gateway)
     send(loader, :loaded)
     eventually(fn -> match?({true, _report}, Health.ready(gateway)) end)
@@ -71,7 +71,7 @@ defmodule FleetWeb.HealthTest do
     eventually(fn -> match?({true, %{problems: []}}, Health.ready(gateway)) end)
 
     for role <- [:router_sweeper, :pubsub] do
-      stuck = Aerie.Names.whereis(gateway, role)
+      stuck = Aerie.Base.Names.whereis(gateway, role)
       :ok = :sys.suspend(stuck, Aerie.Patience.ms())
 
       eventually(fn ->

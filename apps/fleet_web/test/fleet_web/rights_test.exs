@@ -2,7 +2,9 @@ defmodule FleetWeb.RightsTest do
   @moduledoc "Who may change what: by REST with each kind of key, and in the console, against the one table."
   use FleetWeb.APICase, async: true
 
-  alias Aerie.{Client, DoorCase, Link, Router, Store}
+  alias Aerie.Base.Store
+  alias Aerie.DoorCase
+  alias MavRouter.{Client, Link, Router}
   alias FleetWeb.API.{Access, OpenAPI, Resources}
   alias FleetWeb.Console
   alias FleetWeb.Rights

@@ -1,9 +1,9 @@
 defmodule FleetWeb.WebSocketTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Store
-  alias Aerie.Router
-  alias Aerie.Router.Endpoint
+  alias Aerie.Base.Store
+  alias MavRouter.Router
+  alias MavRouter.Router.Endpoint
   alias FleetWeb.WSClient
 
   @settings %{
@@ -176,8 +176,8 @@ defmodule FleetWeb.WebSocketTest do
       File.write!(file, "olga the-key-of-olga-0 role=operator\nvictor the-key-of-victor role=viewer\n")
       File.chmod!(file, 0o600)
       c = start(keys_file: file)
-      {:ok, policy} = Aerie.Policy.compile(%{})
-      start_supervised!({Aerie.Policy.Store, gateway: c.gateway, policy: policy})
+      {:ok, policy} = Aerie.Control.Policy.compile(%{})
+      start_supervised!({Aerie.Control.Policy.Store, gateway: c.gateway, policy: policy})
       say(c.link, heartbeat(1))
       reboot = MavCodec.encode(%MavCodec.Messages.CommandLong{target_system: 1, command: 246}, system: 255)
 
@@ -266,9 +266,9 @@ defmodule FleetWeb.WebSocketTest do
     test "reserved places outlive the process that counts them" do
       c = start(websocket: %{max_clients: 1})
       client = open(c)
-      capacity = Aerie.Names.whereis(c.gateway, :websocket_capacity)
+      capacity = Aerie.Base.Names.whereis(c.gateway, :websocket_capacity)
       Process.exit(capacity, :kill)
-      eventually(fn -> Aerie.Names.whereis(c.gateway, :websocket_capacity) not in [nil, capacity] end)
+      eventually(fn -> Aerie.Base.Names.whereis(c.gateway, :websocket_capacity) not in [nil, capacity] end)
       assert {503, %{"error" => %{"message" => message}}} = open(c)
       assert message =~ "max_clients"
       WSClient.close(client)

@@ -2,7 +2,7 @@ defmodule FleetWeb.APICase do
   @moduledoc "A gateway without links and NATS, its HTTP server on a free port, and a plain HTTP client."
   use ExUnit.CaseTemplate
 
-  alias Aerie.Secret
+  alias Aerie.Base.Secret
 
   using do
     quote do
@@ -91,7 +91,7 @@ defmodule FleetWeb.APICase do
   def put_vehicle(gateway, id, system) do
     now = System.os_time(:microsecond)
 
-    Aerie.Store.put_vehicle(gateway, {"main", system}, %{
+    Aerie.Base.Store.put_vehicle(gateway, {"main", system}, %{
       id: id,
       key: {"main", system},
       network: "main",

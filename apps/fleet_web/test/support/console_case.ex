@@ -13,7 +13,7 @@ defmodule FleetWeb.ConsoleCase do
   """
   use ExUnit.CaseTemplate
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias FleetWeb.Console
   alias FleetWeb.Console.Access.{Password, Session, Users}
   alias FleetWeb.ConsoleCase
@@ -99,8 +99,10 @@ defmodule FleetWeb.ConsoleCase do
       for role <- [:viewer, :operator, :admin],
           do: %{name: role, role: role, password: Password.hash(password(role), @iterations)}
 
-    :ok = Aerie.PrivateFile.new_folder(dir)
-    :ok = Aerie.PrivateFile.write(Path.join(dir, "users.json"), JSON.encode_to_iodata!(%{users: users}))
+    :ok = Aerie.Base.Files.Private.new_folder(dir)
+
+    :ok =
+      Aerie.Base.Files.Private.write(Path.join(dir, "users.json"), JSON.encode_to_iodata!(%{users: users}))
   end
 
   @doc "Somebody with a role, signed in; `nil`: nobody. For `Phoenix.LiveViewTest.live/2`. A test with pages of its own gives its router."

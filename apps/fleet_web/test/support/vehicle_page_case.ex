@@ -8,8 +8,8 @@ defmodule FleetWeb.VehiclePageCase do
   import FleetWeb.ConsoleCase
   import Phoenix.LiveViewTest, except: [conn: 1, conn: 2]
 
-  alias Aerie.Fleet.Journal
-  alias Aerie.Store
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.Store
   alias Aerie.Vehicle.Event
   alias FleetWeb.ConsoleCase
 

@@ -143,7 +143,7 @@ defmodule MavCodec.Parser do
     do: read(%{parser | scanner: Scanner.boundary(scanner)}, data, byte_size(data), at, :datagram)
 
   def push_datagram(%__MODULE__{held: held, scanner: scanner} = parser, data, at) do
-    case Candidate.judge(data, scanner.known, scanner.accepted) do
+    case Candidate.classify(data, scanner.known, scanner.accepted) do
       {:good, _size, _extra} ->
         {before, parser} = flush(parser)
         {frames, parser} = read(parser, data, byte_size(data), at, :datagram)

@@ -8,8 +8,8 @@ defmodule Aerie.EndpointCase do
 
   import Aerie.LinkCase
 
-  alias Aerie.Router
-  alias Aerie.Router.Endpoint
+  alias MavRouter.Router
+  alias MavRouter.Router.Endpoint
   alias MavCodec.Messages
   alias MavCodec.Parser
 
@@ -19,8 +19,8 @@ defmodule Aerie.EndpointCase do
 
       import Aerie.EndpointCase
 
-      alias Aerie.Router
-      alias Aerie.Router.Endpoint
+      alias MavRouter.Router
+      alias MavRouter.Router.Endpoint
       alias MavCodec.Messages
     end
   end
@@ -29,7 +29,7 @@ defmodule Aerie.EndpointCase do
     {:ok, gateway: start_parts(%{mavlink: %{system_id: 245, component_id: 191}})}
   end
 
-  @doc "A process that is an endpoint; the options are those of `Aerie.Router.Endpoint.attach/2`."
+  @doc "A process that is an endpoint; the options are those of `MavRouter.Router.Endpoint.attach/2`."
   @spec endpoint(term, String.t(), keyword) :: map
   def endpoint(gateway, name, options) do
     test = self()

@@ -5,9 +5,9 @@ defmodule Aerie.FakeVehicles do
   """
   use GenServer
 
-  @behaviour Aerie.Router.Vehicles
+  @behaviour MavRouter.Router.Vehicles
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @doc "The parts of `Aerie.LinkCase.start_parts/2` for a router with at most so many of these vehicles."
   @spec parts(pos_integer) :: keyword
@@ -16,7 +16,7 @@ defmodule Aerie.FakeVehicles do
   def start_link(options),
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :vehicles))
 
-  @impl Aerie.Router.Vehicles
+  @impl MavRouter.Router.Vehicles
   def ensure(gateway, key),
     do: GenServer.call(Names.via(gateway, :vehicles), {:ensure, key}, Aerie.Patience.ms())
 
@@ -41,7 +41,7 @@ defmodule Aerie.FakeVehicles do
       spawn_link(fn ->
         :ok = Names.register(gateway, :session, key)
 
-        with {:frames, sender, frames} <- Aerie.Router.first_frames(gateway, key),
+        with {:frames, sender, frames} <- MavRouter.Router.first_frames(gateway, key),
              do: send(test, {:session, key, sender, frames})
 
         send(vehicles, {:started, self()})

@@ -5,8 +5,8 @@ defmodule Aerie.LinkCase do
   """
   use ExUnit.CaseTemplate
 
-  alias Aerie.Link
-  alias Aerie.Names
+  alias MavRouter.Link
+  alias Aerie.Base.Names
 
   using do
     quote do
@@ -26,11 +26,11 @@ defmodule Aerie.LinkCase do
     plain = &Enum.map(&1, fn module -> {module, []} end)
 
     parts =
-      plain.([Aerie.Store, Aerie.Store.PubSub]) ++
+      plain.([Aerie.Base.Store, Aerie.Base.PubSub]) ++
         Keyword.get(more, :before, []) ++
         plain.(
-          [Aerie.Router.Supervisor] ++
-            Keyword.get(more, :above, [Aerie.Identity.Watchdog]) ++ [Link.Supervisor]
+          [MavRouter.Router.Supervisor] ++
+            Keyword.get(more, :above, [MavRouter.Identity.Watchdog]) ++ [Link.Supervisor]
         )
 
     for {module, further} <- parts do
@@ -64,7 +64,9 @@ defmodule Aerie.LinkCase do
   @spec clients(term, map) :: Supervisor.child_spec()
   def clients(gateway, config),
     do:
-      Aerie.Successor.child_spec({Link.Clients.Supervisor, options(Link.Clients.Supervisor, gateway, config)})
+      Aerie.Base.Successor.child_spec(
+        {Link.Clients.Supervisor, options(Link.Clients.Supervisor, gateway, config)}
+      )
 
   # Recordings are saved on events only where a test asks for it.
   defp without_saving(config) do
@@ -81,7 +83,7 @@ defmodule Aerie.LinkCase do
 
   @doc """
   Gives `deliver` the heartbeats of 300 vehicles on two networks, each followed by a frame of the calling process's own session, of
-  which none may be lost. A few vehicles are started at once, the others by `Aerie.Router.VehicleStarter`. Gives their keys.
+  which none may be lost. A few vehicles are started at once, the others by `MavRouter.Router.VehicleStarter`. Gives their keys.
   """
   @spec many_vehicles(term, (binary, network :: String.t() -> map)) :: [{String.t(), pos_integer}]
   def many_vehicles(gateway, deliver) do
@@ -125,7 +127,7 @@ defmodule Aerie.LinkCase do
     {id, snapshot(gateway, id).port}
   end
 
-  @doc "The snapshot of this moment, however late the link is: after a second `Aerie.Link.snapshot/2` gives an older one."
+  @doc "The snapshot of this moment, however late the link is: after a second `MavRouter.Link.snapshot/2` gives an older one."
   @spec snapshot(term, String.t()) :: map | nil
   def snapshot(gateway, id), do: Link.snapshot(gateway, id, Aerie.Patience.ms())
 

@@ -17,7 +17,7 @@ defmodule Aerie.RecorderCase do
     section =
       Map.merge(%{dir: Path.join(dir, "recordings"), min_free_mb: 0, flush_ms: 5, space_ms: 60_000}, recorder)
 
-    Aerie.LinkCase.start_parts(%{recorder: section}, before: [{Aerie.Recorder.Supervisor, []}])
+    Aerie.LinkCase.start_parts(%{recorder: section}, before: [{MavRouter.Recorder.Supervisor, []}])
   end
 
   @doc "The frame of bytes that came at a time."
@@ -55,8 +55,8 @@ defmodule Aerie.RecorderCase do
 
   defmodule FullDisk do
     @moduledoc "Writes go to /dev/full, where the system itself says that the disk is full."
-    @behaviour Aerie.Recorder.Files
-    alias Aerie.Recorder.Files
+    @behaviour MavRouter.Recorder.Files
+    alias MavRouter.Recorder.Files
 
     @impl Files
     defdelegate create(path), to: Files
@@ -77,8 +77,8 @@ defmodule Aerie.RecorderCase do
     A disk whose state is a public table: `full` (writes fail after half of what was given), `free` (bytes), and a gate that
     writes wait at while it is closed.
     """
-    @behaviour Aerie.Recorder.Files
-    alias Aerie.Recorder.Files
+    @behaviour MavRouter.Recorder.Files
+    alias MavRouter.Recorder.Files
 
     @doc "A disk for the folder of a test; `set/3` changes it."
     @spec new(Path.t()) :: :ok

@@ -33,7 +33,7 @@ defmodule Aerie.SigningCase do
     {clock, options} = Keyword.pop(options, :clock)
     key = Map.merge(%{network: "main", key_file: key_file(dir)}, Map.new(options))
     config = %{signing: %{keys: [key], dir: Path.join(dir, "signing")}}
-    start.(config, before: [{Aerie.Signing.Supervisor, clock: clock}])
+    start.(config, before: [{MavRouter.Signing.Supervisor, clock: clock}])
   end
 
   @doc "The frames of a recording of mav_codec's fixtures, all at one time."

@@ -113,7 +113,7 @@ defmodule SimVehicle.Px4 do
   def boot(v) do
     v = %{v | mode: "AUTO_LOITER"}
     v = Enum.reduce(@unasked, v, &Vehicle.emit(&2, Requests.param_value(&2, &1)))
-    Events.tell(v, :log_opened, log_name(v))
+    Events.emit(v, :log_opened, log_name(v))
   end
 
   @impl SimVehicle.Personality
@@ -145,7 +145,7 @@ defmodule SimVehicle.Px4 do
   @impl SimVehicle.Personality
   def flight_event(v, :airborne) do
     v = Vehicle.put_own(%{v | landed: :taking_off}, :landed_at, nil)
-    Events.tell(v, :takeoff, [], {6, "Takeoff detected"})
+    Events.emit(v, :takeoff, [], {6, "Takeoff detected"})
   end
 
   def flight_event(v, :takeoff_done) do
@@ -155,7 +155,7 @@ defmodule SimVehicle.Px4 do
 
   def flight_event(v, {:phase, :land}) do
     v = %{v | landed: :landing}
-    if v.mode == "AUTO_RTL", do: Events.tell(v, :return_landing, [], {6, "RTL: land at destination"}), else: v
+    if v.mode == "AUTO_RTL", do: Events.emit(v, :return_landing, [], {6, "RTL: land at destination"}), else: v
   end
 
   def flight_event(v, {:touchdown, _speed}), do: v
@@ -164,7 +164,7 @@ defmodule SimVehicle.Px4 do
     %{v | landed: :on_ground}
     |> Vehicle.put_own(:landed_at, if(v.armed, do: v.now))
     |> Vehicle.put_own(:task, :done)
-    |> Events.tell(:landing_detected, [], {6, "Landing detected"})
+    |> Events.emit(:landing_detected, [], {6, "Landing detected"})
   end
 
   def flight_event(v, {:item, _item}), do: %{v | landed: if(v.airborne, do: :in_air, else: v.landed)}

@@ -1,9 +1,9 @@
 defmodule Aerie.CommandSamples do
   @moduledoc "Commands for tests: one of each type, and any."
 
-  alias Aerie.Command
-  alias Aerie.Command.{Type, Types}
-  alias Aerie.Protocol.Vehicle
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Vehicle.Protocol.Vehicle
 
   @now 1_795_000_000_000_000
 

@@ -11,13 +11,13 @@ defmodule Aerie.GatewayCase do
   end
 
   @parts [
-    {:always, Aerie.Store},
-    {:always, Aerie.Store.PubSub},
-    {:always, Aerie.Signing.Supervisor},
-    {:always, Aerie.Recorder.Supervisor},
-    {:router, Aerie.Router.Supervisor},
+    {:always, Aerie.Base.Store},
+    {:always, Aerie.Base.PubSub},
+    {:always, MavRouter.Signing.Supervisor},
+    {:always, MavRouter.Recorder.Supervisor},
+    {:router, MavRouter.Router.Supervisor},
     {:always, Aerie.Vehicle.Supervisor},
-    {:links, Aerie.Link.Supervisor}
+    {:links, MavRouter.Link.Supervisor}
   ]
 
   # Modules of higher apps with `parts/0` and `plugs/1`; test_helper.exs of an app names them.
@@ -60,12 +60,12 @@ defmodule Aerie.GatewayCase do
 
     children =
       for part <- parts(Keyword.get(options, :with, [])) do
-        more = if part == Aerie.Store.PubSub, do: tick, else: []
-        Aerie.Successor.child_spec({part, part(part, name, config) ++ more})
+        more = if part == Aerie.Base.PubSub, do: tick, else: []
+        Aerie.Base.Successor.child_spec({part, part(part, name, config) ++ more})
       end
 
     strategy = [strategy: :rest_for_one, max_restarts: 3, max_seconds: 60]
-    Supervisor.start_link(children, strategy ++ [name: Aerie.Names.via(name, :gateway)])
+    Supervisor.start_link(children, strategy ++ [name: Aerie.Base.Names.via(name, :gateway)])
   end
 
   # No NATS, sockets or clients unless the test asks for them.
@@ -85,11 +85,11 @@ defmodule Aerie.GatewayCase do
   def plugs(config) do
     own = [
       tables: [
-        Aerie.Fleet.Journal.table(Aerie.Fleet.Journal.Settings.from(config)),
-        Aerie.Fleet.StreamDemand.table()
+        Aerie.Vehicle.Journal.table(Aerie.Vehicle.Journal.Settings.from(config)),
+        Aerie.Vehicle.Services.StreamDemand.table()
       ],
       vehicles: Aerie.Vehicle.Supervisor,
-      requests: Aerie.Vehicle.Streams,
+      requests: Aerie.Vehicle.Services.Streams,
       events: Aerie.Vehicle.Events.External
     ]
 
@@ -99,8 +99,8 @@ defmodule Aerie.GatewayCase do
   end
 
   @doc "The keys of the vehicles that have a supervision tree."
-  @spec trees(term()) :: [Aerie.Store.vehicle_key()]
-  def trees(gateway), do: for({key, _pid, _options} <- Aerie.Names.all(gateway, :tree), do: key)
+  @spec trees(term()) :: [Aerie.Base.Store.vehicle_key()]
+  def trees(gateway), do: for({key, _pid, _options} <- Aerie.Base.Names.all(gateway, :tree), do: key)
 
   @doc "See `Aerie.Patience.eventually/1`."
   @spec eventually((-> result)) :: result when result: term()

@@ -4,7 +4,7 @@ defmodule Aerie.StreamVehicle do
   last, by whoever, obeys or ignores commands, and may be behind a slow link. Time is in ticks of 50 ms.
   """
 
-  alias Aerie.Vehicle.Streams.{Arbiter, Request}
+  alias Aerie.Vehicle.Services.Streams.{Arbiter, Request}
   alias MavCodec.Messages.{CommandLong, RequestDataStream}
 
   @tick_us 50_000
@@ -83,7 +83,7 @@ defmodule Aerie.StreamVehicle do
   end
 
   defp speak(vehicle) do
-    vehicle = %{vehicle | arbiter: Arbiter.heard(vehicle.arbiter, "a", 0, vehicle.now)}
+    vehicle = %{vehicle | arbiter: Arbiter.received(vehicle.arbiter, "a", 0, vehicle.now)}
 
     Enum.reduce(vehicle.rates, vehicle, fn {id, hz}, vehicle ->
       speak(vehicle, id, min(hz, vehicle.cap) * vehicle.carried)
@@ -97,7 +97,7 @@ defmodule Aerie.StreamVehicle do
 
     arbiter =
       Enum.reduce(1..whole//1, vehicle.arbiter, fn _, arbiter ->
-        Arbiter.heard(arbiter, "a", id, vehicle.now)
+        Arbiter.received(arbiter, "a", id, vehicle.now)
       end)
 
     %{vehicle | arbiter: arbiter, due: Map.put(vehicle.due, id, owed - whole)}
@@ -135,7 +135,7 @@ defmodule Aerie.StreamVehicle do
     vehicle = ack(vehicle, 512, 0)
 
     if vehicle.acks,
-      do: %{vehicle | arbiter: Arbiter.heard(vehicle.arbiter, "a", trunc(id), vehicle.now)},
+      do: %{vehicle | arbiter: Arbiter.received(vehicle.arbiter, "a", trunc(id), vehicle.now)},
       else: vehicle
   end
 

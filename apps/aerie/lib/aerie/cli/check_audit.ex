@@ -1,7 +1,7 @@
 defmodule Aerie.CLI.CheckAudit do
-  @moduledoc "`bin/run --check-audit DIR`: checks that an audit log is complete and unchanged (`Aerie.Policy.Audit.Verify`)."
+  @moduledoc "`bin/run --check-audit DIR`: checks that an audit log is complete and unchanged (`Aerie.Control.Policy.Audit.Verify`)."
 
-  alias Aerie.Policy.Audit.Verify
+  alias Aerie.Control.Policy.Audit.Verify
 
   @doc "`{:finish, text}` for a log that is intact, `{:denied, text}` with its problems, `{:fail, text}` if it cannot be read."
   @spec run(Path.t(), folder :: String.t()) :: {:finish | :denied | :fail, String.t()}

@@ -3,13 +3,15 @@ defmodule Aerie.CLI.CheckPolicy do
   `bin/run --check-policy FILE --command JSON`: prints what the policy of a configuration decides about a command, without starting a gateway.
 
   `--vehicle` describes the vehicle as far as it is known, with the groups of `GET /api/vehicles/ID`
-  (`Aerie.Policy.Context.parse/3`); `--role` is that of the source, operator if left out. Rates are not checked: they depend on what
+  (`Aerie.Control.Policy.Context.parse/3`); `--role` is that of the source, operator if left out. Rates are not checked: they depend on what
   was commanded before.
   """
 
-  alias Aerie.{Command, Config, Policy}
+  alias Aerie.Config
+  alias Aerie.Control.Policy
+  alias Aerie.Vehicle.Command
   alias Aerie.CLI.Options
-  alias Aerie.Policy.{Context, Roles}
+  alias Aerie.Control.Policy.{Context, Roles}
 
   @doc "`{:finish, text}` for an allowed command, `{:denied, text}` with rule and reason, `{:fail, text}` for what cannot be judged."
   @spec run(Options.t(), folder :: String.t()) :: {:finish | :denied | :fail, String.t()}

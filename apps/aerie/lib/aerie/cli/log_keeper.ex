@@ -30,7 +30,10 @@ defmodule Aerie.CLI.LogKeeper do
     # The BEAM's own may have ended with its device.
     handler = current() || %{module: :logger_std_h}
     _ = :logger.remove_handler(@handler)
-    handler = Map.merge(handler, %{config: %{type: {:device, device}}, formatter: Aerie.Log.Formatter.new()})
+
+    handler =
+      Map.merge(handler, %{config: %{type: {:device, device}}, formatter: Aerie.Base.Log.Formatter.new()})
+
     {:reply, :logger.add_handler(@handler, :logger_std_h, handler), handler}
   end
 

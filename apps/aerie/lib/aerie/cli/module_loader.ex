@@ -4,13 +4,13 @@ defmodule Aerie.CLI.ModuleLoader do
   first call, which fails when file descriptors have run out or the files are gone.
 
   Loading takes a second or two, and links and vehicles do not wait for it. But frames that come meanwhile are late, so the gateway
-  says that it is ready only when all is loaded (`Aerie.Store.starting/2`). Modules are loaded in small batches: a large one would
+  says that it is ready only when all is loaded (`Aerie.Base.Store.starting/2`). Modules are loaded in small batches: a large one would
   delay modules that are needed at once, and one by one takes twice the time.
   """
 
   require Logger
 
-  alias Aerie.{Names, Store}
+  alias Aerie.Base.{Names, Store}
 
   @batch 32
 

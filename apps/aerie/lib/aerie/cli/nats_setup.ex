@@ -1,7 +1,7 @@
 defmodule Aerie.CLI.NatsSetup do
-  @moduledoc "The command `bin/nats-setup`: keys, certificates and accounts of a fleet (`Aerie.Bridge.Hub.Setup`)."
+  @moduledoc "The command `bin/nats-setup`: keys, certificates and accounts of a fleet (`Aerie.Fleet.Bridge.Hub.Setup`)."
 
-  alias Aerie.Bridge.Hub.Setup
+  alias Aerie.Fleet.Bridge.Hub.Setup
 
   @switches [
     host: :keep,

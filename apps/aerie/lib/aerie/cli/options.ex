@@ -19,8 +19,8 @@ defmodule Aerie.CLI.Options do
             check_audit: nil,
             quiet: false
 
-  alias Aerie.Command.Type
-  alias Aerie.Policy.Roles
+  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Control.Policy.Roles
 
   @typedoc """
   * `links` - connection strings, in the order given
@@ -83,7 +83,7 @@ defmodule Aerie.CLI.Options do
     fly (in a checkout; a release has none), and UDP port 14550 is open for real ones. Press Ctrl-C to stop it.
 
     --link STRING      connect to vehicles (may be repeated):
-                         #{Enum.join(Aerie.Link.Transport.help(), "\n" <> String.duplicate(" ", 23))}
+                         #{Enum.join(MavRouter.Link.Transport.help(), "\n" <> String.duplicate(" ", 23))}
     --replay FILE      play a recorded flight (a .tlog file) instead of connecting to vehicles
     --speed N|max      with --replay: playback speed, up to 1000 times real time (default 1)
                        with --sim: the vehicles' time, 0.1 to 100 times real time

@@ -6,8 +6,10 @@ defmodule Aerie.CLI.ReplayEvents do
   consumer reads both. Keys are sorted: the same recording gives the same bytes in every VM.
   """
 
-  alias Aerie.Bridge.Message
-  alias Aerie.{Config, Printable, Replay}
+  alias Aerie.Fleet.Bridge.Message
+  alias Aerie.Base.Printable
+  alias Aerie.Config
+  alias Aerie.Fleet.Replay
   alias Aerie.CLI.{Options, Output, Plan}
   alias MavCodec.Tlog.Damage
 

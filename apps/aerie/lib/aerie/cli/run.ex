@@ -15,8 +15,9 @@ defmodule Aerie.CLI.Run do
   If a part fails to start, the parts before it are stopped and the error messages are returned.
   """
 
-  alias Aerie.{Config, EventLog, Log, Reload, Systemd}
-  alias Aerie.Link.Spec
+  alias Aerie.{Config, EventLog, Reload, Systemd}
+  alias Aerie.Base.Log
+  alias MavRouter.Link.Spec
   alias Aerie.CLI.{ModuleLoader, Plan, Ports, Status}
 
   @loopback {127, 0, 0, 1}
@@ -204,7 +205,7 @@ defmodule Aerie.CLI.Run do
       gateway: gateway,
       settings: FleetWeb.Settings.from(config),
       reload: &Reload.run(gateway, &1),
-      configuration: fn -> gateway |> Reload.in_force(config) |> Config.Shown.sections() end
+      configuration: fn -> gateway |> Reload.in_force(config) |> Config.Listing.sections() end
     ]
 
     [{:http, {FleetWeb.Endpoint, options}}]

@@ -6,10 +6,12 @@ defmodule Aerie.CLI.Status do
 
   use GenServer
 
-  alias Aerie.{Fleet, Log}
-  alias Aerie.Log.Formatter
-  alias Aerie.Store.PubSub
-  alias Aerie.Store
+  alias Aerie.Base.Log
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.Log.Formatter
+  alias Aerie.Base.PubSub
+  alias Aerie.Base.Store
   alias FleetWeb.Console.Access.Launch
   alias Aerie.CLI.Status.{Access, Format, Lines, Table, View}
 
@@ -83,7 +85,7 @@ defmodule Aerie.CLI.Status do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp listed(gateway) do
-    case Aerie.Policy.Store.get(gateway) do
+    case Aerie.Control.Policy.Store.get(gateway) do
       nil -> []
       policy -> policy.clients
     end
@@ -91,9 +93,9 @@ defmodule Aerie.CLI.Status do
 
   defp view(state) do
     links = state.gateway |> Store.links() |> Enum.sort_by(& &1.id)
-    commands = Map.new(links, &{&1.id, Aerie.Router.gcs(state.gateway, &1.id)})
+    commands = Map.new(links, &{&1.id, MavRouter.Router.gcs(state.gateway, &1.id)})
 
-    clients = Aerie.Client.endpoints(state.gateway)
+    clients = MavRouter.Client.endpoints(state.gateway)
 
     %View{
       now: System.os_time(:microsecond),
@@ -102,11 +104,11 @@ defmodule Aerie.CLI.Status do
       links: links,
       interfaces: Access.list(links, commands, clients, bound(state), listed(state.gateway)),
       clients: clients,
-      nats: Aerie.Bridge.info(state.gateway),
-      nats_login: if(state.style == :table, do: Aerie.Bridge.login_url(state.gateway)),
+      nats: Aerie.Fleet.Bridge.info(state.gateway),
+      nats_login: if(state.style == :table, do: Aerie.Fleet.Bridge.login_url(state.gateway)),
       published: published(state.gateway),
-      pending: Fleet.Journal.pending_size(state.gateway),
-      identity: Aerie.Router.identity(state.gateway),
+      pending: Journal.pending_size(state.gateway),
+      identity: MavRouter.Router.identity(state.gateway),
       warnings: if(state.config, do: state.config.warnings, else: []),
       http: state.http,
       console: if(state.style == :table and state.http != nil, do: Launch.url(state.gateway, state.http)),
@@ -133,7 +135,8 @@ defmodule Aerie.CLI.Status do
   defp bound(settings, _server, _gateway), do: settings
 
   defp published(gateway) do
-    for %{name: "gateway_nats_messages_published_total", samples: samples} <- Aerie.Bridge.metrics(gateway),
+    for %{name: "gateway_nats_messages_published_total", samples: samples} <-
+          Aerie.Fleet.Bridge.metrics(gateway),
         {_labels, n} <- samples,
         reduce: 0,
         do: (sum -> sum + n)

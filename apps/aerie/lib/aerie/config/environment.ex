@@ -7,7 +7,7 @@ defmodule Aerie.Config.Environment do
   """
 
   alias Aerie.Config.{Error, Keys, Yaml}
-  alias Aerie.Settings.Schema
+  alias Aerie.Base.Settings.Schema
 
   @doc "The variable of a key, from its path."
   @spec name(Schema.path()) :: String.t()

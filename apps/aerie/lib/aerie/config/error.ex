@@ -57,7 +57,7 @@ defmodule Aerie.Config.Error do
   end
 
   defp printable(text) do
-    text = Aerie.Printable.line(text)
+    text = Aerie.Base.Printable.line(text)
     if String.length(text) > 60, do: String.slice(text, 0, 57) <> "...", else: text
   end
 

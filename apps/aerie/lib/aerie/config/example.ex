@@ -5,7 +5,7 @@ defmodule Aerie.Config.Example do
   """
 
   alias Aerie.Config.{Environment, Keys}
-  alias Aerie.Settings.{Field, Schema}
+  alias Aerie.Base.Settings.{Field, Schema}
 
   @head """
   # Aerie gateway: every key with its meaning and default. Made from the schema by `mix aerie.config.example`.

@@ -1,30 +1,30 @@
 defmodule Aerie.Config.Keys do
   @moduledoc """
-  The schema: every key of the configuration. The parts of the gateway declare them (`Aerie.Settings`); the checks, the
+  The schema: every key of the configuration. The parts of the gateway declare them (`Aerie.Base.Settings`); the checks, the
   environment variables, `config/gateway.example.yaml` and `Aerie.Config.default/1` all come from there.
   """
 
-  alias Aerie.Settings
-  alias Aerie.Settings.Field
+  alias Aerie.Base.Settings
+  alias Aerie.Base.Settings.Field
 
   @parts [
-    Aerie.Identity.Settings,
-    Aerie.Link.Settings,
-    Aerie.Link.Clients.Settings,
-    Aerie.Router.Settings,
-    Aerie.Signing.Settings,
-    Aerie.Recorder.Settings,
+    MavRouter.Identity.Settings,
+    MavRouter.Link.Settings,
+    MavRouter.Link.Clients.Settings,
+    MavRouter.Router.Settings,
+    MavRouter.Signing.Settings,
+    MavRouter.Recorder.Settings,
     Aerie.Vehicle.Settings,
     Aerie.Vehicle.Sampling.Settings,
-    Aerie.Fleet.Journal.Settings,
-    Aerie.Bridge.Settings,
-    Aerie.Remote.Settings,
-    Aerie.Commands.Settings,
-    Aerie.Policy.Settings,
-    Aerie.Params.Settings,
-    Aerie.Shadow.Settings,
-    Aerie.Client.Settings,
-    Aerie.Log.Settings,
+    Aerie.Vehicle.Journal.Settings,
+    Aerie.Fleet.Bridge.Settings,
+    Aerie.Fleet.Remote.Settings,
+    Aerie.Control.Commands.Settings,
+    Aerie.Control.Policy.Settings,
+    Aerie.Control.Params.Settings,
+    Aerie.Fleet.Shadow.Settings,
+    Aerie.Fleet.Client.Settings,
+    Aerie.Base.Log.Settings,
     FleetWeb.Settings,
     Aerie.Node.Settings
   ]

@@ -7,10 +7,11 @@ defmodule Aerie.Config.Names do
   that may be another gateway's.
   """
 
-  import Aerie.Settings.Rules
+  import Aerie.Base.Settings.Rules
 
-  alias Aerie.{Commands, Config, Vehicle}
-  alias Aerie.Settings.Schema
+  alias Aerie.{Config, Vehicle}
+  alias Aerie.Control.Commands
+  alias Aerie.Base.Settings.Schema
   alias FleetWeb.API.Keys
   alias FleetWeb.Console.Access.Users
 
@@ -71,7 +72,7 @@ defmodule Aerie.Config.Names do
   # Whose frames come in, by the ids that the policy and filters see.
   defp ends(config) do
     clients =
-      if config.clients == :default, do: [Aerie.Link.Clients.Boot.default_id()], else: ids(config.clients)
+      if config.clients == :default, do: [MavRouter.Link.Clients.Boot.default_id()], else: ids(config.clients)
 
     Enum.uniq(ids(config.links) ++ clients)
   end
@@ -108,7 +109,10 @@ defmodule Aerie.Config.Names do
   end
 
   defp filters(config) do
-    for {section, list} <- [{"links", config.links}, {"clients", Aerie.Link.Clients.Settings.listed(config)}],
+    for {section, list} <- [
+          {"links", config.links},
+          {"clients", MavRouter.Link.Clients.Settings.listed(config)}
+        ],
         {%{filter_out: filter}, index} <- Enum.with_index(list),
         key <- [:allow_sources, :block_sources],
         name <- filter[key] || [],

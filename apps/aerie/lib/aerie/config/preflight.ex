@@ -8,17 +8,18 @@ defmodule Aerie.Config.Preflight do
 
   import Bitwise
 
-  alias Aerie.Bridge.{Leaf, Outbox}
-  alias Aerie.{Config, Damaged, DiskFormat}
+  alias Aerie.Fleet.Bridge.{Leaf, Outbox}
+  alias Aerie.Base.Files.{Damaged, Format}
+  alias Aerie.Config
   alias Aerie.Config.Error
   alias Aerie.Config.Preflight.Contents
   alias Aerie.Config.Yaml.Lines
-  alias Aerie.Ledger.Journal
-  alias Aerie.Link.Spec
-  alias Aerie.Policy.Compile
-  alias Aerie.PrivateFile
-  alias Aerie.Replay.Source
-  alias Aerie.Shadow.Copy
+  alias Aerie.Control.Ledger.Journal
+  alias MavRouter.Link.Spec
+  alias Aerie.Control.Policy.Compile
+  alias Aerie.Base.Files.Private
+  alias Aerie.Fleet.Replay.Source
+  alias Aerie.Fleet.Shadow.LocalStore
   alias FleetWeb.Console.Access.Users
 
   @doc "`{:ok, warnings}` if the gateway can be started, otherwise all reasons why not."
@@ -133,8 +134,8 @@ defmodule Aerie.Config.Preflight do
   # What a newer version wrote is not for this one.
   defp formats(%Config{outbox: outbox, shadow: shadow, commands: %{ledger: ledger}} = config) do
     for {key, {:error, text}} <- [
-          {"outbox.dir", DiskFormat.check(outbox.dir, Outbox.format())},
-          {"shadow.dir", DiskFormat.check(shadow.dir, Copy.format())},
+          {"outbox.dir", Format.check(outbox.dir, Outbox.format())},
+          {"shadow.dir", Format.check(shadow.dir, LocalStore.format())},
           {"commands.ledger.dir", Journal.check(ledger.dir)}
         ],
         do: error(config, key, "a folder that this version of Aerie can read", text)
@@ -179,7 +180,7 @@ defmodule Aerie.Config.Preflight do
   defp writable(config, key, dir) do
     probe = Path.join(dir, ".probe-#{System.pid()}-#{System.unique_integer([:positive])}")
 
-    with :ok <- PrivateFile.new_folder(dir), :ok <- File.write(probe, "") do
+    with :ok <- Private.new_folder(dir), :ok <- File.write(probe, "") do
       _ = File.rm(probe)
       []
     else
@@ -266,7 +267,7 @@ defmodule Aerie.Config.Preflight do
   defp signing(%Config{signing: %{keys: keys}} = config) do
     for {key, index} <- Enum.with_index(keys),
         {name, source} = key_source(key),
-        {:error, reason} <- [Aerie.Signing.Key.read(source)] do
+        {:error, reason} <- [MavRouter.Signing.Key.read(source)] do
       error(config, "signing.keys[#{index}].#{name}", "a signing key that only its owner can read", reason)
     end
   end

@@ -6,12 +6,14 @@ defmodule Aerie.Config.Resolve do
   parts.
   """
 
-  import Aerie.Settings.Rules
+  import Aerie.Base.Settings.Rules
 
-  alias Aerie.{Bridge, Config, Identity}
+  alias Aerie.Config
+  alias Aerie.Fleet.Bridge
+  alias MavRouter.Identity
   alias Aerie.Config.{Keys, Names}
-  alias Aerie.Link.{Configured, Spec}
-  alias Aerie.Settings.Schema
+  alias MavRouter.Link.{Configured, Spec}
+  alias Aerie.Base.Settings.Schema
 
   @doc "Fills in the derived values; returns the remaining problems."
   @spec run(Config.t()) :: {Config.t(), [Schema.problem()]}

@@ -4,7 +4,7 @@ defmodule Aerie.Node.Entry do
   can read them gets into these gateways, so they are for their owner only.
   """
 
-  alias Aerie.PrivateFile
+  alias Aerie.Base.Files.Private
 
   @typedoc """
     * `name` - of the node, before the `@`; `port` - where its distribution listens, on loopback
@@ -26,7 +26,7 @@ defmodule Aerie.Node.Entry do
 
   @doc "Writes the file of a gateway."
   @spec write(Path.t(), t()) :: :ok | {:error, File.posix()}
-  def write(dir, entry), do: PrivateFile.write(file(dir, entry.name), JSON.encode!(entry))
+  def write(dir, entry), do: Private.write(file(dir, entry.name), JSON.encode!(entry))
 
   @doc "Removes it."
   @spec remove(Path.t(), name :: String.t()) :: :ok
@@ -76,9 +76,9 @@ defmodule Aerie.Node.Entry do
   def cookie(dir) do
     path = Path.join(dir, "cookie")
 
-    with :ok <- PrivateFile.folder(dir),
+    with :ok <- Private.folder(dir),
          {:error, :enoent} <- read_cookie(path),
-         :ok <- PrivateFile.write(path, Base.url_encode64(:crypto.strong_rand_bytes(24))) do
+         :ok <- Private.write(path, Base.url_encode64(:crypto.strong_rand_bytes(24))) do
       # Of two that start at once, one has written last.
       read_cookie(path)
     end

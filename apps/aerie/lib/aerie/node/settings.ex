@@ -1,6 +1,6 @@
 defmodule Aerie.Node.Settings do
   @moduledoc "The way in for `bin/aerie`."
-  use Aerie.Settings
+  use Aerie.Base.Settings
 
   section("shell", "The way in for bin/aerie and its shell (docs/operating.md).")
 

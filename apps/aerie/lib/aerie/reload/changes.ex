@@ -4,9 +4,10 @@ defmodule Aerie.Reload.Changes do
   keys that count from the next start on. Pure.
   """
 
-  alias Aerie.{Config, Secret}
+  alias Aerie.Base.Secret
+  alias Aerie.Config
   alias Aerie.Config.Keys
-  alias Aerie.Settings.Schema
+  alias Aerie.Base.Settings.Schema
 
   @typedoc "`changed`: the new one of the same id."
   @type entries :: %{added: [map()], removed: [map()], changed: [map()]}

@@ -3,7 +3,7 @@ defmodule Aerie.Shell.Text do
 
   alias Aerie.CLI.Status.Format
   alias Aerie.Fleet.Age
-  alias Aerie.Inspector.Fields
+  alias Aerie.Fleet.Inspector.Fields
   alias Aerie.Tool.Columns
   alias MavCodec.Frame
 
@@ -70,14 +70,14 @@ defmodule Aerie.Shell.Text do
   end
 
   @doc "The last message of a row as one line."
-  @spec message(Aerie.Inspector.key(), Frame.t()) :: String.t()
+  @spec message(Aerie.Fleet.Inspector.key(), Frame.t()) :: String.t()
   def message({_link, _way, system, component, id}, frame) do
     fields = for field <- Fields.of(frame) || [], do: "#{field.name}=#{value(field.value)}"
     Enum.join(["#{system}/#{component}", Fields.name(id) | fields], " ")
   end
 
-  @doc "Rows of `Aerie.Inspector.rows/2`."
-  @spec trace([Aerie.Inspector.row()]) :: iodata()
+  @doc "Rows of `Aerie.Fleet.Inspector.rows/2`."
+  @spec trace([Aerie.Fleet.Inspector.row()]) :: iodata()
   def trace([]), do: "nothing went over it\n"
 
   def trace(rows) do
@@ -88,8 +88,8 @@ defmodule Aerie.Shell.Text do
     Columns.render(~w(WAY FROM MESSAGE PER-SECOND COUNT), lines)
   end
 
-  @doc "The busiest processes, of `FleetWeb.Console.System.Top`; the first measurement knows no work yet."
-  @spec top(FleetWeb.Console.System.Top.t()) :: iodata()
+  @doc "The busiest processes, of `FleetWeb.Console.System.BusiestProcesses`; the first measurement knows no work yet."
+  @spec top(FleetWeb.Console.System.BusiestProcesses.t()) :: iodata()
   def top(%{reductions: rows}) do
     rows =
       for row <- rows,

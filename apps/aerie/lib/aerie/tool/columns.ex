@@ -25,7 +25,7 @@ defmodule Aerie.Tool.Columns do
   @spec cell(term()) :: String.t()
   def cell(nil), do: "-"
 
-  def cell(text) when is_binary(text), do: Aerie.Printable.line(text)
+  def cell(text) when is_binary(text), do: Aerie.Base.Printable.line(text)
 
   def cell(number) when is_float(number), do: :erlang.float_to_binary(number, [:compact, decimals: 7])
   def cell(other), do: cell(to_string(other))

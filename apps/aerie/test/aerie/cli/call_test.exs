@@ -45,7 +45,7 @@ defmodule Aerie.CLI.CallTest do
     assert text =~ "system_id"
     assert text =~ "http.port"
     assert Supervisor.which_children(context.options[:supervisor]) == []
-    assert Aerie.Names.whereis(context.gateway, :gateway) == nil
+    assert Aerie.Base.Names.whereis(context.gateway, :gateway) == nil
   end
 
   test "a configured port that is taken starts nothing", context do
@@ -64,7 +64,7 @@ defmodule Aerie.CLI.CallTest do
     all = Aerie.CLI.ModuleLoader.all()
 
     for known <- [
-          Aerie.Bridge,
+          Aerie.Fleet.Bridge,
           MavCodec.Messages.Attitude,
           FleetWeb.Endpoint,
           SimVehicle,

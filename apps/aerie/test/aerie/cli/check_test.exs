@@ -2,7 +2,7 @@ defmodule Aerie.CLI.CheckTest do
   use ExUnit.Case, async: true
 
   alias Aerie.CLI
-  alias Aerie.Policy.Audit.Log
+  alias Aerie.Control.Policy.Audit.Log
 
   @moduletag :tmp_dir
 

@@ -1,7 +1,7 @@
 defmodule Aerie.CLI.FacesTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Link.Spec
+  alias MavRouter.Link.Spec
   alias Aerie.CLI.Status.Access
 
   defp link(text, more \\ []) do

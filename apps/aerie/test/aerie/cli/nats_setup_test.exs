@@ -35,7 +35,7 @@ defmodule Aerie.CLI.NatsSetupTest do
     {:ok, %{shadow: %{key: key, former_key: nil}}} =
       Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
 
-    assert Aerie.Secret.reveal(key) == common
+    assert Aerie.Base.Secret.reveal(key) == common
 
     for id <- ["VID-1", "VID-2"] do
       file = "vehicles/#{id}/gateway.yaml"
@@ -43,7 +43,7 @@ defmodule Aerie.CLI.NatsSetupTest do
       {:ok, %{shadow: %{key: nil, vehicle_key: own}}} =
         Config.load(Path.join([dir, "set", file]), [], env: %{})
 
-      assert Aerie.Secret.reveal(own) == Aerie.Shadow.Keys.derive(common, "prod", id)
+      assert Aerie.Base.Secret.reveal(own) == Aerie.Fleet.Shadow.Keys.derive(common, "prod", id)
       refute read(dir, file) =~ common
     end
 
@@ -73,11 +73,11 @@ defmodule Aerie.CLI.NatsSetupTest do
     refute text =~ "D: shadow.vehicle_key"
 
     assert read(dir, "vehicles/A/shadow.key") ==
-             Aerie.Shadow.Keys.derive(String.trim(read(dir, "shadow.key")), "test", "A") <> "\n"
+             Aerie.Fleet.Shadow.Keys.derive(String.trim(read(dir, "shadow.key")), "test", "A") <> "\n"
 
     refute read(dir, "shadow.key") == old
     {:ok, %{shadow: shadow}} = Config.load(Path.join([dir, "set/hub/gateway.yaml"]), [], env: %{})
-    assert Aerie.Secret.reveal(shadow.former_key) == String.trim(old)
+    assert Aerie.Base.Secret.reveal(shadow.former_key) == String.trim(old)
     accounts = read(dir, "hub/accounts.conf")
     assert accounts =~ ~s("vehicle-C") and accounts =~ "fleet.test.A.event.armed"
     refute accounts =~ "vehicle-B"

@@ -138,7 +138,7 @@ defmodule Aerie.CLI.OptionsTest do
       {:ok, before} = Aerie.Config.load(path, %{}, env: %{})
       {:ok, config} = Aerie.Config.load(path, Plan.from(options, dir).overrides, env: %{})
 
-      for {keys, _field} <- Aerie.Settings.Schema.leaves(Aerie.Config.Keys.fields()),
+      for {keys, _field} <- Aerie.Base.Settings.Schema.leaves(Aerie.Config.Keys.fields()),
           keys = Enum.map(keys, &String.to_existing_atom/1),
           value(before, keys) != value(config, keys),
           do: Enum.join(keys, ".")

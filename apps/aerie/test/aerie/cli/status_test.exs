@@ -65,7 +65,7 @@ defmodule Aerie.CLI.StatusTest do
   defp logged({message, pairs}),
     do:
       :logfmt
-      |> Aerie.Log.Formatter.line(@now, :info, message, pairs)
+      |> Aerie.Base.Log.Formatter.line(@now, :info, message, pairs)
       |> IO.iodata_to_binary()
       |> String.trim()
 

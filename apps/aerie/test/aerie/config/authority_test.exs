@@ -5,12 +5,17 @@ defmodule Aerie.Config.AuthorityTest do
   """
   use ExUnit.Case, async: true
 
-  alias Aerie.{Bridge, Command, Config, Identity, Policy, Remote, Router, Secret, Shadow, Signing}
+  alias Aerie.Base.Secret
+  alias Aerie.Config
+  alias Aerie.Control.Policy
+  alias Aerie.Fleet.{Bridge, Remote, Shadow}
+  alias Aerie.Vehicle.Command
+  alias MavRouter.{Identity, Router, Signing}
   alias Aerie.Config.Keys
-  alias Aerie.Link.{Clients, Configured, Egress}
-  alias Aerie.Policy.{Audit, Context, Facts, Lease, Rate, Signature, Sources}
-  alias Aerie.Router.{Access, Endpoint, Filter}
-  alias Aerie.Settings.Field
+  alias MavRouter.Link.{Clients, Configured, Egress}
+  alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Rate, Signature, Sources}
+  alias MavRouter.Router.{Access, Endpoint, Filter}
+  alias Aerie.Base.Settings.Field
   alias FleetWeb.API
   alias FleetWeb.HTTP.Proxy
 
@@ -93,7 +98,7 @@ defmodule Aerie.Config.AuthorityTest do
       {"policy.lease.required", %{}, true, false, takeoff},
       {"policy.lease.take_over", %{}, "operator", "admin", &take_over/1},
       {"policy.audit.required", %{}, true, false,
-       &Audit.verdict({:error, "full"}, Facts.named("takeoff"), compiled(&1).audit_required)}
+       &Audit.verdict({:error, "full"}, Intent.named("takeoff"), compiled(&1).audit_required)}
     ]
   end
 
@@ -229,7 +234,8 @@ defmodule Aerie.Config.AuthorityTest do
       {"remote.enabled", %{}, true, false, &Remote.Settings.from(&1).enabled},
       {"remote.nkey_seed_file", %{}, Path.join(dir, "a"), Path.join(dir, "b"),
        &Remote.Settings.from(&1).nkey_seed_file},
-      {"commands.ledger.required", %{}, true, false, &Aerie.Commands.Settings.from(&1).ledger.required},
+      {"commands.ledger.required", %{}, true, false,
+       &Aerie.Control.Commands.Settings.from(&1).ledger.required},
       {"shadow.enabled", %{}, true, false, &Shadow.Settings.from(&1).enabled},
       {"shadow.hold_s", %{}, 10, 20, &Shadow.Settings.from(&1).hold_us},
       {"shadow.allow_arming", %{}, true, false, &shadow/1},
@@ -238,8 +244,8 @@ defmodule Aerie.Config.AuthorityTest do
       {"shadow.former_key", %{}, @key, @key2, &Secret.reveal(Shadow.Settings.from(&1).former_key)},
       {"shadow.vehicle_key", %{"vehicle_id" => "VID-001"}, @key, @key2,
        &Secret.reveal(Shadow.Settings.from(&1).vehicle_key)},
-      {"sockets.enabled", %{}, true, false, &Aerie.Client.Settings.from(&1).enabled},
-      {"sockets.sign", %{}, true, false, &Aerie.Client.Settings.from(&1).sign},
+      {"sockets.enabled", %{}, true, false, &Aerie.Fleet.Client.Settings.from(&1).enabled},
+      {"sockets.sign", %{}, true, false, &Aerie.Fleet.Client.Settings.from(&1).sign},
       {"shell.enabled", %{}, true, false, &Aerie.Node.Settings.from(&1).enabled}
     ]
   end
@@ -336,7 +342,7 @@ defmodule Aerie.Config.AuthorityTest do
   # A command that has no row.
   defp decide_unknown(config) do
     facts =
-      Policy.Raw.facts(%MavCodec.Messages.CommandLong{command: 60_000}, %{
+      Policy.Mavlink.facts(%MavCodec.Messages.CommandLong{command: 60_000}, %{
         autopilot: :generic,
         vehicle_type: "copter"
       })
@@ -436,7 +442,7 @@ defmodule Aerie.Config.AuthorityTest do
     token = if nats.token, do: Secret.reveal(nats.token), else: ""
     fields = [:address, :port, :store_dir, :max_memory_mb, :max_store_mb, :domain, :leaf]
 
-    Bridge.Server.Settings.render(
+    Bridge.NatsServer.Settings.render(
       nats
       |> Map.take(fields)
       |> Map.merge(%{name: "n", token: token, seed: seed})

@@ -4,7 +4,7 @@ defmodule Aerie.Config.PartsTest do
 
   alias Aerie.Config
   alias Aerie.Config.Keys
-  alias Aerie.Settings.Schema
+  alias Aerie.Base.Settings.Schema
 
   @lib Path.expand("../../../../*/lib/**/*.ex", __DIR__)
 
@@ -28,11 +28,11 @@ defmodule Aerie.Config.PartsTest do
   end
 
   test "a part refuses unknown keys with a suggestion, and values out of range with the range" do
-    assert {:error, [problem]} = Aerie.Recorder.Settings.new(%{recorder: %{max_fil_mb: 1}})
+    assert {:error, [problem]} = MavRouter.Recorder.Settings.new(%{recorder: %{max_fil_mb: 1}})
     assert %{path: ["recorder", "max_fil_mb"], hint: "did you mean \"max_file_mb\"?"} = problem
-    assert {:error, [problem]} = Aerie.Recorder.Settings.new(%{recorder: %{after_s: -1}})
+    assert {:error, [problem]} = MavRouter.Recorder.Settings.new(%{recorder: %{after_s: -1}})
     assert %{expected: "a number from 0 to 3600", got: "-1"} = problem
-    assert {:ok, %{after_ms: 1500}} = Aerie.Recorder.Settings.new(%{"recorder" => %{"after_s" => 1.5}})
+    assert {:ok, %{after_ms: 1500}} = MavRouter.Recorder.Settings.new(%{"recorder" => %{"after_s" => 1.5}})
   end
 
   # Words in the code, which finds what nobody reads any more; the declaration is one of the occurrences.
@@ -49,7 +49,7 @@ defmodule Aerie.Config.PartsTest do
       end
     end
 
-    # Aerie.Router.Filter makes these names itself.
+    # MavRouter.Router.Filter makes these names itself.
     filters = ~r/^(allow|block)_(messages|systems|components|sources)$/
 
     for {name, field} <- named,

@@ -2,7 +2,7 @@ defmodule Aerie.Config.SchemaTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Config.{Environment, Error, Example, Keys, Yaml}
-  alias Aerie.Settings.{Field, Schema}
+  alias Aerie.Base.Settings.{Field, Schema}
 
   @example Path.expand("../../../../../config/gateway.example.yaml", __DIR__)
 
@@ -18,10 +18,10 @@ defmodule Aerie.Config.SchemaTest do
   end
 
   test "a secret shows as one" do
-    secret = Aerie.Secret.new("hunter2")
-    assert inspect(secret) == "#Aerie.Secret<hidden>"
-    assert Aerie.Secret.reveal(secret) == "hunter2"
-    assert Aerie.Secret.reveal(nil) == nil
+    secret = Aerie.Base.Secret.new("hunter2")
+    assert inspect(secret) == "#Aerie.Base.Secret<hidden>"
+    assert Aerie.Base.Secret.reveal(secret) == "hunter2"
+    assert Aerie.Base.Secret.reveal(nil) == nil
     assert_raise Protocol.UndefinedError, fn -> JSON.encode!(secret) end
   end
 

@@ -1,15 +1,15 @@
-defmodule Aerie.Config.ShownTest do
+defmodule Aerie.Config.ListingTest do
   use ExUnit.Case, async: true
 
   alias Aerie.Config
-  alias Aerie.Config.{Keys, Shown}
-  alias Aerie.Settings.Schema
+  alias Aerie.Config.{Keys, Listing}
+  alias Aerie.Base.Settings.Schema
 
   defp keys(config),
-    do: for(section <- Shown.sections(config), key <- section.keys, into: %{}, do: {key.path, key})
+    do: for(section <- Listing.sections(config), key <- section.keys, into: %{}, do: {key.path, key})
 
   test "each key is there once, in words, and by default says that it is the default" do
-    sections = Shown.sections(Config.default())
+    sections = Listing.sections(Config.default())
     paths = for section <- sections, key <- section.keys, do: key.path
     all = for {path, _field} <- Schema.leaves(Keys.fields()), do: Enum.join(path, ".")
     assert Enum.sort(paths) == Enum.sort(all)
@@ -42,7 +42,7 @@ defmodule Aerie.Config.ShownTest do
     assert %{value: "set", default: "not set", source: "environment variable AERIE_API_KEY"} = keys["api.key"]
     assert keys["nats.url"].value =~ "hub.example:4222"
     assert keys["links"].value =~ "udpin:0.0.0.0:14551"
-    text = inspect(Shown.sections(config), limit: :infinity, printable_limit: :infinity)
+    text = inspect(Listing.sections(config), limit: :infinity, printable_limit: :infinity)
 
     for secret <- ["a-very-secret-key-0001", "the-shadow-secret", "the-nats-secret"],
         do: refute(text =~ secret)

@@ -11,9 +11,9 @@ defmodule FleetWeb.API.Access do
   For the same reason, metrics and health need no key, but a `Host` that belongs to the gateway (`host/2`).
   """
 
-  alias Aerie.Address
-  alias Aerie.Command.Type
-  alias Aerie.Policy.Roles
+  alias Aerie.Base.Address
+  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.API.Keys
   alias FleetWeb.API.Error
   alias FleetWeb.Rights

@@ -1,8 +1,10 @@
 defmodule FleetWeb.API.Actions do
   @moduledoc "What the methods of `FleetWeb.API.Resources` do: each reads its request, calls Aerie's public functions and answers."
 
-  alias Aerie.{Client, Enrolment, Link, Policy, Router}
-  alias Aerie.Command.Types
+  alias Aerie.Control.Policy
+  alias Aerie.Vehicle.Enrolment
+  alias MavRouter.{Client, Link, Router}
+  alias Aerie.Vehicle.Command.Types
 
   alias FleetWeb.API.{
     Commands,
@@ -148,7 +150,7 @@ defmodule FleetWeb.API.Actions do
   end
 
   def run(:look_at_command, state, request),
-    do: state.gateway |> Commands.look(id(request), command(request)) |> answer(200, request)
+    do: state.gateway |> Commands.state(id(request), command(request)) |> answer(200, request)
 
   def run(:cancel_command, state, request) do
     state.gateway |> Commands.cancel(id(request), command(request), state.requester) |> answer(202, request)

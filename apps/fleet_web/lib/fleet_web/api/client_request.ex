@@ -4,7 +4,7 @@ defmodule FleetWeb.API.ClientRequest do
 
       {"url": "udpout:192.168.1.20:14550", "id": "field", "networks": ["main"], "access": "read"}
 
-  Only `url` is required. `Aerie.Client.add/2` checks the values; HTTP clients must not name devices or files of this
+  Only `url` is required. `MavRouter.Client.add/2` checks the values; HTTP clients must not name devices or files of this
   machine.
   """
 
@@ -13,7 +13,7 @@ defmodule FleetWeb.API.ClientRequest do
   @known ["url", "id", "networks", "access"]
   @max_url 512
 
-  @doc "Returns the client for `Aerie.Client.add/2`."
+  @doc "Returns the client for `MavRouter.Client.add/2`."
   @spec parse(map()) :: {:ok, map()} | {:error, Error.t()}
   def parse(object) do
     with :ok <- Request.known(object, @known),

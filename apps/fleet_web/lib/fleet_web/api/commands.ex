@@ -1,15 +1,15 @@
 defmodule FleetWeb.API.Commands do
   @moduledoc """
-  Commands by REST: `Aerie.Commands` in the name of a key, and the answer for each outcome.
+  Commands by REST: `Aerie.Control.Commands` in the name of a key, and the answer for each outcome.
 
   A key without a role commands as an admin, a key of a file with its role. A program of this machine, which needs no key while
-  none is configured, may only read. A signature replaces the key (`Aerie.Policy.Signature`).
+  none is configured, may only read. A signature replaces the key (`Aerie.Control.Policy.Signature`).
   """
 
-  alias Aerie.Command.Result
-  alias Aerie.{Commands, Policy}
-  alias Aerie.Commands.Record
-  alias Aerie.Policy.{Roles, Sources}
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Control.Commands.Record
+  alias Aerie.Control.Policy.{Roles, Sources}
   alias FleetWeb.API.{Access, Error}
 
   @typedoc "The header `Aerie-Signature` (nil: none), and the body as it was sent."
@@ -46,9 +46,9 @@ defmodule FleetWeb.API.Commands do
   end
 
   @doc "The state of a command: its result (`state` is `done`), or its progress (`under_way`)."
-  @spec look(term(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
-  def look(gateway, vehicle, id) do
-    case Commands.look(gateway, vehicle, id) do
+  @spec state(term(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
+  def state(gateway, vehicle, id) do
+    case Commands.state(gateway, vehicle, id) do
       {:ok, result} ->
         {:ok, Map.put(Result.plain(result), "state", "done")}
 
@@ -86,7 +86,7 @@ defmodule FleetWeb.API.Commands do
   defp who(_gateway, _vehicle, _object, requester, %{header: nil}), do: {:ok, source(requester)}
 
   defp who(gateway, vehicle, object, _requester, %{header: header, body: body}) do
-    subject = "fleet.#{Aerie.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
+    subject = "fleet.#{Aerie.Fleet.Bridge.environment(gateway)}.#{vehicle}.cmd.#{object["type"]}"
     envelope = Map.put(object, "vehicle", vehicle)
 
     with {:ok, policy} <- in_force(gateway),

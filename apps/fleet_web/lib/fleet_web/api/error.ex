@@ -3,13 +3,13 @@ defmodule FleetWeb.API.Error do
   The answer to a refused request: a status and `{"error": {"code": ..., "message": ...}}`.
 
   The code is for programs and does not change. The message is for people and says what is expected. This is a struct of its
-  own besides `Aerie.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the gateway
+  own besides `Aerie.Base.Error`, because most refusals here concern HTTP (keys, methods, sizes, headers), which the gateway
   below does not know; `from/1` gives each error of the gateway its status.
   """
 
-  alias Aerie.Command
-  alias Aerie.Command.Result
-  alias Aerie.Commands.Elsewhere
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.RemoteGateway
 
   @enforce_keys [:status, :code, :message]
   defstruct [:status, :code, :message, headers: %{}, details: %{}]
@@ -125,10 +125,10 @@ defmodule FleetWeb.API.Error do
   }
 
   @doc "The answer for an error of the gateway; an answer is returned unchanged."
-  @spec from(t() | Aerie.Error.t()) :: t()
+  @spec from(t() | Aerie.Base.Error.t()) :: t()
   def from(%__MODULE__{} = error), do: error
 
-  def from(%Aerie.Error{reason: reason} = error),
+  def from(%Aerie.Base.Error{reason: reason} = error),
     do: new(Map.fetch!(@codes, elem(reason, 0)), Exception.message(error))
 
   # A command's results; `denied` and `rejected` by their rules, too.
@@ -169,7 +169,7 @@ defmodule FleetWeb.API.Error do
   @doc "The answer for what only the gateway `via` has, which hears the vehicle."
   @spec misdirected(via :: String.t()) :: t()
   def misdirected(via),
-    do: %{new(:misdirected, Elsewhere.only(via)) | details: %{"rule" => "elsewhere", "gateway" => via}}
+    do: %{new(:misdirected, RemoteGateway.only(via)) | details: %{"rule" => "elsewhere", "gateway" => via}}
 
   @doc "The answer for an invalid command, with all its errors."
   @spec malformed([Command.Error.t(), ...]) :: t()

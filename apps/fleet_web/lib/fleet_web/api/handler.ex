@@ -8,7 +8,8 @@ defmodule FleetWeb.API.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.{Policy, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Control.Policy
   alias FleetWeb.API.{Access, Actions, Error, KeyRing, Misdirected, Request, Resources}
   alias FleetWeb.Rights
 

@@ -10,8 +10,9 @@ defmodule FleetWeb.API.KeyRing do
 
   require Logger
 
-  alias Aerie.{Damaged, Names, PrivateFile}
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Files.{Damaged, Private}
+  alias Aerie.Base.Names
+  alias Aerie.Base.PubSub
   alias FleetWeb.API.{Access, Keys}
 
   @most 100
@@ -24,7 +25,7 @@ defmodule FleetWeb.API.KeyRing do
   @typedoc "What may be shown of a key. `made`: in the console, and can be revoked there."
   @type shown :: %{
           name: String.t(),
-          role: Aerie.Policy.Roles.role() | nil,
+          role: Aerie.Control.Policy.Roles.role() | nil,
           permissions: [atom()],
           until: integer() | nil,
           made: boolean()
@@ -139,8 +140,8 @@ defmodule FleetWeb.API.KeyRing do
   end
 
   defp write(file, made) do
-    with :ok <- PrivateFile.new_folder(Path.dirname(file)),
-         do: PrivateFile.write(file, [@head | Enum.map(made, &[Keys.line(&1), ?\n])])
+    with :ok <- Private.new_folder(Path.dirname(file)),
+         do: Private.write(file, [@head | Enum.map(made, &[Keys.line(&1), ?\n])])
   end
 
   defp share(state) do

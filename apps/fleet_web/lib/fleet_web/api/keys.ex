@@ -17,7 +17,7 @@ defmodule FleetWeb.API.Keys do
   | role | may |
   |---|---|
   | `viewer` | read, and open a WebSocket that only reads |
-  | `operator`, `admin` | everything; its commands, also by WebSocket, are subject to that role's policy (`Aerie.Policy.Roles`) |
+  | `operator`, `admin` | everything; its commands, also by WebSocket, are subject to that role's policy (`Aerie.Control.Policy.Roles`) |
   | none given | everything; a WebSocket is subject to `policy.clients` |
 
   A key is valid until the end of the day (UTC) on which it expires.
@@ -25,9 +25,9 @@ defmodule FleetWeb.API.Keys do
 
   import Bitwise
 
-  alias Aerie.Command.Type
-  alias Aerie.Policy.Roles
-  alias Aerie.Secret
+  alias Aerie.Vehicle.Command.Type
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Base.Secret
 
   @shortest 16
   @longest 512

@@ -4,11 +4,11 @@ defmodule FleetWeb.API.LinkRequest do
 
       {"url": "/dev/ttyUSB0,57600", "id": "north", "network": "field", "label": "mast", "high_latency": false}
 
-  Only `url` is required. `Aerie.Link.start/2` checks the values. A recording is not replayed from here: that would name any
+  Only `url` is required. `MavRouter.Link.start/2` checks the values. A recording is not replayed from here: that would name any
   file of this machine.
   """
 
-  alias Aerie.Settings.Types
+  alias Aerie.Base.Settings.Types
   alias FleetWeb.API.{Error, Request}
 
   @texts ["id", "network", "label", "group"]
@@ -22,7 +22,7 @@ defmodule FleetWeb.API.LinkRequest do
   }
   @max 512
 
-  @doc "Returns the link for `Aerie.Link.start/2`."
+  @doc "Returns the link for `MavRouter.Link.start/2`."
   @spec parse(map()) :: {:ok, map()} | {:error, Error.t()}
   def parse(object) do
     with :ok <- Request.known(object, ["url" | @texts ++ @flags]),

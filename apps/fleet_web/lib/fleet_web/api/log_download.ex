@@ -6,17 +6,19 @@ defmodule FleetWeb.API.LogDownload do
   The answer begins with the first byte. What fails later closes the connection, so the client sees fewer bytes than were promised.
   """
 
-  alias Aerie.Logs
+  alias Aerie.Control.Logs
   alias FleetWeb.API.{Error, Request}
 
   @chunk 16_384
   # Pieces of up to 90 bytes that wait for a client that reads more slowly than the vehicle sends.
   @max_waiting 50_000
 
-  @type result :: {:ok, 200 | 206, :sent, :cowboy_req.req()} | {:error, Error.t() | Aerie.Command.Result.t()}
+  @type result ::
+          {:ok, 200 | 206, :sent, :cowboy_req.req()} | {:error, Error.t() | Aerie.Vehicle.Command.Result.t()}
 
   @doc "Answers with the log whose id is in the path."
-  @spec run({Aerie.Names.gateway(), String.t()}, [Aerie.Transfers.option()], :cowboy_req.req()) :: result()
+  @spec run({Aerie.Base.Names.gateway(), String.t()}, [Aerie.Control.Transfers.option()], :cowboy_req.req()) ::
+          result()
   def run({gateway, vehicle}, options, request) do
     with {:ok, id} <- id(:cowboy_req.binding(:log, request)),
          {:ok, entry} <- Logs.entry(gateway, vehicle, id, options),

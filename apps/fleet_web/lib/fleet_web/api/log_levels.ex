@@ -8,7 +8,7 @@ defmodule FleetWeb.API.LogLevels do
   null: the area follows `level` again. The log belongs to the process of the gateway; a restart brings the configured level back.
   """
 
-  alias Aerie.Log
+  alias Aerie.Base.Log
   alias FleetWeb.API.{Error, Request}
 
   @levels Map.new(Log.level_names(), &{Atom.to_string(&1), &1})

@@ -1,11 +1,12 @@
 defmodule FleetWeb.API.Misdirected do
   @moduledoc """
   Refuses what this gateway cannot say of a vehicle that only another gateway hears: its recordings, its signing, and its events, unless
-  some came while this gateway heard it. What goes by `Aerie.Transfers` is refused there, by the rule `elsewhere`.
+  some came while this gateway heard it. What goes by `Aerie.Control.Transfers` is refused there, by the rule `elsewhere`.
   """
 
-  alias Aerie.{Fleet, Names}
-  alias Aerie.Fleet.Journal
+  alias Aerie.Base.Names
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Journal
   alias FleetWeb.API.Error
 
   @here [:save, :record_vehicle, :vehicle_signing, :sign_vehicle, :vehicle_events]

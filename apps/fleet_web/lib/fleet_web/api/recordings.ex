@@ -1,8 +1,8 @@
 defmodule FleetWeb.API.Recordings do
   @moduledoc "Shows and controls recordings for `/api`."
 
-  alias Aerie.Fleet.Json
-  alias Aerie.Recorder
+  alias Aerie.Base.Json
+  alias MavRouter.Recorder
   alias FleetWeb.API.Error
 
   @modes %{"always" => :always, "armed" => :armed, "off" => :off}
@@ -81,7 +81,7 @@ defmodule FleetWeb.API.Recordings do
   end
 
   @doc "Saves the last minutes of a vehicle; `%{\"reason\" => text}` becomes part of the file's name."
-  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t() | Aerie.Error.t()}
+  @spec save(term(), String.t(), map()) :: {:ok, map()} | {:error, Error.t() | Aerie.Base.Error.t()}
   def save(gateway, vehicle, object) do
     with {:ok, reason} <- reason(Map.get(object, "reason", "request")),
          {:ok, file} <- Recorder.save(gateway, vehicle, reason) do
@@ -97,7 +97,7 @@ defmodule FleetWeb.API.Recordings do
 
   @doc "Starts or stops the recording of `{:vehicle | :link, name}`: `%{\"mode\" => \"always\" | \"armed\" | \"off\"}`."
   @spec record(term(), {:vehicle | :link, String.t()}, map()) ::
-          {:ok, map()} | {:error, Error.t() | Aerie.Error.t()}
+          {:ok, map()} | {:error, Error.t() | Aerie.Base.Error.t()}
   def record(gateway, target, object) do
     with {:ok, mode} <- wanted(object["mode"]),
          :ok <- change(gateway, target, mode),

@@ -4,11 +4,11 @@ defmodule FleetWeb.API.RuleChanges do
 
       {"rate_limits": {"ATTITUDE": 4}, "filter_out": {"block_messages": ["RAW_IMU"]}, "bytes_per_s": null}
 
-  The keys are those of the configuration (`Aerie.Router.Settings.changeable/0`); null removes a rule. This module checks the
-  shape of a value; `Aerie.Router.configure/3` checks its meaning.
+  The keys are those of the configuration (`MavRouter.Router.Settings.changeable/0`); null removes a rule. This module checks the
+  shape of a value; `MavRouter.Router.configure/3` checks its meaning.
   """
 
-  alias Aerie.Router.{Filter, Settings}
+  alias MavRouter.Router.{Filter, Settings}
   alias FleetWeb.API.{Error, Request}
 
   @keys Map.new(Settings.changeable(), &{Atom.to_string(&1), &1})
@@ -16,7 +16,7 @@ defmodule FleetWeb.API.RuleChanges do
   @roles %{"full" => :full, "read_only" => :read_only}
   @most 256
 
-  @doc "The changes for `Aerie.Router.configure/3`."
+  @doc "The changes for `MavRouter.Router.configure/3`."
   @spec parse(map()) :: {:ok, map()} | {:error, Error.t()}
   def parse(object) when object == %{},
     do: Error.invalid("nothing to change; give at least one of #{names(@keys)}")

@@ -1,9 +1,9 @@
 defmodule FleetWeb.API.Shadow do
-  @moduledoc "Desired and reported state by REST: `Aerie.Shadow` in the name of a key, like commands (`FleetWeb.API.Commands`)."
+  @moduledoc "Desired and reported state by REST: `Aerie.Fleet.Shadow` in the name of a key, like commands (`FleetWeb.API.Commands`)."
 
-  alias Aerie.Shadow
+  alias Aerie.Fleet.Shadow
   alias FleetWeb.API.{Access, Commands, Error}
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @codes %{
     role: :forbidden,
@@ -43,7 +43,7 @@ defmodule FleetWeb.API.Shadow do
   def store_plan(gateway, text, requester) do
     work = fn -> Shadow.put_plan(gateway, text, Commands.source(requester)) end
 
-    case Costly.run(gateway, :parse, {:name, requester.name}, work) do
+    case WorkLimit.run(gateway, :parse, {:name, requester.name}, work) do
       {:ok, {:ok, hash}} -> {:ok, %{"plan" => hash}}
       {:ok, refused} -> answer(refused)
       {:busy, seconds} -> {:error, Error.busy(seconds)}

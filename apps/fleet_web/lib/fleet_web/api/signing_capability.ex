@@ -13,8 +13,10 @@ defmodule FleetWeb.API.SigningCapability do
 
   import Bitwise
 
-  alias Aerie.{Enrolment, Fleet, Signing}
-  alias Aerie.Fleet.Json
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Enrolment
+  alias MavRouter.Signing
+  alias Aerie.Base.Json
   alias FleetWeb.API.View
 
   # MAV_PROTOCOL_CAPABILITY_MAVLINK2

@@ -5,7 +5,7 @@ defmodule FleetWeb.API.SigningRequest do
       {"action": "enrol", "key": "generate", "link": "usb"}
 
   `action` is `enrol`, `revoke` or `discard`; `key` of `enrol` is `configured` (default), `generate` or `previous`. A request
-  cannot contain a key or name a file of this machine, and no answer contains a key (S9). See `Aerie.Enrolment.enrol/3`.
+  cannot contain a key or name a file of this machine, and no answer contains a key (S9). See `Aerie.Vehicle.Enrolment.enrol/3`.
   """
 
   alias FleetWeb.API.{Error, Request}
@@ -14,7 +14,7 @@ defmodule FleetWeb.API.SigningRequest do
   @actions %{"enrol" => :enrol, "revoke" => :revoke, "discard" => :discard}
   @keys %{"configured" => [], "generate" => [key: :generate], "previous" => [key: :previous]}
 
-  @doc "The action and the options of `Aerie.Signing`."
+  @doc "The action and the options of `MavRouter.Signing`."
   @spec parse(map()) :: {:ok, :enrol | :revoke | :discard, keyword()} | {:error, Error.t()}
   def parse(object) do
     with :ok <- Request.known(object, @known),

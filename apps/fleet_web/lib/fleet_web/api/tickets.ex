@@ -8,7 +8,7 @@ defmodule FleetWeb.API.Tickets do
   """
   use GenServer
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @life_ms 30_000
   @most 1_000

@@ -1,22 +1,22 @@
 defmodule FleetWeb.API.Transfers do
   @moduledoc """
-  Parameters, plans, files and logs of a vehicle by REST: `Aerie.Params`, `Aerie.Missions`, `Aerie.Files` and `Aerie.Logs` in the name of a key.
+  Parameters, plans, files and logs of a vehicle by REST: `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` in the name of a key.
   `docs/transfers.md` describes it.
 
   A read takes up to `?timeout=` (seconds), and ends when the client hangs up. A change is waited for
   like a command, and then continues by itself.
   """
 
-  alias Aerie.Command.Result
-  alias Aerie.{Files, Logs, Missions, Params}
-  alias Aerie.Params.{Param, Table}
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.{Files, Logs, Missions, Params}
+  alias Aerie.Control.Params.{Param, Table}
   alias FleetWeb.API.{Commands, Error, Format, LogDownload, Request}
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
-  @max_timeout_s Aerie.Transfers.max_timeout_s()
+  @max_timeout_s Aerie.Control.Transfers.max_timeout_s()
   @plan_bytes 4_194_304
   @param_bytes 1_048_576
-  @file_bytes Aerie.Ftp.Client.max_bytes()
+  @file_bytes Aerie.Control.Ftp.Client.max_bytes()
   @object_bytes 16_384
 
   @type action ::
@@ -252,7 +252,7 @@ defmodule FleetWeb.API.Transfers do
 
   # What somebody sends is read in the places that there are for that.
   defp parsed(gateway, options, parse) do
-    case Costly.run(gateway, :parse, {:name, options[:as].name}, parse) do
+    case WorkLimit.run(gateway, :parse, {:name, options[:as].name}, parse) do
       {:ok, result} -> result
       {:busy, seconds} -> {:error, Error.busy(seconds)}
     end

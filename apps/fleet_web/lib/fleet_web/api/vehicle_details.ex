@@ -4,7 +4,7 @@ defmodule FleetWeb.API.VehicleDetails do
   snapshot. A part that is missing in the snapshot is null.
   """
 
-  alias Aerie.Fleet.Json
+  alias Aerie.Base.Json
   alias MavCodec.Dialects.All
 
   @doc """

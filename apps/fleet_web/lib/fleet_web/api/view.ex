@@ -1,12 +1,17 @@
 defmodule FleetWeb.API.View do
   @moduledoc "The objects that `/api` returns, made from the read model. Pure apart from reading it."
 
-  alias Aerie.Client
-  alias Aerie.Client.StateForm
-  alias Aerie.Bridge.Message
-  alias Aerie.Fleet.{Age, Journal, Json}
-  alias Aerie.{Fleet, Policy, Shadow, Store}
-  alias Aerie.Router.EndpointCounters
+  alias MavRouter.Client
+  alias Aerie.Fleet.Client.StateForm
+  alias Aerie.Fleet.Bridge.Message
+  alias Aerie.Base.Json
+  alias Aerie.Fleet.Age
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.Store
+  alias Aerie.Control.Policy
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Shadow
+  alias MavRouter.Router.EndpointCounters
   alias Aerie.Vehicle.Fields
   alias FleetWeb.API.{VehicleDetails, EventsQuery, Recordings}
 
@@ -41,8 +46,8 @@ defmodule FleetWeb.API.View do
       epoch: Journal.epoch(gateway),
       vehicles: for(vehicle <- Fleet.vehicles(gateway), do: vehicle(vehicle, by_id, tags, now)),
       links: for(link <- links, do: Json.plain(Map.take(link, [:id, :network, :status, :text]))),
-      nats: nats(Aerie.Bridge.info(gateway)),
-      identity: Aerie.Router.identity(gateway),
+      nats: nats(Aerie.Fleet.Bridge.info(gateway)),
+      identity: MavRouter.Router.identity(gateway),
       recorder: Recordings.status(gateway)
     }
   end
@@ -97,7 +102,7 @@ defmodule FleetWeb.API.View do
   @doc """
   The latest events of a vehicle, or of `:all`, as in NATS, oldest first; nil if there is no such vehicle. `more` is true if
   there are further events: later ones if `:since` is given, earlier ones otherwise. Options as in
-  `Aerie.Fleet.Journal.recent/3`.
+  `Aerie.Vehicle.Journal.recent/3`.
   """
   @spec events(term(), String.t() | :all, EventsQuery.options()) :: map() | nil
   def events(gateway, vehicle, options) do
@@ -120,7 +125,7 @@ defmodule FleetWeb.API.View do
   @doc "All signing keys by name, without the keys themselves, and the vehicles whose key is not confirmed."
   @spec signing(term()) :: map()
   def signing(gateway),
-    do: Map.new(Aerie.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
+    do: Map.new(MavRouter.Signing.list(gateway), fn {name, value} -> {name, Json.plain(value)} end)
 
   @doc "The state of a vehicle's signing (`t:Aerie.Signing.status/0`); nil without a key."
   @spec signed(map() | nil) :: map() | nil
@@ -131,14 +136,14 @@ defmodule FleetWeb.API.View do
     Map.new(Map.merge(signing, times), fn {name, value} -> {name, Json.plain(value)} end)
   end
 
-  @doc "The conditions of `Aerie.Diagnosis`, the most serious first."
+  @doc "The conditions of `Aerie.Fleet.Diagnosis`, the most serious first."
   @spec diagnosis(term()) :: map()
   def diagnosis(gateway),
-    do: %{conditions: Enum.map(Aerie.Diagnosis.list(gateway), &Aerie.Diagnosis.Condition.plain/1)}
+    do: %{conditions: Enum.map(Aerie.Fleet.Diagnosis.list(gateway), &Aerie.Fleet.Diagnosis.Condition.plain/1)}
 
   @doc "All links with their counters and rates."
   @spec links(term()) :: map()
-  def links(gateway), do: %{links: Enum.map(Aerie.Link.list(gateway), &link/1)}
+  def links(gateway), do: %{links: Enum.map(MavRouter.Link.list(gateway), &link/1)}
 
   @doc "The endpoints for clients, and all clients, each with its counters."
   @spec clients(term()) :: map()
@@ -163,7 +168,7 @@ defmodule FleetWeb.API.View do
 
   @doc "Rules of links and clients that were changed at run time, with the configured ones."
   @spec rules(term()) :: map()
-  def rules(gateway), do: %{changed: Json.plain(Aerie.Router.changes(gateway))}
+  def rules(gateway), do: %{changed: Json.plain(MavRouter.Router.changes(gateway))}
 
   defp client(endpoint) do
     Json.plain(%{

@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.Assets do
   """
   use GenServer
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @checkout Path.expand("../../..", __DIR__)
   @npm [

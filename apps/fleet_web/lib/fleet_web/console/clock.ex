@@ -36,6 +36,6 @@ defmodule FleetWeb.Console.Clock do
 
   @doc "The whole moment, for a machine or a tooltip: `2026-11-27T14:39:05.123Z`."
   @spec iso(moment()) :: String.t()
-  def iso(us) when is_integer(us), do: "#{Aerie.Fleet.Json.time(us)}"
+  def iso(us) when is_integer(us), do: "#{Aerie.Base.Json.time(us)}"
   def iso(text) when is_binary(text), do: text
 end

@@ -6,8 +6,8 @@ defmodule FleetWeb.Console.DownloadHandler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.Policy.Audit
-  alias Aerie.Policy.Audit.Reader
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Audit.Reader
   alias FleetWeb.API
   alias FleetWeb.API.{Recordings, Request}
   alias FleetWeb.Console.Access.{Role, Session}
@@ -71,7 +71,7 @@ defmodule FleetWeb.Console.DownloadHandler do
     end
   end
 
-  # Names of recordings have no quotes (`Aerie.Recorder.Archive.Name`).
+  # Names of recordings have no quotes (`MavRouter.Recorder.Archive.Name`).
   defp headers(type, name) do
     %{
       "content-type" => type,

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Navigation do
   @moduledoc "The entries of the navigation, in order."
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
 
   @typedoc """
     * `path` - the page's path; the entry is also current for paths below it

@@ -6,14 +6,14 @@ defmodule FleetWeb.Console.Refresh do
 
   import Phoenix.LiveView
 
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.PubSub
   alias Phoenix.LiveView.Socket
 
   @least_ms 200
   @idle_ms 1_000
 
   @doc """
-  Subscribes the page to topics of `Aerie.Store.PubSub`. Change notices (`:vehicles`, `:links`, `{:vehicle, id}`, `{:link, id}`) become
+  Subscribes the page to topics of `Aerie.Base.PubSub`. Change notices (`:vehicles`, `:links`, `{:vehicle, id}`, `{:link, id}`) become
   `:refresh`; messages of other topics reach the page's `handle_info/2` as they are. Does nothing before the page is connected.
   """
   @spec subscribe(Socket.t(), [PubSub.topic()]) :: Socket.t()

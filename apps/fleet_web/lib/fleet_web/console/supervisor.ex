@@ -11,14 +11,14 @@ defmodule FleetWeb.Console.Supervisor do
   ├─ Map.Tiles                  knows the file or folder of map tiles
   ├─ Access.Launch              the token of the address that `bin/run` prints
   ├─ Alarms.Server              the alarms, for all operators
-  ├─ Aerie.Inspector            the messages on the links, while somebody looks
+  ├─ Aerie.Fleet.Inspector            the messages on the links, while somebody looks
   ├─ System.Sampler             what the system page shows, for all who look
   └─ a DynamicSupervisor        one process for each open page
   ```
   """
   use Supervisor
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias FleetWeb.{API, Console}
   alias FleetWeb.Console.{Access, Alarms, Assets, Layout, PageHandler, Router}
   alias FleetWeb.Console.Settings.Configuration
@@ -45,7 +45,7 @@ defmodule FleetWeb.Console.Supervisor do
         {Console.Map.Tiles, gateway: gateway, path: settings.tiles, attribution: settings.tiles_attribution},
         {Access.Launch, gateway: gateway, file: Path.join(dir, "url")},
         {Alarms.Server, gateway: gateway},
-        {Aerie.Inspector, gateway: gateway},
+        {Aerie.Fleet.Inspector, gateway: gateway},
         {FleetWeb.Console.System.Sampler, gateway: gateway},
         {DynamicSupervisor, name: pages(gateway), max_children: max_pages}
       ],

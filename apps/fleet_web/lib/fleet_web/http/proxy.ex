@@ -7,7 +7,7 @@ defmodule FleetWeb.HTTP.Proxy do
 
   @behaviour :cowboy_middleware
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
 
   require Logger
 

@@ -6,7 +6,7 @@ defmodule FleetWeb.HTTP.Utf8Check do
 
   @behaviour :cowboy_middleware
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias FleetWeb.API.Error
 
   @read ~w(host origin x-aerie-key authorization content-type upgrade sec-websocket-protocol x-forwarded-for x-forwarded-proto)

@@ -4,11 +4,11 @@ defmodule FleetWeb.Metrics.Clients do
   they are summed by kind; their ids are not labels.
   """
 
-  alias Aerie.Router.EndpointCounters
+  alias MavRouter.Router.EndpointCounters
   alias FleetWeb.Metrics.Text
 
   @doc """
-  The families, from the clients (`Aerie.Client.list/1`), the endpoints to which they connect (`Aerie.Client.endpoints/1`) and the read
+  The families, from the clients (`MavRouter.Client.list/1`), the endpoints to which they connect (`MavRouter.Client.endpoints/1`) and the read
   model's counters.
   """
   @spec families([map()], [map()], map()) :: [Text.family()]

@@ -1,5 +1,5 @@
 defmodule FleetWeb.Metrics.Links do
-  @moduledoc "Metric families of links, from their snapshots (`Aerie.Link.Snapshot`)."
+  @moduledoc "Metric families of links, from their snapshots (`MavRouter.Link.Snapshot`)."
 
   alias FleetWeb.Metrics.Text
 

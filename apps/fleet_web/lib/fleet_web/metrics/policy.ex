@@ -1,11 +1,11 @@
 defmodule FleetWeb.Metrics.Policy do
   @moduledoc "Metric families about the policy for commands and its audit log."
 
-  alias Aerie.Policy.{Audit, Store}
+  alias Aerie.Control.Policy.{Audit, Store}
   alias FleetWeb.Metrics.Text
 
   @doc "The families, from the read model's counters and the state of the log."
-  @spec families(Aerie.Names.gateway(), map()) :: [Text.family()]
+  @spec families(Aerie.Base.Names.gateway(), map()) :: [Text.family()]
   def families(gateway, counters) do
     decisions = for {{:policy, decision, rule}, n} <- counters, do: {[decision: decision, rule: rule], n}
 

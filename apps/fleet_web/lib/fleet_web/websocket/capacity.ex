@@ -6,7 +6,7 @@ defmodule FleetWeb.WebSocket.Capacity do
   """
   use GenServer
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @doc "Options: `:gateway`, `:max_clients`."
   @spec start_link(keyword()) :: GenServer.on_start()

@@ -11,17 +11,17 @@ defmodule FleetWeb.WebSocket.Handler do
   forwarded, as for a key with the role viewer).
 
   A client that does not answer a ping for a minute, or whose connection takes nothing for ten seconds, is disconnected. Until
-  then the oldest frames of the least important class are dropped (`Aerie.Router.Pipe`).
+  then the oldest frames of the least important class are dropped (`MavRouter.Router.Pipe`).
   """
 
   @behaviour :cowboy_websocket
 
-  alias Aerie.Authority.Principal
-  alias Aerie.Router.Pipe
-  alias Aerie.Address
-  alias Aerie.Names
-  alias Aerie.Store
-  alias Aerie.Store.PubSub
+  alias MavRouter.Authority.Principal
+  alias MavRouter.Router.Pipe
+  alias Aerie.Base.Address
+  alias Aerie.Base.Names
+  alias Aerie.Base.Store
+  alias Aerie.Base.PubSub
   alias FleetWeb.API.{Access, Error, KeyRing, Request, Tickets}
   alias FleetWeb.WebSocket.Capacity
 

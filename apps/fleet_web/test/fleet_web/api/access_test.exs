@@ -2,7 +2,7 @@ defmodule FleetWeb.API.AccessTest do
   use ExUnit.Case, async: true
 
   alias FleetWeb.API.Keys
-  alias Aerie.Secret
+  alias Aerie.Base.Secret
   alias FleetWeb.API.Access
 
   @local %{peer: {127, 0, 0, 1}, forwarded: false, host: "127.0.0.1:4000", origin: nil, key: nil}

@@ -1,8 +1,8 @@
 defmodule FleetWeb.API.ClientsTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Store
-  alias Aerie.Router.Endpoint
+  alias Aerie.Base.Store
+  alias MavRouter.Router.Endpoint
 
   @json {"content-type", "application/json"}
 
@@ -63,7 +63,7 @@ defmodule FleetWeb.API.ClientsTest do
 
   test "a link to vehicles cannot be removed here" do
     %{gateway: gateway, port: port} = start_server(key: true, links: true)
-    {:ok, "sim"} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "sim")
+    {:ok, "sim"} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "sim")
     assert {409, _headers, _body} = request(port, "DELETE", "/api/clients/sim", [admin()])
     assert %{id: "sim"} = Store.link(gateway, "sim")
   end
@@ -98,7 +98,7 @@ defmodule FleetWeb.API.ClientsTest do
     large = ["{\"url\": \"", String.duplicate("x", 20_000), "\"}"]
     assert {413, _headers, %{"error" => %{"code" => "too_large"}}} = post(port, IO.iodata_to_binary(large))
 
-    assert Aerie.Client.endpoints(gateway) == []
+    assert MavRouter.Client.endpoints(gateway) == []
     assert Store.counter(gateway, {:api, 422}) == 12
   end
 

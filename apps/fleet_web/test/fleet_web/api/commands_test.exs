@@ -4,7 +4,7 @@ defmodule FleetWeb.API.CommandsTest do
 
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
 
-  alias Aerie.Policy.Signature
+  alias Aerie.Control.Policy.Signature
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -25,7 +25,7 @@ defmodule FleetWeb.API.CommandsTest do
     nkey = Nkey.generate(:user)
     sources = [%{name: "signer", nkey: nkey.public, role: :operator}]
     start_door(dir, gateway: server.gateway, policy: [max_altitude: 100, rates: rates, sources: sources])
-    :ok = Aerie.Bridge.note_environment(server.gateway, "test")
+    :ok = Aerie.Fleet.Bridge.note_environment(server.gateway, "test")
     Map.put(server, :nkey, nkey)
   end
 

@@ -14,17 +14,17 @@ defmodule FleetWeb.API.ErrorTest do
           {{:limit, "too many"}, 429, "too many"},
           {{:unavailable, "there is no link"}, 503, "there is no link"}
         ] do
-      assert %Error{status: ^status, message: ^message} = Error.from(%Aerie.Error{reason: reason})
+      assert %Error{status: ^status, message: ^message} = Error.from(%Aerie.Base.Error{reason: reason})
     end
 
-    hinted = %Aerie.Error{reason: {:unknown, :vehicle, "VID-009"}, hint: "known are VID-001"}
+    hinted = %Aerie.Base.Error{reason: {:unknown, :vehicle, "VID-009"}, hint: "known are VID-001"}
     assert Error.from(hinted).message == "no vehicle VID-009 is known; known are VID-001"
 
-    elsewhere = Aerie.Command.Result.new("a", :rejected, "ask that one", %{"rule" => "elsewhere"})
+    elsewhere = Aerie.Vehicle.Command.Result.new("a", :rejected, "ask that one", %{"rule" => "elsewhere"})
     assert %Error{status: 421, code: :misdirected, message: "ask that one"} = Error.of_result(elsewhere)
 
     for rule <- ~w(holder claim) do
-      denied = Aerie.Command.Result.new("a", :denied, "nothing was sent", %{"rule" => rule})
+      denied = Aerie.Vehicle.Command.Result.new("a", :denied, "nothing was sent", %{"rule" => rule})
       assert %Error{status: 503} = Error.of_result(denied)
     end
 

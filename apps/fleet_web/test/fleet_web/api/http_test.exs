@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.HTTPTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
 
   test "GET /api/status has one object per vehicle, in the form of state.sock" do
     %{gateway: gateway, port: port} = start_server()

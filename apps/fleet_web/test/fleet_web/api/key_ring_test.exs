@@ -19,7 +19,7 @@ defmodule FleetWeb.API.KeyRingTest do
   defp owner(gateway, text), do: Keys.check(KeyRing.admit(@policy, gateway).keys, text)
 
   test "keys outlive the gateway by their digests alone, beside the configured ones", %{tmp_dir: dir} do
-    {:ok, configured} = Keys.load(%{key: Aerie.Secret.new("a-configured-key-1"), keys_file: nil})
+    {:ok, configured} = Keys.load(%{key: Aerie.Base.Secret.new("a-configured-key-1"), keys_file: nil})
     gateway = start(dir, configured)
     {:ok, wall} = KeyRing.make(gateway, "wall", "viewer", "2099-12-31", "ann")
     {:ok, ops} = KeyRing.make(gateway, "ops", "operator", "", "ann")

@@ -2,7 +2,7 @@ defmodule FleetWeb.API.KeysTest do
   use ExUnit.Case, async: true
 
   alias FleetWeb.API.Keys
-  alias Aerie.Secret
+  alias Aerie.Base.Secret
 
   @moduletag :tmp_dir
 

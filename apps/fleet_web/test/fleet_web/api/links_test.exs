@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.LinksTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Store
+  alias Aerie.Base.Store
   alias FleetWeb.API.LinkRequest
 
   @json {"content-type", "application/json"}
@@ -38,7 +38,7 @@ defmodule FleetWeb.API.LinksTest do
     File.write!(file, "op #{key} role=operator\n")
     File.chmod!(file, 0o600)
     %{gateway: gateway, port: port} = start_server(links: true, keys_file: file)
-    {:ok, "radio"} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
+    {:ok, "radio"} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
     headers = [@json, {"x-aerie-key", key}]
     body = JSON.encode!(%{"url" => "udpin:127.0.0.1:0", "id" => "field"})
     assert {403, _headers, _body} = request(port, "POST", "/api/links", headers, body)

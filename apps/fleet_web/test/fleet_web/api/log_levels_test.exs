@@ -24,7 +24,7 @@ defmodule FleetWeb.API.LogLevelsTest do
 
     File.chmod!(file, 0o600)
     %{port: port} = start_server(keys_file: file)
-    on_exit(fn -> Aerie.Log.reset("gnat") end)
+    on_exit(fn -> Aerie.Base.Log.reset("gnat") end)
 
     assert {200, _headers, %{"areas" => areas, "level" => "warning"}} =
              change(port, @admin, %{"areas" => %{"gnat" => "debug"}})

@@ -1,7 +1,7 @@
 defmodule FleetWeb.API.RecordingsTest do
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Recorder
+  alias MavRouter.Recorder
 
   @moduletag :tmp_dir
   @json {"content-type", "application/json"}
@@ -85,7 +85,7 @@ defmodule FleetWeb.API.RecordingsTest do
   end
 
   test "a link's recording too, and its object says so", %{gateway: gateway, port: port} do
-    {:ok, "radio"} = Aerie.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
+    {:ok, "radio"} = MavRouter.Link.start(gateway, "udpin:127.0.0.1:0", id: "radio")
 
     assert {200, _headers, %{"recording" => %{"mode" => "armed", "state" => "waiting"}}} =
              send_json(port, "PUT", "/api/links/radio/recording", %{"mode" => "armed"})

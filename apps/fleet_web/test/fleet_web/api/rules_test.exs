@@ -6,7 +6,7 @@ defmodule FleetWeb.API.RulesTest do
   test "rules are changed, listed beside the configured ones, and reset" do
     %{gateway: gateway, port: port} = start_server(key: true)
     client = %{url: "udpin:127.0.0.1:0", id: "gcs", rate_limits: %{"ATTITUDE" => 4}}
-    {:ok, "gcs"} = Aerie.Client.add(gateway, client)
+    {:ok, "gcs"} = MavRouter.Client.add(gateway, client)
     assert {200, _, %{"changed" => %{}}} = request(port, "GET", "/api/rules", [admin()])
 
     change = %{

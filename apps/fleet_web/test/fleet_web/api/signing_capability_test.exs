@@ -2,7 +2,8 @@ defmodule FleetWeb.API.SigningCapabilityTest do
   @moduledoc "`GET /api/signing/capability`: who can sign, who does, and by which links a key can be given."
   use FleetWeb.APICase, async: true
 
-  alias Aerie.{LinkCase, Store}
+  alias Aerie.Base.Store
+  alias Aerie.LinkCase
 
   @moduletag :tmp_dir
   @path "/api/signing/capability"

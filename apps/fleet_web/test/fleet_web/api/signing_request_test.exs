@@ -58,10 +58,10 @@ defmodule FleetWeb.API.SigningRequestTest do
     assert {404, _, %{"error" => %{"message" => "there is no link usb"}}} =
              request(port, "POST", "/api/vehicles/VID-001/signing", json, body)
 
-    vehicle = Aerie.Store.vehicle(gateway, "VID-001")
+    vehicle = Aerie.Base.Store.vehicle(gateway, "VID-001")
 
     :ok =
-      Aerie.Store.put_vehicle(gateway, vehicle.key, %{
+      Aerie.Base.Store.put_vehicle(gateway, vehicle.key, %{
         vehicle
         | groups: %{mode: %{at: 1, data: %{armed: true}}}
       })

@@ -2,8 +2,8 @@ defmodule FleetWeb.API.VehicleTest do
   @moduledoc "What `/api` shows of a vehicle: its whole snapshot and its latest events."
   use FleetWeb.APICase, async: true
 
-  alias Aerie.Fleet.Journal
-  alias Aerie.Store
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.Store
   alias Aerie.Vehicle.Event
   alias Aerie.Vehicle.Fields.Object
 
@@ -137,7 +137,7 @@ defmodule FleetWeb.API.VehicleTest do
       assert all == for(seq <- 1..5, vehicle <- ["V-1", "V-2"], do: {vehicle, seq})
       {200, _headers, %{"events" => [first | _]}} = request(port, "GET", "/api/vehicles/V-1/events")
       [event | _] = Journal.recent(gateway, "V-1")
-      assert first == JSON.decode!(Aerie.Bridge.Message.event(event))
+      assert first == JSON.decode!(Aerie.Fleet.Bridge.Message.event(event))
     end
 
     test "limit gives the latest ones, since the first ones from then on", %{port: port} do

@@ -1,11 +1,11 @@
 defmodule FleetWeb.Console.AlarmsTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Diagnosis.Condition
-  alias Aerie.Store.PubSub
+  alias Aerie.Fleet.Diagnosis.Condition
+  alias Aerie.Base.PubSub
   alias Aerie.Vehicle.Event
   alias FleetWeb.Console.Alarms
-  alias FleetWeb.Console.Alarms.{Conditions, Edges, Server}
+  alias FleetWeb.Console.Alarms.{Conditions, EventAlarms, Server}
 
   defp condition(key, severity \\ :warning),
     do: %{key: key, severity: severity, text: inspect(key), vehicle: nil}
@@ -87,11 +87,11 @@ defmodule FleetWeb.Console.AlarmsTest do
             {"gcs.lost", "gcs.restored", %{}},
             {"battery.low", "reboot", %{"remaining" => 0.2}}
           ] do
-        alarms = Edges.apply(Alarms.new(), event(begins, data))
+        alarms = EventAlarms.apply(Alarms.new(), event(begins, data))
         assert [%{over: nil, text: <<_first, _rest::binary>>, vehicle: "V-1"}] = Alarms.list(alarms)
-        assert [%{over: 5_000}] = alarms |> Edges.apply(event(ends, data)) |> Alarms.list()
+        assert [%{over: 5_000}] = alarms |> EventAlarms.apply(event(ends, data)) |> Alarms.list()
 
-        assert alarms |> Edges.apply(event("statustext", %{"text" => "x"})) |> Alarms.list() ==
+        assert alarms |> EventAlarms.apply(event("statustext", %{"text" => "x"})) |> Alarms.list() ==
                  Alarms.list(alarms)
       end
     end
@@ -100,7 +100,7 @@ defmodule FleetWeb.Console.AlarmsTest do
       alarms =
         for type <- ["battery.low", "battery.critical"], reduce: Alarms.new() do
           alarms ->
-            alarms |> Edges.apply(event(type, %{"remaining" => 0.1})) |> Alarms.acknowledge(:all, "ann")
+            alarms |> EventAlarms.apply(event(type, %{"remaining" => 0.1})) |> Alarms.acknowledge(:all, "ann")
         end
 
       assert [%{severity: :critical, text: "Battery nearly empty, 10 % left"}] = Alarms.list(alarms)
@@ -108,9 +108,12 @@ defmodule FleetWeb.Console.AlarmsTest do
   end
 
   test "an alarm's text follows the value, and keeps the last one of a lost vehicle (F13)" do
-    alarms = Edges.apply(Alarms.new(), event("battery.critical", %{"remaining" => 0.1}))
+    alarms = EventAlarms.apply(Alarms.new(), event("battery.critical", %{"remaining" => 0.1}))
     battery = fn status, data -> [%{id: "V-1", status: status, groups: %{battery: %{data: data}}}] end
-    text = fn vehicles -> alarms |> Edges.follow(vehicles) |> Alarms.list() |> hd() |> Map.fetch!(:text) end
+
+    text = fn vehicles ->
+      alarms |> EventAlarms.follow(vehicles) |> Alarms.list() |> hd() |> Map.fetch!(:text)
+    end
 
     assert text.(battery.(:online, %{remaining: 0.06})) == "Battery nearly empty, 6 % left"
     assert text.(battery.(:online, %{remaining: nil, voltage: 9.61})) == "Battery nearly empty, 9.6 V"
@@ -206,7 +209,7 @@ defmodule FleetWeb.Console.AlarmsTest do
       {:ok, view, _html} = live(conn(console, :operator), "/alarms")
       put_vehicle(console, "VID-001", [], %{collision: %{at: 1, sign: :position, links: [["a"], ["b"]]}})
       eventually(fn -> render(view) =~ "two vehicles use system id" end)
-      [%{title: title}] = Aerie.Diagnosis.list(console.gateway)
+      [%{title: title}] = Aerie.Fleet.Diagnosis.list(console.gateway)
       assert {[%{text: ^title, vehicle: "VID-001", severity: :critical}], 0} = Server.list(console.gateway)
     end
 

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.BrowserTest do
   @moduledoc "What only a browser can show."
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Commands
+  alias Aerie.Control.Commands
   alias FleetWeb.Console.Router
 
   @moduletag :chromium

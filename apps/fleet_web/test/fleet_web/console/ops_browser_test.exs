@@ -30,7 +30,7 @@ defmodule FleetWeb.Console.OpsBrowserTest do
     {frames, _parser} =
       MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond))
 
-    Aerie.Recorder.link_frames(gateway, "radio", frames)
+    MavRouter.Recorder.link_frames(gateway, "radio", frames)
     Process.sleep(100)
     talk(gateway, n + 1)
   end

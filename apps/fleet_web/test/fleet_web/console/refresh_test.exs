@@ -56,7 +56,7 @@ defmodule FleetWeb.Console.RefreshTest do
 
   test "messages of other topics reach the page as they are", %{console: console} do
     view = page(console, :viewer)
-    Aerie.Store.PubSub.publish(console.gateway, :events, "an event")
+    Aerie.Base.PubSub.publish(console.gateway, :events, "an event")
     eventually(fn -> view |> element("#last") |> render() =~ "an event" end)
   end
 

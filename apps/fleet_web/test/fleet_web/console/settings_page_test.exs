@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Settings.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Secret
+  alias Aerie.Base.Secret
   alias FleetWeb.Console.Access.Users
 
   setup do: {:ok, start_console()}

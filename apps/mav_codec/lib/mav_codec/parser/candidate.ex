@@ -28,15 +28,15 @@ defmodule MavCodec.Parser.Candidate do
           | :more
 
   @doc "Judges the start of `data`. `accepted` are the incompatibility flags that the parser takes."
-  @spec judge(binary(), Known.t(), 0..255) :: verdict()
-  def judge(data, known, accepted) do
+  @spec classify(binary(), Known.t(), 0..255) :: verdict()
+  def classify(data, known, accepted) do
     case Frame.header(data) do
       # F3: no frame comes from system 0.
       {:ok, _header, _len, _size, _id, 0} ->
         :noise
 
       {:ok, header, len, size, id, _system} ->
-        judge(data, header + len, size, Known.extra(known, id), accepted)
+        classify(data, header + len, size, Known.extra(known, id), accepted)
 
       :more ->
         :more
@@ -46,7 +46,7 @@ defmodule MavCodec.Parser.Candidate do
     end
   end
 
-  defp judge(data, covered, size, extra, accepted) do
+  defp classify(data, covered, size, extra, accepted) do
     cond do
       byte_size(data) < size -> :more
       extra == nil -> unknown(data, size, accepted)

@@ -182,7 +182,7 @@ defmodule MavCodec.Parser.Scanner do
 
   # A frame is due at `pos`.
   defp due(data, pos, at, mode, found, state) do
-    case data |> from(pos) |> Candidate.judge(state.known, state.accepted) do
+    case data |> from(pos) |> Candidate.classify(state.known, state.accepted) do
       {:good, size, extra} -> take(data, pos, size, extra, at, mode, found, state)
       {:incompatible, size} -> incompatible(data, pos, size, at, mode, found, state)
       {:unknown, size} -> unknown(data, pos, size, at, mode, found, state)

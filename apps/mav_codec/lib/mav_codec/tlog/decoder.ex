@@ -60,7 +60,7 @@ defmodule MavCodec.Tlog.Decoder do
   end
 
   defp records(<<at::64, frame::binary>> = data, items, decoder, mode) do
-    case Candidate.judge(frame, decoder.known, decoder.accepted) do
+    case Candidate.classify(frame, decoder.known, decoder.accepted) do
       {:good, size, extra} -> take(at, frame, size, extra, items, decoder, mode)
       {:unknown, size} -> unknown(data, at, frame, size, items, decoder, mode)
       :more when mode == :stream -> {items, data, decoder}
@@ -123,9 +123,9 @@ defmodule MavCodec.Tlog.Decoder do
 
   # Two frames in succession, without a time before either.
   defp raw(data, decoder, mode) do
-    with {:good, size, _extra} <- Candidate.judge(data, decoder.known, decoder.accepted),
+    with {:good, size, _extra} <- Candidate.classify(data, decoder.known, decoder.accepted),
          <<_::binary-size(^size), next::binary>> = data,
-         {:good, _size, _extra} <- Candidate.judge(next, decoder.known, decoder.accepted) do
+         {:good, _size, _extra} <- Candidate.classify(next, decoder.known, decoder.accepted) do
       true
     else
       :more when mode == :stream -> :more

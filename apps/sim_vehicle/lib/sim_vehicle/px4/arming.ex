@@ -32,21 +32,21 @@ defmodule SimVehicle.Px4.Arming do
   defp busy(v, c) do
     v
     |> Vehicle.ack(c, @temporarily_rejected)
-    |> Events.tell(:arming_denied_calibrating, [], {2, "Arming denied: calibrating"})
+    |> Events.emit(:arming_denied_calibrating, [], {2, "Arming denied: calibrating"})
   end
 
   defp check(v, c) do
     if healthy?(v) and Modes.available?(v, v.mode) do
       v
       |> Vehicle.ack(c, @accepted)
-      |> Events.tell(:armed, [@by_command], {6, "Armed by external command"})
+      |> Events.emit(:armed, [@by_command], {6, "Armed by external command"})
       |> Vehicle.put_own(:landed_at, nil)
       |> Vehicle.arm()
       |> Modes.enter(v.mode)
     else
       v
       |> Vehicle.ack(c, @temporarily_rejected)
-      |> Events.tell(:arming_denied, [], {2, "Arming denied: Resolve system health failures first"})
+      |> Events.emit(:arming_denied, [], {2, "Arming denied: Resolve system health failures first"})
     end
   end
 
@@ -57,7 +57,7 @@ defmodule SimVehicle.Px4.Arming do
   def disarm(%{airborne: true} = v, c, force) when force != @force do
     v
     |> Vehicle.ack(c, @temporarily_rejected)
-    |> Events.tell(:disarming_denied, [], {2, "Disarming denied: not landed"})
+    |> Events.emit(:disarming_denied, [], {2, "Disarming denied: not landed"})
   end
 
   def disarm(v, c, _force), do: v |> Vehicle.ack(c, @accepted) |> stop(@by_command)
@@ -94,7 +94,7 @@ defmodule SimVehicle.Px4.Arming do
   def stop(v, reason) do
     words = %{@by_landing => "Disarmed by landing", @by_preflight => "Disarmed by auto preflight disarming"}
     text = Map.get(words, reason, "Disarmed by external command")
-    v = v |> Events.tell(:disarmed, [reason], {6, text}) |> Flight.disarm()
+    v = v |> Events.emit(:disarmed, [reason], {6, text}) |> Flight.disarm()
     v = if v.airborne, do: v, else: %{v | landed: :on_ground}
 
     if v.mode in ["AUTO_LAND", "AUTO_RTL", "AUTO_TAKEOFF"] and not v.airborne,

@@ -66,7 +66,7 @@ defmodule SimVehicle.Px4.Commands do
   defp run(v, c, cmd(:NAV_LAND)) do
     if Modes.available?(v, "AUTO_LAND") do
       v
-      |> Events.tell(:landing_here, [], {6, "Landing at current position"})
+      |> Events.emit(:landing_here, [], {6, "Landing at current position"})
       |> Vehicle.ack(c, @accepted)
       |> Modes.enter("AUTO_LAND")
     else
@@ -123,7 +123,7 @@ defmodule SimVehicle.Px4.Commands do
       else:
         v
         |> Vehicle.ack(c, @denied)
-        |> Events.tell(:mission_denied, [], {2, "Mission start denied! No valid mission"})
+        |> Events.emit(:mission_denied, [], {2, "Mission start denied! No valid mission"})
   end
 
   defp run(v, c, cmd(:DO_FLIGHTTERMINATION)) do
@@ -219,7 +219,7 @@ defmodule SimVehicle.Px4.Commands do
   # Only the text.
   defp arm_argument(v, p1) do
     shown = if is_number(p1), do: :erlang.float_to_binary(p1 * 1.0, decimals: 3), else: "nan"
-    Events.tell(v, :arm_argument, [p1], {2, "Unsupported ARM_DISARM param: #{shown}"})
+    Events.emit(v, :arm_argument, [p1], {2, "Unsupported ARM_DISARM param: #{shown}"})
   end
 
   defp reposition(v, c, lat, lon, alt) do

@@ -49,8 +49,8 @@ defmodule SimVehicle.Px4.Events do
   }
 
   @doc "An event, with the text that doubles it (nil for none)."
-  @spec tell(Vehicle.t(), atom, [number], {0..7, String.t()} | nil) :: Vehicle.t()
-  def tell(v, name, arguments \\ [], text \\ nil) do
+  @spec emit(Vehicle.t(), atom, [number], {0..7, String.t()} | nil) :: Vehicle.t()
+  def emit(v, name, arguments \\ [], text \\ nil) do
     {id, levels, types} = Map.fetch!(@known, name)
     sequence = Vehicle.own(v, :event_sequence, @first_sequence)
 

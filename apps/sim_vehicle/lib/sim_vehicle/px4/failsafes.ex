@@ -82,7 +82,7 @@ defmodule SimVehicle.Px4.Failsafes do
   defp begin(v, :battery) do
     left = min(Battery.remaining(v.battery), Params.get(v.params, "BAT_LOW_THR"))
     v = %{v | battery: Battery.set_remaining(v.battery, left)}
-    Events.tell(v, :battery_low, [], {2, "Low battery"})
+    Events.emit(v, :battery_low, [], {2, "Low battery"})
   end
 
   defp begin(v, :battery_critical) do
@@ -105,12 +105,12 @@ defmodule SimVehicle.Px4.Failsafes do
     if v.airborne and v.armed, do: hold_then_return(v, @causes[kind]), else: v
   end
 
-  defp lost(v, :gcs), do: Events.tell(v, :gcs_lost, [], {4, "Connection to ground control station lost"})
-  defp lost(v, :rc), do: Events.tell(v, :rc_lost, [], {6, "Manual control lost"})
+  defp lost(v, :gcs), do: Events.emit(v, :gcs_lost, [], {4, "Connection to ground control station lost"})
+  defp lost(v, :rc), do: Events.emit(v, :rc_lost, [], {6, "Manual control lost"})
 
   defp hold_then_return(v, cause) do
     v
-    |> Events.tell(
+    |> Events.emit(
       :failsafe_hold,
       [Modes.number(v.mode), @action_rtl, div(@hold_us, 1_000_000), cause],
       {2, "Failsafe activated: entering Hold for 5 seconds"}
@@ -122,15 +122,15 @@ defmodule SimVehicle.Px4.Failsafes do
 
   defp enter(v, mode, action, cause) do
     v
-    |> Events.tell(:failsafe, [Modes.number(v.mode), action, cause], {2, "Failsafe activated"})
+    |> Events.emit(:failsafe, [Modes.number(v.mode), action, cause], {2, "Failsafe activated"})
     |> Modes.enter(mode)
   end
 
   defp over(v, :battery_critical), do: %{v | battery: Battery.set_remaining(v.battery, 1.0)}
 
   defp over(v, :gcs),
-    do: Events.tell(v, :gcs_regained, [], {6, "Connection to ground control station regained"})
+    do: Events.emit(v, :gcs_regained, [], {6, "Connection to ground control station regained"})
 
-  defp over(v, :rc), do: Events.tell(v, :rc_regained, [0.0], {6, "Manual control regained"})
+  defp over(v, :rc), do: Events.emit(v, :rc_regained, [0.0], {6, "Manual control regained"})
   defp over(v, _kind), do: v
 end

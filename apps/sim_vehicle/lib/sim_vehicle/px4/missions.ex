@@ -37,7 +37,7 @@ defmodule SimVehicle.Px4.Missions do
     home = v.home && Geo.to_local(v.origin, v.home.lat, v.home.lon)
 
     if home && length(corners) >= 3 && Geo.inside?(corners, home),
-      do: Events.tell(v, :geofence_invalid, [], {2, "Geofence invalid, doesn't contain Home position"}),
+      do: Events.emit(v, :geofence_invalid, [], {2, "Geofence invalid, doesn't contain Home position"}),
       else: v
   end
 
@@ -87,7 +87,7 @@ defmodule SimVehicle.Px4.Missions do
   @doc "The end of the mission."
   @spec done(Vehicle.t()) :: Vehicle.t()
   def done(v) do
-    v = Events.tell(v, :mission_finished, [], {6, "Mission finished, loitering"})
+    v = Events.emit(v, :mission_finished, [], {6, "Mission finished, loitering"})
     if v.mode == "AUTO_MISSION", do: Modes.enter(v, "AUTO_LOITER"), else: v
   end
 
@@ -99,7 +99,7 @@ defmodule SimVehicle.Px4.Missions do
 
     {:vehicle,
      v
-     |> Events.tell(:mission_finished, [], {6, "Mission finished, loitering"})
+     |> Events.emit(:mission_finished, [], {6, "Mission finished, loitering"})
      |> Internal.send(cmd(:NAV_RETURN_TO_LAUNCH), [])
      |> Modes.enter("AUTO_RTL")}
   end
@@ -109,17 +109,17 @@ defmodule SimVehicle.Px4.Missions do
   defp check(v, [first | _rest] = items) do
     cond do
       Enum.any?(items, &(nav?(&1) and (abs(&1.x) > 900_000_000 or abs(&1.y) > 1_800_000_000))) ->
-        infeasible(Events.tell(v, :mission_item_invalid, [], {2, "IGN MISSION_ITEM: Invalid item"}))
+        infeasible(Events.emit(v, :mission_item_invalid, [], {2, "IGN MISSION_ITEM: Invalid item"}))
 
       Params.get(v.params, "MIS_TKO_LAND_REQ") == 1 and first.command != cmd(:NAV_TAKEOFF) ->
         infeasible(
-          Events.tell(v, :mission_takeoff_missing, [], {2, "Mission rejected: Takeoff waypoint required"})
+          Events.emit(v, :mission_takeoff_missing, [], {2, "Mission rejected: Takeoff waypoint required"})
         )
 
       far(v, items) > @far_m ->
         far = far(v, items)
         text = "First waypoint far away from Home: #{far} m Correct mission loaded?"
-        Events.tell(v, :first_waypoint_far, [far], {4, text})
+        Events.emit(v, :first_waypoint_far, [far], {4, text})
 
       true ->
         v

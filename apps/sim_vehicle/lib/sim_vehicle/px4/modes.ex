@@ -62,7 +62,7 @@ defmodule SimVehicle.Px4.Modes do
   @spec request(Vehicle.t(), integer, integer) :: {non_neg_integer, Vehicle.t()}
   def request(v, main, sub) do
     case name(main, sub) do
-      nil -> {@temporarily_rejected, Events.tell(v, :mode_unsupported, [], {2, "Unsupported auto mode"})}
+      nil -> {@temporarily_rejected, Events.emit(v, :mode_unsupported, [], {2, "Unsupported auto mode"})}
       "ORBIT" -> {@temporarily_rejected, v}
       name -> change(v, name)
     end
@@ -122,7 +122,7 @@ defmodule SimVehicle.Px4.Modes do
   defp start(v, "AUTO_TAKEOFF"), do: takeoff(v)
 
   defp start(v, "AUTO_MISSION"),
-    do: v |> Events.tell(:mission_executing, [], {6, "Executing Mission"}) |> Flight.mission()
+    do: v |> Events.emit(:mission_executing, [], {6, "Executing Mission"}) |> Flight.mission()
 
   defp start(%{airborne: false} = v, _name), do: Flight.go(v, :idle)
   defp start(v, "AUTO_LAND"), do: %{land(v) | landed: :landing}
@@ -162,8 +162,8 @@ defmodule SimVehicle.Px4.Modes do
     text = "RTL: start return at #{amsl} m (#{above} m above destination)"
 
     v
-    |> Events.tell(:returning, [], {6, "Returning to launch"})
-    |> Events.tell(:return_altitude, [amsl, min(above, 255)], {6, text})
+    |> Events.emit(:returning, [], {6, "Returning to launch"})
+    |> Events.emit(:return_altitude, [amsl, min(above, 255)], {6, text})
     |> Flight.go(
       Goal.steps([
         {:climb, Goal.goto(v.kin.n, v.kin.e, d)},
@@ -176,7 +176,7 @@ defmodule SimVehicle.Px4.Modes do
   defp unavailable(v, name) do
     {_main, _sub, nav, _standard, words} = Map.fetch!(@modes, name)
 
-    Events.tell(
+    Events.emit(
       v,
       :mode_unavailable,
       [number(name), nav],

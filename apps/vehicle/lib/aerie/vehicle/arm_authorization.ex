@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.ArmAuthorization do
   arm: a pilot's remote control, too. A module with this behaviour decides; without one the answer is no.
   """
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias MavCodec.Enums.{MavCmd, MavResult}
   alias MavCodec.Messages.CommandAck
 

@@ -12,13 +12,13 @@ defmodule Aerie.Vehicle.Core do
       waited for before is not waited for again
     * `{:shift, step}` - the clock was set by `step` (microseconds): everything was heard as long ago as before
     * `{:link, link, %{high_latency: boolean}}` - what is configured for a link
-    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`Aerie.Router.Stations`)
+    * `{:stations, stations}` - what else sends heartbeats on the vehicle's network (`MavRouter.Router.Stations`)
     * `{:vehicles, n}` - how many vehicles the gateway has: the more, the less often each is shown
     * `{:asked, request, at}` - a TIMESYNC request of ours that is in a recording, to recognise its answers
     * `{:hold_requests, hold?}` - no message or rate is to be requested until further notice
     * `{:event_definitions, definitions}` - what the vehicle itself says about its events (`Aerie.Vehicle.Reports.Definitions`)
     * `{:operator, fields}` - who is in charge of the vehicle changed: fields of the group `operator`
-    * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Streams.Arbiter.demand/3`)
+    * `{:demand, demand, forwarded}` - the rates that clients want have changed (`Aerie.Vehicle.Services.Streams.Arbiter.demand/3`)
 
   Time is that of the frames, so a recorded flight gives the same result at any speed. Before a frame is applied, every
   earlier deadline is handled. A frame that is older than the one before came late, which changes nothing of what is waited for.
@@ -46,12 +46,13 @@ defmodule Aerie.Vehicle.Core do
   as heard on the link and change nothing else.
   """
 
-  alias Aerie.Mavlink.BootClock
-  alias Aerie.Vehicle.{Collision, Gcs, Options, Reports, Sampling, State, Switches, Timesync}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, Shown, Texts, Timers}
+  alias MavRouter.Mavlink.BootClock
+  alias Aerie.Vehicle.{Collision, Options, Reports, Sampling, State}
+  alias Aerie.Vehicle.Services.{Gcs, Switches, Timesync}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Frames, Reporting, Services, SnapshotSchedule, Texts, Timers}
   alias Aerie.Vehicle.Detector.Observation
-  alias Aerie.Vehicle.Links.{HighLatency, Reception}
-  alias Aerie.Vehicle.Streams.Arbiter
+  alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
+  alias Aerie.Vehicle.Services.Streams.Arbiter
 
   defstruct [
     :options,
@@ -68,7 +69,7 @@ defmodule Aerie.Vehicle.Core do
     status: :online,
     version: 2,
     heartbeat: %{at: nil, version: 1},
-    shown: %Shown{},
+    shown: %SnapshotSchedule{},
     dirty: false,
     confirm_status: false,
     state: %State{},
@@ -109,9 +110,9 @@ defmodule Aerie.Vehicle.Core do
           | {:rebase, integer()}
           | {:shift, integer()}
           | {:link, link :: term(), %{high_latency: boolean()}}
-          | {:stations, [Aerie.Router.Stations.station()]}
+          | {:stations, [MavRouter.Router.Stations.station()]}
           | {:vehicles, non_neg_integer()}
-          | {:demand, Aerie.Fleet.StreamDemand.merged(), non_neg_integer() | nil}
+          | {:demand, Aerie.Vehicle.Services.StreamDemand.merged(), non_neg_integer() | nil}
           | {:asked, struct(), integer()}
           | {:operator, map()}
           | {:hold_requests, boolean()}
@@ -123,7 +124,7 @@ defmodule Aerie.Vehicle.Core do
           | {:publish, State.group(), map(), integer()}
           | {:send, struct(), 1 | 2}
           | {:send, struct(), 1 | 2, link :: term()}
-          | {:authorise_arming, Aerie.Protocol.source()}
+          | {:authorise_arming, Aerie.Vehicle.Protocol.source()}
           | {:round_trip, link :: term(), us :: non_neg_integer()}
           | {:heartbeat, 1 | 2}
           | :withhold
@@ -176,7 +177,7 @@ defmodule Aerie.Vehicle.Core do
   def handle(core, {:stations, stations}),
     do: {%{core | gcs: Gcs.stations(core.gcs, stations, own(core.options))}, []}
 
-  def handle(core, {:vehicles, n}), do: {%{core | shown: Shown.vehicles(core.shown, n)}, []}
+  def handle(core, {:vehicles, n}), do: {%{core | shown: SnapshotSchedule.vehicles(core.shown, n)}, []}
 
   def handle(core, {:demand, demand, forwarded}),
     do: {%{core | streams: Arbiter.demand(core.streams, demand, forwarded)}, []}
@@ -208,7 +209,7 @@ defmodule Aerie.Vehicle.Core do
     {core, actions} =
       Enum.reduce(frames, {%{core | path: path}, []}, fn frame, {core, actions} ->
         {core, actions} = Timers.before(core, actions, frame.at)
-        owner = Collision.Owner.heard(core.owner, path, frame.at)
+        owner = Collision.Owner.seen(core.owner, path, frame.at)
         core = %{core | now: max(core.now || frame.at, frame.at), owner: owner}
 
         if Collision.Owner.other?(owner, path, frame.at),

@@ -4,7 +4,7 @@ defmodule Aerie.Vehicle.CoreProcess do
   pure core. Their state has `:gateway`, `:options`, `:listening` and `:timer`; the timer's message is `{:timeout, timer, :wake}`.
   """
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @doc "Asks the session for the messages with these ids, and `:snapshots`, unless it was asked for the same. nil: for nothing."
   @spec listen(state, [non_neg_integer() | :snapshots] | nil) :: state when state: map()

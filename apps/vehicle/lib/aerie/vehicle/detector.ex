@@ -11,7 +11,7 @@ defmodule Aerie.Vehicle.Detector do
   running (`Detector.OfflineChanges`).
   """
 
-  alias Aerie.Fleet.Json
+  alias Aerie.Base.Json
   alias Aerie.Vehicle.{Event, Options}
 
   alias Aerie.Vehicle.Detector.{

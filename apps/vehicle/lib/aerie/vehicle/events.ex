@@ -8,7 +8,10 @@ defmodule Aerie.Vehicle.Events do
   """
   use GenServer
 
-  alias Aerie.{Fleet, Identity, Names, Store, Vehicle}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle
+  alias Aerie.Vehicle.Journal
+  alias MavRouter.Identity
 
   @spec start_link(gateway: Names.gateway(), options: Vehicle.Options.t()) :: GenServer.on_start()
   def start_link(arguments) do
@@ -26,10 +29,10 @@ defmodule Aerie.Vehicle.Events do
   @impl GenServer
   def init(gateway: gateway, options: options) do
     Process.set_label({:events, options.id})
-    Fleet.Journal.welcome(gateway, options.id)
-    detector = Fleet.Journal.begin(gateway, options.id, first(gateway, options))
+    Journal.welcome(gateway, options.id)
+    detector = Journal.begin(gateway, options.id, first(gateway, options))
     # The last loop may have been killed between a commit and its notice.
-    Fleet.Journal.wake(gateway)
+    Journal.wake(gateway)
     {:ok, %{gateway: gateway, id: options.id, key: options.key, detector: detector}, {:continue, :inbox}}
   end
 
@@ -54,18 +57,18 @@ defmodule Aerie.Vehicle.Events do
   end
 
   defp work(state) do
-    entries = Fleet.Journal.inbox(state.gateway, state.id, state.detector.done)
+    entries = Journal.inbox(state.gateway, state.id, state.detector.done)
     detector = Enum.reduce(entries, state.detector, &step(state, &1, &2))
-    Fleet.Journal.forget(state.gateway, state.id, Enum.map(entries, &elem(&1, 0)))
+    Journal.forget(state.gateway, state.id, Enum.map(entries, &elem(&1, 0)))
     %{state | detector: detector}
   end
 
   defp step(state, {n, observation}, detector) do
     before = detector.budget.suppressed
-    known = &Fleet.Journal.param(state.gateway, state.id, &1)
+    known = &Journal.param(state.gateway, state.id, &1)
     {detector, events, params} = Vehicle.Detector.observe(detector, observation, known)
     detector = %{detector | done: n}
-    Fleet.Journal.commit(state.gateway, state.id, detector, events, params)
+    Journal.commit(state.gateway, state.id, detector, events, params)
 
     suppressed = detector.budget.suppressed - before
 

@@ -1,8 +1,8 @@
 defmodule Aerie.Vehicle.Options do
   @moduledoc "The part of `Aerie.Vehicle.Settings` that one vehicle's processes need, read once when its tree starts."
 
-  alias Aerie.Identity
-  alias Aerie.Store
+  alias MavRouter.Identity
+  alias Aerie.Base.Store
   alias Aerie.Vehicle.Settings
 
   # The same as in the settings.

@@ -1,10 +1,10 @@
 defmodule Aerie.Vehicle.Publisher do
   @moduledoc """
-  Publishes the state of vehicles, and knows after a restart what was published last. `Aerie.Bridge` is one; it is given to
+  Publishes the state of vehicles, and knows after a restart what was published last. `Aerie.Fleet.Bridge` is one; it is given to
   `Aerie.Vehicle.Supervisor` as `:publisher`. Without a publisher, nothing is published or remembered.
   """
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @doc "Publishes a sample of a vehicle's state group without waiting: `%{data: map, time_boot_ms: ms or nil}`."
   @callback publish_state(Names.gateway(), vehicle :: String.t(), group :: atom, sample :: map, at :: integer) ::

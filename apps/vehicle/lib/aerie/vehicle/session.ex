@@ -5,18 +5,22 @@ defmodule Aerie.Vehicle.Session do
   The router sends `{:frames, link_id, [frame]}`, one message per read of a link, or `{:frames, {link_id, peer}, [frame]}`
   while several endpoints of a link bring the system.
 
-  Between frames time goes on by `Aerie.Vehicle.Clock`: a vehicle is lost after the same silence whether its frames come from a
+  Between frames time goes on by `Aerie.Vehicle.Session.Clock`: a vehicle is lost after the same silence whether its frames come from a
   radio or from a recording that is played ten times as fast. A recording that is played as fast as it can be read has no time
-  between its frames until its end. When the machine's clock is set (`Aerie.HostClock`; a companion computer without a
+  between its frames until its end. When the machine's clock is set (`Aerie.Base.HostClock`; a companion computer without a
   battery-backed clock starts in another year), all times that the session keeps of a live vehicle move with it: nothing becomes
   older or newer, and no vehicle is lost by it.
   """
   use GenServer
 
-  alias Aerie.{Fleet, HostClock, Identity, Names, Store, Vehicle}
+  alias Aerie.Base.{HostClock, Names, Store}
+  alias Aerie.Vehicle
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Vehicle.Services.StreamDemand
+  alias MavRouter.Identity
   alias Aerie.Vehicle.ArmAuthorization
-  alias Aerie.Router.Stations
-  alias Aerie.Vehicle.Clock
+  alias MavRouter.Router.Stations
+  alias Aerie.Vehicle.Session.Clock
 
   @tick_ms 100
   @look_around_ticks 10
@@ -47,7 +51,7 @@ defmodule Aerie.Vehicle.Session do
       host: HostClock.offset(),
       live?: snapshot != nil and Enum.any?(snapshot.links, &(link_speed(gateway, &1) == :live)),
       speeds: %{},
-      output: Vehicle.Output.new(gateway, options),
+      output: Vehicle.Session.Output.new(gateway, options),
       events: nil,
       alone: nil,
       listeners: %{},
@@ -55,9 +59,9 @@ defmodule Aerie.Vehicle.Session do
     }
 
     # A collision that the last session knew of has to be detected again.
-    Aerie.Router.CollisionRoutes.put(gateway, options.key, [])
+    MavRouter.Router.CollisionRoutes.put(gateway, options.key, [])
     # Newer frames may be in the mailbox already.
-    {:ok, state, {:continue, {:first, Aerie.Router.first_frames(gateway, options.key)}}}
+    {:ok, state, {:continue, {:first, MavRouter.Router.first_frames(gateway, options.key)}}}
   end
 
   @impl GenServer
@@ -70,19 +74,19 @@ defmodule Aerie.Vehicle.Session do
   def handle_info({:frames, _link, []}, state), do: {:noreply, state}
 
   def handle_info({:frames, path, frames}, state) do
-    Aerie.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
+    MavRouter.Recorder.vehicle_frames(state.gateway, state.options.key, frames)
     link = Vehicle.Collision.Owner.link(path)
     {speed, state} = speed(state, link)
     state = check_host_clock(%{state | live?: speed == :live, link: link})
     moment = monotonic()
     anew? = Clock.anew?(state.clock, speed, state.core.now, hd(frames).at, moment, state.host)
     state = if anew?, do: step(state, {:rebase, hd(frames).at}), else: state
-    clock = Clock.heard(List.last(frames).at, moment, speed)
+    clock = Clock.frame(List.last(frames).at, moment, speed)
     hand_over(state.listeners, frames)
     {:noreply, step(%{state | clock: clock}, {:frames, path, frames})}
   end
 
-  # A link on which the vehicle was heard is connected again (`Aerie.Link.Reconnected`).
+  # A link on which the vehicle was heard is connected again (`MavRouter.Link.Reconnected`).
   def handle_info({:link_reconnected, link}, state), do: {:noreply, step(state, {:link_reconnected, link})}
 
   def handle_info({:timeout, _timer, {:tick, due}}, state) do
@@ -112,8 +116,8 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:high_latency, on?}, state) do
     target = {state.options.system_id, state.core.component || 1}
-    message = Vehicle.Links.HighLatency.control(target, on?)
-    {:noreply, %{state | output: Vehicle.Output.send(state.output, message, state.core.version)}}
+    message = Vehicle.Services.Links.HighLatency.control(target, on?)
+    {:noreply, %{state | output: Vehicle.Session.Output.send(state.output, message, state.core.version)}}
   end
 
   # The executor or the transfers want frames with these ids, texts, reports and reboots, and with `:snapshots` among them those as
@@ -139,7 +143,7 @@ defmodule Aerie.Vehicle.Session do
 
   def handle_info({:transmit, messages}, state) do
     version = state.core.version
-    output = Enum.reduce(messages, state.output, &Vehicle.Output.send(&2, &1, version))
+    output = Enum.reduce(messages, state.output, &Vehicle.Session.Output.send(&2, &1, version))
     {:noreply, %{state | output: output}}
   end
 
@@ -172,14 +176,14 @@ defmodule Aerie.Vehicle.Session do
     {core, []} = Vehicle.Core.handle(state.core, {:stations, stations})
     {core, []} = count_vehicles(core, state.gateway)
     state = %{state | ticks: state.ticks + 1, core: core}
-    if Fleet.StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
+    if StreamDemand.sweep(state.gateway, state.options.key), do: demand(state, nil), else: state
   end
 
   defp count_vehicles(core, gateway),
     do: Vehicle.Core.handle(core, {:vehicles, Store.vehicle_count(gateway)})
 
   defp demand(state, forwarded) do
-    merged = Fleet.StreamDemand.merged(state.gateway, state.options.key)
+    merged = StreamDemand.merged(state.gateway, state.options.key)
     {core, []} = Vehicle.Core.handle(state.core, {:demand, merged, forwarded})
     %{state | core: core}
   end
@@ -235,7 +239,7 @@ defmodule Aerie.Vehicle.Session do
   defp past_end(state), do: state
 
   defp configured(state, link) do
-    configured = %{high_latency: Vehicle.Links.HighLatency.link?(state.gateway, link)}
+    configured = %{high_latency: Vehicle.Services.Links.HighLatency.link?(state.gateway, link)}
     {core, []} = Vehicle.Core.handle(state.core, {:link, link, configured})
     %{state | core: core}
   end
@@ -273,8 +277,8 @@ defmodule Aerie.Vehicle.Session do
 
     snapshot =
       Map.merge(snapshot, %{
-        signing: Aerie.Signing.vehicle(state.gateway, key),
-        recording: Aerie.Recorder.shown(state.gateway, {:vehicle, key})
+        signing: MavRouter.Signing.vehicle(state.gateway, key),
+        recording: MavRouter.Recorder.summary(state.gateway, {:vehicle, key})
       })
 
     Store.put_vehicle(state.gateway, key, snapshot)
@@ -290,7 +294,7 @@ defmodule Aerie.Vehicle.Session do
       _other -> :ok
     end
 
-    _dropped_and_counted_when_full = Fleet.Journal.offer(state.gateway, state.options.id, observation)
+    _dropped_and_counted_when_full = Journal.offer(state.gateway, state.options.id, observation)
     state
   end
 
@@ -307,16 +311,16 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:publish, group, sample, at}, state) do
-    Vehicle.Output.publish(state.output, group, sample, at)
+    Vehicle.Session.Output.publish(state.output, group, sample, at)
     state
   end
 
   defp act({:send, message, version}, state) do
-    %{state | output: Vehicle.Output.send(state.output, message, version, link(state.core))}
+    %{state | output: Vehicle.Session.Output.send(state.output, message, version, link(state.core))}
   end
 
   defp act({:send, message, version, link}, state) do
-    %{state | output: Vehicle.Output.send(state.output, message, version, link)}
+    %{state | output: Vehicle.Session.Output.send(state.output, message, version, link)}
   end
 
   defp act({:authorise_arming, {system, component}}, state) do
@@ -332,21 +336,21 @@ defmodule Aerie.Vehicle.Session do
   end
 
   defp act({:round_trip, link, us}, state) do
-    Aerie.Router.Meter.note_rtt(state.gateway, link, us / 1000)
+    MavRouter.Router.Meter.note_rtt(state.gateway, link, us / 1000)
     state
   end
 
   defp act(:withhold, state) do
-    Vehicle.Output.withhold(state.output)
+    Vehicle.Session.Output.withhold(state.output)
     state
   end
 
   defp act({:heartbeat, version}, state) do
-    %{state | output: Vehicle.Output.heartbeat(state.output, version, link(state.core))}
+    %{state | output: Vehicle.Session.Output.heartbeat(state.output, version, link(state.core))}
   end
 
   defp act({:other_vehicle, paths}, state) do
-    Aerie.Router.CollisionRoutes.put(state.gateway, state.options.key, paths)
+    MavRouter.Router.CollisionRoutes.put(state.gateway, state.options.key, paths)
     state
   end
 
@@ -358,7 +362,7 @@ defmodule Aerie.Vehicle.Session do
   defp act({:status, old, new}, state) do
     metadata = %{gateway: state.gateway, vehicle: state.options.id, old: old, new: new}
     :telemetry.execute([:aerie, :vehicle, :status], %{count: 1}, metadata)
-    Vehicle.Supervisor.Capacity.note(state.gateway, state.options.key, new)
+    Vehicle.Capacity.note(state.gateway, state.options.key, new)
     state
   end
 

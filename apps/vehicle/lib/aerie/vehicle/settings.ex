@@ -3,14 +3,14 @@ defmodule Aerie.Vehicle.Settings do
   What the configuration says about vehicles, as the value of the vehicles' supervisor's name. `Aerie.Vehicle.Options` are
   those of one vehicle.
   """
-  use Aerie.Settings
+  use Aerie.Base.Settings
 
-  import Aerie.Settings.Rules
+  import Aerie.Base.Settings.Rules
 
-  alias Aerie.Names
-  alias Aerie.Settings.Types
+  alias Aerie.Base.Names
+  alias Aerie.Base.Settings.Types
 
-  part :identity, Aerie.Identity.Settings
+  part :identity, MavRouter.Identity.Settings
   part :sampling, Aerie.Vehicle.Sampling.Settings
 
   section ""
@@ -122,7 +122,7 @@ defmodule Aerie.Vehicle.Settings do
   @spec of(Names.gateway()) :: t()
   def of(gateway) do
     {settings, _plugs} = Names.value(gateway, :vehicles) || {from(%{}), %{}}
-    %{settings | identity: Aerie.Identity.resolve(settings.identity, gateway)}
+    %{settings | identity: MavRouter.Identity.resolve(settings.identity, gateway)}
   end
 
   @doc "The gateway's `Aerie.Vehicle.Publisher`, or nil."
@@ -139,7 +139,7 @@ defmodule Aerie.Vehicle.Settings do
 
   defp plug(gateway, name), do: with({_settings, plugs} <- Names.value(gateway, :vehicles), do: plugs[name])
 
-  @impl Aerie.Settings
+  @impl Aerie.Base.Settings
   def problems(%{vehicles: vehicles, timeouts: timeouts, events: events, limits: limits} = config) do
     streams =
       for {name, _hz} <- config.mavlink.streams, MavCodec.Dialects.All.message_id(name) == nil do
@@ -163,12 +163,12 @@ defmodule Aerie.Vehicle.Settings do
       twice(vehicles, systems, ["vehicles"], "one name for each network and system id") ++ several
   end
 
-  @impl Aerie.Settings
+  @impl Aerie.Base.Settings
   def warnings(%{mavlink: %{system_id: system}} = config) do
     texts([
       {is_nil(config.vehicle_id) and Enum.any?(config.vehicles, &(&1.system_id == system)),
        "mavlink.system_id #{system} is also a vehicle's in the list: a hub needs an id of its own, " <>
-         "such as #{elem(Aerie.Identity.default_ids(), 0)}. Aboard that vehicle, give vehicle_id instead."}
+         "such as #{elem(MavRouter.Identity.default_ids(), 0)}. Aboard that vehicle, give vehicle_id instead."}
     ])
   end
 end

@@ -1,5 +1,5 @@
 defmodule Aerie.Vehicle.Snapshot do
-  @moduledoc "Reads a vehicle's snapshot, as `Aerie.Store` keeps it."
+  @moduledoc "Reads a vehicle's snapshot, as `Aerie.Base.Store` keeps it."
 
   @doc "The data of a group; empty if the group was never heard."
   @spec data(map(), atom()) :: map()

@@ -6,16 +6,19 @@ defmodule Aerie.Vehicle.Supervisor do
   Aerie.Vehicle.Supervisor        rest_for_one
   ├─ dynamic supervisor           one Supervisor.Tree (temporary) per {network, system_id}, at most `max_vehicles`
   ├─ Supervisor.TreeRestarter     restarts a tree that died: at once, then with growing delays
-  └─ Aerie.Identity.Watchdog      asks all loops whether they answer, which is what the gateway's heartbeat vouches for
+  └─ MavRouter.Identity.Watchdog      asks all loops whether they answer, which is what the gateway's heartbeat vouches for
   ```
 
   The trees are temporary, so that a vehicle whose frames crash its session again and again cannot use up a restart budget
   that all vehicles share; the restarter bounds how often it is started.
   """
   use Supervisor
-  @behaviour Aerie.Router.Vehicles
+  @behaviour MavRouter.Router.Vehicles
 
-  alias Aerie.{Fleet, Identity, Names, Store, Vehicle}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle
+  alias Aerie.Vehicle.Journal
+  alias MavRouter.Identity
 
   @doc """
   Options: `:gateway`, `:settings`, `:publisher` (the module of `Aerie.Vehicle.Publisher`; none when absent), `:loops` (modules
@@ -38,10 +41,10 @@ defmodule Aerie.Vehicle.Supervisor do
 
   Any number of processes may call this at once; all get the same session. `options` override what the configuration says
   about the vehicle (`Aerie.Vehicle.Options`). Errors: `:too_many` if there are `max_vehicles` and none of them makes room
-  (`Aerie.Vehicle.Supervisor.Capacity`; counted as `{:vehicles, :refused}`), `:not_running` if the gateway is stopping or its
+  (`Aerie.Vehicle.Capacity`; counted as `{:vehicles, :refused}`), `:not_running` if the gateway is stopping or its
   vehicles are being restarted.
   """
-  @impl Aerie.Router.Vehicles
+  @impl MavRouter.Router.Vehicles
   @spec ensure(Names.gateway(), Store.vehicle_key(), keyword()) ::
           {:ok, pid()} | {:error, :too_many | :not_running}
   def ensure(gateway, {_network, _system} = key, options \\ []) do
@@ -70,12 +73,12 @@ defmodule Aerie.Vehicle.Supervisor do
         DynamicSupervisor.terminate_child(Names.via(gateway, :vehicle_trees), tree)
       end
 
-    Fleet.Journal.forget_vehicle(gateway, Vehicle.Options.id(Vehicle.Settings.of(gateway), key))
+    Journal.forget_vehicle(gateway, Vehicle.Options.id(Vehicle.Settings.of(gateway), key))
     Store.forget(gateway, {:lost, key})
     Store.forget(gateway, {:commanded, Vehicle.Options.id(Vehicle.Settings.of(gateway), key)})
     :ok = Store.delete_vehicle(gateway, key)
     # Afterwards, so that its recording is not begun again.
-    Aerie.Recorder.forget(gateway, key)
+    MavRouter.Recorder.forget(gateway, key)
   end
 
   @impl Supervisor

@@ -1,8 +1,8 @@
 defmodule Mix.Tasks.Aerie.Commands do
   @shortdoc "Renews the tables of docs/commands.md"
   @moduledoc """
-  Renews the tables of `docs/commands.md` from the table of commands (`Aerie.Command.Types`) and the gaps of the firmwares
-  (`Aerie.Protocol`).
+  Renews the tables of `docs/commands.md` from the table of commands (`Aerie.Vehicle.Command.Types`) and the gaps of the firmwares
+  (`Aerie.Vehicle.Protocol`).
 
       mix aerie.commands
   """
@@ -13,8 +13,8 @@ defmodule Mix.Tasks.Aerie.Commands do
   @doc "The page as it is to be."
   @spec page() :: String.t()
   def page do
-    sections = Map.merge(Aerie.Command.Page.sections(), Aerie.Protocol.Page.sections())
-    Aerie.Command.Page.renew(File.read!(@page), sections)
+    sections = Map.merge(Aerie.Vehicle.Command.Page.sections(), Aerie.Vehicle.Protocol.Page.sections())
+    Aerie.Vehicle.Command.Page.renew(File.read!(@page), sections)
   end
 
   @impl Mix.Task

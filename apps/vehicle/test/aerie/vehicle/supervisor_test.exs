@@ -1,7 +1,8 @@
 defmodule Aerie.Vehicle.SupervisorTest do
   use Aerie.GatewayCase, async: true
 
-  alias Aerie.{Names, Store, Vehicle}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle
 
   test "a vehicle has one session, however many processes ask at once" do
     gateway = start_gateway()

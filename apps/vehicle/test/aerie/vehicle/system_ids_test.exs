@@ -2,9 +2,10 @@ defmodule Aerie.Vehicle.SystemIdsTest do
   @moduledoc "Vehicles with ids at the edges: those of ground stations, ours, and those of more than a byte."
   use Aerie.VehicleCase, async: true
 
-  alias Aerie.{Names, Router, Store}
-  alias Aerie.Store.PubSub
-  alias Aerie.Vehicle.Streams
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Router
+  alias Aerie.Base.PubSub
+  alias Aerie.Vehicle.Services.Streams
   alias MavCodec.{Frame, Parser}
   alias MavCodec.Messages, as: M
 

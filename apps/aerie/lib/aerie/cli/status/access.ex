@@ -4,9 +4,9 @@ defmodule Aerie.CLI.Status.Access do
   clients and from the configuration.
   """
 
-  alias Aerie.Link.Spec
-  alias Aerie.Policy
-  alias Aerie.Router.Access
+  alias MavRouter.Link.Spec
+  alias Aerie.Control.Policy
+  alias MavRouter.Router.Access
 
   # Whom no entry of `policy.clients` names: on this machine, and on a link with `gcs: allow`.
   @unlisted %{role: :operator, permissions: []}

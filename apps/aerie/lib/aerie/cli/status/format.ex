@@ -21,7 +21,7 @@ defmodule Aerie.CLI.Status.Format do
   @doc "A text, or a dash if there is none. Control characters are dropped, because they could steer the terminal."
   @spec text(term()) :: String.t()
   def text(nil), do: @unknown
-  def text(value), do: value |> to_string() |> Aerie.Printable.line("")
+  def text(value), do: value |> to_string() |> Aerie.Base.Printable.line("")
 
   @doc "An age in microseconds, as text; a dash if it is not known."
   @spec age(integer() | nil) :: String.t()

@@ -1,7 +1,7 @@
 defmodule Aerie.CLI.Status.Lines do
   @moduledoc """
   The status as lines of the log, for a pipe or `--quiet`: one line per vehicle, one per link and one for NATS. Each is its
-  message with its pairs, for `Aerie.Log.Formatter.line/5`, which leaves out what is nil.
+  message with its pairs, for `Aerie.Base.Log.Formatter.line/5`, which leaves out what is nil.
   """
 
   import Aerie.CLI.Status.Format

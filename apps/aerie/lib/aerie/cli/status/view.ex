@@ -24,9 +24,9 @@ defmodule Aerie.CLI.Status.View do
 
   @typedoc """
   * `now`, `started` - unix microseconds
-  * `vehicles` - snapshots of `Aerie.Fleet`; `links` - of `Aerie.Store`; `clients` - `Aerie.Client.endpoints/1`
-  * `nats` - `Aerie.Bridge.info/1`; `nats_login` - the address with its login, for a terminal but never for a log
-  * `identity` - `Aerie.Router.identity/1`
+  * `vehicles` - snapshots of `Aerie.Fleet`; `links` - of `Aerie.Base.Store`; `clients` - `MavRouter.Client.endpoints/1`
+  * `nats` - `Aerie.Fleet.Bridge.info/1`; `nats_login` - the address with its login, for a terminal but never for a log
+  * `identity` - `MavRouter.Router.identity/1`
   * `published` - messages handed to NATS so far; `pending` - events in memory that NATS has not confirmed
   * `http` - address of the HTTP server, or nil
   * `console` - the address that signs in to the console, for a terminal but never for a log

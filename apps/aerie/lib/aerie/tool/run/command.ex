@@ -1,9 +1,10 @@
 defmodule Aerie.Tool.Run.Command do
-  @moduledoc "`aerie cmd`: one command, one result (`Aerie.Commands`)."
+  @moduledoc "`aerie cmd`: one command, one result (`Aerie.Control.Commands`)."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Command.{Error, Result, Types}
-  alias Aerie.{Commands, Fleet}
+  alias Aerie.Vehicle.Command.{Error, Result, Types}
+  alias Aerie.Control.Commands
+  alias Aerie.Fleet
   alias Aerie.Tool.{Ask, Columns, Run}
 
   @impl Aerie.Tool.Subcommand
@@ -34,7 +35,7 @@ defmodule Aerie.Tool.Run.Command do
       )
 
   @doc "The source of commands from `bin/aerie`, for the policy and the audit log: the gateway's own user."
-  @spec source() :: Aerie.Policy.Roles.source()
+  @spec source() :: Aerie.Control.Policy.Roles.source()
   def source, do: %{Commands.inside() | name: "bin/aerie"}
 
   @doc "Parameters from words such as `altitude=20`. Values are JSON where they can be, else text. Pure."

@@ -2,9 +2,10 @@ defmodule Aerie.Tool.Run.Config do
   @moduledoc "`aerie config check` and `aerie config show`."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.{Config, Policy}
+  alias Aerie.Config
+  alias Aerie.Control.Policy
   alias Aerie.Config.{Keys, Preflight}
-  alias Aerie.Settings.Schema
+  alias Aerie.Base.Settings.Schema
   alias Aerie.Tool.Columns
 
   @impl Aerie.Tool.Subcommand
@@ -67,7 +68,7 @@ defmodule Aerie.Tool.Run.Config do
     end)
   end
 
-  # What is secret is not shown (Aerie.Secret hides itself in inspect); keys that name files are.
+  # What is secret is not shown (Aerie.Base.Secret hides itself in inspect); keys that name files are.
   defp shown(_key, nil), do: nil
   defp shown(_key, value) when is_binary(value), do: value
   defp shown(_key, value), do: inspect(value, limit: 30, printable_limit: 200)

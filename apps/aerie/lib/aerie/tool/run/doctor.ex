@@ -1,13 +1,14 @@
 defmodule Aerie.Tool.Run.Doctor do
   @moduledoc """
   `aerie doctor`: checks whether this machine has what a gateway with this configuration needs. Each finding is ok, a warning or an error,
-  and says how to fix it. If a gateway is running, the findings of its own diagnosis (`Aerie.Diagnosis`) are included.
+  and says how to fix it. If a gateway is running, the findings of its own diagnosis (`Aerie.Fleet.Diagnosis`) are included.
   """
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.{Config, Disk}
+  alias Aerie.Base.Files.Disk
+  alias Aerie.Config
   alias Aerie.Config.Preflight
-  alias Aerie.Link.Serial.Ports
+  alias MavRouter.Link.Serial.Ports
   alias Aerie.Tool.{Columns, Gateway, Run}
 
   @type finding :: %{
@@ -195,7 +196,7 @@ defmodule Aerie.Tool.Run.Doctor do
     request = %{options: %{gateway: entry.name}, folder: "."}
 
     with {:ok, node, _entry} <- Gateway.connect(request),
-         conditions when is_list(conditions) <- Gateway.call(node, Aerie.Diagnosis, :list, [:default]) do
+         conditions when is_list(conditions) <- Gateway.call(node, Aerie.Fleet.Diagnosis, :list, [:default]) do
       [
         ok("gateway", "#{entry.name} has been running since #{entry.started}")
         | Enum.map(conditions, &condition/1)

@@ -1,9 +1,9 @@
 defmodule Aerie.Tool.Run.Mission do
-  @moduledoc "`aerie mission show` and `clear` (`Aerie.Missions`)."
+  @moduledoc "`aerie mission show` and `clear` (`Aerie.Control.Missions`)."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Mission.Plan
-  alias Aerie.Missions
+  alias Aerie.Control.Mission.Plan
+  alias Aerie.Control.Missions
   alias Aerie.Tool.{Ask, Columns, Run}
 
   @impl Aerie.Tool.Subcommand
@@ -53,7 +53,7 @@ defmodule Aerie.Tool.Run.Mission do
   end
 
   @doc "Items as a table. Pure."
-  @spec rows([Aerie.Mission.Item.t()]) :: iodata()
+  @spec rows([Aerie.Control.Mission.Item.t()]) :: iodata()
   def rows(items) do
     rows =
       for {item, seq} <- Enum.with_index(items) do

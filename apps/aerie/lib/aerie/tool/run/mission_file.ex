@@ -2,7 +2,7 @@ defmodule Aerie.Tool.Run.MissionFile do
   @moduledoc "`aerie mission load`: this program reads the file with its user's rights; the gateway sends the plan."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Missions
+  alias Aerie.Control.Missions
   alias Aerie.Tool.{Ask, Gateway, Run}
 
   # Far more than the largest mission.

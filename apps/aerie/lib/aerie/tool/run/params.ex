@@ -1,9 +1,9 @@
 defmodule Aerie.Tool.Run.Params do
-  @moduledoc "`aerie params list`, `get` and `set` (`Aerie.Params`)."
+  @moduledoc "`aerie params list`, `get` and `set` (`Aerie.Control.Params`)."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Params
-  alias Aerie.Params.Table
+  alias Aerie.Control.Params
+  alias Aerie.Control.Params.Table
   alias Aerie.Tool.{Ask, Columns, Run}
 
   @impl Aerie.Tool.Subcommand

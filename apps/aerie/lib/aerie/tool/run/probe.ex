@@ -5,9 +5,12 @@ defmodule Aerie.Tool.Run.Probe do
   """
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.{Config, Gateway, Inspector, Link, Store}
-  alias Aerie.Link.Spec
-  alias Aerie.Store.PubSub
+  alias Aerie.{Config, Gateway}
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.Inspector
+  alias MavRouter.Link
+  alias MavRouter.Link.Spec
+  alias Aerie.Base.PubSub
   alias Aerie.Tool.Columns
 
   @default_s 5.0
@@ -19,7 +22,7 @@ defmodule Aerie.Tool.Run.Probe do
 
     with {:seconds, true} <- {:seconds, seconds > 0 and seconds <= @longest_s},
          {:ok, url} <- url(place) do
-      {:ok, _started} = Application.ensure_all_started([:vehicle, :fast_yaml])
+      {:ok, _started} = Application.ensure_all_started([:fleet, :fast_yaml])
       report = listen(url, round(seconds * 1000))
       {status(report), if(options[:json], do: [JSON.encode_to_iodata!(report), ?\n], else: render(report))}
     else
@@ -43,7 +46,7 @@ defmodule Aerie.Tool.Run.Probe do
 
   defp listen(url, ms) do
     folder = Path.join(System.tmp_dir!(), "aerie-probe-#{System.pid()}")
-    :ok = Aerie.PrivateFile.folder(folder)
+    :ok = Aerie.Base.Files.Private.folder(folder)
     gateway = make_ref()
     {:ok, pid} = Gateway.start_link(name: gateway, config: config(url, folder))
     PubSub.subscribe(gateway, :links)
@@ -126,7 +129,7 @@ defmodule Aerie.Tool.Run.Probe do
       component: vehicle[:component],
       autopilot: vehicle.autopilot,
       type: vehicle.vehicle_type,
-      firmware: Aerie.Fleet.Json.plain(vehicle[:firmware])
+      firmware: Aerie.Base.Json.plain(vehicle[:firmware])
     }
   end
 

@@ -1,8 +1,8 @@
 defmodule Aerie.Tool.Run.Record do
-  @moduledoc "`aerie record` (`Aerie.Recorder`)."
+  @moduledoc "`aerie record` (`MavRouter.Recorder`)."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Recorder
+  alias MavRouter.Recorder
   alias Aerie.Tool.Columns
 
   @impl Aerie.Tool.Subcommand
@@ -10,7 +10,7 @@ defmodule Aerie.Tool.Run.Record do
     files = Recorder.list(:default)
 
     if options[:json],
-      do: {0, [JSON.encode_to_iodata!(Aerie.Fleet.Json.plain(files)), ?\n]},
+      do: {0, [JSON.encode_to_iodata!(Aerie.Base.Json.plain(files)), ?\n]},
       else:
         {0, Columns.render(~w(FILE BYTES OPEN), for(file <- files, do: [file.file, file.bytes, file.open]))}
   end

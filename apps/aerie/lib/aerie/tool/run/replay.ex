@@ -7,7 +7,7 @@ defmodule Aerie.Tool.Run.Replay do
 
   @impl Aerie.Tool.Subcommand
   def run(%{arguments: %{"FILE" => file}, options: options, folder: folder} = request) do
-    {:ok, _started} = Application.ensure_all_started(:vehicle)
+    {:ok, _started} = Application.ensure_all_started(:fleet)
     what = if options[:samples], do: [:events, :samples], else: [:events]
 
     # FILE is the recording here, not the configuration.

@@ -2,11 +2,12 @@ defmodule Aerie.Tool.Run.Tail do
   @moduledoc "`aerie tail`: a vehicle's events, and changes of its state, as they come."
   @behaviour Aerie.Tool.Subcommand
 
-  alias Aerie.Bridge.Message
+  alias Aerie.Fleet.Bridge.Message
   alias Aerie.CLI.Status.Lines
-  alias Aerie.{Fleet, Store}
-  alias Aerie.Fleet.Journal
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Store
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.PubSub
   alias Aerie.Tool.Columns
 
   @impl Aerie.Tool.Subcommand
@@ -73,7 +74,7 @@ defmodule Aerie.Tool.Run.Tail do
   defp groups(vehicle),
     do: for({name, group} <- vehicle.groups, name != :link, into: %{}, do: {name, group.data})
 
-  defp group(name, data, %{json: true}), do: JSON.encode!(%{group: name, data: Aerie.Fleet.Json.plain(data)})
+  defp group(name, data, %{json: true}), do: JSON.encode!(%{group: name, data: Aerie.Base.Json.plain(data)})
 
   defp group(name, data, _options) do
     words =
@@ -89,5 +90,5 @@ defmodule Aerie.Tool.Run.Tail do
   defp text(value), do: inspect(value, limit: 20, width: :infinity)
 
   # Standard output is aerie's own; when it is closed, this process ends, too.
-  defp put(line), do: line |> Aerie.Printable.lines() |> IO.puts()
+  defp put(line), do: line |> Aerie.Base.Printable.lines() |> IO.puts()
 end

@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Access.Handler do
 
   @behaviour :cowboy_handler
 
-  alias Aerie.{Address, Store}
+  alias Aerie.Base.{Address, Store}
   alias FleetWeb.API
   alias FleetWeb.API.Request
   alias FleetWeb.Console.Access.{Attempts, Launch, Limiter, Session, Sessions, SignIn, Users}

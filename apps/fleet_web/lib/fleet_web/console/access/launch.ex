@@ -5,7 +5,8 @@ defmodule FleetWeb.Console.Access.Launch do
   """
   use GenServer
 
-  alias Aerie.{Names, PrivateFile}
+  alias Aerie.Base.Files.Private
+  alias Aerie.Base.Names
   alias FleetWeb.Listener
 
   require Logger
@@ -50,7 +51,7 @@ defmodule FleetWeb.Console.Access.Launch do
   def handle_cast({:write, address}, %{gateway: gateway, file: file} = state) do
     url = url(gateway, "http://#{host(address)}:#{Listener.port(gateway)}")
 
-    with :ok <- PrivateFile.new_folder(Path.dirname(file)), :ok <- PrivateFile.write(file, [url, ?\n]) do
+    with :ok <- Private.new_folder(Path.dirname(file)), :ok <- Private.write(file, [url, ?\n]) do
       :ok
     else
       {:error, reason} -> Logger.warning("#{file}: #{:file.format_error(reason)}")

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Access.Limiter do
   """
   use GenServer
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias FleetWeb.Console.Access.Attempts
 
   @most_delayed 32

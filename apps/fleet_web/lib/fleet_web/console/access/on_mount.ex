@@ -5,17 +5,17 @@ defmodule FleetWeb.Console.Access.OnMount do
   Without a signed-in user it redirects to the sign-in page. If the session ends, because somebody signs out, the user is removed or gets another
   role or password, or its time is over, its pages end at once, and so does the WebSocket that carried them.
 
-  What a user's pages do is paid for from the user's events (`FleetWeb.Costly.spend/3`): a page, a change of the address and what a page names as
+  What a user's pages do is paid for from the user's events (`FleetWeb.WorkLimit.spend/3`): a page, a change of the address and what a page names as
   costly (`costly:` of `FleetWeb.Console`) cost more. When none are left, events are refused, and pages are answered with 429.
   """
 
   import Phoenix.Component
   import Phoenix.LiveView
 
-  alias Aerie.Names
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Names
+  alias Aerie.Base.PubSub
   alias FleetWeb.Console.Access.{Role, Session}
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @page_cost 4
   @costly 5
@@ -38,7 +38,7 @@ defmodule FleetWeb.Console.Access.OnMount do
         {:halt, redirect(socket, to: "/sign-in")}
 
       user ->
-        if Costly.spend(gateway, user.name, @page_cost),
+        if WorkLimit.spend(gateway, user.name, @page_cost),
           do: admit(socket, gateway, user, session),
           else: raise(TooMany)
     end
@@ -74,7 +74,7 @@ defmodule FleetWeb.Console.Access.OnMount do
   defp clock, do: Calendar.strftime(DateTime.utc_now(), "%H:%M:%S UTC")
 
   defp path(_params, uri, %{assigns: %{gateway: gateway, user: user}} = socket) do
-    if Costly.spend(gateway, user.name, @page_cost),
+    if WorkLimit.spend(gateway, user.name, @page_cost),
       do: {:cont, assign(socket, :path, URI.parse(uri).path || "/")},
       else: {:halt, socket}
   end
@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.Access.OnMount do
     cost = if event in page.costly, do: @costly, else: 1
 
     cond do
-      not Costly.spend(gateway, user.name, cost) ->
+      not WorkLimit.spend(gateway, user.name, cost) ->
         {:halt, tell(socket, "That was too much at once. Wait a moment, and try again.")}
 
       Session.user(gateway, session) != user ->

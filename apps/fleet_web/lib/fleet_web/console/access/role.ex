@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Access.Role do
   @moduledoc "The order of roles: viewer, operator, admin."
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
 
   @doc "Whether a role may do what `least` may."
   @spec at_least?(Roles.role(), Roles.role()) :: boolean()

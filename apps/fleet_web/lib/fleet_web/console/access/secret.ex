@@ -1,7 +1,8 @@
 defmodule FleetWeb.Console.Access.Secret do
   @moduledoc "The secret that signs sessions: 32 random bytes in a file that only its owner can read, so that a restart signs nobody out."
 
-  alias Aerie.{Damaged, Names, PrivateFile}
+  alias Aerie.Base.Files.{Damaged, Private}
+  alias Aerie.Base.Names
 
   @bytes 32
 
@@ -27,7 +28,7 @@ defmodule FleetWeb.Console.Access.Secret do
   defp make(dir, path) do
     secret = :crypto.strong_rand_bytes(@bytes)
 
-    with :ok <- PrivateFile.new_folder(dir), :ok <- PrivateFile.write(path, secret) do
+    with :ok <- Private.new_folder(dir), :ok <- Private.write(path, secret) do
       {:ok, secret}
     else
       {:error, reason} -> {:error, "#{path}: #{:file.format_error(reason)}"}

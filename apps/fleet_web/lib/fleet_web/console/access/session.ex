@@ -6,8 +6,8 @@ defmodule FleetWeb.Console.Access.Session do
   which another password or role invalidates), for a month, or to the address that `bin/run` prints (`"launch"`): an admin, for a day.
   """
 
-  alias Aerie.Names
-  alias Aerie.Policy.Roles
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Access.{Sessions, Users}
   alias Phoenix.LiveView.Cookie
 

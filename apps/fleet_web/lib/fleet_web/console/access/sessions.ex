@@ -6,12 +6,13 @@ defmodule FleetWeb.Console.Access.Sessions do
   A session is listed by the digest of its random id, in a file that only its owner can read, so that a restart signs nobody out and brings no
   session back. Each user has 20 at most, and so has the printed address; the oldest ends for a new one.
 
-  The end of a session is told as `{:notice, :console_sessions}` of `Aerie.Store.PubSub`.
+  The end of a session is told as `{:notice, :console_sessions}` of `Aerie.Base.PubSub`.
   """
   use GenServer
 
-  alias Aerie.{Names, PrivateFile}
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Files.Private
+  alias Aerie.Base.Names
+  alias Aerie.Base.PubSub
 
   require Logger
 
@@ -121,8 +122,8 @@ defmodule FleetWeb.Console.Access.Sessions do
       for {digest, owner, until} <- :ets.tab2list(table),
           do: %{id: Base.encode64(digest), user: owner, until: until}
 
-    with :ok <- PrivateFile.new_folder(Path.dirname(file)),
-         :ok <- PrivateFile.write(file, [JSON.encode_to_iodata!(%{sessions: sessions}), ?\n]) do
+    with :ok <- Private.new_folder(Path.dirname(file)),
+         :ok <- Private.write(file, [JSON.encode_to_iodata!(%{sessions: sessions}), ?\n]) do
       :ok
     else
       {:error, reason} ->

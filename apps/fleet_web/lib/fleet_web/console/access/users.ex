@@ -6,19 +6,20 @@ defmodule FleetWeb.Console.Access.Users do
   {"users": [{"name": "ann", "role": "operator", "password": "pbkdf2-sha256$600000$…$…"}]}
   ```
 
-  A change is on disk before it takes effect, and open pages of the user are notified (`{:notice, :console_users}` of `Aerie.Store.PubSub`). The file is
-  read only at start. A damaged one is set aside (`Aerie.Damaged`), and then nobody can sign in by name until an admin adds users; one
+  A change is on disk before it takes effect, and open pages of the user are notified (`{:notice, :console_users}` of `Aerie.Base.PubSub`). The file is
+  read only at start. A damaged one is set aside (`Aerie.Base.Files.Damaged`), and then nobody can sign in by name until an admin adds users; one
   that others can read is refused, and the console does not start.
   """
   use GenServer
 
   import Bitwise
 
-  alias Aerie.{Damaged, Names, PrivateFile}
-  alias Aerie.Policy.Roles
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Files.{Damaged, Private}
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Base.PubSub
   alias FleetWeb.Console.Access.{Password, Role}
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @most 100
   @max_file 65_536
@@ -42,14 +43,15 @@ defmodule FleetWeb.Console.Access.Users do
     do: Names.read(gateway, :console_users, nil, &:ets.lookup_element(&1, name, 2, nil))
 
   @doc """
-  The user with this name and password. An unknown name takes as long to check. Passwords are hashed in the places of `FleetWeb.Costly`, in
+  The user with this name and password. An unknown name takes as long to check. Passwords are hashed in the places of `FleetWeb.WorkLimit`, in
   the name of `asker`.
   """
-  @spec check(Names.gateway(), term(), term(), Costly.asker()) :: {:ok, user()} | :error | Costly.refusal()
+  @spec check(Names.gateway(), term(), term(), WorkLimit.asker()) ::
+          {:ok, user()} | :error | WorkLimit.refusal()
   def check(gateway, name, password, asker) do
     user = if is_binary(name), do: find(gateway, name)
 
-    case Costly.run(gateway, :password, asker, fn -> Password.match?(password, user[:password]) end) do
+    case WorkLimit.run(gateway, :password, asker, fn -> Password.match?(password, user[:password]) end) do
       {:ok, true} -> {:ok, user}
       {:ok, false} -> :error
       busy -> busy
@@ -68,7 +70,7 @@ defmodule FleetWeb.Console.Access.Users do
   end
 
   defp hash(gateway, password, by) do
-    with {:busy, seconds} <- Costly.run(gateway, :users, {:name, by}, fn -> Password.hash(password) end),
+    with {:busy, seconds} <- WorkLimit.run(gateway, :users, {:name, by}, fn -> Password.hash(password) end),
          do: {:error, busy(seconds)}
   end
 
@@ -251,7 +253,7 @@ defmodule FleetWeb.Console.Access.Users do
   defp write(file, users) do
     text = JSON.encode_to_iodata!(%{users: Enum.sort_by(users, & &1.name)})
 
-    with :ok <- PrivateFile.new_folder(Path.dirname(file)), :ok <- PrivateFile.write(file, [text, ?\n]) do
+    with :ok <- Private.new_folder(Path.dirname(file)), :ok <- Private.write(file, [text, ?\n]) do
       :ok
     else
       {:error, reason} -> {:error, "#{file}: #{:file.format_error(reason)}"}

@@ -2,10 +2,10 @@ defmodule FleetWeb.Console.Alarms.Conditions do
   @moduledoc """
   What is wrong now: from snapshots of vehicles and links, from the diagnosis, and from the gateway's own state. Pure.
 
-  What the diagnosis judges (`Aerie.Diagnosis`) is not judged a second time here.
+  What the diagnosis judges (`Aerie.Fleet.Diagnosis`) is not judged a second time here.
   """
 
-  alias Aerie.Diagnosis.Condition
+  alias Aerie.Fleet.Diagnosis.Condition
   alias FleetWeb.Console.Alarms
   alias Aerie.Vehicle.Snapshot
 

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Alarms.OnMount do
   import Phoenix.Component
   import Phoenix.LiveView
 
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.PubSub
   alias FleetWeb.Console.Alarms.Server
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.UI.Age

@@ -3,15 +3,17 @@ defmodule FleetWeb.Console.Alarms.Server do
   Keeps a gateway's alarms, for all operators together. It looks at the snapshots when they have changed, at most twice a second, and
   handles events as they come. After a restart it begins with the events that the journal still has, and nothing is acknowledged.
 
-  Pages are notified of a change by `{:notice, :console_alarms}` of `Aerie.Store.PubSub`, with the summary.
+  Pages are notified of a change by `{:notice, :console_alarms}` of `Aerie.Base.PubSub`, with the summary.
   """
   use GenServer
 
-  alias Aerie.{Diagnosis, Fleet, Names, Store}
-  alias Aerie.Fleet.Journal
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Diagnosis
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.PubSub
   alias FleetWeb.Console.Alarms
-  alias FleetWeb.Console.Alarms.{Conditions, Edges}
+  alias FleetWeb.Console.Alarms.{Conditions, EventAlarms}
 
   @look_ms 500
   # No notice announces a new diagnosis, or a problem of the gateway itself.
@@ -47,7 +49,7 @@ defmodule FleetWeb.Console.Alarms.Server do
     for topic <- [:vehicles, :links, :events], do: PubSub.subscribe(gateway, topic)
     table = :ets.new(:console_alarms, [:set, :protected, read_concurrency: true])
     Names.put_value(gateway, :console_alarms, table)
-    alarms = Enum.reduce(Journal.recent(gateway, :all), Alarms.new(), &Edges.apply(&2, &1))
+    alarms = Enum.reduce(Journal.recent(gateway, :all), Alarms.new(), &EventAlarms.apply(&2, &1))
 
     state = %{
       gateway: gateway,
@@ -68,7 +70,7 @@ defmodule FleetWeb.Console.Alarms.Server do
 
   @impl GenServer
   def handle_info({:fleet, :events, event}, state),
-    do: {:noreply, show(%{state | alarms: Edges.apply(state.alarms, event)})}
+    do: {:noreply, show(%{state | alarms: EventAlarms.apply(state.alarms, event)})}
 
   def handle_info({:fleet, _topic, _changed}, state), do: {:noreply, soon(state)}
   def handle_info(:look, state), do: {:noreply, look(state)}
@@ -90,7 +92,7 @@ defmodule FleetWeb.Console.Alarms.Server do
     alarms =
       state.alarms
       |> Alarms.put(:vehicles, Enum.flat_map(vehicles, &Conditions.vehicle/1), now)
-      |> Edges.follow(vehicles)
+      |> EventAlarms.follow(vehicles)
       |> Alarms.put(:links, links, now)
       |> Alarms.put(:gateway, own(gateway, now - state.problem_since > @settle_us), now)
       |> diagnosed(gateway, now)
@@ -109,11 +111,11 @@ defmodule FleetWeb.Console.Alarms.Server do
 
   defp own(gateway, settled?) do
     problem = problem(gateway)
-    identity = Aerie.Router.identity(gateway)
-    Conditions.gateway(identity, if(settled?, do: problem), Aerie.Policy.Audit.failing(gateway))
+    identity = MavRouter.Router.identity(gateway)
+    Conditions.gateway(identity, if(settled?, do: problem), Aerie.Control.Policy.Audit.failing(gateway))
   end
 
-  defp problem(gateway), do: with(%{problem: problem} <- Aerie.Bridge.info(gateway), do: problem)
+  defp problem(gateway), do: with(%{problem: problem} <- Aerie.Fleet.Bridge.info(gateway), do: problem)
 
   # Since when events have not been stored, without a break.
   defp problem_since(%{problem_since: since, gateway: gateway}, now),

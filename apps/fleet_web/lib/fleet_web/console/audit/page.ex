@@ -6,11 +6,11 @@ defmodule FleetWeb.Console.Audit.Page do
        events: [operator: ~w(filter older newest verify)],
        costly: ~w(filter older newest verify)}
 
-  alias Aerie.Policy.Audit
-  alias Aerie.Policy.Audit.{Reader, Verify}
+  alias Aerie.Control.Policy.Audit
+  alias Aerie.Control.Policy.Audit.{Reader, Verify}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Clock
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @limit 50
   @own ~w(n at prev hash type decision source vehicle command reason)
@@ -50,7 +50,10 @@ defmodule FleetWeb.Console.Audit.Page do
 
   def handle_event("verify", _value, %{assigns: %{verifying: nil, status: %{dir: dir}}} = socket) do
     %{gateway: gateway, user: user} = socket.assigns
-    task = Task.async(fn -> Costly.run(gateway, :read, {:name, user.name}, fn -> Verify.folder(dir) end) end)
+
+    task =
+      Task.async(fn -> WorkLimit.run(gateway, :read, {:name, user.name}, fn -> Verify.folder(dir) end) end)
+
     {:noreply, assign(socket, verifying: task.ref, report: nil)}
   end
 
@@ -190,13 +193,13 @@ defmodule FleetWeb.Console.Audit.Page do
   defp decisions, do: for(decision <- @decisions, do: {decision, decision})
 
   defp value(nil), do: ""
-  defp value(value), do: Reader.shown(value)
+  defp value(value), do: Reader.format(value)
 
   defp more(record) do
     record
     |> Map.drop(@own)
     |> Enum.sort()
-    |> Enum.map_join(", ", fn {key, value} -> "#{key} #{Reader.shown(value)}" end)
+    |> Enum.map_join(", ", fn {key, value} -> "#{key} #{Reader.format(value)}" end)
     |> String.slice(0, 300)
   end
 end

@@ -4,9 +4,9 @@ defmodule FleetWeb.Console.Commands.Catalog do
   user may not give it. Pure.
   """
 
-  alias Aerie.Command.{Type, Types}
-  alias Aerie.Policy.Roles
-  alias Aerie.Protocol
+  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Vehicle.Protocol
 
   @titles [
     flight: "Flight",

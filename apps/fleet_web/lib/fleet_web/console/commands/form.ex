@@ -1,13 +1,13 @@
 defmodule FleetWeb.Console.Commands.Form do
   @moduledoc """
-  The form of a command, made from its row of `Aerie.Command.Types`, and the parameters from a browser's input. Pure.
+  The form of a command, made from its row of `Aerie.Vehicle.Command.Types`, and the parameters from a browser's input. Pure.
 
-  A form describes each parameter, but only `Aerie.Command.Type.check/2` validates values: input that cannot be read as a
+  A form describes each parameter, but only `Aerie.Vehicle.Command.Type.check/2` validates values: input that cannot be read as a
   number is passed to it as text.
   """
 
-  alias Aerie.Command.{Error, Param, Type}
-  alias Aerie.Protocol.Modes
+  alias Aerie.Vehicle.Command.{Error, Param, Type}
+  alias Aerie.Vehicle.Protocol.Modes
 
   @max_text 256
   @max_items 64
@@ -77,12 +77,12 @@ defmodule FleetWeb.Console.Commands.Form do
   defp input(%{type: type}), do: type
 
   defp bound(%{type: type}, number) when type in [:number, :integer] and is_number(number),
-    do: Param.shown(number)
+    do: Param.format(number)
 
   defp bound(_param, _none), do: nil
 
   defp text(nil), do: ""
-  defp text(number) when is_number(number), do: Param.shown(number)
+  defp text(number) when is_number(number), do: Param.format(number)
   defp text(list) when is_list(list), do: Enum.map_join(list, ", ", &text/1)
   defp text(other), do: to_string(other)
 

@@ -8,7 +8,7 @@ defmodule FleetWeb.Console.Commands.Panel do
 
   attr :answer, :any,
     default: :allow,
-    doc: "what `Aerie.Commands.check/2` says, nil while the form is not filled in"
+    doc: "what `Aerie.Control.Commands.check/2` says, nil while the form is not filled in"
 
   attr :obstacles, :list, default: [], doc: "what the vehicle's state says against it, in words"
 
@@ -69,9 +69,9 @@ defmodule FleetWeb.Console.Commands.Panel do
   defp words({:deny, :firmware, reason}), do: "The vehicle cannot do it: #{reason}"
 
   defp words({:deny, _rule, reason}),
-    do: "The policy refuses it: #{FleetWeb.Console.Commands.Life.advice(reason)}"
+    do: "The policy refuses it: #{FleetWeb.Console.Commands.Entry.advice(reason)}"
 
-  defp words({:error, errors}), do: "Not complete: #{Aerie.Command.Error.text(errors)}"
+  defp words({:error, errors}), do: "Not complete: #{Aerie.Vehicle.Command.Error.text(errors)}"
 
   attr :field, :map, required: true
   attr :error, :string, default: nil

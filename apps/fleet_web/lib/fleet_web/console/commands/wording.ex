@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Commands.Wording do
   commands has it by default, and what only programs compare (digests), is left out. Pure.
   """
 
-  alias Aerie.Command.{Param, Types}
+  alias Aerie.Vehicle.Command.{Param, Types}
 
   @above %{"home" => "above home", "msl" => "above mean sea level", "terrain" => "above the ground"}
   # Names of parameters whose value says enough.
@@ -63,7 +63,7 @@ defmodule FleetWeb.Console.Commands.Wording do
   defp one({name, value}) when name in @plain, do: value |> value() |> String.replace("_", " ")
   defp one({name, value}), do: "#{String.replace(name, "_", " ")} #{value(value)}"
 
-  defp value(number) when is_float(number), do: number |> Float.round(7) |> Param.shown()
+  defp value(number) when is_float(number), do: number |> Float.round(7) |> Param.format()
   defp value(list) when is_list(list), do: Enum.map_join(list, " ", &value/1)
   defp value(true), do: "yes"
   defp value(false), do: "no"

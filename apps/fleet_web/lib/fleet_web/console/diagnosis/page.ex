@@ -1,8 +1,9 @@
 defmodule FleetWeb.Console.Diagnosis.Page do
-  @moduledoc "The page of the diagnosis: each problem with its evidence and what to do (`Aerie.Diagnosis`)."
+  @moduledoc "The page of the diagnosis: each problem with its evidence and what to do (`Aerie.Fleet.Diagnosis`)."
   use FleetWeb.Console, {:page, events: [viewer: ~w(show)]}
 
-  alias Aerie.{Diagnosis, Names}
+  alias Aerie.Base.Names
+  alias Aerie.Fleet.Diagnosis
   alias FleetWeb.Console.UI.Age
 
   @severities ~w(error warning notice)

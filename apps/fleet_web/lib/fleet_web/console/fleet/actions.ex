@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
   @moduledoc "The actions for the selected vehicles, with the result for each. Their events say for which vehicles the operator saw them."
   use FleetWeb.Console, :component
 
-  import FleetWeb.Console.Fleet.Charge, only: [charge: 1]
+  import FleetWeb.Console.Fleet.ControlForms, only: [charge: 1]
 
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Commands.Catalog
@@ -18,7 +18,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
   def actions(assigns) do
     chosen = Enum.filter(assigns.all, &(&1.id in assigns.selection.ids))
     ids = Enum.map(chosen, & &1.id)
-    {seen, hidden} = Selection.words(assigns.selection, ids, Enum.map(assigns.rows, & &1.id))
+    {seen, hidden} = Selection.summary(assigns.selection, ids, Enum.map(assigns.rows, & &1.id))
     assigns = assign(assigns, chosen: chosen, value: %{ids: ids}, seen: seen, hidden: hidden)
 
     ~H"""
@@ -55,7 +55,7 @@ defmodule FleetWeb.Console.Fleet.Actions do
 
   @doc "The results of the last action, and what is said of plans, over the map's lower part."
   def results(assigns) do
-    assigns = assign(assigns, :words, Plans.words(assigns.plans))
+    assigns = assign(assigns, :words, Plans.summary(assigns.plans))
 
     ~H"""
     <div :if={@batch != nil or @words != []} class="fleet-results">
@@ -113,8 +113,8 @@ defmodule FleetWeb.Console.Fleet.Actions do
   defp types,
     do: [{"hold", "Hold", "hold", "H"}, {"rtl", "Return", "rtl", "R"}, {"land", "Land", "land", "L"}]
 
-  defp kind(batch, entry), do: batch.type |> Batch.shown(entry.state) |> elem(0)
-  defp word(batch, entry), do: batch.type |> Batch.shown(entry.state) |> elem(1)
+  defp kind(batch, entry), do: batch.type |> Batch.badge(entry.state) |> elem(0)
+  defp word(batch, entry), do: batch.type |> Batch.badge(entry.state) |> elem(1)
   defp reason({:done, _status, reason}), do: reason
   defp reason(_state), do: nil
 end

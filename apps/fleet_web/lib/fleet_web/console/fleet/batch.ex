@@ -6,7 +6,7 @@ defmodule FleetWeb.Console.Fleet.Batch do
   no vehicle twice.
   """
 
-  alias Aerie.Command.Result
+  alias Aerie.Vehicle.Command.Result
 
   @types ~w(hold rtl land take_control release_control)
 
@@ -67,25 +67,25 @@ defmodule FleetWeb.Console.Fleet.Batch do
 
   @doc "The commands and their results, those that need somebody first."
   @spec by_need(t()) :: [entry()]
-  def by_need(batch), do: Enum.sort_by(batch.entries, &need(shown(batch.type, &1.state)))
+  def by_need(batch), do: Enum.sort_by(batch.entries, &need(badge(batch.type, &1.state)))
 
   defp need({kind, _word}), do: Enum.find_index(~w(bad warn plain info ok), &(&1 == kind))
 
   @doc "The kind of badge and the word for the state of a command of a type."
-  @spec shown(type :: String.t(), state()) :: {String.t(), String.t()}
-  def shown(_type, :waiting), do: {"plain", "Waiting"}
-  def shown(_type, :under_way), do: {"info", "Pending"}
+  @spec badge(type :: String.t(), state()) :: {String.t(), String.t()}
+  def badge(_type, :waiting), do: {"plain", "Waiting"}
+  def badge(_type, :under_way), do: {"info", "Pending"}
   # A command is completed when the vehicle shows that it has begun.
-  def shown("hold", {:done, :completed, _reason}), do: {"ok", "Holding"}
-  def shown("rtl", {:done, :completed, _reason}), do: {"ok", "Returning"}
-  def shown("land", {:done, :completed, _reason}), do: {"ok", "Landing"}
-  def shown(_type, {:done, :completed, _reason}), do: {"ok", "Done"}
-  def shown(_type, {:done, :accepted, _reason}), do: {"ok", "Accepted"}
-  def shown(_type, {:done, :timeout, _reason}), do: {"warn", "No answer"}
-  def shown(_type, {:done, :unknown, _reason}), do: {"warn", "Unknown"}
-  def shown(_type, {:done, :rejected, _reason}), do: {"bad", "Refused"}
-  def shown(_type, {:done, :denied, _reason}), do: {"bad", "Not allowed"}
-  def shown(_type, {:done, :expired, _reason}), do: {"bad", "Too late"}
-  def shown(_type, {:done, :cancelled, _reason}), do: {"bad", "Cancelled"}
-  def shown(_type, {:done, :failed, _reason}), do: {"bad", "Failed"}
+  def badge("hold", {:done, :completed, _reason}), do: {"ok", "Holding"}
+  def badge("rtl", {:done, :completed, _reason}), do: {"ok", "Returning"}
+  def badge("land", {:done, :completed, _reason}), do: {"ok", "Landing"}
+  def badge(_type, {:done, :completed, _reason}), do: {"ok", "Done"}
+  def badge(_type, {:done, :accepted, _reason}), do: {"ok", "Accepted"}
+  def badge(_type, {:done, :timeout, _reason}), do: {"warn", "No answer"}
+  def badge(_type, {:done, :unknown, _reason}), do: {"warn", "Unknown"}
+  def badge(_type, {:done, :rejected, _reason}), do: {"bad", "Refused"}
+  def badge(_type, {:done, :denied, _reason}), do: {"bad", "Not allowed"}
+  def badge(_type, {:done, :expired, _reason}), do: {"bad", "Too late"}
+  def badge(_type, {:done, :cancelled, _reason}), do: {"bad", "Cancelled"}
+  def badge(_type, {:done, :failed, _reason}), do: {"bad", "Failed"}
 end

@@ -7,8 +7,8 @@ defmodule FleetWeb.Console.Fleet.OnMap do
   alias Phoenix.LiveView.Socket
 
   @doc "Pushes the vehicles and homes that differ from those of the last time; nothing before the page is connected."
-  @spec tell(Socket.t(), map_id :: String.t(), [map()]) :: Socket.t()
-  def tell(%{private: %{fleet: fleet}} = socket, map, vehicles) do
+  @spec push_vehicles(Socket.t(), map_id :: String.t(), [map()]) :: Socket.t()
+  def push_vehicles(%{private: %{fleet: fleet}} = socket, map, vehicles) do
     if connected?(socket) do
       {payload, sent} =
         Payload.changes(fleet.sent, for(vehicle <- vehicles, row = Payload.row(vehicle), do: row))

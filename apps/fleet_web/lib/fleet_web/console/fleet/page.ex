@@ -16,15 +16,19 @@ defmodule FleetWeb.Console.Fleet.Page do
   import FleetWeb.Console.Fleet.{Actions, Table, Toolbar}
   import FleetWeb.Console.Map, only: [map: 1]
 
-  alias Aerie.{Commands, Fleet, Policy, Protocol, Shadow, Store}
-  alias Aerie.Policy.Leases
-  alias Aerie.Shadow.Tags
-  alias Aerie.Store.PubSub
+  alias Aerie.Base.Store
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Shadow
+  alias Aerie.Vehicle.Protocol
+  alias Aerie.Control.Policy.Leases
+  alias Aerie.Fleet.Shadow.Tags
+  alias Aerie.Base.PubSub
 
   alias FleetWeb.Console.Fleet.{
     Address,
     Batch,
-    Charge,
+    ControlForms,
     Filter,
     OnMap,
     Order,
@@ -124,7 +128,7 @@ defmodule FleetWeb.Console.Fleet.Page do
 
   def handle_info({:fleet, {:commands, vehicle}, id}, %{assigns: %{batch: batch, gateway: gateway}} = socket) do
     with %{} <- Batch.find(batch, id),
-         {:ok, result} <- Commands.look(gateway, vehicle, id) do
+         {:ok, result} <- Commands.state(gateway, vehicle, id) do
       PubSub.unsubscribe(gateway, {:commands, vehicle})
       {:noreply, assign(socket, :batch, Batch.put(batch, id, {:done, result.status, result.reason}))}
     else
@@ -225,7 +229,7 @@ defmodule FleetWeb.Console.Fleet.Page do
       not Selection.meant?(event, ids(chosen)) ->
         put_flash(socket, :error, @changed)
 
-      not Charge.meant?(event, chosen) ->
+      not ControlForms.meant?(event, chosen) ->
         put_flash(socket, :error, "Who is in charge changed; nothing was sent.")
 
       chosen == [] ->
@@ -240,7 +244,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     %{gateway: gateway, batch: last, user: user} = socket.assigns
     type = event["type"]
 
-    case Batch.new(event["id"], type, Charge.concerned(type, chosen, user.name), params(event)) do
+    case Batch.new(event["id"], type, ControlForms.concerned(type, chosen, user.name), params(event)) do
       {:ok, %{press: press} = batch} when last == nil or last.press != press ->
         forget(gateway, last)
         for entry <- batch.entries, do: PubSub.subscribe(gateway, {:commands, entry.vehicle})
@@ -262,7 +266,7 @@ defmodule FleetWeb.Console.Fleet.Page do
     case Commands.submit(gateway, envelope, user, via: "console", wait_ms: 0) do
       {:ok, result} -> {:done, result.status, result.reason}
       {:pending, _id} -> :under_way
-      {:error, errors} -> {:done, :rejected, Aerie.Command.Error.text(errors)}
+      {:error, errors} -> {:done, :rejected, Aerie.Vehicle.Command.Error.text(errors)}
     end
   end
 
@@ -290,8 +294,8 @@ defmodule FleetWeb.Console.Fleet.Page do
 
     socket
     |> assign(:all, for(vehicle <- vehicles, do: Row.new(vehicle, links, tags, now, leases)))
-    |> assign(:words, Tags.words(tags))
-    |> OnMap.tell(@map, vehicles)
+    |> assign(:words, Tags.all(tags))
+    |> OnMap.push_vehicles(@map, vehicles)
     |> missions(vehicles)
   end
 
@@ -368,7 +372,7 @@ defmodule FleetWeb.Console.Fleet.Page do
           <:tab patch={Address.of(@filter, @order, "table")} current={@view == "table"} icon="list">Table ({length(@all)})</:tab>
         </.tabs>
       </div>
-      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.shown(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
+      <.map id="fleet-map" class="fleet-map" label="Map of all vehicles" tiles={Tiles.description(@gateway)} selected={Selection.among(@selection, ids(@all))} follow={@follow} />
       <section class="fleet-list" aria-label="Vehicles">
         <.toolbar filter={@filter} all={@all} words={@words} />
         <.status all={@all} shown={length(@rows)} selected={Selection.size(@selection)} sequence={@sequence} now={now_ms()} />

@@ -1,13 +1,14 @@
 defmodule FleetWeb.Console.Fleet.Plans do
   @moduledoc """
   The missions, fences and rally points that the map shows, of the vehicles for which somebody switched them on. Reading them costs the link
-  something, so nothing is read before that; equal readings of several pages are one (`Aerie.Missions`). Pure but for the tasks that read.
+  something, so nothing is read before that; equal readings of several pages are one (`Aerie.Control.Missions`). Pure but for the tasks that read.
   """
 
-  alias Aerie.{Missions, Names}
-  alias Aerie.Command.Result
-  alias Aerie.Mission.Plan
-  alias FleetWeb.Console.Plan.Shown
+  alias Aerie.Base.Names
+  alias Aerie.Control.Missions
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Mission.Plan
+  alias FleetWeb.Console.Plan.MapPayload
 
   # Each waits for a transfer of its vehicle.
   @most 20
@@ -96,12 +97,12 @@ defmodule FleetWeb.Console.Fleet.Plans do
   @spec payload(t(), %{String.t() => term()}) :: [map()]
   def payload(plans, current) do
     for {id, %{plan: plan}} <- Enum.sort_by(plans.shown, &elem(&1, 0)),
-        do: plan |> Shown.aboard() |> Map.merge(%{vehicle: id, current: current[id]})
+        do: plan |> MapPayload.aboard() |> Map.merge(%{vehicle: id, current: current[id]})
   end
 
   @doc "What is under way or went wrong, in words; `[]` for nothing."
-  @spec words(t()) :: [String.t()]
-  def words(plans) do
+  @spec summary(t()) :: [String.t()]
+  def summary(plans) do
     for {id, entry} <- Enum.sort_by(plans.shown, &elem(&1, 0)),
         words = if(entry.reading, do: "reading its plans …", else: wrong(entry.errors)),
         do: "#{id}: #{words}"

@@ -3,8 +3,8 @@ defmodule FleetWeb.Console.Fleet.Row do
   A vehicle as a row of the table. Pure. Numbers are rounded as they are shown, so that changes that are not visible are not sent.
   """
 
-  alias Aerie.Policy.Lease
-  alias Aerie.Store
+  alias Aerie.Control.Policy.Lease
+  alias Aerie.Base.Store
   alias Aerie.Fleet.Age
   alias FleetWeb.Console.Fleet.Problems
   alias FleetWeb.Console.Map.Payload

@@ -57,8 +57,8 @@ defmodule FleetWeb.Console.Fleet.Selection do
   def meant?(_event, _ids), do: false
 
   @doc "The selected vehicles in words, and those of them that the table does not list, nil for none. `all` and `listed`: ids."
-  @spec words(t(), all :: [String.t()], listed :: [String.t()]) :: {String.t() | nil, String.t() | nil}
-  def words(selection, all, listed) do
+  @spec summary(t(), all :: [String.t()], listed :: [String.t()]) :: {String.t() | nil, String.t() | nil}
+  def summary(selection, all, listed) do
     listed = MapSet.new(listed)
     {seen, hidden} = selection |> among(all) |> Enum.split_with(&(&1 in listed))
 

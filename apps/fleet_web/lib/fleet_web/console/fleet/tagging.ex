@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Fleet.Tagging do
   @moduledoc "The dialog for tags: of the vehicles that were selected when it was opened, whatever is selected later. Pure."
 
-  alias Aerie.Shadow.Tags
+  alias Aerie.Fleet.Shadow.Tags
   alias FleetWeb.Console.Fleet.Row
 
   @enforce_keys [:ids, :common, :text]

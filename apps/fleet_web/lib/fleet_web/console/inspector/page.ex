@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Inspector.Page do
   @moduledoc """
   All messages on the links, live: their rates, and the fields and bytes of the chosen one. Messages can be sent like those of a
-  client (`Aerie.Client.RawMessage`).
+  client (`Aerie.Fleet.Client.RawMessage`).
   """
   use FleetWeb.Console,
       {:page,
@@ -10,11 +10,12 @@ defmodule FleetWeb.Console.Inspector.Page do
 
   import FleetWeb.Console.Inspector.Parts
 
-  alias Aerie.Client.RawMessage
-  alias Aerie.{Inspector, Store}
-  alias Aerie.Inspector.{Compose, Fields}
+  alias Aerie.Fleet.Client.RawMessage
+  alias Aerie.Base.Store
+  alias Aerie.Fleet.Inspector
+  alias Aerie.Fleet.Inspector.{Compose, Fields}
   alias FleetWeb.Console.Access.Role
-  alias FleetWeb.Console.Inspector.Shown
+  alias FleetWeb.Console.Inspector.Rows
   alias FleetWeb.Console.UI.Age
 
   @sorts %{"name" => :name, "hz" => :hz, "vehicle" => :vehicle, "link" => :link}
@@ -30,7 +31,7 @@ defmodule FleetWeb.Console.Inspector.Page do
        page_title: "Inspector",
        watch: watch,
        frozen?: false,
-       filter: Shown.received(),
+       filter: Rows.received(),
        sort: {:name, :asc},
        chosen: nil,
        detail: nil,
@@ -45,7 +46,7 @@ defmodule FleetWeb.Console.Inspector.Page do
 
   @impl Phoenix.LiveView
   def handle_event("filter", params, socket),
-    do: {:noreply, socket |> assign(:filter, Shown.filter(params)) |> show()}
+    do: {:noreply, socket |> assign(:filter, Rows.filter(params)) |> show()}
 
   def handle_event("sort", %{"by" => by}, socket) when is_map_key(@sorts, by) do
     column = @sorts[by]
@@ -176,7 +177,7 @@ defmodule FleetWeb.Console.Inspector.Page do
       networks: networks,
       vehicles: vehicles,
       skipped: Inspector.skipped(gateway),
-      choices: Shown.choices(rows, networks, vehicles),
+      choices: Rows.choices(rows, networks, vehicles),
       now: System.os_time(:microsecond)
     )
     |> show()
@@ -185,7 +186,7 @@ defmodule FleetWeb.Console.Inspector.Page do
 
   defp show(%{assigns: assigns} = socket) do
     {shown, more} =
-      Shown.rows(assigns.rows, assigns.filter, assigns.networks, assigns.vehicles, assigns.sort, assigns.now)
+      Rows.rows(assigns.rows, assigns.filter, assigns.networks, assigns.vehicles, assigns.sort, assigns.now)
 
     assign(socket, shown: shown, more: more)
   end

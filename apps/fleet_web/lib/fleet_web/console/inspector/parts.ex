@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Inspector.Parts do
   @moduledoc "The parts of the inspector's page."
   use FleetWeb.Console, :component
 
-  alias Aerie.Inspector.{Compose, Fields}
+  alias Aerie.Fleet.Inspector.{Compose, Fields}
   alias FleetWeb.Console.UI.Age
 
   attr :filter, :map, required: true

@@ -13,7 +13,9 @@ defmodule FleetWeb.Console.Links.Page do
 
   import FleetWeb.Console.Links.Parts
 
-  alias Aerie.{Client, Link, Policy, Router, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Control.Policy
+  alias MavRouter.{Client, Link, Router}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Links.View
 

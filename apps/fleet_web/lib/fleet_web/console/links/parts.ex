@@ -67,7 +67,7 @@ defmodule FleetWeb.Console.Links.Parts do
         </div>
       </div>
       <.stale :if={@row.age_us && @row.age_us > 10_000_000}>Not heard for {Age.text(@row.age_us)}.</.stale>
-      <p :for={finding <- @link.diagnosis || []} class="notice bad"><.icon name="alert" /> <span>{Aerie.Link.Serial.Finding.format(finding)}{if finding.advice, do: ": #{finding.advice}"}</span></p>
+      <p :for={finding <- @link.diagnosis || []} class="notice bad"><.icon name="alert" /> <span>{MavRouter.Link.Serial.Finding.format(finding)}{if finding.advice, do: ": #{finding.advice}"}</span></p>
       <div class="cards">
         <div class="card">
           <dl class="facts">

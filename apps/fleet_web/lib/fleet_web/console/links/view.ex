@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Links.View do
   @moduledoc "Links, endpoints, routes and rules for the page, from the read model; and a link's history. Pure."
 
-  alias Aerie.Router.EndpointCounters
+  alias MavRouter.Router.EndpointCounters
 
   @max_rows 200
   @samples 120
@@ -85,7 +85,7 @@ defmodule FleetWeb.Console.Links.View do
     {rows, max(length(routes) - @max_rows, 0)}
   end
 
-  defp peer({address, port}) when is_tuple(address), do: Aerie.Address.format(address, port)
+  defp peer({address, port}) when is_tuple(address), do: Aerie.Base.Address.format(address, port)
   defp peer(other), do: inspect(other, limit: 4)
 
   @doc "The links and vehicles of each network."

@@ -7,7 +7,7 @@ defmodule FleetWeb.Console.Map.Tiles do
 
   require Logger
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias FleetWeb.Console.Map.PMTiles
 
   @formats %{
@@ -29,8 +29,8 @@ defmodule FleetWeb.Console.Map.Tiles do
     do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :console_tiles))
 
   @doc "The map's description of the tiles (`tiles` of `FleetWeb.Console.Map.map/1`); nil without any."
-  @spec shown(Names.gateway()) :: map() | nil
-  def shown(gateway), do: with(%{shown: shown} <- Names.value(gateway, :console_tiles), do: shown)
+  @spec description(Names.gateway()) :: map() | nil
+  def description(gateway), do: with(%{shown: shown} <- Names.value(gateway, :console_tiles), do: shown)
 
   @doc "A tile with its content type and whether it is compressed, or nil."
   @spec tile(Names.gateway(), integer(), integer(), integer()) ::

@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.Map.Zones do
   @moduledoc "The policy's zones for the map: the payload of `map:zones`. Pure."
 
-  alias Aerie.Policy
-  alias Aerie.Policy.Fence.Polygon
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Fence.Polygon
 
   @doc "The zones of a policy; `[]` without a policy or a fence."
   @spec of(Policy.t() | nil) :: [map()]

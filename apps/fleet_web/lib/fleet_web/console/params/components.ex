@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Params.Components do
   @moduledoc "The components of a vehicle, beside its autopilot, that may have parameters of their own (PARAM_EXT, P8)."
 
-  alias Aerie.{Names, Store}
+  alias Aerie.Base.{Names, Store}
 
   @doc "Names and numbers of those of a vehicle (its snapshot), in the order of the numbers; `asked` is among them though it was not heard."
   @spec others(Names.gateway(), map(), asked :: 1..255 | nil) :: [{String.t(), 1..255}]

@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.Params.Listing do
   @moduledoc "The rows of a vehicle's parameters that a page shows. Pure."
 
-  alias Aerie.Params.{File, Metadata, Param, Table}
-  alias Aerie.Protocol.ParamValue
+  alias Aerie.Control.Params.{File, Metadata, Param, Table}
+  alias Aerie.Vehicle.Protocol.ParamValue
   alias MavCodec.Enums.MavParamType
 
   @max 200
@@ -94,8 +94,8 @@ defmodule FleetWeb.Console.Params.Listing do
   end
 
   @doc "What a button that sets parameters is for: the vehicle, its component (nil: the autopilot), and the entries of a file that it would set."
-  @spec shown(vehicle :: String.t(), 1..255 | nil, [File.entry()] | nil) :: String.t()
-  def shown(vehicle, component, entries),
+  @spec target(vehicle :: String.t(), 1..255 | nil, [File.entry()] | nil) :: String.t()
+  def target(vehicle, component, entries),
     do: Enum.join([vehicle, component || "autopilot", :erlang.phash2(entries)], " ")
 
   @doc "The value of such a type in the text of a field: of a component's text (MAV_PARAM_EXT_TYPE_CUSTOM) the text, else a number."

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Params.Page do
   The parameters of a vehicle's autopilot: read, searched, compared with their defaults and with a file, set one by one or from a file, saved,
   with what the vehicle says about them; those of its cameras and other components: read, searched, set one by one.
 
-  Reading needs no permission. A change is checked like a command (`Aerie.Params`), has the id of its button press, and its progress and result
+  Reading needs no permission. A change is checked like a command (`Aerie.Control.Params`), has the id of its button press, and its progress and result
   appear among the vehicle's commands, as on the vehicle's page.
   """
   use FleetWeb.Console,
@@ -13,13 +13,14 @@ defmodule FleetWeb.Console.Params.Page do
 
   import FleetWeb.Console.Params.Parts
 
-  alias Aerie.{Commands, Fleet, Params}
-  alias Aerie.Command.Error
-  alias Aerie.Policy.Roles
-  alias Aerie.Store.PubSub
-  alias FleetWeb.Console.Commands.{Life, Lives}
+  alias Aerie.Control.{Commands, Params}
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Command.Error
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Base.PubSub
+  alias FleetWeb.Console.Commands.{Entry, EntryList}
   alias FleetWeb.Console.Params.{Components, Listing, Reading}
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @all %{search: "", only: "all"}
   # The command type of a change.
@@ -156,7 +157,7 @@ defmodule FleetWeb.Console.Params.Page do
         %{assigns: %{table: %{}, component: nil, vehicle: id, gateway: gateway}} = socket
       )
       when is_binary(name) and is_binary(text) do
-    case Costly.run(gateway, :parse, {:name, socket.assigns.user.name}, fn ->
+    case WorkLimit.run(gateway, :parse, {:name, socket.assigns.user.name}, fn ->
            Params.read_file(text, Fleet.vehicle(gateway, id))
          end) do
       {:ok, {:ok, entries, remarks}} ->
@@ -243,7 +244,7 @@ defmodule FleetWeb.Console.Params.Page do
 
   # A press is for the vehicle and the values that its operator saw: another one may be chosen by now, or other values read.
   defp meant(event, %{assigns: %{vehicle: id, component: component}}, differing),
-    do: if(event["shown"] == Listing.shown(id, component, differing), do: :ok, else: :changed)
+    do: if(event["shown"] == Listing.target(id, component, differing), do: :ok, else: :changed)
 
   defp changed(socket),
     do: {:noreply, put_flash(socket, :error, "The vehicle or its values changed; nothing was sent.")}
@@ -274,16 +275,16 @@ defmodule FleetWeb.Console.Params.Page do
   defp commands(%{assigns: %{vehicle: nil}} = socket), do: assign(socket, lives: [])
 
   defp commands(%{assigns: %{gateway: gateway, vehicle: id}} = socket) do
-    lives = for %{type: @set} = entry <- Commands.recent(gateway, id, 20), do: Life.of(entry)
+    lives = for %{type: @set} = entry <- Commands.recent(gateway, id, 20), do: Entry.of(entry)
     assign(socket, lives: Enum.take(lives, 5), now: System.os_time(:microsecond))
   end
 
   # When somebody has set a parameter, the list is read again. The gateway has it, or reads what changed.
   defp follow(%{assigns: %{lives: before}} = socket) do
     socket = commands(socket)
-    known = for life <- before, not Life.under_way?(life), do: life.id
+    known = for life <- before, not Entry.under_way?(life), do: life.id
 
-    if Enum.any?(socket.assigns.lives, &(&1.id not in known and not Life.under_way?(&1))),
+    if Enum.any?(socket.assigns.lives, &(&1.id not in known and not Entry.under_way?(&1))),
       do: read(socket),
       else: socket
   end
@@ -310,7 +311,7 @@ defmodule FleetWeb.Console.Params.Page do
       <.toolbar vehicles={@vehicles} vehicle={@vehicle} components={@components} component={@component} described={@about != %{}} filter={@filter} reading={@reading} table={@table} file={@file} via={@via} />
       <.elsewhere :if={@via} via={@via}>It reads them. Descriptions and setting parameters from a file are available only there.</.elsewhere>
       <.progress :if={@reading} reading={@reading} />
-      <Lives.lives id="params-commands" lives={@lives} now={@now} user={@user} />
+      <EntryList.lives id="params-commands" lives={@lives} now={@now} user={@user} />
       <.error :if={@problem} title="The parameters could not be read">{@problem}</.error>
       <.empty :if={@vehicle == nil} icon="params" title="No vehicle chosen">{if @vehicles == [], do: "No vehicles yet", else: "Choose one above."}</.empty>
       <.file :if={@file && @table} file={@file} vehicle={@vehicle} differing={@differing} missing={@missing} able={@able} via={@via} />

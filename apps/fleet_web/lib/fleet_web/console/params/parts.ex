@@ -77,7 +77,7 @@ defmodule FleetWeb.Console.Params.Parts do
       </div>
       <p>{length(@file.entries)} parameters, {length(@differing)} differ from the vehicle{missing(@missing)}.</p>
       <p :for={remark <- @file.remarks} class="notice warn"><.icon name="alert" /> <span>{remark}</span></p>
-      <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" value={%{shown: Listing.shown(@vehicle, nil, @differing)}} phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
+      <.hold_button :if={@able and @differing != [] and @via == nil} id="params-load" event="command" icon="upload" value={%{shown: Listing.target(@vehicle, nil, @differing)}} phx-value-type="load">Set the {length(@differing)} that differ</.hold_button>
       <p :if={not @able} class="hint">Setting parameters needs the permission maintain.</p>
     </section>
     """
@@ -138,7 +138,7 @@ defmodule FleetWeb.Console.Params.Parts do
         <div :if={@row.file} class="fact"><dt>In the file</dt><dd>{@row.file}</dd></div>
         <div :for={{label, text} <- about(@row.about)} class="fact"><dt>{label}</dt><dd>{text}</dd></div>
       </dl>
-      <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="set" data-value={JSON.encode!(%{shown: Listing.shown(@vehicle, @component, nil)})}>
+      <form :if={@able} id="param-form" class="control" phx-hook="CommandForm" phx-auto-recover="ignore" data-type="set" data-value={JSON.encode!(%{shown: Listing.target(@vehicle, @component, nil)})}>
         <input type="hidden" name="name" value={@row.name} />
         <.field id="param-value" name="value" label="New value" inputmode={if @row.type == "text", do: "text", else: "decimal"} autocomplete="off" value={@row.file || @row.value} errors={List.wrap(@error)} autofocus={true} />
         <.button type="submit" kind="primary">Set</.button>

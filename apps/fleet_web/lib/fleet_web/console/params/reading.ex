@@ -4,9 +4,10 @@ defmodule FleetWeb.Console.Params.Reading do
   page. The task ends with its last message, and the gateway keeps what was read for the next reader.
   """
 
-  alias Aerie.{Names, Params, Transfers}
-  alias Aerie.Command.Result
-  alias Aerie.Params.{Metadata, Table}
+  alias Aerie.Base.Names
+  alias Aerie.Control.{Params, Transfers}
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Params.{Metadata, Table}
 
   @enforce_keys [:ref, :id, :vehicle, :what]
   defstruct [:ref, :id, :vehicle, :what, :progress]
@@ -29,7 +30,7 @@ defmodule FleetWeb.Console.Params.Reading do
   """
   @spec start(Names.gateway(), String.t(), what()) :: t()
   def start(gateway, vehicle, what) do
-    {page, ref, id} = {self(), make_ref(), Aerie.Command.id()}
+    {page, ref, id} = {self(), make_ref(), Aerie.Vehicle.Command.id()}
 
     {:ok, _pid} =
       Task.start(fn ->

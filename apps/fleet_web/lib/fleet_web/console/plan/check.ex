@@ -1,11 +1,13 @@
 defmodule FleetWeb.Console.Plan.Check do
   @moduledoc """
-  Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Mission.OwnFence`), and against the policy for a vehicle.
+  Checks a plan while it is drawn: by itself, against its own fence (`Aerie.Control.Mission.OwnFence`), and against the policy for a vehicle.
   """
 
-  alias Aerie.Mission.{Onboard, OwnFence, Plan, Review}
-  alias Aerie.{Missions, Names, Policy, Protocol}
-  alias Aerie.Policy.{Context, Roles}
+  alias Aerie.Control.Mission.{Onboard, OwnFence, Plan, Review}
+  alias Aerie.Base.Names
+  alias Aerie.Control.{Missions, Policy}
+  alias Aerie.Vehicle.Protocol
+  alias Aerie.Control.Policy.{Context, Roles}
   alias FleetWeb.Console.Plan.Profile
   alias MavCodec.Enums.MavCmd
 

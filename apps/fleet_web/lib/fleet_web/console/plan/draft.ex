@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Plan.Draft do
   @undo 100
   @max_items 2_000
-  @limits Aerie.Mission.File.QgcPlan.limits()
+  @limits Aerie.Control.Mission.File.QgcPlan.limits()
 
   @moduledoc """
   A plan that is being drawn: the plan, the part that is edited, the selection, and the undo history. A pure value.
@@ -9,7 +9,7 @@ defmodule FleetWeb.Console.Plan.Draft do
   An invalid change is refused with the reason; one without an effect adds no undo step. The last #{@undo} steps can be undone.
   """
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Aerie.Control.Mission.{Item, Plan}
   alias FleetWeb.Console.Plan.Kinds
   alias MavCodec.Enums.MavCmd
 
@@ -300,14 +300,14 @@ defmodule FleetWeb.Console.Plan.Draft do
   end
 
   defp reshaped({:circle, {x, y} = centre, _radius}, 1, _position, place) do
-    metres = Aerie.Policy.Fence.Earth.distance(point({x / 1.0e7, y / 1.0e7}), point(place))
+    metres = Aerie.Control.Policy.Fence.Earth.distance(point({x / 1.0e7, y / 1.0e7}), point(place))
     radius({:circle, centre, 1.0}, max(metres, 1.0))
   end
 
   defp reshaped({:circle, _old, radius}, _centre, position, _place), do: {:ok, {:circle, position, radius}}
   defp reshaped(_polygon, nil, _position, _place), do: {:error, "which corner?"}
 
-  defp point({lat, lon}), do: Aerie.Policy.Fence.Earth.point(lat, lon)
+  defp point({lat, lon}), do: Aerie.Control.Policy.Fence.Earth.point(lat, lon)
 
   defp radius(shape, nil), do: {:ok, shape}
 

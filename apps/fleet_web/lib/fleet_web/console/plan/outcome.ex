@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Plan.Outcome do
   @moduledoc "The progress and the results of a transfer on the plan page."
   use FleetWeb.Console, :component
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Plan.Transfer
 

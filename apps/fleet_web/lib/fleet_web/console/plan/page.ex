@@ -17,11 +17,12 @@ defmodule FleetWeb.Console.Plan.Page do
   import FleetWeb.Console.Map, only: [map: 1]
   import FleetWeb.Console.Plan.{Outcome, Panel}
 
-  alias Aerie.{Fleet, Missions, Policy}
-  alias Aerie.Mission.Plan
+  alias Aerie.Control.{Missions, Policy}
+  alias Aerie.Fleet
+  alias Aerie.Control.Mission.Plan
   alias FleetWeb.Console.Map.{Payload, Tiles, Zones}
-  alias FleetWeb.Console.Plan.{Check, Draft, Edit, Profile, Shown, Transfer}
-  alias FleetWeb.Costly
+  alias FleetWeb.Console.Plan.{Check, Draft, Edit, MapPayload, Profile, Transfer}
+  alias FleetWeb.WorkLimit
 
   @map "plan-map"
   # A larger copy would not fit into the browser's frame.
@@ -199,7 +200,8 @@ defmodule FleetWeb.Console.Plan.Page do
 
   def handle_event(what, value, %{assigns: %{vehicle: vehicle, transfer: transfer}} = socket)
       when what in ["upload", "download", "verify", "look", "remove_aboard"] do
-    press = if match?(%{"id" => id} when is_binary(id), value), do: value["id"], else: Aerie.Command.id()
+    press =
+      if match?(%{"id" => id} when is_binary(id), value), do: value["id"], else: Aerie.Vehicle.Command.id()
 
     cond do
       vehicle == nil ->
@@ -208,7 +210,7 @@ defmodule FleetWeb.Console.Plan.Page do
       transfer != nil and not Transfer.over?(transfer) ->
         {:noreply, socket}
 
-      what == "upload" and value["shown"] != Transfer.shown(vehicle, socket.assigns.draft.plan) ->
+      what == "upload" and value["shown"] != Transfer.target(vehicle, socket.assigns.draft.plan) ->
         {:noreply, assign(socket, :error, "the plan or the vehicle changed; nothing was sent")}
 
       not (press =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/) ->
@@ -305,13 +307,13 @@ defmodule FleetWeb.Console.Plan.Page do
   end
 
   defp draw(%{assigns: %{draft: draft, problems: problems}} = socket),
-    do: push_event(socket, "map:plan", %{map: @map, plan: Shown.payload(draft, problems)})
+    do: push_event(socket, "map:plan", %{map: @map, plan: MapPayload.payload(draft, problems)})
 
   defp zones(%{assigns: %{gateway: gateway}} = socket),
     do: push_event(socket, "map:zones", %{map: @map, zones: Zones.of(Policy.Store.get(gateway))})
 
   defp imported(%{assigns: %{gateway: gateway, user: user}}, text, format) do
-    case Costly.run(gateway, :parse, {:name, user.name}, fn -> Missions.import(text, format) end) do
+    case WorkLimit.run(gateway, :parse, {:name, user.name}, fn -> Missions.import(text, format) end) do
       {:ok, result} -> result
       {:busy, seconds} -> {:error, "too many files at once: try again in #{seconds} s"}
     end
@@ -338,7 +340,7 @@ defmodule FleetWeb.Console.Plan.Page do
     <div class="plan" id="plan" phx-hook="PlanFile">
       <h1 class="visually-hidden">Plan</h1>
       <div class="plan-left">
-        <.map id="plan-map" class="plan-map" label="Map on which the plan is drawn" tiles={Tiles.shown(@gateway)} tool="plan" tools={~w(in out north fit measure)} />
+        <.map id="plan-map" class="plan-map" label="Map on which the plan is drawn" tiles={Tiles.description(@gateway)} tool="plan" tools={~w(in out north fit measure)} />
         <.profile points={@profile} problems={@problems} />
       </div>
       <section class="plan-panel" aria-label="The plan">

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Plan.Panel do
   @moduledoc "The parts of the plan page beside the map."
   use FleetWeb.Console, :component
 
-  alias Aerie.Mission.{Item, Plan}
+  alias Aerie.Control.Mission.{Item, Plan}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Plan.{Edit, Kinds, Profile, Transfer}
 
@@ -53,7 +53,7 @@ defmodule FleetWeb.Console.Plan.Panel do
           :if={Role.at_least?(@user.role, :operator)}
           id="plan-upload"
           event="upload"
-          value={%{shown: Transfer.shown(@vehicle, @draft.plan)}}
+          value={%{shown: Transfer.target(@vehicle, @draft.plan)}}
           icon="upload"
           disabled={@why != nil}
           reason={@why}
@@ -315,7 +315,7 @@ defmodule FleetWeb.Console.Plan.Panel do
     do: Item.place?(item.command, item.frame) and is_integer(x) and is_integer(y)
 
   # The frames with 1e-7 degrees mean the same as those with floats.
-  defp plain(frame), do: Integer.to_string(Aerie.Protocol.Mavlink.plain_frame(frame))
+  defp plain(frame), do: Integer.to_string(Aerie.Vehicle.Protocol.Mavlink.plain_frame(frame))
 
   defp frames(item) do
     if Enum.any?(Edit.frames(), fn {_label, frame} -> frame == plain(item.frame) end),

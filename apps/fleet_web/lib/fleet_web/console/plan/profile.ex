@@ -1,9 +1,9 @@
 defmodule FleetWeb.Console.Plan.Profile do
   @moduledoc "The height profile of a mission along its path, for a drawing. Pure. The ground elevation is not known."
 
-  alias Aerie.Mission.{Item, Plan}
-  alias Aerie.Policy.Fence.Earth
-  alias Aerie.Policy.Raw.Commands
+  alias Aerie.Control.Mission.{Item, Plan}
+  alias Aerie.Control.Policy.Fence.Earth
+  alias Aerie.Control.Policy.Mavlink.Commands
 
   # Frames with heights above mean sea level; in the others they are above home, or above the ground.
   @msl [0, 5]

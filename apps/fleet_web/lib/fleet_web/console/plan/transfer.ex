@@ -7,9 +7,12 @@ defmodule FleetWeb.Console.Plan.Transfer do
   (`:look`), so that the operator sees what goes; it is removed (`:remove`) if it still is what was seen.
   """
 
-  alias Aerie.{Fleet, Missions, Names, Protocol}
-  alias Aerie.Command.{Error, Result}
-  alias Aerie.Mission.Plan
+  alias Aerie.Base.Names
+  alias Aerie.Control.Missions
+  alias Aerie.Fleet
+  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Control.Mission.Plan
 
   @kinds Missions.kinds()
 
@@ -59,8 +62,8 @@ defmodule FleetWeb.Console.Plan.Transfer do
   defp part(plan, :rally), do: plan.rally
 
   @doc "What a button that sends is for: the vehicle and the plan that it shows."
-  @spec shown(vehicle :: String.t() | nil, Plan.t()) :: String.t()
-  def shown(vehicle, plan), do: "#{vehicle} #{:erlang.phash2(plan)}"
+  @spec target(vehicle :: String.t() | nil, Plan.t()) :: String.t()
+  def target(vehicle, plan), do: "#{vehicle} #{:erlang.phash2(plan)}"
 
   @doc """
   Starts a transfer. The calling process gets `{:transfer, ref, message}` for `update/2`. `press` is the id of the button press; each part has

@@ -14,12 +14,14 @@ defmodule FleetWeb.Console.Recordings.Page do
        ],
        costly: ~w(events save)}
 
-  alias Aerie.{Link, Policy, Recorder, Store}
+  alias Aerie.Base.Store
+  alias Aerie.Control.Policy
+  alias MavRouter.{Link, Recorder}
   alias FleetWeb.Console.Access.Role
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.Console.UI.Age
-  alias FleetWeb.Costly
+  alias FleetWeb.WorkLimit
 
   @max_files 200
   @speeds ~w(1 5 20 max)
@@ -104,7 +106,7 @@ defmodule FleetWeb.Console.Recordings.Page do
   def handle_event(_event, _value, socket), do: {:noreply, socket}
 
   defp read(%{gateway: gateway, user: user}, file) do
-    case Costly.run(gateway, :read, {:name, user.name}, fn -> TimeLine.read(file.path, file.bytes) end) do
+    case WorkLimit.run(gateway, :read, {:name, user.name}, fn -> TimeLine.read(file.path, file.bytes) end) do
       {:ok, result} -> result
       {:busy, seconds} -> {:error, "other files are being read: try again in #{seconds} s"}
     end

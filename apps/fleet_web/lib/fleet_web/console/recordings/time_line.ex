@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Recordings.TimeLine do
-  @moduledoc "The events of a recording on a time line, as `Aerie.Replay` finds them."
+  @moduledoc "The events of a recording on a time line, as `Aerie.Fleet.Replay` finds them."
 
-  alias Aerie.Replay
+  alias Aerie.Fleet.Replay
   alias FleetWeb.Console.Clock
   alias FleetWeb.Console.Vehicle.Timeline
 

@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Settings.Configuration do
   """
   use FleetWeb.Console, :component
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @typedoc """
     * `:path` - as in the file: `http.port`
@@ -44,8 +44,8 @@ defmodule FleetWeb.Console.Settings.Configuration do
     do: %{search: String.slice(form["search"] || "", 0, 60), given: form["given"] == "true"}
 
   @doc "The sections with the keys that a filter shows, without those that have none."
-  @spec shown([section()], filter()) :: [section()]
-  def shown(sections, %{search: search, given: given?}) do
+  @spec filtered([section()], filter()) :: [section()]
+  def filtered(sections, %{search: search, given: given?}) do
     words = search |> String.downcase() |> String.split()
 
     for section <- sections,
@@ -64,7 +64,7 @@ defmodule FleetWeb.Console.Settings.Configuration do
 
   @doc "All keys that the filter shows."
   def configuration(assigns) do
-    assigns = assign(assigns, :shown, shown(assigns.sections, assigns.filter))
+    assigns = assign(assigns, :shown, filtered(assigns.sections, assigns.filter))
 
     ~H"""
     <section class="stack" aria-labelledby="configuration-title">

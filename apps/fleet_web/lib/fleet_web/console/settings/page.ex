@@ -15,7 +15,7 @@ defmodule FleetWeb.Console.Settings.Page do
   import FleetWeb.Console.Settings.Configuration, only: [configuration: 1]
   import FleetWeb.Console.Settings.ProgramKeys
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
   alias FleetWeb.API.KeyRing
   alias FleetWeb.Console.Access.{Password, Role, Users}
   alias FleetWeb.Console.Settings.Configuration

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Settings.ProgramKeys do
   @moduledoc "The keys of programs: all of them, a form for a new one, and the new one itself, once."
   use FleetWeb.Console, :component
 
-  alias Aerie.Policy.Roles
+  alias Aerie.Control.Policy.Roles
 
   attr :keys, :list, required: true, doc: "`t:FleetWeb.API.KeyRing.shown/0`"
   attr :made, :any, required: true, doc: "name and text of the key that was just made, nil for none"

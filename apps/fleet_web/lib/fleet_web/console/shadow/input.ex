@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.Shadow.Input do
   @moduledoc "The form by which something is desired: which field, as text, for how long. Pure. What is wrong about a value, the shadow itself says."
 
-  alias Aerie.Policy.Roles
-  alias Aerie.Shadow.Field
+  alias Aerie.Control.Policy.Roles
+  alias Aerie.Fleet.Shadow.Field
 
   @expiries [
     {"never", ""},
@@ -33,7 +33,7 @@ defmodule FleetWeb.Console.Shadow.Input do
     %{"field" => field, "name" => name, "value" => value, "expires" => "", "reason" => ""}
   end
 
-  @doc "The request of a form (`Aerie.Shadow.update/5`), for the version that was shown."
+  @doc "The request of a form (`Aerie.Fleet.Shadow.update/5`), for the version that was shown."
   @spec request(map(), version :: integer()) :: {:ok, map()} | {:error, String.t()}
   def request(form, version) do
     with {:ok, path} <- path(form["field"], form["name"]), {:ok, field} <- field(path) do
@@ -79,7 +79,7 @@ defmodule FleetWeb.Console.Shadow.Input do
          do: {:error, "#{String.slice(path, 0, 60)} is not a field: see docs/shadow.md"}
   end
 
-  defp value("tags", text), do: text |> String.split(",") |> Aerie.Shadow.Tags.tidy()
+  defp value("tags", text), do: text |> String.split(",") |> Aerie.Fleet.Shadow.Tags.tidy()
 
   defp value("home", text) do
     case text |> String.split(",") |> Enum.map(&number(String.trim(&1))) do

@@ -7,9 +7,10 @@ defmodule FleetWeb.Console.Shadow.Page do
 
   import FleetWeb.Console.Shadow.Parts
 
-  alias Aerie.{Fleet, Shadow}
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Shadow
   alias FleetWeb.Console.Clock
-  alias FleetWeb.Console.Shadow.{Input, Shown}
+  alias FleetWeb.Console.Shadow.{Input, Rows}
   alias FleetWeb.Console.Vehicle.Sections
 
   @ask_us 5_000_000
@@ -100,13 +101,13 @@ defmodule FleetWeb.Console.Shadow.Page do
   defp load(%{assigns: %{gateway: gateway, id: id, user: user}} = socket) do
     socket = assign(socket, now: System.os_time(:microsecond), heard: Fleet.vehicle(gateway, id) != nil)
 
-    case Shadow.look(gateway, id) do
+    case Shadow.status(gateway, id) do
       {:ok, shadow} -> shown(assign(socket, :problem, shadow["problem"]), shadow, user)
       :elsewhere -> socket |> ask() |> shown(socket.assigns.answer || Shadow.nothing(id), user)
     end
   end
 
-  defp shown(socket, shadow, user), do: assign(socket, shadow: shadow, rows: Shown.rows(shadow, user))
+  defp shown(socket, shadow, user), do: assign(socket, shadow: shadow, rows: Rows.rows(shadow, user))
 
   defp ask(%{assigns: %{now: now, asked_at: asked, gateway: gateway, id: id}} = socket)
        when now - asked > @ask_us do

@@ -2,8 +2,8 @@ defmodule FleetWeb.Console.Shadow.Parts do
   @moduledoc "The parts of the page of a shadow."
   use FleetWeb.Console, :component
 
-  alias Aerie.Shadow.Field
-  alias FleetWeb.Console.Shadow.{Input, Shown}
+  alias Aerie.Fleet.Shadow.Field
+  alias FleetWeb.Console.Shadow.{Input, Rows}
 
   attr :rows, :list, required: true, doc: "`t:FleetWeb.Console.Shadow.Shown.row/0`"
   attr :version, :integer, required: true, doc: "that is shown: a change is one of it"
@@ -82,7 +82,7 @@ defmodule FleetWeb.Console.Shadow.Parts do
       <p :if={@history == []} class="muted">No changes yet</p>
       <ol :if={@history != []} class="stack" id="shadow-history">
         <li :for={change <- @history} :key={change["version"]} id={"change-#{change["version"]}"}>
-          <strong>{change["version"]}</strong> {Shown.set(change)}
+          <strong>{change["version"]}</strong> {Rows.set(change)}
           <span :if={change["set"] != []}>set <code>{Enum.join(change["set"], ", ")}</code></span>
           <span :if={change["removed"] != []}>removed <code>{Enum.join(change["removed"], ", ")}</code></span>
         </li>

@@ -9,8 +9,8 @@ defmodule FleetWeb.Console.System.Sampler do
   """
   use GenServer
 
-  alias Aerie.Names
-  alias FleetWeb.Console.System.{Facts, Restarts, Top, Tree}
+  alias Aerie.Base.Names
+  alias FleetWeb.Console.System.{BusiestProcesses, Figures, Restarts, Tree}
 
   @fresh_ms 2_000
   @after_death_ms 500
@@ -18,7 +18,7 @@ defmodule FleetWeb.Console.System.Sampler do
   @call_ms 10_000
 
   @typedoc "`at` in unix microseconds; the rest as in these modules."
-  @type sample :: %{at: integer(), facts: Facts.t(), tree: Tree.t() | nil, top: Top.t()}
+  @type sample :: %{at: integer(), facts: Figures.t(), tree: Tree.t() | nil, top: BusiestProcesses.t()}
 
   @doc "Options: `:gateway`; `:fresh_ms`, `:after_death_ms` for tests."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -96,8 +96,8 @@ defmodule FleetWeb.Console.System.Sampler do
   defp measure(state) do
     now = System.monotonic_time(:millisecond)
     {tree, state} = look(state)
-    {top, reductions} = Top.of(state.reductions, state.begun && now - state.begun)
-    facts = Facts.of(state.gateway, state.facts)
+    {top, reductions} = BusiestProcesses.of(state.reductions, state.begun && now - state.begun)
+    facts = Figures.of(state.gateway, state.facts)
 
     sample = %{
       at: System.os_time(:microsecond),

@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.System.Tree do
   once (it is starting a child) is shown without them.
   """
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
 
   @max_depth 8
   @max_nodes 4_096

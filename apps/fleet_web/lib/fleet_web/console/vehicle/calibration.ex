@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Vehicle.Calibration do
   @moduledoc "The sensors that can be calibrated and the positions, from the table of commands."
 
-  alias Aerie.Command.Types
+  alias Aerie.Vehicle.Command.Types
 
   @commands ~w(calibrate calibrate_position calibrate_accept calibrate_cancel)
 

@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Vehicle.Fly do
   @moduledoc "The section of a vehicle's page for flying: instruments, map, control, battery, GPS, latest events."
   use FleetWeb.Console, :component
 
-  import FleetWeb.Console.Vehicle.Facts
+  import FleetWeb.Console.Vehicle.GroupCard
 
   alias FleetWeb.Console.Map, as: ConsoleMap
   alias FleetWeb.Console.Vehicle.{Actions, Events, Route, View}

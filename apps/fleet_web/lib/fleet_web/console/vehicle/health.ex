@@ -2,9 +2,9 @@ defmodule FleetWeb.Console.Vehicle.Health do
   @moduledoc "What prevents a vehicle from arming; its sensors, estimator and remote control; calibrations with their prompts."
   use FleetWeb.Console, :component
 
-  import FleetWeb.Console.Vehicle.Facts
+  import FleetWeb.Console.Vehicle.GroupCard
 
-  alias FleetWeb.Console.Commands.Lives
+  alias FleetWeb.Console.Commands.EntryList
   alias FleetWeb.Console.Vehicle.{Actions, Arming, Calibration, View}
 
   attr :view, View, required: true
@@ -63,7 +63,7 @@ defmodule FleetWeb.Console.Vehicle.Health do
       <section :if={Actions.able?("calibrate", assigns)} id="calibration" class="card calibration" aria-labelledby="calibration-title">
         <h2 id="calibration-title">Calibration</h2>
         <p class="hint">Vehicle on the ground, disarmed and still. Its instructions appear below.</p>
-        <Lives.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
+        <EntryList.lives id="calibrations" lives={@calibrations} now={@now} user={@user} />
         <div class="row">
           <.hold_button :for={sensor <- Calibration.sensors()} id={"calibrate-#{sensor}"} event="command" kind="plain" hold_ms={500} phx-value-type="calibrate" phx-value-sensor={sensor}>{String.replace(sensor, "_", " ")}</.hold_button>
         </div>

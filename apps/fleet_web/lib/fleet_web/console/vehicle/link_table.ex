@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Vehicle.LinkTable do
   @moduledoc "The links that hear a vehicle, with loss and round trip; its clock, and which station keeps its ground-station failsafe quiet."
   use FleetWeb.Console, :component
 
-  import FleetWeb.Console.Vehicle.Facts
+  import FleetWeb.Console.Vehicle.GroupCard
 
   alias FleetWeb.Console.Vehicle.View
 

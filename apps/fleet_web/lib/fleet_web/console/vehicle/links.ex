@@ -20,7 +20,7 @@ defmodule FleetWeb.Console.Vehicle.Links do
           latest: boolean()
         }
 
-  @doc "The rows for a vehicle's snapshot and all links with their sources (`Aerie.Link.list/1`); the link that heard it last comes first."
+  @doc "The rows for a vehicle's snapshot and all links with their sources (`MavRouter.Link.list/1`); the link that heard it last comes first."
   @spec of(map(), [map()]) :: [row()]
   def of(vehicle, links) do
     by_id = Map.new(links, &{&1.id, &1})

@@ -1,19 +1,20 @@
 defmodule FleetWeb.Console.Vehicle.MessageSeries do
   @moduledoc """
-  Message fields for charts: numbers in the messages that `Aerie.Inspector` records while somebody watches. A
+  Message fields for charts: numbers in the messages that `Aerie.Fleet.Inspector` records while somebody watches. A
   key consists of the message's and the field's name: `ATTITUDE.roll`, `RC_CHANNELS.chan3_raw`, `BATTERY_STATUS.voltages.0`.
   """
 
-  alias Aerie.{Inspector, Names}
-  alias Aerie.Inspector.Compose
+  alias Aerie.Base.Names
+  alias Aerie.Fleet.Inspector
+  alias Aerie.Fleet.Inspector.Compose
   alias FleetWeb.Console.Vehicle.Series
   alias MavCodec.Dialects.All
 
   @max_elements 16
 
   @doc "The sorted names of the messages heard from the vehicle of a snapshot."
-  @spec heard(Names.gateway(), map()) :: [String.t()]
-  def heard(gateway, vehicle) do
+  @spec names(Names.gateway(), map()) :: [String.t()]
+  def names(gateway, vehicle) do
     names =
       for %{key: {_link, :in, _system, _component, id}} <- rows(gateway, vehicle),
           name = All.name(id),

@@ -3,8 +3,8 @@ defmodule FleetWeb.Console.Vehicle.Obstacles do
   What a vehicle's state says against a command that the policy allows: the policy does not know whether the vehicle can do it. Pure.
   """
 
-  alias Aerie.Command.Types
-  alias Aerie.Protocol.Modes
+  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Protocol.Modes
   alias Aerie.Vehicle.Kind
   alias FleetWeb.Console.UI.Age
   alias FleetWeb.Console.Vehicle.{Arming, View}

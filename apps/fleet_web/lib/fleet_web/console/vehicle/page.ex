@@ -4,7 +4,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
   all of them.
 
   The page reads the store when it has changed, at most five times a second; attitude, position and chart samples go to the browser as
-  events. Commands go through `Aerie.Commands` (`FleetWeb.Console.Commands.Give`), whose table of recent commands everybody sees.
+  events. Commands go through `Aerie.Control.Commands` (`FleetWeb.Console.Commands.Submit`), whose table of recent commands everybody sees.
   """
   use FleetWeb.Console,
       {:page,
@@ -13,19 +13,23 @@ defmodule FleetWeb.Console.Vehicle.Page do
            ~w(noop input events_filter events_pause chart_add command_search map_select map_follow map_menu map_escape map_point route)
        ]}
 
-  alias Aerie.{Commands, Fleet, Inspector, Link, Store}
-  alias Aerie.Command.Types
-  alias Aerie.Fleet.Journal
-  alias Aerie.Policy.Leases
-  alias FleetWeb.Console.Commands.{Course, Give, Life, Lives}
+  alias Aerie.Base.Store
+  alias Aerie.Control.Commands
+  alias Aerie.Fleet
+  alias Aerie.Fleet.Inspector
+  alias MavRouter.Link
+  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Control.Policy.Leases
+  alias FleetWeb.Console.Commands.{Entry, EntryList, Outcome, Submit}
   alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Map.Payload
 
   alias FleetWeb.Console.Vehicle.{
     Actions,
-    Answer,
     Arming,
-    Charge,
+    CommandCheck,
+    ControlBanner,
     Header,
     Instruments,
     Links,
@@ -135,7 +139,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
   def handle_event("command", event, socket) do
     %{gateway: gateway, id: id, user: user} = socket.assigns
 
-    case charge_meant?(socket, event) && Give.give(gateway, id, user, event) do
+    case charge_meant?(socket, event) && Submit.give(gateway, id, user, event) do
       false -> {:noreply, put_flash(socket, :error, "Who is in charge changed; nothing was sent.")}
       {:ok, _id} -> {:noreply, socket |> clear_flash() |> assign(errors: @no_errors) |> sent(event["type"])}
       {:invalid, type, errors} -> {:noreply, invalid(socket, type, errors)}
@@ -214,7 +218,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
 
   # The page may show an earlier lease than there is.
   defp charge_meant?(%{assigns: %{gateway: gateway, view: %View{vehicle: vehicle}}}, event),
-    do: Charge.meant?(event, Leases.of(gateway, vehicle.key))
+    do: ControlBanner.meant?(event, Leases.of(gateway, vehicle.key))
 
   defp charge_meant?(_no_vehicle, _event), do: true
 
@@ -264,7 +268,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
            do: Obstacles.of(type, view, Arming.of(view.vehicle, assigns.events, view.now)),
            else: (_none -> [])
 
-    assign(socket, answer: Answer.of(assigns), obstacles: obstacles)
+    assign(socket, answer: CommandCheck.of(assigns), obstacles: obstacles)
   end
 
   defp commands(%{assigns: %{gateway: gateway, id: id}} = socket),
@@ -275,10 +279,10 @@ defmodule FleetWeb.Console.Vehicle.Page do
 
   # How far commands are that have only begun, as the vehicle's state shows it now.
   defp lives(%{assigns: %{entries: entries, courses: courses, view: view, events: events, now: now}} = socket) do
-    courses = if view, do: Course.keep(courses, entries, view.vehicle, {events, now}), else: courses
+    courses = if view, do: Outcome.keep(courses, entries, view.vehicle, {events, now}), else: courses
 
     socket
-    |> assign(courses: courses, lives: Enum.map(entries, &Life.of(&1, courses[&1.id])))
+    |> assign(courses: courses, lives: Enum.map(entries, &Entry.of(&1, courses[&1.id])))
     |> mark()
   end
 
@@ -316,7 +320,7 @@ defmodule FleetWeb.Console.Vehicle.Page do
     {messages, states} = Enum.split_with(series, &is_tuple(&1.path))
     values = MessageSeries.sample(gateway, view.vehicle, messages, view.now)
     values = Map.merge(values, Series.sample(view.vehicle, states, view.now))
-    socket = assign(socket, :heard, MessageSeries.heard(gateway, view.vehicle))
+    socket = assign(socket, :heard, MessageSeries.names(gateway, view.vehicle))
 
     if series == [],
       do: socket,
@@ -379,14 +383,14 @@ defmodule FleetWeb.Console.Vehicle.Page do
     ~H"""
     <div class={["vehicle-page", "is-#{@view.vehicle.status}"]}>
       <Header.header view={@view} />
-      <Charge.charge view={@view} user={@user} lease={@lease} />
+      <ControlBanner.charge view={@view} user={@user} lease={@lease} />
       <.tabs label="Parts of the page">
         <:tab :for={{name, label, icon} <- Sections.all()} patch={Sections.path(@id, name)} current={name == @section} icon={icon}>{label}</:tab>
       </.tabs>
       <Section.section {assigns} />
       <%!-- At the bottom, so that a command that appears or disappears does not move the buttons above. --%>
       <div class="vehicle-foot">
-        <Lives.lives id="commands-now" lives={in_sight(@lives, @now)} now={@now} user={@user} class="in-sight" />
+        <EntryList.lives id="commands-now" lives={in_sight(@lives, @now)} now={@now} user={@user} class="in-sight" />
         <Actions.bar view={@view} user={@user} />
       </div>
     </div>
@@ -394,5 +398,5 @@ defmodule FleetWeb.Console.Vehicle.Page do
   end
 
   defp in_sight(lives, now),
-    do: Enum.filter(lives, &(Life.under_way?(&1) or &1.going or now - &1.done_at < @shown_us))
+    do: Enum.filter(lives, &(Entry.under_way?(&1) or &1.going or now - &1.done_at < @shown_us))
 end

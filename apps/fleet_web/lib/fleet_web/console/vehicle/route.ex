@@ -5,7 +5,7 @@ defmodule FleetWeb.Console.Vehicle.Route do
   """
   use FleetWeb.Console, :component
 
-  alias Aerie.Names
+  alias Aerie.Base.Names
   alias FleetWeb.Console.Fleet.Plans
   alias FleetWeb.Console.Vehicle.{Actions, View}
 
@@ -55,7 +55,7 @@ defmodule FleetWeb.Console.Vehicle.Route do
         <.button small={true} icon="plan" phx-click="route" aria-pressed={to_string(@on?)}>Route on map</.button>
       </div>
       <.meter :if={(@total || 0) > 0} value={@seq && min(@seq / @total, 1)} label="Progress of the mission" text={if @seq, do: "Item #{@seq} of #{@total}", else: "#{@total} items"} />
-      <p :for={words <- Plans.words(@route)} class="muted" role="status">{words}</p>
+      <p :for={words <- Plans.summary(@route)} class="muted" role="status">{words}</p>
       <div :if={@commands != []} class="controls">
         <.hold_button :for={{name, label, icon} <- @commands} id={"action-#{name}"} event="command" kind="plain" icon={icon} phx-value-type={name}>{label}</.hold_button>
       </div>

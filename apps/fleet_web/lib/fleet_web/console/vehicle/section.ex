@@ -2,8 +2,8 @@ defmodule FleetWeb.Console.Vehicle.Section do
   @moduledoc "The chosen section of a vehicle's page, from the page's assigns."
   use FleetWeb.Console, :component
 
-  alias Aerie.Protocol.Modes
-  alias FleetWeb.Console.Commands.{Catalog, Form, Lives, Panel}
+  alias Aerie.Vehicle.Protocol.Modes
+  alias FleetWeb.Console.Commands.{Catalog, EntryList, Form, Panel}
   alias FleetWeb.Console.Map.Tiles
 
   alias FleetWeb.Console.Vehicle.{
@@ -35,7 +35,7 @@ defmodule FleetWeb.Console.Vehicle.Section do
       following={@following}
       lines={@events |> Timeline.lines() |> Enum.take(6)}
       events_path={Sections.path(@id, "events")}
-      tiles={Tiles.shown(@gateway)}
+      tiles={Tiles.description(@gateway)}
     />
     """
   end
@@ -54,7 +54,7 @@ defmodule FleetWeb.Console.Vehicle.Section do
         <section class="card" aria-labelledby="history-title">
           <h2 id="history-title">Commands of all operators</h2>
           <p :if={@lives == []} class="muted">No commands yet</p>
-          <Lives.lives id="history" lives={@lives} now={@now} user={@user} />
+          <EntryList.lives id="history" lives={@lives} now={@now} user={@user} />
         </section>
       </div>
     </div>

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Vehicle.Target do
   @moduledoc "A position on the map to which a vehicle may be sent: the command for it, and the distance. Pure."
 
-  alias Aerie.Policy.Fence.Earth
+  alias Aerie.Control.Policy.Fence.Earth
   alias FleetWeb.Console.Vehicle.View
 
   # A vehicle that is sent somewhere at the height of the ground would scrape it.
@@ -10,7 +10,7 @@ defmodule FleetWeb.Console.Vehicle.Target do
   @typedoc "`:altitude` is the text of its field, metres above home."
   @type t :: %{lat: float(), lon: float(), altitude: String.t()}
 
-  @doc "The place that the vehicle is on its way to (`FleetWeb.Console.Commands.Course`), for the map; nil without one."
+  @doc "The place that the vehicle is on its way to (`FleetWeb.Console.Commands.Outcome`), for the map; nil without one."
   @spec on_its_way([map()], %{String.t() => map()}) :: %{lat: float(), lon: float(), text: String.t()} | nil
   def on_its_way(entries, courses) do
     Enum.find_value(entries, fn

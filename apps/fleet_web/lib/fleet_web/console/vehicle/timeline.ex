@@ -146,7 +146,9 @@ defmodule FleetWeb.Console.Vehicle.Timeline do
   defp words(nil), do: "unknown"
   defp words(name), do: name |> to_string() |> String.replace(["_", "."], " ")
 
-  defp shown(number) when is_float(number), do: number |> Float.round(3) |> Aerie.Command.Param.shown()
+  defp shown(number) when is_float(number),
+    do: number |> Float.round(3) |> Aerie.Vehicle.Command.Param.format()
+
   defp shown(list) when is_list(list), do: Enum.map_join(list, " ", &shown/1)
   defp shown(nil), do: "unknown"
   defp shown(other) when is_binary(other) or is_number(other) or is_boolean(other), do: to_string(other)

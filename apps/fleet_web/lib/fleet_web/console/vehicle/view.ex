@@ -16,7 +16,7 @@ defmodule FleetWeb.Console.Vehicle.View do
               into: %{},
               do: {[group | field.path], field}
 
-  @doc "The view of a snapshot, with the gateway's links (`Aerie.Store.links/1`)."
+  @doc "The view of a snapshot, with the gateway's links (`Aerie.Base.Store.links/1`)."
   @spec new(map(), [map()], now :: integer()) :: t()
   def new(vehicle, links, now) do
     %__MODULE__{

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Audit.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Policy.Audit
+  alias Aerie.Control.Policy.Audit
   alias FleetWeb.HTTPClient
 
   @moduletag :tmp_dir

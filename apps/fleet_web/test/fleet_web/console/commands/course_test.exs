@@ -1,9 +1,9 @@
-defmodule FleetWeb.Console.Commands.CourseTest do
+defmodule FleetWeb.Console.Commands.OutcomeTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Command.Result
+  alias Aerie.Vehicle.Command.Result
   alias Aerie.Vehicle.Event
-  alias FleetWeb.Console.Commands.{Course, Life}
+  alias FleetWeb.Console.Commands.{Entry, Outcome}
 
   @at 1_795_000_000_000_000
   @done @at + 1_000_000
@@ -43,7 +43,7 @@ defmodule FleetWeb.Console.Commands.CourseTest do
   @there %{lat: 47.0, lon: 8.0, altitude: 20.0, altitude_reference: "home"}
 
   defp shown(entry, vehicle, events \\ [], later \\ []) do
-    case Course.of(entry, later, vehicle, events) do
+    case Outcome.of(entry, later, vehicle, events) do
       nil -> nil
       course -> {course.stage, course.label, course.text}
     end
@@ -131,25 +131,25 @@ defmodule FleetWeb.Console.Commands.CourseTest do
 
   test "an end is kept, whatever comes later" do
     goto = entry("goto", @there)
-    keep = &Course.keep(&1, [later("hold", nil), goto], &2, {[], @done + 7})
+    keep = &Outcome.keep(&1, [later("hold", nil), goto], &2, {[], @done + 7})
     assert %{"a" => %{stage: :going, at: nil}} = going = keep.(%{}, away(118))
     assert %{"a" => %{stage: :there, at: at}} = there = keep.(going, away(2))
     assert at == @done + 7
     assert keep.(there, away(500)) == there
     # When the end was not seen, the command's own time is told.
     assert %{"a" => %{stage: :there, at: @done}} = keep.(%{}, away(2))
-    assert Course.keep(there, [], away(2), {[], @done}) == %{}
+    assert Outcome.keep(there, [], away(2), {[], @done}) == %{}
   end
 
   test "the words of a command follow its course" do
     goto = entry("goto", @there)
-    going = Course.of(goto, [], away(118), [])
+    going = Outcome.of(goto, [], away(118), [])
 
     assert %{label: "On its way", text: "118 m", tone: :going, going: true, state: :completed} =
-             Life.of(goto, going)
+             Entry.of(goto, going)
 
-    there = Course.of(goto, [], away(1), [])
-    assert %{label: "Arrived", tone: :good, going: false, done_at: @done} = Life.of(goto, there)
-    assert %{label: "Done", going: false} = Life.of(entry("arm"))
+    there = Outcome.of(goto, [], away(1), [])
+    assert %{label: "Arrived", tone: :good, going: false, done_at: @done} = Entry.of(goto, there)
+    assert %{label: "Done", going: false} = Entry.of(entry("arm"))
   end
 end

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Commands.FormTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Command.Types
+  alias Aerie.Vehicle.Command.Types
   alias FleetWeb.Console.Commands.Form
 
   defp read(name, texts), do: name |> Types.fetch!() |> Form.read(texts)

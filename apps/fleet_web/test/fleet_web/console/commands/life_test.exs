@@ -1,8 +1,8 @@
-defmodule FleetWeb.Console.Commands.LifeTest do
+defmodule FleetWeb.Console.Commands.EntryTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Command.Result
-  alias FleetWeb.Console.Commands.{Life, Wording}
+  alias Aerie.Vehicle.Command.Result
+  alias FleetWeb.Console.Commands.{Entry, Wording}
 
   @entry %{
     id: "a",
@@ -18,33 +18,33 @@ defmodule FleetWeb.Console.Commands.LifeTest do
   }
 
   test "pending, under way with share and prompt" do
-    assert %{state: :pending, tone: :busy, label: "Pending", share: nil, cancel: true} = Life.of(@entry)
+    assert %{state: :pending, tone: :busy, label: "Pending", share: nil, cancel: true} = Entry.of(@entry)
 
     assert %{state: :progress, label: "Under way", share: 46, text: "Place vehicle level"} =
-             Life.of(%{@entry | progress: %{"progress" => 0.456, "text" => "Place vehicle level"}})
+             Entry.of(%{@entry | progress: %{"progress" => 0.456, "text" => "Place vehicle level"}})
 
-    assert %{share: nil} = Life.of(%{@entry | progress: %{"progress" => nil, "text" => nil}})
-    assert %{cancel: false} = Life.of(%{@entry | type: "arm"})
+    assert %{share: nil} = Entry.of(%{@entry | progress: %{"progress" => nil, "text" => nil}})
+    assert %{cancel: false} = Entry.of(%{@entry | type: "arm"})
   end
 
   test "each result has words of its own; not knowing looks like no other" do
     shown =
       for {status, _meaning, _maybe} <- Result.table(),
-          do: Life.of(%{@entry | result: Result.new("a", status), done_at: 2})
+          do: Entry.of(%{@entry | result: Result.new("a", status), done_at: 2})
 
     assert shown |> Enum.map(& &1.label) |> Enum.uniq() |> length() == length(Result.table())
     assert [:timeout, :unknown] == for(%{tone: :unsure, state: state} <- shown, do: state)
     assert %{text: "The vehicle may have done it."} = Enum.find(shown, &(&1.state == :unknown))
 
     assert %{text: "not so high", cancel: false} =
-             Life.of(%{@entry | result: Result.new("a", :denied, "not so high")})
+             Entry.of(%{@entry | result: Result.new("a", :denied, "not so high")})
   end
 
   test "a transfer is shown too, and can be cancelled" do
     upload = %{@entry | type: "mission_upload", params: %{count: 3, kind: :mission, odd: %{a: 1}}}
 
     assert %{title: "Mission upload", cancel: true, params: "count 3, kind mission, odd %{a: 1}"} =
-             Life.of(upload)
+             Entry.of(upload)
   end
 
   test "parameters as an operator would say them" do
@@ -65,16 +65,16 @@ defmodule FleetWeb.Console.Commands.LifeTest do
   end
 
   test "a refusal because another one is in charge names the form of these pages" do
-    lease = %Aerie.Policy.Lease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
+    lease = %Aerie.Control.Policy.Lease{holder: "ann", via: "console", since: 1_795_000_000_000_000}
 
     assert {:deny, reason} =
-             Aerie.Policy.Rules.Lease.check(
+             Aerie.Control.Policy.Rules.Lease.check(
                %{lease: %{required: false}},
                %{control: nil, ends_flight?: false, permission: :fly},
                %{lease: lease, source: %{name: "bob", role: :operator}}
              )
 
-    assert %{text: text} = Life.of(%{@entry | result: Result.new("a", :denied, reason), done_at: 2})
+    assert %{text: text} = Entry.of(%{@entry | result: Result.new("a", :denied, reason), done_at: 2})
     assert text =~ ~r/\Aann is in charge of the vehicle .* UTC\); take over under “in charge”\z/
   end
 end

@@ -3,7 +3,7 @@ defmodule FleetWeb.Console.Diagnosis.PageTest do
 
   import FleetWeb.APICase, only: [request: 3]
 
-  alias Aerie.Link.Serial.Finding
+  alias MavRouter.Link.Serial.Finding
 
   setup do: {:ok, start_console()}
 

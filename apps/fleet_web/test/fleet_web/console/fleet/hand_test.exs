@@ -65,13 +65,13 @@ defmodule FleetWeb.Console.Fleet.HandTest do
     test "on a vehicle that has gone is refused", %{view: view, console: console} do
       select(view, "V1")
       select(view, "V2", "toggle")
-      Aerie.Store.delete_vehicle(console.gateway, {"main", 2})
+      Aerie.Base.Store.delete_vehicle(console.gateway, {"main", 2})
       send(view.pid, :refresh)
       assert press(view, "rtl", ["V1", "V2"]) =~ @changed
     end
 
     test "on Acknowledge all is for the alarms that were shown", %{console: console} do
-      server = Aerie.Names.whereis(console.gateway, :console_alarms)
+      server = Aerie.Base.Names.whereis(console.gateway, :console_alarms)
       put_vehicle(console, "V1", [mode: %{failsafe: true}], %{key: {"main", 1}, system_id: 1})
       {:ok, alarms, _html} = live(conn(console, :operator), "/alarms")
 
@@ -122,12 +122,12 @@ defmodule FleetWeb.Console.Fleet.HandTest do
     test "in words" do
       selection = %Selection{ids: MapSet.new(~w(a b c d e))}
       all = ~w(a b c d e f)
-      assert Selection.words(selection, all, all) == {"5 vehicles (a, b, c …)", nil}
+      assert Selection.summary(selection, all, all) == {"5 vehicles (a, b, c …)", nil}
 
       assert {"a", "4 selected, not in this list: 4 vehicles (b, c, d …)"} =
-               Selection.words(selection, all, ~w(a f))
+               Selection.summary(selection, all, ~w(a f))
 
-      assert Selection.words(%Selection{ids: MapSet.new(["a"])}, all, []) ==
+      assert Selection.summary(%Selection{ids: MapSet.new(["a"])}, all, []) ==
                {nil, "1 selected, not in this list: a"}
     end
   end
@@ -284,7 +284,7 @@ defmodule FleetWeb.Console.Fleet.HandTest do
     assert Batch.count(batch) == {3, 2}
     assert c.state == :waiting
 
-    assert for(type <- ~w(hold rtl land), do: Batch.shown(type, {:done, :completed, nil})) ==
+    assert for(type <- ~w(hold rtl land), do: Batch.badge(type, {:done, :completed, nil})) ==
              [{"ok", "Holding"}, {"ok", "Returning"}, {"ok", "Landing"}]
   end
 end

@@ -3,8 +3,8 @@ defmodule FleetWeb.Console.Fleet.PageTest do
 
   import Aerie.ShadowCase, only: [start_shadow: 2]
 
-  alias Aerie.Policy.Leases
-  alias Aerie.Shadow
+  alias Aerie.Control.Policy.Leases
+  alias Aerie.Fleet.Shadow
 
   setup do: {:ok, start_console()}
 
@@ -84,8 +84,8 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       gone: []
     })
 
-    %{key: key} = Aerie.Store.vehicle(console.gateway, "VID-002")
-    Aerie.Store.delete_vehicle(console.gateway, key)
+    %{key: key} = Aerie.Base.Store.vehicle(console.gateway, "VID-002")
+    Aerie.Base.Store.delete_vehicle(console.gateway, key)
     refresh(view)
     assert_push_event(view, "map:vehicles", %{vehicles: [], gone: ["VID-002"]})
     assert shown(view) == ["VID-001"]
@@ -175,7 +175,7 @@ defmodule FleetWeb.Console.Fleet.PageTest do
       render_hook(view, "select", %{"id" => "V2", "how" => "only"})
       render_hook(view, "select", %{"id" => "never", "how" => "toggle"})
       assert selected(view) == ["V2"]
-      Aerie.Store.delete_vehicle(console.gateway, {"main", 2})
+      Aerie.Base.Store.delete_vehicle(console.gateway, {"main", 2})
       refresh(view)
       refute has_element?(view, "#fleet-actions")
     end

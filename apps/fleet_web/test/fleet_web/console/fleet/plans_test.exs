@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.Fleet.PlansTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Command.Result
-  alias Aerie.Mission.{Item, Plan}
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Mission.{Item, Plan}
   alias FleetWeb.Console.Fleet.Plans
 
   @waypoint 16
@@ -19,7 +19,7 @@ defmodule FleetWeb.Console.Fleet.PlansTest do
 
   test "parts come one by one, and what could not be read says why" do
     {plans, ref} = reading("A")
-    assert Plans.words(plans) == ["A: reading its plans …"]
+    assert Plans.summary(plans) == ["A: reading its plans …"]
     items = [item(@waypoint, 470_000_000, 80_000_000), item(@speed), item(@waypoint, 470_010_000, 80_000_000)]
     fence = [{:exclusion, {:circle, {470_000_000, 80_000_000}, 50.0}}]
 
@@ -30,7 +30,7 @@ defmodule FleetWeb.Console.Fleet.PlansTest do
       |> Plans.update("A", ref, {:rally, {:error, Result.new("x", :failed, "no rally points here")}})
       |> Plans.update("A", ref, :done)
 
-    assert Plans.words(plans) == ["A: rally: no rally points here"]
+    assert Plans.summary(plans) == ["A: rally: no rally points here"]
 
     # Items without a place are counted, and not drawn.
     assert [

@@ -2,9 +2,9 @@ defmodule FleetWeb.Console.Fleet.SlowLineTest do
   @moduledoc "The console under an operator's hand, in a browser that the gateway's answers reach late."
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Commands
-  alias Aerie.Policy.Leases
-  alias Aerie.Store
+  alias Aerie.Control.Commands
+  alias Aerie.Control.Policy.Leases
+  alias Aerie.Base.Store
   alias FleetWeb.SlowLine
 
   @moduletag :chromium

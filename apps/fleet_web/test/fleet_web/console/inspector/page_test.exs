@@ -1,8 +1,9 @@
 defmodule FleetWeb.Console.Inspector.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.{Inspector, Recorder}
-  alias FleetWeb.Console.Inspector.Shown
+  alias Aerie.Fleet.Inspector
+  alias MavRouter.Recorder
+  alias FleetWeb.Console.Inspector.Rows
   alias MavCodec.Messages, as: M
   alias MavCodec.Parser
 
@@ -148,25 +149,25 @@ defmodule FleetWeb.Console.Inspector.PageTest do
 
   test "without a recorder the page says what is missing", %{console: console} do
     {:ok, view, _html} = live(conn(console, :viewer), "/inspector")
-    :ok = Supervisor.terminate_child(Aerie.Names.via(console.gateway, :console), Aerie.Inspector)
+    :ok = Supervisor.terminate_child(Aerie.Base.Names.via(console.gateway, :console), Aerie.Fleet.Inspector)
     eventually(fn -> has_element?(view, ".state.error", "is not running") end)
   end
 
   test "rows are bounded, and keep their order" do
     rows = for system <- 1..300, do: %{key: {"radio", :in, system, 1, 0}, count: 1, hz: 1.0, at: 5}
-    assert {shown, 100} = Shown.rows(rows, Shown.all(), %{"radio" => "main"}, %{}, {:name, :asc}, 10)
+    assert {shown, 100} = Rows.rows(rows, Rows.all(), %{"radio" => "main"}, %{}, {:name, :asc}, 10)
     assert Enum.map(shown, &elem(&1.key, 2)) == Enum.to_list(1..200)
 
     assert {_shown, 0} =
-             Shown.rows(
+             Rows.rows(
                rows,
-               Shown.filter(%{"vehicle" => "main/3"}),
+               Rows.filter(%{"vehicle" => "main/3"}),
                %{"radio" => "main"},
                %{},
                {:hz, :desc},
                10
              )
 
-    assert Shown.filter(%{"text" => %{"a" => 1}, "other" => "x"}) == Shown.all()
+    assert Rows.filter(%{"text" => %{"a" => 1}, "other" => "x"}) == Rows.all()
   end
 end

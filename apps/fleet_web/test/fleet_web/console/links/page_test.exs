@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Links.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.{Link, Router}
+  alias MavRouter.{Link, Router}
   alias FleetWeb.Console.Links.View
 
   @moduletag :capture_log
@@ -86,17 +86,17 @@ defmodule FleetWeb.Console.Links.PageTest do
   test "an admin restarts and removes a link, after a question", c do
     udp(c.gateway)
     view = open(c.console, "/links?link=radio", :admin)
-    before = Aerie.Names.whereis(c.gateway, :link, "radio")
+    before = Aerie.Base.Names.whereis(c.gateway, :link, "radio")
     view |> element("#link button", "Restart") |> render_click()
     assert has_element?(view, "dialog", "counters and routes stay")
     render_click(view, "cancel", %{})
-    assert Aerie.Names.whereis(c.gateway, :link, "radio") == before
+    assert Aerie.Base.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Restart") |> render_click()
     # The answer to an earlier question, about another link.
     render_click(view, "restart", %{"id" => "other"})
-    assert Aerie.Names.whereis(c.gateway, :link, "radio") == before
+    assert Aerie.Base.Names.whereis(c.gateway, :link, "radio") == before
     assert view |> element("dialog button", "Restart link radio") |> render_click() =~ "restarted"
-    refute Aerie.Names.whereis(c.gateway, :link, "radio") == before
+    refute Aerie.Base.Names.whereis(c.gateway, :link, "radio") == before
     view |> element("#link button", "Remove") |> render_click()
     view |> element("dialog button", "Remove link radio") |> render_click()
     assert Link.list(c.gateway) == []
@@ -117,7 +117,7 @@ defmodule FleetWeb.Console.Links.PageTest do
   end
 
   test "a link that was heard long ago says so; what serial ports found out is shown", c do
-    finding = Aerie.Link.Serial.Finding.silent("/dev/ttyUSB0", 5)
+    finding = MavRouter.Link.Serial.Finding.silent("/dev/ttyUSB0", 5)
 
     put_link(c.console, "old", %{
       last_heard: System.os_time(:microsecond) - 60_000_000,

@@ -116,7 +116,7 @@ defmodule FleetWeb.Console.Map.TilesTest do
       )
 
     assert %{type: "raster", url: "/tiles/{z}/{x}/{y}", maxzoom: 1, attribution: "(c) me"} =
-             Tiles.shown(console.gateway)
+             Tiles.description(console.gateway)
 
     {:ok, view, _html} = live(conn(console, :viewer), "/")
     assert view |> element("#fleet-map") |> render() =~ "/tiles/{z}/{x}/{y}"
@@ -134,7 +134,7 @@ defmodule FleetWeb.Console.Map.TilesTest do
     File.write!(Path.join(dir, "tiles/3/4/2.png"), "image")
     gateway = make_ref()
     start_supervised!({Tiles, gateway: gateway, path: Path.join(dir, "tiles"), attribution: nil})
-    assert %{type: "raster", minzoom: 3, maxzoom: 3} = Tiles.shown(gateway)
+    assert %{type: "raster", minzoom: 3, maxzoom: 3} = Tiles.description(gateway)
     assert Tiles.tile(gateway, 3, 4, 2) == {"image", "image/png", false}
     assert Tiles.tile(gateway, 3, 4, 3) == nil
   end
@@ -143,6 +143,6 @@ defmodule FleetWeb.Console.Map.TilesTest do
     gateway = make_ref()
     log = capture_log(fn -> start_supervised!({Tiles, gateway: gateway, path: dir, attribution: nil}) end)
     assert log =~ "expected a PMTiles file, or a folder"
-    assert Tiles.shown(gateway) == nil
+    assert Tiles.description(gateway) == nil
   end
 end

@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.Map.ZonesTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Policy
-  alias Aerie.Policy.Fence
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Fence
   alias FleetWeb.Console.Map.Zones
 
   test "a zone is drawn with its border and its holes, corner by corner" do

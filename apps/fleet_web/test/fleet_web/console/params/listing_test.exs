@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Params.ListingTest do
   use ExUnit.Case, async: true
 
-  alias Aerie.Params.{Param, Table}
+  alias Aerie.Control.Params.{Param, Table}
   alias FleetWeb.Console.Params.Listing
 
   # MAV_PARAM_TYPE: 4 int16, 9 real32
@@ -29,7 +29,9 @@ defmodule FleetWeb.Console.Params.ListingTest do
   end
 
   test "a file: what differs, and what the vehicle does not have" do
-    {:ok, entries} = Aerie.Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")
+    {:ok, entries} =
+      Aerie.Control.Params.parse("RTL_ALT,1500\nATC_RAT_P,0.135000\nANGLE_MAX,3000\nNO_SUCH,1\n")
+
     assert {[%{name: "RTL_ALT", value: 1500, type: 4}], ["NO_SUCH"]} = Listing.differing(entries, @table)
 
     assert {[%{name: "RTL_ALT", file: "1500"}], 1} =
@@ -51,7 +53,8 @@ defmodule FleetWeb.Console.Params.ListingTest do
     for float <- [0.1, 1.0e-7, 123.456, -2.5],
         do:
           assert(
-            float |> Aerie.Protocol.ParamValue.float32() |> Listing.text() |> Listing.number() == {:ok, float}
+            float |> Aerie.Vehicle.Protocol.ParamValue.float32() |> Listing.text() |> Listing.number() ==
+              {:ok, float}
           )
   end
 end

@@ -48,7 +48,7 @@ defmodule FleetWeb.Console.Params.PageTest do
   end
 
   # As the form or the button says for what it is.
-  defp command(view, type, id, fields, shown \\ Listing.shown("VID-001", nil, nil)),
+  defp command(view, type, id, fields, shown \\ Listing.target("VID-001", nil, nil)),
     do: render_hook(view, "command", %{"type" => type, "id" => id, "fields" => fields, "shown" => shown})
 
   @tag :chromium
@@ -121,7 +121,7 @@ defmodule FleetWeb.Console.Params.PageTest do
     view |> element("#param-CAM_NAME a") |> render_click()
     # A press that was made while the autopilot's were shown.
     assert command(view, "set", "c0", %{"name" => "CAM_NAME", "value" => "Front"}) =~ "nothing was sent"
-    camera = Listing.shown("VID-001", 100, nil)
+    camera = Listing.target("VID-001", 100, nil)
     command(view, "set", "c1", %{"name" => "CAM_NAME", "value" => "Rear"}, camera)
     eventually(fn -> has_element?(view, "#params-commands-c1[data-state=completed]") end)
     eventually(fn -> has_element?(view, "#param-CAM_NAME strong", "Rear") end)

@@ -14,7 +14,7 @@ defmodule FleetWeb.Console.Plan.BrowserTest do
     {gateway, port} = TransferCase.start(dir, %{max_altitude: 100})
     [console: console] = start_console(gateway: gateway)
     TransferCase.fly(gateway, port, firmware: :ardupilot)
-    eventually(fn -> get_in(Aerie.Store.vehicle(gateway, "VID-001").groups, [:home, :data, :lat]) end)
+    eventually(fn -> get_in(Aerie.Base.Store.vehicle(gateway, "VID-001").groups, [:home, :data, :lat]) end)
     browse(console, "plan.mjs")
   end
 end

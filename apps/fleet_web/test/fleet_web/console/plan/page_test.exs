@@ -1,8 +1,9 @@
 defmodule FleetWeb.Console.Plan.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.{Missions, TransferCase}
-  alias Aerie.Mission.Plan
+  alias Aerie.Control.Missions
+  alias Aerie.TransferCase
+  alias Aerie.Control.Mission.Plan
 
   @place %{"map" => "plan-map", "lat" => 47.397742, "lon" => 8.545594}
 
@@ -128,7 +129,7 @@ defmodule FleetWeb.Console.Plan.PageTest do
     setup %{tmp_dir: dir} do
       {gateway, port} = TransferCase.start(dir)
       TransferCase.fly(gateway, port, [])
-      [vehicle] = Aerie.Store.vehicles(gateway)
+      [vehicle] = Aerie.Base.Store.vehicles(gateway)
       {:ok, start_console(gateway: gateway) ++ [vehicle: vehicle.id, gateway: gateway]}
     end
 

@@ -1,7 +1,7 @@
 defmodule FleetWeb.Console.Recordings.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.{Link, Recorder}
+  alias MavRouter.{Link, Recorder}
   alias FleetWeb.Console.Recordings.{TimeLine, TlogFile}
   alias FleetWeb.HTTPClient
   alias MavCodec.Messages, as: M

@@ -5,8 +5,8 @@ defmodule FleetWeb.Console.Shadow.PageTest do
   import Aerie.DoorCase, only: [start_door: 2, answer: 3, executing: 1]
   import Aerie.ShadowCase, only: [start_shadow: 3, start_loop: 1, standing: 3]
 
-  alias Aerie.Shadow
-  alias FleetWeb.Console.Shadow.{Input, Shown}
+  alias Aerie.Fleet.Shadow
+  alias FleetWeb.Console.Shadow.{Input, Rows}
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -116,8 +116,8 @@ defmodule FleetWeb.Console.Shadow.PageTest do
           {"intervals.ATTITUDE", 2.5},
           {"mode", "LOITER"}
         ] do
-      assert {:ok, %{"desired" => desired}} = path |> Input.form(Shown.text(value)) |> Input.request(3)
-      assert Shown.at(desired, path) == value
+      assert {:ok, %{"desired" => desired}} = path |> Input.form(Rows.text(value)) |> Input.request(3)
+      assert Rows.at(desired, path) == value
       # It is for the version that was shown; the shadow refuses it for another one.
       assert {:ok, %{"version" => 3}} = path |> Input.form("1") |> Input.request(3)
     end

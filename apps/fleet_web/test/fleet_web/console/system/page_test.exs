@@ -1,8 +1,8 @@
 defmodule FleetWeb.Console.System.PageTest do
   use FleetWeb.ConsoleCase, async: true
 
-  alias Aerie.Names
-  alias FleetWeb.Console.System.{Sampler, Top}
+  alias Aerie.Base.Names
+  alias FleetWeb.Console.System.{BusiestProcesses, Sampler}
 
   @moduletag :capture_log
 
@@ -80,9 +80,9 @@ defmodule FleetWeb.Console.System.PageTest do
   end
 
   test "the first look at the work of processes has nothing to compare with" do
-    {top, totals} = Top.of(%{}, nil)
+    {top, totals} = BusiestProcesses.of(%{}, nil)
     assert [%{reductions: nil} | _] = top.reductions
-    {top, _totals} = Top.of(totals, 1_000)
+    {top, _totals} = BusiestProcesses.of(totals, 1_000)
     assert [%{reductions: n} | _] = top.reductions
     assert is_number(n)
     assert top.looked_at > 20

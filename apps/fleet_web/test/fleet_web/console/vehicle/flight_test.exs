@@ -4,7 +4,8 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
 
   import Aerie.TransferCase, only: [fly: 3]
 
-  alias Aerie.{DoorCase, Store}
+  alias Aerie.Base.Store
+  alias Aerie.DoorCase
 
   @moduletag :tmp_dir
   @moduletag :capture_log
@@ -24,7 +25,7 @@ defmodule FleetWeb.Console.Vehicle.FlightTest do
   defp data(gateway, group), do: get_in(Store.vehicle(gateway, "VID-001").groups, [group, :data]) || %{}
 
   defp give(view, type, fields \\ %{}) do
-    id = Aerie.Command.id()
+    id = Aerie.Vehicle.Command.id()
     render_hook(view, "command", %{"id" => id, "type" => type, "fields" => fields})
 
     eventually(fn ->

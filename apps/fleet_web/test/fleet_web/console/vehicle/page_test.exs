@@ -2,7 +2,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
   @moduledoc "The page of one vehicle. The store is filled by hand, and the test is the vehicle's executor."
   use FleetWeb.VehiclePageCase, async: true
 
-  alias Aerie.Fleet.Journal
+  alias Aerie.Vehicle.Journal
 
   @id "VID-007"
   @path "/vehicles/VID-007"
@@ -47,7 +47,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     render_hook(view, "map_point", %{"lat" => 47.0, "lon" => 8.0})
     refute has_element?(view, "#goto-title")
     refute_received {:"$gen_call", _from, {:submit, _command, _progress}}
-    assert Aerie.Commands.recent(console.gateway, @id) == []
+    assert Aerie.Control.Commands.recent(console.gateway, @id) == []
   end
 
   test "a command's life is seen by all operators, from pending to done", %{console: console} do
@@ -69,7 +69,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
             has_element?(view, "#commands-now-r1[data-state=completed].going", "Returning")
           end)
 
-    assert [%{via: "console", source: "operator"}] = Aerie.Commands.recent(console.gateway, @id)
+    assert [%{via: "console", source: "operator"}] = Aerie.Control.Commands.recent(console.gateway, @id)
   end
 
   test "a reload, a second view, and the same press again send nothing more", %{console: console} do
@@ -295,7 +295,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
 
     assert html =~ "ATTITUDE pitchspeed (rad/s)"
     view |> element("a.tab", "Links") |> render_click()
-    eventually(fn -> Aerie.Inspector.rows(console.gateway) == [] end)
+    eventually(fn -> Aerie.Fleet.Inspector.rows(console.gateway) == [] end)
   end
 
   defp heard(console, message) do
@@ -304,7 +304,7 @@ defmodule FleetWeb.Console.Vehicle.PageTest do
     {frames, _parser} =
       MavCodec.Parser.push_datagram(MavCodec.Parser.new(), bytes, System.os_time(:microsecond) + ahead_us())
 
-    Aerie.Recorder.link_frames(console.gateway, "radio", frames)
+    MavRouter.Recorder.link_frames(console.gateway, "radio", frames)
   end
 
   test "instruments and the map get the vehicle as it changes", %{console: console} do

@@ -10,7 +10,7 @@ defmodule Aerie.Vehicle.Collision.Owner do
   one. Time in which neither is heard does not count, because then it may be this machine that stood still.
   """
 
-  alias Aerie.Router.CollisionRoutes
+  alias MavRouter.Router.CollisionRoutes
 
   @hold_us 60_000_000
   @silent_us 5_000_000
@@ -37,8 +37,8 @@ defmodule Aerie.Vehicle.Collision.Owner do
   def new, do: %__MODULE__{}
 
   @doc "The system was heard by a path. After five seconds of silence a path counts as new."
-  @spec heard(t(), path(), integer()) :: t()
-  def heard(%{paths: paths} = owner, path, at) do
+  @spec seen(t(), path(), integer()) :: t()
+  def seen(%{paths: paths} = owner, path, at) do
     case paths do
       %{^path => {first, since, last}} when at - last <= @silent_us ->
         since = if at - last > @gap_us, do: at, else: since

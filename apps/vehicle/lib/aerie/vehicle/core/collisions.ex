@@ -6,7 +6,7 @@ defmodule Aerie.Vehicle.Core.Collisions do
 
   alias Aerie.Vehicle.{Collision, Core, State}
   alias Aerie.Vehicle.Detector.Observation
-  alias Aerie.Vehicle.Links.Reception
+  alias Aerie.Vehicle.Services.Links.Reception
   alias MavCodec.Messages, as: M
 
   @heartbeat M.Heartbeat.id()

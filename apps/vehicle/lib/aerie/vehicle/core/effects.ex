@@ -5,7 +5,7 @@ defmodule Aerie.Vehicle.Core.Effects do
   """
 
   alias Aerie.Vehicle.{Collision, Core, Detector, Sampling, State}
-  alias Aerie.Vehicle.Core.{Collisions, Shown}
+  alias Aerie.Vehicle.Core.{Collisions, SnapshotSchedule}
   alias Aerie.Vehicle.Detector.Observation
   alias MavCodec.Messages, as: M
 
@@ -80,7 +80,10 @@ defmodule Aerie.Vehicle.Core.Effects do
     # The snapshot comes first: after a crash between the two, the session shows the detector from the snapshot what it
     # had not shown before. The other way round the snapshot would bring back a state that is over.
     {core, actions} =
-      show({%{core | digest: digest, shown: Shown.due(core.shown), dirty: true}, actions}, core.now)
+      show(
+        {%{core | digest: digest, shown: SnapshotSchedule.due(core.shown), dirty: true}, actions},
+        core.now
+      )
 
     {core, [observation(core, :state, at, data) | actions]}
   end
@@ -127,15 +130,15 @@ defmodule Aerie.Vehicle.Core.Effects do
   @doc "The vehicle is online, stale or lost from now on; the snapshot shows it at once."
   @spec status(Core.t(), [Core.action()], Core.status()) :: acc()
   def status(core, actions, status) do
-    next = %{core | status: status, shown: Shown.due(core.shown), dirty: true}
+    next = %{core | status: status, shown: SnapshotSchedule.due(core.shown), dirty: true}
     show({next, [{:status, core.status, status} | actions]}, core.now)
   end
 
   @doc "Writes the snapshot, if something changed and the last one is old enough."
   @spec show(acc(), integer()) :: acc()
   def show({%{dirty: true} = core, actions}, now) when core.component != nil do
-    if Shown.due?(core.shown, now) do
-      shown = Shown.write(core.shown, now, fn -> Core.view(core) end)
+    if SnapshotSchedule.due?(core.shown, now) do
+      shown = SnapshotSchedule.write(core.shown, now, fn -> Core.view(core) end)
       {%{core | shown: shown, dirty: false}, [{:snapshot, Core.snapshot(core, shown.view)} | actions]}
     else
       {core, actions}

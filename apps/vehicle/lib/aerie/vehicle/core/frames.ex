@@ -4,12 +4,13 @@ defmodule Aerie.Vehicle.Core.Frames do
   handles it. Actions are newest first.
   """
 
-  alias Aerie.Mavlink.BootClock
-  alias Aerie.Vehicle.{Collision, Core, Kind, Params, State}
+  alias MavRouter.Mavlink.BootClock
+  alias Aerie.Vehicle.{Collision, Core, Kind, State}
+  alias Aerie.Vehicle.Services.Params
   alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Texts}
   alias Aerie.Vehicle.Detector.Observation
-  alias Aerie.Vehicle.Links.Reception
-  alias Aerie.Vehicle.Streams.Arbiter
+  alias Aerie.Vehicle.Services.Links.Reception
+  alias Aerie.Vehicle.Services.Streams.Arbiter
   alias MavCodec.Messages, as: M
 
   @heartbeat M.Heartbeat.id()
@@ -66,7 +67,7 @@ defmodule Aerie.Vehicle.Core.Frames do
     if Kind.vehicle?(message.type, message.autopilot, frame.component) and
          (known in [nil, frame.component] or frame.component == 1) do
       {core, actions} = alive(%{core | component: frame.component, version: frame.version}, actions, frame.at)
-      core = core |> Services.heartbeat_heard(link, frame.at) |> Services.heard(link, frame.id, frame.at)
+      core = core |> Services.heartbeat_heard(link, frame.at) |> Services.received(link, frame.id, frame.at)
       {core, actions} = early_texts({core, actions})
       content = {message.base_mode, message.custom_mode, message.system_status}
       suspicion = Collision.Suspicion.heartbeat(core.suspicion, core.path, content, frame.at)
@@ -87,7 +88,7 @@ defmodule Aerie.Vehicle.Core.Frames do
 
   defp autopilot(core, actions, link, %{id: id, at: at} = frame) do
     {core, actions} = alive(core, actions, at)
-    core = Services.heard(core, link, id, at)
+    core = Services.received(core, link, id, at)
     core = if id == @high_latency, do: Services.summary_heard(core, link, at), else: core
 
     if id in @reports, do: report(core, actions, frame), else: autopilot_message(core, actions, link, frame)

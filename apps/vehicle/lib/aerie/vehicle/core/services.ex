@@ -5,11 +5,12 @@ defmodule Aerie.Vehicle.Core.Services do
   """
 
   alias Aerie.Vehicle.ArmAuthorization
-  alias Aerie.Protocol.Modes
-  alias Aerie.Vehicle.{Core, Gcs, Identity, Params, Reports, State, Switches, Timesync}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Shown}
-  alias Aerie.Vehicle.Links.{HighLatency, Reception}
-  alias Aerie.Vehicle.Streams.Arbiter
+  alias Aerie.Vehicle.Protocol.Modes
+  alias Aerie.Vehicle.{Core, Reports, State}
+  alias Aerie.Vehicle.Services.{Gcs, Identity, Params, Switches, Timesync}
+  alias Aerie.Vehicle.Core.{Collisions, Effects, SnapshotSchedule}
+  alias Aerie.Vehicle.Services.Links.{HighLatency, Reception}
+  alias Aerie.Vehicle.Services.Streams.Arbiter
   alias MavCodec.Messages, as: M
 
   @available_modes M.AvailableModes.id()
@@ -89,8 +90,8 @@ defmodule Aerie.Vehicle.Core.Services do
   end
 
   @doc "A message of the autopilot came by a link."
-  @spec heard(Core.t(), term(), non_neg_integer(), integer()) :: Core.t()
-  def heard(core, link, id, at), do: %{core | streams: Arbiter.heard(core.streams, link, id, at)}
+  @spec received(Core.t(), term(), non_neg_integer(), integer()) :: Core.t()
+  def received(core, link, id, at), do: %{core | streams: Arbiter.received(core.streams, link, id, at)}
 
   @doc "The autopilot's heartbeat came by a link."
   @spec heartbeat_heard(Core.t(), term(), integer()) :: Core.t()
@@ -167,7 +168,7 @@ defmodule Aerie.Vehicle.Core.Services do
   @spec requests?(Core.t(), integer()) :: boolean()
   def requests?(core, now), do: link(core) != :none and not only_high_latency?(core, now)
 
-  @doc "By which link to send what is not for high-latency links (`Aerie.Vehicle.Links.HighLatency.other_link/2`)."
+  @doc "By which link to send what is not for high-latency links (`Aerie.Vehicle.Services.Links.HighLatency.other_link/2`)."
   @spec link(Core.t()) :: :any | {:link, term()} | :none
   def link(core), do: HighLatency.other_link(core.high_latency, Reception.times(core.reception))
 
@@ -265,7 +266,9 @@ defmodule Aerie.Vehicle.Core.Services do
   defp observe(acc, [], _now), do: acc
 
   defp observe({core, actions}, observed, now) do
-    {core, actions} = Effects.show({%{core | dirty: true, shown: Shown.due(core.shown)}, actions}, now)
+    {core, actions} =
+      Effects.show({%{core | dirty: true, shown: SnapshotSchedule.due(core.shown)}, actions}, now)
+
     {core, Enum.reverse(observed) ++ actions}
   end
 

@@ -4,8 +4,8 @@ defmodule Aerie.Vehicle.Core.Timers do
   """
 
   alias Aerie.Vehicle.{Collision, Core, Sampling, State}
-  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, Shown, Texts}
-  alias Aerie.Vehicle.Links.Reception
+  alias Aerie.Vehicle.Core.{Collisions, Effects, Reporting, Services, SnapshotSchedule, Texts}
+  alias Aerie.Vehicle.Services.Links.Reception
 
   # Deadlines are checked ten times a second.
   @period_us 100_000
@@ -49,7 +49,7 @@ defmodule Aerie.Vehicle.Core.Timers do
         observed_at: core.observed_at && now,
         heard_again_at: nil,
         settle_at: core.settle_at && now,
-        shown: Shown.due(core.shown),
+        shown: SnapshotSchedule.due(core.shown),
         texts: texts,
         reception: Reception.new(Reception.links(core.reception), now),
         collision_detector: Collision.Detector.rebased(core.collision_detector),

@@ -80,8 +80,8 @@ defmodule Aerie.Vehicle.Detector.Budget do
     %{
       "of" => one.type,
       "count" => one.count,
-      "first" => Aerie.Fleet.Json.time(one.first),
-      "last" => Aerie.Fleet.Json.time(one.last),
+      "first" => Aerie.Base.Json.time(one.first),
+      "last" => Aerie.Base.Json.time(one.last),
       "last_data" => one.data,
       "text" => "#{one.count} more #{noun(one.type, one.count)}"
     }

@@ -8,8 +8,8 @@ defmodule Aerie.Vehicle.Detector.OfflineChanges do
   published too long ago, gives no event.
   """
 
-  alias Aerie.Fleet.Json
-  alias Aerie.Protocol.Modes
+  alias Aerie.Base.Json
+  alias Aerie.Vehicle.Protocol.Modes
   alias Aerie.Vehicle.Detector.Step
 
   @keys [:mode, :armed, :in_air]

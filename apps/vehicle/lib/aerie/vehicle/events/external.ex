@@ -1,11 +1,11 @@
 defmodule Aerie.Vehicle.Events.External do
-  @moduledoc "Events of a vehicle that other parts of the gateway detect, such as `Aerie.Signing`."
-  @behaviour Aerie.Signing.Events
+  @moduledoc "Events of a vehicle that other parts of the gateway detect, such as `MavRouter.Signing`."
+  @behaviour MavRouter.Signing.Events
 
-  alias Aerie.Fleet.Journal
-  alias Aerie.Names
-  alias Aerie.Signing
-  alias Aerie.Store
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Base.Names
+  alias MavRouter.Signing
+  alias Aerie.Base.Store
   alias Aerie.Vehicle.Detector.Observation
   alias Aerie.Vehicle.Events
 

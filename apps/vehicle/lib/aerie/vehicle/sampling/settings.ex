@@ -1,6 +1,6 @@
 defmodule Aerie.Vehicle.Sampling.Settings do
   @moduledoc "How often each group of a vehicle's state is published."
-  use Aerie.Settings
+  use Aerie.Base.Settings
 
   alias Aerie.Vehicle.State.Groups
 

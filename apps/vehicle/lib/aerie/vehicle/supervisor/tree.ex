@@ -9,7 +9,8 @@ defmodule Aerie.Vehicle.Supervisor.Tree do
   """
   use Supervisor, restart: :temporary
 
-  alias Aerie.{Names, Store, Vehicle}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle
 
   @spec start_link(keyword()) :: Supervisor.on_start()
   def start_link(options) do

@@ -2,14 +2,15 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   @moduledoc """
   Restarts a vehicle's tree when it died.
 
-  The first time at once, then with a back-off of up to 30 s (`Aerie.Backoff`); a tree that lived for ten seconds counts as new. A tree that is to stay stopped has to be forgotten first (`forget/2`): the exit reason does not
+  The first time at once, then with a back-off of up to 30 s (`Aerie.Base.Backoff`); a tree that lived for ten seconds counts as new. A tree that is to stay stopped has to be forgotten first (`forget/2`): the exit reason does not
   tell, because a supervisor that gives up exits with `:shutdown`, too.
 
-  It also stops a lost vehicle's tree when another vehicle needs its place (`Aerie.Vehicle.Supervisor.Capacity`).
+  It also stops a lost vehicle's tree when another vehicle needs its place (`Aerie.Vehicle.Capacity`).
   """
   use GenServer
 
-  alias Aerie.{Backoff, Names, Store, Vehicle}
+  alias Aerie.Base.{Backoff, Names, Store}
+  alias Aerie.Vehicle
 
   @min_delay_ms 250
   @max_delay_ms 30_000
@@ -30,7 +31,7 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   def forget(restarter, key), do: GenServer.call(restarter, {:forget, key})
 
   @doc """
-  Stops a lost vehicle to make room for another one (`Aerie.Vehicle.Supervisor.Capacity`), and returns which, or `:none`.
+  Stops a lost vehicle to make room for another one (`Aerie.Vehicle.Capacity`), and returns which, or `:none`.
   One call at a time, so that two newcomers displace two vehicles.
   """
   @spec make_room(pid(), Store.vehicle_key()) :: {:ok, Store.vehicle_key()} | :none
@@ -57,14 +58,14 @@ defmodule Aerie.Vehicle.Supervisor.TreeRestarter do
   def handle_call({:forget, key}, _from, state), do: {:reply, :ok, unwatch(state, key)}
 
   def handle_call({:make_room, newcomer}, _from, state) do
-    case Vehicle.Supervisor.Capacity.displaced_by(state.gateway, newcomer) do
+    case Vehicle.Capacity.displaced_by(state.gateway, newcomer) do
       nil ->
         {:reply, :none, state}
 
       {key, lost_ms} ->
         state = unwatch(state, key)
         Vehicle.Supervisor.end_tree(state.gateway, key)
-        Vehicle.Supervisor.Capacity.report(state.gateway, key, newcomer, lost_ms)
+        Vehicle.Capacity.report(state.gateway, key, newcomer, lost_ms)
         {:reply, {:ok, key}, state}
     end
   end

@@ -7,7 +7,7 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
 
   defp heard(owner, paths, seconds) do
     for(s <- seconds, path <- paths, do: {s, path})
-    |> Enum.reduce(owner, fn {s, path}, owner -> Owner.heard(owner, path, round(s * @second)) end)
+    |> Enum.reduce(owner, fn {s, path}, owner -> Owner.seen(owner, path, round(s * @second)) end)
   end
 
   test "the vehicle that was heard first keeps the id, whichever side comes first" do
@@ -60,7 +60,7 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
   end
 
   test "paths stay bounded" do
-    owner = Enum.reduce(1..1_000, Owner.new(), &Owner.heard(&2, &1, &1 * @second))
+    owner = Enum.reduce(1..1_000, Owner.new(), &Owner.seen(&2, &1, &1 * @second))
     assert map_size(owner.paths) <= 32
     assert is_map_key(owner.paths, 1_000)
   end
@@ -71,10 +71,10 @@ defmodule Aerie.Vehicle.Collision.OwnerTest do
     assert Owner.describe(["udp", one], [other]) == [["udp (10.0.0.1:5)"], ["udp (10.0.0.1:6)"]]
     assert Owner.describe(["udp", one], [{"b", :remote}]) == [["udp"], ["b"]]
     assert Owner.describe([], []) == [[], []]
-    assert Aerie.Router.CollisionRoutes.text("a") == "a"
-    assert Aerie.Router.CollisionRoutes.text({"a", :remote}) == "a"
-    assert Aerie.Router.CollisionRoutes.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
-    assert Aerie.Router.CollisionRoutes.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
+    assert MavRouter.Router.CollisionRoutes.text("a") == "a"
+    assert MavRouter.Router.CollisionRoutes.text({"a", :remote}) == "a"
+    assert MavRouter.Router.CollisionRoutes.text({"a", {{10, 0, 0, 1}, 5}}) == "a (10.0.0.1:5)"
+    assert MavRouter.Router.CollisionRoutes.text({"a", {{0, 0, 0, 0, 0, 0, 0, 1}, 5}}) == "a ([::1]:5)"
   end
 
   test "setting the clock neither ends the minute nor begins one" do

@@ -1,0 +1,88 @@
+defmodule Aerie.Base.Address do
+  @moduledoc "HOST:PORT of a connection string, and back to text: IPv4, IPv6 in brackets, or a name."
+
+  import Bitwise
+
+  @name ~r/\A(?=.{1,253}\z)[A-Za-z0-9_]([A-Za-z0-9_-]{0,62})(\.[A-Za-z0-9_-]{1,63})*\.?\z/
+
+  @doc """
+  Reads `HOST:PORT`. Only a server may leave the host empty (all IPv4 addresses) or ask for port 0 (any free one).
+
+  The error is a text.
+  """
+  @spec parse(String.t(), server? :: boolean) ::
+          {:ok, :inet.ip_address() | String.t(), :inet.port_number()} | {:error, String.t()}
+  def parse(text, server?) do
+    with {:ok, host, port} <- split(text),
+         {:ok, port} <- port(port, server?),
+         {:ok, host} <- host(host, server?) do
+      {:ok, host, port}
+    end
+  end
+
+  @doc "Text of an address and port: `127.0.0.1:14550`, `[::1]:14550`, `gcs.local:14550`."
+  @spec format(:inet.ip_address() | String.t() | nil, :inet.port_number() | nil) :: String.t()
+  def format(host, port) when tuple_size(host) == 8, do: "[#{:inet.ntoa(host)}]:#{port}"
+  def format(host, port) when is_tuple(host), do: "#{:inet.ntoa(host)}:#{port}"
+  def format(host, port), do: "#{host}:#{port}"
+
+  @doc "Whether an address is this machine's own: 127.0.0.0/8, ::1, and the first one written as IPv6."
+  @spec loopback?(:inet.ip_address()) :: boolean()
+  def loopback?({127, _, _, _}), do: true
+  def loopback?({0, 0, 0, 0, 0, 0, 0, 1}), do: true
+  def loopback?({0, 0, 0, 0, 0, 0xFFFF, high, _low}), do: high >>> 8 == 127
+  def loopback?(_address), do: false
+
+  defp split("[" <> rest) do
+    case String.split(rest, "]:", parts: 2) do
+      [host, port] -> {:ok, {:v6, host}, port}
+      [_no_end] -> {:error, "the port is missing"}
+    end
+  end
+
+  defp split(text) do
+    case String.split(text, ":") do
+      [""] -> {:error, "host and port are missing"}
+      [_host] -> {:error, "the port is missing"}
+      [host, port] -> {:ok, host, port}
+      _more -> {:error, "an IPv6 address needs brackets: [::1]:PORT"}
+    end
+  end
+
+  defp port("", _server?), do: {:error, "the port is missing"}
+
+  defp port(text, server?) do
+    lowest = if server?, do: 0, else: 1
+
+    case Integer.parse(text) do
+      {port, ""} when port >= lowest and port <= 65_535 -> {:ok, port}
+      _other -> {:error, "#{inspect(text)} is not a port (#{lowest} to 65535)"}
+    end
+  end
+
+  defp host("", true), do: {:ok, {0, 0, 0, 0}}
+  defp host("", false), do: {:error, "the host is missing"}
+
+  defp host({:v6, text}, _server?) do
+    case :inet.parse_ipv6strict_address(String.to_charlist(text)) do
+      {:ok, address} -> {:ok, address}
+      {:error, _reason} -> {:error, "#{inspect(text)} is not an IPv6 address"}
+    end
+  end
+
+  defp host(text, _server?) do
+    case :inet.parse_ipv4strict_address(String.to_charlist(text)) do
+      {:ok, address} -> {:ok, address}
+      {:error, _reason} -> name(text)
+    end
+  end
+
+  # 1.2.3 and 300.1.1.1 are mistyped addresses rather than names.
+  defp name(text) do
+    if text =~ @name and not (text =~ ~r/\A[0-9.]+\z/) do
+      {:ok, text}
+    else
+      {:error, "#{inspect(text)} is neither an address nor a name"}
+    end
+  end
+end

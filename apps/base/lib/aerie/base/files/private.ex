@@ -1,0 +1,33 @@
+defmodule Aerie.Base.Files.Private do
+  @moduledoc "Files and folders for their owner only (modes 0600 and 0700), whatever the umask is."
+
+  alias Aerie.Base.Files.Raw
+
+  @doc "Makes a folder, and those above it. An existing one is closed to others, if it is ours."
+  @spec folder(Path.t()) :: :ok | {:error, File.posix()}
+  def folder(dir) do
+    with :ok <- Raw.mkdir_p(dir) do
+      _ = Raw.chmod(dir, 0o700)
+      :ok
+    end
+  end
+
+  @doc "The same, but an existing folder stays as it is: somebody may have opened it to others on purpose."
+  @spec new_folder(Path.t()) :: :ok | {:error, File.posix()}
+  def new_folder(dir), do: if(Raw.dir?(dir), do: :ok, else: folder(dir))
+
+  @doc "Writes a file. Readers find the old or the new text, never a part of it, and others can never read it."
+  @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
+  def write(path, text) do
+    new = path <> ".new"
+    _ = Raw.rm(new)
+
+    with {:ok, result} <- File.open(new, [:write, :exclusive, :raw], &fill(&1, new, text)),
+         :ok <- result do
+      Raw.rename(new, path)
+    end
+  end
+
+  # The mode comes before the text.
+  defp fill(file, path, text), do: with(:ok <- Raw.chmod(path, 0o600), do: :file.write(file, text))
+end

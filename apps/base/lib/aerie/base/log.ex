@@ -1,0 +1,98 @@
+defmodule Aerie.Base.Log do
+  @moduledoc """
+  The log of the gateway: its format (`Aerie.Base.Log.Settings`, `Aerie.Base.Log.Formatter`) and its levels, which can be changed while the
+  gateway runs.
+
+      Aerie.Base.Log.set_level(:debug)                    # everything
+      Aerie.Base.Log.set_level("mav_router", :debug)      # links, routing, signing, recorder
+      Aerie.Base.Log.reset("mav_router")
+      Aerie.Base.Log.levels()
+
+  The log belongs to the VM: several gateways in one VM share it. A restart brings the configured level back.
+  """
+
+  alias Aerie.Base.Log.{Formatter, Settings}
+
+  @levels ~w(debug info notice warning error none)a
+  # What has a level of its own, with what it is about.
+  @areas %{
+    "mav_router" => :mav_router,
+    "base" => :base,
+    "control" => :control,
+    "fleet" => :fleet,
+    "vehicle" => :vehicle,
+    "fleet_web" => :fleet_web,
+    "aerie" => :aerie,
+    "gnat" => :gnat,
+    "circuits_uart" => :circuits_uart,
+    "phoenix_live_view" => :phoenix_live_view
+  }
+
+  @type level :: :debug | :info | :notice | :warning | :error | :none
+
+  @doc "The levels, from the most talkative on."
+  @spec level_names() :: [level()]
+  def level_names, do: @levels
+
+  @doc "The applications whose level can be another one than that of everything."
+  @spec areas() :: [String.t()]
+  def areas, do: @areas |> Map.keys() |> Enum.sort()
+
+  @doc "Has the log written in this format and from this level on."
+  @spec configure(Settings.t()) :: :ok
+  def configure(%Settings{level: level, format: format}) do
+    set_level(level)
+    # Without a handler (a program that logs elsewhere) there is nothing to format.
+    _ = :logger.update_handler_config(:default, :formatter, Formatter.new(format))
+    :ok
+  end
+
+  @doc "The format in use."
+  @spec format() :: Formatter.format()
+  def format do
+    case :logger.get_handler_config(:default) do
+      {:ok, %{formatter: {Formatter, %{format: format}}}} -> format
+      _other -> :logfmt
+    end
+  end
+
+  @doc "The level of everything, and of the areas that have one of their own."
+  @spec levels() :: %{level: level(), areas: %{String.t() => level()}}
+  def levels do
+    own =
+      for {name, app} <- @areas,
+          [module | _] <- [Application.spec(app, :modules) || []],
+          [{^module, level}] <- [Logger.get_module_level(module)],
+          into: %{},
+          do: {name, level}
+
+    %{level: Logger.level(), areas: own}
+  end
+
+  @doc "Logs everything from this level on; areas with a level of their own keep it."
+  @spec set_level(level()) :: :ok
+  def set_level(level) when level in @levels, do: Logger.configure(level: level)
+
+  @doc "Logs an area (`areas/0`) from this level on."
+  @spec set_level(String.t(), level()) :: :ok | {:error, :unknown_area}
+  def set_level(area, level) when level in @levels do
+    with {:ok, app} <- Map.fetch(@areas, area),
+         # {:error, :not_loaded}: nothing of it runs here.
+         :ok <- Logger.put_application_level(app, level) do
+      :ok
+    else
+      _unknown -> {:error, :unknown_area}
+    end
+  end
+
+  @doc "An area follows the level of everything again."
+  @spec reset(String.t()) :: :ok | {:error, :unknown_area}
+  def reset(area) do
+    with {:ok, app} <- Map.fetch(@areas, area),
+         :ok <- Logger.delete_application_level(app) do
+      :ok
+    else
+      _unknown -> {:error, :unknown_area}
+    end
+  end
+end

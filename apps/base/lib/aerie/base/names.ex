@@ -1,0 +1,157 @@
+defmodule Aerie.Base.Names do
+  @moduledoc """
+  Finds the processes of a gateway.
+
+  One node can have several gateways (tests start one each), so no process has a global name. Each is registered in `Aerie.Base.Names.Book`
+  under `{gateway, role, id}`: the gateway's name (any term), an atom for what the process does, and what tells processes of one role
+  apart (`nil` when there is only one).
+
+  | role             | id                     | process                              |
+  |------------------|------------------------|--------------------------------------|
+  | `:gateway`       | nil                    | `Aerie.Gateway` supervisor           |
+  | `:store`         | nil                    | `Aerie.Base.Store`                  |
+  | `:pubsub`        | nil                    | `Aerie.Base.PubSub`                 |
+  | `:vehicles`      | nil                    | `Aerie.Vehicle.Supervisor`           |
+  | `:vehicle_trees` | nil                    | its dynamic supervisor               |
+  | `:tree_restarter` | nil                   | `Aerie.Vehicle.Supervisor.TreeRestarter` |
+  | `:tree`          | `{network, system_id}` | `Aerie.Vehicle.Supervisor.Tree`      |
+  | `:session`       | `{network, system_id}` | `Aerie.Vehicle.Session`              |
+  | `:events`        | `{network, system_id}` | `Aerie.Vehicle.Events`               |
+  | `:watchdog`         | nil                    | `MavRouter.Identity.Watchdog`       |
+  | `:audit`         | nil                    | `Aerie.Control.Policy.Audit`                 |
+  | `:policies`      | nil                    | `Aerie.Control.Policy.Supervisor`            |
+  | `:policy`        | nil                    | `Aerie.Control.Policy.Store`                 |
+  | `:ledger`        | nil                    | `Aerie.Control.Ledger`                       |
+  | `:command_door`, `:command_desk`, `:command_tasks`, `:command_recovery` | nil | of `Aerie.Control.Commands.Supervisor` |
+  | `:remote_supervisor`, `:remote_listener`, `:remote_announcer` | nil | of `Aerie.Fleet.Remote.Supervisor` |
+  | `:transfers`     | `{network, system_id}` | `Aerie.Control.TransferExecutor`            |
+  | `:params_cache` | nil                    | `Aerie.Control.Params.CacheWriter`                |
+  | `:serving`       | `{network, system_id}` | `Aerie.Control.ReadCache.Vehicle`; `:serving_supervisor`, `:serving_vehicles`, `:serving_starter` without a vehicle |
+  | `:clients`       | nil                    | `Aerie.Fleet.Client.Supervisor`            |
+  | `:inspector`     | nil                    | `Aerie.Fleet.Inspector`                    |
+  | `:diagnosis`     | nil                    | `Aerie.Fleet.Diagnosis.Server`             |
+  | `:websocket_client`, `:unix_client` | the endpoint's id | of one client     |
+
+  Links, router and bridge add their own roles.
+  """
+
+  alias Aerie.Base.Names.Book
+
+  @type gateway :: term()
+  @type role :: atom()
+
+  @doc "The `:via` name to start or call a process by."
+  @spec via(gateway(), role(), term()) :: {:via, module(), term()}
+  def via(gateway, role, id \\ nil), do: {:via, Book, {gateway, role, id}}
+
+  @doc "The process registered under a role, or nil when there is none just now."
+  @spec whereis(gateway(), role(), term()) :: pid() | nil
+  def whereis(gateway, role, id \\ nil),
+    do: with({pid, _value} <- Book.lookup({gateway, role, id}), do: pid)
+
+  @doc "Registers the calling process, for one that somebody else started (Cowboy, say)."
+  @spec register(gateway(), role(), term()) :: :ok | {:error, :taken}
+  def register(gateway, role, id) do
+    case Book.register({gateway, role, id}, nil) do
+      :ok -> changed()
+      {:error, {:already_registered, _pid}} -> {:error, :taken}
+    end
+  end
+
+  @doc "The processes that have a role. Looks at all names, so it is not for every frame."
+  @spec processes(gateway(), role()) :: [pid()]
+  def processes(gateway, role), do: for({_id, pid, _value} <- all(gateway, role), do: pid)
+
+  @doc "The same, each with its id and the value of its name."
+  @spec all(gateway(), role()) :: [{id :: term(), pid(), value :: term()}]
+  def all(gateway, role) do
+    for {{_gateway, _role, id}, pid, value} <-
+          Book.rows({:"$1", role, :_}, [{:"=:=", :"$1", {:const, gateway}}]),
+        do: {id, pid, value}
+  end
+
+  @doc "The roles that a process has in a gateway, each with its id."
+  @spec roles(gateway(), pid()) :: [{role(), id :: term()}]
+  def roles(gateway, pid), do: for({^gateway, role, id} <- Book.keys(pid), do: {role, id})
+
+  @doc """
+  Attaches a value to the name that the calling process has, for others to read with `value/3` without a call.
+  """
+  @spec put_value(gateway(), role(), term(), term()) :: :ok
+  def put_value(gateway, role, id \\ nil, value) do
+    :ok = Book.put_value({gateway, role, id}, value)
+    # Afterwards, so that nobody remembers the old value under the new number.
+    changed()
+  end
+
+  @doc "A number that moves when a value is attached to a name, or when a process calls `changed/0`."
+  @spec epoch() :: non_neg_integer()
+  def epoch, do: :atomics.get(:persistent_term.get(__MODULE__), 1)
+
+  @doc "The calling process took a name by `via/3` that others may remember to be free."
+  @spec changed() :: :ok
+  def changed, do: :atomics.add(:persistent_term.get(__MODULE__), 1, 1)
+
+  @doc "The value a process attached to its name, or nil."
+  @spec value(gateway(), role(), term()) :: term() | nil
+  def value(gateway, role, id \\ nil) do
+    with {_pid, value} <- Book.lookup({gateway, role, id}), do: value
+  end
+
+  @doc """
+  Applies `fun` to the value that a process attached to its name, usually its table. Returns `absent` if there is none, or if the
+  process ended with its table before `fun` read it; so `fun` must only read.
+  """
+  @spec read(gateway(), role(), absent, (term() -> result)) :: absent | result
+        when absent: term(), result: term()
+  def read(gateway, role, absent, fun) do
+    case Book.lookup({gateway, role, nil}) do
+      {owner, value} when value != nil -> read_of(owner, value, absent, fun)
+      _none -> absent
+    end
+  end
+
+  defp read_of(owner, value, absent, fun) do
+    fun.(value)
+  rescue
+    error in ArgumentError ->
+      if Process.alive?(owner), do: reraise(error, __STACKTRACE__), else: absent
+  end
+
+  @doc """
+  The same as `value/2`, for callers that ask with every frame: the calling process remembers the value (in its dictionary) while its
+  owner lives and no value is attached to any name, so that asking costs neither a look at a table nor a copy.
+  """
+  @spec held(gateway(), role()) :: term() | nil
+  def held(gateway, role) do
+    epoch = epoch()
+    key = {__MODULE__, role, gateway}
+
+    case :erlang.get(key) do
+      {^epoch, nil, nil} -> nil
+      {^epoch, owner, value} -> if Process.alive?(owner), do: value, else: hold(gateway, role, key, epoch)
+      _old_or_none -> hold(gateway, role, key, epoch)
+    end
+  end
+
+  defp hold(gateway, role, key, epoch) do
+    {owner, value} =
+      case Book.lookup({gateway, role, nil}) do
+        # The owner of the name is still starting.
+        {_owner, nil} -> {nil, nil}
+        nil -> {nil, nil}
+        found -> found
+      end
+
+    Process.put(key, {epoch, owner, value})
+    value
+  end
+
+  @doc false
+  # The tables, which belong to the calling process, and the number of `epoch/0`; made once, before there is any name.
+  @spec prepare() :: :ok
+  def prepare do
+    :ok = Book.create()
+    :persistent_term.put(__MODULE__, :atomics.new(1, signed: false))
+  end
+end

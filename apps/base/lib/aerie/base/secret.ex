@@ -1,0 +1,25 @@
+defmodule Aerie.Base.Secret do
+  @moduledoc """
+  A value that never shows in a log, a crash report or an inspected state.
+
+  It is kept in a function, so that Erlang's own formatting (`~p` in a crash report) does not show it either.
+  """
+
+  @enforce_keys [:fun]
+  defstruct [:fun]
+
+  @opaque t :: %__MODULE__{fun: (-> String.t())}
+
+  @doc "Hides `value`."
+  @spec new(String.t()) :: t()
+  def new(value) when is_binary(value), do: %__MODULE__{fun: fn -> value end}
+
+  @doc "The hidden value; nil for nil. Called where the value is handed over, never earlier."
+  @spec reveal(t() | nil) :: String.t() | nil
+  def reveal(nil), do: nil
+  def reveal(%__MODULE__{fun: fun}), do: fun.()
+
+  defimpl Inspect do
+    def inspect(_secret, _opts), do: "#Aerie.Base.Secret<hidden>"
+  end
+end

@@ -1,0 +1,72 @@
+defmodule Aerie.Base.Settings.Field do
+  @moduledoc """
+  One key of the configuration: its type, default, meaning and limits. A schema is a list of fields.
+
+  Types:
+
+    * `:string`, `:boolean`, `:secret` (a string kept in `Aerie.Base.Secret`), `:path` (a file or folder)
+    * `{:integer, min, max}`, `{:number, min, max}` (integers allowed, the result is a float); both ends included
+    * `{:enum, atoms}` - one of a fixed set, written as its name
+    * `{:parse, fun, words}` - a string; `fun.(string)` gives `{:ok, value}`, `:error`, or `{:error, words}` when
+      it knows better than `words` what was expected
+    * `{:section, fields}` - keys below this one
+    * `{:list, type}`, `{:one_or_list, type}` (a single value means a list of one), `{:map, type}` (free names)
+
+  A key that may be left out without a default has the default nil. A list that is `filled` has an item: left out it means
+  all, so an empty one would mean the opposite of what it says.
+  """
+
+  @enforce_keys [:key, :type, :doc]
+  defstruct [:key, :type, :doc, :default, :example, required: false, filled: false]
+
+  @type type ::
+          :string
+          | :boolean
+          | :secret
+          | :path
+          | {:integer, integer(), integer()}
+          | {:number, number(), number()}
+          | {:enum, [atom()]}
+          | {:parse, (String.t() -> {:ok, term()} | :error | {:error, String.t()}), String.t()}
+          | {:section, [t()]}
+          | {:list, type()}
+          | {:one_or_list, type()}
+          | {:map, type()}
+
+  @type t :: %__MODULE__{
+          key: atom(),
+          type: type(),
+          doc: String.t(),
+          default: term(),
+          example: String.t() | nil,
+          required: boolean(),
+          filled: boolean()
+        }
+
+  @doc "A leaf. Options: `:default`, `:example` (YAML text shown when there is no default), `:required`, `:filled`."
+  @spec field(atom(), type(), String.t(), keyword()) :: t()
+  def field(key, type, doc, opts \\ []), do: struct!(%__MODULE__{key: key, type: type, doc: doc}, opts)
+
+  @doc "A key with keys below it."
+  @spec section(atom(), String.t(), [t()]) :: t()
+  def section(key, doc, fields), do: %__MODULE__{key: key, type: {:section, fields}, doc: doc}
+
+  @doc "The name of the key as it is written."
+  @spec name(t()) :: String.t()
+  def name(%__MODULE__{key: key}), do: Atom.to_string(key)
+
+  @doc "What a value of this type must be, in words."
+  @spec expected(type()) :: String.t()
+  def expected(:string), do: "text that is not empty"
+  def expected(:secret), do: "text that is not empty"
+  def expected(:path), do: "a file or folder name"
+  def expected(:boolean), do: "true or false"
+  def expected({:integer, min, max}), do: "an integer from #{min} to #{max}"
+  def expected({:number, min, max}), do: "a number from #{min} to #{max}"
+  def expected({:enum, atoms}), do: "one of #{Enum.map_join(atoms, ", ", &Atom.to_string/1)}"
+  def expected({:parse, _fun, words}), do: words
+  def expected({:section, _fields}), do: "a section with keys below it"
+  def expected({:list, type}), do: "a list, each item: #{expected(type)}"
+  def expected({:one_or_list, type}), do: "#{expected(type)}, or a list of them"
+  def expected({:map, type}), do: "names with values, each: #{expected(type)}"
+end

@@ -1,0 +1,237 @@
+defmodule Aerie.Control.Commands do
+  @moduledoc """
+  The one door to a vehicle. NATS, REST and Elixir command only by it:
+
+      {:ok, result} = Aerie.Control.Commands.submit(gateway, vehicle: "VID-001", type: "takeoff", params: %{altitude: 20})
+
+  A command passes the ledger (no id is done twice), the rates, the policy, the audit log and the executor of its vehicle, in this
+  order, and has exactly one result. `docs/commands.md` describes it for users, the README in `commands/` the processes.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Control.{CommandExecutor, Ledger, Policy, TransferExecutor}
+  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Vehicle.Command.{Error, Result}
+
+  alias Aerie.Control.Commands.{
+    Change,
+    Metrics,
+    OffboardPrecondition,
+    Recent,
+    Record,
+    RemoteGateway,
+    Server,
+    SharedVehicle
+  }
+
+  alias Aerie.Control.Policy.{Audit, Context, Roles}
+  alias Aerie.Control.CommandExecutor.Observed
+
+  # Whoever calls from Elixir runs inside the gateway.
+  @inside Aerie.Control.Policy.Roles.principal(:gateway, "elixir", :admin)
+
+  @typedoc """
+    * `:via` - the way that it came, for the audit log; `"elixir"` unless given
+    * `:progress` - a process, or one with a term: it gets `{:command_progress, term, id, %{"progress" => share | nil, "text" => text |
+      nil}}`, the share being 0..1 and the term nil for a process alone
+    * `:wait_ms` - how long to wait for the result, `:infinity` unless given; 0: not at all. The command goes on
+  """
+  @type option :: {:via, String.t()} | {:progress, pid() | {pid(), term()}} | {:wait_ms, timeout()}
+
+  @typedoc "`:pending`: the command with this id is under way; an error: the command is none, for these reasons."
+  @type answer :: {:ok, Result.t()} | {:pending, String.t()} | {:error, [Error.t(), ...]}
+
+  @doc """
+  Carries out a command given by the fields of `Aerie.Vehicle.Command.new/2` and by options, `:as` among them: who commands
+  (`t:Aerie.Policy.Roles.source/0`), an admin called `elixir` unless given.
+  """
+  @spec submit(Names.gateway(), keyword()) :: answer()
+  def submit(gateway, fields) do
+    {options, fields} = Keyword.split(fields, [:as, :via, :progress, :wait_ms])
+    {source, options} = Keyword.pop(options, :as, @inside)
+    given = Map.new(fields, fn {name, value} -> {Atom.to_string(name), value} end)
+    given |> take(Command.new(fields), gateway, source, options)
+  end
+
+  @doc """
+  Carries out a command that came from outside, as a map with text keys (`Aerie.Vehicle.Command.parse/2`). `source` is who commands, as
+  authentication found out; a `source` in the envelope is a remark that the audit log keeps. Without an id it gets one.
+  """
+  @spec submit(Names.gateway(), map(), Roles.source(), [option()]) :: answer()
+  def submit(gateway, envelope, source, options) do
+    parsed =
+      envelope
+      |> Map.put_new_lazy("id", &Command.id/0)
+      |> Map.put_new("source", source.name)
+      |> Command.parse(System.os_time(:microsecond))
+
+    take(envelope, parsed, gateway, source, options)
+  end
+
+  @doc """
+  For a gateway that is told to end: no more commands are taken, and those under way are waited for, `commands.grace_s` at most, while
+  links and vehicles still run. Who waits for one that is left is told `unknown`, which the ledger keeps; gives their ids.
+  """
+  @spec drain(Names.gateway()) :: [String.t()]
+  def drain(gateway) do
+    case Names.value(gateway, :command_desk) do
+      %{grace_ms: grace_ms} -> Server.drain(gateway, grace_ms)
+      nil -> []
+    end
+  end
+
+  defp take(given, {:error, errors}, gateway, source, options) do
+    Record.turned_away(gateway, given, source.name, via(options), :malformed, Error.text(errors))
+    {:error, errors}
+  end
+
+  defp take(given, {:ok, command}, gateway, source, options) do
+    pass(gateway, %{command | source: source.name}, source, if(given["source"], do: command.source), options)
+  end
+
+  @doc """
+  Carries out something that is no command of the table (`Aerie.Control.Commands.Change`) with the authority of a source, as a command of the type
+  that its facts name: what it changes is in `params`, short enough for the audit log. The caller has checked its id and deadline.
+  """
+  @spec carry_out(Names.gateway(), Command.t(), Change.t(), Roles.source(), [option()]) :: answer()
+  def carry_out(gateway, command, %Change{} = work, source, options),
+    do: pass(gateway, %{command | source: source.name}, source, nil, [work: work] ++ options)
+
+  defp pass(gateway, command, source, says, options) do
+    wait_ms = Keyword.get(options, :wait_ms, :infinity)
+
+    request = %{
+      command: command,
+      source: source,
+      via: via(options),
+      says: says,
+      progress: progress(options[:progress]),
+      work: options[:work],
+      wait?: wait_ms != 0
+    }
+
+    Server.submit(gateway, request, if(wait_ms == 0, do: 5_000, else: wait_ms))
+  end
+
+  @doc "Who calls from Elixir and names nobody: an admin, who runs inside the gateway anyway."
+  @spec inside() :: Roles.source()
+  def inside, do: @inside
+
+  defp via(options), do: Keyword.get(options, :via, "elixir")
+
+  defp progress(pid) when is_pid(pid), do: {pid, nil}
+  defp progress(other), do: other
+
+  @doc """
+  What would become of a command if it were given now, without giving it; for forms and buttons. Fields as for `submit/2`, `:as`
+  among them.
+
+    * `:allow`
+    * `{:deny, rule, reason}` - a rule of the policy, or `:policy` (there is none), `:vehicle` (there is no such vehicle),
+      `:firmware` (this firmware lacks the command, or cannot do it in the present state)
+    * `{:error, errors}` - the fields are no command
+
+  It changes nothing: no rate is used up and nothing is recorded. Rates, ledger and audit log may still refuse the command.
+  """
+  @spec check(Names.gateway(), keyword()) ::
+          :allow | {:deny, rule :: atom(), reason :: String.t()} | {:error, [Error.t(), ...]}
+  def check(gateway, fields) do
+    {source, fields} = Keyword.pop(fields, :as, @inside)
+
+    with {:ok, command} <- Command.new(fields),
+         {:policy, %Policy{} = policy} <- {:policy, Policy.Store.get(gateway)},
+         %{} = snapshot <- RemoteGateway.vehicle(gateway, command.vehicle),
+         context = Context.of(gateway, snapshot, source, System.os_time(:microsecond)),
+         :allow <- Policy.decide(policy, command, context),
+         {:ok, _steps} <- plan(command, snapshot),
+         :ok <- setpoints(gateway, command, snapshot) do
+      :allow
+    else
+      nil -> {:deny, :vehicle, "there is no vehicle #{fields[:vehicle]}"}
+      {:policy, nil} -> {:deny, :policy, "the gateway has no policy, so nobody may command anything"}
+      {:gap, reason} -> {:deny, :firmware, reason}
+      {:error, reason} when is_binary(reason) -> {:deny, :firmware, reason}
+      denied_or_malformed -> denied_or_malformed
+    end
+  end
+
+  # The other gateway knows more of it.
+  defp plan(_command, %{via: via}) when via != nil, do: {:ok, []}
+
+  defp plan(command, snapshot),
+    do: Protocol.plan(Protocol.of(snapshot.autopilot), command, Observed.vehicle(snapshot, {1, 1}))
+
+  defp setpoints(_gateway, _command, %{via: via}) when via != nil, do: :ok
+  defp setpoints(gateway, command, snapshot), do: OffboardPrecondition.check(gateway, command, snapshot)
+
+  @doc """
+  Asks a command under way to cease; whoever submitted it gets its result. The source must be allowed to give that command.
+  """
+  @spec cancel(Names.gateway(), vehicle :: String.t(), id :: String.t(), Roles.source(), via :: String.t()) ::
+          :ok | {:error, :unknown | :role | :impossible, String.t()}
+  def cancel(gateway, vehicle, id, source, via \\ "elixir") do
+    with {:ok, job} <- of_vehicle(Server.under_way(gateway, id), vehicle, id),
+         :ok <- may_cancel(job, source) do
+      Audit.note(gateway, %{
+        "type" => "cancel",
+        "id" => id,
+        "vehicle" => vehicle,
+        "command" => job.type,
+        "source" => source.name,
+        "via" => via
+      })
+
+      with %{} = snapshot <- RemoteGateway.vehicle(gateway, vehicle),
+           snapshot = SharedVehicle.by(Server.holder(gateway), gateway, snapshot),
+           :ok <- cease(gateway, snapshot, job, id) do
+        :ok
+      else
+        nil -> {:error, :impossible, "the vehicle is not known"}
+        {:error, reason} -> {:error, :impossible, reason}
+      end
+    end
+  end
+
+  defp cease(gateway, %{via: via} = snapshot, _job, id) when via != nil,
+    do: RemoteGateway.module(gateway).cancel(gateway, snapshot, id)
+
+  defp cease(gateway, %{key: key}, %{work?: true}, id), do: TransferExecutor.cancel(gateway, key, id)
+  defp cease(gateway, %{key: key}, _command, id), do: CommandExecutor.cancel(gateway, key, id)
+
+  defp of_vehicle(%{vehicle: vehicle} = job, vehicle, _id), do: {:ok, job}
+  defp of_vehicle(_other, vehicle, id), do: {:error, :unknown, "no command #{id} of #{vehicle} is under way"}
+
+  defp may_cancel(%{permission: permission} = job, source) do
+    if Roles.allowed?(source, permission),
+      do: :ok,
+      else:
+        {:error, :role,
+         "cancelling #{job.type} needs the permission #{permission}, which #{source.name} does not have"}
+  end
+
+  @doc "What is known of a command: under way with its last progress, its result, or nothing."
+  @spec state(Names.gateway(), vehicle :: String.t(), id :: String.t()) ::
+          {:under_way, Server.under_way()} | {:ok, Result.t()} | nil | {:error, String.t()}
+  def state(gateway, vehicle, id) do
+    with nil <- Server.under_way(gateway, id) do
+      case Ledger.lookup(gateway, id) do
+        %Result{details: %{"vehicle" => other}} when other != vehicle -> nil
+        %Result{} = result -> {:ok, result}
+        {:error, reason} -> {:error, reason}
+        # Just before or after its task.
+        _nothing -> nil
+      end
+    else
+      %{vehicle: ^vehicle} = job -> {:under_way, job}
+      _of_another -> nil
+    end
+  end
+
+  @doc "The commands of a vehicle for those who look on, the latest first: those under way, then at most `limit` done ones."
+  @spec recent(Names.gateway(), vehicle :: String.t(), limit :: non_neg_integer()) :: [Recent.entry()]
+  defdelegate recent(gateway, vehicle, limit \\ 20), to: Recent, as: :of
+
+  @doc "The metrics of commands."
+  @spec metrics(Names.gateway()) :: [Metrics.metric()]
+  defdelegate metrics(gateway), to: Metrics, as: :all
+end

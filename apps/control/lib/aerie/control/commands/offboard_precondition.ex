@@ -1,0 +1,36 @@
+defmodule Aerie.Control.Commands.OffboardPrecondition do
+  @moduledoc """
+  PX4 flies OFFBOARD only while set-points come: they must have come for a second before the mode is requested (X7). Without them PX4 may
+  acknowledge the request all the same, so the gateway refuses it at once.
+
+  Set-points of commands and of clients' raw MAVLink are known (`Aerie.Control.Policy.RecentCommands`). Whoever sends them in a way that does not lead
+  through the gateway says so with `setpoints_elsewhere`.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Vehicle.{Command, Protocol}
+  alias Aerie.Control.Policy.RecentCommands
+  alias Aerie.Control.CommandExecutor.Observed
+
+  @wanted_ms 1_000
+
+  @doc "Whether a command may be sent to the vehicle of a snapshot as far as set-points are concerned; an error says what is missing."
+  @spec check(Names.gateway(), Command.t(), map()) :: :ok | {:error, String.t()}
+  def check(_gateway, %{params: %{setpoints_elsewhere: true}}, _snapshot), do: :ok
+
+  def check(gateway, command, snapshot) do
+    if Protocol.of(snapshot.autopilot).setpoints_first?(command, Observed.vehicle(snapshot, {1, 1})),
+      do: judge(RecentCommands.setpoints_ms(gateway, command.vehicle)),
+      else: :ok
+  end
+
+  defp judge(ms) when is_integer(ms) and ms >= @wanted_ms, do: :ok
+
+  defp judge(ms) do
+    since = if ms, do: "they have come for #{ms} ms", else: "none come"
+
+    {:error,
+     "the mode needs set-points at 2 Hz or more for a second before, and #{since}: send setpoint_velocity or another one first, " <>
+       "or say setpoints_elsewhere if they do not come through this gateway"}
+  end
+end

@@ -1,0 +1,23 @@
+defmodule Aerie.Control.Commands.Ownership do
+  @moduledoc """
+  How the door knows which of several gateways holds a vehicle, and where they claim the ids of commands. `Aerie.Fleet.Shadow.Ownership` is one;
+  `Aerie.Gateway` plugs it in. Without one a gateway is alone.
+  """
+
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.OwnershipCheck
+  alias Aerie.Base.Names
+
+  @doc "Who holds a vehicle."
+  @callback holder(Names.gateway(), vehicle :: String.t()) :: OwnershipCheck.holder()
+
+  @doc """
+  Claims a command's id where all gateways see it, within a time. `{:taken, claim}`: another gateway has claimed it, and which result it
+  had, if that is known.
+  """
+  @callback claim(Names.gateway(), vehicle :: String.t(), id :: String.t(), timeout_ms :: pos_integer()) ::
+              :ok | {:taken, %{by: String.t(), result: Result.t() | nil}} | {:error, String.t()}
+
+  @doc "Tells the other gateways what became of a command that this one claimed. Waits for nothing."
+  @callback done(Names.gateway(), vehicle :: String.t(), Result.t()) :: :ok
+end

@@ -1,0 +1,99 @@
+defmodule Aerie.Control.Commands.OwnershipCheck do
+  @moduledoc """
+  Decides whether this gateway may send a command to a vehicle that others may hear, too. A pure value for one command;
+  `Aerie.Control.Commands.Pipeline` asks what it wants to know and does what it says.
+
+  One gateway holds the vehicle. It sends a command when it has claimed the command's id where all of them see it, and only while its
+  lease lasts. The others pass the command on to it. Who does not know whether it holds the vehicle sends nothing, whatever the
+  command is. A gateway that is alone needs no lease, and its own ledger is enough.
+
+      look ──▶ held ──▶ claiming ──▶ claimed ──▶ send
+        │└ pass_on         └ known (somebody has claimed it)
+        └ again, refuse
+
+  Times are milliseconds of a clock that never jumps.
+  """
+
+  @again_ms 50
+
+  @enforce_keys [:until, :relayed?]
+  defstruct [:until, :relayed?, :lease, stage: :look]
+
+  @typedoc "`:until` - until when it waits to know who holds the vehicle; `:relayed?` - it came over NATS, so it is not passed on."
+  @type t :: %__MODULE__{
+          until: integer(),
+          relayed?: boolean(),
+          lease: :alone | integer() | nil,
+          stage: :look | :held | :claiming | :claimed | :over
+        }
+
+  @typedoc "Who holds the vehicle: nobody else can, this gateway until a time, another one by its name, or nobody knows and why."
+  @type holder :: :alone | {:mine, until :: integer()} | {:other, String.t()} | {:unknown, String.t()}
+  @type event ::
+          {:holder, holder(), now :: integer()}
+          | {:send?, holder(), now :: integer()}
+          | {:claimed, :ok | {:taken, term()} | {:error, String.t()}}
+  @type action ::
+          {:again, ms :: pos_integer()}
+          | {:pass_on, String.t()}
+          | :go_on
+          | :claim
+          | {:send, :fleet | :gateway}
+          | {:known, term()}
+          | {:refuse, rule :: :holder | :claim, String.t()}
+
+  @spec new(until :: integer(), relayed? :: boolean()) :: t()
+  def new(until, relayed?), do: %__MODULE__{until: until, relayed?: relayed?}
+
+  @doc """
+  What follows from what is known. Events: who holds the vehicle (`:holder`, at the beginning, and again right before the claim),
+  what became of the claim, and who holds it right before the first message (`:send?`).
+  """
+  @spec handle(t(), event()) :: {t(), action()}
+  def handle(%{stage: :look} = state, {:holder, holder, now}) do
+    case lease(holder, now) do
+      {:ok, lease} -> {%{state | stage: :held, lease: lease}, :go_on}
+      {:other, name} -> other(state, name)
+      {:unknown, _why} when now < state.until -> {state, {:again, @again_ms}}
+      {:unknown, why} -> over(state, {:refuse, :holder, why})
+    end
+  end
+
+  def handle(%{stage: :held} = state, {:holder, holder, now}) do
+    case lease(holder, now) do
+      {:ok, lease} -> {%{state | stage: :claiming, lease: lease}, :claim}
+      {:other, name} -> over(state, {:refuse, :holder, "the gateway #{name} has taken the vehicle over"})
+      {:unknown, why} -> over(state, {:refuse, :holder, why})
+    end
+  end
+
+  def handle(%{stage: :claiming} = state, {:claimed, :ok}), do: {%{state | stage: :claimed}, :go_on}
+  def handle(%{stage: :claiming} = state, {:claimed, {:taken, what}}), do: over(state, {:known, what})
+
+  # Nobody else could have claimed it.
+  def handle(%{stage: :claiming, lease: :alone} = state, {:claimed, {:error, _why}}),
+    do: {%{state | stage: :claimed}, :go_on}
+
+  def handle(%{stage: :claiming} = state, {:claimed, {:error, why}}),
+    do: over(state, {:refuse, :claim, "its id could not be claimed where other gateways see it (#{why})"})
+
+  def handle(%{stage: :claimed} = state, {:send?, holder, now}) do
+    case lease(holder, now) do
+      {:ok, :alone} -> over(state, {:send, :gateway})
+      {:ok, _until} -> over(state, {:send, :fleet})
+      _lost -> over(state, {:refuse, :holder, "this gateway lost the vehicle's lease before it was sent"})
+    end
+  end
+
+  defp other(%{relayed?: true} = state, name),
+    do: over(state, {:refuse, :holder, "the gateway #{name} holds the vehicle now; ask again"})
+
+  defp other(state, name), do: over(state, {:pass_on, name})
+
+  defp lease(:alone, _now), do: {:ok, :alone}
+  defp lease({:mine, until}, now) when now < until, do: {:ok, until}
+  defp lease({:mine, _until}, _now), do: {:unknown, "the lease could not be renewed in time"}
+  defp lease(other_or_unknown, _now), do: other_or_unknown
+
+  defp over(state, action), do: {%{state | stage: :over}, action}
+end

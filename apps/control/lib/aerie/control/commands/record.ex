@@ -1,0 +1,153 @@
+defmodule Aerie.Control.Commands.Record do
+  @moduledoc """
+  What is kept of a command: audit log, metrics, telemetry.
+
+  | event | measurements | metadata |
+  |---|---|---|
+  | `[:aerie, :command, :received]` | `count` (1) | `gateway`, `type` |
+  | `[:aerie, :command, :refused]` | `count` (1) | `gateway`, `vehicle`, `type`, `source`, `rule`, `reason` |
+  | `[:aerie, :command, :done]` | `count` (1), `us` (since it came; nil for one of an earlier run) | `gateway`, `id`, `vehicle`, `type`, `result`, `reason` |
+
+  What can come in floods (rates, malformed commands, ids that are used) is counted each time, and in the audit log once in five
+  seconds for each source and rule: a flood must not push the rest out of the log.
+  """
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.{Result, Types}
+  alias Aerie.Control.Commands.{Metrics, Server}
+  alias Aerie.Control.Policy.{Audit, Intent}
+
+  @quiet_ms 5_000
+  @floods [:rate, :busy, :id, :vehicle, :holder, :deadline, :malformed, :signature, :size]
+
+  @doc "A command has come."
+  @spec received(Names.gateway(), type :: term()) :: :ok
+  def received(gateway, type) do
+    type = type(type)
+    Metrics.received(gateway, type)
+    :telemetry.execute([:aerie, :command, :received], %{count: 1}, %{gateway: gateway, type: type})
+  end
+
+  @doc "The policy decided: counted as for MAVLink of clients."
+  @spec decided(Names.gateway(), :allow | :deny, rule :: atom()) :: :ok
+  def decided(gateway, decision, rule) do
+    _ = Store.count(gateway, {:policy, decision, rule})
+    :ok
+  end
+
+  @doc "A decision as the audit log has it."
+  @spec decision(Server.request(), :allow | :deny, map()) :: map()
+  def decision(%{command: command} = request, decision, more \\ %{}) do
+    Map.merge(
+      %{
+        "type" => "decision",
+        "decision" => decision,
+        "id" => command.id,
+        "vehicle" => command.vehicle,
+        "command" => command.type,
+        "params" => Command.plain(command)["params"],
+        "source" => request.source.name,
+        "role" => request.source.role,
+        "via" => request.via,
+        "says" => request.says
+      },
+      more
+    )
+  end
+
+  @doc "A command is not carried out; gives its result."
+  @spec refused(Names.gateway(), Server.request(), Result.status(), rule :: atom(), String.t()) :: Result.t()
+  def refused(gateway, %{command: command} = request, status, rule, reason) do
+    if rule not in @floods or Store.claim(gateway, {__MODULE__, rule, request.source.name}, @quiet_ms) do
+      entry = decision(request, :deny, %{"rule" => rule, "reason" => reason, "result" => status})
+      Audit.note(gateway, entry)
+    end
+
+    count(gateway, command.vehicle, command.type, request.source.name, rule, reason)
+    Metrics.executed(gateway, command.type, status, nil)
+
+    Result.new(command.id, status, reason, %{
+      "vehicle" => command.vehicle,
+      "type" => command.type,
+      "rule" => Atom.to_string(rule)
+    })
+  end
+
+  @doc "Something came that is no command, or from nobody who may command: `rule` is `:malformed`, `:signature` or `:size`."
+  @spec turned_away(
+          Names.gateway(),
+          map(),
+          who :: String.t() | nil,
+          via :: String.t(),
+          rule :: atom(),
+          String.t()
+        ) ::
+          :ok
+  def turned_away(gateway, envelope, who, via, rule, reason) do
+    type = type(envelope["type"])
+    received(gateway, type)
+    vehicle = if Store.vehicle(gateway, to_string_or_none(envelope["vehicle"])), do: envelope["vehicle"]
+
+    if Store.claim(gateway, {__MODULE__, rule, who, via}, @quiet_ms) do
+      Audit.note(gateway, %{
+        "type" => "decision",
+        "decision" => "deny",
+        "rule" => rule,
+        "reason" => reason,
+        "vehicle" => vehicle,
+        "command" => type,
+        "source" => who,
+        "via" => via
+      })
+    end
+
+    count(gateway, vehicle, type, who, rule, reason)
+  end
+
+  @doc "A command has its result. `us`: microseconds since it came, nil for one of an earlier run."
+  @spec done(Names.gateway(), Command.t(), Result.t(), us :: non_neg_integer() | nil) :: :ok
+  def done(gateway, command, result, us) do
+    _ =
+      Audit.append(gateway, %{
+        "type" => "result",
+        "id" => result.id,
+        "vehicle" => command.vehicle,
+        "command" => command.type,
+        "source" => command.source,
+        "result" => result.status,
+        "reason" => result.reason
+      })
+
+    Metrics.executed(gateway, command.type, result.status, us)
+
+    :telemetry.execute([:aerie, :command, :done], %{count: 1, us: us}, %{
+      gateway: gateway,
+      id: result.id,
+      vehicle: command.vehicle,
+      type: command.type,
+      result: result.status,
+      reason: result.reason
+    })
+  end
+
+  defp count(gateway, vehicle, type, source, rule, reason) do
+    Metrics.refused(gateway, type, rule)
+
+    :telemetry.execute([:aerie, :command, :refused], %{count: 1}, %{
+      gateway: gateway,
+      vehicle: vehicle,
+      type: type,
+      source: source,
+      rule: rule,
+      reason: reason
+    })
+  end
+
+  # A name from outside is no label.
+  defp type(name),
+    do: if(name in Intent.raw() or match?({:ok, _type}, Types.fetch(name)), do: name, else: "unknown")
+
+  defp to_string_or_none(vehicle) when is_binary(vehicle), do: vehicle
+  defp to_string_or_none(_other), do: ""
+end

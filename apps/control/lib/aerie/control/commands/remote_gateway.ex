@@ -1,0 +1,67 @@
+defmodule Aerie.Control.Commands.RemoteGateway do
+  @moduledoc """
+  The way to vehicles that another gateway hears. The door passes a command on by it when ledger, rates, policy and audit log of this
+  gateway have let it through; those of the other gateway then decide, too. `Aerie.Fleet.Remote` is one; `Aerie.Gateway` plugs it in.
+
+  A command that came from another gateway, by NATS, is never passed on.
+  """
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.Server
+
+  @doc """
+  Gives the command to the gateway of the vehicle's snapshot (`:via`), and waits for its result. `progress` is called with what the other
+  gateway tells meanwhile.
+  """
+  @callback submit(
+              Names.gateway(),
+              snapshot :: map(),
+              Command.t(),
+              Server.request(),
+              progress :: (map() -> term())
+            ) ::
+              Result.t()
+
+  @typedoc "What is asked besides commands: area, operation and body, as in `docs/transfers.md`."
+  @type request :: {area :: String.t(), operation :: String.t(), body :: %{String.t() => term()}}
+
+  @doc """
+  Asks the gateway of the vehicle's snapshot for something that is no command, in the name of `who`, and waits at most a little longer
+  than `timeout_ms`. Gives what it answered beside its result, or the result that says why there is nothing.
+  """
+  @callback transfer(
+              Names.gateway(),
+              snapshot :: map(),
+              id :: String.t(),
+              request(),
+              who :: String.t(),
+              timeout_ms :: pos_integer(),
+              progress :: (map() -> term())
+            ) :: {:ok, %{String.t() => term()}} | {:error, Result.t()}
+
+  @doc "The snapshot of a vehicle that this gateway or another one hears; nil if it is not known."
+  @callback vehicle(Names.gateway(), id :: String.t()) :: map() | nil
+
+  @doc "The module that reaches vehicles of other gateways; nil if there is none."
+  @spec module(Names.gateway()) :: module() | nil
+  def module(gateway), do: with(%{elsewhere: module} <- Names.value(gateway, :command_desk), do: module)
+
+  @doc "The snapshot of a vehicle, wherever it is heard; nil if it is not known."
+  @spec vehicle(Names.gateway(), id :: String.t()) :: map() | nil
+  def vehicle(gateway, id) do
+    case module(gateway) do
+      nil -> Store.vehicle(gateway, id)
+      module -> module.vehicle(gateway, id)
+    end
+  end
+
+  @doc "Why a gateway does not do something to a vehicle that it reaches by another one."
+  @spec only(via :: String.t()) :: String.t()
+  def only(via),
+    do: "not available for a remote vehicle: it is heard by the gateway #{via}; ask that one (docs/fleet.md)"
+
+  @doc "Asks the other gateway to let a command cease."
+  @callback cancel(Names.gateway(), snapshot :: map(), id :: String.t()) :: :ok | {:error, String.t()}
+end

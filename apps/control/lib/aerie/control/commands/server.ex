@@ -1,0 +1,292 @@
+defmodule Aerie.Control.Commands.Server do
+  @moduledoc """
+  Where commands arrive: which are under way, who waits for them, how many there may be, and how often each source may command.
+
+  The desk waits for nobody. A task (`Aerie.Control.Commands.Pipeline`) brings each command through ledger, policy and executor, and goes
+  on if its sender is gone.
+  """
+  use GenServer
+
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Commands.{Change, Pipeline, Recent, Record, Settings}
+  alias Aerie.Base.Names
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Rate, Roles}
+
+  # Places beyond `max_in_flight` for what holds a vehicle or brings it down.
+  @reserve 64
+  # Of one command; whoever came first is told that it is under way, and may ask again.
+  @max_waiting 8
+  # For the answer, after the grace time: an answer that is late on a busy machine must not read as "nothing is left".
+  @drained_ms 30_000
+
+  @typedoc """
+    * `:source` - who commands, as authentication found out; the command's source is its name
+    * `:via` - `"nats"`, `"rest"` or `"elixir"`; `:says` - the source that the envelope names
+    * `:progress` - a process that is told of the progress, with a term that it wants to have in the message
+    * `:work` - what is to be done if it is no command of the table
+    * `:wait?` - whether the caller wants the result, or only to know that the command is under way
+  """
+  @type request :: %{
+          command: Command.t(),
+          source: Roles.source(),
+          via: String.t(),
+          says: String.t() | nil,
+          progress: {pid(), term()} | nil,
+          work: Change.t() | nil,
+          wait?: boolean()
+        }
+
+  @typedoc """
+  A command under way; `progress` is the vehicle's last word about it, `permission` what is needed to cancel it. `work?`: it is no
+  command of the table.
+  """
+  @type under_way :: %{
+          vehicle: String.t(),
+          type: String.t(),
+          source: String.t(),
+          progress: map() | nil,
+          permission: Command.Type.permission(),
+          work?: boolean()
+        }
+
+  @doc """
+  `:elsewhere`: the way to vehicles of other gateways (`Aerie.Control.Commands.RemoteGateway`); `:holder`: who holds a vehicle
+  (`Aerie.Control.Commands.Ownership`).
+  """
+  @spec start_link(
+          gateway: Names.gateway(),
+          settings: Settings.t(),
+          elsewhere: module() | nil,
+          holder: module() | nil
+        ) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :command_desk))
+
+  @doc "A command has come. Waits for its result for `wait_ms`; `:pending`: it goes on without the caller."
+  @spec submit(Names.gateway(), request(), timeout()) :: {:ok, Result.t()} | {:pending, String.t()}
+  def submit(gateway, %{command: %{id: id}} = request, wait_ms) do
+    GenServer.call(Names.via(gateway, :command_desk), {:submit, request}, wait_ms)
+  catch
+    :exit, {:timeout, _call} ->
+      {:pending, id}
+
+    :exit, {:noproc, _call} ->
+      reason = "the gateway takes no commands just now; nothing was sent"
+      {:ok, Result.new(id, :denied, reason, %{"rule" => "unavailable"})}
+
+    :exit, _gone ->
+      {:ok, Result.new(id, :unknown, "the gateway's commands were restarted before its end was known")}
+  end
+
+  @doc """
+  Takes no more commands and waits for those under way, `grace_ms` at most. Whoever waits for the result of one that is left then
+  is told that it is unknown. Gives the ids of those that are left.
+  """
+  @spec drain(Names.gateway(), grace_ms :: non_neg_integer()) :: [String.t()]
+  def drain(gateway, grace_ms) do
+    GenServer.call(Names.via(gateway, :command_desk), {:drain, grace_ms}, grace_ms + @drained_ms)
+  catch
+    :exit, _gone -> []
+  end
+
+  @doc "A command under way; nil for one that is not."
+  @spec under_way(Names.gateway(), String.t()) :: under_way() | nil
+  def under_way(gateway, id), do: call(gateway, {:under_way, id}, nil)
+
+  defp call(gateway, message, absent) do
+    GenServer.call(Names.via(gateway, :command_desk), message)
+  catch
+    :exit, _gone -> absent
+  end
+
+  @impl GenServer
+  def init(options) do
+    %{gateway: gateway, settings: settings, elsewhere: elsewhere, holder: holder} = Map.new(options)
+    Process.set_label({:command_desk, gateway})
+    Recent.abandoned(gateway)
+
+    Names.put_value(gateway, :command_desk, %{
+      elsewhere: elsewhere,
+      holder: holder,
+      grace_ms: settings.grace_ms
+    })
+
+    {:ok,
+     %{
+       gateway: gateway,
+       settings: settings,
+       elsewhere: elsewhere,
+       holder: holder,
+       jobs: %{},
+       tasks: %{},
+       rate: Rate.new(),
+       draining: nil
+     }}
+  end
+
+  @doc "How it is known who holds a vehicle; nil if this gateway is alone."
+  @spec holder(Names.gateway()) :: module() | nil
+  def holder(gateway), do: with(%{holder: module} <- Names.value(gateway, :command_desk), do: module)
+
+  @impl GenServer
+  def handle_call({:submit, %{command: %{id: id} = command} = request}, from, state) do
+    Record.received(state.gateway, command.type)
+    digest = Command.digest(command)
+
+    case state.jobs do
+      %{^id => %{digest: ^digest} = job} ->
+        {:noreply, join(state, job, request, from)}
+
+      %{^id => _other} ->
+        refuse(request, :id, "the id #{id} belongs to another command", state)
+
+      _new when state.draining != nil ->
+        refuse(request, :unavailable, "the gateway is stopping; nothing was sent", state)
+
+      _new ->
+        admit(request, digest, from, state)
+    end
+  end
+
+  def handle_call({:drain, grace_ms}, from, state) do
+    Process.send_after(self(), :drained, grace_ms)
+    {:noreply, drained(%{state | draining: from})}
+  end
+
+  def handle_call({:under_way, id}, _from, state) do
+    answer =
+      with %{request: %{command: command} = request, progress: progress} <- state.jobs[id] do
+        %{
+          vehicle: command.vehicle,
+          type: command.type,
+          source: command.source,
+          progress: progress,
+          permission: Pipeline.facts(request).permission,
+          work?: request.work != nil
+        }
+      end
+
+    {:reply, answer, state}
+  end
+
+  def handle_call({:rate, command}, _from, state) do
+    now = System.monotonic_time(:microsecond)
+    %{source: source, vehicle: vehicle, type: type} = command
+
+    with %Policy{} = policy <- Policy.Store.get(state.gateway),
+         {:ok, rate} <- Rate.take(state.rate, policy, source, vehicle, type, now) do
+      {:reply, :ok, %{state | rate: rate}}
+    else
+      # The rules deny it.
+      nil -> {:reply, :ok, state}
+      deny -> {:reply, deny, state}
+    end
+  end
+
+  @impl GenServer
+  def handle_info({:command_progress, id, progress}, state) do
+    case state.jobs do
+      %{^id => job} ->
+        for {pid, tag} <- job.watchers, do: send(pid, {:command_progress, tag, id, progress})
+        Recent.progress(state.gateway, id, progress)
+        {:noreply, put_in(state.jobs[id].progress, progress)}
+
+      _done ->
+        {:noreply, state}
+    end
+  end
+
+  def handle_info({task, %Result{} = result}, state) when is_map_key(state.tasks, task) do
+    Process.demonitor(task, [:flush])
+    {:noreply, ended(state, task, result)}
+  end
+
+  # A fault of ours. Whether the vehicle did it, nobody knows; the ledger keeps it from being sent again.
+  def handle_info({:DOWN, task, :process, _pid, _crash}, state) when is_map_key(state.tasks, task) do
+    %{request: request} = state.jobs[state.tasks[task]]
+    {:ok, _pid} = Task.Supervisor.start_child(tasks(state), Pipeline, :broken, [request, state.gateway])
+    {:noreply, ended(state, task, Pipeline.lost(request.command))}
+  end
+
+  # The grace time is over.
+  def handle_info(:drained, %{draining: {_pid, _tag} = from} = state) do
+    for {_id, job} <- state.jobs, caller <- job.waiting, do: GenServer.reply(caller, {:ok, unknown(job)})
+    GenServer.reply(from, Enum.sort(Map.keys(state.jobs)))
+    jobs = Map.new(state.jobs, fn {id, job} -> {id, %{job | waiting: []}} end)
+    {:noreply, %{state | jobs: jobs, draining: :told}}
+  end
+
+  def handle_info(_late, state), do: {:noreply, state}
+
+  # The ledger knows that it was sent; the next life looks after it.
+  defp unknown(%{request: %{command: %{id: id}}}),
+    do: Result.new(id, :unknown, "the gateway ended before the end was known")
+
+  defp drained(%{draining: {_pid, _tag} = from, jobs: jobs} = state) when jobs == %{} do
+    GenServer.reply(from, [])
+    %{state | draining: :told}
+  end
+
+  defp drained(state), do: state
+
+  defp admit(%{command: command} = request, digest, from, state) do
+    reserve = if Pipeline.facts(request).ends_flight?, do: @reserve, else: 0
+
+    if map_size(state.jobs) < state.settings.max_in_flight + reserve do
+      environment = %{
+        gateway: state.gateway,
+        desk: self(),
+        rate: rate(self()),
+        ledger_required?: state.settings.ledger.required,
+        urgent_ms: state.settings.urgent_ms,
+        record_ms: state.settings.record_ms,
+        elsewhere: state.elsewhere,
+        holder: state.holder
+      }
+
+      task = Task.Supervisor.async_nolink(tasks(state), Pipeline, :run, [request, environment])
+      job = %{request: request, digest: digest, waiting: [], watchers: [], progress: nil}
+      Recent.begun(state.gateway, command, request.via)
+      state = %{state | tasks: Map.put(state.tasks, task.ref, command.id)}
+      {:noreply, join(state, job, request, from)}
+    else
+      reason = "#{map_size(state.jobs)} commands are under way, as many as there may be; try again"
+      refuse(request, :busy, reason, state)
+    end
+  end
+
+  # Takes a token for a command of its source; for the task.
+  defp rate(desk), do: fn command -> GenServer.call(desk, {:rate, command}) end
+
+  defp join(state, job, request, from) do
+    id = request.command.id
+    job = %{job | watchers: Enum.take(List.wrap(request.progress) ++ job.watchers, @max_waiting)}
+
+    {waiting, dismissed} =
+      Enum.split(if(request.wait?, do: [from | job.waiting], else: job.waiting), @max_waiting)
+
+    dismissed = if request.wait?, do: dismissed, else: [from | dismissed]
+    for caller <- dismissed, do: GenServer.reply(caller, {:pending, id})
+    put_in(state.jobs[id], %{job | waiting: waiting})
+  end
+
+  defp refuse(request, rule, reason, state) do
+    {:reply,
+     {:ok,
+      Record.refused(state.gateway, request, if(rule == :id, do: :rejected, else: :denied), rule, reason)},
+     state}
+  end
+
+  defp ended(state, task, result) do
+    {id, tasks} = Map.pop!(state.tasks, task)
+    {job, jobs} = Map.pop!(state.jobs, id)
+    # Whoever has the result finds the command among those that are done.
+    Recent.done(state.gateway, result)
+    for caller <- job.waiting, do: GenServer.reply(caller, {:ok, result})
+    drained(%{state | tasks: tasks, jobs: jobs})
+  end
+
+  defp tasks(state), do: Names.via(state.gateway, :command_tasks)
+end

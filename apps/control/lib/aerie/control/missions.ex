@@ -1,0 +1,331 @@
+defmodule Aerie.Control.Missions do
+  @moduledoc """
+  The missions, fences and rally points of a vehicle, for programs in Elixir:
+
+      {:ok, plan} = Aerie.Control.Missions.import(File.read!("survey.plan"), :plan)
+      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Control.Missions.upload(gateway, "VID-001", :mission, plan)
+      {:ok, %{plan: plan}} = Aerie.Control.Missions.download(gateway, "VID-001", :mission)
+
+  A plan (`Aerie.Control.Mission.Plan`) has all three; each kind is sent and read separately. The policy judges every item before the first one
+  is sent (`Aerie.Control.Mission.Review`), and the plan is read back afterwards. The options are those of `t:Aerie.Transfers.option/0`.
+  """
+
+  alias Aerie.Control.Commands.RemoteGateway
+  alias Aerie.Base.Files.Text
+  alias Aerie.Base.Names
+  alias Aerie.Control.{Commands, Mission, Transfers}
+  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Control.Mission.{Item, Onboard, OwnFence, Plan, Review, Transfer}
+  alias Aerie.Control.Mission.File.{QgcPlan, Waypoints}
+  alias Aerie.Control.Mission.Transfer.Compare
+  alias Aerie.Control.Policy.Mavlink
+  alias MavCodec.Messages, as: M
+
+  @kinds %{mission: 0, fence: 1, rally: 2}
+  @names %{mission: "a mission", fence: "a fence", rally: "rally points"}
+  @timeout_ms 300_000
+  # Of a file, to see whether it is JSON.
+  @looked_at 1_000
+
+  @type kind :: :mission | :fence | :rally
+
+  @typedoc """
+    * `:plan` - a plan with only the kind that was read
+    * `:items` - the items as the vehicle stores them
+    * `:opaque_id` - the vehicle's id for it (W7), or nil
+    * `:digest` - digest of the items (`Aerie.Control.Mission.Plan.digest/1`)
+  """
+  @type stored :: %{
+          plan: Plan.t(),
+          items: [Item.t()],
+          opaque_id: pos_integer() | nil,
+          digest: String.t()
+        }
+
+  @doc "The kinds of plans."
+  @spec kinds() :: [kind()]
+  def kinds, do: [:mission, :fence, :rally]
+
+  @doc "Reads a kind of plan from the vehicle."
+  @spec download(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
+          {:ok, stored()} | {:error, Result.t()}
+  def download(gateway, vehicle, kind, options \\ []) do
+    type = Map.fetch!(@kinds, kind)
+    asked = {"mission", "get", %{"kind" => Atom.to_string(kind)}}
+
+    with :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @timeout_ms),
+         {:ok, result} <- read(gateway, vehicle, kind, options),
+         {:ok, plan} <- Onboard.put(%Plan{}, type, result.items, protocol(gateway, vehicle)) do
+      {:ok,
+       %{plan: plan, items: result.items, opaque_id: result.opaque_id, digest: Plan.digest(result.items)}}
+    else
+      {:ok, %{"plan" => plan} = answer} -> told(plan, answer, type, protocol(gateway, vehicle))
+      {:ok, _other} -> no_plan("its gateway told none")
+      {:error, %Result{}} = error -> error
+      {:error, text} -> no_plan(text)
+    end
+  end
+
+  defp no_plan(text),
+    do: {:error, Result.new(Aerie.Vehicle.Command.id(), :failed, "what the vehicle has is no plan: #{text}")}
+
+  # Another gateway's answer (`plain/2`).
+  defp told(plan, answer, type, protocol) do
+    case plan |> JSON.encode!() |> __MODULE__.import(:plan) do
+      {:ok, plan} ->
+        items = Onboard.items(plan, type, protocol)
+        id = if is_integer(answer["opaque_id"]), do: answer["opaque_id"]
+        {:ok, %{plan: plan, items: items, opaque_id: id, digest: Plan.digest(items)}}
+
+      {:error, text} ->
+        no_plan(text)
+    end
+  end
+
+  @doc "Like `download/4`, but returns the transfer's result. Identical reads at the same time share one transfer."
+  @spec read(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) ::
+          {:ok, Mission.Result.t()} | {:error, Result.t()}
+  def read(gateway, vehicle, kind, options \\ []) do
+    type = Map.fetch!(@kinds, kind)
+
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+      transfer = Map.put(transfer(:download, type, snapshot.vehicle_type), :share, {:plan, type})
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    end
+  end
+
+  @doc "Reads all three kinds into one plan."
+  @spec download_all(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
+          {:ok, Plan.t()} | {:error, Result.t()}
+  def download_all(gateway, vehicle, options \\ []) do
+    with {:ok, mission} <- download(gateway, vehicle, :mission, options),
+         {:ok, fence} <- download(gateway, vehicle, :fence, options),
+         {:ok, rally} <- download(gateway, vehicle, :rally, options) do
+      {:ok,
+       %{
+         mission.plan
+         | fence: fence.plan.fence,
+           fence_return: fence.plan.fence_return,
+           rally: rally.plan.rally
+       }}
+    end
+  end
+
+  @doc """
+  Replaces a kind of plan on board, and reads it back. `:completed`: the vehicle has it, and did not report that it cannot fly it
+  where its firmware checks that; `:accepted`: the firmware's check reported nothing; `:rejected`: the vehicle refused it, possibly after acknowledging it. Needs the
+  permission `mission`. The details have `"on_board"`: `"new"`, `"old"`, `"other"` or `"unknown"`, and `"remarks"`: what the firmware does
+  not keep of it, and what is wrong with the plan by its own fence (`Aerie.Control.Mission.OwnFence`).
+
+  A plan that has nothing of this kind is refused: what is aboard is removed by `clear/4` only. Refused as well, unless the option `force: true` is given, is a fence
+  that the vehicle, which is known to fly with its fence on, would breach at once.
+  """
+  @spec upload(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [
+          Transfers.option() | {:force, boolean()}
+        ]) ::
+          Commands.answer()
+  def upload(gateway, vehicle, kind, %Plan{} = plan, options \\ []) do
+    {force, options} = Keyword.pop(options, :force, false)
+    items = Onboard.items(plan, @kinds[kind], protocol(gateway, vehicle))
+
+    cond do
+      Plan.empty?(plan, kind) ->
+        {:error,
+         [
+           Error.new(
+             "plan",
+             "#{@names[kind]} (there is none in it; to remove what is aboard, clear it)",
+             :rule
+           )
+         ]}
+
+      length(items) > Transfer.limit() ->
+        {:error, [Error.new(Atom.to_string(kind), "at most #{Transfer.limit()} items", length(items))]}
+
+      true ->
+        forced = if force, do: %{forced: true}, else: %{}
+
+        change = %{
+          params: Map.merge(sent("upload", items), forced),
+          elsewhere: put(kind, plan, force),
+          review: &review(&1, &2, &3, items, {kind, plan, force}),
+          before: &remark(&1, kind, plan)
+        }
+
+        send_items(gateway, vehicle, kind, {:upload, items}, change, options)
+    end
+  end
+
+  @doc """
+  Removes a kind of plan from the vehicle, and reads back that it is gone. The details have `"removed"`: what was aboard, such as `"4 corners"`, if it
+  could be read before. Needs the permission `mission`, and for a fence `protection`.
+  """
+  @spec clear(Names.gateway(), vehicle :: String.t(), kind(), [Transfers.option()]) :: Commands.answer()
+  def clear(gateway, vehicle, kind, options \\ []) do
+    change = %{
+      params: sent("clear", []),
+      elsewhere: {"mission", "clear", %{"kind" => Atom.to_string(kind)}},
+      review: &review(&1, &2, &3, [], {kind, %Plan{}, true}),
+      before: &removing(gateway, &1, kind)
+    }
+
+    send_items(gateway, vehicle, kind, :clear, change, options)
+  end
+
+  defp sent(action, items), do: %{action: action, items: length(items), digest: Plan.digest(items)}
+
+  defp remark(snapshot, kind, plan) do
+    remarks = plan |> OwnFence.check(OwnFence.vehicle(snapshot, now())) |> OwnFence.remarks(kind)
+    &Result.remark(&1, remarks)
+  end
+
+  # Who removes something is told what it was.
+  defp removing(gateway, snapshot, kind) do
+    case Transfers.read(gateway, snapshot, transfer(:download, @kinds[kind], snapshot.vehicle_type), []) do
+      {{:ok, %{items: items}}, nil} ->
+        removed = contents(items, kind, Protocol.of(snapshot.autopilot))
+
+        fn
+          %{status: :completed} = result -> put_in(result.details["removed"], removed)
+          result -> result
+        end
+
+      {{:error, _result}, nil} ->
+        & &1
+    end
+  end
+
+  @doc "What a vehicle has of a kind, for people, from its items: `\"4 corners\"`, `\"nothing\"`."
+  @spec contents([Item.t()], kind(), module()) :: String.t()
+  def contents(items, kind, protocol) do
+    with {:ok, plan} <- Onboard.put(%Plan{}, @kinds[kind], items, protocol),
+         text when is_binary(text) <- Plan.contents(plan, kind) do
+      text
+    else
+      nil -> "nothing"
+      {:error, _not_understood} -> "#{length(items)} items"
+    end
+  end
+
+  # What another gateway is asked for, if it is that which hears the vehicle.
+  defp put(kind, plan, force) do
+    asked = %{"kind" => Atom.to_string(kind), "plan" => JSON.decode!(export(plan, :plan))}
+    {"mission", "put", if(force, do: Map.put(asked, "force", true), else: asked)}
+  end
+
+  @doc "Compares a kind of plan with the vehicle's, by what its firmware keeps: `:same`, or the first item that differs, and how."
+  @spec verify(Names.gateway(), vehicle :: String.t(), kind(), Plan.t(), [Transfers.option()]) ::
+          {:ok, :same | {:differs, seq :: non_neg_integer(), how :: String.t()}} | {:error, Result.t()}
+  def verify(gateway, vehicle, kind, plan, options \\ []) do
+    with {:ok, stored} <- download(gateway, vehicle, kind, options) do
+      type = Map.fetch!(@kinds, kind)
+      protocol = protocol(gateway, vehicle)
+      items = Onboard.items(plan, type, protocol)
+
+      case Compare.plans(items, stored.items, type, protocol, kind_of(gateway, vehicle)) do
+        {:same, _remarks} -> {:ok, :same}
+        difference -> {:ok, difference}
+      end
+    end
+  end
+
+  @doc "Reads a plan from a file's content: `:plan` (QGroundControl), `:waypoints` (`QGC WPL 110`), or `:any` of them, by how it begins."
+  @spec import(binary(), :plan | :waypoints | :any) :: {:ok, Plan.t()} | {:error, String.t()}
+  def import(text, :plan), do: QgcPlan.read(text)
+  def import(text, :waypoints), do: Waypoints.read(text)
+
+  def import(text, :any) do
+    json? =
+      text
+      |> Text.unmarked()
+      |> binary_slice(0, @looked_at)
+      |> String.trim_leading()
+      |> String.starts_with?(["{", "["])
+
+    __MODULE__.import(text, if(json?, do: :plan, else: :waypoints))
+  end
+
+  @doc "A plan as a file's content; `:waypoints` has the mission only."
+  @spec export(Plan.t(), :plan | :waypoints) :: binary()
+  def export(plan, :plan), do: QgcPlan.write(plan)
+  def export(plan, :waypoints), do: Waypoints.write(plan)
+
+  @doc "The answer for NATS and REST, with the plan as in a `.plan` file."
+  @spec plain(stored(), kind()) :: map()
+  def plain(stored, kind) do
+    %{
+      kind: kind,
+      items: length(stored.items),
+      digest: stored.digest,
+      opaque_id: stored.opaque_id,
+      plan: JSON.decode!(export(stored.plan, :plan))
+    }
+  end
+
+  defp send_items(gateway, vehicle, kind, op, change, options) do
+    type = @kinds[kind]
+    change = Map.put(change, :facts, facts(type, change.params.items))
+    Transfers.change(gateway, vehicle, change, transfer(op, type, kind_of(gateway, vehicle)), options)
+  end
+
+  defp facts(type, count),
+    do:
+      Mavlink.facts(%M.MissionCount{mission_type: type, count: count}, %{
+        autopilot: :generic,
+        vehicle_type: "unknown"
+      })
+
+  defp review(policy, context, snapshot, items, {kind, plan, force}) do
+    vehicle = Map.take(snapshot, [:autopilot, :vehicle_type])
+
+    case Review.plan(policy, items, @kinds[kind], vehicle, context) do
+      :allow when kind == :fence and not force -> breach(plan, snapshot)
+      :allow -> :allow
+      {:deny, rule, _seq, reason} -> {:deny, rule, reason}
+    end
+  end
+
+  defp breach(plan, snapshot) do
+    findings = OwnFence.check(plan, OwnFence.vehicle(snapshot, now()))
+
+    case Enum.find(findings, & &1.breach?) do
+      nil -> :allow
+      %{text: text} -> {:deny, :geofence, "#{text}; force sends it nevertheless"}
+    end
+  end
+
+  defp now, do: System.os_time(:microsecond)
+
+  defp transfer(op, type, kind) do
+    %{
+      lanes: [:mission],
+      timeout_ms: @timeout_ms,
+      start: fn context, until ->
+        Transfer.new(op, type,
+          protocol: context.protocol,
+          kind: kind,
+          target: context.target,
+          us: context.us,
+          until: until,
+          rtt: context.rtt_us
+        )
+      end
+    }
+  end
+
+  defp kind_of(gateway, vehicle) do
+    case RemoteGateway.vehicle(gateway, vehicle) do
+      nil -> "unknown"
+      snapshot -> snapshot.vehicle_type
+    end
+  end
+
+  defp protocol(gateway, vehicle) do
+    case RemoteGateway.vehicle(gateway, vehicle) do
+      nil -> Protocol.of(:generic)
+      snapshot -> Protocol.of(snapshot.autopilot)
+    end
+  end
+end

@@ -1,0 +1,379 @@
+defmodule Aerie.Control.Params do
+  @moduledoc """
+  The parameters of a vehicle, for programs in Elixir:
+
+      {:ok, table} = Aerie.Control.Params.list(gateway, "VID-001")
+      {:ok, %Aerie.Command.Result{status: :completed}} = Aerie.Control.Params.set(gateway, "VID-001", "WPNAV_SPEED", 500)
+
+  The options of all functions are those of `t:Aerie.Transfers.option/0`. With `component: 1..255`, `list`, `get` and `set` are for a camera,
+  gimbal or companion that has parameters of its own (PARAM_EXT). Their values are numbers or text (`Aerie.Vehicle.Protocol.ExtValue`):
+
+      {:ok, %Aerie.Params.Param{value: 200}} = Aerie.Control.Params.get(gateway, "VID-001", "CAM_ISO", component: 100)
+
+  A result that is not a success gives the reason, in the terms of
+  `Aerie.Vehicle.Command.Result`.
+  """
+
+  alias Aerie.Base.Names
+  alias Aerie.Control.{Commands, Transfers}
+  alias Aerie.Control.Commands.RemoteGateway
+  alias Aerie.Vehicle.Command.{Error, Result}
+
+  alias Aerie.Control.Params.{
+    CacheWriter,
+    Component,
+    Diff,
+    Download,
+    Fetch,
+    File,
+    Metadata,
+    MetadataReader,
+    Param,
+    Set,
+    SetAll,
+    Table
+  }
+
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Enums.MavProtocolCapability
+
+  @typedoc "`:component` - the component whose parameters are meant, 1 to 255; without it the autopilot's are"
+  @type option :: Transfers.option() | {:component, 1..255}
+
+  @ftp MavProtocolCapability.value(:MAV_PROTOCOL_CAPABILITY_FTP)
+  @list_ms 180_000
+  @one_ms 20_000
+  @component_ms 60_000
+  @all_ms 600_000
+
+  @doc """
+  All parameters, read from the vehicle in the best way that it offers (P4). A list that was read earlier, even before a restart, is
+  returned if the vehicle's checksum shows that it is still right. `refresh: true` reads it anew. Lists of other components have no
+  checksum and are read each time.
+  """
+  @spec list(Names.gateway(), vehicle :: String.t(), [option() | {:refresh, boolean()}]) ::
+          {:ok, Table.t()} | {:error, Result.t()}
+  def list(gateway, vehicle, options \\ []) do
+    {refresh?, options} = Keyword.pop(options, :refresh, false)
+    {component, options} = Keyword.pop(options, :component)
+    asked = {"params", "list", of(component, %{})}
+
+    case Transfers.read_elsewhere(gateway, vehicle, asked, options, @list_ms) do
+      :here when component == nil -> list_of_autopilot(gateway, vehicle, refresh?, options)
+      :here -> list_of_component(gateway, vehicle, component, options)
+      {:ok, answer} -> told(Table.parse(answer))
+      error -> error
+    end
+  end
+
+  # What another gateway is asked for.
+  defp of(nil, body), do: body
+  defp of(component, body), do: Map.put(body, "component", component)
+
+  defp told({:ok, value}), do: {:ok, value}
+
+  defp told(:error),
+    do:
+      {:error,
+       Result.new(Aerie.Vehicle.Command.id(), :failed, "the vehicle's gateway answered what is no parameter")}
+
+  defp list_of_component(gateway, vehicle, component, options) do
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle),
+         :ok <- readable(Component.check(component)) do
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @list_ms,
+        share: {:params_of, component},
+        start: fn context, until ->
+          target = Component.target(context, component)
+          {:ok, Download.new(target, until, Component.options(context, component))}
+        end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    end
+  end
+
+  defp list_of_autopilot(gateway, vehicle, refresh?, options) do
+    with {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+      file? = file?(snapshot)
+      stored = if not refresh?, do: CacheWriter.stored(gateway, snapshot)
+
+      transfer = %{
+        lanes: if(file?, do: [:params, :file], else: [:params]),
+        timeout_ms: @list_ms,
+        share: {:params, refresh?},
+        start: fn context, until ->
+          more = [
+            hash: context.autopilot == :px4,
+            file: file? and context.ftp?,
+            stored: stored,
+            us: context.us,
+            seq: context.seq
+          ]
+
+          {:ok, Fetch.new(context.target, until, more ++ common(context))}
+        end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      kept(result, stored, gateway, snapshot)
+    end
+  end
+
+  # A list that cannot be checked later is not stored.
+  defp kept({:ok, table} = result, stored, gateway, snapshot) do
+    if table != stored and (table.hash || table.file_crc), do: CacheWriter.keep(gateway, snapshot, table)
+    result
+  end
+
+  defp kept(error, _stored, _gateway, _snapshot), do: error
+
+  # ArduPilot offers its parameters as a file.
+  defp file?(snapshot),
+    do: snapshot.autopilot == :ardupilot and Bitwise.band(snapshot[:capabilities] || 0, @ftp) != 0
+
+  @doc """
+  What the vehicle says about its parameters, by name: units, ranges, descriptions, values to choose from. Only newer firmware offers it (PX4 does); of
+  the others the result is `:failed`.
+  """
+  @spec metadata(Names.gateway(), vehicle :: String.t(), [Transfers.option()]) ::
+          {:ok, %{String.t() => Metadata.t()}} | {:error, Result.t()}
+  defdelegate metadata(gateway, vehicle, options \\ []), to: MetadataReader, as: :read
+
+  @doc "One parameter, read from the vehicle. Neither firmware answers if it does not have the parameter (`:timeout`)."
+  @spec get(Names.gateway(), vehicle :: String.t(), name :: String.t(), [option()]) ::
+          {:ok, Param.t()} | {:error, Result.t()}
+  def get(gateway, vehicle, name, options \\ []) do
+    {component, options} = Keyword.pop(options, :component)
+
+    with :ok <- readable(check_name(name)),
+         :ok <- readable(Component.check(component)),
+         asked = {"params", "get", of(component, %{"name" => name})},
+         :here <- Transfers.read_elsewhere(gateway, vehicle, asked, options, @one_ms),
+         {:ok, snapshot} <- Transfers.vehicle(gateway, vehicle) do
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: if(component, do: @component_ms, else: @one_ms),
+        share: {:param, component, name},
+        start: fn context, until ->
+          target = Component.target(context, component)
+          {:ok, Set.read(name, target, until, Component.options(context, component))}
+        end
+      }
+
+      {result, nil} = Transfers.read(gateway, snapshot, transfer, options)
+      result
+    else
+      {:ok, answer} -> told(Param.parse(answer))
+      error -> error
+    end
+  end
+
+  @doc """
+  Sets a parameter: `:completed` if the vehicle reported the new value (P3), `:rejected` if it keeps another one. Needs the
+  permission `maintain`, and `protection` for what protects the vehicle (`Aerie.Control.Policy.Protection`). Option `:type`: its MAV_PARAM_TYPE, if known; otherwise the parameter is read first.
+
+  A component that says that it works on it (PARAM_ACK_IN_PROGRESS) is waited for, up to `:timeout_ms`. `:failed` if it says so, or if it accepted the
+  value and does not have it.
+  """
+  @spec set(Names.gateway(), vehicle :: String.t(), name :: String.t(), number() | String.t(), [
+          option() | {:type, 1..11}
+        ]) :: Commands.answer()
+  def set(gateway, vehicle, name, value, options \\ []) do
+    {type, options} = Keyword.pop(options, :type)
+    {component, options} = Keyword.pop(options, :component)
+
+    with :ok <- check(name, value, component),
+         :ok <- if(component, do: :ok, else: known(gateway, vehicle, [name])) do
+      whose = if component, do: %{component: component}, else: %{}
+
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: if(component, do: @component_ms, else: @one_ms),
+        start: &Component.set(name, value, type, &1, &2, component)
+      }
+
+      asked = {"params", "set", of(component, %{"name" => name, "value" => value})}
+      change = Map.put(change([name], Map.merge(%{name: name, value: value}, whose)), :elsewhere, asked)
+
+      Transfers.change(gateway, vehicle, change, transfer, options, fn param ->
+        %{"name" => param.name, "value" => param.value}
+      end)
+    end
+  end
+
+  @doc """
+  Sets several parameters one by one, from a file (`Aerie.Control.Params.File.parse/1`) or `%{name => value}`. The reason lists those that the vehicle
+  refused (name and value of at most twenty); the others are set nevertheless, and the result is `:failed`.
+  """
+  @spec set_all(
+          Names.gateway(),
+          vehicle :: String.t(),
+          [File.entry()] | %{String.t() => number()},
+          [Transfers.option()]
+        ) :: Commands.answer()
+  def set_all(gateway, vehicle, values, options \\ []),
+    do: set_all(gateway, vehicle, values, Component.none!(options), [])
+
+  defp set_all(gateway, vehicle, values, options, remarks) do
+    entries = for entry <- values, do: entry(entry)
+
+    names = for {name, _value, _type} <- entries, do: name
+
+    with :ok <- check_all(entries), :ok <- known(gateway, vehicle, names) do
+      change = change(names, %{count: length(entries), digest: digest(entries)})
+      change = Map.put(change, :before, fn _snapshot -> &Result.remark(&1, remarks) end)
+
+      transfer = %{
+        lanes: [:params],
+        timeout_ms: @all_ms,
+        start: fn context, until -> {:ok, SetAll.new(entries, context.target, until, common(context))} end
+      }
+
+      Transfers.change(gateway, vehicle, change, transfer, options, &%{"set" => &1})
+    end
+  end
+
+  @doc """
+  Sets the parameters of a file that differ from the vehicle's, which are read first. Parameters that the vehicle does not have are refused before
+  anything is set, unless `unknown: :skip` is given.
+  """
+  @spec load(Names.gateway(), vehicle :: String.t(), text :: binary(), [
+          Transfers.option() | {:unknown, :refuse | :skip}
+        ]) :: Commands.answer() | {:error, Result.t()}
+  def load(gateway, vehicle, text, options \\ []) do
+    {unknown, options} = options |> Component.none!() |> Keyword.pop(:unknown, :refuse)
+
+    with {:ok, entries, remarks} <- read_file(text, RemoteGateway.vehicle(gateway, vehicle)),
+         {:ok, table} <- list(gateway, vehicle, Keyword.take(options, [:progress])),
+         :ok <- present(entries, table, unknown) do
+      differ =
+        for entry <- entries, param = table.params[entry.name], not File.says?(entry, param.value) do
+          %{entry | type: param.type}
+        end
+
+      set_all(gateway, vehicle, differ, options, remarks)
+    end
+  end
+
+  @doc "The parameters as a file: `:param` for Mission Planner and MAVProxy, `:params` for QGroundControl."
+  @spec save(Names.gateway(), vehicle :: String.t(), :param | :params, [Transfers.option()]) ::
+          {:ok, String.t()} | {:error, Result.t()}
+  def save(gateway, vehicle, format, options \\ []) do
+    with {:ok, %{system_id: system, component: component}} <- Transfers.vehicle(gateway, vehicle),
+         {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
+         do: {:ok, File.format(table, format, {system, component || 1})}
+  end
+
+  @doc "How the vehicle (right) differs from a file or another list (left)."
+  @spec diff(Names.gateway(), vehicle :: String.t(), binary() | Table.t(), [Transfers.option()]) ::
+          {:ok, Diff.t()} | {:error, Result.t() | [Error.t(), ...]}
+  def diff(gateway, vehicle, other, options \\ [])
+
+  def diff(gateway, vehicle, text, options) when is_binary(text) do
+    with {:ok, entries, _remarks} <- read_file(text, RemoteGateway.vehicle(gateway, vehicle)),
+         {:ok, table} <- list(gateway, vehicle, Component.none!(options)),
+         do: {:ok, Diff.diff(entries, table)}
+  end
+
+  def diff(gateway, vehicle, %Table{} = other, options) do
+    with {:ok, table} <- list(gateway, vehicle, options), do: {:ok, Diff.diff(other, table)}
+  end
+
+  @doc "The parameters of a file, or errors with their lines."
+  @spec parse(binary()) :: {:ok, [File.entry()]} | {:error, [Error.t(), ...]}
+  def parse(text), do: with({:error, errors} <- File.parse(text), do: wrong(errors))
+
+  @doc "The parameters of a file for the autopilot of a snapshot, nil for any vehicle, with remarks (`Aerie.Control.Params.File.read/2`)."
+  @spec read_file(binary(), map() | nil) ::
+          {:ok, [File.entry()], remarks :: [String.t()]} | {:error, [Error.t(), ...]}
+  def read_file(text, snapshot) do
+    owner = {snapshot[:system_id], snapshot[:component] || 1}
+    with {:error, errors} <- File.read(text, owner), do: wrong(errors)
+  end
+
+  defp wrong(errors) do
+    {:error,
+     for({line, reason} <- errors, do: Error.new(if(line, do: "line #{line}", else: "file"), reason, :rule))}
+  end
+
+  defp common(context), do: Component.options(context, nil)
+
+  defp change(names, params), do: %{facts: Intent.set_parameters(names), params: params}
+
+  defp entry(%{name: name, value: value, type: type}), do: {name, value, type}
+  defp entry({name, value}), do: {name, value, nil}
+
+  defp digest(entries),
+    do: :crypto.hash(:sha256, :erlang.term_to_binary(Enum.sort(entries))) |> Base.encode16(case: :lower)
+
+  defp check_all(entries) do
+    if length(entries) > Table.max(),
+      do: {:error, [Error.new("values", "at most #{Table.max()}", length(entries))]},
+      else:
+        Enum.find_value(entries, :ok, fn {name, value, _type} -> with :ok <- check(name, value), do: nil end)
+  end
+
+  defp check(name, value, component \\ nil) do
+    with :ok <- check_name(name),
+         :ok <- Component.check(component),
+         do: if(component, do: Component.check_value(value), else: check_number(value))
+  end
+
+  defp check_name(name) do
+    if ParamValue.name?(name),
+      do: :ok,
+      else: {:error, [Error.new("name", "1 to 16 printable characters", name)]}
+  end
+
+  defp check_number(value) do
+    cond do
+      not is_number(value) ->
+        {:error, [Error.new("value", "a number", value)]}
+
+      abs(value) > 3.4028235e38 ->
+        {:error, [Error.new("value", "a number that a 32-bit float can have", value)]}
+
+      true ->
+        :ok
+    end
+  end
+
+  # A read gives a result, whatever is wrong.
+  defp readable(checked) do
+    with {:error, [error]} <- checked,
+         do: {:error, Result.new(Aerie.Vehicle.Command.id(), :rejected, Exception.message(error))}
+  end
+
+  defp present(_entries, _table, :skip), do: :ok
+
+  defp present(entries, table, :refuse), do: entries |> Enum.map(& &1.name) |> in_table(table)
+
+  # Neither firmware answers for a parameter that it does not have. A name that is not in a list that was read before is looked
+  # up in the list as it is now: a parameter may have been added since.
+  defp known(gateway, vehicle, names) do
+    with {:ok, %{component: component} = snapshot} when component != nil <-
+           Transfers.vehicle(gateway, vehicle),
+         %Table{} = stored <- CacheWriter.stored(gateway, snapshot),
+         {:error, _unknown} <- in_table(names, stored),
+         {:ok, table} <- list(gateway, vehicle) do
+      in_table(names, table)
+    else
+      _not_known_or_all_in_it -> :ok
+    end
+  end
+
+  defp in_table(names, table) do
+    case Enum.reject(names, &is_map_key(table.params, &1)) do
+      [] ->
+        :ok
+
+      missing ->
+        {:error,
+         for(name <- Enum.take(missing, 20), do: Error.new(name, "a parameter of this vehicle", :unknown))}
+    end
+  end
+end

@@ -1,0 +1,134 @@
+defmodule Aerie.Control.Params.FileResponder do
+  @moduledoc """
+  ArduPilot's parameter file, served to ground stations by MAVLink FTP from a list that is known to be the vehicle's, as the vehicle serves it
+  (`MavCodec.PackedParams`). Pure.
+
+  A station's session lasts until it ends it or opens another file, or until the list may be wrong: then its next read is refused, and it
+  begins again. Sessions have the number of the request, and only that station's requests with this number are answered.
+  """
+
+  alias Aerie.Control.Params.{Param, Table}
+  alias MavCodec.Ftp.Packet
+  alias MavCodec.PackedParams
+
+  @max_sessions 64
+  @burst_packets 60
+  @files %{PackedParams.path(false) => false, PackedParams.path(true) => true}
+  # ArduPilot says so of every file that it makes while it is read.
+  @told 16_704
+
+  defstruct sessions: %{}
+
+  @typedoc "By station: number, list, whether with defaults, the size of its reads with the file made for it, and the last answer"
+  @type t :: %__MODULE__{sessions: %{term() => map()}}
+
+  @doc "What a station asks for: to open the file, something in an open session, or nothing of the sort."
+  @spec request(struct()) :: {:open, Packet.t()} | {:more, Packet.t()} | :other
+  def request(message) do
+    with {:ok, packet} <- Packet.request(message),
+         operation when operation in [:open, :read, :burst, :terminate] <- Packet.operation(packet),
+         true <- operation != :open or is_map_key(@files, packet.data) do
+      {if(operation == :open, do: :open, else: :more), packet}
+    else
+      _none -> :other
+    end
+  end
+
+  @doc "A station opens the file of a list; `:full` if too many have."
+  @spec open(t(), station :: term(), Packet.t(), Table.t()) :: {[Packet.t()], t()} | :full
+  def open(%{sessions: sessions}, station, _packet, _table)
+      when map_size(sessions) >= @max_sessions and not is_map_key(sessions, station),
+      do: :full
+
+  def open(served, station, packet, table) do
+    answer = %{Packet.ack(packet, <<@told::little-32>>) | offset: 0}
+
+    session = %{
+      number: packet.session,
+      table: table,
+      defaults?: Map.fetch!(@files, packet.data),
+      size: nil,
+      bytes: nil,
+      last: {packet, [answer]}
+    }
+
+    {[answer], put_in(served.sessions[station], session)}
+  end
+
+  @doc "Whether this is a request in a session of that station here."
+  @spec ours?(t(), station :: term(), Packet.t()) :: boolean()
+  def ours?(served, station, packet),
+    do: match?(%{^station => %{number: number}} when number == packet.session, served.sessions)
+
+  @doc "The answers to a request in a station's session."
+  @spec more(t(), station :: term(), Packet.t()) :: {[Packet.t()], t()}
+  def more(served, station, packet) do
+    case Map.fetch!(served.sessions, station) do
+      # A repetition gets the same answer (T2).
+      %{last: {^packet, answers}} ->
+        {answers, served}
+
+      session ->
+        {answers, session} = act(session, Packet.operation(packet), packet)
+        session = session && %{session | last: {packet, answers}}
+        {answers, %{served | sessions: put(served.sessions, station, session)}}
+    end
+  end
+
+  @doc "A station opened something else."
+  @spec ended(t(), station :: term()) :: t()
+  def ended(served, station), do: %{served | sessions: Map.delete(served.sessions, station)}
+
+  @doc "The list may be wrong from now on."
+  @spec stale(t()) :: t()
+  def stale(served),
+    do: %{
+      served
+      | sessions: Map.new(served.sessions, fn {station, s} -> {station, %{s | table: nil, last: nil}} end)
+    }
+
+  defp put(sessions, station, nil), do: Map.delete(sessions, station)
+  defp put(sessions, station, session), do: %{sessions | station => session}
+
+  defp act(_session, :terminate, packet), do: {[Packet.ack(packet, "")], nil}
+  # Not the vehicle: the number may be that of another session there.
+  defp act(%{table: nil} = session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
+
+  # Read in pieces of one size at its multiples, as from the vehicle, because no value lies in two pieces.
+  defp act(%{size: nil} = session, read, %{size: size} = packet) when size in 32..239 do
+    params = for name <- session.table.order, do: Param.pack(session.table.params[name])
+    bytes = PackedParams.encode(params, session.defaults?, size)
+    act(%{session | size: size, bytes: bytes}, read, packet)
+  end
+
+  # The last piece may be a short one: where it ends is no multiple.
+  defp act(%{bytes: bytes} = session, _read, %{offset: offset} = packet)
+       when bytes != nil and offset >= byte_size(bytes),
+       do: {[Packet.nak(packet, :eof)], session}
+
+  defp act(%{size: size} = session, read, %{size: size, offset: offset} = packet)
+       when rem(offset, size) == 0 do
+    pieces =
+      if read == :burst, do: burst(session, packet, 0), else: [Packet.ack(packet, part(session, offset))]
+
+    {pieces, session}
+  end
+
+  defp act(session, _read, packet), do: {[Packet.nak(packet, :failed)], session}
+
+  defp burst(session, packet, n) do
+    at = packet.offset + n * session.size
+    bytes = part(session, at)
+    last? = byte_size(bytes) < session.size or n == @burst_packets - 1
+    seq = Bitwise.band(packet.seq + 1 + n, 0xFFFF)
+
+    cond do
+      bytes == "" -> [%{Packet.nak(packet, :eof) | seq: seq, offset: at}]
+      last? -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at, complete: true}]
+      true -> [%{Packet.ack(packet, bytes) | seq: seq, offset: at} | burst(session, packet, n + 1)]
+    end
+  end
+
+  defp part(%{bytes: bytes}, at) when at >= byte_size(bytes), do: ""
+  defp part(%{bytes: bytes, size: size}, at), do: binary_part(bytes, at, min(size, byte_size(bytes) - at))
+end

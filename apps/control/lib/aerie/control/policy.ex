@@ -1,0 +1,163 @@
+defmodule Aerie.Control.Policy do
+  @moduledoc """
+  Who may command what, where, when and how high: a value that is compiled from the section `policy` of the configuration
+  and a fence file, and asked about each command.
+
+      {:ok, policy} = Aerie.Control.Policy.compile(%{max_altitude: 120.0, geofence_file: "fence.geojson"})
+      Aerie.Control.Policy.decide(policy, command, context)
+      #=> {:deny, :altitude, "the target is 150 m above home; at most 120 m is allowed"}
+
+  There is no process and no state. Its owner may replace it between two commands. A rule that lacks what it
+  needs to know denies. `docs/policy.md` describes the rules with examples.
+  """
+
+  alias MavRouter.Authority.Principal
+  alias Aerie.Vehicle.Command
+  alias Aerie.Control.Policy.{Compile, Context, Fence, Intent, Lease, Rate, Roles, Rules, Sources}
+
+  @enforce_keys [:modes, :lease, :audit_required]
+  defstruct [
+    :max_altitude,
+    :min_altitude,
+    :max_altitude_msl,
+    :takeoff_battery,
+    :fence,
+    :modes,
+    :unsigned,
+    :lease,
+    :audit_required,
+    unknown: :refuse,
+    open: [],
+    conditions: %{},
+    windows: [],
+    rates: [],
+    clients: [],
+    sources: []
+  ]
+
+  @type t :: %__MODULE__{
+          max_altitude: number() | nil,
+          min_altitude: number() | nil,
+          max_altitude_msl: number() | nil,
+          takeoff_battery: number() | nil,
+          fence: Fence.t() | nil,
+          modes: Rules.Mode.modes(),
+          unknown: :refuse | :maintain,
+          open: [Intent.unknown()],
+          conditions: %{String.t() => Rules.Condition.condition()},
+          windows: [Rules.Window.window()],
+          rates: [Rate.rule()],
+          clients: [client()],
+          sources: [Sources.listed()],
+          unsigned: Roles.role() | nil,
+          lease: Lease.rules(),
+          audit_required: boolean()
+        }
+
+  @typedoc "What a client that sends raw MAVLink may do: one by its id, all others by nil."
+  @type client :: %{id: String.t() | nil, role: Roles.role(), permissions: [Command.Type.permission()]}
+
+  # In the order in which they are asked: what, who, when, in which state, where.
+  @rules [
+    unknown: Rules.Unknown,
+    number: Rules.Number,
+    role: Rules.Role,
+    lease: Rules.Lease,
+    window: Rules.Window,
+    condition: Rules.Condition,
+    battery: Rules.Battery,
+    mode: Rules.Mode,
+    altitude: Rules.Altitude,
+    geofence: Rules.Geofence,
+    disarmed: Rules.Disarmed
+  ]
+
+  @type rule ::
+          :unknown
+          | :number
+          | :role
+          | :lease
+          | :window
+          | :condition
+          | :battery
+          | :mode
+          | :altitude
+          | :geofence
+          | :disarmed
+  @type decision :: :allow | {:deny, rule(), reason :: String.t()}
+
+  @doc "The names of the rules, in the order in which they are asked. Rates are asked before them (`Aerie.Control.Policy.Rate`)."
+  @spec rules() :: [rule(), ...]
+  def rules, do: Keyword.keys(@rules)
+
+  @doc "A policy from a section, or a line for everything that is wrong with it."
+  @spec compile(map()) :: {:ok, t()} | {:error, [String.t(), ...]}
+  def compile(section) do
+    with {:error, errors} <- Compile.policy(section), do: {:error, Enum.map(errors, &Compile.text/1)}
+  end
+
+  @doc "Whether a command is allowed. The first rule that denies it gives the reason."
+  @spec decide(t(), Command.t() | Intent.t(), Context.t()) :: decision()
+  def decide(policy, %Command{} = command, context), do: decide(policy, Intent.of(command), context)
+
+  def decide(policy, %Intent{} = facts, context) do
+    Enum.find_value(@rules, :allow, fn {name, rule} ->
+      with {:deny, reason} <- rule.check(policy, facts, context),
+           do: {:deny, name, reason},
+           else: (:ok -> nil)
+    end)
+  end
+
+  @typedoc "What the policy must know of where a frame came from: a `MavRouter.Router.ForwardingTable.Path`."
+  @type origin :: %{
+          :owner => String.t(),
+          :text => String.t() | nil,
+          :principal => Principal.t() | nil,
+          :commands => boolean(),
+          :local => boolean(),
+          :side => :vehicle | :client,
+          :auto => boolean(),
+          optional(term()) => term()
+        }
+
+  @doc """
+  Who sends raw MAVLink from somewhere. In this order: who proved it by a key or by signing in; an entry of `policy.clients` with the
+  client's or link's id; the entry without an id. Without any of these it is an operator on this machine, and on a link with
+  `gcs: allow`; elsewhere a viewer. Who does not count as a client on a link is a viewer, whatever is listed.
+  """
+  @spec principal(t(), origin()) :: Principal.t()
+  def principal(_policy, %{commands: false} = origin),
+    do: made(:stranger, origin, %{role: :viewer, permissions: []})
+
+  def principal(_policy, %{principal: %Principal{role: role} = proved}) when role != nil,
+    do: %{proved | may: Roles.may(proved)}
+
+  # A key without a role.
+  def principal(policy, %{principal: %Principal{} = proved}) do
+    found = listed(policy, nil) || %{role: :admin, permissions: []}
+    proved = %{proved | role: found.role, permissions: Enum.uniq(found.permissions ++ proved.permissions)}
+    %{proved | may: Roles.may(proved)}
+  end
+
+  def principal(policy, %{owner: owner} = origin),
+    do: made(:client, origin, listed(policy, owner) || listed(policy, nil) || unlisted(origin))
+
+  defp listed(policy, id), do: Enum.find(policy.clients, &(&1.id == id))
+
+  defp unlisted(%{local: true}), do: %{role: :operator, permissions: []}
+  defp unlisted(%{side: :vehicle}), do: %{role: :operator, permissions: []}
+  defp unlisted(%{auto: true}), do: %{role: :operator, permissions: []}
+  defp unlisted(_beyond), do: %{role: :viewer, permissions: []}
+
+  defp made(kind, %{owner: owner, text: text} = origin, %{role: role, permissions: permissions} = found) do
+    %Principal{
+      kind: kind,
+      name: owner,
+      role: role,
+      permissions: permissions,
+      may: Roles.may(found),
+      program: if(text, do: "#{owner} #{text}"),
+      endpoint: Map.get(origin, :key)
+    }
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Aerie.Control.Policy.Arming do
+  @moduledoc """
+  Decides whether a vehicle that asks before it arms may do so (`Aerie.Vehicle.ArmAuthorization`): the policy decides as about
+  `arm`, but for roles and rates, because it is not known who told the vehicle to arm.
+  """
+
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Audit, Context, Intent, Lease, Roles}
+
+  @behaviour Aerie.Vehicle.ArmAuthorization
+
+  @impl Aerie.Vehicle.ArmAuthorization
+  def decide(gateway, snapshot, now) do
+    decision =
+      case Policy.Store.get(gateway) do
+        nil -> {:deny, :policy, "the gateway has no policy"}
+        policy -> judge(policy, Context.of(gateway, snapshot, nil, now))
+      end
+
+    entry = %{
+      "type" => "decision",
+      "command" => "arm",
+      "vehicle" => snapshot.id,
+      "via" => "arm authorization"
+    }
+
+    Audit.note(gateway, Map.merge(entry, told(decision)))
+    decision
+  end
+
+  # As whoever is in charge: the rule about that asks only whether somebody has to be.
+  defp judge(policy, context) do
+    name = with %Lease{holder: holder} <- context.lease, do: holder
+    source = Roles.principal(:vehicle, name || "the vehicle", :admin)
+    Policy.decide(policy, Intent.named("arm"), %{context | source: source})
+  end
+
+  defp told(:allow), do: %{"decision" => "allow"}
+  defp told({:deny, rule, reason}), do: %{"decision" => "deny", "rule" => rule, "reason" => reason}
+end

@@ -1,0 +1,294 @@
+defmodule Aerie.Control.Policy.Intent do
+  @moduledoc """
+  What a command asks for, in the words that the rules judge by. A command of the table and a raw MAVLink message that
+  means the same have the same facts.
+  """
+
+  import Bitwise
+
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Control.Policy.{Context, Lease, Protection}
+
+  @enforce_keys [:type, :permission]
+  defstruct [
+    :type,
+    :permission,
+    :mode,
+    :standard_mode,
+    :control,
+    :unknown,
+    :number,
+    :switches,
+    also: [],
+    modes: [],
+    implies: [],
+    path: :none,
+    moves?: false,
+    stored?: false,
+    ends_flight?: false,
+    what: "the target"
+  ]
+
+  @typedoc """
+  A height in metres: above home, above mean sea level, above the ground there, or `:same`, which the vehicle has already.
+  """
+  @type height :: {:home | :msl | :terrain, number()} | :same
+
+  @typedoc "A place that a command names. Latitude and longitude nil: where the vehicle is."
+  @type place :: %{lat: number() | nil, lon: number() | nil, height: height()}
+
+  @typedoc """
+  Where a command brings a vehicle:
+
+    * `{:to, places}` - straight from where it is to the first place, from there to the next …
+    * `{:along, places}` - from place to place; how it gets to the first one is not known
+    * `{:from, place, place}` - from one place to another
+    * `{:at, places}` - places that are stored: a home, corners of a fence
+    * `{:around, place, metres}` - to the nearest point of a circle, and around on it; `{:ring, place, metres}` - around on it,
+      however it gets there
+    * `{:offset, {north, east, down}}` - so many metres from the origin of its local coordinates; nil: on that axis it stays where it is
+    * `{:shift, frame, {x, y, down}}` - so many metres from where it is: x to the north and y to the east, or, in the frame
+      `:body`, ahead and to the right
+    * `{:drift, drift}` - a velocity (`t:drift/0`); `{:onward, path, drift}` - from the end of a path on
+    * `{:level, height}` - to a height, wherever it is then
+    * `{:all, paths}` - to each of them, because firmwares read the message in different ways
+    * `:anywhere` - where it leads, nobody can tell: no fence and no limit of height allows it
+  """
+  @type path ::
+          :none
+          | :anywhere
+          | {:all, [path()]}
+          | {:level, height()}
+          | {:to | :along | :at, [place()]}
+          | {:from, place(), place()}
+          | {:around | :ring, place(), number()}
+          | {:offset, {number() | nil, number() | nil, number() | nil}}
+          | {:shift, :north | :body, {number(), number(), number()}}
+          | {:drift, drift()}
+          | {:onward, path(), drift()}
+
+  @typedoc """
+  A velocity in m/s and an acceleration in m/s². `:frame` - `:any`: in whichever direction; `:hold` - for how many seconds the gateway
+  repeats it; `:vertical?` - whether it changes the height.
+  """
+  @type drift :: %{
+          frame: :north | :body | :any,
+          velocity: {number(), number(), number()},
+          acceleration: {number(), number(), number()},
+          hold: number(),
+          vertical?: boolean()
+        }
+
+  @typedoc """
+  Pulse widths of channels in µs by their numbers, and the numbers of buttons that are pressed, from 0; `:unknown` for a message that says
+  neither in a way that is known here.
+  """
+  @type switches :: %{channels: %{(1..18) => integer()}, buttons: [0..31]} | :unknown
+
+  @typedoc "A message by its id, or a command of MAV_CMD."
+  @type unknown :: {:message, non_neg_integer()} | {:command, non_neg_integer()}
+
+  @typedoc """
+    * `:permission` - what a source must be allowed to do (`t:Aerie.Command.Type.permission/0`)
+    * `:also` - permissions that it needs besides
+    * `:unknown` - that no table of the gateway knows the message or command; `:number` - what is wrong with one of its numbers
+    * `:mode` - the mode that it asks for, by its name; `:modes` - others for which a firmware may take it;
+      `:standard_mode` - the mode by the name of MAVLink's standard modes
+    * `:implies` - the types that it amounts to while the vehicle is on the ground: what may make it take off or arm
+    * `:control` - how it changes who is in charge of the vehicle
+    * `:moves?` - the vehicle may move because of it; `:stored?` - it comes as raw MAVLink, and a disarmed vehicle may keep it until it is armed
+    * `:switches` - channels of the remote control, and buttons, that it works (`t:switches/0`)
+    * `:ends_flight?` - it holds the vehicle or brings it down; only roles, conditions and modes keep such a command from it
+    * `:what` - what refusals call the place that it names
+  """
+  @type t :: %__MODULE__{
+          type: String.t(),
+          permission: Type.permission(),
+          also: [Type.permission()],
+          unknown: unknown() | nil,
+          number: String.t() | nil,
+          modes: [String.t()],
+          implies: [String.t()],
+          mode: String.t() | nil,
+          standard_mode: String.t() | nil,
+          control: Lease.change() | nil,
+          path: path(),
+          moves?: boolean(),
+          stored?: boolean(),
+          switches: switches() | nil,
+          ends_flight?: boolean(),
+          what: String.t()
+        }
+
+  @ending ~w(disarm force_disarm land rtl hold mission_pause parachute terminate)
+
+  # Modes that do the same, by the names of all firmwares, and MAVLink's standard modes.
+  @ending_modes ~w(RTL SMART_RTL AUTO_RTL QRTL LAND AUTO_LAND QLAND AUTO_PRECLAND LOITER AUTO_LOITER QLOITER QHOVER POSHOLD
+    BRAKE HOLD SURFACE)
+  @ending_standard ~w(position_hold safe_recovery land)
+
+  # What may make a vehicle leave the ground, or arm (PX4 does with a mission's start).
+  @implies Map.merge(
+             Map.new(~w(resume jump mission_set_current land_start goto orbit), &{&1, ["takeoff"]}),
+             %{"mission_start" => ["takeoff", "arm"]}
+           )
+  @lifting_modes ~w(AUTO AUTO_MISSION AUTO_READY MISSION TAKEOFF AUTO_TAKEOFF AUTO_VTOL_TAKEOFF GUIDED GUIDED_NOGPS
+    GUIDED_COURSE OFFBOARD FOLLOW FOLLOWME AUTO_FOLLOW_TARGET THROW AVOID_ADSB AUTO_RTL)
+  @lifting_standard ~w(mission takeoff)
+  # They are never in the air.
+  @grounded ~w(rover boat sub tracker)
+
+  # PX4's mode that is the end of a flight.
+  @termination "TERMINATION"
+
+  @transfers ~w(mission_upload fence_upload rally_upload set_parameter write_file payload raw)
+
+  @doc "Types that are no command of the table: what raw MAVLink asks for besides (`Aerie.Control.Policy.Mavlink`)."
+  @spec raw() :: [String.t()]
+  def raw, do: ["aux_function" | @transfers]
+
+  @doc "Those of them that come as fast as the vehicle asks for them."
+  @spec transfers() :: [String.t()]
+  def transfers, do: @transfers
+
+  @doc "Commands that hold a vehicle or bring it down."
+  @spec ending() :: [String.t()]
+  def ending, do: @ending
+
+  @doc "The facts of parameters that are set, by their names; nil for one whose name is not known."
+  @spec set_parameters([String.t() | nil]) :: t()
+  def set_parameters(names) do
+    guarded? = Enum.any?(names, &(&1 == nil or Protection.parameter?(&1)))
+    %__MODULE__{type: "set_parameter", permission: :maintain, also: protection(guarded?)}
+  end
+
+  @doc "The facts of a file that is written, moved or removed, by its path."
+  @spec write_file(String.t()) :: t()
+  def write_file(path),
+    do: %__MODULE__{type: "write_file", permission: :maintain, also: protection(Protection.file?(path))}
+
+  defp protection(true), do: [:protection]
+  defp protection(false), do: []
+
+  @doc "The facts of a command that was checked by the table (`Aerie.Vehicle.Command.parse/2`)."
+  @spec of(Command.t()) :: t()
+  def of(command), do: named(command.type, asked(command.type, command.params))
+
+  @doc "The facts of a type of the table, with some of their own."
+  @spec named(String.t(), keyword()) :: t()
+  def named(name, fields \\ []) do
+    type = Types.fetch!(name)
+
+    facts = %__MODULE__{
+      type: type.name,
+      permission: type.permission,
+      moves?: type.moves_vehicle?,
+      ends_flight?: type.name in @ending
+    }
+
+    %{facts | implies: Map.get(@implies, name, [])} |> struct!(fields) |> by_mode()
+  end
+
+  @doc "The numbers of the buttons that are pressed, from 0."
+  @spec pressed(non_neg_integer()) :: [0..31]
+  def pressed(bits), do: for(n <- 0..31, (bits >>> n &&& 1) == 1, do: n)
+
+  @doc "A velocity as a drift. Options: `:hold`, `:acceleration`."
+  @spec drift(:north | :body | :any, {number(), number(), number()}, keyword()) :: drift()
+  def drift(frame, {_x, _y, down} = velocity, options \\ []) do
+    {_ax, _ay, faster} = acceleration = Keyword.get(options, :acceleration, {0, 0, 0})
+
+    %{
+      frame: frame,
+      velocity: velocity,
+      acceleration: acceleration,
+      hold: Keyword.get(options, :hold, 0),
+      vertical?: down != 0 or faster != 0
+    }
+  end
+
+  @doc "What refusals call the place to which a velocity leads."
+  @spec drift_what() :: String.t()
+  def drift_what, do: "where that velocity leads before the vehicle stands"
+
+  @doc "The types by which a command is judged: its own, and on the ground those that it amounts to."
+  @spec types(t(), Context.t()) :: [String.t(), ...]
+  def types(%{implies: []} = facts, _context), do: [facts.type]
+  def types(facts, %{in_air: true}), do: [facts.type]
+
+  def types(facts, %{vehicle_type: kind}) when kind in @grounded,
+    do: [facts.type | facts.implies -- ["takeoff"]]
+
+  def types(facts, _context), do: [facts.type | facts.implies]
+
+  defp by_mode(%{mode: nil, standard_mode: nil} = facts), do: facts
+
+  defp by_mode(facts) do
+    modes = for mode <- [facts.mode | facts.modes], mode != nil, do: String.upcase(mode)
+    standard = facts.standard_mode
+    ends? = if modes == [], do: standard in @ending_standard, else: Enum.all?(modes, &(&1 in @ending_modes))
+    lifts? = Enum.any?(modes, &lifts?/1) or standard in @lifting_standard
+
+    %{
+      facts
+      | ends_flight?: ends?,
+        implies: Enum.uniq(facts.implies ++ if(lifts?, do: ["takeoff"], else: [])),
+        also: Enum.uniq(facts.also ++ if(@termination in modes, do: [:terminate], else: []))
+    }
+  end
+
+  # What a mode does that has no name here, nobody knows.
+  defp lifts?("MODE(" <> _number), do: true
+  defp lifts?("EXTERNAL" <> _number), do: true
+  defp lifts?(mode), do: mode in @lifting_modes
+
+  defp asked("takeoff", %{altitude: metres}),
+    do: [path: {:to, [here({:home, metres})]}, what: "the height to climb to"]
+
+  defp asked("goto", params), do: [path: {:to, [place(params)]}]
+  defp asked("setpoint_position", params), do: [path: {:to, [place(params)]}]
+  defp asked("set_altitude", params), do: [path: {:to, [place(params)]}, what: "the height to fly at"]
+  defp asked("orbit", params), do: [path: {:around, place(params), params.radius}, what: "the circle"]
+  defp asked("setpoint_attitude", _params), do: [path: :anywhere]
+  defp asked("setpoint_local", params), do: [path: {:offset, {params.north, params.east, params.down}}]
+
+  # The vehicle turns a velocity ahead and to the right into one to the north and the east each time it comes, and its nose may turn with it.
+  defp asked("setpoint_velocity", params) do
+    straight? = params.vy == 0 and params.vx >= 0 and (params[:yaw_rate] || 0) == 0
+    frame = if params.frame == "body", do: if(straight?, do: :body, else: :any), else: :north
+    drift = drift(frame, {params.vx, params.vy, params.vz}, hold: params.hold)
+    [path: {:drift, drift}, what: drift_what()]
+  end
+
+  # 0 leaves a channel to the pilot.
+  defp asked("rc_override", params) do
+    channels = for {us, n} <- Enum.with_index(params.channels, 1), us != 0, into: %{}, do: {n, us}
+    [switches: %{channels: channels, buttons: []}]
+  end
+
+  defp asked("manual_control", params), do: [switches: %{channels: %{}, buttons: pressed(params.buttons)}]
+
+  defp asked("set_home", %{lat: lat, lon: lon, altitude_msl: metres}),
+    do: [path: {:at, [%{lat: lat, lon: lon, height: {:msl, metres}}]}, what: "the new home"]
+
+  defp asked("set_home", _here), do: [path: {:at, [here(:same)]}, what: "the new home"]
+  defp asked("set_mode", params), do: [mode: params[:mode], standard_mode: params[:standard_mode]]
+  defp asked("take_control", params), do: [control: {:take, params[:reason], nil}]
+  defp asked("hand_over_control", params), do: [control: {:offer, params[:to] || :anyone}]
+  defp asked("release_control", _params), do: [control: :release]
+  defp asked("set_geofence", %{enabled: false}), do: [also: [:protection]]
+  # The fence and the failsafes are reset, too.
+  defp asked("reset_params", _params), do: [also: [:protection]]
+  # Only a release brings it down.
+  defp asked("parachute", params), do: [ends_flight?: params.action == "release"]
+  defp asked(_other, _params), do: []
+
+  defp here(height), do: %{lat: nil, lon: nil, height: height}
+  defp place(params), do: %{lat: params[:lat], lon: params[:lon], height: height(params)}
+
+  defp height(%{altitude: metres, altitude_reference: "msl"}), do: {:msl, metres}
+  defp height(%{altitude: metres, altitude_reference: "terrain"}), do: {:terrain, metres}
+  defp height(%{altitude: metres}), do: {:home, metres}
+  defp height(_none), do: :same
+end

@@ -1,0 +1,78 @@
+defmodule Aerie.Control.Policy.Leases do
+  @moduledoc """
+  Who is in charge of each vehicle of a gateway: a table of the store, which any process reads and changes without waiting for
+  another. Subscribers of `:leases` (`Aerie.Base.PubSub`) get `{vehicle_key, lease}` of each change, nil for nobody in charge.
+
+  The table ends with the gateway: after its restart nobody is in charge.
+  """
+
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Router
+  alias Aerie.Control.Policy.{Lease, Roles}
+  alias Aerie.Base.PubSub
+
+  @doc "The table that the store owns for this module."
+  @spec table() :: Store.table()
+  def table, do: {:leases, [:set, read_concurrency: true], []}
+
+  @doc """
+  Who is in charge of a vehicle; nil for nobody. A program that is gone cannot hand over, so anybody who may fly may take it then.
+  """
+  @spec of(Names.gateway(), Store.vehicle_key()) :: Lease.t() | nil
+  def of(gateway, key) do
+    case row(gateway, key) do
+      %Lease{endpoint: endpoint} = lease when endpoint != nil ->
+        if Router.connected?(gateway, endpoint), do: lease, else: %{lease | offered_to: :anyone}
+
+      lease ->
+        lease
+    end
+  end
+
+  defp row(gateway, key),
+    do: Store.with_table(gateway, :leases, nil, &:ets.lookup_element(&1, key, 2, nil))
+
+  @doc "All vehicles that somebody is in charge of."
+  @spec all(Names.gateway()) :: %{Store.vehicle_key() => Lease.t()}
+  def all(gateway), do: Map.new(Store.with_table(gateway, :leases, [], &:ets.tab2list/1))
+
+  @doc "Changes who is in charge (`Aerie.Control.Policy.Lease.change/6`). Of several that take it at once, one succeeds."
+  @spec change(
+          Names.gateway(),
+          Store.vehicle_key(),
+          Lease.change(),
+          Roles.source(),
+          String.t(),
+          Lease.rules()
+        ) ::
+          {:ok, Lease.t() | nil} | {:deny, String.t()}
+  def change(gateway, key, change, source, via, rules) do
+    before = row(gateway, key)
+
+    with {:ok, lease} <-
+           Lease.change(of(gateway, key), change, source, via, rules, System.os_time(:microsecond)) do
+      cond do
+        lease == before ->
+          {:ok, lease}
+
+        swap(Store.table!(gateway, :leases), key, before, lease) ->
+          PubSub.publish(gateway, :leases, {key, lease})
+          {:ok, lease}
+
+        # Somebody else was faster: what they did counts.
+        true ->
+          change(gateway, key, change, source, via, rules)
+      end
+    end
+  end
+
+  defp swap(table, key, nil, lease), do: :ets.insert_new(table, {key, lease})
+
+  defp swap(table, key, before, nil),
+    do: :ets.select_delete(table, [{{key, :"$1"}, [{:"=:=", :"$1", {:const, before}}], [true]}]) == 1
+
+  defp swap(table, key, before, lease) do
+    row = {{{:const, key}, {:const, lease}}}
+    :ets.select_replace(table, [{{key, :"$1"}, [{:"=:=", :"$1", {:const, before}}], [row]}]) == 1
+  end
+end

@@ -1,0 +1,277 @@
+defmodule Aerie.Control.Policy.Mavlink do
+  @moduledoc """
+  What a raw MAVLink message asks of a vehicle, in the words of the policy (`Aerie.Control.Policy.Intent`): the same rules judge a
+  ground station's DO_REPOSITION and a `goto`.
+
+  Commands of MAV_CMD are read by `Aerie.Control.Policy.Mavlink.Commands`. What is not a command of the table has a type of its own:
+
+  | type | messages | permission |
+  |---|---|---|
+  | `mission_upload`, `fence_upload`, `rally_upload` | MISSION_COUNT, MISSION_ITEM(_INT), MISSION_WRITE_PARTIAL_LIST, MISSION_CLEAR_ALL, FENCE_POINT, RALLY_POINT | `mission` |
+  | `set_parameter` | PARAM_SET, PARAM_EXT_SET, PARAM_MAP_RC | `maintain` |
+  | `write_file` | FILE_TRANSFER_PROTOCOL with an operation that writes; LOG_ERASE | `maintain` |
+  | `aux_function` | DO_AUX_FUNCTION, as far as it is not another command by another name (`Aerie.Control.Policy.Mavlink.AuxFunctions`) | by function |
+  | `mav_cmd_N` | a command that has no type of its own | by its row (`MavRouter.Authority.Commands`) |
+  | `raw` | every other message that changes a vehicle, and those that cannot be read | `maintain` |
+
+  An item of a mission needs `mission`, and what its command needs if that is more than an operator has. Parameters and files that protect
+  a vehicle, and a fence that is removed, need `protection` besides (`Aerie.Control.Policy.Protection`).
+
+  Items of a mission come one by one: `Aerie.Control.Policy.Mavlink.Upload` remembers where the last one was, so that the way from it is
+  judged, too.
+  """
+
+  alias MavRouter.Authority
+  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Mavlink.{Commands, Place, Request, Setpoints, Sticks}
+  alias MavCodec.Enums.{MavCmd, MavMissionType, MavRemoteLogDataBlockCommands}
+  alias MavCodec.Messages, as: M
+
+  @typedoc "What is known of the vehicle: its firmware and its kind, as its snapshot has them."
+  @type vehicle :: %{autopilot: :ardupilot | :px4 | :generic, vehicle_type: String.t()}
+
+  @fence MavMissionType.value(:MAV_MISSION_TYPE_FENCE)
+  @rally MavMissionType.value(:MAV_MISSION_TYPE_RALLY)
+  @all_types MavMissionType.value(:MAV_MISSION_TYPE_ALL)
+  # Where the vehicle may be. Exclusions may lie anywhere.
+  @fence_inside [
+    MavCmd.value(:MAV_CMD_NAV_FENCE_RETURN_POINT),
+    MavCmd.value(:MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION),
+    MavCmd.value(:MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
+  ]
+  # Operations of FTP that only read, or end what is read, and its answers; the one of the others whose data are no path.
+  @ftp_reads [0, 1, 2, 3, 4, 5, 14, 15, 128, 129]
+  @ftp_write 7
+
+  @log_orders [
+    MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_STOP),
+    MavRemoteLogDataBlockCommands.value(:MAV_REMOTE_LOG_DATA_BLOCK_START)
+  ]
+
+  @payload [
+    M.GimbalControl,
+    M.GimbalDeviceSetAttitude,
+    M.GimbalManagerSetAttitude,
+    M.GimbalManagerSetPitchyaw,
+    M.GimbalManagerSetManualControl,
+    M.MountControl,
+    M.MountConfigure,
+    M.DigicamControl,
+    M.DigicamConfigure,
+    M.GoproSetRequest,
+    M.Storm32GimbalManagerControl,
+    M.Storm32GimbalManagerControlPitchyaw,
+    M.Storm32GimbalManagerCorrectRoll,
+    M.LedControl,
+    M.LedStripConfig,
+    M.PlayTune,
+    M.PlayTuneV2
+  ]
+  @sticks [M.RcChannelsOverrideV2, M.RadioRcChannels, M.CubepilotRawRc]
+  @attitude [M.SetAttitudeTarget, M.SetActuatorControlTarget, M.ManualSetpoint]
+
+  @doc "The facts of a message; `:free` for one that only reads."
+  @spec facts(struct(), vehicle()) :: Intent.t() | :free
+  def facts(message, vehicle) do
+    with %Intent{} = facts <- read(message, vehicle), do: %{facts | stored?: stored?(facts, vehicle)}
+  end
+
+  # PX4 arms with it.
+  defp stored?(%{type: "mission_start"}, %{autopilot: :px4}), do: false
+
+  defp stored?(facts, vehicle) do
+    case Types.fetch(facts.type) do
+      {:ok, type} -> not Type.taken_disarmed?(type, vehicle.autopilot, vehicle.vehicle_type)
+      :error -> facts.permission == :fly and "takeoff" in facts.implies
+    end
+  end
+
+  defp read(%M.CommandLong{} = m, vehicle), do: Commands.facts(m, vehicle)
+  defp read(%M.CommandInt{} = m, vehicle), do: Commands.facts(m, vehicle)
+
+  defp read(%M.CommandCancel{command: command}, _vehicle),
+    do: own("mav_cmd_#{command}", :fly, ends_flight?: true)
+
+  defp read(%M.SetMode{} = m, vehicle), do: Commands.set_mode(m.base_mode, m.custom_mode, vehicle)
+
+  defp read(%module{param_id: name}, _vehicle) when module in [M.ParamSet, M.ParamExtSet],
+    do: Intent.set_parameters([name])
+
+  # A number other than -1 counts in place of the name.
+  defp read(%M.ParamMapRc{param_index: -1, param_id: name}, _vehicle), do: Intent.set_parameters([name])
+  defp read(%M.ParamMapRc{}, _vehicle), do: Intent.set_parameters([nil])
+
+  defp read(%M.MissionCount{mission_type: type, count: count}, _vehicle),
+    do: upload(type, removed(type, count))
+
+  defp read(%M.MissionWritePartialList{mission_type: type}, _vehicle), do: upload(type)
+  defp read(%M.MissionClearAll{mission_type: type}, _vehicle), do: upload(type, removed(type, 0))
+  defp read(%M.MissionSetCurrent{}, _vehicle), do: Intent.named("mission_set_current")
+
+  # ArduPilot's way to say "go there now" and "be that high now".
+  defp read(%module{current: 2} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+    do: Intent.named("goto", path: {:to, [Place.of(m)]})
+
+  defp read(%module{current: 3} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+    do:
+      Intent.named("set_altitude",
+        path: {:to, [%{Place.of(m) | lat: nil, lon: nil}]},
+        what: "the height to fly at"
+      )
+
+  defp read(%module{mission_type: @fence} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt] do
+    if m.command in @fence_inside,
+      do: upload(@fence, path: {:at, [%{Place.of(m) | height: :same}]}, what: "fence item #{m.seq}"),
+      else: upload(@fence)
+  end
+
+  defp read(%module{mission_type: @rally} = m, _vehicle) when module in [M.MissionItem, M.MissionItemInt],
+    do: upload(@rally, path: {:at, [Place.of(m)]}, what: "rally point #{m.seq}")
+
+  defp read(%module{} = m, vehicle) when module in [M.MissionItem, M.MissionItemInt], do: item(m, vehicle)
+
+  defp read(%M.FencePoint{lat: lat, lng: lon, idx: n, count: count}, _vehicle) do
+    place = %{lat: lat, lon: lon, height: :same}
+    upload(@fence, [path: {:at, [place]}, what: "fence point #{n}"] ++ removed(@fence, count))
+  end
+
+  defp read(%M.RallyPoint{lat: lat, lng: lon, alt: metres, idx: n}, _vehicle),
+    do: upload(@rally, path: {:at, [Place.int(lat, lon, {:home, metres})]}, what: "rally point #{n}")
+
+  defp read(%M.RcChannelsOverride{} = m, _vehicle),
+    do: Intent.named("rc_override", switches: %{channels: Sticks.channels(m), buttons: []})
+
+  defp read(%module{}, _vehicle) when module in @sticks, do: Intent.named("rc_override", switches: :unknown)
+
+  defp read(%M.ManualControl{} = m, _vehicle),
+    do: Intent.named("manual_control", switches: %{channels: %{}, buttons: Sticks.buttons(m)})
+
+  # Where an attitude leads, nobody can tell.
+  defp read(%module{}, _vehicle) when module in @attitude,
+    do: Intent.named("setpoint_attitude", path: :anywhere)
+
+  defp read(%module{} = m, vehicle)
+       when module in [M.SetPositionTargetGlobalInt, M.SetPositionTargetLocalNed],
+       do: Setpoints.facts(m, vehicle)
+
+  defp read(%M.SetHomePosition{} = m, _vehicle) do
+    place = Place.int(m.latitude, m.longitude, {:msl, m.altitude / 1000})
+    Intent.named("set_home", path: {:at, [place]}, what: "the new home")
+  end
+
+  defp read(%M.SetGpsGlobalOrigin{}, _vehicle), do: Intent.named("set_origin")
+
+  # PX4 takes those of somebody else for its pilot's sticks.
+  defp read(%M.RcChannels{}, _vehicle), do: Intent.named("rc_override", switches: :unknown)
+
+  # A vehicle that follows goes there.
+  defp read(%M.FollowTarget{lat: lat, lon: lon, alt: metres}, _vehicle) do
+    own("follow_target", :fly,
+      moves?: true,
+      path: {:to, [Place.int(lat, lon, {:msl, Place.number(metres)})]},
+      what: "the place of who is followed"
+    )
+  end
+
+  defp read(%M.FileTransferProtocol{payload: <<_sequence::16, _session, operation, rest::binary>>}, _vehicle) do
+    case {operation, rest} do
+      {reads, _bytes} when reads in @ftp_reads -> :free
+      {@ftp_write, _bytes} -> Intent.write_file("")
+      {_writes, <<_header::binary-size(8), path::binary>>} -> Intent.write_file(path)
+    end
+  end
+
+  # It starts and stops the log; its receipts for the blocks of a log change nothing, and are many.
+  defp read(%M.RemoteLogBlockStatus{seqno: seqno}, _vehicle) when seqno not in @log_orders, do: :free
+
+  defp read(%M.LogErase{}, _vehicle), do: own("write_file", :maintain)
+  defp read(%M.RequestDataStream{}, _vehicle), do: Intent.named("set_message_interval")
+  defp read(%module{}, _vehicle) when module in @payload, do: own("payload", :payload)
+  defp read(_other, _vehicle), do: unreadable()
+
+  @doc "The facts of what cannot be read, or is not known: only who may do everything may send it."
+  @spec unreadable() :: Intent.t()
+  def unreadable, do: own("raw", :maintain)
+
+  @doc "The facts of a message without a row, by its id: it is refused, unless the policy opens it."
+  @spec unknown(message :: non_neg_integer()) :: Intent.t()
+  def unknown(message), do: own("raw", :maintain, unknown: {:message, message})
+
+  # What its command needs beyond `mission`. An operator may put the rest into a mission.
+  @strong [:terminate, :force_disarm, :protection, :maintain]
+
+  defp item(m, vehicle) do
+    case Authority.Commands.get(m.command) do
+      nil ->
+        upload(0, unknown: {:command, m.command}, also: [:maintain])
+
+      row ->
+        request = Request.of(m, vehicle)
+        command = Commands.read(request, row, vehicle)
+
+        upload(0,
+          also: Enum.filter(Enum.uniq([command.permission | command.also]), &(&1 in @strong)) ++ moved(row),
+          number: command.number,
+          mode: command.mode,
+          modes: command.modes,
+          standard_mode: command.standard_mode,
+          path: stop(row.as_item, m, row, request, vehicle),
+          what: "mission item #{m.seq}"
+        )
+    end
+  end
+
+  # A mission moves home, or the origin, in flight.
+  defp moved(%{name: name}) when name in ["DO_SET_HOME", "DO_SET_GLOBAL_ORIGIN"], do: [:protection]
+  defp moved(_row), do: []
+
+  # Item 0 of ArduPilot is home, and ArduPilot takes no notice of what is sent for it.
+  defp stop(_place, %{seq: 0}, _row, _request, %{autopilot: :ardupilot}), do: :none
+  defp stop(:none, _m, _row, _request, _vehicle), do: :none
+  defp stop(:anywhere, _m, _row, _request, _vehicle), do: :anywhere
+  defp stop(:climb, _m, _row, request, _vehicle), do: Request.climb(request)
+
+  # Its height is the first parameter, and its frame the second.
+  defp stop(:height, m, %{name: "DO_CHANGE_ALTITUDE"}, request, _vehicle) do
+    frame = Request.int(request, 2) || -1
+    {:at, [%{lat: nil, lon: nil, height: Place.height(frame, m.param1)}]}
+  end
+
+  defp stop(:height, m, _row, _request, _vehicle), do: {:at, [%{Place.item(m) | lat: nil, lon: nil}]}
+
+  # A mark, or a home: no way leads there.
+  defp stop(:stored, _m, %{name: "DO_SET_HOME"}, request, _vehicle) do
+    case Enum.reject(Commands.homes(request), &(&1.lat == nil)) do
+      [] -> :none
+      homes -> {:along, homes}
+    end
+  end
+
+  defp stop(:stored, m, _row, _request, _vehicle) do
+    case Place.item(m) do
+      %{lat: nil} -> :none
+      place -> {:along, [%{place | height: :same}]}
+    end
+  end
+
+  defp stop(:flown, m, _row, request, _vehicle) do
+    place = Place.item(m)
+
+    case Request.radius(request) do
+      nil -> {:at, [place]}
+      metres -> {:all, [{:at, [place]}, {:ring, place, metres}]}
+    end
+  end
+
+  defp removed(type, 0) when type in [@fence, @all_types], do: [also: [:protection]]
+  defp removed(_type, _count), do: []
+
+  defp upload(mission_type, fields \\ [])
+  defp upload(@fence, fields), do: own("fence_upload", :mission, fields)
+  defp upload(@rally, fields), do: own("rally_upload", :mission, fields)
+  defp upload(_mission, fields), do: own("mission_upload", :mission, fields)
+
+  defp own(type, permission, fields \\ []),
+    do: struct!(%Intent{type: type, permission: permission}, fields)
+end

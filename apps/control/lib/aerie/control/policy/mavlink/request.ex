@@ -1,0 +1,105 @@
+defmodule Aerie.Control.Policy.Mavlink.Request do
+  @moduledoc "COMMAND_LONG, COMMAND_INT and the items of a mission, brought to one form: a command of MAV_CMD, its parameters, and its place."
+
+  alias MavRouter.Authority.Commands.Numbers
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Control.Policy.Mavlink.Place
+  alias MavCodec.Enums.MavCmd
+  alias MavCodec.Messages, as: M
+
+  @unset 0x7FFFFFFF
+  @local_ned 1
+
+  @enforce_keys [:command, :params, :path, :frame?]
+  defstruct [:command, :params, :path, :frame?]
+
+  @typedoc """
+  `:params` by their number, as they came; `:path` leads to the place that the parameters 5 to 7 name; `:frame?` - whether the message says
+  what its height is above.
+  """
+  @type t :: %__MODULE__{
+          command: non_neg_integer(),
+          params: %{(1..7) => term()},
+          path: Intent.path(),
+          frame?: boolean()
+        }
+
+  @doc "The request of a message."
+  @spec of(struct(), Aerie.Control.Policy.Mavlink.vehicle()) :: t()
+  def of(%M.CommandLong{} = m, vehicle) do
+    place = Place.floats(m.param5, m.param6, long_height(m.param7, vehicle))
+    new(m, {m.param5, m.param6, m.param7}, {:to, [place]})
+  end
+
+  def of(%M.CommandInt{frame: @local_ned} = m, _vehicle),
+    do: new(m, {m.x, m.y, m.z}, Place.local(@local_ned, {m.x / 1.0e4, m.y / 1.0e4, m.z}))
+
+  def of(%M.CommandInt{} = m, vehicle),
+    do: new(m, {int(m.x), int(m.y), m.z}, {:to, readings(Place.of(m), vehicle)})
+
+  def of(%M.MissionItem{} = m, _vehicle), do: new(m, {m.x, m.y, m.z}, {:to, [Place.item(m)]})
+  def of(%M.MissionItemInt{} = m, _vehicle), do: new(m, {int(m.x), int(m.y), m.z}, {:to, [Place.item(m)]})
+
+  defp new(m, {p5, p6, p7}, path) do
+    params = %{1 => m.param1, 2 => m.param2, 3 => m.param3, 4 => m.param4, 5 => p5, 6 => p6, 7 => p7}
+    %__MODULE__{command: m.command, params: params, path: path, frame?: not is_struct(m, M.CommandLong)}
+  end
+
+  # COMMAND_LONG has no frame: PX4 takes its height above mean sea level, ArduPilot above home.
+  defp long_height(metres, _vehicle) when not is_number(metres), do: :same
+  defp long_height(metres, %{autopilot: :px4}), do: {:msl, metres}
+  defp long_height(metres, _vehicle), do: {:home, metres}
+
+  # PX4 takes no notice of the frame, and every height as above mean sea level.
+  defp readings(%{height: {above, metres}} = place, %{autopilot: :px4}) when above != :msl,
+    do: [place, %{place | height: {:msl, metres}}]
+
+  defp readings(place, _vehicle), do: [place]
+
+  defp int(@unset), do: :nan
+  defp int(value), do: value
+
+  @doc "The integer that a parameter is, nil for one that is none."
+  @spec int(t(), 1..7) :: integer() | nil
+  def int(request, index) do
+    case Numbers.integer(request.params[index]) do
+      {:ok, number} -> number
+      :error -> nil
+    end
+  end
+
+  @doc "A parameter as a number, 0 for what is none."
+  @spec number(t(), 1..7) :: number()
+  def number(request, index), do: Place.number(request.params[index])
+
+  # Which of its parameters is the radius of a circle around its place.
+  @radius for {names, index} <- [
+                {~w(NAV_LOITER_UNLIM NAV_LOITER_TURNS NAV_LOITER_TIME), 3},
+                {~w(NAV_LOITER_TO_ALT), 2},
+                {~w(DO_ORBIT DO_FIGURE_EIGHT SET_GUIDED_SUBMODE_CIRCLE), 1}
+              ],
+              name <- names,
+              into: %{},
+              do: {MavCmd.value(:"MAV_CMD_#{name}"), index}
+
+  @doc "The radius of the circle that the vehicle flies around its place, nil if it flies none that is given."
+  @spec radius(t()) :: float() | nil
+  def radius(%{command: command} = request) do
+    with index when index != nil <- @radius[command],
+         metres when metres != 0 <- number(request, index),
+         do: abs(metres) * 1.0,
+         else: (_none -> nil)
+  end
+
+  @doc "The path to the height in its first parameter; 0 leaves it to the vehicle."
+  @spec climb(t()) :: Intent.path()
+  def climb(request) do
+    metres = number(request, 1)
+    if metres == 0, do: :none, else: {:level, {:home, metres}}
+  end
+
+  @doc "The first place that it names."
+  @spec place(t()) :: Intent.place()
+  def place(%{path: {:to, [place | _]}}), do: place
+  def place(_local), do: %{lat: nil, lon: nil, height: :same}
+end

@@ -1,0 +1,265 @@
+defmodule Aerie.Control.Policy.MavlinkPolicy do
+  @moduledoc """
+  The policy for raw MAVLink of clients (`MavRouter.Router.Policy`): reads what a message asks for (`Aerie.Control.Policy.Mavlink`), decides by
+  the gateway's policy, answers a refusal (`Aerie.Control.Policy.Mavlink.Refusal`), and writes it into the audit log.
+
+  It runs in the process that received the message and waits for nobody: rates and what was told when are remembered there,
+  for each client's process. A refusal that repeats itself (set-points, sticks) is answered each time where its protocol has
+  an answer; its STATUSTEXT comes every 5 s, and so does its record.
+
+  Telemetry: `[:aerie, :policy, :refused]` (`count` 1; `gateway`, `vehicle`, `source`, `type`, `rule`), with each refusal.
+  """
+
+  @behaviour MavRouter.Router.Policy
+
+  alias MavRouter.Authority.Principal
+  alias Aerie.Base.Store
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Audit, Context, Intent, Leases, Mavlink, Rate, RecentCommands, Rules}
+  alias MavCodec.Dialects.All
+  alias MavCodec.Frame
+  alias MavCodec.Messages, as: M
+
+  @input %Intent{type: "sensor_input", permission: :sensors}
+  @told_us 5_000_000
+  @max_told 500
+  # Frames of streams and of uploads are too many for the log; what they begin with is in it.
+  @recorded [
+    M.CommandLong,
+    M.CommandInt,
+    M.SetMode,
+    M.ParamSet,
+    M.ParamExtSet,
+    M.MissionCount,
+    M.MissionClearAll
+  ]
+
+  @impl MavRouter.Router.Policy
+  def principal(gateway, path) do
+    case Policy.Store.get(gateway) do
+      nil ->
+        %Principal{kind: :client, name: path.owner, role: :admin, may: if(path.commands, do: :all, else: [])}
+
+      policy ->
+        Policy.principal(policy, path)
+    end
+  end
+
+  @impl MavRouter.Router.Policy
+  def permits?(gateway, principal, key) do
+    case Policy.Store.get(gateway) do
+      nil ->
+        true
+
+      policy ->
+        context = %Context{source: principal, lease: Leases.of(gateway, key)}
+        Rules.Lease.check(policy, @input, context) == :ok
+    end
+  end
+
+  @impl MavRouter.Router.Policy
+  def open?(gateway, principal, message) do
+    case Policy.Store.get(gateway) do
+      nil -> true
+      policy -> opened?(policy, message) and Principal.may?(principal, :maintain)
+    end
+  end
+
+  defp opened?(policy, message), do: policy.unknown == :maintain or {:message, message} in policy.open
+
+  @impl MavRouter.Router.Policy
+  def decide(gateway, sender, key, frame) do
+    case Policy.Store.get(gateway) do
+      nil -> :forward
+      policy -> judge(policy, gateway, sender, key, frame)
+    end
+  end
+
+  defp judge(policy, gateway, %{principal: source} = sender, key, frame) do
+    snapshot = Store.vehicle(gateway, key)
+    message = message(frame)
+
+    case message |> facts(snapshot) |> on_the_way(message, key) do
+      :free ->
+        if Principal.may?(source, :telemetry),
+          do: :forward,
+          else: {:refuse, answers(message, frame, snapshot, key), nil}
+
+      facts ->
+        now = System.os_time(:microsecond)
+        vehicle = name(snapshot, key)
+
+        entry = %{
+          "type" => "raw",
+          "source" => source.name,
+          "client" => sender.owner,
+          "peer" => sender.peer,
+          "system" => frame.system,
+          "vehicle" => vehicle,
+          "message" => All.name(frame.id) || frame.id,
+          "command" => facts.type
+        }
+
+        decision =
+          with :ok <- rate(policy, gateway, source.name, vehicle, facts),
+               :allow <- Policy.decide(policy, facts, Context.of(gateway, snapshot, source, now)),
+               :allow <- recorded(gateway, facts, policy.audit_required),
+               do: in_charge(policy, gateway, key, facts, {source, snapshot})
+
+        count(gateway, decision)
+        if decision == :allow and snapshot != nil, do: commanded(gateway, vehicle, source.name, facts)
+        conclude(decision, gateway, entry, {message, frame, key, snapshot})
+    end
+  end
+
+  defp commanded(gateway, vehicle, source, %{type: type} = facts) do
+    RecentCommands.note(gateway, vehicle, source, facts)
+    if String.starts_with?(type, "setpoint_"), do: RecentCommands.setpoint(gateway, vehicle), else: :ok
+  end
+
+  defp count(gateway, :allow), do: Store.count(gateway, {:policy, :allow, nil})
+  defp count(gateway, {:deny, rule, _reason}), do: Store.count(gateway, {:policy, :deny, rule})
+
+  defp message(frame) do
+    case MavCodec.decode(frame) do
+      {:ok, message} -> message
+      {:error, _unknown} -> nil
+    end
+  end
+
+  defp answers(message, frame, snapshot, key),
+    do: message |> Mavlink.Refusal.messages(frame, nil) |> encoded(frame, snapshot, key)
+
+  # In the vehicle's name. Nobody answers for those that were not heard yet.
+  defp encoded(_messages, _frame, _snapshot, {_network, 0}), do: []
+
+  defp encoded(messages, frame, snapshot, {_network, system}) do
+    options = [system: system, component: component(frame, snapshot), sysid32: true]
+    Enum.map(messages, &MavCodec.encode(&1, options))
+  end
+
+  defp facts(nil, _snapshot), do: Mavlink.unreadable()
+  defp facts(message, nil), do: Mavlink.facts(message, %{autopilot: :generic, vehicle_type: "unknown"})
+  defp facts(message, snapshot), do: Mavlink.facts(message, Map.take(snapshot, [:autopilot, :vehicle_type]))
+
+  # Where the last item of the mission was is remembered here, for each vehicle.
+  defp on_the_way(%{type: "mission_upload"} = facts, message, key) do
+    {facts, upload} = Mavlink.Upload.next(Process.get({__MODULE__, :upload}, %{}), key, message, facts)
+    Process.put({__MODULE__, :upload}, upload)
+    facts
+  end
+
+  defp on_the_way(facts, _message, _key), do: facts
+
+  defp groups(nil), do: %{}
+  defp groups(snapshot), do: snapshot.groups
+
+  defp name(nil, {network, system}), do: "#{network}/#{system}"
+  defp name(snapshot, _key), do: snapshot.id
+
+  # What brings a vehicle down is not counted: a stuck key must not use it up.
+  defp rate(_policy, _gateway, _source, _vehicle, %{ends_flight?: true}), do: :ok
+
+  defp rate(policy, gateway, source, vehicle, facts) do
+    key = {__MODULE__, :rate, gateway}
+    rate = Process.get(key) || Rate.new()
+
+    with {:ok, rate} <-
+           Rate.take(rate, policy, source, vehicle, facts.type, System.monotonic_time(:microsecond)) do
+      Process.put(key, rate)
+      :ok
+    end
+  end
+
+  defp recorded(gateway, facts, required?) do
+    case Audit.failing(gateway) do
+      nil -> :allow
+      reason -> Audit.verdict({:error, reason}, facts, required?)
+    end
+  end
+
+  # The gateway itself keeps who is in charge; a vehicle that does so, too, is asked in the client's name (X15).
+  defp in_charge(_policy, _gateway, _key, %{control: nil}, _whose), do: :allow
+
+  defp in_charge(_policy, _gateway, _key, _facts, {_source, nil}),
+    do: {:deny, :lease, "nobody can be in charge of a vehicle that was not heard yet"}
+
+  defp in_charge(policy, gateway, key, %{control: change}, {source, _snapshot}) do
+    case Leases.change(gateway, key, change, source, "mavlink", policy.lease) do
+      {:ok, _lease} -> :allow
+      {:deny, reason} -> {:deny, :lease, reason}
+    end
+  end
+
+  defp conclude(:allow, gateway, entry, {%module{} = message, frame, key, snapshot})
+       when module in @recorded do
+    Audit.note(gateway, Map.put(entry, "decision", "allow"))
+
+    if entry["command"] in ["take_control", "release_control"] and
+         get_in(groups(snapshot), [:operator, :data, :system]) == nil do
+      {:answer, encoded([Mavlink.Refusal.accepted(message, frame)], frame, snapshot, key)}
+    else
+      :forward
+    end
+  end
+
+  defp conclude(:allow, _gateway, _entry, _refused), do: :forward
+
+  defp conclude({:deny, rule, reason}, gateway, entry, {message, frame, key, snapshot}) do
+    metadata = %{
+      gateway: gateway,
+      vehicle: entry["vehicle"],
+      source: entry["source"],
+      type: entry["command"],
+      rule: rule
+    }
+
+    :telemetry.execute([:aerie, :policy, :refused], %{count: 1}, metadata)
+
+    texts =
+      if due?({gateway, entry["source"], entry["vehicle"], entry["command"], rule}) do
+        Audit.note(gateway, Map.merge(entry, %{"decision" => "deny", "rule" => rule, "reason" => reason}))
+        Mavlink.Refusal.texts(reason, :erlang.phash2(reason, 0xFFFF) + 1)
+      else
+        []
+      end
+
+    current = get_in(groups(snapshot), [:mission, :data, :seq])
+    answers = if message, do: Mavlink.Refusal.messages(message, frame, current), else: []
+    {:refuse, encoded(answers ++ texts, frame, snapshot, key), instead(message, frame)}
+  end
+
+  defp component(frame, snapshot) do
+    case Frame.target(frame) do
+      {_system, component} when component > 0 -> component
+      _all -> (snapshot && snapshot.component) || 1
+    end
+  end
+
+  # In the sender's name, so that the vehicle answers to it.
+  defp instead(nil, _frame), do: nil
+  # It has no name.
+  defp instead(_message, %{system: 0}), do: nil
+
+  defp instead(message, frame) do
+    with %_module{} = question <- Mavlink.Refusal.instead(message) do
+      ids = [system: frame.system, component: frame.component, seq: frame.seq, sysid32: true]
+      bytes = MavCodec.encode(question, ids)
+      question = Frame.from_bytes(bytes, nil, frame.at)
+      %{question | crc_extra: All.crc_extra(question.id)}
+    end
+  end
+
+  defp due?(what) do
+    now = System.monotonic_time(:microsecond)
+    told = Process.get({__MODULE__, :told}, %{})
+
+    if now - Map.get(told, what, now - @told_us) >= @told_us do
+      told = if map_size(told) >= @max_told, do: %{}, else: told
+      Process.put({__MODULE__, :told}, Map.put(told, what, now))
+      true
+    else
+      false
+    end
+  end
+end

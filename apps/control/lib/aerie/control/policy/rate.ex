@@ -1,0 +1,94 @@
+defmodule Aerie.Control.Policy.Rate do
+  @moduledoc """
+  How often each source may give each vehicle each type of command: token buckets as data. A value of its own beside the
+  policy, so that a policy that is loaded anew forgives nobody anything.
+
+  Every rule that names a command has a bucket of it for each source, vehicle and type; all of them must have a token. The
+  number of buckets is bounded: full ones are dropped first, and while there is no room for another one, commands that would
+  need it are refused.
+  """
+
+  alias Aerie.Vehicle.Command.Types
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Intent
+  alias Aerie.Base.TokenBucket
+
+  # Set-points and sticks come many times a second, and a transfer as fast as the vehicle asks for its parts.
+  @streams for(%{group: :manual, name: name} <- Types.all(), do: name) ++ Intent.transfers()
+
+  @max_buckets 20_000
+
+  defstruct buckets: %{}
+
+  @type t :: %__MODULE__{buckets: %{term() => TokenBucket.t()}}
+
+  @typedoc "`interval_us`: a token is added so often; `burst`: so many are there at most. `:all` names every one."
+  @type rule :: %{
+          types: [String.t()] | :all,
+          sources: [String.t()] | :all,
+          vehicles: [String.t()] | :all,
+          interval_us: pos_integer(),
+          burst: pos_integer()
+        }
+
+  @doc "Nobody has commanded anything yet."
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc """
+  Takes a token for a command at `now` (microseconds of a clock that is never set), or says when there will be one. A refused
+  command takes none.
+  """
+  @spec take(
+          t(),
+          Policy.t(),
+          source :: String.t(),
+          vehicle :: String.t(),
+          type :: String.t(),
+          now :: integer()
+        ) ::
+          {:ok, t()} | {:deny, :rate, String.t()}
+  def take(rate, policy, source, vehicle, type, now) do
+    policy.rates
+    |> Enum.filter(&(types?(&1.types, type) and names?(&1.sources, source) and names?(&1.vehicles, vehicle)))
+    |> Enum.reduce_while({:ok, rate.buckets}, fn rule, {:ok, buckets} ->
+      key = {source, vehicle, type, rule.interval_us, rule.burst}
+
+      case TokenBucket.take(buckets[key], now, rule.interval_us, rule.burst) do
+        {:ok, full} -> {:cont, {:ok, Map.put(buckets, key, full)}}
+        :none -> {:halt, {:deny, :rate, text(rule, source, vehicle, type, wait(buckets[key], rule, now))}}
+      end
+    end)
+    |> room(rate, now)
+  end
+
+  defp types?(:all, type), do: type not in @streams
+  defp types?(types, type), do: type in types
+
+  defp names?(:all, _name), do: true
+  defp names?(names, name), do: name in names
+
+  defp room({:ok, buckets}, rate, now) when map_size(buckets) > @max_buckets do
+    used = Map.filter(buckets, fn {_key, full} -> full > now end)
+
+    if map_size(used) <= @max_buckets,
+      do: {:ok, %{rate | buckets: used}},
+      else:
+        {:deny, :rate,
+         "#{@max_buckets} pairs of source and vehicle have commanded just now; there is no room for another one"}
+  end
+
+  defp room({:ok, buckets}, rate, _now), do: {:ok, %{rate | buckets: buckets}}
+  defp room(deny, _rate, _now), do: deny
+
+  defp wait(full, rule, now), do: full + rule.interval_us - now - rule.burst * rule.interval_us
+
+  defp text(rule, source, vehicle, type, wait_us) do
+    per_minute = Float.round(60_000_000 / rule.interval_us, 1)
+
+    "#{source} may command #{type} of #{vehicle} #{whole(per_minute)} times a minute, #{rule.burst} at once; the next one is " <>
+      "allowed in #{whole(Float.ceil(wait_us / 1_000_000, 1))} s"
+  end
+
+  defp whole(number), do: number |> Float.to_string() |> String.replace_suffix(".0", "")
+end

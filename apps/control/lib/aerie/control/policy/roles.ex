@@ -1,0 +1,65 @@
+defmodule Aerie.Control.Policy.Roles do
+  @moduledoc """
+  What a source may ask for, by its role:
+
+  | role | may |
+  |---|---|
+  | `viewer` | look on |
+  | `operator` | `arm`, `fly`, `mission`, `manual`, `payload`, `telemetry`, `sensors` |
+  | `admin` | the same, and `maintain` and `protection` |
+
+  No role includes `force_disarm` and `terminate`, which can bring a vehicle down on somebody: they are given by name, to an
+  operator or an admin.
+  """
+
+  alias MavRouter.Authority.Principal
+  alias Aerie.Vehicle.Command.Type
+
+  @operator [:arm, :fly, :mission, :manual, :payload, :telemetry, :sensors]
+  @roles %{viewer: [], operator: @operator, admin: [:maintain, :protection | @operator]}
+  @own [:force_disarm, :terminate]
+
+  @type role :: :viewer | :operator | :admin
+
+  @typedoc "Who commands, as authentication found out: a name for people, a role, and permissions beyond the role."
+  @type source :: Principal.t()
+
+  @doc "All roles, from the one that may least."
+  @spec all() :: [role(), ...]
+  def all, do: [:viewer, :operator, :admin]
+
+  @doc "The permissions that no role includes."
+  @spec own() :: [Type.permission(), ...]
+  def own, do: @own
+
+  @doc "The permissions of a role."
+  @spec permissions(role()) :: [Type.permission()]
+  def permissions(role), do: Map.fetch!(@roles, role)
+
+  @doc "Somebody with a role, and permissions beyond it."
+  @spec principal(Principal.kind(), String.t(), role(), [Type.permission()]) :: Principal.t()
+  def principal(kind, name, role, permissions \\ []) do
+    %Principal{
+      kind: kind,
+      name: name,
+      role: role,
+      permissions: permissions,
+      may: may(%{role: role, permissions: permissions})
+    }
+  end
+
+  @doc "All that somebody with a role and permissions beyond it may do."
+  @spec may(%{:role => role(), :permissions => [Type.permission()], optional(term()) => term()}) :: [
+          Type.permission()
+        ]
+  def may(%{role: :viewer}), do: []
+  def may(%{role: role, permissions: more}), do: permissions(role) ++ more
+
+  @doc "Whether a source has a permission. One that is not known has none; a viewer has none, whatever it was given."
+  @spec allowed?(source() | nil, Type.permission()) :: boolean()
+  def allowed?(nil, _permission), do: false
+  def allowed?(%{role: :viewer}, _permission), do: false
+
+  def allowed?(source, permission),
+    do: permission in permissions(source.role) or permission in source.permissions
+end

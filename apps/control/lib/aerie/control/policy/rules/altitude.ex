@@ -1,0 +1,75 @@
+defmodule Aerie.Control.Policy.Rules.Altitude do
+  @moduledoc """
+  Heights that a command may ask for: at most `max_altitude` and at least `min_altitude` above home, at most
+  `max_altitude_msl` above mean sea level. Above home means above where the vehicle took off, too, so that nobody lifts a limit by moving
+  home. A command that leaves the vehicle at its height is not judged.
+  """
+
+  @behaviour Aerie.Control.Policy.Rule
+
+  alias Aerie.Control.Policy.FlightPath
+
+  @impl Aerie.Control.Policy.Rule
+  def check(%{max_altitude: nil, min_altitude: nil, max_altitude_msl: nil}, _facts, _context), do: :ok
+  def check(_policy, %{ends_flight?: true}, _context), do: :ok
+
+  def check(policy, facts, context) do
+    case FlightPath.heights(facts, context) do
+      {:ok, heights} -> Enum.find_value(heights, :ok, &refused(policy, facts, &1, context))
+      {:unknown, why} -> {:deny, "a limit of altitude applies to #{facts.type}, and #{why}"}
+    end
+  end
+
+  defp refused(policy, facts, {home, msl, given}, context) do
+    floor = floor(policy, facts)
+
+    started =
+      for datum <- context.datums,
+          msl != nil,
+          {limit, side} <- [{policy.max_altitude, :max}, {floor, :min}],
+          do: {limit, side, msl - datum, "above where it took off"}
+
+    limits = [
+      {policy.max_altitude, :max, home, "above home"},
+      {floor, :min, home, "above home"},
+      {policy.max_altitude_msl, :max, msl, "above mean sea level"}
+      | started
+    ]
+
+    Enum.find_value(limits, fn {limit, side, height, above} ->
+      (limit != nil and not within?(side, height, limit)) &&
+        {:deny, text(side, height, limit, above, facts, given)}
+    end)
+  end
+
+  # What is stored (a home, a landing place) may be on the ground.
+  defp floor(_policy, %{path: {kind, _places}}) when kind in [:at, :along, :level], do: nil
+  defp floor(_policy, %{path: {:from, _start, _place}}), do: nil
+  defp floor(policy, _facts), do: policy.min_altitude
+
+  defp within?(_side, nil, _limit), do: false
+  defp within?(:max, height, limit), do: height <= limit
+  defp within?(:min, height, limit), do: height >= limit
+
+  defp text(side, nil, limit, above, facts, given) do
+    why =
+      case given do
+        :terrain -> "it is given above the ground"
+        :own -> "the vehicle's height is not known"
+        _home_or_msl -> "the height of its home is not known"
+      end
+
+    "#{facts.what} must be #{bound(side)} #{metres(limit)} #{above}; how high it is, is not known, because #{why}"
+  end
+
+  defp text(side, height, limit, above, facts, _given),
+    do: "#{facts.what} is #{metres(height)} #{above}; #{bound(side)} #{metres(limit)} is allowed"
+
+  defp bound(:max), do: "at most"
+  defp bound(:min), do: "at least"
+
+  defp metres(value) when is_integer(value), do: "#{value} m"
+
+  defp metres(value),
+    do: "#{value |> Float.round(1) |> Float.to_string() |> String.replace_suffix(".0", "")} m"
+end

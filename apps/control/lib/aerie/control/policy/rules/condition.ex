@@ -1,0 +1,41 @@
+defmodule Aerie.Control.Policy.Rules.Condition do
+  @moduledoc """
+  Some commands are allowed only while the vehicle is armed or not, in the air or not. On the ground, what may make the vehicle
+  take off or arm must meet the conditions of `takeoff` and `arm`, too.
+  """
+
+  @behaviour Aerie.Control.Policy.Rule
+
+  alias Aerie.Control.Policy.Intent
+
+  @typedoc "What must be so; nil: either."
+  @type condition :: %{armed: boolean() | nil, in_air: boolean() | nil}
+
+  @impl Aerie.Control.Policy.Rule
+  def check(policy, facts, context) do
+    for(type <- Intent.types(facts, context), condition = policy.conditions[type], do: condition)
+    |> Enum.find_value(:ok, fn condition ->
+      with :ok <- state(facts, :armed, condition.armed, context.armed),
+           :ok <- state(facts, :in_air, condition.in_air, context.in_air),
+           do: nil
+    end)
+  end
+
+  defp state(_facts, _what, nil, _is), do: :ok
+  defp state(_facts, _what, must, must), do: :ok
+
+  defp state(facts, what, must, nil),
+    do:
+      {:deny,
+       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; whether it is, is not known"}
+
+  defp state(facts, what, must, is),
+    do:
+      {:deny,
+       "#{facts.type} is allowed only while the vehicle is #{word(what, must)}; it is #{word(what, is)}"}
+
+  defp word(:armed, true), do: "armed"
+  defp word(:armed, false), do: "disarmed"
+  defp word(:in_air, true), do: "in the air"
+  defp word(:in_air, false), do: "on the ground"
+end

@@ -1,0 +1,15 @@
+defmodule Aerie.Control.Policy.Rules.Disarmed do
+  @moduledoc """
+  Raw MAVLink that a disarmed vehicle may keep, and drive off with when it is armed, is refused (`t:Aerie.Command.Type.t/0`, `disarmed`).
+  Commands of the table are refused by the firmware's adapter, with its reason (`Aerie.Vehicle.Protocol.plan/3`).
+  """
+
+  @behaviour Aerie.Control.Policy.Rule
+
+  @impl Aerie.Control.Policy.Rule
+  def check(_policy, %{stored?: true} = facts, %{armed: false}),
+    do:
+      {:deny, "the vehicle is disarmed, and #{facts.type} would move it as soon as it is armed: arm it first"}
+
+  def check(_policy, _facts, _context), do: :ok
+end

@@ -1,0 +1,32 @@
+defmodule Aerie.Control.Policy.Rules.Lease do
+  @moduledoc """
+  One source is in charge of a vehicle (`Aerie.Control.Policy.Lease`): nobody else commands it, and with `policy.lease.required` nobody
+  before taking charge. What holds the vehicle or brings it down, and what only asks for messages, is free for all whose role
+  allows it.
+  """
+
+  @behaviour Aerie.Control.Policy.Rule
+
+  alias Aerie.Control.Policy.Lease
+
+  @impl Aerie.Control.Policy.Rule
+  def check(policy, %{control: change}, context) when change != nil do
+    with {:ok, _lease} <- Lease.change(context.lease, change, context.source, "", policy.lease, context.now),
+         do: :ok
+  end
+
+  def check(_policy, %{ends_flight?: true}, _context), do: :ok
+  def check(_policy, %{permission: :telemetry}, _context), do: :ok
+  def check(%{lease: %{required: false}}, _facts, %{lease: nil}), do: :ok
+
+  def check(_policy, facts, %{lease: nil}),
+    do:
+      {:deny,
+       "nobody is in charge of the vehicle; #{facts.type} #{Lease.take_first()} (policy.lease.required)"}
+
+  def check(_policy, _facts, %{lease: lease, source: source}) do
+    if source != nil and Lease.who(source) == lease.holder,
+      do: :ok,
+      else: {:deny, "#{Lease.in_charge(lease)}; #{Lease.take_over()}"}
+  end
+end

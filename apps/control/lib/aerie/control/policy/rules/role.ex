@@ -1,0 +1,35 @@
+defmodule Aerie.Control.Policy.Rules.Role do
+  @moduledoc """
+  The source must have the permission that the command needs (`Aerie.Control.Policy.Roles`). Who moves home or the origin of a vehicle that may be
+  flying changes where it returns to and what its heights are measured from: that needs `protection`, too.
+  """
+
+  @behaviour Aerie.Control.Policy.Rule
+
+  alias Aerie.Control.Policy.{Roles, Switches}
+
+  @impl Aerie.Control.Policy.Rule
+  def check(_policy, facts, %{source: source} = context) do
+    needed = [facts.permission | facts.also] ++ aloft(facts, context) ++ Switches.permissions(facts, context)
+
+    case Enum.find(needed, &(not Roles.allowed?(source, &1))) do
+      nil -> :ok
+      lacking -> {:deny, "#{facts.type} needs the permission #{lacking}" <> why(lacking, source)}
+    end
+  end
+
+  defp aloft(%{type: type}, context) when type in ["set_home", "set_origin"] do
+    flying? = if context.in_air == nil, do: context.armed != false, else: context.in_air
+    if flying?, do: [:protection], else: []
+  end
+
+  defp aloft(_facts, _context), do: []
+
+  defp why(_lacking, nil), do: ", and nobody is signed in"
+
+  defp why(lacking, source) do
+    if lacking in Roles.own(),
+      do: ", which no role includes; #{source.name} (#{source.role}) was not given it",
+      else: "; #{source.name} is #{source.role}, which does not include it"
+  end
+end

@@ -1,0 +1,79 @@
+defmodule Aerie.Control.Policy.Sources do
+  @moduledoc """
+  Who commands, for the interfaces that carry a signature: those whose public nkeys the policy lists. An unknown source
+  can command nothing.
+  """
+
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.{Roles, Signature}
+
+  @typedoc "`nkey` is public (`U…`); `expires` in unix microseconds, nil for never."
+  @type listed :: %{
+          name: String.t(),
+          nkey: String.t(),
+          role: Roles.role(),
+          permissions: [Aerie.Vehicle.Command.Type.permission()],
+          expires: integer() | nil
+        }
+
+  @doc """
+  The source of a command by its header `Aerie-Signature` (nil: it has none), as `Aerie.Control.Policy.Signature` describes it. A command
+  without a signature comes from nobody, unless the policy has a role for that (`unsigned`).
+  """
+  @spec identify(
+          Policy.t(),
+          header :: String.t() | nil,
+          subject :: String.t(),
+          body :: binary(),
+          now :: integer()
+        ) ::
+          {:ok, Roles.source()} | {:error, String.t()}
+  def identify(%{unsigned: nil}, nil, _subject, _body, _now),
+    do: {:error, "the command is not signed, and unsigned commands may do nothing here (policy.unsigned)"}
+
+  def identify(%{unsigned: role}, nil, _subject, _body, _now),
+    do: {:ok, Roles.principal(:stranger, "unsigned", role)}
+
+  def identify(policy, header, subject, body, now) do
+    with {:ok, key} <- Signature.verify(header, subject, body, now),
+         {:ok, listed} <- listed(policy, key, now),
+         do: {:ok, Roles.principal(:key, listed.name, listed.role, listed.permissions)}
+  end
+
+  @doc """
+  What a request claims to be, before anything is spent on it: by a listed key, without a signature where that may do something, or what is
+  refused whatever its body says. A claim proves nothing; `fresh?/2` says whether it is worth the work of checking it.
+  """
+  @spec claim(Policy.t() | nil, header :: String.t() | nil, now :: integer()) ::
+          {:listed, nkey :: String.t()} | :unsigned | :refused
+  def claim(nil, _header, _now), do: :refused
+  def claim(%{unsigned: nil}, nil, _now), do: :refused
+  def claim(_policy, nil, _now), do: :unsigned
+
+  def claim(policy, header, now) do
+    with [key, _more] <- String.split(header, " ", parts: 2), {:ok, _listed} <- listed(policy, key, now) do
+      {:listed, key}
+    else
+      _unlisted -> :refused
+    end
+  end
+
+  @doc "Whether a header is well-formed and its time counts."
+  @spec fresh?(header :: String.t(), now :: integer()) :: boolean()
+  def fresh?(header, now), do: match?({:ok, _key}, Signature.claim(header, now))
+
+  defp listed(policy, key, now) do
+    case Enum.find(policy.sources, &(&1.nkey == key)) do
+      nil ->
+        {:error, "the key #{key} is not one of policy.sources"}
+
+      %{expires: expires, name: name} when expires != nil and now >= expires ->
+        {:error, "the key of #{name} was good until #{day(expires - 1)}"}
+
+      listed ->
+        {:ok, listed}
+    end
+  end
+
+  defp day(at), do: at |> DateTime.from_unix!(:microsecond) |> DateTime.to_date() |> Date.to_iso8601()
+end

@@ -1,0 +1,261 @@
+defmodule Aerie.Control.TransferExecutor do
+  @moduledoc """
+  The process that carries out the transfers of one vehicle: `Aerie.Control.TransferExecutor.Core` with a clock, a path to the vehicle, and
+  the turn among ground stations (`MavRouter.Router.TransferTurns`).
+
+  As the executor of commands does, it sends through the vehicle's session, and is handed frames only while a transfer is under way.
+  It has a supervisor of its own in the vehicle's tree, so that its death ends the transfers and nothing else.
+
+  Nothing here asks whether somebody may do it: `Aerie.Control.Params`, `Aerie.Control.Missions`, `Aerie.Control.Files` and `Aerie.Control.Logs` do.
+  """
+  use GenServer
+
+  import Aerie.Vehicle.CoreProcess, only: [now: 0]
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle.Protocol
+  alias MavRouter.Router.TransferTurns
+  alias Aerie.Vehicle.CoreProcess
+  alias Aerie.Control.TransferExecutor.{Core, Job}
+
+  @typedoc """
+  What a transfer says until its end: `{:progress, progress}`, as `Aerie.Control.TransferExecutor.Core` describes it, and
+  `{:data, offset, bytes}`, in any order and each byte once.
+  """
+  @type event :: {:progress, term()} | {:data, non_neg_integer(), binary()}
+
+  @doc false
+  # A fault in a transfer costs the transfers under way; only one that comes again and again costs the tree a restart.
+  @spec child_spec(keyword()) :: Supervisor.child_spec()
+  def child_spec(arguments) do
+    worker = %{id: __MODULE__, start: {__MODULE__, :start_link, [arguments]}}
+    limits = [strategy: :one_for_one, max_restarts: 5, max_seconds: 10]
+    %{id: __MODULE__, type: :supervisor, start: {Supervisor, :start_link, [[worker], limits]}}
+  end
+
+  @doc false
+  @spec start_link(gateway: Names.gateway(), options: Aerie.Vehicle.Options.t()) :: GenServer.on_start()
+  def start_link(arguments) do
+    name = Names.via(arguments[:gateway], :transfers, arguments[:options].key)
+    GenServer.start_link(__MODULE__, arguments, name: name)
+  end
+
+  @doc """
+  Carries out a transfer, and folds its events by `fun`. Gives its result and what was folded. When the calling process ends, so does the
+  transfer, unless others wait for the same.
+
+  Errors beside those of the machines: `{:unavailable, text}` (the vehicle is not known, is lost, or is reached only by links of high
+  latency), `:full` (as many wait as may), `:taken` (one with that id is under way), `:waited` (others were under way for too long), `:lost` (the
+  vehicle's processes were restarted).
+  """
+  @spec run(Names.gateway(), Store.vehicle_key(), Job.t(), acc, (event(), acc -> acc)) :: {term(), acc}
+        when acc: term()
+  def run(gateway, key, job, acc, fun) do
+    case Names.whereis(gateway, :transfers, key) do
+      nil ->
+        {{:error, {:unavailable, "the vehicle is not known"}}, acc}
+
+      pid ->
+        ref = Process.monitor(pid)
+        send(pid, {:submit, self(), ref, job})
+        follow(ref, acc, fun)
+    end
+  end
+
+  defp follow(ref, acc, fun) do
+    receive do
+      {^ref, {:done, result}} ->
+        Process.demonitor(ref, [:flush])
+        {result, acc}
+
+      {^ref, event} ->
+        follow(ref, fun.(event, acc), fun)
+
+      {:DOWN, ^ref, :process, _pid, _reason} ->
+        {{:error, :lost}, acc}
+    end
+  end
+
+  @doc "Asks a transfer to cease, for all who wait for it."
+  @spec cancel(Names.gateway(), Store.vehicle_key(), id :: String.t()) :: :ok | {:error, String.t()}
+  def cancel(gateway, key, id) do
+    GenServer.call(Names.via(gateway, :transfers, key), {:cancel, id})
+  catch
+    :exit, _gone -> {:error, "no transfer with the id #{id} is under way"}
+  end
+
+  @impl GenServer
+  def init(gateway: gateway, options: options) do
+    Process.set_label({:transfers, options.id})
+
+    {:ok,
+     %{
+       gateway: gateway,
+       options: options,
+       core: Core.new(),
+       watchers: %{},
+       listening: nil,
+       turns: nil,
+       timer: nil
+     }}
+  end
+
+  @impl GenServer
+  def handle_call({:cancel, id}, _from, state) do
+    if Core.known?(state.core, id),
+      do: {:reply, :ok, step(state, {:cancel, id, now()})},
+      else: {:reply, {:error, "no transfer with the id #{id} is under way"}, state}
+  end
+
+  @impl GenServer
+  def handle_info({:submit, pid, ref, job}, state) do
+    case facts(state) do
+      {:ok, facts} ->
+        {core, []} = Core.handle(state.core, {:vehicle, facts})
+        {core, actions} = Core.handle(core, {:submit, job, now()})
+        {:noreply, submitted(%{state | core: core}, actions, {pid, ref}, job.id)}
+
+      {:error, reason} ->
+        send(pid, {ref, {:done, {:error, {:unavailable, reason}}}})
+        {:noreply, state}
+    end
+  end
+
+  def handle_info({:frames, frames}, state), do: {:noreply, Enum.reduce(frames, state, &heard/2)}
+  def handle_info({:rebooted, _boot_ms}, state), do: {:noreply, step(state, {:rebooted, now()})}
+
+  def handle_info({:transfer_turn, _vehicle, kind}, state),
+    do: {:noreply, step(state, {:turn, kind, now()})}
+
+  def handle_info({:timeout, timer, :wake}, %{timer: {timer, _at}} = state),
+    do: {:noreply, step(%{state | timer: nil}, {:tick, now()})}
+
+  # Without the process that gives turns nobody waits for one.
+  def handle_info({:DOWN, turns, :process, _pid, _reason}, %{turns: turns} = state) do
+    state = %{state | turns: nil}
+    {:noreply, Enum.reduce(Core.asked(state.core), state, &step(&2, {:turn, &1, now()}))}
+  end
+
+  # Nobody waits for the transfer any more.
+  def handle_info({:DOWN, monitor, :process, _pid, _reason}, state) do
+    case Enum.find(state.watchers, fn {_id, all} -> is_map_key(all, monitor) end) do
+      {id, all} when map_size(all) == 1 ->
+        {:noreply, step(%{state | watchers: Map.delete(state.watchers, id)}, {:cancel, id, now()})}
+
+      {id, all} ->
+        {:noreply, put_in(state.watchers[id], Map.delete(all, monitor))}
+
+      nil ->
+        {:noreply, state}
+    end
+  end
+
+  # Snapshots, and what comes too late.
+  def handle_info(_other, state), do: {:noreply, state}
+
+  # Refused, or under way already, or new.
+  defp submitted(state, [{:done, id, result}], {pid, ref}, id) do
+    send(pid, {ref, {:done, result}})
+    state
+  end
+
+  defp submitted(state, [{:joined, id, other}], watcher, id), do: watched(state, other, watcher)
+  defp submitted(state, actions, watcher, id), do: state |> watched(id, watcher) |> acted(actions)
+
+  defp watched(state, id, {pid, ref}) do
+    watchers = Map.put(Map.get(state.watchers, id, %{}), Process.monitor(pid), {pid, ref})
+    put_in(state.watchers[id], watchers)
+  end
+
+  # The vehicle as it is known now.
+  defp facts(state) do
+    case Store.vehicle(state.gateway, state.options.key) do
+      nil ->
+        {:error, "the vehicle has not been heard yet"}
+
+      %{status: :lost} ->
+        {:error, "the vehicle is lost"}
+
+      %{high_latency: %{only?: true}} ->
+        {:error, "the vehicle is reached only by links of high latency"}
+
+      snapshot ->
+        {:ok,
+         %{
+           target: {state.options.system_id, snapshot.component || 1},
+           us: {state.options.own_system, state.options.own_component},
+           protocol: Protocol.of(snapshot.autopilot),
+           autopilot: snapshot.autopilot,
+           capabilities: snapshot[:capabilities],
+           rtt_us: get_in(snapshot, [:clock, :rtt_us]),
+           links: snapshot.links
+         }}
+    end
+  end
+
+  defp heard(frame, state) do
+    with true <- frame.id in (state.listening || []),
+         {:ok, message} <- MavCodec.decode(frame) do
+      step(state, {:message, frame.id, message, {frame.system, frame.component}, now()})
+    else
+      _not_ours -> state
+    end
+  end
+
+  defp step(state, event) do
+    {core, actions} = Core.handle(state.core, event)
+    acted(%{state | core: core}, actions)
+  end
+
+  defp acted(state, actions) do
+    # Before anything is sent, so that no answer is missed.
+    ids = if Core.size(state.core) > 0, do: Core.listens(state.core)
+    state = CoreProcess.listen(state, ids)
+    state = Enum.reduce(actions, state, &act/2)
+    CoreProcess.schedule(state, Core.wake_at(state.core))
+  end
+
+  defp act({:send, messages}, state) do
+    session = Names.whereis(state.gateway, :session, state.options.key)
+    if session, do: send(session, {:transmit, messages})
+    state
+  end
+
+  defp act({:take, kind}, state) do
+    state = watch_turns(state)
+
+    case TransferTurns.take(state.gateway, state.options.key, kind) do
+      :go -> step(state, {:turn, kind, now()})
+      {:hold, whose} -> step(state, {:held, kind, whose})
+    end
+  end
+
+  defp act({:give_back, kind}, state) do
+    TransferTurns.give_back(state.gateway, state.options.key, kind)
+    state
+  end
+
+  defp act({:progress, id, progress}, state), do: tell(state, id, {:progress, progress})
+  defp act({:data, id, offset, bytes}, state), do: tell(state, id, {:data, offset, bytes})
+
+  defp act({:done, id, result}, state) do
+    state = tell(state, id, {:done, result})
+    {all, watchers} = Map.pop(state.watchers, id, %{})
+    for {monitor, _watcher} <- all, do: Process.demonitor(monitor, [:flush])
+    %{state | watchers: watchers}
+  end
+
+  defp tell(state, id, what) do
+    for {_monitor, {pid, ref}} <- Map.get(state.watchers, id, %{}), do: send(pid, {ref, what})
+    state
+  end
+
+  defp watch_turns(%{turns: nil} = state) do
+    case Names.whereis(state.gateway, :transfer_turns) do
+      nil -> state
+      pid -> %{state | turns: Process.monitor(pid)}
+    end
+  end
+
+  defp watch_turns(state), do: state
+end

@@ -1,0 +1,62 @@
+defmodule Aerie.Control.TransferExecutor.Job do
+  @moduledoc """
+  One transfer with a vehicle, as it is given to `Aerie.Control.TransferExecutor`: the machine that carries it out, and what it needs for
+  itself meanwhile.
+
+  A machine is a module with `handle(machine, event) -> {machine, actions}` and `wake_at(machine)`, as `Aerie.Control.Params.Download`
+  describes them; its end is `{:done, result}`, or `{:result, result}` of `Aerie.Control.Mission.Transfer`. One that uses files has `seq/1`
+  besides, the number that the next one begins with.
+  """
+
+  alias MavRouter.Router.TransferTurns
+
+  @enforce_keys [:id, :lanes, :start, :until]
+  defstruct [:id, :lanes, :start, :until, :share, :machine, :start_by, phase: :queued, turns: [], asked: []]
+
+  @typedoc """
+  What only one transfer at a time may use: PARAM and PARAM_EXT messages, the mission protocol (missions, fences and rally points together, as in
+  PX4), MAVLink FTP, and LOG messages.
+  """
+  @type lane :: :params | :mission | :file | :log
+
+  @typedoc """
+  What a machine is made of when its turn has come: ids of the vehicle's autopilot and of the gateway, the adapter of the firmware,
+  MAV_PROTOCOL_CAPABILITY bits (nil: not known), the measured round trip (nil: not measured), the number of the next FTP request, and
+  the time.
+  """
+  @type context :: %{
+          target: {non_neg_integer(), 0..255},
+          us: {non_neg_integer(), 0..255},
+          protocol: module(),
+          autopilot: :ardupilot | :px4 | :generic,
+          capabilities: non_neg_integer() | nil,
+          rtt_us: non_neg_integer() | nil,
+          links: [term()],
+          ftp?: boolean(),
+          seq: 0..65_535,
+          now: integer()
+        }
+
+  @typedoc """
+    * `:start` - makes the machine; an error is the end of the transfer
+    * `:until` - its deadline in microseconds of `System.monotonic_time/1`; nothing is sent from then on
+    * `:share` - transfers with the same term (not nil) are one: whoever asks while it is under way gets its result
+    * the others are the state of it: the machine, when it has to have begun, and which turns it has and waits for
+  """
+  @type t :: %__MODULE__{
+          id: String.t(),
+          lanes: [lane(), ...],
+          start: (context() -> {:ok, struct()} | {:error, term()}),
+          until: integer(),
+          share: term(),
+          machine: struct() | nil,
+          start_by: integer() | nil,
+          phase: :queued | :turn | :running,
+          turns: [TransferTurns.kind()],
+          asked: [TransferTurns.kind()]
+        }
+
+  @doc "The turns that it needs among the transfers of ground stations (`MavRouter.Router.TransferTurns`)."
+  @spec kinds(t()) :: [TransferTurns.kind()]
+  def kinds(job), do: for(lane <- job.lanes, lane in TransferTurns.kinds(), do: lane)
+end

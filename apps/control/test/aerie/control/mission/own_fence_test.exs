@@ -1,0 +1,167 @@
+defmodule Aerie.Control.Mission.OwnFenceTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Control.Mission.{Item, OwnFence, Plan}
+
+  @copter %{autopilot: :ardupilot, vehicle_type: "copter", place: nil, flying?: false, fenced?: false}
+  @px4 %{@copter | autopilot: :px4}
+
+  # Metres from 47, 8.
+  defp at(east, north), do: {470_000_000 + round(north * 89.832), 80_000_000 + round(east * 89.832 / 0.6820)}
+  defp degrees(east, north), do: then(at(east, north), fn {lat, lon} -> {lat / 1.0e7, lon / 1.0e7} end)
+
+  defp square(east, north, side),
+    do:
+      {:polygon,
+       [at(east, north), at(east + side, north), at(east + side, north + side), at(east, north + side)]}
+
+  defp waypoint(east, north, fields \\ []) do
+    {x, y} = at(east, north)
+    struct!(%Item{command: 16, frame: 3, x: x, y: y, z: 20.0}, fields)
+  end
+
+  defp texts(plan, vehicle \\ @copter), do: for(finding <- OwnFence.check(plan, vehicle), do: finding.text)
+
+  test "waypoints, rally points and the return point are judged by the plan's fence" do
+    plan = %Plan{
+      fence: [{:inclusion, square(0, 0, 100)}, {:exclusion, {:circle, at(20, 20), 10.0}}],
+      fence_return: {at(-50, 0), 30.0},
+      items: [waypoint(50, 50), waypoint(150, 50), waypoint(22, 22), waypoint(90, 90)],
+      rally: [{at(10, 90), 20.0}, {at(10, 190), 20.0}]
+    }
+
+    assert [
+             %{
+               part: :mission,
+               index: 1,
+               text: "item 2 is outside the plan's stay-inside zone 1",
+               breach?: false
+             },
+             %{part: :mission, index: 2, text: "item 3 is in the plan's keep-out zone 2"},
+             %{part: :rally, index: 1, text: "rally point 2 is outside" <> _},
+             %{part: :fence, index: nil, text: "the return point is outside" <> _}
+           ] = findings = OwnFence.check(plan, @copter)
+
+    assert length(OwnFence.remarks(findings, :fence)) == 4
+    assert length(OwnFence.remarks(findings, :mission)) == 2
+    assert ["rally point 2" <> _] = OwnFence.remarks(findings, :rally)
+    assert texts(%{plan | fence: [], items: plan.items}) == []
+  end
+
+  test "only what a vehicle flies to is judged" do
+    items = [
+      waypoint(500, 500, command: 201),
+      %Item{command: 22, frame: 3, x: 0, y: 0, z: 20.0},
+      %Item{command: 178, frame: 2, params: {1.0, 5.0, -1.0, 0.0}},
+      waypoint(500, 500, frame: 1)
+    ]
+
+    assert texts(%Plan{fence: [{:inclusion, square(0, 0, 100)}], items: items}) == []
+  end
+
+  test "ArduPilot wants a vehicle inside all stay-inside zones, PX4 inside one" do
+    apart = %Plan{fence: [{:inclusion, square(0, 0, 100)}, {:inclusion, {:circle, at(300, 50), 100.0}}]}
+    assert ["stay-inside zones 1 and 2 have no place in common" <> _] = texts(apart)
+    assert texts(apart, @px4) == []
+
+    overlapping = %{
+      apart
+      | fence: [{:inclusion, square(0, 0, 100)}, {:inclusion, square(50, 50, 100)}],
+        items: [waypoint(10, 10)]
+    }
+
+    assert texts(overlapping) == ["item 1 is outside the plan's stay-inside zone 2"]
+    assert texts(overlapping, @px4) == []
+
+    assert ["item 1 is outside the plan's stay-inside zones 1, 2"] =
+             texts(%{overlapping | items: [waypoint(-10, -10)]}, @px4)
+  end
+
+  test "zones that touch, cross or hold each other have places in common" do
+    for {one, two, apart?} <- [
+          {square(0, 0, 100), square(10, 10, 10), false},
+          {{:polygon, [at(40, -100), at(60, -100), at(60, 100), at(40, 100)]},
+           {:polygon, [at(-100, 0), at(200, 0), at(200, -10), at(-100, -10)]}, false},
+          {square(0, 0, 100), {:circle, at(50, 50), 5.0}, false},
+          {square(0, 0, 100), {:circle, at(110, 50), 15.0}, false},
+          {square(0, 0, 100), {:circle, at(110, 50), 5.0}, true},
+          {{:circle, at(0, 0), 50.0}, {:circle, at(90, 0), 50.0}, false},
+          {{:circle, at(0, 0), 50.0}, {:circle, at(110, 0), 50.0}, true},
+          # The second lies in the first one's notch.
+          {{:polygon, [at(0, 0), at(100, 0), at(100, 100), at(60, 100), at(50, 10), at(40, 100), at(0, 100)]},
+           {:polygon, [at(49, 60), at(51, 60), at(50, 90)]}, true}
+        ],
+        fence <- [[one, two], [two, one]] do
+      found = texts(%Plan{fence: Enum.map(fence, &{:inclusion, &1})})
+      assert found != [] == apart?, inspect({fence, found})
+    end
+  end
+
+  test "a vehicle outside is told, and one that flies with its fence on breaches it at once" do
+    plan = %Plan{fence: [{:inclusion, square(0, 0, 100)}]}
+    outside = %{@copter | place: degrees(200, 50)}
+
+    assert [
+             %{
+               part: :fence,
+               breach?: false,
+               text: "the vehicle is outside the plan's stay-inside zone 1" <> _
+             }
+           ] =
+             OwnFence.check(plan, outside)
+
+    assert [%{breach?: true}] = OwnFence.check(plan, %{outside | flying?: true, fenced?: true})
+    assert [%{breach?: false}] = OwnFence.check(plan, %{outside | flying?: true})
+    assert [%{breach?: false}] = OwnFence.check(plan, %{outside | fenced?: true})
+    assert texts(plan, %{@copter | place: degrees(50, 50)}) == []
+
+    # Inside one of two: whether that is a breach depends on an option.
+    two = %Plan{fence: plan.fence ++ [{:inclusion, square(-100, 0, 200)}]}
+    inside_one = %{outside | place: degrees(-50, 50), flying?: true, fenced?: true}
+    assert [%{breach?: false}] = OwnFence.check(two, inside_one)
+    assert OwnFence.check(two, %{inside_one | autopilot: :px4}) == []
+  end
+
+  test "across the antimeridian" do
+    fence = [
+      {:inclusion,
+       {:polygon,
+        [{0, 1_799_990_000}, {0, -1_799_990_000}, {10_000, -1_799_990_000}, {10_000, 1_799_990_000}]}}
+    ]
+
+    inside = %Item{command: 16, frame: 3, x: 5_000, y: -1_799_995_000, z: 20.0}
+    assert texts(%Plan{fence: fence, items: [inside]}) == []
+    assert [_outside] = texts(%Plan{fence: fence, items: [%{inside | y: -1_799_900_000}]})
+  end
+
+  test "a plan of thousands of corners and items is not judged for minutes" do
+    ring = for n <- 1..2_000, do: at(1000 * :math.cos(n / 318.3), 1000 * :math.sin(n / 318.3))
+    plan = %Plan{fence: [{:inclusion, {:polygon, ring}}], items: List.duplicate(waypoint(5_000, 0), 2_000)}
+
+    assert ["the plan is too large to be checked" <> _, "the vehicle is outside" <> _] =
+             texts(plan, %{@copter | place: degrees(5_000, 0)})
+  end
+
+  test "what is known of a vehicle" do
+    now = 1_000_000_000
+    group = &%{data: &1, at: now}
+
+    snapshot = %{
+      autopilot: :px4,
+      vehicle_type: "copter",
+      groups: %{
+        position: group.(%{lat: 47.0, lon: 8.0}),
+        mode: group.(%{in_air: true, armed: true}),
+        health: group.(%{fence_enabled: true})
+      }
+    }
+
+    assert OwnFence.vehicle(snapshot, now) ==
+             %{autopilot: :px4, vehicle_type: "copter", place: {47.0, 8.0}, flying?: true, fenced?: true}
+
+    # Where it was a minute ago tells nothing.
+    assert %{place: nil} = OwnFence.vehicle(snapshot, now + 60_000_000)
+    assert %{place: nil, flying?: false, fenced?: false} = OwnFence.vehicle(%{snapshot | groups: %{}}, now)
+    assert %{place: nil} = OwnFence.vehicle(nil, now)
+  end
+end

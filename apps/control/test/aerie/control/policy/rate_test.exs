@@ -1,0 +1,110 @@
+defmodule Aerie.Control.Policy.RateTest do
+  use ExUnit.Case, async: true
+
+  alias Aerie.Control.Policy
+  alias Aerie.Control.Policy.Rate
+
+  @second 1_000_000
+
+  defp policy(rates) do
+    {:ok, policy} = Policy.compile(%{rates: rates})
+    policy
+  end
+
+  # How many of `n` at once are allowed.
+  defp burst(rate, policy, n, now, {source, vehicle, type} \\ {"olga", "VID-001", "goto"}) do
+    Enum.reduce(1..n, {rate, 0}, fn _time, {rate, allowed} ->
+      case Rate.take(rate, policy, source, vehicle, type, now) do
+        {:ok, rate} -> {rate, allowed + 1}
+        {:deny, :rate, _text} -> {rate, allowed}
+      end
+    end)
+  end
+
+  test "so many at once, then one in so long, for each source, vehicle and type" do
+    policy = policy([%{types: ["goto"], per_minute: 6, burst: 3}])
+    {rate, 3} = burst(Rate.new(), policy, 10, 0)
+
+    assert Rate.take(rate, policy, "olga", "VID-001", "goto", 4 * @second) ==
+             {:deny, :rate,
+              "olga may command goto of VID-001 6 times a minute, 3 at once; the next one is allowed in 6 s"}
+
+    {rate, 1} = burst(rate, policy, 10, 10 * @second)
+
+    for other <- [{"otto", "VID-001", "goto"}, {"olga", "VID-002", "goto"}],
+        do: assert({_, 3} = burst(rate, policy, 5, 0, other))
+
+    assert {_, 5} = burst(rate, policy, 5, 0, {"olga", "VID-001", "land"})
+  end
+
+  test "rules name sources and vehicles, and all that apply must agree" do
+    policy =
+      policy([
+        %{sources: ["script"], per_minute: 60, burst: 2},
+        %{vehicles: ["VID-007"], types: ["takeoff"], per_minute: 1, burst: 1}
+      ])
+
+    assert {_, 2} = burst(Rate.new(), policy, 9, 0, {"script", "VID-001", "takeoff"})
+    assert {_, 1} = burst(Rate.new(), policy, 9, 0, {"script", "VID-007", "takeoff"})
+    assert {_, 9} = burst(Rate.new(), policy, 9, 0, {"olga", "VID-001", "takeoff"})
+  end
+
+  test "out of the box a flood does not pass, but set-points and transfers, unless a rule names them" do
+    {:ok, policy} = Policy.compile(%{})
+    {rate, allowed} = burst(Rate.new(), policy, 1000, 0)
+    assert allowed == 100
+
+    Enum.reduce(1..200, rate, fn n, rate ->
+      {:ok, rate} = Rate.take(rate, policy, "olga", "VID-001", "goto", n * 20_000)
+      rate
+    end)
+
+    for type <- ~w(setpoint_position rc_override mission_upload set_parameter) do
+      assert {_, 1000} = burst(Rate.new(), policy, 1000, 0, {"olga", "VID-001", type})
+    end
+
+    named = policy([%{types: ["rc_override"], per_minute: 60, burst: 5}])
+    assert {_, 5} = burst(Rate.new(), named, 1000, 0, {"olga", "VID-001", "rc_override"})
+
+    {:ok, free} = Policy.compile(%{rates: []})
+    assert {_, 1000} = burst(Rate.new(), free, 1000, 0)
+  end
+
+  test "made-up sources fill no memory" do
+    policy = policy([%{per_minute: 1, burst: 1}])
+
+    rate =
+      Enum.reduce(1..20_000, Rate.new(), fn n, rate ->
+        {:ok, rate} = Rate.take(rate, policy, "source #{n}", "v", "arm", 0)
+        rate
+      end)
+
+    assert {:deny, :rate, "20000 pairs" <> _} = Rate.take(rate, policy, "one more", "v", "arm", 1)
+    assert {:ok, %{buckets: buckets}} = Rate.take(rate, policy, "one more", "v", "arm", 61 * @second)
+    assert map_size(buckets) == 1
+  end
+
+  test "never more than the burst and what has come since, whatever the order of times" do
+    property =
+      :proper.forall(:proper_types.list(:proper_types.integer(0, 3_000_000)), fn steps ->
+        policy = policy([%{per_minute: 60, burst: 5}])
+
+        {_rate, _now, taken} =
+          Enum.reduce(steps, {Rate.new(), 0, []}, fn step, {rate, now, taken} ->
+            now = now + step
+
+            case Rate.take(rate, policy, "s", "v", "arm", now) do
+              {:ok, rate} -> {rate, now, [now | taken]}
+              {:deny, :rate, _text} -> {rate, now, taken}
+            end
+          end)
+
+        Enum.all?(taken, fn from ->
+          within = Enum.count(taken, &(&1 >= from and &1 < from + 10 * @second))
+          within <= 15
+        end)
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 200]) == true, inspect(:proper.counterexample())
+  end
+end

@@ -1,0 +1,55 @@
+defmodule Aerie.Fleet do
+  @moduledoc """
+  All vehicles that this gateway knows of, in one model: those on its own links, and those that other gateways hear
+  (`Aerie.Fleet.RemoteTable`). A vehicle that is heard both ways is one vehicle.
+
+  A snapshot is that of `Aerie.Base.Store`, with these beside it:
+
+    * `:via` - the gateway by which it is reached; nil: this one's links
+    * `:gateways` - the other gateways that tell of it
+    * of a group, `:via` - the gateway that told the value; missing or nil: this one's links
+
+  This gateway's links count until they have lost the vehicle; then another gateway does, if that hears it. Of a group that two
+  tell, the one on the vehicle's way counts unless it is ten seconds older.
+  """
+
+  alias Aerie.Fleet.RemoteTable
+  alias Aerie.Base.{Names, Store}
+
+  @older_us 10_000_000
+
+  @doc "All vehicles, those on this gateway's links first."
+  @spec vehicles(Names.gateway()) :: [map()]
+  def vehicles(gateway) do
+    local = Store.vehicles(gateway)
+    remote = RemoteTable.vehicles(gateway, now())
+    known = MapSet.new(local, & &1.id)
+
+    Enum.map(local, &merge(&1, remote[&1.id])) ++
+      for({id, vehicle} <- Enum.sort(remote), id not in known, do: vehicle)
+  end
+
+  @doc "One vehicle by its id; nil if nobody has told of it."
+  @spec vehicle(Names.gateway(), String.t()) :: map() | nil
+  def vehicle(gateway, id),
+    do: merge(Store.vehicle(gateway, id), RemoteTable.vehicle(gateway, id, now()))
+
+  @doc "The snapshot of a vehicle that may be heard here (local), there (remote), or both."
+  @spec merge(local :: map() | nil, remote :: map() | nil) :: map() | nil
+  def merge(nil, remote), do: remote
+  def merge(local, nil), do: local
+
+  def merge(%{status: :lost} = local, %{status: status} = remote) when status != :lost,
+    do: %{remote | groups: groups(remote.groups, local.groups)}
+
+  def merge(local, remote),
+    do: Map.merge(local, %{via: nil, gateways: remote.gateways, groups: groups(local.groups, remote.groups)})
+
+  defp groups(first, second) do
+    Map.merge(first, second, fn _group, one, other ->
+      if other.at > one.at + @older_us, do: other, else: one
+    end)
+  end
+
+  defp now, do: System.os_time(:microsecond)
+end

@@ -1,0 +1,359 @@
+defmodule Aerie.Fleet.Bridge.Commands do
+  @moduledoc """
+  Commands by NATS: request and reply on `fleet.{environment}.{vehicle}.cmd.{type}`, in no stream.
+
+  The gateway listens for the vehicles that it has heard, so a request for any other one is answered by the server (no
+  responders). Of several gateways that hear the same vehicle the one that holds it listens (`Aerie.Fleet.Shadow.Ownership`); the others leave it.
+
+  So are requests for parameters, plans, files and logs (`Aerie.Fleet.Bridge.Commands.Transfers`), on subjects with their own area in the place of
+  `cmd`.
+
+  Each message is handled in a task, once `Aerie.Fleet.Bridge.Commands.Queue` has a place for it; `Aerie.Fleet.Bridge.Commands.Request` says who commands
+  what, `Aerie.Control.Commands` does the rest. The type `cancel` with the id of a command, or of a reading, cancels that one. Progress is published
+  on `….cmd.{type}.progress.{id}`.
+
+  | what | limit | beyond it |
+  |---|---|---|
+  | messages that wait here | 1000, and 10,000 for those that claim the signature of a listed key | dropped, counted in `gateway_nats_commands_dropped_total` |
+  | tasks | those of `Aerie.Fleet.Bridge.Commands.Queue` | answered with rule `busy` |
+  | what nobody has signed who may | a rate (`Lanes`) | dropped, counted in `gateway_nats_commands_unread_total` |
+  | a message | 16 KiB, of other areas 1 MB | answered with rule `size` |
+  """
+  use GenServer
+
+  alias Aerie.Fleet.Bridge.Commands.{Queue, Request, Transfers}
+  alias Aerie.Fleet.Bridge.{Connection, Settings, Tables}
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Control.{Commands, Policy}
+  alias Aerie.Fleet.Nats
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.{Error, Result}
+  alias Aerie.Control.Commands.Record
+  alias Aerie.Control.Policy.{Intent, Sources}
+  alias Aerie.Base.PubSub
+
+  @queue "aerie-commands"
+  @max_waiting 1_000
+  @max_waiting_signed 10_000
+
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
+  def start_link(options),
+    do: GenServer.start_link(__MODULE__, options, name: Names.via(options[:gateway], :bridge_commands))
+
+  @doc "The vehicles whose commands it listens to."
+  @spec vehicles(Names.gateway()) :: [String.t()]
+  def vehicles(gateway), do: GenServer.call(Names.via(gateway, :bridge_commands), :vehicles, :infinity)
+
+  @doc """
+  Leaves vehicles to other gateways, by their ids, until the same reason is given again: `:heard`, this one's links have lost them, and
+  others hear them; `:holder`, this one does not hold them.
+  """
+  @spec leave(Names.gateway(), :heard | :holder, MapSet.t(String.t())) :: :ok
+  def leave(gateway, why, ids),
+    do: GenServer.cast(Names.via(gateway, :bridge_commands), {:leave, why, ids})
+
+  @impl GenServer
+  def init(options) do
+    gateway = options[:gateway]
+    Process.set_label({:bridge_commands, gateway})
+    :ok = PubSub.subscribe(gateway, :roster)
+    tables = Tables.get(gateway)
+    {:ok, tasks} = Task.Supervisor.start_link()
+
+    state = %{
+      gateway: gateway,
+      environment: options[:settings].environment,
+      tables: tables,
+      tasks: tasks,
+      lanes: Queue.new(now()),
+      running: %{},
+      tasks_of: %{},
+      conn: nil,
+      subscribed: %{},
+      left: %{}
+    }
+
+    case Connection.current(tables) do
+      %{conn: conn} -> {:ok, connected(state, conn)}
+      nil -> {:ok, state}
+    end
+  end
+
+  @impl GenServer
+  def handle_call(:vehicles, _from, state), do: {:reply, Enum.sort(Map.keys(state.subscribed)), state}
+
+  # Of a task whose message's signature was good: whether it may go on.
+  def handle_call({:verified, type, signature}, {pid, _tag}, state) do
+    task = Map.fetch!(state.tasks_of, pid)
+
+    case Map.fetch!(state.running, task) do
+      %{phase: {:checking, key}} = entry ->
+        {phase, next, lanes} = Queue.verified(state.lanes, key, signature, type in Intent.ending(), now())
+        state = put_in(%{state | lanes: lanes}.running[task], %{entry | phase: phase})
+        answer = if phase, do: :ok, else: {:busy, map_size(state.running)}
+        {:reply, answer, turn(state, next, {:checking, key})}
+
+      # Its time, or the policy, changed since it was told apart: it goes on in the lane that it is in.
+      _another_lane ->
+        {:reply, :ok, state}
+    end
+  end
+
+  @impl GenServer
+  def handle_cast({:leave, why, ids}, %{left: left} = state) do
+    changed = MapSet.symmetric_difference(ids, Map.get(left, why, MapSet.new()))
+    {:noreply, Enum.reduce(changed, %{state | left: Map.put(left, why, ids)}, &look/2)}
+  end
+
+  @impl GenServer
+  def handle_info({:msg, message}, state) do
+    {:message_queue_len, waiting} = Process.info(self(), :message_queue_len)
+    {:noreply, arrived(state, message, waiting)}
+  end
+
+  def handle_info({:command_progress, topic, id, progress}, state) do
+    body = JSON.encode!(Map.put(progress, "id", id))
+    # Progress that does not arrive is followed by more of it, or by the result.
+    _ = if state.conn, do: Nats.pub(state.conn, "#{topic}.progress.#{id}", body)
+    {:noreply, state}
+  end
+
+  def handle_info({task, _done}, state) when is_map_key(state.running, task) do
+    Process.demonitor(task, [:flush])
+    {%{phase: phase}, state} = ended(state, task)
+    {:noreply, left(state, phase)}
+  end
+
+  def handle_info({:DOWN, task, :process, _pid, _crash}, state) when is_map_key(state.running, task) do
+    {%{message: message, phase: phase}, state} = ended(state, task)
+    reason = "a fault of the gateway ended its work on the message; the command may have been sent"
+    reply(state.tables, message, %{"id" => nil, "result" => "unknown", "reason" => reason})
+    {:noreply, left(state, phase)}
+  end
+
+  # Told again after each look at the streams.
+  def handle_info({:bridge, :up, conn}, %{conn: conn} = state), do: {:noreply, state}
+  def handle_info({:bridge, :up, conn}, state), do: {:noreply, connected(state, conn)}
+  def handle_info({:bridge, :down}, state), do: {:noreply, %{state | conn: nil, subscribed: %{}}}
+  def handle_info({:fleet, :roster, id}, state), do: {:noreply, look(id, state)}
+  def handle_info(_late, state), do: {:noreply, state}
+
+  defp connected(state, conn) do
+    state = %{state | conn: conn, subscribed: %{}}
+    Enum.reduce(Store.vehicles(state.gateway), state, &look(&1.id, &2))
+  end
+
+  defp look(_id, %{conn: nil} = state), do: state
+
+  defp look(id, state) do
+    left? = Enum.any?(state.left, fn {_why, ids} -> id in ids end)
+
+    case {if(not left?, do: Store.vehicle(state.gateway, id)), state.subscribed} do
+      {nil, %{^id => sids}} ->
+        for sid <- sids, do: _ = Nats.unsub(state.conn, sid)
+        %{state | subscribed: Map.delete(state.subscribed, id)}
+
+      {%{}, subscribed} when not is_map_key(subscribed, id) ->
+        sids =
+          for area <- ["cmd" | Transfers.areas()],
+              subject = "fleet.#{state.environment}.#{id}.#{area}.*",
+              # Otherwise the connection is lost; the next one subscribes.
+              {:ok, sid} <- [Aerie.Fleet.Nats.sub(state.conn, self(), subject, queue_group: @queue)],
+              do: sid
+
+        if length(sids) > length(Transfers.areas()),
+          do: %{state | subscribed: Map.put(subscribed, id, sids)},
+          else: state
+
+      _as_it_was ->
+        state
+    end
+  end
+
+  # The cheapest look first: a flood must cost this process less than it costs the connection.
+  defp arrived(state, message, waiting) do
+    signature = Request.signature(message)
+    now = System.os_time(:microsecond)
+
+    case Sources.claim(Policy.Store.get(state.gateway), signature, now) do
+      _any when waiting > @max_waiting_signed ->
+        drop(state, :commands_dropped)
+
+      {:listed, key} = claim ->
+        cond do
+          not Queue.room?(state.lanes, key) -> drop(state, :commands_dropped)
+          Sources.fresh?(signature, now) -> arrived(state, message, waiting, claim)
+          true -> arrived(state, message, waiting, :refused)
+        end
+
+      claim ->
+        arrived(state, message, waiting, claim)
+    end
+  end
+
+  defp arrived(state, _message, waiting, claim) when waiting > @max_waiting and not is_tuple(claim),
+    do: drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
+
+  defp arrived(state, message, _waiting, claim) do
+    {_vehicle, type} = Request.subject(message.topic)
+
+    case Queue.arrive(state.lanes, claim, message, type in Intent.ending(), now()) do
+      :drop -> drop(state, if(claim == :refused, do: :commands_unread, else: :commands_dropped))
+      {:run, phase, lanes} -> %{state | lanes: lanes} |> received(type) |> run(message, phase)
+      {:wait, lanes} -> received(%{state | lanes: lanes}, type)
+    end
+  end
+
+  defp received(state, type) do
+    Tables.count(state.tables, :received, subject: label(type))
+    state
+  end
+
+  defp drop(state, counter) do
+    Tables.count(state.tables, counter)
+    state
+  end
+
+  defp ended(state, task) do
+    {entry, running} = Map.pop!(state.running, task)
+    {entry, %{state | running: running, tasks_of: Map.delete(state.tasks_of, entry.pid)}}
+  end
+
+  defp left(state, nil), do: state
+
+  defp left(state, phase) do
+    {next, lanes} = Queue.left(state.lanes, phase)
+    turn(%{state | lanes: lanes}, next, phase)
+  end
+
+  defp turn(state, {:ok, message}, phase), do: run(state, message, phase)
+  defp turn(state, :none, _phase), do: state
+
+  # Of what is counted by its subject.
+  defp label("cancel"), do: "cmd.cancel"
+
+  defp label(type) do
+    case String.split(type, ".") do
+      [area, operation] ->
+        if Transfers.known?(area, operation), do: type, else: area <> ".unknown"
+
+      [type] ->
+        "cmd." <> if(match?({:ok, _type}, Command.Types.fetch(type)), do: type, else: "unknown")
+    end
+  end
+
+  defp run(state, message, phase) do
+    %{gateway: gateway, tables: tables} = state
+    face = self()
+    under_way = map_size(state.running)
+
+    # This process never waits for the connection, which may be busy with a flood.
+    task =
+      Task.Supervisor.async_nolink(state.tasks, fn ->
+        if phase == :busy,
+          do: reply(tables, message, busy(under_way)),
+          else: answer(gateway, tables, face, message)
+      end)
+
+    entry = %{message: message, phase: phase, pid: task.pid}
+
+    %{
+      state
+      | running: Map.put(state.running, task.ref, entry),
+        tasks_of: Map.put(state.tasks_of, task.pid, task.ref)
+    }
+  end
+
+  defp busy(number) do
+    reason = "#{number} commands over NATS are under way, which is the limit; try again"
+    refusal(%{}, :busy, reason)
+  end
+
+  defp answer(gateway, tables, face, message) do
+    body =
+      with {:ok, request} <- Request.read(message, Policy.Store.get(gateway), System.os_time(:microsecond)),
+           :ok <- admitted(face, request, Request.signature(message)) do
+        obey(gateway, face, message.topic, request)
+      else
+        {:refused, envelope, {rule, reason}} -> turn_away(gateway, envelope, rule, reason)
+        {:busy, number} -> busy(number)
+      end
+
+    reply(tables, message, body)
+  end
+
+  # An unsigned one has its place already.
+  defp admitted(_face, _request, nil), do: :ok
+
+  defp admitted(face, request, signature),
+    do: GenServer.call(face, {:verified, request.type, signature}, :infinity)
+
+  defp obey(gateway, _face, _topic, %{type: "cancel", envelope: %{"id" => id}} = request)
+       when is_binary(id) do
+    case Commands.cancel(gateway, request.vehicle, id, request.source, "nats") do
+      :ok -> accepted(id)
+      {:error, :unknown, reason} -> cease(gateway, request.vehicle, id, reason)
+      {:error, :role, reason} -> %{"id" => id, "result" => "denied", "rule" => "role", "reason" => reason}
+      {:error, _why, reason} -> %{"id" => id, "result" => "rejected", "reason" => reason}
+    end
+  end
+
+  defp obey(gateway, face, topic, %{type: type} = request) do
+    case String.split(type, ".") do
+      [area, operation] ->
+        Transfers.answer(gateway, {area, operation}, request.envelope, request.source, {face, topic})
+
+      [_command] ->
+        command(gateway, face, topic, request)
+    end
+  end
+
+  # A reading is no command: whoever may read may end it.
+  defp cease(gateway, vehicle, id, reason) do
+    case Aerie.Control.Transfers.cancel(gateway, vehicle, id) do
+      :ok -> accepted(id)
+      {:error, _none} -> %{"id" => id, "result" => "rejected", "reason" => reason}
+    end
+  end
+
+  defp accepted(id), do: %{"id" => id, "result" => "accepted", "reason" => nil}
+
+  defp command(gateway, face, topic, request) do
+    case Commands.submit(gateway, request.envelope, request.source, via: "nats", progress: {face, topic}) do
+      {:ok, result} ->
+        Result.plain(result)
+
+      {:pending, id} ->
+        %{"id" => id, "result" => nil, "reason" => "it is under way"}
+
+      {:error, errors} ->
+        request.envelope
+        |> refusal(:malformed, Error.text(errors))
+        |> Map.put("errors", for(error <- errors, do: Map.take(plain(error), ["key", "expected", "got"])))
+    end
+  end
+
+  defp plain(error), do: %{"key" => error.key, "expected" => error.expected, "got" => error.got}
+
+  defp turn_away(gateway, envelope, rule, reason) do
+    Record.turned_away(gateway, envelope, nil, "nats", rule, reason)
+    refusal(envelope, rule, reason)
+  end
+
+  defp refusal(envelope, rule, reason) do
+    id = with id when not is_binary(id) or byte_size(id) > 64 <- envelope["id"], do: nil
+    result = if rule in [:malformed, :size], do: "rejected", else: "denied"
+    %{"id" => id, "result" => result, "rule" => Atom.to_string(rule), "reason" => reason}
+  end
+
+  defp reply(_tables, %{reply_to: nil}, _body), do: :ok
+
+  defp reply(tables, message, body) do
+    with {:error, _lost} <- Nats.pub(message.gnat, message.reply_to, JSON.encode_to_iodata!(body)),
+         do: Tables.count(tables, :publish_errors)
+
+    :ok
+  end
+
+  defp now, do: System.monotonic_time(:microsecond)
+end

@@ -1,0 +1,287 @@
+defmodule Aerie.Fleet.Bridge.LastPublished do
+  @moduledoc """
+  Keeps on disk what was last published of each vehicle (mode, armed, in the air), so that a restarted gateway can detect what
+  changed in between (`Aerie.Vehicle.Detector.OfflineChanges`). It also keeps the epoch, a number that grows with each start; in
+  one epoch a vehicle's `seq` grows by one from event to event.
+
+  A vehicle's values are written when its events have left the journal, because then the stream or the outbox has them. So a
+  transition whose event died with the gateway is found after the restart. One that was published in the last half second
+  before a `kill -9` may be found again, marked as found. Every ten seconds the time is updated at which the values still held.
+
+  A vehicle that was not lost and is not heard again gives `link.lost` (`Aerie.Fleet.Bridge.LastPublished.Missing`).
+
+  Each start gives an event `gateway.started`, under the gateway's own name. With `nats.mode: off` there is no file and no
+  process: the start is told, the epoch comes from the clock alone, and no offline changes are found.
+
+  The file is `last/vehicles.json` in the outbox's folder. If it is damaged or missing, no offline changes are found.
+
+  If another gateway has the folder (one that was killed and has not ended yet, or a second one by mistake), the lock is
+  retried with back-off. Vehicles that were heard meanwhile are compared late (`Aerie.Fleet.Bridge.LastPublished.Late`), and
+  `gateway.started` waits up to ten seconds.
+  """
+  # Its end writes to the disk.
+  use GenServer, shutdown: 30_000
+
+  alias Aerie.Base.Backoff
+  alias Aerie.Vehicle.Journal
+  alias Aerie.Fleet.Bridge.LastPublished.File, as: Kept
+  alias Aerie.Fleet.Bridge.LastPublished.{Late, Missing}
+  alias Aerie.Fleet.Bridge.Settings
+  alias Aerie.Base.Files.FolderLock
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Identity
+  alias Aerie.Vehicle.{Detector, Event}
+
+  require Logger
+
+  @look_ms 500
+  @refresh_us 10_000_000
+  @max_vehicles 4096
+  @lock_min_ms 250
+  @lock_max_ms 10_000
+  @begin_ms 10_000
+
+  @doc "`:ignore` if the configuration has no NATS, like the bridge itself; the epoch begins all the same."
+  @spec start_link(gateway: Names.gateway(), settings: Settings.t()) :: GenServer.on_start()
+  def start_link(options) do
+    settings = Keyword.fetch!(options, :settings)
+    gateway = Keyword.fetch!(options, :gateway)
+
+    if Settings.on?(settings) do
+      GenServer.start_link(__MODULE__, options, name: Names.via(gateway, :bridge_last_published))
+    else
+      start = %{gateway: gateway, settings: settings, started_at: now(), former: Kept.none()}
+      epoch(start)
+      begin(start)
+      :ignore
+    end
+  end
+
+  @doc "What was published of a vehicle before the restart, or nil."
+  @spec of(Names.gateway(), String.t()) :: Detector.OfflineChanges.t()
+  def of(gateway, vehicle) do
+    with %{} = remembered <- Names.value(gateway, :bridge_last_published), do: remembered[vehicle]
+  end
+
+  @doc "The name under which a gateway publishes its own events."
+  @spec name(Identity.Settings.t()) :: String.t()
+  def name(%Identity.Settings{vehicle_id: nil}) do
+    {:ok, host} = :inet.gethostname()
+    named(to_string(host))
+  end
+
+  def name(%Identity.Settings{vehicle_id: id}), do: named(id)
+
+  # Names in subjects have at most 64 letters, digits, - and _.
+  defp named(id), do: String.slice("gateway-" <> String.replace(id, ~r/[^A-Za-z0-9_-]/, "-"), 0, 64)
+
+  @impl GenServer
+  def init(options) do
+    Process.flag(:trap_exit, true)
+    gateway = options[:gateway]
+    Process.set_label({:bridge_last_published, gateway})
+    Logger.metadata(gateway: inspect(gateway))
+    settings = options[:settings]
+
+    state = %{
+      gateway: gateway,
+      settings: settings,
+      started_at: now(),
+      started: System.monotonic_time(:microsecond),
+      dir: Path.join(Path.expand(settings.outbox.dir), "last"),
+      file: nil,
+      lock_failures: 0,
+      former: Kept.none(),
+      unheard: %{},
+      epoch: nil,
+      vehicles: %{},
+      written_at: nil,
+      problem: nil
+    }
+
+    Process.send_after(self(), :look, @look_ms)
+
+    case FolderLock.acquire(state.dir) do
+      :ok ->
+        state = read(state)
+        Names.put_value(gateway, :bridge_last_published, compared(state.former))
+        state = %{state | epoch: epoch(state)}
+        begin(state)
+        # Written at once, so that the next epoch is greater, however short this one is.
+        {:ok, write(state, now(), false)}
+
+      {:error, text} ->
+        Logger.error("changes during a restart will not be found until this is mended: #{text}")
+        Process.send_after(self(), :begin, Keyword.get(options, :begin_ms, @begin_ms))
+        {:ok, again(%{state | epoch: epoch(state)})}
+    end
+  end
+
+  # What this process has seen itself is newer than the file.
+  defp read(state) do
+    file = Path.join(state.dir, "vehicles.json")
+    former = Kept.read(file)
+
+    %{
+      state
+      | file: file,
+        former: former,
+        unheard: Missing.new(former.vehicles),
+        vehicles: Map.merge(former.vehicles, state.vehicles)
+    }
+  end
+
+  defp compared(former), do: Map.new(former.vehicles, fn {id, known} -> {id, Map.delete(known, :lost)} end)
+
+  defp again(%{lock_failures: failures} = state) do
+    # The first wait would be none, and nothing has changed yet.
+    Process.send_after(self(), :lock, Backoff.wait(failures + 1, @lock_min_ms, @lock_max_ms))
+    %{state | lock_failures: failures + 1}
+  end
+
+  # An epoch lasts as long as the store, which numbers the events.
+  defp epoch(%{gateway: gateway, former: former}) do
+    Journal.epoch(gateway, max(div(now(), 1000), (former.epoch || 0) + 1))
+  end
+
+  defp begin(%{former: former} = state) do
+    name = name(state.settings.vehicle.identity)
+
+    # Otherwise this process was restarted, and the gateway was not.
+    if Journal.state(state.gateway, name) == nil do
+      data = %{
+        "version" => version(),
+        "previous_epoch" => former.epoch,
+        "ended" => if(former.epoch, do: if(former.ended, do: "orderly", else: "killed")),
+        "vehicles" => Enum.sort(Map.keys(former.vehicles))
+      }
+
+      event = Event.new(name, "gateway.started", 1, state.started_at, nil, data)
+      Journal.commit(state.gateway, name, :started, [event])
+    end
+  end
+
+  defp version, do: :fleet |> Application.spec(:vsn) |> to_string()
+
+  @impl GenServer
+  def handle_info(:look, state) do
+    Process.send_after(self(), :look, @look_ms)
+    up_us = System.monotonic_time(:microsecond) - state.started
+    unheard = Missing.check(state.unheard, state.gateway, state.settings.vehicle, now(), up_us)
+    {:noreply, look(%{state | unheard: unheard})}
+  end
+
+  def handle_info(:lock, state) do
+    case FolderLock.acquire(state.dir) do
+      :ok -> {:noreply, late(state)}
+      {:error, _text} -> {:noreply, again(state)}
+    end
+  end
+
+  def handle_info(:begin, state) do
+    begin(state)
+    {:noreply, state}
+  end
+
+  def handle_info(_message, state), do: {:noreply, state}
+
+  defp late(state) do
+    Logger.notice("changes during a restart will be found again: #{state.dir} is free")
+
+    # The vehicles of the file get their time to be heard from now on, because another gateway has heard them until now.
+    state = read(%{state | started: System.monotonic_time(:microsecond)})
+
+    # The same epoch: only this process was restarted, and the file is its own.
+    if state.former.epoch != state.epoch,
+      do: Late.notify(state.gateway, compared(state.former), now())
+
+    begin(state)
+    # The next epoch must be greater than both.
+    state = %{state | epoch: max(state.epoch, state.former.epoch || 0)}
+    state |> look() |> write(now(), false)
+  end
+
+  @impl GenServer
+  def terminate(_reason, state), do: state |> look() |> write(now(), true)
+
+  defp look(state) do
+    now = now()
+    waiting = Journal.waiting(state.gateway)
+    recorded = recorded(state.gateway)
+
+    told =
+      for [vehicle, last, found, lost] <- Journal.states(state.gateway, detectors()),
+          vehicle not in waiting and vehicle not in recorded,
+          known =
+            last |> Map.take(Detector.OfflineChanges.keys()) |> Enum.into(Map.delete(found || %{}, :since)),
+          known != %{},
+          into: %{},
+          do: {vehicle, kept(known, state.vehicles[vehicle], last, lost != false, now)}
+
+    vehicles = state.vehicles |> Map.merge(told) |> bounded()
+
+    if changed?(state, vehicles, now),
+      do: write(%{state | vehicles: vehicles}, now, false),
+      else: state
+  end
+
+  defp detectors, do: %{__struct__: Detector, last: :"$2", published: :"$3", lost: :"$4"}
+
+  # The values of a vehicle that is lost, or that has sent none since the restart, hold as of the time it was heard.
+  defp kept(known, before, last, lost, now) do
+    same? = before != nil and map_size(Map.drop(before, [:since, :lost])) == map_size(known)
+    since = if same? and (lost or last == %{}), do: before.since, else: now
+    Map.merge(known, %{since: since, lost: lost})
+  end
+
+  # Vehicles of recordings do not really fly.
+  defp recorded(gateway) do
+    replayed = for %{spec: %{recorded: true}, id: id} <- Store.links(gateway), do: id
+
+    if replayed == [],
+      do: [],
+      else:
+        for(
+          %{links: [_ | _] = links, id: id} <- Store.vehicles(gateway),
+          links -- replayed == [],
+          do: id
+        )
+  end
+
+  defp bounded(vehicles) when map_size(vehicles) <= @max_vehicles, do: vehicles
+
+  defp bounded(vehicles) do
+    vehicles |> Enum.sort_by(fn {_id, known} -> -known.since end) |> Enum.take(@max_vehicles) |> Map.new()
+  end
+
+  defp changed?(%{written_at: nil}, _vehicles, _now), do: true
+
+  defp changed?(state, vehicles, now) do
+    values = &Map.new(&1, fn {id, known} -> {id, Map.delete(known, :since)} end)
+
+    values.(vehicles) != values.(state.vehicles) or
+      (vehicles != state.vehicles and now - state.written_at >= @refresh_us)
+  end
+
+  defp write(%{file: nil} = state, now, _ended), do: %{state | written_at: now}
+
+  defp write(state, now, ended) do
+    case Kept.write(state.file, %{epoch: state.epoch, ended: ended, vehicles: state.vehicles}) do
+      :ok -> %{state | written_at: now, problem: nil}
+      {:error, reason} -> problem(state, reason)
+    end
+  end
+
+  # Logged once; tried again at the next look.
+  defp problem(%{problem: reason} = state, reason), do: state
+
+  defp problem(state, reason) do
+    Logger.error(
+      "cannot write #{state.file}: #{:file.format_error(reason)}; changes during a restart will not be found"
+    )
+
+    %{state | problem: reason}
+  end
+
+  defp now, do: System.os_time(:microsecond)
+end

@@ -1,0 +1,17 @@
+defmodule Aerie.Fleet.Operations.Supervisor do
+  @moduledoc "The processes of `Aerie.Fleet.Operations`. A restart interrupts the operations that run; their commands go on."
+  use Supervisor
+
+  alias Aerie.Base.Names
+  alias Aerie.Fleet.Operations.{Nats, Server}
+
+  @spec start_link(gateway: Names.gateway()) :: Supervisor.on_start()
+  def start_link(options),
+    do: Supervisor.start_link(__MODULE__, options, name: Names.via(options[:gateway], :operations_supervisor))
+
+  @impl Supervisor
+  def init(gateway: gateway) do
+    Process.set_label({:operations, gateway})
+    Supervisor.init([{Server, gateway: gateway}, {Nats, gateway: gateway}], strategy: :rest_for_one)
+  end
+end

@@ -1,0 +1,194 @@
+defmodule Aerie.Fleet.Remote do
+  @moduledoc """
+  Vehicles of other gateways: their state comes by `Aerie.Fleet.Remote.Listener`, commands go to them by this module, as NATS requests on
+  `fleet.{environment}.{vehicle}.cmd.{type}`.
+
+  The other gateway identifies this one by the signature (`remote.nkey_seed_file`) and decides by its own policy. The id stays, so
+  its ledger keeps the command from being done twice. Nothing is queued: if nobody listens, or the vehicle is lost, the answer is
+  `failed` with the rule `unreachable` at once, and nothing was sent. Parameters and plans go the same way, on the subjects that
+  `Aerie.Fleet.Bridge.Commands.Transfers` answers.
+  """
+  @behaviour Aerie.Control.Commands.RemoteGateway
+
+  alias Aerie.Base.Names
+  alias Aerie.Fleet
+  alias Aerie.Fleet.{Bridge, Nats}
+  alias Aerie.Vehicle.Command
+  alias Aerie.Fleet.Bridge.Commands.Transfers
+  alias Aerie.Vehicle.Command.Result
+  alias Aerie.Control.Policy.Signature
+
+  # A command may go on after its deadline, which is when it is sent at the latest.
+  @after_deadline_ms 300_000
+  @cancel_ms 5_000
+  @look_ms 500
+  @max_text 512
+  # The other gateway's answer may come a little after its time limit.
+  @late_ms 5_000
+  @own ~w(id result reason)
+  @progress ~w(progress text phase done total)
+
+  @impl Aerie.Control.Commands.RemoteGateway
+  defdelegate vehicle(gateway, id), to: Fleet
+
+  @impl Aerie.Control.Commands.RemoteGateway
+  def submit(gateway, snapshot, command, request, progress) do
+    timeout = max(div(command.deadline - System.os_time(:microsecond), 1000) + @after_deadline_ms, 0)
+    what = "cmd.#{command.type}"
+
+    gateway
+    |> ask(snapshot, command.id, what, body(command, request), timeout, progress)
+    |> result(command.id, snapshot)
+  end
+
+  @impl Aerie.Control.Commands.RemoteGateway
+  def transfer(gateway, snapshot, id, {area, operation, body}, who, timeout_ms, progress) do
+    source = String.slice(who, 0, 64)
+    text = JSON.encode!(Map.merge(body, %{"id" => id, "timeout" => timeout_ms / 1000, "source" => source}))
+
+    if byte_size(text) > Transfers.max_bytes() do
+      {:error,
+       Result.new(id, :failed, "it is larger than what NATS carries: ask its gateway", %{"rule" => "size"})}
+    else
+      case ask(gateway, snapshot, id, "#{area}.#{operation}", text, timeout_ms + @late_ms, progress) do
+        {:ok, %{"result" => "completed"} = answer} ->
+          {:ok, answer |> Map.drop(@own) |> Map.put("gateway", snapshot.via)}
+
+        other ->
+          {:error, result(other, id, snapshot)}
+      end
+    end
+  end
+
+  # The other gateway's answer, or why there is none: nothing was sent, or nobody knows what became of it.
+  defp ask(_gateway, %{status: :lost} = snapshot, _id, _what, _body, _timeout, _progress),
+    do: {:unreachable, "nothing was heard of it by NATS for a while; its gateway was #{snapshot.via}"}
+
+  defp ask(gateway, snapshot, id, what, body, timeout, progress) do
+    case Bridge.connection(gateway) do
+      nil -> {:unreachable, "NATS is away, and the vehicle is heard by the gateway #{snapshot.via}"}
+      conn -> ask(gateway, conn, snapshot, {id, what, body, timeout}, progress)
+    end
+  catch
+    :exit, _gone -> {:unknown, "the connection to NATS was lost while it was under way"}
+  end
+
+  defp ask(gateway, conn, snapshot, {id, what, body, timeout}, progress) do
+    subject = "fleet.#{Bridge.environment(gateway)}.#{snapshot.id}.#{what}"
+    options = [receive_timeout: timeout, headers: signature(gateway, subject, body)]
+
+    case Nats.sub(conn, self(), "#{subject}.progress.#{id}") do
+      {:ok, sid} ->
+        task = Task.async(fn -> Nats.request(conn, subject, body, options) end)
+
+        try do
+          wait(task, gateway, snapshot, progress)
+        after
+          _ = Task.shutdown(task, :brutal_kill)
+          _ = Nats.unsub(conn, sid)
+        end
+
+      {:error, _lost} ->
+        {:unreachable, "the connection to NATS is lost"}
+    end
+  end
+
+  defp wait(%{ref: ref} = task, gateway, snapshot, progress) do
+    receive do
+      {:msg, %{body: text}} ->
+        with {:ok, %{} = told} <- JSON.decode(text), do: progress.(Map.take(told, @progress))
+        wait(task, gateway, snapshot, progress)
+
+      {^ref, answer} ->
+        answer(answer, snapshot)
+
+      {:DOWN, ^ref, :process, _pid, _reason} ->
+        {:unknown, "the connection to NATS was lost while it was under way"}
+    after
+      @look_ms ->
+        if there?(gateway, snapshot),
+          do: wait(task, gateway, snapshot, progress),
+          else: {:unknown, "the gateway #{snapshot.via} fell silent while it was under way"}
+    end
+  end
+
+  # This gateway hears the vehicle, too, and the other one holds it (`Aerie.Control.Commands.SharedVehicle`).
+  defp there?(_gateway, %{holds?: holds?}), do: holds?.()
+
+  defp there?(gateway, snapshot) do
+    match?(
+      %{status: status} when status != :lost,
+      Fleet.RemoteTable.vehicle(gateway, snapshot.id, System.os_time(:microsecond))
+    )
+  end
+
+  defp answer({:ok, %{body: text}}, snapshot) do
+    case JSON.decode(text) do
+      {:ok, %{"result" => word} = answer} when is_binary(word) -> {:ok, answer}
+      _other -> {:unknown, "the gateway #{snapshot.via} answered without a result"}
+    end
+  end
+
+  defp answer({:error, :no_responders}, snapshot),
+    do: {:unreachable, "no gateway listens for it; it was heard by #{snapshot.via}"}
+
+  defp answer({:error, _timeout_or_lost}, snapshot),
+    do: {:unknown, "the gateway #{snapshot.via} did not answer in time"}
+
+  defp body(command, %{source: source, via: via}) do
+    command
+    |> Command.plain()
+    |> Map.put("source", String.slice("#{source.name} by #{via}", 0, 64))
+    |> JSON.encode!()
+  end
+
+  defp signature(gateway, subject, body) do
+    case Names.value(gateway, :remote_supervisor) do
+      %{nkey: nkey} when nkey != nil ->
+        [{"Aerie-Signature", Signature.sign(nkey, subject, body, DateTime.utc_now())}]
+
+      _unsigned ->
+        []
+    end
+  end
+
+  defp result({:ok, %{"result" => word} = answer}, id, snapshot) do
+    case Result.status(word) do
+      {:ok, status} ->
+        details = for {key, value} <- Map.drop(answer, @own), plain?(value), into: %{}, do: {key, value}
+        Result.new(id, status, reason(answer["reason"]), Map.put(details, "gateway", snapshot.via))
+
+      :error ->
+        Result.new(id, :unknown, "the gateway #{snapshot.via} answered without a result")
+    end
+  end
+
+  defp result({:unreachable, why}, id, _snapshot) do
+    why = "the vehicle cannot be reached, nothing was sent: #{why}"
+    Result.new(id, :failed, why, %{"rule" => "unreachable"})
+  end
+
+  defp result({:unknown, why}, id, _snapshot), do: Result.new(id, :unknown, why)
+
+  defp reason(text) when is_binary(text), do: String.slice(text, 0, @max_text)
+  defp reason(_none), do: nil
+
+  defp plain?(value),
+    do: is_number(value) or is_boolean(value) or (is_binary(value) and byte_size(value) <= @max_text)
+
+  @impl Aerie.Control.Commands.RemoteGateway
+  def cancel(gateway, snapshot, id) do
+    subject = "fleet.#{Bridge.environment(gateway)}.#{snapshot.id}.cmd.cancel"
+    body = JSON.encode!(%{"id" => id})
+    options = [receive_timeout: @cancel_ms, headers: signature(gateway, subject, body)]
+
+    with conn when conn != nil <- Bridge.connection(gateway),
+         {:ok, %{body: text}} <- Nats.request(conn, subject, body, options),
+         {:ok, %{"result" => "accepted"}} <- JSON.decode(text) do
+      :ok
+    else
+      {:ok, %{"reason" => reason}} -> {:error, reason(reason) || "the gateway #{snapshot.via} refused it"}
+      _none -> {:error, "the gateway #{snapshot.via} does not answer"}
+    end
+  end
+end

@@ -1,0 +1,83 @@
+defmodule Aerie.Fleet.Shadow.Merge do
+  @moduledoc """
+  Brings a vehicle's desired document aboard and that of the hub to one, after a cut in which both may have changed. Pure.
+
+  Both are compared with the last document that they had in common, field by field:
+
+  | the field was changed | what counts |
+  |---|---|
+  | on one side | that change; a removal too |
+  | on both sides | the hub's |
+
+  No clock decides, because one of a vehicle without a network is often wrong. The result is newer than both, unless one side did not
+  change: then it is the other side's document as it is. A document that is older than the common one was put back by somebody, and
+  counts as unchanged (Z5).
+  """
+
+  alias Aerie.Fleet.Shadow.Document
+
+  @doc "The document that both sides shall have. `base`: the last one that they had in common, of version 0 if that is not known."
+  @spec merge(Document.t(), aboard :: Document.t(), hub :: Document.t(), now :: integer()) :: Document.t()
+  def merge(base, aboard, hub, now) do
+    cond do
+      same?(aboard, hub) -> aboard
+      unchanged?(hub, base) and aboard.version > hub.version -> aboard
+      unchanged?(aboard, base) and hub.version > aboard.version -> hub
+      true -> join(base, aboard, hub, now)
+    end
+  end
+
+  @doc "Whether two documents desire the same, set by the same."
+  @spec same?(Document.t(), Document.t()) :: boolean()
+  def same?(one, other), do: one.version == other.version and one.fields == other.fields
+
+  defp unchanged?(document, base), do: document.version < base.version or same?(document, base)
+
+  defp join(base, aboard, hub, now) do
+    hub_fields = if hub.version < base.version, do: base.fields, else: hub.fields
+    aboard_fields = if aboard.version < base.version, do: base.fields, else: aboard.fields
+    paths = Enum.uniq(Map.keys(aboard_fields) ++ Map.keys(hub_fields))
+
+    fields =
+      for path <- paths,
+          entry = chosen(base.fields[path], aboard_fields[path], hub_fields[path]),
+          into: %{},
+          do: {path, entry}
+
+    version = max(aboard.version, hub.version) + 1
+    overruled = for path <- paths, overruled?(path, base, aboard_fields, hub_fields), do: path
+
+    document = %Document{
+      vehicle: aboard.vehicle,
+      version: version,
+      updated_at: now,
+      fields: fields,
+      history: Document.history([merged(version, overruled, now) | aboard.history ++ hub.history])
+    }
+
+    # Together they may be more than a document holds.
+    case Document.bounded(document) do
+      {:ok, document} -> document
+      {:error, _limit} -> %{document | fields: hub_fields}
+    end
+  end
+
+  # Unchanged at the hub: what is aboard, changed or not.
+  defp chosen(base, aboard, base), do: aboard
+  defp chosen(_base, _aboard, hub), do: hub
+
+  defp overruled?(path, base, aboard, hub),
+    do: hub[path] != base.fields[path] and aboard[path] != base.fields[path] and aboard[path] != hub[path]
+
+  defp merged(version, overruled, now) do
+    %{
+      version: version,
+      at: now,
+      actor: "shadow",
+      via: "leaf",
+      reason: "changed aboard and at the hub: the hub's counts for the fields below",
+      set: overruled,
+      removed: []
+    }
+  end
+end

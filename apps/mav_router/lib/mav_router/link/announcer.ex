@@ -1,0 +1,134 @@
+defmodule MavRouter.Link.Announcer do
+  @moduledoc """
+  Sends our heartbeat once a second on UDP client links that hear nothing: only so does the other end learn of us. As soon as
+  something is heard, the vehicles' sessions keep the connection alive. A peer whose frames are refused because of its
+  signing clock has no session; it gets a heartbeat and a TIMESYNC request from here too (`MavRouter.LinkProcess.announce/5`).
+
+  The heartbeat is that of an on-board computer with the gateway's own ids, never that of a ground station (H5). Like all of
+  our heartbeats it stops while the gateway's loops do not answer (H3, `MavRouter.Identity`), which is counted as
+  `{:identity, :held}`.
+  """
+  use GenServer
+
+  alias Aerie.Base.Store
+  alias Aerie.Base.Names
+  alias MavRouter.Identity
+  alias MavCodec.Encoder
+  alias MavCodec.Enums
+  alias MavCodec.Messages.{Heartbeat, Timesync}
+
+  @every_ms 1_000
+  @silence_us 3_000_000
+  @active Enums.MavState.value(:MAV_STATE_ACTIVE)
+  @critical Enums.MavState.value(:MAV_STATE_CRITICAL)
+
+  @doc "Options: `:gateway`, `:settings` (`MavRouter.Identity.Settings`)."
+  @spec start_link(keyword) :: GenServer.on_start()
+  def start_link(options) do
+    GenServer.start_link(__MODULE__, options,
+      name: Names.via(Keyword.fetch!(options, :gateway), :link_announcer)
+    )
+  end
+
+  @impl GenServer
+  def init(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    Process.set_label({:link_announcer, gateway})
+    %Identity.Settings{heartbeat: heartbeat} = settings = Keyword.fetch!(options, :settings)
+    _timer = if heartbeat, do: :timer.send_interval(@every_ms, :announce)
+    {:ok, %{gateway: gateway, settings: settings, heartbeat: heartbeat, encoder: nil}}
+  end
+
+  @impl GenServer
+  def handle_cast({:speak, link, peer, scope, system}, state) do
+    # A gateway without an id yet sends as a part of that system, which it would be by now if it accepted its frames.
+    {encoder, state} =
+      case known(state) do
+        %{encoder: nil} = state ->
+          {Encoder.new(system: system, component: state.settings.component_id), state}
+
+        state ->
+          {state.encoder, state}
+      end
+
+    {request, encoder} =
+      Encoder.encode(encoder, %Timesync{tc1: 0, ts1: System.monotonic_time(:nanosecond)})
+
+    {bytes, encoder} =
+      with true <- state.heartbeat,
+           %{alive: true, silent: silent} <- Identity.status(state.gateway) do
+        {beat, encoder} = Encoder.encode(encoder, heartbeat(if silent == [], do: @active, else: @critical))
+        {beat <> request, encoder}
+      else
+        _no_heartbeat -> {request, encoder}
+      end
+
+    _ = MavRouter.Link.send_bytes(state.gateway, link, {:sign, scope, bytes}, {:peer, peer})
+    {:noreply, if(state.encoder, do: %{state | encoder: encoder}, else: state)}
+  end
+
+  @impl GenServer
+  def handle_info(:announce, %{encoder: nil} = state) do
+    # Nothing is sent before our system id is known (`MavRouter.Router.AutoSystemId`).
+    case known(state) do
+      %{encoder: nil} = state -> {:noreply, state}
+      state -> handle_info(:announce, state)
+    end
+  end
+
+  def handle_info(:announce, state) do
+    now = System.os_time(:microsecond)
+
+    case for(link <- Store.links(state.gateway), silent?(link, now), do: link) do
+      [] -> {:noreply, state}
+      links -> {:noreply, announce(state, links, Identity.status(state.gateway))}
+    end
+  end
+
+  defp known(%{encoder: nil} = state) do
+    case Identity.ids(state.settings, state.gateway) do
+      {:auto, _component} -> state
+      {system, component} -> %{state | encoder: Encoder.new(system: system, component: component)}
+    end
+  end
+
+  defp known(state), do: state
+
+  defp announce(state, _links, %{alive: false}) do
+    Store.count(state.gateway, {:identity, :held})
+    state
+  end
+
+  defp announce(state, links, %{silent: silent}) do
+    {bytes, encoder} = Encoder.encode(state.encoder, heartbeat(if silent == [], do: @active, else: @critical))
+
+    for link <- links do
+      marked = MavRouter.Signing.mark(state.gateway, {link.network, nil}, bytes)
+
+      # A link that was removed meanwhile needs none.
+      _ =
+        with :ok <- MavRouter.Link.send_bytes(state.gateway, link.id, marked, :all),
+             do: Store.count(state.gateway, {:sent, Heartbeat.id()})
+    end
+
+    %{state | encoder: encoder}
+  end
+
+  @doc "Whether a link needs our heartbeat, from its snapshot and the time in unix microseconds."
+  @spec silent?(map, integer) :: boolean
+  def silent?(%{spec: %{announced: true}, status: status, last_heard: heard}, now)
+      when status in [:up, :idle] do
+    is_nil(heard) or now - heard > @silence_us
+  end
+
+  def silent?(_other, _now), do: false
+
+  defp heartbeat(status) do
+    %Heartbeat{
+      type: Enums.MavType.value(:MAV_TYPE_ONBOARD_CONTROLLER),
+      autopilot: Enums.MavAutopilot.value(:MAV_AUTOPILOT_INVALID),
+      system_status: status,
+      mavlink_version: 3
+    }
+  end
+end

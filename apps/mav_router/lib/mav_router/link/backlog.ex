@@ -1,0 +1,164 @@
+defmodule MavRouter.Link.Backlog do
+  @every_ms 50
+
+  @moduledoc """
+  How old the datagrams are that wait for a link, and how many of them to discard: a value.
+
+  A socket keeps the oldest datagrams and drops the newest, so a link that does not keep up would show a state that is
+  seconds old for as long as the overload lasts. Instead, when what waits would take half a second to read at the pace of the
+  last #{@every_ms} ms, datagrams are discarded until a tenth of a second is left. A burst, or a machine that was busy for a
+  moment, is no overload: discarding begins when this has lasted for a second, and ends after five seconds without it.
+
+  It is fair to senders (`MavRouter.Link.Senders`). Of the datagrams read at a time, those are kept first whose senders had been heard for
+  a minute when the overload began, then those of senders heard for five seconds, then those of new ones: hundreds of strangers take
+  nothing from a vehicle that was there before. Among equals each sender keeps as many as the others that have so many, its newest.
+  """
+
+  alias MavRouter.Link.Senders
+
+  @late_ms 500
+  @keep_ms 100
+  @patience_ms 1_000
+  @relief_ms 5_000
+  # Fewer datagrams than this are no backlog.
+  @some 64
+  @many 256
+
+  # How long a sender was heard before the overload, for each rank.
+  @known_ms [5_000, 60_000]
+
+  defstruct measured: nil,
+            waiting: 0,
+            keep: {0, 1},
+            done: 0,
+            shed: 0,
+            late: nil,
+            strained: nil,
+            began: nil,
+            senders: Senders.new()
+
+  @typedoc """
+  - `shed`: of how many of the next datagrams to discard some; `keep`: so many of so many are kept
+  - `measured`: monotonic ms of the last measurement; `waiting`: how many waited then; `done`: how many were read since
+  - `late`: since when too many have been waiting; `strained`: when that was last so, in an overload that has begun; `began`: when it
+    began
+  """
+  @type t :: %__MODULE__{
+          measured: integer | nil,
+          waiting: non_neg_integer,
+          keep: {non_neg_integer, of :: pos_integer},
+          done: non_neg_integer,
+          shed: non_neg_integer,
+          late: integer | nil,
+          strained: integer | nil,
+          began: integer | nil,
+          senders: Senders.t()
+        }
+
+  @typedoc "How many were discarded: of senders that had been heard before the overload, and of new ones."
+  @type discarded :: %{shed: non_neg_integer, shed_new: non_neg_integer}
+
+  @none %{shed: 0, shed_new: 0}
+
+  @doc "Nothing waits."
+  @spec new() :: t
+  def new, do: %__MODULE__{}
+
+  @doc "Whether to measure what waits. At every read while there are too many: one read more than necessary is 128 datagrams."
+  @spec due?(t, integer) :: boolean
+  def due?(%__MODULE__{measured: nil}, _now), do: true
+
+  def due?(%__MODULE__{measured: at, shed: shed} = backlog, now),
+    do: shed > 0 or now - at >= @every_ms or (backlog.strained != nil and backlog.waiting > some(backlog))
+
+  @doc "Takes the measurement that so many wait at `now`, those included that are taken next."
+  @spec measure(t, non_neg_integer, integer) :: t
+  def measure(%__MODULE__{shed: shed} = backlog, waiting, now) when shed > 0 do
+    left = if waiting > some(backlog), do: min(shed, waiting), else: 0
+    %{backlog | measured: now, waiting: waiting, done: 0, shed: left}
+  end
+
+  # How much was read is the pace only if datagrams waited all the time.
+  def measure(%__MODULE__{measured: at, waiting: before} = backlog, waiting, now) do
+    busy? = at != nil and before > some(backlog) and waiting > some(backlog)
+    excess = if busy?, do: excess(waiting, backlog.done / max(now - at, 1))
+    judge(%{backlog | measured: now, waiting: waiting, done: 0}, excess, now)
+  end
+
+  # In an overload a link may be so slow that these few are seconds.
+  defp some(%{strained: nil}), do: @some
+  defp some(_strained), do: 0
+
+  defp judge(%{strained: strained} = backlog, nil, now) do
+    if strained != nil and now - strained < @relief_ms,
+      do: %{backlog | late: nil},
+      else: %{backlog | late: nil, strained: nil, began: nil}
+  end
+
+  defp judge(%{late: late, strained: strained} = backlog, excess, now) do
+    backlog = %{backlog | late: late || now, began: backlog.began || now}
+
+    if strained != nil or now - backlog.late >= @patience_ms,
+      do: %{backlog | strained: now, shed: backlog.waiting, keep: excess},
+      else: backlog
+  end
+
+  defp excess(waiting, per_ms) when waiting > per_ms * @late_ms, do: {round(per_ms * @keep_ms), waiting}
+  defp excess(_waiting, _per_ms), do: nil
+
+  @doc "What is kept of the datagrams that were read, in their order, and how many were discarded."
+  @spec take(t, [{term, binary}]) :: {[{term, binary}], discarded, t}
+  def take(%__MODULE__{shed: 0} = backlog, datagrams),
+    do: {datagrams, @none, noted(%{backlog | done: backlog.done + length(datagrams)}, datagrams)}
+
+  def take(%__MODULE__{shed: shed, keep: {keep, of}} = backlog, datagrams) do
+    backlog = noted(backlog, datagrams)
+    n = length(datagrams)
+    # The same part of each read, so that what is kept is not of one moment; rounded up.
+    keep = ceil(n * keep / of)
+    {kept, lost} = datagrams |> ranked(backlog) |> Enum.split(keep)
+
+    # Senders that were there before, if they are few, do not pay for a pace that was low for a moment. Where very many wait it was low
+    # for longer.
+    extra = if of <= @many, do: n, else: keep
+    {more, lost} = lost |> Enum.split(min(extra, max(div(n + 3, 4) - keep, 0))) |> known()
+    kept = for {_order, datagram} <- Enum.sort_by(more ++ kept, fn {{_, _, i}, _} -> -i end), do: datagram
+    new = Enum.count(lost, &new?/1)
+    lost = length(lost)
+
+    {kept, %{shed: lost - new, shed_new: new},
+     %{backlog | shed: max(shed - n, 0), done: backlog.done + n - lost}}
+  end
+
+  defp known({more, lost}) do
+    {new, known} = Enum.split_with(more, &new?/1)
+    {known, new ++ lost}
+  end
+
+  defp new?({{rank, _round, _i}, _datagram}), do: rank == 0
+
+  # In the order in which to keep them: by the rank of their senders, each sender's newest before any other's second newest.
+  defp ranked(datagrams, backlog) do
+    {ranked, _rounds} =
+      datagrams
+      |> Enum.reverse()
+      |> Enum.with_index()
+      |> Enum.map_reduce(%{}, fn {datagram, i}, rounds ->
+        sender = Senders.of(datagram)
+        {rank, round} = Map.get_lazy(rounds, sender, fn -> {rank(backlog, sender), 0} end)
+        {{{rank, round, i}, datagram}, Map.put(rounds, sender, {rank, round + 1})}
+      end)
+
+    Enum.sort_by(ranked, fn {{rank, round, i}, _datagram} -> {-rank, round, i} end)
+  end
+
+  defp rank(%{began: began, senders: senders}, sender) do
+    since = Senders.since(senders, sender)
+    if since && began, do: Enum.count(@known_ms, &(began - since >= &1)), else: 0
+  end
+
+  defp noted(%{measured: nil} = backlog, _datagrams), do: backlog
+
+  defp noted(backlog, datagrams),
+    do: %{backlog | senders: Senders.note(backlog.senders, datagrams, backlog.measured)}
+end

@@ -1,0 +1,54 @@
+defmodule MavRouter.Link.Reason do
+  @moduledoc "Faults of a link in words: `connection refused by 127.0.0.1:5760`."
+
+  alias MavRouter.Link.Serial.Finding
+  alias MavRouter.Link.Spec
+
+  @doc "What a reason means for a link. Every reason has words; an unknown one is inspected."
+  @spec format(term, Spec.t()) :: String.t()
+  def format(reason, spec), do: explain(reason, spec) || words(reason, spec)
+
+  defp explain(reason, %{transport: transport} = spec) do
+    if function_exported?(transport, :explain, 2), do: transport.explain(reason, spec)
+  end
+
+  defp words(text, _spec) when is_binary(text), do: text
+  defp words({:undetected, findings}, _spec), do: Finding.summary(findings)
+  defp words(:econnrefused, spec), do: "connection refused by #{Spec.place(spec)}"
+  defp words(:closed, spec), do: "connection closed by #{Spec.place(spec)}"
+  defp words(:econnreset, spec), do: "connection reset by #{Spec.place(spec)}"
+  defp words(reason, spec) when reason in [:timeout, :etimedout], do: "no answer from #{Spec.place(spec)}"
+  defp words(:ehostunreach, spec), do: "no route to the host of #{Spec.place(spec)}"
+  defp words(:enetunreach, spec), do: "no route to the network of #{Spec.place(spec)}"
+  defp words(:enetdown, spec), do: "the network of #{Spec.place(spec)} is down"
+  defp words(:eaddrnotavail, spec), do: "#{Spec.place(spec)} is not an address of this machine"
+  defp words({:in_use, owner}, spec), do: "#{Spec.place(spec)} is in use by #{owner}"
+  defp words(:eacces, spec), do: "no permission for #{Spec.place(spec)}#{permission_hint(spec)}"
+  defp words(:eperm, spec), do: "no permission for #{Spec.place(spec)}#{permission_hint(spec)}"
+  defp words(:enoent, spec), do: "there is no #{Spec.place(spec)}"
+  defp words(:ebusy, spec), do: "#{Spec.place(spec)} is in use by another program"
+  defp words(:eio, spec), do: "#{Spec.place(spec)} was unplugged"
+  defp words(:nxdomain, spec), do: "the name of #{Spec.place(spec)} cannot be resolved"
+  defp words(:emfile, _spec), do: "this program has too many open files (see ulimit -n)"
+  defp words({:shutdown, reason}, spec), do: format(reason, spec)
+
+  defp words(reason, spec) when is_atom(reason) do
+    case :inet.format_error(reason) do
+      ~c"unknown POSIX error" ++ _ -> "#{reason} on #{Spec.place(spec)}"
+      words -> "#{words} on #{Spec.place(spec)}"
+    end
+  end
+
+  defp words(reason, spec),
+    do: "#{Spec.place(spec)} failed: #{inspect(reason, limit: 10, printable_limit: 200)}"
+
+  @doc "A wait in words: `now`, `3.2 s`."
+  @spec wait(non_neg_integer) :: String.t()
+  def wait(ms) when ms < 50, do: "now"
+  def wait(ms), do: "in #{:erlang.float_to_binary(ms / 1000, decimals: 1)} s"
+
+  defp permission_hint(%{port: port}) when is_integer(port) and port < 1024,
+    do: " (ports below 1024 need root)"
+
+  defp permission_hint(_spec), do: ""
+end

@@ -1,0 +1,30 @@
+defmodule MavRouter.Link.Search do
+  @moduledoc """
+  What a link needs to know before it searches for its serial port or baud rate: the ports and rates of the configuration,
+  what was right the last time, and the ports of other links, which it leaves alone.
+  """
+
+  alias MavRouter.Link.Settings
+  alias MavRouter.Link.Spec
+  alias Aerie.Base.Names
+  alias Aerie.Base.Store
+
+  @doc "Adds that to the options of a specification; `found` is what was right the last time. Links that do not search keep theirs."
+  @spec prepare(Spec.t(), Names.gateway(), map | nil) :: Spec.t()
+  def prepare(%Spec{detect: nil} = spec, _gateway, _found), do: spec
+
+  def prepare(spec, gateway, found) do
+    configured = gateway |> Settings.options_of() |> Keyword.take([:serial_ports, :serial_bauds]) |> Map.new()
+    own = %{hint: found, taken: taken(spec, gateway)}
+    %{spec | options: configured |> Map.merge(spec.options) |> Map.merge(own)}
+  end
+
+  defp taken(%{detect: :baud}, _gateway), do: []
+
+  defp taken(%{id: id, transport: transport}, gateway) do
+    for %{id: other, spec: %{transport: ^transport, device: device}, local: local} <- Store.links(gateway),
+        other != id,
+        path = local || device,
+        do: path
+  end
+end

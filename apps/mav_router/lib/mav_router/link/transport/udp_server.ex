@@ -1,0 +1,76 @@
+defmodule MavRouter.Link.Transport.UdpServer do
+  @moduledoc """
+  A UDP server: every sender is a peer of its own, `{address, port}`. The link decides which senders become peers and for how
+  long (`MavRouter.Link.Peers`); this module writes to any address.
+  """
+  @behaviour MavRouter.Link.Transport
+
+  alias MavRouter.Link.Transport.Form
+  alias MavRouter.Link.Backlog
+  alias MavRouter.Link.Transport.Net
+
+  @enforce_keys [:socket]
+  defstruct [:socket, :sender, backlog: Backlog.new()]
+
+  @impl MavRouter.Link.Transport
+  def traits, do: %{kind: :udp_server, framing: :datagram, protocol: :udp, server: true, client: :remote}
+
+  @impl MavRouter.Link.Transport
+  def forms do
+    [
+      Form.address("udpin:", "0.0.0.0:14550", "listen for UDP, e.g. udpin:0.0.0.0:14550"),
+      Form.address("udp:", "0.0.0.0:14550", nil)
+    ]
+  end
+
+  @impl MavRouter.Link.Transport
+  def parse(_prefix, rest), do: Form.parse_address(rest, true)
+
+  @impl MavRouter.Link.Transport
+  def open(spec) do
+    with {:ok, [address | _]} <- Net.resolve(spec.host),
+         {:ok, socket} <- Net.udp(address, spec.port),
+         do: {:ok, %__MODULE__{socket: socket}}
+  end
+
+  @impl MavRouter.Link.Transport
+  def give(conn, link), do: :gen_udp.controlling_process(conn.socket, link)
+
+  @impl MavRouter.Link.Transport
+  def activate(%{socket: socket} = conn) do
+    with :ok <- :inet.setopts(socket, active: Net.active()),
+         do: {:ok, %{conn | sender: Net.sender(socket)}, Net.udp_info(socket)}
+  end
+
+  @impl MavRouter.Link.Transport
+  def handle(%{socket: socket} = conn, {:udp, socket, address, port, bytes}) do
+    {reads, shed, backlog} = Net.take(socket, conn.backlog, {{address, port}, bytes})
+    {Net.events(reads, shed), %{conn | backlog: backlog}}
+  end
+
+  def handle(conn, message), do: Net.udp_message(conn, message)
+
+  @impl MavRouter.Link.Transport
+  def write(conn, {address, port}, bytes) do
+    case Net.udp_write(conn.socket, conn.sender, address, port, bytes) do
+      :ok -> {:ok, conn}
+      :busy -> {:busy, conn}
+      {:error, reason} -> {:error, reason, conn}
+    end
+  end
+
+  def write(conn, _peer, _bytes), do: {:error, :enotconn, conn}
+
+  @impl MavRouter.Link.Transport
+  def direct(%{sender: nil}, _peer), do: nil
+  def direct(%{sender: sender}, {address, port}), do: {:udp, sender, Net.sockaddr(address, port)}
+
+  @impl MavRouter.Link.Transport
+  def kernel_dropped(conn), do: Net.kernel_dropped(conn.socket)
+
+  @impl MavRouter.Link.Transport
+  def drop(conn, _peer), do: conn
+
+  @impl MavRouter.Link.Transport
+  def close(conn), do: Net.udp_close(conn.socket, conn.sender)
+end

@@ -1,0 +1,72 @@
+defmodule MavRouter.Link.Transport.WebSocket.Handshake do
+  @moduledoc "The request that opens a WebSocket, and the check of its answer (RFC 6455, section 4.1). Pure."
+
+  alias Aerie.Base.Address
+
+  # A status line with its headers.
+  @max_bytes 16_384
+  @ports %{false => 80, true => 443}
+
+  @doc "The request for a link's URL; `key` is from `:cow_ws.key/0`."
+  @spec request(MavRouter.Link.Spec.t(), binary) :: iodata
+  def request(spec, key) do
+    [
+      ["GET ", spec.path, " HTTP/1.1\r\nHost: ", host(spec), "\r\n"],
+      "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nUser-Agent: aerie\r\n",
+      ["Sec-WebSocket-Key: ", key, "\r\n\r\n"]
+    ]
+  end
+
+  defp host(%{host: host, port: port, tls: tls}) do
+    if port == @ports[tls],
+      do: String.replace_suffix(Address.format(host, port), ":#{port}", ""),
+      else: Address.format(host, port)
+  end
+
+  @doc """
+  Checks what has come of the answer: `{:ok, rest}` if the server accepts, with the bytes after its answer; `:more` if the
+  answer is incomplete. The error is words.
+  """
+  @spec answer(binary, key :: binary) :: {:ok, rest :: binary} | :more | {:error, String.t()}
+  def answer(bytes, key) do
+    case :binary.split(bytes, "\r\n\r\n") do
+      [head, rest] -> check(head <> "\r\n\r\n", rest, key)
+      [_all] when byte_size(bytes) > @max_bytes -> {:error, "the answer has no end"}
+      [_all] -> :more
+    end
+  end
+
+  defp check(head, rest, key) do
+    with {:ok, {:http_response, _version, status, words}, headers} <-
+           :erlang.decode_packet(:http_bin, head, []),
+         {:ok, headers} <- headers(headers, %{}) do
+      cond do
+        status != 101 -> {:error, "it answered #{status} #{printable(words)}#{location(headers)}"}
+        headers["sec-websocket-accept"] != :cow_ws.encode_key(key) -> {:error, "it is no WebSocket server"}
+        headers["sec-websocket-extensions"] != nil -> {:error, "it chose extensions that nobody offered"}
+        true -> {:ok, rest}
+      end
+    else
+      _no_http -> {:error, "it is no HTTP server"}
+    end
+  end
+
+  defp location(%{"location" => place}), do: " (#{printable(place)})"
+  defp location(_here), do: ""
+
+  defp headers(bytes, headers) do
+    case :erlang.decode_packet(:httph_bin, bytes, []) do
+      {:ok, {:http_header, _n, name, _raw, value}, rest} ->
+        headers(rest, Map.put(headers, name |> to_string() |> String.downcase(), value))
+
+      {:ok, :http_eoh, _rest} ->
+        {:ok, headers}
+
+      _broken ->
+        :error
+    end
+  end
+
+  # For logs and terminals.
+  defp printable(text), do: text |> String.slice(0, 200) |> String.replace(~r/[^ -~]/, "?")
+end

@@ -1,0 +1,83 @@
+defmodule MavRouter.Recorder.Status do
+  @moduledoc """
+  The status of a recording, in the recorder's tables: written by its process once a second and when something changes. It stays when
+  the recording is over, until its link or vehicle is removed.
+  """
+
+  alias Aerie.Base.{Names, Store}
+  alias MavRouter.Recorder.{Core, Recording, Tables}
+
+  @typedoc """
+  - `state`: `:off`, `:waiting` (for arming, or for a first frame), `:recording`, `:paused` (`reason` says why)
+  - `file`, `size` (bytes), `since` (unix seconds): the file that is being written
+  - `frames`, `bytes`, `files`: written since the gateway's start; `dropped`: frames that could not be written
+  - `errors`, `error`: faults of the disk, and the last one: `%{at: unix seconds, reason: text}`
+  """
+  @type t :: %{
+          target: Tables.target(),
+          label: String.t(),
+          mode: Core.mode(),
+          state: :off | :waiting | :recording | :paused,
+          reason: String.t() | nil,
+          file: Path.t() | nil,
+          size: non_neg_integer,
+          since: integer | nil,
+          frames: non_neg_integer,
+          bytes: non_neg_integer,
+          files: non_neg_integer,
+          dropped: non_neg_integer,
+          errors: non_neg_integer,
+          error: %{at: integer, reason: String.t()} | nil
+        }
+
+  @doc "The status for a recording's mode and output."
+  @spec new(Core.mode(), Recording.Output.t()) :: t
+  def new(mode, output) do
+    Map.merge(output.totals, %{
+      target: output.target,
+      label: output.label,
+      mode: mode,
+      state: state(mode, output),
+      reason: output.reason,
+      file: output.file,
+      size: output.size,
+      since: output.since,
+      error: output.error
+    })
+  end
+
+  defp state(:off, _output), do: :off
+  defp state(_mode, %{device: device}) when device != nil, do: :recording
+  defp state(_mode, %{paused_until: until}) when until != nil, do: :paused
+  defp state(_mode, _output), do: :waiting
+
+  @spec put(Tables.t(), Tables.target(), t) :: true
+  def put(tables, target, status), do: :ets.insert(tables.status, {target, status})
+
+  @doc "The status of a target, nil when it was never recorded."
+  @spec of(Tables.t(), Tables.target()) :: t | nil
+  def of(tables, target), do: :ets.lookup_element(tables.status, target, 2, nil)
+
+  @doc "All, in the order of their targets."
+  @spec all(Tables.t()) :: [t]
+  def all(tables), do: for({_target, status} <- Enum.sort(:ets.tab2list(tables.status)), do: status)
+
+  @doc "Removes those of links and vehicles that the gateway no longer has, once nothing more is written."
+  @spec sweep(Tables.t(), Names.gateway()) :: :ok
+  def sweep(tables, gateway) do
+    for target <- :ets.select(tables.status, [{{:"$1", :_}, [], [:"$1"]}]),
+        Names.whereis(gateway, :recording, target) == nil and not known?(gateway, target),
+        do: :ets.delete(tables.status, target)
+
+    :ok
+  end
+
+  defp known?(gateway, {:link, id}), do: Store.link(gateway, id) != nil
+  defp known?(gateway, {_vehicle_or_saved, key}), do: Store.vehicle(gateway, key) != nil
+
+  @doc "What the snapshot of a target shows: the status without the target's names; nil for none."
+  @spec summary(Tables.t(), Tables.target()) :: map | nil
+  def summary(tables, target) do
+    with %{} = status <- of(tables, target), do: Map.drop(status, [:target, :label])
+  end
+end

@@ -1,0 +1,216 @@
+defmodule MavRouter.Router do
+  @moduledoc """
+  From links to vehicles and back: plain functions that run in the process of their caller, over shared tables.
+
+  - `deliver/3`: frames of a link go to other endpoints and to the sessions of their vehicles, and teach who is heard where
+  - `send/4`: bytes for a vehicle go out by the endpoint where it was heard last
+  - `routes/1`, `systems/1`: what was learned
+
+  Frames are forwarded unchanged, as the bytes that came in (R3).
+
+  ## Telemetry
+
+  | event | measurements | metadata |
+  |---|---|---|
+  | `[:aerie, :router, :vehicle_found]` | | `gateway`, `network`, `system` |
+  | `[:aerie, :router, :vehicle_refused]` | | and `reason`: `:too_many`, `:not_running` |
+  | `[:aerie, :router, :reboot]` | | `gateway`, `network`, `system`: its boot time started over (R6) |
+  | `[:aerie, :router, :collision]` | | `gateway`, `network`, `system`, `links`, by which another vehicle with that id is heard (`MavRouter.Router.CollisionRoutes`); none: it is over |
+  | `[:aerie, :router, :carrier]` | `score` | `gateway`, `group`, `link`: another link of the group carries |
+  | `[:aerie, :router, :denied]` | `frames` | `gateway`, `network`, `link`, `peer`, `system`, `component`, `message`: an order from an endpoint that may not command (`MavRouter.Router.Refusal`); at most one a minute for each link |
+  | `[:aerie, :router, :dropped]` | `frames` | `gateway`, `network`, `system`, `reason`: `:overload`, or `:refused` for what was kept of a vehicle that could not be started |
+  """
+
+  alias Aerie.Base.Names
+  alias MavRouter.Router.Deliver
+  alias MavRouter.Router.Dispatch
+  alias MavRouter.Router.Echo
+  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.Endpoints
+  alias MavRouter.Router.Routes
+  alias MavRouter.Router.Rules
+  alias MavRouter.Router.Tables
+  alias MavRouter.Router.View
+  alias Aerie.Base.Store
+  alias MavCodec.Frame
+
+  @typedoc """
+  Where frames come from: the link's id, its network (nil: that of the endpoint), the peer that sent them, how far the link is
+  trusted (`MavRouter.Signing.trust/1`), and whether it is one of high latency.
+  """
+  @type origin :: %{
+          required(:id) => String.t(),
+          required(:network) => String.t() | nil,
+          required(:peer) => term,
+          optional(:trust) => MavRouter.Signing.Verifier.trust(),
+          optional(:high_latency) => boolean
+        }
+
+  @type vehicle_key :: {network :: String.t(), system :: non_neg_integer}
+
+  @typedoc """
+  What became of frames, in frames: `delivered` to sessions, `unclaimed` (of a system without a vehicle), `refused` (there is no
+  room for the vehicle), `overload` (the session does not keep up), `looped` (they are our own). `sessions` got some of them.
+  """
+  @type outcome :: %{
+          delivered: non_neg_integer,
+          unclaimed: non_neg_integer,
+          refused: non_neg_integer,
+          overload: non_neg_integer,
+          looped: non_neg_integer,
+          sessions: [pid]
+        }
+
+  @doc """
+  Delivers the frames of one read of one peer, in order. The session of each vehicle gets one message, `{:frames, link_id,
+  [frame]}`, or `{:frames, {link_id, peer}, [frame]}` while several endpoints bring a system of the read.
+
+  An autopilot's heartbeat of an unknown vehicle starts the vehicle, and the frames of the read are its first ones (H2, H4).
+  Never raises because of a frame.
+  """
+  @spec deliver(Names.gateway(), origin, [Frame.t()]) :: outcome
+  defdelegate deliver(gateway, origin, frames), to: Deliver, as: :frames
+
+  @doc """
+  Takes the frames by which a vehicle was found, if it was started beside the link that heard it: a message of `deliver/3`, or nil. A
+  session asks for it when it starts, before it reads its mailbox, where newer frames may be already.
+  """
+  @spec first_frames(Names.gateway(), vehicle_key) :: {:frames, term, [Frame.t()]} | nil
+  defdelegate first_frames(gateway, key), to: MavRouter.Router.Admission
+
+  @doc """
+  Sends bytes (one or more whole frames) to a vehicle or any other system, by the endpoint where it was heard last; of redundant
+  links by the one that carries their class (`MavRouter.Router.Carrier`).
+
+  `component:` prefers endpoints where that component was heard, `link:` allows that link only. `{:error, :no_route}` for a system
+  that was never heard, or not for a long time. `:ok` means handed to the link, which counts what it cannot send.
+  """
+  @spec send(Names.gateway(), vehicle_key, iodata, keyword) :: :ok | {:error, :no_route}
+  defdelegate send(gateway, key, bytes, options \\ []), to: Dispatch
+
+  @doc "Sends bytes, such as our own heartbeat, to every endpoint of a network (default: `:all` networks), clients included."
+  @spec broadcast(Names.gateway(), iodata, network :: String.t() | :all) :: :ok
+  defdelegate broadcast(gateway, bytes, network \\ :all), to: Dispatch
+
+  @doc "The endpoint by which a system was heard last, nil for none. `link:` and `component:` as in `send/4`."
+  @spec route(Names.gateway(), vehicle_key, keyword) :: Endpoint.key() | nil
+  def route(gateway, key, options \\ []) do
+    with tables when is_map(tables) <- Tables.of(gateway), do: Routes.best(tables, key, options)
+  end
+
+  @doc "All learned routes, with their ages in ms."
+  @spec routes(Names.gateway()) :: [Routes.route()]
+  def routes(gateway) do
+    case Tables.of(gateway) do
+      nil -> []
+      tables -> Routes.list(tables, System.monotonic_time(:millisecond))
+    end
+  end
+
+  @doc """
+  All endpoints, links' peers and clients, in the order of their ids:
+
+  | key | |
+  |---|---|
+  | `:id` | `{owner, peer}`: the link or client, and which of its peers |
+  | `:owner`, `:side`, `:kind`, `:peer` | the same for people: `:vehicle` or `:client`; `:link`, `:websocket` …; text |
+  | `:networks`, `:group`, `:role`, `:sniffer` | rules of its owner (`MavRouter.Router.Owner`) |
+  | `:high_latency` | whether it gets only what links of high latency carry (X6): configured, or found out |
+  | `:id_offsets` | what is added to the system ids of a network for it (`MavRouter.Router.Renumber`) |
+  | `:hidden` | `[{network, system}]` that it does not get, because an earlier one of its networks has a system that it sees under that id |
+  | `:since` | unix microseconds |
+  | `:waiting` | frames in the mailbox of its process |
+  | `:counters` | `MavRouter.Router.EndpointCounters` |
+  | `:rates` | of the last seconds, per second: `frames_in`, `frames_out`, `bytes_out` |
+  """
+  @spec endpoints(Names.gateway()) :: [map]
+  def endpoints(gateway) do
+    case Tables.of(gateway) do
+      nil -> []
+      tables -> View.endpoints(tables)
+    end
+  end
+
+  @doc """
+  Changes rules of a link, a client or any other owner of endpoints while it runs, by keys of the configuration
+  (`MavRouter.Router.Settings.changeable/0`); nil removes a rule, keys that are not given stay. The change holds from the next frame on,
+  for this owner only, until `reset/3`, or until the owner is removed or the gateway ends. It survives a restart of the owner's
+  process and of the router.
+  """
+  @spec configure(Names.gateway(), String.t(), map | keyword) :: :ok | {:error, Aerie.Base.Error.t()}
+  defdelegate configure(gateway, id, changes), to: Rules, as: :change
+
+  @doc "Undoes changes that `configure/3` made to an owner: of these keys (default: all)."
+  @spec reset(Names.gateway(), String.t(), [atom] | :all) :: :ok | {:error, Aerie.Base.Error.t()}
+  defdelegate reset(gateway, id, keys \\ :all), to: Rules
+
+  @doc "What differs from the configuration, by owner and key: `%{now: value, configured: value}`."
+  @spec changes(Names.gateway()) :: %{String.t() => %{atom => %{now: term, configured: term}}}
+  defdelegate changes(gateway), to: Rules, as: :list
+
+  @doc "Which endpoints of a link count as clients now (`MavRouter.Router.Access`)."
+  @spec gcs(Names.gateway(), String.t()) :: :auto | :allow | :deny
+  def gcs(gateway, link) do
+    with tables when is_map(tables) <- Tables.of(gateway), %{gcs: gcs} <- Endpoints.owner(tables, link) do
+      gcs
+    else
+      _unknown -> :auto
+    end
+  end
+
+  @doc """
+  The gateway's own ids: `%{system, component, alarm}`, nil for ids that are not known yet. `alarm` is a text while an autopilot is
+  heard that has the same ids, and is therefore not seen as a vehicle.
+  """
+  @spec identity(Names.gateway()) :: %{
+          system: non_neg_integer | nil,
+          component: 0..255 | nil,
+          alarm: String.t() | nil
+        }
+  def identity(gateway) do
+    tables = Tables.of(gateway)
+    {system, component} = (tables && Tables.setting(tables, :own, nil)) || {nil, nil}
+    %{system: system, component: component, alarm: Echo.alarm(gateway)}
+  end
+
+  @doc "Whether an endpoint is there."
+  @spec connected?(Names.gateway(), MavRouter.Router.Endpoint.key()) :: boolean
+  def connected?(gateway, key) do
+    case Tables.of(gateway) do
+      nil -> false
+      tables -> Endpoints.get(tables, key) != nil
+    end
+  end
+
+  @doc "All systems that sent a heartbeat, vehicles or not (`MavRouter.Router.Systems`)."
+  @spec systems(Names.gateway()) :: %{vehicle_key => map}
+  def systems(gateway), do: Store.systems(gateway)
+
+  @doc "Forgets the routes of a system, as after its reboot (R6)."
+  @spec clear(Names.gateway(), vehicle_key) :: :ok
+  def clear(gateway, key) do
+    with_tables(gateway, fn tables ->
+      Routes.clear(tables, key)
+      Tables.rerouted(tables)
+    end)
+  end
+
+  @doc "Forgets the routes by a link."
+  @spec forget(Names.gateway(), String.t()) :: :ok
+  def forget(gateway, link), do: with_tables(gateway, &Routes.forget(&1, link))
+
+  @doc "Forgets a link that was removed: its endpoints, routes, rules and changes of rules."
+  @spec close(Names.gateway(), String.t()) :: :ok
+  def close(gateway, link), do: with_tables(gateway, &Endpoints.close(gateway, &1, link))
+
+  @doc "Forgets the routes by one peer of a link."
+  @spec forget(Names.gateway(), String.t(), term) :: :ok
+  def forget(gateway, link, peer), do: with_tables(gateway, &Routes.forget(&1, link, peer))
+
+  defp with_tables(gateway, fun) do
+    case Tables.of(gateway) do
+      nil -> :ok
+      tables -> fun.(tables)
+    end
+  end
+end

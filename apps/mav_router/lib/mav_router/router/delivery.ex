@@ -1,0 +1,35 @@
+defmodule MavRouter.Router.Delivery do
+  @moduledoc """
+  The frames of one component in one read, on their way through the router: who sent them, and by which path they came.
+
+  | field | |
+  |---|---|
+  | `gateway`, `tables` | whose router it is, and its tables |
+  | `forwarding` | all paths, as the forwarding process knows them |
+  | `path` | the endpoint that the frames came from, with the rules of its owner |
+  | `source` | the component that sent them; nil when the read has frames of several |
+  | `now` | monotonic ms |
+  | `sender` | what the vehicle's session is told of their origin: the id of the link, or the endpoint's key while several endpoints bring the system |
+  | `vehicle` | whether one of the frames was the heartbeat of a vehicle's autopilot |
+  | `scope` | whom the frames may reach (`MavRouter.Router.Gate`): clients only, unless the gate says more |
+  """
+
+  alias MavRouter.Router.ForwardingTable
+  alias MavRouter.Router.Source
+  alias MavRouter.Router.Tables
+
+  @enforce_keys [:gateway, :tables, :forwarding, :path, :now]
+  defstruct [:gateway, :tables, :forwarding, :path, :source, :now, :sender, vehicle: false, scope: :clients]
+
+  @type t :: %__MODULE__{
+          gateway: Aerie.Base.Names.gateway(),
+          tables: Tables.t(),
+          forwarding: ForwardingTable.t(),
+          path: ForwardingTable.Path.t(),
+          source: Source.t() | nil,
+          now: integer,
+          sender: String.t() | MavRouter.Router.Endpoint.key() | nil,
+          vehicle: boolean,
+          scope: :cleared | :clients | :related
+        }
+end

@@ -1,0 +1,76 @@
+defmodule MavRouter.Router.StreamRequests do
+  @moduledoc """
+  Requests of clients for message rates (SET_MESSAGE_INTERVAL, REQUEST_DATA_STREAM): `MavRouter.Router.Requests` notes them, and they
+  are forwarded only if they take nothing from another client. The others are answered here, in the vehicle's name.
+  """
+
+  alias Aerie.Base.Store
+  alias MavRouter.Router.Delivery
+  alias MavRouter.Router.Endpoint
+  alias MavRouter.Router.Filter
+  alias MavRouter.Router.Output
+  alias MavRouter.Router.Renumber
+  alias MavRouter.Router.Tables
+  alias MavCodec.Frame
+
+  @doc """
+  The frames that are forwarded. `trusted` are those whose signature was right, or that need none: only they are noted.
+  """
+  @spec pass([Frame.t()], trusted :: [Frame.t()], Delivery.t()) :: [Frame.t()]
+  def pass(
+        frames,
+        trusted,
+        %{tables: %{requests: requests}, path: %{side: :client, role: :full, commands: true}} = delivery
+      )
+      when requests != nil do
+    # Nearly always there is none.
+    if Enum.any?(frames, &requests.request?/1),
+      do: Enum.reject(frames, &(requests.request?(&1) and &1 in trusted and absorbed?(&1, delivery))),
+      else: frames
+  end
+
+  def pass(frames, _trusted, _delivery), do: frames
+
+  defp absorbed?(frame, %{gateway: gateway, tables: %{requests: requests}, path: path}) do
+    with true <- path.in == nil or Filter.pass?(path.in, frame, path.owner),
+         {id, _component} <- Frame.target(frame),
+         {network, system} <- vehicle(gateway, path, id),
+         {:ok, frame} <- Renumber.inward(frame, system),
+         {:absorb, answer} <- requests.intercept(gateway, network, client(path.key), frame) do
+      if answer, do: answer(path, network, IO.iodata_to_binary(answer))
+      true
+    else
+      _forwarded -> false
+    end
+  end
+
+  # The client may see other ids (`MavRouter.Router.Renumber`).
+  defp vehicle(gateway, path, id) do
+    Enum.find_value(path.networks, fn network ->
+      system = Renumber.meant(path.renumber, network, id)
+      if system != nil and Store.vehicle(gateway, {network, system}), do: {network, system}
+    end)
+  end
+
+  @doc "Sends a client a frame in the name of a vehicle, from the id under which it knows the vehicle."
+  @spec answer(MavRouter.Router.ForwardingTable.Path.t(), network :: String.t(), binary) :: term
+  def answer(%{renumber: nil} = path, _network, bytes), do: Output.bytes(path, bytes, :ack, 1)
+
+  def answer(path, network, bytes) do
+    frame = Frame.from_bytes(bytes, nil)
+
+    case Renumber.outward(path.renumber, %{path | networks: [network]}, frame, fn _system -> true end) do
+      {:ok, frame} -> Output.bytes(path, frame.bytes, :ack, 1)
+      :refused -> :ok
+    end
+  end
+
+  @doc "An endpoint is gone: its requests are forgotten."
+  @spec forget(Tables.t(), Endpoint.t()) :: :ok
+  def forget(%{requests: nil}, _endpoint), do: :ok
+
+  def forget(%{requests: requests}, %Endpoint{gateway: gateway, key: key}),
+    do: requests.forget(gateway, client(key))
+
+  defp client(key), do: {:endpoint, key}
+end

@@ -1,0 +1,59 @@
+defmodule MavRouter.Router.Sweeper do
+  @every_ms 10_000
+
+  @moduledoc "Removes what is old from the router's tables, every #{div(@every_ms, 1_000)} s: routes, refusals, rate limits, loads."
+  use GenServer
+
+  alias Aerie.Base.Names
+  alias MavRouter.Router.Routes
+  alias MavRouter.Router.Tables
+
+  @load_ttl_ms 60_000
+  @limit_ttl_us 60_000_000
+  @max_limits 65_536
+
+  @spec start_link(gateway: Names.gateway()) :: GenServer.on_start()
+  def start_link(options) do
+    gateway = Keyword.fetch!(options, :gateway)
+    GenServer.start_link(__MODULE__, gateway, name: Names.via(gateway, :router_sweeper))
+  end
+
+  @impl GenServer
+  def init(gateway) do
+    Process.set_label({:router_sweeper, gateway})
+    {:ok, _timer} = :timer.send_interval(@every_ms, :sweep)
+    {:ok, gateway}
+  end
+
+  @impl GenServer
+  def handle_info(:sweep, gateway) do
+    _swept =
+      case Tables.of(gateway) do
+        nil -> 0
+        tables -> sweep(tables, System.monotonic_time(:millisecond))
+      end
+
+    {:noreply, gateway}
+  end
+
+  # The answer that `MavRouter.Identity.Watchdog` waits for.
+  def handle_info({:watchdog, watchdog, tag}, gateway) do
+    send(watchdog, {:alive, tag, self()})
+    {:noreply, gateway}
+  end
+
+  @doc "One sweep at a monotonic time in ms; gives how many routes it removed."
+  @spec sweep(Tables.t(), integer) :: non_neg_integer
+  def sweep(tables, now) do
+    :ets.select_delete(tables.refused, [{{:_, :"$1"}, [{:<, :"$1", now}], [true]}])
+    :ets.select_delete(tables.load, [{{:_, :"$1", :_}, [{:<, :"$1", now - @load_ttl_ms}], [true]}])
+    limits(tables.limits, now * 1000 - @limit_ttl_us)
+    Routes.sweep(tables, now)
+  end
+
+  # Streams that ended; all of them, if somebody invents sources faster than they end.
+  defp limits(table, before) do
+    :ets.select_delete(table, [{{:_, :"$1"}, [{:<, :"$1", before}], [true]}])
+    if :ets.info(table, :size) > @max_limits, do: :ets.delete_all_objects(table)
+  end
+end

@@ -1,0 +1,186 @@
+defmodule MavRouter.Link.SpecTest do
+  use ExUnit.Case, async: true
+
+  alias MavRouter.Link.Spec
+
+  doctest Spec
+
+  describe "the forms of pymavlink" do
+    test "UDP" do
+      for prefix <- ["udpin:", "udp:"] do
+        assert {:ok, spec} = Spec.parse(prefix <> "0.0.0.0:14550")
+        assert %{kind: :udp_server, host: {0, 0, 0, 0}, port: 14_550, network: "main"} = spec
+      end
+
+      assert {:ok, %{kind: :udp_client, host: {10, 0, 0, 7}, port: 14_551, broadcast: false}} =
+               Spec.parse("udpout:10.0.0.7:14551")
+
+      assert {:ok, %{kind: :udp_client, broadcast: true}} = Spec.parse("udpbcast:192.168.1.255:14550")
+    end
+
+    test "TCP, names and IPv6" do
+      assert {:ok, %{kind: :tcp_client, host: "sitl.local", port: 5760}} = Spec.parse("tcp:sitl.local:5760")
+      assert {:ok, %{kind: :tcp_client, host: {0, 0, 0, 0, 0, 0, 0, 1}}} = Spec.parse("tcp:[::1]:5760")
+      assert {:ok, %{kind: :tcp_server, host: {0, 0, 0, 0, 0, 0, 0, 0}}} = Spec.parse("tcpin:[::]:0")
+    end
+
+    test "WebSocket: a URL, with its own query and ours" do
+      assert {:ok, %{kind: :websocket, host: {10, 0, 0, 7}, port: 80, path: "/", tls: false}} =
+               Spec.parse("ws://10.0.0.7")
+
+      assert {:ok, spec} =
+               Spec.parse("wss://agent.example.org:8443/mavlink?token=a&network=north&x=1&ca=/etc/ca.pem")
+
+      assert %{kind: :websocket, host: "agent.example.org", port: 8443, tls: true, network: "north"} = spec
+
+      assert %{path: "/mavlink?token=a&x=1", ca: "/etc/ca.pem", id: "wss://agent.example.org:8443/mavlink"} =
+               spec
+
+      # The server's options may contain a password.
+      assert spec.text == "wss://agent.example.org:8443/mavlink?…&network=north&ca=/etc/ca.pem"
+      assert {:ok, %{host: {0, 0, 0, 0, 0, 0, 0, 1}, port: 443, path: "/?a"}} = Spec.parse("wss://[::1]?a")
+
+      for {wrong, why} <- [
+            {"ws://", "host and port are missing"},
+            {"ws://:8765/", "host is missing"},
+            {"ws://me:secret@host/", "a login is not possible"},
+            {"ws://host:0/", "is not a port"},
+            {"ws://host/a b", "its path has characters"},
+            {"ws://host/#top", "no fragment"},
+            {"ws://host/?ca=/etc/ca.pem", "is not an option"},
+            {"ws://host/?network=a b", "is no network"},
+            {"http://host/", "another program's form"}
+          ] do
+        assert {:error, %Spec.Error{} = error} = Spec.parse(wrong)
+        assert Exception.message(error) =~ why
+      end
+    end
+
+    test "a server's empty host is every IPv4 address, its port 0 any free one" do
+      assert {:ok, %{host: {0, 0, 0, 0}, port: 0}} = Spec.parse("udpin::0")
+      assert {:error, _} = Spec.parse("udpout::14550")
+      assert {:error, _} = Spec.parse("tcp:127.0.0.1:0")
+    end
+
+    test "serial" do
+      assert {:ok, %{kind: :serial, device: "/dev/ttyACM0", baud: 115_200}} = Spec.parse("/dev/ttyACM0")
+      assert {:ok, %{device: "/dev/serial/by-id/usb-A:b-if00"}} = Spec.parse("/dev/serial/by-id/usb-A:b-if00")
+      assert {:ok, %{device: "/dev/ttyUSB0", baud: 57_600}} = Spec.parse("/dev/ttyUSB0,57600")
+      assert {:ok, %{device: "ttyS1"}} = Spec.parse("ttyS1")
+    end
+
+    test "serial ports that are found by listening" do
+      assert {:ok,
+              %{
+                kind: :serial,
+                detect: :port,
+                device: nil,
+                bauds: nil,
+                ports: [],
+                only: false,
+                id: "serial:auto"
+              }} =
+               Spec.parse("serial:auto")
+
+      assert {:ok, %{detect: :port, ports: ["/dev/ttyAMA0", "ttyUSB1"], bauds: [57_600, 420_000], only: true}} =
+               Spec.parse("serial:auto?ports=/dev/ttyAMA0,ttyUSB1&bauds=57600,420000&only=true&network=a")
+
+      assert {:ok, %{detect: :baud, device: "/dev/ttyUSB0"}} = Spec.parse("serial:/dev/ttyUSB0")
+
+      assert {:ok, %{detect: nil, device: "/dev/ttyUSB0", baud: 57_600}} =
+               Spec.parse("serial:/dev/ttyUSB0,57600")
+
+      assert Spec.place(Spec.parse!("serial:auto")) == "any serial port"
+
+      for wrong <- [
+            "serial:",
+            "serial:x",
+            "serial:/dev/ttyUSB0,fast",
+            "serial:auto?bauds=",
+            "serial:auto?bauds=57600,x",
+            "serial:auto?ports=x",
+            "serial:auto?only=maybe",
+            "serial:///dev/ttyUSB0",
+            "udpin::1?bauds=57600",
+            "serial:auto?bauds=#{Enum.map_join(1..21, ",", fn _ -> "57600" end)}"
+          ] do
+        assert {:error, %Spec.Error{} = error} = Spec.parse(wrong)
+        assert Exception.message(error) =~ "cannot use"
+      end
+    end
+
+    test "replay" do
+      assert {:ok, %{kind: :replay, file: "a b.tlog", speed: 1.0, loop: false}} =
+               Spec.parse("replay:a b.tlog")
+
+      assert {:ok, %{speed: :max, loop: true}} = Spec.parse("replay:x.tlog?speed=max&loop=true")
+      assert {:ok, %{speed: 2.5}} = Spec.parse("replay:x.tlog?speed=2.5")
+    end
+  end
+
+  test "identity and network" do
+    assert %{id: "udpin:0.0.0.0:14550", network: "main"} = Spec.parse!("udpin:0.0.0.0:14550")
+    assert %{id: "udpin::1", network: "a"} = Spec.parse!("udpin::1?network=a")
+    assert %{id: "r1", network: "b"} = Spec.parse!("udpin::1?network=a&id=q", id: "r1", network: "b")
+    assert %{options: %{max_peers: 3}} = Spec.parse!("udpin::1", options: [max_peers: 3])
+  end
+
+  test "places for people" do
+    assert Spec.place(Spec.parse!("tcp:[::1]:5760")) == "[::1]:5760"
+    assert Spec.place(Spec.parse!("tcp:a.b:1")) == "a.b:1"
+    assert Spec.place(Spec.parse!("/dev/ttyACM0,9600")) == "/dev/ttyACM0"
+    assert Spec.place(Spec.parse!("replay:/x/y.tlog")) == "y.tlog"
+  end
+
+  describe "an error says what is wrong, what was expected, and gives an example" do
+    for {text, part} <- [
+          {"", "neither a known kind of link nor a serial device"},
+          {"udpin:", "host and port are missing"},
+          {"udpin:0.0.0.0", "the port is missing"},
+          {"udpin:0.0.0.0:", "the port is missing"},
+          {"udpin:0.0.0.0:99999", "\"99999\" is not a port (0 to 65535)"},
+          {"tcp:300.1.1.1:5760", "\"300.1.1.1\" is neither an address nor a name"},
+          {"tcp:::1:5760", "an IPv6 address needs brackets"},
+          {"tcp:[::g]:5760", "\"::g\" is not an IPv6 address"},
+          {"tcp:[::1", "the port is missing"},
+          {"/dev/ttyACM0,fast", "\"fast\" is no baud rate"},
+          {"/dev/ttyACM0,57600,8N1", "too many commas"},
+          {"replay:", "the file is missing"},
+          {"replay:x?speed=0", "\"0\" is no speed"},
+          {"replay:x?loop=maybe", "\"maybe\" is neither true nor false"},
+          {"udpin::1?speed=2", "\"speed\" is not an option"},
+          {"udpin::1?network=a b", "\"a b\" is no network"},
+          {"udp://:14540", "udp:// is another program's form"},
+          {"127.0.0.1:14550", "write udpin:127.0.0.1:14550 to listen there"}
+        ] do
+      test inspect(text) do
+        assert {:error, error} = Spec.parse(unquote(text))
+        message = Exception.message(error)
+        assert message =~ unquote(part)
+        assert message =~ "expected "
+        assert message =~ "for example "
+      end
+    end
+
+    test "input that is not text" do
+      assert {:error, %Spec.Error{}} = Spec.parse(nil)
+      assert {:error, %Spec.Error{}} = Spec.parse(<<255, 0, 1>>)
+      assert_raise Spec.Error, fn -> Spec.parse!("x") end
+    end
+  end
+
+  test "any text is either a link or an error with a message" do
+    property =
+      :proper.forall(:proper_types.list(:proper_types.byte()), fn bytes ->
+        for prefix <- ["", "udpin:", "tcp:", "replay:", "/dev/", "udpin:[", "tcp:h:1?"] do
+          case Spec.parse(prefix <> IO.iodata_to_binary(bytes)) do
+            {:ok, %Spec{}} -> true
+            {:error, error} -> is_binary(Exception.message(error))
+          end
+        end
+        |> Enum.all?()
+      end)
+
+    assert :proper.quickcheck(property, [:quiet, numtests: 300]) == true, inspect(:proper.counterexample())
+  end
+end

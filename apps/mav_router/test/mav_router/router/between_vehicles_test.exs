@@ -1,0 +1,160 @@
+defmodule MavRouter.Router.BetweenVehiclesTest do
+  @moduledoc "What vehicles hear of each other, and how many other listeners a link to vehicles has."
+  use Aerie.EndpointCase, async: true
+
+  describe "between vehicles" do
+    test "vehicles of a network hear each other's heartbeats and nothing else", c do
+      all = for n <- 1..10, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      [v1 | others] = all
+      beat = heartbeat(1, seq: 9)
+      say(v1, [attitude(1, 1), beat, attitude(1, 2)])
+      first = attitude(1, 1)
+      last = attitude(1, 2)
+      got = got([g | all])
+      assert got["g"] == [first, beat, last]
+      for %{name: name} <- others, do: assert(got[name] == [beat])
+      # Who sends from this machine is judged as a client, whatever it says it is (here nobody judges).
+      order = message(command(7), 1, 1)
+      say(v1, order)
+      assert %{"v7" => [^order], "v6" => []} = got(all)
+      # A part of the vehicle itself that is reached by another way gets everything.
+      camera = endpoint(c.gateway, "camera", side: :vehicle)
+      say(camera, heartbeat(1, type: 30, autopilot: 8, component: 100))
+      got([camera | all])
+      say(v1, first)
+      assert %{"camera" => [^first]} = got(camera)
+    end
+
+    test "vehicles of a crowd hear nothing of each other, and one more changes no receivers", c do
+      all = for n <- 1..40, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      [v1 | others] = all
+      beat = heartbeat(1, seq: 9)
+      say(v1, [attitude(1, 1), beat])
+      got = got([g | all])
+      assert got["g"] == [attitude(1, 1), beat]
+      for %{name: name} <- others, do: assert(got[name] == [])
+      # Its own other parts hear it, by whichever way they are reached.
+      part = endpoint(c.gateway, "part", side: :vehicle)
+      say(part, heartbeat(1, type: 26, autopilot: 8, component: 2))
+      got([part | all])
+      say(v1, attitude(1, 2))
+      assert %{"part" => [_]} = got(part)
+    end
+
+    test "fast heartbeats reach other vehicles at a bounded rate", c do
+      all = for n <- 1..10, do: vehicle(c.gateway, "v#{n}", n)
+      g = client(c.gateway, "g", 255)
+      got([g | all])
+      say(hd(all), for(n <- 1..100, do: heartbeat(1, seq: n)))
+      got = got([g | all])
+      assert length(got["g"]) == 100
+      for %{name: name} <- tl(all), do: assert(length(got[name]) in 1..4)
+    end
+
+    test "router.between_vehicles decides" do
+      for {between, expected} <- [all: 2, heartbeats: 1, none: 0] do
+        gateway = start_parts(%{router: %{between_vehicles: between}})
+        v1 = vehicle(gateway, "#{between} 1", 1)
+        v2 = vehicle(gateway, "#{between} 2", 2)
+        got([v1, v2])
+        say(v1, [attitude(1, 1), heartbeat(1, seq: 9)])
+        assert length(got(v2)[v2.name]) == expected
+      end
+    end
+  end
+
+  describe "senders on a link to vehicles that are none" do
+    # Peers of one link, all written to by one process.
+    defp peers(gateway, names, since \\ 0) do
+      tables = Router.Tables.of(gateway)
+      {:ok, owner} = Router.Owner.new("port", side: :vehicle, networks: ["main"])
+      Router.Endpoints.put_owner(tables, owner)
+
+      for name <- names do
+        fields = [
+          since: since,
+          out: {:pid, self(), name},
+          kind: :link,
+          listens: Router.Endpoints.listens?(tables, owner, :unknown)
+        ]
+
+        Router.Endpoints.put(gateway, tables, Endpoint.new(gateway, {"port", name}, fields))
+      end
+    end
+
+    defp heard_by do
+      receive do
+        {:forward, name, bytes, _class} -> [{name, length(bytes)} | heard_by()]
+      after
+        0 -> []
+      end
+    end
+
+    defp by_port(gateway, peer, bytes) do
+      Router.deliver(gateway, %{id: "port", network: "main", peer: peer}, parse(bytes))
+    end
+
+    test "on each link 8 unknown peers get broadcasts, and 32 that said what they are; vehicles do not count",
+         c do
+      peers(c.gateway, 1..100)
+      v = vehicle(c.gateway, "v", 1)
+      heard_by()
+      say(v, attitude(1, 1))
+      assert length(heard_by()) == 8
+
+      for n <- 1..10, do: by_port(c.gateway, n, heartbeat(100 + n))
+      for n <- 40..100, do: by_port(c.gateway, n, heartbeat(255, type: 6, autopilot: 8))
+      heard_by()
+      say(v, attitude(1, 2))
+      assert length(heard_by()) == 32
+    end
+
+    test "a frame and a heartbeat cost the same beside 500 vehicles as beside 40" do
+      work = fn count ->
+        gateway = start_parts()
+        peers(gateway, 1..count)
+        tables = Router.Tables.of(gateway)
+        for n <- 1..count, do: Router.Endpoints.note(tables, {"port", n}, heard_vehicle: true)
+
+        frames =
+          for n <- 1..50, bytes <- [attitude(1, n), heartbeat(1, type: 2, autopilot: 3)], do: parse(bytes)
+
+        source = %{id: "port", network: "main", peer: 1}
+        for one <- frames, do: Router.deliver(gateway, source, one)
+        {:reductions, before} = Process.info(self(), :reductions)
+        for one <- frames, do: Router.deliver(gateway, source, one)
+        {:reductions, later} = Process.info(self(), :reductions)
+        div(later - before, length(frames))
+      end
+
+      few = work.(40)
+      assert few < 2_000
+      assert work.(500) < 1.5 * few + 50
+    end
+
+    test "a new peer is a listener only among the first 8, and its heartbeat goes to no vehicle", c do
+      peers(c.gateway, 1..100, System.os_time(:microsecond) + 60_000_000)
+      for n <- 1..40, do: by_port(c.gateway, n, heartbeat(100 + n))
+      for n <- 41..100, do: by_port(c.gateway, n, heartbeat(255, type: 6, autopilot: 8))
+      heard_by()
+      for n <- 61..100, do: by_port(c.gateway, n, heartbeat(254, type: 6, autopilot: 8))
+      assert length(heard_by()) <= 40 * 8
+      v = vehicle(c.gateway, "v", 1)
+      heard_by()
+      say(v, attitude(1, 1))
+      assert length(heard_by()) <= 8
+    end
+
+    test "their broadcasts do not go to every vehicle", c do
+      peers(c.gateway, 1..100)
+      for n <- 1..50, do: by_port(c.gateway, n, heartbeat(100 + n))
+      heard_by()
+      by_port(c.gateway, 100, attitude(9, 1))
+      assert Enum.all?(heard_by(), fn {peer, 1} -> peer > 50 end)
+    end
+  end
+end

@@ -1,0 +1,170 @@
+defmodule Aerie.Vehicle.Command do
+  @moduledoc """
+  A command for a vehicle: `{id, vehicle, type, params, source, issued_at, deadline}`.
+
+      {:ok, command} = Aerie.Vehicle.Command.parse(%{"id" => "a1", "vehicle" => "VID-001", "type" => "takeoff",
+                         "params" => %{"altitude" => 20}, "source" => "ops"}, now)
+
+  `Aerie.Vehicle.Command.Types` is the table of what can be commanded; a command that was parsed has parameters of that table only,
+  in range, with defaults filled in. Times are unix microseconds.
+  """
+
+  alias Aerie.Vehicle.Command.{Deadline, Error, Type, Types}
+
+  @enforce_keys [:id, :vehicle, :type, :source, :issued_at, :deadline]
+  defstruct [:id, :vehicle, :type, :source, :issued_at, :deadline, params: %{}]
+
+  @typedoc """
+    * `:id` - chosen by the source, 1 to 64 letters, digits, `-` and `_` (it becomes part of a NATS subject)
+    * `:vehicle` - the vehicle's name in the fleet
+    * `:type` - a name of `Aerie.Vehicle.Command.Types`
+    * `:params` - by the names of the type's parameters; what was not given and has no default is not there
+    * `:source` - who says that it commands; who that is in truth, authentication decides
+    * `:issued_at`, `:deadline` - nothing is sent to the vehicle from the deadline on
+  """
+  @type t :: %__MODULE__{
+          id: String.t(),
+          vehicle: String.t(),
+          type: String.t(),
+          params: %{atom() => term()},
+          source: String.t(),
+          issued_at: integer(),
+          deadline: integer()
+        }
+
+  @keys ~w(id vehicle type params source issued_at deadline)
+  # What a face adds to the envelope and reads itself.
+  @others ~w(signature key)
+  @token "1 to 64 letters, digits, - and _"
+
+  @doc """
+  A command from a map with text keys, as NATS and REST bring it. `id`, `vehicle`, `type` and `source` must be there; a face
+  that knows some of them from elsewhere (a subject, a path) puts them in. `params` may be missing, times as in
+  `Aerie.Vehicle.Command.Deadline`.
+  """
+  @spec parse(term(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}
+  def parse(envelope, now) when is_map(envelope) and not is_struct(envelope) do
+    checks = [
+      id: token(envelope, "id"),
+      vehicle: token(envelope, "vehicle"),
+      source: source(envelope),
+      issued_at: Deadline.issued_at(envelope["issued_at"], now),
+      type: known_type(envelope)
+    ]
+
+    errors = unknown(envelope) ++ for {_name, {:error, error}} <- checks, do: error
+
+    with [] <- errors,
+         fields = Map.new(checks, fn {name, {:ok, value}} -> {name, value} end),
+         {:ok, deadline} <- Deadline.deadline(envelope["deadline"], fields.issued_at, now),
+         {:ok, params} <- Type.check(fields.type, Map.get(envelope, "params") || %{}) do
+      {:ok,
+       struct!(
+         __MODULE__,
+         %{fields | type: fields.type.name} |> Map.merge(%{deadline: deadline, params: params})
+       )}
+    else
+      {:error, %Error{} = error} -> {:error, [error]}
+      {:error, errors} -> {:error, errors}
+      errors -> {:error, errors}
+    end
+  end
+
+  def parse(envelope, _now), do: {:error, [Error.new("command", "an object", envelope)]}
+
+  @doc "The command of the same fields for callers in Elixir: an id is made when none is given, `params` may have atoms as keys."
+  @spec new(keyword(), now :: integer()) :: {:ok, t()} | {:error, [Error.t(), ...]}
+  def new(fields, now \\ System.os_time(:microsecond)) do
+    params = fields |> Keyword.get(:params, %{}) |> Map.new(fn {name, value} -> {to_string(name), value} end)
+
+    fields
+    |> Map.new(fn {name, value} -> {Atom.to_string(name), value} end)
+    |> Map.put("params", params)
+    |> Map.put_new_lazy("id", &id/0)
+    |> Map.put_new("source", "elixir")
+    |> parse(now)
+  end
+
+  @doc "A new id, unique without anybody being asked."
+  @spec id() :: String.t()
+  def id, do: Base.url_encode64(:crypto.strong_rand_bytes(12), padding: false)
+
+  @doc "The row of the command's type."
+  @spec type(t()) :: Type.t()
+  def type(%__MODULE__{type: name}), do: Types.fetch!(name)
+
+  @doc """
+  What the command says, as 64 hexadecimal digits: vehicle, type, parameters and source. Two envelopes with one id are the
+  same command when their digests are equal; id and times do not count, so a repetition may have a later deadline.
+  """
+  @spec digest(t()) :: String.t()
+  def digest(command) do
+    # Lists, because the order of an object's keys is not defined.
+    params = for {name, value} <- Enum.sort(command.params), do: [name, value]
+    text = JSON.encode!([command.vehicle, command.type, params, command.source])
+    :sha256 |> :crypto.hash(text) |> Base.encode16(case: :lower)
+  end
+
+  @doc "Whether its deadline has come."
+  @spec expired?(t(), now :: integer()) :: boolean()
+  def expired?(command, now), do: now >= command.deadline
+
+  @doc "The envelope as NATS and REST have it; `parse/2` reads it back."
+  @spec plain(t()) :: %{String.t() => term()}
+  def plain(command) do
+    %{
+      "id" => command.id,
+      "vehicle" => command.vehicle,
+      "type" => command.type,
+      "params" => Map.new(command.params, fn {name, value} -> {Atom.to_string(name), value} end),
+      "source" => command.source,
+      "issued_at" => Deadline.text(command.issued_at),
+      "deadline" => Deadline.text(command.deadline)
+    }
+  end
+
+  @doc "Whether a text can be an id: #{@token}."
+  @spec token?(String.t()) :: boolean()
+  def token?(text), do: text =~ ~r/\A[A-Za-z0-9_-]{1,64}\z/
+
+  defp token(envelope, key) do
+    case envelope do
+      %{^key => text} when is_binary(text) ->
+        if token?(text), do: {:ok, text}, else: {:error, Error.new(key, @token, text)}
+
+      %{^key => other} when other != nil ->
+        {:error, Error.new(key, @token, other)}
+
+      _nothing ->
+        {:error, Error.new(key, @token, :missing)}
+    end
+  end
+
+  defp known_type(%{"type" => name}) do
+    case Types.fetch(name) do
+      {:ok, type} ->
+        {:ok, type}
+
+      :error ->
+        {:error,
+         Error.new("type", "a command such as arm, takeoff or goto (docs/commands.md lists all)", name)}
+    end
+  end
+
+  defp known_type(_envelope), do: {:error, Error.new("type", "the name of a command", :missing)}
+
+  defp source(%{"source" => text}) when is_binary(text) and text != "" and byte_size(text) <= 64 do
+    if String.printable?(text), do: {:ok, text}, else: {:error, Error.new("source", "printable text", text)}
+  end
+
+  defp source(envelope),
+    do: {:error, Error.new("source", "a text of 1 to 64 bytes", Map.get(envelope, "source", :missing))}
+
+  defp unknown(envelope) do
+    envelope
+    |> Map.keys()
+    |> Enum.reject(&(&1 in @keys or &1 in @others))
+    |> Enum.take(8)
+    |> Enum.map(&Error.new(Error.key(&1), "only #{Enum.join(@keys, ", ")}", :unknown))
+  end
+end

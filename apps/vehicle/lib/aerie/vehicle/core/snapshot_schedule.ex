@@ -1,0 +1,46 @@
+defmodule Aerie.Vehicle.Core.SnapshotSchedule do
+  @moduledoc """
+  How often a vehicle's snapshot is written to the store, and what it shows of `Aerie.Vehicle.Core.Services`. A pure value.
+  """
+
+  # Of all vehicles together the store is written a thousand times a second, but of each at least twenty times while that is no more
+  # than four thousand.
+  @each_us 1_000
+  @longest_us 50_000
+  @many_us 250
+  @view_us 400_000
+
+  defstruct at: nil, every_us: @longest_us, view: nil, viewed_at: nil
+
+  @typedoc "`at`: when the last one was written; `every_us`: for how long one stands; `view`: of the services, as of `viewed_at`"
+  @type t :: %__MODULE__{
+          at: integer() | nil,
+          every_us: pos_integer(),
+          view: map() | nil,
+          viewed_at: integer() | nil
+        }
+
+  @doc "The gateway has so many vehicles: the more, the less often each is shown."
+  @spec vehicles(t(), non_neg_integer()) :: t()
+  def vehicles(shown, n),
+    do: %{shown | every_us: (max(n, 1) * @each_us) |> min(@longest_us) |> max(n * @many_us)}
+
+  @doc "The next one is due at once."
+  @spec due(t()) :: t()
+  def due(shown), do: %{shown | at: nil}
+
+  @doc "Whether one is due at `now`."
+  @spec due?(t(), integer()) :: boolean()
+  def due?(%{at: at, every_us: every}, now), do: at == nil or now - at >= every
+
+  @doc """
+  One is written at `now`. `view` gives what it shows of the services, a few times a second: that changes seldom and is as large as
+  the rest. It is asked at once after an event or a change of the vehicle's status (`due/1`).
+  """
+  @spec write(t(), integer(), view :: (-> map())) :: t()
+  def write(%{at: last, view: view, viewed_at: at} = shown, now, _view)
+      when view != nil and last != nil and now >= at and now - at < @view_us,
+      do: %{shown | at: now}
+
+  def write(shown, now, view), do: %{shown | at: now, view: view.(), viewed_at: now}
+end

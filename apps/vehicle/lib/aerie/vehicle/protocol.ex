@@ -1,0 +1,133 @@
+defmodule Aerie.Vehicle.Protocol do
+  @moduledoc """
+  The behaviour of an adapter to a firmware. It turns a command into steps, steps into messages, and messages into answers;
+  everything that depends on the firmware is in its adapter. `Aerie.Vehicle.Protocol.Ardupilot` and `Aerie.Vehicle.Protocol.Px4`
+  share `Aerie.Vehicle.Protocol.Mavlink`; the behaviour itself does not depend on MAVLink, so another protocol fits.
+
+  An adapter declares what its firmware lacks, with the reason (`c:gap/2`; shown by `capabilities/2`). Such a command is refused at
+  once, and nothing is sent to the vehicle.
+  """
+
+  alias Aerie.Vehicle.Command
+  alias Aerie.Vehicle.Command.{Type, Types}
+  alias Aerie.Vehicle.Protocol.{Step, StoredItem, Vehicle}
+
+  @type plan :: [Step.t(), ...]
+  @type message :: term()
+  @type source :: {system :: non_neg_integer(), component :: non_neg_integer()}
+
+  @typedoc """
+  What a message says about a step:
+
+    * `:ignore` - nothing
+    * `:accepted` - the vehicle will try (C3); `{:accepted, reason}`: nothing more will come
+    * `{:progress, share, text}` - under way; the share is 0..1, and both may be nil (C4)
+    * `{:refused, :rejected | :failed, reason}` - the vehicle refuses, or could not do it
+    * `{:failed, reason}` - the vehicle tried, and its texts say why it failed
+    * `{:busy, reason}` - not now: a refusal, or, as the answer to a repetition, the vehicle is already doing it (C6)
+    * `:cancelled` - the vehicle stopped on request (C5)
+    * `:done` - the report that the condition `:told` waits for
+    * `{:instead, step}` - the vehicle wants another form of the command
+  """
+  @type answer ::
+          :ignore
+          | :accepted
+          | {:accepted, String.t()}
+          | {:progress, float() | nil, String.t() | nil}
+          | {:refused, :rejected | :failed, String.t()}
+          | {:failed, String.t()}
+          | {:busy, String.t()}
+          | :cancelled
+          | :done
+          | {:instead, Step.t()}
+
+  @doc "Why this firmware lacks a command on a kind of vehicle; nil if it has it."
+  @callback gap(type :: String.t(), kind :: String.t()) :: String.t() | nil
+
+  @doc "The steps of a command without a gap; `{:error, reason}` if too little is known about the vehicle."
+  @callback steps(Command.t(), Vehicle.t()) :: {:ok, plan()} | {:error, String.t()}
+
+  @doc "The messages that send a step after `attempt` earlier attempts (C1)."
+  @callback encode(Step.t(), attempt :: non_neg_integer(), Vehicle.t()) :: [message()]
+
+  @doc "The messages that cancel a step; none, or the reason, if it cannot be cancelled."
+  @callback cancel(Step.t(), Vehicle.t()) :: [message()] | {:error, String.t()}
+
+  @doc "The messages that end a stream and release what it controlled."
+  @callback release(Step.t(), Vehicle.t()) :: [message()]
+
+  @doc "What a message from the vehicle says about a step."
+  @callback read(Step.t(), message(), source(), Vehicle.t()) :: answer()
+
+  @doc "The ids of the messages that `c:read/4` needs for a step, besides texts, of which it gets all, each reassembled."
+  @callback listens(Step.t()) :: [non_neg_integer()]
+
+  @doc "How integer parameters are encoded in PARAM_SET's float (P2)."
+  @callback param_encoding() :: :c_cast | :bytewise
+
+  @doc "Whether item 0 of a mission is home, and the first real one 1 (W8)."
+  @callback home_is_item_0?() :: boolean()
+
+  @doc """
+  What the firmware keeps of an item of a mission, fence or list of rally points (W8). The item is a map with the fields of
+  `Aerie.Control.Mission.Item`; `kind` is that of the vehicle.
+  """
+  @callback kept(item :: map(), mission_type :: 0..2, kind :: String.t()) :: StoredItem.t()
+
+  @doc "The offset from an item's number, counted from 1, to the firmware's number."
+  @callback item_offset() :: 0 | -1
+
+  @doc """
+  For how long after an upload the vehicle may still reject the plan that it acknowledged, in microseconds; 0 if it never does.
+  """
+  @callback plan_watch_us(mission_type :: 0..2) :: non_neg_integer()
+
+  @doc "Whether set-points must come before the vehicle does this (X7)."
+  @callback setpoints_first?(Command.t(), Vehicle.t()) :: boolean()
+
+  @doc """
+  What a message says about the plan that was just uploaded; `opaque_id` is the vehicle's id for it (W7), or nil:
+
+    * `:valid` - it can be flown
+    * `{:invalid, reason}` - the vehicle rejected it later
+    * `{:doubtful, reason}` - it cannot be flown at the moment; if that does not change, the vehicle rejected it
+  """
+  @callback plan_verdict(message(), mission_type :: 0..2, opaque_id :: non_neg_integer() | nil) ::
+              :ignore | :valid | {:invalid | :doubtful, reason :: String.t()}
+
+  @doc "The adapter of a firmware."
+  @spec of(:ardupilot | :px4 | :generic) :: module()
+  def of(:ardupilot), do: Aerie.Vehicle.Protocol.Ardupilot
+  def of(:px4), do: Aerie.Vehicle.Protocol.Px4
+  def of(:generic), do: Aerie.Vehicle.Protocol.Unknown
+
+  @doc "The steps of a command, or why there are none: `:gap` is permanent, `:error` temporary."
+  @spec plan(module(), Command.t(), Vehicle.t()) :: {:ok, plan()} | {:gap, String.t()} | {:error, String.t()}
+  def plan(protocol, command, vehicle) do
+    case protocol.gap(command.type, vehicle.kind) do
+      nil ->
+        with {:ok, steps} <- protocol.steps(command, vehicle),
+             :ok <- armed(Command.type(command), vehicle),
+             do: {:ok, repeats(steps, Command.type(command).retry)}
+
+      reason ->
+        {:gap, reason}
+    end
+  end
+
+  # It would be stored, and the vehicle set off as soon as it is armed.
+  defp armed(type, %{armed: false} = vehicle) do
+    if Type.taken_disarmed?(type, vehicle.autopilot, vehicle.kind),
+      do: :ok,
+      else: {:error, "it is disarmed, and #{type.name} would move it as soon as it is armed: arm it first"}
+  end
+
+  defp armed(_type, _armed), do: :ok
+
+  # Steps before the last one, such as a mode, may be repeated.
+  defp repeats(steps, retry), do: List.update_at(steps, -1, &%{&1 | repeat: retry})
+
+  @doc "Each command with nil or the reason for its gap, for a kind of vehicle."
+  @spec capabilities(module(), kind :: String.t()) :: %{String.t() => String.t() | nil}
+  def capabilities(protocol, kind), do: Map.new(Types.names(), &{&1, protocol.gap(&1, kind)})
+end

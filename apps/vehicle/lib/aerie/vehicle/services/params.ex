@@ -1,0 +1,36 @@
+defmodule Aerie.Vehicle.Services.Params do
+  @moduledoc """
+  Reads PARAM_VALUE. The field for the value is always a float: PX4 puts the bytes of an integer there, ArduPilot converts the
+  number (P2). The capability flags are not reliable, so the autopilot decides.
+  """
+
+  alias Aerie.Vehicle.Protocol
+  alias Aerie.Vehicle.Protocol.ParamValue
+  alias MavCodec.Messages, as: M
+
+  @type value :: {name :: String.t(), number(), index :: non_neg_integer() | nil}
+
+  # Counters that the firmware keeps as parameters and sends every half minute: nobody has changed them.
+  @counters ["STAT_", "LND_FLIGHT_T_"]
+
+  @doc """
+  Name, value and index (nil if the message is not part of a list). `:ignore` for PX4's hash over all values, for counters of
+  flight time and the like, and for a message without a valid name or number.
+  """
+  @spec read(struct(), atom()) :: {:ok, value()} | :ignore
+  def read(%M.ParamValue{param_id: "_HASH_CHECK"}, _autopilot), do: :ignore
+
+  def read(%M.ParamValue{} = message, autopilot) do
+    with true <- name?(message.param_id),
+         {:ok, value, _exact?} <-
+           ParamValue.decode(message.param_value, message.param_type, encoding(autopilot)) do
+      {:ok, {message.param_id, value, if(message.param_index == 0xFFFF, do: nil, else: message.param_index)}}
+    else
+      _garbage -> :ignore
+    end
+  end
+
+  defp name?(name), do: ParamValue.name?(name) and not String.starts_with?(name, @counters)
+
+  defp encoding(autopilot), do: Protocol.of(autopilot).param_encoding()
+end

@@ -1,0 +1,96 @@
+defmodule Aerie.Vehicle.Session.Output do
+  @moduledoc """
+  What a session sends: messages to its vehicle through the router, samples to the fleet through the bridge.
+
+  Our heartbeat (`Aerie.Vehicle.Services.Identity`) is sent once a second per path (link and peer), however many vehicles are on it:
+  the first session that is due claims the second. It is held back while a loop that it vouches for does not answer, and
+  counted as `{:identity, :held}`.
+  """
+
+  alias Aerie.Base.{Names, Store}
+  alias Aerie.Vehicle
+  alias MavRouter.Identity.Watchdog
+  alias Aerie.Vehicle.Services.Identity
+  alias MavCodec.Encoder
+
+  @heartbeat_ms 900
+  @withheld_ms 3_000
+
+  @enforce_keys [:gateway, :options, :encoder]
+  defstruct [:gateway, :options, :encoder]
+
+  @type t :: %__MODULE__{}
+
+  @spec new(Names.gateway(), Vehicle.Options.t()) :: t()
+  def new(gateway, options) do
+    # A vehicle whose own id is above 255 understands such ids (N1).
+    sysid32? = options.system_id > 255
+    encoder = Encoder.new(system: options.own_system, component: options.own_component, sysid32: sysid32?)
+    %__MODULE__{gateway: gateway, options: options, encoder: encoder}
+  end
+
+  @doc """
+  Sends a message to the vehicle in the MAVLink version that it speaks, by the path that it was last heard on, or by
+  `link`. A message to a vehicle without a route is dropped and counted (`unsent`).
+  """
+  @spec send(t(), struct(), 1 | 2, link :: term()) :: t()
+  def send(%{gateway: gateway, options: options} = output, %module{} = message, version, link \\ nil) do
+    {bytes, encoder} = Encoder.encode(output.encoder, message, version: version)
+
+    case MavRouter.Router.send(gateway, options.key, bytes, by(link)) do
+      :ok -> Store.count(gateway, {:sent, module.id()})
+      {:error, _no_route} -> Store.count(gateway, {:vehicle, options.id, :unsent})
+    end
+
+    %{output | encoder: encoder}
+  end
+
+  defp by(nil), do: []
+  defp by(link), do: [link: link]
+
+  @doc """
+  Sends our heartbeat on the vehicle's path, unless another session has done so within this second, or a loop that it
+  vouches for does not answer (H3).
+  """
+  @spec heartbeat(t(), 1 | 2, link :: term()) :: t()
+  def heartbeat(%{gateway: gateway, options: options} = output, version, link \\ nil) do
+    with {:alive, []} <- {:alive, Watchdog.silent(gateway, options.key)},
+         path when path != nil <- MavRouter.Router.route(gateway, options.key, by(link)),
+         false <- Store.claimed?(gateway, {:withheld, path}, @withheld_ms),
+         true <- Store.claim(gateway, {:heartbeat, path}, @heartbeat_ms) do
+      state = if Watchdog.any_silent?(gateway), do: :critical, else: :active
+      send(output, Identity.heartbeat(options, state), version, link)
+    else
+      {:alive, _silent} ->
+        Store.count(gateway, {:identity, :held})
+        output
+
+      _no_route_or_sent ->
+        output
+    end
+  end
+
+  @doc """
+  Keeps our heartbeat off the vehicle's path for the next seconds, because the vehicle would take it for its operator's.
+  Other vehicles on that path do not get it either, since everything on a path is heard by all of them.
+  """
+  @spec withhold(t()) :: :ok
+  def withhold(%{gateway: gateway} = output) do
+    with path when path != nil <- MavRouter.Router.route(gateway, output.options.key) do
+      Store.claim(gateway, {:withheld, path}, 1)
+      Store.count(gateway, {:identity, :withheld})
+      :ok
+    else
+      nil -> :ok
+    end
+  end
+
+  @doc "Publishes a sample of a state group: `%{data: map, time_boot_ms: ms or nil}`."
+  @spec publish(t(), Vehicle.State.group(), map(), integer()) :: :ok
+  def publish(output, group, sample, at) do
+    case output.options do
+      %{publisher: nil} -> :ok
+      %{publisher: publisher, id: id} -> publisher.publish_state(output.gateway, id, group, sample, at)
+    end
+  end
+end
